@@ -1,0 +1,1 @@
+"""Floor 1: optics that knows nothing of eyes."""

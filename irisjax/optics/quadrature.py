@@ -1,0 +1,117 @@
+"""Cosine quadrature for layered media.
+
+Integrands of plane-parallel transport have two troubles: square-root kinks at critical angles and the
+factor exp(−τ/μ), flat to all orders at grazing. `cosine_rule` splits [0, 1] at the critical cosines and
+takes, in each panel [a, b], the variable ν = √(μ² − a²), which is the cosine on the *other* side of the
+interface up to a constant and removes the kink; ν is graded exponentially towards grazing. With 32 nodes
+the layer responses of an iris are good to about 1e-12 (experiments/bench_accuracy_time.py).
+"""
+
+from functools import lru_cache
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from irisjax.optics.fresnel import safe_sqrt
+
+# Grading of a panel that starts at grazing; found by a scan over maps and optical depths 1e-4 to 30.
+_GRADING = 3.0
+# Squared cosine at which a panel's start counts as far from grazing, where no grading is wanted.
+_FAR = 0.05
+
+
+class CosineRule(eqx.Module):
+    """Nodes and weights for ∫₀¹ f(μ) dμ.
+
+    **Fields:**
+
+    - `cosine`: nodes μ, shape (n,), increasing.
+    - `weight`: weights, shape (n,), summing to 1 (less the guided part where that is left out).
+    - `excess`: μ² − c_k² for each critical c_k² handed in, shape (k, n), free of cancellation.
+    - `omitted`: ∫ 2μ dμ over what was left out (the guided panel), 0 otherwise.
+    """
+
+    cosine: Float[Array, " n"]
+    weight: Float[Array, " n"]
+    excess: Float[Array, "k n"]
+    omitted: Float[Array, ""]
+
+
+@lru_cache(maxsize=64)
+def gauss_legendre(n: int) -> tuple[np.ndarray, np.ndarray]:
+    """Gauss–Legendre nodes and weights on [0, 1], as float64 NumPy arrays."""
+    x, w = np.polynomial.legendre.leggauss(n)
+    return (x + 1) / 2, w / 2
+
+
+def graded(x: Float[Array, " n"], start_squared: Float[Array, ""]):
+    """Map [0, 1] onto itself, dense near 0 if the panel starts near grazing; returns value and slope.
+
+    g(x) = (e^{κy} − 1)/(e^κ − 1), y = (1−β)x² + βx, κ = 3(1−β) + β, β → 1 away from grazing.
+    """
+    beta = start_squared / (start_squared + _FAR)
+    kappa = _GRADING * (1 - beta) + beta
+    y = (1 - beta) * x * x + beta * x
+    dy = 2 * (1 - beta) * x + beta
+    return jnp.expm1(kappa * y) / jnp.expm1(kappa), kappa * jnp.exp(kappa * y) / jnp.expm1(kappa) * dy
+
+
+def ungraded(g: Float[Array, "*s"]) -> Float[Array, "*s"]:
+    """Inverse of `graded` for a panel that starts at grazing."""
+    return jnp.sqrt(jnp.log1p(g * jnp.expm1(_GRADING)) / _GRADING)
+
+
+def cosine_rule(
+    critical_squared: Float[Array, " k"], present: tuple[bool, ...], n: int, *, skip_guided: bool = False
+) -> CosineRule:
+    """Quadrature over [0, 1] split at the critical cosines.
+
+    **Arguments:**
+
+    - `critical_squared`: c_k² of each interface, negative where it has no critical angle.
+    - `present`: which of them can be positive, known before tracing; only those cost a panel. A panel that
+        turns out empty has zero weights.
+    - `n`: nodes of a rule of up to two panels (a third adds n/2).
+    - `skip_guided`: leave out [0, min c_k], where every interface reflects totally, and report its
+        measure in `omitted`; needs all `present`.
+    """
+    dtype = critical_squared.dtype
+    breaks = [c for c, p in zip(critical_squared, present, strict=True) if p]
+    zero = jnp.zeros((), dtype)
+    starts = jnp.sort(jnp.clip(jnp.stack([zero, *breaks]), 0.0, 1.0))
+    ends = jnp.append(starts[1:], jnp.ones((), dtype))
+    panels = list(range(len(breaks) + 1))
+    omitted = zero
+    if skip_guided and all(present):
+        omitted = starts[1]
+        panels = panels[1:]
+    m = n if len(panels) == 1 else max(2, n // 2)
+    x64, w64 = gauss_legendre(m)
+    x, w = jnp.asarray(x64, dtype), jnp.asarray(w64, dtype)
+    cosines, weights, squares = [], [], []
+    for i in panels:
+        width_squared = ends[i] - starts[i]
+        empty = width_squared <= 0
+        width_squared = jnp.where(empty, 1.0, width_squared)
+        g, dg = graded(x, starts[i])
+        nu_squared = width_squared * g * g
+        mu = jnp.sqrt(starts[i] + nu_squared)
+        cosines.append(jnp.where(empty, 1.0, mu))
+        weights.append(jnp.where(empty, 0.0, w * width_squared * g * dg / mu))
+        squares.append(
+            jnp.where(empty, 1.0, nu_squared)[None, :]
+            + jnp.where(empty, 0.0, starts[i] - critical_squared)[:, None]
+        )
+    return CosineRule(
+        cosine=jnp.concatenate(cosines),
+        weight=jnp.concatenate(weights),
+        excess=jnp.concatenate(squares, axis=1),
+        omitted=omitted,
+    )
+
+
+def refracted(rule: CosineRule, k: int, n_in, n_out) -> Float[Array, " n"]:
+    """Cosines of the rule's nodes after refraction at interface `k`, 0 where it reflects totally."""
+    return n_in / n_out * safe_sqrt(rule.excess[k])
