@@ -31,12 +31,20 @@ class CosineRule(eqx.Module):
     - `weight`: weights, shape (n,), summing to 1 (less the guided part where that is left out).
     - `excess`: μ² − c_k² for each critical c_k² handed in, shape (k, n), free of cancellation.
     - `omitted`: ∫ 2μ dμ over what was left out (the guided panel), 0 otherwise.
+    - `starts`, `widths`: μ² at each panel's start and its extent in μ², shape (panels,).
     """
 
     cosine: Float[Array, " n"]
     weight: Float[Array, " n"]
     excess: Float[Array, "k n"]
     omitted: Float[Array, ""]
+    starts: Float[Array, " panels"]
+    widths: Float[Array, " panels"]
+
+    @property
+    def n_panels(self) -> int:
+        """Number of panels, empty ones included."""
+        return self.starts.shape[0]
 
 
 @lru_cache(maxsize=64)
@@ -46,21 +54,39 @@ def gauss_legendre(n: int) -> tuple[np.ndarray, np.ndarray]:
     return (x + 1) / 2, w / 2
 
 
-def graded(x: Float[Array, " n"], start_squared: Float[Array, ""]):
+def conserving(rule: CosineRule) -> CosineRule:
+    """The rule with weights corrected (by its own error) to integrate 1 and μ² exactly.
+
+    Rayleigh scattering then conserves energy to rounding, whatever the number of nodes.
+    """
+    square = rule.cosine**2
+    w = rule.weight
+    m0, m2, m4 = w.sum(), w @ square, w @ square**2
+    determinant = m0 * m4 - m2 * m2
+    a = ((1 - m0) * m4 - (1 / 3 - m2) * m2) / determinant
+    b = ((1 / 3 - m2) * m0 - (1 - m0) * m2) / determinant
+    return eqx.tree_at(lambda r: r.weight, rule, w + w * (a + b * square))
+
+
+def graded(x, start_squared, xp=jnp):
     """Map [0, 1] onto itself, dense near 0 if the panel starts near grazing; returns value and slope.
 
     g(x) = (e^{κy} − 1)/(e^κ − 1), y = (1−β)x² + βx, κ = 3(1−β) + β, β → 1 away from grazing.
+    `xp` is `numpy` or `jax.numpy`.
     """
     beta = start_squared / (start_squared + _FAR)
     kappa = _GRADING * (1 - beta) + beta
     y = (1 - beta) * x * x + beta * x
     dy = 2 * (1 - beta) * x + beta
-    return jnp.expm1(kappa * y) / jnp.expm1(kappa), kappa * jnp.exp(kappa * y) / jnp.expm1(kappa) * dy
+    return xp.expm1(kappa * y) / xp.expm1(kappa), kappa * xp.exp(kappa * y) / xp.expm1(kappa) * dy
 
 
-def ungraded(g: Float[Array, "*s"]) -> Float[Array, "*s"]:
-    """Inverse of `graded` for a panel that starts at grazing."""
-    return jnp.sqrt(jnp.log1p(g * jnp.expm1(_GRADING)) / _GRADING)
+def ungraded(g, start_squared, xp=jnp):
+    """Inverse of `graded`: the x in [0, 1] with value g."""
+    beta = start_squared / (start_squared + _FAR)
+    kappa = _GRADING * (1 - beta) + beta
+    y = xp.log1p(g * xp.expm1(kappa)) / kappa
+    return 2 * y / (beta + xp.sqrt(beta * beta + 4 * (1 - beta) * y) + (y == 0))
 
 
 def cosine_rule(
@@ -109,7 +135,27 @@ def cosine_rule(
         weight=jnp.concatenate(weights),
         excess=jnp.concatenate(squares, axis=1),
         omitted=omitted,
+        starts=starts[panels[0] :],
+        widths=(ends - starts)[panels[0] :],
     )
+
+
+def interpolation(rule: CosineRule, panel: int, mu, xp=jnp):
+    """Values at `mu` (inside the panel) of the Lagrange polynomials of one panel's nodes, (*mu.shape, m).
+
+    A panel interpolates in its own graded variable, in which the integrands are smooth.
+    """
+    m = rule.cosine.shape[0] // rule.n_panels
+    x = gauss_legendre(m)[0]
+    barycentric = np.array([1 / np.prod(4 * (x[j] - np.delete(x, j))) for j in range(m)])
+    a, width = rule.starts[panel], rule.widths[panel]
+    empty = width <= 0
+    g2 = xp.where(empty, 0.25, xp.clip(mu * mu - a, 0.0, None) / xp.where(empty, 1.0, width))
+    difference = ungraded(xp.sqrt(xp.where(g2 > 0, g2, 1e-30)), a, xp)[..., None] - x
+    exact = difference == 0
+    terms = barycentric / xp.where(exact, 1.0, difference)
+    values = terms / terms.sum(-1, keepdims=True)
+    return xp.where(exact.any(-1, keepdims=True), exact * 1.0, values)
 
 
 def refracted(rule: CosineRule, k: int, n_in, n_out) -> Float[Array, " n"]:

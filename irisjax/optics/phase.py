@@ -1,0 +1,165 @@
+"""Phase functions: density, sampler, and azimuth-averaged redistribution of each.
+
+Both are even in the scattering angle's cosine, so in a plane layer a ray scatters up and down alike: the
+redistribution k(μ, μ') needs cosines in (0, 1] only, with ∫₀¹ k(μ, μ') dμ' = ½.
+"""
+
+import abc
+from functools import lru_cache
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from irisjax.optics.quadrature import CosineRule, gauss_legendre, graded, interpolation
+
+
+class Redistribution(eqx.Module):
+    """The scattering operator on a cosine rule: S(μ_i) = Σ_r scatter[r, i] Σ_q collect[r, q] f(μ_q).
+
+    f and S are densities over the cosine, each summed over the two senses of travel for f and for one
+    sense for S. The weights of the rule are inside `collect`.
+
+    - `collect`: shape (rank, n).
+    - `scatter`: shape (rank, n).
+    """
+
+    collect: Float[Array, "rank n"]
+    scatter: Float[Array, "rank n"]
+
+
+class AbstractPhase(eqx.Module):
+    """A phase function symmetric between forward and backward."""
+
+    @abc.abstractmethod
+    def angle_density(self, alpha: Float[Array, "*s"]) -> Float[Array, "*s"]:
+        """Probability density of the deflection angle per radian on [0, π]."""
+
+    @abc.abstractmethod
+    def sample_cosine(self, u: Float[Array, "2 *s"]) -> Float[Array, "*s"]:
+        """Cosine of the deflection angle from two uniforms in [0, 1)."""
+
+    @abc.abstractmethod
+    def redistribution(self, rule: CosineRule) -> Redistribution:
+        """The azimuth-averaged scattering operator on the nodes of `rule`."""
+
+
+class Rayleigh(AbstractPhase):
+    """Rayleigh's phase function ¾(1 + cos²α) per solid angle over 4π.
+
+    Its azimuth average is ½(1 + ½ P₂(μ) P₂(μ')): two moments carry it exactly.
+    """
+
+    def angle_density(self, alpha):
+        """¾(1 + cos²α)·½ sin α."""
+        return 0.375 * (1 + jnp.cos(alpha) ** 2) * jnp.sin(alpha)
+
+    def sample_cosine(self, u):
+        """Inverse of the distribution function (c³ + 3c + 4)/8: Cardano's real root."""
+        half = 4 * u[0] - 2
+        # The larger of the two conjugate roots, so that nothing cancels; c = s − 1/s.
+        root = jnp.cbrt(jnp.abs(half) + jnp.sqrt(half * half + 1))
+        return jnp.sign(half) * (root - 1 / root)
+
+    def redistribution(self, rule):
+        """Rank two: P₀ with weight ½ and P₂ with weight ¼."""
+        p2 = 1.5 * rule.cosine**2 - 0.5
+        moments = jnp.stack([jnp.ones_like(p2), p2])
+        strength = jnp.asarray([0.5, 0.25], p2.dtype)
+        return Redistribution(collect=rule.weight * moments, scatter=strength[:, None] * moments)
+
+
+class RayleighPerAngle(AbstractPhase):
+    """The rejection sampling printed in LB06 Section 3.4: (1 + cos²α)/(3π/2) per radian of α.
+
+    It lacks the sin α of the solid angle, so the density on the sphere diverges as 1/sin α straight
+    ahead and straight back, and the azimuth average has a logarithmic singularity at μ = μ'.
+    """
+
+    def angle_density(self, alpha):
+        """(1 + cos²α)/(3π/2)  [LB06 Section 3.4]."""
+        return (1 + jnp.cos(alpha) ** 2) / (1.5 * jnp.pi)
+
+    def sample_cosine(self, u):
+        """Mixture: 1 + cos²α = 1 · (uniform angle, weight ⅔) + cos²α (semicircle law, weight ⅓)."""
+        uniform = u[0] < 2 / 3
+        stretched = jnp.where(uniform, 1.5 * u[0], 3 * u[0] - 2)
+        cosine = jnp.cos(jnp.pi * u[1])
+        # x = √v cos πu follows the semicircle law and x = sin α; the sign of cos α is a fair coin, taken
+        # from the halves of v.
+        coin = jnp.where(stretched < 0.5, -1.0, 1.0)
+        v = jnp.where(stretched < 0.5, 2 * stretched, 2 * stretched - 1)
+        return jnp.where(uniform, cosine, coin * jnp.sqrt(jnp.maximum(1 - v * cosine**2, 0.0)))
+
+    def redistribution(self, rule):
+        """Product integration: exact for polynomials in the rule's own variable, singularity included.
+
+        The rule's own panels are the pieces, so critical angles inside the scattering layer cost little.
+        """
+        n, dtype = rule.cosine.shape[0], rule.cosine.dtype
+        if rule.n_panels == 1:
+            # Nodes without critical angles are constants: build the operator once, on the host.
+            operator = jnp.asarray(_constant_operator(n), dtype)
+        else:
+            operator = _conserving(_per_angle_operator(rule, jnp), rule.weight, jnp)
+        return Redistribution(collect=jnp.eye(n, dtype=dtype), scatter=operator.T)
+
+
+PHASES: dict[str, AbstractPhase] = {"rayleigh": Rayleigh(), "lb06": RayleighPerAngle()}
+"""Phase functions by the name a process gives them."""
+
+
+@lru_cache(maxsize=32)
+def _constant_operator(n: int) -> np.ndarray:
+    x, w = gauss_legendre(n)
+    mu, slope = graded(x, 0.0, np)
+    zero, one = np.zeros(1), np.ones(1)
+    rule = CosineRule(mu, w * slope, np.zeros((0, n)), zero[0], zero, one)  # pyright: ignore[reportArgumentType]  (NumPy on purpose)
+    # A row at a time: the polynomials on all circles at once would not fit in a cache.
+    operator = np.concatenate([_per_angle_operator(rule, np, mu[i : i + 1]) for i in range(n)])
+    return _conserving(operator, rule.weight, np)
+
+
+def _per_angle_operator(rule: CosineRule, xp, targets=None):
+    """W with S(μ_i) = Σ_q W[i, q] f(μ_q) for the density (1 + cos²α)/(3π/2) per radian.
+
+    Integrating along the great circles through direction μ_i removes the singularity of the averaged
+    kernel: per radian the density is smooth. A circle that passes the pole at cosine M meets the cosine
+    |M sin γ| at angle γ from the grazing plane.
+    """
+
+    n = rule.cosine.shape[0]
+    # Enough points to integrate the Lagrange polynomials of the rule's degree.
+    n_circles, n_arc = max(48, 3 * n // 2), max(64, 2 * n)
+    x_psi, w_psi = gauss_legendre(n_circles)
+    g, slope = graded(x_psi, 0.0, np)
+    psi, w_psi = g * np.pi / 2, w_psi * slope * np.pi / 2  # from the circle through the grazing plane
+    x_gamma, w_gamma = gauss_legendre(n_arc)
+    g_gamma, slope_gamma = graded(x_gamma, 0.0, np)
+
+    mu = (rule.cosine if targets is None else targets)[:, None]
+    side = (1 - mu * mu) * np.sin(psi) ** 2
+    pole_squared = mu * mu + side
+    pole = xp.sqrt(pole_squared)
+    columns = []
+    for panel in range(rule.n_panels):
+        start, end = rule.starts[panel], rule.starts[panel] + rule.widths[panel]
+        first = xp.arcsin(xp.sqrt(xp.minimum(start / pole_squared, 1.0)))
+        last = xp.arcsin(xp.sqrt(xp.minimum(end / pole_squared, 1.0)))
+        gamma = first[..., None] + (last - first)[..., None] * g_gamma
+        v2 = xp.sin(gamma) ** 2
+        # cos²α averaged over the two senses round the circle.
+        cos2 = (mu * mu / pole_squared)[..., None] * v2 + (side / pole_squared)[..., None] * (1 - v2)
+        density = (1 + cos2) / (1.5 * np.pi) * (2 / np.pi)
+        weights = density * w_gamma * slope_gamma * (w_psi * (last - first))[..., None]
+        met = xp.minimum(pole[..., None] * xp.sqrt(v2), 1.0)
+        columns.append(xp.einsum("iab,iabq->iq", weights, interpolation(rule, panel, met, xp)))
+    return xp.concatenate(columns, axis=1)
+
+
+def _conserving(operator, weight, xp):
+    """The operator with columns corrected, by its own error, to lose nothing."""
+    # Every scattered ray goes somewhere: half of it up, half of it down, to the last bit.
+    received = xp.where(weight > 0, weight @ operator, 1.0)
+    return operator * (0.5 * weight / received)

@@ -1,0 +1,254 @@
+"""`Iris`: the biophysical parameters of LB06, its presets, and the layers they make."""
+
+import dataclasses
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from irisjax._types import Scalar
+from irisjax.tissue import eye
+from irisjax.tissue.indices import (
+    COLLAGEN_FRACTION,
+    FIBROBLAST_FRACTION,
+    SCATTERING,
+    Order,
+    RefractiveIndices,
+    gladstone_dale,
+)
+from irisjax.tissue.layers import Layers
+from irisjax.tissue.pigments import Extinction
+
+
+class Limits(NamedTuple):
+    """Allowed range of a field, its unit and what it is."""
+
+    low: float
+    high: float
+    unit: str
+    meaning: str
+
+
+_INF = float("inf")
+LIMITS: dict[str, Limits] = {
+    "eumelanin": Limits(0, _INF, "mg/ml", "eumelanin over the whole iris"),
+    "pheomelanin": Limits(0, _INF, "mg/ml", "pheomelanin over the whole iris"),
+    "abl_fraction": Limits(0, 1, "", "share of the melanin mass in the anterior border layer"),
+    "oxyhemoglobin": Limits(0, _INF, "mmol/l", "oxyhaemoglobin in the stroma"),
+    "deoxyhemoglobin": Limits(0, _INF, "mmol/l", "deoxyhaemoglobin in the stroma"),
+    "lutein": Limits(0, _INF, "mg/ml", "lutein in the stroma"),
+    "zeaxanthin": Limits(0, _INF, "mg/ml", "zeaxanthin in the stroma"),
+    "abl_thickness": Limits(0, _INF, "mm", "thickness of the anterior border layer"),
+    "stroma_thickness": Limits(0, _INF, "mm", "thickness of the stroma"),
+    "intensification": Limits(0, _INF, "", "factor of intensification of melanin absorption"),
+    "fibril_radius": Limits(0, 200, "nm", "radius of the collagen fibrils"),
+    "iris_radius": Limits(0, _INF, "mm", "outer radius of the iris"),
+    "pupil_radius": Limits(0, _INF, "mm", "radius of the pupil"),
+    "aqueous_index": Limits(1, 3, "", "refractive index of the aqueous humour"),
+    "fibroblast_index": Limits(1, 3, "", "refractive index of the ABL's fibroblasts"),
+    "collagen_index": Limits(1, 3, "", "refractive index of the collagen fibrils"),
+    "base_index": Limits(1, 3, "", "refractive index of the base material"),
+    "ipe_index": Limits(1, 3, "", "refractive index of the iris pigment epithelium"),
+    "tear_index": Limits(1, 3, "", "refractive index of the tear film"),
+    "cornea_index": Limits(1, 3, "", "refractive index of the cornea"),
+    "fibroblast_fraction": Limits(0, 1, "", "volume fraction of fibroblasts in the ABL"),
+    "collagen_fraction": Limits(0, 1, "", "volume fraction of fibrils in the stroma"),
+    "abl_index": Limits(1, 3, "", "refractive index of the ABL, in place of Gladstone-Dale's"),
+    "stroma_index": Limits(1, 3, "", "refractive index of the stroma, in place of Gladstone-Dale's"),
+}
+"""Every settable field of `Iris` with its allowed range and unit."""
+
+_LEVELS = {"high": (1.008, 0.2674), "moderate": (0.8138, 0.2054), "low": (0.1201, 0.0194)}
+_POSITIVE = ("fibril_radius", "collagen_fraction", "intensification")
+
+
+class Iris(eqx.Module):
+    """A human iris by its biophysical parameters; the defaults are those of LB06, moderate pigmentation.
+
+    Every field is a float array of shape () (batch with `jax.vmap`). Concentrations: melanins mg/ml over
+    the whole iris, haemoglobins mmol/l and carotenoids mg/ml in the stroma; thicknesses mm; the fibril
+    radius nm; radii mm. `abl_index` and `stroma_index` are `None` unless they are to replace the
+    Gladstone–Dale mixtures. Make variations with `replace`.
+
+    **Raises:** `ValueError` naming field, value and allowed range for concrete values out of range.
+    """
+
+    eumelanin: Scalar = _LEVELS["moderate"][0]  # pyright: ignore[reportAssignmentType]  (made an array below)
+    pheomelanin: Scalar = _LEVELS["moderate"][1]  # pyright: ignore[reportAssignmentType]
+    abl_fraction: Scalar = 0.5  # pyright: ignore[reportAssignmentType]
+    oxyhemoglobin: Scalar = 0.042  # pyright: ignore[reportAssignmentType]
+    deoxyhemoglobin: Scalar = 0.042  # pyright: ignore[reportAssignmentType]
+    lutein: Scalar = 1.562e-4  # pyright: ignore[reportAssignmentType]
+    zeaxanthin: Scalar = 5.968e-5  # pyright: ignore[reportAssignmentType]
+    abl_thickness: Scalar = 0.05675  # pyright: ignore[reportAssignmentType]
+    stroma_thickness: Scalar = 0.2855  # pyright: ignore[reportAssignmentType]
+    intensification: Scalar = 2.2  # pyright: ignore[reportAssignmentType]
+    fibril_radius: Scalar = 30.0  # pyright: ignore[reportAssignmentType]
+    iris_radius: Scalar = 5.5  # pyright: ignore[reportAssignmentType]
+    pupil_radius: Scalar = 2.5  # pyright: ignore[reportAssignmentType]
+    aqueous_index: Scalar = eye.AQUEOUS  # pyright: ignore[reportAssignmentType]
+    fibroblast_index: Scalar = 1.42  # pyright: ignore[reportAssignmentType]
+    collagen_index: Scalar = 1.47  # pyright: ignore[reportAssignmentType]
+    base_index: Scalar = 1.5  # pyright: ignore[reportAssignmentType]
+    ipe_index: Scalar = 1.5  # pyright: ignore[reportAssignmentType]
+    tear_index: Scalar = eye.TEAR  # pyright: ignore[reportAssignmentType]
+    cornea_index: Scalar = eye.CORNEA  # pyright: ignore[reportAssignmentType]
+    fibroblast_fraction: Scalar = FIBROBLAST_FRACTION  # pyright: ignore[reportAssignmentType]
+    collagen_fraction: Scalar = COLLAGEN_FRACTION  # pyright: ignore[reportAssignmentType]
+    abl_index: Scalar | None = None
+    stroma_index: Scalar | None = None
+    order: Order = eqx.field(init=False)
+
+    def __post_init__(self):
+        for name in LIMITS:
+            value = getattr(self, name)
+            if value is not None:
+                object.__setattr__(self, name, _as_float(name, value))
+        _check(self)
+        object.__setattr__(self, "order", self.indices().order())
+
+    @classmethod
+    def preset(cls, level: str) -> "Iris":
+        """The iris of a pigmentation level of LB06 Table 2: `"low"`, `"moderate"` or `"high"`."""
+        if level not in _LEVELS:
+            raise ValueError(f"unknown pigmentation level {level!r}; known: {', '.join(sorted(_LEVELS))}")
+        eumelanin, pheomelanin = _LEVELS[level]
+        return cls(eumelanin=jnp.asarray(eumelanin), pheomelanin=jnp.asarray(pheomelanin))
+
+    def replace(self, **fields: Any) -> "Iris":
+        """A copy with some fields changed.
+
+        Besides the fields: `melanin_load` (µg/mm²) rescales both melanins after the other changes, keeping
+        their ratio (all eumelanin where there was none).
+        """
+        load = fields.pop("melanin_load", None)
+        for name in fields:
+            if name not in LIMITS:
+                raise ValueError(f"unknown parameter {name!r}; known: melanin_load, {', '.join(LIMITS)}")
+        current = {name: getattr(self, name) for name in LIMITS}
+        iris = Iris(**{**current, **fields})
+        if load is None:
+            return iris
+        load = _as_float("melanin_load", load)
+        _check_value("melanin_load", load, Limits(0, _INF, "ug/mm2", ""))
+        total = iris.eumelanin + iris.pheomelanin
+        none = total <= 0
+        share = jnp.where(none, 0.0, iris.pheomelanin / jnp.where(none, 1.0, total))
+        concentration = load / (iris.abl_thickness + iris.stroma_thickness)
+        return Iris(
+            **{
+                **{name: getattr(iris, name) for name in LIMITS},
+                "eumelanin": concentration * (1 - share),
+                "pheomelanin": concentration * share,
+            }
+        )
+
+    @property
+    def melanin_load(self):
+        """Melanin mass per iris area, (c_eu + c_pheo)(h_A + h_S), in µg/mm²."""
+        return (self.eumelanin + self.pheomelanin) * (self.abl_thickness + self.stroma_thickness)
+
+    @property
+    def abl_melanin(self):
+        """Melanin mass of the ABL per iris area, µg/mm²."""
+        return self.melanin_load * self.abl_fraction
+
+    def indices(self) -> RefractiveIndices:
+        """Indices of the media round the layers  [LB06 Eqs. 8, 9]."""
+        abl = gladstone_dale(self.fibroblast_index, self.fibroblast_fraction, self.base_index)
+        stroma = gladstone_dale(self.collagen_index, self.collagen_fraction, self.base_index)
+        return RefractiveIndices(
+            aqueous=self.aqueous_index,
+            abl=abl if self.abl_index is None else self.abl_index,
+            stroma=stroma if self.stroma_index is None else self.stroma_index,
+            ipe=self.ipe_index,
+        )
+
+    def layers(self, extinction: Extinction, scattering: str = "lb06") -> Layers:
+        """Optical depths of the layers on the wavelengths of `extinction`  [LB06 Section 3.3, Eqs. 4, 5].
+
+        `scattering` is `"lb06"` or `"rayleigh-spheres"` (see `tissue.indices`).
+        """
+        e = extinction
+        # The ABL fraction divides the mass: depth in a layer = extinction × mass per area in that layer.
+        melanin = (
+            self.intensification
+            * (e.eumelanin * self.eumelanin + e.pheomelanin * self.pheomelanin)
+            * (self.abl_thickness + self.stroma_thickness)
+        )
+        blood_and_carotenoids = (
+            e.oxyhemoglobin * self.oxyhemoglobin
+            + e.deoxyhemoglobin * self.deoxyhemoglobin
+            + e.lutein * self.lutein
+            + e.zeaxanthin * self.zeaxanthin
+        )
+        mu_s = SCATTERING[scattering](
+            e.wavelengths, self.fibril_radius, self.collagen_fraction, self.collagen_index, self.base_index
+        )
+        return Layers(
+            abl_absorption=melanin * self.abl_fraction,
+            stroma_absorption=melanin * (1 - self.abl_fraction) + blood_and_carotenoids * self.stroma_thickness,
+            stroma_scattering=mu_s * self.stroma_thickness,
+            indices=self.indices(),
+            order=self.order,
+        )
+
+    def parameters(self) -> dict[str, Any]:
+        """Every set field by name, for headers and tables; concrete scalars come as Python floats."""
+        out = {}
+        for name in LIMITS:
+            value = getattr(self, name)
+            if value is not None:
+                out[name] = value if isinstance(value, jax.core.Tracer) or value.ndim else _short(value)
+        return out
+
+    def __repr__(self):
+        lines = [f"  {n} = {v}{(' ' + LIMITS[n].unit) if LIMITS[n].unit else ''}" for n, v in self.parameters().items()]
+        return "Iris(\n" + "\n".join(lines) + "\n)"
+
+
+def _short(value) -> float:
+    # float32 0.1201 is printed as it was written, not as its nearest float64.
+    return float(np.format_float_positional(np.asarray(value), unique=True, trim="0"))
+
+
+def _as_float(name: str, value) -> jax.Array:
+    if isinstance(value, (bool, str)) or value is None:
+        raise ValueError(f"{name} must be a number, got {value!r}")
+    array = jnp.asarray(value)
+    if not jnp.issubdtype(array.dtype, jnp.floating):
+        if not jnp.issubdtype(array.dtype, jnp.integer):
+            raise ValueError(f"{name} must be a real number, got {value!r}")
+        array = array.astype(jnp.result_type(float))
+    return array
+
+
+def _check(iris: Iris) -> None:
+    for name, limits in LIMITS.items():
+        value = getattr(iris, name)
+        if value is not None:
+            _check_value(name, value, limits)
+    if not isinstance(iris.pupil_radius, jax.core.Tracer) and not isinstance(iris.iris_radius, jax.core.Tracer):
+        bad = np.asarray(iris.pupil_radius) > np.asarray(iris.iris_radius)
+        if bad.any():
+            raise ValueError("pupil_radius must not exceed iris_radius")
+
+
+def _check_value(name: str, value, limits: Limits) -> None:
+    if isinstance(value, jax.core.Tracer):
+        return
+    v = np.asarray(value)
+    allowed = np.isfinite(v) & (v >= limits.low) & (v <= limits.high)
+    if name in _POSITIVE:
+        allowed &= v > 0
+    if not allowed.all():
+        worst = v[~allowed].flat[0]
+        low = f"{'(' if name in _POSITIVE else '['}{limits.low:g}"
+        high = "inf)" if np.isinf(limits.high) else f"{limits.high:g}]"
+        unit = f" {limits.unit}" if limits.unit else ""
+        raise ValueError(f"{name} = {worst:g}{unit} is outside {low}, {high}{unit}")
+
+
+assert {f.name for f in dataclasses.fields(Iris)} == {*LIMITS, "order"}

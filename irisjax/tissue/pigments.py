@@ -1,0 +1,111 @@
+"""Extinction of the iridal pigments, from tables shipped with the package.
+
+Wavelengths in nm. The tables are facts with their sources in their headers; they are interpolated linearly.
+"""
+
+import math
+from functools import lru_cache
+from importlib import resources
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from irisjax._types import Spectrum
+
+_PER_CM = 0.1  # 1 cm⁻¹ in mm⁻¹
+
+# pigment: (table, column, factor to mm⁻¹ per package unit of concentration). Melanin's tables are used as
+# Napierian coefficients; the decadic ones take ln 10. Haemoglobin: cm⁻¹/M to mm⁻¹/(mmol/l).
+_SOURCES: dict[str, tuple[str, str, float]] = {
+    "eumelanin": ("eumelanin.csv", "extinction", _PER_CM),
+    "pheomelanin": ("pheomelanin.csv", "extinction", _PER_CM),
+    "oxyhemoglobin": ("hemoglobin.csv", "hbo2", math.log(10) * _PER_CM * 1e-3),
+    "deoxyhemoglobin": ("hemoglobin.csv", "hb", math.log(10) * _PER_CM * 1e-3),
+    "lutein": ("carotenoids.csv", "lutein", math.log(10) * _PER_CM),
+    "zeaxanthin": ("carotenoids.csv", "zeaxanthin", math.log(10) * _PER_CM),
+}
+
+PIGMENTS = tuple(_SOURCES)
+"""Names of the pigments, in the order of `Extinction`'s fields."""
+
+
+class Extinction(eqx.Module):
+    """Napierian extinction of every pigment on one wavelength grid.
+
+    **Fields:** the grid (nm) and, one value a wavelength, mm⁻¹ per mg/ml (melanins, carotenoids) or
+    mm⁻¹ per mmol/l (haemoglobins).
+    """
+
+    wavelengths: Spectrum
+    eumelanin: Spectrum
+    pheomelanin: Spectrum
+    oxyhemoglobin: Spectrum
+    deoxyhemoglobin: Spectrum
+    lutein: Spectrum
+    zeaxanthin: Spectrum
+
+
+def table_range(pigment: str) -> tuple[float, float]:
+    """First and last wavelength (nm) of a pigment's table."""
+    x, _ = _table(pigment)
+    return float(x[0]), float(x[-1])
+
+
+def extinction(wavelengths) -> Extinction:
+    """Extinction of all pigments at `wavelengths` (nm, any shape (n,)).
+
+    Concrete wavelengths are interpolated on the host, once; traced ones inside the program.
+
+    **Raises:** `ValueError` naming the table and its range where a wavelength lies outside it.
+    """
+    if isinstance(wavelengths, jax.core.Tracer):
+        return _interpolate(_checked(wavelengths), jnp)
+    grid = np.asarray(wavelengths)
+    dtype = jnp.result_type(float)
+    for pigment in PIGMENTS:
+        low, high = table_range(pigment)
+        # A NaN is neither below nor above: ask for what is allowed.
+        bad = ~((grid >= low) & (grid <= high))
+        if bad.any():
+            raise ValueError(
+                f"wavelength {grid[bad].flat[0]:g} nm is outside the {pigment} table ({low:g} to {high:g} nm)"
+            )
+    return _on_host(np.asarray(grid, np.float64).tobytes(), np.dtype(dtype).name)
+
+
+def common_range() -> tuple[float, float]:
+    """The wavelengths (nm) covered by every pigment's table."""
+    ranges = [table_range(p) for p in PIGMENTS]
+    return max(r[0] for r in ranges), min(r[1] for r in ranges)
+
+
+@lru_cache(maxsize=32)
+def _on_host(grid: bytes, dtype: str) -> Extinction:
+    x = np.frombuffer(grid, np.float64)
+    with jax.ensure_compile_time_eval():
+        return jax.tree.map(lambda a: jnp.asarray(a, dtype), _interpolate(x, np))
+
+
+def _interpolate(x, xp) -> Extinction:
+    curves = {}
+    for pigment in PIGMENTS:
+        grid, values = _table(pigment)
+        curves[pigment] = xp.interp(x, grid, values)
+    return Extinction(wavelengths=x, **curves)
+
+
+def _checked(x):
+    low, high = common_range()
+    return eqx.error_if(
+        x, ~((x >= low) & (x <= high)).all(), f"a wavelength is outside the pigment tables ({low:g} to {high:g} nm)"
+    )
+
+
+@lru_cache(maxsize=len(_SOURCES))
+def _table(pigment: str) -> tuple[np.ndarray, np.ndarray]:
+    file, column, factor = _SOURCES[pigment]
+    with (resources.files("irisjax.tissue") / "tables" / file).open(encoding="utf-8") as f:
+        data = np.genfromtxt((line for line in f if not line.startswith("#")), delimiter=",", names=True)
+    return data["wavelength_nm"], data[column] * factor

@@ -1,0 +1,68 @@
+"""What every solver returns, and how it says that something is wrong."""
+
+import equinox as eqx
+import jax
+from jaxtyping import Array, Float
+
+from irisjax._types import Spectrum
+
+
+class RESULTS(eqx.Enumeration):
+    """Outcome of a solve."""
+
+    successful = ""
+    invalid_input = (
+        "a layer's optical depth is negative or not finite, or an index does not keep to the order of media "
+        "the iris was made with"
+    )
+    under_resolved = (
+        "the stroma is optically too thick for the number of depth panels; give Exact(n_panels=...) a larger one"
+    )
+    not_converged = "the orders of scattering did not converge"
+    outside_table = "an optical depth or index lies outside the range the table was built for"
+
+
+class Absorbed(eqx.Module):
+    """Share of the incident light absorbed in each layer, one value a wavelength."""
+
+    abl: Spectrum
+    stroma: Spectrum
+    ipe: Spectrum
+
+    def total(self) -> Spectrum:
+        """Sum over the layers."""
+        return self.abl + self.stroma + self.ipe
+
+
+class Solution(eqx.Module):
+    """Where the light goes that falls on the iris from the aqueous humour.
+
+    Shares of the incident power, one value a wavelength: `reflectance` (what entered and came back),
+    `mirrored` (at the first surface), `absorbed`; they sum to one.
+
+    - `standard_error`: of `reflectance` plus `mirrored` where sampled, `None` where integrated.
+    - `brdf`: bidirectional reflectance distribution function (1/sr) without the mirrored part at the
+        requested exit directions, shape (wavelengths, exits), or `None`; `brdf_error` its standard error.
+    - `result`: a `RESULTS` item.
+    """
+
+    reflectance: Spectrum
+    mirrored: Spectrum
+    absorbed: Absorbed
+    standard_error: Spectrum | None
+    brdf: Float[Array, "wavelengths exits"] | None
+    brdf_error: Float[Array, "wavelengths exits"] | None
+    result: RESULTS
+
+    @property
+    def energy(self) -> Spectrum:
+        """Sum of all shares; differs from one by rounding only."""
+        return self.reflectance + self.mirrored + self.absorbed.total()
+
+
+def throw(result: RESULTS) -> None:
+    """Raise `ValueError` with the reason if a concrete `result` is not successful; ignore a traced one."""
+    if isinstance(result._value, jax.core.Tracer):
+        return
+    if bool((result != RESULTS.successful).any()):
+        raise ValueError(RESULTS[result] if result._value.ndim == 0 else "some of the batch failed; see status")

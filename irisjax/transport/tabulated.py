@@ -1,0 +1,183 @@
+"""Tabulated solver: the layer functions of one set of indices, computed once by `Exact`, then looked up.
+
+With fixed indices ILIT's ABL is a function of one number, its optical depth, and the stroma of two, optical
+depth and albedo. Piecewise polynomials of degree 5 in ln(1 + τ/τ₀) and Chebyshev polynomials in the albedo
+hold them over every depth and albedo there is; the error is measured at points the tables were not made
+from, and reported.
+"""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from irisjax.tissue.indices import Order, RefractiveIndices
+from irisjax.tissue.iris import Iris
+from irisjax.tissue.layers import Layers
+from irisjax.transport.exact import Response, abl_responses, combine, stroma_response
+from irisjax.transport.process import ILIT_2006, Process
+from irisjax.transport.solution import RESULTS
+
+_DEGREE = 5
+_SMALLEST = 1e-4  # τ₀: below it the functions are straight lines to 1e-9
+_LARGEST = 40.0  # exp(−40) is below rounding: deeper layers are all alike
+
+
+class Tabulated(eqx.Module):
+    """Solver for many spectra of irides that share their refractive indices and process.
+
+    Make one with `Tabulated.build`. The tables hold for all optical depths and albedos; an iris with other
+    indices gives the status `outside_table`. Gradients flow to depths and pigments, not to indices.
+
+    - `error`: largest absolute error of a layer function found at build time, off the nodes.
+    """
+
+    abl: Float[Array, "intervals abl_coefficients"]
+    stroma: Float[Array, "intervals stroma_coefficients"]
+    indices: RefractiveIndices
+    process: Process
+    error: float = eqx.field(static=True)
+
+    @classmethod
+    def build(
+        cls,
+        iris: Iris | None = None,
+        process: Process = ILIT_2006,
+        *,
+        tolerance: float = 1e-11,
+        n_intervals: int = 256,
+        n_albedos: int = 10,
+    ) -> "Tabulated":
+        """Tabulate for the indices of `iris` (default: LB06's) and check the tables.
+
+        **Raises:** `ValueError` if the process is depth-resolved, or if the error found exceeds `tolerance`
+        (in float32 the tolerance is at least 1e-6).
+        """
+        if process.depth_resolved:
+            raise ValueError("depth-resolved transport cannot be tabulated layer by layer; use Exact")
+        iris = iris if iris is not None else Iris()
+        indices, order = iris.indices(), iris.order
+        dtype = jnp.result_type(float)
+        tolerance = max(tolerance, 32 * float(jnp.finfo(dtype).eps))
+        local = np.cos(np.pi * (np.arange(_DEGREE + 1) + 0.5) / (_DEGREE + 1))
+        albedo_nodes = np.cos(np.pi * (np.arange(n_albedos) + 0.5) / n_albedos)
+        to_local = np.linalg.inv(np.polynomial.polynomial.polyvander(local, _DEGREE))
+        to_albedo = np.linalg.inv(np.polynomial.chebyshev.chebvander(albedo_nodes, n_albedos - 1))
+        depths = _depth((np.arange(n_intervals)[:, None] + (local + 1) / 2) / n_intervals)
+
+        responses = jax.jit(_responses, static_argnums=(3, 4))
+        abl, _ = responses(jnp.asarray(depths.ravel(), dtype), jnp.zeros(depths.size, dtype), indices, order, process)
+        abl = np.asarray(abl, np.float64).reshape(n_intervals, _DEGREE + 1, -1)
+        stroma = []
+        for albedo in (albedo_nodes + 1) / 2:
+            _, s = responses(
+                jnp.asarray(depths.ravel(), dtype), jnp.full(depths.size, albedo, dtype), indices, order, process
+            )
+            stroma.append(np.asarray(s, np.float64).reshape(n_intervals, _DEGREE + 1, -1))
+        abl_table = np.einsum("ij,pjf->pif", to_local, abl)
+        stroma_table = np.einsum("ij,ab,bpjf->piaf", to_local, to_albedo, np.stack(stroma))
+        table = cls(
+            abl=jnp.asarray(abl_table.reshape(n_intervals, -1), dtype),
+            stroma=jnp.asarray(stroma_table.reshape(n_intervals, -1), dtype),
+            indices=indices,
+            process=process,
+            error=0.0,
+        )
+        error = table._measure(order)
+        if error > tolerance:
+            raise ValueError(
+                f"the layer functions are tabulated to {error:.1e} only, not to {tolerance:.1e}; "
+                "use Exact, or a larger tolerance, n_intervals or n_albedos"
+            )
+        return cls(table.abl, table.stroma, indices, process, float(error))
+
+    def prepare(self, layers: Layers, process: Process) -> "Tabulated":
+        """Check that the tables belong to this process."""
+        # Cornea and first surface are applied after the layers: they need not match.
+        for name in ("phase", "rescatter", "perturb_on_reflection", "transport"):
+            if getattr(process, name) != getattr(self.process, name):
+                raise ValueError(
+                    f"the tables were built for {name}={getattr(self.process, name)!r}, "
+                    f"not {getattr(process, name)!r}; build others with Tabulated.build(iris, process)"
+                )
+        return self
+
+    def solve(self, layers: Layers, process: Process, cos_incidence, *, cos_exit=None, azimuth=None, key=None):
+        """Transport of light from direction `cos_incidence`; see `Solution`. No key is used."""
+        from_above, from_below = self._abl_response(layers.abl_absorption)
+        stroma = self._stroma_response(layers.extinction, layers.albedo)
+        solution = combine(
+            layers, from_above, from_below, stroma, jnp.asarray(True), process, cos_incidence, cos_exit
+        )
+        same = jnp.asarray(True)
+        for ours, theirs in zip(jax.tree.leaves(self.indices), jax.tree.leaves(layers.indices), strict=True):
+            same = same & (jnp.abs(ours - theirs) <= 4 * jnp.finfo(theirs.dtype).eps * theirs)
+        result = RESULTS.where(same, solution.result, RESULTS.outside_table)
+        return eqx.tree_at(lambda s: s.result, solution, result)
+
+    def _abl_response(self, depth) -> tuple[Response, Response]:
+        powers, interval = self._locate(depth)
+        rows = self.abl[interval].reshape(*depth.shape, _DEGREE + 1, 4)
+        up, down, out, back = jnp.moveaxis((rows * powers[..., None]).sum(-2), -1, 0)
+        return Response(up, down, 1 - up - down), Response(back, out, 1 - back - out)
+
+    def _stroma_response(self, depth, albedo) -> Response:
+        powers, interval = self._locate(depth)
+        n_albedos = self.stroma.shape[1] // (2 * (_DEGREE + 1))
+        rows = self.stroma[interval].reshape(*depth.shape, _DEGREE + 1, 2 * n_albedos)
+        series = (rows * powers[..., None]).sum(-2).reshape(*depth.shape, n_albedos, 2)
+        s = 2 * albedo - 1
+        chebyshev = [jnp.ones_like(s), s]
+        for _ in range(n_albedos - 2):
+            chebyshev.append(2 * s * chebyshev[-1] - chebyshev[-2])
+        values = sum(t[..., None] * series[..., k, :] for k, t in enumerate(chebyshev[:n_albedos]))
+        reflected, passed = values[..., 0], values[..., 1]
+        return Response(reflected, passed, 1 - reflected - passed)
+
+    def _locate(self, depth):
+        n = self.abl.shape[0]
+        scale = n / np.log1p(_LARGEST / _SMALLEST)
+        position = jnp.log1p(jnp.minimum(depth, _LARGEST) / _SMALLEST) * scale
+        interval = jnp.clip(jax.lax.stop_gradient(position).astype(jnp.int32), 0, n - 1)
+        x = 2 * (position - interval) - 1
+        powers = [jnp.ones_like(x)]
+        for _ in range(_DEGREE):
+            powers.append(powers[-1] * x)
+        return jnp.stack(powers, -1), interval
+
+    def _measure(self, order: Order) -> float:
+        """Largest error of the layer functions between the nodes, against a finer quadrature."""
+        n = self.abl.shape[0]
+        rng = np.random.default_rng(0)
+        depth = jnp.asarray(_depth((np.arange(n) + rng.random(n)) / n), self.abl.dtype)
+        worst = 0.0
+        for albedo in (0.0, 0.23, 0.71, 0.97, 1.0):
+            albedos = jnp.full_like(depth, albedo)
+            abl, stroma = jax.jit(_responses, static_argnums=(3, 4, 5))(
+                depth, albedos, self.indices, order, self.process, 96
+            )
+            above, below = self._abl_response(depth)
+            found = jnp.stack([above.reflected, above.passed, below.passed, below.reflected], -1)
+            s = self._stroma_response(depth, albedos)
+            worst = max(
+                worst,
+                float(jnp.abs(found - abl).max()),
+                float(jnp.abs(jnp.stack([s.reflected, s.passed], -1) - stroma).max()),
+            )
+        return worst
+
+
+def _depth(fraction):
+    """Optical depth at a fraction of the tables' axis."""
+    return _SMALLEST * np.expm1(fraction * np.log1p(_LARGEST / _SMALLEST))
+
+
+def _responses(depth, albedo, indices: RefractiveIndices, order: Order, process: Process, n_angles: int = 48):
+    above, below = abl_responses(depth, indices, order, process, n_angles)
+    layers = Layers(jnp.zeros_like(depth), depth * (1 - albedo), depth * albedo, indices, order)
+    stroma, _ = stroma_response(layers, process, n_angles)
+    abl = jnp.stack([above.reflected, above.passed, below.passed, below.reflected], -1)
+    return abl, jnp.stack([stroma.reflected, stroma.passed], -1)
+
+
