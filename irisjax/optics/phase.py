@@ -37,12 +37,34 @@ class AbstractPhase(eqx.Module):
         """Probability density of the deflection angle per radian on [0, π]."""
 
     @abc.abstractmethod
-    def sample_cosine(self, u: Float[Array, "2 *s"]) -> Float[Array, "*s"]:
-        """Cosine of the deflection angle from two uniforms in [0, 1)."""
+    def sample_cosine(self, u: Float[Array, "*s"]) -> Float[Array, "*s"]:
+        """Cosine of the deflection angle from a uniform in [0, 1]: the inverse distribution function.
+
+        A rational function of 2u − 1, so that a Monte Carlo step has no loop and no trigonometry.
+        """
 
     @abc.abstractmethod
     def redistribution(self, rule: CosineRule) -> Redistribution:
         """The azimuth-averaged scattering operator on the nodes of `rule`."""
+
+
+# Minimax-like fits of the inverse distribution functions: odd numerator and even denominator in 2u − 1.
+_RAYLEIGH_INVERSE = (
+    (1.33333217, 4.88499044, 3.67262038, 0.33877668),
+    (1.0, 4.25625501, 4.22517445, 0.74828951),
+)
+_PER_ANGLE_INVERSE = (
+    (2.35618496, 29.65395127, 73.73855077, 14.28983691, -7.68017775),
+    (1.0, 15.36027524, 56.28493536, 41.3255323, -1.61242091),
+)
+
+
+def horner(t, coefficients):
+    """Polynomial in `t`, lowest power first."""
+    out = jnp.full_like(t, coefficients[-1])
+    for c in coefficients[-2::-1]:
+        out = out * t + c
+    return out
 
 
 class Rayleigh(AbstractPhase):
@@ -56,11 +78,8 @@ class Rayleigh(AbstractPhase):
         return 0.375 * (1 + jnp.cos(alpha) ** 2) * jnp.sin(alpha)
 
     def sample_cosine(self, u):
-        """Inverse of the distribution function (c³ + 3c + 4)/8: Cardano's real root."""
-        half = 4 * u[0] - 2
-        # The larger of the two conjugate roots, so that nothing cancels; c = s − 1/s.
-        root = jnp.cbrt(jnp.abs(half) + jnp.sqrt(half * half + 1))
-        return jnp.sign(half) * (root - 1 / root)
+        """The root of c³ + 3c = 4(2u − 1), to 8e-8."""
+        return _odd_rational(u, _RAYLEIGH_INVERSE)
 
     def redistribution(self, rule):
         """Rank two: P₀ with weight ½ and P₂ with weight ¼."""
@@ -82,15 +101,8 @@ class RayleighPerAngle(AbstractPhase):
         return (1 + jnp.cos(alpha) ** 2) / (1.5 * jnp.pi)
 
     def sample_cosine(self, u):
-        """Mixture: 1 + cos²α = 1 · (uniform angle, weight ⅔) + cos²α (semicircle law, weight ⅓)."""
-        uniform = u[0] < 2 / 3
-        stretched = jnp.where(uniform, 1.5 * u[0], 3 * u[0] - 2)
-        cosine = jnp.cos(jnp.pi * u[1])
-        # x = √v cos πu follows the semicircle law and x = sin α; the sign of cos α is a fair coin, taken
-        # from the halves of v.
-        coin = jnp.where(stretched < 0.5, -1.0, 1.0)
-        v = jnp.where(stretched < 0.5, 2 * stretched, 2 * stretched - 1)
-        return jnp.where(uniform, cosine, coin * jnp.sqrt(jnp.maximum(1 - v * cosine**2, 0.0)))
+        """The cosine of the angle at which (α + (α + sin α cos α)/2)/(3π/2) reaches 1 − u, to 4e-7."""
+        return _odd_rational(u, _PER_ANGLE_INVERSE)
 
     def redistribution(self, rule):
         """Product integration: exact for polynomials in the rule's own variable, singularity included.
@@ -145,8 +157,7 @@ def _per_angle_operator(rule: CosineRule, xp, targets=None):
     columns = []
     for panel in range(rule.n_panels):
         start, end = rule.starts[panel], rule.starts[panel] + rule.widths[panel]
-        first = xp.arcsin(xp.sqrt(xp.minimum(start / pole_squared, 1.0)))
-        last = xp.arcsin(xp.sqrt(xp.minimum(end / pole_squared, 1.0)))
+        first, last = (_arcsin_sqrt(edge / pole_squared, xp) for edge in (start, end))
         gamma = first[..., None] + (last - first)[..., None] * g_gamma
         v2 = xp.sin(gamma) ** 2
         # cos²α averaged over the two senses round the circle.
@@ -156,6 +167,19 @@ def _per_angle_operator(rule: CosineRule, xp, targets=None):
         met = xp.minimum(pole[..., None] * xp.sqrt(v2), 1.0)
         columns.append(xp.einsum("iab,iabq->iq", weights, interpolation(rule, panel, met, xp)))
     return xp.concatenate(columns, axis=1)
+
+
+def _odd_rational(u, coefficients):
+    x = 2 * u - 1
+    numerator, denominator = coefficients
+    return jnp.clip(x * horner(x * x, numerator) / horner(x * x, denominator), -1.0, 1.0)
+
+
+def _arcsin_sqrt(x, xp):
+    """arcsin √x with x clipped to [0, 1], with zero instead of infinite slopes at both ends."""
+    low, high = x <= 0, x >= 1
+    inside = xp.arcsin(xp.sqrt(xp.where(low | high, 0.5, x)))
+    return xp.where(high, np.pi / 2, xp.where(low, 0.0, inside))
 
 
 def _conserving(operator, weight, xp):

@@ -5,6 +5,7 @@ cosine-distributed entry leaves above or below. At each cosine the internal refl
 series; scattering in the stroma closes in a linear system of the phase function's rank.
 """
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import equinox as eqx
@@ -52,17 +53,17 @@ class Exact(eqx.Module):
             if value is not None and (not isinstance(value, int) or value < low):
                 raise ValueError(f"Exact({name}={value!r}): must be a whole number of at least {low}")
 
-    def prepare(self, layers: Layers, process: Process) -> "Exact":
+    def prepare(self, layers: Callable[[], Layers], process: Process) -> "Exact":
         """The solver with everything fixed that must be known before tracing."""
         if not process.depth_resolved or self.n_panels is not None:
             return self
-        panels = depth_resolved.panels_for(layers.extinction)
+        panels = depth_resolved.panels_for(layers().extinction)
         return Exact(n_angles=self.n_angles, n_depths=self.n_depths, n_panels=panels)
 
-    def solve(self, layers: Layers, process: Process, cos_incidence, *, cos_exit=None, azimuth=None, key=None):
+    def solve(self, layers: Layers, process: Process, cos_incidence, *, cos_exit=None, azimuth=None, key=None, rays=None):
         """Transport of light from direction `cos_incidence` (or `DIFFUSE`); see `Solution`.
 
-        `cos_exit`, `azimuth`: exit directions of shape (exits,) for the BRDF, or `None`. No key is used.
+        `cos_exit`, `azimuth`: exit directions of shape (exits,) for the BRDF, or `None`. `key` and `rays` are for solvers that sample.
         """
         if process.depth_resolved:
             return depth_resolved.solve(

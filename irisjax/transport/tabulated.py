@@ -6,6 +6,8 @@ hold them over every depth and albedo there is; the error is measured at points 
 from, and reported.
 """
 
+from collections.abc import Callable
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -92,7 +94,7 @@ class Tabulated(eqx.Module):
             )
         return cls(table.abl, table.stroma, indices, process, float(error))
 
-    def prepare(self, layers: Layers, process: Process) -> "Tabulated":
+    def prepare(self, layers: Callable[[], Layers], process: Process) -> "Tabulated":
         """Check that the tables belong to this process."""
         # Cornea and first surface are applied after the layers: they need not match.
         for name in ("phase", "rescatter", "perturb_on_reflection", "transport"):
@@ -103,8 +105,8 @@ class Tabulated(eqx.Module):
                 )
         return self
 
-    def solve(self, layers: Layers, process: Process, cos_incidence, *, cos_exit=None, azimuth=None, key=None):
-        """Transport of light from direction `cos_incidence`; see `Solution`. No key is used."""
+    def solve(self, layers: Layers, process: Process, cos_incidence, *, cos_exit=None, azimuth=None, key=None, rays=None):
+        """Transport of light from direction `cos_incidence`; see `Solution`. `key` and `rays` are for solvers that sample."""
         from_above, from_below = self._abl_response(layers.abl_absorption)
         stroma = self._stroma_response(layers.extinction, layers.albedo)
         solution = combine(

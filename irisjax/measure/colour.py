@@ -1,0 +1,160 @@
+"""Colour of the iris: tristimulus values, CIE L*a*b* and sRGB. The only importer of colour-science."""
+
+from functools import lru_cache
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float
+
+from irisjax._types import PRNGKey
+from irisjax.measure.measurement import Solver, check_wavelengths
+from irisjax.measure.measurement import wavelengths as grid
+from irisjax.measure.spectrophotometer import reflectance
+from irisjax.tissue.iris import Iris
+from irisjax.transport.exact import Exact
+from irisjax.transport.process import ILIT_2006, Process
+from irisjax.transport.solution import RESULTS
+
+OBSERVER = "CIE 1931 2 Degree Standard Observer"
+"""Default observer, a name known to colour-science."""
+
+# IEC 61966-2-1, XYZ (D65 white at Y = 1) to linear sRGB.
+_XYZ_TO_SRGB = np.linalg.inv(
+    np.array([[0.4124, 0.3576, 0.1805], [0.2126, 0.7152, 0.0722], [0.0193, 0.1192, 0.9505]])
+)
+
+
+class Colour(eqx.Module):
+    """A colour under an illuminant for an observer.
+
+    - `xyz`: tristimulus values, white at Y = 1, shape (3,).
+    - `lab`: CIE 1976 L*a*b* relative to that white.
+    - `srgb_linear`: linear sRGB, adapted to D65 (Bradford); *not* clipped.
+    - `srgb`: the same with sRGB's transfer function, continued by its linear foot below 0.
+    - `in_gamut`: whether all three linear components lie in [0, 1].
+    """
+
+    xyz: Float[Array, "3"]
+    lab: Float[Array, "3"]
+    srgb_linear: Float[Array, "3"]
+    srgb: Float[Array, "3"]
+    in_gamut: Bool[Array, ""]
+    status: RESULTS
+    illuminant: str = eqx.field(static=True)
+    observer: str = eqx.field(static=True)
+
+
+def colour(
+    iris: Iris,
+    wavelengths=None,
+    *,
+    illuminant: str = "D65",
+    observer: str = OBSERVER,
+    solver: Solver = Exact(),  # noqa: B008
+    process: Process = ILIT_2006,
+    cos_incidence=1.0,
+    first_surface: bool = True,
+    key: PRNGKey | None = None,
+    raise_on_failure: bool = True,
+) -> Colour:
+    """Colour of the iris's reflectance under an illuminant; see `reflectance` for the other arguments.
+
+    `wavelengths` default to 380–780 nm in steps of 5 nm. Light mirrored by the first surface counts by
+    default; against a dark iris it adds a little grey.
+    """
+    wavelengths = grid(380, 780, 5) if wavelengths is None else wavelengths
+    spectrum = reflectance(
+        iris,
+        wavelengths,
+        solver=solver,
+        process=process,
+        cos_incidence=cos_incidence,
+        first_surface=first_surface,
+        key=key,
+        raise_on_failure=raise_on_failure,
+    )
+    return colour_of(wavelengths, spectrum.values, illuminant=illuminant, observer=observer, status=spectrum.status)
+
+
+def colour_of(
+    wavelengths, values, *, illuminant: str = "D65", observer: str = OBSERVER, status: RESULTS = RESULTS.successful
+) -> Colour:
+    """Colour of a spectral reflectance `values` on a concrete grid of `wavelengths` (nm, at least two).
+
+    Differentiable in `values`. **Raises:** `ValueError` for an unknown illuminant or observer.
+    """
+    check_wavelengths(wavelengths)
+    if np.size(wavelengths) < 2:
+        raise ValueError("a colour needs at least two wavelengths")
+    weights, white, adaptation = _constants(np.asarray(wavelengths, np.float64).tobytes(), illuminant, observer)
+    dtype = jnp.result_type(values)
+    xyz = jnp.asarray(weights, dtype) @ values
+    linear = jnp.asarray(_XYZ_TO_SRGB @ adaptation, dtype) @ xyz
+    return Colour(
+        xyz=xyz,
+        lab=_lab(xyz / jnp.asarray(white, dtype)),
+        srgb_linear=linear,
+        srgb=srgb_encode(linear),
+        in_gamut=((linear >= 0) & (linear <= 1)).all(),
+        status=status,
+        illuminant=illuminant,
+        observer=observer,
+    )
+
+
+def srgb_encode(linear):
+    """sRGB transfer function [IEC 61966-2-1]; negative values follow its linear foot."""
+    foot = linear <= 0.0031308
+    return jnp.where(foot, 12.92 * linear, 1.055 * jnp.where(foot, 1.0, linear) ** (1 / 2.4) - 0.055)
+
+
+def illuminant_power(illuminant: str, wavelengths) -> np.ndarray:
+    """Relative spectral power of an illuminant (1 at 560 nm) at `wavelengths` (nm, concrete)."""
+    sd = _spectrum(illuminant)
+    x = np.asarray(wavelengths, np.float64)
+    low, high = sd.shape.start, sd.shape.end
+    if (x < low).any() or (x > high).any():
+        raise ValueError(f"illuminant {illuminant} is tabulated from {low:g} to {high:g} nm only")
+    at_560 = float(np.interp(560.0, sd.wavelengths, sd.values))
+    return np.interp(x, sd.wavelengths, sd.values) / at_560
+
+
+def _lab(ratio):
+    """CIE 1976 L*a*b* of XYZ relative to white [CIE 15:2018, Eq. 8.3 ff.]."""
+    delta = 6 / 29
+    dark = ratio <= delta**3
+    f = jnp.where(dark, ratio / (3 * delta**2) + 4 / 29, jnp.cbrt(jnp.where(dark, 1.0, ratio)))
+    return jnp.stack([116 * f[1] - 16, 500 * (f[0] - f[1]), 200 * (f[1] - f[2])])
+
+
+@lru_cache(maxsize=64)
+def _constants(grid_bytes: bytes, illuminant: str, observer: str):
+    """Weights (3, n) from reflectance to XYZ, the white, and the adaptation to D65."""
+    import colour as cs
+
+    x = np.frombuffer(grid_bytes, np.float64)
+    if observer not in cs.MSDS_CMFS:
+        raise ValueError(f"unknown observer {observer!r}; known: {', '.join(sorted(cs.MSDS_CMFS))}")
+    cmfs = cs.MSDS_CMFS[observer]
+    xyz_bar = np.stack([np.interp(x, cmfs.wavelengths, cmfs.values[:, i], left=0, right=0) for i in range(3)])
+    power = illuminant_power(illuminant, x)
+    # Trapezoidal rule on the caller's grid.
+    width = np.gradient(x)
+    width[[0, -1]] = np.diff(x)[[0, -1]] / 2
+    weights = xyz_bar * power * width
+    weights /= weights[1].sum()
+    white = weights.sum(axis=1)
+    adaptation = cs.adaptation.matrix_chromatic_adaptation_VonKries(
+        white, np.linalg.inv(_XYZ_TO_SRGB) @ np.ones(3), transform="Bradford"
+    )
+    return weights, white, adaptation
+
+
+@lru_cache(maxsize=16)
+def _spectrum(illuminant: str):
+    import colour as cs
+
+    if illuminant not in cs.SDS_ILLUMINANTS:
+        raise ValueError(f"unknown illuminant {illuminant!r}; known: {', '.join(sorted(cs.SDS_ILLUMINANTS))}")
+    return cs.SDS_ILLUMINANTS[illuminant]
