@@ -19,6 +19,7 @@ from irisjax.tissue.layers import Layers as Layers
 from irisjax.tissue.pigments import extinction as extinction
 from irisjax.transport.exact import DIFFUSE as DIFFUSE
 from irisjax.transport.exact import Exact as Exact
+from irisjax.transport.montecarlo import MonteCarlo as MonteCarlo
 from irisjax.transport.process import DEPTH_RESOLVED as DEPTH_RESOLVED
 from irisjax.transport.process import ILIT_2006 as ILIT_2006
 from irisjax.transport.process import ILIT_CORRECTED as ILIT_CORRECTED

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from functools import partial
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import equinox as eqx
 import jax
@@ -20,6 +20,7 @@ from irisjax.transport.process import Process
 from irisjax.transport.solution import RESULTS, Absorbed, Solution
 
 
+@runtime_checkable
 class Solver(Protocol):
     """What an instrument asks of a solver; add one by writing these two methods."""
 

@@ -1,5 +1,6 @@
 """Virtual spectrophotometer: directional–hemispherical and diffuse–hemispherical reflectance, radiance."""
 
+import dataclasses
 from functools import partial
 
 import jax
@@ -122,6 +123,7 @@ def _measure(
 @partial(jax.jit, static_argnums=(5, 6, 7))
 def _solve(iris, table, solver, process, cosine, diffuse, first_surface, cornea, power, key) -> Measurement:
     dtype = table.wavelengths.dtype
+    process = dataclasses.replace(process, first_surface=first_surface)
     factor, cosine = (1.0, DIFFUSE) if diffuse else through_cornea(iris, jnp.asarray(cosine, dtype), cornea)
     solution = solver.solve(layers_of(iris, table, process), process, cosine, key=key, rays=power)
     values = solution.reflectance + solution.mirrored if first_surface else solution.reflectance

@@ -1,0 +1,213 @@
+"""Analogue Monte Carlo: photons one event at a time, as LB06 tells it, in lanes that never wait.
+
+A lane belongs to one wavelength and takes that wavelength's next photon when its own dies; chains are never
+cut, and fates are counted in integers, lane by lane. Photon i at wavelength j owns the key
+`fold_in(fold_in(key, j), i)`, and its event k reads the bits of `fold_in(photon key, k)` and nothing else:
+counts do not depend on lanes, blocks or devices.
+"""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jax import lax
+
+from irisjax.optics.fresnel import fresnel_at, refract
+from irisjax.optics.phase import horner
+from irisjax.transport.process import Process, attenuation, sample_entry
+from irisjax.transport.randomness import fold_in_words, uniform
+
+FATES = ("mirrored", "reflected", "abl", "stroma", "ipe")
+"""Where photons end, in the order of the counts."""
+
+MIRRORED, REFLECTED, ABL, STROMA, IPE, RESTING = 1, 2, 3, 4, 5, 6  # fates as coded; 0 is alive
+FRESH, SCATTERED, KEPT = 0, 1, 2  # how the direction of the coming flight comes about
+
+
+class LaneLayers(NamedTuple):
+    """What a lane's photons meet: depths and albedo at its wavelength (lanes,), indices, entry."""
+
+    abl: jax.Array
+    stroma: jax.Array
+    albedo: jax.Array
+    mirrored: jax.Array  # probability of the first surface, where the direction inside is redrawn
+    incidence: jax.Array  # cosine in the aqueous humour
+    n_aqueous: jax.Array
+    n_abl: jax.Array
+    n_stroma: jax.Array
+    n_ipe: jax.Array
+
+
+class Photon(NamedTuple):
+    """A lane's photon between events.
+
+    `code` packs all that is not a real number: fate (3 bits), in the ABL (1), how the coming direction
+    comes about (2), events so far (25), turned round by a mirror (sign). One integer is one kernel on
+    CPU; five would be five, each redoing the physics.
+    """
+
+    direction: jax.Array  # signed cosine, positive into the eye
+    depth: jax.Array | None  # optical depth below the stroma's top, for depth-resolved transport
+    code: jax.Array
+
+
+def pack(fate, in_abl, mode, turned, events):
+    """`Photon.code`."""
+    return fate | in_abl << 3 | mode << 4 | turned << 31 | events << 6
+
+
+def whole_layer_event(photon: Photon, words, layers: LaneLayers, scale, process: Process) -> Photon:
+    """One flight and the interface at its end, by the rules of ILIT  [LB06 Section 3, Fig. 4]."""
+    in_abl, mode, k = (photon.code & 8) > 0, (photon.code >> 4) & 3, photon.code >> 6
+    u_outcome, u_direction, azimuth = _draws(words, scale)
+    turned = _deflect(photon.direction, process.phase_function.sample_cosine(u_direction), azimuth)
+    fresh = jnp.copysign(sample_entry(u_direction), photon.direction)
+    direction = jnp.where(mode == FRESH, fresh, jnp.where(mode == SCATTERED, turned, photon.direction))
+    # (dividing by a traced 1 keeps the compiler from recomputing the direction in each fusion below)
+    direction = jnp.clip(direction, -1.0, 1.0) / scale[2]
+    down, mu = direction > 0.0, jnp.maximum(jnp.abs(direction), 1e-12)
+
+    depth = jnp.where(in_abl, layers.abl, layers.stroma)
+    if process.rescatter == "to-interface":
+        depth = jnp.where(mode == SCATTERED, 0.0, depth)
+    event = attenuation(depth, mu)
+    n_here = jnp.where(in_abl, layers.n_abl, layers.n_stroma)
+    n_ahead = _beyond(in_abl, down, layers)
+    mirror = fresnel_at(mu, n_here, n_ahead)[0]
+    # One uniform decides: first surface | absorbed | scattered | reflected | transmitted.
+    albedo = jnp.where(in_abl, 0.0, layers.albedo)
+    first = jnp.where(k == 0, layers.mirrored, 0.0)
+    t_absorbed = first + (1.0 - first) * event * (1.0 - albedo)
+    t_event = first + (1.0 - first) * event
+    t_mirror = t_event + (1.0 - t_event) * mirror
+    absorbed = u_outcome < t_absorbed
+    if not process.perturb_on_reflection:
+        absorbed |= _guided(mu, n_here, n_ahead, _beyond(in_abl, ~down, layers)) & (albedo == 0.0)
+    transmitted = (u_outcome >= t_mirror) & ~absorbed
+    scattered = (u_outcome >= t_absorbed) & (u_outcome < t_event) & ~absorbed
+    leaves = transmitted & (in_abl ^ down)  # upwards out of the ABL or downwards out of the stroma
+    fate = jnp.where(leaves, jnp.where(in_abl, REFLECTED, IPE), jnp.where(absorbed, jnp.where(in_abl, ABL, STROMA), 0))
+    fate = jnp.where(u_outcome < first, MIRRORED, fate)
+    redrawn = transmitted | process.perturb_on_reflection
+    mode = jnp.where(scattered, SCATTERED, jnp.where(redrawn, FRESH, KEPT))
+    return Photon(direction, None, pack(fate, in_abl ^ transmitted, mode, ~scattered & ~transmitted, k + 1))
+
+
+def depth_resolved_event(photon: Photon, words, layers: LaneLayers, scale, process: Process) -> Photon:
+    """One flight with a free path in depth; directions change at interfaces by Snell's law only."""
+    in_abl, mode, k = (photon.code & 8) > 0, (photon.code >> 4) & 3, photon.code >> 6
+    outside = k == 0
+    u_outcome, u_direction, azimuth = _draws(words, scale)
+    turned = _deflect(photon.direction, process.phase_function.sample_cosine(u_direction), azimuth)
+    entering = jnp.where(layers.incidence < 0, sample_entry(u_direction), layers.incidence)  # < 0: diffuse
+    direction = jnp.where(outside, entering, jnp.where(mode == SCATTERED, turned, photon.direction))
+    direction = jnp.clip(direction, -1.0, 1.0) / scale[2]
+    down, mu = direction > 0.0, jnp.maximum(jnp.abs(direction), 1e-12)
+
+    to_end = jnp.where(down, layers.stroma - photon.depth, photon.depth)
+    path = jnp.where(outside, 0.0, jnp.where(in_abl, layers.abl, to_end))
+    event = attenuation(path, mu)
+    n_here = jnp.where(outside, layers.n_aqueous, jnp.where(in_abl, layers.n_abl, layers.n_stroma))
+    n_ahead = jnp.where(outside, layers.n_abl, _beyond(in_abl, down, layers))
+    mirror = fresnel_at(mu, n_here, n_ahead)[0]
+    albedo = jnp.where(in_abl, 0.0, layers.albedo)
+    t_absorbed = event * (1.0 - albedo)
+    t_mirror = event + (1.0 - event) * mirror
+    absorbed = u_outcome < t_absorbed
+    ends = _guided(mu, n_here, n_ahead, _beyond(in_abl, ~down, layers)) & in_abl & ~outside
+    absorbed |= ends
+    transmitted = (u_outcome >= t_mirror) & ~absorbed
+    scattered = (u_outcome >= t_absorbed) & (u_outcome < event) & ~absorbed
+    # Given a scatter, (u − t_absorbed)/albedo is uniform below `event`: the same number places it.
+    placed = (u_outcome - t_absorbed) / jnp.maximum(albedo, 1e-30)
+    flown = -jnp.log1p(-jnp.clip(placed, 0.0, event)) * mu
+    moved = photon.depth + jnp.where(down, 1.0, -1.0) * jnp.minimum(flown, to_end)
+    at_end = jnp.where(down, layers.stroma, 0.0)
+    depth = jnp.where(in_abl | outside, 0.0, jnp.where(scattered, moved, at_end)) / scale[2]
+    direction = jnp.where(transmitted, jnp.sign(direction) * refract(mu, n_here, n_ahead), direction)
+    leaves = transmitted & (in_abl ^ down) & ~outside
+    fate = jnp.where(leaves, jnp.where(in_abl, REFLECTED, IPE), jnp.where(absorbed, jnp.where(in_abl, ABL, STROMA), 0))
+    fate = jnp.where(outside & ~transmitted, MIRRORED, fate)
+    crosses = transmitted & ~outside
+    mode = jnp.where(scattered, SCATTERED, KEPT)
+    return Photon(direction, depth, pack(fate, in_abl ^ crosses, mode, ~scattered & ~transmitted, k + 1))
+
+
+def run_lanes(wave_words, start, stride, last, layers: LaneLayers, scale, process: Process, cells=None):
+    """Run lanes to exhaustion; lane l owns photons start[l], start[l] + stride, ... below last[l].
+
+    **Arguments:** `wave_words`, two uint32 arrays with each lane's wavelength key; `cells`, lower and upper
+    cosines (exits, 2) in which to count photons leaving the eye, or `None`.
+
+    **Returns:** counts of each fate (lanes, 5), int32, and of each cell (lanes, exits) or `None`.
+    """
+    deep = process.depth_resolved
+    event = depth_resolved_event if deep else whole_layer_event
+    newborn = jnp.int32(8 | FRESH << 4)
+    nothing = jnp.zeros_like(start)
+    zero = jnp.zeros_like(layers.abl)
+
+    def body(state):
+        k0, k1, i, photon, tally, cell_tally = state
+        fate = photon.code & 7
+        tally = tuple(count + (fate == code) for code, count in enumerate(tally, 1))
+        if cells is not None:
+            # A photon that left has no further use for its direction: it holds the cosine outside.
+            cell_tally = tuple(
+                count + ((fate == REFLECTED) & (photon.direction >= low) & (photon.direction < high))
+                for count, (low, high) in zip(cell_tally, cells, strict=True)
+            )
+        direction = jnp.where(photon.code < 0, -photon.direction, photon.direction)
+        code = photon.code & 0x7FFFFFFF
+        born = (fate > 0) & (i < last)
+        b0, b1 = fold_in_words(*wave_words, i.astype(jnp.uint32))
+        k0, k1 = jnp.where(born, b0, k0), jnp.where(born, b1, k1)
+        i = jnp.where(born, i + stride, i)
+        direction = jnp.where(born, 1.0, direction)
+        alive = born | (fate == 0)
+        code = jnp.where(born, newborn, code)
+        words = fold_in_words(k0, k1, (code >> 6).astype(jnp.uint32))
+        after = event(Photon(direction, photon.depth, code), words, layers, scale, process)
+        if cells is not None:
+            left = after.code & 7 == REFLECTED
+            outside = refract(jnp.abs(after.direction), layers.n_abl, layers.n_aqueous)
+            after = after._replace(direction=jnp.where(left, outside, after.direction))
+        return k0, k1, i, after._replace(code=jnp.where(alive, after.code, RESTING)), tally, cell_tally
+
+    def running(state):
+        return jnp.any((state[3].code & 7 != RESTING) | (state[2] < last))
+
+    resting = Photon(jnp.ones_like(zero), zero if deep else None, nothing + RESTING)
+    cell_tally = None if cells is None else (nothing,) * cells.shape[0]
+    out = lax.while_loop(running, body, (*wave_words, start, resting, (nothing,) * len(FATES), cell_tally))
+    return jnp.stack(out[4], -1), None if cells is None else jnp.stack(out[5], -1)
+
+
+def _draws(words, scale):
+    """Two uniforms of 23 bits, and the cosine of a uniform azimuth from the 18 bits that are left."""
+    azimuth = uniform((words[0] & 511) << 9 | (words[1] & 511), scale[1])
+    return uniform(words[0] >> 9, scale[0]), uniform(words[1] >> 9, scale[0]), cosine_of_turn(azimuth)
+
+
+def cosine_of_turn(v):
+    """Cosine of π(1 − v), v in (0, 1): −sin(π/2·(2v − 1))'s odd polynomial up to sign, to 3e-9."""
+    x = 2.0 * v - 1.0
+    return x * horner(x * x, (1.57079629, -0.64596336, 0.07968847, -0.00467222, 0.00015082))
+
+
+def _deflect(direction, cosine, azimuth):
+    """Cosine to the normal after a turn by a polar angle and a cosine of azimuth."""
+    return direction * cosine + azimuth * jnp.sqrt((1.0 - direction * direction) * (1.0 - cosine * cosine))
+
+
+def _beyond(in_abl, down, layers: LaneLayers):
+    """Index on the far side of the interface ahead."""
+    above = jnp.where(in_abl, layers.n_aqueous, layers.n_abl)
+    below = jnp.where(in_abl, layers.n_stroma, layers.n_ipe)
+    return jnp.where(down, below, above)
+
+
+def _guided(mu, n_here, n_ahead, n_behind):
+    """Total reflection at both faces. In a layer that cannot turn it, such a ray ends absorbed after however
+    many crossings, in the limit without absorption too: say so at once."""
+    return (1.0 - mu * mu) * jnp.square(n_here / jnp.maximum(n_ahead, n_behind)) >= 1.0
