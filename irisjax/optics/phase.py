@@ -21,12 +21,16 @@ class Redistribution(eqx.Module):
     f and S are densities over the cosine, each summed over the two senses of travel for f and for one
     sense for S. The weights of the rule are inside `collect`.
 
-    - `collect`: shape (rank, n).
+    - `collect`: shape (rank, n), or `None` for the identity (rank n).
     - `scatter`: shape (rank, n).
     """
 
-    collect: Float[Array, "rank n"]
+    collect: Float[Array, "rank n"] | None
     scatter: Float[Array, "rank n"]
+
+    def moments(self, f: Float[Array, "*s n"]) -> Float[Array, "*s rank"]:
+        """What `collect` makes of densities on the nodes."""
+        return f if self.collect is None else f @ self.collect.T
 
 
 class AbstractPhase(eqx.Module):
@@ -115,7 +119,7 @@ class RayleighPerAngle(AbstractPhase):
             operator = jnp.asarray(_constant_operator(n), dtype)
         else:
             operator = _conserving(_per_angle_operator(rule, jnp), rule.weight, jnp)
-        return Redistribution(collect=jnp.eye(n, dtype=dtype), scatter=operator.T)
+        return Redistribution(collect=None, scatter=operator.T)
 
 
 PHASES: dict[str, AbstractPhase] = {"rayleigh": Rayleigh(), "lb06": RayleighPerAngle()}

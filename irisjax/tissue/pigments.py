@@ -62,17 +62,8 @@ def extinction(wavelengths) -> Extinction:
     """
     if isinstance(wavelengths, jax.core.Tracer):
         return _interpolate(_checked(wavelengths), jnp)
-    grid = np.asarray(wavelengths)
-    dtype = jnp.result_type(float)
-    for pigment in PIGMENTS:
-        low, high = table_range(pigment)
-        # A NaN is neither below nor above: ask for what is allowed.
-        bad = ~((grid >= low) & (grid <= high))
-        if bad.any():
-            raise ValueError(
-                f"wavelength {grid[bad].flat[0]:g} nm is outside the {pigment} table ({low:g} to {high:g} nm)"
-            )
-    return _on_host(np.asarray(grid, np.float64).tobytes(), np.dtype(dtype).name)
+    grid = np.asarray(wavelengths, np.float64)
+    return _on_host(grid.tobytes(), jax.config.jax_enable_x64)
 
 
 def common_range() -> tuple[float, float]:
@@ -81,9 +72,18 @@ def common_range() -> tuple[float, float]:
     return max(r[0] for r in ranges), min(r[1] for r in ranges)
 
 
-@lru_cache(maxsize=32)
-def _on_host(grid: bytes, dtype: str) -> Extinction:
+@lru_cache(maxsize=64)
+def _on_host(grid: bytes, double: bool) -> Extinction:
     x = np.frombuffer(grid, np.float64)
+    for pigment in PIGMENTS:
+        low, high = table_range(pigment)
+        # A NaN is neither below nor above: ask for what is allowed.
+        bad = ~((x >= low) & (x <= high))
+        if bad.any():
+            raise ValueError(
+                f"wavelength {x[bad][0]:g} nm is outside the {pigment} table ({low:g} to {high:g} nm)"
+            )
+    dtype = np.float64 if double else np.float32
     with jax.ensure_compile_time_eval():
         return jax.tree.map(lambda a: jnp.asarray(a, dtype), _interpolate(x, np))
 

@@ -37,13 +37,13 @@ class Response(NamedTuple):
 class Exact(eqx.Module):
     """Deterministic solver, accurate to rounding for the default irides.
 
-    - `n_angles`: quadrature nodes a layer. 32: about 1e-12 relative; 24: 1e-9; 16: 1e-7.
+    - `n_angles`: quadrature nodes a layer. 36: below 1e-10 relative; 24: 1e-8; 16: 1e-6.
     - `n_depths`: polynomials in depth for depth-resolved transport (per panel).
     - `n_panels`: depth panels for depth-resolved transport; `None` takes as many as the optical depth asks
         for where it is known, and one while tracing (the status tells where that is too few).
     """
 
-    n_angles: int = eqx.field(static=True, default=32)
+    n_angles: int = eqx.field(static=True, default=36)
     n_depths: int = eqx.field(static=True, default=8)
     n_panels: int | None = eqx.field(static=True, default=None)
 
@@ -250,26 +250,19 @@ def stroma_response(layers: Layers, process: Process, n_angles: int) -> tuple[Re
 def _scattered(process: Process, rule: CosineRule, first, again, albedo):
     """The density S(μ) scattered into one sense of travel: S = ω K(first + again·S), shape (λ, n)."""
     k = process.phase_function.redistribution(rule)
-    entering = albedo[:, None] * (first @ k.collect.T)
-    rank = k.collect.shape[0]
+    entering = albedo[:, None] * k.moments(first)
     everything_converged = jnp.asarray(True)
 
     def once_more(m):
-        return albedo[:, None] * ((again * (m @ k.scatter)) @ k.collect.T)
+        return albedo[:, None] * k.moments(again * (m @ k.scatter))
 
-    if rank == 2:
-        # The 2×2 system written out: M[r, s] = Σ_q collect[r, q] again_q scatter[s, q].
-        pairs = k.collect[:, None, :] * k.scatter[None, :, :]
-        m = albedo[:, None] * (again @ pairs.reshape(4, -1).T)
-        a, b, c, d = 1 - m[:, 0], -m[:, 1], -m[:, 2], 1 - m[:, 3]
-        determinant = a * d - b * c
-        moments = (
-            jnp.stack([d * entering[:, 0] - b * entering[:, 1], a * entering[:, 1] - c * entering[:, 0]], -1)
-            / determinant[:, None]
-        )
+    if k.collect is not None:
+        moments = _solve_rank_two(k, again, albedo, entering)
     elif process.rescatter == "retest":
-        pairs = jnp.einsum("rq,lq,sq->lrs", k.collect, again, k.scatter)
-        system = jnp.eye(rank, dtype=again.dtype) - albedo[:, None, None] * pairs
+        # (1 − ω diag(again) K)ᵀ acts on the nodes themselves.
+        system = jnp.eye(k.scatter.shape[0], dtype=again.dtype) - albedo[:, None, None] * (
+            again[:, :, None] * k.scatter.T
+        )
         moments = jnp.linalg.solve(system, entering[..., None])[..., 0]
     else:
         # Between scatters a ray must be mirrored by an interface, so the orders fall off fast: sum them.
@@ -279,6 +272,15 @@ def _scattered(process: Process, rule: CosineRule, first, again, albedo):
         residual = jnp.abs(moments - once_more(moments) - entering).max()
         everything_converged = ~(residual > 1e3 * jnp.finfo(again.dtype).eps * jnp.abs(entering).max())
     return moments @ k.scatter, everything_converged
+
+
+def _solve_rank_two(k, again, albedo, entering):
+    """The 2×2 system written out: M[r, s] = Σ_q collect[r, q] again_q scatter[s, q]."""
+    pairs = k.collect[:, None, :] * k.scatter[None, :, :]
+    m = albedo[:, None] * (again @ pairs.reshape(4, -1).T)
+    a, b, c, d = 1 - m[:, 0], -m[:, 1], -m[:, 2], 1 - m[:, 3]
+    x, y = entering[:, 0], entering[:, 1]
+    return jnp.stack([d * x - b * y, a * y - c * x], -1) / (a * d - b * c)[:, None]
 
 
 def _sum_orders(operator, b):

@@ -2,6 +2,7 @@
 
 import equinox as eqx
 import jax
+import numpy as np
 from jaxtyping import Array, Float
 
 from irisjax._types import Spectrum
@@ -64,5 +65,7 @@ def throw(result: RESULTS) -> None:
     """Raise `ValueError` with the reason if a concrete `result` is not successful; ignore a traced one."""
     if isinstance(result._value, jax.core.Tracer):
         return
-    if bool((result != RESULTS.successful).any()):
-        raise ValueError(RESULTS[result] if result._value.ndim == 0 else "some of the batch failed; see status")
+    # Read the code itself: comparing enumerations would dispatch a computation for every call.
+    codes = np.asarray(result._value)
+    if codes.any():
+        raise ValueError(RESULTS[result] if codes.ndim == 0 else "some of the batch failed; see status")

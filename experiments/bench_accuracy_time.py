@@ -1,0 +1,286 @@
+"""Run time against error: every solver at several sizes, in float64 and float32, beside two peers.
+
+The job is 81 wavelengths, 400–720 nm, normal incidence, first surface left out, an error over the three
+levels. Times are medians of warm calls after `block_until_ready`; compile time stands apart. `single` is
+one spectrum through the public function, `jitted` the same inside the caller's jit, `batch` the time a
+spectrum takes in a batch. Ratios within one run are what counts: machines differ.
+"""
+
+import importlib.util
+import json
+import os
+import platform
+import statistics
+import subprocess
+import sys
+import time
+from functools import partial
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+import irisjax as ij
+from experiments.common import RESULTS, start, write
+
+GRID = ij.wavelengths(400, 720, 4)
+LEVELS = ("low", "moderate", "high")
+COLUMNS = ("job", "solver", "size", "precision", "single_us", "jitted_us", "batch_us", "max_rel_error", "rms_rel_error",
+           "compile_s")  # fmt: skip
+
+
+def main(key, quick=False, out=RESULTS):
+    """Write `bench_accuracy_time.csv` and `bench_scaling.csv`."""
+    device = f"{jax.devices()[0].device_kind}, {os.cpu_count()} cores, {platform.machine()}"
+    rows = _solvers(key, quick)
+    if not quick:
+        rows += _other_precision()
+    rows += _depth_resolved(quick) + _peers(quick)
+    header = (
+        f"simulated irides; {len(GRID)} wavelengths; {device}; jax {jax.__version__}; irisjax {ij.__version__}",
+        "times in microseconds a spectrum, warm medians; errors against Exact with 288 nodes a layer",
+    )
+    write(out / "bench_accuracy_time.csv", header, COLUMNS, rows)
+    write(
+        out / "bench_scaling.csv",
+        (header[0], "cost against number of wavelengths, irides and photons, and import time"),
+        ("quantity", "number", "seconds", "seconds_per_unit"),
+        _scaling(key, quick) + _imports(quick),
+    )
+
+
+def _solvers(key, quick):
+    precision = "float64" if jax.config.jax_enable_x64 else "float32"
+    rows = []
+    for job, process in (("ilit-2006", ij.ILIT_2006), ("ilit-corrected", ij.ILIT_CORRECTED)):
+        reference = _reference(process, 288 if job == "ilit-corrected" else 96)
+        for n in (8, 16) if quick else (8, 12, 16, 20, 24, 28, 36):
+            rows.append((job, "exact", n, precision, *_deterministic(ij.Exact(n), process, reference, quick)))
+        for n in (64,) if quick else (32, 64, 128, 256):
+            solver = ij.Tabulated.build(process=process, n_intervals=n, n_albedos=8, tolerance=1.0)
+            rows.append((job, "tabulated", n, precision, *_deterministic(solver, process, reference, quick)))
+        if precision == "float32" or job == "ilit-corrected":
+            continue
+        sizes = {
+            "analog": (1_000,) if quick else (1_000, 10_000, 100_000, 1_000_000),
+            "weighted": (256,) if quick else (256, 1024, 4096, 16384, 65536),
+            "quasi": (256,) if quick else (256, 1024, 4096, 16384, 65536),
+        }
+        for estimator, counts in sizes.items():
+            for n in counts:
+                rows.append((job, estimator, n, "float32", *_sampled(ij.MonteCarlo(n, estimator), key, reference)))
+    return rows
+
+
+def _reference(process, n_angles):
+    with jax.enable_x64(True):
+        return np.stack([_values(ij.Iris.preset(v), ij.Exact(n_angles, 14, 3), process) for v in LEVELS])
+
+
+def _values(iris, solver, process, **options):
+    return np.asarray(
+        ij.reflectance(iris, GRID, solver=solver, process=process, first_surface=False, **options).values
+    )
+
+
+def _deterministic(solver, process, reference, quick, irides=None):
+    found = np.stack([_values(ij.Iris.preset(v), solver, process) for v in LEVELS])
+    iris = ij.Iris.preset("moderate")
+
+    def spectrum(x):
+        return ij.reflectance(x, GRID, solver=solver, process=process, first_surface=False).values
+
+    size = 64 if quick else 4096
+    batch = jax.vmap(lambda c: iris.replace(eumelanin=c))(jnp.geomspace(0.01, 2.0, size)) if irides is None else irides
+    jitted = jax.jit(spectrum)
+    begin = time.perf_counter()
+    jax.block_until_ready(jitted(iris))
+    compile_s = time.perf_counter() - begin
+    many = jax.jit(lambda x: jax.lax.map(spectrum, x, batch_size=64))
+    return (
+        median_us(lambda: spectrum(iris)),
+        median_us(partial(jitted, iris)),
+        median_us(partial(many, batch), 5) / size,
+        *_errors(found, reference),
+        compile_s,
+    )
+
+
+def _sampled(solver, key, reference):
+    keys = jax.random.split(key, len(LEVELS))
+    found = np.stack(
+        [_values(ij.Iris.preset(v), solver, ij.ILIT_2006, key=k) for v, k in zip(LEVELS, keys, strict=True)]
+    )
+    iris = ij.Iris.preset("moderate")
+
+    def spectrum():
+        return ij.reflectance(iris, GRID, solver=solver, first_surface=False, key=key).values
+
+    single = median_us(spectrum, 5)
+    return (single, float("nan"), float("nan"), *_errors(found, reference), float("nan"))
+
+
+def _errors(found, reference):
+    error = np.abs(found / reference - 1)
+    return float(error.max()), float(np.sqrt((error**2).mean()))
+
+
+def median_us(call, repeats=60):
+    """Median time of a warm call, microseconds."""
+    for _ in range(2):
+        jax.block_until_ready(call())
+    times = []
+    for _ in range(repeats):
+        begin = time.perf_counter()
+        jax.block_until_ready(call())
+        times.append(time.perf_counter() - begin)
+    return statistics.median(times) * 1e6
+
+
+def _other_precision():
+    """The same in float32, in a process of its own: precision is a setting of the whole program."""
+    code = (
+        "import json, jax; from experiments.bench_accuracy_time import _solvers; "
+        "print(json.dumps(_solvers(jax.random.key(0), False)))"
+    )
+    run = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True)
+    return [tuple(row) for row in json.loads(run.stdout.splitlines()[-1])]
+
+
+def _depth_resolved(quick):
+    """Radiative transfer with Fresnel interfaces, and index-matched as the peers treat it."""
+    rows = []
+    for job, matched in (("depth-resolved", False), ("depth-resolved, index-matched", True)):
+        irides = {v: _matched(ij.Iris.preset(v)) if matched else ij.Iris.preset(v) for v in LEVELS}
+        process = ij.DEPTH_RESOLVED
+        reference = np.stack([_values(i, ij.Exact(96, 14, 3), process) for i in irides.values()])
+        for n, depths in ((12, 6),) if quick else ((8, 4), (8, 6), (12, 6), (16, 6), (16, 8), (24, 8), (36, 8), (36, 12)):
+            solver = ij.Exact(n, depths, 1)
+            found = np.stack([_values(i, solver, process) for i in irides.values()])
+            iris = irides["moderate"]
+
+            def spectrum(x, solver=solver):
+                return ij.reflectance(x, GRID, solver=solver, process=process, first_surface=False).values
+
+            size = 16 if quick else 1000
+            batch = jax.vmap(lambda c, iris=iris: iris.replace(eumelanin=c))(jnp.geomspace(0.01, 1.0, size))
+            jitted = jax.jit(spectrum)
+            begin = time.perf_counter()
+            jax.block_until_ready(jitted(iris))
+            compile_s = time.perf_counter() - begin
+            many = jax.jit(lambda x, spectrum=spectrum: jax.lax.map(spectrum, x, batch_size=8))
+            times = (
+                median_us(lambda spectrum=spectrum, iris=iris: spectrum(iris), 20),
+                median_us(partial(jitted, iris), 20),
+                median_us(partial(many, batch), 3) / size,
+            )
+            rows.append((job, "exact", f"{n}x{depths}", "float64", *times, *_errors(found, reference), compile_s))
+    return rows
+
+
+def _matched(iris):
+    return iris.replace(abl_index=1.336, stroma_index=1.336, ipe_index=1.336)
+
+
+def _peers(quick):
+    """nanodisort (C; no Fresnel) on the index-matched irides; iadpython on one slab (isotropic, as it must)."""
+    rows = []
+    if importlib.util.find_spec("nanodisort"):
+        reference = np.stack(
+            [_values(_matched(ij.Iris.preset(v)), ij.Exact(96, 14, 3), ij.DEPTH_RESOLVED) for v in LEVELS]
+        )
+        for streams in (16,) if quick else (8, 16, 32):
+            for threads in (1, 2):
+                many = [_nanodisort(v, streams, threads) for v in LEVELS]
+                found = np.stack([solve() for solve in many])
+                # Its pool works on a batch of wavelengths: one iris is already one.
+                us = median_us(many[1], 20)
+                rows.append(
+                    ("depth-resolved, index-matched", f"nanodisort, {threads} threads", streams, "float64", us,
+                     float("nan"), us, *_errors(found, reference), float("nan"))
+                )  # fmt: skip
+    if importlib.util.find_spec("iadpython"):
+        import iadpython
+
+        for points in (8,) if quick else (8, 16, 32):
+            sample = iadpython.Sample(a=0.8, b=0.18, g=0, n=1.0, quad_pts=points)
+            # Index-matched, isotropic, normal incidence: a Monte Carlo of 2·10⁹ photons confirms this value.
+            error = abs(sample.rt()[0] / 0.062305650 - 1)
+            us = median_us(lambda s=sample: s.rt(), 5) * len(GRID)
+            rows.append(
+                ("one slab, isotropic, index-matched", "iadpython", points, "float64", us, float("nan"), us, float(error),
+                 float(error), float("nan"))
+            )  # fmt: skip
+    return rows
+
+
+def _nanodisort(level, streams, threads):
+    import nanodisort
+    from nanodisort.utils import phase_functions
+
+    layers = _matched(ij.Iris.preset(level)).layers(ij.extinction(GRID))
+    n = GRID.size
+    solver = nanodisort.BatchSolver(nthreads=threads)
+    for name, value in {
+        "nstr": streams, "nlyr": 2, "nmom": streams, "ntau": 1, "usrtau": True, "usrang": False, "lamber": True,
+        "onlyfl": True, "quiet": True, "umu0": 1.0, "phi0": 0.0,
+    }.items():  # fmt: skip
+        setattr(solver, name, value)
+    solver.set_utau(np.array([0.0]))
+    solver.allocate(n)
+    solver.set_dtauc(np.stack([np.asarray(layers.abl_absorption), np.asarray(layers.extinction)], 1))
+    solver.set_ssalb(np.stack([np.zeros(n), np.asarray(layers.albedo)], 1))
+    moments = np.asarray(phase_functions.rayleigh(streams))[:, None, None]
+    solver.set_pmom(np.ascontiguousarray(np.broadcast_to(moments, (streams + 1, 2, n))))
+    solver.set_fbeam(np.ones(n))
+    solver.set_albedo(np.zeros(n))
+
+    def solve():
+        solver.solve()
+        return np.asarray(solver.flup)[:, 0]
+
+    return solve
+
+
+def _scaling(key, quick):
+    rows = []
+    iris = ij.Iris.preset("moderate")
+    for n in (81, 810) if quick else (81, 810, 8_100, 81_000):
+        seconds = median_us(lambda n=n: ij.reflectance(iris, np.linspace(400, 720, n)).values, 10) / 1e6
+        rows.append(("wavelengths, exact", n, seconds, seconds / n))
+    table = ij.Tabulated.build()
+    for name, solver in (("exact", ij.Exact()), ("tabulated", table)):
+
+        def spectrum(x, solver=solver):
+            return ij.reflectance(x, GRID, solver=solver).values
+
+        many = jax.jit(lambda x, f=spectrum: jax.lax.map(f, x, batch_size=64))
+        for n in (64, 128) if quick else (64, 640, 6_400):
+            batch = jax.vmap(lambda c: iris.replace(eumelanin=c))(jnp.geomspace(0.01, 2.0, n))
+            seconds = median_us(partial(many, batch), 5) / 1e6
+            rows.append((f"irides, {name}", n, seconds, seconds / n))
+    for n in (1_000, 10_000) if quick else (10_000, 100_000, 1_000_000):
+        solver = ij.MonteCarlo(n)
+        seconds = median_us(lambda s=solver: ij.reflectance(iris, GRID, solver=s, key=key).values, 5) / 1e6
+        rows.append(("photons, analog", n * GRID.size, seconds, seconds / n / GRID.size))
+    return rows
+
+
+def _imports(quick):
+    """Import time of irisjax against that of jax and equinox together, each in a fresh interpreter."""
+    rows = []
+    root = Path(ij.__file__).parent.parent
+    for name, code in (("jax, equinox", "import jax, equinox"), ("irisjax", "import irisjax")):
+        times = []
+        for _ in range(1 if quick else 7):
+            begin = time.perf_counter()
+            subprocess.run([sys.executable, "-c", code], check=True, cwd=root)
+            times.append(time.perf_counter() - begin)
+        rows.append((f"import {name}", 1, statistics.median(times), statistics.median(times)))
+    return rows
+
+
+
+if __name__ == "__main__":
+    start(main, __doc__)
