@@ -121,7 +121,8 @@ def layers_of(iris: Iris, extinction: Extinction, process: Process) -> Layers:
 
 def prepared(solver: Solver, iris: Iris, extinction: Extinction, process: Process) -> Solver:
     """The solver after a look at the still concrete problem."""
-    return solver.prepare(partial(layers_of, iris, extinction, process), process)
+    # Through the class: binding a method of an Equinox module costs more than the call.
+    return type(solver).prepare(solver, partial(layers_of, iris, extinction, process), process)
 
 
 def _table(measurement, columns: dict[str, Float[Array, " n"] | None]) -> str:
