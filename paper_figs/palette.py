@@ -30,6 +30,8 @@ edges = np.geomspace(loads[0], loads[-1], len(loads) + 1)
 right.pcolormesh(edges, np.linspace(0, 100, len(fractions) + 1), encode(EXPOSURE * image), rasterized=True)
 right.set(xscale="log", xlabel="melanin load (µg/mm²)", ylabel="melanin in the ABL (%)",
           title=f"colour under D65, light × {EXPOSURE:.0f}")  # fmt: skip
+right.set_xticks([0.01, 0.02, 0.05, 0.1, 0.2, 0.5], ["0.01", "0.02", "0.05", "0.1", "0.2", "0.5"])
+right.minorticks_off()
 right.grid(False)
 figure.tight_layout()
 save(figure, "palette")

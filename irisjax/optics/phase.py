@@ -131,7 +131,7 @@ def _constant_operator(n: int) -> np.ndarray:
     x, w = gauss_legendre(n)
     mu, slope = graded(x, 0.0, np)
     zero, one = np.zeros(1), np.ones(1)
-    rule = CosineRule(mu, w * slope, np.zeros((0, n)), zero[0], zero, one)  # pyright: ignore[reportArgumentType]  (NumPy on purpose)
+    rule = CosineRule(mu, w * slope, np.zeros((0, n)), np.zeros(()), np.zeros(1), np.ones(1))
     # A row at a time: the polynomials on all circles at once would not fit in a cache.
     operator = np.concatenate([_per_angle_operator(rule, np, mu[i : i + 1]) for i in range(n)])
     return _conserving(operator, rule.weight, np)

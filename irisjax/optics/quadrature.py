@@ -8,6 +8,7 @@ the layer responses of an iris are good to about 1e-12 (experiments/bench_accura
 """
 
 from functools import lru_cache
+from typing import TypeAlias
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -20,6 +21,8 @@ from irisjax.optics.fresnel import safe_sqrt
 _GRADING = 3.0
 # Squared cosine at which a panel's start counts as far from grazing, where no grading is wanted.
 _FAR = 0.05
+
+AnyArray: TypeAlias = Array | np.ndarray
 
 
 class CosineRule(eqx.Module):
@@ -34,12 +37,12 @@ class CosineRule(eqx.Module):
     - `starts`, `widths`: μ² at each panel's start and its extent in μ², shape (panels,).
     """
 
-    cosine: Float[Array, " n"]
-    weight: Float[Array, " n"]
-    excess: Float[Array, "k n"]
-    omitted: Float[Array, ""]
-    starts: Float[Array, " panels"]
-    widths: Float[Array, " panels"]
+    cosine: Float[AnyArray, " n"]
+    weight: Float[AnyArray, " n"]
+    excess: Float[AnyArray, "k n"]
+    omitted: Float[AnyArray, ""]
+    starts: Float[AnyArray, " panels"]
+    widths: Float[AnyArray, " panels"]
 
     @property
     def n_panels(self) -> int:

@@ -1,5 +1,7 @@
 """The media in front of the iris: tear film, cornea, aqueous humour."""
 
+import jax.numpy as jnp
+
 from irisjax.optics.fresnel import fresnel, refract
 
 AIR, TEAR, CORNEA, AQUEOUS = 1.0, 1.337, 1.3771, 1.336
@@ -12,7 +14,8 @@ def inward_transmittance(cos_air, aqueous_index=AQUEOUS, tear_index=TEAR, cornea
     Parallel interfaces, one pass, no wavelength dependence and no absorption, as in the in vivo comparison
     of [LB06 Section 4]: 0.979 at normal incidence. Returns `(transmittance, cosine in the aqueous)`.
     """
-    total, cosine, n = 1.0, cos_air, AIR
+    cos_air = jnp.asarray(cos_air, jnp.result_type(float, cos_air))
+    total, cosine, n = jnp.ones_like(cos_air), cos_air, AIR
     for n_next in (tear_index, cornea_index, aqueous_index):
         cos_next = refract(cosine, n, n_next)
         total = total * fresnel(cosine, cos_next, n, n_next)[1]

@@ -64,6 +64,15 @@ _LEVELS = {"high": (1.008, 0.2674), "moderate": (0.8138, 0.2054), "low": (0.1201
 _POSITIVE = ("fibril_radius", "collagen_fraction", "intensification")
 
 
+def _parameter(name: str, default: float | None) -> Any:
+    """A field of `Iris`: whatever number it is given becomes a float array."""
+
+    def convert(value):
+        return None if value is None and default is None else _as_float(name, value)
+
+    return eqx.field(default=default, converter=convert)
+
+
 class Iris(eqx.Module):
     """A human iris by its biophysical parameters; the defaults are those of LB06, moderate pigmentation.
 
@@ -75,33 +84,34 @@ class Iris(eqx.Module):
     **Raises:** `ValueError` naming field, value and allowed range for concrete values out of range.
     """
 
-    eumelanin: Scalar = _LEVELS["moderate"][0]  # pyright: ignore[reportAssignmentType]  (made an array below)
-    pheomelanin: Scalar = _LEVELS["moderate"][1]  # pyright: ignore[reportAssignmentType]
-    abl_fraction: Scalar = 0.5  # pyright: ignore[reportAssignmentType]
-    oxyhemoglobin: Scalar = 0.042  # pyright: ignore[reportAssignmentType]
-    deoxyhemoglobin: Scalar = 0.042  # pyright: ignore[reportAssignmentType]
-    lutein: Scalar = 1.562e-4  # pyright: ignore[reportAssignmentType]
-    zeaxanthin: Scalar = 5.968e-5  # pyright: ignore[reportAssignmentType]
-    abl_thickness: Scalar = 0.05675  # pyright: ignore[reportAssignmentType]
-    stroma_thickness: Scalar = 0.2855  # pyright: ignore[reportAssignmentType]
-    intensification: Scalar = 2.2  # pyright: ignore[reportAssignmentType]
-    fibril_radius: Scalar = 30.0  # pyright: ignore[reportAssignmentType]
-    iris_radius: Scalar = 5.5  # pyright: ignore[reportAssignmentType]
-    pupil_radius: Scalar = 2.5  # pyright: ignore[reportAssignmentType]
-    aqueous_index: Scalar = eye.AQUEOUS  # pyright: ignore[reportAssignmentType]
-    fibroblast_index: Scalar = 1.42  # pyright: ignore[reportAssignmentType]
-    collagen_index: Scalar = 1.47  # pyright: ignore[reportAssignmentType]
-    base_index: Scalar = 1.5  # pyright: ignore[reportAssignmentType]
-    ipe_index: Scalar = 1.5  # pyright: ignore[reportAssignmentType]
-    tear_index: Scalar = eye.TEAR  # pyright: ignore[reportAssignmentType]
-    cornea_index: Scalar = eye.CORNEA  # pyright: ignore[reportAssignmentType]
-    fibroblast_fraction: Scalar = FIBROBLAST_FRACTION  # pyright: ignore[reportAssignmentType]
-    collagen_fraction: Scalar = COLLAGEN_FRACTION  # pyright: ignore[reportAssignmentType]
-    abl_index: Scalar | None = None
-    stroma_index: Scalar | None = None
+    eumelanin: Scalar = _parameter("eumelanin", _LEVELS["moderate"][0])
+    pheomelanin: Scalar = _parameter("pheomelanin", _LEVELS["moderate"][1])
+    abl_fraction: Scalar = _parameter("abl_fraction", 0.5)
+    oxyhemoglobin: Scalar = _parameter("oxyhemoglobin", 0.042)
+    deoxyhemoglobin: Scalar = _parameter("deoxyhemoglobin", 0.042)
+    lutein: Scalar = _parameter("lutein", 1.562e-4)
+    zeaxanthin: Scalar = _parameter("zeaxanthin", 5.968e-5)
+    abl_thickness: Scalar = _parameter("abl_thickness", 0.05675)
+    stroma_thickness: Scalar = _parameter("stroma_thickness", 0.2855)
+    intensification: Scalar = _parameter("intensification", 2.2)
+    fibril_radius: Scalar = _parameter("fibril_radius", 30.0)
+    iris_radius: Scalar = _parameter("iris_radius", 5.5)
+    pupil_radius: Scalar = _parameter("pupil_radius", 2.5)
+    aqueous_index: Scalar = _parameter("aqueous_index", eye.AQUEOUS)
+    fibroblast_index: Scalar = _parameter("fibroblast_index", 1.42)
+    collagen_index: Scalar = _parameter("collagen_index", 1.47)
+    base_index: Scalar = _parameter("base_index", 1.5)
+    ipe_index: Scalar = _parameter("ipe_index", 1.5)
+    tear_index: Scalar = _parameter("tear_index", eye.TEAR)
+    cornea_index: Scalar = _parameter("cornea_index", eye.CORNEA)
+    fibroblast_fraction: Scalar = _parameter("fibroblast_fraction", FIBROBLAST_FRACTION)
+    collagen_fraction: Scalar = _parameter("collagen_fraction", COLLAGEN_FRACTION)
+    abl_index: Scalar | None = _parameter("abl_index", None)
+    stroma_index: Scalar | None = _parameter("stroma_index", None)
     order: Order = eqx.field(init=False)
 
     def __post_init__(self):
+        # Equinox's converters run after this method, and the checks want arrays.
         for name in LIMITS:
             value = getattr(self, name)
             if value is not None:

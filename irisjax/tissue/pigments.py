@@ -61,7 +61,8 @@ def extinction(wavelengths) -> Extinction:
     **Raises:** `ValueError` naming the table and its range where a wavelength lies outside it.
     """
     if isinstance(wavelengths, jax.core.Tracer):
-        return _interpolate(_checked(wavelengths), jnp)
+        x = _checked(wavelengths)
+        return Extinction(wavelengths=x, **_interpolate(x, jnp))
     grid = np.asarray(wavelengths, np.float64)
     return _on_host(grid.tobytes(), jax.config.jax_enable_x64)
 
@@ -85,15 +86,16 @@ def _on_host(grid: bytes, double: bool) -> Extinction:
             )
     dtype = np.float64 if double else np.float32
     with jax.ensure_compile_time_eval():
-        return jax.tree.map(lambda a: jnp.asarray(a, dtype), _interpolate(x, np))
+        curves = {"wavelengths": x, **_interpolate(x, np)}
+        return Extinction(**{name: jnp.asarray(curve, dtype) for name, curve in curves.items()})
 
 
-def _interpolate(x, xp) -> Extinction:
+def _interpolate(x, xp) -> dict:
     curves = {}
     for pigment in PIGMENTS:
         grid, values = _table(pigment)
         curves[pigment] = xp.interp(x, grid, values)
-    return Extinction(wavelengths=x, **curves)
+    return curves
 
 
 def _checked(x):

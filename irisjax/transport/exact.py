@@ -11,7 +11,7 @@ from typing import NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from irisjax._types import Spectrum
 from irisjax.optics.fresnel import critical_cosine_squared, fresnel, fresnel_at, refract
@@ -189,7 +189,7 @@ def _redrawn_layer(entry, t, lost, near, far):
     return turned * out / series, passed / series, absorbed * (1 + turned) / series
 
 
-def stroma_response(layers: Layers, process: Process, n_angles: int) -> tuple[Response, Float[Array, ""]]:
+def stroma_response(layers: Layers, process: Process, n_angles: int) -> tuple[Response, Bool[Array, ""]]:
     """Response of the stroma to entry from the ABL  [LB06 Section 3.4, Eqs. 6, 7], and whether it converged."""
     n, order = layers.indices, layers.order
     critical = jnp.stack([critical_cosine_squared(n.stroma, n.abl), critical_cosine_squared(n.stroma, n.ipe)])
