@@ -1,0 +1,55 @@
+"""What several tests need: the reference tables, batches of irides, quick compilation."""
+
+import csv
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+import irisjax as ij
+
+LEVELS = ("low", "moderate", "high")
+GRID = ij.wavelengths(400, 700, 10)
+
+PROCESSES = {
+    "lb06": ij.ILIT_2006,
+    "rayleigh": ij.ILIT_CORRECTED,
+    "lb06-retest": ij.Process(rescatter="retest"),
+    "rayleigh-retest": ij.Process(phase="rayleigh", rescatter="retest"),
+    "lb06-redrawn": ij.Process(perturb_on_reflection=True),
+    "rayleigh-redrawn": ij.Process(phase="rayleigh", perturb_on_reflection=True),
+    "retest-redrawn": ij.Process(phase="rayleigh", rescatter="retest", perturb_on_reflection=True),
+    "depth-resolved": ij.DEPTH_RESOLVED,
+}
+ILIT = {name: p for name, p in PROCESSES.items() if not p.depth_resolved}
+
+
+def reference(name):
+    """Rows of a reference table, as dictionaries of strings."""
+    with open(Path(__file__).parent / "reference" / name, encoding="utf-8") as f:
+        return list(csv.DictReader(line for line in f if not line.startswith("#")))
+
+
+def stack(irides):
+    """One `Iris` with a leading batch axis."""
+    return jax.tree.map(lambda *x: jnp.stack([jnp.asarray(v, float) for v in x]), *irides)
+
+
+def all_irides():
+    """The nine irides of the reference tables, with their names."""
+    names = [(level, f) for level in LEVELS for f in (0.2, 0.5, 0.8)]
+    return names, stack([ij.Iris.preset(level).replace(abl_fraction=f) for level, f in names])
+
+
+def quick_jit(f, **options):
+    """`jax.jit` with little optimisation, for derivatives that compile slowly and run once."""
+    return jax.jit(f, compiler_options={"xla_backend_optimization_level": 0}, **options)
+
+
+def layers(abl, absorption, scattering, indices):
+    """Layers with the given optical depths; indices are (aqueous, abl, stroma, ipe)."""
+    abl, absorption, scattering = np.broadcast_arrays(*(np.atleast_1d(x) for x in (abl, absorption, scattering)))
+    media = ij.RefractiveIndices(*(jnp.asarray(n, float) for n in indices))
+    as_float = [jnp.asarray(x, float) for x in (abl, absorption, scattering)]
+    return ij.Layers(*as_float, indices=media, order=media.order())

@@ -1,0 +1,38 @@
+"""Float64 unless a test asks otherwise, runtime type checks, and repeatable hypothesis."""
+
+import jaxtyping
+
+jaxtyping.install_import_hook("irisjax", "typechecking.checked")
+
+import jax
+import pytest
+from hypothesis import settings
+
+jax.config.update("jax_enable_x64", True)
+
+settings.register_profile("deterministic", derandomize=True, deadline=None, database=None, max_examples=50)
+settings.load_profile("deterministic")
+
+
+@pytest.fixture(params=[64, 32], ids=["f64", "f32"])
+def bits(request):
+    """Both precisions, one after the other."""
+    jax.config.update("jax_enable_x64", request.param == 64)
+    yield request.param
+    jax.config.update("jax_enable_x64", True)
+
+
+@pytest.fixture
+def float32():
+    """Single precision for one test."""
+    jax.config.update("jax_enable_x64", False)
+    yield
+    jax.config.update("jax_enable_x64", True)
+
+
+@pytest.fixture(scope="session")
+def tabulated():
+    """Tables of the default process, made once a worker."""
+    import irisjax as ij
+
+    return ij.Tabulated.build()

@@ -1,0 +1,137 @@
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from mpmath import mp, mpf
+
+from irisjax.optics.fresnel import critical_cosine_squared, fresnel, fresnel_at, refract, safe_sqrt
+
+indices = st.floats(1.0, 3.0)
+cosines = st.floats(0.0, 1.0)
+
+
+def array(x):
+    return jnp.asarray(x, float)
+
+
+def test_normal_incidence_on_glass():
+    assert fresnel_at(array(1.0), array(1.0), array(1.5))[0] == pytest.approx(0.04, rel=1e-14)
+
+
+def test_glass_at_45_degrees():
+    # Hecht, Optics: r_s = -0.303337; at 45 degrees R_p = R_s².
+    r_s = ((np.sqrt(0.5) - np.sqrt(2.25 - 0.5)) / (np.sqrt(0.5) + np.sqrt(2.25 - 0.5))) ** 2
+    assert r_s == pytest.approx(0.0920134, abs=5e-8)
+    assert fresnel_at(array(np.sqrt(0.5)), array(1.0), array(1.5))[0] == pytest.approx((r_s + r_s**2) / 2, rel=1e-13)
+
+
+def test_brewster_leaves_only_the_s_part():
+    n = 1.5
+    r_s = ((1 - n * n) / (1 + n * n)) ** 2
+    cosine = np.cos(np.arctan(n))
+    assert fresnel_at(array(cosine), array(1.0), array(n))[0] == pytest.approx(r_s / 2, rel=1e-13)
+
+
+@pytest.mark.parametrize("fraction", [0.0, 0.5, 0.999999])
+def test_total_internal_reflection(fraction):
+    critical = np.sqrt(1 - (1.336 / 1.4733) ** 2)
+    f, t = fresnel_at(array(fraction * critical), array(1.4733), array(1.336))
+    assert refract(array(fraction * critical), array(1.4733), array(1.336)) == 0
+    assert f == 1
+    assert t == 0
+
+
+def test_critical_cosine():
+    assert critical_cosine_squared(array(1.4733), array(1.336)) == pytest.approx(1 - (1.336 / 1.4733) ** 2, rel=1e-13)
+    assert critical_cosine_squared(array(1.336), array(1.4733)) < 0
+    # 65.07 degrees at the top of the ABL, 88.4 at its bottom (ilit.md, section 4).
+    for n_out, angle, places in ((1.336, 65.07, 0.005), (1.472793, 88.4, 0.06)):
+        c = np.sqrt(critical_cosine_squared(array(1.4733333), array(n_out)))
+        assert np.degrees(np.arccos(c)) == pytest.approx(angle, abs=places)
+
+
+def test_matched_media_do_not_reflect(bits):
+    mu = array([0.0, 1e-12, 1e-6, 0.3, 1.0])
+    f, t = fresnel_at(mu, array(1.4), array(1.4))
+    np.testing.assert_array_equal(f, 0)
+    np.testing.assert_allclose(t, 1, rtol=4 * np.finfo(f.dtype).eps)
+    assert f.dtype == (np.float64 if bits == 64 else np.float32)
+
+
+def test_grazing_on_unmatched_media_reflects_all():
+    for n in ((1.0, 1.5), (1.5, 1.0), (1.4, 1.4 * (1 + 1e-14))):
+        f, t = fresnel_at(array(0.0), array(n[0]), array(n[1]))
+        assert f == 1
+        assert t == 0
+
+
+@given(cosines, indices, indices)
+def test_energy(mu, n, m):
+    f, t = fresnel_at(array(mu), array(n), array(m))
+    assert 0 <= f <= 1 + 1e-15
+    assert 0 <= t <= 1 + 1e-15
+    assert f + t == pytest.approx(1, abs=1e-15 * 8)
+
+
+@given(st.floats(1e-3, 1.0), indices, indices)
+def test_reversible(mu, n, m):
+    """Both ways through an interface the shares are the same  [Stokes]."""
+    out = refract(array(mu), array(n), array(m))
+    if out > 0:
+        there = fresnel(array(mu), out, array(n), array(m))
+        back = fresnel(out, array(mu), array(m), array(n))
+        np.testing.assert_allclose(there, back, rtol=1e-13, atol=1e-16)
+
+
+@given(st.floats(1e-12, 1.0), indices, indices)
+def test_snell(mu, n, m):
+    out = refract(array(mu), array(n), array(m))
+    if out > 0:
+        assert n**2 * (1 - mu**2) == pytest.approx(m**2 * (1 - float(out) ** 2), rel=1e-13, abs=1e-13)
+
+
+@pytest.mark.parametrize(("n", "m"), [(1.336, 1.4733), (1.4733, 1.4728), (1.0, 2.5), (1.5, 1.5 * (1 + 1e-9))])
+@pytest.mark.parametrize("mu", [1e-9, 1e-4, 0.05, 0.7, 1.0])
+def test_relative_precision_of_transmittance(mu, n, m):
+    with mp.workdps(40):
+        a, p, q = mpf(mu), mpf(n), mpf(m)
+        s = 1 - (p / q) ** 2 * (1 - a * a)
+        if s <= 0:
+            expected = mpf(0)
+        else:
+            b = mp.sqrt(s)
+            expected = 2 * p * q * a * b * (1 / (p * a + q * b) ** 2 + 1 / (q * a + p * b) ** 2)
+        _, t = fresnel_at(array(mu), array(n), array(m))
+        assert float(t) == pytest.approx(float(expected), rel=1e-12, abs=0)
+
+
+@pytest.mark.parametrize(
+    ("mu", "n", "m"),
+    [(0.0, 1.0, 1.5), (0.0, 1.5, 1.0), (0.0, 1.4, 1.4), (1.0, 1.4, 1.4), (0.2, 1.5, 1.2), (1e-12, 1.2, 1.5)],
+)
+def test_gradients_are_finite_at_edges(mu, n, m, bits):
+    for output in (0, 1):
+        g = jax.grad(lambda *x, output=output: fresnel_at(*x)[output], argnums=(0, 1, 2))(array(mu), array(n), array(m))
+        assert np.isfinite(g).all()
+
+
+def test_gradient_is_finite_at_the_critical_angle(bits):
+    n, m = array(1.5), array(1.2)
+    mu = jnp.sqrt(critical_cosine_squared(n, m))
+    assert np.isfinite(jax.grad(lambda *x: fresnel_at(*x)[0], argnums=(0, 1, 2))(mu, n, m)).all()
+
+
+@pytest.mark.parametrize("x", [(0.4, 1.0, 1.5), (0.9, 1.5, 1.2), (0.05, 1.336, 1.4733)])
+def test_gradients_against_finite_differences(x):
+    g = jax.grad(lambda *v: fresnel_at(*v)[0], argnums=(0, 1, 2))(*map(array, x))
+    for i in range(3):
+        h = 1e-6
+        ends = [fresnel_at(*(array(v + s * h * (k == i)) for k, v in enumerate(x)))[0] for s in (1, -1)]
+        assert g[i] == pytest.approx(float(ends[0] - ends[1]) / (2 * h), rel=1e-7)
+
+
+def test_safe_sqrt():
+    np.testing.assert_array_equal(safe_sqrt(array([-1.0, 0.0, 4.0])), [0, 0, 2])
+    np.testing.assert_array_equal(jax.vmap(jax.grad(safe_sqrt))(array([-1.0, 0.0, 4.0])), [0, 0, 0.25])

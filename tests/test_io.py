@@ -1,0 +1,105 @@
+"""Files: what is written can be read again, and nothing is half written."""
+
+import os
+
+import numpy as np
+import pytest
+from irisjax import io
+
+
+def test_table_round_trip(tmp_path):
+    path = tmp_path / "spectrum.csv"
+    columns = {"wavelength_nm": np.array([400.0, 410.5]), "reflectance": np.array([1 / 3, 2e-13])}
+    text = io.format_table({"eumelanin": "0.1201 [mg/ml]", "illuminant": "ISO 7589 Photoflood"}, columns)
+    io.write_atomically(path, text.encode())
+    table = io.read_table(path)
+    assert table.header == {"eumelanin": "0.1201", "illuminant": "ISO 7589 Photoflood"}
+    assert list(table.columns) == list(columns)
+    for name, column in columns.items():
+        np.testing.assert_allclose(table.columns[name], column, rtol=1e-11)
+    assert io.read_header(path) == table.header
+
+
+def test_header_takes_no_new_line():
+    with pytest.raises(ValueError, match="new line"):
+        io.format_table({"note": "one\ntwo"}, {})
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("", "no columns"),
+        ("# a: 1\n# a: 2\nx\n", "line 2: a stands twice"),
+        ("# c\nx,y\n1\n", "line 3: 1 values for 2 columns"),
+        ("x,y\n1,2\n\n3,four\n", "line 4: y = 'four' is not a number"),
+        ("x,x\n1,2\n", "line 1: a column name stands twice"),
+    ],
+)
+def test_unreadable_tables_are_named(tmp_path, text, message):
+    path = tmp_path / "bad.csv"
+    path.write_text(text)
+    with pytest.raises(ValueError, match=message) as error:
+        io.read_table(path)
+    assert str(path) in str(error.value)
+
+
+def test_not_text(tmp_path):
+    path = tmp_path / "binary.csv"
+    path.write_bytes(b"\xff\xfe\x00")
+    with pytest.raises(ValueError, match="not a text file"):
+        io.read_header(path)
+
+
+def test_failed_write_leaves_the_old_file(tmp_path, monkeypatch):
+    path = tmp_path / "kept.csv"
+    path.write_text("old")
+
+    def no(*_):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(os, "replace", no)
+    with pytest.raises(OSError, match="No space"):
+        io.write_atomically(path, b"new")
+    assert path.read_text() == "old"
+    assert os.listdir(tmp_path) == ["kept.csv"]
+
+
+def test_links_stay_links(tmp_path):
+    (tmp_path / "there").mkdir()
+    target, link = tmp_path / "there" / "file.csv", tmp_path / "link.csv"
+    target.write_text("old")
+    link.symlink_to(target)
+    io.write_atomically(link, b"new")
+    assert link.is_symlink()
+    assert target.read_text() == "new"
+
+
+def test_permissions_are_the_umasks(tmp_path):
+    before = os.umask(0o027)
+    try:
+        io.write_atomically(tmp_path / "file", b"")
+    finally:
+        os.umask(before)
+    assert (tmp_path / "file").stat().st_mode & 0o777 == 0o640
+
+
+def test_devices_are_written_to(tmp_path):
+    io.write_atomically("/dev/null", b"gone")
+    assert not os.path.isfile("/dev/null")
+
+
+def test_where_nothing_can_be_written(tmp_path):
+    with pytest.raises(FileNotFoundError):
+        io.check_writable(tmp_path / "missing" / "file.csv")
+    with pytest.raises(IsADirectoryError):
+        io.check_writable(tmp_path)
+    (tmp_path / "file").write_text("")
+    with pytest.raises(FileNotFoundError):
+        io.check_writable(tmp_path / "file" / "below.csv")
+
+
+@pytest.mark.skipif(os.geteuid() == 0, reason="root may write anywhere")
+def test_folder_without_permission(tmp_path):
+    tmp_path.chmod(0o500)
+    with pytest.raises(PermissionError):
+        io.check_writable(tmp_path / "file.csv")

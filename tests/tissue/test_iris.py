@@ -1,0 +1,199 @@
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from common import GRID, reference
+from hypothesis import given
+from hypothesis import strategies as st
+
+import irisjax as ij
+from irisjax.tissue.iris import LIMITS
+
+H_A, H_S = 0.05675, 0.2855
+
+
+@pytest.mark.parametrize(
+    ("level", "eumelanin", "pheomelanin"), [("high", 1.008, 0.2674), ("moderate", 0.8138, 0.2054), ("low", 0.1201, 0.0194)]
+)
+def test_presets_are_table_2(level, eumelanin, pheomelanin):
+    iris = ij.Iris.preset(level)
+    assert (float(iris.eumelanin), float(iris.pheomelanin)) == (eumelanin, pheomelanin)
+    rest = iris.parameters()
+    expected = {
+        "abl_fraction": 0.5, "oxyhemoglobin": 0.042, "deoxyhemoglobin": 0.042, "lutein": 1.562e-4,
+        "zeaxanthin": 5.968e-5, "abl_thickness": H_A, "stroma_thickness": H_S, "intensification": 2.2,
+        "fibril_radius": 30.0, "iris_radius": 5.5, "pupil_radius": 2.5,
+    }  # fmt: skip
+    assert {name: rest[name] for name in expected} == expected
+
+
+def test_unknown_preset():
+    with pytest.raises(ValueError, match="unknown pigmentation level 'blue'; known: high, low, moderate"):
+        ij.Iris.preset("blue")
+
+
+def test_depths_of_the_reference_tables():
+    rows = reference("ilit_reflectance.csv")
+    for level in ("low", "moderate", "high"):
+        for fraction in (0.2, 0.5, 0.8):
+            chosen = [
+                r for r in rows
+                if (r["level"], r["rescatter"], r["phase"], r["perturb_on_reflection"]) == (level, "retest", "rayleigh", "0")
+                and float(r["abl_fraction"]) == fraction
+            ]  # fmt: skip
+            assert len(chosen) == 31
+            grid = np.array([float(r["wavelength_nm"]) for r in chosen])
+            layers = ij.Iris.preset(level).replace(abl_fraction=fraction).layers(ij.extinction(grid))
+            for name, found in (
+                ("mu_a_abl", layers.abl_absorption / H_A),
+                ("mu_a_stroma", layers.stroma_absorption / H_S),
+                ("mu_s_stroma", layers.stroma_scattering / H_S),
+            ):
+                # The file prints nine digits.
+                np.testing.assert_allclose(found, [float(r[name]) for r in chosen], rtol=6e-9, err_msg=name)
+
+
+@given(st.floats(0, 1), st.floats(0, 5), st.floats(0, 5), st.floats(0.01, 1), st.floats(0.01, 1))
+def test_abl_fraction_is_the_share_of_mass(fraction, eumelanin, pheomelanin, h_a, h_s):
+    iris = ij.Iris(
+        eumelanin=eumelanin, pheomelanin=pheomelanin, abl_fraction=fraction, abl_thickness=h_a, stroma_thickness=h_s,
+        oxyhemoglobin=0.0, deoxyhemoglobin=0.0, lutein=0.0, zeaxanthin=0.0, intensification=1.0,
+    )  # fmt: skip
+    assert iris.melanin_load == pytest.approx((eumelanin + pheomelanin) * (h_a + h_s), rel=1e-14)
+    assert iris.abl_melanin == pytest.approx(fraction * float(iris.melanin_load), rel=1e-14)
+    table = ij.extinction(np.array([550.0]))
+    mass = (float(table.eumelanin[0]) * eumelanin + float(table.pheomelanin[0]) * pheomelanin) * (h_a + h_s)
+    layers = iris.layers(table)
+    assert layers.abl_absorption[0] == pytest.approx(fraction * mass, rel=1e-13, abs=1e-300)
+    assert layers.stroma_absorption[0] == pytest.approx((1 - fraction) * mass, rel=1e-13, abs=1e-300)
+
+
+def test_melanin_load_is_settable():
+    iris = ij.Iris.preset("moderate")
+    assert iris.melanin_load == pytest.approx((0.8138 + 0.2054) * (H_A + H_S), rel=1e-14)
+    changed = iris.replace(melanin_load=0.1)
+    assert changed.melanin_load == pytest.approx(0.1, rel=1e-14)
+    assert changed.pheomelanin / changed.eumelanin == pytest.approx(0.2054 / 0.8138, rel=1e-14)
+    # After the other changes.
+    thicker = iris.replace(stroma_thickness=0.5, melanin_load=0.1)
+    assert thicker.melanin_load == pytest.approx(0.1, rel=1e-14)
+    none = iris.replace(eumelanin=0, pheomelanin=0).replace(melanin_load=0.2)
+    assert none.melanin_load == pytest.approx(0.2, rel=1e-14)
+    assert none.pheomelanin == 0
+
+
+def test_melanin_load_and_fraction_inside_jit_and_grad():
+    def load(value, fraction):
+        return ij.Iris.preset("low").replace(melanin_load=value, abl_fraction=fraction).abl_melanin
+
+    value, slopes = jax.jit(jax.value_and_grad(load, argnums=(0, 1)))(0.3, 0.4)
+    assert value == pytest.approx(0.12, rel=1e-13)
+    assert [float(s) for s in slopes] == pytest.approx([0.4, 0.3], rel=1e-13)
+
+
+@pytest.mark.parametrize(
+    ("field", "value", "message"),
+    [
+        ("eumelanin", -0.1, r"^eumelanin = -0\.1 mg/ml is outside \[0, inf\) mg/ml$"),
+        ("pheomelanin", float("nan"), r"^pheomelanin = nan mg/ml is outside \[0, inf\) mg/ml$"),
+        ("eumelanin", float("inf"), r"^eumelanin = inf mg/ml is outside"),
+        ("abl_fraction", 1.2, r"^abl_fraction = 1\.2 is outside \[0, 1\]$"),
+        ("abl_fraction", -1e-9, r"^abl_fraction = -1e-09 is outside \[0, 1\]$"),
+        ("oxyhemoglobin", -1, r"^oxyhemoglobin = -1 mmol/l is outside"),
+        ("abl_thickness", -0.1, r"^abl_thickness = -0\.1 mm is outside \[0, inf\) mm$"),
+        ("stroma_thickness", float("nan"), r"^stroma_thickness = nan mm is outside"),
+        ("aqueous_index", 0.9, r"^aqueous_index = 0\.9 is outside \[1, 3\]$"),
+        ("stroma_index", 3.1, r"^stroma_index = 3\.1 is outside \[1, 3\]$"),
+        ("collagen_fraction", 0.0, r"^collagen_fraction = 0 is outside \(0, 1\]$"),
+        ("fibril_radius", 0.0, r"^fibril_radius = 0 nm is outside \(0, 200\] nm$"),
+        ("melanin_load", -1.0, r"^melanin_load = -1 ug/mm2 is outside \[0, inf\) ug/mm2$"),
+        ("melanin", 1.0, r"^unknown parameter 'melanin'; known: melanin_load, eumelanin, "),
+        ("pupil_radius", 6.0, r"^pupil_radius must not exceed iris_radius$"),
+        ("eumelanin", "much", r"^eumelanin must be a number, got 'much'$"),
+        ("eumelanin", True, r"^eumelanin must be a number, got True$"),
+        ("eumelanin", 1j, r"^eumelanin must be a real number"),
+    ],
+)
+def test_bad_values_are_named(field, value, message):
+    with pytest.raises(ValueError, match=message):
+        ij.Iris.preset("low").replace(**{field: value})
+
+
+@pytest.mark.parametrize("field", sorted(LIMITS))
+def test_every_field_is_checked_and_kept(field):
+    limits = LIMITS[field]
+    with pytest.raises(ValueError, match=rf"^{field} = "):
+        ij.Iris().replace(**{field: limits.low - 0.5})
+    inside = 0.25 if limits.high <= 1 else 1.4 if limits.high == 3 else 2.6
+    changed = ij.Iris().replace(**{field: inside})
+    assert getattr(changed, field) == inside
+    others = {n: v for n, v in changed.parameters().items() if n != field}
+    assert others == {n: v for n, v in ij.Iris().parameters().items() if n != field}
+
+
+def test_whole_numbers_become_floats():
+    iris = ij.Iris(eumelanin=1)
+    assert iris.eumelanin.dtype == np.float64
+
+
+def test_fields_are_arrays_so_that_values_do_not_retrace():
+    traces = []
+
+    @jax.jit
+    def f(iris):
+        traces.append(1)
+        return iris.melanin_load
+
+    f(ij.Iris.preset("low"))
+    f(ij.Iris.preset("high"))
+    f(ij.Iris.preset("high").replace(eumelanin=0.3, abl_fraction=0.1))
+    f(ij.Iris(eumelanin=0.7))
+    assert len(traces) == 1
+
+
+def test_print():
+    text = repr(ij.Iris.preset("low"))
+    assert text.startswith("Iris(\n")
+    assert "  eumelanin = 0.1201 mg/ml\n" in text
+    assert "  abl_fraction = 0.5\n" in text
+    assert "Traced" not in text
+
+
+def test_print_in_single_precision(float32):
+    assert "  eumelanin = 0.1201 mg/ml\n" in repr(ij.Iris.preset("low"))
+
+
+def test_print_of_traced_and_batched():
+    seen = []
+
+    @jax.jit
+    def f(iris):
+        seen.append(repr(iris))
+        return iris.eumelanin
+
+    f(ij.Iris())
+    batch = jax.tree.map(lambda x: jnp.stack([x, x]), ij.Iris())
+    assert seen[0].startswith("Iris(\n  eumelanin = ")
+    assert repr(batch).startswith("Iris(\n  eumelanin = ")
+
+
+def test_layers_from_coefficients():
+    iris = ij.Iris.preset("moderate")
+    made = iris.layers(ij.extinction(GRID))
+    again = ij.Layers.from_coefficients(
+        made.abl_absorption / H_A, made.stroma_absorption / H_S, made.stroma_scattering / H_S,
+        abl_thickness=H_A, stroma_thickness=H_S, indices=iris.indices(),
+    )  # fmt: skip
+    np.testing.assert_allclose(made.extinction, again.extinction, rtol=1e-14)
+    np.testing.assert_allclose(made.albedo + made.coalbedo, 1, rtol=1e-15)
+    scalar = ij.Layers.from_coefficients(1.0, 2.0, np.ones(3), abl_thickness=1.0, stroma_thickness=1.0, indices=iris.indices())
+    assert scalar.abl_absorption.shape == (3,)
+    for bad in (-1.0, np.nan, np.inf):
+        with pytest.raises(ValueError, match="mu_s_stroma times its thickness must be finite and not negative"):
+            ij.Layers.from_coefficients(1.0, 1.0, bad, abl_thickness=1.0, stroma_thickness=1.0, indices=iris.indices())
+
+
+def test_albedo_of_nothing():
+    empty = ij.Iris(stroma_thickness=0.0).layers(ij.extinction(GRID))
+    np.testing.assert_array_equal(empty.albedo, 0)
+    np.testing.assert_array_equal(empty.coalbedo, 1)

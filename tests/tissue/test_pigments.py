@@ -1,0 +1,81 @@
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import irisjax as ij
+from irisjax.tissue.pigments import PIGMENTS, common_range, table_range
+
+LN10 = 2.302585092994046
+
+
+@pytest.mark.parametrize(
+    ("pigment", "wavelength", "expected"),
+    [
+        # OMLC rows, cm⁻¹/(mg/ml), Napierian: a tenth of them in mm⁻¹.
+        ("eumelanin", 483.36, 0.8937),
+        ("eumelanin", 550.7, 0.5758),
+        ("pheomelanin", 481.61, 0.6054),
+        ("pheomelanin", 403.2, 1.189),
+        # Half-way between the rows (483.36, 8.937) and (523.76, 6.995).
+        ("eumelanin", 503.56, 0.7966),
+        ("pheomelanin", 491.72, 0.5521),
+        # Prahl: cm⁻¹/M, decadic; × ln 10 × 0.1 × 1e-3 gives mm⁻¹/(mmol/l).
+        ("oxyhemoglobin", 400, 61.3021834),
+        ("oxyhemoglobin", 500, 4.81995532),
+        ("deoxyhemoglobin", 560, 12.3851447),
+        ("oxyhemoglobin", 700, 0.0667749677),
+        # cm⁻¹/(mg/ml), decadic.
+        ("lutein", 400, 21.5504004501),
+        ("zeaxanthin", 500, 15.8348546587),
+    ],
+)
+def test_rows_of_the_tables(pigment, wavelength, expected):
+    found = getattr(ij.extinction(np.array([float(wavelength)])), pigment)[0]
+    assert found == pytest.approx(expected, rel=2e-9)
+
+
+@pytest.mark.parametrize("pigment", PIGMENTS)
+def test_tables_cover_the_visible(pigment):
+    low, high = table_range(pigment)
+    assert low <= 380
+    assert high >= 780
+    values = getattr(ij.extinction(ij.wavelengths(380, 780, 1)), pigment)
+    assert (np.asarray(values) > 0).all()
+
+
+@pytest.mark.parametrize("pigment", PIGMENTS)
+def test_out_of_range_names_table_and_range(pigment):
+    """The first table that ends is named; the pigment's own message is asked for one by one."""
+    low, high = table_range(pigment)
+    for bad in (low - 1, high + 1, np.nan):
+        with pytest.raises(ValueError, match=r"wavelength .* nm is outside the \w+ table \(.* to .* nm\)"):
+            ij.extinction(np.array([bad]))
+
+
+def test_message():
+    with pytest.raises(ValueError, match=r"^wavelength 345 nm is outside the lutein table \(350 to 800 nm\)$"):
+        ij.extinction(np.array([400.0, 345.0]))
+    with pytest.raises(ValueError, match=r"^wavelength 821 nm is outside the (pheomelanin|lutein|eumelanin) table"):
+        ij.extinction(np.array([821.0]))
+
+
+def test_ends_of_the_range_are_inside():
+    low, high = common_range()
+    assert np.isfinite(ij.extinction(np.array([low, high])).eumelanin).all()
+
+
+def test_traced_wavelengths_agree_with_concrete_ones():
+    grid = jnp.asarray(ij.wavelengths(381, 779, 2.0))
+    concrete, traced = ij.extinction(grid), jax.jit(ij.extinction)(grid)
+    for a, b in zip(jax.tree.leaves(concrete), jax.tree.leaves(traced), strict=True):
+        np.testing.assert_allclose(a, b, rtol=1e-14)
+
+
+def test_traced_wavelengths_out_of_range_raise():
+    with pytest.raises(Exception, match="outside the pigment tables"):
+        jax.block_until_ready(jax.jit(ij.extinction)(jnp.asarray([345.0])))
+
+
+def test_precision(bits):
+    assert ij.extinction(np.array([500.0])).lutein.dtype == (np.float64 if bits == 64 else np.float32)
