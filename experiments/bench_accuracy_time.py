@@ -17,11 +17,11 @@ import time
 from functools import partial
 from pathlib import Path
 
+import irisjax as ij
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-import irisjax as ij
 from experiments.common import RESULTS, start, write
 
 GRID = ij.wavelengths(400, 720, 4)
@@ -79,9 +79,7 @@ def _reference(process, n_angles):
 
 
 def _values(iris, solver, process, **options):
-    return np.asarray(
-        ij.reflectance(iris, GRID, solver=solver, process=process, first_surface=False, **options).values
-    )
+    return np.asarray(ij.reflectance(iris, GRID, solver=solver, process=process, first_surface=False, **options).values)
 
 
 def _deterministic(solver, process, reference, quick, irides=None):
@@ -155,12 +153,14 @@ def _depth_resolved(quick):
         irides = {v: _matched(ij.Iris.preset(v)) if matched else ij.Iris.preset(v) for v in LEVELS}
         process = ij.DEPTH_RESOLVED
         reference = np.stack([_values(i, ij.Exact(96, 14, 3), process) for i in irides.values()])
-        for n, depths in ((12, 6),) if quick else ((8, 4), (8, 6), (12, 6), (16, 6), (16, 8), (24, 8), (36, 8), (36, 12)):
+        for n, depths in (
+            ((12, 6),) if quick else ((8, 4), (8, 6), (12, 6), (16, 6), (16, 8), (24, 8), (36, 8), (36, 12))
+        ):
             solver = ij.Exact(n, depths, 1)
             found = np.stack([_values(i, solver, process) for i in irides.values()])
             iris = irides["moderate"]
 
-            def spectrum(x, solver=solver):
+            def spectrum(x, solver=solver, process=process):
                 return ij.reflectance(x, GRID, solver=solver, process=process, first_surface=False).values
 
             size = 16 if quick else 1000
@@ -206,11 +206,11 @@ def _peers(quick):
         for points in (8,) if quick else (8, 16, 32):
             sample = iadpython.Sample(a=0.8, b=0.18, g=0, n=1.0, quad_pts=points)
             # Index-matched, isotropic, normal incidence: a Monte Carlo of 2·10⁹ photons confirms this value.
-            error = abs(sample.rt()[0] / 0.062305650 - 1)
+            error = float(abs(sample.rt()[0] / 0.062305650 - 1))
             us = median_us(lambda s=sample: s.rt(), 5) * len(GRID)
             rows.append(
-                ("one slab, isotropic, index-matched", "iadpython", points, "float64", us, float("nan"), us, float(error),
-                 float(error), float("nan"))
+                ("one slab, isotropic, index-matched", "iadpython", points, "float64", us, float("nan"), us, error,
+                 error, float("nan"))
             )  # fmt: skip
     return rows
 
@@ -279,7 +279,6 @@ def _imports(quick):
             times.append(time.perf_counter() - begin)
         rows.append((f"import {name}", 1, statistics.median(times), statistics.median(times)))
     return rows
-
 
 
 if __name__ == "__main__":

@@ -6,19 +6,17 @@ reflectance and for every place light can end. |z| < 4 is asked of each of the c
 
 import itertools
 
+import irisjax as ij
 import jax
 import numpy as np
 
-import irisjax as ij
 from experiments.common import RESULTS, start, write
 
 VARIANTS = {
     f"{phase} {rescatter}{' perturbed' if perturb else ''}": ij.Process(
         phase=phase, rescatter=rescatter, perturb_on_reflection=perturb
     )
-    for phase, rescatter, perturb in itertools.product(
-        ("lb06", "rayleigh"), ("to-interface", "retest"), (False, True)
-    )
+    for phase, rescatter, perturb in itertools.product(("lb06", "rayleigh"), ("to-interface", "retest"), (False, True))
 } | {
     "rayleigh spheres": ij.Process(scattering="rayleigh-spheres"),
     "depth-resolved": ij.DEPTH_RESOLVED,
@@ -52,7 +50,11 @@ def main(key, quick=False, out=RESULTS):
 
 
 def _fate(m, fate):
-    return {"reflected": m.values, "mirrored": m.mirrored}.get(fate) if fate in ("reflected", "mirrored") else getattr(m.absorbed, fate)
+    return (
+        {"reflected": m.values, "mirrored": m.mirrored}.get(fate)
+        if fate in ("reflected", "mirrored")
+        else getattr(m.absorbed, fate)
+    )
 
 
 if __name__ == "__main__":

@@ -3,10 +3,10 @@
 The measured curves of LB06 Fig. 5 are not available; only the model is drawn.
 """
 
+import irisjax as ij
 import jax
 import numpy as np
 
-import irisjax as ij
 from experiments.common import RESULTS, start, write
 
 LEVELS = ("low", "moderate", "high")
@@ -28,13 +28,11 @@ def main(key, quick=False, out=RESULTS):
     data = [
         row
         for level, k in zip(LEVELS, jax.random.split(key5, 3), strict=True)
-        for row in rows(
-            level, ij.Iris.preset(level), k, lambda *a, **kw: ij.radiance(*a, illuminant="D65", **kw)
-        )
+        for row in rows(level, ij.Iris.preset(level), k, lambda *a, **kw: ij.radiance(*a, illuminant="D65", **kw))
     ]
     write(
         out / "fig5_radiance.csv",
-        (*HEADER, "radiance under D65, relative to the illuminant at 560 nm, per sr, light dimmed by the cornea inward;",
+        (*HEADER, "radiance under D65, relative to the illuminant at 560 nm, per sr, dimmed by the cornea inward;",
          "first surface counted, tear film's mirror dropped"),
         ("level", *columns),
         data,

@@ -1,10 +1,10 @@
-"""Colour of the simulated iris over melanin load and ABL fraction, as a 3 × 3 table like LB06 Fig. 9 and a finer one."""
+"""Colour of the simulated iris over melanin load and ABL fraction."""
 
+import irisjax as ij
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-import irisjax as ij
 from experiments.common import RESULTS, start, write
 
 
@@ -21,9 +21,7 @@ def main(key, quick=False, out=RESULTS):
 
     table = jax.jit(jax.vmap(jax.vmap(one, (None, 0)), (0, None)))(jnp.asarray(loads), jnp.asarray(fractions))
     rows = [
-        (float(a), float(f), *map(float, table[i, j]))
-        for i, a in enumerate(loads)
-        for j, f in enumerate(fractions)
+        (float(a), float(f), *map(float, table[i, j])) for i, a in enumerate(loads) for j, f in enumerate(fractions)
     ]
     write(
         out / "palette.csv",

@@ -3,5 +3,10 @@
 from paper_figs.common import spectra
 
 spectra(
-    "fig5_radiance.csv", "level", str, "radiance, relative (1/sr)", "LB06 Fig. 5, model only (simulated)", "fig5"
+    "fig5_radiance.csv",
+    "level",
+    str,
+    "radiance, relative (1/sr)",
+    "LB06 Fig. 5, model only (simulated)",
+    "fig5",
 )

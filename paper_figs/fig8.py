@@ -10,7 +10,10 @@ for axes, incidence in zip(panels, ("0", "60"), strict=True):
     for i, level in enumerate(("low", "high")):
         mine = [r for r in rows if r["level"] == level and r["incidence_deg"] == incidence]
         angle = np.radians([float(r["exit_deg"]) for r in mine])
-        column = {k: np.array([float(r[k]) for r in mine]) for k in ("exact", "monte_carlo", "standard_error", "depth_resolved")}
+        column = {
+            k: np.array([float(r[k]) for r in mine])
+            for k in ("exact", "monte_carlo", "standard_error", "depth_resolved")
+        }
         axes.plot(angle, column["exact"], color=f"C{i}", label=f"{level}, ILIT exact")
         axes.errorbar(angle[::3], column["monte_carlo"][::3], 2 * column["standard_error"][::3], fmt="o", ms=2.5,
                       lw=0.8, color=f"C{i}", label=f"{level}, ILIT Monte Carlo")  # fmt: skip

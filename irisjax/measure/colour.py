@@ -8,21 +8,20 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from irisjax._types import PRNGKey
-from irisjax.measure.measurement import Solver, check_wavelengths
+from irisjax.measure.measurement import check_wavelengths
 from irisjax.measure.measurement import wavelengths as grid
 from irisjax.measure.spectrophotometer import reflectance
 from irisjax.tissue.iris import Iris
 from irisjax.transport.exact import Exact
 from irisjax.transport.process import ILIT_2006, Process
 from irisjax.transport.solution import RESULTS
+from irisjax.transport.solver import AbstractSolver
 
 OBSERVER = "CIE 1931 2 Degree Standard Observer"
 """Default observer, a name known to colour-science."""
 
 # IEC 61966-2-1, XYZ (D65 white at Y = 1) to linear sRGB.
-_XYZ_TO_SRGB = np.linalg.inv(
-    np.array([[0.4124, 0.3576, 0.1805], [0.2126, 0.7152, 0.0722], [0.0193, 0.1192, 0.9505]])
-)
+_XYZ_TO_SRGB = np.linalg.inv(np.array([[0.4124, 0.3576, 0.1805], [0.2126, 0.7152, 0.0722], [0.0193, 0.1192, 0.9505]]))
 
 
 class Colour(eqx.Module):
@@ -51,7 +50,7 @@ def colour(
     *,
     illuminant: str = "D65",
     observer: str = OBSERVER,
-    solver: Solver = Exact(),  # noqa: B008
+    solver: AbstractSolver = Exact(),  # noqa: B008
     process: Process = ILIT_2006,
     cos_incidence=1.0,
     first_surface: bool = True,
@@ -78,7 +77,12 @@ def colour(
 
 
 def colour_of(
-    wavelengths, values, *, illuminant: str = "D65", observer: str = OBSERVER, status: RESULTS = RESULTS.successful
+    wavelengths,
+    values,
+    *,
+    illuminant: str = "D65",
+    observer: str = OBSERVER,
+    status: RESULTS = RESULTS.successful,
 ) -> Colour:
     """Colour of a spectral reflectance `values` on a concrete grid of `wavelengths` (nm, at least two).
 

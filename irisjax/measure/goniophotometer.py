@@ -6,12 +6,13 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from irisjax._types import PRNGKey, Spectrum
-from irisjax.measure.measurement import Solver, check_cosine, check_wavelengths, layers_of, prepared
+from irisjax.measure.measurement import check_cosine, check_wavelengths, layers_of, prepared
 from irisjax.tissue.iris import Iris
 from irisjax.tissue.pigments import extinction
 from irisjax.transport.exact import Exact
 from irisjax.transport.process import ILIT_2006, Process
 from irisjax.transport.solution import RESULTS, throw
+from irisjax.transport.solver import AbstractSolver
 
 
 class Brdf(eqx.Module):
@@ -44,7 +45,7 @@ def brdf(
     cos_incidence=1.0,
     cos_exit,
     azimuth=0.0,
-    solver: Solver = Exact(),  # noqa: B008
+    solver: AbstractSolver = Exact(),  # noqa: B008
     process: Process = ILIT_2006,
     key: PRNGKey | None = None,
     raise_on_failure: bool = True,

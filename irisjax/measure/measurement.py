@@ -1,13 +1,12 @@
 """What an instrument reads, and the checks every instrument makes of its settings."""
 
-from collections.abc import Callable
 from functools import partial
-from typing import Protocol, runtime_checkable
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.core import Tracer
 from jaxtyping import Array, Float
 
 from irisjax._types import Spectrum
@@ -17,20 +16,8 @@ from irisjax.tissue.layers import Layers
 from irisjax.tissue.pigments import Extinction
 from irisjax.transport.exact import DIFFUSE
 from irisjax.transport.process import Process
-from irisjax.transport.solution import RESULTS, Absorbed, Solution
-
-
-@runtime_checkable
-class Solver(Protocol):
-    """What an instrument asks of a solver; add one by writing these two methods."""
-
-    def prepare(self, layers: Callable[[], Layers], process: Process) -> "Solver":
-        """The solver with all fixed that must be known before tracing; raises on what it cannot do."""
-        ...
-
-    def solve(self, layers: Layers, process: Process, cos_incidence, **options) -> Solution:
-        """Transport of light from `cos_incidence`; options: `cos_exit`, `azimuth`, `key`, `rays`."""
-        ...
+from irisjax.transport.solution import RESULTS, Absorbed
+from irisjax.transport.solver import AbstractSolver
 
 
 class Measurement(eqx.Module):
@@ -74,7 +61,7 @@ def wavelengths(start: float, stop: float, step: float) -> np.ndarray:
 
 def check_wavelengths(grid) -> None:
     """Raise `ValueError` unless a concrete grid is one-dimensional, not empty, finite and increasing."""
-    if isinstance(grid, jax.core.Tracer):
+    if isinstance(grid, Tracer):
         return
     grid = np.asarray(grid)
     if grid.ndim != 1 or grid.size == 0:
@@ -92,7 +79,7 @@ def check_cosine(name: str, cosine) -> None:
         if cosine != DIFFUSE:
             raise ValueError(f"{name} must be a number in [0, 1] or {DIFFUSE!r}, got {cosine!r}")
         return
-    if isinstance(cosine, jax.core.Tracer):
+    if isinstance(cosine, Tracer):
         return
     value = np.asarray(cosine, np.float64)
     if not ((value >= 0) & (value <= 1)).all():
@@ -106,10 +93,10 @@ def through_cornea(iris: Iris, cos_air, cornea: str):
     """
     if cornea == "none":
         return 1.0, cos_air
-    media = (iris.aqueous_index, iris.tear_index, iris.cornea_index)
-    inward, cos_iris = eye.inward_transmittance(cos_air, *media)
+    media = (iris.tear_index, iris.cornea_index, iris.aqueous_index)
+    inward, cos_iris = eye.inward_transmittance(cos_air, media)
     if cornea == "round-trip":
-        inward = inward * eye.inward_transmittance(jnp.ones_like(cos_iris), *media)[0]
+        inward = inward * eye.inward_transmittance(jnp.ones_like(cos_iris), media)[0]
     return inward, cos_iris
 
 
@@ -119,7 +106,7 @@ def layers_of(iris: Iris, extinction: Extinction, process: Process) -> Layers:
     return iris.layers(extinction, process.scattering)
 
 
-def prepared(solver: Solver, iris: Iris, extinction: Extinction, process: Process) -> Solver:
+def prepared(solver: AbstractSolver, iris: Iris, extinction: Extinction, process: Process) -> AbstractSolver:
     """The solver after a look at the still concrete problem."""
     # Through the class: binding a method of an Equinox module costs more than the call.
     return type(solver).prepare(solver, partial(layers_of, iris, extinction, process), process)
@@ -127,7 +114,7 @@ def prepared(solver: Solver, iris: Iris, extinction: Extinction, process: Proces
 
 def _table(measurement, columns: dict[str, Float[Array, " n"] | None]) -> str:
     shown = {name: np.asarray(c) for name, c in columns.items() if c is not None and eqx.is_array(c)}
-    if any(isinstance(c, jax.core.Tracer) for c in jax.tree.leaves(measurement)):
+    if any(isinstance(c, Tracer) for c in jax.tree.leaves(measurement)):
         return f"{type(measurement).__name__}(traced)"
     grid = np.asarray(measurement.wavelengths)
     head = f"{measurement.quantity} ({measurement.unit})" if measurement.unit else measurement.quantity

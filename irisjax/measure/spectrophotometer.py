@@ -9,7 +9,6 @@ import jax.numpy as jnp
 from irisjax._types import PRNGKey
 from irisjax.measure.measurement import (
     Measurement,
-    Solver,
     check_cosine,
     check_wavelengths,
     layers_of,
@@ -21,13 +20,14 @@ from irisjax.tissue.pigments import extinction
 from irisjax.transport.exact import DIFFUSE, Exact
 from irisjax.transport.process import ILIT_2006, Process
 from irisjax.transport.solution import Absorbed, throw
+from irisjax.transport.solver import AbstractSolver
 
 
 def reflectance(
     iris: Iris,
     wavelengths,
     *,
-    solver: Solver = Exact(),  # noqa: B008  (solvers are immutable values)
+    solver: AbstractSolver = Exact(),  # noqa: B008  (solvers are immutable values)
     process: Process = ILIT_2006,
     cos_incidence=1.0,
     first_surface: bool = True,
@@ -68,7 +68,7 @@ def radiance(
     wavelengths,
     *,
     illuminant: str = "D65",
-    solver: Solver = Exact(),  # noqa: B008
+    solver: AbstractSolver = Exact(),  # noqa: B008
     process: Process = ILIT_2006,
     cos_incidence=1.0,
     first_surface: bool = True,
@@ -113,7 +113,16 @@ def _measure(
     solver = prepared(solver, iris, table, process)
     diffuse = isinstance(cos_incidence, str)
     result = _solve(
-        iris, table, solver, process, 0.0 if diffuse else cos_incidence, diffuse, first_surface, cornea, power, key
+        iris,
+        table,
+        solver,
+        process,
+        0.0 if diffuse else cos_incidence,
+        diffuse,
+        first_surface,
+        cornea,
+        power,
+        key,
     )
     if raise_on_failure:
         throw(result.status)
@@ -134,7 +143,9 @@ def _solve(iris, table, solver, process, cosine, diffuse, first_surface, cornea,
         values=scale * values,
         standard_error=None if error is None else scale * error,
         status=solution.result,
-        absorbed=Absorbed(*(factor * a for a in (solution.absorbed.abl, solution.absorbed.stroma, solution.absorbed.ipe))),
+        absorbed=Absorbed(
+            *(factor * a for a in (solution.absorbed.abl, solution.absorbed.stroma, solution.absorbed.ipe))
+        ),
         mirrored=factor * solution.mirrored,
         quantity="reflectance" if power is None else "radiance",
         unit="" if power is None else "relative/sr",

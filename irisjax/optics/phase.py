@@ -6,6 +6,7 @@ redistribution k(μ, μ') needs cosines in (0, 1] only, with ∫₀¹ k(μ, μ')
 
 import abc
 from functools import lru_cache
+from typing import Any
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -130,8 +131,9 @@ PHASES: dict[str, AbstractPhase] = {"rayleigh": Rayleigh(), "lb06": RayleighPerA
 def _constant_operator(n: int) -> np.ndarray:
     x, w = gauss_legendre(n)
     mu, slope = graded(x, 0.0, np)
-    zero, one = np.zeros(1), np.ones(1)
-    rule = CosineRule(mu, w * slope, np.zeros((0, n)), np.zeros(()), np.zeros(1), np.ones(1))
+    # NumPy on purpose: constants, and in double precision whatever the program's.
+    constants: Any = (mu, w * slope, np.zeros((0, n)), np.zeros(()), np.zeros(1), np.ones(1))
+    rule = CosineRule(*constants)
     # A row at a time: the polynomials on all circles at once would not fit in a cache.
     operator = np.concatenate([_per_angle_operator(rule, np, mu[i : i + 1]) for i in range(n)])
     return _conserving(operator, rule.weight, np)

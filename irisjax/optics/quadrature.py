@@ -8,7 +8,7 @@ the layer responses of an iris are good to about 1e-12 (experiments/bench_accura
 """
 
 from functools import lru_cache
-from typing import TypeAlias
+from typing import TYPE_CHECKING, TypeAlias
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -22,7 +22,10 @@ _GRADING = 3.0
 # Squared cosine at which a panel's start counts as far from grazing, where no grading is wanted.
 _FAR = 0.05
 
-AnyArray: TypeAlias = Array | np.ndarray
+if TYPE_CHECKING:
+    AnyArray: TypeAlias = Array
+else:
+    AnyArray = Array | np.ndarray  # a rule of constants can be built on the host
 
 
 class CosineRule(eqx.Module):
@@ -130,8 +133,7 @@ def cosine_rule(
         cosines.append(jnp.where(empty, 1.0, mu))
         weights.append(jnp.where(empty, 0.0, w * width_squared * g * dg / mu))
         squares.append(
-            jnp.where(empty, 1.0, nu_squared)[None, :]
-            + jnp.where(empty, 0.0, starts[i] - critical_squared)[:, None]
+            jnp.where(empty, 1.0, nu_squared)[None, :] + jnp.where(empty, 0.0, starts[i] - critical_squared)[:, None]
         )
     return CosineRule(
         cosine=jnp.concatenate(cosines),

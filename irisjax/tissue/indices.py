@@ -1,8 +1,8 @@
 """Refractive indices of the iridal layers and the scattering of the stroma's fibrils. [LB06 Section 4]"""
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
+from jax.core import Tracer
 from jaxtyping import Array, Bool
 
 from irisjax._types import Scalar, Spectrum
@@ -75,7 +75,7 @@ class RefractiveIndices(eqx.Module):
     def order(self) -> Order:
         """The static `Order`, or the all-possible one if any index is traced."""
         values = (self.aqueous, self.abl, self.stroma, self.ipe)
-        if any(isinstance(v, jax.core.Tracer) for v in values) or any(jnp.ndim(v) for v in values):
+        if any(isinstance(v, Tracer) for v in values) or any(jnp.ndim(v) for v in values):
             return Order()
         aqueous, abl, stroma, ipe = (float(v) for v in values)
         return Order(abl > aqueous, abl > stroma, stroma > abl, stroma > ipe, stroma > aqueous)

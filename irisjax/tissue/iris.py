@@ -7,6 +7,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.core import Tracer
 
 from irisjax._types import Scalar
 from irisjax.tissue import eye
@@ -211,7 +212,7 @@ class Iris(eqx.Module):
         for name in LIMITS:
             value = getattr(self, name)
             if value is not None:
-                out[name] = value if isinstance(value, jax.core.Tracer) or value.ndim else _short(value)
+                out[name] = value if isinstance(value, Tracer) or value.ndim else _short(value)
         return out
 
     def __repr__(self):
@@ -221,7 +222,7 @@ class Iris(eqx.Module):
 
 def _short(value) -> float:
     # float32 0.1201 is printed as it was written, not as its nearest float64.
-    return float(np.format_float_positional(np.asarray(value), unique=True, trim="0"))
+    return float(str(np.asarray(value)[()]))
 
 
 def _as_float(name: str, value) -> jax.Array:
@@ -240,14 +241,14 @@ def _check(iris: Iris) -> None:
         value = getattr(iris, name)
         if value is not None:
             _check_value(name, value, limits)
-    if not isinstance(iris.pupil_radius, jax.core.Tracer) and not isinstance(iris.iris_radius, jax.core.Tracer):
+    if not isinstance(iris.pupil_radius, Tracer) and not isinstance(iris.iris_radius, Tracer):
         bad = np.asarray(iris.pupil_radius) > np.asarray(iris.iris_radius)
         if bad.any():
             raise ValueError("pupil_radius must not exceed iris_radius")
 
 
 def _check_value(name: str, value, limits: Limits) -> None:
-    if isinstance(value, jax.core.Tracer):
+    if isinstance(value, Tracer):
         return
     v = np.asarray(value)
     allowed = np.isfinite(v) & (v >= limits.low) & (v <= limits.high)

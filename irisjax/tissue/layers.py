@@ -2,6 +2,7 @@
 
 import equinox as eqx
 import jax.numpy as jnp
+from jax.core import Tracer
 
 from irisjax._types import Spectrum
 from irisjax.tissue.indices import Order, RefractiveIndices
@@ -28,7 +29,14 @@ class Layers(eqx.Module):
 
     @classmethod
     def from_coefficients(
-        cls, mu_a_abl, mu_a_stroma, mu_s_stroma, *, abl_thickness, stroma_thickness, indices: RefractiveIndices
+        cls,
+        mu_a_abl,
+        mu_a_stroma,
+        mu_s_stroma,
+        *,
+        abl_thickness,
+        stroma_thickness,
+        indices: RefractiveIndices,
     ) -> "Layers":
         """Layers from coefficients in mm⁻¹ (scalars or one value a wavelength) and thicknesses in mm.
 
@@ -45,7 +53,7 @@ class Layers(eqx.Module):
             )
         )
         for name, depth in zip(("mu_a_abl", "mu_a_stroma", "mu_s_stroma"), depths, strict=True):
-            if eqx.is_array(depth) and _concrete(depth) and not bool((jnp.isfinite(depth) & (depth >= 0)).all()):
+            if not isinstance(depth, Tracer) and not bool((jnp.isfinite(depth) & (depth >= 0)).all()):
                 raise ValueError(f"{name} times its thickness must be finite and not negative")
         return cls(*depths, indices=indices, order=indices.order())
 
@@ -74,9 +82,3 @@ class Layers(eqx.Module):
         for depth in (self.abl_absorption, self.stroma_absorption, self.stroma_scattering):
             ok = ok & (jnp.isfinite(depth) & (depth >= 0)).all()
         return ok
-
-
-def _concrete(x) -> bool:
-    import jax
-
-    return not isinstance(x, jax.core.Tracer)

@@ -11,6 +11,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.core import Tracer
 
 from irisjax._types import Spectrum
 
@@ -60,11 +61,11 @@ def extinction(wavelengths) -> Extinction:
 
     **Raises:** `ValueError` naming the table and its range where a wavelength lies outside it.
     """
-    if isinstance(wavelengths, jax.core.Tracer):
+    if isinstance(wavelengths, Tracer):
         x = _checked(wavelengths)
         return Extinction(wavelengths=x, **_interpolate(x, jnp))
     grid = np.asarray(wavelengths, np.float64)
-    return _on_host(grid.tobytes(), jax.config.jax_enable_x64)
+    return _on_host(grid.tobytes(), jnp.result_type(float) == jnp.float64)
 
 
 def common_range() -> tuple[float, float]:
@@ -81,9 +82,7 @@ def _on_host(grid: bytes, double: bool) -> Extinction:
         # A NaN is neither below nor above: ask for what is allowed.
         bad = ~((x >= low) & (x <= high))
         if bad.any():
-            raise ValueError(
-                f"wavelength {x[bad][0]:g} nm is outside the {pigment} table ({low:g} to {high:g} nm)"
-            )
+            raise ValueError(f"wavelength {x[bad][0]:g} nm is outside the {pigment} table ({low:g} to {high:g} nm)")
     dtype = np.float64 if double else np.float32
     with jax.ensure_compile_time_eval():
         curves = {"wavelengths": x, **_interpolate(x, np)}
@@ -101,7 +100,9 @@ def _interpolate(x, xp) -> dict:
 def _checked(x):
     low, high = common_range()
     return eqx.error_if(
-        x, ~((x >= low) & (x <= high)).all(), f"a wavelength is outside the pigment tables ({low:g} to {high:g} nm)"
+        x,
+        ~((x >= low) & (x <= high)).all(),
+        f"a wavelength is outside the pigment tables ({low:g} to {high:g} nm)",
     )
 
 

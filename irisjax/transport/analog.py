@@ -6,7 +6,7 @@ cut, and fates are counted in integers, lane by lane. Photon i at wavelength j o
 counts do not depend on lanes, blocks or devices.
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -47,7 +47,7 @@ class Photon(NamedTuple):
     """
 
     direction: jax.Array  # signed cosine, positive into the eye
-    depth: jax.Array | None  # optical depth below the stroma's top, for depth-resolved transport
+    depth: Any  # optical depth below the stroma's top, for depth-resolved transport only, else `None`
     code: jax.Array
 
 
@@ -160,7 +160,7 @@ def run_lanes(wave_words, start, stride, last, layers: LaneLayers, scale, proces
         direction = jnp.where(photon.code < 0, -photon.direction, photon.direction)
         code = photon.code & 0x7FFFFFFF
         born = (fate > 0) & (i < last)
-        b0, b1 = fold_in_words(*wave_words, i.astype(jnp.uint32))
+        b0, b1 = fold_in_words(wave_words[0], wave_words[1], i.astype(jnp.uint32))
         k0, k1 = jnp.where(born, b0, k0), jnp.where(born, b1, k1)
         i = jnp.where(born, i + stride, i)
         direction = jnp.where(born, 1.0, direction)
@@ -179,8 +179,9 @@ def run_lanes(wave_words, start, stride, last, layers: LaneLayers, scale, proces
 
     resting = Photon(jnp.ones_like(zero), zero if deep else None, nothing + RESTING)
     cell_tally = None if cells is None else (nothing,) * cells.shape[0]
-    out = lax.while_loop(running, body, (*wave_words, start, resting, (nothing,) * len(FATES), cell_tally))
-    return jnp.stack(out[4], -1), None if cells is None else jnp.stack(out[5], -1)
+    state = (*wave_words, start, resting, (nothing,) * len(FATES), cell_tally)
+    *_, tally, cell_tally = lax.while_loop(running, body, state)
+    return jnp.stack(tally, -1), None if cell_tally is None else jnp.stack(cell_tally, -1)
 
 
 def _draws(words, scale):

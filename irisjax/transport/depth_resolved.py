@@ -12,6 +12,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.core import Tracer
 
 from irisjax.optics.fresnel import critical_cosine_squared, fresnel, refract
 from irisjax.optics.quadrature import conserving, cosine_rule, gauss_legendre, refracted
@@ -75,7 +76,7 @@ class Flux(NamedTuple):
 
 def panels_for(extinction) -> int | None:
     """Depth panels needed for concrete optical depths; `None` for traced ones."""
-    if isinstance(extinction, jax.core.Tracer):
+    if isinstance(extinction, Tracer):
         return None
     thickest = float(np.nanmax(np.asarray(extinction), initial=0.0))
     if not np.isfinite(thickest):
@@ -104,9 +105,7 @@ def solve(layers: Layers, cos_incidence, cos_exit, azimuth, *, n_angles: int, n_
         azimuth = jnp.zeros_like(exits.cosine)
 
     def one(abl, depth, albedo, coalbedo):
-        return _one_wavelength(
-            abl, depth, albedo, coalbedo, n, nodes, beams, power, exits, azimuth, n_depths, n_panels
-        )
+        return _one_wavelength(abl, depth, albedo, coalbedo, n, nodes, beams, power, exits, azimuth, n_depths, n_panels)
 
     flux = jax.vmap(one)(layers.abl_absorption, layers.extinction, layers.albedo, layers.coalbedo)
     resolved = (layers.extinction * _fractions(n_panels)[0] <= 2 * _FIRST_PANEL).all()
@@ -192,7 +191,7 @@ def _one_wavelength(abl, depth, albedo, coalbedo, n, nodes, beams, power, exits,
             strength, size // strength.size
         )
         moments[mode.order] = jnp.linalg.solve(system, driving.reshape(size)).reshape(driving.shape)
-        if exit_ is not None:
+        if exits is not None and exit_ is not None:
             source = (strength[:, None] * mode.functions(exits.cosine)).T @ moments[mode.order]
             up_top, _ = slab.leaving(exit_, source, mode.parity)
             leaving_exit += up_top * jnp.cos(mode.order * azimuth) * (1 if mode.order == 0 else 2)
@@ -244,9 +243,7 @@ def _bounded(slab: "_Slab", abl, d: Directions) -> _Bounded:
     roof = _roof(abl, d, from_stroma=True)
     through, lost = survival(slab.depth, d.cosine), attenuation(slab.depth, d.cosine)
     reflected = d.top[0] + roof.reflected
-    escape = lost * (1 + through) + through * through * (
-        (roof.passed + roof.absorbed) + reflected * d.bottom[1]
-    )
+    escape = lost * (1 + through) + through * through * ((roof.passed + roof.absorbed) + reflected * d.bottom[1])
     sealed = escape <= 0
     x = slab.widths[:, None] / d.cosine
     start = _legendre_moments(x, 2 * slab.n_depths)

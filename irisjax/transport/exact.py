@@ -21,6 +21,7 @@ from irisjax.tissue.layers import Layers
 from irisjax.transport import depth_resolved
 from irisjax.transport.process import Process, attenuation, entry_density, survival
 from irisjax.transport.solution import RESULTS, Absorbed, Solution
+from irisjax.transport.solver import AbstractSolver
 
 DIFFUSE = "diffuse"
 """Incidence from every direction alike (cosine-weighted hemisphere)."""
@@ -34,7 +35,7 @@ class Response(NamedTuple):
     absorbed: Spectrum
 
 
-class Exact(eqx.Module):
+class Exact(AbstractSolver):
     """Deterministic solver, accurate to rounding for the default irides.
 
     - `n_angles`: quadrature nodes a layer. 36: below 1e-10 relative; 24: 1e-8; 16: 1e-6.
@@ -60,11 +61,18 @@ class Exact(eqx.Module):
         panels = depth_resolved.panels_for(layers().extinction)
         return Exact(n_angles=self.n_angles, n_depths=self.n_depths, n_panels=panels)
 
-    def solve(self, layers: Layers, process: Process, cos_incidence, *, cos_exit=None, azimuth=None, key=None, rays=None):
-        """Transport of light from direction `cos_incidence` (or `DIFFUSE`); see `Solution`.
-
-        `cos_exit`, `azimuth`: exit directions of shape (exits,) for the BRDF, or `None`. `key` and `rays` are for solvers that sample.
-        """
+    def solve(
+        self,
+        layers: Layers,
+        process: Process,
+        cos_incidence,
+        *,
+        cos_exit=None,
+        azimuth=None,
+        key=None,
+        rays=None,
+    ):
+        """See `AbstractSolver.solve`; no `key` and no `rays` are used."""
         if process.depth_resolved:
             return depth_resolved.solve(
                 layers,
@@ -178,10 +186,10 @@ def _specular_layer(entry, t, lost, near, far):
 
 def _redrawn_layer(entry, t, lost, near, far):
     """Entry through `near`; a reflected ray is redrawn, so each crossing is alike."""
-    (f_near, t_near), (f_far, t_far) = near, far
+    (_, t_near), (f_far, t_far) = near, far
     crossing = entry * t
     passed, turned = crossing @ t_far, crossing @ f_far
-    out, back = crossing @ t_near, crossing @ f_near
+    out = crossing @ t_near
     absorbed = lost @ entry
     # 1 − turned·back as a sum of losses.
     series = (passed + absorbed) + turned * (out + absorbed)

@@ -22,6 +22,7 @@ from irisjax.transport.exact import first_surface
 from irisjax.transport.process import Process
 from irisjax.transport.randomness import check_key, scales
 from irisjax.transport.solution import RESULTS, Absorbed, Solution
+from irisjax.transport.solver import AbstractSolver
 
 Estimator = Literal["analog", "weighted", "quasi"]
 _LIMIT = 2**31 - 2**20  # counts are int32; lanes look a stride ahead
@@ -36,7 +37,7 @@ class Counts(NamedTuple):
     photons: Int[Array, " wavelengths"]
 
 
-class MonteCarlo(eqx.Module):
+class MonteCarlo(AbstractSolver):
     """Sampling solver; needs a `key`.
 
     - `n_photons`: photons a wavelength (`"analog"`) or paths shared by all wavelengths (else: rounded up to
@@ -72,7 +73,17 @@ class MonteCarlo(eqx.Module):
             )
         return self
 
-    def solve(self, layers: Layers, process: Process, cos_incidence, *, cos_exit=None, azimuth=None, key=None, rays=None):
+    def solve(
+        self,
+        layers: Layers,
+        process: Process,
+        cos_incidence,
+        *,
+        cos_exit=None,
+        azimuth=None,
+        key=None,
+        rays=None,
+    ):
         """Transport of light from direction `cos_incidence` (or `DIFFUSE`); see `Solution`.
 
         The BRDF is the average over cells of the cosine bounded half-way between the exits asked for.

@@ -1,8 +1,8 @@
 """What every solver returns, and how it says that something is wrong."""
 
 import equinox as eqx
-import jax
 import numpy as np
+from jax.core import Tracer
 from jaxtyping import Array, Float
 
 from irisjax._types import Spectrum
@@ -63,7 +63,7 @@ class Solution(eqx.Module):
 
 def throw(result: RESULTS) -> None:
     """Raise `ValueError` with the reason if a concrete `result` is not successful; ignore a traced one."""
-    if isinstance(result._value, jax.core.Tracer):
+    if isinstance(result._value, Tracer):
         return
     # Read the code itself: comparing enumerations would dispatch a computation for every call.
     codes = np.asarray(result._value)

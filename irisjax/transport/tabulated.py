@@ -20,13 +20,14 @@ from irisjax.tissue.layers import Layers
 from irisjax.transport.exact import Response, abl_responses, combine, stroma_response
 from irisjax.transport.process import ILIT_2006, Process
 from irisjax.transport.solution import RESULTS
+from irisjax.transport.solver import AbstractSolver
 
 _DEGREE = 5
 _SMALLEST = 1e-4  # τ₀: below it the functions are straight lines to 1e-9
 _LARGEST = 40.0  # exp(−40) is below rounding: deeper layers are all alike
 
 
-class Tabulated(eqx.Module):
+class Tabulated(AbstractSolver):
     """Solver for many spectra of irides that share their refractive indices and process.
 
     Make one with `Tabulated.build`. The tables hold for all optical depths and albedos; an iris with other
@@ -74,7 +75,11 @@ class Tabulated(eqx.Module):
         stroma = []
         for albedo in (albedo_nodes + 1) / 2:
             _, s = responses(
-                jnp.asarray(depths.ravel(), dtype), jnp.full(depths.size, albedo, dtype), indices, order, process
+                jnp.asarray(depths.ravel(), dtype),
+                jnp.full(depths.size, albedo, dtype),
+                indices,
+                order,
+                process,
             )
             stroma.append(np.asarray(s, np.float64).reshape(n_intervals, _DEGREE + 1, -1))
         abl_table = np.einsum("ij,pjf->pif", to_local, abl)
@@ -105,13 +110,21 @@ class Tabulated(eqx.Module):
                 )
         return self
 
-    def solve(self, layers: Layers, process: Process, cos_incidence, *, cos_exit=None, azimuth=None, key=None, rays=None):
-        """Transport of light from direction `cos_incidence`; see `Solution`. `key` and `rays` are for solvers that sample."""
+    def solve(
+        self,
+        layers: Layers,
+        process: Process,
+        cos_incidence,
+        *,
+        cos_exit=None,
+        azimuth=None,
+        key=None,
+        rays=None,
+    ):
+        """See `AbstractSolver.solve`; no `key` and no `rays` are used."""
         from_above, from_below = self._abl_response(layers.abl_absorption)
         stroma = self._stroma_response(layers.extinction, layers.albedo)
-        solution = combine(
-            layers, from_above, from_below, stroma, jnp.asarray(True), process, cos_incidence, cos_exit
-        )
+        solution = combine(layers, from_above, from_below, stroma, jnp.asarray(True), process, cos_incidence, cos_exit)
         same = jnp.asarray(True)
         for ours, theirs in zip(jax.tree.leaves(self.indices), jax.tree.leaves(layers.indices), strict=True):
             same = same & (jnp.abs(ours - theirs) <= 4 * jnp.finfo(theirs.dtype).eps * theirs)
@@ -133,7 +146,7 @@ class Tabulated(eqx.Module):
         chebyshev = [jnp.ones_like(s), s]
         for _ in range(n_albedos - 2):
             chebyshev.append(2 * s * chebyshev[-1] - chebyshev[-2])
-        values = sum(t[..., None] * series[..., k, :] for k, t in enumerate(chebyshev[:n_albedos]))
+        values = jnp.einsum("k...,...kf->...f", jnp.stack(chebyshev[:n_albedos]), series)
         reflected, passed = values[..., 0], values[..., 1]
         return Response(reflected, passed, 1 - reflected - passed)
 
@@ -181,5 +194,3 @@ def _responses(depth, albedo, indices: RefractiveIndices, order: Order, process:
     stroma, _ = stroma_response(layers, process, n_angles)
     abl = jnp.stack([above.reflected, above.passed, below.passed, below.reflected], -1)
     return abl, jnp.stack([stroma.reflected, stroma.passed], -1)
-
-

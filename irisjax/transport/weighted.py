@@ -100,7 +100,10 @@ def run_paths(key, layers: Layers, process: Process, entering, scale, *, log2_pa
         turned = jnp.where(down, turned, -turned)
         new = jnp.clip(jnp.abs(turned), 1e-12, 1.0) / scale[2]
         f_pass = jnp.where(down, mirror(mu, n.stroma, n.ipe), mirror(mu, n.stroma, n.abl)) / scale[2]
-        into_abl, into_ipe = jnp.where(down, 0.0, 1 - f_pass) * passing, jnp.where(down, 1 - f_pass, 0.0) * passing
+        into_abl, into_ipe = (
+            jnp.where(down, 0.0, 1 - f_pass) * passing,
+            jnp.where(down, 1 - f_pass, 0.0) * passing,
+        )
         f_up = f_down = turned_share = jnp.ones_like(mu)
         if process.rescatter == "to-interface":
             # The phase functions are even in the cosine: up and down are equally likely whatever came
