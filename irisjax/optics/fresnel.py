@@ -14,7 +14,7 @@ def safe_sqrt(x: Float[Array, "*s"]) -> Float[Array, "*s"]:
     return jnp.where(positive, jnp.sqrt(jnp.where(positive, x, 1.0)), 0.0)
 
 
-def critical_cosine_squared(n_in: Float[Array, "*s"], n_out: Float[Array, "*s"]) -> Float[Array, "*s"]:
+def critical_cosine_squared(n_in, n_out):
     """Square of the cosine below which the interface reflects totally; negative where it never does.
 
     Snell's law reads μ_out² = (n_in/n_out)² (μ_in² − c²) with this c², an identity that survives

@@ -228,12 +228,11 @@ def _short(value) -> float:
 def _as_float(name: str, value) -> jax.Array:
     if isinstance(value, (bool, str)) or value is None:
         raise ValueError(f"{name} must be a number, got {value!r}")
-    array = jnp.asarray(value)
-    if not jnp.issubdtype(array.dtype, jnp.floating):
-        if not jnp.issubdtype(array.dtype, jnp.integer):
-            raise ValueError(f"{name} must be a real number, got {value!r}")
-        array = array.astype(jnp.result_type(float))
-    return array
+    dtype = jnp.result_type(value)
+    if not jnp.issubdtype(dtype, jnp.floating) and not jnp.issubdtype(dtype, jnp.integer):
+        raise ValueError(f"{name} must be a real number, got {value!r}")
+    # Never weakly typed: an iris with fields replaced must not be compiled for again.
+    return jnp.asarray(value, dtype if isinstance(value, jax.Array) and dtype.kind == "f" else jnp.result_type(float))
 
 
 def _check(iris: Iris) -> None:

@@ -141,7 +141,7 @@ def first_surface(cos_incidence, indices: RefractiveIndices, dtype):
         mu, w = jnp.asarray(x, dtype), jnp.asarray(2 * x * w, dtype)
         mirrored, entered = fresnel_at(mu, indices.aqueous, indices.abl)
         return w @ mirrored, w @ entered
-    return fresnel_at(cos_incidence, indices.aqueous, indices.abl)
+    return fresnel_at(jnp.asarray(cos_incidence, dtype), indices.aqueous, indices.abl)
 
 
 def abl_responses(depth: Spectrum, n: RefractiveIndices, order: Order, process: Process, n_angles: int):

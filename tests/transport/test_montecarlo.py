@@ -1,0 +1,219 @@
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import jaxtyping
+import numpy as np
+import pytest
+
+import irisjax as ij
+
+GRID = (420.0, 450.0, 550.0, 700.0)
+ANALOG = {
+    "printed": ij.ILIT_2006,
+    "retest": ij.Process(phase="rayleigh", rescatter="retest"),
+    "redrawn": ij.Process(perturb_on_reflection=True),
+    "spheres": ij.Process(scattering="rayleigh-spheres"),
+    "depth-resolved": ij.DEPTH_RESOLVED,
+}
+FATES = ("values", "mirrored", "abl", "stroma", "ipe")
+
+
+def shares(m):
+    return np.stack([m.values, m.mirrored, m.absorbed.abl, m.absorbed.stroma, m.absorbed.ipe])
+
+
+@pytest.mark.parametrize("level", ["low", "high"])
+@pytest.mark.parametrize("name", ANALOG)
+def test_analog_agrees_with_exact(name, level):
+    iris, n = ij.Iris.preset(level), 400_000
+    settings = {"process": ANALOG[name], "cos_incidence": 0.7, "first_surface": False}
+    exact = shares(ij.reflectance(iris, GRID, **settings))
+    found = shares(ij.reflectance(iris, GRID, **settings, solver=ij.MonteCarlo(n), key=jax.random.key(11)))
+    z = (found - exact) / np.sqrt(exact * (1 - exact) / n)
+    # 20 comparisons a case, 200 in all: |z| < 4 fails by chance once in 80 runs of other seeds.
+    assert np.abs(z).max() < 4
+    np.testing.assert_allclose(found.sum(0), 1, atol=1e-12)
+
+
+@pytest.mark.parametrize("estimator", ["weighted", "quasi"])
+@pytest.mark.parametrize("name", ["printed", "retest"])
+def test_expected_values_agree_with_exact(name, estimator):
+    iris, process = ij.Iris.preset("low"), ANALOG[name]
+    exact = ij.reflectance(iris, GRID, process=process, first_surface=False)
+    runs = [
+        ij.reflectance(
+            iris, GRID, process=process, first_surface=False, solver=ij.MonteCarlo(16_384, estimator), key=key
+        )
+        for key in jax.random.split(jax.random.key(5), 12)
+    ]
+    values = np.stack([m.values for m in runs])
+    claimed = np.sqrt(np.mean([np.asarray(m.standard_error) ** 2 for m in runs], axis=0))
+    z = (values.mean(0) - exact.values) / (claimed / np.sqrt(len(runs)))
+    assert np.abs(z).max() < 4
+    # The scatter of independent runs is what they claim: χ² with 11 degrees of freedom, 0.1 % either way.
+    ratio = values.var(0, ddof=1) / claimed**2
+    assert (ratio > 1.8 / 11).all() and (ratio < 31.3 / 11).all()
+
+
+def test_quasi_beats_weighted():
+    iris = ij.Iris.preset("high")
+    error = {
+        e: float(
+            ij.reflectance(iris, GRID, solver=ij.MonteCarlo(16_384, e), key=jax.random.key(0)).standard_error.max()
+        )
+        for e in ("weighted", "quasi")
+    }
+    assert error["quasi"] < 0.7 * error["weighted"]
+
+
+def test_standard_error_is_binomial_and_never_none():
+    black = ij.Iris.preset("high").replace(melanin_load=1e4, abl_fraction=1.0, aqueous_index=1.473)
+    m = ij.reflectance(black, [450.0], solver=ij.MonteCarlo(1000), key=jax.random.key(0), first_surface=False)
+    assert m.values[0] == 0
+    assert m.standard_error[0] > 1e-4
+
+
+@pytest.mark.parametrize("estimator", ["analog", "weighted", "quasi"])
+def test_equal_keys_give_equal_bytes(estimator):
+    iris, solver = ij.Iris.preset("low"), ij.MonteCarlo(2_000, estimator)
+    a, b, c = (ij.reflectance(iris, GRID, solver=solver, key=jax.random.key(s)) for s in (7, 7, 8))
+    assert np.asarray(a.values).tobytes() == np.asarray(b.values).tobytes()
+    assert np.asarray(a.values).tobytes() != np.asarray(c.values).tobytes()
+
+
+@pytest.mark.parametrize("name", ["printed", "depth-resolved"])
+def test_lanes_and_blocks_do_not_change_a_photon(name):
+    iris, key, process = ij.Iris.preset("low"), jax.random.key(3), ANALOG[name]
+    layers = iris.layers(ij.extinction(np.array(GRID)))
+    solver = ij.MonteCarlo(5_000)
+    whole = solver.count(layers, process, 1.0, key=key)
+    narrow = ij.MonteCarlo(5_000, lanes=64).count(layers, process, 1.0, key=key)
+    blocks = [solver.count(layers, process, 1.0, key=key, first=a, last=b) for a, b in ((0, 1), (1, 3_000), (3_000, 9_000))]
+    np.testing.assert_array_equal(whole.fates, narrow.fates)
+    np.testing.assert_array_equal(whole.fates, sum(b.fates for b in blocks))
+    assert int(whole.fates.sum()) == 5_000 * len(GRID)
+
+
+def test_rays_follow_the_illuminant():
+    iris, solver, key = ij.Iris.preset("low"), ij.MonteCarlo(100_000), jax.random.key(0)
+    exact = ij.radiance(iris, GRID, illuminant="A")
+    found = ij.radiance(iris, GRID, illuminant="A", solver=solver, key=key)
+    assert np.abs((found.values - exact.values) / found.standard_error).max() < 4
+    layers = iris.layers(ij.extinction(np.array(GRID)))
+    photons = solver.count(layers, ij.ILIT_2006, 1.0, key=key, rays=jnp.asarray([0.2, 0.4, 0.8, 0.1])).photons
+    np.testing.assert_array_equal(photons, [25_000, 50_000, 100_000, 12_500])
+
+
+def test_brdf_counts_cells():
+    iris = ij.Iris.preset("low")
+    cosine = np.linspace(0.05, 0.95, 10)  # cells of width 0.1
+    found = ij.brdf(iris, [550.0], cos_exit=cosine, solver=ij.MonteCarlo(1_000_000), key=jax.random.key(2))
+    fine = np.linspace(0.0005, 0.9995, 1000)
+    exact = np.asarray(ij.brdf(iris, [550.0], cos_exit=fine).values[0]).reshape(10, 100)
+    weight = fine.reshape(10, 100)
+    cell = (exact * weight).sum(1) / weight.sum(1)
+    assert np.abs((found.values[0] - cell) / found.standard_error[0]).max() < 4
+
+
+def test_works_under_jit_and_vmap():
+    solver, key = ij.MonteCarlo(1_000), jax.random.key(0)
+
+    def spectrum(eumelanin, key):
+        return ij.reflectance(ij.Iris.preset("low").replace(eumelanin=eumelanin), GRID, solver=solver, key=key).values
+
+    keys = jax.random.split(key, 2)
+    both = jax.jit(jax.vmap(spectrum))(jnp.asarray([0.1, 0.5]), keys)
+    np.testing.assert_array_equal(both[1], spectrum(0.5, keys[1]))
+
+
+def test_invalid_layers_end_at_once():
+    iris = ij.Iris.preset("low")
+
+    def status(c):
+        m = ij.reflectance(iris.replace(eumelanin=c), GRID, solver=ij.MonteCarlo(1_000), key=jax.random.key(0))
+        return m.status == ij.RESULTS.invalid_input
+
+    assert jax.jit(status)(jnp.nan)
+    assert not jax.jit(status)(0.1)
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({"n_photons": 0}, "n_photons = 0 is outside"),
+        ({"n_photons": -3}, "outside"),
+        ({"n_photons": 2**31}, "outside"),
+        ({"n_photons": 10, "estimator": "best"}, "analog.*weighted.*quasi"),
+        ({"n_photons": 10, "lanes": 3}, "lanes"),
+    ],
+)
+def test_wrong_settings_are_named(settings, message):
+    # Under the tests' run-time type checks a name that is not known fails before it reaches our own.
+    with pytest.raises((ValueError, jaxtyping.TypeCheckError), match=message):
+        ij.MonteCarlo(**settings)
+
+
+def test_what_is_not_offered_is_said():
+    iris, key = ij.Iris.preset("low"), jax.random.key(0)
+    with pytest.raises(ValueError, match="needs a key"):
+        ij.reflectance(iris, GRID, solver=ij.MonteCarlo(10))
+    with pytest.raises(ValueError, match="use estimator"):
+        ij.reflectance(iris, GRID, solver=ij.MonteCarlo(10, "weighted"), process=ij.DEPTH_RESOLVED, key=key)
+    with pytest.raises(ValueError, match="use Exact"):
+        ij.brdf(iris, GRID, cos_exit=0.5, solver=ij.MonteCarlo(10), process=ij.DEPTH_RESOLVED, key=key)
+    with pytest.raises(ValueError, match="analog"):
+        ij.brdf(iris, GRID, cos_exit=0.5, solver=ij.MonteCarlo(10, "quasi"), key=key)
+
+
+_PROGRAM = """
+import sys, jax
+if sys.argv[1] != "-":
+    jax.distributed.initialize(sys.argv[1], int(sys.argv[2]), int(sys.argv[3]))
+import numpy as np, irisjax as ij
+layers = ij.Iris.preset("low").layers(ij.extinction(np.array([450.0, 550.0])))
+for process in (ij.ILIT_2006, ij.DEPTH_RESOLVED):
+    counts = ij.MonteCarlo(20_000).count(layers, process, 1.0, key=jax.random.key(3))
+    print("counts", len(jax.devices()), np.asarray(counts.fates).ravel().tolist())
+"""
+
+
+def _start(n_devices, *arguments):
+    flags = f"--xla_force_host_platform_device_count={n_devices}"
+    return subprocess.Popen(
+        [sys.executable, "-c", _PROGRAM, *arguments],
+        env={**os.environ, "XLA_FLAGS": flags, "JAX_PLATFORMS": "cpu", "JAX_ENABLE_X64": "1"},
+        cwd=Path(ij.__file__).parent.parent,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+
+
+def _counts(process):
+    out, err = process.communicate(timeout=240)
+    assert process.returncode == 0, err
+    lines = [line.split(maxsplit=2)[1:] for line in out.splitlines() if line.startswith("counts")]
+    return [int(n) for n, _ in lines], [counts for _, counts in lines]
+
+
+def test_devices_and_processes_do_not_change_counts(unused_port):
+    one = _counts(_start(1, "-"))
+    four = _counts(_start(4, "-"))
+    address = f"127.0.0.1:{unused_port}"
+    pair = [_start(1, address, "2", str(i)) for i in range(2)]
+    pair = [_counts(p) for p in pair]
+    assert (one[0], four[0], pair[0][0]) == ([1, 1], [4, 4], [2, 2])
+    assert one[1] == four[1] == pair[0][1] == pair[1][1]
+
+
+@pytest.fixture
+def unused_port():
+    import socket
+
+    with socket.socket() as s:
+        s.bind(("127.0.0.1", 0))
+        return s.getsockname()[1]
