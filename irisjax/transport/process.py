@@ -103,12 +103,12 @@ def sample_entry(u: Float[Array, "*s"]) -> Float[Array, "*s"]:
 
 
 def survival(depth, cosine):
-    """Probability of crossing a whole layer untouched, exp(−τ/μ)  [LB06 Eqs. 3, 6]."""
+    """Probability of crossing a whole layer untouched, exp(−τ/μ)  [LB06 Eqs. 2, 3, 6]."""
     return jnp.exp(-depth / cosine)
 
 
 def attenuation(depth, cosine):
-    """Probability of an event in a layer, P = 1 − exp(−τ/μ)  [LB06 Eqs. 3, 6].
+    """Probability of an event in a layer, P = 1 − exp(−τ/μ)  [LB06 Eqs. 2, 3, 6].
 
     Absorption in the ABL (Eq. 3), absorption or scattering in the stroma (Eq. 6). The event happens where
     u ≤ P; the opposite sign printed after Eq. 3 would make the palest iris the darkest.

@@ -1,0 +1,114 @@
+"""The house's rules that a machine can hold."""
+
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import pytest
+
+import irisjax as ij
+
+ROOT = Path(__file__).parent.parent
+SOURCES = sorted((ROOT / "irisjax").rglob("*.py"))
+INDEX = ROOT / "paper_figs" / "README.md"
+_TAG = re.compile(r"\[LB06 [^\]]*?\]")
+
+
+def test_floors():
+    run = subprocess.run(
+        [sys.executable, "-c", "from importlinter.cli import lint_imports; raise SystemExit(lint_imports())"],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+    )
+    assert run.returncode == 0, run.stdout + run.stderr
+
+
+def test_files_stay_short():
+    long = {p.name: n for p in SOURCES if (n := len(p.read_text(encoding="utf-8").splitlines())) > 500}
+    assert not long
+
+
+def _equations(text):
+    """Numbers of the LB06 equations tagged in a text."""
+    out = set()
+    for tag in _TAG.findall(text):
+        for numbers in re.findall(r"Eqs?\. ([\d, ]+)", tag):
+            out |= {int(n) for n in re.findall(r"\d+", numbers)}
+    return out
+
+
+def test_equation_index_both_ways():
+    """Every equation the code names stands in the index with a file that names it, and the other way round."""
+    rows = re.findall(r"^\| Eq\. (\d+) \|[^|]*\| (.*?) \|$", INDEX.read_text(encoding="utf-8"), flags=re.M)
+    indexed = {int(n): re.findall(r"`([\w/]+\.py)`", files) for n, files in rows}
+    named = {}
+    for path in SOURCES:
+        for n in _equations(path.read_text(encoding="utf-8")):
+            named.setdefault(n, set()).add(str(path.relative_to(ROOT / "irisjax")))
+    assert set(indexed) == set(named) == set(range(1, 10))
+    for n, files in indexed.items():
+        assert set(files) <= named[n], f"the index sends readers of Eq. {n} to files that do not name it"
+
+
+def _operations(f, *args, name=None):
+    """Operations (of a name, if given) in the traced program, those of inner programs included."""
+
+    def count(jaxpr):
+        total = 0
+        for equation in jaxpr.eqns:
+            total += name is None or equation.primitive.name == name
+            inner = jax.tree.leaves(list(equation.params.values()), is_leaf=_is_jaxpr)
+            total += sum(count(getattr(p, "jaxpr", p)) for p in inner if _is_jaxpr(p))
+        return total
+
+    return count(jax.make_jaxpr(f)(*args).jaxpr)
+
+
+def _is_jaxpr(x):
+    return hasattr(x, "eqns") or hasattr(getattr(x, "jaxpr", None), "eqns")
+
+
+def test_what_is_not_asked_for_costs_nothing():
+    layers = ij.Iris.preset("low").layers(ij.extinction([450.0, 550.0]))
+    exits = jnp.asarray([0.5, 0.9])
+
+    def program(process, cos_exit=None, panels=1, name=None):
+        return _operations(lambda x: ij.Exact(8, 4, panels).solve(x, process, 1.0, cos_exit=cos_exit), layers, name=name)
+
+    plain, deep = program(ij.ILIT_CORRECTED), program(ij.DEPTH_RESOLVED)
+    # The two azimuthal orders of Rayleigh's phase function are compiled for a BRDF only.
+    assert program(ij.DEPTH_RESOLVED, name="lu") == 1
+    assert program(ij.DEPTH_RESOLVED, exits, name="lu") == 3
+    assert plain < program(ij.ILIT_CORRECTED, exits)
+    # Rank two needs no sum over orders of scattering.
+    assert program(ij.ILIT_CORRECTED, name="while") == 0 < program(ij.ILIT_2006, name="while")
+    assert deep < program(ij.DEPTH_RESOLVED, panels=3)
+
+
+def test_panels_without_a_critical_angle_are_not_compiled():
+    layers = ij.Iris.preset("low").layers(ij.extinction([450.0]))
+    nodes = {}
+    for name, index in (("default", None), ("denser stroma", 1.49)):
+        iris = ij.Iris.preset("low").replace(stroma_index=index)
+        layers = iris.layers(ij.extinction([450.0]))
+        nodes[name] = _operations(lambda x: ij.Exact(8).solve(x, ij.ILIT_CORRECTED, 1.0), layers)
+    assert nodes["default"] < nodes["denser stroma"]
+
+
+@pytest.mark.parametrize("field", ["eumelanin", "abl_fraction", "stroma_thickness"])
+def test_new_numbers_are_not_compiled_for_again(field):
+    calls = []
+
+    @jax.jit
+    def spectrum(iris):
+        calls.append(1)
+        return ij.reflectance(iris, [450.0, 550.0]).values
+
+    iris = ij.Iris.preset("low")
+    for value in (0.1, 0.2, jnp.asarray(0.3)):
+        spectrum(iris.replace(**{field: value}))
+    assert len(calls) == 1
