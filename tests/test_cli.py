@@ -340,9 +340,7 @@ def python(*arguments, **options):
 
 
 def test_the_real_command(tmp_path):
-    done = python(
-        "-m", "irisjax", "spectrum", "--level", "low", "--wavelengths", "450", "-o", "x.csv", cwd=tmp_path
-    )
+    done = python("-m", "irisjax", "spectrum", "--level", "low", "--wavelengths", "450", "-o", "x.csv", cwd=tmp_path)
     assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
     value = io.read_table(tmp_path / "x.csv").columns["reflectance"]
     assert value == pytest.approx(0.0405, abs=5e-5)

@@ -1,0 +1,92 @@
+"""What LB06 says comes out (shared/spec/ilit.md, section 5). Aqueous side, first surface left out."""
+
+import numpy as np
+import pytest
+
+import irisjax as ij
+
+GRID = ij.wavelengths(400, 700, 1)
+
+
+def spectrum(level, fraction=0.5, process=ij.ILIT_2006):
+    iris = ij.Iris.preset(level).replace(abl_fraction=fraction)
+    return np.asarray(ij.reflectance(iris, GRID, process=process, first_surface=False).values)
+
+
+def at(values, wavelength):
+    return values[int(wavelength - 400)]
+
+
+def hump(values):
+    """How far the hump near 560 nm stands above the mean of the dips near 542 and 577 nm, each sought within 4 nm."""
+
+    def near(wavelength):
+        return values[wavelength - 404 : wavelength - 395]
+
+    return near(560).max() - (near(542).min() + near(577).min()) / 2
+
+
+@pytest.mark.parametrize(("level", "expected"), [("low", 0.00124), ("high", 0.00034)])
+def test_blood_w(level, expected):
+    assert hump(spectrum(level)) == pytest.approx(expected, abs=5e-6)
+
+
+def test_blood_w_comes_from_blood():
+    """Without blood the spectrum bends the other way: no hump above the chord of 542 and 577 nm."""
+    for level in ("low", "high"):
+        iris = ij.Iris.preset(level)
+        bloodless = iris.replace(oxyhemoglobin=0.0, deoxyhemoglobin=0.0)
+        values = {
+            name: np.asarray(ij.reflectance(x, GRID, first_surface=False).values)
+            for name, x in (("with", iris), ("without", bloodless))
+        }
+        bend = {name: at(v, 560) - (at(v, 542) * 17 + at(v, 577) * 18) / 35 for name, v in values.items()}
+        assert bend["with"] > 0.0002
+        assert bend["without"] < bend["with"] / 3
+
+
+def test_range_between_levels():
+    gap = spectrum("low") - spectrum("high")
+    coarse = gap[::10]
+    assert 400 + 10 * int(np.argmax(coarse)) == 460
+    assert at(gap, 460) == pytest.approx(0.0356, abs=5e-5)
+    assert at(gap, 700) == pytest.approx(0.0066, abs=5e-5)
+    # Shrinks from 600 nm on.
+    assert (np.diff(gap[200:]) < 0).all()
+
+
+@pytest.mark.parametrize("process", [ij.ILIT_2006, ij.ILIT_CORRECTED, ij.DEPTH_RESOLVED])
+@pytest.mark.parametrize("fraction", [0.2, 0.5, 0.8])
+def test_more_melanin_is_darker(process, fraction):
+    low, moderate, high = (spectrum(level, fraction, process) for level in ("low", "moderate", "high"))
+    assert (low > moderate).all()
+    assert (moderate > high).all()
+
+
+@pytest.mark.parametrize("level", ["moderate", "high"])
+def test_more_of_it_in_the_abl_is_darker(level):
+    """[LB06 Fig. 7] for the moderate level; low irides turn round beyond 640 nm, where so little absorbs."""
+    spectra = [spectrum(level, fraction) for fraction in (0.2, 0.35, 0.5, 0.65, 0.8)]
+    for brighter, darker in zip(spectra[:-1], spectra[1:], strict=True):
+        assert (brighter > darker).all()
+
+
+@pytest.mark.parametrize("level", ["low", "high"])
+@pytest.mark.parametrize("angle", [0, 60])
+def test_brdf_is_near_lambertian(level, angle):
+    """At 550 nm the factor π f / R stays within 1/8 of one out to 60 degrees, and is the same for both incidences."""
+    iris, grid = ij.Iris.preset(level), np.array([550.0])
+    exits = np.cos(np.radians(np.arange(0, 61, 5)))
+    cosine = float(np.cos(np.radians(angle)))
+    f = np.asarray(ij.brdf(iris, grid, cos_incidence=cosine, cos_exit=exits).values[0])
+    whole = ij.reflectance(iris, grid, cos_incidence=cosine, first_surface=False).values[0]
+    assert np.abs(np.pi * f / float(whole) - 1).max() <= 0.126
+    # Falls off monotonically towards grazing.
+    assert (np.diff(f) < 0).all()
+
+
+def test_round_trip_of_figures():
+    """In vivo the cornea takes two per cent of the light on its way in (T_in = 0.979)."""
+    iris, grid = ij.Iris.preset("low"), np.array([550.0])
+    bare = ij.radiance(iris, grid, process=ij.Process(cornea="none")).values[0]
+    assert ij.radiance(iris, grid).values[0] / bare == pytest.approx(0.979, abs=5e-4)

@@ -1,0 +1,99 @@
+"""The tables: their certified error, and what happens outside of what they were made for."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from common import GRID, PROCESSES
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import irisjax as ij
+
+FINE = ij.Exact(n_angles=96)
+FIELDS = ("eumelanin", "pheomelanin", "abl_fraction", "oxyhemoglobin", "lutein", "abl_thickness", "stroma_thickness")
+
+
+@jax.jit
+def both(iris, tables):
+    def values(solver):
+        r = ij.reflectance(iris, GRID, solver=solver, raise_on_failure=False)
+        return r.values, r.absorbed, r.status
+
+    return values(tables), values(FINE)
+
+
+def test_error_is_certified(tabulated):
+    assert 0 < tabulated.error < 1e-11
+
+
+positive = st.floats(0, 3)
+
+
+@settings(max_examples=40)
+@given(positive, positive, st.floats(0, 1), positive, positive, st.floats(0, 0.3), st.floats(0, 2))
+def test_matches_exact(tabulated, eumelanin, pheomelanin, fraction, blood, lutein, abl, stroma):
+    values = (eumelanin, pheomelanin, fraction, blood, lutein, abl, stroma)
+    iris = ij.Iris.preset("low").replace(**{n: jnp.asarray(v) for n, v in zip(FIELDS, values, strict=True)})
+    (found, absorbed, status), (exact, exact_absorbed, _) = both(iris, tabulated)
+    # A reflectance joins four layer functions, each with a partial derivative of at most one here, twice over.
+    tolerance = 8 * tabulated.error
+    np.testing.assert_allclose(found, exact, rtol=0, atol=tolerance)
+    for name in ("abl", "stroma", "ipe"):
+        np.testing.assert_allclose(getattr(absorbed, name), getattr(exact_absorbed, name), rtol=0, atol=2 * tolerance)
+    assert bool(status == ij.RESULTS.successful)
+
+
+@pytest.mark.parametrize("name", ["rayleigh", "lb06-retest", "lb06-redrawn", "depth-resolved"])
+def test_wrong_process(tabulated, name):
+    with pytest.raises(ValueError, match=r"the tables were built for \w+="):
+        ij.reflectance(ij.Iris(), GRID, solver=tabulated, process=PROCESSES[name])
+
+
+def test_depth_resolved_cannot_be_tabulated():
+    with pytest.raises(ValueError, match="depth-resolved transport cannot be tabulated"):
+        ij.Tabulated.build(process=ij.DEPTH_RESOLVED)
+
+
+def test_too_small_tables_are_refused():
+    with pytest.raises(ValueError, match=r"are tabulated to .* only, not to 1.0e-11"):
+        ij.Tabulated.build(process=ij.ILIT_CORRECTED, n_intervals=8)
+
+
+def test_other_indices(tabulated):
+    other = ij.Iris(ipe_index=1.51)
+    assert bool(ij.reflectance(other, GRID, solver=tabulated, raise_on_failure=False).status == ij.RESULTS.outside_table)
+    with pytest.raises(ValueError, match="outside the range the table was built for"):
+        ij.reflectance(other, GRID, solver=tabulated)
+
+
+def test_gradients_match_exact(tabulated):
+    iris = ij.Iris.preset("low")
+
+    def slopes(solver):
+        def f(x):
+            changed = iris.replace(**dict(zip(FIELDS, x, strict=True)))
+            return ij.reflectance(changed, GRID, solver=solver).values
+
+        return jax.jit(jax.jacfwd(f))(jnp.stack([getattr(iris, n) for n in FIELDS]))
+
+    exact = slopes(FINE)
+    # The tables are differentiated between their nodes: an interval's width costs three digits or so.
+    np.testing.assert_allclose(slopes(tabulated), exact, rtol=0, atol=1e-8 * np.abs(exact).max(0))
+
+
+def test_incidence_and_brdf(tabulated):
+    iris, exits = ij.Iris.preset("moderate"), np.array([0.2, 0.6, 1.0])
+    for cosine in (1.0, 0.2):
+        found = ij.brdf(iris, GRID, cos_incidence=cosine, cos_exit=exits, solver=tabulated).values
+        exact = ij.brdf(iris, GRID, cos_incidence=cosine, cos_exit=exits, solver=FINE).values
+        np.testing.assert_allclose(found, exact, rtol=0, atol=8 * tabulated.error)
+
+
+def test_single_precision(float32):
+    tables = ij.Tabulated.build(process=ij.ILIT_CORRECTED)
+    iris = ij.Iris.preset("low")
+    found = ij.reflectance(iris, GRID, solver=tables, process=ij.ILIT_CORRECTED).values
+    exact = ij.reflectance(iris, GRID, process=ij.ILIT_CORRECTED).values
+    assert found.dtype == np.float32
+    np.testing.assert_allclose(found, exact, rtol=2e-5)
