@@ -1,0 +1,5 @@
+"""`python -m irisjax` is the command `irisjax`."""
+
+from irisjax.cli import main
+
+main()

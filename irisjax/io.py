@@ -1,0 +1,148 @@
+"""Spectra and BRDFs in files: CSV with a header of settings, written whole or not at all.
+
+A header is made of comment lines `# key: value [remark]`; the bracketed remark (a unit, a gloss) is for
+people and dropped on reading. The first line without `#` names the columns.
+"""
+
+import contextlib
+import csv
+import errno
+import io
+import os
+import re
+from collections.abc import Mapping
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+_REMARK = re.compile(r"\s*\[[^\[\]]*\]$")
+
+
+class Table(NamedTuple):
+    """Contents of a CSV file: header values as text, and columns by name, each of shape (rows,)."""
+
+    header: dict[str, str]
+    columns: dict[str, np.ndarray]
+
+
+def format_table(header: Mapping[str, str], columns: Mapping[str, np.ndarray]) -> str:
+    """Text of a CSV file: the header as comments, then the columns with 12 significant digits.
+
+    Twelve digits are what the solvers are good for; they leave out the last bits, in which machines differ.
+    """
+    out = io.StringIO()
+    for key, value in header.items():
+        if "\n" in f"{key}{value}" or ":" in key:
+            raise ValueError(f"header entry {key!r}: keys take no colon, and neither keys nor values a new line")
+        out.write(f"# {key}: {value}\n")
+    writer = csv.writer(out, lineterminator="\n")
+    writer.writerow(columns)
+    for row in zip(*columns.values(), strict=True):
+        writer.writerow(f"{float(value):.12g}" for value in row)
+    return out.getvalue()
+
+
+def read_header(path: str | Path) -> dict[str, str]:
+    """Header of a CSV file, remarks dropped.
+
+    **Raises:** `ValueError` naming the file, and the line where there is one.
+    """
+    return _header(path, _lines(path))
+
+
+def read_table(path: str | Path) -> Table:
+    """Header and columns of a CSV file as `format_table` writes it.
+
+    **Raises:** `ValueError` naming file and line for what cannot be read.
+    """
+    lines = _lines(path)
+    header = _header(path, lines)
+    # Comments may stand anywhere; keep the true line numbers for the messages.
+    body = [(number, line) for number, line in enumerate(lines, 1) if line.strip() and not line.startswith("#")]
+    if not body:
+        raise ValueError(f"{path}: no columns")
+    rows = list(csv.reader(line for _, line in body))
+    names = [name.strip() for name in rows[0]]
+    if len(set(names)) != len(names):
+        raise ValueError(f"{path}, line {body[0][0]}: a column name stands twice")
+    values = np.empty((len(rows) - 1, len(names)))
+    for i, ((number, _), row) in enumerate(zip(body[1:], rows[1:], strict=True)):
+        if len(row) != len(names):
+            raise ValueError(f"{path}, line {number}: {len(row)} values for {len(names)} columns")
+        for j, text in enumerate(row):
+            try:
+                values[i, j] = float(text)
+            except ValueError:
+                raise ValueError(f"{path}, line {number}: {names[j]} = {text!r} is not a number") from None
+    return Table(header, {name: values[:, j] for j, name in enumerate(names)})
+
+
+def check_writable(path: str | Path) -> None:
+    """Raise `OSError` now if a file could not be written later, after a long computation."""
+    target = Path(path)
+    if target.is_dir():
+        raise IsADirectoryError(errno.EISDIR, "is a folder, not a file", str(path))
+    if _is_special(target):
+        return
+    folder = Path(os.path.realpath(target)).parent
+    if not folder.is_dir():
+        raise FileNotFoundError(errno.ENOENT, "no such folder", str(target.parent))
+    if not os.access(folder, os.W_OK | os.X_OK):
+        raise PermissionError(errno.EACCES, "no permission to write in this folder", str(target.parent))
+
+
+def write_atomically(path: str | Path, data: bytes) -> None:
+    """Write a file so that its name never stands for half of it.
+
+    The bytes go to a new file in the same folder, which then takes the name. Pipes and devices, such as
+    /dev/stdout, are written to directly.
+
+    **Raises:** `OSError`; what stood there before is then untouched.
+    """
+    check_writable(path)
+    if _is_special(Path(path)):
+        with open(path, "wb") as device:
+            device.write(data)
+        return
+    target = Path(os.path.realpath(path))  # through links, so that a link stays one
+    temporary = target.with_name(f".{target.name}.{os.getpid()}.tmp")
+    try:
+        # os.open, not tempfile: the file then has the permissions the user's umask asks for.
+        with open(os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o666), "wb") as file:
+            file.write(data)
+            file.flush()
+            os.fsync(file.fileno())
+        os.replace(temporary, target)
+    except BaseException as error:
+        with contextlib.suppress(OSError):
+            temporary.unlink(missing_ok=True)
+        if isinstance(error, OSError):  # name the file asked for, not the temporary one
+            raise OSError(error.errno, error.strerror, str(path)) from error
+        raise
+
+
+def _is_special(path: Path) -> bool:
+    return path.exists() and not path.is_file() and not path.is_dir()
+
+
+def _lines(path: str | Path) -> list[str]:
+    try:
+        return Path(path).read_text(encoding="utf-8").splitlines()
+    except UnicodeDecodeError:
+        raise ValueError(f"{path}: not a text file (UTF-8)") from None
+
+
+def _header(path: str | Path, lines: list[str]) -> dict[str, str]:
+    header: dict[str, str] = {}
+    for number, line in enumerate(lines, 1):
+        if not line.startswith("#"):
+            continue
+        key, colon, value = line[1:].partition(":")
+        key = key.strip()
+        if not colon:
+            continue  # a plain comment
+        if key in header:
+            raise ValueError(f"{path}, line {number}: {key} stands twice in the header")
+        header[key] = _REMARK.sub("", value.strip())
+    return header
