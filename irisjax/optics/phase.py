@@ -17,21 +17,22 @@ from irisjax.optics.quadrature import CosineRule, gauss_legendre, graded, interp
 
 
 class Redistribution(eqx.Module):
-    """The scattering operator on a cosine rule: S(μ_i) = Σ_r scatter[r, i] Σ_q collect[r, q] f(μ_q).
+    """The scattering operator on a cosine rule, without its isotropic part.
 
-    f and S are densities over the cosine, each summed over the two senses of travel for f and for one
-    sense for S. The weights of the rule are inside `collect`.
+    S(μ_i) = ½ Σ_q w_q f(μ_q) + Σ_r scatter[r, i] Σ_q collect[r, q] f(μ_q), where f and S are densities over
+    the cosine, f summed over the two senses of travel, S for one sense. What is written here neither adds
+    nor takes energy; the isotropic part carries it all.
 
-    - `collect`: shape (rank, n), or `None` for the identity (rank n).
+    - `collect`: shape (rank, n) with the rule's weights inside, or `None` for the identity (rank n).
     - `scatter`: shape (rank, n).
     """
 
     collect: Float[Array, "rank n"] | None
     scatter: Float[Array, "rank n"]
 
-    def moments(self, f: Float[Array, "*s n"]) -> Float[Array, "*s rank"]:
-        """What `collect` makes of densities on the nodes."""
-        return f if self.collect is None else f @ self.collect.T
+    def anisotropic(self, f: Float[Array, "*s n"]) -> Float[Array, "*s n"]:
+        """The operator on densities on the nodes."""
+        return (f if self.collect is None else f @ self.collect.T) @ self.scatter
 
 
 class AbstractPhase(eqx.Module):
@@ -87,11 +88,9 @@ class Rayleigh(AbstractPhase):
         return _odd_rational(u, _RAYLEIGH_INVERSE)
 
     def redistribution(self, rule):
-        """Rank two: P₀ with weight ½ and P₂ with weight ¼."""
-        p2 = 1.5 * rule.cosine**2 - 0.5
-        moments = jnp.stack([jnp.ones_like(p2), p2])
-        strength = jnp.asarray([0.5, 0.25], p2.dtype)
-        return Redistribution(collect=rule.weight * moments, scatter=strength[:, None] * moments)
+        """Rank one beside the isotropic part: P₂ with weight ¼."""
+        p2 = (1.5 * rule.cosine**2 - 0.5)[None, :]
+        return Redistribution(collect=rule.weight * p2, scatter=0.25 * p2)
 
 
 class RayleighPerAngle(AbstractPhase):
@@ -120,7 +119,7 @@ class RayleighPerAngle(AbstractPhase):
             operator = jnp.asarray(_constant_operator(n), dtype)
         else:
             operator = _conserving(_per_angle_operator(rule, jnp), rule.weight, jnp)
-        return Redistribution(collect=None, scatter=operator.T)
+        return Redistribution(collect=None, scatter=operator.T - 0.5 * rule.weight[:, None])
 
 
 PHASES: dict[str, AbstractPhase] = {"rayleigh": Rayleigh(), "lb06": RayleighPerAngle()}

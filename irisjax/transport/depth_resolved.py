@@ -179,6 +179,9 @@ def _one_wavelength(abl, depth, albedo, coalbedo, n, nodes, beams, power, exits,
     angle = _bounded(slab, abl, nodes)
     exit_ = None if exits is None else _bounded(slab, abl, exits)
 
+    # What of the beam is absorbed or scattered on its way between the slab's ends.
+    along = beam.series * attenuation(depth, beams.cosine) * (1 + beam.through * beam.floor)
+    lost_beam = entering @ along
     moments = {}
     leaving_exit = 0.0
     for mode in MODES if exits is not None else MODES[:1]:
@@ -190,7 +193,12 @@ def _one_wavelength(abl, depth, albedo, coalbedo, n, nodes, beams, power, exits,
         system = jnp.eye(size, dtype=depth.dtype) - operator.reshape(size, size) * jnp.repeat(
             strength, size // strength.size
         )
-        moments[mode.order] = jnp.linalg.solve(system, driving.reshape(size)).reshape(driving.shape)
+        right = driving.reshape(size)
+        if mode.order == 0:
+            system, right = _balanced(
+                slab, system, right, strength, f_nodes, angle, nodes, _roof(abl, nodes, from_stroma=True), coalbedo, lost_beam
+            )
+        moments[mode.order] = jnp.linalg.solve(system, right).reshape(driving.shape)
         if exits is not None and exit_ is not None:
             source = (strength[:, None] * mode.functions(exits.cosine)).T @ moments[mode.order]
             up_top, _ = slab.leaving(exit_, source, mode.parity)
@@ -218,6 +226,25 @@ def _one_wavelength(abl, depth, albedo, coalbedo, n, nodes, beams, power, exits,
         stroma=coalbedo * (slab.widths @ moments[0][0].reshape(n_panels, n_depths)[:, 0]),
         ipe=flux @ (down_bottom * nodes.bottom[1]) + beam_bottom @ beams.bottom[1],
         brdf=brdf,
+    )
+
+
+def _balanced(slab, system, right, strength, f, b, d: Directions, roof: Roof, coalbedo, lost_beam):
+    """The system with one of its rows replaced by the sum of them that is the slab's balance of energy.
+
+    Absorbed + leaving = lost by the beam. Mathematically nothing changes; in a thick slab that hardly
+    absorbs, the rows' own sum would be lost in rounding.
+    """
+    top, bottom = slab.leaving_each(b, 1)
+    flux = d.weight * d.cosine
+    leaving = (flux * f) @ (top * (roof.passed + roof.absorbed) + bottom * d.bottom[1]).T
+    row = (strength[:, None] * leaving).at[0, :: slab.n_depths].add(coalbedo * slab.widths).ravel()
+    empty = slab.depth <= 0
+    scale = 1 / jnp.where(empty, 1.0, slab.depth)
+    which = (slab.n_panels - 1) * slab.n_depths
+    return (
+        system.at[which].set(jnp.where(empty, system[which], row * scale)),
+        right.at[which].set(jnp.where(empty, right[which], lost_beam * scale)),
     )
 
 
@@ -327,11 +354,14 @@ class _Slab:
         upward = parity * downward * b.through * b.floor
         return downward @ entering_top.T + upward @ entering_bottom.T
 
+    def leaving_each(self, b: _Bounded, parity: int):
+        """Radiance that each unit source sends to the top and to the bottom, (panels·orders, angles)."""
+        up, down, downward, upward = self._sources(b, parity)
+        return up + b.through * upward, down + b.through * downward
+
     def leaving(self, b: _Bounded, source, parity: int):
         """Radiance that sources (angles, panels·orders) send to the top and to the bottom, (angles,)."""
-        up, down, downward, upward = self._sources(b, parity)
-        top = up + b.through * upward
-        bottom = down + b.through * downward
+        top, bottom = self.leaving_each(b, parity)
         return (source.T * top).sum(0), (source.T * bottom).sum(0)
 
 

@@ -204,28 +204,27 @@ def stroma_response(layers: Layers, process: Process, n_angles: int) -> tuple[Re
     rule = conserving(cosine_rule(critical, (order.stroma_over_abl, order.stroma_over_ipe), n_angles))
     f_top, t_top = fresnel(rule.cosine, refracted(rule, 0, n.stroma, n.abl), n.stroma, n.abl)
     f_bottom, t_bottom = fresnel(rule.cosine, refracted(rule, 1, n.stroma, n.ipe), n.stroma, n.ipe)
-    depth, albedo = layers.extinction[:, None], layers.albedo
+    depth = layers.extinction[:, None]
     t, c = survival(depth, rule.cosine), attenuation(depth, rule.cosine)
     entry = _entry_weights(rule) / jnp.where(rule.weight > 0, rule.weight, 1.0)  # a density, as S is
     tested = process.rescatter == "retest"
+    w = rule.weight
     if process.perturb_on_reflection:
         # Crossings down and up from a unit entry; reflected rays start afresh from `entry`.
-        f_scatter = 2 * c if tested else jnp.zeros_like(c)
-        source, converged = _scattered(process, rule, entry * c, f_scatter, albedo)
-        arriving = source * t if tested else source
-        w = rule.weight
-        down_direct, scattered = entry * t, arriving
-        top_direct, top_scattered = down_direct @ (w * f_top), scattered @ (w * f_top)
-        bottom_direct, bottom_scattered = down_direct @ (w * f_bottom), scattered @ (w * f_bottom)
+        again, rest = (2 * c, t) if tested else (jnp.zeros_like(c), jnp.ones_like(c))
+        source, absorbed, converged = _scattered(process, rule, entry * c, again, rest, layers)
+        scattered = source * t if tested else source
+        direct = entry * t
+        top_direct, top_scattered = direct @ (w * f_top), scattered @ (w * f_top)
+        bottom_direct, bottom_scattered = direct @ (w * f_bottom), scattered @ (w * f_bottom)
         # (δ, υ): starts downwards and upwards. υ = δ b + (δ+υ) s_b; δ = 1 + υ a + (δ+υ) s_a.
         turn = (bottom_direct + bottom_scattered) / (1 - bottom_scattered)
         start = 1 / (1 - top_scattered - turn * (top_direct + top_scattered))
         up, both = turn * start, (1 + turn) * start
-        event = (entry * c) @ w * both + (source * c) @ w * both * (2 if tested else 0)
         return Response(
-            reflected=up * (down_direct @ (w * t_top)) + both * (scattered @ (w * t_top)),
-            passed=start * (down_direct @ (w * t_bottom)) + both * (scattered @ (w * t_bottom)),
-            absorbed=layers.coalbedo * event,
+            reflected=up * (direct @ (w * t_top)) + both * (scattered @ (w * t_top)),
+            passed=start * (direct @ (w * t_bottom)) + both * (scattered @ (w * t_bottom)),
+            absorbed=both * absorbed,
         ), converged
 
     # 1 − t² F F', the geometric series of mirror reflections at one cosine.
@@ -233,60 +232,75 @@ def stroma_response(layers: Layers, process: Process, n_angles: int) -> tuple[Re
     guided = escape <= 0
     series = jnp.where(guided, 0.0, 1 / jnp.where(guided, 1.0, escape))
     series_t = series * t
-    # Attenuation events per unit entering, and per unit scattered into one sense of travel.
+    # Events per unit entering, and per unit scattered into both senses of travel; the rest of those leaves.
     crossings = series + f_bottom * series_t
     first = entry * c * crossings
     if tested:
         again = c * (crossings + series + f_top * series_t)
+        rest = series_t * (t * (t_top + f_top * t_bottom) + c * (t_top + t_bottom) / 2)
     else:
         again = c * (f_top * crossings + f_bottom * (series + f_top * series_t))
-    source, converged = _scattered(process, rule, first, again, albedo)
+        rest = 1 - again / 2
+    source, absorbed, converged = _scattered(process, rule, first, again, rest, layers)
     # A scattered ray arrives at an interface at once, or after one more survival.
     arrive = series_t if tested else series
     arrive_t = series_t * t if tested else series_t
-    w = rule.weight
     up = entry * f_bottom * (series_t * t) + source * (arrive + f_bottom * arrive_t)
     down = entry * series_t + source * (arrive + f_top * arrive_t)
-    events = (first + again * source) @ w
     return Response(
         reflected=up @ (w * t_top),
         passed=down @ (w * t_bottom),
-        absorbed=layers.coalbedo * events + (jnp.where(guided, 1.0, 0.0) * entry) @ w,
+        absorbed=absorbed + (jnp.where(guided, 1.0, 0.0) * entry) @ w,
     ), converged
 
 
-def _scattered(process: Process, rule: CosineRule, first, again, albedo):
-    """The density S(μ) scattered into one sense of travel: S = ω K(first + again·S), shape (λ, n)."""
-    k = process.phase_function.redistribution(rule)
-    entering = albedo[:, None] * k.moments(first)
-    everything_converged = jnp.asarray(True)
+def _scattered(process: Process, rule: CosineRule, first, again, rest, layers: Layers):
+    """Sources of all orders of scattering, S = ω (½ Σ w f + K f) with events f = first + again·S.
 
-    def once_more(m):
-        return albedo[:, None] * k.moments(again * (m @ k.scatter))
+    `rest` is 1 − again/2, the share of scattered light that leaves without another event. The isotropic
+    part is summed by hand, its series 1/(1 − ω(1 − rest)) written as losses: light that can hardly leave
+    nor be absorbed is then still accounted for to the last digit.
+
+    Returns S (λ, n), the share of the light absorbed by the events (λ,), and whether a series converged.
+    """
+    k, w = process.phase_function.redistribution(rule), rule.weight
+    albedo, coalbedo = layers.albedo[:, None], layers.coalbedo
+    if k.collect is None and process.rescatter == "to-interface":
+        # Between scatters a ray must be mirrored by an interface, so the orders fall off fast: sum them.
+        def operator(s):
+            f = again * s
+            return albedo * (0.5 * (f @ w)[:, None] + k.anisotropic(f))
+
+        entering = albedo * (0.5 * (first @ w)[:, None] + k.anisotropic(first))
+        source, converged = jax.lax.custom_linear_solve(
+            lambda s: s - operator(s), entering, _sum_orders, transpose_solve=_sum_orders, has_aux=True
+        )
+        return source, coalbedo * ((first + again * source) @ w), converged
 
     if k.collect is not None:
-        moments = _solve_rank_two(k, again, albedo, entering)
-    elif process.rescatter == "retest":
-        # (1 − ω diag(again) K)ᵀ acts on the nodes themselves.
-        system = jnp.eye(k.scatter.shape[0], dtype=again.dtype) - albedo[:, None, None] * (
-            again[:, :, None] * k.scatter.T
-        )
-        moments = jnp.linalg.solve(system, entering[..., None])[..., 0]
+        # Rank one: (1 − ω K again)⁻¹ is a division.
+        through = (again @ (k.collect * k.scatter)[0])[:, None]
+
+        def resolve(s):
+            return s + albedo * k.anisotropic(again * s) / (1 - albedo * through)
+
     else:
-        # Between scatters a ray must be mirrored by an interface, so the orders fall off fast: sum them.
-        moments, everything_converged = jax.lax.custom_linear_solve(
-            lambda m: m - once_more(m), entering, _sum_orders, transpose_solve=_sum_orders, has_aux=True
-        )
-    return moments @ k.scatter, everything_converged
+        identity = jnp.eye(w.shape[0], dtype=again.dtype)
+        factors = jax.scipy.linalg.lu_factor(identity - albedo[..., None] * (k.scatter.T * again[:, None, :]))
 
+        def resolve(s):
+            return jax.scipy.linalg.lu_solve(factors, s[..., None])[..., 0]
 
-def _solve_rank_two(k, again, albedo, entering):
-    """The 2×2 system written out: M[r, s] = Σ_q collect[r, q] again_q scatter[s, q]."""
-    pairs = k.collect[:, None, :] * k.scatter[None, :, :]
-    m = albedo[:, None] * (again @ pairs.reshape(4, -1).T)
-    a, b, c, d = 1 - m[:, 0], -m[:, 1], -m[:, 2], 1 - m[:, 3]
-    x, y = entering[:, 0], entering[:, 1]
-    return jnp.stack([d * x - b * y, a * y - c * x], -1) / (a * d - b * c)[:, None]
+    # S = a·y + b, where y = Σ w f counts the events.
+    a = resolve(0.5 * albedo * jnp.ones_like(again))
+    b = resolve(albedo * k.anisotropic(first))
+    # Σ w again a = ω(1 − rest) − 2ω Σ w rest K(again a), for K neither adds nor takes energy.
+    lost = coalbedo + layers.albedo * ((rest + 2 * rest * k.anisotropic(again * a)) @ w)
+    events = (first + again * b) @ w
+    trapped = lost <= 0
+    total = jnp.where(trapped, 0.0, events / jnp.where(trapped, 1.0, lost))
+    # Light that can neither leave nor be absorbed is counted as absorbed, the limit of least absorption.
+    return total[:, None] * a + b, jnp.where(trapped, events, coalbedo * total), jnp.asarray(True)
 
 
 def _sum_orders(operator, b):
