@@ -55,7 +55,8 @@ def brdf(
     ILIT redraws directions on entry, so its BRDF does not depend on the azimuth and on the incidence only
     through the first surface's transmittance; depth-resolved transport depends on all three.
 
-    `cos_exit` and `azimuth` broadcast together to shape (exits,); cosines in (0, 1]. `MonteCarlo` returns
+    `cos_exit` and `azimuth` broadcast together to shape (exits,); cosines in [0, 1]. The cornea is
+    left out, whatever the process says. `MonteCarlo` returns
     averages over cells of the cosine bounded half-way between the exits given. For the rest see
     `reflectance`. **Raises:** `ValueError` for concrete input out of range.
     """

@@ -49,7 +49,7 @@ class Measurement(eqx.Module):
 def wavelengths(start: float, stop: float, step: float) -> np.ndarray:
     """Grid from `start` to `stop` inclusive in nm, built from whole steps so that all steps are equal.
 
-    **Raises:** `ValueError` unless start < stop and the step is positive and divides the range.
+    **Raises:** `ValueError` unless start ≤ stop and the step is positive and divides the range.
     """
     if not all(np.isfinite(v) for v in (start, stop, step)) or step <= 0 or stop < start:
         raise ValueError(f"wavelengths({start:g}, {stop:g}, {step:g}): need start <= stop and step > 0, in nm")

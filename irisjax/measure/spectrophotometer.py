@@ -80,8 +80,8 @@ def radiance(
     The illuminant's relative spectral power E (1 at 560 nm) falls on the eye; light is dimmed on its way
     through tear film and cornea (`process.cornea`, by default inward only; light mirrored by the tear film
     is dropped), and what comes back is shared over the hemisphere, L = R·E/π. A perfect white diffuser in
-    the eye's place reads E/π. `cos_incidence` is measured in air. With `MonteCarlo`, the number of rays at
-    each wavelength follows the illuminant, as in LB06.
+    the eye's place reads E/π. `cos_incidence` is measured in air. With `MonteCarlo`'s analogue
+    estimator, the number of rays at each wavelength follows the illuminant, as in LB06.
 
     `illuminant` is a name known to colour-science; for the rest see `reflectance`.
     """

@@ -196,7 +196,16 @@ def _one_wavelength(abl, depth, albedo, coalbedo, n, nodes, beams, power, exits,
         right = driving.reshape(size)
         if mode.order == 0:
             system, right = _balanced(
-                slab, system, right, strength, f_nodes, angle, nodes, _roof(abl, nodes, from_stroma=True), coalbedo, lost_beam
+                slab,
+                system,
+                right,
+                strength,
+                f_nodes,
+                angle,
+                nodes,
+                _roof(abl, nodes, from_stroma=True),
+                coalbedo,
+                lost_beam,
             )
         moments[mode.order] = jnp.linalg.solve(system, right).reshape(driving.shape)
         if exits is not None and exit_ is not None:

@@ -74,7 +74,7 @@ class Process(eqx.Module):
             "rescatter": self.rescatter,
             "perturb_on_reflection": self.perturb_on_reflection,
             "scattering": self.scattering,
-            "cornea": self.cornea or "instrument's default",
+            "cornea": self.cornea or "auto",
             "first_surface": self.first_surface,
         }
 
