@@ -38,7 +38,9 @@ def _reflectance(a, tau, albedo, n_water, n_a, n_s, n_ipe):
                 mu = sqrt(low * low + v * v)
                 return integrand(mu) * v / mu
 
-            total += quad(in_v, [span * x for x in (0, mpf("0.001"), mpf("0.01"), mpf("0.05"), mpf("0.2"), mpf("0.5"), 1)])
+            total += quad(
+                in_v, [span * x for x in (0, mpf("0.001"), mpf("0.01"), mpf("0.05"), mpf("0.2"), mpf("0.5"), 1)]
+            )
         return total
 
     down_back = abl(lambda f0, f1, t: t * t * f1 * (1 - f0))

@@ -77,7 +77,9 @@ def test_what_is_not_asked_for_costs_nothing():
     exits = jnp.asarray([0.5, 0.9])
 
     def program(process, cos_exit=None, panels=1, name=None):
-        return _operations(lambda x: ij.Exact(8, 4, panels).solve(x, process, 1.0, cos_exit=cos_exit), layers, name=name)
+        return _operations(
+            lambda x: ij.Exact(8, 4, panels).solve(x, process, 1.0, cos_exit=cos_exit), layers, name=name
+        )
 
     plain, deep = program(ij.ILIT_CORRECTED), program(ij.DEPTH_RESOLVED)
     # The two azimuthal orders of Rayleigh's phase function are compiled for a BRDF only.

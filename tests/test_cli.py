@@ -5,10 +5,11 @@ import signal
 import subprocess
 import sys
 
-import irisjax as ij
 import jax
 import numpy as np
 import pytest
+
+import irisjax as ij
 from irisjax import cli, io
 from irisjax.cli import jobs
 from irisjax.cli.settings import COMMANDS

@@ -46,12 +46,15 @@ def test_exponential_integral_converges():
     assert worst[3] < 1e-13
 
 
-@pytest.mark.parametrize("critical", [(0.3,), (0.9,), (1e-3,), (1e-8,), (0.02, 0.4), (0.4, 0.02), (0.5, 0.5), (0.0, 0.3)])
+@pytest.mark.parametrize(
+    "critical", [(0.3,), (0.9,), (1e-3,), (1e-8,), (0.02, 0.4), (0.4, 0.02), (0.5, 0.5), (0.0, 0.3)]
+)
 @pytest.mark.parametrize("depth", [0.0, 1e-6, 0.03, 1.0, 30.0])
 def test_square_root_kinks(critical, depth):
     rule = rule_for(*(c * c for c in critical), n=72)
     mu = np.asarray(rule.cosine)
     for c in critical:
+
         def integrand(m, c=c):
             return m * np.exp(-depth / np.maximum(m, 1e-300)) / (1 + np.sqrt(np.maximum(m * m - c * c, 0)))
 

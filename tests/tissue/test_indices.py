@@ -27,7 +27,9 @@ def test_gladstone_dale_ends():
 
 
 def test_scattering_as_printed(bits):
-    mu = scattering_lb06(jnp.asarray([400.0, 500.0, 600.0]), jnp.asarray(30.0), jnp.asarray(COLLAGEN_FRACTION), 1.47, 1.5)
+    mu = scattering_lb06(
+        jnp.asarray([400.0, 500.0, 600.0]), jnp.asarray(30.0), jnp.asarray(COLLAGEN_FRACTION), 1.47, 1.5
+    )
     # rel: half a unit of the sixth place printed in ilit.md.
     np.testing.assert_allclose(mu, [0.631629, 0.258715, 0.124766], rtol=4.1e-6)
 

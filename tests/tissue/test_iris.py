@@ -2,18 +2,19 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from common import GRID, reference
 from hypothesis import given
 from hypothesis import strategies as st
 
 import irisjax as ij
+from common import GRID, reference
 from irisjax.tissue.iris import LIMITS
 
 H_A, H_S = 0.05675, 0.2855
 
 
 @pytest.mark.parametrize(
-    ("level", "eumelanin", "pheomelanin"), [("high", 1.008, 0.2674), ("moderate", 0.8138, 0.2054), ("low", 0.1201, 0.0194)]
+    ("level", "eumelanin", "pheomelanin"),
+    [("high", 1.008, 0.2674), ("moderate", 0.8138, 0.2054), ("low", 0.1201, 0.0194)],
 )
 def test_presets_are_table_2(level, eumelanin, pheomelanin):
     iris = ij.Iris.preset(level)
@@ -186,7 +187,9 @@ def test_layers_from_coefficients():
     )  # fmt: skip
     np.testing.assert_allclose(made.extinction, again.extinction, rtol=1e-14)
     np.testing.assert_allclose(made.albedo + made.coalbedo, 1, rtol=1e-15)
-    scalar = ij.Layers.from_coefficients(1.0, 2.0, np.ones(3), abl_thickness=1.0, stroma_thickness=1.0, indices=iris.indices())
+    scalar = ij.Layers.from_coefficients(
+        1.0, 2.0, np.ones(3), abl_thickness=1.0, stroma_thickness=1.0, indices=iris.indices()
+    )
     assert scalar.abl_absorption.shape == (3,)
     for bad in (-1.0, np.nan, np.inf):
         with pytest.raises(ValueError, match="mu_s_stroma times its thickness must be finite and not negative"):

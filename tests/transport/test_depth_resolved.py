@@ -4,9 +4,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from common import GRID, all_irides, layers, reference
 
 import irisjax as ij
+from common import GRID, all_irides, layers, quick_jit, reference
 from irisjax.optics.fresnel import fresnel_at
 
 IRIS = (1.336, 1.4733333333, 1.4727930095, 1.5)
@@ -16,7 +16,7 @@ def solve(made, cosine=1.0, solver=ij.Exact(), exits=None, azimuth=None):  # noq
     cosine = cosine if isinstance(cosine, str) else jnp.asarray(cosine, float)
     solver = solver.prepare(lambda: made, ij.DEPTH_RESOLVED)
     options = {} if exits is None else {"cos_exit": jnp.asarray(exits, float), "azimuth": jnp.asarray(azimuth, float)}
-    return jax.jit(lambda x: solver.solve(x, ij.DEPTH_RESOLVED, cosine, **options))(made)
+    return quick_jit(lambda x: solver.solve(x, ij.DEPTH_RESOLVED, cosine, **options))(made)
 
 
 def test_reference_table():
@@ -24,9 +24,11 @@ def test_reference_table():
     rows = reference("depth_resolved_reflectance.csv")
     assert len(rows) == 558
     solver = ij.Exact(n_panels=2)
-    run = jax.jit(
+    run = quick_jit(
         jax.vmap(
-            lambda iris, mu: ij.reflectance(iris, GRID, process=ij.DEPTH_RESOLVED, cos_incidence=mu, solver=solver).values,
+            lambda iris, mu: (
+                ij.reflectance(iris, GRID, process=ij.DEPTH_RESOLVED, cos_incidence=mu, solver=solver).values
+            ),
             in_axes=(0, None),
         )
     )

@@ -92,7 +92,9 @@ def test_lanes_and_blocks_do_not_change_a_photon(name):
     solver = ij.MonteCarlo(5_000)
     whole = solver.count(layers, process, 1.0, key=key)
     narrow = ij.MonteCarlo(5_000, lanes=64).count(layers, process, 1.0, key=key)
-    blocks = [solver.count(layers, process, 1.0, key=key, first=a, last=b) for a, b in ((0, 1), (1, 3_000), (3_000, 9_000))]
+    blocks = [
+        solver.count(layers, process, 1.0, key=key, first=a, last=b) for a, b in ((0, 1), (1, 3_000), (3_000, 9_000))
+    ]
     np.testing.assert_array_equal(whole.fates, narrow.fates)
     np.testing.assert_array_equal(whole.fates, sum(b.fates for b in blocks))
     assert int(whole.fates.sum()) == 5_000 * len(GRID)

@@ -4,11 +4,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from common import GRID, PROCESSES
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import irisjax as ij
+from common import GRID, PROCESSES
 
 FINE = ij.Exact(n_angles=96)
 FIELDS = ("eumelanin", "pheomelanin", "abl_fraction", "oxyhemoglobin", "lutein", "abl_thickness", "stroma_thickness")
@@ -62,7 +62,9 @@ def test_too_small_tables_are_refused():
 
 def test_other_indices(tabulated):
     other = ij.Iris(ipe_index=1.51)
-    assert bool(ij.reflectance(other, GRID, solver=tabulated, raise_on_failure=False).status == ij.RESULTS.outside_table)
+    assert bool(
+        ij.reflectance(other, GRID, solver=tabulated, raise_on_failure=False).status == ij.RESULTS.outside_table
+    )
     with pytest.raises(ValueError, match="outside the range the table was built for"):
         ij.reflectance(other, GRID, solver=tabulated)
 

@@ -1,0 +1,219 @@
+"""The public surface: reflectance, radiance, BRDF and colour, their shapes, checks and transformations."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import irisjax as ij
+from common import GRID, all_irides
+from irisjax.measure.colour import illuminant_power, srgb_encode
+from irisjax.tissue.eye import inward_transmittance
+
+IRIS = ij.Iris.preset("moderate")
+
+
+def test_wavelength_grid():
+    grid = ij.wavelengths(400, 700, 10)
+    assert grid.shape == (31,)
+    assert (np.diff(grid) == 10).all()
+    assert set(np.diff(ij.wavelengths(380, 780, 2.5))) == {2.5}
+    assert ij.wavelengths(550, 550, 1).tolist() == [550]
+
+
+@pytest.mark.parametrize(
+    ("start", "stop", "step"), [(700, 400, 10), (400, 700, 0), (400, 700, -5), (400, 700, 7), (400, np.nan, 5)]
+)
+def test_bad_grids(start, stop, step):
+    with pytest.raises(ValueError, match=r"^wavelengths\("):
+        ij.wavelengths(start, stop, step)
+
+
+@pytest.mark.parametrize(
+    ("grid", "message"),
+    [
+        ([500.0, 450.0], "wavelengths must increase; 500 nm is followed by 450 nm"),
+        ([500.0, 500.0], "wavelengths must increase; 500 nm is followed by 500 nm"),
+        ([], "wavelengths must be a list of at least one number"),
+        ([np.nan], "wavelengths must be finite"),
+        ([[500.0]], "wavelengths must be a list"),
+        ([300.0], "wavelength 300 nm is outside the lutein table"),
+    ],
+)
+def test_bad_wavelengths(grid, message):
+    for instrument in (ij.reflectance, ij.radiance, lambda *a: ij.brdf(*a, cos_exit=1.0), ij.colour):
+        with pytest.raises(ValueError, match=message):
+            instrument(IRIS, np.array(grid))
+
+
+@pytest.mark.parametrize("cosine", [-0.1, 1.1, np.nan])
+def test_bad_cosines(cosine):
+    with pytest.raises(ValueError, match=r"cos_incidence = .* is outside \[0, 1\]"):
+        ij.reflectance(IRIS, GRID, cos_incidence=cosine)
+    with pytest.raises(ValueError, match=r"cos_exit = .* is outside \[0, 1\]"):
+        ij.brdf(IRIS, GRID, cos_exit=cosine)
+    with pytest.raises(ValueError, match="must be a number in .* or 'diffuse', got 'sideways'"):
+        ij.reflectance(IRIS, GRID, cos_incidence="sideways")
+
+
+def test_result():
+    r = ij.reflectance(IRIS, GRID)
+    np.testing.assert_array_equal(r.wavelengths, GRID)
+    assert r.values.shape == (31,)
+    assert r.standard_error is None
+    assert bool(r.status == ij.RESULTS.successful)
+    np.testing.assert_allclose(np.asarray(r), r.values)
+    without = ij.reflectance(IRIS, GRID, first_surface=False)
+    np.testing.assert_allclose(
+        r.values - without.values, ((1.42 / 3 + 1 - 1.336) / (1.42 / 3 + 1 + 1.336)) ** 2, rtol=1e-9
+    )
+    np.testing.assert_allclose(r.values - without.values, r.mirrored, rtol=1e-12)
+    lines = repr(r).splitlines()
+    assert lines[0] == "reflectance"
+    assert lines[1].split() == ["wavelength_nm", "reflectance"]
+    assert lines[2].split() == ["400", f"{float(r.values[0]):.6g}"]
+    assert "..." in lines
+
+
+def test_first_surface_can_be_switched_in_the_process():
+    off = ij.reflectance(IRIS, GRID, process=ij.Process(first_surface=False)).values
+    np.testing.assert_array_equal(off, ij.reflectance(IRIS, GRID, first_surface=False).values)
+
+
+def test_jit_vmap_and_grad():
+    _, irides = all_irides()
+
+    def values(iris):
+        return ij.reflectance(iris, GRID, process=ij.ILIT_CORRECTED).values
+
+    batch = jax.jit(jax.vmap(values))(irides)
+    assert batch.shape == (9, 31)
+    for i in (0, 8):
+        one = jax.tree.map(lambda x, i=i: x[i], irides)
+        np.testing.assert_allclose(batch[i], values(one), rtol=1e-13)
+    slope = jax.jit(jax.grad(lambda iris: values(iris).sum()))(ij.Iris.preset("low"))
+    assert slope.eumelanin < 0
+    assert slope.iris_radius == 0
+
+
+def test_batched_result_prints():
+    _, irides = all_irides()
+    batch = jax.vmap(lambda iris: ij.reflectance(iris, GRID))(irides)
+    assert repr(batch) == "reflectance, batch of shape (9, 31)"
+
+
+def test_radiance_factor():
+    """Over a white diffuser's E/π, what the eye sends back is its reflectance times the cornea's 0.979."""
+    for illuminant in ("D65", "A"):
+        lit = ij.radiance(IRIS, GRID, illuminant=illuminant)
+        factor = np.pi * lit.values / illuminant_power(illuminant, GRID)
+        bare = ij.reflectance(IRIS, GRID).values
+        np.testing.assert_allclose(factor / bare, float(inward_transmittance(jnp.asarray(1.0))[0]), rtol=1e-12)
+        assert lit.unit == "relative/sr"
+    assert illuminant_power("A", np.array([560.0]))[0] == 1
+    with pytest.raises(ValueError, match="unknown illuminant 'Z'"):
+        ij.radiance(IRIS, GRID, illuminant="Z")
+    with pytest.raises(ValueError, match="on one course"):
+        ij.radiance(IRIS, GRID, cos_incidence="diffuse")
+
+
+def test_cornea_settings():
+    def values(cornea, cosine=1.0):
+        return ij.reflectance(IRIS, GRID, process=ij.Process(cornea=cornea), cos_incidence=cosine).values
+
+    through = float(inward_transmittance(jnp.asarray(1.0))[0])
+    np.testing.assert_allclose(values("inward"), through * values("none"), rtol=1e-12)
+    np.testing.assert_allclose(values("round-trip"), through**2 * values("none"), rtol=1e-12)
+    factor, inside = inward_transmittance(jnp.asarray(0.5))
+    np.testing.assert_allclose(values("inward", 0.5), factor * values("none", float(inside)), rtol=1e-12)
+
+
+def test_brdf_shapes():
+    angle, cosine, azimuth = ij.principal_plane(19)
+    assert angle[9] == 0
+    assert (np.asarray(cosine) > 0).all()
+    assert float(azimuth[0]) == pytest.approx(np.pi)
+    f = ij.brdf(IRIS, GRID, cos_incidence=0.5, cos_exit=cosine, azimuth=azimuth)
+    assert f.values.shape == (31, 19)
+    assert repr(f) == "Brdf of shape (31, 19) (wavelengths, exits), 1/sr"
+    np.testing.assert_allclose(f.values, f.values[:, ::-1], rtol=1e-12)
+    one = ij.brdf(IRIS, GRID, cos_exit=0.5, azimuth=np.zeros(3))
+    assert one.values.shape == (31, 3)
+
+
+def test_ilit_brdf_is_separable():
+    exits = np.array([0.2, 0.6, 1.0])
+    a, b = (ij.brdf(IRIS, GRID, cos_incidence=c, cos_exit=exits).values for c in (1.0, 0.2))
+    ratio = np.asarray(a / b)
+    np.testing.assert_allclose(ratio, ratio[0, 0], rtol=1e-12)
+
+
+def test_colour_against_colour_science():
+    import colour as cs
+
+    grid = ij.wavelengths(380, 780, 5)
+    for level, illuminant in (("low", "D65"), ("high", "A"), ("moderate", "D50")):
+        iris = ij.Iris.preset(level)
+        found = ij.colour(iris, illuminant=illuminant)
+        # colour counts the end points whole, the trapezoidal rule by half: leave them out.
+        values = np.asarray(ij.reflectance(iris, grid).values) * np.r_[0.0, np.ones(79), 0.0]
+        assert np.allclose(found.xyz, ij.colour_of(grid, jnp.asarray(values), illuminant=illuminant).xyz, rtol=3e-4)
+        found = ij.colour_of(grid, jnp.asarray(values), illuminant=illuminant)
+        sd = cs.SpectralDistribution(values, grid)
+        cmfs = cs.MSDS_CMFS["CIE 1931 2 Degree Standard Observer"].copy().align(sd.shape)
+        light = cs.SDS_ILLUMINANTS[illuminant].copy().align(sd.shape)
+        expected = cs.sd_to_XYZ(sd, cmfs, light, method="Integration") / 100
+        np.testing.assert_allclose(found.xyz, expected, rtol=1e-5)
+        white = cs.sd_to_XYZ(cs.sd_ones(sd.shape), cmfs, light, method="Integration") / 100
+        np.testing.assert_allclose(found.lab, cs.XYZ_to_Lab(np.asarray(found.xyz), cs.XYZ_to_xy(white)), atol=2e-3)
+
+
+def test_white_and_grey():
+    grid = ij.wavelengths(380, 780, 5)
+    for illuminant in ("D65", "A", "E"):
+        white = ij.colour_of(grid, jnp.ones(81), illuminant=illuminant)
+        np.testing.assert_allclose(white.srgb, 1, atol=2e-4)
+        np.testing.assert_allclose(white.lab, [100, 0, 0], atol=1e-9)
+        grey = ij.colour_of(grid, jnp.full(81, 0.18), illuminant=illuminant)
+        # 18 % grey is L* 49.496, sRGB 0.4613.
+        assert grey.lab[0] == pytest.approx(49.496, abs=1e-3)
+        np.testing.assert_allclose(grey.srgb, 0.46135, atol=2e-4)
+        assert bool(grey.in_gamut)
+
+
+def test_srgb_transfer_function():
+    np.testing.assert_allclose(
+        srgb_encode(jnp.asarray([0.0, 0.0031308, 0.5, 1.0])), [0, 0.04045, 0.735357, 1], atol=1e-6
+    )
+    assert srgb_encode(jnp.asarray(-0.01)) == pytest.approx(-0.1292)
+
+
+def test_out_of_gamut_is_reported_not_clipped():
+    grid = ij.wavelengths(380, 780, 5)
+    line = ij.colour_of(grid, jnp.asarray(np.where(grid == 520, 1.0, 0.0)))
+    assert not bool(line.in_gamut)
+    assert np.min(line.srgb_linear) < 0
+
+
+def test_colour_errors():
+    with pytest.raises(ValueError, match="unknown observer 'cat'"):
+        ij.colour(IRIS, observer="cat")
+    with pytest.raises(ValueError, match="unknown illuminant 'Z'"):
+        ij.colour(IRIS, illuminant="Z")
+    with pytest.raises(ValueError, match="at least two wavelengths"):
+        ij.colour(IRIS, np.array([500.0]))
+
+
+def test_lighter_iris_is_lighter_and_bluer():
+    low, high = ij.colour(ij.Iris.preset("low")), ij.colour(ij.Iris.preset("high"))
+    assert low.lab[0] > high.lab[0]
+    assert low.lab[2] < 0
+
+
+def test_colour_gradient():
+    def lightness(eumelanin):
+        return ij.colour(ij.Iris.preset("low").replace(eumelanin=eumelanin)).lab[0]
+
+    slope = jax.jit(jax.grad(lightness))(0.12)
+    difference = (lightness(0.12 + 1e-5) - lightness(0.12 - 1e-5)) / 2e-5
+    assert slope == pytest.approx(float(difference), rel=1e-6)
