@@ -17,11 +17,11 @@ import time
 from functools import partial
 from pathlib import Path
 
-import irisjax as ij
 import jax
 import jax.numpy as jnp
 import numpy as np
 
+import irisjax as ij
 from experiments.common import RESULTS, start, write
 
 GRID = ij.wavelengths(400, 720, 4)

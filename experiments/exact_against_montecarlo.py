@@ -6,10 +6,10 @@ reflectance and for every place light can end. |z| < 4 is asked of each of the c
 
 import itertools
 
-import irisjax as ij
 import jax
 import numpy as np
 
+import irisjax as ij
 from experiments.common import RESULTS, start, write
 
 VARIANTS = {

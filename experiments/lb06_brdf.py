@@ -3,10 +3,10 @@
 Beside it the depth-resolved transport of the same layers, whose BRDF does depend on the azimuth.
 """
 
-import irisjax as ij
 import jax
 import numpy as np
 
+import irisjax as ij
 from experiments.common import RESULTS, start, write
 
 

@@ -3,10 +3,10 @@
 The measured curves of LB06 Fig. 5 are not available; only the model is drawn.
 """
 
-import irisjax as ij
 import jax
 import numpy as np
 
+import irisjax as ij
 from experiments.common import RESULTS, start, write
 
 LEVELS = ("low", "moderate", "high")

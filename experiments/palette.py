@@ -1,10 +1,10 @@
 """Colour of the simulated iris over melanin load and ABL fraction."""
 
-import irisjax as ij
 import jax
 import jax.numpy as jnp
 import numpy as np
 
+import irisjax as ij
 from experiments.common import RESULTS, start, write
 
 

@@ -1,5 +1,7 @@
 """What LB06 says comes out (shared/spec/ilit.md, section 5). Aqueous side, first surface left out."""
 
+import itertools
+
 import numpy as np
 import pytest
 
@@ -67,7 +69,7 @@ def test_more_melanin_is_darker(process, fraction):
 def test_more_of_it_in_the_abl_is_darker(level):
     """[LB06 Fig. 7] for the moderate level; low irides turn round beyond 640 nm, where so little absorbs."""
     spectra = [spectrum(level, fraction) for fraction in (0.2, 0.35, 0.5, 0.65, 0.8)]
-    for brighter, darker in zip(spectra[:-1], spectra[1:], strict=True):
+    for brighter, darker in itertools.pairwise(spectra):
         assert (brighter > darker).all()
 
 

@@ -234,7 +234,7 @@ def test_number_of_wavelengths(n):
 # Gradients. Steps are chosen by field; where a field stands at an edge the difference is one-sided.
 SCALE = {"eumelanin": 0.1, "pheomelanin": 0.1, "abl_fraction": 0.1, "lutein": 0.1, "zeaxanthin": 0.1}
 NEAR_ZERO = ("abl_thickness", "stroma_thickness")
-INDEX_FIELDS = tuple(n for n in LIMITS if n.endswith("_index")) + ("fibroblast_fraction", "collagen_fraction")
+INDEX_FIELDS = (*tuple(n for n in LIMITS if n.endswith("_index")), "fibroblast_fraction", "collagen_fraction")
 # Loads of a million: the derivative is far below the rounding of the value; only finiteness is asked there.
 ONLY_FINITE = ("melanin-1e6", "blood-1e6", "all-1e6", "no-intensification")
 # Where two indices agree, reflectance has a kink in them (a critical angle appears on one side only).
@@ -300,7 +300,7 @@ def test_gradients(name, traced_order):
     reverse = np.asarray(quick_jit(jax.vmap(jax.jacrev(values)))(jnp.asarray(vectors)))
     run = quick_jit(jax.vmap(values))
     batch, index = [], []
-    for i, e in enumerate(edges):
+    for i in range(len(edges)):
         for j, field in enumerate(LIMITS):
             offsets, weights = stencil(field, vectors[i, j])
             for o, w in itertools.zip_longest(offsets, weights):

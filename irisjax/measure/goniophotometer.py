@@ -56,8 +56,8 @@ def brdf(
     through the first surface's transmittance; depth-resolved transport depends on all three.
 
     `cos_exit` and `azimuth` broadcast together to shape (exits,); cosines in [0, 1]. The cornea is
-    left out, whatever the process says. `MonteCarlo` returns
-    averages over cells of the cosine bounded half-way between the exits given. For the rest see
+    left out, whatever the process says. `MonteCarlo` returns averages over cells of the cosine bounded
+    half-way between the exits given. For the rest see
     `reflectance`. **Raises:** `ValueError` for concrete input out of range.
     """
     check_wavelengths(wavelengths)

@@ -223,7 +223,11 @@ class Iris(eqx.Module):
 def _short(value) -> float:
     # float32 0.1201 is printed as it was written, not as its nearest float64.
     # (Not `str`: NumPy's print options are global, and colour-science sets them.)
-    return float(np.format_float_positional(np.asarray(value)[()], unique=True, trim="0"))
+    return float(
+        np.format_float_positional(
+            np.asarray(value).item() if value.dtype == np.float64 else np.float32(value), unique=True, trim="0"
+        )
+    )
 
 
 def _as_float(name: str, value) -> jax.Array:

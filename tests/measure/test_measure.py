@@ -52,7 +52,7 @@ def test_bad_cosines(cosine):
         ij.reflectance(IRIS, GRID, cos_incidence=cosine)
     with pytest.raises(ValueError, match=r"cos_exit = .* is outside \[0, 1\]"):
         ij.brdf(IRIS, GRID, cos_exit=cosine)
-    with pytest.raises(ValueError, match="must be a number in .* or 'diffuse', got 'sideways'"):
+    with pytest.raises(ValueError, match=r"must be a number in .* or 'diffuse', got 'sideways'"):
         ij.reflectance(IRIS, GRID, cos_incidence="sideways")
 
 

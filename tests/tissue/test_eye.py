@@ -1,3 +1,5 @@
+import itertools
+
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -8,7 +10,7 @@ from irisjax.tissue import eye
 def test_normal_incidence():
     total, cosine = eye.inward_transmittance(jnp.asarray(1.0))
     media = (1.0, 1.337, 1.3771, 1.336)
-    expected = np.prod([1 - ((a - b) / (a + b)) ** 2 for a, b in zip(media[:-1], media[1:], strict=True)])
+    expected = np.prod([1 - ((a - b) / (a + b)) ** 2 for a, b in itertools.pairwise(media)])
     assert total == pytest.approx(expected, rel=1e-14)
     assert total == pytest.approx(0.979, abs=5e-4)
     assert cosine == 1

@@ -62,11 +62,11 @@ def test_multiprecision(level, fraction, wavelength):
     found = ij.reflectance(iris, grid, process=ij.ILIT_CORRECTED, first_surface=False).values[0]
     assert found == pytest.approx(expected, rel=1e-10)
     if (level, fraction, wavelength) == ("low", 0.2, 690.0):
-        row = [
+        row = next(
             r for r in ROWS
             if (r["level"], r["abl_fraction"], r["wavelength_nm"], r["rescatter"], r["phase"], r["perturb_on_reflection"])
             == ("low", "0.2", "690", "to-interface", "rayleigh", "0")
-        ][0]  # fmt: skip
+        )  # fmt: skip
         # The file's own error, which the tolerance of test_reference_table allows for.
         assert abs(float(row["reflectance"]) / expected - 1) == pytest.approx(1.35e-7, abs=0.05e-7)
 
