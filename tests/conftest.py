@@ -14,20 +14,29 @@ settings.register_profile("deterministic", derandomize=True, deadline=None, data
 settings.load_profile("deterministic")
 
 
+def _precision(bits):
+    # JAX keeps traced helpers between calls; some were traced at the other precision.
+    jax.clear_caches()
+    jax.config.update("jax_enable_x64", bits == 64)
+
+
 @pytest.fixture(params=[64, 32], ids=["f64", "f32"])
 def bits(request):
     """Both precisions, one after the other."""
-    jax.config.update("jax_enable_x64", request.param == 64)
-    yield request.param
-    jax.config.update("jax_enable_x64", True)
+    if request.param == 64:
+        yield 64
+        return
+    _precision(32)
+    yield 32
+    _precision(64)
 
 
 @pytest.fixture
 def float32():
     """Single precision for one test."""
-    jax.config.update("jax_enable_x64", False)
+    _precision(32)
     yield
-    jax.config.update("jax_enable_x64", True)
+    _precision(64)
 
 
 @pytest.fixture(scope="session")

@@ -38,7 +38,8 @@ def operator(name, critical, n, double=True):
         rule = conserving(cosine_rule(c, (True,) * len(critical), n))
         k = PHASES[name].redistribution(rule)
         collect = jnp.eye(rule.cosine.size) if k.collect is None else k.collect
-        return rule.cosine, rule.weight, k.scatter.T @ collect
+        # The isotropic part is left to the solver.
+        return rule.cosine, rule.weight, 0.5 * rule.weight[None, :] + k.scatter.T @ collect
 
     found = jax.jit(build)(jnp.asarray(critical, float))
     assert found[2].dtype == (np.float64 if double else np.float32)
