@@ -34,6 +34,7 @@ def main(key, quick=False, out=RESULTS):
     """Write `bench_accuracy_time.csv` and `bench_scaling.csv`."""
     device = f"{jax.devices()[0].device_kind}, {os.cpu_count()} cores, {platform.machine()}"
     rows = _solvers(key, quick)
+    print(f"{len(rows)} solver rows", flush=True)
     if not quick:
         rows += _other_precision()
     rows += _depth_resolved(quick) + _peers(quick)
@@ -55,15 +56,15 @@ def _solvers(key, quick):
     rows = []
     for job, process in (("ilit-2006", ij.ILIT_2006), ("ilit-corrected", ij.ILIT_CORRECTED)):
         reference = _reference(process, 288 if job == "ilit-corrected" else 96)
-        for n in (8, 16) if quick else (8, 12, 16, 20, 24, 28, 36):
+        for n in (8, 16) if quick else (8, 12, 16, 24, 36):
             rows.append((job, "exact", n, precision, *_deterministic(ij.Exact(n), process, reference, quick)))
-        for n in (64,) if quick else (32, 64, 128, 256):
+        for n in (64,) if quick else (64, 256):
             solver = ij.Tabulated.build(process=process, n_intervals=n, n_albedos=8, tolerance=1.0)
             rows.append((job, "tabulated", n, precision, *_deterministic(solver, process, reference, quick)))
         if precision == "float32" or job == "ilit-corrected":
             continue
         sizes = {
-            "analog": (1_000,) if quick else (1_000, 10_000, 100_000, 1_000_000),
+            "analog": (1_000,) if quick else (1_000, 10_000, 100_000),
             "weighted": (256,) if quick else (256, 1024, 4096, 16384, 65536),
             "quasi": (256,) if quick else (256, 1024, 4096, 16384, 65536),
         }
@@ -89,7 +90,7 @@ def _deterministic(solver, process, reference, quick, irides=None):
     def spectrum(x):
         return ij.reflectance(x, GRID, solver=solver, process=process, first_surface=False).values
 
-    size = 64 if quick else 4096
+    size = 64 if quick else 1024
     batch = jax.vmap(lambda c: iris.replace(eumelanin=c))(jnp.geomspace(0.01, 2.0, size)) if irides is None else irides
     jitted = jax.jit(spectrum)
     begin = time.perf_counter()
@@ -124,7 +125,7 @@ def _errors(found, reference):
     return float(error.max()), float(np.sqrt((error**2).mean()))
 
 
-def median_us(call, repeats=60):
+def median_us(call, repeats=40):
     """Median time of a warm call, microseconds."""
     for _ in range(2):
         jax.block_until_ready(call())
@@ -154,7 +155,7 @@ def _depth_resolved(quick):
         process = ij.DEPTH_RESOLVED
         reference = np.stack([_values(i, ij.Exact(96, 14, 3), process) for i in irides.values()])
         for n, depths in (
-            ((12, 6),) if quick else ((8, 4), (8, 6), (12, 6), (16, 6), (16, 8), (24, 8), (36, 8), (36, 12))
+            ((12, 6),) if quick else ((8, 4), (12, 6), (16, 8), (24, 8))
         ):
             solver = ij.Exact(n, depths, 1)
             found = np.stack([_values(i, solver, process) for i in irides.values()])
@@ -163,7 +164,7 @@ def _depth_resolved(quick):
             def spectrum(x, solver=solver, process=process):
                 return ij.reflectance(x, GRID, solver=solver, process=process, first_surface=False).values
 
-            size = 16 if quick else 1000
+            size = 16 if quick else 400
             batch = jax.vmap(lambda c, iris=iris: iris.replace(eumelanin=c))(jnp.geomspace(0.01, 1.0, size))
             jitted = jax.jit(spectrum)
             begin = time.perf_counter()
@@ -256,11 +257,11 @@ def _scaling(key, quick):
             return ij.reflectance(x, GRID, solver=solver).values
 
         many = jax.jit(lambda x, f=spectrum: jax.lax.map(f, x, batch_size=64))
-        for n in (64, 128) if quick else (64, 640, 6_400):
+        for n in (64, 128) if quick else (64, 640, 3_200):
             batch = jax.vmap(lambda c: iris.replace(eumelanin=c))(jnp.geomspace(0.01, 2.0, n))
             seconds = median_us(partial(many, batch), 5) / 1e6
             rows.append((f"irides, {name}", n, seconds, seconds / n))
-    for n in (1_000, 10_000) if quick else (10_000, 100_000, 1_000_000):
+    for n in (1_000, 10_000) if quick else (1_000, 10_000, 100_000):
         solver = ij.MonteCarlo(n)
         seconds = median_us(lambda s=solver: ij.reflectance(iris, GRID, solver=s, key=key).values, 5) / 1e6
         rows.append(("photons, analog", n * GRID.size, seconds, seconds / n / GRID.size))

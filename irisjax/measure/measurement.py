@@ -112,7 +112,7 @@ def prepared(solver: AbstractSolver, iris: Iris, extinction: Extinction, process
     return type(solver).prepare(solver, partial(layers_of, iris, extinction, process), process)
 
 
-def _table(measurement, columns: dict[str, Float[Array, " n"] | None]) -> str:
+def _table(measurement, columns: dict[str, Float[Array, "..."] | None]) -> str:
     shown = {name: np.asarray(c) for name, c in columns.items() if c is not None and eqx.is_array(c)}
     if any(isinstance(c, Tracer) for c in jax.tree.leaves(measurement)):
         return f"{type(measurement).__name__}(traced)"

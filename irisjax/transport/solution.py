@@ -30,7 +30,7 @@ class Absorbed(eqx.Module):
     stroma: Spectrum
     ipe: Spectrum
 
-    def total(self) -> Spectrum:
+    def total(self) -> Float[Array, "*batch wavelengths"]:
         """Sum over the layers."""
         return self.abl + self.stroma + self.ipe
 
@@ -56,7 +56,7 @@ class Solution(eqx.Module):
     result: RESULTS
 
     @property
-    def energy(self) -> Spectrum:
+    def energy(self) -> Float[Array, "*batch wavelengths"]:
         """Sum of all shares; differs from one by rounding only."""
         return self.reflectance + self.mirrored + self.absorbed.total()
 

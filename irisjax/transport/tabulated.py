@@ -23,7 +23,7 @@ from irisjax.transport.solution import RESULTS
 from irisjax.transport.solver import AbstractSolver
 
 _DEGREE = 5
-_SMALLEST = 1e-4  # τ₀: below it the functions are straight lines to 1e-9
+_SMALLEST = 1e-7  # τ₀: below it the functions, which go as τ ln τ, are straight lines to 2e-12
 _LARGEST = 40.0  # exp(−40) is below rounding: deeper layers are all alike
 
 
@@ -49,7 +49,7 @@ class Tabulated(AbstractSolver):
         process: Process = ILIT_2006,
         *,
         tolerance: float = 1e-11,
-        n_intervals: int = 256,
+        n_intervals: int = 400,
         n_albedos: int = 10,
     ) -> "Tabulated":
         """Tabulate for the indices of `iris` (default: LB06's) and check the tables.
@@ -165,7 +165,11 @@ class Tabulated(AbstractSolver):
         """Largest error of the layer functions between the nodes, against a finer quadrature."""
         n = self.abl.shape[0]
         rng = np.random.default_rng(0)
-        depth = jnp.asarray(_depth((np.arange(n) + rng.random(n)) / n), self.abl.dtype)
+        # The functions are least smooth beside zero depth: look there closely, and at zero itself.
+        inside = (np.arange(n) + rng.random(n)) / n
+        depth = jnp.asarray(
+            np.r_[0.0, _depth(np.geomspace(1e-6, 1, 32) / n), _depth(inside), 2 * _LARGEST], self.abl.dtype
+        )
         worst = 0.0
         for albedo in (0.0, 0.23, 0.71, 0.97, 1.0):
             albedos = jnp.full_like(depth, albedo)
