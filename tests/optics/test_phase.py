@@ -132,8 +132,10 @@ def test_redistribution_of_powers(name, power, critical):
             )[0]
             for ends in ((0, edge), (edge, np.pi - edge), (np.pi - edge, np.pi))
         )
-        # The printed phase function is asked for 1e-6 in reflectance, Rayleigh's for 1e-10.
-        assert found[i] == pytest.approx(expected, rel=0, abs=1e-6 if name == "lb06" else 1e-8)
+        # The printed phase function is asked for 1e-6 in reflectance, Rayleigh's for 1e-10; where total
+        # reflection inside the layer splits the rule, `RayleighPerAngle.redistribution` states 2e-4.
+        allowed = 1e-8 if name == "rayleigh" else 2e-4 if critical else 1e-6
+        assert found[i] == pytest.approx(expected, rel=0, abs=allowed)
 
 
 @pytest.mark.parametrize("name", NAMES)
