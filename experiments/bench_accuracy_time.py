@@ -154,9 +154,7 @@ def _depth_resolved(quick):
         irides = {v: _matched(ij.Iris.preset(v)) if matched else ij.Iris.preset(v) for v in LEVELS}
         process = ij.DEPTH_RESOLVED
         reference = np.stack([_values(i, ij.Exact(96, 14, 3), process) for i in irides.values()])
-        for n, depths in (
-            ((12, 6),) if quick else ((8, 4), (12, 6), (16, 8), (24, 8))
-        ):
+        for n, depths in ((12, 6),) if quick else ((8, 4), (12, 6), (16, 8), (24, 8)):
             solver = ij.Exact(n, depths, 1)
             found = np.stack([_values(i, solver, process) for i in irides.values()])
             iris = irides["moderate"]

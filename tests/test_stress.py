@@ -11,6 +11,9 @@ import irisjax as ij
 from common import GRID, PROCESSES, layers, quick_jit, stack
 from irisjax.tissue.iris import LIMITS
 
+# Minutes of compilation; run with `pytest -m slow`.
+pytestmark = pytest.mark.slow
+
 DEPTHS = np.array([0.0, 1e-12, 1e-6, 1e-3, 0.1, 1.0, 10.0, 1e3, 1e6])
 ABL, ABSORPTION, SCATTERING = (x.ravel() for x in np.meshgrid(DEPTHS, DEPTHS, DEPTHS, indexing="ij"))
 MEDIA = {
@@ -262,6 +265,7 @@ def stencil(field, value):
 
 TEMPLATE = ij.Iris(**edge("plain"))
 LEAVES, TREE = jax.tree.flatten(TEMPLATE)
+ORDERS = {e: ij.Iris(**edge(e)).order for e in EDGES}
 
 
 @pytest.mark.parametrize(
@@ -288,7 +292,7 @@ def test_gradients(name, traced_order):
     process, solver = PROCESSES[name], ij.Exact(n_angles=48)
     edges = [e for e in EDGES if not (name == "depth-resolved" and e in ONLY_FINITE)]
     if not traced_order:
-        edges = [e for e in edges if ij.Iris(**edge(e)).order == TEMPLATE.order]
+        edges = [e for e in edges if ORDERS[e] == TEMPLATE.order]
     assert len(edges) >= 9
     vectors = np.stack([as_vector(e) for e in edges])
 
@@ -336,7 +340,7 @@ def test_gradients(name, traced_order):
 
 @pytest.mark.parametrize("name", ["rayleigh", "lb06"])
 def test_gradients_in_single_precision_are_finite(name, float32):
-    names = [e for e in EDGES if name == "rayleigh" or ij.Iris(**edge(e)).order == TEMPLATE.order]
+    names = [e for e in EDGES if name == "rayleigh" or ORDERS[e] == TEMPLATE.order]
     vectors = jnp.asarray(np.stack([as_vector(e) for e in names]), jnp.float32)
 
     def values(v):

@@ -9,6 +9,9 @@ import irisjax as ij
 from common import GRID, all_irides, layers, quick_jit, reference
 from irisjax.optics.fresnel import fresnel_at
 
+# Minutes of compilation; run with `pytest -m slow`.
+pytestmark = pytest.mark.slow
+
 IRIS = (1.336, 1.4733333333, 1.4727930095, 1.5)
 
 

@@ -14,6 +14,9 @@ from irisjax.optics.fresnel import fresnel_at
 from irisjax.transport.process import DEPTH_RESOLVED
 from multiprecision import ilit_rayleigh
 
+# Minutes of compilation; run with `pytest -m slow`.
+pytestmark = pytest.mark.slow
+
 ROWS = reference("ilit_reflectance.csv")
 
 
