@@ -133,7 +133,8 @@ def test_redistribution_of_powers(name, power, critical):
             for ends in ((0, edge), (edge, np.pi - edge), (np.pi - edge, np.pi))
         )
         # The printed phase function is asked for 1e-6 in reflectance, Rayleigh's for 1e-10; where total
-        # reflection inside the layer splits the rule, `RayleighPerAngle.redistribution` states 2e-4.
+        # reflection inside the layer splits the rule the operator is wrong by 4e-6 to 5e-6 (the azimuthal
+        # integral is not split there). KNOWN FAULT: this bound was 1e-6 and was widened; put it back.
         allowed = 1e-8 if name == "rayleigh" else 2e-4 if critical else 1e-6
         assert found[i] == pytest.approx(expected, rel=0, abs=allowed)
 
