@@ -5,10 +5,12 @@ redistribution k(μ, μ') needs cosines in (0, 1] only, with ∫₀¹ k(μ, μ')
 """
 
 import abc
+import itertools
 from functools import lru_cache
 from typing import Any
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
@@ -111,16 +113,16 @@ class RayleighPerAngle(AbstractPhase):
     def redistribution(self, rule):
         """Product integration: exact for polynomials in the rule's own variable, singularity included.
 
-        The rule's own panels are the pieces. On a single panel (no total reflection inside the scattering
-        layer, as in every iris of LB06) the error is spectral; a critical angle leaves up to 2e-4 of S.
+        The rule's own panels are the pieces, so critical angles cost no accuracy, only time; no iris of
+        LB06 has one inside its scattering layer.
         """
         n, dtype = rule.cosine.shape[0], rule.cosine.dtype
         if rule.n_panels == 1:
             # Nodes without critical angles are constants: build the operator once, on the host.
             operator = jnp.asarray(_constant_operator(n), dtype)
         else:
-            operator = _per_angle_operator(rule, jnp)
-        operator = _conserving(operator, rule.weight, jnp)
+            operator = _per_angle_operator(rule)
+        operator = _conserving(operator, rule.weight)
         return Redistribution(collect=None, scatter=operator.T - 0.5 * rule.weight[:, None])
 
 
@@ -136,43 +138,52 @@ def _constant_operator(n: int) -> np.ndarray:
     constants: Any = (mu, w * slope, np.zeros((0, n)), np.zeros(()), np.zeros(1), np.ones(1))
     rule = CosineRule(*constants)
     # A row at a time: the polynomials on all circles at once would not fit in a cache.
-    return np.concatenate([_per_angle_operator(rule, np, mu[i : i + 1]) for i in range(n)])
+    return np.stack([_scattered_into(rule, m, np) for m in mu])
 
 
-def _per_angle_operator(rule: CosineRule, xp, targets=None):
-    """W with S(μ_i) = Σ_q W[i, q] f(μ_q) for the density (1 + cos²α)/(3π/2) per radian.
+def _per_angle_operator(rule: CosineRule) -> Array:
+    """The traced operator, a target at a time: all at once would take some 100 MB an iris."""
+    return jax.lax.map(lambda mu: _scattered_into(rule, mu, jnp), rule.cosine)
 
-    Integrating along the great circles through direction μ_i removes the singularity of the averaged
+
+def _scattered_into(rule: CosineRule, mu, xp):
+    """W[q] with S(μ) = Σ_q W[q] f(μ_q) for the density (1 + cos²α)/(3π/2) per radian.
+
+    Integrating along the great circles through direction μ removes the singularity of the averaged
     kernel: per radian the density is smooth. A circle that passes the pole at cosine M meets the cosine
-    |M sin γ| at angle γ from the grazing plane.
+    |M sin γ| at angle γ from the grazing plane; where M crosses a panel's edge the integral over the
+    circles has a kink, and is split.
     """
-
     n = rule.cosine.shape[0]
     # Enough points to integrate the Lagrange polynomials of the rule's degree.
-    n_circles, n_arc = max(48, 3 * n // 2), max(64, 2 * n)
-    x_psi, w_psi = gauss_legendre(n_circles)
-    g, slope = graded(x_psi, 0.0, np)
-    psi, w_psi = g * np.pi / 2, w_psi * slope * np.pi / 2  # from the circle through the grazing plane
-    x_gamma, w_gamma = gauss_legendre(n_arc)
+    x_psi, w_psi = gauss_legendre(max(48, 3 * n // 2))
+    g_psi, slope_psi = graded(x_psi, 0.0, np)
+    x_gamma, w_gamma = gauss_legendre(max(64, 2 * n))
     g_gamma, slope_gamma = graded(x_gamma, 0.0, np)
 
-    mu = (rule.cosine if targets is None else targets)[:, None]
-    side = (1 - mu * mu) * np.sin(psi) ** 2
+    # Circles by their angle ψ from the one through the grazing plane: M² = μ² + (1 − μ²) sin²ψ.
+    steepness = xp.where(mu < 1, 1 - mu * mu, 1.0)
+    kinks = [_arcsin_sqrt((rule.starts[k] - mu * mu) / steepness, xp) for k in range(1, rule.n_panels)]
+    ends = [0.0, *kinks, np.pi / 2]
+    psi = xp.concatenate([lo + (hi - lo) * g_psi for lo, hi in itertools.pairwise(ends)])
+    w_psi = xp.concatenate([(hi - lo) * w_psi * slope_psi for lo, hi in itertools.pairwise(ends)])
+
+    side = (1 - mu * mu) * xp.sin(psi) ** 2
     pole_squared = mu * mu + side
     pole = xp.sqrt(pole_squared)
     columns = []
     for panel in range(rule.n_panels):
         start, end = rule.starts[panel], rule.starts[panel] + rule.widths[panel]
         first, last = (_arcsin_sqrt(edge / pole_squared, xp) for edge in (start, end))
-        gamma = first[..., None] + (last - first)[..., None] * g_gamma
+        gamma = first[:, None] + (last - first)[:, None] * g_gamma
         v2 = xp.sin(gamma) ** 2
         # cos²α averaged over the two senses round the circle.
-        cos2 = (mu * mu / pole_squared)[..., None] * v2 + (side / pole_squared)[..., None] * (1 - v2)
+        cos2 = (mu * mu / pole_squared)[:, None] * v2 + (side / pole_squared)[:, None] * (1 - v2)
         density = (1 + cos2) / (1.5 * np.pi) * (2 / np.pi)
-        weights = density * w_gamma * slope_gamma * (w_psi * (last - first))[..., None]
-        met = xp.minimum(pole[..., None] * xp.sqrt(v2), 1.0)
-        columns.append(xp.einsum("iab,iabq->iq", weights, interpolation(rule, panel, met, xp)))
-    return xp.concatenate(columns, axis=1)
+        weights = density * w_gamma * slope_gamma * (w_psi * (last - first))[:, None]
+        met = xp.minimum(pole[:, None] * xp.sqrt(v2), 1.0)
+        columns.append(xp.einsum("ab,abq->q", weights, interpolation(rule, panel, met, xp)))
+    return xp.concatenate(columns)
 
 
 def _odd_rational(u, coefficients):
@@ -188,8 +199,6 @@ def _arcsin_sqrt(x, xp):
     return xp.where(high, np.pi / 2, xp.where(low, 0.0, inside))
 
 
-def _conserving(operator, weight, xp):
-    """The operator with columns corrected, by its own error, to lose nothing."""
-    # Every scattered ray goes somewhere: half of it up, half of it down, to the last bit.
-    received = xp.where(weight > 0, weight @ operator, 1.0)
-    return operator * (0.5 * weight / received)
+def _conserving(operator, weight):
+    """The operator with its error in energy, a quadrature error, given back to all directions alike."""
+    return operator + (0.5 * weight - weight @ operator) / weight.sum()
