@@ -1,6 +1,7 @@
 """What several tests need: the reference tables, batches of irides, quick compilation."""
 
 import csv
+import functools
 from pathlib import Path
 
 import jax
@@ -53,3 +54,19 @@ def layers(abl, absorption, scattering, indices):
     media = ij.RefractiveIndices(*(jnp.asarray(n, float) for n in indices))
     as_float = [jnp.asarray(x, float) for x in (abl, absorption, scattering)]
     return ij.Layers(*as_float, indices=media, order=media.order())
+
+
+@functools.cache
+def _solving(solver, process, where):
+    def run(made, cosine, exits, azimuth):
+        options = {"cos_exit": exits, "azimuth": azimuth} if exits is not None else {}
+        return solver.solve(made, process, where if cosine is None else cosine, **options)
+
+    return quick_jit(run)
+
+
+def solve(process, made, cosine=1.0, solver=None, exits=None, azimuth=None):
+    """A solver on layers, compiled once for each solver, process, shape and order of media."""
+    solver = type(solver or ij.Exact()).prepare(solver or ij.Exact(), lambda: made, process)
+    as_array = [None if x is None or isinstance(x, str) else jnp.asarray(x, float) for x in (cosine, exits, azimuth)]
+    return _solving(solver, process, cosine if isinstance(cosine, str) else None)(made, *as_array)

@@ -11,9 +11,6 @@ import irisjax as ij
 from common import GRID, PROCESSES, layers, quick_jit, stack
 from irisjax.tissue.iris import LIMITS
 
-# Minutes of compilation; run with `pytest -m slow`.
-pytestmark = pytest.mark.slow
-
 DEPTHS = np.array([0.0, 1e-12, 1e-6, 1e-3, 0.1, 1.0, 10.0, 1e3, 1e6])
 ABL, ABSORPTION, SCATTERING = (x.ravel() for x in np.meshgrid(DEPTHS, DEPTHS, DEPTHS, indexing="ij"))
 MEDIA = {

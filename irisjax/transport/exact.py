@@ -41,7 +41,8 @@ class Exact(AbstractSolver):
     - `n_angles`: quadrature nodes a layer. 36: below 1e-10 relative; 24: 1e-8; 16: 1e-6.
     - `n_depths`: polynomials in depth for depth-resolved transport (per panel).
     - `n_panels`: depth panels for depth-resolved transport; `None` takes as many as the optical depth asks
-        for where it is known, and one while tracing (the status tells where that is too few).
+        for where it is known (1e-7), and one while tracing: enough for every iris of LB06; the status tells
+        where it is not (1e-6).
     """
 
     n_angles: int = eqx.field(static=True, default=36)
@@ -58,7 +59,7 @@ class Exact(AbstractSolver):
         """The solver with everything fixed that must be known before tracing."""
         if not process.depth_resolved or self.n_panels is not None:
             return self
-        panels = depth_resolved.panels_for(layers().extinction)
+        panels = depth_resolved.panels_for(layers(), self.n_depths)
         return Exact(n_angles=self.n_angles, n_depths=self.n_depths, n_panels=panels)
 
     def solve(

@@ -1,25 +1,21 @@
 """Depth-resolved transport against reference values, single scattering, reciprocity and itself refined."""
 
+import functools
+
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
+import common
 import irisjax as ij
 from common import GRID, all_irides, layers, quick_jit, reference
 from irisjax.optics.fresnel import fresnel_at
 
-# Minutes of compilation; run with `pytest -m slow`.
-pytestmark = pytest.mark.slow
-
 IRIS = (1.336, 1.4733333333, 1.4727930095, 1.5)
 
 
-def solve(made, cosine=1.0, solver=ij.Exact(), exits=None, azimuth=None):  # noqa: B008
-    cosine = cosine if isinstance(cosine, str) else jnp.asarray(cosine, float)
-    solver = solver.prepare(lambda: made, ij.DEPTH_RESOLVED)
-    options = {} if exits is None else {"cos_exit": jnp.asarray(exits, float), "azimuth": jnp.asarray(azimuth, float)}
-    return quick_jit(lambda x: solver.solve(x, ij.DEPTH_RESOLVED, cosine, **options))(made)
+solve = functools.partial(common.solve, ij.DEPTH_RESOLVED)
 
 
 def test_reference_table():
@@ -152,10 +148,23 @@ def test_deep_layers_ask_for_panels():
     assert bool(solve(made).result == ij.RESULTS.successful)
 
 
-def test_deep_scattering_layer_converges():
-    made = layers(0.0, np.array([1e-3, 0.01, 1.0]), 300.0, IRIS)
-    standard, finer = solve(made), solve(made, solver=ij.Exact(n_depths=14, n_angles=72))
-    np.testing.assert_allclose(standard.reflectance, finer.reflectance, rtol=1e-6)
+def test_depths_and_albedos_converge():
+    """The panels chosen for known depths hold 1e-7; a status of success, 1e-6. At random depths and albedos."""
+    rng = np.random.default_rng(5)
+    depth, albedo = 10 ** rng.uniform(-2, 2, 60), 1 - 10 ** rng.uniform(-3, 0, 60)
+    made = [layers(0.01, t * (1 - w), t * w, IRIS) for t, w in zip(depth, albedo, strict=True)]
+    panels = np.array([ij.Exact().prepare(lambda m=m: m, ij.DEPTH_RESOLVED).n_panels for m in made])
+    assert panels.min() == 1
+    together = layers(0.01, depth * (1 - albedo), depth * albedo, IRIS)
+    finest = solve(together, 0.7, ij.Exact(n_panels=11, n_depths=12)).reflectance
+    for n in np.unique(panels):
+        found = solve(together, 0.7, ij.Exact(n_panels=int(n)))
+        chosen = panels == n
+        np.testing.assert_allclose(found.reflectance[chosen], finest[chosen], rtol=1e-7)
+    for i in range(0, 60, 6):
+        r = solve(made[i], 0.7, ij.Exact(n_panels=2))
+        if bool(r.result == ij.RESULTS.successful):
+            np.testing.assert_allclose(r.reflectance, finest[i : i + 1], rtol=1e-6)
 
 
 def test_half_space_of_chandrasekhar():

@@ -8,14 +8,12 @@ import numpy as np
 import pytest
 from scipy.special import expn
 
+import common
 import irisjax as ij
 from common import GRID, ILIT, PROCESSES, all_irides, layers, reference
 from irisjax.optics.fresnel import fresnel_at
 from irisjax.transport.process import DEPTH_RESOLVED
 from multiprecision import ilit_rayleigh
-
-# Minutes of compilation; run with `pytest -m slow`.
-pytestmark = pytest.mark.slow
 
 ROWS = reference("ilit_reflectance.csv")
 
@@ -129,10 +127,8 @@ MATCHED = (1.4, 1.4, 1.4, 1.4)
 IRIS = (1.336, 1.4733333333, 1.4727930095, 1.5)
 
 
-def solve(process, abl, absorption, scattering, media=IRIS, cosine=1.0, solver=ij.Exact()):  # noqa: B008
-    return jax.jit(lambda x: solver.solve(x, process, jnp.asarray(cosine, float)))(
-        layers(abl, absorption, scattering, media)
-    )
+def solve(process, abl, absorption, scattering, media=IRIS, cosine=1.0):
+    return common.solve(process, layers(abl, absorption, scattering, media), cosine)
 
 
 @pytest.mark.parametrize("name", ["lb06", "rayleigh", "lb06-redrawn", "rayleigh-redrawn"])

@@ -10,9 +10,6 @@ from hypothesis import strategies as st
 import irisjax as ij
 from common import GRID, PROCESSES
 
-# Minutes of compilation; run with `pytest -m slow`.
-pytestmark = pytest.mark.slow
-
 FINE = ij.Exact(n_angles=96)
 FIELDS = ("eumelanin", "pheomelanin", "abl_fraction", "oxyhemoglobin", "lutein", "abl_thickness", "stroma_thickness")
 
