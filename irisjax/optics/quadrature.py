@@ -3,8 +3,7 @@
 Integrands of plane-parallel transport have two troubles: square-root kinks at critical angles and the
 factor exp(−τ/μ), flat to all orders at grazing. `cosine_rule` splits [0, 1] at the critical cosines and
 takes, in each panel [a, b], the variable ν = √(μ² − a²), which is the cosine on the *other* side of the
-interface up to a constant and removes the kink; ν is graded exponentially towards grazing. With 32 nodes
-the layer responses of an iris are good to about 1e-12 (experiments/bench_accuracy_time.py).
+interface up to a constant and removes the kink; ν is graded exponentially towards grazing.
 """
 
 from functools import lru_cache
@@ -105,7 +104,7 @@ def cosine_rule(
     - `critical_squared`: c_k² of each interface, negative where it has no critical angle.
     - `present`: which of them can be positive, known before tracing; only those cost a panel. A panel that
         turns out empty has zero weights.
-    - `n`: nodes of a rule of up to two panels (a third adds n/2).
+    - `n`: nodes of a rule of up to two panels; three, met only where indices are traced or extreme, take ¾n each.
     - `skip_guided`: leave out [0, min c_k], where every interface reflects totally, and report its
         measure in `omitted`; needs all `present`.
     """
@@ -119,7 +118,7 @@ def cosine_rule(
     if skip_guided and all(present):
         omitted = starts[1]
         panels = panels[1:]
-    m = n if len(panels) == 1 else max(2, n // 2)
+    m = max(2, (n, n // 2, n - n // 4)[len(panels) - 1])
     x64, w64 = gauss_legendre(m)
     x, w = jnp.asarray(x64, dtype), jnp.asarray(w64, dtype)
     cosines, weights, squares = [], [], []

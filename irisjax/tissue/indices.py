@@ -16,7 +16,7 @@ COLLAGEN_FRACTION = 0.9068996821171089
 
 def gladstone_dale(n_component, fraction, n_base):
     """Index of a mixture, n_component·f + n_base·(1 − f)  [LB06 Eqs. 8, 9]."""
-    return n_component * fraction + n_base * (1 - fraction)
+    return n_base + fraction * (n_component - n_base)
 
 
 def scatterer_density(radius, fraction):
