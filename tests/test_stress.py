@@ -90,7 +90,7 @@ def test_depth_resolved_shallow(media, bits):
 
 @quick_jit
 def shallow(made, cosine):
-    return ij.Exact(n_angles=24, n_panels=1).solve(made, ij.DEPTH_RESOLVED, cosine)
+    return ij.Exact(n_angles=24, n_panels=3).solve(made, ij.DEPTH_RESOLVED, cosine)
 
 
 @pytest.mark.slow

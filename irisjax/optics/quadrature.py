@@ -104,7 +104,7 @@ def cosine_rule(
     - `critical_squared`: c_k² of each interface, negative where it has no critical angle.
     - `present`: which of them can be positive, known before tracing; only those cost a panel. A panel that
         turns out empty has zero weights.
-    - `n`: nodes of a rule of up to two panels; three, met only where indices are traced or extreme, take ¾n each.
+    - `n`: nodes of a rule of up to two panels; more, met only where indices are traced or extreme, take ¾n each.
     - `skip_guided`: leave out [0, min c_k], where every interface reflects totally, and report its
         measure in `omitted`; needs all `present`.
     """
@@ -118,7 +118,7 @@ def cosine_rule(
     if skip_guided and all(present):
         omitted = starts[1]
         panels = panels[1:]
-    m = max(2, (n, n // 2, n - n // 4)[len(panels) - 1])
+    m = n if len(panels) == 1 else max(2, n // 2 if len(panels) == 2 else n - n // 4)
     x64, w64 = gauss_legendre(m)
     x, w = jnp.asarray(x64, dtype), jnp.asarray(w64, dtype)
     cosines, weights, squares = [], [], []

@@ -112,13 +112,16 @@ class Iris(eqx.Module):
     order: Order = eqx.field(init=False)
 
     def __post_init__(self):
-        # Equinox's converters run after this method, and the checks want arrays.
-        for name in LIMITS:
-            value = getattr(self, name)
-            if value is not None:
-                object.__setattr__(self, name, _as_float(name, value))
+        # Plain numbers stay known inside a program: the order of media must be.
+        with jax.ensure_compile_time_eval():
+            # Equinox's converters run after this method, and the checks want arrays.
+            for name in LIMITS:
+                value = getattr(self, name)
+                if value is not None:
+                    object.__setattr__(self, name, _as_float(name, value))
+            order = self.indices().order()
         _check(self)
-        object.__setattr__(self, "order", self.indices().order())
+        object.__setattr__(self, "order", order)
 
     @classmethod
     def preset(cls, level: str) -> "Iris":

@@ -55,6 +55,19 @@ def test_order_is_static_for_concrete_indices():
     assert order.stroma_over_aqueous
 
 
+def test_order_survives_replacing_other_fields_inside_a_program():
+    """Else every critical angle would be compiled for, and gradients of pigments would be many times slower."""
+    orders = []
+
+    @jax.jit
+    def f(eumelanin):
+        orders.append(ij.Iris().replace(eumelanin=eumelanin).order)
+        return eumelanin
+
+    f(1.0)
+    assert orders == [ij.Iris().order]
+
+
 def test_every_order_is_possible_for_traced_indices():
     orders = []
 
