@@ -14,29 +14,34 @@ settings.register_profile("deterministic", derandomize=True, deadline=None, data
 settings.load_profile("deterministic")
 
 
-def _precision(bits):
-    # JAX keeps traced helpers between calls; some were traced at the other precision.
-    jax.clear_caches()
-    jax.config.update("jax_enable_x64", bits == 64)
+def _wants_float32(item):
+    call = getattr(item, "callspec", None)
+    return "float32" in item.fixturenames or (call is not None and call.params.get("bits") == 32)
+
+
+def pytest_collection_modifyitems(items):
+    """Single precision last: changing over throws all compiled programs away."""
+    items.sort(key=_wants_float32)
+
+
+@pytest.fixture(autouse=True)
+def _precision(request):
+    wanted = not _wants_float32(request.node)
+    if jax.config.read("jax_enable_x64") != wanted:
+        # JAX keeps traced helpers between calls; some were traced at the other precision.
+        jax.clear_caches()
+        jax.config.update("jax_enable_x64", wanted)
 
 
 @pytest.fixture(params=[64, 32], ids=["f64", "f32"])
 def bits(request):
-    """Both precisions, one after the other."""
-    if request.param == 64:
-        yield 64
-        return
-    _precision(32)
-    yield 32
-    _precision(64)
+    """Both precisions."""
+    return request.param
 
 
 @pytest.fixture
 def float32():
     """Single precision for one test."""
-    _precision(32)
-    yield
-    _precision(64)
 
 
 @pytest.fixture(scope="session")

@@ -202,12 +202,10 @@ def _one_wavelength(abl, depth, albedo, coalbedo, n, nodes, beams, power, exits,
     for mode in MODES if exits is not None else MODES[:1]:
         strength = albedo * jnp.asarray(mode.strength, depth.dtype)
         f_nodes, f_beams = mode.functions(nodes.cosine), mode.functions(beams.cosine)
-        operator = slab.moments(angle, nodes.weight * f_nodes[:, None] * f_nodes[None, :], mode.parity)
+        operator = slab.moments(angle, nodes.weight, f_nodes, mode.parity)
         driving = slab.driving(beam, f_beams * (entering / beams.cosine), mode.parity)
-        size = operator.shape[0] * operator.shape[1]
-        system = jnp.eye(size, dtype=depth.dtype) - operator.reshape(size, size) * jnp.repeat(
-            strength, size // strength.size
-        )
+        size = operator.shape[0]
+        system = jnp.eye(size, dtype=depth.dtype) - operator * jnp.repeat(strength, size // strength.size)
         right = driving.reshape(size)
         if mode.order == 0:
             balance = _energy_balance(slab, strength, f_nodes, angle, nodes, roof_out, coalbedo)

@@ -95,35 +95,40 @@ class Slab:
             (start * self.sign[:, None] * b.from_bottom[:, None]).reshape(-1, b.cosine.size),
         )
 
-    def moments(self, b: Bounded, weights, parity: int):
-        """Moments of the radiance that unit sources make, (rank, panels·orders, rank, panels·orders)."""
-        rank, size = weights.shape[0], self.n_panels * self.n_depths
+    def moments(self, b: Bounded, weight, f, parity: int):
+        """Moments ∫ weight f_l φ_i I of the radiance that unit sources f_k φ_j make.
+
+        `f` has shape (rank, angles); returns (rank·panels·orders, rank·panels·orders).
+        """
+        rank, panels, n = f.shape[0], self.n_panels, self.n_depths
         _, _, downward, upward = self._sources(b, parity)
         entering_top, entering_bottom = self._tests(b)
-        out = jnp.einsum("lka,ia,ja->likj", weights, entering_top, downward)
-        out += jnp.einsum("lka,ia,ja->likj", weights, parity * entering_bottom, upward)
-        n, panels = self.n_depths, self.n_panels
-        shape = (rank, panels, n, rank, panels, n)
-        out = out.reshape(shape)
-        overlap = jnp.asarray(_overlap(n), self.depth.dtype)
-        # A panel on itself: ∫∫ φ_i(s) x e^{−x|s−s'|} φ_j(s') = 2 Σ_k overlap_ijk x m_k(x).
-        own = jnp.einsum("lka,pca->lkpc", weights, b.emitted)
-        own = 2 * jnp.einsum("ijc,lkpc->lipkj", overlap, own) * self.norm[:, None, None, None]
+        weighted = weight * f
+        entering = jnp.concatenate([entering_top, parity * entering_bottom], axis=-1)
+        sent = jnp.concatenate([downward, upward], axis=-1)
+        out = _between(jnp.tile(weighted, 2), entering, jnp.tile(f, 2), sent)
+        out = out.reshape(rank, panels, n, rank, panels, n)
+        # A panel on itself: ∫∫ φ_i(s) x e^{−x|s−s'|} φ_j(s') = 2 Σ_c overlap_ijc x m_c(x).
+        overlap = jnp.asarray(2 * (2 * np.arange(n) + 1)[:, None, None] * _overlap(n), self.depth.dtype)
+        own = b.emitted @ (weighted[:, None] * f).reshape(rank * rank, -1).T
+        own = jnp.einsum("ijc,pclk->plikj", overlap, own.reshape(panels, 2 * n, rank, rank))
         for p in range(panels):
-            out = out.at[:, p, :, :, p, :].add(own[:, :, p])
+            out = out.at[:, p, :, :, p, :].add(own[p])
         # One panel on another: what leaves the one, thinned by the gap.
         start, emitted = b.start[:, :n] * self.norm[:, None], b.emitted[:, :n]
+        mirrored_start, mirrored = self.sign[:, None] * start, self.sign[:, None] * emitted
         for apart in range(1, panels):
             above = np.arange(panels - apart)
             under = above + apart
             gap = self.depth * jnp.asarray(self.edges[under] - self.edges[above + 1], self.depth.dtype)
-            thinned = weights[:, :, None] * jnp.exp(-gap[:, None] / b.cosine)
-            pair = "lkpa,pia,pja->plikj"
-            down = jnp.einsum(pair, thinned, start[under], self.sign[:, None] * emitted[above])
-            up = jnp.einsum(pair, thinned, self.sign[:, None] * start[above], emitted[under])
-            out = out.at[:, under, :, :, above, :].add(down)
-            out = out.at[:, above, :, :, under, :].add(up)
-        return out.reshape(rank, size, rank, size)
+            thinned = weighted * jnp.exp(-gap[:, None, None] / b.cosine)
+            pairs = jax.vmap(_between, in_axes=(0, 0, None, 0))
+            down = pairs(thinned, start[under], f, mirrored[above])
+            up = pairs(thinned, mirrored_start[above], f, emitted[under])
+            shape = (panels - apart, rank, n, rank, n)
+            out = out.at[:, under, :, :, above, :].add(down.reshape(shape))
+            out = out.at[:, above, :, :, under, :].add(up.reshape(shape))
+        return out.reshape(rank * panels * n, rank * panels * n)
 
     def driving(self, b: Bounded, weights, parity: int):
         """Moments of beams of radiance `weights` (rank, beams) that enter at the top, (rank, panels·orders)."""
@@ -143,6 +148,12 @@ class Slab:
         return (source.T * top).sum(0), (source.T * bottom).sum(0)
 
 
+def _between(f, received, g, sent):
+    """Σ_a f_l received_i g_k sent_j as a matrix over (l, i) and (k, j)."""
+    left = (f[:, None] * received).reshape(-1, f.shape[-1])
+    return left @ (g[:, None] * sent).reshape(-1, g.shape[-1]).T
+
+
 def fractions(n_panels: int) -> np.ndarray:
     """Shares of the depth that each panel takes."""
     panel = np.arange(n_panels)
@@ -153,25 +164,30 @@ def fractions(n_panels: int) -> np.ndarray:
 def _legendre_moments(x, count: int):
     """m_k(x) = ∫₀¹ φ_k(s) e^{−xs} ds = (−1)^k e^{−x/2} i_k(x/2), shape (panels, count, angles).
 
-    Ratios r_k = i_k/i_{k−1} of modified spherical Bessel functions, by the recurrence that is stable:
-    downwards for thin panels, upwards for thick ones.
+    Modified spherical Bessel functions by the recurrence that is stable: for thin panels downwards, on
+    j_k = (2k+1)!! i_k(z)/z^k, which neither over- nor underflows; for thick ones upwards. No divisions.
     """
     z = x / 2
     thick = z > 50.0
-    z_thin, z_thick = jnp.where(thick, 1.0, z), jnp.where(thick, z, 100.0)
+    z_thin, inverse = jnp.where(thick, 1.0, z), 1 / jnp.where(thick, z, 100.0)
     top = count + 14
-    ratio = z_thin / (top + jnp.sqrt((top + 0.5) ** 2 + z_thin * z_thin))
+    square = z_thin * z_thin
+    now, after = jnp.ones_like(z), (2 * top + 3) / (top + 1 + jnp.sqrt((top + 1.5) ** 2 + square))
     thin = []
-    for k in range(top - 1, 0, -1):
-        ratio = z_thin / (2 * k + 1 + z_thin * ratio)
-        if k < count:
-            thin.append(ratio)
-    moments = [_mean_survival(x)]
+    for k in range(top, 0, -1):
+        now, after = now + square * (1 / ((2 * k + 1) * (2 * k + 3))) * after, now
+        if k <= count:
+            thin.append(now)
+    thin.reverse()
+    first = _mean_survival(x)
+    power = first / thin[0]
     # coth z is 1 to the last bit here.
-    ratio = 1 - 1 / z_thick
-    for k, r in enumerate(reversed(thin), start=1):
-        moments.append(-moments[-1] * jnp.where(thick, ratio, r))
-        ratio = 1 / ratio - (2 * k + 1) / z_thick
+    before, last = first, -first * (1 - inverse)
+    moments = [first]
+    for k in range(1, count):
+        power = -power * z_thin * (1 / (2 * k + 1))
+        moments.append(jnp.where(thick, last, power * thin[k]))
+        before, last = last, before + (2 * k + 1) * inverse * last
     return jnp.stack(moments, axis=-2)
 
 
