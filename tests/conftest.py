@@ -1,5 +1,10 @@
 """Float64 unless a test asks otherwise, runtime type checks, and repeatable hypothesis."""
 
+import os
+
+# Compiling takes most of the time; XLA_FLAGS="" tests optimised programs.
+os.environ.setdefault("XLA_FLAGS", "--xla_backend_optimization_level=0")
+
 import jaxtyping
 
 jaxtyping.install_import_hook("irisjax", "typechecking.checked")

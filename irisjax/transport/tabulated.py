@@ -174,7 +174,7 @@ class Tabulated(AbstractSolver):
         for albedo in (0.0, 0.23, 0.71, 0.97, 1.0):
             albedos = jnp.full_like(depth, albedo)
             abl, stroma = jax.jit(_responses, static_argnums=(3, 4, 5))(
-                depth, albedos, self.indices, order, self.process, 96
+                depth, albedos, self.indices, order, self.process, 64
             )
             above, below = self._abl_response(depth)
             found = jnp.stack([above.reflected, above.passed, below.passed, below.reflected], -1)

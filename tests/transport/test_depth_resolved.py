@@ -18,6 +18,13 @@ IRIS = (1.336, 1.4733333333, 1.4727930095, 1.5)
 solve = functools.partial(common.solve, ij.DEPTH_RESOLVED)
 
 
+def anything(made):
+    """The same layers, compiled for every order of media alike."""
+    return ij.Layers(
+        made.abl_absorption, made.stroma_absorption, made.stroma_scattering, made.indices, type(made.order)()
+    )
+
+
 def test_reference_table():
     names, irides = all_irides()
     rows = reference("depth_resolved_reflectance.csv")
@@ -50,7 +57,7 @@ def test_reference_table():
 )
 def test_check_slab(index, normal, diffuse):
     """Optical depth 0.18, albedo 0.8, Rayleigh, Fresnel on top, index-matched black below."""
-    made = layers(0.0, 0.18 * 0.2, 0.18 * 0.8, (1.0, 1.0, index, index))
+    made = anything(layers(0.0, 0.18 * 0.2, 0.18 * 0.8, (1.0, 1.0, index, index)))
     # 1e-7 is what the issue asks of the default size; refined, all nine printed digits come out.
     for solver, tolerance in ((ij.Exact(), 1e-7), (ij.Exact(n_angles=100, n_depths=12), 1e-9)):
         for cosine, expected in ((1.0, normal), (ij.DIFFUSE, diffuse)):
@@ -148,23 +155,25 @@ def test_deep_layers_ask_for_panels():
     assert bool(solve(made).result == ij.RESULTS.successful)
 
 
-def test_depths_and_albedos_converge():
+@pytest.mark.parametrize("thickest", [1.0, pytest.param(2.0, marks=pytest.mark.slow)])
+def test_depths_and_albedos_converge(thickest):
     """The panels chosen for known depths hold 1e-7; a status of success, 1e-6. At random depths and albedos."""
     rng = np.random.default_rng(5)
-    depth, albedo = 10 ** rng.uniform(-2, 2, 60), 1 - 10 ** rng.uniform(-3, 0, 60)
+    depth, albedo = 10 ** rng.uniform(-2, thickest, 60), 1 - 10 ** rng.uniform(-3, 0, 60)
     made = [layers(0.01, t * (1 - w), t * w, IRIS) for t, w in zip(depth, albedo, strict=True)]
     panels = np.array([ij.Exact().prepare(lambda m=m: m, ij.DEPTH_RESOLVED).n_panels for m in made])
-    assert panels.min() == 1
+    assert set(panels) >= {1, 2, 3}
     together = layers(0.01, depth * (1 - albedo), depth * albedo, IRIS)
-    finest = solve(together, 0.7, ij.Exact(n_panels=11, n_depths=12)).reflectance
+    finest = solve(together, 0.7, ij.Exact(n_panels=int(panels.max()) + 2, n_depths=12)).reflectance
+    resolved = 0
     for n in np.unique(panels):
         found = solve(together, 0.7, ij.Exact(n_panels=int(n)))
-        chosen = panels == n
-        np.testing.assert_allclose(found.reflectance[chosen], finest[chosen], rtol=1e-7)
-    for i in range(0, 60, 6):
-        r = solve(made[i], 0.7, ij.Exact(n_panels=2))
-        if bool(r.result == ij.RESULTS.successful):
-            np.testing.assert_allclose(r.reflectance, finest[i : i + 1], rtol=1e-6)
+        np.testing.assert_allclose(found.reflectance[panels == n], finest[panels == n], rtol=1e-7)
+        if bool(found.result == ij.RESULTS.successful):
+            resolved += 1
+            np.testing.assert_allclose(found.reflectance, finest, rtol=1e-6)
+    # All depths together are resolved by what their thickest asks for, not by one panel.
+    assert 1 <= resolved < np.unique(panels).size
 
 
 def test_half_space_of_chandrasekhar():

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 import irisjax as ij
 from common import GRID, PROCESSES
 
-FINE = ij.Exact(n_angles=96)
+FINE = ij.Exact(n_angles=64)
 FIELDS = ("eumelanin", "pheomelanin", "abl_fraction", "oxyhemoglobin", "lutein", "abl_thickness", "stroma_thickness")
 
 
