@@ -1,9 +1,13 @@
 """Float64 unless a test asks otherwise, runtime type checks, and repeatable hypothesis."""
 
+import importlib.metadata
 import os
 
 # Compiling takes most of the time; XLA_FLAGS="" tests optimised programs.
-os.environ.setdefault("XLA_FLAGS", "--xla_backend_optimization_level=0")
+_QUICK = "--xla_backend_optimization_level=0"
+if importlib.metadata.version("jaxlib").startswith("0.10."):
+    _QUICK += " --xla_cpu_use_fusion_emitters=false"  # a flag that other releases refuse
+os.environ.setdefault("XLA_FLAGS", _QUICK)
 
 import jaxtyping
 

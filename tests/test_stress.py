@@ -63,8 +63,8 @@ def run_grid(process, solver, bits):
 @pytest.mark.parametrize(
     "name",
     [
-        "lb06", "rayleigh-retest",
-        *(pytest.param(n, marks=pytest.mark.slow) for n in ("rayleigh", "lb06-retest", "lb06-redrawn", "rayleigh-redrawn", "retest-redrawn")),
+        "rayleigh", "rayleigh-retest",
+        *(pytest.param(n, marks=pytest.mark.slow) for n in ("lb06", "lb06-retest", "lb06-redrawn", "rayleigh-redrawn", "retest-redrawn")),
     ],
 )  # fmt: skip
 def test_every_depth_index_and_incidence(name, bits):
@@ -269,11 +269,10 @@ ORDERS = {e: ij.Iris(**edge(e)).order for e in EDGES}
     ("name", "traced_order"),
     [
         ("lb06", False),
-        ("rayleigh", True),
         *(
             pytest.param(n, traced, marks=pytest.mark.slow)
             for n, traced in (
-                ("rayleigh", False), ("rayleigh-retest", True), ("rayleigh-redrawn", True), ("lb06-retest", False), ("lb06-redrawn", False),
+                ("rayleigh", False), ("rayleigh", True), ("rayleigh-retest", True), ("rayleigh-redrawn", True), ("lb06-retest", False), ("lb06-redrawn", False),
                 ("depth-resolved", True), ("depth-resolved", False),
             )
         ),

@@ -114,33 +114,31 @@ def averaged_over_circle(power, a, b):
 
 
 @pytest.mark.parametrize("name", NAMES)
-@pytest.mark.parametrize("power", [0, 1, 4])
 @pytest.mark.parametrize("critical", [(), (0.18,), (0.18, 0.0007)])
-def test_redistribution_of_powers(name, power, critical):
+def test_redistribution_of_powers(name, critical):
     """S(μ) = ½∫dα D(α) ⟨|μ'|^k⟩, the deflection integrated about the ray itself (no singular kernel)."""
     mu, w, scatter = operator(name, critical, 36)
     live = w > 0
-    found = scatter @ np.where(live, mu**power, 0.0)
-    for i in np.flatnonzero(live)[:: max(1, live.sum() // 9)]:
-        s = np.sqrt(1 - mu[i] ** 2)
-        edge = np.arctan2(mu[i], s)
-        expected = 0.5 * sum(
-            quad(
-                lambda a, i=i, s=s: density(name, a) * averaged_over_circle(power, mu[i] * np.cos(a), s * np.sin(a)),
-                *ends,
-                epsabs=1e-13,
-            )[0]
-            for ends in ((0, edge), (edge, np.pi - edge), (np.pi - edge, np.pi))
-        )
-        # The printed phase function is asked for 1e-6 in reflectance, Rayleigh's for 1e-10.
-        assert found[i] == pytest.approx(expected, rel=0, abs=1e-6 if name == "lb06" else 1e-8)
+    for power in (0, 1, 4):
+        found = scatter @ np.where(live, mu**power, 0.0)
+        for i in np.flatnonzero(live)[:: max(1, live.sum() // 9)]:
+            s = np.sqrt(1 - mu[i] ** 2)
+            edge = np.arctan2(mu[i], s)
+
+            def integrand(a, i=i, s=s, power=power):
+                return density(name, a) * averaged_over_circle(power, mu[i] * np.cos(a), s * np.sin(a))
+
+            pieces = ((0, edge), (edge, np.pi - edge), (np.pi - edge, np.pi))
+            expected = 0.5 * sum(quad(integrand, *ends, epsabs=1e-13)[0] for ends in pieces)
+            # The printed phase function is asked for 1e-6 in reflectance, Rayleigh's for 1e-10.
+            assert found[i] == pytest.approx(expected, rel=0, abs=1e-6 if name == "lb06" else 1e-8)
 
 
 @pytest.mark.parametrize("name", NAMES)
 @pytest.mark.parametrize("critical", [(), (0.18,), (0.18, 0.0007)])
 def test_scattering_conserves(name, critical, bits):
     """Half of all scattered light goes up, half goes down, to rounding and at any number of nodes."""
-    for n in (8, 36):
+    for n in (8, 20):
         mu, w, scatter = operator(name, critical, n, bits == 64)
         for f in (np.ones_like(mu), 2 * mu, np.exp(-0.3 / mu)):
             f = np.where(w > 0, f, 0)

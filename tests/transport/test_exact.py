@@ -25,9 +25,7 @@ def spectra(process, solver=ij.Exact(), bits=64):  # noqa: B008
     _, irides = all_irides()
 
     def spectrum(iris):
-        return ij.reflectance(
-            iris, GRID, process=process, solver=solver, first_surface=False, raise_on_failure=False
-        )
+        return ij.reflectance(iris, GRID, process=process, solver=solver, first_surface=False, raise_on_failure=False)
 
     # As NumPy: what is kept outlives a change of precision.
     return jax.tree.map(np.asarray, quick_jit(jax.vmap(spectrum))(irides))
