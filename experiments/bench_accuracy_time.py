@@ -40,7 +40,8 @@ def main(key, quick=False, out=RESULTS):
     rows += _depth_resolved(quick) + _peers(quick)
     header = (
         f"simulated irides; {len(GRID)} wavelengths; {device}; jax {jax.__version__}; irisjax {ij.__version__}",
-        "times in microseconds a spectrum, warm medians; errors against Exact with 288 nodes a layer (72 for lb06; 96 and 5 panels of 12 polynomials, depth-resolved)",
+        "times in microseconds a spectrum, warm medians; errors against Exact with 288 nodes a layer "
+        "(72 for lb06; 96 and 5 panels of 12 polynomials, depth-resolved)",
     )
     write(out / "bench_accuracy_time.csv", header, COLUMNS, rows)
     write(

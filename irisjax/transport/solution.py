@@ -16,6 +16,9 @@ class RESULTS(eqx.Enumeration):
         "a layer's optical depth is negative or not finite, or an index does not keep to the order of media "
         "the iris was made with"
     )
+    ill_conditioned = (
+        "the stroma scatters so often before it absorbs that this precision loses count; compute in float64"
+    )
     under_resolved = (
         "the stroma is optically too thick for the number of depth panels; give Exact(n_panels=...) a larger one"
     )
