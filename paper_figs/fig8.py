@@ -24,7 +24,7 @@ for axes, incidence in zip(panels, ("0", "60"), strict=True):
     axes.set_thetalim(-np.pi / 2, np.pi / 2)
     axes.set_thetagrids(range(-90, 91, 30))
     axes.set_title(f"incidence {incidence}° (dotted), BRDF in 1/sr", fontsize=9)
-    axes.set_rgrids([r for r in axes.get_yticks() if r > 0][1::2], angle=80)
+    axes.set_rgrids([0.004, 0.008], angle=80)
     axes.tick_params(labelsize=7)
 handles, labels = panels[0].get_legend_handles_labels()
 figure.legend(handles, labels, loc="lower center", ncols=3, fontsize=7)
