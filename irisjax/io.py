@@ -93,30 +93,42 @@ def check_writable(path: str | Path) -> None:
 
 
 def write_atomically(path: str | Path, data: bytes) -> None:
-    """Write a file so that its name never stands for half of it.
+    """Write a file so that its name never stands for half of it; see `write_together`."""
+    write_together({Path(path): data})
 
-    The bytes go to a new file in the same folder, which then takes the name. Pipes and devices, such as
-    /dev/stdout, are written to directly.
 
-    **Raises:** `OSError`; what stood there before is then untouched.
+def write_together(files: Mapping[Path, bytes]) -> None:
+    """Write all of several files or none, and none by halves.
+
+    The bytes go to new files in the same folders, which take the names once all are written. Pipes and
+    devices, such as /dev/stdout, are written to directly.
+
+    **Raises:** `OSError` naming the file; what stood there before is then untouched.
     """
-    check_writable(path)
-    if _is_special(Path(path)):
-        with open(path, "wb") as device:
-            device.write(data)
-        return
-    target = Path(os.path.realpath(path))  # through links, so that a link stays one
-    temporary = target.with_name(f".{target.name}.{os.getpid()}.tmp")
+    for path in files:
+        check_writable(path)
+    written: list[tuple[Path, Path]] = []
+    path = Path()
     try:
-        # os.open, not tempfile: the file then has the permissions the user's umask asks for.
-        with open(os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o666), "wb") as file:
-            file.write(data)
-            file.flush()
-            os.fsync(file.fileno())
-        os.replace(temporary, target)
+        for path, data in files.items():
+            if _is_special(path):
+                with path.open("wb") as device:
+                    device.write(data)
+                continue
+            target = Path(os.path.realpath(path))  # through links, so that a link stays one
+            temporary = target.with_name(f".{target.name}.{os.getpid()}.tmp")
+            written.append((temporary, target))
+            # os.open, not tempfile: the file then has the permissions the user's umask asks for.
+            with open(os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o666), "wb") as file:
+                file.write(data)
+                file.flush()
+                os.fsync(file.fileno())
+        for temporary, target in written:
+            os.replace(temporary, target)
     except BaseException as error:
-        with contextlib.suppress(OSError):
-            temporary.unlink(missing_ok=True)
+        for temporary, _ in written:
+            with contextlib.suppress(OSError):
+                temporary.unlink(missing_ok=True)
         if isinstance(error, OSError):  # name the file asked for, not the temporary one
             raise OSError(error.errno, error.strerror, str(path)) from error
         raise

@@ -65,6 +65,23 @@ def test_failed_write_leaves_the_old_file(tmp_path, monkeypatch):
     assert os.listdir(tmp_path) == ["kept.csv"]
 
 
+def test_files_written_together_are_all_or_none(tmp_path, monkeypatch):
+    first, second = tmp_path / "a.csv", tmp_path / "b.png"
+    first.write_text("old")
+    opened = os.open
+
+    def full(path, *rest):
+        if "b.png" in str(path):
+            raise OSError(28, "No space left on device", str(path))
+        return opened(path, *rest)
+
+    monkeypatch.setattr(os, "open", full)
+    with pytest.raises(OSError, match=r"b\.png"):
+        io.write_together({first: b"new", second: b"picture"})
+    assert first.read_text() == "old"
+    assert os.listdir(tmp_path) == ["a.csv"]
+
+
 def test_links_stay_links(tmp_path):
     (tmp_path / "there").mkdir()
     target, link = tmp_path / "there" / "file.csv", tmp_path / "link.csv"

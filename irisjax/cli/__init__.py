@@ -187,9 +187,9 @@ def _write(values: Mapping[str, Any], lines, columns, figure: Callable[[], Any])
     text = io.format_table(lines, {name: np.asarray(column) for name, column in columns.items()})
     target = values["plot"]
     picture = None if target is None else plot.picture(figure(), target.suffix)
+    files = {} if values["output"] is None else {values["output"]: text.encode()}
+    if target is not None and picture is not None:
+        files[target] = picture
+    io.write_together(files)
     if values["output"] is None:
         sys.stdout.write(text)
-    else:
-        io.write_atomically(values["output"], text.encode())
-    if target is not None and picture is not None:
-        io.write_atomically(target, picture)

@@ -2,15 +2,16 @@
 
 import dataclasses
 import math
+import sys
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any, get_args
 
 import irisjax as ij
 from irisjax import io
-from irisjax.cli.options import Setting, cosine, flag, grid, number, one_of, whole
+from irisjax.cli.options import Grid, Setting, cosine, flag, grid, number, one_of, whole
 from irisjax.measure.colour import OBSERVER
-from irisjax.tissue.iris import _POSITIVE, LIMITS
+from irisjax.tissue.iris import LIMITS
 from irisjax.tissue.pigments import common_range
 from irisjax.transport.montecarlo import Estimator
 from irisjax.transport.process import PROCESSES, Cornea, Phase, Rescatter, Scattering
@@ -25,9 +26,9 @@ def _choice(name: str, panel: str, help: str, names: Iterable[str], default: str
 
 
 def _iris_setting(name: str) -> Setting:
-    low, high, unit, meaning = LIMITS[name]
+    low, high, unit, meaning, above = LIMITS[name]
     allowed = f"{low:g} to {high:g}" if math.isfinite(high) else f"at least {low:g}"
-    if name in _POSITIVE:
+    if above:
         allowed = f"above {low:g}, at most {high:g}" if math.isfinite(high) else f"above {low:g}"
     # The melanins are the level's.
     default = f"{_DEFAULTS[name]:g}" if name in _DEFAULTS and not name.endswith("melanin") else None
@@ -37,7 +38,15 @@ def _iris_setting(name: str) -> Setting:
 def _wavelengths(default: str, option: str | None = None) -> Setting:
     low, high = common_range()
     help = f"start:stop:step or a list like 450,550; within {low:g} to {high:g}"
-    return Setting("wavelengths", _LIGHT, help, grid, default, "nm", option=option)
+
+    def within(text: str) -> Grid:
+        found = grid(text)
+        outside = [w for w in found.values if not low <= w <= high]
+        if outside:
+            raise ValueError(f"{outside[0]:g} nm is outside the pigment tables ({low:g} to {high:g} nm)")
+        return found
+
+    return Setting("wavelengths", _LIGHT, help, within, default, "nm", option=option)
 
 
 _MODEL = (
@@ -260,6 +269,9 @@ def _filed(path: Path, command: str, table: Mapping[str, Setting], texts: Mappin
     overruled = {name for setter, names in _SETS.items() if setter in texts for name in names}
     # Another command's file lends its iris, process and solver; what it measured is its own affair.
     foreign = entries.get("command", command) != command
+    left_out = [n for n in entries if n in table and n not in texts and table[n].panel == _LIGHT]
+    if foreign and left_out:
+        print(f"irisjax: note: {path} is of another command; not taken from it: {', '.join(left_out)}", file=sys.stderr)
     return {
         name: text
         for name, text in entries.items()

@@ -30,6 +30,7 @@ class Limits(NamedTuple):
     high: float
     unit: str
     meaning: str
+    above: bool = False  # `low` itself is not allowed
 
 
 _INF = float("inf")
@@ -43,8 +44,8 @@ LIMITS: dict[str, Limits] = {
     "zeaxanthin": Limits(0, _INF, "mg/ml", "zeaxanthin in the stroma"),
     "abl_thickness": Limits(0, _INF, "mm", "thickness of the anterior border layer"),
     "stroma_thickness": Limits(0, _INF, "mm", "thickness of the stroma"),
-    "intensification": Limits(0, _INF, "", "factor of intensification of melanin absorption"),
-    "fibril_radius": Limits(0, 200, "nm", "radius of the collagen fibrils"),
+    "intensification": Limits(0, _INF, "", "factor of intensification of melanin absorption", above=True),
+    "fibril_radius": Limits(0, 200, "nm", "radius of the collagen fibrils", above=True),
     "iris_radius": Limits(0, _INF, "mm", "outer radius of the iris"),
     "pupil_radius": Limits(0, _INF, "mm", "radius of the pupil"),
     "aqueous_index": Limits(1, 3, "", "refractive index of the aqueous humour"),
@@ -55,14 +56,13 @@ LIMITS: dict[str, Limits] = {
     "tear_index": Limits(1, 3, "", "refractive index of the tear film"),
     "cornea_index": Limits(1, 3, "", "refractive index of the cornea"),
     "fibroblast_fraction": Limits(0, 1, "", "volume fraction of fibroblasts in the ABL"),
-    "collagen_fraction": Limits(0, 1, "", "volume fraction of fibrils in the stroma"),
+    "collagen_fraction": Limits(0, 1, "", "volume fraction of fibrils in the stroma", above=True),
     "abl_index": Limits(1, 3, "", "refractive index of the ABL, in place of Gladstone-Dale's"),
     "stroma_index": Limits(1, 3, "", "refractive index of the stroma, in place of Gladstone-Dale's"),
 }
 """Every settable field of `Iris` with its allowed range and unit."""
 
 _LEVELS = {"high": (1.008, 0.2674), "moderate": (0.8138, 0.2054), "low": (0.1201, 0.0194)}
-_POSITIVE = ("fibril_radius", "collagen_fraction", "intensification")
 
 
 def _parameter(name: str, default: float | None) -> Any:
@@ -251,7 +251,8 @@ def _check(iris: Iris) -> None:
     if not isinstance(iris.pupil_radius, Tracer) and not isinstance(iris.iris_radius, Tracer):
         bad = np.asarray(iris.pupil_radius) > np.asarray(iris.iris_radius)
         if bad.any():
-            raise ValueError("pupil_radius must not exceed iris_radius")
+            pupil, whole = (np.broadcast_to(r, bad.shape)[bad][0] for r in (iris.pupil_radius, iris.iris_radius))
+            raise ValueError(f"pupil_radius = {pupil:g} mm exceeds iris_radius = {whole:g} mm")
 
 
 def _check_value(name: str, value, limits: Limits) -> None:
@@ -259,11 +260,11 @@ def _check_value(name: str, value, limits: Limits) -> None:
         return
     v = np.asarray(value)
     allowed = np.isfinite(v) & (v >= limits.low) & (v <= limits.high)
-    if name in _POSITIVE:
-        allowed &= v > 0
+    if limits.above:
+        allowed &= v > limits.low
     if not allowed.all():
         worst = v[~allowed].flat[0]
-        low = f"{'(' if name in _POSITIVE else '['}{limits.low:g}"
+        low = f"{'(' if limits.above else '['}{limits.low:g}"
         high = "inf)" if np.isinf(limits.high) else f"{limits.high:g}]"
         unit = f" {limits.unit}" if limits.unit else ""
         raise ValueError(f"{name} = {worst:g}{unit} is outside {low}, {high}{unit}")

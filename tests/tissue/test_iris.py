@@ -109,7 +109,7 @@ def test_melanin_load_and_fraction_inside_jit_and_grad():
         ("fibril_radius", 0.0, r"^fibril_radius = 0 nm is outside \(0, 200\] nm$"),
         ("melanin_load", -1.0, r"^melanin_load = -1 ug/mm2 is outside \[0, inf\) ug/mm2$"),
         ("melanin", 1.0, r"^unknown parameter 'melanin'; known: melanin_load, eumelanin, "),
-        ("pupil_radius", 6.0, r"^pupil_radius must not exceed iris_radius$"),
+        ("pupil_radius", 6.0, r"^pupil_radius = 6 mm exceeds iris_radius = 5.5 mm$"),
         ("eumelanin", "much", r"^eumelanin must be a number, got 'much'$"),
         ("eumelanin", True, r"^eumelanin must be a number, got True$"),
         ("eumelanin", 1j, r"^eumelanin must be a real number"),
