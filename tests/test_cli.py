@@ -132,7 +132,8 @@ def test_options_change_what_a_file_says(irisjax, tmp_path):
     assert header["lutein"] == "0.0"
     assert header["wavelengths"] == "400:700:100"
     # Another command takes iris and process from the file, not its grid.
-    out = irisjax("colour", "--from", path)[1]
+    _, out, err = irisjax("colour", "--from", path)
+    assert "is of another command; not taken from it: wavelengths" in err
     assert "# eumelanin: 0.1201 [mg/ml]" in out
     assert "# phase: rayleigh" in out
     assert "# wavelengths: 380:780:5" in out

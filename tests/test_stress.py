@@ -93,10 +93,18 @@ def shallow(made, cosine):
     return ij.Exact(n_angles=24, n_panels=3).solve(made, ij.DEPTH_RESOLVED, cosine)
 
 
+def holds(absorption, scattering, bits):
+    """Where the precision bears the number of scatterings, 1/(1 − ω + 1/τ²)."""
+    total = np.maximum(absorption + scattering, 1e-300)
+    return absorption / total + 1 / np.maximum(total, 1) ** 2 >= (0 if bits == 64 else 2e-6)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("media", ["iris", "all-equal", "guided-both"])
 def test_depth_resolved_at_every_depth(media, bits):
-    made = layers(ABL, ABSORPTION, SCATTERING, MEDIA[media])
+    # Every seventh: systems of 352 unknowns each.
+    held = np.flatnonzero(holds(ABSORPTION, SCATTERING, bits))[::7]
+    made = layers(ABL[held], ABSORPTION[held], SCATTERING[held], MEDIA[media])
     solver = ij.Exact().prepare(lambda: made, ij.DEPTH_RESOLVED)
     solution = quick_jit(lambda x: solver.solve(x, ij.DEPTH_RESOLVED, jnp.asarray(1.0, float)))(made)
     check(solution, bits)
@@ -107,8 +115,7 @@ def test_depth_resolved_deep(bits):
     """Twenty-two panels for an optical depth of a million; where single precision does not hold it, the status says so."""
     depths = np.array([1e-12, 1e-3, 1.0, 1e3, 1e6])
     absorption, scattering = (x.ravel() for x in np.meshgrid(depths, depths))
-    total = absorption + scattering
-    held = absorption / total + 1 / np.maximum(total, 1) ** 2 >= (0 if bits == 64 else 2e-6)
+    held = holds(absorption, scattering, bits)
     assert held.sum() > 15
     solver = ij.Exact(n_panels=22)
     run = quick_jit(lambda x: solver.solve(x, ij.DEPTH_RESOLVED, jnp.asarray(1.0, float)))

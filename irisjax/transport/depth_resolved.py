@@ -16,6 +16,7 @@ from jax.core import Tracer
 from irisjax.optics.fresnel import critical_cosine_squared, fresnel, refract
 from irisjax.optics.quadrature import conserving, cosine_rule, gauss_legendre, refracted
 from irisjax.tissue.layers import Layers
+from irisjax.transport import elimination
 from irisjax.transport.process import attenuation, survival
 from irisjax.transport.slab import Bounded, Ends, Slab, fractions
 from irisjax.transport.solution import RESULTS, Absorbed, Solution
@@ -224,7 +225,7 @@ def _one_wavelength(abl, depth, albedo, coalbedo, n, nodes, beams, power, exits,
             balance = _energy_balance(slab, strength, f_nodes, angle, nodes, roof_out, coalbedo)
             solution = _solve_balanced(slab, system, right, balance, lost_beam)
         else:
-            solution = jnp.linalg.solve(system, right)
+            solution = elimination.solve(system, right)
         moments[mode.order] = solution.reshape(driving.shape)
         if exits is not None:
             source = (strength[:, None] * mode.functions(exits.cosine)).T @ moments[mode.order]
@@ -279,7 +280,9 @@ def _solve_balanced(slab, system, right, balance, lost_beam):
     which = slab.n_panels // 2 * slab.n_depths  # the mean over the thickest panel
     system = system.at[which].set(jnp.where(empty, system[which], balance * scale))
     right = right.at[which].set(jnp.where(empty, right[which], lost_beam * scale))
-    x = jnp.linalg.solve(system, right)
+    # Eliminated last, where a small pivot is the small loss of light that it stands for.
+    order = np.append(np.delete(np.arange(right.size), which), which)
+    x = elimination.solve(system[order][:, order], right[order])[np.argsort(order)]
     spent = balance @ x
     dark = spent <= 0
     return x * jnp.where(dark, 1.0, lost_beam / jnp.where(dark, 1.0, spent))
