@@ -83,8 +83,8 @@ def test_what_is_not_asked_for_costs_nothing():
 
     plain, deep = program(ij.ILIT_CORRECTED), program(ij.DEPTH_RESOLVED)
     # The two azimuthal orders of Rayleigh's phase function are compiled for a BRDF only.
-    assert program(ij.DEPTH_RESOLVED, name="lu") == 1
-    assert program(ij.DEPTH_RESOLVED, exits, name="lu") == 3
+    assert program(ij.DEPTH_RESOLVED, name="custom_linear_solve") == 1
+    assert program(ij.DEPTH_RESOLVED, exits, name="custom_linear_solve") == 3
     assert plain < program(ij.ILIT_CORRECTED, exits)
     # Rank two needs no sum over orders of scattering.
     assert program(ij.ILIT_CORRECTED, name="while") == 0 < program(ij.ILIT_2006, name="while")
