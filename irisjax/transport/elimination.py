@@ -10,6 +10,8 @@ import jax.numpy as jnp
 from jax.custom_batching import custom_vmap
 from jaxtyping import Array, Float
 
+_LARGEST = 32
+
 
 def solve(a: Float[Array, "n n"], b: Float[Array, " n"]) -> Float[Array, " n"]:
     """x with a x = b, without pivoting: every leading block of `a` must be well conditioned.
@@ -23,24 +25,37 @@ def solve(a: Float[Array, "n n"], b: Float[Array, " n"]) -> Float[Array, " n"]:
 
 @custom_vmap
 def _eliminate(a, b):
-    return _gauss_jordan(a[..., None], b[..., None])[..., 0]
+    return _solve_blocks(a[None], b[None, :, None])[0, :, 0]
 
 
 @_eliminate.def_vmap
 def _eliminate_many(axis_size, in_batched, a, b):
     a, b = (
-        jnp.moveaxis(x, 0, -1) if batched else jnp.broadcast_to(x[..., None], (*x.shape, axis_size))
+        x if batched else jnp.broadcast_to(x, (axis_size, *x.shape))
         for x, batched in zip((a, b), in_batched, strict=True)
     )
-    return jnp.moveaxis(_gauss_jordan(a, b), -1, 0), True
+    return _solve_blocks(a, b[..., None])[..., 0], True
 
 
-def _gauss_jordan(a: Float[Array, "n n many"], b: Float[Array, "n many"]) -> Float[Array, "n many"]:
-    n = a.shape[0]
+def _solve_blocks(a: Float[Array, "many n n"], b: Float[Array, "many n m"]) -> Float[Array, "many n m"]:
+    """Large systems by halves, so that most of the work is products of matrices."""
+    n = a.shape[-1]
+    if n <= _LARGEST:
+        m = jnp.moveaxis(jnp.concatenate([a, b], axis=-1), 0, -1)
+        return jnp.moveaxis(_gauss_jordan(m), -1, 0)
+    half = n // 2
+    left = _solve_blocks(a[:, :half, :half], jnp.concatenate([a[:, :half, half:], b[:, :half]], axis=-1))
+    rest = jnp.concatenate([a[:, half:, half:], b[:, half:]], axis=-1) - a[:, half:, :half] @ left
+    below = _solve_blocks(rest[..., : n - half], rest[..., n - half :])
+    return jnp.concatenate([left[..., n - half :] - left[..., : n - half] @ below, below], axis=1)
+
+
+def _gauss_jordan(m: Float[Array, "n width many"]) -> Float[Array, "n rest many"]:
+    n = m.shape[0]
     rows = jnp.arange(n)[:, None, None]
 
     def step(k, m):
         pivot_row = m[k] / m[k, k]
         return jnp.where(rows == k, pivot_row, m - m[:, k, None] * pivot_row)
 
-    return jax.lax.fori_loop(0, n, step, jnp.concatenate([a, b[:, None]], axis=1))[:, -1]
+    return jax.lax.fori_loop(0, n, step, m)[:, n:]

@@ -176,6 +176,13 @@ def test_depths_and_albedos_converge(thickest):
     assert 1 <= resolved < np.unique(panels).size
 
 
+@pytest.mark.slow
+def test_deep_scattering_layer_converges():
+    made = layers(0.0, np.array([1e-3, 0.01, 1.0]), 300.0, IRIS)
+    standard, finer = solve(made), solve(made, solver=ij.Exact(n_depths=14, n_angles=72))
+    np.testing.assert_allclose(standard.reflectance, finer.reflectance, rtol=1e-6)
+
+
 def test_half_space_of_chandrasekhar():
     """Conservative matched slab: everything comes back as it gets thick, a black one gives nothing."""
     made = layers(0.0, 0.0, np.array([1.0, 10.0, 100.0, 1e4]), (1.4,) * 4)

@@ -18,8 +18,11 @@ from multiprecision import ilit_rayleigh
 ROWS = reference("ilit_reflectance.csv")
 
 
+STANDARD = ij.Exact()
+
+
 @functools.cache
-def spectra(process, solver=ij.Exact(), bits=64):  # noqa: B008
+def spectra(process, solver=STANDARD, bits=64):
     """The nine irides of the table, first surface left out of the values (it is in `.mirrored`)."""
     assert jax.config.jax_enable_x64 == (bits == 64)
     _, irides = all_irides()
