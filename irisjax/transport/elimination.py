@@ -1,8 +1,9 @@
 """Small dense linear systems, many at a time.
 
-`jnp.linalg.solve` hands each matrix of a batch to LAPACK: 2 µs for a 16×16, and on CPUs with two cores large
-batches were seen to wait for each other for ever (jax 0.10.2). Here all systems of a batch are eliminated
-together, the batch along the vector units.
+`jnp.linalg.solve` hands each matrix of a batch to LAPACK: 2 µs for a 16×16. Worse, on CPUs its kernel may wait
+for ever for the pool of threads that it runs on itself (jax 0.10.2, two cores; the same fault as in
+github.com/PyAutoLabs/PyAutoFit/issues/1530). Here all systems of a batch are eliminated together in plain
+JAX, the batch along the vector units.
 """
 
 import jax
@@ -13,10 +14,11 @@ from jaxtyping import Array, Float
 _LARGEST = 32
 
 
-def solve(a: Float[Array, "n n"], b: Float[Array, " n"]) -> Float[Array, " n"]:
+def solve(a: Float[Array, "n n"], b: Float[Array, "n *m"]) -> Float[Array, "n *m"]:
     """x with a x = b, without pivoting: every leading block of `a` must be well conditioned.
 
-    So it is for transport, I − ωK with K a contraction that light's reciprocity makes symmetric.
+    So it is for transport, I − ωK with K a contraction that light's reciprocity makes symmetric. `b` is a
+    vector or the columns of a matrix.
     """
     return jax.lax.custom_linear_solve(
         lambda x: a @ x, b, lambda _, y: _eliminate(a, y), transpose_solve=lambda _, y: _eliminate(a.T, y)
@@ -25,7 +27,7 @@ def solve(a: Float[Array, "n n"], b: Float[Array, " n"]) -> Float[Array, " n"]:
 
 @custom_vmap
 def _eliminate(a, b):
-    return _solve_blocks(a[None], b[None, :, None])[0, :, 0]
+    return _solve_blocks(a[None], b.reshape(1, b.shape[0], -1))[0].reshape(b.shape)
 
 
 @_eliminate.def_vmap
@@ -34,7 +36,7 @@ def _eliminate_many(axis_size, in_batched, a, b):
         x if batched else jnp.broadcast_to(x, (axis_size, *x.shape))
         for x, batched in zip((a, b), in_batched, strict=True)
     )
-    return _solve_blocks(a, b[..., None])[..., 0], True
+    return _solve_blocks(a, b.reshape(*b.shape[:2], -1)).reshape(b.shape), True
 
 
 def _solve_blocks(a: Float[Array, "many n n"], b: Float[Array, "many n m"]) -> Float[Array, "many n m"]:

@@ -18,7 +18,7 @@ from irisjax.optics.fresnel import critical_cosine_squared, fresnel, fresnel_at,
 from irisjax.optics.quadrature import CosineRule, conserving, cosine_rule, gauss_legendre, refracted
 from irisjax.tissue.indices import Order, RefractiveIndices
 from irisjax.tissue.layers import Layers
-from irisjax.transport import depth_resolved
+from irisjax.transport import depth_resolved, elimination
 from irisjax.transport.process import Process, attenuation, entry_density, survival
 from irisjax.transport.solution import RESULTS, Absorbed, Solution
 from irisjax.transport.solver import AbstractSolver
@@ -282,19 +282,18 @@ def _scattered(process: Process, rule: CosineRule, first, again, rest, layers: L
         # Rank one: (1 − ω K again)⁻¹ is a division.
         through = (again @ (k.collect * k.scatter)[0])[:, None]
 
-        def resolve(s):
-            return s + albedo * k.anisotropic(again * s) / (1 - albedo * through)
+        def resolve(*s):
+            return [x + albedo * k.anisotropic(again * x) / (1 - albedo * through) for x in s]
 
     else:
         identity = jnp.eye(w.shape[0], dtype=again.dtype)
-        factors = jax.scipy.linalg.lu_factor(identity - albedo[..., None] * (k.scatter.T * again[:, None, :]))
+        matrix = identity - albedo[..., None] * (k.scatter.T * again[:, None, :])
 
-        def resolve(s):
-            return jax.scipy.linalg.lu_solve(factors, s[..., None])[..., 0]
+        def resolve(*s):
+            return jnp.moveaxis(jax.vmap(elimination.solve)(matrix, jnp.stack(s, axis=-1)), -1, 0)
 
     # S = a·y + b, where y = Σ w f counts the events.
-    a = resolve(0.5 * albedo * jnp.ones_like(again))
-    b = resolve(albedo * k.anisotropic(first))
+    a, b = resolve(0.5 * albedo * jnp.ones_like(again), albedo * k.anisotropic(first))
     # Σ w again a = ω(1 − rest) − 2ω Σ w rest K(again a), for K neither adds nor takes energy.
     lost = coalbedo + layers.albedo * ((rest + 2 * rest * k.anisotropic(again * a)) @ w)
     events = (first + again * b) @ w
