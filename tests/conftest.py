@@ -9,6 +9,8 @@ if importlib.metadata.version("jaxlib").startswith("0.10."):
     _QUICK += " --xla_cpu_use_fusion_emitters=false"  # a flag that other releases refuse
 os.environ.setdefault("XLA_FLAGS", _QUICK)
 
+os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", "")  # the command's would be the user's own
+
 import jaxtyping
 
 jaxtyping.install_import_hook("irisjax", "typechecking.checked")

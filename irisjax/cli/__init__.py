@@ -14,8 +14,9 @@ from typer.main import get_command
 
 import irisjax as ij
 from irisjax import io, plot
-from irisjax.cli.jobs import directions, head, measured, problem
-from irisjax.cli.settings import COMMANDS, settled
+from irisjax.cli.fit import fit
+from irisjax.cli.jobs import directions, head, measured, problem, simulated_measurement, truth
+from irisjax.cli.settings import COMMANDS, header, settled
 
 app = typer.Typer(
     add_completion=False,
@@ -38,6 +39,7 @@ def run(arguments: list[str] | None = None) -> int:
     """
     try:
         jax.config.update("jax_enable_x64", True)  # the one place where the package chooses a precision
+        _keep_compiled()
         arguments = (sys.argv[1:] if arguments is None else arguments) or ["--help"]
         status = get_command(app).main(arguments, prog_name="irisjax", standalone_mode=False)
         sys.stdout.flush()
@@ -64,6 +66,14 @@ def run(arguments: list[str] | None = None) -> int:
         return _complain(f"internal error: {type(error).__name__}: {error} (IRISJAX_DEBUG=1 tells more)", 1)
 
 
+def _keep_compiled() -> None:
+    """Compile once a machine, not once a run: JAX_COMPILATION_CACHE_DIR names another folder, or none."""
+    if "JAX_COMPILATION_CACHE_DIR" not in os.environ:
+        cache = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "irisjax"
+        jax.config.update("jax_compilation_cache_dir", str(cache))
+        jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.2)
+
+
 def _complain(message: str, status: int) -> int:
     print("irisjax:", " ".join(message.split()), file=sys.stderr)
     return status
@@ -71,7 +81,7 @@ def _complain(message: str, status: int) -> int:
 
 def _command(function: Callable[[dict[str, Any]], None]) -> None:
     """Make `function(values)` a command with the options of its table in `COMMANDS`."""
-    name = function.__name__
+    name = function.__name__.replace("_", "-")
     parameters = [setting.parameter() for setting in COMMANDS[name]]
 
     def command(**given):
@@ -159,6 +169,29 @@ def colour(values: dict[str, Any]) -> None:
         remark = f"simulated colour of an iris under {values['illuminant']}; {clipped}".rstrip("; ")
         io.write_atomically(swatch, plot.swatch(srgb8, remark))
     typer.echo("\n".join(lines))
+
+
+@_command
+def simulate_measurement(values: dict[str, Any]) -> None:
+    """A noisy spectrum of a modelled iris with its truth in the header, to try `irisjax fit` on."""
+    _check_files(values, "output")
+    iris, grid, process, reading = simulated_measurement(values)
+    lines = {
+        "irisjax": ij.__version__,
+        "simulated": "noisy reflectance of a modelled human iris, not a measurement",
+        "command": "simulate-measurement",
+        **header("simulate-measurement", values, iris, process),
+        "truth": truth(iris, values),
+    }
+    names = ["reflectance"] if len(reading) == 1 else [f"scan_{i + 1}" for i in range(len(reading))]
+    text = io.format_table(lines, {"wavelength_nm": grid, **dict(zip(names, reading, strict=True))})
+    if values["output"] is None:
+        sys.stdout.write(text)
+    else:
+        io.write_atomically(values["output"], text.encode())
+
+
+app.command("fit")(fit)
 
 
 def _row(name: str, numbers, form: str, remark: str = "") -> str:

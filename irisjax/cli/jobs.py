@@ -7,10 +7,12 @@ from typing import Any
 
 import equinox as eqx
 import jax
+import jax.numpy as jnp
 import numpy as np
 
 import irisjax as ij
 from irisjax.cli.settings import header
+from irisjax.infer.parameters import of_iris
 from irisjax.tissue.iris import LIMITS
 from irisjax.transport.montecarlo import Counts, MonteCarlo
 from irisjax.transport.process import PROCESSES
@@ -23,12 +25,7 @@ def problem(values: Mapping[str, Any]) -> tuple[ij.Iris, np.ndarray, dict[str, A
     """Iris, wavelengths, and the options every instrument takes."""
     fields = {name: values[name] for name in (*LIMITS, "melanin_load") if values[name] is not None}
     iris = ij.Iris.preset(values["level"]).replace(**fields)
-    changed = {name: values[name] for name in ("phase", "rescatter", "scattering") if values[name] is not None}
-    if values["perturb_on_reflection"]:
-        changed["perturb_on_reflection"] = True
-    if values.get("cornea", "auto") != "auto":
-        changed["cornea"] = values["cornea"]
-    process = dataclasses.replace(PROCESSES[values["process"]], **changed)
+    process = process_of(values)
     options: dict[str, Any] = {
         "process": process,
         "cos_incidence": values["cos_incidence"],
@@ -39,6 +36,43 @@ def problem(values: Mapping[str, Any]) -> tuple[ij.Iris, np.ndarray, dict[str, A
         # The kind of key is fixed, whatever the environment prefers.
         options["key"] = jax.random.key(values["seed"], impl="threefry2x32")
     return iris, values["wavelengths"].values, options
+
+
+def process_of(values: Mapping[str, Any]) -> ij.Process:
+    """The process that the settings name."""
+    changed = {name: values[name] for name in ("phase", "rescatter", "scattering") if values[name] is not None}
+    if values["perturb_on_reflection"]:
+        changed["perturb_on_reflection"] = True
+    if values.get("cornea", "auto") != "auto":
+        changed["cornea"] = values["cornea"]
+    return dataclasses.replace(PROCESSES[values["process"]], **changed)
+
+
+def simulated_measurement(values: Mapping[str, Any]):
+    """Iris, wavelengths, process, and noisy scans (scans, wavelengths) of its reflectance."""
+    fields = {name: values[name] for name in (*LIMITS, "melanin_load") if values[name] is not None}
+    iris, process = ij.Iris.preset(values["level"]).replace(**fields), process_of(values)
+    grid = values["wavelengths"].values
+    observation = ij.spectrum(
+        grid, np.zeros(grid.size), cos_incidence=values["cos_incidence"], first_surface=values["first_surface"]
+    )
+    held = {n: float(v) for n, v in of_iris(iris).items()}
+    held |= {n: values[n] for n in ("scattering_scale", "gain")}
+    solver = ij.Exact()
+    stated = ij.problem(
+        observation, free=["noise"], fixed={n: v for n, v in held.items() if n != "noise"}, base=iris, process=process,
+        solver=solver, noise=ij.Noise(values["relative_noise"], values["absolute_noise"]),
+    )  # fmt: skip
+    key = jax.random.key(values["seed"], impl="threefry2x32")
+    draw = jax.jit(lambda k: stated.simulate(jnp.zeros(1), k)[0])
+    return iris, grid, process, [np.asarray(draw(jax.random.fold_in(key, i))) for i in range(values["scans"])]
+
+
+def truth(iris: ij.Iris, values: Mapping[str, Any]) -> str:
+    """The parameters of an inversion that made a simulated measurement."""
+    known = {n: float(v) for n, v in of_iris(iris).items() if n != "noise"}
+    known |= {n: values[n] for n in ("scattering_scale", "gain")}
+    return ", ".join(f"{n} = {v:.6g}" for n, v in known.items())
 
 
 def measured(instrument: Callable[..., Any], iris: ij.Iris, grid: np.ndarray, options: Mapping[str, Any]):

@@ -169,6 +169,21 @@ COMMANDS: dict[str, tuple[Setting, ...]] = {
         Setting("swatch", _FILES, "paint the colour", Path, None, "FILE.png"),
     ),
 }
+COMMANDS["simulate-measurement"] = (
+    *(s for s in _MODEL if s.panel != _SOLVER),
+    _CORNEA,
+    _wavelengths("400:700:10"),
+    *_INCIDENCE,
+    _FIRST_SURFACE,
+    Setting("scattering_scale", _LIGHT, "factor on the stroma's scattering", number(0, 1e6), "1.0", "number"),
+    Setting("gain", _LIGHT, "factor of the instrument on every value", number(0, 1e6), "1.0", "number"),
+    Setting("relative_noise", _LIGHT, "standard deviation, share of the value", number(0, 10), "0.02", "share"),
+    Setting("absolute_noise", _LIGHT, "the same, of every value alike", number(0, 10), "2e-4", "reflectance"),
+    Setting("scans", _LIGHT, "repeated scans, a column each", whole(1, 1000), "1", "count"),
+    Setting("seed", _LIGHT, "0 to 4294967295; equal seeds give equal bytes", whole(0, 2**32 - 1), "0", "number"),
+    _SOURCE,
+    _OUTPUT,
+)
 """Settings of each command, in the order of help and header."""
 
 # Settings that mean nothing unless another has one of these values; giving them then is an error.
@@ -197,6 +212,7 @@ FOR_PEOPLE = (
     "solver settings",
     "unit",
     "directions",
+    "truth",
 )
 """Keys of a header that set nothing."""
 

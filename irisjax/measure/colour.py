@@ -97,7 +97,7 @@ def colour_of(
     linear = jnp.asarray(_XYZ_TO_SRGB @ adaptation, dtype) @ xyz
     return Colour(
         xyz=xyz,
-        lab=_lab(xyz / jnp.asarray(white, dtype)),
+        lab=lab_of(xyz / jnp.asarray(white, dtype)),
         srgb_linear=linear,
         srgb=srgb_encode(linear),
         in_gamut=((linear >= 0) & (linear <= 1)).all(),
@@ -107,10 +107,24 @@ def colour_of(
     )
 
 
+def tristimulus_matrix(wavelengths, space: str = "XYZ", illuminant: str = "D65", observer: str = OBSERVER):
+    """The matrix (3, n) from a reflectance to `"XYZ"` (white at Y = 1) or `"linear sRGB"`, and the white's XYZ."""
+    weights, white, adaptation = _constants(np.asarray(wavelengths, np.float64).tobytes(), illuminant, observer)
+    return (weights if space == "XYZ" else _XYZ_TO_SRGB @ adaptation @ weights), white
+
+
 def srgb_encode(linear):
     """sRGB transfer function [IEC 61966-2-1]; negative values follow its linear foot."""
     foot = linear <= 0.0031308
     return jnp.where(foot, 12.92 * linear, 1.055 * jnp.where(foot, 1.0, linear) ** (1 / 2.4) - 0.055)
+
+
+def lab_of(ratio):
+    """CIE 1976 L*a*b* of XYZ relative to white [CIE 15:2018, Eq. 8.3 ff.]."""
+    delta = 6 / 29
+    dark = ratio <= delta**3
+    f = jnp.where(dark, ratio / (3 * delta**2) + 4 / 29, jnp.cbrt(jnp.where(dark, 1.0, ratio)))
+    return jnp.stack([116 * f[1] - 16, 500 * (f[0] - f[1]), 200 * (f[1] - f[2])])
 
 
 def illuminant_power(illuminant: str, wavelengths) -> np.ndarray:
@@ -122,14 +136,6 @@ def illuminant_power(illuminant: str, wavelengths) -> np.ndarray:
         raise ValueError(f"illuminant {illuminant} is tabulated from {low:g} to {high:g} nm only")
     at_560 = float(np.interp(560.0, sd.wavelengths, sd.values))
     return np.interp(x, sd.wavelengths, sd.values) / at_560
-
-
-def _lab(ratio):
-    """CIE 1976 L*a*b* of XYZ relative to white [CIE 15:2018, Eq. 8.3 ff.]."""
-    delta = 6 / 29
-    dark = ratio <= delta**3
-    f = jnp.where(dark, ratio / (3 * delta**2) + 4 / 29, jnp.cbrt(jnp.where(dark, 1.0, ratio)))
-    return jnp.stack([116 * f[1] - 16, 500 * (f[0] - f[1]), 200 * (f[1] - f[2])])
 
 
 @lru_cache(maxsize=64)

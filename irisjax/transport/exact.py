@@ -278,22 +278,16 @@ def _scattered(process: Process, rule: CosineRule, first, again, rest, layers: L
         )
         return source, coalbedo * ((first + again * source) @ w), converged
 
+    # S = a·y + b, where y = Σ w f counts the events; both solve (1 − ω K again) S = ….
+    right = (0.5 * albedo * jnp.ones_like(again), albedo * k.anisotropic(first))
     if k.collect is not None:
-        # Rank one: (1 − ω K again)⁻¹ is a division.
+        # Rank one: a division.
         through = (again @ (k.collect * k.scatter)[0])[:, None]
-
-        def resolve(*s):
-            return [x + albedo * k.anisotropic(again * x) / (1 - albedo * through) for x in s]
-
+        a, b = (s + albedo * k.anisotropic(again * s) / (1 - albedo * through) for s in right)
     else:
         identity = jnp.eye(w.shape[0], dtype=again.dtype)
         matrix = identity - albedo[..., None] * (k.scatter.T * again[:, None, :])
-
-        def resolve(*s):
-            return jnp.moveaxis(jax.vmap(elimination.solve)(matrix, jnp.stack(s, axis=-1)), -1, 0)
-
-    # S = a·y + b, where y = Σ w f counts the events.
-    a, b = resolve(0.5 * albedo * jnp.ones_like(again), albedo * k.anisotropic(first))
+        a, b = jnp.moveaxis(jax.vmap(elimination.solve)(matrix, jnp.stack(right, axis=-1)), -1, 0)
     # Σ w again a = ω(1 − rest) − 2ω Σ w rest K(again a), for K neither adds nor takes energy.
     lost = coalbedo + layers.albedo * ((rest + 2 * rest * k.anisotropic(again * a)) @ w)
     events = (first + again * b) @ w

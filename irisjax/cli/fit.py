@@ -1,0 +1,183 @@
+"""`irisjax fit`: a measured spectrum in, a posterior with its diagnostics out."""
+
+import sys
+import tempfile
+from pathlib import Path
+from typing import Annotated, Any
+
+import jax
+import typer
+
+import irisjax as ij
+from irisjax import io
+from irisjax.cli.options import number, one_of
+from irisjax.infer.parameters import DEFAULT_FREE, PARAMETERS
+from irisjax.transport.process import PROCESSES
+
+_NOT_CONVERGED = 3
+_WHAT, _MODEL, _SAMPLER, _FILES = "Measurement", "Model", "Sampler", "Files"
+
+
+def fit(
+    spectrum: Annotated[Path | None, typer.Argument(help="CSV, TSV or JCAMP-DX of one eye", show_default=False)] = None,
+    output: Annotated[
+        Path | None,
+        typer.Option("-o", "--output", help="folder for posterior.nc, summary.csv and figures", rich_help_panel=_FILES),
+    ] = None,
+    batch: Annotated[
+        Path | None,
+        typer.Option(help="many eyes: a folder of spectra, or a CSV with a column an eye", rich_help_panel=_FILES),
+    ] = None,
+    posteriors: Annotated[
+        bool,
+        typer.Option("--posteriors", help="with --batch: sample every eye, not only fit it", rich_help_panel=_FILES),
+    ] = False,
+    resume: Annotated[
+        bool, typer.Option("--resume", help="go on where a run into the same folder stopped", rich_help_panel=_FILES)
+    ] = False,
+    overwrite: Annotated[
+        bool, typer.Option("--overwrite", help="begin anew in a folder that has results", rich_help_panel=_FILES)
+    ] = False,
+    free: Annotated[
+        str | None, typer.Option(help=f"names, by commas; default {','.join(DEFAULT_FREE)}", rich_help_panel=_MODEL)
+    ] = None,
+    fix: Annotated[
+        list[str] | None,
+        typer.Option(metavar="NAME=VALUE", help="hold a parameter; repeatable", rich_help_panel=_MODEL),
+    ] = None,
+    prior: Annotated[
+        list[str] | None,
+        typer.Option(metavar="NAME=PRIOR", help="such as hemoglobin=lognormal(0.1,0.3)", rich_help_panel=_MODEL),
+    ] = None,
+    process: Annotated[
+        str, typer.Option(help=f"{', '.join(PROCESSES)}: rules of light transport", rich_help_panel=_MODEL)
+    ] = "ilit-2006",
+    relative_noise: Annotated[
+        str, typer.Option(metavar="SHARE", help="where the file states none", rich_help_panel=_WHAT)
+    ] = "0.02",
+    absolute_noise: Annotated[
+        str, typer.Option(metavar="REFLECTANCE", help="added in squares", rich_help_panel=_WHAT)
+    ] = "2e-4",
+    outliers: Annotated[
+        bool, typer.Option("--outliers", help="Student's t noise: single outliers do no harm", rich_help_panel=_WHAT)
+    ] = False,
+    discrepancy: Annotated[
+        str | None,
+        typer.Option(metavar="SHARE:NM", help="the model's own smooth error, such as 0.02:80", rich_help_panel=_WHAT),
+    ] = None,
+    quantity: Annotated[
+        str, typer.Option(help="reflectance, or radiance: relative to the illuminant at 560 nm", rich_help_panel=_WHAT)
+    ] = "reflectance",
+    illuminant: Annotated[str, typer.Option(help="of a radiance", rich_help_panel=_WHAT)] = "D65",
+    cos_incidence: Annotated[
+        str, typer.Option(metavar="COSINE", help="0 to 1, or diffuse", rich_help_panel=_WHAT)
+    ] = "1.0",
+    first_surface: Annotated[
+        bool, typer.Option(help="the iris's own mirror reflection is in the data", rich_help_panel=_WHAT)
+    ] = True,
+    walkers: Annotated[int, typer.Option(min=4, max=4096, rich_help_panel=_SAMPLER)] = 64,
+    max_steps: Annotated[int, typer.Option(min=1, max=10_000_000, rich_help_panel=_SAMPLER)] = 20_000,
+    seed: Annotated[int, typer.Option(min=0, max=2**32 - 1, rich_help_panel=_SAMPLER)] = 0,
+) -> None:
+    """Melanin load, ABL fraction and the rest from a measured spectrum: posterior, diagnostics, what it cannot tell.
+
+    Exit status 0 where the chain is long enough, 3 where it is not (raise --max-steps, then --resume), 2 for wrong
+    input.
+    """
+    from irisjax.cli import report
+    from irisjax.cli.batch import many
+    from irisjax.infer.noise import Noise
+    from irisjax.infer.priors import prior_of
+
+    if (spectrum is None) == (batch is None):
+        raise ValueError("give one SPECTRUM, or --batch with a folder or a CSV")
+    rough, length = _discrepancy(discrepancy)
+    stated: dict[str, Any] = {
+        "relative": _value("--relative-noise", relative_noise, 0, 10),
+        "absolute": _value("--absolute-noise", absolute_noise, 1e-12, 1e3),
+        "discrepancy": rough,
+        "length": length,
+        "degrees_of_freedom": 4.0 if outliers else None,
+    }
+    noise = Noise(**stated)
+    named: dict[str, Any] = {"priors": {}, "fixed": {}}
+    for text in fix or ():
+        name, value = _pair("--fix", text)
+        named["fixed"][name] = _value(f"--fix {name}", value, PARAMETERS[name].low, PARAMETERS[name].high)
+    for text in prior or ():
+        name, value = _pair("--prior", text)
+        named["priors"][name] = prior_of(value, PARAMETERS[name].low, PARAMETERS[name].high)
+    names = None if free is None else [n.strip() for n in free.split(",") if n.strip()]
+    options = {
+        "free": names, "noise": noise, "process": PROCESSES[_one("--process", process, PROCESSES)], **named
+    }  # fmt: skip
+    seen = {
+        "quantity": _one("--quantity", quantity, ("reflectance", "radiance")),
+        "illuminant": illuminant,
+        "cos_incidence": cos_incidence
+        if cos_incidence == ij.DIFFUSE
+        else _value("--cos-incidence", cos_incidence, 0, 1),
+        "first_surface": first_surface,
+    }
+    sampler = {"walkers": walkers, "seed": seed, "max_steps": max_steps}
+    if batch is not None:
+        raise typer.Exit(many(batch, output, seen, options, sampler, posteriors, resume, overwrite))
+    assert spectrum is not None
+    measured = io.read_measured(spectrum)
+    for note in measured.notes:
+        print(f"irisjax: {spectrum}: {note}", file=sys.stderr)
+    observation = ij.spectrum(measured.wavelengths, measured.values, measured.sd, name=spectrum.name, **seen)
+    problem = ij.problem(observation, **options)
+    with tempfile.TemporaryDirectory() as scratch:
+        folder = _folder(output, resume, overwrite) if output is not None else Path(scratch)
+        converged = report.one(problem, folder, sampler, resume=resume, files=output is not None)
+    raise typer.Exit(0 if converged else _NOT_CONVERGED)
+
+
+def _folder(folder: Path, resume: bool, overwrite: bool) -> Path:
+    """The folder for results, emptied of what would be overwritten."""
+    if folder.exists() and not folder.is_dir():
+        raise ValueError(f"{folder}: is a file, not a folder")
+    folder.mkdir(parents=True, exist_ok=True)
+    chain = folder / "chain.h5"
+    if chain.exists() and not resume:
+        if not overwrite:
+            raise ValueError(f"{folder}: has results; --resume goes on with them, --overwrite begins anew")
+        chain.unlink()
+        (folder / "chain.h5.bak").unlink(missing_ok=True)
+    return folder
+
+
+def _pair(option: str, text: str) -> tuple[str, str]:
+    name, equals, value = (part.strip() for part in text.partition("="))
+    if not equals:
+        raise ValueError(f"{option} {text!r}: write NAME=VALUE")
+    return _one(option, name, PARAMETERS), value
+
+
+def _one(option: str, text: str, names) -> str:
+    try:
+        return one_of(*names)(text)
+    except ValueError as error:
+        raise ValueError(f"{option}: {error}") from None
+
+
+def _value(option: str, text: str, low: float, high: float) -> float:
+    try:
+        return number(low, high)(text)
+    except ValueError as error:
+        raise ValueError(f"{option}: {error}") from None
+
+
+def _discrepancy(text: str | None) -> tuple[float | None, float | None]:
+    if text is None:
+        return None, None
+    size, colon, length = text.partition(":")
+    if not colon:
+        raise ValueError(f"--discrepancy {text!r}: write its size and its length in nm, such as 0.02:80")
+    return _value("--discrepancy size", size, 1e-6, 10), _value("--discrepancy length", length, 1e-3, 1e4)
+
+
+def key_of(seed: int) -> jax.Array:
+    """A key of a fixed kind, whatever the environment prefers."""
+    return jax.random.key(seed, impl="threefry2x32")

@@ -1,0 +1,1 @@
+"""Inversion: from measured spectra back to pigments."""

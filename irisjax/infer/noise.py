@@ -1,0 +1,132 @@
+"""How measured values scatter about the model: independent, heavy-tailed, or correlated over wavelength."""
+
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.scipy.special import gammaln
+from jaxtyping import Array, Float
+
+from irisjax._types import Scalar
+from irisjax.infer.observation import Observation
+
+_LOG_2PI = float(np.log(2 * np.pi))
+
+
+def _number(value) -> Any:
+    return None if value is None else jnp.asarray(value, jnp.result_type(float))
+
+
+def _setting(default) -> Any:
+    return eqx.field(converter=_number, default=default)
+
+
+class Noise(eqx.Module):
+    """Standard deviation √((relative·model)² + absolute²) where the data state none, and what comes beside it.
+
+    - `discrepancy`: relative size of a smooth error of the model itself, correlated over `length` (nm);
+        `None` for none. It is marginalised, not fitted.
+    - `degrees_of_freedom`: of Student's t in place of the normal, which makes single outliers harmless;
+        `None` for the normal. Not together with `discrepancy`.
+    """
+
+    relative: Scalar = _setting(0.02)
+    absolute: Scalar = _setting(2e-4)
+    discrepancy: Scalar | None = _setting(None)
+    length: Scalar | None = _setting(None)
+    degrees_of_freedom: Scalar | None = _setting(None)
+
+    def __check_init__(self):
+        if self.discrepancy is not None and self.degrees_of_freedom is not None:
+            raise ValueError("a correlated discrepancy and Student's t do not go together; choose one")
+        if (self.discrepancy is None) != (self.length is None):
+            raise ValueError("a discrepancy needs its length (nm), and a length its discrepancy")
+
+    def sd(self, observation: Observation, model: Float[Array, " data"], factor=1.0):
+        """Standard deviation of every value, given what the model predicts and the factor `noise`."""
+        if observation.sd is not None:
+            return factor * observation.sd
+        return factor * jnp.sqrt((self.relative * model) ** 2 + self.absolute**2)
+
+    def pointwise(self, observation: Observation, model: Float[Array, " data"], factor=1.0):
+        """Log density of every value by itself, shape (data,); of correlated values, one given all before it."""
+        if observation.covariance_root is not None:
+            white, log_sd = _whitened(observation.covariance_root * factor, observation.values - model)
+            return _normal(white, log_sd)
+        sd = self.sd(observation, model, factor)
+        residual = observation.values - model
+        if self.discrepancy is not None:
+            root = _cholesky(jnp.diag(sd * sd) + self._smooth(observation, model))
+            return _normal(*_whitened(root, residual))
+        if self.degrees_of_freedom is not None:
+            return _student(residual / sd, jnp.log(sd), self.degrees_of_freedom)
+        return _normal(residual / sd, jnp.log(sd))
+
+    def whiten(self, observation: Observation, model, factor=1.0):
+        """Residuals of unit variance, the weights taken as known: what least squares minimises, shape (data,).
+
+        Weights come from the data, so that they do not pull on the model.
+        """
+        residual = observation.values - model
+        if observation.covariance_root is not None:
+            return _whitened(observation.covariance_root * factor, residual)[0]
+        sd = self.sd(observation, observation.values, factor)
+        if self.discrepancy is None:
+            return residual / sd
+        return _whitened(_cholesky(jnp.diag(sd * sd) + self._smooth(observation, observation.values)), residual)[0]
+
+    def draw(self, observation: Observation, model, factor, normal, chi_square=None):
+        """A measurement of the model, from standard normal numbers (and, for Student's t, χ² ones)."""
+        if observation.covariance_root is not None:
+            return model + factor * observation.covariance_root @ normal
+        sd = self.sd(observation, model, factor)
+        if self.discrepancy is not None:
+            return model + _cholesky(jnp.diag(sd * sd) + self._smooth(observation, model)) @ normal
+        if self.degrees_of_freedom is not None and chi_square is not None:
+            normal = normal / jnp.sqrt(chi_square / self.degrees_of_freedom)
+        return model + sd * normal
+
+    def _smooth(self, observation, model):
+        apart = (observation.wavelengths[:, None] - observation.wavelengths) / self.length
+        size = self.discrepancy * model
+        return size[:, None] * size * jnp.exp(-0.5 * apart**2)
+
+
+def _normal(white, log_sd):
+    return -0.5 * (white * white + _LOG_2PI) - log_sd
+
+
+def _student(white, log_sd, nu):
+    return (
+        gammaln((nu + 1) / 2) - gammaln(nu / 2) - 0.5 * jnp.log(nu * jnp.pi)
+        - (nu + 1) / 2 * jnp.log1p(white * white / nu) - log_sd
+    )  # fmt: skip
+
+
+def _whitened(root, residual):
+    """Root⁻¹ residual by forward substitution, and the logarithms of the diagonal.
+
+    Unrolled in plain JAX: batches of small LAPACK calls wait for each other on few cores (see `elimination`).
+    """
+    n = residual.shape[0]
+
+    def step(i, white):
+        return white.at[i].set((residual[i] - root[i] @ white) / root[i, i])
+
+    white = jax.lax.fori_loop(0, n, step, jnp.zeros_like(residual))
+    return white, jnp.log(jnp.diag(root))
+
+
+def _cholesky(a):
+    """Lower root of a positive definite matrix, column by column, for batches."""
+    n = a.shape[0]
+    rows = jnp.arange(n)
+
+    def step(k, carry):
+        rest, root = carry
+        column = jnp.where(rows >= k, rest[:, k], 0.0) / jnp.sqrt(rest[k, k])
+        return rest - column[:, None] * column, root.at[:, k].set(column)
+
+    return jax.lax.fori_loop(0, n, step, (a, jnp.zeros_like(a)))[1]

@@ -1,0 +1,134 @@
+"""What was measured: a spectrum or a colour, and how the model's reflectance becomes it."""
+
+import dataclasses
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from irisjax.measure.colour import OBSERVER, illuminant_power, lab_of, tristimulus_matrix
+from irisjax.measure.measurement import check_cosine, check_wavelengths
+from irisjax.tissue.pigments import common_range
+
+REFLECTANCE, RADIANCE = "reflectance", "radiance"
+COLOURS = ("XYZ", "Lab", "linear sRGB")
+
+
+class Observation(eqx.Module):
+    """Measured values and what they are. Make one with `spectrum` or `colour_data`.
+
+    - `values`: shape (data,); `sd`: their standard deviations, or `None` where the noise model states them.
+    - `wavelengths` (nm): where the model is evaluated, shape (wavelengths,).
+    - `response`: (data, wavelengths) from reflectance to the quantity, or `None` where they are the same.
+    - `quantity`: `"reflectance"`, `"radiance"`, `"XYZ"`, `"Lab"` or `"linear sRGB"`.
+    - `covariance_root`: for colours, R with R Rᵀ the covariance; `sd` is then `None`.
+    """
+
+    values: Float[Array, "*batch data"]
+    sd: Float[Array, "*batch data"] | None
+    wavelengths: Float[np.ndarray, " wavelengths"]
+    response: Float[Array, "data wavelengths"] | Float[Array, " wavelengths"] | None
+    white: Float[Array, "3"] | None
+    covariance_root: Float[Array, "data data"] | None
+    cos_incidence: float | str = eqx.field(static=True)
+    first_surface: bool = eqx.field(static=True)
+    quantity: str = eqx.field(static=True)
+    name: str = eqx.field(static=True)
+
+    @property
+    def is_colour(self) -> bool:
+        """Whether the data are tristimulus values."""
+        return self.quantity in COLOURS
+
+    def of(self, reflectance: Float[Array, " wavelengths"]) -> Float[Array, " data"]:
+        """The quantity that a reflectance makes."""
+        if self.response is None:
+            return reflectance
+        seen = self.response @ reflectance if self.response.ndim == 2 else self.response * reflectance
+        return seen if self.white is None else lab_of(seen / self.white)
+
+
+def spectrum(
+    wavelengths,
+    values,
+    sd=None,
+    *,
+    quantity: str = REFLECTANCE,
+    illuminant: str = "D65",
+    cos_incidence: float | str = 1.0,
+    first_surface: bool = True,
+    name: str = "spectrum",
+) -> Observation:
+    """A measured reflectance factor, or the radiance under an illuminant (relative to it at 560 nm, per sr).
+
+    `wavelengths` in nm, in any order; `values` and `sd` (standard deviations, or `None`) one a wavelength.
+    A radiance is dimmed by the cornea as in `radiance`.
+
+    **Raises:** `ValueError` naming the first wavelength at which something is wrong.
+    """
+    grid, y = np.asarray(wavelengths, np.float64), np.asarray(values, np.float64)
+    if grid.ndim != 1 or y.shape != grid.shape:
+        raise ValueError(f"{name}: {y.shape} values for {grid.shape} wavelengths; need one for each")
+    order = np.argsort(grid, kind="stable")
+    grid, y = grid[order], y[order]
+    check_wavelengths(grid)
+    check_cosine("cos_incidence", cos_incidence)
+    low, high = common_range()
+    if grid[0] < low or grid[-1] > high:
+        outside = grid[0] if grid[0] < low else grid[-1]
+        raise ValueError(f"{name}: {outside:g} nm is outside the pigment tables ({low:g} to {high:g} nm)")
+    if not np.isfinite(y).all():
+        raise ValueError(f"{name}: the value at {grid[~np.isfinite(y)][0]:g} nm is not a finite number")
+    if sd is not None:
+        sd = np.broadcast_to(np.asarray(sd, np.float64), order.shape)[order]
+        bad = ~(np.isfinite(sd) & (sd > 0))
+        if bad.any():
+            raise ValueError(f"{name}: the standard deviation at {grid[bad][0]:g} nm is {sd[bad][0]:g}; it must be > 0")
+    if quantity not in (REFLECTANCE, RADIANCE):
+        raise ValueError(f"quantity must be {REFLECTANCE!r} or {RADIANCE!r}, got {quantity!r}")
+    response = None if quantity == REFLECTANCE else _array(illuminant_power(illuminant, grid) / np.pi)
+    sd = None if sd is None else _array(sd)
+    return Observation(_array(y), sd, grid, response, None, None, cos_incidence, first_surface, quantity, name)
+
+
+def colour_data(
+    values,
+    covariance,
+    *,
+    quantity: str = "XYZ",
+    illuminant: str = "D65",
+    observer: str = OBSERVER,
+    first_surface: bool = True,
+    name: str = "colour",
+) -> Observation:
+    """Measured tristimulus values: `"XYZ"` (white at Y = 1), `"Lab"` or `"linear sRGB"`, with their covariance.
+
+    `values` has shape (3,), `covariance` (3, 3). **Raises:** `ValueError` unless the covariance is symmetric
+    and positive definite.
+    """
+    if quantity not in COLOURS:
+        raise ValueError(f"quantity must be one of {', '.join(COLOURS)}, got {quantity!r}")
+    y, c = np.asarray(values, np.float64), np.asarray(covariance, np.float64)
+    if y.shape != (3,) or not np.isfinite(y).all():
+        raise ValueError(f"{name}: a colour is three finite numbers")
+    if c.shape != (3, 3) or not np.allclose(c, c.T) or np.linalg.eigvalsh(c).min() <= 0:
+        raise ValueError(f"{name}: the covariance must be 3 by 3, symmetric and positive definite")
+    grid = 400 + 10.0 * np.arange(31)
+    matrix, white = tristimulus_matrix(
+        grid, "linear sRGB" if quantity == "linear sRGB" else "XYZ", illuminant, observer
+    )
+    return Observation(
+        _array(y), None, grid, _array(matrix), _array(white) if quantity == "Lab" else None,
+        _array(np.linalg.cholesky(c)), 1.0, first_surface, quantity, name,
+    )  # fmt: skip
+
+
+def with_values(observation: Observation, values, sd=None) -> Observation:
+    """The same measurement with other values (and standard deviations); values may be traced."""
+    return dataclasses.replace(observation, values=values, sd=observation.sd if sd is None else sd)
+
+
+def _array(x) -> jax.Array:
+    return jnp.asarray(x, jnp.result_type(float))

@@ -1,0 +1,119 @@
+"""What an inversion can set free: names, units, bounds and priors, and the iris they make."""
+
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+from irisjax.infer.priors import AbstractPrior, LogitNormal, LogNormal, Uniform
+from irisjax.tissue.iris import Iris
+
+
+class Parameter(NamedTuple):
+    """A quantity that may be free: its unit, bounds, default prior, meaning, and where the prior comes from."""
+
+    unit: str
+    low: float
+    high: float
+    prior: AbstractPrior
+    meaning: str
+    source: str
+
+
+_INF = float("inf")
+
+
+PARAMETERS: dict[str, Parameter] = {
+    "melanin_load": Parameter(
+        "ug/mm2", 0, _INF, LogNormal(0.15, 1.2), "melanin mass per iris area",
+        "two thirds between 0.045 and 0.5: LB06 Table 2 has 0.048 (low), 0.35, 0.44 (high)",
+    ),
+    "abl_fraction": Parameter(
+        "", 0, 1, Uniform(0.0, 1.0), "share of the melanin in the anterior border layer",
+        "no preference; LB06 Figs. 7 and 9 use 0.2 to 0.8",
+    ),
+    "pheomelanin_share": Parameter(
+        "", 0, 1, LogitNormal(0.2, 0.8), "share of pheomelanin in the melanin",
+        "LB06 Table 2 has 0.14 (low), 0.20, 0.21 (high); two thirds between 0.1 and 0.36",
+    ),
+    "hemoglobin": Parameter(
+        "mmol/l", 0, _INF, LogNormal(0.084, 0.5), "haemoglobin of both kinds in the stroma",
+        "LB06 Table 2: 0.084; a factor 1.6 either way",
+    ),
+    "saturation": Parameter(
+        "", 0, 1, LogitNormal(0.6, 1.0), "oxygen saturation, the share of oxyhaemoglobin",
+        "LB06 Table 2 has 0.5; arterial blood 0.97, venous 0.7: two thirds between 0.36 and 0.8",
+    ),
+    "stroma_thickness": Parameter(
+        "mm", 0, _INF, LogNormal(0.2855, 0.2), "thickness of the stroma", "LB06 Section 3.1, 20 % either way"
+    ),
+    "abl_thickness": Parameter(
+        "mm", 0, _INF, LogNormal(0.05675, 0.2), "thickness of the anterior border layer",
+        "LB06 Section 3.1, 20 % either way",
+    ),
+    "scattering_scale": Parameter(
+        "", 0, _INF, LogNormal(1.0, 0.3), "factor on the stroma's scattering", "the formula's own value, 30 %"
+    ),
+    "gain": Parameter(
+        "", 0, _INF, LogNormal(1.0, 0.03), "factor of the instrument on every value",
+        "calibration of a reflectance standard, 3 %",
+    ),
+    "noise": Parameter(
+        "", 0, _INF, LogNormal(1.0, 0.5), "factor on the stated standard deviations",
+        "statements of noise hold to a factor of 1.6",
+    ),
+}  # fmt: skip
+"""Every parameter by name."""
+
+DEFAULT_FREE = (
+    "melanin_load",
+    "abl_fraction",
+    "pheomelanin_share",
+    "hemoglobin",
+    "saturation",
+    "gain",
+    "noise",
+)
+"""What is free unless the user says otherwise."""
+
+DERIVED = {"eumelanin": "mg/ml", "pheomelanin": "mg/ml", "abl_melanin": "ug/mm2"}
+"""What follows from the parameters, with units."""
+
+
+def of_iris(iris: Iris) -> dict[str, Any]:
+    """The parameters that make this iris; instrument and scattering as stated."""
+    melanin, blood = iris.eumelanin + iris.pheomelanin, iris.oxyhemoglobin + iris.deoxyhemoglobin
+    return {
+        "melanin_load": iris.melanin_load,
+        "abl_fraction": iris.abl_fraction,
+        "pheomelanin_share": iris.pheomelanin / melanin,
+        "hemoglobin": blood,
+        "saturation": iris.oxyhemoglobin / blood,
+        "stroma_thickness": iris.stroma_thickness,
+        "abl_thickness": iris.abl_thickness,
+        "scattering_scale": 1.0,
+        "gain": 1.0,
+        "noise": 1.0,
+    }
+
+
+def iris_of(values: Mapping[str, Any], base: Iris) -> Iris:
+    """The iris with these parameters, `base` in all else (indices, carotenoids, radii)."""
+    concentration = values["melanin_load"] / (values["abl_thickness"] + values["stroma_thickness"])
+    return base.replace(
+        eumelanin=concentration * (1 - values["pheomelanin_share"]),
+        pheomelanin=concentration * values["pheomelanin_share"],
+        abl_fraction=values["abl_fraction"],
+        oxyhemoglobin=values["hemoglobin"] * values["saturation"],
+        deoxyhemoglobin=values["hemoglobin"] * (1 - values["saturation"]),
+        stroma_thickness=values["stroma_thickness"],
+        abl_thickness=values["abl_thickness"],
+    )
+
+
+def derived(values: Mapping[str, Any]) -> dict[str, Any]:
+    """Concentrations over the whole iris (mg/ml) and the melanin of the ABL (µg/mm²)."""
+    concentration = values["melanin_load"] / (values["abl_thickness"] + values["stroma_thickness"])
+    return {
+        "eumelanin": concentration * (1 - values["pheomelanin_share"]),
+        "pheomelanin": concentration * values["pheomelanin_share"],
+        "abl_melanin": values["melanin_load"] * values["abl_fraction"],
+    }

@@ -1,0 +1,247 @@
+"""Posterior by ensemble sampling (emcee), streamed to disk, resumable, long enough or said not to be."""
+
+import hashlib
+import json
+import os
+import warnings
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import emcee
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from irisjax.infer.fit import Fit, fit
+from irisjax.infer.moves import Proposal, mixture
+from irisjax.infer.problem import Problem, density
+from irisjax.infer.stream import Stream, checkpoint, repair
+
+_SPREAD, _BURN, _BLOCK, _MOST_KEPT = 300, 600, 200, 4000
+TAUS, ESS, RHAT = 50, 1000, 1.03
+"""A chain is long enough with 50 autocorrelation times, 1,000 effective samples of every parameter, and a
+split R-hat below 1.03 (walkers as chains: at 50 autocorrelation times each half-walker's mean scatters by 1/√25)."""
+
+
+class Chains(NamedTuple):
+    """What a sampler left: the file, and how far it can be trusted.
+
+    - `z`: kept samples (draws, walkers, free) in the priors' coordinates, every `thin`-th step after burn-in.
+    - `tau` (steps), `ess_bulk`, `ess_tail`, `rhat`: one a parameter.
+    """
+
+    z: np.ndarray
+    log_probability: np.ndarray
+    thin: int
+    steps: int
+    acceptance: float
+    tau: np.ndarray
+    ess_bulk: np.ndarray
+    ess_tail: np.ndarray
+    rhat: np.ndarray
+    converged: bool
+    reason: str
+
+
+def sample(
+    problem: Problem,
+    path: str | Path,
+    *,
+    walkers: int = 64,
+    seed: int = 0,
+    start: Fit | None = None,
+    resume: bool = False,
+    max_steps: int = 20_000,
+    progress: Callable[[int, str], Any] | None = None,
+) -> Chains:
+    """Sample the posterior into an HDF5 file until it is long enough; see `TAUS`, `ESS`, `RHAT`.
+
+    Burn-in (differences of walkers only) starts round the least-squares optimum and teaches the proposal of
+    the independent jumps; it is kept apart and not used otherwise. Step i draws from (seed, i): a run that
+    was killed and resumed gives the chain of one that was not. `progress` gets the number of steps and a
+    word on what is done after each step.
+
+    **Raises:** `ValueError` if `path` exists and `resume` is false, or belongs to another problem; or if
+    there are fewer than twice as many walkers as parameters.
+    """
+    path = Path(path)
+    free = len(problem.free)
+    if walkers < 2 * free + 2:
+        raise ValueError(f"{walkers} walkers are too few for {free} free parameters; give at least {2 * free + 2}")
+    mark = _fingerprint(problem, walkers, seed)
+    if resume and path.exists():
+        repair(path)
+        if Stream(str(path), name="burn").mark() != mark:
+            raise ValueError(f"{path}: made from other data or settings; it cannot be resumed with these")
+    elif path.exists():
+        raise ValueError(f"{path}: exists; resume it or remove it")
+    else:
+        _begin(path, problem, walkers, seed, mark, start)
+    at = density(problem)
+
+    def log_probability(z):
+        return np.asarray(at(jnp.asarray(z)))
+
+    def report(word, offset=0):
+        def tell(n):
+            if progress is not None:
+                progress(offset + n, word)
+
+        return tell
+
+    # Burn-in: differences of walkers, then jumps that these have taught.
+    burn = _Run(path, "burn", log_probability, mixture(None), seed)
+    burn.advance(_SPREAD, report("burn-in"))
+    taught = Proposal.of_samples(burn.between(_SPREAD // 2, _SPREAD))
+    burn = _Run(path, "burn", log_probability, mixture(taught), seed)
+    burn.advance(_BURN, report("burn-in"))
+    taught = Proposal.of_samples(burn.between((_SPREAD + _BURN) // 2, _BURN))
+    begun = Stream(str(path), name="chain").initialized
+    run = _Run(path, "chain", log_probability, mixture(taught), seed, None if begun else burn.standing())
+    wanted = 2 * _BLOCK
+    while True:
+        run.advance(min(wanted, max_steps), report("sampling", _BURN))
+        steps = run.backend.iteration
+        checkpoint(path)
+        chains = diagnose(run.backend, steps)
+        if chains.converged or steps >= max_steps:
+            return chains
+        # To where this autocorrelation time would do; it is still growing, so look again soon after.
+        tau = chains.tau.max() if np.isfinite(chains.tau).all() else steps
+        wanted = int(np.clip(1.05 * TAUS * tau, steps + _BLOCK, 1.5 * steps))
+
+
+def diagnose(backend, steps: int) -> Chains:
+    """Autocorrelation, effective samples and R-hat of a chain on disk, read with a stride that bounds memory."""
+    import arviz as az
+
+    stride = -(-steps // _MOST_KEPT)
+    z = backend.get_chain(thin=stride)
+    tau = stride * emcee.autocorr.integrated_time(z, tol=0, quiet=True)
+    rhat = bulk = tail = np.full(tau.shape, np.nan)
+    if tau.max() * TAUS <= steps:  # a second's work, for nothing if it has to go on
+        by_walker = np.moveaxis(z, 0, 1)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            columns = [by_walker[..., k] for k in range(z.shape[2])]
+            rhat = np.array([float(az.rhat(c)) for c in columns])
+            bulk = np.array([float(az.ess(c, method="bulk")) for c in columns])
+            tail = np.array([float(az.ess(c, method="tail")) for c in columns])
+    # Walkers are not independent chains: count no more than their autocorrelation leaves.
+    bulk = np.minimum(bulk, steps * z.shape[1] / tau)
+    tail = np.minimum(tail, steps * z.shape[1] / tau)
+    reasons = []
+    if not tau.max() * TAUS <= steps:
+        reasons.append(f"{steps} steps are {steps / np.max(tau):.0f} autocorrelation times, not {TAUS}")
+    elif not bulk.min() >= ESS or not tail.min() >= ESS / 2:
+        reasons.append(f"effective samples {bulk.min():.0f} ({tail.min():.0f} of the tails), not {ESS} ({ESS // 2})")
+    elif not rhat.max() <= RHAT:
+        reasons.append(f"R-hat {rhat.max():.3f}, not {RHAT}")
+    thin = max(1, int(tau.min() / 2 / stride)) if np.isfinite(tau).all() else 1
+    return Chains(
+        z=z[thin - 1 :: thin],
+        log_probability=backend.get_log_prob(thin=stride)[thin - 1 :: thin],
+        thin=thin * stride,
+        steps=steps,
+        acceptance=float(np.mean(backend.accepted) / max(steps, 1)),
+        tau=tau,
+        ess_bulk=bulk,
+        ess_tail=tail,
+        rhat=rhat,
+        converged=not reasons,
+        reason="; ".join(reasons),
+    )
+
+
+class _Run:
+    """An ensemble and the group of the file that it streams to."""
+
+    def __init__(self, path, name, log_probability, moves, seed, first=None):
+        self.backend = Stream(str(path), name=name)
+        if first is not None:
+            self.backend.reset(*first.shape)
+            self.backend.begin(first)
+        self._forget_half_written(path, log_probability)
+        self.sampler = emcee.EnsembleSampler(
+            *self.backend.shape, log_probability, vectorize=True, moves=moves, backend=self.backend
+        )
+        self.seed, self.random = [seed, len(name)], np.random.RandomState(0)
+
+    def advance(self, steps: int, progress) -> None:
+        """Go on to so many steps."""
+        done = self.backend.iteration
+        if done >= steps:
+            return
+        here = self.standing()
+        self._reseed(done)
+        with self.backend.held():
+            for _ in self.sampler.sample(here, iterations=steps - done, skip_initial_state_check=True):
+                done += 1
+                self._reseed(done)
+                progress(done)
+
+    def standing(self) -> np.ndarray:
+        """Where the walkers are."""
+        if self.backend.iteration:
+            return self.backend.get_last_sample().coords
+        return self.backend.first()
+
+    def between(self, first: int, last: int) -> np.ndarray:
+        """All walkers' places in steps first to last, (n, free)."""
+        z = self.backend.rows(first, last)
+        return z.reshape(-1, z.shape[-1])
+
+    def _reseed(self, step: int):
+        self.random.seed([*self.seed, step])
+        self.sampler.random_state = self.random.get_state()
+
+    def _forget_half_written(self, path, log_probability):
+        """Drop a last step whose log probability is not that of its place: the process died while writing it."""
+        for _ in range(3):
+            if not self.backend.iteration:
+                return
+            last = self.backend.get_last_sample()
+            again = log_probability(last.coords)
+            if np.allclose(again, np.asarray(last.log_prob), rtol=1e-9, atol=1e-9, equal_nan=True):
+                return
+            self.backend.drop_last()
+        raise ValueError(f"{path}: its steps do not belong to this problem; remove it and start again")
+
+
+def _begin(path: Path, problem: Problem, walkers: int, seed: int, mark: str, start: Fit | None) -> None:
+    """A new file with the walkers' first places: a cloud as wide as the fit's covariance."""
+    best = fit(problem) if start is None else start
+    z, covariance = laplace(problem, best)
+    random = np.random.RandomState([seed, 1 << 31])
+    cloud = z + random.standard_normal((walkers, z.size)) @ np.linalg.cholesky(covariance).T
+    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
+    backend = Stream(str(temporary), name="burn")
+    try:
+        backend.reset(walkers, z.size)
+        backend.begin(cloud, mark)
+        os.replace(temporary, path)
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+def laplace(problem: Problem, best: Fit) -> tuple[np.ndarray, np.ndarray]:
+    """Optimum and covariance of the normal approximation, the noise at what the residuals say."""
+    z, covariance = np.array(best.z, float), np.array(best.covariance, float)
+    points = sum(o.values.shape[-1] for o in problem.observations)
+    for i, name in enumerate(problem.free):
+        if name.startswith("noise"):
+            line = np.repeat(z[None], 64, axis=0)
+            line[:, i] = np.linspace(-4, 4, 64)
+            z[i] = line[int(np.nanargmax(np.asarray(density(problem)(jnp.asarray(line))))), i]
+            covariance[i, i] = min(1.0, 1 / (2 * points * 0.25))
+    # Rounding must not make it indefinite.
+    return z, covariance + 1e-10 * np.eye(z.size)
+
+
+def _fingerprint(problem: Problem, walkers: int, seed: int) -> str:
+    digest = hashlib.sha256(json.dumps([walkers, seed, problem.free, str(problem.process)]).encode())
+    digest.update(repr(problem.priors).encode())
+    for leaf in jax.tree.leaves((problem.observations, problem.noise, problem.base, problem.fixed)):
+        digest.update(np.asarray(leaf).tobytes() if not isinstance(leaf, str) else leaf.encode())
+    return digest.hexdigest()

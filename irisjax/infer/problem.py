@@ -1,0 +1,303 @@
+"""An inverse problem: measurements, what is free, and the probability of every choice of it."""
+
+from collections.abc import Iterable, Mapping, Sequence
+from functools import lru_cache, partial
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from irisjax.infer.noise import Noise
+from irisjax.infer.observation import RADIANCE, Observation
+from irisjax.infer.parameters import DEFAULT_FREE, DERIVED, PARAMETERS, derived, iris_of, of_iris
+from irisjax.infer.priors import AbstractPrior
+from irisjax.measure.measurement import layers_of, prepared, through_cornea
+from irisjax.tissue.iris import Iris
+from irisjax.tissue.layers import Layers
+from irisjax.tissue.pigments import Extinction, extinction
+from irisjax.transport.exact import DIFFUSE, Exact
+from irisjax.transport.process import ILIT_2006, Process
+from irisjax.transport.solution import RESULTS
+from irisjax.transport.solver import AbstractSolver
+from irisjax.transport.tabulated import Tabulated
+
+
+class Problem(eqx.Module):
+    """Everything that fits and posteriors need; make one with `problem`.
+
+    Vectors `z`, shape (free,), hold the free parameters in the coordinates in which each prior is the
+    standard normal. With several observations a name in `separate` is free once for each, as `name@1`, …
+    """
+
+    observations: tuple[Observation, ...]
+    noise: Noise
+    base: Iris
+    fixed: dict[str, Any]
+    solver: AbstractSolver
+    tables: tuple[Extinction, ...]
+    free: tuple[str, ...] = eqx.field(static=True)
+    priors: tuple[AbstractPrior, ...]
+    process: Process = eqx.field(static=True)
+
+    @property
+    def units(self) -> tuple[str, ...]:
+        """Unit of each free parameter."""
+        return tuple(PARAMETERS[kind(name)].unit for name in self.free)
+
+    def values(self, z: Float[Array, " free"]) -> dict[str, Any]:
+        """Parameters by name, those fixed included."""
+        return {**self.fixed, **{n: p.value(z[i]) for i, (n, p) in enumerate(zip(self.free, self.priors, strict=True))}}
+
+    def standard(self, values: Mapping[str, Any]) -> Float[Array, " free"]:
+        """The vector z of these values of the free parameters."""
+        return jnp.stack(
+            [p.standard(jnp.asarray(values[n], float)) for n, p in zip(self.free, self.priors, strict=True)]
+        )
+
+    def natural(self, z: Float[Array, " free"]) -> Float[Array, " free"]:
+        """Values of the free parameters as a vector."""
+        return jnp.stack([p.value(z[i]) for i, p in enumerate(self.priors)])
+
+    def reported(self, z: Float[Array, " free"]) -> dict[str, Any]:
+        """Free parameters and what follows from them, for every observation that has its own."""
+        values = self.values(z)
+        out = {name: values[name] for name in self.free}
+        for i in range(len(self.observations)):
+            tag = f"@{i + 1}" if any("@" in n for n in self.free) else ""
+            for name, value in derived(_seen_by(values, i)).items():
+                out[name + tag] = value
+        return out
+
+    def predict(self, z: Float[Array, " free"]) -> tuple[Float[Array, " data"], ...]:
+        """What each instrument would read without noise."""
+        return self._models(self.values(z))
+
+    def status(self, z: Float[Array, " free"]):
+        """The solver's status at z: a `RESULTS` item, the first that is not success."""
+        out, values = RESULTS.successful, self.values(z)
+        for i in range(len(self.observations)):
+            solver, layers, cosine, _ = self._scene(values, i)
+            result = _run(self.process, False, solver, layers, cosine)[1]
+            out = RESULTS.where(out == RESULTS.successful, result, out)
+        return out
+
+    def pointwise(self, z: Float[Array, " free"]) -> Float[Array, " all_data"]:
+        """Log likelihood of every value, all observations one after another."""
+        values = self.values(z)
+        return jnp.concatenate(
+            [
+                self.noise.pointwise(o, m, _seen_by(values, i)["noise"])
+                for i, (o, m) in enumerate(zip(self.observations, self._models(values), strict=True))
+            ]
+        )
+
+    def log_likelihood(self, z: Float[Array, " free"]) -> Float[Array, ""]:
+        """Log likelihood."""
+        return self.pointwise(z).sum()
+
+    def log_prior(self, z: Float[Array, " free"]) -> Float[Array, ""]:
+        """Log prior density of z."""
+        return -0.5 * (z * z + np.log(2 * np.pi)).sum()
+
+    def log_posterior(self, z: Float[Array, " free"]) -> Float[Array, ""]:
+        """Log posterior density of z up to a constant; −∞ where the solver has no answer."""
+        total = self.log_likelihood(z) + self.log_prior(z)
+        return jnp.where(jnp.isfinite(total), total, -jnp.inf)
+
+    def residuals(self, z: Float[Array, " free"], factor=1.0) -> Float[Array, " all_data"]:
+        """Residuals in units of the noise, which is taken at `factor` times what is stated."""
+        return self.residuals_and_models(z, factor)[0]
+
+    def residuals_and_models(self, z: Float[Array, " free"], factor=1.0):
+        """`residuals` and `predict` at once."""
+        models = self._models(self.values(z))
+        whitened = [self.noise.whiten(o, m, factor) for o, m in zip(self.observations, models, strict=True)]
+        return jnp.concatenate(whitened), models
+
+    def simulate(self, z: Float[Array, " free"], key) -> tuple[Float[Array, " data"], ...]:
+        """One noisy measurement of each kind, were z the truth."""
+        values, out = self.values(z), []
+        nu = self.noise.degrees_of_freedom
+        for i, (o, m) in enumerate(zip(self.observations, self._models(values), strict=True)):
+            one, two = jax.random.split(jax.random.fold_in(key, i))
+            normal = jax.random.normal(one, m.shape)
+            square = None if nu is None else 2 * jax.random.gamma(two, nu / 2, m.shape)
+            out.append(self.noise.draw(o, m, _seen_by(values, i)["noise"], normal, square))
+        return tuple(out)
+
+    def with_observations(self, *observations: Observation) -> "Problem":
+        """The same problem for other values on the same wavelengths (they may be traced)."""
+        return eqx.tree_at(lambda p: p.observations, self, tuple(observations))
+
+    def _models(self, values) -> tuple[jax.Array, ...]:
+        out = []
+        for i, o in enumerate(self.observations):
+            solver, layers, cosine, factor = self._scene(values, i)
+            how = (solver, layers.indices, cosine)
+            depths = (layers.abl_absorption, layers.stroma_absorption, layers.stroma_scattering)
+            run = partial(_reflectance, layers.order, self.process, o.first_surface)
+            out.append(_seen_by(values, i)["gain"] * o.of(factor * _by_wavelength(run, how, depths)))
+        return tuple(out)
+
+    def _scene(self, values, i: int):
+        """What the i-th instrument looks at: solver, layers, cosine of incidence, and the cornea's factor."""
+        mine, o = _seen_by(values, i), self.observations[i]
+        iris = iris_of(mine, self.base)
+        layers = layers_of(iris, self.tables[i], self.process)
+        scattering = layers.stroma_scattering * mine["scattering_scale"]
+        layers = eqx.tree_at(lambda x: x.stroma_scattering, layers, scattering)
+        if o.cos_incidence == DIFFUSE:
+            return self.solver, layers, DIFFUSE, 1.0
+        cornea = self.process.cornea or ("inward" if o.quantity == RADIANCE else "none")
+        factor, cosine = through_cornea(iris, jnp.asarray(o.cos_incidence, layers.extinction.dtype), cornea)
+        return self.solver, layers, cosine, factor
+
+
+def problem(
+    observations: Observation | Sequence[Observation],
+    *,
+    free: Iterable[str] | None = None,
+    fixed: Mapping[str, float] | None = None,
+    priors: Mapping[str, AbstractPrior] | None = None,
+    separate: Iterable[str] = (),
+    noise: Noise | None = None,
+    base: Iris | None = None,
+    process: Process = ILIT_2006,
+    solver: AbstractSolver | None = None,
+) -> Problem:
+    """State an inverse problem.
+
+    **Arguments:**
+
+    - `observations`: one, or several of the same eye.
+    - `free`: names from `PARAMETERS`; default `DEFAULT_FREE`.
+    - `fixed`: values of others, taken out of `free`; what is neither stands as in `base`.
+    - `priors`: in place of those of `PARAMETERS`.
+    - `separate`: names that each observation has for itself (two spots share blood, not melanin).
+    - `base`: the iris for all that is neither free nor fixed; default LB06's, moderate.
+    - `solver`: default `Tabulated` for ILIT's processes, `Exact(16, 8)` for depth-resolved transport.
+
+    **Raises:** `ValueError` for unknown names, values out of range, or nothing free.
+    """
+    seen = (observations,) if isinstance(observations, Observation) else tuple(observations)
+    fixed, priors, separate = dict(fixed or {}), dict(priors or {}), tuple(separate)
+    if not seen:
+        raise ValueError("no observations")
+    for name in (*(free or ()), *fixed, *priors, *separate):
+        if name not in PARAMETERS:
+            raise ValueError(f"unknown parameter {name!r}; known: {', '.join(PARAMETERS)}")
+    for name, value in fixed.items():
+        low, high = PARAMETERS[name].low, PARAMETERS[name].high
+        if not (low <= value <= high and np.isfinite(value)):
+            raise ValueError(f"{name} = {value:g} is outside {low:g} to {high:g}")
+        if free is not None and name in free:
+            raise ValueError(f"{name} is both free and fixed")
+    names = [n for n in PARAMETERS if n in (DEFAULT_FREE if free is None else tuple(free)) and n not in fixed]
+    if not names:
+        raise ValueError(f"nothing is free; choose from {', '.join(PARAMETERS)}")
+    for name in (*priors, *separate):
+        if name not in names:
+            raise ValueError(f"{name} has a prior or is separate, but is not free")
+    expanded = [f"{n}@{i + 1}" if n in separate else n for n in names for i in range(len(seen) if n in separate else 1)]
+    base = Iris() if base is None else base
+    tables = tuple(extinction(o.wavelengths) for o in seen)
+    if solver is None:
+        solver = Exact(16, 8) if process.depth_resolved else table_for(base, process)
+    dtype = jnp.result_type(float)
+    start = {**of_iris(base), **fixed}
+    return Problem(
+        observations=seen,
+        noise=Noise() if noise is None else noise,
+        base=base,
+        fixed={n: jnp.asarray(v, dtype) for n, v in start.items() if n not in names},
+        solver=prepared(solver, base, tables[0], process),
+        tables=tables,
+        free=tuple(expanded),
+        priors=tuple(priors.get(kind(n), PARAMETERS[kind(n)].prior) for n in expanded),
+        process=process,
+    )
+
+
+def density(problem: Problem):
+    """The function z (n, free) → log posterior densities (n,), compiled once for all problems of the same form."""
+    leaves, structure = jax.tree.flatten(problem)
+    return partial(_compiled_density(structure), [jnp.asarray(x) for x in leaves])
+
+
+@lru_cache(maxsize=32)
+def _compiled_density(structure):
+    @jax.jit
+    def run(leaves, z):
+        stated = jax.tree.unflatten(structure, leaves)
+        return jax.vmap(lambda x: stated.log_posterior(x))(z)
+
+    return run
+
+
+def kind(name: str) -> str:
+    """The parameter that a free name is of: `melanin_load@2` is a `melanin_load`."""
+    return name.partition("@")[0]
+
+
+def unit_of(name: str) -> str:
+    """Unit of a free or derived name."""
+    return DERIVED.get(kind(name)) or PARAMETERS[kind(name)].unit if kind(name) in PARAMETERS else DERIVED[kind(name)]
+
+
+_TABLES: dict[Any, Tabulated] = {}
+
+
+def table_for(base: Iris, process: Process) -> Tabulated:
+    """`Tabulated` for the indices of `base`; those built before are kept."""
+    indices = tuple(float(n) for n in jax.tree.leaves(base.indices()))
+    wanted = (indices, process, str(jnp.result_type(float)))
+    if wanted not in _TABLES:
+        _TABLES[wanted] = Tabulated.build(base, process)
+    return _TABLES[wanted]
+
+
+def _seen_by(values: Mapping[str, Any], i: int) -> dict[str, Any]:
+    """The parameters that observation i has, under their plain names."""
+    tag = f"@{i + 1}"
+    return {kind(n): v for n, v in values.items() if "@" not in n or n.endswith(tag)}
+
+
+def _run(process, first_surface, solver, layers, cosine):
+    solution = solver.solve(layers, process, cosine)
+    counted = first_surface and process.first_surface
+    return (solution.reflectance + solution.mirrored if counted else solution.reflectance), solution.result
+
+
+def _reflectance(order, process, first_surface, how, depths):
+    solver, indices, cosine = how
+    return _run(process, first_surface, solver, Layers(depths[0], depths[1], depths[2], indices, order), cosine)[0]
+
+
+@eqx.filter_custom_jvp
+def _by_wavelength(run, how, depths):
+    """`run(how, depths)`, where a value depends on its own wavelength's depths only.
+
+    Three derivatives then serve any number of directions.
+    """
+    return run(how, depths)
+
+
+@_by_wavelength.def_jvp
+def _by_wavelength_jvp(primals, tangents):
+    run, how, depths = primals
+    _, moved, slopes = tangents
+    if any(t is not None for t in jax.tree.leaves(moved)):
+        raise NotImplementedError("derivatives by indices or incidence are not part of an inversion")
+    active = [i for i, slope in enumerate(slopes) if slope is not None]
+    # One program for all three: compiling is what takes long here.
+    each = jnp.eye(len(depths), dtype=depths[0].dtype)[np.array(active)]
+
+    def along(direction):
+        ones = tuple(jnp.full_like(d, x) for d, x in zip(depths, direction, strict=True))
+        return jax.jvp(partial(run, how), (depths,), (ones,))
+
+    values, derivatives = jax.vmap(along, out_axes=(None, 0))(each)
+    return values, sum(derivatives[k] * slopes[i] for k, i in enumerate(active))

@@ -1,0 +1,132 @@
+"""Chains on disk: emcee's HDF5 backend with the file held open, so that a step costs 0.3 ms and not 5."""
+
+import contextlib
+import os
+import shutil
+from pathlib import Path
+from typing import Any
+
+import emcee
+import h5py
+import numpy as np
+
+
+class Stream(emcee.backends.HDFBackend):
+    """One group of an HDF5 file; every step is handed to the operating system before the next begins.
+
+    A step is there when its log probabilities are: unwritten rows hold NaN, and the number of steps is read
+    off them. Random states are not stored: step i draws from (seed, i).
+    """
+
+    _file: Any = None
+
+    def open(self, mode="r") -> Any:
+        """The file, held or opened for now."""
+        return contextlib.nullcontext(self._file) if self._file is not None else super().open(mode)
+
+    def reset(self, nwalkers, ndim):
+        """A new, empty chain."""
+        super().reset(nwalkers, ndim)
+        with self.open("a") as file:
+            group = file[self.name]
+            for name, shape in (("chain", (nwalkers, ndim)), ("log_prob", (nwalkers,))):
+                del group[name]
+                # A chunk is what a step rewrites.
+                kind = {"fillvalue": np.nan, "chunks": (16, *shape), "maxshape": (None, *shape)}
+                group.create_dataset(name, (0, *shape), np.float64, **kind)
+            for i, value in enumerate(np.random.RandomState(0).get_state()):
+                group.attrs[f"random_state_{i}"] = value
+
+    @contextlib.contextmanager
+    def held(self):
+        """Keep the file open meanwhile."""
+        with super().open("a") as file:
+            group: Any = file[self.name]
+            done = self._count(group)
+            group.attrs["iteration"] = done
+            self._file, self._done = file, done
+            self._chain, self._log_prob = group["chain"], group["log_prob"]
+            moved = np.zeros(self._log_prob.shape[1])
+            self._accepted = moved
+            try:
+                yield
+            finally:
+                group.attrs["iteration"] = self._done
+                group["accepted"][...] += moved
+                self._file = None
+
+    def save_step(self, state, accepted):
+        """Append a step."""
+        assert self._file is not None
+        self._chain[self._done] = state.coords
+        self._log_prob[self._done] = state.log_prob
+        self._accepted += accepted
+        self._done += 1
+        self._file.flush()
+
+    @property
+    def iteration(self):
+        """Number of whole steps."""
+        if self._file is not None:
+            return self._done
+        with self.open() as file:
+            return self._count(file[self.name])
+
+    def begin(self, places, mark: str | None = None) -> None:
+        """Keep where the walkers begin, and a mark of what the file belongs to."""
+        with self.open("a") as file:
+            file[self.name]["start"] = places
+            if mark is not None:
+                file.attrs["problem"] = mark
+
+    def first(self) -> np.ndarray:
+        """Where the walkers began."""
+        with self.open() as file:
+            return np.asarray(file[self.name]["start"])
+
+    def mark(self) -> str | None:
+        """What the file belongs to."""
+        with self.open() as file:
+            return file.attrs.get("problem")
+
+    def rows(self, first: int, last: int) -> np.ndarray:
+        """Steps first to last, (steps, walkers, free)."""
+        with self.open() as file:
+            return np.asarray(file[self.name]["chain"][first:last])
+
+    def drop_last(self) -> None:
+        """Forget the last step."""
+        with self.open("a") as file:
+            group = file[self.name]
+            group["log_prob"][self._count(group) - 1] = np.nan
+
+    @staticmethod
+    def _count(group) -> int:
+        written = np.isnan(group["log_prob"][:, 0])
+        return int(np.argmax(written)) if written.any() else written.size
+
+
+def checkpoint(path: Path) -> None:
+    """A whole copy to fall back on should the process die in the midst of writing to the file itself."""
+    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
+    shutil.copyfile(path, temporary)
+    os.replace(temporary, backup(path))
+
+
+def backup(path: Path) -> Path:
+    """Where that copy is."""
+    return path.with_name(f"{path.name}.bak")
+
+
+def repair(path: Path) -> None:
+    """Take the last whole copy if the file cannot be read."""
+    try:
+        with h5py.File(path, "r") as file:
+            group: Any
+            for group in file.values():
+                if len(group["log_prob"]):
+                    _ = group["log_prob"][:], group["chain"][-1]
+    except (OSError, KeyError, ValueError, RuntimeError) as error:
+        if not backup(path).exists():
+            raise ValueError(f"{path}: damaged ({error}) and without a copy; remove it and start again") from None
+        shutil.copyfile(backup(path), path)

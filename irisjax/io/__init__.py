@@ -1,0 +1,12 @@
+"""Files in and out: tables with a header of settings, measured spectra, posteriors."""
+
+from irisjax.io.measured import Measured as Measured
+from irisjax.io.measured import read_measured as read_measured
+from irisjax.io.posterior import write_posterior as write_posterior
+from irisjax.io.tables import Table as Table
+from irisjax.io.tables import check_writable as check_writable
+from irisjax.io.tables import format_table as format_table
+from irisjax.io.tables import read_header as read_header
+from irisjax.io.tables import read_table as read_table
+from irisjax.io.tables import write_atomically as write_atomically
+from irisjax.io.tables import write_together as write_together
