@@ -59,7 +59,7 @@ def _solvers(key, quick):
         reference = _reference(process, 288 if job == "ilit-corrected" else 72)
         for n in (8, 16) if quick else (8, 12, 16, 20, 24, 28, 40):
             rows.append((job, "exact", n, precision, *_deterministic(ij.Exact(n), process, reference, quick)))
-        for n in (64,) if quick else (64, 128, 400):
+        for n in (64,) if quick else (64, 128, 256):
             solver = ij.Tabulated.build(process=process, n_intervals=n, tolerance=1.0)
             rows.append((job, "tabulated", n, precision, *_deterministic(solver, process, reference, quick)))
         if precision == "float32" or job == "ilit-corrected":
@@ -161,7 +161,7 @@ def _depth_resolved(quick):
         irides = {v: _matched(ij.Iris.preset(v)) if matched else ij.Iris.preset(v) for v in LEVELS}
         process = ij.DEPTH_RESOLVED
         reference = np.stack([_values(i, ij.Exact(96, 12, 5), process) for i in irides.values()])
-        for n, depths in ((12, 6),) if quick else ((8, 4), (12, 6), (16, 8), (24, 8)):
+        for n, depths in ((12, 6),) if quick else ((8, 4), (12, 6), (10, 8), (16, 8), (24, 8)):
             solver = ij.Exact(n, depths, 1)
             found = np.stack([_values(i, solver, process) for i in irides.values()])
             iris = irides["moderate"]

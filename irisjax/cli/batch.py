@@ -47,7 +47,7 @@ def many(
         if target.exists() and not (resume or overwrite):
             raise ValueError(f"{target}: exists; --resume goes on with it, --overwrite begins anew")
         if target.exists() and resume:
-            done = _rows(target)
+            done = _rows(target, "converged" if posteriors else "ok")
     columns: list[str] = []
     rows: dict[str, list[str]] = dict(done)
     with tqdm(total=len(eyes), initial=len(done), unit="eye", delay=1, disable=not sys.stderr.isatty()) as bar:
@@ -163,10 +163,10 @@ def _sampled(eye: Eye, output: Path | None, seen, options, sampler, resume: bool
     return "converged" if good else "failed: the chain is not long enough"
 
 
-def _rows(path: Path) -> dict[str, list[str]]:
+def _rows(path: Path, good: str) -> dict[str, list[str]]:
     lines = list(csv.reader(path.read_text(encoding="utf-8").splitlines()))
     # Failures are tried again.
-    return {row[0]: row for row in lines[1:] if not row[1].startswith("failed")}
+    return {row[0]: row for row in lines[1:] if row[1] in (good, "converged")}
 
 
 def _table(columns: list[str], rows: Mapping[str, list[str]], eyes: list[Eye]) -> str:

@@ -28,7 +28,7 @@ class Observation(eqx.Module):
 
     values: Float[Array, "*batch data"]
     sd: Float[Array, "*batch data"] | None
-    wavelengths: Float[np.ndarray, " wavelengths"]
+    wavelengths: Float[Array, " wavelengths"]
     response: Float[Array, "data wavelengths"] | Float[Array, " wavelengths"] | None
     white: Float[Array, "3"] | None
     covariance_root: Float[Array, "data data"] | None
@@ -90,7 +90,7 @@ def spectrum(
         raise ValueError(f"quantity must be {REFLECTANCE!r} or {RADIANCE!r}, got {quantity!r}")
     response = None if quantity == REFLECTANCE else _array(illuminant_power(illuminant, grid) / np.pi)
     sd = None if sd is None else _array(sd)
-    return Observation(_array(y), sd, grid, response, None, None, cos_incidence, first_surface, quantity, name)
+    return Observation(_array(y), sd, _array(grid), response, None, None, cos_incidence, first_surface, quantity, name)
 
 
 def colour_data(
@@ -120,7 +120,7 @@ def colour_data(
         grid, "linear sRGB" if quantity == "linear sRGB" else "XYZ", illuminant, observer
     )
     return Observation(
-        _array(y), None, grid, _array(matrix), _array(white) if quantity == "Lab" else None,
+        _array(y), None, _array(grid), _array(matrix), _array(white) if quantity == "Lab" else None,
         _array(np.linalg.cholesky(c)), 1.0, first_surface, quantity, name,
     )  # fmt: skip
 

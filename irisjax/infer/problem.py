@@ -203,7 +203,7 @@ def problem(
             raise ValueError(f"{name} has a prior or is separate, but is not free")
     expanded = [f"{n}@{i + 1}" if n in separate else n for n in names for i in range(len(seen) if n in separate else 1)]
     base = Iris() if base is None else base
-    tables = tuple(extinction(o.wavelengths) for o in seen)
+    tables = tuple(extinction(np.asarray(o.wavelengths)) for o in seen)
     if solver is None:
         solver = Exact(16, 8) if process.depth_resolved else table_for(base, process)
     dtype = jnp.result_type(float)

@@ -43,7 +43,6 @@ class Stream(emcee.backends.HDFBackend):
         with super().open("a") as file:
             group: Any = file[self.name]
             done = self._count(group)
-            group.attrs["iteration"] = done
             self._file, self._done = file, done
             self._chain, self._log_prob = group["chain"], group["log_prob"]
             moved = np.zeros(self._log_prob.shape[1])
@@ -51,7 +50,6 @@ class Stream(emcee.backends.HDFBackend):
             try:
                 yield
             finally:
-                group.attrs["iteration"] = self._done
                 group["accepted"][...] += moved
                 self._file = None
 
@@ -63,6 +61,21 @@ class Stream(emcee.backends.HDFBackend):
         self._accepted += accepted
         self._done += 1
         self._file.flush()
+
+    def grow(self, ngrow, blobs):
+        """Room for so many steps more."""
+        with self.open("a") as file:
+            group = file[self.name]
+            for name in ("chain", "log_prob"):
+                group[name].resize(self._count(group) + ngrow, axis=0)
+
+    def get_value(self, name, flat=False, thin=1, discard=0):
+        """Rows of whole steps; there are no blobs."""
+        if name == "blobs":
+            return None
+        with self.open() as file:
+            rows = file[self.name][name][discard + thin - 1 : self._count(file[self.name]) : thin]
+        return rows.reshape(-1, *rows.shape[2:]) if flat else rows
 
     @property
     def iteration(self):

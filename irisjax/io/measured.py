@@ -53,8 +53,10 @@ def _table(path, text: str):
     body = [line for line in lines if line.strip() and not line.lstrip().startswith("#")]
     if not body:
         raise ValueError(f"{path}: no numbers in it")
-    delimiter = next((d for d in ("\t", ";", ",") if d in body[-1]), None)
-    decimal_comma = delimiter in ("\t", ";") and "," in body[-1] and "." not in body[-1]
+    # The one that most lines have; of tab, semicolon and comma in this order, as commas may be decimal.
+    found = {d: sum(d in line for line in body) for d in ("\t", ";", ",")}
+    delimiter = next((d for d, n in found.items() if 2 * n > len(body)), None)
+    decimal_comma = delimiter in ("\t", ";") and found[","] and not any("." in line for line in body[1:])
     for number, line in enumerate(lines, 1):
         if not line.strip() or line.lstrip().startswith("#"):
             continue
@@ -63,7 +65,7 @@ def _table(path, text: str):
         while cells and not cells[-1]:
             cells.pop()
         try:
-            rows.append((number, [_number(c, decimal_comma) for c in cells]))
+            rows.append((number, [_number(c, bool(decimal_comma)) for c in cells]))
         except ValueError as error:
             if rows or names is not None:
                 raise ValueError(f"{path}, line {number}: {error}") from None
@@ -93,7 +95,7 @@ def _jcamp(path):
     import jcamp
 
     try:
-        found = getattr(jcamp, "jcamp_readfile")(str(path))  # noqa: B009  (its stubs lack it)
+        found = jcamp.readfile(str(path))
         x, y = np.asarray(found["x"], float), np.asarray(found["y"], float)
     except Exception as error:
         raise ValueError(f"{path}: not readable as JCAMP-DX ({error})") from None

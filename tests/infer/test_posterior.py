@@ -1,0 +1,194 @@
+"""Posterior sampling: right distributions, chains that survive being killed, diagnostics that tell."""
+
+import shutil
+import subprocess
+import sys
+
+import emcee
+import h5py
+import jax
+import numpy as np
+import pytest
+from scipy import stats
+
+import irisjax as ij
+from irisjax.infer.analytic import BeerLambert
+from irisjax.infer.fit import fit
+from irisjax.infer.moves import IndependentMove, Proposal, mixture
+from irisjax.infer.posterior import sample
+from irisjax.infer.summary import check, summarise
+
+GRID = ij.wavelengths(400, 700, 30)
+TRUTH = {"melanin_load": 0.1, "hemoglobin": 0.08}
+
+
+def stated(seed=0, **options):
+    """A problem that compiles in a moment: the closed formula in place of transport."""
+    problem = ij.problem(
+        ij.spectrum(GRID, np.zeros(GRID.size)),
+        free=["melanin_load", "hemoglobin", "noise"],
+        solver=BeerLambert(),
+        **options,
+    )
+    z = problem.standard({**TRUTH, "noise": 1.0})
+    values = problem.simulate(z, jax.random.key(seed))[0]
+    return problem.with_observations(ij.spectrum(GRID, np.asarray(values)))
+
+
+def rows(path):
+    with h5py.File(path) as file:
+        return np.asarray(file["chain"]["chain"]), np.asarray(file["chain"]["log_prob"])
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory):
+    """A chain no one interrupted."""
+    path = tmp_path_factory.mktemp("whole") / "chain.h5"
+    problem = stated()
+    return problem, path, sample(problem, path, walkers=16, seed=3, max_steps=600)
+
+
+@pytest.mark.parametrize("when", [1, 250, 450, 640, 990])
+def test_interrupted_and_resumed_is_the_same_chain(whole, tmp_path, when):
+    problem, path, _ = whole
+    mine = tmp_path / "chain.h5"
+
+    def stop(n, _):
+        if n == when:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        sample(problem, mine, walkers=16, seed=3, max_steps=600, progress=stop)
+    sample(problem, mine, walkers=16, seed=3, max_steps=600, resume=True)
+    for a, b in zip(rows(path), rows(mine), strict=True):
+        np.testing.assert_array_equal(a, b)
+
+
+def test_torn_step_and_damaged_file_are_mended(whole, tmp_path):
+    problem, path, _ = whole
+    for fault in ("torn", "damaged"):
+        mine = tmp_path / f"{fault}.h5"
+        shutil.copy(path, mine)
+        shutil.copy(path.with_name("chain.h5.bak"), mine.with_name(f"{fault}.h5.bak"))
+        if fault == "torn":
+            with h5py.File(mine, "a") as file:
+                file["chain"]["chain"][-1] = 0.25
+        else:
+            data = mine.read_bytes()
+            mine.write_bytes(data[: len(data) // 2])
+        sample(problem, mine, walkers=16, seed=3, max_steps=600, resume=True)
+        for a, b in zip(rows(path), rows(mine), strict=True):
+            np.testing.assert_array_equal(a, b)
+
+
+def test_seeds_and_settings_count(whole, tmp_path):
+    problem, path, _ = whole
+    other = tmp_path / "other.h5"
+    sample(problem, other, walkers=16, seed=4, max_steps=400)
+    assert not np.array_equal(rows(path)[0][:400], rows(other)[0][:400])
+    with pytest.raises(ValueError, match="exists"):
+        sample(problem, other, walkers=16, seed=4)
+    with pytest.raises(ValueError, match="other data or settings"):
+        sample(stated(seed=9), other, walkers=16, seed=4, resume=True)
+    with pytest.raises(ValueError, match="too few"):
+        sample(problem, tmp_path / "few.h5", walkers=6)
+
+
+def test_short_chains_are_called_short(whole, tmp_path):
+    problem, _, chains = whole
+    assert chains.converged
+    assert chains.steps >= 50 * chains.tau.max()
+    assert chains.ess_bulk.min() >= 1000
+    short = sample(problem, tmp_path / "short.h5", walkers=16, seed=3, max_steps=60)
+    assert not short.converged
+    assert "60 steps are" in short.reason
+    # More steps are the same chain, longer.
+    longer = sample(problem, tmp_path / "short.h5", walkers=16, seed=3, max_steps=600, resume=True)
+    assert longer.converged
+    np.testing.assert_array_equal(rows(tmp_path / "short.h5")[0][:60], rows(whole[1])[0][:60])
+
+
+def test_posterior_agrees_with_a_grid(tmp_path):
+    """Two parameters: mean, spread and correlation against brute force."""
+    problem = stated()
+    problem = ij.problem(
+        problem.observations[0], free=["melanin_load", "hemoglobin"], fixed={"noise": 1.0}, solver=BeerLambert()
+    )
+    chains = sample(problem, tmp_path / "chain.h5", walkers=32, seed=0)
+    assert chains.converged
+    z = chains.z.reshape(-1, 2)
+    best = fit(problem)
+    width = 6 * np.sqrt(np.diag(best.covariance))
+    axes = [np.linspace(c - w, c + w, 201) for c, w in zip(np.asarray(best.z), width, strict=True)]
+    nodes = np.stack([a.ravel() for a in np.meshgrid(*axes, indexing="ij")], 1)
+    log_p = np.asarray(jax.jit(jax.vmap(lambda x: problem.log_posterior(x)))(nodes))
+    p = np.exp(log_p - log_p.max())
+    p /= p.sum()
+    mean = p @ nodes
+    covariance = (nodes - mean).T @ ((nodes - mean) * p[:, None])
+    error = np.sqrt(np.diag(covariance) / chains.ess_bulk)
+    assert (np.abs(z.mean(0) - mean) < 4.5 * error).all()
+    np.testing.assert_allclose(z.std(0), np.sqrt(np.diag(covariance)), rtol=0.08)
+    assert np.corrcoef(z.T)[0, 1] == pytest.approx(
+        covariance[0, 1] / np.sqrt(covariance[0, 0] * covariance[1, 1]), abs=0.06
+    )
+
+
+@pytest.mark.parametrize("which", ["independent", "mixture"])
+def test_moves_leave_a_distribution_as_it_is(which):
+    """Samples of a skewed density stay samples of it, with a proposal that fits badly."""
+    proposal = Proposal.of_gaussian([0.5, 0.0], [[2.0, 0.3], [0.3, 0.5]])
+    moves = [(IndependentMove(proposal), 1.0)] if which == "independent" else mixture(proposal)
+
+    def log_p(z):
+        return stats.gumbel_r.logpdf(z[:, 0]) + stats.norm.logpdf(z[:, 1], z[:, 0] / 2, 0.7)
+
+    sampler = emcee.EnsembleSampler(32, 2, log_p, vectorize=True, moves=moves)
+    sampler.random_state = np.random.RandomState(1).get_state()
+    rng = np.random.default_rng(0)
+    first = rng.gumbel(size=32)
+    sampler.run_mcmc(np.stack([first, rng.normal(first / 2, 0.7)], 1), 4000)
+    z = sampler.get_chain(discard=200, thin=20, flat=True)
+    assert stats.kstest(z[:, 0], stats.gumbel_r.cdf).pvalue > 1e-3
+    assert stats.kstest((z[:, 1] - z[:, 0] / 2) / 0.7, stats.norm.cdf).pvalue > 1e-3
+
+
+def test_summary_and_predictive_check(whole):
+    problem, _, chains = whole
+    table = {row.parameter: row for row in summarise(problem, chains)}
+    assert list(table)[:3] == ["melanin_load", "hemoglobin", "noise"]
+    load = table["melanin_load"]
+    assert load.q2_5 < load.q16 < load.median < load.q84 < load.q97_5
+    assert 0.9 < load.contraction < 1
+    assert table["eumelanin"].unit == "mg/ml"
+    assert check(problem, chains, jax.random.key(0)).warning is None
+
+
+def test_wrong_model_is_noticed(tmp_path):
+    """A step that no pigment makes: smooth residuals, and noise beyond what was stated."""
+    problem = stated()
+    y = np.asarray(problem.observations[0].values) * np.where(GRID < 550, 1.0, 1.6)
+    problem = problem.with_observations(ij.spectrum(GRID, y))
+    chains = sample(problem, tmp_path / "chain.h5", walkers=16, seed=0, max_steps=600)
+    assert "does not produce these data" in (check(problem, chains, jax.random.key(0)).warning or "")
+
+
+@pytest.mark.slow
+def test_killed_process_resumes(whole, tmp_path):
+    """kill -9, at several moments; the chain in the end is that of a run no one killed."""
+    path = tmp_path / "chain.h5"
+    code = (
+        "import sys, jax; jax.config.update('jax_enable_x64', True); sys.path[:0] = ['tests', 'tests/infer'];"
+        "import test_posterior as t; t.sample(t.stated(), sys.argv[1], walkers=16, seed=3, max_steps=600,"
+        "resume=True, progress=lambda n, w: print(n, flush=True))"
+    )
+    for stop in (30, 333, 700, None):
+        with subprocess.Popen([sys.executable, "-c", code, str(path)], stdout=subprocess.PIPE, text=True) as run:
+            assert run.stdout is not None
+            for line in run.stdout:
+                if stop is not None and int(line) >= stop:
+                    run.kill()
+                    break
+        assert (run.returncode == 0) == (stop is None)
+    for a, b in zip(rows(whole[1]), rows(path), strict=True):
+        np.testing.assert_array_equal(a, b)

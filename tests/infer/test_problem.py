@@ -1,0 +1,223 @@
+"""Priors, noise and the likelihood: against scipy, limits, and each other."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy import stats
+
+import irisjax as ij
+from common import quick_jit
+from irisjax.infer.noise import Noise
+from irisjax.infer.parameters import PARAMETERS, derived, iris_of, of_iris
+from irisjax.infer.priors import LogitNormal, LogNormal, LogUniform, Normal, Uniform, prior_of
+
+GRID = ij.wavelengths(400, 700, 20)
+SCIPY = [
+    (LogNormal(0.15, 1.2), stats.lognorm(1.2, scale=0.15)),
+    (Uniform(-1.0, 3.0), stats.uniform(-1, 4)),
+    (LogUniform(0.1, 30.0), stats.loguniform(0.1, 30)),
+    (Normal(0.5, 0.3, 0.0, 1.0), stats.truncnorm(-0.5 / 0.3, 0.5 / 0.3, 0.5, 0.3)),
+    (Normal(5.0, 2.0), stats.truncnorm(-2.5, np.inf, 5, 2)),
+]
+
+
+@pytest.mark.parametrize(("prior", "reference"), SCIPY, ids=lambda x: repr(x)[:12])
+def test_priors_are_the_distributions_they_say(prior, reference):
+    z = np.linspace(-4, 4, 33)
+    np.testing.assert_allclose(reference.cdf(np.asarray(prior.value(z))), stats.norm.cdf(z), rtol=1e-9, atol=1e-14)
+    np.testing.assert_allclose(prior.standard(prior.value(z)), z, atol=1e-6)
+
+
+def test_logit_normal():
+    z = np.linspace(-6, 6, 25)
+    value = np.asarray(LogitNormal(0.2, 0.8).value(z))
+    np.testing.assert_allclose(np.log(value / (1 - value)), np.log(0.25) + 0.8 * z, rtol=1e-12, atol=1e-12)
+
+
+@pytest.mark.parametrize("name", PARAMETERS)
+def test_prior_draws_stay_inside_the_bounds(name):
+    p = PARAMETERS[name]
+    value = np.asarray(p.prior.value(np.linspace(-8, 8, 101)))
+    assert np.isfinite(value).all()
+    assert (np.diff(value) >= 0).all()
+    assert p.low <= value.min() <= value.max() <= p.high
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("lognormal", "no prior"),
+        ("cauchy(0, 1)", "no prior"),
+        ("lognormal(1)", "no prior"),
+        ("lognormal(0, 1)", "no distribution"),
+        ("uniform(0.6, 0.2)", "no distribution"),
+        ("uniform(0, nan)", "no distribution"),
+        ("lognormal(0.5, 1)", "reaches outside"),
+        ("uniform(0, 1.5)", "reaches outside"),
+    ],
+)
+def test_bad_priors_are_named(text, message):
+    with pytest.raises(ValueError, match=message):
+        prior_of(text, 0, 1)
+    assert repr(prior_of("Normal( 0.5 , 0.1 )", 0, 1)) == "normal(0.5, 0.1)"
+
+
+@given(
+    st.floats(1e-3, 5), st.floats(0, 1), st.floats(0, 1), st.floats(1e-3, 1), st.floats(0, 1), st.floats(0.05, 1), st.floats(0.01, 0.2)
+)  # fmt: skip
+def test_parameters_make_the_iris_they_describe(load, fraction, share, blood, saturation, stroma, abl):
+    values = {
+        "melanin_load": load, "abl_fraction": fraction, "pheomelanin_share": share, "hemoglobin": blood,
+        "saturation": saturation, "stroma_thickness": stroma, "abl_thickness": abl,
+    }  # fmt: skip
+    iris = iris_of(values, ij.Iris())
+    back = of_iris(iris)
+    for name, value in values.items():
+        assert float(back[name]) == pytest.approx(value, rel=1e-12, abs=1e-12)
+    assert float(iris.melanin_load * iris.abl_fraction) == pytest.approx(float(derived(values)["abl_melanin"]))
+    assert float(iris.eumelanin) == pytest.approx(float(derived(values)["eumelanin"]), abs=1e-12)
+
+
+def stated(noise=None, sd=None, **options):
+    y = np.asarray(ij.reflectance(ij.Iris.preset("low"), GRID).values) * 1.05
+    return ij.problem(ij.spectrum(GRID, y, sd), noise=noise, solver=ij.Exact(16), **options)
+
+
+def test_prediction_is_the_spectrophotometer():
+    """At the values of an iris the model is `reflectance` times the gain; a radiance is `radiance`."""
+    iris = ij.Iris.preset("high")
+    problem = stated(free=["melanin_load", "gain"], fixed={"abl_fraction": 0.3}, base=iris)
+    z = problem.standard({"melanin_load": 0.2, "gain": 1.02})
+    wanted = ij.reflectance(iris.replace(melanin_load=0.2, abl_fraction=0.3), GRID, solver=ij.Exact(16))
+    np.testing.assert_allclose(problem.predict(z)[0], 1.02 * wanted.values, rtol=1e-12)
+    options = {"illuminant": "A", "cos_incidence": 0.8}
+    seen = ij.spectrum(GRID, np.ones(GRID.size), quantity="radiance", **options)
+    problem = ij.problem(seen, free=["gain"], base=iris, solver=ij.Exact(16))
+    wanted = ij.radiance(iris, GRID, solver=ij.Exact(16), **options)
+    np.testing.assert_allclose(problem.predict(jnp.zeros(1))[0], wanted.values, rtol=1e-12)
+
+
+@pytest.mark.parametrize("quantity", ["XYZ", "Lab", "linear sRGB"])
+def test_colours_are_those_of_the_colorimeter(quantity):
+    iris = ij.Iris.preset("low")
+    seen = ij.colour_data([0.1, 0.1, 0.1], np.eye(3) * 1e-4, quantity=quantity)
+    problem = ij.problem(seen, free=["melanin_load"], base=iris, solver=ij.Exact(16))
+    colour = ij.colour(iris, seen.wavelengths, solver=ij.Exact(16))
+    wanted = {"XYZ": colour.xyz, "Lab": colour.lab, "linear sRGB": colour.srgb_linear}[quantity]
+    found = problem.predict(problem.standard({"melanin_load": float(iris.melanin_load)}))[0]
+    np.testing.assert_allclose(found, wanted, rtol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("noise", "distribution"),
+    [
+        (Noise(0.03, 1e-3), lambda y, m, sd, _: stats.norm(m, sd).logpdf(y).sum()),
+        (Noise(0.03, 1e-3, degrees_of_freedom=4.0), lambda y, m, sd, _: stats.t(4, m, sd).logpdf(y).sum()),
+        (Noise(0.03, 1e-3, 0.05, 60.0), lambda y, m, sd, c: stats.multivariate_normal(m, np.diag(sd**2) + c).logpdf(y)),
+    ],
+    ids=["normal", "student", "correlated"],
+)
+def test_likelihood_is_scipys(noise, distribution):
+    problem = stated(noise)
+    z = jnp.asarray(np.random.default_rng(1).normal(size=7) * 0.3)
+    m = np.asarray(problem.predict(z)[0])
+    factor = float(problem.values(z)["noise"])
+    sd = factor * np.hypot(0.03 * m, 1e-3)
+    smooth = 0.05**2 * np.outer(m, m) * np.exp(-0.5 * ((GRID[:, None] - GRID) / 60) ** 2)
+    wanted = distribution(np.asarray(problem.observations[0].values), m, sd, smooth)
+    assert float(problem.log_likelihood(z)) == pytest.approx(wanted, rel=1e-10)
+    assert float(problem.log_prior(z)) == pytest.approx(stats.norm.logpdf(np.asarray(z)).sum())
+
+
+def test_colour_likelihood_is_scipys():
+    c = np.array([[2.0, 0.5, 0.1], [0.5, 1.0, -0.2], [0.1, -0.2, 0.5]]) * 1e-4
+    problem = ij.problem(ij.colour_data([0.02, 0.02, 0.03], c), free=["melanin_load"], solver=ij.Exact(16))
+    z = jnp.zeros(1)
+    wanted = stats.multivariate_normal(np.asarray(problem.predict(z)[0]), c).logpdf([0.02, 0.02, 0.03])
+    assert float(problem.log_likelihood(z)) == pytest.approx(wanted, rel=1e-10)
+
+
+def test_draws_have_the_stated_moments():
+    for noise in (Noise(0.03, 1e-3, 0.05, 60.0), Noise(0.03, 1e-3), Noise(0.03, 1e-3, degrees_of_freedom=6.0)):
+        problem = stated(noise, free=["gain"])
+        z = jnp.zeros(1)
+        draws = quick_jit(jax.vmap(lambda k, p=problem, z=z: p.simulate(z, k)[0]))(
+            jax.random.split(jax.random.key(0), 20_000)
+        )
+        m = np.asarray(problem.predict(z)[0])
+        variance = (0.03 * m) ** 2 + 1e-6
+        if noise.discrepancy is not None:
+            variance = variance + (0.05 * m) ** 2
+        if noise.degrees_of_freedom is not None:
+            variance = variance * 6 / 4
+        error = np.sqrt(variance / 20_000)
+        assert np.abs((np.asarray(draws).mean(0) - m) / error).max() < 4.5
+        np.testing.assert_allclose(np.asarray(draws).var(0), variance, rtol=0.1)
+
+
+@pytest.mark.parametrize("solver", [ij.Exact(16), None], ids=["exact", "tabulated"])
+def test_slopes_agree_with_differences(solver):
+    """The rule that wavelengths do not mix: forward, reverse, and a difference of the whole model."""
+    y = np.asarray(ij.reflectance(ij.Iris.preset("low"), GRID).values)
+    problem = ij.problem(ij.spectrum(GRID, y), free=list(PARAMETERS), solver=solver)
+    z = jnp.asarray(np.random.default_rng(3).normal(size=10) * 0.3)
+    forward = quick_jit(jax.jacfwd(problem.residuals))(z)
+    reverse = quick_jit(jax.jacrev(lambda x: problem.residuals(x)))(z)
+    np.testing.assert_allclose(forward, reverse, rtol=1e-9, atol=1e-10)
+    run, h = quick_jit(lambda x: problem.residuals(x)), 1e-4
+    steps = np.eye(10) * h
+    difference = np.stack([(run(z + s) - run(z - s)) / (2 * h) for s in steps], 1)
+    np.testing.assert_allclose(forward, difference, rtol=1e-4, atol=1e-5 * np.abs(forward).max())
+
+
+def test_spots_share_blood_but_not_melanin():
+    y = np.asarray(ij.reflectance(ij.Iris.preset("low"), GRID).values)
+    two = [ij.spectrum(GRID, y, name="a"), ij.spectrum(GRID, 0.5 * y, name="b")]
+    problem = ij.problem(two, free=["melanin_load", "hemoglobin"], separate=["melanin_load"], solver=ij.Exact(16))
+    assert problem.free == ("melanin_load@1", "melanin_load@2", "hemoglobin")
+    z = jnp.asarray([0.5, -0.5, 0.2])
+    single = ij.problem(two[1], free=["melanin_load", "hemoglobin"], solver=ij.Exact(16))
+    np.testing.assert_allclose(problem.predict(z)[1], single.predict(z[1:])[0], rtol=1e-12)
+    assert set(problem.reported(z)) >= {"melanin_load@1", "eumelanin@2"}
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"free": ["melanin"]}, "unknown parameter 'melanin'"),
+        ({"fixed": {"abl_fraction": 1.2}}, "abl_fraction = 1.2 is outside 0 to 1"),
+        ({"free": ["gain"], "fixed": {"gain": 1.0}}, "both free and fixed"),
+        ({"free": []}, "nothing is free"),
+        ({"free": ["gain"], "priors": {"noise": LogNormal(1.0, 1.0)}}, "is not free"),
+    ],
+)
+def test_wrong_problems_are_named(options, message):
+    with pytest.raises(ValueError, match=message):
+        ij.problem(ij.spectrum(GRID, np.ones(GRID.size)), **options)
+
+
+@pytest.mark.parametrize(
+    ("wavelengths", "values", "sd", "message"),
+    [
+        ([400.0, 410.0], [0.1, np.nan], None, "the value at 410 nm is not a finite number"),
+        ([300.0, 410.0], [0.1, 0.1], None, "300 nm is outside the pigment tables"),
+        ([400.0, 400.0], [0.1, 0.1], None, "must increase"),
+        ([400.0, 410.0], [0.1], None, "need one for each"),
+        ([400.0, 410.0], [0.1, 0.1], [0.1, 0.0], "standard deviation at 410 nm is 0"),
+    ],
+)
+def test_wrong_spectra_are_named(wavelengths, values, sd, message):
+    with pytest.raises(ValueError, match=message):
+        ij.spectrum(wavelengths, values, sd)
+
+
+def test_noise_that_cannot_be_is_named():
+    with pytest.raises(ValueError, match="do not go together"):
+        Noise(discrepancy=0.1, length=50.0, degrees_of_freedom=4.0)
+    with pytest.raises(ValueError, match="needs its length"):
+        Noise(discrepancy=0.1)
+    with pytest.raises(ValueError, match="positive definite"):
+        ij.colour_data([0.1, 0.1, 0.1], np.zeros((3, 3)))

@@ -1,0 +1,145 @@
+"""`irisjax fit`: from a file to files, resumed, in batches, and one line for every wrong input."""
+
+import csv
+
+import pytest
+
+from irisjax import cli
+
+
+@pytest.fixture
+def irisjax(capsys, monkeypatch):
+    """Run the command in this process; gives status, standard output and standard error."""
+    monkeypatch.delenv("IRISJAX_DEBUG", raising=False)
+
+    def run(*arguments):
+        status = cli.run([str(a) for a in arguments])
+        return status, *capsys.readouterr()
+
+    return run
+
+
+@pytest.fixture
+def spectrum(irisjax, tmp_path):
+    path = tmp_path / "eye.csv"
+    assert irisjax("simulate-measurement", "--level", "low", "--seed", 2, "-o", path)[0] == 0
+    return path
+
+
+QUICK = ("--free", "melanin_load,hemoglobin", "--walkers", 16)
+
+
+def test_one_eye_from_file_to_files(irisjax, spectrum, tmp_path):
+    folder = tmp_path / "out"
+    status, out, err = irisjax("fit", spectrum, "-o", folder, *QUICK)
+    assert (status, err) == (0, "")
+    assert "melanin_load" in out
+    assert "load" in out.splitlines()[-1] or "known" in out
+    names = {p.name for p in folder.iterdir()}
+    assert names == {"chain.h5", "chain.h5.bak", "posterior.nc", "summary.csv", "corner.png", "fit.png"}
+    with (folder / "summary.csv").open() as file:
+        rows = {row["parameter"]: row for row in csv.DictReader(file)}
+    columns = "parameter,unit,median,sd,q2.5,q16,q84,q97.5,rhat,ess_bulk,ess_tail,contraction"
+    assert list(rows["melanin_load"]) == columns.split(",")
+    assert set(rows) == {"melanin_load", "hemoglobin", "abl_melanin", "eumelanin", "pheomelanin"}
+    # The truth is in the file's header.
+    truth = dict(p.split(" = ") for p in spectrum.read_text().split("# truth: ")[1].splitlines()[0].split(", "))
+    for name in ("melanin_load", "hemoglobin"):
+        row = rows[name]
+        assert abs(float(row["median"]) - float(truth[name])) < 5 * float(row["sd"])
+        assert float(row["ess_bulk"]) >= 1000
+
+    before = (folder / "summary.csv").read_bytes()
+    status, out, err = irisjax("fit", spectrum, "-o", folder, *QUICK)
+    assert (status, out) == (2, "")
+    assert "--resume" in err
+    assert irisjax("fit", spectrum, "-o", folder, *QUICK, "--resume")[0] == 0
+    assert (folder / "summary.csv").read_bytes() == before
+    assert irisjax("fit", spectrum, "-o", folder, *QUICK, "--overwrite")[0] == 0
+    assert (folder / "summary.csv").read_bytes() == before  # equal seeds, equal bytes
+    assert irisjax("fit", spectrum, "-o", folder, *QUICK, "--resume", "--seed", 1)[0] == 2
+
+
+def test_short_chains_end_with_status_three(irisjax, spectrum):
+    status, out, _ = irisjax("fit", spectrum, *QUICK, "--max-steps", 40)
+    assert status == 3
+    assert "NOT CONVERGED: 40 steps" in out
+
+
+def test_batch(irisjax, spectrum, tmp_path):
+    eyes = tmp_path / "eyes"
+    eyes.mkdir()
+    for i in range(3):
+        (eyes / f"e{i}.csv").write_bytes(spectrum.read_bytes())
+    (eyes / "broken.csv").write_text("nm,R\n400,oops\n")
+    status, _, err = irisjax("fit", "--batch", eyes, "-o", tmp_path / "out", *QUICK)
+    assert status == 3
+    assert "1 of 4 eyes failed: broken" in err
+    target = tmp_path / "out" / "fits.csv"
+    with target.open() as file:
+        rows = {row["eye"]: row for row in csv.DictReader(file)}
+    assert rows["broken"]["status"].endswith("line 2: 'oops' is not a number")
+    assert rows["e0"]["status"] == "ok"
+    assert [rows["e0"][n] for n in ("melanin_load", "chi_square")] == [
+        rows["e2"][n] for n in ("melanin_load", "chi_square")
+    ]
+    # The mended eye alone is done again.
+    (eyes / "broken.csv").write_bytes(spectrum.read_bytes())
+    assert irisjax("fit", "--batch", eyes, "-o", tmp_path / "out", *QUICK)[0] == 2
+    assert irisjax("fit", "--batch", eyes, "-o", tmp_path / "out", *QUICK, "--resume")[0] == 0
+    with target.open() as file:
+        assert all(row["status"] == "ok" for row in csv.DictReader(file))
+    # The same eyes as columns of one table.
+    x, y = _columns(spectrum)
+    lines = ["wavelength_nm,a,b", *(f"{a:g},{b:.12g},{b:.12g}" for a, b in zip(x, y, strict=True))]
+    (tmp_path / "table.csv").write_text("\n".join(lines))
+    status, out, _ = irisjax("fit", "--batch", tmp_path / "table.csv", *QUICK)
+    assert status == 0
+    listed = list(csv.DictReader(out.splitlines()))
+    assert [row["eye"] for row in listed] == ["a", "b"]
+    assert float(listed[0]["melanin_load"]) == pytest.approx(float(rows["e0"]["melanin_load"]), rel=1e-4)
+
+
+def _columns(path):
+    from irisjax import io
+
+    found = io.read_measured(path)
+    return found.wavelengths, found.values
+
+
+def test_simulated_measurements_say_so_and_repeat(irisjax, tmp_path):
+    one = irisjax("simulate-measurement", "--level", "high", "--scans", 3, "--seed", 5)
+    assert one == irisjax("simulate-measurement", "--level", "high", "--scans", 3, "--seed", 5)
+    assert one[1] != irisjax("simulate-measurement", "--level", "high", "--scans", 3, "--seed", 6)[1]
+    assert "not a measurement" in one[1]
+    assert "scan_3" in one[1]
+    path = tmp_path / "s.csv"
+    path.write_text(one[1])
+    assert irisjax("simulate-measurement", "--from", path)[1] == one[1]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ((), "give one SPECTRUM, or --batch"),
+        (("missing.csv",), "missing.csv: No such file"),
+        (("{eye}", "--free", "melanin"), "unknown parameter 'melanin'"),
+        (("{eye}", "--fix", "gain"), "--fix 'gain': write NAME=VALUE"),
+        (("{eye}", "--fix", "gain=-1"), "--fix gain: -1 is outside 0 to inf"),
+        (("{eye}", "--fix", "gian=1"), "--fix: unknown 'gian'"),
+        (("{eye}", "--prior", "gain=flat"), "'flat' is no prior"),
+        (("{eye}", "--walkers", "8"), "8 walkers are too few for 7 free parameters"),
+        (("{eye}", "--process", "ilit"), "--process: unknown 'ilit'"),
+        (("{eye}", "--relative-noise", "much"), "--relative-noise: 'much' is not a number"),
+        (("{eye}", "--discrepancy", "0.02"), "write its size and its length"),
+        (("{eye}", "--discrepancy", "0.02:50", "--outliers"), "do not go together"),
+        (("{eye}", "--quantity", "colour"), "--quantity: unknown 'colour'"),
+        (("{eye}", "--quantity", "radiance", "--illuminant", "sun"), "unknown illuminant 'sun'"),
+        (("--batch", "{eye}", "--posteriors"), "--posteriors needs -o"),
+    ],
+)
+def test_wrong_input_is_one_line(irisjax, spectrum, arguments, message):
+    status, out, err = irisjax("fit", *(str(spectrum) if a == "{eye}" else a for a in arguments))
+    assert (status, out) == (2, "")
+    assert message in err
+    assert err.count("\n") == 1
