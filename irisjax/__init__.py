@@ -12,6 +12,8 @@ from irisjax.infer.observation import colour_data as colour_data
 from irisjax.infer.observation import spectrum as spectrum
 from irisjax.infer.problem import Problem as Problem
 from irisjax.infer.problem import problem as problem
+from irisjax.io.measured import Measured as Measured
+from irisjax.io.measured import read_measured as read_measured
 from irisjax.measure.colour import Colour as Colour
 from irisjax.measure.colour import colour as colour
 from irisjax.measure.colour import colour_of as colour_of

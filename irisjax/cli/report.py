@@ -56,6 +56,10 @@ def one(
     lines = [*in_words(information(problem, best)), *_cautions(problem, rows, tested, chains)]
     if files:
         _write(problem, folder, chains, rows, lines, key)
+        score, error = io.predictive_score(folder / "posterior.nc")
+        lines.append(
+            f"predictive score {score:.1f} ± {error:.1f} (PSIS-LOO): compare it with that of another --process"
+        )
     if not quiet:
         _print(problem, rows, lines, chains)
     return chains.converged

@@ -2,6 +2,7 @@
 
 from irisjax.io.measured import Measured as Measured
 from irisjax.io.measured import read_measured as read_measured
+from irisjax.io.posterior import predictive_score as predictive_score
 from irisjax.io.posterior import write_posterior as write_posterior
 from irisjax.io.tables import Table as Table
 from irisjax.io.tables import check_writable as check_writable

@@ -38,3 +38,19 @@ def write_posterior(
         os.replace(temporary, path)
     finally:
         temporary.unlink(missing_ok=True)
+
+
+def predictive_score(path: str | Path) -> tuple[float, float]:
+    """Expected log predictive density of left-out values by PSIS-LOO [Vehtari et al. 2017], and its standard error.
+
+    Compare it between processes fitted to the same data; differences of a few standard errors count.
+    """
+    import warnings
+
+    import arviz as az
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # its advice on single values; the error says enough here
+        found = az.loo(az.from_netcdf(str(path)))
+    # arviz 0.x and 1.x name it differently.
+    return float(found.elpd_loo if "elpd_loo" in found else found.elpd), float(found.se)

@@ -1,0 +1,115 @@
+"""How long an inversion takes: log probability, least squares, posteriors; and which moves suit the ridge.
+
+Warm times on the machine at hand; every number is a median. Compile times stand beside them.
+"""
+
+import tempfile
+import time
+from pathlib import Path
+
+import emcee
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+import irisjax as ij
+from experiments.bench_accuracy_time import median_us
+from experiments.common import RESULTS, start, write
+from irisjax.infer.fit import fit
+from irisjax.infer.moves import IndependentMove, Proposal, mixture
+from irisjax.infer.observation import with_values
+from irisjax.infer.posterior import laplace, sample
+from irisjax.infer.problem import density
+
+LEVELS = ("low", "moderate", "high")
+
+
+def main(key, quick=False, out=RESULTS):
+    """Write times and autocorrelation times (quick: one level, short chains)."""
+    grid = ij.wavelengths(400, 700, 10)
+    times, moves = [], []
+    levels = LEVELS[:1] if quick else LEVELS
+    problems = {}
+    for i, level in enumerate(levels):
+        blank = ij.spectrum(grid, np.ones(grid.size))
+        problem = ij.problem(blank, base=ij.Iris.preset(level))
+        truth = ij.infer.parameters.of_iris(ij.Iris.preset(level))
+        noisy = problem.simulate(problem.standard(truth), jax.random.fold_in(key, i))[0]
+        problems[level] = problem.with_observations(with_values(problem.observations[0], noisy))
+    for level, problem in problems.items():
+        begin = time.perf_counter()
+        best = fit(problem)
+        jax.block_until_ready(best.z)
+        times.append((level, "least squares, first (compiles)", 1e3 * (time.perf_counter() - begin), "ms"))
+        times.append((level, "least squares, 4 starts", median_us(lambda p=problem: fit(p).z, 10) / 1e3, "ms"))
+        at, z = density(problem), np.asarray(best.z) + 0.05 * np.random.default_rng(0).normal(size=(64, 7))
+        times.append((level, "log probability, 64 walkers", median_us(lambda at=at, z=z: at(z), 100) / 1e3, "ms"))
+        for seed in range(1 if quick else 5):
+            with tempfile.TemporaryDirectory() as folder:
+                begin = time.perf_counter()
+                steps = 200 if quick else 20_000
+                chains = sample(problem, Path(folder) / "c.h5", start=best, seed=seed, max_steps=steps)
+                seconds = time.perf_counter() - begin
+            found = f"{chains.steps} steps, ESS {chains.ess_bulk.min():.0f}, converged {chains.converged}"
+            times.append((level, f"posterior, seed {seed}: {found}", seconds, "s"))
+        moves += [(level, *row) for row in _moves(problem, best, 400 if quick else 2500)]
+    level, problem = next(iter(problems.items()))
+    size = 64 if quick else 2048
+    draws = jax.random.normal(key, (size, grid.size))
+    batch = problem.observations[0].values * (1 + 0.02 * draws)
+    o = problem.observations[0]
+
+    @eqx.filter_jit
+    def many(problem, values):
+        def one(v):
+            return fit(problem.with_observations(with_values(o, v)), starts=1, rtol=1e-5, atol=1e-5).z
+
+        return jax.lax.map(one, values, batch_size=32)
+
+    us = median_us(lambda: many(problem, batch), 3)
+    times.append((level, f"least squares, batch of {size}: spectra a second", size / us * 1e6, "1/s"))
+    header = ("31 wavelengths, noise 2 % + 2e-4, default free set, process ilit-2006, tabulated solver, float64",)
+    write(out / "bench_inversion.csv", header, ("level", "what", "value", "unit"), times)
+    write(
+        out / "bench_moves.csv", (*header, "64 walkers; seconds that 50 autocorrelation times take"),
+        ("level", "moves", "tau_max", "acceptance", "ms_per_step", "seconds_50_tau"), moves,
+    )  # fmt: skip
+
+
+def _moves(problem, best, steps):
+    """Autocorrelation time of mixtures of moves."""
+    z, covariance = laplace(problem, best)
+    at = density(problem)
+
+    def run(moves, first, n, seed):
+        sampler = emcee.EnsembleSampler(
+            64, z.size, lambda x: np.asarray(at(jnp.asarray(x))), vectorize=True, moves=moves
+        )
+        sampler.random_state = np.random.RandomState(seed).get_state()
+        begin = time.perf_counter()
+        sampler.run_mcmc(first, n, skip_initial_state_check=True)
+        return sampler, (time.perf_counter() - begin) / n
+
+    cloud = z + np.random.RandomState(0).standard_normal((64, z.size)) @ np.linalg.cholesky(covariance).T
+    spread, _ = run(mixture(None), cloud, 300, 1)
+    taught = Proposal.of_samples(spread.get_chain(discard=150, flat=True))
+    burn, _ = run(mixture(taught), spread.get_chain()[-1], 300, 2)
+    taught = Proposal.of_samples(burn.get_chain(discard=150, flat=True))
+    last = burn.get_chain()[-1]
+    rows = []
+    for name, moves in {
+        "stretch (emcee's default)": [(emcee.moves.StretchMove(), 1.0)],
+        "differences + snooker": mixture(None),
+        "kernel density of the other half": [(emcee.moves.KDEMove(), 1.0)],
+        "independent t alone": [(IndependentMove(taught), 1.0)],
+        "independent t 0.75 + differences (used)": mixture(taught),
+    }.items():
+        sampler, seconds = run(moves, last, steps, 3)
+        tau = float(emcee.autocorr.integrated_time(sampler.get_chain(), tol=0, quiet=True).max())
+        rows.append((name, tau, float(sampler.acceptance_fraction.mean()), 1e3 * seconds, 50 * tau * seconds))
+    return rows
+
+
+if __name__ == "__main__":
+    start(main, __doc__)
