@@ -10,6 +10,7 @@ from pathlib import Path
 
 import jax
 import numpy as np
+from tqdm import tqdm
 
 import irisjax as ij
 from experiments.common import RESULTS, start, write
@@ -34,14 +35,14 @@ def main(key, quick=False, out=RESULTS, eyes=None, walkers=64):
     simulate = jax.jit(lambda z, k: problem.simulate(z, k)[0])
     rows, ranks, inside = [], [], []
     with tempfile.TemporaryDirectory() as folder:
-        for eye in range(count):
+        for eye in tqdm(range(count), unit="eye", disable=quick):
             own = jax.random.fold_in(key, eye)
             z = jax.random.normal(jax.random.fold_in(own, 0), (len(problem.free),))
             values = simulate(z, jax.random.fold_in(own, 1))
             mine = problem.with_observations(with_values(problem.observations[0], values))
             path = Path(folder) / f"{eye}.h5"
             best = fit(mine, key=jax.random.fold_in(own, 2))
-            chains = sample(mine, path, walkers=walkers, seed=eye, start=best, max_steps=1000)
+            chains = sample(mine, path, walkers=walkers, seed=eye, start=best, max_steps=400)
             draws = _independent(path, chains, jax.random.fold_in(own, 3))
             rank = (draws < np.asarray(z)).sum(axis=0)
             ranks.append(rank)

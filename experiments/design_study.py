@@ -33,6 +33,7 @@ def main(key, quick=False, out=RESULTS):
         f"{low:g}-{high:g} nm, as far as pigments are tabulated": (_spectra(low, high, 10), noisy, {}),
         "to 780 nm": (_spectra(400, 780, 10), noisy, {}),
         "gain calibrated": (base, noisy, {"fixed": ("gain",)}),
+        "the same measured twice": (_twice, noisy, {}),
         "a second spectrum at 60 degrees": (_two_angles, noisy, {}),
         "a second spot with twice the melanin": (_two_spots, noisy, {"separate": ("melanin_load",)}),
         "three of these: 0.5 % noise, thickness and gain known": (
@@ -85,6 +86,10 @@ def _spectra(low, high, step):
 def _colour(iris):
     xyz = np.asarray(ij.colour(iris, 400 + 10.0 * np.arange(31)).xyz)
     return ij.colour_data(xyz, np.diag((0.01 * xyz) ** 2 + 1e-8))
+
+
+def _twice(iris):
+    return (_spectra(400, 700, 10)(iris),) * 2
 
 
 def _two_angles(iris):

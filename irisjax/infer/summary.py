@@ -1,12 +1,12 @@
 """What a posterior says: medians and intervals, and what the data could not tell."""
 
-import warnings
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
+from irisjax.infer.diagnostics import diagnostics
 from irisjax.infer.posterior import Chains
 from irisjax.infer.problem import Problem, unit_of
 
@@ -72,16 +72,10 @@ def _reported(problem: Problem, z):
 
 def summarise(problem: Problem, chains: Chains) -> list[Row]:
     """A row for every free and derived parameter."""
-    import arviz as az
-
     prior = np.asarray(jax.random.normal(jax.random.key(0, impl="threefry2x32"), (20_000, len(problem.free))))
     before, rows = reported(problem, prior), []
     for name, values in reported(problem, chains.z).items():
-        by_walker = values.T
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            rhat = float(az.rhat(by_walker))
-            bulk, tail = (float(az.ess(by_walker, method=method)) for method in ("bulk", "tail"))
+        rhat, bulk, tail = diagnostics(values.T)
         if name in problem.free:
             i = problem.free.index(name)
             rhat, bulk, tail = chains.rhat[i], chains.ess_bulk[i], chains.ess_tail[i]

@@ -53,4 +53,4 @@ def predictive_score(path: str | Path) -> tuple[float, float]:
         warnings.simplefilter("ignore")  # its advice on single values; the error says enough here
         found = az.loo(az.from_netcdf(str(path)))
     # arviz 0.x and 1.x name it differently.
-    return float(found.elpd_loo if "elpd_loo" in found else found.elpd), float(found.se)
+    return float(found.elpd_loo if hasattr(found, "elpd_loo") else found.elpd), float(found.se)
