@@ -11,7 +11,7 @@ ROOT = Path(__file__).parent.parent
 RESULTS = ROOT / "experiments" / "results"
 NAMES = sorted(p.stem for p in (ROOT / "experiments").glob("*.py") if p.stem not in ("__init__", "common"))
 # A minute of timing each; the others take seconds.
-SLOW = {"bench_accuracy_time", "exact_against_montecarlo"}
+SLOW = {"bench_accuracy_time", "bench_inversion", "exact_against_montecarlo"}
 
 
 def columns(path):
