@@ -18,7 +18,7 @@ from irisjax.infer.moves import Proposal, mixture
 from irisjax.infer.problem import Problem, density
 from irisjax.infer.stream import Stream, checkpoint, repair
 
-_SPREAD, _BURN, _BLOCK, _MOST_KEPT = 300, 600, 200, 4000
+_SPREAD, _BURN, _BLOCK, _MOST_KEPT = 300, 600, 200, 1000
 TAUS, ESS, RHAT = 50, 1000, 1.03
 """A chain is long enough with 50 autocorrelation times, 1,000 effective samples of every parameter, and a
 split R-hat below 1.03 (walkers as chains: at 50 autocorrelation times each half-walker's mean scatters by 1/√25)."""
