@@ -103,7 +103,7 @@ def _moves(problem, best, steps):
         "differences + snooker": mixture(None),
         "kernel density of the other half": [(emcee.moves.KDEMove(), 1.0)],
         "independent t alone": [(IndependentMove(taught), 1.0)],
-        "independent t 0.9 + differences (used)": mixture(taught),
+        "independent t 0.85 + differences (used)": mixture(taught),
     }.items():
         sampler, seconds = run(moves, last, steps, 3)
         tau = float(emcee.autocorr.integrated_time(sampler.get_chain(), tol=0, quiet=True).max())

@@ -125,7 +125,9 @@ def diagnose(backend, steps: int) -> Chains:
     bulk = np.minimum(bulk, steps * z.shape[1] / tau)
     tail = np.minimum(tail, steps * z.shape[1] / tau)
     reasons = []
-    if not tau.max() * TAUS <= steps:
+    if not np.isfinite(tau).all():
+        reasons.append("a walker never moved")
+    elif not tau.max() * TAUS <= steps:
         reasons.append(f"{steps} steps are {steps / np.max(tau):.0f} autocorrelation times, not {TAUS}")
     elif not bulk.min() >= ESS or not tail.min() >= ESS / 2:
         reasons.append(f"effective samples {bulk.min():.0f} ({tail.min():.0f} of the tails), not {ESS} ({ESS // 2})")
