@@ -16,10 +16,10 @@ class Diagnostics(NamedTuple):
 
 def diagnostics(draws: np.ndarray) -> Diagnostics:
     """Of one quantity, shape (chains, draws)."""
-    import arviz as az
-
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
+        warnings.simplefilter("ignore")  # arviz announces its next version on import
+        import arviz as az
+
         return Diagnostics(
             float(az.rhat(draws)),
             float(az.ess(draws, method="bulk")),

@@ -47,10 +47,11 @@ def predictive_score(path: str | Path) -> tuple[float, float]:
     """
     import warnings
 
-    import arviz as az
-
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # its advice on single values; the error says enough here
+        # It announces its next version on import, and advises on single values; the error says enough here.
+        warnings.simplefilter("ignore")
+        import arviz as az
+
         found = az.loo(az.from_netcdf(str(path)))
     # arviz 0.x and 1.x name it differently.
     return float(found.elpd_loo if hasattr(found, "elpd_loo") else found.elpd), float(found.se)
