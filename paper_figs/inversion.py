@@ -48,7 +48,7 @@ def calibration():
         xlabel=f"rank of the truth among {draws} posterior draws", ylabel="share of eyes up to it − uniform",
         title=f"Calibration on {n} simulated eyes",
     )  # fmt: skip
-    ax.legend(fontsize=7, ncols=2)
+    ax.legend(fontsize=7, ncols=4, loc="upper center", bbox_to_anchor=(0.45, -0.18))
     save(figure, "calibration")
 
 
