@@ -1,0 +1,1 @@
+"""Pictures of eyes: corneal optics, two integrators, lights and cameras."""

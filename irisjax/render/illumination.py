@@ -1,0 +1,79 @@
+"""What any light does to the iris, tabulated: refraction and caustics together, ready to be summed over lights."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from irisjax.optics.conicoid import Vector, norm
+from irisjax.render.caustic import Grid, gathered
+from irisjax.render.refraction import LARGEST_POLAR, RefractionFunction, trilinear, window
+from irisjax.tissue.anatomy import Eye
+
+UNIQUE_POLAR = 1.40
+"""Up to this polar angle (radians) one ray lands at each iris point; beyond, the cornea folds the light."""
+
+
+class Illumination(eqx.Module):
+    """Flux vectors on the iris of unit light, over its polar angle and a square grid turned to its azimuth.
+
+    Make one with `build`. `flux` has shape (polars, rows y, columns x, 3); lengths mm. `largest`: the polar angle
+    (radians) the tables reach. Light within the soft edge of the limbus is dimmed. Where rays are counted
+    (beyond `UNIQUE_POLAR`) the grid's cell, 2 × extent / (size − 1), is the resolution.
+    """
+
+    flux: Float[Array, "polars size size 3"]
+    extent: Float[Array, ""]
+    largest: float = eqx.field(static=True)
+
+    @classmethod
+    def build(cls, eye: Eye, *, caustics: bool = True, size: int = 129, n_rays: int = 400_000) -> "Illumination":
+        """Tables of an eye with a cornea; without `caustics` they end at `UNIQUE_POLAR` and no ray is counted."""
+        if eye.cornea is None:
+            raise ValueError("an eye without a cornea needs no illumination tables")
+        return _build(eye, caustics, size, n_rays)
+
+    def at(self, point: Float[Array, "*s 2"], towards_light: Vector) -> Vector:
+        """Flux vectors at iris points (x, y) of light from unit directions (that broadcast with them)."""
+        across = norm(towards_light[..., :2])
+        polar = jnp.arctan2(across, -towards_light[..., 2])
+        some = across > 0
+        cos = jnp.where(some, towards_light[..., 0] / jnp.where(some, across, 1.0), 1.0)
+        sin = jnp.where(some, towards_light[..., 1] / jnp.where(some, across, 1.0), 0.0)
+        x = cos * point[..., 0] + sin * point[..., 1]
+        y = -sin * point[..., 0] + cos * point[..., 1]
+        n, size = self.flux.shape[:2]
+        position = tuple((c / self.extent + 1) * ((size - 1) / 2) for c in (y, x))
+        f = trilinear(self.flux, (polar / self.largest * (n - 1), *position))
+        f = jnp.where((polar < LARGEST_POLAR)[..., None], f, 0.0)
+        return jnp.stack([cos * f[..., 0] - sin * f[..., 1], sin * f[..., 0] + cos * f[..., 1], f[..., 2]], axis=-1)
+
+
+_SPACING = 0.05  # radians between tabulated polar angles
+
+
+@eqx.filter_jit
+def _build(eye: Eye, caustics: bool, size: int, n_rays: int) -> Illumination:
+    unique = round(UNIQUE_POLAR / _SPACING) + 1
+    n_polar = round(LARGEST_POLAR / _SPACING) + 1 if caustics else unique
+    polar = jnp.arange(n_polar) * _SPACING
+    grid = Grid(size, eye.iris_radius)
+    line = jnp.linspace(-1, 1, size) * eye.iris_radius
+    x, y = jnp.meshgrid(line, line)
+    points = jnp.stack([x, y], axis=-1)
+    inside = (norm(points) <= eye.iris_radius * (1 + 1e-6))[..., None]
+    refraction = RefractionFunction.build(eye)
+
+    def smooth(angle):
+        found = refraction.at(points, jnp.stack([jnp.sin(angle), jnp.zeros_like(angle), -jnp.cos(angle)]))
+        return jnp.where(inside, window(eye, found.entry)[..., None] * found.flux, 0.0)
+
+    table = [jax.lax.map(smooth, polar[:unique])]
+    if caustics:
+        table.append(jax.lax.map(lambda a: gathered(eye, a, grid, n_rays), polar[unique:]))
+    return Illumination(jnp.concatenate(table), eye.iris_radius, (n_polar - 1) * _SPACING)
+
+
+def bare(point: Vector, towards_light: Vector) -> Vector:
+    """Flux vectors of unit light on an iris in air: no cornea, nothing to tabulate."""
+    return jnp.broadcast_to(-towards_light, jnp.broadcast_shapes(point.shape, towards_light.shape))

@@ -1,0 +1,100 @@
+"""Lights: distant or at a place, any number, of one spectrum."""
+
+from typing import Any
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jax.core import Tracer
+from jaxtyping import Array, Float
+
+from irisjax._types import Scalar
+
+
+def _floats(x) -> Any:
+    return jnp.asarray(x, jnp.result_type(float, x))
+
+
+class Lights(eqx.Module):
+    """Any number of lights; make them with `distant` or `points`, join them with `+`.
+
+    - `towards`: unit vectors from the eye to each light, shape (lights, 3) in the eye's frame (+z into the eye).
+    - `irradiance`: on a surface at the eye that faces the light, outside the cornea; π lights a white sheet to
+        radiance 1.
+    - `tint`: factors on linear sRGB, shape (lights, 3), or `None` for the illuminant's own colour.
+    - `distance`: from the corneal apex, mm, or `None` for lights at infinity.
+    - `radius`: half the angle under which the eye sees each light, radians; it makes the mirror image.
+    - `illuminant`: the spectrum of all of them, by colour-science's name.
+    """
+
+    towards: Float[Array, "lights 3"] = eqx.field(converter=_floats)
+    irradiance: Float[Array, " lights"] = eqx.field(converter=_floats)
+    tint: Float[Array, "lights 3"] | None = None
+    distance: Float[Array, " lights"] | None = None
+    radius: Float[Array, " lights"] = eqx.field(default=0.03, converter=_floats)
+    illuminant: str = eqx.field(static=True, default="D65")
+
+    @classmethod
+    def distant(cls, polar, azimuth, irradiance=jnp.pi, *, radius=0.03, illuminant: str = "D65") -> "Lights":
+        """Lights at infinity: `polar` angles from the eye's axis and `azimuth` from +x to +y, radians."""
+        polar, azimuth, irradiance, radius = jnp.broadcast_arrays(
+            *(jnp.atleast_1d(_floats(v)) for v in (polar, azimuth, irradiance, radius))
+        )
+        towards = jnp.stack(
+            [jnp.sin(polar) * jnp.cos(azimuth), jnp.sin(polar) * jnp.sin(azimuth), -jnp.cos(polar)], axis=-1
+        )
+        return cls(towards, irradiance, radius=radius, illuminant=illuminant)
+
+    @classmethod
+    def points(cls, position, irradiance=jnp.pi, *, radius=0.03, illuminant: str = "D65") -> "Lights":
+        """Lights at places (lights, 3), mm in the eye's frame; `irradiance` is that at the corneal apex."""
+        position = jnp.atleast_2d(_floats(position))
+        distance = jnp.sqrt((position**2).sum(-1))
+        if not isinstance(distance, Tracer) and (np.asarray(distance) < 20).any():
+            raise ValueError(f"a point light is {float(distance.min()):.3g} mm from the cornea; it must be at least 20")
+        irradiance, radius = (jnp.broadcast_to(_floats(v), distance.shape) for v in (irradiance, radius))
+        return cls(position / distance[:, None], irradiance, None, distance, radius, illuminant)
+
+    def __check_init__(self):
+        for name in ("towards", "irradiance", "radius"):
+            value = getattr(self, name)
+            if not isinstance(value, Tracer) and not np.isfinite(np.asarray(value)).all():
+                raise ValueError(f"lights: {name} must be finite")
+        if not isinstance(self.irradiance, Tracer) and (np.asarray(self.irradiance) < 0).any():
+            raise ValueError(f"lights: irradiance {float(self.irradiance.min()):g} is negative")
+
+    def __len__(self) -> int:
+        return self.towards.shape[0]
+
+    def __add__(self, other: "Lights") -> "Lights":
+        if self.illuminant != other.illuminant:
+            raise ValueError(f"lights of one scene share a spectrum, got {self.illuminant} and {other.illuminant}")
+
+        def join(a, b, default):
+            if a is None and b is None:
+                return None
+            a, b = (default(x) if y is None else y for x, y in ((self, a), (other, b)))
+            return jnp.concatenate([a, b])
+
+        return Lights(
+            join(self.towards, other.towards, None),
+            join(self.irradiance, other.irradiance, None),
+            join(self.tint, other.tint, lambda x: jnp.ones((len(x), 3), x.towards.dtype)),
+            join(self.distance, other.distance, lambda x: jnp.full(len(x), jnp.inf, x.towards.dtype)),
+            join(self.radius, other.radius, None),
+            self.illuminant,
+        )
+
+    def polar(self) -> Float[Array, " lights"]:
+        """Angle of each light from the eye's axis, radians."""
+        return jnp.arctan2(jnp.hypot(self.towards[:, 0], self.towards[:, 1]), -self.towards[:, 2])
+
+    def seen_from(self, point: Float[Array, "*s 3"], i) -> tuple[Float[Array, "*s 3"], Scalar | Float[Array, "*s"]]:
+        """Unit vectors from points (mm) to light `i`, and its irradiance there on a surface that faces it."""
+        towards, power = self.towards[i], self.irradiance[i]
+        if self.distance is None:
+            return jnp.broadcast_to(towards, point.shape), power
+        near = 1.0 / self.distance[i]  # 0 for a light at infinity
+        offset = towards - point * near
+        square = (offset * offset).sum(-1)
+        return offset / jnp.sqrt(square)[..., None], power / square

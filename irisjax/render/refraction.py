@@ -1,0 +1,202 @@
+"""Light through the cornea onto the iris: where it enters, how strong it arrives  [F09 Eq. 15].
+
+The cornea is a surface of revolution: a light's azimuth only turns the picture, so that tables need its polar
+angle alone. All lengths mm; irradiances are relative to that on a surface that faces the light outside the eye.
+"""
+
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from irisjax.optics.conicoid import Vector, dot, norm, refract_vector
+from irisjax.tissue.anatomy import Cornea, Eye
+
+LARGEST_POLAR = 2.25
+"""Polar angle (radians) beyond which no light enters a cornea that ends at the limbus."""
+
+
+class Landing(NamedTuple):
+    """A ray that met the cornea: where on the iris it arrives, its direction there, and the share let through."""
+
+    point: Vector
+    direction: Vector
+    share: Float[Array, "*s"]
+
+
+def enter(eye: Eye, entry: Vector, direction: Vector) -> Landing:
+    """Follow rays from points on the anterior cornea to the iris  [F09 Eqs. 3, 15].
+
+    Snell and Fresnel at each surface; the cornea's wavelength-dependent haze is left to `Cornea.transmittance`.
+    """
+    return cross(eye, *into_chamber(eye, entry, direction))
+
+
+def into_chamber(eye: Eye, entry: Vector, direction: Vector):
+    """Where rays from points on the anterior cornea begin in the chamber, their direction there, the share let in."""
+    cornea = eye.cornea
+    assert cornea is not None
+    if cornea.posterior is None:
+        return entry, *refract_vector(direction, cornea.anterior.normal(entry), 1.0, eye.aqueous_index)
+    within, first = refract_vector(direction, cornea.anterior.normal(entry), 1.0, cornea.index)
+    distance, _ = cornea.posterior.intersect(entry, within)
+    start = entry + distance[..., None] * within
+    inside, second = refract_vector(within, cornea.posterior.normal(start), cornea.index, eye.aqueous_index)
+    return start, inside, first * second
+
+
+def cross(eye: Eye, start: Vector, direction: Vector, share) -> Landing:
+    """Straight on through the chamber to the iris."""
+    path = eye.meet_iris(start, direction)
+    if eye.attenuation is not None:
+        share = share * jnp.exp(-eye.attenuation * path)
+    return Landing(start + path[..., None] * direction, direction, share)
+
+
+def on_cornea(cornea: Cornea, xy: Float[Array, "*s 2"]) -> Vector:
+    """The point of the anterior cornea at (x, y)."""
+    z = cornea.anterior.apex + cornea.anterior.sagitta(norm(xy))
+    return jnp.concatenate([xy, z[..., None]], axis=-1)
+
+
+class Arrival(NamedTuple):
+    """Light at points of the iris: entry on the cornea (…, 2), and the flux as a vector along the light (…, 3).
+
+    `flux`'s component along the iris normal is the irradiance. It continues smoothly beyond the limbus: multiply
+    by `window` of the entry.
+    """
+
+    entry: Float[Array, "*s 2"]
+    flux: Vector
+
+
+def arrive(eye: Eye, target: Float[Array, "2"], towards_light: Vector, start: Float[Array, "2"], steps: int = 12):
+    """Newton's search for the entry point whose ray lands at `target` (x, y), from `start`; an `Arrival`.
+
+    Fermat's principle and Snell's law have the same solution; the latter works for any number of surfaces.
+    """
+    cornea = eye.cornea
+    assert cornea is not None
+    reach = 0.97 * cornea.anterior.radius / jnp.sqrt(jnp.maximum(cornea.anterior.shape, 0.05))
+
+    def landing(k):
+        return enter(eye, on_cornea(cornea, k), -towards_light)
+
+    def step(k, _):
+        value, slope = landing(k).point[:2], jax.jacfwd(lambda k: landing(k).point[:2])(k)
+        move = -_solve(slope, value - target)
+        size = norm(move)
+        k = k + move * jnp.minimum(1.0, 1.0 / jnp.where(size > 0, size, 1.0))  # at most 1 mm
+        r = norm(k)
+        return k * jnp.minimum(1.0, reach / jnp.where(r > 0, r, 1.0)), None
+
+    entry = jax.lax.scan(step, start, None, length=steps)[0]
+    found = norm(landing(entry).point[:2] - target) < 1e-4
+    # No ray lands there: it would have to enter where the cornea, even if it went on, has turned away.
+    beyond = reach * towards_light[:2] / jnp.maximum(norm(towards_light[:2]), 1e-9)
+    return Arrival(jnp.where(found, entry, beyond), jnp.where(found, flux(eye, entry, towards_light), 0.0))
+
+
+def flux(eye: Eye, entry: Float[Array, "2"], towards_light: Vector) -> Vector:
+    """Flux vector (3,) on the iris of unit light that enters at `entry`: shares kept, and its concentration."""
+    cornea = eye.cornea
+    assert cornea is not None
+    there = enter(eye, on_cornea(cornea, entry), -towards_light)
+    slope = jax.jacfwd(lambda k: enter(eye, on_cornea(cornea, k), -towards_light).point)(entry)
+    surface = jax.jacfwd(lambda k: on_cornea(cornea, k))(entry)
+    # Area that a patch of the cornea shows to the light, over the area it lights seen along the ray.
+    shown = jnp.abs(dot(jnp.cross(surface[:, 0], surface[:, 1]), towards_light))
+    seen = jnp.abs(dot(jnp.cross(slope[:, 0], slope[:, 1]), there.direction))
+    return there.share * shown / jnp.where(seen > 0, seen, jnp.inf) * there.direction
+
+
+def window(eye: Eye, entry: Float[Array, "*s 2"], soft: float = 0.15) -> Float[Array, "*s"]:
+    """1 where the entry lies on the cornea, 0 beyond the limbus, soft (± mm) between: the limbus is no edge."""
+    t = jnp.clip(0.5 + (eye.limbus_radius - norm(entry)) / (2 * soft), 0, 1)
+    return t * t * (3 - 2 * t)
+
+
+class RefractionFunction(eqx.Module):
+    """Arrivals tabulated over the light's polar angle, the azimuth between light and iris point, and radius.
+
+    Make one with `build`; linear interpolation. 50 × 50 × 100 entries (2,500 directions, 100 radii), as F09's.
+    """
+
+    entry: Float[Array, "polars azimuths radii 2"]
+    flux: Float[Array, "polars azimuths radii 3"]
+    radius: Float[Array, ""]
+
+    @classmethod
+    @eqx.filter_jit
+    def build(cls, eye: Eye, n_polar: int = 50, n_azimuth: int = 50, n_radius: int = 100) -> "RefractionFunction":
+        """Search all entry points, from each polar angle to the next."""
+        polar = jnp.linspace(0, LARGEST_POLAR, n_polar)
+        azimuth = jnp.linspace(0, jnp.pi, n_azimuth)
+        radius = jnp.linspace(0, 1, n_radius) * eye.iris_radius
+        # Light at azimuth 0, iris points at `azimuth` from it.
+        targets = radius[None, :, None] * jnp.stack([jnp.cos(azimuth), jnp.sin(azimuth)], -1)[:, None]
+        search = jax.vmap(jax.vmap(arrive, (None, 0, None, 0)), (None, 0, None, 0))
+
+        def next_polar(start, angle):
+            towards = jnp.stack([jnp.sin(angle), jnp.zeros_like(angle), -jnp.cos(angle)])
+            found = search(eye, targets, towards, start)
+            return found.entry, found
+
+        _, found = jax.lax.scan(next_polar, 0.9 * targets, polar)
+        return cls(found.entry, found.flux, eye.iris_radius)
+
+    def at(self, point: Float[Array, "*s 2"], towards_light: Vector) -> Arrival:
+        """Arrivals at iris points (x, y) of light from unit directions (that broadcast with them)."""
+        r = norm(point)
+        light_azimuth = jnp.arctan2(towards_light[..., 1], towards_light[..., 0])
+        polar = jnp.arctan2(norm(towards_light[..., :2]), -towards_light[..., 2])
+        turn = jnp.arctan2(point[..., 1], point[..., 0]) - light_azimuth
+        turn = jnp.arctan2(jnp.sin(turn), jnp.cos(turn))  # −π to π
+        n_polar, n_azimuth, n_radius, _ = self.entry.shape
+        found = trilinear(
+            jnp.concatenate([self.entry, self.flux], axis=-1),
+            (polar / LARGEST_POLAR * (n_polar - 1), jnp.abs(turn) / jnp.pi * (n_azimuth - 1),
+             r / self.radius * (n_radius - 1)),
+        )  # fmt: skip
+        side = jnp.where(turn < 0, -1.0, 1.0)
+        cos, sin = jnp.cos(light_azimuth), jnp.sin(light_azimuth)
+
+        def turned(x, y):
+            y = y * side
+            return cos * x - sin * y, sin * x + cos * y
+
+        entry = jnp.stack(turned(found[..., 0], found[..., 1]), axis=-1)
+        flux = jnp.stack([*turned(found[..., 2], found[..., 3]), found[..., 4]], axis=-1)
+        lit = (polar <= LARGEST_POLAR)[..., None]
+        return Arrival(entry, jnp.where(lit, flux, 0.0))
+
+
+def trilinear(table, position):
+    """Linear interpolation at fractional indices, held at the ends."""
+    flat = table.reshape(-1, table.shape[-1])
+    index, weight = [], []
+    for x, n in zip(position, table.shape, strict=False):
+        x = jnp.clip(x, 0, n - 1)
+        i = jnp.minimum(jnp.floor(x), n - 2)
+        index.append(jnp.asarray(i, jnp.int32))
+        weight.append((x - i)[..., None])
+    (i, j, k), (u, v, w) = index, weight
+    _, n_j, n_k = table.shape[:3]
+
+    def row(a, b):
+        base = ((i + a) * n_j + (j + b)) * n_k + k
+        low = flat.at[base].get(mode="promise_in_bounds")
+        return low + w * (flat.at[base + 1].get(mode="promise_in_bounds") - low)
+
+    below = row(0, 0) * (1 - v) + row(0, 1) * v
+    above = row(1, 0) * (1 - v) + row(1, 1) * v
+    return below * (1 - u) + above * u
+
+
+def _solve(a, b):
+    """2×2 system, by hand: the batch of a LAPACK call costs more than the equations; singular gives no move."""
+    det = a[0, 0] * a[1, 1] - a[0, 1] * a[1, 0]
+    x = jnp.stack([a[1, 1] * b[0] - a[0, 1] * b[1], a[0, 0] * b[1] - a[1, 0] * b[0]])
+    return jnp.where(det == 0, 0.0, x / jnp.where(det == 0, 1.0, det))

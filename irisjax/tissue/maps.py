@@ -1,0 +1,115 @@
+"""`IrisMaps`: what photographs, painters and procedures hand to the renderers, texel by texel.
+
+Polar textures of shape (angles, radii): rows run once round the eye from +x towards +y, columns from the pupil's
+edge to the root, both at cell centres. The pupil's motion stretches them; they do not change with it.
+"""
+
+import dataclasses
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.core import Tracer
+from jaxtyping import Array, Float
+
+from irisjax.tissue.iris import Iris
+
+Texture = Float[Array, "angles radii"]
+
+
+def _texture() -> Any:
+    return eqx.field(default=None, converter=lambda x: None if x is None else jnp.asarray(x, jnp.result_type(float, x)))
+
+
+class IrisMaps(eqx.Module):
+    """Maps of an iris; every one may be absent (`None`), which costs nothing.
+
+    - `relief`: height of the surface towards the cornea, mm; it tilts the surface and shades it.
+    - `abl_thickness`, `stroma_thickness`: mm, in place of the `Iris`'s own. A layer keeps its concentrations, so
+        a thicker one holds more pigment.
+    - `freckles`: share of a freckle, 0 to 1; where it is 1 the ABL holds `FRECKLE` times its melanin.
+    - `eumelanin`, `pheomelanin`: concentrations relative to the `Iris`'s, both layers alike.
+
+    **Raises:** `ValueError` for maps of different shapes and for values that no iris has.
+    """
+
+    relief: Texture | None = _texture()
+    abl_thickness: Texture | None = _texture()
+    stroma_thickness: Texture | None = _texture()
+    freckles: Texture | None = _texture()
+    eumelanin: Texture | None = _texture()
+    pheomelanin: Texture | None = _texture()
+
+    def __post_init__(self):
+        shapes = {n: np.shape(m) for n, m in self.present().items()}
+        if len(set(shapes.values())) > 1:
+            raise ValueError(f"maps differ in shape: {', '.join(f'{n} {s}' for n, s in shapes.items())}")
+        for name, found in self.present().items():
+            if isinstance(found, Tracer):
+                continue
+            m = np.asarray(found)
+            if m.ndim != 2 or min(m.shape) < 2:
+                raise ValueError(f"map {name} has shape {m.shape}; need (angles, radii), at least 2 of each")
+            low, high = (-1, 1) if name == "relief" else (0, 1) if name == "freckles" else (0, np.inf)
+            if not (np.isfinite(m) & (m >= low) & (m <= high)).all():
+                raise ValueError(f"map {name} has values outside [{low:g}, {high:g}] or not finite")
+
+    def present(self) -> dict[str, Any]:
+        """The maps there are, by name."""
+        return {f.name: m for f in dataclasses.fields(self) if (m := getattr(self, f.name)) is not None}
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """(angles, radii), or (2, 2) where there is no map."""
+        present = self.present()
+        return next(iter(present.values())).shape if present else (2, 2)
+
+    def replace(self, **fields: Any) -> "IrisMaps":
+        """A copy with some maps changed."""
+        return dataclasses.replace(self, **fields)
+
+    def abl_scale(self, iris: Iris) -> Texture | None:
+        """Melanin of the ABL relative to that of a uniform `iris`; `None` where it is one everywhere."""
+        scale = None if self.abl_thickness is None else self.abl_thickness / iris.abl_thickness
+        if self.freckles is not None:
+            dark = 1 + (FRECKLE - 1) * self.freckles
+            scale = dark if scale is None else scale * dark
+        return scale
+
+    def stroma_scale(self, iris: Iris) -> Texture | None:
+        """Thickness of the stroma relative to that of a uniform `iris`; `None` where it is one everywhere."""
+        return None if self.stroma_thickness is None else self.stroma_thickness / iris.stroma_thickness
+
+
+FRECKLE = 12.0
+"""Melanin of the ABL in a freckle relative to its surroundings: thicker and denser, after F09's hand-set maps."""
+
+
+def fetch(texture: Float[Array, "angles radii *c"], angle, radius) -> Float[Array, "*s *c"]:
+    """Bilinear look-up, round in `angle` (radians) and held at the ends of `radius` (0 pupil's edge, 1 root)."""
+    rows, columns = texture.shape[:2]
+    row = angle * (rows / (2 * jnp.pi)) - 0.5
+    column = jnp.clip(radius * columns - 0.5, 0, columns - 1)
+    i, j = jnp.floor(row), jnp.minimum(jnp.floor(column), columns - 2)
+    u, v = row - i, column - j
+    i0 = jnp.asarray(i, jnp.int32) % rows
+    i1 = jnp.where(i0 + 1 == rows, 0, i0 + 1)
+    j0 = jnp.asarray(j, jnp.int32)
+    flat = texture.reshape(rows * columns, *texture.shape[2:])
+
+    def at(i, j):
+        return flat.at[i * columns + j].get(mode="promise_in_bounds")
+
+    if texture.ndim == 3:
+        u, v = u[..., None], v[..., None]
+    below = at(i0, j0) * (1 - v) + at(i0, j0 + 1) * v
+    above = at(i1, j0) * (1 - v) + at(i1, j0 + 1) * v
+    return below * (1 - u) + above * u
+
+
+def cell_centres(shape: tuple[int, int]) -> tuple[jax.Array, jax.Array]:
+    """Angles (radians) and relative radii of a texture's cells, shapes (angles,) and (radii,)."""
+    rows, columns = shape
+    return (jnp.arange(rows) + 0.5) * (2 * jnp.pi / rows), (jnp.arange(columns) + 0.5) / columns
