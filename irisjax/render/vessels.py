@@ -47,10 +47,11 @@ class _Globe(NamedTuple):
 def veins(eye: Eye, *, shape: tuple[int, int] = (1024, 512), key: PRNGKey) -> VeinMap | None:
     """Random vessels over the white of `eye`; `None` where its `veins` are 0. `shape`: (azimuths, polars).
 
-    Conjunctival trees come from the periphery, most from the corners of the lids, branch by Murray's law
-    (r³ = r₁³ + r₂³) and end in arcades along the limbus, with hairpin loops between them; radii are 60 µm at most
-    and 6 µm in the loops. Episcleral vessels are fewer, straighter and wider. Their number grows with
-    `eye.sclera.veins`. Equal keys give equal maps. Concrete eyes only.
+    Conjunctival trees come from the periphery, many from the corners of the lids, share r³ with their daughters
+    [Murray 1926] and end in arcades along the limbus, with hairpin loops between them; trunks have radii of 20 to
+    50 µm, loops 6 µm, as wide as the conjunctival vessels that OCT finds there. Episcleral vessels are fewer,
+    straighter and wider (40 to 90 µm). Their number grows with `eye.sclera.veins`; at 1 they cover 9 % of the
+    white. Equal keys give equal maps. Concrete eyes only.
 
     Approximation: at crossings the vessel of larger cover counts alone, and so does the thicker one.
     **Raises:** `ValueError` for an eye without sclera.
@@ -195,4 +196,4 @@ def _stamp(layers, globe: _Globe, curves: _Curves, margin: float) -> None:
         near = ((column >= 0) & (column < columns))[:, None, :] & (distance < r + width + margin)
         flat, distance, width, r = (np.broadcast_to(a, near.shape)[near] for a in (flat, distance, width, r))
         for texture, profile in layers:
-            np.maximum.at(texture.reshape(-1), flat, profile(distance, r, width))
+            np.maximum.at(texture.reshape(-1), flat.astype(int), profile(distance, r, width))

@@ -68,7 +68,7 @@ def test_deep_vessels_are_fainter_and_bluer():
 
 
 @pytest.mark.parametrize("space", ["XYZ", "linear sRGB"])
-def test_table_errs_below_a_thousandth(space):
+def test_table_errs_by_1e_4(space):
     weights, _ = tristimulus_matrix(GRID, space)
     table = colour_table(Sclera(), GRID, weights)
     depth = jnp.asarray(np.concatenate([np.linspace(0, 0.02, 400), np.linspace(0.02, DEEPEST, 400)]))
@@ -76,7 +76,7 @@ def test_table_errs_below_a_thousandth(space):
     blood = Blood(depth, *jnp.asarray(rng.random((2, depth.size))))
     for b in (depth, blood):
         error = abs(table(b) - reflectance(Sclera(), GRID, b) @ weights.T).max()
-        assert error < 1e-3, error
+        assert error < 2e-4
     np.testing.assert_allclose(table(jnp.asarray(9.0)), table(jnp.asarray(DEEPEST)))
 
 
