@@ -70,20 +70,24 @@ def test_deep_vessels_are_fainter_and_bluer():
 @pytest.mark.parametrize("space", ["XYZ", "linear sRGB"])
 def test_table_errs_by_1e_4(space):
     weights, _ = tristimulus_matrix(GRID, space)
-    table = colour_table(Sclera(), GRID, weights)
-    depth = jnp.asarray(np.concatenate([np.linspace(0, 0.02, 400), np.linspace(0.02, DEEPEST, 400)]))
-    rng = np.random.default_rng(0)
-    blood = Blood(depth, *jnp.asarray(rng.random((2, depth.size))))
-    for b in (depth, blood):
-        error = abs(table(b) - reflectance(Sclera(), GRID, b) @ weights.T).max()
-        assert error < 2e-4
-    np.testing.assert_allclose(table(jnp.asarray(9.0)), table(jnp.asarray(DEEPEST)))
+    grids = np.concatenate([np.linspace(0, 0.02, 400), np.linspace(0.02, DEEPEST, 400)])
+    blood = Blood(*jnp.asarray([grids, *np.random.default_rng(0).random((2, grids.size))]))
+
+    @jax.jit
+    def errors(blood):
+        table = colour_table(Sclera(), GRID, weights)
+        beyond = table(jnp.asarray(9.0)) - table(jnp.asarray(DEEPEST))
+        return [abs(table(b) - reflectance(Sclera(), GRID, b) @ weights.T).max() for b in (blood.depth, blood)], beyond
+
+    found, beyond = errors(blood)
+    assert max(found) < 2e-4
+    np.testing.assert_allclose(beyond, 0.0, atol=1e-12)
 
 
 def test_map_values_and_time(drawn):
-    start = time.perf_counter()
+    start = time.process_time()
     again = veins(Eye(), key=jax.random.key(3))
-    assert time.perf_counter() - start < 4  # 1 s unloaded
+    assert time.process_time() - start < 2
     for name in ("depth", "cover", "deep"):
         a, b = np.asarray(getattr(drawn, name)), np.asarray(getattr(again, name))
         assert a.tobytes() == b.tobytes()
@@ -122,7 +126,8 @@ def test_periodic_in_azimuth(drawn):
         s = r * np.sin(across)
         return jnp.asarray(np.stack([s * np.cos(azimuth), s * np.sin(azimuth), centre - r * np.cos(across)], -1))
 
-    for a, b in zip(vein_depth_at(drawn, eye, at(-1e-9)), vein_depth_at(drawn, eye, at(1e-9)), strict=True):
+    look = jax.jit(vein_depth_at)
+    for a, b in zip(look(drawn, eye, at(-1e-9)), look(drawn, eye, at(1e-9)), strict=True):
         np.testing.assert_allclose(a, b, atol=1e-5)
 
 
@@ -149,7 +154,7 @@ def test_sphere_passes_through_the_limbus(eye):
     # Just outside the rim a ray along the axis meets the white, just inside it does not.
     for scale, white in ((1.001, True), (0.999, False)):
         origin = jnp.asarray(rim * [scale, scale, 0] - [0, 0, 20])
-        t, hit = meet_sclera(eye, origin, jnp.broadcast_to(jnp.array([0.0, 0.0, 1.0]), origin.shape))
+        t, hit = jax.jit(meet_sclera)(eye, origin, jnp.broadcast_to(jnp.array([0.0, 0.0, 1.0]), origin.shape))
         assert (np.asarray(hit) == white).all()
         np.testing.assert_allclose(t - 20, z, atol=0.02)
 
@@ -158,7 +163,7 @@ def test_meet_sclera_exactly():
     eye = Eye()
     origin = jnp.array([[8.0, 1.0, -30.0], [30.0, 3.0, 9.0], [8.0, 12.0, -30.0], [8.0, 1.0, 60.0]])
     direction = jnp.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, 0.0, 1.0]])
-    t, hit = meet_sclera(eye, origin, direction)
+    t, hit = jax.jit(meet_sclera)(eye, origin, direction)
     assert hit.tolist() == [True, True, False, False]
     point = origin + t[:, None] * direction
     from_centre = np.linalg.norm(np.asarray(point) - [0, 0, float(sclera_centre(eye))], axis=-1)
@@ -187,7 +192,12 @@ def test_single_precision(float32):
     eye = Eye()
     drawn = veins(eye, shape=(128, 64), key=jax.random.key(0))
     weights, _ = tristimulus_matrix(GRID)
-    colour = colour_table(eye.sclera, GRID, weights)(vein_depth_at(drawn, eye, jnp.array([[8.0, 2.0, 4.0]])))
+
+    @jax.jit
+    def shaded(point):
+        return colour_table(eye.sclera, GRID, weights)(vein_depth_at(drawn, eye, point))
+
+    colour = shaded(jnp.array([[8.0, 2.0, 4.0]]))
     assert drawn.depth.dtype == drawn.deep.dtype == colour.dtype == jnp.float32
     assert np.isfinite(colour).all()
 
