@@ -1,0 +1,209 @@
+import time
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from irisjax.measure.colour import tristimulus_matrix
+from irisjax.render.sclera import (
+    DEEPEST,
+    SHALLOW,
+    Blood,
+    bulk_reflectance,
+    colour_table,
+    limbus_depth,
+    meet_sclera,
+    reflectance,
+    sclera_centre,
+    veil,
+    vein_depth_at,
+)
+from irisjax.render.vessels import veins
+from irisjax.tissue.anatomy import Eye, Sclera
+
+GRID = np.arange(380.0, 781.0, 5.0)
+
+
+@pytest.fixture(scope="module")
+def drawn():
+    return veins(Eye(), key=jax.random.key(3))
+
+
+def test_without_blood_the_bulk():
+    bulk = bulk_reflectance(GRID)
+    np.testing.assert_allclose(reflectance(Sclera(), GRID, 0.0), bulk)
+    none = Blood(jnp.asarray(0.1), jnp.asarray(0.0), jnp.asarray(0.0))
+    np.testing.assert_allclose(reflectance(Sclera(), GRID, none), bulk)
+    assert ((bulk > 0.4) & (bulk < 0.8)).all()
+
+
+def test_thick_vein_is_dark_red():
+    r = reflectance(Sclera(), np.array([450.0, 550.0, 650.0]), 0.25)
+    bulk = bulk_reflectance(np.array([450.0, 550.0, 650.0]))
+    assert r[0] < 0.15 * bulk[0] and r[1] < 0.15 * bulk[1] and r[2] > 0.7 * bulk[2]
+    everything = Blood(jnp.asarray(50.0), jnp.asarray(1.0), jnp.asarray(1.0))
+    assert (reflectance(Sclera(), GRID, everything) >= 0).all()
+    assert (reflectance(Sclera(), GRID, 0.1) <= reflectance(Sclera(), GRID, 0.01)).all()
+
+
+def test_beer_lambert_by_hand():
+    # 560 nm: 32613.2 (HbO2) and 53788 (Hb) /cm/M, decadic, in Prahl's table.
+    mu = np.log(10) * 0.1 * 2.0e-3 * (0.8 * 32613.2 + 0.2 * 53788.0)  # 17 per mm
+    v = 1.4 * SHALLOW * (560 / 550) ** -1.5
+    v = v / (1 + v)
+    by_hand = (0.54 + 0.12 * 160 / 300) * (v + (1 - v) * np.exp(-2 * mu * 0.03))
+    got = reflectance(Sclera(hemoglobin=2.0, saturation=0.8), np.array([560.0]), 0.03)
+    np.testing.assert_allclose(got[0], by_hand, rtol=1e-10)
+
+
+def test_deep_vessels_are_fainter_and_bluer():
+    shallow = reflectance(Sclera(), GRID, 0.08)
+    deep = reflectance(Sclera(), GRID, Blood(jnp.asarray(0.0), None, jnp.asarray(1.0)))
+    assert (deep >= shallow - 1e-12).all()
+    lost = 1 - deep / bulk_reflectance(GRID)
+    blue, green = np.searchsorted(GRID, 450), np.searchsorted(GRID, 545)
+    assert lost[blue] < lost[green]
+    assert veil(np.array([450.0]), 0.3)[0] > veil(np.array([650.0]), 0.3)[0]
+
+
+@pytest.mark.parametrize("space", ["XYZ", "linear sRGB"])
+def test_table_errs_by_1e_4(space):
+    weights, _ = tristimulus_matrix(GRID, space)
+    grids = np.concatenate([np.linspace(0, 0.02, 400), np.linspace(0.02, DEEPEST, 400)])
+    blood = Blood(*jnp.asarray([grids, *np.random.default_rng(0).random((2, grids.size))]))
+
+    @jax.jit
+    def errors(blood):
+        table = colour_table(Sclera(), GRID, weights)
+        beyond = table(jnp.asarray(9.0)) - table(jnp.asarray(DEEPEST))
+        return [abs(table(b) - reflectance(Sclera(), GRID, b) @ weights.T).max() for b in (blood.depth, blood)], beyond
+
+    found, beyond = errors(blood)
+    assert max(found) < 2e-4
+    np.testing.assert_allclose(beyond, 0.0, atol=1e-12)
+
+
+def test_map_values_and_time(drawn):
+    start = time.process_time()
+    again = veins(Eye(), key=jax.random.key(3))
+    assert time.process_time() - start < 2
+    for name in ("depth", "cover", "deep"):
+        a, b = np.asarray(getattr(drawn, name)), np.asarray(getattr(again, name))
+        assert a.tobytes() == b.tobytes()
+        assert a.shape == (1024, 512) and np.isfinite(a).all() and a.min() >= 0 and a.max() > 0
+    assert np.asarray(drawn.cover).max() <= 1 and np.asarray(drawn.deep).max() <= 1
+    assert np.asarray(drawn.depth).max() < 0.12
+    other = veins(Eye(), shape=(256, 128), key=jax.random.key(4))
+    assert not np.array_equal(other.cover, veins(Eye(), shape=(256, 128), key=jax.random.key(5)).cover)
+
+
+def test_density():
+    def cover(density):
+        return veins(Eye(sclera=Sclera(veins=density)), shape=(256, 128), key=jax.random.key(0)).cover.mean()
+
+    assert veins(Eye(sclera=Sclera(veins=0.0)), key=jax.random.key(0)) is None
+    assert cover(0.3) < cover(1.0) < cover(2.0)
+
+
+def test_cover_does_not_depend_on_the_texture():
+    """A stroke keeps its area in coarse textures."""
+    eye = Eye(sclera=Sclera(veins=0.1))
+    fine, coarse = (veins(eye, shape=s, key=jax.random.key(1)).cover.mean() for s in ((1024, 512), (512, 256)))
+    np.testing.assert_allclose(coarse, fine, rtol=0.1)
+
+
+def test_periodic_in_azimuth(drawn):
+    """The seam is no different from elsewhere, in the texture and in the look-up."""
+    cover = np.asarray(drawn.cover)
+    step = abs(cover - np.roll(cover, 1, axis=0)).mean(axis=1)
+    assert step[0] < 3 * step.mean()
+    eye = Eye()
+    centre, r = float(sclera_centre(eye)), 11.5
+    across = np.linspace(0.5, 1.5, 300)
+
+    def at(azimuth):
+        s = r * np.sin(across)
+        return jnp.asarray(np.stack([s * np.cos(azimuth), s * np.sin(azimuth), centre - r * np.cos(across)], -1))
+
+    look = jax.jit(vein_depth_at)
+    for a, b in zip(look(drawn, eye, at(-1e-9)), look(drawn, eye, at(1e-9)), strict=True):
+        np.testing.assert_allclose(a, b, atol=1e-5)
+
+
+def test_look_up_at_a_cell_centre(drawn):
+    eye = Eye()
+    i, j = 700, 100
+    limbus = np.arcsin(5.5 / 11.5)
+    azimuth, polar = (i + 0.5) * 2 * np.pi / 1024, limbus + (j + 0.5) / 512 * (np.pi / 2 - limbus)
+    centre = np.array([0, 0, float(sclera_centre(eye))])
+    point = centre + 11.5 * np.array([np.sin(polar) * np.cos(azimuth), np.sin(polar) * np.sin(azimuth), -np.cos(polar)])
+    found = jax.jit(vein_depth_at)(drawn, eye, jnp.asarray(point))
+    np.testing.assert_allclose(found, [drawn.depth[i, j], drawn.cover[i, j], drawn.deep[i, j]], atol=1e-9)
+
+
+@pytest.mark.parametrize("eye", [Eye(), Eye(cornea=None), Eye(sclera=Sclera(radius=12.0), limbus_radius=5.8)])
+def test_sphere_passes_through_the_limbus(eye):
+    a = np.linspace(0, 6, 7)
+    r = float(eye.limbus_radius)
+    z = float(limbus_depth(eye))
+    rim = np.stack([r * np.cos(a), r * np.sin(a), np.full(7, z)], -1)
+    np.testing.assert_allclose(
+        np.linalg.norm(rim - [0, 0, float(sclera_centre(eye))], axis=-1), float(eye.sclera.radius), rtol=1e-14
+    )
+    # Just outside the rim a ray along the axis meets the white, just inside it does not.
+    for scale, white in ((1.001, True), (0.999, False)):
+        origin = jnp.asarray(rim * [scale, scale, 0] - [0, 0, 20])
+        t, hit = jax.jit(meet_sclera)(eye, origin, jnp.broadcast_to(jnp.array([0.0, 0.0, 1.0]), origin.shape))
+        assert (np.asarray(hit) == white).all()
+        np.testing.assert_allclose(t - 20, z, atol=0.02)
+
+
+def test_meet_sclera_exactly():
+    eye = Eye()
+    origin = jnp.array([[8.0, 1.0, -30.0], [30.0, 3.0, 9.0], [8.0, 12.0, -30.0], [8.0, 1.0, 60.0]])
+    direction = jnp.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, 0.0, 1.0]])
+    t, hit = jax.jit(meet_sclera)(eye, origin, direction)
+    assert hit.tolist() == [True, True, False, False]
+    point = origin + t[:, None] * direction
+    from_centre = np.linalg.norm(np.asarray(point) - [0, 0, float(sclera_centre(eye))], axis=-1)
+    np.testing.assert_allclose(from_centre[:2], 11.5, rtol=1e-13)
+
+
+def test_gradients_are_finite(drawn):
+    weights, _ = tristimulus_matrix(GRID)
+    across = [[x, 1.0, -30.0] for x in np.linspace(6, 11, 40)]
+    origin = jnp.array([[0.0, 0.0, -30.0], [8.0, 20.0, -30.0], [-7.0, 0.0, -30.0], *across])
+
+    def brightness(sclera, origin):
+        eye = Eye(sclera=sclera)
+        d = jnp.broadcast_to(jnp.array([0.0, 0.0, 1.0]), origin.shape)
+        t, hit = meet_sclera(eye, origin, d)
+        blood = vein_depth_at(drawn, eye, origin + t[:, None] * d)
+        return jnp.where(hit[:, None], colour_table(sclera, GRID, weights)(blood), 0.0).sum()
+
+    value, gradient = jax.jit(jax.value_and_grad(brightness, argnums=(0, 1)))(Sclera(), origin)
+    assert np.isfinite(value)
+    assert all(np.isfinite(g).all() for g in jax.tree.leaves(gradient))
+    assert float(gradient[0].saturation) != 0
+
+
+def test_single_precision(float32):
+    eye = Eye()
+    drawn = veins(eye, shape=(128, 64), key=jax.random.key(0))
+    weights, _ = tristimulus_matrix(GRID)
+
+    @jax.jit
+    def shaded(point):
+        return colour_table(eye.sclera, GRID, weights)(vein_depth_at(drawn, eye, point))
+
+    colour = shaded(jnp.array([[8.0, 2.0, 4.0]]))
+    assert drawn.depth.dtype == drawn.deep.dtype == colour.dtype == jnp.float32
+    assert np.isfinite(colour).all()
+
+
+def test_an_eye_without_sclera():
+    with pytest.raises(ValueError, match="no sclera"):
+        veins(Eye(sclera=None), key=jax.random.key(0))
+    with pytest.raises(ValueError, match="no sclera"):
+        sclera_centre(Eye(sclera=None))
