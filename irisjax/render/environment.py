@@ -57,8 +57,8 @@ class Environment(eqx.Module):
         strip = 5.0 * _panel(d, (0.7, 0.9, 0.8), (0.12, 0.7), texel)
         return cls(
             room
-            + key[..., None] * jnp.asarray([1.0, 0.98, 0.94])
-            + fill[..., None] * jnp.asarray([0.94, 0.97, 1.0])
+            + key[..., None] * np.array([1.0, 0.98, 0.94])
+            + fill[..., None] * np.array([0.94, 0.97, 1.0])
             + strip[..., None]
         )
 
@@ -68,16 +68,15 @@ class Environment(eqx.Module):
 
         `sun_polar`, `sun_azimuth`: as of `Lights.distant`, from −z and from +x to +y, radians; below the horizon
         nothing hides it. `sun`: its irradiance on a surface that faces it; its glare spans about two texels.
-        `sky` scales all the rest. Differentiable. It is a picture of a sky, no model of the atmosphere.
+        `sky` scales all the rest. It is a picture of a sky, no model of the atmosphere.
         """
         d = _directions(rows, 2 * rows)
         up = d[..., 1:2]
-        horizon, zenith, ground = (jnp.asarray(c) for c in ([0.75, 0.82, 0.9], [0.16, 0.32, 0.7], [0.1, 0.1, 0.08]))
-        gradient = jnp.where(up > 0, zenith + (horizon - zenith) * (1 - jnp.clip(up, 0, 1)) ** 3, ground)
-        sin = jnp.sin(sun_polar)
-        towards = jnp.stack([sin * jnp.cos(sun_azimuth), sin * jnp.sin(sun_azimuth), -jnp.cos(sun_polar)])
-        # 1 − cos from the chord, which keeps its digits in single precision.
-        glare = jnp.exp(-((d - towards) ** 2).sum(-1) / 2 / (np.pi / rows) ** 2)
+        horizon, zenith, ground = (np.array(c) for c in ([0.75, 0.82, 0.9], [0.16, 0.32, 0.7], [0.1, 0.1, 0.08]))
+        gradient = np.where(up > 0, zenith + (horizon - zenith) * (1 - np.clip(up, 0, 1)) ** 3, ground)
+        sin = np.sin(sun_polar)
+        towards = np.stack([sin * np.cos(sun_azimuth), sin * np.sin(sun_azimuth), -np.cos(sun_polar)])
+        glare = np.exp(-((d - towards) ** 2).sum(-1) / 2 / (np.pi / rows) ** 2)
         glare = glare / (glare * _solid_angles(rows, 2 * rows)).sum()
         warm = np.array([1.05, 0.99, 0.9])
         return cls(sky * gradient + sun * glare[..., None] * (warm / (warm @ LUMINANCE)))
