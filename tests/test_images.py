@@ -114,6 +114,8 @@ def test_broken_files_get_one_line(tmp_path, suffix, keep):
     out = oiio.ImageOutput.create(str(path))
     assert out.open(str(path), oiio.ImageSpec(32, 16, 3, "float"))
     assert out.write_image(np.abs(noise(16, 32, 3))) and out.close()
+    back = io.read_image(path)
+    assert back.linear == (suffix != ".png") and back.pixels.shape == (16, 32, 3)
     broken = tmp_path / f"broken{suffix}"
     broken.write_bytes(path.read_bytes()[:keep])
     with pytest.raises(ValueError, match=f"broken\\{suffix}: ") as caught:

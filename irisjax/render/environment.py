@@ -47,14 +47,15 @@ class Environment(eqx.Module):
     def studio(cls, rows: int = 128) -> "Environment":
         """An invented portrait studio: grey room, key softbox up on the left, dim fill on the right, strip behind.
 
-        Left and right as the viewer sees. Nothing in it was measured; it is for trying things out.
+        Left and right as the viewer sees. It lights a white sheet that faces out to a radiance of about 1. Nothing in
+        it was measured; it is for trying things out.
         """
         d = _directions(rows, 2 * rows)
         texel = np.pi / rows
-        room = 0.12 + 0.06 * d[..., 1:2]
-        key = 14.0 * _panel(d, (-0.75, 0.65, -1.0), (0.42, 0.42), texel)
-        fill = 2.5 * _panel(d, (1.0, 0.2, -0.8), (0.35, 0.6), texel)
-        strip = 5.0 * _panel(d, (0.7, 0.9, 0.8), (0.12, 0.7), texel)
+        room = 0.055 + 0.03 * d[..., 1:2]
+        key = 6.4 * _panel(d, (-0.75, 0.65, -1.0), (0.42, 0.42), texel)
+        fill = 1.15 * _panel(d, (1.0, 0.2, -0.8), (0.35, 0.6), texel)
+        strip = 2.3 * _panel(d, (0.7, 0.9, 0.8), (0.12, 0.7), texel)
         return cls(
             room
             + key[..., None] * np.array([1.0, 0.98, 0.94])

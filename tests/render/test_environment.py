@@ -180,6 +180,7 @@ def test_studio_and_sky():
     studio = Environment.studio(32)
     lights = studio.to_lights(32)
     key = lights.towards[jnp.argmax(lights.irradiance / lights.radius**2)]
+    np.testing.assert_allclose(studio.irradiance(), np.pi, rtol=0.05)
     assert key[0] < 0 and key[1] > 0 and key[2] < 0
     for polar, azimuth in [(0.9, 2.0), (1.5, 0.3)]:
         bare, sunny = Environment.sky(polar, azimuth, sun=0.0, rows=48), Environment.sky(polar, azimuth, rows=48)
