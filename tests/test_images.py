@@ -105,8 +105,8 @@ def test_a_camera_held_upright_and_grey_with_alpha(tmp_path):
     np.testing.assert_allclose(back.pixels, [[[0.0331048, 0.2]]], rtol=1e-5)
 
 
-@pytest.mark.parametrize("suffix", [".exr", ".png", ".hdr"])
-@pytest.mark.parametrize("keep", [0, 30, 200])
+@pytest.mark.parametrize("suffix", [".exr", ".png", ".hdr", ".jpg"])
+@pytest.mark.parametrize("keep", [0, 30, 200, -20])
 def test_broken_files_get_one_line(tmp_path, suffix, keep):
     import OpenImageIO as oiio
 
@@ -115,7 +115,7 @@ def test_broken_files_get_one_line(tmp_path, suffix, keep):
     assert out.open(str(path), oiio.ImageSpec(32, 16, 3, "float"))
     assert out.write_image(np.abs(noise(16, 32, 3))) and out.close()
     back = io.read_image(path)
-    assert back.linear == (suffix != ".png") and back.pixels.shape == (16, 32, 3)
+    assert back.linear == (suffix in (".exr", ".hdr")) and back.pixels.shape == (16, 32, 3)
     broken = tmp_path / f"broken{suffix}"
     broken.write_bytes(path.read_bytes()[:keep])
     with pytest.raises(ValueError, match=f"broken\\{suffix}: ") as caught:

@@ -56,8 +56,9 @@ def read_image(path: str | Path, *, decode: bool = False) -> Image:
     try:
         spec = file.spec()
         values = file.read_image("float")
-        if values is None:
-            raise ValueError(f"{path}: the picture is broken ({_first_line(file.geterror())})")
+        complaint = file.geterror()  # of a JPEG that is cut short there is one, and values all the same
+        if values is None or complaint:
+            raise ValueError(f"{path}: the picture is broken ({_first_line(complaint)})")
     finally:
         file.close()
     pixels = np.asarray(values, np.float32).reshape(spec.height, spec.width, spec.nchannels)
