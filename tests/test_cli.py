@@ -388,10 +388,10 @@ cli.main(sys.argv[1:])
 
 
 def test_import_loads_no_pictures_and_no_colour():
-    heavy = ("matplotlib", "colour", "emcee", "arviz", "viser", "typer", "tqdm")
+    heavy = ("matplotlib", "colour", "emcee", "arviz", "viser", "typer", "tqdm", "OpenImageIO")
     code = f"import sys, irisjax; print([m for m in {heavy} if m in sys.modules])"
     assert python("-c", code).stdout == "[]\n"
-    code = "import sys, irisjax.cli; print([m for m in ('matplotlib', 'colour') if m in sys.modules])"
+    code = "import sys, irisjax.cli; print([m for m in ('matplotlib', 'colour', 'OpenImageIO') if m in sys.modules])"
     assert python("-c", code).stdout == "[]\n"
 
 

@@ -1,5 +1,11 @@
-"""Files in and out: tables with a header of settings, measured spectra, posteriors."""
+"""Files in and out: tables with a header of settings, measured spectra, posteriors, pictures."""
 
+from irisjax.io.images import Image as Image
+from irisjax.io.images import read_environment as read_environment
+from irisjax.io.images import read_image as read_image
+from irisjax.io.images import spectral_channels as spectral_channels
+from irisjax.io.images import write_exr as write_exr
+from irisjax.io.images import write_png as write_png
 from irisjax.io.measured import Measured as Measured
 from irisjax.io.measured import read_measured as read_measured
 from irisjax.io.posterior import predictive_score as predictive_score

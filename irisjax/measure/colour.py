@@ -119,6 +119,12 @@ def srgb_encode(linear):
     return jnp.where(foot, 12.92 * linear, 1.055 * jnp.where(foot, 1.0, linear) ** (1 / 2.4) - 0.055)
 
 
+def srgb_decode(encoded):
+    """Linear values of sRGB-encoded ones; the inverse of `srgb_encode`."""
+    foot = encoded <= 12.92 * 0.0031308
+    return jnp.where(foot, encoded / 12.92, ((jnp.where(foot, 1.0, encoded) + 0.055) / 1.055) ** 2.4)
+
+
 def lab_of(ratio):
     """CIE 1976 L*a*b* of XYZ relative to white [CIE 15:2018, Eq. 8.3 ff.]."""
     delta = 6 / 29

@@ -1,0 +1,234 @@
+"""Environments: light from all directions in a latitude-longitude map, and the lights that stand for it."""
+
+import heapq
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.core import Tracer
+from jaxtyping import Array, Float
+
+from irisjax.render.lights import Lights
+from irisjax.render.refraction import LARGEST_POLAR
+
+LUMINANCE = (0.2126, 0.7152, 0.0722)
+"""Share of linear sRGB's components in luminance [IEC 61966-2-1]."""
+
+
+def _floats(x) -> Any:
+    return jnp.asarray(x, jnp.result_type(float, x))
+
+
+class Environment(eqx.Module):
+    """Light at infinity from every direction, as a panorama taken at the eye's place.
+
+    `radiance`: linear sRGB (D65 is white) of shape (rows, columns, 3), in units in which a white sheet lit by
+    irradiance π has radiance 1. Rows run from straight up (+y) down, in equal polar angles. The middle of the
+    columns lies straight ahead of the eye (−z); as in any panorama, columns to the right of it are what somebody who
+    looks out of the eye sees on the right: the side of −x, since +x is the right of a viewer who faces the eye. A
+    value holds at the centre of its texel.
+
+    **Raises:** `ValueError` for another shape and for values that are negative or not finite.
+    """
+
+    radiance: Float[Array, "rows columns 3"] = eqx.field(converter=_floats)
+
+    def __check_init__(self):
+        if self.radiance.ndim != 3 or self.radiance.shape[2] != 3 or 0 in self.radiance.shape:
+            raise ValueError(f"an environment has the shape (rows, columns, 3), got {self.radiance.shape}")
+        if not isinstance(self.radiance, Tracer):
+            values = np.asarray(self.radiance)
+            if (bad := ~np.isfinite(values)).any() or (bad := values < 0).any():
+                raise ValueError(f"radiance is negative or not finite in {int(bad.any(-1).sum())} texels")
+
+    @classmethod
+    def studio(cls, rows: int = 128) -> "Environment":
+        """An invented portrait studio: grey room, key softbox up on the left, dim fill on the right, strip behind.
+
+        Left and right as the viewer sees. It lights a white sheet that faces out to a radiance of about 1. Nothing in
+        it was measured; it is for trying things out.
+        """
+        d = _directions(rows, 2 * rows)
+        texel = np.pi / rows
+        room = 0.055 + 0.03 * d[..., 1:2]
+        key = 6.4 * _panel(d, (-0.75, 0.65, -1.0), (0.42, 0.42), texel)
+        fill = 1.15 * _panel(d, (1.0, 0.2, -0.8), (0.35, 0.6), texel)
+        strip = 2.3 * _panel(d, (0.7, 0.9, 0.8), (0.12, 0.7), texel)
+        return cls(
+            room
+            + key[..., None] * np.array([1.0, 0.98, 0.94])
+            + fill[..., None] * np.array([0.94, 0.97, 1.0])
+            + strip[..., None]
+        )
+
+    @classmethod
+    def sky(cls, sun_polar=1.0, sun_azimuth=2.0, *, sun=4.0, sky=1.0, rows: int = 128) -> "Environment":
+        """An invented clear day: a blue gradient, a white horizon, grey-green ground and a blurred sun.
+
+        `sun_polar`, `sun_azimuth`: as of `Lights.distant`, from −z and from +x to +y, radians; below the horizon
+        nothing hides it. `sun`: its irradiance on a surface that faces it; its glare spans about two texels.
+        `sky` scales all the rest. It is a picture of a sky, no model of the atmosphere.
+        """
+        d = _directions(rows, 2 * rows)
+        up = d[..., 1:2]
+        horizon, zenith, ground = (np.array(c) for c in ([0.75, 0.82, 0.9], [0.16, 0.32, 0.7], [0.1, 0.1, 0.08]))
+        gradient = np.where(up > 0, zenith + (horizon - zenith) * (1 - np.clip(up, 0, 1)) ** 3, ground)
+        sin = np.sin(sun_polar)
+        towards = np.stack([sin * np.cos(sun_azimuth), sin * np.sin(sun_azimuth), -np.cos(sun_polar)])
+        glare = np.exp(-((d - towards) ** 2).sum(-1) / 2 / (np.pi / rows) ** 2)
+        glare = glare / (glare * _solid_angles(rows, 2 * rows)).sum()
+        warm = np.array([1.05, 0.99, 0.9])
+        return cls(sky * gradient + sun * glare[..., None] * (warm / (warm @ LUMINANCE)))
+
+    def turned(self, angle: float) -> "Environment":
+        """The environment turned about the vertical: what was straight ahead moves towards −x by `angle`, radians.
+
+        Whole columns are moved, so the angle is rounded to them.
+        """
+        columns = self.radiance.shape[1]
+        return Environment(jnp.roll(self.radiance, round(angle / (2 * np.pi) * columns), axis=1))
+
+    def lookup(self, direction) -> Float[Array, "*s 3"]:
+        """Radiance (..., 3) from directions (..., 3) out of the eye, of any length; linear between texels.
+
+        Continuous everywhere: at the poles it meets the mean of the outermost row.
+        """
+        rows, columns = self.radiance.shape[:2]
+        direction = _floats(direction)
+        x, y, z = direction[..., 0], direction[..., 1], direction[..., 2]
+        square = x * x + z * z
+        aside = square > 0  # azimuths of the poles have no derivative
+        azimuth = jnp.arctan2(jnp.where(aside, -x, 0.0), jnp.where(aside, -z, 1.0))
+        across = jnp.where(aside, jnp.sqrt(jnp.where(aside, square, 1.0)), 0.0)
+        v = jnp.arctan2(across, y) * (rows / jnp.pi)
+        r = jnp.where(v < 0.5, 2 * v, jnp.where(v > rows - 0.5, 2 * v - rows + 1, v + 0.5))
+        c = azimuth * (columns / (2 * jnp.pi)) + (columns - 1) / 2
+        # One row for each pole, one column more on either side, and every texel's own place as channels.
+        top, bottom = (jnp.broadcast_to(self.radiance[i].mean(0), (1, columns, 3)) for i in (0, -1))
+        table = jnp.concatenate([top, self.radiance, bottom])
+        table = jnp.concatenate([table[:, -1:], table, table[:, :1]], axis=1)
+        place = jnp.stack(jnp.meshgrid(jnp.arange(rows + 2), jnp.arange(-1, columns + 1), indexing="ij"), axis=-1)
+        table = jnp.concatenate([table, place.astype(table.dtype)], axis=-1)
+        # The weights come from the places read: XLA may compute an azimuth twice, differently rounded, and the
+        # index and a weight from a second floor(c) would then belong to different texels.
+        texels = jax.vmap(lambda i, j: jax.lax.dynamic_slice(table, (i, j, 0), (2, 2, 5)))(
+            jnp.clip(jnp.floor(r), 0, rows).astype(int).ravel(), (jnp.floor(c) + 1).astype(int).ravel()
+        ).reshape(*r.shape, 2, 2, 5)
+        fr, fc = (jnp.clip(q - texels[..., 0, 0, k], 0, 1)[..., None] for q, k in ((r, 3), (c, 4)))
+        above, below = (texels[..., i, 0, :3] * (1 - fc) + texels[..., i, 1, :3] * fc for i in (0, 1))
+        return above * (1 - fr) + below * fr
+
+    def irradiance(self, normal=(0.0, 0.0, -1.0)) -> Float[Array, "3"]:
+        """Irradiance, linear sRGB, on a surface with this unit `normal` at the eye; by default it faces straight out.
+
+        Each texel counts as if all its light came from its centre.
+        """
+        rows, columns = self.radiance.shape[:2]
+        cos = _directions(rows, columns) @ jnp.asarray(normal, self.radiance.dtype)
+        weight = jnp.maximum(cos, 0) * _solid_angles(rows, columns)
+        return jnp.einsum("rc,rck->k", weight.astype(self.radiance.dtype), self.radiance)
+
+    def to_lights(self, n: int = 64, *, largest_polar: float | None = LARGEST_POLAR) -> Lights:
+        """At most `n` distant lights of D65 that stand for the map, by median cut [Debevec 2005].
+
+        The region with most luminous power × extent is cut next, across its longer side, where its power halves. Each
+        region gives one light, with its whole power (`irradiance` × `tint` in linear sRGB, `tint` of luminance 1) and
+        from the power's centre. Its `radius` is that of a disc of the solid angle (∫L dω)² / ∫L² dω, the region's own
+        where it is evenly bright, and a lamp's where there is one in the dark. Fewer lights come back when fewer
+        texels are lit. Texels whose centre is farther than `largest_polar` (radians) from −z are left out, as no
+        light from there reaches the iris; `None` keeps all. Not to be traced by JAX.
+
+        **Raises:** `ValueError` for no positive `n` and for a map without light.
+        """
+        if isinstance(self.radiance, Tracer):
+            raise ValueError("to_lights needs concrete radiances; call it outside jit and grad")
+        if n < 1:
+            raise ValueError(f"a map gives at least one light, got n = {n}")
+        rgb = np.asarray(self.radiance, np.float64)
+        rows, columns = rgb.shape[:2]
+        direction, solid_angle = _directions(rows, columns), _solid_angles(rows, columns)
+        if largest_polar is not None:
+            rgb = np.where((-direction[..., 2:] >= np.cos(largest_polar)), rgb, 0.0)
+        luminance = rgb @ np.asarray(LUMINANCE)
+        power = luminance * solid_angle
+        if not power.any():
+            raise ValueError("no light of this environment reaches the cornea")
+        towards, irradiance, colour, radius = [], [], [], []
+        for box in _median_cut(power, n):
+            energy = power[box].sum()
+            centre = np.einsum("rc,rck->k", power[box], direction[box])
+            if np.linalg.norm(centre) < 1e-6 * energy:  # all round the eye: no side is the middle
+                centre = direction[box].reshape(-1, 3)[power[box].argmax()]
+            effective = min(energy**2 / (power[box] * luminance[box]).sum(), 4 * np.pi)
+            towards.append(centre / np.linalg.norm(centre))
+            irradiance.append(energy)
+            colour.append(np.einsum("rck,rc->k", rgb[box], solid_angle[box]) / energy)
+            radius.append(np.arccos(1 - effective / (2 * np.pi)))
+        dtype = self.radiance.dtype
+        towards, irradiance, colour, radius = (np.asarray(x, dtype) for x in (towards, irradiance, colour, radius))
+        return Lights(towards, irradiance, jnp.asarray(colour), radius=radius, illuminant="D65")
+
+
+def _median_cut(power: np.ndarray, n: int) -> list[tuple[slice, slice]]:
+    """At most n boxes of texels that hold all the power, none of them empty."""
+    rows, columns = power.shape
+    heap: list[tuple[float, int, tuple[slice, slice]]] = []  # the number settles draws, always alike
+
+    def sides(r: slice, c: slice) -> tuple[float, float]:
+        middle = (r.start + r.stop) / 2 * np.pi / rows
+        return (r.stop - r.start) * np.pi / rows, (c.stop - c.start) * 2 * np.pi / columns * np.sin(middle)
+
+    def push(r: slice, c: slice) -> None:
+        lit = power[r, c] > 0
+        i, j = np.flatnonzero(lit.any(1)), np.flatnonzero(lit.any(0))
+        r, c = (slice(s.start + k[0], s.start + k[-1] + 1) for s, k in ((r, i), (c, j)))
+        # A box of one texel is never cut: it goes to the end of the queue.
+        extent = 0.0 if r.stop - r.start == c.stop - c.start == 1 else max(sides(r, c))
+        heapq.heappush(heap, (-power[r, c].sum() * extent, next(count), (r, c)))
+
+    count = iter(range(2 * n))
+    push(slice(0, rows), slice(0, columns))
+    while len(heap) < n and heap[0][0] < 0:
+        r, c = heapq.heappop(heap)[2]
+        height, width = sides(r, c)
+        across = r.stop - r.start > 1 and (height >= width or c.stop - c.start == 1)
+        running = power[r, c].sum(1 if across else 0).cumsum()
+        # Nearest to one half, with something left on both sides: the box is as tight as it can be.
+        cut = 1 + int(np.abs(running[:-1] - running[-1] / 2).argmin())
+        if across:
+            push(slice(r.start, r.start + cut), c)
+            push(slice(r.start + cut, r.stop), c)
+        else:
+            push(r, slice(c.start, c.start + cut))
+            push(r, slice(c.start + cut, c.stop))
+    return [box for _, _, box in sorted(heap, key=lambda entry: entry[1])]
+
+
+def _directions(rows: int, columns: int) -> np.ndarray:
+    """Unit vectors to the texels' centres, shape (rows, columns, 3)."""
+    polar = (np.arange(rows) + 0.5)[:, None] * np.pi / rows
+    azimuth = ((np.arange(columns) + 0.5) / columns - 0.5) * 2 * np.pi
+    y = np.broadcast_to(np.cos(polar), (rows, columns))
+    return np.stack([-np.sin(polar) * np.sin(azimuth), y, -np.sin(polar) * np.cos(azimuth)], axis=-1)
+
+
+def _solid_angles(rows: int, columns: int) -> np.ndarray:
+    """Solid angles of the texels, shape (rows, columns)."""
+    edges = np.cos(np.arange(rows + 1) * np.pi / rows)
+    return np.broadcast_to((-np.diff(edges))[:, None] * 2 * np.pi / columns, (rows, columns))
+
+
+def _panel(direction: np.ndarray, centre, half, soft: float) -> np.ndarray:
+    """1 within an upright rectangle that faces the eye, 0 outside; `half` sides and `soft` edge as tangents."""
+    forward = np.asarray(centre) / np.linalg.norm(centre)
+    right = np.cross((0.0, 1.0, 0.0), forward)
+    right /= np.linalg.norm(right)
+    along = direction @ forward
+    depth = np.maximum(along, 1e-3)
+    inside = [
+        np.clip(0.5 + (h - np.abs(direction @ axis / depth)) / soft, 0, 1)
+        for h, axis in zip(half, (right, np.cross(forward, right)), strict=True)
+    ]
+    return np.where(along > 0, inside[0] * inside[1], 0.0)

@@ -1,0 +1,173 @@
+"""Pictures: what is written can be read again to the last bit, and nothing is half written."""
+
+import time
+
+import numpy as np
+import pytest
+
+from irisjax import io
+from irisjax.measure.colour import srgb_decode, srgb_encode
+
+
+def noise(*shape):
+    return np.random.default_rng(7).normal(size=shape).astype(np.float32)
+
+
+def test_exr_round_trip(tmp_path):
+    path, image = tmp_path / "linear.exr", 1e3 * noise(5, 7, 3)
+    image[0, 0] = [np.inf, -0.0, 1e-42]
+    io.write_exr(path, image, metadata={"seed": "3"})
+    back = io.read_image(path)
+    assert back.linear and back.channels == ("R", "G", "B") and back.metadata["seed"] == "3"
+    np.testing.assert_array_equal(back.pixels, image)
+    assert back.pixels.dtype == np.float32
+
+
+def test_spectral_exr_by_the_published_layout(tmp_path):
+    path, image = tmp_path / "spectral.exr", noise(2, 3, 4)
+    names = io.spectral_channels([400, 550.5, 633, 1000], "T")
+    assert names == ("T.400,0nm", "T.550,5nm", "T.633,0nm", "T.1000,0nm")
+    io.write_exr(path, image, names)
+    back = io.read_image(path)
+    assert back.metadata["spectralLayoutVersion"] == "1.0"
+    np.testing.assert_array_equal(back.pixels[..., [back.channels.index(n) for n in names]], image)
+
+
+@pytest.mark.slow
+def test_colour_science_reads_the_spectral_layout(tmp_path):
+    from colour.io import read_spectral_image_Fichet2021
+
+    image = np.abs(noise(2, 3, 3))
+    io.write_exr(tmp_path / "s.exr", image, io.spectral_channels([450, 550, 650]))
+    wavelengths, values = read_spectral_image_Fichet2021(str(tmp_path / "s.exr"))["S0"]
+    np.testing.assert_allclose(wavelengths, [450, 550, 650])
+    np.testing.assert_array_equal(values, image)
+
+
+@pytest.mark.parametrize("depth", [8, 16])
+def test_png_round_trip(tmp_path, depth):
+    path, most = tmp_path / "p.png", 2**depth - 1
+    steps = np.random.default_rng(1).integers(0, most, (6, 5, 3), endpoint=True)
+    assert io.write_png(path, (steps + 0.49) / most, bits=depth, remark="seed 3") == 0
+    back = io.read_image(path)
+    assert not back.linear and back.metadata["ImageDescription"] == "seed 3"
+    np.testing.assert_array_equal(np.rint(back.pixels.astype(np.float64) * most), steps)
+    decoded = io.read_image(path, decode=True)
+    assert decoded.linear
+    np.testing.assert_allclose(srgb_encode(decoded.pixels), steps / most, atol=1e-6)
+
+
+def test_png_says_what_it_clips(tmp_path):
+    image = np.full((2, 2, 3), 0.5)
+    image[0, 0] = [-0.1, 1.2, 0.5]
+    image[1, 1, 2] = 1.01
+    image[1, 0] = 1 + 1e-7  # rounding noise is no colour out of gamut
+    assert io.write_png(tmp_path / "p.png", image) == 2
+    np.testing.assert_allclose(io.read_image(tmp_path / "p.png").pixels[0, 0], [0, 1, 128 / 255])
+
+
+def test_decoding_inverts_encoding():
+    x = np.concatenate([np.linspace(-0.1, 0.1, 101), np.linspace(0, 20, 101)])
+    np.testing.assert_allclose(srgb_decode(srgb_encode(x)), x, rtol=1e-12, atol=1e-15)
+
+
+def test_equal_pictures_are_equal_bytes(tmp_path):
+    image = np.abs(noise(4, 4, 3)) / 9
+
+    def both():
+        io.write_exr(tmp_path / "a.exr", image, metadata={"seed": "3"})
+        io.write_png(tmp_path / "a.png", image, bits=16)
+        return (tmp_path / "a.exr").read_bytes(), (tmp_path / "a.png").read_bytes()
+
+    first = both()
+    time.sleep(1.1)  # formats date to the second
+    assert both() == first
+
+
+def test_a_camera_held_upright_and_grey_with_alpha(tmp_path):
+    import OpenImageIO as oiio
+
+    pixels = np.zeros((2, 4, 3), np.uint8)
+    pixels[:, :2] = 255
+    spec = oiio.ImageSpec(4, 2, 3, "uint8")
+    spec.attribute("Orientation", 6)
+    out = oiio.ImageOutput.create(str(tmp_path / "p.png"))
+    assert out.open(str(tmp_path / "p.png"), spec) and out.write_image(pixels) and out.close()
+    back = io.read_image(tmp_path / "p.png").pixels
+    assert back.shape == (4, 2, 3) and (back[:2] == 1).all() and (back[2:] == 0).all()
+
+    spec = oiio.ImageSpec(1, 1, 2, "uint8")
+    spec.channelnames = ("Y", "A")
+    spec.attribute("oiio:UnassociatedAlpha", 1)
+    assert out.open(str(tmp_path / "g.png"), spec)
+    assert out.write_image(np.full((1, 1, 2), 51, np.uint8)) and out.close()
+    back = io.read_image(tmp_path / "g.png", decode=True)
+    np.testing.assert_allclose(back.pixels, [[[0.0331048, 0.2]]], rtol=1e-5)
+
+
+@pytest.mark.parametrize("suffix", [".exr", ".png", ".hdr", ".jpg"])
+@pytest.mark.parametrize("keep", [0, 30, 200, -20])
+def test_broken_files_get_one_line(tmp_path, suffix, keep):
+    import OpenImageIO as oiio
+
+    path = tmp_path / f"whole{suffix}"
+    out = oiio.ImageOutput.create(str(path))
+    assert out.open(str(path), oiio.ImageSpec(32, 16, 3, "float"))
+    assert out.write_image(np.abs(noise(16, 32, 3))) and out.close()
+    back = io.read_image(path)
+    assert back.linear == (suffix in (".exr", ".hdr")) and back.pixels.shape == (16, 32, 3)
+    broken = tmp_path / f"broken{suffix}"
+    broken.write_bytes(path.read_bytes()[:keep])
+    with pytest.raises(ValueError, match=f"broken\\{suffix}: ") as caught:
+        io.read_image(broken)
+    assert "\n" not in str(caught.value)
+
+
+def test_errors(tmp_path):
+    with pytest.raises(FileNotFoundError):
+        io.read_image(tmp_path / "none.exr")
+    with pytest.raises(ValueError, match=r"must end in \.exr or \.hdr or"):
+        io.read_image(tmp_path / "none.bmp")
+    with pytest.raises(ValueError, match=r"must end in \.png"):
+        io.write_png(tmp_path / "p.jpg", np.zeros((2, 2, 3)))
+    with pytest.raises(ValueError, match=r"must end in \.exr"):
+        io.write_exr(tmp_path / "p.hdr", np.zeros((2, 2, 3)))
+    with pytest.raises(ValueError, match=r"\(rows, columns, 3\), got \(2, 3\)"):
+        io.write_png(tmp_path / "p.png", np.zeros((2, 3)))
+    with pytest.raises(ValueError, match="8 or 16 bits, got 12"):
+        io.write_png(tmp_path / "p.png", np.zeros((2, 2, 3)), bits=12)
+    with pytest.raises(ValueError, match="1 pixels are not finite"):
+        io.write_png(tmp_path / "p.png", np.where(np.arange(12).reshape(2, 2, 3) == 4, np.nan, 0))
+    with pytest.raises(ValueError, match="stands twice"):
+        io.write_exr(tmp_path / "p.exr", np.zeros((2, 2, 2)), ("R", "R"))
+    with pytest.raises(ValueError, match="unknown layer"):
+        io.spectral_channels([500], "X")
+    assert not list(tmp_path.iterdir())
+
+
+def test_nothing_is_half_written(tmp_path, monkeypatch):
+    with pytest.raises(OSError, match="no such folder"):
+        io.write_exr(tmp_path / "nowhere" / "p.exr", noise(2, 2, 3))
+    path = tmp_path / "p.png"
+    path.write_bytes(b"before")
+    monkeypatch.setattr("os.replace", lambda *_: (_ for _ in ()).throw(OSError(28, "no space left on device")))
+    with pytest.raises(OSError, match="no space left"):
+        io.write_png(path, np.zeros((2, 2, 3)))
+    assert path.read_bytes() == b"before" and list(tmp_path.iterdir()) == [path]
+
+
+def test_environment_from_files(tmp_path):
+    radiance = np.abs(noise(4, 8, 3))
+    io.write_exr(tmp_path / "e.exr", radiance)
+    np.testing.assert_array_equal(io.read_environment(tmp_path / "e.exr").radiance, radiance)
+    io.write_png(tmp_path / "e.png", np.full((4, 8, 3), 0.5), bits=16)
+    np.testing.assert_allclose(io.read_environment(tmp_path / "e.png").radiance, 0.2140, atol=1e-4)
+    io.write_exr(tmp_path / "square.exr", np.ones((4, 4, 3)))
+    with pytest.raises(ValueError, match=r"square\.exr: .* twice as wide as high, this is 4 × 4"):
+        io.read_environment(tmp_path / "square.exr")
+    io.write_exr(tmp_path / "grey.exr", np.ones((4, 8, 1)), ("Y",))
+    with pytest.raises(ValueError, match="needs the channels R, G, B, found Y"):
+        io.read_environment(tmp_path / "grey.exr")
+    io.write_exr(tmp_path / "dark.exr", radiance - 10)
+    with pytest.raises(ValueError, match=r"dark\.exr: radiance is negative or not finite in 32 texels"):
+        io.read_environment(tmp_path / "dark.exr")
