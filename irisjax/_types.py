@@ -2,7 +2,9 @@
 
 from typing import TypeAlias
 
-from jaxtyping import Array, Float, Key
+import jax.numpy as jnp
+from jax import Array
+from jaxtyping import Float, Key
 
 Scalar: TypeAlias = Float[Array, ""]
 """A traced number."""
@@ -15,3 +17,15 @@ Cosines: TypeAlias = Float[Array, " angles"]
 
 PRNGKey: TypeAlias = Key[Array, ""]
 """A new-style key, `jax.random.key(seed)`."""
+
+
+def as_float(x) -> Array:
+    """A float array of the default precision, or of its own if it is a JAX float array already."""
+    if isinstance(x, Array) and jnp.issubdtype(x.dtype, jnp.floating):
+        return x
+    return jnp.asarray(x, jnp.result_type(float))
+
+
+def as_float_or_none(x) -> Array | None:
+    """`as_float`, with `None` for what is absent."""
+    return None if x is None else as_float(x)

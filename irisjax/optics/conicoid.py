@@ -8,7 +8,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from irisjax._types import Scalar
+from irisjax._types import Scalar, as_float
 from irisjax.optics.fresnel import fresnel, safe_sqrt
 
 Vector = Float[Array, "*s 3"]
@@ -21,9 +21,9 @@ class Conicoid(eqx.Module):
     - `shape`: p of the equation; `apex`: z of the apex, mm.
     """
 
-    radius: Scalar = eqx.field(converter=lambda x: jnp.asarray(x, jnp.result_type(float, x)))
-    shape: Scalar = eqx.field(converter=lambda x: jnp.asarray(x, jnp.result_type(float, x)))
-    apex: Scalar = eqx.field(default=0.0, converter=lambda x: jnp.asarray(x, jnp.result_type(float, x)))
+    radius: Scalar = eqx.field(converter=as_float)
+    shape: Scalar = eqx.field(converter=as_float)
+    apex: Scalar = eqx.field(default=0.0, converter=as_float)
 
     def sagitta(self, r: Float[Array, "*s"]) -> Float[Array, "*s"]:
         """Depth behind the apex at distance `r` from the axis, mm; it ends at the equator, r = R/√p."""

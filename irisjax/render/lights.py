@@ -1,18 +1,12 @@
 """Lights: distant or at a place, any number, of one spectrum."""
 
-from typing import Any
-
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Float
 
-from irisjax._types import Scalar
-
-
-def _floats(x) -> Any:
-    return jnp.asarray(x, jnp.result_type(float, x))
+from irisjax._types import Scalar, as_float
 
 
 class Lights(eqx.Module):
@@ -27,18 +21,18 @@ class Lights(eqx.Module):
     - `illuminant`: the spectrum of all of them, by colour-science's name.
     """
 
-    towards: Float[Array, "lights 3"] = eqx.field(converter=_floats)
-    irradiance: Float[Array, " lights"] = eqx.field(converter=_floats)
+    towards: Float[Array, "lights 3"] = eqx.field(converter=as_float)
+    irradiance: Float[Array, " lights"] = eqx.field(converter=as_float)
     tint: Float[Array, "lights 3"] | None = None
     distance: Float[Array, " lights"] | None = None
-    radius: Float[Array, " lights"] = eqx.field(default=0.03, converter=_floats)
+    radius: Float[Array, " lights"] = eqx.field(default=0.03, converter=as_float)
     illuminant: str = eqx.field(static=True, default="D65")
 
     @classmethod
     def distant(cls, polar, azimuth, irradiance=jnp.pi, *, radius=0.03, illuminant: str = "D65") -> "Lights":
         """Lights at infinity: `polar` angles from the eye's axis and `azimuth` from +x to +y, radians."""
         polar, azimuth, irradiance, radius = jnp.broadcast_arrays(
-            *(jnp.atleast_1d(_floats(v)) for v in (polar, azimuth, irradiance, radius))
+            *(jnp.atleast_1d(as_float(v)) for v in (polar, azimuth, irradiance, radius))
         )
         towards = jnp.stack(
             [jnp.sin(polar) * jnp.cos(azimuth), jnp.sin(polar) * jnp.sin(azimuth), -jnp.cos(polar)], axis=-1
@@ -48,11 +42,11 @@ class Lights(eqx.Module):
     @classmethod
     def points(cls, position, irradiance=jnp.pi, *, radius=0.03, illuminant: str = "D65") -> "Lights":
         """Lights at places (lights, 3), mm in the eye's frame; `irradiance` is that at the corneal apex."""
-        position = jnp.atleast_2d(_floats(position))
+        position = jnp.atleast_2d(as_float(position))
         distance = jnp.sqrt((position**2).sum(-1))
         if not isinstance(distance, Tracer) and (np.asarray(distance) < 20).any():
             raise ValueError(f"a point light is {float(distance.min()):.3g} mm from the cornea; it must be at least 20")
-        irradiance, radius = (jnp.broadcast_to(_floats(v), distance.shape) for v in (irradiance, radius))
+        irradiance, radius = (jnp.broadcast_to(as_float(v), distance.shape) for v in (irradiance, radius))
         return cls(position / distance[:, None], irradiance, None, distance, radius, illuminant)
 
     def __check_init__(self):

@@ -71,6 +71,7 @@ class Separable(eqx.Module):
             def one(abl, stroma):
                 layers = scaled(iris.layers(table, self.process.scattering), abl, stroma)
                 found = self.solver.solve(layers, self.process, 1.0, cos_exit=cosines)
+                assert found.brdf is not None
                 return bands.weights @ (found.brdf / (1 - found.mirrored[:, None]))
 
             return jnp.moveaxis(jax.vmap(one)(abl, stroma), 1, 2)
@@ -89,12 +90,15 @@ class Separable(eqx.Module):
         out = Response(values, indices, ranges, jnp.zeros((), dtype))
         # Off the nodes: points that fill the box evenly, one exit angle each in turn.
         i = np.arange(_CHECKS)
-        at = [_from_unit(r, jnp.asarray(2 * ((i + 0.5) * a % 1) - 1, dtype)) for r, a in zip(ranges, (0.755, 0.57))]
+        at = [
+            _from_unit(r, jnp.asarray(2 * ((i + 0.5) * a % 1) - 1, dtype))
+            for r, a in zip(ranges, (0.755, 0.57), strict=True)
+        ]
         exits = jnp.asarray([0.15, 0.6, 0.95], dtype)
-        true = radiance(*(jnp.broadcast_to(a, (_CHECKS,)) for a in at), exits)
+        true = radiance(jnp.broadcast_to(at[0], (_CHECKS,)), jnp.broadcast_to(at[1], (_CHECKS,)), exits)
         spread = jnp.broadcast_to(exits, (_CHECKS, 3))
-        found = out(*(None if r is None else jnp.broadcast_to(a[:, None], spread.shape).ravel()
-                      for a, r in zip(at, ranges, strict=True)), spread.ravel())  # fmt: skip
+        scales = [jnp.broadcast_to(a[:, None], spread.shape).ravel() for a in at]
+        found = out(scales[0], scales[1], spread.ravel())
         error = jnp.abs(found.T.reshape(true.shape) - true).max() / jnp.abs(true).max()
         return Response(values, indices, ranges, error)
 

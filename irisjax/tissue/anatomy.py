@@ -12,7 +12,7 @@ import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Float
 
-from irisjax._types import Scalar
+from irisjax._types import Scalar, as_float, as_float_or_none
 from irisjax.optics.conicoid import Conicoid, Vector
 from irisjax.optics.fresnel import safe_sqrt
 from irisjax.tissue.eye import AQUEOUS, CORNEA
@@ -35,13 +35,11 @@ _LIMITS = {
 
 
 def _number(default: float) -> Any:
-    return eqx.field(default=default, converter=lambda x: jnp.asarray(x, jnp.result_type(float, x)))
+    return eqx.field(default=default, converter=as_float)
 
 
 def _optional(default: float | None = None) -> Any:
-    return eqx.field(
-        default=default, converter=lambda x: None if x is None else jnp.asarray(x, jnp.result_type(float, x))
-    )
+    return eqx.field(default=default, converter=as_float_or_none)
 
 
 class Cornea(eqx.Module):

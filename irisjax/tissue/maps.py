@@ -14,13 +14,14 @@ import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Float
 
+from irisjax._types import as_float_or_none
 from irisjax.tissue.iris import Iris
 
 Texture = Float[Array, "angles radii"]
 
 
 def _texture() -> Any:
-    return eqx.field(default=None, converter=lambda x: None if x is None else jnp.asarray(x, jnp.result_type(float, x)))
+    return eqx.field(default=None, converter=as_float_or_none)
 
 
 class IrisMaps(eqx.Module):

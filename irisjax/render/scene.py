@@ -1,0 +1,139 @@
+"""`Scene`: an eye, its lights and a camera; `render` makes its picture."""
+
+import dataclasses
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from irisjax.measure.colour import OBSERVER
+from irisjax.render import shading
+from irisjax.render.bands import Bands, colour_bands
+from irisjax.render.camera import Camera, View, look
+from irisjax.render.illumination import UNIQUE_POLAR, Illumination
+from irisjax.render.lights import Lights
+from irisjax.render.sclera import VeinMap, colour_table
+from irisjax.render.separable import Ranges, Response, Separable
+from irisjax.tissue.anatomy import Eye
+from irisjax.tissue.iris import Iris
+from irisjax.tissue.maps import IrisMaps
+
+_CHUNK = 4096  # pixels whose polynomials stay in the cache
+
+
+class Scene(eqx.Module):
+    """Everything a picture shows. Parts that are `None` are not computed.
+
+    - `maps`: of the iris, or `None` for a uniform one. `veins`: of the sclera (`render.vessels.veins`).
+    - `integrator`: how the iris sends light back; `Separable()` holds all orders of scattering.
+    """
+
+    iris: Iris
+    maps: IrisMaps | None = None
+    eye: Eye = eqx.field(default_factory=Eye)
+    lights: Lights = eqx.field(default_factory=lambda: Lights.distant(0.6, 2.2))
+    camera: Camera = eqx.field(default_factory=Camera)
+    veins: VeinMap | None = None
+    integrator: Separable = eqx.field(default_factory=Separable)
+    observer: str = eqx.field(static=True, default=OBSERVER)
+
+    def replace(self, **parts: Any) -> "Scene":
+        """A copy with some parts changed."""
+        return dataclasses.replace(self, **parts)
+
+    def tables(self) -> Illumination | None:
+        """Illumination tables of this eye: no caustics without a grazing light, none at all without a cornea."""
+        if self.eye.cornea is None:
+            return None
+        return Illumination.build(self.eye, caustics=bool((np.asarray(self.lights.polar()) > UNIQUE_POLAR).any()))
+
+
+class Stage(eqx.Module):
+    """A scene with all done that a change of pigments leaves alone. Make one with `prepare`.
+
+    - `base`: sclera and mirror images, (pixels, channels); `texels`: what the iris's pixels need.
+    """
+
+    base: Float[Array, "pixels channels"]
+    texels: shading.Texels | None
+    bands: Bands
+    integrator: Separable
+    ranges: Ranges = eqx.field(static=True)
+    size: tuple[int, int] = eqx.field(static=True)
+
+    def __call__(self, iris: Iris) -> Float[Array, "height width channels"]:
+        """The picture with the pigments of `iris`, in the channels of `bands` (linear sRGB)."""
+        return self.shown(self.response(iris))
+
+    def response(self, iris: Iris) -> Response:
+        """Table of the iris's texels; its `error` says how good it is."""
+        return _response(self.integrator, iris, self.bands, self.ranges)
+
+    def shown(self, response: Response) -> Float[Array, "height width channels"]:
+        """The picture with a response."""
+        width, height = self.size
+        picture = self.base if self.texels is None else _composed(self.base, self.texels, response)
+        return picture.reshape(height, width, -1)
+
+
+def render(scene: Scene, tables: Illumination | None = None) -> Float[Array, "height width 3"]:
+    """Linear sRGB of a scene, unbounded: 1 is a white sheet facing an irradiance of π.
+
+    `tables` from `scene.tables()` save their making when only lights, camera or pigments change.
+    """
+    return prepare(scene, tables)(scene.iris)
+
+
+def prepare(scene: Scene, tables: Illumination | None = None, view: View | None = None) -> Stage:
+    """Do everything that a change of pigments leaves alone; `view` from `look` if eye and camera are the same."""
+    eye, lights = scene.eye, scene.lights
+    bands = colour_bands(lights.illuminant, scene.observer, eye.cornea)
+    view = look(eye, scene.camera) if view is None else view
+    width, height = scene.camera.size
+    base = jnp.zeros((width * height, 3), bands.weights.dtype)
+    if view.sclera is not None and eye.sclera is not None:
+        clear = colour_bands(lights.illuminant, scene.observer)
+        table = colour_table(eye.sclera, np.asarray(clear.wavelengths), clear.weights)
+        base = _add(base, view.sclera.index, shading.white(view.sclera, lights, eye, table, scene.veins))
+    if view.mirror is not None:
+        base = _add(base, view.mirror.index, shading.mirrored(view.mirror, lights))
+    texels, ranges = None, Ranges(None, None)
+    if view.iris is not None:
+        if tables is None:
+            tables = scene.tables()
+        field = shading.field_of(lights, eye, scene.iris, tables)
+        texels = shading.texels_of(view.iris, field, eye, scene.iris, scene.maps)
+        if scene.maps is not None:
+            ranges = Ranges.of(scene.maps.abl_scale(scene.iris), scene.maps.stroma_scale(scene.iris))
+    return Stage(base, texels, bands, scene.integrator, ranges, (width, height))
+
+
+@eqx.filter_jit
+def _response(integrator: Separable, iris: Iris, bands: Bands, ranges: Ranges) -> Response:
+    return integrator.response(iris, bands, ranges)
+
+
+@jax.jit
+def _add(base, index, colour):
+    return base.at[index].add(colour, mode="drop", wrap_negative_indices=False, unique_indices=False)
+
+
+@eqx.filter_jit
+def _composed(base, texels: shading.Texels, response: Response):
+    count = texels.index.size
+    chunk = min(_CHUNK, count)
+    pad = -count % chunk
+
+    def cut(x):
+        return jnp.pad(x, [(0, 0)] * (x.ndim - 1) + [(0, pad)]).reshape(*x.shape[:-1], -1, chunk)
+
+    def part(i):
+        abl, stroma = (None if s is None else cut(s)[i] for s in (texels.abl, texels.stroma))
+        return response(abl, stroma, cut(texels.cosine)[i]) * cut(texels.light)[:, i]
+
+    colour = jax.lax.map(part, jnp.arange((count + pad) // chunk))  # (chunks, channels, chunk)
+    colour = jnp.moveaxis(colour, 1, 2).reshape(-1, base.shape[1])[:count]
+    return base.at[texels.index].add(colour, mode="drop", wrap_negative_indices=False)

@@ -1,0 +1,144 @@
+"""From lights and pixels to channels: what reaches the iris, what the sclera sends back, what the tear film mirrors."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from irisjax.optics.conicoid import dot, norm
+from irisjax.optics.fresnel import fresnel_at
+from irisjax.render.camera import IrisPixels, SurfacePixels
+from irisjax.render.illumination import Illumination, bare
+from irisjax.render.lights import Lights
+from irisjax.render.sclera import ColourTable, VeinMap, vein_depth_at
+from irisjax.tissue.anatomy import Eye
+from irisjax.tissue.iris import Iris
+from irisjax.tissue.maps import IrisMaps, fetch
+
+PUPIL_MARGIN = 0.12
+"""Width over which the iris fades into the pupil, mm."""
+
+
+class Field(eqx.Module):
+    """Light on the iris, all lamps together: flux vectors on a square grid of ± `extent` mm.
+
+    Shape (rows y, columns x, tints, 3), the share 1 − F that enters the tissue included; one tint where no light
+    has a colour of its own.
+    """
+
+    flux: Float[Array, "rows columns tints 3"]
+    extent: Float[Array, ""]
+
+    def at(self, point: Float[Array, "pixels 3"]) -> Float[Array, "pixels tints 3"]:
+        """Bilinear look-up at points of the iris (mm)."""
+        size = self.flux.shape[0]
+        x, y = (jnp.clip((c / self.extent + 1) * ((size - 1) / 2), 0, size - 1) for c in (point[:, 0], point[:, 1]))
+        j, i = (jnp.minimum(jnp.floor(c), size - 2) for c in (x, y))
+        u, v = (x - j)[:, None], (y - i)[:, None]
+        flat = self.flux.reshape(size * size, -1)
+        base = jnp.asarray(i * size + j, jnp.int32)
+        a, b, c, d = (flat.at[base + step].get(mode="promise_in_bounds") for step in (0, 1, size, size + 1))
+        low, high = a + u * (b - a), c + u * (d - c)
+        return (low + v * (high - low)).reshape(-1, *self.flux.shape[2:])
+
+
+@eqx.filter_jit
+def field_of(lights: Lights, eye: Eye, iris: Iris, tables: Illumination | None, size: int = 161) -> Field:
+    """Sum the lights on a grid over the iris, one after the other. `tables` are `None` for a bare iris."""
+    line = jnp.linspace(-1, 1, size) * eye.iris_radius
+    x, y = jnp.meshgrid(line, line)
+    r = jnp.sqrt(x * x + y * y)
+    if eye.cornea is None:
+        height = eye.iris_depth + jnp.zeros_like(r)
+    else:
+        height = eye.cornea.anterior.sagitta(jnp.minimum(r, eye.limbus_radius))  # about where the light enters
+    place = jnp.stack([x, y, height], axis=-1)
+    normal = eye.iris_normal(place)
+    n = iris.indices()
+
+    def add(total, i):
+        towards, power = lights.seen_from(place, i)
+        flux = bare(place, towards) if tables is None else tables.at(place[..., :2], towards)
+        length = norm(flux)
+        cosine = -dot(flux, normal) / jnp.where(length > 0, length, 1.0)
+        enters = jnp.where(cosine > 0, fresnel_at(jnp.maximum(cosine, 0.0), n.aqueous, n.abl)[1], 0.0)
+        flux = flux * (jnp.broadcast_to(power, r.shape) * enters)[..., None]
+        tint = jnp.ones(1, flux.dtype) if lights.tint is None else lights.tint[i]
+        return total + flux[..., None, :] * tint[:, None], None
+
+    tints = 1 if lights.tint is None else 3
+    zero = jnp.zeros((size, size, tints, 3), lights.irradiance.dtype)
+    return Field(jax.lax.scan(add, zero, jnp.arange(len(lights)))[0], eye.iris_radius)
+
+
+class Texels(eqx.Module):
+    """What a pigment change leaves alone: of each pixel its relative ABL pigment and stroma thickness (`None`: 1),
+    exit cosine, and irradiance times all shares on the way out, (tints, pixels)."""
+
+    index: Array
+    abl: Float[Array, " pixels"] | None
+    stroma: Float[Array, " pixels"] | None
+    cosine: Float[Array, " pixels"]
+    light: Float[Array, "tints pixels"]
+
+
+@eqx.filter_jit
+def texels_of(pixels: IrisPixels, field: Field, eye: Eye, iris: Iris, maps: IrisMaps | None) -> Texels:
+    """Fetch maps and light for the pixels that see the iris."""
+    x, y = pixels.point[:, 0], pixels.point[:, 1]
+    r = jnp.sqrt(x * x + y * y)
+    span = eye.iris_radius - eye.pupil_radius
+    angle, radius = jnp.arctan2(y, x), (r - eye.pupil_radius) / span
+    normal = eye.iris_normal(pixels.point)
+    abl = stroma = None
+    if maps is not None:
+        scales = [maps.abl_scale(iris), maps.stroma_scale(iris)]
+        abl, stroma = (None if s is None else fetch(s, angle, radius) for s in scales)
+        if maps.relief is not None:
+            slope = fetch(_slopes(maps.relief, eye), angle, radius)
+            out, round_ = (jnp.stack(v, axis=-1) for v in ((x / r, y / r), (-y / r, x / r)))
+            tilt = slope[:, :1] * out + slope[:, 1:] * round_
+            normal = normal.at[:, :2].add(-tilt)
+            normal = normal / norm(normal)[:, None]
+    flux = field.at(pixels.point)
+    irradiance = jnp.maximum(-(flux * normal[:, None]).sum(-1), 0.0)
+    t = jnp.clip((r - eye.pupil_radius) / PUPIL_MARGIN, 0, 1)
+    share = jnp.where(pixels.index < 0, 0.0, pixels.share * t * t * (3 - 2 * t))
+    return Texels(pixels.index, abl, stroma, pixels.cosine, (irradiance * share[:, None]).T)
+
+
+def _slopes(relief, eye: Eye):
+    """∂h/∂r and ∂h/(r ∂angle) of a relief, shape (angles, radii, 2)."""
+    rows, columns = relief.shape
+    span = eye.iris_radius - eye.pupil_radius
+    radius = eye.pupil_radius + span * (jnp.arange(columns) + 0.5) / columns
+    along = jnp.gradient(relief, axis=1) * (columns / span)
+    across = (jnp.roll(relief, -1, 0) - jnp.roll(relief, 1, 0)) * (rows / (4 * jnp.pi)) / radius
+    return jnp.stack([along, across], axis=-1)
+
+
+@eqx.filter_jit
+def white(pixels: SurfacePixels, lights: Lights, eye: Eye, table: ColourTable, veins: VeinMap | None):
+    """Channels (pixels, channels) of the sclera: lit as a matt white, light wrapped a little round its edge."""
+    cosine = pixels.normal @ lights.towards.T
+    # The sclera is translucent: light bleeds some 20° past the terminator, with the same total.
+    wrap = jnp.maximum(cosine + 0.3, 0.0) ** 2 / 1.69
+    tint = jnp.ones((len(lights), 1), wrap.dtype) if lights.tint is None else lights.tint
+    irradiance = wrap @ (lights.irradiance[:, None] * tint)
+    if veins is None:
+        colour = table(jnp.zeros(1, wrap.dtype))
+    else:
+        colour = table(vein_depth_at(veins, eye, pixels.point))
+    passed = (1 - pixels.reflectance) * pixels.share
+    return colour * irradiance * (passed / jnp.pi)[:, None]
+
+
+@eqx.filter_jit
+def mirrored(pixels: SurfacePixels, lights: Lights):
+    """Linear sRGB (pixels, 3) of the lights' images in the tear film: soft discs of their angular radius."""
+    cosine = pixels.mirror @ lights.towards.T
+    angle = jnp.arccos(jnp.clip(cosine, -1, 1))
+    inside = jnp.clip((lights.radius * 1.1 - angle) / (0.2 * lights.radius), 0, 1)
+    radiance = lights.irradiance / (jnp.pi * jnp.sin(lights.radius) ** 2)
+    tint = jnp.ones((len(lights), 3), cosine.dtype) if lights.tint is None else lights.tint
+    return (inside @ (radiance[:, None] * tint)) * pixels.reflectance[:, None]
