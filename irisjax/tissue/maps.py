@@ -87,7 +87,7 @@ FRECKLE = 12.0
 """Melanin of the ABL in a freckle relative to its surroundings: thicker and denser, after F09's hand-set maps."""
 
 
-def fetch(texture: Float[Array, "angles radii *c"], angle, radius) -> Float[Array, "*s *c"]:
+def fetch(texture: Float[Array, "angles radii *c"], angle, radius) -> Float[Array, "..."]:
     """Bilinear look-up, round in `angle` (radians) and held at the ends of `radius` (0 pupil's edge, 1 root)."""
     rows, columns = texture.shape[:2]
     row = angle * (rows / (2 * jnp.pi)) - 0.5
