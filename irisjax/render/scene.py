@@ -16,7 +16,7 @@ from irisjax.render.camera import Camera, View, look
 from irisjax.render.illumination import UNIQUE_POLAR, Illumination
 from irisjax.render.lights import Lights
 from irisjax.render.sclera import VeinMap, colour_table
-from irisjax.render.separable import Ranges, Response, Separable
+from irisjax.render.separable import Response, Scales, Separable
 from irisjax.tissue.anatomy import Eye
 from irisjax.tissue.iris import Iris
 from irisjax.tissue.maps import IrisMaps
@@ -61,7 +61,7 @@ class Stage(eqx.Module):
     texels: shading.Texels | None
     bands: Bands
     integrator: Separable
-    ranges: Ranges = eqx.field(static=True)
+    ranges: Scales = eqx.field(static=True)
     size: tuple[int, int] = eqx.field(static=True)
 
     def __call__(self, iris: Iris) -> Float[Array, "height width channels"]:
@@ -100,19 +100,18 @@ def prepare(scene: Scene, tables: Illumination | None = None, view: View | None 
         base = _add(base, view.sclera.index, shading.white(view.sclera, lights, eye, table, scene.veins))
     if view.mirror is not None:
         base = _add(base, view.mirror.index, shading.mirrored(view.mirror, lights))
-    texels, ranges = None, Ranges(None, None)
+    texels, ranges = None, Scales()
     if view.iris is not None:
         if tables is None:
             tables = scene.tables()
         field = shading.field_of(lights, eye, scene.iris, tables)
         texels = shading.texels_of(view.iris, field, eye, scene.iris, scene.maps)
-        if scene.maps is not None:
-            ranges = Ranges.of(scene.maps.abl_scale(scene.iris), scene.maps.stroma_scale(scene.iris))
+        ranges = Scales.of(scene.maps, scene.iris).ranges()
     return Stage(base, texels, bands, scene.integrator, ranges, (width, height))
 
 
 @eqx.filter_jit
-def _response(integrator: Separable, iris: Iris, bands: Bands, ranges: Ranges) -> Response:
+def _response(integrator: Separable, iris: Iris, bands: Bands, ranges: Scales) -> Response:
     return integrator.response(iris, bands, ranges)
 
 
@@ -131,8 +130,8 @@ def _composed(base, texels: shading.Texels, response: Response):
         return jnp.pad(x, [(0, 0)] * (x.ndim - 1) + [(0, pad)]).reshape(*x.shape[:-1], -1, chunk)
 
     def part(i):
-        abl, stroma = (None if s is None else cut(s)[i] for s in (texels.abl, texels.stroma))
-        return response(abl, stroma, cut(texels.cosine)[i]) * cut(texels.light)[:, i]
+        scales = jax.tree.map(lambda s: cut(s)[i], texels.scales)
+        return response(scales, cut(texels.cosine)[i]) * cut(texels.light)[:, i]
 
     colour = jax.lax.map(part, jnp.arange((count + pad) // chunk))  # (chunks, channels, chunk)
     colour = jnp.moveaxis(colour, 1, 2).reshape(-1, base.shape[1])[:count]

@@ -1,11 +1,11 @@
 """The iris seen by ILIT: each texel's exact response, all orders of scattering, at the price of a polynomial.
 
-ILIT's BRDF is separable: f(μ_i, μ_o, λ) = (1 − F(μ_i)) g(μ_o, λ). Texels differ in two numbers, the pigment of
-their ABL and the thickness of their stroma, both relative to the iris's: g is a smooth function of these two and
-of μ_o, which a product of Chebyshev polynomials holds. Its error is measured off the nodes with every table.
+ILIT's BRDF is separable: f(μ_i, μ_o, λ) = (1 − F(μ_i)) g(μ_o, λ). Texels differ in a few numbers, the pigment of
+their ABL, the thickness of their stroma, perhaps their concentrations: g is a smooth function of these and of
+μ_o, which a product of Chebyshev polynomials holds. Its error is measured off the nodes with every table.
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -17,7 +17,8 @@ from irisjax.optics.fresnel import fresnel, refract
 from irisjax.render.bands import Bands
 from irisjax.tissue.iris import Iris
 from irisjax.tissue.layers import Layers
-from irisjax.tissue.pigments import extinction
+from irisjax.tissue.maps import IrisMaps
+from irisjax.tissue.pigments import Extinction, extinction
 from irisjax.transport.exact import Exact
 from irisjax.transport.process import ILIT_2006, Process
 from irisjax.transport.solver import AbstractSolver
@@ -25,113 +26,119 @@ from irisjax.transport.solver import AbstractSolver
 _CHECKS = 24
 
 
-class Ranges(NamedTuple):
-    """Smallest and largest relative ABL pigment and stroma thickness in the maps; `None`: it is 1 everywhere."""
+class Scales(NamedTuple):
+    """How texels differ from the uniform iris: pigment of the ABL, thickness of the stroma, and concentrations of
+    eumelanin and pheomelanin, each relative to the iris's. `None`: one everywhere."""
 
-    abl: tuple[float, float] | None
-    stroma: tuple[float, float] | None
+    abl: Any = None
+    stroma: Any = None
+    eumelanin: Any = None
+    pheomelanin: Any = None
 
     @classmethod
-    def of(cls, abl_scale, stroma_scale) -> "Ranges":
-        """Ranges of concrete textures, a little widened."""
+    def of(cls, maps: IrisMaps | None, iris: Iris) -> "Scales":
+        """Textures of the maps."""
+        if maps is None:
+            return cls()
+        return cls(maps.abl_scale(iris), maps.stroma_scale(iris), maps.eumelanin, maps.pheomelanin)
 
-        def around(scale):
-            if scale is None:
-                return None
-            low, high = float(np.min(scale)), float(np.max(scale))
-            return (low * 0.95, high * 1.05 + 1e-3)
-
-        return cls(around(abl_scale), around(stroma_scale))
+    def ranges(self) -> "Scales":
+        """Smallest and largest value of each concrete texture, a little widened: static numbers."""
+        return Scales(*(None if t is None else (float(np.min(t)) * 0.95, float(np.max(t)) * 1.05 + 1e-3) for t in self))
 
 
 class Separable(eqx.Module):
     """Integrator: ILIT's separable response, tabulated in pigment and thickness  [LB06; `ilit.md` Section 4].
 
-    - `degrees`: of the polynomials in ABL pigment, stroma thickness and exit cosine.
+    - `degrees`: of the polynomials in ABL pigment, stroma thickness, eumelanin, pheomelanin and exit cosine.
     - `solver`: of the texels; any whole-layer process.
     """
 
     process: Process = eqx.field(static=True, default=ILIT_2006)
-    degrees: tuple[int, int, int] = eqx.field(static=True, default=(10, 5, 3))
+    degrees: tuple[int, int, int, int, int] = eqx.field(static=True, default=(10, 5, 4, 4, 3))
     solver: AbstractSolver = eqx.field(default_factory=lambda: Exact(20))
 
     def __check_init__(self):
         if self.process.depth_resolved:
             raise ValueError("the separable integrator needs a whole-layer process, not a depth-resolved one")
 
-    def response(self, iris: Iris, bands: Bands, ranges: Ranges) -> "Response":
-        """Tabulate `iris` for the channels of `bands`."""
+    def response(self, iris: Iris, bands: Bands, ranges: Scales) -> "Response":
+        """Tabulate `iris` for the channels of `bands`; `ranges` from `Scales.ranges`."""
         dtype = bands.weights.dtype
-        shape = [n + 1 if r is not None else 1 for n, r in zip(self.degrees[:2], ranges, strict=True)]
-        nodes = [np.cos(np.pi * (np.arange(n) + 0.5) / n) for n in (*shape, self.degrees[2] + 1)]
-        abl, stroma = (_from_unit(r, jnp.asarray(x, dtype)) for r, x in zip(ranges, nodes[:2], strict=True))
+        varied = [i for i, r in enumerate(ranges) if r is not None]
+        nodes = [_chebyshev(self.degrees[i] + 1) for i in (*varied, 4)]
+        n = iris.indices()
+        indices = (jnp.asarray(n.aqueous, dtype), jnp.asarray(n.abl, dtype))
+        lowest = refract(jnp.zeros((), dtype), *indices)
+        inside = lowest + (1 - lowest) * jnp.asarray((nodes[-1] + 1) / 2, dtype)
+        cosines = refract(inside, *indices[::-1])
         table = extinction(np.asarray(bands.wavelengths))
 
-        def radiance(abl, stroma, cosines):  # (texels,), (texels,), (exits,) to (texels, exits, channels)
-            def one(abl, stroma):
-                layers = scaled(iris.layers(table, self.process.scattering), abl, stroma)
+        def radiance(unit, cosines):  # (texels, varied) on [−1, 1], (exits,) to (texels, exits, channels)
+            def one(x):
+                scales: list[Any] = [None] * 4
+                for k, i in enumerate(varied):
+                    scales[i] = _from_unit(ranges[i], x[k])
+                layers = texel_layers(iris, table, Scales(*scales), self.process)
                 found = self.solver.solve(layers, self.process, 1.0, cos_exit=cosines)
                 assert found.brdf is not None
                 return bands.weights @ (found.brdf / (1 - found.mirrored[:, None]))
 
-            return jnp.moveaxis(jax.vmap(one)(abl, stroma), 1, 2)
+            return jnp.moveaxis(jax.vmap(one)(unit), 1, 2)
 
-        grid = jnp.meshgrid(abl, stroma, indexing="ij")
-        n = iris.indices()
-        indices = (jnp.asarray(n.aqueous, dtype), jnp.asarray(n.abl, dtype))
-        lowest = refract(jnp.zeros((), dtype), *indices)
-        inside = lowest + (1 - lowest) * jnp.asarray((nodes[2] + 1) / 2, dtype)
-        cosines = refract(inside, *indices[::-1])
-        values = radiance(grid[0].ravel(), grid[1].ravel(), cosines).reshape(*shape, cosines.size, -1)
-        values = values / fresnel(cosines, inside, *indices)[1][:, None]
+        grid = np.stack([g.ravel() for g in np.meshgrid(*nodes[:-1], indexing="ij")], axis=-1).reshape(-1, len(varied))
+        values = radiance(jnp.asarray(grid, dtype), cosines) / fresnel(cosines, inside, *indices)[1][:, None]
+        values = values.reshape(*(x.size for x in nodes), -1)
         for axis, x in enumerate(nodes):
             inverse = jnp.asarray(np.linalg.inv(np.polynomial.chebyshev.chebvander(x, x.size - 1)), dtype)
             values = jnp.moveaxis(jnp.tensordot(inverse, values, (1, axis)), 0, axis)
         out = Response(values, indices, ranges, jnp.zeros((), dtype))
-        # Off the nodes: points that fill the box evenly, one exit angle each in turn.
-        i = np.arange(_CHECKS)
-        at = [
-            _from_unit(r, jnp.asarray(2 * ((i + 0.5) * a % 1) - 1, dtype))
-            for r, a in zip(ranges, (0.755, 0.57), strict=True)
-        ]
+        # Off the nodes: points that fill the box evenly.
+        steps = np.asarray([0.7548, 0.5698, 0.8192, 0.3249])[: len(varied)]
+        unit = jnp.asarray(2 * ((np.arange(_CHECKS)[:, None] + 0.5) * steps % 1) - 1, dtype)
         exits = jnp.asarray([0.15, 0.6, 0.95], dtype)
-        true = radiance(jnp.broadcast_to(at[0], (_CHECKS,)), jnp.broadcast_to(at[1], (_CHECKS,)), exits)
-        spread = jnp.broadcast_to(exits, (_CHECKS, 3))
-        scales = [jnp.broadcast_to(a[:, None], spread.shape).ravel() for a in at]
-        found = out(scales[0], scales[1], spread.ravel())
-        error = jnp.abs(found.T.reshape(true.shape) - true).max() / jnp.abs(true).max()
-        return Response(values, indices, ranges, error)
+        true = radiance(unit, exits)
+        scales: list[Any] = [None] * 4
+        for k, i in enumerate(varied):
+            scales[i] = jnp.repeat(_from_unit(ranges[i], unit[:, k]), 3)
+        found = out(Scales(*scales), jnp.tile(exits, _CHECKS)).T.reshape(true.shape)
+        return Response(values, indices, ranges, jnp.abs(found - true).max() / jnp.abs(true).max())
 
 
 class Response(eqx.Module):
-    """g of every texel of an iris: Chebyshev coefficients of shape (abl, stroma, cosine, channels).
+    """g of every texel of an iris: Chebyshev coefficients, one axis for each scale that varies, then the cosine, then
+    the channels.
 
     - `error`: largest difference from the solver at points off the nodes, relative to the brightest of them.
     """
 
-    coefficients: Float[Array, "abl stroma cosines channels"]
+    coefficients: Float[Array, "..."]
     indices: tuple[Float[Array, ""], Float[Array, ""]]
-    ranges: Ranges = eqx.field(static=True)
+    ranges: Scales = eqx.field(static=True)
     error: Float[Array, ""]
 
-    def __call__(self, abl_scale, stroma_scale, cosine: Float[Array, " pixels"]) -> Float[Array, "channels pixels"]:
-        """Radiance per irradiance (1/sr, times the picture's white) of pixels; scales may be `None`."""
-        c = self.coefficients
-        n_in, n_out = self.indices
-        inside = refract(cosine, n_in, n_out)
-        basis = _polynomials(_inside_to_unit(inside, n_in, n_out), c.shape[2])
-        for scale, span, n in (
-            (stroma_scale, self.ranges.stroma, c.shape[1]),
-            (abl_scale, self.ranges.abl, c.shape[0]),
-        ):
-            if span is not None:
-                more = _polynomials(_to_unit(span, scale), n)
-                basis = (more[:, None] * basis).reshape(-1, cosine.size)
-        return (c.reshape(-1, c.shape[3]).T @ basis) * fresnel(cosine, inside, n_in, n_out)[1]
+    def __call__(self, scales: Scales, cosine: Float[Array, " pixels"]) -> Float[Array, "channels pixels"]:
+        """Radiance per irradiance (1/sr, times the picture's white) of pixels."""
+        *sizes, n_cosine, channels = self.coefficients.shape
+        inside = refract(cosine, *self.indices)
+        basis = _polynomials(_inside_to_unit(inside, *self.indices), n_cosine)
+        varied = [(s, r) for s, r in zip(scales, self.ranges, strict=True) if r is not None]
+        for (scale, span), n in reversed(list(zip(varied, sizes, strict=True))):
+            more = _polynomials(_to_unit(span, scale), n)
+            basis = (more[:, None] * basis).reshape(-1, cosine.size)
+        flat = self.coefficients.reshape(-1, channels)
+        return (flat.T @ basis) * fresnel(cosine, inside, *self.indices)[1]
 
 
-def scaled(layers: Layers, abl, stroma) -> Layers:
-    """Layers with `abl` times the pigment of the ABL and `stroma` times the thickness of the stroma."""
+def texel_layers(iris: Iris, table: Extinction, scales: Scales, process: Process) -> Layers:
+    """Layers of a texel, its scales numbers or `None`."""
+    if scales.eumelanin is not None:
+        iris = eqx.tree_at(lambda i: i.eumelanin, iris, iris.eumelanin * scales.eumelanin)
+    if scales.pheomelanin is not None:
+        iris = eqx.tree_at(lambda i: i.pheomelanin, iris, iris.pheomelanin * scales.pheomelanin)
+    layers = iris.layers(table, process.scattering)
+    abl = 1.0 if scales.abl is None else scales.abl
+    stroma = 1.0 if scales.stroma is None else scales.stroma
     return Layers(
         layers.abl_absorption * abl,
         layers.stroma_absorption * stroma,
@@ -139,6 +146,10 @@ def scaled(layers: Layers, abl, stroma) -> Layers:
         layers.indices,
         layers.order,
     )
+
+
+def _chebyshev(n: int) -> np.ndarray:
+    return np.cos(np.pi * (np.arange(n) + 0.5) / n)
 
 
 def _polynomials(x: Float[Array, " pixels"], count: int) -> Float[Array, "count pixels"]:
@@ -160,8 +171,6 @@ _BEND = 3.0
 
 
 def _from_unit(span, x):
-    if span is None:
-        return jnp.ones(1, x.dtype)
     low, high = (float(np.log1p(_BEND * s)) for s in span)
     return jnp.expm1(low + (x + 1) * ((high - low) / 2)) / _BEND
 

@@ -3,7 +3,7 @@
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
 from irisjax.optics.conicoid import dot, norm
 from irisjax.optics.fresnel import fresnel_at
@@ -11,6 +11,7 @@ from irisjax.render.camera import IrisPixels, SurfacePixels
 from irisjax.render.illumination import Illumination, bare
 from irisjax.render.lights import Lights
 from irisjax.render.sclera import ColourTable, VeinMap, vein_depth_at
+from irisjax.render.separable import Scales
 from irisjax.tissue.anatomy import Eye
 from irisjax.tissue.iris import Iris
 from irisjax.tissue.maps import IrisMaps, fetch
@@ -72,12 +73,11 @@ def field_of(lights: Lights, eye: Eye, iris: Iris, tables: Illumination | None, 
 
 
 class Texels(eqx.Module):
-    """What a pigment change leaves alone: of each pixel its relative ABL pigment and stroma thickness (`None`: 1),
-    exit cosine, and irradiance times all shares on the way out, (tints, pixels)."""
+    """What a pigment change leaves alone: of each pixel its `scales`, exit cosine, and irradiance times all shares on
+    the way out, (tints, pixels)."""
 
-    index: Array
-    abl: Float[Array, " pixels"] | None
-    stroma: Float[Array, " pixels"] | None
+    index: Int[Array, " pixels"]
+    scales: Scales
     cosine: Float[Array, " pixels"]
     light: Float[Array, "tints pixels"]
 
@@ -90,21 +90,18 @@ def texels_of(pixels: IrisPixels, field: Field, eye: Eye, iris: Iris, maps: Iris
     span = eye.iris_radius - eye.pupil_radius
     angle, radius = jnp.arctan2(y, x), (r - eye.pupil_radius) / span
     normal = eye.iris_normal(pixels.point)
-    abl = stroma = None
-    if maps is not None:
-        scales = [maps.abl_scale(iris), maps.stroma_scale(iris)]
-        abl, stroma = (None if s is None else fetch(s, angle, radius) for s in scales)
-        if maps.relief is not None:
-            slope = fetch(_slopes(maps.relief, eye), angle, radius)
-            out, round_ = (jnp.stack(v, axis=-1) for v in ((x / r, y / r), (-y / r, x / r)))
-            tilt = slope[:, :1] * out + slope[:, 1:] * round_
-            normal = normal.at[:, :2].add(-tilt)
-            normal = normal / norm(normal)[:, None]
+    scales = Scales(*(None if s is None else fetch(s, angle, radius) for s in Scales.of(maps, iris)))
+    if maps is not None and maps.relief is not None:
+        slope = fetch(_slopes(maps.relief, eye), angle, radius)
+        out, round_ = (jnp.stack(v, axis=-1) for v in ((x / r, y / r), (-y / r, x / r)))
+        tilt = slope[:, :1] * out + slope[:, 1:] * round_
+        normal = normal.at[:, :2].add(-tilt)
+        normal = normal / norm(normal)[:, None]
     flux = field.at(pixels.point)
     irradiance = jnp.maximum(-(flux * normal[:, None]).sum(-1), 0.0)
     t = jnp.clip((r - eye.pupil_radius) / PUPIL_MARGIN, 0, 1)
     share = jnp.where(pixels.index < 0, 0.0, pixels.share * t * t * (3 - 2 * t))
-    return Texels(pixels.index, abl, stroma, pixels.cosine, (irradiance * share[:, None]).T)
+    return Texels(pixels.index, scales, pixels.cosine, (irradiance * share[:, None]).T)
 
 
 def _slopes(relief, eye: Eye):
