@@ -58,7 +58,8 @@ def procedural(
     - `furrows`: number of concentric contraction furrows, partial arcs in the ciliary zone; `freckles`: of spots.
     - `abl`: how far the anterior border layer is thinned over crypts, gathered on the crests of furrows and
         mottled, 1 as in a brown iris; `heterochromia`: eumelanin added round the pupil, relative to the rest's.
-    - `relief`: share of the unevenness that stands out towards the cornea; the rest lies within. 0: no relief, nor furrows.
+    - `relief`: share of the unevenness that stands out towards the cornea; the rest lies within.
+        0: no relief, nor furrows.
 
     **Returns:** `IrisMaps` with `stroma_thickness` unless the stroma is uniform, and at need `relief`,
     `abl_thickness`, `freckles` and `eumelanin`. Equal keys give equal maps. **Raises:** `ValueError` for negative
@@ -157,7 +158,7 @@ def _fibres(seed: Seed, turns: Field, radius: Field, ring: Field, finest: int) -
         1.0 * _strands(coarse, turns, radius, min(80, finest), 0.35, 0.7)
         + 0.8 * _strands(middle, turns, radius, min(160, finest), 0.35, 0.7)
     )
-    inner = 0.6 * _strands(fine, turns, radius, min(192, finest), 0.4, 0.5)
+    inner = 0.45 * _strands(fine, turns, radius, min(192, finest), 0.4, 0.5)
     outside = step((radius - ring) / 0.06 + 0.5)
     return inner - inner.mean() + outside * (outer - outer.mean() - (inner - inner.mean()))
 
