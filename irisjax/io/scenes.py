@@ -1,0 +1,267 @@
+"""Scene files: TOML in, a `Scene` out; every wrong entry named with its line."""
+
+import dataclasses
+import math
+import re
+import tomllib
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import jax
+
+from irisjax.io.images import read_environment
+from irisjax.render.camera import Camera
+from irisjax.render.environment import Environment
+from irisjax.render.lights import Lights
+from irisjax.render.scene import Scene
+from irisjax.render.vessels import veins
+from irisjax.tissue.anatomy import Cornea, Eye, Sclera
+from irisjax.tissue.iris import LIMITS, Iris
+from irisjax.tissue.procedural import PRESETS, procedural
+
+_LEVELS = ("low", "moderate", "high")
+
+
+def _number(low: float = -math.inf, high: float = math.inf) -> Callable[[Any], float]:
+    def check(value):
+        if isinstance(value, bool) or not isinstance(value, int | float) or not low <= value <= high:
+            raise ValueError(f"must be a number from {low:g} to {high:g}")
+        return float(value)
+
+    return check
+
+
+def _whole(low: int, high: int) -> Callable[[Any], int]:
+    def check(value):
+        if isinstance(value, bool) or not isinstance(value, int) or not low <= value <= high:
+            raise ValueError(f"must be a whole number from {low} to {high}")
+        return value
+
+    return check
+
+
+def _one(*names: str) -> Callable[[Any], str]:
+    def check(value):
+        if value not in names:
+            raise ValueError(f"must be one of {', '.join(names)}")
+        return value
+
+    return check
+
+
+def _bool(value):
+    if not isinstance(value, bool):
+        raise ValueError("must be true or false")
+    return value
+
+
+def _text(value):
+    if not isinstance(value, str):
+        raise ValueError("must be text")
+    return value
+
+
+def _size(value):
+    if not (isinstance(value, list) and len(value) == 2):
+        raise ValueError("must be [width, height]")
+    return tuple(_whole(1, 16384)(v) for v in value)
+
+
+def _place(value):
+    if not (isinstance(value, list) and len(value) == 3):
+        raise ValueError("must be [x, y, z] in mm")
+    return [_number()(v) for v in value]
+
+
+_FEATURES: dict[str, Callable[[Any], Any]] = {
+    "fibres": _number(0, 4), "collarette": _number(0, 4), "crypts": _whole(0, 200), "furrows": _whole(0, 50),
+    "freckles": _whole(0, 200), "abl": _number(0, 2), "heterochromia": _number(0, 20), "relief": _number(0, 1),
+}  # fmt: skip
+_DEGREES = _number(-360, 360)
+
+_SECTIONS: dict[str, dict[str, Callable[[Any], Any]]] = {
+    "iris": {
+        "preset": _one(*PRESETS), "level": _one(*_LEVELS), "melanin_load": _number(0),
+        **{name: _number(limits.low, limits.high) for name, limits in LIMITS.items()},
+    },
+    "maps": {"seed": _whole(0, 2**32 - 1), "uniform": _bool, **_FEATURES},
+    "eye": {
+        "cornea": _one("two-surfaces", "f09", "none"), "sclera": _bool, "veins": _number(0, 10),
+        **{n: _number() for n in ("iris_depth", "iris_slope", "limbus_radius", "iris_radius", "pupil_radius",
+                                  "aqueous_index", "attenuation")},
+    },
+    "camera": {
+        "polar_deg": _number(0, 180), "azimuth_deg": _DEGREES, "distance": _number(30, 1e5),
+        "width": _number(0.1, 100), "size": _size,
+    },
+    "light": {
+        "polar_deg": _number(0, 180), "azimuth_deg": _DEGREES, "position": _place, "irradiance": _number(0, 1e6),
+        "radius_deg": _number(0.01, 60),
+    },
+    "environment": {"file": _text, "kind": _one("studio", "sky"), "lights": _whole(1, 1000), "strength": _number(0, 1e6)},
+    "picture": {"exposure": _number(1e-6, 1e6), "illuminant": _text, "seed": _whole(0, 2**32 - 1)},
+}  # fmt: skip
+
+
+class SceneFile(Mapping[str, Any]):
+    """A checked scene file: sections by name, and the scene they make."""
+
+    def __init__(self, sections: Mapping[str, Any], where: Callable[[str, str | None], str], folder: Path):
+        self._sections, self._where, self._folder = sections, where, folder
+
+    def __getitem__(self, name):
+        return self._sections[name]
+
+    def __iter__(self):
+        return iter(self._sections)
+
+    def __len__(self):
+        return len(self._sections)
+
+    @property
+    def exposure(self) -> float:
+        """Factor on the picture."""
+        return self._sections.get("picture", {}).get("exposure", 1.0)
+
+    def scene(self) -> Scene:
+        """Build it. **Raises:** `ValueError` that names file and line."""
+        parts: dict[str, Any] = {}
+        for name, make in (("iris", self._iris), ("eye", self._eye), ("camera", self._camera), ("light", self._lights)):
+            try:
+                parts |= make()
+            except ValueError as error:
+                raise ValueError(f"{self._where(name, None)}: {error}") from None
+        return Scene(**parts)
+
+    def _key(self, name: str):
+        seed = self._sections.get("maps", {}).get("seed", 0)
+        return jax.random.fold_in(jax.random.key(seed, impl="threefry2x32"), {"maps": 0, "veins": 1}[name])
+
+    def _iris(self):
+        given = dict(self._sections.get("iris", {}))
+        features = {k: v for k, v in self._sections.get("maps", {}).items() if k in _FEATURES}
+        uniform = self._sections.get("maps", {}).get("uniform", False)
+        maps = None
+        if "preset" in given:
+            if "level" in given:
+                raise ValueError("give preset or level, not both")
+            iris, maps = PRESETS[given.pop("preset")](key=self._key("maps"))
+        else:
+            iris = Iris.preset(given.pop("level", "moderate"))
+        if given:
+            iris = iris.replace(**given)
+        if uniform:
+            return {"iris": iris, "maps": None}
+        if maps is None or features or given:
+            # Thicknesses follow the iris as it now is.
+            chosen = features if maps is None else {**_features_of(self._sections["iris"].get("preset")), **features}
+            maps = procedural(iris, **chosen, key=self._key("maps"))
+        return {"iris": iris, "maps": maps}
+
+    def _eye(self):
+        given = dict(self._sections.get("eye", {}))
+        kind, white, density = given.pop("cornea", "two-surfaces"), given.pop("sclera", True), given.pop("veins", 1.0)
+        if kind == "f09":
+            given = {"aqueous_index": 1.376, **given}
+        eye = Eye(
+            cornea={"two-surfaces": Cornea(), "f09": Cornea.f09(), "none": None}[kind],
+            sclera=Sclera(veins=density) if white and kind != "none" else None,
+            **given,
+        )
+        drawn = None if eye.sclera is None else veins(eye, key=self._key("veins"))
+        return {"eye": eye, "veins": drawn}
+
+    def _camera(self):
+        given = dict(self._sections.get("camera", {}))
+        for name in ("polar", "azimuth"):
+            if f"{name}_deg" in given:
+                given[name] = math.radians(given.pop(f"{name}_deg"))
+        return {"camera": Camera(**given)}
+
+    def _lights(self):
+        illuminant = self._sections.get("picture", {}).get("illuminant", "D65")
+        lamps, environment, out = self._sections.get("light", []), self._sections.get("environment"), {}
+        lights = None
+        for lamp in lamps:
+            options = {"irradiance": lamp.get("irradiance", math.pi), "illuminant": illuminant,
+                       "radius": math.radians(lamp.get("radius_deg", 1.7))}  # fmt: skip
+            if "position" in lamp:
+                if "polar_deg" in lamp or "azimuth_deg" in lamp:
+                    raise ValueError("give a light a position or angles, not both")
+                one = Lights.points(lamp["position"], **options)
+            else:
+                polar, azimuth = (math.radians(lamp.get(f"{n}_deg", d)) for n, d in (("polar", 35), ("azimuth", 120)))
+                one = Lights.distant(polar, azimuth, **options)
+            lights = one if lights is None else lights + one
+        if environment is not None:
+            if ("file" in environment) == ("kind" in environment):
+                raise ValueError("environment needs file or kind")
+            if "file" in environment:
+                around = read_environment(self._folder / environment["file"])
+            else:
+                around = {"studio": Environment.studio, "sky": Environment.sky}[environment["kind"]]()
+            around = dataclasses.replace(around, radiance=around.radiance * environment.get("strength", 1.0))
+            found = dataclasses.replace(around.to_lights(environment.get("lights", 25)), illuminant=illuminant)
+            lights = found if lights is None else lights + found
+            out["environment"] = around
+        return out | ({"lights": lights} if lights is not None else {"lights": Lights.distant(0.6, 2.1, illuminant=illuminant)})
+
+
+def _features_of(colour: str | None) -> dict[str, Any]:
+    return {} if colour is None else dict(PRESETS[colour].keywords.get("features", {}))
+
+
+def read_scene(path: str | Path) -> SceneFile:
+    """Read and check a scene file. **Raises:** `ValueError`: file, line, what is wrong, what is allowed."""
+    path = Path(path)
+    text = path.read_text(encoding="utf-8")
+    return parse_scene(text, str(path), path.parent)
+
+
+def parse_scene(text: str, name: str = "scene", folder: Path = Path()) -> SceneFile:
+    """A scene from TOML text."""
+    try:
+        sections = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise ValueError(f"{name}: {error}") from None
+
+    def where(section: str, key: str | None, nth: int = 0) -> str:
+        line = _line_of(text, section, key, nth)
+        return f"{name}, line {line}" if line else name
+
+    checked: dict[str, Any] = {}
+    for section, given in sections.items():
+        if section not in _SECTIONS:
+            raise ValueError(f"{where(section, None)}: unknown section [{section}]; known: {', '.join(_SECTIONS)}")
+        tables = given if section == "light" else [given]
+        if not isinstance(tables, list) or not all(isinstance(t, dict) for t in tables):
+            wanted = "[[light]]" if section == "light" else f"[{section}]"
+            raise ValueError(f"{where(section, None)}: {section} must be written {wanted}")
+        done = []
+        for nth, table in enumerate(tables):
+            done.append({})
+            for key, value in table.items():
+                if key not in (checks := _SECTIONS[section]):
+                    raise ValueError(f"{where(section, key, nth)}: unknown {key!r} in {section}; known: {', '.join(checks)}")
+                try:
+                    done[-1][key] = checks[key](value)
+                except ValueError as error:
+                    raise ValueError(f"{where(section, key, nth)}: {section}.{key} = {value!r} {error}") from None
+        checked[section] = done if section == "light" else done[0]
+    return SceneFile(checked, where, folder)
+
+
+def _line_of(text: str, section: str, key: str | None, nth: int) -> int | None:
+    """Where a key of the nth table of a section is written (1 is the first line)."""
+    current, count = "", -1
+    header = None
+    for number, line in enumerate(text.splitlines(), 1):
+        if found := re.match(r"\s*\[\[?\s*([\w-]+)\s*\]?\]", line):
+            current = found[1]
+            if current == section:
+                count += 1
+                header = number if count == nth else header
+        elif key is not None and current == section and count == nth and re.match(rf"\s*[\"']?{re.escape(key)}[\"']?\s*=", line):
+            return number
+    return header
