@@ -1,7 +1,9 @@
-"""Files in and out: tables with a header of settings, measured spectra, posteriors."""
+"""Files in and out: tables with a header of settings, measured spectra, posteriors, meshes."""
 
 from irisjax.io.measured import Measured as Measured
 from irisjax.io.measured import read_measured as read_measured
+from irisjax.io.mesh import eye_meshes as eye_meshes
+from irisjax.io.mesh import write_eye as write_eye
 from irisjax.io.posterior import predictive_score as predictive_score
 from irisjax.io.posterior import write_posterior as write_posterior
 from irisjax.io.tables import Table as Table

@@ -80,7 +80,7 @@ class Sclera(eqx.Module):
     hemoglobin: Scalar = _number(2.3)
     saturation: Scalar = _number(0.9)
 
-    def __post_init__(self):
+    def __check_init__(self):
         _check(self)
 
 
@@ -107,7 +107,7 @@ class Eye(eqx.Module):
     pupil_radius: Scalar = _number(1.9)
     attenuation: Scalar | None = _optional()
 
-    def __post_init__(self):
+    def __check_init__(self):
         _check(self)
         known = not any(isinstance(r, Tracer) for r in (self.pupil_radius, self.iris_radius))
         if known and float(self.pupil_radius) >= float(self.iris_radius):
