@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 import trimesh
+
 from irisjax.io.mesh import eye_meshes, write_eye
 from irisjax.tissue.anatomy import Cornea, Eye
 
@@ -44,7 +45,9 @@ def test_iris_carries_the_coordinates_of_the_maps(slope):
     (u, v), (x, y, z) = mesh.uv.T, mesh.vertices.T
     assert u.min() == v.min() == 0 and u.max() == v.max() == 1
     r = 1.9 + v * (5.5 - 1.9)
-    np.testing.assert_allclose(np.stack([x, y], -1), r[:, None] * np.stack([np.cos(2 * np.pi * u), np.sin(2 * np.pi * u)], -1), atol=1e-12)
+    np.testing.assert_allclose(
+        np.stack([x, y], -1), r[:, None] * np.stack([np.cos(2 * np.pi * u), np.sin(2 * np.pi * u)], -1), atol=1e-12
+    )
     np.testing.assert_allclose(z, 3.6 + (slope or 0) * r, atol=1e-12)
     # No triangle runs back over the seam.
     assert np.ptp(u[mesh.faces], axis=1).max() < 0.1

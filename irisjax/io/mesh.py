@@ -78,7 +78,9 @@ def eye_meshes(eye: Eye, spacing: float = 0.1) -> dict[str, Mesh]:
     # A seam: the points at u = 1 are those at u = 0 once more.
     points, faces = _revolve(r, float(eye.iris_depth) + slope * r, around, seam=True)
     u, v = np.meshgrid(np.arange(around + 1) / around, (r - pupil) / (root - pupil))
-    meshes["iris"] = Mesh(points, _double(eye.iris_normal(jnp.asarray(points, float))), np.stack([u.ravel(), v.ravel()], -1), faces)
+    meshes["iris"] = Mesh(
+        points, _double(eye.iris_normal(jnp.asarray(points, float))), np.stack([u.ravel(), v.ravel()], -1), faces
+    )
 
     if eye.sclera is not None:
         radius = float(eye.sclera.radius)

@@ -31,9 +31,9 @@ class Illumination(eqx.Module):
         """Tables of an eye with a cornea; without `caustics` they end at `UNIQUE_POLAR` and no ray is counted."""
         if eye.cornea is None:
             raise ValueError("an eye without a cornea needs no illumination tables")
-        return _build(eye, caustics, size, n_rays)
+        return _build(eye, RefractionFunction.build(eye), caustics, size, n_rays)
 
-    def at(self, point: Float[Array, "*s 2"], towards_light: Vector) -> Vector:
+    def at(self, point: Float[Array, "*#s 2"], towards_light: Float[Array, "*#s 3"]) -> Vector:
         """Flux vectors at iris points (x, y) of light from unit directions (that broadcast with them)."""
         across = norm(towards_light[..., :2])
         polar = jnp.arctan2(across, -towards_light[..., 2])
@@ -50,7 +50,7 @@ class Illumination(eqx.Module):
 
 
 @eqx.filter_jit
-def _build(eye: Eye, caustics: bool, size: int, n_rays: int) -> Illumination:
+def _build(eye: Eye, refraction: RefractionFunction, caustics: bool, size: int, n_rays: int) -> Illumination:
     unique = round(UNIQUE_POLAR / _SPACING) + 1
     n_polar = round(LARGEST_POLAR / _SPACING) + 1 if caustics else unique
     polar = jnp.arange(n_polar) * _SPACING
@@ -60,7 +60,6 @@ def _build(eye: Eye, caustics: bool, size: int, n_rays: int) -> Illumination:
     line = jnp.linspace(-1, 1, size) * extent
     x, y = jnp.meshgrid(line, line)
     points = jnp.stack([x, y], axis=-1)
-    refraction = RefractionFunction.build(eye)
 
     def smooth(angle):
         found = refraction.at(points, jnp.stack([jnp.sin(angle), jnp.zeros_like(angle), -jnp.cos(angle)]))

@@ -141,17 +141,18 @@ class RefractionFunction(eqx.Module):
         radius = jnp.linspace(0, 1, n_radius) * eye.iris_radius
         # Light at azimuth 0, iris points at `azimuth` from it.
         targets = radius[None, :, None] * jnp.stack([jnp.cos(azimuth), jnp.sin(azimuth)], -1)[:, None]
-        search = jax.vmap(jax.vmap(arrive, (None, 0, None, 0)), (None, 0, None, 0))
+        search = jax.vmap(jax.vmap(arrive, (None, 0, None, 0, None)), (None, 0, None, 0, None))
 
         def next_polar(start, angle):
             towards = jnp.stack([jnp.sin(angle), jnp.zeros_like(angle), -jnp.cos(angle)])
-            found = search(eye, targets, towards, start)
+            # From the entry of the last angle six steps reach rounding.
+            found = search(eye, targets, towards, start, 6)
             return found.entry, found
 
         _, found = jax.lax.scan(next_polar, 0.9 * targets, polar)
         return cls(found.entry, found.flux, eye.iris_radius)
 
-    def at(self, point: Float[Array, "*s 2"], towards_light: Vector) -> Arrival:
+    def at(self, point: Float[Array, "*#s 2"], towards_light: Float[Array, "*#s 3"]) -> Arrival:
         """Arrivals at iris points (x, y) of light from unit directions (that broadcast with them)."""
         r = norm(point)
         light_azimuth = jnp.arctan2(towards_light[..., 1], towards_light[..., 0])
