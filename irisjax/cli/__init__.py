@@ -16,6 +16,7 @@ import irisjax as ij
 from irisjax import io, plot
 from irisjax.cli.fit import fit
 from irisjax.cli.jobs import directions, head, measured, problem, simulated_measurement, truth
+from irisjax.cli.render import render
 from irisjax.cli.settings import COMMANDS, header, settled
 
 app = typer.Typer(
@@ -192,6 +193,7 @@ def simulate_measurement(values: dict[str, Any]) -> None:
 
 
 app.command("fit")(fit)
+app.command("render")(render)
 
 
 def _row(name: str, numbers, form: str, remark: str = "") -> str:

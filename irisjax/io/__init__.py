@@ -1,4 +1,4 @@
-"""Files in and out: tables with a header of settings, measured spectra, posteriors, pictures."""
+"""Files in and out: tables with a header of settings, measured spectra, posteriors, pictures, meshes."""
 
 from irisjax.io.images import Image as Image
 from irisjax.io.images import read_environment as read_environment
@@ -8,8 +8,13 @@ from irisjax.io.images import write_exr as write_exr
 from irisjax.io.images import write_png as write_png
 from irisjax.io.measured import Measured as Measured
 from irisjax.io.measured import read_measured as read_measured
+from irisjax.io.mesh import eye_meshes as eye_meshes
+from irisjax.io.mesh import write_eye as write_eye
 from irisjax.io.posterior import predictive_score as predictive_score
 from irisjax.io.posterior import write_posterior as write_posterior
+from irisjax.io.scenes import SceneFile as SceneFile
+from irisjax.io.scenes import parse_scene as parse_scene
+from irisjax.io.scenes import read_scene as read_scene
 from irisjax.io.tables import Table as Table
 from irisjax.io.tables import check_writable as check_writable
 from irisjax.io.tables import format_table as format_table

@@ -18,7 +18,7 @@ from irisjax.render.scene import Scene
 from irisjax.render.vessels import veins
 from irisjax.tissue.anatomy import Cornea, Eye, Sclera
 from irisjax.tissue.iris import LIMITS, Iris
-from irisjax.tissue.procedural import PRESETS, procedural
+from irisjax.tissue.procedural import PRESETS, preset, procedural
 
 _LEVELS = ("low", "moderate", "high")
 
@@ -99,7 +99,9 @@ _SECTIONS: dict[str, dict[str, Callable[[Any], Any]]] = {
         "polar_deg": _number(0, 180), "azimuth_deg": _DEGREES, "position": _place, "irradiance": _number(0, 1e6),
         "radius_deg": _number(0.01, 60),
     },
-    "environment": {"file": _text, "kind": _one("studio", "sky"), "lights": _whole(1, 1000), "strength": _number(0, 1e6)},
+    "environment": {
+        "file": _text, "kind": _one("studio", "sky"), "lights": _whole(1, 1000), "strength": _number(0, 1e6),
+    },
     "picture": {"exposure": _number(1e-6, 1e6), "illuminant": _text, "seed": _whole(0, 2**32 - 1)},
 }  # fmt: skip
 
@@ -142,22 +144,16 @@ class SceneFile(Mapping[str, Any]):
         given = dict(self._sections.get("iris", {}))
         features = {k: v for k, v in self._sections.get("maps", {}).items() if k in _FEATURES}
         uniform = self._sections.get("maps", {}).get("uniform", False)
-        maps = None
         if "preset" in given:
             if "level" in given:
                 raise ValueError("give preset or level, not both")
-            iris, maps = PRESETS[given.pop("preset")](key=self._key("maps"))
+            colour = given.pop("preset")
+            iris, maps = preset(colour, pigments=given, features=features, key=self._key("maps"))
         else:
             iris = Iris.preset(given.pop("level", "moderate"))
-        if given:
-            iris = iris.replace(**given)
-        if uniform:
-            return {"iris": iris, "maps": None}
-        if maps is None or features or given:
-            # Thicknesses follow the iris as it now is.
-            chosen = features if maps is None else {**_features_of(self._sections["iris"].get("preset")), **features}
-            maps = procedural(iris, **chosen, key=self._key("maps"))
-        return {"iris": iris, "maps": maps}
+            iris = iris.replace(**given) if given else iris
+            maps = None if uniform else procedural(iris, **features, key=self._key("maps"))
+        return {"iris": iris, "maps": None if uniform else maps}
 
     def _eye(self):
         given = dict(self._sections.get("eye", {}))
@@ -201,15 +197,12 @@ class SceneFile(Mapping[str, Any]):
                 around = read_environment(self._folder / environment["file"])
             else:
                 around = {"studio": Environment.studio, "sky": Environment.sky}[environment["kind"]]()
-            around = dataclasses.replace(around, radiance=around.radiance * environment.get("strength", 1.0))
-            found = dataclasses.replace(around.to_lights(environment.get("lights", 25)), illuminant=illuminant)
-            lights = found if lights is None else lights + found
-            out["environment"] = around
-        return out | ({"lights": lights} if lights is not None else {"lights": Lights.distant(0.6, 2.1, illuminant=illuminant)})
-
-
-def _features_of(colour: str | None) -> dict[str, Any]:
-    return {} if colour is None else dict(PRESETS[colour].keywords.get("features", {}))
+            strength = environment.get("strength", 1.0)
+            out["environment"] = dataclasses.replace(around, radiance=around.radiance * strength)
+            out["environment_lights"] = environment.get("lights", 25)
+        elif lights is None:
+            lights = Lights.distant(0.6, 2.1, illuminant=illuminant)
+        return {"lights": lights, "illuminant": illuminant, **out}
 
 
 def read_scene(path: str | Path) -> SceneFile:
@@ -243,7 +236,9 @@ def parse_scene(text: str, name: str = "scene", folder: Path = Path()) -> SceneF
             done.append({})
             for key, value in table.items():
                 if key not in (checks := _SECTIONS[section]):
-                    raise ValueError(f"{where(section, key, nth)}: unknown {key!r} in {section}; known: {', '.join(checks)}")
+                    raise ValueError(
+                        f"{where(section, key, nth)}: unknown {key!r} in {section}; known: {', '.join(checks)}"
+                    )
                 try:
                     done[-1][key] = checks[key](value)
                 except ValueError as error:
@@ -254,14 +249,14 @@ def parse_scene(text: str, name: str = "scene", folder: Path = Path()) -> SceneF
 
 def _line_of(text: str, section: str, key: str | None, nth: int) -> int | None:
     """Where a key of the nth table of a section is written (1 is the first line)."""
-    current, count = "", -1
-    header = None
+    current, count, header = "", -1, None
+    entry = None if key is None else re.compile(rf"\s*[\"']?{re.escape(key)}[\"']?\s*=")
     for number, line in enumerate(text.splitlines(), 1):
         if found := re.match(r"\s*\[\[?\s*([\w-]+)\s*\]?\]", line):
             current = found[1]
             if current == section:
                 count += 1
                 header = number if count == nth else header
-        elif key is not None and current == section and count == nth and re.match(rf"\s*[\"']?{re.escape(key)}[\"']?\s*=", line):
+        elif entry is not None and current == section and count == nth and entry.match(line):
             return number
     return header

@@ -58,12 +58,12 @@ class Conicoid(eqx.Module):
         return (second if far else first), square > 0
 
 
-def dot(a: Vector, b: Vector) -> Float[Array, "*s"]:
+def dot(a: Float[Array, "*#s n"], b: Float[Array, "*#s n"]) -> Float[Array, "*#s"]:
     """Scalar product over the last axis."""
     return (a * b).sum(-1)
 
 
-def norm(a: Vector) -> Float[Array, "*s"]:
+def norm(a: Float[Array, "*s n"]) -> Float[Array, "*s"]:
     """Length over the last axis, with gradient 0 at 0."""
     return safe_sqrt(dot(a, a))
 

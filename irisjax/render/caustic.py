@@ -3,9 +3,9 @@
 A quasi-random ray stands for its share of the cornea's area; its power is shared out between the four grid
 points round the place where it lands, so that the sum over the iris is the power that arrived.
 
-F09 adds rays reflected inside the cornea. With F09's own cornea there are none: a ray enters at most 46.6° from
-the normal (total reflection's angle), so its chord spans at least 87° of the surface's normals, and the cornea
-ends 43° from its axis on either side. The caustic is made by refraction alone.
+F09 adds rays reflected inside the cornea. With F09's own cornea there are none: a ray goes on at most 46.6° from
+the normal (total reflection's angle), so that it meets the conicoid again 0.3 mm or more behind the limbus, where
+the cornea has ended. The caustic is made by refraction alone.
 """
 
 from typing import NamedTuple
@@ -65,11 +65,11 @@ def gathered(eye: Eye, polar, grid: Grid, n_rays: int) -> Float[Array, "size siz
 def _share_out(total, grid: Grid, eye: Eye, landing: Landing):
     """Add the power of landings to their four grid points, as flux vectors (per cell, not yet per area)."""
     x, y = landing.point[..., 0], landing.point[..., 1]
-    on_iris = (x * x + y * y < eye.iris_radius**2) & (landing.share > 0)
-    power = jnp.where(on_iris, landing.share, 0.0)
+    on_grid = (jnp.maximum(jnp.abs(x), jnp.abs(y)) < grid.extent) & (landing.share > 0)
+    power = jnp.where(on_grid, landing.share, 0.0)
     cosine = -dot(landing.direction, eye.iris_normal(landing.point))
-    vector = (power / jnp.where(on_iris, cosine, 1.0))[..., None] * landing.direction
-    column, row = ((jnp.where(on_iris, c, 0.0) / grid.extent + 1) * ((grid.size - 1) / 2) for c in (x, y))
+    vector = (power / jnp.where(on_grid, cosine, 1.0))[..., None] * landing.direction
+    column, row = ((jnp.where(on_grid, c, 0.0) / grid.extent + 1) * ((grid.size - 1) / 2) for c in (x, y))
     j, i = (jnp.clip(jnp.floor(c), 0, grid.size - 2) for c in (column, row))
     u, v = column - j, row - i
     base = jnp.asarray(i * grid.size + j, jnp.int32)

@@ -15,7 +15,10 @@ from irisjax.optics.conicoid import Vector, dot, norm, refract_vector
 from irisjax.tissue.anatomy import Cornea, Eye
 
 LARGEST_POLAR = 2.25
-"""Polar angle (radians) beyond which no light enters a cornea that ends at the limbus."""
+"""Polar angle (radians) beyond which no light worth counting enters a cornea that ends at the limbus."""
+
+UNIQUE_POLAR = 1.40
+"""Up to this polar angle (radians) one ray lands at each iris point; beyond, the cornea folds the light."""
 
 
 class Landing(NamedTuple):
@@ -122,6 +125,7 @@ class RefractionFunction(eqx.Module):
     """Arrivals tabulated over the light's polar angle, the azimuth between light and iris point, and radius.
 
     Make one with `build`; linear interpolation. 50 × 50 × 100 entries (2,500 directions, 100 radii), as F09's.
+    The tables end at `UNIQUE_POLAR`, where a point begins to have several arrivals; beyond, `at` is dark.
     """
 
     entry: Float[Array, "polars azimuths radii 2"]
@@ -132,22 +136,23 @@ class RefractionFunction(eqx.Module):
     @eqx.filter_jit
     def build(cls, eye: Eye, n_polar: int = 50, n_azimuth: int = 50, n_radius: int = 100) -> "RefractionFunction":
         """Search all entry points, from each polar angle to the next."""
-        polar = jnp.linspace(0, LARGEST_POLAR, n_polar)
+        polar = jnp.linspace(0, UNIQUE_POLAR, n_polar)
         azimuth = jnp.linspace(0, jnp.pi, n_azimuth)
         radius = jnp.linspace(0, 1, n_radius) * eye.iris_radius
         # Light at azimuth 0, iris points at `azimuth` from it.
         targets = radius[None, :, None] * jnp.stack([jnp.cos(azimuth), jnp.sin(azimuth)], -1)[:, None]
-        search = jax.vmap(jax.vmap(arrive, (None, 0, None, 0)), (None, 0, None, 0))
+        search = jax.vmap(jax.vmap(arrive, (None, 0, None, 0, None)), (None, 0, None, 0, None))
 
         def next_polar(start, angle):
             towards = jnp.stack([jnp.sin(angle), jnp.zeros_like(angle), -jnp.cos(angle)])
-            found = search(eye, targets, towards, start)
+            # From the entry of the last angle six steps reach rounding.
+            found = search(eye, targets, towards, start, 6)
             return found.entry, found
 
         _, found = jax.lax.scan(next_polar, 0.9 * targets, polar)
         return cls(found.entry, found.flux, eye.iris_radius)
 
-    def at(self, point: Float[Array, "*s 2"], towards_light: Vector) -> Arrival:
+    def at(self, point: Float[Array, "*#s 2"], towards_light: Float[Array, "*#s 3"]) -> Arrival:
         """Arrivals at iris points (x, y) of light from unit directions (that broadcast with them)."""
         r = norm(point)
         light_azimuth = jnp.arctan2(towards_light[..., 1], towards_light[..., 0])
@@ -157,7 +162,7 @@ class RefractionFunction(eqx.Module):
         n_polar, n_azimuth, n_radius, _ = self.entry.shape
         found = trilinear(
             jnp.concatenate([self.entry, self.flux], axis=-1),
-            (polar / LARGEST_POLAR * (n_polar - 1), jnp.abs(turn) / jnp.pi * (n_azimuth - 1),
+            (polar / UNIQUE_POLAR * (n_polar - 1), jnp.abs(turn) / jnp.pi * (n_azimuth - 1),
              r / self.radius * (n_radius - 1)),
         )  # fmt: skip
         side = jnp.where(turn < 0, -1.0, 1.0)
@@ -169,7 +174,7 @@ class RefractionFunction(eqx.Module):
 
         entry = jnp.stack(turned(found[..., 0], found[..., 1]), axis=-1)
         flux = jnp.stack([*turned(found[..., 2], found[..., 3]), found[..., 4]], axis=-1)
-        lit = (polar <= LARGEST_POLAR)[..., None]
+        lit = (polar < UNIQUE_POLAR + 1e-3)[..., None]  # the last angle itself, whatever its rounding
         return Arrival(entry, jnp.where(lit, flux, 0.0))
 
 

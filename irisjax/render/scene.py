@@ -13,6 +13,7 @@ from irisjax.measure.colour import OBSERVER
 from irisjax.render import shading
 from irisjax.render.bands import Bands, colour_bands
 from irisjax.render.camera import Camera, View, look
+from irisjax.render.environment import Environment
 from irisjax.render.illumination import UNIQUE_POLAR, Illumination
 from irisjax.render.lights import Lights
 from irisjax.render.sclera import VeinMap, colour_table
@@ -28,17 +29,28 @@ class Scene(eqx.Module):
     """Everything a picture shows. Parts that are `None` are not computed.
 
     - `maps`: of the iris, or `None` for a uniform one. `veins`: of the sclera (`render.vessels.veins`).
+    - `lights`: lamps, mirrored as discs. `environment`: lights the iris as `environment_lights` lamps, and is
+        mirrored itself. `illuminant`: the spectrum of all of them.
     - `integrator`: how the iris sends light back; `Separable()` holds all orders of scattering.
     """
 
     iris: Iris
     maps: IrisMaps | None = None
     eye: Eye = eqx.field(default_factory=Eye)
-    lights: Lights = eqx.field(default_factory=lambda: Lights.distant(0.6, 2.2))
+    lights: Lights | None = eqx.field(default_factory=lambda: Lights.distant(0.6, 2.2))
+    environment: Environment | None = None
     camera: Camera = eqx.field(default_factory=Camera)
     veins: VeinMap | None = None
     integrator: Separable = eqx.field(default_factory=Separable)
+    environment_lights: int = eqx.field(static=True, default=25)
+    illuminant: str = eqx.field(static=True, default="D65")
     observer: str = eqx.field(static=True, default=OBSERVER)
+
+    def __check_init__(self):
+        if self.lights is None and self.environment is None:
+            raise ValueError("a scene needs lights or an environment")
+        if self.lights is not None and self.lights.illuminant != self.illuminant:
+            raise ValueError(f"the lights are {self.lights.illuminant}, the scene is {self.illuminant}")
 
     def replace(self, **parts: Any) -> "Scene":
         """A copy with some parts changed."""
@@ -48,7 +60,18 @@ class Scene(eqx.Module):
         """Illumination tables of this eye: no caustics without a grazing light, none at all without a cornea."""
         if self.eye.cornea is None:
             return None
-        return Illumination.build(self.eye, caustics=bool((np.asarray(self.lights.polar()) > UNIQUE_POLAR).any()))
+        grazing = bool((np.asarray(self.all_lights().polar()) > UNIQUE_POLAR).any())
+        return Illumination.build(self.eye, caustics=grazing)
+
+    def all_lights(self) -> Lights:
+        """Lamps and what stands for the environment. Runs on the host."""
+        found = self.lights
+        if self.environment is not None:
+            around = self.environment.to_lights(self.environment_lights)
+            around = dataclasses.replace(around, illuminant=self.illuminant)
+            found = around if found is None else found + around
+        assert found is not None
+        return found
 
 
 class Stage(eqx.Module):
@@ -89,7 +112,7 @@ def render(scene: Scene, tables: Illumination | None = None) -> Float[Array, "he
 
 def prepare(scene: Scene, tables: Illumination | None = None, view: View | None = None) -> Stage:
     """Do everything that a change of pigments leaves alone; `view` from `look` if eye and camera are the same."""
-    eye, lights = scene.eye, scene.lights
+    eye, lights = scene.eye, scene.all_lights()
     bands = colour_bands(lights.illuminant, scene.observer, eye.cornea)
     view = look(eye, scene.camera) if view is None else view
     width, height = scene.camera.size
@@ -99,7 +122,7 @@ def prepare(scene: Scene, tables: Illumination | None = None, view: View | None 
         table = colour_table(eye.sclera, np.asarray(clear.wavelengths), clear.weights)
         base = _add(base, view.sclera.index, shading.white(view.sclera, lights, eye, table, scene.veins))
     if view.mirror is not None:
-        base = _add(base, view.mirror.index, shading.mirrored(view.mirror, lights))
+        base = _add(base, view.mirror.index, shading.mirrored(view.mirror, scene.lights, scene.environment))
     texels, ranges = None, Scales()
     if view.iris is not None:
         if tables is None:

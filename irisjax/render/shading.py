@@ -8,6 +8,7 @@ from jaxtyping import Array, Float, Int
 from irisjax.optics.conicoid import dot, norm
 from irisjax.optics.fresnel import fresnel_at
 from irisjax.render.camera import IrisPixels, SurfacePixels
+from irisjax.render.environment import Environment
 from irisjax.render.illumination import Illumination, bare
 from irisjax.render.lights import Lights
 from irisjax.render.sclera import ColourTable, VeinMap, vein_depth_at
@@ -131,11 +132,16 @@ def white(pixels: SurfacePixels, lights: Lights, eye: Eye, table: ColourTable, v
 
 
 @eqx.filter_jit
-def mirrored(pixels: SurfacePixels, lights: Lights):
-    """Linear sRGB (pixels, 3) of the lights' images in the tear film: soft discs of their angular radius."""
-    cosine = pixels.mirror @ lights.towards.T
-    angle = jnp.arccos(jnp.clip(cosine, -1, 1))
-    inside = jnp.clip((lights.radius * 1.1 - angle) / (0.2 * lights.radius), 0, 1)
-    radiance = lights.irradiance / (jnp.pi * jnp.sin(lights.radius) ** 2)
-    tint = jnp.ones((len(lights), 3), cosine.dtype) if lights.tint is None else lights.tint
-    return (inside @ (radiance[:, None] * tint)) * pixels.reflectance[:, None]
+def mirrored(pixels: SurfacePixels, lights: Lights | None, environment: Environment | None):
+    """Linear sRGB (pixels, 3) of images in the tear film: lamps as soft discs of their angular radius, the environment
+    as it is."""
+    total = jnp.zeros((pixels.index.size, 3), pixels.mirror.dtype)
+    if lights is not None:
+        angle = jnp.arccos(jnp.clip(pixels.mirror @ lights.towards.T, -1, 1))
+        inside = jnp.clip((lights.radius * 1.1 - angle) / (0.2 * lights.radius), 0, 1)
+        radiance = lights.irradiance / (jnp.pi * jnp.sin(lights.radius) ** 2)
+        tint = jnp.ones((len(lights), 3), angle.dtype) if lights.tint is None else lights.tint
+        total = total + inside @ (radiance[:, None] * tint)
+    if environment is not None:
+        total = total + environment.lookup(pixels.mirror)
+    return total * pixels.reflectance[:, None]

@@ -6,6 +6,7 @@ show, not fitted to anything.
 """
 
 import math
+from collections.abc import Mapping
 from functools import partial
 from typing import Any
 
@@ -245,27 +246,36 @@ _COLOURS: dict[str, tuple[tuple[float, float, float, float], dict[str, Any]]] = 
 }
 
 
-def preset(colour: str, *, shape: tuple[int, int] = (768, 256), key: PRNGKey) -> tuple[Iris, IrisMaps]:
+def preset(
+    colour: str,
+    *,
+    shape: tuple[int, int] = (768, 256),
+    pigments: Mapping[str, Any] | None = None,
+    features: Mapping[str, Any] | None = None,
+    key: PRNGKey,
+) -> tuple[Iris, IrisMaps]:
     """A made-up eye of a colour: `"brown"`, `"hazel"`, `"green"`, `"blue"` or `"grey"`.
 
     The pigments are chosen by eye, not measured. So is the fibrils' radius: at LB06's 30 nm the stroma sends back
     too little for any of these colours. `colour(iris)`, 8-bit sRGB under D65 against a perfect white: brown
     (57, 36, 12), hazel (80, 77, 59), green (76, 78, 65), blue (65, 87, 99), grey (99, 112, 112). Brown takes 2.4
     times the eumelanin of LB06's high level, and the model knows no neutral grey: a* stays near −5. Hazel and green
-    eyes are browner than that near the pupil, where their maps add eumelanin.
+    eyes are browner than that near the pupil, where their maps add eumelanin. `pigments` changes fields of the iris,
+    `features` arguments of `procedural`.
 
     **Returns:** the iris and maps of `shape` (angles, radii). **Raises:** `ValueError` for an unknown colour.
     """
     if colour not in _COLOURS:
         raise ValueError(f"unknown eye colour {colour!r}; known: {', '.join(sorted(_COLOURS))}")
-    (eumelanin, pheomelanin, share, radius), features = _COLOURS[colour]
+    (eumelanin, pheomelanin, share, radius), usual = _COLOURS[colour]
     iris = Iris(
         eumelanin=jnp.asarray(eumelanin),
         pheomelanin=jnp.asarray(pheomelanin),
         abl_fraction=jnp.asarray(share),
         fibril_radius=jnp.asarray(radius),
     )
-    return iris, procedural(iris, shape=shape, **features, key=key)
+    iris = iris.replace(**pigments) if pigments else iris
+    return iris, procedural(iris, shape=shape, **{**usual, **(features or {})}, key=key)
 
 
 PRESETS = {colour: partial(preset, colour) for colour in _COLOURS}

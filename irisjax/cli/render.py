@@ -1,0 +1,131 @@
+"""`irisjax render`: a scene file or a preset in, a picture out."""
+
+import dataclasses
+import math
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import jax.numpy as jnp
+import numpy as np
+import typer
+
+from irisjax import io
+from irisjax.io.scenes import SceneFile, parse_scene, read_scene
+from irisjax.measure.colour import srgb_encode
+from irisjax.render import scene as staging
+from irisjax.render.lights import Lights
+from irisjax.tissue.procedural import PRESETS
+
+_WHAT, _HOW, _FILES = "What", "Picture", "Files"
+
+
+def render(
+    scene: Annotated[Path | None, typer.Argument(help="scene file (TOML)", show_default=False)] = None,
+    preset: Annotated[str | None, typer.Option(help=", ".join(PRESETS), rich_help_panel=_WHAT)] = None,
+    seed: Annotated[int, typer.Option(min=0, max=2**32 - 1, help="of a preset's maps", rich_help_panel=_WHAT)] = 0,
+    light: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="POLAR,AZIMUTH[,IRRADIANCE]",
+            help="degrees from the eye's axis, and from its right to its top; repeatable; replaces the scene's lamps",
+            rich_help_panel=_WHAT,
+        ),
+    ] = None,
+    pupil: Annotated[
+        float | None, typer.Option(metavar="MM", help="diameter, 0.5 to 9.5", rich_help_panel=_WHAT)
+    ] = None,
+    size: Annotated[str | None, typer.Option(metavar="WIDTHxHEIGHT", rich_help_panel=_HOW)] = None,
+    exposure: Annotated[
+        float | None,
+        typer.Option(help="factor on all radiances; 1 shows a white sheet white", rich_help_panel=_HOW),
+    ] = None,
+    samples: Annotated[int, typer.Option(min=1, max=8, help="along each side of a pixel", rich_help_panel=_HOW)] = 1,
+    bits: Annotated[int, typer.Option(help="8 or 16, of a PNG", rich_help_panel=_HOW)] = 8,
+    output: Annotated[
+        Path, typer.Option("-o", "--output", help=".png, or .exr for linear sRGB", rich_help_panel=_FILES)
+    ] = Path("eye.png"),
+) -> None:
+    """A picture of an eye from its pigments: refraction, caustics, all orders of scattering in the iris.
+
+    Simulated. PNG is sRGB without any tone adjustment; what is out of its range is clipped, and counted on standard
+    error. EXR is linear and unbounded.
+    """
+    if (scene is None) == (preset is None):
+        raise ValueError("give a SCENE file or --preset")
+    if output.suffix not in (".png", ".exr"):
+        raise ValueError(f"{output}: a picture ends in .png or .exr")
+    if bits not in (8, 16):
+        raise ValueError(f"--bits {bits} must be 8 or 16")
+    io.check_writable(output)
+    file = read_scene(scene) if scene is not None else _preset(str(preset), seed)
+    found = _changed(file.scene(), light, pupil, size)
+    factor = file.exposure if exposure is None else exposure
+    if not (math.isfinite(factor) and factor > 0):
+        raise ValueError(f"--exposure {factor:g} must be above 0")
+    picture, error = _picture(found, samples)
+    picture = factor * picture
+    remark = f"simulated by irisjax; response within {100 * error:.2g} %"
+    if output.suffix == ".exr":
+        io.write_exr(output, picture, metadata={"comments": remark})
+    else:
+        clipped = io.write_png(output, np.asarray(srgb_encode(jnp.asarray(picture))), bits=bits, remark=remark)
+        if clipped:
+            share = 100 * clipped / (picture.shape[0] * picture.shape[1])
+            print(
+                f"irisjax: {output}: {clipped} pixels ({share:.2g} %) out of sRGB's range are clipped", file=sys.stderr
+            )
+
+
+def _preset(name: str, seed: int) -> SceneFile:
+    if name not in PRESETS:
+        raise ValueError(f"--preset: unknown {name!r}; known: {', '.join(PRESETS)}")
+    return parse_scene(
+        f"""
+        [iris]
+        preset = "{name}"
+        [maps]
+        seed = {seed}
+        [environment]
+        kind = "studio"
+        """,
+        f"preset {name}",
+    )
+
+
+def _changed(scene: staging.Scene, light, pupil, size) -> staging.Scene:
+    if light:
+        lamps = [_lamp(text, scene.illuminant) for text in light]
+        joined = lamps[0]
+        for lamp in lamps[1:]:
+            joined = joined + lamp
+        scene = scene.replace(lights=joined, environment=None)
+    if pupil is not None:
+        scene = scene.replace(eye=scene.eye.replace(pupil_radius=pupil / 2))
+    if size is not None:
+        width, cross, height = size.partition("x")
+        if not (cross and width.isdigit() and height.isdigit()):
+            raise ValueError(f"--size {size!r}: write WIDTHxHEIGHT, such as 800x600")
+        scene = scene.replace(camera=dataclasses.replace(scene.camera, size=(int(width), int(height))))
+    return scene
+
+
+def _lamp(text: str, illuminant: str) -> Lights:
+    try:
+        numbers = [float(part) for part in text.split(",")]
+    except ValueError:
+        numbers = []
+    if len(numbers) not in (2, 3) or not all(map(math.isfinite, numbers)):
+        raise ValueError(f"--light {text!r}: write POLAR,AZIMUTH or POLAR,AZIMUTH,IRRADIANCE")
+    irradiance = numbers[2] if len(numbers) == 3 else math.pi
+    return Lights.distant(math.radians(numbers[0]), math.radians(numbers[1]), irradiance, illuminant=illuminant)
+
+
+def _picture(scene: staging.Scene, samples: int) -> tuple[np.ndarray, float]:
+    """Linear sRGB (height, width, 3), averaged over samples × samples points a pixel, and the response's error."""
+    width, height = scene.camera.size
+    fine = dataclasses.replace(scene.camera, size=(width * samples, height * samples))
+    stage = staging.prepare(scene.replace(camera=fine))
+    response = stage.response(scene.iris)
+    picture = np.asarray(stage.shown(response))
+    return picture.reshape(height, samples, width, samples, 3).mean((1, 3)), float(response.error)

@@ -1,0 +1,210 @@
+"""Refraction at the cornea against numpy's rays: entry points, laws, power, the textbook's pupil."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from irisjax.render.caustic import Grid, gathered
+from irisjax.render.illumination import Illumination
+from irisjax.render.refraction import (
+    UNIQUE_POLAR,
+    RefractionFunction,
+    arrive,
+    enter,
+    into_chamber,
+    on_cornea,
+    window,
+)
+from irisjax.tissue.anatomy import Cornea, Eye
+from render.tracing import disc, soft_edge, towards, trace
+
+DEFAULT, F09 = Eye(), Eye(cornea=Cornea.f09(), aqueous_index=1.376)
+ONE_SURFACE = Eye(cornea=Cornea(posterior=None))
+EYES = pytest.mark.parametrize("eye", [DEFAULT, F09], ids=["default", "f09"])
+POLARS = [0.0, 0.35, 0.8, 1.2, UNIQUE_POLAR]
+
+_NODES, _WEIGHTS = np.polynomial.legendre.leggauss(160)
+_R, _ANGLE = 2.75 * (_NODES[:, None] + 1), np.arange(200) * (np.pi / 100)
+_POINTS = np.stack([_R * np.cos(_ANGLE), _R * np.sin(_ANGLE)], -1)
+_AREAS = 2.75 * _WEIGHTS[:, None] * _R * (np.pi / 100)
+
+
+@jax.jit
+def _search(eye, targets, light):
+    """Arrivals by Newton's search; always of 40 targets, so that it is compiled once for each kind of eye."""
+    return jax.vmap(lambda t: arrive(eye, t, light, 0.9 * t, 20))(targets)
+
+
+@pytest.fixture(scope="module")
+def tables():
+    return RefractionFunction.build(DEFAULT)
+
+
+def test_table_finds_the_entry_points(tables):
+    """0.008 mm, a tenth of F09's, wherever light enters through the cornea and lands on the iris."""
+    assert tables.entry.shape == (50, 50, 100, 2)
+    rng = np.random.default_rng(1)
+    k, _ = disc(5.5, 4000)
+    worst = []
+    look_up = jax.jit(lambda point, light: tables.at(point, light).entry)
+    for polar in [*rng.uniform(0, UNIQUE_POLAR, 30), UNIQUE_POLAR]:
+        light = towards(polar)
+        found = trace(DEFAULT, k, light)
+        seen = (found.share > 0) & (np.linalg.norm(found.point[:, :2], axis=1) <= 5.5)
+        entry = np.asarray(look_up(found.point[:, :2], light))
+        worst.append(np.linalg.norm(entry - k, axis=1)[seen].max())
+    print(f"worst {max(worst):.4f} mm")
+    assert max(worst) < 0.008
+
+
+@EYES
+def test_snells_law_at_the_entry_found(eye):
+    """The ray that Newton's search finds obeys n sin θ = n' sin θ': numpy's up to the last surface (F09's only one)."""
+    light = towards(0.9)
+    targets = jnp.asarray(disc(4.5, 40)[0])
+    found = _search(eye, targets, jnp.asarray(light))
+    k = np.asarray(found.entry)
+    rays = trace(eye, k, light)
+    np.testing.assert_allclose(rays.point[:, :2], targets, atol=1e-9)
+    _, inside, _ = into_chamber(eye, on_cornea(eye.cornea, found.entry), jnp.broadcast_to(-jnp.asarray(light), (40, 3)))
+    within, last = rays.met[-1][1], np.asarray(inside)
+    normal, *_, n_in, n_out = rays.met[-1]
+    sine = [np.linalg.norm(np.cross(normal, v), axis=1) for v in (within, last)]
+    assert np.abs(np.arcsin(n_in / n_out * sine[0]) - np.arcsin(sine[1])).max() < 1e-10
+    # In one plane with the normal.
+    assert np.abs((np.cross(normal, within) * last).sum(1)).max() < 1e-10
+
+
+@EYES
+@pytest.mark.parametrize("polar", [0.0, 0.9, 1.7])
+def test_rays_and_shares_are_numpys(eye, polar):
+    light = towards(polar)
+    k, _ = disc(5.5, 500)
+    rays = trace(eye, k, light)
+    found = jax.jit(lambda k: enter(eye, on_cornea(eye.cornea, k), jnp.broadcast_to(-jnp.asarray(light), (500, 3))))(
+        jnp.asarray(k)
+    )
+    lit = rays.share > 0
+    np.testing.assert_allclose(np.asarray(found.point)[lit], rays.point[lit], atol=1e-10)
+    np.testing.assert_allclose(np.asarray(found.share), rays.share, atol=1e-12)
+    # Every ray let in meets the posterior cornea and then the iris.
+    assert rays.inside[lit].all()
+
+
+@pytest.mark.parametrize(("depth", "textbook"), [(3.6, 1.131), (3.0, 1.107)])
+def test_paraxial_magnification_of_the_pupil(depth, textbook):
+    """One surface of index 1.336 magnifies what lies behind it by 1 / (1 − depth (n − 1) / (n R))."""
+    eye = ONE_SURFACE.replace(iris_depth=depth)
+    light = jnp.asarray([0.0, 0.0, -1.0])
+    # A camera far away on the axis sees the pupil's edge where a ray parallel to the axis enters.
+    targets = jnp.linspace(1e-3, 2e-3, 40)[:, None] * jnp.asarray([1.0, 0.0])
+    entry = _search(eye, targets, light).entry
+    exact = 1 / (1 - depth * 0.336 / (1.336 * 7.8))
+    assert exact == pytest.approx(textbook, abs=5e-4)
+    np.testing.assert_allclose(entry[:, 0] / targets[:, 0], exact, rtol=1e-6)
+
+
+@pytest.mark.parametrize("polar", POLARS)
+def test_flux_vectors_keep_the_power(tables, polar):
+    """What enters lands on the iris (pupil counted) or beyond its root: irradiance integrated against rays."""
+    light = towards(polar)
+    k, area = disc(5.65, 200_000)
+    rays = trace(DEFAULT, k, light)
+    power = np.nan_to_num(rays.power) * soft_edge(np.linalg.norm(k, axis=1), 5.5) * area
+    beyond = power[np.linalg.norm(rays.point[:, :2], axis=1) > 5.5].sum()
+    found = tables.at(jnp.asarray(_POINTS), jnp.asarray(light))
+    irradiance = np.asarray(window(DEFAULT, found.entry) * found.flux[..., 2])
+    assert (irradiance * _AREAS).sum() + beyond == pytest.approx(power.sum(), rel=1e-3)
+
+
+WIDE = Grid(65, jnp.asarray(9.0))  # holds all that enters
+_gathered = jax.jit(lambda eye, polar: gathered(eye, polar, WIDE, 60_000))
+
+
+@EYES
+@pytest.mark.parametrize("degrees", [85, 95, 100])
+def test_counted_rays_keep_the_power(eye, degrees):
+    light = towards(np.radians(degrees))
+    found = np.asarray(_gathered(eye, jnp.radians(float(degrees))))[..., 2]
+    k, area = disc(5.65, 200_000)
+    rays = trace(eye, k, light)
+    power = np.nan_to_num(rays.power) * soft_edge(np.linalg.norm(k, axis=1), 5.5) * area
+    assert found.sum() * float(WIDE.cell) == pytest.approx(power.sum(), rel=1e-3)
+    # And it lands where numpy's rays do.
+    for axis, line in ((0, np.linspace(-9, 9, 65)[None, :]), (1, np.linspace(-9, 9, 65)[:, None])):
+        assert (found * line).sum() / found.sum() == pytest.approx(
+            (power * rays.point[:, axis]).sum() / power.sum(), abs=0.01
+        )
+
+
+@pytest.fixture(scope="module")
+def illumination(tables):
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(RefractionFunction, "build", lambda eye: tables)  # made once for both
+        return Illumination.build(DEFAULT, n_rays=60_000)
+
+
+@pytest.mark.parametrize("polar", [0.0, 0.7, 1.2, UNIQUE_POLAR, 1.45, 1.6, 1.7])
+def test_illumination_keeps_the_power(illumination, polar):
+    light = towards(polar)
+    k, area = disc(5.65, 200_000)
+    rays = trace(DEFAULT, k, light)
+    power = np.nan_to_num(rays.power) * soft_edge(np.linalg.norm(k, axis=1), 5.5) * area
+    r = np.linalg.norm(rays.point[:, :2], axis=1)
+    found = np.asarray(illumination.at(jnp.asarray(_POINTS), jnp.asarray(light))[..., 2])
+    assert (found * _AREAS).sum() + power[r > 5.5].sum() == pytest.approx(power.sum(), rel=1e-3)
+
+
+def test_the_rim_is_as_bright_as_its_surroundings(illumination):
+    """The grid's edge cells reach beyond the iris: they must hold all the light there."""
+    light = jnp.asarray(towards(0.7))
+    points = jnp.stack([-jnp.linspace(5.3, 5.495, 40), jnp.zeros(40)], -1)
+    found = _search(DEFAULT, points, light)
+    exact = window(DEFAULT, found.entry)[:, None] * found.flux
+    np.testing.assert_allclose(illumination.at(points, light), exact, rtol=0.02, atol=1e-3)
+
+
+def test_light_from_behind_fades_out(illumination):
+    without = Illumination(illumination.flux[:29], illumination.extent, 28 * 0.05)
+    for tables, largest in ((without, 1.40), (illumination, 2.25)):
+        at = [
+            float(jnp.abs(tables.at(jnp.zeros(2), jnp.asarray(towards(p)))).max())
+            for p in (largest, largest + 0.025, largest + 0.051, 3.1)
+        ]
+        assert at[0] >= at[1] >= at[2] == at[3] == 0
+
+
+@EYES
+def test_no_light_meets_the_cornea_from_inside(eye):
+    """Whatever enters, at any angle, meets the anterior conicoid again behind the limbus, where the cornea has ended."""
+    index = float(eye.aqueous_index if eye.cornea.posterior is None else eye.cornea.index)
+    radius, p = 7.8, 0.75
+    r, theta, turn = np.meshgrid(
+        np.linspace(0, 5.5, 56), np.linspace(0, np.arcsin(1 / index), 30), np.linspace(0, np.pi, 37), indexing="ij"
+    )
+    z = (radius - np.sqrt(radius**2 - p * r**2)) / p
+    inwards = np.stack([-r, 0 * r, radius - p * z], -1)
+    inwards /= np.linalg.norm(inwards, axis=-1, keepdims=True)
+    tangent = np.stack([inwards[..., 2], 0 * r, -inwards[..., 0]], -1)
+    across = np.cos(turn)[..., None] * tangent + np.sin(turn)[..., None] * np.array([0.0, 1.0, 0.0])
+    d = np.cos(theta)[..., None] * inwards + np.sin(theta)[..., None] * across
+    # The chord's other root of p z² − 2 R z + x² + y² = 0.
+    t = (
+        -2
+        * (r * d[..., 0] + p * z * d[..., 2] - radius * d[..., 2])
+        / (d[..., 0] ** 2 + d[..., 1] ** 2 + p * d[..., 2] ** 2)
+    )
+    limbus = (radius - np.sqrt(radius**2 - p * 5.5**2)) / p
+    assert (z + t * d[..., 2]).min() > limbus + 0.3
+
+
+def test_single_precision(float32):
+    k, _ = disc(5.4, 40)
+    eye = Eye()
+    for polar in (0.5, 1.3):
+        rays = trace(DEFAULT, k, towards(polar))
+        seen = (rays.share > 0) & (np.linalg.norm(rays.point[:, :2], axis=1) < 5.4)
+        found = _search(eye, jnp.asarray(rays.point[:, :2]), jnp.asarray(towards(polar)))
+        assert found.flux.dtype == jnp.float32
+        assert np.linalg.norm(np.asarray(found.entry) - k, axis=1)[seen].max() < 1e-4
