@@ -31,8 +31,10 @@ def _wants_float32(item):
 
 
 def pytest_collection_modifyitems(items):
-    """Single precision last: changing over throws all compiled programs away."""
+    """Single precision last, and a file's tests on one worker: what is compiled is compiled once."""
     items.sort(key=_wants_float32)
+    for item in items:
+        item.add_marker(pytest.mark.xdist_group(f"{item.path.stem}-{32 if _wants_float32(item) else 64}"))
 
 
 @pytest.fixture(autouse=True)

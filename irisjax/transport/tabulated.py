@@ -6,6 +6,7 @@ hold them over every depth and albedo there is; the error is measured at points 
 from, and reported.
 """
 
+import math
 from collections.abc import Callable
 
 import equinox as eqx
@@ -155,21 +156,18 @@ class Tabulated(AbstractSolver):
         depth = jnp.asarray(
             np.r_[0.0, _depth(np.geomspace(1e-6, 1, 32) / n), _depth(inside), 2 * _LARGEST], self.abl.dtype
         )
-        worst = 0.0
-        for albedo in (0.0, 0.23, 0.71, 0.97, 1.0):
+
+        @jax.jit
+        def error(tables, albedo):
             albedos = jnp.full_like(depth, albedo)
-            abl, stroma = jax.jit(_responses, static_argnums=(3, 4, 5))(
-                depth, albedos, self.indices, order, self.process, 64
-            )
-            above, below = self._abl_response(depth)
+            abl, stroma = _responses(depth, albedos, tables.indices, order, tables.process, 64)
+            above, below = tables._abl_response(depth)
             found = jnp.stack([above.reflected, above.passed, below.passed, below.reflected], -1)
-            s = self._stroma_response(depth, albedos)
-            worst = max(
-                worst,
-                float(jnp.abs(found - abl).max()),
-                float(jnp.abs(jnp.stack([s.reflected, s.passed], -1) - stroma).max()),
-            )
-        return worst
+            s = tables._stroma_response(depth, albedos)
+            between = jnp.stack([s.reflected, s.passed], -1) - stroma
+            return jnp.maximum(jnp.abs(found - abl).max(), jnp.abs(between).max())
+
+        return max(float(error(self, albedo)) for albedo in (0.0, 0.23, 0.71, 0.97, 1.0))
 
 
 # Values read a table number by number: whole rows would be copied out first, at three times the cost. Where slopes
@@ -178,7 +176,8 @@ class Tabulated(AbstractSolver):
 
 @eqx.filter_custom_jvp
 def _curves(table, interval, x):
-    return tuple(_horner([table[interval, i, f] for i in range(_DEGREE + 1)], x) for f in range(table.shape[2]))
+    read = _reader(table, interval)
+    return tuple(_horner([read(i, f) for i in range(_DEGREE + 1)], x) for f in range(table.shape[2]))
 
 
 @_curves.def_jvp
@@ -193,9 +192,10 @@ def _curves_jvp(primals, tangents):
 @eqx.filter_custom_jvp
 def _surfaces(table, interval, x, s):
     chebyshev, _ = _chebyshev(s, table.shape[2])
+    read = _reader(table, interval)
 
     def series(i, f):
-        return sum(c * table[interval, i, k, f] for k, c in enumerate(chebyshev))
+        return sum(c * read(i, k, f) for k, c in enumerate(chebyshev))
 
     return tuple(_horner([series(i, f) for i in range(_DEGREE + 1)], x) for f in range(table.shape[3]))
 
@@ -213,6 +213,19 @@ def _surfaces_jvp(primals, tangents):
     if tangents[3] is not None:
         change = change + _horner([(row * across).sum(0) for row in rows], x) * tangents[3]
     return tuple(_horner(inner, x)), tuple(jnp.broadcast_to(change, (table.shape[3], *x.shape)))
+
+
+def _reader(table, interval):
+    """The number at fixed further indices, in every interval. XLA's own gather: NumPy's indexing traces ten times
+    slower, and there are over a hundred."""
+    flat, first = table.ravel(), interval * math.prod(table.shape[1:])
+    numbers = jax.lax.GatherDimensionNumbers(offset_dims=(), collapsed_slice_dims=(0,), start_index_map=(0,))
+
+    def read(*place):
+        index = first + int(np.ravel_multi_index(place, table.shape[1:]))
+        return jax.lax.gather(flat, index[..., None], numbers, (1,), mode=jax.lax.GatherScatterMode.PROMISE_IN_BOUNDS)
+
+    return read
 
 
 def _rows(table, interval):
