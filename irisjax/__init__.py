@@ -44,14 +44,50 @@ if TYPE_CHECKING:
     from irisjax.infer.identifiability import information as information
     from irisjax.infer.posterior import sample as sample
     from irisjax.infer.summary import summarise as summarise
+    from irisjax.io.scenes import read_scene as read_scene
+    from irisjax.render.camera import Camera as Camera
+    from irisjax.render.environment import Environment as Environment
+    from irisjax.render.lights import Lights as Lights
+    from irisjax.render.scene import Scene as Scene
+    from irisjax.render.scene import prepare as prepare
+    from irisjax.render.scene import render as render_scene
+    from irisjax.render.separable import Separable as Separable
+    from irisjax.render.vessels import veins as veins
+    from irisjax.tissue.anatomy import Cornea as Cornea
+    from irisjax.tissue.anatomy import Eye as Eye
+    from irisjax.tissue.anatomy import Sclera as Sclera
+    from irisjax.tissue.maps import IrisMaps as IrisMaps
+    from irisjax.tissue.procedural import preset as preset_eye
+    from irisjax.tissue.procedural import procedural as procedural_maps
 
-# Optimistix, emcee and arviz load when they are first used.
-_LATER = {"fit": "fit", "information": "identifiability", "sample": "posterior", "summarise": "summary"}
+# What spectra do not need loads when it is first used: optimistix, emcee, arviz, the renderer.
+_LATER = {
+    "fit": "infer.fit",
+    "information": "infer.identifiability",
+    "sample": "infer.posterior",
+    "summarise": "infer.summary",
+    "read_scene": "io.scenes",
+    "Camera": "render.camera",
+    "Environment": "render.environment",
+    "Lights": "render.lights",
+    "Scene": "render.scene",
+    "prepare": "render.scene",
+    "render_scene": "render.scene:render",
+    "Separable": "render.separable",
+    "veins": "render.vessels",
+    "Cornea": "tissue.anatomy",
+    "Eye": "tissue.anatomy",
+    "Sclera": "tissue.anatomy",
+    "IrisMaps": "tissue.maps",
+    "preset_eye": "tissue.procedural:preset",
+    "procedural_maps": "tissue.procedural:procedural",
+}
 
 
 def __getattr__(name: str):
     if name in _LATER:
-        return getattr(importlib.import_module(f"irisjax.infer.{_LATER[name]}"), name)
+        module, _, attribute = _LATER[name].partition(":")
+        return getattr(importlib.import_module(f"irisjax.{module}"), attribute or name)
     raise AttributeError(f"module 'irisjax' has no attribute {name!r}")
 
 

@@ -1,20 +1,10 @@
-"""Files in and out: tables with a header of settings, measured spectra, posteriors, pictures, meshes."""
+"""Files in and out: tables with a header of settings, measured spectra, posteriors, pictures, scenes, meshes."""
 
-from irisjax.io.images import Image as Image
-from irisjax.io.images import read_environment as read_environment
-from irisjax.io.images import read_image as read_image
-from irisjax.io.images import spectral_channels as spectral_channels
-from irisjax.io.images import write_exr as write_exr
-from irisjax.io.images import write_png as write_png
+import importlib
+from typing import TYPE_CHECKING
+
 from irisjax.io.measured import Measured as Measured
 from irisjax.io.measured import read_measured as read_measured
-from irisjax.io.mesh import eye_meshes as eye_meshes
-from irisjax.io.mesh import write_eye as write_eye
-from irisjax.io.posterior import predictive_score as predictive_score
-from irisjax.io.posterior import write_posterior as write_posterior
-from irisjax.io.scenes import SceneFile as SceneFile
-from irisjax.io.scenes import parse_scene as parse_scene
-from irisjax.io.scenes import read_scene as read_scene
 from irisjax.io.tables import Table as Table
 from irisjax.io.tables import check_writable as check_writable
 from irisjax.io.tables import format_table as format_table
@@ -22,3 +12,33 @@ from irisjax.io.tables import read_header as read_header
 from irisjax.io.tables import read_table as read_table
 from irisjax.io.tables import write_atomically as write_atomically
 from irisjax.io.tables import write_together as write_together
+
+if TYPE_CHECKING:
+    from irisjax.io.images import Image as Image
+    from irisjax.io.images import read_environment as read_environment
+    from irisjax.io.images import read_image as read_image
+    from irisjax.io.images import spectral_channels as spectral_channels
+    from irisjax.io.images import write_exr as write_exr
+    from irisjax.io.images import write_png as write_png
+    from irisjax.io.mesh import eye_meshes as eye_meshes
+    from irisjax.io.mesh import write_eye as write_eye
+    from irisjax.io.posterior import predictive_score as predictive_score
+    from irisjax.io.posterior import write_posterior as write_posterior
+    from irisjax.io.scenes import SceneFile as SceneFile
+    from irisjax.io.scenes import parse_scene as parse_scene
+    from irisjax.io.scenes import read_scene as read_scene
+
+# Spectra need none of these: they load when first used.
+_LATER = {
+    "images": ("Image", "read_environment", "read_image", "spectral_channels", "write_exr", "write_png"),
+    "mesh": ("eye_meshes", "write_eye"),
+    "posterior": ("predictive_score", "write_posterior"),
+    "scenes": ("SceneFile", "parse_scene", "read_scene"),
+}
+
+
+def __getattr__(name: str):
+    for module, names in _LATER.items():
+        if name in names:
+            return getattr(importlib.import_module(f"irisjax.io.{module}"), name)
+    raise AttributeError(f"module 'irisjax.io' has no attribute {name!r}")
