@@ -50,15 +50,14 @@ if TYPE_CHECKING:
     from irisjax.render.lights import Lights as Lights
     from irisjax.render.scene import Scene as Scene
     from irisjax.render.scene import prepare as prepare
-    from irisjax.render.scene import render as render_scene
     from irisjax.render.separable import Separable as Separable
     from irisjax.render.vessels import veins as veins
     from irisjax.tissue.anatomy import Cornea as Cornea
     from irisjax.tissue.anatomy import Eye as Eye
     from irisjax.tissue.anatomy import Sclera as Sclera
     from irisjax.tissue.maps import IrisMaps as IrisMaps
-    from irisjax.tissue.procedural import preset as preset_eye
-    from irisjax.tissue.procedural import procedural as procedural_maps
+    from irisjax.tissue.procedural import preset as preset
+    from irisjax.tissue.procedural import procedural as procedural
 
 # What spectra do not need loads when it is first used: optimistix, emcee, arviz, the renderer.
 _LATER = {
@@ -72,22 +71,20 @@ _LATER = {
     "Lights": "render.lights",
     "Scene": "render.scene",
     "prepare": "render.scene",
-    "render_scene": "render.scene:render",
     "Separable": "render.separable",
     "veins": "render.vessels",
     "Cornea": "tissue.anatomy",
     "Eye": "tissue.anatomy",
     "Sclera": "tissue.anatomy",
     "IrisMaps": "tissue.maps",
-    "preset_eye": "tissue.procedural:preset",
-    "procedural_maps": "tissue.procedural:procedural",
+    "preset": "tissue.procedural",
+    "procedural": "tissue.procedural",
 }
 
 
 def __getattr__(name: str):
     if name in _LATER:
-        module, _, attribute = _LATER[name].partition(":")
-        return getattr(importlib.import_module(f"irisjax.{module}"), attribute or name)
+        return getattr(importlib.import_module(f"irisjax.{_LATER[name]}"), name)
     raise AttributeError(f"module 'irisjax' has no attribute {name!r}")
 
 

@@ -56,6 +56,10 @@ class Scene(eqx.Module):
         """A copy with some parts changed."""
         return dataclasses.replace(self, **parts)
 
+    def render(self, tables: Illumination | None = None) -> Float[Array, "height width 3"]:
+        """See `render`."""
+        return render(self, tables)
+
     def tables(self) -> Illumination | None:
         """Illumination tables of this eye: no caustics without a grazing light, none at all without a cornea."""
         if self.eye.cornea is None:
