@@ -196,7 +196,7 @@ class SceneFile(Mapping[str, Any]):
             if "file" in environment:
                 around = read_environment(self._folder / environment["file"])
             else:
-                around = {"studio": Environment.studio, "sky": Environment.sky}[environment["kind"]]()
+                around = {"studio": Environment.studio, "sky": Environment.sky}[environment["kind"]](rows=512)
             strength = environment.get("strength", 1.0)
             out["environment"] = dataclasses.replace(around, radiance=around.radiance * strength)
             out["environment_lights"] = environment.get("lights", 25)
