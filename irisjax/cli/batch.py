@@ -107,7 +107,7 @@ def _fitted(chunk: list[Eye], seen: Mapping[str, Any], options) -> tuple[list[st
         return [], [[e.name, f"failed: {e.fault}"] for e in chunk]
     first = chunk[0].measured
     try:
-        problem = ij.problem(ij.spectrum(first.wavelengths, first.values, first.sd, name="batch", **seen), **options)
+        problem = ij.problem(ij.spectrum(first, name="batch", **seen), **options)
     except ValueError as error:
         return [], [[e.name, f"failed: {error}"] for e in chunk]
     devices = jax.device_count()
@@ -154,8 +154,7 @@ def _sampled(eye: Eye, output: Path | None, seen, options, sampler, resume: bool
     chain = folder / "chain.h5"
     if chain.exists() and not resume:
         chain.unlink()
-    m = eye.measured
-    problem = ij.problem(ij.spectrum(m.wavelengths, m.values, m.sd, name=eye.name, **seen), **options)
+    problem = ij.problem(ij.spectrum(eye.measured, name=eye.name, **seen), **options)
     try:
         good = report.one(problem, folder, sampler, resume=chain.exists(), files=True, quiet=True)
     except ValueError as error:

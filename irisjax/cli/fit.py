@@ -126,7 +126,7 @@ def fit(
     measured = io.read_measured(spectrum)
     for note in measured.notes:
         print(f"irisjax: {spectrum}: {note}", file=sys.stderr)
-    observation = ij.spectrum(measured.wavelengths, measured.values, measured.sd, name=spectrum.name, **seen)
+    observation = ij.spectrum(measured, name=spectrum.name, **seen)
     problem = ij.problem(observation, **options)
     with tempfile.TemporaryDirectory() as scratch:
         folder = _folder(output, resume, overwrite) if output is not None else Path(scratch)

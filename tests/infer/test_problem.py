@@ -221,3 +221,26 @@ def test_noise_that_cannot_be_is_named():
         Noise(discrepancy=0.1)
     with pytest.raises(ValueError, match="positive definite"):
         ij.colour_data([0.1, 0.1, 0.1], np.zeros((3, 3)))
+
+
+def test_spectra_of_colour_science_and_read_ones_stand_for_wavelengths_and_values(tmp_path):
+    import colour as cs
+
+    grid, scans = np.array([400.0, 500.0, 600.0]), np.array([[0.03, 0.032], [0.01, 0.012], [0.02, 0.019]])
+    one = cs.SpectralDistribution(scans[:, 0], grid)
+    np.testing.assert_array_equal(ij.spectrum(one).wavelengths, grid)
+    np.testing.assert_array_equal(ij.spectrum(one).values, scans[:, 0])
+    assert ij.spectrum(one).sd is None
+    np.testing.assert_array_equal(ij.spectrum(one, sd=0.01).sd, [0.01] * 3)
+    np.savetxt(tmp_path / "scans.csv", np.c_[grid, scans], delimiter=",")
+    read = ij.read_measured(tmp_path / "scans.csv")
+    for seen in (ij.spectrum(cs.MultiSpectralDistributions(scans, grid)), ij.spectrum(read)):
+        np.testing.assert_allclose(seen.values, scans.mean(1))
+        np.testing.assert_allclose(seen.sd, read.sd)
+    assert ij.spectrum(cs.MultiSpectralDistributions(scans[:, [0, 0]], grid)).sd is None
+
+
+@pytest.mark.parametrize("given", [([400.0, 500.0],), (ij.Measured(GRID, GRID, None, (), {}), 0.01)])
+def test_half_a_spectrum_is_refused(given):
+    with pytest.raises(ValueError, match="wavelengths and values, or one object"):
+        ij.spectrum(*given)
