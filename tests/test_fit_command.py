@@ -1,6 +1,7 @@
 """`irisjax fit`: from a file to files, resumed, in batches, and one line for every wrong input."""
 
 import csv
+import sys
 
 import pytest
 
@@ -60,10 +61,14 @@ def test_one_eye_from_file_to_files(irisjax, spectrum, tmp_path):
     assert irisjax("fit", spectrum, "-o", folder, *QUICK, "--resume", "--seed", 1)[0] == 2
 
 
-def test_short_chains_end_with_status_three(irisjax, spectrum):
-    status, out, _ = irisjax("fit", spectrum, *QUICK, "--max-steps", 40)
+def test_short_chains_end_with_status_three(irisjax, spectrum, monkeypatch):
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: True, raising=False)
+    status, out, err = irisjax("fit", spectrum, *QUICK, "--max-steps", 40)
     assert status == 3
     assert "NOT CONVERGED: 40 steps" in out
+    # A terminal is told at once what takes so long; that nothing else is, `test_one_eye_from_file_to_files` shows.
+    assert err.lstrip("\r").startswith("compiling")
+    assert err.index("compiling") < err.index("sampling")
 
 
 def test_batch(irisjax, spectrum, tmp_path):

@@ -50,7 +50,7 @@ def many(
             done = _rows(target, "converged" if posteriors else "ok")
     columns: list[str] = []
     rows: dict[str, list[str]] = dict(done)
-    with tqdm(total=len(eyes), initial=len(done), unit="eye", delay=1, disable=not sys.stderr.isatty()) as bar:
+    with tqdm(desc="compiling", total=len(eyes), initial=len(done), unit="eye", disable=not sys.stderr.isatty()) as bar:
         for chunk in _chunks([e for e in eyes if e.name not in done]):
             named, found = _fitted(chunk, seen, options)
             columns = named or columns
@@ -60,6 +60,7 @@ def many(
                 rows[eye.name] = row
             if target is not None:  # each chunk whole: a killed run loses the one it was in
                 io.write_atomically(target, _table(columns, rows, eyes).encode())
+            bar.set_description("eyes", refresh=False)
             bar.update(len(chunk))
     if target is None:
         sys.stdout.write(_table(columns, rows, eyes))
@@ -156,7 +157,9 @@ def _sampled(eye: Eye, output: Path | None, seen, options, sampler, resume: bool
         chain.unlink()
     problem = ij.problem(ij.spectrum(eye.measured, name=eye.name, **seen), **options)
     try:
-        good = report.one(problem, folder, sampler, resume=chain.exists(), files=True, quiet=True)
+        good = report.one(
+            problem, folder, sampler, report.progress_bar(True), resume=chain.exists(), files=True, quiet=True
+        )
     except ValueError as error:
         return f"failed: {error}"
     return "converged" if good else "failed: the chain is not long enough"

@@ -127,10 +127,10 @@ def fit(
     for note in measured.notes:
         print(f"irisjax: {spectrum}: {note}", file=sys.stderr)
     observation = ij.spectrum(measured, name=spectrum.name, **seen)
-    problem = ij.problem(observation, **options)
-    with tempfile.TemporaryDirectory() as scratch:
+    with tempfile.TemporaryDirectory() as scratch, report.progress_bar() as bar:
+        problem = ij.problem(observation, **options)
         folder = _folder(output, resume, overwrite) if output is not None else Path(scratch)
-        converged = report.one(problem, folder, sampler, resume=resume, files=output is not None)
+        converged = report.one(problem, folder, sampler, bar, resume=resume, files=output is not None)
     raise typer.Exit(0 if converged else _NOT_CONVERGED)
 
 
