@@ -54,7 +54,7 @@ def one(
     key = jax.random.key(sampler["seed"], impl="threefry2x32")
 
     def progress(n: int, word: str):
-        if bar.bar_format is not None:
+        if not bar.disable and bar.bar_format is not None:
             bar.reset()  # compiling does not count as time for steps
             bar.bar_format, bar.leave = None, True
         bar.set_description_str(word, refresh=False)
@@ -108,8 +108,11 @@ def _write(problem: Problem, folder: Path, chains: Chains, rows, lines, key) -> 
         "posterior_predictive": {n: np.asarray(s)[None] for n, s in zip(names, simulated, strict=True)},
         "sample_stats": {"lp": chains.log_probability[::thin].T},
     }
-    observed = {n: np.asarray(o.values) for n, o in zip(names, problem.observations, strict=True)}
-    observed["wavelength_nm"] = np.asarray(problem.observations[0].wavelengths)
+    observed = {n: np.asarray(o.values) for n, o in zip(names, seen, strict=True)}
+    observed |= {
+        f"wavelength_nm{n.removeprefix(o.quantity)}": np.asarray(o.wavelengths)
+        for n, o in zip(names, seen, strict=True)
+    }
     about = {
         "converged": str(chains.converged), "steps": str(chains.steps), "every": str(thin * chains.thin),
         "process": str(problem.process),
@@ -150,7 +153,8 @@ def _print(problem: Problem, rows: list[Row], lines: list[str], chains: Chains) 
     from rich.table import Table
 
     console = Console(width=None if sys.stdout.isatty() else 100, highlight=False)
-    title = f"{', '.join(o.name for o in problem.observations)}: posterior"
+    seen = problem.observations
+    title = f"{', '.join(o.name for o in seen)}: posterior{' of one eye' if len(seen) > 1 else ''}"
     table = Table(title=title, title_justify="left", box=None, pad_edge=False, padding=(0, 2, 0, 0))
     columns = {
         "parameter": [r.parameter for r in rows],
