@@ -19,8 +19,8 @@ from experiments.common import RESULTS, start, write
 from irisjax.infer.fit import fit
 from irisjax.infer.moves import IndependentMove, Proposal, mixture
 from irisjax.infer.observation import with_values
+from irisjax.infer.pieces import density
 from irisjax.infer.posterior import laplace, sample
-from irisjax.infer.problem import density
 
 LEVELS = ("low", "moderate", "high")
 

@@ -80,7 +80,9 @@ def fit_figure(observations, simulated, models) -> "Figure":
     for k, (name, quantity, is_colour, grid, values) in enumerate(observations):
         x = np.arange(values.size) if is_colour else grid
         top, below = axes[0, k], axes[1, k]
-        mark = {"marker": "o", "markersize": 3, "linestyle": "none"}
+        # Many points go behind what they would hide.
+        many = values.size > 500
+        mark = {"marker": "o", "markersize": 1 if many else 3, "linestyle": "none", "zorder": 0.5 if many else 2}
         for low, high, alpha in ((2.5, 97.5, 0.2), (16, 84, 0.35)):
             band = np.percentile(simulated[k], [low, high], axis=0)
             label = f"simulated, {'95' if low < 10 else '68'} %"

@@ -1,8 +1,10 @@
 """`irisjax fit`: from a file to files, resumed, in batches, and one line for every wrong input."""
 
 import csv
+import sys
 
 import pytest
+import xarray as xr
 
 from irisjax import cli
 
@@ -60,10 +62,33 @@ def test_one_eye_from_file_to_files(irisjax, spectrum, tmp_path):
     assert irisjax("fit", spectrum, "-o", folder, *QUICK, "--resume", "--seed", 1)[0] == 2
 
 
-def test_short_chains_end_with_status_three(irisjax, spectrum):
-    status, out, _ = irisjax("fit", spectrum, *QUICK, "--max-steps", 40)
+def test_short_chains_end_with_status_three(irisjax, spectrum, monkeypatch):
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: True, raising=False)
+    status, out, err = irisjax("fit", spectrum, *QUICK, "--max-steps", 40)
     assert status == 3
     assert "NOT CONVERGED: 40 steps" in out
+    # A terminal is told at once what takes so long; that nothing else is, `test_one_eye_from_file_to_files` shows.
+    assert err.lstrip("\r").startswith("compiling")
+    assert err.index("compiling") < err.index("sampling")
+
+
+def test_two_spots_of_one_eye(irisjax, spectrum, tmp_path):
+    """They share the blood; each has its own melanin where it is separate."""
+    other, folder = tmp_path / "spot.csv", tmp_path / "out"
+    changed = ("--melanin-load", 0.1, "--wavelengths", "420:680:10")
+    assert irisjax("simulate-measurement", "--level", "low", *changed, "--seed", 3, "-o", other)[0] == 0
+    both = ("fit", spectrum, other, "--separate", "melanin_load", *QUICK)
+    status, out, err = irisjax(*both, "-o", folder)
+    assert (status, err) == (0, "")
+    assert out.startswith("eye.csv, spot.csv: posterior of one eye")
+    with (folder / "summary.csv").open() as file:
+        rows = {row["parameter"]: row for row in csv.DictReader(file)}
+    assert {"melanin_load@1", "melanin_load@2", "hemoglobin", "eumelanin@2"} <= set(rows)
+    for name, truth in (("melanin_load@1", 0.0477), ("melanin_load@2", 0.1), ("hemoglobin", 0.084)):
+        assert abs(float(rows[name]["median"]) - truth) < 5 * float(rows[name]["sd"])
+    seen = xr.open_dataset(folder / "posterior.nc", group="observed_data", engine="h5netcdf")
+    assert seen["wavelength_nm_1"].size == seen["reflectance_1"].size == 31
+    assert seen["wavelength_nm_2"].size == seen["reflectance_2"].size == 27
 
 
 def test_batch(irisjax, spectrum, tmp_path):
@@ -121,7 +146,11 @@ def test_simulated_measurements_say_so_and_repeat(irisjax, tmp_path):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ((), "give one SPECTRUM, or --batch"),
+        ((), "give the SPECTRUM of an eye, or --batch"),
+        (("{eye}", "--batch", "{eye}"), "give the SPECTRUM of an eye, or --batch"),
+        (("{eye}", "{eye}", "--separate", "melanin"), "unknown parameter 'melanin'"),
+        (("{eye}", "{eye}", "--separate", "abl_thickness"), "is not free"),
+        (("{eye}", "--separate", "melanin_load"), "--separate needs two or more spectra"),
         (("missing.csv",), "missing.csv: No such file"),
         (("{eye}", "--free", "melanin"), "unknown parameter 'melanin'"),
         (("{eye}", "--fix", "gain"), "--fix 'gain': write NAME=VALUE"),

@@ -50,7 +50,7 @@ def many(
             done = _rows(target, "converged" if posteriors else "ok")
     columns: list[str] = []
     rows: dict[str, list[str]] = dict(done)
-    with tqdm(total=len(eyes), initial=len(done), unit="eye", delay=1, disable=not sys.stderr.isatty()) as bar:
+    with tqdm(desc="compiling", total=len(eyes), initial=len(done), unit="eye", disable=not sys.stderr.isatty()) as bar:
         for chunk in _chunks([e for e in eyes if e.name not in done]):
             named, found = _fitted(chunk, seen, options)
             columns = named or columns
@@ -60,6 +60,7 @@ def many(
                 rows[eye.name] = row
             if target is not None:  # each chunk whole: a killed run loses the one it was in
                 io.write_atomically(target, _table(columns, rows, eyes).encode())
+            bar.set_description("eyes", refresh=False)
             bar.update(len(chunk))
     if target is None:
         sys.stdout.write(_table(columns, rows, eyes))
@@ -107,7 +108,7 @@ def _fitted(chunk: list[Eye], seen: Mapping[str, Any], options) -> tuple[list[st
         return [], [[e.name, f"failed: {e.fault}"] for e in chunk]
     first = chunk[0].measured
     try:
-        problem = ij.problem(ij.spectrum(first.wavelengths, first.values, first.sd, name="batch", **seen), **options)
+        problem = ij.problem(ij.spectrum(first, name="batch", **seen), **options)
     except ValueError as error:
         return [], [[e.name, f"failed: {error}"] for e in chunk]
     devices = jax.device_count()
@@ -154,10 +155,11 @@ def _sampled(eye: Eye, output: Path | None, seen, options, sampler, resume: bool
     chain = folder / "chain.h5"
     if chain.exists() and not resume:
         chain.unlink()
-    m = eye.measured
-    problem = ij.problem(ij.spectrum(m.wavelengths, m.values, m.sd, name=eye.name, **seen), **options)
+    problem = ij.problem(ij.spectrum(eye.measured, name=eye.name, **seen), **options)
     try:
-        good = report.one(problem, folder, sampler, resume=chain.exists(), files=True, quiet=True)
+        good = report.one(
+            problem, folder, sampler, report.progress_bar(True), resume=chain.exists(), files=True, quiet=True
+        )
     except ValueError as error:
         return f"failed: {error}"
     return "converged" if good else "failed: the chain is not long enough"

@@ -5,7 +5,6 @@ import tempfile
 from pathlib import Path
 from typing import Annotated, Any
 
-import jax
 import typer
 
 import irisjax as ij
@@ -19,7 +18,14 @@ _WHAT, _MODEL, _SAMPLER, _FILES = "Measurement", "Model", "Sampler", "Files"
 
 
 def fit(
-    spectrum: Annotated[Path | None, typer.Argument(help="CSV, TSV or JCAMP-DX of one eye", show_default=False)] = None,
+    spectra: Annotated[
+        list[Path] | None,
+        typer.Argument(
+            metavar="SPECTRUM...",
+            help="one spectrum (CSV, TSV, JCAMP-DX), or several of one eye to be fitted together",
+            show_default=False,
+        ),
+    ] = None,
     output: Annotated[
         Path | None,
         typer.Option("-o", "--output", help="folder for posterior.nc, summary.csv and figures", rich_help_panel=_FILES),
@@ -48,6 +54,14 @@ def fit(
     prior: Annotated[
         list[str] | None,
         typer.Option(metavar="NAME=PRIOR", help="such as hemoglobin=lognormal(0.1,0.3)", rich_help_panel=_MODEL),
+    ] = None,
+    separate: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NAMES",
+            help="of several spectra: free for each, by commas (NAME@1, NAME@2, ...)",
+            rich_help_panel=_MODEL,
+        ),
     ] = None,
     process: Annotated[
         str, typer.Option(help=f"{', '.join(PROCESSES)}: rules of light transport", rich_help_panel=_MODEL)
@@ -89,8 +103,10 @@ def fit(
     from irisjax.infer.noise import Noise
     from irisjax.infer.priors import prior_of
 
-    if (spectrum is None) == (batch is None):
-        raise ValueError("give one SPECTRUM, or --batch with a folder or a CSV")
+    if bool(spectra) == (batch is not None):
+        raise ValueError("give the SPECTRUM of an eye, or --batch with a folder or a CSV of many eyes")
+    if separate is not None and len(spectra or ()) < 2:
+        raise ValueError("--separate needs two or more spectra of one eye")
     rough, length = _discrepancy(discrepancy)
     stated: dict[str, Any] = {
         "relative": _value("--relative-noise", relative_noise, 0, 10),
@@ -107,10 +123,13 @@ def fit(
     for text in prior or ():
         name, value = _pair("--prior", text)
         named["priors"][name] = prior_of(value, PARAMETERS[name].low, PARAMETERS[name].high)
-    names = None if free is None else [n.strip() for n in free.split(",") if n.strip()]
     options = {
-        "free": names, "noise": noise, "process": PROCESSES[_one("--process", process, PROCESSES)], **named
-    }  # fmt: skip
+        "free": None if free is None else _names(free),
+        "separate": _names(separate or ""),
+        "noise": noise,
+        "process": PROCESSES[_one("--process", process, PROCESSES)],
+        **named,
+    }
     seen = {
         "quantity": _one("--quantity", quantity, ("reflectance", "radiance")),
         "illuminant": illuminant,
@@ -122,15 +141,16 @@ def fit(
     sampler = {"walkers": walkers, "seed": seed, "max_steps": max_steps}
     if batch is not None:
         raise typer.Exit(many(batch, output, seen, options, sampler, posteriors, resume, overwrite))
-    assert spectrum is not None
-    measured = io.read_measured(spectrum)
-    for note in measured.notes:
-        print(f"irisjax: {spectrum}: {note}", file=sys.stderr)
-    observation = ij.spectrum(measured.wavelengths, measured.values, measured.sd, name=spectrum.name, **seen)
-    problem = ij.problem(observation, **options)
-    with tempfile.TemporaryDirectory() as scratch:
+    observations = []
+    for path in spectra or ():
+        measured = io.read_measured(path)
+        for note in measured.notes:
+            print(f"irisjax: {path}: {note}", file=sys.stderr)
+        observations.append(ij.spectrum(measured, name=path.name, **seen))
+    with tempfile.TemporaryDirectory() as scratch, report.progress_bar() as bar:
+        problem = ij.problem(observations, **options)
         folder = _folder(output, resume, overwrite) if output is not None else Path(scratch)
-        converged = report.one(problem, folder, sampler, resume=resume, files=output is not None)
+        converged = report.one(problem, folder, sampler, bar, resume=resume, files=output is not None)
     raise typer.Exit(0 if converged else _NOT_CONVERGED)
 
 
@@ -146,6 +166,10 @@ def _folder(folder: Path, resume: bool, overwrite: bool) -> Path:
         chain.unlink()
         (folder / "chain.h5.bak").unlink(missing_ok=True)
     return folder
+
+
+def _names(text: str) -> list[str]:
+    return [name.strip() for name in text.split(",") if name.strip()]
 
 
 def _pair(option: str, text: str) -> tuple[str, str]:
@@ -176,8 +200,3 @@ def _discrepancy(text: str | None) -> tuple[float | None, float | None]:
     if not colon:
         raise ValueError(f"--discrepancy {text!r}: write its size and its length in nm, such as 0.02:80")
     return _value("--discrepancy size", size, 1e-6, 10), _value("--discrepancy length", length, 1e-3, 1e4)
-
-
-def key_of(seed: int) -> jax.Array:
-    """A key of a fixed kind, whatever the environment prefers."""
-    return jax.random.key(seed, impl="threefry2x32")

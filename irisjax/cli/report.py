@@ -8,12 +8,14 @@ from pathlib import Path
 from typing import Any
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 
 import irisjax as ij
 from irisjax import io, plot
 from irisjax.infer.fit import fit
 from irisjax.infer.identifiability import in_words, information
+from irisjax.infer.pieces import pointwise
 from irisjax.infer.posterior import Chains, sample
 from irisjax.infer.problem import Problem, kind
 from irisjax.infer.summary import Check, Row, check, predictive, reported, summarise
@@ -32,34 +34,48 @@ COLUMNS = (
     "ess_tail",
     "contraction",
 )
+_MOST_NUMBERS = 1 << 24  # of log likelihoods in a file: 128 MB
+
+
+def progress_bar(quiet: bool = False):
+    """Steps on a terminal; before the first it says what takes so long. Open it before the problem is stated."""
+    from tqdm import tqdm
+
+    # Wrong input ends in one line: what stands here is wiped until there are steps.
+    bar = tqdm(unit="step", bar_format="{desc}", leave=False, disable=quiet or not sys.stderr.isatty())
+    bar.set_description_str("compiling (quicker from the second run on) ...")
+    return bar
 
 
 def one(
-    problem: Problem, folder: Path, sampler: Mapping[str, Any], *, resume: bool, files: bool, quiet: bool = False
+    problem: Problem, folder: Path, sampler: Mapping[str, Any], bar, *, resume: bool, files: bool, quiet: bool = False
 ) -> bool:
-    """Fit, sample, print and write; returns whether the chain is long enough."""
-    from tqdm import tqdm
-
+    """Fit, sample, print and write, with progress on `bar`; returns whether the chain is long enough."""
     key = jax.random.key(sampler["seed"], impl="threefry2x32")
+
+    def progress(n: int, word: str):
+        if not bar.disable and bar.bar_format is not None:
+            bar.reset()  # compiling does not count as time for steps
+            bar.bar_format, bar.leave = None, True
+        bar.set_description_str(word, refresh=False)
+        bar.update(n - bar.n)
+
     best = fit(problem, key=jax.random.fold_in(key, 1))
     if not bool(best.ok):
         _say("the least-squares search did not converge; its end starts the sampler", quiet)
-    with tqdm(unit="step", delay=1, disable=quiet or not sys.stderr.isatty()) as bar:
-
-        def progress(n: int, word: str):
-            bar.set_description(word, refresh=False)
-            bar.update(n - bar.n)
-
-        chains = sample(problem, folder / "chain.h5", start=best, resume=resume, progress=progress, **sampler)
+    chains = sample(problem, folder / "chain.h5", start=best, resume=resume, progress=progress, **sampler)
+    bar.set_description_str("summary")
     rows = summarise(problem, chains)
     tested = check(problem, chains, jax.random.fold_in(key, 2))
     lines = [*in_words(information(problem, best)), *_cautions(problem, rows, tested, chains)]
     if files:
+        bar.set_description_str("files")
         _write(problem, folder, chains, rows, lines, key)
         score, error = io.predictive_score(folder / "posterior.nc")
         lines.append(
             f"predictive score {score:.1f} ± {error:.1f} (PSIS-LOO): compare it with that of another --process"
         )
+    bar.close()
     if not quiet:
         _print(problem, rows, lines, chains)
     return chains.converged
@@ -78,21 +94,28 @@ def _write(problem: Problem, folder: Path, chains: Chains, rows, lines, key) -> 
     count = 500
     _, simulated, models = predictive(problem, chains, jax.random.fold_in(key, 3), count)
     prior = np.asarray(jax.random.normal(jax.random.fold_in(key, 4), (1, 4000, len(problem.free))))
-    by_chain = np.moveaxis(chains.z, 0, 1)
-    pointwise = np.asarray(jax.jit(jax.vmap(lambda x: problem.pointwise(x)))(by_chain.reshape(-1, by_chain.shape[-1])))
     seen = problem.observations
+    # Every draw has a log likelihood for every value: of many values fewer draws are kept.
+    most = _MOST_NUMBERS // (chains.z.shape[1] * sum(o.values.shape[-1] for o in seen))
+    thin = -(-len(chains.z) // max(1, most))
+    by_chain = np.moveaxis(chains.z[::thin], 0, 1)
+    likelihoods = np.asarray(pointwise(problem, jnp.asarray(by_chain.reshape(-1, by_chain.shape[-1]))))
     names = [f"{o.quantity}_{i + 1}" if len(seen) > 1 else o.quantity for i, o in enumerate(seen)]
     groups = {
         "posterior": reported(problem, by_chain),
         "prior": reported(problem, prior),
-        "log_likelihood": {"data": pointwise.reshape(*by_chain.shape[:2], -1)},
+        "log_likelihood": {"data": likelihoods.reshape(*by_chain.shape[:2], -1)},
         "posterior_predictive": {n: np.asarray(s)[None] for n, s in zip(names, simulated, strict=True)},
-        "sample_stats": {"lp": chains.log_probability.T},
+        "sample_stats": {"lp": chains.log_probability[::thin].T},
     }
-    observed = {n: np.asarray(o.values) for n, o in zip(names, problem.observations, strict=True)}
-    observed["wavelength_nm"] = np.asarray(problem.observations[0].wavelengths)
+    observed = {n: np.asarray(o.values) for n, o in zip(names, seen, strict=True)}
+    observed |= {
+        f"wavelength_nm{n.removeprefix(o.quantity)}": np.asarray(o.wavelengths)
+        for n, o in zip(names, seen, strict=True)
+    }
     about = {
-        "converged": str(chains.converged), "steps": str(chains.steps), "process": str(problem.process),
+        "converged": str(chains.converged), "steps": str(chains.steps), "every": str(thin * chains.thin),
+        "process": str(problem.process),
         "priors": "; ".join(f"{n} ~ {p}" for n, p in zip(problem.free, problem.priors, strict=True)),
         "fixed": "; ".join(f"{n} = {float(v):g}" for n, v in problem.fixed.items()),
         "irisjax": ij.__version__, "says": " | ".join(lines),
@@ -129,15 +152,26 @@ def _print(problem: Problem, rows: list[Row], lines: list[str], chains: Chains) 
     from rich.console import Console
     from rich.table import Table
 
-    table = Table(title=f"{', '.join(o.name for o in problem.observations)}: posterior", title_justify="left", box=None)
-    for name in ("parameter", "unit", "median", "68 %", "95 %", "R-hat", "ESS", "contraction"):
+    console = Console(width=None if sys.stdout.isatty() else 100, highlight=False)
+    seen = problem.observations
+    title = f"{', '.join(o.name for o in seen)}: posterior{' of one eye' if len(seen) > 1 else ''}"
+    table = Table(title=title, title_justify="left", box=None, pad_edge=False, padding=(0, 2, 0, 0))
+    columns = {
+        "parameter": [r.parameter for r in rows],
+        "unit": [r.unit for r in rows],
+        "median": [f"{r.median:.4g}" for r in rows],
+        "68 %": [f"{r.q16:.3g} to {r.q84:.3g}" for r in rows],
+        "95 %": [f"{r.q2_5:.3g} to {r.q97_5:.3g}" for r in rows],
+        "R-hat": [f"{r.rhat:.3f}" for r in rows],
+        "ESS": [f"{r.ess_bulk:.0f}" for r in rows],
+        "contraction": [f"{r.contraction:.2f}" for r in rows],
+    }
+    if console.width < 100:  # numbers cut short would be worse
+        del columns["68 %"]
+    for name in columns:
         table.add_column(name, justify="left" if name in ("parameter", "unit") else "right", no_wrap=True)
-    for r in rows:
-        table.add_row(
-            r.parameter, r.unit, f"{r.median:.4g}", f"{r.q16:.3g} to {r.q84:.3g}", f"{r.q2_5:.3g} to {r.q97_5:.3g}",
-            f"{r.rhat:.3f}", f"{r.ess_bulk:.0f}", f"{r.contraction:.2f}",
-        )  # fmt: skip
-    console = Console(width=max(100, Console().width) if not sys.stdout.isatty() else None, highlight=False)
+    for cells in zip(*columns.values(), strict=True):
+        table.add_row(*cells)
     console.print(table)
     console.print(
         f"{chains.steps} steps, acceptance {chains.acceptance:.2f}, autocorrelation time {chains.tau.max():.0f} steps"

@@ -12,6 +12,7 @@ import optimistix as optx
 from jaxtyping import Array, Float, Int
 
 from irisjax._types import PRNGKey
+from irisjax.infer.pieces import elements, in_pieces
 from irisjax.infer.problem import Problem
 from irisjax.transport import elimination
 
@@ -132,7 +133,9 @@ def _fit(problem, start, key, method, use_priors, starts, rtol, atol, max_steps)
         found = optx.least_squares(residuals, solver, x, has_aux=True, max_steps=max_steps, throw=False)
         return found.value, found.stats["num_steps"], found.result, found.aux
 
-    ends, steps, results, (data, predicted, costs) = eqx.filter_vmap(search)(jnp.concatenate([first[None], draws]))
+    begins = jnp.concatenate([first[None], draws])
+    # Searches side by side all last as long as the longest: of large problems one after another is quicker.
+    ends, steps, results, (data, predicted, costs) = in_pieces(search, begins, elements(problem) * first.size)
     costs = jnp.where(jnp.isfinite(costs), costs, jnp.inf)
     # Among equal costs one that converged.
     failed = results != optx.RESULTS.successful

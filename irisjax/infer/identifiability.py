@@ -104,7 +104,9 @@ def _combination(fisher, a: int, b: int) -> float:
 
 
 def _percent(x: float) -> str:
-    return "no limit" if not np.isfinite(x) or x > 100 else f"{100 * x:.2g} %"
+    if not np.isfinite(x) or x > 100:
+        return "no limit"
+    return f"{100 * x:.0f} %" if x > 1 else f"{100 * x:.2g} %"
 
 
 def _power(name: str, exponent: float) -> str:

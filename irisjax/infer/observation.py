@@ -52,7 +52,7 @@ class Observation(eqx.Module):
 
 def spectrum(
     wavelengths,
-    values,
+    values=None,
     sd=None,
     *,
     quantity: str = REFLECTANCE,
@@ -63,12 +63,23 @@ def spectrum(
 ) -> Observation:
     """A measured reflectance factor, or the radiance under an illuminant (relative to it at 560 nm, per sr).
 
-    `wavelengths` in nm, in any order; `values` and `sd` (standard deviations, or `None`) one a wavelength.
-    A radiance is dimmed by the cornea as in `radiance`.
+    `wavelengths` in nm, in any order; `values` (fractions) and `sd` (standard deviations, or `None`) one a
+    wavelength. `values` of shape (wavelengths, scans) are repeated scans, see `mean_of_scans`; their scatter is
+    the `sd` where none is given. In place of wavelengths and values: one object that has both, such as
+    `read_measured` returns (its `sd` is used), or colour-science's `SpectralDistribution` and
+    `MultiSpectralDistributions` (repeated scans). A radiance is dimmed by the cornea as in `radiance`.
 
     **Raises:** `ValueError` naming the first wavelength at which something is wrong.
     """
+    if (hasattr(wavelengths, "wavelengths") and hasattr(wavelengths, "values")) == (values is not None):
+        raise ValueError(f"{name}: give wavelengths and values, or one object that has both; sd by its name")
+    if values is None:
+        sd = getattr(wavelengths, "sd", None) if sd is None else sd
+        wavelengths, values = wavelengths.wavelengths, wavelengths.values
     grid, y = np.asarray(wavelengths, np.float64), np.asarray(values, np.float64)
+    if y.ndim == 2 and y.shape[1]:
+        y, scatter = mean_of_scans(y)
+        sd = scatter if sd is None else sd
     if grid.ndim != 1 or y.shape != grid.shape:
         raise ValueError(f"{name}: {y.shape} values for {grid.shape} wavelengths; need one for each")
     order = np.argsort(grid, kind="stable")
@@ -91,6 +102,20 @@ def spectrum(
     response = None if quantity == REFLECTANCE else _array(illuminant_power(illuminant, grid) / np.pi)
     sd = None if sd is None else _array(sd)
     return Observation(_array(y), sd, _array(grid), response, None, None, cos_incidence, first_surface, quantity, name)
+
+
+def mean_of_scans(scans: np.ndarray) -> tuple[np.ndarray, np.ndarray | None]:
+    """Mean of repeated scans, shape (wavelengths, scans), and the standard deviations of that mean by their scatter.
+
+    `None` in place of these for a single scan, and where scans are equal: they say nothing about the noise.
+    """
+    count = scans.shape[1]
+    if count < 2:
+        return scans.mean(axis=1), None
+    # Few scans scatter little somewhere by chance, and would count too much there: lean on all wavelengths together.
+    scatter = scans.std(axis=1, ddof=1)
+    sd = np.sqrt((scatter**2 + 3 * (scatter**2).mean()) / 4 / count)
+    return scans.mean(axis=1), sd if (sd > 0).all() else None
 
 
 def colour_data(

@@ -15,7 +15,8 @@ import numpy as np
 from irisjax.infer.diagnostics import diagnostics
 from irisjax.infer.fit import Fit, fit
 from irisjax.infer.moves import Proposal, mixture
-from irisjax.infer.problem import Problem, density
+from irisjax.infer.pieces import density
+from irisjax.infer.problem import Problem
 from irisjax.infer.stream import Stream, checkpoint, repair
 
 _SPREAD, _BURN, _BLOCK, _MOST_KEPT = 300, 600, 200, 1000

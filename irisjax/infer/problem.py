@@ -1,7 +1,7 @@
 """An inverse problem: measurements, what is free, and the probability of every choice of it."""
 
 from collections.abc import Iterable, Mapping, Sequence
-from functools import lru_cache, partial
+from functools import partial
 from typing import Any
 
 import equinox as eqx
@@ -23,6 +23,8 @@ from irisjax.transport.process import ILIT_2006, Process
 from irisjax.transport.solution import RESULTS
 from irisjax.transport.solver import AbstractSolver
 from irisjax.transport.tabulated import Tabulated
+
+_MOST_CORRELATED = 1000  # hours of sampling as it is
 
 
 class Problem(eqx.Module):
@@ -180,7 +182,8 @@ def problem(
     - `base`: the iris for all that is neither free nor fixed; default LB06's, moderate.
     - `solver`: default `Tabulated` for ILIT's processes, `Exact(16, 8)` for depth-resolved transport.
 
-    **Raises:** `ValueError` for unknown names, values out of range, or nothing free.
+    **Raises:** `ValueError` for unknown names, values out of range, nothing free, or more than 1,000 values
+    with a correlated discrepancy.
     """
     seen = (observations,) if isinstance(observations, Observation) else tuple(observations)
     fixed, priors, separate = dict(fixed or {}), dict(priors or {}), tuple(separate)
@@ -202,6 +205,12 @@ def problem(
         if name not in names:
             raise ValueError(f"{name} has a prior or is separate, but is not free")
     expanded = [f"{n}@{i + 1}" if n in separate else n for n in names for i in range(len(seen) if n in separate else 1)]
+    most = max(o.values.shape[-1] for o in seen)
+    if noise is not None and noise.discrepancy is not None and most > _MOST_CORRELATED:
+        raise ValueError(
+            f"a discrepancy takes a matrix of {most} by {most} for every walker; average neighbouring wavelengths, "
+            f"to {_MOST_CORRELATED} values at most"
+        )
     base = Iris() if base is None else base
     tables = tuple(extinction(np.asarray(o.wavelengths)) for o in seen)
     if solver is None:
@@ -219,22 +228,6 @@ def problem(
         priors=tuple(priors.get(kind(n), PARAMETERS[kind(n)].prior) for n in expanded),
         process=process,
     )
-
-
-def density(problem: Problem):
-    """The function z (n, free) → log posterior densities (n,), compiled once for all problems of the same form."""
-    leaves, structure = jax.tree.flatten(problem)
-    return partial(_compiled_density(structure), [jnp.asarray(x) for x in leaves])
-
-
-@lru_cache(maxsize=32)
-def _compiled_density(structure):
-    @jax.jit
-    def run(leaves, z):
-        stated = jax.tree.unflatten(structure, leaves)
-        return jax.vmap(lambda x: stated.log_posterior(x))(z)
-
-    return run
 
 
 def kind(name: str) -> str:

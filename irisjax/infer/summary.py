@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from irisjax.infer.diagnostics import diagnostics
+from irisjax.infer.pieces import predicted
 from irisjax.infer.posterior import Chains
 from irisjax.infer.problem import Problem, unit_of
 
@@ -94,12 +95,7 @@ def predictive(problem: Problem, chains: Chains, key, count: int = 500):
     """Draws of the posterior predictive and of the model without noise: two arrays (count, data) an observation."""
     z = chains.z.reshape(-1, chains.z.shape[-1])
     chosen = jnp.asarray(z[np.linspace(0, len(z) - 1, min(count, len(z))).astype(int)])
-    return chosen, *_predictive(problem, chosen, jax.random.split(key, len(chosen)))
-
-
-@jax.jit
-def _predictive(problem: Problem, z, keys):
-    return jax.vmap(lambda x, k: problem.simulate(x, k))(z, keys), jax.vmap(lambda x: problem.predict(x))(z)
+    return chosen, *predicted(problem, chosen, jax.random.split(key, len(chosen)))
 
 
 def check(problem: Problem, chains: Chains, key) -> Check:

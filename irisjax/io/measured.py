@@ -7,6 +7,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from irisjax.infer.observation import mean_of_scans
+
 _SD = re.compile(r"^(sd|std|stdev|sigma|standard[ _]deviation|standard[ _]error|uncertainty)\b", re.I)
 _MICRO = re.compile(r"µm|μm|\bum\b|micro|_um\b", re.I)
 _NANO = re.compile(r"nm\b|nano", re.I)
@@ -138,15 +140,12 @@ def _finished(path, values, names, where, header) -> Measured:
     stated = [j for j in range(1, values.shape[1]) if _SD.match(names[j])]
     if not scans or len(stated) > 1 or (stated and len(scans) > 1):
         raise ValueError(f"{path}: columns {names[1:]}: need one spectrum (with its sd) or repeated scans")
-    y, sd = values[:, scans].mean(axis=1), values[:, stated[0]] if stated else None
+    y, sd = mean_of_scans(values[:, scans])
+    if stated:
+        sd = values[:, stated[0]]
     if len(scans) > 1:
-        # Few scans scatter by chance: pool the relative scatter of all wavelengths, as a floor.
-        scatter = values[:, scans].std(axis=1, ddof=1)
-        pooled = np.sqrt((scatter**2).mean())
-        sd = np.sqrt((scatter**2 + 3 * pooled**2) / 4) / np.sqrt(len(scans))
         notes.append(f"mean of {len(scans)} scans; their scatter is the noise")
-        if not (sd > 0).all():
-            sd = None
+        if sd is None:
             notes.append("the scans are equal: their scatter says nothing about the noise")
     label = names[scans[0]].lower()
     if "%" in label or "percent" in label or "per cent" in label or np.abs(y).max() > 2:

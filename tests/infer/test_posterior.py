@@ -3,6 +3,7 @@
 import shutil
 import subprocess
 import sys
+import tracemalloc
 
 import emcee
 import h5py
@@ -12,6 +13,7 @@ import pytest
 from scipy import stats
 
 import irisjax as ij
+from irisjax.infer import posterior
 from irisjax.infer.analytic import BeerLambert
 from irisjax.infer.fit import fit
 from irisjax.infer.moves import IndependentMove, Proposal, mixture
@@ -106,6 +108,23 @@ def test_short_chains_are_called_short(whole, tmp_path):
     longer = sample(problem, tmp_path / "short.h5", walkers=16, seed=3, max_steps=600, resume=True)
     assert longer.converged
     np.testing.assert_array_equal(rows(tmp_path / "short.h5")[0][:60], rows(whole[1])[0][:60])
+
+
+def test_memory_does_not_grow_with_the_chain(whole, tmp_path, monkeypatch):
+    """Ten times the steps, resumed or not: less is held at any moment than their log probabilities would take."""
+    problem, best = whole[0], fit(whole[0])
+    monkeypatch.setattr(posterior, "density", lambda _: lambda z: -0.5 * np.square(np.asarray(z)).sum(axis=1))
+    # As with the real numbers: a short burn-in, never long enough, and fewer steps kept than either run has.
+    for name, value in (("TAUS", np.inf), ("_SPREAD", 10), ("_BURN", 20), ("_MOST_KEPT", 20)):
+        monkeypatch.setattr(posterior, name, value)
+    walkers, peaks = 256, {}
+    for resume in (False, True):
+        for steps in (20, 30, 300):  # the first warms up
+            tracemalloc.start()
+            sample(problem, tmp_path / f"{steps}.h5", walkers=walkers, start=best, max_steps=steps, resume=resume)
+            peaks[steps] = tracemalloc.get_traced_memory()[1]
+            tracemalloc.stop()
+        assert peaks[300] - peaks[30] < 270 * walkers * 8
 
 
 def test_posterior_agrees_with_a_grid(tmp_path):

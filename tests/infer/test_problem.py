@@ -132,6 +132,24 @@ def test_likelihood_is_scipys(noise, distribution):
     assert float(problem.log_prior(z)) == pytest.approx(stats.norm.logpdf(np.asarray(z)).sum())
 
 
+@pytest.mark.parametrize("count", [16, 81])
+def test_correlated_residuals_are_whitened(count):
+    """More wavelengths than a block of the matrix's root: densities and squares are those of scipy."""
+    grid, rng = np.linspace(400, 700, count), np.random.default_rng(0)
+    model, noise = 0.02 + 0.01 * rng.random(count), Noise(0.03, 1e-3, 0.05, 60.0)
+    seen = ij.spectrum(grid, model * (1 + 0.03 * rng.normal(size=count)))
+
+    def covariance(m):
+        smooth = 0.05**2 * np.outer(m, m) * np.exp(-0.5 * ((grid[:, None] - grid) / 60) ** 2)
+        return np.diag((0.03 * m) ** 2 + 1e-6) + smooth
+
+    values = np.asarray(seen.values)
+    wanted = stats.multivariate_normal(model, covariance(model)).logpdf(values)
+    assert float(noise.pointwise(seen, jnp.asarray(model)).sum()) == pytest.approx(wanted, rel=1e-10)
+    square = (values - model) @ np.linalg.solve(covariance(values), values - model)
+    assert float((noise.whiten(seen, jnp.asarray(model)) ** 2).sum()) == pytest.approx(square, rel=1e-10)
+
+
 def test_colour_likelihood_is_scipys():
     c = np.array([[2.0, 0.5, 0.1], [0.5, 1.0, -0.2], [0.1, -0.2, 0.5]]) * 1e-4
     problem = ij.problem(ij.colour_data([0.02, 0.02, 0.03], c), free=["melanin_load"], solver=ij.Exact(16))
@@ -215,9 +233,35 @@ def test_wrong_spectra_are_named(wavelengths, values, sd, message):
 
 
 def test_noise_that_cannot_be_is_named():
+    many = np.linspace(400, 700, 1001)
+    with pytest.raises(ValueError, match="1001 by 1001"):
+        ij.problem(ij.spectrum(many, many), noise=Noise(discrepancy=0.1, length=50.0))
     with pytest.raises(ValueError, match="do not go together"):
         Noise(discrepancy=0.1, length=50.0, degrees_of_freedom=4.0)
     with pytest.raises(ValueError, match="needs its length"):
         Noise(discrepancy=0.1)
     with pytest.raises(ValueError, match="positive definite"):
         ij.colour_data([0.1, 0.1, 0.1], np.zeros((3, 3)))
+
+
+def test_spectra_of_colour_science_and_read_ones_stand_for_wavelengths_and_values(tmp_path):
+    import colour as cs
+
+    grid, scans = np.array([400.0, 500.0, 600.0]), np.array([[0.03, 0.032], [0.01, 0.012], [0.02, 0.019]])
+    one = cs.SpectralDistribution(scans[:, 0], grid)
+    np.testing.assert_array_equal(ij.spectrum(one).wavelengths, grid)
+    np.testing.assert_array_equal(ij.spectrum(one).values, scans[:, 0])
+    assert ij.spectrum(one).sd is None
+    np.testing.assert_array_equal(ij.spectrum(one, sd=0.01).sd, [0.01] * 3)
+    np.savetxt(tmp_path / "scans.csv", np.c_[grid, scans], delimiter=",")
+    read = ij.read_measured(tmp_path / "scans.csv")
+    for seen in (ij.spectrum(cs.MultiSpectralDistributions(scans, grid)), ij.spectrum(read)):
+        np.testing.assert_allclose(seen.values, scans.mean(1))
+        np.testing.assert_allclose(seen.sd, read.sd)
+    assert ij.spectrum(cs.MultiSpectralDistributions(scans[:, [0, 0]], grid)).sd is None
+
+
+@pytest.mark.parametrize("given", [([400.0, 500.0],), (ij.Measured(GRID, GRID, None, (), {}), 0.01)])
+def test_half_a_spectrum_is_refused(given):
+    with pytest.raises(ValueError, match="wavelengths and values, or one object"):
+        ij.spectrum(*given)
