@@ -78,8 +78,8 @@ def test_two_spots_of_one_eye(irisjax, spectrum, tmp_path):
     changed = ("--melanin-load", 0.1, "--wavelengths", "420:680:10")
     assert irisjax("simulate-measurement", "--level", "low", *changed, "--seed", 3, "-o", other)[0] == 0
     both = ("fit", spectrum, other, "--separate", "melanin_load", *QUICK)
-    status, out, err = irisjax(*both, "-o", folder)
-    assert (status, err) == (0, "")
+    status, out, err = irisjax(*both, "-o", folder, "--max-steps", 60)
+    assert (status, err) == (3, "")  # too short a chain to be called converged; long enough to be near
     assert out.startswith("eye.csv, spot.csv: posterior of one eye")
     with (folder / "summary.csv").open() as file:
         rows = {row["parameter"]: row for row in csv.DictReader(file)}
