@@ -7,6 +7,7 @@ import pytest
 import xarray as xr
 
 from irisjax import cli
+from irisjax.infer.parameters import DEFAULT_FREE, PARAMETERS
 
 
 @pytest.fixture
@@ -172,3 +173,13 @@ def test_wrong_input_is_one_line(irisjax, spectrum, arguments, message):
     assert (status, out) == (2, "")
     assert message in err
     assert err.count("\n") == 1
+
+
+def test_help_names_every_parameter_and_its_prior(irisjax, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "120")
+    status, out, _ = irisjax("fit", "--help")
+    assert status == 0
+    for name, parameter in PARAMETERS.items():
+        (line,) = (line for line in out.splitlines() if line.startswith((f" * {name}", f" · {name}")))
+        assert repr(parameter.prior) in line
+        assert ("*" in line) == (name in DEFAULT_FREE)

@@ -14,7 +14,7 @@ from typer.main import get_command
 
 import irisjax as ij
 from irisjax import io, plot
-from irisjax.cli.fit import fit
+from irisjax.cli.fit import EPILOG, fit
 from irisjax.cli.jobs import directions, head, measured, problem, simulated_measurement, truth
 from irisjax.cli.render import render
 from irisjax.cli.settings import COMMANDS, header, settled
@@ -99,7 +99,7 @@ def _command(function: Callable[[dict[str, Any]], None]) -> None:
 def _irisjax(version: bool = typer.Option(False, "--version", help="Print the version and leave.")) -> None:
     """Predictive spectra, BRDF and colour of the human iris from its pigments.
 
-    All results are simulated. Files carry every setting in their header; `--from FILE.csv` runs one again.
+    Its spectra and colours are simulated. Files carry every setting in their header; `--from FILE.csv` runs one again.
     """
     if version:
         typer.echo(f"irisjax {ij.__version__}")
@@ -192,7 +192,7 @@ def simulate_measurement(values: dict[str, Any]) -> None:
         io.write_atomically(values["output"], text.encode())
 
 
-app.command("fit")(fit)
+app.command("fit", epilog=EPILOG)(fit)
 app.command("render")(render)
 
 

@@ -16,87 +16,149 @@ from irisjax.transport.process import PROCESSES
 _NOT_CONVERGED = 3
 _WHAT, _MODEL, _SAMPLER, _FILES = "Measurement", "Model", "Sampler", "Files"
 
+EPILOG = "\n".join(
+    [
+        "Parameters and their priors (* free by default; ABL: anterior border layer).",
+        "What is neither free nor fixed stands as in LB06's moderate iris.",
+        *(
+            f"{'*' if name in DEFAULT_FREE else '·'} {name}{f' ({p.unit})' if p.unit else ''}: {p.meaning}; {p.prior!r}"
+            for name, p in PARAMETERS.items()
+        ),
+        "Kinds of priors: normal(mean, sd), lognormal(median, sd of ln), logitnormal(median, sd of "
+        "logit), uniform(low, high), loguniform(low, high).",
+    ]
+)
+"""What follows the options in the help."""
+
 
 def fit(
     spectra: Annotated[
         list[Path] | None,
         typer.Argument(
-            metavar="SPECTRUM...",
-            help="one spectrum (CSV, TSV, JCAMP-DX), or several of one eye to be fitted together",
+            metavar="SPECTRUM",
+            help="file of wavelengths and reflectances (CSV, TSV, JCAMP-DX); several are of one eye, fitted together",
             show_default=False,
         ),
     ] = None,
     output: Annotated[
         Path | None,
-        typer.Option("-o", "--output", help="folder for posterior.nc, summary.csv and figures", rich_help_panel=_FILES),
+        typer.Option(
+            "-o",
+            "--output",
+            metavar="FOLDER",
+            rich_help_panel=_FILES,
+            help="for summary.csv, fit.png, corner.png, posterior.nc (arviz), chain.h5; else the table is printed only",
+        ),
     ] = None,
     batch: Annotated[
         Path | None,
-        typer.Option(help="many eyes: a folder of spectra, or a CSV with a column an eye", rich_help_panel=_FILES),
+        typer.Option(
+            metavar="SOURCE",
+            help="many eyes: a folder of spectra, or a CSV with a column an eye",
+            rich_help_panel=_FILES,
+        ),
     ] = None,
     posteriors: Annotated[
         bool,
         typer.Option("--posteriors", help="with --batch: sample every eye, not only fit it", rich_help_panel=_FILES),
     ] = False,
     resume: Annotated[
-        bool, typer.Option("--resume", help="go on where a run into the same folder stopped", rich_help_panel=_FILES)
+        bool, typer.Option("--resume", help="go on where a run into the same FOLDER stopped", rich_help_panel=_FILES)
     ] = False,
     overwrite: Annotated[
-        bool, typer.Option("--overwrite", help="begin anew in a folder that has results", rich_help_panel=_FILES)
+        bool, typer.Option("--overwrite", help="begin anew in a FOLDER that has results", rich_help_panel=_FILES)
     ] = False,
     free: Annotated[
-        str | None, typer.Option(help=f"names, by commas; default {','.join(DEFAULT_FREE)}", rich_help_panel=_MODEL)
+        str | None,
+        typer.Option(
+            metavar="NAMES", help="parameters to find, by commas; default those marked * below", rich_help_panel=_MODEL
+        ),
     ] = None,
     fix: Annotated[
         list[str] | None,
-        typer.Option(metavar="NAME=VALUE", help="hold a parameter; repeatable", rich_help_panel=_MODEL),
+        typer.Option(metavar="NAME=VALUE", help="a parameter that is known; repeatable", rich_help_panel=_MODEL),
     ] = None,
     prior: Annotated[
         list[str] | None,
-        typer.Option(metavar="NAME=PRIOR", help="such as hemoglobin=lognormal(0.1,0.3)", rich_help_panel=_MODEL),
+        typer.Option(
+            metavar="NAME=PRIOR",
+            help="such as 'hemoglobin=lognormal(0.1, 0.3)'; repeatable; kinds below",
+            rich_help_panel=_MODEL,
+        ),
     ] = None,
     separate: Annotated[
         str | None,
         typer.Option(
             metavar="NAMES",
-            help="of several spectra: free for each, by commas (NAME@1, NAME@2, ...)",
+            help="parameters that each of several spectra has for itself, by commas: NAME@1, NAME@2, ...",
             rich_help_panel=_MODEL,
         ),
     ] = None,
     process: Annotated[
-        str, typer.Option(help=f"{', '.join(PROCESSES)}: rules of light transport", rich_help_panel=_MODEL)
+        str,
+        typer.Option(metavar="NAME", help=f"rules of light transport: {', '.join(PROCESSES)}", rich_help_panel=_MODEL),
     ] = "ilit-2006",
     relative_noise: Annotated[
-        str, typer.Option(metavar="SHARE", help="where the file states none", rich_help_panel=_WHAT)
+        str,
+        typer.Option(
+            metavar="SHARE",
+            help="noise, a share of the reflectance, of files with neither sd nor repeated scans",
+            rich_help_panel=_WHAT,
+        ),
     ] = "0.02",
     absolute_noise: Annotated[
-        str, typer.Option(metavar="REFLECTANCE", help="added in squares", rich_help_panel=_WHAT)
+        str,
+        typer.Option(
+            metavar="REFLECTANCE", help="noise beside it that does not depend on the reflectance", rich_help_panel=_WHAT
+        ),
     ] = "2e-4",
     outliers: Annotated[
-        bool, typer.Option("--outliers", help="Student's t noise: single outliers do no harm", rich_help_panel=_WHAT)
+        bool,
+        typer.Option("--outliers", help="heavy-tailed noise: single wild values do no harm", rich_help_panel=_WHAT),
     ] = False,
     discrepancy: Annotated[
         str | None,
-        typer.Option(metavar="SHARE:NM", help="the model's own smooth error, such as 0.02:80", rich_help_panel=_WHAT),
+        typer.Option(
+            metavar="SHARE:NM",
+            help="allow the model a smooth error: size and correlation length, such as 0.02:80",
+            rich_help_panel=_WHAT,
+        ),
     ] = None,
     quantity: Annotated[
-        str, typer.Option(help="reflectance, or radiance: relative to the illuminant at 560 nm", rich_help_panel=_WHAT)
+        str,
+        typer.Option(
+            metavar="NAME", help="reflectance, or radiance (the illuminant is 1 at 560 nm)", rich_help_panel=_WHAT
+        ),
     ] = "reflectance",
-    illuminant: Annotated[str, typer.Option(help="of a radiance", rich_help_panel=_WHAT)] = "D65",
+    illuminant: Annotated[
+        str, typer.Option(metavar="NAME", help="of a radiance, by its name in colour-science", rich_help_panel=_WHAT)
+    ] = "D65",
     cos_incidence: Annotated[
-        str, typer.Option(metavar="COSINE", help="0 to 1, or diffuse", rich_help_panel=_WHAT)
+        str,
+        typer.Option(
+            metavar="COSINE", help="of the light's angle from the normal, 0 to 1; or diffuse", rich_help_panel=_WHAT
+        ),
     ] = "1.0",
     first_surface: Annotated[
         bool, typer.Option(help="the iris's own mirror reflection is in the data", rich_help_panel=_WHAT)
     ] = True,
-    walkers: Annotated[int, typer.Option(min=4, max=4096, rich_help_panel=_SAMPLER)] = 64,
-    max_steps: Annotated[int, typer.Option(min=1, max=10_000_000, rich_help_panel=_SAMPLER)] = 20_000,
-    seed: Annotated[int, typer.Option(min=0, max=2**32 - 1, rich_help_panel=_SAMPLER)] = 0,
+    walkers: Annotated[int, typer.Option(min=4, max=4096, help="chains side by side", rich_help_panel=_SAMPLER)] = 64,
+    max_steps: Annotated[
+        int, typer.Option(min=1, max=10_000_000, help="stop there if not long enough before", rich_help_panel=_SAMPLER)
+    ] = 20_000,
+    seed: Annotated[
+        int, typer.Option(min=0, max=2**32 - 1, help="equal seeds give equal results", rich_help_panel=_SAMPLER)
+    ] = 0,
 ) -> None:
-    """Melanin load, ABL fraction and the rest from a measured spectrum: posterior, diagnostics, what it cannot tell.
+    """Find the pigments of an iris from its measured spectrum: medians and intervals, and what the data cannot tell.
 
-    Exit status 0 where the chain is long enough, 3 where it is not (raise --max-steps, then --resume), 2 for wrong
-    input.
+    For example: irisjax fit eye.csv -o fit_eye
+
+    Columns of the file: wavelength (nm or µm), reflectance (fraction or %), and
+    its standard deviation (named sd) or further scans.
+
+    Exit status: 0; 3 where the chain is not long enough (raise --max-steps and
+    --resume); 2 for wrong input.
     """
     from irisjax.cli import report
     from irisjax.cli.batch import many
