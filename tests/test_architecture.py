@@ -8,9 +8,9 @@ from pathlib import Path
 import jax
 import jax.numpy as jnp
 import pytest
-from common import operations
 
 import irisjax as ij
+from common import operations
 
 ROOT = Path(__file__).parent.parent
 SOURCES = sorted((ROOT / "irisjax").rglob("*.py"))

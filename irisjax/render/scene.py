@@ -22,7 +22,7 @@ from irisjax.tissue.anatomy import Eye
 from irisjax.tissue.iris import Iris
 from irisjax.tissue.maps import IrisMaps
 
-_CHUNK = 4096  # pixels whose polynomials stay in the cache
+_CHUNK = 1024  # pixels whose polynomials stay in the cache
 
 
 class Scene(eqx.Module):
@@ -150,12 +150,13 @@ def _composed(base, texels: shading.Texels, response: Response):
     pad = -count % chunk
 
     def cut(x):
-        return jnp.pad(x, [(0, 0)] * (x.ndim - 1) + [(0, pad)]).reshape(*x.shape[:-1], -1, chunk)
+        return jnp.moveaxis(jnp.pad(x, [(0, 0)] * (x.ndim - 1) + [(0, pad)]).reshape(*x.shape[:-1], -1, chunk), -2, 0)
 
-    def part(i):
-        scales = jax.tree.map(lambda s: cut(s)[i], texels.scales)
-        return response(scales, cut(texels.cosine)[i]) * cut(texels.light)[:, i]
+    def part(cuts):
+        scales, cosine, light = cuts
+        return response(scales, cosine) * light
 
-    colour = jax.lax.map(part, jnp.arange((count + pad) // chunk))  # (chunks, channels, chunk)
+    cuts = jax.tree.map(cut, (texels.scales, texels.cosine, texels.light))
+    colour = jax.lax.map(part, cuts)  # (chunks, channels, chunk)
     colour = jnp.moveaxis(colour, 1, 2).reshape(-1, base.shape[1])[:count]
     return base.at[texels.index].add(colour, mode="drop", wrap_negative_indices=False)

@@ -5,9 +5,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from common import operations
 
 import irisjax as ij
+from common import operations
 from irisjax.render import shading
 from irisjax.render.bands import colour_bands
 from irisjax.render.camera import Camera, _trace, look
