@@ -70,3 +70,21 @@ def solve(process, made, cosine=1.0, solver=None, exits=None, azimuth=None):
     solver = type(solver or ij.Exact()).prepare(solver or ij.Exact(), lambda: made, process)
     as_array = [None if x is None or isinstance(x, str) else jnp.asarray(x, float) for x in (cosine, exits, azimuth)]
     return _solving(solver, process, cosine if isinstance(cosine, str) else None)(made, *as_array)
+
+
+def operations(f, *args, name=None):
+    """Operations (of a name, if given) in the traced program, those of inner programs included."""
+
+    def count(jaxpr):
+        total = 0
+        for equation in jaxpr.eqns:
+            total += name is None or equation.primitive.name == name
+            inner = jax.tree.leaves(list(equation.params.values()), is_leaf=_is_jaxpr)
+            total += sum(count(getattr(p, "jaxpr", p)) for p in inner if _is_jaxpr(p))
+        return total
+
+    return count(jax.make_jaxpr(f)(*args).jaxpr)
+
+
+def _is_jaxpr(x):
+    return hasattr(x, "eqns") or hasattr(getattr(x, "jaxpr", None), "eqns")

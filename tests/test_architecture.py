@@ -10,6 +10,7 @@ import jax.numpy as jnp
 import pytest
 
 import irisjax as ij
+from common import operations
 
 ROOT = Path(__file__).parent.parent
 SOURCES = sorted((ROOT / "irisjax").rglob("*.py"))
@@ -54,32 +55,12 @@ def test_equation_index_both_ways():
         assert set(files) <= named[n], f"the index sends readers of Eq. {n} to files that do not name it"
 
 
-def _operations(f, *args, name=None):
-    """Operations (of a name, if given) in the traced program, those of inner programs included."""
-
-    def count(jaxpr):
-        total = 0
-        for equation in jaxpr.eqns:
-            total += name is None or equation.primitive.name == name
-            inner = jax.tree.leaves(list(equation.params.values()), is_leaf=_is_jaxpr)
-            total += sum(count(getattr(p, "jaxpr", p)) for p in inner if _is_jaxpr(p))
-        return total
-
-    return count(jax.make_jaxpr(f)(*args).jaxpr)
-
-
-def _is_jaxpr(x):
-    return hasattr(x, "eqns") or hasattr(getattr(x, "jaxpr", None), "eqns")
-
-
 def test_what_is_not_asked_for_costs_nothing():
     layers = ij.Iris.preset("low").layers(ij.extinction([450.0, 550.0]))
     exits = jnp.asarray([0.5, 0.9])
 
     def program(process, cos_exit=None, panels=1, name=None):
-        return _operations(
-            lambda x: ij.Exact(8, 4, panels).solve(x, process, 1.0, cos_exit=cos_exit), layers, name=name
-        )
+        return operations(lambda x: ij.Exact(8, 4, panels).solve(x, process, 1.0, cos_exit=cos_exit), layers, name=name)
 
     plain, deep = program(ij.ILIT_CORRECTED), program(ij.DEPTH_RESOLVED)
     # The two azimuthal orders of Rayleigh's phase function are compiled for a BRDF only.
@@ -97,7 +78,7 @@ def test_panels_without_a_critical_angle_are_not_compiled():
     for name, index in (("default", None), ("denser stroma", 1.49)):
         iris = ij.Iris.preset("low").replace(stroma_index=index)
         layers = iris.layers(ij.extinction([450.0]))
-        nodes[name] = _operations(lambda x: ij.Exact(8).solve(x, ij.ILIT_CORRECTED, 1.0), layers)
+        nodes[name] = operations(lambda x: ij.Exact(8).solve(x, ij.ILIT_CORRECTED, 1.0), layers)
     assert nodes["default"] < nodes["denser stroma"]
 
 

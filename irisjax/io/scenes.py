@@ -129,7 +129,9 @@ class SceneFile(Mapping[str, Any]):
     def scene(self) -> Scene:
         """Build it. **Raises:** `ValueError` that names file and line."""
         parts: dict[str, Any] = {}
-        for name, make in (("iris", self._iris), ("eye", self._eye), ("camera", self._camera), ("light", self._lights)):
+        makers = {"iris": self._iris, "eye": self._eye, "camera": self._camera, "light": self._lights,
+                  "environment": self._environment}  # fmt: skip
+        for name, make in makers.items():
             try:
                 parts |= make()
             except ValueError as error:
@@ -177,9 +179,8 @@ class SceneFile(Mapping[str, Any]):
 
     def _lights(self):
         illuminant = self._sections.get("picture", {}).get("illuminant", "D65")
-        lamps, environment, out = self._sections.get("light", []), self._sections.get("environment"), {}
         lights = None
-        for lamp in lamps:
+        for lamp in self._sections.get("light", []):
             options = {"irradiance": lamp.get("irradiance", math.pi), "illuminant": illuminant,
                        "radius": math.radians(lamp.get("radius_deg", 1.7))}  # fmt: skip
             if "position" in lamp:
@@ -190,19 +191,22 @@ class SceneFile(Mapping[str, Any]):
                 polar, azimuth = (math.radians(lamp.get(f"{n}_deg", d)) for n, d in (("polar", 35), ("azimuth", 120)))
                 one = Lights.distant(polar, azimuth, **options)
             lights = one if lights is None else lights + one
-        if environment is not None:
-            if ("file" in environment) == ("kind" in environment):
-                raise ValueError("environment needs file or kind")
-            if "file" in environment:
-                around = read_environment(self._folder / environment["file"])
-            else:
-                around = {"studio": Environment.studio, "sky": Environment.sky}[environment["kind"]](rows=512)
-            strength = environment.get("strength", 1.0)
-            out["environment"] = dataclasses.replace(around, radiance=around.radiance * strength)
-            out["environment_lights"] = environment.get("lights", 25)
-        elif lights is None:
+        if lights is None and "environment" not in self._sections:
             lights = Lights.distant(0.6, 2.1, illuminant=illuminant)
-        return {"lights": lights, "illuminant": illuminant, **out}
+        return {"lights": lights, "illuminant": illuminant}
+
+    def _environment(self):
+        given = self._sections.get("environment")
+        if given is None:
+            return {}
+        if ("file" in given) == ("kind" in given):
+            raise ValueError("environment needs file or kind")
+        if "file" in given:
+            around = read_environment(self._folder / given["file"])
+        else:
+            around = {"studio": Environment.studio, "sky": Environment.sky}[given["kind"]](rows=512)
+        around = dataclasses.replace(around, radiance=around.radiance * given.get("strength", 1.0))
+        return {"environment": around, "environment_lights": given.get("lights", 25)}
 
 
 def read_scene(path: str | Path) -> SceneFile:

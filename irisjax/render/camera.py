@@ -10,7 +10,8 @@ from jax.core import Tracer
 from jaxtyping import Array, Float, Int
 
 from irisjax._types import Scalar, as_float
-from irisjax.optics.conicoid import Vector, dot, norm, reflect_vector, refract_vector
+from irisjax.optics.conicoid import dot, norm, reflect_vector, refract_vector
+from irisjax.render.chunks import in_chunks
 from irisjax.render.refraction import enter
 from irisjax.render.sclera import meet_sclera, sphere
 from irisjax.tissue.anatomy import Eye
@@ -47,7 +48,7 @@ class Camera(eqx.Module):
             if not isinstance(value, Tracer) and not low <= float(value) <= high:
                 raise ValueError(f"camera {name} = {float(value):g} is outside [{low:g}, {high:g}] {unit}".rstrip())
 
-    def rays(self, eye: Eye) -> tuple[Vector, Vector]:
+    def rays(self, eye: Eye) -> tuple[Float[Array, "3"], Float[Array, "height width 3"]]:
         """The camera's place (3,) and unit directions (height, width, 3); row 0 is the top."""
         sin, cos = jnp.sin(self.polar), jnp.cos(self.polar)
         back = jnp.stack([sin * jnp.cos(self.azimuth), sin * jnp.sin(self.azimuth), -cos])
@@ -125,19 +126,26 @@ def _picker(count: int):
         # Few different lengths, few compiled programs.
         padded = min(-(-index.size // _PAD) * _PAD, max(count, index.size))
         source = np.concatenate([index, np.full(padded - index.size, index[-1])])
-        chosen = jax.tree.map(lambda x: x[source], pixels)
         where = np.where(np.arange(padded) < index.size, source, -1).astype(np.int32)
-        return eqx.tree_at(lambda p: p.index, chosen, jnp.asarray(where))
+        return eqx.tree_at(lambda p: p.index, _picked(pixels, source.astype(np.int32)), jnp.asarray(where))
 
     return pick
 
 
 @jax.jit
+def _picked(pixels, source):
+    return jax.tree.map(lambda x: x.at[source].get(mode="promise_in_bounds"), pixels)
+
+
+@jax.jit
 def _trace(eye: Eye, camera: Camera):
     origin, direction = camera.rays(eye)
-    direction = direction.reshape(-1, 3)
+    index = jnp.arange(camera.size[0] * camera.size[1], dtype=jnp.int32)
+    return in_chunks(lambda rays: _seen(eye, origin, *rays), (direction.reshape(-1, 3), index))
+
+
+def _seen(eye: Eye, origin, direction, index):
     origin = jnp.broadcast_to(origin, direction.shape)
-    index = jnp.arange(direction.shape[0], dtype=jnp.int32)
     if eye.cornea is None:
         t = eye.meet_iris(origin, direction)
         point = origin + t[:, None] * direction

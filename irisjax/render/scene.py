@@ -13,6 +13,7 @@ from irisjax.measure.colour import OBSERVER
 from irisjax.render import shading
 from irisjax.render.bands import Bands, colour_bands
 from irisjax.render.camera import Camera, View, look
+from irisjax.render.chunks import in_chunks
 from irisjax.render.environment import Environment
 from irisjax.render.illumination import UNIQUE_POLAR, Illumination
 from irisjax.render.lights import Lights
@@ -21,8 +22,6 @@ from irisjax.render.separable import Response, Scales, Separable
 from irisjax.tissue.anatomy import Eye
 from irisjax.tissue.iris import Iris
 from irisjax.tissue.maps import IrisMaps
-
-_CHUNK = 4096  # pixels whose polynomials stay in the cache
 
 
 class Scene(eqx.Module):
@@ -149,17 +148,10 @@ def _add(base, index, colour):
 
 @eqx.filter_jit
 def _composed(base, texels: shading.Texels, response: Response):
-    count = texels.index.size
-    chunk = min(_CHUNK, count)
-    pad = -count % chunk
+    def part(pixels):
+        scales, cosine, light = pixels
+        return response(scales, cosine) * jnp.stack(light)
 
-    def cut(x):
-        return jnp.pad(x, [(0, 0)] * (x.ndim - 1) + [(0, pad)]).reshape(*x.shape[:-1], -1, chunk)
-
-    def part(i):
-        scales = jax.tree.map(lambda s: cut(s)[i], texels.scales)
-        return response(scales, cut(texels.cosine)[i]) * cut(texels.light)[:, i]
-
-    colour = jax.lax.map(part, jnp.arange((count + pad) // chunk))  # (chunks, channels, chunk)
-    colour = jnp.moveaxis(colour, 1, 2).reshape(-1, base.shape[1])[:count]
+    # Channels apart within a portion: three numbers a pixel leave the processor's vectors half empty.
+    colour = in_chunks(part, (texels.scales, texels.cosine, tuple(texels.light)), axis=1).T
     return base.at[texels.index].add(colour, mode="drop", wrap_negative_indices=False)

@@ -1,0 +1,62 @@
+"""Ten wavelengths for 81: colours of irides that the bands were not made from."""
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import irisjax as ij
+from irisjax.measure.colour import illuminant_power, lab_of
+from irisjax.render.bands import GRID, colour_bands, spectral_bands
+from irisjax.tissue.anatomy import Cornea
+
+# Not drawn as the bands' own irides were: corners, no pigment, no blood, other collagen, other shares.
+IRIDES = {
+    "low": ij.Iris.preset("low"),
+    "high": ij.Iris.preset("high"),
+    "no melanin": ij.Iris(eumelanin=0.0, pheomelanin=0.0),
+    "red only": ij.Iris(eumelanin=0.0, pheomelanin=2.0, abl_fraction=0.3),
+    "bloodless": ij.Iris.preset("low").replace(oxyhemoglobin=0.0, deoxyhemoglobin=0.0),
+    "thin": ij.Iris.preset("low").replace(stroma_thickness=0.1, abl_fraction=0.9),
+    "thick fibrils": ij.Iris.preset("moderate").replace(fibril_radius=60.0),
+}
+
+
+def lab(linear):
+    to_xyz = np.array([[0.4124, 0.3576, 0.1805], [0.2126, 0.7152, 0.0722], [0.0193, 0.1192, 0.9505]])
+    return np.asarray(lab_of(jnp.asarray(to_xyz @ linear / to_xyz.sum(1))))
+
+
+@pytest.mark.parametrize("illuminant", ["D65", "A"])
+def test_colours_as_of_81_wavelengths(illuminant):
+    from colour.difference import delta_E_CIE2000
+
+    bands = colour_bands(illuminant)
+    assert len(bands.wavelengths) == 10 and bands.channels == ("R", "G", "B")
+    for name, iris in IRIDES.items():
+        at = [ij.reflectance(iris, x, solver=ij.Exact(16)).values for x in (GRID, np.asarray(bands.wavelengths))]
+        true = ij.measure.colour.colour_of(GRID, at[0], illuminant=illuminant).srgb_linear
+        difference = delta_E_CIE2000(lab(np.asarray(true)), lab(np.asarray(bands.weights @ at[1])))
+        assert difference < 0.5, name
+
+
+def test_white_is_white():
+    """A perfect white is no iris: the bands know it to 2 %."""
+    for illuminant in ("D65", "A", "FL11"):
+        np.testing.assert_allclose(colour_bands(illuminant).weights.sum(1), 1, atol=0.02)
+
+
+def test_haze_of_the_cornea_counts_twice():
+    cornea = Cornea(scatter=jnp.asarray(21e8))
+    x = np.array([420.0, 560.0, 700.0])
+    clear, hazy = (np.diag(spectral_bands(x, "A", c).weights) for c in (None, cornea))
+    np.testing.assert_allclose(clear, illuminant_power("A", x))
+    np.testing.assert_allclose(hazy / clear, 10.0 ** (-2 * (0.016 + 21e8 / x**4)))
+    warm = np.asarray(colour_bands("D65", cornea=cornea).weights).sum(1)
+    assert warm[2] < warm[1] < 1
+    # A cornea that scatters nothing is no filter.
+    np.testing.assert_array_equal(colour_bands(cornea=Cornea(scatter=None)).weights, colour_bands().weights)
+
+
+def test_unknown_illuminants_are_named():
+    with pytest.raises(ValueError, match="moon"):
+        colour_bands("moon")

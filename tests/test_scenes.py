@@ -1,0 +1,238 @@
+"""Scene files and the command that renders them: pictures as the library's, one line for every wrong entry."""
+
+import math
+
+import jax
+import numpy as np
+import pytest
+
+from irisjax import cli, io
+from irisjax.io.scenes import parse_scene, read_scene
+from irisjax.measure.colour import srgb_encode
+from irisjax.render.environment import Environment
+from irisjax.render.scene import render
+
+BARE = """
+[iris]
+level = "low"
+eumelanin = 0.05
+
+[maps]
+uniform = true
+
+[eye]
+cornea = "none"
+
+[camera]
+size = [8, 6]
+
+[[light]]
+polar_deg = 30
+azimuth_deg = 10
+
+[[light]]
+position = [10, 20, -40]
+irradiance = 1.5
+"""
+
+
+@pytest.fixture(autouse=True)
+def _precision():
+    # The command switches x64 on; the tests that share this process must not notice.
+    before = jax.config.read("jax_enable_x64")
+    yield
+    jax.config.update("jax_enable_x64", before)
+
+
+@pytest.fixture
+def irisjax(capsys, monkeypatch, tmp_path):
+    """Run the command in this process, in an empty folder; gives status, standard output and standard error."""
+    monkeypatch.setenv("TERMINAL_WIDTH", "200")
+    monkeypatch.delenv("IRISJAX_DEBUG", raising=False)
+    monkeypatch.chdir(tmp_path)
+
+    def run(*arguments):
+        status = cli.run([str(a) for a in arguments])
+        return status, *capsys.readouterr()
+
+    return run
+
+
+def one_line(result, message):
+    status, out, err = result
+    assert (status, out) == (2, "")
+    assert err.startswith("irisjax: ") and err.count("\n") == 1 and err.endswith("\n")
+    assert message in err, err
+
+
+def test_file_becomes_the_scene_it_says():
+    text = (
+        BARE.replace('cornea = "none"', "pupil_radius = 1.5\nsclera = false\niris_slope = 0.1")
+        + "[picture]\nexposure = 2"
+    )
+    text = text.replace("[camera]", "[camera]\npolar_deg = 45\ndistance = 300")
+    file = parse_scene(text)
+    scene = file.scene()
+    assert file.exposure == 2 and scene.maps is None and scene.veins is None and scene.eye.sclera is None
+    assert (float(scene.iris.eumelanin), float(scene.iris.pheomelanin)) == pytest.approx((0.05, 0.0194))
+    assert (float(scene.eye.pupil_radius), float(scene.eye.iris_slope)) == (1.5, 0.1)
+    assert (float(scene.camera.polar), float(scene.camera.distance)) == pytest.approx((math.pi / 4, 300))
+    assert scene.camera.size == (8, 6)
+    away = np.linalg.norm([10, 20, 40])
+    expected = [[0.5 * np.cos(np.pi / 18), 0.5 * np.sin(np.pi / 18), -np.sqrt(0.75)], np.array([10, 20, -40]) / away]
+    np.testing.assert_allclose(scene.lights.towards, expected, atol=1e-7)
+    np.testing.assert_allclose(scene.lights.irradiance, [np.pi, 1.5])
+    np.testing.assert_allclose(scene.lights.distance, [np.inf, away])
+
+
+def test_empty_file_is_the_default_eye():
+    scene = parse_scene("").scene()
+    assert scene.lights is not None and len(scene.lights) == 1 and scene.environment is None
+    assert scene.maps is not None and scene.eye.cornea is not None and scene.veins is not None
+    assert scene.camera.size == (800, 600)
+
+
+def test_seeds_grow_other_maps():
+    def relief(seed):
+        return np.asarray(
+            parse_scene(f'[iris]\npreset = "blue"\n[maps]\nseed = {seed}\n[eye]\nsclera = false').scene().maps.relief
+        )
+
+    first = relief(1)
+    np.testing.assert_array_equal(first, relief(1))
+    assert np.abs(first - relief(2)).max() > 0.01
+
+
+WRONG = {
+    "[irs]\nlevel = 1": "scene.toml, line 1: unknown section [irs]; known: iris, maps",
+    "\n[iris]\nlevel = 'low'\ncolour = 'red'": "scene.toml, line 4: unknown 'colour' in iris; known: preset, level",
+    "[iris]\nlevel = 'middling'": "scene.toml, line 2: iris.level = 'middling' must be one of low, moderate, high",
+    "[iris]\neumelanin = -1": "scene.toml, line 2: iris.eumelanin = -1 must be a number from 0",
+    "[iris]\neumelanin = nan": "scene.toml, line 2: iris.eumelanin = nan must be a number",
+    "[iris]\neumelanin = 'lots'": "scene.toml, line 2: iris.eumelanin = 'lots' must be a number",
+    "[iris]\neumelanin = true": "scene.toml, line 2: iris.eumelanin = True must be a number",
+    "[iris]\npreset = 'blue'\nlevel = 'low'": "scene.toml, line 1: give preset or level, not both",
+    "[maps]\n\nseed = 1.5": "scene.toml, line 3: maps.seed = 1.5 must be a whole number from 0 to 4294967295",
+    "[maps]\nuniform = 1": "scene.toml, line 2: maps.uniform = 1 must be true or false",
+    "[eye]\ncornea = 'thick'": "scene.toml, line 2: eye.cornea = 'thick' must be one of two-surfaces, f09, none",
+    "[eye]\npupil_radius = 7": "scene.toml, line 1: pupil_radius = 7 is outside [0.25, 4.75] mm",
+    "[camera]\nsize = [0, 5]": "scene.toml, line 2: camera.size = [0, 5] must be a whole number from 1 to 16384",
+    "[camera]\nsize = '8x6'": "scene.toml, line 2: camera.size = '8x6' must be [width, height]",
+    "[light]\npolar_deg = 3": "scene.toml, line 1: light must be written [[light]]",
+    "[[camera]]\nwidth = 3": "scene.toml, line 1: camera must be written [camera]",
+    "[[light]]\n[[light]]\npolar_deg = 200": "scene.toml, line 3: light.polar_deg = 200 must be a number from 0 to 180",
+    "[[light]]\nposition = [1, 2]": "scene.toml, line 2: light.position = [1, 2] must be [x, y, z] in mm",
+    "[[light]]\nposition = [1, 2, 3]": "scene.toml, line 1: a point light is 3.74 mm from the cornea",
+    "[[light]]\nposition = [1, 2, -300]\npolar_deg = 1": "give a light a position or angles, not both",
+    "[environment]\nkind = 'sea'": "scene.toml, line 2: environment.kind = 'sea' must be one of studio, sky",
+    "[environment]\nlights = 3": "scene.toml, line 1: environment needs file or kind",
+    "[environment]\nfile = 'missing.exr'": "missing.exr: No such file",
+    "[picture]\nilluminant = 'moon'": "unknown illuminant 'moon'",
+    "[picture]\nexposure = 0": "scene.toml, line 2: picture.exposure = 0 must be a number from 1e-06",
+    "[iris\nlevel = 1": "scene.toml: ",
+    "iris = 3": "iris must be written [iris]",
+}
+
+
+@pytest.mark.parametrize("text", WRONG, ids=[repr(t) for t in WRONG])
+def test_wrong_entries_are_one_line(irisjax, tmp_path, text):
+    (tmp_path / "scene.toml").write_text(text)
+    one_line(irisjax("render", "scene.toml", "--size", "4x3"), WRONG[text])
+    assert [p.name for p in tmp_path.iterdir()] == ["scene.toml"]
+
+
+OPTIONS = [
+    ((), "give a SCENE file or --preset"),
+    (("scene.toml", "--preset", "blue"), "give a SCENE file or --preset"),
+    (("--preset", "pink"), "--preset: unknown 'pink'; known: brown, hazel, green, blue, grey"),
+    (("missing.toml",), "missing.toml: No such file"),
+    ((".",), ".: Is a directory"),
+    (("scene.toml", "-o", "eye.jpg"), "eye.jpg: a picture ends in .png or .exr"),
+    (("scene.toml", "-o", "missing/eye.png"), "missing: no such folder"),
+    (("scene.toml", "--bits", "12"), "--bits 12 must be 8 or 16"),
+    (("scene.toml", "--size", "8"), "--size '8': write WIDTHxHEIGHT"),
+    (("scene.toml", "--size", "0x8"), "camera size (0, 8)"),
+    (("scene.toml", "--light", "30"), "--light '30': write POLAR,AZIMUTH"),
+    (("scene.toml", "--light", "30,nan"), "--light '30,nan': write POLAR,AZIMUTH"),
+    (("scene.toml", "--light", "30,0,-1"), "irradiance -1 is negative"),
+    (("scene.toml", "--pupil", "12"), "pupil_radius = 6 is outside [0.25, 4.75] mm"),
+    (("scene.toml", "--exposure", "nan"), "--exposure nan must be above 0"),
+    (("scene.toml", "--exposure", "-1"), "--exposure -1 must be above 0"),
+    (("scene.toml", "--samples", "0"), "--samples"),
+    (("scene.toml", "--seed", "-1"), "--seed"),
+]
+
+
+@pytest.mark.parametrize(("arguments", "message"), OPTIONS, ids=[" ".join(a) for a, _ in OPTIONS])
+def test_wrong_options_are_one_line(irisjax, tmp_path, arguments, message):
+    (tmp_path / "scene.toml").write_text(BARE)
+    one_line(irisjax("render", *arguments), message)
+    assert [p.name for p in tmp_path.iterdir()] == ["scene.toml"]
+
+
+def test_command_makes_the_librarys_picture(irisjax, tmp_path):
+    (tmp_path / "scene.toml").write_text(BARE + "[picture]\nexposure = 3")
+    assert irisjax("render", "scene.toml", "-o", "eye.exr") == (0, "", "")
+    jax.config.update("jax_enable_x64", True)
+    expected = 3 * np.asarray(render(read_scene(tmp_path / "scene.toml").scene()))
+    found = io.read_image(tmp_path / "eye.exr")
+    np.testing.assert_allclose(found.pixels, expected, atol=1e-6)
+    assert "simulated" in str(found.metadata)
+    # PNG: sRGB to the nearest step; equal runs, equal bytes.
+    for name in ("one.png", "two.png"):
+        assert irisjax("render", "scene.toml", "--bits", "16", "-o", name) == (0, "", "")
+    assert (tmp_path / "one.png").read_bytes() == (tmp_path / "two.png").read_bytes()
+    steps = np.asarray(srgb_encode(np.clip(expected, 0, 1)))
+    np.testing.assert_allclose(io.read_image(tmp_path / "one.png").pixels, steps, atol=1 / 65535)
+
+
+def test_options_go_before_the_file(irisjax, tmp_path):
+    (tmp_path / "scene.toml").write_text(BARE)
+    status, _, err = irisjax(
+        "render", "scene.toml", "--light", "0,0,3.14159265", "--pupil", "8", "--size", "9x7", "--exposure", "1e4", "-o", "a.exr"
+    )  # fmt: skip
+    assert (status, err) == (0, "")
+    picture = io.read_image(tmp_path / "a.exr").pixels
+    assert picture.shape == (7, 9, 3)
+    # Light along the axis, a pupil of 8 mm: nothing within 4 mm, left and right alike.
+    x = (np.arange(9) - 4) * 15 / 9
+    assert not picture[3][abs(x) < 4].any() and picture[3][(abs(x) > 4.2) & (abs(x) < 5.4)].all()
+    np.testing.assert_allclose(picture, picture[:, ::-1], rtol=1e-4)
+
+
+def test_samples_average_and_clipping_is_said(irisjax, tmp_path):
+    (tmp_path / "scene.toml").write_text(BARE)
+    irisjax("render", "scene.toml", "--size", "16x12", "-o", "fine.exr")
+    irisjax("render", "scene.toml", "--samples", "2", "-o", "mean.exr")
+    fine, mean = (io.read_image(tmp_path / f"{n}.exr").pixels for n in ("fine", "mean"))
+    np.testing.assert_allclose(mean, fine.reshape(6, 2, 8, 2, 3).mean((1, 3)), atol=1e-6)
+    status, out, err = irisjax("render", "scene.toml", "--exposure", "1e4", "-o", "bright.png")
+    assert (status, out) == (0, "")
+    assert err.startswith("irisjax: bright.png: ") and "out of sRGB's range are clipped" in err
+
+
+def test_environment_from_a_file(irisjax, tmp_path):
+    io.write_exr(tmp_path / "room.exr", np.asarray(Environment.studio(16).radiance))
+    text = BARE[: BARE.index("[[light]]")] + '[environment]\nfile = "room.exr"\nlights = 5\nstrength = 2'
+    scene = parse_scene(text, folder=tmp_path).scene()
+    assert scene.lights is None and len(scene.all_lights()) == 5
+    np.testing.assert_allclose(scene.environment.radiance, 2 * Environment.studio(16).radiance, rtol=1e-5)
+
+
+def test_nothing_half_written(irisjax, tmp_path, monkeypatch):
+    def broken(*_):
+        raise KeyboardInterrupt
+
+    (tmp_path / "scene.toml").write_text(BARE)
+    (tmp_path / "eye.png").write_bytes(b"older")
+    monkeypatch.setattr("irisjax.render.scene.prepare", broken)
+    assert irisjax("render", "scene.toml") == (130, "", "irisjax: interrupted\n")
+    assert (tmp_path / "eye.png").read_bytes() == b"older"
+    assert len(list(tmp_path.iterdir())) == 2
+
+
+@pytest.mark.slow
+def test_presets_render(irisjax, tmp_path):
+    assert irisjax("render", "--preset", "hazel", "--size", "40x30", "-o", "eye.png")[0] == 0
+    picture = io.read_image(tmp_path / "eye.png").pixels
+    assert picture.shape == (30, 40, 3) and picture.max() > 0.3
