@@ -10,7 +10,7 @@ from jax.core import Tracer
 from jaxtyping import Array, Float, Int
 
 from irisjax._types import Scalar, as_float
-from irisjax.optics.conicoid import Vector, dot, norm, reflect_vector, refract_vector
+from irisjax.optics.conicoid import dot, norm, reflect_vector, refract_vector
 from irisjax.render.refraction import enter
 from irisjax.render.sclera import meet_sclera, sphere
 from irisjax.tissue.anatomy import Eye
@@ -47,7 +47,7 @@ class Camera(eqx.Module):
             if not isinstance(value, Tracer) and not low <= float(value) <= high:
                 raise ValueError(f"camera {name} = {float(value):g} is outside [{low:g}, {high:g}] {unit}".rstrip())
 
-    def rays(self, eye: Eye) -> tuple[Vector, Vector]:
+    def rays(self, eye: Eye) -> tuple[Float[Array, "3"], Float[Array, "height width 3"]]:
         """The camera's place (3,) and unit directions (height, width, 3); row 0 is the top."""
         sin, cos = jnp.sin(self.polar), jnp.cos(self.polar)
         back = jnp.stack([sin * jnp.cos(self.azimuth), sin * jnp.sin(self.azimuth), -cos])
