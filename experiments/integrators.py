@@ -45,7 +45,7 @@ def main(key, quick=False, out=RESULTS):
                         continue
                     angle = float(np.degrees(np.arccos(cosine)))
                     for name in (*SHOWN, "luminance"):
-                        row = luminance / luminance.sum() if name == "luminance" else GRID == name
+                        row = luminance / luminance.sum() if name == "luminance" else name == GRID
                         values = [float(row @ m[t, :, e]) for m in models]
                         rows.append([level, name, mm, degrees, angle, *values, "", ""])
         photons = 20_000 if quick else 500_000
@@ -58,9 +58,12 @@ def main(key, quick=False, out=RESULTS):
                     for row in rows:
                         if row[:4] == [level, name, mm, 0] and np.isclose(row[4], angle):
                             row[-2:] = [float(mean[e]), float(error[e])]
-    seen = [(row[6], row[8], row[9]) for row in rows if row[8] != ""]
+    # The cell next to grazing is left out: the BRDF bends over it, and its middle is not its mean.
+    seen = [(row[6], row[8], row[9]) for row in rows if row[8] != "" and row[4] < 85]
     z = np.asarray([(mc - exact) / error for exact, mc, error in seen if error > 0])
-    print(f"Monte Carlo against depth-resolved: {z.size} values, largest |z| {np.abs(z).max():.2f}")
+    print(
+        f"Monte Carlo against depth-resolved, {z.size} values: |z| ≤ {np.abs(z).max():.2f}, mean z² {np.mean(z**2):.2f}"
+    )
     write(
         out / "integrators.csv",
         (

@@ -22,9 +22,10 @@ for j, level in enumerate(("low", "moderate", "high")):
             for model, (style, width) in STYLES.items():
                 axes.plot(at, [float(r[model]) for r in chosen], style, lw=width, color=colour)
             seen = [r for r in chosen if r["monte_carlo"]]
-            axes.errorbar([float(r[x]) for r in seen], [float(r["monte_carlo"]) for r in seen],
-                          [2 * float(r["standard_error"]) for r in seen], fmt="o", ms=3, lw=0.8, color=colour)  # fmt: skip
+            place, mean, error = (np.array([float(r[k]) for r in seen]) for k in (x, "monte_carlo", "standard_error"))
+            axes.errorbar(place, mean, 2 * error, fmt="o", ms=3, lw=0.8, color=colour)
     panels[0, j].set(title=f"{level} pigmentation", xlabel="stroma thickness (mm)", yscale="log")
+    panels[0, j].set_ylim(3e-4, 3e-2)  # single scattering at grazing falls as low as 1e-6
     panels[1, j].set(xlabel="exit angle in the chamber (°)")
 for axes, where in zip(panels[:, 0], (f"exit {near:.0f}°", "stroma 0.2855 mm"), strict=True):
     axes.set_ylabel(f"BRDF (1/sr), {where}")

@@ -1,8 +1,10 @@
 """The iris by single scattering, as F09 renders it: rays marched through a map of layers  [F09 Section 6.1].
 
 The layers have the index of the chamber before them, as in F09: no light is mirrored or bent at the iris, and its
-surface passes all. Light scattered twice is left out: too dark wherever the stroma is thick for its pigment
-(`experiments/integrators.py`). Unlike `Separable`, neighbouring texels matter: an oblique ray crosses several.
+surface passes all. Against radiative transfer with Fresnel's interfaces (`experiments/integrators.py`) light at 0°
+seen within 60° comes out 2 to 23 % too bright: the n² of radiance that leaves a denser medium is missing, and light
+scattered twice makes up for a part of it. Beyond 70° it is wrong by factors either way, for rays unbent by the
+surface graze the layers. Unlike `Separable`, neighbouring texels matter: an oblique ray crosses several.
 """
 
 from typing import Any, NamedTuple
