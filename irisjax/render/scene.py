@@ -16,12 +16,13 @@ from irisjax.render.camera import Camera, View, look
 from irisjax.render.chunks import in_chunks
 from irisjax.render.environment import Environment
 from irisjax.render.illumination import UNIQUE_POLAR, Illumination
+from irisjax.render.integrator import AbstractIntegrator, AbstractResponse
 from irisjax.render.lights import Lights
 from irisjax.render.sclera import VeinMap, colour_table
-from irisjax.render.separable import Response, Scales, Separable
+from irisjax.render.separable import Separable
 from irisjax.tissue.anatomy import Eye
 from irisjax.tissue.iris import Iris
-from irisjax.tissue.maps import IrisMaps
+from irisjax.tissue.maps import IrisMaps, Scales
 
 
 class Scene(eqx.Module):
@@ -30,7 +31,8 @@ class Scene(eqx.Module):
     - `maps`: of the iris, or `None` for a uniform one. `veins`: of the sclera (`render.vessels.veins`).
     - `lights`: lamps, mirrored as discs. `environment`: lights the iris as `environment_lights` lamps, and is
         mirrored itself. `illuminant`: the spectrum of all of them.
-    - `integrator`: how the iris sends light back; `Separable()` holds all orders of scattering.
+    - `integrator`: how the iris sends light back; `Separable()` holds all orders of scattering,
+        `SingleScattering()` marches through the maps and holds the first.
     """
 
     iris: Iris
@@ -40,7 +42,7 @@ class Scene(eqx.Module):
     environment: Environment | None = None
     camera: Camera = eqx.field(default_factory=Camera)
     veins: VeinMap | None = None
-    integrator: Separable = eqx.field(default_factory=Separable)
+    integrator: AbstractIntegrator = eqx.field(default_factory=Separable)
     environment_lights: int = eqx.field(static=True, default=25)
     illuminant: str = eqx.field(static=True, default="D65")
     observer: str = eqx.field(static=True, default=OBSERVER)
@@ -80,13 +82,15 @@ class Scene(eqx.Module):
 class Stage(eqx.Module):
     """A scene with all done that a change of pigments leaves alone. Make one with `prepare`.
 
-    - `base`: sclera and mirror images, (pixels, channels); `texels`: what the iris's pixels need.
+    - `base`: sclera and mirror images, (pixels, channels); `texels`: what the integrator needs of each of the iris's
+        pixels; `ground`: what it needs for all of them.
     """
 
     base: Float[Array, "pixels channels"]
-    texels: shading.Texels | None
+    texels: Any
+    ground: Any
     bands: Bands
-    integrator: Separable
+    integrator: AbstractIntegrator
     ranges: Scales = eqx.field(static=True)
     size: tuple[int, int] = eqx.field(static=True)
 
@@ -94,14 +98,14 @@ class Stage(eqx.Module):
         """The picture with the pigments of `iris`, in the channels of `bands` (linear sRGB)."""
         return self.shown(self.response(iris))
 
-    def response(self, iris: Iris) -> Response:
-        """Table of the iris's texels; its `error` says how good it is."""
+    def response(self, iris: Iris) -> AbstractResponse:
+        """What the integrator makes of the pigments; the `error` of a table says how good it is."""
         return _response(self.integrator, iris, self.bands, self.ranges)
 
-    def shown(self, response: Response) -> Float[Array, "height width channels"]:
+    def shown(self, response: AbstractResponse) -> Float[Array, "height width channels"]:
         """The picture with a response."""
         width, height = self.size
-        picture = self.base if self.texels is None else _composed(self.base, self.texels, response)
+        picture = self.base if self.texels is None else _composed(self.base, self.texels, self.ground, response)
         return picture.reshape(height, width, -1)
 
 
@@ -126,18 +130,17 @@ def prepare(scene: Scene, tables: Illumination | None = None, view: View | None 
         base = _add(base, view.sclera.index, shading.white(view.sclera, lights, eye, table, scene.veins))
     if view.mirror is not None:
         base = _add(base, view.mirror.index, shading.mirrored(view.mirror, scene.lights, scene.environment))
-    texels, ranges = None, Scales()
+    texels, ground, ranges = None, None, Scales()
     if view.iris is not None:
         if tables is None:
             tables = scene.tables()
-        field = shading.field_of(lights, eye, scene.iris, tables)
-        texels = shading.texels_of(view.iris, field, eye, scene.iris, scene.maps)
+        texels, ground = scene.integrator.place(view.iris, lights, eye, scene.iris, scene.maps, tables)
         ranges = Scales.of(scene.maps, scene.iris).ranges()
-    return Stage(base, texels, bands, scene.integrator, ranges, (width, height))
+    return Stage(base, texels, ground, bands, scene.integrator, ranges, (width, height))
 
 
 @eqx.filter_jit
-def _response(integrator: Separable, iris: Iris, bands: Bands, ranges: Scales) -> Response:
+def _response(integrator: AbstractIntegrator, iris: Iris, bands: Bands, ranges: Scales) -> AbstractResponse:
     return integrator.response(iris, bands, ranges)
 
 
@@ -147,11 +150,10 @@ def _add(base, index, colour):
 
 
 @eqx.filter_jit
-def _composed(base, texels: shading.Texels, response: Response):
+def _composed(base, texels, ground, response: AbstractResponse):
     def part(pixels):
-        scales, cosine, light = pixels
-        return response(scales, cosine) * jnp.stack(light)
+        return response.shade(jax.tree.map(lambda x: jnp.moveaxis(x, 0, -1), pixels), ground)
 
     # Channels apart within a portion: three numbers a pixel leave the processor's vectors half empty.
-    colour = in_chunks(part, (texels.scales, texels.cosine, tuple(texels.light)), axis=1).T
+    colour = in_chunks(part, jax.tree.map(lambda x: jnp.moveaxis(x, -1, 0), texels), axis=1).T
     return base.at[texels.index].add(colour, mode="drop", wrap_negative_indices=False)

@@ -6,7 +6,7 @@ their ABL, the thickness of their stroma, perhaps their concentrations: g is a s
 """
 
 import itertools
-from typing import Any, NamedTuple
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -16,9 +16,15 @@ from jaxtyping import Array, Float
 
 from irisjax.optics.fresnel import fresnel, refract
 from irisjax.render.bands import Bands
+from irisjax.render.camera import IrisPixels
+from irisjax.render.illumination import Illumination
+from irisjax.render.integrator import AbstractIntegrator, AbstractResponse
+from irisjax.render.lights import Lights
+from irisjax.render.shading import Texels, field_of, texels_of
+from irisjax.tissue.anatomy import Eye
 from irisjax.tissue.iris import Iris
 from irisjax.tissue.layers import Layers
-from irisjax.tissue.maps import IrisMaps
+from irisjax.tissue.maps import IrisMaps, Scales
 from irisjax.tissue.pigments import Extinction, extinction
 from irisjax.transport.exact import Exact
 from irisjax.transport.process import ILIT_2006, Process
@@ -27,28 +33,7 @@ from irisjax.transport.solver import AbstractSolver
 _CHECKS = 24
 
 
-class Scales(NamedTuple):
-    """How texels differ from the uniform iris: pigment of the ABL, thickness of the stroma, and concentrations of
-    eumelanin and pheomelanin, each relative to the iris's. `None`: one everywhere."""
-
-    abl: Any = None
-    stroma: Any = None
-    eumelanin: Any = None
-    pheomelanin: Any = None
-
-    @classmethod
-    def of(cls, maps: IrisMaps | None, iris: Iris) -> "Scales":
-        """Textures of the maps."""
-        if maps is None:
-            return cls()
-        return cls(maps.abl_scale(iris), maps.stroma_scale(iris), maps.eumelanin, maps.pheomelanin)
-
-    def ranges(self) -> "Scales":
-        """Smallest and largest value of each concrete texture, a little widened: static numbers."""
-        return Scales(*(None if t is None else (float(np.min(t)) * 0.95, float(np.max(t)) * 1.05 + 1e-3) for t in self))
-
-
-class Separable(eqx.Module):
+class Separable(AbstractIntegrator):
     """Integrator: ILIT's separable response, tabulated in pigment and thickness  [LB06; `ilit.md` Section 4].
 
     - `degrees`: of the polynomials in ABL pigment, stroma thickness, eumelanin, pheomelanin and exit cosine.
@@ -62,6 +47,18 @@ class Separable(eqx.Module):
     def __check_init__(self):
         if self.process.depth_resolved:
             raise ValueError("the separable integrator needs a whole-layer process, not a depth-resolved one")
+
+    def place(
+        self,
+        pixels: IrisPixels,
+        lights: Lights,
+        eye: Eye,
+        iris: Iris,
+        maps: IrisMaps | None,
+        tables: Illumination | None,
+    ) -> tuple[Texels, None]:
+        """See `AbstractIntegrator`: the lights are summed, for the response does not ask where light comes from."""
+        return texels_of(pixels, field_of(lights, eye, iris, tables), eye, iris, maps), None
 
     def response(self, iris: Iris, bands: Bands, ranges: Scales) -> "Response":
         """Tabulate `iris` for the channels of `bands`; `ranges` from `Scales.ranges`."""
@@ -93,7 +90,7 @@ class Separable(eqx.Module):
         for axis, x in enumerate(nodes):
             inverse = jnp.asarray(np.linalg.inv(np.polynomial.chebyshev.chebvander(x, x.size - 1)), dtype)
             values = jnp.moveaxis(jnp.tensordot(inverse, values, (1, axis)), 0, axis)
-        out = Response(values, indices, ranges, jnp.zeros((), dtype))
+        out = Response(coefficients=values, indices=indices, ranges=ranges, error=jnp.zeros((), dtype))
         # Off the nodes: points that fill the box evenly.
         steps = np.asarray([0.7548, 0.5698, 0.8192, 0.3249])[: len(varied)]
         unit = jnp.asarray(2 * ((np.arange(_CHECKS)[:, None] + 0.5) * steps % 1) - 1, dtype)
@@ -103,10 +100,11 @@ class Separable(eqx.Module):
         for k, i in enumerate(varied):
             scales[i] = jnp.repeat(_from_unit(ranges[i], unit[:, k]), 3)
         found = out(Scales(*scales), jnp.tile(exits, _CHECKS)).T.reshape(true.shape)
-        return Response(values, indices, ranges, jnp.abs(found - true).max() / jnp.abs(true).max())
+        error = jnp.abs(found - true).max() / jnp.abs(true).max()
+        return Response(coefficients=values, indices=indices, ranges=ranges, error=error)
 
 
-class Response(eqx.Module):
+class Response(AbstractResponse):
     """g of every texel of an iris: Chebyshev coefficients, one axis for each scale that varies, then the cosine, then
     the channels.
 
@@ -128,8 +126,14 @@ class Response(eqx.Module):
         values = self.coefficients.reshape(first, -1).T @ _polynomials(places[0], first)
         for place, n in zip(places[1:], rest, strict=True):
             values = values.reshape(n, -1, cosine.size)
-            values = sum(t * v for t, v in zip(_polynomials(place, n), values, strict=True))
+            terms = [t * v for t, v in zip(_polynomials(place, n), values, strict=True)]
+            values = sum(terms[1:], terms[0])
         return values * fresnel(cosine, inside, *self.indices)[1]
+
+    def shade(self, texels: Texels, ground: None) -> Float[Array, "channels pixels"]:
+        """See `AbstractResponse`."""
+        del ground
+        return self(texels.scales, texels.cosine) * texels.light
 
 
 def texel_layers(iris: Iris, table: Extinction, scales: Scales, process: Process) -> Layers:

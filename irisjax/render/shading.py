@@ -12,10 +12,9 @@ from irisjax.render.environment import Environment
 from irisjax.render.illumination import Illumination, bare
 from irisjax.render.lights import Lights
 from irisjax.render.sclera import ColourTable, VeinMap, vein_depth_at
-from irisjax.render.separable import Scales
 from irisjax.tissue.anatomy import Eye
 from irisjax.tissue.iris import Iris
-from irisjax.tissue.maps import IrisMaps, fetch
+from irisjax.tissue.maps import IrisMaps, Scales, fetch
 
 PUPIL_MARGIN = 0.12
 """Width over which the iris fades into the pupil, mm."""
@@ -47,6 +46,33 @@ class Field(eqx.Module):
 @eqx.filter_jit
 def field_of(lights: Lights, eye: Eye, iris: Iris, tables: Illumination | None, size: int = 161) -> Field:
     """Sum the lights on a grid over the iris, one after the other. `tables` are `None` for a bare iris."""
+    place = _grid(eye, size)
+    normal = eye.iris_normal(place)
+    n = iris.indices()
+
+    def add(total, i):
+        flux = _flux(lights, i, place, tables)
+        length = norm(flux)
+        cosine = -dot(flux, normal) / jnp.where(length > 0, length, 1.0)
+        flux = flux * jnp.where(cosine > 0, fresnel_at(jnp.maximum(cosine, 0.0), n.aqueous, n.abl)[1], 0.0)[..., None]
+        tint = jnp.ones(1, flux.dtype) if lights.tint is None else lights.tint[i]
+        return total + flux[..., None, :] * tint[:, None], None
+
+    tints = 1 if lights.tint is None else 3
+    zero = jnp.zeros((size, size, tints, 3), lights.irradiance.dtype)
+    return Field(jax.lax.scan(add, zero, jnp.arange(len(lights)))[0], eye.iris_radius)
+
+
+@eqx.filter_jit
+def fluxes_of(
+    lights: Lights, eye: Eye, tables: Illumination | None, size: int = 161
+) -> Float[Array, "lights rows columns 3"]:
+    """Flux vectors of each light by itself, in the chamber just before the iris, on the grid of a `Field`."""
+    place = _grid(eye, size)
+    return jax.lax.map(lambda i: _flux(lights, i, place, tables), jnp.arange(len(lights)))
+
+
+def _grid(eye: Eye, size: int):
     line = jnp.linspace(-1, 1, size) * eye.iris_radius
     x, y = jnp.meshgrid(line, line)
     r = jnp.sqrt(x * x + y * y)
@@ -54,23 +80,13 @@ def field_of(lights: Lights, eye: Eye, iris: Iris, tables: Illumination | None, 
         height = eye.iris_depth + jnp.zeros_like(r)
     else:
         height = eye.cornea.anterior.sagitta(jnp.minimum(r, eye.limbus_radius))  # about where the light enters
-    place = jnp.stack([x, y, height], axis=-1)
-    normal = eye.iris_normal(place)
-    n = iris.indices()
+    return jnp.stack([x, y, height], axis=-1)
 
-    def add(total, i):
-        towards, power = lights.seen_from(place, i)
-        flux = bare(place, towards) if tables is None else tables.at(place[..., :2], towards)
-        length = norm(flux)
-        cosine = -dot(flux, normal) / jnp.where(length > 0, length, 1.0)
-        enters = jnp.where(cosine > 0, fresnel_at(jnp.maximum(cosine, 0.0), n.aqueous, n.abl)[1], 0.0)
-        flux = flux * (jnp.broadcast_to(power, r.shape) * enters)[..., None]
-        tint = jnp.ones(1, flux.dtype) if lights.tint is None else lights.tint[i]
-        return total + flux[..., None, :] * tint[:, None], None
 
-    tints = 1 if lights.tint is None else 3
-    zero = jnp.zeros((size, size, tints, 3), lights.irradiance.dtype)
-    return Field(jax.lax.scan(add, zero, jnp.arange(len(lights)))[0], eye.iris_radius)
+def _flux(lights: Lights, i, place, tables: Illumination | None):
+    towards, power = lights.seen_from(place, i)
+    flux = bare(place, towards) if tables is None else tables.at(place[..., :2], towards)
+    return flux * jnp.broadcast_to(power, place.shape[:-1])[..., None]
 
 
 class Texels(eqx.Module):
@@ -90,19 +106,30 @@ def texels_of(pixels: IrisPixels, field: Field, eye: Eye, iris: Iris, maps: Iris
     r = jnp.sqrt(x * x + y * y)
     span = eye.iris_radius - eye.pupil_radius
     angle, radius = jnp.arctan2(y, x), (r - eye.pupil_radius) / span
-    normal = eye.iris_normal(pixels.point)
     scales = Scales(*(None if s is None else fetch(s, angle, radius) for s in Scales.of(maps, iris)))
-    if maps is not None and maps.relief is not None:
-        slope = fetch(_slopes(maps.relief, eye), angle, radius)
-        out, round_ = (jnp.stack(v, axis=-1) for v in ((x / r, y / r), (-y / r, x / r)))
-        tilt = slope[:, :1] * out + slope[:, 1:] * round_
-        normal = normal.at[:, :2].add(-tilt)
-        normal = normal / norm(normal)[:, None]
     flux = field.at(pixels.point)
-    irradiance = jnp.maximum(-(flux * normal[:, None]).sum(-1), 0.0)
-    t = jnp.clip((r - eye.pupil_radius) / PUPIL_MARGIN, 0, 1)
-    share = jnp.where(pixels.index < 0, 0.0, pixels.share * t * t * (3 - 2 * t))
-    return Texels(pixels.index, scales, pixels.cosine, (irradiance * share[:, None]).T)
+    irradiance = jnp.maximum(-(flux * normals(pixels.point, eye, maps)[:, None]).sum(-1), 0.0)
+    return Texels(pixels.index, scales, pixels.cosine, (irradiance * shares(pixels, eye)[:, None]).T)
+
+
+def normals(point: Float[Array, "pixels 3"], eye: Eye, maps: IrisMaps | None) -> Float[Array, "pixels 3"]:
+    """Unit normals of the iris towards the cornea, tilted by the relief where there is one."""
+    normal = eye.iris_normal(point)
+    if maps is None or maps.relief is None:
+        return normal
+    x, y = point[:, 0], point[:, 1]
+    r = jnp.sqrt(x * x + y * y)
+    radius = (r - eye.pupil_radius) / (eye.iris_radius - eye.pupil_radius)
+    slope = fetch(_slopes(maps.relief, eye), jnp.arctan2(y, x), radius)
+    out, round_ = (jnp.stack(v, axis=-1) for v in ((x / r, y / r), (-y / r, x / r)))
+    normal = normal.at[:, :2].add(-slope[:, :1] * out - slope[:, 1:] * round_)
+    return normal / norm(normal)[:, None]
+
+
+def shares(pixels: IrisPixels, eye: Eye) -> Float[Array, " pixels"]:
+    """Of the iris's radiance that reaches the camera; fades into the pupil, 0 for padding."""
+    t = jnp.clip((norm(pixels.point[:, :2]) - eye.pupil_radius) / PUPIL_MARGIN, 0, 1)
+    return jnp.where(pixels.index < 0, 0.0, pixels.share * t * t * (3 - 2 * t))
 
 
 def _slopes(relief, eye: Eye):

@@ -5,7 +5,7 @@ edge to the root, both at cell centres. The pupil's motion stretches them; they 
 """
 
 import dataclasses
-from typing import Any
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -86,6 +86,27 @@ class IrisMaps(eqx.Module):
 
 FRECKLE = 12.0
 """Melanin of the ABL in a freckle relative to its surroundings: thicker and denser, after F09's hand-set maps."""
+
+
+class Scales(NamedTuple):
+    """How texels differ from the uniform iris: pigment of the ABL, thickness of the stroma, and concentrations of
+    eumelanin and pheomelanin, each relative to the iris's. `None`: one everywhere."""
+
+    abl: Any = None
+    stroma: Any = None
+    eumelanin: Any = None
+    pheomelanin: Any = None
+
+    @classmethod
+    def of(cls, maps: IrisMaps | None, iris: Iris) -> "Scales":
+        """Textures of the maps."""
+        if maps is None:
+            return cls()
+        return cls(maps.abl_scale(iris), maps.stroma_scale(iris), maps.eumelanin, maps.pheomelanin)
+
+    def ranges(self) -> "Scales":
+        """Smallest and largest value of each concrete texture, a little widened: static numbers."""
+        return Scales(*(None if t is None else (float(np.min(t)) * 0.95, float(np.max(t)) * 1.05 + 1e-3) for t in self))
 
 
 def fetch(texture: Float[Array, "angles radii *c"], angle, radius) -> Float[Array, "..."]:

@@ -1,0 +1,52 @@
+"""What a scene asks of an integrator: how the iris sends back the light that reaches it."""
+
+import abc
+from typing import Any
+
+import equinox as eqx
+from jaxtyping import Array, Float
+
+from irisjax.render.bands import Bands
+from irisjax.render.camera import IrisPixels
+from irisjax.render.illumination import Illumination
+from irisjax.render.lights import Lights
+from irisjax.tissue.anatomy import Eye
+from irisjax.tissue.iris import Iris
+from irisjax.tissue.maps import IrisMaps, Scales
+
+
+class AbstractResponse(eqx.Module):
+    """An iris of given pigments, ready to shade pixels.
+
+    - `error`: of a table, relative to the brightest texel; `None` where nothing is tabulated.
+    """
+
+    error: eqx.AbstractVar[Float[Array, ""] | None]
+
+    @abc.abstractmethod
+    def shade(self, texels: Any, ground: Any) -> Float[Array, "channels pixels"]:
+        """Radiance of pixels in the channels of the picture; `texels` and `ground` from `AbstractIntegrator.place`."""
+
+
+class AbstractIntegrator(eqx.Module):
+    """An integrator is an immutable value: a method and its settings."""
+
+    @abc.abstractmethod
+    def place(
+        self,
+        pixels: IrisPixels,
+        lights: Lights,
+        eye: Eye,
+        iris: Iris,
+        maps: IrisMaps | None,
+        tables: Illumination | None,
+    ) -> tuple[Any, Any]:
+        """Everything that a change of pigments leaves alone: of each pixel, and what all of them share.
+
+        The first is a module of arrays whose last axis is that of the pixels, `index` among them: it is shaded a
+        chunk of pixels at a time. `tables` are `None` for a bare iris.
+        """
+
+    @abc.abstractmethod
+    def response(self, iris: Iris, bands: Bands, ranges: Scales) -> AbstractResponse:
+        """The iris for the channels of `bands`; `ranges` of its texels from `Scales.ranges`."""
