@@ -126,8 +126,10 @@ class Response(AbstractResponse):
         values = self.coefficients.reshape(first, -1).T @ _polynomials(places[0], first)
         for place, n in zip(places[1:], rest, strict=True):
             values = values.reshape(n, -1, cosine.size)
-            terms = [t * v for t, v in zip(_polynomials(place, n), values, strict=True)]
-            values = sum(terms[1:], terms[0])
+            weights, slices = _polynomials(place, n), values
+            values = weights[0] * slices[0]
+            for weight, part in zip(weights[1:], slices[1:], strict=True):
+                values = values + weight * part
         return values * fresnel(cosine, inside, *self.indices)[1]
 
     def shade(self, texels: Texels, ground: None) -> Float[Array, "channels pixels"]:
