@@ -48,10 +48,10 @@ for axis, polar, light in zip(axes, saved["polar"], saved["irradiance"].astype(f
     radius = np.hypot(*np.meshgrid(saved["line"], saved["line"]))
     shown = axis.imshow(np.where(radius <= 5.5, light, np.nan), origin="lower", extent=extent, cmap="cividis", vmin=0)
     kind = "refraction" if polar < 1.4 else "caustic"
-    axis.set(xlabel="x (mm)", title=f"{kind}: light {np.degrees(polar):.0f}° from the axis, on the right")
+    axis.set(xlabel="x (mm)", title=f"{kind}\nlight from the right, {np.degrees(polar):.0f}° off axis")
     axis.title.set_fontsize(8)
     axis.grid(False)
-    figure.colorbar(shown, ax=axis, shrink=0.8, label="irradiance of the iris / of a facing sheet")
+    figure.colorbar(shown, ax=axis, shrink=0.8, label="irradiance (facing sheet: 1)")
 axes[0].set(ylabel="y (mm)")
 figure.suptitle("After F09 Fig. 15 (simulated)", fontsize=9)
 save(figure, "f09_fig15")
