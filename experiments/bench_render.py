@@ -1,0 +1,128 @@
+"""Milliseconds a frame of 800 × 600 pixels in single precision, for every kind of change and without each part.
+
+Warm: everything is compiled and the parts that do not change are kept, as in an interactive session.
+"""
+
+import dataclasses
+import os
+import statistics
+import time
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from experiments.common import RESULTS, start, write
+from irisjax.render.camera import look
+from irisjax.render.environment import Environment
+from irisjax.render.illumination import Illumination
+from irisjax.render.lights import Lights
+from irisjax.render.scene import Scene, prepare
+from irisjax.render.vessels import veins
+from irisjax.tissue.procedural import preset
+
+TARGETS = {"pigments": 30, "thickness": 30, "2 lights": 10, "25 lights": 3, "camera, 2 lights": 10}
+"""Frames per second that are wanted."""
+
+
+def main(key, quick=False, out=RESULTS):
+    """Write the table (quick: 80 × 60 pixels, one repetition)."""
+    before = jax.config.read("jax_enable_x64")
+    jax.config.update("jax_enable_x64", False)
+    try:
+        rows = _table(key, (80, 60) if quick else (800, 600), 1 if quick else 5)
+    finally:
+        jax.config.update("jax_enable_x64", before)
+    device = jax.devices()[0]
+    header = (
+        f"{device.platform}, {os.cpu_count()} processor cores, load {os.getloadavg()[0]:.1f} at the end of the run",
+        "float32, warm, median; a frame takes all that must be computed anew after the change",
+    )
+    write(out / "bench_render.csv", header, ("change", "scene", "ms", "frames_per_s", "wanted_frames_per_s"), rows)
+
+
+def _table(key, size, repeats):
+    iris, maps = preset("hazel", key=key)
+    full = Scene(iris, maps, lights=_lamps(2, 0.0))
+    full = full.replace(
+        camera=dataclasses.replace(full.camera, size=size),
+        veins=veins(full.eye, key=key),
+        environment=Environment.studio(),
+        environment_lights=2,
+    )
+    two = full.replace(environment=None)
+    rows = []
+
+    def row(change, scene, f):
+        ms, _ = _milliseconds(f, repeats)
+        rows.append((change, scene, ms, 1e3 / ms, TARGETS.get(change, "")))
+
+    def of(change, name, scene, tables):
+        """A row for the changes of one scene."""
+        view = look(scene.eye, scene.camera)
+        stage = prepare(scene, tables, view)
+        if change == "pigments":
+            row(change, name, lambda i: stage(iris.replace(eumelanin=0.4 + 1e-3 * i)))
+        elif change == "thickness":
+
+            def thicker(i):
+                thick = scene.maps.stroma_thickness * (1 + 1e-3 * i)
+                return prepare(scene.replace(maps=scene.maps.replace(stroma_thickness=thick)), tables, view)(iris)
+
+            row(change, name, thicker)
+        elif change.startswith("camera"):
+
+            def moved(i):
+                camera = dataclasses.replace(scene.camera, polar=0.01 * i)
+                return prepare(scene.replace(camera=camera), tables)(iris)
+
+            row(change, name, moved)
+        else:
+            number = int(change.split()[0])
+            row(change, name, lambda i: prepare(scene.replace(lights=_lamps(number, 0.01 * i)), tables, view)(iris))
+
+    eye = full.eye
+    ms, first = _milliseconds(lambda i: Illumination.build(eye, caustics=False).flux, max(1, repeats // 2))
+    rows += [
+        ("tables", "refraction", ms, 1e3 / ms, ""),
+        ("tables, with compiling", "refraction", first, 1e3 / first, ""),
+    ]
+    tables = Illumination.build(eye, caustics=False)
+    for change in ("pigments", "thickness", "2 lights", "25 lights", "camera, 2 lights"):
+        of(change, "all but environment", two, tables)
+    without = {
+        "no maps": two.replace(maps=None),
+        "no relief": two.replace(maps=maps.replace(relief=None)),
+        "no freckles": two.replace(maps=maps.replace(freckles=None)),
+        "no pigment maps": two.replace(maps=maps.replace(eumelanin=None)),
+        "no veins": two.replace(veins=None),
+        "no sclera": two.replace(veins=None, eye=eye.replace(sclera=None)),
+        "no cornea": two.replace(veins=None, eye=eye.replace(sclera=None, cornea=None)),
+        "with environment": full,
+    }
+    for name, scene in without.items():
+        for change in ("pigments", "2 lights"):
+            of(change, name, scene, None if scene.eye.cornea is None else tables)
+    ms, first = _milliseconds(lambda i: Illumination.build(eye).flux, 1)
+    rows += [("tables", "refraction and caustics", ms, 1e3 / ms, "")]
+    rows += [("tables, with compiling", "refraction and caustics", first, 1e3 / first, "")]
+    return rows
+
+
+def _lamps(number, turned):
+    i = np.arange(number)
+    return Lights.distant(0.3 + 0.9 * (i + 0.5) / number, 2.4 * i + 1.0 + turned, jnp.pi / number * np.ones(number))
+
+
+def _milliseconds(f, repeats):
+    """Median of `f(1)`, `f(2)` … and the first call, compiling included."""
+    times = []
+    for i in range(repeats + 1):
+        begin = time.perf_counter()
+        jax.block_until_ready(f(i))
+        times.append(1e3 * (time.perf_counter() - begin))
+    return statistics.median(times[1:]), times[0]
+
+
+if __name__ == "__main__":
+    start(main, __doc__)

@@ -1,0 +1,110 @@
+"""Pictures after LB06 Fig. 9 and F09 Figs. 14 to 18, and the functions of Figs. 15 and 16; all simulated."""
+
+import dataclasses
+import io
+import math
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+import irisjax as ij
+from experiments.common import RESULTS, start
+from irisjax.io import write_atomically, write_png
+from irisjax.measure.colour import srgb_encode
+from irisjax.render.camera import Camera, look
+from irisjax.render.illumination import Illumination
+from irisjax.render.lights import Lights
+from irisjax.render.scene import Scene, prepare
+from irisjax.render.vessels import veins
+from irisjax.tissue.anatomy import Cornea, Eye, Sclera
+from irisjax.tissue.procedural import preset, procedural
+
+MELANIN = (("high", 1.008, 0.2674), ("moderate", 0.8138, 0.2054), ("low", 0.1201, 0.0194))
+EXPOSURE = 6.0
+"""LB06's irides send back 1 to 5 % of the light: brightened alike, all of them."""
+GRAZING = 1.5
+"""Polar angle of the light of a caustic, radians."""
+
+
+def main(key, quick=False, out=RESULTS):
+    """Write PNGs of equal panels and the light on the iris (quick: small, coarse tables)."""
+    side = 24 if quick else 240
+    shape = (96, 32) if quick else (768, 256)
+    table = {"size": 33, "n_rays": 4096} if quick else {}
+    camera = Camera(size=(side, side), width=12.6)
+    close = Eye(sclera=None, cornea=Cornea(scatter=None))
+    smooth = Illumination.build(close, caustics=False, size=table.get("size", 129))
+    lights = Lights.distant([0.6, 0.9], [2.2, 0.6], [2.2, 0.9])
+
+    def seed(i):
+        return jax.random.fold_in(key, i)
+
+    def save(name, panels, exposure=EXPOSURE):
+        encoded = np.asarray(srgb_encode(np.clip(exposure * np.concatenate(panels, axis=1), 0, 1)))
+        out.mkdir(parents=True, exist_ok=True)
+        write_png(out / f"{name}.png", encoded, remark=f"simulated by irisjax, light × {exposure:g}")
+
+    # LB06 Fig. 9: rows 20, 50 and 80 % of the melanin in the ABL, columns from high to low.
+    base = ij.Iris.preset("moderate")
+    scene = Scene(base, procedural(base, shape=shape, key=seed(0)), close, lights, camera=camera)
+    stage = prepare(scene, smooth)
+    rows = [
+        np.concatenate(
+            [stage(base.replace(eumelanin=eu, pheomelanin=pheo, abl_fraction=f)) for _, eu, pheo in MELANIN], axis=1
+        )
+        for f in (0.2, 0.5, 0.8)
+    ]
+    save("render_lb06_fig9", [np.concatenate(rows)])
+
+    # F09 Fig. 14: from the side, where refraction lifts the iris towards the viewer.
+    iris, maps = preset("blue", shape=shape, key=seed(1))
+    side_on = dataclasses.replace(camera, polar=jnp.asarray(math.radians(60)))
+    bare = close.replace(cornea=None)
+    views = [
+        prepare(Scene(iris, maps, eye, lights, camera=side_on), t)(iris) for eye, t in ((close, smooth), (bare, None))
+    ]
+    save("render_f09_fig14", views, 2.0)
+
+    # Figs. 15, 16: what reaches the iris, and how it looks on two irides.
+    full = Illumination.build(close, caustics=True, **table)
+    line = np.linspace(-5.5, 5.5, 49 if quick else 161)
+    at = jnp.stack(jnp.meshgrid(jnp.asarray(line), jnp.asarray(line)), axis=-1)
+    angles = (0.0, 1.0, GRAZING)
+    flux = [full.at(at, jnp.asarray([math.sin(a), 0.0, -math.cos(a)]))[..., 2] for a in angles]
+    irradiance = np.asarray(flux).astype(np.float16)
+    _npz(out / "render_f09_fig15.npz", polar=np.asarray(angles), line=line.astype(np.float32), irradiance=irradiance)
+    lamp = Lights.distant(GRAZING, math.pi, 2 * math.pi)
+    caustic = []
+    for i, colour in enumerate(("brown", "blue")):
+        iris, maps = preset(colour, shape=shape, key=seed(2 + i))
+        caustic.append(prepare(Scene(iris, maps, close, lamp, camera=camera), full)(iris))
+    save("render_f09_fig16", caustic, 3.0)
+
+    # Fig. 17: the same iris without and with freckles.
+    freckled = []
+    for number in (0, 60):
+        iris, maps = preset("green", shape=shape, features={"freckles": number}, key=seed(4))
+        freckled.append(prepare(Scene(iris, maps, close, lights, camera=camera), smooth)(iris))
+    save("render_f09_fig17", freckled, 2.0)
+
+    # Fig. 18: the white, turned aside.
+    iris, maps = preset("hazel", shape=shape, key=seed(5))
+    aside = Camera(polar=math.radians(40), size=(side, side), width=14.0)
+    white = []
+    for density in (0.0, 1.0, 2.0):
+        eye = Eye(sclera=Sclera(veins=jnp.asarray(density)))
+        drawn = veins(eye, shape=(256, 128) if quick else (1024, 512), key=seed(6))
+        lit = Lights.distant([0.5, 0.9], [0.8, 2.4], [1.8, 0.9])
+        white.append(prepare(Scene(iris, maps, eye, lit, camera=aside, veins=drawn), smooth, look(eye, aside))(iris))
+    save("render_f09_fig18", white, 1.0)
+
+
+def _npz(path, **arrays):
+    data = io.BytesIO()
+    np.savez_compressed(data, **arrays)
+    write_atomically(path, data.getvalue())
+
+
+if __name__ == "__main__":
+    start(main, __doc__)
