@@ -10,6 +10,7 @@ from typing import Any
 
 import jax
 
+from irisjax._types import PRNGKey
 from irisjax.io.images import read_environment
 from irisjax.render.camera import Camera
 from irisjax.render.environment import Environment
@@ -137,8 +138,7 @@ class SceneFile(Mapping[str, Any]):
         return Scene(**parts)
 
     def _key(self, name: str):
-        seed = self._sections.get("maps", {}).get("seed", 0)
-        return jax.random.fold_in(jax.random.key(seed, impl="threefry2x32"), {"maps": 0, "veins": 1}[name])
+        return stream(self._sections.get("maps", {}).get("seed", 0), name)
 
     def _iris(self):
         given = dict(self._sections.get("iris", {}))
@@ -203,6 +203,11 @@ class SceneFile(Mapping[str, Any]):
         elif lights is None:
             lights = Lights.distant(0.6, 2.1, illuminant=illuminant)
         return {"lights": lights, "illuminant": illuminant, **out}
+
+
+def stream(seed: int, name: str) -> PRNGKey:
+    """The random key of a scene's `"maps"` or `"veins"`."""
+    return jax.random.fold_in(jax.random.key(seed, impl="threefry2x32"), {"maps": 0, "veins": 1}[name])
 
 
 def read_scene(path: str | Path) -> SceneFile:

@@ -10,7 +10,7 @@ from jax.core import Tracer
 from jaxtyping import Array, Float, Int
 
 from irisjax._types import Scalar, as_float
-from irisjax.optics.conicoid import Vector, dot, norm, reflect_vector, refract_vector
+from irisjax.optics.conicoid import dot, norm, reflect_vector, refract_vector
 from irisjax.render.refraction import enter
 from irisjax.render.sclera import meet_sclera, sphere
 from irisjax.tissue.anatomy import Eye
@@ -18,7 +18,7 @@ from irisjax.tissue.eye import TEAR
 
 BLEND = 0.5
 """Half the width over which iris and sclera blend at the limbus, mm  [F09 Section 6.5: about 1 mm in all]."""
-_PAD = 2048
+_PAD = 2048  # and an eighth of the pixels at most
 
 
 def _number(default: float) -> Any:
@@ -47,7 +47,7 @@ class Camera(eqx.Module):
             if not isinstance(value, Tracer) and not low <= float(value) <= high:
                 raise ValueError(f"camera {name} = {float(value):g} is outside [{low:g}, {high:g}] {unit}".rstrip())
 
-    def rays(self, eye: Eye) -> tuple[Vector, Vector]:
+    def rays(self, eye: Eye) -> tuple[Float[Array, "3"], Float[Array, "height width 3"]]:
         """The camera's place (3,) and unit directions (height, width, 3); row 0 is the top."""
         sin, cos = jnp.sin(self.polar), jnp.cos(self.polar)
         back = jnp.stack([sin * jnp.cos(self.azimuth), sin * jnp.sin(self.azimuth), -cos])
@@ -122,8 +122,9 @@ def _picker(count: int):
         index = np.flatnonzero(mask)
         if not index.size:
             return None
-        # Few different lengths, few compiled programs.
-        padded = min(-(-index.size // _PAD) * _PAD, max(count, index.size))
+        # Few different lengths, few compiled programs: a camera that turns must not wait for XLA.
+        step = max(_PAD, 1 << (index.size.bit_length() - 4))
+        padded = min(-(-index.size // step) * step, max(count, index.size))
         source = np.concatenate([index, np.full(padded - index.size, index[-1])])
         chosen = jax.tree.map(lambda x: x[source], pixels)
         where = np.where(np.arange(padded) < index.size, source, -1).astype(np.int32)

@@ -43,8 +43,8 @@ class Scales(NamedTuple):
         return cls(maps.abl_scale(iris), maps.stroma_scale(iris), maps.eumelanin, maps.pheomelanin)
 
     def ranges(self) -> "Scales":
-        """Smallest and largest value of each concrete texture, a little widened: static numbers."""
-        return Scales(*(None if t is None else (float(np.min(t)) * 0.95, float(np.max(t)) * 1.05 + 1e-3) for t in self))
+        """Smallest and largest value of each texture, a little widened."""
+        return Scales(*(None if t is None else (jnp.min(t) * 0.95, jnp.max(t) * 1.05 + 1e-3) for t in self))
 
 
 class Separable(eqx.Module):
@@ -114,7 +114,7 @@ class Response(eqx.Module):
 
     coefficients: Float[Array, "..."]
     indices: tuple[Float[Array, ""], Float[Array, ""]]
-    ranges: Scales = eqx.field(static=True)
+    ranges: Scales
     error: Float[Array, ""]
 
     def __call__(self, scales: Scales, cosine: Float[Array, " pixels"]) -> Float[Array, "channels pixels"]:
@@ -171,10 +171,10 @@ _BEND = 3.0
 
 
 def _from_unit(span, x):
-    low, high = (float(np.log1p(_BEND * s)) for s in span)
+    low, high = (jnp.log1p(_BEND * s) for s in span)
     return jnp.expm1(low + (x + 1) * ((high - low) / 2)) / _BEND
 
 
 def _to_unit(span, scale):
-    low, high = (float(np.log1p(_BEND * s)) for s in span)
+    low, high = (jnp.log1p(_BEND * s) for s in span)
     return jnp.clip((jnp.log1p(_BEND * scale) - low) * (2 / (high - low)) - 1, -1, 1)
