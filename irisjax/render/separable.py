@@ -5,6 +5,7 @@ their ABL, the thickness of their stroma, perhaps their concentrations: g is a s
 μ_o, which a product of Chebyshev polynomials holds. Its error is measured off the nodes with every table.
 """
 
+from itertools import product
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -86,7 +87,7 @@ class Separable(eqx.Module):
 
             return jnp.moveaxis(jax.vmap(one)(unit), 1, 2)
 
-        grid = np.stack([g.ravel() for g in np.meshgrid(*nodes[:-1], indexing="ij")], axis=-1).reshape(-1, len(varied))
+        grid = np.array(list(product(*nodes[:-1])))  # one point, of no coordinates, for a uniform iris
         values = radiance(jnp.asarray(grid, dtype), cosines) / fresnel(cosines, inside, *indices)[1][:, None]
         values = values.reshape(*(x.size for x in nodes), -1)
         for axis, x in enumerate(nodes):

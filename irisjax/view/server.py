@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from irisjax.view.studio import GRID, QUICK, Settings, Studio
+from irisjax.view.studio import GRID, QUICK, Studio
 
 if TYPE_CHECKING:
     import viser
@@ -135,7 +135,9 @@ class _Page:
         self.worker = Newest(self._show)
         self.picture = np.full((3, 4, 3), _BLACK, np.uint8)
         self.first = True
-        self._camera_starts()
+        self.width = studio.settings.width  # of the field at viser's `_DISTANCE`
+        start = server.initial_camera
+        start.position, start.look_at, start.up = self._place(), np.zeros(3), np.array([0.0, 1.0, 0.0])
         gui = server.gui
         gui.configure_theme(dark_mode=True, show_logo=False, show_share_button=False)
         gui.main_panel.dock_right()
@@ -190,6 +192,7 @@ class _Page:
                 ),
                 legend=uplot.Legend(show=False),
                 height=260,
+                padding=(12, 16, 0, 0),
             )
             self.colour = gui.add_html("")
             self.status = gui.add_html("")
@@ -246,31 +249,33 @@ class _Page:
         client.scene.set_background_image(_framed(self.picture, client.camera.aspect), format="jpeg", jpeg_quality=92)
 
     def _connected(self, client: "viser.ClientHandle") -> None:
-        aspect = [0.0]
+        aspect, arrived = 0.0, False
+        client.camera.position = self._place()
 
         @client.camera.on_update
         def _(camera) -> None:
-            if camera.aspect != aspect[0]:
-                aspect[0] = camera.aspect
+            nonlocal aspect, arrived
+            if camera.aspect != aspect:
+                aspect = camera.aspect
                 self._send(client)
             seen = _orbit(np.asarray(camera.position) - np.asarray(camera.look_at), self.width)
             if seen["camera_polar"] < 0.5:  # straight ahead there is no azimuth
                 seen["camera_azimuth"] = self.studio.settings.camera_azimuth
             settings = self.studio.settings
-            if any(abs(getattr(settings, name) - value) > 0.02 for name, value in seen.items()):
+            moved = any(abs(getattr(settings, name) - value) > 0.02 for name, value in seen.items())
+            arrived |= not moved  # before that, viser reports a camera of its own
+            if moved and arrived:
                 self.worker.put(**seen)
 
         self._send(client)
 
-    def _camera_starts(self) -> None:
-        s: Settings = self.studio.settings
-        self.width = s.width  # of the field at viser's distance
+    def _place(self) -> np.ndarray:
+        """Of viser's camera, by the settings; its z is the eye's −z."""
+        s = self.studio.settings
         polar, azimuth = math.radians(s.camera_polar), math.radians(s.camera_azimuth)
         sin = math.sin(polar)
-        place = (sin * math.cos(azimuth), sin * math.sin(azimuth), math.cos(polar))  # its z is our −z
-        start = self.server.initial_camera
-        start.position = _DISTANCE * np.asarray(place)
-        start.look_at, start.up = np.zeros(3), np.asarray([0.0, 1.0, 0.0])
+        towards = np.array([sin * math.cos(azimuth), sin * math.sin(azimuth), math.cos(polar)])
+        return _DISTANCE * s.width / self.width * towards
 
 
 def _scales(largest: float) -> dict[str, Any]:
