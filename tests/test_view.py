@@ -293,9 +293,16 @@ def test_page(browser, address):
         return value
 
     light = becomes(lambda value: value > 40)
+    box = page.locator("canvas").first.bounding_box()
     slider = page.get_by_role("slider").first
     slider.focus()
     slider.press("End")  # all the eumelanin there is
     dark = becomes(lambda value: value < 0.8 * light)
     assert dark < 0.8 * light, (light, dark)
+    middle = [box[name] + box[size] / 2 for name, size in (("x", "width"), ("y", "height"))]
+    page.mouse.move(*middle)
+    page.mouse.down()
+    page.mouse.move(middle[0] - 60, middle[1], steps=6)
+    page.mouse.up()
+    page.get_by_text(re.compile(r"camera [1-9]\d*° off axis")).wait_for(timeout=30_000)
     assert errors == []

@@ -36,6 +36,7 @@ _SLIDERS: dict[str, dict[str, tuple[str, float, float, float, str]]] = {
 }
 _DISTANCE = 2.5  # of viser's camera, in units of its own
 _REST = 0.25  # s without a change before the fine picture replaces the draft
+_PATIENCE = 0.3  # s that other pigments may take without a draft
 _BLACK = 16  # round the picture
 
 
@@ -134,7 +135,7 @@ class _Page:
         self.server, self.studio = server, studio
         self.worker = Newest(self._show)
         self.picture = np.full((3, 4, 3), _BLACK, np.uint8)
-        self.first = True
+        self.first, self.spent = True, 0.0  # s for the last picture with other pigments
         self.width = studio.settings.width  # of the field at viser's `_DISTANCE`
         start = server.initial_camera
         start.position, start.look_at, start.up = self._place(), np.zeros(3), np.array([0.0, 1.0, 0.0])
@@ -210,17 +211,18 @@ class _Page:
     def _show(self, changes: dict[str, Any]) -> None:
         """Draw after some changes; what is not quick first as a draft."""
         try:
-            if self.first or not QUICK.issuperset(changes):
+            quick = QUICK.issuperset(changes)
+            if self.first or not quick or self.spent > _PATIENCE:
                 self._draw(True, changes)
                 if not self.first and not self.worker.quiet(_REST):
                     return
                 changes = {}
-            self._draw(False, changes)
-            self.first = False
+            spent = self._draw(False, changes)
+            self.spent, self.first = spent if quick and not self.first else self.spent, False
         except Exception as error:  # the page must outlive a setting that cannot be drawn
             self._say(f"{type(error).__name__}: {error}".replace("<", "&lt;"))
 
-    def _draw(self, draft: bool, changes: dict[str, Any]) -> None:
+    def _draw(self, draft: bool, changes: dict[str, Any]) -> float:
         began = time.perf_counter()
         self.picture = self.studio.update(draft=draft, **changes)
         spent = time.perf_counter() - began
@@ -244,6 +246,7 @@ class _Page:
             f"separable response, all orders, within {100 * self.studio.error:.1g} %",
             "simulated",
         )
+        return spent
 
     def _send(self, client: "viser.ClientHandle") -> None:
         client.scene.set_background_image(_framed(self.picture, client.camera.aspect), format="jpeg", jpeg_quality=92)
@@ -251,23 +254,24 @@ class _Page:
     def _connected(self, client: "viser.ClientHandle") -> None:
         aspect, arrived = 0.0, False
         client.camera.position = self._place()
+        client.camera.look_at = np.zeros(3)  # which viser carries along with the position
 
         @client.camera.on_update
-        def _(camera) -> None:
+        def follow(camera) -> None:
             nonlocal aspect, arrived
             if camera.aspect != aspect:
                 aspect = camera.aspect
                 self._send(client)
+            settings = self.studio.settings
             seen = _orbit(np.asarray(camera.position) - np.asarray(camera.look_at), self.width)
             if seen["camera_polar"] < 0.5:  # straight ahead there is no azimuth
-                seen["camera_azimuth"] = self.studio.settings.camera_azimuth
-            settings = self.studio.settings
+                seen["camera_azimuth"] = settings.camera_azimuth
             moved = any(abs(getattr(settings, name) - value) > 0.02 for name, value in seen.items())
             arrived |= not moved  # before that, viser reports a camera of its own
             if moved and arrived:
                 self.worker.put(**seen)
 
-        self._send(client)
+        follow(client.camera)
 
     def _place(self) -> np.ndarray:
         """Of viser's camera, by the settings; its z is the eye's −z."""
