@@ -18,6 +18,7 @@ from irisjax.cli.fit import EPILOG, fit
 from irisjax.cli.jobs import directions, head, measured, problem, simulated_measurement, truth
 from irisjax.cli.render import render
 from irisjax.cli.settings import COMMANDS, header, settled
+from irisjax.cli.view import view
 
 app = typer.Typer(
     add_completion=False,
@@ -194,6 +195,7 @@ def simulate_measurement(values: dict[str, Any]) -> None:
 
 app.command("fit", epilog=EPILOG)(fit)
 app.command("render")(render)
+app.command("view")(view)
 
 
 def _row(name: str, numbers, form: str, remark: str = "") -> str:

@@ -62,7 +62,7 @@ def render(
     Simulated. PNG is sRGB without any tone adjustment; what is out of its range is clipped, and counted on standard
     error. EXR is linear and unbounded.
     """
-    if (scene is None) == (preset is None):
+    if scene is None and preset is None:
         raise ValueError("give a SCENE file or --preset")
     if output.suffix not in (".png", ".exr"):
         raise ValueError(f"{output}: a picture ends in .png or .exr")
@@ -71,8 +71,8 @@ def render(
     if integrator not in _INTEGRATORS:
         raise ValueError(f"--integrator: unknown {integrator!r}; known: {', '.join(_INTEGRATORS)}")
     io.check_writable(output)
-    file = read_scene(scene) if scene is not None else _preset(str(preset), seed)
-    found = _changed(file.scene(), light, pupil, size).replace(integrator=_INTEGRATORS[integrator]())
+    file = scene_file(scene, preset, seed)
+    found = changed(file.scene(), light, pupil, size).replace(integrator=_INTEGRATORS[integrator]())
     factor = file.exposure if exposure is None else exposure
     if not (math.isfinite(factor) and factor > 0):
         raise ValueError(f"--exposure {factor:g} must be above 0")
@@ -92,7 +92,12 @@ def render(
             )
 
 
-def _preset(name: str, seed: int) -> SceneFile:
+def scene_file(path: Path | None, name: str | None, seed: int) -> SceneFile:
+    """The scene of a file, or of the preset `name` in a studio."""
+    if path is not None:
+        if name is not None:
+            raise ValueError("give a SCENE file or --preset, not both")
+        return read_scene(path)
     if name not in PRESETS:
         raise ValueError(f"--preset: unknown {name!r}; known: {', '.join(PRESETS)}")
     return parse_scene(
@@ -108,7 +113,8 @@ def _preset(name: str, seed: int) -> SceneFile:
     )
 
 
-def _changed(scene: staging.Scene, light, pupil, size) -> staging.Scene:
+def changed(scene: staging.Scene, light=None, pupil=None, size: str | None = None) -> staging.Scene:
+    """A scene with lamps, pupil (mm) or picture size as the options write them."""
     if light:
         lamps = [_lamp(text, scene.illuminant) for text in light]
         joined = lamps[0]

@@ -10,6 +10,7 @@ from typing import Any
 
 import jax
 
+from irisjax._types import PRNGKey
 from irisjax.io.images import read_environment
 from irisjax.render.camera import Camera
 from irisjax.render.environment import Environment
@@ -139,8 +140,7 @@ class SceneFile(Mapping[str, Any]):
         return Scene(**parts)
 
     def _key(self, name: str):
-        seed = self._sections.get("maps", {}).get("seed", 0)
-        return jax.random.fold_in(jax.random.key(seed, impl="threefry2x32"), {"maps": 0, "veins": 1}[name])
+        return stream(self._sections.get("maps", {}).get("seed", 0), name)
 
     def _iris(self):
         given = dict(self._sections.get("iris", {}))
@@ -207,6 +207,11 @@ class SceneFile(Mapping[str, Any]):
             around = {"studio": Environment.studio, "sky": Environment.sky}[given["kind"]](rows=512)
         around = dataclasses.replace(around, radiance=around.radiance * given.get("strength", 1.0))
         return {"environment": around, "environment_lights": given.get("lights", 25)}
+
+
+def stream(seed: int, name: str) -> PRNGKey:
+    """The random key of a scene's `"maps"` or `"veins"`."""
+    return jax.random.fold_in(jax.random.key(seed, impl="threefry2x32"), {"maps": 0, "veins": 1}[name])
 
 
 def read_scene(path: str | Path) -> SceneFile:

@@ -19,7 +19,7 @@ from irisjax.tissue.eye import TEAR
 
 BLEND = 0.5
 """Half the width over which iris and sclera blend at the limbus, mm  [F09 Section 6.5: about 1 mm in all]."""
-_PAD = 2048
+_PAD = 2048  # and an eighth of the pixels at most
 
 
 def _number(default: float) -> Any:
@@ -123,8 +123,9 @@ def _picker(count: int):
         index = np.flatnonzero(mask)
         if not index.size:
             return None
-        # Few different lengths, few compiled programs.
-        padded = min(-(-index.size // _PAD) * _PAD, max(count, index.size))
+        # Few different lengths, few compiled programs: a camera that turns must not wait for XLA.
+        step = max(_PAD, 1 << (index.size.bit_length() - 4))
+        padded = min(-(-index.size // step) * step, max(count, index.size))
         source = np.concatenate([index, np.full(padded - index.size, index[-1])])
         where = np.where(np.arange(padded) < index.size, source, -1).astype(np.int32)
         return eqx.tree_at(lambda p: p.index, _picked(pixels, source.astype(np.int32)), jnp.asarray(where))

@@ -91,7 +91,7 @@ class Stage(eqx.Module):
     ground: Any
     bands: Bands
     integrator: AbstractIntegrator
-    ranges: Scales = eqx.field(static=True)
+    ranges: Scales
     size: tuple[int, int] = eqx.field(static=True)
 
     def __call__(self, iris: Iris) -> Float[Array, "height width channels"]:

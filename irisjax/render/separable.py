@@ -113,7 +113,7 @@ class Response(AbstractResponse):
 
     coefficients: Float[Array, "..."]
     indices: tuple[Float[Array, ""], Float[Array, ""]]
-    ranges: Scales = eqx.field(static=True)
+    ranges: Scales
     error: Float[Array, ""]
 
     def __call__(self, scales: Scales, cosine: Float[Array, " pixels"]) -> Float[Array, "channels pixels"]:
@@ -179,10 +179,10 @@ _BEND = 3.0
 
 
 def _from_unit(span, x):
-    low, high = (float(np.log1p(_BEND * s)) for s in span)
+    low, high = (jnp.log1p(_BEND * s) for s in span)
     return jnp.expm1(low + (x + 1) * ((high - low) / 2)) / _BEND
 
 
 def _to_unit(span, scale):
-    low, high = (float(np.log1p(_BEND * s)) for s in span)
+    low, high = (jnp.log1p(_BEND * s) for s in span)
     return jnp.clip((jnp.log1p(_BEND * scale) - low) * (2 / (high - low)) - 1, -1, 1)

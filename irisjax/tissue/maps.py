@@ -105,8 +105,13 @@ class Scales(NamedTuple):
         return cls(maps.abl_scale(iris), maps.stroma_scale(iris), maps.eumelanin, maps.pheomelanin)
 
     def ranges(self) -> "Scales":
-        """Smallest and largest value of each concrete texture, a little widened: static numbers."""
-        return Scales(*(None if t is None else (float(np.min(t)) * 0.95, float(np.max(t)) * 1.05 + 1e-3) for t in self))
+        """Smallest and largest value of each texture, a little widened; no gradients: they only place a table's nodes."""
+
+        def around(texture):
+            low, high = (jax.lax.stop_gradient(f(texture)) for f in (jnp.min, jnp.max))
+            return low * 0.95, high * 1.05 + 1e-3
+
+        return Scales(*(None if t is None else around(t) for t in self))
 
 
 def fetch(texture: Float[Array, "angles radii *c"], angle, radius) -> Float[Array, "..."]:

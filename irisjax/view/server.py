@@ -1,0 +1,323 @@
+"""The viewer's page, by viser: the eye in the viewport, sliders to the right, spectrum and colour to the left."""
+
+import contextlib
+import io
+import math
+import socket
+import threading
+import time
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from irisjax.view.studio import GRID, QUICK, Studio
+
+if TYPE_CHECKING:
+    import viser
+
+_SLIDERS: dict[str, dict[str, tuple[str, float, float, float, str]]] = {
+    "Iris": {
+        "eumelanin": ("eumelanin", 0, 4, 0.005, "mg/ml over the whole iris"),
+        "pheomelanin": ("pheomelanin", 0, 2, 0.005, "mg/ml over the whole iris"),
+        "abl_fraction": ("ABL fraction", 0, 1, 0.005, "share of the melanin in the anterior border layer"),
+        "stroma": ("stroma", 0.3, 2, 0.01, "thickness relative to the preset's, at equal concentrations"),
+        "hemoglobin": ("blood", 0, 1, 0.002, "haemoglobin in the stroma, mmol/l"),
+        "saturation": ("oxygen", 0, 1, 0.01, "saturation of the haemoglobin"),
+        "pupil": ("pupil", 1, 9, 0.1, "diameter, mm"),
+    },
+    "Light": {
+        "light_polar": ("lamp angle", 0, 90, 1, "degrees from the eye's axis"),
+        "light_azimuth": ("lamp azimuth", -180, 180, 1, "degrees from the right over the top"),
+        "irradiance": ("lamp power", 0, 10, 0.05, "irradiance; π lights a white sheet white"),
+        "strength": ("surround ×", 0, 3, 0.05, "factor on the environment"),
+        "exposure": ("exposure ×", 0.25, 4, 0.05, "factor on the picture"),
+    },
+}
+_DISTANCE = 2.5  # of viser's camera, in units of its own
+_REST = 0.25  # s without a change before the fine picture replaces the draft
+_PATIENCE = 0.3  # s that other pigments may take without a draft
+_BLACK = 16  # round the picture
+
+
+class Newest(threading.Thread):
+    """One thread that works on whatever changed; values that were overtaken while it was busy are never computed."""
+
+    def __init__(self, work: Callable[[dict[str, Any]], None]):
+        super().__init__(daemon=True)
+        self._work, self._waiting, self._stopped = work, None, False
+        self._news = threading.Condition()
+
+    def put(self, **changes: Any) -> None:
+        """Ask for some changes, on top of those that still wait."""
+        with self._news:
+            self._waiting = {**(self._waiting or {}), **changes}
+            self._news.notify_all()
+
+    def quiet(self, seconds: float) -> bool:
+        """Whether nothing comes for so long; for the work itself to ask."""
+        with self._news:
+            return not self._news.wait_for(lambda: self._waiting is not None or self._stopped, seconds)
+
+    def stop(self) -> None:
+        """Leave after the work in hand."""
+        with self._news:
+            self._stopped = True
+            self._news.notify_all()
+
+    def run(self) -> None:
+        """Work until `stop`."""
+        while True:
+            with self._news:
+                self._news.wait_for(lambda: self._waiting is not None or self._stopped)
+                if self._stopped:
+                    return
+                changes, self._waiting = self._waiting or {}, None
+            self._work(changes)
+
+
+def serve(
+    studio: Studio,
+    host: str = "127.0.0.1",
+    port: int = 8080,
+    *,
+    ready: Callable[[str], None] = lambda address: None,
+    until: threading.Event | None = None,
+) -> None:
+    """Serve the viewer until `until` is set, or Ctrl-C. `ready` is told the address; port 0 takes a free one.
+
+    **Raises:** `ValueError` without viser, and for a port in use.
+    """
+    check(host, port)
+    import viser
+
+    with _silence():
+        server = viser.ViserServer(host, port, label="irisjax", verbose=False)
+    page = _Page(server, studio)
+    try:
+        page.worker.start()
+        ready(f"http://{host}:{server.get_port()}")
+        until = threading.Event() if until is None else until
+        while not until.wait(0.5):  # a bare wait would not let Ctrl-C through everywhere
+            pass
+    except KeyboardInterrupt:
+        pass
+    finally:
+        page.worker.stop()
+        with _silence():
+            server.stop()
+        page.worker.join(timeout=10)
+
+
+def check(host: str, port: int) -> None:
+    """Raise `ValueError` without viser, and for an address that cannot be had."""
+    try:
+        import viser  # noqa: F401
+    except ImportError:
+        raise ValueError("the viewer needs viser: pip install 'irisjax[view]'") from None
+    # viser would move on to the next free port without a word.
+    try:
+        with socket.create_server((host, port)):
+            pass
+    except OSError as error:
+        raise ValueError(f"cannot listen on port {port} of {host}: {error.strerror or error}") from None
+
+
+def _silence():
+    """Standard output is the command's, not viser's."""
+    return contextlib.redirect_stdout(io.StringIO())
+
+
+class _Page:
+    """Widgets, and the worker that answers them."""
+
+    def __init__(self, server: "viser.ViserServer", studio: Studio):
+        self.server, self.studio = server, studio
+        self.worker = Newest(self._show)
+        self.picture = np.full((3, 4, 3), _BLACK, np.uint8)
+        self.first, self.spent = True, 0.0  # s for the last picture with other pigments
+        self.width = studio.settings.width  # of the field at viser's `_DISTANCE`
+        start = server.initial_camera
+        start.position, start.look_at, start.up = self._place(), np.zeros(3), np.array([0.0, 1.0, 0.0])
+        gui = server.gui
+        gui.configure_theme(dark_mode=True, show_logo=False, show_share_button=False)
+        gui.main_panel.dock_right()
+        gui.main_panel.set_width(330)
+        self._results()
+        self.widgets = self._settings()
+        server.on_client_connect(self._connected)
+        self.worker.put()
+
+    def _settings(self) -> dict[str, Any]:
+        gui, studio, widgets = self.server.gui, self.studio, {}
+        with gui.add_folder("Eye"):
+            widgets["preset"] = gui.add_dropdown("preset", studio.presets(), initial_value=studio.settings.preset)
+            widgets["seed"] = gui.add_number(
+                "seed", studio.settings.seed, min=0, max=2**32 - 1, step=1, hint="of a preset's maps"
+            )
+        for folder, sliders in _SLIDERS.items():
+            with gui.add_folder(folder):
+                if folder == "Light":
+                    widgets["environment"] = gui.add_dropdown(
+                        "environment", studio.environments(), initial_value=studio.settings.environment
+                    )
+                for name, (label, low, high, step, hint) in sliders.items():
+                    value = float(getattr(studio.settings, name))
+                    low, high = float(min(low, value)), float(max(high, value))
+                    widgets[name] = gui.add_slider(label, low, high, float(step), value, hint=hint)
+        for name, widget in widgets.items():
+            widget.on_update(lambda event, name=name: self._moved(event, name))
+        return widgets
+
+    def _moved(self, event, name: str) -> None:
+        if event.client is not None:  # else it is the page that follows the settings
+            self.worker.put(**{name: event.target.value})
+
+    def _results(self) -> None:
+        from viser import uplot
+
+        gui, grid = self.server.gui, uplot.Axis_Grid(stroke="#444444", width=1)
+        panel = gui.add_panel()
+        with panel.add_tab("Spectrum and colour"):
+            self.plot = gui.add_uplot(
+                (GRID, np.zeros_like(GRID), np.zeros_like(GRID)),
+                (
+                    uplot.Series(label="nm"),
+                    uplot.Series(label="at first", stroke="#888888", width=1, dash=(4, 4)),
+                    uplot.Series(label="reflectance", stroke="#56B4E9", width=2),
+                ),
+                scales=_scales(0.1),
+                axes=tuple(
+                    uplot.Axis(label=label, stroke="#c0c0c0", grid=grid, size=60)
+                    for label in ("wavelength (nm)", "reflectance of the iris")
+                ),
+                legend=uplot.Legend(show=False),
+                height=260,
+                padding=(12, 16, 0, 0),
+            )
+            self.colour = gui.add_html("")
+            self.status = gui.add_html("")
+        panel.dock_left()
+        panel.set_width(320)
+        self._say("computing the eye's tables …")
+
+    def _say(self, *lines: str) -> None:
+        self.status.content = (
+            '<div id="irisjax-status" style="padding:0.4em 0.9em;font-size:0.8em;opacity:0.8">'
+            + "<br>".join(lines)
+            + "</div>"
+        )
+
+    def _show(self, changes: dict[str, Any]) -> None:
+        """Draw after some changes; what is not quick first as a draft."""
+        try:
+            quick = QUICK.issuperset(changes)
+            if self.first or not quick or self.spent > _PATIENCE:
+                self._draw(True, changes)
+                if not self.first and not self.worker.quiet(_REST):
+                    return
+                changes = {}
+            spent = self._draw(False, changes)
+            self.spent, self.first = spent if quick and not self.first else self.spent, False
+        except Exception as error:  # the page must outlive a setting that cannot be drawn
+            self._say(f"{type(error).__name__}: {error}".replace("<", "&lt;"))
+
+    def _draw(self, draft: bool, changes: dict[str, Any]) -> float:
+        began = time.perf_counter()
+        self.picture = self.studio.update(draft=draft, **changes)
+        spent = time.perf_counter() - began
+        for client in self.server.get_clients().values():
+            self._send(client)
+        values, colour = self.studio.spectrum()
+        before = values if self.first else self.plot.data[1]
+        self.plot.data = (GRID, before, values)
+        self.plot.scales = _scales(max(before.max(), values.max()))
+        self.colour.content = _swatch(colour)
+        for name, widget in self.widgets.items():
+            wanted = getattr(self.studio.settings, name)
+            if "preset" in changes and widget.value != wanted:
+                widget.value = wanted
+        height, width = self.picture.shape[:2]
+        s = self.studio.settings
+        self._say(
+            f"{'draft' if draft else 'picture'} {width} × {height}: {1e3 * spent:.0f} ms",
+            f"camera {s.camera_polar:.0f}° off axis at {s.camera_azimuth:.0f}°, field {s.width:.1f} mm; "
+            "drag to orbit, scroll to zoom",
+            f"separable response, all orders, within {100 * self.studio.error:.1g} %",
+            "simulated",
+        )
+        return spent
+
+    def _send(self, client: "viser.ClientHandle") -> None:
+        client.scene.set_background_image(_framed(self.picture, client.camera.aspect), format="jpeg", jpeg_quality=92)
+
+    def _connected(self, client: "viser.ClientHandle") -> None:
+        aspect, arrived = 0.0, False
+        client.camera.position = self._place()
+        client.camera.look_at = np.zeros(3)  # which viser carries along with the position
+
+        @client.camera.on_update
+        def follow(camera) -> None:
+            nonlocal aspect, arrived
+            if camera.aspect != aspect:
+                aspect = camera.aspect
+                self._send(client)
+            settings = self.studio.settings
+            seen = _orbit(np.asarray(camera.position) - np.asarray(camera.look_at), self.width)
+            if seen["camera_polar"] < 0.5:  # straight ahead there is no azimuth
+                seen["camera_azimuth"] = settings.camera_azimuth
+            moved = any(abs(getattr(settings, name) - value) > 0.02 for name, value in seen.items())
+            arrived |= not moved  # before that, viser reports a camera of its own
+            if moved and arrived:
+                self.worker.put(**seen)
+
+        follow(client.camera)
+
+    def _place(self) -> np.ndarray:
+        """Of viser's camera, by the settings; its z is the eye's −z."""
+        s = self.studio.settings
+        polar, azimuth = math.radians(s.camera_polar), math.radians(s.camera_azimuth)
+        sin = math.sin(polar)
+        towards = np.array([sin * math.cos(azimuth), sin * math.sin(azimuth), math.cos(polar)])
+        return _DISTANCE * s.width / self.width * towards
+
+
+def _scales(largest: float) -> dict[str, Any]:
+    """Of the plot: reflectance from 0, its top changing in few steps."""
+    from viser import uplot
+
+    top = next(t for t in (0.01, 0.02, 0.05, 0.1, 0.2, 0.3, 0.5, 1.0) if largest < t or t == 1.0)
+    return {"x": uplot.Scale(time=False, auto=True), "y": uplot.Scale(auto=False, range=(0.0, top))}
+
+
+def _orbit(place: np.ndarray, width: float) -> dict[str, float]:
+    """Camera settings of viser's camera at a place relative to what it looks at."""
+    distance = float(np.linalg.norm(place))
+    polar = math.degrees(math.atan2(math.hypot(place[0], place[1]), place[2]))
+    return {
+        "camera_polar": round(min(polar, 85.0), 2),
+        "camera_azimuth": round(math.degrees(math.atan2(place[1], place[0])), 2),
+        "width": round(float(np.clip(width * distance / _DISTANCE, 2.0, 60.0)), 2),
+    }
+
+
+def _framed(picture: np.ndarray, aspect: float) -> np.ndarray:
+    """The picture amid black of the viewport's aspect: viser stretches its background."""
+    height, width = picture.shape[:2]
+    wide, high = max(width, round(height * aspect)), max(height, round(width / aspect))
+    framed = np.full((high, wide, 3), _BLACK, np.uint8)
+    top, left = (high - height) // 2, (wide - width) // 2
+    framed[top : top + height, left : left + width] = picture
+    return framed
+
+
+def _swatch(colour) -> str:
+    red, green, blue = (int(v) for v in np.rint(255 * np.clip(np.asarray(colour.srgb), 0, 1)))
+    lab = ", ".join(f"{v:.1f}" for v in np.asarray(colour.lab))
+    clipped = "" if bool(colour.in_gamut) else " (clipped)"
+    return (
+        '<div style="display:flex;gap:0.8em;padding:0.4em 0.9em;font-size:0.85em;align-items:center">'
+        f'<div style="width:4.5em;height:4.5em;border-radius:4px;background:rgb({red},{green},{blue})"></div>'
+        f"<div>iris under {colour.illuminant}<br>L*a*b* {lab}<br>sRGB {red}, {green}, {blue}{clipped}<br>"
+        f"#{red:02x}{green:02x}{blue:02x}</div></div>"
+    )

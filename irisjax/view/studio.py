@@ -1,0 +1,232 @@
+"""`Studio`: a scene under sliders. A change recomputes the stages whose inputs it touches, and no others."""
+
+import dataclasses
+import math
+from collections.abc import Callable
+from typing import Any
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+
+from irisjax.io.scenes import stream
+from irisjax.measure.colour import Colour, colour_of, srgb_encode
+from irisjax.measure.spectrophotometer import reflectance
+from irisjax.render.camera import Camera, look
+from irisjax.render.environment import Environment
+from irisjax.render.illumination import UNIQUE_POLAR
+from irisjax.render.lights import Lights
+from irisjax.render.scene import Scene, Stage, prepare
+from irisjax.tissue.iris import Iris
+from irisjax.tissue.maps import IrisMaps
+from irisjax.tissue.procedural import PRESETS
+
+GIVEN = "as given"
+ENVIRONMENTS: dict[str, Callable[[], Environment] | None] = {
+    "none": None,
+    "studio": Environment.studio,
+    "sky": Environment.sky,
+}
+GRID = np.arange(400.0, 701.0, 5.0)
+"""Wavelengths of the spectrum, nm."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Settings:
+    """What can be changed; a scene's own values are where it starts.
+
+    - `preset`, `environment`: a name, or `GIVEN` for the scene's own. `seed`: of a preset's maps.
+    - Concentrations as in `Iris`; `hemoglobin`: both forms together, mmol/l; `stroma`: thickness relative to the
+        iris's own, at equal concentrations. `pupil`: diameter, mm.
+    - `light_*`: of the first lamp, degrees; `strength`: factor on the environment; `exposure`: on the picture.
+    - `camera_*`: degrees; `width` of the field, mm.
+    """
+
+    preset: str = GIVEN
+    seed: int = 0
+    eumelanin: float = 0.0
+    pheomelanin: float = 0.0
+    abl_fraction: float = 0.5
+    stroma: float = 1.0
+    hemoglobin: float = 0.0
+    saturation: float = 0.5
+    pupil: float = 3.8
+    light_polar: float = 35.0
+    light_azimuth: float = 120.0
+    irradiance: float = 0.0
+    environment: str = GIVEN
+    strength: float = 1.0
+    exposure: float = 1.0
+    camera_polar: float = 0.0
+    camera_azimuth: float = 0.0
+    width: float = 15.0
+
+
+PIGMENTS = ("eumelanin", "pheomelanin", "abl_fraction", "hemoglobin", "saturation")
+QUICK = frozenset({*PIGMENTS, "stroma", "exposure"})
+"""Settings that leave tables, view and stage alone."""
+_LIGHT = ("light_polar", "light_azimuth", "irradiance", "environment", "strength")
+_CAMERA = ("camera_polar", "camera_azimuth", "width")
+
+
+class Studio:
+    """A scene, its settings, and what is already computed for them.
+
+    - `given`: settings that the scene does not tell, such as the name of its `preset`.
+    - `error`: of the last picture's response, see `Response`.
+    """
+
+    def __init__(self, scene: Scene, **given: Any):
+        self._base = scene
+        self._kept: dict[Any, tuple[Any, Any]] = {}
+        self.error = 0.0
+        camera, pupil = scene.camera, 2 * float(scene.eye.pupil_radius)
+        start = {
+            "pupil": round(pupil, 6),
+            "camera_polar": _degrees(camera.polar),
+            "camera_azimuth": _degrees(camera.azimuth),
+            "width": float(camera.width),
+            "environment": "none" if scene.environment is None else GIVEN,
+            **_pigments(scene.iris),
+        }
+        if scene.lights is not None:
+            x, y, z = np.asarray(scene.lights.towards[0], np.float64)
+            start |= {
+                "light_polar": _degrees(math.atan2(math.hypot(x, y), -z)),
+                "light_azimuth": _degrees(math.atan2(y, x)),
+                "irradiance": float(scene.lights.irradiance[0]),
+            }
+        self.settings = Settings(**{**start, **given})
+
+    def presets(self) -> tuple[str, ...]:
+        """Eye colours to choose from."""
+        return ((GIVEN,) if self.settings.preset == GIVEN else ()) + tuple(PRESETS)
+
+    def environments(self) -> tuple[str, ...]:
+        """Environments to choose from."""
+        return ((GIVEN,) if self.settings.environment == GIVEN else ()) + tuple(ENVIRONMENTS)
+
+    def update(self, *, draft: bool = False, **changes: Any) -> np.ndarray:
+        """The picture after some changes: sRGB, 8 bits, (height, width, 3); a `draft` has half of either side.
+
+        Another preset brings its own pigments. **Raises:** `ValueError` and keeps the old settings.
+        """
+        if unknown := changes.keys() - {f.name for f in dataclasses.fields(Settings)}:
+            raise ValueError(f"no such setting: {', '.join(sorted(unknown))}")
+        settings = dataclasses.replace(self.settings, **changes)
+        if settings.preset != self.settings.preset:
+            own = _pigments(self._grown(settings)[0]) | {"stroma": 1.0}
+            settings = dataclasses.replace(settings, **{**own, **changes})
+        stage = self._stage(settings, draft)
+        response = stage.response(self._iris(settings))
+        picture = _encoded(stage.shown(response), jnp.asarray(settings.exposure, response.coefficients.dtype))
+        self.settings, self.error = settings, float(response.error)
+        return np.asarray(picture)
+
+    @property
+    def iris(self) -> Iris:
+        """The iris as it is set."""
+        return self._iris(self.settings)
+
+    def scene(self) -> Scene:
+        """The scene as it is set; `exposure` is no part of it."""
+        s = self.settings
+        scene = self._set(s, self._base.camera.size)
+        maps = scene.maps
+        if maps is not None and maps.stroma_thickness is not None:
+            maps = maps.replace(stroma_thickness=maps.stroma_thickness * s.stroma)
+        return scene.replace(iris=self._iris(s), maps=maps)
+
+    def spectrum(self) -> tuple[np.ndarray, Colour]:
+        """Reflectance of the uniform iris, without an eye round it, on `GRID`; and its colour."""
+        found = reflectance(self.iris, GRID, process=self._base.integrator.process)
+        return np.asarray(found.values), colour_of(GRID, found.values, illuminant=self._base.illuminant)
+
+    def _once(self, name: Any, inputs: Any, make: Callable[[], Any]) -> Any:
+        """What `make` gave for the same inputs last time, or gives now."""
+        if name not in self._kept or self._kept[name][0] != inputs:
+            self._kept[name] = inputs, make()
+        return self._kept[name][1]
+
+    def _stage(self, s: Settings, draft: bool) -> Stage:
+        width, height = self._base.camera.size
+        size = (max(width // 2, 1), max(height // 2, 1)) if draft else (width, height)
+        seen, lit = _of(s, _CAMERA), _of(s, _LIGHT)
+
+        def make():
+            scene = self._set(s, size)
+            # Neither what a camera sees of the iris plane nor what light does there depends on the pupil.
+            view = self._once(("view", draft), seen, lambda: look(scene.eye, scene.camera))
+            polar = self._once("polar", lit, lambda: np.asarray(scene.all_lights().polar()))
+            tables = self._once(("tables", bool((polar > UNIQUE_POLAR).any())), None, scene.tables)
+            return prepare(scene, tables, view)
+
+        return self._once(("stage", draft), (seen, lit, s.preset, s.seed, s.pupil), make)
+
+    def _grown(self, s: Settings) -> tuple[Iris, IrisMaps | None]:
+        """Iris and maps before any slider is moved."""
+        if s.preset == GIVEN:
+            return self._base.iris, self._base.maps
+        if s.preset not in PRESETS:
+            raise ValueError(f"unknown eye colour {s.preset!r}; known: {', '.join(PRESETS)}")
+        return self._once("grown", (s.preset, s.seed), lambda: PRESETS[s.preset](key=stream(s.seed, "maps")))
+
+    def _iris(self, s: Settings) -> Iris:
+        iris = self._grown(s)[0]
+        return iris.replace(
+            eumelanin=s.eumelanin,
+            pheomelanin=s.pheomelanin,
+            abl_fraction=s.abl_fraction,
+            oxyhemoglobin=s.hemoglobin * s.saturation,
+            deoxyhemoglobin=s.hemoglobin * (1 - s.saturation),
+            stroma_thickness=iris.stroma_thickness * s.stroma,
+        )
+
+    def _set(self, s: Settings, size: tuple[int, int]) -> Scene:
+        """The scene but for the pigments: maps are relative to its iris, so a stage outlives other thicknesses."""
+        iris, maps = self._grown(s)
+        base, camera = self._base, self._base.camera
+        polar, azimuth = (jnp.asarray(math.radians(angle), float) for angle in (s.camera_polar, s.camera_azimuth))
+        camera = Camera(polar, azimuth, camera.distance, jnp.asarray(s.width, float), size)
+        lamp = Lights.distant(math.radians(s.light_polar), math.radians(s.light_azimuth), illuminant=base.illuminant)
+        if base.lights is not None:
+            lamp = dataclasses.replace(base.lights, towards=base.lights.towards.at[0].set(lamp.towards[0]))
+        lamp = dataclasses.replace(lamp, irradiance=lamp.irradiance.at[0].set(s.irradiance))
+        return base.replace(
+            iris=iris,
+            maps=maps,
+            eye=base.eye.replace(pupil_radius=s.pupil / 2),
+            lights=lamp,
+            environment=self._once("environment", (s.environment, s.strength), lambda: self._around(s)),
+            camera=camera,
+        )
+
+    def _around(self, s: Settings) -> Environment | None:
+        if s.environment not in (GIVEN, *ENVIRONMENTS):
+            raise ValueError(f"unknown environment {s.environment!r}; known: {', '.join(ENVIRONMENTS)}")
+        make = ENVIRONMENTS.get(s.environment)
+        found = self._base.environment if s.environment == GIVEN else None if make is None else make()
+        return None if found is None or s.strength == 0 else Environment(found.radiance * s.strength)
+
+
+def _of(settings: Settings, names: tuple[str, ...]) -> tuple[Any, ...]:
+    return tuple(getattr(settings, name) for name in names)
+
+
+def _degrees(angle) -> float:
+    return round(math.degrees(float(angle)), 4)
+
+
+def _pigments(iris: Iris) -> dict[str, float]:
+    total = float(iris.oxyhemoglobin + iris.deoxyhemoglobin)
+    given = iris.parameters()
+    return {
+        **{name: given[name] for name in ("eumelanin", "pheomelanin", "abl_fraction")},
+        "hemoglobin": round(total, 6),
+        "saturation": round(float(iris.oxyhemoglobin) / total, 6) if total else 0.5,
+    }
+
+
+@eqx.filter_jit
+def _encoded(picture, exposure):
+    return jnp.asarray(255 * jnp.clip(srgb_encode(exposure * picture), 0, 1) + 0.5, jnp.uint8)
