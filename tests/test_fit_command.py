@@ -87,9 +87,9 @@ def test_two_spots_of_one_eye(irisjax, spectrum, tmp_path):
     assert {"melanin_load@1", "melanin_load@2", "hemoglobin", "eumelanin@2"} <= set(rows)
     for name, truth in (("melanin_load@1", 0.0477), ("melanin_load@2", 0.1), ("hemoglobin", 0.084)):
         assert abs(float(rows[name]["median"]) - truth) < 5 * float(rows[name]["sd"])
-    seen = xr.open_dataset(folder / "posterior.nc", group="observed_data", engine="h5netcdf")
-    assert seen["wavelength_nm_1"].size == seen["reflectance_1"].size == 31
-    assert seen["wavelength_nm_2"].size == seen["reflectance_2"].size == 27
+    with xr.open_dataset(folder / "posterior.nc", group="observed_data", engine="h5netcdf") as seen:
+        assert seen["wavelength_nm_1"].size == seen["reflectance_1"].size == 31
+        assert seen["wavelength_nm_2"].size == seen["reflectance_2"].size == 27
 
 
 def test_batch(irisjax, spectrum, tmp_path):

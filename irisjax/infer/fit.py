@@ -69,7 +69,7 @@ class Fit(eqx.Module):
     covariance: Float[Array, "*batch free free"]
     values: dict[str, Any]
     sd: dict[str, Any]
-    predicted: tuple[Float[Array, "*batch _"], ...]
+    predicted: tuple[Float[Array, "*batch _"], ...]  # each observation has its own length
     chi_square: Float[Array, "*batch"]
     degrees: int = eqx.field(static=True)
     cost: Float[Array, "*batch"]

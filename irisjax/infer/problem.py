@@ -73,7 +73,7 @@ class Problem(eqx.Module):
                 out[name + tag] = value
         return out
 
-    def predict(self, z: Float[Array, " free"]) -> tuple[Float[Array, " data"], ...]:
+    def predict(self, z: Float[Array, " free"]) -> tuple[Float[Array, " _"], ...]:
         """What each instrument would read without noise."""
         return self._models(self.values(z))
 
@@ -119,7 +119,7 @@ class Problem(eqx.Module):
         whitened = [self.noise.whiten(o, m, factor) for o, m in zip(self.observations, models, strict=True)]
         return jnp.concatenate(whitened), models
 
-    def simulate(self, z: Float[Array, " free"], key) -> tuple[Float[Array, " data"], ...]:
+    def simulate(self, z: Float[Array, " free"], key) -> tuple[Float[Array, " _"], ...]:
         """One noisy measurement of each kind, were z the truth."""
         values, out = self.values(z), []
         nu = self.noise.degrees_of_freedom

@@ -124,7 +124,7 @@ def _picker(count: int):
         if not index.size:
             return None
         # Few different lengths, few compiled programs: a camera that turns must not wait for XLA.
-        step = max(_PAD, 1 << (index.size.bit_length() - 4))
+        step = max(_PAD, 1 << max(index.size.bit_length() - 4, 0))
         padded = min(-(-index.size // step) * step, max(count, index.size))
         source = np.concatenate([index, np.full(padded - index.size, index[-1])])
         where = np.where(np.arange(padded) < index.size, source, -1).astype(np.int32)

@@ -13,6 +13,7 @@ from irisjax.render.lights import Lights
 from irisjax.tissue.anatomy import Eye
 from irisjax.tissue.iris import Iris
 from irisjax.tissue.maps import IrisMaps, Scales
+from irisjax.transport.process import Process
 
 
 class AbstractResponse(eqx.Module):
@@ -29,7 +30,9 @@ class AbstractResponse(eqx.Module):
 
 
 class AbstractIntegrator(eqx.Module):
-    """An integrator is an immutable value: a method and its settings."""
+    """An integrator is an immutable value: a method and its settings, the `process` of light in tissue among them."""
+
+    process: eqx.AbstractVar[Process]
 
     @abc.abstractmethod
     def place(

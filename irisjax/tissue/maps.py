@@ -105,7 +105,7 @@ class Scales(NamedTuple):
         return cls(maps.abl_scale(iris), maps.stroma_scale(iris), maps.eumelanin, maps.pheomelanin)
 
     def ranges(self) -> "Scales":
-        """Smallest and largest value of each texture, a little widened; no gradients: they only place a table's nodes."""
+        """Smallest and largest value of each texture, a little widened; without gradients: they place nodes."""
 
         def around(texture):
             low, high = (jax.lax.stop_gradient(f(texture)) for f in (jnp.min, jnp.max))

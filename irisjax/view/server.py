@@ -243,7 +243,7 @@ class _Page:
             f"{'draft' if draft else 'picture'} {width} × {height}: {1e3 * spent:.0f} ms",
             f"camera {s.camera_polar:.0f}° off axis at {s.camera_azimuth:.0f}°, field {s.width:.1f} mm; "
             "drag to orbit, scroll to zoom",
-            f"separable response, all orders, within {100 * self.studio.error:.1g} %",
+            "single scattering" if (error := self.studio.error) is None else f"all orders, within {100 * error:.1g} %",
             "simulated",
         )
         return spent

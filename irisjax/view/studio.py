@@ -119,8 +119,9 @@ class Studio:
             settings = dataclasses.replace(settings, **{**own, **changes})
         stage = self._stage(settings, draft)
         response = stage.response(self._iris(settings))
-        picture = _encoded(stage.shown(response), jnp.asarray(settings.exposure, response.coefficients.dtype))
-        self.settings, self.error = settings, float(response.error)
+        shown = stage.shown(response)
+        picture = _encoded(shown, jnp.asarray(settings.exposure, shown.dtype))
+        self.settings, self.error = settings, None if response.error is None else float(response.error)
         return np.asarray(picture)
 
     @property

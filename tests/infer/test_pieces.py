@@ -46,7 +46,7 @@ def test_files_of_many_wavelengths_hold_fewer_draws(problem, tmp_path, monkeypat
     report._write(problem, tmp_path, chains, report.summarise(problem, chains), [], jax.random.key(0))
     loads = {}
     for group in ("posterior", "log_likelihood", "sample_stats"):
-        loads[group] = xr.open_dataset(tmp_path / "posterior.nc", group=group, engine="h5netcdf")
+        loads[group] = xr.load_dataset(tmp_path / "posterior.nc", group=group, engine="h5netcdf")
         assert loads[group].sizes["chain"] == walkers
         assert most / 2 < loads[group].sizes["draw"] <= most
     kept = loads["sample_stats"].lp.values
