@@ -6,6 +6,7 @@ import math
 import socket
 import threading
 import time
+import warnings
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
@@ -94,19 +95,22 @@ def serve(
     with _silence():
         server = viser.ViserServer(host, port, label="irisjax", verbose=False)
     page = _Page(server, studio)
-    try:
-        page.worker.start()
-        ready(f"http://{host}:{server.get_port()}")
-        until = threading.Event() if until is None else until
-        while not until.wait(0.5):  # a bare wait would not let Ctrl-C through everywhere
+    with warnings.catch_warnings():
+        # A browser may leave while its picture is being drawn.
+        warnings.filterwarnings("ignore", r"Queued a \w+ on a closed connection", UserWarning)
+        try:
+            page.worker.start()
+            ready(f"http://{host}:{server.get_port()}")
+            until = threading.Event() if until is None else until
+            while not until.wait(0.5):  # a bare wait would not let Ctrl-C through everywhere
+                pass
+        except KeyboardInterrupt:
             pass
-    except KeyboardInterrupt:
-        pass
-    finally:
-        page.worker.stop()
-        with _silence():
-            server.stop()
-        page.worker.join(timeout=10)
+        finally:
+            page.worker.stop()
+            with _silence():
+                server.stop()
+            page.worker.join(timeout=10)
 
 
 def check(host: str, port: int) -> None:
