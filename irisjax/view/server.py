@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from irisjax.view.studio import GRID, QUICK, Studio
+from irisjax.view.worker import Newest
 
 if TYPE_CHECKING:
     import viser
@@ -39,42 +40,6 @@ _DISTANCE = 2.5  # of viser's camera, in units of its own
 _REST = 0.25  # s without a change before the fine picture replaces the draft
 _PATIENCE = 0.3  # s that other pigments may take without a draft
 _BLACK = 16  # round the picture
-
-
-class Newest(threading.Thread):
-    """One thread that works on whatever changed; values that were overtaken while it was busy are never computed."""
-
-    def __init__(self, work: Callable[[dict[str, Any]], None]):
-        super().__init__(daemon=True)
-        self._work, self._waiting, self._stopped = work, None, False
-        self._news = threading.Condition()
-
-    def put(self, **changes: Any) -> None:
-        """Ask for some changes, on top of those that still wait."""
-        with self._news:
-            self._waiting = {**(self._waiting or {}), **changes}
-            self._news.notify_all()
-
-    def quiet(self, seconds: float) -> bool:
-        """Whether nothing comes for so long; for the work itself to ask."""
-        with self._news:
-            return not self._news.wait_for(lambda: self._waiting is not None or self._stopped, seconds)
-
-    def stop(self) -> None:
-        """Leave after the work in hand."""
-        with self._news:
-            self._stopped = True
-            self._news.notify_all()
-
-    def run(self) -> None:
-        """Work until `stop`."""
-        while True:
-            with self._news:
-                self._news.wait_for(lambda: self._waiting is not None or self._stopped)
-                if self._stopped:
-                    return
-                changes, self._waiting = self._waiting or {}, None
-            self._work(changes)
 
 
 def serve(
