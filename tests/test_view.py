@@ -26,7 +26,7 @@ from irisjax.tissue.iris import Iris
 from irisjax.tissue.maps import IrisMaps
 from irisjax.tissue.procedural import PRESETS
 from irisjax.view import Studio, studio
-from irisjax.view.server import Newest
+from irisjax.view.worker import Newest
 
 
 def grown(seed=0, eumelanin=1.0):

@@ -26,7 +26,7 @@ def view(
     check(host, port)
     preset = "blue" if scene is None and preset is None else preset
     file = scene_file(scene, preset, seed)
-    # Half the time of double precision, and the same picture to a level or two of 255.
+    # Half the time of double precision, and the same picture to one level of 255 but for some pixels.
     jax.config.update("jax_enable_x64", False)
     given = {"exposure": file.exposure}
     if preset is not None:

@@ -6,12 +6,14 @@ import math
 import socket
 import threading
 import time
+import warnings
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from irisjax.view.studio import GRID, QUICK, Studio
+from irisjax.view.worker import Newest
 
 if TYPE_CHECKING:
     import viser
@@ -40,42 +42,6 @@ _PATIENCE = 0.3  # s that other pigments may take without a draft
 _BLACK = 16  # round the picture
 
 
-class Newest(threading.Thread):
-    """One thread that works on whatever changed; values that were overtaken while it was busy are never computed."""
-
-    def __init__(self, work: Callable[[dict[str, Any]], None]):
-        super().__init__(daemon=True)
-        self._work, self._waiting, self._stopped = work, None, False
-        self._news = threading.Condition()
-
-    def put(self, **changes: Any) -> None:
-        """Ask for some changes, on top of those that still wait."""
-        with self._news:
-            self._waiting = {**(self._waiting or {}), **changes}
-            self._news.notify_all()
-
-    def quiet(self, seconds: float) -> bool:
-        """Whether nothing comes for so long; for the work itself to ask."""
-        with self._news:
-            return not self._news.wait_for(lambda: self._waiting is not None or self._stopped, seconds)
-
-    def stop(self) -> None:
-        """Leave after the work in hand."""
-        with self._news:
-            self._stopped = True
-            self._news.notify_all()
-
-    def run(self) -> None:
-        """Work until `stop`."""
-        while True:
-            with self._news:
-                self._news.wait_for(lambda: self._waiting is not None or self._stopped)
-                if self._stopped:
-                    return
-                changes, self._waiting = self._waiting or {}, None
-            self._work(changes)
-
-
 def serve(
     studio: Studio,
     host: str = "127.0.0.1",
@@ -94,19 +60,22 @@ def serve(
     with _silence():
         server = viser.ViserServer(host, port, label="irisjax", verbose=False)
     page = _Page(server, studio)
-    try:
-        page.worker.start()
-        ready(f"http://{host}:{server.get_port()}")
-        until = threading.Event() if until is None else until
-        while not until.wait(0.5):  # a bare wait would not let Ctrl-C through everywhere
+    with warnings.catch_warnings():
+        # A browser may leave while its picture is being drawn.
+        warnings.filterwarnings("ignore", r"Queued a \w+ on a closed connection", UserWarning)
+        try:
+            page.worker.start()
+            ready(f"http://{host}:{server.get_port()}")
+            until = threading.Event() if until is None else until
+            while not until.wait(0.5):  # a bare wait would not let Ctrl-C through everywhere
+                pass
+        except KeyboardInterrupt:
             pass
-    except KeyboardInterrupt:
-        pass
-    finally:
-        page.worker.stop()
-        with _silence():
-            server.stop()
-        page.worker.join(timeout=10)
+        finally:
+            page.worker.stop()
+            with _silence():
+                server.stop()
+            page.worker.join(timeout=10)
 
 
 def check(host: str, port: int) -> None:
