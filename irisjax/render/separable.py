@@ -5,6 +5,7 @@ their ABL, the thickness of their stroma, perhaps their concentrations: g is a s
 μ_o, which a product of Chebyshev polynomials holds. Its error is measured off the nodes with every table.
 """
 
+import functools
 import itertools
 from typing import Any, NamedTuple
 
@@ -128,7 +129,8 @@ class Response(eqx.Module):
         values = self.coefficients.reshape(first, -1).T @ _polynomials(places[0], first)
         for place, n in zip(places[1:], rest, strict=True):
             values = values.reshape(n, -1, cosine.size)
-            values = sum(t * v for t, v in zip(_polynomials(place, n), values, strict=True))
+            terms = [t * v for t, v in zip(_polynomials(place, n), values, strict=True)]
+            values = functools.reduce(jnp.add, terms)
         return values * fresnel(cosine, inside, *self.indices)[1]
 
 
