@@ -83,7 +83,7 @@ class Stage(eqx.Module):
     texels: shading.Texels | None
     bands: Bands
     integrator: Separable
-    ranges: Scales = eqx.field(static=True)
+    ranges: Scales
     size: tuple[int, int] = eqx.field(static=True)
 
     def __call__(self, iris: Iris) -> Float[Array, "height width channels"]:

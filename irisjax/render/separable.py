@@ -45,8 +45,12 @@ class Scales(NamedTuple):
         return cls(maps.abl_scale(iris), maps.stroma_scale(iris), maps.eumelanin, maps.pheomelanin)
 
     def ranges(self) -> "Scales":
-        """Smallest and largest value of each concrete texture, a little widened: static numbers."""
-        return Scales(*(None if t is None else (float(np.min(t)) * 0.95, float(np.max(t)) * 1.05 + 1e-3) for t in self))
+        """Smallest and largest value of each texture, a little widened; new maps are not compiled for again."""
+
+        def span(t):
+            return jax.lax.stop_gradient(jnp.stack([0.95 * jnp.min(t), 1.05 * jnp.max(t) + 1e-3]))
+
+        return Scales(*(None if t is None else span(t) for t in self))
 
 
 class Separable(eqx.Module):
@@ -116,7 +120,7 @@ class Response(eqx.Module):
 
     coefficients: Float[Array, "..."]
     indices: tuple[Float[Array, ""], Float[Array, ""]]
-    ranges: Scales = eqx.field(static=True)
+    ranges: Scales
     error: Float[Array, ""]
 
     def __call__(self, scales: Scales, cosine: Float[Array, " pixels"]) -> Float[Array, "channels pixels"]:
@@ -175,10 +179,10 @@ _BEND = 3.0
 
 
 def _from_unit(span, x):
-    low, high = (float(np.log1p(_BEND * s)) for s in span)
+    low, high = (jnp.log1p(_BEND * s) for s in span)
     return jnp.expm1(low + (x + 1) * ((high - low) / 2)) / _BEND
 
 
 def _to_unit(span, scale):
-    low, high = (float(np.log1p(_BEND * s)) for s in span)
+    low, high = (jnp.log1p(_BEND * s) for s in span)
     return jnp.clip((jnp.log1p(_BEND * scale) - low) * (2 / (high - low)) - 1, -1, 1)
