@@ -14,13 +14,15 @@ from irisjax import io
 from irisjax.io.scenes import SceneFile, parse_scene, read_scene
 from irisjax.measure.colour import srgb_encode
 from irisjax.render import scene as staging
-from irisjax.render.integrator import AbstractIntegrator
 from irisjax.render.lights import Lights
 from irisjax.render.separable import Separable
 from irisjax.render.single_scattering import SingleScattering
 from irisjax.tissue.procedural import PRESETS
 
-_INTEGRATORS: dict[str, type[AbstractIntegrator]] = {"separable": Separable, "single-scattering": SingleScattering}
+_INTEGRATORS: dict[str, type[Separable] | type[SingleScattering]] = {
+    "separable": Separable,
+    "single-scattering": SingleScattering,
+}
 _WHAT, _HOW, _FILES = "What", "Picture", "Files"
 
 

@@ -5,6 +5,7 @@ their ABL, the thickness of their stroma, perhaps their concentrations: g is a s
 μ_o, which a product of Chebyshev polynomials holds. Its error is measured off the nodes with every table.
 """
 
+import functools
 import itertools
 from typing import Any
 
@@ -126,10 +127,8 @@ class Response(AbstractResponse):
         values = self.coefficients.reshape(first, -1).T @ _polynomials(places[0], first)
         for place, n in zip(places[1:], rest, strict=True):
             values = values.reshape(n, -1, cosine.size)
-            weights, slices = _polynomials(place, n), values
-            values = weights[0] * slices[0]
-            for weight, part in zip(weights[1:], slices[1:], strict=True):
-                values = values + weight * part
+            terms = [t * v for t, v in zip(_polynomials(place, n), values, strict=True)]
+            values = functools.reduce(jnp.add, terms)
         return values * fresnel(cosine, inside, *self.indices)[1]
 
     def shade(self, texels: Texels, ground: None) -> Float[Array, "channels pixels"]:

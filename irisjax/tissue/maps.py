@@ -107,11 +107,10 @@ class Scales(NamedTuple):
     def ranges(self) -> "Scales":
         """Smallest and largest value of each texture, a little widened; without gradients: they place nodes."""
 
-        def around(texture):
-            low, high = (jax.lax.stop_gradient(f(texture)) for f in (jnp.min, jnp.max))
-            return low * 0.95, high * 1.05 + 1e-3
+        def span(t):
+            return jax.lax.stop_gradient(jnp.stack([0.95 * jnp.min(t), 1.05 * jnp.max(t) + 1e-3]))
 
-        return Scales(*(None if t is None else around(t) for t in self))
+        return Scales(*(None if t is None else span(t) for t in self))
 
 
 def fetch(texture: Float[Array, "angles radii *c"], angle, radius) -> Float[Array, "..."]:

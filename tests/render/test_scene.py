@@ -296,6 +296,20 @@ def test_derivatives_are_finite_differences(tables):
     np.testing.assert_allclose(found, true, rtol=1e-5)
 
 
+def test_new_maps_are_not_compiled_for_again():
+    calls = []
+
+    @eqx.filter_jit
+    def picture(stage):
+        calls.append(1)
+        return stage(LIGHT)
+
+    for thick in (0.2, 0.3):
+        maps = IrisMaps(stroma_thickness=ring(lambda x, y, t=thick: t + 0.01 * x))
+        picture(prepare(scene(maps=maps)))
+    assert len(calls) == 1
+
+
 def test_gradient_of_a_stage():
     """What a fit does: the picture's derivative by pigments, through the public stage."""
     stage = prepare(scene())
