@@ -15,7 +15,8 @@ from common import operations
 ROOT = Path(__file__).parent.parent
 SOURCES = sorted((ROOT / "irisjax").rglob("*.py"))
 INDEX = ROOT / "paper_figs" / "README.md"
-_TAG = re.compile(r"\[LB06 [^\]]*?\]")
+# Paper: how its equations are indexed, and which of them the package holds.
+_PAPERS = {"LB06": ("", set(range(1, 10))), "F09": ("F09 ", {3, 15, 16, 17})}
 
 
 def test_floors():
@@ -33,24 +34,26 @@ def test_files_stay_short():
     assert not long
 
 
-def _equations(text):
-    """Numbers of the LB06 equations tagged in a text."""
+def _equations(text, paper):
+    """Numbers of a paper's equations tagged in a text."""
     out = set()
-    for tag in _TAG.findall(text):
+    for tag in re.findall(rf"\[{paper} [^\]]*?\]", text):
         for numbers in re.findall(r"Eqs?\. ([\d, ]+)", tag):
             out |= {int(n) for n in re.findall(r"\d+", numbers)}
     return out
 
 
-def test_equation_index_both_ways():
+@pytest.mark.parametrize("paper", _PAPERS)
+def test_equation_index_both_ways(paper):
     """Every equation the code names stands in the index with a file that names it, and the other way round."""
-    rows = re.findall(r"^\| Eq\. (\d+) \|[^|]*\| (.*?) \|$", INDEX.read_text(encoding="utf-8"), flags=re.M)
+    prefix, known = _PAPERS[paper]
+    rows = re.findall(rf"^\| {prefix}Eq\. (\d+) \|[^|]*\| (.*?) \|$", INDEX.read_text(encoding="utf-8"), flags=re.M)
     indexed = {int(n): re.findall(r"`([\w/]+\.py)`", files) for n, files in rows}
     named = {}
     for path in SOURCES:
-        for n in _equations(path.read_text(encoding="utf-8")):
+        for n in _equations(path.read_text(encoding="utf-8"), paper):
             named.setdefault(n, set()).add(str(path.relative_to(ROOT / "irisjax")))
-    assert set(indexed) == set(named) == set(range(1, 10))
+    assert set(indexed) == set(named) == known
     for n, files in indexed.items():
         assert set(files) <= named[n], f"the index sends readers of Eq. {n} to files that do not name it"
 
