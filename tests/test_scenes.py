@@ -147,7 +147,7 @@ OPTIONS = [
     (("--preset", "pink"), "--preset: unknown 'pink'; known: brown, hazel, green, blue, grey"),
     (("missing.toml",), "missing.toml: No such file"),
     ((".",), ".: Is a directory"),
-    (("scene.toml", "-o", "eye.jpg"), "eye.jpg: a picture ends in .png or .exr"),
+    (("scene.toml", "-o", "eye.jpg"), "eye.jpg: must end in .png or .exr"),
     (("scene.toml", "-o", "missing/eye.png"), "missing: no such folder"),
     (("scene.toml", "--bits", "12"), "--bits 12 must be 8 or 16"),
     (("scene.toml", "--size", "8"), "--size '8': write WIDTHxHEIGHT"),
@@ -236,3 +236,41 @@ def test_presets_render(irisjax, tmp_path):
     assert irisjax("render", "--preset", "hazel", "--size", "40x30", "-o", "eye.png")[0] == 0
     picture = io.read_image(tmp_path / "eye.png").pixels
     assert picture.shape == (30, 40, 3) and picture.max() > 0.3
+
+
+def test_spectral_layers_add_up_to_the_picture(irisjax, tmp_path):
+    """81 layers under the colour-matching functions give the RGB picture, to the ten bands' own error."""
+    from irisjax.measure.colour import OBSERVER, illuminant_power, tristimulus_matrix
+
+    path = tmp_path / "bare.toml"
+    path.write_text(BARE)
+    assert irisjax("render", path, "-o", "rgb.exr") == (0, "", "")
+    assert irisjax("render", path, "--spectral", "380:780:5", "-o", "layers.exr") == (0, "", "")
+    image = io.read_image("layers.exr")
+    grid = 380 + 5.0 * np.arange(81)
+    order = [image.channels.index(name) for name in io.spectral_channels(grid)]
+    reflected = image.pixels[..., order] / illuminant_power("D65", grid)
+    rgb = reflected @ np.asarray(tristimulus_matrix(grid, "linear sRGB", "D65", OBSERVER)[0]).T
+    expected = io.read_image("rgb.exr")
+    expected = expected.pixels[..., [expected.channels.index(c) for c in "RGB"]]
+    np.testing.assert_allclose(rgb, expected, atol=0.01 * expected.max())
+    one_line(irisjax("render", path, "--spectral", "400:700:10", "-o", "x.png"), "must end in .exr")
+    one_line(irisjax("render", "--preset", "blue", "--spectral", "400:700:10", "-o", "x.exr"), "not spectra")
+
+
+def test_animations_return_to_their_first_frame(irisjax, tmp_path):
+    from PIL import Image
+
+    path = tmp_path / "bare.toml"
+    path.write_text(BARE)
+    options = ("--frames", 4, "--exposure", 8)
+    assert irisjax("render", path, "--animate", "pigment", *options, "-o", "a.gif") == (0, "", "")
+    with Image.open("a.gif") as gif:
+        assert (gif.n_frames, gif.size, gif.info["loop"]) == (4, (8, 6), 0)
+    assert irisjax("render", path, "--animate", "pupil", *options, "-o", "sheet.png")[:2] == (0, "")
+    sheet = io.read_image("sheet.png").pixels
+    assert sheet.shape == (12, 16, 3)
+    narrow, half, wide, again = sheet[:6, :8], sheet[:6, 8:], sheet[6:, :8], sheet[6:, 8:]
+    np.testing.assert_array_equal(half, again)  # on the way out and on the way back
+    assert narrow.sum() > half.sum() > wide.sum()  # a wide pupil leaves less iris
+    one_line(irisjax("render", path, "--animate", "iris", "-o", "a.gif"), "unknown 'iris'")

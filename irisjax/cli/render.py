@@ -9,8 +9,12 @@ from typing import Annotated
 import jax.numpy as jnp
 import numpy as np
 import typer
+from tqdm import tqdm
 
 from irisjax import io
+from irisjax.cli.animate import CHANGES, sheet
+from irisjax.cli.animate import frames as _frames
+from irisjax.cli.options import grid
 from irisjax.io.scenes import SceneFile, parse_scene, read_scene
 from irisjax.measure.colour import srgb_encode
 from irisjax.render import scene as staging
@@ -55,8 +59,18 @@ def render(
         ),
     ] = "separable",
     bits: Annotated[int, typer.Option(help="8 or 16, of a PNG", rich_help_panel=_HOW)] = 8,
+    spectral: Annotated[
+        str | None,
+        typer.Option(metavar="START:STOP:STEP", help="nm: a layer each in place of RGB, .exr", rich_help_panel=_HOW),
+    ] = None,
+    animate: Annotated[
+        str | None,
+        typer.Option(help=f"{', '.join(CHANGES)}: a .gif, or a .png of all frames", rich_help_panel=_HOW),
+    ] = None,
+    frames: Annotated[int, typer.Option(min=2, max=1000, help="of --animate", rich_help_panel=_HOW)] = 24,
     output: Annotated[
-        Path, typer.Option("-o", "--output", help=".png, or .exr for linear sRGB", rich_help_panel=_FILES)
+        Path,
+        typer.Option("-o", "--output", help=".png, .exr (linear) or .gif", rich_help_panel=_FILES),
     ] = Path("eye.png"),
 ) -> None:
     """A picture of an eye from its pigments: refraction, caustics, scattering in the iris.
@@ -66,8 +80,12 @@ def render(
     """
     if scene is None and preset is None:
         raise ValueError("give a SCENE file or --preset")
-    if output.suffix not in (".png", ".exr"):
-        raise ValueError(f"{output}: a picture ends in .png or .exr")
+    allowed = (".gif", ".png") if animate is not None else (".exr",) if spectral is not None else (".png", ".exr")
+    if output.suffix not in allowed:
+        raise ValueError(f"{output}: must end in {' or '.join(allowed)}")
+    if animate is not None and (spectral is not None or animate not in CHANGES):
+        known = f"unknown {animate!r}; known: {', '.join(CHANGES)}" if animate not in CHANGES else "not with --spectral"
+        raise ValueError(f"--animate: {known}")
     if bits not in (8, 16):
         raise ValueError(f"--bits {bits} must be 8 or 16")
     if integrator not in _INTEGRATORS:
@@ -78,20 +96,38 @@ def render(
     factor = file.exposure if exposure is None else exposure
     if not (math.isfinite(factor) and factor > 0):
         raise ValueError(f"--exposure {factor:g} must be above 0")
-    picture, error = _picture(found, samples)
+    if animate is not None:
+        _animated(found, animate, frames, factor, output)
+        return
+    wavelengths = None if spectral is None else grid(spectral).values
+    picture, error = _picture(found, samples, wavelengths)
     picture = factor * picture
     remark = f"simulated by irisjax; integrator {integrator}"
     if error is not None:
         remark += f", response within {100 * error:.2g} %"
-    if output.suffix == ".exr":
+    if wavelengths is not None:
+        names = io.spectral_channels(wavelengths)
+        io.write_exr(output, picture, channels=names, metadata={"comments": remark})
+    elif output.suffix == ".exr":
         io.write_exr(output, picture, metadata={"comments": remark})
     else:
-        clipped = io.write_png(output, np.asarray(srgb_encode(jnp.asarray(picture))), bits=bits, remark=remark)
-        if clipped:
-            share = 100 * clipped / (picture.shape[0] * picture.shape[1])
-            print(
-                f"irisjax: {output}: {clipped} pixels ({share:.2g} %) out of sRGB's range are clipped", file=sys.stderr
-            )
+        _png(output, picture, bits, remark)
+
+
+def _png(output: Path, picture: np.ndarray, bits: int, remark: str) -> None:
+    clipped = io.write_png(output, np.asarray(srgb_encode(jnp.asarray(picture))), bits=bits, remark=remark)
+    if clipped:
+        share = 100 * clipped / (picture.shape[0] * picture.shape[1])
+        print(f"irisjax: {output}: {clipped} pixels ({share:.2g} %) out of sRGB's range are clipped", file=sys.stderr)
+
+
+def _animated(scene: staging.Scene, change: str, count: int, exposure: float, output: Path) -> None:
+    found = tqdm(_frames(scene, change, count), total=count, unit="frame", disable=not sys.stderr.isatty())
+    pictures = [exposure * picture for picture in found]
+    if output.suffix == ".gif":
+        io.write_gif(output, [np.asarray(srgb_encode(jnp.asarray(p))) for p in pictures], seconds=count / 12)
+    else:
+        _png(output, sheet(pictures), 8, f"simulated by irisjax; {change}, {count} frames row by row")
 
 
 def scene_file(path: Path | None, name: str | None, seed: int) -> SceneFile:
@@ -144,14 +180,13 @@ def _lamp(text: str, illuminant: str) -> Lights:
     return Lights.distant(math.radians(numbers[0]), math.radians(numbers[1]), irradiance, illuminant=illuminant)
 
 
-def _picture(scene: staging.Scene, samples: int) -> tuple[np.ndarray, float | None]:
-    """Linear sRGB (height, width, 3), averaged over samples × samples points a pixel, and the error of a response that
-    is a table."""
+def _picture(scene: staging.Scene, samples: int, wavelengths=None) -> tuple[np.ndarray, float | None]:
+    """Linear channels (height, width, channels), averaged over samples × samples points a pixel, and the error of a
+    response that is a table."""
     width, height = scene.camera.size
     fine = dataclasses.replace(scene.camera, size=(width * samples, height * samples))
-    stage = staging.prepare(scene.replace(camera=fine))
+    stage = staging.prepare(scene.replace(camera=fine), wavelengths=wavelengths)
     response = stage.response(scene.iris)
     picture = np.asarray(stage.shown(response))
-    return picture.reshape(height, samples, width, samples, 3).mean((1, 3)), None if response.error is None else float(
-        response.error
-    )
+    error = None if response.error is None else float(response.error)
+    return picture.reshape(height, samples, width, samples, -1).mean((1, 3)), error

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from irisjax.io.images import read_image as read_image
     from irisjax.io.images import spectral_channels as spectral_channels
     from irisjax.io.images import write_exr as write_exr
+    from irisjax.io.images import write_gif as write_gif
     from irisjax.io.images import write_png as write_png
     from irisjax.io.mesh import eye_meshes as eye_meshes
     from irisjax.io.mesh import write_eye as write_eye
@@ -30,7 +31,7 @@ if TYPE_CHECKING:
 
 # Spectra need none of these: they load when first used.
 _LATER = {
-    "images": ("Image", "read_environment", "read_image", "spectral_channels", "write_exr", "write_png"),
+    "images": ("Image", "read_environment", "read_image", "spectral_channels", "write_exr", "write_gif", "write_png"),
     "mesh": ("eye_meshes", "write_eye"),
     "posterior": ("predictive_score", "write_posterior"),
     "scenes": ("SceneFile", "parse_scene", "read_scene"),

@@ -6,6 +6,7 @@ The formats are OpenImageIO's work; it is imported when a picture is first asked
 import re
 import tempfile
 from collections.abc import Iterable, Mapping, Sequence
+from io import BytesIO
 from pathlib import Path
 from typing import NamedTuple
 
@@ -119,6 +120,18 @@ def write_exr(
     if any(_SPECTRAL.fullmatch(name) for name in channels):
         attributes["spectralLayoutVersion"] = "1.0"
     _write(path, values.astype(np.float32), channels, attributes | dict(metadata or {}))
+
+
+def write_gif(path: str | Path, frames: Sequence[np.ndarray], seconds: float) -> None:
+    """Write pictures (rows, columns, 3), encoded sRGB in [0, 1], as an endless GIF that lasts `seconds` a round."""
+    from PIL import Image as Pillow
+
+    _check_suffix(path, (".gif",))
+    pictures = [Pillow.fromarray(np.rint(255 * np.clip(np.asarray(f), 0, 1)).astype(np.uint8)) for f in frames]
+    buffer = BytesIO()
+    each = round(1000 * seconds / len(pictures))
+    pictures[0].save(buffer, "gif", save_all=True, append_images=pictures[1:], duration=each, loop=0)
+    write_atomically(path, buffer.getvalue())
 
 
 def spectral_channels(wavelengths: Iterable[float], layer: str = "S0") -> tuple[str, ...]:

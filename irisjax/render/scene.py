@@ -11,7 +11,7 @@ from jaxtyping import Array, Float
 
 from irisjax.measure.colour import OBSERVER
 from irisjax.render import shading
-from irisjax.render.bands import Bands, colour_bands
+from irisjax.render.bands import Bands, colour_bands, spectral_bands
 from irisjax.render.camera import Camera, View, look
 from irisjax.render.chunks import in_chunks
 from irisjax.render.environment import Environment
@@ -117,19 +117,34 @@ def render(scene: Scene, tables: Illumination | None = None) -> Float[Array, "he
     return prepare(scene, tables)(scene.iris)
 
 
-def prepare(scene: Scene, tables: Illumination | None = None, view: View | None = None) -> Stage:
-    """Do everything that a change of pigments leaves alone; `view` from `look` if eye and camera are the same."""
+def prepare(
+    scene: Scene,
+    tables: Illumination | None = None,
+    view: View | None = None,
+    wavelengths=None,
+) -> Stage:
+    """Do everything that a change of pigments leaves alone; `view` from `look` if eye and camera are the same.
+
+    With `wavelengths` (nm) the picture has a channel for each in place of linear sRGB: radiance, 1/sr times π, under
+    the illuminant scaled to 1 at 560 nm. **Raises:** `ValueError` where light has a colour but no spectrum.
+    """
     eye, lights = scene.eye, scene.all_lights()
-    bands = colour_bands(lights.illuminant, scene.observer, eye.cornea)
+    if wavelengths is None:
+        bands, clear = (colour_bands(lights.illuminant, scene.observer, c) for c in (eye.cornea, None))
+        lamp = jnp.ones(3, bands.weights.dtype)
+    else:
+        if scene.environment is not None or lights.tint is not None:
+            raise ValueError("spectral pictures need plain lamps: environments and tints have colours, not spectra")
+        bands, clear = (spectral_bands(wavelengths, lights.illuminant, c) for c in (eye.cornea, None))
+        lamp = clear.weights.sum(axis=1)
     view = look(eye, scene.camera) if view is None else view
     width, height = scene.camera.size
-    base = jnp.zeros((width * height, 3), bands.weights.dtype)
+    base = jnp.zeros((width * height, lamp.size), bands.weights.dtype)
     if view.sclera is not None and eye.sclera is not None:
-        clear = colour_bands(lights.illuminant, scene.observer)
         table = colour_table(eye.sclera, np.asarray(clear.wavelengths), clear.weights)
         base = _add(base, view.sclera.index, shading.white(view.sclera, lights, eye, table, scene.veins))
     if view.mirror is not None:
-        base = _add(base, view.mirror.index, shading.mirrored(view.mirror, scene.lights, scene.environment))
+        base = _add(base, view.mirror.index, shading.mirrored(view.mirror, scene.lights, scene.environment, lamp))
     texels, ground, ranges = None, None, Scales()
     if view.iris is not None:
         if tables is None:

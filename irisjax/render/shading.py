@@ -159,16 +159,17 @@ def white(pixels: SurfacePixels, lights: Lights, eye: Eye, table: ColourTable, v
 
 
 @eqx.filter_jit
-def mirrored(pixels: SurfacePixels, lights: Lights | None, environment: Environment | None):
-    """Linear sRGB (pixels, 3) of images in the tear film: lamps as soft discs of their angular radius, the environment
-    as it is."""
-    total = jnp.zeros((pixels.index.size, 3), pixels.mirror.dtype)
+def mirrored(
+    pixels: SurfacePixels, lights: Lights | None, environment: Environment | None, lamp: Float[Array, " channels"]
+):
+    """Channels (pixels, channels) of images in the tear film: lamps as soft discs of their angular radius, the
+    environment as it is. `lamp` is a lamp of radiance 1 in the picture's channels."""
+    total = jnp.zeros((pixels.index.size, lamp.size), pixels.mirror.dtype)
     if lights is not None:
         angle = jnp.arccos(jnp.clip(pixels.mirror @ lights.towards.T, -1, 1))
         inside = jnp.clip((lights.radius * 1.1 - angle) / (0.2 * lights.radius), 0, 1)
         radiance = lights.irradiance / (jnp.pi * jnp.sin(lights.radius) ** 2)
-        tint = jnp.ones((len(lights), 3), angle.dtype) if lights.tint is None else lights.tint
-        total = total + inside @ (radiance[:, None] * tint)
+        total = total + inside @ (radiance[:, None] * (lamp if lights.tint is None else lights.tint))
     if environment is not None:
         total = total + environment.lookup(pixels.mirror)
     return total * pixels.reflectance[:, None]

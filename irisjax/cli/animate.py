@@ -1,0 +1,52 @@
+"""Frames of a scene in which one thing changes."""
+
+import dataclasses
+import math
+from collections.abc import Iterator
+
+import numpy as np
+
+from irisjax.render.camera import look
+from irisjax.render.lights import Lights
+from irisjax.render.scene import Scene, prepare
+
+CHANGES = ("pupil", "light", "pigment")
+NARROW, WIDE = 1.0, 3.5
+"""Radii of the pupil at the turning points of `pupil`, mm."""
+TURN = math.radians(75.0)
+"""Largest angle of the lamp off the axis in `light`, from the eye's right to its left and back."""
+FACTOR = 8.0
+"""By which `pigment` divides and multiplies both melanins."""
+
+
+def frames(scene: Scene, change: str, count: int) -> Iterator[np.ndarray]:
+    """Linear sRGB pictures of one round: there and back again, the last leads to the first."""
+    swing = np.cos(2 * np.pi * np.arange(count) / count)  # 1 to −1 and back
+    if change == "light":
+        scene = scene.replace(environment=None)
+        first = Lights.distant(TURN, 0.0, illuminant=scene.illuminant)
+        scene = scene.replace(lights=first)
+    # Neither tables nor view depend on what changes: the lamp stays below grazing.
+    tables, view = scene.tables(), look(scene.eye, scene.camera)
+    stage = prepare(scene, tables, view) if change == "pigment" else None
+    for s in swing:
+        if stage is not None:
+            iris, factor = scene.iris, FACTOR**-s
+            iris = iris.replace(eumelanin=iris.eumelanin * factor, pheomelanin=iris.pheomelanin * factor)
+            yield np.asarray(stage(iris))
+        elif change == "light":
+            lamp = Lights.distant(TURN * abs(s), 0.0 if s >= 0 else math.pi, illuminant=scene.illuminant)
+            yield np.asarray(prepare(scene.replace(lights=lamp), tables, view)(scene.iris))
+        else:
+            radius = (NARROW + WIDE) / 2 - (WIDE - NARROW) / 2 * s
+            eye = dataclasses.replace(scene.eye, pupil_radius=radius)
+            yield np.asarray(prepare(scene.replace(eye=eye), tables, view)(scene.iris))
+
+
+def sheet(pictures: list[np.ndarray]) -> np.ndarray:
+    """All pictures side by side, as square as it goes, row by row."""
+    columns = math.ceil(math.sqrt(len(pictures)))
+    rows = math.ceil(len(pictures) / columns)
+    blank = np.zeros_like(pictures[0])
+    padded = pictures + [blank] * (rows * columns - len(pictures))
+    return np.concatenate([np.concatenate(padded[i * columns : (i + 1) * columns], axis=1) for i in range(rows)])
