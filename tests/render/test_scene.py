@@ -322,7 +322,7 @@ def test_gradient_of_a_stage():
     assert slope == pytest.approx(float(mean(LIGHT.eumelanin + 1e-5) - mean(LIGHT.eumelanin - 1e-5)) / 2e-5, rel=1e-5)
 
 
-def test_single_precision(tables, float32):
+def test_single_precision(tables):
     def picture(x64):
         jax.clear_caches()
         jax.config.update("jax_enable_x64", x64)
