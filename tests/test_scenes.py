@@ -220,7 +220,7 @@ def test_environment_from_a_file(irisjax, tmp_path):
 
 
 def test_nothing_half_written(irisjax, tmp_path, monkeypatch):
-    def broken(*_):
+    def broken(*_, **__):
         raise KeyboardInterrupt
 
     (tmp_path / "scene.toml").write_text(BARE)

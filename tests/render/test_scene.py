@@ -256,7 +256,7 @@ def test_absent_parts_cost_nothing(tables):
     assert sight == sorted(set(sight))
     view = look(Eye(), SMALL)
     room = Environment(jnp.ones((4, 8, 3)))
-    mirrors = [operations(lambda e=e: shading.mirrored(view.mirror, lamp, e)) for e in (None, room)]
+    mirrors = [operations(lambda e=e: shading.mirrored(view.mirror, lamp, e, jnp.ones(3))) for e in (None, room)]
     table = colour_table(Eye().sclera, np.array([450.0, 600.0]), np.ones((3, 2)))
     drawn = VeinMap(*(jnp.zeros((4, 4)) for _ in range(3)))
     whites = [operations(lambda v=v: shading.white(view.sclera, lamp, Eye(), table, v)) for v in (None, drawn)]
