@@ -37,7 +37,7 @@ irradiance = 1.5
 
 
 @pytest.fixture(autouse=True)
-def _precision():
+def _precision_kept():
     # The command switches x64 on; the tests that share this process must not notice.
     before = jax.config.read("jax_enable_x64")
     yield

@@ -335,6 +335,6 @@ def test_single_precision(tables):
         )  # fmt: skip
         return np.asarray(render(made, cast))
 
-    fine, coarse = picture(True), picture(False)
+    coarse, fine = picture(False), picture(True)  # ends as it began: other files' tests follow on this worker
     assert (fine.dtype, coarse.dtype) == (np.float64, np.float32)
     np.testing.assert_allclose(coarse, fine, atol=1e-4)
