@@ -92,6 +92,11 @@ def test_empty_file_is_the_default_eye():
     assert scene.camera.size == (800, 600)
 
 
+def test_one_chamber_has_one_index():
+    found = parse_scene(BARE.replace('cornea = "none"', 'cornea = "f09"\nsclera = false')).scene()
+    assert float(found.iris.aqueous_index) == float(found.eye.aqueous_index) == pytest.approx(1.376)
+
+
 def test_seeds_grow_other_maps():
     def relief(seed):
         return np.asarray(
@@ -115,6 +120,8 @@ WRONG = {
     "[maps]\n\nseed = 1.5": "scene.toml, line 3: maps.seed = 1.5 must be a whole number from 0 to 4294967295",
     "[maps]\nuniform = 1": "scene.toml, line 2: maps.uniform = 1 must be true or false",
     "[eye]\ncornea = 'thick'": "scene.toml, line 2: eye.cornea = 'thick' must be one of two-surfaces, f09, none",
+    "[iris]\npupil_radius = 2": "scene.toml, line 2: unknown 'pupil_radius' in iris; known: preset",
+    '[picture]\nilluminant = "D56"': "scene.toml, line 2: picture.illuminant = 'D56' unknown illuminant 'D56'; known: A",
     "[eye]\npupil_radius = 7": "scene.toml, line 1: pupil_radius = 7 is outside [0.25, 4.75] mm",
     "[camera]\nsize = [0, 5]": "scene.toml, line 2: camera.size = [0, 5] must be a whole number from 1 to 16384",
     "[camera]\nsize = '8x6'": "scene.toml, line 2: camera.size = '8x6' must be [width, height]",

@@ -12,6 +12,7 @@ import jax
 
 from irisjax._types import PRNGKey
 from irisjax.io.images import read_environment
+from irisjax.measure.colour import illuminant_power
 from irisjax.render.camera import Camera
 from irisjax.render.environment import Environment
 from irisjax.render.lights import Lights
@@ -63,6 +64,11 @@ def _text(value):
     return value
 
 
+def _illuminant(value):
+    illuminant_power(_text(value), [560.0])
+    return value
+
+
 def _size(value):
     if not (isinstance(value, list) and len(value) == 2):
         raise ValueError("must be [width, height]")
@@ -80,11 +86,12 @@ _FEATURES: dict[str, Callable[[Any], Any]] = {
     "freckles": _whole(0, 200), "abl": _number(0, 2), "heterochromia": _number(0, 20), "relief": _number(0, 1),
 }  # fmt: skip
 _DEGREES = _number(-360, 360)
+_OF_THE_EYE = ("pupil_radius", "iris_radius", "aqueous_index", "cornea_index", "tear_index")  # [eye] decides these
 
 _SECTIONS: dict[str, dict[str, Callable[[Any], Any]]] = {
     "iris": {
         "preset": _one(*PRESETS), "level": _one(*_LEVELS), "melanin_load": _number(0),
-        **{name: _number(limits.low, limits.high) for name, limits in LIMITS.items()},
+        **{name: _number(limits.low, limits.high) for name, limits in LIMITS.items() if name not in _OF_THE_EYE},
     },
     "maps": {"seed": _whole(0, 2**32 - 1), "uniform": _bool, **_FEATURES},
     "eye": {
@@ -103,7 +110,7 @@ _SECTIONS: dict[str, dict[str, Callable[[Any], Any]]] = {
     "environment": {
         "file": _text, "kind": _one("studio", "sky"), "lights": _whole(1, 1000), "strength": _number(0, 1e6),
     },
-    "picture": {"exposure": _number(1e-6, 1e6), "illuminant": _text, "seed": _whole(0, 2**32 - 1)},
+    "picture": {"exposure": _number(1e-6, 1e6), "illuminant": _illuminant},
 }  # fmt: skip
 
 
@@ -137,6 +144,7 @@ class SceneFile(Mapping[str, Any]):
                 parts |= make()
             except ValueError as error:
                 raise ValueError(f"{self._where(name, None)}: {error}") from None
+        parts["iris"] = parts["iris"].replace(aqueous_index=parts["eye"].aqueous_index)  # one chamber, one index
         return Scene(**parts)
 
     def _key(self, name: str):

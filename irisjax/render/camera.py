@@ -16,6 +16,7 @@ from irisjax.render.refraction import enter
 from irisjax.render.sclera import meet_sclera, sphere
 from irisjax.tissue.anatomy import Eye
 from irisjax.tissue.eye import TEAR
+from irisjax.tissue.noise import step
 
 BLEND = 0.5
 """Half the width over which iris and sclera blend at the limbus, mm  [F09 Section 6.5: about 1 mm in all]."""
@@ -124,8 +125,8 @@ def _picker(count: int):
         if not index.size:
             return None
         # Few different lengths, few compiled programs: a camera that turns must not wait for XLA.
-        step = max(_PAD, 1 << max(index.size.bit_length() - 4, 0))
-        padded = min(-(-index.size // step) * step, max(count, index.size))
+        block = max(_PAD, 1 << max(index.size.bit_length() - 4, 0))
+        padded = min(-(-index.size // block) * block, max(count, index.size))
         source = np.concatenate([index, np.full(padded - index.size, index[-1])])
         where = np.where(np.arange(padded) < index.size, source, -1).astype(np.int32)
         return eqx.tree_at(lambda p: p.index, _picked(pixels, source.astype(np.int32)), jnp.asarray(where))
@@ -173,7 +174,7 @@ def _seen(eye: Eye, origin, direction, index):
         surface_r = norm(surface[:, :2])
         hit = on_cornea | on_globe
         behind = surface[:, 2] > sphere(eye).apex + sphere(eye).radius
-        blend = jnp.where(behind, 1.0, _smoothstep((surface_r - eye.limbus_radius) / (2 * BLEND) + 0.5))
+        blend = jnp.where(behind, 1.0, step((surface_r - eye.limbus_radius) / (2 * BLEND) + 0.5))
     else:
         blend = jnp.zeros_like(r)
     share = landing.share * jnp.where(shown & (cosine > 0), 1 - blend, 0.0) / eye.aqueous_index**2
@@ -181,8 +182,3 @@ def _seen(eye: Eye, origin, direction, index):
     passed = refract_vector(direction, surface_normal, 1.0, TEAR)[1]
     outer = SurfacePixels(index, surface, surface_normal, reflect_vector(direction, surface_normal), 1 - passed, blend)
     return iris, outer, blend, hit
-
-
-def _smoothstep(t):
-    t = jnp.clip(t, 0, 1)
-    return t * t * (3 - 2 * t)

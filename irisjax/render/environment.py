@@ -1,7 +1,6 @@
 """Environments: light from all directions in a latitude-longitude map, and the lights that stand for it."""
 
 import heapq
-from typing import Any
 
 import equinox as eqx
 import jax
@@ -10,15 +9,12 @@ import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Float
 
+from irisjax._types import as_float
 from irisjax.render.lights import Lights
 from irisjax.render.refraction import LARGEST_POLAR
 
 LUMINANCE = (0.2126, 0.7152, 0.0722)
 """Share of linear sRGB's components in luminance [IEC 61966-2-1]."""
-
-
-def _floats(x) -> Any:
-    return jnp.asarray(x, jnp.result_type(float, x))
 
 
 class Environment(eqx.Module):
@@ -33,7 +29,7 @@ class Environment(eqx.Module):
     **Raises:** `ValueError` for another shape and for values that are negative or not finite.
     """
 
-    radiance: Float[Array, "rows columns 3"] = eqx.field(converter=_floats)
+    radiance: Float[Array, "rows columns 3"] = eqx.field(converter=as_float)
 
     def __check_init__(self):
         if self.radiance.ndim != 3 or self.radiance.shape[2] != 3 or 0 in self.radiance.shape:
@@ -96,7 +92,7 @@ class Environment(eqx.Module):
         Continuous everywhere: at the poles it meets the mean of the outermost row.
         """
         rows, columns = self.radiance.shape[:2]
-        direction = _floats(direction)
+        direction = as_float(direction)
         x, y, z = direction[..., 0], direction[..., 1], direction[..., 2]
         square = x * x + z * z
         aside = square > 0  # azimuths of the poles have no derivative

@@ -13,6 +13,7 @@ from jaxtyping import Array, Float
 
 from irisjax.optics.conicoid import Vector, dot, norm, refract_vector
 from irisjax.tissue.anatomy import Cornea, Eye
+from irisjax.tissue.noise import step
 
 LARGEST_POLAR = 2.25
 """Polar angle (radians) beyond which no light worth counting enters a cornea that ends at the limbus."""
@@ -87,7 +88,7 @@ def arrive(eye: Eye, target: Float[Array, "2"], towards_light: Vector, start: Fl
     def landing(k):
         return enter(eye, on_cornea(cornea, k), -towards_light)
 
-    def step(k, _):
+    def newton(k, _):
         value, slope = landing(k).point[:2], jax.jacfwd(lambda k: landing(k).point[:2])(k)
         move = -_solve(slope, value - target)
         size = norm(move)
@@ -95,7 +96,7 @@ def arrive(eye: Eye, target: Float[Array, "2"], towards_light: Vector, start: Fl
         r = norm(k)
         return k * jnp.minimum(1.0, reach / jnp.where(r > 0, r, 1.0)), None
 
-    entry = jax.lax.scan(step, start, None, length=steps)[0]
+    entry = jax.lax.scan(newton, start, None, length=steps)[0]
     found = norm(landing(entry).point[:2] - target) < 1e-4
     # No ray lands there: it would have to enter where the cornea, even if it went on, has turned away.
     beyond = reach * towards_light[:2] / jnp.maximum(norm(towards_light[:2]), 1e-9)
@@ -117,8 +118,7 @@ def flux(eye: Eye, entry: Float[Array, "2"], towards_light: Vector) -> Vector:
 
 def window(eye: Eye, entry: Float[Array, "*s 2"], soft: float = 0.15) -> Float[Array, "*s"]:
     """1 where the entry lies on the cornea, 0 beyond the limbus, soft (± mm) between: the limbus is no edge."""
-    t = jnp.clip(0.5 + (eye.limbus_radius - norm(entry)) / (2 * soft), 0, 1)
-    return t * t * (3 - 2 * t)
+    return step(0.5 + (eye.limbus_radius - norm(entry)) / (2 * soft))
 
 
 class RefractionFunction(eqx.Module):

@@ -15,6 +15,7 @@ from irisjax.render.sclera import ColourTable, VeinMap, vein_depth_at
 from irisjax.tissue.anatomy import Eye
 from irisjax.tissue.iris import Iris
 from irisjax.tissue.maps import IrisMaps, Scales, fetch
+from irisjax.tissue.noise import step
 
 PUPIL_MARGIN = 0.12
 """Width over which the iris fades into the pupil, mm."""
@@ -128,8 +129,8 @@ def normals(point: Float[Array, "pixels 3"], eye: Eye, maps: IrisMaps | None) ->
 
 def shares(pixels: IrisPixels, eye: Eye) -> Float[Array, " pixels"]:
     """Of the iris's radiance that reaches the camera; fades into the pupil, 0 for padding."""
-    t = jnp.clip((norm(pixels.point[:, :2]) - eye.pupil_radius) / PUPIL_MARGIN, 0, 1)
-    return jnp.where(pixels.index < 0, 0.0, pixels.share * t * t * (3 - 2 * t))
+    seen = step((norm(pixels.point[:, :2]) - eye.pupil_radius) / PUPIL_MARGIN)
+    return jnp.where(pixels.index < 0, 0.0, pixels.share * seen)
 
 
 def _slopes(relief, eye: Eye):

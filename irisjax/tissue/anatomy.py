@@ -85,7 +85,8 @@ class Sclera(eqx.Module):
 class Eye(eqx.Module):
     """Everything that light meets before and around the iris.
 
-    - `cornea`: `None` for a bare iris in air. `aqueous_index`: of the chamber, unused without a cornea.
+    - `cornea`: `None` for the iris alone, light and camera with it in the aqueous humour. `aqueous_index`: of the
+        chamber.
     - `iris_depth`: of the iris plane behind the apex, at the axis, mm; `iris_slope`: its fall towards the root
         (`None`: a plane, as F09; positive: a cone that bulges forward at the pupil).
     - `iris_radius`, `pupil_radius`, `limbus_radius` (where cornea meets sclera), mm.
@@ -124,11 +125,6 @@ class Eye(eqx.Module):
     def replace(self, **fields: Any) -> "Eye":
         """A copy with some fields changed."""
         return dataclasses.replace(self, **fields)
-
-    @property
-    def chamber_index(self) -> Scalar:
-        """Index of what lies before the iris: air for a bare one."""
-        return jnp.ones_like(self.aqueous_index) if self.cornea is None else self.aqueous_index
 
     def meet_iris(self, origin: Vector, direction: Vector):
         """Distance along rays to the plane or cone of the iris, mm."""

@@ -1,6 +1,7 @@
 """The viewer's page, by viser: the eye in the viewport, sliders to the right, spectrum and colour to the left."""
 
 import contextlib
+import importlib.util
 import io
 import math
 import socket
@@ -80,10 +81,8 @@ def serve(
 
 def check(host: str, port: int) -> None:
     """Raise `ValueError` without viser, and for an address that cannot be had."""
-    try:
-        import viser  # noqa: F401
-    except ImportError:
-        raise ValueError("the viewer needs viser: pip install 'irisjax[view]'") from None
+    if importlib.util.find_spec("viser") is None:
+        raise ValueError("the viewer needs viser: pip install 'irisjax[view]'")
     # viser would move on to the next free port without a word.
     try:
         with socket.create_server((host, port)):
