@@ -17,7 +17,7 @@ import irisjax as ij
 from experiments.bench_accuracy_time import median_us
 from experiments.common import RESULTS, start, write
 from irisjax.infer.fit import fit
-from irisjax.infer.moves import IndependentMove, Proposal, mixture
+from irisjax.infer.moves import IndependentMove, Straightening, mixture
 from irisjax.infer.observation import with_values
 from irisjax.infer.pieces import density
 from irisjax.infer.posterior import laplace, sample
@@ -93,17 +93,20 @@ def _moves(problem, best, steps):
 
     cloud = z + np.random.RandomState(0).standard_normal((64, z.size)) @ np.linalg.cholesky(covariance).T
     spread, _ = run(mixture(None), cloud, 300, 1)
-    taught = Proposal.of_samples(spread.get_chain(discard=150, flat=True))
+    taught = spread.get_chain(discard=150, flat=True)
     burn, _ = run(mixture(taught), spread.get_chain()[-1], 300, 2)
-    taught = Proposal.of_samples(burn.get_chain(discard=150, flat=True))
+    taught = burn.get_chain(discard=150, flat=True)
     last = burn.get_chain()[-1]
+    straight = Straightening.of_samples(taught)
+    level = straight._replace(bends=[np.zeros_like(bend) for bend in straight.bends], width=np.ones(z.size))
     rows = []
     for name, moves in {
         "stretch (emcee's default)": [(emcee.moves.StretchMove(), 1.0)],
         "differences + snooker": mixture(None),
         "kernel density of the other half": [(emcee.moves.KDEMove(), 1.0)],
-        "independent t alone": [(IndependentMove(taught), 1.0)],
-        "independent t 0.85 + differences (used)": mixture(taught),
+        "independent t": [(IndependentMove(level, taught), 1.0)],
+        "independent t, straightened": [(IndependentMove(straight, taught), 1.0)],
+        "independent t 0.8 + differences, straightened (used)": mixture(taught),
     }.items():
         sampler, seconds = run(moves, last, steps, 3)
         tau = float(emcee.autocorr.integrated_time(sampler.get_chain(), tol=0, quiet=True).max())

@@ -1,64 +1,103 @@
-"""How walkers move: emcee's ensemble moves, and independent jumps drawn from a fitted t-distribution."""
+"""How walkers move: in coordinates in which the posterior's ridge is straight."""
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import emcee
 import numpy as np
+from scipy import stats
+
+_DEGREES = 5  # tails heavier than a normal's: a walker must not stand where nothing is ever proposed
+_REACH = 4.0
 
 
-class Proposal(NamedTuple):
-    """A multivariate Student t that resembles the posterior: mean (free,), root of its scale (free, free)."""
+class Straightening(NamedTuple):
+    """Coordinates y = S(z) in which samples that lie along a curved ridge look normal.
+
+    Principal axes, longest first, each less a quadratic polynomial of the longer ones: a triangular transport
+    map [Parno & Marzouk 2018] of shears, so that its Jacobian is constant and densities carry over. Beyond
+    `_REACH` standard deviations the polynomials stay at their edge.
+    """
 
     mean: np.ndarray
-    root: np.ndarray
+    axes: np.ndarray
+    bends: list[np.ndarray]
+    width: np.ndarray
 
     @classmethod
-    def of_gaussian(cls, mean, covariance) -> "Proposal":
-        """From a mean and a covariance."""
-        return cls(np.asarray(mean, float), np.linalg.cholesky(np.asarray(covariance, float)))
-
-    @classmethod
-    def of_samples(cls, z) -> "Proposal":
+    def of_samples(cls, z) -> "Straightening":
         """From samples (n, free)."""
-        return cls.of_gaussian(z.mean(axis=0), np.cov(z.T).reshape(z.shape[1], z.shape[1]))
+        mean = z.mean(axis=0)
+        variance, axes = np.linalg.eigh(np.cov(z.T).reshape(z.shape[1], z.shape[1]))
+        axes = (axes * np.sqrt(np.maximum(variance, 1e-12 * variance.max())))[:, ::-1]
+        w = np.linalg.solve(axes, (z - mean).T).T
+        bends, width = [], np.empty(len(mean))
+        for i, own in enumerate(w.T):
+            terms = _quadratic(w[:, :i])
+            bends.append(np.linalg.lstsq(terms, own)[0])
+            width[i] = np.std(own - terms @ bends[i])
+        return cls(mean, axes, bends, width)
+
+    def to(self, z) -> np.ndarray:
+        """y of z, (n, free)."""
+        w = np.linalg.solve(self.axes, (z - self.mean).T).T
+        bent = [_quadratic(w[:, :i]) @ bend for i, bend in enumerate(self.bends)]
+        return (w - np.stack(bent, axis=1)) / self.width
+
+    def back(self, y) -> np.ndarray:
+        """z of y, (n, free)."""
+        w = y * self.width
+        for i, bend in enumerate(self.bends):
+            w[:, i] += _quadratic(w[:, :i]) @ bend
+        return self.mean + w @ self.axes.T
 
 
-_DEGREES = 3.0  # heavy tails: with 6, one walker in a thousand stood still for hundreds of steps
+def _quadratic(w):
+    """1, w and the products of pairs, (n, terms)."""
+    w = np.clip(w, -_REACH, _REACH)
+    first, second = np.triu_indices(w.shape[1])
+    return np.concatenate([np.ones((len(w), 1)), w, w[:, first] * w[:, second]], axis=1)
 
 
 class IndependentMove(emcee.moves.MHMove):
     """Metropolis–Hastings with proposals that do not depend on where a walker stands.
 
-    As good as the t-distribution resembles the posterior: where it does, one accepted jump forgets all.
+    Drawn from a multivariate Student t of the straight coordinates: as good as it resembles the posterior;
+    where it does, one accepted jump forgets all. Teach with samples (n, free).
     """
 
-    def __init__(self, proposal: Proposal):
-        mean, root = proposal
-        inverse, free = np.linalg.inv(root), mean.size
-
-        def log_density(z):
-            square = (((z - mean) @ inverse.T) ** 2).sum(axis=1)
-            return -0.5 * (_DEGREES + free) * np.log1p(square / _DEGREES)
+    def __init__(self, straight: Straightening, samples):
+        y = straight.to(samples)
+        spread: Any = np.cov(y.T)  # scipy's stub calls a matrix int
+        proposal = stats.multivariate_t(y.mean(axis=0), spread, df=_DEGREES)
 
         def propose(z, random):
-            normal = random.standard_normal(z.shape)
-            stretch = np.sqrt(_DEGREES / random.chisquare(_DEGREES, len(z)))
-            new = mean + (stretch[:, None] * normal) @ root.T
-            return new, log_density(z) - log_density(new)
+            new = proposal.rvs(len(z), random_state=random).reshape(z.shape)
+            here, there = np.split(proposal.logpdf(np.concatenate([straight.to(z), new])), 2)
+            return straight.back(new), here - there
 
         super().__init__(propose)
 
 
-def mixture(proposal: Proposal | None):
-    """Moves and their weights, as `emcee.EnsembleSampler` takes them.
+class DifferenceMove(emcee.moves.DEMove):
+    """Differential evolution in straight coordinates."""
 
-    Shares by experiments/bench_inversion.py: independent jumps carry walkers along the ridge, three to six times
+    def __init__(self, straight: Straightening):
+        super().__init__()
+        self._straight = straight
+
+    def get_proposal(self, s, c, random):
+        """New places of walkers `s`, from the differences of the others `c`."""
+        new, factors = super().get_proposal(self._straight.to(s), [self._straight.to(z) for z in c], random)
+        return self._straight.back(new), factors
+
+
+def mixture(samples=None):
+    """Moves and their weights, as `emcee.EnsembleSampler` takes them; taught by samples (n, free) if there are any.
+
+    Shares by experiments/bench_inversion.py: independent jumps carry walkers along the ridge, thirty times
     faster than stretches; the differences of walkers are for places where the t-distribution fits badly.
     """
-    if proposal is None:
+    if samples is None:
         return [(emcee.moves.DEMove(), 0.7), (emcee.moves.DESnookerMove(), 0.3)]
-    return [
-        (IndependentMove(proposal), 0.85),
-        (emcee.moves.DEMove(), 0.12),
-        (emcee.moves.DESnookerMove(), 0.03),
-    ]
+    straight = Straightening.of_samples(samples)
+    return [(IndependentMove(straight, samples), 0.8), (DifferenceMove(straight), 0.2)]

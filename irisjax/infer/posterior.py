@@ -14,7 +14,7 @@ import numpy as np
 
 from irisjax.infer.diagnostics import diagnostics
 from irisjax.infer.fit import Fit, fit
-from irisjax.infer.moves import Proposal, mixture
+from irisjax.infer.moves import mixture
 from irisjax.infer.pieces import density
 from irisjax.infer.problem import Problem
 from irisjax.infer.stream import Stream, checkpoint, repair
@@ -94,10 +94,10 @@ def sample(
     # Burn-in: differences of walkers, then jumps that these have taught.
     burn = _Run(path, "burn", log_probability, mixture(None), seed)
     burn.advance(_SPREAD, report("burn-in"))
-    taught = Proposal.of_samples(burn.between(_SPREAD // 2, _SPREAD))
+    taught = burn.between(_SPREAD // 2, _SPREAD)
     burn = _Run(path, "burn", log_probability, mixture(taught), seed)
     burn.advance(_BURN, report("burn-in"))
-    taught = Proposal.of_samples(burn.between((_SPREAD + _BURN) // 2, _BURN))
+    taught = burn.between((_SPREAD + _BURN) // 2, _BURN)
     begun = Stream(str(path), name="chain").initialized
     run = _Run(path, "chain", log_probability, mixture(taught), seed, None if begun else burn.standing())
     wanted = 2 * _BLOCK
