@@ -184,7 +184,7 @@ def test_a_curved_ridge_is_straightened():
 
     def bent(n):
         z = rng.normal(size=(n, 3)) * [1.0, 0.03, 0.5]
-        z[:, 1] += 0.2 * z[:, 0] ** 2 - 0.4 * z[:, 0]
+        z[:, 1] += 0.1 * z[:, 0] ** 2 - 0.4 * z[:, 0]
         return z
 
     straight = Straightening.of_samples(bent(4000))
@@ -193,7 +193,7 @@ def test_a_curved_ridge_is_straightened():
     np.testing.assert_allclose(straight.back(y), z, rtol=0, atol=1e-12)
 
     def log_p(z):
-        thin = (z[:, 1] - 0.2 * z[:, 0] ** 2 + 0.4 * z[:, 0]) / 0.03
+        thin = (z[:, 1] - 0.1 * z[:, 0] ** 2 + 0.4 * z[:, 0]) / 0.03
         return -0.5 * (z[:, 0] ** 2 + thin**2 + (z[:, 2] / 0.5) ** 2)
 
     sampler = emcee.EnsembleSampler(32, 3, log_p, vectorize=True, moves=IndependentMove(straight, z))
