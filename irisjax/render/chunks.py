@@ -6,7 +6,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-_SIZE = 1024
+_SIZE = 256
 
 
 def in_chunks(f: Callable[[Any], Any], pixels: Any, axis: int = 0) -> Any:
