@@ -65,7 +65,8 @@ def main(key, quick=False, out=RESULTS, eyes=None, walkers=64):
             (name, count, float(stats.chisquare(counts).pvalue), float(ks), *(float(c) for c in covered[:, i]))
         )
     header = (
-        f"{count} simulated eyes from the default priors, 31 wavelengths, noise 2 % + 2e-4",
+        f"{count} simulated eyes from the default priors, 31 wavelengths, noise 2 % + 2e-4, "
+        f"seed {jax.random.key_data(key)[-1]}",
         "transport: Kubelka-Munk (quick)" if quick else "process ilit-2006",
         f"binomial standard errors of the coverage: {', '.join(f'{np.sqrt(p * (1 - p) / count):.3f}' for p in LEVELS)}",
     )
