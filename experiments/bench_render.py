@@ -17,6 +17,7 @@ from irisjax.render.camera import look
 from irisjax.render.environment import Environment
 from irisjax.render.illumination import Illumination
 from irisjax.render.lights import Lights
+from irisjax.render.memory import Memory
 from irisjax.render.scene import Scene, prepare
 from irisjax.render.vessels import veins
 from irisjax.tissue.procedural import preset
@@ -59,27 +60,33 @@ def _table(key, size, repeats):
 
     def of(change, name, scene, tables):
         """A row for the changes of one scene."""
-        view = look(scene.eye, scene.camera)
-        stage = prepare(scene, tables, view)
+        view, memory = look(scene.eye, scene.camera), Memory()
+        stage = prepare(scene, tables, view, memory=memory)
         if change == "pigments":
             row(change, name, lambda i: stage(iris.replace(eumelanin=0.4 + 1e-3 * i)))
         elif change == "thickness":
 
             def thicker(i):
                 thick = scene.maps.stroma_thickness * (1 + 1e-3 * i)
-                return prepare(scene.replace(maps=scene.maps.replace(stroma_thickness=thick)), tables, view)(iris)
+                changed = scene.replace(maps=scene.maps.replace(stroma_thickness=thick))
+                return prepare(changed, tables, view, memory=memory)(iris)
 
             row(change, name, thicker)
         elif change.startswith("camera"):
 
             def moved(i):
                 camera = dataclasses.replace(scene.camera, polar=0.01 * i)
-                return prepare(scene.replace(camera=camera), tables)(iris)
+                return prepare(scene.replace(camera=camera), tables, memory=memory)(iris)
 
             row(change, name, moved)
         else:
             number = int(change.split()[0])
-            row(change, name, lambda i: prepare(scene.replace(lights=_lamps(number, 0.01 * i)), tables, view)(iris))
+
+            def lit(i):
+                changed = scene.replace(lights=_lamps(number, 0.01 * i))
+                return prepare(changed, tables, view, memory=memory)(iris)
+
+            row(change, name, lit)
 
     eye = full.eye
     ms, first = _milliseconds(lambda i: Illumination.build(eye, caustics=False).flux, max(1, repeats // 2))
@@ -101,7 +108,7 @@ def _table(key, size, repeats):
         "with environment": full,
     }
     for name, scene in without.items():
-        for change in ("pigments", "2 lights"):
+        for change in ("pigments", "2 lights", "camera, 2 lights"):
             of(change, name, scene, None if scene.eye.cornea is None else tables)
     ms, first = _milliseconds(lambda i: Illumination.build(eye).flux, 1)
     rows += [("tables", "refraction and caustics", ms, 1e3 / ms, "")]

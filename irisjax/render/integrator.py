@@ -10,6 +10,7 @@ from irisjax.render.bands import Bands
 from irisjax.render.camera import IrisPixels
 from irisjax.render.illumination import Illumination
 from irisjax.render.lights import Lights
+from irisjax.render.memory import Memory
 from irisjax.tissue.anatomy import Eye
 from irisjax.tissue.iris import Iris
 from irisjax.tissue.maps import IrisMaps, Scales
@@ -43,11 +44,13 @@ class AbstractIntegrator(eqx.Module):
         iris: Iris,
         maps: IrisMaps | None,
         tables: Illumination | None,
+        memory: Memory,
     ) -> tuple[Any, Any]:
         """Everything that a change of pigments leaves alone: of each pixel, and what all of them share.
 
         The first is a module of arrays whose last axis is that of the pixels, `index` among them: it is shaded a
-        chunk of pixels at a time. `tables` are `None` for a bare iris.
+        chunk of pixels at a time. `tables` are `None` for a bare iris. `memory` holds what was made of the same
+        parts before.
         """
 
     @abc.abstractmethod

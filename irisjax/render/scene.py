@@ -18,6 +18,7 @@ from irisjax.render.environment import Environment
 from irisjax.render.illumination import UNIQUE_POLAR, Illumination
 from irisjax.render.integrator import AbstractIntegrator, AbstractResponse
 from irisjax.render.lights import Lights
+from irisjax.render.memory import Memory
 from irisjax.render.sclera import VeinMap, colour_table
 from irisjax.render.separable import Separable
 from irisjax.tissue.anatomy import Eye
@@ -70,13 +71,7 @@ class Scene(eqx.Module):
 
     def all_lights(self) -> Lights:
         """Lamps and what stands for the environment. Runs on the host."""
-        found = self.lights
-        if self.environment is not None:
-            around = self.environment.to_lights(self.environment_lights)
-            around = dataclasses.replace(around, illuminant=self.illuminant)
-            found = around if found is None else found + around
-        assert found is not None
-        return found
+        return _all_lights(self.lights, self.environment, self.environment_lights, self.illuminant)
 
 
 class Stage(eqx.Module):
@@ -122,36 +117,64 @@ def prepare(
     tables: Illumination | None = None,
     view: View | None = None,
     wavelengths=None,
+    memory: Memory | None = None,
 ) -> Stage:
     """Do everything that a change of pigments leaves alone; `view` from `look` if eye and camera are the same.
 
+    With the `memory` of an earlier call only what has changed since is done: maps, say, where a lamp has moved.
     With `wavelengths` (nm) the picture has a channel for each in place of linear sRGB: radiance, 1/sr times π, under
     the illuminant scaled to 1 at 560 nm. **Raises:** `ValueError` where light has a colour but no spectrum.
     """
-    eye, lights = scene.eye, scene.all_lights()
+    eye, memory = scene.eye, Memory() if memory is None else memory
+    lights = memory.once(
+        "lights", _all_lights, scene.lights, scene.environment, scene.environment_lights, scene.illuminant
+    )
     if wavelengths is None:
-        bands, clear = (colour_bands(lights.illuminant, scene.observer, c) for c in (eye.cornea, None))
-        lamp = jnp.ones(3, bands.weights.dtype)
+        bands, clear = (
+            memory.once(name, colour_bands, lights.illuminant, scene.observer, cornea)
+            for name, cornea in (("bands", eye.cornea), ("bands outside", None))
+        )
+        lamp = memory.once("lamp", lambda b: jnp.ones_like(b.weights[:, 0]), clear)
     else:
         if scene.environment is not None or lights.tint is not None:
             raise ValueError("spectral pictures need plain lamps: environments and tints have colours, not spectra")
         bands, clear = (spectral_bands(wavelengths, lights.illuminant, c) for c in (eye.cornea, None))
         lamp = clear.weights.sum(axis=1)
-    view = look(eye, scene.camera) if view is None else view
-    width, height = scene.camera.size
-    base = jnp.zeros((width * height, lamp.size), bands.weights.dtype)
-    if view.sclera is not None and eye.sclera is not None:
-        table = colour_table(eye.sclera, np.asarray(clear.wavelengths), clear.weights)
-        base = _add(base, view.sclera.index, shading.white(view.sclera, lights, eye, table, scene.veins))
-    if view.mirror is not None:
-        base = _add(base, view.mirror.index, shading.mirrored(view.mirror, scene.lights, scene.environment, lamp))
+    view = memory.once("view", look, eye, scene.camera) if view is None else view
+    size = scene.camera.size
+
+    def surface(view, lights, lamps, environment, eye, veins, clear, lamp):
+        base = jnp.zeros((size[0] * size[1], lamp.size), lamp.dtype)
+        if view.sclera is not None and eye.sclera is not None:
+            colour = memory.once("white", _white_colour, view.sclera, eye, veins, clear)
+            base = _add(base, view.sclera.index, shading.white(view.sclera, lights, colour))
+        if view.mirror is not None:
+            base = _add(base, view.mirror.index, shading.mirrored(view.mirror, lamps, environment, lamp))
+        return base
+
+    outside = scene.lights, scene.environment, eye, scene.veins, clear, lamp
+    base = memory.once("surface", surface, view, lights, *outside)
     texels, ground, ranges = None, None, Scales()
     if view.iris is not None:
         if tables is None:
             tables = scene.tables()
-        texels, ground = scene.integrator.place(view.iris, lights, eye, scene.iris, scene.maps, tables)
+        texels, ground = scene.integrator.place(view.iris, lights, eye, scene.iris, scene.maps, tables, memory)
         ranges = Scales.of(scene.maps, scene.iris).ranges()
-    return Stage(base, texels, ground, bands, scene.integrator, ranges, (width, height))
+    return Stage(base, texels, ground, bands, scene.integrator, ranges, size)
+
+
+def _all_lights(lights: Lights | None, environment: Environment | None, count: int, illuminant: str) -> Lights:
+    if environment is None:
+        assert lights is not None
+        return lights
+    around = dataclasses.replace(environment.to_lights(count), illuminant=illuminant)
+    return around if lights is None else lights + around
+
+
+def _white_colour(pixels, eye: Eye, veins: VeinMap | None, clear: Bands):
+    assert eye.sclera is not None
+    table = colour_table(eye.sclera, np.asarray(clear.wavelengths), clear.weights)
+    return shading.white_colour(pixels, eye, table, veins)
 
 
 @eqx.filter_jit

@@ -23,7 +23,8 @@ from irisjax.render.camera import IrisPixels
 from irisjax.render.illumination import Illumination
 from irisjax.render.integrator import AbstractIntegrator, AbstractResponse
 from irisjax.render.lights import Lights
-from irisjax.render.shading import Texels, field_of, texels_of
+from irisjax.render.memory import Memory
+from irisjax.render.shading import Texels, field_of, irradiance_at, scales_at
 from irisjax.tissue.anatomy import Eye
 from irisjax.tissue.iris import Iris
 from irisjax.tissue.layers import Layers
@@ -60,9 +61,13 @@ class Separable(AbstractIntegrator):
         iris: Iris,
         maps: IrisMaps | None,
         tables: Illumination | None,
+        memory: Memory,
     ) -> tuple[Texels, None]:
         """See `AbstractIntegrator`: the lights are summed, for the response does not ask where light comes from."""
-        return texels_of(pixels, field_of(lights, eye, iris, tables), eye, iris, maps), None
+        field = memory.once("field", field_of, lights, eye, iris, tables)
+        relief = None if maps is None else maps.relief
+        light = memory.once("irradiance", irradiance_at, pixels, field, eye, relief)
+        return Texels(pixels.index, scales_at(pixels, eye, iris, maps, memory), pixels.cosine, light), None
 
     def response(self, iris: Iris, bands: Bands, ranges: Scales) -> "Response":
         """Tabulate `iris` for the channels of `bands`; `ranges` from `Scales.ranges`."""

@@ -6,11 +6,12 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
 from irisjax.optics.conicoid import dot, norm
-from irisjax.optics.fresnel import fresnel_at
+from irisjax.optics.fresnel import fresnel_at, safe_sqrt
 from irisjax.render.camera import IrisPixels, SurfacePixels
 from irisjax.render.environment import Environment
 from irisjax.render.illumination import Illumination, bare
 from irisjax.render.lights import Lights
+from irisjax.render.memory import Memory
 from irisjax.render.sclera import ColourTable, VeinMap, vein_depth_at
 from irisjax.tissue.anatomy import Eye
 from irisjax.tissue.iris import Iris
@@ -101,27 +102,60 @@ class Texels(eqx.Module):
 
 
 @eqx.filter_jit
-def texels_of(pixels: IrisPixels, field: Field, eye: Eye, iris: Iris, maps: IrisMaps | None) -> Texels:
-    """Fetch maps and light for the pixels that see the iris."""
-    x, y = pixels.point[:, 0], pixels.point[:, 1]
-    r = jnp.sqrt(x * x + y * y)
-    span = eye.iris_radius - eye.pupil_radius
-    angle, radius = jnp.arctan2(y, x), (r - eye.pupil_radius) / span
-    scales = Scales(*(None if s is None else fetch(s, angle, radius) for s in Scales.of(maps, iris)))
-    flux = field.at(pixels.point)
-    irradiance = jnp.maximum(-(flux * normals(pixels.point, eye, maps)[:, None]).sum(-1), 0.0)
-    return Texels(pixels.index, scales, pixels.cosine, (irradiance * shares(pixels, eye)[:, None]).T)
+def texture_at(texture: Float[Array, "angles radii"], pixels: IrisPixels, eye: Eye) -> Float[Array, " pixels"]:
+    """A map of the iris at the pixels that see it."""
+    return fetch(texture, *_polar(pixels.point, eye))
 
 
-def normals(point: Float[Array, "pixels 3"], eye: Eye, maps: IrisMaps | None) -> Float[Array, "pixels 3"]:
+def scales_at(pixels: IrisPixels, eye: Eye, iris: Iris, maps: IrisMaps | None, memory: Memory) -> Scales:
+    """How the texels differ from the uniform iris, at the pixels; a map that has not changed is not fetched again."""
+    if maps is None:
+        return Scales()
+
+    def at(texture, point, eye):
+        return None if texture is None else texture_at(texture, pixels, eye)
+
+    def thick(iris, maps, point, eye):
+        return at(maps.abl_scale(iris), point, eye)
+
+    def deep(iris, maps, point, eye):
+        return at(maps.stroma_scale(iris), point, eye)
+
+    place = pixels.point, eye
+    return Scales(
+        memory.once("ABL", thick, iris, IrisMaps(abl_thickness=maps.abl_thickness, freckles=maps.freckles), *place),
+        memory.once("stroma", deep, iris, IrisMaps(stroma_thickness=maps.stroma_thickness), *place),
+        memory.once("eumelanin", at, maps.eumelanin, *place),
+        memory.once("pheomelanin", at, maps.pheomelanin, *place),
+    )
+
+
+@eqx.filter_jit
+def irradiance_at(
+    pixels: IrisPixels, field: Field, eye: Eye, relief: Float[Array, "angles radii"] | None
+) -> Float[Array, "tints pixels"]:
+    """Irradiance on the iris at the pixels, times all shares on the way out to the camera."""
+    normal = normals(pixels.point, eye, relief)
+    irradiance = jnp.maximum(-(field.at(pixels.point) * normal[:, None]).sum(-1), 0.0)
+    return (irradiance * shares(pixels, eye)[:, None]).T
+
+
+def _polar(point: Float[Array, "pixels 3"], eye: Eye):
+    """Angle (radians) and relative radius of points of the iris."""
+    x, y = point[:, 0], point[:, 1]
+    return jnp.arctan2(y, x), (jnp.sqrt(x * x + y * y) - eye.pupil_radius) / (eye.iris_radius - eye.pupil_radius)
+
+
+def normals(
+    point: Float[Array, "pixels 3"], eye: Eye, relief: Float[Array, "angles radii"] | None
+) -> Float[Array, "pixels 3"]:
     """Unit normals of the iris towards the cornea, tilted by the relief where there is one."""
     normal = eye.iris_normal(point)
-    if maps is None or maps.relief is None:
+    if relief is None:
         return normal
     x, y = point[:, 0], point[:, 1]
     r = jnp.sqrt(x * x + y * y)
-    radius = (r - eye.pupil_radius) / (eye.iris_radius - eye.pupil_radius)
-    slope = fetch(_slopes(maps.relief, eye), jnp.arctan2(y, x), radius)
+    slope = fetch(_slopes(relief, eye), *_polar(point, eye))
     out, round_ = (jnp.stack(v, axis=-1) for v in ((x / r, y / r), (-y / r, x / r)))
     normal = normal.at[:, :2].add(-slope[:, :1] * out - slope[:, 1:] * round_)
     return normal / norm(normal)[:, None]
@@ -144,19 +178,24 @@ def _slopes(relief, eye: Eye):
 
 
 @eqx.filter_jit
-def white(pixels: SurfacePixels, lights: Lights, eye: Eye, table: ColourTable, veins: VeinMap | None):
-    """Channels (pixels, channels) of the sclera: lit as a matt white, light wrapped a little round its edge."""
+def white_colour(
+    pixels: SurfacePixels, eye: Eye, table: ColourTable, veins: VeinMap | None
+) -> Float[Array, "pixels channels"]:
+    """Channels of the sclera under an irradiance of one, all shares on the way out included."""
+    colour = table(jnp.zeros(1, pixels.share.dtype) if veins is None else vein_depth_at(veins, eye, pixels.point))
+    return colour * ((1 - pixels.reflectance) * pixels.share / jnp.pi)[:, None]
+
+
+@eqx.filter_jit
+def white(
+    pixels: SurfacePixels, lights: Lights, colour: Float[Array, "pixels channels"]
+) -> Float[Array, "pixels channels"]:
+    """Channels of the sclera: lit as a matt white, light wrapped a little round its edge."""
     cosine = pixels.normal @ lights.towards.T
     # The sclera is translucent: light bleeds some 20° past the terminator, with the same total.
     wrap = jnp.maximum(cosine + 0.3, 0.0) ** 2 / 1.69
     tint = jnp.ones((len(lights), 1), wrap.dtype) if lights.tint is None else lights.tint
-    irradiance = wrap @ (lights.irradiance[:, None] * tint)
-    if veins is None:
-        colour = table(jnp.zeros(1, wrap.dtype))
-    else:
-        colour = table(vein_depth_at(veins, eye, pixels.point))
-    passed = (1 - pixels.reflectance) * pixels.share
-    return colour * irradiance * (passed / jnp.pi)[:, None]
+    return colour * (wrap @ (lights.irradiance[:, None] * tint))
 
 
 @eqx.filter_jit
@@ -167,8 +206,10 @@ def mirrored(
     environment as it is. `lamp` is a lamp of radiance 1 in the picture's channels."""
     total = jnp.zeros((pixels.index.size, lamp.size), pixels.mirror.dtype)
     if lights is not None:
-        angle = jnp.arccos(jnp.clip(pixels.mirror @ lights.towards.T, -1, 1))
-        inside = jnp.clip((lights.radius * 1.1 - angle) / (0.2 * lights.radius), 0, 1)
+        # Chords in place of angles: an arc cosine a pixel and light costs more than all the rest.
+        chord = safe_sqrt(((pixels.mirror[:, None] - lights.towards) ** 2).sum(-1))
+        outer, inner = (2 * jnp.sin(share * lights.radius / 2) for share in (1.1, 0.9))
+        inside = jnp.clip((outer - chord) / (outer - inner), 0, 1)
         radiance = lights.irradiance / (jnp.pi * jnp.sin(lights.radius) ** 2)
         total = total + inside @ (radiance[:, None] * (lamp if lights.tint is None else lights.tint))
     if environment is not None:

@@ -21,6 +21,7 @@ from irisjax.render.camera import IrisPixels
 from irisjax.render.illumination import Illumination
 from irisjax.render.integrator import AbstractIntegrator, AbstractResponse
 from irisjax.render.lights import Lights
+from irisjax.render.memory import Memory
 from irisjax.render.separable import texel_layers
 from irisjax.render.shading import Field, fluxes_of, normals, shares
 from irisjax.tissue.anatomy import Eye
@@ -53,10 +54,11 @@ class SingleScattering(AbstractIntegrator):
         iris: Iris,
         maps: IrisMaps | None,
         tables: Illumination | None,
+        memory: Memory,
     ) -> tuple["Rays", "Ground"]:
         """See `AbstractIntegrator`. The relief tilts the surface towards the light; its parallax is left out."""
-        rays, textures = _placed(pixels, eye, iris, maps)
-        return rays, Ground(textures, fluxes_of(lights, eye, tables), lights.tint, eye)
+        rays, textures = memory.once("rays", _placed, pixels, eye, iris, maps)
+        return rays, Ground(textures, memory.once("fluxes", fluxes_of, lights, eye, tables), lights.tint, eye)
 
     def response(self, iris: Iris, bands: Bands, ranges: Scales) -> "March":
         """The layers' optical depths at the wavelengths of `bands`."""
@@ -213,7 +215,7 @@ class March(AbstractResponse):
 
 @eqx.filter_jit
 def _placed(pixels: IrisPixels, eye: Eye, iris: Iris, maps: IrisMaps | None) -> tuple[Rays, Local]:
-    normal = normals(pixels.point, eye, maps)
+    normal = normals(pixels.point, eye, None if maps is None else maps.relief)
     rays = Rays(pixels.index, pixels.point.T, pixels.direction.T, normal.T, shares(pixels, eye))
     return rays, _textures(maps, iris)
 

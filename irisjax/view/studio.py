@@ -16,6 +16,7 @@ from irisjax.render.camera import Camera, look
 from irisjax.render.environment import Environment
 from irisjax.render.illumination import UNIQUE_POLAR
 from irisjax.render.lights import Lights
+from irisjax.render.memory import Memory
 from irisjax.render.scene import Scene, Stage, prepare
 from irisjax.tissue.iris import Iris
 from irisjax.tissue.maps import IrisMaps
@@ -65,7 +66,8 @@ class Settings:
 PIGMENTS = ("eumelanin", "pheomelanin", "abl_fraction", "hemoglobin", "saturation")
 QUICK = frozenset({*PIGMENTS, "stroma", "exposure"})
 """Settings that leave tables, view and stage alone."""
-_LIGHT = ("light_polar", "light_azimuth", "irradiance", "environment", "strength")
+_LAMP = ("light_polar", "light_azimuth", "irradiance")
+_LIGHT = (*_LAMP, "environment", "strength")
 _CAMERA = ("camera_polar", "camera_azimuth", "width")
 
 
@@ -79,6 +81,7 @@ class Studio:
     def __init__(self, scene: Scene, **given: Any):
         self._base = scene
         self._kept: dict[Any, tuple[Any, Any]] = {}
+        self._memory = {draft: Memory() for draft in (False, True)}
         self.error = 0.0
         camera, pupil = scene.camera, 2 * float(scene.eye.pupil_radius)
         start = {
@@ -160,7 +163,7 @@ class Studio:
             view = self._once(("view", draft), seen, lambda: look(scene.eye, scene.camera))
             polar = self._once("polar", lit, lambda: np.asarray(scene.all_lights().polar()))
             tables = self._once(("tables", bool((polar > UNIQUE_POLAR).any())), None, scene.tables)
-            return prepare(scene, tables, view)
+            return prepare(scene, tables, view, memory=self._memory[draft])
 
         return self._once(("stage", draft), (seen, lit, s.preset, s.seed, s.pupil), make)
 
@@ -186,21 +189,27 @@ class Studio:
     def _set(self, s: Settings, size: tuple[int, int]) -> Scene:
         """The scene but for the pigments: maps are relative to its iris, so a stage outlives other thicknesses."""
         iris, maps = self._grown(s)
-        base, camera = self._base, self._base.camera
-        polar, azimuth = (jnp.asarray(math.radians(angle), float) for angle in (s.camera_polar, s.camera_azimuth))
-        camera = Camera(polar, azimuth, camera.distance, jnp.asarray(s.width, float), size)
-        lamp = Lights.distant(math.radians(s.light_polar), math.radians(s.light_azimuth), illuminant=base.illuminant)
-        if base.lights is not None:
-            lamp = dataclasses.replace(base.lights, towards=base.lights.towards.at[0].set(lamp.towards[0]))
-        lamp = dataclasses.replace(lamp, irradiance=lamp.irradiance.at[0].set(s.irradiance))
+        base = self._base
+        # The same objects for the same settings: by them `Memory` knows what has not changed.
         return base.replace(
             iris=iris,
             maps=maps,
-            eye=base.eye.replace(pupil_radius=s.pupil / 2),
-            lights=lamp,
+            eye=self._once("eye", s.pupil, lambda: base.eye.replace(pupil_radius=s.pupil / 2)),
+            lights=self._once("lights", _of(s, _LAMP), lambda: self._lamps(s)),
             environment=self._once("environment", (s.environment, s.strength), lambda: self._around(s)),
-            camera=camera,
+            camera=self._once(("camera", size), _of(s, _CAMERA), lambda: self._camera(s, size)),
         )
+
+    def _camera(self, s: Settings, size: tuple[int, int]) -> Camera:
+        polar, azimuth = (jnp.asarray(math.radians(angle), float) for angle in (s.camera_polar, s.camera_azimuth))
+        return Camera(polar, azimuth, self._base.camera.distance, jnp.asarray(s.width, float), size)
+
+    def _lamps(self, s: Settings) -> Lights:
+        base = self._base
+        lamp = Lights.distant(math.radians(s.light_polar), math.radians(s.light_azimuth), illuminant=base.illuminant)
+        if base.lights is not None:
+            lamp = dataclasses.replace(base.lights, towards=base.lights.towards.at[0].set(lamp.towards[0]))
+        return dataclasses.replace(lamp, irradiance=lamp.irradiance.at[0].set(s.irradiance))
 
     def _around(self, s: Settings) -> Environment | None:
         if s.environment not in (GIVEN, *ENVIRONMENTS):

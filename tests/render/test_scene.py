@@ -1,5 +1,7 @@
 """Pictures against the exact solver, hand-made optics and geometry; parts left out; derivatives; precision."""
 
+import dataclasses
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -14,6 +16,7 @@ from irisjax.render.camera import Camera, _trace, look
 from irisjax.render.environment import Environment
 from irisjax.render.illumination import Illumination
 from irisjax.render.lights import Lights
+from irisjax.render.memory import Memory
 from irisjax.render.refraction import UNIQUE_POLAR
 from irisjax.render.scene import Scene, prepare, render
 from irisjax.render.sclera import VeinMap, colour_table
@@ -236,8 +239,9 @@ def test_absent_parts_cost_nothing(tables):
         "pigment": IrisMaps(stroma_thickness=one, freckles=0 * one, relief=0 * one, eumelanin=one),
     }
     lamp, tinted = Lights.distant(0.5, 1.0), Lights(jnp.array([[0, 0, -1.0]]), jnp.ones(1), jnp.ones((1, 3)))
-    field = shading.field_of(lamp, eye, iris, tables)
-    counts = [operations(lambda m=m: shading.texels_of(pixels, field, eye, iris, m)) for m in maps.values()]
+    counts = [
+        operations(lambda m=m: QUICK.place(pixels, lamp, eye, iris, m, tables, Memory())[0]) for m in maps.values()
+    ]
     assert counts == sorted(set(counts)), dict(zip(maps, counts, strict=True))
     # The polynomials of a scale that does not vary are not there.
     responses = [
@@ -259,17 +263,44 @@ def test_absent_parts_cost_nothing(tables):
     mirrors = [operations(lambda e=e: shading.mirrored(view.mirror, lamp, e, jnp.ones(3))) for e in (None, room)]
     table = colour_table(Eye().sclera, np.array([450.0, 600.0]), np.ones((3, 2)))
     drawn = VeinMap(*(jnp.zeros((4, 4)) for _ in range(3)))
-    whites = [operations(lambda v=v: shading.white(view.sclera, lamp, Eye(), table, v)) for v in (None, drawn)]
+    whites = [operations(lambda v=v: shading.white_colour(view.sclera, Eye(), table, v)) for v in (None, drawn)]
     assert mirrors[0] < mirrors[1] and whites[0] < whites[1]
     assert look(BARE, SMALL).mirror is None and look(CLOSE, SMALL).sclera is None
+
+
+def test_only_what_changed_is_made_again(tables):
+    """Pictures of a scene that changes, with and without a memory of the one before."""
+    maps = IrisMaps(stroma_thickness=ring(lambda x, y: 0.3 + 0.02 * x), relief=ring(lambda x, y: 0.01 * y))
+    made = scene(maps=maps, eye=Eye(), veins=VeinMap(*(jnp.full((4, 4), 0.1) for _ in range(3))))
+    memory = Memory()
+    tables = made.tables()
+    first = prepare(made, tables, memory=memory)
+    changes = {
+        "lights": {"lights": Lights.distant([0.4, 0.9], [2.0, 0.1])},
+        "maps": {"maps": maps.replace(stroma_thickness=ring(lambda x, y: 0.2 - 0.02 * y))},
+        "camera": {"camera": dataclasses.replace(SMALL, polar=jnp.asarray(0.2))},
+        "pupil": {"eye": made.eye.replace(pupil_radius=2.5)},
+        "veins": {"veins": None},
+        "environment": {"environment": Environment(jnp.ones((4, 8, 3))), "environment_lights": 2},
+    }
+    for name, change in changes.items():
+        after = made.replace(**change)
+        again = prepare(after, tables, memory=memory)
+        np.testing.assert_array_equal(again(LIGHT), prepare(after, tables)(LIGHT), err_msg=name)
+        if name == "lights":
+            assert again.texels.scales.stroma is first.texels.scales.stroma
+            assert again.base is not first.base
+        if name == "maps":
+            assert again.base is prepare(after, tables, memory=memory).base
+    back = prepare(made, tables, memory=memory)
+    np.testing.assert_array_equal(back(LIGHT), first(LIGHT))
 
 
 def brightness(tables, view, bands, ranges):
     """Mean of a picture as a function of all that one may want derivatives in."""
 
     def of(iris, lights, maps):
-        field = shading.field_of(lights, CLOSE, iris, tables, 41)
-        texels = shading.texels_of(view.iris, field, CLOSE, iris, maps)
+        texels, _ = QUICK.place(view.iris, lights, CLOSE, iris, maps, tables, Memory())
         found = QUICK.response(iris, bands, ranges)(texels.scales, texels.cosine) * texels.light
         weight = jnp.cos(jnp.arange(found.size)).reshape(found.shape)  # no symmetry hides a derivative
         return (found * (1 + weight)).sum()
