@@ -44,13 +44,14 @@ class AbstractIntegrator(eqx.Module):
         iris: Iris,
         maps: IrisMaps | None,
         tables: Illumination | None,
+        ranges: Scales,
         memory: Memory,
     ) -> tuple[Any, Any]:
         """Everything that a change of pigments leaves alone: of each pixel, and what all of them share.
 
         The first is a module of arrays whose last axis is that of the pixels, `index` among them: it is shaded a
-        chunk of pixels at a time. `tables` are `None` for a bare iris. `memory` holds what was made of the same
-        parts before.
+        chunk of pixels at a time. `tables` are `None` for a bare iris; `ranges` are those of the
+        response; `memory` holds what was made of the same parts before.
         """
 
     @abc.abstractmethod

@@ -158,8 +158,9 @@ def prepare(
     if view.iris is not None:
         if tables is None:
             tables = scene.tables()
-        texels, ground = scene.integrator.place(view.iris, lights, eye, scene.iris, scene.maps, tables, memory)
-        ranges = Scales.of(scene.maps, scene.iris).ranges()
+        ranges = memory.once("ranges", lambda *of: Scales.of(*of).ranges(), scene.maps, scene.iris)
+        parts = lights, eye, scene.iris, scene.maps, tables, ranges
+        texels, ground = scene.integrator.place(view.iris, *parts, memory)
     return Stage(base, texels, ground, bands, scene.integrator, ranges, size)
 
 
@@ -189,9 +190,6 @@ def _add(base, index, colour):
 
 @eqx.filter_jit
 def _composed(base, texels, ground, response: AbstractResponse):
-    def part(pixels):
-        return response.shade(jax.tree.map(lambda x: jnp.moveaxis(x, 0, -1), pixels), ground)
-
     # Channels apart within a portion: three numbers a pixel leave the processor's vectors half empty.
-    colour = in_chunks(part, jax.tree.map(lambda x: jnp.moveaxis(x, -1, 0), texels), axis=1).T
+    colour = in_chunks(lambda pixels: response.shade(pixels, ground), texels, axis=-1).T
     return base.at[texels.index].add(colour, mode="drop", wrap_negative_indices=False)

@@ -15,7 +15,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
 from irisjax.optics.fresnel import fresnel, refract
 from irisjax.render.bands import Bands
@@ -24,7 +24,7 @@ from irisjax.render.illumination import Illumination
 from irisjax.render.integrator import AbstractIntegrator, AbstractResponse
 from irisjax.render.lights import Lights
 from irisjax.render.memory import Memory
-from irisjax.render.shading import Texels, field_of, irradiance_at, scales_at
+from irisjax.render.shading import field_of, irradiance_at, scales_at
 from irisjax.tissue.anatomy import Eye
 from irisjax.tissue.iris import Iris
 from irisjax.tissue.layers import Layers
@@ -35,7 +35,6 @@ from irisjax.transport.process import ILIT_2006, Process
 from irisjax.transport.solver import AbstractSolver
 
 _CHECKS = 24
-_DEGREE = 1.2  # of a product, each factor's relative to the most of its number: a third of all stay, error +1e-4
 
 
 class Separable(AbstractIntegrator):
@@ -46,7 +45,7 @@ class Separable(AbstractIntegrator):
     """
 
     process: Process = eqx.field(static=True, default=ILIT_2006)
-    degrees: tuple[int, int, int, int, int] = eqx.field(static=True, default=(10, 5, 4, 4, 3))
+    degrees: tuple[int, int, int, int, int] = eqx.field(static=True, default=(8, 5, 4, 4, 3))
     solver: AbstractSolver = eqx.field(default_factory=lambda: Exact(20))
 
     def __check_init__(self):
@@ -61,13 +60,24 @@ class Separable(AbstractIntegrator):
         iris: Iris,
         maps: IrisMaps | None,
         tables: Illumination | None,
+        ranges: Scales,
         memory: Memory,
-    ) -> tuple[Texels, None]:
+    ) -> tuple["Texels", None]:
         """See `AbstractIntegrator`: the lights are summed, for the response does not ask where light comes from."""
         field = memory.once("field", field_of, lights, eye, iris, tables)
         relief = None if maps is None else maps.relief
         light = memory.once("irradiance", irradiance_at, pixels, field, eye, relief)
-        return Texels(pixels.index, scales_at(pixels, eye, iris, maps, memory), pixels.cosine, light), None
+        scales = scales_at(pixels, eye, iris, maps, memory)
+        placed = memory.once("terms", self._terms, scales, ranges, pixels.cosine, iris)
+        return Texels(pixels.index, placed, light), None
+
+    @eqx.filter_jit
+    def _terms(self, scales: Scales, ranges: Scales, cosine, iris: Iris) -> "Terms":
+        n = iris.indices()
+        return Terms.of(scales, ranges, self._most(ranges), cosine, (n.aqueous, n.abl), self.degrees[4])
+
+    def _most(self, ranges: Scales) -> tuple[int, ...]:
+        return tuple(d for d, r in zip(self.degrees[:4], ranges, strict=True) if r is not None)
 
     def response(self, iris: Iris, bands: Bands, ranges: Scales) -> "Response":
         """Tabulate `iris` for the channels of `bands`; `ranges` from `Scales.ranges`."""
@@ -99,10 +109,10 @@ class Separable(AbstractIntegrator):
         for axis, x in enumerate(nodes):
             inverse = jnp.asarray(np.linalg.inv(np.polynomial.chebyshev.chebvander(x, x.size - 1)), dtype)
             values = jnp.moveaxis(jnp.tensordot(inverse, values, (1, axis)), 0, axis)
-        most = tuple(self.degrees[i] for i in varied)
-        kept = [term for terms in _products(most) for term in terms]
-        picked = values[tuple(np.array(kept, int).reshape(len(kept), len(most)).T)]
-        values = picked.reshape(len(kept), *values.shape[-2:])
+        most = self._most(ranges)
+        if len(most) > 1:
+            values = values[:, *np.array(_products(most[1:])).T]
+        values = values.reshape(most[0] + 1 if most else 1, -1, *values.shape[-2:])
         out = Response(coefficients=values, indices=indices, ranges=ranges, error=jnp.zeros((), dtype), degrees=most)
         # Off the nodes: points that fill the box evenly.
         steps = np.asarray([0.7548, 0.5698, 0.8192, 0.3249])[: len(varied)]
@@ -117,15 +127,48 @@ class Separable(AbstractIntegrator):
         return dataclasses.replace(out, error=error)
 
 
+class Terms(eqx.Module):
+    """The polynomials of each pixel: of the first scale that varies, products of those of the others, and of the exit
+    cosine, the share 1 − F that leaves the tissue included."""
+
+    first: Float[Array, "degrees pixels"]
+    rest: Float[Array, "products pixels"]
+    angular: Float[Array, "cosine pixels"]
+
+    @classmethod
+    def of(cls, scales: Scales, ranges: Scales, degrees: tuple[int, ...], cosine, indices, angular: int) -> "Terms":
+        """Of pixels: `degrees` of the scales that vary, `angular` of the cosine; `indices` of aqueous and ABL."""
+        places = [_to_unit(r, s) for s, r in zip(scales, ranges, strict=True) if r is not None]
+        first, *others = [_polynomials(p, d + 1) for p, d in zip(places, degrees, strict=True)] or [
+            jnp.ones_like(cosine)[None]
+        ]
+        rest = jnp.ones_like(first[:1])
+        if others:
+            factors = [[t[k] for t, k in zip(others, term, strict=True)] for term in _products(degrees[1:])]
+            rest = jnp.stack([functools.reduce(jnp.multiply, f) for f in factors])
+        inside = refract(cosine, *indices)
+        exits = _polynomials(_inside_to_unit(inside, *indices), angular + 1)
+        return cls(first, rest, exits * fresnel(cosine, inside, *indices)[1])
+
+
+class Texels(eqx.Module):
+    """What a pigment change leaves alone: of each pixel its `terms`, and `light`, irradiance times all shares on the
+    way out, (tints, pixels)."""
+
+    index: Int[Array, " pixels"]
+    terms: Terms
+    light: Float[Array, "tints pixels"]
+
+
 class Response(AbstractResponse):
-    """g of every texel of an iris: Chebyshev coefficients of products over the scales that vary, (products, degrees of
-    the cosine, channels).
+    """g of every texel of an iris: Chebyshev coefficients, an axis for the first scale that varies, one for products
+    of the others, then the cosine, then the channels.
 
     - `error`: largest difference from the solver at points off the nodes, relative to the brightest of them.
     - `degrees`: the most of each scale that varies.
     """
 
-    coefficients: Float[Array, "products cosine channels"]
+    coefficients: Float[Array, "first rest cosine channels"]
     indices: tuple[Float[Array, ""], Float[Array, ""]]
     ranges: Scales
     error: Float[Array, ""]
@@ -133,25 +176,20 @@ class Response(AbstractResponse):
 
     def __call__(self, scales: Scales, cosine: Float[Array, " pixels"]) -> Float[Array, "channels pixels"]:
         """Radiance per irradiance (1/sr, times the picture's white) of pixels."""
-        inside = refract(cosine, *self.indices)
-        places = [_to_unit(r, s) for s, r in zip(scales, self.ranges, strict=True) if r is not None]
-        each = [_polynomials(place, most + 1) for place, most in zip(places, self.degrees, strict=True)]
-        products = []
-        for terms in _products(self.degrees):
-            rest = [t[k] for t, k in zip(each[1:], terms[0][1:], strict=True)]
-            first = each[0][: len(terms)] if each else jnp.ones_like(cosine)[None]
-            products.append(first * functools.reduce(jnp.multiply, rest) if rest else first)
-        _, last, channels = self.coefficients.shape
+        angular = self.coefficients.shape[2] - 1
+        return self._at(Terms.of(scales, self.ranges, self.degrees, cosine, self.indices, angular))
+
+    def _at(self, terms: Terms) -> Float[Array, "channels pixels"]:
+        last, channels = self.coefficients.shape[2:]
         # One matrix product: 50 times as fast as polynomial by polynomial.
-        values = self.coefficients.reshape(-1, last * channels).T @ jnp.concatenate(products)
-        angular = _polynomials(_inside_to_unit(inside, *self.indices), last)
-        values = (values.reshape(last, channels, -1) * angular[:, None]).sum(axis=0)
-        return values * fresnel(cosine, inside, *self.indices)[1]
+        basis = (terms.first[:, None] * terms.rest).reshape(-1, terms.first.shape[-1])
+        values = self.coefficients.reshape(-1, last * channels).T @ basis
+        return (values.reshape(last, channels, -1) * terms.angular[:, None]).sum(axis=0)
 
     def shade(self, texels: Texels, ground: None) -> Float[Array, "channels pixels"]:
         """See `AbstractResponse`."""
         del ground
-        return self(texels.scales, texels.cosine) * texels.light
+        return self._at(texels.terms) * texels.light
 
 
 def texel_layers(iris: Iris, table: Extinction, scales: Scales, process: Process) -> Layers:
@@ -172,15 +210,10 @@ def texel_layers(iris: Iris, table: Extinction, scales: Scales, process: Process
     )
 
 
-def _products(degrees: tuple[int, ...]) -> list[list[tuple[int, ...]]]:
-    """Degrees of the factors of all products that are kept, in runs over the first factor."""
-    runs = []
-    for rest in itertools.product(*(range(d + 1) for d in degrees[1:])):
-        left = _DEGREE - sum(k / d for k, d in zip(rest, degrees[1:], strict=True))
-        if left > -1e-9:
-            most = min(degrees[0], int(left * degrees[0] + 1e-9)) if degrees else 0
-            runs.append([(k, *rest)[: len(degrees)] for k in range(most + 1)])
-    return runs
+def _products(degrees: tuple[int, ...]) -> list[tuple[int, ...]]:
+    """Degrees of the factors of the products that are kept: relative to the most of each, they add up to one."""
+    every = itertools.product(*(range(d + 1) for d in degrees))
+    return [term for term in every if sum(k / d for k, d in zip(term, degrees, strict=True)) < 1 + 1e-9]
 
 
 def _chebyshev(n: int) -> np.ndarray:

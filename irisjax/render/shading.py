@@ -3,7 +3,7 @@
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Float
 
 from irisjax.optics.conicoid import dot, norm
 from irisjax.optics.fresnel import fresnel_at, safe_sqrt
@@ -89,16 +89,6 @@ def _flux(lights: Lights, i, place, tables: Illumination | None):
     towards, power = lights.seen_from(place, i)
     flux = bare(place, towards) if tables is None else tables.at(place[..., :2], towards)
     return flux * jnp.broadcast_to(power, place.shape[:-1])[..., None]
-
-
-class Texels(eqx.Module):
-    """What a pigment change leaves alone: of each pixel its `scales`, exit cosine, and irradiance times all shares on
-    the way out, (tints, pixels)."""
-
-    index: Int[Array, " pixels"]
-    scales: Scales
-    cosine: Float[Array, " pixels"]
-    light: Float[Array, "tints pixels"]
 
 
 @eqx.filter_jit

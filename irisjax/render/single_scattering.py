@@ -54,6 +54,7 @@ class SingleScattering(AbstractIntegrator):
         iris: Iris,
         maps: IrisMaps | None,
         tables: Illumination | None,
+        ranges: Scales,
         memory: Memory,
     ) -> tuple["Rays", "Ground"]:
         """See `AbstractIntegrator`. The relief tilts the surface towards the light; its parallax is left out."""

@@ -240,7 +240,10 @@ def test_absent_parts_cost_nothing(tables):
     }
     lamp, tinted = Lights.distant(0.5, 1.0), Lights(jnp.array([[0, 0, -1.0]]), jnp.ones(1), jnp.ones((1, 3)))
     counts = [
-        operations(lambda m=m: QUICK.place(pixels, lamp, eye, iris, m, tables, Memory())[0]) for m in maps.values()
+        operations(
+            lambda m=m: QUICK.place(pixels, lamp, eye, iris, m, tables, Scales.of(m, iris).ranges(), Memory())[0]
+        )
+        for m in maps.values()
     ]
     assert counts == sorted(set(counts)), dict(zip(maps, counts, strict=True))
     # The polynomials of a scale that does not vary are not there.
@@ -288,7 +291,7 @@ def test_only_what_changed_is_made_again(tables):
         again = prepare(after, tables, memory=memory)
         np.testing.assert_array_equal(again(LIGHT), prepare(after, tables)(LIGHT), err_msg=name)
         if name == "lights":
-            assert again.texels.scales.stroma is first.texels.scales.stroma
+            assert again.texels.terms.first is first.texels.terms.first
             assert again.base is not first.base
         if name == "maps":
             assert again.base is prepare(after, tables, memory=memory).base
@@ -300,8 +303,8 @@ def brightness(tables, view, bands, ranges):
     """Mean of a picture as a function of all that one may want derivatives in."""
 
     def of(iris, lights, maps):
-        texels, _ = QUICK.place(view.iris, lights, CLOSE, iris, maps, tables, Memory())
-        found = QUICK.response(iris, bands, ranges)(texels.scales, texels.cosine) * texels.light
+        texels, _ = QUICK.place(view.iris, lights, CLOSE, iris, maps, tables, ranges, Memory())
+        found = QUICK.response(iris, bands, ranges).shade(texels, None)
         weight = jnp.cos(jnp.arange(found.size)).reshape(found.shape)  # no symmetry hides a derivative
         return (found * (1 + weight)).sum()
 
