@@ -14,6 +14,7 @@ from tqdm import tqdm
 from irisjax import io
 from irisjax.cli.animate import CHANGES, sheet
 from irisjax.cli.animate import frames as _frames
+from irisjax.cli.cache import kept_tables
 from irisjax.cli.options import grid
 from irisjax.io.scenes import SceneFile, parse_scene, read_scene
 from irisjax.measure.colour import srgb_encode
@@ -122,7 +123,7 @@ def _png(output: Path, picture: np.ndarray, bits: int, remark: str) -> None:
 
 
 def _animated(scene: staging.Scene, change: str, count: int, exposure: float, output: Path) -> None:
-    found = tqdm(_frames(scene, change, count), total=count, unit="frame", disable=not sys.stderr.isatty())
+    found = tqdm(_frames(scene, change, count, kept_tables), total=count, unit="frame", disable=not sys.stderr.isatty())
     pictures = [exposure * picture for picture in found]
     if output.suffix == ".gif":
         io.write_gif(output, [np.asarray(srgb_encode(jnp.asarray(p))) for p in pictures], seconds=count / 12)
@@ -185,7 +186,7 @@ def _picture(scene: staging.Scene, samples: int, wavelengths=None) -> tuple[np.n
     response that is a table."""
     width, height = scene.camera.size
     fine = dataclasses.replace(scene.camera, size=(width * samples, height * samples))
-    stage = staging.prepare(scene.replace(camera=fine), wavelengths=wavelengths)
+    stage = staging.prepare(scene.replace(camera=fine), kept_tables(scene), wavelengths=wavelengths)
     response = stage.response(scene.iris)
     picture = np.asarray(stage.shown(response))
     error = None if response.error is None else float(response.error)

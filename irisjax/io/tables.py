@@ -10,6 +10,7 @@ import errno
 import io
 import os
 import re
+import threading
 from collections.abc import Mapping
 from pathlib import Path
 from typing import NamedTuple
@@ -116,7 +117,7 @@ def write_together(files: Mapping[Path, bytes]) -> None:
                     device.write(data)
                 continue
             target = Path(os.path.realpath(path))  # through links, so that a link stays one
-            temporary = target.with_name(f".{target.name}.{os.getpid()}.tmp")
+            temporary = target.with_name(f".{target.name}.{os.getpid()}-{threading.get_ident()}.tmp")
             written.append((temporary, target))
             # os.open, not tempfile: the file then has the permissions the user's umask asks for.
             with open(os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o666), "wb") as file:

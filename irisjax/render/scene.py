@@ -63,10 +63,11 @@ class Scene(eqx.Module):
 
     def tables(self) -> Illumination | None:
         """Illumination tables of this eye: no caustics without a grazing light, none at all without a cornea."""
-        if self.eye.cornea is None:
-            return None
-        grazing = bool((np.asarray(self.all_lights().polar()) > UNIQUE_POLAR).any())
-        return Illumination.build(self.eye, caustics=grazing)
+        return None if self.eye.cornea is None else Illumination.build(self.eye, caustics=self.grazing())
+
+    def grazing(self) -> bool:
+        """Whether a light stands so low that the cornea folds it into caustics. Runs on the host."""
+        return bool((np.asarray(self.all_lights().polar()) > UNIQUE_POLAR).any())
 
     def all_lights(self) -> Lights:
         """Lamps and what stands for the environment. Runs on the host."""
