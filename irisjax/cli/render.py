@@ -66,12 +66,15 @@ def render(
     ] = None,
     animate: Annotated[
         str | None,
-        typer.Option(help=f"{', '.join(CHANGES)}: a .gif, or a .png of all frames", rich_help_panel=_HOW),
+        typer.Option(
+            help=f"{', '.join(CHANGES)}: .gif, .mp4, numbered frames (frame_%03d.png), or one .png of all",
+            rich_help_panel=_HOW,
+        ),
     ] = None,
     frames: Annotated[int, typer.Option(min=2, max=1000, help="of --animate", rich_help_panel=_HOW)] = 24,
     output: Annotated[
         Path,
-        typer.Option("-o", "--output", help=".png, .exr (linear) or .gif", rich_help_panel=_FILES),
+        typer.Option("-o", "--output", help=".png, .exr (linear); see --animate", rich_help_panel=_FILES),
     ] = Path("eye.png"),
 ) -> None:
     """A picture of an eye from its pigments: refraction, caustics, scattering in the iris.
@@ -81,7 +84,8 @@ def render(
     """
     if scene is None and preset is None:
         raise ValueError("give a SCENE file or --preset")
-    allowed = (".gif", ".png") if animate is not None else (".exr",) if spectral is not None else (".png", ".exr")
+    moving = (".gif", ".mp4", ".png")
+    allowed = moving if animate is not None else (".exr",) if spectral is not None else (".png", ".exr")
     if output.suffix not in allowed:
         raise ValueError(f"{output}: must end in {' or '.join(allowed)}")
     if animate is not None and (spectral is not None or animate not in CHANGES):
@@ -91,6 +95,8 @@ def render(
         raise ValueError(f"--bits {bits} must be 8 or 16")
     if integrator not in _INTEGRATORS:
         raise ValueError(f"--integrator: unknown {integrator!r}; known: {', '.join(_INTEGRATORS)}")
+    if animate is not None and not _is_sheet(output):
+        io.check_movie(output)
     io.check_writable(output)
     file = scene_file(scene, preset, seed)
     found = changed(file.scene(), light, pupil, size).replace(integrator=_INTEGRATORS[integrator]())
@@ -116,19 +122,32 @@ def render(
 
 
 def _png(output: Path, picture: np.ndarray, bits: int, remark: str) -> None:
-    clipped = io.write_png(output, np.asarray(srgb_encode(jnp.asarray(picture))), bits=bits, remark=remark)
+    _tell(output, io.write_png(output, _encoded(picture), bits=bits, remark=remark), picture[..., 0].size)
+
+
+def _encoded(picture: np.ndarray) -> np.ndarray:
+    return np.asarray(srgb_encode(jnp.asarray(picture)))
+
+
+def _tell(output: Path, clipped: int, count: int) -> None:
     if clipped:
-        share = 100 * clipped / (picture.shape[0] * picture.shape[1])
+        share = 100 * clipped / count
         print(f"irisjax: {output}: {clipped} pixels ({share:.2g} %) out of sRGB's range are clipped", file=sys.stderr)
+
+
+def _is_sheet(output: Path) -> bool:
+    return output.suffix == ".png" and "%" not in output.name
 
 
 def _animated(scene: staging.Scene, change: str, count: int, exposure: float, output: Path) -> None:
     found = tqdm(_frames(scene, change, count, kept_tables), total=count, unit="frame", disable=not sys.stderr.isatty())
-    pictures = [exposure * picture for picture in found]
-    if output.suffix == ".gif":
-        io.write_gif(output, [np.asarray(srgb_encode(jnp.asarray(p))) for p in pictures], seconds=count / 12)
+    pictures = (exposure * picture for picture in found)
+    remark = f"simulated by irisjax; {change}, {count} frames"
+    if _is_sheet(output):
+        _png(output, sheet(list(pictures)), 8, f"{remark} row by row")
     else:
-        _png(output, sheet(pictures), 8, f"simulated by irisjax; {change}, {count} frames row by row")
+        width, height = scene.camera.size
+        _tell(output, io.write_movie(output, map(_encoded, pictures), remark=remark), count * width * height)
 
 
 def scene_file(path: Path | None, name: str | None, seed: int) -> SceneFile:

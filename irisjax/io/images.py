@@ -6,7 +6,6 @@ The formats are OpenImageIO's work; it is imported when a picture is first asked
 import re
 import tempfile
 from collections.abc import Iterable, Mapping, Sequence
-from io import BytesIO
 from pathlib import Path
 from typing import NamedTuple
 
@@ -44,7 +43,7 @@ def read_image(path: str | Path, *, decode: bool = False) -> Image:
 
     **Raises:** `ValueError` for an unknown suffix or a broken file, `OSError` for one that cannot be opened.
     """
-    _check_suffix(path, READABLE)
+    check_suffix(path, READABLE)
     with open(path, "rb"):  # the system's word on files that are missing or forbidden
         pass
     import OpenImageIO as oiio
@@ -83,19 +82,12 @@ def write_png(path: str | Path, encoded, *, bits: int = 8, remark: str = "") -> 
 
     **Raises:** `ValueError` for another shape, suffix or number of bits and for values that are not finite.
     """
-    _check_suffix(path, (".png",))
-    values = _pixels(encoded, 3)
-    if bits not in (8, 16):
-        raise ValueError(f"a PNG has 8 or 16 bits, got {bits}")
-    if not np.isfinite(values).all():
-        raise ValueError(f"{path}: {int((~np.isfinite(values)).any(-1).sum())} pixels are not finite")
-    most = 2**bits - 1
-    steps = np.rint(values.astype(np.float64) * most)
-    clipped = int(((steps < 0) | (steps > most)).any(-1).sum())
+    check_suffix(path, (".png",))
+    steps, clipped = to_steps(path, encoded, bits)
     attributes = {"Software": "irisjax", "oiio:ColorSpace": "srgb_rec709_scene"}
     _write(
         path,
-        np.clip(steps, 0, most).astype(np.uint8 if bits == 8 else np.uint16),
+        steps,
         ("R", "G", "B"),
         attributes | ({"ImageDescription": remark} if remark else {}),
     )
@@ -112,7 +104,7 @@ def write_exr(
 
     **Raises:** `ValueError` for another shape or suffix, and for names that stand twice or not once a channel.
     """
-    _check_suffix(path, (".exr",))
+    check_suffix(path, (".exr",))
     values = _pixels(image, len(channels))
     if len(set(channels)) != len(channels):
         raise ValueError(f"{path}: a channel name stands twice")
@@ -120,18 +112,6 @@ def write_exr(
     if any(_SPECTRAL.fullmatch(name) for name in channels):
         attributes["spectralLayoutVersion"] = "1.0"
     _write(path, values.astype(np.float32), channels, attributes | dict(metadata or {}))
-
-
-def write_gif(path: str | Path, frames: Sequence[np.ndarray], seconds: float) -> None:
-    """Write pictures (rows, columns, 3), encoded sRGB in [0, 1], as an endless GIF that lasts `seconds` a round."""
-    from PIL import Image as Pillow
-
-    _check_suffix(path, (".gif",))
-    pictures = [Pillow.fromarray(np.rint(255 * np.clip(np.asarray(f), 0, 1)).astype(np.uint8)) for f in frames]
-    buffer = BytesIO()
-    each = round(1000 * seconds / len(pictures))
-    pictures[0].save(buffer, "gif", save_all=True, append_images=pictures[1:], duration=each, loop=0)
-    write_atomically(path, buffer.getvalue())
 
 
 def spectral_channels(wavelengths: Iterable[float], layer: str = "S0") -> tuple[str, ...]:
@@ -163,6 +143,28 @@ def read_environment(path: str | Path) -> Environment:
         raise ValueError(f"{path}: {error}") from None
 
 
+def to_steps(path: str | Path, encoded, bits: int) -> tuple[np.ndarray, int]:
+    """Encoded values (rows, columns, 3) as whole numbers of 8 or 16 bits, and how many pixels were clipped.
+
+    **Raises:** as `write_png`.
+    """
+    values = _pixels(encoded, 3)
+    if bits not in (8, 16):
+        raise ValueError(f"a PNG has 8 or 16 bits, got {bits}")
+    if not np.isfinite(values).all():
+        raise ValueError(f"{path}: {int((~np.isfinite(values)).any(-1).sum())} pixels are not finite")
+    most = 2**bits - 1
+    steps = np.rint(values.astype(np.float64) * most)
+    clipped = int(((steps < 0) | (steps > most)).any(-1).sum())
+    return np.clip(steps, 0, most).astype(np.uint8 if bits == 8 else np.uint16), clipped
+
+
+def check_suffix(path: str | Path, suffixes: tuple[str, ...]) -> None:
+    """Raise `ValueError` for a name that ends in none of `suffixes`."""
+    if Path(path).suffix.lower() not in suffixes:
+        raise ValueError(f"{path}: a picture's name must end in {' or '.join(suffixes)}")
+
+
 def _write(path: str | Path, values: np.ndarray, channels: Sequence[str], attributes: Mapping[str, str]) -> None:
     check_writable(path)
     import OpenImageIO as oiio
@@ -188,11 +190,6 @@ def _pixels(image, channels: int) -> np.ndarray:
     if values.ndim != 3 or values.shape[2] != channels or 0 in values.shape:
         raise ValueError(f"a picture has the shape (rows, columns, {channels}), got {values.shape}")
     return values
-
-
-def _check_suffix(path: str | Path, suffixes: tuple[str, ...]) -> None:
-    if Path(path).suffix.lower() not in suffixes:
-        raise ValueError(f"{path}: a picture's name must end in {' or '.join(suffixes)}")
 
 
 def _first_line(text: str) -> str:
