@@ -1,6 +1,7 @@
 """`irisjax render`: a scene file or a preset in, a picture out."""
 
 import dataclasses
+import itertools
 import math
 import sys
 from pathlib import Path
@@ -22,6 +23,7 @@ from irisjax.render import scene as staging
 from irisjax.render.lights import Lights
 from irisjax.render.separable import Separable
 from irisjax.render.single_scattering import SingleScattering
+from irisjax.render.tiles import bands
 from irisjax.tissue.procedural import PRESETS
 
 _INTEGRATORS: dict[str, type[Separable] | type[SingleScattering]] = {
@@ -107,22 +109,27 @@ def render(
         _animated(found, animate, frames, factor, output)
         return
     wavelengths = None if spectral is None else grid(spectral).values
-    picture, error = _picture(found, samples, wavelengths)
-    picture = factor * picture
+    width, height = found.camera.size
+    parts = bands(found, kept_tables(found), samples=samples, wavelengths=wavelengths)
+    first = next(parts)
+    error = first.error
     remark = f"simulated by irisjax; integrator {integrator}"
     if error is not None:
         remark += f", response within {100 * error:.2g} %"
-    if wavelengths is not None:
-        names = io.spectral_channels(wavelengths)
-        io.write_exr(output, picture, channels=names, metadata={"comments": remark})
-    elif output.suffix == ".exr":
-        io.write_exr(output, picture, metadata={"comments": remark})
-    else:
-        _png(output, picture, bits, remark)
+    names = ("R", "G", "B") if wavelengths is None else io.spectral_channels(wavelengths)
+    with tqdm(total=height, unit="row", delay=3, disable=not sys.stderr.isatty()) as progress:
 
+        def lit():
+            for band in itertools.chain([first], parts):
+                yield factor * band.pixels
+                progress.update(len(band.pixels))
 
-def _png(output: Path, picture: np.ndarray, bits: int, remark: str) -> None:
-    _tell(output, io.write_png(output, _encoded(picture), bits=bits, remark=remark), picture[..., 0].size)
+        if output.suffix == ".exr":
+            io.write_exr(output, lit(), names, {"comments": remark}, rows=height)
+            clipped = 0
+        else:
+            clipped = io.write_png(output, map(_encoded, lit()), bits=bits, remark=remark, rows=height)
+    _tell(output, clipped, width * height)
 
 
 def _encoded(picture: np.ndarray) -> np.ndarray:
@@ -144,10 +151,10 @@ def _animated(scene: staging.Scene, change: str, count: int, exposure: float, ou
     pictures = (exposure * picture for picture in found)
     remark = f"simulated by irisjax; {change}, {count} frames"
     if _is_sheet(output):
-        _png(output, sheet(list(pictures)), 8, f"{remark} row by row")
+        clipped = io.write_png(output, sheet(list(map(_encoded, pictures))), remark=f"{remark} row by row")
     else:
-        width, height = scene.camera.size
-        _tell(output, io.write_movie(output, map(_encoded, pictures), remark=remark), count * width * height)
+        clipped = io.write_movie(output, map(_encoded, pictures), remark=remark)
+    _tell(output, clipped, count * scene.camera.size[0] * scene.camera.size[1])
 
 
 def scene_file(path: Path | None, name: str | None, seed: int) -> SceneFile:
@@ -185,6 +192,8 @@ def changed(scene: staging.Scene, light=None, pupil=None, size: str | None = Non
         width, cross, height = size.partition("x")
         if not (cross and width.isdigit() and height.isdigit()):
             raise ValueError(f"--size {size!r}: write WIDTHxHEIGHT, such as 800x600")
+        if max(int(width), int(height)) > 16384:
+            raise ValueError(f"--size {size}: at most 16384 along a side")
         scene = scene.replace(camera=dataclasses.replace(scene.camera, size=(int(width), int(height))))
     return scene
 
@@ -198,15 +207,3 @@ def _lamp(text: str, illuminant: str) -> Lights:
         raise ValueError(f"--light {text!r}: write POLAR,AZIMUTH or POLAR,AZIMUTH,IRRADIANCE")
     irradiance = numbers[2] if len(numbers) == 3 else math.pi
     return Lights.distant(math.radians(numbers[0]), math.radians(numbers[1]), irradiance, illuminant=illuminant)
-
-
-def _picture(scene: staging.Scene, samples: int, wavelengths=None) -> tuple[np.ndarray, float | None]:
-    """Linear channels (height, width, channels), averaged over samples × samples points a pixel, and the error of a
-    response that is a table."""
-    width, height = scene.camera.size
-    fine = dataclasses.replace(scene.camera, size=(width * samples, height * samples))
-    stage = staging.prepare(scene.replace(camera=fine), kept_tables(scene), wavelengths=wavelengths)
-    response = stage.response(scene.iris)
-    picture = np.asarray(stage.shown(response))
-    error = None if response.error is None else float(response.error)
-    return picture.reshape(height, samples, width, samples, -1).mean((1, 3)), error

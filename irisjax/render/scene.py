@@ -139,19 +139,19 @@ def prepare(
         bands, clear = (spectral_bands(wavelengths, lights.illuminant, c) for c in (eye.cornea, None))
         lamp = clear.weights.sum(axis=1)
     view = look(eye, scene.camera) if view is None else view
-    width, height = scene.camera.size
+    height, width = scene.camera.shape
     base = jnp.zeros((width * height, lamp.size), bands.weights.dtype)
     if view.sclera is not None and eye.sclera is not None:
         table = colour_table(eye.sclera, np.asarray(clear.wavelengths), clear.weights)
         base = _add(base, view.sclera.index, shading.white(view.sclera, lights, eye, table, scene.veins))
     if view.mirror is not None:
         base = _add(base, view.mirror.index, shading.mirrored(view.mirror, scene.lights, scene.environment, lamp))
-    texels, ground, ranges = None, None, Scales()
+    texels, ground = None, None
+    ranges = Scales.of(scene.maps, scene.iris).ranges()
     if view.iris is not None:
         if tables is None:
             tables = scene.tables()
         texels, ground = scene.integrator.place(view.iris, lights, eye, scene.iris, scene.maps, tables)
-        ranges = Scales.of(scene.maps, scene.iris).ranges()
     return Stage(base, texels, ground, bands, scene.integrator, ranges, (width, height))
 
 
