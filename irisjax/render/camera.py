@@ -130,7 +130,7 @@ def look(eye: Eye, camera: Camera) -> View:
     iris, surface, blend, met = _trace(eye, camera)
     blend, met = np.asarray(blend), np.asarray(met)
     sees_iris = met & (blend < 1) & (np.asarray(iris.share) > 0)
-    pick = _picker(rows * columns, coarse=camera.rows is not None)
+    pick = _picker(rows * columns, part=camera.rows is not None)
     views: list[Any] = [pick(iris, sees_iris)]
     if eye.cornea is None:
         views += [None, None]
@@ -139,15 +139,15 @@ def look(eye: Eye, camera: Camera) -> View:
     return View(*views, size=(columns, rows))
 
 
-def _picker(count: int, coarse: bool):
+def _picker(count: int, part: bool):
     def pick(pixels, mask):
         index = np.flatnonzero(mask)
         if not index.size:
             return None
         # Few different lengths, few compiled programs: a camera that turns must not wait for XLA.
-        # Parts of a picture see anything from nothing to iris all over.
-        block = -(-count // 4) if coarse else max(_PAD, 1 << max(index.size.bit_length() - 4, 0))
-        padded = min(-(-index.size // block) * block, max(count, index.size))
+        block = max(_PAD, 1 << max(index.size.bit_length() - 4, 0))
+        # Parts of a picture see anything from nothing to iris all over: programs for one length cost less than padding.
+        padded = count if part else min(-(-index.size // block) * block, max(count, index.size))
         source = np.concatenate([index, np.full(padded - index.size, index[-1])])
         where = np.where(np.arange(padded) < index.size, source, -1).astype(np.int32)
         return eqx.tree_at(lambda p: p.index, _picked(pixels, source.astype(np.int32)), jnp.asarray(where))
