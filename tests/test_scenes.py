@@ -159,6 +159,7 @@ OPTIONS = [
     (("scene.toml", "--bits", "12"), "--bits 12 must be 8 or 16"),
     (("scene.toml", "--size", "8"), "--size '8': write WIDTHxHEIGHT"),
     (("scene.toml", "--size", "0x8"), "camera size (0, 8)"),
+    (("scene.toml", "--size", "16385x8"), "--size 16385x8: at most 16384 along a side"),
     (("scene.toml", "--light", "30"), "--light '30': write POLAR,AZIMUTH"),
     (("scene.toml", "--light", "30,nan"), "--light '30,nan': write POLAR,AZIMUTH"),
     (("scene.toml", "--light", "30,0,-1"), "irradiance -1 is negative"),
@@ -232,7 +233,7 @@ def test_nothing_half_written(irisjax, tmp_path, monkeypatch):
 
     (tmp_path / "scene.toml").write_text(BARE)
     (tmp_path / "eye.png").write_bytes(b"older")
-    monkeypatch.setattr("irisjax.render.scene.prepare", broken)
+    monkeypatch.setattr("irisjax.render.tiles.prepare", broken)
     assert irisjax("render", "scene.toml") == (130, "", "irisjax: interrupted\n")
     assert (tmp_path / "eye.png").read_bytes() == b"older"
     assert len(list(tmp_path.iterdir())) == 2

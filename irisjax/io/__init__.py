@@ -1,4 +1,4 @@
-"""Files in and out: tables with a header of settings, measured spectra, posteriors, pictures, scenes, meshes."""
+"""Files in and out: tables with headers, measured spectra, posteriors, pictures, movies, scenes, meshes."""
 
 import importlib
 from typing import TYPE_CHECKING
@@ -14,6 +14,7 @@ from irisjax.io.tables import write_atomically as write_atomically
 from irisjax.io.tables import write_together as write_together
 
 if TYPE_CHECKING:
+    from irisjax.io.illumination import tables_of as tables_of
     from irisjax.io.images import Image as Image
     from irisjax.io.images import read_environment as read_environment
     from irisjax.io.images import read_image as read_image
@@ -32,6 +33,7 @@ if TYPE_CHECKING:
 
 # Spectra need none of these: they load when first used.
 _LATER = {
+    "illumination": ("tables_of",),
     "images": ("Image", "read_environment", "read_image", "spectral_channels", "write_exr", "write_png"),
     "mesh": ("eye_meshes", "write_eye"),
     "movies": ("check_movie", "write_movie"),

@@ -96,7 +96,7 @@ def write_png(path: str | Path, encoded, *, bits: int = 8, remark: str = "", row
     attributes = {"Software": "irisjax", "oiio:ColorSpace": "srgb_rec709_scene"}
     if remark:
         attributes["ImageDescription"] = remark
-    _write(path, steps(), len(encoded) if rows is None else rows, ("R", "G", "B"), attributes)
+    _write(path, steps(), rows, ("R", "G", "B"), attributes)
     return clipped
 
 
@@ -122,7 +122,7 @@ def write_exr(
     if any(_SPECTRAL.fullmatch(name) for name in channels):
         attributes["spectralLayoutVersion"] = "1.0"
     bands = (_pixels(band, len(channels)).astype(np.float32) for band in ([image] if rows is None else image))
-    _write(path, bands, len(image) if rows is None else rows, channels, attributes | dict(metadata or {}))
+    _write(path, bands, rows, channels, attributes | dict(metadata or {}))
 
 
 def spectral_channels(wavelengths: Iterable[float], layer: str = "S0") -> tuple[str, ...]:
@@ -177,12 +177,17 @@ def check_suffix(path: str | Path, suffixes: tuple[str, ...]) -> None:
 
 
 def _write(
-    path: str | Path, bands: Iterator[np.ndarray], rows: int, channels: Sequence[str], attributes: Mapping[str, str]
+    path: str | Path,
+    bands: Iterator[np.ndarray],
+    rows: int | None,
+    channels: Sequence[str],
+    attributes: Mapping[str, str],
 ) -> None:
     check_writable(path)
     import OpenImageIO as oiio
 
     first = next(bands)
+    rows = len(first) if rows is None else rows
     spec = oiio.ImageSpec(first.shape[1], rows, len(channels), _TYPES[first.dtype.name])
     spec.channelnames = tuple(channels)
     spec.attribute("DateTime", "")  # left to itself, OpenEXR's writer stamps the hour

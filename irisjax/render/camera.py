@@ -21,8 +21,8 @@ from irisjax.tissue.noise import step
 
 BLEND = 0.5
 """Half the width over which iris and sclera blend at the limbus, mm  [F09 Section 6.5: about 1 mm in all]."""
-LARGEST = 16384 * 8
-"""Most pixels along a side: those of the largest picture, 8 samples each."""
+LARGEST = 16384
+"""Most pixels along a side."""
 _PAD = 2048  # and an eighth of the pixels at most
 
 
@@ -47,19 +47,22 @@ class Camera(eqx.Module):
     rows: int | None = eqx.field(static=True, default=None)
 
     def __check_init__(self):
-        if not all(isinstance(n, int) and 1 <= n <= LARGEST for n in self.size):
+        whole = self.rows is None  # the parts of a picture may be finer
+        if not all(isinstance(n, int) and n >= 1 and (n <= LARGEST or not whole) for n in self.size):
             raise ValueError(f"camera size {self.size} must be two whole numbers from 1 to {LARGEST}")
         for name, low, high, unit in (("distance", 30, 1e5, "mm"), ("width", 0.1, 100, "mm"), ("polar", 0, 3.15, "")):
             value = getattr(self, name)
             if not isinstance(value, Tracer) and not low <= float(value) <= high:
                 raise ValueError(f"camera {name} = {float(value):g} is outside [{low:g}, {high:g}] {unit}".rstrip())
 
-    def taking(self, first: int, rows: int) -> "Camera":
-        """The same camera that takes only some rows of its picture, 0 being the top."""
+    def taking(self, first: int, rows: int, samples: int = 1) -> "Camera":
+        """The same camera that takes only some rows of its picture, 0 being the top, and instead of each pixel
+        samples × samples smaller ones."""
         if not (rows > 0 and 0 <= first <= self.size[1] - rows):
             raise ValueError(f"rows {first} to {first + rows - 1} are not in a picture of {self.size[1]}")
         # A traced number: one program for all parts of a picture.
-        return dataclasses.replace(self, first=jnp.asarray(first, jnp.int32), rows=rows)
+        start, size = jnp.asarray(first * samples, jnp.int32), tuple(n * samples for n in self.size)
+        return dataclasses.replace(self, size=size, first=start, rows=rows * samples)
 
     @property
     def shape(self) -> tuple[int, int]:

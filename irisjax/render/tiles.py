@@ -1,6 +1,5 @@
 """Pictures in bands of rows, so that memory is bounded whatever their size and number of samples."""
 
-import dataclasses
 from collections.abc import Iterator
 from typing import NamedTuple
 
@@ -34,12 +33,11 @@ def bands(
     most = memory // (_PIXEL + _CHANNEL * channels)
     count = min(-(-(width * height * samples**2) // most), height)
     rows = -(-height // count)
-    fine = dataclasses.replace(scene.camera, size=(width * samples, height * samples))
     response, error = None, None
     for start in range(0, height, rows):
         # The last band begins earlier, so that all have one shape: another would be compiled for.
         first = min(start, height - rows)
-        camera = fine if count == 1 else fine.taking(first * samples, rows * samples)
+        camera = scene.camera if count == samples == 1 else scene.camera.taking(first, rows, samples)
         stage = prepare(scene.replace(camera=camera), tables, wavelengths=wavelengths)
         if response is None:
             response = stage.response(scene.iris)
