@@ -1,5 +1,7 @@
 """Pictures: what is written can be read again to the last bit, and nothing is half written."""
 
+import os
+import threading
 import time
 
 import numpy as np
@@ -154,6 +156,51 @@ def test_nothing_is_half_written(tmp_path, monkeypatch):
     with pytest.raises(OSError, match="no space left"):
         io.write_png(path, np.zeros((2, 2, 3)))
     assert path.read_bytes() == b"before" and list(tmp_path.iterdir()) == [path]
+
+
+@pytest.mark.parametrize("height", [1, 5, 16, 40])
+def test_bands_make_the_same_file(tmp_path, height):
+    values = np.random.default_rng(0).uniform(-0.1, 1.1, (40, 7, 3))
+    bands = [values[i : i + height] for i in range(0, 40, height)]
+    clipped = io.write_png(tmp_path / "a.png", values, bits=16, remark="both")
+    assert io.write_png(tmp_path / "b.png", iter(bands), bits=16, remark="both", rows=40) == clipped > 0
+    io.write_exr(tmp_path / "a.exr", values)
+    io.write_exr(tmp_path / "b.exr", iter(bands), rows=40)
+    for suffix in ("png", "exr"):
+        assert (tmp_path / f"a.{suffix}").read_bytes() == (tmp_path / f"b.{suffix}").read_bytes()
+
+
+@pytest.mark.parametrize("name", ["p.png", "p.exr"])
+def test_bands_are_all_written_or_nothing(tmp_path, name):
+    write = io.write_png if name == "p.png" else io.write_exr
+    band = np.zeros((4, 6, 3))
+
+    def broken():
+        yield band
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        write(tmp_path / name, broken(), rows=8)
+    with pytest.raises(ValueError, match=rf"{name}: 4 of 8 rows"):
+        write(tmp_path / name, iter([band]), rows=8)
+    for other in (np.zeros((5, 6, 3)), np.zeros((4, 7, 3))):
+        with pytest.raises(ValueError, match=rf"{name}: a band of .* after 4 of 8 rows"):
+            write(tmp_path / name, iter([band, other]), rows=8)
+    if name == "p.png":
+        with pytest.raises(ValueError, match="24 pixels are not finite"):
+            write(tmp_path / name, iter([band, band * np.nan]), rows=8)
+    assert not list(tmp_path.iterdir())
+
+
+def test_pictures_go_into_pipes(tmp_path):
+    os.mkfifo(tmp_path / "pipe.png")
+    found = []
+    reader = threading.Thread(target=lambda: found.append((tmp_path / "pipe.png").read_bytes()))
+    reader.start()
+    io.write_png(tmp_path / "pipe.png", np.zeros((2, 3, 3)))
+    reader.join(timeout=20)
+    io.write_png(tmp_path / "file.png", np.zeros((2, 3, 3)))
+    assert found == [(tmp_path / "file.png").read_bytes()]
 
 
 def test_environment_from_files(tmp_path):

@@ -159,6 +159,7 @@ OPTIONS = [
     (("scene.toml", "--bits", "12"), "--bits 12 must be 8 or 16"),
     (("scene.toml", "--size", "8"), "--size '8': write WIDTHxHEIGHT"),
     (("scene.toml", "--size", "0x8"), "camera size (0, 8)"),
+    (("scene.toml", "--size", "16385x8"), "--size 16385x8: at most 16384 along a side"),
     (("scene.toml", "--light", "30"), "--light '30': write POLAR,AZIMUTH"),
     (("scene.toml", "--light", "30,nan"), "--light '30,nan': write POLAR,AZIMUTH"),
     (("scene.toml", "--light", "30,0,-1"), "irradiance -1 is negative"),
@@ -232,7 +233,7 @@ def test_nothing_half_written(irisjax, tmp_path, monkeypatch):
 
     (tmp_path / "scene.toml").write_text(BARE)
     (tmp_path / "eye.png").write_bytes(b"older")
-    monkeypatch.setattr("irisjax.render.scene.prepare", broken)
+    monkeypatch.setattr("irisjax.render.tiles.prepare", broken)
     assert irisjax("render", "scene.toml") == (130, "", "irisjax: interrupted\n")
     assert (tmp_path / "eye.png").read_bytes() == b"older"
     assert len(list(tmp_path.iterdir())) == 2
@@ -266,14 +267,24 @@ def test_spectral_layers_add_up_to_the_picture(irisjax, tmp_path):
 
 
 def test_animations_return_to_their_first_frame(irisjax, tmp_path):
+    import av
     from PIL import Image
 
     path = tmp_path / "bare.toml"
     path.write_text(BARE)
     options = ("--frames", 4, "--exposure", 8)
-    assert irisjax("render", path, "--animate", "pigment", *options, "-o", "a.gif") == (0, "", "")
+    assert irisjax("render", path, "--animate", "pigment", *options, "-o", "a.gif")[:2] == (0, "")
     with Image.open("a.gif") as gif:
         assert (gif.n_frames, gif.size, gif.info["loop"]) == (4, (8, 6), 0)
+        assert b"simulated" in gif.info["comment"]
+    status, out, err = irisjax(
+        "render", path, "--animate", "pigment", *options[:2], "--exposure", 1e3, "-o", "f_%d.png"
+    )
+    assert (status, out) == (0, "") and "out of sRGB's range are clipped" in err
+    assert sorted(p.name for p in tmp_path.glob("f_*")) == [f"f_{i}.png" for i in range(4)]
+    assert irisjax("render", path, "--animate", "pigment", *options, "--size", "9x7", "-o", "a.mp4")[:2] == (0, "")
+    with av.open("a.mp4") as movie:
+        assert [(f.width, f.height) for f in movie.decode(video=0)] == [(9, 7)] * 4
     assert irisjax("render", path, "--animate", "pupil", *options, "-o", "sheet.png")[:2] == (0, "")
     sheet = io.read_image("sheet.png").pixels
     assert sheet.shape == (12, 16, 3)
@@ -281,3 +292,4 @@ def test_animations_return_to_their_first_frame(irisjax, tmp_path):
     np.testing.assert_array_equal(half, again)  # on the way out and on the way back
     assert narrow.sum() > half.sum() > wide.sum()  # a wide pupil leaves less iris
     one_line(irisjax("render", path, "--animate", "iris", "-o", "a.gif"), "unknown 'iris'")
+    one_line(irisjax("render", path, "--animate", "light", "-o", "f_%x.png"), "f_%x.png: the name of numbered frames")

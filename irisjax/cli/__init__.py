@@ -14,6 +14,7 @@ from typer.main import get_command
 
 import irisjax as ij
 from irisjax import io, plot
+from irisjax.cli import cache
 from irisjax.cli.fit import EPILOG, fit
 from irisjax.cli.jobs import directions, head, measured, problem, simulated_measurement, truth
 from irisjax.cli.render import render
@@ -41,7 +42,7 @@ def run(arguments: list[str] | None = None) -> int:
     """
     try:
         jax.config.update("jax_enable_x64", True)  # the one place where the package chooses a precision
-        _keep_compiled()
+        cache.keep_compiled()
         arguments = (sys.argv[1:] if arguments is None else arguments) or ["--help"]
         status = get_command(app).main(arguments, prog_name="irisjax", standalone_mode=False)
         sys.stdout.flush()
@@ -66,14 +67,6 @@ def run(arguments: list[str] | None = None) -> int:
         if isinstance(error, MemoryError):
             return _complain("not enough memory for so many wavelengths, directions or photons", 2)
         return _complain(f"internal error: {type(error).__name__}: {error} (IRISJAX_DEBUG=1 tells more)", 1)
-
-
-def _keep_compiled() -> None:
-    """Compile once a machine, not once a run: JAX_COMPILATION_CACHE_DIR names another folder, or none."""
-    if "JAX_COMPILATION_CACHE_DIR" not in os.environ:
-        cache = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "irisjax"
-        jax.config.update("jax_compilation_cache_dir", str(cache))
-        jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.2)
 
 
 def _complain(message: str, status: int) -> int:

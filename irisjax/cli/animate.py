@@ -2,11 +2,12 @@
 
 import dataclasses
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 
 import numpy as np
 
 from irisjax.render.camera import look
+from irisjax.render.illumination import Illumination
 from irisjax.render.lights import Lights
 from irisjax.render.scene import Scene, prepare
 
@@ -19,7 +20,9 @@ FACTOR = 8.0
 """By which `pigment` divides and multiplies both melanins."""
 
 
-def frames(scene: Scene, change: str, count: int) -> Iterator[np.ndarray]:
+def frames(
+    scene: Scene, change: str, count: int, tables_of: Callable[[Scene], Illumination | None] = Scene.tables
+) -> Iterator[np.ndarray]:
     """Linear sRGB pictures of one round: there and back again, the last leads to the first."""
     swing = np.cos(2 * np.pi * np.arange(count) / count)  # 1 to −1 and back
     if change == "light":
@@ -27,7 +30,7 @@ def frames(scene: Scene, change: str, count: int) -> Iterator[np.ndarray]:
         first = Lights.distant(TURN, 0.0, illuminant=scene.illuminant)
         scene = scene.replace(lights=first)
     # Neither tables nor view depend on what changes: the lamp stays below grazing.
-    tables, view = scene.tables(), look(scene.eye, scene.camera)
+    tables, view = tables_of(scene), look(scene.eye, scene.camera)
     stage = prepare(scene, tables, view) if change == "pigment" else None
     for s in swing:
         if stage is not None:

@@ -1,6 +1,7 @@
 """`irisjax render`: a scene file or a preset in, a picture out."""
 
 import dataclasses
+import itertools
 import math
 import sys
 from pathlib import Path
@@ -14,6 +15,7 @@ from tqdm import tqdm
 from irisjax import io
 from irisjax.cli.animate import CHANGES, sheet
 from irisjax.cli.animate import frames as _frames
+from irisjax.cli.cache import kept_tables
 from irisjax.cli.options import grid
 from irisjax.io.scenes import SceneFile, parse_scene, read_scene
 from irisjax.measure.colour import srgb_encode
@@ -21,6 +23,7 @@ from irisjax.render import scene as staging
 from irisjax.render.lights import Lights
 from irisjax.render.separable import Separable
 from irisjax.render.single_scattering import SingleScattering
+from irisjax.render.tiles import bands
 from irisjax.tissue.procedural import PRESETS
 
 _INTEGRATORS: dict[str, type[Separable] | type[SingleScattering]] = {
@@ -65,12 +68,15 @@ def render(
     ] = None,
     animate: Annotated[
         str | None,
-        typer.Option(help=f"{', '.join(CHANGES)}: a .gif, or a .png of all frames", rich_help_panel=_HOW),
+        typer.Option(
+            help=f"{', '.join(CHANGES)}: .gif, .mp4, numbered frames (frame_%03d.png), or one .png of all",
+            rich_help_panel=_HOW,
+        ),
     ] = None,
     frames: Annotated[int, typer.Option(min=2, max=1000, help="of --animate", rich_help_panel=_HOW)] = 24,
     output: Annotated[
         Path,
-        typer.Option("-o", "--output", help=".png, .exr (linear) or .gif", rich_help_panel=_FILES),
+        typer.Option("-o", "--output", help=".png, .exr (linear); see --animate", rich_help_panel=_FILES),
     ] = Path("eye.png"),
 ) -> None:
     """A picture of an eye from its pigments: refraction, caustics, scattering in the iris.
@@ -80,7 +86,8 @@ def render(
     """
     if scene is None and preset is None:
         raise ValueError("give a SCENE file or --preset")
-    allowed = (".gif", ".png") if animate is not None else (".exr",) if spectral is not None else (".png", ".exr")
+    moving = (".gif", ".mp4", ".png")
+    allowed = moving if animate is not None else (".exr",) if spectral is not None else (".png", ".exr")
     if output.suffix not in allowed:
         raise ValueError(f"{output}: must end in {' or '.join(allowed)}")
     if animate is not None and (spectral is not None or animate not in CHANGES):
@@ -90,6 +97,8 @@ def render(
         raise ValueError(f"--bits {bits} must be 8 or 16")
     if integrator not in _INTEGRATORS:
         raise ValueError(f"--integrator: unknown {integrator!r}; known: {', '.join(_INTEGRATORS)}")
+    if animate is not None and not _is_sheet(output):
+        io.check_movie(output)
     io.check_writable(output)
     file = scene_file(scene, preset, seed)
     found = changed(file.scene(), light, pupil, size).replace(integrator=_INTEGRATORS[integrator]())
@@ -100,34 +109,52 @@ def render(
         _animated(found, animate, frames, factor, output)
         return
     wavelengths = None if spectral is None else grid(spectral).values
-    picture, error = _picture(found, samples, wavelengths)
-    picture = factor * picture
+    width, height = found.camera.size
+    parts = bands(found, kept_tables(found), samples=samples, wavelengths=wavelengths)
+    first = next(parts)
+    error = first.error
     remark = f"simulated by irisjax; integrator {integrator}"
     if error is not None:
         remark += f", response within {100 * error:.2g} %"
-    if wavelengths is not None:
-        names = io.spectral_channels(wavelengths)
-        io.write_exr(output, picture, channels=names, metadata={"comments": remark})
-    elif output.suffix == ".exr":
-        io.write_exr(output, picture, metadata={"comments": remark})
-    else:
-        _png(output, picture, bits, remark)
+    names = ("R", "G", "B") if wavelengths is None else io.spectral_channels(wavelengths)
+    with tqdm(total=height, unit="row", delay=3, disable=not sys.stderr.isatty()) as progress:
+
+        def lit():
+            for band in itertools.chain([first], parts):
+                yield factor * band.pixels
+                progress.update(len(band.pixels))
+
+        if output.suffix == ".exr":
+            io.write_exr(output, lit(), names, {"comments": remark}, rows=height)
+            clipped = 0
+        else:
+            clipped = io.write_png(output, map(_encoded, lit()), bits=bits, remark=remark, rows=height)
+    _tell(output, clipped, width * height)
 
 
-def _png(output: Path, picture: np.ndarray, bits: int, remark: str) -> None:
-    clipped = io.write_png(output, np.asarray(srgb_encode(jnp.asarray(picture))), bits=bits, remark=remark)
+def _encoded(picture: np.ndarray) -> np.ndarray:
+    return np.asarray(srgb_encode(jnp.asarray(picture)))
+
+
+def _tell(output: Path, clipped: int, count: int) -> None:
     if clipped:
-        share = 100 * clipped / (picture.shape[0] * picture.shape[1])
+        share = 100 * clipped / count
         print(f"irisjax: {output}: {clipped} pixels ({share:.2g} %) out of sRGB's range are clipped", file=sys.stderr)
 
 
+def _is_sheet(output: Path) -> bool:
+    return output.suffix == ".png" and "%" not in output.name
+
+
 def _animated(scene: staging.Scene, change: str, count: int, exposure: float, output: Path) -> None:
-    found = tqdm(_frames(scene, change, count), total=count, unit="frame", disable=not sys.stderr.isatty())
-    pictures = [exposure * picture for picture in found]
-    if output.suffix == ".gif":
-        io.write_gif(output, [np.asarray(srgb_encode(jnp.asarray(p))) for p in pictures], seconds=count / 12)
+    found = tqdm(_frames(scene, change, count, kept_tables), total=count, unit="frame", disable=not sys.stderr.isatty())
+    pictures = (exposure * picture for picture in found)
+    remark = f"simulated by irisjax; {change}, {count} frames"
+    if _is_sheet(output):
+        clipped = io.write_png(output, sheet(list(map(_encoded, pictures))), remark=f"{remark} row by row")
     else:
-        _png(output, sheet(pictures), 8, f"simulated by irisjax; {change}, {count} frames row by row")
+        clipped = io.write_movie(output, map(_encoded, pictures), remark=remark)
+    _tell(output, clipped, count * scene.camera.size[0] * scene.camera.size[1])
 
 
 def scene_file(path: Path | None, name: str | None, seed: int) -> SceneFile:
@@ -165,6 +192,8 @@ def changed(scene: staging.Scene, light=None, pupil=None, size: str | None = Non
         width, cross, height = size.partition("x")
         if not (cross and width.isdigit() and height.isdigit()):
             raise ValueError(f"--size {size!r}: write WIDTHxHEIGHT, such as 800x600")
+        if max(int(width), int(height)) > 16384:
+            raise ValueError(f"--size {size}: at most 16384 along a side")
         scene = scene.replace(camera=dataclasses.replace(scene.camera, size=(int(width), int(height))))
     return scene
 
@@ -178,15 +207,3 @@ def _lamp(text: str, illuminant: str) -> Lights:
         raise ValueError(f"--light {text!r}: write POLAR,AZIMUTH or POLAR,AZIMUTH,IRRADIANCE")
     irradiance = numbers[2] if len(numbers) == 3 else math.pi
     return Lights.distant(math.radians(numbers[0]), math.radians(numbers[1]), irradiance, illuminant=illuminant)
-
-
-def _picture(scene: staging.Scene, samples: int, wavelengths=None) -> tuple[np.ndarray, float | None]:
-    """Linear channels (height, width, channels), averaged over samples × samples points a pixel, and the error of a
-    response that is a table."""
-    width, height = scene.camera.size
-    fine = dataclasses.replace(scene.camera, size=(width * samples, height * samples))
-    stage = staging.prepare(scene.replace(camera=fine), wavelengths=wavelengths)
-    response = stage.response(scene.iris)
-    picture = np.asarray(stage.shown(response))
-    error = None if response.error is None else float(response.error)
-    return picture.reshape(height, samples, width, samples, -1).mean((1, 3)), error

@@ -6,6 +6,7 @@ from typing import Annotated
 import jax
 import typer
 
+from irisjax.cli.cache import kept_tables
 from irisjax.cli.render import changed, scene_file
 from irisjax.tissue.procedural import PRESETS
 from irisjax.view import Studio, check, serve
@@ -31,5 +32,5 @@ def view(
     given = {"exposure": file.exposure}
     if preset is not None:
         given |= {"preset": preset, "seed": seed, "environment": "studio"}
-    studio = Studio(changed(file.scene(), size=size), **given)
+    studio = Studio(changed(file.scene(), size=size), kept_tables, **given)
     serve(studio, host, port, ready=lambda address: typer.echo(f"irisjax: {address}  (Ctrl-C ends it)"))

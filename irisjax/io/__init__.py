@@ -1,4 +1,4 @@
-"""Files in and out: tables with a header of settings, measured spectra, posteriors, pictures, scenes, meshes."""
+"""Files in and out: tables with headers, measured spectra, posteriors, pictures, movies, scenes, meshes."""
 
 import importlib
 from typing import TYPE_CHECKING
@@ -14,15 +14,17 @@ from irisjax.io.tables import write_atomically as write_atomically
 from irisjax.io.tables import write_together as write_together
 
 if TYPE_CHECKING:
+    from irisjax.io.illumination import tables_of as tables_of
     from irisjax.io.images import Image as Image
     from irisjax.io.images import read_environment as read_environment
     from irisjax.io.images import read_image as read_image
     from irisjax.io.images import spectral_channels as spectral_channels
     from irisjax.io.images import write_exr as write_exr
-    from irisjax.io.images import write_gif as write_gif
     from irisjax.io.images import write_png as write_png
     from irisjax.io.mesh import eye_meshes as eye_meshes
     from irisjax.io.mesh import write_eye as write_eye
+    from irisjax.io.movies import check_movie as check_movie
+    from irisjax.io.movies import write_movie as write_movie
     from irisjax.io.posterior import predictive_score as predictive_score
     from irisjax.io.posterior import write_posterior as write_posterior
     from irisjax.io.scenes import SceneFile as SceneFile
@@ -31,8 +33,10 @@ if TYPE_CHECKING:
 
 # Spectra need none of these: they load when first used.
 _LATER = {
-    "images": ("Image", "read_environment", "read_image", "spectral_channels", "write_exr", "write_gif", "write_png"),
+    "illumination": ("tables_of",),
+    "images": ("Image", "read_environment", "read_image", "spectral_channels", "write_exr", "write_png"),
     "mesh": ("eye_meshes", "write_eye"),
+    "movies": ("check_movie", "write_movie"),
     "posterior": ("predictive_score", "write_posterior"),
     "scenes": ("SceneFile", "parse_scene", "read_scene"),
 }

@@ -3,16 +3,15 @@
 The formats are OpenImageIO's work; it is imported when a picture is first asked for.
 """
 
+import itertools
 import re
-import tempfile
-from collections.abc import Iterable, Mapping, Sequence
-from io import BytesIO
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
-from irisjax.io.tables import check_writable, write_atomically
+from irisjax.io.tables import check_writable, replacing
 from irisjax.measure.colour import srgb_decode
 from irisjax.render.environment import Environment
 
@@ -44,7 +43,7 @@ def read_image(path: str | Path, *, decode: bool = False) -> Image:
 
     **Raises:** `ValueError` for an unknown suffix or a broken file, `OSError` for one that cannot be opened.
     """
-    _check_suffix(path, READABLE)
+    check_suffix(path, READABLE)
     with open(path, "rb"):  # the system's word on files that are missing or forbidden
         pass
     import OpenImageIO as oiio
@@ -75,63 +74,55 @@ def read_image(path: str | Path, *, decode: bool = False) -> Image:
     return Image(pixels, linear or decode, tuple(spec.channelnames), metadata)
 
 
-def write_png(path: str | Path, encoded, *, bits: int = 8, remark: str = "") -> int:
+def write_png(path: str | Path, encoded, *, bits: int = 8, remark: str = "", rows: int | None = None) -> int:
     """Write sRGB-encoded values (rows, columns, 3) in [0, 1] as a PNG of 8 or 16 bits, rounded to the nearest step.
 
     Returns how many pixels were clipped: those with a component beyond [0, 1] by more than half a step. `remark` goes
-    into the file's description. Equal values give equal bytes.
+    into the file's description. Equal values give equal bytes. With `rows`, their number in all, `encoded` is an
+    iterator of bands from the top to the bottom, each written as it comes.
 
     **Raises:** `ValueError` for another shape, suffix or number of bits and for values that are not finite.
     """
-    _check_suffix(path, (".png",))
-    values = _pixels(encoded, 3)
-    if bits not in (8, 16):
-        raise ValueError(f"a PNG has 8 or 16 bits, got {bits}")
-    if not np.isfinite(values).all():
-        raise ValueError(f"{path}: {int((~np.isfinite(values)).any(-1).sum())} pixels are not finite")
-    most = 2**bits - 1
-    steps = np.rint(values.astype(np.float64) * most)
-    clipped = int(((steps < 0) | (steps > most)).any(-1).sum())
+    check_suffix(path, (".png",))
+    clipped = 0
+
+    def steps():
+        nonlocal clipped
+        for band in [encoded] if rows is None else encoded:
+            values, out = to_steps(path, band, bits)
+            clipped += out
+            yield values
+
     attributes = {"Software": "irisjax", "oiio:ColorSpace": "srgb_rec709_scene"}
-    _write(
-        path,
-        np.clip(steps, 0, most).astype(np.uint8 if bits == 8 else np.uint16),
-        ("R", "G", "B"),
-        attributes | ({"ImageDescription": remark} if remark else {}),
-    )
+    if remark:
+        attributes["ImageDescription"] = remark
+    _write(path, steps(), rows, ("R", "G", "B"), attributes)
     return clipped
 
 
 def write_exr(
-    path: str | Path, image, channels: Sequence[str] = ("R", "G", "B"), metadata: Mapping[str, str] | None = None
+    path: str | Path,
+    image,
+    channels: Sequence[str] = ("R", "G", "B"),
+    metadata: Mapping[str, str] | None = None,
+    rows: int | None = None,
 ) -> None:
     """Write linear values (rows, columns, channels) as OpenEXR, 32-bit floats, ZIP without loss.
 
     Channels named by `spectral_channels` make it a spectral image [Fichet, Pacanowski & Wilkie 2021]. The file keeps
-    its channels by name, so readers may find them in another order. Equal values give equal bytes.
+    its channels by name, so readers may find them in another order. Equal values give equal bytes. `rows` as of
+    `write_png`.
 
     **Raises:** `ValueError` for another shape or suffix, and for names that stand twice or not once a channel.
     """
-    _check_suffix(path, (".exr",))
-    values = _pixels(image, len(channels))
+    check_suffix(path, (".exr",))
     if len(set(channels)) != len(channels):
         raise ValueError(f"{path}: a channel name stands twice")
     attributes = {"Software": "irisjax", "compression": "zip"}
     if any(_SPECTRAL.fullmatch(name) for name in channels):
         attributes["spectralLayoutVersion"] = "1.0"
-    _write(path, values.astype(np.float32), channels, attributes | dict(metadata or {}))
-
-
-def write_gif(path: str | Path, frames: Sequence[np.ndarray], seconds: float) -> None:
-    """Write pictures (rows, columns, 3), encoded sRGB in [0, 1], as an endless GIF that lasts `seconds` a round."""
-    from PIL import Image as Pillow
-
-    _check_suffix(path, (".gif",))
-    pictures = [Pillow.fromarray(np.rint(255 * np.clip(np.asarray(f), 0, 1)).astype(np.uint8)) for f in frames]
-    buffer = BytesIO()
-    each = round(1000 * seconds / len(pictures))
-    pictures[0].save(buffer, "gif", save_all=True, append_images=pictures[1:], duration=each, loop=0)
-    write_atomically(path, buffer.getvalue())
+    bands = (_pixels(band, len(channels)).astype(np.float32) for band in ([image] if rows is None else image))
+    _write(path, bands, rows, channels, attributes | dict(metadata or {}))
 
 
 def spectral_channels(wavelengths: Iterable[float], layer: str = "S0") -> tuple[str, ...]:
@@ -163,24 +154,61 @@ def read_environment(path: str | Path) -> Environment:
         raise ValueError(f"{path}: {error}") from None
 
 
-def _write(path: str | Path, values: np.ndarray, channels: Sequence[str], attributes: Mapping[str, str]) -> None:
+def to_steps(path: str | Path, encoded, bits: int) -> tuple[np.ndarray, int]:
+    """Encoded values (rows, columns, 3) as whole numbers of 8 or 16 bits, and how many pixels were clipped.
+
+    **Raises:** as `write_png`.
+    """
+    values = _pixels(encoded, 3)
+    if bits not in (8, 16):
+        raise ValueError(f"a PNG has 8 or 16 bits, got {bits}")
+    if not np.isfinite(values).all():
+        raise ValueError(f"{path}: {int((~np.isfinite(values)).any(-1).sum())} pixels are not finite")
+    most = 2**bits - 1
+    steps = np.rint(values.astype(np.float64) * most)
+    clipped = int(((steps < 0) | (steps > most)).any(-1).sum())
+    return np.clip(steps, 0, most).astype(np.uint8 if bits == 8 else np.uint16), clipped
+
+
+def check_suffix(path: str | Path, suffixes: tuple[str, ...]) -> None:
+    """Raise `ValueError` for a name that ends in none of `suffixes`."""
+    if Path(path).suffix.lower() not in suffixes:
+        raise ValueError(f"{path}: a picture's name must end in {' or '.join(suffixes)}")
+
+
+def _write(
+    path: str | Path,
+    bands: Iterator[np.ndarray],
+    rows: int | None,
+    channels: Sequence[str],
+    attributes: Mapping[str, str],
+) -> None:
     check_writable(path)
     import OpenImageIO as oiio
 
-    rows, columns, n = values.shape
-    spec = oiio.ImageSpec(columns, rows, n, _TYPES[values.dtype.name])
+    first = next(bands)
+    rows = len(first) if rows is None else rows
+    spec = oiio.ImageSpec(first.shape[1], rows, len(channels), _TYPES[first.dtype.name])
     spec.channelnames = tuple(channels)
     spec.attribute("DateTime", "")  # left to itself, OpenEXR's writer stamps the hour
     for name, value in attributes.items():
         spec.attribute(name, value)
-    # OpenImageIO writes to files only; through bytes our own rules for new files hold.
-    with tempfile.TemporaryDirectory() as folder:
-        temporary = Path(folder, "image" + Path(path).suffix.lower())
-        file = oiio.ImageOutput.create(str(temporary))
-        if not (file and file.open(str(temporary), spec) and file.write_image(values) and file.close()):
+    with replacing(path) as temporary:
+        file = oiio.ImageOutput.create(Path(path).suffix[1:].lower())  # by kind: the temporary name says nothing
+        if not (file and file.open(str(temporary), spec)):
             raise ValueError(f"{path}: {_first_line(file.geterror() if file else oiio.geterror())}")
-        data = temporary.read_bytes()
-    write_atomically(path, data)
+        done = 0
+        try:
+            for band in itertools.chain([first], bands):
+                if done + band.shape[0] > rows or band.shape[1:] != first.shape[1:]:
+                    raise ValueError(f"{path}: a band of {band.shape} after {done} of {rows} rows")
+                if not file.write_scanlines(done, done + band.shape[0], 0, band):
+                    raise ValueError(f"{path}: {_first_line(file.geterror())}")
+                done += band.shape[0]
+        finally:
+            closed = file.close()
+        if done != rows or not closed:
+            raise ValueError(f"{path}: {_first_line(file.geterror()) if done == rows else f'{done} of {rows} rows'}")
 
 
 def _pixels(image, channels: int) -> np.ndarray:
@@ -188,11 +216,6 @@ def _pixels(image, channels: int) -> np.ndarray:
     if values.ndim != 3 or values.shape[2] != channels or 0 in values.shape:
         raise ValueError(f"a picture has the shape (rows, columns, {channels}), got {values.shape}")
     return values
-
-
-def _check_suffix(path: str | Path, suffixes: tuple[str, ...]) -> None:
-    if Path(path).suffix.lower() not in suffixes:
-        raise ValueError(f"{path}: a picture's name must end in {' or '.join(suffixes)}")
 
 
 def _first_line(text: str) -> str:

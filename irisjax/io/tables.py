@@ -10,7 +10,10 @@ import errno
 import io
 import os
 import re
-from collections.abc import Mapping
+import shutil
+import tempfile
+import threading
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import NamedTuple
 
@@ -116,7 +119,7 @@ def write_together(files: Mapping[Path, bytes]) -> None:
                     device.write(data)
                 continue
             target = Path(os.path.realpath(path))  # through links, so that a link stays one
-            temporary = target.with_name(f".{target.name}.{os.getpid()}.tmp")
+            temporary = _beside(target)
             written.append((temporary, target))
             # os.open, not tempfile: the file then has the permissions the user's umask asks for.
             with open(os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o666), "wb") as file:
@@ -132,6 +135,41 @@ def write_together(files: Mapping[Path, bytes]) -> None:
         if isinstance(error, OSError):  # name the file asked for, not the temporary one
             raise OSError(error.errno, error.strerror, str(path)) from error
         raise
+
+
+@contextlib.contextmanager
+def replacing(path: str | Path) -> Iterator[Path]:
+    """The name of a new file to fill, which takes `path`'s place if nothing is raised, and else is removed.
+
+    For what is too large to hold as bytes; pipes and devices get a copy.
+    """
+    path = Path(path)
+    check_writable(path)
+    if _is_special(path):
+        with tempfile.TemporaryDirectory() as folder:
+            temporary = Path(folder, path.name)
+            yield temporary
+            with temporary.open("rb") as made, path.open("wb") as device:
+                shutil.copyfileobj(made, device)
+        return
+    target = Path(os.path.realpath(path))
+    temporary = _beside(target)
+    try:
+        os.close(os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o666))
+        yield temporary
+        with temporary.open("rb+") as file:
+            os.fsync(file.fileno())
+        os.replace(temporary, target)
+    except BaseException as error:
+        with contextlib.suppress(OSError):
+            temporary.unlink(missing_ok=True)
+        if isinstance(error, OSError) and error.filename in (None, str(temporary)):
+            raise OSError(error.errno, error.strerror, str(path)) from error
+        raise
+
+
+def _beside(target: Path) -> Path:
+    return target.with_name(f".{target.name}.{os.getpid()}-{threading.get_ident()}.tmp")
 
 
 def _is_special(path: Path) -> bool:

@@ -1,5 +1,6 @@
 """A pinhole camera that looks at the eye, and what each of its pixels sees."""
 
+import dataclasses
 from typing import Any
 
 import equinox as eqx
@@ -20,6 +21,8 @@ from irisjax.tissue.noise import step
 
 BLEND = 0.5
 """Half the width over which iris and sclera blend at the limbus, mm  [F09 Section 6.5: about 1 mm in all]."""
+LARGEST = 16384
+"""Most pixels along a side."""
 _PAD = 2048  # and an eighth of the pixels at most
 
 
@@ -32,7 +35,7 @@ class Camera(eqx.Module):
 
     - `polar`, `azimuth`: of its place as seen from the eye, radians; 0 is straight ahead.
     - `distance`: to the centre of the pupil. `width`: of the field there, mm.
-    - `size`: (width, height) in pixels.
+    - `size`: (width, height) in pixels. `first`, `rows`: the part of them it takes, see `taking`.
     """
 
     polar: Scalar = _number(0.0)
@@ -40,17 +43,34 @@ class Camera(eqx.Module):
     distance: Scalar = _number(250.0)
     width: Scalar = _number(15.0)
     size: tuple[int, int] = eqx.field(static=True, default=(800, 600))
+    first: Int[Array, ""] | None = None
+    rows: int | None = eqx.field(static=True, default=None)
 
     def __check_init__(self):
-        if not all(isinstance(n, int) and 1 <= n <= 16384 for n in self.size):
-            raise ValueError(f"camera size {self.size} must be two whole numbers from 1 to 16384")
+        whole = self.rows is None  # the parts of a picture may be finer
+        if not all(isinstance(n, int) and n >= 1 and (n <= LARGEST or not whole) for n in self.size):
+            raise ValueError(f"camera size {self.size} must be two whole numbers from 1 to {LARGEST}")
         for name, low, high, unit in (("distance", 30, 1e5, "mm"), ("width", 0.1, 100, "mm"), ("polar", 0, 3.15, "")):
             value = getattr(self, name)
             if not isinstance(value, Tracer) and not low <= float(value) <= high:
                 raise ValueError(f"camera {name} = {float(value):g} is outside [{low:g}, {high:g}] {unit}".rstrip())
 
+    def taking(self, first: int, rows: int, samples: int = 1) -> "Camera":
+        """The same camera that takes only some rows of its picture, 0 being the top, and instead of each pixel
+        samples × samples smaller ones."""
+        if not (rows > 0 and 0 <= first <= self.size[1] - rows):
+            raise ValueError(f"rows {first} to {first + rows - 1} are not in a picture of {self.size[1]}")
+        # A traced number: one program for all parts of a picture.
+        start, size = jnp.asarray(first * samples, jnp.int32), tuple(n * samples for n in self.size)
+        return dataclasses.replace(self, size=size, first=start, rows=rows * samples)
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Rows and columns that it takes."""
+        return (self.size[1] if self.rows is None else self.rows), self.size[0]
+
     def rays(self, eye: Eye) -> tuple[Float[Array, "3"], Float[Array, "height width 3"]]:
-        """The camera's place (3,) and unit directions (height, width, 3); row 0 is the top."""
+        """The camera's place (3,) and unit directions (rows, columns, 3) from the top."""
         sin, cos = jnp.sin(self.polar), jnp.cos(self.polar)
         back = jnp.stack([sin * jnp.cos(self.azimuth), sin * jnp.sin(self.azimuth), -cos])
         origin = jnp.stack([jnp.zeros_like(sin), jnp.zeros_like(sin), eye.iris_depth]) + self.distance * back
@@ -63,7 +83,10 @@ class Camera(eqx.Module):
         w, h = self.size
         pitch = self.width / w
         x = (jnp.arange(w, dtype=back.dtype) + 0.5 - w / 2) * pitch
-        y = -(jnp.arange(h, dtype=back.dtype) + 0.5 - h / 2) * pitch
+        row = jnp.arange(self.shape[0], dtype=back.dtype)
+        if self.first is not None:
+            row = row + self.first.astype(back.dtype)  # whole numbers: exact
+        y = -(row + 0.5 - h / 2) * pitch
         d = -self.distance * back + x[None, :, None] * right + y[:, None, None] * up
         return origin, d / norm(d)[..., None]
 
@@ -106,27 +129,28 @@ class View(eqx.Module):
 
 def look(eye: Eye, camera: Camera) -> View:
     """Sort a camera's pixels by what they see. Runs on the host: the number of pixels decides the shapes."""
-    width, height = camera.size
+    rows, columns = camera.shape
     iris, surface, blend, met = _trace(eye, camera)
     blend, met = np.asarray(blend), np.asarray(met)
     sees_iris = met & (blend < 1) & (np.asarray(iris.share) > 0)
-    pick = _picker(width * height)
+    pick = _picker(rows * columns, part=camera.rows is not None)
     views: list[Any] = [pick(iris, sees_iris)]
     if eye.cornea is None:
         views += [None, None]
     else:
         views += [pick(surface, met & (blend > 0)) if eye.sclera is not None else None, pick(surface, met)]
-    return View(*views, size=(width, height))
+    return View(*views, size=(columns, rows))
 
 
-def _picker(count: int):
+def _picker(count: int, part: bool):
     def pick(pixels, mask):
         index = np.flatnonzero(mask)
         if not index.size:
             return None
         # Few different lengths, few compiled programs: a camera that turns must not wait for XLA.
         block = max(_PAD, 1 << max(index.size.bit_length() - 4, 0))
-        padded = min(-(-index.size // block) * block, max(count, index.size))
+        # Parts of a picture see anything from nothing to iris all over: programs for one length cost less than padding.
+        padded = count if part else min(-(-index.size // block) * block, max(count, index.size))
         source = np.concatenate([index, np.full(padded - index.size, index[-1])])
         where = np.where(np.arange(padded) < index.size, source, -1).astype(np.int32)
         return eqx.tree_at(lambda p: p.index, _picked(pixels, source.astype(np.int32)), jnp.asarray(where))
@@ -142,7 +166,7 @@ def _picked(pixels, source):
 @jax.jit
 def _trace(eye: Eye, camera: Camera):
     origin, direction = camera.rays(eye)
-    index = jnp.arange(camera.size[0] * camera.size[1], dtype=jnp.int32)
+    index = jnp.arange(camera.shape[0] * camera.shape[1], dtype=jnp.int32)
     return in_chunks(lambda rays: _seen(eye, origin, *rays), (direction.reshape(-1, 3), index))
 
 

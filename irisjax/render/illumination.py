@@ -1,5 +1,7 @@
 """What any light does to the iris, tabulated: refraction and caustics together, ready to be summed over lights."""
 
+import dataclasses
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -31,8 +33,8 @@ class Illumination(eqx.Module):
     @classmethod
     def build(cls, eye: Eye, *, caustics: bool = True, size: int = 129, n_rays: int = 131_072) -> "Illumination":
         """Tables of an eye with a cornea; without `caustics` they end at `UNIQUE_POLAR` and no ray is counted."""
-        if eye.cornea is None:
-            raise ValueError("an eye without a cornea needs no illumination tables")
+        # From what decides them and nothing else: a file kept for one eye then serves all that share it.
+        eye = deciding(eye)
         return _build(eye, RefractionFunction.build(eye), caustics, size, n_rays)
 
     def at(self, point: Float[Array, "*#s 2"], towards_light: Float[Array, "*#s 3"]) -> Vector:
@@ -50,6 +52,20 @@ class Illumination(eqx.Module):
         f = trilinear(self.flux, (index, *position))
         f = f * jnp.clip((self.largest - polar) / _SPACING + 1, 0, 1)[..., None]
         return jnp.stack([cos * f[..., 0] - sin * f[..., 1], sin * f[..., 0] + cos * f[..., 1], f[..., 2]], axis=-1)
+
+
+def deciding(eye: Eye) -> Eye:
+    """An eye with everything removed that its tables do not depend on: pupil, sclera, the cornea's haze.
+
+    **Raises:** `ValueError` without a cornea.
+    """
+    cornea = eye.cornea
+    if cornea is None:
+        raise ValueError("an eye without a cornea needs no illumination tables")
+    # Behind a single surface lies the chamber; the cornea's own index is then met nowhere.
+    index = eye.aqueous_index if cornea.posterior is None else cornea.index
+    cornea = dataclasses.replace(cornea, scatter=None, index=index)
+    return eye.replace(cornea=cornea, sclera=None, pupil_radius=1.0)
 
 
 @eqx.filter_jit

@@ -64,10 +64,11 @@ class Scene(eqx.Module):
 
     def tables(self) -> Illumination | None:
         """Illumination tables of this eye: no caustics without a grazing light, none at all without a cornea."""
-        if self.eye.cornea is None:
-            return None
-        grazing = bool((np.asarray(self.all_lights().polar()) > UNIQUE_POLAR).any())
-        return Illumination.build(self.eye, caustics=grazing)
+        return None if self.eye.cornea is None else Illumination.build(self.eye, caustics=self.grazing())
+
+    def grazing(self) -> bool:
+        """Whether a light stands so low that the cornea folds it into caustics. Runs on the host."""
+        return bool((np.asarray(self.all_lights().polar()) > UNIQUE_POLAR).any())
 
     def all_lights(self) -> Lights:
         """Lamps and what stands for the environment. Runs on the host."""
@@ -141,10 +142,10 @@ def prepare(
         bands, clear = (spectral_bands(wavelengths, lights.illuminant, c) for c in (eye.cornea, None))
         lamp = clear.weights.sum(axis=1)
     view = memory.once("view", look, eye, scene.camera) if view is None else view
-    size = scene.camera.size
+    height, width = scene.camera.shape
 
     def surface(view, lights, lamps, environment, eye, veins, clear, lamp):
-        base = jnp.zeros((size[0] * size[1], lamp.size), lamp.dtype)
+        base = jnp.zeros((width * height, lamp.size), lamp.dtype)
         if view.sclera is not None and eye.sclera is not None:
             colour = memory.once("white", _white_colour, view.sclera, eye, veins, clear)
             base = _add(base, view.sclera.index, shading.white(view.sclera, lights, colour))
@@ -161,7 +162,7 @@ def prepare(
         ranges = memory.once("ranges", lambda *of: Scales.of(*of).ranges(), scene.maps, scene.iris)
         parts = lights, eye, scene.iris, scene.maps, tables, ranges
         texels, ground = scene.integrator.place(view.iris, *parts, memory)
-    return Stage(base, texels, ground, bands, scene.integrator, ranges, size)
+    return Stage(base, texels, ground, bands, scene.integrator, ranges, (width, height))
 
 
 def _all_lights(lights: Lights | None, environment: Environment | None, count: int, illuminant: str) -> Lights:

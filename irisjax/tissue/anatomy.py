@@ -7,6 +7,7 @@ import dataclasses
 from typing import Any
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
@@ -114,12 +115,13 @@ class Eye(eqx.Module):
                 f"pupil_radius = {float(self.pupil_radius):g} mm must be below "
                 f"iris_radius = {float(self.iris_radius):g} mm"
             )
-        if self.cornea is not None and not isinstance(self.limbus_radius, Tracer):
-            behind = float(self.iris_depth) - float(self.cornea.anterior.sagitta(self.limbus_radius))
-            if not behind > 0:
+        decide = (self.cornea, self.iris_depth, self.iris_slope, self.iris_radius, self.limbus_radius)
+        if self.cornea is not None and not any(isinstance(x, Tracer) for x in jax.tree.leaves(decide)):
+            least = _least_depth(self, self.cornea)
+            if not float(self.iris_depth) > least:
                 raise ValueError(
-                    f"iris_depth = {float(self.iris_depth):g} mm lies in front of the limbus; "
-                    f"it must exceed {float(self.iris_depth) - behind:g} mm"
+                    f"iris_depth = {float(self.iris_depth):g} mm puts the iris into the cornea or in front of the "
+                    f"limbus; for this eye it must be at least {np.ceil(least * 1000 + 0.5) / 1000:g} mm"
                 )
 
     def replace(self, **fields: Any) -> "Eye":
@@ -147,6 +149,17 @@ class Eye(eqx.Module):
         r = safe_sqrt(point[..., 0] ** 2 + point[..., 1] ** 2)
         across = point.at[..., 2].set(0.0) * (self.iris_slope / jnp.where(r > 0, r, 1.0))[..., None]
         return (up + across) / jnp.sqrt(1 + self.iris_slope**2)
+
+
+def _least_depth(eye: Eye, cornea: Cornea) -> float:
+    """Depth (mm) that the iris must exceed to lie behind the whole cornea: surfaces bulge forward, so that its root
+    meets them first, or, where it rises to the root, its middle."""
+    back = cornea.anterior if cornea.posterior is None else cornea.posterior
+    r = jnp.minimum(eye.iris_radius, eye.limbus_radius)  # beyond the limbus there is no cornea
+    slope = 0.0 if eye.iris_slope is None else float(eye.iris_slope)
+    root = float(back.apex + back.sagitta(r)) - slope * float(r)
+    limbus = float(cornea.anterior.apex + cornea.anterior.sagitta(eye.limbus_radius))
+    return max(root, limbus, float(back.apex))
 
 
 def _check(module) -> None:

@@ -14,7 +14,7 @@ from irisjax.measure.colour import Colour, colour_of, srgb_encode
 from irisjax.measure.spectrophotometer import reflectance
 from irisjax.render.camera import Camera, look
 from irisjax.render.environment import Environment
-from irisjax.render.illumination import UNIQUE_POLAR
+from irisjax.render.illumination import Illumination
 from irisjax.render.lights import Lights
 from irisjax.render.memory import Memory
 from irisjax.render.scene import Scene, Stage, prepare
@@ -74,12 +74,13 @@ _CAMERA = ("camera_polar", "camera_azimuth", "width")
 class Studio:
     """A scene, its settings, and what is already computed for them.
 
+    - `tables_of`: makes the illumination tables of a scene, or finds them.
     - `given`: settings that the scene does not tell, such as the name of its `preset`.
     - `error`: of the last picture's response, see `Response`.
     """
 
-    def __init__(self, scene: Scene, **given: Any):
-        self._base = scene
+    def __init__(self, scene: Scene, tables_of: Callable[[Scene], Illumination | None] = Scene.tables, **given: Any):
+        self._base, self._tables_of = scene, tables_of
         self._kept: dict[Any, tuple[Any, Any]] = {}
         self._memory = {draft: Memory() for draft in (False, True)}
         self.error = 0.0
@@ -161,8 +162,8 @@ class Studio:
             scene = self._set(s, size)
             # Neither what a camera sees of the iris plane nor what light does there depends on the pupil.
             view = self._once(("view", draft), seen, lambda: look(scene.eye, scene.camera))
-            polar = self._once("polar", lit, lambda: np.asarray(scene.all_lights().polar()))
-            tables = self._once(("tables", bool((polar > UNIQUE_POLAR).any())), None, scene.tables)
+            grazing = self._once("grazing", lit, scene.grazing)
+            tables = self._once(("tables", grazing), None, lambda: self._tables_of(scene))
             return prepare(scene, tables, view, memory=self._memory[draft])
 
         return self._once(("stage", draft), (seen, lit, s.preset, s.seed, s.pupil), make)

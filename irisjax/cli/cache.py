@@ -1,0 +1,30 @@
+"""What is made once a machine and not once a run: compiled programs, illumination tables."""
+
+import os
+from pathlib import Path
+
+import jax
+
+from irisjax.io.illumination import tables_of
+from irisjax.render.illumination import Illumination
+from irisjax.render.scene import Scene
+
+
+def folder() -> Path | None:
+    """Where it is kept: JAX_COMPILATION_CACHE_DIR names another folder, or, when empty, none."""
+    if (given := os.environ.get("JAX_COMPILATION_CACHE_DIR")) is not None:
+        return Path(given) if given else None
+    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "irisjax"
+
+
+def keep_compiled() -> None:
+    """Compile once a machine. A folder from the environment JAX finds by itself."""
+    if "JAX_COMPILATION_CACHE_DIR" not in os.environ:
+        jax.config.update("jax_compilation_cache_dir", str(folder()))
+        jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.2)
+
+
+def kept_tables(scene: Scene) -> Illumination | None:
+    """`scene.tables()`, made once a machine."""
+    place = folder()
+    return tables_of(scene, None if place is None else place / "illumination")

@@ -1,0 +1,124 @@
+"""Illumination tables kept in files, so that an eye's are made once a machine and not once a run.
+
+A file is named by a SHA-256 of everything its tables depend on, the code that makes them included. Files are
+written whole or not at all, so that runs may share a folder; the zip's checksums tell a damaged one.
+"""
+
+import contextlib
+import hashlib
+import os
+import sys
+import time
+import zipfile
+from functools import lru_cache
+from io import BytesIO
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+import irisjax
+from irisjax.io.tables import write_atomically
+from irisjax.render.illumination import Illumination, deciding
+from irisjax.render.scene import Scene
+from irisjax.tissue.anatomy import Eye
+
+MOST = 8
+"""Files a folder keeps (up to 39 MB each); those not used for longest go first."""
+
+_FORMAT = 1
+_BROKEN = (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile, zipfile.LargeZipFile)
+
+
+def tables_of(scene: Scene, folder: str | Path | None = None) -> Illumination | None:
+    """`scene.tables()`, from a file in `folder` if there is one and else written there; `None` keeps nothing.
+
+    A file that is damaged, or cannot be written, costs a line on standard error and no more.
+    """
+    if folder is None or scene.eye.cornea is None:
+        return scene.tables()
+    caustics = scene.grazing()
+    name = key(scene.eye, caustics)
+    path = Path(folder, f"{name}.npz")
+    if path.exists():
+        try:
+            found = _read(path, name)
+            with contextlib.suppress(OSError):  # a folder may be for reading only
+                os.utime(path)  # when it was last of use
+            return found
+        except _BROKEN as error:
+            _say(f"{path}: not usable ({_first_line(error)}); made again")
+    made = Illumination.build(scene.eye, caustics=caustics)
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        _write(path, made, name)
+        _drop_oldest(path.parent)
+    except OSError as error:
+        _say(f"{path}: the tables could not be kept ({error.strerror})")
+    return made
+
+
+def key(eye: Eye, caustics: bool) -> str:
+    """Name of an eye's tables: hexadecimal SHA-256 of what decides them, precision and code included."""
+    digest = hashlib.sha256(f"{_FORMAT} {caustics} {jnp.result_type(float)} {_code()}".encode())
+    leaves, structure = jax.tree.flatten(deciding(eye))
+    digest.update(str(structure).encode())
+    for leaf in leaves:
+        values = np.asarray(leaf)
+        digest.update(f"{values.dtype} {values.shape}".encode() + values.tobytes())
+    return digest.hexdigest()
+
+
+@lru_cache(maxsize=1)
+def _code() -> str:
+    """Of the floors that tables are made on: nobody has to remember to raise a number when these change."""
+    digest = hashlib.sha256()
+    for place in ("optics", "tissue", "render"):
+        for path in sorted(Path(irisjax.__path__[0], place).glob("*.py")):
+            digest.update(path.name.encode() + path.read_bytes())
+    return digest.hexdigest()
+
+
+def _write(path: Path, tables: Illumination, name: str) -> None:
+    buffer = BytesIO()
+    np.savez(
+        buffer,
+        key=np.asarray(name),
+        flux=np.asarray(tables.flux),
+        extent=np.asarray(tables.extent),
+        largest=np.asarray(tables.largest),
+    )
+    write_atomically(path, buffer.getvalue())
+
+
+def _read(path: Path, name: str) -> Illumination:
+    # Opened here: of a broken zip numpy would leave the file open.
+    with path.open("rb") as stream, np.load(stream, allow_pickle=False) as file:
+        if str(file["key"]) != name:
+            raise ValueError("tables of another eye")
+        flux, extent, largest = (file[field] for field in ("flux", "extent", "largest"))
+    if flux.dtype != jnp.result_type(float) or flux.ndim != 4 or extent.shape != () or largest.shape != ():
+        raise ValueError("tables of another kind")
+    return Illumination(jnp.asarray(flux), jnp.asarray(extent), float(largest))
+
+
+def _drop_oldest(folder: Path) -> None:
+    def age(path: Path) -> float:
+        with contextlib.suppress(FileNotFoundError):  # another run may have dropped it
+            return -path.stat().st_mtime
+        return 0.0
+
+    for path in sorted(folder.glob("*.npz"), key=age)[MOST:]:
+        path.unlink(missing_ok=True)
+    for path in folder.glob(".*.npz.*.tmp"):  # of runs that were killed
+        if -age(path) < time.time() - 3600:
+            path.unlink(missing_ok=True)
+
+
+def _first_line(error: Exception) -> str:
+    return (str(error).strip() or type(error).__name__).split("\n")[0]
+
+
+def _say(message: str) -> None:
+    print(f"irisjax: {message}", file=sys.stderr)

@@ -1,0 +1,118 @@
+"""Pictures in bands: no seams, whatever the bands' height; memory for a band and not for the picture."""
+
+import numpy as np
+import pytest
+
+import irisjax as ij
+from irisjax.render.camera import Camera, _trace
+from irisjax.render.environment import Environment
+from irisjax.render.lights import Lights
+from irisjax.render.scene import Scene, render
+from irisjax.render.separable import Separable
+from irisjax.render.single_scattering import SingleScattering
+from irisjax.render.tiles import bands
+from irisjax.tissue.anatomy import Eye
+from irisjax.tissue.maps import IrisMaps
+
+QUICK = Separable(degrees=(3, 3, 2, 2, 2), solver=ij.Exact(8))
+UNEVEN = np.random.default_rng(0).uniform(0.5, 1.5, (16, 8))
+
+
+def bare():
+    return Eye(cornea=None, sclera=None, pupil_radius=1.0)
+
+
+def scene(**parts):
+    maps = IrisMaps(stroma_thickness=UNEVEN * 0.4, relief=0.05 * UNEVEN)
+    lights = Lights.distant([0.4, 0.9], [0.2, 3.0])
+    kept = {"eye": bare(), "lights": lights, "camera": Camera(size=(21, 16)), "integrator": QUICK}
+    return Scene(ij.Iris.preset("low"), maps, **{**kept, **parts})
+
+
+def memory(rows, width, channels=3, samples=1):
+    """Just enough for bands of so many rows."""
+    return (480 + 24 * channels) * rows * width * samples**2
+
+
+def joined(made, **options):
+    found = list(bands(made, **options))
+    return np.concatenate([band.pixels for band in found]), [len(band.pixels) for band in found], found[0].error
+
+
+# 16 rows: even bands, a last one that is smaller (its rows are drawn twice), single rows, and all at once.
+@pytest.mark.parametrize(("rows", "heights"), [(4, [4] * 4), (5, [4] * 4), (7, [6, 6, 4]), (1, [1] * 16), (99, [16])])
+def test_no_seams(rows, heights, bits):
+    made = scene()
+    whole = render(made)
+    found, found_heights, error = joined(made, memory=memory(rows, 21))
+    assert found.dtype == f"float{bits}" and found_heights == heights and 0 <= error < 0.1
+    np.testing.assert_allclose(found, whole, atol=1e-12 if bits == 64 else 2e-6, rtol=0)
+
+
+def test_no_seams_through_a_cornea():
+    """Sclera, mirror images, environment and caustics; the upper bands see no iris."""
+    made = scene(
+        eye=Eye(),
+        lights=Lights.distant([0.4, 1.6], [0.2, 3.0]),
+        environment=Environment.studio(16),
+        environment_lights=3,
+        camera=Camera(0.2, 1.0, width=24.0, size=(12, 16)),
+    )
+    tables = made.tables()
+    found = joined(made, tables=tables, memory=memory(2, 12))[0]
+    np.testing.assert_allclose(found, render(made, tables), atol=1e-12, rtol=0)
+
+
+def test_samples_are_averaged_band_by_band():
+    made = scene()
+    fine = render(made.replace(camera=Camera(size=(63, 48))))
+    expected = np.asarray(fine).reshape(16, 3, 21, 3, 3).mean((1, 3))
+    found, heights, _ = joined(made, samples=3, memory=memory(2, 21, samples=3))
+    assert heights == [2] * 8
+    np.testing.assert_allclose(found, expected, atol=1e-12, rtol=0)
+
+
+def test_spectral_and_single_scattering():
+    grid = [450.0, 550.0, 650.0, 700.0]
+    whole = joined(scene(), wavelengths=grid)[0]
+    assert whole.shape == (16, 21, 4)
+    found, heights, _ = joined(scene(), wavelengths=grid, memory=memory(4, 21, 4))
+    assert heights == [4] * 4
+    np.testing.assert_allclose(found, whole, atol=1e-12, rtol=0)
+    marched = scene(integrator=SingleScattering())
+    found, _, error = joined(marched, memory=memory(4, 21))
+    assert error is None
+    np.testing.assert_allclose(found, render(marched), atol=1e-12, rtol=0)
+
+
+def test_one_program_for_all_bands():
+    made = scene(camera=Camera(size=(20, 64)))
+    iterator = bands(made, memory=memory(4, 20))
+    next(iterator)
+    compiled = _trace._cache_size()
+    assert len(list(iterator)) == 15
+    assert _trace._cache_size() == compiled
+
+
+def test_a_band_is_drawn_only_when_asked_for(monkeypatch):
+    from irisjax.render import tiles
+
+    made = []
+    prepare = tiles.prepare
+    monkeypatch.setattr(tiles, "prepare", lambda *a, **k: made.append(1) or prepare(*a, **k))
+    iterator = bands(scene(), memory=memory(4, 21))
+    assert next(iterator).pixels.shape == (4, 21, 3) and len(made) == 1
+
+
+@pytest.mark.parametrize(("first", "rows"), [(-1, 3), (14, 3), (0, 0), (0, 17)])
+def test_rows_outside_the_picture_are_refused(first, rows):
+    with pytest.raises(ValueError, match="are not in a picture of 16"):
+        Camera(size=(21, 16)).taking(first, rows)
+
+
+def test_a_part_has_the_rays_of_the_whole():
+    part = Camera(0.3, 0.7, width=3.0, size=(1, 2048)).taking(2046, 2, samples=8)
+    assert part.shape == (16, 8)
+    whole = Camera(0.3, 0.7, width=3.0, size=(8, 16384)).rays(bare())[1]
+    np.testing.assert_allclose(part.rays(bare())[1], whole[-16:], atol=1e-15, rtol=0)
+    assert Camera(size=(16384, 16384)).taking(5, 1, 8).shape == (8, 131072)
