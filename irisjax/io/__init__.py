@@ -21,6 +21,8 @@ if TYPE_CHECKING:
     from irisjax.io.images import write_exr as write_exr
     from irisjax.io.images import write_gif as write_gif
     from irisjax.io.images import write_png as write_png
+    from irisjax.io.maps import read_maps as read_maps
+    from irisjax.io.maps import write_maps as write_maps
     from irisjax.io.mesh import eye_meshes as eye_meshes
     from irisjax.io.mesh import write_eye as write_eye
     from irisjax.io.posterior import predictive_score as predictive_score
@@ -32,6 +34,7 @@ if TYPE_CHECKING:
 # Spectra need none of these: they load when first used.
 _LATER = {
     "images": ("Image", "read_environment", "read_image", "spectral_channels", "write_exr", "write_gif", "write_png"),
+    "maps": ("read_maps", "write_maps"),
     "mesh": ("eye_meshes", "write_eye"),
     "posterior": ("predictive_score", "write_posterior"),
     "scenes": ("SceneFile", "parse_scene", "read_scene"),

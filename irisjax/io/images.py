@@ -83,6 +83,14 @@ def write_png(path: str | Path, encoded, *, bits: int = 8, remark: str = "") -> 
 
     **Raises:** `ValueError` for another shape, suffix or number of bits and for values that are not finite.
     """
+    check_writable(path)
+    data, clipped = encode_png(path, encoded, bits=bits, remark=remark)
+    write_atomically(path, data)
+    return clipped
+
+
+def encode_png(path: str | Path, encoded, *, bits: int = 8, remark: str = "") -> tuple[bytes, int]:
+    """The bytes that `write_png` writes, and how many pixels were clipped; `path` is only named in errors."""
     _check_suffix(path, (".png",))
     values = _pixels(encoded, 3)
     if bits not in (8, 16):
@@ -93,13 +101,13 @@ def write_png(path: str | Path, encoded, *, bits: int = 8, remark: str = "") -> 
     steps = np.rint(values.astype(np.float64) * most)
     clipped = int(((steps < 0) | (steps > most)).any(-1).sum())
     attributes = {"Software": "irisjax", "oiio:ColorSpace": "srgb_rec709_scene"}
-    _write(
+    data = _encoded(
         path,
         np.clip(steps, 0, most).astype(np.uint8 if bits == 8 else np.uint16),
         ("R", "G", "B"),
         attributes | ({"ImageDescription": remark} if remark else {}),
     )
-    return clipped
+    return data, clipped
 
 
 def write_exr(
@@ -112,6 +120,14 @@ def write_exr(
 
     **Raises:** `ValueError` for another shape or suffix, and for names that stand twice or not once a channel.
     """
+    check_writable(path)
+    write_atomically(path, encode_exr(path, image, channels, metadata))
+
+
+def encode_exr(
+    path: str | Path, image, channels: Sequence[str] = ("R", "G", "B"), metadata: Mapping[str, str] | None = None
+) -> bytes:
+    """The bytes that `write_exr` writes; `path` is only named in errors."""
     _check_suffix(path, (".exr",))
     values = _pixels(image, len(channels))
     if len(set(channels)) != len(channels):
@@ -119,7 +135,7 @@ def write_exr(
     attributes = {"Software": "irisjax", "compression": "zip"}
     if any(_SPECTRAL.fullmatch(name) for name in channels):
         attributes["spectralLayoutVersion"] = "1.0"
-    _write(path, values.astype(np.float32), channels, attributes | dict(metadata or {}))
+    return _encoded(path, values.astype(np.float32), channels, attributes | dict(metadata or {}))
 
 
 def write_gif(path: str | Path, frames: Sequence[np.ndarray], seconds: float) -> None:
@@ -163,8 +179,7 @@ def read_environment(path: str | Path) -> Environment:
         raise ValueError(f"{path}: {error}") from None
 
 
-def _write(path: str | Path, values: np.ndarray, channels: Sequence[str], attributes: Mapping[str, str]) -> None:
-    check_writable(path)
+def _encoded(path: str | Path, values: np.ndarray, channels: Sequence[str], attributes: Mapping[str, str]) -> bytes:
     import OpenImageIO as oiio
 
     rows, columns, n = values.shape
@@ -179,8 +194,7 @@ def _write(path: str | Path, values: np.ndarray, channels: Sequence[str], attrib
         file = oiio.ImageOutput.create(str(temporary))
         if not (file and file.open(str(temporary), spec) and file.write_image(values) and file.close()):
             raise ValueError(f"{path}: {_first_line(file.geterror() if file else oiio.geterror())}")
-        data = temporary.read_bytes()
-    write_atomically(path, data)
+        return temporary.read_bytes()
 
 
 def _pixels(image, channels: int) -> np.ndarray:
