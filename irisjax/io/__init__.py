@@ -14,6 +14,7 @@ from irisjax.io.tables import write_atomically as write_atomically
 from irisjax.io.tables import write_together as write_together
 
 if TYPE_CHECKING:
+    from irisjax.io.handover import export as export
     from irisjax.io.images import Image as Image
     from irisjax.io.images import read_environment as read_environment
     from irisjax.io.images import read_image as read_image
@@ -33,6 +34,7 @@ if TYPE_CHECKING:
 
 # Spectra need none of these: they load when first used.
 _LATER = {
+    "handover": ("export",),
     "images": ("Image", "read_environment", "read_image", "spectral_channels", "write_exr", "write_gif", "write_png"),
     "maps": ("read_maps", "write_maps"),
     "mesh": ("eye_meshes", "write_eye"),

@@ -32,6 +32,7 @@ from irisjax.transport.process import ILIT_2006, Process
 from irisjax.transport.solver import AbstractSolver
 
 _CHECKS = 24
+_COSINES = 48
 
 
 class Separable(AbstractIntegrator):
@@ -122,19 +123,42 @@ class Response(AbstractResponse):
         inside = refract(cosine, *self.indices)
         places = [_to_unit(r, s) for s, r in zip(scales, self.ranges, strict=True) if r is not None]
         places.append(_inside_to_unit(inside, *self.indices))
-        # One axis after the other, the first as a matrix product: 50 times as fast as products of all polynomials.
-        first, *rest = self.coefficients.shape[:-1]
-        values = self.coefficients.reshape(first, -1).T @ _polynomials(places[0], first)
-        for place, n in zip(places[1:], rest, strict=True):
-            values = values.reshape(n, -1, cosine.size)
-            terms = [t * v for t, v in zip(_polynomials(place, n), values, strict=True)]
-            values = functools.reduce(jnp.add, terms)
-        return values * fresnel(cosine, inside, *self.indices)[1]
+        return _evaluated(self.coefficients, places) * fresnel(cosine, inside, *self.indices)[1]
+
+    def hemispherical(self, scales: Scales) -> Float[Array, "channels pixels"]:
+        """Flux into the whole hemisphere per irradiance that entered the tissue, 2π ∫ g μ dμ, of pixels.
+
+        Times 1 − F of the incidence it is the directional–hemispherical reflectance without the first surface's
+        mirror. Where nothing varies there is one pixel.
+        """
+        x, w = (jnp.asarray(v, self.error.dtype) for v in np.polynomial.legendre.leggauss(_COSINES))
+        cosine = (x + 1) / 2
+        inside = refract(cosine, *self.indices)
+        weight = jnp.pi * w * cosine * fresnel(cosine, inside, *self.indices)[1]
+        # Linear in the polynomials of the cosine: their integrals once, not a sum over directions a pixel.
+        moments = _polynomials(_inside_to_unit(inside, *self.indices), self.coefficients.shape[-2]) @ weight
+        places = [_to_unit(r, s) for s, r in zip(scales, self.ranges, strict=True) if r is not None]
+        whole = jnp.tensordot(self.coefficients, moments, (-2, 0))
+        return _evaluated(whole, places) if places else whole[:, None]
 
     def shade(self, texels: Texels, ground: None) -> Float[Array, "channels pixels"]:
         """See `AbstractResponse`."""
         del ground
         return self(texels.scales, texels.cosine) * texels.light
+
+
+def _evaluated(coefficients: Float[Array, "..."], places: list[Float[Array, " pixels"]]):
+    """A product of Chebyshev polynomials, one axis for each of `places`, then the channels: (channels, pixels).
+
+    One axis after the other, the first as a matrix product: 50 times as fast as products of all polynomials.
+    """
+    first, *rest = coefficients.shape[:-1]
+    values = coefficients.reshape(first, -1).T @ _polynomials(places[0], first)
+    for place, n in zip(places[1:], rest, strict=True):
+        values = values.reshape(n, -1, place.size)
+        terms = [t * v for t, v in zip(_polynomials(place, n), values, strict=True)]
+        values = functools.reduce(jnp.add, terms)
+    return values
 
 
 def texel_layers(iris: Iris, table: Extinction, scales: Scales, process: Process) -> Layers:
