@@ -37,6 +37,4 @@ def export(
         f"{output}: {len(made.files)} files; a matt iris is off by {off} (R, G, B) within {CONE:g}° of its normal"
     )
     if made.clipped:
-        print(
-            f"irisjax: {output}: {made.clipped} texels out of sRGB's range are clipped in albedo.png", file=sys.stderr
-        )
+        print(f"irisjax: {output}: {made.clipped} texels out of sRGB's range are clipped", file=sys.stderr)

@@ -17,7 +17,7 @@ from irisjax.io.mesh import encode_obj, encode_ply, eye_meshes, right_handed
 from irisjax.io.mitsuba import WIDEST, mitsuba_scene
 from irisjax.io.tables import format_table, write_together
 from irisjax.measure.colour import srgb_encode
-from irisjax.render.albedo import CONE, LambertError, albedo, brdf_of, lambert_error, responding
+from irisjax.render.albedo import CONE, LambertError, Matt
 from irisjax.render.bands import Bands, colour_bands
 from irisjax.render.scene import Scene
 from irisjax.render.sclera import Blood, colour_table
@@ -28,7 +28,7 @@ WAVELENGTHS = tuple(400.0 + 20.0 * i for i in range(16))
 
 
 class Exported(NamedTuple):
-    """What `export` wrote: `files` by name, how many texels of albedo.png were `clipped`, the approximation's `error`."""
+    """What `export` wrote: `files` by name, how many texels were `clipped`, the matt iris's `error`."""
 
     files: dict[str, Path]
     clipped: int
@@ -40,8 +40,9 @@ def export(folder: str | Path, scene: Scene, *, spacing: float = 0.1) -> Exporte
 
     - Meshes of what the eye has (anterior, posterior, iris, sclera) as .ply and .obj, triangles of about `spacing` mm.
     - albedo.exr: linear sRGB under the scene's illuminant of each texel, its directional–hemispherical reflectance at
-        normal incidence by ILIT (`render.albedo`); albedo.png: the same, 8-bit sRGB; reflectance.exr: the spectral
-        albedo, a layer for each of `WAVELENGTHS`; relief.exr: height towards the viewer, mm, if the iris has one.
+        normal incidence by ILIT (`render.albedo`); albedo.png: the same, 8-bit sRGB. Texels out of sRGB's range are
+        clipped in both: renderers drop light paths that meet a negative albedo. reflectance.exr: the spectral albedo,
+        a layer for each of `WAVELENGTHS`, never clipped; relief.exr: height towards the viewer, mm, if there is any.
     - maps.exr: the maps themselves (`read_maps`), if it has any. brdf.csv: the uniform iris's.
     - environment.exr, where the scene has one; scene.xml for Mitsuba 3; README.txt: what all this is, and how far a
         matt iris is from the model.
@@ -84,23 +85,22 @@ def _contents(scene: Scene, spacing: float) -> tuple[dict[str, bytes], int, Lamb
 
     remark = {"comments": f"simulated by irisjax; {integrator.process}; a texel's albedo at normal incidence"}
     bands = colour_bands(scene.illuminant, scene.observer)
-    colour = in_uv(albedo(iris, maps, bands, integrator))
+    matt = Matt.of(iris, maps, _with_spectrum(bands), integrator)
+    found = in_uv(matt.albedo())
+    colour, spectral = found[..., :3], found[..., 3:]
+    clipped = int(((colour < 0) | (colour > 1)).any(-1).sum())
+    colour = np.clip(colour, 0, 1)
     data["albedo.exr"] = encode_exr("albedo.exr", colour, metadata=remark)
-    data["albedo.png"], clipped = encode_png(
-        "albedo.png", np.asarray(srgb_encode(jnp.asarray(colour))), remark="simulated by irisjax"
-    )
+    data["albedo.png"] = encode_png("albedo.png", np.asarray(srgb_encode(colour)), remark="simulated by irisjax")[0]
     layers = spectral_channels(WAVELENGTHS, layer="T")
-    single = Bands(WAVELENGTHS, jnp.eye(len(WAVELENGTHS)), layers)
-    spectral = in_uv(albedo(iris, maps, single, integrator))
     data["reflectance.exr"] = encode_exr("reflectance.exr", spectral, layers, remark)
     relief = None if maps is None else maps.relief
     if relief is not None:
         data["relief.exr"] = encode_exr("relief.exr", in_uv(relief[..., None]), ("Y",), {"comments": "height, mm"})
     if maps is not None and maps.present():
         data["maps.exr"] = encode_maps("maps.exr", maps)
-    response = responding(iris, bands, integrator)
-    error = lambert_error(iris, response)
-    data["brdf.csv"] = _brdf(scene, response, integrator).encode()
+    error = LambertError(*(value[:3] for value in matt.error()))
+    data["brdf.csv"] = _brdf(matt, scene.illuminant, integrator).encode()
     if scene.environment is not None:
         data["environment.exr"] = encode_exr("environment.exr", np.asarray(scene.environment.radiance))
     haze = None
@@ -123,6 +123,16 @@ def in_uv(texture) -> np.ndarray:
     return np.flip(np.swapaxes(np.asarray(texture), 0, 1), 0)
 
 
+def _with_spectrum(bands: Bands) -> Bands:
+    """The channels of `bands`, then the reflectance at each of `WAVELENGTHS`: one table for both."""
+    unit = np.zeros((3 + len(WAVELENGTHS), len(bands.wavelengths) + len(WAVELENGTHS)))
+    unit[:3, : len(bands.wavelengths)] = np.asarray(bands.weights)
+    unit[3:, len(bands.wavelengths) :] = np.eye(len(WAVELENGTHS))
+    layers = spectral_channels(WAVELENGTHS, layer="T")
+    weights = jnp.asarray(unit, bands.weights.dtype)
+    return Bands(bands.wavelengths + WAVELENGTHS, weights, bands.channels + layers)
+
+
 def _white(scene: Scene, bands: Bands) -> np.ndarray | None:
     if scene.eye.sclera is None:
         return None
@@ -133,21 +143,22 @@ def _white(scene: Scene, bands: Bands) -> np.ndarray | None:
     return np.asarray(table(Blood(veins.depth, veins.cover, veins.deep))).mean((0, 1))
 
 
-def _brdf(scene: Scene, response, integrator: Separable) -> str:
+def _brdf(matt: Matt, illuminant: str, integrator: Separable) -> str:
     angle = np.arange(0.0, 90.0, 5.0)
     azimuth = np.array([0.0, 90.0, 180.0])
     cosine = jnp.cos(jnp.radians(jnp.asarray(angle)))
-    values = np.stack([np.asarray(brdf_of(scene.iris, response, c, cosine)).T for c in cosine])  # (in, out, rgb)
+    values = np.stack([np.asarray(matt.brdf(c, cosine))[:3].T for c in cosine])  # (in, out, rgb)
     values = np.repeat(values[:, :, None], azimuth.size, axis=2).reshape(-1, 3)
     place = np.stack(np.meshgrid(angle, angle, azimuth, indexing="ij"), axis=-1).reshape(-1, 3)
     header = {
         "simulated": "BRDF of the uniform iris in the aqueous humour, without the light mirrored by its surface",
         "process": str(integrator.process),
-        "unit": f"1/sr, linear sRGB under {scene.illuminant}",
+        "unit": f"1/sr, linear sRGB under {illuminant}",
         "directions": "degrees from the normal; dphi 0 is forward scattering, where a mirror would send the light",
     }
     names = ("theta_i_deg", "theta_o_deg", "dphi_deg")
-    columns = dict(zip(names, place.T, strict=True)) | dict(zip(("red", "green", "blue"), values.T, strict=True))
+    columns: dict[str, np.ndarray] = dict(zip(names, place.T, strict=True))
+    columns |= dict(zip(("red", "green", "blue"), values.T, strict=True))
     return format_table(header, columns)
 
 
@@ -163,7 +174,7 @@ _WHAT = {
     "maps.exr": "the maps the iris was made from, rows angles, columns radii; irisjax reads them ([maps] file)",
     "brdf.csv": "BRDF of the uniform iris over angles, 1/sr",
     "environment.exr": "panorama that lights the eye, linear sRGB",
-    "scene.xml": "all of it for Mitsuba 3: mitsuba -m scalar_rgb scene.xml (or llvm_ad_rgb; -D spp=1024 for less noise)",
+    "scene.xml": "all of it for Mitsuba 3: mitsuba -m scalar_rgb scene.xml (-D spp=1024: less noise)",
 }
 
 
@@ -182,25 +193,28 @@ def _readme(scene: Scene, names: list[str], error: LambertError, clipped: int) -
     lines += [
         "",
         "Approximations",
-        "- The iris is matt here. The model's is not: its BRDF falls towards grazing exits. albedo is the share of light",
-        "  that comes back from normal incidence, without the mirrored first surface. Used as a Lambertian base colour it",
-        f"  is off, for directions within {CONE:g} degrees of the normal, by (red, green, blue)",
-        f"  {_percent(error.rms)} r.m.s. and at most {_percent(error.most)} (minus: too dark);",
-        f"  over the whole hemisphere by {_percent(error.hemisphere)} of the mean BRDF, r.m.s. (the uniform iris).",
+        "- The iris is matt here. The model's is not: its BRDF falls towards grazing exits. albedo is the share of",
+        "  light that comes back from normal incidence, without the mirrored first surface. Used as a Lambertian base",
+        f"  colour it is off, for directions within {CONE:g} degrees of the normal, by (red, green, blue)",
+        f"  {_percent(error.rms)} r.m.s. and at most {_percent(error.most)} (minus: too dark) in the mean over the",
+        f"  iris, {_percent(error.texels)} of that mean r.m.s. texel by texel; over the whole hemisphere the mean",
+        f"  is off by {_percent(error.hemisphere)} of the mean BRDF, r.m.s.",
         "- relief tilts the shading; nothing casts shadows on the iris.",
-        "- The limbus is sharp here; irisjax blends iris and white over 1 mm, and fades the iris over 0.12 mm at the pupil.",
+        "- The limbus is sharp here; irisjax blends iris and white over 1 mm, and fades it at the pupil over 0.12.",
     ]
     if scene.eye.sclera is not None:
         lines.append("- The white is matt and of one colour, the mean over its vessels.")
     if clipped:
-        lines.append(f"- {clipped} texels lie outside sRGB and are clipped in albedo.png (not in albedo.exr).")
+        lines.append(
+            f"- {clipped} texels lie outside sRGB: clipped in albedo.exr and albedo.png, not in reflectance.exr."
+        )
     if cornea is not None:
         inside = scene.eye.aqueous_index if cornea.posterior is None else cornea.index
         lines += [
-            f"- Indices: air 1, cornea {float(inside):g}, aqueous humour {float(scene.eye.aqueous_index):g}. The cornea's haze is a"
-            " colour on its front surface.",
-            "- Path tracers cannot aim at a lamp through a refracting surface. Lamps in scene.xml are discs of at least",
-            f"  {np.degrees(WIDEST):g} degrees' radius with the same irradiance at the eye, met by chance: take many samples.",
+            f"- Indices: air 1, cornea {float(inside):g}, aqueous humour {float(scene.eye.aqueous_index):g}.",
+            "  The cornea's haze is a colour on its front surface.",
+            "- Path tracers cannot aim at a lamp through a refracting surface and meet it by chance: take many samples.",
+            f"  Lamps in scene.xml are discs of at least {np.degrees(WIDEST):g} degrees' radius, with the scene's irradiance.",
         ]
     if scene.eye.attenuation is not None:
         lines.append("- The attenuation of the aqueous humour is left out.")

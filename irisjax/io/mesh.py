@@ -1,7 +1,7 @@
 """The eye as triangles, for other renderers: cornea, iris and sclera as PLY files.
 
-Eye frame and mm, as in `irisjax.tissue.anatomy`; `right_handed` turns them for others. All meshes are surfaces of revolution with the same number of
-points round the axis, so that cornea and sclera share the points of the limbus.
+Eye frame and mm, as in `irisjax.tissue.anatomy`; `right_handed` turns meshes for others. All meshes are surfaces of
+revolution with the same number of points round the axis, so that cornea and sclera share the points of the limbus.
 """
 
 import math
@@ -45,11 +45,12 @@ def write_eye(folder: str | Path, eye: Eye, spacing: float = 0.1) -> dict[str, P
 def encode_ply(mesh: Mesh) -> bytes:
     """Binary PLY with normals, and u, v where the mesh has them."""
     import trimesh
+    from trimesh.exchange.ply import export_ply
 
     made = trimesh.Trimesh(mesh.vertices, mesh.faces, vertex_normals=mesh.normals, process=False)
     if mesh.uv is not None:
         made.vertex_attributes.update(u=mesh.uv[:, 0].astype(np.float32), v=mesh.uv[:, 1].astype(np.float32))
-    return made.export(file_type="ply", vertex_normal=True)
+    return export_ply(made, vertex_normal=True)
 
 
 def encode_obj(mesh: Mesh, name: str, texture: str | None = None) -> dict[str, bytes]:
