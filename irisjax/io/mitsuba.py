@@ -11,7 +11,7 @@ import numpy as np
 
 from irisjax.render.scene import Scene
 
-WIDEST = math.radians(10.0)
+WIDEST = math.radians(20.0)
 """Least angular radius of a lamp in front of a cornea: paths meet it by chance alone, and smaller ones too seldom."""
 _FAR = 1e4  # mm, where distant lamps stand as discs
 
@@ -19,7 +19,7 @@ Rgb = Sequence[float] | np.ndarray
 
 
 def mitsuba_scene(
-    scene: Scene, *, relief: bool, white: Rgb | None, haze: Rgb | None, environment: str | None, samples: int = 256
+    scene: Scene, *, relief: bool, white: Rgb | None, haze: Rgb | None, environment: str | None, samples: int = 512
 ) -> str:
     """The XML of `scene`; its meshes and textures stand beside it under the names of `irisjax.io.handover`.
 
