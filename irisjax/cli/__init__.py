@@ -15,6 +15,7 @@ from typer.main import get_command
 import irisjax as ij
 from irisjax import io, plot
 from irisjax.cli import cache
+from irisjax.cli.export import export
 from irisjax.cli.fit import EPILOG, fit
 from irisjax.cli.jobs import directions, head, measured, problem, simulated_measurement, truth
 from irisjax.cli.render import render
@@ -188,6 +189,7 @@ def simulate_measurement(values: dict[str, Any]) -> None:
 
 app.command("fit", epilog=EPILOG)(fit)
 app.command("render")(render)
+app.command("export")(export)
 app.command("view")(view)
 
 

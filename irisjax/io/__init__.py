@@ -14,6 +14,7 @@ from irisjax.io.tables import write_atomically as write_atomically
 from irisjax.io.tables import write_together as write_together
 
 if TYPE_CHECKING:
+    from irisjax.io.handover import export as export
     from irisjax.io.illumination import tables_of as tables_of
     from irisjax.io.images import Image as Image
     from irisjax.io.images import read_environment as read_environment
@@ -21,6 +22,8 @@ if TYPE_CHECKING:
     from irisjax.io.images import spectral_channels as spectral_channels
     from irisjax.io.images import write_exr as write_exr
     from irisjax.io.images import write_png as write_png
+    from irisjax.io.maps import read_maps as read_maps
+    from irisjax.io.maps import write_maps as write_maps
     from irisjax.io.mesh import eye_meshes as eye_meshes
     from irisjax.io.mesh import write_eye as write_eye
     from irisjax.io.movies import check_movie as check_movie
@@ -34,7 +37,9 @@ if TYPE_CHECKING:
 # Spectra need none of these: they load when first used.
 _LATER = {
     "illumination": ("tables_of",),
+    "handover": ("export",),
     "images": ("Image", "read_environment", "read_image", "spectral_channels", "write_exr", "write_png"),
+    "maps": ("read_maps", "write_maps"),
     "mesh": ("eye_meshes", "write_eye"),
     "movies": ("check_movie", "write_movie"),
     "posterior": ("predictive_score", "write_posterior"),

@@ -5,15 +5,18 @@ The formats are OpenImageIO's work; it is imported when a picture is first asked
 
 import itertools
 import re
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+import tempfile
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 
 from irisjax.io.tables import check_writable, replacing
 from irisjax.measure.colour import srgb_decode
 from irisjax.render.environment import Environment
+
+T = TypeVar("T")
 
 READABLE = (".exr", ".hdr", ".png", ".jpg", ".jpeg")
 """Kinds of picture that can be read."""
@@ -123,6 +126,28 @@ def write_exr(
         attributes["spectralLayoutVersion"] = "1.0"
     bands = (_pixels(band, len(channels)).astype(np.float32) for band in ([image] if rows is None else image))
     _write(path, bands, rows, channels, attributes | dict(metadata or {}))
+
+
+def encode_png(path: str | Path, encoded, *, bits: int = 8, remark: str = "") -> tuple[bytes, int]:
+    """The bytes that `write_png` writes, and how many pixels were clipped; `path` is only named in errors."""
+    return _bytes(path, lambda there: write_png(there, encoded, bits=bits, remark=remark))
+
+
+def encode_exr(
+    path: str | Path, image, channels: Sequence[str] = ("R", "G", "B"), metadata: Mapping[str, str] | None = None
+) -> bytes:
+    """The bytes that `write_exr` writes; `path` is only named in errors."""
+    return _bytes(path, lambda there: write_exr(there, image, channels, metadata))[0]
+
+
+def _bytes(path: str | Path, write: Callable[[Path], T]) -> tuple[bytes, T]:
+    with tempfile.TemporaryDirectory() as folder:
+        there = Path(folder, Path(path).name)
+        try:
+            found = write(there)
+        except ValueError as error:
+            raise ValueError(str(error).replace(str(there), str(path))) from None
+        return there.read_bytes(), found
 
 
 def spectral_channels(wavelengths: Iterable[float], layer: str = "S0") -> tuple[str, ...]:

@@ -1,7 +1,7 @@
 """The eye as triangles, for other renderers: cornea, iris and sclera as PLY files.
 
-Eye frame and mm, as in `irisjax.tissue.anatomy`. All meshes are surfaces of revolution with the same number of
-points round the axis, so that cornea and sclera share the points of the limbus.
+Eye frame and mm, as in `irisjax.tissue.anatomy`; `right_handed` turns meshes for others. All meshes are surfaces of
+revolution with the same number of points round the axis, so that cornea and sclera share the points of the limbus.
 """
 
 import math
@@ -36,17 +36,50 @@ def write_eye(folder: str | Path, eye: Eye, spacing: float = 0.1) -> dict[str, P
 
     **Raises:** `OSError` naming the file; `ValueError` for a spacing that is no positive number.
     """
-    import trimesh
-
-    files, data = {}, {}
-    for name, mesh in eye_meshes(eye, spacing).items():
-        made = trimesh.Trimesh(mesh.vertices, mesh.faces, vertex_normals=mesh.normals, process=False)
-        if mesh.uv is not None:
-            made.vertex_attributes.update(u=mesh.uv[:, 0].astype(np.float32), v=mesh.uv[:, 1].astype(np.float32))
-        files[name] = Path(folder) / f"{name}.ply"
-        data[files[name]] = made.export(file_type="ply", vertex_normal=True)
-    write_together(data)
+    meshes = eye_meshes(eye, spacing)
+    files = {name: Path(folder) / f"{name}.ply" for name in meshes}
+    write_together({files[name]: encode_ply(mesh) for name, mesh in meshes.items()})
     return files
+
+
+def encode_ply(mesh: Mesh) -> bytes:
+    """Binary PLY with normals, and u, v where the mesh has them."""
+    import trimesh
+    from trimesh.exchange.ply import export_ply
+
+    made = trimesh.Trimesh(mesh.vertices, mesh.faces, vertex_normals=mesh.normals, process=False)
+    if mesh.uv is not None:
+        made.vertex_attributes.update(u=mesh.uv[:, 0].astype(np.float32), v=mesh.uv[:, 1].astype(np.float32))
+    return export_ply(made, vertex_normal=True)
+
+
+def encode_obj(mesh: Mesh, name: str, texture: str | None = None) -> dict[str, bytes]:
+    """The files `name`.obj and, where the mesh has uv, `name`.mtl, whose base colour is the file `texture`."""
+    import trimesh
+    from trimesh.exchange.obj import export_obj
+    from trimesh.visual import TextureVisuals
+    from trimesh.visual.material import SimpleMaterial
+
+    made = trimesh.Trimesh(mesh.vertices, mesh.faces, vertex_normals=mesh.normals, process=False)
+    if mesh.uv is not None:
+        white = SimpleMaterial(name=name, ambient=[255] * 3, diffuse=[255] * 3, specular=[0] * 3)
+        made.visual = TextureVisuals(uv=mesh.uv, material=white)
+    text, more = export_obj(
+        made, include_normals=True, return_texture=True, mtl_name=f"{name}.mtl", header="simulated by irisjax"
+    )
+    files = {f"{name}.obj": text.encode()}
+    for other, data in more.items():
+        files[other] = data + (b"" if texture is None else f"\nmap_Kd {texture}\n".encode())
+    return files
+
+
+def right_handed(mesh: Mesh) -> Mesh:
+    """The same mesh in the frame of other renderers: x right, y up, +z out of the eye towards the viewer.
+
+    The eye's own frame (+z into the eye) is left-handed: read as it stands, its meshes show a mirrored iris.
+    """
+    turn = np.array([1.0, 1.0, -1.0])
+    return Mesh(mesh.vertices * turn, mesh.normals * turn, mesh.uv, mesh.faces[:, ::-1])
 
 
 def eye_meshes(eye: Eye, spacing: float = 0.1) -> dict[str, Mesh]:

@@ -12,6 +12,7 @@ import jax
 
 from irisjax._types import PRNGKey
 from irisjax.io.images import read_environment
+from irisjax.io.maps import read_maps
 from irisjax.measure.colour import illuminant_power
 from irisjax.render.camera import Camera
 from irisjax.render.environment import Environment
@@ -20,6 +21,7 @@ from irisjax.render.scene import Scene
 from irisjax.render.vessels import veins
 from irisjax.tissue.anatomy import Cornea, Eye, Sclera
 from irisjax.tissue.iris import LIMITS, Iris
+from irisjax.tissue.maps import IrisMaps
 from irisjax.tissue.procedural import PRESETS, preset, procedural
 
 _LEVELS = ("low", "moderate", "high")
@@ -93,7 +95,7 @@ _SECTIONS: dict[str, dict[str, Callable[[Any], Any]]] = {
         "preset": _one(*PRESETS), "level": _one(*_LEVELS), "melanin_load": _number(0),
         **{name: _number(limits.low, limits.high) for name, limits in LIMITS.items() if name not in _OF_THE_EYE},
     },
-    "maps": {"seed": _whole(0, 2**32 - 1), "uniform": _bool, **_FEATURES},
+    "maps": {"seed": _whole(0, 2**32 - 1), "file": _text, "uniform": _bool, **_FEATURES},
     "eye": {
         "cornea": _one("two-surfaces", "f09", "none"), "sclera": _bool, "veins": _number(0, 10),
         **{n: _number() for n in ("iris_depth", "iris_slope", "limbus_radius", "iris_radius", "pupil_radius",
@@ -137,6 +139,7 @@ class SceneFile(Mapping[str, Any]):
     def scene(self) -> Scene:
         """Build it. **Raises:** `ValueError` that names file and line."""
         parts: dict[str, Any] = {}
+        drawn = self._maps_of_file()
         makers = {"iris": self._iris, "eye": self._eye, "camera": self._camera, "light": self._lights,
                   "environment": self._environment}  # fmt: skip
         for name, make in makers.items():
@@ -144,21 +147,36 @@ class SceneFile(Mapping[str, Any]):
                 parts |= make()
             except ValueError as error:
                 raise ValueError(f"{self._where(name, None)}: {error}") from None
+        parts |= drawn
         parts["iris"] = parts["iris"].replace(aqueous_index=parts["eye"].aqueous_index)  # one chamber, one index
         return Scene(**parts)
 
     def _key(self, name: str):
         return stream(self._sections.get("maps", {}).get("seed", 0), name)
 
+    def _maps_of_file(self) -> dict[str, IrisMaps]:
+        name = self._sections.get("maps", {}).get("file")
+        if name is None:
+            return {}
+        path = self._folder / name
+        try:
+            return {"maps": read_maps(path)}
+        except OSError as error:
+            raise ValueError(f"{self._where('maps', 'file')}: {path}: {error.strerror}") from None
+        except ValueError as error:
+            raise ValueError(f"{self._where('maps', 'file')}: {error}") from None
+
     def _iris(self):
         given = dict(self._sections.get("iris", {}))
         features = {k: v for k, v in self._sections.get("maps", {}).items() if k in _FEATURES}
-        uniform = self._sections.get("maps", {}).get("uniform", False)
+        # Maps from a file take the place of grown ones.
+        uniform = self._sections.get("maps", {}).get("uniform", False) or "file" in self._sections.get("maps", {})
         if "preset" in given:
             if "level" in given:
                 raise ValueError("give preset or level, not both")
             colour = given.pop("preset")
-            iris, maps = preset(colour, pigments=given, features=features, key=self._key("maps"))
+            shape = (16, 8) if uniform else (768, 256)  # maps that nobody asked for are grown small
+            iris, maps = preset(colour, shape=shape, pigments=given, features=features, key=self._key("maps"))
         else:
             iris = Iris.preset(given.pop("level", "moderate"))
             iris = iris.replace(**given) if given else iris
@@ -261,6 +279,12 @@ def parse_scene(text: str, name: str = "scene", folder: Path = Path()) -> SceneF
                 except ValueError as error:
                     raise ValueError(f"{where(section, key, nth)}: {section}.{key} = {value!r} {error}") from None
         checked[section] = done if section == "light" else done[0]
+    maps = checked.get("maps", {})
+    if "file" in maps and (grown := [key for key in maps if key not in ("file", "seed")]):
+        raise ValueError(
+            f"{where('maps', grown[0])}: maps.{grown[0]} is for grown maps, and maps.file gives all of them; "
+            "give one or the other (seed still draws the veins)"
+        )
     return SceneFile(checked, where, folder)
 
 

@@ -35,6 +35,7 @@ from irisjax.transport.process import ILIT_2006, Process
 from irisjax.transport.solver import AbstractSolver
 
 _CHECKS = 24
+_COSINES = 48
 
 
 class Separable(AbstractIntegrator):
@@ -138,17 +139,9 @@ class Terms(eqx.Module):
     @classmethod
     def of(cls, scales: Scales, ranges: Scales, degrees: tuple[int, ...], cosine, indices, angular: int) -> "Terms":
         """Of pixels: `degrees` of the scales that vary, `angular` of the cosine; `indices` of aqueous and ABL."""
-        places = [_to_unit(r, s) for s, r in zip(scales, ranges, strict=True) if r is not None]
-        first, *others = [_polynomials(p, d + 1) for p, d in zip(places, degrees, strict=True)] or [
-            jnp.ones_like(cosine)[None]
-        ]
-        rest = jnp.ones_like(first[:1])
-        if others:
-            factors = [[t[k] for t, k in zip(others, term, strict=True)] for term in _products(degrees[1:])]
-            rest = jnp.stack([functools.reduce(jnp.multiply, f) for f in factors])
         inside = refract(cosine, *indices)
         exits = _polynomials(_inside_to_unit(inside, *indices), angular + 1)
-        return cls(first, rest, exits * fresnel(cosine, inside, *indices)[1])
+        return cls(*_factors(scales, ranges, degrees, cosine), exits * fresnel(cosine, inside, *indices)[1])
 
 
 class Texels(eqx.Module):
@@ -179,17 +172,48 @@ class Response(AbstractResponse):
         angular = self.coefficients.shape[2] - 1
         return self._at(Terms.of(scales, self.ranges, self.degrees, cosine, self.indices, angular))
 
+    def hemispherical(self, scales: Scales) -> Float[Array, "channels pixels"]:
+        """Flux into the whole hemisphere per irradiance that entered the tissue, 2π ∫ g μ dμ, of pixels.
+
+        Times 1 − F of the incidence it is the directional–hemispherical reflectance without the first surface's
+        mirror. Where nothing varies there is one pixel.
+        """
+        x, w = (jnp.asarray(v, self.error.dtype) for v in np.polynomial.legendre.leggauss(_COSINES))
+        cosine = (x + 1) / 2
+        inside = refract(cosine, *self.indices)
+        weight = jnp.pi * w * cosine * fresnel(cosine, inside, *self.indices)[1]
+        # Linear in the polynomials of the cosine: their integrals once, not a sum over directions a pixel.
+        moments = _polynomials(_inside_to_unit(inside, *self.indices), self.coefficients.shape[2]) @ weight
+        one = jnp.ones_like(next((s for s in scales if s is not None), jnp.ones(1, self.error.dtype)))
+        first, rest = _factors(scales, self.ranges, self.degrees, one)
+        whole = jnp.tensordot(self.coefficients, moments, (2, 0))
+        return whole.reshape(-1, whole.shape[-1]).T @ _basis(first, rest)
+
     def _at(self, terms: Terms) -> Float[Array, "channels pixels"]:
         last, channels = self.coefficients.shape[2:]
         # One matrix product: 50 times as fast as polynomial by polynomial.
-        basis = (terms.first[:, None] * terms.rest).reshape(-1, terms.first.shape[-1])
-        values = self.coefficients.reshape(-1, last * channels).T @ basis
+        values = self.coefficients.reshape(-1, last * channels).T @ _basis(terms.first, terms.rest)
         return (values.reshape(last, channels, -1) * terms.angular[:, None]).sum(axis=0)
 
     def shade(self, texels: Texels, ground: None) -> Float[Array, "channels pixels"]:
         """See `AbstractResponse`."""
         del ground
         return self._at(texels.terms) * texels.light
+
+
+def _factors(scales: Scales, ranges: Scales, degrees: tuple[int, ...], one: Float[Array, " pixels"]):
+    """Polynomials of the first scale that varies and products of those of the others, `one` where none does."""
+    places = [_to_unit(r, s) for s, r in zip(scales, ranges, strict=True) if r is not None]
+    each = [_polynomials(p, d + 1) for p, d in zip(places, degrees, strict=True)]
+    first, *others = each or [jnp.ones_like(one)[None]]
+    if not others:
+        return first, jnp.ones_like(first[:1])
+    factors = [[t[k] for t, k in zip(others, term, strict=True)] for term in _products(degrees[1:])]
+    return first, jnp.stack([functools.reduce(jnp.multiply, f) for f in factors])
+
+
+def _basis(first, rest):
+    return (first[:, None] * rest).reshape(-1, first.shape[-1])
 
 
 def texel_layers(iris: Iris, table: Extinction, scales: Scales, process: Process) -> Layers:

@@ -1,0 +1,64 @@
+"""`IrisMaps` in files: one OpenEXR, a channel for each map.
+
+Rows are angles, from +x towards +y, columns radii from the pupil's edge to the root, as in `IrisMaps`. Maps are
+measures (mm, shares), not colours: pictures of 8 or 16 bits cannot hold them.
+"""
+
+import dataclasses
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+
+from irisjax.io.images import encode_exr, read_image
+from irisjax.io.tables import check_writable, write_atomically
+from irisjax.tissue.maps import IrisMaps
+
+NAMES = tuple(f.name for f in dataclasses.fields(IrisMaps))
+"""Channel names of a file of maps."""
+
+_PACKED: Mapping[str, str] = {"R": "relief", "G": "abl_thickness", "B": "stroma_thickness", "A": "freckles"}
+
+
+def read_maps(path: str | Path) -> IrisMaps:
+    """Read maps from an EXR whose channels are named as the fields of `IrisMaps`, any of them.
+
+    Or from an RGB or RGBA file in F09's packing [F09 Section 6]: R relief, G ABL thickness, B stroma thickness (all
+    mm), A freckles (0 to 1). Values are taken as they stand; files written by `write_maps` come back to the last bit.
+
+    **Raises:** `OSError` for a file that cannot be opened; `ValueError` naming the file for other channels, for
+    values that no iris has and for a broken file.
+    """
+    if Path(path).suffix.lower() != ".exr":
+        raise ValueError(f"{path}: a file of maps must end in .exr")
+    image = read_image(path)
+    channels = dict(zip(image.channels, np.moveaxis(image.pixels, -1, 0), strict=True))
+    if set(channels) in ({"R", "G", "B"}, {"R", "G", "B", "A"}):
+        channels = {_PACKED[name]: values for name, values in channels.items()}
+    if unknown := [name for name in channels if name not in NAMES]:
+        raise ValueError(
+            f"{path}: unknown channel {', '.join(map(repr, unknown))}; "
+            f"maps have channels among {', '.join(NAMES)}, or exactly R, G, B or R, G, B, A"
+        )
+    try:
+        return IrisMaps(**channels)
+    except ValueError as error:
+        raise ValueError(f"{path}: {error}") from None
+
+
+def write_maps(path: str | Path, maps: IrisMaps) -> None:
+    """Write maps as an EXR of 32-bit floats, the absent ones left out; see `encode_maps`."""
+    check_writable(path)
+    write_atomically(path, encode_maps(path, maps))
+
+
+def encode_maps(path: str | Path, maps: IrisMaps) -> bytes:
+    """The bytes of that file; `path` is only named in errors.
+
+    **Raises:** `ValueError` for another suffix, and where there is no map.
+    """
+    present = maps.present()
+    if not present:
+        raise ValueError(f"{path}: there are no maps to write")
+    remark = "maps of an iris: rows angles, columns radii from the pupil; mm, freckles 0 to 1, melanins relative"
+    return encode_exr(path, np.stack(list(present.values()), axis=-1), tuple(present), {"comments": remark})

@@ -1,0 +1,132 @@
+"""The iris as a matt surface, for renderers that know no other: the albedo of each texel, and how wrong it is.
+
+ILIT's BRDF is (1 − F(μ_i)) g(μ_o): it does not ask whence light comes but for the first surface, and falls towards
+grazing exits, the more the more the ABL absorbs. A Lambertian surface of the same power is its nearest relative.
+"""
+
+from typing import NamedTuple
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from irisjax.optics.fresnel import fresnel_at
+from irisjax.render.bands import Bands
+from irisjax.render.chunks import in_chunks
+from irisjax.render.separable import Response, Separable
+from irisjax.tissue.iris import Iris
+from irisjax.tissue.maps import IrisMaps, Scales, cell_centres
+
+CONE = 50.0
+"""Angle (degrees) about the iris's normal that holds nearly all light and lines of sight behind a cornea."""
+_TEXELS = 2048
+
+
+class LambertError(NamedTuple):
+    """A Lambertian iris of the albedo against ILIT's, relative, channel by channel, shape (channels,).
+
+    - `rms`: of the whole iris's mean radiance, over pairs of directions within `CONE` of the normal in proportion to
+        their cosines. `most`: the largest there, with its sign (negative: the Lambertian one is darker).
+    - `texels`: r.m.s. over texels too, relative to the mean radiance of the iris.
+    - `hemisphere`: as `rms`, over all directions, relative to the mean BRDF.
+    """
+
+    rms: np.ndarray
+    most: np.ndarray
+    texels: np.ndarray
+    hemisphere: np.ndarray
+
+
+class Matt(eqx.Module):
+    """An iris ready to be asked for its albedo; make one with `of`. Without what the first surface mirrors."""
+
+    response: Response
+    scales: Scales
+    iris: Iris
+    shape: tuple[int, int] = eqx.field(static=True)
+
+    @classmethod
+    def of(cls, iris: Iris, maps: IrisMaps | None, bands: Bands, integrator: Separable) -> "Matt":
+        """The iris in the channels of `bands`: of `colour_bands` linear sRGB, of unit weights spectral reflectance."""
+        scales = Scales.of(maps, iris)
+
+        def with_one(span):  # the uniform iris too
+            return None if span is None else jnp.stack([jnp.minimum(span[0], 1.0), jnp.maximum(span[1], 1.0)])
+
+        response = _response(iris, bands, Scales(*map(with_one, scales.ranges())), integrator)
+        return cls(response, scales, iris, (2, 2) if maps is None else maps.shape)
+
+    def albedo(self) -> Float[Array, "angles radii channels"]:
+        """Directional–hemispherical reflectance of each texel at normal incidence, in the aqueous humour.
+
+        It has the shape of the maps; without maps (2, 2), every texel alike.
+        """
+        return _albedo(self.response, self.scales, self.entering(1.0), self.shape)
+
+    def entering(self, cosine) -> Array:
+        """Share of light that enters the tissue, 1 − F."""
+        n = self.iris.indices()
+        return fresnel_at(jnp.asarray(cosine, self.response.error.dtype), n.aqueous, n.abl)[1]
+
+    def brdf(self, cos_incidence, cos_exit: Float[Array, " exits"]) -> Float[Array, "channels exits"]:
+        """BRDF of the uniform iris, 1/sr; the same for all azimuths."""
+        one = Scales(*(None if s is None else jnp.ones_like(cos_exit) for s in self.scales))
+        return self.entering(cos_incidence) * self.response(one, cos_exit)
+
+    def error(self) -> LambertError:
+        """How far a Lambertian iris is from this one, from at most 2048 texels."""
+        texels, weight = self._some()
+        flat = np.asarray(self.entering(1.0) * self.response.hemispherical(texels)) / np.pi  # (channels, texels)
+        mean = flat @ weight
+
+        def factors(cosine):  # of BRDF over mean Lambertian one: t(μ_i) and s(μ_o), of all texels
+            t = np.asarray(self.entering(cosine))
+            s = np.stack([np.asarray(self.response(texels, jnp.full(weight.size, c))) for c in cosine], 1)
+            return t, s / mean[:, None, None]
+
+        def nodes(lowest):
+            x, w = np.polynomial.legendre.leggauss(24)
+            cosine = lowest + (1 - lowest) * (x + 1) / 2
+            return cosine, w * cosine / (w * cosine).sum()
+
+        cosine, w = nodes(np.cos(np.radians(CONE)))
+        t, all_s = factors(cosine)
+        off = 1 / (t[:, None] * (all_s @ weight)[:, None, :]) - 1
+        seen = flat[:, None, None, :] / mean[:, None, None, None]
+        by_texel = seen - t[:, None, None] * all_s[:, None]  # (channels, in, out, texels)
+        by_texel = ((by_texel**2) @ weight) / (t[:, None] * (all_s @ weight)[:, None, :]) ** 2
+        t, s = factors(np.cos(np.radians(np.linspace(0, CONE, 26))))
+        most = (1 / (t[:, None] * (s @ weight)[:, None, :]) - 1).reshape(len(mean), -1)
+        most = most[np.arange(len(mean)), np.abs(most).argmax(1)]
+        rms, texel = (np.sqrt(np.einsum("cio,i,o->c", x, w, w)) for x in (off**2, by_texel))
+        cosine, w = nodes(0.0)
+        t, s = factors(cosine)
+        whole = t[:, None] * (s @ weight)[:, None, :]
+        average = np.einsum("cio,i,o->c", whole, w, w)
+        return LambertError(rms, most, texel, np.sqrt(np.einsum("cio,i,o->c", (whole - 1) ** 2, w, w)) / average)
+
+    def _some(self) -> tuple[Scales, np.ndarray]:
+        """Scales of some texels, and weights by their area."""
+        if all(s is None for s in self.scales):
+            return Scales(), np.ones(1)
+        rows, columns = self.shape
+        step = max(1, round((rows * columns / _TEXELS) ** 0.5))
+        radius = np.asarray(cell_centres(self.shape)[1])
+        place = float(self.iris.pupil_radius) + radius * float(self.iris.iris_radius - self.iris.pupil_radius)
+        weight = np.broadcast_to(place, self.shape)[::step, ::step].ravel()
+        return Scales(*(None if s is None else s[::step, ::step].ravel() for s in self.scales)), weight / weight.sum()
+
+
+@eqx.filter_jit
+def _response(iris: Iris, bands: Bands, ranges: Scales, integrator: Separable) -> Response:
+    return integrator.response(iris, bands, ranges)
+
+
+@eqx.filter_jit
+def _albedo(response: Response, scales: Scales, entering, shape: tuple[int, int]):
+    if all(s is None for s in scales):
+        found = entering * response.hemispherical(scales)[:, 0]
+        return jnp.broadcast_to(found, (*shape, found.size))
+    texels = Scales(*(None if s is None else s.ravel() for s in scales))
+    return (entering * in_chunks(lambda some: response.hemispherical(some).T, texels)).reshape(*shape, -1)

@@ -1,0 +1,100 @@
+"""Maps in files: what is written comes back, F09's packing is understood, and wrong files are one line."""
+
+import numpy as np
+import pytest
+
+from irisjax import cli, io
+from irisjax.io.maps import NAMES
+from irisjax.io.scenes import read_scene
+from irisjax.tissue.maps import IrisMaps
+
+SHAPE = (7, 5)
+
+
+def drawn(*names):
+    random = np.random.default_rng(3)
+    return {name: random.random(SHAPE, np.float32) for name in names}
+
+
+@pytest.mark.parametrize("names", [NAMES, ("eumelanin",), ("freckles", "relief"), NAMES[:3], NAMES[:4]])
+def test_round_trip_to_the_last_bit(tmp_path, bits, names):
+    maps = drawn(*names)
+    io.write_maps(tmp_path / "maps.exr", IrisMaps(**maps))
+    back = io.read_maps(tmp_path / "maps.exr").present()
+    assert set(back) == set(names)
+    for name, values in maps.items():
+        np.testing.assert_array_equal(np.asarray(back[name]), values)
+
+
+@pytest.mark.parametrize("letters", ["RGB", "RGBA"])
+def test_packing_of_f09(tmp_path, letters):
+    image = np.random.default_rng(5).random((*SHAPE, len(letters)), np.float32)
+    image[0, 0, 3:] = 0  # no freckle: nothing may be divided by it
+    io.write_exr(tmp_path / "packed.exr", image, tuple(letters))
+    found = io.read_maps(tmp_path / "packed.exr").present()
+    order = ["relief", "abl_thickness", "stroma_thickness", "freckles"][: len(letters)]
+    assert set(found) == set(order)
+    for i, name in enumerate(order):
+        np.testing.assert_array_equal(np.asarray(found[name]), image[..., i])
+
+
+def test_no_maps_are_no_file(tmp_path):
+    with pytest.raises(ValueError, match=r"m\.exr: there are no maps to write"):
+        io.write_maps(tmp_path / "m.exr", IrisMaps())
+    assert not list(tmp_path.iterdir())
+
+
+def test_scene_takes_its_maps_from_a_file(tmp_path):
+    (tmp_path / "deep").mkdir()
+    io.write_maps(tmp_path / "deep" / "m.exr", IrisMaps(**drawn("relief", "freckles")))
+    text = '[iris]\npreset = "blue"\n[maps]\nseed = 4\nfile = "deep/m.exr"\n[eye]\nsclera = false'
+    (tmp_path / "scene.toml").write_text(text)
+    scene = read_scene(tmp_path / "scene.toml").scene()  # the path is the scene file's neighbour
+    assert scene.maps is not None and set(scene.maps.present()) == {"relief", "freckles"}
+    np.testing.assert_array_equal(np.asarray(scene.maps.relief), drawn("relief")["relief"])
+    assert float(scene.iris.eumelanin) == pytest.approx(0.015)  # the preset's pigments
+
+
+@pytest.fixture
+def complaint(capsys, monkeypatch, tmp_path):
+    """What `irisjax render` says of a scene, with `m.exr` of these channels beside it."""
+    import jax
+
+    monkeypatch.chdir(tmp_path)
+    before = jax.config.read("jax_enable_x64")
+
+    def run(text, **channels):
+        (tmp_path / "scene.toml").write_text(text)
+        if channels:
+            io.write_exr("m.exr", np.stack(list(channels.values()), -1), tuple(channels))
+        status = cli.run(["render", "scene.toml", "--size", "4x3"])
+        out, err = capsys.readouterr()
+        assert (status, out) == (2, "") and err.count("\n") == 1 and not (tmp_path / "eye.png").exists()
+        return err
+
+    yield run
+    jax.config.update("jax_enable_x64", before)
+
+
+MAPS = '[maps]\n\nfile = "m.exr"'
+ONES = np.ones(SHAPE, np.float32)
+
+
+@pytest.mark.parametrize(
+    ("text", "channels", "message"),
+    [
+        (MAPS, {}, "scene.toml, line 3: m.exr: No such file or directory"),
+        (MAPS, {"Relief": ONES}, "scene.toml, line 3: m.exr: unknown channel 'Relief'; maps have channels among relief, abl_"),
+        (MAPS, {"R": ONES, "G": ONES}, "scene.toml, line 3: m.exr: unknown channel 'R', 'G'; maps have"),
+        (MAPS, {"freckles": 2 * ONES}, "line 3: m.exr: map freckles has values outside [0, 1] or not finite"),
+        (MAPS, {"R": ONES, "G": -ONES, "B": ONES}, "line 3: m.exr: map abl_thickness has values outside [0, inf]"),
+        (MAPS, {"relief": np.nan * ONES}, "line 3: m.exr: map relief has values outside [-1, 1] or not finite"),
+        (MAPS, {"relief": ONES[:1]}, "line 3: m.exr: map relief has shape (1, 5)"),
+        ('[maps]\nfile = "m.png"', {}, "scene.toml, line 2: m.png: a file of maps must end in .exr"),
+        ("[maps]\nfile = 3", {}, "scene.toml, line 2: maps.file = 3 must be text"),
+        (MAPS + "\nfibres = 1", {"relief": ONES}, "scene.toml, line 4: maps.fibres is for grown maps, and maps.file gives"),
+        (MAPS + "\nuniform = true", {"relief": ONES}, "scene.toml, line 4: maps.uniform is for grown maps"),
+    ],
+)  # fmt: skip
+def test_wrong_maps_are_one_line(complaint, text, channels, message):
+    assert message in complaint(text, **channels)
