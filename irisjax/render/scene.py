@@ -155,11 +155,11 @@ def prepare(
 
     outside = scene.lights, scene.environment, eye, scene.veins, clear, lamp
     base = memory.once("surface", surface, view, lights, *outside)
-    texels, ground, ranges = None, None, Scales()
+    texels, ground = None, None
+    ranges = memory.once("ranges", lambda *of: Scales.of(*of).ranges(), scene.maps, scene.iris)
     if view.iris is not None:
         if tables is None:
             tables = scene.tables()
-        ranges = memory.once("ranges", lambda *of: Scales.of(*of).ranges(), scene.maps, scene.iris)
         parts = lights, eye, scene.iris, scene.maps, tables, ranges
         texels, ground = scene.integrator.place(view.iris, *parts, memory)
     return Stage(base, texels, ground, bands, scene.integrator, ranges, (width, height))

@@ -258,16 +258,15 @@ def _inside_to_unit(inside, n_in, n_out):
     return 2 * (inside - lowest) / (1 - lowest) - 1
 
 
-# The response changes fast where a layer is thin and tends to that of an opaque one.
-_BEND = 2.0
+# The response changes fast where a layer is thin: equal steps in the logarithm of one plus a few times the scale.
+_BEND = 3.0
 
 
 def _from_unit(span, x):
-    low, high = (s / (s + _BEND) for s in span)
-    bent = low + (x + 1) * ((high - low) / 2)
-    return _BEND * bent / (1 - bent)
+    low, high = (jnp.log1p(_BEND * s) for s in span)
+    return jnp.expm1(low + (x + 1) * ((high - low) / 2)) / _BEND
 
 
 def _to_unit(span, scale):
-    low, high = (s / (s + _BEND) for s in span)
-    return jnp.clip((scale / (scale + _BEND) - low) * (2 / (high - low)) - 1, -1, 1)
+    low, high = (jnp.log1p(_BEND * s) for s in span)
+    return jnp.clip((jnp.log1p(_BEND * scale) - low) * (2 / (high - low)) - 1, -1, 1)
