@@ -150,13 +150,16 @@ def prepare(
             colour = memory.once("white", _white_colour, view.sclera, eye, veins, clear)
             base = _add(base, view.sclera.index, shading.white(view.sclera, lights, colour))
         if view.mirror is not None:
-            base = _add(base, view.mirror.index, shading.mirrored(view.mirror, lamps, environment, lamp))
+            room = None
+            if environment is not None:
+                room = memory.once("room", shading.room_at, view.mirror, environment)
+            base = _add(base, view.mirror.index, shading.mirrored(view.mirror, lamps, room, lamp))
         return base
 
     outside = scene.lights, scene.environment, eye, scene.veins, clear, lamp
     base = memory.once("surface", surface, view, lights, *outside)
     texels, ground = None, None
-    ranges = memory.once("ranges", lambda *of: Scales.of(*of).ranges(), scene.maps, scene.iris)
+    ranges = shading.ranges_of(scene.iris, scene.maps, memory)
     if view.iris is not None:
         if tables is None:
             tables = scene.tables()

@@ -69,13 +69,13 @@ class Separable(AbstractIntegrator):
         relief = None if maps is None else maps.relief
         light = memory.once("irradiance", irradiance_at, pixels, field, eye, relief)
         scales = scales_at(pixels, eye, iris, maps, memory)
-        placed = memory.once("terms", self._terms, scales, ranges, pixels.cosine, iris)
-        return Texels(pixels.index, placed, light), None
-
-    @eqx.filter_jit
-    def _terms(self, scales: Scales, ranges: Scales, cosine, iris: Iris) -> "Terms":
-        n = iris.indices()
-        return Terms.of(scales, ranges, self._most(ranges), cosine, (n.aqueous, n.abl), self.degrees[4])
+        varied = [v for v in zip(scales, ranges, self.degrees, strict=False) if v[1] is not None]
+        terms = Terms(
+            memory.once("first", _first, varied[:1], pixels.cosine),
+            memory.once("rest", _rest, varied[1:], pixels.cosine),
+            memory.once("angular", _angular, pixels.cosine, iris, self.degrees[4]),
+        )
+        return Texels(pixels.index, terms, light), None
 
     def _most(self, ranges: Scales) -> tuple[int, ...]:
         return tuple(d for d, r in zip(self.degrees[:4], ranges, strict=True) if r is not None)
@@ -136,13 +136,6 @@ class Terms(eqx.Module):
     rest: Float[Array, "products pixels"]
     angular: Float[Array, "cosine pixels"]
 
-    @classmethod
-    def of(cls, scales: Scales, ranges: Scales, degrees: tuple[int, ...], cosine, indices, angular: int) -> "Terms":
-        """Of pixels: `degrees` of the scales that vary, `angular` of the cosine; `indices` of aqueous and ABL."""
-        inside = refract(cosine, *indices)
-        exits = _polynomials(_inside_to_unit(inside, *indices), angular + 1)
-        return cls(*_factors(scales, ranges, degrees, cosine), exits * fresnel(cosine, inside, *indices)[1])
-
 
 class Texels(eqx.Module):
     """What a pigment change leaves alone: of each pixel its `terms`, and `light`, irradiance times all shares on the
@@ -169,8 +162,13 @@ class Response(AbstractResponse):
 
     def __call__(self, scales: Scales, cosine: Float[Array, " pixels"]) -> Float[Array, "channels pixels"]:
         """Radiance per irradiance (1/sr, times the picture's white) of pixels."""
-        angular = self.coefficients.shape[2] - 1
-        return self._at(Terms.of(scales, self.ranges, self.degrees, cosine, self.indices, angular))
+        varied = self._varied(scales)
+        exits = _exits(cosine, self.indices, self.coefficients.shape[2] - 1)
+        return self._at(Terms(_first(varied[:1], cosine), _rest(varied[1:], cosine), exits))
+
+    def _varied(self, scales: Scales):
+        some = [(s, r) for s, r in zip(scales, self.ranges, strict=True) if r is not None]
+        return [(*v, degree) for v, degree in zip(some, self.degrees, strict=True)]
 
     def hemispherical(self, scales: Scales) -> Float[Array, "channels pixels"]:
         """Flux into the whole hemisphere per irradiance that entered the tissue, 2π ∫ g μ dμ, of pixels.
@@ -185,9 +183,9 @@ class Response(AbstractResponse):
         # Linear in the polynomials of the cosine: their integrals once, not a sum over directions a pixel.
         moments = _polynomials(_inside_to_unit(inside, *self.indices), self.coefficients.shape[2]) @ weight
         one = jnp.ones_like(next((s for s in scales if s is not None), jnp.ones(1, self.error.dtype)))
-        first, rest = _factors(scales, self.ranges, self.degrees, one)
+        varied = self._varied(scales)
         whole = jnp.tensordot(self.coefficients, moments, (2, 0))
-        return whole.reshape(-1, whole.shape[-1]).T @ _basis(first, rest)
+        return whole.reshape(-1, whole.shape[-1]).T @ _basis(_first(varied[:1], one), _rest(varied[1:], one))
 
     def _at(self, terms: Terms) -> Float[Array, "channels pixels"]:
         last, channels = self.coefficients.shape[2:]
@@ -201,15 +199,38 @@ class Response(AbstractResponse):
         return self._at(texels.terms) * texels.light
 
 
-def _factors(scales: Scales, ranges: Scales, degrees: tuple[int, ...], one: Float[Array, " pixels"]):
-    """Polynomials of the first scale that varies and products of those of the others, `one` where none does."""
-    places = [_to_unit(r, s) for s, r in zip(scales, ranges, strict=True) if r is not None]
-    each = [_polynomials(p, d + 1) for p, d in zip(places, degrees, strict=True)]
-    first, *others = each or [jnp.ones_like(one)[None]]
-    if not others:
-        return first, jnp.ones_like(first[:1])
-    factors = [[t[k] for t, k in zip(others, term, strict=True)] for term in _products(degrees[1:])]
-    return first, jnp.stack([functools.reduce(jnp.multiply, f) for f in factors])
+@eqx.filter_jit
+def _first(varied, cosine):
+    """Polynomials of the first scale that varies, (scale, range, degree); one where none does."""
+    return _polynomials(*_place(*varied[0])) if varied else jnp.ones_like(cosine)[None]
+
+
+@eqx.filter_jit
+def _rest(varied, cosine):
+    """Products of the polynomials of the other scales that vary; one where none does."""
+    if not varied:
+        return jnp.ones_like(cosine)[None]
+    each = [_polynomials(*_place(*v)) for v in varied]
+    terms = _products(tuple(degree for *_, degree in varied))
+    return jnp.stack(
+        [functools.reduce(jnp.multiply, [t[k] for t, k in zip(each, term, strict=True)]) for term in terms]
+    )
+
+
+def _place(scale, span, degree: int):
+    return _to_unit(span, scale), degree + 1
+
+
+@eqx.filter_jit
+def _angular(cosine, iris: Iris, degree: int):
+    n = iris.indices()
+    return _exits(cosine, (n.aqueous, n.abl), degree)
+
+
+def _exits(cosine, indices, degree: int):
+    """Polynomials of the exit cosine, times the share that leaves the tissue."""
+    inside = refract(cosine, *indices)
+    return _polynomials(_inside_to_unit(inside, *indices), degree + 1) * fresnel(cosine, inside, *indices)[1]
 
 
 def _basis(first, rest):

@@ -91,33 +91,40 @@ def _flux(lights: Lights, i, place, tables: Illumination | None):
     return flux * jnp.broadcast_to(power, place.shape[:-1])[..., None]
 
 
-@eqx.filter_jit
-def texture_at(texture: Float[Array, "angles radii"], pixels: IrisPixels, eye: Eye) -> Float[Array, " pixels"]:
-    """A map of the iris at the pixels that see it."""
-    return fetch(texture, *_polar(pixels.point, eye))
-
-
 def scales_at(pixels: IrisPixels, eye: Eye, iris: Iris, maps: IrisMaps | None, memory: Memory) -> Scales:
     """How the texels differ from the uniform iris, at the pixels; a map that has not changed is not fetched again."""
-    if maps is None:
-        return Scales()
+    return _each(lambda name, part: memory.once(name, _scale_at, part, iris, pixels.point, eye), maps)
 
-    def at(texture, point, eye):
-        return None if texture is None else texture_at(texture, pixels, eye)
 
-    def thick(iris, maps, point, eye):
-        return at(maps.abl_scale(iris), point, eye)
+def ranges_of(iris: Iris, maps: IrisMaps | None, memory: Memory) -> Scales:
+    """`Scales.ranges` of the maps; a map that has not changed is not searched again."""
+    return _each(lambda name, part: memory.once(f"range of {name}", _range, part, iris), maps)
 
-    def deep(iris, maps, point, eye):
-        return at(maps.stroma_scale(iris), point, eye)
 
-    place = pixels.point, eye
-    return Scales(
-        memory.once("ABL", thick, iris, IrisMaps(abl_thickness=maps.abl_thickness, freckles=maps.freckles), *place),
-        memory.once("stroma", deep, iris, IrisMaps(stroma_thickness=maps.stroma_thickness), *place),
-        memory.once("eumelanin", at, maps.eumelanin, *place),
-        memory.once("pheomelanin", at, maps.pheomelanin, *place),
-    )
+def _each(f, maps: IrisMaps | None) -> Scales:
+    """`f` of each scale's name and the maps that it depends on; `None` where there are none."""
+    maps = IrisMaps() if maps is None else maps
+    parts = {
+        "abl": IrisMaps(abl_thickness=maps.abl_thickness, freckles=maps.freckles),
+        "stroma": IrisMaps(stroma_thickness=maps.stroma_thickness),
+        "eumelanin": IrisMaps(eumelanin=maps.eumelanin),
+        "pheomelanin": IrisMaps(pheomelanin=maps.pheomelanin),
+    }
+    return Scales(*(f(name, part) if part.present() else None for name, part in parts.items()))
+
+
+def _only(scales: Scales):
+    return next(s for s in scales if s is not None)
+
+
+@eqx.filter_jit
+def _scale_at(part: IrisMaps, iris: Iris, point, eye: Eye):
+    return fetch(_only(Scales.of(part, iris)), *_polar(point, eye))
+
+
+@eqx.filter_jit
+def _range(part: IrisMaps, iris: Iris):
+    return _only(Scales.of(part, iris).ranges())
 
 
 @eqx.filter_jit
@@ -190,10 +197,13 @@ def white(
 
 @eqx.filter_jit
 def mirrored(
-    pixels: SurfacePixels, lights: Lights | None, environment: Environment | None, lamp: Float[Array, " channels"]
-):
-    """Channels (pixels, channels) of images in the tear film: lamps as soft discs of their angular radius, the
-    environment as it is. `lamp` is a lamp of radiance 1 in the picture's channels."""
+    pixels: SurfacePixels,
+    lights: Lights | None,
+    room: Float[Array, "pixels channels"] | None,
+    lamp: Float[Array, " channels"],
+) -> Float[Array, "pixels channels"]:
+    """Channels of images in the tear film: lamps as soft discs of their angular radius, the `room` of `room_at` as it
+    is. `lamp` is a lamp of radiance 1 in the picture's channels."""
     total = jnp.zeros((pixels.index.size, lamp.size), pixels.mirror.dtype)
     if lights is not None:
         # Chords in place of angles: an arc cosine a pixel and light costs more than all the rest.
@@ -202,6 +212,12 @@ def mirrored(
         inside = jnp.clip((outer - chord) / (outer - inner), 0, 1)
         radiance = lights.irradiance / (jnp.pi * jnp.sin(lights.radius) ** 2)
         total = total + inside @ (radiance[:, None] * (lamp if lights.tint is None else lights.tint))
-    if environment is not None:
-        total = total + environment.lookup(pixels.mirror)
+    if room is not None:
+        total = total + room
     return total * pixels.reflectance[:, None]
+
+
+@eqx.filter_jit
+def room_at(pixels: SurfacePixels, environment: Environment) -> Float[Array, "pixels 3"]:
+    """What the tear film would mirror of the environment, were it silver."""
+    return environment.lookup(pixels.mirror)

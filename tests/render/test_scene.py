@@ -262,8 +262,8 @@ def test_absent_parts_cost_nothing(tables):
     sight = [operations(lambda e=e: _trace(e, SMALL)) for e in (BARE, CLOSE, Eye(cornea=CLEAR))]
     assert sight == sorted(set(sight))
     view = look(Eye(), SMALL)
-    room = Environment(jnp.ones((4, 8, 3)))
-    mirrors = [operations(lambda e=e: shading.mirrored(view.mirror, lamp, e, jnp.ones(3))) for e in (None, room)]
+    room = shading.room_at(view.mirror, Environment(jnp.ones((4, 8, 3))))
+    mirrors = [operations(lambda r=r: shading.mirrored(view.mirror, lamp, r, jnp.ones(3))) for r in (None, room)]
     table = colour_table(Eye().sclera, np.array([450.0, 600.0]), np.ones((3, 2)))
     drawn = VeinMap(*(jnp.zeros((4, 4)) for _ in range(3)))
     whites = [operations(lambda v=v: shading.white_colour(view.sclera, Eye(), table, v)) for v in (None, drawn)]
