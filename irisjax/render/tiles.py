@@ -10,7 +10,7 @@ from irisjax.render.memory import Memory
 from irisjax.render.scene import Scene, prepare
 
 _MEMORY = 1 << 28  # bytes for the pixels of a band; the programs and tables round them take three times that
-_PIXEL, _CHANNEL = 480, 24  # bytes for each of a band's, measured
+_PIXEL, _CHANNEL = 1200, 24  # bytes for each of a band's, measured
 
 
 class Band(NamedTuple):

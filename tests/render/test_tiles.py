@@ -31,7 +31,7 @@ def scene(**parts):
 
 def memory(rows, width, channels=3, samples=1):
     """Just enough for bands of so many rows."""
-    return (480 + 24 * channels) * rows * width * samples**2
+    return (1200 + 24 * channels) * rows * width * samples**2
 
 
 def joined(made, **options):
