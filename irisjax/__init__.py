@@ -48,6 +48,7 @@ if TYPE_CHECKING:
     from irisjax.render.camera import Camera as Camera
     from irisjax.render.environment import Environment as Environment
     from irisjax.render.lights import Lights as Lights
+    from irisjax.render.memory import Memory as Memory
     from irisjax.render.scene import Scene as Scene
     from irisjax.render.scene import prepare as prepare
     from irisjax.render.separable import Separable as Separable
@@ -69,6 +70,7 @@ _LATER = {
     "Camera": "render.camera",
     "Environment": "render.environment",
     "Lights": "render.lights",
+    "Memory": "render.memory",
     "Scene": "render.scene",
     "prepare": "render.scene",
     "Separable": "render.separable",

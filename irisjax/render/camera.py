@@ -1,6 +1,7 @@
 """A pinhole camera that looks at the eye, and what each of its pixels sees."""
 
 import dataclasses
+from functools import partial
 from typing import Any
 
 import equinox as eqx
@@ -12,7 +13,7 @@ from jaxtyping import Array, Float, Int
 
 from irisjax._types import Scalar, as_float
 from irisjax.optics.conicoid import dot, norm, reflect_vector, refract_vector
-from irisjax.render.chunks import in_chunks
+from irisjax.render.chunks import in_chunks, side_by_side
 from irisjax.render.refraction import enter
 from irisjax.render.sclera import meet_sclera, sphere
 from irisjax.tissue.anatomy import Eye
@@ -130,10 +131,12 @@ class View(eqx.Module):
 def look(eye: Eye, camera: Camera) -> View:
     """Sort a camera's pixels by what they see. Runs on the host: the number of pixels decides the shapes."""
     rows, columns = camera.shape
-    iris, surface, blend, met = _trace(eye, camera)
+    count = rows * columns
+    found = side_by_side(lambda *share: _trace(eye, camera, *share), count, eye, camera)
+    iris, surface, blend, met = found[0] if len(found) == 1 else _joined(found, count)
     blend, met = np.asarray(blend), np.asarray(met)
     sees_iris = met & (blend < 1) & (np.asarray(iris.share) > 0)
-    pick = _picker(rows * columns, part=camera.rows is not None)
+    pick = _picker(count, part=camera.rows is not None)
     views: list[Any] = [pick(iris, sees_iris)]
     if eye.cornea is None:
         views += [None, None]
@@ -163,11 +166,17 @@ def _picked(pixels, source):
     return jax.tree.map(lambda x: x.at[source].get(mode="promise_in_bounds"), pixels)
 
 
-@jax.jit
-def _trace(eye: Eye, camera: Camera):
+@partial(jax.jit, static_argnums=3)
+def _trace(eye: Eye, camera: Camera, share=0, shares: int = 1):
     origin, direction = camera.rays(eye)
     index = jnp.arange(camera.shape[0] * camera.shape[1], dtype=jnp.int32)
-    return in_chunks(lambda rays: _seen(eye, origin, *rays), (direction.reshape(-1, 3), index))
+    rays = direction.reshape(-1, 3), index
+    return in_chunks(lambda rays: _seen(eye, origin, *rays), rays, 0, share, shares)
+
+
+@partial(jax.jit, static_argnums=1)
+def _joined(found, count: int):
+    return jax.tree.map(lambda *parts: jnp.concatenate(parts)[:count], *found)
 
 
 def _seen(eye: Eye, origin, direction, index):

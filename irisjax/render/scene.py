@@ -13,7 +13,7 @@ from irisjax.measure.colour import OBSERVER
 from irisjax.render import shading
 from irisjax.render.bands import Bands, colour_bands, spectral_bands
 from irisjax.render.camera import Camera, View, look
-from irisjax.render.chunks import in_chunks
+from irisjax.render.chunks import in_chunks, side_by_side
 from irisjax.render.environment import Environment
 from irisjax.render.illumination import UNIQUE_POLAR, Illumination
 from irisjax.render.integrator import AbstractIntegrator, AbstractResponse
@@ -101,8 +101,11 @@ class Stage(eqx.Module):
     def shown(self, response: AbstractResponse) -> Float[Array, "height width channels"]:
         """The picture with a response."""
         width, height = self.size
-        picture = self.base if self.texels is None else _composed(self.base, self.texels, self.ground, response)
-        return picture.reshape(height, width, -1)
+        if self.texels is None:
+            return self.base.reshape(height, width, -1)
+        parts = self.texels, self.ground, response
+        colours = side_by_side(lambda *share: _shaded(*parts, *share), self.texels.index.size, *parts)
+        return _composed(self.base, self.texels.index, colours).reshape(height, width, -1)
 
 
 def render(scene: Scene, tables: Illumination | None = None) -> Float[Array, "height width 3"]:
@@ -193,7 +196,12 @@ def _add(base, index, colour):
 
 
 @eqx.filter_jit
-def _composed(base, texels, ground, response: AbstractResponse):
+def _shaded(texels, ground, response: AbstractResponse, share, shares: int):
     # Channels apart within a portion: three numbers a pixel leave the processor's vectors half empty.
-    colour = in_chunks(lambda pixels: response.shade(pixels, ground), texels, axis=-1).T
-    return base.at[texels.index].add(colour, mode="drop", wrap_negative_indices=False)
+    return in_chunks(lambda pixels: response.shade(pixels, ground), texels, -1, share, shares)
+
+
+@jax.jit
+def _composed(base, index, colours):
+    colour = jnp.concatenate(colours, axis=-1)[:, : index.size].T
+    return base.at[index].add(colour, mode="drop", wrap_negative_indices=False)

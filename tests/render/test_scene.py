@@ -10,7 +10,7 @@ import pytest
 
 import irisjax as ij
 from common import operations
-from irisjax.render import shading
+from irisjax.render import chunks, shading
 from irisjax.render.bands import colour_bands
 from irisjax.render.camera import Camera, _trace, look
 from irisjax.render.environment import Environment
@@ -297,6 +297,19 @@ def test_only_what_changed_is_made_again(tables):
             assert again.base is prepare(after, tables, memory=memory).base
     back = prepare(made, tables, memory=memory)
     np.testing.assert_array_equal(back(LIGHT), first(LIGHT))
+
+
+def test_cores_change_no_bit(monkeypatch, tables):
+    """A picture large enough for threads, by one, two and four."""
+    maps = IrisMaps(stroma_thickness=ring(lambda x, y: 0.3 + 0.02 * x))
+    made = scene(maps=maps, eye=CLOSE, camera=dataclasses.replace(SMALL, size=(200, 150)))
+    pictures = []
+    for threads in (1, 2, 4):
+        monkeypatch.setattr(chunks, "_threads", lambda n=threads: n)
+        pictures.append(np.asarray(render(made, tables)))
+    assert look(CLOSE, made.camera).iris.index.size > chunks._FEW
+    np.testing.assert_array_equal(pictures[1], pictures[0])
+    np.testing.assert_array_equal(pictures[2], pictures[0])
 
 
 def brightness(tables, view, bands, ranges):
