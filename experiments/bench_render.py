@@ -19,6 +19,7 @@ from irisjax.render.illumination import Illumination
 from irisjax.render.lights import Lights
 from irisjax.render.memory import Memory
 from irisjax.render.scene import Scene, prepare
+from irisjax.render.single_scattering import SingleScattering
 from irisjax.render.vessels import veins
 from irisjax.tissue.procedural import preset
 
@@ -56,7 +57,7 @@ def _table(key, size, repeats):
 
     def row(change, scene, f):
         ms, _ = _milliseconds(f, repeats)
-        rows.append((change, scene, ms, 1e3 / ms, TARGETS.get(change, "")))
+        rows.append((change, scene, ms, 1e3 / ms, 1 if "single" in scene else TARGETS.get(change, "")))
 
     def of(change, name, scene, tables):
         """A row for the changes of one scene."""
@@ -97,6 +98,8 @@ def _table(key, size, repeats):
     tables = Illumination.build(eye, caustics=False)
     for change in ("pigments", "thickness", "2 lights", "25 lights", "camera, 2 lights"):
         of(change, "all but environment", two, tables)
+    marched = two.replace(integrator=SingleScattering())
+    of("2 lights", "all but environment, single scattering", marched, tables)
     without = {
         "no maps": two.replace(maps=None),
         "no relief": two.replace(maps=maps.replace(relief=None)),

@@ -55,9 +55,9 @@ def counted(monkeypatch):
     def count(name):
         function = getattr(studio, name)
 
-        def called(*arguments):
+        def called(*arguments, **named):
             counts[name] += 1
-            return function(*arguments)
+            return function(*arguments, **named)
 
         monkeypatch.setattr(studio, name, called)
 
