@@ -246,6 +246,7 @@ def browser():
             yield found
             found.close()
             return
+        # Of half a gigabyte, which not everyone who runs the tests wants; CI installs it.
         pytest.skip("no Chromium: python -m playwright install --with-deps chromium")
 
 

@@ -25,8 +25,6 @@ def export(
 
     README.txt in the folder says what each file is, and how far a matt iris is from the model. Simulated.
     """
-    if scene is None and preset is None:
-        raise ValueError("give a SCENE file or --preset")
     if not 0.02 <= spacing <= 2:
         raise ValueError(f"--spacing {spacing:g} is outside 0.02 to 2 mm")
     check_folder(output)

@@ -84,8 +84,6 @@ def render(
     Simulated. PNG is sRGB without any tone adjustment; what is out of its range is clipped, and counted on standard
     error. EXR is linear and unbounded.
     """
-    if scene is None and preset is None:
-        raise ValueError("give a SCENE file or --preset")
     moving = (".gif", ".mp4", ".png")
     allowed = moving if animate is not None else (".exr",) if spectral is not None else (".png", ".exr")
     if output.suffix not in allowed:
@@ -163,6 +161,8 @@ def scene_file(path: Path | None, name: str | None, seed: int) -> SceneFile:
         if name is not None:
             raise ValueError("give a SCENE file or --preset, not both")
         return read_scene(path)
+    if name is None:
+        raise ValueError("give a SCENE file or --preset")
     if name not in PRESETS:
         raise ValueError(f"--preset: unknown {name!r}; known: {', '.join(PRESETS)}")
     return parse_scene(

@@ -7,7 +7,6 @@ BT.709 with half the resolution for colours.
 import importlib.util
 import itertools
 import re
-import tempfile
 from collections.abc import Iterable, Iterator
 from fractions import Fraction
 from io import BytesIO
@@ -16,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from irisjax.io.images import check_suffix, to_steps, write_png
+from irisjax.io.images import check_suffix, encode_png, to_steps
 from irisjax.io.tables import check_writable, write_atomically, write_together
 
 _NUMBER = re.compile(r"%(0\d+)?d")
@@ -102,11 +101,10 @@ def _mp4(path: Path, frames: Iterator[Any], rate: int, remark: str) -> int:
 def _numbered_pngs(path: Path, frames: Iterator[Any], rate: int, remark: str) -> int:
     del rate
     clipped, files = 0, {}
-    with tempfile.TemporaryDirectory() as folder:
-        temporary = Path(folder, "frame.png")
-        for number, frame in enumerate(frames):
-            clipped += write_png(temporary, frame, remark=remark)
-            files[_numbered(path, number)] = temporary.read_bytes()
+    for number, frame in enumerate(frames):
+        name = _numbered(path, number)
+        files[name], out = encode_png(name, frame, remark=remark)
+        clipped += out
     write_together(files)
     return clipped
 

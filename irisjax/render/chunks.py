@@ -15,6 +15,10 @@ import jax.numpy as jnp
 from jax.core import Tracer
 
 _SIZE = 256  # from 512 on XLA shares out small operations among threads, which takes longer than doing them
+_SETTINGS = (
+    "jax_enable_x64", "jax_default_device", "jax_default_matmul_precision", "jax_numpy_dtype_promotion",
+    "jax_disable_jit", "jax_debug_nans", "jax_debug_infs",
+)  # fmt: skip
 _FEW = 1 << 14  # pixels for which a second thread is not worth its start
 
 
@@ -57,11 +61,17 @@ def side_by_side(f: Callable[[Any, int], Any], count: int, *inputs: Any) -> list
     `inputs` are what `f` depends on: while they are traced there is one share, as on an accelerator. Joined, results
     may be longer than `count`; what is too much repeats the last pixel.
     """
-    shares = _threads() if count >= _FEW and not any(isinstance(x, Tracer) for x in jax.tree.leaves(inputs)) else 1
-    if shares == 1:
+    traced = any(isinstance(x, Tracer) for x in jax.tree.leaves(inputs))
+    shares = _threads() if count >= _FEW and not traced else 1
+    # What a `with` set for this thread alone, float64 say, does not reach others.
+    if shares == 1 or _pool(shares).submit(_settings).result() != _settings():
         return [f(jnp.asarray(0), 1)]
     work = [_pool(shares).submit(lambda i=i: jax.block_until_ready(f(jnp.asarray(i), shares))) for i in range(shares)]
     return [w.result() for w in work]
+
+
+def _settings() -> list[Any]:
+    return [getattr(jax.config, name) for name in _SETTINGS]
 
 
 @cache

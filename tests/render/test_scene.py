@@ -312,6 +312,16 @@ def test_cores_change_no_bit(monkeypatch, tables):
     np.testing.assert_array_equal(pictures[2], pictures[0])
 
 
+def test_settings_of_this_thread_hold_for_all_pixels(monkeypatch, bits):
+    """The other precision, chosen by a `with`: threads that do not know of it would compute in theirs."""
+    monkeypatch.setattr(chunks, "_threads", lambda: 2)
+    with jax.enable_x64(bits == 32):
+        found = chunks.side_by_side(lambda share, shares: share + jnp.arange(3.0) / 3, chunks._FEW)
+        assert {x.dtype for x in found} == {jnp.result_type(float)} == {jnp.dtype(f"float{96 - bits}")}
+    with jax.default_device(jax.devices("cpu")[0]):
+        chunks.side_by_side(lambda share, shares: share, chunks._FEW)
+
+
 def brightness(tables, view, bands, ranges):
     """Mean of a picture as a function of all that one may want derivatives in."""
 
