@@ -59,7 +59,7 @@ def on_the_iris(scene, margin=0.25):
     """Flat indices of pixels that see the iris, clear of its edges, and their points (mm)."""
     view = look(scene.eye, scene.camera).iris
     assert view is not None
-    index, point = np.asarray(view.index), np.asarray(view.point)
+    index, point = np.asarray(view.index), np.stack(view.point, -1)
     r = np.hypot(point[:, 0], point[:, 1])
     inside = (index >= 0) & (r > float(scene.eye.pupil_radius) + margin) & (r < float(scene.eye.iris_radius) - margin)
     return index[inside], point[inside]
@@ -70,12 +70,14 @@ def matt(scene, folder, point):
     texture = np.flip(rgb(folder / "albedo.exr"), 0).swapaxes(0, 1)  # back to (angles, radii)
     pupil, root = float(scene.eye.pupil_radius), float(scene.eye.iris_radius)
     radius = (np.hypot(point[:, 0], point[:, 1]) - pupil) / (root - pupil)
-    albedo = fetch(jnp.asarray(texture, float), jnp.arctan2(point[:, 1], point[:, 0]), jnp.asarray(radius))
+    albedo = fetch(
+        jnp.moveaxis(jnp.asarray(texture, float), -1, 0), jnp.arctan2(point[:, 1], point[:, 0]), jnp.asarray(radius)
+    )
     irradiance = np.zeros(len(point))
     for i in range(len(scene.lights)):
         towards, power = (np.asarray(x) for x in scene.lights.seen_from(jnp.asarray(point), i))
         irradiance += power * np.maximum(-towards[:, 2], 0)
-    return np.asarray(albedo) * irradiance[:, None] / np.pi
+    return np.asarray(albedo).T * irradiance[:, None] / np.pi
 
 
 def test_mitsuba_renders_the_matt_iris_and_it_is_as_far_off_as_we_say(bare, mi):

@@ -129,4 +129,4 @@ def _albedo(response: Response, scales: Scales, entering, shape: tuple[int, int]
         found = entering * response.hemispherical(scales)[:, 0]
         return jnp.broadcast_to(found, (*shape, found.size))
     texels = Scales(*(None if s is None else s.ravel() for s in scales))
-    return (entering * in_chunks(lambda some: response.hemispherical(some).T, texels)).reshape(*shape, -1)
+    return (entering * in_chunks(response.hemispherical, texels)).T.reshape(*shape, -1)

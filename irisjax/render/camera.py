@@ -1,19 +1,18 @@
 """A pinhole camera that looks at the eye, and what each of its pixels sees."""
 
 import dataclasses
-from functools import partial
-from typing import Any
+from typing import Any, NamedTuple
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Bool, Float, Int
 
 from irisjax._types import Scalar, as_float
-from irisjax.optics.conicoid import dot, norm, reflect_vector, refract_vector
-from irisjax.render.chunks import in_chunks, side_by_side
+from irisjax.optics.conicoid import Vector, along, choose, dot, from_axis, norm, parts, reflect_vector, refract_vector
+from irisjax.optics.fresnel import safe_sqrt
+from irisjax.render.chunks import pixelwise
 from irisjax.render.refraction import enter
 from irisjax.render.sclera import meet_sclera, sphere
 from irisjax.tissue.anatomy import Eye
@@ -25,6 +24,10 @@ BLEND = 0.5
 LARGEST = 16384
 """Most pixels along a side."""
 _PAD = 2048  # and an eighth of the pixels at most
+
+
+Parts = tuple[Float[Array, " pixels"], ...]
+"""The three components of vectors."""
 
 
 def _number(default: float) -> Any:
@@ -72,6 +75,13 @@ class Camera(eqx.Module):
 
     def rays(self, eye: Eye) -> tuple[Float[Array, "3"], Float[Array, "height width 3"]]:
         """The camera's place (3,) and unit directions (rows, columns, 3) from the top."""
+        rows, columns = self.shape
+        place, direction = self.towards(jnp.arange(rows * columns), eye)
+        return place[0], direction.reshape(rows, columns, 3)
+
+    def towards(self, index: Int[Array, " pixels"], eye: Eye) -> tuple[Vector, Vector]:
+        """The camera's place (pixels, 3), over and over, and the unit directions (pixels, 3) of some pixels, counted
+        along its rows."""
         sin, cos = jnp.sin(self.polar), jnp.cos(self.polar)
         back = jnp.stack([sin * jnp.cos(self.azimuth), sin * jnp.sin(self.azimuth), -cos])
         origin = jnp.stack([jnp.zeros_like(sin), jnp.zeros_like(sin), eye.iris_depth]) + self.distance * back
@@ -83,48 +93,54 @@ class Camera(eqx.Module):
         right = jnp.cross(up, -back)
         w, h = self.size
         pitch = self.width / w
-        x = (jnp.arange(w, dtype=back.dtype) + 0.5 - w / 2) * pitch
-        row = jnp.arange(self.shape[0], dtype=back.dtype)
-        if self.first is not None:
-            row = row + self.first.astype(back.dtype)  # whole numbers: exact
-        y = -(row + 0.5 - h / 2) * pitch
-        d = -self.distance * back + x[None, :, None] * right + y[:, None, None] * up
-        return origin, d / norm(d)[..., None]
+        row = index // w if self.first is None else index // w + self.first
+        x = ((index % w).astype(back.dtype) + 0.5 - w / 2) * pitch
+        y = -(row.astype(back.dtype) + 0.5 - h / 2) * pitch
+        d = [-self.distance * b + x * r + y * u for b, r, u in zip(back, right, up, strict=True)]
+        length = safe_sqrt(d[0] * d[0] + d[1] * d[1] + d[2] * d[2])
+        return jnp.broadcast_to(origin, (*index.shape, 3)), jnp.stack([c / length for c in d], axis=-1)
 
 
 class IrisPixels(eqx.Module):
     """Pixels that see the iris, as flat arrays; `index` is −1 for padding.
 
-    - `point`: (pixels, 3) on the iris, mm; `direction`: of the line of sight in the chamber, into the eye.
+    - `point`: on the iris, mm; `direction`: of the line of sight in the chamber, into the eye.
     - `cosine`: of the exit angle to the flat iris; `share`: transmitted on the way out, over n² of the chamber,
         times the blend at the limbus.
     """
 
     index: Int[Array, " pixels"]
-    point: Float[Array, "pixels 3"]
-    direction: Float[Array, "pixels 3"]
+    point: Parts
+    direction: Parts
     cosine: Float[Array, " pixels"]
     share: Float[Array, " pixels"]
 
 
-class SurfacePixels(eqx.Module):
-    """Pixels that see the outer surface: `point`, `normal`, `mirror` direction (pixels, 3), `reflectance` of the
-    tear film, and the `share` of sclera (0 over the clear cornea)."""
+class ScleraPixels(eqx.Module):
+    """Pixels that see the white: `point` and `normal` (3, pixels), the `reflectance` of the tear film over it, and the
+    `share` of sclera, which blends with the iris at the limbus."""
 
     index: Int[Array, " pixels"]
-    point: Float[Array, "pixels 3"]
-    normal: Float[Array, "pixels 3"]
-    mirror: Float[Array, "pixels 3"]
+    point: Parts
+    normal: Parts
     reflectance: Float[Array, " pixels"]
     share: Float[Array, " pixels"]
+
+
+class MirrorPixels(eqx.Module):
+    """Pixels that see the tear film, on cornea and white: its `mirror` direction and `reflectance`."""
+
+    index: Int[Array, " pixels"]
+    mirror: Parts
+    reflectance: Float[Array, " pixels"]
 
 
 class View(eqx.Module):
     """What a camera sees of an eye, part by part; absent parts are `None`."""
 
     iris: IrisPixels | None
-    sclera: SurfacePixels | None
-    mirror: SurfacePixels | None
+    sclera: ScleraPixels | None
+    mirror: MirrorPixels | None
     size: tuple[int, int] = eqx.field(static=True)
 
 
@@ -132,86 +148,100 @@ def look(eye: Eye, camera: Camera) -> View:
     """Sort a camera's pixels by what they see. Runs on the host: the number of pixels decides the shapes."""
     rows, columns = camera.shape
     count = rows * columns
-    found = side_by_side(lambda *share: _trace(eye, camera, *share), count, eye, camera)
-    iris, surface, blend, met = found[0] if len(found) == 1 else _joined(found, count)
-    blend, met = np.asarray(blend), np.asarray(met)
-    sees_iris = met & (blend < 1) & (np.asarray(iris.share) > 0)
-    pick = _picker(count, part=camera.rows is not None)
-    views: list[Any] = [pick(iris, sees_iris)]
-    if eye.cornea is None:
-        views += [None, None]
-    else:
-        views += [pick(surface, met & (blend > 0)) if eye.sclera is not None else None, pick(surface, met)]
-    return View(*views, size=(columns, rows))
+    sorts = np.asarray(_sorted(np.arange(count, dtype=np.int32), eye, camera))
 
-
-def _picker(count: int, part: bool):
-    def pick(pixels, mask):
-        index = np.flatnonzero(mask)
+    def of(part: int, pixelwise_of):
+        index = np.flatnonzero(sorts & part)
         if not index.size:
             return None
-        # Few different lengths, few compiled programs: a camera that turns must not wait for XLA.
-        block = max(_PAD, 1 << max(index.size.bit_length() - 4, 0))
-        # Parts of a picture see anything from nothing to iris all over: programs for one length cost less than padding.
-        padded = count if part else min(-(-index.size // block) * block, max(count, index.size))
-        source = np.concatenate([index, np.full(padded - index.size, index[-1])])
-        where = np.where(np.arange(padded) < index.size, source, -1).astype(np.int32)
-        return eqx.tree_at(lambda p: p.index, _picked(pixels, source.astype(np.int32)), jnp.asarray(where))
+        # Few different lengths, few compiled programs: a camera that turns must not wait for XLA. Parts of a picture
+        # see anything from nothing to iris all over: programs for one length cost less than padding.
+        length = count if camera.rows is not None else index.size
+        block = max(_PAD, 1 << max(length.bit_length() - 4, 0)) if count >= _PAD else count
+        padded = np.pad(index.astype(np.int32), (0, -(-length // block) * block - index.size), mode="edge")
+        found = pixelwise_of(padded, eye, camera)
+        padded[index.size :] = -1
+        return eqx.tree_at(lambda p: p.index, found, jnp.asarray(padded))
 
-    return pick
-
-
-@jax.jit
-def _picked(pixels, source):
-    return jax.tree.map(lambda x: x.at[source].get(mode="promise_in_bounds"), pixels)
+    return View(of(_IRIS, _iris), of(_SCLERA, _sclera), of(_MIRROR, _mirror), size=(columns, rows))
 
 
-@partial(jax.jit, static_argnums=3)
-def _trace(eye: Eye, camera: Camera, share=0, shares: int = 1):
-    origin, direction = camera.rays(eye)
-    index = jnp.arange(camera.shape[0] * camera.shape[1], dtype=jnp.int32)
-    rays = direction.reshape(-1, 3), index
-    return in_chunks(lambda rays: _seen(eye, origin, *rays), rays, 0, share, shares)
+_IRIS, _SCLERA, _MIRROR = 1, 2, 4
 
 
-@partial(jax.jit, static_argnums=1)
-def _joined(found, count: int):
-    return jax.tree.map(lambda *parts: jnp.concatenate(parts)[:count], *found)
-
-
-def _seen(eye: Eye, origin, direction, index):
-    origin = jnp.broadcast_to(origin, direction.shape)
+@pixelwise
+def _sorted(index, eye: Eye, camera: Camera):
+    """What each pixel sees: a sum of `_IRIS`, `_SCLERA` and `_MIRROR`."""
+    origin, direction = camera.towards(index, eye)
     if eye.cornea is None:
-        t = eye.meet_iris(origin, direction)
-        point = origin + t[:, None] * direction
-        cosine = -dot(direction, eye.iris_normal(point))
-        met = (t > 0) & (norm(point[:, :2]) < eye.iris_radius) & (cosine > 0)
-        zero = jnp.zeros_like(cosine)
-        return IrisPixels(index, point, direction, cosine, jnp.where(met, 1.0, 0.0)), None, zero, met
-    t, met = eye.cornea.anterior.intersect(origin, direction)
-    front = origin + t[:, None] * direction
-    normal = eye.cornea.anterior.normal(front)
-    r = norm(front[:, :2])
-    shown = met & (t > 0) & (dot(direction, normal) < 0) & (normal[:, 2] < 0)
-    on_cornea = shown & (r <= eye.limbus_radius * (1 + 1e-4))  # the globe begins at the limbus itself
-    landing = enter(eye, front, direction)
-    cosine = -dot(landing.direction, eye.iris_normal(landing.point))
-    surface, surface_normal, surface_r = front, normal, r
-    hit = on_cornea
-    if eye.sclera is not None:
+        return jnp.where(_on_bare_iris(eye, origin, direction)[2], _IRIS, 0).astype(jnp.int8)
+    surface = _Surface.met(eye, origin, direction)
+    sees = surface.hit & surface.shown & (surface.blend < 1), surface.hit & (surface.blend > 0), surface.hit
+    return sum(jnp.where(s, n, 0).astype(jnp.int8) for s, n in zip(sees, (_IRIS, _SCLERA, _MIRROR), strict=True))
+
+
+class _Surface(NamedTuple):
+    """Where lines of sight meet the outer surface: on the cornea's conicoid (`front`, and whether that is `shown`) or,
+    where they `hit` beside it, on the globe. `blend`: the share of sclera."""
+
+    front: Vector
+    shown: Bool[Array, " pixels"]
+    point: Vector
+    normal: Vector
+    blend: Float[Array, " pixels"]
+    hit: Bool[Array, " pixels"]
+
+    @classmethod
+    def met(cls, eye: Eye, origin, direction) -> "_Surface":
+        assert eye.cornea is not None
+        t, met = eye.cornea.anterior.intersect(origin, direction)
+        front = along(origin, t, direction)
+        normal = eye.cornea.anterior.normal(front)
+        r = from_axis(front)
+        shown = met & (t > 0) & (dot(direction, normal) < 0) & (normal[:, 2] < 0)
+        on_cornea = shown & (r <= eye.limbus_radius * (1 + 1e-4))  # the globe begins at the limbus itself
+        if eye.sclera is None:
+            return cls(front, shown, front, normal, jnp.zeros_like(r), on_cornea)
         distance, on_globe = meet_sclera(eye, origin, direction)
-        globe = origin + distance[:, None] * direction
-        take = (~on_cornea)[:, None]
-        surface = jnp.where(take, globe, front)
-        surface_normal = jnp.where(take, sphere(eye).normal(globe), normal)
-        surface_r = norm(surface[:, :2])
-        hit = on_cornea | on_globe
-        behind = surface[:, 2] > sphere(eye).apex + sphere(eye).radius
-        blend = jnp.where(behind, 1.0, step((surface_r - eye.limbus_radius) / (2 * BLEND) + 0.5))
-    else:
-        blend = jnp.zeros_like(r)
-    share = landing.share * jnp.where(shown & (cosine > 0), 1 - blend, 0.0) / eye.aqueous_index**2
-    iris = IrisPixels(index, landing.point, landing.direction, jnp.maximum(cosine, 0), share)
-    passed = refract_vector(direction, surface_normal, 1.0, TEAR)[1]
-    outer = SurfacePixels(index, surface, surface_normal, reflect_vector(direction, surface_normal), 1 - passed, blend)
-    return iris, outer, blend, hit
+        globe = along(origin, distance, direction)
+        point = choose(on_cornea, front, globe)
+        normal = choose(on_cornea, normal, sphere(eye).normal(globe))
+        behind = point[:, 2] > sphere(eye).apex + sphere(eye).radius
+        blend = jnp.where(behind, 1.0, step((from_axis(point) - eye.limbus_radius) / (2 * BLEND) + 0.5))
+        return cls(front, shown, point, normal, blend, on_cornea | on_globe)
+
+
+def _on_bare_iris(eye: Eye, origin, direction):
+    t = eye.meet_iris(origin, direction)
+    point = along(origin, t, direction)
+    cosine = -dot(direction, eye.iris_normal(point))
+    return point, cosine, (t > 0) & (from_axis(point) < eye.iris_radius) & (cosine > 0)
+
+
+@pixelwise
+def _iris(index, eye: Eye, camera: Camera) -> IrisPixels:
+    origin, direction = camera.towards(index, eye)
+    if eye.cornea is None:
+        point, cosine, met = _on_bare_iris(eye, origin, direction)
+        return IrisPixels(index, parts(point), parts(direction), cosine, jnp.where(met, 1.0, 0.0))
+    surface = _Surface.met(eye, origin, direction)
+    landing = enter(eye, surface.front, direction)
+    cosine = -dot(landing.direction, eye.iris_normal(landing.point))
+    share = landing.share * jnp.where(surface.shown & (cosine > 0), 1 - surface.blend, 0.0) / eye.aqueous_index**2
+    return IrisPixels(index, parts(landing.point), parts(landing.direction), jnp.maximum(cosine, 0), share)
+
+
+@pixelwise
+def _sclera(index, eye: Eye, camera: Camera) -> ScleraPixels:
+    origin, direction = camera.towards(index, eye)
+    surface = _Surface.met(eye, origin, direction)
+    passed = refract_vector(direction, surface.normal, 1.0, TEAR)[1]
+    return ScleraPixels(index, parts(surface.point), parts(surface.normal), 1 - passed, surface.blend)
+
+
+@pixelwise
+def _mirror(index, eye: Eye, camera: Camera) -> MirrorPixels:
+    origin, direction = camera.towards(index, eye)
+    surface = _Surface.met(eye, origin, direction)
+    passed = refract_vector(direction, surface.normal, 1.0, TEAR)[1]
+    return MirrorPixels(index, parts(reflect_vector(direction, surface.normal)), 1 - passed)

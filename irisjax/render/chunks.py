@@ -4,12 +4,13 @@ Portions are two to three times as fast as everything at once. XLA runs a loop o
 steal its small operations, which costs more than it brings; threads with a share of the portions each do not.
 """
 
+import functools
 import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from functools import cache
 from typing import Any
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jax.core import Tracer
@@ -22,37 +23,58 @@ _SETTINGS = (
 _FEW = 1 << 14  # pixels for which a second thread is not worth its start
 
 
-def in_chunks(f: Callable[[Any], Any], pixels: Any, axis: int = 0, share: Any = 0, shares: int = 1) -> Any:
-    """`f` of a tree of arrays, one portion of their `axis` (0 or -1) after the other; it is that of the results too.
+def in_chunks(f: Callable[[Any], Any], pixels: Any, share: Any = 0, shares: int = 1) -> Any:
+    """`f` of a tree of arrays, one portion of their last axis after the other; it is that of the results too.
 
     With several `shares`, only those portions that belong to number `share`; see `side_by_side`.
     """
-    count = jax.tree.leaves(pixels)[0].shape[axis]
+    count = jax.tree.leaves(pixels)[0].shape[-1]
     size = min(_SIZE, count)
     pad = -count % (size * shares)
 
     def cut(x):
         # Copies of the last pixel: whatever is finite there has finite derivatives.
-        widths = [(0, 0)] * x.ndim
-        widths[axis] = (0, pad)
-        x = jnp.pad(x, widths, mode="edge")
-        return x.reshape((-1, size, *x.shape[1:]) if axis == 0 else (*x.shape[:-1], -1, size))
+        x = jnp.pad(x, [(0, 0)] * (x.ndim - 1) + [(0, pad)], mode="edge") if pad else x
+        return x.reshape(*x.shape[:-1], -1, size)
 
     portions = jax.tree.map(cut, pixels)
-    at = 0 if axis == 0 else -2
 
     def part(k):
-        return f(jax.tree.map(lambda x: jax.lax.dynamic_index_in_dim(x, k, x.ndim + at if at else 0, False), portions))
+        return f(jax.tree.map(lambda x: jax.lax.dynamic_index_in_dim(x, k, x.ndim - 2, False), portions))
 
     each = (count + pad) // size // shares
     done = jax.lax.map(part, share * each + jnp.arange(each))
 
     def joined(x):
-        x = jnp.moveaxis(x, 0, at) if at else x
-        x = x.reshape((-1, *x.shape[2:]) if axis == 0 else (*x.shape[:-2], -1))
-        return jax.lax.slice_in_dim(x, 0, count if shares == 1 else x.shape[axis], axis=axis)
+        x = jnp.moveaxis(x, 0, -2)
+        x = x.reshape(*x.shape[:-2], -1)
+        return x[..., :count] if shares == 1 else x
 
     return jax.tree.map(joined, done)
+
+
+def pixelwise(f: Callable[..., Any]) -> Callable[..., Any]:
+    """Decorator: `f(pixels, *others)` portion by portion, the cores side by side.
+
+    The last axis of all arrays in `pixels` and in what `f` gives is that of pixels; of `others` each portion has all.
+    """
+
+    @eqx.filter_jit
+    def program(pixels, others, share, shares: int):
+        return in_chunks(lambda some: f(some, *others), pixels, share, shares)
+
+    @functools.wraps(f)
+    def all_pixels(pixels, *others):
+        count = jax.tree.leaves(pixels)[0].shape[-1]
+        done = side_by_side(lambda *share: program(pixels, others, *share), count, pixels, others)
+        return done[0] if len(done) == 1 else _joined(done, count)
+
+    return all_pixels
+
+
+@functools.partial(jax.jit, static_argnums=1)
+def _joined(done, count: int):
+    return jax.tree.map(lambda *x: jnp.concatenate(x, axis=-1)[..., :count], *done)
 
 
 def side_by_side(f: Callable[[Any, int], Any], count: int, *inputs: Any) -> list[Any]:
@@ -74,12 +96,12 @@ def _settings() -> list[Any]:
     return [getattr(jax.config, name) for name in _SETTINGS]
 
 
-@cache
+@functools.cache
 def _threads() -> int:
     cores = min(os.cpu_count() or 1, 8) if jax.default_backend() == "cpu" else 1
     return 1 << (cores.bit_length() - 1)  # lengths are multiples of large powers of two: no share is padded
 
 
-@cache
+@functools.cache
 def _pool(threads: int) -> ThreadPoolExecutor:
     return ThreadPoolExecutor(threads, thread_name_prefix="irisjax-pixels")

@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from irisjax.optics.conicoid import Vector, dot, norm, refract_vector
+from irisjax.optics.conicoid import Vector, along, dot, norm, refract_vector
 from irisjax.tissue.anatomy import Cornea, Eye
 from irisjax.tissue.noise import step
 
@@ -46,7 +46,7 @@ def into_chamber(eye: Eye, entry: Vector, direction: Vector):
         return entry, *refract_vector(direction, cornea.anterior.normal(entry), 1.0, eye.aqueous_index)
     within, first = refract_vector(direction, cornea.anterior.normal(entry), 1.0, cornea.index)
     distance, _ = cornea.posterior.intersect(entry, within)
-    start = entry + distance[..., None] * within
+    start = along(entry, distance, within)
     inside, second = refract_vector(within, cornea.posterior.normal(start), cornea.index, eye.aqueous_index)
     return start, inside, first * second
 
@@ -56,7 +56,7 @@ def cross(eye: Eye, start: Vector, direction: Vector, share) -> Landing:
     path = eye.meet_iris(start, direction)
     if eye.attenuation is not None:
         share = share * jnp.exp(-eye.attenuation * path)
-    return Landing(start + path[..., None] * direction, direction, share)
+    return Landing(along(start, path, direction), direction, share)
 
 
 def on_cornea(cornea: Cornea, xy: Float[Array, "*s 2"]) -> Vector:

@@ -13,15 +13,15 @@ from irisjax.measure.colour import OBSERVER
 from irisjax.render import shading
 from irisjax.render.bands import Bands, colour_bands, spectral_bands
 from irisjax.render.camera import Camera, View, look
-from irisjax.render.chunks import in_chunks, side_by_side
+from irisjax.render.chunks import pixelwise
 from irisjax.render.environment import Environment
 from irisjax.render.illumination import UNIQUE_POLAR, Illumination
 from irisjax.render.integrator import AbstractIntegrator, AbstractResponse
 from irisjax.render.lights import Lights
 from irisjax.render.memory import Memory
-from irisjax.render.sclera import VeinMap, colour_table
+from irisjax.render.sclera import ColourTable, VeinMap, colour_table
 from irisjax.render.separable import Separable
-from irisjax.tissue.anatomy import Eye
+from irisjax.tissue.anatomy import Eye, Sclera
 from irisjax.tissue.iris import Iris
 from irisjax.tissue.maps import IrisMaps, Scales
 
@@ -103,9 +103,8 @@ class Stage(eqx.Module):
         width, height = self.size
         if self.texels is None:
             return self.base.reshape(height, width, -1)
-        parts = self.texels, self.ground, response
-        colours = side_by_side(lambda *share: _shaded(*parts, *share), self.texels.index.size, *parts)
-        return _composed(self.base, self.texels.index, colours).reshape(height, width, -1)
+        colours = _shaded(self.texels, self.ground, response)
+        return _add(self.base, self.texels.index, colours).reshape(height, width, -1)
 
 
 def render(scene: Scene, tables: Illumination | None = None) -> Float[Array, "height width 3"]:
@@ -150,13 +149,14 @@ def prepare(
     def surface(view, lights, lamps, environment, eye, veins, clear, lamp):
         base = jnp.zeros((width * height, lamp.size), lamp.dtype)
         if view.sclera is not None and eye.sclera is not None:
-            colour = memory.once("white", _white_colour, view.sclera, eye, veins, clear)
-            base = _add(base, view.sclera.index, shading.white(view.sclera, lights, colour))
+            table = memory.once("sclera's colours", _sclera_colours, eye.sclera, clear)
+            colour = memory.once("white", shading.white_colour, view.sclera, eye, table, veins)
+            base = _add(base, view.sclera.index, shading.white((view.sclera, colour), lights))
         if view.mirror is not None:
             room = None
             if environment is not None:
                 room = memory.once("room", shading.room_at, view.mirror, environment)
-            base = _add(base, view.mirror.index, shading.mirrored(view.mirror, lamps, room, lamp))
+            base = _add(base, view.mirror.index, shading.mirrored((view.mirror, room), lamps, lamp))
         return base
 
     outside = scene.lights, scene.environment, eye, scene.veins, clear, lamp
@@ -179,10 +179,8 @@ def _all_lights(lights: Lights | None, environment: Environment | None, count: i
     return around if lights is None else lights + around
 
 
-def _white_colour(pixels, eye: Eye, veins: VeinMap | None, clear: Bands):
-    assert eye.sclera is not None
-    table = colour_table(eye.sclera, np.asarray(clear.wavelengths), clear.weights)
-    return shading.white_colour(pixels, eye, table, veins)
+def _sclera_colours(sclera: Sclera, clear: Bands) -> ColourTable:
+    return colour_table(sclera, np.asarray(clear.wavelengths), clear.weights)
 
 
 @eqx.filter_jit
@@ -192,16 +190,10 @@ def _response(integrator: AbstractIntegrator, iris: Iris, bands: Bands, ranges: 
 
 @jax.jit
 def _add(base, index, colour):
-    return base.at[index].add(colour, mode="drop", wrap_negative_indices=False, unique_indices=False)
+    return base.at[index].add(colour.T, mode="drop", wrap_negative_indices=False)
 
 
-@eqx.filter_jit
-def _shaded(texels, ground, response: AbstractResponse, share, shares: int):
+@pixelwise
+def _shaded(texels, ground, response: AbstractResponse):
     # Channels apart within a portion: three numbers a pixel leave the processor's vectors half empty.
-    return in_chunks(lambda pixels: response.shade(pixels, ground), texels, -1, share, shares)
-
-
-@jax.jit
-def _composed(base, index, colours):
-    colour = jnp.concatenate(colours, axis=-1)[:, : index.size].T
-    return base.at[index].add(colour, mode="drop", wrap_negative_indices=False)
+    return response.shade(texels, ground)

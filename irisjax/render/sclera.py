@@ -13,7 +13,7 @@ from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
 from irisjax._types import Scalar, Spectrum
-from irisjax.optics.conicoid import Conicoid, Vector
+from irisjax.optics.conicoid import Conicoid, Vector, parts
 from irisjax.optics.fresnel import safe_sqrt
 from irisjax.tissue.anatomy import Eye, Sclera
 from irisjax.tissue.maps import fetch
@@ -106,15 +106,25 @@ class ColourTable(eqx.Module):
 
     def __call__(self, blood: Blood | ArrayLike) -> Float[Array, "... channels"]:
         """Channels, shape (…, channels), of `blood` or of its depth alone (mm, held at `DEEPEST`)."""
+        return jnp.stack(self.channels(blood), axis=-1)
+
+    def channels(self, blood: Blood | ArrayLike) -> list[Float[Array, "..."]]:
+        """As a call, each channel by itself."""
         depth, cover, deep = _fields(blood)
         last = self.values.shape[0] - 1
         at = jnp.clip(jnp.log1p(depth / _KNEE) * (last / np.log1p(DEEPEST / _KNEE)), 0, last)
         i = jnp.minimum(jnp.asarray(at, jnp.int32), last - 1)
-        u = (at - i)[..., None, None]
-        pair = self.values[i] * (1 - u) + self.values[i + 1] * u
-        if cover is not None:
-            pair = self.values[0] + cover[..., None, None] * (pair - self.values[0])
-        return pair[..., 0, :] if deep is None else pair[..., 0, :] - deep[..., None] * pair[..., 1, :]
+        u = at - i
+
+        def of(column):
+            first, second = (column.at[i + k].get(mode="promise_in_bounds") for k in (0, 1))
+            found = first * (1 - u) + second * u
+            return found if cover is None else column[0] + cover * (found - column[0])
+
+        light, taken = self.values[:, 0].T, self.values[:, 1].T
+        if deep is None:
+            return [of(column) for column in light]
+        return [of(column) - deep * of(under) for column, under in zip(light, taken, strict=True)]
 
 
 def colour_table(sclera: Sclera, wavelengths, weights, *, nodes: int = 64) -> ColourTable:
@@ -177,16 +187,20 @@ def meet_sclera(eye: Eye, origin: Vector, direction: Vector):
     return distance, met & (distance > 0) & (z >= limbus_depth(eye))
 
 
-def vein_depth_at(veins: VeinMap, eye: Eye, point: Vector) -> Blood:
-    """Bilinear look-up at points (…, 3) on the sphere, mm in the eye's frame; held at the limbus and the equator."""
-    x, y, z = point[..., 0], point[..., 1], point[..., 2]
+def vein_place(eye: Eye, point: Vector) -> tuple[Float[Array, "*s"], Float[Array, "*s"]]:
+    """Where points (…, 3) on the sphere, mm in the eye's frame, lie in a `VeinMap`: azimuth, radians, and the way from
+    the limbus (0) to the equator (1)."""
+    x, y, z = parts(point)
     # On the axis the azimuth has no gradient; rays that miss may pass there.
     azimuth = jnp.arctan2(y, jnp.where((x == 0) & (y == 0), 1.0, x))
     polar = jnp.arctan2(safe_sqrt(x * x + y * y), sclera_centre(eye) - z)
     limbus = limbus_angle(eye)
-    across = (polar - limbus) / (jnp.pi / 2 - limbus)
-    found = fetch(jnp.stack([veins.depth, veins.cover, veins.deep], axis=-1), azimuth, across)
-    return Blood(found[..., 0], found[..., 1], found[..., 2])
+    return azimuth, (polar - limbus) / (jnp.pi / 2 - limbus)
+
+
+def vein_depth_at(veins: VeinMap, azimuth: Float[Array, "*s"], across: Float[Array, "*s"]) -> Blood:
+    """Bilinear look-up at a `vein_place`; held at the limbus and the equator."""
+    return Blood(*(fetch(texture, azimuth, across) for texture in (veins.depth, veins.cover, veins.deep)))
 
 
 def sclera_of(eye: Eye) -> Sclera:

@@ -24,7 +24,7 @@ from irisjax.render.illumination import Illumination
 from irisjax.render.integrator import AbstractIntegrator, AbstractResponse
 from irisjax.render.lights import Lights
 from irisjax.render.memory import Memory
-from irisjax.render.shading import field_of, irradiance_at, scales_at
+from irisjax.render.shading import field_of, irradiance_at, relief_at, scales_at
 from irisjax.tissue.anatomy import Eye
 from irisjax.tissue.iris import Iris
 from irisjax.tissue.layers import Layers
@@ -66,13 +66,13 @@ class Separable(AbstractIntegrator):
     ) -> tuple["Texels", None]:
         """See `AbstractIntegrator`: the lights are summed, for the response does not ask where light comes from."""
         field = memory.once("field", field_of, lights, eye, iris, tables)
-        relief = None if maps is None else maps.relief
-        light = memory.once("irradiance", irradiance_at, pixels, field, eye, relief)
+        slopes, place = relief_at(pixels, eye, maps, memory)
+        light = memory.once("irradiance", irradiance_at, (pixels, place), field, eye, slopes)
         scales = scales_at(pixels, eye, iris, maps, memory)
         varied = [v for v in zip(scales, ranges, self.degrees, strict=False) if v[1] is not None]
+        names = [name for name, r in zip(Scales._fields, ranges, strict=True) if r is not None]
         terms = Terms(
-            memory.once("first", _first, varied[:1], pixels.cosine),
-            memory.once("rest", _rest, varied[1:], pixels.cosine),
+            tuple(memory.once(f"polynomials of {n}", _scaled, *v) for n, v in zip(names, varied, strict=True)),
             memory.once("angular", _angular, pixels.cosine, iris, self.degrees[4]),
         )
         return Texels(pixels.index, terms, light), None
@@ -129,11 +129,10 @@ class Separable(AbstractIntegrator):
 
 
 class Terms(eqx.Module):
-    """The polynomials of each pixel: of the first scale that varies, products of those of the others, and of the exit
-    cosine, the share 1 − F that leaves the tissue included."""
+    """The polynomials of each pixel: of the scales that vary, and of the exit cosine, the share 1 − F that leaves the
+    tissue included."""
 
-    first: Float[Array, "degrees pixels"]
-    rest: Float[Array, "products pixels"]
+    scales: tuple[Float[Array, "_ pixels"], ...]
     angular: Float[Array, "cosine pixels"]
 
 
@@ -162,13 +161,12 @@ class Response(AbstractResponse):
 
     def __call__(self, scales: Scales, cosine: Float[Array, " pixels"]) -> Float[Array, "channels pixels"]:
         """Radiance per irradiance (1/sr, times the picture's white) of pixels."""
-        varied = self._varied(scales)
         exits = _exits(cosine, self.indices, self.coefficients.shape[2] - 1)
-        return self._at(Terms(_first(varied[:1], cosine), _rest(varied[1:], cosine), exits))
+        return self._at(Terms(self._polynomials(scales), exits))
 
-    def _varied(self, scales: Scales):
+    def _polynomials(self, scales: Scales):
         some = [(s, r) for s, r in zip(scales, self.ranges, strict=True) if r is not None]
-        return [(*v, degree) for v, degree in zip(some, self.degrees, strict=True)]
+        return tuple(_scaled(*v, degree) for v, degree in zip(some, self.degrees, strict=True))
 
     def hemispherical(self, scales: Scales) -> Float[Array, "channels pixels"]:
         """Flux into the whole hemisphere per irradiance that entered the tissue, 2π ∫ g μ dμ, of pixels.
@@ -183,14 +181,13 @@ class Response(AbstractResponse):
         # Linear in the polynomials of the cosine: their integrals once, not a sum over directions a pixel.
         moments = _polynomials(_inside_to_unit(inside, *self.indices), self.coefficients.shape[2]) @ weight
         one = jnp.ones_like(next((s for s in scales if s is not None), jnp.ones(1, self.error.dtype)))
-        varied = self._varied(scales)
         whole = jnp.tensordot(self.coefficients, moments, (2, 0))
-        return whole.reshape(-1, whole.shape[-1]).T @ _basis(_first(varied[:1], one), _rest(varied[1:], one))
+        return whole.reshape(-1, whole.shape[-1]).T @ _basis(self._polynomials(scales), one)
 
     def _at(self, terms: Terms) -> Float[Array, "channels pixels"]:
         last, channels = self.coefficients.shape[2:]
         # One matrix product: 50 times as fast as polynomial by polynomial.
-        values = self.coefficients.reshape(-1, last * channels).T @ _basis(terms.first, terms.rest)
+        values = self.coefficients.reshape(-1, last * channels).T @ _basis(terms.scales, terms.angular[0])
         return (values.reshape(last, channels, -1) * terms.angular[:, None]).sum(axis=0)
 
     def shade(self, texels: Texels, ground: None) -> Float[Array, "channels pixels"]:
@@ -200,25 +197,8 @@ class Response(AbstractResponse):
 
 
 @eqx.filter_jit
-def _first(varied, cosine):
-    """Polynomials of the first scale that varies, (scale, range, degree); one where none does."""
-    return _polynomials(*_place(*varied[0])) if varied else jnp.ones_like(cosine)[None]
-
-
-@eqx.filter_jit
-def _rest(varied, cosine):
-    """Products of the polynomials of the other scales that vary; one where none does."""
-    if not varied:
-        return jnp.ones_like(cosine)[None]
-    each = [_polynomials(*_place(*v)) for v in varied]
-    terms = _products(tuple(degree for *_, degree in varied))
-    return jnp.stack(
-        [functools.reduce(jnp.multiply, [t[k] for t, k in zip(each, term, strict=True)]) for term in terms]
-    )
-
-
-def _place(scale, span, degree: int):
-    return _to_unit(span, scale), degree + 1
+def _scaled(scale, span, degree: int):
+    return _polynomials(_to_unit(span, scale), degree + 1)
 
 
 @eqx.filter_jit
@@ -233,8 +213,16 @@ def _exits(cosine, indices, degree: int):
     return _polynomials(_inside_to_unit(inside, *indices), degree + 1) * fresnel(cosine, inside, *indices)[1]
 
 
-def _basis(first, rest):
-    return (first[:, None] * rest).reshape(-1, first.shape[-1])
+def _basis(scales, like):
+    """Products of the polynomials of all scales that are kept; one, `like` an array, where there are none."""
+    if not scales:
+        return jnp.ones_like(like)[None]
+    first, *others = scales
+    if not others:
+        return first
+    terms = _products(tuple(len(t) - 1 for t in others))
+    rest = [functools.reduce(jnp.multiply, [t[k] for t, k in zip(others, term, strict=True)]) for term in terms]
+    return (first[:, None] * jnp.stack(rest)).reshape(-1, first.shape[-1])
 
 
 def texel_layers(iris: Iris, table: Extinction, scales: Scales, process: Process) -> Layers:

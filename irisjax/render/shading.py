@@ -5,18 +5,22 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from irisjax.optics.conicoid import dot, norm
+from irisjax.optics.conicoid import dot, from_axis, joined, norm, parts
 from irisjax.optics.fresnel import fresnel_at, safe_sqrt
-from irisjax.render.camera import IrisPixels, SurfacePixels
+from irisjax.render.camera import IrisPixels, MirrorPixels, Parts, ScleraPixels
+from irisjax.render.chunks import pixelwise
 from irisjax.render.environment import Environment
 from irisjax.render.illumination import Illumination, bare
 from irisjax.render.lights import Lights
 from irisjax.render.memory import Memory
-from irisjax.render.sclera import ColourTable, VeinMap, vein_depth_at
+from irisjax.render.sclera import Blood, ColourTable, VeinMap, vein_depth_at, vein_place
 from irisjax.tissue.anatomy import Eye
 from irisjax.tissue.iris import Iris
 from irisjax.tissue.maps import IrisMaps, Scales, fetch
 from irisjax.tissue.noise import step
+
+Place = tuple[Float[Array, " pixels"], Float[Array, " pixels"]]
+"""Angle (radians) and relative radius of pixels in the maps."""
 
 PUPIL_MARGIN = 0.12
 """Width over which the iris fades into the pupil, mm."""
@@ -25,24 +29,28 @@ PUPIL_MARGIN = 0.12
 class Field(eqx.Module):
     """Light on the iris, all lamps together: flux vectors on a square grid of ± `extent` mm.
 
-    Shape (rows y, columns x, tints, 3), the share 1 − F that enters the tissue included; one tint where no light
+    Shape (tints, 3, rows y, columns x), the share 1 − F that enters the tissue included; one tint where no light
     has a colour of its own.
     """
 
-    flux: Float[Array, "rows columns tints 3"]
+    flux: Float[Array, "tints 3 rows columns"]
     extent: Float[Array, ""]
 
-    def at(self, point: Float[Array, "pixels 3"]) -> Float[Array, "pixels tints 3"]:
+    def at(self, point: Parts) -> Float[Array, "tints 3 pixels"]:
         """Bilinear look-up at points of the iris (mm)."""
-        size = self.flux.shape[0]
-        x, y = (jnp.clip((c / self.extent + 1) * ((size - 1) / 2), 0, size - 1) for c in (point[:, 0], point[:, 1]))
+        size = self.flux.shape[-1]
+        x, y = (jnp.clip((c / self.extent + 1) * ((size - 1) / 2), 0, size - 1) for c in (point[0], point[1]))
         j, i = (jnp.minimum(jnp.floor(c), size - 2) for c in (x, y))
-        u, v = (x - j)[:, None], (y - i)[:, None]
-        flat = self.flux.reshape(size * size, -1)
+        u, v = x - j, y - i
         base = jnp.asarray(i * size + j, jnp.int32)
-        a, b, c, d = (flat.at[base + step].get(mode="promise_in_bounds") for step in (0, 1, size, size + 1))
-        low, high = a + u * (b - a), c + u * (d - c)
-        return (low + v * (high - low)).reshape(-1, *self.flux.shape[2:])
+
+        def one(flat):
+            a, b, c, d = (flat.at[base + step].get(mode="promise_in_bounds") for step in (0, 1, size, size + 1))
+            low, high = a + u * (b - a), c + u * (d - c)
+            return low + v * (high - low)
+
+        layers = self.flux.reshape(-1, size * size)
+        return jnp.stack([one(layer) for layer in layers]).reshape(*self.flux.shape[:-2], -1)
 
 
 @eqx.filter_jit
@@ -58,20 +66,20 @@ def field_of(lights: Lights, eye: Eye, iris: Iris, tables: Illumination | None, 
         cosine = -dot(flux, normal) / jnp.where(length > 0, length, 1.0)
         flux = flux * jnp.where(cosine > 0, fresnel_at(jnp.maximum(cosine, 0.0), n.aqueous, n.abl)[1], 0.0)[..., None]
         tint = jnp.ones(1, flux.dtype) if lights.tint is None else lights.tint[i]
-        return total + flux[..., None, :] * tint[:, None], None
+        return total + jnp.stack(parts(flux)) * tint[:, None, None, None], None
 
     tints = 1 if lights.tint is None else 3
-    zero = jnp.zeros((size, size, tints, 3), lights.irradiance.dtype)
+    zero = jnp.zeros((tints, 3, size, size), lights.irradiance.dtype)
     return Field(jax.lax.scan(add, zero, jnp.arange(len(lights)))[0], eye.iris_radius)
 
 
 @eqx.filter_jit
 def fluxes_of(
     lights: Lights, eye: Eye, tables: Illumination | None, size: int = 161
-) -> Float[Array, "lights rows columns 3"]:
+) -> Float[Array, "lights 3 rows columns"]:
     """Flux vectors of each light by itself, in the chamber just before the iris, on the grid of a `Field`."""
     place = _grid(eye, size)
-    return jax.lax.map(lambda i: _flux(lights, i, place, tables), jnp.arange(len(lights)))
+    return jax.lax.map(lambda i: jnp.stack(parts(_flux(lights, i, place, tables))), jnp.arange(len(lights)))
 
 
 def _grid(eye: Eye, size: int):
@@ -93,7 +101,26 @@ def _flux(lights: Lights, i, place, tables: Illumination | None):
 
 def scales_at(pixels: IrisPixels, eye: Eye, iris: Iris, maps: IrisMaps | None, memory: Memory) -> Scales:
     """How the texels differ from the uniform iris, at the pixels; a map that has not changed is not fetched again."""
-    return _each(lambda name, part: memory.once(name, _scale_at, part, iris, pixels.point, eye), maps)
+
+    def one(name, part):
+        return memory.once(name, at, part, iris, place_of(pixels, eye, memory))
+
+    def at(part, iris, place):
+        return _fetched(place, _scale(part, iris))
+
+    return _each(one, maps)
+
+
+def place_of(pixels: IrisPixels, eye: Eye, memory: Memory) -> Place:
+    """Where the pixels lie in the maps."""
+    return memory.once("place", _polar, pixels.point, eye)
+
+
+def relief_at(pixels: IrisPixels, eye: Eye, maps: IrisMaps | None, memory: Memory):
+    """Slopes of the relief and the pixels' `place_of`, as `normals` wants them; `None` twice without a relief."""
+    if maps is None or maps.relief is None:
+        return None, None
+    return memory.once("slopes", slopes_of, maps.relief, eye), place_of(pixels, eye, memory)
 
 
 def ranges_of(iris: Iris, maps: IrisMaps | None, memory: Memory) -> Scales:
@@ -118,8 +145,13 @@ def _only(scales: Scales):
 
 
 @eqx.filter_jit
-def _scale_at(part: IrisMaps, iris: Iris, point, eye: Eye):
-    return fetch(_only(Scales.of(part, iris)), *_polar(point, eye))
+def _scale(part: IrisMaps, iris: Iris):
+    return _only(Scales.of(part, iris))
+
+
+@pixelwise
+def _fetched(place: Place, texture):
+    return fetch(texture, *place)
 
 
 @eqx.filter_jit
@@ -127,97 +159,118 @@ def _range(part: IrisMaps, iris: Iris):
     return _only(Scales.of(part, iris).ranges())
 
 
-@eqx.filter_jit
+@pixelwise
 def irradiance_at(
-    pixels: IrisPixels, field: Field, eye: Eye, relief: Float[Array, "angles radii"] | None
+    pixels: tuple[IrisPixels, Place | None], field: Field, eye: Eye, slopes: Float[Array, "2 angles radii"] | None
 ) -> Float[Array, "tints pixels"]:
-    """Irradiance on the iris at the pixels, times all shares on the way out to the camera."""
-    normal = normals(pixels.point, eye, relief)
-    irradiance = jnp.maximum(-(field.at(pixels.point) * normal[:, None]).sum(-1), 0.0)
-    return (irradiance * shares(pixels, eye)[:, None]).T
+    """Irradiance on the iris at pixels (and their `place_of`) times all shares on the way out to the camera."""
+    iris, place = pixels
+    normal = normals(iris.point, place, eye, slopes)
+    flux = field.at(iris.point)
+    towards = [-sum(f * n for f, n in zip(tint, normal, strict=True)) for tint in flux]
+    return jnp.maximum(jnp.stack(towards), 0.0) * shares(iris, eye)
 
 
-def _polar(point: Float[Array, "pixels 3"], eye: Eye):
+@pixelwise
+def _polar(point: Parts, eye: Eye) -> Place:
     """Angle (radians) and relative radius of points of the iris."""
-    x, y = point[:, 0], point[:, 1]
+    x, y, _ = point
     return jnp.arctan2(y, x), (jnp.sqrt(x * x + y * y) - eye.pupil_radius) / (eye.iris_radius - eye.pupil_radius)
 
 
-def normals(
-    point: Float[Array, "pixels 3"], eye: Eye, relief: Float[Array, "angles radii"] | None
-) -> Float[Array, "pixels 3"]:
-    """Unit normals of the iris towards the cornea, tilted by the relief where there is one."""
-    normal = eye.iris_normal(point)
-    if relief is None:
-        return normal
-    x, y = point[:, 0], point[:, 1]
+def normals(point: Parts, place: Place | None, eye: Eye, slopes: Float[Array, "2 angles radii"] | None) -> Parts:
+    """Components of the iris's unit normals towards the cornea, tilted by the `slopes_of` a relief at their place."""
+    u, v, w = parts(eye.iris_normal(joined(point)))
+    if slopes is None or place is None:
+        return u, v, w
+    x, y, _ = point
     r = jnp.sqrt(x * x + y * y)
-    slope = fetch(_slopes(relief, eye), *_polar(point, eye))
-    out, round_ = (jnp.stack(v, axis=-1) for v in ((x / r, y / r), (-y / r, x / r)))
-    normal = normal.at[:, :2].add(-slope[:, :1] * out - slope[:, 1:] * round_)
-    return normal / norm(normal)[:, None]
+    along, across = fetch(slopes, *place)
+    u, v = u - (along * x - across * y) / r, v - (along * y + across * x) / r
+    length = jnp.sqrt(u * u + v * v + w * w)
+    return u / length, v / length, w / length
 
 
 def shares(pixels: IrisPixels, eye: Eye) -> Float[Array, " pixels"]:
     """Of the iris's radiance that reaches the camera; fades into the pupil, 0 for padding."""
-    seen = step((norm(pixels.point[:, :2]) - eye.pupil_radius) / PUPIL_MARGIN)
+    seen = step((from_axis(joined(pixels.point)) - eye.pupil_radius) / PUPIL_MARGIN)
     return jnp.where(pixels.index < 0, 0.0, pixels.share * seen)
 
 
-def _slopes(relief, eye: Eye):
-    """∂h/∂r and ∂h/(r ∂angle) of a relief, shape (angles, radii, 2)."""
+@eqx.filter_jit
+def slopes_of(relief: Float[Array, "angles radii"], eye: Eye) -> Float[Array, "2 angles radii"]:
+    """∂h/∂r and ∂h/(r ∂angle) of a relief."""
     rows, columns = relief.shape
     span = eye.iris_radius - eye.pupil_radius
     radius = eye.pupil_radius + span * (jnp.arange(columns) + 0.5) / columns
-    along = jnp.gradient(relief, axis=1) * (columns / span)
+    along = jnp.asarray(jnp.gradient(relief, axis=1)) * (columns / span)
     across = (jnp.roll(relief, -1, 0) - jnp.roll(relief, 1, 0)) * (rows / (4 * jnp.pi)) / radius
-    return jnp.stack([along, across], axis=-1)
+    return jnp.stack([along, across])
 
 
-@eqx.filter_jit
 def white_colour(
-    pixels: SurfacePixels, eye: Eye, table: ColourTable, veins: VeinMap | None
-) -> Float[Array, "pixels channels"]:
+    pixels: ScleraPixels, eye: Eye, table: ColourTable, veins: VeinMap | None
+) -> Float[Array, "channels pixels"]:
     """Channels of the sclera under an irradiance of one, all shares on the way out included."""
-    colour = table(jnp.zeros(1, pixels.share.dtype) if veins is None else vein_depth_at(veins, eye, pixels.point))
-    return colour * ((1 - pixels.reflectance) * pixels.share / jnp.pi)[:, None]
+    blood = None if veins is None else _blood(_vein_place(pixels.point, eye), veins)
+    return _white_colour((pixels, blood), table)
 
 
-@eqx.filter_jit
+# Programs of their own: in one, XLA works out the place anew for each texture, and the blood for each channel.
+@pixelwise
+def _vein_place(point: Parts, eye: Eye) -> Place:
+    return vein_place(eye, joined(point))
+
+
+@pixelwise
+def _blood(place: Place, veins: VeinMap) -> Blood:
+    return vein_depth_at(veins, *place)
+
+
+@pixelwise
+def _white_colour(pixels, table: ColourTable):
+    sclera, blood = pixels
+    colour = table.channels(jnp.zeros_like(sclera.share) if blood is None else blood)
+    return jnp.stack(colour) * ((1 - sclera.reflectance) * sclera.share / jnp.pi)
+
+
+@pixelwise
 def white(
-    pixels: SurfacePixels, lights: Lights, colour: Float[Array, "pixels channels"]
-) -> Float[Array, "pixels channels"]:
-    """Channels of the sclera: lit as a matt white, light wrapped a little round its edge."""
-    cosine = pixels.normal @ lights.towards.T
+    pixels: tuple[ScleraPixels, Float[Array, "channels pixels"]], lights: Lights
+) -> Float[Array, "channels pixels"]:
+    """Channels of the sclera from its `white_colour`: lit as a matt white, light wrapped a little round its edge."""
+    sclera, colour = pixels
+    cosine = sum(n * t[:, None] for n, t in zip(sclera.normal, lights.towards.T, strict=True))
     # The sclera is translucent: light bleeds some 20° past the terminator, with the same total.
     wrap = jnp.maximum(cosine + 0.3, 0.0) ** 2 / 1.69
     tint = jnp.ones((len(lights), 1), wrap.dtype) if lights.tint is None else lights.tint
-    return colour * (wrap @ (lights.irradiance[:, None] * tint))
+    return colour * ((lights.irradiance[:, None] * tint).T @ wrap)
 
 
-@eqx.filter_jit
+@pixelwise
 def mirrored(
-    pixels: SurfacePixels,
+    pixels: tuple[MirrorPixels, Float[Array, "channels pixels"] | None],
     lights: Lights | None,
-    room: Float[Array, "pixels channels"] | None,
     lamp: Float[Array, " channels"],
-) -> Float[Array, "pixels channels"]:
-    """Channels of images in the tear film: lamps as soft discs of their angular radius, the `room` of `room_at` as it
-    is. `lamp` is a lamp of radiance 1 in the picture's channels."""
-    total = jnp.zeros((pixels.index.size, lamp.size), pixels.mirror.dtype)
+) -> Float[Array, "channels pixels"]:
+    """Channels of images in the tear film: lamps as soft discs of their angular radius, the room of `room_at` (or
+    `None`) as it is. `lamp` is a lamp of radiance 1 in the picture's channels."""
+    film, room = pixels
+    total = jnp.zeros((lamp.size, film.index.size), film.reflectance.dtype)
     if lights is not None:
         # Chords in place of angles: an arc cosine a pixel and light costs more than all the rest.
-        chord = safe_sqrt(((pixels.mirror[:, None] - lights.towards) ** 2).sum(-1))
-        outer, inner = (2 * jnp.sin(share * lights.radius / 2) for share in (1.1, 0.9))
+        x, y, z = (m - t[:, None] for m, t in zip(film.mirror, lights.towards.T, strict=True))
+        chord = safe_sqrt(x * x + y * y + z * z)
+        outer, inner = (2 * jnp.sin(share * lights.radius / 2)[:, None] for share in (1.1, 0.9))
         inside = jnp.clip((outer - chord) / (outer - inner), 0, 1)
         radiance = lights.irradiance / (jnp.pi * jnp.sin(lights.radius) ** 2)
-        total = total + inside @ (radiance[:, None] * (lamp if lights.tint is None else lights.tint))
+        total = total + (radiance[:, None] * (lamp if lights.tint is None else lights.tint)).T @ inside
     if room is not None:
         total = total + room
-    return total * pixels.reflectance[:, None]
+    return total * film.reflectance
 
 
-@eqx.filter_jit
-def room_at(pixels: SurfacePixels, environment: Environment) -> Float[Array, "pixels 3"]:
+@pixelwise
+def room_at(pixels: MirrorPixels, environment: Environment) -> Float[Array, "3 pixels"]:
     """What the tear film would mirror of the environment, were it silver."""
-    return environment.lookup(pixels.mirror)
+    return environment.lookup(joined(pixels.mirror)).T

@@ -18,12 +18,13 @@ from jaxtyping import Array, Float, Int
 from irisjax.optics.conicoid import norm
 from irisjax.render.bands import Bands
 from irisjax.render.camera import IrisPixels
+from irisjax.render.chunks import pixelwise
 from irisjax.render.illumination import Illumination
 from irisjax.render.integrator import AbstractIntegrator, AbstractResponse
 from irisjax.render.lights import Lights
 from irisjax.render.memory import Memory
 from irisjax.render.separable import texel_layers
-from irisjax.render.shading import Field, fluxes_of, normals, shares
+from irisjax.render.shading import Field, fluxes_of, normals, relief_at, shares
 from irisjax.tissue.anatomy import Eye
 from irisjax.tissue.iris import Iris
 from irisjax.tissue.maps import FRECKLE, IrisMaps, Scales, fetch
@@ -58,7 +59,9 @@ class SingleScattering(AbstractIntegrator):
         memory: Memory,
     ) -> tuple["Rays", "Ground"]:
         """See `AbstractIntegrator`. The relief tilts the surface towards the light; its parallax is left out."""
-        rays, textures = memory.once("rays", _placed, pixels, eye, iris, maps)
+        slopes, place = relief_at(pixels, eye, maps, memory)
+        rays = memory.once("rays", _placed, (pixels, place), eye, slopes)
+        textures = memory.once("textures", _textures, maps, iris)
         return rays, Ground(textures, memory.once("fluxes", fluxes_of, lights, eye, tables), lights.tint, eye)
 
     def response(self, iris: Iris, bands: Bands, ranges: Scales) -> "March":
@@ -110,7 +113,7 @@ class Ground(eqx.Module):
     and the eye."""
 
     textures: Local
-    flux: Float[Array, "lights rows columns 3"]
+    flux: Float[Array, "lights 3 rows columns"]
     tint: Float[Array, "lights 3"] | None
     eye: Eye
 
@@ -122,7 +125,7 @@ class Ground(eqx.Module):
         radius = (jnp.sqrt(point[0] ** 2 + point[1] ** 2) - self.eye.pupil_radius) / (
             self.eye.iris_radius - self.eye.pupil_radius
         )
-        found = iter(fetch(jnp.stack(present, axis=-1), jnp.arctan2(point[1], point[0]), radius).T)
+        found = iter(fetch(jnp.stack(present), jnp.arctan2(point[1], point[0]), radius))
         return Local(*(None if t is None else next(found) for t in self.textures))
 
 
@@ -214,13 +217,14 @@ class March(AbstractResponse):
         return Depths(found.abl * (abl * freckles), found.stroma * stroma), self.scattering[:, None] * stroma
 
 
+@pixelwise
+def _placed(pixels, eye: Eye, slopes) -> Rays:
+    iris, place = pixels
+    point, direction, normal = map(jnp.stack, (iris.point, iris.direction, normals(iris.point, place, eye, slopes)))
+    return Rays(iris.index, point, direction, normal, shares(iris, eye))
+
+
 @eqx.filter_jit
-def _placed(pixels: IrisPixels, eye: Eye, iris: Iris, maps: IrisMaps | None) -> tuple[Rays, Local]:
-    normal = normals(pixels.point, eye, None if maps is None else maps.relief)
-    rays = Rays(pixels.index, pixels.point.T, pixels.direction.T, normal.T, shares(pixels, eye))
-    return rays, _textures(maps, iris)
-
-
 def _textures(maps: IrisMaps | None, iris: Iris) -> Local:
     if maps is None:
         return Local()
@@ -234,9 +238,9 @@ def _sources(rays: Rays, ground: Ground):
     (1/sr), and the slant 1/μ_i."""
 
     def one(flux):
-        found = Field(flux[..., None, :], ground.eye.iris_radius).at(rays.point.T)[:, 0]
-        power = norm(found)
-        towards = (found / jnp.where(power > 0, power, 1.0)[:, None]).T
+        found = Field(flux[None], ground.eye.iris_radius).at(tuple(rays.point))[0]
+        power = norm(found.T)
+        towards = found / jnp.where(power > 0, power, 1.0)
         cosine = -(towards * rays.normal).sum(0)
         bend = (towards * rays.direction).sum(0)
         lit = (power > 0) & (cosine > 1e-3)

@@ -14,7 +14,7 @@ from jax.core import Tracer
 from jaxtyping import Array, Float
 
 from irisjax._types import Scalar, as_float, as_float_or_none
-from irisjax.optics.conicoid import Conicoid, Vector
+from irisjax.optics.conicoid import Conicoid, Vector, parts
 from irisjax.optics.fresnel import safe_sqrt
 from irisjax.tissue.eye import AQUEOUS, CORNEA
 
@@ -143,12 +143,13 @@ class Eye(eqx.Module):
 
     def iris_normal(self, point: Vector) -> Vector:
         """Unit normal of the iris towards the cornea."""
-        up = jnp.zeros_like(point).at[..., 2].set(-1.0)
+        x, y, _ = parts(point)
         if self.iris_slope is None:
-            return up
-        r = safe_sqrt(point[..., 0] ** 2 + point[..., 1] ** 2)
-        across = point.at[..., 2].set(0.0) * (self.iris_slope / jnp.where(r > 0, r, 1.0))[..., None]
-        return (up + across) / jnp.sqrt(1 + self.iris_slope**2)
+            return jnp.stack([jnp.zeros_like(x), jnp.zeros_like(x), -jnp.ones_like(x)], axis=-1)
+        length = jnp.sqrt(1 + self.iris_slope**2)
+        r = safe_sqrt(x * x + y * y)
+        rise = self.iris_slope / (jnp.where(r > 0, r, 1.0) * length)
+        return jnp.stack([rise * x, rise * y, -jnp.ones_like(x) / length], axis=-1)
 
 
 def _least_depth(eye: Eye, cornea: Cornea) -> float:

@@ -54,7 +54,7 @@ class IrisMaps(eqx.Module):
             if m.ndim != 2 or min(m.shape) < 2:
                 raise ValueError(f"map {name} has shape {m.shape}; need (angles, radii), at least 2 of each")
             low, high = (-1, 1) if name == "relief" else (0, 1) if name == "freckles" else (0, np.inf)
-            if not (np.isfinite(m) & (m >= low) & (m <= high)).all():
+            if not (m.min() >= low and m.max() <= high and m.max() < np.inf):  # false for NaN too
                 raise ValueError(f"map {name} has values outside [{low:g}, {high:g}] or not finite")
 
     def present(self) -> dict[str, Any]:
@@ -113,9 +113,9 @@ class Scales(NamedTuple):
         return Scales(*(None if t is None else span(t) for t in self))
 
 
-def fetch(texture: Float[Array, "angles radii *c"], angle, radius) -> Float[Array, "..."]:
+def fetch(texture: Float[Array, "*c angles radii"], angle, radius) -> Float[Array, "..."]:
     """Bilinear look-up, round in `angle` (radians) and held at the ends of `radius` (0 pupil's edge, 1 root)."""
-    rows, columns = texture.shape[:2]
+    rows, columns = texture.shape[-2:]
     row = angle * (rows / (2 * jnp.pi)) - 0.5
     column = jnp.clip(radius * columns - 0.5, 0, columns - 1)
     i, j = jnp.floor(row), jnp.minimum(jnp.floor(column), columns - 2)
@@ -123,16 +123,20 @@ def fetch(texture: Float[Array, "angles radii *c"], angle, radius) -> Float[Arra
     i0 = jnp.asarray(i, jnp.int32) % rows
     i1 = jnp.where(i0 + 1 == rows, 0, i0 + 1)
     j0 = jnp.asarray(j, jnp.int32)
-    flat = texture.reshape(rows * columns, *texture.shape[2:])
+    here, next_ = i0 * columns + j0, i1 * columns + j0
 
-    def at(i, j):
-        return flat.at[i * columns + j].get(mode="promise_in_bounds")
+    def one(flat):
+        def at(place):
+            return flat.at[place].get(mode="promise_in_bounds")
 
-    if texture.ndim == 3:
-        u, v = u[..., None], v[..., None]
-    below = at(i0, j0) * (1 - v) + at(i0, j0 + 1) * v
-    above = at(i1, j0) * (1 - v) + at(i1, j0 + 1) * v
-    return below * (1 - u) + above * u
+        below = at(here) * (1 - v) + at(here + 1) * v
+        above = at(next_) * (1 - v) + at(next_ + 1) * v
+        return below * (1 - u) + above * u
+
+    layers = texture.reshape(-1, rows * columns)
+    if texture.ndim == 2:
+        return one(layers[0])
+    return jnp.stack([one(layer) for layer in layers]).reshape(*texture.shape[:-2], *row.shape)
 
 
 def cell_centres(shape: tuple[int, int]) -> tuple[jax.Array, jax.Array]:
