@@ -394,4 +394,4 @@ def test_single_precision(tables):
 
     coarse, fine = picture(False), picture(True)  # ends as it began: other files' tests follow on this worker
     assert (fine.dtype, coarse.dtype) == (np.float64, np.float32)
-    np.testing.assert_allclose(coarse, fine, atol=1e-4)
+    np.testing.assert_allclose(coarse, fine, rtol=1e-5, atol=1e-4)  # rtol: a highlight is 23
