@@ -191,6 +191,31 @@ def _percent(values) -> str:
     return ", ".join(f"{100 * v:.2g}" for v in values) + " %"
 
 
+def _blender(scene: Scene, names: list[str]) -> list[str]:
+    """A recipe that was tried: iris, pupil and mirror images lie where irisjax draws them."""
+    lines = [
+        "Blender (tried with 5.0 and Cycles)",
+        "- Import the .obj files with their default axes (forward -Z, up Y). The iris comes with albedo.png; give it a",
+        "  Diffuse BSDF, its colour from albedo.exr (Linear Rec.709).",
+    ]
+    if "relief.exr" in names:
+        lines.append("- relief.exr: Non-Color, through a Bump node of distance 1.")
+    cornea = scene.eye.cornea
+    if cornea is not None:
+        aqueous = float(scene.eye.aqueous_index)
+        within = aqueous if cornea.posterior is None else float(cornea.index)
+        lines.append(f"- anterior.obj: Glass BSDF, roughness 0, IOR {within:.5g}.")
+        if cornea.posterior is not None:
+            lines.append(
+                f"  posterior.obj: the same with IOR {aqueous / within:.5g}, that of the humour over the cornea's."
+            )
+    if "environment.exr" in names:
+        lines.append(
+            "- environment.exr: an Environment Texture turned by 90 degrees about Z (Mapping node, type Point)."
+        )
+    return lines
+
+
 def _readme(scene: Scene, names: list[str], error: LambertError, table: float, clipped: int) -> str:
     cornea = scene.eye.cornea
     lines = ["An eye simulated by irisjax; nothing here was measured.", ""]
@@ -199,9 +224,8 @@ def _readme(scene: Scene, names: list[str], error: LambertError, table: float, c
         "",
     ]
     lines += [f"{name:<16}{what}" for name, what in _WHAT.items() if name in names]
+    lines += ["", *_blender(scene, names), "", "Approximations"]
     lines += [
-        "",
-        "Approximations",
         "- The iris is matt here. The model's is not: its BRDF falls towards grazing exits. albedo is the share of",
         "  light that comes back from normal incidence, without the mirrored first surface. Used as a Lambertian base",
         f"  colour it is off, for directions within {CONE:g} degrees of the normal, by (red, green, blue)",
