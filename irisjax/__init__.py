@@ -90,4 +90,8 @@ def __getattr__(name: str):
     raise AttributeError(f"module 'irisjax' has no attribute {name!r}")
 
 
+def __dir__():
+    return sorted({name for name in globals() if name not in ("TYPE_CHECKING", "importlib")} | _LATER.keys())
+
+
 __version__ = "0.1.0"

@@ -1,14 +1,20 @@
 """Scene files and the command that renders them: pictures as the library's, one line for every wrong entry."""
 
 import math
+import re
+import tomllib
+from pathlib import Path
 
 import jax
 import numpy as np
 import pytest
 
 from irisjax import cli, io
+from irisjax.cli.animate import frames
+from irisjax.io import scenes
 from irisjax.io.scenes import parse_scene, read_scene
 from irisjax.measure.colour import srgb_encode
+from irisjax.render.camera import Camera
 from irisjax.render.environment import Environment
 from irisjax.render.scene import render
 
@@ -97,6 +103,21 @@ def test_one_chamber_has_one_index():
     assert float(found.iris.aqueous_index) == float(found.eye.aqueous_index) == pytest.approx(1.376)
 
 
+def test_the_file_that_explains_everything_names_every_entry():
+    """Each key of each section once, with a value that is allowed."""
+    path = Path(__file__).parent.parent / "data/scenes/everything.toml"
+    read_scene(path)
+    section, found = "", {}
+    for line in path.read_text(encoding="utf-8").splitlines():
+        if header := re.match(r"\[+(\w+)", line):
+            section = header[1]
+        elif entry := re.match(r"(?:# )?(\w+ = .*)", line):
+            ((key, value),) = tomllib.loads(entry[1]).items()
+            scenes._SECTIONS[section][key](value)
+            found.setdefault(section, set()).add(key)
+    assert found == {name: set(checks) for name, checks in scenes._SECTIONS.items()}
+
+
 def test_seeds_grow_other_maps():
     def relief(seed):
         return np.asarray(
@@ -112,28 +133,28 @@ WRONG = {
     "[irs]\nlevel = 1": "scene.toml, line 1: unknown section [irs]; known: iris, maps",
     "\n[iris]\nlevel = 'low'\ncolour = 'red'": "scene.toml, line 4: unknown 'colour' in iris; known: preset, level",
     "[iris]\nlevel = 'middling'": "scene.toml, line 2: iris.level = 'middling' must be one of low, moderate, high",
-    "[iris]\neumelanin = -1": "scene.toml, line 2: iris.eumelanin = -1 must be a number from 0",
+    "[iris]\neumelanin = -1": "scene.toml, line 2: iris.eumelanin = -1 must be a number, 0 or more",
     "[iris]\neumelanin = nan": "scene.toml, line 2: iris.eumelanin = nan must be a number",
     "[iris]\neumelanin = 'lots'": "scene.toml, line 2: iris.eumelanin = 'lots' must be a number",
     "[iris]\neumelanin = true": "scene.toml, line 2: iris.eumelanin = True must be a number",
-    "[iris]\npreset = 'blue'\nlevel = 'low'": "scene.toml, line 1: give preset or level, not both",
+    "[iris]\npreset = 'blue'\nlevel = 'low'": "scene.toml, line 1: iris: give preset or level, not both",
     "[maps]\n\nseed = 1.5": "scene.toml, line 3: maps.seed = 1.5 must be a whole number from 0 to 4294967295",
     "[maps]\nuniform = 1": "scene.toml, line 2: maps.uniform = 1 must be true or false",
     "[eye]\ncornea = 'thick'": "scene.toml, line 2: eye.cornea = 'thick' must be one of two-surfaces, f09, none",
     "[iris]\npupil_radius = 2": "scene.toml, line 2: unknown 'pupil_radius' in iris; known: preset",
     '[picture]\nilluminant = "D56"': "scene.toml, line 2: picture.illuminant = 'D56' unknown illuminant 'D56'; known: A",
-    "[eye]\npupil_radius = 7": "scene.toml, line 1: pupil_radius = 7 is outside [0.25, 4.75] mm",
+    "[eye]\npupil_radius = 7": "scene.toml, line 2: eye: pupil_radius = 7 is outside [0.25, 4.75] mm",
     "[camera]\nsize = [0, 5]": "scene.toml, line 2: camera.size = [0, 5] must be a whole number from 1 to 16384",
     "[camera]\nsize = '8x6'": "scene.toml, line 2: camera.size = '8x6' must be [width, height]",
     "[light]\npolar_deg = 3": "scene.toml, line 1: light must be written [[light]]",
     "[[camera]]\nwidth = 3": "scene.toml, line 1: camera must be written [camera]",
     "[[light]]\n[[light]]\npolar_deg = 200": "scene.toml, line 3: light.polar_deg = 200 must be a number from 0 to 180",
     "[[light]]\nposition = [1, 2]": "scene.toml, line 2: light.position = [1, 2] must be [x, y, z] in mm",
-    "[[light]]\nposition = [1, 2, 3]": "scene.toml, line 1: a point light is 3.74 mm from the cornea",
+    "[[light]]\nposition = [1, 2, 3]": "scene.toml, line 1: light: a point light is 3.74 mm from the cornea",
     "[[light]]\nposition = [1, 2, -300]\npolar_deg = 1": "give a light a position or angles, not both",
     "[environment]\nkind = 'sea'": "scene.toml, line 2: environment.kind = 'sea' must be one of studio, sky",
-    "[environment]\nlights = 3": "scene.toml, line 1: environment needs file or kind",
-    "[environment]\nfile = 'missing.exr'": "missing.exr: No such file",
+    "[environment]\nlights = 3": "scene.toml, line 1: environment: needs file or kind",
+    "[environment]\nfile = 'missing.exr'": "scene.toml, line 2: missing.exr: No such file",
     "[picture]\nilluminant = 'moon'": "unknown illuminant 'moon'",
     "[picture]\nexposure = 0": "scene.toml, line 2: picture.exposure = 0 must be a number from 1e-06",
     "[iris\nlevel = 1": "scene.toml: ",
@@ -163,7 +184,7 @@ OPTIONS = [
     (("scene.toml", "--light", "30"), "--light '30': write POLAR,AZIMUTH"),
     (("scene.toml", "--light", "30,nan"), "--light '30,nan': write POLAR,AZIMUTH"),
     (("scene.toml", "--light", "30,0,-1"), "irradiance -1 is negative"),
-    (("scene.toml", "--pupil", "12"), "pupil_radius = 6 is outside [0.25, 4.75] mm"),
+    (("scene.toml", "--pupil", "12"), "--pupil 12 must be a diameter from 0.5 to 9.5 mm"),
     (("scene.toml", "--exposure", "nan"), "--exposure nan must be above 0"),
     (("scene.toml", "--exposure", "-1"), "--exposure -1 must be above 0"),
     (("scene.toml", "--samples", "0"), "--samples"),
@@ -264,6 +285,20 @@ def test_spectral_layers_add_up_to_the_picture(irisjax, tmp_path):
     np.testing.assert_allclose(rgb, expected, atol=0.01 * expected.max())
     one_line(irisjax("render", path, "--spectral", "400:700:10", "-o", "x.png"), "must end in .exr")
     one_line(irisjax("render", "--preset", "blue", "--spectral", "400:700:10", "-o", "x.exr"), "not spectra")
+
+
+def test_a_lamp_goes_round_a_preset(irisjax):
+    """A preset has no lamp, only a studio."""
+    assert (
+        irisjax("render", "--preset", "green", "--animate", "light", "--size", "8x6", "--frames", 2, "-o", "a.gif")[0]
+        == 0
+    )
+
+
+def test_pigment_reaches_brown_from_any_eye():
+    scene = parse_scene('[iris]\npreset = "blue"\n[maps]\nuniform = true\n[eye]\ncornea = "none"').scene()
+    light, dark = frames(scene.replace(camera=Camera(size=(8, 6))), "pigment", 2)
+    assert dark.max(axis=(0, 1))[2] < 0.3 * light.max(axis=(0, 1))[2]
 
 
 def test_animations_return_to_their_first_frame(irisjax, tmp_path):

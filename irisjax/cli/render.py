@@ -34,14 +34,20 @@ _WHAT, _HOW, _FILES = "What", "Picture", "Files"
 
 
 def render(
-    scene: Annotated[Path | None, typer.Argument(help="scene file (TOML)", show_default=False)] = None,
-    preset: Annotated[str | None, typer.Option(help=", ".join(PRESETS), rich_help_panel=_WHAT)] = None,
+    scene: Annotated[
+        Path | None,
+        typer.Argument(help="scene file (TOML); data/scenes/everything.toml explains it", show_default=False),
+    ] = None,
+    preset: Annotated[
+        str | None, typer.Option(help=", ".join(PRESETS) + ", in a studio", rich_help_panel=_WHAT)
+    ] = None,
     seed: Annotated[int, typer.Option(min=0, max=2**32 - 1, help="of a preset's maps", rich_help_panel=_WHAT)] = 0,
     light: Annotated[
         list[str] | None,
         typer.Option(
             metavar="POLAR,AZIMUTH[,IRRADIANCE]",
-            help="degrees from the eye's axis, and from its right to its top; repeatable; replaces the scene's lamps",
+            help="degrees from the eye's axis (0 to 180) and from the picture's right to its top; irradiance on what "
+            "faces it, 3.14 lights a white sheet to white; repeatable; in place of the scene's lamps and environment",
             rich_help_panel=_WHAT,
         ),
     ] = None,
@@ -99,6 +105,9 @@ def render(
         io.check_movie(output)
     io.check_writable(output)
     file = scene_file(scene, preset, seed)
+    wavelengths = None if spectral is None else grid(spectral).values
+    if wavelengths is not None and not light and "environment" in file:
+        raise ValueError("--spectral needs lamps: an environment has colours, not spectra; give --light")
     found = changed(file.scene(), light, pupil, size).replace(integrator=_INTEGRATORS[integrator]())
     factor = file.exposure if exposure is None else exposure
     if not (math.isfinite(factor) and factor > 0):
@@ -106,7 +115,6 @@ def render(
     if animate is not None:
         _animated(found, animate, frames, factor, output)
         return
-    wavelengths = None if spectral is None else grid(spectral).values
     width, height = found.camera.size
     parts = bands(found, kept_tables(found), samples=samples, wavelengths=wavelengths)
     first = next(parts)
@@ -187,6 +195,8 @@ def changed(scene: staging.Scene, light=None, pupil=None, size: str | None = Non
             joined = joined + lamp
         scene = scene.replace(lights=joined, environment=None)
     if pupil is not None:
+        if not 0.5 <= pupil <= 9.5:
+            raise ValueError(f"--pupil {pupil:g} must be a diameter from 0.5 to 9.5 mm")
         scene = scene.replace(eye=scene.eye.replace(pupil_radius=pupil / 2))
     if size is not None:
         width, cross, height = size.partition("x")
@@ -205,5 +215,7 @@ def _lamp(text: str, illuminant: str) -> Lights:
         numbers = []
     if len(numbers) not in (2, 3) or not all(map(math.isfinite, numbers)):
         raise ValueError(f"--light {text!r}: write POLAR,AZIMUTH or POLAR,AZIMUTH,IRRADIANCE")
+    if not 0 <= numbers[0] <= 180:
+        raise ValueError(f"--light {text!r}: the polar angle must be from 0 to 180 degrees")
     irradiance = numbers[2] if len(numbers) == 3 else math.pi
     return Lights.distant(math.radians(numbers[0]), math.radians(numbers[1]), irradiance, illuminant=illuminant)

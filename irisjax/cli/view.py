@@ -20,9 +20,9 @@ def view(
     host: Annotated[str, typer.Option(help="0.0.0.0 shows it to the whole network")] = "127.0.0.1",
     port: Annotated[int, typer.Option(min=0, max=65535, help="0 takes a free one")] = 8080,
 ) -> None:
-    """An eye in the browser, with sliders for pigments, layers, pupil and light, its spectrum and its colour.
+    r"""An eye in the browser, with sliders for pigments, layers, pupil and light, its spectrum and its colour.
 
-    Drag to orbit, scroll to zoom. Ctrl-C ends it. Needs the extra: pip install 'irisjax[view]'. Simulated.
+    Drag to orbit, scroll to zoom. Ctrl-C ends it. Needs the extra: pip install 'irisjax\[view]'. Simulated.
     """
     check(host, port)
     preset = "blue" if scene is None and preset is None else preset

@@ -230,14 +230,18 @@ def _readme(scene: Scene, names: list[str], error: LambertError, table: float, c
         "  light that comes back from normal incidence, without the mirrored first surface. Used as a Lambertian base",
         f"  colour it is off, for directions within {CONE:g} degrees of the normal, by (red, green, blue)",
         f"  {_percent(error.rms)} r.m.s. and at most {_percent(error.most)} (minus: too dark) in the mean over the",
-        f"  iris, {_percent(error.texels)} of that mean r.m.s. texel by texel; over the whole hemisphere the mean",
+        f"  iris, {_percent(error.texels)} of that mean r.m.s. texel by texel (dark ones, as round the pupil, are",
+        "  further off relative to themselves); over the whole hemisphere the mean",
         f"  is off by {_percent(error.hemisphere)} of the mean BRDF, r.m.s.",
         f"- Albedos come from a table, off by at most {100 * table:.1g} % of the brightest texel where it was tried.",
         "- relief tilts the shading; nothing casts shadows on the iris.",
         "- The limbus is sharp here; irisjax blends iris and white over 1 mm, and fades it at the pupil over 0.12.",
     ]
     if scene.eye.sclera is not None:
-        lines.append("- The white is matt and of one colour, the mean over its vessels.")
+        lines += [
+            "- The white is matt, of one colour (the mean over its vessels) and mirrors nothing; it is up to a quarter",
+            "  brighter than irisjax draws it, which takes off what the tear film mirrors and wraps light round edges.",
+        ]
     if clipped:
         lines.append(
             f"- {clipped} texels lie outside sRGB: clipped in albedo.exr and albedo.png, not in reflectance.exr."

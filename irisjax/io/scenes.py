@@ -30,7 +30,10 @@ _LEVELS = ("low", "moderate", "high")
 def _number(low: float = -math.inf, high: float = math.inf) -> Callable[[Any], float]:
     def check(value):
         if isinstance(value, bool) or not isinstance(value, int | float) or not low <= value <= high:
-            raise ValueError(f"must be a number from {low:g} to {high:g}")
+            span = (
+                "" if low == -math.inf else f", {low:g} or more" if high == math.inf else f" from {low:g} to {high:g}"
+            )
+            raise ValueError(f"must be a number{span}")
         return float(value)
 
     return check
@@ -116,6 +119,10 @@ _SECTIONS: dict[str, dict[str, Callable[[Any], Any]]] = {
 }  # fmt: skip
 
 
+class SceneError(ValueError):
+    """What is wrong in a scene file, its line told."""
+
+
 class SceneFile(Mapping[str, Any]):
     """A checked scene file: sections by name, and the scene they make."""
 
@@ -145,8 +152,11 @@ class SceneFile(Mapping[str, Any]):
         for name, make in makers.items():
             try:
                 parts |= make()
+            except SceneError:
+                raise
             except ValueError as error:
-                raise ValueError(f"{self._where(name, None)}: {error}") from None
+                key = next((k for k in self._sections.get(name, {}) if str(error).startswith(f"{k} ")), None)
+                raise SceneError(f"{self._where(name, key)}: {name}: {error}") from None
         parts |= drawn
         parts["iris"] = parts["iris"].replace(aqueous_index=parts["eye"].aqueous_index)  # one chamber, one index
         return Scene(**parts)
@@ -158,13 +168,16 @@ class SceneFile(Mapping[str, Any]):
         name = self._sections.get("maps", {}).get("file")
         if name is None:
             return {}
+        return {"maps": self._read(read_maps, "maps", name)}
+
+    def _read(self, read: Callable[[Path], Any], section: str, name: str) -> Any:
         path = self._folder / name
         try:
-            return {"maps": read_maps(path)}
+            return read(path)
         except OSError as error:
-            raise ValueError(f"{self._where('maps', 'file')}: {path}: {error.strerror}") from None
+            raise SceneError(f"{self._where(section, 'file')}: {path}: {error.strerror}") from None
         except ValueError as error:
-            raise ValueError(f"{self._where('maps', 'file')}: {error}") from None
+            raise SceneError(f"{self._where(section, 'file')}: {error}") from None
 
     def _iris(self):
         given = dict(self._sections.get("iris", {}))
@@ -226,9 +239,9 @@ class SceneFile(Mapping[str, Any]):
         if given is None:
             return {}
         if ("file" in given) == ("kind" in given):
-            raise ValueError("environment needs file or kind")
+            raise ValueError("needs file or kind")
         if "file" in given:
-            around = read_environment(self._folder / given["file"])
+            around = self._read(read_environment, "environment", given["file"])
         else:
             around = {"studio": Environment.studio, "sky": Environment.sky}[given["kind"]](rows=512)
         around = dataclasses.replace(around, radiance=around.radiance * given.get("strength", 1.0))
@@ -243,7 +256,10 @@ def stream(seed: int, name: str) -> PRNGKey:
 def read_scene(path: str | Path) -> SceneFile:
     """Read and check a scene file. **Raises:** `ValueError`: file, line, what is wrong, what is allowed."""
     path = Path(path)
-    text = path.read_text(encoding="utf-8")
+    try:
+        text = path.read_text(encoding="utf-8")
+    except UnicodeDecodeError:
+        raise ValueError(f"{path}: not a text file (UTF-8)") from None
     return parse_scene(text, str(path), path.parent)
 
 

@@ -6,6 +6,7 @@ import pytest
 import irisjax as ij
 from irisjax.render.camera import Camera
 from irisjax.render.environment import Environment
+from irisjax.render.illumination import Illumination
 from irisjax.render.lights import Lights
 from irisjax.render.scene import Scene, render
 from irisjax.render.separable import Separable
@@ -39,8 +40,8 @@ def joined(made, **options):
     return np.concatenate([band.pixels for band in found]), [len(band.pixels) for band in found], found[0].error
 
 
-# 16 rows: even bands, a last one that is smaller (its rows are drawn twice), single rows, and all at once.
-@pytest.mark.parametrize(("rows", "heights"), [(4, [4] * 4), (5, [4] * 4), (7, [6, 6, 4]), (1, [1] * 16), (99, [16])])
+# 16 rows: even bands, a last one that is smaller (its rows are drawn twice), single rows.
+@pytest.mark.parametrize(("rows", "heights"), [(5, [4] * 4), (7, [6, 6, 4]), (1, [1] * 16)])
 def test_no_seams(rows, heights, bits):
     made = scene()
     whole = render(made)
@@ -58,7 +59,7 @@ def test_no_seams_through_a_cornea():
         environment_lights=3,
         camera=Camera(0.2, 1.0, width=24.0, size=(12, 16)),
     )
-    tables = made.tables()
+    tables = Illumination.build(made.eye, size=17, n_rays=512)
     found = joined(made, tables=tables, memory=memory(2, 12))[0]
     np.testing.assert_allclose(found, render(made, tables), atol=1e-12, rtol=0)
 
