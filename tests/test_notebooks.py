@@ -9,7 +9,12 @@ NOTEBOOKS = sorted((Path(__file__).parent.parent / "experiments").glob("*.ipynb"
 
 
 @pytest.mark.filterwarnings("ignore")  # Jupyter's own
-@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda p: p.stem)
+@pytest.mark.parametrize(
+    "path",
+    # The same steps as in the others, once more: 20 s each.
+    [pytest.param(p, marks=pytest.mark.slow) if p.stem in ("ridge", "two_eyes") else p for p in NOTEBOOKS],
+    ids=lambda p: p.stem,
+)
 def test_notebook(path, monkeypatch):
     import nbclient
     import nbformat

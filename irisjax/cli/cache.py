@@ -21,7 +21,7 @@ def keep_compiled() -> None:
     """Compile once a machine. A folder from the environment JAX finds by itself."""
     if "JAX_COMPILATION_CACHE_DIR" not in os.environ:
         jax.config.update("jax_compilation_cache_dir", str(folder()))
-        jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.2)
+        jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
 
 
 def kept_tables(scene: Scene) -> Illumination | None:
