@@ -104,7 +104,8 @@ def _models(iris, thickness, mu, exits):
 
     def marched(scale):
         map_ = Local(stroma_thickness=jnp.full((2, 2), scale))
-        ground = Ground(map_, jnp.broadcast_to(towards, (1, 2, 2, 3)), None, Eye(cornea=None, sclera=None))
+        light = jnp.broadcast_to(towards[:, None, None], (1, 3, 2, 2))
+        ground = Ground(map_, light, None, Eye(cornea=None, sclera=None))
         return response.shade(rays, ground) / mu
 
     ilit, _ = solved(ij.ILIT_2006, ij.Exact(24))
