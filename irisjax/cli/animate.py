@@ -17,9 +17,9 @@ NARROW, WIDE = 1.0, 3.5
 TURN = math.radians(75.0)
 """Largest angle of the lamp off the axis in `light`, from the picture's right to its left and back."""
 FACTOR = 8.0
-"""By which `pigment` divides and multiplies both melanins, or more where that does not reach"""
+"""By which `pigment` divides both melanins, and multiplies them, or by more where that stays below `DARK`."""
 DARK = 3.0
-"""mg/ml of both together, those of a brown eye."""
+"""Concentration of both melanins together in a brown eye, mg/ml."""
 
 
 def frames(
@@ -27,13 +27,13 @@ def frames(
 ) -> Iterator[np.ndarray]:
     """Linear sRGB pictures of one round: there and back again, the last leads to the first."""
     swing = np.cos(2 * np.pi * np.arange(count) / count)  # 1 to −1 and back
-    melanin = float(scene.iris.eumelanin + scene.iris.pheomelanin)
-    darkest = max(FACTOR, DARK / melanin) if melanin > 0 else 1.0
     if change == "light":
         scene = scene.replace(lights=Lights.distant(TURN, 0.0, illuminant=scene.illuminant), environment=None)
     # Neither tables nor view depend on what changes: the lamp stays below grazing.
     tables, view = tables_of(scene), look(scene.eye, scene.camera)
     stage = prepare(scene, tables, view) if change == "pigment" else None
+    melanin = float(scene.iris.eumelanin + scene.iris.pheomelanin)
+    darkest = max(FACTOR, DARK / melanin) if melanin > 0 else FACTOR
     for s in swing:
         if stage is not None:
             iris, factor = scene.iris, (darkest * FACTOR) ** ((1 - s) / 2) / FACTOR

@@ -15,7 +15,7 @@ import jax
 import jax.numpy as jnp
 from jax.core import Tracer
 
-_SIZE = 256  # from 512 on XLA shares out small operations among threads, which takes longer than doing them
+_SIZE = 256  # on a processor: from 512 on XLA shares out small operations among threads, which takes longer
 _SETTINGS = (
     "jax_enable_x64", "jax_default_device", "jax_default_matmul_precision", "jax_numpy_dtype_promotion",
     "jax_disable_jit", "jax_debug_nans", "jax_debug_infs",
@@ -29,7 +29,7 @@ def in_chunks(f: Callable[[Any], Any], pixels: Any, share: Any = 0, shares: int 
     With several `shares`, only those portions that belong to number `share`; see `side_by_side`.
     """
     count = jax.tree.leaves(pixels)[0].shape[-1]
-    size = min(_SIZE, count)
+    size = min(_portion(count), count)
     pad = -count % (size * shares)
 
     def cut(x):
@@ -51,6 +51,11 @@ def in_chunks(f: Callable[[Any], Any], pixels: Any, share: Any = 0, shares: int 
         return x[..., :count] if shares == 1 else x
 
     return jax.tree.map(joined, done)
+
+
+def _portion(count: int) -> int:
+    # An accelerator wants all at once: a loop of small portions would leave it idle.
+    return _SIZE if jax.default_backend() == "cpu" else count
 
 
 def pixelwise(f: Callable[..., Any]) -> Callable[..., Any]:

@@ -131,13 +131,13 @@ def ranges_of(iris: Iris, maps: IrisMaps | None, memory: Memory) -> Scales:
 def _each(f, maps: IrisMaps | None) -> Scales:
     """`f` of each scale's name and the maps that it depends on; `None` where there are none."""
     maps = IrisMaps() if maps is None else maps
-    parts = {
+    maps_of = {
         "abl": IrisMaps(abl_thickness=maps.abl_thickness, freckles=maps.freckles),
         "stroma": IrisMaps(stroma_thickness=maps.stroma_thickness),
         "eumelanin": IrisMaps(eumelanin=maps.eumelanin),
         "pheomelanin": IrisMaps(pheomelanin=maps.pheomelanin),
     }
-    return Scales(*(f(name, part) if part.present() else None for name, part in parts.items()))
+    return Scales(*(f(name, part) if part.present() else None for name, part in maps_of.items()))
 
 
 def _only(scales: Scales):
@@ -230,7 +230,7 @@ def _blood(place: Place, veins: VeinMap) -> Blood:
 @pixelwise
 def _white_colour(pixels, table: ColourTable):
     sclera, blood = pixels
-    colour = table.channels(jnp.zeros_like(sclera.share) if blood is None else blood)
+    colour = table.channels(jnp.zeros(1, sclera.share.dtype) if blood is None else blood)
     return jnp.stack(colour) * ((1 - sclera.reflectance) * sclera.share / jnp.pi)
 
 

@@ -312,6 +312,16 @@ def test_cores_change_no_bit(monkeypatch, tables):
     np.testing.assert_array_equal(pictures[2], pictures[0])
 
 
+def test_portions_change_nothing(monkeypatch, tables):
+    """Small ones, as on a processor, or all pixels at once, as on an accelerator."""
+    made = scene(maps=IrisMaps(stroma_thickness=ring(lambda x, y: 0.3 + 0.02 * x)), eye=CLOSE)
+    small = render(made, tables)
+    jax.clear_caches()
+    monkeypatch.setattr(chunks, "_portion", lambda count: count)
+    np.testing.assert_allclose(render(made, tables), small, rtol=1e-12)
+    jax.clear_caches()
+
+
 def test_settings_of_this_thread_hold_for_all_pixels(monkeypatch, bits):
     """The other precision, chosen by a `with`: threads that do not know of it would compute in theirs."""
     monkeypatch.setattr(chunks, "_threads", lambda: 2)
