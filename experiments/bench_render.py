@@ -18,7 +18,7 @@ from irisjax.render.environment import Environment
 from irisjax.render.illumination import Illumination
 from irisjax.render.lights import Lights
 from irisjax.render.memory import Memory
-from irisjax.render.scene import Scene, prepare
+from irisjax.render.scene import Scene, prepare, render
 from irisjax.render.single_scattering import SingleScattering
 from irisjax.render.vessels import veins
 from irisjax.tissue.procedural import preset
@@ -72,20 +72,19 @@ def _table(key, size, repeats):
                 changed = scene.replace(maps=scene.maps.replace(stroma_thickness=thick))
                 return prepare(changed, tables, view, memory=memory)(iris)
 
-            row(change, name, thicker)
+            row(change, f"{name}, another map", thicker)
+            row(change, name, lambda i: stage(iris.replace(stroma_thickness=iris.stroma_thickness * (1 + 1e-3 * i))))
         elif change.startswith("camera"):
 
             def moved(i):
-                camera = dataclasses.replace(scene.camera, polar=0.01 * i)
-                return prepare(scene.replace(camera=camera), tables, memory=memory)(iris)
+                return render(scene.replace(camera=dataclasses.replace(scene.camera, polar=0.01 * i)), tables, memory)
 
             row(change, name, moved)
         else:
             number = int(change.split()[0])
 
             def lit(i):
-                changed = scene.replace(lights=_lamps(number, 0.01 * i))
-                return prepare(changed, tables, view, memory=memory)(iris)
+                return render(scene.replace(lights=_lamps(number, 0.01 * i)), tables, memory)
 
             row(change, name, lit)
 

@@ -9,7 +9,8 @@ import numpy as np
 from irisjax.render.camera import look
 from irisjax.render.illumination import Illumination
 from irisjax.render.lights import Lights
-from irisjax.render.scene import Scene, prepare
+from irisjax.render.memory import Memory
+from irisjax.render.scene import Scene, prepare, render
 
 CHANGES = ("pupil", "light", "pigment")
 NARROW, WIDE = 1.0, 3.5
@@ -31,7 +32,7 @@ def frames(
         scene = scene.replace(lights=Lights.distant(TURN, 0.0, illuminant=scene.illuminant), environment=None)
     # Neither tables nor view depend on what changes: the lamp stays below grazing.
     tables, view = tables_of(scene), look(scene.eye, scene.camera)
-    stage = prepare(scene, tables, view) if change == "pigment" else None
+    stage, memory = prepare(scene, tables, view) if change == "pigment" else None, Memory()
     melanin = float(scene.iris.eumelanin + scene.iris.pheomelanin)
     darkest = max(FACTOR, DARK / melanin) if melanin > 0 else FACTOR
     for s in swing:
@@ -41,11 +42,11 @@ def frames(
             yield np.asarray(stage(iris))
         elif change == "light":
             lamp = Lights.distant(TURN * abs(s), 0.0 if s >= 0 else math.pi, illuminant=scene.illuminant)
-            yield np.asarray(prepare(scene.replace(lights=lamp), tables, view)(scene.iris))
+            yield np.asarray(render(scene.replace(lights=lamp), tables, memory))
         else:
             radius = (NARROW + WIDE) / 2 - (WIDE - NARROW) / 2 * s
             eye = dataclasses.replace(scene.eye, pupil_radius=radius)
-            yield np.asarray(prepare(scene.replace(eye=eye), tables, view)(scene.iris))
+            yield np.asarray(prepare(scene.replace(eye=eye), tables, view, memory=memory)(scene.iris))
 
 
 def sheet(pictures: list[np.ndarray]) -> np.ndarray:

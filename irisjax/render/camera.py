@@ -102,14 +102,14 @@ class Camera(eqx.Module):
 
 
 class IrisPixels(eqx.Module):
-    """Pixels that see the iris, as flat arrays; `index` is −1 for padding.
+    """Pixels that see the iris, as flat arrays; `index` is −1 for padding, `None` where all pixels of the picture do.
 
     - `point`: on the iris, mm; `direction`: of the line of sight in the chamber, into the eye.
     - `cosine`: of the exit angle to the flat iris; `share`: transmitted on the way out, over n² of the chamber,
         times the blend at the limbus.
     """
 
-    index: Int[Array, " pixels"]
+    index: Int[Array, " pixels"] | None
     point: Parts
     direction: Parts
     cosine: Float[Array, " pixels"]
@@ -120,7 +120,7 @@ class ScleraPixels(eqx.Module):
     """Pixels that see the white: `point` and `normal` (3, pixels), the `reflectance` of the tear film over it, and the
     `share` of sclera, which blends with the iris at the limbus."""
 
-    index: Int[Array, " pixels"]
+    index: Int[Array, " pixels"] | None
     point: Parts
     normal: Parts
     reflectance: Float[Array, " pixels"]
@@ -130,7 +130,7 @@ class ScleraPixels(eqx.Module):
 class MirrorPixels(eqx.Module):
     """Pixels that see the tear film, on cornea and white: its `mirror` direction and `reflectance`."""
 
-    index: Int[Array, " pixels"]
+    index: Int[Array, " pixels"] | None
     mirror: Parts
     reflectance: Float[Array, " pixels"]
 
@@ -154,6 +154,8 @@ def look(eye: Eye, camera: Camera) -> View:
         index = np.flatnonzero(sorts & part)
         if not index.size:
             return None
+        if index.size == count and camera.rows is None:
+            return dataclasses.replace(pixelwise_of(np.arange(count, dtype=np.int32), eye, camera), index=None)
         # Few different lengths, few compiled programs: a camera that turns must not wait for XLA. Parts of a picture
         # see anything from nothing to iris all over: programs for one length cost less than padding.
         length = count if camera.rows is not None else index.size

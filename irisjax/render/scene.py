@@ -1,6 +1,7 @@
 """`Scene`: an eye, its lights and a camera; `render` makes its picture."""
 
 import dataclasses
+import functools
 from typing import Any
 
 import equinox as eqx
@@ -58,9 +59,11 @@ class Scene(eqx.Module):
         """A copy with some parts changed."""
         return dataclasses.replace(self, **parts)
 
-    def render(self, tables: Illumination | None = None) -> Float[Array, "height width 3"]:
+    def render(
+        self, tables: Illumination | None = None, memory: Memory | None = None
+    ) -> Float[Array, "height width 3"]:
         """See `render`."""
-        return render(self, tables)
+        return render(self, tables, memory)
 
     def tables(self) -> Illumination | None:
         """Illumination tables of this eye: no caustics without a grazing light, none at all without a cornea."""
@@ -78,11 +81,11 @@ class Scene(eqx.Module):
 class Stage(eqx.Module):
     """A scene with all done that a change of pigments leaves alone. Make one with `prepare`.
 
-    - `base`: sclera and mirror images, (pixels, channels); `texels`: what the integrator needs of each of the iris's
+    - `base`: sclera and mirror images, (channels, pixels); `texels`: what the integrator needs of each of the iris's
         pixels; `ground`: what it needs for all of them.
     """
 
-    base: Float[Array, "pixels channels"]
+    base: Float[Array, "channels pixels"]
     texels: Any
     ground: Any
     bands: Bands
@@ -100,19 +103,22 @@ class Stage(eqx.Module):
 
     def shown(self, response: AbstractResponse) -> Float[Array, "height width channels"]:
         """The picture with a response."""
-        width, height = self.size
         if self.texels is None:
-            return self.base.reshape(height, width, -1)
-        colours = _shaded(self.texels, self.ground, response)
-        return _add(self.base, self.texels.index, colours).reshape(height, width, -1)
+            return _picture(self.base, self.size)
+        return _picture(_add(self.base, self.texels.index, _shaded(self.texels, self.ground, response)), self.size)
 
 
-def render(scene: Scene, tables: Illumination | None = None) -> Float[Array, "height width 3"]:
+def render(
+    scene: Scene, tables: Illumination | None = None, memory: Memory | None = None
+) -> Float[Array, "height width 3"]:
     """Linear sRGB of a scene, unbounded: 1 is a white sheet facing an irradiance of π.
 
-    `tables` from `scene.tables()` save their making when only lights, camera or pigments change.
+    `tables` from `scene.tables()` save their making when only lights, camera or pigments change. With the `memory` of
+    an earlier call only what has changed since is done.
     """
-    return prepare(scene, tables)(scene.iris)
+    memory = Memory() if memory is None else memory
+    stage = prepare(scene, tables, memory=memory)
+    return stage.shown(memory.once("response", _response, stage.integrator, scene.iris, stage.bands, stage.ranges))
 
 
 def prepare(
@@ -147,7 +153,7 @@ def prepare(
     height, width = scene.camera.shape
 
     def surface(view, lights, lamps, environment, eye, veins, clear, lamp):
-        base = jnp.zeros((width * height, lamp.size), lamp.dtype)
+        base = jnp.zeros((lamp.size, width * height), lamp.dtype)
         if view.sclera is not None and eye.sclera is not None:
             table = memory.once("sclera's colours", _sclera_colours, eye.sclera, clear)
             colour = memory.once("white", shading.white_colour, view.sclera, eye, table, veins)
@@ -190,7 +196,13 @@ def _response(integrator: AbstractIntegrator, iris: Iris, bands: Bands, ranges: 
 
 @jax.jit
 def _add(base, index, colour):
-    return base.at[index].add(colour.T, mode="drop", wrap_negative_indices=False)
+    # Channel by channel: twice as fast as pixels of three numbers.
+    return base + colour if index is None else base.at[:, index].add(colour, mode="drop", wrap_negative_indices=False)
+
+
+@functools.partial(jax.jit, static_argnums=1)
+def _picture(channels, size: tuple[int, int]):
+    return channels.T.reshape(size[1], size[0], -1)
 
 
 @pixelwise

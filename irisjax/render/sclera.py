@@ -13,6 +13,7 @@ from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
 from irisjax._types import Scalar, Spectrum
+from irisjax.optics.angle import arctan2
 from irisjax.optics.conicoid import Conicoid, Vector, parts
 from irisjax.optics.fresnel import safe_sqrt
 from irisjax.tissue.anatomy import Eye, Sclera
@@ -110,11 +111,18 @@ class ColourTable(eqx.Module):
 
     def channels(self, blood: Blood | ArrayLike) -> list[Float[Array, "..."]]:
         """As a call, each channel by itself."""
-        depth, cover, deep = _fields(blood)
+        return self.at_node(self.node(_fields(blood)[0]), blood)
+
+    def node(self, depth: Float[Array, "*s"]) -> Float[Array, "*s"]:
+        """Place of a depth of blood (mm) among the table's nodes, held at `DEEPEST`."""
         last = self.values.shape[0] - 1
-        at = jnp.clip(jnp.log1p(depth / _KNEE) * (last / np.log1p(DEEPEST / _KNEE)), 0, last)
-        i = jnp.minimum(jnp.asarray(at, jnp.int32), last - 1)
-        u = at - i
+        return jnp.clip(jnp.log1p(depth / _KNEE) * (last / np.log1p(DEEPEST / _KNEE)), 0, last)
+
+    def at_node(self, node: Float[Array, "*s"], blood: Blood | ArrayLike) -> list[Float[Array, "..."]]:
+        """As `channels`, from the `node` of the depth."""
+        _, cover, deep = _fields(blood)
+        i = jnp.minimum(jnp.asarray(node, jnp.int32), self.values.shape[0] - 2)
+        u = node - i
 
         def of(column):
             first, second = (column.at[i + k].get(mode="promise_in_bounds") for k in (0, 1))
@@ -191,9 +199,8 @@ def vein_place(eye: Eye, point: Vector) -> tuple[Float[Array, "*s"], Float[Array
     """Where points (…, 3) on the sphere, mm in the eye's frame, lie in a `VeinMap`: azimuth, radians, and the way from
     the limbus (0) to the equator (1)."""
     x, y, z = parts(point)
-    # On the axis the azimuth has no gradient; rays that miss may pass there.
-    azimuth = jnp.arctan2(y, jnp.where((x == 0) & (y == 0), 1.0, x))
-    polar = jnp.arctan2(safe_sqrt(x * x + y * y), sclera_centre(eye) - z)
+    azimuth = arctan2(y, x)
+    polar = arctan2(safe_sqrt(x * x + y * y), sclera_centre(eye) - z)
     limbus = limbus_angle(eye)
     return azimuth, (polar - limbus) / (jnp.pi / 2 - limbus)
 

@@ -140,7 +140,7 @@ class Texels(eqx.Module):
     """What a pigment change leaves alone: of each pixel its `terms`, and `light`, irradiance times all shares on the
     way out, (tints, pixels)."""
 
-    index: Int[Array, " pixels"]
+    index: Int[Array, " pixels"] | None
     terms: Terms
     light: Float[Array, "tints pixels"]
 

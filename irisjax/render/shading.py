@@ -5,6 +5,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from irisjax.optics.angle import arctan2
 from irisjax.optics.conicoid import dot, from_axis, joined, norm, parts
 from irisjax.optics.fresnel import fresnel_at, safe_sqrt
 from irisjax.render.camera import IrisPixels, MirrorPixels, Parts, ScleraPixels
@@ -175,7 +176,7 @@ def irradiance_at(
 def _polar(point: Parts, eye: Eye) -> Place:
     """Angle (radians) and relative radius of points of the iris."""
     x, y, _ = point
-    return jnp.arctan2(y, x), (jnp.sqrt(x * x + y * y) - eye.pupil_radius) / (eye.iris_radius - eye.pupil_radius)
+    return arctan2(y, x), (jnp.sqrt(x * x + y * y) - eye.pupil_radius) / (eye.iris_radius - eye.pupil_radius)
 
 
 def normals(point: Parts, place: Place | None, eye: Eye, slopes: Float[Array, "2 angles radii"] | None) -> Parts:
@@ -194,7 +195,8 @@ def normals(point: Parts, place: Place | None, eye: Eye, slopes: Float[Array, "2
 def shares(pixels: IrisPixels, eye: Eye) -> Float[Array, " pixels"]:
     """Of the iris's radiance that reaches the camera; fades into the pupil, 0 for padding."""
     seen = step((from_axis(joined(pixels.point)) - eye.pupil_radius) / PUPIL_MARGIN)
-    return jnp.where(pixels.index < 0, 0.0, pixels.share * seen)
+    share = pixels.share * seen
+    return share if pixels.index is None else jnp.where(pixels.index < 0, 0.0, share)
 
 
 @eqx.filter_jit
@@ -212,8 +214,10 @@ def white_colour(
     pixels: ScleraPixels, eye: Eye, table: ColourTable, veins: VeinMap | None
 ) -> Float[Array, "channels pixels"]:
     """Channels of the sclera under an irradiance of one, all shares on the way out included."""
-    blood = None if veins is None else _blood(_vein_place(pixels.point, eye), veins)
-    return _white_colour((pixels, blood), table)
+    if veins is None:
+        return _white_colour((pixels, None, None), table)
+    blood = _blood(_vein_place(pixels.point, eye), veins)
+    return _white_colour((pixels, blood, _vein_node(blood.depth, table)), table)
 
 
 # Programs of their own: in one, XLA works out the place anew for each texture, and the blood for each channel.
@@ -228,9 +232,15 @@ def _blood(place: Place, veins: VeinMap) -> Blood:
 
 
 @pixelwise
+def _vein_node(depth, table: ColourTable):
+    return table.node(depth)
+
+
+@pixelwise
 def _white_colour(pixels, table: ColourTable):
-    sclera, blood = pixels
-    colour = table.channels(jnp.zeros(1, sclera.share.dtype) if blood is None else blood)
+    sclera, blood, node = pixels
+    plain = jnp.zeros(1, sclera.share.dtype)
+    colour = table.channels(plain) if blood is None else table.at_node(node, blood)
     return jnp.stack(colour) * ((1 - sclera.reflectance) * sclera.share / jnp.pi)
 
 
@@ -256,7 +266,7 @@ def mirrored(
     """Channels of images in the tear film: lamps as soft discs of their angular radius, the room of `room_at` (or
     `None`) as it is. `lamp` is a lamp of radiance 1 in the picture's channels."""
     film, room = pixels
-    total = jnp.zeros((lamp.size, film.index.size), film.reflectance.dtype)
+    total = jnp.zeros((lamp.size, film.reflectance.size), film.reflectance.dtype)
     if lights is not None:
         # Chords in place of angles: an arc cosine a pixel and light costs more than all the rest.
         x, y, z = (m - t[:, None] for m, t in zip(film.mirror, lights.towards.T, strict=True))

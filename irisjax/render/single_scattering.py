@@ -15,6 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
+from irisjax.optics.angle import arctan2
 from irisjax.optics.conicoid import norm
 from irisjax.render.bands import Bands
 from irisjax.render.camera import IrisPixels
@@ -91,7 +92,7 @@ class Rays(eqx.Module):
     """Of each pixel: where its line of sight meets the iris (mm), its direction in the chamber, the normal there with
     the relief's tilt, and the share of light that reaches the camera."""
 
-    index: Int[Array, " pixels"]
+    index: Int[Array, " pixels"] | None
     point: Float[Array, "3 pixels"]
     direction: Float[Array, "3 pixels"]
     normal: Float[Array, "3 pixels"]
@@ -125,7 +126,7 @@ class Ground(eqx.Module):
         radius = (jnp.sqrt(point[0] ** 2 + point[1] ** 2) - self.eye.pupil_radius) / (
             self.eye.iris_radius - self.eye.pupil_radius
         )
-        found = iter(fetch(jnp.stack(present), jnp.arctan2(point[1], point[0]), radius))
+        found = iter(fetch(jnp.stack(present), arctan2(point[1], point[0]), radius))
         return Local(*(None if t is None else next(found) for t in self.textures))
 
 

@@ -122,7 +122,8 @@ class Studio:
             own = _pigments(self._grown(settings)[0]) | {"stroma": 1.0}
             settings = dataclasses.replace(settings, **{**own, **changes})
         stage = self._stage(settings, draft)
-        response = stage.response(self._iris(settings))
+        asked = _of(settings, (*PIGMENTS, "stroma", "preset", "seed"))
+        response = self._once("response", asked, lambda: stage.response(self._iris(settings)))
         shown = stage.shown(response)
         picture = _encoded(shown, jnp.asarray(settings.exposure, shown.dtype))
         self.settings, self.error = settings, None if response.error is None else float(response.error)

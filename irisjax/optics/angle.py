@@ -1,0 +1,41 @@
+"""Angles of points in a plane, many at once."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+# Coefficients of s, s² … with s = t²  [Abramowitz & Stegun 4.4.49]
+_SERIES = (
+    -0.3333314528, 0.1999355085, -0.1420889944, 0.1065626393, -0.0752896400, 0.0429096138, -0.0161657367, 0.0028662257,
+)  # fmt: skip
+
+
+@jax.custom_jvp
+def arctan2(y: Float[Array, "*s"], x: Float[Array, "*s"]) -> Float[Array, "*s"]:
+    """Angle of (x, y), −π to π radians, 0 at the origin, where its gradient is taken as zero.
+
+    In single precision within 3e-7: a polynomial of |error| ≤ 2e-8  [Abramowitz & Stegun 4.4.49] and rounding. XLA
+    calls the C library for each `jnp.arctan2` on a processor, which takes some twenty times as long.
+    """
+    y, x = jnp.broadcast_arrays(y, x)
+    if jnp.result_type(y, x) != jnp.float32:
+        return jnp.arctan2(y, x)
+    across, along = jnp.abs(y), jnp.abs(x)
+    larger = jnp.maximum(across, along)
+    t = jnp.minimum(across, along) / jnp.where(larger > 0, larger, 1.0)
+    s = t * t
+    series = jnp.zeros_like(s)
+    for coefficient in reversed(_SERIES):
+        series = (series + coefficient) * s
+    angle = t + t * series
+    angle = jnp.where(across > along, np.pi / 2 - angle, angle)
+    angle = jnp.where(x < 0, np.pi - angle, angle)
+    return jnp.where(y < 0, -angle, angle)
+
+
+@arctan2.defjvp
+def _(primals, tangents):
+    (y, x), (dy, dx) = primals, tangents
+    square = x * x + y * y
+    return arctan2(y, x), (x * dy - y * dx) / jnp.where(square > 0, square, 1.0)
