@@ -11,6 +11,7 @@ import pytest
 
 import irisjax as ij
 from irisjax import cli, io
+from irisjax.__main__ import main as door
 from irisjax.cli import jobs
 from irisjax.cli.settings import COMMANDS
 from irisjax.tissue.iris import LIMITS
@@ -352,6 +353,20 @@ def test_the_real_command(tmp_path):
 
 
 @pytest.mark.skipif(os.name == "nt", reason="POSIX signals")
+def test_ctrl_c_while_importing(monkeypatch, capsys):
+    class Interrupted:
+        @staticmethod
+        def find_spec(name, *_):
+            if name == "irisjax.cli":
+                raise KeyboardInterrupt
+
+    monkeypatch.delitem(sys.modules, "irisjax.cli")
+    monkeypatch.setattr(sys, "meta_path", [Interrupted, *sys.meta_path])
+    with pytest.raises(SystemExit) as left:
+        door()
+    assert (left.value.code, capsys.readouterr().err) == (130, "irisjax: interrupted\n")
+
+
 def test_ctrl_c_in_a_long_run(tmp_path):
     process = subprocess.Popen(
         [

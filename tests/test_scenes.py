@@ -11,7 +11,7 @@ import pytest
 
 from irisjax import cli, io
 from irisjax.cli.animate import frames
-from irisjax.io import scenes
+from irisjax.io.entries import SECTIONS
 from irisjax.io.scenes import parse_scene, read_scene
 from irisjax.measure.colour import srgb_encode
 from irisjax.render.camera import Camera
@@ -113,9 +113,9 @@ def test_the_file_that_explains_everything_names_every_entry():
             section = header[1]
         elif entry := re.match(r"(?:# )?(\w+ = .*)", line):
             ((key, value),) = tomllib.loads(entry[1]).items()
-            scenes._SECTIONS[section][key](value)
+            SECTIONS[section][key](value)
             found.setdefault(section, set()).add(key)
-    assert found == {name: set(checks) for name, checks in scenes._SECTIONS.items()}
+    assert found == {name: set(checks) for name, checks in SECTIONS.items()}
 
 
 def test_seeds_grow_other_maps():
@@ -150,6 +150,8 @@ WRONG = {
     "[[camera]]\nwidth = 3": "scene.toml, line 1: camera must be written [camera]",
     "[[light]]\n[[light]]\npolar_deg = 200": "scene.toml, line 3: light.polar_deg = 200 must be a number from 0 to 180",
     "[[light]]\nposition = [1, 2]": "scene.toml, line 2: light.position = [1, 2] must be [x, y, z] in mm",
+    "[[light]]\ncolour = [1, 2, -1]": "scene.toml, line 2: light.colour = [1, 2, -1] must be a number from 0 to 1000",
+    "[iris]\nabl_thickness = 40": "scene.toml, line 2: iris.abl_thickness = 40 must be a number from 0 to 3",
     "[[light]]\nposition = [1, 2, 3]": "scene.toml, line 1: light: a point light is 3.74 mm from the cornea",
     "[[light]]\nposition = [1, 2, -300]\npolar_deg = 1": "give a light a position or angles, not both",
     "[environment]\nkind = 'sea'": "scene.toml, line 2: environment.kind = 'sea' must be one of studio, sky",
@@ -184,7 +186,11 @@ OPTIONS = [
     (("scene.toml", "--light", "30"), "--light '30': write POLAR,AZIMUTH"),
     (("scene.toml", "--light", "30,nan"), "--light '30,nan': write POLAR,AZIMUTH"),
     (("scene.toml", "--light", "30,0,-1"), "irradiance -1 is negative"),
-    (("scene.toml", "--pupil", "12"), "--pupil 12 must be a diameter from 0.5 to 9.5 mm"),
+    (("scene.toml", "--pupil", "12"), "--pupil: 12 is outside 0.5 to 9.5; it is a diameter"),
+    (("scene.toml", "--pupil", "0,5"), "--pupil: '0,5' is not a number; it is a diameter from 0.5 to 9.5 mm"),
+    (("scene.toml", "--camera", "30"), "--camera '30': write POLAR,AZIMUTH"),
+    (("scene.toml", "--camera", "30,0,200"), "--camera '30,0,200': camera width = 200 is outside [0.1, 100] mm"),
+    (("scene.toml", "--frames", "3"), "--frames 3 is for --animate"),
     (("scene.toml", "--exposure", "nan"), "--exposure nan must be above 0"),
     (("scene.toml", "--exposure", "-1"), "--exposure -1 must be above 0"),
     (("scene.toml", "--samples", "0"), "--samples"),
@@ -227,6 +233,26 @@ def test_options_go_before_the_file(irisjax, tmp_path):
     x = (np.arange(9) - 4) * 15 / 9
     assert not picture[3][abs(x) < 4].any() and picture[3][(abs(x) > 4.2) & (abs(x) < 5.4)].all()
     np.testing.assert_allclose(picture, picture[:, ::-1], rtol=1e-4)
+
+
+def test_camera_of_the_options(irisjax, tmp_path):
+    """From the picture's right by 60 degrees a flat round iris is half as wide as high, but for perspective."""
+    (tmp_path / "scene.toml").write_text(BARE)
+    assert irisjax("render", "scene.toml", "--camera", "60,0,12", "--size", "48x48", "-o", "a.exr") == (0, "", "")
+    seen = io.read_image(tmp_path / "a.exr").pixels.sum(-1) > 0
+    width, height = (np.ptp(np.flatnonzero(seen.any(axis))) + 1 for axis in (0, 1))
+    assert abs(width - 48 * 11 / 12 / 2) <= 1.5 and abs(height - 48 * 11 / 12) <= 1.5
+
+
+def test_coloured_lamps():
+    """A red lamp, a blue one and both: the picture of a plain one, channel by channel."""
+    text = BARE[: BARE.index("[[light]]")]
+    plain, red, blue = (
+        parse_scene(f"{text}[[light]]\n{colour}").scene() for colour in ("", "colour = [1, 0, 0]", "colour = [0, 0, 2]")
+    )
+    picture = np.asarray(render(plain))
+    np.testing.assert_allclose(render(red), picture * [1, 0, 0], atol=1e-12)
+    np.testing.assert_allclose(render(red.replace(lights=red.lights + blue.lights)), picture * [1, 0, 2], atol=1e-12)
 
 
 def test_samples_average_and_clipping_is_said(irisjax, tmp_path):

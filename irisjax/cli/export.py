@@ -17,7 +17,7 @@ def export(
     scene: Annotated[Path | None, typer.Argument(help="scene file (TOML)", show_default=False)] = None,
     preset: Annotated[str | None, typer.Option(help=", ".join(PRESETS))] = None,
     seed: Annotated[int, typer.Option(min=0, max=2**32 - 1, help="of a preset's maps")] = 0,
-    pupil: Annotated[float | None, typer.Option(metavar="MM", help="diameter, 0.5 to 9.5")] = None,
+    pupil: Annotated[str | None, typer.Option(metavar="MM", help="diameter, 0.5 to 9.5")] = None,
     spacing: Annotated[float, typer.Option(metavar="MM", help="size of the triangles, 0.02 to 2")] = 0.1,
     output: Annotated[Path, typer.Option("-o", "--output", help="a new or empty folder")] = Path("eye"),
 ) -> None:

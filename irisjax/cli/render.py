@@ -16,7 +16,7 @@ from irisjax import io
 from irisjax.cli.animate import CHANGES, sheet
 from irisjax.cli.animate import frames as _frames
 from irisjax.cli.cache import kept_tables
-from irisjax.cli.options import grid
+from irisjax.cli.options import grid, number
 from irisjax.io.scenes import SceneFile, parse_scene, read_scene
 from irisjax.measure.colour import srgb_encode
 from irisjax.render import scene as staging
@@ -51,9 +51,15 @@ def render(
             rich_help_panel=_WHAT,
         ),
     ] = None,
-    pupil: Annotated[
-        float | None, typer.Option(metavar="MM", help="diameter, 0.5 to 9.5", rich_help_panel=_WHAT)
+    camera: Annotated[
+        str | None,
+        typer.Option(
+            metavar="POLAR,AZIMUTH[,WIDTH]",
+            help="degrees as those of --light; width of the field at the pupil, mm",
+            rich_help_panel=_WHAT,
+        ),
     ] = None,
+    pupil: Annotated[str | None, typer.Option(metavar="MM", help="diameter, 0.5 to 9.5", rich_help_panel=_WHAT)] = None,
     size: Annotated[str | None, typer.Option(metavar="WIDTHxHEIGHT", rich_help_panel=_HOW)] = None,
     exposure: Annotated[
         float | None,
@@ -79,7 +85,10 @@ def render(
             rich_help_panel=_HOW,
         ),
     ] = None,
-    frames: Annotated[int, typer.Option(min=2, max=1000, help="of --animate", rich_help_panel=_HOW)] = 24,
+    frames: Annotated[
+        int | None,
+        typer.Option(min=2, max=1000, help="of --animate; default 24", show_default=False, rich_help_panel=_HOW),
+    ] = None,
     output: Annotated[
         Path,
         typer.Option("-o", "--output", help=".png, .exr (linear); see --animate", rich_help_panel=_FILES),
@@ -97,6 +106,8 @@ def render(
     if animate is not None and (spectral is not None or animate not in CHANGES):
         known = f"unknown {animate!r}; known: {', '.join(CHANGES)}" if animate not in CHANGES else "not with --spectral"
         raise ValueError(f"--animate: {known}")
+    if frames is not None and animate is None:
+        raise ValueError(f"--frames {frames} is for --animate")
     if bits not in (8, 16):
         raise ValueError(f"--bits {bits} must be 8 or 16")
     if integrator not in _INTEGRATORS:
@@ -108,22 +119,22 @@ def render(
     wavelengths = None if spectral is None else grid(spectral).values
     if wavelengths is not None and not light and "environment" in file:
         raise ValueError("--spectral needs lamps: an environment has colours, not spectra; give --light")
-    found = changed(file.scene(), light, pupil, size).replace(integrator=_INTEGRATORS[integrator]())
+    found = changed(file.scene(), light, pupil, size, camera).replace(integrator=_INTEGRATORS[integrator]())
     factor = file.exposure if exposure is None else exposure
     if not (math.isfinite(factor) and factor > 0):
         raise ValueError(f"--exposure {factor:g} must be above 0")
     if animate is not None:
-        _animated(found, animate, frames, factor, output)
+        _animated(found, animate, frames or 24, factor, output)
         return
     width, height = found.camera.size
-    parts = bands(found, kept_tables(found), samples=samples, wavelengths=wavelengths)
-    first = next(parts)
-    error = first.error
     remark = f"simulated by irisjax; integrator {integrator}"
-    if error is not None:
-        remark += f", response within {100 * error:.2g} %"
     names = ("R", "G", "B") if wavelengths is None else io.spectral_channels(wavelengths)
-    with tqdm(total=height, unit="row", delay=3, disable=not sys.stderr.isatty()) as progress:
+    with tqdm(desc="preparing", total=height, unit="row", disable=not sys.stderr.isatty()) as progress:
+        parts = bands(found, kept_tables(found), samples=samples, wavelengths=wavelengths)
+        first = next(parts)
+        if first.error is not None:
+            remark += f", response within {100 * first.error:.2g} %"
+        progress.set_description("rendering")
 
         def lit():
             for band in itertools.chain([first], parts):
@@ -186,8 +197,8 @@ def scene_file(path: Path | None, name: str | None, seed: int) -> SceneFile:
     )
 
 
-def changed(scene: staging.Scene, light=None, pupil=None, size: str | None = None) -> staging.Scene:
-    """A scene with lamps, pupil (mm) or picture size as the options write them."""
+def changed(scene: staging.Scene, light=None, pupil=None, size=None, camera=None) -> staging.Scene:
+    """A scene with lamps, pupil (mm), picture size or camera as the options write them."""
     if light:
         lamps = [_lamp(text, scene.illuminant) for text in light]
         joined = lamps[0]
@@ -195,9 +206,11 @@ def changed(scene: staging.Scene, light=None, pupil=None, size: str | None = Non
             joined = joined + lamp
         scene = scene.replace(lights=joined, environment=None)
     if pupil is not None:
-        if not 0.5 <= pupil <= 9.5:
-            raise ValueError(f"--pupil {pupil:g} must be a diameter from 0.5 to 9.5 mm")
-        scene = scene.replace(eye=scene.eye.replace(pupil_radius=pupil / 2))
+        try:
+            diameter = number(0.5, 9.5)(pupil)
+        except ValueError as error:
+            raise ValueError(f"--pupil: {error}; it is a diameter from 0.5 to 9.5 mm") from None
+        scene = scene.replace(eye=scene.eye.replace(pupil_radius=diameter / 2))
     if size is not None:
         width, cross, height = size.partition("x")
         if not (cross and width.isdigit() and height.isdigit()):
@@ -205,17 +218,28 @@ def changed(scene: staging.Scene, light=None, pupil=None, size: str | None = Non
         if max(int(width), int(height)) > 16384:
             raise ValueError(f"--size {size}: at most 16384 along a side")
         scene = scene.replace(camera=dataclasses.replace(scene.camera, size=(int(width), int(height))))
+    if camera is not None:
+        polar, azimuth, field = _angles("--camera", camera, "WIDTH", float(scene.camera.width))
+        try:
+            scene = scene.replace(camera=dataclasses.replace(scene.camera, polar=polar, azimuth=azimuth, width=field))
+        except ValueError as error:
+            raise ValueError(f"--camera {camera!r}: {error}") from None
     return scene
 
 
 def _lamp(text: str, illuminant: str) -> Lights:
+    polar, azimuth, irradiance = _angles("--light", text, "IRRADIANCE", math.pi)
+    return Lights.distant(polar, azimuth, irradiance, illuminant=illuminant)
+
+
+def _angles(option: str, text: str, third: str, default: float) -> tuple[float, float, float]:
+    """Polar angle and azimuth, radians, and the third number of an option, which may be left out."""
     try:
         numbers = [float(part) for part in text.split(",")]
     except ValueError:
         numbers = []
     if len(numbers) not in (2, 3) or not all(map(math.isfinite, numbers)):
-        raise ValueError(f"--light {text!r}: write POLAR,AZIMUTH or POLAR,AZIMUTH,IRRADIANCE")
+        raise ValueError(f"{option} {text!r}: write POLAR,AZIMUTH or POLAR,AZIMUTH,{third}")
     if not 0 <= numbers[0] <= 180:
-        raise ValueError(f"--light {text!r}: the polar angle must be from 0 to 180 degrees")
-    irradiance = numbers[2] if len(numbers) == 3 else math.pi
-    return Lights.distant(math.radians(numbers[0]), math.radians(numbers[1]), irradiance, illuminant=illuminant)
+        raise ValueError(f"{option} {text!r}: the polar angle must be from 0 to 180 degrees")
+    return math.radians(numbers[0]), math.radians(numbers[1]), (*numbers, default)[2]

@@ -2,121 +2,27 @@
 
 import dataclasses
 import math
-import re
 import tomllib
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
 import jax
+import jax.numpy as jnp
 
 from irisjax._types import PRNGKey
+from irisjax.io.entries import FEATURES, SECTIONS, line_of
 from irisjax.io.images import read_environment
 from irisjax.io.maps import read_maps
-from irisjax.measure.colour import illuminant_power
 from irisjax.render.camera import Camera
 from irisjax.render.environment import Environment
 from irisjax.render.lights import Lights
 from irisjax.render.scene import Scene
 from irisjax.render.vessels import veins
 from irisjax.tissue.anatomy import Cornea, Eye, Sclera
-from irisjax.tissue.iris import LIMITS, Iris
+from irisjax.tissue.iris import Iris
 from irisjax.tissue.maps import IrisMaps
-from irisjax.tissue.procedural import PRESETS, preset, procedural
-
-_LEVELS = ("low", "moderate", "high")
-
-
-def _number(low: float = -math.inf, high: float = math.inf) -> Callable[[Any], float]:
-    def check(value):
-        if isinstance(value, bool) or not isinstance(value, int | float) or not low <= value <= high:
-            span = (
-                "" if low == -math.inf else f", {low:g} or more" if high == math.inf else f" from {low:g} to {high:g}"
-            )
-            raise ValueError(f"must be a number{span}")
-        return float(value)
-
-    return check
-
-
-def _whole(low: int, high: int) -> Callable[[Any], int]:
-    def check(value):
-        if isinstance(value, bool) or not isinstance(value, int) or not low <= value <= high:
-            raise ValueError(f"must be a whole number from {low} to {high}")
-        return value
-
-    return check
-
-
-def _one(*names: str) -> Callable[[Any], str]:
-    def check(value):
-        if value not in names:
-            raise ValueError(f"must be one of {', '.join(names)}")
-        return value
-
-    return check
-
-
-def _bool(value):
-    if not isinstance(value, bool):
-        raise ValueError("must be true or false")
-    return value
-
-
-def _text(value):
-    if not isinstance(value, str):
-        raise ValueError("must be text")
-    return value
-
-
-def _illuminant(value):
-    illuminant_power(_text(value), [560.0])
-    return value
-
-
-def _size(value):
-    if not (isinstance(value, list) and len(value) == 2):
-        raise ValueError("must be [width, height]")
-    return tuple(_whole(1, 16384)(v) for v in value)
-
-
-def _place(value):
-    if not (isinstance(value, list) and len(value) == 3):
-        raise ValueError("must be [x, y, z] in mm")
-    return [_number()(v) for v in value]
-
-
-_FEATURES: dict[str, Callable[[Any], Any]] = {
-    "fibres": _number(0, 4), "collarette": _number(0, 4), "crypts": _whole(0, 200), "furrows": _whole(0, 50),
-    "freckles": _whole(0, 200), "abl": _number(0, 2), "heterochromia": _number(0, 20), "relief": _number(0, 1),
-}  # fmt: skip
-_DEGREES = _number(-360, 360)
-_OF_THE_EYE = ("pupil_radius", "iris_radius", "aqueous_index", "cornea_index", "tear_index")  # [eye] decides these
-
-_SECTIONS: dict[str, dict[str, Callable[[Any], Any]]] = {
-    "iris": {
-        "preset": _one(*PRESETS), "level": _one(*_LEVELS), "melanin_load": _number(0),
-        **{name: _number(limits.low, limits.high) for name, limits in LIMITS.items() if name not in _OF_THE_EYE},
-    },
-    "maps": {"seed": _whole(0, 2**32 - 1), "file": _text, "uniform": _bool, **_FEATURES},
-    "eye": {
-        "cornea": _one("two-surfaces", "f09", "none"), "sclera": _bool, "veins": _number(0, 10),
-        **{n: _number() for n in ("iris_depth", "iris_slope", "limbus_radius", "iris_radius", "pupil_radius",
-                                  "aqueous_index", "attenuation")},
-    },
-    "camera": {
-        "polar_deg": _number(0, 180), "azimuth_deg": _DEGREES, "distance": _number(30, 1e5),
-        "width": _number(0.1, 100), "size": _size,
-    },
-    "light": {
-        "polar_deg": _number(0, 180), "azimuth_deg": _DEGREES, "position": _place, "irradiance": _number(0, 1e6),
-        "radius_deg": _number(0.01, 60),
-    },
-    "environment": {
-        "file": _text, "kind": _one("studio", "sky"), "lights": _whole(1, 1000), "strength": _number(0, 1e6),
-    },
-    "picture": {"exposure": _number(1e-6, 1e6), "illuminant": _illuminant},
-}  # fmt: skip
+from irisjax.tissue.procedural import preset, procedural
 
 
 class SceneError(ValueError):
@@ -181,7 +87,7 @@ class SceneFile(Mapping[str, Any]):
 
     def _iris(self):
         given = dict(self._sections.get("iris", {}))
-        features = {k: v for k, v in self._sections.get("maps", {}).items() if k in _FEATURES}
+        features = {k: v for k, v in self._sections.get("maps", {}).items() if k in FEATURES}
         # Maps from a file take the place of grown ones.
         uniform = self._sections.get("maps", {}).get("uniform", False) or "file" in self._sections.get("maps", {})
         if "preset" in given:
@@ -229,6 +135,8 @@ class SceneFile(Mapping[str, Any]):
             else:
                 polar, azimuth = (math.radians(lamp.get(f"{n}_deg", d)) for n, d in (("polar", 35), ("azimuth", 120)))
                 one = Lights.distant(polar, azimuth, **options)
+            if "colour" in lamp:
+                one = dataclasses.replace(one, tint=jnp.asarray([lamp["colour"]], one.towards.dtype))
             lights = one if lights is None else lights + one
         if lights is None and "environment" not in self._sections:
             lights = Lights.distant(0.6, 2.1, illuminant=illuminant)
@@ -271,13 +179,13 @@ def parse_scene(text: str, name: str = "scene", folder: Path = Path()) -> SceneF
         raise ValueError(f"{name}: {error}") from None
 
     def where(section: str, key: str | None, nth: int = 0) -> str:
-        line = _line_of(text, section, key, nth)
+        line = line_of(text, section, key, nth)
         return f"{name}, line {line}" if line else name
 
     checked: dict[str, Any] = {}
     for section, given in sections.items():
-        if section not in _SECTIONS:
-            raise ValueError(f"{where(section, None)}: unknown section [{section}]; known: {', '.join(_SECTIONS)}")
+        if section not in SECTIONS:
+            raise ValueError(f"{where(section, None)}: unknown section [{section}]; known: {', '.join(SECTIONS)}")
         tables = given if section == "light" else [given]
         if not isinstance(tables, list) or not all(isinstance(t, dict) for t in tables):
             wanted = "[[light]]" if section == "light" else f"[{section}]"
@@ -286,7 +194,7 @@ def parse_scene(text: str, name: str = "scene", folder: Path = Path()) -> SceneF
         for nth, table in enumerate(tables):
             done.append({})
             for key, value in table.items():
-                if key not in (checks := _SECTIONS[section]):
+                if key not in (checks := SECTIONS[section]):
                     raise ValueError(
                         f"{where(section, key, nth)}: unknown {key!r} in {section}; known: {', '.join(checks)}"
                     )
@@ -302,18 +210,3 @@ def parse_scene(text: str, name: str = "scene", folder: Path = Path()) -> SceneF
             "give one or the other (seed still draws the veins)"
         )
     return SceneFile(checked, where, folder)
-
-
-def _line_of(text: str, section: str, key: str | None, nth: int) -> int | None:
-    """Where a key of the nth table of a section is written (1 is the first line)."""
-    current, count, header = "", -1, None
-    entry = None if key is None else re.compile(rf"\s*[\"']?{re.escape(key)}[\"']?\s*=")
-    for number, line in enumerate(text.splitlines(), 1):
-        if found := re.match(r"\s*\[\[?\s*([\w-]+)\s*\]?\]", line):
-            current = found[1]
-            if current == section:
-                count += 1
-                header = number if count == nth else header
-        elif entry is not None and current == section and count == nth and entry.match(line):
-            return number
-    return header

@@ -11,6 +11,7 @@ import pytest
 import irisjax as ij
 from common import operations
 from irisjax.render import chunks, shading
+from irisjax.render import scene as staging
 from irisjax.render.bands import colour_bands
 from irisjax.render.camera import Camera, _iris, look
 from irisjax.render.environment import Environment
@@ -297,6 +298,24 @@ def test_only_what_changed_is_made_again(tables):
             assert again.base is prepare(after, tables, memory=memory).base
     back = prepare(made, tables, memory=memory)
     np.testing.assert_array_equal(back(LIGHT), first(LIGHT))
+
+
+def test_pictures_with_a_memory(monkeypatch, tables):
+    """Equal to those without, and the response is made again for other pigments only."""
+    made = scene(maps=IrisMaps(stroma_thickness=ring(lambda x, y: 0.3 + 0.02 * x)), eye=CLOSE)
+    changes = (
+        {"lights": Lights.distant([0.4, 0.9], [2.0, 0.1])},
+        {"camera": dataclasses.replace(SMALL, polar=jnp.asarray(0.2))},
+        {"iris": LIGHT.replace(eumelanin=1.5)},
+    )
+    every = [made, *(made.replace(**change) for change in changes)]
+    fresh = [render(one, tables) for one in every]
+    calls, response = [], staging._response
+    monkeypatch.setattr(staging, "_response", lambda *a: calls.append(a) or response(*a))
+    memory = Memory()
+    for one, picture in zip(every, fresh, strict=True):
+        np.testing.assert_array_equal(render(one, tables, memory), picture)
+    assert len(calls) == 2
 
 
 def test_cores_change_no_bit(monkeypatch, tables):

@@ -1,0 +1,124 @@
+"""Entries of a scene file: sections and keys, what they may be, and where they are written."""
+
+import math
+import re
+from collections.abc import Callable
+from typing import Any
+
+from irisjax.measure.colour import illuminant_power
+from irisjax.tissue.iris import LIMITS
+from irisjax.tissue.procedural import PRESETS
+
+_LEVELS = ("low", "moderate", "high")
+
+
+def _number(low: float = -math.inf, high: float = math.inf) -> Callable[[Any], float]:
+    def check(value):
+        if isinstance(value, bool) or not isinstance(value, int | float) or not low <= value <= high:
+            span = (
+                "" if low == -math.inf else f", {low:g} or more" if high == math.inf else f" from {low:g} to {high:g}"
+            )
+            raise ValueError(f"must be a number{span}")
+        return float(value)
+
+    return check
+
+
+def _whole(low: int, high: int) -> Callable[[Any], int]:
+    def check(value):
+        if isinstance(value, bool) or not isinstance(value, int) or not low <= value <= high:
+            raise ValueError(f"must be a whole number from {low} to {high}")
+        return value
+
+    return check
+
+
+def _one(*names: str) -> Callable[[Any], str]:
+    def check(value):
+        if value not in names:
+            raise ValueError(f"must be one of {', '.join(names)}")
+        return value
+
+    return check
+
+
+def _bool(value):
+    if not isinstance(value, bool):
+        raise ValueError("must be true or false")
+    return value
+
+
+def _text(value):
+    if not isinstance(value, str):
+        raise ValueError("must be text")
+    return value
+
+
+def _illuminant(value):
+    illuminant_power(_text(value), [560.0])
+    return value
+
+
+def _size(value):
+    if not (isinstance(value, list) and len(value) == 2):
+        raise ValueError("must be [width, height]")
+    return tuple(_whole(1, 16384)(v) for v in value)
+
+
+def _three(form: str, low: float = -math.inf, high: float = math.inf) -> Callable[[Any], list[float]]:
+    def check(value):
+        if not (isinstance(value, list) and len(value) == 3):
+            raise ValueError(f"must be {form}")
+        return [_number(low, high)(v) for v in value]
+
+    return check
+
+
+FEATURES: dict[str, Callable[[Any], Any]] = {
+    "fibres": _number(0, 4), "collarette": _number(0, 4), "crypts": _whole(0, 200), "furrows": _whole(0, 50),
+    "freckles": _whole(0, 200), "abl": _number(0, 2), "heterochromia": _number(0, 20), "relief": _number(0, 1),
+}  # fmt: skip
+_DEGREES = _number(-360, 360)
+_THICKEST = 3.0  # mm: a model may be thicker, an iris in its chamber not; micrometres by mistake would be
+_OF_THE_EYE = ("pupil_radius", "iris_radius", "aqueous_index", "cornea_index", "tear_index")  # [eye] decides these
+
+SECTIONS: dict[str, dict[str, Callable[[Any], Any]]] = {
+    "iris": {
+        "preset": _one(*PRESETS), "level": _one(*_LEVELS), "melanin_load": _number(0),
+        **{name: _number(limits.low, limits.high) for name, limits in LIMITS.items() if name not in _OF_THE_EYE},
+        "abl_thickness": _number(0, _THICKEST), "stroma_thickness": _number(0, _THICKEST),
+    },
+    "maps": {"seed": _whole(0, 2**32 - 1), "file": _text, "uniform": _bool, **FEATURES},
+    "eye": {
+        "cornea": _one("two-surfaces", "f09", "none"), "sclera": _bool, "veins": _number(0, 10),
+        **{n: _number() for n in ("iris_depth", "iris_slope", "limbus_radius", "iris_radius", "pupil_radius",
+                                  "aqueous_index", "attenuation")},
+    },
+    "camera": {
+        "polar_deg": _number(0, 180), "azimuth_deg": _DEGREES, "distance": _number(30, 1e5),
+        "width": _number(0.1, 100), "size": _size,
+    },
+    "light": {
+        "polar_deg": _number(0, 180), "azimuth_deg": _DEGREES, "position": _three("[x, y, z] in mm"),
+        "irradiance": _number(0, 1e6), "radius_deg": _number(0.01, 60), "colour": _three("[red, green, blue]", 0, 1e3),
+    },
+    "environment": {
+        "file": _text, "kind": _one("studio", "sky"), "lights": _whole(1, 1000), "strength": _number(0, 1e6),
+    },
+    "picture": {"exposure": _number(1e-6, 1e6), "illuminant": _illuminant},
+}  # fmt: skip
+
+
+def line_of(text: str, section: str, key: str | None, nth: int) -> int | None:
+    """Where a key of the nth table of a section is written (1 is the first line)."""
+    current, count, header = "", -1, None
+    entry = None if key is None else re.compile(rf"\s*[\"']?{re.escape(key)}[\"']?\s*=")
+    for number, line in enumerate(text.splitlines(), 1):
+        if found := re.match(r"\s*\[\[?\s*([\w-]+)\s*\]?\]", line):
+            current = found[1]
+            if current == section:
+                count += 1
+                header = number if count == nth else header
+        elif entry is not None and current == section and count == nth and entry.match(line):
+            return number
+    return header
