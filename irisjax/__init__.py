@@ -6,45 +6,30 @@
 import importlib
 from typing import TYPE_CHECKING
 
-from irisjax.infer.noise import Noise as Noise
-from irisjax.infer.observation import Observation as Observation
-from irisjax.infer.observation import colour_data as colour_data
-from irisjax.infer.observation import spectrum as spectrum
-from irisjax.infer.problem import Problem as Problem
-from irisjax.infer.problem import problem as problem
-from irisjax.io.measured import Measured as Measured
-from irisjax.io.measured import read_measured as read_measured
-from irisjax.measure.colour import Colour as Colour
-from irisjax.measure.colour import colour as colour
-from irisjax.measure.colour import colour_of as colour_of
-from irisjax.measure.goniophotometer import Brdf as Brdf
-from irisjax.measure.goniophotometer import brdf as brdf
-from irisjax.measure.goniophotometer import principal_plane as principal_plane
-from irisjax.measure.measurement import Measurement as Measurement
-from irisjax.measure.measurement import wavelengths as wavelengths
-from irisjax.measure.spectrophotometer import radiance as radiance
-from irisjax.measure.spectrophotometer import reflectance as reflectance
-from irisjax.tissue.indices import RefractiveIndices as RefractiveIndices
-from irisjax.tissue.iris import Iris as Iris
-from irisjax.tissue.layers import Layers as Layers
-from irisjax.tissue.pigments import extinction as extinction
-from irisjax.transport.exact import DIFFUSE as DIFFUSE
-from irisjax.transport.exact import Exact as Exact
-from irisjax.transport.montecarlo import MonteCarlo as MonteCarlo
-from irisjax.transport.process import DEPTH_RESOLVED as DEPTH_RESOLVED
-from irisjax.transport.process import ILIT_2006 as ILIT_2006
-from irisjax.transport.process import ILIT_CORRECTED as ILIT_CORRECTED
-from irisjax.transport.process import Process as Process
-from irisjax.transport.solution import RESULTS as RESULTS
-from irisjax.transport.solution import Solution as Solution
-from irisjax.transport.tabulated import Tabulated as Tabulated
-
 if TYPE_CHECKING:
     from irisjax.infer.fit import fit as fit
     from irisjax.infer.identifiability import information as information
+    from irisjax.infer.noise import Noise as Noise
+    from irisjax.infer.observation import Observation as Observation
+    from irisjax.infer.observation import colour_data as colour_data
+    from irisjax.infer.observation import spectrum as spectrum
     from irisjax.infer.posterior import sample as sample
+    from irisjax.infer.problem import Problem as Problem
+    from irisjax.infer.problem import problem as problem
     from irisjax.infer.summary import summarise as summarise
+    from irisjax.io.measured import Measured as Measured
+    from irisjax.io.measured import read_measured as read_measured
     from irisjax.io.scenes import read_scene as read_scene
+    from irisjax.measure.colour import Colour as Colour
+    from irisjax.measure.colour import colour as colour
+    from irisjax.measure.colour import colour_of as colour_of
+    from irisjax.measure.goniophotometer import Brdf as Brdf
+    from irisjax.measure.goniophotometer import brdf as brdf
+    from irisjax.measure.goniophotometer import principal_plane as principal_plane
+    from irisjax.measure.measurement import Measurement as Measurement
+    from irisjax.measure.measurement import wavelengths as wavelengths
+    from irisjax.measure.spectrophotometer import radiance as radiance
+    from irisjax.measure.spectrophotometer import reflectance as reflectance
     from irisjax.render.camera import Camera as Camera
     from irisjax.render.environment import Environment as Environment
     from irisjax.render.lights import Lights as Lights
@@ -56,42 +41,76 @@ if TYPE_CHECKING:
     from irisjax.tissue.anatomy import Cornea as Cornea
     from irisjax.tissue.anatomy import Eye as Eye
     from irisjax.tissue.anatomy import Sclera as Sclera
+    from irisjax.tissue.indices import RefractiveIndices as RefractiveIndices
+    from irisjax.tissue.iris import Iris as Iris
+    from irisjax.tissue.layers import Layers as Layers
     from irisjax.tissue.maps import IrisMaps as IrisMaps
+    from irisjax.tissue.pigments import extinction as extinction
     from irisjax.tissue.procedural import preset as preset
     from irisjax.tissue.procedural import procedural as procedural
+    from irisjax.transport.exact import DIFFUSE as DIFFUSE
+    from irisjax.transport.exact import Exact as Exact
+    from irisjax.transport.montecarlo import MonteCarlo as MonteCarlo
+    from irisjax.transport.process import DEPTH_RESOLVED as DEPTH_RESOLVED
+    from irisjax.transport.process import ILIT_2006 as ILIT_2006
+    from irisjax.transport.process import ILIT_CORRECTED as ILIT_CORRECTED
+    from irisjax.transport.process import Process as Process
+    from irisjax.transport.solution import RESULTS as RESULTS
+    from irisjax.transport.solution import Solution as Solution
+    from irisjax.transport.tabulated import Tabulated as Tabulated
 
-# What spectra do not need loads when it is first used: optimistix, emcee, arviz, the renderer.
-_LATER = {
-    "fit": "infer.fit",
-    "information": "infer.identifiability",
-    "sample": "infer.posterior",
-    "summarise": "infer.summary",
-    "read_scene": "io.scenes",
-    "Camera": "render.camera",
-    "Environment": "render.environment",
-    "Lights": "render.lights",
-    "Memory": "render.memory",
-    "Scene": "render.scene",
-    "prepare": "render.scene",
-    "Separable": "render.separable",
-    "veins": "render.vessels",
-    "Cornea": "tissue.anatomy",
-    "Eye": "tissue.anatomy",
-    "Sclera": "tissue.anatomy",
-    "IrisMaps": "tissue.maps",
-    "preset": "tissue.procedural",
-    "procedural": "tissue.procedural",
+# All loads when it is first used: a spectrum needs neither optimistix nor emcee nor the renderer.
+_HOMES = {
+    "infer.fit": ("fit",),
+    "infer.identifiability": ("information",),
+    "infer.noise": ("Noise",),
+    "infer.observation": ("Observation", "colour_data", "spectrum"),
+    "infer.posterior": ("sample",),
+    "infer.problem": ("Problem", "problem"),
+    "infer.summary": ("summarise",),
+    "io.measured": ("Measured", "read_measured"),
+    "io.scenes": ("read_scene",),
+    "measure.colour": ("Colour", "colour", "colour_of"),
+    "measure.goniophotometer": ("Brdf", "brdf", "principal_plane"),
+    "measure.measurement": ("Measurement", "wavelengths"),
+    "measure.spectrophotometer": ("radiance", "reflectance"),
+    "render.camera": ("Camera",),
+    "render.environment": ("Environment",),
+    "render.lights": ("Lights",),
+    "render.memory": ("Memory",),
+    "render.scene": ("Scene", "prepare"),
+    "render.separable": ("Separable",),
+    "render.vessels": ("veins",),
+    "tissue.anatomy": ("Cornea", "Eye", "Sclera"),
+    "tissue.indices": ("RefractiveIndices",),
+    "tissue.iris": ("Iris",),
+    "tissue.layers": ("Layers",),
+    "tissue.maps": ("IrisMaps",),
+    "tissue.pigments": ("extinction",),
+    "tissue.procedural": ("preset", "procedural"),
+    "transport.exact": ("DIFFUSE", "Exact"),
+    "transport.montecarlo": ("MonteCarlo",),
+    "transport.process": ("DEPTH_RESOLVED", "ILIT_2006", "ILIT_CORRECTED", "Process"),
+    "transport.solution": ("RESULTS", "Solution"),
+    "transport.tabulated": ("Tabulated",),
 }
+_HOME = {name: home for home, names in _HOMES.items() for name in names}
+_PARTS = ("infer", "io", "measure", "optics", "plot", "render", "tissue", "transport", "view")
 
 
 def __getattr__(name: str):
-    if name in _LATER:
-        return getattr(importlib.import_module(f"irisjax.{_LATER[name]}"), name)
-    raise AttributeError(f"module 'irisjax' has no attribute {name!r}")
+    if name in _HOME:
+        value = getattr(importlib.import_module(f"irisjax.{_HOME[name]}"), name)
+    elif name in _PARTS:
+        value = importlib.import_module(f"irisjax.{name}")
+    else:
+        raise AttributeError(f"module 'irisjax' has no attribute {name!r}")
+    globals()[name] = value
+    return value
 
 
 def __dir__():
-    return sorted({name for name in globals() if name not in ("TYPE_CHECKING", "importlib")} | _LATER.keys())
+    return sorted({name for name in globals() if name not in ("TYPE_CHECKING", "importlib")} | _HOME.keys() | {*_PARTS})
 
 
 __version__ = "0.1.0"
