@@ -18,6 +18,8 @@ from irisjax._types import Scalar, as_float
 from irisjax.optics.fresnel import fresnel, safe_sqrt
 
 Vector = Float[Array, "*s 3"]
+Parts = tuple[Float[Array, "*s"], ...]
+"""Vectors, each component by itself."""
 
 
 class Conicoid(eqx.Module):
@@ -64,7 +66,7 @@ class Conicoid(eqx.Module):
         return (second if far else first), square > 0
 
 
-def parts(a: Float[Array, "*s n"]) -> tuple[Float[Array, "*s"], ...]:
+def parts(a: Float[Array, "*s n"]) -> Parts:
     """Components along the last axis. Kept apart they are faster to make than as one array."""
     return tuple(a[..., i] for i in range(a.shape[-1]))
 

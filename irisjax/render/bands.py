@@ -1,8 +1,8 @@
 """The few wavelengths a picture is computed at, and their weights towards its channels.
 
-Ten wavelengths stand for 81 (380 to 780 nm in steps of 5): spectra of irides are smooth and alike. Colours
+Ten wavelengths stand for 81 (380 to 780 nm in steps of 5): spectra of irides are smooth and alike. Their colours
 differ by less than 0.5 ΔE2000 from those of all 81 (`experiments/rendering_bands.py`: 0.32 under D65, 0.29
-under A, 0.46 under FL11, on a thousand irides drawn widely).
+under A, 0.46 under FL11, on a thousand irides drawn widely). What is no iris, vessels above all, has `all_bands`.
 """
 
 from functools import lru_cache
@@ -36,6 +36,12 @@ def colour_bands(illuminant: str = "D65", observer: str = OBSERVER, cornea: Corn
     nodes, fill = _table()
     matrix = np.asarray(tristimulus_matrix(GRID, "linear sRGB", illuminant, observer)[0]) * _haze(cornea, GRID)
     return Bands(tuple(nodes.tolist()), jnp.asarray(matrix @ fill.T, jnp.result_type(float)), ("R", "G", "B"))
+
+
+def all_bands(illuminant: str = "D65", observer: str = OBSERVER) -> Bands:
+    """All of `GRID` to linear sRGB, adapted to D65, without a cornea."""
+    matrix = tristimulus_matrix(GRID, "linear sRGB", illuminant, observer)[0]
+    return Bands(tuple(GRID.tolist()), jnp.asarray(matrix, jnp.result_type(float)), ("R", "G", "B"))
 
 
 def spectral_bands(wavelengths, illuminant: str = "D65", cornea: Cornea | None = None) -> Bands:

@@ -10,7 +10,18 @@ from jax.core import Tracer
 from jaxtyping import Array, Bool, Float, Int
 
 from irisjax._types import Scalar, as_float
-from irisjax.optics.conicoid import Vector, along, choose, dot, from_axis, norm, parts, reflect_vector, refract_vector
+from irisjax.optics.conicoid import (
+    Parts,
+    Vector,
+    along,
+    choose,
+    dot,
+    from_axis,
+    norm,
+    parts,
+    reflect_vector,
+    refract_vector,
+)
 from irisjax.optics.fresnel import safe_sqrt
 from irisjax.render.chunks import pixelwise
 from irisjax.render.refraction import enter
@@ -24,10 +35,6 @@ BLEND = 0.5
 LARGEST = 16384
 """Most pixels along a side."""
 _PAD = 2048  # and an eighth of the pixels at most
-
-
-Parts = tuple[Float[Array, " pixels"], ...]
-"""The three components of vectors."""
 
 
 def _number(default: float) -> Any:
@@ -247,3 +254,14 @@ def _mirror(index, eye: Eye, camera: Camera) -> MirrorPixels:
     surface = _Surface.met(eye, origin, direction)
     passed = refract_vector(direction, surface.normal, 1.0, TEAR)[1]
     return MirrorPixels(index, parts(reflect_vector(direction, surface.normal)), 1 - passed)
+
+
+def mirror_points(pixels: MirrorPixels, eye: Eye, camera: Camera) -> Parts:
+    """Where pixels meet the tear film, mm: needed for lamps that are near, and for them alone."""
+    index = jnp.arange(pixels.reflectance.size, dtype=jnp.int32) if pixels.index is None else pixels.index
+    return _outer(jnp.maximum(index, 0), eye, camera)
+
+
+@pixelwise
+def _outer(index, eye: Eye, camera: Camera) -> Parts:
+    return parts(_Surface.met(eye, *camera.towards(index, eye)).point)

@@ -67,8 +67,10 @@ def _share_out(total, grid: Grid, eye: Eye, landing: Landing):
     x, y = landing.point[..., 0], landing.point[..., 1]
     on_grid = (jnp.maximum(jnp.abs(x), jnp.abs(y)) < grid.extent) & (landing.share > 0)
     power = jnp.where(on_grid, landing.share, 0.0)
-    cosine = -dot(landing.direction, eye.iris_normal(landing.point))
-    vector = (power / jnp.where(on_grid, cosine, 1.0))[..., None] * landing.direction
+    normal = eye.iris_normal(landing.point)
+    cosine = -dot(landing.direction, normal)
+    # Cells are those of the plane; an iris that is a cone has more area in each.
+    vector = (power * -normal[..., 2] / jnp.where(on_grid, cosine, 1.0))[..., None] * landing.direction
     column, row = ((jnp.where(on_grid, c, 0.0) / grid.extent + 1) * ((grid.size - 1) / 2) for c in (x, y))
     j, i = (jnp.clip(jnp.floor(c), 0, grid.size - 2) for c in (column, row))
     u, v = column - j, row - i

@@ -48,11 +48,11 @@ class Environment(eqx.Module):
         it was measured; it is for trying things out.
         """
         d = _directions(rows, 2 * rows)
-        texel = np.pi / rows
+        soft = max(np.pi / rows, 0.06)
         room = 0.055 + 0.03 * d[..., 1:2]
-        key = 6.4 * _panel(d, (-0.75, 0.65, -1.0), (0.42, 0.42), texel)
-        fill = 1.15 * _panel(d, (1.0, 0.2, -0.8), (0.35, 0.6), texel)
-        strip = 2.3 * _panel(d, (0.7, 0.9, 0.8), (0.12, 0.7), texel)
+        key = 7.2 * _panel(d, (-0.75, 0.65, -1.0), (0.42, 0.42), soft)
+        fill = 1.3 * _panel(d, (1.0, 0.2, -0.8), (0.35, 0.6), soft)
+        strip = 2.6 * _panel(d, (0.7, 0.9, 0.8), (0.12, 0.7), soft)
         return cls(
             room
             + key[..., None] * np.array([1.0, 0.98, 0.94])
@@ -218,14 +218,18 @@ def _solid_angles(rows: int, columns: int) -> np.ndarray:
 
 
 def _panel(direction: np.ndarray, centre, half, soft: float) -> np.ndarray:
-    """1 within an upright rectangle that faces the eye, 0 outside; `half` sides and `soft` edge as tangents."""
+    """A softbox that faces the eye, upright: 1 in its middle, two thirds in its corners; 0 outside.
+
+    `half` sides and `soft` edge as tangents.
+    """
     forward = np.asarray(centre) / np.linalg.norm(centre)
     right = np.cross((0.0, 1.0, 0.0), forward)
     right /= np.linalg.norm(right)
     along = direction @ forward
     depth = np.maximum(along, 1e-3)
-    inside = [
-        np.clip(0.5 + (h - np.abs(direction @ axis / depth)) / soft, 0, 1)
-        for h, axis in zip(half, (right, np.cross(forward, right)), strict=True)
+    place = [
+        np.abs(direction @ axis / depth) / h for h, axis in zip(half, (right, np.cross(forward, right)), strict=True)
     ]
-    return np.where(along > 0, inside[0] * inside[1], 0.0)
+    inside = [np.clip(0.5 + (1 - p) * h / soft, 0, 1) for h, p in zip(half, place, strict=True)]
+    glow = 1 - np.minimum(place[0] ** 2 + place[1] ** 2, 2.0) / 6
+    return np.where(along > 0, glow * np.prod([i * i * (3 - 2 * i) for i in inside], axis=0), 0.0)

@@ -54,6 +54,10 @@ class Lights(eqx.Module):
             value = getattr(self, name)
             if not isinstance(value, Tracer) and not np.isfinite(np.asarray(value)).all():
                 raise ValueError(f"lights: {name} must be finite")
+        if not isinstance(self.radius, Tracer):
+            wrong = self.radius[(self.radius <= 0) | (self.radius > jnp.pi)]
+            if wrong.size:
+                raise ValueError(f"lights: radius {float(wrong[0]):g} is outside (0, pi] radians")
         if not isinstance(self.irradiance, Tracer) and (np.asarray(self.irradiance) < 0).any():
             raise ValueError(f"lights: irradiance {float(self.irradiance.min()):g} is negative")
 
@@ -82,6 +86,18 @@ class Lights(eqx.Module):
     def polar(self) -> Float[Array, " lights"]:
         """Angle of each light from the eye's axis, radians."""
         return jnp.arctan2(jnp.hypot(self.towards[:, 0], self.towards[:, 1]), -self.towards[:, 2])
+
+    def around(
+        self, point: tuple[Float[Array, " pixels"], ...]
+    ) -> tuple[tuple[Float[Array, "lights #pixels"], ...], Float[Array, "lights #pixels"]]:
+        """As `seen_from`, of all lights at once: components (lights, pixels) and irradiances."""
+        if self.distance is None:
+            return tuple(t[:, None] for t in self.towards.T), self.irradiance[:, None]
+        near = 1.0 / self.distance[:, None]
+        offset = [t[:, None] - p * near for t, p in zip(self.towards.T, point, strict=True)]
+        square = sum(o * o for o in offset)
+        length = jnp.sqrt(square)
+        return tuple(o / length for o in offset), self.irradiance[:, None] / square
 
     def seen_from(self, point: Float[Array, "*s 3"], i) -> tuple[Float[Array, "*s 3"], Scalar | Float[Array, "*s"]]:
         """Unit vectors from points (mm) to light `i`, and its irradiance there on a surface that faces it."""

@@ -8,18 +8,20 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.core import Tracer
 from jaxtyping import Array, Float
 
 from irisjax.measure.colour import OBSERVER
 from irisjax.render import shading
-from irisjax.render.bands import Bands, colour_bands, spectral_bands
-from irisjax.render.camera import Camera, View, look
+from irisjax.render.bands import Bands, all_bands, colour_bands, spectral_bands
+from irisjax.render.camera import Camera, View, look, mirror_points
 from irisjax.render.chunks import pixelwise
 from irisjax.render.environment import Environment
 from irisjax.render.illumination import UNIQUE_POLAR, Illumination
 from irisjax.render.integrator import AbstractIntegrator, AbstractResponse
 from irisjax.render.lights import Lights
 from irisjax.render.memory import Memory
+from irisjax.render.refraction import LARGEST_POLAR
 from irisjax.render.sclera import ColourTable, VeinMap, colour_table
 from irisjax.render.separable import Separable
 from irisjax.tissue.anatomy import Eye, Sclera
@@ -54,6 +56,13 @@ class Scene(eqx.Module):
             raise ValueError("a scene needs lights or an environment")
         if self.lights is not None and self.lights.illuminant != self.illuminant:
             raise ValueError(f"the lights are {self.lights.illuminant}, the scene is {self.illuminant}")
+        chamber = self.iris.aqueous_index, self.eye.aqueous_index
+        known = self.eye.cornea is not None and not any(isinstance(n, Tracer) for n in chamber)
+        if known and abs(float(chamber[0]) - float(chamber[1])) > 1e-5:
+            raise ValueError(
+                f"one chamber has one index: aqueous_index is {float(chamber[0]):g} of the iris and "
+                f"{float(chamber[1]):g} of the eye; iris.replace(aqueous_index=eye.aqueous_index)"
+            )
 
     def replace(self, **parts: Any) -> "Scene":
         """A copy with some parts changed."""
@@ -139,10 +148,8 @@ def prepare(
         "lights", _all_lights, scene.lights, scene.environment, scene.environment_lights, scene.illuminant
     )
     if wavelengths is None:
-        bands, clear = (
-            memory.once(name, colour_bands, lights.illuminant, scene.observer, cornea)
-            for name, cornea in (("bands", eye.cornea), ("bands outside", None))
-        )
+        bands = memory.once("bands", colour_bands, lights.illuminant, scene.observer, eye.cornea)
+        clear = memory.once("bands outside", all_bands, lights.illuminant, scene.observer)
         lamp = memory.once("lamp", lambda b: jnp.ones_like(b.weights[:, 0]), clear)
     else:
         if scene.environment is not None or lights.tint is not None:
@@ -152,21 +159,32 @@ def prepare(
     view = memory.once("view", look, eye, scene.camera) if view is None else view
     height, width = scene.camera.shape
 
-    def surface(view, lights, lamps, environment, eye, veins, clear, lamp):
+    def surface(view, lights, lamps, environment, eye, veins, camera, clear, lamp):
         base = jnp.zeros((lamp.size, width * height), lamp.dtype)
         if view.sclera is not None and eye.sclera is not None:
             table = memory.once("sclera's colours", _sclera_colours, eye.sclera, clear)
             colour = memory.once("white", shading.white_colour, view.sclera, eye, table, veins)
             base = _add(base, view.sclera.index, shading.white((view.sclera, colour), lights))
         if view.mirror is not None:
-            room = None
+            room, point = None, None
+            if lamps is not None and lamps.distance is not None:
+                point = memory.once("mirror points", mirror_points, view.mirror, eye, camera)
             if environment is not None:
                 room = memory.once("room", shading.room_at, view.mirror, environment)
-            base = _add(base, view.mirror.index, shading.mirrored((view.mirror, room), lamps, lamp))
+            base = _add(base, view.mirror.index, shading.mirrored((view.mirror, point, room), lamps, lamp))
         return base
 
-    outside = scene.lights, scene.environment, eye, scene.veins, clear, lamp
-    base = memory.once("surface", surface, view, lights, *outside)
+    all_round = memory.once(
+        "lights all round",
+        _all_lights,
+        scene.lights,
+        scene.environment,
+        scene.environment_lights,
+        scene.illuminant,
+        None,
+    )
+    outside = all_round, scene.lights, scene.environment, eye, scene.veins, scene.camera, clear, lamp
+    base = memory.once("surface", surface, view, *outside)
     texels, ground = None, None
     ranges = shading.ranges_of(scene.iris, scene.maps, memory)
     if view.iris is not None:
@@ -177,11 +195,17 @@ def prepare(
     return Stage(base, texels, ground, bands, scene.integrator, ranges, (width, height))
 
 
-def _all_lights(lights: Lights | None, environment: Environment | None, count: int, illuminant: str) -> Lights:
+def _all_lights(
+    lights: Lights | None,
+    environment: Environment | None,
+    count: int,
+    illuminant: str,
+    largest_polar: float | None = LARGEST_POLAR,
+) -> Lights:
     if environment is None:
         assert lights is not None
         return lights
-    around = dataclasses.replace(environment.to_lights(count), illuminant=illuminant)
+    around = dataclasses.replace(environment.to_lights(count, largest_polar=largest_polar), illuminant=illuminant)
     return around if lights is None else lights + around
 
 

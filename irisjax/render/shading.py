@@ -6,12 +6,12 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from irisjax.optics.angle import arctan2
-from irisjax.optics.conicoid import dot, from_axis, joined, norm, parts
+from irisjax.optics.conicoid import Parts, dot, from_axis, joined, norm, parts
 from irisjax.optics.fresnel import fresnel_at, safe_sqrt
-from irisjax.render.camera import IrisPixels, MirrorPixels, Parts, ScleraPixels
+from irisjax.render.camera import IrisPixels, MirrorPixels, ScleraPixels
 from irisjax.render.chunks import pixelwise
 from irisjax.render.environment import Environment
-from irisjax.render.illumination import Illumination, bare
+from irisjax.render.illumination import Illumination, bare, near_light
 from irisjax.render.lights import Lights
 from irisjax.render.memory import Memory
 from irisjax.render.sclera import Blood, ColourTable, VeinMap, vein_depth_at, vein_place
@@ -25,6 +25,7 @@ Place = tuple[Float[Array, " pixels"], Float[Array, " pixels"]]
 
 PUPIL_MARGIN = 0.12
 """Width over which the iris fades into the pupil, mm."""
+_BLEED = 0.3
 
 
 class Field(eqx.Module):
@@ -62,7 +63,7 @@ def field_of(lights: Lights, eye: Eye, iris: Iris, tables: Illumination | None, 
     n = iris.indices()
 
     def add(total, i):
-        flux = _flux(lights, i, place, tables)
+        flux = _flux(lights, i, place, eye, tables)
         length = norm(flux)
         cosine = -dot(flux, normal) / jnp.where(length > 0, length, 1.0)
         flux = flux * jnp.where(cosine > 0, fresnel_at(jnp.maximum(cosine, 0.0), n.aqueous, n.abl)[1], 0.0)[..., None]
@@ -80,7 +81,7 @@ def fluxes_of(
 ) -> Float[Array, "lights 3 rows columns"]:
     """Flux vectors of each light by itself, in the chamber just before the iris, on the grid of a `Field`."""
     place = _grid(eye, size)
-    return jax.lax.map(lambda i: jnp.stack(parts(_flux(lights, i, place, tables))), jnp.arange(len(lights)))
+    return jax.lax.map(lambda i: jnp.stack(parts(_flux(lights, i, place, eye, tables))), jnp.arange(len(lights)))
 
 
 def _grid(eye: Eye, size: int):
@@ -94,10 +95,13 @@ def _grid(eye: Eye, size: int):
     return jnp.stack([x, y, height], axis=-1)
 
 
-def _flux(lights: Lights, i, place, tables: Illumination | None):
+def _flux(lights: Lights, i, place, eye: Eye, tables: Illumination | None):
+    spread, point = 1.0, place[..., :2]
+    if tables is not None and lights.distance is not None:
+        place, spread = near_light(eye, lights.towards[i], 1.0 / lights.distance[i], point)
     towards, power = lights.seen_from(place, i)
-    flux = bare(place, towards) if tables is None else tables.at(place[..., :2], towards)
-    return flux * jnp.broadcast_to(power, place.shape[:-1])[..., None]
+    flux = bare(place, towards) if tables is None else tables.at(point, towards)
+    return flux * jnp.broadcast_to(power * spread, place.shape[:-1])[..., None]
 
 
 def scales_at(pixels: IrisPixels, eye: Eye, iris: Iris, maps: IrisMaps | None, memory: Memory) -> Scales:
@@ -186,7 +190,7 @@ def normals(point: Parts, place: Place | None, eye: Eye, slopes: Float[Array, "2
         return u, v, w
     x, y, _ = point
     r = jnp.sqrt(x * x + y * y)
-    along, across = fetch(slopes, *place)
+    along, across = (-w * s for s in fetch(slopes, *place))  # of a unit normal: a cone's is none along z
     u, v = u - (along * x - across * y) / r, v - (along * y + across * x) / r
     length = jnp.sqrt(u * u + v * v + w * w)
     return u / length, v / length, w / length
@@ -250,26 +254,29 @@ def white(
 ) -> Float[Array, "channels pixels"]:
     """Channels of the sclera from its `white_colour`: lit as a matt white, light wrapped a little round its edge."""
     sclera, colour = pixels
-    cosine = sum(n * t[:, None] for n, t in zip(sclera.normal, lights.towards.T, strict=True))
-    # The sclera is translucent: light bleeds some 20° past the terminator, with the same total.
-    wrap = jnp.maximum(cosine + 0.3, 0.0) ** 2 / 1.69
-    tint = jnp.ones((len(lights), 1), wrap.dtype) if lights.tint is None else lights.tint
-    return colour * ((lights.irradiance[:, None] * tint).T @ wrap)
+    towards, irradiance = lights.around(sclera.point)
+    cosine = sum(n * t for n, t in zip(sclera.normal, towards, strict=True))
+    # The sclera is translucent: light bleeds 17° past the terminator. A round white sends back what a matt one does.
+    bled = jnp.where(cosine > _BLEED, cosine, jnp.maximum(cosine + _BLEED, 0.0) ** 2 / (4 * _BLEED))
+    tint = jnp.ones((len(lights), 1), bled.dtype) if lights.tint is None else lights.tint
+    return colour * (tint.T @ (irradiance * bled / (1 + _BLEED**2 / 3)))
 
 
 @pixelwise
 def mirrored(
-    pixels: tuple[MirrorPixels, Float[Array, "channels pixels"] | None],
+    pixels: tuple[MirrorPixels, Parts | None, Float[Array, "channels pixels"] | None],
     lights: Lights | None,
     lamp: Float[Array, " channels"],
 ) -> Float[Array, "channels pixels"]:
     """Channels of images in the tear film: lamps as soft discs of their angular radius, the room of `room_at` (or
-    `None`) as it is. `lamp` is a lamp of radiance 1 in the picture's channels."""
-    film, room = pixels
+    `None`) as it is. Lamps that are near ask for the points of `mirror_points`. `lamp` is a lamp of radiance 1 in the
+    picture's channels."""
+    film, point, room = pixels
     total = jnp.zeros((lamp.size, film.reflectance.size), film.reflectance.dtype)
     if lights is not None:
         # Chords in place of angles: an arc cosine a pixel and light costs more than all the rest.
-        x, y, z = (m - t[:, None] for m, t in zip(film.mirror, lights.towards.T, strict=True))
+        towards = [t[:, None] for t in lights.towards.T] if point is None else lights.around(point)[0]
+        x, y, z = (m - t for m, t in zip(film.mirror, towards, strict=True))
         chord = safe_sqrt(x * x + y * y + z * z)
         outer, inner = (2 * jnp.sin(share * lights.radius / 2)[:, None] for share in (1.1, 0.9))
         inside = jnp.clip((outer - chord) / (outer - inner), 0, 1)

@@ -22,14 +22,14 @@ def towards(polar):
 
 
 def trace(eye, k, light):
-    """Light from the unit vector `light` that enters at k (rays, 2)."""
+    """Light from the unit vector `light`, one for all or one a ray, that enters at k (rays, 2)."""
     cornea = eye.cornea
     surfaces = [(cornea.anterior, float(eye.aqueous_index if cornea.posterior is None else cornea.index))]
     if cornea.posterior is not None:
         surfaces.append((cornea.posterior, float(eye.aqueous_index)))
     radius, p, apex = _numbers(cornea.anterior)
     point = np.column_stack([k, apex + (radius - np.sqrt(radius**2 - p * (k**2).sum(1))) / p])
-    d = np.tile(-np.asarray(light, float), (len(k), 1))
+    d = np.broadcast_to(-np.asarray(light, float), (len(k), 3)).copy()
     share, n_in, met, inside = np.ones(len(k)), 1.0, [], np.ones(len(k), bool)
     with np.errstate(invalid="ignore", divide="ignore"):
         for surface, n_out in surfaces:
