@@ -11,8 +11,10 @@ import trimesh
 import irisjax as ij
 from irisjax import cli, io
 from irisjax.io.handover import WAVELENGTHS, check_folder
+from irisjax.io.mesh import encode_ply, eye_meshes, right_handed
 from irisjax.render.camera import look
 from irisjax.render.environment import Environment
+from irisjax.render.shading import slopes_of
 from irisjax.tissue.maps import FRECKLE, IrisMaps, cell_centres, fetch
 
 EYE = ij.Eye(cornea=None, sclera=None)
@@ -117,6 +119,67 @@ def test_relief_tilts_their_shading_as_ours(tmp_path, mi):
     np.testing.assert_allclose(np.flip(found["Y"], 0).T, relief, atol=1e-7)
 
 
+def test_fine_relief_is_as_steep_as_a_mesh_of_it(tmp_path, mi):
+    """Waves of five texels, about as fine as the finest fibres: against true geometry, and by hand."""
+    shape, lobes, height = (96, 32), 20, 0.12
+
+    def relief(angle, radius):
+        return height * jnp.cos(lobes * angle)[:, None] * jnp.ones_like(radius)
+
+    maps = IrisMaps(relief=relief(*cell_centres(shape)))
+    scene = ij.Scene(ij.Iris.preset("low"), maps, EYE, ij.Lights.distant(0.1, 0.4), camera=CAMERA)
+    made = io.export(tmp_path / "eye", scene, spacing=0.2)
+    index, point = on_the_iris(scene)
+    ours = np.asarray(scene.render()).reshape(-1, 3)[index].mean(0)
+    shaded = ours / np.asarray(scene.replace(maps=None).render()).reshape(-1, 3)[index].mean(0)
+
+    def theirs(name):
+        return np.array(mi.render(mi.load_file(str(tmp_path / "eye" / name), spp=16))).reshape(-1, 3)[index].mean(0)
+
+    flat = matt(scene, tmp_path / "eye", point).mean(0)
+    bumped = theirs("scene.xml") / flat
+    # Triangles in place of the bump, eight times as fine as the map; single reflections, as we have.
+    mesh = right_handed(eye_meshes(EYE, 0.025)["iris"])
+    angle = np.arctan2(mesh.vertices[:, 1], mesh.vertices[:, 0])
+    mesh.vertices[:, 2] += height * np.cos(lobes * angle)
+    (tmp_path / "eye" / "fine.ply").write_bytes(encode_ply(mesh))
+    text = made.files["scene.xml"].read_text().replace("iris.ply", "fine.ply")
+    text = text.replace('name="max_depth" value="10"', 'name="max_depth" value="2"')
+    text = re.sub(r'<bsdf type="bumpmap">.*?</texture>(.*?</bsdf>)\s*</bsdf>', r"\1", text, flags=re.DOTALL)
+    text = text.replace('<boolean name="flip', '<boolean name="face_normals" value="true" />\n<boolean name="flip')
+    (tmp_path / "eye" / "fine.xml").write_text(text)
+    true = theirs("fine.xml") / flat
+    # By hand: the mean cosine to a light nearly straight ahead, over the waves and the ring.
+    r = np.hypot(point[:, 0], point[:, 1])[:, None]
+    steep = height * lobes / r * np.sin(np.linspace(0, 2 * np.pi, 64, endpoint=False))
+    print("shaded by", shaded, "mesh", true, "bump", bumped, "by hand", (1 / np.sqrt(1 + steep**2)).mean())
+    np.testing.assert_allclose(true, (1 / np.sqrt(1 + steep**2)).mean(), rtol=0.01)
+    np.testing.assert_allclose(shaded, true, rtol=0.01)
+    np.testing.assert_allclose(shaded, bumped, rtol=0.01)
+
+
+def test_slopes_of_a_relief():
+    """Exact for a plane up to the edges; of waves of four texels steeper than a polygon through them (0.9), not half."""
+    eye = EYE
+    pupil, span = float(eye.pupil_radius), float(eye.iris_radius - eye.pupil_radius)
+    for shape in ((2, 2), (24, 8)):
+        plane = jnp.broadcast_to(0.1 * cell_centres(shape)[1], shape)
+        along, across = slopes_of(plane, eye)
+        np.testing.assert_allclose(along, 0.1 / span, rtol=1e-5)
+        np.testing.assert_allclose(across, 0, atol=1e-6)
+    place = np.random.default_rng(0).uniform(size=(2, 4000))
+    angle, radius = 2 * np.pi * place[0], 0.05 + 0.9 * place[1]
+    for lobes, cycles, most in ((24, 0, 0.08), (12, 0, 0.01), (0, 8, 0.08), (0, 4, 0.01)):
+        a, r = cell_centres((96, 32))
+        phase = lobes * a[:, None] + 2 * np.pi * cycles * r + 0.7
+        found = np.stack(fetch(slopes_of(0.02 * jnp.cos(phase), eye), jnp.asarray(angle), jnp.asarray(radius)))
+        slope = -0.02 * np.sin(lobes * angle + 2 * np.pi * cycles * radius + 0.7)
+        true = slope * np.stack([0 * angle + 2 * np.pi * cycles / span, lobes / (pupil + span * radius)])
+        steep = [np.sqrt((x**2).sum(0).mean()) for x in (found, true)]
+        print(lobes, cycles, steep[0] / steep[1])
+        np.testing.assert_allclose(steep[0], steep[1], rtol=most)
+
+
 def test_albedo_is_the_spectrophotometers(bare):
     """The texel's own iris, its melanin shared out by hand, before the public instrument."""
     scene, folder, _ = bare
@@ -183,6 +246,7 @@ def test_files_go_together(bare):
     scene, folder, made = bare
     assert {p.name for p in folder.iterdir()} == set(made.files)
     text = (folder / "README.txt").read_text()
+    assert "mirror images" not in text  # no cornea
     assert "simulated" in text and all(f"{100 * v:.2g}" in text for v in made.error.rms)
     for name in re.findall(r'filename" value="([^"]+)"', (folder / "scene.xml").read_text()):
         assert (folder / name).exists()

@@ -204,14 +204,39 @@ def shares(pixels: IrisPixels, eye: Eye) -> Float[Array, " pixels"]:
 
 
 @eqx.filter_jit
-def slopes_of(relief: Float[Array, "angles radii"], eye: Eye) -> Float[Array, "2 angles radii"]:
-    """∂h/∂r and ∂h/(r ∂angle) of a relief."""
+def slopes_of(relief: Float[Array, "angles radii"], eye: Eye) -> Float[Array, "2 2*angles 2*radii"]:
+    """∂h/∂r and ∂h/(r ∂angle) of a relief, on a grid twice as fine: of Catmull and Rom's cubics through its texels.
+
+    Differences over two texels, blended between their centres, are flatter than any surface through these heights: by
+    a third for the finest fibres, four texels wide, and irides were 10 % too bright round the pupil.
+    """
     rows, columns = relief.shape
     span = eye.iris_radius - eye.pupil_radius
-    radius = eye.pupil_radius + span * (jnp.arange(columns) + 0.5) / columns
-    along = jnp.asarray(jnp.gradient(relief, axis=1)) * (columns / span)
-    across = (jnp.roll(relief, -1, 0) - jnp.roll(relief, 1, 0)) * (rows / (4 * jnp.pi)) / radius
-    return jnp.stack([along, across])
+    radius = eye.pupil_radius + span * (jnp.arange(2 * columns) + 0.5) / (2 * columns)
+    # Straight on beyond both edges: what closes on itself there is cut off again.
+    first, last = relief[:, :1], relief[:, -1:]
+    ahead, behind = first - relief[:, 1:2], last - relief[:, -2:-1]
+    wide = jnp.concatenate([first + 2 * ahead, first + ahead, relief, last + behind, last + 2 * behind], 1)
+    heights, along = (_quarters(wide, 1, kind)[:, 4:-4] for kind in (_HEIGHT, _SLOPE))
+    across = _quarters(heights, 0, _SLOPE) * (rows / (2 * jnp.pi)) / radius
+    return jnp.stack([_quarters(along, 0, _HEIGHT) * (columns / span), across])
+
+
+# Weights of texels −1 to 2 at a quarter of the way from 0 to 1, and their sign at a quarter of the way to −1.
+_HEIGHT = (-9 / 128, 111 / 128, 29 / 128, -3 / 128), 1
+_SLOPE = (-3 / 32, -31 / 32, 39 / 32, -5 / 32), -1
+
+
+def _quarters(texture, axis: int, kind: tuple[tuple[float, ...], int]):
+    """A texture or its slope, a texel's size one, at a quarter of a texel to either side of each along an axis that
+    closes on itself."""
+    weights, sign = kind
+    low, high = (
+        sum(w * jnp.roll(texture, side * (1 - k), axis) for k, w in enumerate(weights)) * (1 if side > 0 else sign)
+        for side in (-1, 1)
+    )
+    both = jnp.stack([low, high], axis + 1)
+    return both.reshape(*(2 * n if i == axis else n for i, n in enumerate(texture.shape)))
 
 
 def white_colour(
