@@ -13,6 +13,7 @@ from jaxtyping import Array, Float
 
 from irisjax.measure.colour import OBSERVER
 from irisjax.render import shading
+from irisjax.render import surface as surfaces
 from irisjax.render.bands import Bands, all_bands, colour_bands, spectral_bands
 from irisjax.render.camera import Camera, View, look, mirror_points
 from irisjax.render.chunks import pixelwise
@@ -163,15 +164,15 @@ def prepare(
         base = jnp.zeros((lamp.size, width * height), lamp.dtype)
         if view.sclera is not None and eye.sclera is not None:
             table = memory.once("sclera's colours", _sclera_colours, eye.sclera, clear)
-            colour = memory.once("white", shading.white_colour, view.sclera, eye, table, veins)
-            base = _add(base, view.sclera.index, shading.white((view.sclera, colour), lights))
+            colour = memory.once("white", surfaces.white_colour, view.sclera, eye, table, veins)
+            base = _add(base, view.sclera.index, surfaces.white((view.sclera, colour), lights))
         if view.mirror is not None:
             room, point = None, None
             if lamps is not None and lamps.distance is not None:
                 point = memory.once("mirror points", mirror_points, view.mirror, eye, camera)
             if environment is not None:
-                room = memory.once("room", shading.room_at, view.mirror, environment)
-            base = _add(base, view.mirror.index, shading.mirrored((view.mirror, point, room), lamps, lamp))
+                room = memory.once("room", surfaces.room_at, view.mirror, environment)
+            base = _add(base, view.mirror.index, surfaces.mirrored((view.mirror, point, room), lamps, lamp))
         return base
 
     all_round = memory.once(

@@ -7,14 +7,12 @@ from jaxtyping import Array, Float
 
 from irisjax.optics.angle import arctan2
 from irisjax.optics.conicoid import Parts, dot, from_axis, joined, norm, parts
-from irisjax.optics.fresnel import fresnel_at, safe_sqrt
-from irisjax.render.camera import IrisPixels, MirrorPixels, ScleraPixels
+from irisjax.optics.fresnel import fresnel_at
+from irisjax.render.camera import IrisPixels
 from irisjax.render.chunks import pixelwise
-from irisjax.render.environment import Environment
 from irisjax.render.illumination import Illumination, bare, near_light
 from irisjax.render.lights import Lights
 from irisjax.render.memory import Memory
-from irisjax.render.sclera import Blood, ColourTable, VeinMap, vein_depth_at, vein_place
 from irisjax.tissue.anatomy import Eye
 from irisjax.tissue.iris import Iris
 from irisjax.tissue.maps import IrisMaps, Scales, fetch
@@ -25,7 +23,6 @@ Place = tuple[Float[Array, " pixels"], Float[Array, " pixels"]]
 
 PUPIL_MARGIN = 0.12
 """Width over which the iris fades into the pupil, mm."""
-_BLEED = 0.3
 
 
 class Field(eqx.Module):
@@ -237,82 +234,3 @@ def _quarters(texture, axis: int, kind: tuple[tuple[float, ...], int]):
     )
     both = jnp.stack([low, high], axis + 1)
     return both.reshape(*(2 * n if i == axis else n for i, n in enumerate(texture.shape)))
-
-
-def white_colour(
-    pixels: ScleraPixels, eye: Eye, table: ColourTable, veins: VeinMap | None
-) -> Float[Array, "channels pixels"]:
-    """Channels of the sclera under an irradiance of one, all shares on the way out included."""
-    if veins is None:
-        return _white_colour((pixels, None, None), table)
-    blood = _blood(_vein_place(pixels.point, eye), veins)
-    return _white_colour((pixels, blood, _vein_node(blood.depth, table)), table)
-
-
-# Programs of their own: in one, XLA works out the place anew for each texture, and the blood for each channel.
-@pixelwise
-def _vein_place(point: Parts, eye: Eye) -> Place:
-    return vein_place(eye, joined(point))
-
-
-@pixelwise
-def _blood(place: Place, veins: VeinMap) -> Blood:
-    return vein_depth_at(veins, *place)
-
-
-@pixelwise
-def _vein_node(depth, table: ColourTable):
-    return table.node(depth)
-
-
-@pixelwise
-def _white_colour(pixels, table: ColourTable):
-    sclera, blood, node = pixels
-    plain = jnp.zeros(1, sclera.share.dtype)
-    colour = table.channels(plain) if blood is None else table.at_node(node, blood)
-    return jnp.stack(colour) * ((1 - sclera.reflectance) * sclera.share / jnp.pi)
-
-
-@pixelwise
-def white(
-    pixels: tuple[ScleraPixels, Float[Array, "channels pixels"]], lights: Lights
-) -> Float[Array, "channels pixels"]:
-    """Channels of the sclera from its `white_colour`: lit as a matt white, light wrapped a little round its edge."""
-    sclera, colour = pixels
-    towards, irradiance = lights.around(sclera.point)
-    cosine = sum(n * t for n, t in zip(sclera.normal, towards, strict=True))
-    # The sclera is translucent: light bleeds 17° past the terminator. A round white sends back what a matt one does.
-    bled = jnp.where(cosine > _BLEED, cosine, jnp.maximum(cosine + _BLEED, 0.0) ** 2 / (4 * _BLEED))
-    tint = jnp.ones((len(lights), 1), bled.dtype) if lights.tint is None else lights.tint
-    return colour * (tint.T @ (irradiance * bled / (1 + _BLEED**2 / 3)))
-
-
-@pixelwise
-def mirrored(
-    pixels: tuple[MirrorPixels, Parts | None, Float[Array, "channels pixels"] | None],
-    lights: Lights | None,
-    lamp: Float[Array, " channels"],
-) -> Float[Array, "channels pixels"]:
-    """Channels of images in the tear film: lamps as soft discs of their angular radius, the room of `room_at` (or
-    `None`) as it is. Lamps that are near ask for the points of `mirror_points`. `lamp` is a lamp of radiance 1 in the
-    picture's channels."""
-    film, point, room = pixels
-    total = jnp.zeros((lamp.size, film.reflectance.size), film.reflectance.dtype)
-    if lights is not None:
-        # Chords in place of angles: an arc cosine a pixel and light costs more than all the rest.
-        towards = [t[:, None] for t in lights.towards.T] if point is None else lights.around(point)[0]
-        x, y, z = (m - t for m, t in zip(film.mirror, towards, strict=True))
-        chord = safe_sqrt(x * x + y * y + z * z)
-        outer, inner = (2 * jnp.sin(share * lights.radius / 2)[:, None] for share in (1.1, 0.9))
-        inside = jnp.clip((outer - chord) / (outer - inner), 0, 1)
-        radiance = lights.irradiance / (jnp.pi * jnp.sin(lights.radius) ** 2)
-        total = total + (radiance[:, None] * (lamp if lights.tint is None else lights.tint)).T @ inside
-    if room is not None:
-        total = total + room
-    return total * film.reflectance
-
-
-@pixelwise
-def room_at(pixels: MirrorPixels, environment: Environment) -> Float[Array, "3 pixels"]:
-    """What the tear film would mirror of the environment, were it silver."""
-    return environment.lookup(joined(pixels.mirror)).T

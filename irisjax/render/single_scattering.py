@@ -4,7 +4,9 @@ The layers have the index of the chamber before them, as in F09: no light is mir
 surface passes all. Against radiative transfer with Fresnel's interfaces (`experiments/integrators.py`) light at 0°
 seen within 60° comes out 2 to 23 % too bright: the n² of radiance that leaves a denser medium is missing, and light
 scattered twice makes up for a part of it. Beyond 70° it is wrong by factors either way, for rays unbent by the
-surface graze the layers. Unlike `Separable`, neighbouring texels matter: an oblique ray crosses several.
+surface graze the layers. Unlike `Separable`, neighbouring texels matter: an oblique line of sight crosses several.
+Light on its way in is weakened by the column in which it is scattered alone, and relief tilts that way but leaves
+the irradiance.
 """
 
 from typing import Any, NamedTuple

@@ -49,7 +49,9 @@ class Cornea(eqx.Module):
     - `anterior`, `posterior`: conicoids; without `posterior` everything behind the anterior one is aqueous
         humour, as in F09, which gives it the index 1.376 (`Cornea.f09()`).
     - `index`: of the corneal tissue. `scatter` (nm⁴): c of log₁₀ T = −0.016 − c λ⁻⁴ [F09 Eq. 16], 21e8 counting
-        light scattered forwards, 85e8 the direct beam; `None` is a perfectly clear cornea.
+        light scattered forwards, 85e8 the direct beam; `None` is a perfectly clear cornea. Fresnel's shares come
+        on top, as in F09: should the measured T hold the front's reflection too, 2.5 % is lost twice each way. What
+        the haze takes is lost and comes back as no veil.
     """
 
     anterior: Conicoid = eqx.field(default_factory=lambda: Conicoid(7.8, 0.75))
@@ -59,7 +61,7 @@ class Cornea(eqx.Module):
 
     @classmethod
     def f09(cls) -> "Cornea":
-        """The single surface of F09, R = 7.8 mm and p = 0.75; set `Eye(aqueous_index=1.376)` with it."""
+        """The single surface of F09, R = 7.8 mm and p = 0.75; set `aqueous_index=1.376` of `Eye` and `Iris` with it."""
         return cls(posterior=None, index=jnp.asarray(1.376))
 
     def transmittance(self, wavelengths: Float[Array, " wavelengths"]) -> Float[Array, " wavelengths"] | None:

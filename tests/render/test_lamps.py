@@ -9,7 +9,7 @@ import pytest
 
 import irisjax as ij
 from irisjax.measure.colour import tristimulus_matrix
-from irisjax.render import shading
+from irisjax.render import shading, surface
 from irisjax.render.bands import GRID
 from irisjax.render.camera import Camera, ScleraPixels, look
 from irisjax.render.caustic import Grid, gathered
@@ -68,7 +68,7 @@ def pixels(normal, point=(0.0, 0.0, 0.0)):
 
 def lit(lights, *of):
     """Radiance of a white that sends back all, times π."""
-    return float(shading.white((pixels(*of), jnp.ones((1, 3))), lights)[0, 0])
+    return float(surface.white((pixels(*of), jnp.ones((1, 3))), lights)[0, 0])
 
 
 def test_round_white_keeps_its_power():

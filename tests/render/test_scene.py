@@ -10,7 +10,7 @@ import pytest
 
 import irisjax as ij
 from common import operations
-from irisjax.render import chunks, shading
+from irisjax.render import chunks, shading, surface
 from irisjax.render import scene as staging
 from irisjax.render.bands import colour_bands
 from irisjax.render.camera import Camera, _iris, look
@@ -266,13 +266,13 @@ def test_absent_parts_cost_nothing(tables):
     sight = [operations(lambda e=e: _iris(jnp.arange(9), e, SMALL)) for e in (BARE, CLOSE, Eye(cornea=CLEAR))]
     assert sight == sorted(set(sight))
     view = look(Eye(), SMALL)
-    room = shading.room_at(view.mirror, Environment(jnp.ones((4, 8, 3))))
+    room = surface.room_at(view.mirror, Environment(jnp.ones((4, 8, 3))))
     mirrors = [
-        operations(lambda r=r: shading.mirrored((view.mirror, None, r), lamp, jnp.ones(3))) for r in (None, room)
+        operations(lambda r=r: surface.mirrored((view.mirror, None, r), lamp, jnp.ones(3))) for r in (None, room)
     ]
     table = colour_table(Eye().sclera, np.array([450.0, 600.0]), np.ones((3, 2)))
     drawn = VeinMap(*(jnp.zeros((4, 4)) for _ in range(3)))
-    whites = [operations(lambda v=v: shading.white_colour(view.sclera, Eye(), table, v)) for v in (None, drawn)]
+    whites = [operations(lambda v=v: surface.white_colour(view.sclera, Eye(), table, v)) for v in (None, drawn)]
     assert mirrors[0] < mirrors[1] and whites[0] < whites[1]
     assert look(BARE, SMALL).mirror is None and look(CLOSE, SMALL).sclera is None
 
