@@ -10,6 +10,7 @@ import subprocess
 import sys
 import threading
 import time
+from types import SimpleNamespace
 
 import jax
 import numpy as np
@@ -25,7 +26,7 @@ from irisjax.tissue.anatomy import Eye
 from irisjax.tissue.iris import Iris
 from irisjax.tissue.maps import IrisMaps
 from irisjax.tissue.procedural import PRESETS
-from irisjax.view import Studio, studio
+from irisjax.view import Studio, server, studio
 from irisjax.view.worker import Newest
 
 
@@ -268,6 +269,37 @@ def address(tmp_path):
     finally:
         process.kill()
         process.communicate()
+
+
+def test_a_slow_browser_is_put_where_the_scene_looks_from(bare):
+    """viser's own camera, reported after ours, is no orbit of the user's."""
+    viser = pytest.importorskip("viser")
+
+    class Reported:
+        aspect, position, look_at = 1.5, np.full(3, 3.0), np.zeros(3)
+
+        def on_update(self, follow):
+            self.follow = follow
+            return follow
+
+    client = SimpleNamespace(camera=Reported(), scene=SimpleNamespace(set_background_image=lambda *_, **__: None))
+    with contextlib.redirect_stdout(io.StringIO()):
+        served = viser.ViserServer(port=0, verbose=False)
+    try:
+        page = server._Page(served, Studio(bare))
+        page._connected(client)
+        place = client.camera.position.copy()
+        for reported, kept in ((place, place), (np.full(3, 3.0), place), (place + np.array([0.5, 0.0, 0.0]), None)):
+            client.camera.position = reported
+            client.camera.follow(client.camera)
+            if kept is not None:
+                np.testing.assert_allclose(client.camera.position, kept)
+        # Only the last was the user's.
+        assert page.worker._waiting["camera_polar"] == pytest.approx(np.degrees(np.arctan2(0.5, place[2])), abs=0.01)
+        assert page.worker._waiting["camera_azimuth"] == 0.0
+    finally:
+        with contextlib.redirect_stdout(io.StringIO()):
+            served.stop()
 
 
 def test_page(browser, address):
