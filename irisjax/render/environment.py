@@ -10,7 +10,6 @@ from jax.core import Tracer
 from jaxtyping import Array, Float
 
 from irisjax._types import as_float
-from irisjax.optics.angle import arctan2
 from irisjax.render.lights import Lights
 from irisjax.render.refraction import LARGEST_POLAR
 
@@ -96,10 +95,10 @@ class Environment(eqx.Module):
         direction = as_float(direction)
         x, y, z = direction[..., 0], direction[..., 1], direction[..., 2]
         square = x * x + z * z
-        aside = square > 0
-        azimuth = arctan2(-x, -z)
+        aside = square > 0  # azimuths of the poles have no derivative
+        azimuth = jnp.arctan2(jnp.where(aside, -x, 0.0), jnp.where(aside, -z, 1.0))
         across = jnp.where(aside, jnp.sqrt(jnp.where(aside, square, 1.0)), 0.0)
-        v = arctan2(across, y) * (rows / jnp.pi)
+        v = jnp.arctan2(across, y) * (rows / jnp.pi)
         r = jnp.where(v < 0.5, 2 * v, jnp.where(v > rows - 0.5, 2 * v - rows + 1, v + 0.5))
         c = azimuth * (columns / (2 * jnp.pi)) + (columns - 1) / 2
         # One row for each pole, one column more on either side, and every texel's own place as channels.

@@ -9,7 +9,6 @@ from jax.scipy.ndimage import map_coordinates
 from jaxtyping import Array, Float
 
 from irisjax._types import Scalar
-from irisjax.optics.angle import arctan2
 from irisjax.optics.conicoid import Vector, norm
 from irisjax.render.caustic import Grid, gathered
 from irisjax.render.refraction import (
@@ -52,7 +51,7 @@ class Illumination(eqx.Module):
     def at(self, point: Float[Array, "*#s 2"], towards_light: Float[Array, "*#s 3"]) -> Vector:
         """Flux vectors at iris points (x, y) of light from unit directions (that broadcast with them)."""
         across = norm(towards_light[..., :2])
-        polar = arctan2(across, -towards_light[..., 2])
+        polar = jnp.arctan2(across, -towards_light[..., 2])
         some = across > 0
         cos = jnp.where(some, towards_light[..., 0] / jnp.where(some, across, 1.0), 1.0)
         sin = jnp.where(some, towards_light[..., 1] / jnp.where(some, across, 1.0), 0.0)

@@ -11,7 +11,6 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from irisjax.optics.angle import arctan2
 from irisjax.optics.conicoid import Vector, along, dot, norm, refract_vector
 from irisjax.tissue.anatomy import Cornea, Eye
 from irisjax.tissue.noise import step
@@ -156,10 +155,10 @@ class RefractionFunction(eqx.Module):
     def at(self, point: Float[Array, "*#s 2"], towards_light: Float[Array, "*#s 3"]) -> Arrival:
         """Arrivals at iris points (x, y) of light from unit directions (that broadcast with them)."""
         r = norm(point)
-        light_azimuth = arctan2(towards_light[..., 1], towards_light[..., 0])
-        polar = arctan2(norm(towards_light[..., :2]), -towards_light[..., 2])
-        turn = arctan2(point[..., 1], point[..., 0]) - light_azimuth
-        turn = arctan2(jnp.sin(turn), jnp.cos(turn))  # −π to π
+        light_azimuth = jnp.arctan2(towards_light[..., 1], towards_light[..., 0])
+        polar = jnp.arctan2(norm(towards_light[..., :2]), -towards_light[..., 2])
+        turn = jnp.arctan2(point[..., 1], point[..., 0]) - light_azimuth
+        turn = jnp.arctan2(jnp.sin(turn), jnp.cos(turn))  # −π to π
         n_polar, n_azimuth, n_radius, _ = self.entry.shape
         found = trilinear(
             jnp.concatenate([self.entry, self.flux], axis=-1),

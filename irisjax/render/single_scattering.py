@@ -17,7 +17,6 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from irisjax.optics.angle import arctan2
 from irisjax.optics.conicoid import norm
 from irisjax.render.bands import Bands
 from irisjax.render.camera import IrisPixels
@@ -128,7 +127,7 @@ class Ground(eqx.Module):
         radius = (jnp.sqrt(point[0] ** 2 + point[1] ** 2) - self.eye.pupil_radius) / (
             self.eye.iris_radius - self.eye.pupil_radius
         )
-        found = iter(fetch(jnp.stack(present), arctan2(point[1], point[0]), radius))
+        found = iter(fetch(jnp.stack(present), jnp.arctan2(point[1], point[0]), radius))
         return Local(*(None if t is None else next(found) for t in self.textures))
 
 
