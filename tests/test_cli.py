@@ -352,7 +352,6 @@ def test_the_real_command(tmp_path):
     assert (done.returncode, done.stdout, done.stderr.count("\n")) == (2, "", 1)
 
 
-@pytest.mark.skipif(os.name == "nt", reason="POSIX signals")
 def test_ctrl_c_while_importing(monkeypatch, capsys):
     class Interrupted:
         @staticmethod
@@ -367,6 +366,7 @@ def test_ctrl_c_while_importing(monkeypatch, capsys):
     assert (left.value.code, capsys.readouterr().err) == (130, "irisjax: interrupted\n")
 
 
+@pytest.mark.skipif(os.name == "nt", reason="POSIX signals")
 def test_ctrl_c_in_a_long_run(tmp_path):
     process = subprocess.Popen(
         [
@@ -404,10 +404,15 @@ cli.main(sys.argv[1:])
 
 def test_import_loads_no_pictures_and_no_colour():
     heavy = ("matplotlib", "colour", "emcee", "arviz", "viser", "typer", "tqdm", "OpenImageIO")
-    code = f"import sys, irisjax; print([m for m in {heavy} if m in sys.modules])"
+    code = f"import sys, irisjax; irisjax.reflectance; print([m for m in {heavy} if m in sys.modules])"
     assert python("-c", code).stdout == "[]\n"
     code = "import sys, irisjax.cli; print([m for m in ('matplotlib', 'colour', 'OpenImageIO') if m in sys.modules])"
     assert python("-c", code).stdout == "[]\n"
+
+
+def test_modules_load_when_asked_for():
+    code = "import irisjax as ij; print(ij.tissue.iris.__name__, ij.io.scenes.__name__, hasattr(ij.render, 'nothing'))"
+    assert python("-c", code).stdout == "irisjax.tissue.iris irisjax.io.scenes False\n"
 
 
 def test_import_leaves_the_precision_alone():

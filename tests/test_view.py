@@ -1,6 +1,7 @@
 """The viewer: a change recomputes what it must and no more, and the page in a browser follows its sliders."""
 
 import contextlib
+import dataclasses
 import io
 import re
 import shutil
@@ -22,7 +23,7 @@ from irisjax.measure.colour import srgb_encode
 from irisjax.render.camera import Camera
 from irisjax.render.scene import Scene, render
 from irisjax.render.separable import Separable
-from irisjax.tissue.anatomy import Eye
+from irisjax.tissue.anatomy import Cornea, Eye
 from irisjax.tissue.iris import Iris
 from irisjax.tissue.maps import IrisMaps
 from irisjax.tissue.procedural import PRESETS
@@ -269,6 +270,14 @@ def address(tmp_path):
     finally:
         process.kill()
         process.communicate()
+
+
+def test_presets_in_another_chamber(bare):
+    """Of F09's single surface: the iris is in what fills the eye."""
+    eye = bare.eye.replace(cornea=Cornea.f09(), aqueous_index=1.376)
+    found = Studio(bare.replace(eye=eye, iris=bare.iris.replace(aqueous_index=1.376)), lambda _: None)
+    made = found._set(dataclasses.replace(found.settings, preset="blue"), (8, 6))
+    assert float(made.iris.aqueous_index) == pytest.approx(1.376)
 
 
 def test_a_slow_browser_is_put_where_the_scene_looks_from(bare):

@@ -54,10 +54,11 @@ def one(
     key = jax.random.key(sampler["seed"], impl="threefry2x32")
 
     def progress(n: int, word: str):
-        if not bar.disable and bar.bar_format is not None:
+        first = not bar.disable and bar.bar_format is not None
+        if first:
             bar.reset()  # compiling does not count as time for steps
             bar.bar_format, bar.leave = None, True
-        bar.set_description_str(word, refresh=False)
+        bar.set_description_str(word, refresh=first)
         bar.update(n - bar.n)
 
     best = fit(problem, key=jax.random.fold_in(key, 1))

@@ -3,6 +3,7 @@
 import importlib
 from typing import TYPE_CHECKING
 
+from irisjax._lazy import modules_of
 from irisjax.io.measured import Measured as Measured
 from irisjax.io.measured import read_measured as read_measured
 from irisjax.io.tables import Table as Table
@@ -51,4 +52,4 @@ def __getattr__(name: str):
     for module, names in _LATER.items():
         if name in names:
             return getattr(importlib.import_module(f"irisjax.io.{module}"), name)
-    raise AttributeError(f"module 'irisjax.io' has no attribute {name!r}")
+    return modules_of(__name__)(name)

@@ -1,1 +1,5 @@
 """Floor 4: virtual instruments."""
+
+from irisjax._lazy import modules_of
+
+__getattr__ = modules_of(__name__)

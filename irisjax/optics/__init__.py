@@ -1,1 +1,5 @@
 """Floor 1: optics that knows nothing of eyes."""
+
+from irisjax._lazy import modules_of
+
+__getattr__ = modules_of(__name__)

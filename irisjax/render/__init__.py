@@ -1,1 +1,5 @@
 """Pictures of eyes: corneal optics, two integrators, lights and cameras."""
+
+from irisjax._lazy import modules_of
+
+__getattr__ = modules_of(__name__)

@@ -10,6 +10,7 @@ from jaxtyping import Array, Float
 
 from irisjax._types import Scalar
 from irisjax.optics.conicoid import Vector, norm
+from irisjax.optics.fresnel import safe_sqrt
 from irisjax.render.caustic import Grid, gathered
 from irisjax.render.refraction import (
     LARGEST_POLAR,
@@ -49,7 +50,10 @@ class Illumination(eqx.Module):
         return _build(eye, RefractionFunction.build(eye), caustics, size, n_rays)
 
     def at(self, point: Float[Array, "*#s 2"], towards_light: Float[Array, "*#s 3"]) -> Vector:
-        """Flux vectors at iris points (x, y) of light from unit directions (that broadcast with them)."""
+        """Flux vectors at iris points (x, y) of light from unit directions (that broadcast with them).
+
+        On the axis itself, where azimuths have none, the gradient to the direction is taken as zero.
+        """
         across = norm(towards_light[..., :2])
         polar = jnp.arctan2(across, -towards_light[..., 2])
         some = across > 0
@@ -86,8 +90,8 @@ def near_light(
     spreads.
 
     The second is a factor on the flux of the tables, made for the sun's light: along the axis 0.89 at 50 mm. Both are
-    searched at `size` × `size` points and interpolated; beyond `UNIQUE_POLAR` and where no ray lands the light enters
-    right before the point, and the factor is 1.
+    searched at `size` × `size` points and interpolated. Where no ray lands, and from one moment to the next beyond
+    `UNIQUE_POLAR`, the light enters right before the point, and the factor is 1.
     """
     cornea = eye.cornea
     assert cornea is not None
@@ -109,7 +113,7 @@ def near_light(
     x, y, spread = (
         map_coordinates(v.reshape(size, size), at, order=1, mode="nearest") for v in jax.vmap(found)(targets)
     )
-    r = jnp.sqrt(x * x + y * y)
+    r = safe_sqrt(x * x + y * y)  # 0 on the axis, where a lamp's gradient is wanted too
     inside = jnp.minimum(1.0, eye.limbus_radius / jnp.where(r > 0, r, 1.0))
     return on_cornea(cornea, jnp.stack([x * inside, y * inside], axis=-1)), spread
 

@@ -17,7 +17,8 @@ class Lights(eqx.Module):
         radiance 1.
     - `tint`: factors on linear sRGB, shape (lights, 3), or `None` for the illuminant's own colour.
     - `distance`: from the corneal apex, mm, or `None` for lights at infinity.
-    - `radius`: half the angle under which the eye sees each light, radians; it makes the mirror image.
+    - `radius`: half the angle under which the eye sees each light, radians; it makes the mirror image. That of a
+        lamp is at most π/2.
     - `illuminant`: the spectrum of all of them, by colour-science's name.
     """
 
@@ -44,7 +45,7 @@ class Lights(eqx.Module):
         """Lights at places (lights, 3), mm in the eye's frame, 20 or more from the apex, where `irradiance` is theirs.
 
         Irradiance of the iris within 1 % from 50 mm on and up to 57° off the axis, within 10 % at 20 mm; caustics are
-        those of a parallel beam.
+        those of a parallel beam, and beyond 80°, where they begin, the picture jumps to it.
         """
         position = jnp.atleast_2d(as_float(position))
         distance = jnp.sqrt((position**2).sum(-1))
@@ -59,7 +60,8 @@ class Lights(eqx.Module):
             if not isinstance(value, Tracer) and not np.isfinite(np.asarray(value)).all():
                 raise ValueError(f"lights: {name} must be finite")
         if not isinstance(self.radius, Tracer):
-            wrong = self.radius[(self.radius <= 0) | (self.radius > jnp.pi)]
+            radius = np.asarray(self.radius)
+            wrong = radius[(radius <= 0) | (radius > np.pi + 1e-6)]  # of regions of an environment up to pi
             if wrong.size:
                 raise ValueError(f"lights: radius {float(wrong[0]):g} is outside (0, pi] radians")
         if not isinstance(self.irradiance, Tracer) and (np.asarray(self.irradiance) < 0).any():

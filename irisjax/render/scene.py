@@ -34,8 +34,8 @@ class Scene(eqx.Module):
     """Everything a picture shows. Parts that are `None` are not computed.
 
     - `maps`: of the iris, or `None` for a uniform one. `veins`: of the sclera (`render.vessels.veins`).
-    - `lights`: lamps, mirrored as discs. `environment`: lights the iris as `environment_lights` lamps, and is
-        mirrored itself. `illuminant`: the spectrum of all of them.
+    - `lights`: lamps, mirrored as discs. `environment`: lights iris and white as `environment_lights` lamps each (those
+        of the white from all round), and is mirrored itself. `illuminant`: the spectrum of all of them.
     - `integrator`: how the iris sends light back; `Separable()` holds all orders of scattering,
         `SingleScattering()` marches through the maps and holds the first.
     """

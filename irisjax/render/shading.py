@@ -1,4 +1,4 @@
-"""From lights and pixels to channels: what reaches the iris, what the sclera sends back, what the tear film mirrors."""
+"""Light on the iris at its pixels: its sum over lamps, the relief it falls on, and what else texels differ in."""
 
 import equinox as eqx
 import jax
@@ -7,7 +7,7 @@ from jaxtyping import Array, Float
 
 from irisjax.optics.angle import arctan2
 from irisjax.optics.conicoid import Parts, dot, from_axis, joined, norm, parts
-from irisjax.optics.fresnel import fresnel_at
+from irisjax.optics.fresnel import fresnel_at, safe_sqrt
 from irisjax.render.camera import IrisPixels
 from irisjax.render.chunks import pixelwise
 from irisjax.render.illumination import Illumination, bare, near_light
@@ -84,7 +84,7 @@ def fluxes_of(
 def _grid(eye: Eye, size: int):
     line = jnp.linspace(-1, 1, size) * eye.iris_radius
     x, y = jnp.meshgrid(line, line)
-    r = jnp.sqrt(x * x + y * y)
+    r = safe_sqrt(x * x + y * y)
     if eye.cornea is None:
         height = eye.iris_depth + jnp.zeros_like(r)
     else:
@@ -186,7 +186,8 @@ def normals(point: Parts, place: Place | None, eye: Eye, slopes: Float[Array, "2
     if slopes is None or place is None:
         return u, v, w
     x, y, _ = point
-    r = jnp.sqrt(x * x + y * y)
+    r = safe_sqrt(x * x + y * y)
+    r = jnp.where(r > 0, r, 1.0)  # a pixel that looks straight at the middle of the pupil
     along, across = (-w * s for s in fetch(slopes, *place))  # of a unit normal: a cone's is none along z
     u, v = u - (along * x - across * y) / r, v - (along * y + across * x) / r
     length = jnp.sqrt(u * u + v * v + w * w)

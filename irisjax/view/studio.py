@@ -175,7 +175,12 @@ class Studio:
             return self._base.iris, self._base.maps
         if s.preset not in PRESETS:
             raise ValueError(f"unknown eye colour {s.preset!r}; known: {', '.join(PRESETS)}")
-        return self._once("grown", (s.preset, s.seed), lambda: PRESETS[s.preset](key=stream(s.seed, "maps")))
+
+        def grow():
+            iris, maps = PRESETS[s.preset](key=stream(s.seed, "maps"))
+            return iris.replace(aqueous_index=self._base.eye.aqueous_index), maps
+
+        return self._once("grown", (s.preset, s.seed), grow)
 
     def _iris(self, s: Settings) -> Iris:
         iris = self._grown(s)[0]

@@ -97,7 +97,7 @@ def test_near_lamp_on_the_white():
     assert lit(both, normal, point) == pytest.approx(expected + far, rel=1e-9)
 
 
-def test_near_lamp_is_mirrored_where_it_stands():
+def test_near_lamp_is_mirrored_where_it_stands(tables):
     """Where a line of sight, mirrored by hand on the cornea's conicoid, points at the lamp itself."""
     lamp, camera = np.array([15.0, 10.0, -40.0]), Camera(size=(240, 180), width=11.0)
     origin, d = (np.asarray(v) for v in camera.rays(WHITE))
@@ -112,19 +112,21 @@ def test_near_lamp_is_mirrored_where_it_stands():
     off = np.linalg.norm((lamp - point) / np.linalg.norm(lamp - point, axis=-1, keepdims=True) - mirror, axis=-1)
     expected = np.array(np.unravel_index(np.nanargmin(off), off.shape))
     lights = Lights.points(lamp, 1.0, radius=0.05)
-    picture = np.asarray(prepare(Scene(IRIS, eye=WHITE, lights=lights, camera=camera)).base)[1].reshape(180, 240)
+    picture = np.asarray(prepare(Scene(IRIS, eye=WHITE, lights=lights, camera=camera), tables).base)[1].reshape(
+        180, 240
+    )
     bright = np.argwhere(picture > 0.5 * picture.max())
     np.testing.assert_allclose(bright.mean(0), expected, atol=0.6)
     assert picture.max() == pytest.approx((0.337 / 2.337) ** 2 / (np.pi * np.sin(0.05) ** 2), rel=0.03)
 
 
-def test_white_in_an_even_room():
+def test_white_in_an_even_room(tables):
     """All of the room lights it, that behind the eye too: seen from the side where the iris is not lit from."""
     room = Environment(jnp.ones((32, 64, 3)))
     made = Scene(IRIS, eye=WHITE, lights=None, environment=room, environment_lights=200)
     made = made.replace(camera=Camera(polar=1.4, size=(24, 18), width=20.0))
     view = look(made.eye, made.camera)
-    picture = np.asarray(prepare(made).base)
+    picture = np.asarray(prepare(made, tables).base)
     index = np.asarray(view.sclera.index)
     share, reflectance = (np.asarray(v)[index >= 0] for v in (view.sclera.share, view.sclera.reflectance))
     index = index[index >= 0]
@@ -135,34 +137,34 @@ def test_white_in_an_even_room():
     back[seen[seen >= 0]] = np.flatnonzero(seen >= 0)
     matt = picture[1][index[whole]] - room_in_it[back[index[whole]]]
     green = matt / (1 - reflectance[whole])
-    # Reflectance times the room's radiance of 1; 200 lights for the room.
-    assert np.ptp(green) / green.mean() < 0.08
+    # Reflectance times the room's radiance of 1; with 50 lights for the room 2 %, with 200 0.3, with 800 0.1.
+    assert np.ptp(green) / green.mean() < 0.01
     weights = np.asarray(tristimulus_matrix(GRID, "linear sRGB", "D65")[0])[1]
-    np.testing.assert_allclose(green.mean(), weights @ np.asarray(bulk_reflectance(GRID)), rtol=0.02)
+    np.testing.assert_allclose(green.mean(), weights @ np.asarray(bulk_reflectance(GRID)), rtol=2e-3)
 
 
-def test_vessels_have_their_colours_of_81_wavelengths():
+def test_vessels_have_their_colours_of_81_wavelengths(tables):
     """The picture in RGB and the one of all wavelengths, weighed."""
     drawn = VeinMap(*(jnp.full((4, 4), v) for v in (0.035, 0.9, 0.3)))
     made = Scene(IRIS, eye=WHITE, veins=drawn, camera=Camera(polar=1.4, azimuth=0.3, size=(16, 12)))
     made = made.replace(integrator=ij.Separable(solver=ij.Exact(4), degrees=(2, 2, 2, 2, 2)))
     index = np.asarray(look(made.eye, made.camera).sclera.index)
     index = index[index >= 0]
-    spectral = np.asarray(prepare(made, wavelengths=GRID).base)[:, index]
+    spectral = np.asarray(prepare(made, tables, wavelengths=GRID).base)[:, index]
     power = np.asarray(ij.measure.colour.illuminant_power("D65", GRID))
     weights = np.asarray(tristimulus_matrix(GRID, "linear sRGB", "D65")[0])
-    np.testing.assert_allclose(np.asarray(prepare(made).base)[:, index], weights / power @ spectral, atol=2e-4)
+    np.testing.assert_allclose(np.asarray(prepare(made, tables).base)[:, index], weights / power @ spectral, atol=2e-4)
 
 
 def test_cone_is_lit_alike_by_both_tables():
     """Counted rays and searched ones at the angle where one gives way to the other; cells of a cone are longer."""
     eye = EYE.replace(iris_slope=0.3, iris_depth=3.8)
     size, extent = 65, 5.5
-    counted = gathered(eye, jnp.asarray(UNIQUE_POLAR), Grid(size, jnp.asarray(extent)), 400_000)
+    counted = gathered(eye, jnp.asarray(UNIQUE_POLAR), Grid(size, jnp.asarray(extent)), 100_000)
     line = jnp.linspace(-1, 1, size) * extent
     points = jnp.stack(jnp.meshgrid(line, line), axis=-1)
     towards = jnp.array([np.sin(UNIQUE_POLAR), 0.0, -np.cos(UNIQUE_POLAR)])
-    found = RefractionFunction.build(eye).at(points, towards)
+    found = RefractionFunction.build(eye, n_azimuth=24, n_radius=40).at(points, towards)
     searched = window(eye, found.entry)[..., None] * found.flux
     inside = np.hypot(*np.meshgrid(line, line)) < 3.0
     ratio = np.asarray(counted[..., 2])[inside].sum() / np.asarray(searched[..., 2])[inside].sum()
@@ -178,13 +180,23 @@ def test_what_cannot_be_is_named():
     assert Scene(IRIS.replace(aqueous_index=1.376), eye=Eye(cornea=single, aqueous_index=1.376)).eye.cornea is not None
 
 
+@pytest.mark.slow  # 20 s of compiling
 def test_gradient_to_a_near_lamps_place(tables):
-    def brightness(x):
-        lights = Lights.points(jnp.stack([x, jnp.asarray(10.0), jnp.asarray(-60.0)]), 1.0)
-        return shading.fluxes_of(lights, EYE, tables)[0, 2, 60:100, 60:100].sum()
+    """Aside; on the axis, where azimuths have none, it is finite."""
 
-    found = jax.grad(brightness)(20.0)
-    step = 1e-3
-    assert float(found) == pytest.approx(
-        float(brightness(20.0 + step) - brightness(20.0 - step)) / (2 * step), rel=1e-3
-    )
+    @jax.jit
+    def brightness(x, y):
+        lights = Lights.points(jnp.stack([x, y, jnp.asarray(-60.0)]), 1.0)
+        return shading.fluxes_of(lights, EYE, tables, 41)[0, 2, 15:25, 18:28].sum()
+
+    step, gradient = 1e-3, jax.jit(jax.grad(brightness))
+    rise = float(brightness(20.0 + step, 10.0) - brightness(20.0 - step, 10.0)) / (2 * step)
+    assert float(gradient(20.0, 10.0)) == pytest.approx(rise, rel=1e-3)
+    assert np.isfinite(gradient(0.0, 0.0))
+
+
+def test_lamps_within_a_jit():
+    """Their radius is known there, their irradiance is not."""
+    lights = Lights.distant(0.3, 0.0)
+    made = jax.jit(lambda e: dataclasses.replace(lights, irradiance=e).irradiance)(jnp.ones(1))
+    assert float(made[0]) == 1

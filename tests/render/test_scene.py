@@ -368,6 +368,13 @@ def brightness(tables, view, bands, ranges):
     return of
 
 
+def test_a_pixel_that_looks_at_the_middle(tables):
+    """Odd sizes have one; a relief has no slope there, and the pupil no light."""
+    maps = IrisMaps(relief=ring(lambda x, y: 0.01 * y))
+    picture = np.asarray(render(scene(maps=maps, eye=CLOSE, camera=Camera(size=(13, 9), width=11.0)), tables))
+    assert np.isfinite(picture).all()
+
+
 def test_derivatives_are_finite_differences(tables):
     maps = IrisMaps(stroma_thickness=ring(lambda x, y: 0.28 + 0.1 * jnp.sin(3 * x) * jnp.cos(2 * y), 6, 12))
     direction = jnp.asarray(np.random.default_rng(1).normal(size=maps.shape))
