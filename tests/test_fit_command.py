@@ -73,6 +73,7 @@ def test_short_chains_end_with_status_three(irisjax, spectrum, monkeypatch):
     assert err.index("compiling") < err.index("sampling")
 
 
+@pytest.mark.slow  # several spectra of an eye are also tests/infer's
 def test_two_spots_of_one_eye(irisjax, spectrum, tmp_path):
     """They share the blood; each has its own melanin where it is separate."""
     other, folder = tmp_path / "spot.csv", tmp_path / "out"

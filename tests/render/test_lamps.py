@@ -156,6 +156,7 @@ def test_vessels_have_their_colours_of_81_wavelengths(tables):
     np.testing.assert_allclose(np.asarray(prepare(made, tables).base)[:, index], weights / power @ spectral, atol=2e-4)
 
 
+@pytest.mark.slow  # 15 s of searching another eye's table
 def test_cone_is_lit_alike_by_both_tables():
     """Counted rays and searched ones at the angle where one gives way to the other; cells of a cone are longer."""
     eye = EYE.replace(iris_slope=0.3, iris_depth=3.8)
