@@ -23,8 +23,20 @@ MODELS = {
     "ILIT (LB06)": None,
     "depth-resolved": ij.Exact(16, 8),
 }
-FREE = ("melanin_load", "abl_fraction", "pheomelanin_share", "hemoglobin", "saturation", "scattering_scale", "gain")
-WIDE = {"gain": LogNormal(1.0, 1.0), "scattering_scale": LogNormal(1.0, 1.0), "hemoglobin": LogNormal(0.084, 1.5)}
+FREE = (
+    "melanin_load",
+    "abl_fraction",
+    "pheomelanin_share",
+    "hemoglobin",
+    "saturation",
+    "scattering_scale",
+    "gain",
+)
+WIDE = {
+    "gain": LogNormal(1.0, 1.0),
+    "scattering_scale": LogNormal(1.0, 1.0),
+    "hemoglobin": LogNormal(0.084, 1.5),
+}
 
 
 def main(key, quick=False, out=RESULTS):
@@ -38,7 +50,9 @@ def main(key, quick=False, out=RESULTS):
     truths = {}
     for target, process in targets.items():
         for level in ("low",) if quick else ("low", "moderate", "high"):
-            truths[target, level] = ij.reflectance(ij.Iris.preset(level), grid, process=process).values
+            truths[target, level] = ij.reflectance(
+                ij.Iris.preset(level), grid, process=process
+            ).values
     for model, solver in list(MODELS.items())[: 3 if quick else None]:
         process = ij.DEPTH_RESOLVED if model == "depth-resolved" else ij.ILIT_2006
         blank = ij.spectrum(grid, np.ones(grid.size))
@@ -52,14 +66,30 @@ def main(key, quick=False, out=RESULTS):
             residual = 100 * np.asarray(found.predicted[0] / truth - 1)
             rows += [
                 (model, target, level, float(x), float(r), float(t), float(m))
-                for x, r, t, m in zip(grid, residual, np.asarray(truth), np.asarray(found.predicted[0]), strict=True)
+                for x, r, t, m in zip(
+                    grid, residual, np.asarray(truth), np.asarray(found.predicted[0]), strict=True
+                )
             ]
             worst = int(np.abs(residual).argmax())
-            numbers = (float(np.sqrt((residual**2).mean())), float(residual[worst]), float(grid[worst]))
+            numbers = (
+                float(np.sqrt((residual**2).mean())),
+                float(residual[worst]),
+                float(grid[worst]),
+            )
             values = [float(found.values[n]) for n in FREE]
             summary.append((model, target, level, str(bool(found.ok)), *numbers, *values))
-    header = ("simulated spectra, closed formulas fitted by least squares on 1 % relative noise; no priors",)
-    columns = ("model", "target", "level", "wavelength_nm", "residual_percent", "target_reflectance", "fitted")
+    header = (
+        "simulated spectra, closed formulas fitted by least squares on 1 % relative noise; no priors",
+    )
+    columns = (
+        "model",
+        "target",
+        "level",
+        "wavelength_nm",
+        "residual_percent",
+        "target_reflectance",
+        "fitted",
+    )
     write(out / "analytic_residuals.csv", header, columns, rows)
     write(
         out / "analytic_summary.csv", header,

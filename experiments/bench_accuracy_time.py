@@ -58,10 +58,20 @@ def _solvers(key, quick):
     for job, process in (("ilit-2006", ij.ILIT_2006), ("ilit-corrected", ij.ILIT_CORRECTED)):
         reference = _reference(process, 288 if job == "ilit-corrected" else 72)
         for n in (8, 16) if quick else (8, 12, 16, 20, 24, 28, 40):
-            rows.append((job, "exact", n, precision, *_deterministic(ij.Exact(n), process, reference, quick)))
+            rows.append(
+                (
+                    job,
+                    "exact",
+                    n,
+                    precision,
+                    *_deterministic(ij.Exact(n), process, reference, quick),
+                )
+            )
         for n in (64,) if quick else (64, 128, 256):
             solver = ij.Tabulated.build(process=process, n_intervals=n, tolerance=1.0)
-            rows.append((job, "tabulated", n, precision, *_deterministic(solver, process, reference, quick)))
+            rows.append(
+                (job, "tabulated", n, precision, *_deterministic(solver, process, reference, quick))
+            )
         if precision == "float32" or job == "ilit-corrected":
             continue
         sizes = {
@@ -71,7 +81,15 @@ def _solvers(key, quick):
         }
         for estimator, counts in sizes.items():
             for n in counts:
-                rows.append((job, estimator, n, "float32", *_sampled(ij.MonteCarlo(n, estimator), key, reference)))
+                rows.append(
+                    (
+                        job,
+                        estimator,
+                        n,
+                        "float32",
+                        *_sampled(ij.MonteCarlo(n, estimator), key, reference),
+                    )
+                )
     return rows
 
 
@@ -83,7 +101,13 @@ def _reference(process, n_angles):
 def _values(iris, solver, process, **options):
     return np.asarray(
         ij.reflectance(
-            iris, GRID, solver=solver, process=process, first_surface=False, raise_on_failure=False, **options
+            iris,
+            GRID,
+            solver=solver,
+            process=process,
+            first_surface=False,
+            raise_on_failure=False,
+            **options,
         ).values
     )
 
@@ -98,7 +122,11 @@ def _deterministic(solver, process, reference, quick, irides=None):
         ).values
 
     size = 64 if quick else 1024
-    batch = jax.vmap(lambda c: iris.replace(eumelanin=c))(jnp.geomspace(0.01, 2.0, size)) if irides is None else irides
+    batch = (
+        jax.vmap(lambda c: iris.replace(eumelanin=c))(jnp.geomspace(0.01, 2.0, size))
+        if irides is None
+        else irides
+    )
     jitted = jax.jit(spectrum)
     begin = time.perf_counter()
     jax.block_until_ready(jitted(iris))
@@ -116,7 +144,10 @@ def _deterministic(solver, process, reference, quick, irides=None):
 def _sampled(solver, key, reference):
     keys = jax.random.split(key, len(LEVELS))
     found = np.stack(
-        [_values(ij.Iris.preset(v), solver, ij.ILIT_2006, key=k) for v, k in zip(LEVELS, keys, strict=True)]
+        [
+            _values(ij.Iris.preset(v), solver, ij.ILIT_2006, key=k)
+            for v, k in zip(LEVELS, keys, strict=True)
+        ]
     )
     iris = ij.Iris.preset("moderate")
 
@@ -168,11 +199,18 @@ def _depth_resolved(quick):
 
             def spectrum(x, solver=solver, process=process):
                 return ij.reflectance(
-                    x, GRID, solver=solver, process=process, first_surface=False, raise_on_failure=False
+                    x,
+                    GRID,
+                    solver=solver,
+                    process=process,
+                    first_surface=False,
+                    raise_on_failure=False,
                 ).values
 
             size = 16 if quick else 1000
-            batch = jax.vmap(lambda c, iris=iris: iris.replace(eumelanin=c))(jnp.geomspace(0.01, 1.0, size))
+            batch = jax.vmap(lambda c, iris=iris: iris.replace(eumelanin=c))(
+                jnp.geomspace(0.01, 1.0, size)
+            )
             jitted = jax.jit(spectrum)
             begin = time.perf_counter()
             jax.block_until_ready(jitted(iris))
@@ -183,7 +221,17 @@ def _depth_resolved(quick):
                 median_us(partial(jitted, iris), 20),
                 median_us(partial(many, batch), 3) / size,
             )
-            rows.append((job, "exact", f"{n}x{depths}", "float64", *times, *_errors(found, reference), compile_s))
+            rows.append(
+                (
+                    job,
+                    "exact",
+                    f"{n}x{depths}",
+                    "float64",
+                    *times,
+                    *_errors(found, reference),
+                    compile_s,
+                )
+            )
     return rows
 
 
@@ -196,7 +244,10 @@ def _peers(quick):
     rows = []
     if importlib.util.find_spec("nanodisort"):
         reference = np.stack(
-            [_values(_matched(ij.Iris.preset(v)), ij.Exact(96, 12, 5), ij.DEPTH_RESOLVED) for v in LEVELS]
+            [
+                _values(_matched(ij.Iris.preset(v)), ij.Exact(96, 12, 5), ij.DEPTH_RESOLVED)
+                for v in LEVELS
+            ]
         )
         for streams in (16,) if quick else (8, 16, 32):
             for threads in (1, 2):
@@ -237,7 +288,9 @@ def _nanodisort(level, streams, threads):
         setattr(solver, name, value)
     solver.set_utau(np.array([0.0]))
     solver.allocate(n)
-    solver.set_dtauc(np.stack([np.asarray(layers.abl_absorption), np.asarray(layers.extinction)], 1))
+    solver.set_dtauc(
+        np.stack([np.asarray(layers.abl_absorption), np.asarray(layers.extinction)], 1)
+    )
     solver.set_ssalb(np.stack([np.zeros(n), np.asarray(layers.albedo)], 1))
     moments = np.asarray(phase_functions.rayleigh(streams))[:, None, None]
     solver.set_pmom(np.ascontiguousarray(np.broadcast_to(moments, (streams + 1, 2, n))))
@@ -255,7 +308,9 @@ def _scaling(key, quick):
     rows = []
     iris = ij.Iris.preset("moderate")
     for n in (81, 810) if quick else (81, 810, 8_100, 81_000):
-        seconds = median_us(lambda n=n: ij.reflectance(iris, np.linspace(400, 720, n)).values, 10) / 1e6
+        seconds = (
+            median_us(lambda n=n: ij.reflectance(iris, np.linspace(400, 720, n)).values, 10) / 1e6
+        )
         rows.append(("wavelengths, exact", n, seconds, seconds / n))
     table = ij.Tabulated.build()
     for name, solver in (("exact", ij.Exact()), ("tabulated", table)):
@@ -270,7 +325,10 @@ def _scaling(key, quick):
             rows.append((f"irides, {name}", n, seconds, seconds / n))
     for n in (1_000, 10_000) if quick else (1_000, 10_000, 100_000):
         solver = ij.MonteCarlo(n)
-        seconds = median_us(lambda s=solver: ij.reflectance(iris, GRID, solver=s, key=key).values, 5) / 1e6
+        seconds = (
+            median_us(lambda s=solver: ij.reflectance(iris, GRID, solver=s, key=key).values, 5)
+            / 1e6
+        )
         rows.append(("photons, analog", n * GRID.size, seconds, seconds / n / GRID.size))
     return rows
 

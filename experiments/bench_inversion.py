@@ -41,15 +41,36 @@ def main(key, quick=False, out=RESULTS):
         begin = time.perf_counter()
         best = fit(problem)
         jax.block_until_ready(best.z)
-        times.append((level, "least squares, first (compiles)", 1e3 * (time.perf_counter() - begin), "ms"))
-        times.append((level, "least squares, 4 starts", median_us(lambda p=problem: fit(p).z, 10) / 1e3, "ms"))
-        at, z = density(problem), np.asarray(best.z) + 0.05 * np.random.default_rng(0).normal(size=(64, 7))
-        times.append((level, "log probability, 64 walkers", median_us(lambda at=at, z=z: at(z), 100) / 1e3, "ms"))
+        times.append(
+            (level, "least squares, first (compiles)", 1e3 * (time.perf_counter() - begin), "ms")
+        )
+        times.append(
+            (
+                level,
+                "least squares, 4 starts",
+                median_us(lambda p=problem: fit(p).z, 10) / 1e3,
+                "ms",
+            )
+        )
+        at, z = (
+            density(problem),
+            np.asarray(best.z) + 0.05 * np.random.default_rng(0).normal(size=(64, 7)),
+        )
+        times.append(
+            (
+                level,
+                "log probability, 64 walkers",
+                median_us(lambda at=at, z=z: at(z), 100) / 1e3,
+                "ms",
+            )
+        )
         for seed in range(1 if quick else 5):
             with tempfile.TemporaryDirectory() as folder:
                 begin = time.perf_counter()
                 steps = 200 if quick else 20_000
-                chains = sample(problem, Path(folder) / "c.h5", start=best, seed=seed, max_steps=steps)
+                chains = sample(
+                    problem, Path(folder) / "c.h5", start=best, seed=seed, max_steps=steps
+                )
                 seconds = time.perf_counter() - begin
             found = f"{chains.steps} steps, ESS {chains.ess_bulk.min():.0f}, converged {chains.converged}"
             times.append((level, f"posterior, seed {seed}: {found}", seconds, "s"))
@@ -63,13 +84,19 @@ def main(key, quick=False, out=RESULTS):
     @eqx.filter_jit
     def many(problem, values):
         def one(v):
-            return fit(problem.with_observations(with_values(o, v)), starts=1, rtol=1e-5, atol=1e-5).z
+            return fit(
+                problem.with_observations(with_values(o, v)), starts=1, rtol=1e-5, atol=1e-5
+            ).z
 
         return jax.lax.map(one, values, batch_size=32)
 
     us = median_us(lambda: many(problem, batch), 3)
-    times.append((level, f"least squares, batch of {size}: spectra a second", size / us * 1e6, "1/s"))
-    header = ("31 wavelengths, noise 2 % + 2e-4, default free set, process ilit-2006, tabulated solver, float64",)
+    times.append(
+        (level, f"least squares, batch of {size}: spectra a second", size / us * 1e6, "1/s")
+    )
+    header = (
+        "31 wavelengths, noise 2 % + 2e-4, default free set, process ilit-2006, tabulated solver, float64",
+    )
     write(out / "bench_inversion.csv", header, ("level", "what", "value", "unit"), times)
     write(
         out / "bench_moves.csv", (*header, "64 walkers; seconds that 50 autocorrelation times take"),
@@ -91,14 +118,19 @@ def _moves(problem, best, steps):
         sampler.run_mcmc(first, n, skip_initial_state_check=True)
         return sampler, (time.perf_counter() - begin) / n
 
-    cloud = z + np.random.RandomState(0).standard_normal((64, z.size)) @ np.linalg.cholesky(covariance).T
+    cloud = (
+        z
+        + np.random.RandomState(0).standard_normal((64, z.size)) @ np.linalg.cholesky(covariance).T
+    )
     spread, _ = run(mixture(None), cloud, 300, 1)
     taught = spread.get_chain(discard=150, flat=True)
     burn, _ = run(mixture(taught), spread.get_chain()[-1], 300, 2)
     taught = burn.get_chain(discard=150, flat=True)
     last = burn.get_chain()[-1]
     straight = Straightening.of_samples(taught)
-    level = straight._replace(bends=[np.zeros_like(bend) for bend in straight.bends], width=np.ones(z.size))
+    level = straight._replace(
+        bends=[np.zeros_like(bend) for bend in straight.bends], width=np.ones(z.size)
+    )
     rows = []
     for name, moves in {
         "stretch (emcee's default)": [(emcee.moves.StretchMove(), 1.0)],
@@ -110,7 +142,15 @@ def _moves(problem, best, steps):
     }.items():
         sampler, seconds = run(moves, last, steps, 3)
         tau = float(emcee.autocorr.integrated_time(sampler.get_chain(), tol=0, quiet=True).max())
-        rows.append((name, tau, float(sampler.acceptance_fraction.mean()), 1e3 * seconds, 50 * tau * seconds))
+        rows.append(
+            (
+                name,
+                tau,
+                float(sampler.acceptance_fraction.mean()),
+                1e3 * seconds,
+                50 * tau * seconds,
+            )
+        )
     return rows
 
 

@@ -40,7 +40,12 @@ def main(key, quick=False, out=RESULTS):
         f"{device.platform}, {os.cpu_count()} processor cores, load {os.getloadavg()[0]:.1f} at the end of the run",
         "float32, warm, median; a frame takes all that must be computed anew after the change",
     )
-    write(out / "bench_render.csv", header, ("change", "scene", "ms", "frames_per_s", "wanted_frames_per_s"), rows)
+    write(
+        out / "bench_render.csv",
+        header,
+        ("change", "scene", "ms", "frames_per_s", "wanted_frames_per_s"),
+        rows,
+    )
 
 
 def _table(key, size, repeats):
@@ -57,7 +62,9 @@ def _table(key, size, repeats):
 
     def row(change, scene, f):
         ms, _ = _milliseconds(f, repeats)
-        rows.append((change, scene, ms, 1e3 / ms, 1 if "single" in scene else TARGETS.get(change, "")))
+        rows.append(
+            (change, scene, ms, 1e3 / ms, 1 if "single" in scene else TARGETS.get(change, ""))
+        )
 
     def of(change, name, scene, tables):
         """A row for the changes of one scene."""
@@ -73,11 +80,21 @@ def _table(key, size, repeats):
                 return prepare(changed, tables, view, memory=memory)(iris)
 
             row(change, f"{name}, another map", thicker)
-            row(change, name, lambda i: stage(iris.replace(stroma_thickness=iris.stroma_thickness * (1 + 1e-3 * i))))
+            row(
+                change,
+                name,
+                lambda i: stage(
+                    iris.replace(stroma_thickness=iris.stroma_thickness * (1 + 1e-3 * i))
+                ),
+            )
         elif change.startswith("camera"):
 
             def moved(i):
-                return render(scene.replace(camera=dataclasses.replace(scene.camera, polar=0.01 * i)), tables, memory)
+                return render(
+                    scene.replace(camera=dataclasses.replace(scene.camera, polar=0.01 * i)),
+                    tables,
+                    memory,
+                )
 
             row(change, name, moved)
         else:
@@ -89,7 +106,9 @@ def _table(key, size, repeats):
             row(change, name, lit)
 
     eye = full.eye
-    ms, first = _milliseconds(lambda i: Illumination.build(eye, caustics=False).flux, max(1, repeats // 2))
+    ms, first = _milliseconds(
+        lambda i: Illumination.build(eye, caustics=False).flux, max(1, repeats // 2)
+    )
     rows += [
         ("tables", "refraction", ms, 1e3 / ms, ""),
         ("tables, with compiling", "refraction", first, 1e3 / first, ""),
@@ -120,7 +139,9 @@ def _table(key, size, repeats):
 
 def _lamps(number, turned):
     i = np.arange(number)
-    return Lights.distant(0.3 + 0.9 * (i + 0.5) / number, 2.4 * i + 1.0 + turned, jnp.pi / number * np.ones(number))
+    return Lights.distant(
+        0.3 + 0.9 * (i + 0.5) / number, 2.4 * i + 1.0 + turned, jnp.pi / number * np.ones(number)
+    )
 
 
 def _milliseconds(f, repeats):

@@ -62,7 +62,13 @@ def main(key, quick=False, out=RESULTS, eyes=None, walkers=64):
         counts = np.bincount(ranks[:, i] // 8, minlength=8)
         ks = stats.kstest((ranks[:, i] + 0.5) / (DRAWS + 1), "uniform").pvalue
         summary.append(
-            (name, count, float(stats.chisquare(counts).pvalue), float(ks), *(float(c) for c in covered[:, i]))
+            (
+                name,
+                count,
+                float(stats.chisquare(counts).pvalue),
+                float(ks),
+                *(float(c) for c in covered[:, i]),
+            )
         )
     header = (
         f"{count} simulated eyes from the default priors, 31 wavelengths, noise 2 % + 2e-4, "
@@ -70,8 +76,19 @@ def main(key, quick=False, out=RESULTS, eyes=None, walkers=64):
         "transport: Kubelka-Munk (quick)" if quick else "process ilit-2006",
         f"binomial standard errors of the coverage: {', '.join(f'{np.sqrt(p * (1 - p) / count):.3f}' for p in LEVELS)}",
     )
-    write(out / "calibration_ranks.csv", header, ("eye", "parameter", "truth", "rank", "draws", "tau", "steps"), rows)
-    columns = ("parameter", "eyes", "p_chi_square", "p_kolmogorov", *(f"covered_{100 * p:g}" for p in LEVELS))
+    write(
+        out / "calibration_ranks.csv",
+        header,
+        ("eye", "parameter", "truth", "rank", "draws", "tau", "steps"),
+        rows,
+    )
+    columns = (
+        "parameter",
+        "eyes",
+        "p_chi_square",
+        "p_kolmogorov",
+        *(f"covered_{100 * p:g}" for p in LEVELS),
+    )
     write(out / "calibration_summary.csv", header, columns, summary)
 
 

@@ -10,7 +10,9 @@ import jax
 RESULTS = Path(__file__).parent / "results"
 
 
-def write(path: Path, header: Sequence[str], columns: Sequence[str], rows: Iterable[Sequence]) -> Path:
+def write(
+    path: Path, header: Sequence[str], columns: Sequence[str], rows: Iterable[Sequence]
+) -> Path:
     """Write a CSV with `# ` header lines; a failed run leaves the old file."""
     path.parent.mkdir(parents=True, exist_ok=True)
     temporary = path.with_suffix(".tmp")

@@ -64,11 +64,16 @@ def _widths(iris, measure, noise, solver, free=FREE, fixed=(), separate=()):
         noise=noise, base=iris,
         solver=solver,
     )  # fmt: skip
-    values = {n: truth[n.partition("@")[0]] * (2 if n == "melanin_load@2" else 1) for n in problem.free}
+    values = {
+        n: truth[n.partition("@")[0]] * (2 if n == "melanin_load@2" else 1) for n in problem.free
+    }
     z = problem.standard(values)
     exact = problem.predict(z)
     problem = problem.with_observations(
-        *(with_values(o, m) for o, m in zip(seen if isinstance(seen, tuple) else (seen,), exact, strict=True))
+        *(
+            with_values(o, m)
+            for o, m in zip(seen if isinstance(seen, tuple) else (seen,), exact, strict=True)
+        )
     )
     found = fit(problem, starts=1, start=z)
     names = list(problem.free)

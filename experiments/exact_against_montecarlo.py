@@ -16,7 +16,9 @@ VARIANTS = {
     f"{phase} {rescatter}{' perturbed' if perturb else ''}": ij.Process(
         phase=phase, rescatter=rescatter, perturb_on_reflection=perturb
     )
-    for phase, rescatter, perturb in itertools.product(("lb06", "rayleigh"), ("to-interface", "retest"), (False, True))
+    for phase, rescatter, perturb in itertools.product(
+        ("lb06", "rayleigh"), ("to-interface", "retest"), (False, True)
+    )
 } | {
     "rayleigh spheres": ij.Process(scattering="rayleigh-spheres"),
     "depth-resolved": ij.DEPTH_RESOLVED,
@@ -28,7 +30,9 @@ def main(key, quick=False, out=RESULTS):
     """Write z-scores of five fates at six wavelengths for every variant, level and two incidences."""
     n = 100_000 if quick else 10_000_000
     rows = []
-    for (name, process), level, mu in itertools.product(VARIANTS.items(), ("low", "moderate", "high"), (1.0, 0.5)):
+    for (name, process), level, mu in itertools.product(
+        VARIANTS.items(), ("low", "moderate", "high"), (1.0, 0.5)
+    ):
         key, k = jax.random.split(key)
         iris = ij.Iris.preset(level)
         settings = {"process": process, "cos_incidence": mu, "first_surface": False}
@@ -37,12 +41,19 @@ def main(key, quick=False, out=RESULTS):
         for fate in ("reflected", "mirrored", "abl", "stroma", "ipe"):
             p, seen = (np.asarray(_fate(m, fate)) for m in (exact, mc))
             z = (seen - p) / np.sqrt(np.maximum(p * (1 - p), 1e-12) / n)
-            rows += [(name, level, mu, fate, *map(float, row)) for row in zip(GRID, p, seen, z, strict=True)]
+            rows += [
+                (name, level, mu, fate, *map(float, row))
+                for row in zip(GRID, p, seen, z, strict=True)
+            ]
     worst = max(abs(row[-1]) for row in rows)
-    print(f"{len(rows)} comparisons, largest |z| {worst:.2f}, mean z² {np.mean([r[-1] ** 2 for r in rows]):.3f}")
+    print(
+        f"{len(rows)} comparisons, largest |z| {worst:.2f}, mean z² {np.mean([r[-1] ** 2 for r in rows]):.3f}"
+    )
     write(
         out / "exact_against_montecarlo.csv",
-        (f"exact against {n} analogue photons a wavelength; largest |z| {worst:.2f} of {len(rows)}",),
+        (
+            f"exact against {n} analogue photons a wavelength; largest |z| {worst:.2f} of {len(rows)}",
+        ),
         ("process", "level", "cos_incidence", "fate", "wavelength_nm", "exact", "monte_carlo", "z"),
         rows,
     )

@@ -36,7 +36,9 @@ def main(key, quick=False, out=RESULTS):
     for level in ("low", "moderate", "high"):
         iris = ij.Iris.preset(level)
         for degrees in (0, 60):
-            models, result = _models(iris, jnp.asarray(thickness), jnp.cos(jnp.radians(float(degrees))), exits)
+            models, result = _models(
+                iris, jnp.asarray(thickness), jnp.cos(jnp.radians(float(degrees))), exits
+            )
             throw(result)
             models = [np.asarray(m) for m in models]
             for t, mm in enumerate(thickness):
@@ -89,7 +91,9 @@ def _models(iris, thickness, mu, exits):
 
     def solved(process, solver):
         def one(scale):
-            found = solver.solve(_layers(iris, table, scale), process, mu, cos_exit=exits, azimuth=azimuth)
+            found = solver.solve(
+                _layers(iris, table, scale), process, mu, cos_exit=exits, azimuth=azimuth
+            )
             return found.brdf, found.result
 
         return jax.lax.map(one, scales)
@@ -98,7 +102,9 @@ def _models(iris, thickness, mu, exits):
     response = SingleScattering().response(iris, bands, Scales())
     towards = jnp.stack([jnp.sqrt(1 - mu**2), jnp.zeros(()), mu])
     n = exits.size
-    sight = -jnp.stack([jnp.sqrt(1 - exits**2), jnp.zeros(n), -exits])  # against light that goes on along x
+    sight = -jnp.stack(
+        [jnp.sqrt(1 - exits**2), jnp.zeros(n), -exits]
+    )  # against light that goes on along x
     here, up = (jnp.zeros((3, n)).at[i].set(x) for i, x in ((0, 3.0), (2, -1.0)))
     rays = Rays(jnp.arange(n), here, sight, up, jnp.ones(n))
 
@@ -116,7 +122,9 @@ def _models(iris, thickness, mu, exits):
 def _monte_carlo(layers, i, photons, rng):
     """BRDF in cells of the exit cosine and its standard error: normal incidence, photons weighted by absorption."""
     n_out, n_abl, n_stroma, n_ipe = (float(x) for x in jax.tree.leaves(layers.indices))
-    abl, tau, albedo = (float(np.asarray(x)[i]) for x in (layers.abl_absorption, layers.extinction, layers.albedo))
+    abl, tau, albedo = (
+        float(np.asarray(x)[i]) for x in (layers.abl_absorption, layers.extinction, layers.albedo)
+    )
 
     def passes(mu, here, ahead):
         """Whether each photon is refracted, and its cosine beyond."""
@@ -143,7 +151,9 @@ def _monte_carlo(layers, i, photons, rng):
         h = 2 * (2 * rng.random(mu.size) - 1)
         root = np.cbrt(h + np.sqrt(1 + h * h))
         c = root - 1 / root
-        turned = mu * c + np.sqrt((1 - mu**2) * np.maximum(1 - c * c, 0)) * np.cos(2 * np.pi * rng.random(mu.size))
+        turned = mu * c + np.sqrt((1 - mu**2) * np.maximum(1 - c * c, 0)) * np.cos(
+            2 * np.pi * rng.random(mu.size)
+        )
         out = crossed & in_abl & ~down
         leaving = out & scattered
         cell = np.minimum((beyond[leaving] * (CELLS.size - 1)).astype(int), CELLS.size - 2)

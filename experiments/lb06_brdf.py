@@ -21,10 +21,21 @@ def main(key, quick=False, out=RESULTS):
             mu = float(np.cos(np.radians(degrees)))
             plane = {"cos_incidence": mu, "cos_exit": cosine, "azimuth": azimuth}
             exact = ij.brdf(iris, [550.0], **plane)
-            mc = ij.brdf(iris, [550.0], **plane, solver=ij.MonteCarlo(10_000 if quick else 10_000_000), key=k)
+            mc = ij.brdf(
+                iris, [550.0], **plane, solver=ij.MonteCarlo(10_000 if quick else 10_000_000), key=k
+            )
             deep = ij.brdf(iris, [550.0], **plane, process=ij.DEPTH_RESOLVED)
-            values = (np.degrees(angle), exact.values[0], mc.values[0], mc.standard_error[0], deep.values[0])
-            rows += [(level, degrees, *map(float, row)) for row in zip(*map(np.asarray, values), strict=True)]
+            values = (
+                np.degrees(angle),
+                exact.values[0],
+                mc.values[0],
+                mc.standard_error[0],
+                deep.values[0],
+            )
+            rows += [
+                (level, degrees, *map(float, row))
+                for row in zip(*map(np.asarray, values), strict=True)
+            ]
     write(
         out / "fig8_brdf.csv",
         (
@@ -32,7 +43,15 @@ def main(key, quick=False, out=RESULTS):
             "in the aqueous humour, light mirrored by the first surface left out; negative angles lie on the",
             "light's side; Monte Carlo values are averages over cells half-way to the next cosine",
         ),
-        ("level", "incidence_deg", "exit_deg", "exact", "monte_carlo", "standard_error", "depth_resolved"),
+        (
+            "level",
+            "incidence_deg",
+            "exit_deg",
+            "exact",
+            "monte_carlo",
+            "standard_error",
+            "depth_resolved",
+        ),
         rows,
     )
 

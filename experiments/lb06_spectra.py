@@ -10,7 +10,9 @@ import irisjax as ij
 from experiments.common import RESULTS, start, write
 
 LEVELS = ("low", "moderate", "high")
-HEADER = ("simulated by irisjax; process ilit-2006, normal incidence, ABL fraction 0.5 unless said",)
+HEADER = (
+    "simulated by irisjax; process ilit-2006, normal incidence, ABL fraction 0.5 unless said",
+)
 
 
 def main(key, quick=False, out=RESULTS):
@@ -28,7 +30,12 @@ def main(key, quick=False, out=RESULTS):
     data = [
         row
         for level, k in zip(LEVELS, jax.random.split(key5, 3), strict=True)
-        for row in rows(level, ij.Iris.preset(level), k, lambda *a, **kw: ij.radiance(*a, illuminant="D65", **kw))
+        for row in rows(
+            level,
+            ij.Iris.preset(level),
+            k,
+            lambda *a, **kw: ij.radiance(*a, illuminant="D65", **kw),
+        )
     ]
     write(
         out / "fig5_radiance.csv",
@@ -42,11 +49,18 @@ def main(key, quick=False, out=RESULTS):
         for level, k in zip(LEVELS, jax.random.split(key6, 3), strict=True)
         for row in rows(level, ij.Iris.preset(level), k, ij.reflectance)
     ]
-    write(out / "fig6_levels.csv", (*HEADER, "reflectance, first surface counted"), ("level", *columns), data)
+    write(
+        out / "fig6_levels.csv",
+        (*HEADER, "reflectance, first surface counted"),
+        ("level", *columns),
+        data,
+    )
     data = [
         row
         for fraction, k in zip((0.2, 0.5, 0.8), jax.random.split(key7, 3), strict=True)
-        for row in rows(fraction, ij.Iris.preset("moderate").replace(abl_fraction=fraction), k, ij.reflectance)
+        for row in rows(
+            fraction, ij.Iris.preset("moderate").replace(abl_fraction=fraction), k, ij.reflectance
+        )
     ]
     write(
         out / "fig7_abl_fraction.csv",

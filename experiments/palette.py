@@ -19,9 +19,13 @@ def main(key, quick=False, out=RESULTS):
         c = ij.colour(iris.replace(melanin_load=load, abl_fraction=fraction), first_surface=False)
         return jnp.concatenate([c.xyz, c.srgb_linear])
 
-    table = jax.jit(jax.vmap(jax.vmap(one, (None, 0)), (0, None)))(jnp.asarray(loads), jnp.asarray(fractions))
+    table = jax.jit(jax.vmap(jax.vmap(one, (None, 0)), (0, None)))(
+        jnp.asarray(loads), jnp.asarray(fractions)
+    )
     rows = [
-        (float(a), float(f), *map(float, table[i, j])) for i, a in enumerate(loads) for j, f in enumerate(fractions)
+        (float(a), float(f), *map(float, table[i, j]))
+        for i, a in enumerate(loads)
+        for j, f in enumerate(fractions)
     ]
     write(
         out / "palette.csv",

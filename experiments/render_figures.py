@@ -43,7 +43,9 @@ def main(key, quick=False, out=RESULTS):
     def save(name, panels, exposure=EXPOSURE):
         encoded = np.asarray(srgb_encode(np.clip(exposure * np.concatenate(panels, axis=1), 0, 1)))
         out.mkdir(parents=True, exist_ok=True)
-        write_png(out / f"{name}.png", encoded, remark=f"simulated by irisjax, light × {exposure:g}")
+        write_png(
+            out / f"{name}.png", encoded, remark=f"simulated by irisjax, light × {exposure:g}"
+        )
 
     # LB06 Fig. 9: rows 20, 50 and 80 % of the melanin in the ABL, columns from high to low.
     base = ij.Iris.preset("moderate")
@@ -51,7 +53,11 @@ def main(key, quick=False, out=RESULTS):
     stage = prepare(scene, smooth)
     rows = [
         np.concatenate(
-            [stage(base.replace(eumelanin=eu, pheomelanin=pheo, abl_fraction=f)) for _, eu, pheo in MELANIN], axis=1
+            [
+                stage(base.replace(eumelanin=eu, pheomelanin=pheo, abl_fraction=f))
+                for _, eu, pheo in MELANIN
+            ],
+            axis=1,
         )
         for f in (0.2, 0.5, 0.8)
     ]
@@ -62,7 +68,8 @@ def main(key, quick=False, out=RESULTS):
     side_on = dataclasses.replace(camera, polar=jnp.asarray(math.radians(60)))
     bare = close.replace(cornea=None)
     views = [
-        prepare(Scene(iris, maps, eye, lights, camera=side_on), t)(iris) for eye, t in ((close, smooth), (bare, None))
+        prepare(Scene(iris, maps, eye, lights, camera=side_on), t)(iris)
+        for eye, t in ((close, smooth), (bare, None))
     ]
     save("render_f09_fig14", views, 2.0)
 
@@ -73,7 +80,12 @@ def main(key, quick=False, out=RESULTS):
     angles = (0.0, 1.0, GRAZING)
     flux = [full.at(at, jnp.asarray([math.sin(a), 0.0, -math.cos(a)]))[..., 2] for a in angles]
     irradiance = np.asarray(flux).astype(np.float16)
-    _npz(out / "render_f09_fig15.npz", polar=np.asarray(angles), line=line.astype(np.float32), irradiance=irradiance)
+    _npz(
+        out / "render_f09_fig15.npz",
+        polar=np.asarray(angles),
+        line=line.astype(np.float32),
+        irradiance=irradiance,
+    )
     lamp = Lights.distant(GRAZING, math.pi, 2 * math.pi)
     caustic = []
     for i, colour in enumerate(("brown", "blue")):
@@ -96,7 +108,11 @@ def main(key, quick=False, out=RESULTS):
         eye = Eye(sclera=Sclera(veins=jnp.asarray(density)))
         drawn = veins(eye, shape=(256, 128) if quick else (1024, 512), key=seed(6))
         lit = Lights.distant([0.5, 0.9], [0.8, 2.4], [1.8, 0.9])
-        white.append(prepare(Scene(iris, maps, eye, lit, camera=aside, veins=drawn), smooth, look(eye, aside))(iris))
+        white.append(
+            prepare(
+                Scene(iris, maps, eye, lit, camera=aside, veins=drawn), smooth, look(eye, aside)
+            )(iris)
+        )
     save("render_f09_fig18", white, 1.0)
 
 

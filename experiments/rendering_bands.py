@@ -26,14 +26,18 @@ def main(key, quick=False, out=RESULTS):
     count, n = (60, 6) if quick else (1000, 10)
     made, other = (_spectra(jax.random.fold_in(key, i), count) for i in range(2))
     weights = [np.asarray(tristimulus_matrix(GRID, "XYZ", light, OBSERVER)[0]) for light in LIGHTS]
-    scaled = made / (np.linalg.norm(made, axis=1, keepdims=True) + 1e-3)  # dark irides count as much as bright ones
+    scaled = made / (
+        np.linalg.norm(made, axis=1, keepdims=True) + 1e-3
+    )  # dark irides count as much as bright ones
 
     def matrix(nodes):
         return np.linalg.lstsq(scaled[:, nodes], scaled, rcond=None)[0]
 
     def differences(nodes, spectra, light):
         found = spectra[:, nodes] @ matrix(nodes)
-        return delta_E_CIE2000(*(_lab(s @ weights[light].T, weights[light].sum(1)) for s in (spectra, found)))
+        return delta_E_CIE2000(
+            *(_lab(s @ weights[light].T, weights[light].sum(1)) for s in (spectra, found))
+        )
 
     def worst(nodes):
         return max(differences(nodes, made, light).max() for light in (0, 1))
@@ -60,7 +64,9 @@ def main(key, quick=False, out=RESULTS):
         errors.append((light, count, float(d.mean()), float(np.percentile(d, 99)), float(d.max())))
     write(
         out / "rendering_bands_error.csv",
-        (f"colour differences of {n} wavelengths against 81, on irides the nodes were not chosen from",),
+        (
+            f"colour differences of {n} wavelengths against 81, on irides the nodes were not chosen from",
+        ),
         ("illuminant", "irides", "mean_dE2000", "p99_dE2000", "max_dE2000"),
         errors,
     )
@@ -95,7 +101,9 @@ def _spectra(key, count):
 def _lab(xyz, white):
     ratio = xyz / white
     f = np.where(ratio > (6 / 29) ** 3, np.cbrt(ratio), ratio / (3 * (6 / 29) ** 2) + 4 / 29)
-    return np.stack([116 * f[:, 1] - 16, 500 * (f[:, 0] - f[:, 1]), 200 * (f[:, 1] - f[:, 2])], axis=-1)
+    return np.stack(
+        [116 * f[:, 1] - 16, 500 * (f[:, 0] - f[:, 1]), 200 * (f[:, 1] - f[:, 2])], axis=-1
+    )
 
 
 if __name__ == "__main__":

@@ -110,7 +110,11 @@ def __getattr__(name: str):
 
 
 def __dir__():
-    return sorted({name for name in globals() if name not in ("TYPE_CHECKING", "importlib")} | _HOME.keys() | {*_PARTS})
+    return sorted(
+        {name for name in globals() if name not in ("TYPE_CHECKING", "importlib")}
+        | _HOME.keys()
+        | {*_PARTS}
+    )
 
 
 __version__ = "0.1.0"

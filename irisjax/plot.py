@@ -82,33 +82,62 @@ def fit_figure(observations, simulated, models) -> "Figure":
         top, below = axes[0, k], axes[1, k]
         # Many points go behind what they would hide.
         many = values.size > 500
-        mark = {"marker": "o", "markersize": 1 if many else 3, "linestyle": "none", "zorder": 0.5 if many else 2}
+        mark = {
+            "marker": "o",
+            "markersize": 1 if many else 3,
+            "linestyle": "none",
+            "zorder": 0.5 if many else 2,
+        }
         for low, high, alpha in ((2.5, 97.5, 0.2), (16, 84, 0.35)):
             band = np.percentile(simulated[k], [low, high], axis=0)
             label = f"simulated, {'95' if low < 10 else '68'} %"
             if is_colour:
                 top.errorbar(
-                    x, band.mean(0), np.diff(band, axis=0)[0] / 2, fmt="none", color=PALETTE[0], alpha=alpha * 2, lw=6
+                    x,
+                    band.mean(0),
+                    np.diff(band, axis=0)[0] / 2,
+                    fmt="none",
+                    color=PALETTE[0],
+                    alpha=alpha * 2,
+                    lw=6,
                 )
             else:
                 top.fill_between(x, *band, color=PALETTE[0], alpha=alpha, linewidth=0, label=label)
         if not is_colour:
-            top.plot(x, np.median(models[k], axis=0), color=PALETTE[0], linewidth=1, label="model, median")
+            top.plot(
+                x,
+                np.median(models[k], axis=0),
+                color=PALETTE[0],
+                linewidth=1,
+                label="model, median",
+            )
         top.plot(x, values, color=PALETTE[1], label="data", **mark)
         spread = np.std(simulated[k] - models[k], axis=0)
         below.axhspan(-2, 2, color="0.9", linewidth=0)
         below.axhline(0, color="0.5", linewidth=0.8)
         below.plot(
-            x, (values - np.median(models[k], axis=0)) / np.where(spread > 0, spread, 1), color=PALETTE[1], **mark
+            x,
+            (values - np.median(models[k], axis=0)) / np.where(spread > 0, spread, 1),
+            color=PALETTE[1],
+            **mark,
         )
         widest = max(
-            3.0, 1.1 * float(np.abs((values - np.median(models[k], axis=0)) / np.where(spread > 0, spread, 1)).max())
+            3.0,
+            1.1
+            * float(
+                np.abs(
+                    (values - np.median(models[k], axis=0)) / np.where(spread > 0, spread, 1)
+                ).max()
+            ),
         )
         below.set_ylim(-widest, widest)
         top.set_ylabel(quantity)
         below.set_ylabel("residual (sd)")
         if is_colour:
-            below.set_xticks(x, {"Lab": ("L*", "a*", "b*"), "XYZ": ("X", "Y", "Z")}.get(quantity, ("R", "G", "B")))
+            below.set_xticks(
+                x,
+                {"Lab": ("L*", "a*", "b*"), "XYZ": ("X", "Y", "Z")}.get(quantity, ("R", "G", "B")),
+            )
         else:
             below.set_xlabel("wavelength (nm)")
             top.legend(frameon=False, fontsize=8)
@@ -188,11 +217,18 @@ def _principal_plane(result: Brdf, title: str) -> "Figure":
         if result.standard_error is not None:
             error = np.asarray(result.standard_error)[k, order]
             low = np.maximum(values[k] - error, 0)
-            ax.fill_between(angle[order], low, values[k] + error, color=PALETTE[i], alpha=0.3, linewidth=0)
+            ax.fill_between(
+                angle[order], low, values[k] + error, color=PALETTE[i], alpha=0.3, linewidth=0
+            )
     top = 1.08 * float(values[shown].max()) or 1.0
     incidence = -np.arccos(np.clip(float(result.cos_incidence), 0, 1))
     # The light comes in on the negative side; its mirror direction is where `values` leave out a delta.
-    ax.annotate("", (incidence, 0.72 * top), (incidence, top), arrowprops={"arrowstyle": "-|>", "color": "0.35"})
+    ax.annotate(
+        "",
+        (incidence, 0.72 * top),
+        (incidence, top),
+        arrowprops={"arrowstyle": "-|>", "color": "0.35"},
+    )
     ax.plot([-incidence] * 2, [0, top], ":", color="0.35", linewidth=1)
     ax.set_thetamin(-90)
     ax.set_thetamax(90)
@@ -237,10 +273,21 @@ def _hemisphere(result: Brdf, title: str) -> "Figure":
         rings = np.concatenate([[0], (r[1:] + r[:-1]) / 2, [90]])
         sectors = np.concatenate([[a[-1] - 2 * np.pi], a, [a[0] + 2 * np.pi]])
         sectors = (sectors[1:] + sectors[:-1]) / 2
-        shade = ax.pcolormesh(sectors, rings, field, cmap="cividis", vmin=0, vmax=top, rasterized=True)
+        shade = ax.pcolormesh(
+            sectors, rings, field, cmap="cividis", vmin=0, vmax=top, rasterized=True
+        )
         ax.grid(alpha=0.3)
-        ax.plot([np.pi], [np.degrees(incidence)], "v", color=PALETTE[1], markeredgecolor="white", label="light")
-        ax.plot([0], [np.degrees(incidence)], "o", mfc="none", color="white", label="mirror direction")
+        ax.plot(
+            [np.pi],
+            [np.degrees(incidence)],
+            "v",
+            color=PALETTE[1],
+            markeredgecolor="white",
+            label="light",
+        )
+        ax.plot(
+            [0], [np.degrees(incidence)], "o", mfc="none", color="white", label="mirror direction"
+        )
         ax.set_rlim(0, 90)
         ax.set_rticks([30, 60], ["30°", "60°"])
         ax.tick_params(axis="y", colors="white")

@@ -19,7 +19,11 @@ def line(axes, rows, time, **style):
 
 for i, (solver, marker) in enumerate(MARKERS.items()):
     for precision in ("float64", "float32"):
-        mine = [r for r in rows if r["job"] == "ilit-2006" and r["solver"] == solver and r["precision"] == precision]
+        mine = [
+            r
+            for r in rows
+            if r["job"] == "ilit-2006" and r["solver"] == solver and r["precision"] == precision
+        ]
         if not mine:
             continue
         faint = precision == "float32" and solver in ("exact", "tabulated")
@@ -35,12 +39,23 @@ keys = sorted({(r["job"], r["solver"]) for r in rows if r["job"] in jobs})
 for i, (job, solver) in enumerate(keys):
     mine = [r for r in rows if (r["job"], r["solver"]) == (job, solver)]
     name = f"{solver}: {job.removeprefix('depth-resolved, ')}" if solver == "exact" else solver
-    line(right, mine, "single_us" if solver != "exact" else "jitted_us", marker="o", color=f"C{i}", label=name)
+    line(
+        right,
+        mine,
+        "single_us" if solver != "exact" else "jitted_us",
+        marker="o",
+        color=f"C{i}",
+        label=name,
+    )
     if solver == "exact":
-        line(right, mine, "batch_us", marker="o", color=f"C{i}", ls=":", label=f"{name}, in a batch")
+        line(
+            right, mine, "batch_us", marker="o", color=f"C{i}", ls=":", label=f"{name}, in a batch"
+        )
 right.set_title("radiative transfer, 81 wavelengths", fontsize=10)
 for axes in (left, right):
-    axes.set(xscale="log", yscale="log", xlabel="largest relative error", ylabel="time per spectrum (µs)")
+    axes.set(
+        xscale="log", yscale="log", xlabel="largest relative error", ylabel="time per spectrum (µs)"
+    )
     axes.legend(fontsize=6)
 figure.tight_layout()
 save(figure, "bench")

@@ -39,7 +39,9 @@ def save(figure, name: str) -> None:
     plt.close(figure)
 
 
-def spectra(name: str, by: str, label, ylabel: str, title: str, figure_name: str, log: bool = False) -> None:
+def spectra(
+    name: str, by: str, label, ylabel: str, title: str, figure_name: str, log: bool = False
+) -> None:
     """Exact curves with their Monte Carlo points and error bars."""
     figure, axes = plt.subplots()
     for i, (key, c) in enumerate(curves(read(name), by).items()):

@@ -2,4 +2,11 @@
 
 from paper_figs.common import spectra
 
-spectra("fig6_levels.csv", "level", str, "reflectance", "LB06 Fig. 6: pigmentation levels (simulated)", "fig6")
+spectra(
+    "fig6_levels.csv",
+    "level",
+    str,
+    "reflectance",
+    "LB06 Fig. 6: pigmentation levels (simulated)",
+    "fig6",
+)

@@ -17,7 +17,14 @@ for axes, incidence in zip(panels, ("0", "60"), strict=True):
         axes.plot(angle, column["exact"], color=f"C{i}", label=f"{level}, ILIT exact")
         axes.errorbar(angle[::3], column["monte_carlo"][::3], 2 * column["standard_error"][::3], fmt="o", ms=2.5,
                       lw=0.8, color=f"C{i}", label=f"{level}, ILIT Monte Carlo")  # fmt: skip
-        axes.plot(angle, column["depth_resolved"], "--", lw=1, color=f"C{i}", label=f"{level}, depth-resolved")
+        axes.plot(
+            angle,
+            column["depth_resolved"],
+            "--",
+            lw=1,
+            color=f"C{i}",
+            label=f"{level}, depth-resolved",
+        )
     axes.plot([-np.radians(float(incidence))] * 2, [0, axes.get_rmax()], color="0.4", lw=1, ls=":")
     axes.set_theta_zero_location("N")
     axes.set_theta_direction(-1)

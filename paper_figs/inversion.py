@@ -8,9 +8,15 @@ from paper_figs.common import read, save
 
 def residuals():
     """One panel a level: what each formula leaves of an ILIT spectrum."""
-    rows = [r for r in read("analytic_residuals.csv") if r["target"] == "ilit-2006" and r["model"] != "ILIT (LB06)"]
+    rows = [
+        r
+        for r in read("analytic_residuals.csv")
+        if r["target"] == "ilit-2006" and r["model"] != "ILIT (LB06)"
+    ]
     levels = list(dict.fromkeys(r["level"] for r in rows))
-    figure, axes = plt.subplots(1, len(levels), figsize=(3.4 * len(levels), 3.2), sharey=True, squeeze=False)
+    figure, axes = plt.subplots(
+        1, len(levels), figsize=(3.4 * len(levels), 3.2), sharey=True, squeeze=False
+    )
     for ax, level in zip(axes[0], levels, strict=True):
         for i, model in enumerate(dict.fromkeys(r["model"] for r in rows)):
             mine = [r for r in rows if r["model"] == model and r["level"] == level]
@@ -22,7 +28,10 @@ def residuals():
         ax.set(xlabel="wavelength (nm)", title=level)
     axes[0, 0].set_ylabel("fit / ILIT − 1 (%)")
     axes[0, -1].legend(fontsize=7)
-    figure.suptitle("Closed formulas fitted to simulated spectra, all parameters free (grey: 2 % noise)", fontsize=9)
+    figure.suptitle(
+        "Closed formulas fitted to simulated spectra, all parameters free (grey: 2 % noise)",
+        fontsize=9,
+    )
     figure.tight_layout()
     save(figure, "analytic")
 

@@ -11,11 +11,16 @@ def panels(name, titles, title, figure_name, rows=()):
     picture = matplotlib.image.imread(RESULTS / f"{name}.png")[..., :3]
     lines, columns = max(len(rows), 1), len(titles)
     height, width = picture.shape[0] // lines, picture.shape[1] // columns
-    figure, axes = plt.subplots(lines, columns, figsize=(2.1 * columns, 2.1 * lines + 0.5), squeeze=False)
+    figure, axes = plt.subplots(
+        lines, columns, figsize=(2.1 * columns, 2.1 * lines + 0.5), squeeze=False
+    )
     for i in range(lines):
         for j in range(columns):
             axis = axes[i, j]
-            axis.imshow(picture[i * height : (i + 1) * height, j * width : (j + 1) * width], interpolation="none")
+            axis.imshow(
+                picture[i * height : (i + 1) * height, j * width : (j + 1) * width],
+                interpolation="none",
+            )
             axis.set(xticks=[], yticks=[], title=titles[j] if i == 0 else "")
             axis.title.set_fontsize(8)
             axis.spines[:].set_visible(False)
@@ -46,9 +51,17 @@ figure, axes = plt.subplots(1, 3, figsize=(9.2, 3.1), layout="constrained")
 extent = 2 * [float(saved["line"][0]), float(saved["line"][-1])]
 for axis, polar, light in zip(axes, saved["polar"], saved["irradiance"].astype(float), strict=True):
     radius = np.hypot(*np.meshgrid(saved["line"], saved["line"]))
-    shown = axis.imshow(np.where(radius <= 5.5, light, np.nan), origin="lower", extent=extent, cmap="cividis", vmin=0)
+    shown = axis.imshow(
+        np.where(radius <= 5.5, light, np.nan),
+        origin="lower",
+        extent=extent,
+        cmap="cividis",
+        vmin=0,
+    )
     kind = "refraction" if polar < 1.4 else "caustic"
-    axis.set(xlabel="x (mm)", title=f"{kind}\nlight from the right, {np.degrees(polar):.0f}° off axis")
+    axis.set(
+        xlabel="x (mm)", title=f"{kind}\nlight from the right, {np.degrees(polar):.0f}° off axis"
+    )
     axis.title.set_fontsize(8)
     axis.grid(False)
     figure.colorbar(shown, ax=axis, shrink=0.8, label="irradiance (facing sheet: 1)")

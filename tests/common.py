@@ -50,7 +50,9 @@ def quick_jit(f, **options):
 
 def layers(abl, absorption, scattering, indices):
     """Layers with the given optical depths; indices are (aqueous, abl, stroma, ipe)."""
-    abl, absorption, scattering = np.broadcast_arrays(*(np.atleast_1d(x) for x in (abl, absorption, scattering)))
+    abl, absorption, scattering = np.broadcast_arrays(
+        *(np.atleast_1d(x) for x in (abl, absorption, scattering))
+    )
     media = ij.RefractiveIndices(*(jnp.asarray(n, float) for n in indices))
     as_float = [jnp.asarray(x, float) for x in (abl, absorption, scattering)]
     return ij.Layers(*as_float, indices=media, order=media.order())
@@ -68,7 +70,10 @@ def _solving(solver, process, where):
 def solve(process, made, cosine=1.0, solver=None, exits=None, azimuth=None):
     """A solver on layers, compiled once for each solver, process, shape and order of media."""
     solver = type(solver or ij.Exact()).prepare(solver or ij.Exact(), lambda: made, process)
-    as_array = [None if x is None or isinstance(x, str) else jnp.asarray(x, float) for x in (cosine, exits, azimuth)]
+    as_array = [
+        None if x is None or isinstance(x, str) else jnp.asarray(x, float)
+        for x in (cosine, exits, azimuth)
+    ]
     return _solving(solver, process, cosine if isinstance(cosine, str) else None)(made, *as_array)
 
 

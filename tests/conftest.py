@@ -21,7 +21,9 @@ from hypothesis import settings
 
 jax.config.update("jax_enable_x64", True)
 
-settings.register_profile("deterministic", derandomize=True, deadline=None, database=None, max_examples=50)
+settings.register_profile(
+    "deterministic", derandomize=True, deadline=None, database=None, max_examples=50
+)
 settings.load_profile("deterministic")
 
 
@@ -34,7 +36,9 @@ def pytest_collection_modifyitems(items):
     """Single precision last, and a file's tests on one worker: what is compiled is compiled once."""
     items.sort(key=_wants_float32)
     for item in items:
-        item.add_marker(pytest.mark.xdist_group(f"{item.path.stem}-{32 if _wants_float32(item) else 64}"))
+        item.add_marker(
+            pytest.mark.xdist_group(f"{item.path.stem}-{32 if _wants_float32(item) else 64}")
+        )
 
 
 @pytest.fixture(autouse=True)

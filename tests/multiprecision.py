@@ -7,7 +7,12 @@ def ilit_rayleigh(abl_absorption, stroma_absorption, stroma_scattering):
     """Reflectance at normal incidence, first surface left out, from the layers' optical depths."""
     with mp.workdps(25):
         f = pi / (4 * sin(pi / 3))
-        n_water, n_a, n_s, n_ipe = mpf("1.336"), mpf("1.42") / 3 + 1, mpf("1.47") * f + mpf("1.5") * (1 - f), mpf("1.5")
+        n_water, n_a, n_s, n_ipe = (
+            mpf("1.336"),
+            mpf("1.42") / 3 + 1,
+            mpf("1.47") * f + mpf("1.5") * (1 - f),
+            mpf("1.5"),
+        )
         a = mpf(abl_absorption)
         tau = mpf(stroma_absorption) + mpf(stroma_scattering)
         albedo = mpf(stroma_scattering) / tau
@@ -19,7 +24,10 @@ def _fresnel(mu, n, m):
     if square <= 0:
         return mpf(1)
     out = sqrt(square)
-    return (((n * mu - m * out) / (n * mu + m * out)) ** 2 + ((m * mu - n * out) / (m * mu + n * out)) ** 2) / 2
+    return (
+        ((n * mu - m * out) / (n * mu + m * out)) ** 2
+        + ((m * mu - n * out) / (m * mu + n * out)) ** 2
+    ) / 2
 
 
 def _reflectance(a, tau, albedo, n_water, n_a, n_s, n_ipe):
@@ -39,7 +47,11 @@ def _reflectance(a, tau, albedo, n_water, n_a, n_s, n_ipe):
                 return integrand(mu) * v / mu
 
             total += quad(
-                in_v, [span * x for x in (0, mpf("0.001"), mpf("0.01"), mpf("0.05"), mpf("0.2"), mpf("0.5"), 1)]
+                in_v,
+                [
+                    span * x
+                    for x in (0, mpf("0.001"), mpf("0.01"), mpf("0.05"), mpf("0.2"), mpf("0.5"), 1)
+                ],
             )
         return total
 
@@ -61,19 +73,30 @@ def _reflectance(a, tau, albedo, n_water, n_a, n_s, n_ipe):
 
     moments = (lambda mu: mpf(1), lambda mu: (3 * mu * mu - 1) / 2)
     strengths = (mpf(1) / 2, mpf(1) / 4)
-    first = [stroma(lambda mu, f1, f2, t, p=p: 2 * mu * (1 - t) * (1 + f2 * t) * p(mu)) for p in moments]
+    first = [
+        stroma(lambda mu, f1, f2, t, p=p: 2 * mu * (1 - t) * (1 + f2 * t) * p(mu)) for p in moments
+    ]
     again = [
         [
-            stroma(lambda mu, f1, f2, t, p=p, q=q: (1 - t) * (f1 * (1 + f2 * t) + f2 * (1 + f1 * t)) * p(mu) * q(mu))
+            stroma(
+                lambda mu, f1, f2, t, p=p, q=q: (
+                    (1 - t) * (f1 * (1 + f2 * t) + f2 * (1 + f1 * t)) * p(mu) * q(mu)
+                )
+            )
             for q in moments
         ]
         for p in moments
     ]
-    system = matrix([[int(i == j) - albedo * again[i][j] * strengths[j] for j in range(2)] for i in range(2)])
+    system = matrix(
+        [[int(i == j) - albedo * again[i][j] * strengths[j] for j in range(2)] for i in range(2)]
+    )
     solved = lu_solve(system, matrix(first))
     source = [albedo * strengths[i] * solved[i] for i in range(2)]
     back = stroma(
-        lambda mu, f1, f2, t: (1 - f1) * (2 * mu * t * t * f2 + (1 + f2 * t) * (source[0] + source[1] * moments[1](mu)))
+        lambda mu, f1, f2, t: (
+            (1 - f1)
+            * (2 * mu * t * t * f2 + (1 + f2 * t) * (source[0] + source[1] * moments[1](mu)))
+        )
     )
     entered = 1 - _fresnel(mpf(1), n_water, n_a)
     return entered * (down_back + down_through * back * up_through / (1 - up_back * back))

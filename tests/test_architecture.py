@@ -21,7 +21,11 @@ _PAPERS = {"LB06": ("", set(range(1, 10))), "F09": ("F09 ", {3, 15, 16, 17})}
 
 def test_floors():
     run = subprocess.run(
-        [sys.executable, "-c", "from importlinter.cli import lint_imports; raise SystemExit(lint_imports())"],
+        [
+            sys.executable,
+            "-c",
+            "from importlinter.cli import lint_imports; raise SystemExit(lint_imports())",
+        ],
         cwd=ROOT,
         capture_output=True,
         text=True,
@@ -30,7 +34,9 @@ def test_floors():
 
 
 def test_files_stay_short():
-    long = {p.name: n for p in SOURCES if (n := len(p.read_text(encoding="utf-8").splitlines())) > 500}
+    long = {
+        p.name: n for p in SOURCES if (n := len(p.read_text(encoding="utf-8").splitlines())) > 500
+    }
     assert not long
 
 
@@ -47,7 +53,11 @@ def _equations(text, paper):
 def test_equation_index_both_ways(paper):
     """Every equation the code names stands in the index with a file that names it, and the other way round."""
     prefix, known = _PAPERS[paper]
-    rows = re.findall(rf"^\| {prefix}Eq\. (\d+) \|[^|]*\| (.*?) \|$", INDEX.read_text(encoding="utf-8"), flags=re.M)
+    rows = re.findall(
+        rf"^\| {prefix}Eq\. (\d+) \|[^|]*\| (.*?) \|$",
+        INDEX.read_text(encoding="utf-8"),
+        flags=re.M,
+    )
     indexed = {int(n): re.findall(r"`([\w/]+\.py)`", files) for n, files in rows}
     named = {}
     for path in SOURCES:
@@ -55,7 +65,9 @@ def test_equation_index_both_ways(paper):
             named.setdefault(n, set()).add(str(path.relative_to(ROOT / "irisjax")))
     assert set(indexed) == set(named) == known
     for n, files in indexed.items():
-        assert set(files) <= named[n], f"the index sends readers of Eq. {n} to files that do not name it"
+        assert set(files) <= named[n], (
+            f"the index sends readers of Eq. {n} to files that do not name it"
+        )
 
 
 def test_what_is_not_asked_for_costs_nothing():
@@ -63,7 +75,11 @@ def test_what_is_not_asked_for_costs_nothing():
     exits = jnp.asarray([0.5, 0.9])
 
     def program(process, cos_exit=None, panels=1, name=None):
-        return operations(lambda x: ij.Exact(8, 4, panels).solve(x, process, 1.0, cos_exit=cos_exit), layers, name=name)
+        return operations(
+            lambda x: ij.Exact(8, 4, panels).solve(x, process, 1.0, cos_exit=cos_exit),
+            layers,
+            name=name,
+        )
 
     plain, deep = program(ij.ILIT_CORRECTED), program(ij.DEPTH_RESOLVED)
     # The two azimuthal orders of Rayleigh's phase function are compiled for a BRDF only.

@@ -61,21 +61,31 @@ def test_spectrum_is_the_librarys(irisjax, tmp_path):
 
 def test_radiance_brdf_and_monte_carlo_columns(irisjax, tmp_path):
     sampled = ("--solver", "monte-carlo", "--photons", "2000")
-    _, out, _ = irisjax("spectrum", "--instrument", "radiance", "--illuminant", "A", *GRID, *sampled)
+    _, out, _ = irisjax(
+        "spectrum", "--instrument", "radiance", "--illuminant", "A", *GRID, *sampled
+    )
     header, columns = table(tmp_path, out)
     assert list(columns) == ["wavelength_nm", "radiance", "standard_error"]
     assert header["illuminant"] == "A"
     status, out, _ = irisjax("brdf", "--angles", "6", "--incidence-deg", "60", *sampled)
     assert status == 0
     header, columns = table(tmp_path, out)
-    assert list(columns) == ["wavelength_nm", "angle_deg", "azimuth_deg", "brdf_per_sr", "standard_error"]
+    assert list(columns) == [
+        "wavelength_nm",
+        "angle_deg",
+        "azimuth_deg",
+        "brdf_per_sr",
+        "standard_error",
+    ]
     np.testing.assert_allclose(columns["angle_deg"], [75, 45, 15, 15, 45, 75])
     np.testing.assert_allclose(columns["azimuth_deg"], [180, 180, 180, 0, 0, 0])
     assert float(header["cos_incidence"]) == pytest.approx(0.5)
 
 
 def test_brdf_over_the_hemisphere(irisjax, tmp_path):
-    status, out, _ = irisjax("brdf", "--plane", "hemisphere", "--angles", "8", "--wavelengths", "450,650")
+    status, out, _ = irisjax(
+        "brdf", "--plane", "hemisphere", "--angles", "8", "--wavelengths", "450,650"
+    )
     assert status == 0
     columns = table(tmp_path, out).columns
     assert columns["brdf_per_sr"].size == 2 * 4 * 8
@@ -198,7 +208,10 @@ def test_colours_out_of_gamut_are_reported(irisjax, monkeypatch, tmp_path):
     ("arguments", "magic"),
     [
         (("spectrum", "--plot", "f.png", *GRID), b"\x89PNG"),
-        (("spectrum", "--plot", "f.pdf", "--solver", "monte-carlo", "--photons", "500", *GRID), b"%PDF"),
+        (
+            ("spectrum", "--plot", "f.pdf", "--solver", "monte-carlo", "--photons", "500", *GRID),
+            b"%PDF",
+        ),
         (("brdf", "--plot", "f.svg", "--angles", "6"), b"<?xml"),
         (("brdf", "--plot", "f.png", "--angles", "6", "--plane", "hemisphere"), b"\x89PNG"),
     ],
@@ -221,7 +234,10 @@ WRONG = [
     (("--abl-fraction", "1.5"), "abl_fraction = 1.5 is outside [0, 1]"),
     (("--melanin-load", "-0.1"), "melanin_load = -0.1"),
     (("--pupil-radius", "7"), "pupil_radius = 7 mm exceeds iris_radius = 5.5 mm"),
-    (("--wavelengths", "300:700:10"), "--wavelengths: 300 nm is outside the pigment tables (350 to 800 nm)"),
+    (
+        ("--wavelengths", "300:700:10"),
+        "--wavelengths: 300 nm is outside the pigment tables (350 to 800 nm)",
+    ),
     (("--wavelengths", "550,nan"), "--wavelengths: nan nm is outside the pigment tables"),
     (("--wavelengths", "700:400:10"), "need start <= stop"),
     (("--wavelengths", "400:700:0"), "step > 0"),
@@ -241,11 +257,17 @@ WRONG = [
     (("--solver", "monte-carlo", "--seed", "luck"), "--seed: 'luck' is not a number"),
     (("--solver", "monte-carlo", "--seed", "-1"), "--seed: -1 is outside 0 to 4294967295"),
     (("--solver", "monte-carlo", "--estimator", "guess"), "--estimator: unknown 'guess'"),
-    (("--solver", "monte-carlo", "--estimator", "quasi", "--process", "depth-resolved"), "use estimator"),
+    (
+        ("--solver", "monte-carlo", "--estimator", "quasi", "--process", "depth-resolved"),
+        "use estimator",
+    ),
     (("--solver", "oracle"), "--solver: unknown 'oracle'; known: exact, monte-carlo"),
     (("--process", "ilit-2007"), "--process: unknown 'ilit-2007'"),
     (("--process", "depth-resolved", "--phase", "lb06"), 'takes phase="rayleigh" only'),
-    (("--process", "depth-resolved", "--rescatter", "retest"), "--rescatter means something only with"),
+    (
+        ("--process", "depth-resolved", "--rescatter", "retest"),
+        "--rescatter means something only with",
+    ),
     (("--illuminant", "D65"), "--illuminant means something only with --instrument radiance"),
     (("--instrument", "radiance", "--illuminant", "moon"), "unknown illuminant 'moon'"),
     (("--instrument", "radiance", "--cos-incidence", "diffuse"), "diffuse"),
@@ -339,12 +361,28 @@ def test_help_and_version(irisjax):
 def python(*arguments, **options):
     environment = {**os.environ, "JAX_PLATFORMS": "cpu"}
     return subprocess.run(
-        [sys.executable, *arguments], capture_output=True, text=True, timeout=120, env=environment, **options
+        [sys.executable, *arguments],
+        capture_output=True,
+        text=True,
+        timeout=120,
+        env=environment,
+        **options,
     )
 
 
 def test_the_real_command(tmp_path):
-    done = python("-m", "irisjax", "spectrum", "--level", "low", "--wavelengths", "450", "-o", "x.csv", cwd=tmp_path)
+    done = python(
+        "-m",
+        "irisjax",
+        "spectrum",
+        "--level",
+        "low",
+        "--wavelengths",
+        "450",
+        "-o",
+        "x.csv",
+        cwd=tmp_path,
+    )
     assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
     value = io.read_table(tmp_path / "x.csv").columns["reflectance"]
     assert value == pytest.approx(0.0405, abs=5e-5)
@@ -404,7 +442,9 @@ cli.main(sys.argv[1:])
 
 def test_import_loads_no_pictures_and_no_colour():
     heavy = ("matplotlib", "colour", "emcee", "arviz", "viser", "typer", "tqdm", "OpenImageIO")
-    code = f"import sys, irisjax; irisjax.reflectance; print([m for m in {heavy} if m in sys.modules])"
+    code = (
+        f"import sys, irisjax; irisjax.reflectance; print([m for m in {heavy} if m in sys.modules])"
+    )
     assert python("-c", code).stdout == "[]\n"
     code = "import sys, irisjax.cli; print([m for m in ('matplotlib', 'colour', 'OpenImageIO') if m in sys.modules])"
     assert python("-c", code).stdout == "[]\n"

@@ -9,9 +9,17 @@ import pytest
 
 ROOT = Path(__file__).parent.parent
 RESULTS = ROOT / "experiments" / "results"
-NAMES = sorted(p.stem for p in (ROOT / "experiments").glob("*.py") if p.stem not in ("__init__", "common"))
+NAMES = sorted(
+    p.stem for p in (ROOT / "experiments").glob("*.py") if p.stem not in ("__init__", "common")
+)
 # A minute of timing each; the others take seconds.
-SLOW = {"bench_accuracy_time", "bench_inversion", "bench_render", "exact_against_montecarlo", "render_figures"}
+SLOW = {
+    "bench_accuracy_time",
+    "bench_inversion",
+    "bench_render",
+    "exact_against_montecarlo",
+    "render_figures",
+}
 
 
 def columns(path):
@@ -19,7 +27,9 @@ def columns(path):
         return next(csv.reader(line for line in f if not line.startswith("#")))
 
 
-@pytest.mark.parametrize("name", [pytest.param(n, marks=pytest.mark.slow) if n in SLOW else n for n in NAMES])
+@pytest.mark.parametrize(
+    "name", [pytest.param(n, marks=pytest.mark.slow) if n in SLOW else n for n in NAMES]
+)
 def test_quick(name, tmp_path, monkeypatch):
     monkeypatch.syspath_prepend(str(ROOT))
     module = importlib.import_module(f"experiments.{name}")
@@ -42,11 +52,15 @@ def test_posteriors_are_as_wide_as_they_should_be(tmp_path, monkeypatch):
     and as many with one parameter a standard deviation off.
     """
     monkeypatch.syspath_prepend(str(ROOT))
-    importlib.import_module("experiments.calibration").main(jax.random.key(0), quick=True, out=tmp_path, eyes=40)
+    importlib.import_module("experiments.calibration").main(
+        jax.random.key(0), quick=True, out=tmp_path, eyes=40
+    )
     with (tmp_path / "calibration_summary.csv").open(encoding="utf-8") as f:
         rows = list(csv.DictReader(line for line in f if not line.startswith("#")))
     assert len(rows) == 7
     found = {
-        f"{row['parameter']} {test}": float(row[test]) for row in rows for test in ("p_chi_square", "p_kolmogorov")
+        f"{row['parameter']} {test}": float(row[test])
+        for row in rows
+        for test in ("p_chi_square", "p_kolmogorov")
     }
     assert {name: p for name, p in found.items() if not p > 0.001} == {}

@@ -32,7 +32,10 @@ def sector():
 @pytest.fixture(scope="module")
 def bare(tmp_path_factory):
     """A bare iris with a dark sector under two lamps: scene, folder, and what `export` said."""
-    iris, maps = ij.Iris.preset("low"), IrisMaps(eumelanin=sector(), freckles=0.02 * jnp.ones((72, 16)))
+    iris, maps = (
+        ij.Iris.preset("low"),
+        IrisMaps(eumelanin=sector(), freckles=0.02 * jnp.ones((72, 16))),
+    )
     scene = ij.Scene(iris, maps, EYE, LAMPS, camera=CAMERA)
     folder = tmp_path_factory.mktemp("bare") / "eye"
     return scene, folder, io.export(folder, scene, spacing=0.3)
@@ -40,7 +43,9 @@ def bare(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def mi():
-    mitsuba = pytest.importorskip("mitsuba", reason="Mitsuba is not installed (pip install mitsuba)")
+    mitsuba = pytest.importorskip(
+        "mitsuba", reason="Mitsuba is not installed (pip install mitsuba)"
+    )
     mitsuba.set_variant("scalar_rgb")  # needs no LLVM
     mitsuba.set_log_level(mitsuba.LogLevel.Error)
     return mitsuba
@@ -63,7 +68,11 @@ def on_the_iris(scene, margin=0.25):
     assert view is not None
     index, point = np.asarray(view.index), np.stack(view.point, -1)
     r = np.hypot(point[:, 0], point[:, 1])
-    inside = (index >= 0) & (r > float(scene.eye.pupil_radius) + margin) & (r < float(scene.eye.iris_radius) - margin)
+    inside = (
+        (index >= 0)
+        & (r > float(scene.eye.pupil_radius) + margin)
+        & (r < float(scene.eye.iris_radius) - margin)
+    )
     return index[inside], point[inside]
 
 
@@ -73,7 +82,9 @@ def matt(scene, folder, point):
     pupil, root = float(scene.eye.pupil_radius), float(scene.eye.iris_radius)
     radius = (np.hypot(point[:, 0], point[:, 1]) - pupil) / (root - pupil)
     albedo = fetch(
-        jnp.moveaxis(jnp.asarray(texture, float), -1, 0), jnp.arctan2(point[:, 1], point[:, 0]), jnp.asarray(radius)
+        jnp.moveaxis(jnp.asarray(texture, float), -1, 0),
+        jnp.arctan2(point[:, 1], point[:, 0]),
+        jnp.asarray(radius),
     )
     irradiance = np.zeros(len(point))
     for i in range(len(scene.lights)):
@@ -96,7 +107,9 @@ def test_mitsuba_renders_the_matt_iris_and_it_is_as_far_off_as_we_say(bare, mi):
     # Against the model itself: the stated largest error of a matt iris, and those 0.3 %.
     off = theirs[index].mean(0) / ours[index].mean(0) - 1
     print("Mitsuba over irisjax:", 1 + off, "stated", made.error.rms, made.error.most)
-    assert (np.abs(off) < np.abs(made.error.most) + 3e-3).all() and (np.abs(off) > 0.3 * made.error.rms).all()
+    assert (np.abs(off) < np.abs(made.error.most) + 3e-3).all() and (
+        np.abs(off) > 0.3 * made.error.rms
+    ).all()
     # The sector stands where it stands in our picture, and nowhere else.
     dark = [picture[index, 2] < 0.5 * np.median(picture[index, 2]) for picture in (ours, theirs)]
     assert 0.05 < dark[0].mean() < 0.2 and (dark[0] == dark[1]).mean() > 0.97
@@ -106,14 +119,24 @@ def test_mitsuba_renders_the_matt_iris_and_it_is_as_far_off_as_we_say(bare, mi):
 def test_relief_tilts_their_shading_as_ours(tmp_path, mi):
     angle, radius = cell_centres((96, 32))
     relief = 0.1 * jnp.cos(9 * angle)[:, None] * jnp.sin(np.pi * radius) ** 2
-    scene = ij.Scene(ij.Iris.preset("low"), IrisMaps(relief=relief), EYE, ij.Lights.distant(0.9, 0.4), camera=CAMERA)
+    scene = ij.Scene(
+        ij.Iris.preset("low"),
+        IrisMaps(relief=relief),
+        EYE,
+        ij.Lights.distant(0.9, 0.4),
+        camera=CAMERA,
+    )
     made = io.export(tmp_path / "eye", scene, spacing=0.2)
-    theirs = np.array(mi.render(mi.load_file(str(tmp_path / "eye" / "scene.xml"), spp=16))).reshape(-1, 3)
+    theirs = np.array(mi.render(mi.load_file(str(tmp_path / "eye" / "scene.xml"), spp=16))).reshape(
+        -1, 3
+    )
     index, _ = on_the_iris(scene)
     ours = np.asarray(scene.render()).reshape(-1, 3)[index]
     theirs = theirs[index] * (ours.mean(0) / theirs[index].mean(0))
     assert ours[:, 1].std() > 0.1 * ours[:, 1].mean()  # there is something to see
-    assert (theirs - ours).std() < 0.15 * ours.std() and np.corrcoef(theirs[:, 1], ours[:, 1])[0, 1] > 0.99
+    assert (theirs - ours).std() < 0.15 * ours.std() and np.corrcoef(theirs[:, 1], ours[:, 1])[
+        0, 1
+    ] > 0.99
     assert set(made.files) >= {"relief.exr", "albedo.exr"}
     found = pixels(tmp_path / "eye" / "relief.exr")
     np.testing.assert_allclose(np.flip(found["Y"], 0).T, relief, atol=1e-7)
@@ -134,7 +157,11 @@ def test_fine_relief_is_as_steep_as_a_mesh_of_it(tmp_path, mi):
     shaded = ours / np.asarray(scene.replace(maps=None).render()).reshape(-1, 3)[index].mean(0)
 
     def theirs(name):
-        return np.array(mi.render(mi.load_file(str(tmp_path / "eye" / name), spp=16))).reshape(-1, 3)[index].mean(0)
+        return (
+            np.array(mi.render(mi.load_file(str(tmp_path / "eye" / name), spp=16)))
+            .reshape(-1, 3)[index]
+            .mean(0)
+        )
 
     flat = matt(scene, tmp_path / "eye", point).mean(0)
     bumped = theirs("scene.xml") / flat
@@ -145,14 +172,27 @@ def test_fine_relief_is_as_steep_as_a_mesh_of_it(tmp_path, mi):
     (tmp_path / "eye" / "fine.ply").write_bytes(encode_ply(mesh))
     text = made.files["scene.xml"].read_text().replace("iris.ply", "fine.ply")
     text = text.replace('name="max_depth" value="10"', 'name="max_depth" value="2"')
-    text = re.sub(r'<bsdf type="bumpmap">.*?</texture>(.*?</bsdf>)\s*</bsdf>', r"\1", text, flags=re.DOTALL)
-    text = text.replace('<boolean name="flip', '<boolean name="face_normals" value="true" />\n<boolean name="flip')
+    text = re.sub(
+        r'<bsdf type="bumpmap">.*?</texture>(.*?</bsdf>)\s*</bsdf>', r"\1", text, flags=re.DOTALL
+    )
+    text = text.replace(
+        '<boolean name="flip', '<boolean name="face_normals" value="true" />\n<boolean name="flip'
+    )
     (tmp_path / "eye" / "fine.xml").write_text(text)
     true = theirs("fine.xml") / flat
     # By hand: the mean cosine to a light nearly straight ahead, over the waves and the ring.
     r = np.hypot(point[:, 0], point[:, 1])[:, None]
     steep = height * lobes / r * np.sin(np.linspace(0, 2 * np.pi, 64, endpoint=False))
-    print("shaded by", shaded, "mesh", true, "bump", bumped, "by hand", (1 / np.sqrt(1 + steep**2)).mean())
+    print(
+        "shaded by",
+        shaded,
+        "mesh",
+        true,
+        "bump",
+        bumped,
+        "by hand",
+        (1 / np.sqrt(1 + steep**2)).mean(),
+    )
     np.testing.assert_allclose(true, (1 / np.sqrt(1 + steep**2)).mean(), rtol=0.01)
     np.testing.assert_allclose(shaded, true, rtol=0.01)
     np.testing.assert_allclose(shaded, bumped, rtol=0.01)
@@ -172,9 +212,13 @@ def test_slopes_of_a_relief():
     for lobes, cycles, most in ((24, 0, 0.08), (12, 0, 0.01), (0, 8, 0.08), (0, 4, 0.01)):
         a, r = cell_centres((96, 32))
         phase = lobes * a[:, None] + 2 * np.pi * cycles * r + 0.7
-        found = np.stack(fetch(slopes_of(0.02 * jnp.cos(phase), eye), jnp.asarray(angle), jnp.asarray(radius)))
+        found = np.stack(
+            fetch(slopes_of(0.02 * jnp.cos(phase), eye), jnp.asarray(angle), jnp.asarray(radius))
+        )
         slope = -0.02 * np.sin(lobes * angle + 2 * np.pi * cycles * radius + 0.7)
-        true = slope * np.stack([0 * angle + 2 * np.pi * cycles / span, lobes / (pupil + span * radius)])
+        true = slope * np.stack(
+            [0 * angle + 2 * np.pi * cycles / span, lobes / (pupil + span * radius)]
+        )
         steep = [np.sqrt((x**2).sum(0).mean()) for x in (found, true)]
         print(lobes, cycles, steep[0] / steep[1])
         np.testing.assert_allclose(steep[0], steep[1], rtol=most)
@@ -186,18 +230,29 @@ def test_albedo_is_the_spectrophotometers(bare):
     iris = scene.iris
     found = pixels(folder / "reflectance.exr")
     assert set(found) == set(io.spectral_channels(WAVELENGTHS, layer="T"))
-    layers = np.stack([np.flip(found[name], 0).T for name in io.spectral_channels(WAVELENGTHS, layer="T")], -1)
+    layers = np.stack(
+        [np.flip(found[name], 0).T for name in io.spectral_channels(WAVELENGTHS, layer="T")], -1
+    )
     colour = np.flip(rgb(folder / "albedo.exr"), 0).swapaxes(0, 1)
     for row, column in ((8, 12), (40, 3)):
         eumelanin = iris.eumelanin * scene.maps.eumelanin[row, column]
         freckle = 1 + (FRECKLE - 1) * 0.02
-        share, kinds = float(iris.abl_fraction), {"eumelanin": eumelanin, "pheomelanin": iris.pheomelanin}
+        share, kinds = (
+            float(iris.abl_fraction),
+            {"eumelanin": eumelanin, "pheomelanin": iris.pheomelanin},
+        )
         more = share * freckle + 1 - share
-        texel = iris.replace(abl_fraction=share * freckle / more, **{k: v * more for k, v in kinds.items()})
+        texel = iris.replace(
+            abl_fraction=share * freckle / more, **{k: v * more for k, v in kinds.items()}
+        )
         expected = ij.reflectance(texel, np.asarray(WAVELENGTHS), first_surface=False).values
-        np.testing.assert_allclose(layers[row, column], expected, rtol=2e-3, atol=1e-3 * layers.max())
+        np.testing.assert_allclose(
+            layers[row, column], expected, rtol=2e-3, atol=1e-3 * layers.max()
+        )
         srgb = ij.colour(texel, first_surface=False).srgb_linear
-        np.testing.assert_allclose(colour[row, column], srgb, rtol=0.01, atol=3e-4)  # ten bands for 81
+        np.testing.assert_allclose(
+            colour[row, column], srgb, rtol=0.01, atol=3e-4
+        )  # ten bands for 81
 
 
 def test_brdf_table_is_the_goniophotometers(bare):
@@ -239,7 +294,9 @@ def test_error_of_a_matt_iris_by_plain_sums(bare):
         values = ij.brdf(iris, grid, cos_incidence=1.0, cos_exit=np.cos(angle)).values
         brdf += weight * np.stack([to_rgb(v) for v in values.T])
     off = flat / brdf - 1
-    np.testing.assert_allclose(made.error.most, off[0], atol=0.01)  # the largest is along the normal
+    np.testing.assert_allclose(
+        made.error.most, off[0], atol=0.01
+    )  # the largest is along the normal
 
 
 def test_files_go_together(bare):
@@ -252,7 +309,9 @@ def test_files_go_together(bare):
         assert (folder / name).exists()
     back = io.read_maps(folder / "maps.exr").present()
     np.testing.assert_allclose(back["eumelanin"], scene.maps.eumelanin)
-    np.testing.assert_allclose(rgb(folder / "albedo.png"), io.read_image(folder / "albedo.png").pixels)
+    np.testing.assert_allclose(
+        rgb(folder / "albedo.png"), io.read_image(folder / "albedo.png").pixels
+    )
     # OBJ and PLY hold one mesh, in a right-handed frame with z towards the viewer.
     flat = trimesh.load(folder / "iris.obj", process=False)
     ply = trimesh.load(folder / "iris.ply", process=False)
@@ -274,8 +333,12 @@ def test_eye_behind_its_cornea(tmp_path, mi):
     camera = ij.Camera(0.1, 0.3, size=(48, 36))
     scene = ij.Scene(iris, None, lights=None, environment=Environment(around), camera=camera)
     made = io.export(tmp_path / "eye", scene, spacing=0.2)
-    assert set(made.files) >= {f"{n}.{k}" for n in ("anterior", "posterior", "iris", "sclera") for k in ("ply", "obj")}
-    theirs = np.array(mi.render(mi.load_file(str(tmp_path / "eye" / "scene.xml"), spp=256))).reshape(-1, 3)
+    assert set(made.files) >= {
+        f"{n}.{k}" for n in ("anterior", "posterior", "iris", "sclera") for k in ("ply", "obj")
+    }
+    theirs = np.array(
+        mi.render(mi.load_file(str(tmp_path / "eye" / "scene.xml"), spp=256))
+    ).reshape(-1, 3)
     ours = np.asarray(scene.render()).reshape(-1, 3)
     assert np.isfinite(theirs).all()
     index, _ = on_the_iris(scene, 0.5)
@@ -297,15 +360,23 @@ def test_lamps_before_a_cornea_keep_their_irradiance(tmp_path):
     text = (tmp_path / "eye" / "scene.xml").read_text()
     radiances = [float(r) for r in re.findall(r'name="radiance" value="([\d.e+-]+),', text)]
     angles = [np.radians(20), 0.4]
-    np.testing.assert_allclose(np.array(radiances) * np.pi * np.sin(angles) ** 2, [2.0, np.pi], rtol=1e-6)
+    np.testing.assert_allclose(
+        np.array(radiances) * np.pi * np.sin(angles) ** 2, [2.0, np.pi], rtol=1e-6
+    )
     scales = [float(s) for s in re.findall(r'scale x="([\d.e+-]+)"', text)]
-    np.testing.assert_allclose(scales, [400 * np.tan(angles[0]), 1e4 * np.tan(angles[1])], rtol=1e-6)
+    np.testing.assert_allclose(
+        scales, [400 * np.tan(angles[0]), 1e4 * np.tan(angles[1])], rtol=1e-6
+    )
 
 
 def test_folder_is_new_or_empty(tmp_path, monkeypatch):
     (tmp_path / "full").mkdir()
     (tmp_path / "full" / "mine.txt").write_text("mine")
-    for name, message in (("full", "not empty"), ("full/mine.txt", "is a file"), ("no/eye", "no such folder")):
+    for name, message in (
+        ("full", "not empty"),
+        ("full/mine.txt", "is a file"),
+        ("no/eye", "no such folder"),
+    ):
         with pytest.raises(OSError, match=message):
             check_folder(tmp_path / name)
 

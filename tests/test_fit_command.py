@@ -39,14 +39,24 @@ def test_one_eye_from_file_to_files(irisjax, spectrum, tmp_path):
     assert "melanin_load" in out
     assert "load" in out.splitlines()[-1] or "known" in out
     names = {p.name for p in folder.iterdir()}
-    assert names == {"chain.h5", "chain.h5.bak", "posterior.nc", "summary.csv", "corner.png", "fit.png"}
+    assert names == {
+        "chain.h5",
+        "chain.h5.bak",
+        "posterior.nc",
+        "summary.csv",
+        "corner.png",
+        "fit.png",
+    }
     with (folder / "summary.csv").open() as file:
         rows = {row["parameter"]: row for row in csv.DictReader(file)}
     columns = "parameter,unit,median,sd,q2.5,q16,q84,q97.5,rhat,ess_bulk,ess_tail,contraction"
     assert list(rows["melanin_load"]) == columns.split(",")
     assert set(rows) == {"melanin_load", "hemoglobin", "abl_melanin", "eumelanin", "pheomelanin"}
     # The truth is in the file's header.
-    truth = dict(p.split(" = ") for p in spectrum.read_text().split("# truth: ")[1].splitlines()[0].split(", "))
+    truth = dict(
+        p.split(" = ")
+        for p in spectrum.read_text().split("# truth: ")[1].splitlines()[0].split(", ")
+    )
     for name in ("melanin_load", "hemoglobin"):
         row = rows[name]
         assert abs(float(row["median"]) - float(truth[name])) < 5 * float(row["sd"])
@@ -78,10 +88,16 @@ def test_two_spots_of_one_eye(irisjax, spectrum, tmp_path):
     """They share the blood; each has its own melanin where it is separate."""
     other, folder = tmp_path / "spot.csv", tmp_path / "out"
     changed = ("--melanin-load", 0.1, "--wavelengths", "420:680:10")
-    assert irisjax("simulate-measurement", "--level", "low", *changed, "--seed", 3, "-o", other)[0] == 0
+    assert (
+        irisjax("simulate-measurement", "--level", "low", *changed, "--seed", 3, "-o", other)[0]
+        == 0
+    )
     both = ("fit", spectrum, other, "--separate", "melanin_load", *QUICK)
     status, out, err = irisjax(*both, "-o", folder, "--max-steps", 60)
-    assert (status, err) == (3, "")  # too short a chain to be called converged; long enough to be near
+    assert (status, err) == (
+        3,
+        "",
+    )  # too short a chain to be called converged; long enough to be near
     assert out.startswith("eye.csv, spot.csv: posterior of one eye")
     with (folder / "summary.csv").open() as file:
         rows = {row["parameter"]: row for row in csv.DictReader(file)}
@@ -124,7 +140,9 @@ def test_batch(irisjax, spectrum, tmp_path):
     assert status == 0
     listed = list(csv.DictReader(out.splitlines()))
     assert [row["eye"] for row in listed] == ["a", "b"]
-    assert float(listed[0]["melanin_load"]) == pytest.approx(float(rows["e0"]["melanin_load"]), rel=1e-4)
+    assert float(listed[0]["melanin_load"]) == pytest.approx(
+        float(rows["e0"]["melanin_load"]), rel=1e-4
+    )
 
 
 def _columns(path):
@@ -137,7 +155,9 @@ def _columns(path):
 def test_simulated_measurements_say_so_and_repeat(irisjax, tmp_path):
     one = irisjax("simulate-measurement", "--level", "high", "--scans", 3, "--seed", 5)
     assert one == irisjax("simulate-measurement", "--level", "high", "--scans", 3, "--seed", 5)
-    assert one[1] != irisjax("simulate-measurement", "--level", "high", "--scans", 3, "--seed", 6)[1]
+    assert (
+        one[1] != irisjax("simulate-measurement", "--level", "high", "--scans", 3, "--seed", 6)[1]
+    )
     assert "not a measurement" in one[1]
     assert "scan_3" in one[1]
     path = tmp_path / "s.csv"
@@ -181,6 +201,8 @@ def test_help_names_every_parameter_and_its_prior(irisjax, monkeypatch):
     status, out, _ = irisjax("fit", "--help")
     assert status == 0
     for name, parameter in PARAMETERS.items():
-        (line,) = (line for line in out.splitlines() if line.startswith((f" * {name}", f" · {name}")))
+        (line,) = (
+            line for line in out.splitlines() if line.startswith((f" * {name}", f" · {name}"))
+        )
         assert repr(parameter.prior) in line
         assert ("*" in line) == (name in DEFAULT_FREE)

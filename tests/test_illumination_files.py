@@ -55,7 +55,9 @@ def test_true_tables_come_back_to_the_bit(tmp_path, monkeypatch, bits):
 
     monkeypatch.setattr(illumination.Illumination, "build", forbidden)
     # Another pupil, camera and iris: the same file.
-    scene = scene.replace(eye=scene.eye.replace(pupil_radius=2.5), camera=Camera(size=(4, 3)), iris=Iris())
+    scene = scene.replace(
+        eye=scene.eye.replace(pupil_radius=2.5), camera=Camera(size=(4, 3)), iris=Iris()
+    )
     equal(tables_of(scene, tmp_path), first)
     assert list(tmp_path.iterdir()) == [file]
 
@@ -93,7 +95,9 @@ def test_what_matters_makes_another_key(name):
 def test_every_field_of_the_eye_is_in_the_key_or_said_not_to_matter():
     said = {"sclera", "pupil_radius"}
     assert {f.name for f in dataclasses.fields(Eye)} - said - {"cornea"} <= OTHERS.keys()
-    assert {f"cornea.{f.name}" for f in dataclasses.fields(Cornea)} - {"cornea.scatter"} <= OTHERS.keys()
+    assert {f"cornea.{f.name}" for f in dataclasses.fields(Cornea)} - {
+        "cornea.scatter"
+    } <= OTHERS.keys()
 
 
 def test_precision_format_and_code_are_in_the_key(monkeypatch):
@@ -140,7 +144,11 @@ def test_damaged_files_are_made_again_and_said(tmp_path, made, capsys, damage):
     file.write_bytes(damage(file.read_bytes()))
     again = tables_of(SCENE, tmp_path)
     err = capsys.readouterr().err
-    assert err.startswith(f"irisjax: {file}: not usable (") and err.endswith("made again\n") and err.count("\n") == 1
+    assert (
+        err.startswith(f"irisjax: {file}: not usable (")
+        and err.endswith("made again\n")
+        and err.count("\n") == 1
+    )
     assert len(made) == 2
     equal(tables_of(SCENE, tmp_path), again)
     assert len(made) == 2 and capsys.readouterr().err == ""

@@ -152,7 +152,9 @@ def test_nothing_is_half_written(tmp_path, monkeypatch):
         io.write_exr(tmp_path / "nowhere" / "p.exr", noise(2, 2, 3))
     path = tmp_path / "p.png"
     path.write_bytes(b"before")
-    monkeypatch.setattr("os.replace", lambda *_: (_ for _ in ()).throw(OSError(28, "no space left on device")))
+    monkeypatch.setattr(
+        "os.replace", lambda *_: (_ for _ in ()).throw(OSError(28, "no space left on device"))
+    )
     with pytest.raises(OSError, match="no space left"):
         io.write_png(path, np.zeros((2, 2, 3)))
     assert path.read_bytes() == b"before" and list(tmp_path.iterdir()) == [path]
@@ -163,7 +165,11 @@ def test_bands_make_the_same_file(tmp_path, height):
     values = np.random.default_rng(0).uniform(-0.1, 1.1, (40, 7, 3))
     bands = [values[i : i + height] for i in range(0, 40, height)]
     clipped = io.write_png(tmp_path / "a.png", values, bits=16, remark="both")
-    assert io.write_png(tmp_path / "b.png", iter(bands), bits=16, remark="both", rows=40) == clipped > 0
+    assert (
+        io.write_png(tmp_path / "b.png", iter(bands), bits=16, remark="both", rows=40)
+        == clipped
+        > 0
+    )
     io.write_exr(tmp_path / "a.exr", values)
     io.write_exr(tmp_path / "b.exr", iter(bands), rows=40)
     for suffix in ("png", "exr"):
@@ -216,5 +222,7 @@ def test_environment_from_files(tmp_path):
     with pytest.raises(ValueError, match="needs the channels R, G, B, found Y"):
         io.read_environment(tmp_path / "grey.exr")
     io.write_exr(tmp_path / "dark.exr", radiance - 10)
-    with pytest.raises(ValueError, match=r"dark\.exr: radiance is negative or not finite in 32 texels"):
+    with pytest.raises(
+        ValueError, match=r"dark\.exr: radiance is negative or not finite in 32 texels"
+    ):
         io.read_environment(tmp_path / "dark.exr")

@@ -11,7 +11,9 @@ from irisjax import io
 def test_table_round_trip(tmp_path):
     path = tmp_path / "spectrum.csv"
     columns = {"wavelength_nm": np.array([400.0, 410.5]), "reflectance": np.array([1 / 3, 2e-13])}
-    text = io.format_table({"eumelanin": "0.1201 [mg/ml]", "illuminant": "ISO 7589 Photoflood"}, columns)
+    text = io.format_table(
+        {"eumelanin": "0.1201 [mg/ml]", "illuminant": "ISO 7589 Photoflood"}, columns
+    )
     io.write_atomically(path, text.encode())
     table = io.read_table(path)
     assert table.header == {"eumelanin": "0.1201", "illuminant": "ISO 7589 Photoflood"}

@@ -16,7 +16,9 @@ def drawn(*names):
     return {name: random.random(SHAPE, np.float32) for name in names}
 
 
-@pytest.mark.parametrize("names", [NAMES, ("eumelanin",), ("freckles", "relief"), NAMES[:3], NAMES[:4]])
+@pytest.mark.parametrize(
+    "names", [NAMES, ("eumelanin",), ("freckles", "relief"), NAMES[:3], NAMES[:4]]
+)
 def test_round_trip_to_the_last_bit(tmp_path, bits, names):
     maps = drawn(*names)
     io.write_maps(tmp_path / "maps.exr", IrisMaps(**maps))
@@ -69,7 +71,11 @@ def complaint(capsys, monkeypatch, tmp_path):
             io.write_exr("m.exr", np.stack(list(channels.values()), -1), tuple(channels))
         status = cli.run(["render", "scene.toml", "--size", "4x3"])
         out, err = capsys.readouterr()
-        assert (status, out) == (2, "") and err.count("\n") == 1 and not (tmp_path / "eye.png").exists()
+        assert (
+            (status, out) == (2, "")
+            and err.count("\n") == 1
+            and not (tmp_path / "eye.png").exists()
+        )
         return err
 
     yield run

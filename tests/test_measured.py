@@ -122,7 +122,9 @@ def test_jcamp(tmp_path, unit, x, y, scale):
 
 def test_jcamp_without_units_is_refused(tmp_path):
     with pytest.raises(ValueError, match="XUNITS"):
-        io.read_measured(written(tmp_path, JCAMP.format(unit="ARBITRARY", x=X, y="R", v=Y), "s.jdx"))
+        io.read_measured(
+            written(tmp_path, JCAMP.format(unit="ARBITRARY", x=X, y="R", v=Y), "s.jdx")
+        )
 
 
 def test_posterior_file_opens_in_arviz(tmp_path):
@@ -149,7 +151,10 @@ def test_predictive_score_is_the_mean_log_density(tmp_path):
     density = fixed + 1e-3 * rng.normal(size=(4, 500, 200))
     path = tmp_path / "p.nc"
     io.write_posterior(
-        path, {"posterior": {"x": rng.normal(size=(4, 500))}, "log_likelihood": {"data": density}}, {}, {}
+        path,
+        {"posterior": {"x": rng.normal(size=(4, 500))}, "log_likelihood": {"data": density}},
+        {},
+        {},
     )
     score, error = io.predictive_score(path)
     assert score == pytest.approx(fixed.sum(), abs=1e-2)

@@ -26,4 +26,6 @@ def test_notebook(path, monkeypatch):
     # Kept outputs: a reader sees them without running anything.
     assert all(c.outputs for c in book.cells[2:] if c.cell_type == "code")
     assert path.stat().st_size < 400_000
-    nbclient.NotebookClient(book, timeout=300, resources={"metadata": {"path": str(path.parent)}}).execute()
+    nbclient.NotebookClient(
+        book, timeout=300, resources={"metadata": {"path": str(path.parent)}}
+    ).execute()

@@ -42,7 +42,10 @@ def test_blood_w_comes_from_blood():
             name: np.asarray(ij.reflectance(x, GRID, first_surface=False).values)
             for name, x in (("with", iris), ("without", bloodless))
         }
-        bend = {name: at(v, 560) - (at(v, 542) * 17 + at(v, 577) * 18) / 35 for name, v in values.items()}
+        bend = {
+            name: at(v, 560) - (at(v, 542) * 17 + at(v, 577) * 18) / 35
+            for name, v in values.items()
+        }
         assert bend["with"] > 0.0002
         assert bend["without"] < bend["with"] / 3
 
@@ -60,7 +63,9 @@ def test_range_between_levels():
 @pytest.mark.parametrize("process", [ij.ILIT_2006, ij.ILIT_CORRECTED, ij.DEPTH_RESOLVED])
 @pytest.mark.parametrize("fraction", [0.2, 0.5, 0.8])
 def test_more_melanin_is_darker(process, fraction):
-    low, moderate, high = (spectrum(level, fraction, process) for level in ("low", "moderate", "high"))
+    low, moderate, high = (
+        spectrum(level, fraction, process) for level in ("low", "moderate", "high")
+    )
     assert (low > moderate).all()
     assert (moderate > high).all()
 

@@ -79,13 +79,25 @@ def test_file_becomes_the_scene_it_says():
     text = text.replace("[camera]", "[camera]\npolar_deg = 45\ndistance = 300")
     file = parse_scene(text)
     scene = file.scene()
-    assert file.exposure == 2 and scene.maps is None and scene.veins is None and scene.eye.sclera is None
-    assert (float(scene.iris.eumelanin), float(scene.iris.pheomelanin)) == pytest.approx((0.05, 0.0194))
+    assert (
+        file.exposure == 2
+        and scene.maps is None
+        and scene.veins is None
+        and scene.eye.sclera is None
+    )
+    assert (float(scene.iris.eumelanin), float(scene.iris.pheomelanin)) == pytest.approx(
+        (0.05, 0.0194)
+    )
     assert (float(scene.eye.pupil_radius), float(scene.eye.iris_slope)) == (1.5, 0.1)
-    assert (float(scene.camera.polar), float(scene.camera.distance)) == pytest.approx((math.pi / 4, 300))
+    assert (float(scene.camera.polar), float(scene.camera.distance)) == pytest.approx(
+        (math.pi / 4, 300)
+    )
     assert scene.camera.size == (8, 6)
     away = np.linalg.norm([10, 20, 40])
-    expected = [[0.5 * np.cos(np.pi / 18), 0.5 * np.sin(np.pi / 18), -np.sqrt(0.75)], np.array([10, 20, -40]) / away]
+    expected = [
+        [0.5 * np.cos(np.pi / 18), 0.5 * np.sin(np.pi / 18), -np.sqrt(0.75)],
+        np.array([10, 20, -40]) / away,
+    ]
     np.testing.assert_allclose(scene.lights.towards, expected, atol=1e-7)
     np.testing.assert_allclose(scene.lights.irradiance, [np.pi, 1.5])
     np.testing.assert_allclose(scene.lights.distance, [np.inf, away])
@@ -121,7 +133,9 @@ def test_the_file_that_explains_everything_names_every_entry():
 def test_seeds_grow_other_maps():
     def relief(seed):
         return np.asarray(
-            parse_scene(f'[iris]\npreset = "blue"\n[maps]\nseed = {seed}\n[eye]\nsclera = false').scene().maps.relief
+            parse_scene(f'[iris]\npreset = "blue"\n[maps]\nseed = {seed}\n[eye]\nsclera = false')
+            .scene()
+            .maps.relief
         )
 
     first = relief(1)
@@ -187,9 +201,15 @@ OPTIONS = [
     (("scene.toml", "--light", "30,nan"), "--light '30,nan': write POLAR,AZIMUTH"),
     (("scene.toml", "--light", "30,0,-1"), "irradiance -1 is negative"),
     (("scene.toml", "--pupil", "12"), "--pupil: 12 is outside 0.5 to 9.5; it is a diameter"),
-    (("scene.toml", "--pupil", "0,5"), "--pupil: '0,5' is not a number; it is a diameter from 0.5 to 9.5 mm"),
+    (
+        ("scene.toml", "--pupil", "0,5"),
+        "--pupil: '0,5' is not a number; it is a diameter from 0.5 to 9.5 mm",
+    ),
     (("scene.toml", "--camera", "30"), "--camera '30': write POLAR,AZIMUTH"),
-    (("scene.toml", "--camera", "30,0,200"), "--camera '30,0,200': camera width = 200 is outside [0.1, 100] mm"),
+    (
+        ("scene.toml", "--camera", "30,0,200"),
+        "--camera '30,0,200': camera width = 200 is outside [0.1, 100] mm",
+    ),
     (("scene.toml", "--frames", "3"), "--frames 3 is for --animate"),
     (("scene.toml", "--exposure", "nan"), "--exposure nan must be above 0"),
     (("scene.toml", "--exposure", "-1"), "--exposure -1 must be above 0"),
@@ -238,7 +258,9 @@ def test_options_go_before_the_file(irisjax, tmp_path):
 def test_camera_of_the_options(irisjax, tmp_path):
     """From the picture's right by 60 degrees a flat round iris is half as wide as high, but for perspective."""
     (tmp_path / "scene.toml").write_text(BARE)
-    assert irisjax("render", "scene.toml", "--camera", "60,0,12", "--size", "48x48", "-o", "a.exr") == (0, "", "")
+    assert irisjax(
+        "render", "scene.toml", "--camera", "60,0,12", "--size", "48x48", "-o", "a.exr"
+    ) == (0, "", "")
     seen = io.read_image(tmp_path / "a.exr").pixels.sum(-1) > 0
     width, height = (np.ptp(np.flatnonzero(seen.any(axis))) + 1 for axis in (0, 1))
     assert abs(width - 48 * 11 / 12 / 2) <= 1.5 and abs(height - 48 * 11 / 12) <= 1.5
@@ -248,11 +270,14 @@ def test_coloured_lamps():
     """A red lamp, a blue one and both: the picture of a plain one, channel by channel."""
     text = BARE[: BARE.index("[[light]]")]
     plain, red, blue = (
-        parse_scene(f"{text}[[light]]\n{colour}").scene() for colour in ("", "colour = [1, 0, 0]", "colour = [0, 0, 2]")
+        parse_scene(f"{text}[[light]]\n{colour}").scene()
+        for colour in ("", "colour = [1, 0, 0]", "colour = [0, 0, 2]")
     )
     picture = np.asarray(render(plain))
     np.testing.assert_allclose(render(red), picture * [1, 0, 0], atol=1e-12)
-    np.testing.assert_allclose(render(red.replace(lights=red.lights + blue.lights)), picture * [1, 0, 2], atol=1e-12)
+    np.testing.assert_allclose(
+        render(red.replace(lights=red.lights + blue.lights)), picture * [1, 0, 2], atol=1e-12
+    )
 
 
 def test_samples_average_and_clipping_is_said(irisjax, tmp_path):
@@ -268,10 +293,15 @@ def test_samples_average_and_clipping_is_said(irisjax, tmp_path):
 
 def test_environment_from_a_file(irisjax, tmp_path):
     io.write_exr(tmp_path / "room.exr", np.asarray(Environment.studio(16).radiance))
-    text = BARE[: BARE.index("[[light]]")] + '[environment]\nfile = "room.exr"\nlights = 5\nstrength = 2'
+    text = (
+        BARE[: BARE.index("[[light]]")]
+        + '[environment]\nfile = "room.exr"\nlights = 5\nstrength = 2'
+    )
     scene = parse_scene(text, folder=tmp_path).scene()
     assert scene.lights is None and len(scene.all_lights()) == 5
-    np.testing.assert_allclose(scene.environment.radiance, 2 * Environment.studio(16).radiance, rtol=1e-5)
+    np.testing.assert_allclose(
+        scene.environment.radiance, 2 * Environment.studio(16).radiance, rtol=1e-5
+    )
 
 
 def test_nothing_half_written(irisjax, tmp_path, monkeypatch):
@@ -310,19 +340,36 @@ def test_spectral_layers_add_up_to_the_picture(irisjax, tmp_path):
     expected = expected.pixels[..., [expected.channels.index(c) for c in "RGB"]]
     np.testing.assert_allclose(rgb, expected, atol=0.01 * expected.max())
     one_line(irisjax("render", path, "--spectral", "400:700:10", "-o", "x.png"), "must end in .exr")
-    one_line(irisjax("render", "--preset", "blue", "--spectral", "400:700:10", "-o", "x.exr"), "not spectra")
+    one_line(
+        irisjax("render", "--preset", "blue", "--spectral", "400:700:10", "-o", "x.exr"),
+        "not spectra",
+    )
 
 
 def test_a_lamp_goes_round_a_preset(irisjax):
     """A preset has no lamp, only a studio."""
     assert (
-        irisjax("render", "--preset", "green", "--animate", "light", "--size", "8x6", "--frames", 2, "-o", "a.gif")[0]
+        irisjax(
+            "render",
+            "--preset",
+            "green",
+            "--animate",
+            "light",
+            "--size",
+            "8x6",
+            "--frames",
+            2,
+            "-o",
+            "a.gif",
+        )[0]
         == 0
     )
 
 
 def test_pigment_reaches_brown_from_any_eye():
-    scene = parse_scene('[iris]\npreset = "blue"\n[maps]\nuniform = true\n[eye]\ncornea = "none"').scene()
+    scene = parse_scene(
+        '[iris]\npreset = "blue"\n[maps]\nuniform = true\n[eye]\ncornea = "none"'
+    ).scene()
     light, dark = frames(scene.replace(camera=Camera(size=(8, 6))), "pigment", 2)
     assert dark.max(axis=(0, 1))[2] < 0.3 * light.max(axis=(0, 1))[2]
 
@@ -343,7 +390,9 @@ def test_animations_return_to_their_first_frame(irisjax, tmp_path):
     )
     assert (status, out) == (0, "") and "out of sRGB's range are clipped" in err
     assert sorted(p.name for p in tmp_path.glob("f_*")) == [f"f_{i}.png" for i in range(4)]
-    assert irisjax("render", path, "--animate", "pigment", *options, "--size", "9x7", "-o", "a.mp4")[:2] == (0, "")
+    assert irisjax(
+        "render", path, "--animate", "pigment", *options, "--size", "9x7", "-o", "a.mp4"
+    )[:2] == (0, "")
     with av.open("a.mp4") as movie:
         assert [(f.width, f.height) for f in movie.decode(video=0)] == [(9, 7)] * 4
     assert irisjax("render", path, "--animate", "pupil", *options, "-o", "sheet.png")[:2] == (0, "")
@@ -353,4 +402,7 @@ def test_animations_return_to_their_first_frame(irisjax, tmp_path):
     np.testing.assert_array_equal(half, again)  # on the way out and on the way back
     assert narrow.sum() > half.sum() > wide.sum()  # a wide pupil leaves less iris
     one_line(irisjax("render", path, "--animate", "iris", "-o", "a.gif"), "unknown 'iris'")
-    one_line(irisjax("render", path, "--animate", "light", "-o", "f_%x.png"), "f_%x.png: the name of numbered frames")
+    one_line(
+        irisjax("render", path, "--animate", "light", "-o", "f_%x.png"),
+        "f_%x.png: the name of numbered frames",
+    )

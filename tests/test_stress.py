@@ -12,7 +12,9 @@ from common import GRID, PROCESSES, layers, quick_jit, stack
 from irisjax.tissue.iris import LIMITS
 
 DEPTHS = np.array([0.0, 1e-12, 1e-6, 1e-3, 0.1, 1.0, 10.0, 1e3, 1e6])
-ABL, ABSORPTION, SCATTERING = (x.ravel() for x in np.meshgrid(DEPTHS, DEPTHS, DEPTHS, indexing="ij"))
+ABL, ABSORPTION, SCATTERING = (
+    x.ravel() for x in np.meshgrid(DEPTHS, DEPTHS, DEPTHS, indexing="ij")
+)
 MEDIA = {
     "iris": (1.336, 1.4733333, 1.4727930, 1.5),
     "all-equal": (1.4, 1.4, 1.4, 1.4),
@@ -52,7 +54,11 @@ def run_grid(process, solver, bits):
 
     def one(indices, cosine):
         made = ij.Layers(
-            anything.abl_absorption, anything.stroma_absorption, anything.stroma_scattering, indices, anything.order
+            anything.abl_absorption,
+            anything.stroma_absorption,
+            anything.stroma_scattering,
+            indices,
+            anything.order,
         )
         return solver.solve(made, process, cosine)
 
@@ -80,7 +86,11 @@ SHALLOW = np.flatnonzero(ABSORPTION + SCATTERING <= 2)
 def test_depth_resolved_shallow(media, bits):
     made = layers(ABL[SHALLOW], ABSORPTION[SHALLOW], SCATTERING[SHALLOW], MEDIA[media])
     made = ij.Layers(
-        made.abl_absorption, made.stroma_absorption, made.stroma_scattering, made.indices, type(made.order)()
+        made.abl_absorption,
+        made.stroma_absorption,
+        made.stroma_scattering,
+        made.indices,
+        type(made.order)(),
     )
     for cosine in COSINES:
         solution = shallow(made, jnp.asarray(cosine, float))
@@ -105,7 +115,9 @@ def test_depth_resolved_at_every_depth(media, bits):
     held = np.flatnonzero(holds(ABSORPTION, SCATTERING, bits))
     made = layers(ABL[held], ABSORPTION[held], SCATTERING[held], MEDIA[media])
     solver = ij.Exact().prepare(lambda: made, ij.DEPTH_RESOLVED)
-    solution = quick_jit(lambda x: solver.solve(x, ij.DEPTH_RESOLVED, jnp.asarray(1.0, float)))(made)
+    solution = quick_jit(lambda x: solver.solve(x, ij.DEPTH_RESOLVED, jnp.asarray(1.0, float)))(
+        made
+    )
     check(solution, bits)
     assert bool(solution.result == ij.RESULTS.successful)
 
@@ -118,13 +130,18 @@ def test_depth_resolved_deep(bits):
     assert held.sum() > 15
     solver = ij.Exact(n_panels=22)
     run = quick_jit(lambda x: solver.solve(x, ij.DEPTH_RESOLVED, jnp.asarray(1.0, float)))
-    good = run(layers(0.0, np.where(held, absorption, 1.0), np.where(held, scattering, 1.0), MEDIA["iris"]))
+    good = run(
+        layers(0.0, np.where(held, absorption, 1.0), np.where(held, scattering, 1.0), MEDIA["iris"])
+    )
     check(good, bits)
     assert bool(good.result == ij.RESULTS.successful)
     if bits == 32:
         everything = run(layers(0.0, absorption, scattering, MEDIA["iris"]))
         assert bool(everything.result == ij.RESULTS.ill_conditioned)
-        assert all(np.isfinite(x).all() for x in jax.tree.leaves((everything.reflectance, everything.absorbed)))
+        assert all(
+            np.isfinite(x).all()
+            for x in jax.tree.leaves((everything.reflectance, everything.absorbed))
+        )
         np.testing.assert_allclose(everything.energy, 1, rtol=0, atol=1e-6)
 
 
@@ -165,7 +182,12 @@ EDGES = {
     "melanin-1e6": {"eumelanin": 1e6},
     "blood-1e6": {"oxyhemoglobin": 1e6},
     "all-1e6": {"eumelanin": 1e6, "pheomelanin": 1e6, "lutein": 1e6},
-    "equal-indices": {"aqueous_index": 1.4, "abl_index": 1.4, "stroma_index": 1.4, "ipe_index": 1.4},
+    "equal-indices": {
+        "aqueous_index": 1.4,
+        "abl_index": 1.4,
+        "stroma_index": 1.4,
+        "ipe_index": 1.4,
+    },
     "abl-is-stroma": {"abl_index": 1.4727, "stroma_index": 1.4727},
     "guided-stroma": {"stroma_index": 1.6, "abl_index": 1.4},
     "total-at-ipe": {"ipe_index": 1.3},
@@ -193,20 +215,33 @@ def some_slow(fast):
 def reflectance_of(vector, process, solver, cosine=1.0):
     """Everything traced: the iris is built inside the program."""
     iris = ij.Iris(**dict(zip(LIMITS, vector, strict=True)))
-    return ij.reflectance(iris, GRID[::6], process=process, solver=solver, cos_incidence=cosine, raise_on_failure=False)
+    return ij.reflectance(
+        iris,
+        GRID[::6],
+        process=process,
+        solver=solver,
+        cos_incidence=cosine,
+        raise_on_failure=False,
+    )
 
 
-@pytest.mark.parametrize("name", some_slow(("lb06", "rayleigh-retest", "rayleigh-redrawn", "depth-resolved")))
+@pytest.mark.parametrize(
+    "name", some_slow(("lb06", "rayleigh-retest", "rayleigh-redrawn", "depth-resolved"))
+)
 def test_edge_irides(name, bits):
     vectors = jnp.asarray(np.stack([as_vector(e) for e in EDGES]), jnp.result_type(float))
     # The printed phase function builds its operator for every iris whose indices are traced: keep it small.
     solver = ij.Exact(n_angles=12) if name.startswith("lb06") else ij.Exact()
-    run = quick_jit(jax.vmap(lambda v, c: reflectance_of(v, PROCESSES[name], solver, c), in_axes=(0, None)))
+    run = quick_jit(
+        jax.vmap(lambda v, c: reflectance_of(v, PROCESSES[name], solver, c), in_axes=(0, None))
+    )
     for cosine in COSINES:
         r = run(vectors, jnp.asarray(cosine, float))
         values = np.asarray(r.values)
         assert np.isfinite(values).all()
-        total = sum(np.asarray(x).astype(np.float64) for x in jax.tree.leaves((r.values, r.absorbed)))
+        total = sum(
+            np.asarray(x).astype(np.float64) for x in jax.tree.leaves((r.values, r.absorbed))
+        )
         np.testing.assert_allclose(total, 1, rtol=0, atol=TINY[bits])
         fine = np.asarray(r.status == ij.RESULTS.successful)
         for i, e in enumerate(EDGES):
@@ -218,7 +253,11 @@ def test_edge_irides(name, bits):
 
 
 def test_edge_irides_tabulated(tabulated):
-    same = [e for e in EDGES if not {"abl_index", "stroma_index", "ipe_index", "collagen_index"} & set(EDGES[e])]
+    same = [
+        e
+        for e in EDGES
+        if not {"abl_index", "stroma_index", "ipe_index", "collagen_index"} & set(EDGES[e])
+    ]
     irides = stack([ij.Iris.preset("low").replace(**EDGES[e]) for e in same])
 
     def run(solver):
@@ -246,9 +285,19 @@ def test_number_of_wavelengths(n):
 
 
 # Gradients. Steps are chosen by field; where a field stands at an edge the difference is one-sided.
-SCALE = {"eumelanin": 0.1, "pheomelanin": 0.1, "abl_fraction": 0.1, "lutein": 0.1, "zeaxanthin": 0.1}
+SCALE = {
+    "eumelanin": 0.1,
+    "pheomelanin": 0.1,
+    "abl_fraction": 0.1,
+    "lutein": 0.1,
+    "zeaxanthin": 0.1,
+}
 NEAR_ZERO = ("abl_thickness", "stroma_thickness")
-INDEX_FIELDS = (*tuple(n for n in LIMITS if n.endswith("_index")), "fibroblast_fraction", "collagen_fraction")
+INDEX_FIELDS = (
+    *tuple(n for n in LIMITS if n.endswith("_index")),
+    "fibroblast_fraction",
+    "collagen_fraction",
+)
 # Loads of a million: the derivative is far below the rounding of the value; only finiteness is asked there.
 ONLY_FINITE = ("melanin-1e6", "blood-1e6", "all-1e6", "no-intensification")
 # Where two indices agree, reflectance has a kink in them (a critical angle appears on one side only).
@@ -306,8 +355,14 @@ def test_gradients(name, traced_order):
     vectors = np.stack([as_vector(e) for e in edges])
 
     def values(v):
-        iris = ij.Iris(**dict(zip(LIMITS, v, strict=True))) if traced_order else jax.tree.unflatten(TREE, list(v))
-        return ij.reflectance(iris, GRID[::6], process=process, solver=solver, raise_on_failure=False).values
+        iris = (
+            ij.Iris(**dict(zip(LIMITS, v, strict=True)))
+            if traced_order
+            else jax.tree.unflatten(TREE, list(v))
+        )
+        return ij.reflectance(
+            iris, GRID[::6], process=process, solver=solver, raise_on_failure=False
+        ).values
 
     forward = np.asarray(quick_jit(jax.vmap(jax.jacfwd(values)))(jnp.asarray(vectors)))
     reverse = np.asarray(quick_jit(jax.vmap(jax.jacrev(values)))(jnp.asarray(vectors)))
@@ -337,7 +392,10 @@ def test_gradients(name, traced_order):
             # Rounding of the values over the step is all that is forgiven beside 1e-5.
             noise = 2e-15 * np.abs(weights).sum()
             if not np.allclose(
-                f, r, rtol=1e-9, atol=1e-9 if field in KINKED.get(e, ()) else 1e-13 * max(1.0, np.abs(f).max())
+                f,
+                r,
+                rtol=1e-9,
+                atol=1e-9 if field in KINKED.get(e, ()) else 1e-13 * max(1.0, np.abs(f).max()),
             ):
                 problems.append(f"{e} {field}: forward {f} reverse {r}")
             if e in ONLY_FINITE or e in NO_SLOPE or field in KINKED.get(e, ()):
@@ -356,7 +414,9 @@ def test_gradients_in_single_precision_are_finite(name, float32):
         if name == "rayleigh":
             return reflectance_of(v, PROCESSES[name], ij.Exact()).values
         iris = jax.tree.unflatten(TREE, list(v))
-        return ij.reflectance(iris, GRID[::6], process=PROCESSES[name], raise_on_failure=False).values
+        return ij.reflectance(
+            iris, GRID[::6], process=PROCESSES[name], raise_on_failure=False
+        ).values
 
     g = quick_jit(jax.vmap(jax.jacfwd(values)))(vectors)
     bad = [
@@ -369,7 +429,11 @@ def test_gradients_in_single_precision_are_finite(name, float32):
 
 
 def test_tabulated_gradients_at_edges(tabulated):
-    names = [e for e in EDGES if not {"abl_index", "stroma_index", "ipe_index", "collagen_index"} & set(EDGES[e])]
+    names = [
+        e
+        for e in EDGES
+        if not {"abl_index", "stroma_index", "ipe_index", "collagen_index"} & set(EDGES[e])
+    ]
     fields = (
         "eumelanin",
         "pheomelanin",
@@ -383,7 +447,9 @@ def test_tabulated_gradients_at_edges(tabulated):
 
     def slopes(solver):
         def f(v):
-            return ij.reflectance(BASE.replace(**dict(zip(fields, v, strict=True))), GRID[::6], solver=solver).values
+            return ij.reflectance(
+                BASE.replace(**dict(zip(fields, v, strict=True))), GRID[::6], solver=solver
+            ).values
 
         return np.asarray(quick_jit(jax.vmap(jax.jacfwd(f)))(vectors))
 

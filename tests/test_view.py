@@ -142,7 +142,12 @@ def test_starts_as_the_scene_is():
     text = '[iris]\neumelanin = 0.4\n[maps]\nuniform = true\n[eye]\ncornea = "none"\npupil_radius = 1.4\n'
     text += "[camera]\npolar_deg = 20\nazimuth_deg = 30\n[[light]]\npolar_deg = 40\nazimuth_deg = 100\nirradiance = 2\n"
     found = Studio(parse_scene(text).scene()).settings
-    assert (found.pupil, found.camera_polar, found.camera_azimuth, found.environment) == (2.8, 20, 30, "none")
+    assert (found.pupil, found.camera_polar, found.camera_azimuth, found.environment) == (
+        2.8,
+        20,
+        30,
+        "none",
+    )
     assert (found.light_polar, found.light_azimuth) == pytest.approx((40, 100), abs=1e-3)
     assert (found.irradiance, found.eumelanin) == pytest.approx((2, 0.4))
 
@@ -256,9 +261,7 @@ def browser():
 def address(tmp_path):
     """Of a viewer in a process of its own, which Ctrl-C must end."""
     (tmp_path / "eye.toml").write_text(SCENE)
-    code = (
-        "import signal; signal.signal(signal.SIGINT, signal.default_int_handler); from irisjax.cli import main; main()"
-    )
+    code = "import signal; signal.signal(signal.SIGINT, signal.default_int_handler); from irisjax.cli import main; main()"
     command = [sys.executable, "-c", code, "view", str(tmp_path / "eye.toml"), "--port", "0"]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     try:
@@ -275,7 +278,9 @@ def address(tmp_path):
 def test_presets_in_another_chamber(bare):
     """Of F09's single surface: the iris is in what fills the eye."""
     eye = bare.eye.replace(cornea=Cornea.f09(), aqueous_index=1.376)
-    found = Studio(bare.replace(eye=eye, iris=bare.iris.replace(aqueous_index=1.376)), lambda _: None)
+    found = Studio(
+        bare.replace(eye=eye, iris=bare.iris.replace(aqueous_index=1.376)), lambda _: None
+    )
     made = found._set(dataclasses.replace(found.settings, preset="blue"), (8, 6))
     assert float(made.iris.aqueous_index) == pytest.approx(1.376)
 
@@ -291,20 +296,28 @@ def test_a_slow_browser_is_put_where_the_scene_looks_from(bare):
             self.follow = follow
             return follow
 
-    client = SimpleNamespace(camera=Reported(), scene=SimpleNamespace(set_background_image=lambda *_, **__: None))
+    client = SimpleNamespace(
+        camera=Reported(), scene=SimpleNamespace(set_background_image=lambda *_, **__: None)
+    )
     with contextlib.redirect_stdout(io.StringIO()):
         served = viser.ViserServer(port=0, verbose=False)
     try:
         page = server._Page(served, Studio(bare))
         page._connected(client)
         place = client.camera.position.copy()
-        for reported, kept in ((place, place), (np.full(3, 3.0), place), (place + np.array([0.5, 0.0, 0.0]), None)):
+        for reported, kept in (
+            (place, place),
+            (np.full(3, 3.0), place),
+            (place + np.array([0.5, 0.0, 0.0]), None),
+        ):
             client.camera.position = reported
             client.camera.follow(client.camera)
             if kept is not None:
                 np.testing.assert_allclose(client.camera.position, kept)
         # Only the last was the user's.
-        assert page.worker._waiting["camera_polar"] == pytest.approx(np.degrees(np.arctan2(0.5, place[2])), abs=0.01)
+        assert page.worker._waiting["camera_polar"] == pytest.approx(
+            np.degrees(np.arctan2(0.5, place[2])), abs=0.01
+        )
         assert page.worker._waiting["camera_azimuth"] == 0.0
     finally:
         with contextlib.redirect_stdout(io.StringIO()):
@@ -315,7 +328,9 @@ def test_page(browser, address):
     """A slider moves, the picture changes, nothing complains."""
     page = browser.new_page(viewport={"width": 1200, "height": 500})
     errors = []
-    page.on("console", lambda message: errors.append(message.text) if message.type == "error" else None)
+    page.on(
+        "console", lambda message: errors.append(message.text) if message.type == "error" else None
+    )
     page.on("pageerror", lambda error: errors.append(str(error)))
     page.goto(address)
     page.get_by_text("picture 80 × 60").wait_for(timeout=60_000)
@@ -324,7 +339,10 @@ def test_page(browser, address):
         import imageio.v3
 
         box = page.locator("canvas").first.bounding_box()
-        x, y = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2 + box["width"] / 4  # below the pupil
+        x, y = (
+            box["x"] + box["width"] / 2,
+            box["y"] + box["height"] / 2 + box["width"] / 4,
+        )  # below the pupil
         middle = {"x": x - 20, "y": y - 10, "width": 40, "height": 20}
         return imageio.v3.imread(page.screenshot(clip=middle), extension=".png")[..., :3].mean()
 

@@ -42,7 +42,9 @@ def run(arguments: list[str] | None = None) -> int:
     on standard error. With IRISJAX_DEBUG=1 exceptions pass.
     """
     try:
-        jax.config.update("jax_enable_x64", True)  # the one place where the package chooses a precision
+        jax.config.update(
+            "jax_enable_x64", True
+        )  # the one place where the package chooses a precision
         cache.keep_compiled()
         arguments = (sys.argv[1:] if arguments is None else arguments) or ["--help"]
         status = get_command(app).main(arguments, prog_name="irisjax", standalone_mode=False)
@@ -52,7 +54,9 @@ def run(arguments: list[str] | None = None) -> int:
         return status if isinstance(status, int) else 0
     except (KeyboardInterrupt, typer.Abort):
         return _complain("interrupted", 130)
-    except BrokenPipeError:  # `irisjax spectrum | head` is no fault, nor may the flush at exit complain
+    except (
+        BrokenPipeError
+    ):  # `irisjax spectrum | head` is no fault, nor may the flush at exit complain
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
     except Exception as error:
@@ -62,12 +66,16 @@ def run(arguments: list[str] | None = None) -> int:
         if (format_message := getattr(error, "format_message", None)) is not None:
             return _complain(format_message(), 2)
         if isinstance(error, OSError) and error.strerror:
-            return _complain(f"{error.filename}: {error.strerror}" if error.filename else error.strerror, 2)
+            return _complain(
+                f"{error.filename}: {error.strerror}" if error.filename else error.strerror, 2
+            )
         if isinstance(error, ValueError):
             return _complain(str(error), 2)
         if isinstance(error, MemoryError):
             return _complain("not enough memory for so many wavelengths, directions or photons", 2)
-        return _complain(f"internal error: {type(error).__name__}: {error} (IRISJAX_DEBUG=1 tells more)", 1)
+        return _complain(
+            f"internal error: {type(error).__name__}: {error} (IRISJAX_DEBUG=1 tells more)", 1
+        )
 
 
 def _complain(message: str, status: int) -> int:
@@ -81,7 +89,9 @@ def _command(function: Callable[[dict[str, Any]], None]) -> None:
     parameters = [setting.parameter() for setting in COMMANDS[name]]
 
     def command(**given):
-        function(settled(name, {option: value for option, value in given.items() if value is not None}))
+        function(
+            settled(name, {option: value for option, value in given.items() if value is not None})
+        )
 
     command.__doc__ = function.__doc__
     # typer reads a command's options from its signature and annotations.
@@ -91,7 +101,9 @@ def _command(function: Callable[[dict[str, Any]], None]) -> None:
 
 
 @app.callback(invoke_without_command=True)
-def _irisjax(version: bool = typer.Option(False, "--version", help="Print the version and leave.")) -> None:
+def _irisjax(
+    version: bool = typer.Option(False, "--version", help="Print the version and leave."),
+) -> None:
     """Predictive spectra, BRDF and colour of the human iris from its pigments.
 
     Its spectra and colours are simulated. Files carry every setting in their header; `--from FILE.csv` runs one again.
@@ -116,7 +128,12 @@ def spectrum(values: dict[str, Any]) -> None:
     if result.standard_error is not None:
         columns["standard_error"] = result.standard_error
     lines = head("spectrum", result.quantity, values, iris, options) | notes
-    _write(values, lines, columns, lambda: plot.spectra_figure({"": result}, _title(values, result.quantity)))
+    _write(
+        values,
+        lines,
+        columns,
+        lambda: plot.spectra_figure({"": result}, _title(values, result.quantity)),
+    )
 
 
 @_command
@@ -125,7 +142,9 @@ def brdf(values: dict[str, Any]) -> None:
     _check_files(values, "output", "plot")
     iris, grid, options = problem(values)
     angle, azimuth = directions(values["plane"], values["angles"])
-    result = measured(ij.brdf, iris, grid, options | {"cos_exit": np.cos(angle), "azimuth": azimuth})
+    result = measured(
+        ij.brdf, iris, grid, options | {"cos_exit": np.cos(angle), "azimuth": azimuth}
+    )
     rows = np.broadcast_to(grid[:, None], result.values.shape)
     columns = {
         "wavelength_nm": rows.ravel(),
@@ -136,7 +155,9 @@ def brdf(values: dict[str, Any]) -> None:
     if result.standard_error is not None:
         columns["standard_error"] = result.standard_error.ravel()
     lines = head("brdf", "BRDF", values, iris, options)
-    lines["directions"] = "angle from the normal; azimuth 0 is the mirror direction's side, 180 the light's"
+    lines["directions"] = (
+        "angle from the normal; azimuth 0 is the mirror direction's side, 180 the light's"
+    )
     _write(values, lines, columns, lambda: plot.brdf_figure(result, _title(values, "BRDF")))
 
 
@@ -153,7 +174,10 @@ def colour(values: dict[str, Any]) -> None:
     srgb8 = (red, green, blue)
     clipped = "" if result.in_gamut else "outside sRGB's gamut: the 8-bit values are clipped"
 
-    lines = [f"# {key}: {value}" for key, value in head("colour", "colour", values, iris, options).items()]
+    lines = [
+        f"# {key}: {value}"
+        for key, value in head("colour", "colour", values, iris, options).items()
+    ]
     lines += [
         _row("XYZ", result.xyz, ".6f", "(white has Y = 1)"),
         _row("L*a*b*", result.lab, ".4f"),

@@ -24,12 +24,17 @@ DARK = 3.0
 
 
 def frames(
-    scene: Scene, change: str, count: int, tables_of: Callable[[Scene], Illumination | None] = Scene.tables
+    scene: Scene,
+    change: str,
+    count: int,
+    tables_of: Callable[[Scene], Illumination | None] = Scene.tables,
 ) -> Iterator[np.ndarray]:
     """Linear sRGB pictures of one round: there and back again, the last leads to the first."""
     swing = np.cos(2 * np.pi * np.arange(count) / count)  # 1 to −1 and back
     if change == "light":
-        scene = scene.replace(lights=Lights.distant(TURN, 0.0, illuminant=scene.illuminant), environment=None)
+        scene = scene.replace(
+            lights=Lights.distant(TURN, 0.0, illuminant=scene.illuminant), environment=None
+        )
     # Neither tables nor view depend on what changes: the lamp stays below grazing.
     tables, view = tables_of(scene), look(scene.eye, scene.camera)
     stage, memory = prepare(scene, tables, view) if change == "pigment" else None, Memory()
@@ -38,15 +43,21 @@ def frames(
     for s in swing:
         if stage is not None:
             iris, factor = scene.iris, (darkest * FACTOR) ** ((1 - s) / 2) / FACTOR
-            iris = iris.replace(eumelanin=iris.eumelanin * factor, pheomelanin=iris.pheomelanin * factor)
+            iris = iris.replace(
+                eumelanin=iris.eumelanin * factor, pheomelanin=iris.pheomelanin * factor
+            )
             yield np.asarray(stage(iris))
         elif change == "light":
-            lamp = Lights.distant(TURN * abs(s), 0.0 if s >= 0 else math.pi, illuminant=scene.illuminant)
+            lamp = Lights.distant(
+                TURN * abs(s), 0.0 if s >= 0 else math.pi, illuminant=scene.illuminant
+            )
             yield np.asarray(render(scene.replace(lights=lamp), tables, memory))
         else:
             radius = (NARROW + WIDE) / 2 - (WIDE - NARROW) / 2 * s
             eye = dataclasses.replace(scene.eye, pupil_radius=radius)
-            yield np.asarray(prepare(scene.replace(eye=eye), tables, view, memory=memory)(scene.iris))
+            yield np.asarray(
+                prepare(scene.replace(eye=eye), tables, view, memory=memory)(scene.iris)
+            )
 
 
 def sheet(pictures: list[np.ndarray]) -> np.ndarray:
@@ -55,4 +66,6 @@ def sheet(pictures: list[np.ndarray]) -> np.ndarray:
     rows = math.ceil(len(pictures) / columns)
     blank = np.zeros_like(pictures[0])
     padded = pictures + [blank] * (rows * columns - len(pictures))
-    return np.concatenate([np.concatenate(padded[i * columns : (i + 1) * columns], axis=1) for i in range(rows)])
+    return np.concatenate(
+        [np.concatenate(padded[i * columns : (i + 1) * columns], axis=1) for i in range(rows)]
+    )

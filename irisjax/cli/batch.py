@@ -30,7 +30,14 @@ class Eye(NamedTuple):
 
 
 def many(
-    source: Path, output: Path | None, seen, options, sampler, posteriors: bool, resume: bool, overwrite: bool
+    source: Path,
+    output: Path | None,
+    seen,
+    options,
+    sampler,
+    posteriors: bool,
+    resume: bool,
+    overwrite: bool,
 ) -> int:
     """Fit all eyes of a folder or table into `output`/fits.csv; returns the exit status."""
     from tqdm import tqdm
@@ -50,13 +57,23 @@ def many(
             done = _rows(target, "converged" if posteriors else "ok")
     columns: list[str] = []
     rows: dict[str, list[str]] = dict(done)
-    with tqdm(desc="compiling", total=len(eyes), initial=len(done), unit="eye", disable=not sys.stderr.isatty()) as bar:
+    with tqdm(
+        desc="compiling",
+        total=len(eyes),
+        initial=len(done),
+        unit="eye",
+        disable=not sys.stderr.isatty(),
+    ) as bar:
         for chunk in _chunks([e for e in eyes if e.name not in done]):
             named, found = _fitted(chunk, seen, options)
             columns = named or columns
             for eye, row in zip(chunk, found, strict=True):
                 if posteriors and eye.measured is not None:
-                    row[1] = _sampled(eye, output, seen, options, sampler, resume) if row[1] == "ok" else row[1]
+                    row[1] = (
+                        _sampled(eye, output, seen, options, sampler, resume)
+                        if row[1] == "ok"
+                        else row[1]
+                    )
                 rows[eye.name] = row
             if target is not None:  # each chunk whole: a killed run loses the one it was in
                 io.write_atomically(target, _table(columns, rows, eyes).encode())
@@ -68,13 +85,20 @@ def many(
         columns = next(csv.reader(target.read_text(encoding="utf-8").splitlines()))[2:]
     failed = [e.name for e in eyes if rows[e.name][1] not in ("ok", "converged")]
     if failed:
-        print(f"irisjax: {len(failed)} of {len(eyes)} eyes failed: {', '.join(failed[:8])}", file=sys.stderr)
+        print(
+            f"irisjax: {len(failed)} of {len(eyes)} eyes failed: {', '.join(failed[:8])}",
+            file=sys.stderr,
+        )
     return 3 if failed else 0
 
 
 def _eyes(source: Path) -> Iterator[Eye]:
     if source.is_dir():
-        for path in sorted(p for p in source.iterdir() if p.suffix.lower() in (".csv", ".tsv", ".txt", ".dx", ".jdx")):
+        for path in sorted(
+            p
+            for p in source.iterdir()
+            if p.suffix.lower() in (".csv", ".tsv", ".txt", ".dx", ".jdx")
+        ):
             try:
                 yield Eye(path.stem, io.read_measured(path), "")
             except ValueError as error:
@@ -87,7 +111,11 @@ def _eyes(source: Path) -> Iterator[Eye]:
         if np.isfinite(values).all():
             yield Eye(name, io.Measured(grid, values, None, (), {}), "")
         else:
-            yield Eye(name, None, f"the value at {grid[~np.isfinite(values)][0]:g} nm is not a finite number")
+            yield Eye(
+                name,
+                None,
+                f"the value at {grid[~np.isfinite(values)][0]:g} nm is not a finite number",
+            )
 
 
 def _chunks(eyes: list[Eye]) -> Iterator[list[Eye]]:
@@ -95,14 +123,18 @@ def _chunks(eyes: list[Eye]) -> Iterator[list[Eye]]:
     groups: dict[Any, list[Eye]] = {}
     for eye in eyes:
         m = eye.measured
-        groups.setdefault(None if m is None else (m.wavelengths.tobytes(), m.sd is None), []).append(eye)
+        groups.setdefault(
+            None if m is None else (m.wavelengths.tobytes(), m.sd is None), []
+        ).append(eye)
     size = _CHUNK * jax.device_count()
     for group in groups.values():
         for first in range(0, len(group), size):
             yield group[first : first + size]
 
 
-def _fitted(chunk: list[Eye], seen: Mapping[str, Any], options) -> tuple[list[str], list[list[str]]]:
+def _fitted(
+    chunk: list[Eye], seen: Mapping[str, Any], options
+) -> tuple[list[str], list[list[str]]]:
     """Columns and rows of a chunk."""
     if chunk[0].measured is None:
         return [], [[e.name, f"failed: {e.fault}"] for e in chunk]
@@ -112,13 +144,19 @@ def _fitted(chunk: list[Eye], seen: Mapping[str, Any], options) -> tuple[list[st
     except ValueError as error:
         return [], [[e.name, f"failed: {error}"] for e in chunk]
     devices = jax.device_count()
-    count = -(-len(chunk) // devices) * devices if len(chunk) < _CHUNK * devices else _CHUNK * devices
+    count = (
+        -(-len(chunk) // devices) * devices if len(chunk) < _CHUNK * devices else _CHUNK * devices
+    )
     padded = [*chunk, *[chunk[-1]] * (count - len(chunk))]
     dtype = jnp.result_type(float)
-    values = jnp.asarray(np.stack([np.asarray(e.measured.values) for e in padded if e.measured is not None]), dtype)
+    values = jnp.asarray(
+        np.stack([np.asarray(e.measured.values) for e in padded if e.measured is not None]), dtype
+    )
     sds = None
     if first.sd is not None:
-        sds = jnp.asarray(np.stack([np.asarray(e.measured.sd) for e in padded if e.measured is not None]), dtype)
+        sds = jnp.asarray(
+            np.stack([np.asarray(e.measured.sd) for e in padded if e.measured is not None]), dtype
+        )
     if devices > 1:
         mesh = jax.make_mesh((devices,), ("eyes",))
         place = jax.sharding.NamedSharding(mesh, jax.sharding.PartitionSpec("eyes"))
@@ -132,7 +170,13 @@ def _fitted(chunk: list[Eye], seen: Mapping[str, Any], options) -> tuple[list[st
         ok = bool(np.asarray(found.ok)[i])
         numbers = [float(np.asarray(x)[i]) for n in names for x in (found.values[n], found.sd[n])]
         row = [eye.name, "ok" if ok else "failed: the search did not converge"]
-        rows.append([*row, *(f"{x:.6g}" for x in (*numbers, float(found.chi_square[i]))), str(found.degrees)])
+        rows.append(
+            [
+                *row,
+                *(f"{x:.6g}" for x in (*numbers, float(found.chi_square[i]))),
+                str(found.degrees),
+            ]
+        )
     return columns, rows
 
 
@@ -158,7 +202,13 @@ def _sampled(eye: Eye, output: Path | None, seen, options, sampler, resume: bool
     problem = ij.problem(ij.spectrum(eye.measured, name=eye.name, **seen), **options)
     try:
         good = report.one(
-            problem, folder, sampler, report.progress_bar(True), resume=chain.exists(), files=True, quiet=True
+            problem,
+            folder,
+            sampler,
+            report.progress_bar(True),
+            resume=chain.exists(),
+            files=True,
+            quiet=True,
         )
     except ValueError as error:
         return f"failed: {error}"

@@ -14,12 +14,18 @@ from irisjax.tissue.procedural import PRESETS
 
 
 def export(
-    scene: Annotated[Path | None, typer.Argument(help="scene file (TOML)", show_default=False)] = None,
+    scene: Annotated[
+        Path | None, typer.Argument(help="scene file (TOML)", show_default=False)
+    ] = None,
     preset: Annotated[str | None, typer.Option(help=", ".join(PRESETS))] = None,
     seed: Annotated[int, typer.Option(min=0, max=2**32 - 1, help="of a preset's maps")] = 0,
     pupil: Annotated[str | None, typer.Option(metavar="MM", help="diameter, 0.5 to 9.5")] = None,
-    spacing: Annotated[float, typer.Option(metavar="MM", help="size of the triangles, 0.02 to 2")] = 0.1,
-    output: Annotated[Path, typer.Option("-o", "--output", help="a new or empty folder")] = Path("eye"),
+    spacing: Annotated[
+        float, typer.Option(metavar="MM", help="size of the triangles, 0.02 to 2")
+    ] = 0.1,
+    output: Annotated[Path, typer.Option("-o", "--output", help="a new or empty folder")] = Path(
+        "eye"
+    ),
 ) -> None:
     """An eye for other renderers: meshes, textures in the iris's uv, a BRDF table, and a scene for Mitsuba 3.
 
@@ -35,4 +41,7 @@ def export(
         f"{output}: {len(made.files)} files; a matt iris is off by {off} (R, G, B) within {CONE:g}° of its normal"
     )
     if made.clipped:
-        print(f"irisjax: {output}: {made.clipped} texels out of sRGB's range are clipped", file=sys.stderr)
+        print(
+            f"irisjax: {output}: {made.clipped} texels out of sRGB's range are clipped",
+            file=sys.stderr,
+        )

@@ -60,23 +60,41 @@ def fit(
     ] = None,
     posteriors: Annotated[
         bool,
-        typer.Option("--posteriors", help="with --batch: sample every eye, not only fit it", rich_help_panel=_FILES),
+        typer.Option(
+            "--posteriors",
+            help="with --batch: sample every eye, not only fit it",
+            rich_help_panel=_FILES,
+        ),
     ] = False,
     resume: Annotated[
-        bool, typer.Option("--resume", help="go on where a run into the same FOLDER stopped", rich_help_panel=_FILES)
+        bool,
+        typer.Option(
+            "--resume",
+            help="go on where a run into the same FOLDER stopped",
+            rich_help_panel=_FILES,
+        ),
     ] = False,
     overwrite: Annotated[
-        bool, typer.Option("--overwrite", help="begin anew in a FOLDER that has results", rich_help_panel=_FILES)
+        bool,
+        typer.Option(
+            "--overwrite", help="begin anew in a FOLDER that has results", rich_help_panel=_FILES
+        ),
     ] = False,
     free: Annotated[
         str | None,
         typer.Option(
-            metavar="NAMES", help="parameters to find, by commas; default those marked * below", rich_help_panel=_MODEL
+            metavar="NAMES",
+            help="parameters to find, by commas; default those marked * below",
+            rich_help_panel=_MODEL,
         ),
     ] = None,
     fix: Annotated[
         list[str] | None,
-        typer.Option(metavar="NAME=VALUE", help="a parameter that is known; repeatable", rich_help_panel=_MODEL),
+        typer.Option(
+            metavar="NAME=VALUE",
+            help="a parameter that is known; repeatable",
+            rich_help_panel=_MODEL,
+        ),
     ] = None,
     prior: Annotated[
         list[str] | None,
@@ -96,7 +114,11 @@ def fit(
     ] = None,
     process: Annotated[
         str,
-        typer.Option(metavar="NAME", help=f"rules of light transport: {', '.join(PROCESSES)}", rich_help_panel=_MODEL),
+        typer.Option(
+            metavar="NAME",
+            help=f"rules of light transport: {', '.join(PROCESSES)}",
+            rich_help_panel=_MODEL,
+        ),
     ] = "ilit-2006",
     relative_noise: Annotated[
         str,
@@ -109,12 +131,18 @@ def fit(
     absolute_noise: Annotated[
         str,
         typer.Option(
-            metavar="REFLECTANCE", help="noise beside it that does not depend on the reflectance", rich_help_panel=_WHAT
+            metavar="REFLECTANCE",
+            help="noise beside it that does not depend on the reflectance",
+            rich_help_panel=_WHAT,
         ),
     ] = "2e-4",
     outliers: Annotated[
         bool,
-        typer.Option("--outliers", help="heavy-tailed noise: single wild values do no harm", rich_help_panel=_WHAT),
+        typer.Option(
+            "--outliers",
+            help="heavy-tailed noise: single wild values do no harm",
+            rich_help_panel=_WHAT,
+        ),
     ] = False,
     discrepancy: Annotated[
         str | None,
@@ -127,27 +155,48 @@ def fit(
     quantity: Annotated[
         str,
         typer.Option(
-            metavar="NAME", help="reflectance, or radiance (the illuminant is 1 at 560 nm)", rich_help_panel=_WHAT
+            metavar="NAME",
+            help="reflectance, or radiance (the illuminant is 1 at 560 nm)",
+            rich_help_panel=_WHAT,
         ),
     ] = "reflectance",
     illuminant: Annotated[
-        str, typer.Option(metavar="NAME", help="of a radiance, by its name in colour-science", rich_help_panel=_WHAT)
+        str,
+        typer.Option(
+            metavar="NAME",
+            help="of a radiance, by its name in colour-science",
+            rich_help_panel=_WHAT,
+        ),
     ] = "D65",
     cos_incidence: Annotated[
         str,
         typer.Option(
-            metavar="COSINE", help="of the light's angle from the normal, 0 to 1; or diffuse", rich_help_panel=_WHAT
+            metavar="COSINE",
+            help="of the light's angle from the normal, 0 to 1; or diffuse",
+            rich_help_panel=_WHAT,
         ),
     ] = "1.0",
     first_surface: Annotated[
-        bool, typer.Option(help="the iris's own mirror reflection is in the data", rich_help_panel=_WHAT)
+        bool,
+        typer.Option(help="the iris's own mirror reflection is in the data", rich_help_panel=_WHAT),
     ] = True,
-    walkers: Annotated[int, typer.Option(min=4, max=4096, help="chains side by side", rich_help_panel=_SAMPLER)] = 64,
+    walkers: Annotated[
+        int, typer.Option(min=4, max=4096, help="chains side by side", rich_help_panel=_SAMPLER)
+    ] = 64,
     max_steps: Annotated[
-        int, typer.Option(min=1, max=10_000_000, help="stop there if not long enough before", rich_help_panel=_SAMPLER)
+        int,
+        typer.Option(
+            min=1,
+            max=10_000_000,
+            help="stop there if not long enough before",
+            rich_help_panel=_SAMPLER,
+        ),
     ] = 20_000,
     seed: Annotated[
-        int, typer.Option(min=0, max=2**32 - 1, help="equal seeds give equal results", rich_help_panel=_SAMPLER)
+        int,
+        typer.Option(
+            min=0, max=2**32 - 1, help="equal seeds give equal results", rich_help_panel=_SAMPLER
+        ),
     ] = 0,
 ) -> None:
     """Find the pigments of an iris from its measured spectrum: medians and intervals, and what the data cannot tell.
@@ -166,7 +215,9 @@ def fit(
     from irisjax.infer.priors import prior_of
 
     if bool(spectra) == (batch is not None):
-        raise ValueError("give the SPECTRUM of an eye, or --batch with a folder or a CSV of many eyes")
+        raise ValueError(
+            "give the SPECTRUM of an eye, or --batch with a folder or a CSV of many eyes"
+        )
     if separate is not None and len(spectra or ()) < 2:
         raise ValueError("--separate needs two or more spectra of one eye")
     rough, length = _discrepancy(discrepancy)
@@ -181,7 +232,9 @@ def fit(
     named: dict[str, Any] = {"priors": {}, "fixed": {}}
     for text in fix or ():
         name, value = _pair("--fix", text)
-        named["fixed"][name] = _value(f"--fix {name}", value, PARAMETERS[name].low, PARAMETERS[name].high)
+        named["fixed"][name] = _value(
+            f"--fix {name}", value, PARAMETERS[name].low, PARAMETERS[name].high
+        )
     for text in prior or ():
         name, value = _pair("--prior", text)
         named["priors"][name] = prior_of(value, PARAMETERS[name].low, PARAMETERS[name].high)
@@ -212,7 +265,9 @@ def fit(
     with tempfile.TemporaryDirectory() as scratch, report.progress_bar() as bar:
         problem = ij.problem(observations, **options)
         folder = _folder(output, resume, overwrite) if output is not None else Path(scratch)
-        converged = report.one(problem, folder, sampler, bar, resume=resume, files=output is not None)
+        converged = report.one(
+            problem, folder, sampler, bar, resume=resume, files=output is not None
+        )
     raise typer.Exit(0 if converged else _NOT_CONVERGED)
 
 
@@ -224,7 +279,9 @@ def _folder(folder: Path, resume: bool, overwrite: bool) -> Path:
     chain = folder / "chain.h5"
     if chain.exists() and not resume:
         if not overwrite:
-            raise ValueError(f"{folder}: has results; --resume goes on with them, --overwrite begins anew")
+            raise ValueError(
+                f"{folder}: has results; --resume goes on with them, --overwrite begins anew"
+            )
         chain.unlink()
         (folder / "chain.h5.bak").unlink(missing_ok=True)
     return folder
@@ -260,5 +317,9 @@ def _discrepancy(text: str | None) -> tuple[float | None, float | None]:
         return None, None
     size, colon, length = text.partition(":")
     if not colon:
-        raise ValueError(f"--discrepancy {text!r}: write its size and its length in nm, such as 0.02:80")
-    return _value("--discrepancy size", size, 1e-6, 10), _value("--discrepancy length", length, 1e-3, 1e4)
+        raise ValueError(
+            f"--discrepancy {text!r}: write its size and its length in nm, such as 0.02:80"
+        )
+    return _value("--discrepancy size", size, 1e-6, 10), _value(
+        "--discrepancy length", length, 1e-3, 1e4
+    )

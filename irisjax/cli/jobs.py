@@ -18,7 +18,9 @@ from irisjax.transport.montecarlo import Counts, MonteCarlo
 from irisjax.transport.process import PROCESSES
 from irisjax.transport.solver import AbstractSolver
 
-_BLOCK = 1 << 22  # photons of all wavelengths together between two looks at the progress bar and at Ctrl-C
+_BLOCK = (
+    1 << 22
+)  # photons of all wavelengths together between two looks at the progress bar and at Ctrl-C
 
 
 def problem(values: Mapping[str, Any]) -> tuple[ij.Iris, np.ndarray, dict[str, Any]]:
@@ -40,7 +42,11 @@ def problem(values: Mapping[str, Any]) -> tuple[ij.Iris, np.ndarray, dict[str, A
 
 def process_of(values: Mapping[str, Any]) -> ij.Process:
     """The process that the settings name."""
-    changed = {name: values[name] for name in ("phase", "rescatter", "scattering") if values[name] is not None}
+    changed = {
+        name: values[name]
+        for name in ("phase", "rescatter", "scattering")
+        if values[name] is not None
+    }
     if values["perturb_on_reflection"]:
         changed["perturb_on_reflection"] = True
     if values.get("cornea", "auto") != "auto":
@@ -54,7 +60,10 @@ def simulated_measurement(values: Mapping[str, Any]):
     iris, process = ij.Iris.preset(values["level"]).replace(**fields), process_of(values)
     grid = values["wavelengths"].values
     observation = ij.spectrum(
-        grid, np.zeros(grid.size), cos_incidence=values["cos_incidence"], first_surface=values["first_surface"]
+        grid,
+        np.zeros(grid.size),
+        cos_incidence=values["cos_incidence"],
+        first_surface=values["first_surface"],
     )
     held = {n: float(v) for n, v in of_iris(iris).items()}
     held |= {n: values[n] for n in ("scattering_scale", "gain")}
@@ -65,7 +74,12 @@ def simulated_measurement(values: Mapping[str, Any]):
     )  # fmt: skip
     key = jax.random.key(values["seed"], impl="threefry2x32")
     draw = jax.jit(lambda k: stated.simulate(jnp.zeros(1), k)[0])
-    return iris, grid, process, [np.asarray(draw(jax.random.fold_in(key, i))) for i in range(values["scans"])]
+    return (
+        iris,
+        grid,
+        process,
+        [np.asarray(draw(jax.random.fold_in(key, i))) for i in range(values["scans"])],
+    )
 
 
 def truth(iris: ij.Iris, values: Mapping[str, Any]) -> str:
@@ -75,7 +89,9 @@ def truth(iris: ij.Iris, values: Mapping[str, Any]) -> str:
     return ", ".join(f"{n} = {v:.6g}" for n, v in known.items())
 
 
-def measured(instrument: Callable[..., Any], iris: ij.Iris, grid: np.ndarray, options: Mapping[str, Any]):
+def measured(
+    instrument: Callable[..., Any], iris: ij.Iris, grid: np.ndarray, options: Mapping[str, Any]
+):
     """What the instrument reads; photons followed one by one are followed in blocks, with a progress bar."""
     solver = options["solver"]
     if not isinstance(solver, MonteCarlo) or solver.estimator != "analog":
@@ -83,10 +99,18 @@ def measured(instrument: Callable[..., Any], iris: ij.Iris, grid: np.ndarray, op
     from tqdm import tqdm
 
     # `delay`: runs of less than a second need no bar.
-    bar = tqdm(total=solver.n_photons, unit="photon", unit_scale=True, delay=1, disable=not sys.stderr.isatty())
+    bar = tqdm(
+        total=solver.n_photons,
+        unit="photon",
+        unit_scale=True,
+        delay=1,
+        disable=not sys.stderr.isatty(),
+    )
     with bar, jax.disable_jit():  # the blocks are a loop in Python, so that Ctrl-C gets through
         return instrument(
-            iris, grid, **{**options, "solver": _InBlocks(solver, max(1, _BLOCK // grid.size), bar.update)}
+            iris,
+            grid,
+            **{**options, "solver": _InBlocks(solver, max(1, _BLOCK // grid.size), bar.update)},
         )
 
 
@@ -103,7 +127,9 @@ class _InBlocks(AbstractSolver):
     def prepare(self, layers, process) -> "_InBlocks":
         return dataclasses.replace(self, solver=self.solver.prepare(layers, process))
 
-    def solve(self, layers, process, cos_incidence, *, cos_exit=None, azimuth=None, key=None, rays=None):
+    def solve(
+        self, layers, process, cos_incidence, *, cos_exit=None, azimuth=None, key=None, rays=None
+    ):
         with jax.disable_jit(False):
             total: Counts | None = None
             for first in range(0, self.solver.n_photons, self.block):
@@ -136,7 +162,9 @@ def directions(plane: str, n: int) -> tuple[np.ndarray, np.ndarray]:
     return polar.ravel(), azimuth.ravel()
 
 
-def head(command: str, quantity: str, values, iris: ij.Iris, options: Mapping[str, Any]) -> dict[str, str]:
+def head(
+    command: str, quantity: str, values, iris: ij.Iris, options: Mapping[str, Any]
+) -> dict[str, str]:
     """Header of a file: what it is, how far to trust it, and every setting."""
     process, solver = options["process"], options["solver"]
     return {
@@ -157,9 +185,13 @@ def head(command: str, quantity: str, values, iris: ij.Iris, options: Mapping[st
 def _approximation(process: ij.Process) -> str:
     """What a reader of the numbers must know about the process that made them."""
     if process.depth_resolved:
-        return "scalar theory, no polarisation: about 1.7 % low for a thin slab of Rayleigh scatterers"
+        return (
+            "scalar theory, no polarisation: about 1.7 % low for a thin slab of Rayleigh scatterers"
+        )
     ours, theirs = (
-        ("0.0148", "darker than") if process.rescatter == "retest" else ("0.0405", "about twice as bright as")
+        ("0.0148", "darker than")
+        if process.rescatter == "retest"
+        else ("0.0405", "about twice as bright as")
     )
     return (
         f"ILIT tests whole layers at once: in the blue, light eyes come out {theirs} by depth-resolved "

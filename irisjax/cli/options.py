@@ -52,7 +52,10 @@ class Setting(NamedTuple):
         )
         kind = (bool if self.flag else str) | None
         return inspect.Parameter(
-            self.name, inspect.Parameter.KEYWORD_ONLY, default=None, annotation=Annotated[kind, info]
+            self.name,
+            inspect.Parameter.KEYWORD_ONLY,
+            default=None,
+            annotation=Annotated[kind, info],
         )
 
 

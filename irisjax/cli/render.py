@@ -36,12 +36,16 @@ _WHAT, _HOW, _FILES = "What", "Picture", "Files"
 def render(
     scene: Annotated[
         Path | None,
-        typer.Argument(help="scene file (TOML); data/scenes/everything.toml explains it", show_default=False),
+        typer.Argument(
+            help="scene file (TOML); data/scenes/everything.toml explains it", show_default=False
+        ),
     ] = None,
     preset: Annotated[
         str | None, typer.Option(help=", ".join(PRESETS) + ", in a studio", rich_help_panel=_WHAT)
     ] = None,
-    seed: Annotated[int, typer.Option(min=0, max=2**32 - 1, help="of a preset's maps", rich_help_panel=_WHAT)] = 0,
+    seed: Annotated[
+        int, typer.Option(min=0, max=2**32 - 1, help="of a preset's maps", rich_help_panel=_WHAT)
+    ] = 0,
     light: Annotated[
         list[str] | None,
         typer.Option(
@@ -59,13 +63,19 @@ def render(
             rich_help_panel=_WHAT,
         ),
     ] = None,
-    pupil: Annotated[str | None, typer.Option(metavar="MM", help="diameter, 0.5 to 9.5", rich_help_panel=_WHAT)] = None,
+    pupil: Annotated[
+        str | None, typer.Option(metavar="MM", help="diameter, 0.5 to 9.5", rich_help_panel=_WHAT)
+    ] = None,
     size: Annotated[str | None, typer.Option(metavar="WIDTHxHEIGHT", rich_help_panel=_HOW)] = None,
     exposure: Annotated[
         float | None,
-        typer.Option(help="factor on all radiances; 1 shows a white sheet white", rich_help_panel=_HOW),
+        typer.Option(
+            help="factor on all radiances; 1 shows a white sheet white", rich_help_panel=_HOW
+        ),
     ] = None,
-    samples: Annotated[int, typer.Option(min=1, max=8, help="along each side of a pixel", rich_help_panel=_HOW)] = 1,
+    samples: Annotated[
+        int, typer.Option(min=1, max=8, help="along each side of a pixel", rich_help_panel=_HOW)
+    ] = 1,
     integrator: Annotated[
         str,
         typer.Option(
@@ -76,7 +86,11 @@ def render(
     bits: Annotated[int, typer.Option(help="8 or 16, of a PNG", rich_help_panel=_HOW)] = 8,
     spectral: Annotated[
         str | None,
-        typer.Option(metavar="START:STOP:STEP", help="nm: a layer each in place of RGB, .exr", rich_help_panel=_HOW),
+        typer.Option(
+            metavar="START:STOP:STEP",
+            help="nm: a layer each in place of RGB, .exr",
+            rich_help_panel=_HOW,
+        ),
     ] = None,
     animate: Annotated[
         str | None,
@@ -87,11 +101,19 @@ def render(
     ] = None,
     frames: Annotated[
         int | None,
-        typer.Option(min=2, max=1000, help="of --animate; default 24", show_default=False, rich_help_panel=_HOW),
+        typer.Option(
+            min=2,
+            max=1000,
+            help="of --animate; default 24",
+            show_default=False,
+            rich_help_panel=_HOW,
+        ),
     ] = None,
     output: Annotated[
         Path,
-        typer.Option("-o", "--output", help=".png, .exr (linear); see --animate", rich_help_panel=_FILES),
+        typer.Option(
+            "-o", "--output", help=".png, .exr (linear); see --animate", rich_help_panel=_FILES
+        ),
     ] = Path("eye.png"),
 ) -> None:
     """A picture of an eye from its pigments: refraction, caustics, scattering in the iris.
@@ -100,11 +122,17 @@ def render(
     error. EXR is linear and unbounded.
     """
     moving = (".gif", ".mp4", ".png")
-    allowed = moving if animate is not None else (".exr",) if spectral is not None else (".png", ".exr")
+    allowed = (
+        moving if animate is not None else (".exr",) if spectral is not None else (".png", ".exr")
+    )
     if output.suffix not in allowed:
         raise ValueError(f"{output}: must end in {' or '.join(allowed)}")
     if animate is not None and (spectral is not None or animate not in CHANGES):
-        known = f"unknown {animate!r}; known: {', '.join(CHANGES)}" if animate not in CHANGES else "not with --spectral"
+        known = (
+            f"unknown {animate!r}; known: {', '.join(CHANGES)}"
+            if animate not in CHANGES
+            else "not with --spectral"
+        )
         raise ValueError(f"--animate: {known}")
     if frames is not None and animate is None:
         raise ValueError(f"--frames {frames} is for --animate")
@@ -118,8 +146,12 @@ def render(
     file = scene_file(scene, preset, seed)
     wavelengths = None if spectral is None else grid(spectral).values
     if wavelengths is not None and not light and "environment" in file:
-        raise ValueError("--spectral needs lamps: an environment has colours, not spectra; give --light")
-    found = changed(file.scene(), light, pupil, size, camera).replace(integrator=_INTEGRATORS[integrator]())
+        raise ValueError(
+            "--spectral needs lamps: an environment has colours, not spectra; give --light"
+        )
+    found = changed(file.scene(), light, pupil, size, camera).replace(
+        integrator=_INTEGRATORS[integrator]()
+    )
     factor = file.exposure if exposure is None else exposure
     if not (math.isfinite(factor) and factor > 0):
         raise ValueError(f"--exposure {factor:g} must be above 0")
@@ -129,7 +161,9 @@ def render(
     width, height = found.camera.size
     remark = f"simulated by irisjax; integrator {integrator}"
     names = ("R", "G", "B") if wavelengths is None else io.spectral_channels(wavelengths)
-    with tqdm(desc="preparing", total=height, unit="row", disable=not sys.stderr.isatty()) as progress:
+    with tqdm(
+        desc="preparing", total=height, unit="row", disable=not sys.stderr.isatty()
+    ) as progress:
         parts = bands(found, kept_tables(found), samples=samples, wavelengths=wavelengths)
         first = next(parts)
         if first.error is not None:
@@ -145,7 +179,9 @@ def render(
             io.write_exr(output, lit(), names, {"comments": remark}, rows=height)
             clipped = 0
         else:
-            clipped = io.write_png(output, map(_encoded, lit()), bits=bits, remark=remark, rows=height)
+            clipped = io.write_png(
+                output, map(_encoded, lit()), bits=bits, remark=remark, rows=height
+            )
     _tell(output, clipped, width * height)
 
 
@@ -156,7 +192,10 @@ def _encoded(picture: np.ndarray) -> np.ndarray:
 def _tell(output: Path, clipped: int, count: int) -> None:
     if clipped:
         share = 100 * clipped / count
-        print(f"irisjax: {output}: {clipped} pixels ({share:.2g} %) out of sRGB's range are clipped", file=sys.stderr)
+        print(
+            f"irisjax: {output}: {clipped} pixels ({share:.2g} %) out of sRGB's range are clipped",
+            file=sys.stderr,
+        )
 
 
 def _is_sheet(output: Path) -> bool:
@@ -164,11 +203,18 @@ def _is_sheet(output: Path) -> bool:
 
 
 def _animated(scene: staging.Scene, change: str, count: int, exposure: float, output: Path) -> None:
-    found = tqdm(_frames(scene, change, count, kept_tables), total=count, unit="frame", disable=not sys.stderr.isatty())
+    found = tqdm(
+        _frames(scene, change, count, kept_tables),
+        total=count,
+        unit="frame",
+        disable=not sys.stderr.isatty(),
+    )
     pictures = (exposure * picture for picture in found)
     remark = f"simulated by irisjax; {change}, {count} frames"
     if _is_sheet(output):
-        clipped = io.write_png(output, sheet(list(map(_encoded, pictures))), remark=f"{remark} row by row")
+        clipped = io.write_png(
+            output, sheet(list(map(_encoded, pictures))), remark=f"{remark} row by row"
+        )
     else:
         clipped = io.write_movie(output, map(_encoded, pictures), remark=remark)
     _tell(output, clipped, count * scene.camera.size[0] * scene.camera.size[1])
@@ -217,11 +263,15 @@ def changed(scene: staging.Scene, light=None, pupil=None, size=None, camera=None
             raise ValueError(f"--size {size!r}: write WIDTHxHEIGHT, such as 800x600")
         if max(int(width), int(height)) > 16384:
             raise ValueError(f"--size {size}: at most 16384 along a side")
-        scene = scene.replace(camera=dataclasses.replace(scene.camera, size=(int(width), int(height))))
+        scene = scene.replace(
+            camera=dataclasses.replace(scene.camera, size=(int(width), int(height)))
+        )
     if camera is not None:
         polar, azimuth, field = _angles("--camera", camera, "WIDTH", float(scene.camera.width))
         try:
-            scene = scene.replace(camera=dataclasses.replace(scene.camera, polar=polar, azimuth=azimuth, width=field))
+            scene = scene.replace(
+                camera=dataclasses.replace(scene.camera, polar=polar, azimuth=azimuth, width=field)
+            )
         except ValueError as error:
             raise ValueError(f"--camera {camera!r}: {error}") from None
     return scene

@@ -42,13 +42,22 @@ def progress_bar(quiet: bool = False):
     from tqdm import tqdm
 
     # Wrong input ends in one line: what stands here is wiped until there are steps.
-    bar = tqdm(unit="step", bar_format="{desc}", leave=False, disable=quiet or not sys.stderr.isatty())
+    bar = tqdm(
+        unit="step", bar_format="{desc}", leave=False, disable=quiet or not sys.stderr.isatty()
+    )
     bar.set_description_str("compiling (quicker from the second run on) ...")
     return bar
 
 
 def one(
-    problem: Problem, folder: Path, sampler: Mapping[str, Any], bar, *, resume: bool, files: bool, quiet: bool = False
+    problem: Problem,
+    folder: Path,
+    sampler: Mapping[str, Any],
+    bar,
+    *,
+    resume: bool,
+    files: bool,
+    quiet: bool = False,
 ) -> bool:
     """Fit, sample, print and write, with progress on `bar`; returns whether the chain is long enough."""
     key = jax.random.key(sampler["seed"], impl="threefry2x32")
@@ -64,7 +73,9 @@ def one(
     best = fit(problem, key=jax.random.fold_in(key, 1))
     if not bool(best.ok):
         _say("the least-squares search did not converge; its end starts the sampler", quiet)
-    chains = sample(problem, folder / "chain.h5", start=best, resume=resume, progress=progress, **sampler)
+    chains = sample(
+        problem, folder / "chain.h5", start=best, resume=resume, progress=progress, **sampler
+    )
     bar.set_description_str("summary")
     rows = summarise(problem, chains)
     tested = check(problem, chains, jax.random.fold_in(key, 2))
@@ -100,13 +111,17 @@ def _write(problem: Problem, folder: Path, chains: Chains, rows, lines, key) -> 
     most = _MOST_NUMBERS // (chains.z.shape[1] * sum(o.values.shape[-1] for o in seen))
     thin = -(-len(chains.z) // max(1, most))
     by_chain = np.moveaxis(chains.z[::thin], 0, 1)
-    likelihoods = np.asarray(pointwise(problem, jnp.asarray(by_chain.reshape(-1, by_chain.shape[-1]))))
+    likelihoods = np.asarray(
+        pointwise(problem, jnp.asarray(by_chain.reshape(-1, by_chain.shape[-1])))
+    )
     names = [f"{o.quantity}_{i + 1}" if len(seen) > 1 else o.quantity for i, o in enumerate(seen)]
     groups = {
         "posterior": reported(problem, by_chain),
         "prior": reported(problem, prior),
         "log_likelihood": {"data": likelihoods.reshape(*by_chain.shape[:2], -1)},
-        "posterior_predictive": {n: np.asarray(s)[None] for n, s in zip(names, simulated, strict=True)},
+        "posterior_predictive": {
+            n: np.asarray(s)[None] for n, s in zip(names, simulated, strict=True)
+        },
         "sample_stats": {"lp": chains.log_probability[::thin].T},
     }
     observed = {n: np.asarray(o.values) for n, o in zip(names, seen, strict=True)}
@@ -128,11 +143,19 @@ def _write(problem: Problem, folder: Path, chains: Chains, rows, lines, key) -> 
     if len(shown) > 1:
         units = [next(r.unit for r in rows if r.parameter == n) for n in shown]
         figure = plot.corner_figure(
-            {f"{n}\n({u})" if u else n: values[n].ravel() for n, u in zip(shown, units, strict=True)}
+            {
+                f"{n}\n({u})" if u else n: values[n].ravel()
+                for n, u in zip(shown, units, strict=True)
+            }
         )
         files[folder / "corner.png"] = plot.picture(figure, ".png")
-    shapes = [(o.name, o.quantity, o.is_colour, np.asarray(o.wavelengths), np.asarray(o.values)) for o in seen]
-    fitted = plot.fit_figure(shapes, [np.asarray(s) for s in simulated], [np.asarray(m) for m in models])
+    shapes = [
+        (o.name, o.quantity, o.is_colour, np.asarray(o.wavelengths), np.asarray(o.values))
+        for o in seen
+    ]
+    fitted = plot.fit_figure(
+        shapes, [np.asarray(s) for s in simulated], [np.asarray(m) for m in models]
+    )
     files[folder / "fit.png"] = plot.picture(fitted, ".png")
     io.write_together(files)
 
@@ -141,7 +164,9 @@ def _cautions(problem: Problem, rows: list[Row], tested: Check, chains: Chains) 
     lines = []
     unmoved = [r.parameter for r in rows if r.parameter in problem.free and r.contraction < 0.3]
     if unmoved:
-        lines.append(f"the data hardly move {', '.join(unmoved)}: what is shown is mostly the prior")
+        lines.append(
+            f"the data hardly move {', '.join(unmoved)}: what is shown is mostly the prior"
+        )
     if tested.warning:
         lines.append(f"WARNING: {tested.warning}")
     if not chains.converged:
@@ -170,7 +195,9 @@ def _print(problem: Problem, rows: list[Row], lines: list[str], chains: Chains) 
     if console.width < 100:  # numbers cut short would be worse
         del columns["68 %"]
     for name in columns:
-        table.add_column(name, justify="left" if name in ("parameter", "unit") else "right", no_wrap=True)
+        table.add_column(
+            name, justify="left" if name in ("parameter", "unit") else "right", no_wrap=True
+        )
     for cells in zip(*columns.values(), strict=True):
         table.add_row(*cells)
     console.print(table)

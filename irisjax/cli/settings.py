@@ -18,7 +18,11 @@ from irisjax.transport.process import PROCESSES, Cornea, Phase, Rescatter, Scatt
 
 _IRIS, _PROCESS, _SOLVER, _LIGHT, _FILES = "Iris", "Process", "Solver", "Measurement", "Files"
 # As written in the class: making an iris would start JAX before the precision is chosen.
-_DEFAULTS = {field.name: field.default for field in dataclasses.fields(ij.Iris) if isinstance(field.default, float)}
+_DEFAULTS = {
+    field.name: field.default
+    for field in dataclasses.fields(ij.Iris)
+    if isinstance(field.default, float)
+}
 
 
 def _choice(name: str, panel: str, help: str, names: Iterable[str], default: str | None) -> Setting:
@@ -43,7 +47,9 @@ def _wavelengths(default: str, option: str | None = None) -> Setting:
         found = grid(text)
         outside = [w for w in found.values if not low <= w <= high]
         if outside:
-            raise ValueError(f"{outside[0]:g} nm is outside the pigment tables ({low:g} to {high:g} nm)")
+            raise ValueError(
+                f"{outside[0]:g} nm is outside the pigment tables ({low:g} to {high:g} nm)"
+            )
         return found
 
     return Setting("wavelengths", _LIGHT, help, within, default, "nm", option=option)
@@ -72,7 +78,13 @@ _MODEL = (
         PROCESSES,
         "ilit-2006",
     ),
-    _choice("phase", _PROCESS, "phase function, the paper's sampling or Rayleigh's law", get_args(Phase), None),
+    _choice(
+        "phase",
+        _PROCESS,
+        "phase function, the paper's sampling or Rayleigh's law",
+        get_args(Phase),
+        None,
+    ),
     _choice(
         "rescatter",
         _PROCESS,
@@ -80,10 +92,27 @@ _MODEL = (
         get_args(Rescatter),
         None,
     ),
-    Setting("perturb_on_reflection", _PROCESS, "redraw directions when reflected inside a layer", flag, flag=True),
-    _choice("scattering", _PROCESS, "scattering coefficient of the stroma", get_args(Scattering), None),
-    _choice("solver", _SOLVER, "integrate the process, or sample it", ("exact", "monte-carlo"), "exact"),
-    Setting("photons", _SOLVER, "photons at each wavelength", whole(1, 2**31 - 2**20), "1000000", "count"),
+    Setting(
+        "perturb_on_reflection",
+        _PROCESS,
+        "redraw directions when reflected inside a layer",
+        flag,
+        flag=True,
+    ),
+    _choice(
+        "scattering", _PROCESS, "scattering coefficient of the stroma", get_args(Scattering), None
+    ),
+    _choice(
+        "solver", _SOLVER, "integrate the process, or sample it", ("exact", "monte-carlo"), "exact"
+    ),
+    Setting(
+        "photons",
+        _SOLVER,
+        "photons at each wavelength",
+        whole(1, 2**31 - 2**20),
+        "1000000",
+        "count",
+    ),
     _choice(
         "estimator",
         _SOLVER,
@@ -92,7 +121,14 @@ _MODEL = (
         "analog",
     ),
     # 32 bits: larger seeds would start other streams in a float32 Python session than here.
-    Setting("seed", _SOLVER, "0 to 4294967295; equal seeds give equal bytes", whole(0, 2**32 - 1), "0", "number"),
+    Setting(
+        "seed",
+        _SOLVER,
+        "0 to 4294967295; equal seeds give equal bytes",
+        whole(0, 2**32 - 1),
+        "0",
+        "number",
+    ),
 )
 _CORNEA = _choice(
     "cornea",
@@ -102,13 +138,24 @@ _CORNEA = _choice(
     "auto",
 )
 _INCIDENCE = (
-    Setting("cos_incidence", _LIGHT, "cosine of incidence, 0 to 1, or diffuse", cosine, "1.0", "number"),
-    Setting("incidence_deg", _LIGHT, "the same as an angle, 0 to 90", number(0, 90), None, "degrees"),
+    Setting(
+        "cos_incidence", _LIGHT, "cosine of incidence, 0 to 1, or diffuse", cosine, "1.0", "number"
+    ),
+    Setting(
+        "incidence_deg", _LIGHT, "the same as an angle, 0 to 90", number(0, 90), None, "degrees"
+    ),
 )
 _FIRST_SURFACE = Setting(
-    "first_surface", _LIGHT, "count light mirrored by the iris's own surface", flag, "yes", flag=True
+    "first_surface",
+    _LIGHT,
+    "count light mirrored by the iris's own surface",
+    flag,
+    "yes",
+    flag=True,
 )
-_ILLUMINANT = Setting("illuminant", _LIGHT, "light source by its name in colour-science", str, "D65", "name")
+_ILLUMINANT = Setting(
+    "illuminant", _LIGHT, "light source by its name in colour-science", str, "D65", "name"
+)
 _SOURCE = Setting(
     "source",
     _FILES,
@@ -152,7 +199,14 @@ COMMANDS: dict[str, tuple[Setting, ...]] = {
         _wavelengths("550", "--wavelength --wavelengths"),
         *_INCIDENCE,
         _choice("plane", _LIGHT, "exit directions", ("principal", "hemisphere"), "principal"),
-        Setting("angles", _LIGHT, "exit directions over 180 degrees, 2 to 3600", whole(2, 3600), "90", "count"),
+        Setting(
+            "angles",
+            _LIGHT,
+            "exit directions over 180 degrees, 2 to 3600",
+            whole(2, 3600),
+            "90",
+            "count",
+        ),
         _SOURCE,
         _OUTPUT,
         _PLOT,
@@ -162,7 +216,14 @@ COMMANDS: dict[str, tuple[Setting, ...]] = {
         _CORNEA,
         _wavelengths("380:780:5"),
         _ILLUMINANT,
-        Setting("observer", _LIGHT, "standard observer by its name in colour-science", str, OBSERVER, "name"),
+        Setting(
+            "observer",
+            _LIGHT,
+            "standard observer by its name in colour-science",
+            str,
+            OBSERVER,
+            "name",
+        ),
         *_INCIDENCE,
         _FIRST_SURFACE,
         _SOURCE,
@@ -175,12 +236,42 @@ COMMANDS["simulate-measurement"] = (
     _wavelengths("400:700:10"),
     *_INCIDENCE,
     _FIRST_SURFACE,
-    Setting("scattering_scale", _LIGHT, "factor on the stroma's scattering", number(0, 1e6), "1.0", "number"),
-    Setting("gain", _LIGHT, "factor of the instrument on every value", number(0, 1e6), "1.0", "number"),
-    Setting("relative_noise", _LIGHT, "standard deviation, share of the value", number(0, 10), "0.02", "share"),
-    Setting("absolute_noise", _LIGHT, "the same, of every value alike", number(0, 10), "2e-4", "reflectance"),
+    Setting(
+        "scattering_scale",
+        _LIGHT,
+        "factor on the stroma's scattering",
+        number(0, 1e6),
+        "1.0",
+        "number",
+    ),
+    Setting(
+        "gain", _LIGHT, "factor of the instrument on every value", number(0, 1e6), "1.0", "number"
+    ),
+    Setting(
+        "relative_noise",
+        _LIGHT,
+        "standard deviation, share of the value",
+        number(0, 10),
+        "0.02",
+        "share",
+    ),
+    Setting(
+        "absolute_noise",
+        _LIGHT,
+        "the same, of every value alike",
+        number(0, 10),
+        "2e-4",
+        "reflectance",
+    ),
     Setting("scans", _LIGHT, "repeated scans, a column each", whole(1, 1000), "1", "count"),
-    Setting("seed", _LIGHT, "0 to 4294967295; equal seeds give equal bytes", whole(0, 2**32 - 1), "0", "number"),
+    Setting(
+        "seed",
+        _LIGHT,
+        "0 to 4294967295; equal seeds give equal bytes",
+        whole(0, 2**32 - 1),
+        "0",
+        "number",
+    ),
     _SOURCE,
     _OUTPUT,
 )
@@ -240,7 +331,9 @@ def settled(command: str, given: Mapping[str, str | bool]) -> dict[str, Any]:
     for name in texts:
         if not _applies(name, values):
             other, allowed = _ONLY_WITH[name]
-            raise ValueError(f"{table[name].typed()} means something only with --{other} {' or '.join(allowed)}")
+            raise ValueError(
+                f"{table[name].typed()} means something only with --{other} {' or '.join(allowed)}"
+            )
     if "cos_incidence" in texts and "incidence_deg" in texts:
         raise ValueError("give --cos-incidence or --incidence-deg, not both")
     if values["incidence_deg"] is not None:
@@ -248,7 +341,9 @@ def settled(command: str, given: Mapping[str, str | bool]) -> dict[str, Any]:
     return values
 
 
-def header(command: str, values: Mapping[str, Any], iris: ij.Iris, process: ij.Process) -> dict[str, str]:
+def header(
+    command: str, values: Mapping[str, Any], iris: ij.Iris, process: ij.Process
+) -> dict[str, str]:
     """The settings as a file's header, complete enough for `--from`; `iris` and `process` made from them."""
     out: dict[str, str] = {}
     parameters = iris.parameters()
@@ -261,7 +356,11 @@ def header(command: str, values: Mapping[str, Any], iris: ij.Iris, process: ij.P
             out[name] = f"{float(getattr(iris, name))!r}{f' [{unit}]' if unit else ''}"
         elif name == "melanin_load":
             out["melanin load that follows"] = f"{float(iris.melanin_load):.12g} [ug/mm2]"
-        elif name not in LIMITS and name not in ("level", "incidence_deg") and setting.panel != _FILES:
+        elif (
+            name not in LIMITS
+            and name not in ("level", "incidence_deg")
+            and setting.panel != _FILES
+        ):
             value = values[name]
             if value is not None and _applies(name, values):
                 out[name] = f"{_text(value)}{' [nm]' if name == 'wavelengths' else ''}"
@@ -273,21 +372,33 @@ def _applies(name: str, values: Mapping[str, Any]) -> bool:
     return other not in values or values[other] in allowed
 
 
-def _filed(path: Path, command: str, table: Mapping[str, Setting], texts: Mapping[str, str]) -> dict[str, str]:
+def _filed(
+    path: Path, command: str, table: Mapping[str, Setting], texts: Mapping[str, str]
+) -> dict[str, str]:
     """Settings from a file's header that this command has and the command line does not overrule."""
     entries = io.read_header(path)
-    known = {setting.name for settings in COMMANDS.values() for setting in settings if setting.panel != _FILES}
+    known = {
+        setting.name
+        for settings in COMMANDS.values()
+        for setting in settings
+        if setting.panel != _FILES
+    }
     if not known & set(entries):
         raise ValueError(f"{path}: no header of settings (lines like '# eumelanin: 0.1201')")
     for name in entries:
         if name not in known and name not in FOR_PEOPLE:
-            raise ValueError(f"{path}: unknown setting {name!r} in the header; known: {', '.join(sorted(known))}")
+            raise ValueError(
+                f"{path}: unknown setting {name!r} in the header; known: {', '.join(sorted(known))}"
+            )
     overruled = {name for setter, names in _SETS.items() if setter in texts for name in names}
     # Another command's file lends its iris, process and solver; what it measured is its own affair.
     foreign = entries.get("command", command) != command
     left_out = [n for n in entries if n in table and n not in texts and table[n].panel == _LIGHT]
     if foreign and left_out:
-        print(f"irisjax: note: {path} is of another command; not taken from it: {', '.join(left_out)}", file=sys.stderr)
+        print(
+            f"irisjax: note: {path} is of another command; not taken from it: {', '.join(left_out)}",
+            file=sys.stderr,
+        )
     return {
         name: text
         for name, text in entries.items()

@@ -13,10 +13,16 @@ from irisjax.view import Studio, check, serve
 
 
 def view(
-    scene: Annotated[Path | None, typer.Argument(help="scene file (TOML)", show_default=False)] = None,
-    preset: Annotated[str | None, typer.Option(help=", ".join(PRESETS) + "; blue without a scene")] = None,
+    scene: Annotated[
+        Path | None, typer.Argument(help="scene file (TOML)", show_default=False)
+    ] = None,
+    preset: Annotated[
+        str | None, typer.Option(help=", ".join(PRESETS) + "; blue without a scene")
+    ] = None,
     seed: Annotated[int, typer.Option(min=0, max=2**32 - 1, help="of a preset's maps")] = 0,
-    size: Annotated[str | None, typer.Option(metavar="WIDTHxHEIGHT", help="of the picture, 800x600")] = None,
+    size: Annotated[
+        str | None, typer.Option(metavar="WIDTHxHEIGHT", help="of the picture, 800x600")
+    ] = None,
     host: Annotated[str, typer.Option(help="0.0.0.0 shows it to the whole network")] = "127.0.0.1",
     port: Annotated[int, typer.Option(min=0, max=65535, help="0 takes a free one")] = 8080,
 ) -> None:
@@ -33,4 +39,9 @@ def view(
     if preset is not None:
         given |= {"preset": preset, "seed": seed, "environment": "studio"}
     studio = Studio(changed(file.scene(), size=size), kept_tables, **given)
-    serve(studio, host, port, ready=lambda address: typer.echo(f"irisjax: {address}  (Ctrl-C ends it)"))
+    serve(
+        studio,
+        host,
+        port,
+        ready=lambda address: typer.echo(f"irisjax: {address}  (Ctrl-C ends it)"),
+    )

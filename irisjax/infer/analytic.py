@@ -29,7 +29,15 @@ class AbstractAnalytic(AbstractSolver):
         return self
 
     def solve(
-        self, layers: Layers, process: Process, cos_incidence, *, cos_exit=None, azimuth=None, key=None, rays=None
+        self,
+        layers: Layers,
+        process: Process,
+        cos_incidence,
+        *,
+        cos_exit=None,
+        azimuth=None,
+        key=None,
+        rays=None,
     ):
         """See `AbstractSolver.solve`; light is taken to fall along the normal."""
         if cos_exit is not None:
@@ -60,7 +68,9 @@ class BeerLambert(AbstractAnalytic):
 
     def inner(self, layers: Layers):
         """See the class."""
-        return self.reflector * jnp.exp(-self.path_factor * (layers.abl_absorption + layers.stroma_absorption))
+        return self.reflector * jnp.exp(
+            -self.path_factor * (layers.abl_absorption + layers.stroma_absorption)
+        )
 
 
 class KubelkaMunk(AbstractAnalytic):

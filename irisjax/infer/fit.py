@@ -38,7 +38,9 @@ class Normal(lx.AbstractLinearSolver):
         gram = gram + jnp.diag(jnp.where(unseen, 1.0, 0.0))
         scale = 1 / jnp.sqrt(jnp.diag(gram))
         x = scale * elimination.solve(scale[:, None] * gram * scale, scale * (matrix.T @ flat))
-        _, unravel = jax.flatten_util.ravel_pytree(jax.tree.map(lambda s: jnp.zeros(s.shape, s.dtype), structure))
+        _, unravel = jax.flatten_util.ravel_pytree(
+            jax.tree.map(lambda s: jnp.zeros(s.shape, s.dtype), structure)
+        )
         return unravel(x), lx.RESULTS.successful, {}
 
     def transpose(self, state, options):
@@ -130,12 +132,16 @@ def _fit(problem, start, key, method, use_priors, starts, rtol, atol, max_steps)
     draws = jax.random.normal(key, (starts - 1, first.size), dtype)
 
     def search(x):
-        found = optx.least_squares(residuals, solver, x, has_aux=True, max_steps=max_steps, throw=False)
+        found = optx.least_squares(
+            residuals, solver, x, has_aux=True, max_steps=max_steps, throw=False
+        )
         return found.value, found.stats["num_steps"], found.result, found.aux
 
     begins = jnp.concatenate([first[None], draws])
     # Searches side by side all last as long as the longest: of large problems one after another is quicker.
-    ends, steps, results, (data, predicted, costs) = in_pieces(search, begins, elements(problem) * first.size)
+    ends, steps, results, (data, predicted, costs) = in_pieces(
+        search, begins, elements(problem) * first.size
+    )
     costs = jnp.where(jnp.isfinite(costs), costs, jnp.inf)
     # Among equal costs one that converged.
     failed = results != optx.RESULTS.successful
@@ -148,7 +154,9 @@ def _fit(problem, start, key, method, use_priors, starts, rtol, atol, max_steps)
     inverse = elimination.solve(gram, jnp.eye(x.size, dtype=dtype))
     where = np.flatnonzero(moving)
     covariance = jnp.zeros((n, n), dtype).at[np.ix_(where, where)].set(inverse)
-    slope = jax.grad(lambda z: problem.natural(z).sum())(z)  # each depends on its own coordinate only
+    slope = jax.grad(lambda z: problem.natural(z).sum())(
+        z
+    )  # each depends on its own coordinate only
     natural = problem.natural(z)
     sd = jnp.abs(slope) * jnp.sqrt(jnp.diag(covariance))
     return Fit(

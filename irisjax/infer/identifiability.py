@@ -26,7 +26,9 @@ class Direction(NamedTuple):
         above = [_power(n, e) for n, e in self.exponents.items() if e > 0]
         below = [_power(n, -e) for n, e in self.exponents.items() if e < 0]
         text = " × ".join(above) or "1"
-        return text + (f" / ({' × '.join(below)})" if len(below) > 1 else f" / {below[0]}" if below else "")
+        return text + (
+            f" / ({' × '.join(below)})" if len(below) > 1 else f" / {below[0]}" if below else ""
+        )
 
 
 class Information(NamedTuple):
@@ -61,13 +63,20 @@ def information(problem: Problem, fit: Fit) -> Information:
         v = v * np.sign(v[np.argmax(np.abs(v))])
         shown = {n: float(e) for n, e in zip(names, v, strict=True) if abs(e) >= 0.2}
         directions.append(
-            Direction(shown, float(1 / np.sqrt(max(eigenvalues[k], 1e-30)) / np.abs(vectors[:, k]).max()))
+            Direction(
+                shown, float(1 / np.sqrt(max(eigenvalues[k], 1e-30)) / np.abs(vectors[:, k]).max())
+            )
         )
     unknown = eigenvalues < 1e-12 * eigenvalues.max()
-    spread = vectors @ np.diag(np.where(unknown, np.inf, 1 / np.where(unknown, 1, eigenvalues))) @ vectors.T
+    spread = (
+        vectors
+        @ np.diag(np.where(unknown, np.inf, 1 / np.where(unknown, 1, eigenvalues)))
+        @ vectors.T
+    )
     with np.errstate(invalid="ignore"):
         alone = {
-            n: float(np.sqrt(x)) if np.isfinite(x) else np.inf for n, x in zip(names, np.diag(spread), strict=True)
+            n: float(np.sqrt(x)) if np.isfinite(x) else np.inf
+            for n, x in zip(names, np.diag(spread), strict=True)
         }
     correlation = np.nan
     if {"melanin_load", "abl_fraction"} <= set(problem.free):

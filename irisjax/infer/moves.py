@@ -6,7 +6,9 @@ import emcee
 import numpy as np
 from scipy import stats
 
-_DEGREES = 5  # tails heavier than a normal's: a walker must not stand where nothing is ever proposed
+_DEGREES = (
+    5  # tails heavier than a normal's: a walker must not stand where nothing is ever proposed
+)
 _REACH = 4.0
 
 
@@ -87,7 +89,9 @@ class DifferenceMove(emcee.moves.DEMove):
 
     def get_proposal(self, s, c, random):
         """New places of walkers `s`, from the differences of the others `c`."""
-        new, factors = super().get_proposal(self._straight.to(s), [self._straight.to(z) for z in c], random)
+        new, factors = super().get_proposal(
+            self._straight.to(s), [self._straight.to(z) for z in c], random
+        )
         return self._straight.back(new), factors
 
 

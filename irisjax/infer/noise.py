@@ -40,7 +40,9 @@ class Noise(eqx.Module):
 
     def __check_init__(self):
         if self.discrepancy is not None and self.degrees_of_freedom is not None:
-            raise ValueError("a correlated discrepancy and Student's t do not go together; choose one")
+            raise ValueError(
+                "a correlated discrepancy and Student's t do not go together; choose one"
+            )
         if (self.discrepancy is None) != (self.length is None):
             raise ValueError("a discrepancy needs its length (nm), and a length its discrepancy")
 
@@ -53,7 +55,9 @@ class Noise(eqx.Module):
     def pointwise(self, observation: Observation, model: Float[Array, " data"], factor=1.0):
         """Log density of every value by itself, shape (data,); of correlated values, one given all before it."""
         if observation.covariance_root is not None:
-            white, log_sd = _whitened(observation.covariance_root * factor, observation.values - model)
+            white, log_sd = _whitened(
+                observation.covariance_root * factor, observation.values - model
+            )
             return _normal(white, log_sd)
         sd = self.sd(observation, model, factor)
         residual = observation.values - model
@@ -75,7 +79,9 @@ class Noise(eqx.Module):
         sd = self.sd(observation, observation.values, factor)
         if self.discrepancy is None:
             return residual / sd
-        return _whitened(_cholesky(jnp.diag(sd * sd) + self._smooth(observation, observation.values)), residual)[0]
+        return _whitened(
+            _cholesky(jnp.diag(sd * sd) + self._smooth(observation, observation.values)), residual
+        )[0]
 
     def draw(self, observation: Observation, model, factor, normal, chi_square=None):
         """A measurement of the model, from standard normal numbers (and, for Student's t, χ² ones)."""
@@ -144,7 +150,9 @@ def _cholesky(a):
         columns = jnp.where(places < k * _BLOCK, 0.0, _forward(corner, columns.T).T)
         return jax.lax.dynamic_update_slice_in_dim(root, columns, k * _BLOCK, 1)
 
-    return jnp.tril(jax.lax.fori_loop(0, places.size // _BLOCK, step, jnp.zeros_like(padded)))[:n, :n]
+    return jnp.tril(jax.lax.fori_loop(0, places.size // _BLOCK, step, jnp.zeros_like(padded)))[
+        :n, :n
+    ]
 
 
 def _padded(a):

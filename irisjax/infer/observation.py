@@ -46,7 +46,9 @@ class Observation(eqx.Module):
         """The quantity that a reflectance makes."""
         if self.response is None:
             return reflectance
-        seen = self.response @ reflectance if self.response.ndim == 2 else self.response * reflectance
+        seen = (
+            self.response @ reflectance if self.response.ndim == 2 else self.response * reflectance
+        )
         return seen if self.white is None else lab_of(seen / self.white)
 
 
@@ -71,8 +73,12 @@ def spectrum(
 
     **Raises:** `ValueError` naming the first wavelength at which something is wrong.
     """
-    if (hasattr(wavelengths, "wavelengths") and hasattr(wavelengths, "values")) == (values is not None):
-        raise ValueError(f"{name}: give wavelengths and values, or one object that has both; sd by its name")
+    if (hasattr(wavelengths, "wavelengths") and hasattr(wavelengths, "values")) == (
+        values is not None
+    ):
+        raise ValueError(
+            f"{name}: give wavelengths and values, or one object that has both; sd by its name"
+        )
     if values is None:
         sd = getattr(wavelengths, "sd", None) if sd is None else sd
         wavelengths, values = wavelengths.wavelengths, wavelengths.values
@@ -81,7 +87,9 @@ def spectrum(
         y, scatter = mean_of_scans(y)
         sd = scatter if sd is None else sd
     if grid.ndim != 1 or y.shape != grid.shape:
-        raise ValueError(f"{name}: {y.shape} values for {grid.shape} wavelengths; need one for each")
+        raise ValueError(
+            f"{name}: {y.shape} values for {grid.shape} wavelengths; need one for each"
+        )
     order = np.argsort(grid, kind="stable")
     grid, y = grid[order], y[order]
     check_wavelengths(grid)
@@ -89,19 +97,38 @@ def spectrum(
     low, high = common_range()
     if grid[0] < low or grid[-1] > high:
         outside = grid[0] if grid[0] < low else grid[-1]
-        raise ValueError(f"{name}: {outside:g} nm is outside the pigment tables ({low:g} to {high:g} nm)")
+        raise ValueError(
+            f"{name}: {outside:g} nm is outside the pigment tables ({low:g} to {high:g} nm)"
+        )
     if not np.isfinite(y).all():
-        raise ValueError(f"{name}: the value at {grid[~np.isfinite(y)][0]:g} nm is not a finite number")
+        raise ValueError(
+            f"{name}: the value at {grid[~np.isfinite(y)][0]:g} nm is not a finite number"
+        )
     if sd is not None:
         sd = np.broadcast_to(np.asarray(sd, np.float64), order.shape)[order]
         bad = ~(np.isfinite(sd) & (sd > 0))
         if bad.any():
-            raise ValueError(f"{name}: the standard deviation at {grid[bad][0]:g} nm is {sd[bad][0]:g}; it must be > 0")
+            raise ValueError(
+                f"{name}: the standard deviation at {grid[bad][0]:g} nm is {sd[bad][0]:g}; it must be > 0"
+            )
     if quantity not in (REFLECTANCE, RADIANCE):
         raise ValueError(f"quantity must be {REFLECTANCE!r} or {RADIANCE!r}, got {quantity!r}")
-    response = None if quantity == REFLECTANCE else _array(illuminant_power(illuminant, grid) / np.pi)
+    response = (
+        None if quantity == REFLECTANCE else _array(illuminant_power(illuminant, grid) / np.pi)
+    )
     sd = None if sd is None else _array(sd)
-    return Observation(_array(y), sd, _array(grid), response, None, None, cos_incidence, first_surface, quantity, name)
+    return Observation(
+        _array(y),
+        sd,
+        _array(grid),
+        response,
+        None,
+        None,
+        cos_incidence,
+        first_surface,
+        quantity,
+        name,
+    )
 
 
 def mean_of_scans(scans: np.ndarray) -> tuple[np.ndarray, np.ndarray | None]:

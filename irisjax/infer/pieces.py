@@ -24,7 +24,9 @@ def in_pieces(function, arguments, elements: int):
     count = jax.tree.leaves(arguments)[0].shape[0]
     size = max(1, _ELEMENTS // elements)
     if size >= count:
-        return jax.vmap(lambda x: function(x))(arguments)  # JAX cannot hash bound methods of modules
+        return jax.vmap(lambda x: function(x))(
+            arguments
+        )  # JAX cannot hash bound methods of modules
     return jax.lax.map(function, arguments, batch_size=size)
 
 
@@ -53,4 +55,6 @@ def pointwise(problem: Problem, z):
 @jax.jit
 def predicted(problem: Problem, z, keys):
     """Noisy measurements and the models without noise: two tuples of arrays (n, data), one an observation."""
-    return in_pieces(lambda a: (problem.simulate(*a), problem.predict(a[0])), (z, keys), elements(problem))
+    return in_pieces(
+        lambda a: (problem.simulate(*a), problem.predict(a[0])), (z, keys), elements(problem)
+    )

@@ -69,12 +69,16 @@ def sample(
     path = Path(path)
     free = len(problem.free)
     if walkers < 2 * free + 2:
-        raise ValueError(f"{walkers} walkers are too few for {free} free parameters; give at least {2 * free + 2}")
+        raise ValueError(
+            f"{walkers} walkers are too few for {free} free parameters; give at least {2 * free + 2}"
+        )
     mark = _fingerprint(problem, walkers, seed)
     if resume and path.exists():
         repair(path)
         if Stream(str(path), name="burn").mark() != mark:
-            raise ValueError(f"{path}: made from other data or settings; it cannot be resumed with these")
+            raise ValueError(
+                f"{path}: made from other data or settings; it cannot be resumed with these"
+            )
     elif path.exists():
         raise ValueError(f"{path}: exists; resume it or remove it")
     else:
@@ -99,7 +103,9 @@ def sample(
     burn.advance(_BURN, report("burn-in"))
     taught = burn.between((_SPREAD + _BURN) // 2, _BURN)
     begun = Stream(str(path), name="chain").initialized
-    run = _Run(path, "chain", log_probability, mixture(taught), seed, None if begun else burn.standing())
+    run = _Run(
+        path, "chain", log_probability, mixture(taught), seed, None if begun else burn.standing()
+    )
     wanted = 2 * _BLOCK
     while True:
         run.advance(min(wanted, max_steps), report("sampling", _BURN))
@@ -120,7 +126,9 @@ def diagnose(backend, steps: int) -> Chains:
     tau = stride * emcee.autocorr.integrated_time(z, tol=0, quiet=True)
     rhat = bulk = tail = np.full(tau.shape, np.nan)
     if tau.max() * TAUS <= steps:  # a second's work, for nothing if it has to go on
-        by_walker = np.moveaxis(z[:: max(1, int(tau.min() / stride / 3))], 0, 1)  # neighbours are alike
+        by_walker = np.moveaxis(
+            z[:: max(1, int(tau.min() / stride / 3))], 0, 1
+        )  # neighbours are alike
         rhat, bulk, tail = np.array([diagnostics(by_walker[..., k]) for k in range(z.shape[2])]).T
     # Walkers are not independent chains: count no more than their autocorrelation leaves.
     bulk = np.minimum(bulk, steps * z.shape[1] / tau)
@@ -129,9 +137,13 @@ def diagnose(backend, steps: int) -> Chains:
     if not np.isfinite(tau).all():
         reasons.append("a walker never moved")
     elif not tau.max() * TAUS <= steps:
-        reasons.append(f"{steps} steps are {steps / np.max(tau):.0f} autocorrelation times, not {TAUS}")
+        reasons.append(
+            f"{steps} steps are {steps / np.max(tau):.0f} autocorrelation times, not {TAUS}"
+        )
     elif not bulk.min() >= ESS or not tail.min() >= ESS / 2:
-        reasons.append(f"effective samples {bulk.min():.0f} ({tail.min():.0f} of the tails), not {ESS} ({ESS // 2})")
+        reasons.append(
+            f"effective samples {bulk.min():.0f} ({tail.min():.0f} of the tails), not {ESS} ({ESS // 2})"
+        )
     elif not rhat.max() <= RHAT:
         reasons.append(f"R-hat {rhat.max():.3f}, not {RHAT}")
     thin = max(1, int(tau.min() / 2 / stride)) if np.isfinite(tau).all() else 1
@@ -172,7 +184,9 @@ class _Run:
         here = self.standing()
         self._reseed(done)
         with self.backend.held():
-            for _ in self.sampler.sample(here, iterations=steps - done, skip_initial_state_check=True):
+            for _ in self.sampler.sample(
+                here, iterations=steps - done, skip_initial_state_check=True
+            ):
                 done += 1
                 self._reseed(done)
                 progress(done)
@@ -202,10 +216,14 @@ class _Run:
             if np.allclose(again, np.asarray(last.log_prob), rtol=1e-9, atol=1e-9, equal_nan=True):
                 return
             self.backend.drop_last()
-        raise ValueError(f"{path}: its steps do not belong to this problem; remove it and start again")
+        raise ValueError(
+            f"{path}: its steps do not belong to this problem; remove it and start again"
+        )
 
 
-def _begin(path: Path, problem: Problem, walkers: int, seed: int, mark: str, start: Fit | None) -> None:
+def _begin(
+    path: Path, problem: Problem, walkers: int, seed: int, mark: str, start: Fit | None
+) -> None:
     """A new file with the walkers' first places: a cloud as wide as the fit's covariance."""
     best = fit(problem) if start is None else start
     z, covariance = laplace(problem, best)
@@ -236,7 +254,9 @@ def laplace(problem: Problem, best: Fit) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _fingerprint(problem: Problem, walkers: int, seed: int) -> str:
-    digest = hashlib.sha256(json.dumps([walkers, seed, problem.free, str(problem.process)]).encode())
+    digest = hashlib.sha256(
+        json.dumps([walkers, seed, problem.free, str(problem.process)]).encode()
+    )
     digest.update(repr(problem.priors).encode())
     for leaf in jax.tree.leaves((problem.observations, problem.noise, problem.base, problem.fixed)):
         digest.update(np.asarray(leaf).tobytes() if not isinstance(leaf, str) else leaf.encode())

@@ -83,7 +83,9 @@ class Uniform(AbstractPrior):
         # From the nearer end, so that both ends are resolved alike.
         width = self.high - self.low
         return jnp.where(
-            z < 0, self.low + width * ndtr(jnp.minimum(z, 0)), self.high - width * ndtr(-jnp.maximum(z, 0))
+            z < 0,
+            self.low + width * ndtr(jnp.minimum(z, 0)),
+            self.high - width * ndtr(-jnp.maximum(z, 0)),
         )
 
     def standard(self, value):
@@ -126,14 +128,20 @@ class Normal(AbstractPrior):
     high: float = eqx.field(static=True, converter=float, default=np.inf)
 
     def value(self, z):
-        below, above = ndtr((self.low - self.mean) / self.sd), ndtr((self.mean - self.high) / self.sd)
+        below, above = (
+            ndtr((self.low - self.mean) / self.sd),
+            ndtr((self.mean - self.high) / self.sd),
+        )
         # Counted from the nearer tail, where the other would round to one.
         lower = ndtri(below + (1 - below - above) * ndtr(jnp.minimum(z, 0)))
         upper = -ndtri(above + (1 - below - above) * ndtr(-jnp.maximum(z, 0)))
         return self.mean + self.sd * jnp.where(z < 0, lower, upper)
 
     def standard(self, value):
-        below, above = ndtr((self.low - self.mean) / self.sd), ndtr((self.mean - self.high) / self.sd)
+        below, above = (
+            ndtr((self.low - self.mean) / self.sd),
+            ndtr((self.mean - self.high) / self.sd),
+        )
         return ndtri((ndtr((value - self.mean) / self.sd) - below) / (1 - below - above))
 
     @property

@@ -51,12 +51,21 @@ class Problem(eqx.Module):
 
     def values(self, z: Float[Array, " free"]) -> dict[str, Any]:
         """Parameters by name, those fixed included."""
-        return {**self.fixed, **{n: p.value(z[i]) for i, (n, p) in enumerate(zip(self.free, self.priors, strict=True))}}
+        return {
+            **self.fixed,
+            **{
+                n: p.value(z[i])
+                for i, (n, p) in enumerate(zip(self.free, self.priors, strict=True))
+            },
+        }
 
     def standard(self, values: Mapping[str, Any]) -> Float[Array, " free"]:
         """The vector z of these values of the free parameters."""
         return jnp.stack(
-            [p.standard(jnp.asarray(values[n], float)) for n, p in zip(self.free, self.priors, strict=True)]
+            [
+                p.standard(jnp.asarray(values[n], float))
+                for n, p in zip(self.free, self.priors, strict=True)
+            ]
         )
 
     def natural(self, z: Float[Array, " free"]) -> Float[Array, " free"]:
@@ -92,7 +101,9 @@ class Problem(eqx.Module):
         return jnp.concatenate(
             [
                 self.noise.pointwise(o, m, _seen_by(values, i)["noise"])
-                for i, (o, m) in enumerate(zip(self.observations, self._models(values), strict=True))
+                for i, (o, m) in enumerate(
+                    zip(self.observations, self._models(values), strict=True)
+                )
             ]
         )
 
@@ -116,7 +127,9 @@ class Problem(eqx.Module):
     def residuals_and_models(self, z: Float[Array, " free"], factor=1.0):
         """`residuals` and `predict` at once."""
         models = self._models(self.values(z))
-        whitened = [self.noise.whiten(o, m, factor) for o, m in zip(self.observations, models, strict=True)]
+        whitened = [
+            self.noise.whiten(o, m, factor) for o, m in zip(self.observations, models, strict=True)
+        ]
         return jnp.concatenate(whitened), models
 
     def simulate(self, z: Float[Array, " free"], key) -> tuple[Float[Array, " _"], ...]:
@@ -141,7 +154,9 @@ class Problem(eqx.Module):
             how = (solver, layers.indices, cosine)
             depths = (layers.abl_absorption, layers.stroma_absorption, layers.stroma_scattering)
             run = partial(_reflectance, layers.order, self.process, o.first_surface)
-            out.append(_seen_by(values, i)["gain"] * o.of(factor * _by_wavelength(run, how, depths)))
+            out.append(
+                _seen_by(values, i)["gain"] * o.of(factor * _by_wavelength(run, how, depths))
+            )
         return tuple(out)
 
     def _scene(self, values, i: int):
@@ -154,7 +169,9 @@ class Problem(eqx.Module):
         if o.cos_incidence == DIFFUSE:
             return self.solver, layers, DIFFUSE, 1.0
         cornea = self.process.cornea or ("inward" if o.quantity == RADIANCE else "none")
-        factor, cosine = through_cornea(iris, jnp.asarray(o.cos_incidence, layers.extinction.dtype), cornea)
+        factor, cosine = through_cornea(
+            iris, jnp.asarray(o.cos_incidence, layers.extinction.dtype), cornea
+        )
         return self.solver, layers, cosine, factor
 
 
@@ -198,13 +215,21 @@ def problem(
             raise ValueError(f"{name} = {value:g} is outside {low:g} to {high:g}")
         if free is not None and name in free:
             raise ValueError(f"{name} is both free and fixed")
-    names = [n for n in PARAMETERS if n in (DEFAULT_FREE if free is None else tuple(free)) and n not in fixed]
+    names = [
+        n
+        for n in PARAMETERS
+        if n in (DEFAULT_FREE if free is None else tuple(free)) and n not in fixed
+    ]
     if not names:
         raise ValueError(f"nothing is free; choose from {', '.join(PARAMETERS)}")
     for name in (*priors, *separate):
         if name not in names:
             raise ValueError(f"{name} has a prior or is separate, but is not free")
-    expanded = [f"{n}@{i + 1}" if n in separate else n for n in names for i in range(len(seen) if n in separate else 1)]
+    expanded = [
+        f"{n}@{i + 1}" if n in separate else n
+        for n in names
+        for i in range(len(seen) if n in separate else 1)
+    ]
     most = max(o.values.shape[-1] for o in seen)
     if noise is not None and noise.discrepancy is not None and most > _MOST_CORRELATED:
         raise ValueError(
@@ -237,7 +262,11 @@ def kind(name: str) -> str:
 
 def unit_of(name: str) -> str:
     """Unit of a free or derived name."""
-    return DERIVED.get(kind(name)) or PARAMETERS[kind(name)].unit if kind(name) in PARAMETERS else DERIVED[kind(name)]
+    return (
+        DERIVED.get(kind(name)) or PARAMETERS[kind(name)].unit
+        if kind(name) in PARAMETERS
+        else DERIVED[kind(name)]
+    )
 
 
 _TABLES: dict[Any, Tabulated] = {}
@@ -261,12 +290,20 @@ def _seen_by(values: Mapping[str, Any], i: int) -> dict[str, Any]:
 def _run(process, first_surface, solver, layers, cosine):
     solution = solver.solve(layers, process, cosine)
     counted = first_surface and process.first_surface
-    return (solution.reflectance + solution.mirrored if counted else solution.reflectance), solution.result
+    return (
+        solution.reflectance + solution.mirrored if counted else solution.reflectance
+    ), solution.result
 
 
 def _reflectance(order, process, first_surface, how, depths):
     solver, indices, cosine = how
-    return _run(process, first_surface, solver, Layers(depths[0], depths[1], depths[2], indices, order), cosine)[0]
+    return _run(
+        process,
+        first_surface,
+        solver,
+        Layers(depths[0], depths[1], depths[2], indices, order),
+        cosine,
+    )[0]
 
 
 @eqx.filter_custom_jvp
@@ -283,7 +320,9 @@ def _by_wavelength_jvp(primals, tangents):
     run, how, depths = primals
     _, moved, slopes = tangents
     if any(t is not None for t in jax.tree.leaves(moved)):
-        raise NotImplementedError("derivatives by indices or incidence are not part of an inversion")
+        raise NotImplementedError(
+            "derivatives by indices or incidence are not part of an inversion"
+        )
     active = [i for i, slope in enumerate(slopes) if slope is not None]
     # One program for all three: compiling is what takes long here.
     each = jnp.eye(len(depths), dtype=depths[0].dtype)[np.array(active)]

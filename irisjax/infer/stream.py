@@ -137,11 +137,15 @@ def repair(path: Path) -> None:
         with h5py.File(path, "r") as file:
             group: Any
             for group in file.values():
-                for rows in group["log_prob"].iter_chunks():  # not all at once: chains are longer than memory
+                for rows in group[
+                    "log_prob"
+                ].iter_chunks():  # not all at once: chains are longer than memory
                     _ = group["log_prob"][rows]
                 if len(group["chain"]):
                     _ = group["chain"][-1]
     except (OSError, KeyError, ValueError, RuntimeError) as error:
         if not backup(path).exists():
-            raise ValueError(f"{path}: damaged ({error}) and without a copy; remove it and start again") from None
+            raise ValueError(
+                f"{path}: damaged ({error}) and without a copy; remove it and start again"
+            ) from None
         shutil.copyfile(backup(path), path)

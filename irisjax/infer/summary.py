@@ -73,7 +73,9 @@ def _reported(problem: Problem, z):
 
 def summarise(problem: Problem, chains: Chains) -> list[Row]:
     """A row for every free and derived parameter."""
-    prior = np.asarray(jax.random.normal(jax.random.key(0, impl="threefry2x32"), (20_000, len(problem.free))))
+    prior = np.asarray(
+        jax.random.normal(jax.random.key(0, impl="threefry2x32"), (20_000, len(problem.free)))
+    )
     before, rows = reported(problem, prior), []
     for name, values in reported(problem, chains.z).items():
         rhat, bulk, tail = diagnostics(values.T)
@@ -86,7 +88,20 @@ def summarise(problem: Problem, chains: Chains) -> list[Row]:
             contraction = 1 - np.log(values).var() / np.log(before[name]).var()
         q = np.percentile(values, QUANTILES)
         rows.append(
-            Row(name, unit_of(name), q[2], values.std(), q[0], q[1], q[3], q[4], rhat, bulk, tail, float(contraction))
+            Row(
+                name,
+                unit_of(name),
+                q[2],
+                values.std(),
+                q[0],
+                q[1],
+                q[3],
+                q[4],
+                rhat,
+                bulk,
+                tail,
+                float(contraction),
+            )
         )
     return rows
 
@@ -122,7 +137,9 @@ def check(problem: Problem, chains: Chains, key) -> Check:
 def _stated(problem, z, i, model, observation):
     """Standard deviations under each draw."""
     if observation.covariance_root is not None:
-        return np.sqrt(np.diag(np.asarray(observation.covariance_root @ observation.covariance_root.T)))
+        return np.sqrt(
+            np.diag(np.asarray(observation.covariance_root @ observation.covariance_root.T))
+        )
     return np.asarray(_sds(problem, z, model, i))
 
 
@@ -132,6 +149,10 @@ def _sds(problem, z, models, i):
         factor = values.get("noise", values.get(f"noise@{i + 1}"))
         sd = problem.noise.sd(problem.observations[i], m, factor)
         # A marginalised discrepancy is part of what the residuals may be.
-        return sd if problem.noise.discrepancy is None else jnp.hypot(sd, problem.noise.discrepancy * m)
+        return (
+            sd
+            if problem.noise.discrepancy is None
+            else jnp.hypot(sd, problem.noise.discrepancy * m)
+        )
 
     return jax.vmap(one)(z, models)

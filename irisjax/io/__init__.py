@@ -39,7 +39,14 @@ if TYPE_CHECKING:
 _LATER = {
     "illumination": ("tables_of",),
     "handover": ("export",),
-    "images": ("Image", "read_environment", "read_image", "spectral_channels", "write_exr", "write_png"),
+    "images": (
+        "Image",
+        "read_environment",
+        "read_image",
+        "spectral_channels",
+        "write_exr",
+        "write_png",
+    ),
     "maps": ("read_maps", "write_maps"),
     "mesh": ("eye_meshes", "write_eye"),
     "movies": ("check_movie", "write_movie"),

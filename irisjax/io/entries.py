@@ -14,9 +14,17 @@ _LEVELS = ("low", "moderate", "high")
 
 def _number(low: float = -math.inf, high: float = math.inf) -> Callable[[Any], float]:
     def check(value):
-        if isinstance(value, bool) or not isinstance(value, int | float) or not low <= value <= high:
+        if (
+            isinstance(value, bool)
+            or not isinstance(value, int | float)
+            or not low <= value <= high
+        ):
             span = (
-                "" if low == -math.inf else f", {low:g} or more" if high == math.inf else f" from {low:g} to {high:g}"
+                ""
+                if low == -math.inf
+                else f", {low:g} or more"
+                if high == math.inf
+                else f" from {low:g} to {high:g}"
             )
             raise ValueError(f"must be a number{span}")
         return float(value)
@@ -65,7 +73,9 @@ def _size(value):
     return tuple(_whole(1, 16384)(v) for v in value)
 
 
-def _three(form: str, low: float = -math.inf, high: float = math.inf) -> Callable[[Any], list[float]]:
+def _three(
+    form: str, low: float = -math.inf, high: float = math.inf
+) -> Callable[[Any], list[float]]:
     def check(value):
         if not (isinstance(value, list) and len(value) == 3):
             raise ValueError(f"must be {form}")
@@ -79,8 +89,16 @@ FEATURES: dict[str, Callable[[Any], Any]] = {
     "freckles": _whole(0, 200), "abl": _number(0, 2), "heterochromia": _number(0, 20), "relief": _number(0, 1),
 }  # fmt: skip
 _DEGREES = _number(-360, 360)
-_THICKEST = 3.0  # mm: a model may be thicker, an iris in its chamber not; micrometres by mistake would be
-_OF_THE_EYE = ("pupil_radius", "iris_radius", "aqueous_index", "cornea_index", "tear_index")  # [eye] decides these
+_THICKEST = (
+    3.0  # mm: a model may be thicker, an iris in its chamber not; micrometres by mistake would be
+)
+_OF_THE_EYE = (
+    "pupil_radius",
+    "iris_radius",
+    "aqueous_index",
+    "cornea_index",
+    "tear_index",
+)  # [eye] decides these
 
 SECTIONS: dict[str, dict[str, Callable[[Any], Any]]] = {
     "iris": {

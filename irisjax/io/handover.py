@@ -84,7 +84,9 @@ def _contents(scene: Scene, spacing: float) -> tuple[dict[str, bytes], int, Lamb
     for name, mesh in meshes.items():
         data |= encode_obj(mesh, name, "albedo.png" if name == "iris" else None)
 
-    remark = {"comments": f"simulated by irisjax; {integrator.process}; a texel's albedo at normal incidence"}
+    remark = {
+        "comments": f"simulated by irisjax; {integrator.process}; a texel's albedo at normal incidence"
+    }
     bands = colour_bands(scene.illuminant, scene.observer)
     hazy = bands if cornea is None else colour_bands(scene.illuminant, scene.observer, cornea)
     matt = Matt.of(iris, maps, _joined(bands, hazy), integrator)
@@ -94,18 +96,24 @@ def _contents(scene: Scene, spacing: float) -> tuple[dict[str, bytes], int, Lamb
     clipped = int(((colour < 0) | (colour > 1)).any(-1).sum())
     colour = np.clip(colour, 0, 1)
     data["albedo.exr"] = encode_exr("albedo.exr", colour, metadata=remark)
-    data["albedo.png"] = encode_png("albedo.png", np.asarray(srgb_encode(colour)), remark="simulated by irisjax")[0]
+    data["albedo.png"] = encode_png(
+        "albedo.png", np.asarray(srgb_encode(colour)), remark="simulated by irisjax"
+    )[0]
     layers = spectral_channels(WAVELENGTHS, layer="T")
     data["reflectance.exr"] = encode_exr("reflectance.exr", spectral, layers, remark)
     relief = None if maps is None else maps.relief
     if relief is not None:
-        data["relief.exr"] = encode_exr("relief.exr", in_uv(relief[..., None]), ("Y",), {"comments": "height, mm"})
+        data["relief.exr"] = encode_exr(
+            "relief.exr", in_uv(relief[..., None]), ("Y",), {"comments": "height, mm"}
+        )
     if maps is not None and maps.present():
         data["maps.exr"] = encode_maps("maps.exr", maps)
     error = LambertError(*(value[:3] for value in matt.error()))
     data["brdf.csv"] = _brdf(matt, scene.illuminant, integrator).encode()
     if scene.environment is not None:
-        data["environment.exr"] = encode_exr("environment.exr", np.asarray(scene.environment.radiance))
+        data["environment.exr"] = encode_exr(
+            "environment.exr", np.asarray(scene.environment.radiance)
+        )
     data["scene.xml"] = mitsuba_scene(
         scene,
         relief=relief is not None,
@@ -113,7 +121,9 @@ def _contents(scene: Scene, spacing: float) -> tuple[dict[str, bytes], int, Lamb
         haze=haze,
         environment=None if scene.environment is None else "environment.exr",
     ).encode()
-    data["README.txt"] = _readme(scene, list(data), error, float(matt.response.error), clipped).encode()
+    data["README.txt"] = _readme(
+        scene, list(data), error, float(matt.response.error), clipped
+    ).encode()
     return data, clipped, error
 
 

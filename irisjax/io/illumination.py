@@ -98,7 +98,12 @@ def _read(path: Path, name: str) -> Illumination:
         if str(file["key"]) != name:
             raise ValueError("tables of another eye")
         flux, extent, largest = (file[field] for field in ("flux", "extent", "largest"))
-    if flux.dtype != jnp.result_type(float) or flux.ndim != 4 or extent.shape != () or largest.shape != ():
+    if (
+        flux.dtype != jnp.result_type(float)
+        or flux.ndim != 4
+        or extent.shape != ()
+        or largest.shape != ()
+    ):
         raise ValueError("tables of another kind")
     return Illumination(jnp.asarray(flux), jnp.asarray(extent), float(largest))
 

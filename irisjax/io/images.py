@@ -21,7 +21,11 @@ T = TypeVar("T")
 READABLE = (".exr", ".hdr", ".png", ".jpg", ".jpeg")
 """Kinds of picture that can be read."""
 
-_TYPES = {"uint8": "uint8", "uint16": "uint16", "float32": "float"}  # OpenImageIO makes halves of "float32"
+_TYPES = {
+    "uint8": "uint8",
+    "uint16": "uint16",
+    "float32": "float",
+}  # OpenImageIO makes halves of "float32"
 _SPECTRAL = re.compile(r"(S[0-3]|T)\.\d+(,\d+)?nm")
 
 
@@ -59,7 +63,9 @@ def read_image(path: str | Path, *, decode: bool = False) -> Image:
     try:
         spec = file.spec()
         values = file.read_image("float")
-        complaint = file.geterror()  # of a JPEG that is cut short there is one, and values all the same
+        complaint = (
+            file.geterror()
+        )  # of a JPEG that is cut short there is one, and values all the same
         if values is None or complaint:
             raise ValueError(f"{path}: the picture is broken ({_first_line(complaint)})")
     finally:
@@ -77,7 +83,9 @@ def read_image(path: str | Path, *, decode: bool = False) -> Image:
     return Image(pixels, linear or decode, tuple(spec.channelnames), metadata)
 
 
-def write_png(path: str | Path, encoded, *, bits: int = 8, remark: str = "", rows: int | None = None) -> int:
+def write_png(
+    path: str | Path, encoded, *, bits: int = 8, remark: str = "", rows: int | None = None
+) -> int:
     """Write sRGB-encoded values (rows, columns, 3) in [0, 1] as a PNG of 8 or 16 bits, rounded to the nearest step.
 
     Returns how many pixels were clipped: those with a component beyond [0, 1] by more than half a step. `remark` goes
@@ -124,7 +132,10 @@ def write_exr(
     attributes = {"Software": "irisjax", "compression": "zip"}
     if any(_SPECTRAL.fullmatch(name) for name in channels):
         attributes["spectralLayoutVersion"] = "1.0"
-    bands = (_pixels(band, len(channels)).astype(np.float32) for band in ([image] if rows is None else image))
+    bands = (
+        _pixels(band, len(channels)).astype(np.float32)
+        for band in ([image] if rows is None else image)
+    )
     _write(path, bands, rows, channels, attributes | dict(metadata or {}))
 
 
@@ -134,7 +145,10 @@ def encode_png(path: str | Path, encoded, *, bits: int = 8, remark: str = "") ->
 
 
 def encode_exr(
-    path: str | Path, image, channels: Sequence[str] = ("R", "G", "B"), metadata: Mapping[str, str] | None = None
+    path: str | Path,
+    image,
+    channels: Sequence[str] = ("R", "G", "B"),
+    metadata: Mapping[str, str] | None = None,
 ) -> bytes:
     """The bytes that `write_exr` writes; `path` is only named in errors."""
     return _bytes(path, lambda there: write_exr(there, image, channels, metadata))[0]
@@ -169,9 +183,13 @@ def read_environment(path: str | Path) -> Environment:
     image = read_image(path, decode=True)
     rows, columns = image.pixels.shape[:2]
     if columns != 2 * rows:
-        raise ValueError(f"{path}: a latitude-longitude map is twice as wide as high, this is {columns} × {rows}")
+        raise ValueError(
+            f"{path}: a latitude-longitude map is twice as wide as high, this is {columns} × {rows}"
+        )
     if not {"R", "G", "B"} <= set(image.channels):
-        raise ValueError(f"{path}: an environment needs the channels R, G, B, found {', '.join(image.channels)}")
+        raise ValueError(
+            f"{path}: an environment needs the channels R, G, B, found {', '.join(image.channels)}"
+        )
     rgb = image.pixels[..., [image.channels.index(c) for c in "RGB"]]
     try:
         return Environment(rgb)
@@ -188,7 +206,9 @@ def to_steps(path: str | Path, encoded, bits: int) -> tuple[np.ndarray, int]:
     if bits not in (8, 16):
         raise ValueError(f"a PNG has 8 or 16 bits, got {bits}")
     if not np.isfinite(values).all():
-        raise ValueError(f"{path}: {int((~np.isfinite(values)).any(-1).sum())} pixels are not finite")
+        raise ValueError(
+            f"{path}: {int((~np.isfinite(values)).any(-1).sum())} pixels are not finite"
+        )
     most = 2**bits - 1
     steps = np.rint(values.astype(np.float64) * most)
     clipped = int(((steps < 0) | (steps > most)).any(-1).sum())
@@ -219,7 +239,9 @@ def _write(
     for name, value in attributes.items():
         spec.attribute(name, value)
     with replacing(path) as temporary:
-        file = oiio.ImageOutput.create(Path(path).suffix[1:].lower())  # by kind: the temporary name says nothing
+        file = oiio.ImageOutput.create(
+            Path(path).suffix[1:].lower()
+        )  # by kind: the temporary name says nothing
         if not (file and file.open(str(temporary), spec)):
             raise ValueError(f"{path}: {_first_line(file.geterror() if file else oiio.geterror())}")
         done = 0
@@ -233,7 +255,9 @@ def _write(
         finally:
             closed = file.close()
         if done != rows or not closed:
-            raise ValueError(f"{path}: {_first_line(file.geterror()) if done == rows else f'{done} of {rows} rows'}")
+            raise ValueError(
+                f"{path}: {_first_line(file.geterror()) if done == rows else f'{done} of {rows} rows'}"
+            )
 
 
 def _pixels(image, channels: int) -> np.ndarray:

@@ -17,7 +17,12 @@ from irisjax.tissue.maps import IrisMaps
 NAMES = tuple(f.name for f in dataclasses.fields(IrisMaps))
 """Channel names of a file of maps."""
 
-_PACKED: Mapping[str, str] = {"R": "relief", "G": "abl_thickness", "B": "stroma_thickness", "A": "freckles"}
+_PACKED: Mapping[str, str] = {
+    "R": "relief",
+    "G": "abl_thickness",
+    "B": "stroma_thickness",
+    "A": "freckles",
+}
 
 
 def read_maps(path: str | Path) -> IrisMaps:
@@ -61,4 +66,6 @@ def encode_maps(path: str | Path, maps: IrisMaps) -> bytes:
     if not present:
         raise ValueError(f"{path}: there are no maps to write")
     remark = "maps of an iris: rows angles, columns radii from the pupil; mm, freckles 0 to 1, melanins relative"
-    return encode_exr(path, np.stack(list(present.values()), axis=-1), tuple(present), {"comments": remark})
+    return encode_exr(
+        path, np.stack(list(present.values()), axis=-1), tuple(present), {"comments": remark}
+    )

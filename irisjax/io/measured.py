@@ -9,7 +9,9 @@ import numpy as np
 
 from irisjax.infer.observation import mean_of_scans
 
-_SD = re.compile(r"^(sd|std|stdev|sigma|standard[ _]deviation|standard[ _]error|uncertainty)\b", re.I)
+_SD = re.compile(
+    r"^(sd|std|stdev|sigma|standard[ _]deviation|standard[ _]error|uncertainty)\b", re.I
+)
 _MICRO = re.compile(r"µm|μm|\bum\b|micro|_um\b", re.I)
 _NANO = re.compile(r"nm\b|nano", re.I)
 
@@ -45,7 +47,9 @@ def read_measured(path: str | Path) -> Measured:
         raise ValueError(f"{path}: not a text file (UTF-8)") from None
     if text.lstrip().startswith("##"):
         return _finished(path, *_jcamp(path), {})
-    header = dict(re.findall(r"^#\s*([^:\n]+?)\s*:[ \t]*(.*?)(?:\s*\[[^\[\]\n]*\])?\s*$", text, flags=re.M))
+    header = dict(
+        re.findall(r"^#\s*([^:\n]+?)\s*:[ \t]*(.*?)(?:\s*\[[^\[\]\n]*\])?\s*$", text, flags=re.M)
+    )
     return _finished(path, *_table(path, text), header)
 
 
@@ -58,7 +62,9 @@ def _table(path, text: str):
     # The one that most lines have; of tab, semicolon and comma in this order, as commas may be decimal.
     found = {d: sum(d in line for line in body) for d in ("\t", ";", ",")}
     delimiter = next((d for d, n in found.items() if 2 * n > len(body)), None)
-    decimal_comma = delimiter in ("\t", ";") and found[","] and not any("." in line for line in body[1:])
+    decimal_comma = (
+        delimiter in ("\t", ";") and found[","] and not any("." in line for line in body[1:])
+    )
     for number, line in enumerate(lines, 1):
         if not line.strip() or line.lstrip().startswith("#"):
             continue
@@ -79,10 +85,14 @@ def _table(path, text: str):
         raise ValueError(f"{path}, line {rows[0][0]}: one column; need wavelength and reflectance")
     for number, row in rows:
         if len(row) != width:
-            raise ValueError(f"{path}, line {number}: {len(row)} values, {width} in the lines before")
+            raise ValueError(
+                f"{path}, line {number}: {len(row)} values, {width} in the lines before"
+            )
     values = np.array([row for _, row in rows])
     where = [f"line {number}" for number, _ in rows]
-    names = [n.strip() for n in names] if names is not None and len(names) == width else [""] * width
+    names = (
+        [n.strip() for n in names] if names is not None and len(names) == width else [""] * width
+    )
     return values, names, where
 
 
@@ -113,12 +123,16 @@ def _jcamp(path):
         "1/CM": "1/cm",
     }
     if unit not in known:
-        raise ValueError(f"{path}: XUNITS = {unit or 'nothing'}; need nanometers, micrometers or 1/cm")
+        raise ValueError(
+            f"{path}: XUNITS = {unit or 'nothing'}; need nanometers, micrometers or 1/cm"
+        )
     if known[unit] == "1/cm":
         x = 1e7 / x
     name = "wavelength_um" if known[unit] == "um" else "wavelength_nm"
     label = (
-        "percent" if "%" in str(found.get("yunits", "")) or "PERCENT" in str(found.get("yunits", "")).upper() else ""
+        "percent"
+        if "%" in str(found.get("yunits", "")) or "PERCENT" in str(found.get("yunits", "")).upper()
+        else ""
     )
     return np.stack([x, y], 1), [name, label], [f"point {i + 1}" for i in range(x.size)]
 
@@ -135,11 +149,15 @@ def _finished(path, values, names, where, header) -> Measured:
     order = np.argsort(x, kind="stable")
     same = np.flatnonzero(np.diff(x[order]) == 0)
     if same.size:
-        raise ValueError(f"{path}, {where[order[same[0] + 1]]}: {x[order[same[0]]]:g} nm stands twice")
+        raise ValueError(
+            f"{path}, {where[order[same[0] + 1]]}: {x[order[same[0]]]:g} nm stands twice"
+        )
     scans = [j for j in range(1, values.shape[1]) if not _SD.match(names[j])]
     stated = [j for j in range(1, values.shape[1]) if _SD.match(names[j])]
     if not scans or len(stated) > 1 or (stated and len(scans) > 1):
-        raise ValueError(f"{path}: columns {names[1:]}: need one spectrum (with its sd) or repeated scans")
+        raise ValueError(
+            f"{path}: columns {names[1:]}: need one spectrum (with its sd) or repeated scans"
+        )
     y, sd = mean_of_scans(values[:, scans])
     if stated:
         sd = values[:, stated[0]]

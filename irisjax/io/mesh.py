@@ -49,7 +49,9 @@ def encode_ply(mesh: Mesh) -> bytes:
 
     made = trimesh.Trimesh(mesh.vertices, mesh.faces, vertex_normals=mesh.normals, process=False)
     if mesh.uv is not None:
-        made.vertex_attributes.update(u=mesh.uv[:, 0].astype(np.float32), v=mesh.uv[:, 1].astype(np.float32))
+        made.vertex_attributes.update(
+            u=mesh.uv[:, 0].astype(np.float32), v=mesh.uv[:, 1].astype(np.float32)
+        )
     return export_ply(made, vertex_normal=True)
 
 
@@ -65,7 +67,11 @@ def encode_obj(mesh: Mesh, name: str, texture: str | None = None) -> dict[str, b
         white = SimpleMaterial(name=name, ambient=[255] * 3, diffuse=[255] * 3, specular=[0] * 3)
         made.visual = TextureVisuals(uv=mesh.uv, material=white)
     text, more = export_obj(
-        made, include_normals=True, return_texture=True, mtl_name=f"{name}.mtl", header="simulated by irisjax"
+        made,
+        include_normals=True,
+        return_texture=True,
+        mtl_name=f"{name}.mtl",
+        header="simulated by irisjax",
     )
     files = {f"{name}.obj": text.encode()}
     for other, data in more.items():
@@ -104,7 +110,9 @@ def eye_meshes(eye: Eye, spacing: float = 0.1) -> dict[str, Mesh]:
     if eye.cornea is not None:
         meshes["anterior"] = _cap(eye.cornea.anterior, limbus, spacing, around)
         if eye.cornea.posterior is not None:
-            meshes["posterior"] = _cap(eye.cornea.posterior, _reach(eye, eye.cornea.posterior), spacing, around)
+            meshes["posterior"] = _cap(
+                eye.cornea.posterior, _reach(eye, eye.cornea.posterior), spacing, around
+            )
 
     r = np.linspace(pupil, root, _steps(root - pupil, spacing))
     slope = 0.0 if eye.iris_slope is None else float(eye.iris_slope)
@@ -112,7 +120,10 @@ def eye_meshes(eye: Eye, spacing: float = 0.1) -> dict[str, Mesh]:
     points, faces = _revolve(r, float(eye.iris_depth) + slope * r, around, seam=True)
     u, v = np.meshgrid(np.arange(around + 1) / around, (r - pupil) / (root - pupil))
     meshes["iris"] = Mesh(
-        points, _double(eye.iris_normal(jnp.asarray(points, float))), np.stack([u.ravel(), v.ravel()], -1), faces
+        points,
+        _double(eye.iris_normal(jnp.asarray(points, float))),
+        np.stack([u.ravel(), v.ravel()], -1),
+        faces,
     )
 
     if eye.sclera is not None:
@@ -133,7 +144,11 @@ def _steps(length: float, spacing: float) -> int:
 
 
 def _cap(surface: Conicoid, edge: float, spacing: float, around: int) -> Mesh:
-    r = np.linspace(0, edge, _steps(math.hypot(edge, float(_depth(surface, edge) - _depth(surface, 0))), spacing))
+    r = np.linspace(
+        0,
+        edge,
+        _steps(math.hypot(edge, float(_depth(surface, edge) - _depth(surface, 0))), spacing),
+    )
     points, faces = _revolve(r, _depth(surface, r), around)
     return Mesh(points, _double(surface.normal(jnp.asarray(points, float))), None, faces)
 
@@ -158,7 +173,9 @@ def _reach(eye: Eye, surface: Conicoid) -> float:
     return low
 
 
-def _revolve(r: np.ndarray, z: np.ndarray, around: int, seam: bool = False) -> tuple[np.ndarray, np.ndarray]:
+def _revolve(
+    r: np.ndarray, z: np.ndarray, around: int, seam: bool = False
+) -> tuple[np.ndarray, np.ndarray]:
     """Points and triangles of a profile turned about z; rings of radius 0 are single points at either end.
 
     Normals lie to the left of the profile's course (to −z where r grows).
@@ -181,6 +198,10 @@ def _revolve(r: np.ndarray, z: np.ndarray, around: int, seam: bool = False) -> t
         if tip:
             point = np.full(here.shape[1], sum(map(len, points)))
             points.append(np.array([[0.0, 0.0, z[at]]]))
-            corners = (point, after[place], here[place]) if place == 0 else (point, here[place], after[place])
+            corners = (
+                (point, after[place], here[place])
+                if place == 0
+                else (point, here[place], after[place])
+            )
             faces.append(np.stack(corners, -1))
     return np.concatenate(points), np.concatenate(faces)

@@ -19,7 +19,13 @@ Rgb = Sequence[float] | np.ndarray
 
 
 def mitsuba_scene(
-    scene: Scene, *, relief: bool, white: Rgb | None, haze: Rgb | None, environment: str | None, samples: int = 512
+    scene: Scene,
+    *,
+    relief: bool,
+    white: Rgb | None,
+    haze: Rgb | None,
+    environment: str | None,
+    samples: int = 512,
 ) -> str:
     """The XML of `scene`; its meshes and textures stand beside it under the names of `irisjax.io.handover`.
 
@@ -28,7 +34,11 @@ def mitsuba_scene(
     - `environment`: file of the panorama. `samples`: a pixel; `-D spp=...` of Mitsuba's command changes them.
     """
     root = Xml.Element("scene", version="3.0.0")
-    root.append(Xml.Comment(" simulated by irisjax; mm, x right, y up, z towards the viewer; see README.txt "))
+    root.append(
+        Xml.Comment(
+            " simulated by irisjax; mm, x right, y up, z towards the viewer; see README.txt "
+        )
+    )
     _add(root, "default", "spp", samples)
     path = _add(root, "integrator", type="path")
     _add(path, "integer", "max_depth", 10)
@@ -49,7 +59,9 @@ def mitsuba_scene(
         _add(_add(root, "emitter", type="envmap"), "string", "filename", environment)
     _lamps(root, scene, wide=cornea is not None)
     Xml.indent(root)
-    return '<?xml version="1.0" encoding="utf-8"?>\n' + Xml.tostring(root, encoding="unicode") + "\n"
+    return (
+        '<?xml version="1.0" encoding="utf-8"?>\n' + Xml.tostring(root, encoding="unicode") + "\n"
+    )
 
 
 def _sensor(root: Xml.Element, scene: Scene) -> None:
@@ -61,7 +73,12 @@ def _sensor(root: Xml.Element, scene: Scene) -> None:
     sensor = _add(root, "sensor", type="perspective")
     _look(sensor, origin, target, [0, 0, 1] if sideways else [0, 1, 0])
     distance = float(camera.distance)
-    _add(sensor, "float", "fov", f"{2 * math.degrees(math.atan(float(camera.width) / 2 / distance)):.12g}")
+    _add(
+        sensor,
+        "float",
+        "fov",
+        f"{2 * math.degrees(math.atan(float(camera.width) / 2 / distance)):.12g}",
+    )
     _add(sensor, "string", "fov_axis", "x")
     _add(sensor, "float", "near_clip", f"{distance / 100:g}")
     _add(sensor, "float", "far_clip", f"{10 * distance:g}")
@@ -91,7 +108,9 @@ def _texture(parent: Xml.Element, file: str, name: str | None) -> None:
     _add(texture, "string", "wrap_mode", "clamp")
 
 
-def _interface(root: Xml.Element, name: str, inside: float, outside: float, through: Rgb | None) -> None:
+def _interface(
+    root: Xml.Element, name: str, inside: float, outside: float, through: Rgb | None
+) -> None:
     glass = _add(_mesh(root, name), "bsdf", type="dielectric")
     _add(glass, "float", "int_ior", f"{inside:g}")
     _add(glass, "float", "ext_ior", f"{outside:g}")
@@ -152,6 +171,8 @@ def _numbers(rgb: Rgb) -> str:
     return ", ".join(f"{float(v):.9g}" for v in rgb)
 
 
-def _add(parent: Xml.Element, tag: str, name: str | None = None, value=None, **attributes: str) -> Xml.Element:
+def _add(
+    parent: Xml.Element, tag: str, name: str | None = None, value=None, **attributes: str
+) -> Xml.Element:
     given = {"name": name, "value": None if value is None else str(value), **attributes}
     return Xml.SubElement(parent, tag, {k: v for k, v in given.items() if v is not None})

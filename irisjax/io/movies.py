@@ -35,7 +35,9 @@ def check_movie(path: str | Path) -> None:
     check_writable(path)
 
 
-def write_movie(path: str | Path, frames: Iterable[Any], *, rate: int = 12, remark: str = "") -> int:
+def write_movie(
+    path: str | Path, frames: Iterable[Any], *, rate: int = 12, remark: str = ""
+) -> int:
     """Write frames (rows, columns, 3), all of one size, `rate` of them a second, by the suffix of `path`.
 
     `.gif` goes round endlessly; `.mp4` may have any size, odd ones too; `.png` has a number in its name, such as
@@ -83,14 +85,23 @@ def _mp4(path: Path, frames: Iterator[Any], rate: int, remark: str) -> int:
             clipped += out
             if stream is None:
                 # Constant quality, far above what is seen: 1 of 255 levels on average where colours do not jump.
-                stream = container.add_stream("libvpx-vp9", rate=rate, options={"crf": "8", "b": "0"})
+                stream = container.add_stream(
+                    "libvpx-vp9", rate=rate, options={"crf": "8", "b": "0"}
+                )
                 stream.height, stream.width = steps.shape[:2]
                 stream.pix_fmt = "yuv420p"
                 stream.time_base = Fraction(1, rate)
                 context = stream.codec_context  # BT.709 with sRGB's transfer function, in [16, 235]
-                context.colorspace, context.color_primaries, context.color_trc, context.color_range = 1, 1, 13, 1
+                (
+                    context.colorspace,
+                    context.color_primaries,
+                    context.color_trc,
+                    context.color_range,
+                ) = 1, 1, 13, 1
             frame = av.VideoFrame.from_ndarray(steps, format="rgb24")
-            frame = frame.reformat(format="yuv420p", dst_colorspace="ITU709", dst_color_range="MPEG")
+            frame = frame.reformat(
+                format="yuv420p", dst_colorspace="ITU709", dst_color_range="MPEG"
+            )
             frame.pts = number
             container.mux(stream.encode(frame))
         container.mux(stream.encode(None))
@@ -113,7 +124,9 @@ def _numbered(path: str | Path, number: int) -> Path:
     name = Path(path).name
     found = _NUMBER.findall(name)
     if len(found) != 1 or name.count("%") != 1:
-        raise ValueError(f"{path}: the name of numbered frames holds one number, such as frame_%03d.png")
+        raise ValueError(
+            f"{path}: the name of numbered frames holds one number, such as frame_%03d.png"
+        )
     return Path(path).with_name(name % number)
 
 

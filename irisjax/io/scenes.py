@@ -32,7 +32,9 @@ class SceneError(ValueError):
 class SceneFile(Mapping[str, Any]):
     """A checked scene file: sections by name, and the scene they make."""
 
-    def __init__(self, sections: Mapping[str, Any], where: Callable[[str, str | None], str], folder: Path):
+    def __init__(
+        self, sections: Mapping[str, Any], where: Callable[[str, str | None], str], folder: Path
+    ):
         self._sections, self._where, self._folder = sections, where, folder
 
     def __getitem__(self, name):
@@ -61,10 +63,15 @@ class SceneFile(Mapping[str, Any]):
             except SceneError:
                 raise
             except ValueError as error:
-                key = next((k for k in self._sections.get(name, {}) if str(error).startswith(f"{k} ")), None)
+                key = next(
+                    (k for k in self._sections.get(name, {}) if str(error).startswith(f"{k} ")),
+                    None,
+                )
                 raise SceneError(f"{self._where(name, key)}: {name}: {error}") from None
         parts |= drawn
-        parts["iris"] = parts["iris"].replace(aqueous_index=parts["eye"].aqueous_index)  # one chamber, one index
+        parts["iris"] = parts["iris"].replace(
+            aqueous_index=parts["eye"].aqueous_index
+        )  # one chamber, one index
         return Scene(**parts)
 
     def _key(self, name: str):
@@ -89,13 +96,17 @@ class SceneFile(Mapping[str, Any]):
         given = dict(self._sections.get("iris", {}))
         features = {k: v for k, v in self._sections.get("maps", {}).items() if k in FEATURES}
         # Maps from a file take the place of grown ones.
-        uniform = self._sections.get("maps", {}).get("uniform", False) or "file" in self._sections.get("maps", {})
+        uniform = self._sections.get("maps", {}).get(
+            "uniform", False
+        ) or "file" in self._sections.get("maps", {})
         if "preset" in given:
             if "level" in given:
                 raise ValueError("give preset or level, not both")
             colour = given.pop("preset")
             shape = (16, 8) if uniform else (768, 256)  # maps that nobody asked for are grown small
-            iris, maps = preset(colour, shape=shape, pigments=given, features=features, key=self._key("maps"))
+            iris, maps = preset(
+                colour, shape=shape, pigments=given, features=features, key=self._key("maps")
+            )
         else:
             iris = Iris.preset(given.pop("level", "moderate"))
             iris = iris.replace(**given) if given else iris
@@ -104,7 +115,11 @@ class SceneFile(Mapping[str, Any]):
 
     def _eye(self):
         given = dict(self._sections.get("eye", {}))
-        kind, white, density = given.pop("cornea", "two-surfaces"), given.pop("sclera", True), given.pop("veins", 1.0)
+        kind, white, density = (
+            given.pop("cornea", "two-surfaces"),
+            given.pop("sclera", True),
+            given.pop("veins", 1.0),
+        )
         if kind == "f09":
             given = {"aqueous_index": 1.376, **given}
         eye = Eye(
@@ -133,10 +148,15 @@ class SceneFile(Mapping[str, Any]):
                     raise ValueError("give a light a position or angles, not both")
                 one = Lights.points(lamp["position"], **options)
             else:
-                polar, azimuth = (math.radians(lamp.get(f"{n}_deg", d)) for n, d in (("polar", 35), ("azimuth", 120)))
+                polar, azimuth = (
+                    math.radians(lamp.get(f"{n}_deg", d))
+                    for n, d in (("polar", 35), ("azimuth", 120))
+                )
                 one = Lights.distant(polar, azimuth, **options)
             if "colour" in lamp:
-                one = dataclasses.replace(one, tint=jnp.asarray([lamp["colour"]], one.towards.dtype))
+                one = dataclasses.replace(
+                    one, tint=jnp.asarray([lamp["colour"]], one.towards.dtype)
+                )
             lights = one if lights is None else lights + one
         if lights is None and "environment" not in self._sections:
             lights = Lights.distant(0.6, 2.1, illuminant=illuminant)
@@ -158,7 +178,9 @@ class SceneFile(Mapping[str, Any]):
 
 def stream(seed: int, name: str) -> PRNGKey:
     """The random key of a scene's `"maps"` or `"veins"`."""
-    return jax.random.fold_in(jax.random.key(seed, impl="threefry2x32"), {"maps": 0, "veins": 1}[name])
+    return jax.random.fold_in(
+        jax.random.key(seed, impl="threefry2x32"), {"maps": 0, "veins": 1}[name]
+    )
 
 
 def read_scene(path: str | Path) -> SceneFile:
@@ -185,7 +207,9 @@ def parse_scene(text: str, name: str = "scene", folder: Path = Path()) -> SceneF
     checked: dict[str, Any] = {}
     for section, given in sections.items():
         if section not in SECTIONS:
-            raise ValueError(f"{where(section, None)}: unknown section [{section}]; known: {', '.join(SECTIONS)}")
+            raise ValueError(
+                f"{where(section, None)}: unknown section [{section}]; known: {', '.join(SECTIONS)}"
+            )
         tables = given if section == "light" else [given]
         if not isinstance(tables, list) or not all(isinstance(t, dict) for t in tables):
             wanted = "[[light]]" if section == "light" else f"[{section}]"
@@ -201,7 +225,9 @@ def parse_scene(text: str, name: str = "scene", folder: Path = Path()) -> SceneF
                 try:
                     done[-1][key] = checks[key](value)
                 except ValueError as error:
-                    raise ValueError(f"{where(section, key, nth)}: {section}.{key} = {value!r} {error}") from None
+                    raise ValueError(
+                        f"{where(section, key, nth)}: {section}.{key} = {value!r} {error}"
+                    ) from None
         checked[section] = done if section == "light" else done[0]
     maps = checked.get("maps", {})
     if "file" in maps and (grown := [key for key in maps if key not in ("file", "seed")]):

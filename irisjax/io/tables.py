@@ -37,7 +37,9 @@ def format_table(header: Mapping[str, str], columns: Mapping[str, np.ndarray]) -
     out = io.StringIO()
     for key, value in header.items():
         if "\n" in f"{key}{value}" or ":" in key:
-            raise ValueError(f"header entry {key!r}: keys take no colon, and neither keys nor values a new line")
+            raise ValueError(
+                f"header entry {key!r}: keys take no colon, and neither keys nor values a new line"
+            )
         out.write(f"# {key}: {value}\n")
     writer = csv.writer(out, lineterminator="\n")
     writer.writerow(columns)
@@ -62,7 +64,11 @@ def read_table(path: str | Path) -> Table:
     lines = _lines(path)
     header = _header(path, lines)
     # Comments may stand anywhere; keep the true line numbers for the messages.
-    body = [(number, line) for number, line in enumerate(lines, 1) if line.strip() and not line.startswith("#")]
+    body = [
+        (number, line)
+        for number, line in enumerate(lines, 1)
+        if line.strip() and not line.startswith("#")
+    ]
     if not body:
         raise ValueError(f"{path}: no columns")
     rows = list(csv.reader(line for _, line in body))
@@ -77,7 +83,9 @@ def read_table(path: str | Path) -> Table:
             try:
                 values[i, j] = float(text)
             except ValueError:
-                raise ValueError(f"{path}, line {number}: {names[j]} = {text!r} is not a number") from None
+                raise ValueError(
+                    f"{path}, line {number}: {names[j]} = {text!r} is not a number"
+                ) from None
     return Table(header, {name: values[:, j] for j, name in enumerate(names)})
 
 
@@ -92,7 +100,9 @@ def check_writable(path: str | Path) -> None:
     if not folder.is_dir():
         raise FileNotFoundError(errno.ENOENT, "no such folder", str(target.parent))
     if not os.access(folder, os.W_OK | os.X_OK):
-        raise PermissionError(errno.EACCES, "no permission to write in this folder", str(target.parent))
+        raise PermissionError(
+            errno.EACCES, "no permission to write in this folder", str(target.parent)
+        )
 
 
 def write_atomically(path: str | Path, data: bytes) -> None:
@@ -122,7 +132,9 @@ def write_together(files: Mapping[Path, bytes]) -> None:
             temporary = _beside(target)
             written.append((temporary, target))
             # os.open, not tempfile: the file then has the permissions the user's umask asks for.
-            with open(os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o666), "wb") as file:
+            with open(
+                os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o666), "wb"
+            ) as file:
                 file.write(data)
                 file.flush()
                 os.fsync(file.fileno())

@@ -21,7 +21,9 @@ OBSERVER = "CIE 1931 2 Degree Standard Observer"
 """Default observer, a name known to colour-science."""
 
 # IEC 61966-2-1, XYZ (D65 white at Y = 1) to linear sRGB.
-_XYZ_TO_SRGB = np.linalg.inv(np.array([[0.4124, 0.3576, 0.1805], [0.2126, 0.7152, 0.0722], [0.0193, 0.1192, 0.9505]]))
+_XYZ_TO_SRGB = np.linalg.inv(
+    np.array([[0.4124, 0.3576, 0.1805], [0.2126, 0.7152, 0.0722], [0.0193, 0.1192, 0.9505]])
+)
 
 
 class Colour(eqx.Module):
@@ -73,7 +75,13 @@ def colour(
         key=key,
         raise_on_failure=raise_on_failure,
     )
-    return colour_of(wavelengths, spectrum.values, illuminant=illuminant, observer=observer, status=spectrum.status)
+    return colour_of(
+        wavelengths,
+        spectrum.values,
+        illuminant=illuminant,
+        observer=observer,
+        status=spectrum.status,
+    )
 
 
 def colour_of(
@@ -91,7 +99,9 @@ def colour_of(
     check_wavelengths(wavelengths)
     if np.size(wavelengths) < 2:
         raise ValueError("a colour needs at least two wavelengths")
-    weights, white, adaptation = _constants(np.asarray(wavelengths, np.float64).tobytes(), illuminant, observer)
+    weights, white, adaptation = _constants(
+        np.asarray(wavelengths, np.float64).tobytes(), illuminant, observer
+    )
     dtype = jnp.result_type(values)
     xyz = jnp.asarray(weights, dtype) @ values
     linear = jnp.asarray(_XYZ_TO_SRGB @ adaptation, dtype) @ xyz
@@ -107,22 +117,30 @@ def colour_of(
     )
 
 
-def tristimulus_matrix(wavelengths, space: str = "XYZ", illuminant: str = "D65", observer: str = OBSERVER):
+def tristimulus_matrix(
+    wavelengths, space: str = "XYZ", illuminant: str = "D65", observer: str = OBSERVER
+):
     """The matrix (3, n) from a reflectance to `"XYZ"` (white at Y = 1) or `"linear sRGB"`, and the white's XYZ."""
-    weights, white, adaptation = _constants(np.asarray(wavelengths, np.float64).tobytes(), illuminant, observer)
+    weights, white, adaptation = _constants(
+        np.asarray(wavelengths, np.float64).tobytes(), illuminant, observer
+    )
     return (weights if space == "XYZ" else _XYZ_TO_SRGB @ adaptation @ weights), white
 
 
 def srgb_encode(linear):
     """sRGB transfer function [IEC 61966-2-1]; negative values follow its linear foot."""
     foot = linear <= 0.0031308
-    return jnp.where(foot, 12.92 * linear, 1.055 * jnp.where(foot, 1.0, linear) ** (1 / 2.4) - 0.055)
+    return jnp.where(
+        foot, 12.92 * linear, 1.055 * jnp.where(foot, 1.0, linear) ** (1 / 2.4) - 0.055
+    )
 
 
 def srgb_decode(encoded):
     """Linear values of sRGB-encoded ones; the inverse of `srgb_encode`."""
     foot = encoded <= 12.92 * 0.0031308
-    return jnp.where(foot, encoded / 12.92, ((jnp.where(foot, 1.0, encoded) + 0.055) / 1.055) ** 2.4)
+    return jnp.where(
+        foot, encoded / 12.92, ((jnp.where(foot, 1.0, encoded) + 0.055) / 1.055) ** 2.4
+    )
 
 
 def lab_of(ratio):
@@ -153,7 +171,9 @@ def _constants(grid_bytes: bytes, illuminant: str, observer: str):
     if observer not in cs.MSDS_CMFS:
         raise ValueError(f"unknown observer {observer!r}; known: {', '.join(sorted(cs.MSDS_CMFS))}")
     cmfs = cs.MSDS_CMFS[observer]
-    xyz_bar = np.stack([np.interp(x, cmfs.wavelengths, cmfs.values[:, i], left=0, right=0) for i in range(3)])
+    xyz_bar = np.stack(
+        [np.interp(x, cmfs.wavelengths, cmfs.values[:, i], left=0, right=0) for i in range(3)]
+    )
     power = illuminant_power(illuminant, x)
     # Trapezoidal rule on the caller's grid.
     width = np.gradient(x)
@@ -172,5 +192,7 @@ def _spectrum(illuminant: str):
     import colour as cs
 
     if illuminant not in cs.SDS_ILLUMINANTS:
-        raise ValueError(f"unknown illuminant {illuminant!r}; known: {', '.join(sorted(cs.SDS_ILLUMINANTS))}")
+        raise ValueError(
+            f"unknown illuminant {illuminant!r}; known: {', '.join(sorted(cs.SDS_ILLUMINANTS))}"
+        )
     return cs.SDS_ILLUMINANTS[illuminant]

@@ -64,14 +64,18 @@ def brdf(
     check_cosine("cos_incidence", cos_incidence)
     check_cosine("cos_exit", cos_exit)
     if isinstance(cos_incidence, str) or isinstance(cos_exit, str):
-        raise ValueError("a BRDF needs directions: cos_incidence and cos_exit must be numbers in [0, 1]")
+        raise ValueError(
+            "a BRDF needs directions: cos_incidence and cos_exit must be numbers in [0, 1]"
+        )
     table = extinction(wavelengths)
     dtype = table.wavelengths.dtype
     exits, azimuth = jnp.broadcast_arrays(
         jnp.atleast_1d(jnp.asarray(cos_exit, dtype)), jnp.atleast_1d(jnp.asarray(azimuth, dtype))
     )
     solver = prepared(solver, iris, table, process)
-    result = _solve(iris, table, solver, process, jnp.asarray(cos_incidence, dtype), exits, azimuth, key)
+    result = _solve(
+        iris, table, solver, process, jnp.asarray(cos_incidence, dtype), exits, azimuth, key
+    )
     if raise_on_failure:
         throw(result.status)
     return result

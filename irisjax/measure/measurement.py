@@ -52,10 +52,14 @@ def wavelengths(start: float, stop: float, step: float) -> np.ndarray:
     **Raises:** `ValueError` unless start ≤ stop and the step is positive and divides the range.
     """
     if not all(np.isfinite(v) for v in (start, stop, step)) or step <= 0 or stop < start:
-        raise ValueError(f"wavelengths({start:g}, {stop:g}, {step:g}): need start <= stop and step > 0, in nm")
+        raise ValueError(
+            f"wavelengths({start:g}, {stop:g}, {step:g}): need start <= stop and step > 0, in nm"
+        )
     n = round((stop - start) / step)
     if not np.isclose(start + n * step, stop, rtol=0, atol=1e-6 * step):
-        raise ValueError(f"wavelengths({start:g}, {stop:g}, {step:g}): the step does not divide the range")
+        raise ValueError(
+            f"wavelengths({start:g}, {stop:g}, {step:g}): the step does not divide the range"
+        )
     return start + step * np.arange(n + 1)
 
 
@@ -65,12 +69,16 @@ def check_wavelengths(grid) -> None:
         return
     grid = np.asarray(grid)
     if grid.ndim != 1 or grid.size == 0:
-        raise ValueError(f"wavelengths must be a list of at least one number, got shape {grid.shape}")
+        raise ValueError(
+            f"wavelengths must be a list of at least one number, got shape {grid.shape}"
+        )
     if not np.isfinite(grid).all():
         raise ValueError("wavelengths must be finite numbers of nm")
     if (np.diff(grid) <= 0).any():
         i = int(np.argmax(np.diff(grid) <= 0))
-        raise ValueError(f"wavelengths must increase; {grid[i]:g} nm is followed by {grid[i + 1]:g} nm")
+        raise ValueError(
+            f"wavelengths must increase; {grid[i]:g} nm is followed by {grid[i + 1]:g} nm"
+        )
 
 
 def check_cosine(name: str, cosine) -> None:
@@ -106,22 +114,34 @@ def layers_of(iris: Iris, extinction: Extinction, process: Process) -> Layers:
     return iris.layers(extinction, process.scattering)
 
 
-def prepared(solver: AbstractSolver, iris: Iris, extinction: Extinction, process: Process) -> AbstractSolver:
+def prepared(
+    solver: AbstractSolver, iris: Iris, extinction: Extinction, process: Process
+) -> AbstractSolver:
     """The solver after a look at the still concrete problem."""
     # Through the class: binding a method of an Equinox module costs more than the call.
     return type(solver).prepare(solver, partial(layers_of, iris, extinction, process), process)
 
 
 def _table(measurement, columns: dict[str, Float[Array, "..."] | None]) -> str:
-    shown = {name: np.asarray(c) for name, c in columns.items() if c is not None and eqx.is_array(c)}
+    shown = {
+        name: np.asarray(c) for name, c in columns.items() if c is not None and eqx.is_array(c)
+    }
     if any(isinstance(c, Tracer) for c in jax.tree.leaves(measurement)):
         return f"{type(measurement).__name__}(traced)"
     grid = np.asarray(measurement.wavelengths)
-    head = f"{measurement.quantity} ({measurement.unit})" if measurement.unit else measurement.quantity
+    head = (
+        f"{measurement.quantity} ({measurement.unit})" if measurement.unit else measurement.quantity
+    )
     if grid.ndim != 1 or any(c.shape != grid.shape for c in shown.values()):
         return f"{head}, batch of shape {next(iter(shown.values())).shape}"
     rows = [head, "  ".join(["wavelength_nm", *(f"{name:>14}" for name in shown)])]
-    index = range(grid.size) if grid.size <= 12 else [*range(6), -1, *range(grid.size - 6, grid.size)]
+    index = (
+        range(grid.size) if grid.size <= 12 else [*range(6), -1, *range(grid.size - 6, grid.size)]
+    )
     for i in index:
-        rows.append("..." if i == -1 else "  ".join([f"{grid[i]:>13g}", *(f"{c[i]:>14.6g}" for c in shown.values())]))
+        rows.append(
+            "..."
+            if i == -1
+            else "  ".join([f"{grid[i]:>13g}", *(f"{c[i]:>14.6g}" for c in shown.values())])
+        )
     return "\n".join(rows)

@@ -103,12 +103,23 @@ def radiance(
 
 
 def _measure(
-    iris, wavelengths, solver, process, cos_incidence, first_surface, cornea, power, key, raise_on_failure
+    iris,
+    wavelengths,
+    solver,
+    process,
+    cos_incidence,
+    first_surface,
+    cornea,
+    power,
+    key,
+    raise_on_failure,
 ) -> Measurement:
     check_wavelengths(wavelengths)
     check_cosine("cos_incidence", cos_incidence)
     if isinstance(cos_incidence, str) and cornea != "none":
-        raise ValueError('cos_incidence = "diffuse" needs cornea="none": the cornea sends light on one course')
+        raise ValueError(
+            'cos_incidence = "diffuse" needs cornea="none": the cornea sends light on one course'
+        )
     table = extinction(wavelengths)
     solver = prepared(solver, iris, table, process)
     diffuse = isinstance(cos_incidence, str)
@@ -130,10 +141,14 @@ def _measure(
 
 
 @partial(jax.jit, static_argnums=(5, 6, 7))
-def _solve(iris, table, solver, process, cosine, diffuse, first_surface, cornea, power, key) -> Measurement:
+def _solve(
+    iris, table, solver, process, cosine, diffuse, first_surface, cornea, power, key
+) -> Measurement:
     dtype = table.wavelengths.dtype
     process = dataclasses.replace(process, first_surface=first_surface)
-    factor, cosine = (1.0, DIFFUSE) if diffuse else through_cornea(iris, jnp.asarray(cosine, dtype), cornea)
+    factor, cosine = (
+        (1.0, DIFFUSE) if diffuse else through_cornea(iris, jnp.asarray(cosine, dtype), cornea)
+    )
     solution = solver.solve(layers_of(iris, table, process), process, cosine, key=key, rays=power)
     values = solution.reflectance + solution.mirrored if first_surface else solution.reflectance
     error = solution.standard_error
@@ -144,7 +159,10 @@ def _solve(iris, table, solver, process, cosine, diffuse, first_surface, cornea,
         standard_error=None if error is None else scale * error,
         status=solution.result,
         absorbed=Absorbed(
-            *(factor * a for a in (solution.absorbed.abl, solution.absorbed.stroma, solution.absorbed.ipe))
+            *(
+                factor * a
+                for a in (solution.absorbed.abl, solution.absorbed.stroma, solution.absorbed.ipe)
+            )
         ),
         mirrored=factor * solution.mirrored,
         quantity="reflectance" if power is None else "radiance",

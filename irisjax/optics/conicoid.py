@@ -78,12 +78,16 @@ def joined(a: Sequence[Float[Array, "*s"]]) -> Vector:
 
 def along(origin: Vector, t: Float[Array, "*s"], direction: Vector) -> Vector:
     """Points origin + t direction."""
-    return jnp.stack([o + t * d for o, d in zip(parts(origin), parts(direction), strict=True)], axis=-1)
+    return jnp.stack(
+        [o + t * d for o, d in zip(parts(origin), parts(direction), strict=True)], axis=-1
+    )
 
 
 def choose(mask: Bool[Array, "*s"], a: Vector, b: Vector) -> Vector:
     """Vectors of `a` where `mask`, else of `b`."""
-    return jnp.stack([jnp.where(mask, x, y) for x, y in zip(parts(a), parts(b), strict=True)], axis=-1)
+    return jnp.stack(
+        [jnp.where(mask, x, y) for x, y in zip(parts(a), parts(b), strict=True)], axis=-1
+    )
 
 
 def from_axis(point: Vector) -> Float[Array, "*s"]:
@@ -111,7 +115,10 @@ def refract_vector(direction: Vector, normal: Vector, n_in, n_out):
     ratio = n_in / n_out
     inside = safe_sqrt(1 - ratio * ratio * (1 - cosine * cosine))
     turn = ratio * cosine - inside
-    out = jnp.stack([ratio * d + turn * n for d, n in zip(parts(direction), parts(normal), strict=True)], axis=-1)
+    out = jnp.stack(
+        [ratio * d + turn * n for d, n in zip(parts(direction), parts(normal), strict=True)],
+        axis=-1,
+    )
     return out, fresnel(jnp.maximum(cosine, 0), inside, n_in, n_out)[1]
 
 

@@ -163,7 +163,9 @@ def _scattered_into(rule: CosineRule, mu, xp):
 
     # Circles by their angle ψ from the one through the grazing plane: M² = μ² + (1 − μ²) sin²ψ.
     steepness = xp.where(mu < 1, 1 - mu * mu, 1.0)
-    kinks = [_arcsin_sqrt((rule.starts[k] - mu * mu) / steepness, xp) for k in range(1, rule.n_panels)]
+    kinks = [
+        _arcsin_sqrt((rule.starts[k] - mu * mu) / steepness, xp) for k in range(1, rule.n_panels)
+    ]
     ends = [0.0, *kinks, np.pi / 2]
     psi = xp.concatenate([lo + (hi - lo) * g_psi for lo, hi in itertools.pairwise(ends)])
     w_psi = xp.concatenate([(hi - lo) * w_psi * slope_psi for lo, hi in itertools.pairwise(ends)])

@@ -95,7 +95,11 @@ def ungraded(g, start_squared, xp=jnp):
 
 
 def cosine_rule(
-    critical_squared: Float[Array, " k"], present: tuple[bool, ...], n: int, *, skip_guided: bool = False
+    critical_squared: Float[Array, " k"],
+    present: tuple[bool, ...],
+    n: int,
+    *,
+    skip_guided: bool = False,
 ) -> CosineRule:
     """Quadrature over [0, 1] split at the critical cosines.
 
@@ -132,7 +136,8 @@ def cosine_rule(
         cosines.append(jnp.where(empty, 1.0, mu))
         weights.append(jnp.where(empty, 0.0, w * width_squared * g * dg / mu))
         squares.append(
-            jnp.where(empty, 1.0, nu_squared)[None, :] + jnp.where(empty, 0.0, starts[i] - critical_squared)[:, None]
+            jnp.where(empty, 1.0, nu_squared)[None, :]
+            + jnp.where(empty, 0.0, starts[i] - critical_squared)[:, None]
         )
     return CosineRule(
         cosine=jnp.concatenate(cosines),

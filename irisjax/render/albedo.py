@@ -52,7 +52,11 @@ class Matt(eqx.Module):
         scales = Scales.of(maps, iris)
 
         def with_one(span):  # the uniform iris too
-            return None if span is None else jnp.stack([jnp.minimum(span[0], 1.0), jnp.maximum(span[1], 1.0)])
+            return (
+                None
+                if span is None
+                else jnp.stack([jnp.minimum(span[0], 1.0), jnp.maximum(span[1], 1.0)])
+            )
 
         response = _response(iris, bands, Scales(*map(with_one, scales.ranges())), integrator)
         return cls(response, scales, iris, (2, 2) if maps is None else maps.shape)
@@ -69,7 +73,9 @@ class Matt(eqx.Module):
         n = self.iris.indices()
         return fresnel_at(jnp.asarray(cosine, self.response.error.dtype), n.aqueous, n.abl)[1]
 
-    def brdf(self, cos_incidence, cos_exit: Float[Array, " exits"]) -> Float[Array, "channels exits"]:
+    def brdf(
+        self, cos_incidence, cos_exit: Float[Array, " exits"]
+    ) -> Float[Array, "channels exits"]:
         """BRDF of the uniform iris, 1/sr; the same for all azimuths."""
         one = Scales(*(None if s is None else jnp.ones_like(cos_exit) for s in self.scales))
         return self.entering(cos_incidence) * self.response(one, cos_exit)
@@ -77,12 +83,16 @@ class Matt(eqx.Module):
     def error(self) -> LambertError:
         """How far a Lambertian iris is from this one, from at most 2048 texels."""
         texels, weight = self._some()
-        flat = np.asarray(self.entering(1.0) * self.response.hemispherical(texels)) / np.pi  # (channels, texels)
+        flat = (
+            np.asarray(self.entering(1.0) * self.response.hemispherical(texels)) / np.pi
+        )  # (channels, texels)
         mean = flat @ weight
 
         def factors(cosine):  # of BRDF over mean Lambertian one: t(μ_i) and s(μ_o), of all texels
             t = np.asarray(self.entering(cosine))
-            s = np.stack([np.asarray(self.response(texels, jnp.full(weight.size, c))) for c in cosine], 1)
+            s = np.stack(
+                [np.asarray(self.response(texels, jnp.full(weight.size, c))) for c in cosine], 1
+            )
             return t, s / mean[:, None, None]
 
         def nodes(lowest):
@@ -104,7 +114,9 @@ class Matt(eqx.Module):
         t, s = factors(cosine)
         whole = t[:, None] * (s @ weight)[:, None, :]
         average = np.einsum("cio,i,o->c", whole, w, w)
-        return LambertError(rms, most, texel, np.sqrt(np.einsum("cio,i,o->c", (whole - 1) ** 2, w, w)) / average)
+        return LambertError(
+            rms, most, texel, np.sqrt(np.einsum("cio,i,o->c", (whole - 1) ** 2, w, w)) / average
+        )
 
     def _some(self) -> tuple[Scales, np.ndarray]:
         """Scales of some texels, and weights by their area."""
@@ -113,9 +125,13 @@ class Matt(eqx.Module):
         rows, columns = self.shape
         step = max(1, round((rows * columns / _TEXELS) ** 0.5))
         radius = np.asarray(cell_centres(self.shape)[1])
-        place = float(self.iris.pupil_radius) + radius * float(self.iris.iris_radius - self.iris.pupil_radius)
+        place = float(self.iris.pupil_radius) + radius * float(
+            self.iris.iris_radius - self.iris.pupil_radius
+        )
         weight = np.broadcast_to(place, self.shape)[::step, ::step].ravel()
-        return Scales(*(None if s is None else s[::step, ::step].ravel() for s in self.scales)), weight / weight.sum()
+        return Scales(
+            *(None if s is None else s[::step, ::step].ravel() for s in self.scales)
+        ), weight / weight.sum()
 
 
 @eqx.filter_jit

@@ -31,11 +31,17 @@ class Bands(eqx.Module):
     channels: tuple[str, ...] = eqx.field(static=True)
 
 
-def colour_bands(illuminant: str = "D65", observer: str = OBSERVER, cornea: Cornea | None = None) -> Bands:
+def colour_bands(
+    illuminant: str = "D65", observer: str = OBSERVER, cornea: Cornea | None = None
+) -> Bands:
     """Bands to linear sRGB under an illuminant, adapted to D65; twice through the haze of `cornea`."""
     nodes, fill = _table()
-    matrix = np.asarray(tristimulus_matrix(GRID, "linear sRGB", illuminant, observer)[0]) * _haze(cornea, GRID)
-    return Bands(tuple(nodes.tolist()), jnp.asarray(matrix @ fill.T, jnp.result_type(float)), ("R", "G", "B"))
+    matrix = np.asarray(tristimulus_matrix(GRID, "linear sRGB", illuminant, observer)[0]) * _haze(
+        cornea, GRID
+    )
+    return Bands(
+        tuple(nodes.tolist()), jnp.asarray(matrix @ fill.T, jnp.result_type(float)), ("R", "G", "B")
+    )
 
 
 def all_bands(illuminant: str = "D65", observer: str = OBSERVER) -> Bands:
@@ -48,7 +54,11 @@ def spectral_bands(wavelengths, illuminant: str = "D65", cornea: Cornea | None =
     """A channel for each wavelength: radiance (1/sr) relative to the illuminant's irradiance at 560 nm, times π."""
     x = np.asarray(wavelengths, np.float64)
     power = illuminant_power(illuminant, x) * _haze(cornea, x)
-    return Bands(tuple(x.tolist()), jnp.asarray(np.diag(power), jnp.result_type(float)), tuple(f"{w:g}nm" for w in x))
+    return Bands(
+        tuple(x.tolist()),
+        jnp.asarray(np.diag(power), jnp.result_type(float)),
+        tuple(f"{w:g}nm" for w in x),
+    )
 
 
 def _haze(cornea: Cornea | None, wavelengths: np.ndarray) -> np.ndarray:
@@ -60,5 +70,7 @@ def _haze(cornea: Cornea | None, wavelengths: np.ndarray) -> np.ndarray:
 def _table() -> tuple[np.ndarray, np.ndarray]:
     """Nodes (bands,) and the matrix (bands, 81) that fills in the rest."""
     with (resources.files("irisjax.render") / "tables" / "bands.csv").open(encoding="utf-8") as f:
-        rows = np.loadtxt((line for line in f if not line.startswith("#")), delimiter=",", skiprows=1)
+        rows = np.loadtxt(
+            (line for line in f if not line.startswith("#")), delimiter=",", skiprows=1
+        )
     return rows[:, 0], rows[:, 1:]

@@ -59,18 +59,30 @@ class Camera(eqx.Module):
 
     def __check_init__(self):
         whole = self.rows is None  # the parts of a picture may be finer
-        if not all(isinstance(n, int) and n >= 1 and (n <= LARGEST or not whole) for n in self.size):
-            raise ValueError(f"camera size {self.size} must be two whole numbers from 1 to {LARGEST}")
-        for name, low, high, unit in (("distance", 30, 1e5, "mm"), ("width", 0.1, 100, "mm"), ("polar", 0, 3.15, "")):
+        if not all(
+            isinstance(n, int) and n >= 1 and (n <= LARGEST or not whole) for n in self.size
+        ):
+            raise ValueError(
+                f"camera size {self.size} must be two whole numbers from 1 to {LARGEST}"
+            )
+        for name, low, high, unit in (
+            ("distance", 30, 1e5, "mm"),
+            ("width", 0.1, 100, "mm"),
+            ("polar", 0, 3.15, ""),
+        ):
             value = getattr(self, name)
             if not isinstance(value, Tracer) and not low <= float(value) <= high:
-                raise ValueError(f"camera {name} = {float(value):g} is outside [{low:g}, {high:g}] {unit}".rstrip())
+                raise ValueError(
+                    f"camera {name} = {float(value):g} is outside [{low:g}, {high:g}] {unit}".rstrip()
+                )
 
     def taking(self, first: int, rows: int, samples: int = 1) -> "Camera":
         """The same camera that takes only some rows of its picture, 0 being the top, and instead of each pixel
         samples × samples smaller ones."""
         if not (rows > 0 and 0 <= first <= self.size[1] - rows):
-            raise ValueError(f"rows {first} to {first + rows - 1} are not in a picture of {self.size[1]}")
+            raise ValueError(
+                f"rows {first} to {first + rows - 1} are not in a picture of {self.size[1]}"
+            )
         # A traced number: one program for all parts of a picture.
         start, size = jnp.asarray(first * samples, jnp.int32), tuple(n * samples for n in self.size)
         return dataclasses.replace(self, size=size, first=start, rows=rows * samples)
@@ -91,12 +103,19 @@ class Camera(eqx.Module):
         along its rows."""
         sin, cos = jnp.sin(self.polar), jnp.cos(self.polar)
         back = jnp.stack([sin * jnp.cos(self.azimuth), sin * jnp.sin(self.azimuth), -cos])
-        origin = jnp.stack([jnp.zeros_like(sin), jnp.zeros_like(sin), eye.iris_depth]) + self.distance * back
+        origin = (
+            jnp.stack([jnp.zeros_like(sin), jnp.zeros_like(sin), eye.iris_depth])
+            + self.distance * back
+        )
         # Upright wherever it stands: the eye's y, or its z for a camera straight above or below.
         y = jnp.asarray([0.0, 1.0, 0.0], back.dtype)
         up = y - dot(y, back) * back
         length = norm(up)
-        up = jnp.where(length > 1e-6, up / jnp.where(length > 1e-6, length, 1.0), jnp.asarray([0, 0, 1.0], back.dtype))
+        up = jnp.where(
+            length > 1e-6,
+            up / jnp.where(length > 1e-6, length, 1.0),
+            jnp.asarray([0, 0, 1.0], back.dtype),
+        )
         right = jnp.cross(up, -back)
         w, h = self.size
         pitch = self.width / w
@@ -105,7 +124,9 @@ class Camera(eqx.Module):
         y = -(row.astype(back.dtype) + 0.5 - h / 2) * pitch
         d = [-self.distance * b + x * r + y * u for b, r, u in zip(back, right, up, strict=True)]
         length = safe_sqrt(d[0] * d[0] + d[1] * d[1] + d[2] * d[2])
-        return jnp.broadcast_to(origin, (*index.shape, 3)), jnp.stack([c / length for c in d], axis=-1)
+        return jnp.broadcast_to(origin, (*index.shape, 3)), jnp.stack(
+            [c / length for c in d], axis=-1
+        )
 
 
 class IrisPixels(eqx.Module):
@@ -162,12 +183,16 @@ def look(eye: Eye, camera: Camera) -> View:
         if not index.size:
             return None
         if index.size == count and camera.rows is None:
-            return dataclasses.replace(pixelwise_of(np.arange(count, dtype=np.int32), eye, camera), index=None)
+            return dataclasses.replace(
+                pixelwise_of(np.arange(count, dtype=np.int32), eye, camera), index=None
+            )
         # Few different lengths, few compiled programs: a camera that turns must not wait for XLA. Parts of a picture
         # see anything from nothing to iris all over: programs for one length cost less than padding.
         length = count if camera.rows is not None else index.size
         block = max(_PAD, 1 << max(length.bit_length() - 4, 0)) if count >= _PAD else count
-        padded = np.pad(index.astype(np.int32), (0, -(-length // block) * block - index.size), mode="edge")
+        padded = np.pad(
+            index.astype(np.int32), (0, -(-length // block) * block - index.size), mode="edge"
+        )
         found = pixelwise_of(padded, eye, camera)
         padded[index.size :] = -1
         return eqx.tree_at(lambda p: p.index, found, jnp.asarray(padded))
@@ -185,8 +210,15 @@ def _sorted(index, eye: Eye, camera: Camera):
     if eye.cornea is None:
         return jnp.where(_on_bare_iris(eye, origin, direction)[2], _IRIS, 0).astype(jnp.int8)
     surface = _Surface.met(eye, origin, direction)
-    sees = surface.hit & surface.shown & (surface.blend < 1), surface.hit & (surface.blend > 0), surface.hit
-    return sum(jnp.where(s, n, 0).astype(jnp.int8) for s, n in zip(sees, (_IRIS, _SCLERA, _MIRROR), strict=True))
+    sees = (
+        surface.hit & surface.shown & (surface.blend < 1),
+        surface.hit & (surface.blend > 0),
+        surface.hit,
+    )
+    return sum(
+        jnp.where(s, n, 0).astype(jnp.int8)
+        for s, n in zip(sees, (_IRIS, _SCLERA, _MIRROR), strict=True)
+    )
 
 
 class _Surface(NamedTuple):
@@ -208,7 +240,9 @@ class _Surface(NamedTuple):
         normal = eye.cornea.anterior.normal(front)
         r = from_axis(front)
         shown = met & (t > 0) & (dot(direction, normal) < 0) & (normal[:, 2] < 0)
-        on_cornea = shown & (r <= eye.limbus_radius * (1 + 1e-4))  # the globe begins at the limbus itself
+        on_cornea = shown & (
+            r <= eye.limbus_radius * (1 + 1e-4)
+        )  # the globe begins at the limbus itself
         if eye.sclera is None:
             return cls(front, shown, front, normal, jnp.zeros_like(r), on_cornea)
         distance, on_globe = meet_sclera(eye, origin, direction)
@@ -216,7 +250,9 @@ class _Surface(NamedTuple):
         point = choose(on_cornea, front, globe)
         normal = choose(on_cornea, normal, sphere(eye).normal(globe))
         behind = point[:, 2] > sphere(eye).apex + sphere(eye).radius
-        blend = jnp.where(behind, 1.0, step((from_axis(point) - eye.limbus_radius) / (2 * BLEND) + 0.5))
+        blend = jnp.where(
+            behind, 1.0, step((from_axis(point) - eye.limbus_radius) / (2 * BLEND) + 0.5)
+        )
         return cls(front, shown, point, normal, blend, on_cornea | on_globe)
 
 
@@ -236,8 +272,14 @@ def _iris(index, eye: Eye, camera: Camera) -> IrisPixels:
     surface = _Surface.met(eye, origin, direction)
     landing = enter(eye, surface.front, direction)
     cosine = -dot(landing.direction, eye.iris_normal(landing.point))
-    share = landing.share * jnp.where(surface.shown & (cosine > 0), 1 - surface.blend, 0.0) / eye.aqueous_index**2
-    return IrisPixels(index, parts(landing.point), parts(landing.direction), jnp.maximum(cosine, 0), share)
+    share = (
+        landing.share
+        * jnp.where(surface.shown & (cosine > 0), 1 - surface.blend, 0.0)
+        / eye.aqueous_index**2
+    )
+    return IrisPixels(
+        index, parts(landing.point), parts(landing.direction), jnp.maximum(cosine, 0), share
+    )
 
 
 @pixelwise
@@ -245,7 +287,9 @@ def _sclera(index, eye: Eye, camera: Camera) -> ScleraPixels:
     origin, direction = camera.towards(index, eye)
     surface = _Surface.met(eye, origin, direction)
     passed = refract_vector(direction, surface.normal, 1.0, TEAR)[1]
-    return ScleraPixels(index, parts(surface.point), parts(surface.normal), 1 - passed, surface.blend)
+    return ScleraPixels(
+        index, parts(surface.point), parts(surface.normal), 1 - passed, surface.blend
+    )
 
 
 @pixelwise
@@ -258,7 +302,11 @@ def _mirror(index, eye: Eye, camera: Camera) -> MirrorPixels:
 
 def mirror_points(pixels: MirrorPixels, eye: Eye, camera: Camera) -> Parts:
     """Where pixels meet the tear film, mm: needed for lamps that are near, and for them alone."""
-    index = jnp.arange(pixels.reflectance.size, dtype=jnp.int32) if pixels.index is None else pixels.index
+    index = (
+        jnp.arange(pixels.reflectance.size, dtype=jnp.int32)
+        if pixels.index is None
+        else pixels.index
+    )
     return _outer(jnp.maximum(index, 0), eye, camera)
 
 

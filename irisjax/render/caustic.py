@@ -70,11 +70,20 @@ def _share_out(total, grid: Grid, eye: Eye, landing: Landing):
     normal = eye.iris_normal(landing.point)
     cosine = -dot(landing.direction, normal)
     # Cells are those of the plane; an iris that is a cone has more area in each.
-    vector = (power * -normal[..., 2] / jnp.where(on_grid, cosine, 1.0))[..., None] * landing.direction
-    column, row = ((jnp.where(on_grid, c, 0.0) / grid.extent + 1) * ((grid.size - 1) / 2) for c in (x, y))
+    vector = (power * -normal[..., 2] / jnp.where(on_grid, cosine, 1.0))[
+        ..., None
+    ] * landing.direction
+    column, row = (
+        (jnp.where(on_grid, c, 0.0) / grid.extent + 1) * ((grid.size - 1) / 2) for c in (x, y)
+    )
     j, i = (jnp.clip(jnp.floor(c), 0, grid.size - 2) for c in (column, row))
     u, v = column - j, row - i
     base = jnp.asarray(i * grid.size + j, jnp.int32)
-    for step, weight in ((0, (1 - u) * (1 - v)), (1, u * (1 - v)), (grid.size, (1 - u) * v), (grid.size + 1, u * v)):
+    for step, weight in (
+        (0, (1 - u) * (1 - v)),
+        (1, u * (1 - v)),
+        (grid.size, (1 - u) * v),
+        (grid.size + 1, u * v),
+    ):
         total = total.at[base + step].add(weight[..., None] * vector, mode="promise_in_bounds")
     return total

@@ -40,7 +40,9 @@ def in_chunks(f: Callable[[Any], Any], pixels: Any, share: Any = 0, shares: int 
     portions = jax.tree.map(cut, pixels)
 
     def part(k):
-        return f(jax.tree.map(lambda x: jax.lax.dynamic_index_in_dim(x, k, x.ndim - 2, False), portions))
+        return f(
+            jax.tree.map(lambda x: jax.lax.dynamic_index_in_dim(x, k, x.ndim - 2, False), portions)
+        )
 
     each = (count + pad) // size // shares
     done = jax.lax.map(part, share * each + jnp.arange(each))
@@ -93,7 +95,10 @@ def side_by_side(f: Callable[[Any, int], Any], count: int, *inputs: Any) -> list
     # What a `with` set for this thread alone, float64 say, does not reach others.
     if shares == 1 or _pool(shares).submit(_settings).result() != _settings():
         return [f(jnp.asarray(0), 1)]
-    work = [_pool(shares).submit(lambda i=i: jax.block_until_ready(f(jnp.asarray(i), shares))) for i in range(shares)]
+    work = [
+        _pool(shares).submit(lambda i=i: jax.block_until_ready(f(jnp.asarray(i), shares)))
+        for i in range(shares)
+    ]
     return [w.result() for w in work]
 
 
@@ -104,7 +109,9 @@ def _settings() -> list[Any]:
 @functools.cache
 def _threads() -> int:
     cores = min(os.cpu_count() or 1, 8) if jax.default_backend() == "cpu" else 1
-    return 1 << (cores.bit_length() - 1)  # lengths are multiples of large powers of two: no share is padded
+    return 1 << (
+        cores.bit_length() - 1
+    )  # lengths are multiples of large powers of two: no share is padded
 
 
 @functools.cache

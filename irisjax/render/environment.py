@@ -33,11 +33,15 @@ class Environment(eqx.Module):
 
     def __check_init__(self):
         if self.radiance.ndim != 3 or self.radiance.shape[2] != 3 or 0 in self.radiance.shape:
-            raise ValueError(f"an environment has the shape (rows, columns, 3), got {self.radiance.shape}")
+            raise ValueError(
+                f"an environment has the shape (rows, columns, 3), got {self.radiance.shape}"
+            )
         if not isinstance(self.radiance, Tracer):
             values = np.asarray(self.radiance)
             if (bad := ~np.isfinite(values)).any() or (bad := values < 0).any():
-                raise ValueError(f"radiance is negative or not finite in {int(bad.any(-1).sum())} texels")
+                raise ValueError(
+                    f"radiance is negative or not finite in {int(bad.any(-1).sum())} texels"
+                )
 
     @classmethod
     def studio(cls, rows: int = 128) -> "Environment":
@@ -60,7 +64,9 @@ class Environment(eqx.Module):
         )
 
     @classmethod
-    def sky(cls, sun_polar=1.0, sun_azimuth=2.0, *, sun=4.0, sky=1.0, rows: int = 128) -> "Environment":
+    def sky(
+        cls, sun_polar=1.0, sun_azimuth=2.0, *, sun=4.0, sky=1.0, rows: int = 128
+    ) -> "Environment":
         """An invented clear day: a blue gradient, a white horizon, grey-green ground and a blurred sun.
 
         `sun_polar`, `sun_azimuth`: as of `Lights.distant`, from −z and from +x to +y, radians; below the horizon
@@ -69,10 +75,16 @@ class Environment(eqx.Module):
         """
         d = _directions(rows, 2 * rows)
         up = d[..., 1:2]
-        horizon, zenith, ground = (np.array(c) for c in ([0.75, 0.82, 0.9], [0.16, 0.32, 0.7], [0.1, 0.1, 0.08]))
-        gradient = np.where(up > 0, zenith + (horizon - zenith) * (1 - np.clip(up, 0, 1)) ** 3, ground)
+        horizon, zenith, ground = (
+            np.array(c) for c in ([0.75, 0.82, 0.9], [0.16, 0.32, 0.7], [0.1, 0.1, 0.08])
+        )
+        gradient = np.where(
+            up > 0, zenith + (horizon - zenith) * (1 - np.clip(up, 0, 1)) ** 3, ground
+        )
         sin = np.sin(sun_polar)
-        towards = np.stack([sin * np.cos(sun_azimuth), sin * np.sin(sun_azimuth), -np.cos(sun_polar)])
+        towards = np.stack(
+            [sin * np.cos(sun_azimuth), sin * np.sin(sun_azimuth), -np.cos(sun_polar)]
+        )
         glare = np.exp(-((d - towards) ** 2).sum(-1) / 2 / (np.pi / rows) ** 2)
         glare = glare / (glare * _solid_angles(rows, 2 * rows)).sum()
         warm = np.array([1.05, 0.99, 0.9])
@@ -105,15 +117,20 @@ class Environment(eqx.Module):
         top, bottom = (jnp.broadcast_to(self.radiance[i].mean(0), (1, columns, 3)) for i in (0, -1))
         table = jnp.concatenate([top, self.radiance, bottom])
         table = jnp.concatenate([table[:, -1:], table, table[:, :1]], axis=1)
-        place = jnp.stack(jnp.meshgrid(jnp.arange(rows + 2), jnp.arange(-1, columns + 1), indexing="ij"), axis=-1)
+        place = jnp.stack(
+            jnp.meshgrid(jnp.arange(rows + 2), jnp.arange(-1, columns + 1), indexing="ij"), axis=-1
+        )
         table = jnp.concatenate([table, place.astype(table.dtype)], axis=-1)
         # The weights come from the places read: XLA may compute an azimuth twice, differently rounded, and the
         # index and a weight from a second floor(c) would then belong to different texels.
         texels = jax.vmap(lambda i, j: jax.lax.dynamic_slice(table, (i, j, 0), (2, 2, 5)))(
-            jnp.clip(jnp.floor(r), 0, rows).astype(int).ravel(), (jnp.floor(c) + 1).astype(int).ravel()
+            jnp.clip(jnp.floor(r), 0, rows).astype(int).ravel(),
+            (jnp.floor(c) + 1).astype(int).ravel(),
         ).reshape(*r.shape, 2, 2, 5)
         fr, fc = (jnp.clip(q - texels[..., 0, 0, k], 0, 1)[..., None] for q, k in ((r, 3), (c, 4)))
-        above, below = (texels[..., i, 0, :3] * (1 - fc) + texels[..., i, 1, :3] * fc for i in (0, 1))
+        above, below = (
+            texels[..., i, 0, :3] * (1 - fc) + texels[..., i, 1, :3] * fc for i in (0, 1)
+        )
         return above * (1 - fr) + below * fr
 
     def irradiance(self, normal=(0.0, 0.0, -1.0)) -> Float[Array, "3"]:
@@ -163,18 +180,24 @@ class Environment(eqx.Module):
             colour.append(np.einsum("rck,rc->k", rgb[box], solid_angle[box]) / energy)
             radius.append(np.arccos(1 - effective / (2 * np.pi)))
         dtype = self.radiance.dtype
-        towards, irradiance, colour, radius = (np.asarray(x, dtype) for x in (towards, irradiance, colour, radius))
+        towards, irradiance, colour, radius = (
+            np.asarray(x, dtype) for x in (towards, irradiance, colour, radius)
+        )
         return Lights(towards, irradiance, jnp.asarray(colour), radius=radius, illuminant="D65")
 
 
 def _median_cut(power: np.ndarray, n: int) -> list[tuple[slice, slice]]:
     """At most n boxes of texels that hold all the power, none of them empty."""
     rows, columns = power.shape
-    heap: list[tuple[float, int, tuple[slice, slice]]] = []  # the number settles draws, always alike
+    heap: list[
+        tuple[float, int, tuple[slice, slice]]
+    ] = []  # the number settles draws, always alike
 
     def sides(r: slice, c: slice) -> tuple[float, float]:
         middle = (r.start + r.stop) / 2 * np.pi / rows
-        return (r.stop - r.start) * np.pi / rows, (c.stop - c.start) * 2 * np.pi / columns * np.sin(middle)
+        return (r.stop - r.start) * np.pi / rows, (c.stop - c.start) * 2 * np.pi / columns * np.sin(
+            middle
+        )
 
     def push(r: slice, c: slice) -> None:
         lit = power[r, c] > 0
@@ -207,7 +230,9 @@ def _directions(rows: int, columns: int) -> np.ndarray:
     polar = (np.arange(rows) + 0.5)[:, None] * np.pi / rows
     azimuth = ((np.arange(columns) + 0.5) / columns - 0.5) * 2 * np.pi
     y = np.broadcast_to(np.cos(polar), (rows, columns))
-    return np.stack([-np.sin(polar) * np.sin(azimuth), y, -np.sin(polar) * np.cos(azimuth)], axis=-1)
+    return np.stack(
+        [-np.sin(polar) * np.sin(azimuth), y, -np.sin(polar) * np.cos(azimuth)], axis=-1
+    )
 
 
 def _solid_angles(rows: int, columns: int) -> np.ndarray:
@@ -227,7 +252,8 @@ def _panel(direction: np.ndarray, centre, half, soft: float) -> np.ndarray:
     along = direction @ forward
     depth = np.maximum(along, 1e-3)
     place = [
-        np.abs(direction @ axis / depth) / h for h, axis in zip(half, (right, np.cross(forward, right)), strict=True)
+        np.abs(direction @ axis / depth) / h
+        for h, axis in zip(half, (right, np.cross(forward, right)), strict=True)
     ]
     inside = [np.clip(0.5 + (1 - p) * h / soft, 0, 1) for h, p in zip(half, place, strict=True)]
     glow = 1 - np.minimum(place[0] ** 2 + place[1] ** 2, 2.0) / 6

@@ -24,7 +24,10 @@ from irisjax.render.refraction import (
 )
 from irisjax.tissue.anatomy import Eye
 
-_SPACING, _FINE = 0.05, 0.0125  # radians between tabulated polar angles, up to `UNIQUE_POLAR` and beyond
+_SPACING, _FINE = (
+    0.05,
+    0.0125,
+)  # radians between tabulated polar angles, up to `UNIQUE_POLAR` and beyond
 _UNIQUE = round(UNIQUE_POLAR / _SPACING)
 
 
@@ -43,7 +46,9 @@ class Illumination(eqx.Module):
     largest: float = eqx.field(static=True)
 
     @classmethod
-    def build(cls, eye: Eye, *, caustics: bool = True, size: int = 129, n_rays: int = 131_072) -> "Illumination":
+    def build(
+        cls, eye: Eye, *, caustics: bool = True, size: int = 129, n_rays: int = 131_072
+    ) -> "Illumination":
         """Tables of an eye with a cornea; without `caustics` they end at `UNIQUE_POLAR` and no ray is counted."""
         # From what decides them and nothing else: a file kept for one eye then serves all that share it.
         eye = deciding(eye)
@@ -63,10 +68,15 @@ class Illumination(eqx.Module):
         y = -sin * point[..., 0] + cos * point[..., 1]
         size = self.flux.shape[1]
         position = tuple((c / self.extent + 1) * ((size - 1) / 2) for c in (y, x))
-        index = jnp.minimum(polar / _SPACING, _UNIQUE) + jnp.maximum(polar - UNIQUE_POLAR, 0.0) / _FINE
+        index = (
+            jnp.minimum(polar / _SPACING, _UNIQUE) + jnp.maximum(polar - UNIQUE_POLAR, 0.0) / _FINE
+        )
         f = trilinear(self.flux, (index, *position))
         f = f * jnp.clip((self.largest - polar) / _SPACING + 1, 0, 1)[..., None]
-        return jnp.stack([cos * f[..., 0] - sin * f[..., 1], sin * f[..., 0] + cos * f[..., 1], f[..., 2]], axis=-1)
+        return jnp.stack(
+            [cos * f[..., 0] - sin * f[..., 1], sin * f[..., 0] + cos * f[..., 1], f[..., 2]],
+            axis=-1,
+        )
 
 
 def deciding(eye: Eye) -> Eye:
@@ -107,11 +117,14 @@ def near_light(
         fixed, turned = jax.jacfwd(landing, (0, 1))(arrival.entry, arrival.entry)
         area, wider = (m[0, 0] * m[1, 1] - m[0, 1] * m[1, 0] for m in (fixed, fixed + turned))
         lit = (norm(arrival.flux) > 0) & (area * wider > 0) & (-towards[2] >= jnp.cos(UNIQUE_POLAR))
-        return *jnp.where(lit, arrival.entry, target), jnp.where(lit, area / jnp.where(lit, wider, 1.0), 1.0)
+        return *jnp.where(lit, arrival.entry, target), jnp.where(
+            lit, area / jnp.where(lit, wider, 1.0), 1.0
+        )
 
     at = [(point[..., k] / eye.iris_radius + 1) * ((size - 1) / 2) for k in (1, 0)]
     x, y, spread = (
-        map_coordinates(v.reshape(size, size), at, order=1, mode="nearest") for v in jax.vmap(found)(targets)
+        map_coordinates(v.reshape(size, size), at, order=1, mode="nearest")
+        for v in jax.vmap(found)(targets)
     )
     r = safe_sqrt(x * x + y * y)  # 0 on the axis, where a lamp's gradient is wanted too
     inside = jnp.minimum(1.0, eye.limbus_radius / jnp.where(r > 0, r, 1.0))
@@ -119,7 +132,9 @@ def near_light(
 
 
 @eqx.filter_jit
-def _build(eye: Eye, refraction: RefractionFunction, caustics: bool, size: int, n_rays: int) -> Illumination:
+def _build(
+    eye: Eye, refraction: RefractionFunction, caustics: bool, size: int, n_rays: int
+) -> Illumination:
     # One cell beyond the iris: cells that its edge cuts would lose the power landing outside and darken the rim.
     extent = eye.iris_radius * (size - 1) / (size - 3)
     grid = Grid(size, extent)
@@ -128,14 +143,18 @@ def _build(eye: Eye, refraction: RefractionFunction, caustics: bool, size: int, 
     points = jnp.stack([x, y], axis=-1)
 
     def smooth(angle):
-        found = refraction.at(points, jnp.stack([jnp.sin(angle), jnp.zeros_like(angle), -jnp.cos(angle)]))
+        found = refraction.at(
+            points, jnp.stack([jnp.sin(angle), jnp.zeros_like(angle), -jnp.cos(angle)])
+        )
         return window(eye, found.entry)[..., None] * found.flux
 
     smoothly = jax.lax.map(smooth, jnp.arange(_UNIQUE + 1) * _SPACING)
     if not caustics:
         return Illumination(smoothly, extent, UNIQUE_POLAR)
     steps = round((LARGEST_POLAR - UNIQUE_POLAR) / _FINE)
-    counted = jax.lax.map(lambda a: gathered(eye, a, grid, n_rays), UNIQUE_POLAR + _FINE * jnp.arange(1, steps + 1))
+    counted = jax.lax.map(
+        lambda a: gathered(eye, a, grid, n_rays), UNIQUE_POLAR + _FINE * jnp.arange(1, steps + 1)
+    )
     return Illumination(jnp.concatenate([smoothly, counted]), extent, UNIQUE_POLAR + steps * _FINE)
 
 

@@ -30,18 +30,23 @@ class Lights(eqx.Module):
     illuminant: str = eqx.field(static=True, default="D65")
 
     @classmethod
-    def distant(cls, polar, azimuth, irradiance=jnp.pi, *, radius=0.03, illuminant: str = "D65") -> "Lights":
+    def distant(
+        cls, polar, azimuth, irradiance=jnp.pi, *, radius=0.03, illuminant: str = "D65"
+    ) -> "Lights":
         """Lights at infinity: `polar` angles from the eye's axis and `azimuth` from +x to +y, radians."""
         polar, azimuth, irradiance, radius = jnp.broadcast_arrays(
             *(jnp.atleast_1d(as_float(v)) for v in (polar, azimuth, irradiance, radius))
         )
         towards = jnp.stack(
-            [jnp.sin(polar) * jnp.cos(azimuth), jnp.sin(polar) * jnp.sin(azimuth), -jnp.cos(polar)], axis=-1
+            [jnp.sin(polar) * jnp.cos(azimuth), jnp.sin(polar) * jnp.sin(azimuth), -jnp.cos(polar)],
+            axis=-1,
         )
         return cls(towards, irradiance, radius=radius, illuminant=illuminant)
 
     @classmethod
-    def points(cls, position, irradiance=jnp.pi, *, radius=0.03, illuminant: str = "D65") -> "Lights":
+    def points(
+        cls, position, irradiance=jnp.pi, *, radius=0.03, illuminant: str = "D65"
+    ) -> "Lights":
         """Lights at places (lights, 3), mm in the eye's frame, 20 or more from the apex, where `irradiance` is theirs.
 
         Irradiance of the iris within 1 % from 50 mm on and up to 57° off the axis, within 10 % at 20 mm; caustics are
@@ -50,8 +55,12 @@ class Lights(eqx.Module):
         position = jnp.atleast_2d(as_float(position))
         distance = jnp.sqrt((position**2).sum(-1))
         if not isinstance(distance, Tracer) and (np.asarray(distance) < 20).any():
-            raise ValueError(f"a point light is {float(distance.min()):.3g} mm from the cornea; it must be at least 20")
-        irradiance, radius = (jnp.broadcast_to(as_float(v), distance.shape) for v in (irradiance, radius))
+            raise ValueError(
+                f"a point light is {float(distance.min()):.3g} mm from the cornea; it must be at least 20"
+            )
+        irradiance, radius = (
+            jnp.broadcast_to(as_float(v), distance.shape) for v in (irradiance, radius)
+        )
         return cls(position / distance[:, None], irradiance, None, distance, radius, illuminant)
 
     def __check_init__(self):
@@ -61,7 +70,9 @@ class Lights(eqx.Module):
                 raise ValueError(f"lights: {name} must be finite")
         if not isinstance(self.radius, Tracer):
             radius = np.asarray(self.radius)
-            wrong = radius[(radius <= 0) | (radius > np.pi + 1e-6)]  # of regions of an environment up to pi
+            wrong = radius[
+                (radius <= 0) | (radius > np.pi + 1e-6)
+            ]  # of regions of an environment up to pi
             if wrong.size:
                 raise ValueError(f"lights: radius {float(wrong[0]):g} is outside (0, pi] radians")
         if not isinstance(self.irradiance, Tracer) and (np.asarray(self.irradiance) < 0).any():
@@ -72,7 +83,9 @@ class Lights(eqx.Module):
 
     def __add__(self, other: "Lights") -> "Lights":
         if self.illuminant != other.illuminant:
-            raise ValueError(f"lights of one scene share a spectrum, got {self.illuminant} and {other.illuminant}")
+            raise ValueError(
+                f"lights of one scene share a spectrum, got {self.illuminant} and {other.illuminant}"
+            )
 
         def join(a, b, default):
             if a is None and b is None:
@@ -84,7 +97,9 @@ class Lights(eqx.Module):
             join(self.towards, other.towards, None),
             join(self.irradiance, other.irradiance, None),
             join(self.tint, other.tint, lambda x: jnp.ones((len(x), 3), x.towards.dtype)),
-            join(self.distance, other.distance, lambda x: jnp.full(len(x), jnp.inf, x.towards.dtype)),
+            join(
+                self.distance, other.distance, lambda x: jnp.full(len(x), jnp.inf, x.towards.dtype)
+            ),
             join(self.radius, other.radius, None),
             self.illuminant,
         )
@@ -105,7 +120,9 @@ class Lights(eqx.Module):
         length = jnp.sqrt(square)
         return tuple(o / length for o in offset), self.irradiance[:, None] / square
 
-    def seen_from(self, point: Float[Array, "*s 3"], i) -> tuple[Float[Array, "*s 3"], Scalar | Float[Array, "*s"]]:
+    def seen_from(
+        self, point: Float[Array, "*s 3"], i
+    ) -> tuple[Float[Array, "*s 3"], Scalar | Float[Array, "*s"]]:
         """Unit vectors from points (mm) to light `i`, and its irradiance there on a surface that faces it."""
         towards, power = self.towards[i], self.irradiance[i]
         if self.distance is None:

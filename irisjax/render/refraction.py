@@ -43,11 +43,15 @@ def into_chamber(eye: Eye, entry: Vector, direction: Vector):
     cornea = eye.cornea
     assert cornea is not None
     if cornea.posterior is None:
-        return entry, *refract_vector(direction, cornea.anterior.normal(entry), 1.0, eye.aqueous_index)
+        return entry, *refract_vector(
+            direction, cornea.anterior.normal(entry), 1.0, eye.aqueous_index
+        )
     within, first = refract_vector(direction, cornea.anterior.normal(entry), 1.0, cornea.index)
     distance, _ = cornea.posterior.intersect(entry, within)
     start = along(entry, distance, within)
-    inside, second = refract_vector(within, cornea.posterior.normal(start), cornea.index, eye.aqueous_index)
+    inside, second = refract_vector(
+        within, cornea.posterior.normal(start), cornea.index, eye.aqueous_index
+    )
     return start, inside, first * second
 
 
@@ -76,7 +80,13 @@ class Arrival(NamedTuple):
     flux: Vector
 
 
-def arrive(eye: Eye, target: Float[Array, "2"], towards_light: Vector, start: Float[Array, "2"], steps: int = 12):
+def arrive(
+    eye: Eye,
+    target: Float[Array, "2"],
+    towards_light: Vector,
+    start: Float[Array, "2"],
+    steps: int = 12,
+):
     """Newton's search for the entry point whose ray lands at `target` (x, y), from `start`; an `Arrival`.
 
     Fermat's principle and Snell's law have the same solution; the latter works for any number of surfaces.
@@ -100,7 +110,9 @@ def arrive(eye: Eye, target: Float[Array, "2"], towards_light: Vector, start: Fl
     found = norm(landing(entry).point[:2] - target) < 1e-4
     # No ray lands there: it would have to enter where the cornea, even if it went on, has turned away.
     beyond = reach * towards_light[:2] / jnp.maximum(norm(towards_light[:2]), 1e-9)
-    return Arrival(jnp.where(found, entry, beyond), jnp.where(found, flux(eye, entry, towards_light), 0.0))
+    return Arrival(
+        jnp.where(found, entry, beyond), jnp.where(found, flux(eye, entry, towards_light), 0.0)
+    )
 
 
 def flux(eye: Eye, entry: Float[Array, "2"], towards_light: Vector) -> Vector:
@@ -134,13 +146,17 @@ class RefractionFunction(eqx.Module):
 
     @classmethod
     @eqx.filter_jit
-    def build(cls, eye: Eye, n_polar: int = 50, n_azimuth: int = 50, n_radius: int = 100) -> "RefractionFunction":
+    def build(
+        cls, eye: Eye, n_polar: int = 50, n_azimuth: int = 50, n_radius: int = 100
+    ) -> "RefractionFunction":
         """Search all entry points, from each polar angle to the next."""
         polar = jnp.linspace(0, UNIQUE_POLAR, n_polar)
         azimuth = jnp.linspace(0, jnp.pi, n_azimuth)
         radius = jnp.linspace(0, 1, n_radius) * eye.iris_radius
         # Light at azimuth 0, iris points at `azimuth` from it.
-        targets = radius[None, :, None] * jnp.stack([jnp.cos(azimuth), jnp.sin(azimuth)], -1)[:, None]
+        targets = (
+            radius[None, :, None] * jnp.stack([jnp.cos(azimuth), jnp.sin(azimuth)], -1)[:, None]
+        )
         search = jax.vmap(jax.vmap(arrive, (None, 0, None, 0, None)), (None, 0, None, 0, None))
 
         def next_polar(start, angle):
@@ -174,7 +190,9 @@ class RefractionFunction(eqx.Module):
 
         entry = jnp.stack(turned(found[..., 0], found[..., 1]), axis=-1)
         flux = jnp.stack([*turned(found[..., 2], found[..., 3]), found[..., 4]], axis=-1)
-        lit = (polar < UNIQUE_POLAR + 1e-3)[..., None]  # the last angle itself, whatever its rounding
+        lit = (polar < UNIQUE_POLAR + 1e-3)[
+            ..., None
+        ]  # the last angle itself, whatever its rounding
         return Arrival(entry, jnp.where(lit, flux, 0.0))
 
 

@@ -56,7 +56,9 @@ class Scene(eqx.Module):
         if self.lights is None and self.environment is None:
             raise ValueError("a scene needs lights or an environment")
         if self.lights is not None and self.lights.illuminant != self.illuminant:
-            raise ValueError(f"the lights are {self.lights.illuminant}, the scene is {self.illuminant}")
+            raise ValueError(
+                f"the lights are {self.lights.illuminant}, the scene is {self.illuminant}"
+            )
         chamber = self.iris.aqueous_index, self.eye.aqueous_index
         known = self.eye.cornea is not None and not any(isinstance(n, Tracer) for n in chamber)
         if known and abs(float(chamber[0]) - float(chamber[1])) > 1e-5:
@@ -77,7 +79,11 @@ class Scene(eqx.Module):
 
     def tables(self) -> Illumination | None:
         """Illumination tables of this eye: no caustics without a grazing light, none at all without a cornea."""
-        return None if self.eye.cornea is None else Illumination.build(self.eye, caustics=self.grazing())
+        return (
+            None
+            if self.eye.cornea is None
+            else Illumination.build(self.eye, caustics=self.grazing())
+        )
 
     def grazing(self) -> bool:
         """Whether a light stands so low that the cornea folds it into caustics. Runs on the host."""
@@ -115,7 +121,10 @@ class Stage(eqx.Module):
         """The picture with a response."""
         if self.texels is None:
             return _picture(self.base, self.size)
-        return _picture(_add(self.base, self.texels.index, _shaded(self.texels, self.ground, response)), self.size)
+        return _picture(
+            _add(self.base, self.texels.index, _shaded(self.texels, self.ground, response)),
+            self.size,
+        )
 
 
 def render(
@@ -128,7 +137,9 @@ def render(
     """
     memory = Memory() if memory is None else memory
     stage = prepare(scene, tables, memory=memory)
-    return stage.shown(memory.once("response", _response, stage.integrator, scene.iris, stage.bands, stage.ranges))
+    return stage.shown(
+        memory.once("response", _response, stage.integrator, scene.iris, stage.bands, stage.ranges)
+    )
 
 
 def prepare(
@@ -146,7 +157,12 @@ def prepare(
     """
     eye, memory = scene.eye, Memory() if memory is None else memory
     lights = memory.once(
-        "lights", _all_lights, scene.lights, scene.environment, scene.environment_lights, scene.illuminant
+        "lights",
+        _all_lights,
+        scene.lights,
+        scene.environment,
+        scene.environment_lights,
+        scene.illuminant,
     )
     if wavelengths is None:
         bands = memory.once("bands", colour_bands, lights.illuminant, scene.observer, eye.cornea)
@@ -154,8 +170,12 @@ def prepare(
         lamp = memory.once("lamp", lambda b: jnp.ones_like(b.weights[:, 0]), clear)
     else:
         if scene.environment is not None or lights.tint is not None:
-            raise ValueError("spectral pictures need plain lamps: environments and tints have colours, not spectra")
-        bands, clear = (spectral_bands(wavelengths, lights.illuminant, c) for c in (eye.cornea, None))
+            raise ValueError(
+                "spectral pictures need plain lamps: environments and tints have colours, not spectra"
+            )
+        bands, clear = (
+            spectral_bands(wavelengths, lights.illuminant, c) for c in (eye.cornea, None)
+        )
         lamp = clear.weights.sum(axis=1)
     view = memory.once("view", look, eye, scene.camera) if view is None else view
     height, width = scene.camera.shape
@@ -172,7 +192,9 @@ def prepare(
                 point = memory.once("mirror points", mirror_points, view.mirror, eye, camera)
             if environment is not None:
                 room = memory.once("room", surfaces.room_at, view.mirror, environment)
-            base = _add(base, view.mirror.index, surfaces.mirrored((view.mirror, point, room), lamps, lamp))
+            base = _add(
+                base, view.mirror.index, surfaces.mirrored((view.mirror, point, room), lamps, lamp)
+            )
         return base
 
     all_round = memory.once(
@@ -184,7 +206,16 @@ def prepare(
         scene.illuminant,
         None,
     )
-    outside = all_round, scene.lights, scene.environment, eye, scene.veins, scene.camera, clear, lamp
+    outside = (
+        all_round,
+        scene.lights,
+        scene.environment,
+        eye,
+        scene.veins,
+        scene.camera,
+        clear,
+        lamp,
+    )
     base = memory.once("surface", surface, view, *outside)
     texels, ground = None, None
     ranges = shading.ranges_of(scene.iris, scene.maps, memory)
@@ -206,7 +237,9 @@ def _all_lights(
     if environment is None:
         assert lights is not None
         return lights
-    around = dataclasses.replace(environment.to_lights(count, largest_polar=largest_polar), illuminant=illuminant)
+    around = dataclasses.replace(
+        environment.to_lights(count, largest_polar=largest_polar), illuminant=illuminant
+    )
     return around if lights is None else lights + around
 
 
@@ -215,14 +248,20 @@ def _sclera_colours(sclera: Sclera, clear: Bands) -> ColourTable:
 
 
 @eqx.filter_jit
-def _response(integrator: AbstractIntegrator, iris: Iris, bands: Bands, ranges: Scales) -> AbstractResponse:
+def _response(
+    integrator: AbstractIntegrator, iris: Iris, bands: Bands, ranges: Scales
+) -> AbstractResponse:
     return integrator.response(iris, bands, ranges)
 
 
 @jax.jit
 def _add(base, index, colour):
     # Channel by channel: twice as fast as pixels of three numbers.
-    return base + colour if index is None else base.at[:, index].add(colour, mode="drop", wrap_negative_indices=False)
+    return (
+        base + colour
+        if index is None
+        else base.at[:, index].add(colour, mode="drop", wrap_negative_indices=False)
+    )
 
 
 @functools.partial(jax.jit, static_argnums=1)

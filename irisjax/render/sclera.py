@@ -29,7 +29,9 @@ DEEP_CHORD = 0.08
 DEEPEST = 0.25
 """Largest vein depth of the colour table, mm."""
 
-_KNEE = 2e-3  # mm: below it the table's nodes are uniform, above it logarithmic, as the Soret band asks
+_KNEE = (
+    2e-3  # mm: below it the table's nodes are uniform, above it logarithmic, as the Soret band asks
+)
 
 
 class Blood(NamedTuple):
@@ -70,7 +72,9 @@ def absorption(sclera: Sclera, wavelengths) -> Spectrum:
     return sclera.hemoglobin * (share * table.oxyhemoglobin + (1 - share) * table.deoxyhemoglobin)
 
 
-def reflectance(sclera: Sclera, wavelengths, blood: Blood | ArrayLike) -> Float[Array, "... wavelengths"]:
+def reflectance(
+    sclera: Sclera, wavelengths, blood: Blood | ArrayLike
+) -> Float[Array, "... wavelengths"]:
     """Diffuse reflectance of the white under vessels, shape (…, wavelengths); `blood` or its depth alone, mm.
 
     ρ (1 − c (1 − v₁)(1 − e^(−2μd))) (1 − e (1 − v₂)(1 − e^(−2μD))): bulk reflectance ρ, cover c and e, veils v,
@@ -83,7 +87,9 @@ def reflectance(sclera: Sclera, wavelengths, blood: Blood | ArrayLike) -> Float[
     depth, cover, deep = _fields(blood)
     mu = absorption(sclera, wavelengths)
     dark = (1 - veil(wavelengths, SHALLOW)) * -jnp.expm1(-2 * mu * depth[..., None])
-    light = bulk_reflectance(wavelengths) * (1 - (dark if cover is None else cover[..., None] * dark))
+    light = bulk_reflectance(wavelengths) * (
+        1 - (dark if cover is None else cover[..., None] * dark)
+    )
     return light if deep is None else light * (1 - deep[..., None] * _dimming(mu, wavelengths))
 
 
@@ -93,7 +99,11 @@ def _dimming(mu: Spectrum, wavelengths) -> Spectrum:
 
 
 def _fields(blood):
-    return blood if isinstance(blood, Blood) else (jnp.asarray(blood, jnp.result_type(float)), None, None)
+    return (
+        blood
+        if isinstance(blood, Blood)
+        else (jnp.asarray(blood, jnp.result_type(float)), None, None)
+    )
 
 
 class ColourTable(eqx.Module):
@@ -118,7 +128,9 @@ class ColourTable(eqx.Module):
         last = self.values.shape[0] - 1
         return jnp.clip(jnp.log1p(depth / _KNEE) * (last / np.log1p(DEEPEST / _KNEE)), 0, last)
 
-    def at_node(self, node: Float[Array, "*s"], blood: Blood | ArrayLike) -> list[Float[Array, "..."]]:
+    def at_node(
+        self, node: Float[Array, "*s"], blood: Blood | ArrayLike
+    ) -> list[Float[Array, "..."]]:
         """As `channels`, from the `node` of the depth."""
         _, cover, deep = _fields(blood)
         i = jnp.minimum(jnp.asarray(node, jnp.int32), self.values.shape[0] - 2)
@@ -207,7 +219,9 @@ def vein_place(eye: Eye, point: Vector) -> tuple[Float[Array, "*s"], Float[Array
 
 def vein_depth_at(veins: VeinMap, azimuth: Float[Array, "*s"], across: Float[Array, "*s"]) -> Blood:
     """Bilinear look-up at a `vein_place`; held at the limbus and the equator."""
-    return Blood(*(fetch(texture, azimuth, across) for texture in (veins.depth, veins.cover, veins.deep)))
+    return Blood(
+        *(fetch(texture, azimuth, across) for texture in (veins.depth, veins.cover, veins.deep))
+    )
 
 
 def sclera_of(eye: Eye) -> Sclera:

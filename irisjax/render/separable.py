@@ -51,7 +51,9 @@ class Separable(AbstractIntegrator):
 
     def __check_init__(self):
         if self.process.depth_resolved:
-            raise ValueError("the separable integrator needs a whole-layer process, not a depth-resolved one")
+            raise ValueError(
+                "the separable integrator needs a whole-layer process, not a depth-resolved one"
+            )
 
     def place(
         self,
@@ -72,7 +74,10 @@ class Separable(AbstractIntegrator):
         varied = [v for v in zip(scales, ranges, self.degrees, strict=False) if v[1] is not None]
         names = [name for name, r in zip(Scales._fields, ranges, strict=True) if r is not None]
         terms = Terms(
-            tuple(memory.once(f"polynomials of {n}", _scaled, *v) for n, v in zip(names, varied, strict=True)),
+            tuple(
+                memory.once(f"polynomials of {n}", _scaled, *v)
+                for n, v in zip(names, varied, strict=True)
+            ),
             memory.once("angular", _angular, pixels.cosine, iris, self.degrees[4]),
         )
         return Texels(pixels.index, terms, light), None
@@ -92,7 +97,9 @@ class Separable(AbstractIntegrator):
         cosines = refract(inside, *indices[::-1])
         table = extinction(np.asarray(bands.wavelengths))
 
-        def radiance(unit, cosines):  # (texels, varied) on [−1, 1], (exits,) to (texels, exits, channels)
+        def radiance(
+            unit, cosines
+        ):  # (texels, varied) on [−1, 1], (exits,) to (texels, exits, channels)
             def one(x):
                 scales: list[Any] = [None] * 4
                 for k, i in enumerate(varied):
@@ -104,17 +111,30 @@ class Separable(AbstractIntegrator):
 
             return jnp.moveaxis(jax.vmap(one)(unit), 1, 2)
 
-        grid = np.array(list(itertools.product(*nodes[:-1])))  # a uniform iris: one texel of no coordinates
-        values = radiance(jnp.asarray(grid, dtype), cosines) / fresnel(cosines, inside, *indices)[1][:, None]
+        grid = np.array(
+            list(itertools.product(*nodes[:-1]))
+        )  # a uniform iris: one texel of no coordinates
+        values = (
+            radiance(jnp.asarray(grid, dtype), cosines)
+            / fresnel(cosines, inside, *indices)[1][:, None]
+        )
         values = values.reshape(*(x.size for x in nodes), -1)
         for axis, x in enumerate(nodes):
-            inverse = jnp.asarray(np.linalg.inv(np.polynomial.chebyshev.chebvander(x, x.size - 1)), dtype)
+            inverse = jnp.asarray(
+                np.linalg.inv(np.polynomial.chebyshev.chebvander(x, x.size - 1)), dtype
+            )
             values = jnp.moveaxis(jnp.tensordot(inverse, values, (1, axis)), 0, axis)
         most = self._most(ranges)
         if len(most) > 1:
             values = values[:, *np.array(_products(most[1:])).T]
         values = values.reshape(most[0] + 1 if most else 1, -1, *values.shape[-2:])
-        out = Response(coefficients=values, indices=indices, ranges=ranges, error=jnp.zeros((), dtype), degrees=most)
+        out = Response(
+            coefficients=values,
+            indices=indices,
+            ranges=ranges,
+            error=jnp.zeros((), dtype),
+            degrees=most,
+        )
         # Off the nodes: points that fill the box evenly.
         steps = np.asarray([0.7548, 0.5698, 0.8192, 0.3249])[: len(varied)]
         unit = jnp.asarray(2 * ((np.arange(_CHECKS)[:, None] + 0.5) * steps % 1) - 1, dtype)
@@ -159,7 +179,9 @@ class Response(AbstractResponse):
     error: Float[Array, ""]
     degrees: tuple[int, ...] = eqx.field(static=True)
 
-    def __call__(self, scales: Scales, cosine: Float[Array, " pixels"]) -> Float[Array, "channels pixels"]:
+    def __call__(
+        self, scales: Scales, cosine: Float[Array, " pixels"]
+    ) -> Float[Array, "channels pixels"]:
         """Radiance per irradiance (1/sr, times the picture's white) of pixels."""
         exits = _exits(cosine, self.indices, self.coefficients.shape[2] - 1)
         return self._at(Terms(self._polynomials(scales), exits))
@@ -179,15 +201,22 @@ class Response(AbstractResponse):
         inside = refract(cosine, *self.indices)
         weight = jnp.pi * w * cosine * fresnel(cosine, inside, *self.indices)[1]
         # Linear in the polynomials of the cosine: their integrals once, not a sum over directions a pixel.
-        moments = _polynomials(_inside_to_unit(inside, *self.indices), self.coefficients.shape[2]) @ weight
-        one = jnp.ones_like(next((s for s in scales if s is not None), jnp.ones(1, self.error.dtype)))
+        moments = (
+            _polynomials(_inside_to_unit(inside, *self.indices), self.coefficients.shape[2])
+            @ weight
+        )
+        one = jnp.ones_like(
+            next((s for s in scales if s is not None), jnp.ones(1, self.error.dtype))
+        )
         whole = jnp.tensordot(self.coefficients, moments, (2, 0))
         return whole.reshape(-1, whole.shape[-1]).T @ _basis(self._polynomials(scales), one)
 
     def _at(self, terms: Terms) -> Float[Array, "channels pixels"]:
         last, channels = self.coefficients.shape[2:]
         # One matrix product: 50 times as fast as polynomial by polynomial.
-        values = self.coefficients.reshape(-1, last * channels).T @ _basis(terms.scales, terms.angular[0])
+        values = self.coefficients.reshape(-1, last * channels).T @ _basis(
+            terms.scales, terms.angular[0]
+        )
         return (values.reshape(last, channels, -1) * terms.angular[:, None]).sum(axis=0)
 
     def shade(self, texels: Texels, ground: None) -> Float[Array, "channels pixels"]:
@@ -210,7 +239,10 @@ def _angular(cosine, iris: Iris, degree: int):
 def _exits(cosine, indices, degree: int):
     """Polynomials of the exit cosine, times the share that leaves the tissue."""
     inside = refract(cosine, *indices)
-    return _polynomials(_inside_to_unit(inside, *indices), degree + 1) * fresnel(cosine, inside, *indices)[1]
+    return (
+        _polynomials(_inside_to_unit(inside, *indices), degree + 1)
+        * fresnel(cosine, inside, *indices)[1]
+    )
 
 
 def _basis(scales, like):
@@ -221,7 +253,10 @@ def _basis(scales, like):
     if not others:
         return first
     terms = _products(tuple(len(t) - 1 for t in others))
-    rest = [functools.reduce(jnp.multiply, [t[k] for t, k in zip(others, term, strict=True)]) for term in terms]
+    rest = [
+        functools.reduce(jnp.multiply, [t[k] for t, k in zip(others, term, strict=True)])
+        for term in terms
+    ]
     return (first[:, None] * jnp.stack(rest)).reshape(-1, first.shape[-1])
 
 
@@ -246,7 +281,9 @@ def texel_layers(iris: Iris, table: Extinction, scales: Scales, process: Process
 def _products(degrees: tuple[int, ...]) -> list[tuple[int, ...]]:
     """Degrees of the factors of the products that are kept: relative to the most of each, they add up to one."""
     every = itertools.product(*(range(d + 1) for d in degrees))
-    return [term for term in every if sum(k / d for k, d in zip(term, degrees, strict=True)) < 1 + 1e-9]
+    return [
+        term for term in every if sum(k / d for k, d in zip(term, degrees, strict=True)) < 1 + 1e-9
+    ]
 
 
 def _chebyshev(n: int) -> np.ndarray:

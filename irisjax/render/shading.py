@@ -38,13 +38,19 @@ class Field(eqx.Module):
     def at(self, point: Parts) -> Float[Array, "tints 3 pixels"]:
         """Bilinear look-up at points of the iris (mm)."""
         size = self.flux.shape[-1]
-        x, y = (jnp.clip((c / self.extent + 1) * ((size - 1) / 2), 0, size - 1) for c in (point[0], point[1]))
+        x, y = (
+            jnp.clip((c / self.extent + 1) * ((size - 1) / 2), 0, size - 1)
+            for c in (point[0], point[1])
+        )
         j, i = (jnp.minimum(jnp.floor(c), size - 2) for c in (x, y))
         u, v = x - j, y - i
         base = jnp.asarray(i * size + j, jnp.int32)
 
         def one(flat):
-            a, b, c, d = (flat.at[base + step].get(mode="promise_in_bounds") for step in (0, 1, size, size + 1))
+            a, b, c, d = (
+                flat.at[base + step].get(mode="promise_in_bounds")
+                for step in (0, 1, size, size + 1)
+            )
             low, high = a + u * (b - a), c + u * (d - c)
             return low + v * (high - low)
 
@@ -53,7 +59,9 @@ class Field(eqx.Module):
 
 
 @eqx.filter_jit
-def field_of(lights: Lights, eye: Eye, iris: Iris, tables: Illumination | None, size: int = 161) -> Field:
+def field_of(
+    lights: Lights, eye: Eye, iris: Iris, tables: Illumination | None, size: int = 161
+) -> Field:
     """Sum the lights on a grid over the iris, one after the other. `tables` are `None` for a bare iris."""
     place = _grid(eye, size)
     normal = eye.iris_normal(place)
@@ -63,7 +71,12 @@ def field_of(lights: Lights, eye: Eye, iris: Iris, tables: Illumination | None, 
         flux = _flux(lights, i, place, eye, tables)
         length = norm(flux)
         cosine = -dot(flux, normal) / jnp.where(length > 0, length, 1.0)
-        flux = flux * jnp.where(cosine > 0, fresnel_at(jnp.maximum(cosine, 0.0), n.aqueous, n.abl)[1], 0.0)[..., None]
+        flux = (
+            flux
+            * jnp.where(cosine > 0, fresnel_at(jnp.maximum(cosine, 0.0), n.aqueous, n.abl)[1], 0.0)[
+                ..., None
+            ]
+        )
         tint = jnp.ones(1, flux.dtype) if lights.tint is None else lights.tint[i]
         return total + jnp.stack(parts(flux)) * tint[:, None, None, None], None
 
@@ -78,7 +91,9 @@ def fluxes_of(
 ) -> Float[Array, "lights 3 rows columns"]:
     """Flux vectors of each light by itself, in the chamber just before the iris, on the grid of a `Field`."""
     place = _grid(eye, size)
-    return jax.lax.map(lambda i: jnp.stack(parts(_flux(lights, i, place, eye, tables))), jnp.arange(len(lights)))
+    return jax.lax.map(
+        lambda i: jnp.stack(parts(_flux(lights, i, place, eye, tables))), jnp.arange(len(lights))
+    )
 
 
 def _grid(eye: Eye, size: int):
@@ -88,7 +103,9 @@ def _grid(eye: Eye, size: int):
     if eye.cornea is None:
         height = eye.iris_depth + jnp.zeros_like(r)
     else:
-        height = eye.cornea.anterior.sagitta(jnp.minimum(r, eye.limbus_radius))  # about where the light enters
+        height = eye.cornea.anterior.sagitta(
+            jnp.minimum(r, eye.limbus_radius)
+        )  # about where the light enters
     return jnp.stack([x, y, height], axis=-1)
 
 
@@ -101,7 +118,9 @@ def _flux(lights: Lights, i, place, eye: Eye, tables: Illumination | None):
     return flux * jnp.broadcast_to(power * spread, place.shape[:-1])[..., None]
 
 
-def scales_at(pixels: IrisPixels, eye: Eye, iris: Iris, maps: IrisMaps | None, memory: Memory) -> Scales:
+def scales_at(
+    pixels: IrisPixels, eye: Eye, iris: Iris, maps: IrisMaps | None, memory: Memory
+) -> Scales:
     """How the texels differ from the uniform iris, at the pixels; a map that has not changed is not fetched again."""
 
     def one(name, part):
@@ -163,7 +182,10 @@ def _range(part: IrisMaps, iris: Iris):
 
 @pixelwise
 def irradiance_at(
-    pixels: tuple[IrisPixels, Place | None], field: Field, eye: Eye, slopes: Float[Array, "2 angles radii"] | None
+    pixels: tuple[IrisPixels, Place | None],
+    field: Field,
+    eye: Eye,
+    slopes: Float[Array, "2 angles radii"] | None,
 ) -> Float[Array, "tints pixels"]:
     """Irradiance on the iris at pixels (and their `place_of`) times all shares on the way out to the camera."""
     iris, place = pixels
@@ -177,10 +199,14 @@ def irradiance_at(
 def _polar(point: Parts, eye: Eye) -> Place:
     """Angle (radians) and relative radius of points of the iris."""
     x, y, _ = point
-    return arctan2(y, x), (jnp.sqrt(x * x + y * y) - eye.pupil_radius) / (eye.iris_radius - eye.pupil_radius)
+    return arctan2(y, x), (jnp.sqrt(x * x + y * y) - eye.pupil_radius) / (
+        eye.iris_radius - eye.pupil_radius
+    )
 
 
-def normals(point: Parts, place: Place | None, eye: Eye, slopes: Float[Array, "2 angles radii"] | None) -> Parts:
+def normals(
+    point: Parts, place: Place | None, eye: Eye, slopes: Float[Array, "2 angles radii"] | None
+) -> Parts:
     """Components of the iris's unit normals towards the cornea, tilted by the `slopes_of` a relief at their place."""
     u, v, w = parts(eye.iris_normal(joined(point)))
     if slopes is None or place is None:
@@ -188,7 +214,9 @@ def normals(point: Parts, place: Place | None, eye: Eye, slopes: Float[Array, "2
     x, y, _ = point
     r = safe_sqrt(x * x + y * y)
     r = jnp.where(r > 0, r, 1.0)  # a pixel that looks straight at the middle of the pupil
-    along, across = (-w * s for s in fetch(slopes, *place))  # of a unit normal: a cone's is none along z
+    along, across = (
+        -w * s for s in fetch(slopes, *place)
+    )  # of a unit normal: a cone's is none along z
     u, v = u - (along * x - across * y) / r, v - (along * y + across * x) / r
     length = jnp.sqrt(u * u + v * v + w * w)
     return u / length, v / length, w / length
@@ -214,7 +242,9 @@ def slopes_of(relief: Float[Array, "angles radii"], eye: Eye) -> Float[Array, "2
     # Straight on beyond both edges: what closes on itself there is cut off again.
     first, last = relief[:, :1], relief[:, -1:]
     ahead, behind = first - relief[:, 1:2], last - relief[:, -2:-1]
-    wide = jnp.concatenate([first + 2 * ahead, first + ahead, relief, last + behind, last + 2 * behind], 1)
+    wide = jnp.concatenate(
+        [first + 2 * ahead, first + ahead, relief, last + behind, last + 2 * behind], 1
+    )
     heights, along = (_quarters(wide, 1, kind)[:, 4:-4] for kind in (_HEIGHT, _SLOPE))
     across = _quarters(heights, 0, _SLOPE) * (rows / (2 * jnp.pi)) / radius
     return jnp.stack([_quarters(along, 0, _HEIGHT) * (columns / span), across])
@@ -230,7 +260,8 @@ def _quarters(texture, axis: int, kind: tuple[tuple[float, ...], int]):
     closes on itself."""
     weights, sign = kind
     low, high = (
-        sum(w * jnp.roll(texture, side * (1 - k), axis) for k, w in enumerate(weights)) * (1 if side > 0 else sign)
+        sum(w * jnp.roll(texture, side * (1 - k), axis) for k, w in enumerate(weights))
+        * (1 if side > 0 else sign)
         for side in (-1, 1)
     )
     both = jnp.stack([low, high], axis + 1)

@@ -47,7 +47,9 @@ class SingleScattering(AbstractIntegrator):
 
     def __check_init__(self):
         if not isinstance(self.n_steps, int) or self.n_steps < 1:
-            raise ValueError(f"SingleScattering(n_steps={self.n_steps!r}): must be a whole number of at least 1")
+            raise ValueError(
+                f"SingleScattering(n_steps={self.n_steps!r}): must be a whole number of at least 1"
+            )
 
     def place(
         self,
@@ -64,7 +66,9 @@ class SingleScattering(AbstractIntegrator):
         slopes, place = relief_at(pixels, eye, maps, memory)
         rays = memory.once("rays", _placed, (pixels, place), eye, slopes)
         textures = memory.once("textures", _textures, maps, iris)
-        return rays, Ground(textures, memory.once("fluxes", fluxes_of, lights, eye, tables), lights.tint, eye)
+        return rays, Ground(
+            textures, memory.once("fluxes", fluxes_of, lights, eye, tables), lights.tint, eye
+        )
 
     def response(self, iris: Iris, bands: Bands, ranges: Scales) -> "March":
         """The layers' optical depths at the wavelengths of `bands`."""
@@ -72,12 +76,16 @@ class SingleScattering(AbstractIntegrator):
         table = extinction(np.asarray(bands.wavelengths))
 
         def depths(eumelanin, pheomelanin):
-            made = texel_layers(iris, table, Scales(None, None, eumelanin, pheomelanin), self.process)
+            made = texel_layers(
+                iris, table, Scales(None, None, eumelanin, pheomelanin), self.process
+            )
             return Depths(made.abl_absorption, made.extinction)
 
         # Depths are linear in the melanins, which maps may change from place to place.
         rest = depths(0.0, 0.0)
-        eumelanin, pheomelanin = (jax.tree.map(jnp.subtract, depths(*x), rest) for x in ((1.0, 0.0), (0.0, 1.0)))
+        eumelanin, pheomelanin = (
+            jax.tree.map(jnp.subtract, depths(*x), rest) for x in ((1.0, 0.0), (0.0, 1.0))
+        )
         return March(
             rest=rest,
             eumelanin=eumelanin,
@@ -159,7 +167,9 @@ class March(AbstractResponse):
         slant = 1 / jnp.maximum(-(texels.direction * flat).sum(0), 1e-3)
         along = texels.direction * slant + flat  # the iris, per depth
         sources = _sources(texels, ground)
-        tints = jnp.ones((ground.flux.shape[0], 1), slant.dtype) if ground.tint is None else ground.tint
+        tints = (
+            jnp.ones((ground.flux.shape[0], 1), slant.dtype) if ground.tint is None else ground.tint
+        )
 
         def march(carry, k):
             clear, radiance = carry
@@ -175,7 +185,9 @@ class March(AbstractResponse):
 
             def lit(total, light):
                 source, light_slant, tint = light
-                arrives = jnp.exp(-light_depth * light_slant) * _mean_survival(crossed * (light_slant + slant))
+                arrives = jnp.exp(-light_depth * light_slant) * _mean_survival(
+                    crossed * (light_slant + slant)
+                )
                 return total + tint[:, None, None] * (source * arrives), None
 
             zero = jnp.zeros((tints.shape[1], *clear.shape), clear.dtype)
@@ -202,27 +214,41 @@ class March(AbstractResponse):
         """Depths of the ends of ABL and stroma, mm."""
         abl, stroma = self.thickness
         abl = abl if local.abl_thickness is None else abl * local.abl_thickness
-        return abl, abl + (stroma if local.stroma_thickness is None else stroma * local.stroma_thickness)
+        return abl, abl + (
+            stroma if local.stroma_thickness is None else stroma * local.stroma_thickness
+        )
 
     def _depths(self, local: Local) -> tuple[Depths, Any]:
         """Optical depths of the whole layers and that of scattering, (bands, pixels) or (bands, 1)."""
         one = jnp.ones(1, self.scattering.dtype)
         eumelanin, pheomelanin, abl, freckles, stroma = (
             one if x is None else x
-            for x in (local.eumelanin, local.pheomelanin, local.abl_thickness, local.freckles, local.stroma_thickness)
+            for x in (
+                local.eumelanin,
+                local.pheomelanin,
+                local.abl_thickness,
+                local.freckles,
+                local.stroma_thickness,
+            )
         )
 
         def mixed(rest, eu, pheo):
             return rest[:, None] + eu[:, None] * eumelanin + pheo[:, None] * pheomelanin
 
-        found = Depths(*(mixed(*x) for x in zip(self.rest, self.eumelanin, self.pheomelanin, strict=True)))
-        return Depths(found.abl * (abl * freckles), found.stroma * stroma), self.scattering[:, None] * stroma
+        found = Depths(
+            *(mixed(*x) for x in zip(self.rest, self.eumelanin, self.pheomelanin, strict=True))
+        )
+        return Depths(found.abl * (abl * freckles), found.stroma * stroma), self.scattering[
+            :, None
+        ] * stroma
 
 
 @pixelwise
 def _placed(pixels, eye: Eye, slopes) -> Rays:
     iris, place = pixels
-    point, direction, normal = map(jnp.stack, (iris.point, iris.direction, normals(iris.point, place, eye, slopes)))
+    point, direction, normal = map(
+        jnp.stack, (iris.point, iris.direction, normals(iris.point, place, eye, slopes))
+    )
     return Rays(iris.index, point, direction, normal, shares(iris, eye))
 
 

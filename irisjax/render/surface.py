@@ -81,13 +81,19 @@ def mirrored(
     total = jnp.zeros((lamp.size, film.reflectance.size), film.reflectance.dtype)
     if lights is not None:
         # Chords in place of angles: an arc cosine a pixel and light costs more than all the rest.
-        towards = [t[:, None] for t in lights.towards.T] if point is None else lights.around(point)[0]
+        towards = (
+            [t[:, None] for t in lights.towards.T] if point is None else lights.around(point)[0]
+        )
         x, y, z = (m - t for m, t in zip(film.mirror, towards, strict=True))
         chord = safe_sqrt(x * x + y * y + z * z)
         outer, inner = (2 * jnp.sin(share * lights.radius / 2)[:, None] for share in (1.1, 0.9))
         inside = jnp.clip((outer - chord) / (outer - inner), 0, 1)
-        radiance = lights.irradiance / (jnp.pi * jnp.sin(jnp.minimum(lights.radius, jnp.pi / 2)) ** 2)
-        total = total + (radiance[:, None] * (lamp if lights.tint is None else lights.tint)).T @ inside
+        radiance = lights.irradiance / (
+            jnp.pi * jnp.sin(jnp.minimum(lights.radius, jnp.pi / 2)) ** 2
+        )
+        total = (
+            total + (radiance[:, None] * (lamp if lights.tint is None else lights.tint)).T @ inside
+        )
     if room is not None:
         total = total + room
     return total * film.reflectance

@@ -9,7 +9,9 @@ from irisjax.render.illumination import Illumination
 from irisjax.render.memory import Memory
 from irisjax.render.scene import Scene, prepare
 
-_MEMORY = 1 << 28  # bytes for the pixels of a band; the programs and tables round them take three times that
+_MEMORY = (
+    1 << 28
+)  # bytes for the pixels of a band; the programs and tables round them take three times that
 _PIXEL, _CHANNEL = 1200, 24  # bytes for each of a band's, measured
 
 
@@ -21,7 +23,12 @@ class Band(NamedTuple):
 
 
 def bands(
-    scene: Scene, tables: Illumination | None = None, *, samples: int = 1, wavelengths=None, memory: int = _MEMORY
+    scene: Scene,
+    tables: Illumination | None = None,
+    *,
+    samples: int = 1,
+    wavelengths=None,
+    memory: int = _MEMORY,
 ) -> Iterator[Band]:
     """The picture of a scene from the top to the bottom, as `render` and with `wavelengths` as `prepare` give it.
 
@@ -38,10 +45,16 @@ def bands(
     for start in range(0, height, rows):
         # The last band begins earlier, so that all have one shape: another would be compiled for.
         first = min(start, height - rows)
-        camera = scene.camera if count == samples == 1 else scene.camera.taking(first, rows, samples)
+        camera = (
+            scene.camera if count == samples == 1 else scene.camera.taking(first, rows, samples)
+        )
         stage = prepare(scene.replace(camera=camera), tables, wavelengths=wavelengths, memory=kept)
         if response is None:
             response = stage.response(scene.iris)
             error = None if response.error is None else float(response.error)
-        picture = np.asarray(stage.shown(response)).reshape(rows, samples, width, samples, -1).mean((1, 3))
+        picture = (
+            np.asarray(stage.shown(response))
+            .reshape(rows, samples, width, samples, -1)
+            .mean((1, 3))
+        )
         yield Band(picture[start - first :], error)

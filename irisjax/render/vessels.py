@@ -69,7 +69,12 @@ def veins(eye: Eye, *, shape: tuple[int, int] = (1024, 512), key: PRNGKey) -> Ve
         levels.append(level)
     for curves in (*levels, _loops(rng, globe, round(220 * density))):
         _stamp([(depth, _chord), (cover, _cover)], globe, curves, 0.03)
-    _stamp([(deep, _shade)], globe, _trunks(rng, globe, round(14 * density), (0.04, 0.09), 0.25), 3 * _SPREAD)
+    _stamp(
+        [(deep, _shade)],
+        globe,
+        _trunks(rng, globe, round(14 * density), (0.04, 0.09), 0.25),
+        3 * _SPREAD,
+    )
     dtype = jnp.result_type(float)
     return VeinMap(*(jnp.asarray(texture, dtype) for texture in (depth, cover, deep)))
 
@@ -96,9 +101,16 @@ def _branches(rng, globe: _Globe, parents: _Curves, forks: int, reach: float) ->
     alive = parents.radius[row, at] > 0
     side = np.where(rng.random(at.shape) < 0.5, -1.0, 1.0)
     heading = parents.heading[row, at] + side * rng.uniform(0.5, 1.3, at.shape)
-    start = (parents.azimuth[row, at], parents.arc[row, at], heading, parents.radius[:, :1] * share ** (1 / 3))
+    start = (
+        parents.azimuth[row, at],
+        parents.arc[row, at],
+        heading,
+        parents.radius[:, :1] * share ** (1 / 3),
+    )
     azimuth, arc, heading, radius = (field[alive] for field in start)
-    return _walk(rng, globe, azimuth, arc, heading, radius, reach * rng.uniform(0.4, 1.6, radius.size), 0.7)
+    return _walk(
+        rng, globe, azimuth, arc, heading, radius, reach * rng.uniform(0.4, 1.6, radius.size), 0.7
+    )
 
 
 def _walk(rng, globe: _Globe, azimuth, arc, heading, radius, reach, wander: float) -> _Curves:
@@ -170,7 +182,11 @@ def _stamp(layers, globe: _Globe, curves: _Curves, margin: float) -> None:
     rows, columns = layers[0][0].shape
     along = globe.end / columns
     there = (curves.radius[:, :-1] > 0) & (curves.radius[:, 1:] > 0)
-    segments = [(field[:, i:][:, : there.shape[1]][there]) for i in (0, 1) for field in (curves.azimuth, curves.arc)]
+    segments = [
+        (field[:, i:][:, : there.shape[1]][there])
+        for i in (0, 1)
+        for field in (curves.azimuth, curves.arc)
+    ]
     radius = 0.5 * (curves.radius[:, :-1] + curves.radius[:, 1:])[there]
     order = np.argsort(radius, kind="stable")
     for block in np.array_split(order, max(1, -(-order.size // _CHUNK))):
@@ -194,6 +210,8 @@ def _stamp(layers, globe: _Globe, curves: _Curves, margin: float) -> None:
         width = (cell[:, None, None] * np.abs(v) + along * np.abs(u)) / length
         flat = (row % rows)[:, :, None] * columns + np.clip(column, 0, columns - 1)[:, None, :]
         near = ((column >= 0) & (column < columns))[:, None, :] & (distance < r + width + margin)
-        flat, distance, width, r = (np.broadcast_to(a, near.shape)[near] for a in (flat, distance, width, r))
+        flat, distance, width, r = (
+            np.broadcast_to(a, near.shape)[near] for a in (flat, distance, width, r)
+        )
         for texture, profile in layers:
             np.maximum.at(texture.reshape(-1), flat.astype(int), profile(distance, r, width))

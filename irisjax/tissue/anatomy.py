@@ -64,7 +64,9 @@ class Cornea(eqx.Module):
         """The single surface of F09, R = 7.8 mm and p = 0.75; set `aqueous_index=1.376` of `Eye` and `Iris` with it."""
         return cls(posterior=None, index=jnp.asarray(1.376))
 
-    def transmittance(self, wavelengths: Float[Array, " wavelengths"]) -> Float[Array, " wavelengths"] | None:
+    def transmittance(
+        self, wavelengths: Float[Array, " wavelengths"]
+    ) -> Float[Array, " wavelengths"] | None:
         """Of one passage, without the mirror losses; `None` for a clear cornea  [F09 Eq. 16]. Above 310 nm."""
         return None if self.scatter is None else 10.0 ** (-0.016 - self.scatter * wavelengths**-4.0)
 
@@ -117,8 +119,16 @@ class Eye(eqx.Module):
                 f"pupil_radius = {float(self.pupil_radius):g} mm must be below "
                 f"iris_radius = {float(self.iris_radius):g} mm"
             )
-        decide = (self.cornea, self.iris_depth, self.iris_slope, self.iris_radius, self.limbus_radius)
-        if self.cornea is not None and not any(isinstance(x, Tracer) for x in jax.tree.leaves(decide)):
+        decide = (
+            self.cornea,
+            self.iris_depth,
+            self.iris_slope,
+            self.iris_radius,
+            self.limbus_radius,
+        )
+        if self.cornea is not None and not any(
+            isinstance(x, Tracer) for x in jax.tree.leaves(decide)
+        ):
             least = _least_depth(self, self.cornea)
             if not float(self.iris_depth) > least:
                 raise ValueError(
@@ -138,7 +148,11 @@ class Eye(eqx.Module):
         for _ in range(6):  # Newton from the plane: slopes up to 1/2 converge to rounding
             x, y = origin[..., 0] + t * direction[..., 0], origin[..., 1] + t * direction[..., 1]
             r = safe_sqrt(x * x + y * y)
-            rise = self.iris_slope * (x * direction[..., 0] + y * direction[..., 1]) / jnp.where(r > 0, r, 1.0)
+            rise = (
+                self.iris_slope
+                * (x * direction[..., 0] + y * direction[..., 1])
+                / jnp.where(r > 0, r, 1.0)
+            )
             miss = origin[..., 2] + t * direction[..., 2] - self.iris_depth - self.iris_slope * r
             t = t - miss / (direction[..., 2] - rise)
         return t
@@ -175,4 +189,6 @@ def _check(module) -> None:
             continue
         v = float(np.asarray(value))
         if not low <= v <= high:
-            raise ValueError(f"{field.name} = {v:g} is outside [{low:g}, {high:g}]{(' ' + unit) if unit else ''}")
+            raise ValueError(
+                f"{field.name} = {v:g} is outside [{low:g}, {high:g}]{(' ' + unit) if unit else ''}"
+            )

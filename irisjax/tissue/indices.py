@@ -36,7 +36,9 @@ def scattering_lb06(wavelengths: Spectrum, radius, fraction, n_collagen, n_base)
     return 8 * jnp.pi**3 / 3 * (contrast**2 / density) / wavelengths**4 * 1e6
 
 
-def scattering_rayleigh_spheres(wavelengths: Spectrum, radius, fraction, n_collagen, n_base) -> Spectrum:
+def scattering_rayleigh_spheres(
+    wavelengths: Spectrum, radius, fraction, n_collagen, n_base
+) -> Spectrum:
     """Scattering coefficient (mm⁻¹) of independent small spheres, 24π³ n_b⁴ f V λ⁻⁴ ((m²−1)/(m²+2))².
 
     [Bohren & Huffman 1983, Section 5.1]; `wavelengths` in vacuum, nm; `radius` in nm.

@@ -44,7 +44,9 @@ LIMITS: dict[str, Limits] = {
     "zeaxanthin": Limits(0, _INF, "mg/ml", "zeaxanthin in the stroma"),
     "abl_thickness": Limits(0, _INF, "mm", "thickness of the anterior border layer"),
     "stroma_thickness": Limits(0, _INF, "mm", "thickness of the stroma"),
-    "intensification": Limits(0, _INF, "", "factor of intensification of melanin absorption", above=True),
+    "intensification": Limits(
+        0, _INF, "", "factor of intensification of melanin absorption", above=True
+    ),
     "fibril_radius": Limits(0, 200, "nm", "radius of the collagen fibrils", above=True),
     "iris_radius": Limits(0, _INF, "mm", "outer radius of the iris"),
     "pupil_radius": Limits(0, _INF, "mm", "radius of the pupil"),
@@ -58,7 +60,9 @@ LIMITS: dict[str, Limits] = {
     "fibroblast_fraction": Limits(0, 1, "", "volume fraction of fibroblasts in the ABL"),
     "collagen_fraction": Limits(0, 1, "", "volume fraction of fibrils in the stroma", above=True),
     "abl_index": Limits(1, 3, "", "refractive index of the ABL, in place of Gladstone-Dale's"),
-    "stroma_index": Limits(1, 3, "", "refractive index of the stroma, in place of Gladstone-Dale's"),
+    "stroma_index": Limits(
+        1, 3, "", "refractive index of the stroma, in place of Gladstone-Dale's"
+    ),
 }
 """Every settable field of `Iris` with its allowed range and unit."""
 
@@ -127,7 +131,9 @@ class Iris(eqx.Module):
     def preset(cls, level: str) -> "Iris":
         """The iris of a pigmentation level of LB06 Table 2: `"low"`, `"moderate"` or `"high"`."""
         if level not in _LEVELS:
-            raise ValueError(f"unknown pigmentation level {level!r}; known: {', '.join(sorted(_LEVELS))}")
+            raise ValueError(
+                f"unknown pigmentation level {level!r}; known: {', '.join(sorted(_LEVELS))}"
+            )
         eumelanin, pheomelanin = _LEVELS[level]
         return cls(eumelanin=jnp.asarray(eumelanin), pheomelanin=jnp.asarray(pheomelanin))
 
@@ -140,7 +146,9 @@ class Iris(eqx.Module):
         load = fields.pop("melanin_load", None)
         for name in fields:
             if name not in LIMITS:
-                raise ValueError(f"unknown parameter {name!r}; known: melanin_load, {', '.join(LIMITS)}")
+                raise ValueError(
+                    f"unknown parameter {name!r}; known: melanin_load, {', '.join(LIMITS)}"
+                )
         current = {name: getattr(self, name) for name in LIMITS}
         iris = Iris(**{**current, **fields})
         if load is None:
@@ -199,11 +207,16 @@ class Iris(eqx.Module):
             + e.zeaxanthin * self.zeaxanthin
         )
         mu_s = SCATTERING[scattering](
-            e.wavelengths, self.fibril_radius, self.collagen_fraction, self.collagen_index, self.base_index
+            e.wavelengths,
+            self.fibril_radius,
+            self.collagen_fraction,
+            self.collagen_index,
+            self.base_index,
         )
         return Layers(
             abl_absorption=melanin * self.abl_fraction,
-            stroma_absorption=melanin * (1 - self.abl_fraction) + blood_and_carotenoids * self.stroma_thickness,
+            stroma_absorption=melanin * (1 - self.abl_fraction)
+            + blood_and_carotenoids * self.stroma_thickness,
             stroma_scattering=mu_s * self.stroma_thickness,
             indices=self.indices(),
             order=self.order,
@@ -219,7 +232,10 @@ class Iris(eqx.Module):
         return out
 
     def __repr__(self):
-        lines = [f"  {n} = {v}{(' ' + LIMITS[n].unit) if LIMITS[n].unit else ''}" for n, v in self.parameters().items()]
+        lines = [
+            f"  {n} = {v}{(' ' + LIMITS[n].unit) if LIMITS[n].unit else ''}"
+            for n, v in self.parameters().items()
+        ]
         return "Iris(\n" + "\n".join(lines) + "\n)"
 
 
@@ -228,7 +244,9 @@ def _short(value) -> float:
     # (Not `str`: NumPy's print options are global, and colour-science sets them.)
     return float(
         np.format_float_positional(
-            np.asarray(value).item() if value.dtype == np.float64 else np.float32(value), unique=True, trim="0"
+            np.asarray(value).item() if value.dtype == np.float64 else np.float32(value),
+            unique=True,
+            trim="0",
         )
     )
 
@@ -240,7 +258,10 @@ def _as_float(name: str, value) -> jax.Array:
     if not jnp.issubdtype(dtype, jnp.floating) and not jnp.issubdtype(dtype, jnp.integer):
         raise ValueError(f"{name} must be a real number, got {value!r}")
     # Never weakly typed: an iris with fields replaced must not be compiled for again.
-    return jnp.asarray(value, dtype if isinstance(value, jax.Array) and dtype.kind == "f" else jnp.result_type(float))
+    return jnp.asarray(
+        value,
+        dtype if isinstance(value, jax.Array) and dtype.kind == "f" else jnp.result_type(float),
+    )
 
 
 def _check(iris: Iris) -> None:
@@ -251,7 +272,9 @@ def _check(iris: Iris) -> None:
     if not isinstance(iris.pupil_radius, Tracer) and not isinstance(iris.iris_radius, Tracer):
         bad = np.asarray(iris.pupil_radius) > np.asarray(iris.iris_radius)
         if bad.any():
-            pupil, whole = (np.broadcast_to(r, bad.shape)[bad][0] for r in (iris.pupil_radius, iris.iris_radius))
+            pupil, whole = (
+                np.broadcast_to(r, bad.shape)[bad][0] for r in (iris.pupil_radius, iris.iris_radius)
+            )
             raise ValueError(f"pupil_radius = {pupil:g} mm exceeds iris_radius = {whole:g} mm")
 
 

@@ -53,7 +53,9 @@ class Layers(eqx.Module):
             )
         )
         for name, depth in zip(("mu_a_abl", "mu_a_stroma", "mu_s_stroma"), depths, strict=True):
-            if not isinstance(depth, Tracer) and not bool((jnp.isfinite(depth) & (depth >= 0)).all()):
+            if not isinstance(depth, Tracer) and not bool(
+                (jnp.isfinite(depth) & (depth >= 0)).all()
+            ):
                 raise ValueError(f"{name} times its thickness must be finite and not negative")
         return cls(*depths, indices=indices, order=indices.order())
 

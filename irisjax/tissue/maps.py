@@ -46,20 +46,28 @@ class IrisMaps(eqx.Module):
     def __post_init__(self):
         shapes = {n: np.shape(m) for n, m in self.present().items()}
         if len(set(shapes.values())) > 1:
-            raise ValueError(f"maps differ in shape: {', '.join(f'{n} {s}' for n, s in shapes.items())}")
+            raise ValueError(
+                f"maps differ in shape: {', '.join(f'{n} {s}' for n, s in shapes.items())}"
+            )
         for name, found in self.present().items():
             if isinstance(found, Tracer):
                 continue
             m = np.asarray(found)
             if m.ndim != 2 or min(m.shape) < 2:
-                raise ValueError(f"map {name} has shape {m.shape}; need (angles, radii), at least 2 of each")
-            low, high = (-1, 1) if name == "relief" else (0, 1) if name == "freckles" else (0, np.inf)
+                raise ValueError(
+                    f"map {name} has shape {m.shape}; need (angles, radii), at least 2 of each"
+                )
+            low, high = (
+                (-1, 1) if name == "relief" else (0, 1) if name == "freckles" else (0, np.inf)
+            )
             if not (m.min() >= low and m.max() <= high and m.max() < np.inf):  # false for NaN too
                 raise ValueError(f"map {name} has values outside [{low:g}, {high:g}] or not finite")
 
     def present(self) -> dict[str, Any]:
         """The maps there are, by name."""
-        return {f.name: m for f in dataclasses.fields(self) if (m := getattr(self, f.name)) is not None}
+        return {
+            f.name: m for f in dataclasses.fields(self) if (m := getattr(self, f.name)) is not None
+        }
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -81,7 +89,9 @@ class IrisMaps(eqx.Module):
 
     def stroma_scale(self, iris: Iris) -> Texture | None:
         """Thickness of the stroma relative to that of a uniform `iris`; `None` where it is one everywhere."""
-        return None if self.stroma_thickness is None else self.stroma_thickness / iris.stroma_thickness
+        return (
+            None if self.stroma_thickness is None else self.stroma_thickness / iris.stroma_thickness
+        )
 
 
 FRECKLE = 12.0

@@ -82,7 +82,9 @@ def _on_host(grid: bytes, double: bool) -> Extinction:
         # A NaN is neither below nor above: ask for what is allowed.
         bad = ~((x >= low) & (x <= high))
         if bad.any():
-            raise ValueError(f"wavelength {x[bad][0]:g} nm is outside the {pigment} table ({low:g} to {high:g} nm)")
+            raise ValueError(
+                f"wavelength {x[bad][0]:g} nm is outside the {pigment} table ({low:g} to {high:g} nm)"
+            )
     dtype = np.float64 if double else np.float32
     with jax.ensure_compile_time_eval():
         curves = {"wavelengths": x, **_interpolate(x, np)}
@@ -110,5 +112,7 @@ def _checked(x):
 def _table(pigment: str) -> tuple[np.ndarray, np.ndarray]:
     file, column, factor = _SOURCES[pigment]
     with (resources.files("irisjax.tissue") / "tables" / file).open(encoding="utf-8") as f:
-        data = np.genfromtxt((line for line in f if not line.startswith("#")), delimiter=",", names=True)
+        data = np.genfromtxt(
+            (line for line in f if not line.startswith("#")), delimiter=",", names=True
+        )
     return data["wavelength_nm"], data[column] * factor

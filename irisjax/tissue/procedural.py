@@ -75,7 +75,9 @@ def procedural(
     return IrisMaps(**_grow(iris, shape, profile, wanted, key))
 
 
-def _grow(iris: Iris, shape: tuple[int, int], profile: bool, has: dict[str, Any], key: PRNGKey) -> dict[str, Field]:
+def _grow(
+    iris: Iris, shape: tuple[int, int], profile: bool, has: dict[str, Any], key: PRNGKey
+) -> dict[str, Field]:
     angles, radii = cell_centres(shape)
     turns, radius = jnp.broadcast_arrays(angles[:, None] / (2 * jnp.pi), radii)
     place = iris.pupil_radius + (iris.iris_radius - iris.pupil_radius) * radius
@@ -134,7 +136,9 @@ def _bounded(thickness: Field, place: Field, mean) -> Field:
 
 
 @jax.jit
-def _strands(seed: Seed, turns: Field, radius: Field, count: Whole, width: Number, sway: Number) -> Field:
+def _strands(
+    seed: Seed, turns: Field, radius: Field, count: Whole, width: Number, sway: Number
+) -> Field:
     """Height, 0 to 1, of `count` wavy strands; where two meet, the higher one lies on top: they join and branch."""
     where, wave, high = split(seed, 3)
     x = turns * count
@@ -175,7 +179,9 @@ def _ring(seed: Seed, turns: Field, radius: Field, ring: Field) -> Field:
     """Relative thickness that the collarette adds: steep towards the pupil, gentle outwards, uneven along."""
     along = 0.7 + 0.5 * noise(split(seed, 4)[2], turns, 0 * turns, (30, 1), 2)
     off = radius - ring
-    return 0.45 * along * jnp.exp(-((off / jnp.where(off < 0, 0.022, 0.05)) ** 2)) - 0.12 * step(-off / 0.05)
+    return 0.45 * along * jnp.exp(-((off / jnp.where(off < 0, 0.022, 0.05)) ** 2)) - 0.12 * step(
+        -off / 0.05
+    )
 
 
 @jax.jit
@@ -194,7 +200,11 @@ def _crypts(seed: Seed, turns: Field, radius: Field, count: Whole) -> tuple[Fiel
         lens = half_width * jnp.clip(1 - ((radius - middle) / half_length) ** 2, 0.0)
         hole = (0.5 + 0.5 * e) * step((lens - jnp.abs(off)) / 0.0025 + 0.2) * (lens > 0)
         # Inside the lens `pushed` is `off`: one strand fills it, the others crowd at its rim.
-        pushed = lens * jnp.tanh(off / jnp.maximum(lens, 1e-6)) * jnp.exp(-((off / (3 * half_width)) ** 2))
+        pushed = (
+            lens
+            * jnp.tanh(off / jnp.maximum(lens, 1e-6))
+            * jnp.exp(-((off / (3 * half_width)) ** 2))
+        )
         return jnp.maximum(holes, hole), parted - 0.9 * pushed
 
     return jax.lax.fori_loop(0, 2 * count, dig, (jnp.zeros_like(radius), turns))
@@ -206,7 +216,9 @@ def _furrows(seed: Seed, turns: Field, radius: Field, count: Whole) -> Field:
 
     def fold(k, height):
         wander, extent = split(seed + k.astype(jnp.uint32), 2)
-        middle = 0.55 + 0.38 * (k + 0.5) / count + 0.025 * noise(wander, turns, 0 * turns, (6, 1), 3)
+        middle = (
+            0.55 + 0.38 * (k + 0.5) / count + 0.025 * noise(wander, turns, 0 * turns, (6, 1), 3)
+        )
         depth = step(0.4 + 1.6 * noise(extent, turns, 0 * turns, (7, 1)))
         off = (radius - middle) / 0.016
         return height + depth * (0.45 * off**2 - 1) * jnp.exp(-0.5 * off**2)

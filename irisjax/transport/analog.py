@@ -47,7 +47,9 @@ class Photon(NamedTuple):
     """
 
     direction: jax.Array  # signed cosine, positive into the eye
-    depth: Any  # optical depth below the stroma's top, for depth-resolved transport only, else `None`
+    depth: (
+        Any  # optical depth below the stroma's top, for depth-resolved transport only, else `None`
+    )
     code: jax.Array
 
 
@@ -62,7 +64,9 @@ def whole_layer_event(photon: Photon, words, layers: LaneLayers, scale, process:
     u_outcome, u_direction, azimuth = _draws(words, scale)
     turned = _deflect(photon.direction, process.phase_function.sample_cosine(u_direction), azimuth)
     fresh = jnp.copysign(sample_entry(u_direction), photon.direction)
-    direction = jnp.where(mode == FRESH, fresh, jnp.where(mode == SCATTERED, turned, photon.direction))
+    direction = jnp.where(
+        mode == FRESH, fresh, jnp.where(mode == SCATTERED, turned, photon.direction)
+    )
     # (dividing by a traced 1 keeps the compiler from recomputing the direction in each fusion below)
     direction = jnp.clip(direction, -1.0, 1.0) / scale[2]
     down, mu = direction > 0.0, jnp.maximum(jnp.abs(direction), 1e-12)
@@ -86,20 +90,30 @@ def whole_layer_event(photon: Photon, words, layers: LaneLayers, scale, process:
     transmitted = (u_outcome >= t_mirror) & ~absorbed
     scattered = (u_outcome >= t_absorbed) & (u_outcome < t_event) & ~absorbed
     leaves = transmitted & (in_abl ^ down)  # upwards out of the ABL or downwards out of the stroma
-    fate = jnp.where(leaves, jnp.where(in_abl, REFLECTED, IPE), jnp.where(absorbed, jnp.where(in_abl, ABL, STROMA), 0))
+    fate = jnp.where(
+        leaves,
+        jnp.where(in_abl, REFLECTED, IPE),
+        jnp.where(absorbed, jnp.where(in_abl, ABL, STROMA), 0),
+    )
     fate = jnp.where(u_outcome < first, MIRRORED, fate)
     redrawn = transmitted | process.perturb_on_reflection
     mode = jnp.where(scattered, SCATTERED, jnp.where(redrawn, FRESH, KEPT))
-    return Photon(direction, None, pack(fate, in_abl ^ transmitted, mode, ~scattered & ~transmitted, k + 1))
+    return Photon(
+        direction, None, pack(fate, in_abl ^ transmitted, mode, ~scattered & ~transmitted, k + 1)
+    )
 
 
-def depth_resolved_event(photon: Photon, words, layers: LaneLayers, scale, process: Process) -> Photon:
+def depth_resolved_event(
+    photon: Photon, words, layers: LaneLayers, scale, process: Process
+) -> Photon:
     """One flight with a free path in depth; directions change at interfaces by Snell's law only."""
     in_abl, mode, k = (photon.code & 8) > 0, (photon.code >> 4) & 3, photon.code >> 6
     outside = k == 0
     u_outcome, u_direction, azimuth = _draws(words, scale)
     turned = _deflect(photon.direction, process.phase_function.sample_cosine(u_direction), azimuth)
-    entering = jnp.where(layers.incidence < 0, sample_entry(u_direction), layers.incidence)  # < 0: diffuse
+    entering = jnp.where(
+        layers.incidence < 0, sample_entry(u_direction), layers.incidence
+    )  # < 0: diffuse
     direction = jnp.where(outside, entering, jnp.where(mode == SCATTERED, turned, photon.direction))
     direction = jnp.clip(direction, -1.0, 1.0) / scale[2]
     down, mu = direction > 0.0, jnp.maximum(jnp.abs(direction), 1e-12)
@@ -124,16 +138,26 @@ def depth_resolved_event(photon: Photon, words, layers: LaneLayers, scale, proce
     moved = photon.depth + jnp.where(down, 1.0, -1.0) * jnp.minimum(flown, to_end)
     at_end = jnp.where(down, layers.stroma, 0.0)
     depth = jnp.where(in_abl | outside, 0.0, jnp.where(scattered, moved, at_end)) / scale[2]
-    direction = jnp.where(transmitted, jnp.sign(direction) * refract(mu, n_here, n_ahead), direction)
+    direction = jnp.where(
+        transmitted, jnp.sign(direction) * refract(mu, n_here, n_ahead), direction
+    )
     leaves = transmitted & (in_abl ^ down) & ~outside
-    fate = jnp.where(leaves, jnp.where(in_abl, REFLECTED, IPE), jnp.where(absorbed, jnp.where(in_abl, ABL, STROMA), 0))
+    fate = jnp.where(
+        leaves,
+        jnp.where(in_abl, REFLECTED, IPE),
+        jnp.where(absorbed, jnp.where(in_abl, ABL, STROMA), 0),
+    )
     fate = jnp.where(outside & ~transmitted, MIRRORED, fate)
     crosses = transmitted & ~outside
     mode = jnp.where(scattered, SCATTERED, KEPT)
-    return Photon(direction, depth, pack(fate, in_abl ^ crosses, mode, ~scattered & ~transmitted, k + 1))
+    return Photon(
+        direction, depth, pack(fate, in_abl ^ crosses, mode, ~scattered & ~transmitted, k + 1)
+    )
 
 
-def run_lanes(wave_words, start, stride, last, layers: LaneLayers, scale, process: Process, cells=None):
+def run_lanes(
+    wave_words, start, stride, last, layers: LaneLayers, scale, process: Process, cells=None
+):
     """Run lanes to exhaustion; lane l owns photons start[l], start[l] + stride, ... below last[l].
 
     **Arguments:** `wave_words`, two uint32 arrays with each lane's wavelength key; `cells`, lower and upper
@@ -154,7 +178,8 @@ def run_lanes(wave_words, start, stride, last, layers: LaneLayers, scale, proces
         if cells is not None:
             # A photon that left has no further use for its direction: it holds the cosine outside.
             cell_tally = tuple(
-                count + ((fate == REFLECTED) & (photon.direction >= low) & (photon.direction < high))
+                count
+                + ((fate == REFLECTED) & (photon.direction >= low) & (photon.direction < high))
                 for count, (low, high) in zip(cell_tally, cells, strict=True)
             )
         direction = jnp.where(photon.code < 0, -photon.direction, photon.direction)
@@ -172,7 +197,14 @@ def run_lanes(wave_words, start, stride, last, layers: LaneLayers, scale, proces
             left = after.code & 7 == REFLECTED
             outside = refract(jnp.abs(after.direction), layers.n_abl, layers.n_aqueous)
             after = after._replace(direction=jnp.where(left, outside, after.direction))
-        return k0, k1, i, after._replace(code=jnp.where(alive, after.code, RESTING)), tally, cell_tally
+        return (
+            k0,
+            k1,
+            i,
+            after._replace(code=jnp.where(alive, after.code, RESTING)),
+            tally,
+            cell_tally,
+        )
 
     def running(state):
         return jnp.any((state[3].code & 7 != RESTING) | (state[2] < last))
@@ -187,7 +219,11 @@ def run_lanes(wave_words, start, stride, last, layers: LaneLayers, scale, proces
 def _draws(words, scale):
     """Two uniforms of 23 bits, and the cosine of a uniform azimuth from the 18 bits that are left."""
     azimuth = uniform((words[0] & 511) << 9 | (words[1] & 511), scale[1])
-    return uniform(words[0] >> 9, scale[0]), uniform(words[1] >> 9, scale[0]), cosine_of_turn(azimuth)
+    return (
+        uniform(words[0] >> 9, scale[0]),
+        uniform(words[1] >> 9, scale[0]),
+        cosine_of_turn(azimuth),
+    )
 
 
 def cosine_of_turn(v):
@@ -198,7 +234,9 @@ def cosine_of_turn(v):
 
 def _deflect(direction, cosine, azimuth):
     """Cosine to the normal after a turn by a polar angle and a cosine of azimuth."""
-    return direction * cosine + azimuth * jnp.sqrt((1.0 - direction * direction) * (1.0 - cosine * cosine))
+    return direction * cosine + azimuth * jnp.sqrt(
+        (1.0 - direction * direction) * (1.0 - cosine * cosine)
+    )
 
 
 def _beyond(in_abl, down, layers: LaneLayers):

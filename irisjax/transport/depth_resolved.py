@@ -96,10 +96,14 @@ def _coarseness(layers: Layers, n_depths: int, n_panels: int):
     """
     outer = layers.extinction * (fractions(n_panels)[0] * 8 / n_depths)
     # The second is what it takes to follow the beam itself where next to nothing scatters.
-    return jnp.maximum(jnp.cbrt(layers.albedo) ** 2 * outer * (8 / n_depths) ** (4 / 3), outer**4 / 406)
+    return jnp.maximum(
+        jnp.cbrt(layers.albedo) ** 2 * outer * (8 / n_depths) ** (4 / 3), outer**4 / 406
+    )
 
 
-def solve(layers: Layers, cos_incidence, cos_exit, azimuth, *, n_angles: int, n_depths: int, n_panels: int):
+def solve(
+    layers: Layers, cos_incidence, cos_exit, azimuth, *, n_angles: int, n_depths: int, n_panels: int
+):
     """Radiative transfer in the iris; see `Solution`.
 
     The part of `reflectance` that is mirrored by the inner interfaces without scattering is not in the BRDF.
@@ -117,7 +121,9 @@ def solve(layers: Layers, cos_incidence, cos_exit, azimuth, *, n_angles: int, n_
         azimuth = jnp.zeros_like(exits.cosine)
 
     def one(abl, depth, albedo, coalbedo):
-        return _one_wavelength(abl, depth, albedo, coalbedo, n, nodes, beams, power, exits, azimuth, n_depths, n_panels)
+        return _one_wavelength(
+            abl, depth, albedo, coalbedo, n, nodes, beams, power, exits, azimuth, n_depths, n_panels
+        )
 
     flux = jax.vmap(one)(layers.abl_absorption, layers.extinction, layers.albedo, layers.coalbedo)
     resolved = (_coarseness(layers, n_depths, n_panels) <= _RESOLVED).all()
@@ -196,7 +202,9 @@ def _roof(depth, d: Directions, *, from_stroma: bool) -> Roof:
     )
 
 
-def _one_wavelength(abl, depth, albedo, coalbedo, n, nodes, beams, power, exits, azimuth, n_depths, n_panels):
+def _one_wavelength(
+    abl, depth, albedo, coalbedo, n, nodes, beams, power, exits, azimuth, n_depths, n_panels
+):
     slab = Slab(depth, n_depths, n_panels)
     roof_in = _roof(abl, beams, from_stroma=False)
     entering = power * roof_in.passed
@@ -204,9 +212,14 @@ def _one_wavelength(abl, depth, albedo, coalbedo, n, nodes, beams, power, exits,
     sets = [d for d in (nodes, beams, exits) if d is not None]
     everywhere = jax.tree.map(lambda *x: jnp.concatenate(x), *sets)
     roof = _roof(abl, everywhere, from_stroma=True)
-    meets = Ends(everywhere.top[0] + roof.reflected, roof.passed + roof.absorbed, *everywhere.bottom)
+    meets = Ends(
+        everywhere.top[0] + roof.reflected, roof.passed + roof.absorbed, *everywhere.bottom
+    )
     roofs = _split(roof, sets)
-    (angle, beam, *exit_), (roof_out, roof_beam) = _split(slab.bounded(everywhere.cosine, meets), sets), roofs[:2]
+    (angle, beam, *exit_), (roof_out, roof_beam) = (
+        _split(slab.bounded(everywhere.cosine, meets), sets),
+        roofs[:2],
+    )
 
     # What of the beam is absorbed or scattered on its way between the slab's ends.
     along = beam.series * attenuation(depth, beams.cosine) * (1 + beam.through * beam.floor)
@@ -219,7 +232,9 @@ def _one_wavelength(abl, depth, albedo, coalbedo, n, nodes, beams, power, exits,
         operator = slab.moments(angle, nodes.weight, f_nodes, mode.parity)
         driving = slab.driving(beam, f_beams * (entering / beams.cosine), mode.parity)
         size = operator.shape[0]
-        system = jnp.eye(size, dtype=depth.dtype) - operator * jnp.repeat(strength, size // strength.size)
+        system = jnp.eye(size, dtype=depth.dtype) - operator * jnp.repeat(
+            strength, size // strength.size
+        )
         right = driving.reshape(size)
         if mode.order == 0:
             balance = _energy_balance(slab, strength, f_nodes, angle, nodes, roof_out, coalbedo)
@@ -245,9 +260,13 @@ def _one_wavelength(abl, depth, albedo, coalbedo, n, nodes, beams, power, exits,
     if exits is not None:
         brdf = leaving_exit * roofs[2].passed * (n.aqueous / n.stroma) ** 2 / (2 * jnp.pi)
     return Flux(
-        reflectance=power @ roof_in.reflected + flux @ (up_top * roof_out.passed) + beam_top @ roof_beam.passed,
+        reflectance=power @ roof_in.reflected
+        + flux @ (up_top * roof_out.passed)
+        + beam_top @ roof_beam.passed,
         mirrored=power @ beams.surface[0],
-        abl=power @ roof_in.absorbed + flux @ (up_top * roof_out.absorbed) + beam_top @ roof_beam.absorbed,
+        abl=power @ roof_in.absorbed
+        + flux @ (up_top * roof_out.absorbed)
+        + beam_top @ roof_beam.absorbed,
         stroma=coalbedo * (slab.widths @ moments[0][0].reshape(n_panels, n_depths)[:, 0]),
         ipe=flux @ (down_bottom * nodes.bottom[1]) + beam_bottom @ beams.bottom[1],
         brdf=brdf,
@@ -258,7 +277,10 @@ def _split(tree, sets):
     """What belongs to each set of directions, of arrays over all of them."""
     ends = np.cumsum([d.cosine.size for d in sets])[:-1].tolist()
     leaves, structure = jax.tree.flatten(tree)
-    return [jax.tree.unflatten(structure, x) for x in zip(*(jnp.split(x, ends, axis=-1) for x in leaves), strict=True)]
+    return [
+        jax.tree.unflatten(structure, x)
+        for x in zip(*(jnp.split(x, ends, axis=-1) for x in leaves), strict=True)
+    ]
 
 
 def _energy_balance(slab, strength, f, b: Bounded, d: Directions, roof: Roof, coalbedo):

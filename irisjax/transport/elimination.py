@@ -21,7 +21,10 @@ def solve(a: Float[Array, "n n"], b: Float[Array, "n *m"]) -> Float[Array, "n *m
     vector or the columns of a matrix.
     """
     return jax.lax.custom_linear_solve(
-        lambda x: a @ x, b, lambda _, y: _eliminate(a, y), transpose_solve=lambda _, y: _eliminate(a.T, y)
+        lambda x: a @ x,
+        b,
+        lambda _, y: _eliminate(a, y),
+        transpose_solve=lambda _, y: _eliminate(a.T, y),
     )
 
 
@@ -39,14 +42,18 @@ def _eliminate_many(axis_size, in_batched, a, b):
     return _solve_blocks(a, b.reshape(*b.shape[:2], -1)).reshape(b.shape), True
 
 
-def _solve_blocks(a: Float[Array, "many n n"], b: Float[Array, "many n m"]) -> Float[Array, "many n m"]:
+def _solve_blocks(
+    a: Float[Array, "many n n"], b: Float[Array, "many n m"]
+) -> Float[Array, "many n m"]:
     """Large systems by halves, so that most of the work is products of matrices."""
     n = a.shape[-1]
     if n <= _LARGEST:
         m = jnp.moveaxis(jnp.concatenate([a, b], axis=-1), 0, -1)
         return jnp.moveaxis(_gauss_jordan(m), -1, 0)
     half = n // 2
-    left = _solve_blocks(a[:, :half, :half], jnp.concatenate([a[:, :half, half:], b[:, :half]], axis=-1))
+    left = _solve_blocks(
+        a[:, :half, :half], jnp.concatenate([a[:, :half, half:], b[:, :half]], axis=-1)
+    )
     rest = jnp.concatenate([a[:, half:, half:], b[:, half:]], axis=-1) - a[:, half:, :half] @ left
     below = _solve_blocks(rest[..., : n - half], rest[..., n - half :])
     return jnp.concatenate([left[..., n - half :] - left[..., : n - half] @ below, below], axis=1)

@@ -53,7 +53,9 @@ class Exact(AbstractSolver):
         for name, low in (("n_angles", 4), ("n_depths", 2), ("n_panels", 1)):
             value = getattr(self, name)
             if value is not None and (not isinstance(value, int) or value < low):
-                raise ValueError(f"Exact({name}={value!r}): must be a whole number of at least {low}")
+                raise ValueError(
+                    f"Exact({name}={value!r}): must be a whole number of at least {low}"
+                )
 
     def prepare(self, layers: Callable[[], Layers], process: Process) -> "Exact":
         """The solver with everything fixed that must be known before tracing."""
@@ -87,12 +89,16 @@ class Exact(AbstractSolver):
         return _solve_whole_layer(self, layers, process, cos_incidence, cos_exit)
 
 
-def _solve_whole_layer(solver: Exact, layers: Layers, process: Process, cos_incidence, cos_exit) -> Solution:
+def _solve_whole_layer(
+    solver: Exact, layers: Layers, process: Process, cos_incidence, cos_exit
+) -> Solution:
     from_above, from_below = abl_responses(
         layers.abl_absorption, layers.indices, layers.order, process, solver.n_angles
     )
     stroma, converged = stroma_response(layers, process, solver.n_angles)
-    return combine(layers, from_above, from_below, stroma, converged, process, cos_incidence, cos_exit)
+    return combine(
+        layers, from_above, from_below, stroma, converged, process, cos_incidence, cos_exit
+    )
 
 
 def combine(
@@ -108,7 +114,9 @@ def combine(
     """Put the layers together: light bounces between ABL and stroma until it leaves or is absorbed."""
     mirrored, entered = first_surface(cos_incidence, layers.indices, layers.extinction.dtype)
     # 1 − R_below R_stroma as a sum of losses, which does not cancel when little is lost.
-    lost = (stroma.passed + stroma.absorbed) + stroma.reflected * (from_below.passed + from_below.absorbed)
+    lost = (stroma.passed + stroma.absorbed) + stroma.reflected * (
+        from_below.passed + from_below.absorbed
+    )
     sealed = lost <= 0
     into_stroma = entered * from_above.passed / jnp.where(sealed, 1.0, lost)
     up = into_stroma * stroma.reflected
@@ -118,7 +126,9 @@ def combine(
     ones = jnp.ones_like(layers.extinction)
     valid = layers.valid()
     result = RESULTS.where(
-        valid, RESULTS.where(converged, RESULTS.successful, RESULTS.not_converged), RESULTS.invalid_input
+        valid,
+        RESULTS.where(converged, RESULTS.successful, RESULTS.not_converged),
+        RESULTS.invalid_input,
     )
     return Solution(
         reflectance=entered * from_above.reflected + up * from_below.passed,
@@ -145,9 +155,13 @@ def first_surface(cos_incidence, indices: RefractiveIndices, dtype):
     return fresnel_at(jnp.asarray(cos_incidence, dtype), indices.aqueous, indices.abl)
 
 
-def abl_responses(depth: Spectrum, n: RefractiveIndices, order: Order, process: Process, n_angles: int):
+def abl_responses(
+    depth: Spectrum, n: RefractiveIndices, order: Order, process: Process, n_angles: int
+):
     """Responses of the ABL to entry from above and from below  [LB06 Section 3.3, Eq. 3]."""
-    critical = jnp.stack([critical_cosine_squared(n.abl, n.aqueous), critical_cosine_squared(n.abl, n.stroma)])
+    critical = jnp.stack(
+        [critical_cosine_squared(n.abl, n.aqueous), critical_cosine_squared(n.abl, n.stroma)]
+    )
     rule = cosine_rule(
         critical,
         (order.abl_over_aqueous, order.abl_over_stroma),
@@ -198,16 +212,24 @@ def _redrawn_layer(entry, t, lost, near, far):
     return turned * out / series, passed / series, absorbed * (1 + turned) / series
 
 
-def stroma_response(layers: Layers, process: Process, n_angles: int) -> tuple[Response, Bool[Array, ""]]:
+def stroma_response(
+    layers: Layers, process: Process, n_angles: int
+) -> tuple[Response, Bool[Array, ""]]:
     """Response of the stroma to entry from the ABL  [LB06 Section 3.4, Eqs. 6, 7], and whether it converged."""
     n, order = layers.indices, layers.order
-    critical = jnp.stack([critical_cosine_squared(n.stroma, n.abl), critical_cosine_squared(n.stroma, n.ipe)])
-    rule = conserving(cosine_rule(critical, (order.stroma_over_abl, order.stroma_over_ipe), n_angles))
+    critical = jnp.stack(
+        [critical_cosine_squared(n.stroma, n.abl), critical_cosine_squared(n.stroma, n.ipe)]
+    )
+    rule = conserving(
+        cosine_rule(critical, (order.stroma_over_abl, order.stroma_over_ipe), n_angles)
+    )
     f_top, t_top = fresnel(rule.cosine, refracted(rule, 0, n.stroma, n.abl), n.stroma, n.abl)
     f_bottom, t_bottom = fresnel(rule.cosine, refracted(rule, 1, n.stroma, n.ipe), n.stroma, n.ipe)
     depth = layers.extinction[:, None]
     t, c = survival(depth, rule.cosine), attenuation(depth, rule.cosine)
-    entry = _entry_weights(rule) / jnp.where(rule.weight > 0, rule.weight, 1.0)  # a density, as S is
+    entry = _entry_weights(rule) / jnp.where(
+        rule.weight > 0, rule.weight, 1.0
+    )  # a density, as S is
     tested = process.rescatter == "retest"
     w = rule.weight
     if process.perturb_on_reflection:
@@ -274,7 +296,11 @@ def _scattered(process: Process, rule: CosineRule, first, again, rest, layers: L
 
         entering = albedo * (0.5 * (first @ w)[:, None] + k.anisotropic(first))
         source, converged = jax.lax.custom_linear_solve(
-            lambda s: s - operator(s), entering, _sum_orders, transpose_solve=_sum_orders, has_aux=True
+            lambda s: s - operator(s),
+            entering,
+            _sum_orders,
+            transpose_solve=_sum_orders,
+            has_aux=True,
         )
         return source, coalbedo * ((first + again * source) @ w), converged
 
@@ -344,7 +370,9 @@ def _exit_brdf(layers: Layers, process: Process, cos_exit, entered, up, from_abo
         leaving = t * rate / jnp.where(everything > 0, everything, 1.0)[:, None]
     else:
         escape = lost * (1 + t) + t * t * (t_top + f_top * t_bottom)
-        leaving = (entered * t * t * f_bottom + up[:, None] * t) / jnp.where(escape > 0, escape, 1.0)
+        leaving = (entered * t * t * f_bottom + up[:, None] * t) / jnp.where(
+            escape > 0, escape, 1.0
+        )
     ratio = n.aqueous / n.abl
     return leaving * t_top * ratio**2 / jnp.pi
 

@@ -60,7 +60,9 @@ class MonteCarlo(AbstractSolver):
         if isinstance(n, bool) or not isinstance(n, (int, np.integer)) or not 1 <= n <= _LIMIT:
             raise ValueError(f"n_photons = {n!r} is outside [1, {_LIMIT}]")
         if self.estimator not in get_args(Estimator):
-            raise ValueError(f"estimator = {self.estimator!r}; known: {', '.join(get_args(Estimator))}")
+            raise ValueError(
+                f"estimator = {self.estimator!r}; known: {', '.join(get_args(Estimator))}"
+            )
         if not isinstance(self.lanes, int) or self.lanes < 16:
             raise ValueError(f"lanes = {self.lanes!r}: must be a whole number of at least 16")
 
@@ -89,31 +91,56 @@ class MonteCarlo(AbstractSolver):
         The BRDF is the average over cells of the cosine bounded half-way between the exits asked for.
         """
         if self.estimator == "analog":
-            counts = self.count(layers, process, cos_incidence, cos_exit=cos_exit, key=key, rays=rays)
+            counts = self.count(
+                layers, process, cos_incidence, cos_exit=cos_exit, key=key, rays=rays
+            )
             return self.summarise(counts, layers, process, cos_exit)
         check_key(key)
         if cos_exit is not None:
             raise ValueError('a BRDF by Monte Carlo needs estimator="analog"')
         return self._weighted(layers, process, cos_incidence, key)
 
-    def count(self, layers, process, cos_incidence, *, cos_exit=None, key=None, rays=None, first=0, last=None):
+    def count(
+        self,
+        layers,
+        process,
+        cos_incidence,
+        *,
+        cos_exit=None,
+        key=None,
+        rays=None,
+        first=0,
+        last=None,
+    ):
         """Follow photons `first` to `last` (default all) and count their fates; blocks of them add.
 
         `first` and `last` may be traced. Returns `Counts`.
         """
         check_key(key)
         if cos_exit is not None and process.depth_resolved:
-            raise ValueError("the BRDF of depth-resolved transport by Monte Carlo is not offered; use Exact")
+            raise ValueError(
+                "the BRDF of depth-resolved transport by Monte Carlo is not offered; use Exact"
+            )
         cells = None if cos_exit is None else _cells(cos_exit)
-        share = jnp.ones_like(layers.extinction) if rays is None else jnp.asarray(rays) / jnp.max(jnp.asarray(rays))
-        wanted = jnp.maximum(jnp.ceil(self.n_photons * share.astype(jnp.result_type(float))), 1).astype(jnp.int32)
+        share = (
+            jnp.ones_like(layers.extinction)
+            if rays is None
+            else jnp.asarray(rays) / jnp.max(jnp.asarray(rays))
+        )
+        wanted = jnp.maximum(
+            jnp.ceil(self.n_photons * share.astype(jnp.result_type(float))), 1
+        ).astype(jnp.int32)
         start = jnp.asarray(first, jnp.int32)
         end = wanted if last is None else jnp.minimum(jnp.asarray(last, jnp.int32), wanted)
         mirrored = first_surface(cos_incidence, layers.indices, layers.extinction.dtype)[0]
         incidence = -1.0 if isinstance(cos_incidence, str) else cos_incidence
-        return _count(key, layers, mirrored, incidence, start, end, cells, scales(), process, self.lanes)
+        return _count(
+            key, layers, mirrored, incidence, start, end, cells, scales(), process, self.lanes
+        )
 
-    def summarise(self, counts: Counts, layers: Layers, process: Process, cos_exit=None) -> Solution:
+    def summarise(
+        self, counts: Counts, layers: Layers, process: Process, cos_exit=None
+    ) -> Solution:
         """Shares and standard errors from counts; a count of none still has an error (Laplace's rule)."""
         dtype = layers.extinction.dtype
         n = counts.photons.astype(dtype)
@@ -140,7 +167,13 @@ class MonteCarlo(AbstractSolver):
         mirrored, entering = first_surface(cos_incidence, layers.indices, layers.extinction.dtype)
         log2_paths = max(4, math.ceil(math.log2(max(1, self.n_photons / weighted.GROUPS))))
         groups = weighted.run_paths(
-            key, layers, process, entering, scales(), log2_paths=log2_paths, quasi=self.estimator == "quasi"
+            key,
+            layers,
+            process,
+            entering,
+            scales(),
+            log2_paths=log2_paths,
+            quasi=self.estimator == "quasi",
         ).astype(layers.extinction.dtype)
         mean = groups.mean(axis=1)
         return Solution(
@@ -176,7 +209,18 @@ def _cells(cos_exit):
 
 
 @partial(jax.jit, static_argnums=(8, 9))
-def _count(key, layers: Layers, mirrored, incidence, first, last, cells, scale, process: Process, lanes: int) -> Counts:
+def _count(
+    key,
+    layers: Layers,
+    mirrored,
+    incidence,
+    first,
+    last,
+    cells,
+    scale,
+    process: Process,
+    lanes: int,
+) -> Counts:
     n_waves = layers.extinction.shape[0]
     devices = jax.devices()
     # Multiples of 16: whole vectors, a lane's loop never falls back to scalars.
@@ -218,7 +262,9 @@ def _count(key, layers: Layers, mirrored, incidence, first, last, cells, scale, 
     else:
         # All that a device needs to know is its place in the deal; every process ends with all counts.
         total = jax.shard_map(
-            lambda: jax.lax.psum(on_device(jax.lax.axis_index("photons").astype(jnp.int32)), "photons"),
+            lambda: jax.lax.psum(
+                on_device(jax.lax.axis_index("photons").astype(jnp.int32)), "photons"
+            ),
             mesh=jax.make_mesh((len(devices),), ("photons",), devices=devices),
             in_specs=(),
             out_specs=PartitionSpec(),

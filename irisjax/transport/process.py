@@ -50,7 +50,9 @@ class Process(eqx.Module):
             ("transport", Transport),
         ):
             if getattr(self, name) not in get_args(kind):
-                raise ValueError(f"{name} = {getattr(self, name)!r}; known: {', '.join(get_args(kind))}")
+                raise ValueError(
+                    f"{name} = {getattr(self, name)!r}; known: {', '.join(get_args(kind))}"
+                )
         if self.cornea is not None and self.cornea not in get_args(Cornea):
             raise ValueError(f"cornea = {self.cornea!r}; known: {', '.join(get_args(Cornea))}")
         if self.transport == "depth-resolved" and self.phase != "rayleigh":
@@ -88,7 +90,11 @@ ILIT_CORRECTED = Process(phase="rayleigh")
 DEPTH_RESOLVED = Process(phase="rayleigh", transport="depth-resolved")
 """Scalar radiative transfer in the same layers, Fresnel at every interface."""
 
-PROCESSES = {"ilit-2006": ILIT_2006, "ilit-corrected": ILIT_CORRECTED, "depth-resolved": DEPTH_RESOLVED}
+PROCESSES = {
+    "ilit-2006": ILIT_2006,
+    "ilit-corrected": ILIT_CORRECTED,
+    "depth-resolved": DEPTH_RESOLVED,
+}
 """Processes by the name the command line gives them."""
 
 

@@ -10,7 +10,10 @@ def check_key(key) -> None:
     """Raise `ValueError` unless `key` is a single new-style threefry key, `jax.random.key(seed)`."""
     if key is None:
         raise ValueError("MonteCarlo needs a key: pass key=jax.random.key(seed)")
-    if not (isinstance(key, jax.Array) and jnp.issubdtype(key.dtype, jax.dtypes.prng_key)) or key.ndim:
+    if (
+        not (isinstance(key, jax.Array) and jnp.issubdtype(key.dtype, jax.dtypes.prng_key))
+        or key.ndim
+    ):
         raise ValueError("key must be one new-style key, as made by jax.random.key(seed)")
     if "threefry" not in str(jax.random.key_impl(key)):
         raise ValueError(f"key must be of the threefry2x32 kind, got {jax.random.key_impl(key)}")

@@ -62,7 +62,9 @@ class Slab:
     def bounded(self, cosine, ends: Ends) -> Bounded:
         """What the slab is along directions (angles,)."""
         through, lost = survival(self.depth, cosine), attenuation(self.depth, cosine)
-        escape = lost * (1 + through) + through * through * (ends.roof_lost + ends.roof * ends.floor_lost)
+        escape = lost * (1 + through) + through * through * (
+            ends.roof_lost + ends.roof * ends.floor_lost
+        )
         sealed = escape <= 0
         x = self.widths[:, None] / cosine
         start = _legendre_moments(x, 2 * self.n_depths)
@@ -109,7 +111,9 @@ class Slab:
         out = _between(jnp.tile(weighted, 2), entering, jnp.tile(f, 2), sent)
         out = out.reshape(rank, panels, n, rank, panels, n)
         # A panel on itself: ∫∫ φ_i(s) x e^{−x|s−s'|} φ_j(s') = 2 Σ_c overlap_ijc x m_c(x).
-        overlap = jnp.asarray(2 * (2 * np.arange(n) + 1)[:, None, None] * _overlap(n), self.depth.dtype)
+        overlap = jnp.asarray(
+            2 * (2 * np.arange(n) + 1)[:, None, None] * _overlap(n), self.depth.dtype
+        )
         own = b.emitted @ (weighted[:, None] * f).reshape(rank * rank, -1).T
         own = jnp.einsum("ijc,pclk->plikj", overlap, own.reshape(panels, 2 * n, rank, rank))
         for p in range(panels):
@@ -120,7 +124,9 @@ class Slab:
         for apart in range(1, panels):
             above = np.arange(panels - apart)
             under = above + apart
-            gap = self.depth * jnp.asarray(self.edges[under] - self.edges[above + 1], self.depth.dtype)
+            gap = self.depth * jnp.asarray(
+                self.edges[under] - self.edges[above + 1], self.depth.dtype
+            )
             thinned = weighted * jnp.exp(-gap[:, None, None] / b.cosine)
             pairs = jax.vmap(_between, in_axes=(0, 0, None, 0))
             down = pairs(thinned, start[under], f, mirrored[above])
@@ -195,7 +201,9 @@ def _mean_survival(x):
     """(1 − e^{−x})/x, with a gradient that is right at small x too."""
     small = x < 0.1
     y = jnp.where(small, x, 0.0)
-    series = 1 - y / 2 * (1 - y / 3 * (1 - y / 4 * (1 - y / 5 * (1 - y / 6 * (1 - y / 7 * (1 - y / 8))))))
+    series = 1 - y / 2 * (
+        1 - y / 3 * (1 - y / 4 * (1 - y / 5 * (1 - y / 6 * (1 - y / 7 * (1 - y / 8)))))
+    )
     z = jnp.where(small, 1.0, x)
     return jnp.where(small, series, -jnp.expm1(-z) / z)
 
@@ -205,7 +213,9 @@ def _overlap(n: int) -> np.ndarray:
     """½∫[φ_i(s+r)φ_j(s) + φ_i(s)φ_j(s+r)] ds over 0 ≤ s ≤ 1−r as Σ_k overlap[i, j, k] φ_k(r)."""
 
     def shifted_legendre(count, s):
-        return np.stack([np.polynomial.legendre.legval(2 * s - 1, np.eye(count)[k]) for k in range(count)])
+        return np.stack(
+            [np.polynomial.legendre.legval(2 * s - 1, np.eye(count)[k]) for k in range(count)]
+        )
 
     r, w_r = gauss_legendre(2 * n + 2)
     s, w_s = gauss_legendre(n + 2)
@@ -214,7 +224,10 @@ def _overlap(n: int) -> np.ndarray:
     for q in range(r.size):
         inner = s * (1 - r[q])
         product = np.einsum(
-            "ia,ja,a->ij", shifted_legendre(n, inner + r[q]), shifted_legendre(n, inner), w_s * (1 - r[q])
+            "ia,ja,a->ij",
+            shifted_legendre(n, inner + r[q]),
+            shifted_legendre(n, inner),
+            w_s * (1 - r[q]),
         )
         out += 0.5 * (product + product.T)[..., None] * phi_r[:, q] * w_r[q]
     return out

@@ -16,12 +16,8 @@ class RESULTS(eqx.Enumeration):
         "a layer's optical depth is negative or not finite, or an index does not keep to the order of media "
         "the iris was made with"
     )
-    ill_conditioned = (
-        "the stroma scatters so often before it absorbs that this precision loses count; compute in float64"
-    )
-    under_resolved = (
-        "the stroma is optically too thick for the number of depth panels; give Exact(n_panels=...) a larger one"
-    )
+    ill_conditioned = "the stroma scatters so often before it absorbs that this precision loses count; compute in float64"
+    under_resolved = "the stroma is optically too thick for the number of depth panels; give Exact(n_panels=...) a larger one"
     not_converged = "the orders of scattering did not converge"
     outside_table = "an optical depth or index lies outside the range the table was built for"
 
@@ -71,4 +67,6 @@ def throw(result: RESULTS) -> None:
     # Read the code itself: comparing enumerations would dispatch a computation for every call.
     codes = np.asarray(result._value)
     if codes.any():
-        raise ValueError(RESULTS[result] if codes.ndim == 0 else "some of the batch failed; see status")
+        raise ValueError(
+            RESULTS[result] if codes.ndim == 0 else "some of the batch failed; see status"
+        )

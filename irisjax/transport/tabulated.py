@@ -59,7 +59,9 @@ class Tabulated(AbstractSolver):
         (in float32 the tolerance is at least 1e-6).
         """
         if process.depth_resolved:
-            raise ValueError("depth-resolved transport cannot be tabulated layer by layer; use Exact")
+            raise ValueError(
+                "depth-resolved transport cannot be tabulated layer by layer; use Exact"
+            )
         iris = iris if iris is not None else Iris()
         indices, order = iris.indices(), iris.order
         dtype = jnp.result_type(float)
@@ -71,7 +73,13 @@ class Tabulated(AbstractSolver):
         depths = _depth((np.arange(n_intervals)[:, None] + (local + 1) / 2) / n_intervals)
 
         responses = jax.jit(_responses, static_argnums=(3, 4))
-        abl, _ = responses(jnp.asarray(depths.ravel(), dtype), jnp.zeros(depths.size, dtype), indices, order, process)
+        abl, _ = responses(
+            jnp.asarray(depths.ravel(), dtype),
+            jnp.zeros(depths.size, dtype),
+            indices,
+            order,
+            process,
+        )
         abl = np.asarray(abl, np.float64).reshape(n_intervals, _DEGREE + 1, -1)
         stroma = []
         for albedo in (albedo_nodes + 1) / 2:
@@ -125,9 +133,20 @@ class Tabulated(AbstractSolver):
         """See `AbstractSolver.solve`; no `key` and no `rays` are used."""
         from_above, from_below = self._abl_response(layers.abl_absorption)
         stroma = self._stroma_response(layers.extinction, layers.albedo)
-        solution = combine(layers, from_above, from_below, stroma, jnp.asarray(True), process, cos_incidence, cos_exit)
+        solution = combine(
+            layers,
+            from_above,
+            from_below,
+            stroma,
+            jnp.asarray(True),
+            process,
+            cos_incidence,
+            cos_exit,
+        )
         same = jnp.asarray(True)
-        for ours, theirs in zip(jax.tree.leaves(self.indices), jax.tree.leaves(layers.indices), strict=True):
+        for ours, theirs in zip(
+            jax.tree.leaves(self.indices), jax.tree.leaves(layers.indices), strict=True
+        ):
             same = same & (jnp.abs(ours - theirs) <= 4 * jnp.finfo(theirs.dtype).eps * theirs)
         result = RESULTS.where(same, solution.result, RESULTS.outside_table)
         return eqx.tree_at(lambda s: s.result, solution, result)
@@ -154,7 +173,8 @@ class Tabulated(AbstractSolver):
         # The functions are least smooth beside zero depth: look there closely, and at zero itself.
         inside = (np.arange(n) + rng.random(n)) / n
         depth = jnp.asarray(
-            np.r_[0.0, _depth(np.geomspace(1e-6, 1, 32) / n), _depth(inside), 2 * _LARGEST], self.abl.dtype
+            np.r_[0.0, _depth(np.geomspace(1e-6, 1, 32) / n), _depth(inside), 2 * _LARGEST],
+            self.abl.dtype,
         )
 
         @jax.jit
@@ -177,7 +197,9 @@ class Tabulated(AbstractSolver):
 @eqx.filter_custom_jvp
 def _curves(table, interval, x):
     read = _reader(table, interval)
-    return tuple(_horner([read(i, f) for i in range(_DEGREE + 1)], x) for f in range(table.shape[2]))
+    return tuple(
+        _horner([read(i, f) for i in range(_DEGREE + 1)], x) for f in range(table.shape[2])
+    )
 
 
 @_curves.def_jvp
@@ -197,7 +219,9 @@ def _surfaces(table, interval, x, s):
     def series(i, f):
         return sum(c * read(i, k, f) for k, c in enumerate(chebyshev))
 
-    return tuple(_horner([series(i, f) for i in range(_DEGREE + 1)], x) for f in range(table.shape[3]))
+    return tuple(
+        _horner([series(i, f) for i in range(_DEGREE + 1)], x) for f in range(table.shape[3])
+    )
 
 
 @_surfaces.def_jvp
@@ -219,18 +243,24 @@ def _reader(table, interval):
     """The number at fixed further indices, in every interval. XLA's own gather: NumPy's indexing traces ten times
     slower, and there are over a hundred."""
     flat, first = table.ravel(), interval * math.prod(table.shape[1:])
-    numbers = jax.lax.GatherDimensionNumbers(offset_dims=(), collapsed_slice_dims=(0,), start_index_map=(0,))
+    numbers = jax.lax.GatherDimensionNumbers(
+        offset_dims=(), collapsed_slice_dims=(0,), start_index_map=(0,)
+    )
 
     def read(*place):
         index = first + int(np.ravel_multi_index(place, table.shape[1:]))
-        return jax.lax.gather(flat, index[..., None], numbers, (1,), mode=jax.lax.GatherScatterMode.PROMISE_IN_BOUNDS)
+        return jax.lax.gather(
+            flat, index[..., None], numbers, (1,), mode=jax.lax.GatherScatterMode.PROMISE_IN_BOUNDS
+        )
 
     return read
 
 
 def _rows(table, interval):
     """The tables' numbers at each place, shape (powers, [albedos,] functions, *places)."""
-    return jnp.moveaxis(table.reshape(table.shape[0], -1)[interval], -1, 0).reshape(*table.shape[1:], *interval.shape)
+    return jnp.moveaxis(table.reshape(table.shape[0], -1)[interval], -1, 0).reshape(
+        *table.shape[1:], *interval.shape
+    )
 
 
 def _chebyshev(s, count: int):
@@ -244,7 +274,9 @@ def _chebyshev(s, count: int):
 
 def _check_constant(tangent) -> None:
     if tangent is not None:
-        raise NotImplementedError("the tables of Tabulated are constants; derivatives by them do not exist")
+        raise NotImplementedError(
+            "the tables of Tabulated are constants; derivatives by them do not exist"
+        )
 
 
 def _horner(coefficients, x):
@@ -260,7 +292,9 @@ def _depth(fraction):
     return _SMALLEST * np.expm1(fraction * np.log1p(_LARGEST / _SMALLEST))
 
 
-def _responses(depth, albedo, indices: RefractiveIndices, order: Order, process: Process, n_angles: int = 48):
+def _responses(
+    depth, albedo, indices: RefractiveIndices, order: Order, process: Process, n_angles: int = 48
+):
     above, below = abl_responses(depth, indices, order, process, n_angles)
     layers = Layers(jnp.zeros_like(depth), depth * (1 - albedo), depth * albedo, indices, order)
     stroma, _ = stroma_response(layers, process, n_angles)

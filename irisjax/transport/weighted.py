@@ -23,7 +23,9 @@ GROUPS = 16
 """Independent replicates, whose scatter is the standard error."""
 
 _LANES = 128  # few: the weights of all wavelengths of all lanes should stay in the cache
-_ROULETTE = 0.05  # share of its first weight below which a path is played for; above 0.1 tails grow heavy
+_ROULETTE = (
+    0.05  # share of its first weight below which a path is played for; above 0.1 tails grow heavy
+)
 _STEP = 5  # uniforms a stroma step: direction, deflection, azimuth, ABL cosine, way on
 _DIMENSIONS = 11  # that come from the lattice: the entry and two steps
 
@@ -31,7 +33,9 @@ _DIMENSIONS = 11  # that come from the lattice: the entry and two steps
 _LATTICE = (1, 182667, 469891, 498753, 110745, 446247, 250185, 118627, 245333, 283199, 408519)
 
 
-def run_paths(key, layers: Layers, process: Process, entering, scale, *, log2_paths: int, quasi: bool):
+def run_paths(
+    key, layers: Layers, process: Process, entering, scale, *, log2_paths: int, quasi: bool
+):
     """Shares of the light in each of `GROUPS` replicates of 2**log2_paths paths, the first surface left out.
 
     **Returns:** shape (4, GROUPS, wavelengths): reflected, absorbed in ABL, stroma, IPE.
@@ -39,7 +43,8 @@ def run_paths(key, layers: Layers, process: Process, entering, scale, *, log2_pa
     f = jnp.float32
     n = jax.tree.map(lambda v: v.astype(f), layers.indices)
     depth_abl, depth, albedo, coalbedo = (
-        v.astype(f)[:, None] for v in (layers.abl_absorption, layers.extinction, layers.albedo, layers.coalbedo)
+        v.astype(f)[:, None]
+        for v in (layers.abl_absorption, layers.extinction, layers.albedo, layers.coalbedo)
     )
     paths, a_group = 1 << log2_paths, _LANES // GROUPS
     lane = jnp.arange(_LANES, dtype=jnp.int32)
@@ -47,9 +52,9 @@ def run_paths(key, layers: Layers, process: Process, entering, scale, *, log2_pa
     group_keys = jax.vmap(lambda g: jax.random.fold_in(key, g))(lane // a_group)
     group_words = jax.random.key_data(group_keys)
     # A count no path reaches keeps the shifts apart from the paths' own keys.
-    shifts = jax.vmap(lambda k: jax.random.bits(jax.random.fold_in(k, 1 << 31), (len(_LATTICE),), jnp.uint32))(
-        group_keys
-    )
+    shifts = jax.vmap(
+        lambda k: jax.random.bits(jax.random.fold_in(k, 1 << 31), (len(_LATTICE),), jnp.uint32)
+    )(group_keys)
     entering = jnp.asarray(entering, f)
 
     def mirror(cosine, here, ahead):
@@ -58,7 +63,9 @@ def run_paths(key, layers: Layers, process: Process, entering, scale, *, log2_pa
     def visit_abl(cosine, near, far):
         """Leaves at the far face, or back at the near one, or is absorbed; entering with `cosine`."""
         t, lost = survival(depth_abl, cosine), attenuation(depth_abl, cosine)
-        (f_near, t_near), (f_far, t_far) = (fresnel_at(cosine, n.abl, ahead) for ahead in (near, far))
+        (f_near, t_near), (f_far, t_far) = (
+            fresnel_at(cosine, n.abl, ahead) for ahead in (near, far)
+        )
         escape = lost * (1 + t) + t * t * (t_near + f_near * t_far)
         series = jnp.where(escape > 0, 1 / jnp.where(escape > 0, escape, 1.0), 0.0)
         out, back = t * t_far * series, t * t * f_far * t_near * series
@@ -72,7 +79,9 @@ def run_paths(key, layers: Layers, process: Process, entering, scale, *, log2_pa
             d = s * _STEP + slot
             if quasi and (slot or not s) and d < _DIMENSIONS:
                 # Exact modulo 2³²: the lattice has 2**log2_paths points.
-                point = ((i.astype(jnp.uint32) * jnp.uint32(_LATTICE[d])) << (32 - log2_paths)) + shifts[:, d]
+                point = (
+                    (i.astype(jnp.uint32) * jnp.uint32(_LATTICE[d])) << (32 - log2_paths)
+                ) + shifts[:, d]
                 bits = jnp.where(step == s, point, bits)
         return uniform(bits >> 9, scale[0])
 
@@ -96,10 +105,14 @@ def run_paths(key, layers: Layers, process: Process, entering, scale, *, log2_pa
         event = w * attenuation(depth, mu)
         passing, scattering = w * survival(depth, mu), event * albedo
         cosine = process.phase_function.sample_cosine(u(2))
-        turned = mu * cosine + cosine_of_turn(u(3)) * jnp.sqrt(jnp.maximum((1 - mu * mu) * (1 - cosine**2), 0.0))
+        turned = mu * cosine + cosine_of_turn(u(3)) * jnp.sqrt(
+            jnp.maximum((1 - mu * mu) * (1 - cosine**2), 0.0)
+        )
         turned = jnp.where(down, turned, -turned)
         new = jnp.clip(jnp.abs(turned), 1e-12, 1.0) / scale[2]
-        f_pass = jnp.where(down, mirror(mu, n.stroma, n.ipe), mirror(mu, n.stroma, n.abl)) / scale[2]
+        f_pass = (
+            jnp.where(down, mirror(mu, n.stroma, n.ipe), mirror(mu, n.stroma, n.abl)) / scale[2]
+        )
         into_abl, into_ipe = (
             jnp.where(down, 0.0, 1 - f_pass) * passing,
             jnp.where(down, 1 - f_pass, 0.0) * passing,
@@ -121,13 +134,19 @@ def run_paths(key, layers: Layers, process: Process, entering, scale, *, log2_pa
         )
 
         # One way on: back from the ABL | scattered and still inside | passed and reflected.
-        a, b, c = (into_abl * again).mean(0), scattering.mean(0) * turned_share, passing.mean(0) * f_pass
+        a, b, c = (
+            (into_abl * again).mean(0),
+            scattering.mean(0) * turned_share,
+            passing.mean(0) * f_pass,
+        )
         total = a + b + c
         stays = jnp.minimum(1.0, total / (_ROULETTE * first_weight))
         v = u(5) * total / stays
         in_a, in_b = v < a, (v >= a) & (v < a + b)
         dies = ~(v < total)  # also when nothing is left (0/0)
-        w = jnp.where(in_a, into_abl * again, jnp.where(in_b, scattering * turned_share, passing * f_pass))
+        w = jnp.where(
+            in_a, into_abl * again, jnp.where(in_b, scattering * turned_share, passing * f_pass)
+        )
         share = jnp.where(in_a, a, jnp.where(in_b, b, c)) * (stays / total)
         w = w / jnp.maximum(share, 1e-37)
         if process.rescatter == "to-interface":

@@ -23,8 +23,20 @@ _SLIDERS: dict[str, dict[str, tuple[str, float, float, float, str]]] = {
     "Iris": {
         "eumelanin": ("eumelanin", 0, 4, 0.005, "mg/ml over the whole iris"),
         "pheomelanin": ("pheomelanin", 0, 2, 0.005, "mg/ml over the whole iris"),
-        "abl_fraction": ("ABL fraction", 0, 1, 0.005, "share of the melanin in the anterior border layer"),
-        "stroma": ("stroma", 0.3, 2, 0.01, "thickness relative to the preset's, at equal concentrations"),
+        "abl_fraction": (
+            "ABL fraction",
+            0,
+            1,
+            0.005,
+            "share of the melanin in the anterior border layer",
+        ),
+        "stroma": (
+            "stroma",
+            0.3,
+            2,
+            0.01,
+            "thickness relative to the preset's, at equal concentrations",
+        ),
         "hemoglobin": ("blood", 0, 1, 0.002, "haemoglobin in the stroma, mmol/l"),
         "saturation": ("oxygen", 0, 1, 0.01, "saturation of the haemoglobin"),
         "pupil": ("pupil", 1, 9, 0.1, "diameter, mm"),
@@ -89,7 +101,9 @@ def check(host: str, port: int) -> None:
         with socket.create_server((host, port)):
             pass
     except OSError as error:
-        raise ValueError(f"cannot listen on port {port} of {host}: {error.strerror or error}") from None
+        raise ValueError(
+            f"cannot listen on port {port} of {host}: {error.strerror or error}"
+        ) from None
 
 
 def _silence():
@@ -107,7 +121,11 @@ class _Page:
         self.first, self.spent = True, 0.0  # s for the last picture with other pigments
         self.width = studio.settings.width  # of the field at viser's `_DISTANCE`
         start = server.initial_camera
-        start.position, start.look_at, start.up = self._place(), np.zeros(3), np.array([0.0, 1.0, 0.0])
+        start.position, start.look_at, start.up = (
+            self._place(),
+            np.zeros(3),
+            np.array([0.0, 1.0, 0.0]),
+        )
         gui = server.gui
         gui.configure_theme(dark_mode=True, show_logo=False, show_share_button=False)
         gui.main_panel.dock_right()
@@ -120,15 +138,24 @@ class _Page:
     def _settings(self) -> dict[str, Any]:
         gui, studio, widgets = self.server.gui, self.studio, {}
         with gui.add_folder("Eye"):
-            widgets["preset"] = gui.add_dropdown("preset", studio.presets(), initial_value=studio.settings.preset)
+            widgets["preset"] = gui.add_dropdown(
+                "preset", studio.presets(), initial_value=studio.settings.preset
+            )
             widgets["seed"] = gui.add_number(
-                "seed", studio.settings.seed, min=0, max=2**32 - 1, step=1, hint="of a preset's maps"
+                "seed",
+                studio.settings.seed,
+                min=0,
+                max=2**32 - 1,
+                step=1,
+                hint="of a preset's maps",
             )
         for folder, sliders in _SLIDERS.items():
             with gui.add_folder(folder):
                 if folder == "Light":
                     widgets["environment"] = gui.add_dropdown(
-                        "environment", studio.environments(), initial_value=studio.settings.environment
+                        "environment",
+                        studio.environments(),
+                        initial_value=studio.settings.environment,
                     )
                 for name, (label, low, high, step, hint) in sliders.items():
                     value = float(getattr(studio.settings, name))
@@ -212,13 +239,17 @@ class _Page:
             f"{'draft' if draft else 'picture'} {width} × {height}: {1e3 * spent:.0f} ms",
             f"camera {s.camera_polar:.0f}° off axis at {s.camera_azimuth:.0f}°, field {s.width:.1f} mm; "
             "drag to orbit, scroll to zoom",
-            "single scattering" if (error := self.studio.error) is None else f"all orders, within {100 * error:.1g} %",
+            "single scattering"
+            if (error := self.studio.error) is None
+            else f"all orders, within {100 * error:.1g} %",
             "simulated",
         )
         return spent
 
     def _send(self, client: "viser.ClientHandle") -> None:
-        client.scene.set_background_image(_framed(self.picture, client.camera.aspect), format="jpeg", jpeg_quality=92)
+        client.scene.set_background_image(
+            _framed(self.picture, client.camera.aspect), format="jpeg", jpeg_quality=92
+        )
 
     def _connected(self, client: "viser.ClientHandle") -> None:
         aspect, arrived = 0.0, False
@@ -233,7 +264,9 @@ class _Page:
                 self._send(client)
             settings = self.studio.settings
             place = np.asarray(camera.position) - np.asarray(camera.look_at)
-            if np.abs(place - _VISERS).max() < 1e-3:  # a slow browser may report it after ours, and stay there
+            if (
+                np.abs(place - _VISERS).max() < 1e-3
+            ):  # a slow browser may report it after ours, and stay there
                 camera.position, camera.look_at = self._place(), np.zeros(3)
                 return
             seen = _orbit(place, self.width)

@@ -79,7 +79,12 @@ class Studio:
     - `error`: of the last picture's response, see `Response`.
     """
 
-    def __init__(self, scene: Scene, tables_of: Callable[[Scene], Illumination | None] = Scene.tables, **given: Any):
+    def __init__(
+        self,
+        scene: Scene,
+        tables_of: Callable[[Scene], Illumination | None] = Scene.tables,
+        **given: Any,
+    ):
         self._base, self._tables_of = scene, tables_of
         self._kept: dict[Any, tuple[Any, Any]] = {}
         self._memory = {draft: Memory() for draft in (False, True)}
@@ -126,7 +131,10 @@ class Studio:
         response = self._once("response", asked, lambda: stage.response(self._iris(settings)))
         shown = stage.shown(response)
         picture = _encoded(shown, jnp.asarray(settings.exposure, shown.dtype))
-        self.settings, self.error = settings, None if response.error is None else float(response.error)
+        self.settings, self.error = (
+            settings,
+            None if response.error is None else float(response.error),
+        )
         return np.asarray(picture)
 
     @property
@@ -146,7 +154,9 @@ class Studio:
     def spectrum(self) -> tuple[np.ndarray, Colour]:
         """Reflectance of the uniform iris, without an eye round it, on `GRID`; and its colour."""
         found = reflectance(self.iris, GRID, process=self._base.integrator.process)
-        return np.asarray(found.values), colour_of(GRID, found.values, illuminant=self._base.illuminant)
+        return np.asarray(found.values), colour_of(
+            GRID, found.values, illuminant=self._base.illuminant
+        )
 
     def _once(self, name: Any, inputs: Any, make: Callable[[], Any]) -> Any:
         """What `make` gave for the same inputs last time, or gives now."""
@@ -203,27 +213,41 @@ class Studio:
             maps=maps,
             eye=self._once("eye", s.pupil, lambda: base.eye.replace(pupil_radius=s.pupil / 2)),
             lights=self._once("lights", _of(s, _LAMP), lambda: self._lamps(s)),
-            environment=self._once("environment", (s.environment, s.strength), lambda: self._around(s)),
+            environment=self._once(
+                "environment", (s.environment, s.strength), lambda: self._around(s)
+            ),
             camera=self._once(("camera", size), _of(s, _CAMERA), lambda: self._camera(s, size)),
         )
 
     def _camera(self, s: Settings, size: tuple[int, int]) -> Camera:
-        polar, azimuth = (jnp.asarray(math.radians(angle), float) for angle in (s.camera_polar, s.camera_azimuth))
+        polar, azimuth = (
+            jnp.asarray(math.radians(angle), float) for angle in (s.camera_polar, s.camera_azimuth)
+        )
         return Camera(polar, azimuth, self._base.camera.distance, jnp.asarray(s.width, float), size)
 
     def _lamps(self, s: Settings) -> Lights:
         base = self._base
-        lamp = Lights.distant(math.radians(s.light_polar), math.radians(s.light_azimuth), illuminant=base.illuminant)
+        lamp = Lights.distant(
+            math.radians(s.light_polar), math.radians(s.light_azimuth), illuminant=base.illuminant
+        )
         if base.lights is not None:
-            lamp = dataclasses.replace(base.lights, towards=base.lights.towards.at[0].set(lamp.towards[0]))
+            lamp = dataclasses.replace(
+                base.lights, towards=base.lights.towards.at[0].set(lamp.towards[0])
+            )
         return dataclasses.replace(lamp, irradiance=lamp.irradiance.at[0].set(s.irradiance))
 
     def _around(self, s: Settings) -> Environment | None:
         if s.environment not in (GIVEN, *ENVIRONMENTS):
-            raise ValueError(f"unknown environment {s.environment!r}; known: {', '.join(ENVIRONMENTS)}")
+            raise ValueError(
+                f"unknown environment {s.environment!r}; known: {', '.join(ENVIRONMENTS)}"
+            )
         make = ENVIRONMENTS.get(s.environment)
-        found = self._base.environment if s.environment == GIVEN else None if make is None else make()
-        return None if found is None or s.strength == 0 else Environment(found.radiance * s.strength)
+        found = (
+            self._base.environment if s.environment == GIVEN else None if make is None else make()
+        )
+        return (
+            None if found is None or s.strength == 0 else Environment(found.radiance * s.strength)
+        )
 
 
 def _of(settings: Settings, names: tuple[str, ...]) -> tuple[Any, ...]:

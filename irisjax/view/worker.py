@@ -22,7 +22,9 @@ class Newest(threading.Thread):
     def quiet(self, seconds: float) -> bool:
         """Whether nothing comes for so long; for the work itself to ask."""
         with self._news:
-            return not self._news.wait_for(lambda: self._waiting is not None or self._stopped, seconds)
+            return not self._news.wait_for(
+                lambda: self._waiting is not None or self._stopped, seconds
+            )
 
     def stop(self) -> None:
         """Leave after the work in hand."""

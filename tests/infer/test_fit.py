@@ -41,12 +41,20 @@ def test_most_probable_point_is_scipys(method):
     problem = ij.problem(noisy)
     found = fit(problem, method=method)
     moving = [i for i, n in enumerate(problem.free) if n != "noise"]
-    residuals = jax.jit(lambda x: jnp.concatenate([problem.residuals(jnp.zeros(7).at[jnp.asarray(moving)].set(x)), x]))
-    other = least_squares(lambda x: np.asarray(residuals(x)), np.zeros(6), xtol=1e-12, ftol=1e-14, gtol=1e-12)
+    residuals = jax.jit(
+        lambda x: jnp.concatenate(
+            [problem.residuals(jnp.zeros(7).at[jnp.asarray(moving)].set(x)), x]
+        )
+    )
+    other = least_squares(
+        lambda x: np.asarray(residuals(x)), np.zeros(6), xtol=1e-12, ftol=1e-14, gtol=1e-12
+    )
     assert float(found.cost) == pytest.approx(other.cost, rel=1e-8)
     np.testing.assert_allclose(found.z[jnp.asarray(moving)], other.x, atol=2e-4)
     wanted = np.linalg.inv(other.jac.T @ other.jac)
-    np.testing.assert_allclose(found.covariance[np.ix_(moving, moving)], wanted, rtol=2e-3, atol=2e-4)
+    np.testing.assert_allclose(
+        found.covariance[np.ix_(moving, moving)], wanted, rtol=2e-3, atol=2e-4
+    )
     assert int(found.agreeing) >= 3
 
 
@@ -56,7 +64,10 @@ def test_batches_are_single_fits():
     noise = np.random.default_rng(1).normal(size=(5, 31))
     many = clean.values * (1 + 0.02 * jnp.asarray(noise))
     run = eqx.filter_jit(
-        eqx.filter_vmap(lambda p, v: fit(p.with_observations(with_values(clean, v)), starts=1), in_axes=(None, 0))
+        eqx.filter_vmap(
+            lambda p, v: fit(p.with_observations(with_values(clean, v)), starts=1),
+            in_axes=(None, 0),
+        )
     )
     together = run(problem, many)
     assert bool(together.ok.all())
@@ -140,7 +151,13 @@ def test_analytic_models_have_their_limits(solver):
         "lutein": 0.0,
         "zeaxanthin": 0.0,
     }
-    for fields in ({}, clear, {"eumelanin": 1e3}, {"stroma_thickness": 0.0}, {"collagen_index": 1.5}):
+    for fields in (
+        {},
+        clear,
+        {"eumelanin": 1e3},
+        {"stroma_thickness": 0.0},
+        {"collagen_index": 1.5},
+    ):
         r = ij.reflectance(iris.replace(**fields), GRID, solver=solver)
         values = np.asarray(r.values - r.mirrored)
         assert np.isfinite(values).all()
@@ -150,7 +167,9 @@ def test_analytic_models_have_their_limits(solver):
             assert values.max() < 1e-6
         if "collagen_index" in fields and not isinstance(solver, BeerLambert):
             assert values.max() < 1e-12  # nothing scatters
-    slope = jax.grad(lambda c: ij.reflectance(iris.replace(eumelanin=c), GRID, solver=solver).values.sum())(0.1)
+    slope = jax.grad(
+        lambda c: ij.reflectance(iris.replace(eumelanin=c), GRID, solver=solver).values.sum()
+    )(0.1)
     assert float(slope) < 0
 
 
@@ -160,7 +179,12 @@ def test_kubelka_munk_is_the_two_stream_equations():
 
     k, s = 0.7, 0.4
     layers = ij.Layers.from_coefficients(
-        0.0, [k / 2], [s / 0.75], abl_thickness=0.0, stroma_thickness=1.0, indices=ij.Iris().indices()
+        0.0,
+        [k / 2],
+        [s / 0.75],
+        abl_thickness=0.0,
+        stroma_thickness=1.0,
+        indices=ij.Iris().indices(),
     )
     ode = solve_bvp(
         lambda x, y: np.stack([-(s + k) * y[0] + s * y[1], (s + k) * y[1] - s * y[0]]),

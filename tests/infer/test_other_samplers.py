@@ -23,12 +23,17 @@ def test_ensemble_and_nuts_agree(model, tmp_path):
     blank = ij.spectrum(grid, np.ones(grid.size))
     problem = ij.problem(blank, solver=KubelkaMunk() if model == "closed formula" else None)
     truth = problem.standard(ij.infer.parameters.of_iris(ij.Iris.preset("low")))
-    problem = problem.with_observations(ij.spectrum(grid, np.asarray(problem.simulate(truth, jax.random.key(1))[0])))
+    problem = problem.with_observations(
+        ij.spectrum(grid, np.asarray(problem.simulate(truth, jax.random.key(1))[0]))
+    )
     best = fit(problem)
     chains = sample(problem, tmp_path / "chain.h5", start=best)
     assert chains.converged
     nuts = MCMC(
-        NUTS(potential_fn=lambda z: -problem.log_posterior(z)), num_warmup=500, num_samples=4000, progress_bar=False
+        NUTS(potential_fn=lambda z: -problem.log_posterior(z)),
+        num_warmup=500,
+        num_samples=4000,
+        progress_bar=False,
     )
     nuts.run(jax.random.key(2), init_params=jnp.asarray(best.z))
     other = np.asarray(nuts.get_samples())
@@ -39,6 +44,8 @@ def test_ensemble_and_nuts_agree(model, tmp_path):
     # A standard deviation is known to 1/√(2 n); tails heavier than the normal's widen that.
     np.testing.assert_allclose(ours.std(0) / other.std(0), 1, atol=6 / np.sqrt(2 * size.min()))
     for q in (5, 25, 75, 95):
-        np.testing.assert_array_less(np.abs(np.percentile(ours, q, 0) - np.percentile(other, q, 0)), 9 * error)
+        np.testing.assert_array_less(
+            np.abs(np.percentile(ours, q, 0) - np.percentile(other, q, 0)), 9 * error
+        )
     correlation = [np.corrcoef(z[:, 0], z[:, 1])[0, 1] for z in (ours, other)]
     assert correlation[0] == pytest.approx(correlation[1], abs=0.05)

@@ -18,15 +18,21 @@ GRID = ij.wavelengths(400, 700, 10)
 @pytest.fixture
 def problem():
     """Its name, a static field, keeps programs compiled for other tests away."""
-    seen = ij.spectrum(GRID, ij.reflectance(ij.Iris(), GRID, solver=BeerLambert()).values, name="in pieces")
+    seen = ij.spectrum(
+        GRID, ij.reflectance(ij.Iris(), GRID, solver=BeerLambert()).values, name="in pieces"
+    )
     return ij.problem(seen, free=["melanin_load", "hemoglobin"], solver=BeerLambert())
 
 
 def test_densities_and_fits_do_not_depend_on_the_pieces(problem, monkeypatch):
     monkeypatch.setattr(pieces, "_ELEMENTS", 2 * GRID.size)  # of seven walkers one remains
     z = jnp.asarray(np.random.default_rng(0).normal(size=(7, 2)))
-    np.testing.assert_allclose(pieces.density(problem)(z), [problem.log_posterior(x) for x in z], rtol=1e-12)
-    np.testing.assert_allclose(pieces.pointwise(problem, z), [problem.pointwise(x) for x in z], rtol=1e-12)
+    np.testing.assert_allclose(
+        pieces.density(problem)(z), [problem.log_posterior(x) for x in z], rtol=1e-12
+    )
+    np.testing.assert_allclose(
+        pieces.pointwise(problem, z), [problem.pointwise(x) for x in z], rtol=1e-12
+    )
     found = fit(problem, use_priors=False)
     truth = ij.infer.parameters.of_iris(ij.Iris())
     assert int(found.agreeing) == 4
@@ -43,7 +49,9 @@ def test_files_of_many_wavelengths_hold_fewer_draws(problem, tmp_path, monkeypat
     z = 0.01 * np.random.default_rng(1).normal(size=(250, walkers, 2))
     one = np.ones(2)
     chains = Chains(z, z[..., 0], 5, 1250, 0.5, one, one, one, one, True, "")
-    report._write(problem, tmp_path, chains, report.summarise(problem, chains), [], jax.random.key(0))
+    report._write(
+        problem, tmp_path, chains, report.summarise(problem, chains), [], jax.random.key(0)
+    )
     loads = {}
     for group in ("posterior", "log_likelihood", "sample_stats"):
         loads[group] = xr.load_dataset(tmp_path / "posterior.nc", group=group, engine="h5netcdf")

@@ -113,7 +113,9 @@ def test_short_chains_are_called_short(whole, tmp_path):
 def test_memory_does_not_grow_with_the_chain(whole, tmp_path, monkeypatch):
     """Ten times the steps, resumed or not: less is held at any moment than their log probabilities would take."""
     problem, best = whole[0], fit(whole[0])
-    monkeypatch.setattr(posterior, "density", lambda _: lambda z: -0.5 * np.square(np.asarray(z)).sum(axis=1))
+    monkeypatch.setattr(
+        posterior, "density", lambda _: lambda z: -0.5 * np.square(np.asarray(z)).sum(axis=1)
+    )
     # As with the real numbers: a short burn-in, never long enough, and fewer steps kept than either run has.
     for name, value in (("TAUS", np.inf), ("_SPREAD", 10), ("_BURN", 20), ("_MOST_KEPT", 20)):
         monkeypatch.setattr(posterior, name, value)
@@ -121,7 +123,14 @@ def test_memory_does_not_grow_with_the_chain(whole, tmp_path, monkeypatch):
     for resume in (False, True):
         for steps in (20, 30, 300):  # the first warms up
             tracemalloc.start()
-            sample(problem, tmp_path / f"{steps}.h5", walkers=walkers, start=best, max_steps=steps, resume=resume)
+            sample(
+                problem,
+                tmp_path / f"{steps}.h5",
+                walkers=walkers,
+                start=best,
+                max_steps=steps,
+                resume=resume,
+            )
             peaks[steps] = tracemalloc.get_traced_memory()[1]
             tracemalloc.stop()
         assert peaks[300] - peaks[30] < 270 * walkers * 8
@@ -131,7 +140,10 @@ def test_posterior_agrees_with_a_grid(tmp_path):
     """Two parameters: mean, spread and correlation against brute force."""
     problem = stated()
     problem = ij.problem(
-        problem.observations[0], free=["melanin_load", "hemoglobin"], fixed={"noise": 1.0}, solver=BeerLambert()
+        problem.observations[0],
+        free=["melanin_load", "hemoglobin"],
+        fixed={"noise": 1.0},
+        solver=BeerLambert(),
     )
     chains = sample(problem, tmp_path / "chain.h5", walkers=32, seed=0)
     assert chains.converged
@@ -196,7 +208,9 @@ def test_a_curved_ridge_is_straightened():
         thin = (z[:, 1] - 0.1 * z[:, 0] ** 2 + 0.4 * z[:, 0]) / 0.03
         return -0.5 * (z[:, 0] ** 2 + thin**2 + (z[:, 2] / 0.5) ** 2)
 
-    sampler = emcee.EnsembleSampler(32, 3, log_p, vectorize=True, moves=IndependentMove(straight, z))
+    sampler = emcee.EnsembleSampler(
+        32, 3, log_p, vectorize=True, moves=IndependentMove(straight, z)
+    )
     sampler.random_state = np.random.RandomState(1).get_state()
     sampler.run_mcmc(z[:32], 500)
     assert sampler.acceptance_fraction.mean() > 0.5
@@ -227,7 +241,9 @@ def test_wrong_model_is_noticed(tmp_path):
     y = np.asarray(problem.observations[0].values) * np.where(GRID < 550, 1.0, 1.6)
     problem = problem.with_observations(ij.spectrum(GRID, y))
     chains = sample(problem, tmp_path / "chain.h5", walkers=16, seed=0, max_steps=600)
-    assert "does not produce these data" in (check(problem, chains, jax.random.key(0)).warning or "")
+    assert "does not produce these data" in (
+        check(problem, chains, jax.random.key(0)).warning or ""
+    )
 
 
 @pytest.mark.slow
@@ -240,7 +256,9 @@ def test_killed_process_resumes(whole, tmp_path):
         "resume=True, progress=lambda n, w: print(n, flush=True))"
     )
     for stop in (30, 333, 700, None):
-        with subprocess.Popen([sys.executable, "-c", code, str(path)], stdout=subprocess.PIPE, text=True) as run:
+        with subprocess.Popen(
+            [sys.executable, "-c", code, str(path)], stdout=subprocess.PIPE, text=True
+        ) as run:
             assert run.stdout is not None
             for line in run.stdout:
                 if stop is not None and int(line) >= stop:

@@ -27,14 +27,18 @@ SCIPY = [
 @pytest.mark.parametrize(("prior", "reference"), SCIPY, ids=lambda x: repr(x)[:12])
 def test_priors_are_the_distributions_they_say(prior, reference):
     z = np.linspace(-4, 4, 33)
-    np.testing.assert_allclose(reference.cdf(np.asarray(prior.value(z))), stats.norm.cdf(z), rtol=1e-9, atol=1e-14)
+    np.testing.assert_allclose(
+        reference.cdf(np.asarray(prior.value(z))), stats.norm.cdf(z), rtol=1e-9, atol=1e-14
+    )
     np.testing.assert_allclose(prior.standard(prior.value(z)), z, atol=1e-6)
 
 
 def test_logit_normal():
     z = np.linspace(-6, 6, 25)
     value = np.asarray(LogitNormal(0.2, 0.8).value(z))
-    np.testing.assert_allclose(np.log(value / (1 - value)), np.log(0.25) + 0.8 * z, rtol=1e-12, atol=1e-12)
+    np.testing.assert_allclose(
+        np.log(value / (1 - value)), np.log(0.25) + 0.8 * z, rtol=1e-12, atol=1e-12
+    )
 
 
 @pytest.mark.parametrize("name", PARAMETERS)
@@ -68,7 +72,9 @@ def test_bad_priors_are_named(text, message):
 @given(
     st.floats(1e-3, 5), st.floats(0, 1), st.floats(0, 1), st.floats(1e-3, 1), st.floats(0, 1), st.floats(0.05, 1), st.floats(0.01, 0.2)
 )  # fmt: skip
-def test_parameters_make_the_iris_they_describe(load, fraction, share, blood, saturation, stroma, abl):
+def test_parameters_make_the_iris_they_describe(
+    load, fraction, share, blood, saturation, stroma, abl
+):
     values = {
         "melanin_load": load, "abl_fraction": fraction, "pheomelanin_share": share, "hemoglobin": blood,
         "saturation": saturation, "stroma_thickness": stroma, "abl_thickness": abl,
@@ -77,7 +83,9 @@ def test_parameters_make_the_iris_they_describe(load, fraction, share, blood, sa
     back = of_iris(iris)
     for name, value in values.items():
         assert float(back[name]) == pytest.approx(value, rel=1e-12, abs=1e-12)
-    assert float(iris.melanin_load * iris.abl_fraction) == pytest.approx(float(derived(values)["abl_melanin"]))
+    assert float(iris.melanin_load * iris.abl_fraction) == pytest.approx(
+        float(derived(values)["abl_melanin"])
+    )
     assert float(iris.eumelanin) == pytest.approx(float(derived(values)["eumelanin"]), abs=1e-12)
 
 
@@ -91,7 +99,9 @@ def test_prediction_is_the_spectrophotometer():
     iris = ij.Iris.preset("high")
     problem = stated(free=["melanin_load", "gain"], fixed={"abl_fraction": 0.3}, base=iris)
     z = problem.standard({"melanin_load": 0.2, "gain": 1.02})
-    wanted = ij.reflectance(iris.replace(melanin_load=0.2, abl_fraction=0.3), GRID, solver=ij.Exact(16))
+    wanted = ij.reflectance(
+        iris.replace(melanin_load=0.2, abl_fraction=0.3), GRID, solver=ij.Exact(16)
+    )
     np.testing.assert_allclose(problem.predict(z)[0], 1.02 * wanted.values, rtol=1e-12)
     options = {"illuminant": "A", "cos_incidence": 0.8}
     seen = ij.spectrum(GRID, np.ones(GRID.size), quantity="radiance", **options)
@@ -115,8 +125,14 @@ def test_colours_are_those_of_the_colorimeter(quantity):
     ("noise", "distribution"),
     [
         (Noise(0.03, 1e-3), lambda y, m, sd, _: stats.norm(m, sd).logpdf(y).sum()),
-        (Noise(0.03, 1e-3, degrees_of_freedom=4.0), lambda y, m, sd, _: stats.t(4, m, sd).logpdf(y).sum()),
-        (Noise(0.03, 1e-3, 0.05, 60.0), lambda y, m, sd, c: stats.multivariate_normal(m, np.diag(sd**2) + c).logpdf(y)),
+        (
+            Noise(0.03, 1e-3, degrees_of_freedom=4.0),
+            lambda y, m, sd, _: stats.t(4, m, sd).logpdf(y).sum(),
+        ),
+        (
+            Noise(0.03, 1e-3, 0.05, 60.0),
+            lambda y, m, sd, c: stats.multivariate_normal(m, np.diag(sd**2) + c).logpdf(y),
+        ),
     ],
     ids=["normal", "student", "correlated"],
 )
@@ -145,21 +161,33 @@ def test_correlated_residuals_are_whitened(count):
 
     values = np.asarray(seen.values)
     wanted = stats.multivariate_normal(model, covariance(model)).logpdf(values)
-    assert float(noise.pointwise(seen, jnp.asarray(model)).sum()) == pytest.approx(wanted, rel=1e-10)
+    assert float(noise.pointwise(seen, jnp.asarray(model)).sum()) == pytest.approx(
+        wanted, rel=1e-10
+    )
     square = (values - model) @ np.linalg.solve(covariance(values), values - model)
-    assert float((noise.whiten(seen, jnp.asarray(model)) ** 2).sum()) == pytest.approx(square, rel=1e-10)
+    assert float((noise.whiten(seen, jnp.asarray(model)) ** 2).sum()) == pytest.approx(
+        square, rel=1e-10
+    )
 
 
 def test_colour_likelihood_is_scipys():
     c = np.array([[2.0, 0.5, 0.1], [0.5, 1.0, -0.2], [0.1, -0.2, 0.5]]) * 1e-4
-    problem = ij.problem(ij.colour_data([0.02, 0.02, 0.03], c), free=["melanin_load"], solver=ij.Exact(16))
+    problem = ij.problem(
+        ij.colour_data([0.02, 0.02, 0.03], c), free=["melanin_load"], solver=ij.Exact(16)
+    )
     z = jnp.zeros(1)
-    wanted = stats.multivariate_normal(np.asarray(problem.predict(z)[0]), c).logpdf([0.02, 0.02, 0.03])
+    wanted = stats.multivariate_normal(np.asarray(problem.predict(z)[0]), c).logpdf(
+        [0.02, 0.02, 0.03]
+    )
     assert float(problem.log_likelihood(z)) == pytest.approx(wanted, rel=1e-10)
 
 
 def test_draws_have_the_stated_moments():
-    for noise in (Noise(0.03, 1e-3, 0.05, 60.0), Noise(0.03, 1e-3), Noise(0.03, 1e-3, degrees_of_freedom=6.0)):
+    for noise in (
+        Noise(0.03, 1e-3, 0.05, 60.0),
+        Noise(0.03, 1e-3),
+        Noise(0.03, 1e-3, degrees_of_freedom=6.0),
+    ):
         problem = stated(noise, free=["gain"])
         z = jnp.zeros(1)
         draws = quick_jit(jax.vmap(lambda k, p=problem, z=z: p.simulate(z, k)[0]))(
@@ -194,7 +222,9 @@ def test_slopes_agree_with_differences(solver):
 def test_spots_share_blood_but_not_melanin():
     y = np.asarray(ij.reflectance(ij.Iris.preset("low"), GRID).values)
     two = [ij.spectrum(GRID, y, name="a"), ij.spectrum(GRID, 0.5 * y, name="b")]
-    problem = ij.problem(two, free=["melanin_load", "hemoglobin"], separate=["melanin_load"], solver=ij.Exact(16))
+    problem = ij.problem(
+        two, free=["melanin_load", "hemoglobin"], separate=["melanin_load"], solver=ij.Exact(16)
+    )
     assert problem.free == ("melanin_load@1", "melanin_load@2", "hemoglobin")
     z = jnp.asarray([0.5, -0.5, 0.2])
     single = ij.problem(two[1], free=["melanin_load", "hemoglobin"], solver=ij.Exact(16))
@@ -247,7 +277,10 @@ def test_noise_that_cannot_be_is_named():
 def test_spectra_of_colour_science_and_read_ones_stand_for_wavelengths_and_values(tmp_path):
     import colour as cs
 
-    grid, scans = np.array([400.0, 500.0, 600.0]), np.array([[0.03, 0.032], [0.01, 0.012], [0.02, 0.019]])
+    grid, scans = (
+        np.array([400.0, 500.0, 600.0]),
+        np.array([[0.03, 0.032], [0.01, 0.012], [0.02, 0.019]]),
+    )
     one = cs.SpectralDistribution(scans[:, 0], grid)
     np.testing.assert_array_equal(ij.spectrum(one).wavelengths, grid)
     np.testing.assert_array_equal(ij.spectrum(one).values, scans[:, 0])
@@ -261,7 +294,9 @@ def test_spectra_of_colour_science_and_read_ones_stand_for_wavelengths_and_value
     assert ij.spectrum(cs.MultiSpectralDistributions(scans[:, [0, 0]], grid)).sd is None
 
 
-@pytest.mark.parametrize("given", [([400.0, 500.0],), (ij.Measured(GRID, GRID, None, (), {}), 0.01)])
+@pytest.mark.parametrize(
+    "given", [([400.0, 500.0],), (ij.Measured(GRID, GRID, None, (), {}), 0.01)]
+)
 def test_half_a_spectrum_is_refused(given):
     with pytest.raises(ValueError, match="wavelengths and values, or one object"):
         ij.spectrum(*given)

@@ -22,7 +22,8 @@ def test_wavelength_grid():
 
 
 @pytest.mark.parametrize(
-    ("start", "stop", "step"), [(700, 400, 10), (400, 700, 0), (400, 700, -5), (400, 700, 7), (400, np.nan, 5)]
+    ("start", "stop", "step"),
+    [(700, 400, 10), (400, 700, 0), (400, 700, -5), (400, 700, 7), (400, np.nan, 5)],
 )
 def test_bad_grids(start, stop, step):
     with pytest.raises(ValueError, match=r"^wavelengths\("):
@@ -41,7 +42,12 @@ def test_bad_grids(start, stop, step):
     ],
 )
 def test_bad_wavelengths(grid, message):
-    for instrument in (ij.reflectance, ij.radiance, lambda *a: ij.brdf(*a, cos_exit=1.0), ij.colour):
+    for instrument in (
+        ij.reflectance,
+        ij.radiance,
+        lambda *a: ij.brdf(*a, cos_exit=1.0),
+        ij.colour,
+    ):
         with pytest.raises(ValueError, match=message):
             instrument(IRIS, np.array(grid))
 
@@ -108,7 +114,9 @@ def test_radiance_factor():
         lit = ij.radiance(IRIS, GRID, illuminant=illuminant)
         factor = np.pi * lit.values / illuminant_power(illuminant, GRID)
         bare = ij.reflectance(IRIS, GRID).values
-        np.testing.assert_allclose(factor / bare, float(inward_transmittance(jnp.asarray(1.0))[0]), rtol=1e-12)
+        np.testing.assert_allclose(
+            factor / bare, float(inward_transmittance(jnp.asarray(1.0))[0]), rtol=1e-12
+        )
         assert lit.unit == "relative/sr"
     assert illuminant_power("A", np.array([560.0]))[0] == 1
     with pytest.raises(ValueError, match="unknown illuminant 'Z'"):
@@ -119,13 +127,17 @@ def test_radiance_factor():
 
 def test_cornea_settings():
     def values(cornea, cosine=1.0):
-        return ij.reflectance(IRIS, GRID, process=ij.Process(cornea=cornea), cos_incidence=cosine).values
+        return ij.reflectance(
+            IRIS, GRID, process=ij.Process(cornea=cornea), cos_incidence=cosine
+        ).values
 
     through = float(inward_transmittance(jnp.asarray(1.0))[0])
     np.testing.assert_allclose(values("inward"), through * values("none"), rtol=1e-12)
     np.testing.assert_allclose(values("round-trip"), through**2 * values("none"), rtol=1e-12)
     factor, inside = inward_transmittance(jnp.asarray(0.5))
-    np.testing.assert_allclose(values("inward", 0.5), factor * values("none", float(inside)), rtol=1e-12)
+    np.testing.assert_allclose(
+        values("inward", 0.5), factor * values("none", float(inside)), rtol=1e-12
+    )
 
 
 def test_brdf_shapes():
@@ -157,7 +169,9 @@ def test_colour_against_colour_science():
         found = ij.colour(iris, illuminant=illuminant)
         # colour counts the end points whole, the trapezoidal rule by half: leave them out.
         values = np.asarray(ij.reflectance(iris, grid).values) * np.r_[0.0, np.ones(79), 0.0]
-        assert np.allclose(found.xyz, ij.colour_of(grid, jnp.asarray(values), illuminant=illuminant).xyz, rtol=3e-4)
+        assert np.allclose(
+            found.xyz, ij.colour_of(grid, jnp.asarray(values), illuminant=illuminant).xyz, rtol=3e-4
+        )
         found = ij.colour_of(grid, jnp.asarray(values), illuminant=illuminant)
         sd = cs.SpectralDistribution(values, grid)
         cmfs = cs.MSDS_CMFS["CIE 1931 2 Degree Standard Observer"].copy().align(sd.shape)
@@ -165,7 +179,9 @@ def test_colour_against_colour_science():
         expected = cs.sd_to_XYZ(sd, cmfs, light, method="Integration") / 100
         np.testing.assert_allclose(found.xyz, expected, rtol=1e-5)
         white = cs.sd_to_XYZ(cs.sd_ones(sd.shape), cmfs, light, method="Integration") / 100
-        np.testing.assert_allclose(found.lab, cs.XYZ_to_Lab(np.asarray(found.xyz), cs.XYZ_to_xy(white)), atol=2e-3)
+        np.testing.assert_allclose(
+            found.lab, cs.XYZ_to_Lab(np.asarray(found.xyz), cs.XYZ_to_xy(white)), atol=2e-3
+        )
 
 
 def test_white_and_grey():

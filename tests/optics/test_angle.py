@@ -15,7 +15,9 @@ def test_as_numpy(dtype, error):
     y, x = (v.astype(dtype) for v in np.meshgrid(LINE, LINE))
     found = arctan2(jnp.asarray(y), jnp.asarray(x))
     assert found.dtype == dtype
-    np.testing.assert_allclose(found, np.arctan2(y.astype(float), x.astype(float)), rtol=0, atol=error)
+    np.testing.assert_allclose(
+        found, np.arctan2(y.astype(float), x.astype(float)), rtol=0, atol=error
+    )
 
 
 @pytest.mark.parametrize("dtype", [np.float32, np.float64])

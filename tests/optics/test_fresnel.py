@@ -24,7 +24,9 @@ def test_glass_at_45_degrees():
     # Hecht, Optics: r_s = -0.303337; at 45 degrees R_p = R_s².
     r_s = ((np.sqrt(0.5) - np.sqrt(2.25 - 0.5)) / (np.sqrt(0.5) + np.sqrt(2.25 - 0.5))) ** 2
     assert r_s == pytest.approx(0.0920134, abs=5e-8)
-    assert fresnel_at(array(np.sqrt(0.5)), array(1.0), array(1.5))[0] == pytest.approx((r_s + r_s**2) / 2, rel=1e-13)
+    assert fresnel_at(array(np.sqrt(0.5)), array(1.0), array(1.5))[0] == pytest.approx(
+        (r_s + r_s**2) / 2, rel=1e-13
+    )
 
 
 def test_brewster_leaves_only_the_s_part():
@@ -44,7 +46,9 @@ def test_total_internal_reflection(fraction):
 
 
 def test_critical_cosine():
-    assert critical_cosine_squared(array(1.4733), array(1.336)) == pytest.approx(1 - (1.336 / 1.4733) ** 2, rel=1e-13)
+    assert critical_cosine_squared(array(1.4733), array(1.336)) == pytest.approx(
+        1 - (1.336 / 1.4733) ** 2, rel=1e-13
+    )
     assert critical_cosine_squared(array(1.336), array(1.4733)) < 0
     # 65.07 degrees at the top of the ABL, 88.4 at its bottom (ilit.md, section 4).
     for n_out, angle, places in ((1.336, 65.07, 0.005), (1.472793, 88.4, 0.06)):
@@ -89,10 +93,14 @@ def test_reversible(mu, n, m):
 def test_snell(mu, n, m):
     out = refract(array(mu), array(n), array(m))
     if out > 0:
-        assert n**2 * (1 - mu**2) == pytest.approx(m**2 * (1 - float(out) ** 2), rel=1e-13, abs=1e-13)
+        assert n**2 * (1 - mu**2) == pytest.approx(
+            m**2 * (1 - float(out) ** 2), rel=1e-13, abs=1e-13
+        )
 
 
-@pytest.mark.parametrize(("n", "m"), [(1.336, 1.4733), (1.4733, 1.4728), (1.0, 2.5), (1.5, 1.5 * (1 + 1e-9))])
+@pytest.mark.parametrize(
+    ("n", "m"), [(1.336, 1.4733), (1.4733, 1.4728), (1.0, 2.5), (1.5, 1.5 * (1 + 1e-9))]
+)
 @pytest.mark.parametrize("mu", [1e-9, 1e-4, 0.05, 0.7, 1.0])
 def test_relative_precision_of_transmittance(mu, n, m):
     with mp.workdps(40):
@@ -109,11 +117,20 @@ def test_relative_precision_of_transmittance(mu, n, m):
 
 @pytest.mark.parametrize(
     ("mu", "n", "m"),
-    [(0.0, 1.0, 1.5), (0.0, 1.5, 1.0), (0.0, 1.4, 1.4), (1.0, 1.4, 1.4), (0.2, 1.5, 1.2), (1e-12, 1.2, 1.5)],
+    [
+        (0.0, 1.0, 1.5),
+        (0.0, 1.5, 1.0),
+        (0.0, 1.4, 1.4),
+        (1.0, 1.4, 1.4),
+        (0.2, 1.5, 1.2),
+        (1e-12, 1.2, 1.5),
+    ],
 )
 def test_gradients_are_finite_at_edges(mu, n, m, bits):
     for output in (0, 1):
-        g = jax.grad(lambda *x, output=output: fresnel_at(*x)[output], argnums=(0, 1, 2))(array(mu), array(n), array(m))
+        g = jax.grad(lambda *x, output=output: fresnel_at(*x)[output], argnums=(0, 1, 2))(
+            array(mu), array(n), array(m)
+        )
         assert np.isfinite(g).all()
 
 
@@ -128,10 +145,14 @@ def test_gradients_against_finite_differences(x):
     g = jax.grad(lambda *v: fresnel_at(*v)[0], argnums=(0, 1, 2))(*map(array, x))
     for i in range(3):
         h = 1e-6
-        ends = [fresnel_at(*(array(v + s * h * (k == i)) for k, v in enumerate(x)))[0] for s in (1, -1)]
+        ends = [
+            fresnel_at(*(array(v + s * h * (k == i)) for k, v in enumerate(x)))[0] for s in (1, -1)
+        ]
         assert g[i] == pytest.approx(float(ends[0] - ends[1]) / (2 * h), rel=1e-7)
 
 
 def test_safe_sqrt():
     np.testing.assert_array_equal(safe_sqrt(array([-1.0, 0.0, 4.0])), [0, 0, 2])
-    np.testing.assert_array_equal(jax.vmap(jax.grad(safe_sqrt))(array([-1.0, 0.0, 4.0])), [0, 0, 0.25])
+    np.testing.assert_array_equal(
+        jax.vmap(jax.grad(safe_sqrt))(array([-1.0, 0.0, 4.0])), [0, 0, 0.25]
+    )

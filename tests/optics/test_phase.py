@@ -51,19 +51,28 @@ def test_density(name):
     alpha = np.linspace(0, np.pi, 201)
     found = PHASES[name].angle_density(jnp.asarray(alpha))
     np.testing.assert_allclose(found, density(name, alpha), rtol=1e-14, atol=1e-15)
-    assert quad(lambda a: float(PHASES[name].angle_density(jnp.asarray(a))), 0, np.pi)[0] == pytest.approx(1, abs=1e-12)
+    assert quad(lambda a: float(PHASES[name].angle_density(jnp.asarray(a))), 0, np.pi)[
+        0
+    ] == pytest.approx(1, abs=1e-12)
 
 
 @pytest.mark.parametrize("name", NAMES)
 def test_distribution_of_this_test(name):
     for a in (0.3, 1.4, 2.9):
-        assert distribution(name, a) == pytest.approx(quad(lambda x: density(name, x), 0, a)[0], abs=1e-12)
+        assert distribution(name, a) == pytest.approx(
+            quad(lambda x: density(name, x), 0, a)[0], abs=1e-12
+        )
 
 
 @pytest.mark.parametrize("name", NAMES)
 def test_sampler_inverts_the_distribution(name):
-    u = np.concatenate([np.linspace(0, 1, 2001), np.geomspace(1e-12, 1e-3, 50), 1 - np.geomspace(1e-12, 1e-3, 50)])
-    expected = [np.cos(brentq(lambda a, v=v: distribution(name, a) - (1 - v), 0, np.pi, xtol=1e-14)) for v in u]
+    u = np.concatenate(
+        [np.linspace(0, 1, 2001), np.geomspace(1e-12, 1e-3, 50), 1 - np.geomspace(1e-12, 1e-3, 50)]
+    )
+    expected = [
+        np.cos(brentq(lambda a, v=v: distribution(name, a) - (1 - v), 0, np.pi, xtol=1e-14))
+        for v in u
+    ]
     found = np.asarray(PHASES[name].sample_cosine(jnp.asarray(u)))
     np.testing.assert_allclose(found, expected, rtol=0, atol=SAMPLER_ERROR[name])
 
@@ -126,7 +135,9 @@ def test_redistribution_of_powers(name, critical):
             edge = np.arctan2(mu[i], s)
 
             def integrand(a, i=i, s=s, power=power):
-                return density(name, a) * averaged_over_circle(power, mu[i] * np.cos(a), s * np.sin(a))
+                return density(name, a) * averaged_over_circle(
+                    power, mu[i] * np.cos(a), s * np.sin(a)
+                )
 
             pieces = ((0, edge), (edge, np.pi - edge), (np.pi - edge, np.pi))
             expected = 0.5 * sum(quad(integrand, *ends, epsabs=1e-13)[0] for ends in pieces)
@@ -142,7 +153,9 @@ def test_scattering_conserves(name, critical, bits):
         mu, w, scatter = operator(name, critical, n, bits == 64)
         for f in (np.ones_like(mu), 2 * mu, np.exp(-0.3 / mu)):
             f = np.where(w > 0, f, 0)
-            assert w @ scatter @ f / (w @ f) == pytest.approx(0.5, abs=1e-14 if bits == 64 else 4e-7)
+            assert w @ scatter @ f / (w @ f) == pytest.approx(
+                0.5, abs=1e-14 if bits == 64 else 4e-7
+            )
 
 
 @pytest.mark.parametrize("name", NAMES)

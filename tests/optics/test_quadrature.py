@@ -8,7 +8,14 @@ from hypothesis import strategies as st
 from scipy.special import expn
 
 from irisjax.optics.fresnel import critical_cosine_squared
-from irisjax.optics.quadrature import conserving, cosine_rule, graded, interpolation, refracted, ungraded
+from irisjax.optics.quadrature import (
+    conserving,
+    cosine_rule,
+    graded,
+    interpolation,
+    refracted,
+    ungraded,
+)
 
 
 def rule_for(*critical, n=36, **options):
@@ -31,7 +38,9 @@ def test_exponential_integral():
     Reflectances are promised to 1e-10; the rule below them is asked for a tenth of that.
     """
     rule = rule_for()
-    found = np.exp(-DEPTHS[:, None] / np.asarray(rule.cosine)) @ np.asarray(rule.weight * rule.cosine)
+    found = np.exp(-DEPTHS[:, None] / np.asarray(rule.cosine)) @ np.asarray(
+        rule.weight * rule.cosine
+    )
     np.testing.assert_allclose(found, expn(3, DEPTHS), rtol=0, atol=1e-11)
 
 
@@ -40,7 +49,9 @@ def test_exponential_integral_converges():
     worst = []
     for n in (8, 16, 32, 64):
         rule = rule_for(n=n)
-        found = np.exp(-DEPTHS[:, None] / np.asarray(rule.cosine)) @ np.asarray(rule.weight * rule.cosine)
+        found = np.exp(-DEPTHS[:, None] / np.asarray(rule.cosine)) @ np.asarray(
+            rule.weight * rule.cosine
+        )
         worst.append(np.abs(found - expn(3, DEPTHS)).max())
     assert worst[0] < 1e-4
     assert worst[1] < worst[0] / 20
@@ -58,7 +69,11 @@ def test_square_root_kinks(critical, depth):
     for c in critical:
 
         def integrand(m, c=c):
-            return m * np.exp(-depth / np.maximum(m, 1e-300)) / (1 + np.sqrt(np.maximum(m * m - c * c, 0)))
+            return (
+                m
+                * np.exp(-depth / np.maximum(m, 1e-300))
+                / (1 + np.sqrt(np.maximum(m * m - c * c, 0)))
+            )
 
         expected = 0.0
         cuts = sorted({0.0, *critical, 1.0})
@@ -93,7 +108,9 @@ def test_weights_and_nodes(n, above, below):
     assert (np.diff(mu[w > 0]) >= 0).all()
     # atol: the difference on the right cancels, not the rule's.
     expected = mu**2 - np.array(critical)[:, None]
-    np.testing.assert_allclose(np.asarray(rule.excess)[:, w > 0], expected[:, w > 0], rtol=0, atol=1e-15)
+    np.testing.assert_allclose(
+        np.asarray(rule.excess)[:, w > 0], expected[:, w > 0], rtol=0, atol=1e-15
+    )
 
 
 @pytest.mark.parametrize("n", [9, 17, 36])
@@ -122,7 +139,9 @@ def test_empty_panel_changes_nothing():
     two, three = rule_for(0.18, n=32), rule_for(0.18, -0.3, n=21)
     assert three.cosine.size == 3 * two.cosine.size // 2
     for f in (lambda r: 2 * r.cosine, lambda r: r.cosine**3, lambda r: np.exp(-0.3 / r.cosine)):
-        assert np.sum(f(two) * two.weight) == pytest.approx(float(np.sum(f(three) * three.weight)), abs=1e-15)
+        assert np.sum(f(two) * two.weight) == pytest.approx(
+            float(np.sum(f(three) * three.weight)), abs=1e-15
+        )
 
 
 @pytest.mark.parametrize("critical", [(), (0.18,), (0.18, 0.0007), (0.5, 0.5)])
@@ -131,7 +150,9 @@ def test_conserving(critical, n, bits):
     rule = conserving(rule_for(*critical, n=n))
     tolerance = 8 * float(np.finfo(rule.weight.dtype).eps)
     assert np.float64(rule.weight).sum() == pytest.approx(1, abs=tolerance)
-    assert np.sum(np.float64(rule.weight) * np.float64(rule.cosine) ** 2) == pytest.approx(1 / 3, abs=tolerance)
+    assert np.sum(np.float64(rule.weight) * np.float64(rule.cosine) ** 2) == pytest.approx(
+        1 / 3, abs=tolerance
+    )
     assert rule.weight.dtype == (np.float64 if bits == 64 else np.float32)
 
 

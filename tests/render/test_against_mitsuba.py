@@ -56,7 +56,10 @@ def _seen(cornea, size, first, last, samples):
         (np.arange(512) + 0.5) * (2 * np.pi / 512),
         PUPIL + (np.arange(256)[:, None] + 0.5) / 256 * (ROOT - PUPIL),
     )
-    code = np.stack([radius * np.cos(angle) / 12 + 0.5, radius * np.sin(angle) / 12 + 0.5, np.ones((256, 512))], -1)
+    code = np.stack(
+        [radius * np.cos(angle) / 12 + 0.5, radius * np.sin(angle) / 12 + 0.5, np.ones((256, 512))],
+        -1,
+    )
     texture = {"type": "bitmap", "bitmap": mi.Bitmap(code.astype(np.float32)), "raw": True}
     origin, target, width = np.array([40.0, 0, -300]), np.array([0.0, 0, 2]), 12.0
     view = mi.ScalarTransform4f().look_at(origin=list(origin), target=list(target), up=[0, 1, 0])
@@ -97,13 +100,17 @@ def _seen(cornea, size, first, last, samples):
 
 
 # A corner from the limbus to the pupil, and everything.
-@pytest.mark.parametrize(("first", "last"), [(120, 320), pytest.param(0, 800, marks=pytest.mark.slow)])
+@pytest.mark.parametrize(
+    ("first", "last"), [(120, 320), pytest.param(0, 800, marks=pytest.mark.slow)]
+)
 def test_image_of_the_iris(cornea, first, last):
     """Half a pixel of 800 across 12 mm, everywhere on the visible iris, off the axis by 7.5°."""
     theirs, ours, visible, use = _seen(cornea, 800, first, last, 4)
     assert visible.mean() > 0.5 and use.sum() > 0.8 * visible.sum()
     step = np.stack([np.gradient(ours, axis=1), np.gradient(ours, axis=0)], -1)  # mm per pixel
-    off = np.linalg.norm(np.linalg.solve(step[use], (theirs - ours)[use][..., None])[..., 0], axis=-1)
+    off = np.linalg.norm(
+        np.linalg.solve(step[use], (theirs - ours)[use][..., None])[..., 0], axis=-1
+    )
     print(f"off by {np.median(off):.3f} (median), {off.max():.3f} (most) of {use.sum()} pixels")
     assert off.max() < 0.5
 
@@ -154,7 +161,9 @@ def _irradiance_agrees(cornea, degrees, rays, patch, allowed):
 
     use = patches(inside.astype(float)) == 1
     off = patches(theirs)[use] / patches(ours)[use] - 1
-    print(f"{degrees}°: {use.sum()} patches off by {off.mean():+.4f} ± {off.std():.4f}, most {np.abs(off).max():.4f}")
+    print(
+        f"{degrees}°: {use.sum()} patches off by {off.mean():+.4f} ± {off.std():.4f}, most {np.abs(off).max():.4f}"
+    )
     assert use.sum() >= 4 and np.abs(off).max() < allowed
 
 
@@ -169,7 +178,8 @@ def test_irradiance(cornea, degrees):
 
 
 @pytest.mark.parametrize(
-    "degrees", [pytest.param(95, marks=pytest.mark.slow), 97, pytest.param(100, marks=pytest.mark.slow)]
+    "degrees",
+    [pytest.param(95, marks=pytest.mark.slow), 97, pytest.param(100, marks=pytest.mark.slow)],
 )
 def test_caustic(cornea, degrees, request):
     """The fold of grazing light: where it is brightest, and the power in all."""
@@ -179,9 +189,11 @@ def test_caustic(cornea, degrees, request):
     cell = 2 * ROOT / size
     # Our grid's points are the centres of their cells.
     extent = jnp.asarray(ROOT - cell / 2)
-    ours = np.asarray(jax.jit(lambda a: gathered(EYE, a, Grid(size, extent), 400_000))(jnp.radians(float(degrees))))[
-        ..., 2
-    ]
+    ours = np.asarray(
+        jax.jit(lambda a: gathered(EYE, a, Grid(size, extent), 400_000))(
+            jnp.radians(float(degrees))
+        )
+    )[..., 2]
     power = [x.sum() * cell**2 for x in (theirs, ours)]
     # Along the axis of symmetry, over a band 1.4 mm wide; between cells by the parabola through the highest three.
     profile = [x[size // 2 - 4 : size // 2 + 4].mean(0) for x in (theirs, ours)]

@@ -22,7 +22,9 @@ IRIDES = {
 
 
 def lab(linear):
-    to_xyz = np.array([[0.4124, 0.3576, 0.1805], [0.2126, 0.7152, 0.0722], [0.0193, 0.1192, 0.9505]])
+    to_xyz = np.array(
+        [[0.4124, 0.3576, 0.1805], [0.2126, 0.7152, 0.0722], [0.0193, 0.1192, 0.9505]]
+    )
     return np.asarray(lab_of(jnp.asarray(to_xyz @ linear / to_xyz.sum(1))))
 
 
@@ -33,7 +35,10 @@ def test_colours_as_of_81_wavelengths(illuminant):
     bands = colour_bands(illuminant)
     assert len(bands.wavelengths) == 10 and bands.channels == ("R", "G", "B")
     for name, iris in IRIDES.items():
-        at = [ij.reflectance(iris, x, solver=ij.Exact(16)).values for x in (GRID, np.asarray(bands.wavelengths))]
+        at = [
+            ij.reflectance(iris, x, solver=ij.Exact(16)).values
+            for x in (GRID, np.asarray(bands.wavelengths))
+        ]
         true = ij.measure.colour.colour_of(GRID, at[0], illuminant=illuminant).srgb_linear
         difference = delta_E_CIE2000(lab(np.asarray(true)), lab(np.asarray(bands.weights @ at[1])))
         assert difference < 0.5, name
@@ -54,7 +59,9 @@ def test_haze_of_the_cornea_counts_twice():
     warm = np.asarray(colour_bands("D65", cornea=cornea).weights).sum(1)
     assert warm[2] < warm[1] < 1
     # A cornea that scatters nothing is no filter.
-    np.testing.assert_array_equal(colour_bands(cornea=Cornea(scatter=None)).weights, colour_bands().weights)
+    np.testing.assert_array_equal(
+        colour_bands(cornea=Cornea(scatter=None)).weights, colour_bands().weights
+    )
 
 
 def test_unknown_illuminants_are_named():

@@ -34,7 +34,9 @@ def power(lights):
 
 def direction(polar, azimuth):
     sin = np.sin(polar)
-    return np.stack([sin * np.cos(azimuth), sin * np.sin(azimuth), -np.cos(polar) + 0 * sin], axis=-1)
+    return np.stack(
+        [sin * np.cos(azimuth), sin * np.sin(azimuth), -np.cos(polar) + 0 * sin], axis=-1
+    )
 
 
 def spot(towards, rows=32, columns=64):
@@ -61,13 +63,17 @@ def test_power_is_conserved(n, shape):
 def test_single_precision(float32):
     environment = noisy(40)
     lights = environment.to_lights(50)
-    for leaf in jax.tree.leaves((lights, lookup(environment, lights.towards), environment.irradiance())):
+    for leaf in jax.tree.leaves(
+        (lights, lookup(environment, lights.towards), environment.irradiance())
+    ):
         assert leaf.dtype == jnp.float32
     whole = environment.to_lights(50, largest_polar=None)
     np.testing.assert_allclose(power(whole), total(environment), rtol=3e-6)
 
 
-@pytest.mark.parametrize("towards", [(0.1, 0.2, -1), (-1, 0.1, -0.2), (0.7, -0.7, -0.3), (0.02, 1, 0.03)])
+@pytest.mark.parametrize(
+    "towards", [(0.1, 0.2, -1), (-1, 0.1, -0.2), (0.7, -0.7, -0.3), (0.02, 1, 0.03)]
+)
 def test_one_bright_texel_gives_one_light_there(towards):
     towards = np.asarray(towards) / np.linalg.norm(towards)
     environment, (i, _) = spot(towards)
@@ -131,7 +137,9 @@ def test_lookup_between_texels():
         d = [-np.sin(p) * np.sin(a), np.cos(p) + 0 * a, -np.sin(p) * np.cos(a)]
         return lookup(environment, 3 * np.stack(d, axis=-1))
 
-    np.testing.assert_allclose(at(*np.meshgrid(polar, azimuth, indexing="ij")), environment.radiance, rtol=1e-9)
+    np.testing.assert_allclose(
+        at(*np.meshgrid(polar, azimuth, indexing="ij")), environment.radiance, rtol=1e-9
+    )
     middle = at((polar[2] + polar[3]) / 2, (azimuth[4] + azimuth[5]) / 2)
     np.testing.assert_allclose(middle, environment.radiance[2:4, 4:6].mean((0, 1)), rtol=1e-9)
 
@@ -142,16 +150,22 @@ def test_lookup_has_no_seam(columns):
     tiny, y = 1e-9, np.linspace(-3, 3, 31)
     behind = np.stack([0 * y, y, 1 + 0 * y], axis=-1)
     aside = np.array([tiny, 0, 0])
-    np.testing.assert_allclose(lookup(environment, behind + aside), lookup(environment, behind - aside), rtol=1e-6)
+    np.testing.assert_allclose(
+        lookup(environment, behind + aside), lookup(environment, behind - aside), rtol=1e-6
+    )
     turn = np.linspace(0, 2 * np.pi, 17)
     for side in (1, -1):
         pole = np.array([0.0, side, 0.0])
         round_it = np.stack([tiny * np.cos(turn), side + 0 * turn, tiny * np.sin(turn)], axis=-1)
         np.testing.assert_allclose(
-            lookup(environment, round_it), np.broadcast_to(lookup(environment, pole), (17, 3)), rtol=1e-6
+            lookup(environment, round_it),
+            np.broadcast_to(lookup(environment, pole), (17, 3)),
+            rtol=1e-6,
         )
         np.testing.assert_allclose(
-            lookup(environment, pole), environment.radiance[0 if side > 0 else -1].mean(0), rtol=1e-12
+            lookup(environment, pole),
+            environment.radiance[0 if side > 0 else -1].mean(0),
+            rtol=1e-12,
         )
 
 
@@ -171,9 +185,12 @@ def test_gradients_are_finite_and_true():
         assert jnp.isfinite(leaf).all()
     step = 1e-6 * np.random.default_rng(0).normal(size=ordinary.shape)
     low, high = (
-        brightness((environment.radiance, np.concatenate([special, ordinary + sign * step])))[0] for sign in (-1, 1)
+        brightness((environment.radiance, np.concatenate([special, ordinary + sign * step])))[0]
+        for sign in (-1, 1)
     )
-    np.testing.assert_allclose((gradient[1][len(special) :] * step).sum(), (high - low) / 2, rtol=1e-5)
+    np.testing.assert_allclose(
+        (gradient[1][len(special) :] * step).sum(), (high - low) / 2, rtol=1e-5
+    )
 
 
 def test_studio_and_sky():
@@ -183,11 +200,16 @@ def test_studio_and_sky():
     np.testing.assert_allclose(studio.irradiance(), np.pi, rtol=0.05)
     assert key[0] < 0 and key[1] > 0 and key[2] < 0
     for polar, azimuth in [(0.9, 2.0), (1.5, 0.3)]:
-        bare, sunny = Environment.sky(polar, azimuth, sun=0.0, rows=48), Environment.sky(polar, azimuth, rows=48)
+        bare, sunny = (
+            Environment.sky(polar, azimuth, sun=0.0, rows=48),
+            Environment.sky(polar, azimuth, rows=48),
+        )
         rise = total(sunny) - total(bare)
         np.testing.assert_allclose(rise @ np.asarray(LUMINANCE), 4.0, rtol=1e-9)
         only = Environment(sunny.radiance - bare.radiance)
-        np.testing.assert_allclose(only.to_lights(1).towards[0], direction(polar, azimuth), atol=0.01)
+        np.testing.assert_allclose(
+            only.to_lights(1).towards[0], direction(polar, azimuth), atol=0.01
+        )
 
 
 def test_errors():

@@ -33,7 +33,9 @@ def tables():
     return Illumination.build(EYE, caustics=False)
 
 
-@pytest.mark.parametrize(("polar", "distance"), [(0.0, 25.0), (0.0, 100.0), (0.5, 50.0), (1.0, 50.0)])
+@pytest.mark.parametrize(
+    ("polar", "distance"), [(0.0, 25.0), (0.0, 100.0), (0.5, 50.0), (1.0, 50.0)]
+)
 def test_near_lamp_on_the_iris(tables, polar, distance):
     """Rays that part from the lamp itself, counted where they land."""
     k, area = disc(5.65, 400_000)
@@ -43,7 +45,12 @@ def test_near_lamp_on_the_iris(tables, polar, distance):
     way = lamp - entry
     length = np.linalg.norm(way, axis=1)
     traced = trace(EYE, k, way / length[:, None])
-    power = np.where(traced.inside, traced.power, 0) * area * soft_edge(np.hypot(*k.T), 5.5) * (distance / length) ** 2
+    power = (
+        np.where(traced.inside, traced.power, 0)
+        * area
+        * soft_edge(np.hypot(*k.T), 5.5)
+        * (distance / length) ** 2
+    )
     field = shading.fluxes_of(Lights.points(lamp, 1.0), EYE, tables)[0]
     line = np.linspace(-1, 1, field.shape[-1]) * float(EYE.iris_radius)
     x, y = np.meshgrid(line, line)
@@ -56,7 +63,10 @@ def test_near_lamp_on_the_iris(tables, polar, distance):
 
 
 def test_far_points_are_distant(tables):
-    near, far = Lights.points([3e6, 2e6, -5e6], 1.0), Lights.distant(np.arctan2(13**0.5, 5), np.arctan2(2, 3), 1.0)
+    near, far = (
+        Lights.points([3e6, 2e6, -5e6], 1.0),
+        Lights.distant(np.arctan2(13**0.5, 5), np.arctan2(2, 3), 1.0),
+    )
     fields = [np.asarray(shading.fluxes_of(lights, EYE, tables)) for lights in (near, far)]
     np.testing.assert_allclose(*fields, atol=1e-5)
 
@@ -77,7 +87,9 @@ def test_round_white_keeps_its_power():
     polar, azimuth = np.arccos(1 - 2 * i / 4000), i * np.pi * (3 - np.sqrt(5))
     room = Lights.distant(polar, azimuth, 4 * np.pi / 4000)
     assert lit(room, (0.6, 0.0, -0.8)) == pytest.approx(np.pi, rel=1e-3)
-    straight, slant, past = (lit(Lights.distant(a, 0.0, 1.0), (0.0, 0.0, -1.0)) for a in (0.0, 1.1, 1.8))
+    straight, slant, past = (
+        lit(Lights.distant(a, 0.0, 1.0), (0.0, 0.0, -1.0)) for a in (0.0, 1.1, 1.8)
+    )
     assert slant / straight == pytest.approx(np.cos(1.1)) and straight == pytest.approx(1 / 1.03)
     assert 0 < past < 0.02
 
@@ -103,21 +115,29 @@ def test_near_lamp_is_mirrored_where_it_stands(tables):
     origin, d = (np.asarray(v) for v in camera.rays(WHITE))
     radius, p = float(CLEAR.anterior.radius), float(CLEAR.anterior.shape)
     w = np.array([1, 1, p])
-    a, b, c = (w * d * d).sum(-1), d @ (w * origin) - radius * d[..., 2], (w * origin) @ origin - 2 * radius * origin[2]
+    a, b, c = (
+        (w * d * d).sum(-1),
+        d @ (w * origin) - radius * d[..., 2],
+        (w * origin) @ origin - 2 * radius * origin[2],
+    )
     with np.errstate(invalid="ignore"):
         point = origin + ((-b - np.sqrt(b * b - a * c)) / a)[..., None] * d
     normal = w * point - [0, 0, radius]
     normal /= np.linalg.norm(normal, axis=-1, keepdims=True)
     mirror = d - 2 * (d * normal).sum(-1, keepdims=True) * normal
-    off = np.linalg.norm((lamp - point) / np.linalg.norm(lamp - point, axis=-1, keepdims=True) - mirror, axis=-1)
+    off = np.linalg.norm(
+        (lamp - point) / np.linalg.norm(lamp - point, axis=-1, keepdims=True) - mirror, axis=-1
+    )
     expected = np.array(np.unravel_index(np.nanargmin(off), off.shape))
     lights = Lights.points(lamp, 1.0, radius=0.05)
-    picture = np.asarray(prepare(Scene(IRIS, eye=WHITE, lights=lights, camera=camera), tables).base)[1].reshape(
-        180, 240
-    )
+    picture = np.asarray(
+        prepare(Scene(IRIS, eye=WHITE, lights=lights, camera=camera), tables).base
+    )[1].reshape(180, 240)
     bright = np.argwhere(picture > 0.5 * picture.max())
     np.testing.assert_allclose(bright.mean(0), expected, atol=0.6)
-    assert picture.max() == pytest.approx((0.337 / 2.337) ** 2 / (np.pi * np.sin(0.05) ** 2), rel=0.03)
+    assert picture.max() == pytest.approx(
+        (0.337 / 2.337) ** 2 / (np.pi * np.sin(0.05) ** 2), rel=0.03
+    )
 
 
 def test_white_in_an_even_room(tables):
@@ -128,7 +148,9 @@ def test_white_in_an_even_room(tables):
     view = look(made.eye, made.camera)
     picture = np.asarray(prepare(made, tables).base)
     index = np.asarray(view.sclera.index)
-    share, reflectance = (np.asarray(v)[index >= 0] for v in (view.sclera.share, view.sclera.reflectance))
+    share, reflectance = (
+        np.asarray(v)[index >= 0] for v in (view.sclera.share, view.sclera.reflectance)
+    )
     index = index[index >= 0]
     whole = share == 1
     room_in_it = np.asarray(view.mirror.reflectance)
@@ -140,7 +162,9 @@ def test_white_in_an_even_room(tables):
     # Reflectance times the room's radiance of 1; with 50 lights for the room 2 %, with 200 0.3, with 800 0.1.
     assert np.ptp(green) / green.mean() < 0.01
     weights = np.asarray(tristimulus_matrix(GRID, "linear sRGB", "D65")[0])[1]
-    np.testing.assert_allclose(green.mean(), weights @ np.asarray(bulk_reflectance(GRID)), rtol=2e-3)
+    np.testing.assert_allclose(
+        green.mean(), weights @ np.asarray(bulk_reflectance(GRID)), rtol=2e-3
+    )
 
 
 def test_vessels_have_their_colours_of_81_wavelengths(tables):
@@ -153,7 +177,9 @@ def test_vessels_have_their_colours_of_81_wavelengths(tables):
     spectral = np.asarray(prepare(made, tables, wavelengths=GRID).base)[:, index]
     power = np.asarray(ij.measure.colour.illuminant_power("D65", GRID))
     weights = np.asarray(tristimulus_matrix(GRID, "linear sRGB", "D65")[0])
-    np.testing.assert_allclose(np.asarray(prepare(made, tables).base)[:, index], weights / power @ spectral, atol=2e-4)
+    np.testing.assert_allclose(
+        np.asarray(prepare(made, tables).base)[:, index], weights / power @ spectral, atol=2e-4
+    )
 
 
 @pytest.mark.slow  # 15 s of searching another eye's table
@@ -175,10 +201,17 @@ def test_cone_is_lit_alike_by_both_tables():
 def test_what_cannot_be_is_named():
     with pytest.raises(ValueError, match=r"lights: radius 0 is outside \(0, pi\] radians"):
         Lights.distant(0.3, 0.0, radius=0.0)
-    with pytest.raises(ValueError, match=r"aqueous_index is 1.336 of the iris and 1.376 of the eye"):
+    with pytest.raises(
+        ValueError, match=r"aqueous_index is 1.336 of the iris and 1.376 of the eye"
+    ):
         Scene(IRIS, eye=Eye(cornea=Cornea.f09(), aqueous_index=1.376))
     single = dataclasses.replace(Cornea.f09(), scatter=None)
-    assert Scene(IRIS.replace(aqueous_index=1.376), eye=Eye(cornea=single, aqueous_index=1.376)).eye.cornea is not None
+    assert (
+        Scene(
+            IRIS.replace(aqueous_index=1.376), eye=Eye(cornea=single, aqueous_index=1.376)
+        ).eye.cornea
+        is not None
+    )
 
 
 @pytest.mark.slow  # 20 s of compiling

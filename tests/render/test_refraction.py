@@ -67,7 +67,9 @@ def test_snells_law_at_the_entry_found(eye):
     k = np.asarray(found.entry)
     rays = trace(eye, k, light)
     np.testing.assert_allclose(rays.point[:, :2], targets, atol=1e-9)
-    _, inside, _ = into_chamber(eye, on_cornea(eye.cornea, found.entry), jnp.broadcast_to(-jnp.asarray(light), (40, 3)))
+    _, inside, _ = into_chamber(
+        eye, on_cornea(eye.cornea, found.entry), jnp.broadcast_to(-jnp.asarray(light), (40, 3))
+    )
     within, last = rays.met[-1][1], np.asarray(inside)
     normal, *_, n_in, n_out = rays.met[-1]
     sine = [np.linalg.norm(np.cross(normal, v), axis=1) for v in (within, last)]
@@ -82,9 +84,11 @@ def test_rays_and_shares_are_numpys(eye, polar):
     light = towards(polar)
     k, _ = disc(5.5, 500)
     rays = trace(eye, k, light)
-    found = jax.jit(lambda k: enter(eye, on_cornea(eye.cornea, k), jnp.broadcast_to(-jnp.asarray(light), (500, 3))))(
-        jnp.asarray(k)
-    )
+    found = jax.jit(
+        lambda k: enter(
+            eye, on_cornea(eye.cornea, k), jnp.broadcast_to(-jnp.asarray(light), (500, 3))
+        )
+    )(jnp.asarray(k))
     lit = rays.share > 0
     np.testing.assert_allclose(np.asarray(found.point)[lit], rays.point[lit], atol=1e-10)
     np.testing.assert_allclose(np.asarray(found.share), rays.share, atol=1e-12)
@@ -183,7 +187,10 @@ def test_no_light_meets_the_cornea_from_inside(eye):
     index = float(eye.aqueous_index if eye.cornea.posterior is None else eye.cornea.index)
     radius, p = 7.8, 0.75
     r, theta, turn = np.meshgrid(
-        np.linspace(0, 5.5, 56), np.linspace(0, np.arcsin(1 / index), 30), np.linspace(0, np.pi, 37), indexing="ij"
+        np.linspace(0, 5.5, 56),
+        np.linspace(0, np.arcsin(1 / index), 30),
+        np.linspace(0, np.pi, 37),
+        indexing="ij",
     )
     z = (radius - np.sqrt(radius**2 - p * r**2)) / p
     inwards = np.stack([-r, 0 * r, radius - p * z], -1)

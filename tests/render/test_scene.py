@@ -28,7 +28,10 @@ from render.tracing import trace
 
 LIGHT = ij.Iris.preset("low")
 CLEAR = Cornea(scatter=None)
-BARE, CLOSE = Eye(cornea=None, sclera=None, pupil_radius=0.25), Eye(sclera=None, cornea=CLEAR, pupil_radius=0.25)
+BARE, CLOSE = (
+    Eye(cornea=None, sclera=None, pupil_radius=0.25),
+    Eye(sclera=None, cornea=CLEAR, pupil_radius=0.25),
+)
 SMALL = Camera(size=(12, 9), width=11.0)
 # A cheaper solver: the error of its quadrature is no matter of the picture's.
 QUICK = Separable(degrees=(5, 4, 2, 2, 3), solver=ij.Exact(8))
@@ -41,7 +44,12 @@ def tables():
 
 def scene(eye=BARE, polar=0.0, azimuth=0.0, irradiance=np.pi, **parts):
     lights = parts.pop("lights", Lights.distant(polar, azimuth, irradiance))
-    return Scene(parts.pop("iris", LIGHT), eye=eye, lights=lights, **{"camera": SMALL, "integrator": QUICK, **parts})
+    return Scene(
+        parts.pop("iris", LIGHT),
+        eye=eye,
+        lights=lights,
+        **{"camera": SMALL, "integrator": QUICK, **parts},
+    )
 
 
 def places(camera):
@@ -78,10 +86,14 @@ def test_bare_uniform_iris_is_the_brdf(polar):
     true = np.asarray(irradiance * bands.weights @ at_bands).T
     np.testing.assert_allclose(picture[seen], true, atol=2 * error * true.max())
     linear = jax.vmap(lambda s: ij.measure.colour.colour_of(x, s).srgb_linear)(irradiance * found.T)
-    to_xyz = np.array([[0.4124, 0.3576, 0.1805], [0.2126, 0.7152, 0.0722], [0.0193, 0.1192, 0.9505]])
+    to_xyz = np.array(
+        [[0.4124, 0.3576, 0.1805], [0.2126, 0.7152, 0.0722], [0.0193, 0.1192, 0.9505]]
+    )
 
     def lab(rgb):
-        return jax.vmap(ij.measure.colour.lab_of)(jnp.asarray(np.asarray(rgb) @ to_xyz.T / to_xyz.sum(1)))
+        return jax.vmap(ij.measure.colour.lab_of)(
+            jnp.asarray(np.asarray(rgb) @ to_xyz.T / to_xyz.sum(1))
+        )
 
     assert delta_E_CIE2000(np.asarray(lab(picture[seen])), np.asarray(lab(linear))).max() < 0.5
 
@@ -102,9 +114,13 @@ def test_through_a_cornea(tables):
     cosine = after[2]
     irradiance = 2.0 * at.share[1] * concentration
     x81 = colour_bands().wavelengths
-    brdf = ij.brdf(LIGHT, x81, cos_incidence=cosine, cos_exit=cosine, solver=QUICK.solver).values[:, 0]
+    brdf = ij.brdf(LIGHT, x81, cos_incidence=cosine, cos_exit=cosine, solver=QUICK.solver).values[
+        :, 0
+    ]
     expected = at.share[1] / n**2 * irradiance * np.asarray(colour_bands().weights @ brdf)
-    mirrored = np.asarray(render(scene(CLOSE, irradiance=2.0, camera=camera, maps=NO_LIGHT_BACK), tables))
+    mirrored = np.asarray(
+        render(scene(CLOSE, irradiance=2.0, camera=camera, maps=NO_LIGHT_BACK), tables)
+    )
     np.testing.assert_allclose((picture - mirrored)[row, column], expected, rtol=5e-3)
 
 
@@ -115,7 +131,9 @@ NO_LIGHT_BACK = IrisMaps(abl_thickness=np.full((4, 4), 50.0))
 @pytest.mark.parametrize("eye", [BARE, CLOSE], ids=["bare", "cornea"])
 def test_mirrored_light_mirrored_picture(eye, tables):
     used = None if eye.cornea is None else tables
-    right, left, up = (np.asarray(render(scene(eye, 0.7, a), used)) for a in (0.4, np.pi - 0.4, -0.4))
+    right, left, up = (
+        np.asarray(render(scene(eye, 0.7, a), used)) for a in (0.4, np.pi - 0.4, -0.4)
+    )
     assert right.max() > 0
     np.testing.assert_allclose(left, right[:, ::-1], atol=1e-9)
     np.testing.assert_allclose(up, right[::-1], atol=1e-9)
@@ -143,10 +161,14 @@ def test_maps_lie_where_they_are_drawn():
     light, dark = (np.asarray(render(scene(iris=i)))[..., 1] for i in (LIGHT, six))
     x, y = places(SMALL)
     seen = (np.hypot(x, y) < 5) & (np.hypot(x, y) > 1) & (np.minimum(abs(x), abs(y)) > 0.3)
-    np.testing.assert_allclose(picture[seen], np.where((x > 0) & (y > 0), dark, light)[seen], rtol=1e-2)
+    np.testing.assert_allclose(
+        picture[seen], np.where((x > 0) & (y > 0), dark, light)[seen], rtol=1e-2
+    )
     assert (dark[seen] < 0.8 * light[seen]).all()
     # From the right the camera sees the right half wider, its own left and right as they were.
-    turned = np.asarray(render(scene(maps=corner, camera=Camera(polar=0.6, size=(12, 9), width=11.0))))[..., 1]
+    turned = np.asarray(
+        render(scene(maps=corner, camera=Camera(polar=0.6, size=(12, 9), width=11.0)))
+    )[..., 1]
     assert turned[1:4, 7:9].mean() < 0.8 * turned[1:4, 3:5].mean()
 
 
@@ -157,7 +179,8 @@ def test_cornea_of_air_is_no_cornea():
     inside = np.hypot(x, y) < 4.5  # slanting light reaches the rest from beyond the limbus
     iris = LIGHT.replace(aqueous_index=1.0)
     pictures = [
-        np.asarray(render(scene(eye, 0.3, 1.0, iris=iris), t))[inside] for eye, t in ((air, made), (BARE, None))
+        np.asarray(render(scene(eye, 0.3, 1.0, iris=iris), t))[inside]
+        for eye, t in ((air, made), (BARE, None))
     ]
     np.testing.assert_allclose(*pictures, rtol=2e-3, atol=1e-6)
 
@@ -192,7 +215,13 @@ def test_extremes_are_finite_and_no_darker_than_black(name, tables):
 
 
 def test_no_pigment_at_all():
-    clear = {"eumelanin": 0.0, "pheomelanin": 0.0, "oxyhemoglobin": 0.0, "deoxyhemoglobin": 0.0, "lutein": 0.0}
+    clear = {
+        "eumelanin": 0.0,
+        "pheomelanin": 0.0,
+        "oxyhemoglobin": 0.0,
+        "deoxyhemoglobin": 0.0,
+        "lutein": 0.0,
+    }
     holes = IrisMaps(abl_thickness=np.zeros((4, 4)), stroma_thickness=np.zeros((4, 4)))
     for maps in (None, holes):
         stage = prepare(scene(maps=maps))
@@ -203,12 +232,16 @@ def test_no_pigment_at_all():
 def test_stage_serves_other_pigments(tables):
     dark = LIGHT.replace(eumelanin=3.0)
     made = scene(CLOSE, 0.6, 2.0)
-    np.testing.assert_allclose(prepare(made, tables)(dark), render(made.replace(iris=dark), tables), atol=1e-12)
+    np.testing.assert_allclose(
+        prepare(made, tables)(dark), render(made.replace(iris=dark), tables), atol=1e-12
+    )
 
 
 def test_lights_add_up(tables):
     one, two = Lights.distant(0.6, 2.0, 1.5), Lights.points([20.0, -10.0, -60.0], 2.5)
-    pictures = [np.asarray(render(scene(CLOSE, lights=which), tables)) for which in (one + two, one, two)]
+    pictures = [
+        np.asarray(render(scene(CLOSE, lights=which), tables)) for which in (one + two, one, two)
+    ]
     np.testing.assert_allclose(pictures[0], pictures[1] + pictures[2], atol=1e-9)
 
 
@@ -242,17 +275,24 @@ def test_absent_parts_cost_nothing(tables):
         "relief": IrisMaps(stroma_thickness=one, freckles=0 * one, relief=0 * one),
         "pigment": IrisMaps(stroma_thickness=one, freckles=0 * one, relief=0 * one, eumelanin=one),
     }
-    lamp, tinted = Lights.distant(0.5, 1.0), Lights(jnp.array([[0, 0, -1.0]]), jnp.ones(1), jnp.ones((1, 3)))
+    lamp, tinted = (
+        Lights.distant(0.5, 1.0),
+        Lights(jnp.array([[0, 0, -1.0]]), jnp.ones(1), jnp.ones((1, 3))),
+    )
     counts = [
         operations(
-            lambda m=m: QUICK.place(pixels, lamp, eye, iris, m, tables, Scales.of(m, iris).ranges(), Memory())[0]
+            lambda m=m: QUICK.place(
+                pixels, lamp, eye, iris, m, tables, Scales.of(m, iris).ranges(), Memory()
+            )[0]
         )
         for m in maps.values()
     ]
     assert counts == sorted(set(counts)), dict(zip(maps, counts, strict=True))
     # The polynomials of a scale that does not vary are not there.
     responses = [
-        operations(lambda r=r, s=s: eqx.filter_jit(QUICK.response)(iris, colour_bands(), r)(s, jnp.ones(2)))
+        operations(
+            lambda r=r, s=s: eqx.filter_jit(QUICK.response)(iris, colour_bands(), r)(s, jnp.ones(2))
+        )
         for r, s in ((Scales(), Scales()), (Scales(abl=(0.5, 2.0)), Scales(abl=jnp.ones(2))))
     ]
     assert responses[0] < responses[1]
@@ -263,23 +303,32 @@ def test_absent_parts_cost_nothing(tables):
     assert light(lamp, BARE, None) < light(lamp, eye, tables)
     assert shading.field_of(lamp, eye, iris, tables).flux.shape[0] == 1
     assert shading.field_of(tinted, eye, iris, tables).flux.shape[0] == 3
-    sight = [operations(lambda e=e: _iris(jnp.arange(9), e, SMALL)) for e in (BARE, CLOSE, Eye(cornea=CLEAR))]
+    sight = [
+        operations(lambda e=e: _iris(jnp.arange(9), e, SMALL))
+        for e in (BARE, CLOSE, Eye(cornea=CLEAR))
+    ]
     assert sight == sorted(set(sight))
     view = look(Eye(), SMALL)
     room = surface.room_at(view.mirror, Environment(jnp.ones((4, 8, 3))))
     mirrors = [
-        operations(lambda r=r: surface.mirrored((view.mirror, None, r), lamp, jnp.ones(3))) for r in (None, room)
+        operations(lambda r=r: surface.mirrored((view.mirror, None, r), lamp, jnp.ones(3)))
+        for r in (None, room)
     ]
     table = colour_table(Eye().sclera, np.array([450.0, 600.0]), np.ones((3, 2)))
     drawn = VeinMap(*(jnp.zeros((4, 4)) for _ in range(3)))
-    whites = [operations(lambda v=v: surface.white_colour(view.sclera, Eye(), table, v)) for v in (None, drawn)]
+    whites = [
+        operations(lambda v=v: surface.white_colour(view.sclera, Eye(), table, v))
+        for v in (None, drawn)
+    ]
     assert mirrors[0] < mirrors[1] and whites[0] < whites[1]
     assert look(BARE, SMALL).mirror is None and look(CLOSE, SMALL).sclera is None
 
 
 def test_only_what_changed_is_made_again(tables):
     """Pictures of a scene that changes, with and without a memory of the one before."""
-    maps = IrisMaps(stroma_thickness=ring(lambda x, y: 0.3 + 0.02 * x), relief=ring(lambda x, y: 0.01 * y))
+    maps = IrisMaps(
+        stroma_thickness=ring(lambda x, y: 0.3 + 0.02 * x), relief=ring(lambda x, y: 0.01 * y)
+    )
     made = scene(maps=maps, eye=Eye(), veins=VeinMap(*(jnp.full((4, 4), 0.1) for _ in range(3))))
     memory = Memory()
     tables = made.tables()
@@ -351,7 +400,9 @@ def test_settings_of_this_thread_hold_for_all_pixels(monkeypatch, bits):
     monkeypatch.setattr(chunks, "_threads", lambda: 2)
     with jax.enable_x64(bits == 32):
         found = chunks.side_by_side(lambda share, shares: share + jnp.arange(3.0) / 3, chunks._FEW)
-        assert {x.dtype for x in found} == {jnp.result_type(float)} == {jnp.dtype(f"float{96 - bits}")}
+        assert (
+            {x.dtype for x in found} == {jnp.result_type(float)} == {jnp.dtype(f"float{96 - bits}")}
+        )
     with jax.default_device(jax.devices("cpu")[0]):
         chunks.side_by_side(lambda share, shares: share, chunks._FEW)
 
@@ -362,7 +413,9 @@ def brightness(tables, view, bands, ranges):
     def of(iris, lights, maps):
         texels, _ = QUICK.place(view.iris, lights, CLOSE, iris, maps, tables, ranges, Memory())
         found = QUICK.response(iris, bands, ranges).shade(texels, None)
-        weight = jnp.cos(jnp.arange(found.size)).reshape(found.shape)  # no symmetry hides a derivative
+        weight = jnp.cos(jnp.arange(found.size)).reshape(
+            found.shape
+        )  # no symmetry hides a derivative
         return (found * (1 + weight)).sum()
 
     return of
@@ -371,20 +424,28 @@ def brightness(tables, view, bands, ranges):
 def test_a_pixel_that_looks_at_the_middle(tables):
     """Odd sizes have one; a relief has no slope there, and the pupil no light."""
     maps = IrisMaps(relief=ring(lambda x, y: 0.01 * y))
-    picture = np.asarray(render(scene(maps=maps, eye=CLOSE, camera=Camera(size=(13, 9), width=11.0)), tables))
+    picture = np.asarray(
+        render(scene(maps=maps, eye=CLOSE, camera=Camera(size=(13, 9), width=11.0)), tables)
+    )
     assert np.isfinite(picture).all()
 
 
 def test_derivatives_are_finite_differences(tables):
-    maps = IrisMaps(stroma_thickness=ring(lambda x, y: 0.28 + 0.1 * jnp.sin(3 * x) * jnp.cos(2 * y), 6, 12))
+    maps = IrisMaps(
+        stroma_thickness=ring(lambda x, y: 0.28 + 0.1 * jnp.sin(3 * x) * jnp.cos(2 * y), 6, 12)
+    )
     direction = jnp.asarray(np.random.default_rng(1).normal(size=maps.shape))
     ranges = Scales(stroma=(0.3, 2.0))
     of = brightness(tables, look(CLOSE, SMALL), colour_bands(), ranges)
 
-    def by(p):  # eumelanin, thickness along a direction, irradiance, polar angle, azimuth of the light
+    def by(
+        p,
+    ):  # eumelanin, thickness along a direction, irradiance, polar angle, azimuth of the light
         iris = eqx.tree_at(lambda i: i.eumelanin, LIGHT, LIGHT.eumelanin + p[0])
         lights = Lights.distant(0.613 + p[3], 1.234 + p[4], 2.0 + p[2])
-        changed = eqx.tree_at(lambda m: m.stroma_thickness, maps, maps.stroma_thickness + p[1] * direction)
+        changed = eqx.tree_at(
+            lambda m: m.stroma_thickness, maps, maps.stroma_thickness + p[1] * direction
+        )
         return of(iris, lights, changed)
 
     found = np.asarray(jax.jit(jax.grad(by))(jnp.zeros(5)))
@@ -417,7 +478,9 @@ def test_gradient_of_a_stage():
 
     slope = float(jax.grad(mean)(LIGHT.eumelanin))
     assert slope < 0
-    assert slope == pytest.approx(float(mean(LIGHT.eumelanin + 1e-5) - mean(LIGHT.eumelanin - 1e-5)) / 2e-5, rel=1e-5)
+    assert slope == pytest.approx(
+        float(mean(LIGHT.eumelanin + 1e-5) - mean(LIGHT.eumelanin - 1e-5)) / 2e-5, rel=1e-5
+    )
 
 
 def test_single_precision(tables):
@@ -433,6 +496,9 @@ def test_single_precision(tables):
         )  # fmt: skip
         return np.asarray(render(made, cast))
 
-    coarse, fine = picture(False), picture(True)  # ends as it began: other files' tests follow on this worker
+    coarse, fine = (
+        picture(False),
+        picture(True),
+    )  # ends as it began: other files' tests follow on this worker
     assert (fine.dtype, coarse.dtype) == (np.float64, np.float32)
     np.testing.assert_allclose(coarse, fine, rtol=1e-5, atol=1e-4)  # rtol: a highlight is 23

@@ -78,7 +78,10 @@ def test_table_errs_by_1e_4(space):
     def errors(blood):
         table = colour_table(Sclera(), GRID, weights)
         beyond = table(jnp.asarray(9.0)) - table(jnp.asarray(DEEPEST))
-        return [abs(table(b) - reflectance(Sclera(), GRID, b) @ weights.T).max() for b in (blood.depth, blood)], beyond
+        return [
+            abs(table(b) - reflectance(Sclera(), GRID, b) @ weights.T).max()
+            for b in (blood.depth, blood)
+        ], beyond
 
     found, beyond = errors(blood)
     assert max(found) < 2e-4
@@ -96,12 +99,16 @@ def test_map_values_and_time(drawn):
     assert np.asarray(drawn.cover).max() <= 1 and np.asarray(drawn.deep).max() <= 1
     assert np.asarray(drawn.depth).max() < 0.12
     other = veins(Eye(), shape=(256, 128), key=jax.random.key(4))
-    assert not np.array_equal(other.cover, veins(Eye(), shape=(256, 128), key=jax.random.key(5)).cover)
+    assert not np.array_equal(
+        other.cover, veins(Eye(), shape=(256, 128), key=jax.random.key(5)).cover
+    )
 
 
 def test_density():
     def cover(density):
-        return veins(Eye(sclera=Sclera(veins=density)), shape=(256, 128), key=jax.random.key(0)).cover.mean()
+        return veins(
+            Eye(sclera=Sclera(veins=density)), shape=(256, 128), key=jax.random.key(0)
+        ).cover.mean()
 
     assert veins(Eye(sclera=Sclera(veins=0.0)), key=jax.random.key(0)) is None
     assert cover(0.3) < cover(1.0) < cover(2.0)
@@ -110,7 +117,9 @@ def test_density():
 def test_cover_does_not_depend_on_the_texture():
     """A stroke keeps its area in coarse textures."""
     eye = Eye(sclera=Sclera(veins=0.1))
-    fine, coarse = (veins(eye, shape=s, key=jax.random.key(1)).cover.mean() for s in ((1024, 512), (512, 256)))
+    fine, coarse = (
+        veins(eye, shape=s, key=jax.random.key(1)).cover.mean() for s in ((1024, 512), (512, 256))
+    )
     np.testing.assert_allclose(coarse, fine, rtol=0.1)
 
 
@@ -125,7 +134,9 @@ def test_periodic_in_azimuth(drawn):
 
     def at(azimuth):
         s = r * np.sin(across)
-        return jnp.asarray(np.stack([s * np.cos(azimuth), s * np.sin(azimuth), centre - r * np.cos(across)], -1))
+        return jnp.asarray(
+            np.stack([s * np.cos(azimuth), s * np.sin(azimuth), centre - r * np.cos(across)], -1)
+        )
 
     look = jax.jit(lambda veins, eye, point: vein_depth_at(veins, *vein_place(eye, point)))
     for a, b in zip(look(drawn, eye, at(-1e-9)), look(drawn, eye, at(1e-9)), strict=True):
@@ -138,24 +149,34 @@ def test_look_up_at_a_cell_centre(drawn):
     limbus = np.arcsin(5.5 / 11.5)
     azimuth, polar = (i + 0.5) * 2 * np.pi / 1024, limbus + (j + 0.5) / 512 * (np.pi / 2 - limbus)
     centre = np.array([0, 0, float(sclera_centre(eye))])
-    point = centre + 11.5 * np.array([np.sin(polar) * np.cos(azimuth), np.sin(polar) * np.sin(azimuth), -np.cos(polar)])
+    point = centre + 11.5 * np.array(
+        [np.sin(polar) * np.cos(azimuth), np.sin(polar) * np.sin(azimuth), -np.cos(polar)]
+    )
     found = vein_depth_at(drawn, *vein_place(eye, jnp.asarray(point)))
-    np.testing.assert_allclose(found, [drawn.depth[i, j], drawn.cover[i, j], drawn.deep[i, j]], atol=1e-9)
+    np.testing.assert_allclose(
+        found, [drawn.depth[i, j], drawn.cover[i, j], drawn.deep[i, j]], atol=1e-9
+    )
 
 
-@pytest.mark.parametrize("eye", [Eye(), Eye(cornea=None), Eye(sclera=Sclera(radius=12.0), limbus_radius=5.8)])
+@pytest.mark.parametrize(
+    "eye", [Eye(), Eye(cornea=None), Eye(sclera=Sclera(radius=12.0), limbus_radius=5.8)]
+)
 def test_sphere_passes_through_the_limbus(eye):
     a = np.linspace(0, 6, 7)
     r = float(eye.limbus_radius)
     z = float(limbus_depth(eye))
     rim = np.stack([r * np.cos(a), r * np.sin(a), np.full(7, z)], -1)
     np.testing.assert_allclose(
-        np.linalg.norm(rim - [0, 0, float(sclera_centre(eye))], axis=-1), float(eye.sclera.radius), rtol=1e-14
+        np.linalg.norm(rim - [0, 0, float(sclera_centre(eye))], axis=-1),
+        float(eye.sclera.radius),
+        rtol=1e-14,
     )
     # Just outside the rim a ray along the axis meets the white, just inside it does not.
     for scale, white in ((1.001, True), (0.999, False)):
         origin = jnp.asarray(rim * [scale, scale, 0] - [0, 0, 20])
-        t, hit = jax.jit(meet_sclera)(eye, origin, jnp.broadcast_to(jnp.array([0.0, 0.0, 1.0]), origin.shape))
+        t, hit = jax.jit(meet_sclera)(
+            eye, origin, jnp.broadcast_to(jnp.array([0.0, 0.0, 1.0]), origin.shape)
+        )
         assert (np.asarray(hit) == white).all()
         np.testing.assert_allclose(t - 20, z, atol=0.02)
 
@@ -196,7 +217,9 @@ def test_single_precision(float32):
 
     @jax.jit
     def shaded(point):
-        return colour_table(eye.sclera, GRID, weights)(vein_depth_at(drawn, *vein_place(eye, point)))
+        return colour_table(eye.sclera, GRID, weights)(
+            vein_depth_at(drawn, *vein_place(eye, point))
+        )
 
     colour = shaded(jnp.array([[8.0, 2.0, 4.0]]))
     assert drawn.depth.dtype == drawn.deep.dtype == colour.dtype == jnp.float32

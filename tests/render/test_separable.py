@@ -36,9 +36,13 @@ N_ABL = float(LIGHT.indices().abl)
 @pytest.mark.parametrize("process", [ij.ILIT_2006, ij.ILIT_CORRECTED], ids=["2006", "corrected"])
 def test_uniform_iris(level, process):
     iris = ij.Iris.preset(level)
-    response = tabulated(Separable(process, solver=ij.Exact(12)), iris, spectral_bands(X, "E"), Scales())
+    response = tabulated(
+        Separable(process, solver=ij.Exact(12)), iris, spectral_bands(X, "E"), Scales()
+    )
     found = np.asarray(response(Scales(), jnp.asarray(EXITS)))
-    true = entering(np.asarray(ij.brdf(iris, X, cos_exit=EXITS, process=process, solver=ij.Exact(12)).values))
+    true = entering(
+        np.asarray(ij.brdf(iris, X, cos_exit=EXITS, process=process, solver=ij.Exact(12)).values)
+    )
     assert float(response.error) < 1e-3
     # The error is measured at a few exits; these are others.
     np.testing.assert_allclose(found, true, atol=2 * float(response.error) * true.max())
@@ -73,7 +77,9 @@ def test_pigment_maps_are_irides_of_their_own():
     response = tabulated(Separable(solver=ij.Exact(12)), LIGHT, spectral_bands(X, "E"), ranges)
     for eu, pheo in ((0.0, 1.0), (2.9, 0.6), (1.0, 3.9)):
         found = response(Scales(None, None, jnp.full(4, eu), jnp.full(4, pheo)), jnp.asarray(EXITS))
-        iris = LIGHT.replace(eumelanin=eu * float(LIGHT.eumelanin), pheomelanin=pheo * float(LIGHT.pheomelanin))
+        iris = LIGHT.replace(
+            eumelanin=eu * float(LIGHT.eumelanin), pheomelanin=pheo * float(LIGHT.pheomelanin)
+        )
         true = entering(brdf(iris, X, EXITS))
         np.testing.assert_allclose(found, true, atol=2 * float(response.error) * true.max() + 1e-12)
 
@@ -81,7 +87,9 @@ def test_pigment_maps_are_irides_of_their_own():
 def test_error_tells_a_table_too_coarse():
     def error(degree):
         integrator = Separable(degrees=(degree, 5, 4, 4, 3), solver=ij.Exact(8))
-        return float(tabulated(integrator, LIGHT, spectral_bands(X[:1], "E"), Scales(abl=(0.0, 30.0))).error)
+        return float(
+            tabulated(integrator, LIGHT, spectral_bands(X[:1], "E"), Scales(abl=(0.0, 30.0))).error
+        )
 
     assert error(2) > 0.02 > 2e-3 > error(12)
 

@@ -37,7 +37,15 @@ def camera(size=24):
 
 def scene(iris, maps=None, lights=None, n_steps=12, size=24):
     integrator = SingleScattering(n_steps)
-    return Scene(iris, maps, bare(), lamps() if lights is None else lights, None, camera(size), integrator=integrator)
+    return Scene(
+        iris,
+        maps,
+        bare(),
+        lamps() if lights is None else lights,
+        None,
+        camera(size),
+        integrator=integrator,
+    )
 
 
 def spectral(made):
@@ -64,7 +72,9 @@ def slab(layers, towards, direction):
     mu_i, mu_o = -towards[2], direction[:, 2]
     phase = 3 / (16 * np.pi) * (1 + (direction @ towards) ** 2)
     m = (1 / mu_i + 1 / mu_o)[:, None]
-    abl, tau, albedo = (np.asarray(x) for x in (layers.abl_absorption, layers.extinction, layers.albedo))
+    abl, tau, albedo = (
+        np.asarray(x) for x in (layers.abl_absorption, layers.extinction, layers.albedo)
+    )
     return phase[:, None] * albedo * np.exp(-abl * m) * (1 - np.exp(-tau * m)) / (m * mu_o[:, None])
 
 
@@ -103,8 +113,15 @@ def test_uniform_iris_is_the_closed_form(level):
 def mapped_layers(iris):
     """Those of `maps_of()`: concentrations stay as thicknesses change."""
     made = layers_of(iris.replace(eumelanin=0.5 * iris.eumelanin, pheomelanin=3 * iris.pheomelanin))
-    abl, stroma = 0.06 / float(iris.abl_thickness) * (1 + 11 * 0.2), 0.35 / float(iris.stroma_thickness)
-    depths = (made.abl_absorption * abl, made.stroma_absorption * stroma, made.stroma_scattering * stroma)
+    abl, stroma = (
+        0.06 / float(iris.abl_thickness) * (1 + 11 * 0.2),
+        0.35 / float(iris.stroma_thickness),
+    )
+    depths = (
+        made.abl_absorption * abl,
+        made.stroma_absorption * stroma,
+        made.stroma_scattering * stroma,
+    )
     return ij.Layers(*depths, indices=made.indices, order=made.order)
 
 
@@ -125,16 +142,22 @@ def test_radiative_transfer_where_little_is_scattered_twice():
     towards = np.asarray(lights.towards)[0]
     pick = np.flatnonzero(inside)[::17]
     # Both directions of travel: the light's, and that of the light sent back.
-    azimuth = np.arctan2(-direction[pick, 1], -direction[pick, 0]) - np.arctan2(-towards[1], -towards[0])
+    azimuth = np.arctan2(-direction[pick, 1], -direction[pick, 0]) - np.arctan2(
+        -towards[1], -towards[0]
+    )
     off = {"albedo": [], "depth": []}
     for what, factor in itertools.product(off, (1e2, 1e3)):
         if what == "albedo":  # fibrils nearly of the base's index hardly scatter
             iris = base.replace(collagen_index=1.5 - 0.03 / np.sqrt(factor))
         else:
             thin = {"stroma_thickness": base.stroma_thickness / factor}
-            iris = base.replace(eumelanin=0.0, pheomelanin=0.0, oxyhemoglobin=0.0, deoxyhemoglobin=0.0, **thin)
+            iris = base.replace(
+                eumelanin=0.0, pheomelanin=0.0, oxyhemoglobin=0.0, deoxyhemoglobin=0.0, **thin
+            )
         made = layers_of(iris)
-        solved = solve(ij.DEPTH_RESOLVED, made, -towards[2], ij.Exact(24), direction[pick, 2], azimuth)
+        solved = solve(
+            ij.DEPTH_RESOLVED, made, -towards[2], ij.Exact(24), direction[pick, 2], azimuth
+        )
         true = np.asarray(solved.brdf).T * -towards[2]
         found = shown(scene(iris, lights=lights))[pick]
         small = np.asarray(made.albedo if what == "albedo" else made.extinction)
@@ -151,7 +174,9 @@ def bilinear(texture, point):
     """As the maps are read: round in angle, held in radius."""
     rows, columns = texture.shape
     row = np.arctan2(point[:, 1], point[:, 0]) * rows / (2 * np.pi) - 0.5
-    column = np.clip((np.hypot(point[:, 0], point[:, 1]) - 1.9) / (5.5 - 1.9) * columns - 0.5, 0, columns - 1)
+    column = np.clip(
+        (np.hypot(point[:, 0], point[:, 1]) - 1.9) / (5.5 - 1.9) * columns - 0.5, 0, columns - 1
+    )
     i, j = np.floor(row).astype(int), np.minimum(column.astype(int), columns - 2)
     u, v = row - i, column - j
     a, b = i % rows, (i + 1) % rows
@@ -162,7 +187,9 @@ def bilinear(texture, point):
 def brute(iris, maps, point, direction, n=20_000):
     """Radiance of one ray in thin slices, coefficients from each slice's own place."""
     layers = mapped_layers(iris)
-    abl0, tau0, sca0 = (np.asarray(x) for x in (layers.abl_absorption, layers.extinction, layers.stroma_scattering))
+    abl0, tau0, sca0 = (
+        np.asarray(x) for x in (layers.abl_absorption, layers.extinction, layers.stroma_scattering)
+    )
     dz = 0.9 / n
     z = (np.arange(n) + 0.5) * dz
     place = point + direction * (z / direction[2])[:, None]
@@ -174,7 +201,9 @@ def brute(iris, maps, point, direction, n=20_000):
     here = np.where(z < a, mu_abl, mu) * dz / direction[2]
     seen = np.exp(-(np.cumsum(here, 0) - here / 2))
     total = 0.0
-    for towards, power in zip(np.asarray(lamps().towards), np.asarray(lamps().irradiance), strict=True):
+    for towards, power in zip(
+        np.asarray(lamps().towards), np.asarray(lamps().irradiance), strict=True
+    ):
         phase = 3 / (16 * np.pi) * (1 + (direction @ towards) ** 2)
         arriving = power * phase * np.exp(-(mu_abl * a + mu * (z - a)) / -towards[2])
         total = total + (np.where(z < a, 0.0, arriving * mu_s) * seen).sum(0) * dz / direction[2]
@@ -193,7 +222,10 @@ def test_marching_converges_to_thin_slices():
         off[n_steps] = np.sqrt(np.mean((found / true - 1) ** 2))
     # The uniform iris is not that: it takes the march to get there.
     flat = shown(scene(iris, maps_of()))[pick]
-    print({n: f"{e:.2e}" for n, e in off.items()}, f"uniform {np.sqrt(np.mean((flat / true - 1) ** 2)):.2f}")
+    print(
+        {n: f"{e:.2e}" for n, e in off.items()},
+        f"uniform {np.sqrt(np.mean((flat / true - 1) ** 2)):.2f}",
+    )
     # First order, for where a layer ends is known to a step; half of that, for the error of one ray is erratic.
     assert off[384] < off[12] / 16
     assert np.sqrt(np.mean((flat / true - 1) ** 2)) > 0.05

@@ -37,7 +37,11 @@ def memory(rows, width, channels=3, samples=1):
 
 def joined(made, **options):
     found = list(bands(made, **options))
-    return np.concatenate([band.pixels for band in found]), [len(band.pixels) for band in found], found[0].error
+    return (
+        np.concatenate([band.pixels for band in found]),
+        [len(band.pixels) for band in found],
+        found[0].error,
+    )
 
 
 # 16 rows: even bands, a last one that is smaller (its rows are drawn twice), single rows.

@@ -24,7 +24,9 @@ def towards(polar):
 def trace(eye, k, light):
     """Light from the unit vector `light`, one for all or one a ray, that enters at k (rays, 2)."""
     cornea = eye.cornea
-    surfaces = [(cornea.anterior, float(eye.aqueous_index if cornea.posterior is None else cornea.index))]
+    surfaces = [
+        (cornea.anterior, float(eye.aqueous_index if cornea.posterior is None else cornea.index))
+    ]
     if cornea.posterior is not None:
         surfaces.append((cornea.posterior, float(eye.aqueous_index)))
     radius, p, apex = _numbers(cornea.anterior)

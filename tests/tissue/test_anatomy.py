@@ -13,7 +13,10 @@ from irisjax.render.scene import Scene
 from irisjax.tissue.anatomy import Cornea, Eye
 from irisjax.tissue.iris import Iris
 
-CORNEAS = {"single": lambda: Cornea(posterior=None), "thick": lambda: Cornea(posterior=Conicoid(6.5, 0.75, 0.8))}
+CORNEAS = {
+    "single": lambda: Cornea(posterior=None),
+    "thick": lambda: Cornea(posterior=Conicoid(6.5, 0.75, 0.8)),
+}
 # Sagittae at 5.5 mm: 2.1643 mm of the anterior cornea, 0.52 + 2.7694 mm of the posterior one.
 SHALLOW = [
     ({}, 3.29),
@@ -22,7 +25,10 @@ SHALLOW = [
     ({"iris_radius": 7.0}, 3.29),
     ({"cornea": "single", "limbus_radius": 6.2, "iris_radius": 6.2}, 2.857),
     ({"cornea": "single", "limbus_radius": 6.2, "iris_slope": -0.3}, 3.815),
-    ({"cornea": "single", "limbus_radius": 6.2, "iris_slope": 0.3}, 2.857),  # the limbus, whatever its root does
+    (
+        {"cornea": "single", "limbus_radius": 6.2, "iris_slope": 0.3},
+        2.857,
+    ),  # the limbus, whatever its root does
     ({"cornea": "thick"}, 3.57),
 ]
 
@@ -33,7 +39,9 @@ def test_least_depth_is_named_and_holds(options, least, bits):
     if "cornea" in options:  # made at this precision
         options = options | {"cornea": CORNEAS[options["cornea"]]()}
     shallow = least - 0.002
-    with pytest.raises(ValueError, match=rf"iris_depth = {shallow:g} mm .* must be at least {least:g} mm"):
+    with pytest.raises(
+        ValueError, match=rf"iris_depth = {shallow:g} mm .* must be at least {least:g} mm"
+    ):
         Eye(iris_depth=shallow, **options)
     eye = Eye(iris_depth=least, **options)
     # All that enters within the limbus meets the iris in front of it.
@@ -79,4 +87,6 @@ def test_depth_may_be_traced():
     assert jax.vmap(lands)(jnp.asarray([3.3, 3.6])).shape == (2,)
     assert np.isfinite(lands_deep := eqx.filter_jit(lands)(3.6)) and lands_deep < 2.0
     # The radius may be traced as well, with a depth that is known.
-    assert jax.jit(lambda r: Eye(iris_depth=3.0, iris_radius=r).iris_radius)(jnp.asarray(5.0)) == 5.0
+    assert (
+        jax.jit(lambda r: Eye(iris_depth=3.0, iris_radius=r).iris_radius)(jnp.asarray(5.0)) == 5.0
+    )

@@ -28,7 +28,11 @@ def test_gladstone_dale_ends():
 
 def test_scattering_as_printed(bits):
     mu = scattering_lb06(
-        jnp.asarray([400.0, 500.0, 600.0]), jnp.asarray(30.0), jnp.asarray(COLLAGEN_FRACTION), 1.47, 1.5
+        jnp.asarray([400.0, 500.0, 600.0]),
+        jnp.asarray(30.0),
+        jnp.asarray(COLLAGEN_FRACTION),
+        1.47,
+        1.5,
     )
     # rel: half a unit of the sixth place printed in ilit.md.
     np.testing.assert_allclose(mu, [0.631629, 0.258715, 0.124766], rtol=4.1e-6)
@@ -37,13 +41,19 @@ def test_scattering_as_printed(bits):
 def test_scattering_of_spheres_by_hand():
     """24π³ n⁴ f V λ⁻⁴ ((m²−1)/(m²+2))² at 500 nm, worked in mm."""
     m, volume, wavelength = 1.47 / 1.5, 4 / 3 * np.pi * (30e-6) ** 3, 500e-6
-    expected = 24 * np.pi**3 * 1.5**4 * 0.9069 * volume / wavelength**4 * ((m * m - 1) / (m * m + 2)) ** 2
-    found = scattering_rayleigh_spheres(jnp.asarray([500.0]), jnp.asarray(30.0), jnp.asarray(0.9069), 1.47, 1.5)
+    expected = (
+        24 * np.pi**3 * 1.5**4 * 0.9069 * volume / wavelength**4 * ((m * m - 1) / (m * m + 2)) ** 2
+    )
+    found = scattering_rayleigh_spheres(
+        jnp.asarray([500.0]), jnp.asarray(30.0), jnp.asarray(0.9069), 1.47, 1.5
+    )
     assert found[0] == pytest.approx(expected, rel=1e-12)
 
 
 def test_density():
-    assert scatterer_density(30e-6, 0.9069) == pytest.approx(0.9069 / 1.1309733552923255e-13, rel=1e-12)
+    assert scatterer_density(30e-6, 0.9069) == pytest.approx(
+        0.9069 / 1.1309733552923255e-13, rel=1e-12
+    )
 
 
 def test_order_is_static_for_concrete_indices():

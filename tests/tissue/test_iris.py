@@ -29,7 +29,9 @@ def test_presets_are_table_2(level, eumelanin, pheomelanin):
 
 
 def test_unknown_preset():
-    with pytest.raises(ValueError, match="unknown pigmentation level 'blue'; known: high, low, moderate"):
+    with pytest.raises(
+        ValueError, match="unknown pigmentation level 'blue'; known: high, low, moderate"
+    ):
         ij.Iris.preset("blue")
 
 
@@ -44,14 +46,18 @@ def test_depths_of_the_reference_tables():
             ]  # fmt: skip
             assert len(chosen) == 31
             grid = np.array([float(r["wavelength_nm"]) for r in chosen])
-            layers = ij.Iris.preset(level).replace(abl_fraction=fraction).layers(ij.extinction(grid))
+            layers = (
+                ij.Iris.preset(level).replace(abl_fraction=fraction).layers(ij.extinction(grid))
+            )
             for name, found in (
                 ("mu_a_abl", layers.abl_absorption / H_A),
                 ("mu_a_stroma", layers.stroma_absorption / H_S),
                 ("mu_s_stroma", layers.stroma_scattering / H_S),
             ):
                 # The file prints nine digits.
-                np.testing.assert_allclose(found, [float(r[name]) for r in chosen], rtol=6e-9, err_msg=name)
+                np.testing.assert_allclose(
+                    found, [float(r[name]) for r in chosen], rtol=6e-9, err_msg=name
+                )
 
 
 @given(st.floats(0, 1), st.floats(0, 5), st.floats(0, 5), st.floats(0.01, 1), st.floats(0.01, 1))
@@ -63,10 +69,14 @@ def test_abl_fraction_is_the_share_of_mass(fraction, eumelanin, pheomelanin, h_a
     assert iris.melanin_load == pytest.approx((eumelanin + pheomelanin) * (h_a + h_s), rel=1e-14)
     assert iris.abl_melanin == pytest.approx(fraction * float(iris.melanin_load), rel=1e-14)
     table = ij.extinction(np.array([550.0]))
-    mass = (float(table.eumelanin[0]) * eumelanin + float(table.pheomelanin[0]) * pheomelanin) * (h_a + h_s)
+    mass = (float(table.eumelanin[0]) * eumelanin + float(table.pheomelanin[0]) * pheomelanin) * (
+        h_a + h_s
+    )
     layers = iris.layers(table)
     assert layers.abl_absorption[0] == pytest.approx(fraction * mass, rel=1e-13, abs=1e-300)
-    assert layers.stroma_absorption[0] == pytest.approx((1 - fraction) * mass, rel=1e-13, abs=1e-300)
+    assert layers.stroma_absorption[0] == pytest.approx(
+        (1 - fraction) * mass, rel=1e-13, abs=1e-300
+    )
 
 
 def test_melanin_load_is_settable():
@@ -192,8 +202,12 @@ def test_layers_from_coefficients():
     )
     assert scalar.abl_absorption.shape == (3,)
     for bad in (-1.0, np.nan, np.inf):
-        with pytest.raises(ValueError, match="mu_s_stroma times its thickness must be finite and not negative"):
-            ij.Layers.from_coefficients(1.0, 1.0, bad, abl_thickness=1.0, stroma_thickness=1.0, indices=iris.indices())
+        with pytest.raises(
+            ValueError, match="mu_s_stroma times its thickness must be finite and not negative"
+        ):
+            ij.Layers.from_coefficients(
+                1.0, 1.0, bad, abl_thickness=1.0, stroma_thickness=1.0, indices=iris.indices()
+            )
 
 
 def test_albedo_of_nothing():

@@ -49,14 +49,20 @@ def test_out_of_range_names_table_and_range(pigment):
     """The first table that ends is named; the pigment's own message is asked for one by one."""
     low, high = table_range(pigment)
     for bad in (low - 1, high + 1, np.nan):
-        with pytest.raises(ValueError, match=r"wavelength .* nm is outside the \w+ table \(.* to .* nm\)"):
+        with pytest.raises(
+            ValueError, match=r"wavelength .* nm is outside the \w+ table \(.* to .* nm\)"
+        ):
             ij.extinction(np.array([bad]))
 
 
 def test_message():
-    with pytest.raises(ValueError, match=r"^wavelength 345 nm is outside the lutein table \(350 to 800 nm\)$"):
+    with pytest.raises(
+        ValueError, match=r"^wavelength 345 nm is outside the lutein table \(350 to 800 nm\)$"
+    ):
         ij.extinction(np.array([400.0, 345.0]))
-    with pytest.raises(ValueError, match=r"^wavelength 821 nm is outside the (pheomelanin|lutein|eumelanin) table"):
+    with pytest.raises(
+        ValueError, match=r"^wavelength 821 nm is outside the (pheomelanin|lutein|eumelanin) table"
+    ):
         ij.extinction(np.array([821.0]))
 
 
@@ -78,4 +84,6 @@ def test_traced_wavelengths_out_of_range_raise():
 
 
 def test_precision(bits):
-    assert ij.extinction(np.array([500.0])).lutein.dtype == (np.float64 if bits == 64 else np.float32)
+    assert ij.extinction(np.array([500.0])).lutein.dtype == (
+        np.float64 if bits == 64 else np.float32
+    )

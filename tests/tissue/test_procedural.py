@@ -32,14 +32,19 @@ def test_every_map_is_there_and_within_what_irides_are(everything):
 @pytest.mark.parametrize("layer", ["stroma_thickness", "abl_thickness"])
 def test_area_means_are_those_of_the_iris(everything, layer):
     iris = ij.Iris()
-    place = iris.pupil_radius + (iris.iris_radius - iris.pupil_radius) * (jnp.arange(SHAPE[1]) + 0.5) / SHAPE[1]
+    place = (
+        iris.pupil_radius
+        + (iris.iris_radius - iris.pupil_radius) * (jnp.arange(SHAPE[1]) + 0.5) / SHAPE[1]
+    )
     mean = (getattr(everything, layer) * place).sum() / (SHAPE[0] * place.sum())
     np.testing.assert_allclose(mean, getattr(iris, layer), rtol=1e-12)
 
 
 def test_equal_keys_give_equal_maps_and_others_do_not(everything):
     again = procedural(ij.Iris(), shape=SHAPE, freckles=5, abl=1.0, heterochromia=2.0, key=KEY)
-    other = procedural(ij.Iris(), shape=SHAPE, freckles=5, abl=1.0, heterochromia=2.0, key=jax.random.key(8))
+    other = procedural(
+        ij.Iris(), shape=SHAPE, freckles=5, abl=1.0, heterochromia=2.0, key=jax.random.key(8)
+    )
     for name, m in everything.present().items():
         np.testing.assert_array_equal(m, again.present()[name])
         assert jnp.abs(m - other.present()[name]).max() > 0.1 * jnp.ptp(m), name
@@ -66,7 +71,9 @@ def test_noise_is_periodic():
 
 def test_profile_passes_through_ultrasound():
     r = (np.array([2.25, 3.5, 5.0]) - 2.0) / 3.5
-    np.testing.assert_allclose(stroma_profile(jnp.asarray(r)) + 0.07 + 0.05675, [0.645, 0.457, 0.372])
+    np.testing.assert_allclose(
+        stroma_profile(jnp.asarray(r)) + 0.07 + 0.05675, [0.645, 0.457, 0.372]
+    )
 
 
 @pytest.mark.parametrize(
@@ -87,7 +94,9 @@ def test_maps_that_nothing_needs_are_absent(asked, present):
 
 
 def test_errors():
-    with pytest.raises(ValueError, match="unknown eye colour 'red'; known: blue, brown, green, grey, hazel"):
+    with pytest.raises(
+        ValueError, match="unknown eye colour 'red'; known: blue, brown, green, grey, hazel"
+    ):
         preset("red", key=KEY)
     with pytest.raises(ValueError, match="crypts = -1 must be finite and not negative"):
         procedural(ij.Iris(), crypts=-1, key=KEY)
@@ -98,7 +107,12 @@ def test_errors():
 @pytest.mark.slow
 def test_presets_look_their_names():
     """Hues of the mean iris: blue and grey below yellow, brown red and dark."""
-    lab = np.stack([ij.colour(PRESETS[c](shape=SHAPE, key=KEY)[0]).lab for c in ("brown", "green", "blue", "grey")])
+    lab = np.stack(
+        [
+            ij.colour(PRESETS[c](shape=SHAPE, key=KEY)[0]).lab
+            for c in ("brown", "green", "blue", "grey")
+        ]
+    )
     (_, a_brown, b_brown), (_, a_green, b_green), (l_blue, _, b_blue), (l_grey, _, b_grey) = lab
     assert a_brown > 5
     assert b_brown > 15
@@ -109,7 +123,9 @@ def test_presets_look_their_names():
 
 
 def test_traced():
-    found = jax.eval_shape(lambda i, k: procedural(i, shape=SHAPE, freckles=2, key=k), ij.Iris(), KEY)
+    found = jax.eval_shape(
+        lambda i, k: procedural(i, shape=SHAPE, freckles=2, key=k), ij.Iris(), KEY
+    )
     assert found.stroma_thickness.shape == SHAPE
 
 

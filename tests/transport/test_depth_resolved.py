@@ -21,7 +21,11 @@ solve = functools.partial(common.solve, ij.DEPTH_RESOLVED)
 def anything(made):
     """The same layers, compiled for every order of media alike."""
     return ij.Layers(
-        made.abl_absorption, made.stroma_absorption, made.stroma_scattering, made.indices, type(made.order)()
+        made.abl_absorption,
+        made.stroma_absorption,
+        made.stroma_scattering,
+        made.indices,
+        type(made.order)(),
     )
 
 
@@ -33,7 +37,9 @@ def test_reference_table():
     run = quick_jit(
         jax.vmap(
             lambda iris, mu: (
-                ij.reflectance(iris, GRID, process=ij.DEPTH_RESOLVED, cos_incidence=mu, solver=solver).values
+                ij.reflectance(
+                    iris, GRID, process=ij.DEPTH_RESOLVED, cos_incidence=mu, solver=solver
+                ).values
             ),
             in_axes=(0, None),
         )
@@ -62,7 +68,9 @@ def test_check_slab(index, normal, diffuse):
     for solver, tolerance in ((ij.Exact(), 1e-7), (ij.Exact(n_angles=100, n_depths=12), 1e-9)):
         for cosine, expected in ((1.0, normal), (ij.DIFFUSE, diffuse)):
             r = solve(made, cosine, solver)
-            assert float(r.reflectance[0] + r.mirrored[0]) == pytest.approx(expected, rel=0, abs=tolerance)
+            assert float(r.reflectance[0] + r.mirrored[0]) == pytest.approx(
+                expected, rel=0, abs=tolerance
+            )
 
 
 HARD = (np.array([0.02, 0.3, 1.0]), np.array([0.05, 0.0, 1.5]), np.array([0.2, 2.5, 0.3]))
@@ -81,7 +89,9 @@ def test_refinement_changes_nothing(standard, change):
     np.testing.assert_allclose(finer.absorbed.ipe, standard.absorbed.ipe, rtol=1e-7)
 
 
-@pytest.mark.parametrize("media", [IRIS, (1.4, 1.4, 1.4, 1.4), (1.336, 1.3, 1.5, 1.4), (1.5, 1.45, 1.4, 1.336)])
+@pytest.mark.parametrize(
+    "media", [IRIS, (1.4, 1.4, 1.4, 1.4), (1.336, 1.3, 1.5, 1.4), (1.5, 1.45, 1.4, 1.336)]
+)
 @pytest.mark.parametrize("cosine", [1.0, 0.2, "diffuse"])
 def test_energy(media, cosine):
     r = solve(layers(*HARD, media), cosine)
@@ -109,7 +119,13 @@ def test_single_scattering(index):
         cos_theta = -i * o + np.sqrt((1 - i * i) * (1 - o * o)) * np.cos(azimuth)
         phase = 3 / (16 * np.pi) * (1 + cos_theta**2)
         expected = (
-            passed(cosine) * passed(exits) / index**2 * albedo * phase * -np.expm1(-depth * (1 / i + 1 / o)) / (i + o)
+            passed(cosine)
+            * passed(exits)
+            / index**2
+            * albedo
+            * phase
+            * -np.expm1(-depth * (1 / i + 1 / o))
+            / (i + o)
         )
         np.testing.assert_allclose(found, expected, rtol=1e-6)
 
@@ -144,7 +160,9 @@ def test_brdf_integrates_to_reflectance():
         r = solve(made, cosine, exits=exits, azimuth=azimuths)
         black = solve(layers(HARD[0], HARD[1] + HARD[2], 0.0, IRIS), cosine)
         weight = (w * x)[:, None] * np.full(6, np.pi / 3)
-        np.testing.assert_allclose(r.brdf @ weight.ravel(), r.reflectance - black.reflectance, rtol=1e-7)
+        np.testing.assert_allclose(
+            r.brdf @ weight.ravel(), r.reflectance - black.reflectance, rtol=1e-7
+        )
 
 
 def test_deep_layers_ask_for_panels():

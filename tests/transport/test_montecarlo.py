@@ -32,7 +32,9 @@ def test_analog_agrees_with_exact(name, level):
     iris, n = ij.Iris.preset(level), 400_000
     settings = {"process": ANALOG[name], "cos_incidence": 0.7, "first_surface": False}
     exact = shares(ij.reflectance(iris, GRID, **settings))
-    found = shares(ij.reflectance(iris, GRID, **settings, solver=ij.MonteCarlo(n), key=jax.random.key(11)))
+    found = shares(
+        ij.reflectance(iris, GRID, **settings, solver=ij.MonteCarlo(n), key=jax.random.key(11))
+    )
     z = (found - exact) / np.sqrt(exact * (1 - exact) / n)
     # 20 comparisons a case, 200 in all: |z| < 4 fails by chance once in 80 runs of other seeds.
     assert np.abs(z).max() < 4
@@ -46,7 +48,12 @@ def test_expected_values_agree_with_exact(name, estimator):
     exact = ij.reflectance(iris, GRID, process=process, first_surface=False)
     runs = [
         ij.reflectance(
-            iris, GRID, process=process, first_surface=False, solver=ij.MonteCarlo(16_384, estimator), key=key
+            iris,
+            GRID,
+            process=process,
+            first_surface=False,
+            solver=ij.MonteCarlo(16_384, estimator),
+            key=key,
         )
         for key in jax.random.split(jax.random.key(5), 12)
     ]
@@ -63,7 +70,9 @@ def test_quasi_beats_weighted():
     iris = ij.Iris.preset("high")
     error = {
         e: float(
-            ij.reflectance(iris, GRID, solver=ij.MonteCarlo(16_384, e), key=jax.random.key(0)).standard_error.max()
+            ij.reflectance(
+                iris, GRID, solver=ij.MonteCarlo(16_384, e), key=jax.random.key(0)
+            ).standard_error.max()
         )
         for e in ("weighted", "quasi")
     }
@@ -72,7 +81,9 @@ def test_quasi_beats_weighted():
 
 def test_standard_error_is_binomial_and_never_none():
     black = ij.Iris.preset("high").replace(melanin_load=1e4, abl_fraction=1.0, aqueous_index=1.473)
-    m = ij.reflectance(black, [450.0], solver=ij.MonteCarlo(1000), key=jax.random.key(0), first_surface=False)
+    m = ij.reflectance(
+        black, [450.0], solver=ij.MonteCarlo(1000), key=jax.random.key(0), first_surface=False
+    )
     assert m.values[0] == 0
     assert m.standard_error[0] > 1e-4
 
@@ -93,7 +104,8 @@ def test_lanes_and_blocks_do_not_change_a_photon(name):
     whole = solver.count(layers, process, 1.0, key=key)
     narrow = ij.MonteCarlo(5_000, lanes=64).count(layers, process, 1.0, key=key)
     blocks = [
-        solver.count(layers, process, 1.0, key=key, first=a, last=b) for a, b in ((0, 1), (1, 3_000), (3_000, 9_000))
+        solver.count(layers, process, 1.0, key=key, first=a, last=b)
+        for a, b in ((0, 1), (1, 3_000), (3_000, 9_000))
     ]
     np.testing.assert_array_equal(whole.fates, narrow.fates)
     np.testing.assert_array_equal(whole.fates, sum(b.fates for b in blocks))
@@ -106,14 +118,18 @@ def test_rays_follow_the_illuminant():
     found = ij.radiance(iris, GRID, illuminant="A", solver=solver, key=key)
     assert np.abs((found.values - exact.values) / found.standard_error).max() < 4
     layers = iris.layers(ij.extinction(np.array(GRID)))
-    photons = solver.count(layers, ij.ILIT_2006, 1.0, key=key, rays=jnp.asarray([0.2, 0.4, 0.8, 0.1])).photons
+    photons = solver.count(
+        layers, ij.ILIT_2006, 1.0, key=key, rays=jnp.asarray([0.2, 0.4, 0.8, 0.1])
+    ).photons
     np.testing.assert_array_equal(photons, [25_000, 50_000, 100_000, 12_500])
 
 
 def test_brdf_counts_cells():
     iris = ij.Iris.preset("low")
     cosine = np.linspace(0.05, 0.95, 10)  # cells of width 0.1
-    found = ij.brdf(iris, [550.0], cos_exit=cosine, solver=ij.MonteCarlo(1_000_000), key=jax.random.key(2))
+    found = ij.brdf(
+        iris, [550.0], cos_exit=cosine, solver=ij.MonteCarlo(1_000_000), key=jax.random.key(2)
+    )
     fine = np.linspace(0.0005, 0.9995, 1000)
     exact = np.asarray(ij.brdf(iris, [550.0], cos_exit=fine).values[0]).reshape(10, 100)
     weight = fine.reshape(10, 100)
@@ -125,7 +141,9 @@ def test_works_under_jit_and_vmap():
     solver, key = ij.MonteCarlo(1_000), jax.random.key(0)
 
     def spectrum(eumelanin, key):
-        return ij.reflectance(ij.Iris.preset("low").replace(eumelanin=eumelanin), GRID, solver=solver, key=key).values
+        return ij.reflectance(
+            ij.Iris.preset("low").replace(eumelanin=eumelanin), GRID, solver=solver, key=key
+        ).values
 
     keys = jax.random.split(key, 2)
     both = jax.jit(jax.vmap(spectrum))(jnp.asarray([0.1, 0.5]), keys)
@@ -136,7 +154,9 @@ def test_invalid_layers_end_at_once():
     iris = ij.Iris.preset("low")
 
     def status(c):
-        m = ij.reflectance(iris.replace(eumelanin=c), GRID, solver=ij.MonteCarlo(1_000), key=jax.random.key(0))
+        m = ij.reflectance(
+            iris.replace(eumelanin=c), GRID, solver=ij.MonteCarlo(1_000), key=jax.random.key(0)
+        )
         return m.status == ij.RESULTS.invalid_input
 
     assert jax.jit(status)(jnp.nan)
@@ -164,9 +184,13 @@ def test_what_is_not_offered_is_said():
     with pytest.raises(ValueError, match="needs a key"):
         ij.reflectance(iris, GRID, solver=ij.MonteCarlo(10))
     with pytest.raises(ValueError, match="use estimator"):
-        ij.reflectance(iris, GRID, solver=ij.MonteCarlo(10, "weighted"), process=ij.DEPTH_RESOLVED, key=key)
+        ij.reflectance(
+            iris, GRID, solver=ij.MonteCarlo(10, "weighted"), process=ij.DEPTH_RESOLVED, key=key
+        )
     with pytest.raises(ValueError, match="use Exact"):
-        ij.brdf(iris, GRID, cos_exit=0.5, solver=ij.MonteCarlo(10), process=ij.DEPTH_RESOLVED, key=key)
+        ij.brdf(
+            iris, GRID, cos_exit=0.5, solver=ij.MonteCarlo(10), process=ij.DEPTH_RESOLVED, key=key
+        )
     with pytest.raises(ValueError, match="analog"):
         ij.brdf(iris, GRID, cos_exit=0.5, solver=ij.MonteCarlo(10, "quasi"), key=key)
 

@@ -33,7 +33,15 @@ def test_presets():
 def test_unknown_switch(switch, value, message):
     # The runtime types of the test suite are stricter than the check itself: look below them.
     process = object.__new__(ij.Process)
-    for name in ("phase", "rescatter", "perturb_on_reflection", "scattering", "cornea", "first_surface", "transport"):
+    for name in (
+        "phase",
+        "rescatter",
+        "perturb_on_reflection",
+        "scattering",
+        "cornea",
+        "first_surface",
+        "transport",
+    ):
         object.__setattr__(process, name, value if name == switch else getattr(ij.ILIT_2006, name))
     with pytest.raises(ValueError, match=message):
         ij.Process.__check_init__(process)
@@ -46,7 +54,9 @@ def test_depth_resolved_is_rayleigh_only():
 
 def test_entry_is_cosine_distributed():
     """Eq. 1: α = arccos √(1−u), density 2μ."""
-    assert quad(lambda m: float(entry_density(jnp.asarray(m))), 0, 1)[0] == pytest.approx(1, rel=1e-12)
+    assert quad(lambda m: float(entry_density(jnp.asarray(m))), 0, 1)[0] == pytest.approx(
+        1, rel=1e-12
+    )
     u = np.linspace(0, 1, 11)
     mu = np.asarray(sample_entry(jnp.asarray(u)))
     np.testing.assert_allclose(mu, np.cos(np.arccos(np.sqrt(1 - u))), atol=1e-15)

@@ -10,7 +10,9 @@ from irisjax.transport.randomness import check_key, fold_in_words, scales, unifo
 def test_words_are_those_of_fold_in(seed):
     key = jax.random.key(seed)
     counts = np.concatenate([np.arange(50), [2**16, 2**31 - 1, 2**31]]).astype(np.uint32)
-    expected = jax.vmap(lambda c: jax.random.key_data(jax.random.fold_in(key, c)))(jnp.asarray(counts))
+    expected = jax.vmap(lambda c: jax.random.key_data(jax.random.fold_in(key, c)))(
+        jnp.asarray(counts)
+    )
     k0, k1 = jax.random.key_data(key)
     found = jnp.stack(fold_in_words(k0, k1, jnp.asarray(counts)), -1)
     np.testing.assert_array_equal(found, expected)
@@ -18,7 +20,9 @@ def test_words_are_those_of_fold_in(seed):
 
 def test_words_are_spread_evenly():
     # Bytes of consecutive counts: 256 cells, χ² within 5 standard deviations of its mean.
-    words = np.asarray(fold_in_words(jnp.uint32(1), jnp.uint32(2), jnp.arange(2**18, dtype=jnp.uint32)))
+    words = np.asarray(
+        fold_in_words(jnp.uint32(1), jnp.uint32(2), jnp.arange(2**18, dtype=jnp.uint32))
+    )
     for byte in words.view(np.uint8).reshape(-1, 4).T:
         seen = np.bincount(byte, minlength=256)
         chi_square = ((seen - seen.mean()) ** 2 / seen.mean()).sum()

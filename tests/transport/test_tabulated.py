@@ -11,7 +11,15 @@ import irisjax as ij
 from common import GRID, PROCESSES
 
 FINE = ij.Exact(n_angles=64)
-FIELDS = ("eumelanin", "pheomelanin", "abl_fraction", "oxyhemoglobin", "lutein", "abl_thickness", "stroma_thickness")
+FIELDS = (
+    "eumelanin",
+    "pheomelanin",
+    "abl_fraction",
+    "oxyhemoglobin",
+    "lutein",
+    "abl_thickness",
+    "stroma_thickness",
+)
 
 
 @jax.jit
@@ -34,13 +42,17 @@ positive = st.floats(0, 3)
 @given(positive, positive, st.floats(0, 1), positive, positive, st.floats(0, 0.3), st.floats(0, 2))
 def test_matches_exact(tabulated, eumelanin, pheomelanin, fraction, blood, lutein, abl, stroma):
     values = (eumelanin, pheomelanin, fraction, blood, lutein, abl, stroma)
-    iris = ij.Iris.preset("low").replace(**{n: jnp.asarray(v) for n, v in zip(FIELDS, values, strict=True)})
+    iris = ij.Iris.preset("low").replace(
+        **{n: jnp.asarray(v) for n, v in zip(FIELDS, values, strict=True)}
+    )
     (found, absorbed, status), (exact, exact_absorbed, _) = both(iris, tabulated)
     # A reflectance joins four layer functions, each with a partial derivative of at most one here, twice over.
     tolerance = 8 * tabulated.error
     np.testing.assert_allclose(found, exact, rtol=0, atol=tolerance)
     for name in ("abl", "stroma", "ipe"):
-        np.testing.assert_allclose(getattr(absorbed, name), getattr(exact_absorbed, name), rtol=0, atol=2 * tolerance)
+        np.testing.assert_allclose(
+            getattr(absorbed, name), getattr(exact_absorbed, name), rtol=0, atol=2 * tolerance
+        )
     assert bool(status == ij.RESULTS.successful)
 
 
@@ -63,7 +75,8 @@ def test_too_small_tables_are_refused():
 def test_other_indices(tabulated):
     other = ij.Iris(ipe_index=1.51)
     assert bool(
-        ij.reflectance(other, GRID, solver=tabulated, raise_on_failure=False).status == ij.RESULTS.outside_table
+        ij.reflectance(other, GRID, solver=tabulated, raise_on_failure=False).status
+        == ij.RESULTS.outside_table
     )
     with pytest.raises(ValueError, match="outside the range the table was built for"):
         ij.reflectance(other, GRID, solver=tabulated)
