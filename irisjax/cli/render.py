@@ -152,6 +152,10 @@ def render(
     found = changed(file.scene(), light, pupil, size, camera).replace(
         integrator=_INTEGRATORS[integrator]()
     )
+    if wavelengths is not None and found.lights is not None and found.lights.tint is not None:
+        raise ValueError(
+            "--spectral needs plain lamps: a light's colour has no spectrum; give --light"
+        )
     factor = file.exposure if exposure is None else exposure
     if not (math.isfinite(factor) and factor > 0):
         raise ValueError(f"--exposure {factor:g} must be above 0")

@@ -59,6 +59,14 @@ class Scene(eqx.Module):
             raise ValueError(
                 f"the lights are {self.lights.illuminant}, the scene is {self.illuminant}"
             )
+        if self.lights is not None and not isinstance(self.lights.radius, Tracer):
+            widest = float(np.max(np.asarray(self.lights.radius)))
+            if (
+                widest > np.pi / 2 + 1e-6
+            ):  # wider ones stand for regions of an environment, which is mirrored itself
+                raise ValueError(
+                    f"a lamp's radius = {widest:g} is above pi/2 radians; give an environment instead"
+                )
         chamber = self.iris.aqueous_index, self.eye.aqueous_index
         known = self.eye.cornea is not None and not any(isinstance(n, Tracer) for n in chamber)
         if known and abs(float(chamber[0]) - float(chamber[1])) > 1e-5:

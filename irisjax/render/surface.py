@@ -88,9 +88,7 @@ def mirrored(
         chord = safe_sqrt(x * x + y * y + z * z)
         outer, inner = (2 * jnp.sin(share * lights.radius / 2)[:, None] for share in (1.1, 0.9))
         inside = jnp.clip((outer - chord) / (outer - inner), 0, 1)
-        radiance = lights.irradiance / (
-            jnp.pi * jnp.sin(jnp.minimum(lights.radius, jnp.pi / 2)) ** 2
-        )
+        radiance = lights.irradiance / (jnp.pi * jnp.sin(lights.radius) ** 2)
         total = (
             total + (radiance[:, None] * (lamp if lights.tint is None else lights.tint)).T @ inside
         )

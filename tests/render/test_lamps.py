@@ -201,6 +201,8 @@ def test_cone_is_lit_alike_by_both_tables():
 def test_what_cannot_be_is_named():
     with pytest.raises(ValueError, match=r"lights: radius 0 is outside \(0, pi\] radians"):
         Lights.distant(0.3, 0.0, radius=0.0)
+    with pytest.raises(ValueError, match=r"a lamp's radius = 2 is above pi/2 radians"):
+        Scene(IRIS, lights=Lights.distant(0.3, 0.0, radius=2.0))
     with pytest.raises(
         ValueError, match=r"aqueous_index is 1.336 of the iris and 1.376 of the eye"
     ):
