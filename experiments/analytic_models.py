@@ -1,8 +1,9 @@
-"""Can simple absorption produce an iris's spectra? Closed formulas fitted to ILIT and to depth-resolved spectra.
+"""Can simple absorption produce an iris's spectra? Closed formulas fitted to ILIT and to
+depth-resolved spectra.
 
-LB06 says that it cannot. Every formula is fitted by maximum likelihood (optimistix), with load, fraction,
-pheomelanin share, haemoglobin, saturation, the scatterers' strength and the gain all free, without priors that
-could hold it back. Residuals are given in per cent of the spectrum.
+LB06 says that it cannot. Every formula is fitted by maximum likelihood (optimistix), with load,
+fraction, pheomelanin share, haemoglobin, saturation, the scatterers' strength and the gain all
+free, without priors that could hold it back. Residuals are given in per cent of the spectrum.
 """
 
 import jax.numpy as jnp
@@ -57,9 +58,14 @@ def main(key, quick=False, out=RESULTS):
         process = ij.DEPTH_RESOLVED if model == "depth-resolved" else ij.ILIT_2006
         blank = ij.spectrum(grid, np.ones(grid.size))
         problem = ij.problem(
-            blank, free=FREE, priors=WIDE, noise=Noise(0.01, 1e-6), process=process, solver=solver,
+            blank,
+            free=FREE,
+            priors=WIDE,
+            noise=Noise(0.01, 1e-6),
+            process=process,
+            solver=solver,
             base=ij.Iris.preset("moderate"),
-        )  # fmt: skip
+        )
         for (target, level), truth in truths.items():
             o = with_values(problem.observations[0], jnp.asarray(truth))
             found = fit(problem.with_observations(o), use_priors=False, starts=2 if quick else 12)
@@ -79,7 +85,8 @@ def main(key, quick=False, out=RESULTS):
             values = [float(found.values[n]) for n in FREE]
             summary.append((model, target, level, str(bool(found.ok)), *numbers, *values))
     header = (
-        "simulated spectra, closed formulas fitted by least squares on 1 % relative noise; no priors",
+        "simulated spectra, closed formulas fitted by least squares on 1 % relative noise; no "
+        "priors",
     )
     columns = (
         "model",
@@ -92,9 +99,20 @@ def main(key, quick=False, out=RESULTS):
     )
     write(out / "analytic_residuals.csv", header, columns, rows)
     write(
-        out / "analytic_summary.csv", header,
-        ("model", "target", "level", "converged", "rms_percent", "worst_percent", "worst_at_nm", *FREE), summary,
-    )  # fmt: skip
+        out / "analytic_summary.csv",
+        header,
+        (
+            "model",
+            "target",
+            "level",
+            "converged",
+            "rms_percent",
+            "worst_percent",
+            "worst_at_nm",
+            *FREE,
+        ),
+        summary,
+    )
 
 
 if __name__ == "__main__":

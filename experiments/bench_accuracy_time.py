@@ -1,9 +1,10 @@
 """Run time against error: every solver at several sizes, in float64 and float32, beside two peers.
 
-The job is 81 wavelengths, 400–720 nm, normal incidence, first surface left out, an error over the three
-levels. Times are medians of warm calls after `block_until_ready`; compile time stands apart. `single` is
-one spectrum through the public function, `jitted` the same inside the caller's jit, `batch` the time a
-spectrum takes in a batch. Ratios within one run are what counts: machines differ.
+The job is 81 wavelengths, 400–720 nm, normal incidence, first surface left out, an error over the
+three levels. Times are medians of warm calls after `block_until_ready`; compile time stands apart.
+`single` is one spectrum through the public function, `jitted` the same inside the caller's jit,
+`batch` the time a spectrum takes in a batch. Ratios within one run are what counts: machines
+differ.
 """
 
 import importlib.util
@@ -26,8 +27,18 @@ from experiments.common import RESULTS, start, write
 
 GRID = ij.wavelengths(400, 720, 4)
 LEVELS = ("low", "moderate", "high")
-COLUMNS = ("job", "solver", "size", "precision", "single_us", "jitted_us", "batch_us", "max_rel_error", "rms_rel_error",
-           "compile_s")  # fmt: skip
+COLUMNS = (
+    "job",
+    "solver",
+    "size",
+    "precision",
+    "single_us",
+    "jitted_us",
+    "batch_us",
+    "max_rel_error",
+    "rms_rel_error",
+    "compile_s",
+)
 
 
 def main(key, quick=False, out=RESULTS):
@@ -39,8 +50,10 @@ def main(key, quick=False, out=RESULTS):
         rows += _other_precision()
     rows += _depth_resolved(quick) + _peers(quick)
     header = (
-        f"simulated irides; {len(GRID)} wavelengths; {device}; jax {jax.__version__}; irisjax {ij.__version__}",
-        "times in microseconds a spectrum, warm medians; errors against Exact with 288 nodes a layer "
+        f"simulated irides; {len(GRID)} wavelengths; {device}; jax {jax.__version__}; irisjax "
+        f"{ij.__version__}",
+        "times in microseconds a spectrum, warm medians; errors against Exact with 288 nodes a "
+        "layer "
         "(72 for lb06; 96 and 5 panels of 12 polynomials, depth-resolved)",
     )
     write(out / "bench_accuracy_time.csv", header, COLUMNS, rows)
@@ -240,7 +253,9 @@ def _matched(iris):
 
 
 def _peers(quick):
-    """nanodisort (C; no Fresnel) on the index-matched irides; iadpython on one slab (isotropic, as it must)."""
+    """nanodisort (C; no Fresnel) on the index-matched irides; iadpython on one slab (isotropic, as
+    it must).
+    """
     rows = []
     if importlib.util.find_spec("nanodisort"):
         reference = np.stack(
@@ -256,21 +271,41 @@ def _peers(quick):
                 # Its pool works on a batch of wavelengths: one iris is already one.
                 us = median_us(many[1], 20)
                 rows.append(
-                    ("depth-resolved, index-matched", f"nanodisort, {threads} threads", streams, "float64", us,
-                     float("nan"), us, *_errors(found, reference), float("nan"))
-                )  # fmt: skip
+                    (
+                        "depth-resolved, index-matched",
+                        f"nanodisort, {threads} threads",
+                        streams,
+                        "float64",
+                        us,
+                        float("nan"),
+                        us,
+                        *_errors(found, reference),
+                        float("nan"),
+                    )
+                )
     if importlib.util.find_spec("iadpython"):
         import iadpython
 
         for points in (8,) if quick else (8, 16, 32):
             sample = iadpython.Sample(a=0.8, b=0.18, g=0, n=1.0, quad_pts=points)
-            # Index-matched, isotropic, normal incidence: a Monte Carlo of 2·10⁹ photons confirms this value.
+            # Index-matched, isotropic, normal incidence: a Monte Carlo of 2·10⁹ photons confirms
+            # this value.
             error = float(abs(sample.rt()[0] / 0.062305650 - 1))
             us = median_us(lambda s=sample: s.rt(), 5) * len(GRID)
             rows.append(
-                ("one slab, isotropic, index-matched", "iadpython", points, "float64", us, float("nan"), us, error,
-                 error, float("nan"))
-            )  # fmt: skip
+                (
+                    "one slab, isotropic, index-matched",
+                    "iadpython",
+                    points,
+                    "float64",
+                    us,
+                    float("nan"),
+                    us,
+                    error,
+                    error,
+                    float("nan"),
+                )
+            )
     return rows
 
 
@@ -282,9 +317,18 @@ def _nanodisort(level, streams, threads):
     n = GRID.size
     solver = nanodisort.BatchSolver(nthreads=threads)
     for name, value in {
-        "nstr": streams, "nlyr": 2, "nmom": streams, "ntau": 1, "usrtau": True, "usrang": False, "lamber": True,
-        "onlyfl": True, "quiet": True, "umu0": 1.0, "phi0": 0.0,
-    }.items():  # fmt: skip
+        "nstr": streams,
+        "nlyr": 2,
+        "nmom": streams,
+        "ntau": 1,
+        "usrtau": True,
+        "usrang": False,
+        "lamber": True,
+        "onlyfl": True,
+        "quiet": True,
+        "umu0": 1.0,
+        "phi0": 0.0,
+    }.items():
         setattr(solver, name, value)
     solver.set_utau(np.array([0.0]))
     solver.allocate(n)
@@ -334,7 +378,9 @@ def _scaling(key, quick):
 
 
 def _imports(quick):
-    """Import time of irisjax against that of jax and equinox together, each in a fresh interpreter."""
+    """Import time of irisjax against that of jax and equinox together,
+    each in a fresh interpreter.
+    """
     rows = []
     root = Path(ij.__file__).parent.parent
     for name, code in (("jax, equinox", "import jax, equinox"), ("irisjax", "import irisjax")):

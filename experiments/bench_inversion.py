@@ -1,4 +1,5 @@
-"""How long an inversion takes: log probability, least squares, posteriors; and which moves suit the ridge.
+"""How long an inversion takes: log probability, least squares, posteriors; and which moves suit the
+ridge.
 
 Warm times on the machine at hand; every number is a median. Compile times stand beside them.
 """
@@ -72,7 +73,10 @@ def main(key, quick=False, out=RESULTS):
                     problem, Path(folder) / "c.h5", start=best, seed=seed, max_steps=steps
                 )
                 seconds = time.perf_counter() - begin
-            found = f"{chains.steps} steps, ESS {chains.ess_bulk.min():.0f}, converged {chains.converged}"
+            found = (
+                f"{chains.steps} steps, ESS {chains.ess_bulk.min():.0f}, converged "
+                f"{chains.converged}"
+            )
             times.append((level, f"posterior, seed {seed}: {found}", seconds, "s"))
         moves += [(level, *row) for row in _moves(problem, best, 400 if quick else 2500)]
     level, problem = next(iter(problems.items()))
@@ -95,13 +99,16 @@ def main(key, quick=False, out=RESULTS):
         (level, f"least squares, batch of {size}: spectra a second", size / us * 1e6, "1/s")
     )
     header = (
-        "31 wavelengths, noise 2 % + 2e-4, default free set, process ilit-2006, tabulated solver, float64",
+        "31 wavelengths, noise 2 % + 2e-4, default free set, process ilit-2006, tabulated solver, "
+        "float64",
     )
     write(out / "bench_inversion.csv", header, ("level", "what", "value", "unit"), times)
     write(
-        out / "bench_moves.csv", (*header, "64 walkers; seconds that 50 autocorrelation times take"),
-        ("level", "moves", "tau_max", "acceptance", "ms_per_step", "seconds_50_tau"), moves,
-    )  # fmt: skip
+        out / "bench_moves.csv",
+        (*header, "64 walkers; seconds that 50 autocorrelation times take"),
+        ("level", "moves", "tau_max", "acceptance", "ms_per_step", "seconds_50_tau"),
+        moves,
+    )
 
 
 def _moves(problem, best, steps):

@@ -1,6 +1,8 @@
-"""Milliseconds a frame of 800 × 600 pixels in single precision, for every kind of change and without each part.
+"""Milliseconds a frame of 800 × 600 pixels in single precision, for every kind of change and
+without each part.
 
-Warm: everything is compiled and the parts that do not change are kept, as in an interactive session.
+Warm: everything is compiled and the parts that do not change are kept, as in an interactive
+session.
 """
 
 import dataclasses
@@ -37,7 +39,8 @@ def main(key, quick=False, out=RESULTS):
         jax.config.update("jax_enable_x64", before)
     device = jax.devices()[0]
     header = (
-        f"{device.platform}, {os.cpu_count()} processor cores, load {os.getloadavg()[0]:.1f} at the end of the run",
+        f"{device.platform}, {os.cpu_count()} processor cores, load {os.getloadavg()[0]:.1f} at "
+        f"the end of the run",
         "float32, warm, median; a frame takes all that must be computed anew after the change",
     )
     write(

@@ -1,8 +1,8 @@
 """Simulation-based calibration: are the posteriors as wide as they should be?
 
-Eyes drawn from the prior, measured with the stated noise, and inverted. The rank of each truth among 63
-independent posterior draws must be uniform over 0 to 63 [Talts et al. 2018]; central intervals must hold
-their share of truths.
+Eyes drawn from the prior, measured with the stated noise, and inverted. The rank of each truth
+among 63 independent posterior draws must be uniform over 0 to 63 [Talts et al. 2018]; central
+intervals must hold their share of truths.
 """
 
 import tempfile
@@ -23,7 +23,9 @@ DRAWS, LEVELS = 63, (0.5, 0.8, 0.95)
 
 
 def main(key, quick=False, out=RESULTS, eyes=None, walkers=64):
-    """Write ranks of every eye and, by parameter, p-values and coverage (quick: 3 eyes, a closed formula)."""
+    """Write ranks of every eye and, by parameter, p-values and coverage (quick: 3 eyes, a closed
+    formula).
+    """
     from scipy import stats
 
     from irisjax.infer.analytic import KubelkaMunk
@@ -74,7 +76,8 @@ def main(key, quick=False, out=RESULTS, eyes=None, walkers=64):
         f"{count} simulated eyes from the default priors, 31 wavelengths, noise 2 % + 2e-4, "
         f"seed {jax.random.key_data(key)[-1]}",
         "transport: Kubelka-Munk (quick)" if quick else "process ilit-2006",
-        f"binomial standard errors of the coverage: {', '.join(f'{np.sqrt(p * (1 - p) / count):.3f}' for p in LEVELS)}",
+        f"binomial standard errors of the coverage: "
+        f"{', '.join(f'{np.sqrt(p * (1 - p) / count):.3f}' for p in LEVELS)}",
     )
     write(
         out / "calibration_ranks.csv",

@@ -27,7 +27,9 @@ def write(
 
 
 def start(main: Callable, doc: str | None) -> None:
-    """Parse `--quick`, `--seed` and `--out`, switch to float64 and run `main(key, quick=..., out=...)`."""
+    """Parse `--quick`, `--seed` and `--out`, switch to float64 and run `main(key, quick=...,
+    out=...)`.
+    """
     parser = argparse.ArgumentParser(description=doc)
     parser.add_argument("--quick", action="store_true", help="a small version, for tests")
     parser.add_argument("--seed", type=int, default=0)

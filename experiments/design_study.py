@@ -1,7 +1,8 @@
-"""Which further measurement breaks the ridge of load and fraction? Expected posterior widths, by design.
+"""Which further measurement breaks the ridge of load and fraction? Expected posterior widths, by
+design.
 
-Widths come from the curvature at the truth (Fisher information and priors together) for noiseless spectra of
-each level, with the default parameters and the stroma's thickness free.
+Widths come from the curvature at the truth (Fisher information and priors together) for noiseless
+spectra of each level, with the default parameters and the stroma's thickness free.
 """
 
 import numpy as np
@@ -19,28 +20,44 @@ FREE = (*DEFAULT_FREE, "stroma_thickness")
 
 
 def main(key, quick=False, out=RESULTS):
-    """Write relative sds of load, fraction and their product (quick: one level, two designs, a closed formula)."""
+    """Write relative sds of load, fraction and their product (quick: one level, two designs, a
+    closed formula).
+    """
     del key
     low, high = common_range()
     base = _spectra(400, 700, 10)
     noisy = Noise(0.02, 2e-4)
     designs = {
         "31 wavelengths, 400-700 nm, 2 % + 2e-4": (base, noisy, {}),
-        "the same, load and fraction alone free": (base, noisy, {"free": ("melanin_load", "abl_fraction")}),
+        "the same, load and fraction alone free": (
+            base,
+            noisy,
+            {"free": ("melanin_load", "abl_fraction")},
+        ),
         "colour only (XYZ, 1 % + 1e-4)": (_colour, noisy, {}),
         "stroma thickness known (ultrasound)": (base, noisy, {"fixed": ("stroma_thickness",)}),
         "noise 0.5 % + 5e-5": (base, Noise(0.005, 5e-5), {}),
         "steps of 2 nm": (_spectra(400, 700, 2), noisy, {}),
-        f"{low:g}-{high:g} nm, as far as pigments are tabulated": (_spectra(low, high, 10), noisy, {}),
+        f"{low:g}-{high:g} nm, as far as pigments are tabulated": (
+            _spectra(low, high, 10),
+            noisy,
+            {},
+        ),
         "to 780 nm": (_spectra(400, 780, 10), noisy, {}),
         "gain calibrated": (base, noisy, {"fixed": ("gain",)}),
         "the same measured twice": (_twice, noisy, {}),
         "a second spectrum at 60 degrees": (_two_angles, noisy, {}),
-        "a second spot with twice the melanin": (_two_spots, noisy, {"separate": ("melanin_load",)}),
-        "three of these: 0.5 % noise, thickness and gain known": (
-            base, Noise(0.005, 5e-5), {"fixed": ("stroma_thickness", "gain")},
+        "a second spot with twice the melanin": (
+            _two_spots,
+            noisy,
+            {"separate": ("melanin_load",)},
         ),
-    }  # fmt: skip
+        "three of these: 0.5 % noise, thickness and gain known": (
+            base,
+            Noise(0.005, 5e-5),
+            {"fixed": ("stroma_thickness", "gain")},
+        ),
+    }
     rows = []
     for level in ("low",) if quick else ("low", "moderate", "high"):
         iris = ij.Iris.preset(level)
@@ -49,21 +66,28 @@ def main(key, quick=False, out=RESULTS):
             rows.append((level, name, *_widths(iris, measure, noise, solver, **options)))
     write(
         out / "design_study.csv",
-        ("expected posterior standard deviations of ln load, ln fraction and ln(load x fraction), and the correlation",
-         "of load and fraction; process ilit-2006, default priors; simulated"),
+        (
+            "expected posterior standard deviations of ln load, ln fraction and "
+            "ln(load x fraction), and the correlation",
+            "of load and fraction; process ilit-2006, default priors; simulated",
+        ),
         ("level", "design", "sd_load", "sd_fraction", "sd_product", "correlation"),
         rows,
-    )  # fmt: skip
+    )
 
 
 def _widths(iris, measure, noise, solver, free=FREE, fixed=(), separate=()):
     seen = measure(iris)
     truth = {k: float(v) for k, v in of_iris(iris).items()}
     problem = ij.problem(
-        seen, free=[n for n in free if n not in fixed], fixed={n: truth[n] for n in fixed}, separate=separate,
-        noise=noise, base=iris,
+        seen,
+        free=[n for n in free if n not in fixed],
+        fixed={n: truth[n] for n in fixed},
+        separate=separate,
+        noise=noise,
+        base=iris,
         solver=solver,
-    )  # fmt: skip
+    )
     values = {
         n: truth[n.partition("@")[0]] * (2 if n == "melanin_load@2" else 1) for n in problem.free
     }

@@ -27,7 +27,9 @@ GRID = (400.0, 450.0, 500.0, 550.0, 600.0, 700.0)
 
 
 def main(key, quick=False, out=RESULTS):
-    """Write z-scores of five fates at six wavelengths for every variant, level and two incidences."""
+    """Write z-scores of five fates at six wavelengths for every variant,
+    level and two incidences.
+    """
     n = 100_000 if quick else 10_000_000
     rows = []
     for (name, process), level, mu in itertools.product(
@@ -47,12 +49,14 @@ def main(key, quick=False, out=RESULTS):
             ]
     worst = max(abs(row[-1]) for row in rows)
     print(
-        f"{len(rows)} comparisons, largest |z| {worst:.2f}, mean z² {np.mean([r[-1] ** 2 for r in rows]):.3f}"
+        f"{len(rows)} comparisons, largest |z| {worst:.2f}, mean z² "
+        f"{np.mean([r[-1] ** 2 for r in rows]):.3f}"
     )
     write(
         out / "exact_against_montecarlo.csv",
         (
-            f"exact against {n} analogue photons a wavelength; largest |z| {worst:.2f} of {len(rows)}",
+            f"exact against {n} analogue photons a wavelength; largest |z| {worst:.2f} of "
+            f"{len(rows)}",
         ),
         ("process", "level", "cos_incidence", "fate", "wavelength_nm", "exact", "monte_carlo", "z"),
         rows,

@@ -1,7 +1,8 @@
-"""The two integrators of the renderer against radiative transfer in the same layers, over thickness and exit angle.
+"""The two integrators of the renderer against radiative transfer in the same layers, over thickness
+and exit angle.
 
-`Separable` is ILIT, `SingleScattering` is F09's. Depth-resolved transport is the yardstick, itself checked here by a
-Monte Carlo that shares no code with the package.
+`Separable` is ILIT, `SingleScattering` is F09's. Depth-resolved transport is the yardstick, itself
+checked here by a Monte Carlo that shares no code with the package.
 """
 
 import jax
@@ -27,7 +28,9 @@ NEAR = 0.95  # cosine of the exit over thickness: the middle of the Monte Carlo'
 
 
 def main(key, quick=False, out=RESULTS):
-    """Write BRDFs of every integrator by level, wavelength, thickness, incidence and exit (quick: 2·10⁴ photons)."""
+    """Write BRDFs of every integrator by level, wavelength, thickness, incidence and exit (quick:
+    2·10⁴ photons).
+    """
     exits = jnp.append((CELLS[1:] + CELLS[:-1]) / 2, 1.0)
     thickness = (0.1, USUAL) if quick else THICKNESS
     luminance = np.asarray(tristimulus_matrix(GRID, "XYZ", "D65", OBSERVER)[0])[1]
@@ -64,20 +67,34 @@ def main(key, quick=False, out=RESULTS):
     seen = [(row[6], row[8], row[9]) for row in rows if row[8] != "" and row[4] < 85]
     z = np.asarray([(mc - exact) / error for exact, mc, error in seen if error > 0])
     print(
-        f"Monte Carlo against depth-resolved, {z.size} values: |z| ≤ {np.abs(z).max():.2f}, mean z² {np.mean(z**2):.2f}"
+        f"Monte Carlo against depth-resolved, {z.size} values: |z| ≤ {np.abs(z).max():.2f}, mean "
+        f"z² {np.mean(z**2):.2f}"
     )
     write(
         out / "integrators.csv",
         (
-            "simulated by irisjax; BRDF (1/sr) in the chamber, ABL fraction 0.5, exits on the light's far side;",
-            "stroma_mm: thickness at constant concentrations; luminance: D65, relative to a white of BRDF 1;",
-            f"ilit: process ilit-2006; single_scattering: as F09, layers of the chamber's index; {photons} photons in",
+            "simulated by irisjax; BRDF (1/sr) in the chamber, ABL fraction 0.5, exits on the "
+            "light's far side;",
+            "stroma_mm: thickness at constant concentrations; luminance: D65, relative to a white "
+            "of BRDF 1;",
+            f"ilit: process ilit-2006; single_scattering: as F09, layers of the chamber's index; "
+            f"{photons} photons in",
             "cells of the cosine 0.1 wide, radiative transfer with Fresnel's interfaces",
         ),
-        ("level", "wavelength_nm", "stroma_mm", "incidence_deg", "exit_deg", "ilit", "depth_resolved",
-         "single_scattering", "monte_carlo", "standard_error"),
+        (
+            "level",
+            "wavelength_nm",
+            "stroma_mm",
+            "incidence_deg",
+            "exit_deg",
+            "ilit",
+            "depth_resolved",
+            "single_scattering",
+            "monte_carlo",
+            "standard_error",
+        ),
         rows,
-    )  # fmt: skip
+    )
 
 
 def _layers(iris, table, scale):
@@ -86,7 +103,9 @@ def _layers(iris, table, scale):
 
 @jax.jit
 def _models(iris, thickness, mu, exits):
-    """ILIT, depth-resolved, single scattering, shapes (thicknesses, wavelengths, exits); and the solver's status."""
+    """ILIT, depth-resolved, single scattering, shapes (thicknesses, wavelengths, exits); and the
+    solver's status.
+    """
     table, scales, azimuth = ij.extinction(GRID), thickness / USUAL, jnp.zeros(exits.size)
 
     def solved(process, solver):
@@ -120,7 +139,9 @@ def _models(iris, thickness, mu, exits):
 
 
 def _monte_carlo(layers, i, photons, rng):
-    """BRDF in cells of the exit cosine and its standard error: normal incidence, photons weighted by absorption."""
+    """BRDF in cells of the exit cosine and its standard error: normal incidence, photons weighted
+    by absorption.
+    """
     n_out, n_abl, n_stroma, n_ipe = (float(x) for x in jax.tree.leaves(layers.indices))
     abl, tau, albedo = (
         float(np.asarray(x)[i]) for x in (layers.abl_absorption, layers.extinction, layers.albedo)

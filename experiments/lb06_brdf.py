@@ -11,7 +11,9 @@ from experiments.common import RESULTS, start, write
 
 
 def main(key, quick=False, out=RESULTS):
-    """Write angle, exact BRDF, Monte Carlo BRDF (10⁷ photons; quick: 10⁴) and depth-resolved BRDF."""
+    """Write angle, exact BRDF, Monte Carlo BRDF (10⁷ photons; quick:
+    10⁴) and depth-resolved BRDF.
+    """
     angle, cosine, azimuth = ij.principal_plane(13 if quick else 37)
     rows = []
     for level in ("low", "high"):
@@ -39,8 +41,10 @@ def main(key, quick=False, out=RESULTS):
     write(
         out / "fig8_brdf.csv",
         (
-            "simulated by irisjax; process ilit-2006 (and depth-resolved), 550 nm, ABL fraction 0.5, 1/sr,",
-            "in the aqueous humour, light mirrored by the first surface left out; negative angles lie on the",
+            "simulated by irisjax; process ilit-2006 (and depth-resolved), 550 nm, ABL fraction "
+            "0.5, 1/sr,",
+            "in the aqueous humour, light mirrored by the first surface left out; negative angles "
+            "lie on the",
             "light's side; Monte Carlo values are averages over cells half-way to the next cosine",
         ),
         (

@@ -16,7 +16,9 @@ HEADER = (
 
 
 def main(key, quick=False, out=RESULTS):
-    """Write the three figures' data; the Monte Carlo column follows 10⁶ photons a wavelength (quick: 2000)."""
+    """Write the three figures' data; the Monte Carlo column follows 10⁶ photons a wavelength
+    (quick: 2000).
+    """
     grid = ij.wavelengths(400, 700, 20 if quick else 5)
     sampled = ij.MonteCarlo(2_000 if quick else 1_000_000)
     key5, key6, key7 = jax.random.split(key, 3)
@@ -39,11 +41,15 @@ def main(key, quick=False, out=RESULTS):
     ]
     write(
         out / "fig5_radiance.csv",
-        (*HEADER, "radiance under D65, relative to the illuminant at 560 nm, per sr, dimmed by the cornea inward;",
-         "first surface counted, tear film's mirror dropped"),
+        (
+            *HEADER,
+            "radiance under D65, relative to the illuminant at 560 nm, per sr, "
+            "dimmed by the cornea inward;",
+            "first surface counted, tear film's mirror dropped",
+        ),
         ("level", *columns),
         data,
-    )  # fmt: skip
+    )
     data = [
         row
         for level, k in zip(LEVELS, jax.random.split(key6, 3), strict=True)

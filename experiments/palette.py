@@ -9,7 +9,9 @@ from experiments.common import RESULTS, start, write
 
 
 def main(key, quick=False, out=RESULTS):
-    """Write XYZ and linear sRGB (D65, 2° observer) on a grid of loads and fractions. No key is used."""
+    """Write XYZ and linear sRGB (D65, 2° observer) on a grid of loads and fractions. No key is
+    used.
+    """
     del key
     loads = np.geomspace(0.01, 0.5, 5 if quick else 25)
     fractions = np.linspace(0.0, 1.0, 3 if quick else 21)
@@ -29,11 +31,14 @@ def main(key, quick=False, out=RESULTS):
     ]
     write(
         out / "palette.csv",
-        ("simulated by irisjax; process ilit-2006, pheomelanin share of the low level, D65, CIE 1931 2 degree,",
-         "first surface left out; melanin load in ug/mm2"),
+        (
+            "simulated by irisjax; process ilit-2006, pheomelanin share of the low "
+            "level, D65, CIE 1931 2 degree,",
+            "first surface left out; melanin load in ug/mm2",
+        ),
         ("melanin_load", "abl_fraction", "X", "Y", "Z", "r_linear", "g_linear", "b_linear"),
         rows,
-    )  # fmt: skip
+    )
 
 
 if __name__ == "__main__":

@@ -1,4 +1,6 @@
-"""Pictures after LB06 Fig. 9 and F09 Figs. 14 to 18, and the functions of Figs. 15 and 16; all simulated."""
+"""Pictures after LB06 Fig. 9 and F09 Figs. 14 to 18, and the functions of Figs. 15 and 16; all
+simulated.
+"""
 
 import dataclasses
 import io

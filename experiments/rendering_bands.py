@@ -1,8 +1,8 @@
 """At which few wavelengths must a picture be computed? Nodes and the matrix that fills in the rest.
 
-A thousand irides drawn widely; nodes moved one by one until the largest colour difference under D65 and A is
-smallest; the matrix is least squares. The error is then measured on a thousand other irides, also under FL11.
-The table that ships with the package is `rendering_bands.csv` of this run.
+A thousand irides drawn widely; nodes moved one by one until the largest colour difference under D65
+and A is smallest; the matrix is least squares. The error is then measured on a thousand other
+irides, also under FL11. The table that ships with the package is `rendering_bands.csv` of this run.
 """
 
 import jax
@@ -20,7 +20,9 @@ LIGHTS = ("D65", "A", "FL11")
 
 
 def main(key, quick=False, out=RESULTS):
-    """Write nodes with their matrix, and colour differences by illuminant (quick: 60 irides, 6 nodes)."""
+    """Write nodes with their matrix, and colour differences by illuminant (quick: 60 irides, 6
+    nodes).
+    """
     from colour.difference import delta_E_CIE2000
 
     count, n = (60, 6) if quick else (1000, 10)
@@ -52,8 +54,10 @@ def main(key, quick=False, out=RESULTS):
                 if len(set(moved)) == n and (found := worst(moved)) < best - 1e-4:
                     best, nodes, better = found, moved, True
     header = (
-        f"least squares of {count} simulated irides of process ilit-2006 (drawn widely around LB06's): reflectance at",
-        "each wavelength of the columns is the sum over rows of reflectance at the row's wavelength times the entry",
+        f"least squares of {count} simulated irides of process ilit-2006 (drawn widely around "
+        f"LB06's): reflectance at",
+        "each wavelength of the columns is the sum over rows of reflectance at the row's "
+        "wavelength times the entry",
     )
     columns = ("wavelength_nm", *(f"to_{x:g}" for x in GRID))
     rows = [(float(GRID[j]), *map(float, row)) for j, row in zip(nodes, matrix(nodes), strict=True)]
@@ -65,7 +69,8 @@ def main(key, quick=False, out=RESULTS):
     write(
         out / "rendering_bands_error.csv",
         (
-            f"colour differences of {n} wavelengths against 81, on irides the nodes were not chosen from",
+            f"colour differences of {n} wavelengths against 81, on irides the nodes were not "
+            f"chosen from",
         ),
         ("illuminant", "irides", "mean_dE2000", "p99_dE2000", "max_dE2000"),
         errors,

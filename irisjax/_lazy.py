@@ -1,4 +1,6 @@
-"""Packages whose modules load when they are first asked for: `ij.tissue.iris` after `import irisjax as ij`."""
+"""Packages whose modules load when they are first asked for: `ij.tissue.iris` after `import irisjax
+as ij`.
+"""
 
 import importlib
 import importlib.util

@@ -62,17 +62,20 @@ def spectra_figure(measurements: Mapping[str, Measurement], title: str = "") -> 
 
 
 def brdf_figure(result: Brdf, title: str = "") -> "Figure":
-    """BRDF as a polar plot: half a disc a principal plane, a shaded disc a wavelength for a hemisphere."""
+    """BRDF as a polar plot: half a disc a principal plane, a shaded disc a wavelength for a
+    hemisphere.
+    """
     azimuth = np.asarray(result.azimuth)
     in_plane = np.isclose(np.sin(azimuth), 0, atol=1e-6).all()
     return _principal_plane(result, title) if in_plane else _hemisphere(result, title)
 
 
 def fit_figure(observations, simulated, models) -> "Figure":
-    """Measured spectra with the posterior predictive band, and their residuals in standard deviations below.
+    """Measured spectra with the posterior predictive band, and their residuals in standard
+    deviations below.
 
-    `observations`: tuples (name, quantity, is_colour, wavelengths, values); `simulated`, `models`: draws
-    (draws, data) of each, with and without noise.
+    `observations`: tuples (name, quantity, is_colour, wavelengths, values); `simulated`, `models`:
+    draws (draws, data) of each, with and without noise.
     """
     n = len(observations)
     figure = _figure(1.4 + 5.0 * n, 5.2)
@@ -156,10 +159,18 @@ def corner_figure(samples: Mapping[str, np.ndarray]) -> "Figure":
     figure = _figure(1.6 * n + 0.6, 1.6 * n + 0.6)
     figure.set_layout_engine(None)
     corner(
-        np.stack(list(samples.values()), axis=1), labels=list(samples), fig=figure, levels=(0.68, 0.95),
-        quantiles=(0.16, 0.5, 0.84), color=PALETTE[0], plot_datapoints=False, smooth=0.8, max_n_ticks=4,
-        label_kwargs={"fontsize": 9}, range=[0.998] * n,
-    )  # fmt: skip
+        np.stack(list(samples.values()), axis=1),
+        labels=list(samples),
+        fig=figure,
+        levels=(0.68, 0.95),
+        quantiles=(0.16, 0.5, 0.84),
+        color=PALETTE[0],
+        plot_datapoints=False,
+        smooth=0.8,
+        max_n_ticks=4,
+        label_kwargs={"fontsize": 9},
+        range=[0.998] * n,
+    )
     return figure
 
 
@@ -222,7 +233,8 @@ def _principal_plane(result: Brdf, title: str) -> "Figure":
             )
     top = 1.08 * float(values[shown].max()) or 1.0
     incidence = -np.arccos(np.clip(float(result.cos_incidence), 0, 1))
-    # The light comes in on the negative side; its mirror direction is where `values` leave out a delta.
+    # The light comes in on the negative side; its mirror direction is where `values` leave out a
+    # delta.
     ax.annotate(
         "",
         (incidence, 0.72 * top),

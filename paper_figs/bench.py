@@ -28,11 +28,26 @@ for i, (solver, marker) in enumerate(MARKERS.items()):
             continue
         faint = precision == "float32" and solver in ("exact", "tabulated")
         name = f"{solver}, {precision}" if solver in ("exact", "tabulated") else solver
-        line(left, mine, "jitted_us" if solver in ("exact", "tabulated") else "single_us", marker=marker,
-             color=f"C{i}", alpha=0.5 if faint else 1, label=name)  # fmt: skip
+        line(
+            left,
+            mine,
+            "jitted_us" if solver in ("exact", "tabulated") else "single_us",
+            marker=marker,
+            color=f"C{i}",
+            alpha=0.5 if faint else 1,
+            label=name,
+        )
         if solver in ("exact", "tabulated"):
-            line(left, mine, "batch_us", marker=marker, color=f"C{i}", ls=":", alpha=0.5 if faint else 1,
-                 label=f"{name}, in a batch")  # fmt: skip
+            line(
+                left,
+                mine,
+                "batch_us",
+                marker=marker,
+                color=f"C{i}",
+                ls=":",
+                alpha=0.5 if faint else 1,
+                label=f"{name}, in a batch",
+            )
 left.set_title("ILIT (ilit-2006), 81 wavelengths", fontsize=10)
 jobs = ("depth-resolved", "depth-resolved, index-matched", "one slab, isotropic, index-matched")
 keys = sorted({(r["job"], r["solver"]) for r in rows if r["job"] in jobs})

@@ -1,4 +1,6 @@
-"""LB06 Fig. 5, the modelled part: radiance of three irides under D65 (simulated; no measured curve is drawn)."""
+"""LB06 Fig. 5, the modelled part: radiance of three irides under D65 (simulated; no measured curve
+is drawn).
+"""
 
 from paper_figs.common import spectra
 

@@ -1,4 +1,6 @@
-"""LB06 Fig. 8: BRDF at 550 nm in the principal plane, polar, low and high (simulated), beside radiative transfer."""
+"""LB06 Fig. 8: BRDF at 550 nm in the principal plane, polar, low and high (simulated), beside
+radiative transfer.
+"""
 
 import numpy as np
 
@@ -15,8 +17,16 @@ for axes, incidence in zip(panels, ("0", "60"), strict=True):
             for k in ("exact", "monte_carlo", "standard_error", "depth_resolved")
         }
         axes.plot(angle, column["exact"], color=f"C{i}", label=f"{level}, ILIT exact")
-        axes.errorbar(angle[::3], column["monte_carlo"][::3], 2 * column["standard_error"][::3], fmt="o", ms=2.5,
-                      lw=0.8, color=f"C{i}", label=f"{level}, ILIT Monte Carlo")  # fmt: skip
+        axes.errorbar(
+            angle[::3],
+            column["monte_carlo"][::3],
+            2 * column["standard_error"][::3],
+            fmt="o",
+            ms=2.5,
+            lw=0.8,
+            color=f"C{i}",
+            label=f"{level}, ILIT Monte Carlo",
+        )
         axes.plot(
             angle,
             column["depth_resolved"],

@@ -1,4 +1,6 @@
-"""Both integrators against radiative transfer in the same layers, over stroma thickness and exit angle (simulated)."""
+"""Both integrators against radiative transfer in the same layers, over stroma thickness and exit
+angle (simulated).
+"""
 
 import numpy as np
 

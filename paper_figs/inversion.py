@@ -1,4 +1,6 @@
-"""Where closed formulas fail (residuals by wavelength), and whether the posteriors are calibrated."""
+"""Where closed formulas fail (residuals by wavelength), and whether the posteriors are
+calibrated.
+"""
 
 import matplotlib.pyplot as plt
 import numpy as np
@@ -21,9 +23,12 @@ def residuals():
         for i, model in enumerate(dict.fromkeys(r["model"] for r in rows)):
             mine = [r for r in rows if r["model"] == model and r["level"] == level]
             ax.plot(
-                [float(r["wavelength_nm"]) for r in mine], [float(r["residual_percent"]) for r in mine], color=f"C{i}",
-                linestyle=("-", "--", "-.", ":")[i % 4], label=model,
-            )  # fmt: skip
+                [float(r["wavelength_nm"]) for r in mine],
+                [float(r["residual_percent"]) for r in mine],
+                color=f"C{i}",
+                linestyle=("-", "--", "-.", ":")[i % 4],
+                label=model,
+            )
         ax.axhspan(-2, 2, color="0.92", lw=0)
         ax.set(xlabel="wavelength (nm)", title=level)
     axes[0, 0].set_ylabel("fit / ILIT − 1 (%)")
@@ -37,7 +42,9 @@ def residuals():
 
 
 def calibration():
-    """Ranks of the truths among posterior draws, as the difference from uniform with its 95 % band."""
+    """Ranks of the truths among posterior draws, as the difference from uniform with its 95 %
+    band.
+    """
     from scipy import stats
 
     rows = read("calibration_ranks.csv")
@@ -54,9 +61,10 @@ def calibration():
     low, high = (stats.binom.ppf(q, n, p) / n - p for q in (0.025, 0.975))
     ax.fill_between(grid, low, high, color="0.88", lw=0, label="95 %, each rank by itself")
     ax.set(
-        xlabel=f"rank of the truth among {draws} posterior draws", ylabel="share of eyes up to it − uniform",
+        xlabel=f"rank of the truth among {draws} posterior draws",
+        ylabel="share of eyes up to it − uniform",
         title=f"Calibration on {n} simulated eyes",
-    )  # fmt: skip
+    )
     ax.legend(fontsize=7, ncols=4, loc="upper center", bbox_to_anchor=(0.45, -0.18))
     save(figure, "calibration")
 

@@ -1,4 +1,6 @@
-"""The README's picture: spectra of the three levels in their colours, and colours over load and ABL fraction."""
+"""The README's picture: spectra of the three levels in their colours, and colours over load and ABL
+fraction.
+"""
 
 import numpy as np
 
@@ -6,7 +8,9 @@ from paper_figs.common import curves, plt, read, save
 
 
 def encode(linear):
-    """sRGB transfer function; the picture is brightened first, by the one factor its caption names."""
+    """sRGB transfer function; the picture is brightened first,
+    by the one factor its caption names.
+    """
     x = np.clip(linear, 0, 1)
     return np.where(x <= 0.0031308, 12.92 * x, 1.055 * x ** (1 / 2.4) - 0.055)
 

@@ -33,18 +33,38 @@ def panels(name, titles, title, figure_name, rows=()):
 
 panels(
     "render_lb06_fig9",
-    [f"{level}: eumelanin {eu} mg/ml" for level, eu in (("high", 1.008), ("moderate", 0.814), ("low", 0.120))],
-    "After LB06 Fig. 9 (simulated; light × 6)", "lb06_fig9",
+    [
+        f"{level}: eumelanin {eu} mg/ml"
+        for level, eu in (("high", 1.008), ("moderate", 0.814), ("low", 0.120))
+    ],
+    "After LB06 Fig. 9 (simulated; light × 6)",
+    "lb06_fig9",
     [f"{share} % of the melanin in the ABL" for share in (20, 50, 80)],
-)  # fmt: skip
-panels("render_f09_fig14", ["refraction at the cornea", "no cornea"],
-       "After F09 Fig. 14: camera 60° aside (simulated; light × 2)", "f09_fig14")  # fmt: skip
-panels("render_f09_fig16", ["brown", "blue"],
-       "After F09 Fig. 16: light 86° aside from the left (simulated; light × 3)", "f09_fig16")  # fmt: skip
-panels("render_f09_fig17", ["no freckles", "60 freckles"],
-       "After F09 Fig. 17: green iris (simulated; light × 2)", "f09_fig17")  # fmt: skip
-panels("render_f09_fig18", ["no veins", "density 1", "density 2"],
-       "After F09 Fig. 18: camera 40° aside (simulated)", "f09_fig18")  # fmt: skip
+)
+panels(
+    "render_f09_fig14",
+    ["refraction at the cornea", "no cornea"],
+    "After F09 Fig. 14: camera 60° aside (simulated; light × 2)",
+    "f09_fig14",
+)
+panels(
+    "render_f09_fig16",
+    ["brown", "blue"],
+    "After F09 Fig. 16: light 86° aside from the left (simulated; light × 3)",
+    "f09_fig16",
+)
+panels(
+    "render_f09_fig17",
+    ["no freckles", "60 freckles"],
+    "After F09 Fig. 17: green iris (simulated; light × 2)",
+    "f09_fig17",
+)
+panels(
+    "render_f09_fig18",
+    ["no veins", "density 1", "density 2"],
+    "After F09 Fig. 18: camera 40° aside (simulated)",
+    "f09_fig18",
+)
 
 saved = np.load(RESULTS / "render_f09_fig15.npz")
 figure, axes = plt.subplots(1, 3, figsize=(9.2, 3.1), layout="constrained")

@@ -38,8 +38,8 @@ def main(arguments: list[str] | None = None) -> None:
 def run(arguments: list[str] | None = None) -> int:
     """Run the command with these arguments (default: the process's own) and return its exit status.
 
-    0, or 2 for wrong input, 130 for Ctrl-C, 1 for a fault of our own; whatever goes wrong ends in one line
-    on standard error. With IRISJAX_DEBUG=1 exceptions pass.
+    0, or 2 for wrong input, 130 for Ctrl-C, 1 for a fault of our own; whatever goes wrong ends in
+    one line on standard error. With IRISJAX_DEBUG=1 exceptions pass.
     """
     try:
         jax.config.update(
@@ -106,7 +106,8 @@ def _irisjax(
 ) -> None:
     """Predictive spectra, BRDF and colour of the human iris from its pigments.
 
-    Its spectra and colours are simulated. Files carry every setting in their header; `--from FILE.csv` runs one again.
+    Its spectra and colours are simulated. Files carry every setting in their header; `--from
+    FILE.csv` runs one again.
     """
     if version:
         typer.echo(f"irisjax {ij.__version__}")

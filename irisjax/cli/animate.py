@@ -16,9 +16,12 @@ CHANGES = ("pupil", "light", "pigment")
 NARROW, WIDE = 1.0, 3.5
 """Radii of the pupil at the turning points of `pupil`, mm."""
 TURN = math.radians(75.0)
-"""Largest angle of the lamp off the axis in `light`, from the picture's right to its left and back."""
+"""Largest angle of the lamp off the axis in `light`, from the picture's right to its left and back.
+"""
 FACTOR = 8.0
-"""By which `pigment` divides both melanins, and multiplies them, or by more where that stays below `DARK`."""
+"""By which `pigment` divides both melanins, and multiplies them, or by more where that stays below
+`DARK`.
+"""
 DARK = 3.0
 """Concentration of both melanins together in a brown eye, mg/ml."""
 

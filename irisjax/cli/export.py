@@ -27,9 +27,11 @@ def export(
         "eye"
     ),
 ) -> None:
-    """An eye for other renderers: meshes, textures in the iris's uv, a BRDF table, and a scene for Mitsuba 3.
+    """An eye for other renderers: meshes, textures in the iris's uv, a BRDF table, and a scene for
+    Mitsuba 3.
 
-    README.txt in the folder says what each file is, and how far a matt iris is from the model. Simulated.
+    README.txt in the folder says what each file is, and how far a matt iris is from the model.
+    Simulated.
     """
     if not 0.02 <= spacing <= 2:
         raise ValueError(f"--spacing {spacing:g} is outside 0.02 to 2 mm")
@@ -38,7 +40,8 @@ def export(
     made = write(output, found, spacing=spacing)
     off = ", ".join(f"{100 * v:.2g} %" for v in np.asarray(made.error.rms))
     typer.echo(
-        f"{output}: {len(made.files)} files; a matt iris is off by {off} (R, G, B) within {CONE:g}° of its normal"
+        f"{output}: {len(made.files)} files; a matt iris is off by {off} (R, G, B) within "
+        f"{CONE:g}° of its normal"
     )
     if made.clipped:
         print(

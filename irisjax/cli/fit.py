@@ -21,7 +21,8 @@ EPILOG = "\n".join(
         "Parameters and their priors (* free by default; ABL: anterior border layer).",
         "What is neither free nor fixed stands as in LB06's moderate iris.",
         *(
-            f"{'*' if name in DEFAULT_FREE else '·'} {name}{f' ({p.unit})' if p.unit else ''}: {p.meaning}; {p.prior!r}"
+            f"{'*' if name in DEFAULT_FREE else '·'} {name}{f' ({p.unit})' if p.unit else ''}: "
+            f"{p.meaning}; {p.prior!r}"
             for name, p in PARAMETERS.items()
         ),
         "Kinds of priors: normal(mean, sd), lognormal(median, sd of ln), logitnormal(median, sd of "
@@ -36,7 +37,8 @@ def fit(
         list[Path] | None,
         typer.Argument(
             metavar="SPECTRUM",
-            help="file of wavelengths and reflectances (CSV, TSV, JCAMP-DX); several are of one eye, fitted together",
+            help="file of wavelengths and reflectances (CSV, TSV, JCAMP-DX); several "
+            "are of one eye, fitted together",
             show_default=False,
         ),
     ] = None,
@@ -47,7 +49,8 @@ def fit(
             "--output",
             metavar="FOLDER",
             rich_help_panel=_FILES,
-            help="for summary.csv, fit.png, corner.png, posterior.nc (arviz), chain.h5; else the table is printed only",
+            help="for summary.csv, fit.png, corner.png, posterior.nc (arviz), chain.h5; "
+            "else the table is printed only",
         ),
     ] = None,
     batch: Annotated[
@@ -108,7 +111,8 @@ def fit(
         str | None,
         typer.Option(
             metavar="NAMES",
-            help="parameters that each of several spectra has for itself, by commas: NAME@1, NAME@2, ...",
+            help="parameters that each of several spectra has for itself, by commas: "
+            "NAME@1, NAME@2, ...",
             rich_help_panel=_MODEL,
         ),
     ] = None,
@@ -199,7 +203,8 @@ def fit(
         ),
     ] = 0,
 ) -> None:
-    """Find the pigments of an iris from its measured spectrum: medians and intervals, and what the data cannot tell.
+    """Find the pigments of an iris from its measured spectrum: medians and intervals, and what the
+    data cannot tell.
 
     For example: irisjax fit eye.csv -o fit_eye
 

@@ -1,4 +1,6 @@
-"""From settings to a measurement: the iris, the solver, photons in blocks, and what the header says of it."""
+"""From settings to a measurement: the iris, the solver, photons in blocks, and what the header says
+of it.
+"""
 
 import dataclasses
 import sys
@@ -69,9 +71,14 @@ def simulated_measurement(values: Mapping[str, Any]):
     held |= {n: values[n] for n in ("scattering_scale", "gain")}
     solver = ij.Exact()
     stated = ij.problem(
-        observation, free=["noise"], fixed={n: v for n, v in held.items() if n != "noise"}, base=iris, process=process,
-        solver=solver, noise=ij.Noise(values["relative_noise"], values["absolute_noise"]),
-    )  # fmt: skip
+        observation,
+        free=["noise"],
+        fixed={n: v for n, v in held.items() if n != "noise"},
+        base=iris,
+        process=process,
+        solver=solver,
+        noise=ij.Noise(values["relative_noise"], values["absolute_noise"]),
+    )
     key = jax.random.key(values["seed"], impl="threefry2x32")
     draw = jax.jit(lambda k: stated.simulate(jnp.zeros(1), k)[0])
     return (
@@ -92,7 +99,9 @@ def truth(iris: ij.Iris, values: Mapping[str, Any]) -> str:
 def measured(
     instrument: Callable[..., Any], iris: ij.Iris, grid: np.ndarray, options: Mapping[str, Any]
 ):
-    """What the instrument reads; photons followed one by one are followed in blocks, with a progress bar."""
+    """What the instrument reads; photons followed one by one are followed in blocks, with a
+    progress bar.
+    """
     solver = options["solver"]
     if not isinstance(solver, MonteCarlo) or solver.estimator != "analog":
         return instrument(iris, grid, **options)
@@ -194,7 +203,9 @@ def _approximation(process: ij.Process) -> str:
         else ("0.0405", "about twice as bright as")
     )
     return (
-        f"ILIT tests whole layers at once: in the blue, light eyes come out {theirs} by depth-resolved "
-        f"transport of the same layers ({ours} against 0.0202 at 450 nm, low pigmentation, rescatter = "
+        f"ILIT tests whole layers at once: in the blue, light eyes come out {theirs} by "
+        f"depth-resolved "
+        f"transport of the same layers ({ours} against 0.0202 at 450 nm, low pigmentation, "
+        f"rescatter = "
         f"{process.rescatter})"
     )

@@ -35,8 +35,8 @@ class Setting(NamedTuple):
     def parameter(self) -> inspect.Parameter:
         """The option as typer reads it.
 
-        Its default is `None` and the true one only told in the help: it matters to `--from` whether an
-        option was given.
+        Its default is `None` and the true one only told in the help: it matters to `--from` whether
+        an option was given.
         """
         names = (self.option or _dashed(self.name)).split()
         default = self.default

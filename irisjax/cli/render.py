@@ -50,8 +50,10 @@ def render(
         list[str] | None,
         typer.Option(
             metavar="POLAR,AZIMUTH[,IRRADIANCE]",
-            help="degrees from the eye's axis (0 to 180) and from the picture's right to its top; irradiance on what "
-            "faces it, 3.14 lights a white sheet to white; repeatable; in place of the scene's lamps and environment",
+            help="degrees from the eye's axis (0 to 180) and from the picture's right "
+            "to its top; irradiance on what "
+            "faces it, 3.14 lights a white sheet to white; repeatable; in place of the scene's "
+            "lamps and environment",
             rich_help_panel=_WHAT,
         ),
     ] = None,
@@ -79,7 +81,8 @@ def render(
     integrator: Annotated[
         str,
         typer.Option(
-            help="separable (ILIT, all orders of scattering) or single-scattering (marched as in F09)",
+            help="separable (ILIT, all orders of scattering) or single-scattering "
+            "(marched as in F09)",
             rich_help_panel=_HOW,
         ),
     ] = "separable",
@@ -95,7 +98,8 @@ def render(
     animate: Annotated[
         str | None,
         typer.Option(
-            help=f"{', '.join(CHANGES)}: .gif, .mp4, numbered frames (frame_%03d.png), or one .png of all",
+            help=f"{', '.join(CHANGES)}: .gif, .mp4, numbered frames (frame_%03d.png), "
+            f"or one .png of all",
             rich_help_panel=_HOW,
         ),
     ] = None,
@@ -118,8 +122,8 @@ def render(
 ) -> None:
     """A picture of an eye from its pigments: refraction, caustics, scattering in the iris.
 
-    Simulated. PNG is sRGB without any tone adjustment; what is out of its range is clipped, and counted on standard
-    error. EXR is linear and unbounded.
+    Simulated. PNG is sRGB without any tone adjustment; what is out of its range is clipped, and
+    counted on standard error. EXR is linear and unbounded.
     """
     moving = (".gif", ".mp4", ".png")
     allowed = (
@@ -287,7 +291,9 @@ def _lamp(text: str, illuminant: str) -> Lights:
 
 
 def _angles(option: str, text: str, third: str, default: float) -> tuple[float, float, float]:
-    """Polar angle and azimuth, radians, and the third number of an option, which may be left out."""
+    """Polar angle and azimuth, radians, and the third number of an option,
+    which may be left out.
+    """
     try:
         numbers = [float(part) for part in text.split(",")]
     except ValueError:

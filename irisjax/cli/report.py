@@ -38,7 +38,9 @@ _MOST_NUMBERS = 1 << 24  # of log likelihoods in a file: 128 MB
 
 
 def progress_bar(quiet: bool = False):
-    """Steps on a terminal; before the first it says what takes so long. Open it before the problem is stated."""
+    """Steps on a terminal; before the first it says what takes so long. Open it before the problem
+    is stated.
+    """
     from tqdm import tqdm
 
     # Wrong input ends in one line: what stands here is wiped until there are steps.
@@ -59,7 +61,9 @@ def one(
     files: bool,
     quiet: bool = False,
 ) -> bool:
-    """Fit, sample, print and write, with progress on `bar`; returns whether the chain is long enough."""
+    """Fit, sample, print and write, with progress on `bar`; returns whether the chain is long
+    enough.
+    """
     key = jax.random.key(sampler["seed"], impl="threefry2x32")
 
     def progress(n: int, word: str):
@@ -85,7 +89,8 @@ def one(
         _write(problem, folder, chains, rows, lines, key)
         score, error = io.predictive_score(folder / "posterior.nc")
         lines.append(
-            f"predictive score {score:.1f} ± {error:.1f} (PSIS-LOO): compare it with that of another --process"
+            f"predictive score {score:.1f} ± {error:.1f} (PSIS-LOO): compare it with that of "
+            f"another --process"
         )
     bar.close()
     if not quiet:
@@ -130,12 +135,17 @@ def _write(problem: Problem, folder: Path, chains: Chains, rows, lines, key) -> 
         for n, o in zip(names, seen, strict=True)
     }
     about = {
-        "converged": str(chains.converged), "steps": str(chains.steps), "every": str(thin * chains.thin),
+        "converged": str(chains.converged),
+        "steps": str(chains.steps),
+        "every": str(thin * chains.thin),
         "process": str(problem.process),
-        "priors": "; ".join(f"{n} ~ {p}" for n, p in zip(problem.free, problem.priors, strict=True)),
+        "priors": "; ".join(
+            f"{n} ~ {p}" for n, p in zip(problem.free, problem.priors, strict=True)
+        ),
         "fixed": "; ".join(f"{n} = {float(v):g}" for n, v in problem.fixed.items()),
-        "irisjax": ij.__version__, "says": " | ".join(lines),
-    }  # fmt: skip
+        "irisjax": ij.__version__,
+        "says": " | ".join(lines),
+    }
     io.write_posterior(folder / "posterior.nc", groups, about, observed)
     shown = [n for n in problem.free if kind(n) not in ("gain", "noise")]
     values = reported(problem, chains.z)
@@ -202,7 +212,8 @@ def _print(problem: Problem, rows: list[Row], lines: list[str], chains: Chains) 
         table.add_row(*cells)
     console.print(table)
     console.print(
-        f"{chains.steps} steps, acceptance {chains.acceptance:.2f}, autocorrelation time {chains.tau.max():.0f} steps"
+        f"{chains.steps} steps, acceptance {chains.acceptance:.2f}, autocorrelation time "
+        f"{chains.tau.max():.0f} steps"
     )
     for line in lines:
         console.print(line, markup=False, soft_wrap=True)

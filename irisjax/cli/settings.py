@@ -1,4 +1,6 @@
-"""Settings of each command: one table reads the command line and a file's header, and writes that header."""
+"""Settings of each command: one table reads the command line and a file's header, and writes that
+header.
+"""
 
 import dataclasses
 import math
@@ -74,7 +76,8 @@ _MODEL = (
     _choice(
         "process",
         _PROCESS,
-        "rules of light transport; by ilit, light eyes are twice as bright in the blue as depth-resolved",
+        "rules of light transport; by ilit, light eyes are twice as bright in the blue as "
+        "depth-resolved",
         PROCESSES,
         "ilit-2006",
     ),
@@ -311,7 +314,8 @@ FOR_PEOPLE = (
 def settled(command: str, given: Mapping[str, str | bool]) -> dict[str, Any]:
     """Values of a command's settings: what was given, else what `--from` says, else the defaults.
 
-    Settings left open are `None`. **Raises:** `ValueError` naming option or file, value and allowed range.
+    Settings left open are `None`. **Raises:** `ValueError` naming option or file, value and allowed
+    range.
     """
     table = {setting.name: setting for setting in COMMANDS[command]}
     texts = {name: _text(value) for name, value in given.items()}
@@ -319,7 +323,8 @@ def settled(command: str, given: Mapping[str, str | bool]) -> dict[str, Any]:
     values: dict[str, Any] = {}
     for name, setting in table.items():
         text = texts.get(name, filed.get(name, setting.default))
-        # A default that the help shows but the model holds (an iris's index, say) stays with the model.
+        # A default that the help shows but the model holds (an iris's index, say) stays with the
+        # model.
         if text is None or (name in LIMITS and name not in texts and name not in filed):
             values[name] = None
             continue
@@ -344,7 +349,9 @@ def settled(command: str, given: Mapping[str, str | bool]) -> dict[str, Any]:
 def header(
     command: str, values: Mapping[str, Any], iris: ij.Iris, process: ij.Process
 ) -> dict[str, str]:
-    """The settings as a file's header, complete enough for `--from`; `iris` and `process` made from them."""
+    """The settings as a file's header, complete enough for `--from`; `iris` and `process` made from
+    them.
+    """
     out: dict[str, str] = {}
     parameters = iris.parameters()
     values = {**values, **{name: getattr(process, name) for name in _SETS["process"]}}
@@ -352,7 +359,8 @@ def header(
         name = setting.name
         if name in parameters:
             unit = LIMITS[name].unit
-            # float, not text made by numpy: that loses digits once colour-science has been imported.
+            # float, not text made by numpy: that loses digits once colour-science has been
+            # imported.
             out[name] = f"{float(getattr(iris, name))!r}{f' [{unit}]' if unit else ''}"
         elif name == "melanin_load":
             out["melanin load that follows"] = f"{float(iris.melanin_load):.12g} [ug/mm2]"
@@ -375,7 +383,9 @@ def _applies(name: str, values: Mapping[str, Any]) -> bool:
 def _filed(
     path: Path, command: str, table: Mapping[str, Setting], texts: Mapping[str, str]
 ) -> dict[str, str]:
-    """Settings from a file's header that this command has and the command line does not overrule."""
+    """Settings from a file's header that this command has and the command line does not
+    overrule.
+    """
     entries = io.read_header(path)
     known = {
         setting.name
@@ -396,7 +406,8 @@ def _filed(
     left_out = [n for n in entries if n in table and n not in texts and table[n].panel == _LIGHT]
     if foreign and left_out:
         print(
-            f"irisjax: note: {path} is of another command; not taken from it: {', '.join(left_out)}",
+            f"irisjax: note: {path} is of another command; not taken from it: "
+            f"{', '.join(left_out)}",
             file=sys.stderr,
         )
     return {

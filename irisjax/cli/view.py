@@ -26,14 +26,17 @@ def view(
     host: Annotated[str, typer.Option(help="0.0.0.0 shows it to the whole network")] = "127.0.0.1",
     port: Annotated[int, typer.Option(min=0, max=65535, help="0 takes a free one")] = 8080,
 ) -> None:
-    r"""An eye in the browser, with sliders for pigments, layers, pupil and light, its spectrum and its colour.
+    r"""An eye in the browser, with sliders for pigments, layers, pupil and light, its spectrum and
+    its colour.
 
-    Drag to orbit, scroll to zoom. Ctrl-C ends it. Needs the extra: pip install 'irisjax\[view]'. Simulated.
+    Drag to orbit, scroll to zoom. Ctrl-C ends it. Needs the extra: pip install 'irisjax\[view]'.
+    Simulated.
     """
     check(host, port)
     preset = "blue" if scene is None and preset is None else preset
     file = scene_file(scene, preset, seed)
-    # Half the time of double precision, and the same picture to one level of 255 but for some pixels.
+    # Half the time of double precision, and the same picture to one level of 255 but for some
+    # pixels.
     jax.config.update("jax_enable_x64", False)
     given = {"exposure": file.exposure}
     if preset is not None:

@@ -1,7 +1,7 @@
 """Closed-form reflectance models, as solvers: what an inversion by the textbook would use.
 
-They share ILIT's layers and optical depths, so the same parameters can be fitted with each and the difference
-is the transport alone. What they do not send back they book as absorbed in the stroma.
+They share ILIT's layers and optical depths, so the same parameters can be fitted with each and the
+difference is the transport alone. What they do not send back they book as absorbed in the stroma.
 """
 
 import abc
@@ -76,7 +76,8 @@ class BeerLambert(AbstractAnalytic):
 class KubelkaMunk(AbstractAnalytic):
     """An absorbing layer over a Kubelka–Munk stroma, K = 2 μ_a, S = ¾ μ_s, on black [Kubelka 1948].
 
-    R = e^{−2·2τ_ABL} sinh(bSh) / (a sinh(bSh) + b cosh(bSh)), a = (S + K)/S, b = √(a² − 1); diffuse light.
+    R = e^{−2·2τ_ABL} sinh(bSh) / (a sinh(bSh) + b cosh(bSh)), a = (S + K)/S, b = √(a² − 1); diffuse
+    light.
     """
 
     def inner(self, layers: Layers):
@@ -91,7 +92,8 @@ class KubelkaMunk(AbstractAnalytic):
 
 
 class SingleScattering(AbstractAnalytic):
-    """Light scattered once, half of it upwards, leaving along the mean slant m = 2 of diffuse light.
+    """Light scattered once, half of it upwards, leaving along the mean slant m = 2 of diffuse
+    light.
 
     R = e^{−(1+m)τ_ABL} (ω/2) (1 − e^{−(1+m)τ})/(1+m), τ the stroma's extinction.
     """

@@ -7,7 +7,9 @@ import numpy as np
 
 
 class Diagnostics(NamedTuple):
-    """Rank-normalised split R-hat, and effective sample sizes of bulk and tails [Vehtari et al. 2021]."""
+    """Rank-normalised split R-hat, and effective sample sizes of bulk and tails [Vehtari et al.
+    2021].
+    """
 
     rhat: float
     ess_bulk: float

@@ -1,4 +1,6 @@
-"""Least squares: the best parameters, their covariance, and whether to believe them (optimistix)."""
+"""Least squares: the best parameters, their covariance, and whether to believe them
+(optimistix).
+"""
 
 from typing import Any
 
@@ -20,8 +22,8 @@ from irisjax.transport import elimination
 class Normal(lx.AbstractLinearSolver):
     """Linear least squares by the normal equations, in plain JAX for batches (see `elimination`).
 
-    With priors among the residuals the equations are well conditioned; without them rounding may bend a
-    step of an iteration, but not its end.
+    With priors among the residuals the equations are well conditioned; without them rounding may
+    bend a step of an iteration, but not its end.
     """
 
     def init(self, operator, options):
@@ -103,12 +105,13 @@ def fit(
 ) -> Fit:
     """Fit by least squares.
 
-    With priors this is the most probable vector z (noise held at what is stated: `noise` is not fitted and
-    keeps its prior's median); without them, maximum likelihood. Of `starts` searches (the first from the
-    priors' medians or from `start`, the others from draws of the priors with `key`) the best counts.
+    With priors this is the most probable vector z (noise held at what is stated: `noise` is not
+    fitted and keeps its prior's median); without them, maximum likelihood. Of `starts` searches
+    (the first from the priors' medians or from `start`, the others from draws of the priors with
+    `key`) the best counts.
 
-    Traceable: `jax.vmap` it over problems with `eqx.filter_vmap`. **Raises:** `ValueError` for an unknown
-    method.
+    Traceable: `jax.vmap` it over problems with `eqx.filter_vmap`. **Raises:** `ValueError` for an
+    unknown method.
     """
     if method not in METHODS:
         raise ValueError(f"unknown method {method!r}; known: {', '.join(METHODS)}")
@@ -138,7 +141,8 @@ def _fit(problem, start, key, method, use_priors, starts, rtol, atol, max_steps)
         return found.value, found.stats["num_steps"], found.result, found.aux
 
     begins = jnp.concatenate([first[None], draws])
-    # Searches side by side all last as long as the longest: of large problems one after another is quicker.
+    # Searches side by side all last as long as the longest: of large problems one after another is
+    # quicker.
     ends, steps, results, (data, predicted, costs) = in_pieces(
         search, begins, elements(problem) * first.size
     )

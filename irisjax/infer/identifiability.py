@@ -17,7 +17,9 @@ _WORDS = {
 
 
 class Direction(NamedTuple):
-    """A combination of parameters Π value^exponent and how well the data alone know it (relative sd)."""
+    """A combination of parameters Π value^exponent and how well the data alone know it (relative
+    sd).
+    """
 
     exponents: dict[str, float]
     relative: float
@@ -36,7 +38,8 @@ class Information(NamedTuple):
 
     - `names`: parameters, noise left out; `fisher`: (names, names).
     - `directions`: its eigenvectors from the best known to the worst.
-    - `alone`: relative sd of each parameter with all others free, without priors; infinite where unknown.
+    - `alone`: relative sd of each parameter with all others free, without priors; infinite where
+        unknown.
     - `correlation`: of load and fraction given data and priors, or nan.
     """
 
@@ -98,8 +101,10 @@ def in_words(found: Information) -> list[str]:
         a, b = found.names.index("melanin_load"), found.names.index("abl_fraction")
         product = _combination(found.fisher, a, b)
         lines.append(
-            f"load × fraction (the melanin of the ABL) is known to {_percent(product)}, the load alone to "
-            f"{_percent(load)}, the fraction alone to {_percent(fraction)} (data only, without priors)"
+            f"load × fraction (the melanin of the ABL) is known to {_percent(product)}, the load "
+            f"alone to "
+            f"{_percent(load)}, the fraction alone to {_percent(fraction)} (data only, without "
+            f"priors)"
         )
     return lines
 

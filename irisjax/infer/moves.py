@@ -15,9 +15,9 @@ _REACH = 4.0
 class Straightening(NamedTuple):
     """Coordinates y = S(z) in which samples that lie along a curved ridge look normal.
 
-    Principal axes, longest first, each less a quadratic polynomial of the longer ones: a triangular transport
-    map [Parno & Marzouk 2018] of shears, so that its Jacobian is constant and densities carry over. Beyond
-    `_REACH` standard deviations the polynomials stay at their edge.
+    Principal axes, longest first, each less a quadratic polynomial of the longer ones: a triangular
+    transport map [Parno & Marzouk 2018] of shears, so that its Jacobian is constant and densities
+    carry over. Beyond `_REACH` standard deviations the polynomials stay at their edge.
     """
 
     mean: np.ndarray
@@ -63,8 +63,8 @@ def _quadratic(w):
 class IndependentMove(emcee.moves.MHMove):
     """Metropolis–Hastings with proposals that do not depend on where a walker stands.
 
-    Drawn from a multivariate Student t of the straight coordinates: as good as it resembles the posterior;
-    where it does, one accepted jump forgets all. Teach with samples (n, free).
+    Drawn from a multivariate Student t of the straight coordinates: as good as it resembles the
+    posterior; where it does, one accepted jump forgets all. Teach with samples (n, free).
     """
 
     def __init__(self, straight: Straightening, samples):
@@ -96,10 +96,12 @@ class DifferenceMove(emcee.moves.DEMove):
 
 
 def mixture(samples=None):
-    """Moves and their weights, as `emcee.EnsembleSampler` takes them; taught by samples (n, free) if there are any.
+    """Moves and their weights, as `emcee.EnsembleSampler` takes them; taught by samples (n, free)
+    if there are any.
 
-    Shares by experiments/bench_inversion.py: independent jumps carry walkers along the ridge, thirty times
-    faster than stretches; the differences of walkers are for places where the t-distribution fits badly.
+    Shares by experiments/bench_inversion.py: independent jumps carry walkers along the ridge,
+    thirty times faster than stretches; the differences of walkers are for places where the
+    t-distribution fits badly.
     """
     if samples is None:
         return [(emcee.moves.DEMove(), 0.7), (emcee.moves.DESnookerMove(), 0.3)]

@@ -1,4 +1,6 @@
-"""How measured values scatter about the model: independent, heavy-tailed, or correlated over wavelength."""
+"""How measured values scatter about the model: independent, heavy-tailed, or correlated over
+wavelength.
+"""
 
 from typing import Any
 
@@ -24,12 +26,13 @@ def _setting(default) -> Any:
 
 
 class Noise(eqx.Module):
-    """Standard deviation √((relative·model)² + absolute²) where the data state none, and what comes beside it.
+    """Standard deviation √((relative·model)² + absolute²) where the data state none, and what comes
+    beside it.
 
-    - `discrepancy`: relative size of a smooth error of the model itself, correlated over `length` (nm);
-        `None` for none. It is marginalised, not fitted.
-    - `degrees_of_freedom`: of Student's t in place of the normal, which makes single outliers harmless;
-        `None` for the normal. Not together with `discrepancy`.
+    - `discrepancy`: relative size of a smooth error of the model itself, correlated over `length`
+        (nm); `None` for none. It is marginalised, not fitted.
+    - `degrees_of_freedom`: of Student's t in place of the normal, which makes single outliers
+        harmless; `None` for the normal. Not together with `discrepancy`.
     """
 
     relative: Scalar = _setting(0.02)
@@ -47,13 +50,17 @@ class Noise(eqx.Module):
             raise ValueError("a discrepancy needs its length (nm), and a length its discrepancy")
 
     def sd(self, observation: Observation, model: Float[Array, " data"], factor=1.0):
-        """Standard deviation of every value, given what the model predicts and the factor `noise`."""
+        """Standard deviation of every value, given what the model predicts and the factor
+        `noise`.
+        """
         if observation.sd is not None:
             return factor * observation.sd
         return factor * jnp.sqrt((self.relative * model) ** 2 + self.absolute**2)
 
     def pointwise(self, observation: Observation, model: Float[Array, " data"], factor=1.0):
-        """Log density of every value by itself, shape (data,); of correlated values, one given all before it."""
+        """Log density of every value by itself, shape (data,); of correlated values, one given all
+        before it.
+        """
         if observation.covariance_root is not None:
             white, log_sd = _whitened(
                 observation.covariance_root * factor, observation.values - model
@@ -69,7 +76,8 @@ class Noise(eqx.Module):
         return _normal(residual / sd, jnp.log(sd))
 
     def whiten(self, observation: Observation, model, factor=1.0):
-        """Residuals of unit variance, the weights taken as known: what least squares minimises, shape (data,).
+        """Residuals of unit variance, the weights taken as known: what least squares minimises,
+        shape (data,).
 
         Weights come from the data, so that they do not pull on the model.
         """
@@ -84,7 +92,9 @@ class Noise(eqx.Module):
         )[0]
 
     def draw(self, observation: Observation, model, factor, normal, chi_square=None):
-        """A measurement of the model, from standard normal numbers (and, for Student's t, χ² ones)."""
+        """A measurement of the model, from standard normal numbers (and, for Student's t,
+        χ² ones).
+        """
         if observation.covariance_root is not None:
             return model + factor * observation.covariance_root @ normal
         sd = self.sd(observation, model, factor)
@@ -111,9 +121,9 @@ def _student(white, log_sd, nu):
     )  # fmt: skip
 
 
-# Roots in plain JAX: batches of small LAPACK calls wait for each other on few cores (see `elimination`). In blocks,
-# so that most of the work is products of matrices (a twentieth of the time at 300 wavelengths); blocks in a loop,
-# so that it compiles fast.
+# Roots in plain JAX: batches of small LAPACK calls wait for each other on few cores (see
+# `elimination`). In blocks, so that most of the work is products of matrices (a twentieth of the
+# time at 300 wavelengths); blocks in a loop, so that it compiles fast.
 _BLOCK = 16
 
 

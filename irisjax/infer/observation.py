@@ -19,9 +19,11 @@ COLOURS = ("XYZ", "Lab", "linear sRGB")
 class Observation(eqx.Module):
     """Measured values and what they are. Make one with `spectrum` or `colour_data`.
 
-    - `values`: shape (data,); `sd`: their standard deviations, or `None` where the noise model states them.
+    - `values`: shape (data,); `sd`: their standard deviations, or `None` where the noise model
+        states them.
     - `wavelengths` (nm): where the model is evaluated, shape (wavelengths,).
-    - `response`: (data, wavelengths) from reflectance to the quantity, or `None` where they are the same.
+    - `response`: (data, wavelengths) from reflectance to the quantity, or `None` where they are the
+        same.
     - `quantity`: `"reflectance"`, `"radiance"`, `"XYZ"`, `"Lab"` or `"linear sRGB"`.
     - `covariance_root`: for colours, R with R Rᵀ the covariance; `sd` is then `None`.
     """
@@ -63,13 +65,15 @@ def spectrum(
     first_surface: bool = True,
     name: str = "spectrum",
 ) -> Observation:
-    """A measured reflectance factor, or the radiance under an illuminant (relative to it at 560 nm, per sr).
+    """A measured reflectance factor, or the radiance under an illuminant (relative to it at 560 nm,
+    per sr).
 
-    `wavelengths` in nm, in any order; `values` (fractions) and `sd` (standard deviations, or `None`) one a
-    wavelength. `values` of shape (wavelengths, scans) are repeated scans, see `mean_of_scans`; their scatter is
-    the `sd` where none is given. In place of wavelengths and values: one object that has both, such as
-    `read_measured` returns (its `sd` is used), or colour-science's `SpectralDistribution` and
-    `MultiSpectralDistributions` (repeated scans). A radiance is dimmed by the cornea as in `radiance`.
+    `wavelengths` in nm, in any order; `values` (fractions) and `sd` (standard deviations, or
+    `None`) one a wavelength. `values` of shape (wavelengths, scans) are repeated scans, see
+    `mean_of_scans`; their scatter is the `sd` where none is given. In place of wavelengths and
+    values: one object that has both, such as `read_measured` returns (its `sd` is used), or
+    colour-science's `SpectralDistribution` and `MultiSpectralDistributions` (repeated scans). A
+    radiance is dimmed by the cornea as in `radiance`.
 
     **Raises:** `ValueError` naming the first wavelength at which something is wrong.
     """
@@ -109,7 +113,8 @@ def spectrum(
         bad = ~(np.isfinite(sd) & (sd > 0))
         if bad.any():
             raise ValueError(
-                f"{name}: the standard deviation at {grid[bad][0]:g} nm is {sd[bad][0]:g}; it must be > 0"
+                f"{name}: the standard deviation at {grid[bad][0]:g} nm is {sd[bad][0]:g}; it must "
+                f"be > 0"
             )
     if quantity not in (REFLECTANCE, RADIANCE):
         raise ValueError(f"quantity must be {REFLECTANCE!r} or {RADIANCE!r}, got {quantity!r}")
@@ -132,14 +137,17 @@ def spectrum(
 
 
 def mean_of_scans(scans: np.ndarray) -> tuple[np.ndarray, np.ndarray | None]:
-    """Mean of repeated scans, shape (wavelengths, scans), and the standard deviations of that mean by their scatter.
+    """Mean of repeated scans, shape (wavelengths, scans), and the standard deviations of that mean
+    by their scatter.
 
-    `None` in place of these for a single scan, and where scans are equal: they say nothing about the noise.
+    `None` in place of these for a single scan, and where scans are equal: they say nothing about
+    the noise.
     """
     count = scans.shape[1]
     if count < 2:
         return scans.mean(axis=1), None
-    # Few scans scatter little somewhere by chance, and would count too much there: lean on all wavelengths together.
+    # Few scans scatter little somewhere by chance, and would count too much there: lean on all
+    # wavelengths together.
     scatter = scans.std(axis=1, ddof=1)
     sd = np.sqrt((scatter**2 + 3 * (scatter**2).mean()) / 4 / count)
     return scans.mean(axis=1), sd if (sd > 0).all() else None
@@ -155,10 +163,11 @@ def colour_data(
     first_surface: bool = True,
     name: str = "colour",
 ) -> Observation:
-    """Measured tristimulus values: `"XYZ"` (white at Y = 1), `"Lab"` or `"linear sRGB"`, with their covariance.
+    """Measured tristimulus values: `"XYZ"` (white at Y = 1), `"Lab"` or `"linear sRGB"`, with their
+    covariance.
 
-    `values` has shape (3,), `covariance` (3, 3). **Raises:** `ValueError` unless the covariance is symmetric
-    and positive definite.
+    `values` has shape (3,), `covariance` (3, 3). **Raises:** `ValueError` unless the covariance is
+    symmetric and positive definite.
     """
     if quantity not in COLOURS:
         raise ValueError(f"quantity must be one of {', '.join(COLOURS)}, got {quantity!r}")

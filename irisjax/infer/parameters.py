@@ -8,7 +8,9 @@ from irisjax.tissue.iris import Iris
 
 
 class Parameter(NamedTuple):
-    """A quantity that may be free: its unit, bounds, default prior, meaning, and where the prior comes from."""
+    """A quantity that may be free: its unit, bounds, default prior, meaning, and where the prior
+    comes from.
+    """
 
     unit: str
     low: float
@@ -23,44 +25,86 @@ _INF = float("inf")
 
 PARAMETERS: dict[str, Parameter] = {
     "melanin_load": Parameter(
-        "ug/mm2", 0, _INF, LogNormal(0.15, 1.2), "melanin mass per iris area",
+        "ug/mm2",
+        0,
+        _INF,
+        LogNormal(0.15, 1.2),
+        "melanin mass per iris area",
         "two thirds between 0.045 and 0.5: LB06 Table 2 has 0.048 (low), 0.35, 0.44 (high)",
     ),
     "abl_fraction": Parameter(
-        "", 0, 1, Uniform(0.0, 1.0), "share of the melanin in the anterior border layer",
+        "",
+        0,
+        1,
+        Uniform(0.0, 1.0),
+        "share of the melanin in the anterior border layer",
         "no preference; LB06 Figs. 7 and 9 use 0.2 to 0.8",
     ),
     "pheomelanin_share": Parameter(
-        "", 0, 1, LogitNormal(0.2, 0.8), "share of pheomelanin in the melanin",
+        "",
+        0,
+        1,
+        LogitNormal(0.2, 0.8),
+        "share of pheomelanin in the melanin",
         "LB06 Table 2 has 0.14 (low), 0.20, 0.21 (high); two thirds between 0.1 and 0.36",
     ),
     "hemoglobin": Parameter(
-        "mmol/l", 0, _INF, LogNormal(0.084, 0.5), "haemoglobin of both kinds in the stroma",
+        "mmol/l",
+        0,
+        _INF,
+        LogNormal(0.084, 0.5),
+        "haemoglobin of both kinds in the stroma",
         "LB06 Table 2: 0.084; a factor 1.6 either way",
     ),
     "saturation": Parameter(
-        "", 0, 1, LogitNormal(0.6, 1.0), "oxygen saturation, the share of oxyhaemoglobin",
+        "",
+        0,
+        1,
+        LogitNormal(0.6, 1.0),
+        "oxygen saturation, the share of oxyhaemoglobin",
         "LB06 Table 2 has 0.5; arterial blood 0.97, venous 0.7: two thirds between 0.36 and 0.8",
     ),
     "stroma_thickness": Parameter(
-        "mm", 0, _INF, LogNormal(0.2855, 0.2), "thickness of the stroma", "LB06 Section 3.1, 20 % either way"
+        "mm",
+        0,
+        _INF,
+        LogNormal(0.2855, 0.2),
+        "thickness of the stroma",
+        "LB06 Section 3.1, 20 % either way",
     ),
     "abl_thickness": Parameter(
-        "mm", 0, _INF, LogNormal(0.05675, 0.2), "thickness of the anterior border layer",
+        "mm",
+        0,
+        _INF,
+        LogNormal(0.05675, 0.2),
+        "thickness of the anterior border layer",
         "LB06 Section 3.1, 20 % either way",
     ),
     "scattering_scale": Parameter(
-        "", 0, _INF, LogNormal(1.0, 0.3), "factor on the stroma's scattering", "the formula's own value, 30 %"
+        "",
+        0,
+        _INF,
+        LogNormal(1.0, 0.3),
+        "factor on the stroma's scattering",
+        "the formula's own value, 30 %",
     ),
     "gain": Parameter(
-        "", 0, _INF, LogNormal(1.0, 0.03), "factor of the instrument on every value",
+        "",
+        0,
+        _INF,
+        LogNormal(1.0, 0.03),
+        "factor of the instrument on every value",
         "calibration of a reflectance standard, 3 %",
     ),
     "noise": Parameter(
-        "", 0, _INF, LogNormal(1.0, 0.5), "factor on the stated standard deviations",
+        "",
+        0,
+        _INF,
+        LogNormal(1.0, 0.5),
+        "factor on the stated standard deviations",
         "statements of noise hold to a factor of 1.6",
     ),
-}  # fmt: skip
+}
 """Every parameter by name."""
 
 DEFAULT_FREE = (

@@ -1,4 +1,6 @@
-"""A problem at many places at once, in pieces: all arrays of all walkers together would fall out of the cache."""
+"""A problem at many places at once, in pieces: all arrays of all walkers together would fall out of
+the cache.
+"""
 
 from functools import lru_cache, partial
 
@@ -7,8 +9,8 @@ import jax.numpy as jnp
 
 from irisjax.infer.problem import Problem
 
-# Half a megabyte an array. With 10,000 wavelengths and 64 walkers twice as fast as everything at once, with a
-# hundredth of the memory; up to 1,000 wavelengths they are one piece.
+# Half a megabyte an array. With 10,000 wavelengths and 64 walkers twice as fast as everything at
+# once, with a hundredth of the memory; up to 1,000 wavelengths they are one piece.
 _ELEMENTS = 1 << 16
 
 
@@ -31,7 +33,9 @@ def in_pieces(function, arguments, elements: int):
 
 
 def density(problem: Problem):
-    """The function z (n, free) → log posterior densities (n,), compiled once for all problems of the same form."""
+    """The function z (n, free) → log posterior densities (n,), compiled once for all problems of
+    the same form.
+    """
     leaves, structure = jax.tree.flatten(problem)
     return partial(_compiled_density(structure), [jnp.asarray(x) for x in leaves])
 
@@ -54,7 +58,9 @@ def pointwise(problem: Problem, z):
 
 @jax.jit
 def predicted(problem: Problem, z, keys):
-    """Noisy measurements and the models without noise: two tuples of arrays (n, data), one an observation."""
+    """Noisy measurements and the models without noise: two tuples of arrays (n, data), one an
+    observation.
+    """
     return in_pieces(
         lambda a: (problem.simulate(*a), problem.predict(a[0])), (z, keys), elements(problem)
     )

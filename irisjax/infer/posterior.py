@@ -1,4 +1,6 @@
-"""Posterior by ensemble sampling (emcee), streamed to disk, resumable, long enough or said not to be."""
+"""Posterior by ensemble sampling (emcee), streamed to disk, resumable, long enough or said not to
+be.
+"""
 
 import hashlib
 import json
@@ -21,14 +23,16 @@ from irisjax.infer.stream import Stream, checkpoint, repair
 
 _SPREAD, _BURN, _BLOCK, _MOST_KEPT = 300, 600, 200, 1000
 TAUS, ESS, RHAT = 50, 1000, 1.03
-"""A chain is long enough with 50 autocorrelation times, 1,000 effective samples of every parameter, and a
-split R-hat below 1.03 (walkers as chains: at 50 autocorrelation times each half-walker's mean scatters by 1/√25)."""
+"""A chain is long enough with 50 autocorrelation times, 1,000 effective samples of every parameter,
+and a split R-hat below 1.03 (walkers as chains: at 50 autocorrelation times each half-walker's mean
+scatters by 1/√25)."""
 
 
 class Chains(NamedTuple):
     """What a sampler left: the file, and how far it can be trusted.
 
-    - `z`: kept samples (draws, walkers, free) in the priors' coordinates, every `thin`-th step after burn-in.
+    - `z`: kept samples (draws, walkers, free) in the priors' coordinates, every `thin`-th step
+        after burn-in.
     - `tau` (steps), `ess_bulk`, `ess_tail`, `rhat`: one a parameter.
     """
 
@@ -58,19 +62,20 @@ def sample(
 ) -> Chains:
     """Sample the posterior into an HDF5 file until it is long enough; see `TAUS`, `ESS`, `RHAT`.
 
-    Burn-in (differences of walkers only) starts round the least-squares optimum and teaches the proposal of
-    the independent jumps; it is kept apart and not used otherwise. Step i draws from (seed, i): a run that
-    was killed and resumed gives the chain of one that was not. `progress` gets the number of steps and a
-    word on what is done after each step.
+    Burn-in (differences of walkers only) starts round the least-squares optimum and teaches the
+    proposal of the independent jumps; it is kept apart and not used otherwise. Step i draws from
+    (seed, i): a run that was killed and resumed gives the chain of one that was not. `progress`
+    gets the number of steps and a word on what is done after each step.
 
-    **Raises:** `ValueError` if `path` exists and `resume` is false, or belongs to another problem; or if
-    there are fewer than twice as many walkers as parameters.
+    **Raises:** `ValueError` if `path` exists and `resume` is false, or belongs to another problem;
+    or if there are fewer than twice as many walkers as parameters.
     """
     path = Path(path)
     free = len(problem.free)
     if walkers < 2 * free + 2:
         raise ValueError(
-            f"{walkers} walkers are too few for {free} free parameters; give at least {2 * free + 2}"
+            f"{walkers} walkers are too few for {free} free parameters; give at least "
+            f"{2 * free + 2}"
         )
     mark = _fingerprint(problem, walkers, seed)
     if resume and path.exists():
@@ -114,13 +119,16 @@ def sample(
         chains = diagnose(run.backend, steps)
         if chains.converged or steps >= max_steps:
             return chains
-        # To where this autocorrelation time would do; it is still growing, so look again soon after.
+        # To where this autocorrelation time would do; it is still growing, so look again soon
+        # after.
         tau = chains.tau.max() if np.isfinite(chains.tau).all() else steps
         wanted = int(np.clip(1.05 * TAUS * tau, steps + _BLOCK, 1.5 * steps))
 
 
 def diagnose(backend, steps: int) -> Chains:
-    """Autocorrelation, effective samples and R-hat of a chain on disk, read with a stride that bounds memory."""
+    """Autocorrelation, effective samples and R-hat of a chain on disk, read with a stride that
+    bounds memory.
+    """
     stride = -(-steps // _MOST_KEPT)
     z = backend.get_chain(thin=stride)
     tau = stride * emcee.autocorr.integrated_time(z, tol=0, quiet=True)
@@ -142,7 +150,8 @@ def diagnose(backend, steps: int) -> Chains:
         )
     elif not bulk.min() >= ESS or not tail.min() >= ESS / 2:
         reasons.append(
-            f"effective samples {bulk.min():.0f} ({tail.min():.0f} of the tails), not {ESS} ({ESS // 2})"
+            f"effective samples {bulk.min():.0f} ({tail.min():.0f} of the tails), not {ESS} "
+            f"({ESS // 2})"
         )
     elif not rhat.max() <= RHAT:
         reasons.append(f"R-hat {rhat.max():.3f}, not {RHAT}")
@@ -207,7 +216,9 @@ class _Run:
         self.sampler.random_state = self.random.get_state()
 
     def _forget_half_written(self, path, log_probability):
-        """Drop a last step whose log probability is not that of its place: the process died while writing it."""
+        """Drop a last step whose log probability is not that of its place: the process died while
+        writing it.
+        """
         for _ in range(3):
             if not self.backend.iteration:
                 return

@@ -1,8 +1,8 @@
 """Priors, each written as a map from a standard normal number.
 
-A parameter is sampled and fitted in the coordinate z in which its prior is the standard normal: its value is
-`prior.value(z)`. Bounds then hold by themselves, the log prior is −z²/2 whatever the prior, and a posterior
-variance of z below 1 is what the data have taught.
+A parameter is sampled and fitted in the coordinate z in which its prior is the standard normal: its
+value is `prior.value(z)`. Bounds then hold by themselves, the log prior is −z²/2 whatever the
+prior, and a posterior variance of z below 1 is what the data have taught.
 """
 
 import abc
@@ -16,7 +16,9 @@ from jax.scipy.special import ndtr, ndtri
 
 
 class AbstractPrior(eqx.Module):
-    """A continuous distribution of one number. Its own numbers are static: they are settings, not data."""
+    """A continuous distribution of one number. Its own numbers are static: they are settings, not
+    data.
+    """
 
     @abc.abstractmethod
     def value(self, z) -> Any:
@@ -33,7 +35,9 @@ class AbstractPrior(eqx.Module):
 
 
 class LogNormal(AbstractPrior):
-    """A positive number whose logarithm is normal: median, and standard deviation of the logarithm."""
+    """A positive number whose logarithm is normal: median, and standard deviation of the
+    logarithm.
+    """
 
     median: float = eqx.field(static=True, converter=float)
     spread: float = eqx.field(static=True, converter=float)
@@ -165,12 +169,13 @@ _FORM = re.compile(r"\s*(\w+)\s*\(([^()]*)\)\s*")
 def prior_of(text: str, low: float, high: float) -> AbstractPrior:
     """The prior written as `kind(a, b)`, for a parameter that lies in [low, high].
 
-    **Raises:** `ValueError` for an unknown kind, numbers that make no distribution, or a support that
-    reaches outside.
+    **Raises:** `ValueError` for an unknown kind, numbers that make no distribution, or a support
+    that reaches outside.
     """
     match = _FORM.fullmatch(text)
     kinds = (
-        "lognormal(median, spread), logitnormal(median, spread), uniform(low, high), loguniform(low, high), "
+        "lognormal(median, spread), logitnormal(median, spread), uniform(low, high), "
+        "loguniform(low, high), "
         "normal(mean, sd)"
     )
     try:

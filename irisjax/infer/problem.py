@@ -30,8 +30,9 @@ _MOST_CORRELATED = 1000  # hours of sampling as it is
 class Problem(eqx.Module):
     """Everything that fits and posteriors need; make one with `problem`.
 
-    Vectors `z`, shape (free,), hold the free parameters in the coordinates in which each prior is the
-    standard normal. With several observations a name in `separate` is free once for each, as `name@1`, …
+    Vectors `z`, shape (free,), hold the free parameters in the coordinates in which each prior is
+    the standard normal. With several observations a name in `separate` is free once for each, as
+    `name@1`, …
     """
 
     observations: tuple[Observation, ...]
@@ -160,7 +161,9 @@ class Problem(eqx.Module):
         return tuple(out)
 
     def _scene(self, values, i: int):
-        """What the i-th instrument looks at: solver, layers, cosine of incidence, and the cornea's factor."""
+        """What the i-th instrument looks at: solver, layers, cosine of incidence, and the cornea's
+        factor.
+        """
         mine, o = _seen_by(values, i), self.observations[i]
         iris = iris_of(mine, self.base)
         layers = layers_of(iris, self.tables[i], self.process)
@@ -197,10 +200,11 @@ def problem(
     - `priors`: in place of those of `PARAMETERS`.
     - `separate`: names that each observation has for itself (two spots share blood, not melanin).
     - `base`: the iris for all that is neither free nor fixed; default LB06's, moderate.
-    - `solver`: default `Tabulated` for ILIT's processes, `Exact(16, 8)` for depth-resolved transport.
+    - `solver`: default `Tabulated` for ILIT's processes, `Exact(16, 8)` for depth-resolved
+        transport.
 
-    **Raises:** `ValueError` for unknown names, values out of range, nothing free, or more than 1,000 values
-    with a correlated discrepancy.
+    **Raises:** `ValueError` for unknown names, values out of range, nothing free, or more than
+    1,000 values with a correlated discrepancy.
     """
     seen = (observations,) if isinstance(observations, Observation) else tuple(observations)
     fixed, priors, separate = dict(fixed or {}), dict(priors or {}), tuple(separate)
@@ -233,7 +237,8 @@ def problem(
     most = max(o.values.shape[-1] for o in seen)
     if noise is not None and noise.discrepancy is not None and most > _MOST_CORRELATED:
         raise ValueError(
-            f"a discrepancy takes a matrix of {most} by {most} for every walker; average neighbouring wavelengths, "
+            f"a discrepancy takes a matrix of {most} by {most} for every walker; average "
+            f"neighbouring wavelengths, "
             f"to {_MOST_CORRELATED} values at most"
         )
     base = Iris() if base is None else base

@@ -1,4 +1,6 @@
-"""Chains on disk: emcee's HDF5 backend with the file held open, so that a step costs 0.3 ms and not 5."""
+"""Chains on disk: emcee's HDF5 backend with the file held open, so that a step costs 0.3 ms and not
+5.
+"""
 
 import contextlib
 import os
@@ -12,10 +14,11 @@ import numpy as np
 
 
 class Stream(emcee.backends.HDFBackend):
-    """One group of an HDF5 file; every step is handed to the operating system before the next begins.
+    """One group of an HDF5 file; every step is handed to the operating system before the next
+    begins.
 
-    A step is there when its log probabilities are: unwritten rows hold NaN, and the number of steps is read
-    off them. Random states are not stored: step i draws from (seed, i).
+    A step is there when its log probabilities are: unwritten rows hold NaN, and the number of steps
+    is read off them. Random states are not stored: step i draws from (seed, i).
     """
 
     _file: Any = None
@@ -120,7 +123,9 @@ class Stream(emcee.backends.HDFBackend):
 
 
 def checkpoint(path: Path) -> None:
-    """A whole copy to fall back on should the process die in the midst of writing to the file itself."""
+    """A whole copy to fall back on should the process die in the midst of writing to the file
+    itself.
+    """
     temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
     shutil.copyfile(path, temporary)
     os.replace(temporary, backup(path))

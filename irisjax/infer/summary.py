@@ -17,7 +17,8 @@ QUANTILES = (2.5, 16, 50, 84, 97.5)
 class Row(NamedTuple):
     """One parameter's posterior.
 
-    `contraction` is 1 − posterior variance / prior variance, in the coordinate where the prior is normal.
+    `contraction` is 1 − posterior variance / prior variance, in the coordinate where the prior is
+    normal.
     """
 
     parameter: str
@@ -35,9 +36,11 @@ class Row(NamedTuple):
 
 
 class Check(NamedTuple):
-    """Posterior predictive checks: the share of simulated data further from the model than the measured ones.
+    """Posterior predictive checks: the share of simulated data further from the model than the
+    measured ones.
 
-    - `p_chi_square`: by Σ of squared residuals; `p_pattern`: by how alike neighbouring residuals are.
+    - `p_chi_square`: by Σ of squared residuals; `p_pattern`: by how alike neighbouring residuals
+        are.
     - `noise`: median factor on the stated noise, if it was free, else 1.
     """
 
@@ -59,7 +62,9 @@ class Check(NamedTuple):
 
 
 def reported(problem: Problem, z: np.ndarray) -> dict[str, np.ndarray]:
-    """Free and derived parameters of samples z (..., free), by name, in the order of `problem.free`."""
+    """Free and derived parameters of samples z (..., free), by name, in the order of
+    `problem.free`.
+    """
     flat = z.reshape(-1, z.shape[-1])
     values = _reported(problem, jnp.asarray(flat))
     names = [*problem.free, *(n for n in values if n not in problem.free)]
@@ -107,7 +112,9 @@ def summarise(problem: Problem, chains: Chains) -> list[Row]:
 
 
 def predictive(problem: Problem, chains: Chains, key, count: int = 500):
-    """Draws of the posterior predictive and of the model without noise: two arrays (count, data) an observation."""
+    """Draws of the posterior predictive and of the model without noise: two arrays (count, data) an
+    observation.
+    """
     z = chains.z.reshape(-1, chains.z.shape[-1])
     chosen = jnp.asarray(z[np.linspace(0, len(z) - 1, min(count, len(z))).astype(int)])
     return chosen, *predicted(problem, chosen, jax.random.split(key, len(chosen)))

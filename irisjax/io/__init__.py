@@ -1,4 +1,6 @@
-"""Files in and out: tables with headers, measured spectra, posteriors, pictures, movies, scenes, meshes."""
+"""Files in and out: tables with headers, measured spectra, posteriors, pictures, movies, scenes,
+meshes.
+"""
 
 import importlib
 from typing import TYPE_CHECKING

@@ -85,13 +85,18 @@ def _three(
 
 
 FEATURES: dict[str, Callable[[Any], Any]] = {
-    "fibres": _number(0, 4), "collarette": _number(0, 4), "crypts": _whole(0, 200), "furrows": _whole(0, 50),
-    "freckles": _whole(0, 200), "abl": _number(0, 2), "heterochromia": _number(0, 20), "relief": _number(0, 1),
-}  # fmt: skip
+    "fibres": _number(0, 4),
+    "collarette": _number(0, 4),
+    "crypts": _whole(0, 200),
+    "furrows": _whole(0, 50),
+    "freckles": _whole(0, 200),
+    "abl": _number(0, 2),
+    "heterochromia": _number(0, 20),
+    "relief": _number(0, 1),
+}
 _DEGREES = _number(-360, 360)
-_THICKEST = (
-    3.0  # mm: a model may be thicker, an iris in its chamber not; micrometres by mistake would be
-)
+# mm: a model may be thicker, an iris in its chamber not; micrometres by mistake would be.
+_THICKEST = 3.0
 _OF_THE_EYE = (
     "pupil_radius",
     "iris_radius",
@@ -102,29 +107,58 @@ _OF_THE_EYE = (
 
 SECTIONS: dict[str, dict[str, Callable[[Any], Any]]] = {
     "iris": {
-        "preset": _one(*PRESETS), "level": _one(*_LEVELS), "melanin_load": _number(0),
-        **{name: _number(limits.low, limits.high) for name, limits in LIMITS.items() if name not in _OF_THE_EYE},
-        "abl_thickness": _number(0, _THICKEST), "stroma_thickness": _number(0, _THICKEST),
+        "preset": _one(*PRESETS),
+        "level": _one(*_LEVELS),
+        "melanin_load": _number(0),
+        **{
+            name: _number(limits.low, limits.high)
+            for name, limits in LIMITS.items()
+            if name not in _OF_THE_EYE
+        },
+        "abl_thickness": _number(0, _THICKEST),
+        "stroma_thickness": _number(0, _THICKEST),
     },
     "maps": {"seed": _whole(0, 2**32 - 1), "file": _text, "uniform": _bool, **FEATURES},
     "eye": {
-        "cornea": _one("two-surfaces", "f09", "none"), "sclera": _bool, "veins": _number(0, 10),
-        **{n: _number() for n in ("iris_depth", "iris_slope", "limbus_radius", "iris_radius", "pupil_radius",
-                                  "aqueous_index", "attenuation")},
+        "cornea": _one("two-surfaces", "f09", "none"),
+        "sclera": _bool,
+        "veins": _number(0, 10),
+        **{
+            n: _number()
+            for n in (
+                "iris_depth",
+                "iris_slope",
+                "limbus_radius",
+                "iris_radius",
+                "pupil_radius",
+                "aqueous_index",
+                "attenuation",
+            )
+        },
     },
     "camera": {
-        "polar_deg": _number(0, 180), "azimuth_deg": _DEGREES, "distance": _number(30, 1e5),
-        "width": _number(0.1, 100), "size": _size,
+        "polar_deg": _number(0, 180),
+        "azimuth_deg": _DEGREES,
+        "distance": _number(30, 1e5),
+        "width": _number(0.1, 100),
+        "size": _size,
     },
     "light": {
-        "polar_deg": _number(0, 180), "azimuth_deg": _DEGREES, "position": _three("[x, y, z] in mm"),
-        "irradiance": _number(0, 1e6), "radius_deg": _number(0.01, 60), "colour": _three("[red, green, blue]", 0, 1e3),
+        "polar_deg": _number(0, 180),
+        "azimuth_deg": _DEGREES,
+        "position": _three("[x, y, z] in mm"),
+        "irradiance": _number(0, 1e6),
+        "radius_deg": _number(0.01, 60),
+        "colour": _three("[red, green, blue]", 0, 1e3),
     },
     "environment": {
-        "file": _text, "kind": _one("studio", "sky"), "lights": _whole(1, 1000), "strength": _number(0, 1e6),
+        "file": _text,
+        "kind": _one("studio", "sky"),
+        "lights": _whole(1, 1000),
+        "strength": _number(0, 1e6),
     },
     "picture": {"exposure": _number(1e-6, 1e6), "illuminant": _illuminant},
-}  # fmt: skip
+}
 
 
 def line_of(text: str, section: str, key: str | None, nth: int) -> int | None:

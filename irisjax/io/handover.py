@@ -1,7 +1,8 @@
 """A scene for other renderers: meshes, textures, a BRDF table, and a scene that Mitsuba 3 renders.
 
-Everything stands in one folder, in mm, x right and y up as the viewer sees them, +z out of the eye. Textures of the
-iris are pictures in the uv of its mesh: columns run with u = angle / 2π, and the pupil's edge is the bottom row.
+Everything stands in one folder, in mm, x right and y up as the viewer sees them, +z out of the eye.
+Textures of the iris are pictures in the uv of its mesh: columns run with u = angle / 2π, and the
+pupil's edge is the bottom row.
 """
 
 import errno
@@ -29,7 +30,9 @@ WAVELENGTHS = tuple(400.0 + 20.0 * i for i in range(16))
 
 
 class Exported(NamedTuple):
-    """What `export` wrote: `files` by name, how many texels were `clipped`, the matt iris's `error`."""
+    """What `export` wrote: `files` by name, how many texels were `clipped`, the matt iris's
+    `error`.
+    """
 
     files: dict[str, Path]
     clipped: int
@@ -39,16 +42,20 @@ class Exported(NamedTuple):
 def export(folder: str | Path, scene: Scene, *, spacing: float = 0.1) -> Exported:
     """Write a scene for other renderers into a new or empty folder, everything or nothing.
 
-    - Meshes of what the eye has (anterior, posterior, iris, sclera) as .ply and .obj, triangles of about `spacing` mm.
-    - albedo.exr: linear sRGB under the scene's illuminant of each texel, its directional–hemispherical reflectance at
-        normal incidence by ILIT (`render.albedo`); albedo.png: the same, 8-bit sRGB. Texels out of sRGB's range are
-        clipped in both: renderers drop light paths that meet a negative albedo. reflectance.exr: the spectral albedo,
-        a layer for each of `WAVELENGTHS`, never clipped; relief.exr: height towards the viewer, mm, if there is any.
+    - Meshes of what the eye has (anterior, posterior, iris, sclera) as .ply and .obj, triangles of
+        about `spacing` mm.
+    - albedo.exr: linear sRGB under the scene's illuminant of each texel, its
+        directional–hemispherical reflectance at normal incidence by ILIT (`render.albedo`);
+        albedo.png: the same, 8-bit sRGB. Texels out of sRGB's range are clipped in both: renderers
+        drop light paths that meet a negative albedo. reflectance.exr: the spectral albedo, a layer
+        for each of `WAVELENGTHS`, never clipped; relief.exr: height towards the viewer, mm, if
+        there is any.
     - maps.exr: the maps themselves (`read_maps`), if it has any. brdf.csv: the uniform iris's.
-    - environment.exr, where the scene has one; scene.xml for Mitsuba 3; README.txt: what all this is, and how far a
-        matt iris is from the model.
+    - environment.exr, where the scene has one; scene.xml for Mitsuba 3; README.txt: what all this
+        is, and how far a matt iris is from the model.
 
-    **Raises:** `OSError` naming the file, also for a folder that holds something; `ValueError` for a bad `spacing`.
+    **Raises:** `OSError` naming the file, also for a folder that holds something; `ValueError` for
+    a bad `spacing`.
     """
     folder = Path(folder)
     check_folder(folder)
@@ -85,7 +92,8 @@ def _contents(scene: Scene, spacing: float) -> tuple[dict[str, bytes], int, Lamb
         data |= encode_obj(mesh, name, "albedo.png" if name == "iris" else None)
 
     remark = {
-        "comments": f"simulated by irisjax; {integrator.process}; a texel's albedo at normal incidence"
+        "comments": f"simulated by irisjax; {integrator.process}; a texel's albedo at "
+        f"normal incidence"
     }
     bands = colour_bands(scene.illuminant, scene.observer)
     hazy = bands if cornea is None else colour_bands(scene.illuminant, scene.observer, cornea)
@@ -128,12 +136,16 @@ def _contents(scene: Scene, spacing: float) -> tuple[dict[str, bytes], int, Lamb
 
 
 def in_uv(texture) -> np.ndarray:
-    """A texture (angles, radii, channels) as a picture (rows, columns, channels) in the uv of the iris's mesh."""
+    """A texture (angles, radii, channels) as a picture (rows, columns, channels) in the uv of the
+    iris's mesh.
+    """
     return np.flip(np.swapaxes(np.asarray(texture), 0, 1), 0)
 
 
 def _joined(bands: Bands, hazy: Bands) -> Bands:
-    """The channels of `bands`, those of `hazy`, and the reflectance at each of `WAVELENGTHS`: one table for all."""
+    """The channels of `bands`, those of `hazy`, and the reflectance at each of `WAVELENGTHS`: one
+    table for all.
+    """
     nodes = len(bands.wavelengths)
     weights = np.zeros((6 + len(WAVELENGTHS), nodes + len(WAVELENGTHS)))
     weights[:6, :nodes] = np.concatenate([np.asarray(bands.weights), np.asarray(hazy.weights)])
@@ -145,7 +157,8 @@ def _joined(bands: Bands, hazy: Bands) -> Bands:
 def _haze(colour: np.ndarray, through: np.ndarray, bands: Bands, hazy: Bands) -> np.ndarray:
     """Linear sRGB of one passage of the cornea: what dims this iris as its spectrum is dimmed.
 
-    A white's, which errs by 3 % for a blue iris, stands in for channels that the iris has hardly any light in.
+    A white's, which errs by 3 % for a blue iris, stands in for channels that the iris has hardly
+    any light in.
     """
     white = np.asarray(hazy.weights.sum(axis=1) / bands.weights.sum(axis=1))
     before, after = colour.mean((0, 1)), through.mean((0, 1))
@@ -172,10 +185,12 @@ def _brdf(matt: Matt, illuminant: str, integrator: Separable) -> str:
     values = np.repeat(values[:, :, None], azimuth.size, axis=2).reshape(-1, 3)
     place = np.stack(np.meshgrid(angle, angle, azimuth, indexing="ij"), axis=-1).reshape(-1, 3)
     header = {
-        "simulated": "BRDF of the uniform iris in the aqueous humour, without the light mirrored by its surface",
+        "simulated": "BRDF of the uniform iris in the aqueous humour, without the light "
+        "mirrored by its surface",
         "process": str(integrator.process),
         "unit": f"1/sr, linear sRGB under {illuminant}",
-        "directions": "degrees from the normal; dphi 0 is forward scattering, where a mirror would send the light",
+        "directions": "degrees from the normal; dphi 0 is forward scattering, where a mirror "
+        "would send the light",
     }
     names = ("theta_i_deg", "theta_o_deg", "dphi_deg")
     columns: dict[str, np.ndarray] = dict(zip(names, place.T, strict=True))
@@ -186,16 +201,20 @@ def _brdf(matt: Matt, illuminant: str, integrator: Separable) -> str:
 _WHAT = {
     "anterior.ply": "front of the cornea (also .obj)",
     "posterior.ply": "back of the cornea (also .obj)",
-    "iris.ply": "iris with uv: u = angle / 2 pi, v = 0 at the pupil, 1 at the root (also .obj, with iris.mtl)",
+    "iris.ply": "iris with uv: u = angle / 2 pi, v = 0 at the pupil, 1 at the root "
+    "(also .obj, with iris.mtl)",
     "sclera.ply": "white of the eye (also .obj)",
     "albedo.exr": "base colour of the iris, linear sRGB, in that uv (bottom row: the pupil's edge)",
     "albedo.png": "the same, 8-bit sRGB",
     "reflectance.exr": "the same, a layer a wavelength (T.400,0nm ...)",
-    "relief.exr": "height of the iris towards the viewer, mm, for bump or displacement (non-colour data)",
-    "maps.exr": "the maps the iris was made from, rows angles, columns radii; irisjax reads them ([maps] file)",
+    "relief.exr": "height of the iris towards the viewer, mm, for bump or displacement "
+    "(non-colour data)",
+    "maps.exr": "the maps the iris was made from, rows angles, columns radii; irisjax "
+    "reads them ([maps] file)",
     "brdf.csv": "BRDF of the uniform iris over angles, 1/sr",
     "environment.exr": "panorama that lights the eye, linear sRGB",
-    "scene.xml": "all of it for Mitsuba 3: mitsuba -m scalar_rgb scene.xml (-D spp=1024: less noise)",
+    "scene.xml": "all of it for Mitsuba 3: mitsuba -m scalar_rgb scene.xml (-D "
+    "spp=1024: less noise)",
 }
 
 
@@ -207,7 +226,8 @@ def _blender(scene: Scene, names: list[str]) -> list[str]:
     """A recipe that was tried: iris, pupil and mirror images lie where irisjax draws them."""
     lines = [
         "Blender (tried with 5.0 and Cycles)",
-        "- Import the .obj files with their default axes (forward -Z, up Y). The iris comes with albedo.png; give it a",
+        "- Import the .obj files with their default axes (forward -Z, up Y). The iris comes with "
+        "albedo.png; give it a",
         "  Diffuse BSDF, its colour from albedo.exr (Linear Rec.709).",
     ]
     if "relief.exr" in names:
@@ -219,11 +239,13 @@ def _blender(scene: Scene, names: list[str]) -> list[str]:
         lines.append(f"- anterior.obj: Glass BSDF, roughness 0, IOR {within:.5g}.")
         if cornea.posterior is not None:
             lines.append(
-                f"  posterior.obj: the same with IOR {aqueous / within:.5g}, that of the humour over the cornea's."
+                f"  posterior.obj: the same with IOR {aqueous / within:.5g}, that of the humour "
+                f"over the cornea's."
             )
     if "environment.exr" in names:
         lines.append(
-            "- environment.exr: an Environment Texture turned by 90 degrees about Z (Mapping node, type Point)."
+            "- environment.exr: an Environment Texture turned by 90 degrees about Z (Mapping node, "
+            "type Point)."
         )
     return lines
 
@@ -236,43 +258,61 @@ def _readme(scene: Scene, names: list[str], error: LambertError, table: float, c
     cornea = scene.eye.cornea
     lines = ["An eye simulated by irisjax; nothing here was measured.", ""]
     lines += [
-        "Units: mm. Axes: x right, y up as the viewer sees them, z out of the eye; the origin is the corneal apex.",
+        "Units: mm. Axes: x right, y up as the viewer sees them, z out of the eye; the origin is "
+        "the corneal apex.",
         "",
     ]
     lines += [f"{name:<16}{what}" for name, what in _WHAT.items() if name in names]
     lines += ["", *_blender(scene, names), "", "Approximations"]
     lines += [
-        "- The iris is matt here. The model's is not: its BRDF falls towards grazing exits. albedo is the share of",
-        "  light that comes back from normal incidence, without the mirrored first surface. Used as a Lambertian base",
-        f"  colour it is off, for directions within {CONE:g} degrees of the normal, by (red, green, blue)",
-        f"  {_percent(error.rms)} r.m.s. and at most {_percent(error.most)} (minus: too dark) in the mean over the",
-        f"  iris, {_percent(error.texels)} of that mean r.m.s. texel by texel (dark ones, as round the pupil, are",
+        "- The iris is matt here. The model's is not: its BRDF falls towards grazing exits. albedo "
+        "is the share of",
+        "  light that comes back from normal incidence, without the mirrored first surface. Used "
+        "as a Lambertian base",
+        f"  colour it is off, for directions within {CONE:g} degrees of the normal, by (red, "
+        f"green, blue)",
+        f"  {_percent(error.rms)} r.m.s. and at most {_percent(error.most)} (minus: too dark) in "
+        f"the mean over the",
+        f"  iris, {_percent(error.texels)} of that mean r.m.s. texel by texel (dark ones, as round "
+        f"the pupil, are",
         "  further off relative to themselves); over the whole hemisphere the mean",
         f"  is off by {_percent(error.hemisphere)} of the mean BRDF, r.m.s.",
-        f"- Albedos come from a table, off by at most {100 * table:.1g} % of the brightest texel where it was tried.",
-        "- relief tilts the shading; nothing casts shadows on the iris, nor does it light itself: as displacement,",
+        f"- Albedos come from a table, off by at most {100 * table:.1g} % of the brightest texel "
+        f"where it was tried.",
+        "- relief tilts the shading; nothing casts shadows on the iris, nor does it light itself: "
+        "as displacement,",
         "  relief.exr makes a preset 5 % brighter round the pupil for an albedo of 0.2.",
-        "- The limbus is sharp here; irisjax blends iris and white over 1 mm, and fades it at the pupil over 0.12.",
+        "- The limbus is sharp here; irisjax blends iris and white over 1 mm, and fades it at the "
+        "pupil over 0.12.",
     ]
     if scene.eye.sclera is not None:
         lines += [
-            "- The white is matt, of one colour (the mean over its vessels) and mirrors nothing. It is some 5 %",
-            "  brighter than irisjax draws it, 10 % seen at 60 degrees: there the tear film mirrors, and light bleeds",
+            "- The white is matt, of one colour (the mean over its vessels) and mirrors nothing. "
+            "It is some 5 %",
+            "  brighter than irisjax draws it, 10 % seen at 60 degrees: there the tear film "
+            "mirrors, and light bleeds",
             "  past the terminator.",
         ]
     if clipped:
         lines.append(
-            f"- {clipped} texels lie outside sRGB: clipped in albedo.exr and albedo.png, not in reflectance.exr."
+            f"- {clipped} texels lie outside sRGB: clipped in albedo.exr and albedo.png, not in "
+            f"reflectance.exr."
         )
     if cornea is not None:
         inside = scene.eye.aqueous_index if cornea.posterior is None else cornea.index
         lines += [
-            f"- Indices: air 1, cornea {float(inside):g}, aqueous humour {float(scene.eye.aqueous_index):g}.",
-            f"  The front of the cornea mirrors here, in irisjax the tear film of index {TEAR:g}, which changes mirror",
-            f"  images of lights by {100 * (_mirrored(float(inside)) / _mirrored(TEAR) - 1):+.2g} %.",
-            "  The cornea's haze is a colour on its front surface, right for the mean of this iris.",
-            "- Path tracers cannot aim at a lamp through a refracting surface; they meet it by chance. Take many",
-            f"  samples. Lamps in scene.xml are widened to {np.degrees(WIDEST):g} degrees' radius, irradiance kept.",
+            f"- Indices: air 1, cornea {float(inside):g}, aqueous humour "
+            f"{float(scene.eye.aqueous_index):g}.",
+            f"  The front of the cornea mirrors here, in irisjax the tear film of index {TEAR:g}, "
+            f"which changes mirror",
+            f"  images of lights by {100 * (_mirrored(float(inside)) / _mirrored(TEAR) - 1):+.2g} "
+            f"%.",
+            "  The cornea's haze is a colour on its front surface, right for the mean of this "
+            "iris.",
+            "- Path tracers cannot aim at a lamp through a refracting surface; they meet it by "
+            "chance. Take many",
+            f"  samples. Lamps in scene.xml are widened to {np.degrees(WIDEST):g} degrees' radius, "
+            f"irradiance kept.",
         ]
     if scene.eye.attenuation is not None:
         lines.append("- The attenuation of the aqueous humour is left out.")

@@ -1,7 +1,8 @@
 """Illumination tables kept in files, so that an eye's are made once a machine and not once a run.
 
-A file is named by a SHA-256 of everything its tables depend on, the code that makes them included. Files are
-written whole or not at all, so that runs may share a folder; the zip's checksums tell a damaged one.
+A file is named by a SHA-256 of everything its tables depend on, the code that makes them included.
+Files are written whole or not at all, so that runs may share a folder; the zip's checksums tell a
+damaged one.
 """
 
 import contextlib
@@ -32,7 +33,8 @@ _BROKEN = (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile, zipfile.
 
 
 def tables_of(scene: Scene, folder: str | Path | None = None) -> Illumination | None:
-    """`scene.tables()`, from a file in `folder` if there is one and else written there; `None` keeps nothing.
+    """`scene.tables()`, from a file in `folder` if there is one and else written there; `None`
+    keeps nothing.
 
     A file that is damaged, or cannot be written, costs a line on standard error and no more.
     """
@@ -60,7 +62,9 @@ def tables_of(scene: Scene, folder: str | Path | None = None) -> Illumination | 
 
 
 def key(eye: Eye, caustics: bool) -> str:
-    """Name of an eye's tables: hexadecimal SHA-256 of what decides them, precision and code included."""
+    """Name of an eye's tables: hexadecimal SHA-256 of what decides them, precision and code
+    included.
+    """
     digest = hashlib.sha256(f"{_FORMAT} {caustics} {jnp.result_type(float)} {_code()}".encode())
     leaves, structure = jax.tree.flatten(deciding(eye))
     digest.update(str(structure).encode())
@@ -72,7 +76,9 @@ def key(eye: Eye, caustics: bool) -> str:
 
 @lru_cache(maxsize=1)
 def _code() -> str:
-    """Of the floors that tables are made on: nobody has to remember to raise a number when these change."""
+    """Of the floors that tables are made on: nobody has to remember to raise a number when these
+    change.
+    """
     digest = hashlib.sha256()
     for place in ("optics", "tissue", "render"):
         for path in sorted(Path(irisjax.__path__[0], place).glob("*.py")):

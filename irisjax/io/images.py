@@ -32,8 +32,9 @@ _SPECTRAL = re.compile(r"(S[0-3]|T)\.\d+(,\d+)?nm")
 class Image(NamedTuple):
     """A picture from a file, top row first.
 
-    `pixels` (rows, columns, channels) float32; `linear`: whether they are proportional to light, or encoded with a
-    transfer function (sRGB's) and in [0, 1]; `channels`: their names; `metadata`: what the file says in words.
+    `pixels` (rows, columns, channels) float32; `linear`: whether they are proportional to light, or
+    encoded with a transfer function (sRGB's) and in [0, 1]; `channels`: their names; `metadata`:
+    what the file says in words.
     """
 
     pixels: np.ndarray
@@ -43,12 +44,14 @@ class Image(NamedTuple):
 
 
 def read_image(path: str | Path, *, decode: bool = False) -> Image:
-    """Read a picture; `decode` takes sRGB's transfer function off PNG and JPEG (their alpha stays as it is).
+    """Read a picture; `decode` takes sRGB's transfer function off PNG and JPEG (their alpha stays
+    as it is).
 
-    Cameras' marks of how they were held are obeyed; embedded colour profiles are not. Of a file of several pictures
-    the first is read.
+    Cameras' marks of how they were held are obeyed; embedded colour profiles are not. Of a file of
+    several pictures the first is read.
 
-    **Raises:** `ValueError` for an unknown suffix or a broken file, `OSError` for one that cannot be opened.
+    **Raises:** `ValueError` for an unknown suffix or a broken file, `OSError` for one that cannot
+    be opened.
     """
     check_suffix(path, READABLE)
     with open(path, "rb"):  # the system's word on files that are missing or forbidden
@@ -86,13 +89,16 @@ def read_image(path: str | Path, *, decode: bool = False) -> Image:
 def write_png(
     path: str | Path, encoded, *, bits: int = 8, remark: str = "", rows: int | None = None
 ) -> int:
-    """Write sRGB-encoded values (rows, columns, 3) in [0, 1] as a PNG of 8 or 16 bits, rounded to the nearest step.
+    """Write sRGB-encoded values (rows, columns, 3) in [0, 1] as a PNG of 8 or 16 bits, rounded to
+    the nearest step.
 
-    Returns how many pixels were clipped: those with a component beyond [0, 1] by more than half a step. `remark` goes
-    into the file's description. Equal values give equal bytes. With `rows`, their number in all, `encoded` is an
-    iterator of bands from the top to the bottom, each written as it comes.
+    Returns how many pixels were clipped: those with a component beyond [0, 1] by more than half a
+    step. `remark` goes into the file's description. Equal values give equal bytes. With `rows`,
+    their number in all, `encoded` is an iterator of bands from the top to the bottom, each written
+    as it comes.
 
-    **Raises:** `ValueError` for another shape, suffix or number of bits and for values that are not finite.
+    **Raises:** `ValueError` for another shape, suffix or number of bits and for values that are not
+    finite.
     """
     check_suffix(path, (".png",))
     clipped = 0
@@ -120,11 +126,12 @@ def write_exr(
 ) -> None:
     """Write linear values (rows, columns, channels) as OpenEXR, 32-bit floats, ZIP without loss.
 
-    Channels named by `spectral_channels` make it a spectral image [Fichet, Pacanowski & Wilkie 2021]. The file keeps
-    its channels by name, so readers may find them in another order. Equal values give equal bytes. `rows` as of
-    `write_png`.
+    Channels named by `spectral_channels` make it a spectral image [Fichet, Pacanowski & Wilkie
+    2021]. The file keeps its channels by name, so readers may find them in another order. Equal
+    values give equal bytes. `rows` as of `write_png`.
 
-    **Raises:** `ValueError` for another shape or suffix, and for names that stand twice or not once a channel.
+    **Raises:** `ValueError` for another shape or suffix, and for names that stand twice or not once
+    a channel.
     """
     check_suffix(path, (".exr",))
     if len(set(channels)) != len(channels):
@@ -140,7 +147,9 @@ def write_exr(
 
 
 def encode_png(path: str | Path, encoded, *, bits: int = 8, remark: str = "") -> tuple[bytes, int]:
-    """The bytes that `write_png` writes, and how many pixels were clipped; `path` is only named in errors."""
+    """The bytes that `write_png` writes, and how many pixels were clipped; `path` is only named in
+    errors.
+    """
     return _bytes(path, lambda there: write_png(there, encoded, bits=bits, remark=remark))
 
 
@@ -167,7 +176,8 @@ def _bytes(path: str | Path, write: Callable[[Path], T]) -> tuple[bytes, T]:
 def spectral_channels(wavelengths: Iterable[float], layer: str = "S0") -> tuple[str, ...]:
     """Channel names of a spectral image, such as S0.550,0nm [Fichet, Pacanowski & Wilkie 2021].
 
-    Layer `"S0"` (to `"S3"`, Stokes components) is for radiance, `"T"` for reflectance; wavelengths in nm.
+    Layer `"S0"` (to `"S3"`, Stokes components) is for radiance, `"T"` for reflectance; wavelengths
+    in nm.
     """
     if layer not in ("S0", "S1", "S2", "S3", "T"):
         raise ValueError(f"unknown layer {layer!r}; known: S0, S1, S2, S3, T")
@@ -176,9 +186,11 @@ def spectral_channels(wavelengths: Iterable[float], layer: str = "S0") -> tuple[
 
 
 def read_environment(path: str | Path) -> Environment:
-    """A latitude-longitude panorama, twice as wide as high, as an `Environment`; PNG and JPEG are decoded.
+    """A latitude-longitude panorama, twice as wide as high, as an `Environment`; PNG and JPEG are
+    decoded.
 
-    Values are taken as linear sRGB. **Raises:** as `read_image`, and `ValueError` for other pictures.
+    Values are taken as linear sRGB. **Raises:** as `read_image`, and `ValueError` for other
+    pictures.
     """
     image = read_image(path, decode=True)
     rows, columns = image.pixels.shape[:2]
@@ -198,7 +210,8 @@ def read_environment(path: str | Path) -> Environment:
 
 
 def to_steps(path: str | Path, encoded, bits: int) -> tuple[np.ndarray, int]:
-    """Encoded values (rows, columns, 3) as whole numbers of 8 or 16 bits, and how many pixels were clipped.
+    """Encoded values (rows, columns, 3) as whole numbers of 8 or 16 bits, and how many pixels were
+    clipped.
 
     **Raises:** as `write_png`.
     """
@@ -256,7 +269,8 @@ def _write(
             closed = file.close()
         if done != rows or not closed:
             raise ValueError(
-                f"{path}: {_first_line(file.geterror()) if done == rows else f'{done} of {rows} rows'}"
+                f"{path}: "
+                f"{_first_line(file.geterror()) if done == rows else f'{done} of {rows} rows'}"
             )
 
 

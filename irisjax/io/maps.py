@@ -1,7 +1,7 @@
 """`IrisMaps` in files: one OpenEXR, a channel for each map.
 
-Rows are angles, from +x towards +y, columns radii from the pupil's edge to the root, as in `IrisMaps`. Maps are
-measures (mm, shares), not colours: pictures of 8 or 16 bits cannot hold them.
+Rows are angles, from +x towards +y, columns radii from the pupil's edge to the root, as in
+`IrisMaps`. Maps are measures (mm, shares), not colours: pictures of 8 or 16 bits cannot hold them.
 """
 
 import dataclasses
@@ -28,11 +28,12 @@ _PACKED: Mapping[str, str] = {
 def read_maps(path: str | Path) -> IrisMaps:
     """Read maps from an EXR whose channels are named as the fields of `IrisMaps`, any of them.
 
-    Or from an RGB or RGBA file in F09's packing [F09 Section 6]: R relief, G ABL thickness, B stroma thickness (all
-    mm), A freckles (0 to 1). Values are taken as they stand; files written by `write_maps` come back to the last bit.
+    Or from an RGB or RGBA file in F09's packing [F09 Section 6]: R relief, G ABL thickness, B
+    stroma thickness (all mm), A freckles (0 to 1). Values are taken as they stand; files written by
+    `write_maps` come back to the last bit.
 
-    **Raises:** `OSError` for a file that cannot be opened; `ValueError` naming the file for other channels, for
-    values that no iris has and for a broken file.
+    **Raises:** `OSError` for a file that cannot be opened; `ValueError` naming the file for other
+    channels, for values that no iris has and for a broken file.
     """
     if Path(path).suffix.lower() != ".exr":
         raise ValueError(f"{path}: a file of maps must end in .exr")
@@ -65,7 +66,10 @@ def encode_maps(path: str | Path, maps: IrisMaps) -> bytes:
     present = maps.present()
     if not present:
         raise ValueError(f"{path}: there are no maps to write")
-    remark = "maps of an iris: rows angles, columns radii from the pupil; mm, freckles 0 to 1, melanins relative"
+    remark = (
+        "maps of an iris: rows angles, columns radii from the pupil; mm, "
+        "freckles 0 to 1, melanins relative"
+    )
     return encode_exr(
         path, np.stack(list(present.values()), axis=-1), tuple(present), {"comments": remark}
     )

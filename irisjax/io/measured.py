@@ -19,8 +19,9 @@ _NANO = re.compile(r"nm\b|nano", re.I)
 class Measured(NamedTuple):
     """A spectrum from a file.
 
-    `wavelengths` (nm, increasing) and `values` (fractions), `sd` their standard deviations or `None`; `notes`
-    say what was detected and done (units, per cent, repeated scans); `header` holds `# key: value` lines.
+    `wavelengths` (nm, increasing) and `values` (fractions), `sd` their standard deviations or
+    `None`; `notes` say what was detected and done (units, per cent, repeated scans); `header` holds
+    `# key: value` lines.
     """
 
     wavelengths: np.ndarray
@@ -33,11 +34,11 @@ class Measured(NamedTuple):
 def read_measured(path: str | Path) -> Measured:
     """Read a measured spectrum.
 
-    Text tables: lines with `#` are comments, the first line without numbers names the columns. The first
-    column is the wavelength, in nm or µm; one further column is the reflectance, a column named sd (or
-    sigma, uncertainty, ...) its standard deviation, several further columns are repeated scans: their mean
-    is used, and their scatter is its standard deviation. Values above 2 are per cent. JCAMP-DX by its first
-    line `##TITLE`.
+    Text tables: lines with `#` are comments, the first line without numbers names the columns. The
+    first column is the wavelength, in nm or µm; one further column is the reflectance, a column
+    named sd (or sigma, uncertainty, ...) its standard deviation, several further columns are
+    repeated scans: their mean is used, and their scatter is its standard deviation. Values above 2
+    are per cent. JCAMP-DX by its first line `##TITLE`.
 
     **Raises:** `ValueError` naming the file, the row and the problem.
     """
@@ -59,7 +60,8 @@ def _table(path, text: str):
     body = [line for line in lines if line.strip() and not line.lstrip().startswith("#")]
     if not body:
         raise ValueError(f"{path}: no numbers in it")
-    # The one that most lines have; of tab, semicolon and comma in this order, as commas may be decimal.
+    # The one that most lines have; of tab, semicolon and comma in this order, as commas may be
+    # decimal.
     found = {d: sum(d in line for line in body) for d in ("\t", ";", ",")}
     delimiter = next((d for d, n in found.items() if 2 * n > len(body)), None)
     decimal_comma = (

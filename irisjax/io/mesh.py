@@ -1,7 +1,8 @@
 """The eye as triangles, for other renderers: cornea, iris and sclera as PLY files.
 
-Eye frame and mm, as in `irisjax.tissue.anatomy`; `right_handed` turns meshes for others. All meshes are surfaces of
-revolution with the same number of points round the axis, so that cornea and sclera share the points of the limbus.
+Eye frame and mm, as in `irisjax.tissue.anatomy`; `right_handed` turns meshes for others. All meshes
+are surfaces of revolution with the same number of points round the axis, so that cornea and sclera
+share the points of the limbus.
 """
 
 import math
@@ -19,7 +20,8 @@ from irisjax.tissue.anatomy import Eye
 class Mesh(NamedTuple):
     """Triangles whose corners run counter-clockwise as seen from the side of the normals.
 
-    - `vertices` (vertices, 3), mm; `normals` (vertices, 3), unit, of the smooth surface and out of the eye.
+    - `vertices` (vertices, 3), mm; `normals` (vertices, 3), unit, of the smooth surface and out of
+        the eye.
     - `uv` (vertices, 2) or `None`; `faces` (triangles, 3).
     """
 
@@ -56,7 +58,9 @@ def encode_ply(mesh: Mesh) -> bytes:
 
 
 def encode_obj(mesh: Mesh, name: str, texture: str | None = None) -> dict[str, bytes]:
-    """The files `name`.obj and, where the mesh has uv, `name`.mtl, whose base colour is the file `texture`."""
+    """The files `name`.obj and, where the mesh has uv, `name`.mtl, whose base colour is the file
+    `texture`.
+    """
     import trimesh
     from trimesh.exchange.obj import export_obj
     from trimesh.visual import TextureVisuals
@@ -80,9 +84,11 @@ def encode_obj(mesh: Mesh, name: str, texture: str | None = None) -> dict[str, b
 
 
 def right_handed(mesh: Mesh) -> Mesh:
-    """The same mesh in the frame of other renderers: x right, y up, +z out of the eye towards the viewer.
+    """The same mesh in the frame of other renderers: x right, y up, +z out of the eye towards the
+    viewer.
 
-    The eye's own frame (+z into the eye) is left-handed: read as it stands, its meshes show a mirrored iris.
+    The eye's own frame (+z into the eye) is left-handed: read as it stands, its meshes show a
+    mirrored iris.
     """
     turn = np.array([1.0, 1.0, -1.0])
     return Mesh(mesh.vertices * turn, mesh.normals * turn, mesh.uv, mesh.faces[:, ::-1])
@@ -91,16 +97,17 @@ def right_handed(mesh: Mesh) -> Mesh:
 def eye_meshes(eye: Eye, spacing: float = 0.1) -> dict[str, Mesh]:
     """Meshes of what the eye has, with triangles of about `spacing` mm.
 
-    - `anterior`: cap of the cornea from the apex to the limbus: air outside, `cornea.index` inside (with one
-        surface: `aqueous_index`).
-    - `posterior`: `cornea.index` outside, `aqueous_index` inside. It ends where it meets the plane or cone of the
-        iris, so that no ray reaches the iris unrefracted.
-    - `iris`: from the pupil's edge to the root. u = angle / 2π from +x towards +y, v = 0 at the pupil and 1 at
-        the root: an image of it has the columns for rows and the rows for columns of `IrisMaps`.
+    - `anterior`: cap of the cornea from the apex to the limbus: air outside, `cornea.index` inside
+        (with one surface: `aqueous_index`).
+    - `posterior`: `cornea.index` outside, `aqueous_index` inside. It ends where it meets the plane
+        or cone of the iris, so that no ray reaches the iris unrefracted.
+    - `iris`: from the pupil's edge to the root. u = angle / 2π from +x towards +y, v = 0 at the
+        pupil and 1 at the root: an image of it has the columns for rows and the rows for columns of
+        `IrisMaps`.
     - `sclera`: sphere through the limbus, without the part that the cornea replaces.
 
-    Caps are open: an interface acts by the side of its normal a ray comes from. Anterior cornea and sclera share
-    the points of the limbus and close the eye together.
+    Caps are open: an interface acts by the side of its normal a ray comes from. Anterior cornea and
+    sclera share the points of the limbus and close the eye together.
     """
     if not (math.isfinite(spacing) and spacing > 0):
         raise ValueError(f"spacing = {spacing:g} mm must be positive")
@@ -176,7 +183,8 @@ def _reach(eye: Eye, surface: Conicoid) -> float:
 def _revolve(
     r: np.ndarray, z: np.ndarray, around: int, seam: bool = False
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Points and triangles of a profile turned about z; rings of radius 0 are single points at either end.
+    """Points and triangles of a profile turned about z; rings of radius 0 are single points at
+    either end.
 
     Normals lie to the left of the profile's course (to −z where r grows).
     """

@@ -1,4 +1,5 @@
-"""A scene as Mitsuba 3 reads it: an XML file beside the meshes and textures of `irisjax.io.handover`.
+"""A scene as Mitsuba 3 reads it: an XML file beside the meshes and textures of
+`irisjax.io.handover`.
 
 Mitsuba's frame is right-handed: x right, y up, +z out of the eye, so every z changes its sign.
 """
@@ -12,7 +13,9 @@ import numpy as np
 from irisjax.render.scene import Scene
 
 WIDEST = math.radians(20.0)
-"""Least angular radius of a lamp in front of a cornea: paths meet it by chance alone, and smaller ones too seldom."""
+"""Least angular radius of a lamp in front of a cornea: paths meet it by chance alone, and smaller
+ones too seldom.
+"""
 _FAR = 1e4  # mm, where distant lamps stand as discs
 
 Rgb = Sequence[float] | np.ndarray
@@ -27,11 +30,14 @@ def mitsuba_scene(
     environment: str | None,
     samples: int = 512,
 ) -> str:
-    """The XML of `scene`; its meshes and textures stand beside it under the names of `irisjax.io.handover`.
+    """The XML of `scene`; its meshes and textures stand beside it under the names of
+    `irisjax.io.handover`.
 
     - `relief`: whether relief.exr tilts the surface. `white`: albedo of the sclera, or `None`.
-    - `haze`: share of light that one passage of the cornea lets through, linear sRGB; `None` is a clear one.
-    - `environment`: file of the panorama. `samples`: a pixel; `-D spp=...` of Mitsuba's command changes them.
+    - `haze`: share of light that one passage of the cornea lets through, linear sRGB; `None` is a
+        clear one.
+    - `environment`: file of the panorama. `samples`: a pixel; `-D spp=...` of Mitsuba's command
+        changes them.
     """
     root = Xml.Element("scene", version="3.0.0")
     root.append(

@@ -1,7 +1,8 @@
-"""Pictures that move: GIF, MP4, or numbered PNGs for other programs. Every frame is encoded sRGB in [0, 1].
+"""Pictures that move: GIF, MP4, or numbered PNGs for other programs. Every frame is encoded sRGB in
+[0, 1].
 
-GIF is Pillow's work and MP4 is PyAV's, an extra: VP9, which browsers play and no patent pool asks money for, in
-BT.709 with half the resolution for colours.
+GIF is Pillow's work and MP4 is PyAV's, an extra: VP9, which browsers play and no patent pool asks
+money for, in BT.709 with half the resolution for colours.
 """
 
 import importlib.util
@@ -24,8 +25,8 @@ _NUMBER = re.compile(r"%(0\d+)?d")
 def check_movie(path: str | Path) -> None:
     """Find out before the frames are made whether they can be kept.
 
-    **Raises:** `ValueError` for a suffix that is none of `write_movie`'s, and for MP4 without the extra `video`;
-    `OSError` for a place that cannot be written.
+    **Raises:** `ValueError` for a suffix that is none of `write_movie`'s, and for MP4 without the
+    extra `video`; `OSError` for a place that cannot be written.
     """
     check_suffix(path, (".gif", ".mp4", ".png"))
     if Path(path).suffix.lower() == ".png":
@@ -38,13 +39,16 @@ def check_movie(path: str | Path) -> None:
 def write_movie(
     path: str | Path, frames: Iterable[Any], *, rate: int = 12, remark: str = ""
 ) -> int:
-    """Write frames (rows, columns, 3), all of one size, `rate` of them a second, by the suffix of `path`.
+    """Write frames (rows, columns, 3), all of one size, `rate` of them a second, by the suffix of
+    `path`.
 
-    `.gif` goes round endlessly; `.mp4` may have any size, odd ones too; `.png` has a number in its name, such as
-    `frame_%03d.png`, counted from 0, as ffmpeg wants it. All of it is written or nothing. `remark` goes into the
-    files' descriptions. Returns how many pixels were clipped, as `write_png`.
+    `.gif` goes round endlessly; `.mp4` may have any size, odd ones too; `.png` has a number in its
+    name, such as `frame_%03d.png`, counted from 0, as ffmpeg wants it. All of it is written or
+    nothing. `remark` goes into the files' descriptions. Returns how many pixels were clipped, as
+    `write_png`.
 
-    **Raises:** as `check_movie`, and `ValueError` for frames of another shape or that are not finite.
+    **Raises:** as `check_movie`, and `ValueError` for frames of another shape or that are not
+    finite.
     """
     check_movie(path)
     writer = {".gif": _gif, ".mp4": _mp4, ".png": _numbered_pngs}[Path(path).suffix.lower()]
@@ -66,8 +70,14 @@ def _gif(path: Path, frames: Iterator[Any], rate: int, remark: str) -> int:
     buffer = BytesIO()
     more = {"comment": remark.encode()} if remark else {}
     next(found).save(
-        buffer, "gif", save_all=True, append_images=found, duration=round(100 / rate) * 10, loop=0, **more
-    )  # fmt: skip
+        buffer,
+        "gif",
+        save_all=True,
+        append_images=found,
+        duration=round(100 / rate) * 10,
+        loop=0,
+        **more,
+    )
     write_atomically(path, buffer.getvalue())
     return clipped
 
@@ -84,7 +94,8 @@ def _mp4(path: Path, frames: Iterator[Any], rate: int, remark: str) -> int:
         for number, (steps, out) in enumerate(_steps(path, frames)):
             clipped += out
             if stream is None:
-                # Constant quality, far above what is seen: 1 of 255 levels on average where colours do not jump.
+                # Constant quality, far above what is seen: 1 of 255 levels on average where colours
+                # do not jump.
                 stream = container.add_stream(
                     "libvpx-vp9", rate=rate, options={"crf": "8", "b": "0"}
                 )

@@ -13,9 +13,11 @@ def write_posterior(
     attributes: Mapping[str, str],
     observed: Mapping[str, np.ndarray],
 ) -> None:
-    """Write groups (`posterior`, `prior`, …) of arrays (chain, draw, …) and `observed_data`, whole or not at all.
+    """Write groups (`posterior`, `prior`, …) of arrays (chain, draw, …) and `observed_data`, whole
+    or not at all.
 
-    Groups are plain datasets, so that neither InferenceData (arviz 0.x) nor DataTree (1.x) is needed.
+    Groups are plain datasets, so that neither InferenceData (arviz 0.x) nor DataTree (1.x) is
+    needed.
     """
     import xarray as xr
 
@@ -41,14 +43,17 @@ def write_posterior(
 
 
 def predictive_score(path: str | Path) -> tuple[float, float]:
-    """Expected log predictive density of left-out values by PSIS-LOO [Vehtari et al. 2017], and its standard error.
+    """Expected log predictive density of left-out values by PSIS-LOO [Vehtari et al. 2017], and its
+    standard error.
 
-    Compare it between processes fitted to the same data; differences of a few standard errors count.
+    Compare it between processes fitted to the same data; differences of a few standard errors
+    count.
     """
     import warnings
 
     with warnings.catch_warnings():
-        # It announces its next version on import, and advises on single values; the error says enough here.
+        # It announces its next version on import, and advises on single values; the error says
+        # enough here.
         warnings.simplefilter("ignore")
         import arviz as az
 

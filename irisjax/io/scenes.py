@@ -55,8 +55,13 @@ class SceneFile(Mapping[str, Any]):
         """Build it. **Raises:** `ValueError` that names file and line."""
         parts: dict[str, Any] = {}
         drawn = self._maps_of_file()
-        makers = {"iris": self._iris, "eye": self._eye, "camera": self._camera, "light": self._lights,
-                  "environment": self._environment}  # fmt: skip
+        makers = {
+            "iris": self._iris,
+            "eye": self._eye,
+            "camera": self._camera,
+            "light": self._lights,
+            "environment": self._environment,
+        }
         for name, make in makers.items():
             try:
                 parts |= make()
@@ -141,8 +146,11 @@ class SceneFile(Mapping[str, Any]):
         illuminant = self._sections.get("picture", {}).get("illuminant", "D65")
         lights = None
         for lamp in self._sections.get("light", []):
-            options = {"irradiance": lamp.get("irradiance", math.pi), "illuminant": illuminant,
-                       "radius": math.radians(lamp.get("radius_deg", 1.7))}  # fmt: skip
+            options = {
+                "irradiance": lamp.get("irradiance", math.pi),
+                "illuminant": illuminant,
+                "radius": math.radians(lamp.get("radius_deg", 1.7)),
+            }
             if "position" in lamp:
                 if "polar_deg" in lamp or "azimuth_deg" in lamp:
                     raise ValueError("give a light a position or angles, not both")
@@ -184,7 +192,9 @@ def stream(seed: int, name: str) -> PRNGKey:
 
 
 def read_scene(path: str | Path) -> SceneFile:
-    """Read and check a scene file. **Raises:** `ValueError`: file, line, what is wrong, what is allowed."""
+    """Read and check a scene file. **Raises:** `ValueError`: file, line, what is wrong, what is
+    allowed.
+    """
     path = Path(path)
     try:
         text = path.read_text(encoding="utf-8")
@@ -220,7 +230,8 @@ def parse_scene(text: str, name: str = "scene", folder: Path = Path()) -> SceneF
             for key, value in table.items():
                 if key not in (checks := SECTIONS[section]):
                     raise ValueError(
-                        f"{where(section, key, nth)}: unknown {key!r} in {section}; known: {', '.join(checks)}"
+                        f"{where(section, key, nth)}: unknown {key!r} in {section}; known: "
+                        f"{', '.join(checks)}"
                     )
                 try:
                     done[-1][key] = checks[key](value)
@@ -232,7 +243,8 @@ def parse_scene(text: str, name: str = "scene", folder: Path = Path()) -> SceneF
     maps = checked.get("maps", {})
     if "file" in maps and (grown := [key for key in maps if key not in ("file", "seed")]):
         raise ValueError(
-            f"{where('maps', grown[0])}: maps.{grown[0]} is for grown maps, and maps.file gives all of them; "
+            f"{where('maps', grown[0])}: maps.{grown[0]} is for grown maps, and maps.file gives "
+            f"all of them; "
             "give one or the other (seed still draws the veins)"
         )
     return SceneFile(checked, where, folder)

@@ -1,7 +1,7 @@
 """Spectra and BRDFs in files: CSV with a header of settings, written whole or not at all.
 
-A header is made of comment lines `# key: value [remark]`; the bracketed remark (a unit, a gloss) is for
-people and dropped on reading. The first line without `#` names the columns.
+A header is made of comment lines `# key: value [remark]`; the bracketed remark (a unit, a gloss) is
+for people and dropped on reading. The first line without `#` names the columns.
 """
 
 import contextlib
@@ -32,7 +32,8 @@ class Table(NamedTuple):
 def format_table(header: Mapping[str, str], columns: Mapping[str, np.ndarray]) -> str:
     """Text of a CSV file: the header as comments, then the columns with 12 significant digits.
 
-    Twelve digits are what the solvers are good for; they leave out the last bits, in which machines differ.
+    Twelve digits are what the solvers are good for; they leave out the last bits, in which machines
+    differ.
     """
     out = io.StringIO()
     for key, value in header.items():
@@ -113,8 +114,8 @@ def write_atomically(path: str | Path, data: bytes) -> None:
 def write_together(files: Mapping[Path, bytes]) -> None:
     """Write all of several files or none, and none by halves.
 
-    The bytes go to new files in the same folders, which take the names once all are written. Pipes and
-    devices, such as /dev/stdout, are written to directly.
+    The bytes go to new files in the same folders, which take the names once all are written. Pipes
+    and devices, such as /dev/stdout, are written to directly.
 
     **Raises:** `OSError` naming the file; what stood there before is then untouched.
     """
@@ -151,7 +152,8 @@ def write_together(files: Mapping[Path, bytes]) -> None:
 
 @contextlib.contextmanager
 def replacing(path: str | Path) -> Iterator[Path]:
-    """The name of a new file to fill, which takes `path`'s place if nothing is raised, and else is removed.
+    """The name of a new file to fill, which takes `path`'s place if nothing is raised, and else is
+    removed.
 
     For what is too large to hold as bytes; pipes and devices get a copy.
     """

@@ -1,4 +1,6 @@
-"""Colour of the iris: tristimulus values, CIE L*a*b* and sRGB. The only importer of colour-science."""
+"""Colour of the iris: tristimulus values, CIE L*a*b* and sRGB.
+The only importer of colour-science.
+"""
 
 from functools import lru_cache
 
@@ -59,10 +61,11 @@ def colour(
     key: PRNGKey | None = None,
     raise_on_failure: bool = True,
 ) -> Colour:
-    """Colour of the iris's reflectance under an illuminant; see `reflectance` for the other arguments.
+    """Colour of the iris's reflectance under an illuminant; see `reflectance` for the other
+    arguments.
 
-    `wavelengths` default to 380–780 nm in steps of 5 nm. Light mirrored by the first surface counts by
-    default; against a dark iris it adds a little grey.
+    `wavelengths` default to 380–780 nm in steps of 5 nm. Light mirrored by the first surface counts
+    by default; against a dark iris it adds a little grey.
     """
     wavelengths = grid(380, 780, 5) if wavelengths is None else wavelengths
     spectrum = reflectance(
@@ -92,7 +95,8 @@ def colour_of(
     observer: str = OBSERVER,
     status: RESULTS = RESULTS.successful,
 ) -> Colour:
-    """Colour of a spectral reflectance `values` on a concrete grid of `wavelengths` (nm, at least two).
+    """Colour of a spectral reflectance `values` on a concrete grid of `wavelengths` (nm, at least
+    two).
 
     Differentiable in `values`. **Raises:** `ValueError` for an unknown illuminant or observer.
     """
@@ -120,7 +124,9 @@ def colour_of(
 def tristimulus_matrix(
     wavelengths, space: str = "XYZ", illuminant: str = "D65", observer: str = OBSERVER
 ):
-    """The matrix (3, n) from a reflectance to `"XYZ"` (white at Y = 1) or `"linear sRGB"`, and the white's XYZ."""
+    """The matrix (3, n) from a reflectance to `"XYZ"` (white at Y = 1) or `"linear sRGB"`, and the
+    white's XYZ.
+    """
     weights, white, adaptation = _constants(
         np.asarray(wavelengths, np.float64).tobytes(), illuminant, observer
     )

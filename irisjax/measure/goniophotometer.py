@@ -19,8 +19,8 @@ class Brdf(eqx.Module):
     """Bidirectional reflectance distribution function, 1/sr, without the mirrored part.
 
     - `values`: shape (wavelengths, exits); `standard_error` likewise, or `None`.
-    - `cos_exit`, `azimuth`: exit directions, shape (exits,), azimuth in radians from the plane of incidence
-        (0 is forward scattering, where a mirror would send the light).
+    - `cos_exit`, `azimuth`: exit directions, shape (exits,), azimuth in radians from the plane of
+        incidence (0 is forward scattering, where a mirror would send the light).
     - `mirrored`: share of the light mirrored by the first surface into the mirror direction, shape
         (wavelengths,): a delta that `values` leave out.
     """
@@ -52,12 +52,13 @@ def brdf(
 ) -> Brdf:
     """BRDF of the iris in the aqueous humour, at given exit directions.
 
-    ILIT redraws directions on entry, so its BRDF does not depend on the azimuth and on the incidence only
-    through the first surface's transmittance; depth-resolved transport depends on all three.
+    ILIT redraws directions on entry, so its BRDF does not depend on the azimuth and on the
+    incidence only through the first surface's transmittance; depth-resolved transport depends on
+    all three.
 
     `cos_exit` and `azimuth` broadcast together to shape (exits,); cosines in [0, 1]. The cornea is
-    left out, whatever the process says. `MonteCarlo` returns averages over cells of the cosine bounded
-    half-way between the exits given. For the rest see
+    left out, whatever the process says. `MonteCarlo` returns averages over cells of the cosine
+    bounded half-way between the exits given. For the rest see
     `reflectance`. **Raises:** `ValueError` for concrete input out of range.
     """
     check_wavelengths(wavelengths)
@@ -82,7 +83,8 @@ def brdf(
 
 
 def principal_plane(n: int = 181):
-    """Signed exit angles (radians), their cosines and azimuths across the principal plane, grazing left out.
+    """Signed exit angles (radians), their cosines and azimuths across the principal plane, grazing
+    left out.
 
     Negative angles lie on the light's side (azimuth π).
     """

@@ -23,7 +23,8 @@ from irisjax.transport.solver import AbstractSolver
 class Measurement(eqx.Module):
     """One value a wavelength, and what is known about it.
 
-    - `wavelengths` (nm) and `values`, shape (wavelengths,); `unit` and `quantity` say what they are.
+    - `wavelengths` (nm) and `values`, shape (wavelengths,); `unit` and `quantity` say what they
+        are.
     - `standard_error`: of `values` where they are sampled, `None` where they are integrated.
     - `status`: a `RESULTS` item; compare with `RESULTS.successful`.
     - `absorbed`: share of the light falling on the eye absorbed in `.abl`, `.stroma`, `.ipe`.
@@ -47,7 +48,8 @@ class Measurement(eqx.Module):
 
 
 def wavelengths(start: float, stop: float, step: float) -> np.ndarray:
-    """Grid from `start` to `stop` inclusive in nm, built from whole steps so that all steps are equal.
+    """Grid from `start` to `stop` inclusive in nm, built from whole steps so that all steps are
+    equal.
 
     **Raises:** `ValueError` unless start ≤ stop and the step is positive and divides the range.
     """
@@ -64,7 +66,9 @@ def wavelengths(start: float, stop: float, step: float) -> np.ndarray:
 
 
 def check_wavelengths(grid) -> None:
-    """Raise `ValueError` unless a concrete grid is one-dimensional, not empty, finite and increasing."""
+    """Raise `ValueError` unless a concrete grid is one-dimensional, not empty, finite and
+    increasing.
+    """
     if isinstance(grid, Tracer):
         return
     grid = np.asarray(grid)

@@ -1,4 +1,6 @@
-"""Virtual spectrophotometer: directional–hemispherical and diffuse–hemispherical reflectance, radiance."""
+"""Virtual spectrophotometer: directional–hemispherical and diffuse–hemispherical reflectance,
+radiance.
+"""
 
 import dataclasses
 from functools import partial
@@ -42,12 +44,13 @@ def reflectance(
     - `wavelengths`: nm, increasing, shape (n,), within the pigment tables; see `wavelengths`.
     - `solver`: `Exact`, `Tabulated` or `MonteCarlo` (which needs `key`).
     - `process`: `ILIT_2006`, `ILIT_CORRECTED`, `DEPTH_RESOLVED` or a `Process` of your own.
-    - `cos_incidence`: cosine of the light's angle to the iris's normal, in the aqueous humour (in air, if
-        the process includes the cornea), or `"diffuse"` for light from the whole hemisphere.
+    - `cos_incidence`: cosine of the light's angle to the iris's normal, in the aqueous humour (in
+        air, if the process includes the cornea), or `"diffuse"` for light from the whole
+        hemisphere.
     - `first_surface`: whether light mirrored by the aqueous/ABL interface counts.
 
-    **Returns:** a `Measurement`. **Raises:** `ValueError` for concrete input out of range or, unless
-    `raise_on_failure=False`, for a solve that failed; while tracing, look at `.status`.
+    **Returns:** a `Measurement`. **Raises:** `ValueError` for concrete input out of range or,
+    unless `raise_on_failure=False`, for a solve that failed; while tracing, look at `.status`.
     """
     return _measure(
         iris,
@@ -77,11 +80,12 @@ def radiance(
 ) -> Measurement:
     """Reflected spectral radiance under an illuminant, as measured in vivo  [LB06 Section 4].
 
-    The illuminant's relative spectral power E (1 at 560 nm) falls on the eye; light is dimmed on its way
-    through tear film and cornea (`process.cornea`, by default inward only; light mirrored by the tear film
-    is dropped), and what comes back is shared over the hemisphere, L = R·E/π. A perfect white diffuser in
-    the eye's place reads E/π. `cos_incidence` is measured in air. With `MonteCarlo`'s analogue
-    estimator, the number of rays at each wavelength follows the illuminant, as in LB06.
+    The illuminant's relative spectral power E (1 at 560 nm) falls on the eye; light is dimmed on
+    its way through tear film and cornea (`process.cornea`, by default inward only; light mirrored
+    by the tear film is dropped), and what comes back is shared over the hemisphere, L = R·E/π. A
+    perfect white diffuser in the eye's place reads E/π. `cos_incidence` is measured in air. With
+    `MonteCarlo`'s analogue estimator, the number of rays at each wavelength follows the illuminant,
+    as in LB06.
 
     `illuminant` is a name known to colour-science; for the rest see `reflectance`.
     """

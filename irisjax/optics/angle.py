@@ -7,7 +7,8 @@ from jaxtyping import Array, Float
 
 # Coefficients of s, s² … with s = t²  [Abramowitz & Stegun 4.4.49]
 _SERIES = (
-    -0.3333314528, 0.1999355085, -0.1420889944, 0.1065626393, -0.0752896400, 0.0429096138, -0.0161657367, 0.0028662257,
+    -0.3333314528, 0.1999355085, -0.1420889944, 0.1065626393,
+    -0.0752896400, 0.0429096138, -0.0161657367, 0.0028662257,
 )  # fmt: skip
 
 
@@ -15,9 +16,10 @@ _SERIES = (
 def arctan2(y: Float[Array, "*s"], x: Float[Array, "*s"]) -> Float[Array, "*s"]:
     """Angle of (x, y), −π to π radians, 0 at the origin, where its gradient is taken as zero.
 
-    In single precision within 3e-7: a polynomial of |error| ≤ 2e-8  [Abramowitz & Stegun 4.4.49] and rounding. XLA
-    calls the C library for each `jnp.arctan2` on a processor, which takes some ten times as long. For programs whose
-    result it is: XLA works a polynomial out anew for each look-up that asks for it, the library's value it keeps.
+    In single precision within 3e-7: a polynomial of |error| ≤ 2e-8  [Abramowitz & Stegun 4.4.49]
+    and rounding. XLA calls the C library for each `jnp.arctan2` on a processor, which takes some
+    ten times as long. For programs whose result it is: XLA works a polynomial out anew for each
+    look-up that asks for it, the library's value it keeps.
     """
     y, x = jnp.broadcast_arrays(y, x)
     if jnp.result_type(y, x) != jnp.float32:

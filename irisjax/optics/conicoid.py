@@ -1,11 +1,14 @@
-"""Rays at surfaces of revolution of second order: where they meet, the normal there, and how they go on.
+"""Rays at surfaces of revolution of second order: where they meet, the normal there, and how they
+go on.
 
-A surface is p z² − 2 R z + x² + y² = 0 with z counted from its apex along the axis [F09 Eq. 3]; p = 1 is a
-sphere, 0 < p < 1 a prolate ellipsoid, p = 0 a paraboloid. Vectors are arrays of shape (…, 3).
+A surface is p z² − 2 R z + x² + y² = 0 with z counted from its apex along the axis [F09 Eq. 3]; p =
+1 is a sphere, 0 < p < 1 a prolate ellipsoid, p = 0 a paraboloid. Vectors are arrays of shape (…,
+3).
 
-Most is written in components: XLA then joins a chain of such functions into loops over rays and never makes the
-vectors between them, which halves the time. Scalar products stay sums over the last axis: there XLA keeps what it
-has, where otherwise it would work out the same again for every result (tables of an eye: 15 times as long).
+Most is written in components: XLA then joins a chain of such functions into loops over rays and
+never makes the vectors between them, which halves the time. Scalar products stay sums over the last
+axis: there XLA keeps what it has, where otherwise it would work out the same again for every result
+(tables of an eye: 15 times as long).
 """
 
 from collections.abc import Sequence
@@ -34,7 +37,9 @@ class Conicoid(eqx.Module):
     apex: Scalar = eqx.field(default=0.0, converter=as_float)
 
     def sagitta(self, r: Float[Array, "*s"]) -> Float[Array, "*s"]:
-        """Depth behind the apex at distance `r` from the axis, mm; it ends at the equator, r = R/√p."""
+        """Depth behind the apex at distance `r` from the axis, mm; it ends at the equator, r =
+        R/√p.
+        """
         # The form without cancellation also holds for the paraboloid.
         return r * r / (self.radius + safe_sqrt(self.radius**2 - self.shape * r * r))
 
@@ -45,9 +50,11 @@ class Conicoid(eqx.Module):
         return n / norm(n)[..., None]
 
     def intersect(self, origin: Vector, direction: Vector, far: bool = False):
-        """Distance along a ray to its first (or `far`: second) crossing, and whether it meets the surface.
+        """Distance along a ray to its first (or `far`: second) crossing, and whether it meets the
+        surface.
 
-        Directions are unit vectors. The distance is that of the nearest approach where nothing is met.
+        Directions are unit vectors. The distance is that of the nearest approach where nothing is
+        met.
         """
         (x, y, z), (u, v, w) = parts(origin), parts(direction)
         z = z - self.apex
@@ -56,7 +63,8 @@ class Conicoid(eqx.Module):
         c = x * x + y * y + (self.shape * z - 2 * self.radius) * z
         square = b * b - a * c
         root = safe_sqrt(square)
-        # The root of larger size first, the other by Vieta: no cancellation, and a paraboloid's a = 0 does no harm.
+        # The root of larger size first, the other by Vieta: no cancellation, and a paraboloid's a =
+        # 0 does no harm.
         q = -(b + jnp.where(b < 0, -root, root))
         q_safe = jnp.where(q == 0, 1.0, q)
         a_safe = jnp.where(a == 0, 1.0, a)
@@ -106,10 +114,12 @@ def norm(a: Float[Array, "*s n"]) -> Float[Array, "*s"]:
 
 
 def refract_vector(direction: Vector, normal: Vector, n_in, n_out):
-    """Direction behind an interface, and the share that passes it, 1 − F (0 under total reflection).
+    """Direction behind an interface, and the share that passes it, 1 − F (0 under total
+    reflection).
 
-    Unit vectors; `normal` points to the side the ray comes from. Rays from the wrong side pass with a share
-    of 0 and a direction that is the smooth continuation, so that a search may cross grazing incidence.
+    Unit vectors; `normal` points to the side the ray comes from. Rays from the wrong side pass with
+    a share of 0 and a direction that is the smooth continuation, so that a search may cross grazing
+    incidence.
     """
     cosine = -dot(direction, normal)
     ratio = n_in / n_out
@@ -123,5 +133,7 @@ def refract_vector(direction: Vector, normal: Vector, n_in, n_out):
 
 
 def reflect_vector(direction: Vector, normal: Vector) -> Vector:
-    """Mirror direction of a unit vector at a unit normal of either sign; its share is 1 − `refract_vector`'s."""
+    """Mirror direction of a unit vector at a unit normal of either sign; its share is 1 −
+    `refract_vector`'s.
+    """
     return along(direction, -2 * dot(direction, normal), normal)

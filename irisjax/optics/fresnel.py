@@ -15,7 +15,8 @@ def safe_sqrt(x: Float[Array, "*s"]) -> Float[Array, "*s"]:
 
 
 def critical_cosine_squared(n_in, n_out):
-    """Square of the cosine below which the interface reflects totally; negative where it never does.
+    """Square of the cosine below which the interface reflects totally; negative where it never
+    does.
 
     Snell's law reads μ_out² = (n_in/n_out)² (μ_in² − c²) with this c², an identity that survives
     rounding when the indices nearly agree.
@@ -34,11 +35,13 @@ def refract(cos_in: Float[Array, "*s"], n_in, n_out) -> Float[Array, "*s"]:
 def fresnel(cos_in: Float[Array, "*s"], cos_out: Float[Array, "*s"], n_in, n_out):
     """Unpolarised reflectance F and transmittance 1 − F for a ray from `n_in` into `n_out`.
 
-    `cos_out` is the refracted cosine, 0 under total internal reflection. The transmittance has its own
-    formula, so that it keeps its relative precision where F is close to 1. Returns `(F, 1 - F)`.
+    `cos_out` is the refracted cosine, 0 under total internal reflection. The transmittance has its
+    own formula, so that it keeps its relative precision where F is close to 1. Returns `(F, 1 -
+    F)`.
     """
     matched_grazing = (cos_in == 0) & (cos_out == 0)
-    # Two equal media at exact grazing are 0/0: a ray there meets no interface, so it is transmitted.
+    # Two equal media at exact grazing are 0/0: a ray there meets no interface, so it is
+    # transmitted.
     a = jnp.where(matched_grazing, 1.0, cos_in)
     b = jnp.where(matched_grazing, 1.0, cos_out)
     s = n_in * a + n_out * b

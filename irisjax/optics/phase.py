@@ -1,7 +1,7 @@
 """Phase functions: density, sampler, and azimuth-averaged redistribution of each.
 
-Both are even in the scattering angle's cosine, so in a plane layer a ray scatters up and down alike: the
-redistribution k(μ, μ') needs cosines in (0, 1] only, with ∫₀¹ k(μ, μ') dμ' = ½.
+Both are even in the scattering angle's cosine, so in a plane layer a ray scatters up and down
+alike: the redistribution k(μ, μ') needs cosines in (0, 1] only, with ∫₀¹ k(μ, μ') dμ' = ½.
 """
 
 import abc
@@ -21,11 +21,12 @@ from irisjax.optics.quadrature import CosineRule, gauss_legendre, graded, interp
 class Redistribution(eqx.Module):
     """The scattering operator on a cosine rule, without its isotropic part.
 
-    S(μ_i) = ½ Σ_q w_q f(μ_q) + Σ_r scatter[r, i] Σ_q collect[r, q] f(μ_q), where f and S are densities over
-    the cosine, f summed over the two senses of travel, S for one sense. What is written here neither adds
-    nor takes energy; the isotropic part carries it all.
+    S(μ_i) = ½ Σ_q w_q f(μ_q) + Σ_r scatter[r, i] Σ_q collect[r, q] f(μ_q), where f and S are
+    densities over the cosine, f summed over the two senses of travel, S for one sense. What is
+    written here neither adds nor takes energy; the isotropic part carries it all.
 
-    - `collect`: shape (rank, n) with the rule's weights inside, or `None` for the identity (rank n).
+    - `collect`: shape (rank, n) with the rule's weights inside, or `None` for the identity (rank
+        n).
     - `scatter`: shape (rank, n).
     """
 
@@ -46,7 +47,8 @@ class AbstractPhase(eqx.Module):
 
     @abc.abstractmethod
     def sample_cosine(self, u: Float[Array, "*s"]) -> Float[Array, "*s"]:
-        """Cosine of the deflection angle from a uniform in [0, 1]: the inverse distribution function.
+        """Cosine of the deflection angle from a uniform in [0, 1]: the inverse distribution
+        function.
 
         A rational function of 2u − 1, so that a Monte Carlo step has no loop and no trigonometry.
         """
@@ -56,7 +58,8 @@ class AbstractPhase(eqx.Module):
         """The azimuth-averaged scattering operator on the nodes of `rule`."""
 
 
-# Minimax-like fits of the inverse distribution functions: odd numerator and even denominator in 2u − 1.
+# Minimax-like fits of the inverse distribution functions: odd numerator and even denominator in 2u
+# − 1.
 _RAYLEIGH_INVERSE = (
     (1.33333217, 4.88499044, 3.67262038, 0.33877668),
     (1.0, 4.25625501, 4.22517445, 0.74828951),
@@ -107,14 +110,17 @@ class RayleighPerAngle(AbstractPhase):
         return (1 + jnp.cos(alpha) ** 2) / (1.5 * jnp.pi)
 
     def sample_cosine(self, u):
-        """The cosine of the angle at which (α + (α + sin α cos α)/2)/(3π/2) reaches 1 − u, to 4e-7."""
+        """The cosine of the angle at which (α + (α + sin α cos α)/2)/(3π/2) reaches 1 − u,
+        to 4e-7.
+        """
         return _odd_rational(u, _PER_ANGLE_INVERSE)
 
     def redistribution(self, rule):
-        """Product integration: exact for polynomials in the rule's own variable, singularity included.
+        """Product integration: exact for polynomials in the rule's own variable, singularity
+        included.
 
-        The rule's own panels are the pieces, so critical angles cost no accuracy, only time; no iris of
-        LB06 has one inside its scattering layer.
+        The rule's own panels are the pieces, so critical angles cost no accuracy, only time; no
+        iris of LB06 has one inside its scattering layer.
         """
         n, dtype = rule.cosine.shape[0], rule.cosine.dtype
         if rule.n_panels == 1:
@@ -150,9 +156,10 @@ def _scattered_into(rule: CosineRule, mu, xp):
     """W[q] with S(μ) = Σ_q W[q] f(μ_q) for the density (1 + cos²α)/(3π/2) per radian.
 
     Integrating along the great circles through direction μ removes the singularity of the averaged
-    kernel: per radian the density is smooth. A circle that passes the pole at cosine M meets the cosine
-    |M sin γ| at angle γ from the grazing plane; where M crosses a panel's edge the integral over the
-    circles has a kink, and is split.
+    kernel: per radian the density is smooth. A circle that passes the pole at cosine M meets the
+    cosine
+    |M sin γ| at angle γ from the grazing plane; where M crosses a panel's edge the integral over
+    the circles has a kink, and is split.
     """
     n = rule.cosine.shape[0]
     # Enough points to integrate the Lagrange polynomials of the rule's degree.
@@ -202,5 +209,7 @@ def _arcsin_sqrt(x, xp):
 
 
 def _conserving(operator, weight):
-    """The operator with its error in energy, a quadrature error, given back to all directions alike."""
+    """The operator with its error in energy, a quadrature error, given back to all directions
+    alike.
+    """
     return operator + (0.5 * weight - weight @ operator) / weight.sum()

@@ -1,9 +1,10 @@
 """Cosine quadrature for layered media.
 
-Integrands of plane-parallel transport have two troubles: square-root kinks at critical angles and the
-factor exp(−τ/μ), flat to all orders at grazing. `cosine_rule` splits [0, 1] at the critical cosines and
-takes, in each panel [a, b], the variable ν = √(μ² − a²), which is the cosine on the *other* side of the
-interface up to a constant and removes the kink; ν is graded exponentially towards grazing.
+Integrands of plane-parallel transport have two troubles: square-root kinks at critical angles and
+the factor exp(−τ/μ), flat to all orders at grazing. `cosine_rule` splits [0, 1] at the critical
+cosines and takes, in each panel [a, b], the variable ν = √(μ² − a²), which is the cosine on the
+*other* side of the interface up to a constant and removes the kink; ν is graded exponentially
+towards grazing.
 """
 
 from functools import lru_cache
@@ -16,7 +17,8 @@ from jaxtyping import Array, Float
 
 from irisjax.optics.fresnel import safe_sqrt
 
-# Grading of a panel that starts at grazing; found by a scan over maps and optical depths 1e-4 to 30.
+# Grading of a panel that starts at grazing; found by a scan over maps and optical depths 1e-4 to
+# 30.
 _GRADING = 3.0
 # Squared cosine at which a panel's start counts as far from grazing, where no grading is wanted.
 _FAR = 0.05
@@ -74,7 +76,8 @@ def conserving(rule: CosineRule) -> CosineRule:
 
 
 def graded(x, start_squared, xp=jnp):
-    """Map [0, 1] onto itself, dense near 0 if the panel starts near grazing; returns value and slope.
+    """Map [0, 1] onto itself, dense near 0 if the panel starts near grazing; returns value and
+    slope.
 
     g(x) = (e^{κy} − 1)/(e^κ − 1), y = (1−β)x² + βx, κ = 3(1−β) + β, β → 1 away from grazing.
     `xp` is `numpy` or `jax.numpy`.
@@ -106,9 +109,10 @@ def cosine_rule(
     **Arguments:**
 
     - `critical_squared`: c_k² of each interface, negative where it has no critical angle.
-    - `present`: which of them can be positive, known before tracing; only those cost a panel. A panel that
-        turns out empty has zero weights.
-    - `n`: nodes of a rule of up to two panels; more, met only where indices are traced or extreme, take ¾n each.
+    - `present`: which of them can be positive, known before tracing; only those cost a panel. A
+        panel that turns out empty has zero weights.
+    - `n`: nodes of a rule of up to two panels; more, met only where indices are traced or extreme,
+        take ¾n each.
     - `skip_guided`: leave out [0, min c_k], where every interface reflects totally, and report its
         measure in `omitted`; needs all `present`.
     """
@@ -150,7 +154,8 @@ def cosine_rule(
 
 
 def interpolation(rule: CosineRule, panel: int, mu, xp=jnp):
-    """Values at `mu` (inside the panel) of the Lagrange polynomials of one panel's nodes, (*mu.shape, m).
+    """Values at `mu` (inside the panel) of the Lagrange polynomials of one panel's nodes,
+    (*mu.shape, m).
 
     A panel interpolates in its own graded variable, in which the integrands are smooth.
     """
@@ -168,5 +173,7 @@ def interpolation(rule: CosineRule, panel: int, mu, xp=jnp):
 
 
 def refracted(rule: CosineRule, k: int, n_in, n_out) -> Float[Array, " n"]:
-    """Cosines of the rule's nodes after refraction at interface `k`, 0 where it reflects totally."""
+    """Cosines of the rule's nodes after refraction at interface `k`,
+    0 where it reflects totally.
+    """
     return n_in / n_out * safe_sqrt(rule.excess[k])

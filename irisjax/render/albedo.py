@@ -1,7 +1,9 @@
-"""The iris as a matt surface, for renderers that know no other: the albedo of each texel, and how wrong it is.
+"""The iris as a matt surface, for renderers that know no other: the albedo of each texel, and how
+wrong it is.
 
-ILIT's BRDF is (1 − F(μ_i)) g(μ_o): it does not ask whence light comes but for the first surface, and falls towards
-grazing exits, the more the more the ABL absorbs. A Lambertian surface of the same power is its nearest relative.
+ILIT's BRDF is (1 − F(μ_i)) g(μ_o): it does not ask whence light comes but for the first surface,
+and falls towards grazing exits, the more the more the ABL absorbs. A Lambertian surface of the same
+power is its nearest relative.
 """
 
 from typing import NamedTuple
@@ -19,15 +21,19 @@ from irisjax.tissue.iris import Iris
 from irisjax.tissue.maps import IrisMaps, Scales, cell_centres
 
 CONE = 50.0
-"""Angle (degrees) about the iris's normal that holds nearly all light and lines of sight behind a cornea."""
+"""Angle (degrees) about the iris's normal that holds nearly all light and lines of sight behind a
+cornea.
+"""
 _TEXELS = 2048
 
 
 class LambertError(NamedTuple):
-    """A Lambertian iris of the albedo against ILIT's, relative, channel by channel, shape (channels,).
+    """A Lambertian iris of the albedo against ILIT's, relative, channel by channel, shape
+    (channels,).
 
-    - `rms`: of the whole iris's mean radiance, over pairs of directions within `CONE` of the normal in proportion to
-        their cosines. `most`: the largest there, with its sign (negative: the Lambertian one is darker).
+    - `rms`: of the whole iris's mean radiance, over pairs of directions within `CONE` of the normal
+        in proportion to their cosines. `most`: the largest there, with its sign (negative: the
+        Lambertian one is darker).
     - `texels`: r.m.s. over texels too, relative to the mean radiance of the iris.
     - `hemisphere`: as `rms`, over all directions, relative to the mean BRDF.
     """
@@ -39,7 +45,9 @@ class LambertError(NamedTuple):
 
 
 class Matt(eqx.Module):
-    """An iris ready to be asked for its albedo; make one with `of`. Without what the first surface mirrors."""
+    """An iris ready to be asked for its albedo; make one with `of`. Without what the first surface
+    mirrors.
+    """
 
     response: Response
     scales: Scales
@@ -48,7 +56,9 @@ class Matt(eqx.Module):
 
     @classmethod
     def of(cls, iris: Iris, maps: IrisMaps | None, bands: Bands, integrator: Separable) -> "Matt":
-        """The iris in the channels of `bands`: of `colour_bands` linear sRGB, of unit weights spectral reflectance."""
+        """The iris in the channels of `bands`: of `colour_bands` linear sRGB, of unit weights
+        spectral reflectance.
+        """
         scales = Scales.of(maps, iris)
 
         def with_one(span):  # the uniform iris too
@@ -62,7 +72,8 @@ class Matt(eqx.Module):
         return cls(response, scales, iris, (2, 2) if maps is None else maps.shape)
 
     def albedo(self) -> Float[Array, "angles radii channels"]:
-        """Directional–hemispherical reflectance of each texel at normal incidence, in the aqueous humour.
+        """Directional–hemispherical reflectance of each texel at normal incidence, in the aqueous
+        humour.
 
         It has the shape of the maps; without maps (2, 2), every texel alike.
         """

@@ -1,8 +1,9 @@
 """The few wavelengths a picture is computed at, and their weights towards its channels.
 
-Ten wavelengths stand for 81 (380 to 780 nm in steps of 5): spectra of irides are smooth and alike. Their colours
-differ by less than 0.5 ΔE2000 from those of all 81 (`experiments/rendering_bands.py`: 0.32 under D65, 0.29
-under A, 0.46 under FL11, on a thousand irides drawn widely). What is no iris, vessels above all, has `all_bands`.
+Ten wavelengths stand for 81 (380 to 780 nm in steps of 5): spectra of irides are smooth and alike.
+Their colours differ by less than 0.5 ΔE2000 from those of all 81 (`experiments/rendering_bands.py`:
+0.32 under D65, 0.29 under A, 0.46 under FL11, on a thousand irides drawn widely). What is no iris,
+vessels above all, has `all_bands`.
 """
 
 from functools import lru_cache
@@ -23,7 +24,8 @@ GRID = 380 + 5.0 * np.arange(81)
 class Bands(eqx.Module):
     """Wavelengths (nm) and the matrix (channels, bands) from reflectance to the picture's channels.
 
-    - `channels`: their names; `("R", "G", "B")` is linear sRGB, a white sheet under irradiance π is (1, 1, 1).
+    - `channels`: their names; `("R", "G", "B")` is linear sRGB, a white sheet under irradiance π is
+        (1, 1, 1).
     """
 
     wavelengths: tuple[float, ...] = eqx.field(static=True)
@@ -34,7 +36,9 @@ class Bands(eqx.Module):
 def colour_bands(
     illuminant: str = "D65", observer: str = OBSERVER, cornea: Cornea | None = None
 ) -> Bands:
-    """Bands to linear sRGB under an illuminant, adapted to D65; twice through the haze of `cornea`."""
+    """Bands to linear sRGB under an illuminant, adapted to D65;
+    twice through the haze of `cornea`.
+    """
     nodes, fill = _table()
     matrix = np.asarray(tristimulus_matrix(GRID, "linear sRGB", illuminant, observer)[0]) * _haze(
         cornea, GRID
@@ -51,7 +55,9 @@ def all_bands(illuminant: str = "D65", observer: str = OBSERVER) -> Bands:
 
 
 def spectral_bands(wavelengths, illuminant: str = "D65", cornea: Cornea | None = None) -> Bands:
-    """A channel for each wavelength: radiance (1/sr) relative to the illuminant's irradiance at 560 nm, times π."""
+    """A channel for each wavelength: radiance (1/sr) relative to the illuminant's irradiance at 560
+    nm, times π.
+    """
     x = np.asarray(wavelengths, np.float64)
     power = illuminant_power(illuminant, x) * _haze(cornea, x)
     return Bands(

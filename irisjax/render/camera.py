@@ -31,7 +31,9 @@ from irisjax.tissue.eye import TEAR
 from irisjax.tissue.noise import step
 
 BLEND = 0.5
-"""Half the width over which iris and sclera blend at the limbus, mm  [F09 Section 6.5: about 1 mm in all]."""
+"""Half the width over which iris and sclera blend at the limbus, mm  [F09 Section 6.5: about 1 mm
+in all].
+"""
 LARGEST = 16384
 """Most pixels along a side."""
 _PAD = 2048  # and an eighth of the pixels at most
@@ -42,7 +44,8 @@ def _number(default: float) -> Any:
 
 
 class Camera(eqx.Module):
-    """A pinhole camera in the eye's frame (mm; +z into the eye, x right and y up as the viewer sees).
+    """A pinhole camera in the eye's frame (mm; +z into the eye, x right and y up as the viewer
+    sees).
 
     - `polar`, `azimuth`: of its place as seen from the eye, radians; 0 is straight ahead.
     - `distance`: to the centre of the pupil. `width`: of the field there, mm.
@@ -73,12 +76,13 @@ class Camera(eqx.Module):
             value = getattr(self, name)
             if not isinstance(value, Tracer) and not low <= float(value) <= high:
                 raise ValueError(
-                    f"camera {name} = {float(value):g} is outside [{low:g}, {high:g}] {unit}".rstrip()
+                    f"camera {name} = {float(value):g} is outside [{low:g}, "
+                    f"{high:g}] {unit}".rstrip()
                 )
 
     def taking(self, first: int, rows: int, samples: int = 1) -> "Camera":
-        """The same camera that takes only some rows of its picture, 0 being the top, and instead of each pixel
-        samples × samples smaller ones."""
+        """The same camera that takes only some rows of its picture, 0 being the top, and instead of
+        each pixel samples × samples smaller ones."""
         if not (rows > 0 and 0 <= first <= self.size[1] - rows):
             raise ValueError(
                 f"rows {first} to {first + rows - 1} are not in a picture of {self.size[1]}"
@@ -99,8 +103,8 @@ class Camera(eqx.Module):
         return place[0], direction.reshape(rows, columns, 3)
 
     def towards(self, index: Int[Array, " pixels"], eye: Eye) -> tuple[Vector, Vector]:
-        """The camera's place (pixels, 3), over and over, and the unit directions (pixels, 3) of some pixels, counted
-        along its rows."""
+        """The camera's place (pixels, 3), over and over, and the unit directions (pixels, 3) of
+        some pixels, counted along its rows."""
         sin, cos = jnp.sin(self.polar), jnp.cos(self.polar)
         back = jnp.stack([sin * jnp.cos(self.azimuth), sin * jnp.sin(self.azimuth), -cos])
         origin = (
@@ -130,11 +134,12 @@ class Camera(eqx.Module):
 
 
 class IrisPixels(eqx.Module):
-    """Pixels that see the iris, as flat arrays; `index` is −1 for padding, `None` where all pixels of the picture do.
+    """Pixels that see the iris, as flat arrays; `index` is −1 for padding, `None` where all pixels
+    of the picture do.
 
     - `point`: on the iris, mm; `direction`: of the line of sight in the chamber, into the eye.
-    - `cosine`: of the exit angle to the flat iris; `share`: transmitted on the way out, over n² of the chamber,
-        times the blend at the limbus.
+    - `cosine`: of the exit angle to the flat iris; `share`: transmitted on the way out, over n² of
+        the chamber, times the blend at the limbus.
     """
 
     index: Int[Array, " pixels"] | None
@@ -145,8 +150,8 @@ class IrisPixels(eqx.Module):
 
 
 class ScleraPixels(eqx.Module):
-    """Pixels that see the white: `point` and `normal` (3, pixels), the `reflectance` of the tear film over it, and the
-    `share` of sclera, which blends with the iris at the limbus."""
+    """Pixels that see the white: `point` and `normal` (3, pixels), the `reflectance` of the tear
+    film over it, and the `share` of sclera, which blends with the iris at the limbus."""
 
     index: Int[Array, " pixels"] | None
     point: Parts
@@ -156,7 +161,9 @@ class ScleraPixels(eqx.Module):
 
 
 class MirrorPixels(eqx.Module):
-    """Pixels that see the tear film, on cornea and white: its `mirror` direction and `reflectance`."""
+    """Pixels that see the tear film, on cornea and white: its `mirror` direction and
+    `reflectance`.
+    """
 
     index: Int[Array, " pixels"] | None
     mirror: Parts
@@ -173,7 +180,9 @@ class View(eqx.Module):
 
 
 def look(eye: Eye, camera: Camera) -> View:
-    """Sort a camera's pixels by what they see. Runs on the host: the number of pixels decides the shapes."""
+    """Sort a camera's pixels by what they see. Runs on the host: the number of pixels decides the
+    shapes.
+    """
     rows, columns = camera.shape
     count = rows * columns
     sorts = np.asarray(_sorted(np.arange(count, dtype=np.int32), eye, camera))
@@ -186,8 +195,9 @@ def look(eye: Eye, camera: Camera) -> View:
             return dataclasses.replace(
                 pixelwise_of(np.arange(count, dtype=np.int32), eye, camera), index=None
             )
-        # Few different lengths, few compiled programs: a camera that turns must not wait for XLA. Parts of a picture
-        # see anything from nothing to iris all over: programs for one length cost less than padding.
+        # Few different lengths, few compiled programs: a camera that turns must not wait for XLA.
+        # Parts of a picture see anything from nothing to iris all over: programs for one length
+        # cost less than padding.
         length = count if camera.rows is not None else index.size
         block = max(_PAD, 1 << max(length.bit_length() - 4, 0)) if count >= _PAD else count
         padded = np.pad(
@@ -222,8 +232,8 @@ def _sorted(index, eye: Eye, camera: Camera):
 
 
 class _Surface(NamedTuple):
-    """Where lines of sight meet the outer surface: on the cornea's conicoid (`front`, and whether that is `shown`) or,
-    where they `hit` beside it, on the globe. `blend`: the share of sclera."""
+    """Where lines of sight meet the outer surface: on the cornea's conicoid (`front`, and whether
+    that is `shown`) or, where they `hit` beside it, on the globe. `blend`: the share of sclera."""
 
     front: Vector
     shown: Bool[Array, " pixels"]

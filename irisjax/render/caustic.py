@@ -1,11 +1,13 @@
-"""The caustic: grazing light that the cornea folds onto itself, counted ray by ray on the iris  [F09 Eq. 17].
+"""The caustic: grazing light that the cornea folds onto itself, counted ray by ray on the iris
+[F09 Eq. 17].
 
-A quasi-random ray stands for its share of the cornea's area; its power is shared out between the four grid
-points round the place where it lands, so that the sum over the iris is the power that arrived.
+A quasi-random ray stands for its share of the cornea's area; its power is shared out between the
+four grid points round the place where it lands, so that the sum over the iris is the power that
+arrived.
 
-F09 adds rays reflected inside the cornea. With F09's own cornea there are none: a ray goes on at most 46.6° from
-the normal (total reflection's angle), so that it meets the conicoid again 0.3 mm or more behind the limbus, where
-the cornea has ended. The caustic is made by refraction alone.
+F09 adds rays reflected inside the cornea. With F09's own cornea there are none: a ray goes on at
+most 46.6° from the normal (total reflection's angle), so that it meets the conicoid again 0.3 mm or
+more behind the limbus, where the cornea has ended. The caustic is made by refraction alone.
 """
 
 from typing import NamedTuple
@@ -34,7 +36,8 @@ class Grid(NamedTuple):
 
 
 def gathered(eye: Eye, polar, grid: Grid, n_rays: int) -> Float[Array, "size size 3"]:
-    """Flux vectors on the grid (rows y, columns x) of unit light from azimuth 0 and the given polar angle.
+    """Flux vectors on the grid (rows y, columns x) of unit light from azimuth 0 and the given polar
+    angle.
 
     `n_rays` over the whole cornea; one half is traced and mirrored.
     """
@@ -46,7 +49,8 @@ def gathered(eye: Eye, polar, grid: Grid, n_rays: int) -> Float[Array, "size siz
 
     def chunk(total, first):
         i = first * _CHUNK + jnp.arange(_CHUNK)
-        # The R2 sequence [Roberts 2018]: even cover without a seed. One half of the cornea; the other mirrors it.
+        # The R2 sequence [Roberts 2018]: even cover without a seed. One half of the cornea; the
+        # other mirrors it.
         u, v = (i * 0.7548776662466927 + 0.5) % 1.0, (i * 0.5698402909980532 + 0.5) % 1.0
         r, angle = (eye.limbus_radius + 0.15) * jnp.sqrt(u), jnp.pi * v
         k = jnp.stack([r * jnp.cos(angle), r * jnp.sin(angle)], axis=-1)
@@ -63,7 +67,9 @@ def gathered(eye: Eye, polar, grid: Grid, n_rays: int) -> Float[Array, "size siz
 
 
 def _share_out(total, grid: Grid, eye: Eye, landing: Landing):
-    """Add the power of landings to their four grid points, as flux vectors (per cell, not yet per area)."""
+    """Add the power of landings to their four grid points, as flux vectors (per cell, not yet per
+    area).
+    """
     x, y = landing.point[..., 0], landing.point[..., 1]
     on_grid = (jnp.maximum(jnp.abs(x), jnp.abs(y)) < grid.extent) & (landing.share > 0)
     power = jnp.where(on_grid, landing.share, 0.0)

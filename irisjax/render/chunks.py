@@ -1,7 +1,9 @@
-"""Pixels in portions whose intermediates stay in the processor's cache, and in shares, one for each core.
+"""Pixels in portions whose intermediates stay in the processor's cache, and in shares, one for each
+core.
 
-Portions are two to three times as fast as everything at once. XLA runs a loop of them on one core and lets the others
-steal its small operations, which costs more than it brings; threads with a share of the portions each do not.
+Portions are two to three times as fast as everything at once. XLA runs a loop of them on one core
+and lets the others steal its small operations, which costs more than it brings; threads with a
+share of the portions each do not.
 """
 
 import functools
@@ -15,16 +17,23 @@ import jax
 import jax.numpy as jnp
 from jax.core import Tracer
 
-_SIZE = 256  # on a processor: from 512 on XLA shares out small operations among threads, which takes longer
+# On a processor: from 512 on XLA shares out small operations among threads, which takes longer.
+_SIZE = 256
 _SETTINGS = (
-    "jax_enable_x64", "jax_default_device", "jax_default_matmul_precision", "jax_numpy_dtype_promotion",
-    "jax_disable_jit", "jax_debug_nans", "jax_debug_infs",
-)  # fmt: skip
+    "jax_enable_x64",
+    "jax_default_device",
+    "jax_default_matmul_precision",
+    "jax_numpy_dtype_promotion",
+    "jax_disable_jit",
+    "jax_debug_nans",
+    "jax_debug_infs",
+)
 _FEW = 1 << 14  # pixels for which a second thread is not worth its start
 
 
 def in_chunks(f: Callable[[Any], Any], pixels: Any, share: Any = 0, shares: int = 1) -> Any:
-    """`f` of a tree of arrays, one portion of their last axis after the other; it is that of the results too.
+    """`f` of a tree of arrays, one portion of their last axis after the other; it is that of the
+    results too.
 
     With several `shares`, only those portions that belong to number `share`; see `side_by_side`.
     """
@@ -63,7 +72,8 @@ def _portion(count: int) -> int:
 def pixelwise(f: Callable[..., Any]) -> Callable[..., Any]:
     """Decorator: `f(pixels, *others)` portion by portion, the cores side by side.
 
-    The last axis of all arrays in `pixels` and in what `f` gives is that of pixels; of `others` each portion has all.
+    The last axis of all arrays in `pixels` and in what `f` gives is that of pixels; of `others`
+    each portion has all.
     """
 
     @eqx.filter_jit
@@ -85,10 +95,12 @@ def _joined(done, count: int):
 
 
 def side_by_side(f: Callable[[Any, int], Any], count: int, *inputs: Any) -> list[Any]:
-    """`f(share, shares)` of every share of `count` pixels, on a thread each; one share where that brings nothing.
+    """`f(share, shares)` of every share of `count` pixels, on a thread each; one share where that
+    brings nothing.
 
-    `inputs` are what `f` depends on: while they are traced there is one share, as on an accelerator. Joined, results
-    may be longer than `count`; what is too much repeats the last pixel.
+    `inputs` are what `f` depends on: while they are traced there is one share, as on an
+    accelerator. Joined, results may be longer than `count`; what is too much repeats the last
+    pixel.
     """
     traced = any(isinstance(x, Tracer) for x in jax.tree.leaves(inputs))
     shares = _threads() if count >= _FEW and not traced else 1

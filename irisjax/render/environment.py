@@ -1,4 +1,6 @@
-"""Environments: light from all directions in a latitude-longitude map, and the lights that stand for it."""
+"""Environments: light from all directions in a latitude-longitude map, and the lights that stand
+for it.
+"""
 
 import heapq
 
@@ -20,11 +22,12 @@ LUMINANCE = (0.2126, 0.7152, 0.0722)
 class Environment(eqx.Module):
     """Light at infinity from every direction, as a panorama taken at the eye's place.
 
-    `radiance`: linear sRGB (D65 is white) of shape (rows, columns, 3), in units in which a white sheet lit by
-    irradiance π has radiance 1. Rows run from straight up (+y) down, in equal polar angles. The middle of the
-    columns lies straight ahead of the eye (−z); as in any panorama, columns to the right of it are what somebody who
-    looks out of the eye sees on the right: the side of −x, since +x is the right of a viewer who faces the eye. A
-    value holds at the centre of its texel.
+    `radiance`: linear sRGB (D65 is white) of shape (rows, columns, 3), in units in which a white
+    sheet lit by irradiance π has radiance 1. Rows run from straight up (+y) down, in equal polar
+    angles. The middle of the columns lies straight ahead of the eye (−z); as in any panorama,
+    columns to the right of it are what somebody who looks out of the eye sees on the right: the
+    side of −x, since +x is the right of a viewer who faces the eye. A value holds at the centre of
+    its texel.
 
     **Raises:** `ValueError` for another shape and for values that are negative or not finite.
     """
@@ -45,10 +48,11 @@ class Environment(eqx.Module):
 
     @classmethod
     def studio(cls, rows: int = 128) -> "Environment":
-        """An invented portrait studio: grey room, key softbox up on the left, dim fill on the right, strip behind.
+        """An invented portrait studio: grey room, key softbox up on the left, dim fill on the
+        right, strip behind.
 
-        Left and right as the viewer sees. It lights a white sheet that faces out to a radiance of about 1. Nothing in
-        it was measured; it is for trying things out.
+        Left and right as the viewer sees. It lights a white sheet that faces out to a radiance of
+        about 1. Nothing in it was measured; it is for trying things out.
         """
         d = _directions(rows, 2 * rows)
         soft = max(np.pi / rows, 0.06)
@@ -67,11 +71,13 @@ class Environment(eqx.Module):
     def sky(
         cls, sun_polar=1.0, sun_azimuth=2.0, *, sun=4.0, sky=1.0, rows: int = 128
     ) -> "Environment":
-        """An invented clear day: a blue gradient, a white horizon, grey-green ground and a blurred sun.
+        """An invented clear day: a blue gradient, a white horizon, grey-green ground and a blurred
+        sun.
 
-        `sun_polar`, `sun_azimuth`: as of `Lights.distant`, from −z and from +x to +y, radians; below the horizon
-        nothing hides it. `sun`: its irradiance on a surface that faces it; its glare spans about two texels.
-        `sky` scales all the rest. It is a picture of a sky, no model of the atmosphere.
+        `sun_polar`, `sun_azimuth`: as of `Lights.distant`, from −z and from +x to +y, radians;
+        below the horizon nothing hides it. `sun`: its irradiance on a surface that faces it; its
+        glare spans about two texels. `sky` scales all the rest. It is a picture of a sky, no model
+        of the atmosphere.
         """
         d = _directions(rows, 2 * rows)
         up = d[..., 1:2]
@@ -91,7 +97,8 @@ class Environment(eqx.Module):
         return cls(sky * gradient + sun * glare[..., None] * (warm / (warm @ LUMINANCE)))
 
     def turned(self, angle: float) -> "Environment":
-        """The environment turned about the vertical: what was straight ahead moves towards −x by `angle`, radians.
+        """The environment turned about the vertical: what was straight ahead moves towards −x by
+        `angle`, radians.
 
         Whole columns are moved, so the angle is rounded to them.
         """
@@ -99,7 +106,8 @@ class Environment(eqx.Module):
         return Environment(jnp.roll(self.radiance, round(angle / (2 * np.pi) * columns), axis=1))
 
     def lookup(self, direction) -> Float[Array, "*s 3"]:
-        """Radiance (..., 3) from directions (..., 3) out of the eye, of any length; linear between texels.
+        """Radiance (..., 3) from directions (..., 3) out of the eye, of any length; linear between
+        texels.
 
         Continuous everywhere: at the poles it meets the mean of the outermost row.
         """
@@ -113,7 +121,8 @@ class Environment(eqx.Module):
         v = jnp.arctan2(across, y) * (rows / jnp.pi)
         r = jnp.where(v < 0.5, 2 * v, jnp.where(v > rows - 0.5, 2 * v - rows + 1, v + 0.5))
         c = azimuth * (columns / (2 * jnp.pi)) + (columns - 1) / 2
-        # One row for each pole, one column more on either side, and every texel's own place as channels.
+        # One row for each pole, one column more on either side, and every texel's own place as
+        # channels.
         top, bottom = (jnp.broadcast_to(self.radiance[i].mean(0), (1, columns, 3)) for i in (0, -1))
         table = jnp.concatenate([top, self.radiance, bottom])
         table = jnp.concatenate([table[:, -1:], table, table[:, :1]], axis=1)
@@ -121,8 +130,9 @@ class Environment(eqx.Module):
             jnp.meshgrid(jnp.arange(rows + 2), jnp.arange(-1, columns + 1), indexing="ij"), axis=-1
         )
         table = jnp.concatenate([table, place.astype(table.dtype)], axis=-1)
-        # The weights come from the places read: XLA may compute an azimuth twice, differently rounded, and the
-        # index and a weight from a second floor(c) would then belong to different texels.
+        # The weights come from the places read: XLA may compute an azimuth twice, differently
+        # rounded, and the index and a weight from a second floor(c) would then belong to different
+        # texels.
         texels = jax.vmap(lambda i, j: jax.lax.dynamic_slice(table, (i, j, 0), (2, 2, 5)))(
             jnp.clip(jnp.floor(r), 0, rows).astype(int).ravel(),
             (jnp.floor(c) + 1).astype(int).ravel(),
@@ -134,7 +144,8 @@ class Environment(eqx.Module):
         return above * (1 - fr) + below * fr
 
     def irradiance(self, normal=(0.0, 0.0, -1.0)) -> Float[Array, "3"]:
-        """Irradiance, linear sRGB, on a surface with this unit `normal` at the eye; by default it faces straight out.
+        """Irradiance, linear sRGB, on a surface with this unit `normal` at the eye; by default it
+        faces straight out.
 
         Each texel counts as if all its light came from its centre.
         """
@@ -146,11 +157,12 @@ class Environment(eqx.Module):
     def to_lights(self, n: int = 64, *, largest_polar: float | None = LARGEST_POLAR) -> Lights:
         """At most `n` distant lights of D65 that stand for the map, by median cut [Debevec 2005].
 
-        The region with most luminous power × extent is cut next, across its longer side, where its power halves. Each
-        region gives one light, with its whole power (`irradiance` × `tint` in linear sRGB, `tint` of luminance 1) and
-        from the power's centre. Its `radius` is that of a disc of the solid angle (∫L dω)² / ∫L² dω, the region's own
-        where it is evenly bright, and a lamp's where there is one in the dark. Fewer lights come back when fewer
-        texels are lit. Texels whose centre is farther than `largest_polar` (radians) from −z are left out, as no
+        The region with most luminous power × extent is cut next, across its longer side, where its
+        power halves. Each region gives one light, with its whole power (`irradiance` × `tint` in
+        linear sRGB, `tint` of luminance 1) and from the power's centre. Its `radius` is that of a
+        disc of the solid angle (∫L dω)² / ∫L² dω, the region's own where it is evenly bright, and a
+        lamp's where there is one in the dark. Fewer lights come back when fewer texels are lit.
+        Texels whose centre is farther than `largest_polar` (radians) from −z are left out, as no
         light from there reaches the iris; `None` keeps all. Not to be traced by JAX.
 
         **Raises:** `ValueError` for no positive `n` and for a map without light.

@@ -1,4 +1,6 @@
-"""What any light does to the iris, tabulated: refraction and caustics together, ready to be summed over lights."""
+"""What any light does to the iris, tabulated: refraction and caustics together, ready to be summed
+over lights.
+"""
 
 import dataclasses
 
@@ -32,13 +34,15 @@ _UNIQUE = round(UNIQUE_POLAR / _SPACING)
 
 
 class Illumination(eqx.Module):
-    """Flux vectors on the iris of unit light, over its polar angle and a square grid turned to its azimuth.
+    """Flux vectors on the iris of unit light, over its polar angle and a square grid turned to its
+    azimuth.
 
-    Make one with `build`. `flux` has shape (polars, rows y, columns x, 3); lengths mm. `largest`: the polar angle
-    (radians) the tables reach; light from beyond fades out over one step of them. Light within the soft edge of
-    the limbus is dimmed. Where rays are counted (beyond `UNIQUE_POLAR`) the grid's cell,
-    2 × extent / (size − 1), is the resolution; the grid reaches one cell beyond the iris. A caustic moves by up to
-    0.15 mm per degree: half-way between two angles up to 4 % of its power is misplaced by that much.
+    Make one with `build`. `flux` has shape (polars, rows y, columns x, 3); lengths mm. `largest`:
+    the polar angle (radians) the tables reach; light from beyond fades out over one step of them.
+    Light within the soft edge of the limbus is dimmed. Where rays are counted (beyond
+    `UNIQUE_POLAR`) the grid's cell, 2 × extent / (size − 1), is the resolution; the grid reaches
+    one cell beyond the iris. A caustic moves by up to 0.15 mm per degree: half-way between two
+    angles up to 4 % of its power is misplaced by that much.
     """
 
     flux: Float[Array, "polars size size 3"]
@@ -49,15 +53,20 @@ class Illumination(eqx.Module):
     def build(
         cls, eye: Eye, *, caustics: bool = True, size: int = 129, n_rays: int = 131_072
     ) -> "Illumination":
-        """Tables of an eye with a cornea; without `caustics` they end at `UNIQUE_POLAR` and no ray is counted."""
-        # From what decides them and nothing else: a file kept for one eye then serves all that share it.
+        """Tables of an eye with a cornea; without `caustics` they end at `UNIQUE_POLAR` and no ray
+        is counted.
+        """
+        # From what decides them and nothing else: a file kept for one eye then serves all that
+        # share it.
         eye = deciding(eye)
         return _build(eye, RefractionFunction.build(eye), caustics, size, n_rays)
 
     def at(self, point: Float[Array, "*#s 2"], towards_light: Float[Array, "*#s 3"]) -> Vector:
-        """Flux vectors at iris points (x, y) of light from unit directions (that broadcast with them).
+        """Flux vectors at iris points (x, y) of light from unit directions (that broadcast with
+        them).
 
-        On the axis itself, where azimuths have none, the gradient to the direction is taken as zero.
+        On the axis itself, where azimuths have none, the gradient to the direction is taken as
+        zero.
         """
         across = norm(towards_light[..., :2])
         polar = jnp.arctan2(across, -towards_light[..., 2])
@@ -80,7 +89,8 @@ class Illumination(eqx.Module):
 
 
 def deciding(eye: Eye) -> Eye:
-    """An eye with everything removed that its tables do not depend on: pupil, sclera, the cornea's haze.
+    """An eye with everything removed that its tables do not depend on: pupil, sclera, the cornea's
+    haze.
 
     **Raises:** `ValueError` without a cornea.
     """
@@ -96,12 +106,13 @@ def deciding(eye: Eye) -> Eye:
 def near_light(
     eye: Eye, towards: Float[Array, "3"], near: Scalar, point: Float[Array, "*s 2"], size: int = 17
 ) -> tuple[Vector, Float[Array, "*s"]]:
-    """Where the light of a lamp 1/`near` mm from the apex enters on its way to iris points (x, y), and how much it
-    spreads.
+    """Where the light of a lamp 1/`near` mm from the apex enters on its way to iris points (x, y),
+    and how much it spreads.
 
-    The second is a factor on the flux of the tables, made for the sun's light: along the axis 0.89 at 50 mm. Both are
-    searched at `size` × `size` points and interpolated. Where no ray lands, and from one moment to the next beyond
-    `UNIQUE_POLAR`, the light enters right before the point, and the factor is 1.
+    The second is a factor on the flux of the tables, made for the sun's light: along the axis 0.89
+    at 50 mm. Both are searched at `size` × `size` points and interpolated. Where no ray lands, and
+    from one moment to the next beyond `UNIQUE_POLAR`, the light enters right before the point, and
+    the factor is 1.
     """
     cornea = eye.cornea
     assert cornea is not None
@@ -135,7 +146,8 @@ def near_light(
 def _build(
     eye: Eye, refraction: RefractionFunction, caustics: bool, size: int, n_rays: int
 ) -> Illumination:
-    # One cell beyond the iris: cells that its edge cuts would lose the power landing outside and darken the rim.
+    # One cell beyond the iris: cells that its edge cuts would lose the power landing outside and
+    # darken the rim.
     extent = eye.iris_radius * (size - 1) / (size - 3)
     grid = Grid(size, extent)
     line = jnp.linspace(-1, 1, size) * extent

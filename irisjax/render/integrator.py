@@ -27,11 +27,15 @@ class AbstractResponse(eqx.Module):
 
     @abc.abstractmethod
     def shade(self, texels: Any, ground: Any) -> Float[Array, "channels pixels"]:
-        """Radiance of pixels in the channels of the picture; `texels` and `ground` from `AbstractIntegrator.place`."""
+        """Radiance of pixels in the channels of the picture; `texels` and `ground` from
+        `AbstractIntegrator.place`.
+        """
 
 
 class AbstractIntegrator(eqx.Module):
-    """An integrator is an immutable value: a method and its settings, the `process` of light in tissue among them."""
+    """An integrator is an immutable value: a method and its settings, the `process` of light in
+    tissue among them.
+    """
 
     process: eqx.AbstractVar[Process]
 
@@ -47,11 +51,12 @@ class AbstractIntegrator(eqx.Module):
         ranges: Scales,
         memory: Memory,
     ) -> tuple[Any, Any]:
-        """Everything that a change of pigments leaves alone: of each pixel, and what all of them share.
+        """Everything that a change of pigments leaves alone: of each pixel, and what all of them
+        share.
 
-        The first is a module of arrays whose last axis is that of the pixels, `index` among them: it is shaded a
-        chunk of pixels at a time. `tables` are `None` for a bare iris; `ranges` are those of the
-        response; `memory` holds what was made of the same parts before.
+        The first is a module of arrays whose last axis is that of the pixels, `index` among them:
+        it is shaded a chunk of pixels at a time. `tables` are `None` for a bare iris; `ranges` are
+        those of the response; `memory` holds what was made of the same parts before.
         """
 
     @abc.abstractmethod

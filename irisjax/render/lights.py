@@ -12,13 +12,14 @@ from irisjax._types import Scalar, as_float
 class Lights(eqx.Module):
     """Any number of lights; make them with `distant` or `points`, join them with `+`.
 
-    - `towards`: unit vectors from the eye to each light, shape (lights, 3) in the eye's frame (+z into the eye).
-    - `irradiance`: on a surface at the eye that faces the light, outside the cornea; π lights a white sheet to
-        radiance 1.
+    - `towards`: unit vectors from the eye to each light, shape (lights, 3) in the eye's frame (+z
+        into the eye).
+    - `irradiance`: on a surface at the eye that faces the light, outside the cornea; π lights a
+        white sheet to radiance 1.
     - `tint`: factors on linear sRGB, shape (lights, 3), or `None` for the illuminant's own colour.
     - `distance`: from the corneal apex, mm, or `None` for lights at infinity.
-    - `radius`: half the angle under which the eye sees each light, radians; it makes the mirror image. That of a
-        lamp is at most π/2.
+    - `radius`: half the angle under which the eye sees each light, radians; it makes the mirror
+        image. That of a lamp is at most π/2.
     - `illuminant`: the spectrum of all of them, by colour-science's name.
     """
 
@@ -33,7 +34,9 @@ class Lights(eqx.Module):
     def distant(
         cls, polar, azimuth, irradiance=jnp.pi, *, radius=0.03, illuminant: str = "D65"
     ) -> "Lights":
-        """Lights at infinity: `polar` angles from the eye's axis and `azimuth` from +x to +y, radians."""
+        """Lights at infinity: `polar` angles from the eye's axis and `azimuth` from +x to +y,
+        radians.
+        """
         polar, azimuth, irradiance, radius = jnp.broadcast_arrays(
             *(jnp.atleast_1d(as_float(v)) for v in (polar, azimuth, irradiance, radius))
         )
@@ -47,16 +50,19 @@ class Lights(eqx.Module):
     def points(
         cls, position, irradiance=jnp.pi, *, radius=0.03, illuminant: str = "D65"
     ) -> "Lights":
-        """Lights at places (lights, 3), mm in the eye's frame, 20 or more from the apex, where `irradiance` is theirs.
+        """Lights at places (lights, 3), mm in the eye's frame, 20 or more from the apex, where
+        `irradiance` is theirs.
 
-        Irradiance of the iris within 1 % from 50 mm on and up to 57° off the axis, within 10 % at 20 mm; caustics are
-        those of a parallel beam, and beyond 80°, where they begin, the picture jumps to it.
+        Irradiance of the iris within 1 % from 50 mm on and up to 57° off the axis, within 10 % at
+        20 mm; caustics are those of a parallel beam, and beyond 80°, where they begin, the picture
+        jumps to it.
         """
         position = jnp.atleast_2d(as_float(position))
         distance = jnp.sqrt((position**2).sum(-1))
         if not isinstance(distance, Tracer) and (np.asarray(distance) < 20).any():
             raise ValueError(
-                f"a point light is {float(distance.min()):.3g} mm from the cornea; it must be at least 20"
+                f"a point light is {float(distance.min()):.3g} mm from the cornea; it must be at "
+                f"least 20"
             )
         irradiance, radius = (
             jnp.broadcast_to(as_float(v), distance.shape) for v in (irradiance, radius)
@@ -84,7 +90,8 @@ class Lights(eqx.Module):
     def __add__(self, other: "Lights") -> "Lights":
         if self.illuminant != other.illuminant:
             raise ValueError(
-                f"lights of one scene share a spectrum, got {self.illuminant} and {other.illuminant}"
+                f"lights of one scene share a spectrum, got {self.illuminant} and "
+                f"{other.illuminant}"
             )
 
         def join(a, b, default):
@@ -123,7 +130,9 @@ class Lights(eqx.Module):
     def seen_from(
         self, point: Float[Array, "*s 3"], i
     ) -> tuple[Float[Array, "*s 3"], Scalar | Float[Array, "*s"]]:
-        """Unit vectors from points (mm) to light `i`, and its irradiance there on a surface that faces it."""
+        """Unit vectors from points (mm) to light `i`, and its irradiance there on a surface that
+        faces it.
+        """
         towards, power = self.towards[i], self.irradiance[i]
         if self.distance is None:
             return jnp.broadcast_to(towards, point.shape), power

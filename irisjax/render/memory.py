@@ -1,4 +1,6 @@
-"""What was made of the same things before is not made again: a light that moves leaves maps and camera alone."""
+"""What was made of the same things before is not made again: a light that moves leaves maps and
+camera alone.
+"""
 
 from collections.abc import Callable
 from typing import Any, TypeVar
@@ -10,10 +12,11 @@ T = TypeVar("T")
 
 
 class Memory:
-    """One result a name, as long as its inputs are the same arrays (the same objects, not equal ones).
+    """One result a name, as long as its inputs are the same arrays (the same objects, not equal
+    ones).
 
-    Replacing a part of a module keeps its other arrays, so `scene.replace(lights=...)` has the old scene's maps.
-    Nothing that is being traced is kept.
+    Replacing a part of a module keeps its other arrays, so `scene.replace(lights=...)` has the old
+    scene's maps. Nothing that is being traced is kept.
     """
 
     def __init__(self):

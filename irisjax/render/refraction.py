@@ -1,7 +1,8 @@
 """Light through the cornea onto the iris: where it enters, how strong it arrives  [F09 Eq. 15].
 
-The cornea is a surface of revolution: a light's azimuth only turns the picture, so that tables need its polar
-angle alone. All lengths mm; irradiances are relative to that on a surface that faces the light outside the eye.
+The cornea is a surface of revolution: a light's azimuth only turns the picture, so that tables need
+its polar angle alone. All lengths mm; irradiances are relative to that on a surface that faces the
+light outside the eye.
 """
 
 from typing import NamedTuple
@@ -16,14 +17,20 @@ from irisjax.tissue.anatomy import Cornea, Eye
 from irisjax.tissue.noise import step
 
 LARGEST_POLAR = 2.25
-"""Polar angle (radians) beyond which no light worth counting enters a cornea that ends at the limbus."""
+"""Polar angle (radians) beyond which no light worth counting enters a cornea that ends at the
+limbus.
+"""
 
 UNIQUE_POLAR = 1.40
-"""Up to this polar angle (radians) one ray lands at each iris point; beyond, the cornea folds the light."""
+"""Up to this polar angle (radians) one ray lands at each iris point; beyond, the cornea folds the
+light.
+"""
 
 
 class Landing(NamedTuple):
-    """A ray that met the cornea: where on the iris it arrives, its direction there, and the share let through."""
+    """A ray that met the cornea: where on the iris it arrives, its direction there, and the share
+    let through.
+    """
 
     point: Vector
     direction: Vector
@@ -33,13 +40,16 @@ class Landing(NamedTuple):
 def enter(eye: Eye, entry: Vector, direction: Vector) -> Landing:
     """Follow rays from points on the anterior cornea to the iris  [F09 Eqs. 3, 15].
 
-    Snell and Fresnel at each surface; the cornea's wavelength-dependent haze is left to `Cornea.transmittance`.
+    Snell and Fresnel at each surface; the cornea's wavelength-dependent haze is left to
+    `Cornea.transmittance`.
     """
     return cross(eye, *into_chamber(eye, entry, direction))
 
 
 def into_chamber(eye: Eye, entry: Vector, direction: Vector):
-    """Where rays from points on the anterior cornea begin in the chamber, their direction there, the share let in."""
+    """Where rays from points on the anterior cornea begin in the chamber, their direction there,
+    the share let in.
+    """
     cornea = eye.cornea
     assert cornea is not None
     if cornea.posterior is None:
@@ -70,10 +80,11 @@ def on_cornea(cornea: Cornea, xy: Float[Array, "*s 2"]) -> Vector:
 
 
 class Arrival(NamedTuple):
-    """Light at points of the iris: entry on the cornea (…, 2), and the flux as a vector along the light (…, 3).
+    """Light at points of the iris: entry on the cornea (…, 2), and the flux as a vector along the
+    light (…, 3).
 
-    `flux`'s component along the iris normal is the irradiance. It continues smoothly beyond the limbus: multiply
-    by `window` of the entry.
+    `flux`'s component along the iris normal is the irradiance. It continues smoothly beyond the
+    limbus: multiply by `window` of the entry.
     """
 
     entry: Float[Array, "*s 2"]
@@ -87,9 +98,11 @@ def arrive(
     start: Float[Array, "2"],
     steps: int = 12,
 ):
-    """Newton's search for the entry point whose ray lands at `target` (x, y), from `start`; an `Arrival`.
+    """Newton's search for the entry point whose ray lands at `target` (x, y), from `start`; an
+    `Arrival`.
 
-    Fermat's principle and Snell's law have the same solution; the latter works for any number of surfaces.
+    Fermat's principle and Snell's law have the same solution; the latter works for any number of
+    surfaces.
     """
     cornea = eye.cornea
     assert cornea is not None
@@ -108,7 +121,8 @@ def arrive(
 
     entry = jax.lax.scan(newton, start, None, length=steps)[0]
     found = norm(landing(entry).point[:2] - target) < 1e-4
-    # No ray lands there: it would have to enter where the cornea, even if it went on, has turned away.
+    # No ray lands there: it would have to enter where the cornea, even if it went on, has turned
+    # away.
     beyond = reach * towards_light[:2] / jnp.maximum(norm(towards_light[:2]), 1e-9)
     return Arrival(
         jnp.where(found, entry, beyond), jnp.where(found, flux(eye, entry, towards_light), 0.0)
@@ -116,28 +130,35 @@ def arrive(
 
 
 def flux(eye: Eye, entry: Float[Array, "2"], towards_light: Vector) -> Vector:
-    """Flux vector (3,) on the iris of unit light that enters at `entry`: shares kept, and its concentration."""
+    """Flux vector (3,) on the iris of unit light that enters at `entry`: shares kept, and its
+    concentration.
+    """
     cornea = eye.cornea
     assert cornea is not None
     there = enter(eye, on_cornea(cornea, entry), -towards_light)
     slope = jax.jacfwd(lambda k: enter(eye, on_cornea(cornea, k), -towards_light).point)(entry)
     surface = jax.jacfwd(lambda k: on_cornea(cornea, k))(entry)
-    # Area that a patch of the cornea shows to the light, over the area it lights seen along the ray.
+    # Area that a patch of the cornea shows to the light, over the area it lights seen along the
+    # ray.
     shown = jnp.abs(dot(jnp.cross(surface[:, 0], surface[:, 1]), towards_light))
     seen = jnp.abs(dot(jnp.cross(slope[:, 0], slope[:, 1]), there.direction))
     return there.share * shown / jnp.where(seen > 0, seen, jnp.inf) * there.direction
 
 
 def window(eye: Eye, entry: Float[Array, "*s 2"], soft: float = 0.15) -> Float[Array, "*s"]:
-    """1 where the entry lies on the cornea, 0 beyond the limbus, soft (± mm) between: the limbus is no edge."""
+    """1 where the entry lies on the cornea, 0 beyond the limbus, soft (± mm) between: the limbus is
+    no edge.
+    """
     return step(0.5 + (eye.limbus_radius - norm(entry)) / (2 * soft))
 
 
 class RefractionFunction(eqx.Module):
-    """Arrivals tabulated over the light's polar angle, the azimuth between light and iris point, and radius.
+    """Arrivals tabulated over the light's polar angle, the azimuth between light and iris point,
+    and radius.
 
-    Make one with `build`; linear interpolation. 50 × 50 × 100 entries (2,500 directions, 100 radii), as F09's.
-    The tables end at `UNIQUE_POLAR`, where a point begins to have several arrivals; beyond, `at` is dark.
+    Make one with `build`; linear interpolation. 50 × 50 × 100 entries (2,500 directions, 100
+    radii), as F09's. The tables end at `UNIQUE_POLAR`, where a point begins to have several
+    arrivals; beyond, `at` is dark.
     """
 
     entry: Float[Array, "polars azimuths radii 2"]
@@ -169,7 +190,9 @@ class RefractionFunction(eqx.Module):
         return cls(found.entry, found.flux, eye.iris_radius)
 
     def at(self, point: Float[Array, "*#s 2"], towards_light: Float[Array, "*#s 3"]) -> Arrival:
-        """Arrivals at iris points (x, y) of light from unit directions (that broadcast with them)."""
+        """Arrivals at iris points (x, y) of light from unit directions (that broadcast with
+        them).
+        """
         r = norm(point)
         light_azimuth = jnp.arctan2(towards_light[..., 1], towards_light[..., 0])
         polar = jnp.arctan2(norm(towards_light[..., :2]), -towards_light[..., 2])
@@ -219,7 +242,9 @@ def trilinear(table, position):
 
 
 def _solve(a, b):
-    """2×2 system, by hand: the batch of a LAPACK call costs more than the equations; singular gives no move."""
+    """2×2 system, by hand: the batch of a LAPACK call costs more than the equations; singular gives
+    no move.
+    """
     det = a[0, 0] * a[1, 1] - a[0, 1] * a[1, 0]
     x = jnp.stack([a[1, 1] * b[0] - a[0, 1] * b[1], a[0, 0] * b[1] - a[1, 0] * b[0]])
     return jnp.where(det == 0, 0.0, x / jnp.where(det == 0, 1.0, det))

@@ -33,9 +33,11 @@ from irisjax.tissue.maps import IrisMaps, Scales
 class Scene(eqx.Module):
     """Everything a picture shows. Parts that are `None` are not computed.
 
-    - `maps`: of the iris, or `None` for a uniform one. `veins`: of the sclera (`render.vessels.veins`).
-    - `lights`: lamps, mirrored as discs. `environment`: lights iris and white as `environment_lights` lamps each (those
-        of the white from all round), and is mirrored itself. `illuminant`: the spectrum of all of them.
+    - `maps`: of the iris, or `None` for a uniform one. `veins`: of the sclera
+        (`render.vessels.veins`).
+    - `lights`: lamps, mirrored as discs. `environment`: lights iris and white as
+        `environment_lights` lamps each (those of the white from all round), and is mirrored itself.
+        `illuminant`: the spectrum of all of them.
     - `integrator`: how the iris sends light back; `Separable()` holds all orders of scattering,
         `SingleScattering()` marches through the maps and holds the first.
     """
@@ -65,13 +67,15 @@ class Scene(eqx.Module):
                 widest > np.pi / 2 + 1e-6
             ):  # wider ones stand for regions of an environment, which is mirrored itself
                 raise ValueError(
-                    f"a lamp's radius = {widest:g} is above pi/2 radians; give an environment instead"
+                    f"a lamp's radius = {widest:g} is above pi/2 radians; give an environment "
+                    f"instead"
                 )
         chamber = self.iris.aqueous_index, self.eye.aqueous_index
         known = self.eye.cornea is not None and not any(isinstance(n, Tracer) for n in chamber)
         if known and abs(float(chamber[0]) - float(chamber[1])) > 1e-5:
             raise ValueError(
-                f"one chamber has one index: aqueous_index is {float(chamber[0]):g} of the iris and "
+                f"one chamber has one index: aqueous_index is {float(chamber[0]):g} of the iris "
+                f"and "
                 f"{float(chamber[1]):g} of the eye; iris.replace(aqueous_index=eye.aqueous_index)"
             )
 
@@ -86,7 +90,9 @@ class Scene(eqx.Module):
         return render(self, tables, memory)
 
     def tables(self) -> Illumination | None:
-        """Illumination tables of this eye: no caustics without a grazing light, none at all without a cornea."""
+        """Illumination tables of this eye: no caustics without a grazing light, none at all without
+        a cornea.
+        """
         return (
             None
             if self.eye.cornea is None
@@ -94,7 +100,9 @@ class Scene(eqx.Module):
         )
 
     def grazing(self) -> bool:
-        """Whether a light stands so low that the cornea folds it into caustics. Runs on the host."""
+        """Whether a light stands so low that the cornea folds it into caustics.
+        Runs on the host.
+        """
         return bool((np.asarray(self.all_lights().polar()) > UNIQUE_POLAR).any())
 
     def all_lights(self) -> Lights:
@@ -105,8 +113,8 @@ class Scene(eqx.Module):
 class Stage(eqx.Module):
     """A scene with all done that a change of pigments leaves alone. Make one with `prepare`.
 
-    - `base`: sclera and mirror images, (channels, pixels); `texels`: what the integrator needs of each of the iris's
-        pixels; `ground`: what it needs for all of them.
+    - `base`: sclera and mirror images, (channels, pixels); `texels`: what the integrator needs of
+        each of the iris's pixels; `ground`: what it needs for all of them.
     """
 
     base: Float[Array, "channels pixels"]
@@ -140,8 +148,8 @@ def render(
 ) -> Float[Array, "height width 3"]:
     """Linear sRGB of a scene, unbounded: 1 is a white sheet facing an irradiance of π.
 
-    `tables` from `scene.tables()` save their making when only lights, camera or pigments change. With the `memory` of
-    an earlier call only what has changed since is done.
+    `tables` from `scene.tables()` save their making when only lights, camera or pigments change.
+    With the `memory` of an earlier call only what has changed since is done.
     """
     memory = Memory() if memory is None else memory
     stage = prepare(scene, tables, memory=memory)
@@ -157,11 +165,13 @@ def prepare(
     wavelengths=None,
     memory: Memory | None = None,
 ) -> Stage:
-    """Do everything that a change of pigments leaves alone; `view` from `look` if eye and camera are the same.
+    """Do everything that a change of pigments leaves alone; `view` from `look` if eye and camera
+    are the same.
 
-    With the `memory` of an earlier call only what has changed since is done: maps, say, where a lamp has moved.
-    With `wavelengths` (nm) the picture has a channel for each in place of linear sRGB: radiance, 1/sr times π, under
-    the illuminant scaled to 1 at 560 nm. **Raises:** `ValueError` where light has a colour but no spectrum.
+    With the `memory` of an earlier call only what has changed since is done: maps, say, where a
+    lamp has moved. With `wavelengths` (nm) the picture has a channel for each in place of linear
+    sRGB: radiance, 1/sr times π, under the illuminant scaled to 1 at 560 nm. **Raises:**
+    `ValueError` where light has a colour but no spectrum.
     """
     eye, memory = scene.eye, Memory() if memory is None else memory
     lights = memory.once(
@@ -179,7 +189,8 @@ def prepare(
     else:
         if scene.environment is not None or lights.tint is not None:
             raise ValueError(
-                "spectral pictures need plain lamps: environments and tints have colours, not spectra"
+                "spectral pictures need plain lamps: environments and tints have colours, not "
+                "spectra"
             )
         bands, clear = (
             spectral_bands(wavelengths, lights.illuminant, c) for c in (eye.cornea, None)
@@ -279,5 +290,6 @@ def _picture(channels, size: tuple[int, int]):
 
 @pixelwise
 def _shaded(texels, ground, response: AbstractResponse):
-    # Channels apart within a portion: three numbers a pixel leave the processor's vectors half empty.
+    # Channels apart within a portion: three numbers a pixel leave the processor's vectors half
+    # empty.
     return response.shade(texels, ground)

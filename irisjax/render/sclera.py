@@ -1,7 +1,8 @@
-"""The white of the eye: diffuse reflectance of the sclera under its vessels, and a look-up table of its colour.
+"""The white of the eye: diffuse reflectance of the sclera under its vessels, and a look-up table of
+its colour.
 
-Vessels are a texture with blood only [F09 Section 6.5] in two layers: conjunctival ones, sharp and red, and
-episcleral ones, seen blurred and veiled through the tissue over them.
+Vessels are a texture with blood only [F09 Section 6.5] in two layers: conjunctival ones, sharp and
+red, and episcleral ones, seen blurred and veiled through the tissue over them.
 """
 
 from typing import NamedTuple
@@ -24,7 +25,9 @@ SHALLOW, DEEP = 0.07, 0.3
 """Tissue over conjunctival and over episcleral vessels, mm."""
 
 DEEP_CHORD = 0.08
-"""Blood in an episcleral vessel, mm: opaque in the green, clear in the red, so that its exact value shows little."""
+"""Blood in an episcleral vessel, mm: opaque in the green, clear in the red, so that its exact value
+shows little.
+"""
 
 DEEPEST = 0.25
 """Largest vein depth of the colour table, mm."""
@@ -35,8 +38,9 @@ _KNEE = (
 
 
 class Blood(NamedTuple):
-    """Vessels over points of the white: `depth` of blood in a conjunctival one along its normal, mm; `cover`, the
-    share of the light, 0 to 1, that meets it (`None`: all); `deep`, the share that meets an episcleral one.
+    """Vessels over points of the white: `depth` of blood in a conjunctival one along its normal,
+    mm; `cover`, the share of the light, 0 to 1, that meets it (`None`: all); `deep`, the share that
+    meets an episcleral one.
     """
 
     depth: Float[Array, "*s"]
@@ -47,19 +51,22 @@ class Blood(NamedTuple):
 def bulk_reflectance(wavelengths) -> Spectrum:
     """Diffuse reflectance of the white without vessels, wavelengths in nm.
 
-    An approximation: a straight line from 0.54 at 400 nm to 0.66 at 700 nm, held beyond. Its size is near the 0.5 that
-    models of the fundus take for the sclera [Delori & Pflibsen 1989, Appl. Opt. 28, 1061]; its slope, the warm tinge
-    of adult eyes, is set by eye. People differ by about ±0.1; children are bluer, the old yellower.
+    An approximation: a straight line from 0.54 at 400 nm to 0.66 at 700 nm, held beyond. Its size
+    is near the 0.5 that models of the fundus take for the sclera [Delori & Pflibsen 1989, Appl.
+    Opt. 28, 1061]; its slope, the warm tinge of adult eyes, is set by eye. People differ by about
+    ±0.1; children are bluer, the old yellower.
     """
     x = jnp.asarray(wavelengths, jnp.result_type(float))
     return 0.54 + 0.12 * jnp.clip((x - 400.0) / 300.0, 0.0, 1.0)
 
 
 def veil(wavelengths, thickness: float) -> Spectrum:
-    """Share of light that `thickness` mm of clear tissue above a vessel sends back, wavelengths in nm.
+    """Share of light that `thickness` mm of clear tissue above a vessel sends back, wavelengths in
+    nm.
 
-    Two-flux, S t/(1 + S t) without absorption [Kubelka & Munk 1931]; S = 1.4/mm at 550 nm falling as λ^−1.5 like
-    scattering by fibrils, set by eye, a factor of 2 either way. It makes vessels fainter, and bluer with depth.
+    Two-flux, S t/(1 + S t) without absorption [Kubelka & Munk 1931]; S = 1.4/mm at 550 nm falling
+    as λ^−1.5 like scattering by fibrils, set by eye, a factor of 2 either way. It makes vessels
+    fainter, and bluer with depth.
     """
     turned = 1.4 * thickness * (jnp.asarray(wavelengths, jnp.result_type(float)) / 550.0) ** -1.5
     return turned / (1 + turned)
@@ -75,13 +82,14 @@ def absorption(sclera: Sclera, wavelengths) -> Spectrum:
 def reflectance(
     sclera: Sclera, wavelengths, blood: Blood | ArrayLike
 ) -> Float[Array, "... wavelengths"]:
-    """Diffuse reflectance of the white under vessels, shape (…, wavelengths); `blood` or its depth alone, mm.
+    """Diffuse reflectance of the white under vessels, shape (…, wavelengths); `blood` or its depth
+    alone, mm.
 
-    ρ (1 − c (1 − v₁)(1 − e^(−2μd))) (1 − e (1 − v₂)(1 − e^(−2μD))): bulk reflectance ρ, cover c and e, veils v,
-    and light that passes the blood twice (Beer–Lambert). Wavelengths in nm.
-    Approximations: light that wanders sideways below a vessel narrower than its 0.5 mm path passes the blood
-    once rather than twice, so real capillaries are up to half as dark; back-scatter of the blood itself (some
-    0.05 in the red) is left out.
+    ρ (1 − c (1 − v₁)(1 − e^(−2μd))) (1 − e (1 − v₂)(1 − e^(−2μD))): bulk reflectance ρ, cover c and
+    e, veils v, and light that passes the blood twice (Beer–Lambert). Wavelengths in nm.
+    Approximations: light that wanders sideways below a vessel narrower than its 0.5 mm path passes
+    the blood once rather than twice, so real capillaries are up to half as dark; back-scatter of
+    the blood itself (some 0.05 in the red) is left out.
     **Raises:** `ValueError` where a wavelength lies outside the haemoglobin tables.
     """
     depth, cover, deep = _fields(blood)
@@ -109,14 +117,16 @@ def _fields(blood):
 class ColourTable(eqx.Module):
     """Colour of the white as a function of the blood before it, for look-up.
 
-    `values`: shape (nodes, 2, channels), the light without deep vessels and what full cover by them takes away;
-    colours are linear in both covers, so the table is exact in them.
+    `values`: shape (nodes, 2, channels), the light without deep vessels and what full cover by them
+    takes away; colours are linear in both covers, so the table is exact in them.
     """
 
     values: Float[Array, "nodes 2 channels"]
 
     def __call__(self, blood: Blood | ArrayLike) -> Float[Array, "... channels"]:
-        """Channels, shape (…, channels), of `blood` or of its depth alone (mm, held at `DEEPEST`)."""
+        """Channels, shape (…, channels), of `blood` or of its depth alone (mm,
+        held at `DEEPEST`).
+        """
         return jnp.stack(self.channels(blood), axis=-1)
 
     def channels(self, blood: Blood | ArrayLike) -> list[Float[Array, "..."]]:
@@ -159,11 +169,13 @@ def colour_table(sclera: Sclera, wavelengths, weights, *, nodes: int = 64) -> Co
 
 
 class VeinMap(eqx.Module):
-    """Vessels over the white, from the limbus (first column) to the equator of the eye (last), round in azimuth.
+    """Vessels over the white, from the limbus (first column) to the equator of the eye (last),
+    round in azimuth.
 
-    Textures of shape (azimuths, polars), cell centres, rows from +x towards +y, columns uniform in the polar angle
-    about the sphere's centre: the fields of `Blood`. `depth` also reaches a little past a vessel's edge, where
-    `cover` ends it: blood spread evenly over a texel would look yellow, as thin blood is.
+    Textures of shape (azimuths, polars), cell centres, rows from +x towards +y, columns uniform in
+    the polar angle about the sphere's centre: the fields of `Blood`. `depth` also reaches a little
+    past a vessel's edge, where `cover` ends it: blood spread evenly over a texel would look yellow,
+    as thin blood is.
     """
 
     depth: Float[Array, "azimuths polars"]
@@ -174,7 +186,8 @@ class VeinMap(eqx.Module):
 def sclera_centre(eye: Eye) -> Scalar:
     """z of the sphere's centre, mm: the sphere passes through the limbus, where the cornea ends.
 
-    Without a cornea the limbus lies in the plane of the iris. **Raises:** `ValueError` for an eye without sclera.
+    Without a cornea the limbus lies in the plane of the iris. **Raises:** `ValueError` for an eye
+    without sclera.
     """
     sclera = sclera_of(eye)
     return limbus_depth(eye) + jnp.sqrt(sclera.radius**2 - eye.limbus_radius**2)
@@ -197,10 +210,11 @@ def sphere(eye: Eye) -> Conicoid:
 
 
 def meet_sclera(eye: Eye, origin: Vector, direction: Vector):
-    """Distance along rays (unit vectors) to the sphere, mm, and whether they meet its white part from outside.
+    """Distance along rays (unit vectors) to the sphere, mm, and whether they meet its white part
+    from outside.
 
-    The cap in front of the limbus is not white. Whether the cornea hides the white is the caller's to ask. Where
-    nothing is met the distance is that of the nearest approach.
+    The cap in front of the limbus is not white. Whether the cornea hides the white is the caller's
+    to ask. Where nothing is met the distance is that of the nearest approach.
     """
     distance, met = sphere(eye).intersect(origin, direction)
     z = origin[..., 2] + distance * direction[..., 2]
@@ -208,8 +222,8 @@ def meet_sclera(eye: Eye, origin: Vector, direction: Vector):
 
 
 def vein_place(eye: Eye, point: Vector) -> tuple[Float[Array, "*s"], Float[Array, "*s"]]:
-    """Where points (…, 3) on the sphere, mm in the eye's frame, lie in a `VeinMap`: azimuth, radians, and the way from
-    the limbus (0) to the equator (1)."""
+    """Where points (…, 3) on the sphere, mm in the eye's frame, lie in a `VeinMap`: azimuth,
+    radians, and the way from the limbus (0) to the equator (1)."""
     x, y, z = parts(point)
     azimuth = arctan2(y, x)
     polar = arctan2(safe_sqrt(x * x + y * y), sclera_centre(eye) - z)

@@ -1,9 +1,11 @@
-"""The iris seen by ILIT: each texel's exact response, all orders of scattering, at the price of a polynomial.
+"""The iris seen by ILIT: each texel's exact response, all orders of scattering, at the price of a
+polynomial.
 
-ILIT's BRDF is separable: f(μ_i, μ_o, λ) = (1 − F(μ_i)) g(μ_o, λ). Texels differ in a few numbers, the pigment of
-their ABL, the thickness of their stroma, perhaps their concentrations: g is a smooth function of these and of
-μ_o, which products of Chebyshev polynomials hold; those of high degree in several numbers at once hold nothing
-and are left out. The error is measured off the nodes with every table.
+ILIT's BRDF is separable: f(μ_i, μ_o, λ) = (1 − F(μ_i)) g(μ_o, λ). Texels differ in a few numbers,
+the pigment of their ABL, the thickness of their stroma, perhaps their concentrations: g is a smooth
+function of these and of μ_o, which products of Chebyshev polynomials hold; those of high degree in
+several numbers at once hold nothing and are left out. The error is measured off the nodes with
+every table.
 """
 
 import dataclasses
@@ -39,9 +41,11 @@ _COSINES = 48
 
 
 class Separable(AbstractIntegrator):
-    """Integrator: ILIT's separable response, tabulated in pigment and thickness  [LB06; `ilit.md` Section 4].
+    """Integrator: ILIT's separable response, tabulated in pigment and thickness  [LB06; `ilit.md`
+    Section 4].
 
-    - `degrees`: of the polynomials in ABL pigment, stroma thickness, eumelanin, pheomelanin and exit cosine.
+    - `degrees`: of the polynomials in ABL pigment, stroma thickness, eumelanin, pheomelanin and
+        exit cosine.
     - `solver`: of the texels; any whole-layer process.
     """
 
@@ -66,7 +70,9 @@ class Separable(AbstractIntegrator):
         ranges: Scales,
         memory: Memory,
     ) -> tuple["Texels", None]:
-        """See `AbstractIntegrator`: the lights are summed, for the response does not ask where light comes from."""
+        """See `AbstractIntegrator`: the lights are summed, for the response does not ask where
+        light comes from.
+        """
         field = memory.once("field", field_of, lights, eye, iris, tables)
         slopes, place = relief_at(pixels, eye, maps, memory)
         light = memory.once("irradiance", irradiance_at, (pixels, place), field, eye, slopes)
@@ -149,16 +155,16 @@ class Separable(AbstractIntegrator):
 
 
 class Terms(eqx.Module):
-    """The polynomials of each pixel: of the scales that vary, and of the exit cosine, the share 1 − F that leaves the
-    tissue included."""
+    """The polynomials of each pixel: of the scales that vary, and of the exit cosine, the share 1 −
+    F that leaves the tissue included."""
 
     scales: tuple[Float[Array, "_ pixels"], ...]
     angular: Float[Array, "cosine pixels"]
 
 
 class Texels(eqx.Module):
-    """What a pigment change leaves alone: of each pixel its `terms`, and `light`, irradiance times all shares on the
-    way out, (tints, pixels)."""
+    """What a pigment change leaves alone: of each pixel its `terms`, and `light`, irradiance times
+    all shares on the way out, (tints, pixels)."""
 
     index: Int[Array, " pixels"] | None
     terms: Terms
@@ -166,10 +172,11 @@ class Texels(eqx.Module):
 
 
 class Response(AbstractResponse):
-    """g of every texel of an iris: Chebyshev coefficients, an axis for the first scale that varies, one for products
-    of the others, then the cosine, then the channels.
+    """g of every texel of an iris: Chebyshev coefficients, an axis for the first scale that varies,
+    one for products of the others, then the cosine, then the channels.
 
-    - `error`: largest difference from the solver at points off the nodes, relative to the brightest of them.
+    - `error`: largest difference from the solver at points off the nodes, relative to the brightest
+        of them.
     - `degrees`: the most of each scale that varies.
     """
 
@@ -191,16 +198,18 @@ class Response(AbstractResponse):
         return tuple(_scaled(*v, degree) for v, degree in zip(some, self.degrees, strict=True))
 
     def hemispherical(self, scales: Scales) -> Float[Array, "channels pixels"]:
-        """Flux into the whole hemisphere per irradiance that entered the tissue, 2π ∫ g μ dμ, of pixels.
+        """Flux into the whole hemisphere per irradiance that entered the tissue, 2π ∫ g μ dμ, of
+        pixels.
 
-        Times 1 − F of the incidence it is the directional–hemispherical reflectance without the first surface's
-        mirror. Where nothing varies there is one pixel.
+        Times 1 − F of the incidence it is the directional–hemispherical reflectance without the
+        first surface's mirror. Where nothing varies there is one pixel.
         """
         x, w = (jnp.asarray(v, self.error.dtype) for v in np.polynomial.legendre.leggauss(_COSINES))
         cosine = (x + 1) / 2
         inside = refract(cosine, *self.indices)
         weight = jnp.pi * w * cosine * fresnel(cosine, inside, *self.indices)[1]
-        # Linear in the polynomials of the cosine: their integrals once, not a sum over directions a pixel.
+        # Linear in the polynomials of the cosine: their integrals once, not a sum over directions a
+        # pixel.
         moments = (
             _polynomials(_inside_to_unit(inside, *self.indices), self.coefficients.shape[2])
             @ weight
@@ -246,7 +255,9 @@ def _exits(cosine, indices, degree: int):
 
 
 def _basis(scales, like):
-    """Products of the polynomials of all scales that are kept; one, `like` an array, where there are none."""
+    """Products of the polynomials of all scales that are kept; one, `like` an array, where there
+    are none.
+    """
     if not scales:
         return jnp.ones_like(like)[None]
     first, *others = scales
@@ -279,7 +290,9 @@ def texel_layers(iris: Iris, table: Extinction, scales: Scales, process: Process
 
 
 def _products(degrees: tuple[int, ...]) -> list[tuple[int, ...]]:
-    """Degrees of the factors of the products that are kept: relative to the most of each, they add up to one."""
+    """Degrees of the factors of the products that are kept: relative to the most of each, they add
+    up to one.
+    """
     every = itertools.product(*(range(d + 1) for d in degrees))
     return [
         term for term in every if sum(k / d for k, d in zip(term, degrees, strict=True)) < 1 + 1e-9
@@ -299,12 +312,15 @@ def _polynomials(x: Float[Array, " pixels"], count: int) -> Float[Array, "count 
 
 
 def _inside_to_unit(inside, n_in, n_out):
-    """The cosine within the ABL, from grazing exit to normal, on [−1, 1]: g is smooth in it, not in μ_o."""
+    """The cosine within the ABL, from grazing exit to normal, on [−1, 1]: g is smooth in it, not in
+    μ_o.
+    """
     lowest = refract(jnp.zeros_like(inside), n_in, n_out)
     return 2 * (inside - lowest) / (1 - lowest) - 1
 
 
-# The response changes fast where a layer is thin: equal steps in the logarithm of one plus a few times the scale.
+# The response changes fast where a layer is thin: equal steps in the logarithm of one plus a few
+# times the scale.
 _BEND = 3.0
 
 

@@ -1,4 +1,6 @@
-"""Light on the iris at its pixels: its sum over lamps, the relief it falls on, and what else texels differ in."""
+"""Light on the iris at its pixels: its sum over lamps, the relief it falls on, and what else texels
+differ in.
+"""
 
 import equinox as eqx
 import jax
@@ -28,8 +30,8 @@ PUPIL_MARGIN = 0.12
 class Field(eqx.Module):
     """Light on the iris, all lamps together: flux vectors on a square grid of ± `extent` mm.
 
-    Shape (tints, 3, rows y, columns x), the share 1 − F that enters the tissue included; one tint where no light
-    has a colour of its own.
+    Shape (tints, 3, rows y, columns x), the share 1 − F that enters the tissue included; one tint
+    where no light has a colour of its own.
     """
 
     flux: Float[Array, "tints 3 rows columns"]
@@ -62,7 +64,9 @@ class Field(eqx.Module):
 def field_of(
     lights: Lights, eye: Eye, iris: Iris, tables: Illumination | None, size: int = 161
 ) -> Field:
-    """Sum the lights on a grid over the iris, one after the other. `tables` are `None` for a bare iris."""
+    """Sum the lights on a grid over the iris, one after the other. `tables` are `None` for a bare
+    iris.
+    """
     place = _grid(eye, size)
     normal = eye.iris_normal(place)
     n = iris.indices()
@@ -89,7 +93,9 @@ def field_of(
 def fluxes_of(
     lights: Lights, eye: Eye, tables: Illumination | None, size: int = 161
 ) -> Float[Array, "lights 3 rows columns"]:
-    """Flux vectors of each light by itself, in the chamber just before the iris, on the grid of a `Field`."""
+    """Flux vectors of each light by itself, in the chamber just before the iris, on the grid of a
+    `Field`.
+    """
     place = _grid(eye, size)
     return jax.lax.map(
         lambda i: jnp.stack(parts(_flux(lights, i, place, eye, tables))), jnp.arange(len(lights))
@@ -121,7 +127,9 @@ def _flux(lights: Lights, i, place, eye: Eye, tables: Illumination | None):
 def scales_at(
     pixels: IrisPixels, eye: Eye, iris: Iris, maps: IrisMaps | None, memory: Memory
 ) -> Scales:
-    """How the texels differ from the uniform iris, at the pixels; a map that has not changed is not fetched again."""
+    """How the texels differ from the uniform iris, at the pixels; a map that has not changed is not
+    fetched again.
+    """
 
     def one(name, part):
         return memory.once(name, at, part, iris, place_of(pixels, eye, memory))
@@ -138,7 +146,9 @@ def place_of(pixels: IrisPixels, eye: Eye, memory: Memory) -> Place:
 
 
 def relief_at(pixels: IrisPixels, eye: Eye, maps: IrisMaps | None, memory: Memory):
-    """Slopes of the relief and the pixels' `place_of`, as `normals` wants them; `None` twice without a relief."""
+    """Slopes of the relief and the pixels' `place_of`, as `normals` wants them; `None` twice
+    without a relief.
+    """
     if maps is None or maps.relief is None:
         return None, None
     return memory.once("slopes", slopes_of, maps.relief, eye), place_of(pixels, eye, memory)
@@ -187,7 +197,9 @@ def irradiance_at(
     eye: Eye,
     slopes: Float[Array, "2 angles radii"] | None,
 ) -> Float[Array, "tints pixels"]:
-    """Irradiance on the iris at pixels (and their `place_of`) times all shares on the way out to the camera."""
+    """Irradiance on the iris at pixels (and their `place_of`) times all shares on the way out to
+    the camera.
+    """
     iris, place = pixels
     normal = normals(iris.point, place, eye, slopes)
     flux = field.at(iris.point)
@@ -207,7 +219,9 @@ def _polar(point: Parts, eye: Eye) -> Place:
 def normals(
     point: Parts, place: Place | None, eye: Eye, slopes: Float[Array, "2 angles radii"] | None
 ) -> Parts:
-    """Components of the iris's unit normals towards the cornea, tilted by the `slopes_of` a relief at their place."""
+    """Components of the iris's unit normals towards the cornea, tilted by the `slopes_of` a relief
+    at their place.
+    """
     u, v, w = parts(eye.iris_normal(joined(point)))
     if slopes is None or place is None:
         return u, v, w
@@ -231,10 +245,12 @@ def shares(pixels: IrisPixels, eye: Eye) -> Float[Array, " pixels"]:
 
 @eqx.filter_jit
 def slopes_of(relief: Float[Array, "angles radii"], eye: Eye) -> Float[Array, "2 2*angles 2*radii"]:
-    """∂h/∂r and ∂h/(r ∂angle) of a relief, on a grid twice as fine: of Catmull and Rom's cubics through its texels.
+    """∂h/∂r and ∂h/(r ∂angle) of a relief, on a grid twice as fine: of Catmull and Rom's cubics
+    through its texels.
 
-    Differences over two texels, blended between their centres, are flatter than any surface through these heights: by
-    a third for the finest fibres, four texels wide, and irides were 10 % too bright round the pupil.
+    Differences over two texels, blended between their centres, are flatter than any surface through
+    these heights: by a third for the finest fibres, four texels wide, and irides were 10 % too
+    bright round the pupil.
     """
     rows, columns = relief.shape
     span = eye.iris_radius - eye.pupil_radius
@@ -250,14 +266,15 @@ def slopes_of(relief: Float[Array, "angles radii"], eye: Eye) -> Float[Array, "2
     return jnp.stack([_quarters(along, 0, _HEIGHT) * (columns / span), across])
 
 
-# Weights of texels −1 to 2 at a quarter of the way from 0 to 1, and their sign at a quarter of the way to −1.
+# Weights of texels −1 to 2 at a quarter of the way from 0 to 1, and their sign at a quarter of the
+# way to −1.
 _HEIGHT = (-9 / 128, 111 / 128, 29 / 128, -3 / 128), 1
 _SLOPE = (-3 / 32, -31 / 32, 39 / 32, -5 / 32), -1
 
 
 def _quarters(texture, axis: int, kind: tuple[tuple[float, ...], int]):
-    """A texture or its slope, a texel's size one, at a quarter of a texel to either side of each along an axis that
-    closes on itself."""
+    """A texture or its slope, a texel's size one, at a quarter of a texel to either side of each
+    along an axis that closes on itself."""
     weights, sign = kind
     low, high = (
         sum(w * jnp.roll(texture, side * (1 - k), axis) for k, w in enumerate(weights))

@@ -1,12 +1,14 @@
-"""The iris by single scattering, as F09 renders it: rays marched through a map of layers  [F09 Section 6.1].
+"""The iris by single scattering, as F09 renders it: rays marched through a map of layers  [F09
+Section 6.1].
 
-The layers have the index of the chamber before them, as in F09: no light is mirrored or bent at the iris, and its
-surface passes all. Against radiative transfer with Fresnel's interfaces (`experiments/integrators.py`) light at 0°
-seen within 60° comes out 2 to 23 % too bright: the n² of radiance that leaves a denser medium is missing, and light
-scattered twice makes up for a part of it. Beyond 70° it is wrong by factors either way, for rays unbent by the
-surface graze the layers. Unlike `Separable`, neighbouring texels matter: an oblique line of sight crosses several.
-Light on its way in is weakened by the column in which it is scattered alone, and relief tilts that way but leaves
-the irradiance.
+The layers have the index of the chamber before them, as in F09: no light is mirrored or bent at the
+iris, and its surface passes all. Against radiative transfer with Fresnel's interfaces
+(`experiments/integrators.py`) light at 0° seen within 60° comes out 2 to 23 % too bright: the n² of
+radiance that leaves a denser medium is missing, and light scattered twice makes up for a part of
+it. Beyond 70° it is wrong by factors either way, for rays unbent by the surface graze the layers.
+Unlike `Separable`, neighbouring texels matter: an oblique line of sight crosses several. Light on
+its way in is weakened by the column in which it is scattered alone, and relief tilts that way but
+leaves the irradiance.
 """
 
 from typing import Any, NamedTuple
@@ -37,8 +39,9 @@ from irisjax.transport.process import ILIT_2006, Process
 class SingleScattering(AbstractIntegrator):
     """Integrator: ray marching, one scattering with Rayleigh's phase function  [F09 Section 6.1].
 
-    - `n_steps`: equal steps in depth down to the thickest place of the maps. Within a step the layers are taken from
-        its middle and integrated in closed form, so a uniform iris is exact with one.
+    - `n_steps`: equal steps in depth down to the thickest place of the maps. Within a step the
+        layers are taken from its middle and integrated in closed form, so a uniform iris is exact
+        with one.
     - `process`: gives the scattering coefficient; its other switches mean nothing here.
     """
 
@@ -62,7 +65,9 @@ class SingleScattering(AbstractIntegrator):
         ranges: Scales,
         memory: Memory,
     ) -> tuple["Rays", "Ground"]:
-        """See `AbstractIntegrator`. The relief tilts the surface towards the light; its parallax is left out."""
+        """See `AbstractIntegrator`. The relief tilts the surface towards the light; its parallax is
+        left out.
+        """
         slopes, place = relief_at(pixels, eye, maps, memory)
         rays = memory.once("rays", _placed, (pixels, place), eye, slopes)
         textures = memory.once("textures", _textures, maps, iris)
@@ -98,8 +103,8 @@ class SingleScattering(AbstractIntegrator):
 
 
 class Rays(eqx.Module):
-    """Of each pixel: where its line of sight meets the iris (mm), its direction in the chamber, the normal there with
-    the relief's tilt, and the share of light that reaches the camera."""
+    """Of each pixel: where its line of sight meets the iris (mm), its direction in the chamber, the
+    normal there with the relief's tilt, and the share of light that reaches the camera."""
 
     index: Int[Array, " pixels"] | None
     point: Float[Array, "3 pixels"]
@@ -109,7 +114,9 @@ class Rays(eqx.Module):
 
 
 class Local(NamedTuple):
-    """The subsurface map  [F09 Section 6.1], each relative to the uniform iris; `None`: one everywhere."""
+    """The subsurface map  [F09 Section 6.1], each relative to the uniform iris; `None`: one
+    everywhere.
+    """
 
     abl_thickness: Any = None
     stroma_thickness: Any = None
@@ -119,8 +126,8 @@ class Local(NamedTuple):
 
 
 class Ground(eqx.Module):
-    """What all pixels share: the subsurface map, each light's flux vectors on the grid of a `Field`, the lights' tint,
-    and the eye."""
+    """What all pixels share: the subsurface map, each light's flux vectors on the grid of a
+    `Field`, the lights' tint, and the eye."""
 
     textures: Local
     flux: Float[Array, "lights 3 rows columns"]
@@ -147,7 +154,9 @@ class Depths(NamedTuple):
 
 
 class March(AbstractResponse):
-    """Optical depths of the uniform iris, by what varies over it, (bands,), and thicknesses of ABL and stroma, mm."""
+    """Optical depths of the uniform iris, by what varies over it, (bands,), and thicknesses of ABL
+    and stroma, mm.
+    """
 
     rest: Depths
     eumelanin: Depths
@@ -159,7 +168,9 @@ class March(AbstractResponse):
     error: None = None
 
     def shade(self, texels: Rays, ground: Ground) -> Float[Array, "channels pixels"]:
-        """See `AbstractResponse`: ∫ E p(α) μ_s e^(−τ_light/μ_i − τ_view/μ_o) dz/μ_o, light by light."""
+        """See `AbstractResponse`: ∫ E p(α) μ_s e^(−τ_light/μ_i − τ_view/μ_o) dz/μ_o, light by
+        light.
+        """
         uniform = all(t is None for t in ground.textures)
         n_steps = 1 if uniform else self.n_steps
         step = self._deepest(ground.textures) / n_steps
@@ -219,7 +230,9 @@ class March(AbstractResponse):
         )
 
     def _depths(self, local: Local) -> tuple[Depths, Any]:
-        """Optical depths of the whole layers and that of scattering, (bands, pixels) or (bands, 1)."""
+        """Optical depths of the whole layers and that of scattering, (bands, pixels) or (bands,
+        1).
+        """
         one = jnp.ones(1, self.scattering.dtype)
         eumelanin, pheomelanin, abl, freckles, stroma = (
             one if x is None else x
@@ -262,8 +275,8 @@ def _textures(maps: IrisMaps | None, iris: Iris) -> Local:
 
 
 def _sources(rays: Rays, ground: Ground):
-    """Of each light at each pixel, shapes (lights, pixels): irradiance across the light times the phase function
-    (1/sr), and the slant 1/μ_i."""
+    """Of each light at each pixel, shapes (lights, pixels): irradiance across the light times the
+    phase function (1/sr), and the slant 1/μ_i."""
 
     def one(flux):
         found = Field(flux[None], ground.eye.iris_radius).at(tuple(rays.point))[0]
@@ -279,7 +292,9 @@ def _sources(rays: Rays, ground: Ground):
 
 
 def _passed(depth, start, end):
-    """Share of the layer from `start` to `end` that lies above `depth`; all of a layer without thickness."""
+    """Share of the layer from `start` to `end` that lies above `depth`; all of a layer without
+    thickness.
+    """
     thick = end - start
     empty = thick <= 0
     share = jnp.clip((depth - start) / jnp.where(empty, 1.0, thick), 0, 1)

@@ -1,4 +1,6 @@
-"""What the outer surface of the eye sends back: the white under its vessels, and images in the tear film."""
+"""What the outer surface of the eye sends back: the white under its vessels, and images in the tear
+film.
+"""
 
 import jax.numpy as jnp
 from jaxtyping import Array, Float
@@ -27,7 +29,8 @@ def white_colour(
     return _white_colour((pixels, blood, _vein_node(blood.depth, table)), table)
 
 
-# Programs of their own: in one, XLA works out the place anew for each texture, and the blood for each channel.
+# Programs of their own: in one, XLA works out the place anew for each texture, and the blood for
+# each channel.
 @pixelwise
 def _vein_place(point: Parts, eye: Eye) -> Place:
     return vein_place(eye, joined(point))
@@ -55,14 +58,16 @@ def _white_colour(pixels, table: ColourTable):
 def white(
     pixels: tuple[ScleraPixels, Float[Array, "channels pixels"]], lights: Lights
 ) -> Float[Array, "channels pixels"]:
-    """Channels of the sclera from its `white_colour`: lit as a matt white, light wrapped a little round its edge.
+    """Channels of the sclera from its `white_colour`: lit as a matt white, light wrapped a little
+    round its edge.
 
     Approximation: the tear film takes its share on the way out and not on the way in.
     """
     sclera, colour = pixels
     towards, irradiance = lights.around(sclera.point)
     cosine = sum(n * t for n, t in zip(sclera.normal, towards, strict=True))
-    # The sclera is translucent: light bleeds 17° past the terminator. A round white sends back what a matt one does.
+    # The sclera is translucent: light bleeds 17° past the terminator. A round white sends back what
+    # a matt one does.
     bled = jnp.where(cosine > _BLEED, cosine, jnp.maximum(cosine + _BLEED, 0.0) ** 2 / (4 * _BLEED))
     tint = jnp.ones((len(lights), 1), bled.dtype) if lights.tint is None else lights.tint
     return colour * (tint.T @ (irradiance * bled / (1 + _BLEED**2 / 3)))
@@ -74,9 +79,9 @@ def mirrored(
     lights: Lights | None,
     lamp: Float[Array, " channels"],
 ) -> Float[Array, "channels pixels"]:
-    """Channels of images in the tear film: lamps as soft discs of their angular radius, the room of `room_at` (or
-    `None`) as it is. Lamps that are near ask for the points of `mirror_points`. `lamp` is a lamp of radiance 1 in the
-    picture's channels."""
+    """Channels of images in the tear film: lamps as soft discs of their angular radius, the room of
+    `room_at` (or `None`) as it is. Lamps that are near ask for the points of `mirror_points`.
+    `lamp` is a lamp of radiance 1 in the picture's channels."""
     film, point, room = pixels
     total = jnp.zeros((lamp.size, film.reflectance.size), film.reflectance.dtype)
     if lights is not None:

@@ -1,4 +1,6 @@
-"""Pictures in bands of rows, so that memory is bounded whatever their size and number of samples."""
+"""Pictures in bands of rows, so that memory is bounded whatever their size and number of
+samples.
+"""
 
 from collections.abc import Iterator
 from typing import NamedTuple
@@ -16,7 +18,9 @@ _PIXEL, _CHANNEL = 1200, 24  # bytes for each of a band's, measured
 
 
 class Band(NamedTuple):
-    """Rows of a picture: `pixels` (rows, width, channels), and the `error` of a response that is a table."""
+    """Rows of a picture: `pixels` (rows, width, channels), and the `error` of a response that is a
+    table.
+    """
 
     pixels: np.ndarray
     error: float | None
@@ -30,10 +34,11 @@ def bands(
     wavelengths=None,
     memory: int = _MEMORY,
 ) -> Iterator[Band]:
-    """The picture of a scene from the top to the bottom, as `render` and with `wavelengths` as `prepare` give it.
+    """The picture of a scene from the top to the bottom, as `render` and with `wavelengths` as
+    `prepare` give it.
 
-    Each pixel is the mean of samples × samples points. `memory`: bytes that a band may need, beyond what any
-    picture does.
+    Each pixel is the mean of samples × samples points. `memory`: bytes that a band may need, beyond
+    what any picture does.
     """
     tables = scene.tables() if tables is None else tables
     width, height = scene.camera.size

@@ -1,6 +1,8 @@
-"""Vessels drawn on the white of the eye: random trees of tortuous curves, rasterised as chords of blood.
+"""Vessels drawn on the white of the eye: random trees of tortuous curves, rasterised as chords of
+blood.
 
-A curve runs in (azimuth, arc), the arc in mm on the sphere from the limbus outwards. NumPy, once an eye.
+A curve runs in (azimuth, arc), the arc in mm on the sphere from the limbus outwards. NumPy, once an
+eye.
 """
 
 from typing import NamedTuple
@@ -20,7 +22,9 @@ _SPREAD = 0.09  # mm, how far the tissue above an episcleral vessel blurs its ed
 
 
 class _Curves(NamedTuple):
-    """Curves of equal numbers of points, each field (curves, points): azimuth, arc, heading, radius (mm)."""
+    """Curves of equal numbers of points, each field (curves, points): azimuth, arc, heading, radius
+    (mm).
+    """
 
     azimuth: np.ndarray
     arc: np.ndarray
@@ -45,15 +49,18 @@ class _Globe(NamedTuple):
 
 
 def veins(eye: Eye, *, shape: tuple[int, int] = (1024, 512), key: PRNGKey) -> VeinMap | None:
-    """Random vessels over the white of `eye`; `None` where its `veins` are 0. `shape`: (azimuths, polars).
+    """Random vessels over the white of `eye`; `None` where its `veins` are 0. `shape`: (azimuths,
+    polars).
 
-    Conjunctival trees come from the periphery, many from the corners of the lids, share r³ with their daughters
-    [Murray 1926] and end in arcades along the limbus, with hairpin loops between them; trunks have radii of 20 to
-    50 µm, loops 6 µm, as wide as the conjunctival vessels that OCT finds there. Episcleral vessels are fewer,
-    straighter and wider (40 to 90 µm). Their number grows with `eye.sclera.veins`; at 1 they cover 9 % of the
-    white. Equal keys give equal maps. Concrete eyes only.
+    Conjunctival trees come from the periphery, many from the corners of the lids, share r³ with
+    their daughters [Murray 1926] and end in arcades along the limbus, with hairpin loops between
+    them; trunks have radii of 20 to 50 µm, loops 6 µm, as wide as the conjunctival vessels that OCT
+    finds there. Episcleral vessels are fewer, straighter and wider (40 to 90 µm). Their number
+    grows with `eye.sclera.veins`; at 1 they cover 9 % of the white. Equal keys give equal maps.
+    Concrete eyes only.
 
-    Approximation: at crossings the vessel of larger cover counts alone, and so does the thicker one.
+    Approximation: at crossings the vessel of larger cover counts alone, and so does the thicker
+    one.
     **Raises:** `ValueError` for an eye without sclera.
     """
     globe = _Globe(float(sclera_of(eye).radius), float(limbus_angle(eye)))
@@ -80,7 +87,9 @@ def veins(eye: Eye, *, shape: tuple[int, int] = (1024, 512), key: PRNGKey) -> Ve
 
 
 def _trunks(rng, globe: _Globe, count: int, radii, wander: float) -> _Curves:
-    """Vessels from the periphery: half of them from the corners of the lids, at azimuths 0 and π."""
+    """Vessels from the periphery: half of them from the corners of the lids,
+    at azimuths 0 and π.
+    """
     corner = np.where(rng.random(count) < 0.5, 0.0, np.pi) + rng.normal(0, 0.5, count)
     azimuth = np.where(rng.random(count) < 0.4, corner, rng.uniform(0, 2 * np.pi, count))
     arc = globe.end * rng.uniform(0.6, 1.05, count)
@@ -114,9 +123,11 @@ def _branches(rng, globe: _Globe, parents: _Curves, forks: int, reach: float) ->
 
 
 def _walk(rng, globe: _Globe, azimuth, arc, heading, radius, reach, wander: float) -> _Curves:
-    """Curves of length `reach` (mm) that set out at `heading` from the inward direction and turn to the limbus.
+    """Curves of length `reach` (mm) that set out at `heading` from the inward direction and turn to
+    the limbus.
 
-    Radius 0 marks what lies past a curve's end. The heading wanders at two scales: bends and tortuosity.
+    Radius 0 marks what lies past a curve's end. The heading wanders at two scales: bends and
+    tortuosity.
     """
     count = azimuth.size
     steps = max(int(np.ceil(reach.max(initial=_STEP) / _STEP)), 4)
@@ -178,7 +189,9 @@ def _shade(distance, radius, width):
 
 
 def _stamp(layers, globe: _Globe, curves: _Curves, margin: float) -> None:
-    """Draw curves into textures, each with its profile, the largest value winning; profiles end `margin` mm outside."""
+    """Draw curves into textures, each with its profile, the largest value winning; profiles end
+    `margin` mm outside.
+    """
     rows, columns = layers[0][0].shape
     along = globe.end / columns
     there = (curves.radius[:, :-1] > 0) & (curves.radius[:, 1:] > 0)

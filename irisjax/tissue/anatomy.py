@@ -1,6 +1,7 @@
 """The shapes of the eye in front of its iris: cornea, chamber, iris plane or cone, pupil, sclera.
 
-Eye frame (mm): origin at the corneal apex, +z into the eye, x right and y up as the viewer sees them.
+Eye frame (mm): origin at the corneal apex, +z into the eye, x right and y up as the viewer sees
+them.
 """
 
 import dataclasses
@@ -46,12 +47,13 @@ def _optional(default: float | None = None) -> Any:
 class Cornea(eqx.Module):
     """Two refracting surfaces, or one.
 
-    - `anterior`, `posterior`: conicoids; without `posterior` everything behind the anterior one is aqueous
-        humour, as in F09, which gives it the index 1.376 (`Cornea.f09()`).
-    - `index`: of the corneal tissue. `scatter` (nm⁴): c of log₁₀ T = −0.016 − c λ⁻⁴ [F09 Eq. 16], 21e8 counting
-        light scattered forwards, 85e8 the direct beam; `None` is a perfectly clear cornea. Fresnel's shares come
-        on top, as in F09: should the measured T hold the front's reflection too, 2.5 % is lost twice each way. What
-        the haze takes is lost and comes back as no veil.
+    - `anterior`, `posterior`: conicoids; without `posterior` everything behind the anterior one is
+        aqueous humour, as in F09, which gives it the index 1.376 (`Cornea.f09()`).
+    - `index`: of the corneal tissue. `scatter` (nm⁴): c of log₁₀ T = −0.016 − c λ⁻⁴ [F09 Eq. 16],
+        21e8 counting light scattered forwards, 85e8 the direct beam; `None` is a perfectly clear
+        cornea. Fresnel's shares come on top, as in F09: should the measured T hold the front's
+        reflection too, 2.5 % is lost twice each way. What the haze takes is lost and comes back as
+        no veil.
     """
 
     anterior: Conicoid = eqx.field(default_factory=lambda: Conicoid(7.8, 0.75))
@@ -61,21 +63,25 @@ class Cornea(eqx.Module):
 
     @classmethod
     def f09(cls) -> "Cornea":
-        """The single surface of F09, R = 7.8 mm and p = 0.75; set `aqueous_index=1.376` of `Eye` and `Iris` with it."""
+        """The single surface of F09, R = 7.8 mm and p = 0.75; set `aqueous_index=1.376` of `Eye`
+        and `Iris` with it.
+        """
         return cls(posterior=None, index=jnp.asarray(1.376))
 
     def transmittance(
         self, wavelengths: Float[Array, " wavelengths"]
     ) -> Float[Array, " wavelengths"] | None:
-        """Of one passage, without the mirror losses; `None` for a clear cornea  [F09 Eq. 16]. Above 310 nm."""
+        """Of one passage, without the mirror losses; `None` for a clear cornea  [F09 Eq. 16]. Above
+        310 nm.
+        """
         return None if self.scatter is None else 10.0 ** (-0.016 - self.scatter * wavelengths**-4.0)
 
 
 class Sclera(eqx.Module):
     """The white of the eye, a sphere through the limbus.
 
-    - `radius`, mm; `veins`: density of the drawn vessels, 0 none; `hemoglobin` (mmol/l) and `saturation` of the
-        blood in them.
+    - `radius`, mm; `veins`: density of the drawn vessels, 0 none; `hemoglobin` (mmol/l) and
+        `saturation` of the blood in them.
     """
 
     radius: Scalar = _number(11.5)
@@ -90,12 +96,14 @@ class Sclera(eqx.Module):
 class Eye(eqx.Module):
     """Everything that light meets before and around the iris.
 
-    - `cornea`: `None` for the iris alone, light and camera with it in the aqueous humour. `aqueous_index`: of the
-        chamber.
-    - `iris_depth`: of the iris plane behind the apex, at the axis, mm; `iris_slope`: its fall towards the root
-        (`None`: a plane, as F09; positive: a cone that bulges forward at the pupil).
+    - `cornea`: `None` for the iris alone, light and camera with it in the aqueous humour.
+        `aqueous_index`: of the chamber.
+    - `iris_depth`: of the iris plane behind the apex, at the axis, mm; `iris_slope`: its fall
+        towards the root (`None`: a plane, as F09; positive: a cone that bulges forward at the
+        pupil).
     - `iris_radius`, `pupil_radius`, `limbus_radius` (where cornea meets sclera), mm.
-    - `attenuation`: of the aqueous humour, 1/mm, or `None`: water absorbs 1e-4 over the chamber in the visible.
+    - `attenuation`: of the aqueous humour, 1/mm, or `None`: water absorbs 1e-4 over the chamber in
+        the visible.
     - `sclera`: `None` for a close-up.
 
     **Raises:** `ValueError` naming field, value and allowed range.
@@ -132,8 +140,10 @@ class Eye(eqx.Module):
             least = _least_depth(self, self.cornea)
             if not float(self.iris_depth) > least:
                 raise ValueError(
-                    f"iris_depth = {float(self.iris_depth):g} mm puts the iris into the cornea or in front of the "
-                    f"limbus; for this eye it must be at least {np.ceil(least * 1000 + 0.5) / 1000:g} mm"
+                    f"iris_depth = {float(self.iris_depth):g} mm puts the iris into the cornea or "
+                    f"in front of the "
+                    f"limbus; for this eye it must be at least "
+                    f"{np.ceil(least * 1000 + 0.5) / 1000:g} mm"
                 )
 
     def replace(self, **fields: Any) -> "Eye":
@@ -169,8 +179,8 @@ class Eye(eqx.Module):
 
 
 def _least_depth(eye: Eye, cornea: Cornea) -> float:
-    """Depth (mm) that the iris must exceed to lie behind the whole cornea: surfaces bulge forward, so that its root
-    meets them first, or, where it rises to the root, its middle."""
+    """Depth (mm) that the iris must exceed to lie behind the whole cornea: surfaces bulge forward,
+    so that its root meets them first, or, where it rises to the root, its middle."""
     back = cornea.anterior if cornea.posterior is None else cornea.posterior
     r = jnp.minimum(eye.iris_radius, eye.limbus_radius)  # beyond the limbus there is no cornea
     slope = 0.0 if eye.iris_slope is None else float(eye.iris_slope)

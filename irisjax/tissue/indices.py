@@ -1,4 +1,6 @@
-"""Refractive indices of the iridal layers and the scattering of the stroma's fibrils. [LB06 Section 4]"""
+"""Refractive indices of the iridal layers and the scattering of the stroma's fibrils. [LB06 Section
+4]
+"""
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -27,8 +29,9 @@ def scatterer_density(radius, fraction):
 def scattering_lb06(wavelengths: Spectrum, radius, fraction, n_collagen, n_base) -> Spectrum:
     """Scattering coefficient (mm⁻¹) as LB06 prints it, 8π³/(3N)·(m² − 1)²·λ⁻⁴  [LB06 Eq. 5].
 
-    N stands in the denominator as for Strutt's gas of dipoles, where m² − 1 itself grows with N; for
-    spheres of given index see `scattering_rayleigh_spheres`. `wavelengths` in nm, `radius` in nm.
+    N stands in the denominator as for Strutt's gas of dipoles, where m² − 1 itself grows with N;
+    for spheres of given index see `scattering_rayleigh_spheres`. `wavelengths` in nm, `radius` in
+    nm.
     """
     density = scatterer_density(radius, fraction)  # nm⁻³
     contrast = (n_collagen - n_base) * (n_collagen + n_base) / n_base**2
@@ -39,7 +42,8 @@ def scattering_lb06(wavelengths: Spectrum, radius, fraction, n_collagen, n_base)
 def scattering_rayleigh_spheres(
     wavelengths: Spectrum, radius, fraction, n_collagen, n_base
 ) -> Spectrum:
-    """Scattering coefficient (mm⁻¹) of independent small spheres, 24π³ n_b⁴ f V λ⁻⁴ ((m²−1)/(m²+2))².
+    """Scattering coefficient (mm⁻¹) of independent small spheres, 24π³ n_b⁴ f V λ⁻⁴
+    ((m²−1)/(m²+2))².
 
     [Bohren & Huffman 1983, Section 5.1]; `wavelengths` in vacuum, nm; `radius` in nm.
     """
@@ -55,8 +59,8 @@ SCATTERING = {"lb06": scattering_lb06, "rayleigh-spheres": scattering_rayleigh_s
 class Order(eqx.Module):
     """Which neighbour is optically denser, known before tracing.
 
-    It fixes which critical angles exist, hence how many quadrature panels are worth compiling. Where an
-    index is traced, every one is assumed possible.
+    It fixes which critical angles exist, hence how many quadrature panels are worth compiling.
+    Where an index is traced, every one is assumed possible.
     """
 
     abl_over_aqueous: bool = eqx.field(static=True, default=True)

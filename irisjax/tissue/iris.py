@@ -79,12 +79,13 @@ def _parameter(name: str, default: float | None) -> Any:
 
 
 class Iris(eqx.Module):
-    """A human iris by its biophysical parameters; the defaults are those of LB06, moderate pigmentation.
+    """A human iris by its biophysical parameters; the defaults are those of LB06, moderate
+    pigmentation.
 
-    Every field is a float array of shape () (batch with `jax.vmap`). Concentrations: melanins mg/ml over
-    the whole iris, haemoglobins mmol/l and carotenoids mg/ml in the stroma; thicknesses mm; the fibril
-    radius nm; radii mm. `abl_index` and `stroma_index` are `None` unless they are to replace the
-    Gladstone–Dale mixtures. Make variations with `replace`.
+    Every field is a float array of shape () (batch with `jax.vmap`). Concentrations: melanins mg/ml
+    over the whole iris, haemoglobins mmol/l and carotenoids mg/ml in the stroma; thicknesses mm;
+    the fibril radius nm; radii mm. `abl_index` and `stroma_index` are `None` unless they are to
+    replace the Gladstone–Dale mixtures. Make variations with `replace`.
 
     **Raises:** `ValueError` naming field, value and allowed range for concrete values out of range.
     """
@@ -140,8 +141,8 @@ class Iris(eqx.Module):
     def replace(self, **fields: Any) -> "Iris":
         """A copy with some fields changed.
 
-        Besides the fields: `melanin_load` (µg/mm²) rescales both melanins after the other changes, keeping
-        their ratio (all eumelanin where there was none).
+        Besides the fields: `melanin_load` (µg/mm²) rescales both melanins after the other changes,
+        keeping their ratio (all eumelanin where there was none).
         """
         load = fields.pop("melanin_load", None)
         for name in fields:
@@ -189,12 +190,14 @@ class Iris(eqx.Module):
         )
 
     def layers(self, extinction: Extinction, scattering: str = "lb06") -> Layers:
-        """Optical depths of the layers on the wavelengths of `extinction`  [LB06 Section 3.3, Eqs. 4, 5].
+        """Optical depths of the layers on the wavelengths of `extinction`  [LB06 Section 3.3, Eqs.
+        4, 5].
 
         `scattering` is `"lb06"` or `"rayleigh-spheres"` (see `tissue.indices`).
         """
         e = extinction
-        # The ABL fraction divides the mass: depth in a layer = extinction × mass per area in that layer.
+        # The ABL fraction divides the mass: depth in a layer = extinction × mass per area in that
+        # layer.
         melanin = (
             self.intensification
             * (e.eumelanin * self.eumelanin + e.pheomelanin * self.pheomelanin)
@@ -223,7 +226,9 @@ class Iris(eqx.Module):
         )
 
     def parameters(self) -> dict[str, Any]:
-        """Every set field by name, for headers and tables; concrete scalars come as Python floats."""
+        """Every set field by name, for headers and tables; concrete scalars come as Python
+        floats.
+        """
         out = {}
         for name in LIMITS:
             value = getattr(self, name)

@@ -38,7 +38,8 @@ class Layers(eqx.Module):
         stroma_thickness,
         indices: RefractiveIndices,
     ) -> "Layers":
-        """Layers from coefficients in mm⁻¹ (scalars or one value a wavelength) and thicknesses in mm.
+        """Layers from coefficients in mm⁻¹ (scalars or one value a wavelength) and thicknesses in
+        mm.
 
         **Raises:** `ValueError` for negative or non-finite concrete values.
         """
@@ -66,7 +67,9 @@ class Layers(eqx.Module):
 
     @property
     def albedo(self) -> Spectrum:
-        """Single-scattering albedo of the stroma, μ_s/(μ_a + μ_s); 0 where there is neither.  [LB06 Eq. 7]"""
+        """Single-scattering albedo of the stroma, μ_s/(μ_a + μ_s); 0 where there is neither.  [LB06
+        Eq. 7]
+        """
         total = self.extinction
         empty = total <= 0
         return jnp.where(empty, 0.0, self.stroma_scattering / jnp.where(empty, 1.0, total))
@@ -79,7 +82,9 @@ class Layers(eqx.Module):
         return jnp.where(empty, 1.0, self.stroma_absorption / jnp.where(empty, 1.0, total))
 
     def valid(self):
-        """Whether every depth is finite and not negative and the indices keep to `order` (traced)."""
+        """Whether every depth is finite and not negative and the indices keep to `order`
+        (traced).
+        """
         ok = self.indices.agree(self.order)
         for depth in (self.abl_absorption, self.stroma_absorption, self.stroma_scattering):
             ok = ok & (jnp.isfinite(depth) & (depth >= 0)).all()

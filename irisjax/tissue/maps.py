@@ -1,7 +1,8 @@
 """`IrisMaps`: what photographs, painters and procedures hand to the renderers, texel by texel.
 
-Polar textures of shape (angles, radii): rows run once round the eye from +x towards +y, columns from the pupil's
-edge to the root, both at cell centres. The pupil's motion stretches them; they do not change with it.
+Polar textures of shape (angles, radii): rows run once round the eye from +x towards +y, columns
+from the pupil's edge to the root, both at cell centres. The pupil's motion stretches them; they do
+not change with it.
 """
 
 import dataclasses
@@ -28,9 +29,10 @@ class IrisMaps(eqx.Module):
     """Maps of an iris; every one may be absent (`None`), which costs nothing.
 
     - `relief`: height of the surface towards the cornea, mm; it tilts the surface and shades it.
-    - `abl_thickness`, `stroma_thickness`: mm, in place of the `Iris`'s own. A layer keeps its concentrations, so
-        a thicker one holds more pigment.
-    - `freckles`: share of a freckle, 0 to 1; where it is 1 the ABL holds `FRECKLE` times its melanin.
+    - `abl_thickness`, `stroma_thickness`: mm, in place of the `Iris`'s own. A layer keeps its
+        concentrations, so a thicker one holds more pigment.
+    - `freckles`: share of a freckle, 0 to 1; where it is 1 the ABL holds `FRECKLE` times its
+        melanin.
     - `eumelanin`, `pheomelanin`: concentrations relative to the `Iris`'s, both layers alike.
 
     **Raises:** `ValueError` for maps of different shapes and for values that no iris has.
@@ -80,7 +82,9 @@ class IrisMaps(eqx.Module):
         return dataclasses.replace(self, **fields)
 
     def abl_scale(self, iris: Iris) -> Texture | None:
-        """Melanin of the ABL relative to that of a uniform `iris`; `None` where it is one everywhere."""
+        """Melanin of the ABL relative to that of a uniform `iris`; `None` where it is one
+        everywhere.
+        """
         scale = None if self.abl_thickness is None else self.abl_thickness / iris.abl_thickness
         if self.freckles is not None:
             dark = 1 + (FRECKLE - 1) * self.freckles
@@ -88,19 +92,24 @@ class IrisMaps(eqx.Module):
         return scale
 
     def stroma_scale(self, iris: Iris) -> Texture | None:
-        """Thickness of the stroma relative to that of a uniform `iris`; `None` where it is one everywhere."""
+        """Thickness of the stroma relative to that of a uniform `iris`; `None` where it is one
+        everywhere.
+        """
         return (
             None if self.stroma_thickness is None else self.stroma_thickness / iris.stroma_thickness
         )
 
 
 FRECKLE = 12.0
-"""Melanin of the ABL in a freckle relative to its surroundings: thicker and denser, after F09's hand-set maps."""
+"""Melanin of the ABL in a freckle relative to its surroundings: thicker and denser, after F09's
+hand-set maps.
+"""
 
 
 class Scales(NamedTuple):
-    """How texels differ from the uniform iris: pigment of the ABL, thickness of the stroma, and concentrations of
-    eumelanin and pheomelanin, each relative to the iris's. `None`: one everywhere."""
+    """How texels differ from the uniform iris: pigment of the ABL, thickness of the stroma, and
+    concentrations of eumelanin and pheomelanin, each relative to the iris's. `None`: one
+    everywhere."""
 
     abl: Any = None
     stroma: Any = None
@@ -115,7 +124,9 @@ class Scales(NamedTuple):
         return cls(maps.abl_scale(iris), maps.stroma_scale(iris), maps.eumelanin, maps.pheomelanin)
 
     def ranges(self) -> "Scales":
-        """Smallest and largest value of each texture, a little widened; without gradients: they place nodes."""
+        """Smallest and largest value of each texture, a little widened; without gradients: they
+        place nodes.
+        """
 
         def span(t):
             return jax.lax.stop_gradient(jnp.stack([0.95 * jnp.min(t), 1.05 * jnp.max(t) + 1e-3]))
@@ -124,7 +135,9 @@ class Scales(NamedTuple):
 
 
 def fetch(texture: Float[Array, "*c angles radii"], angle, radius) -> Float[Array, "..."]:
-    """Bilinear look-up, round in `angle` (radians) and held at the ends of `radius` (0 pupil's edge, 1 root)."""
+    """Bilinear look-up, round in `angle` (radians) and held at the ends of `radius` (0 pupil's
+    edge, 1 root).
+    """
     rows, columns = texture.shape[-2:]
     row = angle * (rows / (2 * jnp.pi)) - 0.5
     column = jnp.clip(radius * columns - 0.5, 0, columns - 1)

@@ -19,7 +19,8 @@ def step(x: Field) -> Field:
 def noise(
     seed: Seed, turns: Field, radius: Field, cells: tuple[Whole, Whole], octaves: Whole = 1
 ) -> Field:
-    """Fractal value noise, −1 to 1, of period 1 in `turns`, on `cells` over the period and over `radius` 0 to 1.
+    """Fractal value noise, −1 to 1, of period 1 in `turns`, on `cells` over the period and over
+    `radius` 0 to 1.
 
     Every octave halves cells and height; both precisions see the same one.
     """
@@ -53,7 +54,9 @@ def split(seed: Seed, n: int) -> list[Seed]:
 
 
 def _hashed(seed: Seed, i: Field, j: Field) -> Field:
-    """Uniform on −1 to 1 at whole numbers i, j ≥ 0. XLA takes half a minute to compile as many draws of its own."""
+    """Uniform on −1 to 1 at whole numbers i, j ≥ 0. XLA takes half a minute to compile as many
+    draws of its own.
+    """
     x = i.astype(jnp.uint32) * jnp.uint32(0x9E3779B1) + j.astype(jnp.uint32) * jnp.uint32(
         0x85EBCA77
     )

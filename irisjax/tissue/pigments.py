@@ -1,6 +1,7 @@
 """Extinction of the iridal pigments, from tables shipped with the package.
 
-Wavelengths in nm. The tables are facts with their sources in their headers; they are interpolated linearly.
+Wavelengths in nm. The tables are facts with their sources in their headers; they are interpolated
+linearly.
 """
 
 import math
@@ -17,8 +18,8 @@ from irisjax._types import Spectrum
 
 _PER_CM = 0.1  # 1 cm⁻¹ in mm⁻¹
 
-# pigment: (table, column, factor to mm⁻¹ per package unit of concentration). Melanin's tables are used as
-# Napierian coefficients; the decadic ones take ln 10. Haemoglobin: cm⁻¹/M to mm⁻¹/(mmol/l).
+# pigment: (table, column, factor to mm⁻¹ per package unit of concentration). Melanin's tables are
+# used as Napierian coefficients; the decadic ones take ln 10. Haemoglobin: cm⁻¹/M to mm⁻¹/(mmol/l).
 _SOURCES: dict[str, tuple[str, str, float]] = {
     "eumelanin": ("eumelanin.csv", "extinction", _PER_CM),
     "pheomelanin": ("pheomelanin.csv", "extinction", _PER_CM),
@@ -83,7 +84,8 @@ def _on_host(grid: bytes, double: bool) -> Extinction:
         bad = ~((x >= low) & (x <= high))
         if bad.any():
             raise ValueError(
-                f"wavelength {x[bad][0]:g} nm is outside the {pigment} table ({low:g} to {high:g} nm)"
+                f"wavelength {x[bad][0]:g} nm is outside the {pigment} table ({low:g} to {high:g} "
+                f"nm)"
             )
     dtype = np.float64 if double else np.float32
     with jax.ensure_compile_time_eval():

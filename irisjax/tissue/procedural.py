@@ -1,8 +1,9 @@
-"""Procedural irides: maps grown from a seed, and eye colours, so that nobody needs a photograph to start.
+"""Procedural irides: maps grown from a seed, and eye colours, so that nobody needs a photograph to
+start.
 
-The stroma follows the ultrasound profile of [F09 Section 3] and is a meshwork of radial strands: bundled, wavy, fine
-between pupil and collarette, coarse outside, parting round Fuchs's crypts. Features are drawn from what textbooks
-show, not fitted to anything.
+The stroma follows the ultrasound profile of [F09 Section 3] and is a meshwork of radial strands:
+bundled, wavy, fine between pupil and collarette, coarse outside, parting round Fuchs's crypts.
+Features are drawn from what textbooks show, not fitted to anything.
 """
 
 import math
@@ -51,20 +52,25 @@ def procedural(
 
     **Arguments:**
 
-    - `iris`: gives mean thicknesses (kept: area means over its ring of `pupil_radius` to `iris_radius`) and sizes.
+    - `iris`: gives mean thicknesses (kept: area means over its ring of `pupil_radius` to
+        `iris_radius`) and sizes.
     - `shape`: (angles, radii); fewer than 768 angles coarsen the finest fibres.
     - `profile`: whether the stroma thins towards the root as in ultrasound.
-    - `fibres`: contrast of the radial strands, 1 as in a light iris; `collarette`: height of the zig-zag ring.
-    - `crypts`: number of lens-shaped holes near the collarette, each with a small one nearer the root.
-    - `furrows`: number of concentric contraction furrows, partial arcs in the ciliary zone; `freckles`: of spots.
-    - `abl`: how far the anterior border layer is thinned over crypts, gathered on the crests of furrows and
-        mottled, 1 as in a brown iris; `heterochromia`: eumelanin added round the pupil, relative to the rest's.
+    - `fibres`: contrast of the radial strands, 1 as in a light iris; `collarette`: height of the
+        zig-zag ring.
+    - `crypts`: number of lens-shaped holes near the collarette, each with a small one nearer the
+        root.
+    - `furrows`: number of concentric contraction furrows, partial arcs in the ciliary zone;
+        `freckles`: of spots.
+    - `abl`: how far the anterior border layer is thinned over crypts, gathered on the crests of
+        furrows and mottled, 1 as in a brown iris; `heterochromia`: eumelanin added round the pupil,
+        relative to the rest's.
     - `relief`: share of the unevenness that stands out towards the cornea; the rest lies within.
         0: no relief, nor furrows.
 
-    **Returns:** `IrisMaps` with `stroma_thickness` unless the stroma is uniform, and at need `relief`,
-    `abl_thickness`, `freckles` and `eumelanin`. Equal keys give equal maps. **Raises:** `ValueError` for negative
-    features and shapes below (16, 8).
+    **Returns:** `IrisMaps` with `stroma_thickness` unless the stroma is uniform, and at need
+    `relief`, `abl_thickness`, `freckles` and `eumelanin`. Equal keys give equal maps. **Raises:**
+    `ValueError` for negative features and shapes below (16, 8).
     """
     wanted = {k: v for k, v in locals().items() if k not in ("iris", "shape", "profile", "key")}
     for name, value in wanted.items():
@@ -114,9 +120,11 @@ def _grow(
 
 
 def stroma_profile(radius: Field) -> Field:
-    """Thickness of a generic stroma (mm) at relative radii from 0, 2 mm from the axis, to 1, the root at 5.5 mm.
+    """Thickness of a generic stroma (mm) at relative radii from 0, 2 mm from the axis, to 1, the
+    root at 5.5 mm.
 
-    Quadratic through 0.645, 0.457 and 0.372 mm at 2.25, 3.5 and 5 mm, less IPE and ABL  [F09 Section 3].
+    Quadratic through 0.645, 0.457 and 0.372 mm at 2.25, 3.5 and 5 mm, less IPE and ABL  [F09
+    Section 3].
     """
     r = 2.0 + 3.5 * radius
     inner, outer = (0.457 - 0.645) / 1.25, (0.372 - 0.457) / 1.5
@@ -139,7 +147,9 @@ def _bounded(thickness: Field, place: Field, mean) -> Field:
 def _strands(
     seed: Seed, turns: Field, radius: Field, count: Whole, width: Number, sway: Number
 ) -> Field:
-    """Height, 0 to 1, of `count` wavy strands; where two meet, the higher one lies on top: they join and branch."""
+    """Height, 0 to 1, of `count` wavy strands; where two meet, the higher one lies on top: they
+    join and branch.
+    """
     where, wave, high = split(seed, 3)
     x = turns * count
 
@@ -176,7 +186,9 @@ def _zigzag(seed: Seed, turns: Field) -> Field:
 
 
 def _ring(seed: Seed, turns: Field, radius: Field, ring: Field) -> Field:
-    """Relative thickness that the collarette adds: steep towards the pupil, gentle outwards, uneven along."""
+    """Relative thickness that the collarette adds: steep towards the pupil, gentle outwards, uneven
+    along.
+    """
     along = 0.7 + 0.5 * noise(split(seed, 4)[2], turns, 0 * turns, (30, 1), 2)
     off = radius - ring
     return 0.45 * along * jnp.exp(-((off / jnp.where(off < 0, 0.022, 0.05)) ** 2)) - 0.12 * step(
@@ -243,7 +255,9 @@ def _freckles(seed: Seed, turns: Field, place: Field, iris: Iris, count: Whole) 
 
 
 def _rays(seed: Seed, turns: Field, radius: Field, ring: Field) -> Field:
-    """Share of the pigment round the pupil, 1 at its edge, frayed into rays beyond the collarette."""
+    """Share of the pigment round the pupil, 1 at its edge, frayed into rays beyond the
+    collarette.
+    """
     reach = ring + 0.12 + 0.22 * noise(split(seed, 4)[3], turns, radius, (60, 2), 3)
     return 1 - step((radius - reach) / 0.4 + 0.5)
 
@@ -268,14 +282,16 @@ def preset(
 ) -> tuple[Iris, IrisMaps]:
     """A made-up eye of a colour: `"brown"`, `"hazel"`, `"green"`, `"blue"` or `"grey"`.
 
-    The pigments are chosen by eye, not measured. So is the fibrils' radius: at LB06's 30 nm the stroma sends back
-    too little for any of these colours. `colour(iris)`, 8-bit sRGB under D65 against a perfect white: brown
-    (57, 36, 12), hazel (80, 77, 59), green (76, 78, 65), blue (65, 87, 99), grey (99, 112, 112). Brown takes 2.4
-    times the eumelanin of LB06's high level, and the model knows no neutral grey: a* stays near −5. Hazel and green
-    eyes are browner than that near the pupil, where their maps add eumelanin. `pigments` changes fields of the iris,
-    `features` arguments of `procedural`.
+    The pigments are chosen by eye, not measured. So is the fibrils' radius: at LB06's 30 nm the
+    stroma sends back too little for any of these colours. `colour(iris)`, 8-bit sRGB under D65
+    against a perfect white: brown (57, 36, 12), hazel (80, 77, 59), green (76, 78, 65), blue (65,
+    87, 99), grey (99, 112, 112). Brown takes 2.4 times the eumelanin of LB06's high level, and the
+    model knows no neutral grey: a* stays near −5. Hazel and green eyes are browner than that near
+    the pupil, where their maps add eumelanin. `pigments` changes fields of the iris, `features`
+    arguments of `procedural`.
 
-    **Returns:** the iris and maps of `shape` (angles, radii). **Raises:** `ValueError` for an unknown colour.
+    **Returns:** the iris and maps of `shape` (angles, radii). **Raises:** `ValueError` for an
+    unknown colour.
     """
     if colour not in _COLOURS:
         raise ValueError(f"unknown eye colour {colour!r}; known: {', '.join(sorted(_COLOURS))}")

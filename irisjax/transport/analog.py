@@ -1,9 +1,9 @@
 """Analogue Monte Carlo: photons one event at a time, as LB06 tells it, in lanes that never wait.
 
-A lane belongs to one wavelength and takes that wavelength's next photon when its own dies; chains are never
-cut, and fates are counted in integers, lane by lane. Photon i at wavelength j owns the key
-`fold_in(fold_in(key, j), i)`, and its event k reads the bits of `fold_in(photon key, k)` and nothing else:
-counts do not depend on lanes, blocks or devices.
+A lane belongs to one wavelength and takes that wavelength's next photon when its own dies; chains
+are never cut, and fates are counted in integers, lane by lane. Photon i at wavelength j owns the
+key `fold_in(fold_in(key, j), i)`, and its event k reads the bits of `fold_in(photon key, k)` and
+nothing else: counts do not depend on lanes, blocks or devices.
 """
 
 from typing import Any, NamedTuple
@@ -41,9 +41,9 @@ class LaneLayers(NamedTuple):
 class Photon(NamedTuple):
     """A lane's photon between events.
 
-    `code` packs all that is not a real number: fate (3 bits), in the ABL (1), how the coming direction
-    comes about (2), events so far (25), turned round by a mirror (sign). One integer is one kernel on
-    CPU; five would be five, each redoing the physics.
+    `code` packs all that is not a real number: fate (3 bits), in the ABL (1), how the coming
+    direction comes about (2), events so far (25), turned round by a mirror (sign). One integer is
+    one kernel on CPU; five would be five, each redoing the physics.
     """
 
     direction: jax.Array  # signed cosine, positive into the eye
@@ -67,7 +67,8 @@ def whole_layer_event(photon: Photon, words, layers: LaneLayers, scale, process:
     direction = jnp.where(
         mode == FRESH, fresh, jnp.where(mode == SCATTERED, turned, photon.direction)
     )
-    # (dividing by a traced 1 keeps the compiler from recomputing the direction in each fusion below)
+    # (dividing by a traced 1 keeps the compiler from recomputing the direction in each fusion
+    # below)
     direction = jnp.clip(direction, -1.0, 1.0) / scale[2]
     down, mu = direction > 0.0, jnp.maximum(jnp.abs(direction), 1e-12)
 
@@ -160,8 +161,8 @@ def run_lanes(
 ):
     """Run lanes to exhaustion; lane l owns photons start[l], start[l] + stride, ... below last[l].
 
-    **Arguments:** `wave_words`, two uint32 arrays with each lane's wavelength key; `cells`, lower and upper
-    cosines (exits, 2) in which to count photons leaving the eye, or `None`.
+    **Arguments:** `wave_words`, two uint32 arrays with each lane's wavelength key; `cells`, lower
+    and upper cosines (exits, 2) in which to count photons leaving the eye, or `None`.
 
     **Returns:** counts of each fate (lanes, 5), int32, and of each cell (lanes, exits) or `None`.
     """
@@ -217,7 +218,9 @@ def run_lanes(
 
 
 def _draws(words, scale):
-    """Two uniforms of 23 bits, and the cosine of a uniform azimuth from the 18 bits that are left."""
+    """Two uniforms of 23 bits, and the cosine of a uniform azimuth from the 18 bits that are
+    left.
+    """
     azimuth = uniform((words[0] & 511) << 9 | (words[1] & 511), scale[1])
     return (
         uniform(words[0] >> 9, scale[0]),
@@ -247,6 +250,6 @@ def _beyond(in_abl, down, layers: LaneLayers):
 
 
 def _guided(mu, n_here, n_ahead, n_behind):
-    """Total reflection at both faces. In a layer that cannot turn it, such a ray ends absorbed after however
-    many crossings, in the limit without absorption too: say so at once."""
+    """Total reflection at both faces. In a layer that cannot turn it, such a ray ends absorbed
+    after however many crossings, in the limit without absorption too: say so at once."""
     return (1.0 - mu * mu) * jnp.square(n_here / jnp.maximum(n_ahead, n_behind)) >= 1.0

@@ -1,9 +1,11 @@
-"""Depth-resolved transport: scalar radiative transfer in the same layers, solved as an integral equation.
+"""Depth-resolved transport: scalar radiative transfer in the same layers, solved as an integral
+equation.
 
-Rayleigh's phase function has rank two (azimuth-averaged), so the unknowns are not radiances but a few
-moments of them over angle, as functions of depth: polynomials of low order in depth (Galerkin). Given the
-moments, each direction is a scalar problem, since interfaces keep a ray's Snell invariant: all mirror
-images are one geometric series. The cost is linear in angles.  [Chandrasekhar 1960, Sections 10, 16]
+Rayleigh's phase function has rank two (azimuth-averaged), so the unknowns are not radiances but a
+few moments of them over angle, as functions of depth: polynomials of low order in depth (Galerkin).
+Given the moments, each direction is a scalar problem, since interfaces keep a ray's Snell
+invariant: all mirror images are one geometric series. The cost is linear in angles.  [Chandrasekhar
+1960, Sections 10, 16]
 """
 
 from typing import NamedTuple
@@ -27,7 +29,9 @@ _MOST_PANELS = 32  # optical depths of 1e9
 
 
 class Mode(NamedTuple):
-    """One azimuthal order of Rayleigh's phase function: J(μ) = ω Σ_k strength_k f_k(μ) ∫ f_k I dμ'."""
+    """One azimuthal order of Rayleigh's phase function: J(μ) = ω Σ_k strength_k f_k(μ) ∫ f_k I
+    dμ'.
+    """
 
     order: int
     parity: int
@@ -58,7 +62,9 @@ class Directions(NamedTuple):
 
 
 class Roof(NamedTuple):
-    """The ABL seen from the stroma, or from the aqueous humour: shares of the flux that falls on it."""
+    """The ABL seen from the stroma, or from the aqueous humour: shares of the flux that falls on
+    it.
+    """
 
     reflected: jax.Array
     passed: jax.Array
@@ -91,8 +97,9 @@ def panels_for(layers: Layers, n_depths: int) -> int | None:
 def _coarseness(layers: Layers, n_depths: int, n_panels: int):
     """How coarse the panels are; the relative error of reflectance is about 8e-7 of its cube.
 
-    Fitted to a scan over depths 0.1 to 32, albedos 0.003 to 1, 6 to 10 polynomials (test_depth_resolved.py
-    checks it at other points). Light scattered twice makes the error, hence the albedo's square.
+    Fitted to a scan over depths 0.1 to 32, albedos 0.003 to 1, 6 to 10 polynomials
+    (test_depth_resolved.py checks it at other points). Light scattered twice makes the error, hence
+    the albedo's square.
     """
     outer = layers.extinction * (fractions(n_panels)[0] * 8 / n_depths)
     # The second is what it takes to follow the beam itself where next to nothing scatters.
@@ -106,7 +113,8 @@ def solve(
 ):
     """Radiative transfer in the iris; see `Solution`.
 
-    The part of `reflectance` that is mirrored by the inner interfaces without scattering is not in the BRDF.
+    The part of `reflectance` that is mirrored by the inner interfaces without scattering is not in
+    the BRDF.
     """
     n, dtype = layers.indices, layers.extinction.dtype
     nodes = _nodes(layers, n_angles)

@@ -1,9 +1,9 @@
 """Small dense linear systems, many at a time.
 
-`jnp.linalg.solve` hands each matrix of a batch to LAPACK: 2 µs for a 16×16. Worse, on CPUs its kernel may wait
-for ever for the pool of threads that it runs on itself (jax 0.10.2, two cores; the same fault as in
-github.com/PyAutoLabs/PyAutoFit/issues/1530). Here all systems of a batch are eliminated together in plain
-JAX, the batch along the vector units.
+`jnp.linalg.solve` hands each matrix of a batch to LAPACK: 2 µs for a 16×16. Worse, on CPUs its
+kernel may wait for ever for the pool of threads that it runs on itself (jax 0.10.2, two cores; the
+same fault as in github.com/PyAutoLabs/PyAutoFit/issues/1530). Here all systems of a batch are
+eliminated together in plain JAX, the batch along the vector units.
 """
 
 import jax
@@ -17,8 +17,8 @@ _LARGEST = 32
 def solve(a: Float[Array, "n n"], b: Float[Array, "n *m"]) -> Float[Array, "n *m"]:
     """x with a x = b, without pivoting: every leading block of `a` must be well conditioned.
 
-    So it is for transport, I − ωK with K a contraction that light's reciprocity makes symmetric. `b` is a
-    vector or the columns of a matrix.
+    So it is for transport, I − ωK with K a contraction that light's reciprocity makes symmetric.
+    `b` is a vector or the columns of a matrix.
     """
     return jax.lax.custom_linear_solve(
         lambda x: a @ x,

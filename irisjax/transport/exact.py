@@ -1,8 +1,8 @@
 """Exact solver: integrates the process of `transport.process` over the cosine.
 
 Because a ray's direction is redrawn on entering a layer, a layer is known by the chance that a
-cosine-distributed entry leaves above or below. At each cosine the internal reflections are a geometric
-series; scattering in the stroma closes in a linear system of the phase function's rank.
+cosine-distributed entry leaves above or below. At each cosine the internal reflections are a
+geometric series; scattering in the stroma closes in a linear system of the phase function's rank.
 """
 
 from collections.abc import Callable
@@ -28,7 +28,9 @@ DIFFUSE = "diffuse"
 
 
 class Response(NamedTuple):
-    """Fate of unit power entering a layer with a cosine-distributed direction, one value a wavelength."""
+    """Fate of unit power entering a layer with a cosine-distributed direction, one value a
+    wavelength.
+    """
 
     reflected: Spectrum
     passed: Spectrum
@@ -40,9 +42,9 @@ class Exact(AbstractSolver):
 
     - `n_angles`: quadrature nodes a layer. 40: below 1e-10 relative; 28: 1e-8; 24: 3e-8; 16: 1e-5.
     - `n_depths`: polynomials in depth for depth-resolved transport (per panel).
-    - `n_panels`: depth panels for depth-resolved transport; `None` takes as many as the optical depth asks
-        for where it is known (1e-7), and one while tracing: enough for every iris of LB06; the status tells
-        where it is not (1e-6).
+    - `n_panels`: depth panels for depth-resolved transport; `None` takes as many as the optical
+        depth asks for where it is known (1e-7), and one while tracing: enough for every iris of
+        LB06; the status tells where it is not (1e-6).
     """
 
     n_angles: int = eqx.field(static=True, default=40)
@@ -111,7 +113,9 @@ def combine(
     cos_incidence,
     cos_exit,
 ) -> Solution:
-    """Put the layers together: light bounces between ABL and stroma until it leaves or is absorbed."""
+    """Put the layers together: light bounces between ABL and stroma until it leaves or is
+    absorbed.
+    """
     mirrored, entered = first_surface(cos_incidence, layers.indices, layers.extinction.dtype)
     # 1 − R_below R_stroma as a sum of losses, which does not cancel when little is lost.
     lost = (stroma.passed + stroma.absorbed) + stroma.reflected * (
@@ -178,7 +182,8 @@ def abl_responses(
         Response(
             reflected=r,
             passed=p,
-            # What is left out is guided: without pigment it never leaves, with the least it is absorbed.
+            # What is left out is guided: without pigment it never leaves, with the least it is
+            # absorbed.
             absorbed=a + rule.omitted,
         )
         for r, p, a in (solve(entry, t, lost, top, bottom), solve(entry, t, lost, bottom, top))
@@ -186,7 +191,9 @@ def abl_responses(
 
 
 def _specular_layer(entry, t, lost, near, far):
-    """Entry through `near`; a reflected ray keeps its cosine, so each node is a geometric series."""
+    """Entry through `near`; a reflected ray keeps its cosine,
+    so each node is a geometric series.
+    """
     (f_near, t_near), (f_far, t_far) = near, far
     # 1 − t² F F' without cancellation.
     escape = lost * (1 + t) + t * t * (t_near + f_near * t_far)
@@ -215,7 +222,9 @@ def _redrawn_layer(entry, t, lost, near, far):
 def stroma_response(
     layers: Layers, process: Process, n_angles: int
 ) -> tuple[Response, Bool[Array, ""]]:
-    """Response of the stroma to entry from the ABL  [LB06 Section 3.4, Eqs. 6, 7], and whether it converged."""
+    """Response of the stroma to entry from the ABL  [LB06 Section 3.4, Eqs. 6, 7], and whether it
+    converged.
+    """
     n, order = layers.indices, layers.order
     critical = jnp.stack(
         [critical_cosine_squared(n.stroma, n.abl), critical_cosine_squared(n.stroma, n.ipe)]
@@ -255,7 +264,8 @@ def stroma_response(
     guided = escape <= 0
     series = jnp.where(guided, 0.0, 1 / jnp.where(guided, 1.0, escape))
     series_t = series * t
-    # Events per unit entering, and per unit scattered into both senses of travel; the rest of those leaves.
+    # Events per unit entering, and per unit scattered into both senses of travel; the rest of those
+    # leaves.
     crossings = series + f_bottom * series_t
     first = entry * c * crossings
     if tested:
@@ -280,16 +290,18 @@ def stroma_response(
 def _scattered(process: Process, rule: CosineRule, first, again, rest, layers: Layers):
     """Sources of all orders of scattering, S = ω (½ Σ w f + K f) with events f = first + again·S.
 
-    `rest` is 1 − again/2, the share of scattered light that leaves without another event. The isotropic
-    part is summed by hand, its series 1/(1 − ω(1 − rest)) written as losses: light that can hardly leave
-    nor be absorbed is then still accounted for to the last digit.
+    `rest` is 1 − again/2, the share of scattered light that leaves without another event. The
+    isotropic part is summed by hand, its series 1/(1 − ω(1 − rest)) written as losses: light that
+    can hardly leave nor be absorbed is then still accounted for to the last digit.
 
-    Returns S (λ, n), the share of the light absorbed by the events (λ,), and whether a series converged.
+    Returns S (λ, n), the share of the light absorbed by the events (λ,), and whether a series
+    converged.
     """
     k, w = process.phase_function.redistribution(rule), rule.weight
     albedo, coalbedo = layers.albedo[:, None], layers.coalbedo
     if k.collect is None and process.rescatter == "to-interface":
-        # Between scatters a ray must be mirrored by an interface, so the orders fall off fast: sum them.
+        # Between scatters a ray must be mirrored by an interface, so the orders fall off fast: sum
+        # them.
         def operator(s):
             f = again * s
             return albedo * (0.5 * (f @ w)[:, None] + k.anisotropic(f))
@@ -319,7 +331,8 @@ def _scattered(process: Process, rule: CosineRule, first, again, rest, layers: L
     events = (first + again * b) @ w
     trapped = lost <= 0
     total = jnp.where(trapped, 0.0, events / jnp.where(trapped, 1.0, lost))
-    # Light that can neither leave nor be absorbed is counted as absorbed, the limit of least absorption.
+    # Light that can neither leave nor be absorbed is counted as absorbed, the limit of least
+    # absorption.
     return total[:, None] * a + b, jnp.where(trapped, events, coalbedo * total), jnp.asarray(True)
 
 

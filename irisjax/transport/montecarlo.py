@@ -1,7 +1,7 @@
 """Monte Carlo solver: samples the process of `transport.process`, and says how well.
 
-Photons are dealt to all devices JAX sees, in one process or several, by their index; integer counts do not
-depend on how.
+Photons are dealt to all devices JAX sees, in one process or several, by their index; integer counts
+do not depend on how.
 """
 
 import math
@@ -29,8 +29,8 @@ _LIMIT = 2**31 - 2**20  # counts are int32; lanes look a stride ahead
 
 
 class Counts(NamedTuple):
-    """Photons by fate: `fates` (wavelengths, 5) as in `analog.FATES`, `exits` (wavelengths, exits) or
-    `None`, and `photons` sent (wavelengths,). Counts of disjoint blocks of photons add."""
+    """Photons by fate: `fates` (wavelengths, 5) as in `analog.FATES`, `exits` (wavelengths, exits)
+    or `None`, and `photons` sent (wavelengths,). Counts of disjoint blocks of photons add."""
 
     fates: Int[Array, "wavelengths 5"]
     exits: Int[Array, "wavelengths exits"] | None
@@ -40,15 +40,16 @@ class Counts(NamedTuple):
 class MonteCarlo(AbstractSolver):
     """Sampling solver; needs a `key`.
 
-    - `n_photons`: photons a wavelength (`"analog"`) or paths shared by all wavelengths (else: rounded up to
-        16·2^k), up to 2.1e9 a call.
-    - `estimator`: `"analog"` follows LB06 event by event; `"weighted"` takes expected values in place of
-        absorption and Fresnel tests; `"quasi"` feeds that from a randomly shifted lattice. The last two
-        treat whole-layer processes that keep directions on reflection.
+    - `n_photons`: photons a wavelength (`"analog"`) or paths shared by all wavelengths (else:
+        rounded up to 16·2^k), up to 2.1e9 a call.
+    - `estimator`: `"analog"` follows LB06 event by event; `"weighted"` takes expected values in
+        place of absorption and Fresnel tests; `"quasi"` feeds that from a randomly shifted lattice.
+        The last two treat whole-layer processes that keep directions on reflection.
     - `lanes`: photons under way at once; a matter of speed and memory only (about 100 bytes each).
 
-    Arithmetic is float32 whatever the iris's precision; counts are integers. Where `rays` are given (the
-    illuminant's relative power), the photons at each wavelength follow them, at most `n_photons`.
+    Arithmetic is float32 whatever the iris's precision; counts are integers. Where `rays` are given
+    (the illuminant's relative power), the photons at each wavelength follow them, at most
+    `n_photons`.
     """
 
     n_photons: int = eqx.field(static=True)
@@ -70,7 +71,8 @@ class MonteCarlo(AbstractSolver):
         """Check that the estimator can treat the process."""
         if self.estimator != "analog" and (process.depth_resolved or process.perturb_on_reflection):
             raise ValueError(
-                f'estimator="{self.estimator}" treats whole-layer processes without perturb_on_reflection; '
+                f'estimator="{self.estimator}" treats whole-layer processes without '
+                "perturb_on_reflection; "
                 'use estimator="analog"'
             )
         return self
@@ -88,7 +90,8 @@ class MonteCarlo(AbstractSolver):
     ):
         """Transport of light from direction `cos_incidence` (or `DIFFUSE`); see `Solution`.
 
-        The BRDF is the average over cells of the cosine bounded half-way between the exits asked for.
+        The BRDF is the average over cells of the cosine bounded half-way between the exits asked
+        for.
         """
         if self.estimator == "analog":
             counts = self.count(
@@ -141,7 +144,9 @@ class MonteCarlo(AbstractSolver):
     def summarise(
         self, counts: Counts, layers: Layers, process: Process, cos_exit=None
     ) -> Solution:
-        """Shares and standard errors from counts; a count of none still has an error (Laplace's rule)."""
+        """Shares and standard errors from counts; a count of none still has an error (Laplace's
+        rule).
+        """
         dtype = layers.extinction.dtype
         n = counts.photons.astype(dtype)
         fates = counts.fates.astype(dtype)
@@ -197,7 +202,9 @@ def _binomial_error(count, n):
 
 
 def _cells(cos_exit):
-    """Lower and upper cosine round each exit, half-way to the nearest different ones, (exits, 2)."""
+    """Lower and upper cosine round each exit, half-way to the nearest different ones, (exits,
+    2).
+    """
     c = jnp.asarray(cos_exit)
     gap = c[None, :] - c[:, None]
     apart = jnp.abs(gap) > 1e-6
@@ -260,7 +267,8 @@ def _count(
     if len(devices) == 1:
         total = on_device(jnp.int32(0))
     else:
-        # All that a device needs to know is its place in the deal; every process ends with all counts.
+        # All that a device needs to know is its place in the deal; every process ends with all
+        # counts.
         total = jax.shard_map(
             lambda: jax.lax.psum(
                 on_device(jax.lax.axis_index("photons").astype(jnp.int32)), "photons"

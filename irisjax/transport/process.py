@@ -21,17 +21,19 @@ Transport = Literal["whole-layer", "depth-resolved"]
 class Process(eqx.Module):
     """Which rules a ray follows. All static: a process is compiled in, not computed with.
 
-    - `phase`: `"lb06"` samples the deflection as printed (no sin α); `"rayleigh"` samples Rayleigh's law.
-    - `rescatter`: after a scatter the ray goes straight `"to-interface"`, or is tested again over the whole
-        thickness (`"retest"`); a factor of two in the blue lies between them.
+    - `phase`: `"lb06"` samples the deflection as printed (no sin α); `"rayleigh"` samples
+        Rayleigh's law.
+    - `rescatter`: after a scatter the ray goes straight `"to-interface"`, or is tested again over
+        the whole thickness (`"retest"`); a factor of two in the blue lies between them.
     - `perturb_on_reflection`: whether a ray reflected inside a layer is redrawn as on entry.
-    - `scattering`: the stroma's coefficient as printed (`"lb06"`), or that of independent small spheres.
-    - `cornea`: whether light crosses tear film and cornea on its way in, or both ways; `None` leaves it to
-        the instrument (reflectance: none; radiance: inward).
+    - `scattering`: the stroma's coefficient as printed (`"lb06"`), or that of independent small
+        spheres.
+    - `cornea`: whether light crosses tear film and cornea on its way in, or both ways; `None`
+        leaves it to the instrument (reflectance: none; radiance: inward).
     - `first_surface`: whether rays mirrored by the iris's own surface count.
-    - `transport`: `"whole-layer"` is ILIT; `"depth-resolved"` is radiative transfer in the same layers
-        (free paths in depth, no redrawing of directions, Rayleigh's law), which makes the switches
-        `rescatter` and `perturb_on_reflection` meaningless.
+    - `transport`: `"whole-layer"` is ILIT; `"depth-resolved"` is radiative transfer in the same
+        layers (free paths in depth, no redrawing of directions, Rayleigh's law), which makes the
+        switches `rescatter` and `perturb_on_reflection` meaningless.
     """
 
     phase: Phase = eqx.field(static=True, default="lb06")
@@ -116,7 +118,7 @@ def survival(depth, cosine):
 def attenuation(depth, cosine):
     """Probability of an event in a layer, P = 1 − exp(−τ/μ)  [LB06 Eqs. 2, 3, 6].
 
-    Absorption in the ABL (Eq. 3), absorption or scattering in the stroma (Eq. 6). The event happens where
-    u ≤ P; the opposite sign printed after Eq. 3 would make the palest iris the darkest.
+    Absorption in the ABL (Eq. 3), absorption or scattering in the stroma (Eq. 6). The event happens
+    where u ≤ P; the opposite sign printed after Eq. 3 would make the palest iris the darkest.
     """
     return -jnp.expm1(-depth / cosine)

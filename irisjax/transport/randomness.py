@@ -7,7 +7,9 @@ _ROTATIONS = ((13, 15, 26, 6), (17, 29, 16, 24))
 
 
 def check_key(key) -> None:
-    """Raise `ValueError` unless `key` is a single new-style threefry key, `jax.random.key(seed)`."""
+    """Raise `ValueError` unless `key` is a single new-style threefry key,
+    `jax.random.key(seed)`.
+    """
     if key is None:
         raise ValueError("MonteCarlo needs a key: pass key=jax.random.key(seed)")
     if (
@@ -20,11 +22,12 @@ def check_key(key) -> None:
 
 
 def fold_in_words(k0, k1, count):
-    """The two words of `jax.random.key_data(jax.random.fold_in(key, count))` for the words of `key`.
+    """The two words of `jax.random.key_data(jax.random.fold_in(key, count))` for the words of
+    `key`.
 
-    The same bits as the public call (a test holds them equal), written out because JAX lowers threefry on
-    CPU to a loop over arrays in memory: 11 ns a block against 2.8 here, where it fuses with what uses it.
-    [Salmon et al. 2011]
+    The same bits as the public call (a test holds them equal), written out because JAX lowers
+    threefry on CPU to a loop over arrays in memory: 11 ns a block against 2.8 here, where it fuses
+    with what uses it. [Salmon et al. 2011]
     """
     schedule = (k0, k1, k0 ^ k1 ^ jnp.uint32(0x1BD11BDA))
     x0, x1 = k0, count + k1  # fold_in hashes (0, count)
@@ -40,12 +43,15 @@ def fold_in_words(k0, k1, count):
 def uniform(integers, count):
     """Centred uniform (integer + ½)/count: never 0 or 1, every point exact in float32.
 
-    `count` is a *traced* power of two on purpose: XLA on CPU copies cheap producers into every fusion that
-    uses them (all of threefry, twenty times over) but never a division. A literal costs a factor of three.
+    `count` is a *traced* power of two on purpose: XLA on CPU copies cheap producers into every
+    fusion that uses them (all of threefry, twenty times over) but never a division. A literal costs
+    a factor of three.
     """
     return (integers.astype(jnp.int32).astype(jnp.float32) + 0.5) / count
 
 
 def scales():
-    """The counts `uniform` divides by, to be handed to a jitted function as arguments: 2²³, 2¹⁸ and 1."""
+    """The counts `uniform` divides by, to be handed to a jitted function as arguments: 2²³, 2¹⁸ and
+    1.
+    """
     return tuple(jnp.float32(v) for v in (2**23, 2**18, 1))

@@ -1,7 +1,9 @@
-"""A slab's depth polynomials: what sources in it send to each other, to its ends, and back by their mirrors.
+"""A slab's depth polynomials: what sources in it send to each other, to its ends, and back by their
+mirrors.
 
-Radiances along one direction are in [0, 1] of the slab's depth a piecewise polynomial (Legendre's, a panel at
-a time) folded with exp(−xs), x = width/μ; all integrals are modified spherical Bessel functions of x/2.
+Radiances along one direction are in [0, 1] of the slab's depth a piecewise polynomial (Legendre's,
+a panel at a time) folded with exp(−xs), x = width/μ; all integrals are modified spherical Bessel
+functions of x/2.
 """
 
 from functools import lru_cache
@@ -30,8 +32,8 @@ class Ends(NamedTuple):
 class Bounded(NamedTuple):
     """The slab's depth polynomials along some directions, with the mirror images of its two ends.
 
-    `start` m_i = ∫φ_i e^{−xs} ds over a panel (panels, orders, angles); `emitted` x·m_i; `from_top`,
-    `from_bottom` the survival from the slab's end to the panel (panels, angles).
+    `start` m_i = ∫φ_i e^{−xs} ds over a panel (panels, orders, angles); `emitted` x·m_i;
+    `from_top`, `from_bottom` the survival from the slab's end to the panel (panels, angles).
     """
 
     start: jax.Array
@@ -81,7 +83,9 @@ class Slab:
         )
 
     def _sources(self, b: Bounded, parity: int):
-        """Radiance that unit sources φ_j make: leaving at the slab's ends, and re-entering from them."""
+        """Radiance that unit sources φ_j make: leaving at the slab's ends, and re-entering from
+        them.
+        """
         emitted = b.emitted[:, : self.n_depths]
         up = (parity * emitted * b.from_top[:, None]).reshape(-1, b.cosine.size)
         down = (emitted * self.sign[:, None] * b.from_bottom[:, None]).reshape(-1, b.cosine.size)
@@ -90,7 +94,9 @@ class Slab:
         return up, down, downward, upward
 
     def _tests(self, b: Bounded):
-        """Depth moments of radiance entering at the top and at the bottom, (panels·orders, angles)."""
+        """Depth moments of radiance entering at the top and at the bottom, (panels·orders,
+        angles).
+        """
         start = b.start[:, : self.n_depths] * self.norm[:, None]
         return (
             (start * b.from_top[:, None]).reshape(-1, b.cosine.size),
@@ -137,19 +143,25 @@ class Slab:
         return out.reshape(rank * panels * n, rank * panels * n)
 
     def driving(self, b: Bounded, weights, parity: int):
-        """Moments of beams of radiance `weights` (rank, beams) that enter at the top, (rank, panels·orders)."""
+        """Moments of beams of radiance `weights` (rank, beams) that enter at the top, (rank,
+        panels·orders).
+        """
         entering_top, entering_bottom = self._tests(b)
         downward = weights * b.series
         upward = parity * downward * b.through * b.floor
         return downward @ entering_top.T + upward @ entering_bottom.T
 
     def leaving_each(self, b: Bounded, parity: int):
-        """Radiance that each unit source sends to the top and to the bottom, (panels·orders, angles)."""
+        """Radiance that each unit source sends to the top and to the bottom, (panels·orders,
+        angles).
+        """
         up, down, downward, upward = self._sources(b, parity)
         return up + b.through * upward, down + b.through * downward
 
     def leaving(self, b: Bounded, source, parity: int):
-        """Radiance that sources (angles, panels·orders) send to the top and to the bottom, (angles,)."""
+        """Radiance that sources (angles, panels·orders) send to the top and to the bottom,
+        (angles,).
+        """
         top, bottom = self.leaving_each(b, parity)
         return (source.T * top).sum(0), (source.T * bottom).sum(0)
 
@@ -170,8 +182,9 @@ def fractions(n_panels: int) -> np.ndarray:
 def _legendre_moments(x, count: int):
     """m_k(x) = ∫₀¹ φ_k(s) e^{−xs} ds = (−1)^k e^{−x/2} i_k(x/2), shape (panels, count, angles).
 
-    Modified spherical Bessel functions by the recurrence that is stable: for thin panels downwards, on
-    j_k = (2k+1)!! i_k(z)/z^k, which neither over- nor underflows; for thick ones upwards. No divisions.
+    Modified spherical Bessel functions by the recurrence that is stable: for thin panels downwards,
+    on j_k = (2k+1)!! i_k(z)/z^k, which neither over- nor underflows; for thick ones upwards. No
+    divisions.
     """
     z = x / 2
     thick = z > 50.0

@@ -13,11 +13,18 @@ class RESULTS(eqx.Enumeration):
 
     successful = ""
     invalid_input = (
-        "a layer's optical depth is negative or not finite, or an index does not keep to the order of media "
+        "a layer's optical depth is negative or not finite, or an index does not keep to the order "
+        "of media "
         "the iris was made with"
     )
-    ill_conditioned = "the stroma scatters so often before it absorbs that this precision loses count; compute in float64"
-    under_resolved = "the stroma is optically too thick for the number of depth panels; give Exact(n_panels=...) a larger one"
+    ill_conditioned = (
+        "the stroma scatters so often before it absorbs that this precision "
+        "loses count; compute in float64"
+    )
+    under_resolved = (
+        "the stroma is optically too thick for the number of depth panels; "
+        "give Exact(n_panels=...) a larger one"
+    )
     not_converged = "the orders of scattering did not converge"
     outside_table = "an optical depth or index lies outside the range the table was built for"
 
@@ -37,12 +44,13 @@ class Absorbed(eqx.Module):
 class Solution(eqx.Module):
     """Where the light goes that falls on the iris from the aqueous humour.
 
-    Shares of the incident power, one value a wavelength: `reflectance` (what entered and came back),
-    `mirrored` (at the first surface), `absorbed`; they sum to one.
+    Shares of the incident power, one value a wavelength: `reflectance` (what entered and came
+    back), `mirrored` (at the first surface), `absorbed`; they sum to one.
 
     - `standard_error`: of `reflectance` plus `mirrored` where sampled, `None` where integrated.
-    - `brdf`: bidirectional reflectance distribution function (1/sr) without the mirrored part at the
-        requested exit directions, shape (wavelengths, exits), or `None`; `brdf_error` its standard error.
+    - `brdf`: bidirectional reflectance distribution function (1/sr) without the mirrored part at
+        the requested exit directions, shape (wavelengths, exits), or `None`; `brdf_error` its
+        standard error.
     - `result`: a `RESULTS` item.
     """
 
@@ -61,7 +69,9 @@ class Solution(eqx.Module):
 
 
 def throw(result: RESULTS) -> None:
-    """Raise `ValueError` with the reason if a concrete `result` is not successful; ignore a traced one."""
+    """Raise `ValueError` with the reason if a concrete `result` is not successful; ignore a traced
+    one.
+    """
     if isinstance(result._value, Tracer):
         return
     # Read the code itself: comparing enumerations would dispatch a computation for every call.

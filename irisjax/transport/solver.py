@@ -38,6 +38,7 @@ class AbstractSolver(eqx.Module):
     ) -> Solution:
         """Transport of light from direction `cos_incidence` in the aqueous humour, or `DIFFUSE`.
 
-        **Arguments:** `cos_exit`, `azimuth`: exit directions, shape (exits,), for the BRDF, or `None`;
-        `key`: for solvers that sample; `rays`: relative number of rays a wavelength for those.
+        **Arguments:** `cos_exit`, `azimuth`: exit directions, shape (exits,), for the BRDF, or
+        `None`; `key`: for solvers that sample; `rays`: relative number of rays a wavelength for
+        those.
         """

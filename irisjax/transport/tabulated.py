@@ -1,9 +1,10 @@
-"""Tabulated solver: the layer functions of one set of indices, computed once by `Exact`, then looked up.
+"""Tabulated solver: the layer functions of one set of indices, computed once by `Exact`, then
+looked up.
 
-With fixed indices ILIT's ABL is a function of one number, its optical depth, and the stroma of two, optical
-depth and albedo. Piecewise polynomials of degree 5 in ln(1 + τ/τ₀) and Chebyshev polynomials in the albedo
-hold them over every depth and albedo there is; the error is measured at points the tables were not made
-from, and reported.
+With fixed indices ILIT's ABL is a function of one number, its optical depth, and the stroma of two,
+optical depth and albedo. Piecewise polynomials of degree 5 in ln(1 + τ/τ₀) and Chebyshev
+polynomials in the albedo hold them over every depth and albedo there is; the error is measured at
+points the tables were not made from, and reported.
 """
 
 import math
@@ -31,8 +32,9 @@ _LARGEST = 40.0  # exp(−40) is below rounding: deeper layers are all alike
 class Tabulated(AbstractSolver):
     """Solver for many spectra of irides that share their refractive indices and process.
 
-    Make one with `Tabulated.build`. The tables hold for all optical depths and albedos; an iris with other
-    indices gives the status `outside_table`. Gradients flow to depths and pigments, not to indices.
+    Make one with `Tabulated.build`. The tables hold for all optical depths and albedos; an iris
+    with other indices gives the status `outside_table`. Gradients flow to depths and pigments, not
+    to indices.
 
     - `error`: largest absolute error of a layer function found at build time, off the nodes.
     """
@@ -55,8 +57,8 @@ class Tabulated(AbstractSolver):
     ) -> "Tabulated":
         """Tabulate for the indices of `iris` (default: LB06's) and check the tables.
 
-        **Raises:** `ValueError` if the process is depth-resolved, or if the error found exceeds `tolerance`
-        (in float32 the tolerance is at least 1e-6).
+        **Raises:** `ValueError` if the process is depth-resolved, or if the error found exceeds
+        `tolerance` (in float32 the tolerance is at least 1e-6).
         """
         if process.depth_resolved:
             raise ValueError(
@@ -115,7 +117,8 @@ class Tabulated(AbstractSolver):
             if getattr(process, name) != getattr(self.process, name):
                 raise ValueError(
                     f"the tables were built for {name}={getattr(self.process, name)!r}, "
-                    f"not {getattr(process, name)!r}; build others with Tabulated.build(iris, process)"
+                    f"not {getattr(process, name)!r}; build others with Tabulated.build(iris, "
+                    f"process)"
                 )
         return self
 
@@ -190,8 +193,9 @@ class Tabulated(AbstractSolver):
         return max(float(error(self, albedo)) for albedo in (0.0, 0.23, 0.71, 0.97, 1.0))
 
 
-# Values read a table number by number: whole rows would be copied out first, at three times the cost. Where slopes
-# are wanted too the copy serves all three, and compiles ten times faster than JAX's own derivative.
+# Values read a table number by number: whole rows would be copied out first, at three times the
+# cost. Where slopes are wanted too the copy serves all three, and compiles ten times faster than
+# JAX's own derivative.
 
 
 @eqx.filter_custom_jvp
@@ -240,8 +244,8 @@ def _surfaces_jvp(primals, tangents):
 
 
 def _reader(table, interval):
-    """The number at fixed further indices, in every interval. XLA's own gather: NumPy's indexing traces ten times
-    slower, and there are over a hundred."""
+    """The number at fixed further indices, in every interval. XLA's own gather: NumPy's indexing
+    traces ten times slower, and there are over a hundred."""
     flat, first = table.ravel(), interval * math.prod(table.shape[1:])
     numbers = jax.lax.GatherDimensionNumbers(
         offset_dims=(), collapsed_slice_dims=(0,), start_index_map=(0,)

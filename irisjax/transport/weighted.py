@@ -1,10 +1,10 @@
 """Weighted Monte Carlo: one path for all wavelengths, expected values wherever a rule allows.
 
-Absorption tests, Fresnel coins and each visit to the ABL are replaced by their expectations (inside the ABL
-a ray keeps its cosine, so its bounces are a geometric series). Only the way on inside the stroma is drawn,
-with one probability for all wavelengths and the ratios carried as weights; Russian roulette ends paths
-without bias, and nothing is truncated. The uniforms come from the path's key, or for the first dimensions
-from a randomly shifted lattice (quasi-Monte Carlo).
+Absorption tests, Fresnel coins and each visit to the ABL are replaced by their expectations (inside
+the ABL a ray keeps its cosine, so its bounces are a geometric series). Only the way on inside the
+stroma is drawn, with one probability for all wavelengths and the ratios carried as weights; Russian
+roulette ends paths without bias, and nothing is truncated. The uniforms come from the path's key,
+or for the first dimensions from a randomly shifted lattice (quasi-Monte Carlo).
 """
 
 from functools import partial
@@ -36,7 +36,8 @@ _LATTICE = (1, 182667, 469891, 498753, 110745, 446247, 250185, 118627, 245333, 2
 def run_paths(
     key, layers: Layers, process: Process, entering, scale, *, log2_paths: int, quasi: bool
 ):
-    """Shares of the light in each of `GROUPS` replicates of 2**log2_paths paths, the first surface left out.
+    """Shares of the light in each of `GROUPS` replicates of 2**log2_paths paths, the first surface
+    left out.
 
     **Returns:** shape (4, GROUPS, wavelengths): reflected, absorbed in ABL, stroma, IPE.
     """
@@ -61,7 +62,9 @@ def run_paths(
         return fresnel_at(cosine, here, ahead)[0]
 
     def visit_abl(cosine, near, far):
-        """Leaves at the far face, or back at the near one, or is absorbed; entering with `cosine`."""
+        """Leaves at the far face, or back at the near one, or is absorbed;
+        entering with `cosine`.
+        """
         t, lost = survival(depth_abl, cosine), attenuation(depth_abl, cosine)
         (f_near, t_near), (f_far, t_far) = (
             fresnel_at(cosine, n.abl, ahead) for ahead in (near, far)
@@ -119,8 +122,8 @@ def run_paths(
         )
         f_up = f_down = turned_share = jnp.ones_like(mu)
         if process.rescatter == "to-interface":
-            # The phase functions are even in the cosine: up and down are equally likely whatever came
-            # before, so take both; each goes straight to its interface.
+            # The phase functions are even in the cosine: up and down are equally likely whatever
+            # came before, so take both; each goes straight to its interface.
             f_up, f_down = mirror(new, n.stroma, n.abl), mirror(new, n.stroma, n.ipe)
             into_abl += 0.5 * scattering * (1 - f_up)
             into_ipe += 0.5 * scattering * (1 - f_down)

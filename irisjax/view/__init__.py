@@ -1,4 +1,6 @@
-"""The interactive viewer: what a change of settings costs (`Studio`), and the page that shows it (`serve`)."""
+"""The interactive viewer: what a change of settings costs (`Studio`), and the page that shows it
+(`serve`).
+"""
 
 from irisjax.view.server import check, serve
 from irisjax.view.studio import Settings, Studio

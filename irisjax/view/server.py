@@ -1,4 +1,6 @@
-"""The viewer's page, by viser: the eye in the viewport, sliders to the right, spectrum and colour to the left."""
+"""The viewer's page, by viser: the eye in the viewport, sliders to the right, spectrum and colour
+to the left.
+"""
 
 import contextlib
 import importlib.util
@@ -64,7 +66,8 @@ def serve(
     ready: Callable[[str], None] = lambda address: None,
     until: threading.Event | None = None,
 ) -> None:
-    """Serve the viewer until `until` is set, or Ctrl-C. `ready` is told the address; port 0 takes a free one.
+    """Serve the viewer until `until` is set, or Ctrl-C. `ready` is told the address; port 0 takes a
+    free one.
 
     **Raises:** `ValueError` without viser, and for a port in use.
     """
@@ -199,9 +202,8 @@ class _Page:
 
     def _say(self, *lines: str) -> None:
         self.status.content = (
-            '<div id="irisjax-status" style="padding:0.4em 0.9em;font-size:0.8em;opacity:0.8">'
-            + "<br>".join(lines)
-            + "</div>"
+            '<div id="irisjax-status" style="padding:0.4em 0.9em;'
+            'font-size:0.8em;opacity:0.8">' + "<br>".join(lines) + "</div>"
         )
 
     def _show(self, changes: dict[str, Any]) -> None:
@@ -237,7 +239,8 @@ class _Page:
         s = self.studio.settings
         self._say(
             f"{'draft' if draft else 'picture'} {width} × {height}: {1e3 * spent:.0f} ms",
-            f"camera {s.camera_polar:.0f}° off axis at {s.camera_azimuth:.0f}°, field {s.width:.1f} mm; "
+            f"camera {s.camera_polar:.0f}° off axis at {s.camera_azimuth:.0f}°, field "
+            f"{s.width:.1f} mm; "
             "drag to orbit, scroll to zoom",
             "single scattering"
             if (error := self.studio.error) is None
@@ -322,8 +325,11 @@ def _swatch(colour) -> str:
     lab = ", ".join(f"{v:.1f}" for v in np.asarray(colour.lab))
     clipped = "" if bool(colour.in_gamut) else " (clipped)"
     return (
-        '<div style="display:flex;gap:0.8em;padding:0.4em 0.9em;font-size:0.85em;align-items:center">'
-        f'<div style="width:4.5em;height:4.5em;border-radius:4px;background:rgb({red},{green},{blue})"></div>'
-        f"<div>iris under {colour.illuminant}<br>L*a*b* {lab}<br>sRGB {red}, {green}, {blue}{clipped}<br>"
+        '<div style="display:flex;gap:0.8em;padding:0.4em 0.9em;'
+        'font-size:0.85em;align-items:center">'
+        f'<div style="width:4.5em;height:4.5em;border-radius:4px;'
+        f'background:rgb({red},{green},{blue})"></div>'
+        f"<div>iris under {colour.illuminant}<br>L*a*b* {lab}<br>sRGB {red}, {green}, "
+        f"{blue}{clipped}<br>"
         f"#{red:02x}{green:02x}{blue:02x}</div></div>"
     )

@@ -1,4 +1,6 @@
-"""`Studio`: a scene under sliders. A change recomputes the stages whose inputs it touches, and no others."""
+"""`Studio`: a scene under sliders. A change recomputes the stages whose inputs it touches, and no
+others.
+"""
 
 import dataclasses
 import math
@@ -37,9 +39,10 @@ class Settings:
     """What can be changed; a scene's own values are where it starts.
 
     - `preset`, `environment`: a name, or `GIVEN` for the scene's own. `seed`: of a preset's maps.
-    - Concentrations as in `Iris`; `hemoglobin`: both forms together, mmol/l; `stroma`: thickness relative to the
-        iris's own, at equal concentrations. `pupil`: diameter, mm.
-    - `light_*`: of the first lamp, degrees; `strength`: factor on the environment; `exposure`: on the picture.
+    - Concentrations as in `Iris`; `hemoglobin`: both forms together, mmol/l; `stroma`: thickness
+        relative to the iris's own, at equal concentrations. `pupil`: diameter, mm.
+    - `light_*`: of the first lamp, degrees; `strength`: factor on the environment; `exposure`: on
+        the picture.
     - `camera_*`: degrees; `width` of the field, mm.
     """
 
@@ -116,7 +119,8 @@ class Studio:
         return ((GIVEN,) if self.settings.environment == GIVEN else ()) + tuple(ENVIRONMENTS)
 
     def update(self, *, draft: bool = False, **changes: Any) -> np.ndarray:
-        """The picture after some changes: sRGB, 8 bits, (height, width, 3); a `draft` has half of either side.
+        """The picture after some changes: sRGB, 8 bits, (height, width, 3); a `draft` has half of
+        either side.
 
         Another preset brings its own pigments. **Raises:** `ValueError` and keeps the old settings.
         """
@@ -171,7 +175,8 @@ class Studio:
 
         def make():
             scene = self._set(s, size)
-            # Neither what a camera sees of the iris plane nor what light does there depends on the pupil.
+            # Neither what a camera sees of the iris plane nor what light does there depends on the
+            # pupil.
             view = self._once(("view", draft), seen, lambda: look(scene.eye, scene.camera))
             grazing = self._once("grazing", lit, scene.grazing)
             tables = self._once(("tables", grazing), None, lambda: self._tables_of(scene))
@@ -204,7 +209,9 @@ class Studio:
         )
 
     def _set(self, s: Settings, size: tuple[int, int]) -> Scene:
-        """The scene but for the pigments: maps are relative to its iris, so a stage outlives other thicknesses."""
+        """The scene but for the pigments: maps are relative to its iris, so a stage outlives other
+        thicknesses.
+        """
         iris, maps = self._grown(s)
         base = self._base
         # The same objects for the same settings: by them `Memory` knows what has not changed.

@@ -6,7 +6,9 @@ from typing import Any
 
 
 class Newest(threading.Thread):
-    """One thread that works on whatever changed; values that were overtaken while it was busy are never computed."""
+    """One thread that works on whatever changed; values that were overtaken while it was busy are
+    never computed.
+    """
 
     def __init__(self, work: Callable[[dict[str, Any]], None]):
         super().__init__(daemon=True)
