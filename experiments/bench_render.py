@@ -15,6 +15,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from experiments.common import RESULTS, start, write
+from irisjax.grow.presets import preset
+from irisjax.grow.vessels import veins
 from irisjax.render.camera import look
 from irisjax.render.environment import Environment
 from irisjax.render.illumination import Illumination
@@ -22,8 +24,6 @@ from irisjax.render.lights import Lights
 from irisjax.render.memory import Memory
 from irisjax.render.scene import Scene, prepare, render
 from irisjax.render.single_scattering import SingleScattering
-from irisjax.render.vessels import veins
-from irisjax.tissue.procedural import preset
 
 TARGETS = {"pigments": 30, "thickness": 30, "2 lights": 10, "25 lights": 3, "camera, 2 lights": 10}
 """Frames per second that are wanted."""

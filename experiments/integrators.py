@@ -11,11 +11,11 @@ import numpy as np
 
 import irisjax as ij
 from experiments.common import RESULTS, start, write
+from irisjax.anatomy.eye import Eye
 from irisjax.measure.colour import OBSERVER, tristimulus_matrix
 from irisjax.render.bands import Bands
 from irisjax.render.separable import texel_layers
 from irisjax.render.single_scattering import Ground, Local, Rays, SingleScattering
-from irisjax.tissue.anatomy import Eye
 from irisjax.tissue.maps import Scales
 from irisjax.transport.solution import throw
 

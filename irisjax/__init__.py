@@ -7,6 +7,12 @@ import importlib
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from irisjax.anatomy.eye import Cornea as Cornea
+    from irisjax.anatomy.eye import Eye as Eye
+    from irisjax.anatomy.eye import Sclera as Sclera
+    from irisjax.grow.presets import preset as preset
+    from irisjax.grow.procedural import procedural as procedural
+    from irisjax.grow.vessels import veins as veins
     from irisjax.infer.fit import fit as fit
     from irisjax.infer.identifiability import information as information
     from irisjax.infer.noise import Noise as Noise
@@ -37,19 +43,14 @@ if TYPE_CHECKING:
     from irisjax.render.scene import Scene as Scene
     from irisjax.render.scene import prepare as prepare
     from irisjax.render.separable import Separable as Separable
-    from irisjax.render.vessels import veins as veins
-    from irisjax.tissue.anatomy import Cornea as Cornea
-    from irisjax.tissue.anatomy import Eye as Eye
-    from irisjax.tissue.anatomy import Sclera as Sclera
     from irisjax.tissue.indices import RefractiveIndices as RefractiveIndices
     from irisjax.tissue.iris import Iris as Iris
     from irisjax.tissue.layers import Layers as Layers
     from irisjax.tissue.maps import IrisMaps as IrisMaps
     from irisjax.tissue.pigments import extinction as extinction
-    from irisjax.tissue.procedural import preset as preset
-    from irisjax.tissue.procedural import procedural as procedural
-    from irisjax.transport.exact import DIFFUSE as DIFFUSE
-    from irisjax.transport.exact import Exact as Exact
+    from irisjax.transport.ilit.exact import DIFFUSE as DIFFUSE
+    from irisjax.transport.ilit.exact import Exact as Exact
+    from irisjax.transport.ilit.tabulated import Tabulated as Tabulated
     from irisjax.transport.montecarlo import MonteCarlo as MonteCarlo
     from irisjax.transport.process import DEPTH_RESOLVED as DEPTH_RESOLVED
     from irisjax.transport.process import ILIT_2006 as ILIT_2006
@@ -57,7 +58,6 @@ if TYPE_CHECKING:
     from irisjax.transport.process import Process as Process
     from irisjax.transport.solution import RESULTS as RESULTS
     from irisjax.transport.solution import Solution as Solution
-    from irisjax.transport.tabulated import Tabulated as Tabulated
 
 # All loads when it is first used: a spectrum needs neither optimistix nor emcee nor the renderer.
 _HOMES = {
@@ -80,22 +80,37 @@ _HOMES = {
     "render.memory": ("Memory",),
     "render.scene": ("Scene", "prepare"),
     "render.separable": ("Separable",),
-    "render.vessels": ("veins",),
-    "tissue.anatomy": ("Cornea", "Eye", "Sclera"),
+    "grow.vessels": ("veins",),
+    "anatomy.eye": ("Cornea", "Eye", "Sclera"),
     "tissue.indices": ("RefractiveIndices",),
     "tissue.iris": ("Iris",),
     "tissue.layers": ("Layers",),
     "tissue.maps": ("IrisMaps",),
     "tissue.pigments": ("extinction",),
-    "tissue.procedural": ("preset", "procedural"),
-    "transport.exact": ("DIFFUSE", "Exact"),
+    "grow.presets": ("preset",),
+    "grow.procedural": ("procedural",),
+    "transport.ilit.exact": ("DIFFUSE", "Exact"),
     "transport.montecarlo": ("MonteCarlo",),
     "transport.process": ("DEPTH_RESOLVED", "ILIT_2006", "ILIT_CORRECTED", "Process"),
     "transport.solution": ("RESULTS", "Solution"),
-    "transport.tabulated": ("Tabulated",),
+    "transport.ilit.tabulated": ("Tabulated",),
 }
 _HOME = {name: home for home, names in _HOMES.items() for name in names}
-_PARTS = ("infer", "io", "measure", "optics", "plot", "render", "tissue", "transport", "view")
+_PARTS = (
+    "anatomy",
+    "export",
+    "grow",
+    "infer",
+    "io",
+    "measure",
+    "numerics",
+    "optics",
+    "plot",
+    "render",
+    "tissue",
+    "transport",
+    "view",
+)
 
 
 def __getattr__(name: str):

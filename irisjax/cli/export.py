@@ -8,9 +8,9 @@ import numpy as np
 import typer
 
 from irisjax.cli.render import changed, scene_file
-from irisjax.io.handover import CONE, check_folder
-from irisjax.io.handover import export as write
-from irisjax.tissue.procedural import PRESETS
+from irisjax.export.handover import CONE, check_folder
+from irisjax.export.handover import export as write
+from irisjax.grow.presets import PRESETS
 
 
 def export(

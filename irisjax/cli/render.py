@@ -17,6 +17,7 @@ from irisjax.cli.animate import CHANGES, sheet
 from irisjax.cli.animate import frames as _frames
 from irisjax.cli.cache import kept_tables
 from irisjax.cli.options import grid, number
+from irisjax.grow.presets import PRESETS
 from irisjax.io.scenes import SceneFile, parse_scene, read_scene
 from irisjax.measure.colour import srgb_encode
 from irisjax.render import scene as staging
@@ -24,7 +25,6 @@ from irisjax.render.lights import Lights
 from irisjax.render.separable import Separable
 from irisjax.render.single_scattering import SingleScattering
 from irisjax.render.tiles import bands
-from irisjax.tissue.procedural import PRESETS
 
 _INTEGRATORS: dict[str, type[Separable] | type[SingleScattering]] = {
     "separable": Separable,

@@ -8,7 +8,7 @@ import typer
 
 from irisjax.cli.cache import kept_tables
 from irisjax.cli.render import changed, scene_file
-from irisjax.tissue.procedural import PRESETS
+from irisjax.grow.presets import PRESETS
 from irisjax.view import Studio, check, serve
 
 

@@ -14,9 +14,10 @@ import optimistix as optx
 from jaxtyping import Array, Float, Int
 
 from irisjax._types import PRNGKey
-from irisjax.infer.pieces import elements, in_pieces
+from irisjax.infer.pieces import elements
 from irisjax.infer.problem import Problem
-from irisjax.transport import elimination
+from irisjax.numerics import linear as elimination
+from irisjax.numerics.portions import in_pieces
 
 
 class Normal(lx.AbstractLinearSolver):

@@ -5,7 +5,6 @@ wavelength.
 from typing import Any
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.scipy.special import gammaln
@@ -13,6 +12,7 @@ from jaxtyping import Array, Float
 
 from irisjax._types import Scalar
 from irisjax.infer.observation import Observation
+from irisjax.numerics.cholesky import cholesky, whitened
 
 _LOG_2PI = float(np.log(2 * np.pi))
 
@@ -62,15 +62,15 @@ class Noise(eqx.Module):
         before it.
         """
         if observation.covariance_root is not None:
-            white, log_sd = _whitened(
+            white, log_sd = whitened(
                 observation.covariance_root * factor, observation.values - model
             )
             return _normal(white, log_sd)
         sd = self.sd(observation, model, factor)
         residual = observation.values - model
         if self.discrepancy is not None:
-            root = _cholesky(jnp.diag(sd * sd) + self._smooth(observation, model))
-            return _normal(*_whitened(root, residual))
+            root = cholesky(jnp.diag(sd * sd) + self._smooth(observation, model))
+            return _normal(*whitened(root, residual))
         if self.degrees_of_freedom is not None:
             return _student(residual / sd, jnp.log(sd), self.degrees_of_freedom)
         return _normal(residual / sd, jnp.log(sd))
@@ -83,12 +83,12 @@ class Noise(eqx.Module):
         """
         residual = observation.values - model
         if observation.covariance_root is not None:
-            return _whitened(observation.covariance_root * factor, residual)[0]
+            return whitened(observation.covariance_root * factor, residual)[0]
         sd = self.sd(observation, observation.values, factor)
         if self.discrepancy is None:
             return residual / sd
-        return _whitened(
-            _cholesky(jnp.diag(sd * sd) + self._smooth(observation, observation.values)), residual
+        return whitened(
+            cholesky(jnp.diag(sd * sd) + self._smooth(observation, observation.values)), residual
         )[0]
 
     def draw(self, observation: Observation, model, factor, normal, chi_square=None):
@@ -99,7 +99,7 @@ class Noise(eqx.Module):
             return model + factor * observation.covariance_root @ normal
         sd = self.sd(observation, model, factor)
         if self.discrepancy is not None:
-            return model + _cholesky(jnp.diag(sd * sd) + self._smooth(observation, model)) @ normal
+            return model + cholesky(jnp.diag(sd * sd) + self._smooth(observation, model)) @ normal
         if self.degrees_of_freedom is not None and chi_square is not None:
             normal = normal / jnp.sqrt(chi_square / self.degrees_of_freedom)
         return model + sd * normal
@@ -119,74 +119,3 @@ def _student(white, log_sd, nu):
         gammaln((nu + 1) / 2) - gammaln(nu / 2) - 0.5 * jnp.log(nu * jnp.pi)
         - (nu + 1) / 2 * jnp.log1p(white * white / nu) - log_sd
     )  # fmt: skip
-
-
-# Roots in plain JAX: batches of small LAPACK calls wait for each other on few cores (see
-# `elimination`). In blocks, so that most of the work is products of matrices (a twentieth of the
-# time at 300 wavelengths); blocks in a loop, so that it compiles fast.
-_BLOCK = 16
-
-
-def _whitened(root, residual):
-    """Root⁻¹ residual, and the logarithms of the diagonal."""
-    n = residual.shape[0]
-    if n <= _BLOCK:
-        return _forward(root, residual), jnp.log(jnp.diag(root))
-    padded = _padded(root)
-    right = jnp.zeros(padded.shape[0], residual.dtype).at[:n].set(residual)
-
-    def step(k, white):
-        rows = jax.lax.dynamic_slice_in_dim(padded, k * _BLOCK, _BLOCK)
-        corner = jax.lax.dynamic_slice_in_dim(rows, k * _BLOCK, _BLOCK, 1)
-        rest = jax.lax.dynamic_slice_in_dim(right, k * _BLOCK, _BLOCK) - rows @ white
-        return jax.lax.dynamic_update_slice_in_dim(white, _forward(corner, rest), k * _BLOCK, 0)
-
-    white = jax.lax.fori_loop(0, right.size // _BLOCK, step, jnp.zeros_like(right))
-    return white[:n], jnp.log(jnp.diag(root))
-
-
-def _cholesky(a):
-    """Lower root of a positive definite matrix."""
-    n = a.shape[0]
-    if n <= _BLOCK:
-        return _small_cholesky(a)
-    padded = _padded(a)
-    places = jnp.arange(padded.shape[0])[:, None]
-
-    def step(k, root):
-        rows = jax.lax.dynamic_slice_in_dim(root, k * _BLOCK, _BLOCK)
-        columns = jax.lax.dynamic_slice_in_dim(padded, k * _BLOCK, _BLOCK, 1) - root @ rows.T
-        corner = _small_cholesky(jax.lax.dynamic_slice_in_dim(columns, k * _BLOCK, _BLOCK))
-        columns = jnp.where(places < k * _BLOCK, 0.0, _forward(corner, columns.T).T)
-        return jax.lax.dynamic_update_slice_in_dim(root, columns, k * _BLOCK, 1)
-
-    return jnp.tril(jax.lax.fori_loop(0, places.size // _BLOCK, step, jnp.zeros_like(padded)))[
-        :n, :n
-    ]
-
-
-def _padded(a):
-    """With ones added to the diagonal, to whole blocks."""
-    n = a.shape[0]
-    return jnp.eye(-(-n // _BLOCK) * _BLOCK, dtype=a.dtype).at[:n, :n].set(a)
-
-
-def _forward(root, b):
-    """Root⁻¹ b of a small root, row by row."""
-
-    def step(i, x):
-        return x.at[i].set((b[i] - root[i] @ x) / root[i, i])
-
-    return jax.lax.fori_loop(0, b.shape[0], step, jnp.zeros_like(b))
-
-
-def _small_cholesky(a):
-    """Column by column."""
-    rows = jnp.arange(a.shape[0])
-
-    def step(k, carry):
-        rest, root = carry
-        column = jnp.where(rows >= k, rest[:, k], 0.0) / jnp.sqrt(rest[k, k])
-        return rest - column[:, None] * column, root.at[:, k].set(column)
-
-    return jax.lax.fori_loop(0, a.shape[0], step, (a, jnp.zeros_like(a)))[1]

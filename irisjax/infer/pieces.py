@@ -8,10 +8,7 @@ import jax
 import jax.numpy as jnp
 
 from irisjax.infer.problem import Problem
-
-# Half a megabyte an array. With 10,000 wavelengths and 64 walkers twice as fast as everything at
-# once, with a hundredth of the memory; up to 1,000 wavelengths they are one piece.
-_ELEMENTS = 1 << 16
+from irisjax.numerics.portions import in_pieces
 
 
 def elements(problem: Problem) -> int:
@@ -19,17 +16,6 @@ def elements(problem: Problem) -> int:
     sizes = [max(o.wavelengths.size, o.values.shape[-1]) for o in problem.observations]
     # A correlated error takes a matrix.
     return max(sizes) ** 2 if problem.noise.discrepancy is not None else sum(sizes)
-
-
-def in_pieces(function, arguments, elements: int):
-    """`jax.vmap(function)(arguments)`, so many at a time as make arrays of `_ELEMENTS` numbers."""
-    count = jax.tree.leaves(arguments)[0].shape[0]
-    size = max(1, _ELEMENTS // elements)
-    if size >= count:
-        return jax.vmap(lambda x: function(x))(
-            arguments
-        )  # JAX cannot hash bound methods of modules
-    return jax.lax.map(function, arguments, batch_size=size)
 
 
 def density(problem: Problem):

@@ -18,11 +18,11 @@ from irisjax.measure.measurement import layers_of, prepared, through_cornea
 from irisjax.tissue.iris import Iris
 from irisjax.tissue.layers import Layers
 from irisjax.tissue.pigments import Extinction, extinction
-from irisjax.transport.exact import DIFFUSE, Exact
+from irisjax.transport.ilit.exact import DIFFUSE, Exact
+from irisjax.transport.ilit.tabulated import Tabulated
 from irisjax.transport.process import ILIT_2006, Process
 from irisjax.transport.solution import RESULTS
 from irisjax.transport.solver import AbstractSolver
-from irisjax.transport.tabulated import Tabulated
 
 _MOST_CORRELATED = 1000  # hours of sampling as it is
 

@@ -17,7 +17,6 @@ from irisjax.io.tables import write_atomically as write_atomically
 from irisjax.io.tables import write_together as write_together
 
 if TYPE_CHECKING:
-    from irisjax.io.handover import export as export
     from irisjax.io.illumination import tables_of as tables_of
     from irisjax.io.images import Image as Image
     from irisjax.io.images import read_environment as read_environment
@@ -27,8 +26,6 @@ if TYPE_CHECKING:
     from irisjax.io.images import write_png as write_png
     from irisjax.io.maps import read_maps as read_maps
     from irisjax.io.maps import write_maps as write_maps
-    from irisjax.io.mesh import eye_meshes as eye_meshes
-    from irisjax.io.mesh import write_eye as write_eye
     from irisjax.io.movies import check_movie as check_movie
     from irisjax.io.movies import write_movie as write_movie
     from irisjax.io.posterior import predictive_score as predictive_score
@@ -40,7 +37,6 @@ if TYPE_CHECKING:
 # Spectra need none of these: they load when first used.
 _LATER = {
     "illumination": ("tables_of",),
-    "handover": ("export",),
     "images": (
         "Image",
         "read_environment",
@@ -50,7 +46,6 @@ _LATER = {
         "write_png",
     ),
     "maps": ("read_maps", "write_maps"),
-    "mesh": ("eye_meshes", "write_eye"),
     "movies": ("check_movie", "write_movie"),
     "posterior": ("predictive_score", "write_posterior"),
     "scenes": ("SceneFile", "parse_scene", "read_scene"),

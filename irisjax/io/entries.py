@@ -5,9 +5,9 @@ import re
 from collections.abc import Callable
 from typing import Any
 
+from irisjax.grow.presets import PRESETS
 from irisjax.measure.colour import illuminant_power
 from irisjax.tissue.iris import LIMITS
-from irisjax.tissue.procedural import PRESETS
 
 _LEVELS = ("low", "moderate", "high")
 

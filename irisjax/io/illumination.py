@@ -19,11 +19,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-import irisjax
+from irisjax.anatomy.eye import Eye
 from irisjax.io.tables import write_atomically
 from irisjax.render.illumination import Illumination, deciding
 from irisjax.render.scene import Scene
-from irisjax.tissue.anatomy import Eye
 
 MOST = 8
 """Files a folder keeps (up to 39 MB each); those not used for longest go first."""
@@ -80,8 +79,8 @@ def _code() -> str:
     change.
     """
     digest = hashlib.sha256()
-    for place in ("optics", "tissue", "render"):
-        for path in sorted(Path(irisjax.__path__[0], place).glob("*.py")):
+    for place in ("numerics", "optics", "tissue", "anatomy", "render"):
+        for path in sorted(Path(__file__).parent.parent.joinpath(place).glob("*.py")):
             digest.update(path.name.encode() + path.read_bytes())
     return digest.hexdigest()
 

@@ -11,6 +11,10 @@ import jax
 import jax.numpy as jnp
 
 from irisjax._types import PRNGKey
+from irisjax.anatomy.eye import Cornea, Eye, Sclera
+from irisjax.grow.presets import preset
+from irisjax.grow.procedural import procedural
+from irisjax.grow.vessels import veins
 from irisjax.io.entries import FEATURES, SECTIONS, line_of
 from irisjax.io.images import read_environment
 from irisjax.io.maps import read_maps
@@ -18,11 +22,8 @@ from irisjax.render.camera import Camera
 from irisjax.render.environment import Environment
 from irisjax.render.lights import Lights
 from irisjax.render.scene import Scene
-from irisjax.render.vessels import veins
-from irisjax.tissue.anatomy import Cornea, Eye, Sclera
 from irisjax.tissue.iris import Iris
 from irisjax.tissue.maps import IrisMaps
-from irisjax.tissue.procedural import preset, procedural
 
 
 class SceneError(ValueError):

@@ -14,7 +14,7 @@ from irisjax.measure.measurement import check_wavelengths
 from irisjax.measure.measurement import wavelengths as grid
 from irisjax.measure.spectrophotometer import reflectance
 from irisjax.tissue.iris import Iris
-from irisjax.transport.exact import Exact
+from irisjax.transport.ilit.exact import Exact
 from irisjax.transport.process import ILIT_2006, Process
 from irisjax.transport.solution import RESULTS
 from irisjax.transport.solver import AbstractSolver

@@ -9,7 +9,7 @@ from irisjax._types import PRNGKey, Spectrum
 from irisjax.measure.measurement import check_cosine, check_wavelengths, layers_of, prepared
 from irisjax.tissue.iris import Iris
 from irisjax.tissue.pigments import extinction
-from irisjax.transport.exact import Exact
+from irisjax.transport.ilit.exact import Exact
 from irisjax.transport.process import ILIT_2006, Process
 from irisjax.transport.solution import RESULTS, throw
 from irisjax.transport.solver import AbstractSolver

@@ -10,11 +10,11 @@ from jax.core import Tracer
 from jaxtyping import Array, Float
 
 from irisjax._types import Spectrum
-from irisjax.tissue import eye
+from irisjax.anatomy import media as eye
 from irisjax.tissue.iris import Iris
 from irisjax.tissue.layers import Layers
 from irisjax.tissue.pigments import Extinction
-from irisjax.transport.exact import DIFFUSE
+from irisjax.transport.ilit.exact import DIFFUSE
 from irisjax.transport.process import Process
 from irisjax.transport.solution import RESULTS, Absorbed
 from irisjax.transport.solver import AbstractSolver

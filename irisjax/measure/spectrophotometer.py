@@ -19,7 +19,7 @@ from irisjax.measure.measurement import (
 )
 from irisjax.tissue.iris import Iris
 from irisjax.tissue.pigments import extinction
-from irisjax.transport.exact import DIFFUSE, Exact
+from irisjax.transport.ilit.exact import DIFFUSE, Exact
 from irisjax.transport.process import ILIT_2006, Process
 from irisjax.transport.solution import Absorbed, throw
 from irisjax.transport.solver import AbstractSolver

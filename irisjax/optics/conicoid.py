@@ -18,7 +18,8 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from irisjax._types import Scalar, as_float
-from irisjax.optics.fresnel import fresnel, safe_sqrt
+from irisjax.numerics.roots import safe_sqrt
+from irisjax.optics.fresnel import fresnel
 
 Vector = Float[Array, "*s 3"]
 Parts = tuple[Float[Array, "*s"], ...]

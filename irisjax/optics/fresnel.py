@@ -7,11 +7,8 @@ Conventions: cosines are those of the angle to the interface normal, in [0, 1]; 
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-
-def safe_sqrt(x: Float[Array, "*s"]) -> Float[Array, "*s"]:
-    """√max(x, 0) whose gradient is 0, not infinite, where x ≤ 0."""
-    positive = x > 0
-    return jnp.where(positive, jnp.sqrt(jnp.where(positive, x, 1.0)), 0.0)
+from irisjax.numerics.quadrature import CosineRule
+from irisjax.numerics.roots import safe_sqrt
 
 
 def critical_cosine_squared(n_in, n_out):
@@ -60,3 +57,10 @@ def fresnel(cos_in: Float[Array, "*s"], cos_out: Float[Array, "*s"], n_in, n_out
 def fresnel_at(cos_in: Float[Array, "*s"], n_in, n_out):
     """`fresnel` with the refracted cosine worked out by Snell's law; returns `(F, 1 - F)`."""
     return fresnel(cos_in, refract(cos_in, n_in, n_out), n_in, n_out)
+
+
+def refracted(rule: CosineRule, k: int, n_in, n_out) -> Float[Array, " n"]:
+    """Cosines of the rule's nodes after refraction at interface `k`,
+    0 where it reflects totally.
+    """
+    return n_in / n_out * safe_sqrt(rule.excess[k])

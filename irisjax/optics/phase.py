@@ -15,7 +15,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from irisjax.optics.quadrature import CosineRule, gauss_legendre, graded, interpolation
+from irisjax.numerics.interpolation import horner
+from irisjax.numerics.quadrature import CosineRule, gauss_legendre, graded, interpolation
 
 
 class Redistribution(eqx.Module):
@@ -68,14 +69,6 @@ _PER_ANGLE_INVERSE = (
     (2.35618496, 29.65395127, 73.73855077, 14.28983691, -7.68017775),
     (1.0, 15.36027524, 56.28493536, 41.3255323, -1.61242091),
 )
-
-
-def horner(t, coefficients):
-    """Polynomial in `t`, lowest power first."""
-    out = jnp.full_like(t, coefficients[-1])
-    for c in coefficients[-2::-1]:
-        out = out * t + c
-    return out
 
 
 class Rayleigh(AbstractPhase):

@@ -13,9 +13,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from irisjax.numerics.portions import in_chunks
 from irisjax.optics.fresnel import fresnel_at
 from irisjax.render.bands import Bands
-from irisjax.render.chunks import in_chunks
 from irisjax.render.separable import Response, Separable
 from irisjax.tissue.iris import Iris
 from irisjax.tissue.maps import IrisMaps, Scales, cell_centres

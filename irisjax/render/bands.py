@@ -14,8 +14,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from irisjax.anatomy.eye import Cornea
 from irisjax.measure.colour import OBSERVER, illuminant_power, tristimulus_matrix
-from irisjax.tissue.anatomy import Cornea
 
 GRID = 380 + 5.0 * np.arange(81)
 """Wavelengths (nm) that the bands stand for."""

@@ -10,6 +10,12 @@ from jax.core import Tracer
 from jaxtyping import Array, Bool, Float, Int
 
 from irisjax._types import Scalar, as_float
+from irisjax.anatomy.eye import Eye
+from irisjax.anatomy.media import TEAR
+from irisjax.anatomy.sclera import meet_sclera, sphere
+from irisjax.numerics.interpolation import smoothstep
+from irisjax.numerics.portions import pixelwise
+from irisjax.numerics.roots import safe_sqrt
 from irisjax.optics.conicoid import (
     Parts,
     Vector,
@@ -22,13 +28,7 @@ from irisjax.optics.conicoid import (
     reflect_vector,
     refract_vector,
 )
-from irisjax.optics.fresnel import safe_sqrt
-from irisjax.render.chunks import pixelwise
 from irisjax.render.refraction import enter
-from irisjax.render.sclera import meet_sclera, sphere
-from irisjax.tissue.anatomy import Eye
-from irisjax.tissue.eye import TEAR
-from irisjax.tissue.noise import step
 
 BLEND = 0.5
 """Half the width over which iris and sclera blend at the limbus, mm  [F09 Section 6.5: about 1 mm
@@ -261,7 +261,7 @@ class _Surface(NamedTuple):
         normal = choose(on_cornea, normal, sphere(eye).normal(globe))
         behind = point[:, 2] > sphere(eye).apex + sphere(eye).radius
         blend = jnp.where(
-            behind, 1.0, step((from_axis(point) - eye.limbus_radius) / (2 * BLEND) + 0.5)
+            behind, 1.0, smoothstep((from_axis(point) - eye.limbus_radius) / (2 * BLEND) + 0.5)
         )
         return cls(front, shown, point, normal, blend, on_cornea | on_globe)
 

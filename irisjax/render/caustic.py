@@ -16,9 +16,9 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from irisjax.anatomy.eye import Eye
 from irisjax.optics.conicoid import dot
 from irisjax.render.refraction import Landing, cross, into_chamber, on_cornea, window
-from irisjax.tissue.anatomy import Eye
 
 _CHUNK = 1 << 14  # rays traced together: their intermediates stay in the cache
 

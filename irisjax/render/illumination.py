@@ -11,8 +11,10 @@ from jax.scipy.ndimage import map_coordinates
 from jaxtyping import Array, Float
 
 from irisjax._types import Scalar
+from irisjax.anatomy.eye import Eye
+from irisjax.numerics.interpolation import trilinear
+from irisjax.numerics.roots import safe_sqrt
 from irisjax.optics.conicoid import Vector, norm
-from irisjax.optics.fresnel import safe_sqrt
 from irisjax.render.caustic import Grid, gathered
 from irisjax.render.refraction import (
     LARGEST_POLAR,
@@ -21,10 +23,8 @@ from irisjax.render.refraction import (
     arrive,
     enter,
     on_cornea,
-    trilinear,
     window,
 )
-from irisjax.tissue.anatomy import Eye
 
 _SPACING, _FINE = (
     0.05,

@@ -6,12 +6,12 @@ from typing import Any
 import equinox as eqx
 from jaxtyping import Array, Float
 
+from irisjax.anatomy.eye import Eye
 from irisjax.render.bands import Bands
 from irisjax.render.camera import IrisPixels
 from irisjax.render.illumination import Illumination
 from irisjax.render.lights import Lights
 from irisjax.render.memory import Memory
-from irisjax.tissue.anatomy import Eye
 from irisjax.tissue.iris import Iris
 from irisjax.tissue.maps import IrisMaps, Scales
 from irisjax.transport.process import Process

@@ -12,9 +12,10 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from irisjax.anatomy.eye import Cornea, Eye
+from irisjax.numerics.interpolation import smoothstep, trilinear
+from irisjax.numerics.roots import solve_2x2
 from irisjax.optics.conicoid import Vector, along, dot, norm, refract_vector
-from irisjax.tissue.anatomy import Cornea, Eye
-from irisjax.tissue.noise import step
 
 LARGEST_POLAR = 2.25
 """Polar angle (radians) beyond which no light worth counting enters a cornea that ends at the
@@ -113,7 +114,7 @@ def arrive(
 
     def newton(k, _):
         value, slope = landing(k).point[:2], jax.jacfwd(lambda k: landing(k).point[:2])(k)
-        move = -_solve(slope, value - target)
+        move = -solve_2x2(slope, value - target)
         size = norm(move)
         k = k + move * jnp.minimum(1.0, 1.0 / jnp.where(size > 0, size, 1.0))  # at most 1 mm
         r = norm(k)
@@ -149,7 +150,7 @@ def window(eye: Eye, entry: Float[Array, "*s 2"], soft: float = 0.15) -> Float[A
     """1 where the entry lies on the cornea, 0 beyond the limbus, soft (± mm) between: the limbus is
     no edge.
     """
-    return step(0.5 + (eye.limbus_radius - norm(entry)) / (2 * soft))
+    return smoothstep(0.5 + (eye.limbus_radius - norm(entry)) / (2 * soft))
 
 
 class RefractionFunction(eqx.Module):
@@ -217,34 +218,3 @@ class RefractionFunction(eqx.Module):
             ..., None
         ]  # the last angle itself, whatever its rounding
         return Arrival(entry, jnp.where(lit, flux, 0.0))
-
-
-def trilinear(table, position):
-    """Linear interpolation at fractional indices, held at the ends."""
-    flat = table.reshape(-1, table.shape[-1])
-    index, weight = [], []
-    for x, n in zip(position, table.shape, strict=False):
-        x = jnp.clip(x, 0, n - 1)
-        i = jnp.minimum(jnp.floor(x), n - 2)
-        index.append(jnp.asarray(i, jnp.int32))
-        weight.append((x - i)[..., None])
-    (i, j, k), (u, v, w) = index, weight
-    _, n_j, n_k = table.shape[:3]
-
-    def row(a, b):
-        base = ((i + a) * n_j + (j + b)) * n_k + k
-        low = flat.at[base].get(mode="promise_in_bounds")
-        return low + w * (flat.at[base + 1].get(mode="promise_in_bounds") - low)
-
-    below = row(0, 0) * (1 - v) + row(0, 1) * v
-    above = row(1, 0) * (1 - v) + row(1, 1) * v
-    return below * (1 - u) + above * u
-
-
-def _solve(a, b):
-    """2×2 system, by hand: the batch of a LAPACK call costs more than the equations; singular gives
-    no move.
-    """
-    det = a[0, 0] * a[1, 1] - a[0, 1] * a[1, 0]
-    x = jnp.stack([a[1, 1] * b[0] - a[0, 1] * b[1], a[0, 0] * b[1] - a[1, 0] * b[0]])
-    return jnp.where(det == 0, 0.0, x / jnp.where(det == 0, 1.0, det))

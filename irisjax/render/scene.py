@@ -11,21 +11,22 @@ import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Float
 
+from irisjax.anatomy.eye import Eye, Sclera
+from irisjax.anatomy.sclera import VeinMap
 from irisjax.measure.colour import OBSERVER
+from irisjax.numerics.portions import pixelwise
 from irisjax.render import shading
 from irisjax.render import surface as surfaces
 from irisjax.render.bands import Bands, all_bands, colour_bands, spectral_bands
 from irisjax.render.camera import Camera, View, look, mirror_points
-from irisjax.render.chunks import pixelwise
 from irisjax.render.environment import Environment
 from irisjax.render.illumination import UNIQUE_POLAR, Illumination
 from irisjax.render.integrator import AbstractIntegrator, AbstractResponse
 from irisjax.render.lights import Lights
 from irisjax.render.memory import Memory
 from irisjax.render.refraction import LARGEST_POLAR
-from irisjax.render.sclera import ColourTable, VeinMap, colour_table
+from irisjax.render.sclera import ColourTable, colour_table
 from irisjax.render.separable import Separable
-from irisjax.tissue.anatomy import Eye, Sclera
 from irisjax.tissue.iris import Iris
 from irisjax.tissue.maps import IrisMaps, Scales
 
@@ -34,7 +35,7 @@ class Scene(eqx.Module):
     """Everything a picture shows. Parts that are `None` are not computed.
 
     - `maps`: of the iris, or `None` for a uniform one. `veins`: of the sclera
-        (`render.vessels.veins`).
+        (`grow.vessels.veins`).
     - `lights`: lamps, mirrored as discs. `environment`: lights iris and white as
         `environment_lights` lamps each (those of the white from all round), and is mirrored itself.
         `illuminant`: the spectrum of all of them.

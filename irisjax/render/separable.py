@@ -19,6 +19,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
+from irisjax.anatomy.eye import Eye
 from irisjax.optics.fresnel import fresnel, refract
 from irisjax.render.bands import Bands
 from irisjax.render.camera import IrisPixels
@@ -27,12 +28,11 @@ from irisjax.render.integrator import AbstractIntegrator, AbstractResponse
 from irisjax.render.lights import Lights
 from irisjax.render.memory import Memory
 from irisjax.render.shading import field_of, irradiance_at, relief_at, scales_at
-from irisjax.tissue.anatomy import Eye
 from irisjax.tissue.iris import Iris
 from irisjax.tissue.layers import Layers
 from irisjax.tissue.maps import IrisMaps, Scales
 from irisjax.tissue.pigments import Extinction, extinction
-from irisjax.transport.exact import Exact
+from irisjax.transport.ilit.exact import Exact
 from irisjax.transport.process import ILIT_2006, Process
 from irisjax.transport.solver import AbstractSolver
 

@@ -7,18 +7,19 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from irisjax.optics.angle import arctan2
+from irisjax.anatomy.eye import Eye
+from irisjax.numerics.angle import arctan2
+from irisjax.numerics.interpolation import bilinear, smoothstep
+from irisjax.numerics.portions import pixelwise
+from irisjax.numerics.roots import safe_sqrt
 from irisjax.optics.conicoid import Parts, dot, from_axis, joined, norm, parts
-from irisjax.optics.fresnel import fresnel_at, safe_sqrt
+from irisjax.optics.fresnel import fresnel_at
 from irisjax.render.camera import IrisPixels
-from irisjax.render.chunks import pixelwise
 from irisjax.render.illumination import Illumination, bare, near_light
 from irisjax.render.lights import Lights
 from irisjax.render.memory import Memory
-from irisjax.tissue.anatomy import Eye
 from irisjax.tissue.iris import Iris
-from irisjax.tissue.maps import IrisMaps, Scales, fetch
-from irisjax.tissue.noise import step
+from irisjax.tissue.maps import IrisMaps, Scales
 
 Place = tuple[Float[Array, " pixels"], Float[Array, " pixels"]]
 """Angle (radians) and relative radius of pixels in the maps."""
@@ -50,8 +51,7 @@ class Field(eqx.Module):
 
         def one(flat):
             a, b, c, d = (
-                flat.at[base + step].get(mode="promise_in_bounds")
-                for step in (0, 1, size, size + 1)
+                flat.at[base + k].get(mode="promise_in_bounds") for k in (0, 1, size, size + 1)
             )
             low, high = a + u * (b - a), c + u * (d - c)
             return low + v * (high - low)
@@ -182,7 +182,7 @@ def _scale(part: IrisMaps, iris: Iris):
 
 @pixelwise
 def _fetched(place: Place, texture):
-    return fetch(texture, *place)
+    return bilinear(texture, *place)
 
 
 @eqx.filter_jit
@@ -229,7 +229,7 @@ def normals(
     r = safe_sqrt(x * x + y * y)
     r = jnp.where(r > 0, r, 1.0)  # a pixel that looks straight at the middle of the pupil
     along, across = (
-        -w * s for s in fetch(slopes, *place)
+        -w * s for s in bilinear(slopes, *place)
     )  # of a unit normal: a cone's is none along z
     u, v = u - (along * x - across * y) / r, v - (along * y + across * x) / r
     length = jnp.sqrt(u * u + v * v + w * w)
@@ -238,7 +238,7 @@ def normals(
 
 def shares(pixels: IrisPixels, eye: Eye) -> Float[Array, " pixels"]:
     """Of the iris's radiance that reaches the camera; fades into the pupil, 0 for padding."""
-    seen = step((from_axis(joined(pixels.point)) - eye.pupil_radius) / PUPIL_MARGIN)
+    seen = smoothstep((from_axis(joined(pixels.point)) - eye.pupil_radius) / PUPIL_MARGIN)
     share = pixels.share * seen
     return share if pixels.index is None else jnp.where(pixels.index < 0, 0.0, share)
 

@@ -19,19 +19,20 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
+from irisjax.anatomy.eye import Eye
+from irisjax.numerics.interpolation import bilinear
+from irisjax.numerics.portions import pixelwise
 from irisjax.optics.conicoid import norm
 from irisjax.render.bands import Bands
 from irisjax.render.camera import IrisPixels
-from irisjax.render.chunks import pixelwise
 from irisjax.render.illumination import Illumination
 from irisjax.render.integrator import AbstractIntegrator, AbstractResponse
 from irisjax.render.lights import Lights
 from irisjax.render.memory import Memory
 from irisjax.render.separable import texel_layers
 from irisjax.render.shading import Field, fluxes_of, normals, relief_at, shares
-from irisjax.tissue.anatomy import Eye
 from irisjax.tissue.iris import Iris
-from irisjax.tissue.maps import FRECKLE, IrisMaps, Scales, fetch
+from irisjax.tissue.maps import FRECKLE, IrisMaps, Scales
 from irisjax.tissue.pigments import extinction
 from irisjax.transport.process import ILIT_2006, Process
 
@@ -142,7 +143,7 @@ class Ground(eqx.Module):
         radius = (jnp.sqrt(point[0] ** 2 + point[1] ** 2) - self.eye.pupil_radius) / (
             self.eye.iris_radius - self.eye.pupil_radius
         )
-        found = iter(fetch(jnp.stack(present), jnp.arctan2(point[1], point[0]), radius))
+        found = iter(bilinear(jnp.stack(present), jnp.arctan2(point[1], point[0]), radius))
         return Local(*(None if t is None else next(found) for t in self.textures))
 
 

@@ -5,15 +5,16 @@ film.
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from irisjax.anatomy.eye import Eye
+from irisjax.anatomy.sclera import VeinMap, vein_place
+from irisjax.numerics.portions import pixelwise
+from irisjax.numerics.roots import safe_sqrt
 from irisjax.optics.conicoid import Parts, joined
-from irisjax.optics.fresnel import safe_sqrt
 from irisjax.render.camera import MirrorPixels, ScleraPixels
-from irisjax.render.chunks import pixelwise
 from irisjax.render.environment import Environment
 from irisjax.render.lights import Lights
-from irisjax.render.sclera import Blood, ColourTable, VeinMap, vein_depth_at, vein_place
+from irisjax.render.sclera import Blood, ColourTable, vein_depth_at
 from irisjax.render.shading import Place
-from irisjax.tissue.anatomy import Eye
 
 _BLEED = 0.3
 """Cosine by which light reaches past the terminator of the white."""

@@ -10,7 +10,7 @@ import numpy as np
 from jax.core import Tracer
 
 from irisjax._types import Scalar
-from irisjax.tissue import eye
+from irisjax.anatomy import media as eye
 from irisjax.tissue.indices import (
     COLLAGEN_FRACTION,
     FIBROBLAST_FRACTION,

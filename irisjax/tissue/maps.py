@@ -134,34 +134,6 @@ class Scales(NamedTuple):
         return Scales(*(None if t is None else span(t) for t in self))
 
 
-def fetch(texture: Float[Array, "*c angles radii"], angle, radius) -> Float[Array, "..."]:
-    """Bilinear look-up, round in `angle` (radians) and held at the ends of `radius` (0 pupil's
-    edge, 1 root).
-    """
-    rows, columns = texture.shape[-2:]
-    row = angle * (rows / (2 * jnp.pi)) - 0.5
-    column = jnp.clip(radius * columns - 0.5, 0, columns - 1)
-    i, j = jnp.floor(row), jnp.minimum(jnp.floor(column), columns - 2)
-    u, v = row - i, column - j
-    i0 = jnp.asarray(i, jnp.int32) % rows
-    i1 = jnp.where(i0 + 1 == rows, 0, i0 + 1)
-    j0 = jnp.asarray(j, jnp.int32)
-    here, next_ = i0 * columns + j0, i1 * columns + j0
-
-    def one(flat):
-        def at(place):
-            return flat.at[place].get(mode="promise_in_bounds")
-
-        below = at(here) * (1 - v) + at(here + 1) * v
-        above = at(next_) * (1 - v) + at(next_ + 1) * v
-        return below * (1 - u) + above * u
-
-    layers = texture.reshape(-1, rows * columns)
-    if texture.ndim == 2:
-        return one(layers[0])
-    return jnp.stack([one(layer) for layer in layers]).reshape(*texture.shape[:-2], *row.shape)
-
-
 def cell_centres(shape: tuple[int, int]) -> tuple[jax.Array, jax.Array]:
     """Angles (radians) and relative radii of a texture's cells, shapes (angles,) and (radii,)."""
     rows, columns = shape

@@ -12,10 +12,10 @@ import jax
 import jax.numpy as jnp
 from jax import lax
 
+from irisjax.numerics.interpolation import horner
+from irisjax.numerics.streams import fold_in_words, uniform
 from irisjax.optics.fresnel import fresnel_at, refract
-from irisjax.optics.phase import horner
 from irisjax.transport.process import Process, attenuation, sample_entry
-from irisjax.transport.randomness import fold_in_words, uniform
 
 FATES = ("mirrored", "reflected", "abl", "stroma", "ipe")
 """Where photons end, in the order of the counts."""

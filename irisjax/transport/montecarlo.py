@@ -16,11 +16,12 @@ import numpy as np
 from jax.sharding import PartitionSpec
 from jaxtyping import Array, Int
 
+from irisjax.numerics.streams import check_key, scales
 from irisjax.tissue.layers import Layers
-from irisjax.transport import analog, weighted
-from irisjax.transport.exact import first_surface
+from irisjax.transport import analog
+from irisjax.transport.ilit import weighted
+from irisjax.transport.ilit.exact import first_surface
 from irisjax.transport.process import Process
-from irisjax.transport.randomness import check_key, scales
 from irisjax.transport.solution import RESULTS, Absorbed, Solution
 from irisjax.transport.solver import AbstractSolver
 

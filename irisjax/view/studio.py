@@ -11,6 +11,7 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
+from irisjax.grow.presets import PRESETS
 from irisjax.io.scenes import stream
 from irisjax.measure.colour import Colour, colour_of, srgb_encode
 from irisjax.measure.spectrophotometer import reflectance
@@ -22,7 +23,6 @@ from irisjax.render.memory import Memory
 from irisjax.render.scene import Scene, Stage, prepare
 from irisjax.tissue.iris import Iris
 from irisjax.tissue.maps import IrisMaps
-from irisjax.tissue.procedural import PRESETS
 
 GIVEN = "as given"
 ENVIRONMENTS: dict[str, Callable[[], Environment] | None] = {

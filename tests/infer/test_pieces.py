@@ -8,6 +8,7 @@ import pytest
 import irisjax as ij
 from irisjax.cli import report
 from irisjax.infer import pieces
+from irisjax.numerics import portions
 from irisjax.infer.analytic import BeerLambert
 from irisjax.infer.fit import fit
 from irisjax.infer.posterior import Chains
@@ -25,7 +26,7 @@ def problem():
 
 
 def test_densities_and_fits_do_not_depend_on_the_pieces(problem, monkeypatch):
-    monkeypatch.setattr(pieces, "_ELEMENTS", 2 * GRID.size)  # of seven walkers one remains
+    monkeypatch.setattr(portions, "_ELEMENTS", 2 * GRID.size)  # of seven walkers one remains
     z = jnp.asarray(np.random.default_rng(0).normal(size=(7, 2)))
     np.testing.assert_allclose(
         pieces.density(problem)(z), [problem.log_posterior(x) for x in z], rtol=1e-12

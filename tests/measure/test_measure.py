@@ -7,8 +7,8 @@ import pytest
 
 import irisjax as ij
 from common import GRID, all_irides
+from irisjax.anatomy.media import inward_transmittance
 from irisjax.measure.colour import illuminant_power, srgb_encode
-from irisjax.tissue.eye import inward_transmittance
 
 IRIS = ij.Iris.preset("moderate")
 

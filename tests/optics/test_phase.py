@@ -7,8 +7,8 @@ import pytest
 from scipy.integrate import quad
 from scipy.optimize import brentq
 
+from irisjax.numerics.quadrature import conserving, cosine_rule
 from irisjax.optics.phase import PHASES
-from irisjax.optics.quadrature import conserving, cosine_rule
 
 NAMES = list(PHASES)
 # What the samplers' docstrings promise of the cosine.

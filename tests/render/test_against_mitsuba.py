@@ -5,11 +5,11 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from irisjax.io.mesh import write_eye
+from irisjax.anatomy.eye import Eye
+from irisjax.export.mesh import write_eye
 from irisjax.optics.conicoid import norm
 from irisjax.render.caustic import Grid, gathered
 from irisjax.render.refraction import arrive, enter
-from irisjax.tissue.anatomy import Eye
 from render.tracing import towards
 
 mi = pytest.importorskip("mitsuba", reason="Mitsuba is not installed (pip install mitsuba)")

@@ -5,9 +5,9 @@ import numpy as np
 import pytest
 
 import irisjax as ij
+from irisjax.anatomy.eye import Cornea
 from irisjax.measure.colour import illuminant_power, lab_of
 from irisjax.render.bands import GRID, colour_bands, spectral_bands
-from irisjax.tissue.anatomy import Cornea
 
 # Not drawn as the bands' own irides were: corners, no pigment, no blood, other collagen, other shares.
 IRIDES = {

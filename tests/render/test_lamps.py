@@ -8,6 +8,8 @@ import numpy as np
 import pytest
 
 import irisjax as ij
+from irisjax.anatomy.eye import Cornea, Eye
+from irisjax.anatomy.sclera import VeinMap
 from irisjax.measure.colour import tristimulus_matrix
 from irisjax.render import shading, surface
 from irisjax.render.bands import GRID
@@ -18,8 +20,7 @@ from irisjax.render.illumination import Illumination
 from irisjax.render.lights import Lights
 from irisjax.render.refraction import UNIQUE_POLAR, RefractionFunction, window
 from irisjax.render.scene import Scene, prepare
-from irisjax.render.sclera import VeinMap, bulk_reflectance
-from irisjax.tissue.anatomy import Cornea, Eye
+from irisjax.render.sclera import bulk_reflectance
 from render.tracing import disc, soft_edge, trace
 
 CLEAR = Cornea(scatter=None)

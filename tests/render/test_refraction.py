@@ -5,6 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from irisjax.anatomy.eye import Cornea, Eye
 from irisjax.render.caustic import Grid, gathered
 from irisjax.render.illumination import Illumination
 from irisjax.render.refraction import (
@@ -16,7 +17,6 @@ from irisjax.render.refraction import (
     on_cornea,
     window,
 )
-from irisjax.tissue.anatomy import Cornea, Eye
 from render.tracing import disc, soft_edge, towards, trace
 
 DEFAULT, F09 = Eye(), Eye(cornea=Cornea.f09(), aqueous_index=1.376)

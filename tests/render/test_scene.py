@@ -10,8 +10,11 @@ import pytest
 
 import irisjax as ij
 from common import operations
-from irisjax.render import chunks, shading, surface
+from irisjax.anatomy.eye import Cornea, Eye
+from irisjax.anatomy.sclera import VeinMap
+from irisjax.numerics import portions as chunks
 from irisjax.render import scene as staging
+from irisjax.render import shading, surface
 from irisjax.render.bands import colour_bands
 from irisjax.render.camera import Camera, _iris, look
 from irisjax.render.environment import Environment
@@ -20,9 +23,8 @@ from irisjax.render.lights import Lights
 from irisjax.render.memory import Memory
 from irisjax.render.refraction import UNIQUE_POLAR
 from irisjax.render.scene import Scene, prepare, render
-from irisjax.render.sclera import VeinMap, colour_table
+from irisjax.render.sclera import colour_table
 from irisjax.render.separable import Scales, Separable
-from irisjax.tissue.anatomy import Cornea, Eye
 from irisjax.tissue.maps import IrisMaps, cell_centres
 from render.tracing import trace
 

@@ -5,6 +5,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from irisjax.anatomy.eye import Eye, Sclera
+from irisjax.anatomy.sclera import limbus_depth, meet_sclera, sclera_centre, vein_place
+from irisjax.grow.vessels import veins
 from irisjax.measure.colour import tristimulus_matrix
 from irisjax.render.sclera import (
     DEEPEST,
@@ -12,16 +15,10 @@ from irisjax.render.sclera import (
     Blood,
     bulk_reflectance,
     colour_table,
-    limbus_depth,
-    meet_sclera,
     reflectance,
-    sclera_centre,
     veil,
     vein_depth_at,
-    vein_place,
 )
-from irisjax.render.vessels import veins
-from irisjax.tissue.anatomy import Eye, Sclera
 
 GRID = np.arange(380.0, 781.0, 5.0)
 

@@ -11,13 +11,13 @@ from typer.testing import CliRunner
 
 import irisjax as ij
 from common import quick_jit, solve
+from irisjax.anatomy.eye import Eye
 from irisjax.cli import app
 from irisjax.render.bands import Bands
 from irisjax.render.camera import Camera
 from irisjax.render.lights import Lights
 from irisjax.render.scene import Scene, prepare, render
 from irisjax.render.single_scattering import SingleScattering
-from irisjax.tissue.anatomy import Eye
 from irisjax.tissue.maps import IrisMaps
 
 WAVES = (450.0, 550.0, 650.0)

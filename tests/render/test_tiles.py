@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 import irisjax as ij
+from irisjax.anatomy.eye import Eye
 from irisjax.render.camera import Camera
 from irisjax.render.environment import Environment
 from irisjax.render.illumination import Illumination
@@ -12,7 +13,6 @@ from irisjax.render.scene import Scene, render
 from irisjax.render.separable import Separable
 from irisjax.render.single_scattering import SingleScattering
 from irisjax.render.tiles import bands
-from irisjax.tissue.anatomy import Eye
 from irisjax.tissue.maps import IrisMaps
 
 QUICK = Separable(degrees=(3, 3, 2, 2, 2), solver=ij.Exact(8))

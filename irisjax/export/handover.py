@@ -1,0 +1,319 @@
+"""A scene for other renderers: meshes, textures, a BRDF table, and a scene that Mitsuba 3 renders.
+
+Everything stands in one folder, in mm, x right and y up as the viewer sees them, +z out of the eye.
+Textures of the iris are pictures in the uv of its mesh: columns run with u = angle / 2π, and the
+pupil's edge is the bottom row.
+"""
+
+import errno
+from pathlib import Path
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+
+from irisjax.anatomy.media import TEAR
+from irisjax.export.mesh import encode_obj, encode_ply, eye_meshes, right_handed
+from irisjax.export.mitsuba import WIDEST, mitsuba_scene
+from irisjax.io.images import encode_exr, encode_png, spectral_channels
+from irisjax.io.maps import encode_maps
+from irisjax.io.tables import format_table, write_together
+from irisjax.measure.colour import srgb_encode
+from irisjax.render.albedo import CONE, LambertError, Matt
+from irisjax.render.bands import Bands, all_bands, colour_bands
+from irisjax.render.scene import Scene
+from irisjax.render.sclera import Blood, colour_table
+from irisjax.render.separable import Separable
+
+WAVELENGTHS = tuple(400.0 + 20.0 * i for i in range(16))
+"""Of the layers of reflectance.exr, nm."""
+
+
+class Exported(NamedTuple):
+    """What `export` wrote: `files` by name, how many texels were `clipped`, the matt iris's
+    `error`.
+    """
+
+    files: dict[str, Path]
+    clipped: int
+    error: LambertError
+
+
+def export(folder: str | Path, scene: Scene, *, spacing: float = 0.1) -> Exported:
+    """Write a scene for other renderers into a new or empty folder, everything or nothing.
+
+    - Meshes of what the eye has (anterior, posterior, iris, sclera) as .ply and .obj, triangles of
+        about `spacing` mm.
+    - albedo.exr: linear sRGB under the scene's illuminant of each texel, its
+        directional–hemispherical reflectance at normal incidence by ILIT (`render.albedo`);
+        albedo.png: the same, 8-bit sRGB. Texels out of sRGB's range are clipped in both: renderers
+        drop light paths that meet a negative albedo. reflectance.exr: the spectral albedo, a layer
+        for each of `WAVELENGTHS`, never clipped; relief.exr: height towards the viewer, mm, if
+        there is any.
+    - maps.exr: the maps themselves (`read_maps`), if it has any. brdf.csv: the uniform iris's.
+    - environment.exr, where the scene has one; scene.xml for Mitsuba 3; README.txt: what all this
+        is, and how far a matt iris is from the model.
+
+    **Raises:** `OSError` naming the file, also for a folder that holds something; `ValueError` for
+    a bad `spacing`.
+    """
+    folder = Path(folder)
+    check_folder(folder)
+    data, clipped, error = _contents(scene, spacing)
+    made = not folder.exists()
+    folder.mkdir(exist_ok=True)
+    try:
+        write_together({folder / name: content for name, content in data.items()})
+    except BaseException:
+        if made:
+            folder.rmdir()
+        raise
+    return Exported({name: folder / name for name in data}, clipped, error)
+
+
+def check_folder(folder: str | Path) -> None:
+    """Raise `OSError` unless the folder is empty, or could be made."""
+    folder = Path(folder)
+    if folder.is_dir():
+        if any(folder.iterdir()):
+            raise OSError(errno.ENOTEMPTY, "not empty; give a new folder", str(folder))
+    elif folder.exists():
+        raise NotADirectoryError(errno.ENOTDIR, "is a file, not a folder", str(folder))
+    elif not folder.parent.is_dir():
+        raise FileNotFoundError(errno.ENOENT, "no such folder", str(folder.parent))
+
+
+def _contents(scene: Scene, spacing: float) -> tuple[dict[str, bytes], int, LambertError]:
+    integrator = scene.integrator if isinstance(scene.integrator, Separable) else Separable()
+    iris, maps, cornea = scene.iris, scene.maps, scene.eye.cornea
+    meshes = {name: right_handed(mesh) for name, mesh in eye_meshes(scene.eye, spacing).items()}
+    data = {f"{name}.ply": encode_ply(mesh) for name, mesh in meshes.items()}
+    for name, mesh in meshes.items():
+        data |= encode_obj(mesh, name, "albedo.png" if name == "iris" else None)
+
+    remark = {
+        "comments": f"simulated by irisjax; {integrator.process}; a texel's albedo at "
+        f"normal incidence"
+    }
+    bands = colour_bands(scene.illuminant, scene.observer)
+    hazy = bands if cornea is None else colour_bands(scene.illuminant, scene.observer, cornea)
+    matt = Matt.of(iris, maps, _joined(bands, hazy), integrator)
+    found = in_uv(matt.albedo())
+    colour, through, spectral = found[..., :3], found[..., 3:6], found[..., 6:]
+    haze = None if cornea is None or cornea.scatter is None else _haze(colour, through, bands, hazy)
+    clipped = int(((colour < 0) | (colour > 1)).any(-1).sum())
+    colour = np.clip(colour, 0, 1)
+    data["albedo.exr"] = encode_exr("albedo.exr", colour, metadata=remark)
+    data["albedo.png"] = encode_png(
+        "albedo.png", np.asarray(srgb_encode(colour)), remark="simulated by irisjax"
+    )[0]
+    layers = spectral_channels(WAVELENGTHS, layer="T")
+    data["reflectance.exr"] = encode_exr("reflectance.exr", spectral, layers, remark)
+    relief = None if maps is None else maps.relief
+    if relief is not None:
+        data["relief.exr"] = encode_exr(
+            "relief.exr", in_uv(relief[..., None]), ("Y",), {"comments": "height, mm"}
+        )
+    if maps is not None and maps.present():
+        data["maps.exr"] = encode_maps("maps.exr", maps)
+    error = LambertError(*(value[:3] for value in matt.error()))
+    data["brdf.csv"] = _brdf(matt, scene.illuminant, integrator).encode()
+    if scene.environment is not None:
+        data["environment.exr"] = encode_exr(
+            "environment.exr", np.asarray(scene.environment.radiance)
+        )
+    data["scene.xml"] = mitsuba_scene(
+        scene,
+        relief=relief is not None,
+        white=_white(scene),
+        haze=haze,
+        environment=None if scene.environment is None else "environment.exr",
+    ).encode()
+    data["README.txt"] = _readme(
+        scene, list(data), error, float(matt.response.error), clipped
+    ).encode()
+    return data, clipped, error
+
+
+def in_uv(texture) -> np.ndarray:
+    """A texture (angles, radii, channels) as a picture (rows, columns, channels) in the uv of the
+    iris's mesh.
+    """
+    return np.flip(np.swapaxes(np.asarray(texture), 0, 1), 0)
+
+
+def _joined(bands: Bands, hazy: Bands) -> Bands:
+    """The channels of `bands`, those of `hazy`, and the reflectance at each of `WAVELENGTHS`: one
+    table for all.
+    """
+    nodes = len(bands.wavelengths)
+    weights = np.zeros((6 + len(WAVELENGTHS), nodes + len(WAVELENGTHS)))
+    weights[:6, :nodes] = np.concatenate([np.asarray(bands.weights), np.asarray(hazy.weights)])
+    weights[6:, nodes:] = np.eye(len(WAVELENGTHS))
+    names = (*bands.channels, *hazy.channels, *spectral_channels(WAVELENGTHS, layer="T"))
+    return Bands(bands.wavelengths + WAVELENGTHS, jnp.asarray(weights, bands.weights.dtype), names)
+
+
+def _haze(colour: np.ndarray, through: np.ndarray, bands: Bands, hazy: Bands) -> np.ndarray:
+    """Linear sRGB of one passage of the cornea: what dims this iris as its spectrum is dimmed.
+
+    A white's, which errs by 3 % for a blue iris, stands in for channels that the iris has hardly
+    any light in.
+    """
+    white = np.asarray(hazy.weights.sum(axis=1) / bands.weights.sum(axis=1))
+    before, after = colour.mean((0, 1)), through.mean((0, 1))
+    twice = np.where(before > 1e-3, after / np.where(before > 1e-3, before, 1.0), white)
+    return np.sqrt(np.where((twice > 0) & (twice <= 1), twice, white))
+
+
+def _white(scene: Scene) -> np.ndarray | None:
+    if scene.eye.sclera is None:
+        return None
+    bands = all_bands(scene.illuminant, scene.observer)
+    table = colour_table(scene.eye.sclera, np.asarray(bands.wavelengths), bands.weights)
+    if scene.veins is None:
+        return np.asarray(table(jnp.zeros(1)))[0]
+    veins = scene.veins
+    return np.asarray(table(Blood(veins.depth, veins.cover, veins.deep))).mean((0, 1))
+
+
+def _brdf(matt: Matt, illuminant: str, integrator: Separable) -> str:
+    angle = np.arange(0.0, 90.0, 5.0)
+    azimuth = np.array([0.0, 90.0, 180.0])
+    cosine = jnp.cos(jnp.radians(jnp.asarray(angle)))
+    values = np.stack([np.asarray(matt.brdf(c, cosine))[:3].T for c in cosine])  # (in, out, rgb)
+    values = np.repeat(values[:, :, None], azimuth.size, axis=2).reshape(-1, 3)
+    place = np.stack(np.meshgrid(angle, angle, azimuth, indexing="ij"), axis=-1).reshape(-1, 3)
+    header = {
+        "simulated": "BRDF of the uniform iris in the aqueous humour, without the light "
+        "mirrored by its surface",
+        "process": str(integrator.process),
+        "unit": f"1/sr, linear sRGB under {illuminant}",
+        "directions": "degrees from the normal; dphi 0 is forward scattering, where a mirror "
+        "would send the light",
+    }
+    names = ("theta_i_deg", "theta_o_deg", "dphi_deg")
+    columns: dict[str, np.ndarray] = dict(zip(names, place.T, strict=True))
+    columns |= dict(zip(("red", "green", "blue"), values.T, strict=True))
+    return format_table(header, columns)
+
+
+_WHAT = {
+    "anterior.ply": "front of the cornea (also .obj)",
+    "posterior.ply": "back of the cornea (also .obj)",
+    "iris.ply": "iris with uv: u = angle / 2 pi, v = 0 at the pupil, 1 at the root "
+    "(also .obj, with iris.mtl)",
+    "sclera.ply": "white of the eye (also .obj)",
+    "albedo.exr": "base colour of the iris, linear sRGB, in that uv (bottom row: the pupil's edge)",
+    "albedo.png": "the same, 8-bit sRGB",
+    "reflectance.exr": "the same, a layer a wavelength (T.400,0nm ...)",
+    "relief.exr": "height of the iris towards the viewer, mm, for bump or displacement "
+    "(non-colour data)",
+    "maps.exr": "the maps the iris was made from, rows angles, columns radii; irisjax "
+    "reads them ([maps] file)",
+    "brdf.csv": "BRDF of the uniform iris over angles, 1/sr",
+    "environment.exr": "panorama that lights the eye, linear sRGB",
+    "scene.xml": "all of it for Mitsuba 3: mitsuba -m scalar_rgb scene.xml (-D "
+    "spp=1024: less noise)",
+}
+
+
+def _percent(values) -> str:
+    return ", ".join(f"{100 * v:.2g}" for v in values) + " %"
+
+
+def _blender(scene: Scene, names: list[str]) -> list[str]:
+    """A recipe that was tried: iris, pupil and mirror images lie where irisjax draws them."""
+    lines = [
+        "Blender (tried with 5.0 and Cycles)",
+        "- Import the .obj files with their default axes (forward -Z, up Y). The iris comes with "
+        "albedo.png; give it a",
+        "  Diffuse BSDF, its colour from albedo.exr (Linear Rec.709).",
+    ]
+    if "relief.exr" in names:
+        lines.append("- relief.exr: Non-Color, through a Bump node of distance 1.")
+    cornea = scene.eye.cornea
+    if cornea is not None:
+        aqueous = float(scene.eye.aqueous_index)
+        within = aqueous if cornea.posterior is None else float(cornea.index)
+        lines.append(f"- anterior.obj: Glass BSDF, roughness 0, IOR {within:.5g}.")
+        if cornea.posterior is not None:
+            lines.append(
+                f"  posterior.obj: the same with IOR {aqueous / within:.5g}, that of the humour "
+                f"over the cornea's."
+            )
+    if "environment.exr" in names:
+        lines.append(
+            "- environment.exr: an Environment Texture turned by 90 degrees about Z (Mapping node, "
+            "type Point)."
+        )
+    return lines
+
+
+def _mirrored(index: float) -> float:
+    return ((index - 1) / (index + 1)) ** 2
+
+
+def _readme(scene: Scene, names: list[str], error: LambertError, table: float, clipped: int) -> str:
+    cornea = scene.eye.cornea
+    lines = ["An eye simulated by irisjax; nothing here was measured.", ""]
+    lines += [
+        "Units: mm. Axes: x right, y up as the viewer sees them, z out of the eye; the origin is "
+        "the corneal apex.",
+        "",
+    ]
+    lines += [f"{name:<16}{what}" for name, what in _WHAT.items() if name in names]
+    lines += ["", *_blender(scene, names), "", "Approximations"]
+    lines += [
+        "- The iris is matt here. The model's is not: its BRDF falls towards grazing exits. albedo "
+        "is the share of",
+        "  light that comes back from normal incidence, without the mirrored first surface. Used "
+        "as a Lambertian base",
+        f"  colour it is off, for directions within {CONE:g} degrees of the normal, by (red, "
+        f"green, blue)",
+        f"  {_percent(error.rms)} r.m.s. and at most {_percent(error.most)} (minus: too dark) in "
+        f"the mean over the",
+        f"  iris, {_percent(error.texels)} of that mean r.m.s. texel by texel (dark ones, as round "
+        f"the pupil, are",
+        "  further off relative to themselves); over the whole hemisphere the mean",
+        f"  is off by {_percent(error.hemisphere)} of the mean BRDF, r.m.s.",
+        f"- Albedos come from a table, off by at most {100 * table:.1g} % of the brightest texel "
+        f"where it was tried.",
+        "- relief tilts the shading; nothing casts shadows on the iris, nor does it light itself: "
+        "as displacement,",
+        "  relief.exr makes a preset 5 % brighter round the pupil for an albedo of 0.2.",
+        "- The limbus is sharp here; irisjax blends iris and white over 1 mm, and fades it at the "
+        "pupil over 0.12.",
+    ]
+    if scene.eye.sclera is not None:
+        lines += [
+            "- The white is matt, of one colour (the mean over its vessels) and mirrors nothing. "
+            "It is some 5 %",
+            "  brighter than irisjax draws it, 10 % seen at 60 degrees: there the tear film "
+            "mirrors, and light bleeds",
+            "  past the terminator.",
+        ]
+    if clipped:
+        lines.append(
+            f"- {clipped} texels lie outside sRGB: clipped in albedo.exr and albedo.png, not in "
+            f"reflectance.exr."
+        )
+    if cornea is not None:
+        inside = scene.eye.aqueous_index if cornea.posterior is None else cornea.index
+        lines += [
+            f"- Indices: air 1, cornea {float(inside):g}, aqueous humour "
+            f"{float(scene.eye.aqueous_index):g}.",
+            f"  The front of the cornea mirrors here, in irisjax the tear film of index {TEAR:g}, "
+            f"which changes mirror",
+            f"  images of lights by {100 * (_mirrored(float(inside)) / _mirrored(TEAR) - 1):+.2g} "
+            f"%.",
+            "  The cornea's haze is a colour on its front surface, right for the mean of this "
+            "iris.",
+            "- Path tracers cannot aim at a lamp through a refracting surface; they meet it by "
+            "chance. Take many",
+            f"  samples. Lamps in scene.xml are widened to {np.degrees(WIDEST):g} degrees' radius, "
+            f"irradiance kept.",
+        ]
+    if scene.eye.attenuation is not None:
+        lines.append("- The attenuation of the aqueous humour is left out.")
+    return "\n".join(lines) + "\n"

@@ -1,0 +1,64 @@
+"""Noise round a circle: value noise on hashed lattices, one program for all its uses."""
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float, Int, UInt32
+
+from irisjax.numerics.interpolation import smoothstep
+
+Field = Float[Array, "..."]
+Seed = UInt32[Array, ""]
+Whole = int | Int[Array, ""]
+
+
+@jax.jit
+def noise(
+    seed: Seed, turns: Field, radius: Field, cells: tuple[Whole, Whole], octaves: Whole = 1
+) -> Field:
+    """Fractal value noise, −1 to 1, of period 1 in `turns`, on `cells` over the period and over
+    `radius` 0 to 1.
+
+    Every octave halves cells and height; both precisions see the same one.
+    """
+
+    def layer(octave, total):
+        scale = 2 ** jnp.asarray(octave, radius.dtype)
+        n, m = cells[0] * scale, cells[1] * scale
+        own = seed + jnp.asarray(octave, jnp.uint32)
+        x, y = turns * n, jnp.clip(radius, 0.0, 1.0) * m
+        i, j = jnp.floor(x), jnp.floor(y)
+        u, v = smoothstep(x - i), smoothstep(y - j)
+        left, right = i % n, (i + 1) % n
+        below = _hashed(own, left, j) * (1 - v) + _hashed(own, left, j + 1) * v
+        above = _hashed(own, right, j) * (1 - v) + _hashed(own, right, j + 1) * v
+        return total + (below * (1 - u) + above * u) / scale
+
+    total = jnp.zeros(jnp.broadcast_shapes(turns.shape, radius.shape), radius.dtype)
+    # Rolled, so that one program serves every number of octaves.
+    return jax.lax.fori_loop(0, octaves, layer, total) / (2 - jnp.exp2(1.0 - octaves))
+
+
+def _mixed(x: UInt32[Array, "..."]) -> UInt32[Array, "..."]:
+    for shift, factor in ((16, 0x7FEB352D), (15, 0x846CA68B)):
+        x = (x ^ (x >> shift)) * jnp.uint32(factor)
+    return x ^ (x >> 16)
+
+
+def split(seed: Seed, n: int) -> list[Seed]:
+    """Seeds of features from the seed of all."""
+    return [_mixed(seed + jnp.uint32(0x632BE5AB * (i + 1) % 2**32)) for i in range(n)]
+
+
+def _hashed(seed: Seed, i: Field, j: Field) -> Field:
+    """Uniform on −1 to 1 at whole numbers i, j ≥ 0. XLA takes half a minute to compile as many
+    draws of its own.
+    """
+    x = i.astype(jnp.uint32) * jnp.uint32(0x9E3779B1) + j.astype(jnp.uint32) * jnp.uint32(
+        0x85EBCA77
+    )
+    return _mixed(x + seed).astype(i.dtype) * 2.0**-31 - 1
+
+
+def drawn(seed: Seed, n: int, k: Whole, dtype) -> Field:
+    """The k-th of n-tuples uniform on 0 to 1, shape (n,)."""
+    return 0.5 + 0.5 * _hashed(seed, jnp.arange(n).astype(dtype), jnp.full(n, k, dtype))

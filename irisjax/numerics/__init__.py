@@ -1,0 +1,5 @@
+"""Floor 1: numerics that know no physics."""
+
+from irisjax._lazy import modules_of
+
+__getattr__ = modules_of(__name__)

@@ -1,0 +1,19 @@
+"""Square roots and small systems whose gradients stay finite."""
+
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+
+def safe_sqrt(x: Float[Array, "*s"]) -> Float[Array, "*s"]:
+    """√max(x, 0) whose gradient is 0, not infinite, where x ≤ 0."""
+    positive = x > 0
+    return jnp.where(positive, jnp.sqrt(jnp.where(positive, x, 1.0)), 0.0)
+
+
+def solve_2x2(a, b):
+    """2×2 system, by hand: the batch of a LAPACK call costs more than the equations; singular gives
+    no move.
+    """
+    det = a[0, 0] * a[1, 1] - a[0, 1] * a[1, 0]
+    x = jnp.stack([a[1, 1] * b[0] - a[0, 1] * b[1], a[0, 0] * b[1] - a[1, 0] * b[0]])
+    return jnp.where(det == 0, 0.0, x / jnp.where(det == 0, 1.0, det))

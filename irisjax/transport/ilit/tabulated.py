@@ -1,0 +1,306 @@
+"""Tabulated solver: the layer functions of one set of indices, computed once by `Exact`, then
+looked up.
+
+With fixed indices ILIT's ABL is a function of one number, its optical depth, and the stroma of two,
+optical depth and albedo. Piecewise polynomials of degree 5 in ln(1 + τ/τ₀) and Chebyshev
+polynomials in the albedo hold them over every depth and albedo there is; the error is measured at
+points the tables were not made from, and reported.
+"""
+
+import math
+from collections.abc import Callable
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from irisjax.tissue.indices import Order, RefractiveIndices
+from irisjax.tissue.iris import Iris
+from irisjax.tissue.layers import Layers
+from irisjax.transport.ilit.exact import Response, abl_responses, combine, stroma_response
+from irisjax.transport.process import ILIT_2006, Process
+from irisjax.transport.solution import RESULTS
+from irisjax.transport.solver import AbstractSolver
+
+_DEGREE = 5
+_SMALLEST = 1e-7  # τ₀: below it the functions, which go as τ ln τ, are straight lines to 2e-12
+_LARGEST = 40.0  # exp(−40) is below rounding: deeper layers are all alike
+
+
+class Tabulated(AbstractSolver):
+    """Solver for many spectra of irides that share their refractive indices and process.
+
+    Make one with `Tabulated.build`. The tables hold for all optical depths and albedos; an iris
+    with other indices gives the status `outside_table`. Gradients flow to depths and pigments, not
+    to indices.
+
+    - `error`: largest absolute error of a layer function found at build time, off the nodes.
+    """
+
+    abl: Float[Array, "intervals powers 4"]
+    stroma: Float[Array, "intervals powers albedos 2"]
+    indices: RefractiveIndices
+    process: Process
+    error: float = eqx.field(static=True)
+
+    @classmethod
+    def build(
+        cls,
+        iris: Iris | None = None,
+        process: Process = ILIT_2006,
+        *,
+        tolerance: float = 1e-11,
+        n_intervals: int = 256,
+        n_albedos: int = 7,
+    ) -> "Tabulated":
+        """Tabulate for the indices of `iris` (default: LB06's) and check the tables.
+
+        **Raises:** `ValueError` if the process is depth-resolved, or if the error found exceeds
+        `tolerance` (in float32 the tolerance is at least 1e-6).
+        """
+        if process.depth_resolved:
+            raise ValueError(
+                "depth-resolved transport cannot be tabulated layer by layer; use Exact"
+            )
+        iris = iris if iris is not None else Iris()
+        indices, order = iris.indices(), iris.order
+        dtype = jnp.result_type(float)
+        tolerance = max(tolerance, 32 * float(jnp.finfo(dtype).eps))
+        local = np.cos(np.pi * (np.arange(_DEGREE + 1) + 0.5) / (_DEGREE + 1))
+        albedo_nodes = np.cos(np.pi * (np.arange(n_albedos) + 0.5) / n_albedos)
+        to_local = np.linalg.inv(np.polynomial.polynomial.polyvander(local, _DEGREE))
+        to_albedo = np.linalg.inv(np.polynomial.chebyshev.chebvander(albedo_nodes, n_albedos - 1))
+        depths = _depth((np.arange(n_intervals)[:, None] + (local + 1) / 2) / n_intervals)
+
+        responses = jax.jit(_responses, static_argnums=(3, 4))
+        abl, _ = responses(
+            jnp.asarray(depths.ravel(), dtype),
+            jnp.zeros(depths.size, dtype),
+            indices,
+            order,
+            process,
+        )
+        abl = np.asarray(abl, np.float64).reshape(n_intervals, _DEGREE + 1, -1)
+        stroma = []
+        for albedo in (albedo_nodes + 1) / 2:
+            _, s = responses(
+                jnp.asarray(depths.ravel(), dtype),
+                jnp.full(depths.size, albedo, dtype),
+                indices,
+                order,
+                process,
+            )
+            stroma.append(np.asarray(s, np.float64).reshape(n_intervals, _DEGREE + 1, -1))
+        abl_table = np.einsum("ij,pjf->pif", to_local, abl)
+        stroma_table = np.einsum("ij,ab,bpjf->piaf", to_local, to_albedo, np.stack(stroma))
+        table = cls(
+            abl=jnp.asarray(abl_table, dtype),
+            stroma=jnp.asarray(stroma_table, dtype),
+            indices=indices,
+            process=process,
+            error=0.0,
+        )
+        error = table._measure(order)
+        if error > tolerance:
+            raise ValueError(
+                f"the layer functions are tabulated to {error:.1e} only, not to {tolerance:.1e}; "
+                "use Exact, or a larger tolerance, n_intervals or n_albedos"
+            )
+        return cls(table.abl, table.stroma, indices, process, float(error))
+
+    def prepare(self, layers: Callable[[], Layers], process: Process) -> "Tabulated":
+        """Check that the tables belong to this process."""
+        # Cornea and first surface are applied after the layers: they need not match.
+        for name in ("phase", "rescatter", "perturb_on_reflection", "transport"):
+            if getattr(process, name) != getattr(self.process, name):
+                raise ValueError(
+                    f"the tables were built for {name}={getattr(self.process, name)!r}, "
+                    f"not {getattr(process, name)!r}; build others with Tabulated.build(iris, "
+                    f"process)"
+                )
+        return self
+
+    def solve(
+        self,
+        layers: Layers,
+        process: Process,
+        cos_incidence,
+        *,
+        cos_exit=None,
+        azimuth=None,
+        key=None,
+        rays=None,
+    ):
+        """See `AbstractSolver.solve`; no `key` and no `rays` are used."""
+        from_above, from_below = self._abl_response(layers.abl_absorption)
+        stroma = self._stroma_response(layers.extinction, layers.albedo)
+        solution = combine(
+            layers,
+            from_above,
+            from_below,
+            stroma,
+            jnp.asarray(True),
+            process,
+            cos_incidence,
+            cos_exit,
+        )
+        same = jnp.asarray(True)
+        for ours, theirs in zip(
+            jax.tree.leaves(self.indices), jax.tree.leaves(layers.indices), strict=True
+        ):
+            same = same & (jnp.abs(ours - theirs) <= 4 * jnp.finfo(theirs.dtype).eps * theirs)
+        result = RESULTS.where(same, solution.result, RESULTS.outside_table)
+        return eqx.tree_at(lambda s: s.result, solution, result)
+
+    def _abl_response(self, depth) -> tuple[Response, Response]:
+        up, down, out, back = _curves(self.abl, *self._locate(depth))
+        return Response(up, down, 1 - up - down), Response(back, out, 1 - back - out)
+
+    def _stroma_response(self, depth, albedo) -> Response:
+        reflected, passed = _surfaces(self.stroma, *self._locate(depth), 2 * albedo - 1)
+        return Response(reflected, passed, 1 - reflected - passed)
+
+    def _locate(self, depth):
+        n = self.abl.shape[0]
+        scale = n / np.log1p(_LARGEST / _SMALLEST)
+        position = jnp.log1p(jnp.minimum(depth, _LARGEST) / _SMALLEST) * scale
+        interval = jnp.clip(jax.lax.stop_gradient(position).astype(jnp.int32), 0, n - 1)
+        return interval, 2 * (position - interval) - 1
+
+    def _measure(self, order: Order) -> float:
+        """Largest error of the layer functions between the nodes, against a finer quadrature."""
+        n = self.abl.shape[0]
+        rng = np.random.default_rng(0)
+        # The functions are least smooth beside zero depth: look there closely, and at zero itself.
+        inside = (np.arange(n) + rng.random(n)) / n
+        depth = jnp.asarray(
+            np.r_[0.0, _depth(np.geomspace(1e-6, 1, 32) / n), _depth(inside), 2 * _LARGEST],
+            self.abl.dtype,
+        )
+
+        @jax.jit
+        def error(tables, albedo):
+            albedos = jnp.full_like(depth, albedo)
+            abl, stroma = _responses(depth, albedos, tables.indices, order, tables.process, 64)
+            above, below = tables._abl_response(depth)
+            found = jnp.stack([above.reflected, above.passed, below.passed, below.reflected], -1)
+            s = tables._stroma_response(depth, albedos)
+            between = jnp.stack([s.reflected, s.passed], -1) - stroma
+            return jnp.maximum(jnp.abs(found - abl).max(), jnp.abs(between).max())
+
+        return max(float(error(self, albedo)) for albedo in (0.0, 0.23, 0.71, 0.97, 1.0))
+
+
+# Values read a table number by number: whole rows would be copied out first, at three times the
+# cost. Where slopes are wanted too the copy serves all three, and compiles ten times faster than
+# JAX's own derivative.
+
+
+@eqx.filter_custom_jvp
+def _curves(table, interval, x):
+    read = _reader(table, interval)
+    return tuple(
+        _horner([read(i, f) for i in range(_DEGREE + 1)], x) for f in range(table.shape[2])
+    )
+
+
+@_curves.def_jvp
+def _curves_jvp(primals, tangents):
+    table, interval, x = primals
+    _check_constant(tangents[0])
+    rows = _rows(table, interval)
+    slope = _horner([i * rows[i] for i in range(1, _DEGREE + 1)], x) * tangents[2]
+    return tuple(_horner(list(rows), x)), tuple(slope)
+
+
+@eqx.filter_custom_jvp
+def _surfaces(table, interval, x, s):
+    chebyshev, _ = _chebyshev(s, table.shape[2])
+    read = _reader(table, interval)
+
+    def series(i, f):
+        return sum(c * read(i, k, f) for k, c in enumerate(chebyshev))
+
+    return tuple(
+        _horner([series(i, f) for i in range(_DEGREE + 1)], x) for f in range(table.shape[3])
+    )
+
+
+@_surfaces.def_jvp
+def _surfaces_jvp(primals, tangents):
+    table, interval, x, s = primals
+    _check_constant(tangents[0])
+    along, across = (jnp.stack(c)[:, None] for c in _chebyshev(s, table.shape[2]))
+    rows = _rows(table, interval)
+    inner = [(row * along).sum(0) for row in rows]
+    change = jnp.zeros(())
+    if tangents[2] is not None:
+        change = change + _horner([i * c for i, c in enumerate(inner)][1:], x) * tangents[2]
+    if tangents[3] is not None:
+        change = change + _horner([(row * across).sum(0) for row in rows], x) * tangents[3]
+    return tuple(_horner(inner, x)), tuple(jnp.broadcast_to(change, (table.shape[3], *x.shape)))
+
+
+def _reader(table, interval):
+    """The number at fixed further indices, in every interval. XLA's own gather: NumPy's indexing
+    traces ten times slower, and there are over a hundred."""
+    flat, first = table.ravel(), interval * math.prod(table.shape[1:])
+    numbers = jax.lax.GatherDimensionNumbers(
+        offset_dims=(), collapsed_slice_dims=(0,), start_index_map=(0,)
+    )
+
+    def read(*place):
+        index = first + int(np.ravel_multi_index(place, table.shape[1:]))
+        return jax.lax.gather(
+            flat, index[..., None], numbers, (1,), mode=jax.lax.GatherScatterMode.PROMISE_IN_BOUNDS
+        )
+
+    return read
+
+
+def _rows(table, interval):
+    """The tables' numbers at each place, shape (powers, [albedos,] functions, *places)."""
+    return jnp.moveaxis(table.reshape(table.shape[0], -1)[interval], -1, 0).reshape(
+        *table.shape[1:], *interval.shape
+    )
+
+
+def _chebyshev(s, count: int):
+    """Chebyshev polynomials of the first kind at s, and their derivatives."""
+    values, slopes = [jnp.ones_like(s), s], [jnp.zeros_like(s), jnp.ones_like(s)]
+    for _ in range(count - 2):
+        slopes.append(2 * values[-1] + 2 * s * slopes[-1] - slopes[-2])
+        values.append(2 * s * values[-1] - values[-2])
+    return values, slopes
+
+
+def _check_constant(tangent) -> None:
+    if tangent is not None:
+        raise NotImplementedError(
+            "the tables of Tabulated are constants; derivatives by them do not exist"
+        )
+
+
+def _horner(coefficients, x):
+    """Polynomial with the constant first."""
+    total = coefficients[-1]
+    for c in reversed(coefficients[:-1]):
+        total = total * x + c
+    return total
+
+
+def _depth(fraction):
+    """Optical depth at a fraction of the tables' axis."""
+    return _SMALLEST * np.expm1(fraction * np.log1p(_LARGEST / _SMALLEST))
+
+
+def _responses(
+    depth, albedo, indices: RefractiveIndices, order: Order, process: Process, n_angles: int = 48
+):
+    above, below = abl_responses(depth, indices, order, process, n_angles)
+    layers = Layers(jnp.zeros_like(depth), depth * (1 - albedo), depth * albedo, indices, order)
+    stroma, _ = stroma_response(layers, process, n_angles)
+    abl = jnp.stack([above.reflected, above.passed, below.passed, below.reflected], -1)
+    return abl, jnp.stack([stroma.reflected, stroma.passed], -1)

@@ -1,0 +1,246 @@
+"""A slab's depth polynomials: what sources in it send to each other, to its ends, and back by their
+mirrors.
+
+Radiances along one direction are in [0, 1] of the slab's depth a piecewise polynomial (Legendre's,
+a panel at a time) folded with exp(−xs), x = width/μ; all integrals are modified spherical Bessel
+functions of x/2.
+"""
+
+from functools import lru_cache
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from irisjax.numerics.quadrature import gauss_legendre
+from irisjax.transport.process import attenuation, survival
+
+# Light changes as τ ln τ beside both faces of a slab: panels grow from each face inwards.
+_GROWTH = 4.0
+
+
+class Ends(NamedTuple):
+    """What a direction meets at the slab's ends, shares of its flux, shape (angles,)."""
+
+    roof: jax.Array  # sent back by all that lies above
+    roof_lost: jax.Array  # 1 − roof, without cancellation
+    floor: jax.Array
+    floor_lost: jax.Array
+
+
+class Bounded(NamedTuple):
+    """The slab's depth polynomials along some directions, with the mirror images of its two ends.
+
+    `start` m_i = ∫φ_i e^{−xs} ds over a panel (panels, orders, angles); `emitted` x·m_i;
+    `from_top`, `from_bottom` the survival from the slab's end to the panel (panels, angles).
+    """
+
+    start: jax.Array
+    emitted: jax.Array
+    from_top: jax.Array
+    from_bottom: jax.Array
+    through: jax.Array
+    roof: jax.Array
+    floor: jax.Array
+    series: jax.Array
+    cosine: jax.Array
+
+
+class Slab:
+    """A layer cut into panels in depth, each with Legendre polynomials φ_i on [0, 1]."""
+
+    def __init__(self, depth, n_depths: int, n_panels: int):
+        width = fractions(n_panels)
+        edges = np.concatenate([[0.0], np.cumsum(width)])
+        self.depth, self.n_depths, self.n_panels = depth, n_depths, n_panels
+        self.widths = depth * jnp.asarray(width, depth.dtype)
+        self.tops = depth * jnp.asarray(edges[:-1], depth.dtype)
+        self.below = depth * jnp.asarray(1 - edges[1:], depth.dtype)
+        self.edges = edges
+        self.sign = jnp.asarray((-1.0) ** np.arange(n_depths), depth.dtype)
+        self.norm = jnp.asarray(2.0 * np.arange(n_depths) + 1, depth.dtype)
+
+    def bounded(self, cosine, ends: Ends) -> Bounded:
+        """What the slab is along directions (angles,)."""
+        through, lost = survival(self.depth, cosine), attenuation(self.depth, cosine)
+        escape = lost * (1 + through) + through * through * (
+            ends.roof_lost + ends.roof * ends.floor_lost
+        )
+        sealed = escape <= 0
+        x = self.widths[:, None] / cosine
+        start = _legendre_moments(x, 2 * self.n_depths)
+        return Bounded(
+            start=start,
+            emitted=x[:, None, :] * start,
+            from_top=jnp.exp(-self.tops[:, None] / cosine),
+            from_bottom=jnp.exp(-self.below[:, None] / cosine),
+            through=through,
+            roof=ends.roof,
+            floor=ends.floor,
+            series=jnp.where(sealed, 0.0, 1 / jnp.where(sealed, 1.0, escape)),
+            cosine=cosine,
+        )
+
+    def _sources(self, b: Bounded, parity: int):
+        """Radiance that unit sources φ_j make: leaving at the slab's ends, and re-entering from
+        them.
+        """
+        emitted = b.emitted[:, : self.n_depths]
+        up = (parity * emitted * b.from_top[:, None]).reshape(-1, b.cosine.size)
+        down = (emitted * self.sign[:, None] * b.from_bottom[:, None]).reshape(-1, b.cosine.size)
+        downward = b.roof * b.series * (b.floor * b.through * down + up)
+        upward = b.floor * (b.through * downward + down)
+        return up, down, downward, upward
+
+    def _tests(self, b: Bounded):
+        """Depth moments of radiance entering at the top and at the bottom, (panels·orders,
+        angles).
+        """
+        start = b.start[:, : self.n_depths] * self.norm[:, None]
+        return (
+            (start * b.from_top[:, None]).reshape(-1, b.cosine.size),
+            (start * self.sign[:, None] * b.from_bottom[:, None]).reshape(-1, b.cosine.size),
+        )
+
+    def moments(self, b: Bounded, weight, f, parity: int):
+        """Moments ∫ weight f_l φ_i I of the radiance that unit sources f_k φ_j make.
+
+        `f` has shape (rank, angles); returns (rank·panels·orders, rank·panels·orders).
+        """
+        rank, panels, n = f.shape[0], self.n_panels, self.n_depths
+        _, _, downward, upward = self._sources(b, parity)
+        entering_top, entering_bottom = self._tests(b)
+        weighted = weight * f
+        entering = jnp.concatenate([entering_top, parity * entering_bottom], axis=-1)
+        sent = jnp.concatenate([downward, upward], axis=-1)
+        out = _between(jnp.tile(weighted, 2), entering, jnp.tile(f, 2), sent)
+        out = out.reshape(rank, panels, n, rank, panels, n)
+        # A panel on itself: ∫∫ φ_i(s) x e^{−x|s−s'|} φ_j(s') = 2 Σ_c overlap_ijc x m_c(x).
+        overlap = jnp.asarray(
+            2 * (2 * np.arange(n) + 1)[:, None, None] * _overlap(n), self.depth.dtype
+        )
+        own = b.emitted @ (weighted[:, None] * f).reshape(rank * rank, -1).T
+        own = jnp.einsum("ijc,pclk->plikj", overlap, own.reshape(panels, 2 * n, rank, rank))
+        for p in range(panels):
+            out = out.at[:, p, :, :, p, :].add(own[p])
+        # One panel on another: what leaves the one, thinned by the gap.
+        start, emitted = b.start[:, :n] * self.norm[:, None], b.emitted[:, :n]
+        mirrored_start, mirrored = self.sign[:, None] * start, self.sign[:, None] * emitted
+        for apart in range(1, panels):
+            above = np.arange(panels - apart)
+            under = above + apart
+            gap = self.depth * jnp.asarray(
+                self.edges[under] - self.edges[above + 1], self.depth.dtype
+            )
+            thinned = weighted * jnp.exp(-gap[:, None, None] / b.cosine)
+            pairs = jax.vmap(_between, in_axes=(0, 0, None, 0))
+            down = pairs(thinned, start[under], f, mirrored[above])
+            up = pairs(thinned, mirrored_start[above], f, emitted[under])
+            shape = (panels - apart, rank, n, rank, n)
+            out = out.at[:, under, :, :, above, :].add(down.reshape(shape))
+            out = out.at[:, above, :, :, under, :].add(up.reshape(shape))
+        return out.reshape(rank * panels * n, rank * panels * n)
+
+    def driving(self, b: Bounded, weights, parity: int):
+        """Moments of beams of radiance `weights` (rank, beams) that enter at the top, (rank,
+        panels·orders).
+        """
+        entering_top, entering_bottom = self._tests(b)
+        downward = weights * b.series
+        upward = parity * downward * b.through * b.floor
+        return downward @ entering_top.T + upward @ entering_bottom.T
+
+    def leaving_each(self, b: Bounded, parity: int):
+        """Radiance that each unit source sends to the top and to the bottom, (panels·orders,
+        angles).
+        """
+        up, down, downward, upward = self._sources(b, parity)
+        return up + b.through * upward, down + b.through * downward
+
+    def leaving(self, b: Bounded, source, parity: int):
+        """Radiance that sources (angles, panels·orders) send to the top and to the bottom,
+        (angles,).
+        """
+        top, bottom = self.leaving_each(b, parity)
+        return (source.T * top).sum(0), (source.T * bottom).sum(0)
+
+
+def _between(f, received, g, sent):
+    """Σ_a f_l received_i g_k sent_j as a matrix over (l, i) and (k, j)."""
+    left = (f[:, None] * received).reshape(-1, f.shape[-1])
+    return left @ (g[:, None] * sent).reshape(-1, g.shape[-1]).T
+
+
+def fractions(n_panels: int) -> np.ndarray:
+    """Shares of the depth that each panel takes."""
+    panel = np.arange(n_panels)
+    widths = _GROWTH ** np.minimum(panel, panel[::-1])
+    return widths / widths.sum()
+
+
+def _legendre_moments(x, count: int):
+    """m_k(x) = ∫₀¹ φ_k(s) e^{−xs} ds = (−1)^k e^{−x/2} i_k(x/2), shape (panels, count, angles).
+
+    Modified spherical Bessel functions by the recurrence that is stable: for thin panels downwards,
+    on j_k = (2k+1)!! i_k(z)/z^k, which neither over- nor underflows; for thick ones upwards. No
+    divisions.
+    """
+    z = x / 2
+    thick = z > 50.0
+    z_thin, inverse = jnp.where(thick, 1.0, z), 1 / jnp.where(thick, z, 100.0)
+    top = count + 14
+    square = z_thin * z_thin
+    now, after = jnp.ones_like(z), (2 * top + 3) / (top + 1 + jnp.sqrt((top + 1.5) ** 2 + square))
+    thin = []
+    for k in range(top, 0, -1):
+        now, after = now + square * (1 / ((2 * k + 1) * (2 * k + 3))) * after, now
+        if k <= count:
+            thin.append(now)
+    thin.reverse()
+    first = _mean_survival(x)
+    power = first / thin[0]
+    # coth z is 1 to the last bit here.
+    before, last = first, -first * (1 - inverse)
+    moments = [first]
+    for k in range(1, count):
+        power = -power * z_thin * (1 / (2 * k + 1))
+        moments.append(jnp.where(thick, last, power * thin[k]))
+        before, last = last, before + (2 * k + 1) * inverse * last
+    return jnp.stack(moments, axis=-2)
+
+
+def _mean_survival(x):
+    """(1 − e^{−x})/x, with a gradient that is right at small x too."""
+    small = x < 0.1
+    y = jnp.where(small, x, 0.0)
+    series = 1 - y / 2 * (
+        1 - y / 3 * (1 - y / 4 * (1 - y / 5 * (1 - y / 6 * (1 - y / 7 * (1 - y / 8)))))
+    )
+    z = jnp.where(small, 1.0, x)
+    return jnp.where(small, series, -jnp.expm1(-z) / z)
+
+
+@lru_cache(maxsize=16)
+def _overlap(n: int) -> np.ndarray:
+    """½∫[φ_i(s+r)φ_j(s) + φ_i(s)φ_j(s+r)] ds over 0 ≤ s ≤ 1−r as Σ_k overlap[i, j, k] φ_k(r)."""
+
+    def shifted_legendre(count, s):
+        return np.stack(
+            [np.polynomial.legendre.legval(2 * s - 1, np.eye(count)[k]) for k in range(count)]
+        )
+
+    r, w_r = gauss_legendre(2 * n + 2)
+    s, w_s = gauss_legendre(n + 2)
+    phi_r = shifted_legendre(2 * n, r) * (2 * np.arange(2 * n) + 1)[:, None]
+    out = np.zeros((n, n, 2 * n))
+    for q in range(r.size):
+        inner = s * (1 - r[q])
+        product = np.einsum(
+            "ia,ja,a->ij",
+            shifted_legendre(n, inner + r[q]),
+            shifted_legendre(n, inner),
+            w_s * (1 - r[q]),
+        )
+        out += 0.5 * (product + product.T)[..., None] * phi_r[:, q] * w_r[q]
+    return out

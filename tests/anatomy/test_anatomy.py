@@ -1,0 +1,92 @@
+"""Eyes that cannot be: an iris within the cornea is refused, the shallowest that is not is drawn."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from irisjax.anatomy.eye import Cornea, Eye
+from irisjax.optics.conicoid import Conicoid
+from irisjax.render.camera import Camera, look
+from irisjax.render.refraction import enter, on_cornea
+from irisjax.render.scene import Scene
+from irisjax.tissue.iris import Iris
+
+CORNEAS = {
+    "single": lambda: Cornea(posterior=None),
+    "thick": lambda: Cornea(posterior=Conicoid(6.5, 0.75, 0.8)),
+}
+# Sagittae at 5.5 mm: 2.1643 mm of the anterior cornea, 0.52 + 2.7694 mm of the posterior one.
+SHALLOW = [
+    ({}, 3.29),
+    ({"iris_slope": 0.1}, 2.74),
+    ({"iris_slope": -0.1}, 3.84),
+    ({"iris_radius": 7.0}, 3.29),
+    ({"cornea": "single", "limbus_radius": 6.2, "iris_radius": 6.2}, 2.857),
+    ({"cornea": "single", "limbus_radius": 6.2, "iris_slope": -0.3}, 3.815),
+    (
+        {"cornea": "single", "limbus_radius": 6.2, "iris_slope": 0.3},
+        2.857,
+    ),  # the limbus, whatever its root does
+    ({"cornea": "thick"}, 3.57),
+]
+
+
+@pytest.mark.parametrize(("options", "least"), SHALLOW, ids=[str(i) for i in range(len(SHALLOW))])
+def test_least_depth_is_named_and_holds(options, least, bits):
+    del bits
+    if "cornea" in options:  # made at this precision
+        options = options | {"cornea": CORNEAS[options["cornea"]]()}
+    shallow = least - 0.002
+    with pytest.raises(
+        ValueError, match=rf"iris_depth = {shallow:g} mm .* must be at least {least:g} mm"
+    ):
+        Eye(iris_depth=shallow, **options)
+    eye = Eye(iris_depth=least, **options)
+    # All that enters within the limbus meets the iris in front of it.
+    r = jnp.linspace(0, 1, 50) * jnp.minimum(eye.iris_radius, eye.limbus_radius)
+    back = eye.cornea.posterior or eye.cornea.anterior
+    slope = 0.0 if eye.iris_slope is None else eye.iris_slope
+    assert (eye.iris_depth + slope * r > back.apex + back.sagitta(r)).all()
+
+
+def test_shallow_eyes_of_other_kinds_stay():
+    Eye(iris_depth=3.0, cornea=CORNEAS["single"]())
+    Eye(iris_depth=2.5, cornea=None, sclera=None)
+    Eye(iris_depth=2.5, iris_radius=4.0)
+    with pytest.raises(ValueError, match=r"iris_depth = 3 mm"):
+        Eye().replace(iris_depth=3.0)
+
+
+def test_an_eye_just_allowed_is_drawn():
+    eye = Eye(iris_depth=3.29, pupil_radius=0.25)
+    # A ray to each place of the limbus goes on through both surfaces to the iris, and forwards all the way.
+    turn = jnp.linspace(0, 2 * jnp.pi, 60)
+    entry = on_cornea(eye.cornea, 5.49 * jnp.stack([jnp.cos(turn), jnp.sin(turn)], axis=-1))
+    landing = enter(eye, entry, jnp.broadcast_to(jnp.asarray([0.0, 0.0, 1.0]), entry.shape))
+    assert (landing.point[:, 2] > entry[:, 2]).all() and np.isfinite(landing.share).all()
+    view = look(eye, Camera(width=12.0, size=(24, 18)))
+    assert view.iris is not None and view.iris.index.size > 100
+    picture = np.asarray(Scene(Iris(), eye=eye, camera=Camera(width=12.0, size=(24, 18))).render())
+    assert np.isfinite(picture).all() and (picture >= 0).all() and picture.max() > 0
+
+
+def test_depth_may_be_traced():
+    """The check is for numbers that are known; under jit, grad and vmap it stands aside."""
+
+    def lands(depth):
+        eye = Eye(iris_depth=depth)
+        k = jnp.asarray([2.0, 1.0])
+        return enter(eye, on_cornea(eye.cornea, k), jnp.asarray([0.0, 0.0, 1.0])).point[0]
+
+    depth = jnp.asarray(3.6)
+    step = 1e-5
+    slope = (lands(depth + step) - lands(depth - step)) / (2 * step)
+    assert jax.jit(jax.grad(lands))(depth) == pytest.approx(float(slope), rel=1e-6)
+    assert jax.vmap(lands)(jnp.asarray([3.3, 3.6])).shape == (2,)
+    assert np.isfinite(lands_deep := eqx.filter_jit(lands)(3.6)) and lands_deep < 2.0
+    # The radius may be traced as well, with a depth that is known.
+    assert (
+        jax.jit(lambda r: Eye(iris_depth=3.0, iris_radius=r).iris_radius)(jnp.asarray(5.0)) == 5.0
+    )

@@ -1,0 +1,139 @@
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import irisjax as ij
+from irisjax.grow.noise import noise
+from irisjax.grow.presets import PRESETS, preset
+from irisjax.grow.procedural import procedural, stroma_profile
+
+SHAPE = (128, 48)
+KEY = jax.random.key(7)
+NOTHING = {"profile": False, "fibres": 0.0, "collarette": 0.0, "crypts": 0, "furrows": 0}
+
+
+@pytest.fixture(scope="module")
+def everything():
+    return procedural(ij.Iris(), shape=SHAPE, freckles=5, abl=1.0, heterochromia=2.0, key=KEY)
+
+
+def test_every_map_is_there_and_within_what_irides_are(everything):
+    maps = everything.present()
+    assert set(maps) == {"relief", "abl_thickness", "stroma_thickness", "freckles", "eumelanin"}
+    assert {m.shape for m in maps.values()} == {SHAPE}
+    low_high = {
+        "relief": (-0.2, 0.2), "abl_thickness": (0.015, 0.12), "stroma_thickness": (0.1, 0.6),
+        "freckles": (0, 1), "eumelanin": (1, 3),
+    }  # fmt: skip
+    for name, (low, high) in low_high.items():
+        assert low <= maps[name].min() < maps[name].max() <= high, name
+
+
+@pytest.mark.parametrize("layer", ["stroma_thickness", "abl_thickness"])
+def test_area_means_are_those_of_the_iris(everything, layer):
+    iris = ij.Iris()
+    place = (
+        iris.pupil_radius
+        + (iris.iris_radius - iris.pupil_radius) * (jnp.arange(SHAPE[1]) + 0.5) / SHAPE[1]
+    )
+    mean = (getattr(everything, layer) * place).sum() / (SHAPE[0] * place.sum())
+    np.testing.assert_allclose(mean, getattr(iris, layer), rtol=1e-12)
+
+
+def test_equal_keys_give_equal_maps_and_others_do_not(everything):
+    again = procedural(ij.Iris(), shape=SHAPE, freckles=5, abl=1.0, heterochromia=2.0, key=KEY)
+    other = procedural(
+        ij.Iris(), shape=SHAPE, freckles=5, abl=1.0, heterochromia=2.0, key=jax.random.key(8)
+    )
+    for name, m in everything.present().items():
+        np.testing.assert_array_equal(m, again.present()[name])
+        assert jnp.abs(m - other.present()[name]).max() > 0.1 * jnp.ptp(m), name
+
+
+def test_no_seam(everything):
+    for name, m in everything.present().items():
+        jumps = np.abs(np.asarray(m - jnp.roll(m, 1, axis=0))).mean(1)
+        assert jumps[0] < np.quantile(jumps[1:], 0.98) or jumps[0] == 0, name
+
+
+def test_strands_run_radially(everything):
+    m = everything.stroma_thickness[:, SHAPE[1] // 2 :]
+    m = m / m.mean(0)
+    assert jnp.diff(m, axis=0).std() > 2 * jnp.diff(m, axis=1).std()
+
+
+def test_noise_is_periodic():
+    turns, radius = jnp.linspace(0, 1, 50), jnp.linspace(0, 1, 50)
+    a, b = (noise(jnp.uint32(3), turns + k, radius, (6, 2), 3) for k in (0, 1))
+    np.testing.assert_allclose(a, b, atol=1e-9)
+    assert float(jnp.abs(a).max()) <= 1
+
+
+def test_profile_passes_through_ultrasound():
+    r = (np.array([2.25, 3.5, 5.0]) - 2.0) / 3.5
+    np.testing.assert_allclose(
+        stroma_profile(jnp.asarray(r)) + 0.07 + 0.05675, [0.645, 0.457, 0.372]
+    )
+
+
+@pytest.mark.parametrize(
+    ("asked", "present"),
+    [
+        ({}, set()),
+        ({"profile": True, "relief": 0.0}, {"stroma_thickness"}),
+        ({"furrows": 2}, {"relief"}),
+        ({"freckles": 2}, {"freckles"}),
+        ({"heterochromia": 1.0}, {"eumelanin"}),
+        ({"abl": 1.0}, {"relief", "abl_thickness"}),
+        ({"crypts": 2, "relief": 0.0}, {"stroma_thickness"}),
+    ],
+)
+def test_maps_that_nothing_needs_are_absent(asked, present):
+    maps = procedural(ij.Iris(), shape=SHAPE, **{**NOTHING, **asked}, key=KEY)
+    assert set(maps.present()) == present
+
+
+def test_errors():
+    with pytest.raises(
+        ValueError, match="unknown eye colour 'red'; known: blue, brown, green, grey, hazel"
+    ):
+        preset("red", key=KEY)
+    with pytest.raises(ValueError, match="crypts = -1 must be finite and not negative"):
+        procedural(ij.Iris(), crypts=-1, key=KEY)
+    with pytest.raises(ValueError, match=r"shape \(8, 8\) is below"):
+        procedural(ij.Iris(), shape=(8, 8), key=KEY)
+
+
+@pytest.mark.slow
+def test_presets_look_their_names():
+    """Hues of the mean iris: blue and grey below yellow, brown red and dark."""
+    lab = np.stack(
+        [
+            ij.colour(PRESETS[c](shape=SHAPE, key=KEY)[0]).lab
+            for c in ("brown", "green", "blue", "grey")
+        ]
+    )
+    (_, a_brown, b_brown), (_, a_green, b_green), (l_blue, _, b_blue), (l_grey, _, b_grey) = lab
+    assert a_brown > 5
+    assert b_brown > 15
+    assert a_green < -3 < 5 < b_green
+    assert b_blue < -8
+    assert abs(b_grey) < 3
+    assert lab[0, 0] < l_blue < l_grey
+
+
+def test_traced():
+    found = jax.eval_shape(
+        lambda i, k: procedural(i, shape=SHAPE, freckles=2, key=k), ij.Iris(), KEY
+    )
+    assert found.stroma_thickness.shape == SHAPE
+
+
+def test_single_precision_sees_the_noise_of_double(float32):
+    found = jax.eval_shape(lambda k: procedural(ij.Iris(), shape=SHAPE, key=k), KEY)
+    assert found.stroma_thickness.dtype == found.relief.dtype == jnp.float32
+    turns = jnp.linspace(0, 1, 50)
+    fine = noise(jnp.uint32(3), turns, turns, (6, 2), 3)
+    assert fine.dtype == jnp.float32
+    np.testing.assert_allclose(np.asarray(fine)[[7, 33]], [0.214834, 0.083868], atol=1e-5)

@@ -1,0 +1,212 @@
+"""Illumination tables in files: the same to the last bit, of this eye, or made again."""
+
+import dataclasses
+import os
+import threading
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from irisjax.anatomy.eye import Cornea, Eye, Sclera
+from irisjax.cli import cache
+from irisjax.io import illumination
+from irisjax.io.illumination import key, tables_of
+from irisjax.optics.conicoid import Conicoid
+from irisjax.render.camera import Camera
+from irisjax.render.illumination import Illumination, deciding
+from irisjax.render.lights import Lights
+from irisjax.render.scene import Scene
+from irisjax.tissue.iris import Iris
+
+EYE = Eye()
+SCENE = Scene(Iris())
+
+
+@pytest.fixture
+def made(monkeypatch):
+    """Small invented tables, a different set each time, in place of true ones; what they were made of."""
+    calls = []
+
+    def build(eye, *, caustics):
+        calls.append((eye, caustics))
+        flux = np.random.default_rng(len(calls)).normal(size=(4 if caustics else 2, 5, 5, 3))
+        return Illumination(jnp.asarray(flux, float), jnp.asarray(5.6, float), 2.25)
+
+    monkeypatch.setattr(illumination.Illumination, "build", staticmethod(build))
+    return calls
+
+
+def equal(a, b):
+    assert a.largest == b.largest and a.flux.dtype == b.flux.dtype
+    np.testing.assert_array_equal(a.flux, b.flux)
+    np.testing.assert_array_equal(a.extent, b.extent)
+
+
+def test_true_tables_come_back_to_the_bit(tmp_path, monkeypatch, bits):
+    scene = Scene(Iris(), eye=Eye(iris_depth=3.7))  # of this precision
+    first = tables_of(scene, tmp_path)
+    (file,) = tmp_path.iterdir()
+    assert first.flux.dtype == f"float{bits}"
+
+    def forbidden(*_, **__):
+        raise AssertionError("made twice")
+
+    monkeypatch.setattr(illumination.Illumination, "build", forbidden)
+    # Another pupil, camera and iris: the same file.
+    scene = scene.replace(
+        eye=scene.eye.replace(pupil_radius=2.5), camera=Camera(size=(4, 3)), iris=Iris()
+    )
+    equal(tables_of(scene, tmp_path), first)
+    assert list(tmp_path.iterdir()) == [file]
+
+
+def test_tables_are_made_of_what_the_key_sees():
+    """Two eyes of one key have the same tables: build looks at nothing else."""
+    a = EYE.replace(pupil_radius=3.0, sclera=Sclera(radius=13.0), cornea=Cornea(scatter=85e8))
+    b = EYE.replace(sclera=None)
+    assert key(a, False) == key(b, False) == key(EYE, False)
+    assert jax.tree.structure(deciding(a)) == jax.tree.structure(deciding(b))
+    single = EYE.replace(cornea=Cornea.f09(), aqueous_index=1.376)
+    assert key(single, True) == key(single.replace(cornea=Cornea(posterior=None, index=1.5)), True)
+
+
+OTHERS = {
+    "iris_depth": EYE.replace(iris_depth=3.6 + 1e-12),
+    "iris_slope": EYE.replace(iris_slope=0.0),
+    "iris_radius": EYE.replace(iris_radius=5.4),
+    "limbus_radius": EYE.replace(limbus_radius=5.6),
+    "aqueous_index": EYE.replace(aqueous_index=1.34),
+    "attenuation": EYE.replace(attenuation=1e-4),
+    "one surface": EYE.replace(cornea=Cornea(posterior=None)),
+    "cornea.index": EYE.replace(cornea=Cornea(index=1.38)),
+    "cornea.anterior": EYE.replace(cornea=Cornea(anterior=Conicoid(7.8, 0.76))),
+    "cornea.posterior": EYE.replace(cornea=Cornea(posterior=Conicoid(6.5, 0.75, 0.53))),
+}
+
+
+@pytest.mark.parametrize("name", OTHERS)
+def test_what_matters_makes_another_key(name):
+    keys = {key(eye, caustics) for eye in (EYE, OTHERS[name]) for caustics in (False, True)}
+    assert len(keys) == 4
+
+
+def test_every_field_of_the_eye_is_in_the_key_or_said_not_to_matter():
+    said = {"sclera", "pupil_radius"}
+    assert {f.name for f in dataclasses.fields(Eye)} - said - {"cornea"} <= OTHERS.keys()
+    assert {f"cornea.{f.name}" for f in dataclasses.fields(Cornea)} - {
+        "cornea.scatter"
+    } <= OTHERS.keys()
+
+
+def test_precision_format_and_code_are_in_the_key(monkeypatch):
+    before = key(EYE, True)
+    single = jax.tree.map(lambda x: x.astype(jnp.float32), EYE)
+    assert key(single, True) != before
+    monkeypatch.setattr(illumination, "_FORMAT", illumination._FORMAT + 1)
+    changed = key(EYE, True)
+    monkeypatch.setattr(illumination, "_code", lambda: "other")
+    assert len({before, changed, key(EYE, True)}) == 3
+
+
+def test_grazing_light_asks_for_caustics(tmp_path, made):
+    low = SCENE.replace(lights=Lights.distant(1.6, 0.0))
+    for scene in (SCENE, low, SCENE, low):
+        tables_of(scene, tmp_path)
+    assert [caustics for _, caustics in made] == [False, True]
+
+
+def cut(data):
+    return data[: len(data) // 2]
+
+
+def flipped(data):
+    middle = len(data) // 2
+    return data[:middle] + bytes([data[middle] ^ 1]) + data[middle + 1 :]
+
+
+def of_another_kind(data):
+    import io as memory
+
+    buffer = memory.BytesIO()
+    np.savez(buffer, flux=np.zeros(3))
+    return buffer.getvalue()
+
+
+@pytest.mark.parametrize(
+    "damage", [cut, flipped, of_another_kind, lambda data: b"", lambda data: b"not a table"],
+    ids=["cut", "flipped", "foreign", "empty", "text"],
+)  # fmt: skip
+def test_damaged_files_are_made_again_and_said(tmp_path, made, capsys, damage):
+    tables_of(SCENE, tmp_path)
+    (file,) = tmp_path.iterdir()
+    file.write_bytes(damage(file.read_bytes()))
+    again = tables_of(SCENE, tmp_path)
+    err = capsys.readouterr().err
+    assert (
+        err.startswith(f"irisjax: {file}: not usable (")
+        and err.endswith("made again\n")
+        and err.count("\n") == 1
+    )
+    assert len(made) == 2
+    equal(tables_of(SCENE, tmp_path), again)
+    assert len(made) == 2 and capsys.readouterr().err == ""
+
+
+def test_files_under_anothers_name_are_not_used(tmp_path, made, capsys):
+    tables_of(SCENE, tmp_path)
+    (file,) = tmp_path.iterdir()
+    other = SCENE.replace(eye=EYE.replace(iris_depth=3.8))
+    file.rename(tmp_path / f"{key(other.eye, False)}.npz")
+    tables_of(other, tmp_path)
+    assert "tables of another eye" in capsys.readouterr().err and len(made) == 2
+
+
+def test_a_folder_that_cannot_be_written_costs_a_line(tmp_path, made, capsys):
+    (tmp_path / "file").write_text("")
+    found = tables_of(SCENE, tmp_path / "file")
+    assert found.flux.shape == (2, 5, 5, 3)
+    err = capsys.readouterr().err
+    assert "could not be kept" in err and err.count("\n") == 1
+
+
+def test_the_folder_stays_small(tmp_path, made):
+    (tmp_path / ".x.npz.123.tmp").write_bytes(b"")
+    os.utime(tmp_path / ".x.npz.123.tmp", (0, 0))
+    eyes = [EYE.replace(iris_depth=3.6 + 0.01 * i) for i in range(illumination.MOST + 3)]
+    for i, eye in enumerate(eyes):
+        tables_of(SCENE.replace(eye=eye), tmp_path)
+        os.utime(tmp_path / f"{key(eye, False)}.npz", (i, i))
+        tables_of(SCENE.replace(eye=eyes[0]), tmp_path)  # in use all the time, so that it stays
+    kept = {key(eye, False) + ".npz" for eye in (eyes[0], *eyes[4:])}
+    assert {p.name for p in tmp_path.iterdir()} == kept and len(kept) == illumination.MOST
+    assert len(made) == len(eyes)
+
+
+def test_many_at_once_get_the_same_file(tmp_path, made):
+    threads = [threading.Thread(target=tables_of, args=(SCENE, tmp_path)) for _ in range(4)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    (file,) = tmp_path.iterdir()
+    assert illumination._read(file, file.stem).flux.shape == (2, 5, 5, 3)
+
+
+def test_no_cornea_no_file(tmp_path):
+    assert tables_of(SCENE.replace(eye=Eye(cornea=None, sclera=None)), tmp_path) is None
+    assert not list(tmp_path.iterdir())
+
+
+def test_where_the_command_keeps_them(monkeypatch, tmp_path, made):
+    monkeypatch.setenv("JAX_COMPILATION_CACHE_DIR", "")
+    assert cache.folder() is None
+    assert cache.kept_tables(SCENE) is not None
+    monkeypatch.setenv("JAX_COMPILATION_CACHE_DIR", str(tmp_path / "named"))
+    cache.kept_tables(SCENE)
+    assert len(list((tmp_path / "named" / "illumination").iterdir())) == 1
+    monkeypatch.delenv("JAX_COMPILATION_CACHE_DIR")
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    assert cache.folder() == tmp_path / "irisjax"
+    assert len(made) == 2

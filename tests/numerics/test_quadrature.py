@@ -1,0 +1,189 @@
+import itertools
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.special import expn
+
+from irisjax.numerics.quadrature import conserving, cosine_rule, graded, interpolation, ungraded
+from irisjax.optics.fresnel import critical_cosine_squared, refracted
+
+
+def rule_for(*critical, n=36, **options):
+    return cosine_rule(jnp.asarray(critical, float), (True,) * len(critical), n, **options)
+
+
+def tanh_sinh(length):
+    """Double-exponential rule on [0, length]: an integrator with nothing in common with the one tested."""
+    t = np.arange(-4.5, 4.5, 0.01)
+    u = np.pi / 2 * np.sinh(t)
+    return length / (1 + np.exp(-2 * u)), length * 0.01 * np.pi / 4 * np.cosh(t) / np.cosh(u) ** 2
+
+
+DEPTHS = np.geomspace(1e-6, 1e3, 91)
+
+
+def test_exponential_integral():
+    """∫ μ exp(−τ/μ) dμ = E₃(τ), the diffuse transmittance over 2, at every depth.
+
+    Reflectances are promised to 1e-10; the rule below them is asked for a tenth of that.
+    """
+    rule = rule_for()
+    found = np.exp(-DEPTHS[:, None] / np.asarray(rule.cosine)) @ np.asarray(
+        rule.weight * rule.cosine
+    )
+    np.testing.assert_allclose(found, expn(3, DEPTHS), rtol=0, atol=1e-11)
+
+
+def test_exponential_integral_converges():
+    """Twice the nodes are better by orders until rounding is met."""
+    worst = []
+    for n in (8, 16, 32, 64):
+        rule = rule_for(n=n)
+        found = np.exp(-DEPTHS[:, None] / np.asarray(rule.cosine)) @ np.asarray(
+            rule.weight * rule.cosine
+        )
+        worst.append(np.abs(found - expn(3, DEPTHS)).max())
+    assert worst[0] < 1e-4
+    assert worst[1] < worst[0] / 20
+    assert worst[2] < worst[1] / 20
+    assert worst[3] < 1e-13
+
+
+@pytest.mark.parametrize(
+    "critical", [(0.3,), (0.9,), (1e-3,), (1e-8,), (0.02, 0.4), (0.4, 0.02), (0.5, 0.5), (0.0, 0.3)]
+)
+@pytest.mark.parametrize("depth", [0.0, 1e-6, 0.03, 1.0, 30.0])
+def test_square_root_kinks(critical, depth):
+    rule = rule_for(*(c * c for c in critical), n=72)
+    mu = np.asarray(rule.cosine)
+    for c in critical:
+
+        def integrand(m, c=c):
+            return (
+                m
+                * np.exp(-depth / np.maximum(m, 1e-300))
+                / (1 + np.sqrt(np.maximum(m * m - c * c, 0)))
+            )
+
+        expected = 0.0
+        cuts = sorted({0.0, *critical, 1.0})
+        for a, b in itertools.pairwise(cuts):
+            # In √(μ² − a²) the kink at a panel's start is gone.
+            v, w = tanh_sinh(np.sqrt(b * b - a * a))
+            m = np.hypot(a, v)
+            expected += np.sum(w * integrand(m) * v / m)
+        assert integrand(mu) @ np.asarray(rule.weight) == pytest.approx(expected, rel=0, abs=1e-12)
+
+
+def test_known_kink():
+    """∫ μ √(μ² − c²) dμ = (1 − c²)^{3/2}/3 from the critical cosine c on."""
+    for c2 in (0.0, 1e-10, 0.18, 0.95):
+        rule = rule_for(c2)
+        value = np.sum(rule.weight * rule.cosine * np.sqrt(np.maximum(rule.excess[0], 0)))
+        assert value == pytest.approx((1 - c2) ** 1.5 / 3, rel=1e-12)
+
+
+media = st.floats(1.0, 3.0)
+
+
+@given(media, media, media)
+def test_weights_and_nodes(n, above, below):
+    """Whatever the three media are: flux is integrated exactly, and nodes and weights are in range."""
+    critical = [float(critical_cosine_squared(n, m)) for m in (above, below)]
+    rule = rule_for(*critical)
+    mu, w = np.asarray(rule.cosine), np.asarray(rule.weight)
+    assert np.sum(2 * mu * w) == pytest.approx(1, abs=1e-11)
+    assert (w >= 0).all()
+    assert ((mu > 0) & (mu <= 1)).all()
+    assert (np.diff(mu[w > 0]) >= 0).all()
+    # atol: the difference on the right cancels, not the rule's.
+    expected = mu**2 - np.array(critical)[:, None]
+    np.testing.assert_allclose(
+        np.asarray(rule.excess)[:, w > 0], expected[:, w > 0], rtol=0, atol=1e-15
+    )
+
+
+@pytest.mark.parametrize("n", [9, 17, 36])
+def test_square_is_exact_by_construction(n):
+    """∫2μ dμ = 1 in a panel's own variable is a polynomial identity up to the grading's error."""
+    rule = rule_for(n=n)
+    assert np.sum(2 * rule.cosine * rule.weight) == pytest.approx(1, abs=10.0 ** -(n / 3))
+
+
+def test_guided_panel_left_out():
+    rule = rule_for(0.18, 0.0007, skip_guided=True)
+    assert rule.omitted == pytest.approx(0.0007, rel=1e-14)
+    assert np.min(rule.cosine) ** 2 > 0.0007
+    assert np.sum(2 * rule.cosine * rule.weight) + rule.omitted == pytest.approx(1, abs=1e-13)
+
+
+def test_no_guided_panel_if_one_side_never_reflects():
+    rule = cosine_rule(jnp.asarray([0.18, -0.1]), (True, False), 32, skip_guided=True)
+    assert rule.omitted == 0
+    assert np.sum(rule.weight) == pytest.approx(1, abs=1e-12)
+
+
+def test_empty_panel_changes_nothing():
+    """A critical angle that might exist, but does not, costs nodes and nothing else."""
+    # 16 nodes a panel in both.
+    two, three = rule_for(0.18, n=32), rule_for(0.18, -0.3, n=21)
+    assert three.cosine.size == 3 * two.cosine.size // 2
+    for f in (lambda r: 2 * r.cosine, lambda r: r.cosine**3, lambda r: np.exp(-0.3 / r.cosine)):
+        assert np.sum(f(two) * two.weight) == pytest.approx(
+            float(np.sum(f(three) * three.weight)), abs=1e-15
+        )
+
+
+@pytest.mark.parametrize("critical", [(), (0.18,), (0.18, 0.0007), (0.5, 0.5)])
+@pytest.mark.parametrize("n", [8, 36])
+def test_conserving(critical, n, bits):
+    rule = conserving(rule_for(*critical, n=n))
+    tolerance = 8 * float(np.finfo(rule.weight.dtype).eps)
+    assert np.float64(rule.weight).sum() == pytest.approx(1, abs=tolerance)
+    assert np.sum(np.float64(rule.weight) * np.float64(rule.cosine) ** 2) == pytest.approx(
+        1 / 3, abs=tolerance
+    )
+    assert rule.weight.dtype == (np.float64 if bits == 64 else np.float32)
+
+
+@given(st.floats(0, 1), st.floats(0, 1))
+def test_grading_and_back(x, start):
+    g, slope = graded(x, start, np)
+    assert 0 <= g <= 1 + 1e-15
+    assert slope >= 0
+    # Near x = 0 the map is quadratic, so its inverse keeps half the digits of rounding in g.
+    assert ungraded(g, start, np) == pytest.approx(x, abs=1e-9)
+
+
+def test_grading_slope():
+    for start in (0.0, 0.01, 0.7):
+        for x in (0.1, 0.5, 0.9):
+            difference = (graded(x + 1e-6, start, np)[0] - graded(x - 1e-6, start, np)[0]) / 2e-6
+            assert graded(x, start, np)[1] == pytest.approx(difference, rel=1e-8)
+
+
+@pytest.mark.parametrize("panel", [0, 1])
+def test_interpolation(panel):
+    rule = rule_for(0.3, n=72)
+    m = 36
+    nodes = np.asarray(rule.cosine)[panel * m : (panel + 1) * m]
+    np.testing.assert_allclose(interpolation(rule, panel, jnp.asarray(nodes)), np.eye(m), atol=1e-9)
+    low, high = (0.0, np.sqrt(0.3)) if panel == 0 else (np.sqrt(0.3), 1.0)
+    between = jnp.asarray(np.linspace(low + 1e-6, high, 101))
+    values = np.asarray(interpolation(rule, panel, between))
+    np.testing.assert_allclose(values.sum(-1), 1, atol=1e-12)
+    for f in (lambda mu: mu**2, lambda mu: 1 / (1 + mu)):
+        np.testing.assert_allclose(values @ f(nodes), f(np.asarray(between)), rtol=0, atol=1e-10)
+
+
+def test_refracted_is_snell():
+    c2 = 1 - (1.336 / 1.4733) ** 2
+    rule = rule_for(c2)
+    mu = np.asarray(rule.cosine)
+    inside = np.maximum(1 - (1.4733 / 1.336) ** 2 * (1 - mu**2), 0)
+    found = refracted(rule, 0, 1.4733, 1.336)
+    np.testing.assert_allclose(np.asarray(found) ** 2, inside, atol=1e-14)
+    assert (np.asarray(found)[mu**2 < c2 * (1 - 1e-12)] == 0).all()
