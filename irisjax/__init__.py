@@ -10,6 +10,7 @@ if TYPE_CHECKING:
     from irisjax.anatomy.eye import Cornea as Cornea
     from irisjax.anatomy.eye import Eye as Eye
     from irisjax.anatomy.eye import Sclera as Sclera
+    from irisjax.anatomy.media import Media as Media
     from irisjax.grow.presets import preset as preset
     from irisjax.grow.procedural import procedural as procedural
     from irisjax.grow.vessels import veins as veins
@@ -26,15 +27,21 @@ if TYPE_CHECKING:
     from irisjax.io.measured import Measured as Measured
     from irisjax.io.measured import read_measured as read_measured
     from irisjax.io.scenes import read_scene as read_scene
+    from irisjax.measure.colorimeter import Colorimeter as Colorimeter
+    from irisjax.measure.colorimeter import colour as colour
     from irisjax.measure.colour import Colour as Colour
-    from irisjax.measure.colour import colour as colour
     from irisjax.measure.colour import colour_of as colour_of
     from irisjax.measure.goniophotometer import Brdf as Brdf
+    from irisjax.measure.goniophotometer import Goniophotometer as Goniophotometer
     from irisjax.measure.goniophotometer import brdf as brdf
     from irisjax.measure.goniophotometer import principal_plane as principal_plane
+    from irisjax.measure.instrument import AbstractInstrument as AbstractInstrument
     from irisjax.measure.measurement import Measurement as Measurement
     from irisjax.measure.measurement import wavelengths as wavelengths
-    from irisjax.measure.spectrophotometer import radiance as radiance
+    from irisjax.measure.observe import observe as observe
+    from irisjax.measure.radiometer import Radiometer as Radiometer
+    from irisjax.measure.radiometer import radiance as radiance
+    from irisjax.measure.spectrophotometer import Spectrophotometer as Spectrophotometer
     from irisjax.measure.spectrophotometer import reflectance as reflectance
     from irisjax.render.camera import Camera as Camera
     from irisjax.render.environment import Environment as Environment
@@ -48,52 +55,115 @@ if TYPE_CHECKING:
     from irisjax.tissue.layers import Layers as Layers
     from irisjax.tissue.maps import IrisMaps as IrisMaps
     from irisjax.tissue.pigments import extinction as extinction
-    from irisjax.transport.ilit.exact import DIFFUSE as DIFFUSE
-    from irisjax.transport.ilit.exact import Exact as Exact
-    from irisjax.transport.ilit.tabulated import Tabulated as Tabulated
+    from irisjax.transport.ilit.exact import IlitExact as IlitExact
+    from irisjax.transport.ilit.tabulated import IlitTabulated as IlitTabulated
+    from irisjax.transport.ilit.weighted import IlitWeighted as IlitWeighted
+    from irisjax.transport.incidence import DIFFUSE as DIFFUSE
     from irisjax.transport.montecarlo import MonteCarlo as MonteCarlo
+    from irisjax.transport.montecarlo import photon_mesh as photon_mesh
     from irisjax.transport.process import DEPTH_RESOLVED as DEPTH_RESOLVED
     from irisjax.transport.process import ILIT_2006 as ILIT_2006
     from irisjax.transport.process import ILIT_CORRECTED as ILIT_CORRECTED
-    from irisjax.transport.process import Process as Process
+    from irisjax.transport.process import Ilit as Ilit
+    from irisjax.transport.process import RadiativeTransfer as RadiativeTransfer
+    from irisjax.transport.radiative.exact import RadiativeExact as RadiativeExact
     from irisjax.transport.solution import RESULTS as RESULTS
     from irisjax.transport.solution import Solution as Solution
+    from irisjax.transport.solver import AbstractSolver as AbstractSolver
 
 # All loads when it is first used: a spectrum needs neither optimistix nor emcee nor the renderer.
 _HOMES = {
+    "anatomy.eye": (
+        "Cornea",
+        "Eye",
+        "Sclera",
+    ),
+    "anatomy.media": ("Media",),
+    "grow.presets": ("preset",),
+    "grow.procedural": ("procedural",),
+    "grow.vessels": ("veins",),
     "infer.fit": ("fit",),
     "infer.identifiability": ("information",),
     "infer.noise": ("Noise",),
-    "infer.observation": ("Observation", "colour_data", "spectrum"),
+    "infer.observation": (
+        "Observation",
+        "colour_data",
+        "spectrum",
+    ),
     "infer.posterior": ("sample",),
-    "infer.problem": ("Problem", "problem"),
+    "infer.problem": (
+        "Problem",
+        "problem",
+    ),
     "infer.summary": ("summarise",),
-    "io.measured": ("Measured", "read_measured"),
+    "io.measured": (
+        "Measured",
+        "read_measured",
+    ),
     "io.scenes": ("read_scene",),
-    "measure.colour": ("Colour", "colour", "colour_of"),
-    "measure.goniophotometer": ("Brdf", "brdf", "principal_plane"),
-    "measure.measurement": ("Measurement", "wavelengths"),
-    "measure.spectrophotometer": ("radiance", "reflectance"),
+    "measure.colorimeter": (
+        "Colorimeter",
+        "colour",
+    ),
+    "measure.colour": (
+        "Colour",
+        "colour_of",
+    ),
+    "measure.goniophotometer": (
+        "Brdf",
+        "Goniophotometer",
+        "brdf",
+        "principal_plane",
+    ),
+    "measure.instrument": ("AbstractInstrument",),
+    "measure.measurement": (
+        "Measurement",
+        "wavelengths",
+    ),
+    "measure.observe": ("observe",),
+    "measure.radiometer": (
+        "Radiometer",
+        "radiance",
+    ),
+    "measure.spectrophotometer": (
+        "Spectrophotometer",
+        "reflectance",
+    ),
     "render.camera": ("Camera",),
     "render.environment": ("Environment",),
     "render.lights": ("Lights",),
     "render.memory": ("Memory",),
-    "render.scene": ("Scene", "prepare"),
+    "render.scene": (
+        "Scene",
+        "prepare",
+    ),
     "render.separable": ("Separable",),
-    "grow.vessels": ("veins",),
-    "anatomy.eye": ("Cornea", "Eye", "Sclera"),
     "tissue.indices": ("RefractiveIndices",),
     "tissue.iris": ("Iris",),
     "tissue.layers": ("Layers",),
     "tissue.maps": ("IrisMaps",),
     "tissue.pigments": ("extinction",),
-    "grow.presets": ("preset",),
-    "grow.procedural": ("procedural",),
-    "transport.ilit.exact": ("DIFFUSE", "Exact"),
-    "transport.montecarlo": ("MonteCarlo",),
-    "transport.process": ("DEPTH_RESOLVED", "ILIT_2006", "ILIT_CORRECTED", "Process"),
-    "transport.solution": ("RESULTS", "Solution"),
-    "transport.ilit.tabulated": ("Tabulated",),
+    "transport.ilit.exact": ("IlitExact",),
+    "transport.ilit.tabulated": ("IlitTabulated",),
+    "transport.ilit.weighted": ("IlitWeighted",),
+    "transport.incidence": ("DIFFUSE",),
+    "transport.montecarlo": (
+        "MonteCarlo",
+        "photon_mesh",
+    ),
+    "transport.process": (
+        "DEPTH_RESOLVED",
+        "ILIT_2006",
+        "ILIT_CORRECTED",
+        "Ilit",
+        "RadiativeTransfer",
+    ),
+    "transport.radiative.exact": ("RadiativeExact",),
+    "transport.solution": (
+        "RESULTS",
+        "Solution",
+    ),
+    "transport.solver": ("AbstractSolver",),
 }
 _HOME = {name: home for home, names in _HOMES.items() for name in names}
 _PARTS = (

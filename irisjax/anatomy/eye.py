@@ -15,25 +15,26 @@ from jax.core import Tracer
 from jaxtyping import Array, Float
 
 from irisjax._types import Scalar, as_float, as_float_or_none
-from irisjax.anatomy.media import AQUEOUS, CORNEA
+from irisjax.anatomy.media import AQUEOUS, CORNEA, INDEX, Media
+from irisjax.numerics.checks import Range, check_fields
 from irisjax.numerics.roots import safe_sqrt
 from irisjax.optics.conicoid import Conicoid, Vector, parts
 
-_LIMITS = {
-    "thickness": (0, 2, "mm"),
-    "index": (1, 3, ""),
-    "aqueous_index": (1, 3, ""),
-    "iris_depth": (2.5, 8, "mm"),
-    "iris_slope": (-0.5, 0.5, ""),
-    "limbus_radius": (4, 7, "mm"),
-    "iris_radius": (4, 7, "mm"),
-    "pupil_radius": (0.25, 4.75, "mm"),
-    "radius": (8, 16, "mm"),
-    "veins": (0, 10, ""),
-    "hemoglobin": (0, 10, "mmol/l"),
-    "saturation": (0, 1, ""),
-    "attenuation": (0, 1, "1/mm"),
+LIMITS = {
+    "index": INDEX,
+    "aqueous_index": INDEX,
+    "iris_depth": Range(2.5, 8, "mm"),
+    "iris_slope": Range(-0.5, 0.5),
+    "limbus_radius": Range(4, 7, "mm"),
+    "iris_radius": Range(4, 7, "mm"),
+    "pupil_radius": Range(0.25, 4.75, "mm"),
+    "radius": Range(8, 16, "mm"),
+    "veins": Range(0, 10),
+    "hemoglobin": Range(0, 10, "mmol/l"),
+    "saturation": Range(0, 1),
+    "attenuation": Range(0, 1, "1/mm"),
 }
+"""Allowed range of each number of an eye and its parts."""
 
 
 def _number(default: float) -> Any:
@@ -64,7 +65,7 @@ class Cornea(eqx.Module):
     @classmethod
     def f09(cls) -> "Cornea":
         """The single surface of F09, R = 7.8 mm and p = 0.75; set `aqueous_index=1.376` of `Eye`
-        and `Iris` with it.
+        with it.
         """
         return cls(posterior=None, index=jnp.asarray(1.376))
 
@@ -90,7 +91,7 @@ class Sclera(eqx.Module):
     saturation: Scalar = _number(0.9)
 
     def __check_init__(self):
-        _check(self)
+        check_fields(self, LIMITS)
 
 
 class Eye(eqx.Module):
@@ -120,7 +121,7 @@ class Eye(eqx.Module):
     attenuation: Scalar | None = _optional()
 
     def __check_init__(self):
-        _check(self)
+        check_fields(self, LIMITS)
         known = not any(isinstance(r, Tracer) for r in (self.pupil_radius, self.iris_radius))
         if known and float(self.pupil_radius) >= float(self.iris_radius):
             raise ValueError(
@@ -145,6 +146,12 @@ class Eye(eqx.Module):
                     f"limbus; for this eye it must be at least "
                     f"{np.ceil(least * 1000 + 0.5) / 1000:g} mm"
                 )
+
+    @property
+    def media(self) -> Media:
+        """The indices before its iris, for instruments that look at it in vivo."""
+        cornea = CORNEA if self.cornea is None else self.cornea.index
+        return Media(aqueous=self.aqueous_index, cornea=cornea)
 
     def replace(self, **fields: Any) -> "Eye":
         """A copy with some fields changed."""
@@ -187,18 +194,3 @@ def _least_depth(eye: Eye, cornea: Cornea) -> float:
     root = float(back.apex + back.sagitta(r)) - slope * float(r)
     limbus = float(cornea.anterior.apex + cornea.anterior.sagitta(eye.limbus_radius))
     return max(root, limbus, float(back.apex))
-
-
-def _check(module) -> None:
-    for field in dataclasses.fields(module):
-        if field.name not in _LIMITS:
-            continue
-        low, high, unit = _LIMITS[field.name]
-        value = getattr(module, field.name)
-        if value is None or isinstance(value, Tracer):
-            continue
-        v = float(np.asarray(value))
-        if not low <= v <= high:
-            raise ValueError(
-                f"{field.name} = {v:g} is outside [{low:g}, {high:g}]{(' ' + unit) if unit else ''}"
-            )

@@ -97,7 +97,7 @@ def _contents(scene: Scene, spacing: float) -> tuple[dict[str, bytes], int, Lamb
     }
     bands = colour_bands(scene.illuminant, scene.observer)
     hazy = bands if cornea is None else colour_bands(scene.illuminant, scene.observer, cornea)
-    matt = Matt.of(iris, maps, _joined(bands, hazy), integrator)
+    matt = Matt.of(iris, maps, scene.eye, _joined(bands, hazy), integrator)
     found = in_uv(matt.albedo())
     colour, through, spectral = found[..., :3], found[..., 3:6], found[..., 6:]
     haze = None if cornea is None or cornea.scatter is None else _haze(colour, through, bands, hazy)

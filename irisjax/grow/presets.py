@@ -7,6 +7,7 @@ from typing import Any
 import jax.numpy as jnp
 
 from irisjax._types import PRNGKey
+from irisjax.anatomy.eye import Eye
 from irisjax.grow.procedural import procedural
 from irisjax.tissue.iris import Iris
 from irisjax.tissue.maps import IrisMaps
@@ -23,6 +24,7 @@ _COLOURS: dict[str, tuple[tuple[float, float, float, float], dict[str, Any]]] = 
 
 def preset(
     colour: str,
+    eye: Eye | None = None,
     *,
     shape: tuple[int, int] = (768, 256),
     pigments: Mapping[str, Any] | None = None,
@@ -52,7 +54,7 @@ def preset(
         fibril_radius=jnp.asarray(radius),
     )
     iris = iris.replace(**pigments) if pigments else iris
-    return iris, procedural(iris, shape=shape, **{**usual, **(features or {})}, key=key)
+    return iris, procedural(iris, eye, shape=shape, **{**usual, **(features or {})}, key=key)
 
 
 PRESETS = {colour: partial(preset, colour) for colour in _COLOURS}

@@ -15,6 +15,7 @@ from jax.random import bits, fold_in
 from jaxtyping import Array, Float
 
 from irisjax._types import PRNGKey
+from irisjax.anatomy.eye import Eye
 from irisjax.grow.noise import Field, Seed, Whole, drawn, noise, split
 from irisjax.numerics.interpolation import smoothstep
 from irisjax.tissue.iris import Iris
@@ -34,6 +35,7 @@ FOLD = 0.03
 
 def procedural(
     iris: Iris,
+    eye: Eye | None = None,
     *,
     shape: tuple[int, int] = (768, 256),
     profile: bool = True,
@@ -51,8 +53,8 @@ def procedural(
 
     **Arguments:**
 
-    - `iris`: gives mean thicknesses (kept: area means over its ring of `pupil_radius` to
-        `iris_radius`) and sizes.
+    - `iris`: gives mean thicknesses, kept as area means over the ring from pupil to root.
+    - `eye`: gives that ring (default: `Eye()`).
     - `shape`: (angles, radii); fewer than 768 angles coarsen the finest fibres.
     - `profile`: whether the stroma thins towards the root as in ultrasound.
     - `fibres`: contrast of the radial strands, 1 as in a light iris; `collarette`: height of the
@@ -71,21 +73,23 @@ def procedural(
     `relief`, `abl_thickness`, `freckles` and `eumelanin`. Equal keys give equal maps. **Raises:**
     `ValueError` for negative features and shapes below (16, 8).
     """
-    wanted = {k: v for k, v in locals().items() if k not in ("iris", "shape", "profile", "key")}
+    wanted = {
+        k: v for k, v in locals().items() if k not in ("iris", "eye", "shape", "profile", "key")
+    }
     for name, value in wanted.items():
         if not (math.isfinite(value) and value >= 0):
             raise ValueError(f"{name} = {value:g} must be finite and not negative")
     if shape[0] < 16 or shape[1] < 8:
         raise ValueError(f"shape {shape} is below (16, 8)")
-    return IrisMaps(**_grow(iris, shape, profile, wanted, key))
+    return IrisMaps(**_grow(iris, Eye() if eye is None else eye, shape, profile, wanted, key))
 
 
 def _grow(
-    iris: Iris, shape: tuple[int, int], profile: bool, has: dict[str, Any], key: PRNGKey
+    iris: Iris, eye: Eye, shape: tuple[int, int], profile: bool, has: dict[str, Any], key: PRNGKey
 ) -> dict[str, Field]:
     angles, radii = cell_centres(shape)
     turns, radius = jnp.broadcast_arrays(angles[:, None] / (2 * jnp.pi), radii)
-    place = iris.pupil_radius + (iris.iris_radius - iris.pupil_radius) * radius
+    place = eye.pupil_radius + (eye.iris_radius - eye.pupil_radius) * radius
     seeds = jax.vmap(lambda i: bits(fold_in(key, i), dtype=jnp.uint32))(jnp.arange(6))
     fibres, zigzag, crypts, furrows, freckles, mottles = seeds
     ring = COLLARETTE + _zigzag(zigzag, turns)
@@ -112,7 +116,7 @@ def _grow(
     if has["relief"] and any(has[n] for n in ("fibres", "collarette", "crypts", "furrows", "abl")):
         maps["relief"] = height + FOLD * crest
     if has["freckles"]:
-        maps["freckles"] = _freckles(freckles, turns, place, iris, has["freckles"])
+        maps["freckles"] = _freckles(freckles, turns, place, eye, has["freckles"])
     if has["heterochromia"]:
         maps["eumelanin"] = 1 + has["heterochromia"] * _rays(zigzag, parted, radius, ring)
     return maps
@@ -238,14 +242,14 @@ def _furrows(seed: Seed, turns: Field, radius: Field, count: Whole) -> Field:
 
 
 @jax.jit
-def _freckles(seed: Seed, turns: Field, place: Field, iris: Iris, count: Whole) -> Field:
+def _freckles(seed: Seed, turns: Field, place: Field, eye: Eye, count: Whole) -> Field:
     """Soft irregular spots, 0 to 1, of 0.05 to 0.25 mm radius."""
     spots, edges = split(seed, 2)
-    ragged = 1 + 0.6 * noise(edges, turns, place / iris.iris_radius, (90, 24), 3)
+    ragged = 1 + 0.6 * noise(edges, turns, place / eye.iris_radius, (90, 24), 3)
 
     def spot(k, painted):
         a, b, c, d = drawn(spots, 4, k, place.dtype)
-        where = iris.pupil_radius + (iris.iris_radius - iris.pupil_radius) * (0.15 + 0.75 * b)
+        where = eye.pupil_radius + (eye.iris_radius - eye.pupil_radius) * (0.15 + 0.75 * b)
         across = 2 * jnp.pi * ((turns - a + 0.5) % 1.0 - 0.5) * where
         away = jnp.sqrt(across**2 + (place - where) ** 2) * ragged / (0.05 * 5.0 ** (c**2))
         return jnp.maximum(painted, (0.5 + 0.5 * d) * smoothstep(1.6 - 1.1 * away))

@@ -12,7 +12,7 @@ import jax.numpy as jnp
 from irisjax._types import Spectrum
 from irisjax.optics.fresnel import fresnel_at
 from irisjax.tissue.layers import Layers
-from irisjax.transport.process import Process
+from irisjax.transport.process import AbstractProcess
 from irisjax.transport.solution import RESULTS, Absorbed, Solution
 from irisjax.transport.solver import AbstractSolver
 
@@ -24,14 +24,14 @@ class AbstractAnalytic(AbstractSolver):
     def inner(self, layers: Layers) -> Spectrum:
         """Share of the light that entered which leaves again, one value a wavelength."""
 
-    def prepare(self, layers, process: Process):
+    def prepare(self, layers, process: AbstractProcess):
         """Nothing to prepare."""
         return self
 
     def solve(
         self,
         layers: Layers,
-        process: Process,
+        process: AbstractProcess,
         cos_incidence,
         *,
         cos_exit=None,
@@ -51,9 +51,10 @@ class AbstractAnalytic(AbstractSolver):
             mirrored=mirrored,
             absorbed=Absorbed(none, 1 - reflected - mirrored, none),
             standard_error=None,
+            total_error=None,
             brdf=None,
             brdf_error=None,
-            result=RESULTS.where(layers.valid(), RESULTS.successful, RESULTS.invalid_input),
+            status=RESULTS.where(layers.valid(), RESULTS.successful, RESULTS.invalid_input),
         )
 
 

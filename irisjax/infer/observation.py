@@ -1,6 +1,7 @@
 """What was measured: a spectrum or a colour, and how the model's reflectance becomes it."""
 
 import dataclasses
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -8,50 +9,50 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from irisjax.measure.colour import OBSERVER, illuminant_power, lab_of, tristimulus_matrix
+from irisjax.anatomy.media import Media
+from irisjax.measure.colorimeter import Colorimeter
+from irisjax.measure.colour import OBSERVER
+from irisjax.measure.instrument import AbstractInstrument, Cornea
 from irisjax.measure.measurement import check_cosine, check_wavelengths
+from irisjax.measure.radiometer import Radiometer
+from irisjax.measure.spectrophotometer import Spectrophotometer
 from irisjax.tissue.pigments import common_range
 
 REFLECTANCE, RADIANCE = "reflectance", "radiance"
-COLOURS = ("XYZ", "Lab", "linear sRGB")
+COLOURS = {"XYZ": "xyz", "Lab": "lab", "linear sRGB": "srgb_linear"}
+"""Quantities of colours, and the fields of `Colour` that hold them."""
 
 
 class Observation(eqx.Module):
-    """Measured values and what they are. Make one with `spectrum` or `colour_data`.
+    """Measured values and the instrument that read them. Make one with `spectrum` or `colour_data`.
 
     - `values`: shape (data,); `sd`: their standard deviations, or `None` where the noise model
         states them.
-    - `wavelengths` (nm): where the model is evaluated, shape (wavelengths,).
-    - `response`: (data, wavelengths) from reflectance to the quantity, or `None` where they are the
-        same.
+    - `instrument`: what the model is read by.
     - `quantity`: `"reflectance"`, `"radiance"`, `"XYZ"`, `"Lab"` or `"linear sRGB"`.
     - `covariance_root`: for colours, R with R Rᵀ the covariance; `sd` is then `None`.
     """
 
     values: Float[Array, "*batch data"]
     sd: Float[Array, "*batch data"] | None
-    wavelengths: Float[Array, " wavelengths"]
-    response: Float[Array, "data wavelengths"] | Float[Array, " wavelengths"] | None
-    white: Float[Array, "3"] | None
+    instrument: AbstractInstrument
     covariance_root: Float[Array, "data data"] | None
-    cos_incidence: float | str = eqx.field(static=True)
-    first_surface: bool = eqx.field(static=True)
     quantity: str = eqx.field(static=True)
     name: str = eqx.field(static=True)
+
+    @property
+    def wavelengths(self) -> Float[Array, " wavelengths"]:
+        """Where the model is evaluated, nm."""
+        return self.instrument.wavelengths
 
     @property
     def is_colour(self) -> bool:
         """Whether the data are tristimulus values."""
         return self.quantity in COLOURS
 
-    def of(self, reflectance: Float[Array, " wavelengths"]) -> Float[Array, " data"]:
-        """The quantity that a reflectance makes."""
-        if self.response is None:
-            return reflectance
-        seen = (
-            self.response @ reflectance if self.response.ndim == 2 else self.response * reflectance
-        )
-        return seen if self.white is None else lab_of(seen / self.white)
+    def of(self, reading) -> Float[Array, " data"]:
+        """The data, of what the instrument reads."""
+        return getattr(reading, COLOURS.get(self.quantity, "values"))
 
 
 def spectrum(
@@ -63,6 +64,8 @@ def spectrum(
     illuminant: str = "D65",
     cos_incidence: float | str = 1.0,
     first_surface: bool = True,
+    cornea: Cornea | None = None,
+    media: Media | None = None,
     name: str = "spectrum",
 ) -> Observation:
     """A measured reflectance factor, or the radiance under an illuminant (relative to it at 560 nm,
@@ -72,8 +75,9 @@ def spectrum(
     `None`) one a wavelength. `values` of shape (wavelengths, scans) are repeated scans, see
     `mean_of_scans`; their scatter is the `sd` where none is given. In place of wavelengths and
     values: one object that has both, such as `read_measured` returns (its `sd` is used), or
-    colour-science's `SpectralDistribution` and `MultiSpectralDistributions` (repeated scans). A
-    radiance is dimmed by the cornea as in `radiance`.
+    colour-science's `SpectralDistribution` and `MultiSpectralDistributions` (repeated scans).
+    `cornea` and `media` are the instrument's; by default a radiance is dimmed by the cornea, a
+    reflectance is not.
 
     **Raises:** `ValueError` naming the first wavelength at which something is wrong.
     """
@@ -118,22 +122,19 @@ def spectrum(
             )
     if quantity not in (REFLECTANCE, RADIANCE):
         raise ValueError(f"quantity must be {REFLECTANCE!r} or {RADIANCE!r}, got {quantity!r}")
-    response = (
-        None if quantity == REFLECTANCE else _array(illuminant_power(illuminant, grid) / np.pi)
-    )
+    settings: dict[str, Any] = {
+        "cos_incidence": cos_incidence,
+        "first_surface": first_surface,
+        "media": media,
+    }
+    if cornea is not None:
+        settings["cornea"] = cornea
+    if quantity == RADIANCE:
+        instrument = Radiometer(grid, illuminant=illuminant, **settings)
+    else:
+        instrument = Spectrophotometer(grid, **settings)
     sd = None if sd is None else _array(sd)
-    return Observation(
-        _array(y),
-        sd,
-        _array(grid),
-        response,
-        None,
-        None,
-        cos_incidence,
-        first_surface,
-        quantity,
-        name,
-    )
+    return Observation(_array(y), sd, instrument, None, quantity, name)
 
 
 def mean_of_scans(scans: np.ndarray) -> tuple[np.ndarray, np.ndarray | None]:
@@ -176,14 +177,9 @@ def colour_data(
         raise ValueError(f"{name}: a colour is three finite numbers")
     if c.shape != (3, 3) or not np.allclose(c, c.T) or np.linalg.eigvalsh(c).min() <= 0:
         raise ValueError(f"{name}: the covariance must be 3 by 3, symmetric and positive definite")
-    grid = 400 + 10.0 * np.arange(31)
-    matrix, white = tristimulus_matrix(
-        grid, "linear sRGB" if quantity == "linear sRGB" else "XYZ", illuminant, observer
-    )
-    return Observation(
-        _array(y), None, _array(grid), _array(matrix), _array(white) if quantity == "Lab" else None,
-        _array(np.linalg.cholesky(c)), 1.0, first_surface, quantity, name,
-    )  # fmt: skip
+    instrument = Colorimeter(illuminant=illuminant, observer=observer, first_surface=first_surface)
+    root = _array(np.linalg.cholesky(c))
+    return Observation(_array(y), None, instrument, root, quantity, name)
 
 
 def with_values(observation: Observation, values, sd=None) -> Observation:

@@ -3,6 +3,8 @@
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
+import jax.numpy as jnp
+
 from irisjax.infer.priors import AbstractPrior, LogitNormal, LogNormal, Uniform
 from irisjax.tissue.iris import Iris
 
@@ -123,24 +125,30 @@ DERIVED = {"eumelanin": "mg/ml", "pheomelanin": "mg/ml", "abl_melanin": "ug/mm2"
 
 
 def of_iris(iris: Iris) -> dict[str, Any]:
-    """The parameters that make this iris; instrument and scattering as stated."""
+    """The parameters that make this iris; the instrument as stated."""
     melanin, blood = iris.eumelanin + iris.pheomelanin, iris.oxyhemoglobin + iris.deoxyhemoglobin
+
+    def share(part, whole, otherwise):
+        # Of nothing there is no share: any gives the same iris, LB06's stands in.
+        none = whole <= 0
+        return jnp.where(none, otherwise, part / jnp.where(none, 1.0, whole))
+
     return {
         "melanin_load": iris.melanin_load,
         "abl_fraction": iris.abl_fraction,
-        "pheomelanin_share": iris.pheomelanin / melanin,
+        "pheomelanin_share": share(iris.pheomelanin, melanin, 0.2),
         "hemoglobin": blood,
-        "saturation": iris.oxyhemoglobin / blood,
+        "saturation": share(iris.oxyhemoglobin, blood, 0.5),
         "stroma_thickness": iris.stroma_thickness,
         "abl_thickness": iris.abl_thickness,
-        "scattering_scale": 1.0,
+        "scattering_scale": iris.scattering_scale,
         "gain": 1.0,
         "noise": 1.0,
     }
 
 
 def iris_of(values: Mapping[str, Any], base: Iris) -> Iris:
-    """The iris with these parameters, `base` in all else (indices, carotenoids, radii)."""
+    """The iris with these parameters, `base` in all else (indices, carotenoids)."""
     concentration = values["melanin_load"] / (values["abl_thickness"] + values["stroma_thickness"])
     return base.replace(
         eumelanin=concentration * (1 - values["pheomelanin_share"]),
@@ -150,6 +158,7 @@ def iris_of(values: Mapping[str, Any], base: Iris) -> Iris:
         deoxyhemoglobin=values["hemoglobin"] * (1 - values["saturation"]),
         stroma_thickness=values["stroma_thickness"],
         abl_thickness=values["abl_thickness"],
+        scattering_scale=values["scattering_scale"],
     )
 
 

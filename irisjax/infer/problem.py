@@ -1,7 +1,7 @@
 """An inverse problem: measurements, what is free, and the probability of every choice of it."""
 
 from collections.abc import Iterable, Mapping, Sequence
-from functools import partial
+from functools import lru_cache
 from typing import Any
 
 import equinox as eqx
@@ -10,17 +10,18 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from irisjax.anatomy.media import Media
 from irisjax.infer.noise import Noise
-from irisjax.infer.observation import RADIANCE, Observation
+from irisjax.infer.observation import Observation
 from irisjax.infer.parameters import DEFAULT_FREE, DERIVED, PARAMETERS, derived, iris_of, of_iris
 from irisjax.infer.priors import AbstractPrior
-from irisjax.measure.measurement import layers_of, prepared, through_cornea
+from irisjax.measure.observe import observed, prepared
+from irisjax.tissue.indices import RefractiveIndices
 from irisjax.tissue.iris import Iris
-from irisjax.tissue.layers import Layers
-from irisjax.tissue.pigments import Extinction, extinction
-from irisjax.transport.ilit.exact import DIFFUSE, Exact
-from irisjax.transport.ilit.tabulated import Tabulated
-from irisjax.transport.process import ILIT_2006, Process
+from irisjax.transport.ilit.tabulated import IlitTabulated
+from irisjax.transport.pointwise import Pointwise
+from irisjax.transport.process import ILIT_2006, AbstractProcess, Ilit
+from irisjax.transport.radiative.exact import RadiativeExact
 from irisjax.transport.solution import RESULTS
 from irisjax.transport.solver import AbstractSolver
 
@@ -40,10 +41,9 @@ class Problem(eqx.Module):
     base: Iris
     fixed: dict[str, Any]
     solver: AbstractSolver
-    tables: tuple[Extinction, ...]
     free: tuple[str, ...] = eqx.field(static=True)
     priors: tuple[AbstractPrior, ...]
-    process: Process = eqx.field(static=True)
+    process: AbstractProcess = eqx.field(static=True)
 
     @property
     def units(self) -> tuple[str, ...]:
@@ -91,9 +91,8 @@ class Problem(eqx.Module):
         """The solver's status at z: a `RESULTS` item, the first that is not success."""
         out, values = RESULTS.successful, self.values(z)
         for i in range(len(self.observations)):
-            solver, layers, cosine, _ = self._scene(values, i)
-            result = _run(self.process, False, solver, layers, cosine)[1]
-            out = RESULTS.where(out == RESULTS.successful, result, out)
+            found = self._reading(values, i).status
+            out = RESULTS.where(out == RESULTS.successful, found, out)
         return out
 
     def pointwise(self, z: Float[Array, " free"]) -> Float[Array, " all_data"]:
@@ -149,33 +148,15 @@ class Problem(eqx.Module):
         return eqx.tree_at(lambda p: p.observations, self, tuple(observations))
 
     def _models(self, values) -> tuple[jax.Array, ...]:
-        out = []
-        for i, o in enumerate(self.observations):
-            solver, layers, cosine, factor = self._scene(values, i)
-            how = (solver, layers.indices, cosine)
-            depths = (layers.abl_absorption, layers.stroma_absorption, layers.stroma_scattering)
-            run = partial(_reflectance, layers.order, self.process, o.first_surface)
-            out.append(
-                _seen_by(values, i)["gain"] * o.of(factor * _by_wavelength(run, how, depths))
-            )
-        return tuple(out)
+        readings = (self._reading(values, i) for i in range(len(self.observations)))
+        return tuple(o.of(r) for o, r in zip(self.observations, readings, strict=True))
 
-    def _scene(self, values, i: int):
-        """What the i-th instrument looks at: solver, layers, cosine of incidence, and the cornea's
-        factor.
-        """
-        mine, o = _seen_by(values, i), self.observations[i]
-        iris = iris_of(mine, self.base)
-        layers = layers_of(iris, self.tables[i], self.process)
-        scattering = layers.stroma_scattering * mine["scattering_scale"]
-        layers = eqx.tree_at(lambda x: x.stroma_scattering, layers, scattering)
-        if o.cos_incidence == DIFFUSE:
-            return self.solver, layers, DIFFUSE, 1.0
-        cornea = self.process.cornea or ("inward" if o.quantity == RADIANCE else "none")
-        factor, cosine = through_cornea(
-            iris, jnp.asarray(o.cos_incidence, layers.extinction.dtype), cornea
-        )
-        return self.solver, layers, cosine, factor
+    def _reading(self, values, i: int):
+        """What the i-th instrument reads."""
+        mine, instrument = _seen_by(values, i), self.observations[i].instrument
+        gain = jnp.asarray(mine["gain"], instrument.gain.dtype)
+        instrument = eqx.tree_at(lambda x: x.gain, instrument, gain)
+        return observed(iris_of(mine, self.base), instrument, self.process, self.solver)
 
 
 def problem(
@@ -187,7 +168,7 @@ def problem(
     separate: Iterable[str] = (),
     noise: Noise | None = None,
     base: Iris | None = None,
-    process: Process = ILIT_2006,
+    process: AbstractProcess = ILIT_2006,
     solver: AbstractSolver | None = None,
 ) -> Problem:
     """State an inverse problem.
@@ -200,8 +181,8 @@ def problem(
     - `priors`: in place of those of `PARAMETERS`.
     - `separate`: names that each observation has for itself (two spots share blood, not melanin).
     - `base`: the iris for all that is neither free nor fixed; default LB06's, moderate.
-    - `solver`: default `Tabulated` for ILIT's processes, `Exact(16, 8)` for depth-resolved
-        transport.
+    - `solver`: default `IlitTabulated` for ILIT, `RadiativeExact(16, 8)` for radiative
+        transfer.
 
     **Raises:** `ValueError` for unknown names, values out of range, nothing free, or more than
     1,000 values with a correlated discrepancy.
@@ -242,9 +223,10 @@ def problem(
             f"to {_MOST_CORRELATED} values at most"
         )
     base = Iris() if base is None else base
-    tables = tuple(extinction(np.asarray(o.wavelengths)) for o in seen)
-    if solver is None:
-        solver = Exact(16, 8) if process.depth_resolved else table_for(base, process)
+    first = seen[0].instrument
+    if solver is None and isinstance(process, Ilit):
+        solver = table_for(base, first.media, process)
+    solver = RadiativeExact(16, 8) if solver is None else solver
     dtype = jnp.result_type(float)
     start = {**of_iris(base), **fixed}
     return Problem(
@@ -252,8 +234,7 @@ def problem(
         noise=Noise() if noise is None else noise,
         base=base,
         fixed={n: jnp.asarray(v, dtype) for n, v in start.items() if n not in names},
-        solver=prepared(solver, base, tables[0], process),
-        tables=tables,
+        solver=Pointwise(prepared(base, first, process, solver)),
         free=tuple(expanded),
         priors=tuple(priors.get(kind(n), PARAMETERS[kind(n)].prior) for n in expanded),
         process=process,
@@ -274,67 +255,20 @@ def unit_of(name: str) -> str:
     )
 
 
-_TABLES: dict[Any, Tabulated] = {}
+def table_for(base: Iris, media: Media, process: Ilit) -> IlitTabulated:
+    """`IlitTabulated` for the indices of `base`; those built last are kept."""
+    indices = tuple(float(n) for n in jax.tree.leaves(base.indices(media.aqueous)))
+    return _table(indices, process, str(jnp.result_type(float)))
 
 
-def table_for(base: Iris, process: Process) -> Tabulated:
-    """`Tabulated` for the indices of `base`; those built before are kept."""
-    indices = tuple(float(n) for n in jax.tree.leaves(base.indices()))
-    wanted = (indices, process, str(jnp.result_type(float)))
-    if wanted not in _TABLES:
-        _TABLES[wanted] = Tabulated.build(base, process)
-    return _TABLES[wanted]
+@lru_cache(maxsize=8)
+def _table(indices: tuple[float, ...], process: Ilit, dtype: str) -> IlitTabulated:
+    return IlitTabulated.build(
+        RefractiveIndices(*(jnp.asarray(n, dtype) for n in indices)), process
+    )
 
 
 def _seen_by(values: Mapping[str, Any], i: int) -> dict[str, Any]:
     """The parameters that observation i has, under their plain names."""
     tag = f"@{i + 1}"
     return {kind(n): v for n, v in values.items() if "@" not in n or n.endswith(tag)}
-
-
-def _run(process, first_surface, solver, layers, cosine):
-    solution = solver.solve(layers, process, cosine)
-    counted = first_surface and process.first_surface
-    return (
-        solution.reflectance + solution.mirrored if counted else solution.reflectance
-    ), solution.result
-
-
-def _reflectance(order, process, first_surface, how, depths):
-    solver, indices, cosine = how
-    return _run(
-        process,
-        first_surface,
-        solver,
-        Layers(depths[0], depths[1], depths[2], indices, order),
-        cosine,
-    )[0]
-
-
-@eqx.filter_custom_jvp
-def _by_wavelength(run, how, depths):
-    """`run(how, depths)`, where a value depends on its own wavelength's depths only.
-
-    Three derivatives then serve any number of directions.
-    """
-    return run(how, depths)
-
-
-@_by_wavelength.def_jvp
-def _by_wavelength_jvp(primals, tangents):
-    run, how, depths = primals
-    _, moved, slopes = tangents
-    if any(t is not None for t in jax.tree.leaves(moved)):
-        raise NotImplementedError(
-            "derivatives by indices or incidence are not part of an inversion"
-        )
-    active = [i for i, slope in enumerate(slopes) if slope is not None]
-    # One program for all three: compiling is what takes long here.
-    each = jnp.eye(len(depths), dtype=depths[0].dtype)[np.array(active)]
-
-    def along(direction):
-        ones = tuple(jnp.full_like(d, x) for d, x in zip(depths, direction, strict=True))
-        return jax.jvp(partial(run, how), (depths,), (ones,))
-
-    values, derivatives = jax.vmap(along, out_axes=(None, 0))(each)
-    return values, sum(derivatives[k] * slopes[i] for k, i in enumerate(active))

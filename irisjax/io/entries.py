@@ -97,24 +97,12 @@ FEATURES: dict[str, Callable[[Any], Any]] = {
 _DEGREES = _number(-360, 360)
 # mm: a model may be thicker, an iris in its chamber not; micrometres by mistake would be.
 _THICKEST = 3.0
-_OF_THE_EYE = (
-    "pupil_radius",
-    "iris_radius",
-    "aqueous_index",
-    "cornea_index",
-    "tear_index",
-)  # [eye] decides these
-
 SECTIONS: dict[str, dict[str, Callable[[Any], Any]]] = {
     "iris": {
         "preset": _one(*PRESETS),
         "level": _one(*_LEVELS),
         "melanin_load": _number(0),
-        **{
-            name: _number(limits.low, limits.high)
-            for name, limits in LIMITS.items()
-            if name not in _OF_THE_EYE
-        },
+        **{name: _number(limits.low, limits.high) for name, limits in LIMITS.items()},
         "abl_thickness": _number(0, _THICKEST),
         "stroma_thickness": _number(0, _THICKEST),
     },

@@ -57,8 +57,8 @@ class SceneFile(Mapping[str, Any]):
         parts: dict[str, Any] = {}
         drawn = self._maps_of_file()
         makers = {
-            "iris": self._iris,
             "eye": self._eye,
+            "iris": lambda: self._iris(parts["eye"]),
             "camera": self._camera,
             "light": self._lights,
             "environment": self._environment,
@@ -75,9 +75,6 @@ class SceneFile(Mapping[str, Any]):
                 )
                 raise SceneError(f"{self._where(name, key)}: {name}: {error}") from None
         parts |= drawn
-        parts["iris"] = parts["iris"].replace(
-            aqueous_index=parts["eye"].aqueous_index
-        )  # one chamber, one index
         return Scene(**parts)
 
     def _key(self, name: str):
@@ -98,7 +95,7 @@ class SceneFile(Mapping[str, Any]):
         except ValueError as error:
             raise SceneError(f"{self._where(section, 'file')}: {error}") from None
 
-    def _iris(self):
+    def _iris(self, eye: Eye):
         given = dict(self._sections.get("iris", {}))
         features = {k: v for k, v in self._sections.get("maps", {}).items() if k in FEATURES}
         # Maps from a file take the place of grown ones.
@@ -111,12 +108,12 @@ class SceneFile(Mapping[str, Any]):
             colour = given.pop("preset")
             shape = (16, 8) if uniform else (768, 256)  # maps that nobody asked for are grown small
             iris, maps = preset(
-                colour, shape=shape, pigments=given, features=features, key=self._key("maps")
+                colour, eye, shape=shape, pigments=given, features=features, key=self._key("maps")
             )
         else:
-            iris = Iris.preset(given.pop("level", "moderate"))
+            iris = Iris.of_level(given.pop("level", "moderate"))
             iris = iris.replace(**given) if given else iris
-            maps = None if uniform else procedural(iris, **features, key=self._key("maps"))
+            maps = None if uniform else procedural(iris, eye, **features, key=self._key("maps"))
         return {"iris": iris, "maps": None if uniform else maps}
 
     def _eye(self):

@@ -9,15 +9,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from irisjax._types import PRNGKey
+from irisjax._types import Spectrum
 from irisjax.measure.measurement import check_wavelengths
-from irisjax.measure.measurement import wavelengths as grid
-from irisjax.measure.spectrophotometer import reflectance
-from irisjax.tissue.iris import Iris
-from irisjax.transport.ilit.exact import Exact
-from irisjax.transport.process import ILIT_2006, Process
 from irisjax.transport.solution import RESULTS
-from irisjax.transport.solver import AbstractSolver
 
 OBSERVER = "CIE 1931 2 Degree Standard Observer"
 """Default observer, a name known to colour-science."""
@@ -48,77 +42,61 @@ class Colour(eqx.Module):
     observer: str = eqx.field(static=True)
 
 
-def colour(
-    iris: Iris,
-    wavelengths=None,
-    *,
-    illuminant: str = "D65",
-    observer: str = OBSERVER,
-    solver: AbstractSolver = Exact(),  # noqa: B008
-    process: Process = ILIT_2006,
-    cos_incidence=1.0,
-    first_surface: bool = True,
-    key: PRNGKey | None = None,
-    raise_on_failure: bool = True,
-) -> Colour:
-    """Colour of the iris's reflectance under an illuminant; see `reflectance` for the other
-    arguments.
+class Observer(eqx.Module):
+    """An illuminant and a standard observer on a grid: what takes a reflectance to its colour.
 
-    `wavelengths` default to 380–780 nm in steps of 5 nm. Light mirrored by the first surface counts
-    by default; against a dark iris it adds a little grey.
+    - `weights`: (3, wavelengths) from a reflectance to XYZ, white at Y = 1; `white`: its XYZ.
+    - `to_srgb`: (3, 3) from XYZ to linear sRGB, adapted to D65 (Bradford).
     """
-    wavelengths = grid(380, 780, 5) if wavelengths is None else wavelengths
-    spectrum = reflectance(
-        iris,
-        wavelengths,
-        solver=solver,
-        process=process,
-        cos_incidence=cos_incidence,
-        first_surface=first_surface,
-        key=key,
-        raise_on_failure=raise_on_failure,
-    )
-    return colour_of(
-        wavelengths,
-        spectrum.values,
-        illuminant=illuminant,
-        observer=observer,
-        status=spectrum.status,
-    )
+
+    weights: Float[Array, "3 wavelengths"]
+    white: Float[Array, "3"]
+    to_srgb: Float[Array, "3 3"]
+    illuminant: str = eqx.field(static=True)
+    observer: str = eqx.field(static=True)
+
+    @classmethod
+    def of(cls, wavelengths, illuminant: str = "D65", observer: str = OBSERVER) -> "Observer":
+        """On a concrete grid of `wavelengths` (nm, at least two).
+
+        **Raises:** `ValueError` for an unknown illuminant or observer.
+        """
+        check_wavelengths(wavelengths)
+        if np.size(wavelengths) < 2:
+            raise ValueError("a colour needs at least two wavelengths")
+        grid = np.asarray(wavelengths, np.float64)
+        weights, white, adaptation = _constants(grid.tobytes(), illuminant, observer)
+        dtype = jnp.result_type(float)
+        constants = (jnp.asarray(x, dtype) for x in (weights, white, _XYZ_TO_SRGB @ adaptation))
+        return cls(*constants, illuminant=illuminant, observer=observer)
+
+    def colour(self, values: Spectrum, status: RESULTS = RESULTS.successful) -> Colour:
+        """The colour of a spectral reflectance."""
+        xyz = self.weights @ values
+        linear = self.to_srgb @ xyz
+        return Colour(
+            xyz=xyz,
+            lab=lab_of(xyz / self.white),
+            srgb_linear=linear,
+            srgb=srgb_encode(linear),
+            in_gamut=((linear >= 0) & (linear <= 1)).all(),
+            status=status,
+            illuminant=self.illuminant,
+            observer=self.observer,
+        )
 
 
-def colour_of(
-    wavelengths,
-    values,
-    *,
-    illuminant: str = "D65",
-    observer: str = OBSERVER,
-    status: RESULTS = RESULTS.successful,
-) -> Colour:
+def colour_of(wavelengths, values, *, illuminant: str = "D65", observer: str = OBSERVER) -> Colour:
     """Colour of a spectral reflectance `values` on a concrete grid of `wavelengths` (nm, at least
     two).
 
-    Differentiable in `values`. **Raises:** `ValueError` for an unknown illuminant or observer.
+    Differentiable in `values`. **Raises:** `ValueError` for an unknown illuminant or observer, or
+    values that are not one a wavelength.
     """
-    check_wavelengths(wavelengths)
-    if np.size(wavelengths) < 2:
-        raise ValueError("a colour needs at least two wavelengths")
-    weights, white, adaptation = _constants(
-        np.asarray(wavelengths, np.float64).tobytes(), illuminant, observer
-    )
-    dtype = jnp.result_type(values)
-    xyz = jnp.asarray(weights, dtype) @ values
-    linear = jnp.asarray(_XYZ_TO_SRGB @ adaptation, dtype) @ xyz
-    return Colour(
-        xyz=xyz,
-        lab=lab_of(xyz / jnp.asarray(white, dtype)),
-        srgb_linear=linear,
-        srgb=srgb_encode(linear),
-        in_gamut=((linear >= 0) & (linear <= 1)).all(),
-        status=status,
-        illuminant=illuminant,
-        observer=observer,
-    )
+    if np.shape(values) != np.shape(wavelengths):
+        raise ValueError(f"{np.shape(values)} values for {np.shape(wavelengths)} wavelengths")
+    observed = Observer.of(wavelengths, illuminant, observer)
+    return observed.colour(jnp.asarray(values, observed.weights.dtype))
 
 
 def tristimulus_matrix(

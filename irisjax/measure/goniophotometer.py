@@ -1,17 +1,20 @@
 """Virtual goniophotometer: the BRDF of the iris."""
 
+from typing import Any
+
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from irisjax._types import PRNGKey, Spectrum
-from irisjax.measure.measurement import check_cosine, check_wavelengths, layers_of, prepared
+from irisjax.anatomy.media import Media
+from irisjax.measure.instrument import AbstractInstrument
+from irisjax.measure.measurement import COSINE
+from irisjax.measure.observe import observe
+from irisjax.numerics.checks import check_range
 from irisjax.tissue.iris import Iris
-from irisjax.tissue.pigments import extinction
-from irisjax.transport.ilit.exact import Exact
-from irisjax.transport.process import ILIT_2006, Process
-from irisjax.transport.solution import RESULTS, throw
+from irisjax.transport.process import ILIT_2006, AbstractProcess
+from irisjax.transport.solution import RESULTS, Solution
 from irisjax.transport.solver import AbstractSolver
 
 
@@ -38,6 +41,54 @@ class Brdf(eqx.Module):
         return f"Brdf of shape {self.values.shape} (wavelengths, exits), 1/sr"
 
 
+class Goniophotometer(AbstractInstrument):
+    """Reads the BRDF of the iris in the aqueous humour, at given exit directions.
+
+    - `cos_exit`, `azimuth` (radians from the plane of incidence): shape (exits,).
+
+    The cornea is left out, and so is light mirrored by the first surface: a delta of its own.
+    """
+
+    cos_exit: Float[Array, " exits"]
+    azimuth: Float[Array, " exits"]
+
+    def __init__(self, wavelengths, *, cos_exit, azimuth: Any = 0.0, **settings: Any):
+        if isinstance(settings.get("cos_incidence"), str) or isinstance(cos_exit, str):
+            raise ValueError(
+                "a BRDF needs directions: cos_incidence and cos_exit must be numbers in [0, 1]"
+            )
+        super().__init__(wavelengths, **settings)
+        if self.cornea != "none":
+            raise ValueError(f"a BRDF is that of the bare iris: cornea = {self.cornea!r}")
+        check_range("cos_exit", cos_exit, COSINE)
+        dtype = self.wavelengths.dtype
+        exits = (jnp.atleast_1d(jnp.asarray(x, dtype)) for x in (cos_exit, azimuth))
+        self.cos_exit, self.azimuth = jnp.broadcast_arrays(*exits)
+        if self.cos_exit.ndim != 1:
+            raise ValueError(f"exits must be a list of directions, got shape {self.cos_exit.shape}")
+
+    @property
+    def exits(self):
+        """The directions it looks from."""
+        return self.cos_exit, self.azimuth
+
+    def reading(self, light: Solution, factor) -> Brdf:
+        """See `AbstractInstrument`."""
+        assert light.brdf is not None
+        assert self.cos_incidence is not None
+        scale, error = factor * self.gain, light.brdf_error
+        return Brdf(
+            wavelengths=self.wavelengths,
+            cos_incidence=self.cos_incidence,
+            cos_exit=self.cos_exit,
+            azimuth=self.azimuth,
+            values=scale * light.brdf,
+            standard_error=None if error is None else scale * error,
+            mirrored=factor * light.mirrored,
+            status=light.status,
+        )
+
+
 def brdf(
     iris: Iris,
     wavelengths,
@@ -45,41 +96,26 @@ def brdf(
     cos_incidence=1.0,
     cos_exit,
     azimuth=0.0,
-    solver: AbstractSolver = Exact(),  # noqa: B008
-    process: Process = ILIT_2006,
+    process: AbstractProcess = ILIT_2006,
+    solver: AbstractSolver | None = None,
+    media: Media | None = None,
     key: PRNGKey | None = None,
-    raise_on_failure: bool = True,
+    throw: bool = True,
 ) -> Brdf:
     """BRDF of the iris in the aqueous humour, at given exit directions.
 
     ILIT redraws directions on entry, so its BRDF does not depend on the azimuth and on the
-    incidence only through the first surface's transmittance; depth-resolved transport depends on
-    all three.
+    incidence only through the first surface's transmittance; radiative transfer depends on all
+    three.
 
-    `cos_exit` and `azimuth` broadcast together to shape (exits,); cosines in [0, 1]. The cornea is
-    left out, whatever the process says. `MonteCarlo` returns averages over cells of the cosine
-    bounded half-way between the exits given. For the rest see
-    `reflectance`. **Raises:** `ValueError` for concrete input out of range.
+    `cos_exit` and `azimuth` broadcast together to shape (exits,); cosines in [0, 1]. `MonteCarlo`
+    returns averages over cells of the cosine bounded half-way between the exits given. For the rest
+    see `reflectance`. **Raises:** `ValueError` for concrete input out of range.
     """
-    check_wavelengths(wavelengths)
-    check_cosine("cos_incidence", cos_incidence)
-    check_cosine("cos_exit", cos_exit)
-    if isinstance(cos_incidence, str) or isinstance(cos_exit, str):
-        raise ValueError(
-            "a BRDF needs directions: cos_incidence and cos_exit must be numbers in [0, 1]"
-        )
-    table = extinction(wavelengths)
-    dtype = table.wavelengths.dtype
-    exits, azimuth = jnp.broadcast_arrays(
-        jnp.atleast_1d(jnp.asarray(cos_exit, dtype)), jnp.atleast_1d(jnp.asarray(azimuth, dtype))
+    instrument = Goniophotometer(
+        wavelengths, cos_incidence=cos_incidence, cos_exit=cos_exit, azimuth=azimuth, media=media
     )
-    solver = prepared(solver, iris, table, process)
-    result = _solve(
-        iris, table, solver, process, jnp.asarray(cos_incidence, dtype), exits, azimuth, key
-    )
-    if raise_on_failure:
-        throw(result.status)
-    return result
+    return observe(iris, instrument, process, solver, key=key, throw=throw)
 
 
 def principal_plane(n: int = 181):
@@ -90,19 +126,3 @@ def principal_plane(n: int = 181):
     """
     angle = (jnp.arange(n) - (n - 1) / 2) / n * jnp.pi
     return angle, jnp.cos(angle), jnp.where(angle < 0, jnp.pi, 0.0)
-
-
-@jax.jit
-def _solve(iris, table, solver, process, cosine, exits, azimuth, key) -> Brdf:
-    layers = layers_of(iris, table, process)
-    solution = solver.solve(layers, process, cosine, cos_exit=exits, azimuth=azimuth, key=key)
-    return Brdf(
-        wavelengths=table.wavelengths,
-        cos_incidence=cosine,
-        cos_exit=exits,
-        azimuth=azimuth,
-        values=solution.brdf,
-        standard_error=solution.brdf_error,
-        mirrored=solution.mirrored,
-        status=solution.result,
-    )

@@ -1,23 +1,15 @@
 """What an instrument reads, and the checks every instrument makes of its settings."""
 
-from functools import partial
-
 import equinox as eqx
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Float
 
 from irisjax._types import Spectrum
-from irisjax.anatomy import media as eye
-from irisjax.tissue.iris import Iris
-from irisjax.tissue.layers import Layers
-from irisjax.tissue.pigments import Extinction
-from irisjax.transport.ilit.exact import DIFFUSE
-from irisjax.transport.process import Process
+from irisjax.numerics.checks import Range, check_range
+from irisjax.transport.incidence import DIFFUSE
 from irisjax.transport.solution import RESULTS, Absorbed
-from irisjax.transport.solver import AbstractSolver
 
 
 class Measurement(eqx.Module):
@@ -86,44 +78,21 @@ def check_wavelengths(grid) -> None:
 
 
 def check_cosine(name: str, cosine) -> None:
-    """Raise `ValueError` unless a concrete cosine (or `DIFFUSE`) lies in [0, 1]."""
+    """Raise `ValueError` unless a cosine is one number in [0, 1], or `DIFFUSE`; a traced number
+    passes.
+    """
     if isinstance(cosine, str):
         if cosine != DIFFUSE:
             raise ValueError(f"{name} must be a number in [0, 1] or {DIFFUSE!r}, got {cosine!r}")
         return
-    if isinstance(cosine, Tracer):
-        return
-    value = np.asarray(cosine, np.float64)
-    if not ((value >= 0) & (value <= 1)).all():
-        raise ValueError(f"{name} = {cosine} is outside [0, 1]")
+    if np.shape(cosine):
+        raise ValueError(
+            f"{name} has shape {np.shape(cosine)}; it must be one number: use jax.vmap for several"
+        )
+    check_range(name, cosine, COSINE)
 
 
-def through_cornea(iris: Iris, cos_air, cornea: str):
-    """Factor on the light and its cosine at the iris, for a `cornea` setting of a process.
-
-    `"round-trip"` takes the way out along the normal, as a camera before the eye does.
-    """
-    if cornea == "none":
-        return 1.0, cos_air
-    media = (iris.tear_index, iris.cornea_index, iris.aqueous_index)
-    inward, cos_iris = eye.inward_transmittance(cos_air, media)
-    if cornea == "round-trip":
-        inward = inward * eye.inward_transmittance(jnp.ones_like(cos_iris), media)[0]
-    return inward, cos_iris
-
-
-@jax.jit
-def layers_of(iris: Iris, extinction: Extinction, process: Process) -> Layers:
-    """The iris's layers under a process's scattering formula."""
-    return iris.layers(extinction, process.scattering)
-
-
-def prepared(
-    solver: AbstractSolver, iris: Iris, extinction: Extinction, process: Process
-) -> AbstractSolver:
-    """The solver after a look at the still concrete problem."""
-    # Through the class: binding a method of an Equinox module costs more than the call.
-    return type(solver).prepare(solver, partial(layers_of, iris, extinction, process), process)
+COSINE = Range(0, 1)
 
 
 def _table(measurement, columns: dict[str, Float[Array, "..."] | None]) -> str:

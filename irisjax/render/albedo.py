@@ -13,10 +13,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from irisjax.anatomy.eye import Eye
 from irisjax.numerics.portions import in_chunks
 from irisjax.optics.fresnel import fresnel_at
 from irisjax.render.bands import Bands
-from irisjax.render.separable import Response, Separable
+from irisjax.render.separable import Separable, SeparableResponse
 from irisjax.tissue.iris import Iris
 from irisjax.tissue.maps import IrisMaps, Scales, cell_centres
 
@@ -49,13 +50,16 @@ class Matt(eqx.Module):
     mirrors.
     """
 
-    response: Response
+    response: SeparableResponse
     scales: Scales
     iris: Iris
+    eye: Eye
     shape: tuple[int, int] = eqx.field(static=True)
 
     @classmethod
-    def of(cls, iris: Iris, maps: IrisMaps | None, bands: Bands, integrator: Separable) -> "Matt":
+    def of(
+        cls, iris: Iris, maps: IrisMaps | None, eye: Eye, bands: Bands, integrator: Separable
+    ) -> "Matt":
         """The iris in the channels of `bands`: of `colour_bands` linear sRGB, of unit weights
         spectral reflectance.
         """
@@ -68,8 +72,9 @@ class Matt(eqx.Module):
                 else jnp.stack([jnp.minimum(span[0], 1.0), jnp.maximum(span[1], 1.0)])
             )
 
-        response = _response(iris, bands, Scales(*map(with_one, scales.ranges())), integrator)
-        return cls(response, scales, iris, (2, 2) if maps is None else maps.shape)
+        ranges = Scales(*map(with_one, scales.ranges()))
+        response = _response(iris, eye.aqueous_index, bands, ranges, integrator)
+        return cls(response, scales, iris, eye, (2, 2) if maps is None else maps.shape)
 
     def albedo(self) -> Float[Array, "angles radii channels"]:
         """Directional–hemispherical reflectance of each texel at normal incidence, in the aqueous
@@ -81,7 +86,7 @@ class Matt(eqx.Module):
 
     def entering(self, cosine) -> Array:
         """Share of light that enters the tissue, 1 − F."""
-        n = self.iris.indices()
+        n = self.iris.indices(self.eye.aqueous_index)
         return fresnel_at(jnp.asarray(cosine, self.response.error.dtype), n.aqueous, n.abl)[1]
 
     def brdf(
@@ -136,9 +141,8 @@ class Matt(eqx.Module):
         rows, columns = self.shape
         step = max(1, round((rows * columns / _TEXELS) ** 0.5))
         radius = np.asarray(cell_centres(self.shape)[1])
-        place = float(self.iris.pupil_radius) + radius * float(
-            self.iris.iris_radius - self.iris.pupil_radius
-        )
+        pupil, root = float(self.eye.pupil_radius), float(self.eye.iris_radius)
+        place = pupil + radius * (root - pupil)
         weight = np.broadcast_to(place, self.shape)[::step, ::step].ravel()
         return Scales(
             *(None if s is None else s[::step, ::step].ravel() for s in self.scales)
@@ -146,12 +150,12 @@ class Matt(eqx.Module):
 
 
 @eqx.filter_jit
-def _response(iris: Iris, bands: Bands, ranges: Scales, integrator: Separable) -> Response:
-    return integrator.response(iris, bands, ranges)
+def _response(iris, aqueous_index, bands, ranges, integrator: Separable) -> SeparableResponse:
+    return integrator.response(iris, aqueous_index, bands, ranges)
 
 
 @eqx.filter_jit
-def _albedo(response: Response, scales: Scales, entering, shape: tuple[int, int]):
+def _albedo(response: SeparableResponse, scales: Scales, entering, shape: tuple[int, int]):
     if all(s is None for s in scales):
         found = entering * response.hemispherical(scales)[:, 0]
         return jnp.broadcast_to(found, (*shape, found.size))

@@ -6,6 +6,7 @@ from typing import Any
 import equinox as eqx
 from jaxtyping import Array, Float
 
+from irisjax._types import Scalar
 from irisjax.anatomy.eye import Eye
 from irisjax.render.bands import Bands
 from irisjax.render.camera import IrisPixels
@@ -14,7 +15,7 @@ from irisjax.render.lights import Lights
 from irisjax.render.memory import Memory
 from irisjax.tissue.iris import Iris
 from irisjax.tissue.maps import IrisMaps, Scales
-from irisjax.transport.process import Process
+from irisjax.transport.process import AbstractProcess
 
 
 class AbstractResponse(eqx.Module):
@@ -37,7 +38,7 @@ class AbstractIntegrator(eqx.Module):
     tissue among them.
     """
 
-    process: eqx.AbstractVar[Process]
+    process: eqx.AbstractVar[AbstractProcess]
 
     @abc.abstractmethod
     def place(
@@ -60,5 +61,9 @@ class AbstractIntegrator(eqx.Module):
         """
 
     @abc.abstractmethod
-    def response(self, iris: Iris, bands: Bands, ranges: Scales) -> AbstractResponse:
-        """The iris for the channels of `bands`; `ranges` of its texels from `Scales.ranges`."""
+    def response(
+        self, iris: Iris, aqueous_index: Scalar, bands: Bands, ranges: Scales
+    ) -> AbstractResponse:
+        """The iris behind a chamber for the channels of `bands`; `ranges` of its texels from
+        `Scales.ranges`.
+        """

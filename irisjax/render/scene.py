@@ -11,6 +11,7 @@ import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Float
 
+from irisjax._types import Scalar
 from irisjax.anatomy.eye import Eye, Sclera
 from irisjax.anatomy.sclera import VeinMap
 from irisjax.measure.colour import OBSERVER
@@ -64,21 +65,12 @@ class Scene(eqx.Module):
             )
         if self.lights is not None and not isinstance(self.lights.radius, Tracer):
             widest = float(np.max(np.asarray(self.lights.radius)))
-            if (
-                widest > np.pi / 2 + 1e-6
-            ):  # wider ones stand for regions of an environment, which is mirrored itself
+            # Wider ones stand for regions of an environment, which is mirrored itself.
+            if widest > np.pi / 2 + 1e-6:
                 raise ValueError(
                     f"a lamp's radius = {widest:g} is above pi/2 radians; give an environment "
                     f"instead"
                 )
-        chamber = self.iris.aqueous_index, self.eye.aqueous_index
-        known = self.eye.cornea is not None and not any(isinstance(n, Tracer) for n in chamber)
-        if known and abs(float(chamber[0]) - float(chamber[1])) > 1e-5:
-            raise ValueError(
-                f"one chamber has one index: aqueous_index is {float(chamber[0]):g} of the iris "
-                f"and "
-                f"{float(chamber[1]):g} of the eye; iris.replace(aqueous_index=eye.aqueous_index)"
-            )
 
     def replace(self, **parts: Any) -> "Scene":
         """A copy with some parts changed."""
@@ -124,6 +116,7 @@ class Stage(eqx.Module):
     bands: Bands
     integrator: AbstractIntegrator
     ranges: Scales
+    aqueous_index: Scalar
     size: tuple[int, int] = eqx.field(static=True)
 
     def __call__(self, iris: Iris) -> Float[Array, "height width channels"]:
@@ -132,7 +125,7 @@ class Stage(eqx.Module):
 
     def response(self, iris: Iris) -> AbstractResponse:
         """What the integrator makes of the pigments; the `error` of a table says how good it is."""
-        return _response(self.integrator, iris, self.bands, self.ranges)
+        return _response(self.integrator, iris, self.aqueous_index, self.bands, self.ranges)
 
     def shown(self, response: AbstractResponse) -> Float[Array, "height width channels"]:
         """The picture with a response."""
@@ -155,7 +148,15 @@ def render(
     memory = Memory() if memory is None else memory
     stage = prepare(scene, tables, memory=memory)
     return stage.shown(
-        memory.once("response", _response, stage.integrator, scene.iris, stage.bands, stage.ranges)
+        memory.once(
+            "response",
+            _response,
+            stage.integrator,
+            scene.iris,
+            stage.aqueous_index,
+            stage.bands,
+            stage.ranges,
+        )
     )
 
 
@@ -244,7 +245,9 @@ def prepare(
             tables = scene.tables()
         parts = lights, eye, scene.iris, scene.maps, tables, ranges
         texels, ground = scene.integrator.place(view.iris, *parts, memory)
-    return Stage(base, texels, ground, bands, scene.integrator, ranges, (width, height))
+    return Stage(
+        base, texels, ground, bands, scene.integrator, ranges, eye.aqueous_index, (width, height)
+    )
 
 
 def _all_lights(
@@ -269,9 +272,9 @@ def _sclera_colours(sclera: Sclera, clear: Bands) -> ColourTable:
 
 @eqx.filter_jit
 def _response(
-    integrator: AbstractIntegrator, iris: Iris, bands: Bands, ranges: Scales
+    integrator: AbstractIntegrator, iris: Iris, aqueous_index, bands: Bands, ranges: Scales
 ) -> AbstractResponse:
-    return integrator.response(iris, bands, ranges)
+    return integrator.response(iris, aqueous_index, bands, ranges)
 
 
 @jax.jit

@@ -19,6 +19,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
+from irisjax._types import Scalar
 from irisjax.anatomy.eye import Eye
 from irisjax.optics.fresnel import fresnel, refract
 from irisjax.render.bands import Bands
@@ -32,8 +33,8 @@ from irisjax.tissue.iris import Iris
 from irisjax.tissue.layers import Layers
 from irisjax.tissue.maps import IrisMaps, Scales
 from irisjax.tissue.pigments import Extinction, extinction
-from irisjax.transport.ilit.exact import Exact
-from irisjax.transport.process import ILIT_2006, Process
+from irisjax.transport.ilit.exact import IlitExact
+from irisjax.transport.process import ILIT_2006, Ilit
 from irisjax.transport.solver import AbstractSolver
 
 _CHECKS = 24
@@ -46,18 +47,16 @@ class Separable(AbstractIntegrator):
 
     - `degrees`: of the polynomials in ABL pigment, stroma thickness, eumelanin, pheomelanin and
         exit cosine.
-    - `solver`: of the texels; any whole-layer process.
+    - `solver`: of the texels; of ILIT.
     """
 
-    process: Process = eqx.field(static=True, default=ILIT_2006)
+    process: Ilit = eqx.field(static=True, default=ILIT_2006)
     degrees: tuple[int, int, int, int, int] = eqx.field(static=True, default=(8, 5, 4, 4, 3))
-    solver: AbstractSolver = eqx.field(default_factory=lambda: Exact(20))
+    solver: AbstractSolver = eqx.field(default_factory=lambda: IlitExact(20))
 
     def __check_init__(self):
-        if self.process.depth_resolved:
-            raise ValueError(
-                "the separable integrator needs a whole-layer process, not a depth-resolved one"
-            )
+        if not isinstance(self.process, Ilit):
+            raise ValueError("the separable integrator needs ILIT: no other process is separable")
 
     def place(
         self,
@@ -84,19 +83,23 @@ class Separable(AbstractIntegrator):
                 memory.once(f"polynomials of {n}", _scaled, *v)
                 for n, v in zip(names, varied, strict=True)
             ),
-            memory.once("angular", _angular, pixels.cosine, iris, self.degrees[4]),
+            memory.once(
+                "angular", _angular, pixels.cosine, iris, eye.aqueous_index, self.degrees[4]
+            ),
         )
         return Texels(pixels.index, terms, light), None
 
     def _most(self, ranges: Scales) -> tuple[int, ...]:
         return tuple(d for d, r in zip(self.degrees[:4], ranges, strict=True) if r is not None)
 
-    def response(self, iris: Iris, bands: Bands, ranges: Scales) -> "Response":
+    def response(
+        self, iris: Iris, aqueous_index: Scalar, bands: Bands, ranges: Scales
+    ) -> "SeparableResponse":
         """Tabulate `iris` for the channels of `bands`; `ranges` from `Scales.ranges`."""
         dtype = bands.weights.dtype
         varied = [i for i, r in enumerate(ranges) if r is not None]
         nodes = [_chebyshev(self.degrees[i] + 1) for i in (*varied, 4)]
-        n = iris.indices()
+        n = iris.indices(aqueous_index)
         indices = (jnp.asarray(n.aqueous, dtype), jnp.asarray(n.abl, dtype))
         lowest = refract(jnp.zeros((), dtype), *indices)
         inside = lowest + (1 - lowest) * jnp.asarray((nodes[-1] + 1) / 2, dtype)
@@ -110,7 +113,7 @@ class Separable(AbstractIntegrator):
                 scales: list[Any] = [None] * 4
                 for k, i in enumerate(varied):
                     scales[i] = _from_unit(ranges[i], x[k])
-                layers = texel_layers(iris, table, Scales(*scales), self.process)
+                layers = texel_layers(iris, aqueous_index, table, Scales(*scales))
                 found = self.solver.solve(layers, self.process, 1.0, cos_exit=cosines)
                 assert found.brdf is not None
                 return bands.weights @ (found.brdf / (1 - found.mirrored[:, None]))
@@ -134,7 +137,7 @@ class Separable(AbstractIntegrator):
         if len(most) > 1:
             values = values[:, *np.array(_products(most[1:])).T]
         values = values.reshape(most[0] + 1 if most else 1, -1, *values.shape[-2:])
-        out = Response(
+        out = SeparableResponse(
             coefficients=values,
             indices=indices,
             ranges=ranges,
@@ -171,7 +174,7 @@ class Texels(eqx.Module):
     light: Float[Array, "tints pixels"]
 
 
-class Response(AbstractResponse):
+class SeparableResponse(AbstractResponse):
     """g of every texel of an iris: Chebyshev coefficients, an axis for the first scale that varies,
     one for products of the others, then the cosine, then the channels.
 
@@ -240,8 +243,8 @@ def _scaled(scale, span, degree: int):
 
 
 @eqx.filter_jit
-def _angular(cosine, iris: Iris, degree: int):
-    n = iris.indices()
+def _angular(cosine, iris: Iris, aqueous_index, degree: int):
+    n = iris.indices(aqueous_index)
     return _exits(cosine, (n.aqueous, n.abl), degree)
 
 
@@ -271,13 +274,13 @@ def _basis(scales, like):
     return (first[:, None] * jnp.stack(rest)).reshape(-1, first.shape[-1])
 
 
-def texel_layers(iris: Iris, table: Extinction, scales: Scales, process: Process) -> Layers:
+def texel_layers(iris: Iris, aqueous_index, table: Extinction, scales: Scales) -> Layers:
     """Layers of a texel, its scales numbers or `None`."""
     if scales.eumelanin is not None:
         iris = eqx.tree_at(lambda i: i.eumelanin, iris, iris.eumelanin * scales.eumelanin)
     if scales.pheomelanin is not None:
         iris = eqx.tree_at(lambda i: i.pheomelanin, iris, iris.pheomelanin * scales.pheomelanin)
-    layers = iris.layers(table, process.scattering)
+    layers = iris.layers(table, aqueous_index)
     abl = 1.0 if scales.abl is None else scales.abl
     stroma = 1.0 if scales.stroma is None else scales.stroma
     return Layers(

@@ -69,7 +69,7 @@ def field_of(
     """
     place = _grid(eye, size)
     normal = eye.iris_normal(place)
-    n = iris.indices()
+    n = iris.indices(eye.aqueous_index)
 
     def add(total, i):
         flux = _flux(lights, i, place, eye, tables)

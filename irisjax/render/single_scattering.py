@@ -19,6 +19,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
+from irisjax._types import Scalar
 from irisjax.anatomy.eye import Eye
 from irisjax.numerics.interpolation import bilinear
 from irisjax.numerics.portions import pixelwise
@@ -34,7 +35,7 @@ from irisjax.render.shading import Field, fluxes_of, normals, relief_at, shares
 from irisjax.tissue.iris import Iris
 from irisjax.tissue.maps import FRECKLE, IrisMaps, Scales
 from irisjax.tissue.pigments import extinction
-from irisjax.transport.process import ILIT_2006, Process
+from irisjax.transport.process import ILIT_2006, AbstractProcess
 
 
 class SingleScattering(AbstractIntegrator):
@@ -43,11 +44,11 @@ class SingleScattering(AbstractIntegrator):
     - `n_steps`: equal steps in depth down to the thickest place of the maps. Within a step the
         layers are taken from its middle and integrated in closed form, so a uniform iris is exact
         with one.
-    - `process`: gives the scattering coefficient; its other switches mean nothing here.
+    - `process`: what outputs name; its switches mean nothing here.
     """
 
     n_steps: int = eqx.field(static=True, default=12)
-    process: Process = eqx.field(static=True, default=ILIT_2006)
+    process: AbstractProcess = eqx.field(static=True, default=ILIT_2006)
 
     def __check_init__(self):
         if not isinstance(self.n_steps, int) or self.n_steps < 1:
@@ -76,15 +77,14 @@ class SingleScattering(AbstractIntegrator):
             textures, memory.once("fluxes", fluxes_of, lights, eye, tables), lights.tint, eye
         )
 
-    def response(self, iris: Iris, bands: Bands, ranges: Scales) -> "March":
+    def response(self, iris: Iris, aqueous_index: Scalar, bands: Bands, ranges: Scales) -> "March":
         """The layers' optical depths at the wavelengths of `bands`."""
         del ranges
         table = extinction(np.asarray(bands.wavelengths))
 
         def depths(eumelanin, pheomelanin):
-            made = texel_layers(
-                iris, table, Scales(None, None, eumelanin, pheomelanin), self.process
-            )
+            scales = Scales(None, None, eumelanin, pheomelanin)
+            made = texel_layers(iris, aqueous_index, table, scales)
             return Depths(made.abl_absorption, made.extinction)
 
         # Depths are linear in the melanins, which maps may change from place to place.
@@ -96,7 +96,7 @@ class SingleScattering(AbstractIntegrator):
             rest=rest,
             eumelanin=eumelanin,
             pheomelanin=pheomelanin,
-            scattering=iris.layers(table, self.process.scattering).stroma_scattering,
+            scattering=iris.layers(table, aqueous_index).stroma_scattering,
             thickness=(iris.abl_thickness, iris.stroma_thickness),
             weights=bands.weights,
             n_steps=self.n_steps,

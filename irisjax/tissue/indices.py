@@ -2,6 +2,8 @@
 4]
 """
 
+from typing import Literal
+
 import equinox as eqx
 import jax.numpy as jnp
 from jax.core import Tracer
@@ -52,22 +54,32 @@ def scattering_rayleigh_spheres(
     return 24 * jnp.pi**3 * n_base**4 * fraction * volume * contrast**2 / wavelengths**4 * 1e6
 
 
+Scattering = Literal["lb06", "rayleigh-spheres"]
+
 SCATTERING = {"lb06": scattering_lb06, "rayleigh-spheres": scattering_rayleigh_spheres}
-"""Scattering formulas by the name a process gives them."""
+"""Scattering formulas by the name an iris gives them."""
 
 
 class Order(eqx.Module):
-    """Which neighbour is optically denser, known before tracing.
+    """Which layer is optically denser than its neighbour, known before tracing.
 
-    It fixes which critical angles exist, hence how many quadrature panels are worth compiling.
-    Where an index is traced, every one is assumed possible.
+    It fixes which critical angles may exist, hence how many quadrature panels are compiled. Where
+    an index is traced every one is possible, and towards the aqueous humour, which is no tissue,
+    always.
     """
 
-    abl_over_aqueous: bool = eqx.field(static=True, default=True)
     abl_over_stroma: bool = eqx.field(static=True, default=True)
     stroma_over_abl: bool = eqx.field(static=True, default=True)
     stroma_over_ipe: bool = eqx.field(static=True, default=True)
-    stroma_over_aqueous: bool = eqx.field(static=True, default=True)
+
+    @classmethod
+    def of(cls, abl, stroma, ipe) -> "Order":
+        """The order of these indices, or the all-possible one if any is traced or an array."""
+        values = (abl, stroma, ipe)
+        if any(isinstance(v, Tracer) or jnp.ndim(v) for v in values):
+            return cls()
+        abl, stroma, ipe = (float(v) for v in values)
+        return cls(abl > stroma, stroma > abl, stroma > ipe)
 
 
 class RefractiveIndices(eqx.Module):
@@ -79,23 +91,16 @@ class RefractiveIndices(eqx.Module):
     ipe: Scalar
 
     def order(self) -> Order:
-        """The static `Order`, or the all-possible one if any index is traced."""
-        values = (self.aqueous, self.abl, self.stroma, self.ipe)
-        if any(isinstance(v, Tracer) for v in values) or any(jnp.ndim(v) for v in values):
-            return Order()
-        aqueous, abl, stroma, ipe = (float(v) for v in values)
-        return Order(abl > aqueous, abl > stroma, stroma > abl, stroma > ipe, stroma > aqueous)
+        """The static `Order` of the layers."""
+        return Order.of(self.abl, self.stroma, self.ipe)
 
     def agree(self, order: Order) -> Bool[Array, ""]:
         """Whether the (possibly traced) indices have no critical angle that `order` rules out."""
-        claims = [
-            (order.abl_over_aqueous, self.abl > self.aqueous),
+        result = jnp.asarray(True)
+        for allowed, actual in (
             (order.abl_over_stroma, self.abl > self.stroma),
             (order.stroma_over_abl, self.stroma > self.abl),
             (order.stroma_over_ipe, self.stroma > self.ipe),
-            (order.stroma_over_aqueous, self.stroma > self.aqueous),
-        ]
-        result = jnp.asarray(True)
-        for allowed, actual in claims:
+        ):
             result = result if allowed else result & ~actual
         return result

@@ -1,7 +1,7 @@
 """`Iris`: the biophysical parameters of LB06, its presets, and the layers they make."""
 
 import dataclasses
-from typing import Any, NamedTuple
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -10,61 +10,52 @@ import numpy as np
 from jax.core import Tracer
 
 from irisjax._types import Scalar
-from irisjax.anatomy import media as eye
+from irisjax.anatomy.media import AQUEOUS
+from irisjax.numerics.checks import Range, check_fields, check_range, check_scalars
 from irisjax.tissue.indices import (
     COLLAGEN_FRACTION,
     FIBROBLAST_FRACTION,
     SCATTERING,
     Order,
     RefractiveIndices,
+    Scattering,
     gladstone_dale,
 )
 from irisjax.tissue.layers import Layers
 from irisjax.tissue.pigments import Extinction
 
-
-class Limits(NamedTuple):
-    """Allowed range of a field, its unit and what it is."""
-
-    low: float
-    high: float
-    unit: str
-    meaning: str
-    above: bool = False  # `low` itself is not allowed
-
-
 _INF = float("inf")
-LIMITS: dict[str, Limits] = {
-    "eumelanin": Limits(0, _INF, "mg/ml", "eumelanin over the whole iris"),
-    "pheomelanin": Limits(0, _INF, "mg/ml", "pheomelanin over the whole iris"),
-    "abl_fraction": Limits(0, 1, "", "share of the melanin mass in the anterior border layer"),
-    "oxyhemoglobin": Limits(0, _INF, "mmol/l", "oxyhaemoglobin in the stroma"),
-    "deoxyhemoglobin": Limits(0, _INF, "mmol/l", "deoxyhaemoglobin in the stroma"),
-    "lutein": Limits(0, _INF, "mg/ml", "lutein in the stroma"),
-    "zeaxanthin": Limits(0, _INF, "mg/ml", "zeaxanthin in the stroma"),
-    "abl_thickness": Limits(0, _INF, "mm", "thickness of the anterior border layer"),
-    "stroma_thickness": Limits(0, _INF, "mm", "thickness of the stroma"),
-    "intensification": Limits(
+LIMITS: dict[str, Range] = {
+    "eumelanin": Range(0, _INF, "mg/ml", "eumelanin over the whole iris"),
+    "pheomelanin": Range(0, _INF, "mg/ml", "pheomelanin over the whole iris"),
+    "abl_fraction": Range(0, 1, "", "share of the melanin mass in the anterior border layer"),
+    "oxyhemoglobin": Range(0, _INF, "mmol/l", "oxyhaemoglobin in the stroma"),
+    "deoxyhemoglobin": Range(0, _INF, "mmol/l", "deoxyhaemoglobin in the stroma"),
+    "lutein": Range(0, _INF, "mg/ml", "lutein in the stroma"),
+    "zeaxanthin": Range(0, _INF, "mg/ml", "zeaxanthin in the stroma"),
+    "abl_thickness": Range(0, _INF, "mm", "thickness of the anterior border layer"),
+    "stroma_thickness": Range(0, _INF, "mm", "thickness of the stroma"),
+    "intensification": Range(
         0, _INF, "", "factor of intensification of melanin absorption", above=True
     ),
-    "fibril_radius": Limits(0, 200, "nm", "radius of the collagen fibrils", above=True),
-    "iris_radius": Limits(0, _INF, "mm", "outer radius of the iris"),
-    "pupil_radius": Limits(0, _INF, "mm", "radius of the pupil"),
-    "aqueous_index": Limits(1, 3, "", "refractive index of the aqueous humour"),
-    "fibroblast_index": Limits(1, 3, "", "refractive index of the ABL's fibroblasts"),
-    "collagen_index": Limits(1, 3, "", "refractive index of the collagen fibrils"),
-    "base_index": Limits(1, 3, "", "refractive index of the base material"),
-    "ipe_index": Limits(1, 3, "", "refractive index of the iris pigment epithelium"),
-    "tear_index": Limits(1, 3, "", "refractive index of the tear film"),
-    "cornea_index": Limits(1, 3, "", "refractive index of the cornea"),
-    "fibroblast_fraction": Limits(0, 1, "", "volume fraction of fibroblasts in the ABL"),
-    "collagen_fraction": Limits(0, 1, "", "volume fraction of fibrils in the stroma", above=True),
-    "abl_index": Limits(1, 3, "", "refractive index of the ABL, in place of Gladstone-Dale's"),
-    "stroma_index": Limits(
-        1, 3, "", "refractive index of the stroma, in place of Gladstone-Dale's"
-    ),
+    "fibril_radius": Range(0, 200, "nm", "radius of the collagen fibrils", above=True),
+    "fibroblast_index": Range(1, 3, "", "refractive index of the ABL's fibroblasts"),
+    "collagen_index": Range(1, 3, "", "refractive index of the collagen fibrils"),
+    "base_index": Range(1, 3, "", "refractive index of the base material"),
+    "ipe_index": Range(1, 3, "", "refractive index of the iris pigment epithelium"),
+    "fibroblast_fraction": Range(0, 1, "", "volume fraction of fibroblasts in the ABL"),
+    "scattering_scale": Range(0, _INF, "", "factor on the stroma's scattering"),
+    "collagen_fraction": Range(0, 1, "", "volume fraction of fibrils in the stroma", above=True),
+    "abl_index": Range(1, 3, "", "refractive index of the ABL, in place of Gladstone-Dale's"),
+    "stroma_index": Range(1, 3, "", "refractive index of the stroma, in place of Gladstone-Dale's"),
 }
-"""Every settable field of `Iris` with its allowed range and unit."""
+"""Every settable number of `Iris` with its allowed range and unit."""
+
+# Fields that decide the order of media.
+_OPTICAL = {n for n in LIMITS if n.endswith("_index")} | {
+    "fibroblast_fraction",
+    "collagen_fraction",
+}
 
 _LEVELS = {"high": (1.008, 0.2674), "moderate": (0.8138, 0.2054), "low": (0.1201, 0.0194)}
 
@@ -84,8 +75,10 @@ class Iris(eqx.Module):
 
     Every field is a float array of shape () (batch with `jax.vmap`). Concentrations: melanins mg/ml
     over the whole iris, haemoglobins mmol/l and carotenoids mg/ml in the stroma; thicknesses mm;
-    the fibril radius nm; radii mm. `abl_index` and `stroma_index` are `None` unless they are to
-    replace the Gladstone–Dale mixtures. Make variations with `replace`.
+    the fibril radius nm. `abl_index` and `stroma_index` are `None` unless they are to
+    replace the Gladstone–Dale mixtures. `scattering` names the formula of the stroma's scattering:
+    `"lb06"` as printed or `"rayleigh-spheres"`, independent small spheres; `scattering_scale` is a
+    factor on it. Make variations with `replace`.
 
     **Raises:** `ValueError` naming field, value and allowed range for concrete values out of range.
     """
@@ -101,19 +94,16 @@ class Iris(eqx.Module):
     stroma_thickness: Scalar = _parameter("stroma_thickness", 0.2855)
     intensification: Scalar = _parameter("intensification", 2.2)
     fibril_radius: Scalar = _parameter("fibril_radius", 30.0)
-    iris_radius: Scalar = _parameter("iris_radius", 5.5)
-    pupil_radius: Scalar = _parameter("pupil_radius", 2.5)
-    aqueous_index: Scalar = _parameter("aqueous_index", eye.AQUEOUS)
     fibroblast_index: Scalar = _parameter("fibroblast_index", 1.42)
     collagen_index: Scalar = _parameter("collagen_index", 1.47)
     base_index: Scalar = _parameter("base_index", 1.5)
     ipe_index: Scalar = _parameter("ipe_index", 1.5)
-    tear_index: Scalar = _parameter("tear_index", eye.TEAR)
-    cornea_index: Scalar = _parameter("cornea_index", eye.CORNEA)
     fibroblast_fraction: Scalar = _parameter("fibroblast_fraction", FIBROBLAST_FRACTION)
     collagen_fraction: Scalar = _parameter("collagen_fraction", COLLAGEN_FRACTION)
     abl_index: Scalar | None = _parameter("abl_index", None)
     stroma_index: Scalar | None = _parameter("stroma_index", None)
+    scattering_scale: Scalar = _parameter("scattering_scale", 1.0)
+    scattering: Scattering = eqx.field(static=True, default="lb06")
     order: Order = eqx.field(init=False)
 
     def __post_init__(self):
@@ -125,11 +115,13 @@ class Iris(eqx.Module):
                 if value is not None:
                     object.__setattr__(self, name, _as_float(name, value))
             order = self.indices().order()
-        _check(self)
+        check_fields(self, LIMITS)
+        if self.scattering not in SCATTERING:
+            raise ValueError(f"scattering = {self.scattering!r}; known: {', '.join(SCATTERING)}")
         object.__setattr__(self, "order", order)
 
     @classmethod
-    def preset(cls, level: str) -> "Iris":
+    def of_level(cls, level: str) -> "Iris":
         """The iris of a pigmentation level of LB06 Table 2: `"low"`, `"moderate"` or `"high"`."""
         if level not in _LEVELS:
             raise ValueError(
@@ -142,30 +134,28 @@ class Iris(eqx.Module):
         """A copy with some fields changed.
 
         Besides the fields: `melanin_load` (µg/mm²) rescales both melanins after the other changes,
-        keeping their ratio (all eumelanin where there was none).
+        keeping their ratio (all eumelanin where there was none). The static order of media stays
+        what it was unless an index changes: an iris may be carried through a loop.
         """
         load = fields.pop("melanin_load", None)
         for name in fields:
-            if name not in LIMITS:
-                raise ValueError(
-                    f"unknown parameter {name!r}; known: melanin_load, {', '.join(LIMITS)}"
-                )
-        current = {name: getattr(self, name) for name in LIMITS}
+            if name not in LIMITS and name != "scattering":
+                known = ", ".join(("melanin_load", *LIMITS, "scattering"))
+                raise ValueError(f"unknown parameter {name!r}; known: {known}")
+        current = {name: getattr(self, name) for name in (*LIMITS, "scattering")}
         iris = Iris(**{**current, **fields})
+        if not any(name in _OPTICAL for name in fields):
+            object.__setattr__(iris, "order", self.order)
         if load is None:
             return iris
         load = _as_float("melanin_load", load)
-        _check_value("melanin_load", load, Limits(0, _INF, "ug/mm2", ""))
+        check_range("melanin_load", load, Range(0, _INF, "ug/mm2"))
         total = iris.eumelanin + iris.pheomelanin
         none = total <= 0
         share = jnp.where(none, 0.0, iris.pheomelanin / jnp.where(none, 1.0, total))
         concentration = load / (iris.abl_thickness + iris.stroma_thickness)
-        return Iris(
-            **{
-                **{name: getattr(iris, name) for name in LIMITS},
-                "eumelanin": concentration * (1 - share),
-                "pheomelanin": concentration * share,
-            }
+        return iris.replace(
+            eumelanin=concentration * (1 - share), pheomelanin=concentration * share
         )
 
     @property
@@ -178,23 +168,27 @@ class Iris(eqx.Module):
         """Melanin mass of the ABL per iris area, µg/mm²."""
         return self.melanin_load * self.abl_fraction
 
-    def indices(self) -> RefractiveIndices:
-        """Indices of the media round the layers  [LB06 Eqs. 8, 9]."""
+    def indices(self, aqueous_index: Scalar | float = AQUEOUS) -> RefractiveIndices:
+        """Indices of the media round the layers  [LB06 Eqs. 8, 9].
+
+        `aqueous_index` is that of the chamber before them: an eye's, or an instrument's.
+        """
         abl = gladstone_dale(self.fibroblast_index, self.fibroblast_fraction, self.base_index)
         stroma = gladstone_dale(self.collagen_index, self.collagen_fraction, self.base_index)
         return RefractiveIndices(
-            aqueous=self.aqueous_index,
+            aqueous=jnp.asarray(aqueous_index, self.base_index.dtype),
             abl=abl if self.abl_index is None else self.abl_index,
             stroma=stroma if self.stroma_index is None else self.stroma_index,
             ipe=self.ipe_index,
         )
 
-    def layers(self, extinction: Extinction, scattering: str = "lb06") -> Layers:
+    def layers(self, extinction: Extinction, aqueous_index: Scalar | float = AQUEOUS) -> Layers:
         """Optical depths of the layers on the wavelengths of `extinction`  [LB06 Section 3.3, Eqs.
         4, 5].
 
-        `scattering` is `"lb06"` or `"rayleigh-spheres"` (see `tissue.indices`).
+        **Raises:** `ValueError` naming a field that is an array: batches are for `jax.vmap`.
         """
+        check_scalars(self, LIMITS)
         e = extinction
         # The ABL fraction divides the mass: depth in a layer = extinction × mass per area in that
         # layer.
@@ -209,7 +203,7 @@ class Iris(eqx.Module):
             + e.lutein * self.lutein
             + e.zeaxanthin * self.zeaxanthin
         )
-        mu_s = SCATTERING[scattering](
+        mu_s = SCATTERING[self.scattering](
             e.wavelengths,
             self.fibril_radius,
             self.collagen_fraction,
@@ -220,8 +214,8 @@ class Iris(eqx.Module):
             abl_absorption=melanin * self.abl_fraction,
             stroma_absorption=melanin * (1 - self.abl_fraction)
             + blood_and_carotenoids * self.stroma_thickness,
-            stroma_scattering=mu_s * self.stroma_thickness,
-            indices=self.indices(),
+            stroma_scattering=self.scattering_scale * mu_s * self.stroma_thickness,
+            indices=self.indices(aqueous_index),
             order=self.order,
         )
 
@@ -237,10 +231,9 @@ class Iris(eqx.Module):
         return out
 
     def __repr__(self):
-        lines = [
-            f"  {n} = {v}{(' ' + LIMITS[n].unit) if LIMITS[n].unit else ''}"
-            for n, v in self.parameters().items()
-        ]
+        units = {n: f" {limits.unit}" if limits.unit else "" for n, limits in LIMITS.items()}
+        lines = [f"  {n} = {v}{units[n]}" for n, v in self.parameters().items()]
+        lines.append(f"  scattering = {self.scattering}")
         return "Iris(\n" + "\n".join(lines) + "\n)"
 
 
@@ -269,33 +262,4 @@ def _as_float(name: str, value) -> jax.Array:
     )
 
 
-def _check(iris: Iris) -> None:
-    for name, limits in LIMITS.items():
-        value = getattr(iris, name)
-        if value is not None:
-            _check_value(name, value, limits)
-    if not isinstance(iris.pupil_radius, Tracer) and not isinstance(iris.iris_radius, Tracer):
-        bad = np.asarray(iris.pupil_radius) > np.asarray(iris.iris_radius)
-        if bad.any():
-            pupil, whole = (
-                np.broadcast_to(r, bad.shape)[bad][0] for r in (iris.pupil_radius, iris.iris_radius)
-            )
-            raise ValueError(f"pupil_radius = {pupil:g} mm exceeds iris_radius = {whole:g} mm")
-
-
-def _check_value(name: str, value, limits: Limits) -> None:
-    if isinstance(value, Tracer):
-        return
-    v = np.asarray(value)
-    allowed = np.isfinite(v) & (v >= limits.low) & (v <= limits.high)
-    if limits.above:
-        allowed &= v > limits.low
-    if not allowed.all():
-        worst = v[~allowed].flat[0]
-        low = f"{'(' if limits.above else '['}{limits.low:g}"
-        high = "inf)" if np.isinf(limits.high) else f"{limits.high:g}]"
-        unit = f" {limits.unit}" if limits.unit else ""
-        raise ValueError(f"{name} = {worst:g}{unit} is outside {low}, {high}{unit}")
-
-
-assert {f.name for f in dataclasses.fields(Iris)} == {*LIMITS, "order"}
+assert {f.name for f in dataclasses.fields(Iris)} == {*LIMITS, "scattering", "order"}

@@ -1,36 +1,33 @@
-"""Monte Carlo solver: samples the process of `transport.process`, and says how well.
+"""Analogue Monte Carlo: follows photons event by event, and says how well that is known.
 
-Photons are dealt to all devices JAX sees, in one process or several, by their index; integer counts
-do not depend on how.
+Photons are dealt out by their index, over a mesh of devices where the caller gives one; integer
+counts do not depend on how.
 """
 
-import math
 from collections.abc import Callable
 from functools import partial
-from typing import Literal, NamedTuple, get_args
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.sharding import PartitionSpec
+from jax.sharding import Mesh, PartitionSpec
 from jaxtyping import Array, Int
 
 from irisjax.numerics.streams import check_key, scales
 from irisjax.tissue.layers import Layers
-from irisjax.transport import analog
-from irisjax.transport.ilit import weighted
-from irisjax.transport.ilit.exact import first_surface
-from irisjax.transport.process import Process
+from irisjax.transport import ilit, lanes, radiative
+from irisjax.transport.incidence import first_surface
+from irisjax.transport.process import AbstractProcess, Ilit
 from irisjax.transport.solution import RESULTS, Absorbed, Solution
 from irisjax.transport.solver import AbstractSolver
 
-Estimator = Literal["analog", "weighted", "quasi"]
 _LIMIT = 2**31 - 2**20  # counts are int32; lanes look a stride ahead
 
 
 class Counts(NamedTuple):
-    """Photons by fate: `fates` (wavelengths, 5) as in `analog.FATES`, `exits` (wavelengths, exits)
+    """Photons by fate: `fates` (wavelengths, 5) as in `lanes.FATES`, `exits` (wavelengths, exits)
     or `None`, and `photons` sent (wavelengths,). Counts of disjoint blocks of photons add."""
 
     fates: Int[Array, "wavelengths 5"]
@@ -39,14 +36,12 @@ class Counts(NamedTuple):
 
 
 class MonteCarlo(AbstractSolver):
-    """Sampling solver; needs a `key`.
+    """Analogue sampling of any process; needs a `key`, and has no derivatives.
 
-    - `n_photons`: photons a wavelength (`"analog"`) or paths shared by all wavelengths (else:
-        rounded up to 16·2^k), up to 2.1e9 a call.
-    - `estimator`: `"analog"` follows LB06 event by event; `"weighted"` takes expected values in
-        place of absorption and Fresnel tests; `"quasi"` feeds that from a randomly shifted lattice.
-        The last two treat whole-layer processes that keep directions on reflection.
+    - `n_photons`: photons a wavelength, up to 2.1e9 a call.
     - `lanes`: photons under way at once; a matter of speed and memory only (about 100 bytes each).
+    - `mesh`: devices to deal the photons to, or `None` for where the program runs; see
+        `photon_mesh`.
 
     Arithmetic is float32 whatever the iris's precision; counts are integers. Where `rays` are given
     (the illuminant's relative power), the photons at each wavelength follow them, at most
@@ -54,34 +49,24 @@ class MonteCarlo(AbstractSolver):
     """
 
     n_photons: int = eqx.field(static=True)
-    estimator: Estimator = eqx.field(static=True, default="analog")
     lanes: int = eqx.field(static=True, default=16384)
+    mesh: Mesh | None = eqx.field(static=True, default=None)
 
     def __check_init__(self):
         n = self.n_photons
         if isinstance(n, bool) or not isinstance(n, (int, np.integer)) or not 1 <= n <= _LIMIT:
             raise ValueError(f"n_photons = {n!r} is outside [1, {_LIMIT}]")
-        if self.estimator not in get_args(Estimator):
-            raise ValueError(
-                f"estimator = {self.estimator!r}; known: {', '.join(get_args(Estimator))}"
-            )
         if not isinstance(self.lanes, int) or self.lanes < 16:
             raise ValueError(f"lanes = {self.lanes!r}: must be a whole number of at least 16")
 
-    def prepare(self, layers: Callable[[], Layers], process: Process) -> "MonteCarlo":
-        """Check that the estimator can treat the process."""
-        if self.estimator != "analog" and (process.depth_resolved or process.perturb_on_reflection):
-            raise ValueError(
-                f'estimator="{self.estimator}" treats whole-layer processes without '
-                "perturb_on_reflection; "
-                'use estimator="analog"'
-            )
+    def prepare(self, layers: Callable[[], Layers], process: AbstractProcess) -> "MonteCarlo":
+        """Nothing to prepare."""
         return self
 
     def solve(
         self,
         layers: Layers,
-        process: Process,
+        process: AbstractProcess,
         cos_incidence,
         *,
         cos_exit=None,
@@ -94,15 +79,8 @@ class MonteCarlo(AbstractSolver):
         The BRDF is the average over cells of the cosine bounded half-way between the exits asked
         for.
         """
-        if self.estimator == "analog":
-            counts = self.count(
-                layers, process, cos_incidence, cos_exit=cos_exit, key=key, rays=rays
-            )
-            return self.summarise(counts, layers, process, cos_exit)
-        check_key(key)
-        if cos_exit is not None:
-            raise ValueError('a BRDF by Monte Carlo needs estimator="analog"')
-        return self._weighted(layers, process, cos_incidence, key)
+        counts = self.count(layers, process, cos_incidence, cos_exit=cos_exit, key=key, rays=rays)
+        return self.summarise(counts, layers, cos_exit)
 
     def count(
         self,
@@ -121,9 +99,9 @@ class MonteCarlo(AbstractSolver):
         `first` and `last` may be traced. Returns `Counts`.
         """
         check_key(key)
-        if cos_exit is not None and process.depth_resolved:
+        if cos_exit is not None and not isinstance(process, Ilit):
             raise ValueError(
-                "the BRDF of depth-resolved transport by Monte Carlo is not offered; use Exact"
+                "the BRDF of radiative transfer by Monte Carlo is not offered; use RadiativeExact"
             )
         cells = None if cos_exit is None else _cells(cos_exit)
         share = (
@@ -138,13 +116,9 @@ class MonteCarlo(AbstractSolver):
         end = wanted if last is None else jnp.minimum(jnp.asarray(last, jnp.int32), wanted)
         mirrored = first_surface(cos_incidence, layers.indices, layers.extinction.dtype)[0]
         incidence = -1.0 if isinstance(cos_incidence, str) else cos_incidence
-        return _count(
-            key, layers, mirrored, incidence, start, end, cells, scales(), process, self.lanes
-        )
+        return _count(key, layers, mirrored, incidence, start, end, cells, scales(), process, self)
 
-    def summarise(
-        self, counts: Counts, layers: Layers, process: Process, cos_exit=None
-    ) -> Solution:
+    def summarise(self, counts: Counts, layers: Layers, cos_exit=None) -> Solution:
         """Shares and standard errors from counts; a count of none still has an error (Laplace's
         rule).
         """
@@ -152,7 +126,6 @@ class MonteCarlo(AbstractSolver):
         n = counts.photons.astype(dtype)
         fates = counts.fates.astype(dtype)
         share = fates / n[:, None]
-        seen = fates[:, 1] + (fates[:, 0] if process.first_surface else 0)
         brdf = brdf_error = None
         if counts.exits is not None:
             cells = _cells(cos_exit).astype(dtype)
@@ -163,37 +136,15 @@ class MonteCarlo(AbstractSolver):
             reflectance=share[:, 1],
             mirrored=share[:, 0],
             absorbed=Absorbed(abl=share[:, 2], stroma=share[:, 3], ipe=share[:, 4]),
-            standard_error=_binomial_error(seen, n),
+            standard_error=_binomial_error(fates[:, 1], n),
+            total_error=_binomial_error(fates[:, 0] + fates[:, 1], n),
             brdf=brdf,
             brdf_error=brdf_error,
-            result=_result(layers),
-        )
-
-    def _weighted(self, layers: Layers, process: Process, cos_incidence, key) -> Solution:
-        mirrored, entering = first_surface(cos_incidence, layers.indices, layers.extinction.dtype)
-        log2_paths = max(4, math.ceil(math.log2(max(1, self.n_photons / weighted.GROUPS))))
-        groups = weighted.run_paths(
-            key,
-            layers,
-            process,
-            entering,
-            scales(),
-            log2_paths=log2_paths,
-            quasi=self.estimator == "quasi",
-        ).astype(layers.extinction.dtype)
-        mean = groups.mean(axis=1)
-        return Solution(
-            reflectance=mean[0],
-            mirrored=mirrored * jnp.ones_like(mean[0]),
-            absorbed=Absorbed(abl=mean[1], stroma=mean[2], ipe=mean[3]),
-            standard_error=groups[0].std(axis=0, ddof=1) / math.sqrt(weighted.GROUPS),
-            brdf=None,
-            brdf_error=None,
-            result=_result(layers),
+            status=_status(layers),
         )
 
 
-def _result(layers: Layers):
+def _status(layers: Layers):
     return RESULTS.where(layers.valid(), RESULTS.successful, RESULTS.invalid_input)
 
 
@@ -226,13 +177,15 @@ def _count(
     last,
     cells,
     scale,
-    process: Process,
-    lanes: int,
+    process: AbstractProcess,
+    solver: MonteCarlo,
 ) -> Counts:
+    rules = ilit.analog if isinstance(process, Ilit) else radiative.analog
+    event = partial(rules.event, process=process)
     n_waves = layers.extinction.shape[0]
-    devices = jax.devices()
+    devices = 1 if solver.mesh is None else solver.mesh.size
     # Multiples of 16: whole vectors, a lane's loop never falls back to scalars.
-    a_wave = max(16, lanes // n_waves // 16 * 16)
+    a_wave = max(16, solver.lanes // n_waves // 16 * 16)
     f = jnp.float32
     ok = layers.valid()
     words = jax.random.key_data(jax.vmap(lambda j: jax.random.fold_in(key, j))(jnp.arange(n_waves)))
@@ -242,7 +195,7 @@ def _count(
         return jnp.repeat(jnp.where(ok, values, 0).astype(f), a_wave)
 
     n = layers.indices
-    lane_layers = analog.LaneLayers(
+    lane_layers = lanes.LaneLayers(
         abl=spread(layers.abl_absorption),
         stroma=spread(layers.extinction),
         albedo=spread(layers.albedo),
@@ -256,27 +209,40 @@ def _count(
     wave_words = (jnp.repeat(words[:, 0], a_wave), jnp.repeat(words[:, 1], a_wave))
     last = jnp.where(ok, jnp.broadcast_to(last, (n_waves,)), 0)
     lane = jnp.tile(jnp.arange(a_wave, dtype=jnp.int32), n_waves)
-    stride = jnp.int32(a_wave * len(devices))
+    stride = jnp.int32(a_wave * devices)
 
     def on_device(place):
         start = first + lane + place * a_wave
-        tally = analog.run_lanes(
-            wave_words, start, stride, jnp.repeat(last, a_wave), lane_layers, scale, process, cells
+        tally = lanes.run_lanes(
+            event,
+            wave_words,
+            start,
+            stride,
+            jnp.repeat(last, a_wave),
+            lane_layers,
+            scale,
+            deep=not isinstance(process, Ilit),
+            cells=cells,
         )
         return jax.tree.map(lambda c: c.reshape(n_waves, a_wave, -1).sum(1, dtype=jnp.int32), tally)
 
-    if len(devices) == 1:
+    if solver.mesh is None:
         total = on_device(jnp.int32(0))
     else:
         # All that a device needs to know is its place in the deal; every process ends with all
         # counts.
+        axes = solver.mesh.axis_names
         total = jax.shard_map(
-            lambda: jax.lax.psum(
-                on_device(jax.lax.axis_index("photons").astype(jnp.int32)), "photons"
-            ),
-            mesh=jax.make_mesh((len(devices),), ("photons",), devices=devices),
+            lambda: jax.lax.psum(on_device(jax.lax.axis_index(axes).astype(jnp.int32)), axes),
+            mesh=solver.mesh,
             in_specs=(),
             out_specs=PartitionSpec(),
             check_vma=False,
         )()
     return Counts(*total, photons=jnp.maximum(last - first, 0))
+
+
+def photon_mesh(devices=None) -> Mesh:
+    """A mesh that deals photons to these devices (default: all of every process)."""
+    devices = jax.devices() if devices is None else devices
+    return jax.make_mesh((len(devices),), ("photons",), devices=devices)

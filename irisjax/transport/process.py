@@ -1,8 +1,10 @@
-"""The random rules of ILIT, written once: `exact` integrates them, `montecarlo` samples them.
+"""The random rules of ILIT and of radiative transfer: which light follows, as values.
 
-Directions are cosines μ to the layer normal, depths are optical.  [LB06 Section 3]
+Solvers integrate or sample these. Directions are cosines μ to the layer normal, depths are optical.
+[LB06 Section 3]
 """
 
+import dataclasses
 from typing import Literal, get_args
 
 import equinox as eqx
@@ -13,86 +15,78 @@ from irisjax.optics.phase import PHASES, AbstractPhase
 
 Phase = Literal["lb06", "rayleigh"]
 Rescatter = Literal["to-interface", "retest"]
-Scattering = Literal["lb06", "rayleigh-spheres"]
-Cornea = Literal["none", "inward", "round-trip"]
-Transport = Literal["whole-layer", "depth-resolved"]
 
 
-class Process(eqx.Module):
-    """Which rules a ray follows. All static: a process is compiled in, not computed with.
+class AbstractProcess(eqx.Module):
+    """Which rules a ray follows. All static: a process is compiled in, not computed with."""
+
+    @property
+    def phase_function(self) -> AbstractPhase:
+        """The law by which the stroma deflects light."""
+        return PHASES["rayleigh"]
+
+    @property
+    def transport(self) -> str:
+        """What outputs call it."""
+        raise NotImplementedError
+
+    def describe(self) -> dict[str, str | bool]:
+        """The switches by name, for headers."""
+        return {f.name: getattr(self, f.name) for f in dataclasses.fields(self)}
+
+
+class Ilit(AbstractProcess):
+    """ILIT: tests over whole layers, directions redrawn on entering them  [LB06 Section 3].
 
     - `phase`: `"lb06"` samples the deflection as printed (no sin α); `"rayleigh"` samples
         Rayleigh's law.
     - `rescatter`: after a scatter the ray goes straight `"to-interface"`, or is tested again over
         the whole thickness (`"retest"`); a factor of two in the blue lies between them.
     - `perturb_on_reflection`: whether a ray reflected inside a layer is redrawn as on entry.
-    - `scattering`: the stroma's coefficient as printed (`"lb06"`), or that of independent small
-        spheres.
-    - `cornea`: whether light crosses tear film and cornea on its way in, or both ways; `None`
-        leaves it to the instrument (reflectance: none; radiance: inward).
-    - `first_surface`: whether rays mirrored by the iris's own surface count.
-    - `transport`: `"whole-layer"` is ILIT; `"depth-resolved"` is radiative transfer in the same
-        layers (free paths in depth, no redrawing of directions, Rayleigh's law), which makes the
-        switches `rescatter` and `perturb_on_reflection` meaningless.
     """
 
     phase: Phase = eqx.field(static=True, default="lb06")
     rescatter: Rescatter = eqx.field(static=True, default="to-interface")
     perturb_on_reflection: bool = eqx.field(static=True, default=False)
-    scattering: Scattering = eqx.field(static=True, default="lb06")
-    cornea: Cornea | None = eqx.field(static=True, default=None)
-    first_surface: bool = eqx.field(static=True, default=True)
-    transport: Transport = eqx.field(static=True, default="whole-layer")
 
     def __check_init__(self):
-        for name, kind in (
-            ("phase", Phase),
-            ("rescatter", Rescatter),
-            ("scattering", Scattering),
-            ("transport", Transport),
-        ):
+        for name, kind in (("phase", Phase), ("rescatter", Rescatter)):
             if getattr(self, name) not in get_args(kind):
-                raise ValueError(
-                    f"{name} = {getattr(self, name)!r}; known: {', '.join(get_args(kind))}"
-                )
-        if self.cornea is not None and self.cornea not in get_args(Cornea):
-            raise ValueError(f"cornea = {self.cornea!r}; known: {', '.join(get_args(Cornea))}")
-        if self.transport == "depth-resolved" and self.phase != "rayleigh":
-            raise ValueError('depth-resolved transport takes phase="rayleigh" only')
-
-    @property
-    def depth_resolved(self) -> bool:
-        """Whether this is radiative transfer rather than ILIT's whole-layer tests."""
-        return self.transport == "depth-resolved"
+                known = ", ".join(get_args(kind))
+                raise ValueError(f"{name} = {getattr(self, name)!r}; known: {known}")
 
     @property
     def phase_function(self) -> AbstractPhase:
         """The phase function that `phase` names."""
         return PHASES[self.phase]
 
-    def describe(self) -> dict[str, str | bool]:
-        """The switches by name, for headers."""
-        return {
-            "transport": self.transport,
-            "phase": self.phase,
-            "rescatter": self.rescatter,
-            "perturb_on_reflection": self.perturb_on_reflection,
-            "scattering": self.scattering,
-            "cornea": self.cornea or "auto",
-            "first_surface": self.first_surface,
-        }
+    @property
+    def transport(self) -> str:
+        """What outputs call it."""
+        return "whole-layer"
 
 
-ILIT_2006 = Process()
+class RadiativeTransfer(AbstractProcess):
+    """Scalar radiative transfer in the same layers: free paths in depth, Rayleigh's law, Fresnel's
+    and Snell's at every interface; nothing is redrawn.
+    """
+
+    @property
+    def transport(self) -> str:
+        """What outputs call it."""
+        return "depth-resolved"
+
+
+ILIT_2006 = Ilit()
 """LB06 as printed, with the decisions where it is silent."""
 
-ILIT_CORRECTED = Process(phase="rayleigh")
+ILIT_CORRECTED = Ilit(phase="rayleigh")
 """ILIT with Rayleigh's phase function sampled exactly."""
 
-DEPTH_RESOLVED = Process(phase="rayleigh", transport="depth-resolved")
+DEPTH_RESOLVED = RadiativeTransfer()
 """Scalar radiative transfer in the same layers, Fresnel at every interface."""
 
-PROCESSES = {
+PROCESSES: dict[str, AbstractProcess] = {
     "ilit-2006": ILIT_2006,
     "ilit-corrected": ILIT_CORRECTED,
     "depth-resolved": DEPTH_RESOLVED,

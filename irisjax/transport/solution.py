@@ -23,7 +23,7 @@ class RESULTS(eqx.Enumeration):
     )
     under_resolved = (
         "the stroma is optically too thick for the number of depth panels; "
-        "give Exact(n_panels=...) a larger one"
+        "give RadiativeExact(n_panels=...) a larger one"
     )
     not_converged = "the orders of scattering did not converge"
     outside_table = "an optical depth or index lies outside the range the table was built for"
@@ -41,26 +41,33 @@ class Absorbed(eqx.Module):
         return self.abl + self.stroma + self.ipe
 
 
+def dimmed(absorbed: Absorbed, factor) -> Absorbed:
+    """The same shares of light of which only `factor` arrived."""
+    return Absorbed(factor * absorbed.abl, factor * absorbed.stroma, factor * absorbed.ipe)
+
+
 class Solution(eqx.Module):
     """Where the light goes that falls on the iris from the aqueous humour.
 
     Shares of the incident power, one value a wavelength: `reflectance` (what entered and came
     back), `mirrored` (at the first surface), `absorbed`; they sum to one.
 
-    - `standard_error`: of `reflectance` plus `mirrored` where sampled, `None` where integrated.
+    - `standard_error`: of `reflectance` where sampled, `None` where integrated; `total_error`:
+        of `reflectance` plus `mirrored`.
     - `brdf`: bidirectional reflectance distribution function (1/sr) without the mirrored part at
         the requested exit directions, shape (wavelengths, exits), or `None`; `brdf_error` its
         standard error.
-    - `result`: a `RESULTS` item.
+    - `status`: a `RESULTS` item.
     """
 
     reflectance: Spectrum
     mirrored: Spectrum
     absorbed: Absorbed
     standard_error: Spectrum | None
+    total_error: Spectrum | None
     brdf: Float[Array, "wavelengths exits"] | None
     brdf_error: Float[Array, "wavelengths exits"] | None
-    result: RESULTS
+    status: RESULTS
 
     @property
     def energy(self) -> Float[Array, "*batch wavelengths"]:
@@ -68,15 +75,15 @@ class Solution(eqx.Module):
         return self.reflectance + self.mirrored + self.absorbed.total()
 
 
-def throw(result: RESULTS) -> None:
-    """Raise `ValueError` with the reason if a concrete `result` is not successful; ignore a traced
+def raise_failure(status: RESULTS) -> None:
+    """Raise `ValueError` with the reason if a concrete `status` is not successful; ignore a traced
     one.
     """
-    if isinstance(result._value, Tracer):
+    if isinstance(status._value, Tracer):
         return
     # Read the code itself: comparing enumerations would dispatch a computation for every call.
-    codes = np.asarray(result._value)
+    codes = np.asarray(status._value)
     if codes.any():
         raise ValueError(
-            RESULTS[result] if codes.ndim == 0 else "some of the batch failed; see status"
+            RESULTS[status] if codes.ndim == 0 else "some of the batch failed; see status"
         )

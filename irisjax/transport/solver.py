@@ -2,12 +2,15 @@
 
 import abc
 from collections.abc import Callable
+from typing import TypeVar
 
 import equinox as eqx
 
 from irisjax.tissue.layers import Layers
-from irisjax.transport.process import Process
+from irisjax.transport.process import AbstractProcess
 from irisjax.transport.solution import Solution
+
+P = TypeVar("P", bound=AbstractProcess)
 
 
 class AbstractSolver(eqx.Module):
@@ -17,7 +20,7 @@ class AbstractSolver(eqx.Module):
     """
 
     @abc.abstractmethod
-    def prepare(self, layers: Callable[[], Layers], process: Process) -> "AbstractSolver":
+    def prepare(self, layers: Callable[[], Layers], process: AbstractProcess) -> "AbstractSolver":
         """The solver with all fixed that must be known before tracing.
 
         `layers` gives the layers (concrete ones, if the caller has them) when called. **Raises:**
@@ -28,7 +31,7 @@ class AbstractSolver(eqx.Module):
     def solve(
         self,
         layers: Layers,
-        process: Process,
+        process: AbstractProcess,
         cos_incidence,
         *,
         cos_exit=None,
@@ -42,3 +45,11 @@ class AbstractSolver(eqx.Module):
         `None`; `key`: for solvers that sample; `rays`: relative number of rays a wavelength for
         those.
         """
+
+
+def checked_process(solver, process: AbstractProcess, kind: type[P]) -> P:
+    """The process, of the kind that a solver treats; `ValueError` if it is of another."""
+    if not isinstance(process, kind):
+        name = getattr(solver, "__name__", type(solver).__name__)
+        raise ValueError(f"{name} treats {kind.__name__} processes, not {type(process).__name__}")
+    return process

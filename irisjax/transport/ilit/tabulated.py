@@ -1,4 +1,4 @@
-"""Tabulated solver: the layer functions of one set of indices, computed once by `Exact`, then
+"""Tabulated solver: the layer functions of one set of indices, computed once by `IlitExact`, then
 looked up.
 
 With fixed indices ILIT's ABL is a function of one number, its optical depth, and the stroma of two,
@@ -19,20 +19,21 @@ from jaxtyping import Array, Float
 from irisjax.tissue.indices import Order, RefractiveIndices
 from irisjax.tissue.iris import Iris
 from irisjax.tissue.layers import Layers
-from irisjax.transport.ilit.exact import Response, abl_responses, combine, stroma_response
-from irisjax.transport.process import ILIT_2006, Process
+from irisjax.transport.ilit.exact import combine
+from irisjax.transport.ilit.layers import LayerFates, abl_responses, stroma_response
+from irisjax.transport.process import ILIT_2006, AbstractProcess, Ilit
 from irisjax.transport.solution import RESULTS
-from irisjax.transport.solver import AbstractSolver
+from irisjax.transport.solver import AbstractSolver, checked_process
 
 _DEGREE = 5
 _SMALLEST = 1e-7  # τ₀: below it the functions, which go as τ ln τ, are straight lines to 2e-12
 _LARGEST = 40.0  # exp(−40) is below rounding: deeper layers are all alike
 
 
-class Tabulated(AbstractSolver):
+class IlitTabulated(AbstractSolver):
     """Solver for many spectra of irides that share their refractive indices and process.
 
-    Make one with `Tabulated.build`. The tables hold for all optical depths and albedos; an iris
+    Make one with `IlitTabulated.build`. The tables hold for all optical depths and albedos; an iris
     with other indices gives the status `outside_table`. Gradients flow to depths and pigments, not
     to indices.
 
@@ -42,30 +43,28 @@ class Tabulated(AbstractSolver):
     abl: Float[Array, "intervals powers 4"]
     stroma: Float[Array, "intervals powers albedos 2"]
     indices: RefractiveIndices
-    process: Process
+    process: Ilit
     error: float = eqx.field(static=True)
 
     @classmethod
     def build(
         cls,
-        iris: Iris | None = None,
-        process: Process = ILIT_2006,
+        indices: RefractiveIndices | None = None,
+        process: Ilit = ILIT_2006,
         *,
         tolerance: float = 1e-11,
         n_intervals: int = 256,
         n_albedos: int = 7,
-    ) -> "Tabulated":
-        """Tabulate for the indices of `iris` (default: LB06's) and check the tables.
+    ) -> "IlitTabulated":
+        """Tabulate for some refractive indices (default: LB06's; `iris.indices()` has an iris's)
+        and check the tables.
 
         **Raises:** `ValueError` if the process is depth-resolved, or if the error found exceeds
         `tolerance` (in float32 the tolerance is at least 1e-6).
         """
-        if process.depth_resolved:
-            raise ValueError(
-                "depth-resolved transport cannot be tabulated layer by layer; use Exact"
-            )
-        iris = iris if iris is not None else Iris()
-        indices, order = iris.indices(), iris.order
+        checked_process(cls, process, Ilit)
+        indices = Iris().indices() if indices is None else indices
+        order = indices.order()
         dtype = jnp.result_type(float)
         tolerance = max(tolerance, 32 * float(jnp.finfo(dtype).eps))
         local = np.cos(np.pi * (np.arange(_DEGREE + 1) + 0.5) / (_DEGREE + 1))
@@ -106,26 +105,26 @@ class Tabulated(AbstractSolver):
         if error > tolerance:
             raise ValueError(
                 f"the layer functions are tabulated to {error:.1e} only, not to {tolerance:.1e}; "
-                "use Exact, or a larger tolerance, n_intervals or n_albedos"
+                "use IlitExact, or a larger tolerance, n_intervals or n_albedos"
             )
         return cls(table.abl, table.stroma, indices, process, float(error))
 
-    def prepare(self, layers: Callable[[], Layers], process: Process) -> "Tabulated":
+    def prepare(self, layers: Callable[[], Layers], process: AbstractProcess) -> "IlitTabulated":
         """Check that the tables belong to this process."""
-        # Cornea and first surface are applied after the layers: they need not match.
-        for name in ("phase", "rescatter", "perturb_on_reflection", "transport"):
-            if getattr(process, name) != getattr(self.process, name):
+        checked_process(self, process, Ilit)
+        for name, value in process.describe().items():
+            ours = getattr(self.process, name)
+            if value != ours:
                 raise ValueError(
-                    f"the tables were built for {name}={getattr(self.process, name)!r}, "
-                    f"not {getattr(process, name)!r}; build others with Tabulated.build(iris, "
-                    f"process)"
+                    f"the tables were built for {name}={ours!r}, not {value!r}; "
+                    f"build others with IlitTabulated.build(indices, process)"
                 )
         return self
 
     def solve(
         self,
         layers: Layers,
-        process: Process,
+        process: AbstractProcess,
         cos_incidence,
         *,
         cos_exit=None,
@@ -134,6 +133,7 @@ class Tabulated(AbstractSolver):
         rays=None,
     ):
         """See `AbstractSolver.solve`; no `key` and no `rays` are used."""
+        process = checked_process(self, process, Ilit)
         from_above, from_below = self._abl_response(layers.abl_absorption)
         stroma = self._stroma_response(layers.extinction, layers.albedo)
         solution = combine(
@@ -151,16 +151,16 @@ class Tabulated(AbstractSolver):
             jax.tree.leaves(self.indices), jax.tree.leaves(layers.indices), strict=True
         ):
             same = same & (jnp.abs(ours - theirs) <= 4 * jnp.finfo(theirs.dtype).eps * theirs)
-        result = RESULTS.where(same, solution.result, RESULTS.outside_table)
-        return eqx.tree_at(lambda s: s.result, solution, result)
+        status = RESULTS.where(same, solution.status, RESULTS.outside_table)
+        return eqx.tree_at(lambda s: s.status, solution, status)
 
-    def _abl_response(self, depth) -> tuple[Response, Response]:
+    def _abl_response(self, depth) -> tuple[LayerFates, LayerFates]:
         up, down, out, back = _curves(self.abl, *self._locate(depth))
-        return Response(up, down, 1 - up - down), Response(back, out, 1 - back - out)
+        return LayerFates(up, down, 1 - up - down), LayerFates(back, out, 1 - back - out)
 
-    def _stroma_response(self, depth, albedo) -> Response:
+    def _stroma_response(self, depth, albedo) -> LayerFates:
         reflected, passed = _surfaces(self.stroma, *self._locate(depth), 2 * albedo - 1)
-        return Response(reflected, passed, 1 - reflected - passed)
+        return LayerFates(reflected, passed, 1 - reflected - passed)
 
     def _locate(self, depth):
         n = self.abl.shape[0]
@@ -279,7 +279,7 @@ def _chebyshev(s, count: int):
 def _check_constant(tangent) -> None:
     if tangent is not None:
         raise NotImplementedError(
-            "the tables of Tabulated are constants; derivatives by them do not exist"
+            "the tables of IlitTabulated are constants; derivatives by them do not exist"
         )
 
 
@@ -297,7 +297,12 @@ def _depth(fraction):
 
 
 def _responses(
-    depth, albedo, indices: RefractiveIndices, order: Order, process: Process, n_angles: int = 48
+    depth,
+    albedo,
+    indices: RefractiveIndices,
+    order: Order,
+    process: Ilit,
+    n_angles: int = 48,
 ):
     above, below = abl_responses(depth, indices, order, process, n_angles)
     layers = Layers(jnp.zeros_like(depth), depth * (1 - albedo), depth * albedo, indices, order)

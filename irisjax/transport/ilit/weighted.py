@@ -7,17 +7,25 @@ roulette ends paths without bias, and nothing is truncated. The uniforms come fr
 or for the first dimensions from a randomly shifted lattice (quasi-Monte Carlo).
 """
 
+import math
+from collections.abc import Callable
 from functools import partial
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import lax
 
-from irisjax.numerics.streams import fold_in_words, uniform
+from irisjax.numerics.streams import check_key, fold_in_words, scales, uniform
 from irisjax.optics.fresnel import fresnel_at
 from irisjax.tissue.layers import Layers
-from irisjax.transport.analog import cosine_of_turn
-from irisjax.transport.process import Process, attenuation, sample_entry, survival
+from irisjax.transport.incidence import first_surface
+from irisjax.transport.lanes import cosine_of_turn
+from irisjax.transport.process import Ilit, attenuation, sample_entry, survival
+from irisjax.transport.series import visit
+from irisjax.transport.solution import RESULTS, Absorbed, Solution
+from irisjax.transport.solver import AbstractSolver, checked_process
 
 GROUPS = 16
 """Independent replicates, whose scatter is the standard error."""
@@ -33,9 +41,74 @@ _DIMENSIONS = 11  # that come from the lattice: the entry and two steps
 _LATTICE = (1, 182667, 469891, 498753, 110745, 446247, 250185, 118627, 245333, 283199, 408519)
 
 
-def run_paths(
-    key, layers: Layers, process: Process, entering, scale, *, log2_paths: int, quasi: bool
-):
+class IlitWeighted(AbstractSolver):
+    """Expected values in place of absorption and Fresnel tests; needs a `key`.
+
+    Treats ILIT that keeps directions on reflection. Arithmetic is float32; errors come from 16
+    replicates.
+
+    - `n_paths`: paths shared by all wavelengths, rounded up to 16·2^k.
+    - `quasi`: whether the first dimensions come from a randomly shifted lattice.
+    """
+
+    n_paths: int = eqx.field(static=True)
+    quasi: bool = eqx.field(static=True, default=False)
+
+    def __check_init__(self):
+        n = self.n_paths
+        if isinstance(n, bool) or not isinstance(n, (int, np.integer)) or not 1 <= n <= 2**31:
+            raise ValueError(f"n_paths = {n!r} is outside [1, {2**31}]")
+
+    def prepare(self, layers: Callable[[], Layers], process) -> "IlitWeighted":
+        """Check that the process is one that it treats."""
+        if checked_process(self, process, Ilit).perturb_on_reflection:
+            raise ValueError(
+                "IlitWeighted treats ILIT without perturb_on_reflection; "
+                "use MonteCarlo or IlitExact"
+            )
+        return self
+
+    def solve(
+        self,
+        layers: Layers,
+        process,
+        cos_incidence,
+        *,
+        cos_exit=None,
+        azimuth=None,
+        key=None,
+        rays=None,
+    ):
+        """See `AbstractSolver.solve`; the same paths serve all wavelengths, so `rays` are not used.
+
+        **Raises:** `ValueError` where a BRDF is asked for.
+        """
+        self.prepare(lambda: layers, process)
+        process = checked_process(self, process, Ilit)
+        check_key(key)
+        if cos_exit is not None:
+            raise ValueError("a BRDF by Monte Carlo needs MonteCarlo")
+        dtype = layers.extinction.dtype
+        mirrored, entering = first_surface(cos_incidence, layers.indices, dtype)
+        log2_paths = max(4, math.ceil(math.log2(max(1, self.n_paths / GROUPS))))
+        groups = run_paths(
+            key, layers, process, entering, scales(), log2_paths=log2_paths, quasi=self.quasi
+        ).astype(dtype)
+        mean = groups.mean(axis=1)
+        error = groups[0].std(axis=0, ddof=1) / math.sqrt(GROUPS)
+        return Solution(
+            reflectance=mean[0],
+            mirrored=mirrored * jnp.ones_like(mean[0]),
+            absorbed=Absorbed(abl=mean[1], stroma=mean[2], ipe=mean[3]),
+            standard_error=error,
+            total_error=error,
+            brdf=None,
+            brdf_error=None,
+            status=RESULTS.where(layers.valid(), RESULTS.successful, RESULTS.invalid_input),
+        )
+
+
+def run_paths(key, layers: Layers, process: Ilit, entering, scale, *, log2_paths: int, quasi: bool):
     """Shares of the light in each of `GROUPS` replicates of 2**log2_paths paths, the first surface
     left out.
 
@@ -62,17 +135,9 @@ def run_paths(
         return fresnel_at(cosine, here, ahead)[0]
 
     def visit_abl(cosine, near, far):
-        """Leaves at the far face, or back at the near one, or is absorbed;
-        entering with `cosine`.
-        """
+        """The ABL in expectation, for a ray that enters it with `cosine`."""
         t, lost = survival(depth_abl, cosine), attenuation(depth_abl, cosine)
-        (f_near, t_near), (f_far, t_far) = (
-            fresnel_at(cosine, n.abl, ahead) for ahead in (near, far)
-        )
-        escape = lost * (1 + t) + t * t * (t_near + f_near * t_far)
-        series = jnp.where(escape > 0, 1 / jnp.where(escape > 0, escape, 1.0), 0.0)
-        out, back = t * t_far * series, t * t * f_far * t_near * series
-        return out, back, jnp.where(escape > 0, lost * (1 + t * f_far) * series, 1.0)
+        return visit(t, lost, *(fresnel_at(cosine, n.abl, ahead) for ahead in (near, far)))
 
     def draw(i, k0, k1, step, slot):
         """Uniform number `slot` of this step: 0 the entry cosine, 1..5 the step's own."""

@@ -8,67 +8,34 @@ invariant: all mirror images are one geometric series. The cost is linear in ang
 1960, Sections 10, 16]
 """
 
+from collections.abc import Callable
 from typing import NamedTuple
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
 
-from irisjax.numerics import linear as elimination
-from irisjax.numerics.quadrature import conserving, cosine_rule, gauss_legendre
-from irisjax.optics.fresnel import critical_cosine_squared, fresnel, refract, refracted
+from irisjax.numerics import linear
+from irisjax.numerics.quadrature import gauss_legendre
 from irisjax.tissue.layers import Layers
-from irisjax.transport.process import attenuation, survival
+from irisjax.transport.process import RadiativeTransfer, attenuation
+from irisjax.transport.radiative.directions import (
+    MODES,
+    Directions,
+    Roof,
+    from_outside,
+    quadrature_nodes,
+    roof_of,
+)
 from irisjax.transport.radiative.slab import Bounded, Ends, Slab, fractions
 from irisjax.transport.solution import RESULTS, Absorbed, Solution
+from irisjax.transport.solver import AbstractSolver, checked_process
 
-# `_coarseness` up to which reflectance is good to 1e-7, and to 1e-6.
-_PLANNED, _RESOLVED = 0.47, 1.0
+# `_coarseness` up to which reflectance is good to 1e-7.
+_RESOLVED = 0.47
 _MOST_PANELS = 32  # optical depths of 1e9
-
-
-class Mode(NamedTuple):
-    """One azimuthal order of Rayleigh's phase function: J(μ) = ω Σ_k strength_k f_k(μ) ∫ f_k I
-    dμ'.
-    """
-
-    order: int
-    parity: int
-    strength: tuple[float, ...]
-
-    def functions(self, mu):
-        """f_k at cosines `mu` > 0, shape (rank, angles); at −μ they take the sign `parity`."""
-        sine_squared = jnp.maximum(1 - mu * mu, 0.0)
-        if self.order == 0:
-            return jnp.stack([jnp.ones_like(mu), 1.5 * mu * mu - 0.5])
-        if self.order == 1:
-            return (mu * jnp.sqrt(sine_squared))[None]
-        return sine_squared[None]
-
-
-MODES = (Mode(0, 1, (0.5, 0.25)), Mode(1, -1, (0.375,)), Mode(2, 1, (0.09375,)))
-
-
-class Directions(NamedTuple):
-    """Directions in the stroma with what each meets at the interfaces, all of shape (angles,)."""
-
-    cosine: jax.Array
-    weight: jax.Array
-    abl_cosine: jax.Array
-    top: tuple[jax.Array, jax.Array]  # stroma/ABL
-    surface: tuple[jax.Array, jax.Array]  # ABL/aqueous
-    bottom: tuple[jax.Array, jax.Array]  # stroma/IPE
-
-
-class Roof(NamedTuple):
-    """The ABL seen from the stroma, or from the aqueous humour: shares of the flux that falls on
-    it.
-    """
-
-    reflected: jax.Array
-    passed: jax.Array
-    absorbed: jax.Array
 
 
 class Flux(NamedTuple):
@@ -88,7 +55,9 @@ def panels_for(layers: Layers, n_depths: int) -> int | None:
         return None
     panels, coarseness = 1, np.asarray(_coarseness(layers, n_depths, 1))
     # Layers that are not numbers are refused by the status; no panels help them.
-    while panels < _MOST_PANELS and coarseness[np.isfinite(coarseness)].max(initial=0.0) > _PLANNED:
+    while (
+        panels < _MOST_PANELS and coarseness[np.isfinite(coarseness)].max(initial=0.0) > _RESOLVED
+    ):
         panels += 1
         coarseness = np.asarray(_coarseness(layers, n_depths, panels))
     return panels
@@ -108,23 +77,72 @@ def _coarseness(layers: Layers, n_depths: int, n_panels: int):
     )
 
 
-def solve(
-    layers: Layers, cos_incidence, cos_exit, azimuth, *, n_angles: int, n_depths: int, n_panels: int
-):
-    """Radiative transfer in the iris; see `Solution`.
+class RadiativeExact(AbstractSolver):
+    """Deterministic solver of scalar radiative transfer in the iris, to 1e-7 relative.
+
+    - `n_angles`: quadrature nodes over the cosine.
+    - `n_depths`: polynomials in depth, per panel.
+    - `n_panels`: panels in depth; `None` takes as many as the optical depth asks for where it is
+        known, and one while tracing: enough for every iris of LB06. Where it is not, known or
+        traced, the status is `under_resolved`.
 
     The part of `reflectance` that is mirrored by the inner interfaces without scattering is not in
     the BRDF.
     """
+
+    n_angles: int = eqx.field(static=True, default=40)
+    n_depths: int = eqx.field(static=True, default=8)
+    n_panels: int | None = eqx.field(static=True, default=None)
+
+    def __check_init__(self):
+        for name, low in (("n_angles", 4), ("n_depths", 2), ("n_panels", 1)):
+            value = getattr(self, name)
+            if value is not None and (not isinstance(value, int) or value < low):
+                raise ValueError(f"{name} = {value!r} must be a whole number of at least {low}")
+
+    def prepare(self, layers: Callable[[], Layers], process) -> "RadiativeExact":
+        """The solver with its number of panels fixed."""
+        checked_process(self, process, RadiativeTransfer)
+        if self.n_panels is not None:
+            return self
+        return RadiativeExact(self.n_angles, self.n_depths, panels_for(layers(), self.n_depths))
+
+    def solve(
+        self,
+        layers: Layers,
+        process,
+        cos_incidence,
+        *,
+        cos_exit=None,
+        azimuth=None,
+        key=None,
+        rays=None,
+    ):
+        """See `AbstractSolver.solve`; no `key` and no `rays` are used."""
+        checked_process(self, process, RadiativeTransfer)
+        return _solve(
+            layers,
+            cos_incidence,
+            cos_exit,
+            azimuth,
+            n_angles=self.n_angles,
+            n_depths=self.n_depths,
+            n_panels=self.n_panels or 1,
+        )
+
+
+def _solve(
+    layers: Layers, cos_incidence, cos_exit, azimuth, *, n_angles: int, n_depths: int, n_panels: int
+):
     n, dtype = layers.indices, layers.extinction.dtype
-    nodes = _nodes(layers, n_angles)
+    nodes = quadrature_nodes(layers, n_angles)
     if isinstance(cos_incidence, str):
         x, w = gauss_legendre(max(16, n_angles // 2))
         outside, power = jnp.asarray(x, dtype), jnp.asarray(2 * x * w, dtype)
     else:
         outside, power = jnp.atleast_1d(jnp.asarray(cos_incidence, dtype)), jnp.ones(1, dtype)
-    beams = _entering(layers, outside)
-    exits = None if cos_exit is None else _entering(layers, jnp.asarray(cos_exit, dtype))
+    beams = from_outside(layers, outside)
+    exits = None if cos_exit is None else from_outside(layers, jnp.asarray(cos_exit, dtype))
     if exits is not None and azimuth is None:
         azimuth = jnp.zeros_like(exits.cosine)
 
@@ -140,9 +158,10 @@ def solve(
         mirrored=flux.mirrored,
         absorbed=Absorbed(abl=flux.abl, stroma=flux.stroma, ipe=flux.ipe),
         standard_error=None,
+        total_error=None,
         brdf=flux.brdf,
         brdf_error=None,
-        result=RESULTS.where(
+        status=RESULTS.where(
             layers.valid(),
             RESULTS.where(
                 resolved,
@@ -163,63 +182,16 @@ def _conditioned(layers: Layers):
     return (layers.coalbedo + 1 / (tau * tau) >= 10 * jnp.finfo(tau.dtype).eps).all()
 
 
-def _nodes(layers: Layers, n_angles: int) -> Directions:
-    n, order = layers.indices, layers.order
-    neighbours = (n.aqueous, n.abl, n.ipe)
-    rule = cosine_rule(
-        jnp.stack([critical_cosine_squared(n.stroma, k) for k in neighbours]),
-        (order.stroma_over_aqueous, order.stroma_over_abl, order.stroma_over_ipe),
-        n_angles,
-    )
-    rule = conserving(rule)
-    cosines = [refracted(rule, i, n.stroma, k) for i, k in enumerate(neighbours)]
-    return _directions(layers, rule.cosine, rule.weight, *cosines)
-
-
-def _entering(layers: Layers, outside) -> Directions:
-    """Directions with given cosines in the aqueous humour; they carry no quadrature weight."""
-    n = layers.indices
-    abl, stroma = (refract(outside, n.aqueous, k) for k in (n.abl, n.stroma))
-    ipe = refract(outside, n.aqueous, n.ipe)
-    return _directions(layers, stroma, jnp.zeros_like(outside), outside, abl, ipe)
-
-
-def _directions(layers: Layers, stroma, weight, aqueous, abl, ipe) -> Directions:
-    n = layers.indices
-    return Directions(
-        # A beam that cannot enter has cosine 0 and no power; keep the exponentials finite.
-        cosine=jnp.where(stroma > 0, stroma, 1.0),
-        weight=weight,
-        abl_cosine=jnp.where(abl > 0, abl, 1.0),
-        top=fresnel(stroma, abl, n.stroma, n.abl),
-        surface=fresnel(abl, aqueous, n.abl, n.aqueous),
-        bottom=fresnel(stroma, ipe, n.stroma, n.ipe),
-    )
-
-
-def _roof(depth, d: Directions, *, from_stroma: bool) -> Roof:
-    near, far = (d.top, d.surface) if from_stroma else (d.surface, d.top)
-    t, lost = survival(depth, d.abl_cosine), attenuation(depth, d.abl_cosine)
-    escape = lost * (1 + t) + t * t * (near[1] + near[0] * far[1])
-    sealed = escape <= 0
-    inside = jnp.where(sealed, 0.0, near[1] / jnp.where(sealed, 1.0, escape))
-    return Roof(
-        reflected=inside * t * t * far[0] * near[1],  # beyond the first interface's own reflectance
-        passed=inside * t * far[1],
-        absorbed=inside * lost * (1 + t * far[0]),
-    )
-
-
 def _one_wavelength(
     abl, depth, albedo, coalbedo, n, nodes, beams, power, exits, azimuth, n_depths, n_panels
 ):
     slab = Slab(depth, n_depths, n_panels)
-    roof_in = _roof(abl, beams, from_stroma=False)
+    roof_in = roof_of(abl, beams, from_stroma=False)
     entering = power * roof_in.passed
     # All directions together, so that one fused loop serves them.
     sets = [d for d in (nodes, beams, exits) if d is not None]
     everywhere = jax.tree.map(lambda *x: jnp.concatenate(x), *sets)
-    roof = _roof(abl, everywhere, from_stroma=True)
+    roof = roof_of(abl, everywhere, from_stroma=True)
     meets = Ends(
         everywhere.top[0] + roof.reflected, roof.passed + roof.absorbed, *everywhere.bottom
     )
@@ -248,7 +220,7 @@ def _one_wavelength(
             balance = _energy_balance(slab, strength, f_nodes, angle, nodes, roof_out, coalbedo)
             solution = _solve_balanced(slab, system, right, balance, lost_beam)
         else:
-            solution = elimination.solve(system, right)
+            solution = linear.solve(system, right)
         moments[mode.order] = solution.reshape(driving.shape)
         if exits is not None:
             source = (strength[:, None] * mode.functions(exits.cosine)).T @ moments[mode.order]
@@ -312,7 +284,7 @@ def _solve_balanced(slab, system, right, balance, lost_beam):
     right = right.at[which].set(jnp.where(empty, right[which], lost_beam * scale))
     # Eliminated last, where a small pivot is the small loss of light that it stands for.
     order = np.append(np.delete(np.arange(right.size), which), which)
-    x = elimination.solve(system[order][:, order], right[order])[np.argsort(order)]
+    x = linear.solve(system[order][:, order], right[order])[np.argsort(order)]
     spent = balance @ x
     dark = spent <= 0
     return x * jnp.where(dark, 1.0, lost_beam / jnp.where(dark, 1.0, spent))

@@ -15,6 +15,7 @@ import numpy as np
 
 from irisjax.numerics.quadrature import gauss_legendre
 from irisjax.transport.process import attenuation, survival
+from irisjax.transport.series import reflections
 
 # Light changes as τ ln τ beside both faces of a slab: panels grow from each face inwards.
 _GROWTH = 4.0
@@ -64,10 +65,8 @@ class Slab:
     def bounded(self, cosine, ends: Ends) -> Bounded:
         """What the slab is along directions (angles,)."""
         through, lost = survival(self.depth, cosine), attenuation(self.depth, cosine)
-        escape = lost * (1 + through) + through * through * (
-            ends.roof_lost + ends.roof * ends.floor_lost
-        )
-        sealed = escape <= 0
+        roof, floor = (ends.roof, ends.roof_lost), (ends.floor, ends.floor_lost)
+        series, _ = reflections(through, lost, roof, floor)
         x = self.widths[:, None] / cosine
         start = _legendre_moments(x, 2 * self.n_depths)
         return Bounded(
@@ -78,7 +77,7 @@ class Slab:
             through=through,
             roof=ends.roof,
             floor=ends.floor,
-            series=jnp.where(sealed, 0.0, 1 / jnp.where(sealed, 1.0, escape)),
+            series=series,
             cosine=cosine,
         )
 

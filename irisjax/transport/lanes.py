@@ -1,4 +1,6 @@
-"""Analogue Monte Carlo: photons one event at a time, as LB06 tells it, in lanes that never wait.
+"""Analogue Monte Carlo: photons one event at a time, in lanes that never wait.
+
+What an event is, a process says (`ilit.analog`, `radiative.analog`).
 
 A lane belongs to one wavelength and takes that wavelength's next photon when its own dies; chains
 are never cut, and fates are counted in integers, lane by lane. Photon i at wavelength j owns the
@@ -14,8 +16,7 @@ from jax import lax
 
 from irisjax.numerics.interpolation import horner
 from irisjax.numerics.streams import fold_in_words, uniform
-from irisjax.optics.fresnel import fresnel_at, refract
-from irisjax.transport.process import Process, attenuation, sample_entry
+from irisjax.optics.fresnel import refract
 
 FATES = ("mirrored", "reflected", "abl", "stroma", "ipe")
 """Where photons end, in the order of the counts."""
@@ -58,107 +59,7 @@ def pack(fate, in_abl, mode, turned, events):
     return fate | in_abl << 3 | mode << 4 | turned << 31 | events << 6
 
 
-def whole_layer_event(photon: Photon, words, layers: LaneLayers, scale, process: Process) -> Photon:
-    """One flight and the interface at its end, by the rules of ILIT  [LB06 Section 3, Fig. 4]."""
-    in_abl, mode, k = (photon.code & 8) > 0, (photon.code >> 4) & 3, photon.code >> 6
-    u_outcome, u_direction, azimuth = _draws(words, scale)
-    turned = _deflect(photon.direction, process.phase_function.sample_cosine(u_direction), azimuth)
-    fresh = jnp.copysign(sample_entry(u_direction), photon.direction)
-    direction = jnp.where(
-        mode == FRESH, fresh, jnp.where(mode == SCATTERED, turned, photon.direction)
-    )
-    # (dividing by a traced 1 keeps the compiler from recomputing the direction in each fusion
-    # below)
-    direction = jnp.clip(direction, -1.0, 1.0) / scale[2]
-    down, mu = direction > 0.0, jnp.maximum(jnp.abs(direction), 1e-12)
-
-    depth = jnp.where(in_abl, layers.abl, layers.stroma)
-    if process.rescatter == "to-interface":
-        depth = jnp.where(mode == SCATTERED, 0.0, depth)
-    event = attenuation(depth, mu)
-    n_here = jnp.where(in_abl, layers.n_abl, layers.n_stroma)
-    n_ahead = _beyond(in_abl, down, layers)
-    mirror = fresnel_at(mu, n_here, n_ahead)[0]
-    # One uniform decides: first surface | absorbed | scattered | reflected | transmitted.
-    albedo = jnp.where(in_abl, 0.0, layers.albedo)
-    first = jnp.where(k == 0, layers.mirrored, 0.0)
-    t_absorbed = first + (1.0 - first) * event * (1.0 - albedo)
-    t_event = first + (1.0 - first) * event
-    t_mirror = t_event + (1.0 - t_event) * mirror
-    absorbed = u_outcome < t_absorbed
-    if not process.perturb_on_reflection:
-        absorbed |= _guided(mu, n_here, n_ahead, _beyond(in_abl, ~down, layers)) & (albedo == 0.0)
-    transmitted = (u_outcome >= t_mirror) & ~absorbed
-    scattered = (u_outcome >= t_absorbed) & (u_outcome < t_event) & ~absorbed
-    leaves = transmitted & (in_abl ^ down)  # upwards out of the ABL or downwards out of the stroma
-    fate = jnp.where(
-        leaves,
-        jnp.where(in_abl, REFLECTED, IPE),
-        jnp.where(absorbed, jnp.where(in_abl, ABL, STROMA), 0),
-    )
-    fate = jnp.where(u_outcome < first, MIRRORED, fate)
-    redrawn = transmitted | process.perturb_on_reflection
-    mode = jnp.where(scattered, SCATTERED, jnp.where(redrawn, FRESH, KEPT))
-    return Photon(
-        direction, None, pack(fate, in_abl ^ transmitted, mode, ~scattered & ~transmitted, k + 1)
-    )
-
-
-def depth_resolved_event(
-    photon: Photon, words, layers: LaneLayers, scale, process: Process
-) -> Photon:
-    """One flight with a free path in depth; directions change at interfaces by Snell's law only."""
-    in_abl, mode, k = (photon.code & 8) > 0, (photon.code >> 4) & 3, photon.code >> 6
-    outside = k == 0
-    u_outcome, u_direction, azimuth = _draws(words, scale)
-    turned = _deflect(photon.direction, process.phase_function.sample_cosine(u_direction), azimuth)
-    entering = jnp.where(
-        layers.incidence < 0, sample_entry(u_direction), layers.incidence
-    )  # < 0: diffuse
-    direction = jnp.where(outside, entering, jnp.where(mode == SCATTERED, turned, photon.direction))
-    direction = jnp.clip(direction, -1.0, 1.0) / scale[2]
-    down, mu = direction > 0.0, jnp.maximum(jnp.abs(direction), 1e-12)
-
-    to_end = jnp.where(down, layers.stroma - photon.depth, photon.depth)
-    path = jnp.where(outside, 0.0, jnp.where(in_abl, layers.abl, to_end))
-    event = attenuation(path, mu)
-    n_here = jnp.where(outside, layers.n_aqueous, jnp.where(in_abl, layers.n_abl, layers.n_stroma))
-    n_ahead = jnp.where(outside, layers.n_abl, _beyond(in_abl, down, layers))
-    mirror = fresnel_at(mu, n_here, n_ahead)[0]
-    albedo = jnp.where(in_abl, 0.0, layers.albedo)
-    t_absorbed = event * (1.0 - albedo)
-    t_mirror = event + (1.0 - event) * mirror
-    absorbed = u_outcome < t_absorbed
-    ends = _guided(mu, n_here, n_ahead, _beyond(in_abl, ~down, layers)) & in_abl & ~outside
-    absorbed |= ends
-    transmitted = (u_outcome >= t_mirror) & ~absorbed
-    scattered = (u_outcome >= t_absorbed) & (u_outcome < event) & ~absorbed
-    # Given a scatter, (u − t_absorbed)/albedo is uniform below `event`: the same number places it.
-    placed = (u_outcome - t_absorbed) / jnp.maximum(albedo, 1e-30)
-    flown = -jnp.log1p(-jnp.clip(placed, 0.0, event)) * mu
-    moved = photon.depth + jnp.where(down, 1.0, -1.0) * jnp.minimum(flown, to_end)
-    at_end = jnp.where(down, layers.stroma, 0.0)
-    depth = jnp.where(in_abl | outside, 0.0, jnp.where(scattered, moved, at_end)) / scale[2]
-    direction = jnp.where(
-        transmitted, jnp.sign(direction) * refract(mu, n_here, n_ahead), direction
-    )
-    leaves = transmitted & (in_abl ^ down) & ~outside
-    fate = jnp.where(
-        leaves,
-        jnp.where(in_abl, REFLECTED, IPE),
-        jnp.where(absorbed, jnp.where(in_abl, ABL, STROMA), 0),
-    )
-    fate = jnp.where(outside & ~transmitted, MIRRORED, fate)
-    crosses = transmitted & ~outside
-    mode = jnp.where(scattered, SCATTERED, KEPT)
-    return Photon(
-        direction, depth, pack(fate, in_abl ^ crosses, mode, ~scattered & ~transmitted, k + 1)
-    )
-
-
-def run_lanes(
-    wave_words, start, stride, last, layers: LaneLayers, scale, process: Process, cells=None
-):
+def run_lanes(event, wave_words, start, stride, last, layers: LaneLayers, scale, *, deep, cells):
     """Run lanes to exhaustion; lane l owns photons start[l], start[l] + stride, ... below last[l].
 
     **Arguments:** `wave_words`, two uint32 arrays with each lane's wavelength key; `cells`, lower
@@ -166,8 +67,6 @@ def run_lanes(
 
     **Returns:** counts of each fate (lanes, 5), int32, and of each cell (lanes, exits) or `None`.
     """
-    deep = process.depth_resolved
-    event = depth_resolved_event if deep else whole_layer_event
     newborn = jnp.int32(8 | FRESH << 4)
     nothing = jnp.zeros_like(start)
     zero = jnp.zeros_like(layers.abl)
@@ -193,7 +92,7 @@ def run_lanes(
         alive = born | (fate == 0)
         code = jnp.where(born, newborn, code)
         words = fold_in_words(k0, k1, (code >> 6).astype(jnp.uint32))
-        after = event(Photon(direction, photon.depth, code), words, layers, scale, process)
+        after = event(Photon(direction, photon.depth, code), words, layers, scale)
         if cells is not None:
             left = after.code & 7 == REFLECTED
             outside = refract(jnp.abs(after.direction), layers.n_abl, layers.n_aqueous)
@@ -217,7 +116,7 @@ def run_lanes(
     return jnp.stack(tally, -1), None if cell_tally is None else jnp.stack(cell_tally, -1)
 
 
-def _draws(words, scale):
+def draws(words, scale):
     """Two uniforms of 23 bits, and the cosine of a uniform azimuth from the 18 bits that are
     left.
     """
@@ -235,21 +134,21 @@ def cosine_of_turn(v):
     return x * horner(x * x, (1.57079629, -0.64596336, 0.07968847, -0.00467222, 0.00015082))
 
 
-def _deflect(direction, cosine, azimuth):
+def deflect(direction, cosine, azimuth):
     """Cosine to the normal after a turn by a polar angle and a cosine of azimuth."""
     return direction * cosine + azimuth * jnp.sqrt(
         (1.0 - direction * direction) * (1.0 - cosine * cosine)
     )
 
 
-def _beyond(in_abl, down, layers: LaneLayers):
+def beyond(in_abl, down, layers: LaneLayers):
     """Index on the far side of the interface ahead."""
     above = jnp.where(in_abl, layers.n_aqueous, layers.n_abl)
     below = jnp.where(in_abl, layers.n_stroma, layers.n_ipe)
     return jnp.where(down, below, above)
 
 
-def _guided(mu, n_here, n_ahead, n_behind):
+def guided(mu, n_here, n_ahead, n_behind):
     """Total reflection at both faces. In a layer that cannot turn it, such a ray ends absorbed
     after however many crossings, in the limit without absorption too: say so at once."""
     return (1.0 - mu * mu) * jnp.square(n_here / jnp.maximum(n_ahead, n_behind)) >= 1.0

@@ -1,0 +1,103 @@
+"""What instruments have in common: where light comes from, what lies between, what counts."""
+
+import abc
+from typing import Any, Literal, get_args
+
+import equinox as eqx
+import jax.numpy as jnp
+
+from irisjax._types import Scalar, Spectrum
+from irisjax.anatomy.media import Media
+from irisjax.measure.measurement import check_cosine, check_wavelengths
+from irisjax.tissue.pigments import Extinction, extinction
+from irisjax.transport.incidence import DIFFUSE
+from irisjax.transport.solution import Solution
+
+Cornea = Literal["none", "inward", "round-trip"]
+
+
+class AbstractInstrument(eqx.Module):
+    """An instrument is an immutable value: a new one is a subclass that says what it reads.
+
+    - `pigments`: the pigments' tables at its wavelengths, which are given in nm.
+    - `cos_incidence`: cosine of the light's angle to the iris's normal, in the aqueous humour (in
+        air, where the light crosses the cornea); `None` for light from all directions alike, given
+        as `"diffuse"`.
+    - `media`: refractive indices before the iris (`Eye.media` has an eye's).
+    - `cornea`: whether light crosses tear film and cornea on its way in (`"inward"`), both ways
+        (`"round-trip"`, out along the normal, as to a camera before the eye), or not (`"none"`).
+    - `first_surface`: whether light mirrored by the iris's own surface counts.
+    - `gain`: factor of the instrument on every value.
+
+    **Raises:** `ValueError` naming a setting, its value and what is allowed.
+    """
+
+    pigments: Extinction
+    cos_incidence: Scalar | None
+    media: Media
+    gain: Scalar
+    cornea: Cornea = eqx.field(static=True)
+    first_surface: bool = eqx.field(static=True)
+
+    def __init__(
+        self,
+        wavelengths,
+        *,
+        cos_incidence: Any = 1.0,
+        first_surface: bool = True,
+        cornea: Cornea = "none",
+        media: Media | None = None,
+        gain: Any = 1.0,
+    ):
+        check_wavelengths(wavelengths)
+        check_cosine("cos_incidence", cos_incidence)
+        if cornea not in get_args(Cornea):
+            raise ValueError(f"cornea = {cornea!r}; known: {', '.join(get_args(Cornea))}")
+        diffuse = isinstance(cos_incidence, str)
+        if diffuse and cornea != "none":
+            raise ValueError(
+                'cos_incidence = "diffuse" needs cornea="none": '
+                "the cornea sends light on one course"
+            )
+        self.pigments = extinction(wavelengths)
+        dtype = self.pigments.wavelengths.dtype
+        self.cos_incidence = None if diffuse else jnp.asarray(cos_incidence, dtype)
+        self.media = Media() if media is None else media
+        self.gain = jnp.asarray(gain, dtype)
+        self.cornea, self.first_surface = cornea, first_surface
+
+    @property
+    def wavelengths(self) -> Spectrum:
+        """Where it measures, nm."""
+        return self.pigments.wavelengths
+
+    def incident(self):
+        """Factor on the light and its cosine at the iris, or `DIFFUSE`."""
+        if self.cos_incidence is None:
+            return jnp.ones_like(self.gain), DIFFUSE
+        if self.cornea == "none":
+            return jnp.ones_like(self.gain), self.cos_incidence
+        inward, cosine = self.media.inward(self.cos_incidence)
+        if self.cornea == "round-trip":
+            inward = inward * self.media.inward(jnp.ones_like(cosine))[0]
+        return inward, cosine
+
+    def counted(self, light: Solution) -> tuple[Spectrum, Spectrum | None]:
+        """What comes back of the light, one value a wavelength, and its standard error."""
+        if self.first_surface:
+            return light.reflectance + light.mirrored, light.total_error
+        return light.reflectance, light.standard_error
+
+    @property
+    def rays(self) -> Spectrum | None:
+        """Relative number of rays a wavelength for solvers that sample; `None`: all alike."""
+        return None
+
+    @property
+    def exits(self):
+        """Cosines and azimuths of the directions it looks from, for a BRDF, or `None` twice."""
+        return None, None
+
+    @abc.abstractmethod
+    def reading(self, light: Solution, factor) -> Any:
+        """What it reads of light that was dimmed by `factor` on its way."""

@@ -1,0 +1,56 @@
+"""Range checks, once: what is wrong, where, and what is allowed."""
+
+from typing import NamedTuple
+
+import numpy as np
+from jax.core import Tracer
+
+
+class Range(NamedTuple):
+    """Allowed values of a number, its unit and its meaning."""
+
+    low: float
+    high: float
+    unit: str = ""
+    meaning: str = ""
+    above: bool = False  # `low` itself is not allowed
+
+    def __str__(self):
+        low = f"{'(' if self.above else '['}{self.low:g}"
+        high = "inf)" if np.isinf(self.high) else f"{self.high:g}]"
+        return f"{low}, {high}{' ' + self.unit if self.unit else ''}"
+
+
+def check_range(name: str, value, allowed: Range) -> None:
+    """Raise `ValueError` naming the first concrete value that is not finite or not in range.
+
+    Traced values pass: nothing can be known of them. `None` is an absent part and passes too.
+    """
+    if value is None or isinstance(value, Tracer):
+        return
+    v = np.asarray(value)
+    good = np.isfinite(v) & (v >= allowed.low) & (v <= allowed.high)
+    if allowed.above:
+        good &= v > allowed.low
+    if not good.all():
+        unit = f" {allowed.unit}" if allowed.unit else ""
+        raise ValueError(f"{name} = {v[~good].flat[0]:g}{unit} is outside {allowed}")
+
+
+def check_fields(module, ranges: dict[str, Range]) -> None:
+    """`check_range` of every field of a module that has a range."""
+    for name, allowed in ranges.items():
+        if hasattr(module, name):
+            check_range(name, getattr(module, name), allowed)
+
+
+def check_scalars(module, names) -> None:
+    """Raise `ValueError` naming the first of these fields that is an array, not one number."""
+    for name in names:
+        shape = np.shape(getattr(module, name))
+        if shape:
+            kind = type(module).__name__
+            raise ValueError(
+                f"{kind}.{name} has shape {shape}; it must be one number: "
+                f"use jax.vmap for a batch of {kind.lower()}s"
+            )

@@ -1,0 +1,229 @@
+"""What ILIT's layers do to light whose direction was redrawn on entering them.
+
+A layer is known by the chance that a cosine-distributed entry leaves above or below. At each cosine
+the internal reflections are a geometric series; scattering in the stroma closes in a linear system
+of the phase function's rank.
+"""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float
+
+from irisjax._types import Spectrum
+from irisjax.numerics import linear
+from irisjax.numerics.quadrature import CosineRule, conserving, cosine_rule
+from irisjax.optics.fresnel import critical_cosine_squared, fresnel, refracted
+from irisjax.tissue.indices import Order, RefractiveIndices
+from irisjax.tissue.layers import Layers
+from irisjax.transport.process import Ilit, attenuation, entry_density, survival
+from irisjax.transport.series import reflections
+
+
+class LayerFates(NamedTuple):
+    """Fate of unit power entering a layer with a cosine-distributed direction, one value a
+    wavelength.
+    """
+
+    reflected: Spectrum
+    passed: Spectrum
+    absorbed: Spectrum
+
+
+def abl_responses(
+    depth: Spectrum, n: RefractiveIndices, order: Order, process: Ilit, n_angles: int
+):
+    """Responses of the ABL to entry from above and from below  [LB06 Section 3.3, Eq. 3]."""
+    critical = jnp.stack(
+        [critical_cosine_squared(n.abl, n.aqueous), critical_cosine_squared(n.abl, n.stroma)]
+    )
+    rule = cosine_rule(
+        critical,
+        (True, order.abl_over_stroma),
+        n_angles,
+        skip_guided=not process.perturb_on_reflection,
+    )
+    top = fresnel(rule.cosine, refracted(rule, 0, n.abl, n.aqueous), n.abl, n.aqueous)
+    bottom = fresnel(rule.cosine, refracted(rule, 1, n.abl, n.stroma), n.abl, n.stroma)
+    entry = entry_weights(rule)
+    t = survival(depth[:, None], rule.cosine)
+    lost = attenuation(depth[:, None], rule.cosine)
+    solve = _redrawn_layer if process.perturb_on_reflection else _specular_layer
+    return tuple(
+        LayerFates(
+            reflected=r,
+            passed=p,
+            # What is left out is guided: without pigment it never leaves, with the least it is
+            # absorbed.
+            absorbed=a + rule.omitted,
+        )
+        for r, p, a in (solve(entry, t, lost, top, bottom), solve(entry, t, lost, bottom, top))
+    )
+
+
+def _specular_layer(entry, t, lost, near, far):
+    """Entry through `near`; a reflected ray keeps its cosine,
+    so each node is a geometric series.
+    """
+    t_near, (f_far, t_far) = near[1], far
+    series, guided = reflections(t, lost, near, far)
+    weight = entry * series
+    tw = t * weight
+    reflected = (tw * t) @ (f_far * t_near)
+    passed = tw @ t_far
+    absorbed = (weight * lost * (1 + t * f_far) + jnp.where(guided, entry, 0.0)).sum(-1)
+    return reflected, passed, absorbed
+
+
+def _redrawn_layer(entry, t, lost, near, far):
+    """Entry through `near`; a reflected ray is redrawn, so each crossing is alike."""
+    (_, t_near), (f_far, t_far) = near, far
+    crossing = entry * t
+    passed, turned = crossing @ t_far, crossing @ f_far
+    out = crossing @ t_near
+    absorbed = lost @ entry
+    # 1 − turned·back as a sum of losses.
+    series = (passed + absorbed) + turned * (out + absorbed)
+    series = jnp.where(series <= 0, 1.0, series)
+    return turned * out / series, passed / series, absorbed * (1 + turned) / series
+
+
+def stroma_response(
+    layers: Layers, process: Ilit, n_angles: int
+) -> tuple[LayerFates, Bool[Array, ""]]:
+    """LayerFates of the stroma to entry from the ABL  [LB06 Section 3.4, Eqs. 6, 7], and whether it
+    converged.
+    """
+    n, order = layers.indices, layers.order
+    critical = jnp.stack(
+        [critical_cosine_squared(n.stroma, n.abl), critical_cosine_squared(n.stroma, n.ipe)]
+    )
+    rule = conserving(
+        cosine_rule(critical, (order.stroma_over_abl, order.stroma_over_ipe), n_angles)
+    )
+    f_top, t_top = fresnel(rule.cosine, refracted(rule, 0, n.stroma, n.abl), n.stroma, n.abl)
+    f_bottom, t_bottom = fresnel(rule.cosine, refracted(rule, 1, n.stroma, n.ipe), n.stroma, n.ipe)
+    depth = layers.extinction[:, None]
+    t, c = survival(depth, rule.cosine), attenuation(depth, rule.cosine)
+    entry = entry_weights(rule) / jnp.where(rule.weight > 0, rule.weight, 1.0)  # a density, as S is
+    tested = process.rescatter == "retest"
+    w = rule.weight
+    if process.perturb_on_reflection:
+        # Crossings down and up from a unit entry; reflected rays start afresh from `entry`.
+        again, rest = (2 * c, t) if tested else (jnp.zeros_like(c), jnp.ones_like(c))
+        source, absorbed, converged = _scattered(process, rule, entry * c, again, rest, layers)
+        scattered = source * t if tested else source
+        direct = entry * t
+        top_direct, top_scattered = direct @ (w * f_top), scattered @ (w * f_top)
+        bottom_direct, bottom_scattered = direct @ (w * f_bottom), scattered @ (w * f_bottom)
+        # (δ, υ): starts downwards and upwards. υ = δ b + (δ+υ) s_b; δ = 1 + υ a + (δ+υ) s_a.
+        turn = (bottom_direct + bottom_scattered) / (1 - bottom_scattered)
+        start = 1 / (1 - top_scattered - turn * (top_direct + top_scattered))
+        up, both = turn * start, (1 + turn) * start
+        return LayerFates(
+            reflected=up * (direct @ (w * t_top)) + both * (scattered @ (w * t_top)),
+            passed=start * (direct @ (w * t_bottom)) + both * (scattered @ (w * t_bottom)),
+            absorbed=both * absorbed,
+        ), converged
+
+    series, guided = reflections(t, c, (f_top, t_top), (f_bottom, t_bottom))
+    series_t = series * t
+    # Events per unit entering, and per unit scattered into both senses of travel; the rest of those
+    # leaves.
+    crossings = series + f_bottom * series_t
+    first = entry * c * crossings
+    if tested:
+        again = c * (crossings + series + f_top * series_t)
+        rest = series_t * (t * (t_top + f_top * t_bottom) + c * (t_top + t_bottom) / 2)
+    else:
+        again = c * (f_top * crossings + f_bottom * (series + f_top * series_t))
+        rest = 1 - again / 2
+    source, absorbed, converged = _scattered(process, rule, first, again, rest, layers)
+    # A scattered ray arrives at an interface at once, or after one more survival.
+    arrive = series_t if tested else series
+    arrive_t = series_t * t if tested else series_t
+    up = entry * f_bottom * (series_t * t) + source * (arrive + f_bottom * arrive_t)
+    down = entry * series_t + source * (arrive + f_top * arrive_t)
+    return LayerFates(
+        reflected=up @ (w * t_top),
+        passed=down @ (w * t_bottom),
+        absorbed=absorbed + (jnp.where(guided, 1.0, 0.0) * entry) @ w,
+    ), converged
+
+
+def _scattered(process: Ilit, rule: CosineRule, first, again, rest, layers: Layers):
+    """Sources of all orders of scattering, S = ω (½ Σ w f + K f) with events f = first + again·S.
+
+    `rest` is 1 − again/2, the share of scattered light that leaves without another event. The
+    isotropic part is summed by hand, its series 1/(1 − ω(1 − rest)) written as losses: light that
+    can hardly leave nor be absorbed is then still accounted for to the last digit.
+
+    Returns S (λ, n), the share of the light absorbed by the events (λ,), and whether a series
+    converged.
+    """
+    k, w = process.phase_function.redistribution(rule), rule.weight
+    albedo, coalbedo = layers.albedo[:, None], layers.coalbedo
+    if k.collect is None and process.rescatter == "to-interface":
+        # Between scatters a ray must be mirrored by an interface, so the orders fall off fast: sum
+        # them.
+        def operator(s):
+            f = again * s
+            return albedo * (0.5 * (f @ w)[:, None] + k.anisotropic(f))
+
+        entering = albedo * (0.5 * (first @ w)[:, None] + k.anisotropic(first))
+        source, converged = jax.lax.custom_linear_solve(
+            lambda s: s - operator(s),
+            entering,
+            _sum_orders,
+            transpose_solve=_sum_orders,
+            has_aux=True,
+        )
+        return source, coalbedo * ((first + again * source) @ w), converged
+
+    # S = a·y + b, where y = Σ w f counts the events; both solve (1 − ω K again) S = ….
+    right = (0.5 * albedo * jnp.ones_like(again), albedo * k.anisotropic(first))
+    if k.collect is not None:
+        # Rank one: a division.
+        through = (again @ (k.collect * k.scatter)[0])[:, None]
+        a, b = (s + albedo * k.anisotropic(again * s) / (1 - albedo * through) for s in right)
+    else:
+        identity = jnp.eye(w.shape[0], dtype=again.dtype)
+        matrix = identity - albedo[..., None] * (k.scatter.T * again[:, None, :])
+        a, b = jnp.moveaxis(jax.vmap(linear.solve)(matrix, jnp.stack(right, axis=-1)), -1, 0)
+    # Σ w again a = ω(1 − rest) − 2ω Σ w rest K(again a), for K neither adds nor takes energy.
+    lost = coalbedo + layers.albedo * ((rest + 2 * rest * k.anisotropic(again * a)) @ w)
+    events = (first + again * b) @ w
+    trapped = lost <= 0
+    total = jnp.where(trapped, 0.0, events / jnp.where(trapped, 1.0, lost))
+    # Light that can neither leave nor be absorbed is counted as absorbed, the limit of least
+    # absorption.
+    return total[:, None] * a + b, jnp.where(trapped, events, coalbedo * total), jnp.asarray(True)
+
+
+def _sum_orders(operator, b):
+    """Solve (1 − K) m = b for a contraction K by adding orders until they no longer count.
+
+    Returns the sum and whether the last order was negligible.
+    """
+    negligible = jnp.finfo(b.dtype).eps * jnp.abs(b).max()
+
+    def counts(order):
+        return jnp.abs(order).max() > negligible
+
+    def step(state):
+        total, order, i = state
+        order = order - operator(order)
+        return total + order, order, i + 1
+
+    state = (b, b, jnp.asarray(0))
+    for _ in range(4):  # LB06's irides take eight: a few outside the loop fuse better
+        state = step(state)
+    total, order, _ = jax.lax.while_loop(lambda s: counts(s[1]) & (s[2] < 2000), step, state)
+    return total, ~counts(order)
+
+
+def entry_weights(rule: CosineRule) -> Float[Array, " n"]:
+    """Quadrature weights of the entry density, normalised so that nothing is lost on entering."""
+    w = entry_density(rule.cosine) * rule.weight
+    return w * ((1 - rule.omitted) / w.sum())

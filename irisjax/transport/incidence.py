@@ -1,0 +1,22 @@
+"""Light that falls on the iris, from one direction or from all, and what its surface mirrors."""
+
+import jax.numpy as jnp
+
+from irisjax.numerics.quadrature import gauss_legendre
+from irisjax.optics.fresnel import fresnel_at
+from irisjax.tissue.indices import RefractiveIndices
+
+DIFFUSE = "diffuse"
+"""Incidence from every direction alike (cosine-weighted hemisphere)."""
+
+
+def first_surface(cos_incidence, indices: RefractiveIndices, dtype):
+    """Shares mirrored by and passing the aqueous/ABL interface, of light from a cosine or
+    `DIFFUSE`.
+    """
+    if isinstance(cos_incidence, str):
+        x, w = gauss_legendre(48)
+        mu, w = jnp.asarray(x, dtype), jnp.asarray(2 * x * w, dtype)
+        mirrored, entered = fresnel_at(mu, indices.aqueous, indices.abl)
+        return w @ mirrored, w @ entered
+    return fresnel_at(jnp.asarray(cos_incidence, dtype), indices.aqueous, indices.abl)

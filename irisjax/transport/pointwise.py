@@ -1,0 +1,81 @@
+"""Derivatives at the price of three: a value depends on its own wavelength's depths only."""
+
+from functools import partial
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from irisjax.tissue.layers import Layers
+from irisjax.transport.solver import AbstractSolver
+
+
+class Pointwise(AbstractSolver):
+    """A solver whose derivatives by any number of parameters cost three, by the layers' depths.
+
+    For inversions: derivatives by indices or incidence are refused, and so are BRDFs.
+    """
+
+    solver: AbstractSolver
+
+    def prepare(self, layers, process) -> "Pointwise":
+        """Prepare the solver inside."""
+        return Pointwise(type(self.solver).prepare(self.solver, layers, process))
+
+    def solve(
+        self,
+        layers: Layers,
+        process,
+        cos_incidence,
+        *,
+        cos_exit=None,
+        azimuth=None,
+        key=None,
+        rays=None,
+    ):
+        """See `AbstractSolver.solve`."""
+        if cos_exit is not None:
+            raise ValueError("Pointwise solves for reflectances; a BRDF needs the solver itself")
+        diffuse = isinstance(cos_incidence, str)
+        run = partial(_solution, layers.order, process, cos_incidence if diffuse else None)
+        how = self.solver, layers.indices, None if diffuse else cos_incidence, key, rays
+        depths = layers.abl_absorption, layers.stroma_absorption, layers.stroma_scattering
+        return _by_wavelength(run, how, depths)
+
+
+def _solution(order, process, diffuse, how, depths):
+    solver, indices, cosine, key, rays = how
+    layers = Layers(depths[0], depths[1], depths[2], indices, order)
+    return solver.solve(layers, process, diffuse or cosine, key=key, rays=rays)
+
+
+@eqx.filter_custom_jvp
+def _by_wavelength(run, how, depths):
+    return run(how, depths)
+
+
+@_by_wavelength.def_jvp
+def _by_wavelength_jvp(primals, tangents):
+    run, how, depths = primals
+    _, moved, slopes = tangents
+    if any(t is not None for t in jax.tree.leaves(moved)):
+        raise NotImplementedError(
+            "derivatives by indices or incidence are not part of an inversion"
+        )
+    active = [i for i, slope in enumerate(slopes) if slope is not None]
+    # One program for all three: compiling is what takes long here.
+    each = jnp.eye(len(depths), dtype=depths[0].dtype)[np.array(active)]
+
+    def along(direction):
+        ones = tuple(jnp.full_like(d, x) for d, x in zip(depths, direction, strict=True))
+        return eqx.filter_jvp(partial(run, how), (depths,), (ones,))
+
+    values, derivatives = eqx.filter_vmap(along, out_axes=(None, 0))(each)
+
+    def total(derivative):
+        if derivative is None:
+            return None
+        return sum(derivative[k] * slopes[i] for k, i in enumerate(active))
+
+    return values, jax.tree.map(total, derivatives, is_leaf=lambda x: x is None)
