@@ -2,6 +2,7 @@
 
 import csv
 import functools
+import importlib.metadata
 from pathlib import Path
 
 import jax
@@ -43,9 +44,19 @@ def all_irides():
     return names, stack([ij.Iris.preset(level).replace(abl_fraction=f) for level, f in names])
 
 
+# XLA optimises these programs for 4 to 9 s each, where a test runs them for milliseconds. Those
+# that come in dozens (derivatives, every switch of a process, every order of media) are compiled
+# with little optimisation; the public functions and `tests/transport`'s tables are optimised.
+QUICK = {"xla_backend_optimization_level": 0}
+if importlib.metadata.version("jaxlib").startswith("0.10."):
+    QUICK["xla_cpu_use_fusion_emitters"] = False  # four times quicker; unknown to other releases
+
+
 def quick_jit(f, **options):
-    """`jax.jit` with little optimisation, for derivatives that compile slowly and run once."""
-    return jax.jit(f, compiler_options={"xla_backend_optimization_level": 0}, **options)
+    """`jax.jit` with little optimisation, for programs that compile slowly and run once."""
+    if jax.default_backend() != "cpu":
+        return jax.jit(f, **options)
+    return jax.jit(f, compiler_options=QUICK, **options)
 
 
 def layers(abl, absorption, scattering, indices):
