@@ -1,9 +1,12 @@
 """What several tests need: the reference tables, batches of irides, quick compilation."""
 
 import csv
+import dataclasses
 import functools
+import importlib.metadata
 from pathlib import Path
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -43,9 +46,19 @@ def all_irides():
     return names, stack([ij.Iris.preset(level).replace(abl_fraction=f) for level, f in names])
 
 
+# XLA optimises these programs for 4 to 9 s each, where a test runs them for milliseconds. Those
+# that come in dozens (derivatives, every switch of a process, every order of media) are compiled
+# with little optimisation; the public functions and `tests/transport`'s tables are optimised.
+QUICK = {"xla_backend_optimization_level": 0}
+if importlib.metadata.version("jaxlib").startswith("0.10."):
+    QUICK["xla_cpu_use_fusion_emitters"] = False  # four times quicker; unknown to other releases
+
+
 def quick_jit(f, **options):
-    """`jax.jit` with little optimisation, for derivatives that compile slowly and run once."""
-    return jax.jit(f, compiler_options={"xla_backend_optimization_level": 0}, **options)
+    """`jax.jit` with little optimisation, for programs that compile slowly and run once."""
+    if jax.default_backend() != "cpu":
+        return jax.jit(f, **options)
+    return jax.jit(f, compiler_options=QUICK, **options)
 
 
 def layers(abl, absorption, scattering, indices):
@@ -67,14 +80,33 @@ def _solving(solver, process, where):
     return quick_jit(run)
 
 
+def filled(x, multiple):
+    """The last entry repeated until the length is a multiple: fewer shapes, fewer programs."""
+    return jnp.concatenate([x, jnp.repeat(x[-1:], -len(x) % multiple, 0)])
+
+
+def any_order(made):
+    """The same layers, compiled for every order of media alike: one program for all of them."""
+    fields = (getattr(made, f.name) for f in dataclasses.fields(made) if f.name != "order")
+    return type(made)(*fields, order=type(made.order)())
+
+
 def solve(process, made, cosine=1.0, solver=None, exits=None, azimuth=None):
-    """A solver on layers, compiled once for each solver, process, shape and order of media."""
+    """A solver on layers, compiled once for each solver, process, filled shape and order of media."""
     solver = type(solver or ij.Exact()).prepare(solver or ij.Exact(), lambda: made, process)
+    depths = ("abl_absorption", "stroma_absorption", "stroma_scattering")
+    n, n_exits = len(made.abl_absorption), None if exits is None else len(exits)
+    made = dataclasses.replace(made, **{d: filled(getattr(made, d), 4) for d in depths})
     as_array = [
         None if x is None or isinstance(x, str) else jnp.asarray(x, float)
         for x in (cosine, exits, azimuth)
     ]
-    return _solving(solver, process, cosine if isinstance(cosine, str) else None)(made, *as_array)
+    as_array[1:] = [None if x is None else filled(x, 6) for x in as_array[1:]]
+    found = _solving(solver, process, cosine if isinstance(cosine, str) else None)(made, *as_array)
+    found = jax.tree.map(lambda x: x[:n] if jnp.ndim(x) else x, found)
+    if exits is None:
+        return found
+    return eqx.tree_at(lambda r: r.brdf, found, found.brdf[:, :n_exits])
 
 
 def operations(f, *args, name=None):

@@ -1,13 +1,6 @@
 """Float64 unless a test asks otherwise, runtime type checks, and repeatable hypothesis."""
 
-import importlib.metadata
 import os
-
-# Compiling takes most of the time; XLA_FLAGS="" tests optimised programs.
-_QUICK = "--xla_backend_optimization_level=0"
-if importlib.metadata.version("jaxlib").startswith("0.10."):
-    _QUICK += " --xla_cpu_use_fusion_emitters=false"  # a flag that other releases refuse
-os.environ.setdefault("XLA_FLAGS", _QUICK)
 
 os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", "")  # the command's would be the user's own
 
@@ -25,6 +18,14 @@ settings.register_profile(
     "deterministic", derandomize=True, deadline=None, database=None, max_examples=50
 )
 settings.load_profile("deterministic")
+
+
+def pytest_configure(config):
+    """Programs compiled once for all workers and runs; `pytest --cache-clear` forgets them."""
+    if hasattr(config, "cache"):
+        # Not in the environment: the commands that tests start keep nothing.
+        jax.config.update("jax_compilation_cache_dir", str(config.cache.mkdir("compiled")))
+        jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.2)
 
 
 def _wants_float32(item):

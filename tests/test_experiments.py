@@ -27,6 +27,7 @@ def columns(path):
         return next(csv.reader(line for line in f if not line.startswith("#")))
 
 
+@pytest.mark.peer
 @pytest.mark.parametrize(
     "name", [pytest.param(n, marks=pytest.mark.slow) if n in SLOW else n for n in NAMES]
 )

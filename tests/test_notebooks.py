@@ -8,6 +8,7 @@ import pytest
 NOTEBOOKS = sorted((Path(__file__).parent.parent / "experiments").glob("*.ipynb"))
 
 
+@pytest.mark.peer
 @pytest.mark.filterwarnings("ignore")  # Jupyter's own
 @pytest.mark.parametrize(
     "path",

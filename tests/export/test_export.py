@@ -94,6 +94,7 @@ def matt(scene, folder, point):
     return np.asarray(albedo).T * irradiance[:, None] / np.pi
 
 
+@pytest.mark.peer
 def test_mitsuba_renders_the_matt_iris_and_it_is_as_far_off_as_we_say(bare, mi):
     scene, folder, made = bare
     theirs = np.array(mi.render(mi.load_file(str(folder / "scene.xml"), spp=16)))
@@ -117,6 +118,7 @@ def test_mitsuba_renders_the_matt_iris_and_it_is_as_far_off_as_we_say(bare, mi):
     assert (point[dark[1], :2].mean(0) > 1.5).all()  # right and up, by its azimuth of 40°
 
 
+@pytest.mark.peer
 def test_relief_tilts_their_shading_as_ours(tmp_path, mi):
     angle, radius = cell_centres((96, 32))
     relief = 0.1 * jnp.cos(9 * angle)[:, None] * jnp.sin(np.pi * radius) ** 2
@@ -143,6 +145,7 @@ def test_relief_tilts_their_shading_as_ours(tmp_path, mi):
     np.testing.assert_allclose(np.flip(found["Y"], 0).T, relief, atol=1e-7)
 
 
+@pytest.mark.peer
 def test_fine_relief_is_as_steep_as_a_mesh_of_it(tmp_path, mi):
     """Waves of five texels, about as fine as the finest fibres: against true geometry, and by hand."""
     shape, lobes, height = (96, 32), 20, 0.12
@@ -325,6 +328,7 @@ def test_files_go_together(bare):
     assert "map_Kd albedo.png" in (folder / "iris.mtl").read_text()
 
 
+@pytest.mark.peer
 def test_eye_behind_its_cornea(tmp_path, mi):
     """A broad panel with a bright patch: it is mirrored where we mirror it, and the iris is as bright as ours."""
     around = np.zeros((16, 32, 3))

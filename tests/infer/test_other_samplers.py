@@ -10,7 +10,7 @@ from irisjax.infer.analytic import KubelkaMunk
 from irisjax.infer.fit import fit
 from irisjax.infer.posterior import sample
 
-pytestmark = pytest.mark.filterwarnings("ignore")  # numpyro's own
+pytestmark = [pytest.mark.peer, pytest.mark.filterwarnings("ignore")]  # numpyro's own
 
 
 @pytest.mark.parametrize("model", ["closed formula", pytest.param("ilit", marks=pytest.mark.slow)])

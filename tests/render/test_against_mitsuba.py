@@ -12,6 +12,7 @@ from irisjax.render.caustic import Grid, gathered
 from irisjax.render.refraction import arrive, enter
 from render.tracing import towards
 
+pytestmark = pytest.mark.peer
 mi = pytest.importorskip("mitsuba", reason="Mitsuba is not installed (pip install mitsuba)")
 
 DEPTH, ROOT, PUPIL = 3.6, 5.5, 1.9

@@ -1,5 +1,6 @@
 """The exact solver against reference tables, multiprecision, closed forms and itself at eight times the size."""
 
+import dataclasses
 import functools
 
 import jax
@@ -18,6 +19,13 @@ from multiprecision import ilit_rayleigh
 ROWS = reference("ilit_reflectance.csv")
 
 
+def mostly_slow(names, fast):
+    """The names, with all but `fast` left to `pytest -m slow`."""
+    return [n if n in fast else pytest.param(n, marks=pytest.mark.slow) for n in names]
+
+
+SINGLE = ("lb06", "rayleigh-retest", "depth-resolved")
+
 STANDARD = ij.Exact()
 
 
@@ -32,8 +40,10 @@ def spectra(process, solver=STANDARD, bits=64):
             iris, GRID, process=process, solver=solver, first_surface=False, raise_on_failure=False
         )
 
+    # As users run it where it is the default process; the switches come in dozens.
+    jit = jax.jit if process == ij.ILIT_2006 and solver == STANDARD and bits == 64 else quick_jit
     # As NumPy: what is kept outlives a change of precision.
-    return jax.tree.map(np.asarray, quick_jit(jax.vmap(spectrum))(irides))
+    return jax.tree.map(np.asarray, jit(jax.vmap(spectrum))(irides))
 
 
 @pytest.mark.parametrize("rescatter", ["to-interface", "retest"])
@@ -84,7 +94,13 @@ def test_multiprecision(level, fraction, wavelength):
         assert abs(float(row["reflectance"]) / expected - 1) == pytest.approx(1.35e-7, abs=0.05e-7)
 
 
-@pytest.mark.parametrize("name", PROCESSES)
+@pytest.mark.parametrize(
+    ("name", "bits"),
+    [
+        *((n, 64) for n in PROCESSES),
+        *(pytest.param(n, 32, marks=[] if n in SINGLE else pytest.mark.slow) for n in PROCESSES),
+    ],
+)
 def test_energy(name, bits):
     result = spectra(PROCESSES[name], bits=bits)
     parts = jax.tree.leaves((result.values, result.mirrored, result.absorbed))
@@ -93,7 +109,7 @@ def test_energy(name, bits):
     np.testing.assert_allclose(total, 1, rtol=0, atol=1e-12 if bits == 64 else 1e-6)
 
 
-@pytest.mark.parametrize("name", PROCESSES)
+@pytest.mark.parametrize("name", mostly_slow(PROCESSES, SINGLE))
 def test_single_precision(name):
     double = spectra(PROCESSES[name])
     jax.config.update("jax_enable_x64", False)
@@ -109,7 +125,11 @@ def test_single_precision(name):
 
 
 @pytest.mark.parametrize(
-    "name", ["rayleigh", "rayleigh-retest", "rayleigh-redrawn", "retest-redrawn"]
+    "name",
+    mostly_slow(
+        ("rayleigh", "rayleigh-retest", "rayleigh-redrawn", "retest-redrawn"),
+        ("rayleigh", "retest-redrawn"),
+    ),
 )
 def test_default_size_against_eight_times_the_nodes(name):
     fine = ij.Exact(n_angles=8 * ij.Exact().n_angles)
@@ -118,7 +138,7 @@ def test_default_size_against_eight_times_the_nodes(name):
     )
 
 
-@pytest.mark.parametrize("name", ["lb06", "lb06-retest", "lb06-redrawn"])
+@pytest.mark.parametrize("name", mostly_slow(("lb06", "lb06-retest", "lb06-redrawn"), ("lb06",)))
 def test_printed_phase_function_converges(name):
     """Its kernel is singular, which product integration takes in its stride."""
     fine = ij.Exact(n_angles=ij.Exact().n_angles + 24)
@@ -147,8 +167,15 @@ MATCHED = (1.4, 1.4, 1.4, 1.4)
 IRIS = (1.336, 1.4733333333, 1.4727930095, 1.5)
 
 
+X, W = np.polynomial.legendre.leggauss(64)
+X, W = (X + 1) / 2, W / 2
+
+
 def solve(process, abl, absorption, scattering, media=IRIS, cosine=1.0):
-    return common.solve(process, layers(abl, absorption, scattering, media), cosine)
+    """One program for each process: with the iris's order of media and, in ILIT, with a BRDF."""
+    made = layers(abl, absorption, scattering, media)
+    made = dataclasses.replace(made, order=layers(abl, absorption, scattering, IRIS).order)
+    return common.solve(process, made, cosine, exits=None if process.depth_resolved else X)
 
 
 @pytest.mark.parametrize("name", ["lb06", "rayleigh", "lb06-redrawn", "rayleigh-redrawn"])
@@ -206,20 +233,18 @@ def test_incidence_enters_by_the_first_transmission_only(name):
     cosines = jnp.asarray([1.0, 0.7, 0.2, 0.01])
     made = layers(0.1, 0.1, 0.2, IRIS)
     f, t = fresnel_at(cosines, made.indices.aqueous, made.indices.abl)
-    r = quick_jit(jax.vmap(lambda c: ij.Exact().solve(made, PROCESSES[name], c)))(cosines)
-    np.testing.assert_allclose(r.mirrored[:, 0], f, rtol=1e-13)
-    np.testing.assert_allclose(
-        r.reflectance[:, 0] / t, np.full(4, r.reflectance[0, 0] / t[0]), rtol=1e-12
-    )
+    runs = [solve(PROCESSES[name], 0.1, 0.1, 0.2, cosine=c) for c in cosines]
+    mirrored, r = (np.array([getattr(x, n)[0] for x in runs]) for n in ("mirrored", "reflectance"))
+    np.testing.assert_allclose(mirrored, f, rtol=1e-13)
+    np.testing.assert_allclose(r / t, np.full(4, r[0] / t[0]), rtol=1e-12)
 
 
 @pytest.mark.parametrize("name", ["lb06", "depth-resolved"])
 def test_diffuse_incidence_is_the_mean_over_the_hemisphere(name):
-    made = layers(0.1, 0.1, 0.2, IRIS)
     x, w = np.polynomial.legendre.leggauss(40)
     x, w = (x + 1) / 2, w / 2
-    one = quick_jit(jax.vmap(lambda c: ij.Exact().solve(made, PROCESSES[name], c).reflectance[0]))(
-        jnp.asarray(x)
+    one = np.array(
+        [solve(PROCESSES[name], 0.1, 0.1, 0.2, cosine=c).reflectance[0] for c in jnp.asarray(x)]
     )
     diffuse = solve(PROCESSES[name], 0.1, 0.1, 0.2, cosine=ij.DIFFUSE).reflectance[0]
     assert diffuse == pytest.approx(float(np.sum(2 * x * w * one)), rel=1e-6)
@@ -227,19 +252,27 @@ def test_diffuse_incidence_is_the_mean_over_the_hemisphere(name):
 
 @pytest.mark.parametrize("name", ILIT)
 def test_brdf_integrates_to_reflectance(name):
-    x, w = np.polynomial.legendre.leggauss(64)
-    x, w = (x + 1) / 2, w / 2
+    for cosine in (1.0, 0.3):
+        r = solve(
+            PROCESSES[name], [0.02, 0.3, 1.0], [0.05, 0.0, 1.5], [0.2, 2.5, 0.3], cosine=cosine
+        )
+        np.testing.assert_allclose(r.brdf @ (2 * np.pi * X * W), r.reflectance, rtol=1e-9)
+
+
+@pytest.mark.slow  # the same through the public functions
+@pytest.mark.parametrize("name", ILIT)
+def test_brdf_integrates_to_reflectance_of_an_iris(name):
     iris = ij.Iris.preset("low")
 
     @quick_jit
     def both(cosine):
         options = {"cos_incidence": cosine, "process": PROCESSES[name]}
         whole = ij.reflectance(iris, GRID, first_surface=False, **options)
-        return ij.brdf(iris, GRID, cos_exit=x, **options).values, whole.values
+        return ij.brdf(iris, GRID, cos_exit=X, **options).values, whole.values
 
     for cosine in (1.0, 0.3):
         f, whole = both(cosine)
-        np.testing.assert_allclose(f @ (2 * np.pi * x * w), whole, rtol=1e-9)
+        np.testing.assert_allclose(f @ (2 * np.pi * X * W), whole, rtol=1e-9)
 
 
 @pytest.mark.parametrize(

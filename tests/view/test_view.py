@@ -204,6 +204,7 @@ def test_says_what_is_missing(monkeypatch):
     assert "pip install 'irisjax[view]'" in _complaint("--preset", "blue")
 
 
+@pytest.mark.peer
 def test_says_that_the_port_is_taken():
     pytest.importorskip("viser")
     with socket.create_server(("127.0.0.1", 0)) as taken:
@@ -211,6 +212,7 @@ def test_says_that_the_port_is_taken():
         assert f"port {port} of 127.0.0.1" in _complaint("--port", str(port))
 
 
+@pytest.mark.peer
 def test_refuses_wrong_scenes(tmp_path):
     pytest.importorskip("viser")
     assert "violet" in _complaint("--port", "0", "--preset", "violet")
@@ -285,6 +287,7 @@ def test_presets_in_another_chamber(bare):
     assert float(made.iris.aqueous_index) == pytest.approx(1.376)
 
 
+@pytest.mark.peer
 def test_a_slow_browser_is_put_where_the_scene_looks_from(bare):
     """viser's own camera, reported after ours, is no orbit of the user's."""
     viser = pytest.importorskip("viser")
@@ -324,6 +327,7 @@ def test_a_slow_browser_is_put_where_the_scene_looks_from(bare):
             served.stop()
 
 
+@pytest.mark.peer
 def test_page(browser, address):
     """A slider moves, the picture changes, nothing complains."""
     page = browser.new_page(viewport={"width": 1200, "height": 500})
