@@ -22,7 +22,7 @@ MODELS = {
     "Kubelka-Munk, two layers": KubelkaMunk(),
     "single scattering": SingleScattering(),
     "ILIT (LB06)": None,
-    "depth-resolved": ij.Exact(16, 8),
+    "depth-resolved": ij.RadiativeExact(16, 8),
 }
 FREE = (
     "melanin_load",
@@ -52,7 +52,7 @@ def main(key, quick=False, out=RESULTS):
     for target, process in targets.items():
         for level in ("low",) if quick else ("low", "moderate", "high"):
             truths[target, level] = ij.reflectance(
-                ij.Iris.preset(level), grid, process=process
+                ij.Iris.of_level(level), grid, process=process
             ).values
     for model, solver in list(MODELS.items())[: 3 if quick else None]:
         process = ij.DEPTH_RESOLVED if model == "depth-resolved" else ij.ILIT_2006
@@ -64,7 +64,7 @@ def main(key, quick=False, out=RESULTS):
             noise=Noise(0.01, 1e-6),
             process=process,
             solver=solver,
-            base=ij.Iris.preset("moderate"),
+            base=ij.Iris.of_level("moderate"),
         )
         for (target, level), truth in truths.items():
             o = with_values(problem.observations[0], jnp.asarray(truth))

@@ -77,11 +77,11 @@ def _solvers(key, quick):
                     "exact",
                     n,
                     precision,
-                    *_deterministic(ij.Exact(n), process, reference, quick),
+                    *_deterministic(ij.IlitExact(n), process, reference, quick),
                 )
             )
         for n in (64,) if quick else (64, 128, 256):
-            solver = ij.Tabulated.build(process=process, n_intervals=n, tolerance=1.0)
+            solver = ij.IlitTabulated.build(process=process, n_intervals=n, tolerance=1.0)
             rows.append(
                 (job, "tabulated", n, precision, *_deterministic(solver, process, reference, quick))
             )
@@ -100,7 +100,7 @@ def _solvers(key, quick):
                         estimator,
                         n,
                         "float32",
-                        *_sampled(ij.MonteCarlo(n, estimator), key, reference),
+                        *_sampled(_sampler(estimator, n), key, reference),
                     )
                 )
     return rows
@@ -108,7 +108,13 @@ def _solvers(key, quick):
 
 def _reference(process, n_angles):
     with jax.enable_x64(True):
-        return np.stack([_values(ij.Iris.preset(v), ij.Exact(n_angles), process) for v in LEVELS])
+        return np.stack(
+            [_values(ij.Iris.of_level(v), ij.IlitExact(n_angles), process) for v in LEVELS]
+        )
+
+
+def _sampler(estimator, n):
+    return ij.MonteCarlo(n) if estimator == "analog" else ij.IlitWeighted(n, estimator == "quasi")
 
 
 def _values(iris, solver, process, **options):
@@ -119,19 +125,19 @@ def _values(iris, solver, process, **options):
             solver=solver,
             process=process,
             first_surface=False,
-            raise_on_failure=False,
+            throw=False,
             **options,
         ).values
     )
 
 
 def _deterministic(solver, process, reference, quick, irides=None):
-    found = np.stack([_values(ij.Iris.preset(v), solver, process) for v in LEVELS])
-    iris = ij.Iris.preset("moderate")
+    found = np.stack([_values(ij.Iris.of_level(v), solver, process) for v in LEVELS])
+    iris = ij.Iris.of_level("moderate")
 
     def spectrum(x):
         return ij.reflectance(
-            x, GRID, solver=solver, process=process, first_surface=False, raise_on_failure=False
+            x, GRID, solver=solver, process=process, first_surface=False, throw=False
         ).values
 
     size = 64 if quick else 1024
@@ -158,11 +164,11 @@ def _sampled(solver, key, reference):
     keys = jax.random.split(key, len(LEVELS))
     found = np.stack(
         [
-            _values(ij.Iris.preset(v), solver, ij.ILIT_2006, key=k)
+            _values(ij.Iris.of_level(v), solver, ij.ILIT_2006, key=k)
             for v, k in zip(LEVELS, keys, strict=True)
         ]
     )
-    iris = ij.Iris.preset("moderate")
+    iris = ij.Iris.of_level("moderate")
 
     def spectrum():
         return ij.reflectance(iris, GRID, solver=solver, first_surface=False, key=key).values
@@ -202,11 +208,15 @@ def _depth_resolved(quick):
     """Radiative transfer with Fresnel interfaces, and index-matched as the peers treat it."""
     rows = []
     for job, matched in (("depth-resolved", False), ("depth-resolved, index-matched", True)):
-        irides = {v: _matched(ij.Iris.preset(v)) if matched else ij.Iris.preset(v) for v in LEVELS}
+        irides = {
+            v: _matched(ij.Iris.of_level(v)) if matched else ij.Iris.of_level(v) for v in LEVELS
+        }
         process = ij.DEPTH_RESOLVED
-        reference = np.stack([_values(i, ij.Exact(96, 12, 5), process) for i in irides.values()])
+        reference = np.stack(
+            [_values(i, ij.RadiativeExact(96, 12, 5), process) for i in irides.values()]
+        )
         for n, depths in ((12, 6),) if quick else ((8, 4), (12, 6), (10, 8), (16, 8), (24, 8)):
-            solver = ij.Exact(n, depths, 1)
+            solver = ij.RadiativeExact(n, depths, 1)
             found = np.stack([_values(i, solver, process) for i in irides.values()])
             iris = irides["moderate"]
 
@@ -217,7 +227,7 @@ def _depth_resolved(quick):
                     solver=solver,
                     process=process,
                     first_surface=False,
-                    raise_on_failure=False,
+                    throw=False,
                 ).values
 
             size = 16 if quick else 1000
@@ -260,7 +270,9 @@ def _peers(quick):
     if importlib.util.find_spec("nanodisort"):
         reference = np.stack(
             [
-                _values(_matched(ij.Iris.preset(v)), ij.Exact(96, 12, 5), ij.DEPTH_RESOLVED)
+                _values(
+                    _matched(ij.Iris.of_level(v)), ij.RadiativeExact(96, 12, 5), ij.DEPTH_RESOLVED
+                )
                 for v in LEVELS
             ]
         )
@@ -313,7 +325,7 @@ def _nanodisort(level, streams, threads):
     import nanodisort
     from nanodisort.utils import phase_functions
 
-    layers = _matched(ij.Iris.preset(level)).layers(ij.extinction(GRID))
+    layers = _matched(ij.Iris.of_level(level)).layers(ij.extinction(GRID))
     n = GRID.size
     solver = nanodisort.BatchSolver(nthreads=threads)
     for name, value in {
@@ -350,14 +362,14 @@ def _nanodisort(level, streams, threads):
 
 def _scaling(key, quick):
     rows = []
-    iris = ij.Iris.preset("moderate")
+    iris = ij.Iris.of_level("moderate")
     for n in (81, 810) if quick else (81, 810, 8_100, 81_000):
         seconds = (
             median_us(lambda n=n: ij.reflectance(iris, np.linspace(400, 720, n)).values, 10) / 1e6
         )
         rows.append(("wavelengths, exact", n, seconds, seconds / n))
-    table = ij.Tabulated.build()
-    for name, solver in (("exact", ij.Exact()), ("tabulated", table)):
+    table = ij.IlitTabulated.build()
+    for name, solver in (("exact", ij.IlitExact()), ("tabulated", table)):
 
         def spectrum(x, solver=solver):
             return ij.reflectance(x, GRID, solver=solver).values

@@ -34,8 +34,8 @@ def main(key, quick=False, out=RESULTS):
     problems = {}
     for i, level in enumerate(levels):
         blank = ij.spectrum(grid, np.ones(grid.size))
-        problem = ij.problem(blank, base=ij.Iris.preset(level))
-        truth = ij.infer.parameters.of_iris(ij.Iris.preset(level))
+        problem = ij.problem(blank, base=ij.Iris.of_level(level))
+        truth = ij.infer.parameters.of_iris(ij.Iris.of_level(level))
         noisy = problem.simulate(problem.standard(truth), jax.random.fold_in(key, i))[0]
         problems[level] = problem.with_observations(with_values(problem.observations[0], noisy))
     for level, problem in problems.items():

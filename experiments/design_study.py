@@ -60,7 +60,7 @@ def main(key, quick=False, out=RESULTS):
     }
     rows = []
     for level in ("low",) if quick else ("low", "moderate", "high"):
-        iris = ij.Iris.preset(level)
+        iris = ij.Iris.of_level(level)
         for name, (measure, noise, options) in list(designs.items())[: 2 if quick else None]:
             solver = KubelkaMunk() if quick else None
             rows.append((level, name, *_widths(iris, measure, noise, solver, **options)))

@@ -13,14 +13,14 @@ import irisjax as ij
 from experiments.common import RESULTS, start, write
 
 VARIANTS = {
-    f"{phase} {rescatter}{' perturbed' if perturb else ''}": ij.Process(
+    f"{phase} {rescatter}{' perturbed' if perturb else ''}": ij.Ilit(
         phase=phase, rescatter=rescatter, perturb_on_reflection=perturb
     )
     for phase, rescatter, perturb in itertools.product(
         ("lb06", "rayleigh"), ("to-interface", "retest"), (False, True)
     )
 } | {
-    "rayleigh spheres": ij.Process(scattering="rayleigh-spheres"),
+    "rayleigh spheres": ij.ILIT_2006,
     "depth-resolved": ij.DEPTH_RESOLVED,
 }
 GRID = (400.0, 450.0, 500.0, 550.0, 600.0, 700.0)
@@ -36,7 +36,8 @@ def main(key, quick=False, out=RESULTS):
         VARIANTS.items(), ("low", "moderate", "high"), (1.0, 0.5)
     ):
         key, k = jax.random.split(key)
-        iris = ij.Iris.preset(level)
+        spheres = name == "rayleigh spheres"
+        iris = ij.Iris.of_level(level).replace(scattering="rayleigh-spheres" if spheres else "lb06")
         settings = {"process": process, "cos_incidence": mu, "first_surface": False}
         exact = ij.reflectance(iris, GRID, **settings)
         mc = ij.reflectance(iris, GRID, **settings, solver=ij.MonteCarlo(n), key=k)

@@ -37,7 +37,7 @@ def main(key, quick=False, out=RESULTS):
     rng = np.random.default_rng(np.asarray(jax.random.key_data(key)))
     rows = []
     for level in ("low", "moderate", "high"):
-        iris = ij.Iris.preset(level)
+        iris = ij.Iris.of_level(level)
         for degrees in (0, 60):
             models, result = _models(
                 iris, jnp.asarray(thickness), jnp.cos(jnp.radians(float(degrees))), exits
@@ -113,7 +113,7 @@ def _models(iris, thickness, mu, exits):
             found = solver.solve(
                 _layers(iris, table, scale), process, mu, cos_exit=exits, azimuth=azimuth
             )
-            return found.brdf, found.result
+            return found.brdf, found.status
 
         return jax.lax.map(one, scales)
 
@@ -133,8 +133,8 @@ def _models(iris, thickness, mu, exits):
         ground = Ground(map_, light, None, Eye(cornea=None, sclera=None))
         return response.shade(rays, ground) / mu
 
-    ilit, _ = solved(ij.ILIT_2006, ij.Exact(24))
-    deep, result = solved(ij.DEPTH_RESOLVED, ij.Exact(24, n_panels=2))
+    ilit, _ = solved(ij.ILIT_2006, ij.IlitExact(24))
+    deep, result = solved(ij.DEPTH_RESOLVED, ij.RadiativeExact(24, n_panels=2))
     return (ilit, deep, jax.lax.map(marched, scales)), result
 
 

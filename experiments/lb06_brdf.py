@@ -17,7 +17,7 @@ def main(key, quick=False, out=RESULTS):
     angle, cosine, azimuth = ij.principal_plane(13 if quick else 37)
     rows = []
     for level in ("low", "high"):
-        iris = ij.Iris.preset(level)
+        iris = ij.Iris.of_level(level)
         for degrees in (0, 60):
             key, k = jax.random.split(key)
             mu = float(np.cos(np.radians(degrees)))

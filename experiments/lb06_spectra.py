@@ -34,7 +34,7 @@ def main(key, quick=False, out=RESULTS):
         for level, k in zip(LEVELS, jax.random.split(key5, 3), strict=True)
         for row in rows(
             level,
-            ij.Iris.preset(level),
+            ij.Iris.of_level(level),
             k,
             lambda *a, **kw: ij.radiance(*a, illuminant="D65", **kw),
         )
@@ -53,7 +53,7 @@ def main(key, quick=False, out=RESULTS):
     data = [
         row
         for level, k in zip(LEVELS, jax.random.split(key6, 3), strict=True)
-        for row in rows(level, ij.Iris.preset(level), k, ij.reflectance)
+        for row in rows(level, ij.Iris.of_level(level), k, ij.reflectance)
     ]
     write(
         out / "fig6_levels.csv",
@@ -65,7 +65,7 @@ def main(key, quick=False, out=RESULTS):
         row
         for fraction, k in zip((0.2, 0.5, 0.8), jax.random.split(key7, 3), strict=True)
         for row in rows(
-            fraction, ij.Iris.preset("moderate").replace(abl_fraction=fraction), k, ij.reflectance
+            fraction, ij.Iris.of_level("moderate").replace(abl_fraction=fraction), k, ij.reflectance
         )
     ]
     write(

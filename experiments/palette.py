@@ -15,7 +15,7 @@ def main(key, quick=False, out=RESULTS):
     del key
     loads = np.geomspace(0.01, 0.5, 5 if quick else 25)
     fractions = np.linspace(0.0, 1.0, 3 if quick else 21)
-    iris = ij.Iris.preset("low")
+    iris = ij.Iris.of_level("low")
 
     def one(load, fraction):
         c = ij.colour(iris.replace(melanin_load=load, abl_fraction=fraction), first_surface=False)

@@ -51,7 +51,7 @@ def main(key, quick=False, out=RESULTS):
         )
 
     # LB06 Fig. 9: rows 20, 50 and 80 % of the melanin in the ABL, columns from high to low.
-    base = ij.Iris.preset("moderate")
+    base = ij.Iris.of_level("moderate")
     scene = Scene(base, procedural(base, shape=shape, key=seed(0)), close, lights, camera=camera)
     stage = prepare(scene, smooth)
     rows = [

@@ -98,7 +98,7 @@ def _spectra(key, count):
 
     def reflectance(fields):
         layers = ij.Iris().replace(**fields).layers(table)
-        return ij.Exact(24).solve(layers, ILIT_2006, 1.0).reflectance
+        return ij.IlitExact(24).solve(layers, ILIT_2006, 1.0).reflectance
 
     return np.asarray(jax.jit(jax.vmap(reflectance))(drawn))
 

@@ -19,14 +19,14 @@ GRID = ij.wavelengths(400, 700, 10)
 PROCESSES = {
     "lb06": ij.ILIT_2006,
     "rayleigh": ij.ILIT_CORRECTED,
-    "lb06-retest": ij.Process(rescatter="retest"),
-    "rayleigh-retest": ij.Process(phase="rayleigh", rescatter="retest"),
-    "lb06-redrawn": ij.Process(perturb_on_reflection=True),
-    "rayleigh-redrawn": ij.Process(phase="rayleigh", perturb_on_reflection=True),
-    "retest-redrawn": ij.Process(phase="rayleigh", rescatter="retest", perturb_on_reflection=True),
+    "lb06-retest": ij.Ilit(rescatter="retest"),
+    "rayleigh-retest": ij.Ilit(phase="rayleigh", rescatter="retest"),
+    "lb06-redrawn": ij.Ilit(perturb_on_reflection=True),
+    "rayleigh-redrawn": ij.Ilit(phase="rayleigh", perturb_on_reflection=True),
+    "retest-redrawn": ij.Ilit(phase="rayleigh", rescatter="retest", perturb_on_reflection=True),
     "depth-resolved": ij.DEPTH_RESOLVED,
 }
-ILIT = {name: p for name, p in PROCESSES.items() if not p.depth_resolved}
+ILIT = {name: p for name, p in PROCESSES.items() if not isinstance(p, ij.RadiativeTransfer)}
 
 
 def reference(name):
@@ -43,7 +43,7 @@ def stack(irides):
 def all_irides():
     """The nine irides of the reference tables, with their names."""
     names = [(level, f) for level in LEVELS for f in (0.2, 0.5, 0.8)]
-    return names, stack([ij.Iris.preset(level).replace(abl_fraction=f) for level, f in names])
+    return names, stack([ij.Iris.of_level(level).replace(abl_fraction=f) for level, f in names])
 
 
 # XLA optimises these programs for 4 to 9 s each, where a test runs them for milliseconds. Those
@@ -85,6 +85,12 @@ def filled(x, multiple):
     return jnp.concatenate([x, jnp.repeat(x[-1:], -len(x) % multiple, 0)])
 
 
+def exact(process, n_angles=40):
+    """The deterministic solver of a process."""
+    ilit = isinstance(process, ij.Ilit)
+    return ij.IlitExact(n_angles) if ilit else ij.RadiativeExact(n_angles)
+
+
 def any_order(made):
     """The same layers, compiled for every order of media alike: one program for all of them."""
     fields = (getattr(made, f.name) for f in dataclasses.fields(made) if f.name != "order")
@@ -92,8 +98,11 @@ def any_order(made):
 
 
 def solve(process, made, cosine=1.0, solver=None, exits=None, azimuth=None):
-    """A solver on layers, compiled once for each solver, process, filled shape and order of media."""
-    solver = type(solver or ij.Exact()).prepare(solver or ij.Exact(), lambda: made, process)
+    """A solver on layers, compiled once for each solver, process,
+    filled shape and order of media.
+    """
+    solver = exact(process) if solver is None else solver
+    solver = type(solver).prepare(solver, lambda: made, process)
     depths = ("abl_absorption", "stroma_absorption", "stroma_scattering")
     n, n_exits = len(made.abl_absorption), None if exits is None else len(exits)
     made = dataclasses.replace(made, **{d: filled(getattr(made, d), 4) for d in depths})

@@ -34,7 +34,9 @@ def _wants_float32(item):
 
 
 def pytest_collection_modifyitems(items):
-    """Single precision last, and a file's tests on one worker: what is compiled is compiled once."""
+    """Single precision last, and a file's tests on one worker:
+    what is compiled is compiled once.
+    """
     items.sort(key=_wants_float32)
     for item in items:
         item.add_marker(
@@ -67,4 +69,4 @@ def tabulated():
     """Tables of the default process, made once a worker."""
     import irisjax as ij
 
-    return ij.Tabulated.build()
+    return ij.IlitTabulated.build()

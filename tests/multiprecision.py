@@ -1,4 +1,6 @@
-"""ILIT with Rayleigh's phase function in 25 digits: another language's twin of the solver, sharing no code with it."""
+"""ILIT with Rayleigh's phase function in 25 digits: another language's twin of the solver, sharing
+no code with it.
+"""
 
 from mpmath import exp, lu_solve, matrix, mp, mpf, pi, quad, sin, sqrt
 

@@ -51,7 +51,9 @@ def _equations(text, paper):
 
 @pytest.mark.parametrize("paper", _PAPERS)
 def test_equation_index_both_ways(paper):
-    """Every equation the code names stands in the index with a file that names it, and the other way round."""
+    """Every equation the code names stands in the index with a file that names it, and the other
+    way round.
+    """
     prefix, known = _PAPERS[paper]
     rows = re.findall(
         rf"^\| {prefix}Eq\. (\d+) \|[^|]*\| (.*?) \|$",
@@ -71,14 +73,14 @@ def test_equation_index_both_ways(paper):
 
 
 def test_what_is_not_asked_for_costs_nothing():
-    layers = ij.Iris.preset("low").layers(ij.extinction([450.0, 550.0]))
+    layers = ij.Iris.of_level("low").layers(ij.extinction([450.0, 550.0]))
     exits = jnp.asarray([0.5, 0.9])
 
     def program(process, cos_exit=None, panels=1, name=None):
+        ilit = isinstance(process, ij.Ilit)
+        solver = ij.IlitExact(8) if ilit else ij.RadiativeExact(8, 4, panels)
         return operations(
-            lambda x: ij.Exact(8, 4, panels).solve(x, process, 1.0, cos_exit=cos_exit),
-            layers,
-            name=name,
+            lambda x: solver.solve(x, process, 1.0, cos_exit=cos_exit), layers, name=name
         )
 
     plain, deep = program(ij.ILIT_CORRECTED), program(ij.DEPTH_RESOLVED)
@@ -92,12 +94,12 @@ def test_what_is_not_asked_for_costs_nothing():
 
 
 def test_panels_without_a_critical_angle_are_not_compiled():
-    layers = ij.Iris.preset("low").layers(ij.extinction([450.0]))
+    layers = ij.Iris.of_level("low").layers(ij.extinction([450.0]))
     nodes = {}
     for name, index in (("default", None), ("denser stroma", 1.49)):
-        iris = ij.Iris.preset("low").replace(stroma_index=index)
+        iris = ij.Iris.of_level("low").replace(stroma_index=index)
         layers = iris.layers(ij.extinction([450.0]))
-        nodes[name] = operations(lambda x: ij.Exact(8).solve(x, ij.ILIT_CORRECTED, 1.0), layers)
+        nodes[name] = operations(lambda x: ij.IlitExact(8).solve(x, ij.ILIT_CORRECTED, 1.0), layers)
     assert nodes["default"] < nodes["denser stroma"]
 
 
@@ -110,7 +112,7 @@ def test_new_numbers_are_not_compiled_for_again(field):
         calls.append(1)
         return ij.reflectance(iris, [450.0, 550.0]).values
 
-    iris = ij.Iris.preset("low")
+    iris = ij.Iris.of_level("low")
     for value in (0.1, 0.2, jnp.asarray(0.3)):
         spectrum(iris.replace(**{field: value}))
     assert len(calls) == 1

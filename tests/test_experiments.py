@@ -48,9 +48,9 @@ def test_quick(name, tmp_path, monkeypatch):
 def test_posteriors_are_as_wide_as_they_should_be(tmp_path, monkeypatch):
     """Simulation-based calibration of 40 eyes: no parameter's ranks are far from uniform.
 
-    Fourteen p-values (two tests of seven parameters) above 0.001 each: by Bonferroni right posteriors fail for at
-    most 1.4 % of seeds, and this seed is fixed. Of posteriors twice or half as wide as they should be 98 % fail,
-    and as many with one parameter a standard deviation off.
+    Fourteen p-values (two tests of seven parameters) above 0.001 each: by Bonferroni right
+    posteriors fail for at most 1.4 % of seeds, and this seed is fixed. Of posteriors twice or half
+    as wide as they should be 98 % fail, and as many with one parameter a standard deviation off.
     """
     monkeypatch.syspath_prepend(str(ROOT))
     importlib.import_module("experiments.calibration").main(

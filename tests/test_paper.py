@@ -1,4 +1,6 @@
-"""What LB06 says comes out (shared/spec/ilit.md, section 5). Aqueous side, first surface left out."""
+"""What LB06 says comes out (shared/spec/ilit.md, section 5). Aqueous side,
+first surface left out.
+"""
 
 import itertools
 
@@ -11,7 +13,7 @@ GRID = ij.wavelengths(400, 700, 1)
 
 
 def spectrum(level, fraction=0.5, process=ij.ILIT_2006):
-    iris = ij.Iris.preset(level).replace(abl_fraction=fraction)
+    iris = ij.Iris.of_level(level).replace(abl_fraction=fraction)
     return np.asarray(ij.reflectance(iris, GRID, process=process, first_surface=False).values)
 
 
@@ -20,7 +22,9 @@ def at(values, wavelength):
 
 
 def hump(values):
-    """How far the hump near 560 nm stands above the mean of the dips near 542 and 577 nm, each sought within 4 nm."""
+    """How far the hump near 560 nm stands above the mean of the dips near 542 and 577 nm, each
+    sought within 4 nm.
+    """
 
     def near(wavelength):
         return values[wavelength - 404 : wavelength - 395]
@@ -36,7 +40,7 @@ def test_blood_w(level, expected):
 def test_blood_w_comes_from_blood():
     """Without blood the spectrum bends the other way: no hump above the chord of 542 and 577 nm."""
     for level in ("low", "high"):
-        iris = ij.Iris.preset(level)
+        iris = ij.Iris.of_level(level)
         bloodless = iris.replace(oxyhemoglobin=0.0, deoxyhemoglobin=0.0)
         values = {
             name: np.asarray(ij.reflectance(x, GRID, first_surface=False).values)
@@ -72,7 +76,9 @@ def test_more_melanin_is_darker(process, fraction):
 
 @pytest.mark.parametrize("level", ["moderate", "high"])
 def test_more_of_it_in_the_abl_is_darker(level):
-    """[LB06 Fig. 7] for the moderate level; low irides turn round beyond 640 nm, where so little absorbs."""
+    """[LB06 Fig. 7] for the moderate level; low irides turn round beyond 640 nm, where so little
+    absorbs.
+    """
     spectra = [spectrum(level, fraction) for fraction in (0.2, 0.35, 0.5, 0.65, 0.8)]
     for brighter, darker in itertools.pairwise(spectra):
         assert (brighter > darker).all()
@@ -81,8 +87,10 @@ def test_more_of_it_in_the_abl_is_darker(level):
 @pytest.mark.parametrize("level", ["low", "high"])
 @pytest.mark.parametrize("angle", [0, 60])
 def test_brdf_is_near_lambertian(level, angle):
-    """At 550 nm the factor π f / R stays within 1/8 of one out to 60 degrees, and is the same for both incidences."""
-    iris, grid = ij.Iris.preset(level), np.array([550.0])
+    """At 550 nm the factor π f / R stays within 1/8 of one out to 60 degrees, and is the same for
+    both incidences.
+    """
+    iris, grid = ij.Iris.of_level(level), np.array([550.0])
     exits = np.cos(np.radians(np.arange(0, 61, 5)))
     cosine = float(np.cos(np.radians(angle)))
     f = np.asarray(ij.brdf(iris, grid, cos_incidence=cosine, cos_exit=exits).values[0])
@@ -94,6 +102,6 @@ def test_brdf_is_near_lambertian(level, angle):
 
 def test_round_trip_of_figures():
     """In vivo the cornea takes two per cent of the light on its way in (T_in = 0.979)."""
-    iris, grid = ij.Iris.preset("low"), np.array([550.0])
-    bare = ij.radiance(iris, grid, process=ij.Process(cornea="none")).values[0]
+    iris, grid = ij.Iris.of_level("low"), np.array([550.0])
+    bare = ij.radiance(iris, grid, cornea="none").values[0]
     assert ij.radiance(iris, grid).values[0] / bare == pytest.approx(0.979, abs=5e-4)

@@ -1,4 +1,6 @@
-"""Eyes that cannot be: an iris within the cornea is refused, the shallowest that is not is drawn."""
+"""Eyes that cannot be: an iris within the cornea is refused, the shallowest that is not is
+drawn.
+"""
 
 import equinox as eqx
 import jax
@@ -61,7 +63,8 @@ def test_shallow_eyes_of_other_kinds_stay():
 
 def test_an_eye_just_allowed_is_drawn():
     eye = Eye(iris_depth=3.29, pupil_radius=0.25)
-    # A ray to each place of the limbus goes on through both surfaces to the iris, and forwards all the way.
+    # A ray to each place of the limbus goes on through both surfaces to the iris, and forwards all
+    # the way.
     turn = jnp.linspace(0, 2 * jnp.pi, 60)
     entry = on_cornea(eye.cornea, 5.49 * jnp.stack([jnp.cos(turn), jnp.sin(turn)], axis=-1))
     landing = enter(eye, entry, jnp.broadcast_to(jnp.asarray([0.0, 0.0, 1.0]), entry.shape))

@@ -1,4 +1,6 @@
-"""The command: results as the library gives them, files that run again, one line for every wrong input."""
+"""The command: results as the library gives them, files that run again, one line for every wrong
+input.
+"""
 
 import os
 import signal
@@ -54,7 +56,7 @@ def test_spectrum_is_the_librarys(irisjax, tmp_path):
     assert header["abl_fraction"] == "0.2"
     assert "not a measurement" in header["simulated"]
     assert "twice as bright" in header["approximation"]
-    iris = ij.Iris.preset("low").replace(abl_fraction=0.2)
+    iris = ij.Iris.of_level("low").replace(abl_fraction=0.2)
     expected = ij.reflectance(iris, ij.wavelengths(400, 700, 100))
     np.testing.assert_allclose(columns["reflectance"], expected.values, rtol=1e-11)
 

@@ -78,7 +78,8 @@ def test_short_chains_end_with_status_three(irisjax, spectrum, monkeypatch):
     status, out, err = irisjax("fit", spectrum, *QUICK, "--max-steps", 40)
     assert status == 3
     assert "NOT CONVERGED: 40 steps" in out
-    # A terminal is told at once what takes so long; that nothing else is, `test_one_eye_from_file_to_files` shows.
+    # A terminal is told at once what takes so long; that nothing else is,
+    # `test_one_eye_from_file_to_files` shows.
     assert err.lstrip("\r").startswith("compiling")
     assert err.index("compiling") < err.index("sampling")
 

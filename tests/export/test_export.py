@@ -1,4 +1,6 @@
-"""The hand-over to other renderers: Mitsuba's picture against ours, albedos against the spectrophotometer."""
+"""The hand-over to other renderers: Mitsuba's picture against ours, albedos against the
+spectrophotometer.
+"""
 
 import re
 
@@ -34,7 +36,7 @@ def sector():
 def bare(tmp_path_factory):
     """A bare iris with a dark sector under two lamps: scene, folder, and what `export` said."""
     iris, maps = (
-        ij.Iris.preset("low"),
+        ij.Iris.of_level("low"),
         IrisMaps(eumelanin=sector(), freckles=0.02 * jnp.ones((72, 16))),
     )
     scene = ij.Scene(iris, maps, EYE, LAMPS, camera=CAMERA)
@@ -78,7 +80,9 @@ def on_the_iris(scene, margin=0.25):
 
 
 def matt(scene, folder, point):
-    """Radiance of a Lambertian iris of the exported albedo at points, by the definition of irradiance."""
+    """Radiance of a Lambertian iris of the exported albedo at points, by the definition of
+    irradiance.
+    """
     texture = np.flip(rgb(folder / "albedo.exr"), 0).swapaxes(0, 1)  # back to (angles, radii)
     pupil, root = float(scene.eye.pupil_radius), float(scene.eye.iris_radius)
     radius = (np.hypot(point[:, 0], point[:, 1]) - pupil) / (root - pupil)
@@ -102,7 +106,8 @@ def test_mitsuba_renders_the_matt_iris_and_it_is_as_far_off_as_we_say(bare, mi):
     ours = np.asarray(scene.render()).reshape(-1, 3)
     index, point = on_the_iris(scene)
     theirs = theirs.reshape(-1, 3)
-    # Radiance, units, lamps, camera: the mean to 0.3 % (only edges of the sector, blurred within pixels, differ).
+    # Radiance, units, lamps, camera: the mean to 0.3 % (only edges of the sector, blurred within
+    # pixels, differ).
     expected = matt(scene, folder, point)
     print("Mitsuba over a matt iris:", theirs[index].mean(0) / expected.mean(0))
     np.testing.assert_allclose(theirs[index].mean(0), expected.mean(0), rtol=3e-3)
@@ -123,7 +128,7 @@ def test_relief_tilts_their_shading_as_ours(tmp_path, mi):
     angle, radius = cell_centres((96, 32))
     relief = 0.1 * jnp.cos(9 * angle)[:, None] * jnp.sin(np.pi * radius) ** 2
     scene = ij.Scene(
-        ij.Iris.preset("low"),
+        ij.Iris.of_level("low"),
         IrisMaps(relief=relief),
         EYE,
         ij.Lights.distant(0.9, 0.4),
@@ -147,14 +152,16 @@ def test_relief_tilts_their_shading_as_ours(tmp_path, mi):
 
 @pytest.mark.peer
 def test_fine_relief_is_as_steep_as_a_mesh_of_it(tmp_path, mi):
-    """Waves of five texels, about as fine as the finest fibres: against true geometry, and by hand."""
+    """Waves of five texels, about as fine as the finest fibres: against true geometry,
+    and by hand.
+    """
     shape, lobes, height = (96, 32), 20, 0.12
 
     def relief(angle, radius):
         return height * jnp.cos(lobes * angle)[:, None] * jnp.ones_like(radius)
 
     maps = IrisMaps(relief=relief(*cell_centres(shape)))
-    scene = ij.Scene(ij.Iris.preset("low"), maps, EYE, ij.Lights.distant(0.1, 0.4), camera=CAMERA)
+    scene = ij.Scene(ij.Iris.of_level("low"), maps, EYE, ij.Lights.distant(0.1, 0.4), camera=CAMERA)
     made = io.export(tmp_path / "eye", scene, spacing=0.2)
     index, point = on_the_iris(scene)
     ours = np.asarray(scene.render()).reshape(-1, 3)[index].mean(0)
@@ -169,7 +176,8 @@ def test_fine_relief_is_as_steep_as_a_mesh_of_it(tmp_path, mi):
 
     flat = matt(scene, tmp_path / "eye", point).mean(0)
     bumped = theirs("scene.xml") / flat
-    # Triangles in place of the bump, eight times as fine as the map; single reflections, as we have.
+    # Triangles in place of the bump, eight times as fine as the map; single reflections, as we
+    # have.
     mesh = right_handed(eye_meshes(EYE, 0.025)["iris"])
     angle = np.arctan2(mesh.vertices[:, 1], mesh.vertices[:, 0])
     mesh.vertices[:, 2] += height * np.cos(lobes * angle)
@@ -203,7 +211,9 @@ def test_fine_relief_is_as_steep_as_a_mesh_of_it(tmp_path, mi):
 
 
 def test_slopes_of_a_relief():
-    """Exact for a plane up to the edges; of waves of four texels steeper than a polygon through them (0.9), not half."""
+    """Exact for a plane up to the edges; of waves of four texels steeper than a polygon through
+    them (0.9), not half.
+    """
     eye = EYE
     pupil, span = float(eye.pupil_radius), float(eye.iris_radius - eye.pupil_radius)
     for shape in ((2, 2), (24, 8)):
@@ -274,7 +284,9 @@ def test_brdf_table_is_the_goniophotometers(bare):
 
 
 def test_error_of_a_matt_iris_by_plain_sums(bare):
-    """Largest error of the mean radiance within 50°, from the public BRDF of the two kinds of texel there are."""
+    """Largest error of the mean radiance within 50°, from the public BRDF of the two kinds of texel
+    there are.
+    """
     scene, _, made = bare
     freckle, share = 1 + (FRECKLE - 1) * 0.02, float(scene.iris.abl_fraction)
     more = share * freckle + 1 - share
@@ -330,11 +342,13 @@ def test_files_go_together(bare):
 
 @pytest.mark.peer
 def test_eye_behind_its_cornea(tmp_path, mi):
-    """A broad panel with a bright patch: it is mirrored where we mirror it, and the iris is as bright as ours."""
+    """A broad panel with a bright patch: it is mirrored where we mirror it, and the iris is as
+    bright as ours.
+    """
     around = np.zeros((16, 32, 3))
     around[4:12, 11:21] = 1.5  # within 80° of the axis: no caustics to tabulate
     around[4:6, 19:21] = 12.0  # up, and to the right as seen from the eye
-    iris = ij.Iris.preset("low").replace(fibril_radius=60.0)  # bright, that noise may be little
+    iris = ij.Iris.of_level("low").replace(fibril_radius=60.0)  # bright, that noise may be little
     camera = ij.Camera(0.1, 0.3, size=(48, 36))
     scene = ij.Scene(iris, None, lights=None, environment=Environment(around), camera=camera)
     made = io.export(tmp_path / "eye", scene, spacing=0.2)
@@ -353,7 +367,8 @@ def test_eye_behind_its_cornea(tmp_path, mi):
     spots = [np.array([row[s.argmax()], column[s.argmax()]]) for s in smooth]
     print("mirror image at", *spots)
     assert np.abs(spots[0] - spots[1]).max() <= 1
-    # Mirror images and all: 2 % for noise, for light that the cornea sends back in, and for 25 lamps in a panel's place.
+    # Mirror images and all: 2 % for noise, for light that the cornea sends back in, and for 25
+    # lamps in a panel's place.
     off = theirs[index].mean(0) / ours[index].mean(0) - 1
     print("Mitsuba over irisjax:", 1 + off)
     assert (np.abs(off) < np.abs(made.error.most) + 0.02).all()
@@ -361,7 +376,7 @@ def test_eye_behind_its_cornea(tmp_path, mi):
 
 def test_lamps_before_a_cornea_keep_their_irradiance(tmp_path):
     lamps = ij.Lights.points([0.0, 0.0, -400.0], 2.0) + ij.Lights.distant(0.5, 0.0, radius=0.4)
-    io.export(tmp_path / "eye", ij.Scene(ij.Iris.preset("low"), None, lights=lamps), spacing=1.0)
+    io.export(tmp_path / "eye", ij.Scene(ij.Iris.of_level("low"), None, lights=lamps), spacing=1.0)
     text = (tmp_path / "eye" / "scene.xml").read_text()
     radiances = [float(r) for r in re.findall(r'name="radiance" value="([\d.e+-]+),', text)]
     angles = [np.radians(20), 0.4]
@@ -391,7 +406,7 @@ def test_folder_is_new_or_empty(tmp_path, monkeypatch):
     monkeypatch.setattr("irisjax.export.handover.write_together", broken)
     monkeypatch.setattr("irisjax.export.handover._contents", lambda *_: ({"a": b""}, 0, None))
     with pytest.raises(OSError, match="disk full"):
-        io.export(tmp_path / "new", ij.Scene(ij.Iris.preset("low")))
+        io.export(tmp_path / "new", ij.Scene(ij.Iris.of_level("low")))
     assert {p.name for p in tmp_path.iterdir()} <= {"full", "bare.toml"}
 
 

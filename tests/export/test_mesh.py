@@ -11,7 +11,9 @@ EYE = Eye()
 
 
 def _facing(mesh):
-    """Least cosine between a triangle's own normal, counter-clockwise, and the normals of its corners."""
+    """Least cosine between a triangle's own normal, counter-clockwise, and the normals of its
+    corners.
+    """
     a, b, c = (mesh.vertices[mesh.faces[:, i]] for i in range(3))
     own = np.cross(b - a, c - a)
     own /= np.linalg.norm(own, axis=1, keepdims=True)

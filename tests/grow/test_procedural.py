@@ -10,6 +10,7 @@ from irisjax.grow.procedural import procedural, stroma_profile
 
 SHAPE = (128, 48)
 KEY = jax.random.key(7)
+EYE = ij.Eye()
 NOTHING = {"profile": False, "fibres": 0.0, "collarette": 0.0, "crypts": 0, "furrows": 0}
 
 
@@ -34,8 +35,8 @@ def test_every_map_is_there_and_within_what_irides_are(everything):
 def test_area_means_are_those_of_the_iris(everything, layer):
     iris = ij.Iris()
     place = (
-        iris.pupil_radius
-        + (iris.iris_radius - iris.pupil_radius) * (jnp.arange(SHAPE[1]) + 0.5) / SHAPE[1]
+        EYE.pupil_radius
+        + (EYE.iris_radius - EYE.pupil_radius) * (jnp.arange(SHAPE[1]) + 0.5) / SHAPE[1]
     )
     mean = (getattr(everything, layer) * place).sum() / (SHAPE[0] * place.sum())
     np.testing.assert_allclose(mean, getattr(iris, layer), rtol=1e-12)

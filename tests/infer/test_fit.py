@@ -17,7 +17,7 @@ GRID = ij.wavelengths(400, 700, 10)
 
 
 def measured(level, process=ij.ILIT_2006):
-    return ij.spectrum(GRID, ij.reflectance(ij.Iris.preset(level), GRID, process=process).values)
+    return ij.spectrum(GRID, ij.reflectance(ij.Iris.of_level(level), GRID, process=process).values)
 
 
 @pytest.mark.parametrize("level", ["low", "moderate", "high"])
@@ -26,7 +26,7 @@ def test_noiseless_data_give_the_truth_back(level):
     problem = ij.problem(measured(level))
     found = fit(problem, use_priors=False)
     assert bool(found.ok)
-    truth = ij.infer.parameters.of_iris(ij.Iris.preset(level))
+    truth = ij.infer.parameters.of_iris(ij.Iris.of_level(level))
     for name in problem.free:
         if name != "noise":
             assert float(found.values[name]) == pytest.approx(float(truth[name]), rel=1e-6), name
@@ -123,7 +123,7 @@ def test_odd_data_end_in_numbers_or_a_status(values, sd):
     "edge", [{"abl_fraction": 0.0}, {"abl_fraction": 1.0}, {"eumelanin": 0.0, "pheomelanin": 1e-6}]
 )
 def test_truth_at_an_edge(edge):
-    iris = ij.Iris.preset("low").replace(**edge)
+    iris = ij.Iris.of_level("low").replace(**edge)
     problem = ij.problem(ij.spectrum(GRID, ij.reflectance(iris, GRID).values))
     found = fit(problem)
     assert bool(found.ok)
@@ -142,7 +142,7 @@ ANALYTIC = [BeerLambert(), KubelkaMunk(), SingleScattering()]
 
 @pytest.mark.parametrize("solver", ANALYTIC, ids=lambda s: type(s).__name__)
 def test_analytic_models_have_their_limits(solver):
-    iris = ij.Iris.preset("low")
+    iris = ij.Iris.of_level("low")
     clear = {
         "eumelanin": 0.0,
         "pheomelanin": 0.0,

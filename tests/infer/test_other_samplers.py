@@ -1,4 +1,6 @@
-"""The same posterior by Hamiltonian Monte Carlo (numpyro's NUTS), which needs gradients and nothing of ours."""
+"""The same posterior by Hamiltonian Monte Carlo (numpyro's NUTS), which needs gradients and nothing
+of ours.
+"""
 
 import jax
 import jax.numpy as jnp
@@ -22,7 +24,7 @@ def test_ensemble_and_nuts_agree(model, tmp_path):
     grid = ij.wavelengths(400, 700, 10)
     blank = ij.spectrum(grid, np.ones(grid.size))
     problem = ij.problem(blank, solver=KubelkaMunk() if model == "closed formula" else None)
-    truth = problem.standard(ij.infer.parameters.of_iris(ij.Iris.preset("low")))
+    truth = problem.standard(ij.infer.parameters.of_iris(ij.Iris.of_level("low")))
     problem = problem.with_observations(
         ij.spectrum(grid, np.asarray(problem.simulate(truth, jax.random.key(1))[0]))
     )

@@ -8,10 +8,10 @@ import pytest
 import irisjax as ij
 from irisjax.cli import report
 from irisjax.infer import pieces
-from irisjax.numerics import portions
 from irisjax.infer.analytic import BeerLambert
 from irisjax.infer.fit import fit
 from irisjax.infer.posterior import Chains
+from irisjax.numerics import portions
 
 GRID = ij.wavelengths(400, 700, 10)
 
@@ -42,7 +42,9 @@ def test_densities_and_fits_do_not_depend_on_the_pieces(problem, monkeypatch):
 
 
 def test_files_of_many_wavelengths_hold_fewer_draws(problem, tmp_path, monkeypatch):
-    """Log likelihoods of all draws of 10,000 wavelengths would be gigabytes; every group keeps the same draws."""
+    """Log likelihoods of all draws of 10,000 wavelengths would be gigabytes; every group keeps the
+    same draws.
+    """
     import xarray as xr
 
     walkers, most = 8, 100

@@ -90,32 +90,34 @@ def test_parameters_make_the_iris_they_describe(
 
 
 def stated(noise=None, sd=None, **options):
-    y = np.asarray(ij.reflectance(ij.Iris.preset("low"), GRID).values) * 1.05
-    return ij.problem(ij.spectrum(GRID, y, sd), noise=noise, solver=ij.Exact(16), **options)
+    y = np.asarray(ij.reflectance(ij.Iris.of_level("low"), GRID).values) * 1.05
+    return ij.problem(ij.spectrum(GRID, y, sd), noise=noise, solver=ij.IlitExact(16), **options)
 
 
 def test_prediction_is_the_spectrophotometer():
-    """At the values of an iris the model is `reflectance` times the gain; a radiance is `radiance`."""
-    iris = ij.Iris.preset("high")
+    """At the values of an iris the model is `reflectance` times the gain;
+    a radiance is `radiance`.
+    """
+    iris = ij.Iris.of_level("high")
     problem = stated(free=["melanin_load", "gain"], fixed={"abl_fraction": 0.3}, base=iris)
     z = problem.standard({"melanin_load": 0.2, "gain": 1.02})
     wanted = ij.reflectance(
-        iris.replace(melanin_load=0.2, abl_fraction=0.3), GRID, solver=ij.Exact(16)
+        iris.replace(melanin_load=0.2, abl_fraction=0.3), GRID, solver=ij.IlitExact(16)
     )
     np.testing.assert_allclose(problem.predict(z)[0], 1.02 * wanted.values, rtol=1e-12)
     options = {"illuminant": "A", "cos_incidence": 0.8}
     seen = ij.spectrum(GRID, np.ones(GRID.size), quantity="radiance", **options)
-    problem = ij.problem(seen, free=["gain"], base=iris, solver=ij.Exact(16))
-    wanted = ij.radiance(iris, GRID, solver=ij.Exact(16), **options)
+    problem = ij.problem(seen, free=["gain"], base=iris, solver=ij.IlitExact(16))
+    wanted = ij.radiance(iris, GRID, solver=ij.IlitExact(16), **options)
     np.testing.assert_allclose(problem.predict(jnp.zeros(1))[0], wanted.values, rtol=1e-12)
 
 
 @pytest.mark.parametrize("quantity", ["XYZ", "Lab", "linear sRGB"])
 def test_colours_are_those_of_the_colorimeter(quantity):
-    iris = ij.Iris.preset("low")
+    iris = ij.Iris.of_level("low")
     seen = ij.colour_data([0.1, 0.1, 0.1], np.eye(3) * 1e-4, quantity=quantity)
-    problem = ij.problem(seen, free=["melanin_load"], base=iris, solver=ij.Exact(16))
-    colour = ij.colour(iris, seen.wavelengths, solver=ij.Exact(16))
+    problem = ij.problem(seen, free=["melanin_load"], base=iris, solver=ij.IlitExact(16))
+    colour = ij.colour(iris, seen.wavelengths, solver=ij.IlitExact(16))
     wanted = {"XYZ": colour.xyz, "Lab": colour.lab, "linear sRGB": colour.srgb_linear}[quantity]
     found = problem.predict(problem.standard({"melanin_load": float(iris.melanin_load)}))[0]
     np.testing.assert_allclose(found, wanted, rtol=1e-9)
@@ -150,7 +152,9 @@ def test_likelihood_is_scipys(noise, distribution):
 
 @pytest.mark.parametrize("count", [16, 81])
 def test_correlated_residuals_are_whitened(count):
-    """More wavelengths than a block of the matrix's root: densities and squares are those of scipy."""
+    """More wavelengths than a block of the matrix's root: densities and squares are those of
+    scipy.
+    """
     grid, rng = np.linspace(400, 700, count), np.random.default_rng(0)
     model, noise = 0.02 + 0.01 * rng.random(count), Noise(0.03, 1e-3, 0.05, 60.0)
     seen = ij.spectrum(grid, model * (1 + 0.03 * rng.normal(size=count)))
@@ -173,7 +177,7 @@ def test_correlated_residuals_are_whitened(count):
 def test_colour_likelihood_is_scipys():
     c = np.array([[2.0, 0.5, 0.1], [0.5, 1.0, -0.2], [0.1, -0.2, 0.5]]) * 1e-4
     problem = ij.problem(
-        ij.colour_data([0.02, 0.02, 0.03], c), free=["melanin_load"], solver=ij.Exact(16)
+        ij.colour_data([0.02, 0.02, 0.03], c), free=["melanin_load"], solver=ij.IlitExact(16)
     )
     z = jnp.zeros(1)
     wanted = stats.multivariate_normal(np.asarray(problem.predict(z)[0]), c).logpdf(
@@ -204,10 +208,12 @@ def test_draws_have_the_stated_moments():
         np.testing.assert_allclose(np.asarray(draws).var(0), variance, rtol=0.1)
 
 
-@pytest.mark.parametrize("solver", [ij.Exact(16), None], ids=["exact", "tabulated"])
+@pytest.mark.parametrize("solver", [ij.IlitExact(16), None], ids=["exact", "tabulated"])
 def test_slopes_agree_with_differences(solver):
-    """The rule that wavelengths do not mix: forward, reverse, and a difference of the whole model."""
-    y = np.asarray(ij.reflectance(ij.Iris.preset("low"), GRID).values)
+    """The rule that wavelengths do not mix: forward, reverse,
+    and a difference of the whole model.
+    """
+    y = np.asarray(ij.reflectance(ij.Iris.of_level("low"), GRID).values)
     problem = ij.problem(ij.spectrum(GRID, y), free=list(PARAMETERS), solver=solver)
     z = jnp.asarray(np.random.default_rng(3).normal(size=10) * 0.3)
     forward = quick_jit(jax.jacfwd(problem.residuals))(z)
@@ -220,14 +226,14 @@ def test_slopes_agree_with_differences(solver):
 
 
 def test_spots_share_blood_but_not_melanin():
-    y = np.asarray(ij.reflectance(ij.Iris.preset("low"), GRID).values)
+    y = np.asarray(ij.reflectance(ij.Iris.of_level("low"), GRID).values)
     two = [ij.spectrum(GRID, y, name="a"), ij.spectrum(GRID, 0.5 * y, name="b")]
     problem = ij.problem(
-        two, free=["melanin_load", "hemoglobin"], separate=["melanin_load"], solver=ij.Exact(16)
+        two, free=["melanin_load", "hemoglobin"], separate=["melanin_load"], solver=ij.IlitExact(16)
     )
     assert problem.free == ("melanin_load@1", "melanin_load@2", "hemoglobin")
     z = jnp.asarray([0.5, -0.5, 0.2])
-    single = ij.problem(two[1], free=["melanin_load", "hemoglobin"], solver=ij.Exact(16))
+    single = ij.problem(two[1], free=["melanin_load", "hemoglobin"], solver=ij.IlitExact(16))
     np.testing.assert_allclose(problem.predict(z)[1], single.predict(z[1:])[0], rtol=1e-12)
     assert set(problem.reported(z)) >= {"melanin_load@1", "eumelanin@2"}
 

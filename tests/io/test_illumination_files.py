@@ -26,7 +26,9 @@ SCENE = Scene(Iris())
 
 @pytest.fixture
 def made(monkeypatch):
-    """Small invented tables, a different set each time, in place of true ones; what they were made of."""
+    """Small invented tables, a different set each time, in place of true ones; what they were made
+    of.
+    """
     calls = []
 
     def build(eye, *, caustics):

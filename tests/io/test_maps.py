@@ -1,4 +1,6 @@
-"""Maps in files: what is written comes back, F09's packing is understood, and wrong files are one line."""
+"""Maps in files: what is written comes back, F09's packing is understood, and wrong files are one
+line.
+"""
 
 import numpy as np
 import pytest

@@ -145,7 +145,9 @@ def test_posterior_file_opens_in_arviz(tmp_path):
 
 
 def test_predictive_score_is_the_mean_log_density(tmp_path):
-    """Where the posterior hardly varies, leaving one value out changes nothing: the sum of the log likelihoods."""
+    """Where the posterior hardly varies, leaving one value out changes nothing: the sum of the log
+    likelihoods.
+    """
     rng = np.random.default_rng(2)
     fixed = rng.normal(size=200)
     density = fixed + 1e-3 * rng.normal(size=(4, 500, 200))

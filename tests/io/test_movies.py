@@ -1,4 +1,6 @@
-"""Moving pictures: they decode to as many frames of the size and colours they were given, or nothing is written."""
+"""Moving pictures: they decode to as many frames of the size and colours they were given, or
+nothing is written.
+"""
 
 import numpy as np
 import pytest

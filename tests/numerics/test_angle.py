@@ -22,7 +22,9 @@ def test_as_numpy(dtype, error):
 
 @pytest.mark.parametrize("dtype", [np.float32, np.float64])
 def test_gradient_of_the_angle(dtype):
-    """Of the definition, x = r cos a and y = r sin a; on the diagonals too, where the polynomial changes branch."""
+    """Of the definition, x = r cos a and y = r sin a; on the diagonals too, where the polynomial
+    changes branch.
+    """
     angle = [*np.linspace(-3, 3, 25), np.pi / 4, -np.pi / 4, 3 * np.pi / 4, np.pi / 2]
     for a in angle:
         x, y = dtype(2 * np.cos(a)), dtype(2 * np.sin(a))

@@ -16,7 +16,9 @@ def rule_for(*critical, n=36, **options):
 
 
 def tanh_sinh(length):
-    """Double-exponential rule on [0, length]: an integrator with nothing in common with the one tested."""
+    """Double-exponential rule on [0, length]: an integrator with nothing in common with the one
+    tested.
+    """
     t = np.arange(-4.5, 4.5, 0.01)
     u = np.pi / 2 * np.sinh(t)
     return length / (1 + np.exp(-2 * u)), length * 0.01 * np.pi / 4 * np.cosh(t) / np.cosh(u) ** 2
@@ -91,7 +93,9 @@ media = st.floats(1.0, 3.0)
 
 @given(media, media, media)
 def test_weights_and_nodes(n, above, below):
-    """Whatever the three media are: flux is integrated exactly, and nodes and weights are in range."""
+    """Whatever the three media are: flux is integrated exactly,
+    and nodes and weights are in range.
+    """
     critical = [float(critical_cosine_squared(n, m)) for m in (above, below)]
     rule = rule_for(*critical)
     mu, w = np.asarray(rule.cosine), np.asarray(rule.weight)

@@ -88,7 +88,9 @@ def test_sampler_is_symmetric_and_bounded(name, bits):
 
 @pytest.mark.parametrize("name", NAMES)
 def test_sampled_distribution(name):
-    """Kolmogorov–Smirnov: n = 10⁶ and a fixed key; 1.95/√n is passed by one sample in a thousand."""
+    """Kolmogorov–Smirnov: n = 10⁶ and a fixed key; 1.95/√n is passed by one sample in a
+    thousand.
+    """
     n = 1_000_000
     cosine = PHASES[name].sample_cosine(jax.random.uniform(jax.random.key(7), (n,)))
     cdf = np.sort(distribution(name, np.arccos(np.asarray(cosine))))
@@ -125,7 +127,9 @@ def averaged_over_circle(power, a, b):
 @pytest.mark.parametrize("name", NAMES)
 @pytest.mark.parametrize("critical", [(), (0.18,), (0.18, 0.0007)])
 def test_redistribution_of_powers(name, critical):
-    """S(μ) = ½∫dα D(α) ⟨|μ'|^k⟩, the deflection integrated about the ray itself (no singular kernel)."""
+    """S(μ) = ½∫dα D(α) ⟨|μ'|^k⟩, the deflection integrated about the ray itself (no singular
+    kernel).
+    """
     mu, w, scatter = operator(name, critical, 36)
     live = w > 0
     for power in (0, 1, 4):
@@ -148,7 +152,9 @@ def test_redistribution_of_powers(name, critical):
 @pytest.mark.parametrize("name", NAMES)
 @pytest.mark.parametrize("critical", [(), (0.18,), (0.18, 0.0007)])
 def test_scattering_conserves(name, critical, bits):
-    """Half of all scattered light goes up, half goes down, to rounding and at any number of nodes."""
+    """Half of all scattered light goes up, half goes down, to rounding and at any number of
+    nodes.
+    """
     for n in (8, 36):
         mu, w, scatter = operator(name, critical, n, bits == 64)
         for f in (np.ones_like(mu), 2 * mu, np.exp(-0.3 / mu)):
@@ -160,7 +166,9 @@ def test_scattering_conserves(name, critical, bits):
 
 @pytest.mark.parametrize("name", NAMES)
 def test_kernel_is_symmetric(name):
-    """k(μ, μ') = k(μ', μ): a ray may be followed either way. Tested on smooth functions, ⟨g, Kf⟩ = ⟨f, Kg⟩."""
+    """k(μ, μ') = k(μ', μ): a ray may be followed either way. Tested on smooth functions, ⟨g, Kf⟩ =
+    ⟨f, Kg⟩.
+    """
     mu, w, scatter = operator(name, (), 36)
     f, g = np.exp(-0.2 * mu), mu**3
     one, other = (w * g) @ scatter @ f, (w * f) @ scatter @ g

@@ -50,7 +50,9 @@ def _film(size, **options):
 
 
 def _seen(cornea, size, first, last, samples):
-    """Points (x, y) of the iris in pixels `first` to `last` of `size` both ways, Mitsuba's and ours; which to compare."""
+    """Points (x, y) of the iris in pixels `first` to `last` of `size` both ways, Mitsuba's and
+    ours; which to compare.
+    """
     shapes, iris = cornea
     # The iris glows with its own coordinates, written into a texture by angle and radius.
     angle, radius = (
@@ -77,7 +79,8 @@ def _seen(cornea, size, first, last, samples):
     brightness = image[..., 2:]
     with np.errstate(invalid="ignore"):
         theirs = (image[..., :2] / brightness - 0.5) * 12
-    # Radiance falls by n² in each medium; any sample mirrored, or slipped between two triangles, shows here.
+    # Radiance falls by n² in each medium; any sample mirrored, or slipped between two triangles,
+    # shows here.
     whole = np.abs(brightness[..., 0] * 1.336**2 - 1) < 1e-3
 
     forward = (target - origin) / np.linalg.norm(target - origin)
@@ -117,7 +120,9 @@ def test_image_of_the_iris(cornea, first, last):
 
 
 def _lit(cornea, degrees, size, rays):
-    """Irradiance on the iris, (size rows y, size columns x) over ±5.5 mm, by Mitsuba's particle tracer."""
+    """Irradiance on the iris, (size rows y, size columns x) over ±5.5 mm, by Mitsuba's particle
+    tracer.
+    """
     shapes, _ = cornea
     flip = mi.ScalarTransform4f().translate([0, 0, DEPTH]).rotate([1, 0, 0], 180).scale(6)
     wall = {"type": "cylinder", "p0": [0, 0, 2.1643], "p1": [0, 0, DEPTH + 0.1], "radius": ROOT}
@@ -139,7 +144,9 @@ def _lit(cornea, degrees, size, rays):
 
 
 def _smooth(eye, degrees, size):
-    """Irradiance at the centres of a grid's cells by the search for entry points, and where these lie well inside."""
+    """Irradiance at the centres of a grid's cells by the search for entry points, and where these
+    lie well inside.
+    """
     line = (np.arange(size) + 0.5) * (2 * ROOT / size) - ROOT
     light = jnp.asarray(towards(np.radians(degrees)))
 
@@ -196,7 +203,8 @@ def test_caustic(cornea, degrees, request):
         )
     )[..., 2]
     power = [x.sum() * cell**2 for x in (theirs, ours)]
-    # Along the axis of symmetry, over a band 1.4 mm wide; between cells by the parabola through the highest three.
+    # Along the axis of symmetry, over a band 1.4 mm wide; between cells by the parabola through the
+    # highest three.
     profile = [x[size // 2 - 4 : size // 2 + 4].mean(0) for x in (theirs, ours)]
     ridge = []
     for p in profile:

@@ -86,7 +86,9 @@ def test_one_bright_texel_gives_one_light_there(towards):
 
 
 def test_sides():
-    """Columns right of the middle are to the right of who looks out of the eye, and left of who faces it."""
+    """Columns right of the middle are to the right of who looks out of the eye, and left of who
+    faces it.
+    """
     radiance = np.full((4, 8, 3), 0.0)
     radiance[1, 5] = 1.0  # up, and right of the middle
     x, y, z = Environment(radiance).to_lights(1).towards[0]

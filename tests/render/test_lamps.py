@@ -1,4 +1,6 @@
-"""Lamps that are near, and what lights the white: against rays traced in numpy, integrals, and formulae by hand."""
+"""Lamps that are near, and what lights the white: against rays traced in numpy, integrals, and
+formulae by hand.
+"""
 
 import dataclasses
 
@@ -26,7 +28,7 @@ from render.tracing import disc, soft_edge, trace
 CLEAR = Cornea(scatter=None)
 EYE = Eye(sclera=None, cornea=CLEAR)
 WHITE = Eye(cornea=CLEAR)
-IRIS = ij.Iris.preset("low")
+IRIS = ij.Iris.of_level("low")
 
 
 @pytest.fixture(scope="module")
@@ -83,7 +85,9 @@ def lit(lights, *of):
 
 
 def test_round_white_keeps_its_power():
-    """In an even room it has the room's radiance; far from the terminator it is a matt white, 3 % less bright."""
+    """In an even room it has the room's radiance; far from the terminator it is a matt white, 3 %
+    less bright.
+    """
     i = np.arange(4000) + 0.5
     polar, azimuth = np.arccos(1 - 2 * i / 4000), i * np.pi * (3 - np.sqrt(5))
     room = Lights.distant(polar, azimuth, 4 * np.pi / 4000)
@@ -111,7 +115,9 @@ def test_near_lamp_on_the_white():
 
 
 def test_near_lamp_is_mirrored_where_it_stands(tables):
-    """Where a line of sight, mirrored by hand on the cornea's conicoid, points at the lamp itself."""
+    """Where a line of sight, mirrored by hand on the cornea's conicoid,
+    points at the lamp itself.
+    """
     lamp, camera = np.array([15.0, 10.0, -40.0]), Camera(size=(240, 180), width=11.0)
     origin, d = (np.asarray(v) for v in camera.rays(WHITE))
     radius, p = float(CLEAR.anterior.radius), float(CLEAR.anterior.shape)
@@ -142,7 +148,9 @@ def test_near_lamp_is_mirrored_where_it_stands(tables):
 
 
 def test_white_in_an_even_room(tables):
-    """All of the room lights it, that behind the eye too: seen from the side where the iris is not lit from."""
+    """All of the room lights it, that behind the eye too: seen from the side where the iris is not
+    lit from.
+    """
     room = Environment(jnp.ones((32, 64, 3)))
     made = Scene(IRIS, eye=WHITE, lights=None, environment=room, environment_lights=200)
     made = made.replace(camera=Camera(polar=1.4, size=(24, 18), width=20.0))
@@ -160,7 +168,8 @@ def test_white_in_an_even_room(tables):
     back[seen[seen >= 0]] = np.flatnonzero(seen >= 0)
     matt = picture[1][index[whole]] - room_in_it[back[index[whole]]]
     green = matt / (1 - reflectance[whole])
-    # Reflectance times the room's radiance of 1; with 50 lights for the room 2 %, with 200 0.3, with 800 0.1.
+    # Reflectance times the room's radiance of 1; with 50 lights for the room 2 %, with 200 0.3,
+    # with 800 0.1.
     assert np.ptp(green) / green.mean() < 0.01
     weights = np.asarray(tristimulus_matrix(GRID, "linear sRGB", "D65")[0])[1]
     np.testing.assert_allclose(
@@ -172,7 +181,7 @@ def test_vessels_have_their_colours_of_81_wavelengths(tables):
     """The picture in RGB and the one of all wavelengths, weighed."""
     drawn = VeinMap(*(jnp.full((4, 4), v) for v in (0.035, 0.9, 0.3)))
     made = Scene(IRIS, eye=WHITE, veins=drawn, camera=Camera(polar=1.4, azimuth=0.3, size=(16, 12)))
-    made = made.replace(integrator=ij.Separable(solver=ij.Exact(4), degrees=(2, 2, 2, 2, 2)))
+    made = made.replace(integrator=ij.Separable(solver=ij.IlitExact(4), degrees=(2, 2, 2, 2, 2)))
     index = np.asarray(look(made.eye, made.camera).sclera.index)
     index = index[index >= 0]
     spectral = np.asarray(prepare(made, tables, wavelengths=GRID).base)[:, index]
@@ -185,7 +194,9 @@ def test_vessels_have_their_colours_of_81_wavelengths(tables):
 
 @pytest.mark.slow  # 15 s of searching another eye's table
 def test_cone_is_lit_alike_by_both_tables():
-    """Counted rays and searched ones at the angle where one gives way to the other; cells of a cone are longer."""
+    """Counted rays and searched ones at the angle where one gives way to the other; cells of a cone
+    are longer.
+    """
     eye = EYE.replace(iris_slope=0.3, iris_depth=3.8)
     size, extent = 65, 5.5
     counted = gathered(eye, jnp.asarray(UNIQUE_POLAR), Grid(size, jnp.asarray(extent)), 100_000)

@@ -1,4 +1,6 @@
-"""Refraction at the cornea against numpy's rays: entry points, laws, power, the textbook's pupil."""
+"""Refraction at the cornea against numpy's rays: entry points, laws, power,
+the textbook's pupil.
+"""
 
 import jax
 import jax.numpy as jnp
@@ -32,7 +34,9 @@ _AREAS = 2.75 * _WEIGHTS[:, None] * _R * (np.pi / 100)
 
 @jax.jit
 def _search(eye, targets, light):
-    """Arrivals by Newton's search; always of 40 targets, so that it is compiled once for each kind of eye."""
+    """Arrivals by Newton's search; always of 40 targets, so that it is compiled once for each kind
+    of eye.
+    """
     return jax.vmap(lambda t: arrive(eye, t, light, 0.9 * t, 20))(targets)
 
 
@@ -42,7 +46,9 @@ def tables():
 
 
 def test_table_finds_the_entry_points(tables):
-    """0.008 mm, a tenth of F09's, wherever light enters through the cornea and lands on the iris."""
+    """0.008 mm, a tenth of F09's, wherever light enters through the cornea and lands on the
+    iris.
+    """
     assert tables.entry.shape == (50, 50, 100, 2)
     rng = np.random.default_rng(1)
     k, _ = disc(5.5, 4000)
@@ -60,7 +66,9 @@ def test_table_finds_the_entry_points(tables):
 
 @EYES
 def test_snells_law_at_the_entry_found(eye):
-    """The ray that Newton's search finds obeys n sin θ = n' sin θ': numpy's up to the last surface (F09's only one)."""
+    """The ray that Newton's search finds obeys n sin θ = n' sin θ': numpy's up to the last surface
+    (F09's only one).
+    """
     light = towards(0.9)
     targets = jnp.asarray(disc(4.5, 40)[0])
     found = _search(eye, targets, jnp.asarray(light))
@@ -98,7 +106,9 @@ def test_rays_and_shares_are_numpys(eye, polar):
 
 @pytest.mark.parametrize(("depth", "textbook"), [(3.6, 1.131), (3.0, 1.107)])
 def test_paraxial_magnification_of_the_pupil(depth, textbook):
-    """One surface of index 1.336 magnifies what lies behind it by 1 / (1 − depth (n − 1) / (n R))."""
+    """One surface of index 1.336 magnifies what lies behind it by 1 / (1 − depth (n − 1) / (n
+    R)).
+    """
     eye = ONE_SURFACE.replace(iris_depth=depth)
     light = jnp.asarray([0.0, 0.0, -1.0])
     # A camera far away on the axis sees the pupil's edge where a ray parallel to the axis enters.
@@ -119,7 +129,9 @@ def let_in(eye, light):
 
 @pytest.mark.parametrize("polar", POLARS)
 def test_flux_vectors_keep_the_power(tables, polar):
-    """What enters lands on the iris (pupil counted) or beyond its root: irradiance integrated against rays."""
+    """What enters lands on the iris (pupil counted) or beyond its root: irradiance integrated
+    against rays.
+    """
     light = towards(polar)
     rays, power = let_in(DEFAULT, light)
     beyond = power[np.linalg.norm(rays.point[:, :2], axis=1) > 5.5].sum()
@@ -183,7 +195,9 @@ def test_light_from_behind_fades_out(illumination):
 
 @EYES
 def test_no_light_meets_the_cornea_from_inside(eye):
-    """Whatever enters, at any angle, meets the anterior conicoid again behind the limbus, where the cornea has ended."""
+    """Whatever enters, at any angle, meets the anterior conicoid again behind the limbus, where the
+    cornea has ended.
+    """
     index = float(eye.aqueous_index if eye.cornea.posterior is None else eye.cornea.index)
     radius, p = 7.8, 0.75
     r, theta, turn = np.meshgrid(

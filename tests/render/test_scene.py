@@ -1,4 +1,6 @@
-"""Pictures against the exact solver, hand-made optics and geometry; parts left out; derivatives; precision."""
+"""Pictures against the exact solver, hand-made optics and geometry; parts left out; derivatives;
+precision.
+"""
 
 import dataclasses
 
@@ -28,7 +30,7 @@ from irisjax.render.separable import Scales, Separable
 from irisjax.tissue.maps import IrisMaps, cell_centres
 from render.tracing import trace
 
-LIGHT = ij.Iris.preset("low")
+LIGHT = ij.Iris.of_level("low")
 CLEAR = Cornea(scatter=None)
 BARE, CLOSE = (
     Eye(cornea=None, sclera=None, pupil_radius=0.25),
@@ -36,7 +38,7 @@ BARE, CLOSE = (
 )
 SMALL = Camera(size=(12, 9), width=11.0)
 # A cheaper solver: the error of its quadrature is no matter of the picture's.
-QUICK = Separable(degrees=(5, 4, 2, 2, 3), solver=ij.Exact(8))
+QUICK = Separable(degrees=(5, 4, 2, 2, 3), solver=ij.IlitExact(8))
 
 
 @pytest.fixture(scope="module")
@@ -55,7 +57,9 @@ def scene(eye=BARE, polar=0.0, azimuth=0.0, irradiance=np.pi, **parts):
 
 
 def places(camera):
-    """Points (x, y) of the plane through the pupil that the pixels of a camera straight ahead aim at, mm."""
+    """Points (x, y) of the plane through the pupil that the pixels of a camera straight ahead aim
+    at, mm.
+    """
     (w, h), pitch = camera.size, float(camera.width) / camera.size[0]
     return np.meshgrid((np.arange(w) + 0.5 - w / 2) * pitch, -(np.arange(h) + 0.5 - h / 2) * pitch)
 
@@ -126,7 +130,8 @@ def test_through_a_cornea(tables):
     np.testing.assert_allclose((picture - mirrored)[row, column], expected, rtol=5e-3)
 
 
-# A stroma under an ABL so full of melanin that next to nothing comes back: what is left is the tear film's mirror.
+# A stroma under an ABL so full of melanin that next to nothing comes back: what is left is the tear
+# film's mirror.
 NO_LIGHT_BACK = IrisMaps(abl_thickness=np.full((4, 4), 50.0))
 
 
@@ -142,7 +147,9 @@ def test_mirrored_light_mirrored_picture(eye, tables):
 
 
 def test_rows_run_down_and_columns_right():
-    """A dome slopes outwards everywhere: light from the right is stronger on its right, from above at the top."""
+    """A dome slopes outwards everywhere: light from the right is stronger on its right, from above
+    at the top.
+    """
     slope, polar = 0.2, 0.5
     dome = IrisMaps(relief=ring(lambda x, y: 1 - slope * jnp.hypot(x, y)) - 0.5)
     x, y = places(SMALL)
@@ -159,7 +166,7 @@ def test_maps_lie_where_they_are_drawn():
     """Dark above and right, in the eye's frame: the viewer sees it above and right."""
     corner = IrisMaps(eumelanin=ring(lambda x, y: 1 + 5.0 * ((x > 0) & (y > 0))))
     picture = np.asarray(render(scene(maps=corner)))[..., 1]
-    six = ij.Iris.preset("low").replace(eumelanin=6 * float(LIGHT.eumelanin))
+    six = ij.Iris.of_level("low").replace(eumelanin=6 * float(LIGHT.eumelanin))
     light, dark = (np.asarray(render(scene(iris=i)))[..., 1] for i in (LIGHT, six))
     x, y = places(SMALL)
     seen = (np.hypot(x, y) < 5) & (np.hypot(x, y) > 1) & (np.minimum(abs(x), abs(y)) > 0.3)
@@ -398,7 +405,9 @@ def test_portions_change_nothing(monkeypatch, tables):
 
 
 def test_settings_of_this_thread_hold_for_all_pixels(monkeypatch, bits):
-    """The other precision, chosen by a `with`: threads that do not know of it would compute in theirs."""
+    """The other precision, chosen by a `with`: threads that do not know of it would compute in
+    theirs.
+    """
     monkeypatch.setattr(chunks, "_threads", lambda: 2)
     with jax.enable_x64(bits == 32):
         found = chunks.side_by_side(lambda share, shares: share + jnp.arange(3.0) / 3, chunks._FEW)
@@ -493,8 +502,8 @@ def test_single_precision(tables):
         maps = IrisMaps(stroma_thickness=ring(lambda x, y: 0.28 + 0.1 * jnp.sin(3 * x)))
         eye = Eye(sclera=None, cornea=Cornea(scatter=None), pupil_radius=0.25)
         made = Scene(
-            ij.Iris.preset("low"), maps, eye, Lights.distant(0.6, 2.0), camera=Camera(size=(24, 18)),
-            integrator=Separable(degrees=(5, 4, 2, 2, 3), solver=ij.Exact(8)),
+            ij.Iris.of_level("low"), maps, eye, Lights.distant(0.6, 2.0), camera=Camera(size=(24, 18)),
+            integrator=Separable(degrees=(5, 4, 2, 2, 3), solver=ij.IlitExact(8)),
         )  # fmt: skip
         return np.asarray(render(made, cast))
 

@@ -66,7 +66,9 @@ def test_order_is_static_for_concrete_indices():
 
 
 def test_order_survives_replacing_other_fields_inside_a_program():
-    """Else every critical angle would be compiled for, and gradients of pigments would be many times slower."""
+    """Else every critical angle would be compiled for, and gradients of pigments would be many
+    times slower.
+    """
     orders = []
 
     @jax.jit

@@ -14,9 +14,8 @@ import irisjax as ij
 GRID = (420.0, 450.0, 550.0, 700.0)
 ANALOG = {
     "printed": ij.ILIT_2006,
-    "retest": ij.Process(phase="rayleigh", rescatter="retest"),
-    "redrawn": ij.Process(perturb_on_reflection=True),
-    "spheres": ij.Process(scattering="rayleigh-spheres"),
+    "retest": ij.Ilit(phase="rayleigh", rescatter="retest"),
+    "redrawn": ij.Ilit(perturb_on_reflection=True),
     "depth-resolved": ij.DEPTH_RESOLVED,
 }
 FATES = ("values", "mirrored", "abl", "stroma", "ipe")
@@ -29,7 +28,8 @@ def shares(m):
 @pytest.mark.parametrize("level", ["low", "high"])
 @pytest.mark.parametrize("name", ANALOG)
 def test_analog_agrees_with_exact(name, level):
-    iris, n = ij.Iris.preset(level), 400_000
+    scattering = "rayleigh-spheres" if name == "retest" else "lb06"
+    iris, n = ij.Iris.of_level(level).replace(scattering=scattering), 400_000
     settings = {"process": ANALOG[name], "cos_incidence": 0.7, "first_surface": False}
     exact = shares(ij.reflectance(iris, GRID, **settings))
     found = shares(
@@ -41,10 +41,10 @@ def test_analog_agrees_with_exact(name, level):
     np.testing.assert_allclose(found.sum(0), 1, atol=1e-12)
 
 
-@pytest.mark.parametrize("estimator", ["weighted", "quasi"])
+@pytest.mark.parametrize("quasi", [False, True])
 @pytest.mark.parametrize("name", ["printed", "retest"])
-def test_expected_values_agree_with_exact(name, estimator):
-    iris, process = ij.Iris.preset("low"), ANALOG[name]
+def test_expected_values_agree_with_exact(name, quasi):
+    iris, process = ij.Iris.of_level("low"), ANALOG[name]
     exact = ij.reflectance(iris, GRID, process=process, first_surface=False)
     runs = [
         ij.reflectance(
@@ -52,7 +52,7 @@ def test_expected_values_agree_with_exact(name, estimator):
             GRID,
             process=process,
             first_surface=False,
-            solver=ij.MonteCarlo(16_384, estimator),
+            solver=ij.IlitWeighted(16_384, quasi),
             key=key,
         )
         for key in jax.random.split(jax.random.key(5), 12)
@@ -61,26 +61,27 @@ def test_expected_values_agree_with_exact(name, estimator):
     claimed = np.sqrt(np.mean([np.asarray(m.standard_error) ** 2 for m in runs], axis=0))
     z = (values.mean(0) - exact.values) / (claimed / np.sqrt(len(runs)))
     assert np.abs(z).max() < 4
-    # The scatter of independent runs is what they claim: χ² with 11 degrees of freedom, 0.1 % either way.
+    # The scatter of independent runs is what they claim: χ² with 11 degrees of freedom, 0.1 %
+    # either way.
     ratio = values.var(0, ddof=1) / claimed**2
     assert (ratio > 1.8 / 11).all() and (ratio < 31.3 / 11).all()
 
 
 def test_quasi_beats_weighted():
-    iris = ij.Iris.preset("high")
+    iris = ij.Iris.of_level("high")
     error = {
-        e: float(
+        quasi: float(
             ij.reflectance(
-                iris, GRID, solver=ij.MonteCarlo(16_384, e), key=jax.random.key(0)
+                iris, GRID, solver=ij.IlitWeighted(16_384, quasi), key=jax.random.key(0)
             ).standard_error.max()
         )
-        for e in ("weighted", "quasi")
+        for quasi in (False, True)
     }
-    assert error["quasi"] < 0.7 * error["weighted"]
+    assert error[True] < 0.7 * error[False]
 
 
 def test_standard_error_is_binomial_and_never_none():
-    black = ij.Iris.preset("high").replace(melanin_load=1e4, abl_fraction=1.0, aqueous_index=1.473)
+    black = ij.Iris.of_level("high").replace(melanin_load=1e4, abl_fraction=1.0)
     m = ij.reflectance(
         black, [450.0], solver=ij.MonteCarlo(1000), key=jax.random.key(0), first_surface=False
     )
@@ -88,9 +89,12 @@ def test_standard_error_is_binomial_and_never_none():
     assert m.standard_error[0] > 1e-4
 
 
-@pytest.mark.parametrize("estimator", ["analog", "weighted", "quasi"])
-def test_equal_keys_give_equal_bytes(estimator):
-    iris, solver = ij.Iris.preset("low"), ij.MonteCarlo(2_000, estimator)
+SAMPLERS = [ij.MonteCarlo(2_000), ij.IlitWeighted(2_000), ij.IlitWeighted(2_000, quasi=True)]
+
+
+@pytest.mark.parametrize("solver", SAMPLERS, ids=["analog", "weighted", "quasi"])
+def test_equal_keys_give_equal_bytes(solver):
+    iris = ij.Iris.of_level("low")
     a, b, c = (ij.reflectance(iris, GRID, solver=solver, key=jax.random.key(s)) for s in (7, 7, 8))
     assert np.asarray(a.values).tobytes() == np.asarray(b.values).tobytes()
     assert np.asarray(a.values).tobytes() != np.asarray(c.values).tobytes()
@@ -98,7 +102,7 @@ def test_equal_keys_give_equal_bytes(estimator):
 
 @pytest.mark.parametrize("name", ["printed", "depth-resolved"])
 def test_lanes_and_blocks_do_not_change_a_photon(name):
-    iris, key, process = ij.Iris.preset("low"), jax.random.key(3), ANALOG[name]
+    iris, key, process = ij.Iris.of_level("low"), jax.random.key(3), ANALOG[name]
     layers = iris.layers(ij.extinction(np.array(GRID)))
     solver = ij.MonteCarlo(5_000)
     whole = solver.count(layers, process, 1.0, key=key)
@@ -113,7 +117,7 @@ def test_lanes_and_blocks_do_not_change_a_photon(name):
 
 
 def test_rays_follow_the_illuminant():
-    iris, solver, key = ij.Iris.preset("low"), ij.MonteCarlo(100_000), jax.random.key(0)
+    iris, solver, key = ij.Iris.of_level("low"), ij.MonteCarlo(100_000), jax.random.key(0)
     exact = ij.radiance(iris, GRID, illuminant="A")
     found = ij.radiance(iris, GRID, illuminant="A", solver=solver, key=key)
     assert np.abs((found.values - exact.values) / found.standard_error).max() < 4
@@ -125,7 +129,7 @@ def test_rays_follow_the_illuminant():
 
 
 def test_brdf_counts_cells():
-    iris = ij.Iris.preset("low")
+    iris = ij.Iris.of_level("low")
     cosine = np.linspace(0.05, 0.95, 10)  # cells of width 0.1
     found = ij.brdf(
         iris, [550.0], cos_exit=cosine, solver=ij.MonteCarlo(1_000_000), key=jax.random.key(2)
@@ -142,7 +146,7 @@ def test_works_under_jit_and_vmap():
 
     def spectrum(eumelanin, key):
         return ij.reflectance(
-            ij.Iris.preset("low").replace(eumelanin=eumelanin), GRID, solver=solver, key=key
+            ij.Iris.of_level("low").replace(eumelanin=eumelanin), GRID, solver=solver, key=key
         ).values
 
     keys = jax.random.split(key, 2)
@@ -151,7 +155,7 @@ def test_works_under_jit_and_vmap():
 
 
 def test_invalid_layers_end_at_once():
-    iris = ij.Iris.preset("low")
+    iris = ij.Iris.of_level("low")
 
     def status(c):
         m = ij.reflectance(
@@ -169,30 +173,29 @@ def test_invalid_layers_end_at_once():
         ({"n_photons": 0}, "n_photons = 0 is outside"),
         ({"n_photons": -3}, "outside"),
         ({"n_photons": 2**31}, "outside"),
-        ({"n_photons": 10, "estimator": "best"}, "analog.*weighted.*quasi"),
         ({"n_photons": 10, "lanes": 3}, "lanes"),
     ],
 )
 def test_wrong_settings_are_named(settings, message):
-    # Under the tests' run-time type checks a name that is not known fails before it reaches our own.
+    # Under the tests' run-time type checks a name that is not known fails before it reaches our
+    # own.
     with pytest.raises((ValueError, jaxtyping.TypeCheckError), match=message):
         ij.MonteCarlo(**settings)
 
 
 def test_what_is_not_offered_is_said():
-    iris, key = ij.Iris.preset("low"), jax.random.key(0)
+    iris, key = ij.Iris.of_level("low"), jax.random.key(0)
     with pytest.raises(ValueError, match="needs a key"):
         ij.reflectance(iris, GRID, solver=ij.MonteCarlo(10))
-    with pytest.raises(ValueError, match="use estimator"):
-        ij.reflectance(
-            iris, GRID, solver=ij.MonteCarlo(10, "weighted"), process=ij.DEPTH_RESOLVED, key=key
-        )
-    with pytest.raises(ValueError, match="use Exact"):
+    redrawn = ij.Ilit(perturb_on_reflection=True)
+    with pytest.raises(ValueError, match="without perturb_on_reflection; use MonteCarlo"):
+        ij.reflectance(iris, GRID, solver=ij.IlitWeighted(10), process=redrawn, key=key)
+    with pytest.raises(ValueError, match="use RadiativeExact"):
         ij.brdf(
             iris, GRID, cos_exit=0.5, solver=ij.MonteCarlo(10), process=ij.DEPTH_RESOLVED, key=key
         )
-    with pytest.raises(ValueError, match="analog"):
-        ij.brdf(iris, GRID, cos_exit=0.5, solver=ij.MonteCarlo(10, "quasi"), key=key)
+    with pytest.raises(ValueError, match="needs MonteCarlo"):
+        ij.brdf(iris, GRID, cos_exit=0.5, solver=ij.IlitWeighted(10, quasi=True), key=key)
 
 
 _PROGRAM = """
@@ -200,9 +203,10 @@ import sys, jax
 if sys.argv[1] != "-":
     jax.distributed.initialize(sys.argv[1], int(sys.argv[2]), int(sys.argv[3]))
 import numpy as np, irisjax as ij
-layers = ij.Iris.preset("low").layers(ij.extinction(np.array([450.0, 550.0])))
+layers = ij.Iris.of_level("low").layers(ij.extinction(np.array([450.0, 550.0])))
 for process in (ij.ILIT_2006, ij.DEPTH_RESOLVED):
-    counts = ij.MonteCarlo(20_000).count(layers, process, 1.0, key=jax.random.key(3))
+    solver = ij.MonteCarlo(20_000, mesh=ij.photon_mesh())
+    counts = solver.count(layers, process, 1.0, key=jax.random.key(3))
     print("counts", len(jax.devices()), np.asarray(counts.fates).ravel().tolist())
 """
 

@@ -1,3 +1,4 @@
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -9,15 +10,17 @@ from irisjax.transport.process import PROCESSES, attenuation, entry_density, sam
 
 
 def test_presets():
-    assert ij.ILIT_2006.describe() == {
-        "transport": "whole-layer", "phase": "lb06", "rescatter": "to-interface", "perturb_on_reflection": False,
-        "scattering": "lb06", "cornea": "auto", "first_surface": True,
-    }  # fmt: skip
-    assert ij.ILIT_CORRECTED.describe() == {**ij.ILIT_2006.describe(), "phase": "rayleigh"}
-    assert ij.DEPTH_RESOLVED.depth_resolved
-    assert not ij.ILIT_CORRECTED.depth_resolved
+    printed = {"phase": "lb06", "rescatter": "to-interface", "perturb_on_reflection": False}
+    assert ij.ILIT_2006.describe() == printed
+    assert ij.ILIT_CORRECTED.describe() == {**printed, "phase": "rayleigh"}
+    assert ij.DEPTH_RESOLVED.describe() == {}
+    assert (ij.ILIT_2006.transport, ij.DEPTH_RESOLVED.transport) == (
+        "whole-layer",
+        "depth-resolved",
+    )
     assert set(PROCESSES) == {"ilit-2006", "ilit-corrected", "depth-resolved"}
     assert ij.ILIT_CORRECTED.phase_function is PHASES["rayleigh"]
+    assert ij.DEPTH_RESOLVED.phase_function is PHASES["rayleigh"]
 
 
 @pytest.mark.parametrize(
@@ -25,31 +28,29 @@ def test_presets():
     [
         ("phase", "isotropic", "phase = 'isotropic'; known: lb06, rayleigh"),
         ("rescatter", "again", "rescatter = 'again'; known: to-interface, retest"),
-        ("scattering", "mie", "scattering = 'mie'; known: lb06, rayleigh-spheres"),
-        ("cornea", "outward", "cornea = 'outward'; known: none, inward, round-trip"),
-        ("transport", "diffusion", "transport = 'diffusion'; known: whole-layer, depth-resolved"),
     ],
 )
 def test_unknown_switch(switch, value, message):
     # The runtime types of the test suite are stricter than the check itself: look below them.
-    process = object.__new__(ij.Process)
-    for name in (
-        "phase",
-        "rescatter",
-        "perturb_on_reflection",
-        "scattering",
-        "cornea",
-        "first_surface",
-        "transport",
-    ):
+    process = object.__new__(ij.Ilit)
+    for name in ij.ILIT_2006.describe():
         object.__setattr__(process, name, value if name == switch else getattr(ij.ILIT_2006, name))
     with pytest.raises(ValueError, match=message):
-        ij.Process.__check_init__(process)
+        ij.Ilit.__check_init__(process)
 
 
-def test_depth_resolved_is_rayleigh_only():
-    with pytest.raises(ValueError, match='takes phase="rayleigh" only'):
-        ij.Process(transport="depth-resolved")
+@pytest.mark.parametrize(
+    ("solver", "process"),
+    [
+        (ij.IlitExact(8), ij.DEPTH_RESOLVED),
+        (ij.RadiativeExact(8), ij.ILIT_2006),
+        (ij.IlitWeighted(16), ij.DEPTH_RESOLVED),
+    ],
+)
+def test_a_solver_names_the_processes_it_treats(solver, process):
+    name = type(solver).__name__
+    with pytest.raises(ValueError, match=rf"{name} treats \w+ processes, not \w+"):
+        ij.reflectance(ij.Iris(), [450.0], solver=solver, process=process, key=jax.random.key(0))
 
 
 def test_entry_is_cosine_distributed():

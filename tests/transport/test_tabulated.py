@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 import irisjax as ij
 from common import GRID, PROCESSES
 
-FINE = ij.Exact(n_angles=64)
+FINE = ij.IlitExact(n_angles=64)
 FIELDS = (
     "eumelanin",
     "pheomelanin",
@@ -25,7 +25,7 @@ FIELDS = (
 @jax.jit
 def both(iris, tables):
     def values(solver):
-        r = ij.reflectance(iris, GRID, solver=solver, raise_on_failure=False)
+        r = ij.reflectance(iris, GRID, solver=solver, throw=False)
         return r.values, r.absorbed, r.status
 
     return values(tables), values(FINE)
@@ -42,11 +42,12 @@ positive = st.floats(0, 3)
 @given(positive, positive, st.floats(0, 1), positive, positive, st.floats(0, 0.3), st.floats(0, 2))
 def test_matches_exact(tabulated, eumelanin, pheomelanin, fraction, blood, lutein, abl, stroma):
     values = (eumelanin, pheomelanin, fraction, blood, lutein, abl, stroma)
-    iris = ij.Iris.preset("low").replace(
+    iris = ij.Iris.of_level("low").replace(
         **{n: jnp.asarray(v) for n, v in zip(FIELDS, values, strict=True)}
     )
     (found, absorbed, status), (exact, exact_absorbed, _) = both(iris, tabulated)
-    # A reflectance joins four layer functions, each with a partial derivative of at most one here, twice over.
+    # A reflectance joins four layer functions, each with a partial derivative of at most one here,
+    # twice over.
     tolerance = 8 * tabulated.error
     np.testing.assert_allclose(found, exact, rtol=0, atol=tolerance)
     for name in ("abl", "stroma", "ipe"):
@@ -56,26 +57,28 @@ def test_matches_exact(tabulated, eumelanin, pheomelanin, fraction, blood, lutei
     assert bool(status == ij.RESULTS.successful)
 
 
-@pytest.mark.parametrize("name", ["rayleigh", "lb06-retest", "lb06-redrawn", "depth-resolved"])
+@pytest.mark.parametrize("name", ["rayleigh", "lb06-retest", "lb06-redrawn"])
 def test_wrong_process(tabulated, name):
     with pytest.raises(ValueError, match=r"the tables were built for \w+="):
         ij.reflectance(ij.Iris(), GRID, solver=tabulated, process=PROCESSES[name])
 
 
 def test_depth_resolved_cannot_be_tabulated():
-    with pytest.raises(ValueError, match="depth-resolved transport cannot be tabulated"):
-        ij.Tabulated.build(process=ij.DEPTH_RESOLVED)
+    with pytest.raises(
+        ValueError, match="IlitTabulated treats Ilit processes, not RadiativeTransfer"
+    ):
+        ij.IlitTabulated.build(process=ij.DEPTH_RESOLVED)
 
 
 def test_too_small_tables_are_refused():
     with pytest.raises(ValueError, match=r"are tabulated to .* only, not to 1.0e-11"):
-        ij.Tabulated.build(process=ij.ILIT_CORRECTED, n_intervals=8)
+        ij.IlitTabulated.build(process=ij.ILIT_CORRECTED, n_intervals=8)
 
 
 def test_other_indices(tabulated):
     other = ij.Iris(ipe_index=1.51)
     assert bool(
-        ij.reflectance(other, GRID, solver=tabulated, raise_on_failure=False).status
+        ij.reflectance(other, GRID, solver=tabulated, throw=False).status
         == ij.RESULTS.outside_table
     )
     with pytest.raises(ValueError, match="outside the range the table was built for"):
@@ -83,7 +86,7 @@ def test_other_indices(tabulated):
 
 
 def test_gradients_match_exact(tabulated):
-    iris = ij.Iris.preset("low")
+    iris = ij.Iris.of_level("low")
 
     def slopes(solver):
         def f(x):
@@ -94,12 +97,13 @@ def test_gradients_match_exact(tabulated):
 
     exact = np.asarray(slopes(FINE))
     scale = np.abs(exact).max(0)
-    # Differentiating polynomials of degree 5 costs about the inverse of an interval's relative width, 1/0.05, a few times.
+    # Differentiating polynomials of degree 5 costs about the inverse of an interval's relative
+    # width, 1/0.05, a few times.
     np.testing.assert_allclose(slopes(tabulated) / scale, exact / scale, rtol=0, atol=1e-8)
 
 
 def test_incidence_and_brdf(tabulated):
-    iris, exits = ij.Iris.preset("moderate"), np.array([0.2, 0.6, 1.0])
+    iris, exits = ij.Iris.of_level("moderate"), np.array([0.2, 0.6, 1.0])
     for cosine in (1.0, 0.2):
         found = ij.brdf(iris, GRID, cos_incidence=cosine, cos_exit=exits, solver=tabulated).values
         exact = ij.brdf(iris, GRID, cos_incidence=cosine, cos_exit=exits, solver=FINE).values
@@ -107,8 +111,8 @@ def test_incidence_and_brdf(tabulated):
 
 
 def test_single_precision(float32):
-    tables = ij.Tabulated.build(process=ij.ILIT_CORRECTED)
-    iris = ij.Iris.preset("low")
+    tables = ij.IlitTabulated.build(process=ij.ILIT_CORRECTED)
+    iris = ij.Iris.of_level("low")
     found = ij.reflectance(iris, GRID, solver=tables, process=ij.ILIT_CORRECTED).values
     exact = ij.reflectance(iris, GRID, process=ij.ILIT_CORRECTED).values
     assert found.dtype == np.float32

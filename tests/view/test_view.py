@@ -1,4 +1,6 @@
-"""The viewer: a change recomputes what it must and no more, and the page in a browser follows its sliders."""
+"""The viewer: a change recomputes what it must and no more, and the page in a browser follows its
+sliders.
+"""
 
 import contextlib
 import dataclasses
