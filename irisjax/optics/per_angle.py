@@ -10,6 +10,7 @@ nodes of that integration lie at fixed x, so that only the kernel depends on whe
 """
 
 import functools
+import itertools
 from typing import Any, NamedTuple
 
 import jax
@@ -57,10 +58,9 @@ def averaged_kernel(mu, other, sine_square, other_sine_square, difference, xp: A
     a, b = mu * other, xp.sqrt(sine_square * other_sine_square)
     beside, across = 1 - a + b, 1 + a + b
     ahead, behind = (difference / (mu + other)) ** 2 / beside, (mu + other) ** 2 / across
-    mild = 0.0
-    for h, w in zip(*_azimuths(xp.finfo(b.dtype).bits), strict=True):
-        t = h * b
-        mild += w * (xp.sqrt((ahead + t) * (across - t)) + xp.sqrt((beside - t) * (behind + t)))
+    h, w = (xp.asarray(v, b.dtype) for v in _azimuths(xp.finfo(b.dtype).bits))
+    t = h[:, None] * b
+    mild = w @ (xp.sqrt((ahead + t) * (across - t)) + xp.sqrt((beside - t) * (behind + t)))
     return (4 * np.pi / larger - 2 * mild) / (3 * np.pi**2)
 
 
@@ -68,42 +68,54 @@ _AGM_STEPS = 8  # to rounding, from a ratio of 1e-12 on
 
 
 @functools.cache
-def _azimuths(bits: int) -> tuple[list[float], list[float]]:
+def _azimuths(bits: int) -> tuple[np.ndarray, np.ndarray]:
     """1 − cos φ and weights of ∫ dφ from 0 to π/2, to 1e-12 (1e-8 in single precision)."""
     x, w = gauss_legendre(18 if bits == 64 else 12)
     g, slope = graded(x, 0.0, np)
-    return (2 * np.sin(np.pi / 4 * g) ** 2).tolist(), (np.pi / 2 * w * slope).tolist()
+    return 2 * np.sin(np.pi / 4 * g) ** 2, np.pi / 2 * w * slope
 
 
 def _product_integrated(starts, widths, m: int, xp: Any):
     """The operator of panels with `m` nodes each."""
-    panels, lagrange = starts.shape[0], _lagrange(m)
+    panels, dtype, lagrange = starts.shape[0], starts.dtype, _lagrange(m)
     x = gauss_legendre(m)[0][:, None]
-    blocks = [[None] * panels for _ in range(panels)]
-    own = []
-    for a in range(panels):
-        target = _places(starts, widths, a, x, 1 - x, xp)
-        p = _around(m, first=a == 0)
-        source = _places(starts, widths, a, p.x, p.rest, xp)
-        rise = graded_rise(*(xp.asarray(v, starts.dtype) for v in (x, p.x, p.step)), starts[a], xp)
-        difference = widths[a] * xp.abs(rise) * (source.g + target.g)
-        own.append(_against(target, source, difference, xp) * xp.asarray(p.weight, starts.dtype))
-        for b in range(panels):
-            if a == b:
-                continue
-            p = _above(m) if b > a else _below(m, first=b == 0)
-            source = _places(starts, widths, b, p.x, p.rest, xp)
+    targets = [_places(starts, widths, a, x, 1 - x, xp) for a in range(panels)]
+    pairs, measures = [], []
+    for a, b in itertools.product(range(panels), repeat=2):
+        target, p = targets[a], _points(m, a, b)
+        source = _places(starts, widths, b, p.x, p.rest, xp)
+        if a == b:
+            rise = graded_rise(*(xp.asarray(v, dtype) for v in (x, p.x, p.step)), starts[a], xp)
+            difference = widths[a] * xp.abs(rise) * (source.g + target.g)
+        else:
             lower, upper = (target, source) if b > a else (source, target)
-            gap = widths[min(a, b) + 1 : max(a, b)].sum()
-            v = _against(target, source, gap + lower.to_end + upper.from_start, xp)
-            blocks[a][b] = v @ xp.asarray(
-                p.weight[:, None] * (_legendre(p.x, m) @ lagrange), v.dtype
+            between = widths[min(a, b) + 1 : max(a, b)].sum()
+            difference = between + lower.to_end + upper.from_start
+        pairs.append(
+            xp.broadcast_arrays(
+                target.cosine, source.cosine, target.sine_square, source.sine_square, difference
             )
-    points = np.stack([_around(m, first=a == 0).x for a in range(panels)])
-    moments = _moments(xp.stack(own), points, m, xp) @ xp.asarray(lagrange, starts.dtype)
+        )
+        measures.append(source.slope * xp.asarray(p.weight, dtype))
+    # All pairs in one call: the program is compiled once, not for each pair of panels.
+    k = averaged_kernel(
+        *(xp.concatenate([v.ravel() for v in v]) for v in zip(*pairs, strict=True)), xp
+    )
+    ends = np.cumsum([pair[0].size for pair in pairs])[:-1]
+    found = [
+        v.reshape(pair[0].shape) * measure
+        for v, pair, measure in zip(xp.split(k, ends), pairs, measures, strict=True)
+    ]
+    own = np.stack([_points(m, a, a).x for a in range(panels)])
+    moments = _moments(xp.stack(found[:: panels + 1]), own, m, xp)
+    rows = []
     for a in range(panels):
-        blocks[a][a] = moments[a]
-    return xp.concatenate([xp.concatenate(row, axis=1) for row in blocks])
+        along = [
+            moments[a] if a == b else found[a * panels + b] @ _at(_points(m, a, b).x, m, dtype, xp)
+            for b in range(panels)
+        ]
+        rows.append(xp.stack(along, axis=1) @ xp.asarray(lagrange, dtype))
+    return xp.concatenate(rows).reshape(panels * m, panels * m)
 
 
 class _Places(NamedTuple):
@@ -135,13 +147,6 @@ def _places(starts, widths, panel: int, x, rest, xp) -> _Places:
     )
 
 
-def _against(target: _Places, source: _Places, difference, xp):
-    """k dμ'/dx, shape (targets, sources)."""
-    return source.slope * averaged_kernel(
-        target.cosine, source.cosine, target.sine_square, source.sine_square, difference, xp
-    )
-
-
 class _Points(NamedTuple):
     """Nodes and weights of ∫₀¹ dx that resolve a logarithm: x, 1 − x, and x less the target's."""
 
@@ -152,10 +157,14 @@ class _Points(NamedTuple):
 
 
 @functools.lru_cache(maxsize=64)
-def _around(m: int, first: bool) -> _Points:
-    """For the target at each of `m` nodes, shape (m, points)."""
+def _points(m: int, target: int, source: int) -> _Points:
+    """In panel `source` for the `m` targets of panel `target`; one row a target where they agree."""
+    up, low = _dense_at_start(m + 24), _dense_at_end(m // 2 + 26, source == 0)
+    if target < source:
+        return up
+    if target > source:
+        return low
     at = gauss_legendre(m)[0][:, None]
-    up, low = _above(m), _below(m, first)
     return _Points(
         np.concatenate([at * low.x, at + (1 - at) * up.x], 1),
         np.concatenate([(1 - at) + at * low.rest, (1 - at) * up.rest], 1),
@@ -164,33 +173,29 @@ def _around(m: int, first: bool) -> _Points:
     )
 
 
-@functools.lru_cache(maxsize=64)
-def _above(m: int) -> _Points:
-    """For targets below x = 0."""
-    return _dense_at_start(m + 24)
-
-
-@functools.lru_cache(maxsize=64)
-def _below(m: int, first: bool) -> _Points:
-    """For targets above x = 1. Near x = 0 a panel that does not start at 0 is steep as well."""
-    half = m // 2 + 26
-    p = _dense_at_start(2 * half if first else half)
-    if first:
-        return _Points(p.rest[::-1], p.x[::-1], p.weight[::-1], p.step)
-    halves = np.concatenate([p.x / 2, 1 - p.x[::-1] / 2])
-    weight = np.concatenate([p.weight, p.weight[::-1]]) / 2
-    return _Points(halves, np.concatenate([1 - p.x / 2, p.x[::-1] / 2]), weight, halves)
-
-
 def _dense_at_start(n: int) -> _Points:
     # t⁴: what is left of the logarithm, t³ ln t, Gauss's rule integrates with an error of n⁻⁸.
     t, w = gauss_legendre(n)
     return _Points(t**4, -np.expm1(4 * np.log(t)), 4 * t**3 * w, t**4)
 
 
+def _dense_at_end(half: int, first: bool) -> _Points:
+    """Twice `half` points. A panel that does not start at μ = 0 may be steep at its start as well."""
+    p = _dense_at_start(2 * half if first else half)
+    x, rest, weight = p.rest[::-1], p.x[::-1], p.weight[::-1]
+    if not first:
+        x, rest = np.concatenate([p.x / 2, 1 - rest / 2]), np.concatenate([1 - p.x / 2, rest / 2])
+        weight = np.concatenate([p.weight, weight]) / 2
+    return _Points(x, rest, weight, -rest)
+
+
 def _legendre(x, m: int):
     """Legendre polynomials on [0, 1] of degree below `m`, shape (points, m)."""
     return np.polynomial.legendre.legvander(2 * x - 1, m - 1)
+
+
+def _at(x, m: int, dtype, xp):
+    return xp.asarray(_legendre(x, m), dtype)
 
 
 @functools.lru_cache(maxsize=64)
