@@ -1,24 +1,25 @@
-"""Cosine quadrature for layered media.
+"""Quadrature over [0, 1] of functions with square-root kinks at given places and the factor exp(−τ/μ).
 
-Integrands of plane-parallel transport have two troubles: square-root kinks at critical angles and
-the factor exp(−τ/μ), flat to all orders at grazing. `cosine_rule` splits [0, 1] at the critical
-cosines and takes, in each panel [a, b], the variable ν = √(μ² − a²), which is the cosine on the
-*other* side of the interface up to a constant and removes the kink; ν is graded exponentially
-towards grazing.
+exp(−τ/μ) is flat to all orders at μ = 0, and a kink √(μ² − b²) has an infinite slope at its break
+point b. `cosine_rule` splits [0, 1] at the break points and takes, in each panel [a, b], the
+variable ν = √(μ² − a²), which removes the kink; ν is graded exponentially towards 0 where a panel
+starts near 0.
 """
 
+import functools
+import math
+import operator
 from functools import lru_cache
 from typing import TYPE_CHECKING, TypeAlias
 
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
-# Grading of a panel that starts at grazing; found by a scan over maps and optical depths 1e-4 to
-# 30.
+# Grading of a panel that starts at 0; found by a scan over maps and depths τ from 1e-4 to 30.
 _GRADING = 3.0
-# Squared cosine at which a panel's start counts as far from grazing, where no grading is wanted.
+# μ² at which a panel's start counts as far from 0, where no grading is wanted.
 _FAR = 0.05
 
 if TYPE_CHECKING:
@@ -30,13 +31,17 @@ else:
 class CosineRule(eqx.Module):
     """Nodes and weights for ∫₀¹ f(μ) dμ.
 
+    The panels there are share the nodes evenly: a break point that does not exist costs no
+    accuracy.
+
     **Fields:**
 
     - `cosine`: nodes μ, shape (n,), increasing.
-    - `weight`: weights, shape (n,), summing to 1 (less the guided part where that is left out).
-    - `excess`: μ² − c_k² for each critical c_k² handed in, shape (k, n), free of cancellation.
-    - `omitted`: ∫ 2μ dμ over what was left out (the guided panel), 0 otherwise.
-    - `starts`, `widths`: μ² at each panel's start and its extent in μ², shape (panels,).
+    - `weight`: weights, shape (n,), summing to 1 (less the first panel where that is left out).
+    - `excess`: μ² − b_k² for each b_k² handed in, shape (k, n), free of cancellation.
+    - `omitted`: ∫ 2μ dμ over what was left out, 0 otherwise.
+    - `starts`, `widths`: μ² at each panel's start and its extent in μ², shape (most panels,).
+    - `panels`: how many panels there are; further ones have width 0 and no nodes.
     """
 
     cosine: Float[AnyArray, " n"]
@@ -45,10 +50,11 @@ class CosineRule(eqx.Module):
     omitted: Float[AnyArray, ""]
     starts: Float[AnyArray, " panels"]
     widths: Float[AnyArray, " panels"]
+    panels: Int[AnyArray, ""]
 
     @property
-    def n_panels(self) -> int:
-        """Number of panels, empty ones included."""
+    def most_panels(self) -> int:
+        """Number of panels there can be."""
         return self.starts.shape[0]
 
 
@@ -74,97 +80,112 @@ def conserving(rule: CosineRule) -> CosineRule:
 
 
 def graded(x, start_squared, xp=jnp):
-    """Map [0, 1] onto itself, dense near 0 if the panel starts near grazing; returns value and
-    slope.
+    """Map [0, 1] onto itself, dense near 0 if the panel starts near 0; returns value and slope.
 
-    g(x) = (e^{κy} − 1)/(e^κ − 1), y = (1−β)x² + βx, κ = 3(1−β) + β, β → 1 away from grazing.
+    g(x) = (e^{κy} − 1)/(e^κ − 1), y = (1−β)x² + βx, κ = 3(1−β) + β, β → 1 away from 0.
     `xp` is `numpy` or `jax.numpy`.
     """
-    beta = start_squared / (start_squared + _FAR)
-    kappa = _GRADING * (1 - beta) + beta
-    y = (1 - beta) * x * x + beta * x
+    beta, kappa = _grading(start_squared)
+    y = ((1 - beta) * x + beta) * x
     dy = 2 * (1 - beta) * x + beta
     return xp.expm1(kappa * y) / xp.expm1(kappa), kappa * xp.exp(kappa * y) / xp.expm1(kappa) * dy
 
 
-def ungraded(g, start_squared, xp=jnp):
-    """Inverse of `graded`: the x in [0, 1] with value g."""
+def graded_rise(x, to, step, start_squared, xp=jnp):
+    """g(to) − g(x) of `graded` without cancellation; `step` is to − x, as exact as it is known."""
+    beta, kappa = _grading(start_squared)
+    y = ((1 - beta) * x + beta) * x
+    dy = step * ((1 - beta) * (x + to) + beta)
+    return xp.exp(kappa * y) * xp.expm1(kappa * dy) / xp.expm1(kappa)
+
+
+def _grading(start_squared):
     beta = start_squared / (start_squared + _FAR)
-    kappa = _GRADING * (1 - beta) + beta
-    y = xp.log1p(g * xp.expm1(kappa)) / kappa
-    return 2 * y / (beta + xp.sqrt(beta * beta + 4 * (1 - beta) * y) + (y == 0))
+    return beta, _GRADING * (1 - beta) + beta
 
 
 def cosine_rule(
-    critical_squared: Float[Array, " k"],
-    present: tuple[bool, ...],
+    breaks_squared: Float[Array, " k"],
+    possible: tuple[bool, ...],
     n: int,
     *,
-    skip_guided: bool = False,
+    leave_out_first: bool = False,
 ) -> CosineRule:
-    """Quadrature over [0, 1] split at the critical cosines.
+    """Quadrature over [0, 1] split at break points.
 
     **Arguments:**
 
-    - `critical_squared`: c_k² of each interface, negative where it has no critical angle.
-    - `present`: which of them can be positive, known before tracing; only those cost a panel. A
-        panel that turns out empty has zero weights.
-    - `n`: nodes of a rule of up to two panels; more, met only where indices are traced or extreme,
-        take ¾n each.
-    - `skip_guided`: leave out [0, min c_k], where every interface reflects totally, and report its
-        measure in `omitted`; needs all `present`.
+    - `breaks_squared`: b_k² of each break point; there is none where it is not inside (0, 1).
+    - `possible`: which of them can exist, known before tracing; only those cost nodes.
+    - `n`: nodes of a rule of up to two panels. With more that are possible there are 3/4 n for each
+        (a few more where that makes the shares even).
+    - `leave_out_first`: leave out [0, min b_k] if all break points exist, and report its measure in
+        `omitted`.
     """
-    dtype = critical_squared.dtype
-    breaks = [c for c, p in zip(critical_squared, present, strict=True) if p]
-    zero = jnp.zeros((), dtype)
-    starts = jnp.sort(jnp.clip(jnp.stack([zero, *breaks]), 0.0, 1.0))
-    ends = jnp.append(starts[1:], jnp.ones((), dtype))
-    panels = list(range(len(breaks) + 1))
-    omitted = zero
-    if skip_guided and all(present):
-        omitted = starts[1]
-        panels = panels[1:]
-    m = n if len(panels) == 1 else max(2, n // 2 if len(panels) == 2 else n - n // 4)
-    x64, w64 = gauss_legendre(m)
-    x, w = jnp.asarray(x64, dtype), jnp.asarray(w64, dtype)
-    cosines, weights, squares = [], [], []
-    for i in panels:
-        width_squared = ends[i] - starts[i]
-        empty = width_squared <= 0
-        width_squared = jnp.where(empty, 1.0, width_squared)
-        g, dg = graded(x, starts[i])
-        nu_squared = width_squared * g * g
-        mu = jnp.sqrt(starts[i] + nu_squared)
-        cosines.append(jnp.where(empty, 1.0, mu))
-        weights.append(jnp.where(empty, 0.0, w * width_squared * g * dg / mu))
-        squares.append(
-            jnp.where(empty, 1.0, nu_squared)[None, :]
-            + jnp.where(empty, 0.0, starts[i] - critical_squared)[:, None]
-        )
+    dtype = breaks_squared.dtype
+    breaks = [b for b, p in zip(breaks_squared, possible, strict=True) if p]
+    there = [(b > 0) & (b < 1) for b in breaks]
+    leave_out = leave_out_first and bool(breaks) and all(possible)
+    omitted, skipped = jnp.zeros((), dtype), jnp.zeros((), int)
+    # Two break points at one place are one.
+    distinct = [
+        t & ~_any(b == c for c in breaks[:i])
+        for i, (b, t) in enumerate(zip(breaks, there, strict=True))
+    ]
+    inner = [jnp.where(d, b, 1.0) for b, d in zip(breaks, distinct, strict=True)]
+    edges = (
+        jnp.concatenate([jnp.zeros(1, dtype), jnp.sort(jnp.stack(inner)), jnp.ones(1, dtype)])
+        if inner
+        else jnp.asarray([0.0, 1.0], dtype)
+    )
+    most = len(breaks) + 1
+    if leave_out:
+        all_there = jnp.stack(there).all()
+        omitted = jnp.where(all_there, edges[1], 0.0)
+        skipped = all_there.astype(int)
+        most -= 1
+        # Unless all are there, at least one edge too many stands at 1.
+        edges = jnp.where(all_there, edges[1:], edges[:-1])
+    starts, widths = edges[:-1], edges[1:] - edges[:-1]
+    panels = sum((d.astype(int) for d in distinct), start=1 - skipped)
+    x64, w64, owner = _shared(_nodes(n, most), most)
+    row = panels - 1
+    x, w = jnp.asarray(x64, dtype)[row], jnp.asarray(w64, dtype)[row]
+    of = jnp.asarray(owner)[row]
+    start, width = starts[of], widths[of]
+    g, dg = graded(x, start)
+    nu_squared = width * g * g
+    mu = jnp.sqrt(start + nu_squared)
     return CosineRule(
-        cosine=jnp.concatenate(cosines),
-        weight=jnp.concatenate(weights),
-        excess=jnp.concatenate(squares, axis=1),
+        cosine=mu,
+        weight=w * width * g * dg / mu,
+        excess=nu_squared + (start - breaks_squared[:, None]),
         omitted=omitted,
-        starts=starts[panels[0] :],
-        widths=(ends - starts)[panels[0] :],
+        starts=starts,
+        widths=widths,
+        panels=panels,
     )
 
 
-def interpolation(rule: CosineRule, panel: int, mu, xp=jnp):
-    """Values at `mu` (inside the panel) of the Lagrange polynomials of one panel's nodes,
-    (*mu.shape, m).
+def _nodes(n: int, most: int) -> int:
+    """Nodes in all, a number that every number of panels up to `most` divides."""
+    if most == 1:
+        return n
+    each = max(2, n // 2 if most == 2 else n - n // 4)
+    unit = math.lcm(*range(1, most + 1)) // most
+    return most * unit * math.ceil(each / unit)
 
-    A panel interpolates in its own graded variable, in which the integrands are smooth.
-    """
-    m = rule.cosine.shape[0] // rule.n_panels
-    x = gauss_legendre(m)[0]
-    barycentric = np.array([1 / np.prod(4 * (x[j] - np.delete(x, j))) for j in range(m)])
-    a, width = rule.starts[panel], rule.widths[panel]
-    empty = width <= 0
-    g2 = xp.where(empty, 0.25, xp.clip(mu * mu - a, 0.0, None) / xp.where(empty, 1.0, width))
-    difference = ungraded(xp.sqrt(xp.where(g2 > 0, g2, 1e-30)), a, xp)[..., None] - x
-    exact = difference == 0
-    terms = barycentric / xp.where(exact, 1.0, difference)
-    values = terms / terms.sum(-1, keepdims=True)
-    return xp.where(exact.any(-1, keepdims=True), exact * 1.0, values)
+
+@lru_cache(maxsize=64)
+def _shared(n: int, most: int):
+    """Nodes and weights on each node's own panel, and its number, for 1 to `most` panels."""
+    rules = [gauss_legendre(n // panels) for panels in range(1, most + 1)]
+    x, w = (
+        np.stack([np.tile(rule[i], panels) for panels, rule in enumerate(rules, 1)]) for i in (0, 1)
+    )
+    owner = np.stack([np.repeat(np.arange(p), n // p) for p in range(1, most + 1)])
+    return x, w, owner
+
+
+def _any(conditions):
+    return functools.reduce(operator.or_, conditions, jnp.asarray(False))

@@ -42,7 +42,7 @@ def abl_responses(
         critical,
         (True, order.abl_over_stroma),
         n_angles,
-        skip_guided=not process.perturb_on_reflection,
+        leave_out_first=not process.perturb_on_reflection,
     )
     top = fresnel(rule.cosine, refracted(rule, 0, n.abl, n.aqueous), n.abl, n.aqueous)
     bottom = fresnel(rule.cosine, refracted(rule, 1, n.abl, n.stroma), n.abl, n.stroma)
