@@ -10,7 +10,7 @@ from irisjax.infer.analytic import KubelkaMunk
 from irisjax.infer.fit import fit
 from irisjax.infer.posterior import sample
 
-pytestmark = pytest.mark.filterwarnings("ignore")  # numpyro's own
+pytestmark = [pytest.mark.peer, pytest.mark.filterwarnings("ignore")]  # numpyro's own
 
 
 @pytest.mark.parametrize("model", ["closed formula", pytest.param("ilit", marks=pytest.mark.slow)])
@@ -26,8 +26,8 @@ def test_ensemble_and_nuts_agree(model, tmp_path):
     problem = problem.with_observations(
         ij.spectrum(grid, np.asarray(problem.simulate(truth, jax.random.key(1))[0]))
     )
-    best = fit(problem)
-    chains = sample(problem, tmp_path / "chain.h5", start=best)
+    best = fit(problem, key=jax.random.key(3))
+    chains = sample(problem, tmp_path / "chain.h5", start=best, key=jax.random.key(4))
     assert chains.converged
     nuts = MCMC(
         NUTS(potential_fn=lambda z: -problem.log_posterior(z)),
