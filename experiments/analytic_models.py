@@ -11,7 +11,7 @@ import numpy as np
 
 import irisjax as ij
 from experiments.common import RESULTS, start, write
-from irisjax.infer.analytic import BeerLambert, KubelkaMunk, SingleScattering
+from irisjax.infer.analytic import BeerLambert, FirstOrder, KubelkaMunk
 from irisjax.infer.fit import fit
 from irisjax.infer.noise import Noise
 from irisjax.infer.observation import with_values
@@ -20,7 +20,7 @@ from irisjax.infer.priors import LogNormal
 MODELS = {
     "Beer-Lambert": BeerLambert(),
     "Kubelka-Munk, two layers": KubelkaMunk(),
-    "single scattering": SingleScattering(),
+    "single scattering": FirstOrder(),
     "ILIT (LB06)": None,
     "depth-resolved": ij.RadiativeExact(16, 8),
 }
@@ -42,7 +42,6 @@ WIDE = {
 
 def main(key, quick=False, out=RESULTS):
     """Write residuals by wavelength and their root mean squares (quick: one level, coarse)."""
-    del key  # nothing is random but the searches' starts, which have a key of their own
     grid = ij.wavelengths(400, 700, 50 if quick else 10)
     rows, summary = [], []
     targets = {"ilit-2006": ij.ILIT_2006, "depth-resolved": ij.DEPTH_RESOLVED}
@@ -68,7 +67,9 @@ def main(key, quick=False, out=RESULTS):
         )
         for (target, level), truth in truths.items():
             o = with_values(problem.observations[0], jnp.asarray(truth))
-            found = fit(problem.with_observations(o), use_priors=False, starts=2 if quick else 12)
+            found = fit(
+                problem.with_observations(o), use_priors=False, starts=2 if quick else 12, key=key
+            )
             residual = 100 * np.asarray(found.predicted[0] / truth - 1)
             rows += [
                 (model, target, level, float(x), float(r), float(t), float(m))

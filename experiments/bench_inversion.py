@@ -22,6 +22,7 @@ from irisjax.infer.moves import IndependentMove, Straightening, mixture
 from irisjax.infer.observation import with_values
 from irisjax.infer.pieces import density
 from irisjax.infer.posterior import laplace, sample
+from irisjax.infer.search import levenberg_marquardt
 
 LEVELS = ("low", "moderate", "high")
 
@@ -40,7 +41,7 @@ def main(key, quick=False, out=RESULTS):
         problems[level] = problem.with_observations(with_values(problem.observations[0], noisy))
     for level, problem in problems.items():
         begin = time.perf_counter()
-        best = fit(problem)
+        best = fit(problem, key=key)
         jax.block_until_ready(best.z)
         times.append(
             (level, "least squares, first (compiles)", 1e3 * (time.perf_counter() - begin), "ms")
@@ -49,7 +50,7 @@ def main(key, quick=False, out=RESULTS):
             (
                 level,
                 "least squares, 4 starts",
-                median_us(lambda p=problem: fit(p).z, 10) / 1e3,
+                median_us(lambda p=problem: fit(p, key=key).z, 10) / 1e3,
                 "ms",
             )
         )
@@ -70,7 +71,11 @@ def main(key, quick=False, out=RESULTS):
                 begin = time.perf_counter()
                 steps = 200 if quick else 20_000
                 chains = sample(
-                    problem, Path(folder) / "c.h5", start=best, seed=seed, max_steps=steps
+                    problem,
+                    Path(folder) / "c.h5",
+                    start=best,
+                    max_steps=steps,
+                    key=jax.random.fold_in(key, seed),
                 )
                 seconds = time.perf_counter() - begin
             found = (
@@ -89,7 +94,9 @@ def main(key, quick=False, out=RESULTS):
     def many(problem, values):
         def one(v):
             return fit(
-                problem.with_observations(with_values(o, v)), starts=1, rtol=1e-5, atol=1e-5
+                problem.with_observations(with_values(o, v)),
+                solver=levenberg_marquardt(1e-5, 1e-5),
+                starts=1,
             ).z
 
         return jax.lax.map(one, values, batch_size=32)

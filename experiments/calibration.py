@@ -44,7 +44,7 @@ def main(key, quick=False, out=RESULTS, eyes=None, walkers=64):
             mine = problem.with_observations(with_values(problem.observations[0], values))
             path = Path(folder) / f"{eye}.h5"
             best = fit(mine, key=jax.random.fold_in(own, 2))
-            chains = sample(mine, path, walkers=walkers, seed=eye, start=best, max_steps=400)
+            chains = sample(mine, path, walkers=walkers, start=best, max_steps=400, key=own)
             draws = _independent(path, chains, jax.random.fold_in(own, 3))
             rank = (draws < np.asarray(z)).sum(axis=0)
             ranks.append(rank)

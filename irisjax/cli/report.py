@@ -18,6 +18,7 @@ from irisjax.infer.identifiability import in_words, information
 from irisjax.infer.pieces import pointwise
 from irisjax.infer.posterior import Chains, sample
 from irisjax.infer.problem import Problem, kind
+from irisjax.infer.status import says
 from irisjax.infer.summary import Check, Row, check, predictive, reported, summarise
 
 COLUMNS = (
@@ -75,14 +76,15 @@ def one(
         bar.update(n - bar.n)
 
     best = fit(problem, key=jax.random.fold_in(key, 1))
-    if not bool(best.ok):
-        _say("the least-squares search did not converge; its end starts the sampler", quiet)
+    if not bool(best.converged):
+        _say(f"least squares: {says(best.status)}; the sampler starts there", quiet)
     chains = sample(
-        problem, folder / "chain.h5", start=best, resume=resume, progress=progress, **sampler
-    )
+        problem, folder / "chain.h5", walkers=sampler["walkers"], start=best, resume=resume,
+        max_steps=sampler["max_steps"], progress=progress, key=key,
+    )  # fmt: skip
     bar.set_description_str("summary")
     rows = summarise(problem, chains)
-    tested = check(problem, chains, jax.random.fold_in(key, 2))
+    tested = check(problem, chains, key=jax.random.fold_in(key, 2))
     lines = [*in_words(information(problem, best)), *_cautions(problem, rows, tested, chains)]
     if files:
         bar.set_description_str("files")
@@ -109,7 +111,7 @@ def summary_csv(rows: list[Row]) -> str:
 
 def _write(problem: Problem, folder: Path, chains: Chains, rows, lines, key) -> None:
     count = 500
-    _, simulated, models = predictive(problem, chains, jax.random.fold_in(key, 3), count)
+    _, simulated, models = predictive(problem, chains, count, key=jax.random.fold_in(key, 3))
     prior = np.asarray(jax.random.normal(jax.random.fold_in(key, 4), (1, 4000, len(problem.free))))
     seen = problem.observations
     # Every draw has a log likelihood for every value: of many values fewer draws are kept.

@@ -92,7 +92,7 @@ class KubelkaMunk(AbstractAnalytic):
         return jnp.exp(-4 * layers.abl_absorption) * s * ratio / (1 + (s + k) * ratio)
 
 
-class SingleScattering(AbstractAnalytic):
+class FirstOrder(AbstractAnalytic):
     """Light scattered once, half of it upwards, leaving along the mean slant m = 2 of diffuse
     light.
 

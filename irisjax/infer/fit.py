@@ -1,62 +1,27 @@
-"""Least squares: the best parameters, their covariance, and whether to believe them
-(optimistix).
-"""
+"""Least squares: the best parameters, their covariance, and whether to believe them."""
 
 from typing import Any
 
 import equinox as eqx
 import jax
-import jax.flatten_util
 import jax.numpy as jnp
-import lineax as lx
 import numpy as np
 import optimistix as optx
-from jaxtyping import Array, Float, Int
+from jax.scipy.special import gammaincc
+from jaxtyping import Array, Bool, Float, Int
+from scipy.special import chdtri
 
 from irisjax._types import PRNGKey
 from irisjax.infer.pieces import elements
 from irisjax.infer.problem import Problem
-from irisjax.numerics import linear as elimination
-from irisjax.numerics.portions import in_pieces
+from irisjax.infer.search import Found, levenberg_marquardt, lowest
+from irisjax.infer.status import FitStatus
+from irisjax.infer.status import throw as throw_if
+from irisjax.numerics import linear
+from irisjax.transport.solution import RESULTS
 
-
-class Normal(lx.AbstractLinearSolver):
-    """Linear least squares by the normal equations, in plain JAX for batches (see `elimination`).
-
-    With priors among the residuals the equations are well conditioned; without them rounding may
-    bend a step of an iteration, but not its end.
-    """
-
-    def init(self, operator, options):
-        """The matrix."""
-        return operator.as_matrix(), operator.in_structure()
-
-    def compute(self, state, vector, options):
-        """The least-squares solution."""
-        matrix, structure = state
-        flat, _ = jax.flatten_util.ravel_pytree(vector)
-        gram = matrix.T @ matrix
-        # A direction that the data do not see keeps its place.
-        unseen = jnp.diag(gram) <= 0
-        gram = gram + jnp.diag(jnp.where(unseen, 1.0, 0.0))
-        scale = 1 / jnp.sqrt(jnp.diag(gram))
-        x = scale * elimination.solve(scale[:, None] * gram * scale, scale * (matrix.T @ flat))
-        _, unravel = jax.flatten_util.ravel_pytree(
-            jax.tree.map(lambda s: jnp.zeros(s.shape, s.dtype), structure)
-        )
-        return unravel(x), lx.RESULTS.successful, {}
-
-    def transpose(self, state, options):
-        """Not needed: least squares are not differentiated through."""
-        raise NotImplementedError
-
-    def conj(self, state, options):
-        """Real matrices are their own conjugates."""
-        return state, options
-
-    def assume_full_rank(self):
-        """The damping term sees to it."""
-        return True
+MISFIT = 1e-6
+"""Below this probability of a chi-square as large a fit is called a misfit."""
 
 
 class Fit(eqx.Module):
@@ -64,10 +29,13 @@ class Fit(eqx.Module):
 
     - `z`, `covariance`: the optimum in the priors' normal coordinates and (JᵀJ)⁻¹ there.
     - `values`, `sd`: the free parameters and their standard deviations by name.
-    - `chi_square`: Σ of squared residuals of the data alone, over `degrees` of freedom.
+    - `predicted`: what each instrument would read there, without noise.
+    - `chi_square`: Σ of squared residuals of the data alone, over `degrees` of freedom: the number
+        of data, less the free parameters where no priors hold them.
     - `cost`: ½ Σ of squares, the priors' included where they count.
-    - `agreeing`: how many of the starts ended within 1e-6 of that cost; `starts` their number.
-    - `result`: optimistix's status.
+    - `starts`: how many searches ran; `agreeing`: how many of them converged within 1e-6 of that
+        cost; `steps`: those of the best.
+    - `status`: a `FitStatus` item; `result`: optimistix's status of the best search.
     """
 
     z: Float[Array, "*batch free"]
@@ -78,108 +46,165 @@ class Fit(eqx.Module):
     chi_square: Float[Array, "*batch"]
     degrees: int = eqx.field(static=True)
     cost: Float[Array, "*batch"]
+    starts: Int[Array, "*batch"]
     agreeing: Int[Array, "*batch"]
-    starts: int = eqx.field(static=True)
     steps: Int[Array, "*batch"]
+    status: FitStatus
     result: optx.RESULTS
 
     @property
-    def ok(self):
-        """Whether the search converged to finite values."""
-        return (self.result == optx.RESULTS.successful) & jnp.isfinite(self.cost)
+    def ok(self) -> Bool[Array, "*batch"]:
+        """Whether the search found what may be believed: the status is success."""
+        return self.status == FitStatus.successful
 
+    @property
+    def converged(self) -> Bool[Array, "*batch"]:
+        """Whether the search ended as it should, be the model right or wrong for the data."""
+        return self.ok | (self.status == FitStatus.misfit)
 
-METHODS = {"levenberg-marquardt": optx.LevenbergMarquardt, "gauss-newton": optx.GaussNewton}
+    @property
+    def p_value(self) -> Float[Array, "*batch"]:
+        """Probability of a chi-square as large from normal noise as large as stated; NaN without
+        degrees of freedom.
+        """
+        half = jnp.asarray(0.5 * self.degrees if self.degrees > 0 else jnp.nan, self.cost.dtype)
+        return gammaincc(half, 0.5 * self.chi_square)
 
 
 def fit(
     problem: Problem,
     *,
-    method: str = "levenberg-marquardt",
+    solver: optx.AbstractLeastSquaresSolver | None = None,
     use_priors: bool = True,
-    starts: int = 4,
-    key: PRNGKey | None = None,
-    rtol: float = 1e-8,
-    atol: float = 1e-8,
-    max_steps: int = 200,
     start: Float[Array, " free"] | None = None,
+    starts: int = 4,
+    rounds: int = 3,
+    max_steps: int = 200,
+    throw: bool = False,
+    key: PRNGKey | None = None,
 ) -> Fit:
     """Fit by least squares.
 
     With priors this is the most probable vector z (noise held at what is stated: `noise` is not
-    fitted and keeps its prior's median); without them, maximum likelihood. Of `starts` searches
-    (the first from the priors' medians or from `start`, the others from draws of the priors with
-    `key`) the best counts.
+    fitted and keeps its prior's median); without them, maximum likelihood, searched from where the
+    priors end. The best of several searches counts. Traceable: `eqx.filter_vmap` it over problems.
 
-    Traceable: `jax.vmap` it over problems with `eqx.filter_vmap`. **Raises:** `ValueError` for an
-    unknown method.
+    Args:
+        problem: What was measured and what is free.
+        solver: optimistix's; default `levenberg_marquardt()`.
+        use_priors: Whether the priors count.
+        start: Where the first search starts, in z; default the priors' medians.
+        starts: Searches in a round; all but the first start from draws of the priors.
+        rounds: Most rounds: another follows while fewer than two searches agree on the best.
+        max_steps: Most steps of a search.
+        throw: Whether to raise where the status is not success.
+        key: For the draws; needed unless `starts=1`.
+
+    Raises:
+        ValueError: Without a key for several starts, for what is no solver or number of starts,
+            and with `throw` for any status but success.
     """
-    if method not in METHODS:
-        raise ValueError(f"unknown method {method!r}; known: {', '.join(METHODS)}")
-    key = jax.random.key(0, impl="threefry2x32") if key is None else key
-    return _fit(problem, start, key, method, use_priors, starts, rtol, atol, max_steps)
+    if solver is None:
+        solver = levenberg_marquardt()
+    elif not isinstance(solver, optx.AbstractLeastSquaresSolver):
+        raise ValueError(f"solver={solver!r} is no least-squares solver of optimistix")
+    for name, number in (("starts", starts), ("rounds", rounds), ("max_steps", max_steps)):
+        if number < 1:
+            raise ValueError(f"{name}={number} must be at least 1")
+    if starts == 1:
+        key, rounds = None, 1
+    elif key is None:
+        raise ValueError(
+            f"starts={starts} draws all but the first at random: give key=jax.random.key(...), or "
+            f"starts=1"
+        )
+    found = _fit(problem, solver, start, key, use_priors, starts, rounds, max_steps)
+    if throw:
+        throw_if(found.status)
+    return found
 
 
 @eqx.filter_jit
-def _fit(problem, start, key, method, use_priors, starts, rtol, atol, max_steps) -> Fit:
-    moving = np.array([not n.startswith("noise") for n in problem.free])
-    dtype = jnp.result_type(float)
-
-    def residuals(x, _):
-        z = _placed(x, moving)
-        data, predicted = problem.residuals_and_models(z)
-        r = jnp.concatenate([data, x]) if use_priors else data
-        return r, (data, predicted, 0.5 * (r * r).sum())
-
-    solver = METHODS[method](rtol, atol, linear_solver=Normal())
-    first = jnp.zeros(moving.sum(), dtype) if start is None else jnp.asarray(start, dtype)[moving]
-    draws = jax.random.normal(key, (starts - 1, first.size), dtype)
-
-    def search(x):
-        found = optx.least_squares(
-            residuals, solver, x, has_aux=True, max_steps=max_steps, throw=False
-        )
-        return found.value, found.stats["num_steps"], found.result, found.aux
-
-    begins = jnp.concatenate([first[None], draws])
-    # Searches side by side all last as long as the longest: of large problems one after another is
-    # quicker.
-    ends, steps, results, (data, predicted, costs) = in_pieces(
-        search, begins, elements(problem) * first.size
+def _fit(problem, solver, start, key, use_priors, starts, rounds, max_steps) -> Fit:
+    moving, dtype = _moving(problem), jnp.result_type(float)
+    free = len(problem.free)
+    first = jnp.zeros(moving.size, dtype)
+    if start is not None:
+        first = jnp.asarray(start, dtype)[moving]
+    last = jnp.asarray(1.0 if use_priors else 0.0, dtype)
+    weights = last[None] if use_priors else jnp.stack([0.1 * _signal_to_noise(problem), last])
+    best = lowest(
+        lambda x, weight, problem: _residuals(x, weight, problem)[0], problem, first, weights,
+        solver=solver, starts=starts, rounds=rounds, max_steps=max_steps,
+        elements=elements(problem), key=key,
+    )  # fmt: skip
+    jacobian, (data, predicted) = jax.jacfwd(lambda x: _residuals(x, last, problem), has_aux=True)(
+        best.x
     )
-    costs = jnp.where(jnp.isfinite(costs), costs, jnp.inf)
-    # Among equal costs one that converged.
-    failed = results != optx.RESULTS.successful
-    best = jnp.argmin(costs + jnp.where(failed, 1e-9 * jnp.abs(costs) + 1e-12, 0.0))
-    x = ends[best]
-    z = _placed(x, moving)
-    jacobian = jax.jacfwd(lambda x: residuals(x, None)[0])(x)
-    gram = jacobian.T @ jacobian
-    n = moving.size
-    inverse = elimination.solve(gram, jnp.eye(x.size, dtype=dtype))
-    where = np.flatnonzero(moving)
-    covariance = jnp.zeros((n, n), dtype).at[np.ix_(where, where)].set(inverse)
-    slope = jax.grad(lambda z: problem.natural(z).sum())(
-        z
-    )  # each depends on its own coordinate only
-    natural = problem.natural(z)
+    inverse = linear.solve(jacobian.T @ jacobian, jnp.eye(moving.size, dtype=dtype))
+    covariance = jnp.zeros((free, free), dtype).at[np.ix_(moving, moving)].set(inverse)
+    z = _placed(best.x, problem)
+    # Each value depends on its own coordinate only.
+    natural, slope = jax.jvp(lambda z: problem.natural(z), (z,), (jnp.ones_like(z),))
     sd = jnp.abs(slope) * jnp.sqrt(jnp.diag(covariance))
+    chi_square = (data**2).sum()
+    solved = problem.status(z) == RESULTS.successful
+    degrees = data.size - (0 if use_priors else moving.size)
     return Fit(
         z=z,
         covariance=covariance,
         values=dict(zip(problem.free, natural, strict=True)),
         sd=dict(zip(problem.free, sd, strict=True)),
-        predicted=tuple(m[best] for m in predicted),
-        chi_square=(data[best] ** 2).sum(),
-        degrees=data.shape[1] - int(moving.sum()),
-        cost=costs[best],
-        agreeing=(costs <= costs[best] * (1 + 1e-6) + 1e-9).sum(),
-        starts=starts,
-        steps=steps[best],
-        result=jax.tree.map(lambda code: code[best], results),
+        predicted=predicted,
+        chi_square=chi_square,
+        degrees=degrees,
+        cost=best.cost,
+        starts=best.searches,
+        agreeing=best.agreeing,
+        steps=best.steps,
+        status=_status(best, chi_square, _most(problem, degrees), solved),
+        result=best.result,
     )
 
 
-def _placed(x, moving):
+def _moving(problem: Problem) -> np.ndarray:
+    """Places of the parameters that are fitted."""
+    return np.flatnonzero([not n.startswith("noise") for n in problem.free])
+
+
+def _placed(x, problem: Problem):
     """All of z from its moving part; the rest at the priors' medians."""
-    return jnp.zeros(moving.size, x.dtype).at[np.flatnonzero(moving)].set(x)
+    return jnp.zeros(len(problem.free), x.dtype).at[_moving(problem)].set(x)
+
+
+def _residuals(x, weight, problem: Problem):
+    data, predicted = problem.residuals_and_models(_placed(x, problem))
+    return jnp.concatenate([data, weight * x]), (data, predicted)
+
+
+def _signal_to_noise(problem: Problem):
+    """Root mean square over all data."""
+    whitened = [problem.noise.whiten(o, jnp.zeros_like(o.values)) for o in problem.observations]
+    return jnp.sqrt(jnp.mean(jnp.concatenate(whitened) ** 2))
+
+
+def _status(best: Found, chi_square, limit: float, solved) -> FitStatus:
+    """What is worst: the data's `limit` of chi-square last, before it how the search ended, and
+    first of all whether there is an answer.
+    """
+    status = FitStatus.where(chi_square > limit, FitStatus.misfit, FitStatus.successful)
+    lone = (best.agreeing < 2) & (best.elsewhere > 0)
+    status = FitStatus.where(lone, FitStatus.disagreement, status)
+    exhausted = best.result == optx.RESULTS.nonlinear_max_steps_reached
+    status = FitStatus.where(exhausted, FitStatus.not_converged, status)
+    ended = exhausted | (best.result == optx.RESULTS.successful)
+    answered = ended & jnp.isfinite(best.cost) & solved
+    return FitStatus.where(answered, status, FitStatus.solver_failed)
+
+
+def _most(problem: Problem, degrees: int) -> float:
+    """The largest chi-square that is no misfit."""
+    # Student's t has outliers that chi-square knows nothing of.
+    if degrees < 1 or problem.noise.degrees_of_freedom is not None:
+        return np.inf
+    return float(chdtri(degrees, MISFIT))

@@ -14,11 +14,14 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from irisjax._types import PRNGKey
 from irisjax.infer.diagnostics import diagnostics
 from irisjax.infer.fit import Fit, fit
 from irisjax.infer.moves import mixture
 from irisjax.infer.pieces import density
 from irisjax.infer.problem import Problem
+from irisjax.infer.status import ChainStatus
+from irisjax.infer.status import throw as throw_if
 from irisjax.infer.stream import Stream, checkpoint, repair
 
 _SPREAD, _BURN, _BLOCK, _MOST_KEPT = 300, 600, 200, 1000
@@ -34,6 +37,7 @@ class Chains(NamedTuple):
     - `z`: kept samples (draws, walkers, free) in the priors' coordinates, every `thin`-th step
         after burn-in.
     - `tau` (steps), `ess_bulk`, `ess_tail`, `rhat`: one a parameter.
+    - `status`: a `ChainStatus` item; `reason`: the figures behind it, empty for success.
     """
 
     z: np.ndarray
@@ -45,8 +49,13 @@ class Chains(NamedTuple):
     ess_bulk: np.ndarray
     ess_tail: np.ndarray
     rhat: np.ndarray
-    converged: bool
+    status: ChainStatus
     reason: str
+
+    @property
+    def converged(self) -> bool:
+        """Whether the chain is long enough."""
+        return bool(self.status == ChainStatus.successful)
 
 
 def sample(
@@ -54,21 +63,33 @@ def sample(
     path: str | Path,
     *,
     walkers: int = 64,
-    seed: int = 0,
     start: Fit | None = None,
     resume: bool = False,
     max_steps: int = 20_000,
     progress: Callable[[int, str], Any] | None = None,
+    throw: bool = False,
+    key: PRNGKey,
 ) -> Chains:
     """Sample the posterior into an HDF5 file until it is long enough; see `TAUS`, `ESS`, `RHAT`.
 
     Burn-in (differences of walkers only) starts round the least-squares optimum and teaches the
     proposal of the independent jumps; it is kept apart and not used otherwise. Step i draws from
-    (seed, i): a run that was killed and resumed gives the chain of one that was not. `progress`
-    gets the number of steps and a word on what is done after each step.
+    the key and i: a run that was killed and resumed gives the chain of one that was not.
 
-    **Raises:** `ValueError` if `path` exists and `resume` is false, or belongs to another problem;
-    or if there are fewer than twice as many walkers as parameters.
+    Args:
+        problem: What was measured and what is free.
+        path: The file.
+        walkers: How many, more than twice the free parameters.
+        start: Where the walkers begin; default the fit with this key.
+        resume: Whether to go on where the file ends.
+        max_steps: Most steps after burn-in.
+        progress: Gets the number of steps and a word on what is done after each step.
+        throw: Whether to raise where the chain is not long enough.
+        key: For all draws.
+
+    Raises:
+        ValueError: If `path` exists and `resume` is false, or belongs to another problem; if there
+            are too few walkers; with `throw` for a chain that is not long enough.
     """
     path = Path(path)
     free = len(problem.free)
@@ -77,7 +98,8 @@ def sample(
             f"{walkers} walkers are too few for {free} free parameters; give at least "
             f"{2 * free + 2}"
         )
-    mark = _fingerprint(problem, walkers, seed)
+    words = [int(word) for word in np.ravel(jax.random.key_data(key))]
+    mark = _fingerprint(problem, walkers, words)
     if resume and path.exists():
         repair(path)
         if Stream(str(path), name="burn").mark() != mark:
@@ -87,7 +109,8 @@ def sample(
     elif path.exists():
         raise ValueError(f"{path}: exists; resume it or remove it")
     else:
-        _begin(path, problem, walkers, seed, mark, start)
+        best = fit(problem, key=jax.random.fold_in(key, 0)) if start is None else start
+        _begin(path, problem, walkers, words, mark, best)
     at = density(problem)
 
     def log_probability(z):
@@ -101,15 +124,15 @@ def sample(
         return tell
 
     # Burn-in: differences of walkers, then jumps that these have taught.
-    burn = _Run(path, "burn", log_probability, mixture(None), seed)
+    burn = _Run(path, "burn", log_probability, mixture(None), words)
     burn.advance(_SPREAD, report("burn-in"))
     taught = burn.between(_SPREAD // 2, _SPREAD)
-    burn = _Run(path, "burn", log_probability, mixture(taught), seed)
+    burn = _Run(path, "burn", log_probability, mixture(taught), words)
     burn.advance(_BURN, report("burn-in"))
     taught = burn.between((_SPREAD + _BURN) // 2, _BURN)
     begun = Stream(str(path), name="chain").initialized
     run = _Run(
-        path, "chain", log_probability, mixture(taught), seed, None if begun else burn.standing()
+        path, "chain", log_probability, mixture(taught), words, None if begun else burn.standing()
     )
     wanted = 2 * _BLOCK
     while True:
@@ -118,11 +141,14 @@ def sample(
         checkpoint(path)
         chains = diagnose(run.backend, steps)
         if chains.converged or steps >= max_steps:
-            return chains
+            break
         # To where this autocorrelation time would do; it is still growing, so look again soon
         # after.
         tau = chains.tau.max() if np.isfinite(chains.tau).all() else steps
         wanted = int(np.clip(1.05 * TAUS * tau, steps + _BLOCK, 1.5 * steps))
+    if throw:
+        throw_if(chains.status, chains.reason)
+    return chains
 
 
 def diagnose(backend, steps: int) -> Chains:
@@ -141,20 +167,20 @@ def diagnose(backend, steps: int) -> Chains:
     # Walkers are not independent chains: count no more than their autocorrelation leaves.
     bulk = np.minimum(bulk, steps * z.shape[1] / tau)
     tail = np.minimum(tail, steps * z.shape[1] / tau)
-    reasons = []
+    status, reason = ChainStatus.successful, ""
     if not np.isfinite(tau).all():
-        reasons.append("a walker never moved")
+        status, reason = ChainStatus.stuck, "a walker never moved"
     elif not tau.max() * TAUS <= steps:
-        reasons.append(
-            f"{steps} steps are {steps / np.max(tau):.0f} autocorrelation times, not {TAUS}"
-        )
+        status = ChainStatus.few_autocorrelation_times
+        reason = f"{steps} steps are {steps / np.max(tau):.0f} autocorrelation times, not {TAUS}"
     elif not bulk.min() >= ESS or not tail.min() >= ESS / 2:
-        reasons.append(
+        status = ChainStatus.few_effective_samples
+        reason = (
             f"effective samples {bulk.min():.0f} ({tail.min():.0f} of the tails), not {ESS} "
             f"({ESS // 2})"
         )
     elif not rhat.max() <= RHAT:
-        reasons.append(f"R-hat {rhat.max():.3f}, not {RHAT}")
+        status, reason = ChainStatus.not_mixed, f"R-hat {rhat.max():.3f}, not {RHAT}"
     thin = max(1, int(tau.min() / 2 / stride)) if np.isfinite(tau).all() else 1
     return Chains(
         z=z[thin - 1 :: thin],
@@ -166,15 +192,15 @@ def diagnose(backend, steps: int) -> Chains:
         ess_bulk=bulk,
         ess_tail=tail,
         rhat=rhat,
-        converged=not reasons,
-        reason="; ".join(reasons),
+        status=status,
+        reason=reason,
     )
 
 
 class _Run:
     """An ensemble and the group of the file that it streams to."""
 
-    def __init__(self, path, name, log_probability, moves, seed, first=None):
+    def __init__(self, path, name, log_probability, moves, words, first=None):
         self.backend = Stream(str(path), name=name)
         if first is not None:
             self.backend.reset(*first.shape)
@@ -183,7 +209,7 @@ class _Run:
         self.sampler = emcee.EnsembleSampler(
             *self.backend.shape, log_probability, vectorize=True, moves=moves, backend=self.backend
         )
-        self.seed, self.random = [seed, len(name)], np.random.RandomState(0)
+        self.seed, self.random = [*words, len(name)], np.random.RandomState(0)
 
     def advance(self, steps: int, progress) -> None:
         """Go on to so many steps."""
@@ -233,12 +259,11 @@ class _Run:
 
 
 def _begin(
-    path: Path, problem: Problem, walkers: int, seed: int, mark: str, start: Fit | None
+    path: Path, problem: Problem, walkers: int, words: list[int], mark: str, best: Fit
 ) -> None:
     """A new file with the walkers' first places: a cloud as wide as the fit's covariance."""
-    best = fit(problem) if start is None else start
     z, covariance = laplace(problem, best)
-    random = np.random.RandomState([seed, 1 << 31])
+    random = np.random.RandomState([*words, 1 << 31])
     cloud = z + random.standard_normal((walkers, z.size)) @ np.linalg.cholesky(covariance).T
     temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
     backend = Stream(str(temporary), name="burn")
@@ -264,9 +289,9 @@ def laplace(problem: Problem, best: Fit) -> tuple[np.ndarray, np.ndarray]:
     return z, covariance + 1e-10 * np.eye(z.size)
 
 
-def _fingerprint(problem: Problem, walkers: int, seed: int) -> str:
+def _fingerprint(problem: Problem, walkers: int, words: list[int]) -> str:
     digest = hashlib.sha256(
-        json.dumps([walkers, seed, problem.free, str(problem.process)]).encode()
+        json.dumps([walkers, words, problem.free, str(problem.process)]).encode()
     )
     digest.update(repr(problem.priors).encode())
     for leaf in jax.tree.leaves((problem.observations, problem.noise, problem.base, problem.fixed)):

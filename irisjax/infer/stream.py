@@ -18,7 +18,7 @@ class Stream(emcee.backends.HDFBackend):
     begins.
 
     A step is there when its log probabilities are: unwritten rows hold NaN, and the number of steps
-    is read off them. Random states are not stored: step i draws from (seed, i).
+    is read off them. Random states are not stored: step i draws from the key and i.
     """
 
     _file: Any = None

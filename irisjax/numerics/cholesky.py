@@ -1,22 +1,36 @@
-"""Roots of covariance matrices, many at a time.
-
-In plain JAX: batches of small LAPACK calls wait for each other on few cores (see `linear`).
-"""
+"""Roots of covariance matrices, many at a time; on a CPU by hand (`numerics.linear` says why)."""
 
 import jax
 import jax.numpy as jnp
+from jax.scipy.linalg import solve_triangular
+from jaxtyping import Array, Float
 
-# Roots in plain JAX: batches of small LAPACK calls wait for each other on few cores (see
-# `elimination`). In blocks, so that most of the work is products of matrices (a twentieth of the
-# time at 300 wavelengths); blocks in a loop, so that it compiles fast.
+# In blocks, so that most of the work is products of matrices (a twentieth of the time at 300
+# wavelengths); blocks in a loop, so that it compiles fast.
 _BLOCK = 16
 
 
-def whitened(root, residual):
+def cholesky(a: Float[Array, "n n"]) -> Float[Array, "n n"]:
+    """Lower root of a positive definite matrix."""
+    return jax.lax.platform_dependent(a, cpu=_cholesky, default=jnp.linalg.cholesky)
+
+
+def whitened(
+    root: Float[Array, "n n"], residual: Float[Array, " n"]
+) -> tuple[Float[Array, " n"], Float[Array, " n"]]:
     """Root⁻¹ residual, and the logarithms of the diagonal."""
+    white = jax.lax.platform_dependent(root, residual, cpu=_whitened, default=_solve_triangular)
+    return white, jnp.log(jnp.diag(root))
+
+
+def _solve_triangular(root, residual):
+    return solve_triangular(root, residual, lower=True)
+
+
+def _whitened(root, residual):
     n = residual.shape[0]
     if n <= _BLOCK:
-        return _forward(root, residual), jnp.log(jnp.diag(root))
+        return _forward(root, residual)
     padded = _padded(root)
     right = jnp.zeros(padded.shape[0], residual.dtype).at[:n].set(residual)
 
@@ -27,11 +41,10 @@ def whitened(root, residual):
         return jax.lax.dynamic_update_slice_in_dim(white, _forward(corner, rest), k * _BLOCK, 0)
 
     white = jax.lax.fori_loop(0, right.size // _BLOCK, step, jnp.zeros_like(right))
-    return white[:n], jnp.log(jnp.diag(root))
+    return white[:n]
 
 
-def cholesky(a):
-    """Lower root of a positive definite matrix."""
+def _cholesky(a):
     n = a.shape[0]
     if n <= _BLOCK:
         return _small_cholesky(a)

@@ -1,9 +1,11 @@
 """Small dense linear systems, many at a time.
 
-`jnp.linalg.solve` hands each matrix of a batch to LAPACK: 2 µs for a 16×16. Worse, on CPUs its
-kernel may wait for ever for the pool of threads that it runs on itself (jax 0.10.2, two cores; the
-same fault as in github.com/PyAutoLabs/PyAutoFit/issues/1530). Here all systems of a batch are
-eliminated together in plain JAX, the batch along the vector units.
+Why by hand: on a CPU `jnp.linalg.solve` hands each matrix of a batch to LAPACK, 2 µs for a 16×16.
+Worse, its kernel may wait for ever for the pool of threads that it runs on itself (jax 0.10.2, two
+cores; the same fault as in github.com/PyAutoLabs/PyAutoFit/issues/1530). So on a CPU all systems of
+a batch are eliminated together in plain JAX, the batch along the vector units; the same goes for
+`numerics.cholesky`. On any other platform a loop over rows would be a chain of tiny kernels: there
+the libraries' batched routines serve.
 """
 
 import jax
@@ -23,9 +25,13 @@ def solve(a: Float[Array, "n n"], b: Float[Array, "n *m"]) -> Float[Array, "n *m
     return jax.lax.custom_linear_solve(
         lambda x: a @ x,
         b,
-        lambda _, y: _eliminate(a, y),
-        transpose_solve=lambda _, y: _eliminate(a.T, y),
+        lambda _, y: _by_platform(a, y),
+        transpose_solve=lambda _, y: _by_platform(a.T, y),
     )
+
+
+def _by_platform(a, b):
+    return jax.lax.platform_dependent(a, b, cpu=_eliminate, default=jnp.linalg.solve)
 
 
 @custom_vmap

@@ -28,8 +28,8 @@ def test_ensemble_and_nuts_agree(model, tmp_path):
     problem = problem.with_observations(
         ij.spectrum(grid, np.asarray(problem.simulate(truth, jax.random.key(1))[0]))
     )
-    best = fit(problem)
-    chains = sample(problem, tmp_path / "chain.h5", start=best)
+    best = fit(problem, key=jax.random.key(3))
+    chains = sample(problem, tmp_path / "chain.h5", start=best, key=jax.random.key(4))
     assert chains.converged
     nuts = MCMC(
         NUTS(potential_fn=lambda z: -problem.log_posterior(z)),

@@ -11,6 +11,7 @@ from irisjax.infer import pieces
 from irisjax.infer.analytic import BeerLambert
 from irisjax.infer.fit import fit
 from irisjax.infer.posterior import Chains
+from irisjax.infer.status import ChainStatus
 from irisjax.numerics import portions
 
 GRID = ij.wavelengths(400, 700, 10)
@@ -34,7 +35,7 @@ def test_densities_and_fits_do_not_depend_on_the_pieces(problem, monkeypatch):
     np.testing.assert_allclose(
         pieces.pointwise(problem, z), [problem.pointwise(x) for x in z], rtol=1e-12
     )
-    found = fit(problem, use_priors=False)
+    found = fit(problem, use_priors=False, key=jax.random.key(0))
     truth = ij.infer.parameters.of_iris(ij.Iris())
     assert int(found.agreeing) == 4
     for name in problem.free:
@@ -42,16 +43,14 @@ def test_densities_and_fits_do_not_depend_on_the_pieces(problem, monkeypatch):
 
 
 def test_files_of_many_wavelengths_hold_fewer_draws(problem, tmp_path, monkeypatch):
-    """Log likelihoods of all draws of 10,000 wavelengths would be gigabytes; every group keeps the
-    same draws.
-    """
+    """Log likelihoods of all draws of 10,000 wavelengths would be gigabytes; every group keeps the same draws."""
     import xarray as xr
 
     walkers, most = 8, 100
     monkeypatch.setattr(report, "_MOST_NUMBERS", most * walkers * GRID.size)
     z = 0.01 * np.random.default_rng(1).normal(size=(250, walkers, 2))
     one = np.ones(2)
-    chains = Chains(z, z[..., 0], 5, 1250, 0.5, one, one, one, one, True, "")
+    chains = Chains(z, z[..., 0], 5, 1250, 0.5, one, one, one, one, ChainStatus.successful, "")
     report._write(
         problem, tmp_path, chains, report.summarise(problem, chains), [], jax.random.key(0)
     )

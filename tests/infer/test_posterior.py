@@ -1,6 +1,4 @@
-"""Posterior sampling: right distributions, chains that survive being killed,
-diagnostics that tell.
-"""
+"""Posterior sampling: right distributions, chains that survive being killed, diagnostics that tell."""
 
 import shutil
 import subprocess
@@ -23,6 +21,7 @@ from irisjax.infer.posterior import sample
 from irisjax.infer.summary import check, summarise
 
 GRID = ij.wavelengths(400, 700, 30)
+KEY, OTHER = jax.random.key(3), jax.random.key(4)
 TRUTH = {"melanin_load": 0.1, "hemoglobin": 0.08}
 
 
@@ -49,7 +48,7 @@ def whole(tmp_path_factory):
     """A chain no one interrupted."""
     path = tmp_path_factory.mktemp("whole") / "chain.h5"
     problem = stated()
-    return problem, path, sample(problem, path, walkers=16, seed=3, max_steps=600)
+    return problem, path, sample(problem, path, walkers=16, key=KEY, max_steps=600)
 
 
 @pytest.mark.parametrize("when", [1, 250, 450, 640, 990])
@@ -62,8 +61,8 @@ def test_interrupted_and_resumed_is_the_same_chain(whole, tmp_path, when):
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        sample(problem, mine, walkers=16, seed=3, max_steps=600, progress=stop)
-    sample(problem, mine, walkers=16, seed=3, max_steps=600, resume=True)
+        sample(problem, mine, walkers=16, key=KEY, max_steps=600, progress=stop)
+    sample(problem, mine, walkers=16, key=KEY, max_steps=600, resume=True)
     for a, b in zip(rows(path), rows(mine), strict=True):
         np.testing.assert_array_equal(a, b)
 
@@ -80,7 +79,7 @@ def test_torn_step_and_damaged_file_are_mended(whole, tmp_path):
         else:
             data = mine.read_bytes()
             mine.write_bytes(data[: len(data) // 2])
-        sample(problem, mine, walkers=16, seed=3, max_steps=600, resume=True)
+        sample(problem, mine, walkers=16, key=KEY, max_steps=600, resume=True)
         for a, b in zip(rows(path), rows(mine), strict=True):
             np.testing.assert_array_equal(a, b)
 
@@ -88,14 +87,14 @@ def test_torn_step_and_damaged_file_are_mended(whole, tmp_path):
 def test_seeds_and_settings_count(whole, tmp_path):
     problem, path, _ = whole
     other = tmp_path / "other.h5"
-    sample(problem, other, walkers=16, seed=4, max_steps=400)
+    sample(problem, other, walkers=16, key=OTHER, max_steps=400)
     assert not np.array_equal(rows(path)[0][:400], rows(other)[0][:400])
     with pytest.raises(ValueError, match="exists"):
-        sample(problem, other, walkers=16, seed=4)
+        sample(problem, other, walkers=16, key=OTHER)
     with pytest.raises(ValueError, match="other data or settings"):
-        sample(stated(seed=9), other, walkers=16, seed=4, resume=True)
+        sample(stated(seed=9), other, walkers=16, key=OTHER, resume=True)
     with pytest.raises(ValueError, match="too few"):
-        sample(problem, tmp_path / "few.h5", walkers=6)
+        sample(problem, tmp_path / "few.h5", walkers=6, key=KEY)
 
 
 def test_short_chains_are_called_short(whole, tmp_path):
@@ -103,25 +102,22 @@ def test_short_chains_are_called_short(whole, tmp_path):
     assert chains.converged
     assert chains.steps >= 50 * chains.tau.max()
     assert chains.ess_bulk.min() >= 1000
-    short = sample(problem, tmp_path / "short.h5", walkers=16, seed=3, max_steps=60)
+    short = sample(problem, tmp_path / "short.h5", walkers=16, key=KEY, max_steps=60)
     assert not short.converged
     assert "60 steps are" in short.reason
     # More steps are the same chain, longer.
-    longer = sample(problem, tmp_path / "short.h5", walkers=16, seed=3, max_steps=600, resume=True)
+    longer = sample(problem, tmp_path / "short.h5", walkers=16, key=KEY, max_steps=600, resume=True)
     assert longer.converged
     np.testing.assert_array_equal(rows(tmp_path / "short.h5")[0][:60], rows(whole[1])[0][:60])
 
 
 def test_memory_does_not_grow_with_the_chain(whole, tmp_path, monkeypatch):
-    """Ten times the steps, resumed or not: less is held at any moment than their log probabilities
-    would take.
-    """
-    problem, best = whole[0], fit(whole[0])
+    """Ten times the steps, resumed or not: less is held at any moment than their log probabilities would take."""
+    problem, best = whole[0], fit(whole[0], starts=1)
     monkeypatch.setattr(
         posterior, "density", lambda _: lambda z: -0.5 * np.square(np.asarray(z)).sum(axis=1)
     )
-    # As with the real numbers: a short burn-in, never long enough, and fewer steps kept than either
-    # run has.
+    # As with the real numbers: a short burn-in, never long enough, and fewer steps kept than either run has.
     for name, value in (("TAUS", np.inf), ("_SPREAD", 10), ("_BURN", 20), ("_MOST_KEPT", 20)):
         monkeypatch.setattr(posterior, name, value)
     walkers, peaks = 256, {}
@@ -135,6 +131,7 @@ def test_memory_does_not_grow_with_the_chain(whole, tmp_path, monkeypatch):
                 start=best,
                 max_steps=steps,
                 resume=resume,
+                key=KEY,
             )
             peaks[steps] = tracemalloc.get_traced_memory()[1]
             tracemalloc.stop()
@@ -150,10 +147,10 @@ def test_posterior_agrees_with_a_grid(tmp_path):
         fixed={"noise": 1.0},
         solver=BeerLambert(),
     )
-    chains = sample(problem, tmp_path / "chain.h5", walkers=32, seed=0)
+    chains = sample(problem, tmp_path / "chain.h5", walkers=32, key=KEY)
     assert chains.converged
     z = chains.z.reshape(-1, 2)
-    best = fit(problem)
+    best = fit(problem, starts=1)
     width = 6 * np.sqrt(np.diag(best.covariance))
     axes = [np.linspace(c - w, c + w, 201) for c, w in zip(np.asarray(best.z), width, strict=True)]
     nodes = np.stack([a.ravel() for a in np.meshgrid(*axes, indexing="ij")], 1)
@@ -219,8 +216,7 @@ def test_a_curved_ridge_is_straightened():
     sampler.random_state = np.random.RandomState(1).get_state()
     sampler.run_mcmc(z[:32], 500)
     assert sampler.acceptance_fraction.mean() > 0.5
-    # Densities carry over only if volumes do: the same Jacobian on the ridge, beside it and far
-    # out.
+    # Densities carry over only if volumes do: the same Jacobian on the ridge, beside it and far out.
     places = np.concatenate([z[:5], 3 * z[5:10], [[9.0, -7.0, 8.0]]])
     step = 1e-6
     volumes = []
@@ -238,7 +234,7 @@ def test_summary_and_predictive_check(whole):
     assert load.q2_5 < load.q16 < load.median < load.q84 < load.q97_5
     assert 0.9 < load.contraction < 1
     assert table["eumelanin"].unit == "mg/ml"
-    assert check(problem, chains, jax.random.key(0)).warning is None
+    assert check(problem, chains, key=KEY).warning is None
 
 
 def test_wrong_model_is_noticed(tmp_path):
@@ -246,10 +242,8 @@ def test_wrong_model_is_noticed(tmp_path):
     problem = stated()
     y = np.asarray(problem.observations[0].values) * np.where(GRID < 550, 1.0, 1.6)
     problem = problem.with_observations(ij.spectrum(GRID, y))
-    chains = sample(problem, tmp_path / "chain.h5", walkers=16, seed=0, max_steps=600)
-    assert "does not produce these data" in (
-        check(problem, chains, jax.random.key(0)).warning or ""
-    )
+    chains = sample(problem, tmp_path / "chain.h5", walkers=16, key=KEY, max_steps=600)
+    assert "does not produce these data" in (check(problem, chains, key=KEY).warning or "")
 
 
 @pytest.mark.slow
@@ -258,7 +252,7 @@ def test_killed_process_resumes(whole, tmp_path):
     path = tmp_path / "chain.h5"
     code = (
         "import sys, jax; jax.config.update('jax_enable_x64', True); sys.path[:0] = ['tests', 'tests/infer'];"
-        "import test_posterior as t; t.sample(t.stated(), sys.argv[1], walkers=16, seed=3, max_steps=600,"
+        "import test_posterior as t; t.sample(t.stated(), sys.argv[1], walkers=16, key=KEY, max_steps=600,"
         "resume=True, progress=lambda n, w: print(n, flush=True))"
     )
     for stop in (30, 333, 700, None):
