@@ -133,9 +133,9 @@ def test_nothing_left_out_if_one_break_is_missing(possible):
 @pytest.mark.parametrize("leave_out", [False, True])
 def test_missing_breaks_cost_no_nodes(leave_out):
     """The panels there are share all nodes, so a rule that could not know is as good as one that did."""
-    for given in [(0.18, -0.3), (-0.3, 0.18), (0.18, 0.18), (0.18, 0.0), (0.18, 1.0)]:
-        found = rule_for(*given, n=32, leave_out_first=leave_out)
-        known = rule_for(0.18, n=found.cosine.size, leave_out_first=leave_out and given[1] == 0.18)
+    for places in [(0.18, -0.3), (-0.3, 0.18), (0.18, 0.18), (0.18, 0.0), (0.18, 1.0)]:
+        found = rule_for(*places, n=32, leave_out_first=leave_out)
+        known = rule_for(0.18, n=found.cosine.size, leave_out_first=leave_out and places[1] == 0.18)
         assert found.panels == known.panels
         np.testing.assert_allclose(found.cosine, known.cosine, rtol=1e-15)
         np.testing.assert_allclose(found.weight, known.weight, rtol=1e-14)
@@ -151,10 +151,10 @@ def test_gradient_is_that_of_the_nodes_used(bits):
         rule = cosine_rule(b, (True, True), n, leave_out_first=True)
         return (rule.weight * rule.cosine**3 * jnp.exp(-0.1 / rule.cosine)).sum() + rule.omitted
 
-    for given in [(0.18, -0.3), (-0.1, -0.2), (0.18, 0.18), (0.0, 1.0), (0.18, 0.0007)]:
-        slope = jax.grad(second_moment)(jnp.asarray(given, float))
+    for places in [(0.18, -0.3), (-0.1, -0.2), (0.18, 0.18), (0.0, 1.0), (0.18, 0.0007)]:
+        slope = jax.grad(second_moment)(jnp.asarray(places, float))
         assert np.isfinite(slope).all()
-        assert (np.asarray(slope)[np.asarray(given) <= 0] == 0).all()
+        assert (np.asarray(slope)[np.asarray(places) <= 0] == 0).all()
 
 
 @pytest.mark.parametrize("critical", [(), (0.18,), (0.18, 0.0007), (0.5, 0.5)])

@@ -42,8 +42,8 @@ def test_kernel(mu, other, bits):
     ends = np.log([1e-13, abs(angles[0] - angles[1]), 0.3, np.pi])
     pieces = itertools.pairwise(np.unique(ends))
     expected = 2 * sum(quad(integrand, *e, epsrel=1e-13, epsabs=0)[0] for e in pieces)
-    given = (mu, other, 1 - mu**2, 1 - other**2, abs(mu - other) * (mu + other))
-    found = averaged_kernel(*(jnp.asarray([v], float) for v in given))
+    arguments = (mu, other, 1 - mu**2, 1 - other**2, abs(mu - other) * (mu + other))
+    found = averaged_kernel(*(jnp.asarray([v], float) for v in arguments))
     assert found.dtype == (np.float64 if bits == 64 else np.float32)
     # The mild part's few nodes are worst close to the diagonal, where little is integrated.
     assert found[0] == pytest.approx(expected / (3 * np.pi**2), rel=1e-9 if bits == 64 else 1e-5)
