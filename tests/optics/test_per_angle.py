@@ -50,12 +50,25 @@ def test_kernel(mu, other, bits):
 
 
 @pytest.mark.parametrize(
-    "breaks", [(), (0.0223,), (0.18, 0.0007), (0.0223, -0.2), (-0.1, -0.2), (0.3, 0.3), (1e-4, 0.9)]
+    ("breaks", "error"),
+    [
+        ((), 1e-10),
+        ((0.0223,), 1e-10),
+        ((0.18, 0.0007), 1e-10),
+        ((0.0223, -0.2), 1e-10),
+        ((0.3, 0.3), 1e-10),
+        ((1e-4, 0.9), 1e-9),  # as the docstring says of break points next to 0
+    ],
 )
-def test_as_along_great_circles(breaks):
+def test_as_along_great_circles(breaks, error):
     rule = rule_for(*breaks)
     found = np.asarray(program(len(breaks))(jnp.asarray(breaks, float)))
-    np.testing.assert_allclose(found[::STEP], along_great_circles(rule), rtol=0, atol=1e-10)
+    np.testing.assert_allclose(found[::STEP], along_great_circles(rule), rtol=0, atol=error)
+
+
+def test_missing_breaks_are_one_panel():
+    found = program(2)(jnp.asarray([-0.1, -0.2]))
+    np.testing.assert_array_equal(found, program(0, found.shape[0])(jnp.zeros(0)))
 
 
 @pytest.mark.parametrize("breaks", [(0.0223,), (0.18, 0.0007)])
