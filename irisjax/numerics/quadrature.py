@@ -172,7 +172,7 @@ def _shared(n: int, most: int):
 
 
 def _edges(breaks: list[Array], dtype):
-    """0, the break points there are in order, 1 as often as is left; panels; whether all are there."""
+    """0, break points in order, 1 as often as is left; number of panels; whether all are there."""
     distinct, all_there = [], jnp.asarray(True)
     for i, b in enumerate(breaks):
         there = (b > 0) & (b < 1)
