@@ -160,7 +160,7 @@ class _Points(NamedTuple):
 
 @functools.lru_cache(maxsize=64)
 def _points(m: int, target: int, source: int) -> _Points:
-    """In panel `source` for the `m` targets of panel `target`"""
+    """In panel `source` for the `m` targets of panel `target`."""
     up, low = _dense_at_start(m + 36), _dense_at_end(m // 2 + 32, source == 0)
     if target < source:
         return up
