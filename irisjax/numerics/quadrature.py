@@ -1,4 +1,4 @@
-"""Quadrature over [0, 1] of functions with square-root kinks at given places and the factor exp(−τ/μ).
+"""Quadrature over [0, 1] of functions with square-root kinks and the factor exp(−τ/μ).
 
 exp(−τ/μ) is flat to all orders at μ = 0, and a kink √(μ² − b²) has an infinite slope at its break
 point b. `cosine_rule` splits [0, 1] at the break points and takes, in each panel [a, b], the
@@ -6,9 +6,7 @@ variable ν = √(μ² − a²), which removes the kink; ν is graded exponentia
 starts near 0.
 """
 
-import functools
 import math
-import operator
 from functools import lru_cache
 from typing import TYPE_CHECKING, TypeAlias
 
@@ -124,30 +122,16 @@ def cosine_rule(
     """
     dtype = breaks_squared.dtype
     breaks = [b for b, p in zip(breaks_squared, possible, strict=True) if p]
-    there = [(b > 0) & (b < 1) for b in breaks]
     leave_out = leave_out_first and bool(breaks) and all(possible)
-    omitted, skipped = jnp.zeros((), dtype), jnp.zeros((), int)
-    # Two break points at one place are one.
-    distinct = [
-        t & ~_any(b == c for c in breaks[:i])
-        for i, (b, t) in enumerate(zip(breaks, there, strict=True))
-    ]
-    inner = [jnp.where(d, b, 1.0) for b, d in zip(breaks, distinct, strict=True)]
-    edges = (
-        jnp.concatenate([jnp.zeros(1, dtype), jnp.sort(jnp.stack(inner)), jnp.ones(1, dtype)])
-        if inner
-        else jnp.asarray([0.0, 1.0], dtype)
-    )
-    most = len(breaks) + 1
+    most = len(breaks) + (0 if leave_out else 1)
+    edges, panels, all_there = _edges(breaks, dtype)
+    omitted = jnp.zeros((), dtype)
     if leave_out:
-        all_there = jnp.stack(there).all()
         omitted = jnp.where(all_there, edges[1], 0.0)
-        skipped = all_there.astype(int)
-        most -= 1
-        # Unless all are there, at least one edge too many stands at 1.
+        panels = panels - all_there
+        # Unless all are there, one edge too many stands at 1.
         edges = jnp.where(all_there, edges[1:], edges[:-1])
     starts, widths = edges[:-1], edges[1:] - edges[:-1]
-    panels = sum((d.astype(int) for d in distinct), start=1 - skipped)
     x64, w64, owner = _shared(_nodes(n, most), most)
     row = panels - 1
     x, w = jnp.asarray(x64, dtype)[row], jnp.asarray(w64, dtype)[row]
@@ -187,5 +171,18 @@ def _shared(n: int, most: int):
     return x, w, owner
 
 
-def _any(conditions):
-    return functools.reduce(operator.or_, conditions, jnp.asarray(False))
+def _edges(breaks: list[Array], dtype):
+    """0, break points in order, 1 as often as is left; number of panels; whether all are there."""
+    distinct, all_there = [], jnp.asarray(True)
+    for i, b in enumerate(breaks):
+        there = (b > 0) & (b < 1)
+        all_there = all_there & there
+        for other in breaks[:i]:
+            there = there & (b != other)  # two at one place are one
+        distinct.append(there)
+    inner = jnp.stack(
+        [jnp.where(d, b, 1.0) for d, b in zip(distinct, breaks, strict=True)]
+        + [jnp.ones((), dtype)]
+    )
+    panels = 1 + sum(d.astype(jnp.int32) for d in distinct)
+    return jnp.concatenate([jnp.zeros(1, dtype), jnp.sort(inner)]), jnp.asarray(panels), all_there

@@ -22,7 +22,10 @@ from irisjax.numerics.quadrature import CosineRule, gauss_legendre, graded, grad
 
 
 def scattering_operator(rule: CosineRule) -> Float[Array, "n n"]:
-    """W with S(μ_i) = Σ_q W[i, q] f(μ_q) = ∫₀¹ k(μ_i, μ') f(μ') dμ', for a rule over all of [0, 1]."""
+    """W with S(μ_i) = Σ_q W[i, q] f(μ_q) = ∫₀¹ k(μ_i, μ') f(μ') dμ'.
+
+    For rules that leave nothing out. Errors are below 1e-10, 1e-9 for break points at μ² < 1e-3.
+    """
     n, dtype = rule.cosine.shape[0], rule.cosine.dtype
 
     def one_panel(starts, widths):
@@ -32,7 +35,7 @@ def scattering_operator(rule: CosineRule) -> Float[Array, "n n"]:
     def several(panels, starts, widths):
         # A batch computes all cases and chooses: those not chosen must be finite too.
         chosen = rule.panels == panels
-        starts = jnp.where(chosen, starts[:panels], np.arange(panels) / panels)
+        starts = jnp.where(chosen, starts[:panels], jnp.asarray(np.arange(panels) / panels, dtype))
         widths = jnp.where(chosen, widths[:panels], 1 / panels)
         return _product_integrated(starts, widths, n // panels, jnp)
 
@@ -97,10 +100,9 @@ def _product_integrated(starts, widths, m: int, xp: Any):
             )
         )
         measures.append(source.slope * xp.asarray(p.weight, dtype))
-    # All pairs in one call: the program is compiled once, not for each pair of panels.
-    k = averaged_kernel(
-        *(xp.concatenate([v.ravel() for v in v]) for v in zip(*pairs, strict=True)), xp
-    )
+    # All pairs in one call: the program holds the kernel once, not for each pair of panels.
+    arguments = [xp.concatenate([v.ravel() for v in each]) for each in zip(*pairs, strict=True)]
+    k = averaged_kernel(*arguments, xp)
     ends = np.cumsum([pair[0].size for pair in pairs])[:-1]
     found = [
         v.reshape(pair[0].shape) * measure
@@ -158,8 +160,8 @@ class _Points(NamedTuple):
 
 @functools.lru_cache(maxsize=64)
 def _points(m: int, target: int, source: int) -> _Points:
-    """In panel `source` for the `m` targets of panel `target`; one row a target where they agree."""
-    up, low = _dense_at_start(m + 24), _dense_at_end(m // 2 + 26, source == 0)
+    """In panel `source` for the `m` targets of panel `target`."""
+    up, low = _dense_at_start(m + 36), _dense_at_end(m // 2 + 32, source == 0)
     if target < source:
         return up
     if target > source:
@@ -180,7 +182,7 @@ def _dense_at_start(n: int) -> _Points:
 
 
 def _dense_at_end(half: int, first: bool) -> _Points:
-    """Twice `half` points. A panel that does not start at μ = 0 may be steep at its start as well."""
+    """Twice `half` points. A panel that does not start at μ = 0 may be steep at its start too."""
     p = _dense_at_start(2 * half if first else half)
     x, rest, weight = p.rest[::-1], p.x[::-1], p.weight[::-1]
     if not first:

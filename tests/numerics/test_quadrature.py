@@ -1,5 +1,6 @@
 import itertools
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -7,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.special import expn
 
-from irisjax.numerics.quadrature import conserving, cosine_rule, graded, interpolation, ungraded
+from irisjax.numerics.quadrature import conserving, cosine_rule, graded, graded_rise
 from irisjax.optics.fresnel import critical_cosine_squared, refracted
 
 
@@ -117,28 +118,47 @@ def test_square_is_exact_by_construction(n):
     assert np.sum(2 * rule.cosine * rule.weight) == pytest.approx(1, abs=10.0 ** -(n / 3))
 
 
-def test_guided_panel_left_out():
-    rule = rule_for(0.18, 0.0007, skip_guided=True)
+def test_first_panel_left_out():
+    rule = rule_for(0.18, 0.0007, leave_out_first=True)
     assert rule.omitted == pytest.approx(0.0007, rel=1e-14)
+    assert rule.panels == 2
     assert np.min(rule.cosine) ** 2 > 0.0007
     assert np.sum(2 * rule.cosine * rule.weight) + rule.omitted == pytest.approx(1, abs=1e-13)
 
 
-def test_no_guided_panel_if_one_side_never_reflects():
-    rule = cosine_rule(jnp.asarray([0.18, -0.1]), (True, False), 32, skip_guided=True)
+@pytest.mark.parametrize("possible", [(True, False), (True, True)])
+def test_nothing_left_out_if_one_break_is_missing(possible):
+    rule = cosine_rule(jnp.asarray([0.18, -0.1]), possible, 32, leave_out_first=True)
     assert rule.omitted == 0
+    assert rule.cosine.size == 32
     assert np.sum(rule.weight) == pytest.approx(1, abs=1e-12)
 
 
-def test_empty_panel_changes_nothing():
-    """A critical angle that might exist, but does not, costs nodes and nothing else."""
-    # 16 nodes a panel in both.
-    two, three = rule_for(0.18, n=32), rule_for(0.18, -0.3, n=21)
-    assert three.cosine.size == 3 * two.cosine.size // 2
-    for f in (lambda r: 2 * r.cosine, lambda r: r.cosine**3, lambda r: np.exp(-0.3 / r.cosine)):
-        assert np.sum(f(two) * two.weight) == pytest.approx(
-            float(np.sum(f(three) * three.weight)), abs=1e-15
-        )
+@pytest.mark.parametrize("leave_out", [False, True])
+def test_missing_breaks_cost_no_nodes(leave_out):
+    """The panels there are share all nodes, so a rule that could not know is as good as one that did."""
+    for places in [(0.18, -0.3), (-0.3, 0.18), (0.18, 0.18), (0.18, 0.0), (0.18, 1.0)]:
+        found = rule_for(*places, n=32, leave_out_first=leave_out)
+        known = rule_for(0.18, n=found.cosine.size, leave_out_first=leave_out and places[1] == 0.18)
+        assert found.panels == known.panels
+        np.testing.assert_allclose(found.cosine, known.cosine, rtol=1e-15)
+        np.testing.assert_allclose(found.weight, known.weight, rtol=1e-14)
+    none = rule_for(-0.1, -0.2, 0.0, n=10)
+    known = rule_for(n=none.cosine.size)
+    np.testing.assert_allclose(none.weight, known.weight, rtol=1e-14)
+
+
+def test_gradient_is_that_of_the_nodes_used(bits):
+    """Break points that are missing, doubled or at an end have finite derivatives, zero where unused."""
+
+    def second_moment(b, n=24):
+        rule = cosine_rule(b, (True, True), n, leave_out_first=True)
+        return (rule.weight * rule.cosine**3 * jnp.exp(-0.1 / rule.cosine)).sum() + rule.omitted
+
+    for places in [(0.18, -0.3), (-0.1, -0.2), (0.18, 0.18), (0.0, 1.0), (0.18, 0.0007)]:
+        slope = jax.grad(second_moment)(jnp.asarray(places, float))
+        assert np.isfinite(slope).all()
+        assert (np.asarray(slope)[np.asarray(places) <= 0] == 0).all()
 
 
 @pytest.mark.parametrize("critical", [(), (0.18,), (0.18, 0.0007), (0.5, 0.5)])
@@ -153,13 +173,13 @@ def test_conserving(critical, n, bits):
     assert rule.weight.dtype == (np.float64 if bits == 64 else np.float32)
 
 
-@given(st.floats(0, 1), st.floats(0, 1))
-def test_grading_and_back(x, start):
+@given(st.floats(0, 1), st.floats(0, 1), st.floats(0, 1))
+def test_grading(x, to, start):
     g, slope = graded(x, start, np)
     assert 0 <= g <= 1 + 1e-15
     assert slope >= 0
-    # Near x = 0 the map is quadratic, so its inverse keeps half the digits of rounding in g.
-    assert ungraded(g, start, np) == pytest.approx(x, abs=1e-9)
+    rise = graded(to, start, np)[0] - g
+    assert graded_rise(x, to, to - x, start, np) == pytest.approx(rise, abs=1e-15)
 
 
 def test_grading_slope():
@@ -167,20 +187,6 @@ def test_grading_slope():
         for x in (0.1, 0.5, 0.9):
             difference = (graded(x + 1e-6, start, np)[0] - graded(x - 1e-6, start, np)[0]) / 2e-6
             assert graded(x, start, np)[1] == pytest.approx(difference, rel=1e-8)
-
-
-@pytest.mark.parametrize("panel", [0, 1])
-def test_interpolation(panel):
-    rule = rule_for(0.3, n=72)
-    m = 36
-    nodes = np.asarray(rule.cosine)[panel * m : (panel + 1) * m]
-    np.testing.assert_allclose(interpolation(rule, panel, jnp.asarray(nodes)), np.eye(m), atol=1e-9)
-    low, high = (0.0, np.sqrt(0.3)) if panel == 0 else (np.sqrt(0.3), 1.0)
-    between = jnp.asarray(np.linspace(low + 1e-6, high, 101))
-    values = np.asarray(interpolation(rule, panel, between))
-    np.testing.assert_allclose(values.sum(-1), 1, atol=1e-12)
-    for f in (lambda mu: mu**2, lambda mu: 1 / (1 + mu)):
-        np.testing.assert_allclose(values @ f(nodes), f(np.asarray(between)), rtol=0, atol=1e-10)
 
 
 def test_refracted_is_snell():
