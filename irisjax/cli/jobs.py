@@ -100,7 +100,7 @@ def _counting(
     cornea = {"brdf": "none", "radiance": process.cornea or "inward"}.get(name, process.cornea)
     if cosine != ij.DIFFUSE:
         cosine = jnp.asarray(cosine, table.wavelengths.dtype)
-        cosine = through_cornea(iris, cosine, cornea or "none")[1]
+        cosine = jax.jit(through_cornea, static_argnums=2)(iris, cosine, cornea or "none")[1]
     power = illuminant_power(options["illuminant"], grid) if name == "radiance" else None
     exits = options.get("cos_exit")
     return partial(

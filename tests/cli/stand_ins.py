@@ -72,6 +72,7 @@ class Sampled(NamedTuple):
     seed: int
     max_steps: int
     resume: bool
+    went_on: bool  # there was a chain already
 
 
 def without_search(monkeypatch):
@@ -79,7 +80,7 @@ def without_search(monkeypatch):
     calls = []
 
     def sample(problem, path, *, start, resume, progress, **settings):
-        calls.append(Sampled(problem, **settings, resume=resume))
+        calls.append(Sampled(problem, **settings, resume=resume, went_on=Path(path).exists()))
         Path(path).write_text("chain")
         progress(10, "sampling")
         free, steps = len(problem.free), settings["max_steps"]

@@ -13,7 +13,10 @@ from irisjax.transport.montecarlo import Counts, MonteCarlo
 GRID = ("--wavelengths", "400:700:100")
 
 
-def test_spectrum_is_the_librarys(irisjax, printed):
+@pytest.mark.parametrize("solver", ["quick", pytest.param("exact", marks=pytest.mark.slow)])
+def test_spectrum_is_the_librarys(irisjax, printed, request, solver):
+    if solver == "quick":
+        request.getfixturevalue("quick")
     status, out, err = irisjax("spectrum", "--level", "low", "--abl-fraction", "0.2", *GRID)
     assert (status, err) == (0, "")
     header, columns = printed(out)
@@ -22,7 +25,7 @@ def test_spectrum_is_the_librarys(irisjax, printed):
     assert "not a measurement" in header["simulated"]
     assert "twice as bright" in header["approximation"]
     iris = ij.Iris.preset("low").replace(abl_fraction=0.2)
-    expected = ij.reflectance(iris, ij.wavelengths(400, 700, 100))
+    expected = ij.reflectance(iris, ij.wavelengths(400, 700, 100), solver=ij.Exact())
     np.testing.assert_allclose(columns["reflectance"], expected.values, rtol=1e-11)
 
 

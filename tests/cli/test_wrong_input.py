@@ -76,7 +76,7 @@ def test_wrong_input_is_one_line(irisjax, quick, tmp_path, monkeypatch, argument
     assert not list(tmp_path.iterdir())
 
 
-def test_wrong_command_and_wrong_swatch(irisjax, tmp_path):
+def test_wrong_command_and_wrong_swatch(irisjax, quick, tmp_path):
     for arguments in (
         ("spectra",),
         ("colour", "--swatch", tmp_path / "swatch.jpg"),
