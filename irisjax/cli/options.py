@@ -1,76 +1,197 @@
-"""An option: its place in the help, its text, and the parser that turns text into a value."""
+"""Options: groups of them as dataclasses, and the parsers that turn a text into a value."""
 
+import copy
+import dataclasses
+import functools
 import inspect
 import math
-from collections.abc import Callable
-from typing import Annotated, Any, NamedTuple
+from collections.abc import Callable, Mapping
+from typing import Annotated, Any, ClassVar, get_args, get_type_hints
 
 import numpy as np
 import typer
+from typer.models import OptionInfo
 
 import irisjax as ij
 
 _MOST_WAVELENGTHS = 1_000_000
 
 
-class Setting(NamedTuple):
-    """An option of the command line and a key of the header.
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Group:
+    """Options that belong together: a frozen dataclass whose fields are `Annotated` for typer.
 
-    `parse` turns text into a value and raises `ValueError`; a `flag` has `--name/--no-name`.
+    - `PANEL`: heading of the options in the help.
+    - `ONLY_WITH`: an option that means nothing unless another of the group has one of these values;
+        to type it then is an error.
+    - `typed`: the options that stand on the command line, as against defaults and a file's values.
     """
 
-    name: str
-    panel: str
-    help: str
-    parse: Callable[[str], Any] = str
-    default: str | None = None
-    metavar: str = "TEXT"
-    flag: bool = False
-    option: str | None = None
+    PANEL: ClassVar[str] = ""
+    ONLY_WITH: ClassVar[Mapping[str, tuple[str, tuple[str, ...]]]] = {}
+    typed: frozenset[str] = frozenset()
 
-    def typed(self) -> str:
-        """The option as the user types it."""
-        return (self.option or _dashed(self.name)).split()[-1]
+    def __post_init__(self):
+        for name in self.ONLY_WITH:
+            if name in self.typed and not self.applies(name):
+                other, values = self.ONLY_WITH[name]
+                raise ValueError(
+                    f"{dashed(name)} means something only with {dashed(other)} "
+                    f"{' or '.join(values)}"
+                )
 
-    def parameter(self) -> inspect.Parameter:
-        """The option as typer reads it.
+    def applies(self, name: str) -> bool:
+        """Whether an option means something beside the others."""
+        other, values = self.ONLY_WITH.get(name, (name, ()))
+        return other == name or getattr(self, other) in values
 
-        Its default is `None` and the true one only told in the help: it matters to `--from` whether
-        an option was given.
-        """
-        names = (self.option or _dashed(self.name)).split()
-        default = self.default
-        if self.flag:
-            names = [f"{names[0]}/--no-{names[0].removeprefix('--')}"]
-            default = None if default is None else names[0].split("/")[default == "no"]
-        info = typer.Option(
-            *names,
-            help=self.help if default is None else f"{self.help}; default {default}",
-            rich_help_panel=self.panel,
-            metavar=None if self.flag else self.metavar,
-            show_default=False,
-        )
-        kind = (bool if self.flag else str) | None
-        return inspect.Parameter(
-            self.name,
-            inspect.Parameter.KEYWORD_ONLY,
-            default=None,
-            annotation=Annotated[kind, info],
-        )
+    def settings(self) -> dict[str, Any]:
+        """What a file must say of the group to be made again: options that apply and are set."""
+        found = {name: getattr(self, name) for name in _options_of(type(self))}
+        return {n: v for n, v in found.items() if v is not None and self.applies(n)}
 
 
-def _dashed(name: str) -> str:
+def grouped(function: Callable[..., None]) -> Callable[..., None]:
+    """A command for typer of a function some of whose parameters are a `Group`.
+
+    typer is shown every field of a group as an option under the group's heading; the function gets
+    the groups made of their values. Other parameters pass as they are.
+    """
+    parameters = inspect.signature(function).parameters.values()
+    groups = {p.name: p.annotation for p in parameters if _is_group(p.annotation)}
+    shown = [inspect.Parameter("context", _KEYWORD, annotation=typer.Context)]
+    for parameter in parameters:
+        if parameter.name in groups:
+            shown += _options_of(parameter.annotation).values()
+        else:
+            shown.append(parameter.replace(kind=_KEYWORD))
+
+    @functools.wraps(function)
+    def command(context, **given):
+        typed = frozenset(n for n in given if stands_on_command_line(context, n))
+        for name, group in groups.items():
+            fields = {n: given.pop(n) for n in _options_of(group)}
+            given[name] = group(**fields, typed=typed & frozenset(fields))
+        function(**given)
+
+    # typer reads a command's options from these two.
+    command.__signature__ = inspect.Signature(shown)  # pyright: ignore[reportAttributeAccessIssue]
+    command.__annotations__ = {parameter.name: parameter.annotation for parameter in shown}
+    return command
+
+
+def option(*names: str, parse: Callable[[str], Any] | None = None, **shown: Any) -> Any:
+    """`typer.Option` whose value is what `parse` makes of the text.
+
+    `parse` raises `ValueError` for a text that it cannot take; the command names the option, or the
+    file and the key, in front of what it says.
+    """
+
+    def read(text):
+        assert parse is not None
+        try:
+            return parse(str(text))  # defaults come as values
+        except ValueError as error:
+            raise typer.BadParameter(str(error)) from None
+
+    return typer.Option(*names, parser=None if parse is None else read, **shown)
+
+
+def name_of(help: str, *names: str, **more: Any) -> Any:
+    """An option that takes one of these names."""
+    return option(parse=one_of(*names), metavar="name", help=f"{', '.join(names)}: {help}", **more)
+
+
+def overrules(*names: str) -> Callable[..., Any]:
+    """Callback of an option that, typed, sets what a file would set by these names."""
+
+    # typer goes through the options that were typed before those that take defaults.
+    def callback(context, param, value):
+        if stands_on_command_line(context, param.name):
+            for name in names:
+                (context.default_map or {}).pop(name, None)
+        return value
+
+    return callback
+
+
+def stands_on_command_line(context, name: str) -> bool:
+    """Whether an option was typed."""
+    source = context.get_parameter_source(name)
+    return source is not None and source.name == "COMMANDLINE"
+
+
+def dashed(name: str) -> str:
+    """An option as it is typed."""
     return f"--{name.replace('_', '-')}"
 
 
-class Grid(NamedTuple):
-    """Wavelengths (nm) and how they were written."""
+_KEYWORD = inspect.Parameter.KEYWORD_ONLY
+
+
+def _is_group(annotation: Any) -> bool:
+    return isinstance(annotation, type) and issubclass(annotation, Group)
+
+
+@functools.cache
+def _options_of(group: type[Group]) -> dict[str, inspect.Parameter]:
+    """Fields that are options, as typer reads them."""
+    hints = get_type_hints(group, include_extras=True)
+    found = {}
+    for field in dataclasses.fields(group):
+        if field.name == "typed":
+            continue
+        kind, info = get_args(hints[field.name])
+        if isinstance(info, OptionInfo):
+            info = copy.copy(info)
+            info.rich_help_panel = group.PANEL
+        found[field.name] = inspect.Parameter(
+            field.name, _KEYWORD, default=field.default, annotation=Annotated[kind, info]
+        )
+    return found
+
+
+@dataclasses.dataclass(frozen=True)
+class Grid:
+    """Wavelengths as they are written, and their values (nm)."""
 
     text: str
-    values: np.ndarray
+
+    @functools.cached_property
+    def values(self) -> np.ndarray:
+        """Wavelengths, nm. **Raises:** `ValueError` for a text that is no grid."""
+        text = "".join(self.text.split())
+        form = "give start:stop:step or a list 450,550,650, in nm"
+        try:
+            numbers = [float(part) for part in text.replace(":", ",").split(",")]
+        except ValueError:
+            raise ValueError(f"{text!r} is not a grid; {form}") from None
+        if ":" not in text:
+            return np.array(numbers)
+        if "," in text or len(numbers) != 3:
+            raise ValueError(f"{text!r} is not a grid; {form}")
+        start, stop, step = numbers
+        if step > 0 and (stop - start) / step >= _MOST_WAVELENGTHS:
+            raise ValueError(f"{text!r} has more than {_MOST_WAVELENGTHS} wavelengths")
+        return ij.wavelengths(start, stop, step)
 
     def __str__(self):
         return self.text
+
+
+def grid(low: float = -math.inf, high: float = math.inf) -> Callable[[str], Grid]:
+    """Parser of wavelengths within [low, high], nm."""
+
+    def parse(text: str) -> Grid:
+        found = Grid("".join(text.split()))
+        outside = [w for w in found.values if not low <= w <= high]
+        if outside:
+            raise ValueError(
+                f"{outside[0]:g} nm is outside the pigment tables ({low:g} to {high:g} nm)"
+            )
+        return found
+
+    return parse
 
 
 def number(low: float = -math.inf, high: float = math.inf) -> Callable[[str], float]:
@@ -95,7 +216,7 @@ def whole(low: int, high: int) -> Callable[[str], int]:
         try:
             value = int(text)
         except ValueError:
-            real = number()(text)  # 1e6 is a whole number too
+            real = number()(text)
             if not real.is_integer():
                 raise ValueError(f"{text} is not a whole number") from None
             value = int(real)
@@ -117,29 +238,14 @@ def one_of(*names: str) -> Callable[[str], str]:
     return parse
 
 
-def flag(text: str) -> bool:
-    """Parse yes or no."""
-    return one_of("yes", "no")(text) == "yes"
-
-
 def cosine(text: str) -> float | str:
     """Parse a cosine of incidence, or the word for light from everywhere."""
     return text if text == ij.DIFFUSE else number(0, 1)(text)
 
 
-def grid(text: str) -> Grid:
-    """Parse start:stop:step or a comma-separated list of wavelengths, nm."""
-    text = "".join(text.split())
-    form = "give start:stop:step or a list 450,550,650, in nm"
-    try:
-        numbers = [float(part) for part in text.replace(":", ",").split(",")]
-    except ValueError:
-        raise ValueError(f"{text!r} is not a grid; {form}") from None
-    if ":" not in text:
-        return Grid(text, np.array(numbers))
-    if "," in text or len(numbers) != 3:
-        raise ValueError(f"{text!r} is not a grid; {form}")
-    start, stop, step = numbers
-    if step > 0 and (stop - start) / step >= _MOST_WAVELENGTHS:
-        raise ValueError(f"{text!r} has more than {_MOST_WAVELENGTHS} wavelengths")
-    return Grid(text, ij.wavelengths(start, stop, step))
+SEED_HELP = "0 to 4294967295; equal seeds give equal "
+
+
+def read_seed(text: str) -> int:
+    """Parse a seed, 32 bits: larger ones would start other streams in a float32 Python session."""
+    return whole(0, 2**32 - 1)(text)

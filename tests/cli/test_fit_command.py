@@ -1,169 +1,97 @@
-"""`irisjax fit`: from a file to files, resumed, in batches, and one line for every wrong input."""
+"""`irisjax fit`: what is asked of the sampler, from a file to files, resumed; wrong input."""
 
 import csv
 import sys
 
+import numpy as np
 import pytest
 import xarray as xr
+from stand_ins import FREE
 
+import irisjax as ij
 from irisjax import cli
+from irisjax.cli import report
 from irisjax.infer.parameters import DEFAULT_FREE, PARAMETERS
 
-
-@pytest.fixture
-def irisjax(capsys, monkeypatch):
-    """Run the command in this process; gives status, standard output and standard error."""
-    monkeypatch.delenv("IRISJAX_DEBUG", raising=False)
-
-    def run(*arguments):
-        status = cli.run([str(a) for a in arguments])
-        return status, *capsys.readouterr()
-
-    return run
+FILES = {"chain.h5", "posterior.nc", "summary.csv", "corner.png", "fit.png"}
 
 
-@pytest.fixture
-def spectrum(irisjax, tmp_path):
-    path = tmp_path / "eye.csv"
-    assert irisjax("simulate-measurement", "--level", "low", "--seed", 2, "-o", path)[0] == 0
-    return path
-
-
-QUICK = ("--free", "melanin_load,hemoglobin", "--walkers", 16)
-
-
-def test_one_eye_from_file_to_files(irisjax, spectrum, tmp_path):
-    folder = tmp_path / "out"
-    status, out, err = irisjax("fit", spectrum, "-o", folder, *QUICK)
-    assert (status, err) == (0, "")
-    assert "melanin_load" in out
-    assert "load" in out.splitlines()[-1] or "known" in out
-    names = {p.name for p in folder.iterdir()}
-    assert names == {
-        "chain.h5",
-        "chain.h5.bak",
-        "posterior.nc",
-        "summary.csv",
-        "corner.png",
-        "fit.png",
-    }
+def summary(folder):
     with (folder / "summary.csv").open() as file:
-        rows = {row["parameter"]: row for row in csv.DictReader(file)}
+        return {row["parameter"]: row for row in csv.DictReader(file)}
+
+
+def test_one_eye_from_file_to_files(fitted):
+    assert fitted.status == 0
+    assert "melanin_load" in fitted.printed
+    assert "best known: the load" in fitted.printed
+    assert "predictive score" in fitted.printed.splitlines()[-1]
+    assert {p.name for p in fitted.folder.iterdir()} == FILES
+    rows = summary(fitted.folder)
     columns = "parameter,unit,median,sd,q2.5,q16,q84,q97.5,rhat,ess_bulk,ess_tail,contraction"
     assert list(rows["melanin_load"]) == columns.split(",")
     assert set(rows) == {"melanin_load", "hemoglobin", "abl_melanin", "eumelanin", "pheomelanin"}
-    # The truth is in the file's header.
-    truth = dict(
-        p.split(" = ")
-        for p in spectrum.read_text().split("# truth: ")[1].splitlines()[0].split(", ")
-    )
-    for name in ("melanin_load", "hemoglobin"):
-        row = rows[name]
-        assert abs(float(row["median"]) - float(truth[name])) < 5 * float(row["sd"])
-        assert float(row["ess_bulk"]) >= 1000
-
-    before = (folder / "summary.csv").read_bytes()
-    status, out, err = irisjax("fit", spectrum, "-o", folder, *QUICK)
-    assert (status, out) == (2, "")
-    assert "--resume" in err
-    assert irisjax("fit", spectrum, "-o", folder, *QUICK, "--resume")[0] == 0
-    assert (folder / "summary.csv").read_bytes() == before
-    assert irisjax("fit", spectrum, "-o", folder, *QUICK, "--overwrite")[0] == 0
-    assert (folder / "summary.csv").read_bytes() == before  # equal seeds, equal bytes
-    assert irisjax("fit", spectrum, "-o", folder, *QUICK, "--resume", "--seed", 1)[0] == 2
+    file = fitted.folder / "posterior.nc"
+    with xr.open_dataset(file, group="posterior", engine="h5netcdf") as found:
+        assert {"melanin_load", "hemoglobin"} <= set(found)
+    for name in ("fit.png", "corner.png"):
+        assert (fitted.folder / name).read_bytes().startswith(b"\x89PNG")
 
 
-def test_short_chains_end_with_status_three(irisjax, spectrum, monkeypatch):
+def test_results_are_neither_lost_nor_mixed(fitted, irisjax, sampled, monkeypatch):
+    written = []
+    monkeypatch.setattr(report, "_write", lambda *given: written.append(given))
+    status, out, err = irisjax(*fitted.arguments)
+    assert (status, out, len(sampled)) == (2, "", 0)
+    assert "--resume goes on with them, --overwrite begins anew" in err
+    for how in ("--resume", "--overwrite"):
+        assert irisjax(*fitted.arguments, how)[0] == 0
+        assert (sampled[-1].resume, sampled[-1].went_on) == (how == "--resume",) * 2
+    assert len(written) == 2
+
+
+def test_what_the_sampler_is_asked(irisjax, eye, sampled):
+    said = ("--free", "melanin_load,gain", "--fix", "abl_fraction=0.25")
+    said += ("--prior", "gain=normal(1, 0.1)", "--process", "depth-resolved", "--outliers")
+    said += ("--relative-noise", "0.05", "--absolute-noise", "1e-3", "--no-first-surface")
+    said += ("--cos-incidence", "0.5", "--walkers", "12", "--max-steps", "200", "--seed", "7")
+    assert irisjax("fit", eye, *said)[0] == 0
+    (call,) = sampled
+    assert (call.walkers, call.max_steps, call.seed, call.resume) == (12, 200, 7, False)
+    problem = call.problem
+    assert problem.free == ("melanin_load", "gain")
+    assert float(problem.fixed["abl_fraction"]) == 0.25
+    assert "normal(1, 0.1)" in repr(problem.priors[1])
+    assert problem.process == ij.DEPTH_RESOLVED
+    (seen,) = problem.observations
+    assert (float(seen.cos_incidence), seen.first_surface) == (0.5, False)
+    np.testing.assert_allclose(problem.noise.relative, 0.05)
+    np.testing.assert_allclose(problem.noise.absolute, 1e-3)
+    assert float(problem.noise.degrees_of_freedom) == 4
+
+
+def test_two_spots_of_one_eye(irisjax, eye, sampled, tmp_path):
+    """They share the blood; each has its own melanin where it is separate."""
+    other = tmp_path / "spot.csv"
+    lines = eye.read_text().splitlines()
+    other.write_text("\n".join(lines[:-3]))  # another grid
+    both = ("fit", eye, other, "--separate", "melanin_load", *FREE)
+    status, out, err = irisjax(*both)
+    assert (status, err) == (0, "")
+    assert out.startswith("eye.csv, spot.csv: posterior of one eye")
+    assert {"melanin_load@1", "melanin_load@2", "hemoglobin", "eumelanin@2"} <= set(out.split())
+    sizes = [o.values.size for o in sampled[0].problem.observations]
+    assert sizes == [31, 28]
+
+
+def test_short_chains_end_with_status_three(irisjax, eye, sampled, monkeypatch):
     monkeypatch.setattr(sys.stderr, "isatty", lambda: True, raising=False)
-    status, out, err = irisjax("fit", spectrum, *QUICK, "--max-steps", 40)
+    status, out, err = irisjax("fit", eye, *FREE, "--max-steps", 40)
     assert status == 3
     assert "NOT CONVERGED: 40 steps" in out
-    # A terminal is told at once what takes so long; that nothing else is,
-    # `test_one_eye_from_file_to_files` shows.
+    # A terminal is told at once what takes so long; without one nothing is said.
     assert err.lstrip("\r").startswith("compiling")
     assert err.index("compiling") < err.index("sampling")
-
-
-@pytest.mark.slow  # several spectra of an eye are also tests/infer's
-def test_two_spots_of_one_eye(irisjax, spectrum, tmp_path):
-    """They share the blood; each has its own melanin where it is separate."""
-    other, folder = tmp_path / "spot.csv", tmp_path / "out"
-    changed = ("--melanin-load", 0.1, "--wavelengths", "420:680:10")
-    assert (
-        irisjax("simulate-measurement", "--level", "low", *changed, "--seed", 3, "-o", other)[0]
-        == 0
-    )
-    both = ("fit", spectrum, other, "--separate", "melanin_load", *QUICK)
-    status, out, err = irisjax(*both, "-o", folder, "--max-steps", 60)
-    assert (status, err) == (
-        3,
-        "",
-    )  # too short a chain to be called converged; long enough to be near
-    assert out.startswith("eye.csv, spot.csv: posterior of one eye")
-    with (folder / "summary.csv").open() as file:
-        rows = {row["parameter"]: row for row in csv.DictReader(file)}
-    assert {"melanin_load@1", "melanin_load@2", "hemoglobin", "eumelanin@2"} <= set(rows)
-    for name, truth in (("melanin_load@1", 0.0477), ("melanin_load@2", 0.1), ("hemoglobin", 0.084)):
-        assert abs(float(rows[name]["median"]) - truth) < 5 * float(rows[name]["sd"])
-    with xr.open_dataset(folder / "posterior.nc", group="observed_data", engine="h5netcdf") as seen:
-        assert seen["wavelength_nm_1"].size == seen["reflectance_1"].size == 31
-        assert seen["wavelength_nm_2"].size == seen["reflectance_2"].size == 27
-
-
-def test_batch(irisjax, spectrum, tmp_path):
-    eyes = tmp_path / "eyes"
-    eyes.mkdir()
-    for i in range(3):
-        (eyes / f"e{i}.csv").write_bytes(spectrum.read_bytes())
-    (eyes / "broken.csv").write_text("nm,R\n400,oops\n")
-    status, _, err = irisjax("fit", "--batch", eyes, "-o", tmp_path / "out", *QUICK)
-    assert status == 3
-    assert "1 of 4 eyes failed: broken" in err
-    target = tmp_path / "out" / "fits.csv"
-    with target.open() as file:
-        rows = {row["eye"]: row for row in csv.DictReader(file)}
-    assert rows["broken"]["status"].endswith("line 2: 'oops' is not a number")
-    assert rows["e0"]["status"] == "ok"
-    assert [rows["e0"][n] for n in ("melanin_load", "chi_square")] == [
-        rows["e2"][n] for n in ("melanin_load", "chi_square")
-    ]
-    # The mended eye alone is done again.
-    (eyes / "broken.csv").write_bytes(spectrum.read_bytes())
-    assert irisjax("fit", "--batch", eyes, "-o", tmp_path / "out", *QUICK)[0] == 2
-    assert irisjax("fit", "--batch", eyes, "-o", tmp_path / "out", *QUICK, "--resume")[0] == 0
-    with target.open() as file:
-        assert all(row["status"] == "ok" for row in csv.DictReader(file))
-    # The same eyes as columns of one table.
-    x, y = _columns(spectrum)
-    lines = ["wavelength_nm,a,b", *(f"{a:g},{b:.12g},{b:.12g}" for a, b in zip(x, y, strict=True))]
-    (tmp_path / "table.csv").write_text("\n".join(lines))
-    status, out, _ = irisjax("fit", "--batch", tmp_path / "table.csv", *QUICK)
-    assert status == 0
-    listed = list(csv.DictReader(out.splitlines()))
-    assert [row["eye"] for row in listed] == ["a", "b"]
-    assert float(listed[0]["melanin_load"]) == pytest.approx(
-        float(rows["e0"]["melanin_load"]), rel=1e-4
-    )
-
-
-def _columns(path):
-    from irisjax import io
-
-    found = io.read_measured(path)
-    return found.wavelengths, found.values
-
-
-def test_simulated_measurements_say_so_and_repeat(irisjax, tmp_path):
-    one = irisjax("simulate-measurement", "--level", "high", "--scans", 3, "--seed", 5)
-    assert one == irisjax("simulate-measurement", "--level", "high", "--scans", 3, "--seed", 5)
-    assert (
-        one[1] != irisjax("simulate-measurement", "--level", "high", "--scans", 3, "--seed", 6)[1]
-    )
-    assert "not a measurement" in one[1]
-    assert "scan_3" in one[1]
-    path = tmp_path / "s.csv"
-    path.write_text(one[1])
-    assert irisjax("simulate-measurement", "--from", path)[1] == one[1]
 
 
 @pytest.mark.parametrize(
@@ -180,18 +108,22 @@ def test_simulated_measurements_say_so_and_repeat(irisjax, tmp_path):
         (("{eye}", "--fix", "gain=-1"), "--fix gain: -1 is outside 0 to inf"),
         (("{eye}", "--fix", "gian=1"), "--fix: unknown 'gian'"),
         (("{eye}", "--prior", "gain=flat"), "'flat' is no prior"),
-        (("{eye}", "--walkers", "8"), "8 walkers are too few for 7 free parameters"),
+        (("{eye}", "--walkers", "3"), "--walkers: 3 is outside 4 to 4096"),
+        (("{eye}", "--max-steps", "0"), "--max-steps: 0 is outside 1 to 10000000"),
+        (("{eye}", "--seed", "-1"), "--seed: -1 is outside 0 to 4294967295"),
         (("{eye}", "--process", "ilit"), "--process: unknown 'ilit'"),
         (("{eye}", "--relative-noise", "much"), "--relative-noise: 'much' is not a number"),
+        (("{eye}", "--cos-incidence", "2"), "--cos-incidence: 2 is outside 0 to 1"),
         (("{eye}", "--discrepancy", "0.02"), "write its size and its length"),
         (("{eye}", "--discrepancy", "0.02:50", "--outliers"), "do not go together"),
         (("{eye}", "--quantity", "colour"), "--quantity: unknown 'colour'"),
         (("{eye}", "--quantity", "radiance", "--illuminant", "sun"), "unknown illuminant 'sun'"),
         (("--batch", "{eye}", "--posteriors"), "--posteriors needs -o"),
+        (("{eye}", "-o", "{eye}"), "is a file, not a folder"),
     ],
 )
-def test_wrong_input_is_one_line(irisjax, spectrum, arguments, message):
-    status, out, err = irisjax("fit", *(str(spectrum) if a == "{eye}" else a for a in arguments))
+def test_wrong_input_is_one_line(irisjax, quick, eye, arguments, message):
+    status, out, err = irisjax("fit", *(str(eye) if a == "{eye}" else a for a in arguments))
     assert (status, out) == (2, "")
     assert message in err
     assert err.count("\n") == 1
@@ -207,3 +139,56 @@ def test_help_names_every_parameter_and_its_prior(irisjax, monkeypatch):
         )
         assert repr(parameter.prior) in line
         assert ("*" in line) == (name in DEFAULT_FREE)
+
+
+@pytest.fixture(scope="module")
+def spectrum(tmp_path_factory):
+    """A spectrum of the model itself."""
+    path = tmp_path_factory.mktemp("eye") / "eye.csv"
+    assert cli.run(["simulate-measurement", "--level", "low", "--seed", "2", "-o", str(path)]) == 0
+    return path
+
+
+@pytest.mark.slow  # search and sampler are tests/infer's; here they compile for half a minute
+def test_one_eye_by_the_model_itself(irisjax, spectrum, tmp_path):
+    folder = tmp_path / "out"
+    arguments = ("fit", spectrum, "-o", folder, *FREE)
+    status, out, err = irisjax(*arguments)
+    assert (status, err) == (0, "")
+    assert "load" in out.splitlines()[-1] or "known" in out
+    assert {p.name for p in folder.iterdir()} == {*FILES, "chain.h5.bak"}
+    rows = summary(folder)
+    # The truth is in the file's header.
+    truth = dict(
+        p.split(" = ")
+        for p in spectrum.read_text().split("# truth: ")[1].splitlines()[0].split(", ")
+    )
+    for name in ("melanin_load", "hemoglobin"):
+        row = rows[name]
+        assert abs(float(row["median"]) - float(truth[name])) < 5 * float(row["sd"])
+        assert float(row["ess_bulk"]) >= 1000
+    before = (folder / "summary.csv").read_bytes()
+    assert irisjax(*arguments)[0] == 2
+    for how in ("--resume", "--overwrite"):
+        assert irisjax(*arguments, how)[0] == 0
+        assert (folder / "summary.csv").read_bytes() == before
+    assert irisjax(*arguments, "--resume", "--seed", 1)[0] == 2
+    status, out, err = irisjax("fit", spectrum, "--walkers", 8)
+    assert (status, out) == (2, "")
+    assert "8 walkers are too few for 7 free parameters" in err
+
+
+@pytest.mark.slow
+def test_two_spots_by_the_model_itself(irisjax, spectrum, tmp_path):
+    other, folder = tmp_path / "spot.csv", tmp_path / "out"
+    changed = ("--melanin-load", 0.1, "--wavelengths", "420:680:10", "--seed", 3)
+    assert irisjax("simulate-measurement", "--level", "low", *changed, "-o", other)[0] == 0
+    both = ("fit", spectrum, other, "--separate", "melanin_load", *FREE)
+    # Too short a chain to be called converged; long enough to be near.
+    assert irisjax(*both, "-o", folder, "--max-steps", 60)[0] == 3
+    with xr.open_dataset(folder / "posterior.nc", group="observed_data", engine="h5netcdf") as seen:
+        assert seen["wavelength_nm_1"].size == seen["reflectance_1"].size == 31
+        assert seen["wavelength_nm_2"].size == seen["reflectance_2"].size == 27
+    rows = summary(folder)
+    for name, truth in (("melanin_load@1", 0.0477), ("melanin_load@2", 0.1), ("hemoglobin", 0.084)):
+        assert abs(float(rows[name]["median"]) - truth) < 5 * float(rows[name]["sd"])

@@ -1,0 +1,264 @@
+"""Groups of options of `irisjax fit`."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+import irisjax as ij
+from irisjax.cli.options import (
+    SEED_HELP,
+    Group,
+    cosine,
+    name_of,
+    number,
+    one_of,
+    option,
+    read_seed,
+    whole,
+)
+from irisjax.infer.parameters import PARAMETERS
+from irisjax.transport.process import PROCESSES
+
+
+@dataclass(frozen=True, kw_only=True)
+class Measured(Group):
+    """What was measured, of which eye, and how well."""
+
+    PANEL = "Measurement"
+
+    spectra: Annotated[
+        list[Path] | None,
+        typer.Argument(
+            metavar="SPECTRUM",
+            help="file of wavelengths and reflectances (CSV, TSV, JCAMP-DX); several are of one "
+            "eye, fitted together",
+            show_default=False,
+        ),
+    ] = None
+    relative_noise: Annotated[
+        float,
+        option(
+            parse=number(0, 10),
+            metavar="SHARE",
+            help="noise, a share of the reflectance, of files with neither sd nor repeated scans",
+        ),
+    ] = 0.02
+    absolute_noise: Annotated[
+        float,
+        option(
+            parse=number(1e-12, 1e3),
+            metavar="REFLECTANCE",
+            help="noise beside it that does not depend on the reflectance",
+        ),
+    ] = 2e-4
+    outliers: Annotated[
+        bool,
+        option("--outliers", metavar="", help="heavy-tailed noise: single wild values do no harm"),
+    ] = False
+    discrepancy: Annotated[
+        str | None,
+        option(
+            metavar="SHARE:NM",
+            help="allow the model a smooth error: size and correlation length, such as 0.02:80",
+        ),
+    ] = None
+    quantity: Annotated[
+        str, name_of("of a radiance the illuminant is 1 at 560 nm", "reflectance", "radiance")
+    ] = "reflectance"
+    illuminant: Annotated[
+        str, option(metavar="NAME", help="of a radiance, by its name in colour-science")
+    ] = "D65"
+    cos_incidence: Annotated[
+        Any,  # a number or the word
+        option(
+            parse=cosine,
+            metavar="COSINE",
+            help="of the light's angle from the normal, 0 to 1; or diffuse",
+        ),
+    ] = 1.0
+    first_surface: Annotated[
+        bool,
+        option(
+            "--first-surface/--no-first-surface",
+            metavar="",
+            help="the iris's own mirror reflection is in the data",
+        ),
+    ] = True
+
+    @property
+    def noise(self) -> ij.Noise:
+        """How far values may lie from the model's."""
+        rough, length = _discrepancy(self.discrepancy)
+        stated: dict[str, Any] = {
+            "relative": self.relative_noise,
+            "absolute": self.absolute_noise,
+            "discrepancy": rough,
+            "length": length,
+            "degrees_of_freedom": 4.0 if self.outliers else None,
+        }
+        return ij.Noise(**stated)
+
+    @property
+    def seen(self) -> dict[str, Any]:
+        """What `irisjax.spectrum` is told beside the numbers."""
+        names = ("quantity", "illuminant", "cos_incidence", "first_surface")
+        return {name: getattr(self, name) for name in names}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Model(Group):
+    """What is known, what is to be found, and by which rules of light transport."""
+
+    PANEL = "Model"
+
+    free: Annotated[
+        str | None,
+        option(
+            metavar="NAMES",
+            help="parameters to find, by commas; default those marked * below",
+        ),
+    ] = None
+    fix: Annotated[
+        list[str] | None,
+        option(metavar="NAME=VALUE", help="a parameter that is known; repeatable"),
+    ] = None
+    prior: Annotated[
+        list[str] | None,
+        option(
+            metavar="NAME=PRIOR",
+            help="such as 'hemoglobin=lognormal(0.1, 0.3)'; repeatable; kinds below",
+        ),
+    ] = None
+    separate: Annotated[
+        str | None,
+        option(
+            metavar="NAMES",
+            help="parameters that each of several spectra has for itself, by commas: NAME@1, "
+            "NAME@2, ...",
+        ),
+    ] = None
+    process: Annotated[
+        str,
+        option(
+            parse=one_of(*PROCESSES),
+            metavar="NAME",
+            help=f"rules of light transport: {', '.join(PROCESSES)}",
+        ),
+    ] = "ilit-2006"
+
+    @property
+    def stated(self) -> dict[str, Any]:
+        """What `irisjax.problem` is told of the parameters."""
+        from irisjax.infer.priors import prior_of
+
+        fixed, priors = {}, {}
+        for name, value in (_pair("--fix", text) for text in self.fix or ()):
+            known = PARAMETERS[name]
+            fixed[name] = _value(f"--fix {name}", value, known.low, known.high)
+        for name, value in (_pair("--prior", text) for text in self.prior or ()):
+            priors[name] = prior_of(value, PARAMETERS[name].low, PARAMETERS[name].high)
+        return {
+            "free": None if self.free is None else _names(self.free),
+            "separate": _names(self.separate or ""),
+            "fixed": fixed,
+            "priors": priors,
+            "process": PROCESSES[self.process],
+        }
+
+
+@dataclass(frozen=True, kw_only=True)
+class Sampler(Group):
+    """How the posterior is sampled."""
+
+    PANEL = "Sampler"
+
+    walkers: Annotated[
+        int,
+        option(parse=whole(4, 4096), metavar="count", help="chains side by side, 4 to 4096"),
+    ] = 64
+    max_steps: Annotated[
+        int,
+        option(
+            parse=whole(1, 10_000_000),
+            metavar="count",
+            help="stop there if not long enough before, 1 to 10000000",
+        ),
+    ] = 20_000
+    seed: Annotated[int, option(parse=read_seed, metavar="number", help=f"{SEED_HELP}results")] = 0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Results(Group):
+    """Where what is found goes; many eyes at once."""
+
+    PANEL = "Files"
+
+    output: Annotated[
+        Path | None,
+        option(
+            "-o",
+            "--output",
+            metavar="FOLDER",
+            help="for summary.csv, fit.png, corner.png, posterior.nc (arviz), chain.h5; else the "
+            "table is printed only",
+        ),
+    ] = None
+    batch: Annotated[
+        Path | None,
+        option(
+            metavar="SOURCE",
+            help="many eyes: a folder of spectra, or a CSV with a column an eye",
+        ),
+    ] = None
+    posteriors: Annotated[
+        bool,
+        option("--posteriors", metavar="", help="with --batch: sample every eye, not only fit it"),
+    ] = False
+    resume: Annotated[
+        bool,
+        option("--resume", metavar="", help="go on where a run into the same FOLDER stopped"),
+    ] = False
+    overwrite: Annotated[
+        bool,
+        option("--overwrite", metavar="", help="begin anew in a FOLDER that has results"),
+    ] = False
+
+
+def _names(text: str) -> list[str]:
+    return [name.strip() for name in text.split(",") if name.strip()]
+
+
+def _pair(option: str, text: str) -> tuple[str, str]:
+    name, equals, value = (part.strip() for part in text.partition("="))
+    if not equals:
+        raise ValueError(f"{option} {text!r}: write NAME=VALUE")
+    return _one(option, name, PARAMETERS), value
+
+
+def _one(option: str, text: str, names) -> str:
+    try:
+        return one_of(*names)(text)
+    except ValueError as error:
+        raise ValueError(f"{option}: {error}") from None
+
+
+def _value(option: str, text: str, low: float, high: float) -> float:
+    try:
+        return number(low, high)(text)
+    except ValueError as error:
+        raise ValueError(f"{option}: {error}") from None
+
+
+def _discrepancy(text: str | None) -> tuple[float | None, float | None]:
+    if text is None:
+        return None, None
+    size, colon, length = text.partition(":")
+    if not colon:
+        raise ValueError(
+            f"--discrepancy {text!r}: write its size and its length in nm, such as 0.02:80"
+        )
+    return _value("--discrepancy size", size, 1e-6, 10), _value(
+        "--discrepancy length", length, 1e-3, 1e4
+    )

@@ -1,0 +1,172 @@
+"""Groups of options that say how the iris is lit and what looks at it."""
+
+import math
+from dataclasses import dataclass
+from typing import Annotated, Any, get_args
+
+from irisjax.cli.options import (
+    SEED_HELP,
+    Grid,
+    Group,
+    cosine,
+    grid,
+    name_of,
+    number,
+    option,
+    overrules,
+    read_seed,
+    whole,
+)
+from irisjax.measure.colour import OBSERVER
+from irisjax.tissue.pigments import common_range
+from irisjax.transport.process import Cornea
+
+_VISIBLE, _GREEN, _WHOLE = Grid("400:700:10"), Grid("550"), Grid("380:780:5")
+_ILLUMINANT = option(metavar="name", help="light source by its name in colour-science")
+
+
+def _wavelengths(*names: str) -> Any:
+    low, high = common_range()
+    return option(
+        *names,
+        parse=grid(low, high),
+        metavar="nm",
+        help=f"start:stop:step or a list like 450,550; within {low:g} to {high:g}",
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Light(Group):
+    """Where the light comes from, and its wavelengths."""
+
+    PANEL = "Measurement"
+
+    wavelengths: Annotated[Grid, _wavelengths()] = _VISIBLE
+    cos_incidence: Annotated[
+        Any,  # a number or the word
+        option(
+            parse=cosine,
+            metavar="number",
+            help="cosine of incidence, 0 to 1, or diffuse",
+            callback=overrules("incidence_deg"),
+        ),
+    ] = 1.0
+    incidence_deg: Annotated[
+        float | None,
+        option(
+            parse=number(0, 90),
+            metavar="degrees",
+            help="the same as an angle, 0 to 90",
+            callback=overrules("cos_incidence"),
+        ),
+    ] = None
+
+    def __post_init__(self):
+        super().__post_init__()
+        if {"cos_incidence", "incidence_deg"} <= self.typed:
+            raise ValueError("give --cos-incidence or --incidence-deg, not both")
+
+    @property
+    def cosine(self) -> float | str:
+        """Cosine of incidence, or the word for light from everywhere."""
+        degrees = self.incidence_deg
+        return self.cos_incidence if degrees is None else math.cos(math.radians(degrees))
+
+    def settings(self) -> dict[str, Any]:
+        """The angle is written as its cosine."""
+        found = {**super().settings(), "cos_incidence": self.cosine}
+        return {n: v for n, v in found.items() if n != "incidence_deg"}
+
+
+@dataclass(frozen=True, kw_only=True)
+class EyeLight(Light):
+    """Light on an eye with a cornea and a surface that mirrors."""
+
+    cornea: Annotated[
+        str,
+        name_of(
+            "whether light crosses tear film and cornea; auto is inward for radiance, else none",
+            "auto",
+            *get_args(Cornea),
+        ),
+    ] = "auto"
+    first_surface: Annotated[
+        bool,
+        option(
+            "--first-surface/--no-first-surface",
+            metavar="",
+            help="count light mirrored by the iris's own surface",
+        ),
+    ] = True
+
+
+@dataclass(frozen=True, kw_only=True)
+class SpectrumLight(EyeLight):
+    """What a spectrophotometer or a radiometer measures."""
+
+    ONLY_WITH = {"illuminant": ("instrument", ("radiance",))}  # noqa: RUF012
+
+    instrument: Annotated[
+        str,
+        name_of(
+            "share of the light sent back, or radiance under an illuminant",
+            "reflectance",
+            "radiance",
+        ),
+    ] = "reflectance"
+    illuminant: Annotated[str, _ILLUMINANT] = "D65"
+
+
+@dataclass(frozen=True, kw_only=True)
+class BrdfLight(Light):
+    """What a goniophotometer measures."""
+
+    wavelengths: Annotated[Grid, _wavelengths("--wavelength", "--wavelengths")] = _GREEN
+    plane: Annotated[str, name_of("exit directions", "principal", "hemisphere")] = "principal"
+    angles: Annotated[
+        int,
+        option(
+            parse=whole(2, 3600),
+            metavar="count",
+            help="exit directions over 180 degrees, 2 to 3600",
+        ),
+    ] = 90
+
+
+@dataclass(frozen=True, kw_only=True)
+class ColourLight(EyeLight):
+    """What a colorimeter measures."""
+
+    wavelengths: Annotated[Grid, _wavelengths()] = _WHOLE
+    illuminant: Annotated[str, _ILLUMINANT] = "D65"
+    observer: Annotated[
+        str, option(metavar="name", help="standard observer by its name in colour-science")
+    ] = OBSERVER
+
+
+@dataclass(frozen=True, kw_only=True)
+class NoisyLight(EyeLight):
+    """A reflectance measured with errors."""
+
+    scattering_scale: Annotated[
+        float,
+        option(parse=number(0, 1e6), metavar="number", help="factor on the stroma's scattering"),
+    ] = 1.0
+    gain: Annotated[
+        float,
+        option(
+            parse=number(0, 1e6), metavar="number", help="factor of the instrument on every value"
+        ),
+    ] = 1.0
+    relative_noise: Annotated[
+        float,
+        option(parse=number(0, 10), metavar="share", help="standard deviation, share of the value"),
+    ] = 0.02
+    absolute_noise: Annotated[
+        float,
+        option(parse=number(0, 10), metavar="reflectance", help="the same, of every value alike"),
+    ] = 2e-4
+    scans: Annotated[
+        int, option(parse=whole(1, 1000), metavar="count", help="repeated scans, a column each")
+    ] = 1
+    seed: Annotated[int, option(parse=read_seed, metavar="number", help=SEED_HELP + "bytes")] = 0

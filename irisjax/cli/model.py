@@ -1,0 +1,185 @@
+"""Groups of options: what the iris is made of, how light goes through it, how that is solved."""
+
+import dataclasses
+import math
+from dataclasses import dataclass
+from typing import Annotated, Any, cast, get_args
+
+import jax
+
+import irisjax as ij
+from irisjax.cli.options import (
+    SEED_HELP,
+    Group,
+    name_of,
+    number,
+    option,
+    overrules,
+    read_seed,
+    whole,
+)
+from irisjax.tissue.iris import LIMITS
+from irisjax.transport.montecarlo import Estimator, MonteCarlo
+from irisjax.transport.process import PROCESSES, Phase, Rescatter, Scattering
+
+# As written in the class: making an iris would start JAX before the precision is chosen.
+_DEFAULTS = {field.name: field.default for field in dataclasses.fields(ij.Iris)}
+_LEVELS = ("low", "moderate", "high")
+
+
+def _field(name: str) -> Any:
+    """Option of a field of `Iris`; the iris checks the range and holds the default."""
+    low, high, unit, meaning, above = LIMITS[name]
+    allowed = f"{low:g} to {high:g}" if math.isfinite(high) else f"at least {low:g}"
+    if above:
+        allowed = f"above {low:g}, at most {high:g}" if math.isfinite(high) else f"above {low:g}"
+    default = _DEFAULTS[name]
+    shown = isinstance(default, float) and not name.endswith("melanin")  # those are the level's
+    return option(
+        parse=number(),
+        metavar=unit or "number",
+        help=f"{meaning}, {allowed}{f'; default {default:g}' if shown else ''}",
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class IrisOptions(Group):
+    """What the iris is made of; `None` stands for the level's value or LB06's."""
+
+    PANEL = "Iris"
+
+    level: Annotated[
+        str,
+        name_of(
+            "pigmentation of the paper; sets both melanins",
+            *_LEVELS,
+            callback=overrules("eumelanin", "pheomelanin"),
+        ),
+    ] = "moderate"
+    eumelanin: Annotated[float | None, _field("eumelanin")] = None
+    pheomelanin: Annotated[float | None, _field("pheomelanin")] = None
+    abl_fraction: Annotated[float | None, _field("abl_fraction")] = None
+    oxyhemoglobin: Annotated[float | None, _field("oxyhemoglobin")] = None
+    deoxyhemoglobin: Annotated[float | None, _field("deoxyhemoglobin")] = None
+    lutein: Annotated[float | None, _field("lutein")] = None
+    zeaxanthin: Annotated[float | None, _field("zeaxanthin")] = None
+    abl_thickness: Annotated[float | None, _field("abl_thickness")] = None
+    stroma_thickness: Annotated[float | None, _field("stroma_thickness")] = None
+    intensification: Annotated[float | None, _field("intensification")] = None
+    fibril_radius: Annotated[float | None, _field("fibril_radius")] = None
+    iris_radius: Annotated[float | None, _field("iris_radius")] = None
+    pupil_radius: Annotated[float | None, _field("pupil_radius")] = None
+    aqueous_index: Annotated[float | None, _field("aqueous_index")] = None
+    fibroblast_index: Annotated[float | None, _field("fibroblast_index")] = None
+    collagen_index: Annotated[float | None, _field("collagen_index")] = None
+    base_index: Annotated[float | None, _field("base_index")] = None
+    ipe_index: Annotated[float | None, _field("ipe_index")] = None
+    tear_index: Annotated[float | None, _field("tear_index")] = None
+    cornea_index: Annotated[float | None, _field("cornea_index")] = None
+    fibroblast_fraction: Annotated[float | None, _field("fibroblast_fraction")] = None
+    collagen_fraction: Annotated[float | None, _field("collagen_fraction")] = None
+    abl_index: Annotated[float | None, _field("abl_index")] = None
+    stroma_index: Annotated[float | None, _field("stroma_index")] = None
+    melanin_load: Annotated[
+        float | None,
+        option(
+            parse=number(),
+            metavar="ug/mm2",
+            help="melanin mass per iris area, at least 0: rescales both melanins, keeping their "
+            "ratio",
+        ),
+    ] = None
+    scattering: Annotated[
+        str, name_of("scattering coefficient of the stroma", *get_args(Scattering))
+    ] = "lb06"
+
+
+@dataclass(frozen=True, kw_only=True)
+class ProcessOptions(Group):
+    """Rules of light transport; `None` stands for the named process's own."""
+
+    PANEL = "Process"
+    ONLY_WITH = {  # noqa: RUF012  (a class variable by the base class)
+        "rescatter": ("process", ("ilit-2006", "ilit-corrected")),
+        "perturb_on_reflection": ("process", ("ilit-2006", "ilit-corrected")),
+    }
+
+    process: Annotated[
+        str,
+        name_of(
+            "rules of light transport; by ilit, light eyes are twice as bright in the blue as "
+            "depth-resolved",
+            *PROCESSES,
+            callback=overrules("phase", "rescatter", "perturb_on_reflection"),
+        ),
+    ] = "ilit-2006"
+    phase: Annotated[
+        str | None,
+        name_of("phase function, the paper's sampling or Rayleigh's law", *get_args(Phase)),
+    ] = None
+    rescatter: Annotated[
+        str | None,
+        name_of(
+            "after a scatter straight out, or tested over the layer again", *get_args(Rescatter)
+        ),
+    ] = None
+    perturb_on_reflection: Annotated[
+        bool | None,
+        option(
+            "--perturb-on-reflection/--no-perturb",
+            metavar="",
+            help="redraw directions when reflected inside a layer",
+        ),
+    ] = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class SolverOptions(Group):
+    """How the process is solved."""
+
+    PANEL = "Solver"
+    ONLY_WITH = {  # noqa: RUF012
+        "photons": ("solver", ("monte-carlo",)),
+        "estimator": ("solver", ("monte-carlo",)),
+        "seed": ("solver", ("monte-carlo",)),
+    }
+
+    solver: Annotated[
+        str, name_of("integrate the process, or sample it", "exact", "monte-carlo")
+    ] = "exact"
+    photons: Annotated[
+        int,
+        option(parse=whole(1, 2**31 - 2**20), metavar="count", help="photons at each wavelength"),
+    ] = 1_000_000
+    estimator: Annotated[
+        str,
+        name_of("event by event; expected values; those on a lattice", *get_args(Estimator)),
+    ] = "analog"
+    seed: Annotated[int, option(parse=read_seed, metavar="number", help=SEED_HELP + "bytes")] = 0
+
+
+def iris_of(options: IrisOptions) -> ij.Iris:
+    """The iris that the options describe."""
+    names = (*LIMITS, "melanin_load")
+    fields = {n: v for n in names if (v := getattr(options, n)) is not None}
+    return ij.Iris.preset(options.level).replace(**fields)
+
+
+def process_of(options: ProcessOptions, iris: IrisOptions, cornea: str = "auto") -> ij.Process:
+    """The process that the options name, in such an iris behind such a cornea."""
+    changed: dict[str, Any] = {"scattering": iris.scattering}
+    for name in ("phase", "rescatter", "perturb_on_reflection"):
+        if (value := getattr(options, name)) is not None and options.applies(name):
+            changed[name] = value
+    if cornea != "auto":
+        changed["cornea"] = cornea
+    return dataclasses.replace(PROCESSES[options.process], **changed)
+
+
+def solver_of(options: SolverOptions) -> dict[str, Any]:
+    """The solver, and the key of one that samples."""
+    if options.solver == "exact":
+        return {"solver": ij.Exact()}
+    # The kind of key is fixed, whatever the environment prefers.
+    key = jax.random.key(options.seed, impl="threefry2x32")
+    return {"solver": MonteCarlo(options.photons, cast(Estimator, options.estimator)), "key": key}

@@ -1,0 +1,126 @@
+"""The scene that a command takes: a file or a preset, and what the options change of it."""
+
+import dataclasses
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from irisjax.cli.options import SEED_HELP, Group, number, option, read_seed
+from irisjax.grow.presets import PRESETS
+from irisjax.io.scenes import SceneFile, parse_scene, read_scene
+from irisjax.render import scene as staging
+from irisjax.render.lights import Lights
+
+
+@dataclass(frozen=True, kw_only=True)
+class Subject(Group):
+    """Which eye."""
+
+    PANEL = "What"
+
+    scene: Annotated[
+        Path | None,
+        typer.Argument(
+            metavar="SCENE",
+            help="scene file (TOML); data/scenes/everything.toml explains it",
+            show_default=False,
+        ),
+    ] = None
+    preset: Annotated[
+        str | None, option(metavar="name", help=f"{', '.join(PRESETS)}: an eye in a studio")
+    ] = None
+    seed: Annotated[
+        int,
+        option(parse=read_seed, metavar="number", help=f"{SEED_HELP}maps of a preset"),
+    ] = 0
+
+    def read(self) -> SceneFile:
+        """The scene of the file, or of the preset in a studio."""
+        return scene_file(self.scene, self.preset, self.seed)
+
+
+@dataclass(frozen=True, kw_only=True)
+class EyeWithPupil(Subject):
+    """Which eye, its pupil how wide."""
+
+    pupil: Annotated[str | None, option(metavar="MM", help="diameter, 0.5 to 9.5")] = None
+
+
+def scene_file(path: Path | None, name: str | None, seed: int) -> SceneFile:
+    """The scene of a file, or of the preset `name` in a studio."""
+    if path is not None:
+        if name is not None:
+            raise ValueError("give a SCENE file or --preset, not both")
+        return read_scene(path)
+    if name is None:
+        raise ValueError("give a SCENE file or --preset")
+    if name not in PRESETS:
+        raise ValueError(f"--preset: unknown {name!r}; known: {', '.join(PRESETS)}")
+    return parse_scene(
+        f"""
+        [iris]
+        preset = "{name}"
+        [maps]
+        seed = {seed}
+        [environment]
+        kind = "studio"
+        """,
+        f"preset {name}",
+    )
+
+
+def changed(scene: staging.Scene, light=None, pupil=None, size=None, camera=None) -> staging.Scene:
+    """A scene with lamps, pupil (mm), picture size or camera as the options write them."""
+    if light:
+        lamps = [_lamp(text, scene.illuminant) for text in light]
+        joined = lamps[0]
+        for lamp in lamps[1:]:
+            joined = joined + lamp
+        scene = scene.replace(lights=joined, environment=None)
+    if pupil is not None:
+        try:
+            diameter = number(0.5, 9.5)(pupil)
+        except ValueError as error:
+            raise ValueError(f"--pupil: {error}; it is a diameter from 0.5 to 9.5 mm") from None
+        scene = scene.replace(eye=scene.eye.replace(pupil_radius=diameter / 2))
+    if size is not None:
+        width, cross, height = size.partition("x")
+        if not (cross and width.isdigit() and height.isdigit()):
+            raise ValueError(f"--size {size!r}: write WIDTHxHEIGHT, such as 800x600")
+        if max(int(width), int(height)) > 16384:
+            raise ValueError(f"--size {size}: at most 16384 along a side")
+        scene = scene.replace(
+            camera=dataclasses.replace(scene.camera, size=(int(width), int(height)))
+        )
+    if camera is not None:
+        polar, azimuth, field = _angles("--camera", camera, "WIDTH", float(scene.camera.width))
+        try:
+            scene = scene.replace(
+                camera=dataclasses.replace(scene.camera, polar=polar, azimuth=azimuth, width=field)
+            )
+        except ValueError as error:
+            raise ValueError(f"--camera {camera!r}: {error}") from None
+    return scene
+
+
+def _lamp(text: str, illuminant: str) -> Lights:
+    polar, azimuth, irradiance = _angles("--light", text, "IRRADIANCE", math.pi)
+    return Lights.distant(polar, azimuth, irradiance, illuminant=illuminant)
+
+
+def _angles(option: str, text: str, third: str, default: float) -> tuple[float, float, float]:
+    """Polar angle and azimuth, radians, and the third number of an option,
+    which may be left out.
+    """
+    try:
+        numbers = [float(part) for part in text.split(",")]
+    except ValueError:
+        numbers = []
+    if len(numbers) not in (2, 3) or not all(map(math.isfinite, numbers)):
+        raise ValueError(f"{option} {text!r}: write POLAR,AZIMUTH or POLAR,AZIMUTH,{third}")
+    if not 0 <= numbers[0] <= 180:
+        raise ValueError(f"{option} {text!r}: the polar angle must be from 0 to 180 degrees")
+    return math.radians(numbers[0]), math.radians(numbers[1]), (*numbers, default)[2]

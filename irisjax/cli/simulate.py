@@ -1,0 +1,63 @@
+"""`irisjax simulate-measurement`: a spectrum with errors, and its truth."""
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+import irisjax as ij
+from irisjax.cli.files import TableFile, check_files, write_table
+from irisjax.cli.header import settings
+from irisjax.cli.light import NoisyLight
+from irisjax.cli.model import IrisOptions, ProcessOptions, iris_of, process_of
+from irisjax.cli.options import grouped
+from irisjax.infer.parameters import of_iris
+
+
+@grouped
+def simulate_measurement(
+    iris: IrisOptions, process: ProcessOptions, light: NoisyLight, files: TableFile
+) -> None:
+    """A noisy spectrum of a modelled iris with its truth in the header, to try `irisjax fit` on."""
+    check_files(files.output)
+    modelled, followed = iris_of(iris), process_of(process, iris, light.cornea)
+    truth = {n: float(v) for n, v in of_iris(modelled).items() if n != "noise"}
+    truth |= {"scattering_scale": light.scattering_scale, "gain": light.gain}
+    lines = {
+        "irisjax": ij.__version__,
+        "simulated": "noisy reflectance of a modelled human iris, not a measurement",
+        "command": "simulate-measurement",
+        **settings(modelled, followed, iris, process, light),
+        "truth": ", ".join(f"{name} = {value:.6g}" for name, value in truth.items()),
+    }
+    scans = _scans(modelled, followed, light, truth)
+    names = ["reflectance"] if len(scans) == 1 else [f"scan_{i + 1}" for i in range(len(scans))]
+    columns = {"wavelength_nm": light.wavelengths.values, **dict(zip(names, scans, strict=True))}
+    write_table(files.output, lines, columns)
+
+
+def _scans(
+    iris: ij.Iris, process: ij.Process, light: NoisyLight, truth: dict[str, float]
+) -> list[np.ndarray]:
+    """Scans of the iris's reflectance, each of shape (wavelengths,)."""
+    grid = light.wavelengths.values
+    seen = ij.spectrum(
+        grid,
+        np.zeros(grid.size),
+        cos_incidence=light.cosine,
+        first_surface=light.first_surface,
+    )
+    noise: dict[str, Any] = {"relative": light.relative_noise, "absolute": light.absolute_noise}
+    problem = ij.problem(
+        seen,
+        free=["noise"],
+        fixed=truth,
+        base=iris,
+        process=process,
+        solver=ij.Exact(),
+        noise=ij.Noise(**noise),
+    )
+    key = jax.random.key(light.seed, impl="threefry2x32")
+    draw = jax.jit(lambda k: problem.simulate(jnp.zeros(1), k)[0])
+    return [np.asarray(draw(jax.random.fold_in(key, i))) for i in range(light.scans)]

@@ -1,0 +1,109 @@
+"""What stands in for the solver and the sampler where a test looks at files and messages only."""
+
+from pathlib import Path
+from types import SimpleNamespace
+from typing import NamedTuple
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+
+import irisjax as ij
+from irisjax.cli import report
+from irisjax.infer.posterior import Chains
+from irisjax.infer.summary import Check
+from irisjax.transport.solution import RESULTS, Absorbed
+from irisjax.transport.solver import AbstractSolver
+
+FREE = ("--free", "melanin_load,hemoglobin", "--walkers", "16")
+
+
+class Quick(AbstractSolver):
+    """No light transport: a formula that tells all layers, switches and directions apart."""
+
+    name: str = eqx.field(static=True, default="quick")
+
+    def prepare(self, layers, process):
+        return self
+
+    def solve(
+        self, layers, process, cos_incidence, *, cos_exit=None, azimuth=None, key=None, rays=None
+    ):
+        n = layers.indices
+        switches = (
+            process.phase == "rayleigh",
+            process.rescatter == "retest",
+            process.perturb_on_reflection,
+            process.depth_resolved,
+        )
+        cosine = 0.3 if isinstance(cos_incidence, str) else cos_incidence
+        bent = cosine * n.aqueous / (n.abl * n.stroma * n.ipe)
+        factor = 1 + 0.01 * sum(on / 2**i for i, on in enumerate(switches)) + 0.1 * bent
+        back = 0.3 * factor * layers.albedo * jnp.exp(-2 * layers.abl_absorption)
+        back = back * -jnp.expm1(-layers.extinction)
+        mirrored = 0.01 * cosine * jnp.ones_like(back)
+        brdf = None
+        if cos_exit is not None:
+            brdf = back[:, None] * cos_exit * (1 + 0.1 * jnp.cos(azimuth)) / jnp.pi
+        return ij.Solution(
+            reflectance=back,
+            mirrored=mirrored,
+            absorbed=Absorbed(abl=0 * back, stroma=0 * back, ipe=1 - back - mirrored),
+            standard_error=None,
+            brdf=brdf,
+            brdf_error=None,
+            result=RESULTS.where(layers.valid(), RESULTS.successful, RESULTS.invalid_input),
+        )
+
+
+def with_quick(monkeypatch):
+    true = ij.problem
+    monkeypatch.setattr(ij, "Exact", Quick)
+    monkeypatch.setattr(
+        ij, "problem", lambda *given, **stated: true(*given, **{**stated, "solver": Quick()})
+    )
+
+
+class Sampled(NamedTuple):
+    """What `report.sample` was called with."""
+
+    problem: ij.Problem
+    walkers: int
+    seed: int
+    max_steps: int
+    resume: bool
+    went_on: bool  # there was a chain already
+
+
+def without_search(monkeypatch):
+    """Neither search nor sampler nor checks: a cloud of samples. Returns the list of calls."""
+    calls = []
+
+    def sample(problem, path, *, start, resume, progress, **settings):
+        calls.append(Sampled(problem, **settings, resume=resume, went_on=Path(path).exists()))
+        Path(path).write_text("chain")
+        progress(10, "sampling")
+        free, steps = len(problem.free), settings["max_steps"]
+        shape = (50, settings["walkers"])
+        z = np.random.default_rng(settings["seed"]).normal(0, 0.1, (*shape, free))
+        each = np.full(free, 1000.0)
+        reason = "" if steps > 100 else f"{steps} steps are not enough"
+        return Chains(
+            z, z[..., 0], 1, steps, 0.5, each / 100, each, each, each / 1000, not reason, reason
+        )
+
+    def predictive(problem, chains, key, count):
+        values = [np.tile(np.asarray(o.values), (count, 1)) for o in problem.observations]
+        return chains.z.reshape(-1, chains.z.shape[-1])[:count], values, values
+
+    def pointwise(problem, z):
+        return np.zeros((len(z), sum(o.values.size for o in problem.observations)))
+
+    monkeypatch.setattr(report, "fit", lambda problem, key: SimpleNamespace(ok=True))
+    monkeypatch.setattr(report, "sample", sample)
+    monkeypatch.setattr(report, "information", lambda problem, best: None)
+    monkeypatch.setattr(report, "in_words", lambda found: ["best known: the load"])
+    monkeypatch.setattr(report, "check", lambda problem, chains, key: Check(0.5, 0.5, 1.0))
+    monkeypatch.setattr(report, "predictive", predictive)
+    monkeypatch.setattr(report, "pointwise", pointwise)
+    return calls

@@ -1,0 +1,120 @@
+"""`irisjax fit --batch` and `irisjax simulate-measurement`."""
+
+import csv
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from stand_ins import FREE
+
+from irisjax import io
+from irisjax.cli import batch, report
+
+
+@pytest.fixture
+def searched(quick, monkeypatch):
+    """The search of a batch replaced by means of the spectra; the sizes of its chunks."""
+    sizes = []
+
+    def fit_all(problem, values, sds):
+        sizes.append(len(values))
+        mean = np.asarray(values).mean(axis=1)
+        return SimpleNamespace(
+            values={n: mean for n in problem.free},
+            sd={n: mean / 10 for n in problem.free},
+            chi_square=mean,
+            degrees=29,
+            ok=mean > 0,
+        )
+
+    monkeypatch.setattr(batch, "_fit_all", fit_all)
+    return sizes
+
+
+def rows_of(path):
+    with path.open() as file:
+        return {row["eye"]: row for row in csv.DictReader(file)}
+
+
+def columns(path):
+    found = io.read_measured(path)
+    return found.wavelengths, found.values
+
+
+def check_batch(irisjax, eye, tmp_path, rel):
+    eyes, out = tmp_path / "eyes", tmp_path / "out"
+    eyes.mkdir()
+    for i in range(3):
+        (eyes / f"e{i}.csv").write_bytes(eye.read_bytes())
+    (eyes / "broken.csv").write_text("nm,R\n400,oops\n")
+    status, _, err = irisjax("fit", "--batch", eyes, "-o", out, *FREE)
+    assert status == 3
+    assert "1 of 4 eyes failed: broken" in err
+    rows = rows_of(out / "fits.csv")
+    assert rows["broken"]["status"].endswith("line 2: 'oops' is not a number")
+    assert rows["e0"]["status"] == "ok"
+    names = ("melanin_load", "chi_square")
+    assert [rows["e0"][n] for n in names] == [rows["e2"][n] for n in names]
+    # The mended eye alone is done again.
+    (eyes / "broken.csv").write_bytes(eye.read_bytes())
+    assert irisjax("fit", "--batch", eyes, "-o", out, *FREE)[0] == 2
+    assert irisjax("fit", "--batch", eyes, "-o", out, *FREE, "--resume")[0] == 0
+    assert all(row["status"] == "ok" for row in rows_of(out / "fits.csv").values())
+    # The same eyes as columns of one table.
+    x, y = columns(eye)
+    lines = ["wavelength_nm,a,b", *(f"{a:g},{b:.12g},{b:.12g}" for a, b in zip(x, y, strict=True))]
+    (tmp_path / "table.csv").write_text("\n".join(lines))
+    status, printed, _ = irisjax("fit", "--batch", tmp_path / "table.csv", *FREE)
+    assert status == 0
+    listed = list(csv.DictReader(printed.splitlines()))
+    assert [row["eye"] for row in listed] == ["a", "b"]
+    assert float(listed[0]["melanin_load"]) == pytest.approx(
+        float(rows["e0"]["melanin_load"]), rel=rel
+    )
+
+
+def test_batch(irisjax, eye, searched, tmp_path):
+    check_batch(irisjax, eye, tmp_path, 1e-5)
+    assert searched == [3, 1, 2]
+
+
+@pytest.mark.slow  # the search of a batch compiles for half a minute
+def test_batch_by_the_model_itself(irisjax, eye, tmp_path):
+    check_batch(irisjax, eye, tmp_path, 1e-4)
+
+
+def test_posteriors_of_a_batch(irisjax, eye, searched, monkeypatch, tmp_path):
+    sampled = []
+
+    def one(problem, folder, sampler, bar, **how):
+        sampled.append((folder.name, sampler["walkers"], how))
+        (folder / "chain.h5").write_text("chain")
+        return folder.name != "b"
+
+    monkeypatch.setattr(report, "one", one)
+    eyes, out = tmp_path / "eyes", tmp_path / "out"
+    eyes.mkdir()
+    for name in ("a", "b"):
+        (eyes / f"{name}.csv").write_bytes(eye.read_bytes())
+    arguments = ("fit", "--batch", eyes, "-o", out, "--posteriors", *FREE)
+    assert irisjax(*arguments)[0] == 3
+    how = {"resume": False, "files": True, "quiet": True}
+    assert sampled == [("a", 16, how), ("b", 16, how)]
+    found = {name: row["status"] for name, row in rows_of(out / "fits.csv").items()}
+    assert found == {"a": "converged", "b": "failed: the chain is not long enough"}
+    # Only what is not done yet goes on.
+    assert irisjax(*arguments, "--resume")[0] == 3
+    assert sampled[2:] == [("b", 16, how | {"resume": True})]
+
+
+def test_simulated_measurements_say_so_and_repeat(irisjax, quick, tmp_path):
+    same = ("simulate-measurement", "--level", "high", "--scans", 3, "--wavelengths", "500")
+    one = irisjax(*same, "--seed", 5)
+    assert one[::2] == (0, "")
+    assert "not a measurement" in one[1]
+    assert "scan_3" in one[1]
+    path = tmp_path / "s.csv"
+    path.write_text(one[1])
+    assert irisjax("simulate-measurement", "--from", path)[1] == one[1]
+    other = irisjax("simulate-measurement", "--from", path, "--seed", 6)[1]
+    assert other != one[1].replace("seed: 5", "seed: 6")

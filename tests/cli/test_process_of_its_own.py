@@ -1,0 +1,116 @@
+"""The command as a process: its status, Ctrl-C, and what an import loads."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+
+import pytest
+
+from irisjax import io
+from irisjax.__main__ import main as door
+
+
+def python(*arguments, **options):
+    environment = {**os.environ, "JAX_PLATFORMS": "cpu"}
+    return subprocess.run(
+        [sys.executable, *arguments],
+        capture_output=True,
+        text=True,
+        timeout=120,
+        env=environment,
+        **options,
+    )
+
+
+def test_status_and_one_line(tmp_path):
+    done = python("-m", "irisjax", "spectrum", "--level", "none", "-o", "x.csv", cwd=tmp_path)
+    assert (done.returncode, done.stdout) == (2, "")
+    assert done.stderr == "irisjax: --level: unknown 'none'; known: low, moderate, high\n"
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.slow  # the exact solver, compiled by a process that keeps nothing
+def test_the_real_command(tmp_path):
+    said = ("spectrum", "--level", "low", "--wavelengths", "450", "-o", "x.csv")
+    done = python("-m", "irisjax", *said, cwd=tmp_path)
+    assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
+    value = io.read_table(tmp_path / "x.csv").columns["reflectance"]
+    assert value == pytest.approx(0.0405, abs=5e-5)
+
+
+def test_ctrl_c_while_importing(monkeypatch, capsys):
+    class Interrupted:
+        @staticmethod
+        def find_spec(name, *_):
+            if name == "irisjax.cli":
+                raise KeyboardInterrupt
+
+    monkeypatch.delitem(sys.modules, "irisjax.cli")
+    monkeypatch.setattr(sys, "meta_path", [Interrupted, *sys.meta_path])
+    with pytest.raises(SystemExit) as left:
+        door()
+    assert (left.value.code, capsys.readouterr().err) == (130, "irisjax: interrupted\n")
+
+
+# Says when photons are on their way.
+INTERRUPTIBLE = """
+import sys, time
+from irisjax import cli
+from irisjax.cli import jobs
+count = jobs.MonteCarlo.count
+def told(*arguments, **options):
+    print("block", flush=True)
+    return COUNTED
+jobs.MonteCarlo.count = told
+cli.main(sys.argv[1:])
+"""
+
+
+@pytest.mark.skipif(os.name == "nt", reason="POSIX signals")
+@pytest.mark.parametrize(
+    "counted",
+    [
+        "time.sleep(0.01) or jobs._no_counts(1, None)",
+        pytest.param("count(*arguments, **options)", marks=pytest.mark.slow),
+    ],
+    ids=["blocks", "photons"],
+)
+def test_ctrl_c_in_a_long_run(tmp_path, counted):
+    said = ("spectrum", "--wavelengths", "550", "--solver", "monte-carlo", "--photons", "2e9")
+    process = subprocess.Popen(
+        [sys.executable, "-c", INTERRUPTIBLE.replace("COUNTED", counted), *said, "-o", "x.csv"],
+        cwd=tmp_path,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    assert process.stdout is not None
+    assert process.stdout.readline() == "block\n"
+    process.send_signal(signal.SIGINT)
+    _, err = process.communicate(timeout=60)
+    assert (process.returncode, err) == (130, "irisjax: interrupted\n")
+    assert not list(tmp_path.iterdir())
+
+
+IMPORTS = """
+import json, sys, jax
+import irisjax as ij
+ij.reflectance
+library = sorted(sys.modules)
+import irisjax.cli
+command = sorted(sys.modules)
+names = [ij.tissue.iris.__name__, ij.io.scenes.__name__, hasattr(ij.render, "nothing")]
+print(json.dumps([library, command, names, jax.config.read("jax_enable_x64")]))
+"""
+
+
+def test_imports():
+    library, command, names, double = json.loads(python("-c", IMPORTS).stdout)
+    heavy = {"matplotlib", "colour", "emcee", "arviz", "viser", "typer", "tqdm", "OpenImageIO"}
+    assert not heavy & set(library)
+    assert not {"matplotlib", "colour", "OpenImageIO"} & set(command)
+    # Modules load when asked for.
+    assert names == ["irisjax.tissue.iris", "irisjax.io.scenes", False]
+    assert double is False  # the precision is left alone

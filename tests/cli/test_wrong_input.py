@@ -1,0 +1,105 @@
+"""Wrong input ends in one line and status 2, with nothing written; so do faults and Ctrl-C."""
+
+import pytest
+
+import irisjax as ij
+
+WRONG = [
+    (("--level", "middling"), "--level: unknown 'middling'; known: low, moderate, high"),
+    (("--eumelanin", "-1"), "eumelanin = -1 mg/ml is outside [0, inf) mg/ml"),
+    (("--eumelanin", "nan"), "eumelanin = nan mg/ml is outside"),
+    (("--lutein", "much"), "--lutein: 'much' is not a number"),
+    (("--abl-fraction", "1.5"), "abl_fraction = 1.5 is outside [0, 1]"),
+    (("--melanin-load", "-0.1"), "melanin_load = -0.1"),
+    (("--pupil-radius", "7"), "pupil_radius = 7 mm exceeds iris_radius = 5.5 mm"),
+    (
+        ("--wavelengths", "300:700:10"),
+        "--wavelengths: 300 nm is outside the pigment tables (350 to 800 nm)",
+    ),
+    (("--wavelengths", "550,nan"), "--wavelengths: nan nm is outside the pigment tables"),
+    (("--wavelengths", "700:400:10"), "need start <= stop"),
+    (("--wavelengths", "400:700:0"), "step > 0"),
+    (("--wavelengths", "400:700:11"), "does not divide the range"),
+    (("--wavelengths", "400:700:nan"), "--wavelengths: "),
+    (("--wavelengths", "400:700:1e-9"), "more than 1000000 wavelengths"),
+    (("--wavelengths", "500,450"), "wavelengths must increase; 500 nm is followed by 450 nm"),
+    (("--wavelengths", "400:700"), "'400:700' is not a grid; give start:stop:step"),
+    (("--wavelengths", "blue"), "'blue' is not a grid"),
+    (("--wavelengths", ""), "'' is not a grid"),
+    (("--solver", "monte-carlo", "--photons", "0"), "--photons: 0 is outside 1 to 2146435072"),
+    (("--solver", "monte-carlo", "--photons", "-5"), "--photons: -5 is outside 1 to"),
+    (("--solver", "monte-carlo", "--photons", "1.5"), "--photons: 1.5 is not a whole number"),
+    (("--solver", "monte-carlo", "--photons", "inf"), "--photons: inf is not a whole number"),
+    (("--photons", "100"), "--photons means something only with --solver monte-carlo"),
+    (("--solver", "monte-carlo", "--seed", "1.5"), "--seed: 1.5 is not a whole number"),
+    (("--solver", "monte-carlo", "--seed", "luck"), "--seed: 'luck' is not a number"),
+    (("--solver", "monte-carlo", "--seed", "-1"), "--seed: -1 is outside 0 to 4294967295"),
+    (("--solver", "monte-carlo", "--estimator", "guess"), "--estimator: unknown 'guess'"),
+    (
+        ("--solver", "monte-carlo", "--estimator", "quasi", "--process", "depth-resolved"),
+        "use estimator",
+    ),
+    (("--solver", "oracle"), "--solver: unknown 'oracle'; known: exact, monte-carlo"),
+    (("--process", "ilit-2007"), "--process: unknown 'ilit-2007'"),
+    (("--process", "depth-resolved", "--phase", "lb06"), 'takes phase="rayleigh" only'),
+    (
+        ("--process", "depth-resolved", "--rescatter", "retest"),
+        "--rescatter means something only with",
+    ),
+    (("--illuminant", "D65"), "--illuminant means something only with --instrument radiance"),
+    (("--instrument", "radiance", "--illuminant", "moon"), "unknown illuminant 'moon'"),
+    (("--instrument", "radiance", "--cos-incidence", "diffuse"), "diffuse"),
+    (("--cos-incidence", "1.1"), "--cos-incidence: 1.1 is outside 0 to 1"),
+    (("--cos-incidence", "1", "--incidence-deg", "0"), "not both"),
+    (("-o", "missing/file.csv"), "missing: no such folder"),
+    (("-o", "."), ".: is a folder"),
+    (("--plot", "figure.doc"), "figure.doc: a picture's name must end in .png or .pdf or .svg"),
+    (("--plot", "figure"), "figure: a picture's name must end in"),
+    (("--plot", "same.png", "-o", "same.png"), "same file"),
+    (("--from", "missing.csv"), "missing.csv: No such file"),
+    (("--eumelanine", "1"), "--eumelanine"),
+    (("--eumelanin",), "--eumelanin"),
+    (("stray",), "stray"),
+]
+
+
+@pytest.mark.parametrize(("arguments", "message"), WRONG, ids=[" ".join(a) for a, _ in WRONG])
+def test_wrong_input_is_one_line(irisjax, quick, tmp_path, monkeypatch, arguments, message):
+    monkeypatch.chdir(tmp_path)
+    extra = () if "-o" in arguments else ("-o", "out.csv")
+    status, out, err = irisjax("spectrum", *extra, *arguments)
+    assert (status, out) == (2, "")
+    assert err.startswith("irisjax: ")
+    assert err.count("\n") == 1
+    assert err.endswith("\n")
+    assert message in err
+    assert not list(tmp_path.iterdir())
+
+
+def test_wrong_command_and_wrong_swatch(irisjax, quick, tmp_path):
+    for arguments in (
+        ("spectra",),
+        ("colour", "--swatch", tmp_path / "swatch.jpg"),
+        ("colour", "--observer", "x"),
+    ):
+        status, out, err = irisjax(*arguments)
+        assert (status, out, err.count("\n")) == (2, "", 1)
+
+
+def test_a_fault_of_our_own_is_one_line(irisjax, monkeypatch):
+    def broken(*_, **__):
+        raise TypeError("two\nlines")
+
+    monkeypatch.setattr(ij, "reflectance", broken)
+    status, out, err = irisjax("spectrum")
+    assert (status, out) == (1, "")
+    assert err == "irisjax: internal error: TypeError: two lines (IRISJAX_DEBUG=1 tells more)\n"
+
+
+def test_interrupt_is_one_line(irisjax, monkeypatch, tmp_path):
+    def interrupted(*_, **__):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(ij, "reflectance", interrupted)
+    assert irisjax("spectrum", "-o", tmp_path / "out.csv") == (130, "", "irisjax: interrupted\n")
+    assert not list(tmp_path.iterdir())
