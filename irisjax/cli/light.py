@@ -4,6 +4,7 @@ import math
 from dataclasses import dataclass
 from typing import Annotated, Any, get_args
 
+from irisjax.anatomy.media import AQUEOUS, CORNEA, TEAR, Media
 from irisjax.cli.options import (
     SEED_HELP,
     Grid,
@@ -18,8 +19,8 @@ from irisjax.cli.options import (
     whole,
 )
 from irisjax.measure.colour import OBSERVER
+from irisjax.measure.instrument import Cornea
 from irisjax.tissue.pigments import common_range
-from irisjax.transport.process import Cornea
 
 _VISIBLE, _GREEN, _WHOLE = Grid("400:700:10"), Grid("550"), Grid("380:780:5")
 _ILLUMINANT = option(metavar="name", help="light source by its name in colour-science")
@@ -35,9 +36,15 @@ def _wavelengths(*names: str) -> Any:
     )
 
 
+def _index(of: str) -> Any:
+    return option(
+        parse=number(1, 3), metavar="number", help=f"refractive index of the {of}, 1 to 3"
+    )
+
+
 @dataclass(frozen=True, kw_only=True)
 class Light(Group):
-    """Where the light comes from, and its wavelengths."""
+    """Where the light comes from, its wavelengths, and what it crosses."""
 
     PANEL = "Measurement"
 
@@ -61,6 +68,8 @@ class Light(Group):
         ),
     ] = None
 
+    aqueous_index: Annotated[float, _index("aqueous humour")] = AQUEOUS
+
     def __post_init__(self):
         super().__post_init__()
         if {"cos_incidence", "incidence_deg"} <= self.typed:
@@ -76,6 +85,14 @@ class Light(Group):
         """The angle is written as its cosine."""
         found = {**super().settings(), "cos_incidence": self.cosine}
         return {n: v for n, v in found.items() if n != "incidence_deg"}
+
+    def setup(self) -> dict[str, Any]:
+        """Settings of the instrument."""
+        return {
+            "wavelengths": self.wavelengths.values,
+            "cos_incidence": self.cosine,
+            "media": Media(aqueous=self.aqueous_index),
+        }
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -98,6 +115,14 @@ class EyeLight(Light):
             help="count light mirrored by the iris's own surface",
         ),
     ] = True
+    cornea_index: Annotated[float, _index("cornea")] = CORNEA
+    tear_index: Annotated[float, _index("tear film")] = TEAR
+
+    def setup(self) -> dict[str, Any]:
+        """Settings of the instrument."""
+        found = super().setup() | {"first_surface": self.first_surface}
+        found["media"] = Media(self.aqueous_index, self.cornea_index, self.tear_index)
+        return found if self.cornea == "auto" else found | {"cornea": self.cornea}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -148,10 +173,6 @@ class ColourLight(EyeLight):
 class NoisyLight(EyeLight):
     """A reflectance measured with errors."""
 
-    scattering_scale: Annotated[
-        float,
-        option(parse=number(0, 1e6), metavar="number", help="factor on the stroma's scattering"),
-    ] = 1.0
     gain: Annotated[
         float,
         option(

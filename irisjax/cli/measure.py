@@ -1,7 +1,6 @@
 """`irisjax spectrum`, `brdf` and `colour`: virtual instruments, CSV out."""
 
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import typer
@@ -11,14 +10,13 @@ from irisjax import io, plot
 from irisjax.cli.files import SwatchFile, TableFiles, check_files, write_table
 from irisjax.cli.header import head
 from irisjax.cli.jobs import measured
-from irisjax.cli.light import BrdfLight, ColourLight, EyeLight, Light, SpectrumLight
+from irisjax.cli.light import BrdfLight, ColourLight, SpectrumLight
 from irisjax.cli.model import (
     IrisOptions,
     ProcessOptions,
     SolverOptions,
     iris_of,
     process_of,
-    solver_of,
 )
 from irisjax.cli.options import grouped
 
@@ -33,15 +31,16 @@ def spectrum(
 ) -> None:
     """Spectral reflectance of an iris, or its radiance under an illuminant, as CSV."""
     check_files(files.output, files.plot)
-    options = _options(iris, process, solver, light) | {"first_surface": light.first_surface}
+    modelled, rules, grid = iris_of(iris), process_of(process), light.wavelengths.values
     if light.instrument == "radiance":
-        options["illuminant"] = light.illuminant
-    modelled, grid = iris_of(iris), light.wavelengths.values
-    result = measured(light.instrument, modelled, grid, options)
+        instrument = ij.Radiometer(illuminant=light.illuminant, **light.setup())
+    else:
+        instrument = ij.Spectrophotometer(**light.setup())
+    result = measured(modelled, instrument, rules, solver)
     columns = {"wavelength_nm": grid, result.quantity: result.values}
     if result.standard_error is not None:
         columns["standard_error"] = result.standard_error
-    lines = head("spectrum", result.quantity, modelled, options, (iris, process, solver, light))
+    lines = head("spectrum", result.quantity, modelled, rules, (iris, process, solver, light))
     if result.unit:
         lines["unit"] = f"{result.unit} [the illuminant is 1 at 560 nm]"
     title = _title(result.quantity, process, solver)
@@ -61,10 +60,9 @@ def brdf(
     """BRDF of an iris in the aqueous humour, without the light mirrored by its surface, as CSV."""
     check_files(files.output, files.plot)
     angle, azimuth = _exits(light.plane, light.angles)
-    options = _options(iris, process, solver, light)
-    options |= {"cos_exit": np.cos(angle), "azimuth": azimuth}
-    modelled, grid = iris_of(iris), light.wavelengths.values
-    result = measured("brdf", modelled, grid, options)
+    modelled, rules, grid = iris_of(iris), process_of(process), light.wavelengths.values
+    instrument = ij.Goniophotometer(cos_exit=np.cos(angle), azimuth=azimuth, **light.setup())
+    result = measured(modelled, instrument, rules, solver)
     rows = np.broadcast_to(grid[:, None], result.values.shape)
     columns = {
         "wavelength_nm": rows.ravel(),
@@ -74,7 +72,7 @@ def brdf(
     }
     if result.standard_error is not None:
         columns["standard_error"] = result.standard_error.ravel()
-    lines = head("brdf", "BRDF", modelled, options, (iris, process, solver, light))
+    lines = head("brdf", "BRDF", modelled, rules, (iris, process, solver, light))
     lines["directions"] = (
         "angle from the normal; azimuth 0 is the mirror direction's side, 180 the light's"
     )
@@ -92,17 +90,15 @@ def colour(
 ) -> None:
     """Colour of an iris under an illuminant: XYZ, CIE L*a*b*, sRGB, and a swatch."""
     check_files(None, files.swatch, ".png")
-    options = _options(iris, process, solver, light) | {
-        "first_surface": light.first_surface,
-        "illuminant": light.illuminant,
-        "observer": light.observer,
-    }
-    modelled = iris_of(iris)
-    result = measured("colour", modelled, light.wavelengths.values, options)
+    modelled, rules = iris_of(iris), process_of(process)
+    instrument = ij.Colorimeter(
+        illuminant=light.illuminant, observer=light.observer, **light.setup()
+    )
+    result = measured(modelled, instrument, rules, solver)
     red, green, blue = (int(v) for v in np.rint(255 * np.clip(np.asarray(result.srgb), 0, 1)))
     srgb8 = (red, green, blue)
     clipped = "" if result.in_gamut else "outside sRGB's gamut: the 8-bit values are clipped"
-    lines = head("colour", "colour", modelled, options, (iris, process, solver, light))
+    lines = head("colour", "colour", modelled, rules, (iris, process, solver, light))
     rows = [
         *(f"# {key}: {value}" for key, value in lines.items()),
         _row("XYZ", result.xyz, ".6f", "(white has Y = 1)"),
@@ -114,18 +110,6 @@ def colour(
     if files.swatch is not None:
         _paint(files.swatch, srgb8, f"under {light.illuminant}; {clipped}".rstrip("; "))
     typer.echo("\n".join(rows))
-
-
-def _options(
-    iris: IrisOptions, process: ProcessOptions, solver: SolverOptions, light: Light
-) -> dict[str, Any]:
-    """What every instrument takes."""
-    cornea = light.cornea if isinstance(light, EyeLight) else "auto"
-    return {
-        "process": process_of(process, iris, cornea),
-        "cos_incidence": light.cosine,
-        **solver_of(solver),
-    }
 
 
 def _exits(plane: str, n: int) -> tuple[np.ndarray, np.ndarray]:

@@ -3,7 +3,7 @@
 import dataclasses
 import math
 from dataclasses import dataclass
-from typing import Annotated, Any, cast, get_args
+from typing import Annotated, Any, get_args
 
 import jax
 
@@ -18,12 +18,15 @@ from irisjax.cli.options import (
     read_seed,
     whole,
 )
+from irisjax.tissue.indices import Scattering
 from irisjax.tissue.iris import LIMITS
-from irisjax.transport.montecarlo import Estimator, MonteCarlo
-from irisjax.transport.process import PROCESSES, Phase, Rescatter, Scattering
+from irisjax.transport.defaults import exact_solver
+from irisjax.transport.process import PROCESSES, AbstractProcess, Phase, Rescatter
+from irisjax.transport.solver import AbstractSolver
 
 # As written in the class: making an iris would start JAX before the precision is chosen.
 _DEFAULTS = {field.name: field.default for field in dataclasses.fields(ij.Iris)}
+ESTIMATORS = ("analog", "weighted", "quasi")
 _LEVELS = ("low", "moderate", "high")
 
 
@@ -67,19 +70,15 @@ class IrisOptions(Group):
     stroma_thickness: Annotated[float | None, _field("stroma_thickness")] = None
     intensification: Annotated[float | None, _field("intensification")] = None
     fibril_radius: Annotated[float | None, _field("fibril_radius")] = None
-    iris_radius: Annotated[float | None, _field("iris_radius")] = None
-    pupil_radius: Annotated[float | None, _field("pupil_radius")] = None
-    aqueous_index: Annotated[float | None, _field("aqueous_index")] = None
     fibroblast_index: Annotated[float | None, _field("fibroblast_index")] = None
     collagen_index: Annotated[float | None, _field("collagen_index")] = None
     base_index: Annotated[float | None, _field("base_index")] = None
     ipe_index: Annotated[float | None, _field("ipe_index")] = None
-    tear_index: Annotated[float | None, _field("tear_index")] = None
-    cornea_index: Annotated[float | None, _field("cornea_index")] = None
     fibroblast_fraction: Annotated[float | None, _field("fibroblast_fraction")] = None
     collagen_fraction: Annotated[float | None, _field("collagen_fraction")] = None
     abl_index: Annotated[float | None, _field("abl_index")] = None
     stroma_index: Annotated[float | None, _field("stroma_index")] = None
+    scattering_scale: Annotated[float | None, _field("scattering_scale")] = None
     melanin_load: Annotated[
         float | None,
         option(
@@ -153,33 +152,40 @@ class SolverOptions(Group):
     ] = 1_000_000
     estimator: Annotated[
         str,
-        name_of("event by event; expected values; those on a lattice", *get_args(Estimator)),
+        name_of("event by event; expected values; those on a lattice", *ESTIMATORS),
     ] = "analog"
     seed: Annotated[int, option(parse=read_seed, metavar="number", help=SEED_HELP + "bytes")] = 0
 
 
 def iris_of(options: IrisOptions) -> ij.Iris:
     """The iris that the options describe."""
-    names = (*LIMITS, "melanin_load")
+    names = (*LIMITS, "melanin_load", "scattering")
     fields = {n: v for n in names if (v := getattr(options, n)) is not None}
-    return ij.Iris.preset(options.level).replace(**fields)
+    return ij.Iris.of_level(options.level).replace(**fields)
 
 
-def process_of(options: ProcessOptions, iris: IrisOptions, cornea: str = "auto") -> ij.Process:
-    """The process that the options name, in such an iris behind such a cornea."""
-    changed: dict[str, Any] = {"scattering": iris.scattering}
-    for name in ("phase", "rescatter", "perturb_on_reflection"):
-        if (value := getattr(options, name)) is not None and options.applies(name):
-            changed[name] = value
-    if cornea != "auto":
-        changed["cornea"] = cornea
-    return dataclasses.replace(PROCESSES[options.process], **changed)
+def process_of(options: ProcessOptions) -> AbstractProcess:
+    """The process that the options name, with the switches that were given."""
+    process = PROCESSES[options.process]
+    switches = {
+        name: value
+        for name in process.describe()
+        if (value := getattr(options, name)) is not None and options.applies(name)
+    }
+    if options.phase not in (None, "rayleigh") and not process.describe():
+        raise ValueError(f"--phase {options.phase}: {options.process} takes rayleigh only")
+    return dataclasses.replace(process, **switches)
 
 
-def solver_of(options: SolverOptions) -> dict[str, Any]:
-    """The solver, and the key of one that samples."""
+def solver_of(options: SolverOptions, process: AbstractProcess) -> AbstractSolver:
+    """The solver of a process."""
     if options.solver == "exact":
-        return {"solver": ij.Exact()}
-    # The kind of key is fixed, whatever the environment prefers.
-    key = jax.random.key(options.seed, impl="threefry2x32")
-    return {"solver": MonteCarlo(options.photons, cast(Estimator, options.estimator)), "key": key}
+        return exact_solver(process)
+    if options.estimator == "analog":
+        return ij.MonteCarlo(options.photons, mesh=ij.photon_mesh())
+    return ij.IlitWeighted(options.photons, quasi=options.estimator == "quasi")
+
+
+def key_of(seed: int) -> jax.Array:
+    """The random key of a seed; its kind is fixed, whatever the environment prefers."""
+    return jax.random.key(seed, impl="threefry2x32")

@@ -34,7 +34,7 @@ class Quick(AbstractSolver):
             process.phase == "rayleigh",
             process.rescatter == "retest",
             process.perturb_on_reflection,
-            process.depth_resolved,
+            isinstance(process, ij.RadiativeTransfer),
         )
         cosine = 0.3 if isinstance(cos_incidence, str) else cos_incidence
         bent = cosine * n.aqueous / (n.abl * n.stroma * n.ipe)

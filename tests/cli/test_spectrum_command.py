@@ -24,7 +24,7 @@ def test_spectrum_is_the_librarys(irisjax, printed, request, solver):
     assert header["abl_fraction"] == "0.2"
     assert "not a measurement" in header["simulated"]
     assert "twice as bright" in header["approximation"]
-    iris = ij.Iris.preset("low").replace(abl_fraction=0.2)
+    iris = ij.Iris.of_level("low").replace(abl_fraction=0.2)
     expected = ij.reflectance(iris, ij.wavelengths(400, 700, 100), solver=ij.Exact())
     np.testing.assert_allclose(columns["reflectance"], expected.values, rtol=1e-11)
 
@@ -83,7 +83,7 @@ def test_photons_are_sent_as_the_instrument_sends_them(irisjax, printed, monkeyp
     assert (status, err) == (0, "")
     header, columns = printed(out)
     options = {"cos_incidence": cosine, "solver": MonteCarlo(1_000_000), "key": jax.random.key(3)}
-    iris, grid = ij.Iris.preset("low"), ij.wavelengths(400, 700, 100)
+    iris, grid = ij.Iris.of_level("low"), ij.wavelengths(400, 700, 100)
     if name == "brdf":
         angle, _, azimuth = (np.asarray(a) for a in ij.principal_plane(6))
         options |= {"cos_exit": np.cos(angle), "azimuth": azimuth}
@@ -94,7 +94,7 @@ def test_photons_are_sent_as_the_instrument_sends_them(irisjax, printed, monkeyp
     elif name == "radiance":
         result, values = ij.radiance(iris, grid, **options), columns["radiance"]
     else:
-        process = ij.Process(cornea="round-trip" if name == "reflectance" else None)
+        process = ij.Ilit(cornea="round-trip" if name == "reflectance" else None)
         result = ij.reflectance(iris, grid, process=process, **options)
         values = columns["reflectance"]
     # A count may fall to the other side of a whole number.
