@@ -1,24 +1,24 @@
 """What a file says of itself: what it holds, how far to trust it, every setting that made it."""
 
 import dataclasses
-from collections.abc import Mapping
-from typing import Any
 
 import irisjax as ij
 from irisjax.cli.model import IrisOptions, ProcessOptions
 from irisjax.cli.options import Group
 from irisjax.tissue.iris import LIMITS
+from irisjax.transport.process import AbstractProcess, Ilit
+from irisjax.transport.solver import AbstractSolver
 
 
 def head(
     command: str,
     quantity: str,
     iris: ij.Iris,
-    options: Mapping[str, Any],
+    process: AbstractProcess,
+    solver: AbstractSolver,
     groups: tuple[IrisOptions, ProcessOptions, *tuple[Group, ...]],
 ) -> dict[str, str]:
-    """Header of a file of simulated values, by an instrument called with `options`."""
-    process, solver = options["process"], options["solver"]
+    """Header of a file of simulated values."""
     return {
         "irisjax": ij.__version__,
         "simulated": f"{quantity} of a modelled human iris, not a measurement",
@@ -36,7 +36,7 @@ def head(
 
 def settings(
     iris: ij.Iris,
-    process: ij.Process,
+    process: AbstractProcess,
     iris_options: IrisOptions,
     process_options: ProcessOptions,
     *others: Group,
@@ -46,10 +46,9 @@ def settings(
     """
     # float, not text made by numpy: that loses digits once colour-science has been imported.
     fields = {name: float(getattr(iris, name)) for name in iris.parameters()}
-    switches = ("phase", "rescatter", "perturb_on_reflection")
     groups = (
         dataclasses.replace(iris_options, **fields, melanin_load=float(iris.melanin_load)),
-        dataclasses.replace(process_options, **{n: getattr(process, n) for n in switches}),
+        dataclasses.replace(process_options, **process.describe()),
         *others,
     )
     lines: dict[str, str] = {}
@@ -63,9 +62,9 @@ def settings(
     return lines
 
 
-def _approximation(process: ij.Process) -> str:
+def _approximation(process: AbstractProcess) -> str:
     """What a reader of the numbers must know about the process that made them."""
-    if process.depth_resolved:
+    if not isinstance(process, Ilit):
         return (
             "scalar theory, no polarisation: about 1.7 % low for a thin slab of Rayleigh scatterers"
         )

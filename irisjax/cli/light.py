@@ -4,6 +4,9 @@ import math
 from dataclasses import dataclass
 from typing import Annotated, Any, get_args
 
+import jax.numpy as jnp
+
+from irisjax.anatomy import media
 from irisjax.cli.options import (
     SEED_HELP,
     Grid,
@@ -18,11 +21,20 @@ from irisjax.cli.options import (
     whole,
 )
 from irisjax.measure.colour import OBSERVER
+from irisjax.measure.instrument import Cornea
 from irisjax.tissue.pigments import common_range
-from irisjax.transport.process import Cornea
 
 _VISIBLE, _GREEN, _WHOLE = Grid("400:700:10"), Grid("550"), Grid("380:780:5")
 _ILLUMINANT = option(metavar="name", help="light source by its name in colour-science")
+
+
+def _index(of: str) -> Any:
+    low, high = media.INDEX.low, media.INDEX.high
+    return option(
+        parse=number(low, high),
+        metavar="number",
+        help=f"refractive index of the {of}, {low:g} to {high:g}",
+    )
 
 
 def _wavelengths(*names: str) -> Any:
@@ -61,6 +73,8 @@ class Light(Group):
         ),
     ] = None
 
+    aqueous_index: Annotated[float, _index("aqueous humour")] = media.AQUEOUS
+
     def __post_init__(self):
         super().__post_init__()
         if {"cos_incidence", "incidence_deg"} <= self.typed:
@@ -71,6 +85,13 @@ class Light(Group):
         """Cosine of incidence, or the word for light from everywhere."""
         degrees = self.incidence_deg
         return self.cos_incidence if degrees is None else math.cos(math.radians(degrees))
+
+    def before_the_iris(self) -> dict[str, Any]:
+        """What every instrument is told of light and media."""
+        return {
+            "cos_incidence": self.cosine,
+            "media": media.Media(aqueous=jnp.asarray(self.aqueous_index, float)),
+        }
 
     def settings(self) -> dict[str, Any]:
         """The angle is written as its cosine."""
@@ -90,6 +111,8 @@ class EyeLight(Light):
             *get_args(Cornea),
         ),
     ] = "auto"
+    cornea_index: Annotated[float, _index("cornea")] = media.CORNEA
+    tear_index: Annotated[float, _index("tear film")] = media.TEAR
     first_surface: Annotated[
         bool,
         option(
@@ -98,6 +121,16 @@ class EyeLight(Light):
             help="count light mirrored by the iris's own surface",
         ),
     ] = True
+
+    def before_the_iris(self) -> dict[str, Any]:
+        """What every instrument before an eye is told; `auto` leaves the cornea to it."""
+        indices = (self.aqueous_index, self.cornea_index, self.tear_index)
+        return {
+            "cos_incidence": self.cosine,
+            "media": media.Media(*(jnp.asarray(n, float) for n in indices)),
+            "first_surface": self.first_surface,
+            **({} if self.cornea == "auto" else {"cornea": self.cornea}),
+        }
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -148,10 +181,6 @@ class ColourLight(EyeLight):
 class NoisyLight(EyeLight):
     """A reflectance measured with errors."""
 
-    scattering_scale: Annotated[
-        float,
-        option(parse=number(0, 1e6), metavar="number", help="factor on the stroma's scattering"),
-    ] = 1.0
     gain: Annotated[
         float,
         option(

@@ -3,7 +3,7 @@
 import dataclasses
 import math
 from dataclasses import dataclass
-from typing import Annotated, Any, cast, get_args
+from typing import Annotated, Any, get_args
 
 import jax
 
@@ -18,9 +18,13 @@ from irisjax.cli.options import (
     read_seed,
     whole,
 )
+from irisjax.tissue.indices import Scattering
 from irisjax.tissue.iris import LIMITS
-from irisjax.transport.montecarlo import Estimator, MonteCarlo
-from irisjax.transport.process import PROCESSES, Phase, Rescatter, Scattering
+from irisjax.transport.defaults import exact_solver
+from irisjax.transport.ilit.weighted import IlitWeighted
+from irisjax.transport.montecarlo import MonteCarlo
+from irisjax.transport.process import PROCESSES, AbstractProcess, Phase, Rescatter
+from irisjax.transport.solver import AbstractSolver
 
 # As written in the class: making an iris would start JAX before the precision is chosen.
 _DEFAULTS = {field.name: field.default for field in dataclasses.fields(ij.Iris)}
@@ -67,15 +71,10 @@ class IrisOptions(Group):
     stroma_thickness: Annotated[float | None, _field("stroma_thickness")] = None
     intensification: Annotated[float | None, _field("intensification")] = None
     fibril_radius: Annotated[float | None, _field("fibril_radius")] = None
-    iris_radius: Annotated[float | None, _field("iris_radius")] = None
-    pupil_radius: Annotated[float | None, _field("pupil_radius")] = None
-    aqueous_index: Annotated[float | None, _field("aqueous_index")] = None
     fibroblast_index: Annotated[float | None, _field("fibroblast_index")] = None
     collagen_index: Annotated[float | None, _field("collagen_index")] = None
     base_index: Annotated[float | None, _field("base_index")] = None
     ipe_index: Annotated[float | None, _field("ipe_index")] = None
-    tear_index: Annotated[float | None, _field("tear_index")] = None
-    cornea_index: Annotated[float | None, _field("cornea_index")] = None
     fibroblast_fraction: Annotated[float | None, _field("fibroblast_fraction")] = None
     collagen_fraction: Annotated[float | None, _field("collagen_fraction")] = None
     abl_index: Annotated[float | None, _field("abl_index")] = None
@@ -89,6 +88,7 @@ class IrisOptions(Group):
             "ratio",
         ),
     ] = None
+    scattering_scale: Annotated[float | None, _field("scattering_scale")] = None
     scattering: Annotated[
         str, name_of("scattering coefficient of the stroma", *get_args(Scattering))
     ] = "lb06"
@@ -100,6 +100,7 @@ class ProcessOptions(Group):
 
     PANEL = "Process"
     ONLY_WITH = {  # noqa: RUF012  (a class variable by the base class)
+        "phase": ("process", ("ilit-2006", "ilit-corrected")),
         "rescatter": ("process", ("ilit-2006", "ilit-corrected")),
         "perturb_on_reflection": ("process", ("ilit-2006", "ilit-corrected")),
     }
@@ -153,7 +154,9 @@ class SolverOptions(Group):
     ] = 1_000_000
     estimator: Annotated[
         str,
-        name_of("event by event; expected values; those on a lattice", *get_args(Estimator)),
+        name_of(
+            "event by event; expected values; those on a lattice", "analog", "weighted", "quasi"
+        ),
     ] = "analog"
     seed: Annotated[int, option(parse=read_seed, metavar="number", help=SEED_HELP + "bytes")] = 0
 
@@ -162,24 +165,27 @@ def iris_of(options: IrisOptions) -> ij.Iris:
     """The iris that the options describe."""
     names = (*LIMITS, "melanin_load")
     fields = {n: v for n in names if (v := getattr(options, n)) is not None}
-    return ij.Iris.preset(options.level).replace(**fields)
+    return ij.Iris.of_level(options.level).replace(**fields, scattering=options.scattering)
 
 
-def process_of(options: ProcessOptions, iris: IrisOptions, cornea: str = "auto") -> ij.Process:
-    """The process that the options name, in such an iris behind such a cornea."""
-    changed: dict[str, Any] = {"scattering": iris.scattering}
-    for name in ("phase", "rescatter", "perturb_on_reflection"):
-        if (value := getattr(options, name)) is not None and options.applies(name):
-            changed[name] = value
-    if cornea != "auto":
-        changed["cornea"] = cornea
-    return dataclasses.replace(PROCESSES[options.process], **changed)
+def process_of(options: ProcessOptions) -> AbstractProcess:
+    """The process that the options name."""
+    process = PROCESSES[options.process]
+    switches = {n: getattr(options, n) for n in process.describe()}
+    return dataclasses.replace(process, **{n: v for n, v in switches.items() if v is not None})
 
 
-def solver_of(options: SolverOptions) -> dict[str, Any]:
-    """The solver, and the key of one that samples."""
+def solver_of(options: SolverOptions, process: AbstractProcess) -> AbstractSolver:
+    """The solver that the options name, for such a process."""
     if options.solver == "exact":
-        return {"solver": ij.Exact()}
-    # The kind of key is fixed, whatever the environment prefers.
-    key = jax.random.key(options.seed, impl="threefry2x32")
-    return {"solver": MonteCarlo(options.photons, cast(Estimator, options.estimator)), "key": key}
+        return exact_solver(process)
+    if options.estimator == "analog":
+        return MonteCarlo(options.photons)
+    return IlitWeighted(options.photons, quasi=options.estimator == "quasi")
+
+
+def key_of(options: SolverOptions) -> jax.Array | None:
+    """The key of a solver that samples; its kind is fixed, whatever the environment prefers."""
+    if options.solver == "exact":
+        return None
+    return jax.random.key(options.seed, impl="threefry2x32")

@@ -13,6 +13,8 @@ from irisjax.cli.light import NoisyLight
 from irisjax.cli.model import IrisOptions, ProcessOptions, iris_of, process_of
 from irisjax.cli.options import grouped
 from irisjax.infer.parameters import of_iris
+from irisjax.transport.defaults import exact_solver
+from irisjax.transport.process import AbstractProcess
 
 
 @grouped
@@ -21,9 +23,9 @@ def simulate_measurement(
 ) -> None:
     """A noisy spectrum of a modelled iris with its truth in the header, to try `irisjax fit` on."""
     check_files(files.output)
-    modelled, followed = iris_of(iris), process_of(process, iris, light.cornea)
+    modelled, followed = iris_of(iris), process_of(process)
     truth = {n: float(v) for n, v in of_iris(modelled).items() if n != "noise"}
-    truth |= {"scattering_scale": light.scattering_scale, "gain": light.gain}
+    truth["gain"] = light.gain
     lines = {
         "irisjax": ij.__version__,
         "simulated": "noisy reflectance of a modelled human iris, not a measurement",
@@ -38,15 +40,14 @@ def simulate_measurement(
 
 
 def _scans(
-    iris: ij.Iris, process: ij.Process, light: NoisyLight, truth: dict[str, float]
+    iris: ij.Iris, process: AbstractProcess, light: NoisyLight, truth: dict[str, float]
 ) -> list[np.ndarray]:
     """Scans of the iris's reflectance, each of shape (wavelengths,)."""
     grid = light.wavelengths.values
     seen = ij.spectrum(
         grid,
         np.zeros(grid.size),
-        cos_incidence=light.cosine,
-        first_surface=light.first_surface,
+        **light.before_the_iris(),
     )
     noise: dict[str, Any] = {"relative": light.relative_noise, "absolute": light.absolute_noise}
     problem = ij.problem(
@@ -55,7 +56,7 @@ def _scans(
         fixed=truth,
         base=iris,
         process=process,
-        solver=ij.Exact(),
+        solver=exact_solver(process),
         noise=ij.Noise(**noise),
     )
     key = jax.random.key(light.seed, impl="threefry2x32")
