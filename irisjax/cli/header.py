@@ -3,10 +3,11 @@
 import dataclasses
 
 import irisjax as ij
-from irisjax.cli.model import IrisOptions, ProcessOptions, SolverOptions, solver_of
+from irisjax.cli.model import IrisOptions, ProcessOptions
 from irisjax.cli.options import Group
 from irisjax.tissue.iris import LIMITS
-from irisjax.transport.process import AbstractProcess
+from irisjax.transport.process import AbstractProcess, Ilit
+from irisjax.transport.solver import AbstractSolver
 
 
 def head(
@@ -14,10 +15,10 @@ def head(
     quantity: str,
     iris: ij.Iris,
     process: AbstractProcess,
-    groups: tuple[IrisOptions, ProcessOptions, SolverOptions, *tuple[Group, ...]],
+    solver: AbstractSolver,
+    groups: tuple[IrisOptions, ProcessOptions, *tuple[Group, ...]],
 ) -> dict[str, str]:
-    """Header of a file of simulated values, by a solver of `process`."""
-    solver = solver_of(groups[2], process)
+    """Header of a file of simulated values."""
     return {
         "irisjax": ij.__version__,
         "simulated": f"{quantity} of a modelled human iris, not a measurement",
@@ -28,7 +29,7 @@ def head(
         "solver settings": ", ".join(
             f"{field.name} = {value}"
             for field in dataclasses.fields(solver)
-            if field.name != "mesh" and (value := getattr(solver, field.name)) is not None
+            if (value := getattr(solver, field.name)) is not None
         ),
     }
 
@@ -63,7 +64,7 @@ def settings(
 
 def _approximation(process: AbstractProcess) -> str:
     """What a reader of the numbers must know about the process that made them."""
-    if not isinstance(process, ij.Ilit):
+    if not isinstance(process, Ilit):
         return (
             "scalar theory, no polarisation: about 1.7 % low for a thin slab of Rayleigh scatterers"
         )

@@ -4,7 +4,9 @@ import math
 from dataclasses import dataclass
 from typing import Annotated, Any, get_args
 
-from irisjax.anatomy.media import AQUEOUS, CORNEA, TEAR, Media
+import jax.numpy as jnp
+
+from irisjax.anatomy import media
 from irisjax.cli.options import (
     SEED_HELP,
     Grid,
@@ -26,6 +28,15 @@ _VISIBLE, _GREEN, _WHOLE = Grid("400:700:10"), Grid("550"), Grid("380:780:5")
 _ILLUMINANT = option(metavar="name", help="light source by its name in colour-science")
 
 
+def _index(of: str) -> Any:
+    low, high = media.INDEX.low, media.INDEX.high
+    return option(
+        parse=number(low, high),
+        metavar="number",
+        help=f"refractive index of the {of}, {low:g} to {high:g}",
+    )
+
+
 def _wavelengths(*names: str) -> Any:
     low, high = common_range()
     return option(
@@ -36,15 +47,9 @@ def _wavelengths(*names: str) -> Any:
     )
 
 
-def _index(of: str) -> Any:
-    return option(
-        parse=number(1, 3), metavar="number", help=f"refractive index of the {of}, 1 to 3"
-    )
-
-
 @dataclass(frozen=True, kw_only=True)
 class Light(Group):
-    """Where the light comes from, its wavelengths, and what it crosses."""
+    """Where the light comes from, and its wavelengths."""
 
     PANEL = "Measurement"
 
@@ -68,7 +73,7 @@ class Light(Group):
         ),
     ] = None
 
-    aqueous_index: Annotated[float, _index("aqueous humour")] = AQUEOUS
+    aqueous_index: Annotated[float, _index("aqueous humour")] = media.AQUEOUS
 
     def __post_init__(self):
         super().__post_init__()
@@ -81,18 +86,17 @@ class Light(Group):
         degrees = self.incidence_deg
         return self.cos_incidence if degrees is None else math.cos(math.radians(degrees))
 
+    def before_the_iris(self) -> dict[str, Any]:
+        """What every instrument is told of light and media."""
+        return {
+            "cos_incidence": self.cosine,
+            "media": media.Media(aqueous=jnp.asarray(self.aqueous_index, float)),
+        }
+
     def settings(self) -> dict[str, Any]:
         """The angle is written as its cosine."""
         found = {**super().settings(), "cos_incidence": self.cosine}
         return {n: v for n, v in found.items() if n != "incidence_deg"}
-
-    def setup(self) -> dict[str, Any]:
-        """Settings of the instrument."""
-        return {
-            "wavelengths": self.wavelengths.values,
-            "cos_incidence": self.cosine,
-            "media": Media(aqueous=self.aqueous_index),
-        }
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -107,6 +111,8 @@ class EyeLight(Light):
             *get_args(Cornea),
         ),
     ] = "auto"
+    cornea_index: Annotated[float, _index("cornea")] = media.CORNEA
+    tear_index: Annotated[float, _index("tear film")] = media.TEAR
     first_surface: Annotated[
         bool,
         option(
@@ -115,14 +121,16 @@ class EyeLight(Light):
             help="count light mirrored by the iris's own surface",
         ),
     ] = True
-    cornea_index: Annotated[float, _index("cornea")] = CORNEA
-    tear_index: Annotated[float, _index("tear film")] = TEAR
 
-    def setup(self) -> dict[str, Any]:
-        """Settings of the instrument."""
-        found = super().setup() | {"first_surface": self.first_surface}
-        found["media"] = Media(self.aqueous_index, self.cornea_index, self.tear_index)
-        return found if self.cornea == "auto" else found | {"cornea": self.cornea}
+    def before_the_iris(self) -> dict[str, Any]:
+        """What every instrument before an eye is told; `auto` leaves the cornea to it."""
+        indices = (self.aqueous_index, self.cornea_index, self.tear_index)
+        return {
+            "cos_incidence": self.cosine,
+            "media": media.Media(*(jnp.asarray(n, float) for n in indices)),
+            "first_surface": self.first_surface,
+            **({} if self.cornea == "auto" else {"cornea": self.cornea}),
+        }
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -1,6 +1,7 @@
 """`irisjax spectrum`, `brdf` and `colour`: virtual instruments, CSV out."""
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import typer
@@ -10,15 +11,22 @@ from irisjax import io, plot
 from irisjax.cli.files import SwatchFile, TableFiles, check_files, write_table
 from irisjax.cli.header import head
 from irisjax.cli.jobs import measured
-from irisjax.cli.light import BrdfLight, ColourLight, SpectrumLight
+from irisjax.cli.light import BrdfLight, ColourLight, Light, SpectrumLight
 from irisjax.cli.model import (
     IrisOptions,
     ProcessOptions,
     SolverOptions,
     iris_of,
+    key_of,
     process_of,
+    solver_of,
 )
 from irisjax.cli.options import grouped
+from irisjax.measure.colorimeter import Colorimeter
+from irisjax.measure.goniophotometer import Goniophotometer
+from irisjax.measure.instrument import AbstractInstrument
+from irisjax.measure.radiometer import Radiometer
+from irisjax.measure.spectrophotometer import Spectrophotometer
 
 
 @grouped
@@ -31,16 +39,15 @@ def spectrum(
 ) -> None:
     """Spectral reflectance of an iris, or its radiance under an illuminant, as CSV."""
     check_files(files.output, files.plot)
-    modelled, rules, grid = iris_of(iris), process_of(process), light.wavelengths.values
+    grid, told = light.wavelengths.values, light.before_the_iris()
     if light.instrument == "radiance":
-        instrument = ij.Radiometer(illuminant=light.illuminant, **light.setup())
+        instrument = Radiometer(grid, illuminant=light.illuminant, **told)
     else:
-        instrument = ij.Spectrophotometer(**light.setup())
-    result = measured(modelled, instrument, rules, solver)
+        instrument = Spectrophotometer(grid, **told)
+    result, lines = _read(instrument, light.instrument, "spectrum", iris, process, solver, light)
     columns = {"wavelength_nm": grid, result.quantity: result.values}
     if result.standard_error is not None:
         columns["standard_error"] = result.standard_error
-    lines = head("spectrum", result.quantity, modelled, rules, (iris, process, solver, light))
     if result.unit:
         lines["unit"] = f"{result.unit} [the illuminant is 1 at 560 nm]"
     title = _title(result.quantity, process, solver)
@@ -60,9 +67,11 @@ def brdf(
     """BRDF of an iris in the aqueous humour, without the light mirrored by its surface, as CSV."""
     check_files(files.output, files.plot)
     angle, azimuth = _exits(light.plane, light.angles)
-    modelled, rules, grid = iris_of(iris), process_of(process), light.wavelengths.values
-    instrument = ij.Goniophotometer(cos_exit=np.cos(angle), azimuth=azimuth, **light.setup())
-    result = measured(modelled, instrument, rules, solver)
+    grid = light.wavelengths.values
+    instrument = Goniophotometer(
+        grid, cos_exit=np.cos(angle), azimuth=azimuth, **light.before_the_iris()
+    )
+    result, lines = _read(instrument, "BRDF", "brdf", iris, process, solver, light)
     rows = np.broadcast_to(grid[:, None], result.values.shape)
     columns = {
         "wavelength_nm": rows.ravel(),
@@ -72,7 +81,6 @@ def brdf(
     }
     if result.standard_error is not None:
         columns["standard_error"] = result.standard_error.ravel()
-    lines = head("brdf", "BRDF", modelled, rules, (iris, process, solver, light))
     lines["directions"] = (
         "angle from the normal; azimuth 0 is the mirror direction's side, 180 the light's"
     )
@@ -90,15 +98,16 @@ def colour(
 ) -> None:
     """Colour of an iris under an illuminant: XYZ, CIE L*a*b*, sRGB, and a swatch."""
     check_files(None, files.swatch, ".png")
-    modelled, rules = iris_of(iris), process_of(process)
-    instrument = ij.Colorimeter(
-        illuminant=light.illuminant, observer=light.observer, **light.setup()
+    instrument = Colorimeter(
+        light.wavelengths.values,
+        illuminant=light.illuminant,
+        observer=light.observer,
+        **light.before_the_iris(),
     )
-    result = measured(modelled, instrument, rules, solver)
+    result, lines = _read(instrument, "colour", "colour", iris, process, solver, light)
     red, green, blue = (int(v) for v in np.rint(255 * np.clip(np.asarray(result.srgb), 0, 1)))
     srgb8 = (red, green, blue)
     clipped = "" if result.in_gamut else "outside sRGB's gamut: the 8-bit values are clipped"
-    lines = head("colour", "colour", modelled, rules, (iris, process, solver, light))
     rows = [
         *(f"# {key}: {value}" for key, value in lines.items()),
         _row("XYZ", result.xyz, ".6f", "(white has Y = 1)"),
@@ -110,6 +119,22 @@ def colour(
     if files.swatch is not None:
         _paint(files.swatch, srgb8, f"under {light.illuminant}; {clipped}".rstrip("; "))
     typer.echo("\n".join(rows))
+
+
+def _read(
+    instrument: AbstractInstrument,
+    quantity: str,
+    command: str,
+    iris: IrisOptions,
+    process: ProcessOptions,
+    solver: SolverOptions,
+    light: Light,
+) -> tuple[Any, dict[str, str]]:
+    """What the instrument reads, and the header that says how."""
+    modelled, rules = iris_of(iris), process_of(process)
+    method = solver_of(solver, rules)
+    result = measured(modelled, instrument, rules, method, key_of(solver))
+    return result, head(command, quantity, modelled, rules, method, (iris, process, solver, light))
 
 
 def _exits(plane: str, n: int) -> tuple[np.ndarray, np.ndarray]:

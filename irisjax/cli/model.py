@@ -21,12 +21,13 @@ from irisjax.cli.options import (
 from irisjax.tissue.indices import Scattering
 from irisjax.tissue.iris import LIMITS
 from irisjax.transport.defaults import exact_solver
+from irisjax.transport.ilit.weighted import IlitWeighted
+from irisjax.transport.montecarlo import MonteCarlo
 from irisjax.transport.process import PROCESSES, AbstractProcess, Phase, Rescatter
 from irisjax.transport.solver import AbstractSolver
 
 # As written in the class: making an iris would start JAX before the precision is chosen.
 _DEFAULTS = {field.name: field.default for field in dataclasses.fields(ij.Iris)}
-ESTIMATORS = ("analog", "weighted", "quasi")
 _LEVELS = ("low", "moderate", "high")
 
 
@@ -78,7 +79,6 @@ class IrisOptions(Group):
     collagen_fraction: Annotated[float | None, _field("collagen_fraction")] = None
     abl_index: Annotated[float | None, _field("abl_index")] = None
     stroma_index: Annotated[float | None, _field("stroma_index")] = None
-    scattering_scale: Annotated[float | None, _field("scattering_scale")] = None
     melanin_load: Annotated[
         float | None,
         option(
@@ -88,6 +88,7 @@ class IrisOptions(Group):
             "ratio",
         ),
     ] = None
+    scattering_scale: Annotated[float | None, _field("scattering_scale")] = None
     scattering: Annotated[
         str, name_of("scattering coefficient of the stroma", *get_args(Scattering))
     ] = "lb06"
@@ -99,6 +100,7 @@ class ProcessOptions(Group):
 
     PANEL = "Process"
     ONLY_WITH = {  # noqa: RUF012  (a class variable by the base class)
+        "phase": ("process", ("ilit-2006", "ilit-corrected")),
         "rescatter": ("process", ("ilit-2006", "ilit-corrected")),
         "perturb_on_reflection": ("process", ("ilit-2006", "ilit-corrected")),
     }
@@ -152,40 +154,38 @@ class SolverOptions(Group):
     ] = 1_000_000
     estimator: Annotated[
         str,
-        name_of("event by event; expected values; those on a lattice", *ESTIMATORS),
+        name_of(
+            "event by event; expected values; those on a lattice", "analog", "weighted", "quasi"
+        ),
     ] = "analog"
     seed: Annotated[int, option(parse=read_seed, metavar="number", help=SEED_HELP + "bytes")] = 0
 
 
 def iris_of(options: IrisOptions) -> ij.Iris:
     """The iris that the options describe."""
-    names = (*LIMITS, "melanin_load", "scattering")
+    names = (*LIMITS, "melanin_load")
     fields = {n: v for n in names if (v := getattr(options, n)) is not None}
-    return ij.Iris.of_level(options.level).replace(**fields)
+    return ij.Iris.of_level(options.level).replace(**fields, scattering=options.scattering)
 
 
 def process_of(options: ProcessOptions) -> AbstractProcess:
-    """The process that the options name, with the switches that were given."""
+    """The process that the options name."""
     process = PROCESSES[options.process]
-    switches = {
-        name: value
-        for name in process.describe()
-        if (value := getattr(options, name)) is not None and options.applies(name)
-    }
-    if options.phase not in (None, "rayleigh") and not process.describe():
-        raise ValueError(f"--phase {options.phase}: {options.process} takes rayleigh only")
-    return dataclasses.replace(process, **switches)
+    switches = {n: getattr(options, n) for n in process.describe()}
+    return dataclasses.replace(process, **{n: v for n, v in switches.items() if v is not None})
 
 
 def solver_of(options: SolverOptions, process: AbstractProcess) -> AbstractSolver:
-    """The solver of a process."""
+    """The solver that the options name, for such a process."""
     if options.solver == "exact":
         return exact_solver(process)
     if options.estimator == "analog":
-        return ij.MonteCarlo(options.photons, mesh=ij.photon_mesh())
-    return ij.IlitWeighted(options.photons, quasi=options.estimator == "quasi")
+        return MonteCarlo(options.photons)
+    return IlitWeighted(options.photons, quasi=options.estimator == "quasi")
 
 
-def key_of(seed: int) -> jax.Array:
-    """The random key of a seed; its kind is fixed, whatever the environment prefers."""
-    return jax.random.key(seed, impl="threefry2x32")
+def key_of(options: SolverOptions) -> jax.Array | None:
+    """The key of a solver that samples; its kind is fixed, whatever the environment prefers."""
+    if options.solver == "exact":
+        return None
+    return jax.random.key(options.seed, impl="threefry2x32")

@@ -10,7 +10,7 @@ import irisjax as ij
 from irisjax.cli.files import TableFile, check_files, write_table
 from irisjax.cli.header import settings
 from irisjax.cli.light import NoisyLight
-from irisjax.cli.model import IrisOptions, ProcessOptions, iris_of, key_of, process_of
+from irisjax.cli.model import IrisOptions, ProcessOptions, iris_of, process_of
 from irisjax.cli.options import grouped
 from irisjax.infer.parameters import of_iris
 from irisjax.transport.defaults import exact_solver
@@ -45,8 +45,9 @@ def _scans(
     """Scans of the iris's reflectance, each of shape (wavelengths,)."""
     grid = light.wavelengths.values
     seen = ij.spectrum(
-        values=np.zeros(grid.size),
-        **light.setup(),
+        grid,
+        np.zeros(grid.size),
+        **light.before_the_iris(),
     )
     noise: dict[str, Any] = {"relative": light.relative_noise, "absolute": light.absolute_noise}
     problem = ij.problem(
@@ -58,6 +59,6 @@ def _scans(
         solver=exact_solver(process),
         noise=ij.Noise(**noise),
     )
-    key = key_of(light.seed)
+    key = jax.random.key(light.seed, impl="threefry2x32")
     draw = jax.jit(lambda k: problem.simulate(jnp.zeros(1), k)[0])
     return [np.asarray(draw(jax.random.fold_in(key, i))) for i in range(light.scans)]

@@ -5,11 +5,12 @@ from types import SimpleNamespace
 from typing import NamedTuple
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 
 import irisjax as ij
-from irisjax.cli import report
+from irisjax.cli import model, report, simulate
 from irisjax.infer.posterior import Chains
 from irisjax.infer.summary import Check
 from irisjax.transport.solution import RESULTS, Absorbed
@@ -30,11 +31,12 @@ class Quick(AbstractSolver):
         self, layers, process, cos_incidence, *, cos_exit=None, azimuth=None, key=None, rays=None
     ):
         n = layers.indices
+        said = process.describe()
         switches = (
-            process.phase == "rayleigh",
-            process.rescatter == "retest",
-            process.perturb_on_reflection,
-            isinstance(process, ij.RadiativeTransfer),
+            said.get("phase") == "rayleigh",
+            said.get("rescatter") == "retest",
+            said.get("perturb_on_reflection", False),
+            not said,
         )
         cosine = 0.3 if isinstance(cos_incidence, str) else cos_incidence
         bent = cosine * n.aqueous / (n.abl * n.stroma * n.ipe)
@@ -50,15 +52,17 @@ class Quick(AbstractSolver):
             mirrored=mirrored,
             absorbed=Absorbed(abl=0 * back, stroma=0 * back, ipe=1 - back - mirrored),
             standard_error=None,
+            total_error=None,
             brdf=brdf,
             brdf_error=None,
-            result=RESULTS.where(layers.valid(), RESULTS.successful, RESULTS.invalid_input),
+            status=RESULTS.where(layers.valid(), RESULTS.successful, RESULTS.invalid_input),
         )
 
 
 def with_quick(monkeypatch):
     true = ij.problem
-    monkeypatch.setattr(ij, "Exact", Quick)
+    for module in (model, simulate):
+        monkeypatch.setattr(module, "exact_solver", lambda process: Quick())
     monkeypatch.setattr(
         ij, "problem", lambda *given, **stated: true(*given, **{**stated, "solver": Quick()})
     )
@@ -69,7 +73,7 @@ class Sampled(NamedTuple):
 
     problem: ij.Problem
     walkers: int
-    seed: int
+    key: jax.Array
     max_steps: int
     resume: bool
     went_on: bool  # there was a chain already
@@ -79,31 +83,35 @@ def without_search(monkeypatch):
     """Neither search nor sampler nor checks: a cloud of samples. Returns the list of calls."""
     calls = []
 
-    def sample(problem, path, *, start, resume, progress, **settings):
-        calls.append(Sampled(problem, **settings, resume=resume, went_on=Path(path).exists()))
+    def sample(problem, path, *, start, resume, progress, key, **settings):
+        calls.append(
+            Sampled(problem, **settings, key=key, resume=resume, went_on=Path(path).exists())
+        )
         Path(path).write_text("chain")
         progress(10, "sampling")
         free, steps = len(problem.free), settings["max_steps"]
         shape = (50, settings["walkers"])
-        z = np.random.default_rng(settings["seed"]).normal(0, 0.1, (*shape, free))
+        z = np.random.default_rng(np.asarray(jax.random.key_data(key))).normal(
+            0, 0.1, (*shape, free)
+        )
         each = np.full(free, 1000.0)
         reason = "" if steps > 100 else f"{steps} steps are not enough"
         return Chains(
             z, z[..., 0], 1, steps, 0.5, each / 100, each, each, each / 1000, not reason, reason
         )
 
-    def predictive(problem, chains, key, count):
+    def predictive(problem, chains, count, *, key):
         values = [np.tile(np.asarray(o.values), (count, 1)) for o in problem.observations]
         return chains.z.reshape(-1, chains.z.shape[-1])[:count], values, values
 
     def pointwise(problem, z):
         return np.zeros((len(z), sum(o.values.size for o in problem.observations)))
 
-    monkeypatch.setattr(report, "fit", lambda problem, key: SimpleNamespace(ok=True))
+    monkeypatch.setattr(report, "fit", lambda problem, key: SimpleNamespace(converged=True))
     monkeypatch.setattr(report, "sample", sample)
     monkeypatch.setattr(report, "information", lambda problem, best: None)
     monkeypatch.setattr(report, "in_words", lambda found: ["best known: the load"])
-    monkeypatch.setattr(report, "check", lambda problem, chains, key: Check(0.5, 0.5, 1.0))
+    monkeypatch.setattr(report, "check", lambda problem, chains, *, key: Check(0.5, 0.5, 1.0))
     monkeypatch.setattr(report, "predictive", predictive)
     monkeypatch.setattr(report, "pointwise", pointwise)
     return calls

@@ -3,6 +3,7 @@
 import csv
 import sys
 
+import jax
 import numpy as np
 import pytest
 import xarray as xr
@@ -57,14 +58,16 @@ def test_what_the_sampler_is_asked(irisjax, eye, sampled):
     said += ("--cos-incidence", "0.5", "--walkers", "12", "--max-steps", "200", "--seed", "7")
     assert irisjax("fit", eye, *said)[0] == 0
     (call,) = sampled
-    assert (call.walkers, call.max_steps, call.seed, call.resume) == (12, 200, 7, False)
+    assert (call.walkers, call.max_steps, call.resume) == (12, 200, False)
+    assert (jax.random.key_data(call.key) == jax.random.key_data(jax.random.key(7))).all()
     problem = call.problem
     assert problem.free == ("melanin_load", "gain")
     assert float(problem.fixed["abl_fraction"]) == 0.25
     assert "normal(1, 0.1)" in repr(problem.priors[1])
     assert problem.process == ij.DEPTH_RESOLVED
     (seen,) = problem.observations
-    assert (float(seen.cos_incidence), seen.first_surface) == (0.5, False)
+    instrument = seen.instrument
+    assert (float(instrument.cos_incidence), instrument.first_surface) == (0.5, False)
     np.testing.assert_allclose(problem.noise.relative, 0.05)
     np.testing.assert_allclose(problem.noise.absolute, 1e-3)
     assert float(problem.noise.degrees_of_freedom) == 4

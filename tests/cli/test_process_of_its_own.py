@@ -56,14 +56,15 @@ def test_ctrl_c_while_importing(monkeypatch, capsys):
 
 # Says when photons are on their way.
 INTERRUPTIBLE = """
-import sys, time
+import importlib, sys, time
+import jax.numpy as jnp
 from irisjax import cli
-from irisjax.cli import jobs
-count = jobs.MonteCarlo.count
+observe = importlib.import_module("irisjax.measure.observe")
+count = observe._count
 def told(*arguments, **options):
     print("block", flush=True)
     return COUNTED
-jobs.MonteCarlo.count = told
+observe._count = told
 cli.main(sys.argv[1:])
 """
 
@@ -72,7 +73,7 @@ cli.main(sys.argv[1:])
 @pytest.mark.parametrize(
     "counted",
     [
-        "time.sleep(0.01) or jobs._no_counts(1, None)",
+        "time.sleep(0.01) or observe.Counts(jnp.zeros((1, 5), int), None, jnp.ones(1, int))",
         pytest.param("count(*arguments, **options)", marks=pytest.mark.slow),
     ],
     ids=["blocks", "photons"],

@@ -2,7 +2,7 @@
 
 import pytest
 
-import irisjax as ij
+from irisjax.cli import jobs
 
 WRONG = [
     (("--level", "middling"), "--level: unknown 'middling'; known: low, moderate, high"),
@@ -11,7 +11,8 @@ WRONG = [
     (("--lutein", "much"), "--lutein: 'much' is not a number"),
     (("--abl-fraction", "1.5"), "abl_fraction = 1.5 is outside [0, 1]"),
     (("--melanin-load", "-0.1"), "melanin_load = -0.1"),
-    (("--pupil-radius", "7"), "pupil_radius = 7 mm exceeds iris_radius = 5.5 mm"),
+    (("--pupil-radius", "2"), "--pupil-radius"),
+    (("--tear-index", "0.9"), "tear = 0.9 is outside [1, 3]"),
     (
         ("--wavelengths", "300:700:10"),
         "--wavelengths: 300 nm is outside the pigment tables (350 to 800 nm)",
@@ -37,11 +38,11 @@ WRONG = [
     (("--solver", "monte-carlo", "--estimator", "guess"), "--estimator: unknown 'guess'"),
     (
         ("--solver", "monte-carlo", "--estimator", "quasi", "--process", "depth-resolved"),
-        "use estimator",
+        "treats Ilit processes, not RadiativeTransfer",
     ),
     (("--solver", "oracle"), "--solver: unknown 'oracle'; known: exact, monte-carlo"),
     (("--process", "ilit-2007"), "--process: unknown 'ilit-2007'"),
-    (("--process", "depth-resolved", "--phase", "lb06"), 'takes phase="rayleigh" only'),
+    (("--process", "depth-resolved", "--phase", "lb06"), "--phase means something only with"),
     (
         ("--process", "depth-resolved", "--rescatter", "retest"),
         "--rescatter means something only with",
@@ -90,7 +91,7 @@ def test_a_fault_of_our_own_is_one_line(irisjax, monkeypatch):
     def broken(*_, **__):
         raise TypeError("two\nlines")
 
-    monkeypatch.setattr(ij, "reflectance", broken)
+    monkeypatch.setattr(jobs, "observe", broken)
     status, out, err = irisjax("spectrum")
     assert (status, out) == (1, "")
     assert err == "irisjax: internal error: TypeError: two lines (IRISJAX_DEBUG=1 tells more)\n"
@@ -100,6 +101,6 @@ def test_interrupt_is_one_line(irisjax, monkeypatch, tmp_path):
     def interrupted(*_, **__):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(ij, "reflectance", interrupted)
+    monkeypatch.setattr(jobs, "observe", interrupted)
     assert irisjax("spectrum", "-o", tmp_path / "out.csv") == (130, "", "irisjax: interrupted\n")
     assert not list(tmp_path.iterdir())
