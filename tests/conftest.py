@@ -46,8 +46,6 @@ def pytest_collection_modifyitems(items):
 def _precision(request):
     wanted = not _wants_float32(request.node)
     if jax.config.read("jax_enable_x64") != wanted:
-        # JAX keeps traced helpers between calls; some were traced at the other precision.
-        jax.clear_caches()
         jax.config.update("jax_enable_x64", wanted)
 
 

@@ -7,6 +7,7 @@ import pytest
 from scipy.integrate import quad
 from scipy.optimize import brentq
 
+from common import quick_jit
 from irisjax.numerics.quadrature import conserving, cosine_rule
 from irisjax.optics.phase import PHASES
 
@@ -41,7 +42,7 @@ def operator(name, critical, n, double=True):
         # The isotropic part is left to the solver.
         return rule.cosine, rule.weight, 0.5 * rule.weight[None, :] + k.scatter.T @ collect
 
-    found = jax.jit(build)(jnp.asarray(critical, float))
+    found = quick_jit(build)(jnp.asarray(critical, float))
     assert found[2].dtype == (np.float64 if double else np.float32)
     return tuple(np.asarray(x).astype(np.float64) for x in found)
 
@@ -146,10 +147,21 @@ def test_redistribution_of_powers(name, critical):
 
 
 @pytest.mark.parametrize("name", NAMES)
-@pytest.mark.parametrize("critical", [(), (0.18,), (0.18, 0.0007)])
-def test_scattering_conserves(name, critical, bits):
+@pytest.mark.parametrize(
+    ("critical", "nodes", "bits"),
+    [
+        *((c, (36,), 64) for c in ((), (0.18,), (0.18, 0.0007))),
+        ((0.18, 0.0007), (8,), 32),
+        *(
+            pytest.param(c, (8, 36), b, marks=pytest.mark.slow)
+            for c in ((), (0.18,), (0.18, 0.0007))
+            for b in (64, 32)
+        ),
+    ],
+)
+def test_scattering_conserves(name, critical, nodes, bits):
     """Half of all scattered light goes up, half goes down, to rounding and at any number of nodes."""
-    for n in (8, 36):
+    for n in nodes:
         mu, w, scatter = operator(name, critical, n, bits == 64)
         for f in (np.ones_like(mu), 2 * mu, np.exp(-0.3 / mu)):
             f = np.where(w > 0, f, 0)
