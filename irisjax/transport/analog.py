@@ -175,7 +175,7 @@ def run_lanes(
     def body(state):
         k0, k1, i, photon, tally, cell_tally = state
         fate = photon.code & 7
-        tally = tuple(count + (fate == code) for code, count in enumerate(tally, 1))
+        tally = tuple(count + (fate == code).astype(count.dtype) for code, count in enumerate(tally, 1))
         if cells is not None:
             # A photon that left has no further use for its direction: it holds the cosine outside.
             cell_tally = tuple(
