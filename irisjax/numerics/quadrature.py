@@ -92,7 +92,8 @@ def ungraded(g, start_squared, xp=jnp):
     beta = start_squared / (start_squared + _FAR)
     kappa = _GRADING * (1 - beta) + beta
     y = xp.log1p(g * xp.expm1(kappa)) / kappa
-    return 2 * y / (beta + xp.sqrt(beta * beta + 4 * (1 - beta) * y) + (y == 0))
+    root = xp.sqrt(beta * beta + 4 * (1 - beta) * y)
+    return 2 * y / (beta + root + xp.where(y == 0, 1.0, 0.0))
 
 
 def cosine_rule(
@@ -167,4 +168,4 @@ def interpolation(rule: CosineRule, panel: int, mu, xp=jnp):
     exact = difference == 0
     terms = barycentric / xp.where(exact, 1.0, difference)
     values = terms / terms.sum(-1, keepdims=True)
-    return xp.where(exact.any(-1, keepdims=True), exact * 1.0, values)
+    return xp.where(exact.any(-1, keepdims=True), xp.where(exact, 1.0, 0.0), values)
