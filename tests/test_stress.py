@@ -2,6 +2,7 @@
 gradients.
 """
 
+import functools
 import itertools
 
 import jax
@@ -10,7 +11,7 @@ import numpy as np
 import pytest
 
 import irisjax as ij
-from common import GRID, PROCESSES, exact, layers, quick_jit, stack
+from common import GRID, PROCESSES, any_order, exact, layers, quick_jit, stack
 from irisjax.tissue.iris import LIMITS
 
 DEPTHS = np.array([0.0, 1e-12, 1e-6, 1e-3, 0.1, 1.0, 10.0, 1e3, 1e6])
@@ -47,9 +48,16 @@ def check(solution, bits):
     np.testing.assert_allclose(sum(parts), 1, rtol=0, atol=TINY[bits])
 
 
-def run_grid(process, solver, bits):
-    """All depths as one spectrum, all media and cosines as a batch: one program."""
-    sets = [layers(ABL, ABSORPTION, SCATTERING, m) for m in MEDIA.values()]
+SWEEP = pytest.mark.slow
+FEW = np.flatnonzero(
+    np.isin(ABL, (0, 1e-6, 1e3)) & np.isin(ABSORPTION, DEPTHS[[0, 1, 5, 8]]) & np.isin(SCATTERING, DEPTHS[[0, 2, 5, 8]])
+)  # fmt: skip
+"""Depths that stand for all: none, hardly any, one, a million."""
+
+
+def run_grid(process, solver, chosen):
+    """All chosen depths as one spectrum, all media and cosines as a batch: one program."""
+    sets = [layers(ABL[chosen], ABSORPTION[chosen], SCATTERING[chosen], m) for m in MEDIA.values()]
     # One static order for all: every critical angle possible.
     anything = ij.Layers(sets[0].abl_absorption, sets[0].stroma_absorption, sets[0].stroma_scattering,
                          jax.tree.map(lambda *n: jnp.stack(n), *[s.indices for s in sets]), type(sets[0].order)())  # fmt: skip
@@ -69,14 +77,14 @@ def run_grid(process, solver, bits):
 
 
 @pytest.mark.parametrize(
-    "name",
+    ("name", "chosen"),
     [
-        "rayleigh", "rayleigh-retest",
-        *(pytest.param(n, marks=pytest.mark.slow) for n in ("lb06", "lb06-retest", "lb06-redrawn", "rayleigh-redrawn", "retest-redrawn")),
+        ("rayleigh-retest", FEW),
+        *(pytest.param(n, slice(None), marks=SWEEP) for n, p in PROCESSES.items() if p != ij.DEPTH_RESOLVED),
     ],
 )  # fmt: skip
-def test_every_depth_index_and_incidence(name, bits):
-    for solution in run_grid(PROCESSES[name], ij.IlitExact(n_angles=16), bits):
+def test_every_depth_index_and_incidence(name, chosen, bits):
+    for solution in run_grid(PROCESSES[name], ij.IlitExact(n_angles=16), chosen):
         check(solution, bits)
         assert bool((solution.status == ij.RESULTS.successful).all())
 
@@ -84,16 +92,10 @@ def test_every_depth_index_and_incidence(name, bits):
 SHALLOW = np.flatnonzero(ABSORPTION + SCATTERING <= 2)
 
 
+@pytest.mark.parametrize("chosen", [SHALLOW[::11], pytest.param(SHALLOW, marks=SWEEP)])
 @pytest.mark.parametrize("media", MEDIA)
-def test_depth_resolved_shallow(media, bits):
-    made = layers(ABL[SHALLOW], ABSORPTION[SHALLOW], SCATTERING[SHALLOW], MEDIA[media])
-    made = ij.Layers(
-        made.abl_absorption,
-        made.stroma_absorption,
-        made.stroma_scattering,
-        made.indices,
-        type(made.order)(),
-    )
+def test_depth_resolved_shallow(media, chosen, bits):
+    made = any_order(layers(ABL[chosen], ABSORPTION[chosen], SCATTERING[chosen], MEDIA[media]))
     for cosine in COSINES:
         solution = shallow(made, jnp.asarray(cosine, float))
         check(solution, bits)
@@ -111,7 +113,7 @@ def holds(absorption, scattering, bits):
     return absorption / total + 1 / np.maximum(total, 1) ** 2 >= (0 if bits == 64 else 2e-6)
 
 
-@pytest.mark.slow
+@SWEEP
 @pytest.mark.parametrize("media", ["iris", "all-equal", "guided-both"])
 def test_depth_resolved_at_every_depth(media, bits):
     held = np.flatnonzero(holds(ABSORPTION, SCATTERING, bits))
@@ -124,6 +126,7 @@ def test_depth_resolved_at_every_depth(media, bits):
     assert bool(solution.status == ij.RESULTS.successful)
 
 
+@SWEEP
 def test_depth_resolved_deep(bits):
     """Twenty-two panels for an optical depth of a million; where single precision does not hold it,
     the status says so.
@@ -160,7 +163,7 @@ def test_monotonic(name):
     steps = np.geomspace(1e-9, 2.0, 60)
     deep = name == "depth-resolved"
     solver = ij.RadiativeExact(n_panels=1) if deep else ij.IlitExact()
-    run = jax.jit(lambda x: solver.solve(x, PROCESSES[name], jnp.asarray(1.0)).reflectance)
+    run = quick_jit(lambda x: solver.solve(x, PROCESSES[name], jnp.asarray(1.0)).reflectance)
     for abl, absorption, scattering in ((steps, 0.1, 0.3), (0.05, steps, 0.3)):
         if name != "depth-resolved" and abl is not steps:
             # ILIT's whole-layer tests let weak absorption help: P grows with it while few events
@@ -214,11 +217,6 @@ def as_vector(name):
     return VECTORS[name]
 
 
-def some_slow(fast):
-    """All processes; those not in `fast` wait for `pytest -m slow`."""
-    return [n if n in fast else pytest.param(n, marks=pytest.mark.slow) for n in PROCESSES]
-
-
 def reflectance_of(vector, process, solver, cosine=1.0):
     """Everything traced: the iris is built inside the program."""
     iris = ij.Iris(**dict(zip(LIMITS, vector, strict=True)))
@@ -232,11 +230,21 @@ def reflectance_of(vector, process, solver, cosine=1.0):
     )
 
 
+SOME = ("plain", "no-layers", "nothing-at-all", "equal-indices", "guided-stroma", "all-1e6")
+
+
 @pytest.mark.parametrize(
-    "name", some_slow(("lb06", "rayleigh-retest", "rayleigh-redrawn", "depth-resolved"))
+    ("name", "edges", "bits"),
+    [
+        ("lb06", SOME, 64),
+        ("rayleigh-retest", SOME, 64),
+        ("rayleigh-retest", SOME, 32),
+        ("depth-resolved", SOME, 64),
+        *(pytest.param(n, tuple(EDGES), b, marks=SWEEP) for n in PROCESSES for b in (64, 32)),
+    ],
 )
-def test_edge_irides(name, bits):
-    vectors = jnp.asarray(np.stack([as_vector(e) for e in EDGES]), jnp.result_type(float))
+def test_edge_irides(name, edges, bits):
+    vectors = jnp.asarray(np.stack([as_vector(e) for e in edges]), jnp.result_type(float))
     # The printed phase function builds its operator for every iris whose indices are traced: keep
     # it small.
     solver = ij.IlitExact(12) if name.startswith("lb06") else exact(PROCESSES[name])
@@ -252,7 +260,7 @@ def test_edge_irides(name, bits):
         )
         np.testing.assert_allclose(total, 1, rtol=0, atol=TINY[bits])
         fine = np.asarray(r.status == ij.RESULTS.successful)
-        for i, e in enumerate(EDGES):
+        for i, e in enumerate(edges):
             deep = name == "depth-resolved" and e in ("melanin-1e6", "blood-1e6", "all-1e6")
             assert fine[i] != deep, e
             if not deep:
@@ -270,7 +278,7 @@ def test_edge_irides_tabulated(tabulated):
 
     def run(solver):
         f = jax.vmap(lambda iris: ij.reflectance(iris, GRID, solver=solver, throw=False))
-        return jax.jit(f)(irides)
+        return quick_jit(f)(irides)
 
     found, true = run(tabulated), run(ij.IlitExact(n_angles=64))
     assert bool((found.status == ij.RESULTS.successful).all())
@@ -279,17 +287,26 @@ def test_edge_irides_tabulated(tabulated):
     np.testing.assert_allclose(total, 1, rtol=0, atol=1e-12)
 
 
-@pytest.mark.parametrize("n", [1, 100_000])
+@pytest.mark.parametrize("n", [1, 4_000, pytest.param(100_000, marks=SWEEP)])
 def test_number_of_wavelengths(n):
-    grid = np.array([550.0]) if n == 1 else np.linspace(400, 700, n)
-    for process in (ij.ILIT_2006, ij.DEPTH_RESOLVED):
+    grid = np.array([700.0]) if n == 1 else np.linspace(400, 700, n)
+    for process in (ij.ILIT_2006, ij.DEPTH_RESOLVED) if n != 4_000 else (ij.ILIT_2006,):
         if n > 1 and isinstance(process, ij.RadiativeTransfer):
             grid = grid[::20]
-        values = np.asarray(ij.reflectance(BASE, grid, process=process).values)
+        values = spectrum_of(grid, process)
         assert values.shape == grid.shape
         assert ((values > 0) & (values < 1)).all()
-        one = ij.reflectance(BASE, grid[-1:], process=process).values[0]
+        one = spectrum_of(grid[-1:], process)[0]
         assert values[-1] == pytest.approx(float(one), rel=1e-13)
+
+
+@functools.cache
+def _spectrum(process, *grid):
+    return quick_jit(lambda x: ij.reflectance(x, np.array(grid), process=process).values)
+
+
+def spectrum_of(grid, process):
+    return np.asarray(_spectrum(process, *grid.tolist())(BASE))
 
 
 # Gradients. Steps are chosen by field; where a field stands at an edge the difference is one-sided.
@@ -343,19 +360,19 @@ ORDERS = {e: ij.Iris(**edge(e)).order for e in EDGES}
 
 
 @pytest.mark.parametrize(
-    ("name", "traced_order"),
+    ("name", "traced_order", "edges"),
     [
-        ("lb06", False),
+        ("rayleigh", False, ("plain", "no-stroma", "nothing-at-all")),
         *(
-            pytest.param(n, traced, marks=pytest.mark.slow)
+            pytest.param(n, traced, tuple(EDGES), marks=SWEEP)
             for n, traced in (
-                ("rayleigh", False), ("rayleigh", True), ("rayleigh-retest", True), ("rayleigh-redrawn", True), ("lb06-retest", False), ("lb06-redrawn", False),
+                ("lb06", False), ("rayleigh", False), ("rayleigh", True), ("rayleigh-retest", True), ("rayleigh-redrawn", True), ("lb06-retest", False), ("lb06-redrawn", False),
                 ("depth-resolved", True), ("depth-resolved", False),
             )
         ),
     ],
 )  # fmt: skip
-def test_gradients(name, traced_order):
+def test_gradients(name, traced_order, edges):
     """Forward mode, reverse mode and finite differences agree for every field, in one vmapped
     program each.
 
@@ -363,10 +380,10 @@ def test_gradients(name, traced_order):
     or it is built inside the program from traced numbers (any order is possible).
     """
     process, solver = PROCESSES[name], exact(PROCESSES[name], 24)
-    edges = [e for e in EDGES if not (name == "depth-resolved" and e in ONLY_FINITE)]
+    asked, edges = edges, [e for e in edges if not (name == "depth-resolved" and e in ONLY_FINITE)]
     if not traced_order:
         edges = [e for e in edges if ORDERS[e] == TEMPLATE.order]
-    assert len(edges) >= 9
+    assert len(edges) >= min(9, len(asked) - 1)
     vectors = np.stack([as_vector(e) for e in edges])
 
     def values(v):
@@ -418,6 +435,7 @@ def test_gradients(name, traced_order):
     assert not problems, "\n".join(problems)
 
 
+@SWEEP
 @pytest.mark.parametrize("name", ["rayleigh", "lb06"])
 def test_gradients_in_single_precision_are_finite(name, float32):
     names = [e for e in EDGES if name == "rayleigh" or ORDERS[e] == TEMPLATE.order]
@@ -439,6 +457,7 @@ def test_gradients_in_single_precision_are_finite(name, float32):
     assert not bad
 
 
+@SWEEP
 def test_tabulated_gradients_at_edges(tabulated):
     names = [
         e

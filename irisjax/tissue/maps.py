@@ -137,4 +137,6 @@ class Scales(NamedTuple):
 def cell_centres(shape: tuple[int, int]) -> tuple[jax.Array, jax.Array]:
     """Angles (radians) and relative radii of a texture's cells, shapes (angles,) and (radii,)."""
     rows, columns = shape
-    return (jnp.arange(rows) + 0.5) * (2 * jnp.pi / rows), (jnp.arange(columns) + 0.5) / columns
+    return (jnp.arange(rows, dtype=float) + 0.5) * (2 * jnp.pi / rows), (
+        jnp.arange(columns, dtype=float) + 0.5
+    ) / columns

@@ -56,6 +56,7 @@ class Photon(NamedTuple):
 
 def pack(fate, in_abl, mode, turned, events):
     """`Photon.code`."""
+    in_abl, turned = (flag.astype(jnp.int32) for flag in (in_abl, turned))
     return fate | in_abl << 3 | mode << 4 | turned << 31 | events << 6
 
 
@@ -74,12 +75,16 @@ def run_lanes(event, wave_words, start, stride, last, layers: LaneLayers, scale,
     def body(state):
         k0, k1, i, photon, tally, cell_tally = state
         fate = photon.code & 7
-        tally = tuple(count + (fate == code) for code, count in enumerate(tally, 1))
+        tally = tuple(
+            count + (fate == code).astype(count.dtype) for code, count in enumerate(tally, 1)
+        )
         if cells is not None:
             # A photon that left has no further use for its direction: it holds the cosine outside.
             cell_tally = tuple(
                 count
-                + ((fate == REFLECTED) & (photon.direction >= low) & (photon.direction < high))
+                + (
+                    (fate == REFLECTED) & (photon.direction >= low) & (photon.direction < high)
+                ).astype(count.dtype)
                 for count, (low, high) in zip(cell_tally, cells, strict=True)
             )
         direction = jnp.where(photon.code < 0, -photon.direction, photon.direction)

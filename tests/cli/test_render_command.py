@@ -1,4 +1,6 @@
-"""`irisjax render`: what is refused before anything is drawn, and what is handed to the renderer."""
+"""`irisjax render`: what is refused before anything is drawn,
+and what is handed to the renderer.
+"""
 
 import importlib
 

@@ -43,7 +43,9 @@ def test_densities_and_fits_do_not_depend_on_the_pieces(problem, monkeypatch):
 
 
 def test_files_of_many_wavelengths_hold_fewer_draws(problem, tmp_path, monkeypatch):
-    """Log likelihoods of all draws of 10,000 wavelengths would be gigabytes; every group keeps the same draws."""
+    """Log likelihoods of all draws of 10,000 wavelengths would be gigabytes; every group keeps the
+    same draws.
+    """
     import xarray as xr
 
     walkers, most = 8, 100

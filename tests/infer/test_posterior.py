@@ -1,4 +1,6 @@
-"""Posterior sampling: right distributions, chains that survive being killed, diagnostics that tell."""
+"""Posterior sampling: right distributions, chains that survive being killed,
+diagnostics that tell.
+"""
 
 import shutil
 import subprocess
@@ -112,12 +114,15 @@ def test_short_chains_are_called_short(whole, tmp_path):
 
 
 def test_memory_does_not_grow_with_the_chain(whole, tmp_path, monkeypatch):
-    """Ten times the steps, resumed or not: less is held at any moment than their log probabilities would take."""
+    """Ten times the steps, resumed or not: less is held at any moment than their log probabilities
+    would take.
+    """
     problem, best = whole[0], fit(whole[0], starts=1)
     monkeypatch.setattr(
         posterior, "density", lambda _: lambda z: -0.5 * np.square(np.asarray(z)).sum(axis=1)
     )
-    # As with the real numbers: a short burn-in, never long enough, and fewer steps kept than either run has.
+    # As with the real numbers: a short burn-in, never long enough, and fewer steps kept than either
+    # run has.
     for name, value in (("TAUS", np.inf), ("_SPREAD", 10), ("_BURN", 20), ("_MOST_KEPT", 20)):
         monkeypatch.setattr(posterior, name, value)
     walkers, peaks = 256, {}
@@ -216,7 +221,8 @@ def test_a_curved_ridge_is_straightened():
     sampler.random_state = np.random.RandomState(1).get_state()
     sampler.run_mcmc(z[:32], 500)
     assert sampler.acceptance_fraction.mean() > 0.5
-    # Densities carry over only if volumes do: the same Jacobian on the ridge, beside it and far out.
+    # Densities carry over only if volumes do: the same Jacobian on the ridge, beside it and far
+    # out.
     places = np.concatenate([z[:5], 3 * z[5:10], [[9.0, -7.0, 8.0]]])
     step = 1e-6
     volumes = []

@@ -136,7 +136,9 @@ def test_nothing_left_out_if_one_break_is_missing(possible):
 
 @pytest.mark.parametrize("leave_out", [False, True])
 def test_missing_breaks_cost_no_nodes(leave_out):
-    """The panels there are share all nodes, so a rule that could not know is as good as one that did."""
+    """The panels there are share all nodes, so a rule that could not know is as good as one that
+    did.
+    """
     for places in [(0.18, -0.3), (-0.3, 0.18), (0.18, 0.18), (0.18, 0.0), (0.18, 1.0)]:
         found = rule_for(*places, n=32, leave_out_first=leave_out)
         known = rule_for(0.18, n=found.cosine.size, leave_out_first=leave_out and places[1] == 0.18)
@@ -149,7 +151,9 @@ def test_missing_breaks_cost_no_nodes(leave_out):
 
 
 def test_gradient_is_that_of_the_nodes_used(bits):
-    """Break points that are missing, doubled or at an end have finite derivatives, zero where unused."""
+    """Break points that are missing, doubled or at an end have finite derivatives, zero where
+    unused.
+    """
 
     def second_moment(b, n=24):
         rule = cosine_rule(b, (True, True), n, leave_out_first=True)

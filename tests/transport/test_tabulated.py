@@ -110,6 +110,7 @@ def test_incidence_and_brdf(tabulated):
         np.testing.assert_allclose(found, exact, rtol=0, atol=8 * tabulated.error)
 
 
+@pytest.mark.slow  # tables of single precision are made for this test alone
 def test_single_precision(float32):
     tables = ij.IlitTabulated.build(process=ij.ILIT_CORRECTED)
     iris = ij.Iris.of_level("low")

@@ -167,7 +167,7 @@ class IlitTabulated(AbstractSolver):
         scale = n / np.log1p(_LARGEST / _SMALLEST)
         position = jnp.log1p(jnp.minimum(depth, _LARGEST) / _SMALLEST) * scale
         interval = jnp.clip(jax.lax.stop_gradient(position).astype(jnp.int32), 0, n - 1)
-        return interval, 2 * (position - interval) - 1
+        return interval, 2 * (position - interval.astype(position.dtype)) - 1
 
     def _measure(self, order: Order) -> float:
         """Largest error of the layer functions between the nodes, against a finer quadrature."""
