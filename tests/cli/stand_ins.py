@@ -12,6 +12,7 @@ import numpy as np
 import irisjax as ij
 from irisjax.cli import model, report, simulate
 from irisjax.infer.posterior import Chains
+from irisjax.infer.status import ChainStatus
 from irisjax.infer.summary import Check
 from irisjax.transport.solution import RESULTS, Absorbed
 from irisjax.transport.solver import AbstractSolver
@@ -96,8 +97,9 @@ def without_search(monkeypatch):
         )
         each = np.full(free, 1000.0)
         reason = "" if steps > 100 else f"{steps} steps are not enough"
+        ended = ChainStatus.successful if not reason else ChainStatus.few_autocorrelation_times
         return Chains(
-            z, z[..., 0], 1, steps, 0.5, each / 100, each, each, each / 1000, not reason, reason
+            z, z[..., 0], 1, steps, 0.5, each / 100, each, each, each / 1000, ended, reason
         )
 
     def predictive(problem, chains, count, *, key):

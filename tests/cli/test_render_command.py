@@ -1,6 +1,4 @@
-"""`irisjax render`: what is refused before anything is drawn,
-and what is handed to the renderer.
-"""
+"""`irisjax render`: what is refused before anything is drawn, what is handed to the renderer."""
 
 import importlib
 

@@ -12,7 +12,7 @@ WRONG = [
     (("--abl-fraction", "1.5"), "abl_fraction = 1.5 is outside [0, 1]"),
     (("--melanin-load", "-0.1"), "melanin_load = -0.1"),
     (("--pupil-radius", "2"), "--pupil-radius"),
-    (("--tear-index", "0.9"), "tear = 0.9 is outside [1, 3]"),
+    (("--tear-index", "0.9"), "--tear-index: 0.9 is outside 1 to 3"),
     (
         ("--wavelengths", "300:700:10"),
         "--wavelengths: 300 nm is outside the pigment tables (350 to 800 nm)",
