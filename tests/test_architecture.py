@@ -79,7 +79,8 @@ def test_files_stay_short():
 
 
 def _wide(text):
-    return any(len(line) > 100 for line in text)
+    """As ruff counts: a remark to the type checker stands where it must."""
+    return any(len(line.split("  # pyright:")[0]) > 100 for line in text)
 
 
 def test_types_are_published():

@@ -61,6 +61,7 @@ def test_shallow_eyes_of_other_kinds_stay():
         Eye().replace(iris_depth=3.0)
 
 
+@pytest.mark.slow  # the whole way to a picture
 def test_an_eye_just_allowed_is_drawn():
     eye = Eye(iris_depth=3.29, pupil_radius=0.25)
     # A ray to each place of the limbus goes on through both surfaces to the iris, and forwards all

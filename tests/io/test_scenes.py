@@ -121,7 +121,7 @@ def test_one_chamber_has_one_index():
 
 def test_the_file_that_explains_everything_names_every_entry():
     """Each key of each section once, with a value that is allowed."""
-    path = Path(__file__).parent.parent / "data/scenes/everything.toml"
+    path = Path(__file__).parents[2] / "data/scenes/everything.toml"
     read_scene(path)
     section, found = "", {}
     for line in path.read_text(encoding="utf-8").splitlines():
@@ -354,6 +354,7 @@ def test_spectral_layers_add_up_to_the_picture(irisjax, tmp_path):
     )
 
 
+@pytest.mark.slow  # an eye is grown and tabulated
 def test_a_lamp_goes_round_a_preset(irisjax):
     """A preset has no lamp, only a studio."""
     assert (
