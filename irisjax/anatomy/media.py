@@ -1,6 +1,9 @@
 """The media in front of the iris: tear film, cornea, aqueous humour."""
 
+from functools import lru_cache
+
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 
 from irisjax._types import Scalar, as_float
@@ -26,6 +29,13 @@ class Media(eqx.Module):
     def __check_init__(self):
         check_fields(self, dict.fromkeys(("aqueous", "cornea", "tear"), INDEX))
 
+    @classmethod
+    def default(cls) -> "Media":
+        """Those of LB06 Table 1, kept in either precision: making arrays takes longer than a
+        spectrum.
+        """
+        return _default(jnp.result_type(float))
+
     def inward(self, cos_air):
         """Share of light that reaches the iris and its cosine there, ∏(1 − F) over
         air→tear→cornea→aqueous.
@@ -41,3 +51,9 @@ class Media(eqx.Module):
             total = total * fresnel(cosine, cos_next, n, n_next)[1]
             cosine, n = cos_next, n_next
         return total, cosine
+
+
+@lru_cache(maxsize=2)
+def _default(dtype) -> Media:
+    with jax.ensure_compile_time_eval():
+        return Media(*(jnp.asarray(n, dtype) for n in (AQUEOUS, CORNEA, TEAR)))

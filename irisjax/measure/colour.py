@@ -2,15 +2,19 @@
 The only importer of colour-science.
 """
 
-from functools import lru_cache
+from functools import lru_cache, partial
+from typing import Any
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.core import Tracer
 from jaxtyping import Array, Bool, Float
 
 from irisjax._types import Spectrum
 from irisjax.measure.measurement import check_wavelengths
+from irisjax.numerics.interpolation import piecewise_linear
 from irisjax.transport.solution import RESULTS
 
 OBSERVER = "CIE 1931 2 Degree Standard Observer"
@@ -57,21 +61,30 @@ class Observer(eqx.Module):
 
     @classmethod
     def of(cls, wavelengths, illuminant: str = "D65", observer: str = OBSERVER) -> "Observer":
-        """On a concrete grid of `wavelengths` (nm, at least two).
+        """On a grid of `wavelengths` (nm, at least two; concrete or traced).
 
         **Raises:** `ValueError` for an unknown illuminant or observer.
         """
         check_wavelengths(wavelengths)
-        if np.size(wavelengths) < 2:
-            raise ValueError("a colour needs at least two wavelengths")
+        if np.shape(wavelengths)[0] < 2:
+            raise ValueError(
+                "a colour needs at least two wavelengths: it integrates over the whole grid, "
+                "which jax.vmap over wavelengths would take apart"
+            )
+        if isinstance(wavelengths, Tracer):
+            x = wavelengths.astype(jnp.result_type(float, wavelengths))
+            weights, white, adaptation = _weighting(x, illuminant, observer, jnp)
+            to_srgb = jnp.asarray(_XYZ_TO_SRGB, x.dtype) @ adaptation
+            return cls(weights, white, to_srgb, illuminant, observer)
         grid = np.asarray(wavelengths, np.float64)
-        weights, white, adaptation = _constants(grid.tobytes(), illuminant, observer)
-        dtype = jnp.result_type(float)
-        constants = (jnp.asarray(x, dtype) for x in (weights, white, _XYZ_TO_SRGB @ adaptation))
-        return cls(*constants, illuminant=illuminant, observer=observer)
+        return _observer(grid.tobytes(), illuminant, observer, str(jnp.result_type(float)))
 
     def colour(self, values: Spectrum, status: RESULTS = RESULTS.successful) -> Colour:
-        """The colour of a spectral reflectance."""
+        """The colour of a spectral reflectance.
+
+        The status is `invalid_input` where a traced wavelength lies outside the illuminant's table.
+        """
+        status = RESULTS.where(jnp.isfinite(self.weights).all(), status, RESULTS.invalid_input)
         xyz = self.weights @ values
         linear = self.to_srgb @ xyz
         return Colour(
@@ -87,8 +100,7 @@ class Observer(eqx.Module):
 
 
 def colour_of(wavelengths, values, *, illuminant: str = "D65", observer: str = OBSERVER) -> Colour:
-    """Colour of a spectral reflectance `values` on a concrete grid of `wavelengths` (nm, at least
-    two).
+    """Colour of a spectral reflectance `values` on a grid of `wavelengths` (nm, at least two).
 
     Differentiable in `values`. **Raises:** `ValueError` for an unknown illuminant or observer, or
     values that are not one a wavelength.
@@ -135,40 +147,64 @@ def lab_of(ratio):
     return jnp.stack([116 * f[1] - 16, 500 * (f[0] - f[1]), 200 * (f[1] - f[2])])
 
 
-def illuminant_power(illuminant: str, wavelengths) -> np.ndarray:
-    """Relative spectral power of an illuminant (1 at 560 nm) at `wavelengths` (nm, concrete)."""
+def illuminant_power(illuminant: str, wavelengths) -> Any:
+    """Relative spectral power of an illuminant (1 at 560 nm) at `wavelengths` (nm).
+
+    **Raises:** `ValueError` for a concrete wavelength outside the illuminant's table; a traced one
+    gets NaN.
+    """
     sd = _spectrum(illuminant)
+    grid, values = np.asarray(sd.wavelengths), np.asarray(sd.values)
+    values = values / np.interp(560.0, grid, values)
+    if isinstance(wavelengths, Tracer):
+        x = wavelengths.astype(jnp.result_type(float, wavelengths))
+        return piecewise_linear(x, grid, values, outside=jnp.nan)
     x = np.asarray(wavelengths, np.float64)
-    low, high = sd.shape.start, sd.shape.end
-    if (x < low).any() or (x > high).any():
-        raise ValueError(f"illuminant {illuminant} is tabulated from {low:g} to {high:g} nm only")
-    at_560 = float(np.interp(560.0, sd.wavelengths, sd.values))
-    return np.interp(x, sd.wavelengths, sd.values) / at_560
+    if (x < grid[0]).any() or (x > grid[-1]).any():
+        raise ValueError(
+            f"illuminant {illuminant} is tabulated from {grid[0]:g} to {grid[-1]:g} nm only"
+        )
+    return np.interp(x, grid, values)
+
+
+@lru_cache(maxsize=64)
+def _observer(grid_bytes: bytes, illuminant: str, observer: str, dtype: str) -> Observer:
+    weights, white, adaptation = _constants(grid_bytes, illuminant, observer)
+    with jax.ensure_compile_time_eval():
+        constants = (jnp.asarray(x, dtype) for x in (weights, white, _XYZ_TO_SRGB @ adaptation))
+        return Observer(*constants, illuminant, observer)
 
 
 @lru_cache(maxsize=64)
 def _constants(grid_bytes: bytes, illuminant: str, observer: str):
-    """Weights (3, n) from reflectance to XYZ, the white, and the adaptation to D65."""
+    return _weighting(np.frombuffer(grid_bytes, np.float64), illuminant, observer, np)
+
+
+def _weighting(x, illuminant: str, observer: str, xp):
+    """Weights (3, n) from reflectance to XYZ, the white, and the adaptation to D65 (Bradford).
+
+    `xp` is `numpy`, or `jax.numpy` for a traced grid.
+    """
     import colour as cs
 
-    x = np.frombuffer(grid_bytes, np.float64)
     if observer not in cs.MSDS_CMFS:
         raise ValueError(f"unknown observer {observer!r}; known: {', '.join(sorted(cs.MSDS_CMFS))}")
     cmfs = cs.MSDS_CMFS[observer]
-    xyz_bar = np.stack(
-        [np.interp(x, cmfs.wavelengths, cmfs.values[:, i], left=0, right=0) for i in range(3)]
-    )
-    power = illuminant_power(illuminant, x)
+    at = partial(np.interp, x, left=0.0, right=0.0)
+    if xp is jnp:
+        at = partial(piecewise_linear, x, outside=0.0)
+    xyz_bar = xp.stack([at(cmfs.wavelengths, cmfs.values[:, i]) for i in range(3)])
     # Trapezoidal rule on the caller's grid.
-    width = np.gradient(x)
-    width[[0, -1]] = np.diff(x)[[0, -1]] / 2
-    weights = xyz_bar * power * width
-    weights /= weights[1].sum()
+    width = xp.concatenate([x[1:2] - x[:1], x[2:] - x[:-2], x[-1:] - x[-2:-1]]) / 2
+    weights = xyz_bar * (illuminant_power(illuminant, x) * width)[None]
+    weights = weights / weights[1].sum()
     white = weights.sum(axis=1)
-    adaptation = cs.adaptation.matrix_chromatic_adaptation_VonKries(
-        white, np.linalg.inv(_XYZ_TO_SRGB) @ np.ones(3), transform="Bradford"
+    cones = cs.CHROMATIC_ADAPTATION_TRANSFORMS["Bradford"]
+    d65 = cones @ np.linalg.inv(_XYZ_TO_SRGB) @ np.ones(3)
+    to_cones, from_cones, d65 = (
+        xp.asarray(m, x.dtype) for m in (cones, np.linalg.inv(cones), d65)
     )
-    return weights, white, adaptation
+    return weights, white, from_cones @ ((d65 / (to_cones @ white))[:, None] * to_cones)
 
 
 @lru_cache(maxsize=16)

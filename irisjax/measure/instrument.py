@@ -1,14 +1,18 @@
 """What instruments have in common: where light comes from, what lies between, what counts."""
 
 import abc
+from functools import lru_cache
 from typing import Any, Literal, get_args
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
+import numpy as np
 
 from irisjax._types import Scalar, Spectrum
 from irisjax.anatomy.media import Media
 from irisjax.measure.measurement import check_cosine, check_wavelengths
+from irisjax.numerics.checks import check_scalars
 from irisjax.tissue.pigments import Extinction, extinction
 from irisjax.transport.incidence import DIFFUSE
 from irisjax.transport.solution import Solution
@@ -60,10 +64,13 @@ class AbstractInstrument(eqx.Module):
                 "the cornea sends light on one course"
             )
         self.pigments = extinction(wavelengths)
+        if np.shape(gain):
+            raise ValueError(f"gain has shape {np.shape(gain)}; it must be one number")
         dtype = self.pigments.wavelengths.dtype
-        self.cos_incidence = None if diffuse else jnp.asarray(cos_incidence, dtype)
-        self.media = Media() if media is None else media
-        self.gain = jnp.asarray(gain, dtype)
+        self.cos_incidence = None if diffuse else _number(cos_incidence, dtype)
+        self.media = Media.default() if media is None else media
+        check_scalars(self.media, ("aqueous", "cornea", "tear"))
+        self.gain = _number(gain, dtype)
         self.cornea, self.first_surface = cornea, first_surface
 
     @property
@@ -101,3 +108,18 @@ class AbstractInstrument(eqx.Module):
     @abc.abstractmethod
     def reading(self, light: Solution, factor) -> Any:
         """What it reads of light that was dimmed by `factor` on its way."""
+
+
+def _number(value, dtype) -> jax.Array:
+    """A setting as an array, strongly typed: 1, 1.0 and an array are one program. Plain numbers are
+    kept: making an array takes as long as a tenth of a spectrum.
+    """
+    if isinstance(value, (int, float)):
+        return _constant(float(value), dtype)
+    return jnp.asarray(value, dtype)
+
+
+@lru_cache(maxsize=64)
+def _constant(value: float, dtype) -> jax.Array:
+    with jax.ensure_compile_time_eval():
+        return jnp.asarray(value, dtype)

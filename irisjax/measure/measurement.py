@@ -58,16 +58,15 @@ def wavelengths(start: float, stop: float, step: float) -> np.ndarray:
 
 
 def check_wavelengths(grid) -> None:
-    """Raise `ValueError` unless a concrete grid is one-dimensional, not empty, finite and
-    increasing.
+    """Raise `ValueError` unless a grid is one-dimensional and not empty and, where it is concrete,
+    finite and increasing.
     """
+    shape = np.shape(grid)
+    if len(shape) != 1 or shape[0] == 0:
+        raise ValueError(f"wavelengths must be a list of at least one number, got shape {shape}")
     if isinstance(grid, Tracer):
         return
     grid = np.asarray(grid)
-    if grid.ndim != 1 or grid.size == 0:
-        raise ValueError(
-            f"wavelengths must be a list of at least one number, got shape {grid.shape}"
-        )
     if not np.isfinite(grid).all():
         raise ValueError("wavelengths must be finite numbers of nm")
     if (np.diff(grid) <= 0).any():

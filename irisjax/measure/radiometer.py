@@ -13,7 +13,7 @@ from irisjax.measure.measurement import Measurement
 from irisjax.measure.observe import observe
 from irisjax.tissue.iris import Iris
 from irisjax.transport.process import ILIT_2006, AbstractProcess
-from irisjax.transport.solution import Solution, dimmed
+from irisjax.transport.solution import RESULTS, Solution, dimmed
 from irisjax.transport.solver import AbstractSolver
 
 
@@ -57,7 +57,9 @@ class Radiometer(AbstractInstrument):
             wavelengths=self.wavelengths,
             values=scale * values,
             standard_error=None if error is None else scale * error,
-            status=light.status,
+            status=RESULTS.where(
+                jnp.isfinite(self.power).all(), light.status, RESULTS.invalid_input
+            ),
             absorbed=dimmed(light.absorbed, factor),
             mirrored=factor * light.mirrored,
             quantity="radiance",

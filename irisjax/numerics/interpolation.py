@@ -1,6 +1,7 @@
 """Polynomials, steps and look-ups in textures and tables."""
 
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 
@@ -16,6 +17,23 @@ def smoothstep(x: Float[Array, "..."]) -> Float[Array, "..."]:
     """Smooth rise from 0 to 1 between the same."""
     x = jnp.clip(x, 0.0, 1.0)
     return x * x * (3 - 2 * x)
+
+
+def piecewise_linear(x: Float[Array, "..."], grid, values, *, outside: float):
+    """Linear interpolation in a table at traced places; `outside` it, and where x is not a number.
+
+    A sum of hat functions: unlike a search and a look-up it needs nothing to be known of how `x` is
+    laid out over devices. `grid` (increasing) and `values` are host arrays.
+    """
+    steps = np.diff(grid)
+    rows = grid, values, 1 / np.append(steps[:1], steps), -1 / np.append(steps, steps[-1:])
+    grid, values, rising, falling = (
+        jnp.asarray(row, x.dtype).reshape((1,) * x.ndim + (-1,)) for row in rows
+    )
+    away = x[..., None] - grid
+    hats = jnp.maximum(1 + jnp.where(away < 0, rising, falling) * away, 0.0)
+    inside = (x >= grid.min()) & (x <= grid.max())
+    return jnp.where(inside, (hats * values).sum(-1), outside)
 
 
 def bilinear(texture: Float[Array, "*c angles radii"], angle, radius) -> Float[Array, "..."]:

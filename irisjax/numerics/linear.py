@@ -13,6 +13,8 @@ import jax.numpy as jnp
 from jax.custom_batching import custom_vmap
 from jaxtyping import Array, Float
 
+from irisjax.numerics.sharding import vary_alike
+
 _LARGEST = 32
 
 
@@ -22,6 +24,7 @@ def solve(a: Float[Array, "n n"], b: Float[Array, "n *m"]) -> Float[Array, "n *m
     So it is for transport, I − ωK with K a contraction that light's reciprocity makes symmetric.
     `b` is a vector or the columns of a matrix.
     """
+    a, b = vary_alike((a, b))
     return jax.lax.custom_linear_solve(
         lambda x: a @ x,
         b,

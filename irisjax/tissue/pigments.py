@@ -5,7 +5,7 @@ linearly.
 """
 
 import math
-from functools import lru_cache
+from functools import lru_cache, partial
 from importlib import resources
 
 import equinox as eqx
@@ -15,6 +15,7 @@ import numpy as np
 from jax.core import Tracer
 
 from irisjax._types import Spectrum
+from irisjax.numerics.interpolation import piecewise_linear
 
 _PER_CM = 0.1  # 1 cm⁻¹ in mm⁻¹
 
@@ -60,11 +61,14 @@ def extinction(wavelengths) -> Extinction:
 
     Concrete wavelengths are interpolated on the host, once; traced ones inside the program.
 
-    **Raises:** `ValueError` naming the table and its range where a wavelength lies outside it.
+    **Raises:** `ValueError` naming the table and its range where a concrete wavelength lies outside
+    it; a traced one has no extinction (NaN) there, and what is solved with it says
+    `RESULTS.invalid_input`.
     """
     if isinstance(wavelengths, Tracer):
-        x = _checked(wavelengths)
-        return Extinction(wavelengths=x, **_interpolate(x, jnp))
+        x = wavelengths.astype(jnp.result_type(float, wavelengths))
+        at = partial(piecewise_linear, x, outside=jnp.nan)
+        return Extinction(wavelengths=x, **_interpolate(at))
     grid = np.asarray(wavelengths, np.float64)
     return _on_host(grid.tobytes(), jnp.result_type(float) == jnp.float64)
 
@@ -89,25 +93,12 @@ def _on_host(grid: bytes, double: bool) -> Extinction:
             )
     dtype = np.float64 if double else np.float32
     with jax.ensure_compile_time_eval():
-        curves = {"wavelengths": x, **_interpolate(x, np)}
+        curves = {"wavelengths": x, **_interpolate(partial(np.interp, x))}
         return Extinction(**{name: jnp.asarray(curve, dtype) for name, curve in curves.items()})
 
 
-def _interpolate(x, xp) -> dict:
-    curves = {}
-    for pigment in PIGMENTS:
-        grid, values = _table(pigment)
-        curves[pigment] = xp.interp(x, grid, values)
-    return curves
-
-
-def _checked(x):
-    low, high = common_range()
-    return eqx.error_if(
-        x,
-        ~((x >= low) & (x <= high)).all(),
-        f"a wavelength is outside the pigment tables ({low:g} to {high:g} nm)",
-    )
+def _interpolate(at) -> dict:
+    return {pigment: at(*_table(pigment)) for pigment in PIGMENTS}
 
 
 @lru_cache(maxsize=len(_SOURCES))

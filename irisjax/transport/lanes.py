@@ -15,6 +15,7 @@ import jax.numpy as jnp
 from jax import lax
 
 from irisjax.numerics.interpolation import horner
+from irisjax.numerics.sharding import vary_alike
 from irisjax.numerics.streams import fold_in_words, uniform
 from irisjax.optics.fresnel import refract
 
@@ -117,6 +118,7 @@ def run_lanes(event, wave_words, start, stride, last, layers: LaneLayers, scale,
     resting = Photon(jnp.ones_like(zero), zero if deep else None, nothing + RESTING)
     cell_tally = None if cells is None else (nothing,) * cells.shape[0]
     state = (*wave_words, start, resting, (nothing,) * len(FATES), cell_tally)
+    state = vary_alike(state, last, layers, cells)
     *_, tally, cell_tally = lax.while_loop(running, body, state)
     return jnp.stack(tally, -1), None if cell_tally is None else jnp.stack(cell_tally, -1)
 

@@ -99,6 +99,7 @@ class MonteCarlo(AbstractSolver):
         `first` and `last` may be traced. Returns `Counts`.
         """
         check_key(key)
+        layers, cos_incidence, cos_exit = _constant((layers, cos_incidence, cos_exit))
         if cos_exit is not None and not isinstance(process, Ilit):
             raise ValueError(
                 "the BRDF of radiative transfer by Monte Carlo is not offered; use RadiativeExact"
@@ -142,6 +143,19 @@ class MonteCarlo(AbstractSolver):
             brdf_error=brdf_error,
             status=_status(layers),
         )
+
+
+@eqx.filter_custom_jvp
+def _constant(tree):
+    return tree
+
+
+@_constant.def_jvp
+def _constant_jvp(primals, tangents):
+    raise NotImplementedError(
+        "MonteCarlo has no derivatives: counts of photons do not change smoothly. "
+        "Use IlitExact, RadiativeExact or IlitWeighted"
+    )
 
 
 def _status(layers: Layers):

@@ -41,41 +41,51 @@ class Pointwise(AbstractSolver):
         run = partial(_solution, layers.order, process, cos_incidence if diffuse else None)
         how = self.solver, layers.indices, None if diffuse else cos_incidence, key, rays
         depths = layers.abl_absorption, layers.stroma_absorption, layers.stroma_scattering
-        return _by_wavelength(run, how, depths)
+        return by_wavelength(run, how, depths, ())
 
 
-def _solution(order, process, diffuse, how, depths):
+def _solution(order, process, diffuse, how, depths, _):
     solver, indices, cosine, key, rays = how
     layers = Layers(depths[0], depths[1], depths[2], indices, order)
     return solver.solve(layers, process, diffuse or cosine, key=key, rays=rays)
 
 
 @eqx.filter_custom_jvp
-def _by_wavelength(run, how, depths):
-    return run(how, depths)
+def by_wavelength(run, how, depths, shared):
+    """`run(how, depths, shared)`, with derivatives from one forward pass for each array of the last
+    two.
+
+    `depths` have shape (wavelengths,), and a value depends on those of its own wavelength only;
+    `shared` are numbers. The last axis of what `run` returns is that of wavelengths. Derivatives
+    by `how` are refused. Reverse mode works whatever loops there are inside.
+    """
+    return run(how, depths, shared)
 
 
-@_by_wavelength.def_jvp
+@by_wavelength.def_jvp
 def _by_wavelength_jvp(primals, tangents):
-    run, how, depths = primals
-    _, moved, slopes = tangents
+    run, how, depths, shared = primals
+    _, moved, *slopes = tangents
     if any(t is not None for t in jax.tree.leaves(moved)):
         raise NotImplementedError(
             "derivatives by indices or incidence are not part of an inversion"
         )
+    inputs, slopes = (*depths, *shared), (*slopes[0], *slopes[1])
     active = [i for i, slope in enumerate(slopes) if slope is not None]
-    # One program for all three: compiling is what takes long here.
-    each = jnp.eye(len(depths), dtype=depths[0].dtype)[np.array(active)]
+    # One program for all: compiling is what takes long here.
+    each = jnp.eye(len(inputs), dtype=depths[0].dtype)[np.array(active)]
 
     def along(direction):
-        ones = tuple(jnp.full_like(d, x) for d, x in zip(depths, direction, strict=True))
-        return eqx.filter_jvp(partial(run, how), (depths,), (ones,))
+        ones = [jnp.full_like(x, d) for x, d in zip(inputs, direction, strict=True)]
+        ones = tuple(ones[: len(depths)]), tuple(ones[len(depths) :])
+        return eqx.filter_jvp(partial(run, how), (depths, shared), ones)
 
     values, derivatives = eqx.filter_vmap(along, out_axes=(None, 0))(each)
 
     def total(derivative):
         if derivative is None:
             return None
-        return sum(derivative[k] * slopes[i] for k, i in enumerate(active))
+        rows = (1,) * (derivative.ndim - 2) + (-1,)
+        return sum(derivative[k] * jnp.reshape(slopes[i], rows) for k, i in enumerate(active))
 
     return values, jax.tree.map(total, derivatives, is_leaf=lambda x: x is None)

@@ -13,6 +13,7 @@ from jaxtyping import Array, Bool, Float
 
 from irisjax._types import Spectrum
 from irisjax.numerics import linear
+from irisjax.numerics.sharding import vary_alike
 from irisjax.numerics.quadrature import CosineRule, conserving, cosine_rule
 from irisjax.optics.fresnel import critical_cosine_squared, fresnel, refracted
 from irisjax.tissue.indices import Order, RefractiveIndices
@@ -164,6 +165,9 @@ def _scattered(process: Ilit, rule: CosineRule, first, again, rest, layers: Laye
     """
     k, w = process.phase_function.redistribution(rule), rule.weight
     albedo, coalbedo = layers.albedo[:, None], layers.coalbedo
+    k, w, first, again, rest, albedo, coalbedo = vary_alike(
+        (k, w, first, again, rest, albedo, coalbedo)
+    )
     if k.collect is None and process.rescatter == "to-interface":
         # Between scatters a ray must be mirrored by an interface, so the orders fall off fast: sum
         # them.
@@ -216,7 +220,7 @@ def _sum_orders(operator, b):
         order = order - operator(order)
         return total + order, order, i + 1
 
-    state = (b, b, jnp.asarray(0))
+    state = (b, b, jnp.asarray(0, jnp.int32))
     for _ in range(4):  # LB06's irides take eight: a few outside the loop fuse better
         state = step(state)
     total, order, _ = jax.lax.while_loop(lambda s: counts(s[1]) & (s[2] < 2000), step, state)

@@ -1,0 +1,35 @@
+"""Arrays within a caller's sharding: what loops and inner functions must be told there.
+
+In the body of `jax.shard_map` an array's type says over which axes of the mesh it varies. A loop's
+carry and what an inner function closes over keep one such type, so it is given to them beforehand.
+"""
+
+import jax
+from jax import lax
+
+
+def vary_alike(tree, *others):
+    """The arrays of `tree`, typed to vary over every mesh axis over which any array here varies.
+
+    Outside `jax.shard_map` it is `tree` itself.
+    """
+    axes = frozenset().union(*(_axes(x) for x in jax.tree.leaves((tree, others))))
+    if not axes:
+        return tree
+
+    def widened(x):
+        missing = tuple(sorted(axes - _axes(x)))
+        return _widened(x, missing) if missing else x
+
+    return jax.tree.map(widened, tree)
+
+
+def _axes(x) -> frozenset:
+    kind = jax.typeof(x)
+    # Since JAX 0.10 in a field of its own.
+    return frozenset(kind.vma if hasattr(kind, "vma") else kind.mat.varying)
+
+
+def _widened(x, axes: tuple):
+    # JAX 0.8 gave `pvary` this name.
+    return lax.pcast(x, axes, to="varying") if hasattr(lax, "pcast") else lax.pvary(x, axes)
