@@ -128,7 +128,7 @@ def cosine_rule(
     omitted = jnp.zeros((), dtype)
     if leave_out:
         omitted = jnp.where(all_there, edges[1], 0.0)
-        panels = panels - all_there
+        panels = panels - all_there.astype(panels.dtype)
         # Unless all are there, one edge too many stands at 1.
         edges = jnp.where(all_there, edges[1:], edges[:-1])
     starts, widths = edges[:-1], edges[1:] - edges[:-1]
@@ -167,7 +167,7 @@ def _shared(n: int, most: int):
     x, w = (
         np.stack([np.tile(rule[i], panels) for panels, rule in enumerate(rules, 1)]) for i in (0, 1)
     )
-    owner = np.stack([np.repeat(np.arange(p), n // p) for p in range(1, most + 1)])
+    owner = np.stack([np.repeat(np.arange(p, dtype=np.int32), n // p) for p in range(1, most + 1)])
     return x, w, owner
 
 

@@ -88,7 +88,8 @@ def _product_integrated(starts, widths, m: int, xp: Any):
         target, p = targets[a], _points(m, a, b)
         source = _places(starts, widths, b, p.x, p.rest, xp)
         if a == b:
-            rise = graded_rise(*(xp.asarray(v, dtype) for v in (x, p.x, p.step)), starts[a], xp)
+            at, to, step = (xp.asarray(v, dtype) for v in (x, p.x, p.step))
+            rise = graded_rise(at, to, step, starts[a], xp)
             difference = widths[a] * xp.abs(rise) * (source.g + target.g)
         else:
             lower, upper = (target, source) if b > a else (source, target)
@@ -102,7 +103,7 @@ def _product_integrated(starts, widths, m: int, xp: Any):
         measures.append(source.slope * xp.asarray(p.weight, dtype))
     # All pairs in one call: the program holds the kernel once, not for each pair of panels.
     arguments = [xp.concatenate([v.ravel() for v in each]) for each in zip(*pairs, strict=True)]
-    k = averaged_kernel(*arguments, xp)
+    k = averaged_kernel(arguments[0], arguments[1], arguments[2], arguments[3], arguments[4], xp)
     ends = np.cumsum([pair[0].size for pair in pairs])[:-1]
     found = [
         v.reshape(pair[0].shape) * measure
