@@ -19,14 +19,14 @@ GRID = ij.wavelengths(400, 700, 10)
 PROCESSES = {
     "lb06": ij.ILIT_2006,
     "rayleigh": ij.ILIT_CORRECTED,
-    "lb06-retest": ij.Process(rescatter="retest"),
-    "rayleigh-retest": ij.Process(phase="rayleigh", rescatter="retest"),
-    "lb06-redrawn": ij.Process(perturb_on_reflection=True),
-    "rayleigh-redrawn": ij.Process(phase="rayleigh", perturb_on_reflection=True),
-    "retest-redrawn": ij.Process(phase="rayleigh", rescatter="retest", perturb_on_reflection=True),
+    "lb06-retest": ij.Ilit(rescatter="retest"),
+    "rayleigh-retest": ij.Ilit(phase="rayleigh", rescatter="retest"),
+    "lb06-redrawn": ij.Ilit(perturb_on_reflection=True),
+    "rayleigh-redrawn": ij.Ilit(phase="rayleigh", perturb_on_reflection=True),
+    "retest-redrawn": ij.Ilit(phase="rayleigh", rescatter="retest", perturb_on_reflection=True),
     "depth-resolved": ij.DEPTH_RESOLVED,
 }
-ILIT = {name: p for name, p in PROCESSES.items() if not p.depth_resolved}
+ILIT = {name: p for name, p in PROCESSES.items() if isinstance(p, ij.Ilit)}
 
 
 def reference(name):
@@ -43,7 +43,7 @@ def stack(irides):
 def all_irides():
     """The nine irides of the reference tables, with their names."""
     names = [(level, f) for level in LEVELS for f in (0.2, 0.5, 0.8)]
-    return names, stack([ij.Iris.preset(level).replace(abl_fraction=f) for level, f in names])
+    return names, stack([ij.Iris.of_level(level).replace(abl_fraction=f) for level, f in names])
 
 
 # XLA optimises these programs for 4 to 9 s each, where a test runs them for milliseconds. Those
@@ -93,7 +93,7 @@ def any_order(made):
 
 def solve(process, made, cosine=1.0, solver=None, exits=None, azimuth=None):
     """A solver on layers, compiled once for each solver, process, filled shape and order of media."""
-    solver = type(solver or ij.Exact()).prepare(solver or ij.Exact(), lambda: made, process)
+    solver = type(solver or ij.IlitExact()).prepare(solver or ij.IlitExact(), lambda: made, process)
     depths = ("abl_absorption", "stroma_absorption", "stroma_scattering")
     n, n_exits = len(made.abl_absorption), None if exits is None else len(exits)
     made = dataclasses.replace(made, **{d: filled(getattr(made, d), 4) for d in depths})

@@ -67,4 +67,4 @@ def tabulated():
     """Tables of the default process, made once a worker."""
     import irisjax as ij
 
-    return ij.Tabulated.build()
+    return ij.IlitTabulated.build()

@@ -36,6 +36,7 @@ in all].
 """
 LARGEST = 16384
 """Most pixels along a side."""
+_CLEAR = 40.0  # mm from the middle of the pupil: all of any eye is nearer
 _PAD = 2048  # and an eighth of the pixels at most
 
 
@@ -99,18 +100,14 @@ class Camera(eqx.Module):
     def rays(self, eye: Eye) -> tuple[Float[Array, "3"], Float[Array, "height width 3"]]:
         """The camera's place (3,) and unit directions (rows, columns, 3) from the top."""
         rows, columns = self.shape
-        place, direction = self.towards(jnp.arange(rows * columns), eye)
-        return place[0], direction.reshape(rows, columns, 3)
+        _, direction = self.towards(jnp.arange(rows * columns), eye)
+        back, _, _ = self.axes()
+        return _centre(eye) + self.distance * back, direction.reshape(rows, columns, 3)
 
-    def towards(self, index: Int[Array, " pixels"], eye: Eye) -> tuple[Vector, Vector]:
-        """The camera's place (pixels, 3), over and over, and the unit directions (pixels, 3) of
-        some pixels, counted along its rows."""
+    def axes(self) -> tuple[Vector, Vector, Vector]:
+        """Unit vectors (3,) from the eye to the camera, to the right and up in the picture."""
         sin, cos = jnp.sin(self.polar), jnp.cos(self.polar)
         back = jnp.stack([sin * jnp.cos(self.azimuth), sin * jnp.sin(self.azimuth), -cos])
-        origin = (
-            jnp.stack([jnp.zeros_like(sin), jnp.zeros_like(sin), eye.iris_depth])
-            + self.distance * back
-        )
         # Upright wherever it stands: the eye's y, or its z for a camera straight above or below.
         y = jnp.asarray([0.0, 1.0, 0.0], back.dtype)
         up = y - dot(y, back) * back
@@ -120,17 +117,38 @@ class Camera(eqx.Module):
             up / jnp.where(length > 1e-6, length, 1.0),
             jnp.asarray([0, 0, 1.0], back.dtype),
         )
-        right = jnp.cross(up, -back)
+        return back, jnp.cross(up, -back), up
+
+    def towards(self, index: Int[Array, " pixels"], eye: Eye) -> tuple[Vector, Vector]:
+        """Where the lines of sight of some pixels, counted along its rows, begin near the eye
+        (pixels, 3), and their unit directions (pixels, 3).
+
+        They begin in front of all of the eye, or at the camera where that is nearer: counted from a
+        camera metres away, single precision would lose the eye.
+        """
+        back, right, up = self.axes()
         w, h = self.size
         pitch = self.width / w
         row = index // w if self.first is None else index // w + self.first
         x = ((index % w).astype(back.dtype) + 0.5 - w / 2) * pitch
         y = -(row.astype(back.dtype) + 0.5 - h / 2) * pitch
-        d = [-self.distance * b + x * r + y * u for b, r, u in zip(back, right, up, strict=True)]
-        length = safe_sqrt(d[0] * d[0] + d[1] * d[1] + d[2] * d[2])
-        return jnp.broadcast_to(origin, (*index.shape, 3)), jnp.stack(
-            [c / length for c in d], axis=-1
-        )
+        # Points aimed at, in the plane through the middle of the pupil; none of them is far.
+        aim = [x * r + y * u for r, u in zip(right, up, strict=True)]
+        aside = x * x + y * y
+        length = safe_sqrt(aside + self.distance * self.distance)
+        direction = [(a - self.distance * b) / length for a, b in zip(aim, back, strict=True)]
+        # Back from there to the point nearest to the pupil's middle, then out of the eye.
+        out = aside / length + jnp.minimum(_CLEAR, self.distance * (self.distance / length))
+        origin = [
+            c + a - out * d for c, a, d in zip(_centre(eye), aim, direction, strict=True)
+        ]
+        return jnp.stack(origin, axis=-1), jnp.stack(direction, axis=-1)
+
+
+def _centre(eye: Eye) -> Vector:
+    """The middle of the pupil, (3,)."""
+    zero = jnp.zeros_like(eye.iris_depth)
+    return jnp.stack([zero, zero, eye.iris_depth])
 
 
 class IrisPixels(eqx.Module):

@@ -11,13 +11,13 @@ from irisjax.render.bands import GRID, colour_bands, spectral_bands
 
 # Not drawn as the bands' own irides were: corners, no pigment, no blood, other collagen, other shares.
 IRIDES = {
-    "low": ij.Iris.preset("low"),
-    "high": ij.Iris.preset("high"),
+    "low": ij.Iris.of_level("low"),
+    "high": ij.Iris.of_level("high"),
     "no melanin": ij.Iris(eumelanin=0.0, pheomelanin=0.0),
     "red only": ij.Iris(eumelanin=0.0, pheomelanin=2.0, abl_fraction=0.3),
-    "bloodless": ij.Iris.preset("low").replace(oxyhemoglobin=0.0, deoxyhemoglobin=0.0),
-    "thin": ij.Iris.preset("low").replace(stroma_thickness=0.1, abl_fraction=0.9),
-    "thick fibrils": ij.Iris.preset("moderate").replace(fibril_radius=60.0),
+    "bloodless": ij.Iris.of_level("low").replace(oxyhemoglobin=0.0, deoxyhemoglobin=0.0),
+    "thin": ij.Iris.of_level("low").replace(stroma_thickness=0.1, abl_fraction=0.9),
+    "thick fibrils": ij.Iris.of_level("moderate").replace(fibril_radius=60.0),
 }
 
 
@@ -36,7 +36,7 @@ def test_colours_as_of_81_wavelengths(illuminant):
     assert len(bands.wavelengths) == 10 and bands.channels == ("R", "G", "B")
     for name, iris in IRIDES.items():
         at = [
-            ij.reflectance(iris, x, solver=ij.Exact(16)).values
+            ij.reflectance(iris, x, solver=ij.IlitExact(16)).values
             for x in (GRID, np.asarray(bands.wavelengths))
         ]
         true = ij.measure.colour.colour_of(GRID, at[0], illuminant=illuminant).srgb_linear

@@ -26,7 +26,7 @@ from render.tracing import disc, soft_edge, trace
 CLEAR = Cornea(scatter=None)
 EYE = Eye(sclera=None, cornea=CLEAR)
 WHITE = Eye(cornea=CLEAR)
-IRIS = ij.Iris.preset("low")
+IRIS = ij.Iris.of_level("low")
 
 
 @pytest.fixture(scope="module")
@@ -172,7 +172,7 @@ def test_vessels_have_their_colours_of_81_wavelengths(tables):
     """The picture in RGB and the one of all wavelengths, weighed."""
     drawn = VeinMap(*(jnp.full((4, 4), v) for v in (0.035, 0.9, 0.3)))
     made = Scene(IRIS, eye=WHITE, veins=drawn, camera=Camera(polar=1.4, azimuth=0.3, size=(16, 12)))
-    made = made.replace(integrator=ij.Separable(solver=ij.Exact(4), degrees=(2, 2, 2, 2, 2)))
+    made = made.replace(integrator=ij.Separable(solver=ij.IlitExact(4), degrees=(2, 2, 2, 2, 2)))
     index = np.asarray(look(made.eye, made.camera).sclera.index)
     index = index[index >= 0]
     spectral = np.asarray(prepare(made, tables, wavelengths=GRID).base)[:, index]

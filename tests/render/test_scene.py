@@ -28,7 +28,7 @@ from irisjax.render.separable import Scales, Separable
 from irisjax.tissue.maps import IrisMaps, cell_centres
 from render.tracing import trace
 
-LIGHT = ij.Iris.preset("low")
+LIGHT = ij.Iris.of_level("low")
 CLEAR = Cornea(scatter=None)
 BARE, CLOSE = (
     Eye(cornea=None, sclera=None, pupil_radius=0.25),
@@ -36,7 +36,7 @@ BARE, CLOSE = (
 )
 SMALL = Camera(size=(12, 9), width=11.0)
 # A cheaper solver: the error of its quadrature is no matter of the picture's.
-QUICK = Separable(degrees=(5, 4, 2, 2, 3), solver=ij.Exact(8))
+QUICK = Separable(degrees=(5, 4, 2, 2, 3), solver=ij.IlitExact(8))
 
 
 @pytest.fixture(scope="module")
@@ -159,7 +159,7 @@ def test_maps_lie_where_they_are_drawn():
     """Dark above and right, in the eye's frame: the viewer sees it above and right."""
     corner = IrisMaps(eumelanin=ring(lambda x, y: 1 + 5.0 * ((x > 0) & (y > 0))))
     picture = np.asarray(render(scene(maps=corner)))[..., 1]
-    six = ij.Iris.preset("low").replace(eumelanin=6 * float(LIGHT.eumelanin))
+    six = ij.Iris.of_level("low").replace(eumelanin=6 * float(LIGHT.eumelanin))
     light, dark = (np.asarray(render(scene(iris=i)))[..., 1] for i in (LIGHT, six))
     x, y = places(SMALL)
     seen = (np.hypot(x, y) < 5) & (np.hypot(x, y) > 1) & (np.minimum(abs(x), abs(y)) > 0.3)
@@ -493,8 +493,8 @@ def test_single_precision(tables):
         maps = IrisMaps(stroma_thickness=ring(lambda x, y: 0.28 + 0.1 * jnp.sin(3 * x)))
         eye = Eye(sclera=None, cornea=Cornea(scatter=None), pupil_radius=0.25)
         made = Scene(
-            ij.Iris.preset("low"), maps, eye, Lights.distant(0.6, 2.0), camera=Camera(size=(24, 18)),
-            integrator=Separable(degrees=(5, 4, 2, 2, 3), solver=ij.Exact(8)),
+            ij.Iris.of_level("low"), maps, eye, Lights.distant(0.6, 2.0), camera=Camera(size=(24, 18)),
+            integrator=Separable(degrees=(5, 4, 2, 2, 3), solver=ij.IlitExact(8)),
         )  # fmt: skip
         return np.asarray(render(made, cast))
 

@@ -11,7 +11,7 @@ from irisjax.render.separable import Scales, Separable
 from irisjax.tissue.maps import IrisMaps
 
 X = np.array([430.0, 550.0, 650.0])
-LIGHT = ij.Iris.preset("low")
+LIGHT = ij.Iris.of_level("low")
 EXITS = np.array([0.02, 0.3, 0.7, 1.0])
 
 
@@ -21,7 +21,7 @@ def tabulated(integrator, iris, bands, ranges):
 
 
 def brdf(iris, wavelengths, exits):
-    return np.asarray(ij.brdf(iris, wavelengths, cos_exit=exits, solver=ij.Exact(12)).values)
+    return np.asarray(ij.brdf(iris, wavelengths, cos_exit=exits, solver=ij.IlitExact(12)).values)
 
 
 def entering(found):
@@ -35,13 +35,13 @@ N_ABL = float(LIGHT.indices().abl)
 @pytest.mark.parametrize("level", ["low", "high"])
 @pytest.mark.parametrize("process", [ij.ILIT_2006, ij.ILIT_CORRECTED], ids=["2006", "corrected"])
 def test_uniform_iris(level, process):
-    iris = ij.Iris.preset(level)
+    iris = ij.Iris.of_level(level)
     response = tabulated(
-        Separable(process, solver=ij.Exact(12)), iris, spectral_bands(X, "E"), Scales()
+        Separable(process, solver=ij.IlitExact(12)), iris, spectral_bands(X, "E"), Scales()
     )
     found = np.asarray(response(Scales(), jnp.asarray(EXITS)))
     true = entering(
-        np.asarray(ij.brdf(iris, X, cos_exit=EXITS, process=process, solver=ij.Exact(12)).values)
+        np.asarray(ij.brdf(iris, X, cos_exit=EXITS, process=process, solver=ij.IlitExact(12)).values)
     )
     assert float(response.error) < 1e-3
     # The error is measured at a few exits; these are others.
@@ -51,7 +51,7 @@ def test_uniform_iris(level, process):
 def test_texels_with_scaled_layers_are_irides_of_their_own():
     """An ABL three times as thick, with three times the pigment, and so on."""
     ranges = Scales(abl=(0.2, 6.0), stroma=(0.3, 2.0))
-    response = tabulated(Separable(solver=ij.Exact(12)), LIGHT, spectral_bands(X, "E"), ranges)
+    response = tabulated(Separable(solver=ij.IlitExact(12)), LIGHT, spectral_bands(X, "E"), ranges)
     assert float(response.error) < 2e-3
     for abl, stroma in ((3.0, 1.0), (0.25, 1.9), (5.5, 0.4), (1.0, 1.0)):
         exits = jnp.asarray(EXITS)
@@ -74,7 +74,7 @@ def test_texels_with_scaled_layers_are_irides_of_their_own():
 
 def test_pigment_maps_are_irides_of_their_own():
     ranges = Scales(eumelanin=(0.0, 3.0), pheomelanin=(0.5, 4.0))
-    response = tabulated(Separable(solver=ij.Exact(12)), LIGHT, spectral_bands(X, "E"), ranges)
+    response = tabulated(Separable(solver=ij.IlitExact(12)), LIGHT, spectral_bands(X, "E"), ranges)
     for eu, pheo in ((0.0, 1.0), (2.9, 0.6), (1.0, 3.9)):
         found = response(Scales(None, None, jnp.full(4, eu), jnp.full(4, pheo)), jnp.asarray(EXITS))
         iris = LIGHT.replace(
@@ -86,7 +86,7 @@ def test_pigment_maps_are_irides_of_their_own():
 
 def test_error_tells_a_table_too_coarse():
     def error(degree):
-        integrator = Separable(degrees=(degree, 5, 4, 4, 3), solver=ij.Exact(8))
+        integrator = Separable(degrees=(degree, 5, 4, 4, 3), solver=ij.IlitExact(8))
         return float(
             tabulated(integrator, LIGHT, spectral_bands(X[:1], "E"), Scales(abl=(0.0, 30.0))).error
         )

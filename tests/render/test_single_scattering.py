@@ -104,7 +104,7 @@ def maps_of(abl=0.0, stroma=0.0, freckles=0.0):
 
 @pytest.mark.parametrize("level", ["low", "high"])
 def test_uniform_iris_is_the_closed_form(level):
-    iris = ij.Iris.preset(level)
+    iris = ij.Iris.of_level(level)
     true, inside = expected(layers_of(iris))
     assert inside.sum() > 100
     np.testing.assert_allclose(shown(scene(iris))[inside], true, rtol=1e-10)
@@ -126,7 +126,7 @@ def mapped_layers(iris):
 
 
 def test_marching_through_uniform_maps_is_the_closed_form(bits):
-    iris = ij.Iris.preset("low")
+    iris = ij.Iris.of_level("low")
     found = shown(scene(iris, maps_of()))
     assert found.dtype == {32: np.float32, 64: np.float64}[bits]
     true, inside = expected(mapped_layers(iris))
@@ -136,7 +136,7 @@ def test_marching_through_uniform_maps_is_the_closed_form(bits):
 def test_radiative_transfer_where_little_is_scattered_twice():
     """Light scattered again is a share of about the albedo, or the depth, of that scattered once."""
     matched = dict.fromkeys(("aqueous_index", "abl_index", "stroma_index", "ipe_index"), 1.0)
-    base = ij.Iris.preset("low").replace(abl_fraction=0.1, **matched)
+    base = ij.Iris.of_level("low").replace(abl_fraction=0.1, **matched)
     lights = Lights.distant([0.5, 1.1], 2.2, [1.0, 0.0])
     _, direction, inside = rays()
     towards = np.asarray(lights.towards)[0]
@@ -156,7 +156,7 @@ def test_radiative_transfer_where_little_is_scattered_twice():
             )
         made = layers_of(iris)
         solved = solve(
-            ij.DEPTH_RESOLVED, made, -towards[2], ij.Exact(24), direction[pick, 2], azimuth
+            ij.DEPTH_RESOLVED, made, -towards[2], ij.IlitExact(24), direction[pick, 2], azimuth
         )
         true = np.asarray(solved.brdf).T * -towards[2]
         found = shown(scene(iris, lights=lights))[pick]
@@ -212,7 +212,7 @@ def brute(iris, maps, point, direction, n=20_000):
 
 def test_marching_converges_to_thin_slices():
     maps = maps_of(abl=0.03, stroma=0.2, freckles=0.2)
-    iris = ij.Iris.preset("low")
+    iris = ij.Iris.of_level("low")
     point, direction, inside = rays()
     pick = np.flatnonzero(inside)[5::23]
     true = np.stack([brute(iris, maps, point[i], direction[i]) for i in pick])
@@ -234,7 +234,7 @@ def test_marching_converges_to_thin_slices():
 @pytest.mark.parametrize("tint", [None, [[1.0, 0.5, 0.2], [0.3, 1.0, 2.0]]])
 def test_lights_add(tint):
     """Each light keeps its own direction; tints colour what each sends."""
-    iris = ij.Iris.preset("low")
+    iris = ij.Iris.of_level("low")
     tint = None if tint is None else jnp.asarray(tint)
     both = render(scene(iris, lights=dataclasses.replace(lamps(), tint=tint)))
     total = 0.0
@@ -246,7 +246,7 @@ def test_lights_add(tint):
 
 def test_gradients(bits):
     maps = maps_of(abl=0.06, stroma=0.35, freckles=0.2)  # down to nothing
-    iris = ij.Iris.preset("low")
+    iris = ij.Iris.of_level("low")
     stage = spectral(scene(iris, maps))
 
     def total(eumelanin):
@@ -260,7 +260,7 @@ def test_gradients(bits):
 
 
 def test_nothing_scatters_without_stroma():
-    iris = ij.Iris.preset("low").replace(stroma_thickness=0.0)
+    iris = ij.Iris.of_level("low").replace(stroma_thickness=0.0)
     assert (shown(scene(iris)) == 0).all()
 
 

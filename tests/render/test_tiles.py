@@ -15,7 +15,7 @@ from irisjax.render.single_scattering import SingleScattering
 from irisjax.render.tiles import bands
 from irisjax.tissue.maps import IrisMaps
 
-QUICK = Separable(degrees=(3, 3, 2, 2, 2), solver=ij.Exact(8))
+QUICK = Separable(degrees=(3, 3, 2, 2, 2), solver=ij.IlitExact(8))
 UNEVEN = np.random.default_rng(0).uniform(0.5, 1.5, (16, 8))
 
 
@@ -27,7 +27,7 @@ def scene(**parts):
     maps = IrisMaps(stroma_thickness=UNEVEN * 0.4, relief=0.05 * UNEVEN)
     lights = Lights.distant([0.4, 0.9], [0.2, 3.0])
     kept = {"eye": bare(), "lights": lights, "camera": Camera(size=(21, 16)), "integrator": QUICK}
-    return Scene(ij.Iris.preset("low"), maps, **{**kept, **parts})
+    return Scene(ij.Iris.of_level("low"), maps, **{**kept, **parts})
 
 
 def memory(rows, width, channels=3, samples=1):
