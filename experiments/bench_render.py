@@ -78,8 +78,8 @@ def _table(key, size, repeats):
         elif change == "thickness":
 
             def thicker(i):
-                thick = scene.maps.stroma_thickness * (1 + 1e-3 * i)
-                changed = scene.replace(maps=scene.maps.replace(stroma_thickness=thick))
+                thick = scene.maps.stroma_depth * (1 + 1e-3 * i)
+                changed = scene.replace(maps=scene.maps.replace(stroma_depth=thick))
                 return prepare(changed, tables, view, memory=memory)(iris)
 
             row(change, f"{name}, another map", thicker)

@@ -139,9 +139,7 @@ class Camera(eqx.Module):
         direction = [(a - self.distance * b) / length for a, b in zip(aim, back, strict=True)]
         # Back from there to the point nearest to the pupil's middle, then out of the eye.
         out = aside / length + jnp.minimum(_CLEAR, self.distance * (self.distance / length))
-        origin = [
-            c + a - out * d for c, a, d in zip(_centre(eye), aim, direction, strict=True)
-        ]
+        origin = [c + a - out * d for c, a, d in zip(_centre(eye), aim, direction, strict=True)]
         return jnp.stack(origin, axis=-1), jnp.stack(direction, axis=-1)
 
 

@@ -59,6 +59,8 @@ class Scene(eqx.Module):
     def __check_init__(self):
         if self.lights is None and self.environment is None:
             raise ValueError("a scene needs lights or an environment")
+        if self.maps is not None:
+            self.maps.check(self.iris)
         if self.lights is not None and self.lights.illuminant != self.illuminant:
             raise ValueError(
                 f"the lights are {self.lights.illuminant}, the scene is {self.illuminant}"

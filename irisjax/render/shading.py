@@ -163,8 +163,8 @@ def _each(f, maps: IrisMaps | None) -> Scales:
     """`f` of each scale's name and the maps that it depends on; `None` where there are none."""
     maps = IrisMaps() if maps is None else maps
     maps_of = {
-        "abl": IrisMaps(abl_thickness=maps.abl_thickness, freckles=maps.freckles),
-        "stroma": IrisMaps(stroma_thickness=maps.stroma_thickness),
+        "abl": IrisMaps(abl_depth=maps.abl_depth, freckles=maps.freckles),
+        "stroma": IrisMaps(stroma_depth=maps.stroma_depth),
         "eumelanin": IrisMaps(eumelanin=maps.eumelanin),
         "pheomelanin": IrisMaps(pheomelanin=maps.pheomelanin),
     }

@@ -271,7 +271,7 @@ def _textures(maps: IrisMaps | None, iris: Iris) -> Local:
     if maps is None:
         return Local()
     dark = None if maps.freckles is None else 1 + (FRECKLE - 1) * maps.freckles
-    abl = None if maps.abl_thickness is None else maps.abl_thickness / iris.abl_thickness
+    abl = None if maps.abl_depth is None else maps.abl_depth / iris.abl_thickness
     return Local(abl, maps.stroma_scale(iris), dark, maps.eumelanin, maps.pheomelanin)
 
 

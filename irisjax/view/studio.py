@@ -151,8 +151,8 @@ class Studio:
         s = self.settings
         scene = self._set(s, self._base.camera.size)
         maps = scene.maps
-        if maps is not None and maps.stroma_thickness is not None:
-            maps = maps.replace(stroma_thickness=maps.stroma_thickness * s.stroma)
+        if maps is not None and maps.stroma_depth is not None:
+            maps = maps.replace(stroma_depth=maps.stroma_depth * s.stroma)
         return scene.replace(iris=self._iris(s), maps=maps)
 
     def spectrum(self) -> tuple[np.ndarray, Colour]:

@@ -41,7 +41,9 @@ def test_uniform_iris(level, process):
     )
     found = np.asarray(response(Scales(), jnp.asarray(EXITS)))
     true = entering(
-        np.asarray(ij.brdf(iris, X, cos_exit=EXITS, process=process, solver=ij.IlitExact(12)).values)
+        np.asarray(
+            ij.brdf(iris, X, cos_exit=EXITS, process=process, solver=ij.IlitExact(12)).values
+        )
     )
     assert float(response.error) < 1e-3
     # The error is measured at a few exits; these are others.
@@ -96,8 +98,8 @@ def test_error_tells_a_table_too_coarse():
 
 def test_maps_become_scales():
     maps = IrisMaps(
-        abl_thickness=np.full((4, 3), 0.1135),
-        stroma_thickness=np.full((4, 3), 0.571),
+        abl_depth=np.full((4, 3), 0.1135),
+        stroma_depth=np.full((4, 3), 0.571),
         freckles=np.eye(4, 3),
         eumelanin=np.full((4, 3), 1.5),
     )
