@@ -17,13 +17,12 @@ import numpy as np
 from experiments.common import RESULTS, start, write
 from irisjax.grow.presets import preset
 from irisjax.grow.vessels import veins
-from irisjax.render.camera import look
 from irisjax.render.environment import Environment
 from irisjax.render.illumination import Illumination
 from irisjax.render.lights import Lights
-from irisjax.render.memory import Memory
-from irisjax.render.scene import Scene, prepare, render
+from irisjax.render.scene import Scene
 from irisjax.render.single_scattering import SingleScattering
+from irisjax.render.stages import Memory
 
 TARGETS = {"pigments": 30, "thickness": 30, "2 lights": 10, "25 lights": 3, "camera, 2 lights": 10}
 """Frames per second that are wanted."""
@@ -71,40 +70,42 @@ def _table(key, size, repeats):
 
     def of(change, name, scene, tables):
         """A row for the changes of one scene."""
-        view, memory = look(scene.eye, scene.camera), Memory()
-        stage = prepare(scene, tables, view, memory=memory)
+        memory = Memory(os.cpu_count())
+        view = memory.look(scene.eye, scene.camera)
+        stage = memory.prepare(scene, tables, view)
+
+        def shown(stage, iris):
+            return memory.shown(stage, stage.response(iris))
+
         if change == "pigments":
-            row(change, name, lambda i: stage(iris.replace(eumelanin=0.4 + 1e-3 * i)))
+            row(change, name, lambda i: shown(stage, iris.replace(eumelanin=0.4 + 1e-3 * i)))
         elif change == "thickness":
 
             def thicker(i):
-                thick = scene.maps.stroma_thickness * (1 + 1e-3 * i)
-                changed = scene.replace(maps=scene.maps.replace(stroma_thickness=thick))
-                return prepare(changed, tables, view, memory=memory)(iris)
+                thick = scene.maps.stroma_depth * (1 + 1e-3 * i)
+                changed = scene.replace(maps=scene.maps.replace(stroma_depth=thick))
+                return shown(memory.prepare(changed, tables, view), iris)
 
             row(change, f"{name}, another map", thicker)
             row(
                 change,
                 name,
-                lambda i: stage(
-                    iris.replace(stroma_thickness=iris.stroma_thickness * (1 + 1e-3 * i))
+                lambda i: shown(
+                    stage, iris.replace(stroma_thickness=iris.stroma_thickness * (1 + 1e-3 * i))
                 ),
             )
         elif change.startswith("camera"):
 
             def moved(i):
-                return render(
-                    scene.replace(camera=dataclasses.replace(scene.camera, polar=0.01 * i)),
-                    tables,
-                    memory,
-                )
+                turned = dataclasses.replace(scene.camera, polar=0.01 * i)
+                return memory.render(scene.replace(camera=turned), tables)
 
             row(change, name, moved)
         else:
             number = int(change.split()[0])
 
             def lit(i):
-                return render(scene.replace(lights=_lamps(number, 0.01 * i)), tables, memory)
+                return memory.render(scene.replace(lights=_lamps(number, 0.01 * i)), tables)
 
             row(change, name, lit)
 

@@ -18,10 +18,12 @@ from irisjax.grow.procedural import procedural
 from irisjax.grow.vessels import veins
 from irisjax.io import write_atomically, write_png
 from irisjax.measure.colour import srgb_encode
-from irisjax.render.camera import Camera, look
+from irisjax.render.camera import Camera
+from irisjax.render.compose import prepare
 from irisjax.render.illumination import Illumination
 from irisjax.render.lights import Lights
-from irisjax.render.scene import Scene, prepare
+from irisjax.render.scene import Scene
+from irisjax.render.stages import look
 
 MELANIN = (("high", 1.008, 0.2674), ("moderate", 0.8138, 0.2054), ("low", 0.1201, 0.0194))
 EXPOSURE = 6.0

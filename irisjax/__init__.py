@@ -44,12 +44,12 @@ if TYPE_CHECKING:
     from irisjax.measure.spectrophotometer import Spectrophotometer as Spectrophotometer
     from irisjax.measure.spectrophotometer import reflectance as reflectance
     from irisjax.render.camera import Camera as Camera
+    from irisjax.render.compose import prepare as prepare
     from irisjax.render.environment import Environment as Environment
     from irisjax.render.lights import Lights as Lights
-    from irisjax.render.memory import Memory as Memory
     from irisjax.render.scene import Scene as Scene
-    from irisjax.render.scene import prepare as prepare
     from irisjax.render.separable import Separable as Separable
+    from irisjax.render.stages import Memory as Memory
     from irisjax.tissue.indices import RefractiveIndices as RefractiveIndices
     from irisjax.tissue.iris import Iris as Iris
     from irisjax.tissue.layers import Layers as Layers
@@ -132,12 +132,10 @@ _HOMES = {
     "render.camera": ("Camera",),
     "render.environment": ("Environment",),
     "render.lights": ("Lights",),
-    "render.memory": ("Memory",),
-    "render.scene": (
-        "Scene",
-        "prepare",
-    ),
+    "render.compose": ("prepare",),
+    "render.scene": ("Scene",),
     "render.separable": ("Separable",),
+    "render.stages": ("Memory",),
     "tissue.indices": ("RefractiveIndices",),
     "tissue.iris": ("Iris",),
     "tissue.layers": ("Layers",),

@@ -2,15 +2,15 @@
 
 import dataclasses
 import math
+import os
 from collections.abc import Callable, Iterator
 
 import numpy as np
 
-from irisjax.render.camera import look
 from irisjax.render.illumination import Illumination
 from irisjax.render.lights import Lights
-from irisjax.render.memory import Memory
-from irisjax.render.scene import Scene, prepare, render
+from irisjax.render.scene import Scene
+from irisjax.render.stages import Memory
 
 CHANGES = ("pupil", "light", "pigment")
 NARROW, WIDE = 1.0, 3.5
@@ -39,8 +39,9 @@ def frames(
             lights=Lights.distant(TURN, 0.0, illuminant=scene.illuminant), environment=None
         )
     # Neither tables nor view depend on what changes: the lamp stays below grazing.
-    tables, view = tables_of(scene), look(scene.eye, scene.camera)
-    stage, memory = prepare(scene, tables, view) if change == "pigment" else None, Memory()
+    memory = Memory(os.cpu_count() or 1)
+    tables, view = tables_of(scene), memory.look(scene.eye, scene.camera)
+    stage = memory.prepare(scene, tables, view) if change == "pigment" else None
     melanin = float(scene.iris.eumelanin + scene.iris.pheomelanin)
     darkest = max(FACTOR, DARK / melanin) if melanin > 0 else FACTOR
     for s in swing:
@@ -49,18 +50,17 @@ def frames(
             iris = iris.replace(
                 eumelanin=iris.eumelanin * factor, pheomelanin=iris.pheomelanin * factor
             )
-            yield np.asarray(stage(iris))
+            yield np.asarray(memory.shown(stage, stage.response(iris)))
         elif change == "light":
             lamp = Lights.distant(
                 TURN * abs(s), 0.0 if s >= 0 else math.pi, illuminant=scene.illuminant
             )
-            yield np.asarray(render(scene.replace(lights=lamp), tables, memory))
+            yield np.asarray(memory.render(scene.replace(lights=lamp), tables))
         else:
             radius = (NARROW + WIDE) / 2 - (WIDE - NARROW) / 2 * s
             eye = dataclasses.replace(scene.eye, pupil_radius=radius)
-            yield np.asarray(
-                prepare(scene.replace(eye=eye), tables, view, memory=memory)(scene.iris)
-            )
+            lit = memory.prepare(scene.replace(eye=eye), tables, view)
+            yield np.asarray(memory.shown(lit, lit.response(scene.iris)))
 
 
 def sheet(pictures: list[np.ndarray]) -> np.ndarray:

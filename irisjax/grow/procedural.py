@@ -69,8 +69,8 @@ def procedural(
     - `relief`: share of the unevenness that stands out towards the cornea; the rest lies within.
         0: no relief, nor furrows.
 
-    **Returns:** `IrisMaps` with `stroma_thickness` unless the stroma is uniform, and at need
-    `relief`, `abl_thickness`, `freckles` and `eumelanin`. Equal keys give equal maps. **Raises:**
+    **Returns:** `IrisMaps` with `stroma_depth` unless the stroma is uniform, and at need
+    `relief`, `abl_depth`, `freckles` and `eumelanin`. Equal keys give equal maps. **Raises:**
     `ValueError` for negative features and shapes below (16, 8).
     """
     wanted = {
@@ -107,12 +107,12 @@ def _grow(
     smooth = _scaled(stroma, place, iris.stroma_thickness)
     stroma = _bounded(stroma * uneven, place, iris.stroma_thickness)
     if profile or has["fibres"] or has["collarette"] or has["crypts"]:
-        maps["stroma_thickness"] = stroma
+        maps["stroma_depth"] = stroma
     height = has["relief"] * (stroma - smooth)
     if has["abl"]:
         mottled = 0.3 * noise(mottles, parted, radius, (30, 4), 4) + 0.2 * crest - 0.3 * holes
-        maps["abl_thickness"] = _bounded(1 + has["abl"] * mottled, place, iris.abl_thickness)
-        height += has["relief"] * (maps["abl_thickness"] - iris.abl_thickness)
+        maps["abl_depth"] = _bounded(1 + has["abl"] * mottled, place, iris.abl_thickness)
+        height += has["relief"] * (maps["abl_depth"] - iris.abl_thickness)
     if has["relief"] and any(has[n] for n in ("fibres", "collarette", "crypts", "furrows", "abl")):
         maps["relief"] = height + FOLD * crest
     if has["freckles"]:

@@ -19,8 +19,8 @@ NAMES = tuple(f.name for f in dataclasses.fields(IrisMaps))
 
 _PACKED: Mapping[str, str] = {
     "R": "relief",
-    "G": "abl_thickness",
-    "B": "stroma_thickness",
+    "G": "abl_depth",
+    "B": "stroma_depth",
     "A": "freckles",
 }
 
@@ -28,8 +28,8 @@ _PACKED: Mapping[str, str] = {
 def read_maps(path: str | Path) -> IrisMaps:
     """Read maps from an EXR whose channels are named as the fields of `IrisMaps`, any of them.
 
-    Or from an RGB or RGBA file in F09's packing [F09 Section 6]: R relief, G ABL thickness, B
-    stroma thickness (all mm), A freckles (0 to 1). Values are taken as they stand; files written by
+    Or from an RGB or RGBA file in F09's packing [F09 Section 6]: R relief, G depth of the ABL, B
+    of the stroma (all mm), A freckles (0 to 1). Values are taken as they stand; files written by
     `write_maps` come back to the last bit.
 
     **Raises:** `OSError` for a file that cannot be opened; `ValueError` naming the file for other

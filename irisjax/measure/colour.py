@@ -201,9 +201,7 @@ def _weighting(x, illuminant: str, observer: str, xp):
     white = weights.sum(axis=1)
     cones = cs.CHROMATIC_ADAPTATION_TRANSFORMS["Bradford"]
     d65 = cones @ np.linalg.inv(_XYZ_TO_SRGB) @ np.ones(3)
-    to_cones, from_cones, d65 = (
-        xp.asarray(m, x.dtype) for m in (cones, np.linalg.inv(cones), d65)
-    )
+    to_cones, from_cones, d65 = (xp.asarray(m, x.dtype) for m in (cones, np.linalg.inv(cones), d65))
     return weights, white, from_cones @ ((d65 / (to_cones @ white))[:, None] * to_cones)
 
 

@@ -1,5 +1,5 @@
 """Pixels in portions whose intermediates stay in the processor's cache, and in shares, one for each
-core.
+thread that a caller hands over.
 
 Portions are two to three times as fast as everything at once. XLA runs a loop of them on one core
 and lets the others steal its small operations, which costs more than it brings; threads with a
@@ -7,9 +7,8 @@ share of the portions each do not.
 """
 
 import functools
-import os
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Executor
 from typing import Any
 
 import equinox as eqx
@@ -31,14 +30,26 @@ _SETTINGS = (
 _FEW = 1 << 14  # pixels for which a second thread is not worth its start
 
 
-def in_chunks(f: Callable[[Any], Any], pixels: Any, share: Any = 0, shares: int = 1) -> Any:
+def in_portions(f: Callable[[Any], Any], pixels: Any) -> Any:
     """`f` of a tree of arrays, one portion of their last axis after the other; it is that of the
     results too.
 
-    With several `shares`, only those portions that belong to number `share`; see `side_by_side`.
+    An accelerator gets all at once: a loop of small portions would leave it idle. Which it is the
+    program learns where it is compiled for.
     """
-    count = jax.tree.leaves(pixels)[0].shape[-1]
-    size = min(_portion(count), count)
+    if _count(pixels) <= _SIZE:
+        return f(pixels)
+    return jax.lax.platform_dependent(
+        pixels, cpu=lambda some: share_of(f, some), default=lambda some: f(some)
+    )
+
+
+def share_of(f: Callable[[Any], Any], pixels: Any, share: Any = 0, shares: int = 1) -> Any:
+    """`f` of the portions that belong to number `share` of several; of all pixels where there is
+    one.
+    """
+    count = _count(pixels)
+    size = min(_SIZE, count)
     pad = -count % (size * shares)
 
     def cut(x):
@@ -64,29 +75,57 @@ def in_chunks(f: Callable[[Any], Any], pixels: Any, share: Any = 0, shares: int 
     return jax.tree.map(joined, done)
 
 
-def _portion(count: int) -> int:
-    # An accelerator wants all at once: a loop of small portions would leave it idle.
-    return _SIZE if jax.default_backend() == "cpu" else count
-
-
-def pixelwise(f: Callable[..., Any]) -> Callable[..., Any]:
-    """Decorator: `f(pixels, *others)` portion by portion, the cores side by side.
+class Pixelwise:
+    """A function `f(pixels, *others)` in portions; use as a decorator.
 
     The last axis of all arrays in `pixels` and in what `f` gives is that of pixels; of `others`
     each portion has all.
     """
 
-    @eqx.filter_jit
-    def program(pixels, others, share, shares: int):
-        return in_chunks(lambda some: f(some, *others), pixels, share, shares)
+    def __init__(self, f: Callable[..., Any]):
+        functools.update_wrapper(self, f)
 
-    @functools.wraps(f)
-    def all_pixels(pixels, *others):
-        count = jax.tree.leaves(pixels)[0].shape[-1]
-        done = side_by_side(lambda *share: program(pixels, others, *share), count, pixels, others)
-        return done[0] if len(done) == 1 else _joined(done, count)
+        @eqx.filter_jit
+        def program(pixels, others):
+            return in_portions(lambda some: f(some, *others), pixels)
 
-    return all_pixels
+        @eqx.filter_jit
+        def shared(pixels, others, share, shares: int):
+            return share_of(lambda some: f(some, *others), pixels, share, shares)
+
+        self._program, self._shared = program, shared
+
+    def __call__(self, pixels, *others):
+        """One program for all pixels."""
+        return self._program(pixels, others)
+
+    def on_threads(self, executor: Executor, threads: int, pixels, *others):
+        """As a call, with an equal share of the pixels for each thread of an executor.
+
+        One program where threads bring nothing: for few pixels, while something is traced, and
+        under settings (float64, say) that a `with` made for the caller's thread alone.
+        """
+        count = _count(pixels)
+        traced = any(isinstance(x, Tracer) for x in jax.tree.leaves((pixels, others)))
+        if threads == 1 or count < _FEW or traced:
+            return self(pixels, *others)
+        if executor.submit(_settings).result() != _settings():
+            return self(pixels, *others)
+
+        def part(i):
+            return jax.block_until_ready(self._shared(pixels, others, jnp.asarray(i), threads))
+
+        work = [executor.submit(part, i) for i in range(threads)]
+        return _joined([w.result() for w in work], count)
+
+
+def pixelwise(f: Callable[..., Any]) -> Pixelwise:
+    """`Pixelwise`, as a decorator."""
+    return Pixelwise(f)
+
+
+def _count(pixels) -> int:
+    return jax.tree.leaves(pixels)[0].shape[-1]
 
 
 @functools.partial(jax.jit, static_argnums=1)
@@ -94,41 +133,8 @@ def _joined(done, count: int):
     return jax.tree.map(lambda *x: jnp.concatenate(x, axis=-1)[..., :count], *done)
 
 
-def side_by_side(f: Callable[[Any, int], Any], count: int, *inputs: Any) -> list[Any]:
-    """`f(share, shares)` of every share of `count` pixels, on a thread each; one share where that
-    brings nothing.
-
-    `inputs` are what `f` depends on: while they are traced there is one share, as on an
-    accelerator. Joined, results may be longer than `count`; what is too much repeats the last
-    pixel.
-    """
-    traced = any(isinstance(x, Tracer) for x in jax.tree.leaves(inputs))
-    shares = _threads() if count >= _FEW and not traced else 1
-    # What a `with` set for this thread alone, float64 say, does not reach others.
-    if shares == 1 or _pool(shares).submit(_settings).result() != _settings():
-        return [f(jnp.asarray(0), 1)]
-    work = [
-        _pool(shares).submit(lambda i=i: jax.block_until_ready(f(jnp.asarray(i), shares)))
-        for i in range(shares)
-    ]
-    return [w.result() for w in work]
-
-
 def _settings() -> list[Any]:
     return [getattr(jax.config, name) for name in _SETTINGS]
-
-
-@functools.cache
-def _threads() -> int:
-    cores = min(os.cpu_count() or 1, 8) if jax.default_backend() == "cpu" else 1
-    return 1 << (
-        cores.bit_length() - 1
-    )  # lengths are multiples of large powers of two: no share is padded
-
-
-@functools.cache
-def _pool(threads: int) -> ThreadPoolExecutor:
-    return ThreadPoolExecutor(threads, thread_name_prefix="irisjax-pixels")
 
 
 def in_pieces(function, arguments, elements: int):

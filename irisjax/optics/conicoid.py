@@ -59,6 +59,10 @@ class Conicoid(eqx.Module):
         """
         (x, y, z), (u, v, w) = parts(origin), parts(direction)
         z = z - self.apex
+        # Counted from the point nearest to the apex: from a far origin what is subtracted below
+        # would be of the size of its square.
+        ahead = -(x * u + y * v + z * w)
+        x, y, z = x + ahead * u, y + ahead * v, z + ahead * w
         a = u * u + v * v + self.shape * w * w
         b = x * u + y * v + (self.shape * z - self.radius) * w
         c = x * x + y * y + (self.shape * z - 2 * self.radius) * z
@@ -72,7 +76,7 @@ class Conicoid(eqx.Module):
         large = jnp.where(a == 0, jnp.inf, q / a_safe)
         small = jnp.where(q == 0, 0.0, c / q_safe)
         first, second = jnp.minimum(large, small), jnp.maximum(large, small)
-        return (second if far else first), square > 0
+        return ahead + (second if far else first), square > 0
 
 
 def parts(a: Float[Array, "*s n"]) -> Parts:

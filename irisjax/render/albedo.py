@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from irisjax.anatomy.eye import Eye
-from irisjax.numerics.portions import in_chunks
+from irisjax.numerics.portions import in_portions
 from irisjax.optics.fresnel import fresnel_at
 from irisjax.render.bands import Bands
 from irisjax.render.separable import Separable, SeparableResponse
@@ -160,4 +160,4 @@ def _albedo(response: SeparableResponse, scales: Scales, entering, shape: tuple[
         found = entering * response.hemispherical(scales)[:, 0]
         return jnp.broadcast_to(found, (*shape, found.size))
     texels = Scales(*(None if s is None else s.ravel() for s in scales))
-    return (entering * in_chunks(response.hemispherical, texels)).T.reshape(*shape, -1)
+    return (entering * in_portions(response.hemispherical, texels)).T.reshape(*shape, -1)

@@ -40,12 +40,14 @@ def colour_bands(
     twice through the haze of `cornea`.
     """
     nodes, fill = _table()
-    matrix = np.asarray(tristimulus_matrix(GRID, "linear sRGB", illuminant, observer)[0]) * _haze(
-        cornea, GRID
-    )
-    return Bands(
-        tuple(nodes.tolist()), jnp.asarray(matrix @ fill.T, jnp.result_type(float)), ("R", "G", "B")
-    )
+    matrix = np.asarray(tristimulus_matrix(GRID, "linear sRGB", illuminant, observer)[0])
+    if cornea is None or cornea.scatter is None:
+        weights = jnp.asarray(matrix @ fill.T, jnp.result_type(float))
+    else:
+        # Channel by channel and band by band, summed over the wavelengths they stand for.
+        each = jnp.asarray(matrix[:, None] * fill[None], jnp.result_type(float))
+        weights = (each * _haze(cornea, GRID)).sum(axis=-1)
+    return Bands(tuple(nodes.tolist()), weights, ("R", "G", "B"))
 
 
 def all_bands(illuminant: str = "D65", observer: str = OBSERVER) -> Bands:
@@ -59,17 +61,17 @@ def spectral_bands(wavelengths, illuminant: str = "D65", cornea: Cornea | None =
     nm, times π.
     """
     x = np.asarray(wavelengths, np.float64)
-    power = illuminant_power(illuminant, x) * _haze(cornea, x)
+    power = jnp.asarray(illuminant_power(illuminant, x), jnp.result_type(float))
     return Bands(
-        tuple(x.tolist()),
-        jnp.asarray(np.diag(power), jnp.result_type(float)),
-        tuple(f"{w:g}nm" for w in x),
+        tuple(x.tolist()), jnp.diag(power * _haze(cornea, x)), tuple(f"{w:g}nm" for w in x)
     )
 
 
-def _haze(cornea: Cornea | None, wavelengths: np.ndarray) -> np.ndarray:
-    once = None if cornea is None else cornea.transmittance(jnp.asarray(wavelengths))
-    return np.ones_like(wavelengths) if once is None else np.asarray(once) ** 2
+def _haze(cornea: Cornea | None, wavelengths: np.ndarray) -> Array:
+    """Share that passes the haze of a cornea twice."""
+    x = jnp.asarray(wavelengths, jnp.result_type(float))
+    once = None if cornea is None else cornea.transmittance(x)
+    return jnp.ones_like(x) if once is None else once**2
 
 
 @lru_cache(maxsize=1)

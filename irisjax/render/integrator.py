@@ -9,10 +9,10 @@ from jaxtyping import Array, Float
 from irisjax._types import Scalar
 from irisjax.anatomy.eye import Eye
 from irisjax.render.bands import Bands
-from irisjax.render.camera import IrisPixels
 from irisjax.render.illumination import Illumination
 from irisjax.render.lights import Lights
-from irisjax.render.memory import Memory
+from irisjax.render.project import IrisPixels
+from irisjax.render.steps import Once, simply
 from irisjax.tissue.iris import Iris
 from irisjax.tissue.maps import IrisMaps, Scales
 from irisjax.transport.process import AbstractProcess
@@ -50,14 +50,14 @@ class AbstractIntegrator(eqx.Module):
         maps: IrisMaps | None,
         tables: Illumination | None,
         ranges: Scales,
-        memory: Memory,
+        once: Once = simply,
     ) -> tuple[Any, Any]:
         """Everything that a change of pigments leaves alone: of each pixel, and what all of them
         share.
 
         The first is a module of arrays whose last axis is that of the pixels, `index` among them:
         it is shaded a chunk of pixels at a time. `tables` are `None` for a bare iris; `ranges` are
-        those of the response; `memory` holds what was made of the same parts before.
+        those of the response; `once` does the steps (`steps.simply`).
         """
 
     @abc.abstractmethod

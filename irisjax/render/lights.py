@@ -6,7 +6,18 @@ import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Float
 
-from irisjax._types import Scalar, as_float
+from irisjax._types import Scalar, as_float, as_float_or_none
+from irisjax.numerics.checks import Range, check_range
+
+LIMITS = {
+    "irradiance": Range(0, np.inf),
+    "tint": Range(0, np.inf),
+    "radius": Range(0, np.pi + 1e-6, "radians", above=True),  # of regions of an environment to pi
+}
+"""Allowed range of each number of a light."""
+DISTANCE = Range(20, np.inf, "mm")
+"""From the cornea of lamps that are near."""
+_UNIT = 1e-4  # by which the length of a direction may differ from one
 
 
 class Lights(eqx.Module):
@@ -21,12 +32,15 @@ class Lights(eqx.Module):
     - `radius`: half the angle under which the eye sees each light, radians; it makes the mirror
         image. That of a lamp is at most π/2.
     - `illuminant`: the spectrum of all of them, by colour-science's name.
+
+    One number stands for all lights. **Raises:** `ValueError` naming value and range for directions
+    that are not unit vectors and for numbers that are negative, not finite or out of range.
     """
 
     towards: Float[Array, "lights 3"] = eqx.field(converter=as_float)
     irradiance: Float[Array, " lights"] = eqx.field(converter=as_float)
-    tint: Float[Array, "lights 3"] | None = None
-    distance: Float[Array, " lights"] | None = None
+    tint: Float[Array, "lights 3"] | None = eqx.field(default=None, converter=as_float_or_none)
+    distance: Float[Array, " lights"] | None = eqx.field(default=None, converter=as_float_or_none)
     radius: Float[Array, " lights"] = eqx.field(default=0.03, converter=as_float)
     illuminant: str = eqx.field(static=True, default="D65")
 
@@ -59,30 +73,41 @@ class Lights(eqx.Module):
         """
         position = jnp.atleast_2d(as_float(position))
         distance = jnp.sqrt((position**2).sum(-1))
-        if not isinstance(distance, Tracer) and (np.asarray(distance) < 20).any():
-            raise ValueError(
-                f"a point light is {float(distance.min()):.3g} mm from the cornea; it must be at "
-                f"least 20"
-            )
+        check_range("a lamp's distance", distance, DISTANCE)
         irradiance, radius = (
             jnp.broadcast_to(as_float(v), distance.shape) for v in (irradiance, radius)
         )
         return cls(position / distance[:, None], irradiance, None, distance, radius, illuminant)
 
-    def __check_init__(self):
-        for name in ("towards", "irradiance", "radius"):
+    def __post_init__(self):
+        towards = as_float(self.towards)
+        if np.ndim(towards) != 2 or np.shape(towards)[1] != 3:
+            raise ValueError(
+                f"lights: towards has shape {np.shape(towards)}; it must be (lights, 3)"
+            )
+        object.__setattr__(self, "towards", towards)
+        lights = np.shape(towards)[0]
+        shapes = {"irradiance": (lights,), "radius": (lights,), "distance": (lights,)}
+        for name, shape in {**shapes, "tint": (lights, 3)}.items():
             value = getattr(self, name)
-            if not isinstance(value, Tracer) and not np.isfinite(np.asarray(value)).all():
-                raise ValueError(f"lights: {name} must be finite")
-        if not isinstance(self.radius, Tracer):
-            radius = np.asarray(self.radius)
-            wrong = radius[
-                (radius <= 0) | (radius > np.pi + 1e-6)
-            ]  # of regions of an environment up to pi
-            if wrong.size:
-                raise ValueError(f"lights: radius {float(wrong[0]):g} is outside (0, pi] radians")
-        if not isinstance(self.irradiance, Tracer) and (np.asarray(self.irradiance) < 0).any():
-            raise ValueError(f"lights: irradiance {float(self.irradiance.min()):g} is negative")
+            if value is None:
+                continue
+            try:  # one number for all lights
+                object.__setattr__(self, name, jnp.broadcast_to(as_float(value), shape))
+            except ValueError:
+                raise ValueError(
+                    f"lights: {name} has shape {np.shape(value)}; it must be {shape}"
+                ) from None
+
+    def __check_init__(self):
+        if not isinstance(self.towards, Tracer):
+            length = np.linalg.norm(np.asarray(self.towards, np.float64), axis=1)
+            check_range("length of a lamp's direction", length, Range(1 - _UNIT, 1 + _UNIT))
+        for name, allowed in LIMITS.items():
+            check_range(f"a lamp's {name}", getattr(self, name), allowed)
+        if self.distance is not None and not isinstance(self.distance, Tracer):
+            distance = np.asarray(self.distance)  # infinite beside lamps that are near
+            check_range("a lamp's distance", distance[distance != np.inf], DISTANCE)
 
     def __len__(self) -> int:
         return self.towards.shape[0]

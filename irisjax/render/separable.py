@@ -23,12 +23,12 @@ from irisjax._types import Scalar
 from irisjax.anatomy.eye import Eye
 from irisjax.optics.fresnel import fresnel, refract
 from irisjax.render.bands import Bands
-from irisjax.render.camera import IrisPixels
 from irisjax.render.illumination import Illumination
 from irisjax.render.integrator import AbstractIntegrator, AbstractResponse
 from irisjax.render.lights import Lights
-from irisjax.render.memory import Memory
-from irisjax.render.shading import field_of, irradiance_at, relief_at, scales_at
+from irisjax.render.project import IrisPixels
+from irisjax.render.shading import illuminate, irradiance_at, relief_at, scales_at
+from irisjax.render.steps import Once, simply
 from irisjax.tissue.iris import Iris
 from irisjax.tissue.layers import Layers
 from irisjax.tissue.maps import IrisMaps, Scales
@@ -67,25 +67,22 @@ class Separable(AbstractIntegrator):
         maps: IrisMaps | None,
         tables: Illumination | None,
         ranges: Scales,
-        memory: Memory,
+        once: Once = simply,
     ) -> tuple["Texels", None]:
         """See `AbstractIntegrator`: the lights are summed, for the response does not ask where
         light comes from.
         """
-        field = memory.once("field", field_of, lights, eye, iris, tables)
-        slopes, place = relief_at(pixels, eye, maps, memory)
-        light = memory.once("irradiance", irradiance_at, (pixels, place), field, eye, slopes)
-        scales = scales_at(pixels, eye, iris, maps, memory)
+        field = once("field", illuminate, lights, eye, iris, tables)
+        slopes, place = relief_at(pixels, eye, maps, once)
+        light = once("irradiance", irradiance_at, (pixels, place), field, eye, slopes)
+        scales = scales_at(pixels, eye, iris, maps, once)
         varied = [v for v in zip(scales, ranges, self.degrees, strict=False) if v[1] is not None]
         names = [name for name, r in zip(Scales._fields, ranges, strict=True) if r is not None]
         terms = Terms(
             tuple(
-                memory.once(f"polynomials of {n}", _scaled, *v)
-                for n, v in zip(names, varied, strict=True)
+                once(f"polynomials of {n}", _scaled, *v) for n, v in zip(names, varied, strict=True)
             ),
-            memory.once(
-                "angular", _angular, pixels.cosine, iris, eye.aqueous_index, self.degrees[4]
-            ),
+            once("angular", _angular, pixels.cosine, iris, eye.aqueous_index, self.degrees[4]),
         )
         return Texels(pixels.index, terms, light), None
 

@@ -8,21 +8,18 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from irisjax.anatomy.eye import Eye
-from irisjax.numerics.angle import arctan2
 from irisjax.numerics.interpolation import bilinear, smoothstep
 from irisjax.numerics.portions import pixelwise
 from irisjax.numerics.roots import safe_sqrt
 from irisjax.optics.conicoid import Parts, dot, from_axis, joined, norm, parts
 from irisjax.optics.fresnel import fresnel_at
-from irisjax.render.camera import IrisPixels
 from irisjax.render.illumination import Illumination, bare, near_light
 from irisjax.render.lights import Lights
-from irisjax.render.memory import Memory
+from irisjax.render.project import IrisPixels
+from irisjax.render.steps import Once, simply
+from irisjax.render.surfaces import IrisSurface, Place
 from irisjax.tissue.iris import Iris
 from irisjax.tissue.maps import IrisMaps, Scales
-
-Place = tuple[Float[Array, " pixels"], Float[Array, " pixels"]]
-"""Angle (radians) and relative radius of pixels in the maps."""
 
 PUPIL_MARGIN = 0.12
 """Width over which the iris fades into the pupil, mm."""
@@ -61,7 +58,7 @@ class Field(eqx.Module):
 
 
 @eqx.filter_jit
-def field_of(
+def illuminate(
     lights: Lights, eye: Eye, iris: Iris, tables: Illumination | None, size: int = 161
 ) -> Field:
     """Sum the lights on a grid over the iris, one after the other. `tables` are `None` for a bare
@@ -125,46 +122,44 @@ def _flux(lights: Lights, i, place, eye: Eye, tables: Illumination | None):
 
 
 def scales_at(
-    pixels: IrisPixels, eye: Eye, iris: Iris, maps: IrisMaps | None, memory: Memory
+    pixels: IrisPixels, eye: Eye, iris: Iris, maps: IrisMaps | None, once: Once = simply
 ) -> Scales:
     """How the texels differ from the uniform iris, at the pixels; a map that has not changed is not
     fetched again.
     """
 
     def one(name, part):
-        return memory.once(name, at, part, iris, place_of(pixels, eye, memory))
-
-    def at(part, iris, place):
-        return _fetched(place, _scale(part, iris))
+        texture = once(f"map of {name}", _scale, part, iris)
+        return once(name, _fetched, place_of(pixels, eye, once), texture)
 
     return _each(one, maps)
 
 
-def place_of(pixels: IrisPixels, eye: Eye, memory: Memory) -> Place:
+def place_of(pixels: IrisPixels, eye: Eye, once: Once = simply) -> Place:
     """Where the pixels lie in the maps."""
-    return memory.once("place", _polar, pixels.point, eye)
+    return once("place", _polar, pixels.point, eye)
 
 
-def relief_at(pixels: IrisPixels, eye: Eye, maps: IrisMaps | None, memory: Memory):
+def relief_at(pixels: IrisPixels, eye: Eye, maps: IrisMaps | None, once: Once = simply):
     """Slopes of the relief and the pixels' `place_of`, as `normals` wants them; `None` twice
     without a relief.
     """
     if maps is None or maps.relief is None:
         return None, None
-    return memory.once("slopes", slopes_of, maps.relief, eye), place_of(pixels, eye, memory)
+    return once("slopes", slopes_of, maps.relief, eye), place_of(pixels, eye, once)
 
 
-def ranges_of(iris: Iris, maps: IrisMaps | None, memory: Memory) -> Scales:
+def ranges_of(iris: Iris, maps: IrisMaps | None, once: Once = simply) -> Scales:
     """`Scales.ranges` of the maps; a map that has not changed is not searched again."""
-    return _each(lambda name, part: memory.once(f"range of {name}", _range, part, iris), maps)
+    return _each(lambda name, part: once(f"range of {name}", _range, part, iris), maps)
 
 
 def _each(f, maps: IrisMaps | None) -> Scales:
     """`f` of each scale's name and the maps that it depends on; `None` where there are none."""
     maps = IrisMaps() if maps is None else maps
     maps_of = {
-        "abl": IrisMaps(abl_thickness=maps.abl_thickness, freckles=maps.freckles),
-        "stroma": IrisMaps(stroma_thickness=maps.stroma_thickness),
+        "abl": IrisMaps(abl_depth=maps.abl_depth, freckles=maps.freckles),
+        "stroma": IrisMaps(stroma_depth=maps.stroma_depth),
         "eumelanin": IrisMaps(eumelanin=maps.eumelanin),
         "pheomelanin": IrisMaps(pheomelanin=maps.pheomelanin),
     }
@@ -210,10 +205,7 @@ def irradiance_at(
 @pixelwise
 def _polar(point: Parts, eye: Eye) -> Place:
     """Angle (radians) and relative radius of points of the iris."""
-    x, y, _ = point
-    return arctan2(y, x), (jnp.sqrt(x * x + y * y) - eye.pupil_radius) / (
-        eye.iris_radius - eye.pupil_radius
-    )
+    return IrisSurface(eye).place(joined(point))
 
 
 def normals(

@@ -25,13 +25,13 @@ from irisjax.numerics.interpolation import bilinear
 from irisjax.numerics.portions import pixelwise
 from irisjax.optics.conicoid import norm
 from irisjax.render.bands import Bands
-from irisjax.render.camera import IrisPixels
 from irisjax.render.illumination import Illumination
 from irisjax.render.integrator import AbstractIntegrator, AbstractResponse
 from irisjax.render.lights import Lights
-from irisjax.render.memory import Memory
+from irisjax.render.project import IrisPixels
 from irisjax.render.separable import texel_layers
 from irisjax.render.shading import Field, fluxes_of, normals, relief_at, shares
+from irisjax.render.steps import Once, simply
 from irisjax.tissue.iris import Iris
 from irisjax.tissue.maps import FRECKLE, IrisMaps, Scales
 from irisjax.tissue.pigments import extinction
@@ -65,16 +65,16 @@ class SingleScattering(AbstractIntegrator):
         maps: IrisMaps | None,
         tables: Illumination | None,
         ranges: Scales,
-        memory: Memory,
+        once: Once = simply,
     ) -> tuple["Rays", "Ground"]:
         """See `AbstractIntegrator`. The relief tilts the surface towards the light; its parallax is
         left out.
         """
-        slopes, place = relief_at(pixels, eye, maps, memory)
-        rays = memory.once("rays", _placed, (pixels, place), eye, slopes)
-        textures = memory.once("textures", _textures, maps, iris)
+        slopes, place = relief_at(pixels, eye, maps, once)
+        rays = once("rays", _placed, (pixels, place), eye, slopes)
+        textures = once("textures", _textures, maps, iris)
         return rays, Ground(
-            textures, memory.once("fluxes", fluxes_of, lights, eye, tables), lights.tint, eye
+            textures, once("fluxes", fluxes_of, lights, eye, tables), lights.tint, eye
         )
 
     def response(self, iris: Iris, aqueous_index: Scalar, bands: Bands, ranges: Scales) -> "March":
@@ -271,7 +271,7 @@ def _textures(maps: IrisMaps | None, iris: Iris) -> Local:
     if maps is None:
         return Local()
     dark = None if maps.freckles is None else 1 + (FRECKLE - 1) * maps.freckles
-    abl = None if maps.abl_thickness is None else maps.abl_thickness / iris.abl_thickness
+    abl = None if maps.abl_depth is None else maps.abl_depth / iris.abl_thickness
     return Local(abl, maps.stroma_scale(iris), dark, maps.eumelanin, maps.pheomelanin)
 
 

@@ -8,8 +8,8 @@ from typing import NamedTuple
 import numpy as np
 
 from irisjax.render.illumination import Illumination
-from irisjax.render.memory import Memory
-from irisjax.render.scene import Scene, prepare
+from irisjax.render.scene import Scene
+from irisjax.render.stages import Memory
 
 _MEMORY = (
     1 << 28
@@ -33,12 +33,13 @@ def bands(
     samples: int = 1,
     wavelengths=None,
     memory: int = _MEMORY,
+    threads: int = 1,
 ) -> Iterator[Band]:
     """The picture of a scene from the top to the bottom, as `render` and with `wavelengths` as
     `prepare` give it.
 
     Each pixel is the mean of samples × samples points. `memory`: bytes that a band may need, beyond
-    what any picture does.
+    what any picture does. `threads`: that share the pixels.
     """
     tables = scene.tables() if tables is None else tables
     width, height = scene.camera.size
@@ -46,19 +47,19 @@ def bands(
     most = memory // (_PIXEL + _CHANNEL * channels)
     count = min(-(-(width * height * samples**2) // most), height)
     rows = -(-height // count)
-    response, error, kept = None, None, Memory()
+    response, error, kept = None, None, Memory(threads)
     for start in range(0, height, rows):
         # The last band begins earlier, so that all have one shape: another would be compiled for.
         first = min(start, height - rows)
         camera = (
             scene.camera if count == samples == 1 else scene.camera.taking(first, rows, samples)
         )
-        stage = prepare(scene.replace(camera=camera), tables, wavelengths=wavelengths, memory=kept)
+        stage = kept.prepare(scene.replace(camera=camera), tables, wavelengths=wavelengths)
         if response is None:
             response = stage.response(scene.iris)
             error = None if response.error is None else float(response.error)
         picture = (
-            np.asarray(stage.shown(response))
+            np.asarray(kept.shown(stage, response))
             .reshape(rows, samples, width, samples, -1)
             .mean((1, 3))
         )

@@ -78,7 +78,9 @@ class Iris(eqx.Module):
     the fibril radius nm. `abl_index` and `stroma_index` are `None` unless they are to
     replace the Gladstone–Dale mixtures. `scattering` names the formula of the stroma's scattering:
     `"lb06"` as printed or `"rayleigh-spheres"`, independent small spheres; `scattering_scale` is a
-    factor on it. Make variations with `replace`.
+    factor on it. Make variations with `replace`. Another thickness keeps the concentration of
+    melanin over both layers and its shares of mass; maps (`IrisMaps`) keep the concentration in
+    each layer, and so give another picture.
 
     **Raises:** `ValueError` naming field, value and allowed range for concrete values out of range.
     """

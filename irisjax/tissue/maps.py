@@ -29,8 +29,9 @@ class IrisMaps(eqx.Module):
     """Maps of an iris; every one may be absent (`None`), which costs nothing.
 
     - `relief`: height of the surface towards the cornea, mm; it tilts the surface and shades it.
-    - `abl_thickness`, `stroma_thickness`: mm, in place of the `Iris`'s own. A layer keeps its
-        concentrations, so a thicker one holds more pigment.
+    - `abl_depth`, `stroma_depth`: of the layers at each texel, mm. A texel keeps the concentrations
+        of each layer of the `Iris`, so a deeper one holds more pigment. An `Iris` of that
+        thickness, whose melanin is shared out by mass, gives another picture.
     - `freckles`: share of a freckle, 0 to 1; where it is 1 the ABL holds `FRECKLE` times its
         melanin.
     - `eumelanin`, `pheomelanin`: concentrations relative to the `Iris`'s, both layers alike.
@@ -39,8 +40,8 @@ class IrisMaps(eqx.Module):
     """
 
     relief: Texture | None = _texture()
-    abl_thickness: Texture | None = _texture()
-    stroma_thickness: Texture | None = _texture()
+    abl_depth: Texture | None = _texture()
+    stroma_depth: Texture | None = _texture()
     freckles: Texture | None = _texture()
     eumelanin: Texture | None = _texture()
     pheomelanin: Texture | None = _texture()
@@ -85,7 +86,7 @@ class IrisMaps(eqx.Module):
         """Melanin of the ABL relative to that of a uniform `iris`; `None` where it is one
         everywhere.
         """
-        scale = None if self.abl_thickness is None else self.abl_thickness / iris.abl_thickness
+        scale = None if self.abl_depth is None else self.abl_depth / iris.abl_thickness
         if self.freckles is not None:
             dark = 1 + (FRECKLE - 1) * self.freckles
             scale = dark if scale is None else scale * dark
@@ -95,9 +96,18 @@ class IrisMaps(eqx.Module):
         """Thickness of the stroma relative to that of a uniform `iris`; `None` where it is one
         everywhere.
         """
-        return (
-            None if self.stroma_thickness is None else self.stroma_thickness / iris.stroma_thickness
-        )
+        return None if self.stroma_depth is None else self.stroma_depth / iris.stroma_thickness
+
+    def check(self, iris: Iris) -> None:
+        """Raise `ValueError` where a layer of an iris has no concentrations for a map to keep."""
+        for layer in ("abl", "stroma"):
+            thickness = getattr(iris, f"{layer}_thickness")
+            given = getattr(self, f"{layer}_depth") is not None
+            if given and not isinstance(thickness, Tracer) and not np.asarray(thickness).all():
+                raise ValueError(
+                    f"{layer}_thickness = 0 mm leaves no concentrations for the map "
+                    f"{layer}_depth to keep"
+                )
 
 
 FRECKLE = 12.0

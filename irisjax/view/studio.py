@@ -15,12 +15,13 @@ from irisjax.grow.presets import PRESETS
 from irisjax.io.scenes import stream
 from irisjax.measure.colour import Colour, colour_of, srgb_encode
 from irisjax.measure.spectrophotometer import reflectance
-from irisjax.render.camera import Camera, look
+from irisjax.render.camera import Camera
+from irisjax.render.compose import Stage
 from irisjax.render.environment import Environment
 from irisjax.render.illumination import Illumination
 from irisjax.render.lights import Lights
-from irisjax.render.memory import Memory
-from irisjax.render.scene import Scene, Stage, prepare
+from irisjax.render.scene import Scene
+from irisjax.render.stages import Memory
 from irisjax.tissue.iris import Iris
 from irisjax.tissue.maps import IrisMaps
 
@@ -77,7 +78,8 @@ _CAMERA = ("camera_polar", "camera_azimuth", "width")
 class Studio:
     """A scene, its settings, and what is already computed for them.
 
-    - `tables_of`: makes the illumination tables of a scene, or finds them.
+    - `tables_of`: makes the illumination tables of a scene, or finds them. `threads`: that share
+        the pixels of a picture.
     - `given`: settings that the scene does not tell, such as the name of its `preset`.
     - `error`: of the last picture's response, see `Response`.
     """
@@ -86,11 +88,12 @@ class Studio:
         self,
         scene: Scene,
         tables_of: Callable[[Scene], Illumination | None] = Scene.tables,
+        threads: int = 1,
         **given: Any,
     ):
         self._base, self._tables_of = scene, tables_of
         self._kept: dict[Any, tuple[Any, Any]] = {}
-        self._memory = {draft: Memory() for draft in (False, True)}
+        self._memory = {draft: Memory(threads) for draft in (False, True)}
         self.error = 0.0
         camera, pupil = scene.camera, 2 * float(scene.eye.pupil_radius)
         start = {
@@ -133,7 +136,7 @@ class Studio:
         stage = self._stage(settings, draft)
         asked = _of(settings, (*PIGMENTS, "stroma", "preset", "seed"))
         response = self._once("response", asked, lambda: stage.response(self._iris(settings)))
-        shown = stage.shown(response)
+        shown = self._memory[draft].shown(stage, response)
         picture = _encoded(shown, jnp.asarray(settings.exposure, shown.dtype))
         self.settings, self.error = (
             settings,
@@ -151,8 +154,8 @@ class Studio:
         s = self.settings
         scene = self._set(s, self._base.camera.size)
         maps = scene.maps
-        if maps is not None and maps.stroma_thickness is not None:
-            maps = maps.replace(stroma_thickness=maps.stroma_thickness * s.stroma)
+        if maps is not None and maps.stroma_depth is not None:
+            maps = maps.replace(stroma_depth=maps.stroma_depth * s.stroma)
         return scene.replace(iris=self._iris(s), maps=maps)
 
     def spectrum(self) -> tuple[np.ndarray, Colour]:
@@ -172,15 +175,16 @@ class Studio:
         width, height = self._base.camera.size
         size = (max(width // 2, 1), max(height // 2, 1)) if draft else (width, height)
         seen, lit = _of(s, _CAMERA), _of(s, _LIGHT)
+        memory = self._memory[draft]
 
         def make():
             scene = self._set(s, size)
             # Neither what a camera sees of the iris plane nor what light does there depends on the
             # pupil.
-            view = self._once(("view", draft), seen, lambda: look(scene.eye, scene.camera))
+            view = self._once(("view", draft), seen, lambda: memory.look(scene.eye, scene.camera))
             grazing = self._once("grazing", lit, scene.grazing)
             tables = self._once(("tables", grazing), None, lambda: self._tables_of(scene))
-            return prepare(scene, tables, view, memory=self._memory[draft])
+            return memory.prepare(scene, tables, view)
 
         return self._once(("stage", draft), (seen, lit, s.preset, s.seed, s.pupil), make)
 
@@ -192,8 +196,7 @@ class Studio:
             raise ValueError(f"unknown eye colour {s.preset!r}; known: {', '.join(PRESETS)}")
 
         def grow():
-            iris, maps = PRESETS[s.preset](key=stream(s.seed, "maps"))
-            return iris.replace(aqueous_index=self._base.eye.aqueous_index), maps
+            return PRESETS[s.preset](self._base.eye, key=stream(s.seed, "maps"))
 
         return self._once("grown", (s.preset, s.seed), grow)
 

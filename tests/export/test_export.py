@@ -41,7 +41,7 @@ def bare(tmp_path_factory):
     )
     scene = ij.Scene(iris, maps, EYE, LAMPS, camera=CAMERA)
     folder = tmp_path_factory.mktemp("bare") / "eye"
-    return scene, folder, io.export(folder, scene, spacing=0.3)
+    return scene, folder, export(folder, scene, spacing=0.3)
 
 
 @pytest.fixture(scope="module")
@@ -134,7 +134,7 @@ def test_relief_tilts_their_shading_as_ours(tmp_path, mi):
         ij.Lights.distant(0.9, 0.4),
         camera=CAMERA,
     )
-    made = io.export(tmp_path / "eye", scene, spacing=0.2)
+    made = export(tmp_path / "eye", scene, spacing=0.2)
     theirs = np.array(mi.render(mi.load_file(str(tmp_path / "eye" / "scene.xml"), spp=16))).reshape(
         -1, 3
     )
@@ -162,7 +162,7 @@ def test_fine_relief_is_as_steep_as_a_mesh_of_it(tmp_path, mi):
 
     maps = IrisMaps(relief=relief(*cell_centres(shape)))
     scene = ij.Scene(ij.Iris.of_level("low"), maps, EYE, ij.Lights.distant(0.1, 0.4), camera=CAMERA)
-    made = io.export(tmp_path / "eye", scene, spacing=0.2)
+    made = export(tmp_path / "eye", scene, spacing=0.2)
     index, point = on_the_iris(scene)
     ours = np.asarray(scene.render()).reshape(-1, 3)[index].mean(0)
     shaded = ours / np.asarray(scene.replace(maps=None).render()).reshape(-1, 3)[index].mean(0)
@@ -292,7 +292,7 @@ def test_error_of_a_matt_iris_by_plain_sums(bare):
     more = share * freckle + 1 - share
     grid, angle = ij.wavelengths(380, 780, 20), np.radians(np.arange(0, 51, 10.0))
     # Area weights of the dark sector: its angles, and the ring of its outer half.
-    root, pupil = float(scene.iris.iris_radius), float(scene.iris.pupil_radius)
+    root, pupil = float(scene.eye.iris_radius), float(scene.eye.pupil_radius)
     middle = (root + pupil) / 2
     dark = (np.asarray(sector()) > 1).any(1).mean() * (root**2 - middle**2) / (root**2 - pupil**2)
     brdf, flat = 0.0, 0.0
@@ -351,7 +351,7 @@ def test_eye_behind_its_cornea(tmp_path, mi):
     iris = ij.Iris.of_level("low").replace(fibril_radius=60.0)  # bright, that noise may be little
     camera = ij.Camera(0.1, 0.3, size=(48, 36))
     scene = ij.Scene(iris, None, lights=None, environment=Environment(around), camera=camera)
-    made = io.export(tmp_path / "eye", scene, spacing=0.2)
+    made = export(tmp_path / "eye", scene, spacing=0.2)
     assert set(made.files) >= {
         f"{n}.{k}" for n in ("anterior", "posterior", "iris", "sclera") for k in ("ply", "obj")
     }
@@ -376,7 +376,7 @@ def test_eye_behind_its_cornea(tmp_path, mi):
 
 def test_lamps_before_a_cornea_keep_their_irradiance(tmp_path):
     lamps = ij.Lights.points([0.0, 0.0, -400.0], 2.0) + ij.Lights.distant(0.5, 0.0, radius=0.4)
-    io.export(tmp_path / "eye", ij.Scene(ij.Iris.of_level("low"), None, lights=lamps), spacing=1.0)
+    export(tmp_path / "eye", ij.Scene(ij.Iris.of_level("low"), None, lights=lamps), spacing=1.0)
     text = (tmp_path / "eye" / "scene.xml").read_text()
     radiances = [float(r) for r in re.findall(r'name="radiance" value="([\d.e+-]+),', text)]
     angles = [np.radians(20), 0.4]
@@ -406,7 +406,7 @@ def test_folder_is_new_or_empty(tmp_path, monkeypatch):
     monkeypatch.setattr("irisjax.export.handover.write_together", broken)
     monkeypatch.setattr("irisjax.export.handover._contents", lambda *_: ({"a": b""}, 0, None))
     with pytest.raises(OSError, match="disk full"):
-        io.export(tmp_path / "new", ij.Scene(ij.Iris.of_level("low")))
+        export(tmp_path / "new", ij.Scene(ij.Iris.of_level("low")))
     assert {p.name for p in tmp_path.iterdir()} <= {"full", "bare.toml"}
 
 

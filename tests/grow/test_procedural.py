@@ -21,17 +21,17 @@ def everything():
 
 def test_every_map_is_there_and_within_what_irides_are(everything):
     maps = everything.present()
-    assert set(maps) == {"relief", "abl_thickness", "stroma_thickness", "freckles", "eumelanin"}
+    assert set(maps) == {"relief", "abl_depth", "stroma_depth", "freckles", "eumelanin"}
     assert {m.shape for m in maps.values()} == {SHAPE}
     low_high = {
-        "relief": (-0.2, 0.2), "abl_thickness": (0.015, 0.12), "stroma_thickness": (0.1, 0.6),
+        "relief": (-0.2, 0.2), "abl_depth": (0.015, 0.12), "stroma_depth": (0.1, 0.6),
         "freckles": (0, 1), "eumelanin": (1, 3),
     }  # fmt: skip
     for name, (low, high) in low_high.items():
         assert low <= maps[name].min() < maps[name].max() <= high, name
 
 
-@pytest.mark.parametrize("layer", ["stroma_thickness", "abl_thickness"])
+@pytest.mark.parametrize("layer", ["stroma_depth", "abl_depth"])
 def test_area_means_are_those_of_the_iris(everything, layer):
     iris = ij.Iris()
     place = (
@@ -59,7 +59,7 @@ def test_no_seam(everything):
 
 
 def test_strands_run_radially(everything):
-    m = everything.stroma_thickness[:, SHAPE[1] // 2 :]
+    m = everything.stroma_depth[:, SHAPE[1] // 2 :]
     m = m / m.mean(0)
     assert jnp.diff(m, axis=0).std() > 2 * jnp.diff(m, axis=1).std()
 
@@ -82,12 +82,12 @@ def test_profile_passes_through_ultrasound():
     ("asked", "present"),
     [
         ({}, set()),
-        ({"profile": True, "relief": 0.0}, {"stroma_thickness"}),
+        ({"profile": True, "relief": 0.0}, {"stroma_depth"}),
         ({"furrows": 2}, {"relief"}),
         ({"freckles": 2}, {"freckles"}),
         ({"heterochromia": 1.0}, {"eumelanin"}),
-        ({"abl": 1.0}, {"relief", "abl_thickness"}),
-        ({"crypts": 2, "relief": 0.0}, {"stroma_thickness"}),
+        ({"abl": 1.0}, {"relief", "abl_depth"}),
+        ({"crypts": 2, "relief": 0.0}, {"stroma_depth"}),
     ],
 )
 def test_maps_that_nothing_needs_are_absent(asked, present):
@@ -128,12 +128,12 @@ def test_traced():
     found = jax.eval_shape(
         lambda i, k: procedural(i, shape=SHAPE, freckles=2, key=k), ij.Iris(), KEY
     )
-    assert found.stroma_thickness.shape == SHAPE
+    assert found.stroma_depth.shape == SHAPE
 
 
 def test_single_precision_sees_the_noise_of_double(float32):
     found = jax.eval_shape(lambda k: procedural(ij.Iris(), shape=SHAPE, key=k), KEY)
-    assert found.stroma_thickness.dtype == found.relief.dtype == jnp.float32
+    assert found.stroma_depth.dtype == found.relief.dtype == jnp.float32
     turns = jnp.linspace(0, 1, 50)
     fine = noise(jnp.uint32(3), turns, turns, (6, 2), 3)
     assert fine.dtype == jnp.float32

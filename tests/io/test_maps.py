@@ -36,7 +36,7 @@ def test_packing_of_f09(tmp_path, letters):
     image[0, 0, 3:] = 0  # no freckle: nothing may be divided by it
     io.write_exr(tmp_path / "packed.exr", image, tuple(letters))
     found = io.read_maps(tmp_path / "packed.exr").present()
-    order = ["relief", "abl_thickness", "stroma_thickness", "freckles"][: len(letters)]
+    order = ["relief", "abl_depth", "stroma_depth", "freckles"][: len(letters)]
     assert set(found) == set(order)
     for i, name in enumerate(order):
         np.testing.assert_array_equal(np.asarray(found[name]), image[..., i])
@@ -95,7 +95,7 @@ ONES = np.ones(SHAPE, np.float32)
         (MAPS, {"Relief": ONES}, "scene.toml, line 3: m.exr: unknown channel 'Relief'; maps have channels among relief, abl_"),
         (MAPS, {"R": ONES, "G": ONES}, "scene.toml, line 3: m.exr: unknown channel 'R', 'G'; maps have"),
         (MAPS, {"freckles": 2 * ONES}, "line 3: m.exr: map freckles has values outside [0, 1] or not finite"),
-        (MAPS, {"R": ONES, "G": -ONES, "B": ONES}, "line 3: m.exr: map abl_thickness has values outside [0, inf]"),
+        (MAPS, {"R": ONES, "G": -ONES, "B": ONES}, "line 3: m.exr: map abl_depth has values outside [0, inf]"),
         (MAPS, {"relief": np.nan * ONES}, "line 3: m.exr: map relief has values outside [-1, 1] or not finite"),
         (MAPS, {"relief": ONES[:1]}, "line 3: m.exr: map relief has shape (1, 5)"),
         ('[maps]\nfile = "m.png"', {}, "scene.toml, line 2: m.png: a file of maps must end in .exr"),

@@ -170,7 +170,7 @@ WRONG = {
     "[[light]]\nposition = [1, 2]": "scene.toml, line 2: light.position = [1, 2] must be [x, y, z] in mm",
     "[[light]]\ncolour = [1, 2, -1]": "scene.toml, line 2: light.colour = [1, 2, -1] must be a number from 0 to 1000",
     "[iris]\nabl_thickness = 40": "scene.toml, line 2: iris.abl_thickness = 40 must be a number from 0 to 3",
-    "[[light]]\nposition = [1, 2, 3]": "scene.toml, line 1: light: a point light is 3.74 mm from the cornea",
+    "[[light]]\nposition = [1, 2, 3]": "scene.toml, line 1: light: a lamp's distance = 3.74166 mm is outside [20, inf) mm",
     "[[light]]\nposition = [1, 2, -300]\npolar_deg = 1": "give a light a position or angles, not both",
     "[environment]\nkind = 'sea'": "scene.toml, line 2: environment.kind = 'sea' must be one of studio, sky",
     "[environment]\nlights = 3": "scene.toml, line 1: environment: needs file or kind",
@@ -203,7 +203,7 @@ OPTIONS = [
     (("scene.toml", "--size", "16385x8"), "--size 16385x8: at most 16384 along a side"),
     (("scene.toml", "--light", "30"), "--light '30': write POLAR,AZIMUTH"),
     (("scene.toml", "--light", "30,nan"), "--light '30,nan': write POLAR,AZIMUTH"),
-    (("scene.toml", "--light", "30,0,-1"), "irradiance -1 is negative"),
+    (("scene.toml", "--light", "30,0,-1"), "a lamp's irradiance = -1 is outside [0, inf)"),
     (("scene.toml", "--pupil", "12"), "--pupil: 12 is outside 0.5 to 9.5; it is a diameter"),
     (
         ("scene.toml", "--pupil", "0,5"),

@@ -23,6 +23,7 @@ from irisjax.render.lights import Lights
 from irisjax.render.refraction import UNIQUE_POLAR, RefractionFunction, window
 from irisjax.render.scene import Scene, prepare
 from irisjax.render.sclera import bulk_reflectance
+from irisjax.tissue.maps import IrisMaps
 from render.tracing import disc, soft_edge, trace
 
 CLEAR = Cornea(scatter=None)
@@ -211,21 +212,32 @@ def test_cone_is_lit_alike_by_both_tables():
 
 
 def test_what_cannot_be_is_named():
-    with pytest.raises(ValueError, match=r"lights: radius 0 is outside \(0, pi\] radians"):
+    with pytest.raises(ValueError, match=r"a lamp.s radius = 0 radians is outside \(0, 3.14159\]"):
         Lights.distant(0.3, 0.0, radius=0.0)
     with pytest.raises(ValueError, match=r"a lamp's radius = 2 is above pi/2 radians"):
         Scene(IRIS, lights=Lights.distant(0.3, 0.0, radius=2.0))
-    with pytest.raises(
-        ValueError, match=r"aqueous_index is 1.336 of the iris and 1.376 of the eye"
-    ):
-        Scene(IRIS, eye=Eye(cornea=Cornea.f09(), aqueous_index=1.376))
-    single = dataclasses.replace(Cornea.f09(), scatter=None)
-    assert (
-        Scene(
-            IRIS.replace(aqueous_index=1.376), eye=Eye(cornea=single, aqueous_index=1.376)
-        ).eye.cornea
-        is not None
-    )
+    for wrong, said in {
+        "towards": (np.array([[0, 0, -2.0]]), "length of a lamp's direction = 2 is outside"),
+        "irradiance": (-1.0, r"a lamp's irradiance = -1 is outside \[0, inf\)"),
+        "tint": (np.array([1.0, np.nan, 1.0]), r"a lamp's tint = nan is outside \[0, inf\)"),
+        "tint ": (np.array([1.0, -0.5, 1.0]), r"a lamp's tint = -0.5 is outside \[0, inf\)"),
+        "distance": (-30.0, r"a lamp's distance = -30 mm is outside \[20, inf\) mm"),
+        "distance ": (np.nan, r"a lamp's distance = nan mm is outside \[20, inf\) mm"),
+        "radius": (np.ones(3), r"lights: radius has shape \(3,\); it must be \(1,\)"),
+    }.items():
+        one = {"towards": np.array([[0, 0, -1.0]]), "irradiance": 1.0}
+        with pytest.raises(ValueError, match=said[1]):
+            Lights(**{**one, wrong.strip(): said[0]})
+    iris = IRIS.replace(stroma_thickness=0.0)
+    with pytest.raises(ValueError, match="stroma_thickness = 0 mm leaves no concentrations"):
+        Scene(iris, IrisMaps(stroma_depth=np.ones((4, 4))))
+
+
+def test_one_number_stands_for_all_lights():
+    """A lamp's default radius beside arrays, which once failed behind a cornea."""
+    lights = Lights(np.array([[0, 0, -1.0], [0.6, 0, -0.8]]), np.ones(2))
+    assert lights.radius.shape == (2,) and (lights.radius == 0.03).all()
+    np.testing.assert_array_equal((lights + lights).radius, np.full(4, 0.03))
 
 
 @pytest.mark.slow  # 20 s of compiling

@@ -9,6 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from irisjax.render.memory import Memory
 
 import irisjax as ij
 from common import operations
@@ -22,7 +23,6 @@ from irisjax.render.camera import Camera, _iris, look
 from irisjax.render.environment import Environment
 from irisjax.render.illumination import Illumination
 from irisjax.render.lights import Lights
-from irisjax.render.memory import Memory
 from irisjax.render.refraction import UNIQUE_POLAR
 from irisjax.render.scene import Scene, prepare, render
 from irisjax.render.sclera import colour_table
@@ -132,7 +132,7 @@ def test_through_a_cornea(tables):
 
 # A stroma under an ABL so full of melanin that next to nothing comes back: what is left is the tear
 # film's mirror.
-NO_LIGHT_BACK = IrisMaps(abl_thickness=np.full((4, 4), 50.0))
+NO_LIGHT_BACK = IrisMaps(abl_depth=np.full((4, 4), 50.0))
 
 
 @pytest.mark.parametrize("eye", [BARE, CLOSE], ids=["bare", "cornea"])
@@ -231,7 +231,7 @@ def test_no_pigment_at_all():
         "deoxyhemoglobin": 0.0,
         "lutein": 0.0,
     }
-    holes = IrisMaps(abl_thickness=np.zeros((4, 4)), stroma_thickness=np.zeros((4, 4)))
+    holes = IrisMaps(abl_depth=np.zeros((4, 4)), stroma_depth=np.zeros((4, 4)))
     for maps in (None, holes):
         stage = prepare(scene(maps=maps))
         picture = np.asarray(stage(LIGHT.replace(**clear, zeaxanthin=0.0)))
@@ -279,10 +279,10 @@ def test_absent_parts_cost_nothing(tables):
     one = np.ones((8, 6))
     maps = {
         "none": None,
-        "stroma": IrisMaps(stroma_thickness=one),
-        "freckles": IrisMaps(stroma_thickness=one, freckles=0 * one),
-        "relief": IrisMaps(stroma_thickness=one, freckles=0 * one, relief=0 * one),
-        "pigment": IrisMaps(stroma_thickness=one, freckles=0 * one, relief=0 * one, eumelanin=one),
+        "stroma": IrisMaps(stroma_depth=one),
+        "freckles": IrisMaps(stroma_depth=one, freckles=0 * one),
+        "relief": IrisMaps(stroma_depth=one, freckles=0 * one, relief=0 * one),
+        "pigment": IrisMaps(stroma_depth=one, freckles=0 * one, relief=0 * one, eumelanin=one),
     }
     lamp, tinted = (
         Lights.distant(0.5, 1.0),
@@ -336,7 +336,7 @@ def test_absent_parts_cost_nothing(tables):
 def test_only_what_changed_is_made_again(tables):
     """Pictures of a scene that changes, with and without a memory of the one before."""
     maps = IrisMaps(
-        stroma_thickness=ring(lambda x, y: 0.3 + 0.02 * x), relief=ring(lambda x, y: 0.01 * y)
+        stroma_depth=ring(lambda x, y: 0.3 + 0.02 * x), relief=ring(lambda x, y: 0.01 * y)
     )
     made = scene(maps=maps, eye=Eye(), veins=VeinMap(*(jnp.full((4, 4), 0.1) for _ in range(3))))
     memory = Memory()
@@ -344,7 +344,7 @@ def test_only_what_changed_is_made_again(tables):
     first = prepare(made, tables, memory=memory)
     changes = {
         "lights": {"lights": Lights.distant([0.4, 0.9], [2.0, 0.1])},
-        "maps": {"maps": maps.replace(stroma_thickness=ring(lambda x, y: 0.2 - 0.02 * y))},
+        "maps": {"maps": maps.replace(stroma_depth=ring(lambda x, y: 0.2 - 0.02 * y))},
         "camera": {"camera": dataclasses.replace(SMALL, polar=jnp.asarray(0.2))},
         "pupil": {"eye": made.eye.replace(pupil_radius=2.5)},
         "veins": {"veins": None},
@@ -365,7 +365,7 @@ def test_only_what_changed_is_made_again(tables):
 
 def test_pictures_with_a_memory(monkeypatch, tables):
     """Equal to those without, and the response is made again for other pigments only."""
-    made = scene(maps=IrisMaps(stroma_thickness=ring(lambda x, y: 0.3 + 0.02 * x)), eye=CLOSE)
+    made = scene(maps=IrisMaps(stroma_depth=ring(lambda x, y: 0.3 + 0.02 * x)), eye=CLOSE)
     changes = (
         {"lights": Lights.distant([0.4, 0.9], [2.0, 0.1])},
         {"camera": dataclasses.replace(SMALL, polar=jnp.asarray(0.2))},
@@ -383,7 +383,7 @@ def test_pictures_with_a_memory(monkeypatch, tables):
 
 def test_cores_change_no_bit(monkeypatch, tables):
     """A picture large enough for threads, by one, two and four."""
-    maps = IrisMaps(stroma_thickness=ring(lambda x, y: 0.3 + 0.02 * x))
+    maps = IrisMaps(stroma_depth=ring(lambda x, y: 0.3 + 0.02 * x))
     made = scene(maps=maps, eye=CLOSE, camera=dataclasses.replace(SMALL, size=(200, 150)))
     pictures = []
     for threads in (1, 2, 4):
@@ -396,7 +396,7 @@ def test_cores_change_no_bit(monkeypatch, tables):
 
 def test_portions_change_nothing(monkeypatch, tables):
     """Small ones, as on a processor, or all pixels at once, as on an accelerator."""
-    made = scene(maps=IrisMaps(stroma_thickness=ring(lambda x, y: 0.3 + 0.02 * x)), eye=CLOSE)
+    made = scene(maps=IrisMaps(stroma_depth=ring(lambda x, y: 0.3 + 0.02 * x)), eye=CLOSE)
     small = render(made, tables)
     jax.clear_caches()
     monkeypatch.setattr(chunks, "_portion", lambda count: count)
@@ -443,7 +443,7 @@ def test_a_pixel_that_looks_at_the_middle(tables):
 
 def test_derivatives_are_finite_differences(tables):
     maps = IrisMaps(
-        stroma_thickness=ring(lambda x, y: 0.28 + 0.1 * jnp.sin(3 * x) * jnp.cos(2 * y), 6, 12)
+        stroma_depth=ring(lambda x, y: 0.28 + 0.1 * jnp.sin(3 * x) * jnp.cos(2 * y), 6, 12)
     )
     direction = jnp.asarray(np.random.default_rng(1).normal(size=maps.shape))
     ranges = Scales(stroma=(0.3, 2.0))
@@ -454,9 +454,7 @@ def test_derivatives_are_finite_differences(tables):
     ):  # eumelanin, thickness along a direction, irradiance, polar angle, azimuth of the light
         iris = eqx.tree_at(lambda i: i.eumelanin, LIGHT, LIGHT.eumelanin + p[0])
         lights = Lights.distant(0.613 + p[3], 1.234 + p[4], 2.0 + p[2])
-        changed = eqx.tree_at(
-            lambda m: m.stroma_thickness, maps, maps.stroma_thickness + p[1] * direction
-        )
+        changed = eqx.tree_at(lambda m: m.stroma_depth, maps, maps.stroma_depth + p[1] * direction)
         return of(iris, lights, changed)
 
     found = np.asarray(jax.jit(jax.grad(by))(jnp.zeros(5)))
@@ -475,7 +473,7 @@ def test_new_maps_are_not_compiled_for_again():
         return stage(LIGHT)
 
     for thick in (0.2, 0.3):
-        maps = IrisMaps(stroma_thickness=ring(lambda x, y, t=thick: t + 0.01 * x))
+        maps = IrisMaps(stroma_depth=ring(lambda x, y, t=thick: t + 0.01 * x))
         picture(prepare(scene(maps=maps)))
     assert len(calls) == 1
 
@@ -499,7 +497,7 @@ def test_single_precision(tables):
         jax.clear_caches()
         jax.config.update("jax_enable_x64", x64)
         cast = jax.tree.map(lambda x: jnp.asarray(np.asarray(x), float), tables)
-        maps = IrisMaps(stroma_thickness=ring(lambda x, y: 0.28 + 0.1 * jnp.sin(3 * x)))
+        maps = IrisMaps(stroma_depth=ring(lambda x, y: 0.28 + 0.1 * jnp.sin(3 * x)))
         eye = Eye(sclera=None, cornea=Cornea(scatter=None), pupil_radius=0.25)
         made = Scene(
             ij.Iris.of_level("low"), maps, eye, Lights.distant(0.6, 2.0), camera=Camera(size=(24, 18)),

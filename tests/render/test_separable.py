@@ -101,8 +101,8 @@ def test_error_tells_a_table_too_coarse():
 
 def test_maps_become_scales():
     maps = IrisMaps(
-        abl_thickness=np.full((4, 3), 0.1135),
-        stroma_thickness=np.full((4, 3), 0.571),
+        abl_depth=np.full((4, 3), 0.1135),
+        stroma_depth=np.full((4, 3), 0.571),
         freckles=np.eye(4, 3),
         eumelanin=np.full((4, 3), 1.5),
     )

@@ -98,7 +98,7 @@ def maps_of(abl=0.0, stroma=0.0, freckles=0.0):
     angle, radius = np.meshgrid(np.arange(48) * (2 * np.pi / 48), np.arange(16) / 16, indexing="ij")
     wave, other = np.sin(9 * angle + 8 * radius), np.cos(9 * angle - 11 * radius)
     one = np.ones_like(wave)
-    return IrisMaps(abl_thickness=0.06 + abl * wave, stroma_thickness=0.35 + stroma * other,
+    return IrisMaps(abl_depth=0.06 + abl * wave, stroma_depth=0.35 + stroma * other,
                     freckles=0.2 + freckles * wave, eumelanin=0.5 * one, pheomelanin=3 * one)  # fmt: skip
 
 
@@ -195,7 +195,7 @@ def brute(iris, maps, point, direction, n=20_000):
     dz = 0.9 / n
     z = (np.arange(n) + 0.5) * dz
     place = point + direction * (z / direction[2])[:, None]
-    a, s = (bilinear(np.asarray(m), place) for m in (maps.abl_thickness, maps.stroma_thickness))
+    a, s = (bilinear(np.asarray(m), place) for m in (maps.abl_depth, maps.stroma_depth))
     last = np.argmax(z > a + s)  # the IPE
     z, place, a = z[:last, None], place[:last], a[:last, None]
     mu_abl = abl0 / 0.06 / 3.2 * (1 + 11 * bilinear(np.asarray(maps.freckles), place)[:, None])

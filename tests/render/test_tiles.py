@@ -26,7 +26,7 @@ def bare():
 
 
 def scene(**parts):
-    maps = IrisMaps(stroma_thickness=UNEVEN * 0.4, relief=0.05 * UNEVEN)
+    maps = IrisMaps(stroma_depth=UNEVEN * 0.4, relief=0.05 * UNEVEN)
     lights = Lights.distant([0.4, 0.9], [0.2, 3.0])
     kept = {"eye": bare(), "lights": lights, "camera": Camera(size=(21, 16)), "integrator": QUICK}
     return Scene(ij.Iris.of_level("low"), maps, **{**kept, **parts})

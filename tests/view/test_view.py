@@ -37,7 +37,7 @@ def grown(seed=0, eumelanin=1.0):
     """An iris and maps that need no growing."""
     iris = Iris(eumelanin=eumelanin)
     uneven = np.random.default_rng(seed).uniform(0.5, 1.5, (32, 16))
-    return iris, IrisMaps(stroma_thickness=uneven * iris.stroma_thickness, relief=0.05 * uneven)
+    return iris, IrisMaps(stroma_depth=uneven * iris.stroma_thickness, relief=0.05 * uneven)
 
 
 @pytest.fixture
@@ -120,7 +120,7 @@ def test_a_preset_brings_its_pigments(bare, monkeypatch):
     found.update(preset="blue", abl_fraction=0.1, seed=3)
     assert found.settings.eumelanin == pytest.approx(0.02)
     assert (found.settings.abl_fraction, found.settings.stroma) == (0.1, 1.0)
-    np.testing.assert_array_equal(found.scene().maps.stroma_thickness, grown(1)[1].stroma_thickness)
+    np.testing.assert_array_equal(found.scene().maps.stroma_depth, grown(1)[1].stroma_depth)
     found.update(preset=studio.GIVEN)
     assert found.settings == studio.Settings(**{**vars(own), "seed": 3})
 

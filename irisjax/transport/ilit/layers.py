@@ -13,8 +13,8 @@ from jaxtyping import Array, Bool, Float
 
 from irisjax._types import Spectrum
 from irisjax.numerics import linear
-from irisjax.numerics.sharding import vary_alike
 from irisjax.numerics.quadrature import CosineRule, conserving, cosine_rule
+from irisjax.numerics.sharding import vary_alike
 from irisjax.optics.fresnel import critical_cosine_squared, fresnel, refracted
 from irisjax.tissue.indices import Order, RefractiveIndices
 from irisjax.tissue.layers import Layers

@@ -120,9 +120,7 @@ class IlitWeighted(AbstractSolver):
 def _shares(order, process: Ilit, log2_paths: int, quasi: bool, key, depths, shared):
     *indices, entering = shared
     layers = Layers(*depths, RefractiveIndices(*indices), order)
-    groups = run_paths(
-        key, layers, process, entering, scales(), log2_paths=log2_paths, quasi=quasi
-    )
+    groups = run_paths(key, layers, process, entering, scales(), log2_paths=log2_paths, quasi=quasi)
     return groups.astype(layers.extinction.dtype)
 
 

@@ -6,35 +6,38 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from irisjax.anatomy.eye import Eye
-from irisjax.anatomy.sclera import VeinMap, vein_place
+from irisjax.anatomy.sclera import VeinMap
 from irisjax.numerics.portions import pixelwise
 from irisjax.numerics.roots import safe_sqrt
 from irisjax.optics.conicoid import Parts, joined
-from irisjax.render.camera import MirrorPixels, ScleraPixels
 from irisjax.render.environment import Environment
 from irisjax.render.lights import Lights
+from irisjax.render.project import MirrorPixels, ScleraPixels
 from irisjax.render.sclera import Blood, ColourTable, vein_depth_at
-from irisjax.render.shading import Place
+from irisjax.render.steps import Once, simply
+from irisjax.render.surfaces import GlobeSurface, Place
 
 _BLEED = 0.3
 """Cosine by which light reaches past the terminator of the white."""
 
 
 def white_colour(
-    pixels: ScleraPixels, eye: Eye, table: ColourTable, veins: VeinMap | None
+    pixels: ScleraPixels, eye: Eye, table: ColourTable, veins: VeinMap | None, once: Once = simply
 ) -> Float[Array, "channels pixels"]:
     """Channels of the sclera under an irradiance of one, all shares on the way out included."""
     if veins is None:
-        return _white_colour((pixels, None, None), table)
-    blood = _blood(_vein_place(pixels.point, eye), veins)
-    return _white_colour((pixels, blood, _vein_node(blood.depth, table)), table)
+        return once("white", _white_colour, (pixels, None, None), table)
+    # Programs of their own: in one, XLA works out the place anew for each texture, and the blood
+    # for each channel.
+    place = once("place on the white", _vein_place, pixels.point, eye)
+    blood = once("blood", _blood, place, veins)
+    node = once("node of blood", _vein_node, blood.depth, table)
+    return once("white", _white_colour, (pixels, blood, node), table)
 
 
-# Programs of their own: in one, XLA works out the place anew for each texture, and the blood for
-# each channel.
 @pixelwise
 def _vein_place(point: Parts, eye: Eye) -> Place:
-    return vein_place(eye, joined(point))
+    return GlobeSurface(eye).place(joined(point))
 
 
 @pixelwise

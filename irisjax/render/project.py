@@ -1,0 +1,202 @@
+"""`project`: which point of which surface each pixel sees, and what each of its points sends there.
+
+Fixed shapes: every surface has an entry for every pixel, and a share of 0 where it is not seen.
+"""
+
+import dataclasses
+from typing import NamedTuple
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, Int, Int8
+
+from irisjax.anatomy.eye import Eye
+from irisjax.anatomy.media import TEAR
+from irisjax.numerics.interpolation import smoothstep
+from irisjax.numerics.portions import pixelwise
+from irisjax.optics.conicoid import (
+    Parts,
+    Vector,
+    choose,
+    dot,
+    from_axis,
+    parts,
+    reflect_vector,
+    refract_vector,
+)
+from irisjax.render.camera import Camera
+from irisjax.render.refraction import enter, on_cornea
+from irisjax.render.surfaces import CorneaSurface, GlobeSurface, IrisSurface
+
+BLEND = 0.5
+"""Half the width over which iris and sclera blend at the limbus, mm  [F09 Section 6.5: about 1 mm
+in all].
+"""
+IRIS, SCLERA, MIRROR = 1, 2, 4
+"""What a pixel may see, to be added up."""
+
+
+class IrisPixels(eqx.Module):
+    """Pixels that may see the iris, as flat arrays; `index` is −1 for padding, `None` where they
+    are all of the picture's.
+
+    - `point`: on the iris, mm; `direction`: of the line of sight in the chamber, into the eye.
+    - `cosine`: of the exit angle to the flat iris; `share`: transmitted on the way out, over n² of
+        the chamber, times the blend at the limbus; 0 where the iris is not seen.
+    """
+
+    index: Int[Array, " pixels"] | None
+    point: Parts
+    direction: Parts
+    cosine: Float[Array, " pixels"]
+    share: Float[Array, " pixels"]
+
+
+class ScleraPixels(eqx.Module):
+    """Pixels that see the white: `point` and `normal` (3, pixels), the `reflectance` of the tear
+    film over it, and the `share` of sclera, which blends with the iris at the limbus and is 0 where
+    it is not seen."""
+
+    index: Int[Array, " pixels"] | None
+    point: Parts
+    normal: Parts
+    reflectance: Float[Array, " pixels"]
+    share: Float[Array, " pixels"]
+
+
+class MirrorPixels(eqx.Module):
+    """Pixels that see the tear film, on cornea and white: its `mirror` direction and
+    `reflectance`, 0 beside it.
+    """
+
+    index: Int[Array, " pixels"] | None
+    mirror: Parts
+    reflectance: Float[Array, " pixels"]
+
+
+class View(eqx.Module):
+    """What a camera sees of an eye, part by part; absent parts are `None`."""
+
+    iris: IrisPixels | None
+    sclera: ScleraPixels | None
+    mirror: MirrorPixels | None
+    size: tuple[int, int] = eqx.field(static=True)
+
+
+def project(eye: Eye, camera: Camera) -> View:
+    """What each pixel of a camera sees of an eye: all pixels for each part, in the order of the
+    picture.
+
+    Pure, of fixed shapes: works under `jit`, `vmap` and `grad`. What a pixel does not see has a
+    share of 0 and finite values. Edges of the globe against nothing are sharp: derivatives do not
+    know of them.
+    """
+    rows, columns = camera.shape
+    index = jnp.arange(rows * columns, dtype=jnp.int32)
+    mirror = None if eye.cornea is None else mirror_pixels(index, eye, camera)
+    white = eye.cornea is not None and eye.sclera is not None
+    sclera = sclera_pixels(index, eye, camera) if white else None
+    found = iris_pixels(index, eye, camera), sclera, mirror
+    every = [None if p is None else dataclasses.replace(p, index=None) for p in found]
+    return View(*every, size=(columns, rows))
+
+
+@pixelwise
+def seen_parts(index, eye: Eye, camera: Camera) -> Int8[Array, " pixels"]:
+    """What each pixel sees: a sum of `IRIS`, `SCLERA` and `MIRROR`."""
+    origin, direction = camera.towards(index, eye)
+    if eye.cornea is None:
+        return jnp.where(IrisSurface(eye).meet(origin, direction)[1], IRIS, 0).astype(jnp.int8)
+    outside = _Outside.met(eye, origin, direction)
+    sees = (outside.iris, outside.hit & (outside.blend > 0), outside.hit)
+    return sum(
+        jnp.where(s, n, 0).astype(jnp.int8)
+        for s, n in zip(sees, (IRIS, SCLERA, MIRROR), strict=True)
+    )
+
+
+@pixelwise
+def iris_pixels(index, eye: Eye, camera: Camera) -> IrisPixels:
+    """Pixels of these numbers as those that see the iris."""
+    origin, direction = camera.towards(index, eye)
+    surface = IrisSurface(eye)
+    # Any point that is no edge, where it is not seen: derivatives are finite there.
+    aside = 0.5 * eye.iris_radius
+    if eye.cornea is None:
+        zero = jnp.zeros_like(aside)
+        point, seen = surface.meet(origin, direction)
+        ahead = jnp.stack([zero, zero, zero + 1])
+        origin = choose(seen, origin, jnp.stack([aside, zero, zero]))
+        direction = choose(seen, direction, ahead)
+        point, _ = surface.meet(origin, direction)
+        cosine = -dot(direction, surface.normal(point))
+        return IrisPixels(index, parts(point), parts(direction), cosine, jnp.where(seen, 1.0, 0.0))
+    outside = _Outside.met(eye, origin, direction)
+    zero = jnp.zeros_like(aside)
+    safe = on_cornea(eye.cornea, jnp.stack([aside, zero]))
+    ahead = jnp.stack([zero, zero, zero + 1])
+    front = choose(outside.iris, outside.front, safe)
+    landing = enter(eye, front, choose(outside.iris, direction, ahead))
+    cosine = -dot(landing.direction, surface.normal(landing.point))
+    seen = jnp.where(outside.iris & (cosine > 0), 1 - outside.blend, 0.0)
+    share = landing.share * seen / eye.aqueous_index**2
+    return IrisPixels(
+        index, parts(landing.point), parts(landing.direction), jnp.maximum(cosine, 0), share
+    )
+
+
+@pixelwise
+def sclera_pixels(index, eye: Eye, camera: Camera) -> ScleraPixels:
+    """Pixels of these numbers as those that see the white."""
+    origin, direction = camera.towards(index, eye)
+    outside = _Outside.met(eye, origin, direction)
+    passed = refract_vector(direction, outside.normal, 1.0, TEAR)[1]
+    share = jnp.where(outside.hit, outside.blend, 0.0)
+    return ScleraPixels(index, parts(outside.point), parts(outside.normal), 1 - passed, share)
+
+
+@pixelwise
+def mirror_pixels(index, eye: Eye, camera: Camera) -> MirrorPixels:
+    """Pixels of these numbers as those that see the tear film."""
+    origin, direction = camera.towards(index, eye)
+    outside = _Outside.met(eye, origin, direction)
+    passed = refract_vector(direction, outside.normal, 1.0, TEAR)[1]
+    mirror = parts(reflect_vector(direction, outside.normal))
+    return MirrorPixels(index, mirror, jnp.where(outside.hit, 1 - passed, 0.0))
+
+
+@pixelwise
+def mirror_points(index, eye: Eye, camera: Camera) -> Parts:
+    """Where pixels of these numbers meet the tear film, mm: needed for lamps that are near, and for
+    them alone.
+    """
+    return parts(_Outside.met(eye, *camera.towards(index, eye)).point)
+
+
+class _Outside(NamedTuple):
+    """Where lines of sight meet the outer surface: on the cornea's conicoid (`front`) or, where
+    they `hit` beside it, on the globe. `blend`: the share of sclera; `iris`: whether it shows."""
+
+    front: Vector
+    point: Vector
+    normal: Vector
+    blend: Float[Array, " pixels"]
+    hit: Bool[Array, " pixels"]
+    iris: Bool[Array, " pixels"]
+
+    @classmethod
+    def met(cls, eye: Eye, origin, direction) -> "_Outside":
+        cornea = CorneaSurface(eye)
+        front, shown, on_cornea = cornea.split(origin, direction)
+        normal = cornea.normal(front)
+        if eye.sclera is None:
+            none = jnp.zeros_like(front[..., 0])
+            return cls(front, front, normal, none, on_cornea, on_cornea)
+        globe = GlobeSurface(eye)
+        point, on_globe = globe.meet(origin, direction)
+        normal = choose(on_cornea, normal, globe.normal(point))
+        point = choose(on_cornea, front, point)
+        hit = on_cornea | on_globe
+        edge = smoothstep((from_axis(point) - eye.limbus_radius) / (2 * BLEND) + 0.5)
+        blend = jnp.where(globe.behind(point), 1.0, edge)
+        return cls(front, point, normal, blend, hit, hit & shown & (blend < 1))

@@ -1,0 +1,18 @@
+"""How the steps of a picture follow each other: simply, or kept by somebody (`stages.Memory`)."""
+
+from collections.abc import Callable
+from typing import Any, Protocol
+
+
+class Once(Protocol):
+    """Does a named step of a picture."""
+
+    def __call__(self, name: str, make: Callable[..., Any], *inputs: Any) -> Any:
+        """`make(*inputs)`, done now or, of the same inputs, before."""
+        ...
+
+
+def simply(name: str, make: Callable[..., Any], *inputs: Any) -> Any:
+    """`make(*inputs)`: nothing is kept."""
+    del name
+    return make(*inputs)

@@ -1,0 +1,122 @@
+"""Surfaces of the eye: where a ray meets them, their normal there, and its place in their maps.
+
+A surface says nothing of what it sends back; that is its material's to say (`outside`,
+`integrator`).
+"""
+
+import abc
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float
+
+from irisjax.anatomy.eye import Eye
+from irisjax.anatomy.sclera import meet_sclera, sphere, vein_place
+from irisjax.numerics.angle import arctan2
+from irisjax.optics.conicoid import Vector, along, dot, from_axis
+
+Place = tuple[Float[Array, "*s"], Float[Array, "*s"]]
+"""Angle (radians) of points of a surface and their way from its inner edge (0) to its outer (1)."""
+
+
+class AbstractSurface(eqx.Module):
+    """A surface of an eye. Points and unit directions are (…, 3), mm in the eye's frame."""
+
+    eye: eqx.AbstractVar[Eye]
+
+    @abc.abstractmethod
+    def meet(self, origin: Vector, direction: Vector) -> tuple[Vector, Bool[Array, "*s"]]:
+        """Where rays meet the surface, and whether they do, from outside."""
+
+    @abc.abstractmethod
+    def normal(self, point: Vector) -> Vector:
+        """Unit normal at points, out of the eye."""
+
+    @abc.abstractmethod
+    def place(self, point: Vector) -> Place:
+        """Where points lie in the maps of the surface."""
+
+
+class IrisSurface(AbstractSurface):
+    """The plane or cone of the iris, from the pupil's edge to the root. What it holds of pigment
+    shows in `IrisMaps`.
+    """
+
+    eye: Eye
+
+    def meet(self, origin: Vector, direction: Vector) -> tuple[Vector, Bool[Array, "*s"]]:
+        """As for any surface, in the chamber or without a cornea; the pupil is met too."""
+        t = self.eye.meet_iris(origin, direction)
+        point = along(origin, t, direction)
+        cosine = -dot(direction, self.normal(point))
+        return point, (t > 0) & (from_axis(point) < self.eye.iris_radius) & (cosine > 0)
+
+    def normal(self, point: Vector) -> Vector:
+        """Towards the cornea."""
+        return self.eye.iris_normal(point)
+
+    def place(self, point: Vector) -> Place:
+        """Angle and relative radius in `IrisMaps`."""
+        eye = self.eye
+        radius = (from_axis(point) - eye.pupil_radius) / (eye.iris_radius - eye.pupil_radius)
+        return arctan2(point[..., 1], point[..., 0]), radius
+
+
+class CorneaSurface(AbstractSurface):
+    """The front of the cornea, up to the limbus: the tear film over it."""
+
+    eye: Eye
+
+    def meet(self, origin: Vector, direction: Vector) -> tuple[Vector, Bool[Array, "*s"]]:
+        """As for any surface."""
+        point, _, met = self.split(origin, direction)
+        return point, met
+
+    def split(self, origin: Vector, direction: Vector):
+        """Where rays meet the whole conicoid, whether they do, and whether within the limbus:
+        through the blend there the iris shows on.
+        """
+        front = self._front
+        t, met = front.intersect(origin, direction)
+        point = along(origin, t, direction)
+        normal = front.normal(point)
+        shown = met & (t > 0) & (dot(direction, normal) < 0) & (normal[..., 2] < 0)
+        # The globe begins at the limbus itself.
+        return point, shown, shown & (from_axis(point) <= self.eye.limbus_radius * (1 + 1e-4))
+
+    def normal(self, point: Vector) -> Vector:
+        """As for any surface."""
+        return self._front.normal(point)
+
+    def place(self, point: Vector) -> Place:
+        """Angle, and distance from the axis over that of the limbus."""
+        return arctan2(point[..., 1], point[..., 0]), from_axis(point) / self.eye.limbus_radius
+
+    @property
+    def _front(self):
+        assert self.eye.cornea is not None
+        return self.eye.cornea.anterior
+
+
+class GlobeSurface(AbstractSurface):
+    """The white, from the limbus on. Its vessels show in a `VeinMap`."""
+
+    eye: Eye
+
+    def meet(self, origin: Vector, direction: Vector) -> tuple[Vector, Bool[Array, "*s"]]:
+        """As for any surface; whether the cornea hides it is the caller's to ask."""
+        distance, met = meet_sclera(self.eye, origin, direction)
+        return along(origin, distance, direction), met
+
+    def normal(self, point: Vector) -> Vector:
+        """As for any surface."""
+        return sphere(self.eye).normal(point)
+
+    def place(self, point: Vector) -> Place:
+        """Azimuth, and the way from the limbus to the equator."""
+        return vein_place(self.eye, point)
+
+    def behind(self, point: Vector) -> Bool[Array, "*s"]:
+        """Whether points lie behind the equator."""
+        globe = sphere(self.eye)
+        return point[..., 2] > globe.apex + jnp.asarray(globe.radius)

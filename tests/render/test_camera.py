@@ -1,0 +1,97 @@
+"""Lines of sight from 30 mm to the camera's limit, in both precisions."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from irisjax.anatomy.eye import Eye
+from irisjax.optics.conicoid import Conicoid
+from irisjax.render.camera import Camera, _iris, _mirror, _sclera, _sorted
+from irisjax.render.lights import Lights
+
+SIZE = (40, 30)
+DISTANCES = (30.0, 250.0, 1e3, 1e4, 3e4, 1e5)
+INDEX = np.arange(SIZE[0] * SIZE[1], dtype=np.int32)
+
+
+@pytest.fixture(scope="module")
+def seen():
+    """What every pixel sees and where, by precision, distance and polar angle."""
+
+    def of(x64):
+        with jax.enable_x64(x64):
+            found = {}
+            for distance in DISTANCES:
+                for polar in (0.0, 0.5, 1.05, 1.5):
+                    camera = Camera(polar, 0.3, distance, 26.0, SIZE)
+                    parts = (f(INDEX, Eye(), camera) for f in (_sorted, _iris, _sclera, _mirror))
+                    found[distance, polar] = jax.tree.map(np.asarray, tuple(parts))
+        return found
+
+    return {x64: of(x64) for x64 in (True, False)}
+
+
+@pytest.mark.parametrize("distance", DISTANCES)
+def test_single_precision_sees_what_double_does(seen, distance):
+    for polar in (0.0, 0.5, 1.05, 1.5):
+        (sees, *fine), (also, *coarse) = (seen[x64][distance, polar] for x64 in (True, False))
+        assert sees.any()
+        # A pixel whose line grazes an edge may fall to either side of it.
+        assert (sees != also).sum() <= 1, polar
+        for part, one, other in zip((1, 2, 4), fine, coarse, strict=True):
+            both = (sees & also & part) > 0
+            for a, b in zip(jax.tree.leaves(one), jax.tree.leaves(other), strict=True):
+                a, b = a[..., both], b[..., both]
+                assert np.isfinite(b).all()
+                # Grazing lines of sight alone are less sure: their share and place change fast.
+                close = np.abs(a - b) < 1e-4 * np.maximum(np.abs(a), 1)
+                assert close.mean() > 0.99, (polar, part)
+                np.testing.assert_allclose(b, a, atol=2e-2)
+
+
+def test_a_far_camera_is_an_orthographic_one(seen):
+    """At 100 m lines of sight are parallel: a pixel's place is where it aims."""
+    _, iris, _, mirror = seen[True][1e5, 0.0]
+    (w, h), pitch = SIZE, 26.0 / SIZE[0]
+    x = (INDEX % w + 0.5 - w / 2) * pitch
+    y = -(INDEX // w + 0.5 - h / 2) * pitch
+    inside = np.hypot(x, y) < 4
+    # Magnified by the cornea, without a twist.
+    twist = iris.point[1] * x - iris.point[0] * y
+    assert np.abs(twist[inside]).max() < 1e-3
+    radius = float(Eye().cornea.anterior.radius)
+    # The mirror's direction at the apex's neighbourhood: a normal of slope r/R.
+    near = np.hypot(x, y) < 1.5
+    np.testing.assert_allclose(mirror.mirror[0][near], 2 * x[near] / radius, atol=0.03)
+
+
+@pytest.mark.parametrize("polar", [0.0, 0.7, 1.5])
+def test_rays_from_far_meet_a_conicoid(polar, bits):
+    """The surface itself does not lose a ray that begins 10 m away."""
+    surface = Conicoid(7.8, 0.75)
+    x = jnp.linspace(-4.0, 4.0, 41)
+    back = jnp.asarray([np.sin(polar), 0.0, -np.cos(polar)], x.dtype)
+    side = jnp.asarray([np.cos(polar), 0.0, np.sin(polar)], x.dtype)
+    start = x[:, None] * side + jnp.asarray([0.0, 0.0, 2.0], x.dtype)
+    (near, met), (far, also) = (
+        surface.intersect(start + d * back, jnp.broadcast_to(-back, start.shape))
+        for d in (30.0, 1e4)
+    )
+    np.testing.assert_array_equal(also, met)
+    # The start itself is known to half a micrometre in single precision.
+    np.testing.assert_allclose((far - near)[met], 1e4 - 30, atol=5e-3 if bits == 32 else 1e-9)
+
+
+def test_far_lamps_in_single_precision():
+    """Directions and irradiances of lamps at places, from the nearest to 10 km."""
+
+    def around(x64):
+        with jax.enable_x64(x64):
+            place = np.array([0.3, -0.2, -0.933])[None] * np.array([22.0, 250.0, 1e4, 1e7])[:, None]
+            lights = Lights.points(place, 2.0)
+            point = tuple(jnp.asarray([0.0, 3.0, -5.0]) for _ in range(3))
+            towards, power = lights.around(point)
+            return np.stack([*map(np.asarray, towards), np.asarray(power)])
+
+    np.testing.assert_allclose(around(False), around(True), rtol=3e-6, atol=1e-6)
