@@ -4,6 +4,7 @@ from typing import Any
 
 import equinox as eqx
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 from irisjax._types import PRNGKey, Spectrum
@@ -61,11 +62,17 @@ class Goniophotometer(AbstractInstrument):
         if self.cornea != "none":
             raise ValueError(f"a BRDF is that of the bare iris: cornea = {self.cornea!r}")
         check_range("cos_exit", cos_exit, COSINE)
-        dtype = self.wavelengths.dtype
+        dtype, shapes = self.wavelengths.dtype, (np.shape(cos_exit), np.shape(azimuth))
+        if max(map(len, shapes)) > 1:
+            raise ValueError(f"exits must be a list of directions, got shapes {shapes}")
+        sizes = {shape[0] for shape in shapes if shape} - {1}
+        if len(sizes) > 1:
+            raise ValueError(
+                "cos_exit and azimuth must be one number or one for each exit, "
+                f"got shapes {shapes[0]} and {shapes[1]}"
+            )
         exits = (jnp.atleast_1d(jnp.asarray(x, dtype)) for x in (cos_exit, azimuth))
         self.cos_exit, self.azimuth = jnp.broadcast_arrays(*exits)
-        if self.cos_exit.ndim != 1:
-            raise ValueError(f"exits must be a list of directions, got shape {self.cos_exit.shape}")
 
     @property
     def exits(self):

@@ -6,6 +6,7 @@ carry and what an inner function closes over keep one such type, so it is given 
 
 import jax
 from jax import lax
+from jax.sharding import AxisType, PartitionSpec
 
 
 def vary_alike(tree, *others):
@@ -22,6 +23,21 @@ def vary_alike(tree, *others):
         return _widened(x, missing) if missing else x
 
     return jax.tree.map(widened, tree)
+
+
+def laid_out_as(like, ranks, function, *arguments):
+    """`function(*arguments)` where a mesh of explicit axes has the layouts inside left to the
+    compiler.
+
+    Look-ups, and reshapes of several axes at once, have no layout that follows from their inputs'.
+    What is returned has arrays of these `ranks` (a tree of numbers), their first axis laid out as
+    that of `like`. All traced arrays must be among `arguments`. Without such a mesh it is a call.
+    """
+    if AxisType.Explicit not in jax.sharding.get_abstract_mesh().axis_types:
+        return function(*arguments)
+    first = tuple(jax.typeof(like).sharding.spec)[:1]
+    specs = jax.tree.map(lambda rank: PartitionSpec(*first, *(None,) * (rank - 1)), ranks)
+    return jax.sharding.auto_axes(function, out_sharding=specs)(*arguments)
 
 
 def _axes(x) -> frozenset:

@@ -15,6 +15,7 @@ import numpy as np
 from jax.sharding import Mesh, PartitionSpec
 from jaxtyping import Array, Int
 
+from irisjax.numerics.sharding import laid_out_as
 from irisjax.numerics.streams import check_key, scales
 from irisjax.tissue.layers import Layers
 from irisjax.transport import ilit, lanes, radiative
@@ -117,7 +118,12 @@ class MonteCarlo(AbstractSolver):
         end = wanted if last is None else jnp.minimum(jnp.asarray(last, jnp.int32), wanted)
         mirrored = first_surface(cos_incidence, layers.indices, layers.extinction.dtype)[0]
         incidence = -1.0 if isinstance(cos_incidence, str) else cos_incidence
-        return _count(key, layers, mirrored, incidence, start, end, cells, scales(), process, self)
+        return laid_out_as(
+            layers.extinction,
+            Counts(2, None if cells is None else 2, 1),
+            lambda *x: _count(*x, process, self),
+            *(key, layers, mirrored, incidence, start, end, cells, scales()),
+        )
 
     def summarise(self, counts: Counts, layers: Layers, cos_exit=None) -> Solution:
         """Shares and standard errors from counts; a count of none still has an error (Laplace's

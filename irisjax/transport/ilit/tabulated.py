@@ -16,6 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from irisjax.numerics.sharding import laid_out_as
 from irisjax.tissue.indices import Order, RefractiveIndices
 from irisjax.tissue.iris import Iris
 from irisjax.tissue.layers import Layers
@@ -134,8 +135,12 @@ class IlitTabulated(AbstractSolver):
     ):
         """See `AbstractSolver.solve`; no `key` and no `rays` are used."""
         process = checked_process(self, process, Ilit)
-        from_above, from_below = self._abl_response(layers.abl_absorption)
-        stroma = self._stroma_response(layers.extinction, layers.albedo)
+        from_above, from_below, stroma = laid_out_as(
+            layers.extinction,
+            (LayerFates(1, 1, 1),) * 3,
+            IlitTabulated._responses,
+            *(self, layers.abl_absorption, layers.extinction, layers.albedo),
+        )
         solution = combine(
             layers,
             from_above,
@@ -153,6 +158,9 @@ class IlitTabulated(AbstractSolver):
             same = same & (jnp.abs(ours - theirs) <= 4 * jnp.finfo(theirs.dtype).eps * theirs)
         status = RESULTS.where(same, solution.status, RESULTS.outside_table)
         return eqx.tree_at(lambda s: s.status, solution, status)
+
+    def _responses(self, abl_depth, depth, albedo) -> tuple[LayerFates, LayerFates, LayerFates]:
+        return *self._abl_response(abl_depth), self._stroma_response(depth, albedo)
 
     def _abl_response(self, depth) -> tuple[LayerFates, LayerFates]:
         up, down, out, back = _curves(self.abl, *self._locate(depth))

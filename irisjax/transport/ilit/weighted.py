@@ -17,7 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
-from irisjax.numerics.sharding import vary_alike
+from irisjax.numerics.sharding import laid_out_as, vary_alike
 from irisjax.numerics.streams import check_key, fold_in_words, scales, uniform
 from irisjax.optics.fresnel import fresnel_at
 from irisjax.tissue.indices import RefractiveIndices
@@ -102,13 +102,18 @@ class IlitWeighted(AbstractSolver):
         depths = layers.abl_absorption, layers.stroma_absorption, layers.stroma_scattering
         n = layers.indices
         shared = n.aqueous, n.abl, n.stroma, n.ipe, entering
-        groups = by_wavelength(run, key, depths, shared)
-        mean = groups.mean(axis=1)
-        error = groups[0].std(axis=0, ddof=1) / math.sqrt(GROUPS)
+        groups = laid_out_as(
+            layers.extinction,
+            3,
+            lambda *x: jnp.moveaxis(by_wavelength(run, *x), -1, 0),
+            *(key, depths, shared),
+        )
+        mean = groups.mean(axis=2)
+        error = groups[:, 0].std(axis=1, ddof=1) / math.sqrt(GROUPS)
         return Solution(
-            reflectance=mean[0],
-            mirrored=mirrored * jnp.ones_like(mean[0]),
-            absorbed=Absorbed(abl=mean[1], stroma=mean[2], ipe=mean[3]),
+            reflectance=mean[:, 0],
+            mirrored=mirrored * jnp.ones_like(error),
+            absorbed=Absorbed(abl=mean[:, 1], stroma=mean[:, 2], ipe=mean[:, 3]),
             standard_error=error,
             total_error=error,
             brdf=None,

@@ -9,6 +9,7 @@ invariant: all mirror images are one geometric series. The cost is linear in ang
 """
 
 from collections.abc import Callable
+from functools import partial
 from typing import NamedTuple
 
 import equinox as eqx
@@ -19,6 +20,7 @@ from jax.core import Tracer
 
 from irisjax.numerics import linear
 from irisjax.numerics.quadrature import gauss_legendre
+from irisjax.numerics.sharding import laid_out_as
 from irisjax.tissue.layers import Layers
 from irisjax.transport.process import RadiativeTransfer, attenuation
 from irisjax.transport.radiative.directions import (
@@ -146,12 +148,14 @@ def _solve(
     if exits is not None and azimuth is None:
         azimuth = jnp.zeros_like(exits.cosine)
 
-    def one(abl, depth, albedo, coalbedo):
-        return _one_wavelength(
-            abl, depth, albedo, coalbedo, n, nodes, beams, power, exits, azimuth, n_depths, n_panels
-        )
-
-    flux = jax.vmap(one)(layers.abl_absorption, layers.extinction, layers.albedo, layers.coalbedo)
+    one = partial(_one_wavelength, n_depths=n_depths, n_panels=n_panels)
+    flux = laid_out_as(
+        layers.extinction,
+        Flux(1, 1, 1, 1, 1, None if exits is None else 2),
+        jax.vmap(one, in_axes=(0, 0, 0, 0, *(None,) * 6)),
+        *(layers.abl_absorption, layers.extinction, layers.albedo, layers.coalbedo),
+        *(n, nodes, beams, power, exits, azimuth),
+    )
     resolved = (_coarseness(layers, n_depths, n_panels) <= _RESOLVED).all()
     return Solution(
         reflectance=flux.reflectance,

@@ -1,0 +1,191 @@
+"""Derivatives that do not exist, and arrays where one number is meant: refused by name."""
+
+import jax
+import jax.numpy as jnp
+import jaxtyping
+import numpy as np
+import pytest
+
+import irisjax as ij
+
+GRID = ij.wavelengths(400, 700, 10)
+SHORT = (450.0, 550.0, 650.0)
+KEY = jax.random.key(0)
+MANY = np.linspace(0.5, 0.9, GRID.size)
+REFUSED = (ValueError, jaxtyping.TypeCheckError)  # a wrong rank fails the tests' own checks first
+
+DERIVATIVES = {
+    "grad": jax.grad,
+    "jit of grad": lambda f: jax.jit(jax.grad(f)),
+    "jvp": lambda f: lambda x: jax.jvp(f, (x,), (jnp.ones(()),)),
+    "vjp": lambda f: lambda x: jax.vjp(f, x),
+    "vmap of grad": lambda f: lambda x: jax.vmap(jax.grad(f))(x[None]),
+}
+
+
+@pytest.mark.parametrize("derivative", DERIVATIVES.values(), ids=DERIVATIVES)
+@pytest.mark.parametrize("what", ["pigment", "index", "incidence", "wavelength"])
+def test_analogue_monte_carlo_has_no_derivatives(what, derivative):
+    def value(x):
+        iris, cosine, grid = ij.Iris.of_level("low"), 1.0, SHORT
+        if what == "pigment":
+            iris = iris.replace(eumelanin=x)
+        elif what == "index":
+            iris = iris.replace(ipe_index=1 + x)
+        elif what == "incidence":
+            cosine = x
+        else:
+            grid = 500 + x[None]
+        solver = ij.MonteCarlo(100, lanes=16)
+        return ij.reflectance(iris, grid, cos_incidence=cosine, solver=solver, key=KEY).values.sum()
+
+    with pytest.raises(NotImplementedError, match="MonteCarlo has no derivatives"):
+        derivative(value)(jnp.asarray(0.5))
+
+
+def test_depth_resolved_monte_carlo_has_no_derivatives():
+    def value(x):
+        iris = ij.Iris.of_level("low").replace(eumelanin=x)
+        solver = ij.MonteCarlo(100, lanes=16)
+        m = ij.reflectance(iris, SHORT, process=ij.DEPTH_RESOLVED, solver=solver, key=KEY)
+        return m.values.sum()
+
+    with pytest.raises(NotImplementedError, match="MonteCarlo has no derivatives"):
+        jax.grad(value)(0.1)
+
+
+def test_monte_carlo_by_what_is_no_count():
+    iris, solver = ij.Iris.of_level("low"), ij.MonteCarlo(2_000, lanes=64)
+
+    def value(gain):
+        instrument = ij.Spectrophotometer(SHORT, gain=gain)
+        return ij.observe(iris, instrument, solver=solver, key=KEY).values.sum()
+
+    np.testing.assert_allclose(jax.grad(value)(2.0), value(1.0), rtol=1e-12)
+
+
+@pytest.mark.parametrize("field", ["eumelanin", "stroma_thickness", "fibril_radius", "lutein"])
+def test_an_iris_of_arrays_is_a_batch(field):
+    iris = ij.Iris().replace(**{field: MANY})
+    with pytest.raises(ValueError, match=rf"Iris\.{field} has shape \(31,\).*jax\.vmap"):
+        ij.reflectance(iris, GRID)
+    with pytest.raises(ValueError, match=rf"Iris\.{field} has shape \(31,\).*jax\.vmap"):
+        jax.jit(lambda i: ij.reflectance(i, GRID))(iris)
+
+
+@pytest.mark.parametrize("traced", [False, True])
+@pytest.mark.parametrize(
+    "instrument", [ij.Spectrophotometer, ij.Radiometer, ij.Colorimeter, "gonio"]
+)
+def test_one_cosine_a_call(instrument, traced):
+    if instrument == "gonio":
+
+        def instrument(w, **settings):
+            return ij.Goniophotometer(w, cos_exit=0.5, **settings)
+
+    def make(cosine):
+        return instrument(GRID, cos_incidence=cosine).wavelengths
+
+    with pytest.raises(ValueError, match=r"cos_incidence has shape \(31,\).*jax\.vmap"):
+        (jax.jit(make) if traced else make)(MANY)
+
+
+def test_one_gain_and_one_medium():
+    with pytest.raises(ValueError, match=r"gain has shape \(31,\)"):
+        ij.Spectrophotometer(GRID, gain=MANY)
+    with pytest.raises(REFUSED, match=r"aqueous"):
+        ij.reflectance(ij.Iris(), GRID, media=ij.Media(aqueous=1 + MANY))
+
+
+@pytest.mark.parametrize("traced", [False, True])
+@pytest.mark.parametrize(
+    "measure", [ij.reflectance, ij.radiance, ij.colour], ids=["reflectance", "radiance", "colour"]
+)
+def test_wavelengths_are_a_list(measure, traced):
+    def run(grid):
+        return measure(ij.Iris(), grid).status == ij.RESULTS.successful
+
+    with pytest.raises(ValueError, match=r"wavelengths must be a list.*got shape \(1, 31\)"):
+        (jax.jit(run) if traced else run)(GRID[None])
+    with pytest.raises(ValueError, match=r"wavelengths must be a list.*got shape \(\)"):
+        (jax.jit(run) if traced else run)(np.float64(500))
+
+
+@pytest.mark.parametrize("traced", [False, True])
+def test_exits_are_a_list_of_directions(traced):
+    def run(cosine, azimuth):
+        return ij.brdf(ij.Iris(), SHORT, cos_exit=cosine, azimuth=azimuth).values
+
+    run = jax.jit(run) if traced else run
+    with pytest.raises(REFUSED, match=r"exits must be a list of directions|\(2, 2\)"):
+        run(np.full((2, 2), 0.5), 0.0)
+    with pytest.raises(ValueError, match=r"cos_exit and azimuth .*\(2,\).*\(3,\)"):
+        run(np.full(2, 0.5), np.zeros(3))
+
+
+def test_a_colour_needs_its_whole_grid():
+    def value(w):
+        return ij.colour(ij.Iris(), w[None]).srgb
+
+    with pytest.raises(ValueError, match="a colour needs at least two wavelengths"):
+        jax.vmap(value)(jnp.asarray(GRID))
+
+
+@pytest.mark.parametrize("measure", [ij.radiance, ij.colour], ids=["radiance", "colour"])
+def test_traced_wavelengths_beyond_a_table_say_so(measure):
+    run = jax.jit(lambda w: measure(ij.Iris(), w, illuminant="FL2").status._value)
+    good, bad = jnp.asarray([400.0, 500.0]), jnp.asarray([370.0, 500.0])
+    assert int(run(good)) == int(ij.RESULTS.successful._value)
+    assert int(run(bad)) == int(ij.RESULTS.invalid_input._value)
+
+
+def test_colour_of_whole_numbers():
+    grid = np.arange(400, 701, 20)
+    white = np.ones(grid.size, int)
+    expected = ij.colour_of(grid.astype(float), white.astype(float))
+    assert float(expected.xyz[1]) == pytest.approx(1)
+    for values in (white, jnp.asarray(white), white.tolist()):
+        found = ij.colour_of(grid, values)
+        for a, b in zip(jax.tree.leaves(found), jax.tree.leaves(expected), strict=True):
+            np.testing.assert_array_equal(a, b)
+
+
+@pytest.mark.parametrize("measure", [ij.reflectance, ij.radiance, ij.colour])
+def test_wavelengths_in_whole_numbers(measure):
+    whole = np.arange(400, 701, 20)
+    expected = measure(ij.Iris(), whole.astype(float))
+    for grid in (whole, whole.tolist(), jnp.asarray(whole)):
+        found = measure(ij.Iris(), grid)
+        for a, b in zip(jax.tree.leaves(found), jax.tree.leaves(expected), strict=True):
+            np.testing.assert_array_equal(a, b)
+    traced = jax.jit(lambda w: measure(ij.Iris(), w))(jnp.asarray(whole))
+    for a, b in zip(jax.tree.leaves(traced), jax.tree.leaves(expected), strict=True):
+        np.testing.assert_allclose(a, b, rtol=1e-9, atol=1e-9)
+
+
+def test_one_program_for_every_kind_of_number():
+    seen = []
+
+    class Counting(ij.IlitExact):
+        def solve(self, *args, **settings):
+            seen.append(1)
+            return super().solve(*args, **settings)
+
+    solver = Counting(12)
+    values = [
+        ij.reflectance(ij.Iris(), SHORT, cos_incidence=c, solver=solver).values
+        for c in (1, 1.0, np.float32(1), np.float64(1), np.ones(()), jnp.ones(()))
+    ]
+    assert len(seen) == 1
+    for v in values:
+        np.testing.assert_array_equal(v, values[0])
+
+
+@pytest.mark.parametrize("measure", [ij.reflectance, ij.radiance, ij.colour])
+def test_failures_are_told_one_way(measure):
+    iris = ij.Iris().replace(eumelanin=1e3, scattering_scale=1e6)
+    settings = {"process": ij.DEPTH_RESOLVED, "solver": ij.RadiativeExact(8, 4, n_panels=1)}
+    with pytest.raises(ValueError, match="too thick for the number of depth panels"):
+        measure(iris, SHORT, **settings)
+    told = measure(iris, SHORT, **settings, throw=False)
+    assert told.status == ij.RESULTS.under_resolved

@@ -1,0 +1,281 @@
+"""Public calls within other programs: loops, batches, derivatives, exports, meshes of devices."""
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import jax
+import jax.export
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import irisjax as ij
+
+GRID = (430.0, 500.0, 570.0, 640.0)
+KEY = jax.random.key(0)
+LOW = ij.Iris.of_level("low")
+
+
+def spectrum(iris, grid=GRID, **settings):
+    return ij.reflectance(iris, grid, **settings).values
+
+
+def test_an_iris_as_the_carry_of_a_scan():
+    def step(iris, factor):
+        iris = iris.replace(eumelanin=iris.eumelanin * factor, stroma_thickness=0.3)
+        return iris, spectrum(iris, solver=ij.IlitExact(12))
+
+    def run(iris, factors):
+        return jax.lax.scan(step, iris, factors)
+
+    factors = jnp.asarray([1.0, 1.1, 1.2])
+    last, found = run(LOW, factors)
+    assert last.order == LOW.order
+    expected = [spectrum(LOW.replace(eumelanin=0.1201 * c, stroma_thickness=0.3)) for c in (1, 1.1)]
+    np.testing.assert_allclose(found[:2], expected, rtol=1e-4)  # twelve angles
+    jitted, values = jax.jit(run)(LOW, factors)
+    assert jitted.order == LOW.order
+    np.testing.assert_allclose(values, found, rtol=1e-12)
+    batch = jax.tree.map(lambda x: jnp.stack([x, x]), LOW)
+    both, values = jax.vmap(run, in_axes=(0, None))(batch, factors)
+    assert both.order == LOW.order
+    np.testing.assert_allclose(values[1], found, rtol=1e-12)
+    loads = jax.lax.scan(lambda i, x: (i.replace(melanin_load=x), i.melanin_load), LOW, factors)[1]
+    np.testing.assert_allclose(loads[1:], factors[:2], rtol=1e-12)
+
+
+def test_one_wavelength_at_a_time():
+    grid = jnp.asarray(GRID)
+    for measure in (ij.reflectance, ij.radiance):
+        one = jax.vmap(lambda w, measure=measure: measure(LOW, w[None]).values[0])
+        np.testing.assert_allclose(one(grid), measure(LOW, GRID).values, rtol=1e-12)
+    traced = jax.jit(lambda w: ij.colour(LOW, w))(grid)
+    known = ij.colour(LOW, GRID)
+    for a, b in zip(jax.tree.leaves(traced), jax.tree.leaves(known), strict=True):
+        np.testing.assert_allclose(a, b, rtol=1e-9)
+    shifted = jax.vmap(lambda d: ij.colour(LOW, grid + d).lab)(jnp.asarray([0.0, 5.0]))
+    np.testing.assert_allclose(shifted[0], known.lab, rtol=1e-9)
+    np.testing.assert_allclose(
+        shifted[1], ij.colour(LOW, np.asarray(GRID) + 5).lab, rtol=1e-9, atol=1e-9
+    )
+
+
+def test_exported_programs_give_the_same_numbers():
+    run = jax.jit(lambda iris: ij.reflectance(iris, GRID).values)
+    kept = jax.export.export(jax.jit(lambda *x: run(jax.tree.unflatten(structure, x))))
+    leaves, structure = jax.tree.flatten(LOW)
+    again = jax.export.deserialize(kept(*leaves).serialize())
+    np.testing.assert_allclose(again.call(*leaves), run(LOW), rtol=1e-13)
+    traced = jax.jit(lambda w: ij.radiance(LOW, w).values)
+    again = jax.export.deserialize(jax.export.export(traced)(jnp.asarray(GRID)).serialize())
+    np.testing.assert_allclose(again.call(jnp.asarray(GRID)), traced(jnp.asarray(GRID)), rtol=1e-13)
+
+
+def test_checkpoint_and_donation():
+    def loss(iris):
+        return spectrum(iris, solver=ij.IlitExact(12)).sum()
+
+    plain, kept = jax.grad(loss)(LOW), jax.grad(jax.checkpoint(loss))(LOW)
+    for a, b in zip(jax.tree.leaves(plain), jax.tree.leaves(kept), strict=True):
+        np.testing.assert_allclose(a, b, rtol=1e-10, atol=1e-14)
+    given = jax.tree.map(jnp.array, LOW)
+    brighter = jax.jit(lambda i: i.replace(eumelanin=i.eumelanin / 2), donate_argnums=0)(given)
+    assert brighter.eumelanin == LOW.eumelanin / 2
+    assert brighter.order == LOW.order
+
+
+def values():
+    iris = ij.Iris.of_level("low")
+    return {
+        "iris": iris,
+        "indices": iris.indices(),
+        "layers": iris.layers(ij.extinction(np.asarray(GRID))),
+        "extinction": ij.extinction(np.asarray(GRID)),
+        "media": ij.Media(),
+        "spectrophotometer": ij.Spectrophotometer(GRID),
+        "radiometer": ij.Radiometer(GRID),
+        "colorimeter": ij.Colorimeter(GRID),
+        "goniophotometer": ij.Goniophotometer(GRID, cos_exit=[0.3, 0.6]),
+        "measurement": ij.reflectance(iris, GRID),
+        "colour": ij.colour(iris, GRID),
+        "brdf": ij.brdf(iris, GRID, cos_exit=[0.3, 0.6]),
+        "solver": ij.IlitExact(),
+        "radiative": ij.RadiativeExact(),
+        "weighted": ij.IlitWeighted(64),
+        "monte carlo": ij.MonteCarlo(64),
+        "process": ij.ILIT_2006,
+        "radiative transfer": ij.DEPTH_RESOLVED,
+        "eye": ij.Eye(),
+    }
+
+
+def test_public_values_are_pytrees():
+    for name, value in values().items():
+        leaves, structure = jax.tree.flatten(value)
+        again = jax.tree.unflatten(structure, leaves)
+        assert type(again) is type(value), name
+        assert jax.tree.structure(again) == structure, name
+        assert hash(structure) == hash(jax.tree.structure(again)), name
+        through = jax.jit(lambda x: x)(value)
+        assert jax.tree.structure(through) == structure, name
+        for a, b in zip(jax.tree.leaves(through), leaves, strict=True):
+            assert (a.dtype, a.shape) == (jnp.asarray(b).dtype, np.shape(b)), name
+            np.testing.assert_array_equal(a, b, err_msg=name)
+
+
+def test_traced_or_known_radiative_transfer_is_the_same():
+    def run(iris, solver):
+        m = ij.reflectance(iris, GRID, process=ij.DEPTH_RESOLVED, solver=solver, throw=False)
+        return m.values, m.status == ij.RESULTS.under_resolved
+
+    solver = ij.RadiativeExact(12, 6, n_panels=1)
+    for scale, refused in ((1.0, False), (100.0, True)):
+        iris = LOW.replace(scattering_scale=scale)
+        known = run(iris, solver)
+        traced = jax.jit(run, static_argnums=1)(iris, solver)
+        np.testing.assert_allclose(traced[0], known[0], rtol=1e-12)
+        assert bool(known[1]) == bool(traced[1]) == refused
+    thick = LOW.replace(scattering_scale=100.0)
+    # Where panels are not given, a known iris takes what it needs; a traced one says so.
+    assert not run(thick, ij.RadiativeExact(12, 6))[1]
+    assert jax.jit(run, static_argnums=1)(thick, ij.RadiativeExact(12, 6))[1]
+
+
+def test_traced_or_known_ilit_is_the_same():
+    known = spectrum(LOW)
+    np.testing.assert_allclose(jax.jit(spectrum)(LOW), known, rtol=1e-12)
+    indices = jax.jit(lambda n: spectrum(LOW.replace(ipe_index=n)))(LOW.ipe_index)
+    np.testing.assert_allclose(indices, known, rtol=1e-9)
+
+
+BASES = {
+    "no blood": {"oxyhemoglobin": 0.0, "deoxyhemoglobin": 0.0},
+    "no melanin": {"eumelanin": 0.0, "pheomelanin": 0.0},
+    "neither": {"oxyhemoglobin": 0.0, "deoxyhemoglobin": 0.0, "eumelanin": 0.0, "pheomelanin": 0.0},
+}
+
+
+@pytest.mark.parametrize("name", BASES)
+def test_a_base_that_lacks_a_pigment(name):
+    grid = ij.wavelengths(420, 680, 20)
+    data = ij.spectrum(grid, np.asarray(ij.reflectance(LOW, grid).values), sd=np.full(14, 1e-3))
+    solver = ij.IlitTabulated.build(tolerance=1e-3, n_intervals=32, n_albedos=5)
+    stated = ij.problem(data, base=ij.Iris().replace(**BASES[name]), solver=solver)
+    z = jnp.zeros(len(stated.free))
+    value, slope = jax.jit(lambda p, z: jax.value_and_grad(type(p).log_posterior, 1)(p, z))(
+        stated, z
+    )
+    assert np.isfinite(value)
+    assert np.isfinite(slope).all()
+    for x in stated.natural(z):
+        assert np.isfinite(x)
+
+
+# Derivatives of the weighted estimator -------------------------------------------------------
+
+
+def _moved(solver, process, x, key):
+    """Shares of light as functions of all that ILIT depends on: depths, indices and incidence."""
+    depths, indices, cosine = x
+    layers = ij.Layers(*depths, ij.RefractiveIndices(*indices), type(LOW.order)())
+    s = solver.solve(layers, process, cosine, key=key)
+    return jnp.stack([s.reflectance, s.absorbed.abl, s.absorbed.stroma, s.absorbed.ipe])
+
+
+@pytest.mark.parametrize("quasi", [False, True])
+@pytest.mark.parametrize(
+    "process", [ij.ILIT_2006, ij.Ilit("rayleigh", "retest")], ids=["printed", "retest"]
+)
+def test_weighted_derivatives_are_unbiased(process, quasi):
+    made = LOW.layers(ij.extinction(np.asarray(GRID)))
+    depths = (made.abl_absorption, made.stroma_absorption, made.stroma_scattering)
+    x = depths, tuple(jax.tree.leaves(made.indices)), jnp.asarray(0.7)
+    flat = jax.tree.leaves(x)
+    directions = [
+        jax.tree.unflatten(
+            jax.tree.structure(x), [jnp.full_like(v, i == k) for i, v in enumerate(flat)]
+        )
+        for k in range(len(flat))
+    ]
+    directions = jax.tree.map(lambda *d: jnp.stack(d), *directions)
+
+    def slopes(solver, key):
+        def along(d):
+            return jax.jvp(lambda x: _moved(solver, process, x, key), (x,), (d,))[1]
+
+        return jax.vmap(along)(directions)
+
+    exact = jax.jit(lambda: slopes(ij.IlitExact(), KEY))()
+    solver = ij.IlitWeighted(2048, quasi=quasi)
+    run = jax.jit(lambda key: slopes(solver, key))
+    runs = np.stack([run(k) for k in jax.random.split(jax.random.key(3), 24)])
+    error = runs.std(0, ddof=1) / np.sqrt(len(runs))
+    # Depths and incidence; 8 directions, 4 shares, 4 wavelengths each: |z| < 4.5 by Student's law.
+    z = (runs.mean(0) - exact) / np.where(error > 0, error, 1e-6)
+    assert np.abs(z).max() < 4.5
+    assert (error[:3].max((1, 2)) < 0.02 * np.abs(exact[:3]).max((1, 2))).all()
+
+
+@pytest.mark.parametrize("quasi", [False, True])
+def test_weighted_reverse_mode_is_forward_mode(quasi):
+    solver = ij.IlitWeighted(256, quasi=quasi)
+    names = ("eumelanin", "stroma_thickness", "fibril_radius", "ipe_index", "abl_fraction")
+
+    def value(x):
+        iris = LOW.replace(**dict(zip(names, x, strict=True)))
+        m = ij.reflectance(iris, GRID, solver=solver, key=KEY)
+        return m.values @ jnp.arange(1.0, 5.0)
+
+    x = tuple(getattr(LOW, name) for name in names)
+    reverse = jax.jit(jax.grad(value))(x)
+    forward = jax.jit(jax.jacfwd(value))(x)
+    np.testing.assert_allclose(reverse, forward, rtol=1e-6)
+    each = jax.vmap(jax.grad(value))(jax.tree.map(lambda v: jnp.stack([v, v]), x))
+    np.testing.assert_allclose(np.asarray(each)[:, 1], reverse, rtol=1e-5)
+
+
+# Devices --------------------------------------------------------------------------------------
+
+_ON_FOUR = Path(__file__).parent / "on_four_devices.py"
+
+
+@pytest.fixture(scope="module")
+def on_four_devices():
+    """What `on_four_devices.py` found, by name: largest differences, and errors as text."""
+    flags = "--xla_force_host_platform_device_count=4 --xla_backend_optimization_level=0"
+    environment = {**os.environ, "XLA_FLAGS": flags, "JAX_PLATFORMS": "cpu", "JAX_ENABLE_X64": "1"}
+    done = subprocess.run(
+        [sys.executable, str(_ON_FOUR)],
+        env=environment,
+        cwd=Path(ij.__file__).parent.parent,
+        capture_output=True,
+        text=True,
+        timeout=550,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    return json.loads(done.stdout.splitlines()[-1])
+
+
+@pytest.mark.parametrize(
+    "how", ["shard_map over irides", "shard_map over wavelengths", "explicit mesh of irides"]
+)
+@pytest.mark.parametrize(
+    "solver", ["exact", "rayleigh", "retest", "tabulated", "radiative", "monte carlo", "weighted"]
+)
+def test_solvers_on_a_mesh(on_four_devices, solver, how):
+    difference = on_four_devices[f"{solver}: {how}"]
+    # The weighted estimator draws with the wavelengths it is given: its own shard's.
+    limit = 0.0 if solver == "monte carlo" else 1e-6 if solver == "weighted" else 1e-13
+    assert isinstance(difference, float), difference
+    assert difference <= limit
+
+
+@pytest.mark.parametrize("what", ["derivatives", "photons", "photons in a caller's sharding"])
+def test_derivatives_and_photons_on_a_mesh(on_four_devices, what):
+    difference = on_four_devices[what]
+    assert isinstance(difference, float), difference
+    assert difference <= (1e-12 if what == "derivatives" else 0.0)
