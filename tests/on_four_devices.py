@@ -40,9 +40,7 @@ def values(process, solver, eumelanin, grid=GRID):
 
 
 def over_shards(f, x):
-    return jax.jit(
-        jax.shard_map(f, mesh=AUTO, in_specs=SPLIT, out_specs=SPLIT, check_vma=True)
-    )(x)
+    return jax.jit(jax.shard_map(f, mesh=AUTO, in_specs=SPLIT, out_specs=SPLIT, check_vma=True))(x)
 
 
 def difference(found, expected):
