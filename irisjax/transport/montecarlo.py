@@ -100,7 +100,9 @@ class MonteCarlo(AbstractSolver):
         `first` and `last` may be traced. Returns `Counts`.
         """
         check_key(key)
-        layers, cos_incidence, cos_exit = _constant((layers, cos_incidence, cos_exit))
+        layers, cos_exit = _constant((layers, cos_exit))
+        if not isinstance(cos_incidence, str):
+            cos_incidence = _constant(cos_incidence)
         if cos_exit is not None and not isinstance(process, Ilit):
             raise ValueError(
                 "the BRDF of radiative transfer by Monte Carlo is not offered; use RadiativeExact"
@@ -137,8 +139,8 @@ class MonteCarlo(AbstractSolver):
         if counts.exits is not None:
             cells = _cells(cos_exit).astype(dtype)
             scale = jnp.pi * (cells[:, 1] ** 2 - cells[:, 0] ** 2)
-            brdf = counts.exits / n[:, None] / scale
-            brdf_error = _binomial_error(counts.exits.astype(dtype), n[:, None]) / scale
+            brdf = counts.exits.astype(dtype) / n[:, None] / scale[None]
+            brdf_error = _binomial_error(counts.exits.astype(dtype), n[:, None]) / scale[None]
         return Solution(
             reflectance=share[:, 1],
             mirrored=share[:, 0],

@@ -189,3 +189,14 @@ def test_failures_are_told_one_way(measure):
         measure(iris, SHORT, **settings)
     told = measure(iris, SHORT, **settings, throw=False)
     assert told.status == ij.RESULTS.under_resolved
+
+
+def test_diffuse_light_by_monte_carlo():
+    settings = {"cos_incidence": "diffuse", "solver": ij.MonteCarlo(2_000, lanes=64), "key": KEY}
+    for process in (ij.ILIT_2006, ij.DEPTH_RESOLVED):
+        found = ij.reflectance(ij.Iris.of_level("low"), SHORT, process=process, **settings)
+        exact = ij.reflectance(
+            ij.Iris.of_level("low"), SHORT, process=process, cos_incidence="diffuse"
+        )
+        z = (found.values - exact.values) / found.standard_error
+        assert np.abs(z).max() < 4
