@@ -12,7 +12,7 @@ import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Bool, Float
 
-from irisjax._types import Spectrum
+from irisjax._types import Spectrum, as_float
 from irisjax.measure.measurement import check_wavelengths
 from irisjax.numerics.interpolation import piecewise_linear
 from irisjax.transport.solution import RESULTS
@@ -72,7 +72,7 @@ class Observer(eqx.Module):
                 "which jax.vmap over wavelengths would take apart"
             )
         if isinstance(wavelengths, Tracer):
-            x = wavelengths.astype(jnp.result_type(float, wavelengths))
+            x = as_float(wavelengths)
             weights, white, adaptation = _weighting(x, illuminant, observer, jnp)
             to_srgb = jnp.asarray(_XYZ_TO_SRGB, x.dtype) @ adaptation
             return cls(weights, white, to_srgb, illuminant, observer)
@@ -157,7 +157,7 @@ def illuminant_power(illuminant: str, wavelengths) -> Any:
     grid, values = np.asarray(sd.wavelengths), np.asarray(sd.values)
     values = values / np.interp(560.0, grid, values)
     if isinstance(wavelengths, Tracer):
-        x = wavelengths.astype(jnp.result_type(float, wavelengths))
+        x = as_float(wavelengths)
         return piecewise_linear(x, grid, values, outside=jnp.nan)
     x = np.asarray(wavelengths, np.float64)
     if (x < grid[0]).any() or (x > grid[-1]).any():

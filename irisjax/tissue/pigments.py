@@ -14,7 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
 
-from irisjax._types import Spectrum
+from irisjax._types import Spectrum, as_float
 from irisjax.numerics.interpolation import piecewise_linear
 
 _PER_CM = 0.1  # 1 cm⁻¹ in mm⁻¹
@@ -66,7 +66,7 @@ def extinction(wavelengths) -> Extinction:
     `RESULTS.invalid_input`.
     """
     if isinstance(wavelengths, Tracer):
-        x = wavelengths.astype(jnp.result_type(float, wavelengths))
+        x = as_float(wavelengths)
         at = partial(piecewise_linear, x, outside=jnp.nan)
         return Extinction(wavelengths=x, **_interpolate(at))
     grid = np.asarray(wavelengths, np.float64)
