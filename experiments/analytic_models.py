@@ -84,7 +84,7 @@ def main(key, quick=False, out=RESULTS):
                 float(grid[worst]),
             )
             values = [float(found.values[n]) for n in FREE]
-            summary.append((model, target, level, str(bool(found.ok)), *numbers, *values))
+            summary.append((model, target, level, str(bool(found.converged)), *numbers, *values))
     header = (
         "simulated spectra, closed formulas fitted by least squares on 1 % relative noise; no "
         "priors",

@@ -7,7 +7,6 @@ three levels. Times are medians of warm calls after `block_until_ready`; compile
 differ.
 """
 
-import importlib.util
 import json
 import os
 import platform
@@ -23,10 +22,10 @@ import jax.numpy as jnp
 import numpy as np
 
 import irisjax as ij
+from experiments import bench_peers
+from experiments.bench_job import GRID, LEVELS, errors, matched, median_us, values
 from experiments.common import RESULTS, start, write
 
-GRID = ij.wavelengths(400, 720, 4)
-LEVELS = ("low", "moderate", "high")
 COLUMNS = (
     "job",
     "solver",
@@ -48,7 +47,7 @@ def main(key, quick=False, out=RESULTS):
     print(f"{len(rows)} solver rows", flush=True)
     if not quick:
         rows += _other_precision()
-    rows += _depth_resolved(quick) + _peers(quick)
+    rows += _depth_resolved(quick) + bench_peers.rows(quick)
     header = (
         f"simulated irides; {len(GRID)} wavelengths; {device}; jax {jax.__version__}; irisjax "
         f"{ij.__version__}",
@@ -109,7 +108,7 @@ def _solvers(key, quick):
 def _reference(process, n_angles):
     with jax.enable_x64(True):
         return np.stack(
-            [_values(ij.Iris.of_level(v), ij.IlitExact(n_angles), process) for v in LEVELS]
+            [values(ij.Iris.of_level(v), ij.IlitExact(n_angles), process) for v in LEVELS]
         )
 
 
@@ -117,22 +116,8 @@ def _sampler(estimator, n):
     return ij.MonteCarlo(n) if estimator == "analog" else ij.IlitWeighted(n, estimator == "quasi")
 
 
-def _values(iris, solver, process, **options):
-    return np.asarray(
-        ij.reflectance(
-            iris,
-            GRID,
-            solver=solver,
-            process=process,
-            first_surface=False,
-            throw=False,
-            **options,
-        ).values
-    )
-
-
-def _deterministic(solver, process, reference, quick, irides=None):
-    found = np.stack([_values(ij.Iris.of_level(v), solver, process) for v in LEVELS])
+def _deterministic(solver, process, reference, quick):
+    found = np.stack([values(ij.Iris.of_level(v), solver, process) for v in LEVELS])
     iris = ij.Iris.of_level("moderate")
 
     def spectrum(x):
@@ -141,11 +126,7 @@ def _deterministic(solver, process, reference, quick, irides=None):
         ).values
 
     size = 64 if quick else 1024
-    batch = (
-        jax.vmap(lambda c: iris.replace(eumelanin=c))(jnp.geomspace(0.01, 2.0, size))
-        if irides is None
-        else irides
-    )
+    batch = jax.vmap(lambda c: iris.replace(eumelanin=c))(jnp.geomspace(0.01, 2.0, size))
     jitted = jax.jit(spectrum)
     begin = time.perf_counter()
     jax.block_until_ready(jitted(iris))
@@ -155,7 +136,7 @@ def _deterministic(solver, process, reference, quick, irides=None):
         median_us(lambda: spectrum(iris)),
         median_us(partial(jitted, iris)),
         median_us(partial(many, batch), 5) / size,
-        *_errors(found, reference),
+        *errors(found, reference),
         compile_s,
     )
 
@@ -164,7 +145,7 @@ def _sampled(solver, key, reference):
     keys = jax.random.split(key, len(LEVELS))
     found = np.stack(
         [
-            _values(ij.Iris.of_level(v), solver, ij.ILIT_2006, key=k)
+            values(ij.Iris.of_level(v), solver, ij.ILIT_2006, key=k)
             for v, k in zip(LEVELS, keys, strict=True)
         ]
     )
@@ -174,24 +155,7 @@ def _sampled(solver, key, reference):
         return ij.reflectance(iris, GRID, solver=solver, first_surface=False, key=key).values
 
     single = median_us(spectrum, 5)
-    return (single, float("nan"), float("nan"), *_errors(found, reference), float("nan"))
-
-
-def _errors(found, reference):
-    error = np.abs(found / reference - 1)
-    return float(error.max()), float(np.sqrt((error**2).mean()))
-
-
-def median_us(call, repeats=40):
-    """Median time of a warm call, microseconds."""
-    for _ in range(2):
-        jax.block_until_ready(call())
-    times = []
-    for _ in range(repeats):
-        begin = time.perf_counter()
-        jax.block_until_ready(call())
-        times.append(time.perf_counter() - begin)
-    return statistics.median(times) * 1e6
+    return (single, float("nan"), float("nan"), *errors(found, reference), float("nan"))
 
 
 def _other_precision():
@@ -207,17 +171,18 @@ def _other_precision():
 def _depth_resolved(quick):
     """Radiative transfer with Fresnel interfaces, and index-matched as the peers treat it."""
     rows = []
-    for job, matched in (("depth-resolved", False), ("depth-resolved, index-matched", True)):
-        irides = {
-            v: _matched(ij.Iris.of_level(v)) if matched else ij.Iris.of_level(v) for v in LEVELS
-        }
+    full = {v: ij.Iris.of_level(v) for v in LEVELS}
+    for job, irides in (
+        ("depth-resolved", full),
+        ("depth-resolved, index-matched", {v: matched(iris) for v, iris in full.items()}),
+    ):
         process = ij.DEPTH_RESOLVED
         reference = np.stack(
-            [_values(i, ij.RadiativeExact(96, 12, 5), process) for i in irides.values()]
+            [values(i, ij.RadiativeExact(96, 12, 5), process) for i in irides.values()]
         )
         for n, depths in ((12, 6),) if quick else ((8, 4), (12, 6), (10, 8), (16, 8), (24, 8)):
             solver = ij.RadiativeExact(n, depths, 1)
-            found = np.stack([_values(i, solver, process) for i in irides.values()])
+            found = np.stack([values(i, solver, process) for i in irides.values()])
             iris = irides["moderate"]
 
             def spectrum(x, solver=solver, process=process):
@@ -251,113 +216,11 @@ def _depth_resolved(quick):
                     f"{n}x{depths}",
                     "float64",
                     *times,
-                    *_errors(found, reference),
+                    *errors(found, reference),
                     compile_s,
                 )
             )
     return rows
-
-
-def _matched(iris):
-    return iris.replace(abl_index=1.336, stroma_index=1.336, ipe_index=1.336)
-
-
-def _peers(quick):
-    """nanodisort (C; no Fresnel) on the index-matched irides; iadpython on one slab (isotropic, as
-    it must).
-    """
-    rows = []
-    if importlib.util.find_spec("nanodisort"):
-        reference = np.stack(
-            [
-                _values(
-                    _matched(ij.Iris.of_level(v)), ij.RadiativeExact(96, 12, 5), ij.DEPTH_RESOLVED
-                )
-                for v in LEVELS
-            ]
-        )
-        for streams in (16,) if quick else (8, 16, 32):
-            for threads in (1, 2):
-                many = [_nanodisort(v, streams, threads) for v in LEVELS]
-                found = np.stack([solve() for solve in many])
-                # Its pool works on a batch of wavelengths: one iris is already one.
-                us = median_us(many[1], 20)
-                rows.append(
-                    (
-                        "depth-resolved, index-matched",
-                        f"nanodisort, {threads} threads",
-                        streams,
-                        "float64",
-                        us,
-                        float("nan"),
-                        us,
-                        *_errors(found, reference),
-                        float("nan"),
-                    )
-                )
-    if importlib.util.find_spec("iadpython"):
-        import iadpython
-
-        for points in (8,) if quick else (8, 16, 32):
-            sample = iadpython.Sample(a=0.8, b=0.18, g=0, n=1.0, quad_pts=points)
-            # Index-matched, isotropic, normal incidence: a Monte Carlo of 2·10⁹ photons confirms
-            # this value.
-            error = float(abs(sample.rt()[0] / 0.062305650 - 1))
-            us = median_us(lambda s=sample: s.rt(), 5) * len(GRID)
-            rows.append(
-                (
-                    "one slab, isotropic, index-matched",
-                    "iadpython",
-                    points,
-                    "float64",
-                    us,
-                    float("nan"),
-                    us,
-                    error,
-                    error,
-                    float("nan"),
-                )
-            )
-    return rows
-
-
-def _nanodisort(level, streams, threads):
-    import nanodisort
-    from nanodisort.utils import phase_functions
-
-    layers = _matched(ij.Iris.of_level(level)).layers(ij.extinction(GRID))
-    n = GRID.size
-    solver = nanodisort.BatchSolver(nthreads=threads)
-    for name, value in {
-        "nstr": streams,
-        "nlyr": 2,
-        "nmom": streams,
-        "ntau": 1,
-        "usrtau": True,
-        "usrang": False,
-        "lamber": True,
-        "onlyfl": True,
-        "quiet": True,
-        "umu0": 1.0,
-        "phi0": 0.0,
-    }.items():
-        setattr(solver, name, value)
-    solver.set_utau(np.array([0.0]))
-    solver.allocate(n)
-    solver.set_dtauc(
-        np.stack([np.asarray(layers.abl_absorption), np.asarray(layers.extinction)], 1)
-    )
-    solver.set_ssalb(np.stack([np.zeros(n), np.asarray(layers.albedo)], 1))
-    moments = np.asarray(phase_functions.rayleigh(streams))[:, None, None]
-    solver.set_pmom(np.ascontiguousarray(np.broadcast_to(moments, (streams + 1, 2, n))))
-    solver.set_fbeam(np.ones(n))
-    solver.set_albedo(np.zeros(n))
-
-    def solve():
-        solver.solve()
-        return np.asarray(solver.flup)[:, 0]
-
-    return solve
 
 
 def _scaling(key, quick):

@@ -15,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 
 import irisjax as ij
-from experiments.bench_accuracy_time import median_us
+from experiments.bench_job import median_us
 from experiments.common import RESULTS, start, write
 from irisjax.infer.fit import fit
 from irisjax.infer.moves import IndependentMove, Straightening, mixture

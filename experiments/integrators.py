@@ -12,12 +12,13 @@ import numpy as np
 import irisjax as ij
 from experiments.common import RESULTS, start, write
 from irisjax.anatomy.eye import Eye
+from irisjax.anatomy.media import AQUEOUS
 from irisjax.measure.colour import OBSERVER, tristimulus_matrix
 from irisjax.render.bands import Bands
 from irisjax.render.separable import texel_layers
 from irisjax.render.single_scattering import Ground, Local, Rays, SingleScattering
 from irisjax.tissue.maps import Scales
-from irisjax.transport.solution import throw
+from irisjax.transport.solution import raise_failure
 
 GRID = 380 + 20.0 * np.arange(21)
 SHOWN = (460.0, 540.0, 620.0)
@@ -39,10 +40,10 @@ def main(key, quick=False, out=RESULTS):
     for level in ("low", "moderate", "high"):
         iris = ij.Iris.of_level(level)
         for degrees in (0, 60):
-            models, result = _models(
+            models, status = _models(
                 iris, jnp.asarray(thickness), jnp.cos(jnp.radians(float(degrees))), exits
             )
-            throw(result)
+            raise_failure(status)
             models = [np.asarray(m) for m in models]
             for t, mm in enumerate(thickness):
                 for e, cosine in enumerate(exits):
@@ -98,7 +99,7 @@ def main(key, quick=False, out=RESULTS):
 
 
 def _layers(iris, table, scale):
-    return texel_layers(iris, table, Scales(stroma=scale), ij.ILIT_2006)
+    return texel_layers(iris, AQUEOUS, table, Scales(stroma=scale))
 
 
 @jax.jit
@@ -118,7 +119,7 @@ def _models(iris, thickness, mu, exits):
         return jax.lax.map(one, scales)
 
     bands = Bands(tuple(GRID.tolist()), jnp.eye(GRID.size), tuple(map(str, GRID)))
-    response = SingleScattering().response(iris, bands, Scales())
+    response = SingleScattering().response(iris, AQUEOUS, bands, Scales())
     towards = jnp.stack([jnp.sqrt(1 - mu**2), jnp.zeros(()), mu])
     n = exits.size
     sight = -jnp.stack(
@@ -134,8 +135,8 @@ def _models(iris, thickness, mu, exits):
         return response.shade(rays, ground) / mu
 
     ilit, _ = solved(ij.ILIT_2006, ij.IlitExact(24))
-    deep, result = solved(ij.DEPTH_RESOLVED, ij.RadiativeExact(24, n_panels=2))
-    return (ilit, deep, jax.lax.map(marched, scales)), result
+    deep, status = solved(ij.DEPTH_RESOLVED, ij.RadiativeExact(24, n_panels=2))
+    return (ilit, deep, jax.lax.map(marched, scales)), status
 
 
 def _monte_carlo(layers, i, photons, rng):

@@ -43,8 +43,8 @@ def main(key, quick=False, out=RESULTS):
         out / "fig5_radiance.csv",
         (
             *HEADER,
-            "radiance under D65, relative to the illuminant at 560 nm, per sr, "
-            "dimmed by the cornea inward;",
+            "radiance under D65, relative to the illuminant at 560 nm, per sr, light dimmed by the "
+            "cornea inward;",
             "first surface counted, tear film's mirror dropped",
         ),
         ("level", *columns),

@@ -1,7 +1,11 @@
 """Files that run again by `--from`."""
 
+from pathlib import Path
+
+import numpy as np
 import pytest
 
+DATA = Path(__file__).parents[2] / "data"
 GRID = ("--wavelengths", "400:700:100")
 
 
@@ -26,6 +30,20 @@ def test_a_file_runs_again_to_the_same_bytes(irisjax, quick, tmp_path, arguments
     status, out, err = irisjax(arguments[0], "--from", path)
     assert (status, err) == (0, "")
     assert out == path.read_text()
+
+
+@pytest.mark.parametrize("name", ["iris_low", *sorted(p.stem for p in DATA.glob("spectra/*.csv"))])
+def test_data_that_ship_run_again(irisjax, printed, name):
+    """To the same settings and, platforms' last digits aside, to the same values."""
+    path = DATA / ("." if name == "iris_low" else "spectra") / f"{name}.csv"
+    shipped = printed(path.read_text(encoding="utf-8"))
+    status, out, err = irisjax(shipped.header["command"], "--from", path)
+    assert (status, err) == (0, "")
+    made = printed(out)
+    assert made.header == shipped.header | {"irisjax": made.header["irisjax"]}
+    assert list(made.columns) == list(shipped.columns)
+    for column, values in shipped.columns.items():
+        np.testing.assert_allclose(made.columns[column], values, rtol=1e-9, atol=0)
 
 
 @pytest.mark.slow  # two more programs
