@@ -10,8 +10,9 @@ import typer
 
 from irisjax.cli.options import Group, grouped, option
 from irisjax.cli.scenes import EyeWithPupil, changed
-from irisjax.export.handover import CONE, check_folder
+from irisjax.export.handover import check_folder
 from irisjax.export.handover import export as write
+from irisjax.render.albedo import CONE
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -6,11 +6,24 @@ from jaxtyping import Array, Float
 
 
 def horner(t, coefficients):
-    """Polynomial in `t`, lowest power first."""
-    out = jnp.full_like(t, coefficients[-1])
+    """Polynomial in `t`, lowest power first; coefficients are numbers, or arrays of the shape of
+    `t`.
+    """
+    out = coefficients[-1]
     for c in coefficients[-2::-1]:
         out = out * t + c
     return out
+
+
+def chebyshev(t: Float[Array, "..."], count: int):
+    """The first `count` (two at least) Chebyshev polynomials of the first kind at `t`, and their
+    derivatives.
+    """
+    values, slopes = [jnp.ones_like(t), t], [jnp.zeros_like(t), jnp.ones_like(t)]
+    for _ in range(count - 2):
+        slopes.append(2 * values[-1] + 2 * t * slopes[-1] - slopes[-2])
+        values.append(2 * t * values[-1] - values[-2])
+    return values, slopes
 
 
 def smoothstep(x: Float[Array, "..."]) -> Float[Array, "..."]:

@@ -1,9 +1,10 @@
 """How the steps of a picture follow each other: simply, or kept by somebody (`stages.Memory`)."""
 
 from collections.abc import Callable
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
 
+@runtime_checkable
 class Once(Protocol):
     """Does a named step of a picture."""
 

@@ -7,7 +7,6 @@ polynomials in the albedo hold them over every depth and albedo there is; the er
 points the tables were not made from, and reported.
 """
 
-import math
 from collections.abc import Callable
 
 import equinox as eqx
@@ -16,6 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from irisjax.numerics.piecewise import piecewise, piecewise_chebyshev
 from irisjax.numerics.sharding import laid_out_as
 from irisjax.tissue.indices import Order, RefractiveIndices
 from irisjax.tissue.iris import Iris
@@ -163,11 +163,12 @@ class IlitTabulated(AbstractSolver):
         return *self._abl_response(abl_depth), self._stroma_response(depth, albedo)
 
     def _abl_response(self, depth) -> tuple[LayerFates, LayerFates]:
-        up, down, out, back = _curves(self.abl, *self._locate(depth))
+        up, down, out, back = piecewise(self.abl, *self._locate(depth))
         return LayerFates(up, down, 1 - up - down), LayerFates(back, out, 1 - back - out)
 
     def _stroma_response(self, depth, albedo) -> LayerFates:
-        reflected, passed = _surfaces(self.stroma, *self._locate(depth), 2 * albedo - 1)
+        interval, x = self._locate(depth)
+        reflected, passed = piecewise_chebyshev(self.stroma, interval, x, 2 * albedo - 1)
         return LayerFates(reflected, passed, 1 - reflected - passed)
 
     def _locate(self, depth):
@@ -199,104 +200,6 @@ class IlitTabulated(AbstractSolver):
             return jnp.maximum(jnp.abs(found - abl).max(), jnp.abs(between).max())
 
         return max(float(error(self, albedo)) for albedo in (0.0, 0.23, 0.71, 0.97, 1.0))
-
-
-# Values read a table number by number: whole rows would be copied out first, at three times the
-# cost. Where slopes are wanted too the copy serves all three, and compiles ten times faster than
-# JAX's own derivative.
-
-
-@eqx.filter_custom_jvp
-def _curves(table, interval, x):
-    read = _reader(table, interval)
-    return tuple(
-        _horner([read(i, f) for i in range(_DEGREE + 1)], x) for f in range(table.shape[2])
-    )
-
-
-@_curves.def_jvp
-def _curves_jvp(primals, tangents):
-    table, interval, x = primals
-    _check_constant(tangents[0])
-    rows = _rows(table, interval)
-    slope = _horner([i * rows[i] for i in range(1, _DEGREE + 1)], x) * tangents[2]
-    return tuple(_horner(list(rows), x)), tuple(slope)
-
-
-@eqx.filter_custom_jvp
-def _surfaces(table, interval, x, s):
-    chebyshev, _ = _chebyshev(s, table.shape[2])
-    read = _reader(table, interval)
-
-    def series(i, f):
-        return sum(c * read(i, k, f) for k, c in enumerate(chebyshev))
-
-    return tuple(
-        _horner([series(i, f) for i in range(_DEGREE + 1)], x) for f in range(table.shape[3])
-    )
-
-
-@_surfaces.def_jvp
-def _surfaces_jvp(primals, tangents):
-    table, interval, x, s = primals
-    _check_constant(tangents[0])
-    along, across = (jnp.stack(c)[:, None] for c in _chebyshev(s, table.shape[2]))
-    rows = _rows(table, interval)
-    inner = [(row * along).sum(0) for row in rows]
-    change = jnp.zeros(())
-    if tangents[2] is not None:
-        change = change + _horner([i * c for i, c in enumerate(inner)][1:], x) * tangents[2]
-    if tangents[3] is not None:
-        change = change + _horner([(row * across).sum(0) for row in rows], x) * tangents[3]
-    return tuple(_horner(inner, x)), tuple(jnp.broadcast_to(change, (table.shape[3], *x.shape)))
-
-
-def _reader(table, interval):
-    """The number at fixed further indices, in every interval. XLA's own gather: NumPy's indexing
-    traces ten times slower, and there are over a hundred."""
-    flat, first = table.ravel(), interval * math.prod(table.shape[1:])
-    numbers = jax.lax.GatherDimensionNumbers(
-        offset_dims=(), collapsed_slice_dims=(0,), start_index_map=(0,)
-    )
-
-    def read(*place):
-        index = first + int(np.ravel_multi_index(place, table.shape[1:]))
-        return jax.lax.gather(
-            flat, index[..., None], numbers, (1,), mode=jax.lax.GatherScatterMode.PROMISE_IN_BOUNDS
-        )
-
-    return read
-
-
-def _rows(table, interval):
-    """The tables' numbers at each place, shape (powers, [albedos,] functions, *places)."""
-    return jnp.moveaxis(table.reshape(table.shape[0], -1)[interval], -1, 0).reshape(
-        *table.shape[1:], *interval.shape
-    )
-
-
-def _chebyshev(s, count: int):
-    """Chebyshev polynomials of the first kind at s, and their derivatives."""
-    values, slopes = [jnp.ones_like(s), s], [jnp.zeros_like(s), jnp.ones_like(s)]
-    for _ in range(count - 2):
-        slopes.append(2 * values[-1] + 2 * s * slopes[-1] - slopes[-2])
-        values.append(2 * s * values[-1] - values[-2])
-    return values, slopes
-
-
-def _check_constant(tangent) -> None:
-    if tangent is not None:
-        raise NotImplementedError(
-            "the tables of IlitTabulated are constants; derivatives by them do not exist"
-        )
-
-
-def _horner(coefficients, x):
-    """Polynomial with the constant first."""
-    total = coefficients[-1]
-    for c in reversed(coefficients[:-1]):
-        total = total * x + c
-    return total
 
 
 def _depth(fraction):

@@ -1,0 +1,140 @@
+"""Figures of BRDFs: a principal plane, or the hemisphere."""
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from irisjax.measure.goniophotometer import Brdf
+from irisjax.plot.style import PALETTE, figure_of
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+    from matplotlib.projections.polar import PolarAxes
+
+_MOST_LINES, _MOST_DISCS = 8, 6
+
+
+def brdf_figure(result: Brdf, title: str = "") -> "Figure":
+    """BRDF as a polar plot: half a disc a principal plane, a shaded disc a wavelength for a
+    hemisphere.
+    """
+    azimuth = np.asarray(result.azimuth)
+    in_plane = np.isclose(np.sin(azimuth), 0, atol=1e-6).all()
+    return _principal_plane(result, title) if in_plane else _hemisphere(result, title)
+
+
+def _principal_plane(result: Brdf, title: str) -> "Figure":
+    from matplotlib.ticker import MaxNLocator
+
+    figure = figure_of(6.4, 3.8)
+    ax = _polar(figure, 1, 1, 1)
+    forward = np.cos(np.asarray(result.azimuth)) > 0
+    angle = np.arccos(np.clip(np.asarray(result.cos_exit), 0, 1)) * np.where(forward, 1, -1)
+    order = np.argsort(angle)
+    values = np.asarray(result.values)[:, order]
+    grid = np.asarray(result.wavelengths)
+    shown = _spread(grid.size, _MOST_LINES)
+    for i, k in enumerate(shown):
+        ax.plot(
+            angle[order],
+            values[k],
+            color=PALETTE[i],
+            label=f"{grid[k]:g} nm",
+            marker="o" if angle.size == 1 else "",
+        )
+        if result.standard_error is not None:
+            error = np.asarray(result.standard_error)[k, order]
+            low = np.maximum(values[k] - error, 0)
+            ax.fill_between(
+                angle[order], low, values[k] + error, color=PALETTE[i], alpha=0.3, linewidth=0
+            )
+    top = 1.08 * float(values[shown].max()) or 1.0
+    incidence = -np.arccos(np.clip(float(result.cos_incidence), 0, 1))
+    # The light comes in on the negative side; its mirror direction is where `values` leave out a
+    # delta.
+    ax.annotate(
+        "",
+        (incidence, 0.72 * top),
+        (incidence, top),
+        arrowprops={"arrowstyle": "-|>", "color": "0.35"},
+    )
+    ax.plot([-incidence] * 2, [0, top], ":", color="0.35", linewidth=1)
+    ax.set_thetamin(-90)
+    ax.set_thetamax(90)
+    ax.set_thetagrids(np.arange(-90, 91, 30), [f"{a}°" for a in range(-90, 91, 30)])
+    ax.set_rlim(0, top)
+    # Four rings, labelled below the base line, the power of ten left to the axis label.
+    rings = np.asarray(MaxNLocator(4).tick_values(0, top))
+    rings = rings[(rings > 0) & (rings <= top)]
+    power = int(np.floor(np.log10(top)))
+    ax.set_rgrids(list(rings), [f"{ring / 10.0**power:.3g}" for ring in rings], angle=90)
+    unit = "1/sr" if power == 0 else f"$10^{{{power}}}$/sr"
+    ax.set_xlabel(f"BRDF ({unit}); arrow: light, dotted: mirror direction", labelpad=-42)
+    if len(shown) > 1:
+        figure.legend(frameon=False, fontsize=8, loc="upper right", bbox_to_anchor=(0.99, 0.86))
+    else:
+        title = f"{title}, {grid[0]:g} nm"
+    # matplotlib leaves room for the lower half of the disc, above and below: move into it.
+    ax.set_title(title, fontsize=9, y=0.86)
+    return figure
+
+
+def _hemisphere(result: Brdf, title: str) -> "Figure":
+    polar = np.arccos(np.clip(np.asarray(result.cos_exit), 0, 1))
+    azimuth = np.asarray(result.azimuth)
+    grid, values = np.asarray(result.wavelengths), np.asarray(result.values)
+    shown = _spread(grid.size, _MOST_DISCS)
+    columns = min(3, len(shown))
+    rows = -(-len(shown) // columns)
+    figure = figure_of(1.2 + 3.6 * columns, 0.9 + 3.4 * rows)
+    incidence = np.arccos(np.clip(float(result.cos_incidence), 0, 1))
+    axes, shade = [], None
+    top = float(values[shown].max())
+    for i, k in enumerate(shown):
+        ax = _polar(figure, rows, columns, i + 1)
+        ax.set_theta_zero_location("E")
+        ax.set_theta_direction(1)
+        # One cell round each direction, no smoothing over what was not computed.
+        a, column = np.unique(np.round(azimuth, 6), return_inverse=True)
+        r, row = np.unique(np.round(np.degrees(polar), 6), return_inverse=True)
+        field = np.full((r.size, a.size), np.nan)
+        field[row, column] = values[k]
+        rings = np.concatenate([[0], (r[1:] + r[:-1]) / 2, [90]])
+        sectors = np.concatenate([[a[-1] - 2 * np.pi], a, [a[0] + 2 * np.pi]])
+        sectors = (sectors[1:] + sectors[:-1]) / 2
+        shade = ax.pcolormesh(
+            sectors, rings, field, cmap="cividis", vmin=0, vmax=top, rasterized=True
+        )
+        ax.grid(alpha=0.3)
+        ax.plot(
+            [np.pi],
+            [np.degrees(incidence)],
+            "v",
+            color=PALETTE[1],
+            markeredgecolor="white",
+            label="light",
+        )
+        ax.plot(
+            [0], [np.degrees(incidence)], "o", mfc="none", color="white", label="mirror direction"
+        )
+        ax.set_rlim(0, 90)
+        ax.set_rticks([30, 60], ["30°", "60°"])
+        ax.tick_params(axis="y", colors="white")
+        ax.set_title(f"{grid[k]:g} nm", fontsize=9)
+        axes.append(ax)
+    assert shade is not None
+    figure.colorbar(shade, ax=axes, label="BRDF (1/sr)", shrink=0.8)
+    figure.suptitle(f"{title}\nradius: exit angle; ▼ light, ○ mirror direction".strip(), fontsize=9)
+    return figure
+
+
+def _polar(figure: "Figure", rows: int, columns: int, index: int) -> "PolarAxes":
+    ax = figure.add_subplot(rows, columns, index, projection="polar")
+    ax.set_theta_zero_location("N")  # pyright: ignore[reportAttributeAccessIssue]  (Axes by its stub)
+    ax.set_theta_direction(-1)  # pyright: ignore[reportAttributeAccessIssue]
+    return ax  # pyright: ignore[reportReturnType]
+
+
+def _spread(n: int, most: int) -> list[int]:
+    """At most `most` of n places, evenly spread."""
+    return sorted({round(i) for i in np.linspace(0, n - 1, min(n, most))})

@@ -1,0 +1,45 @@
+"""Figures and colours as the bytes of picture files."""
+
+import io
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+SUFFIXES = (".png", ".pdf", ".svg")
+"""Kinds of picture that can be written."""
+
+
+def picture(figure: "Figure", suffix: str) -> bytes:
+    """The figure as the bytes of a file; equal figures give equal bytes.
+
+    **Raises:** `ValueError` for a suffix not in `SUFFIXES`.
+    """
+    check_suffix(f"picture{suffix}")
+    from matplotlib import rc_context
+
+    # Left to itself, matplotlib stamps PDF and SVG with the hour and random names.
+    undated = {".png": None, ".pdf": {"CreationDate": None}, ".svg": {"Date": None}}[suffix.lower()]
+    out = io.BytesIO()
+    with rc_context({"svg.hashsalt": "irisjax"}):
+        figure.savefig(out, format=suffix[1:].lower(), metadata=undated, bbox_inches="tight")
+    return out.getvalue()
+
+
+def swatch(srgb8: tuple[int, int, int], remark: str = "", size: int = 256) -> bytes:
+    """PNG of one 8-bit sRGB colour; the remark goes into its description."""
+    from matplotlib.image import imsave
+
+    out = io.BytesIO()
+    pixels = np.broadcast_to(np.asarray(srgb8, np.uint8), (size, size, 3))
+    imsave(out, pixels, format="png", metadata={"Description": remark, "Software": "irisjax"})
+    return out.getvalue()
+
+
+def check_suffix(path: str | Path, suffixes: tuple[str, ...] = SUFFIXES) -> None:
+    """Raise `ValueError` unless the name says what kind of picture it is."""
+    if Path(path).suffix.lower() not in suffixes:
+        raise ValueError(f"{path}: a picture's name must end in {' or '.join(suffixes)}")
