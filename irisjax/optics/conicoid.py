@@ -61,7 +61,7 @@ class Conicoid(eqx.Module):
         z = z - self.apex
         # Counted from the point nearest to the apex: from a far origin what is subtracted below
         # would be of the size of its square.
-        ahead = -(x * u + y * v + z * w)
+        ahead = -dot(joined([x, y, z]), direction)
         x, y, z = x + ahead * u, y + ahead * v, z + ahead * w
         a = u * u + v * v + self.shape * w * w
         b = x * u + y * v + (self.shape * z - self.radius) * w
@@ -96,7 +96,7 @@ def along(origin: Vector, t: Float[Array, "*s"], direction: Vector) -> Vector:
     )
 
 
-def choose(mask: Bool[Array, "*s"], a: Vector, b: Vector) -> Vector:
+def choose(mask: Bool[Array, "*s"], a: Vector, b: Float[Array, "*#s 3"]) -> Vector:
     """Vectors of `a` where `mask`, else of `b`."""
     return jnp.stack(
         [jnp.where(mask, x, y) for x, y in zip(parts(a), parts(b), strict=True)], axis=-1

@@ -4,6 +4,7 @@ import dataclasses
 from typing import Any
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
@@ -115,7 +116,10 @@ class Camera(eqx.Module):
         # Back from there to the point nearest to the pupil's middle, then out of the eye.
         out = aside / length + jnp.minimum(_CLEAR, self.distance * (self.distance / length))
         origin = [c + a - out * d for c, a, d in zip(_centre(eye), aim, direction, strict=True)]
-        return jnp.stack(origin, axis=-1), jnp.stack(direction, axis=-1)
+        # Made once: XLA would otherwise work both out again for each of their many uses.
+        return jax.lax.optimization_barrier(
+            (jnp.stack(origin, axis=-1), jnp.stack(direction, axis=-1))
+        )
 
     def pixel(self, point: Vector, eye: Eye) -> tuple[Float[Array, "*s"], Float[Array, "*s"]]:
         """Column and row in which points (…, 3) in front of the camera appear along straight lines

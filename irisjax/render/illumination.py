@@ -54,12 +54,13 @@ class Illumination(eqx.Module):
         cls, eye: Eye, *, caustics: bool = True, size: int = 129, n_rays: int = 131_072
     ) -> "Illumination":
         """Tables of an eye with a cornea; without `caustics` they end at `UNIQUE_POLAR` and no ray
-        is counted.
+        is counted. A coarser grid than usual has entry points searched as coarsely.
         """
         # From what decides them and nothing else: a file kept for one eye then serves all that
         # share it.
         eye = deciding(eye)
-        return _build(eye, RefractionFunction.build(eye), caustics, size, n_rays)
+        refraction = RefractionFunction.build(eye, *_searched(size))
+        return _build(eye, refraction, caustics, size, n_rays)
 
     def at(self, point: Float[Array, "*#s 2"], towards_light: Float[Array, "*#s 3"]) -> Vector:
         """Flux vectors at iris points (x, y) of light from unit directions (that broadcast with
@@ -86,6 +87,13 @@ class Illumination(eqx.Module):
             [cos * f[..., 0] - sin * f[..., 1], sin * f[..., 0] + cos * f[..., 1], f[..., 2]],
             axis=-1,
         )
+
+
+def _searched(size: int) -> tuple[int, int, int]:
+    """Polar angles, azimuths and radii of the entry points for a grid of `size`."""
+    share = min(size / 129, 1.0)
+    polars = 50 if share == 1 else _UNIQUE + 1  # those that are tabulated, no more
+    return polars, max(round(50 * share), 13), max(round(100 * share), 25)
 
 
 def deciding(eye: Eye) -> Eye:

@@ -96,7 +96,7 @@ def project(eye: Eye, camera: Camera) -> View:
     mirror = None if eye.cornea is None else mirror_pixels(index, eye, camera)
     white = eye.cornea is not None and eye.sclera is not None
     sclera = sclera_pixels(index, eye, camera) if white else None
-    found = iris_pixels(index, eye, camera), sclera, mirror
+    found = any_pixels(index, eye, camera), sclera, mirror
     every = [None if p is None else dataclasses.replace(p, index=None) for p in found]
     return View(*every, size=(columns, rows))
 
@@ -117,32 +117,41 @@ def seen_parts(index, eye: Eye, camera: Camera) -> Int8[Array, " pixels"]:
 
 @pixelwise
 def iris_pixels(index, eye: Eye, camera: Camera) -> IrisPixels:
-    """Pixels of these numbers as those that see the iris."""
+    """Pixels of these numbers, all of which see the iris."""
     origin, direction = camera.towards(index, eye)
-    surface = IrisSurface(eye)
-    # Any point that is no edge, where it is not seen: derivatives are finite there.
-    aside = 0.5 * eye.iris_radius
     if eye.cornea is None:
-        zero = jnp.zeros_like(aside)
-        point, seen = surface.meet(origin, direction)
-        ahead = jnp.stack([zero, zero, zero + 1])
+        point, _ = IrisSurface(eye).meet(origin, direction)
+        return _landed(index, eye, point, direction, jnp.ones_like(point[..., 0]))
+    outside = _Outside.met(eye, origin, direction)
+    landing = enter(eye, outside.front, direction)
+    share = landing.share * (1 - outside.blend) / eye.aqueous_index**2
+    return _landed(index, eye, landing.point, landing.direction, share)
+
+
+@pixelwise
+def any_pixels(index, eye: Eye, camera: Camera) -> IrisPixels:
+    """As `iris_pixels`, of pixels that may not see the iris: they get a share of 0."""
+    origin, direction = camera.towards(index, eye)
+    # Any line of sight to a point that is no edge instead: derivatives are finite there.
+    aside, zero = 0.5 * eye.iris_radius, jnp.zeros_like(eye.iris_radius)
+    ahead = jnp.stack([zero, zero, zero + 1])
+    if eye.cornea is None:
+        _, seen = IrisSurface(eye).meet(origin, direction)
         origin = choose(seen, origin, jnp.stack([aside, zero, zero]))
         direction = choose(seen, direction, ahead)
-        point, _ = surface.meet(origin, direction)
-        cosine = -dot(direction, surface.normal(point))
-        return IrisPixels(index, parts(point), parts(direction), cosine, jnp.where(seen, 1.0, 0.0))
+        point, _ = IrisSurface(eye).meet(origin, direction)
+        return _landed(index, eye, point, direction, jnp.where(seen, 1.0, 0.0))
     outside = _Outside.met(eye, origin, direction)
-    zero = jnp.zeros_like(aside)
-    safe = on_cornea(eye.cornea, jnp.stack([aside, zero]))
-    ahead = jnp.stack([zero, zero, zero + 1])
-    front = choose(outside.iris, outside.front, safe)
+    front = choose(outside.iris, outside.front, on_cornea(eye.cornea, jnp.stack([aside, zero])))
     landing = enter(eye, front, choose(outside.iris, direction, ahead))
-    cosine = -dot(landing.direction, surface.normal(landing.point))
-    seen = jnp.where(outside.iris & (cosine > 0), 1 - outside.blend, 0.0)
-    share = landing.share * seen / eye.aqueous_index**2
-    return IrisPixels(
-        index, parts(landing.point), parts(landing.direction), jnp.maximum(cosine, 0), share
-    )
+    share = landing.share * jnp.where(outside.iris, 1 - outside.blend, 0.0)
+    return _landed(index, eye, landing.point, landing.direction, share / eye.aqueous_index**2)
+
+
+def _landed(index, eye: Eye, point: Vector, direction: Vector, share) -> IrisPixels:
+    cosine = -dot(direction, eye.iris_normal(point))
+    share = jnp.where(cosine > 0, share, 0.0)
+    return IrisPixels(index, parts(point), parts(direction), jnp.maximum(cosine, 0), share)
 
 
 @pixelwise

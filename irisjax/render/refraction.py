@@ -5,6 +5,7 @@ its polar angle alone. All lengths mm; irradiances are relative to that on a sur
 light outside the eye.
 """
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import equinox as eqx
@@ -107,18 +108,13 @@ def arrive(
     """
     cornea = eye.cornea
     assert cornea is not None
-    reach = 0.97 * cornea.anterior.radius / jnp.sqrt(jnp.maximum(cornea.anterior.shape, 0.05))
+    reach = reach_of(cornea)
 
     def landing(k):
         return enter(eye, on_cornea(cornea, k), -towards_light)
 
     def newton(k, _):
-        value, slope = landing(k).point[:2], jax.jacfwd(lambda k: landing(k).point[:2])(k)
-        move = -solve_2x2(slope, value - target)
-        size = norm(move)
-        k = k + move * jnp.minimum(1.0, 1.0 / jnp.where(size > 0, size, 1.0))  # at most 1 mm
-        r = norm(k)
-        return k * jnp.minimum(1.0, reach / jnp.where(r > 0, r, 1.0)), None
+        return nearer(lambda k: landing(k).point[:2], k, target, reach), None
 
     entry = jax.lax.scan(newton, start, None, length=steps)[0]
     found = norm(landing(entry).point[:2] - target) < 1e-4
@@ -128,6 +124,28 @@ def arrive(
     return Arrival(
         jnp.where(found, entry, beyond), jnp.where(found, flux(eye, entry, towards_light), 0.0)
     )
+
+
+def reach_of(cornea: Cornea) -> Float[Array, ""]:
+    """Distance from the axis (mm) up to which entry points are searched, short of the equator."""
+    return 0.97 * cornea.anterior.radius / jnp.sqrt(jnp.maximum(cornea.anterior.shape, 0.05))
+
+
+def nearer(
+    landing: Callable[[Float[Array, "2"]], Float[Array, "2"]],
+    entry: Float[Array, "2"],
+    target: Float[Array, "2"],
+    reach: Float[Array, ""],
+) -> Float[Array, "2"]:
+    """A step of Newton's search for the entry point whose ray lands at `target`, at most 1 mm and
+    never beyond `reach`.
+    """
+    value, slope = landing(entry), jax.jacfwd(landing)(entry)
+    move = -solve_2x2(slope, value - target)
+    size = norm(move)
+    entry = entry + move * jnp.minimum(1.0, 1.0 / jnp.where(size > 0, size, 1.0))
+    r = norm(entry)
+    return entry * jnp.minimum(1.0, reach / jnp.where(r > 0, r, 1.0))
 
 
 def flux(eye: Eye, entry: Float[Array, "2"], towards_light: Vector) -> Vector:

@@ -1,6 +1,7 @@
 """How the steps of a picture follow each other: simply, or kept by somebody (`stages.Memory`)."""
 
 from collections.abc import Callable
+<<<<<<< HEAD
 from typing import Any, Protocol, runtime_checkable
 
 
@@ -11,6 +12,14 @@ class Once(Protocol):
     def __call__(self, name: str, make: Callable[..., Any], *inputs: Any) -> Any:
         """`make(*inputs)`, done now or, of the same inputs, before."""
         ...
+=======
+from typing import Any, TypeAlias
+
+Once: TypeAlias = Callable[..., Any]
+"""Does a named step of a picture: `once(name, make, *inputs)` is `make(*inputs)`, done now or, of
+the same inputs, before.
+"""
+>>>>>>> render
 
 
 def simply(name: str, make: Callable[..., Any], *inputs: Any) -> Any:

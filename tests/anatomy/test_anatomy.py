@@ -10,9 +10,10 @@ import pytest
 
 from irisjax.anatomy.eye import Cornea, Eye
 from irisjax.optics.conicoid import Conicoid
-from irisjax.render.camera import Camera, look
+from irisjax.render.camera import Camera
 from irisjax.render.refraction import enter, on_cornea
 from irisjax.render.scene import Scene
+from irisjax.render.stages import look
 from irisjax.tissue.iris import Iris
 
 CORNEAS = {

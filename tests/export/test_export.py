@@ -12,12 +12,12 @@ import trimesh
 
 import irisjax as ij
 from irisjax import cli, io
-from irisjax.export.handover import WAVELENGTHS, check_folder
+from irisjax.export.handover import WAVELENGTHS, check_folder, export
 from irisjax.export.mesh import encode_ply, eye_meshes, right_handed
 from irisjax.numerics.interpolation import bilinear
-from irisjax.render.camera import look
 from irisjax.render.environment import Environment
 from irisjax.render.shading import slopes_of
+from irisjax.render.stages import look
 from irisjax.tissue.maps import FRECKLE, IrisMaps, cell_centres
 
 EYE = ij.Eye(cornea=None, sclera=None)

@@ -17,8 +17,8 @@ from irisjax.io.entries import SECTIONS
 from irisjax.io.scenes import parse_scene, read_scene
 from irisjax.measure.colour import srgb_encode
 from irisjax.render.camera import Camera
+from irisjax.render.compose import render
 from irisjax.render.environment import Environment
-from irisjax.render.scene import render
 
 BARE = """
 [iris]
@@ -212,7 +212,7 @@ OPTIONS = [
     (("scene.toml", "--camera", "30"), "--camera '30': write POLAR,AZIMUTH"),
     (
         ("scene.toml", "--camera", "30,0,200"),
-        "--camera '30,0,200': camera width = 200 is outside [0.1, 100] mm",
+        "--camera '30,0,200': camera width = 200 mm is outside [0.1, 100] mm",
     ),
     (("scene.toml", "--frames", "3"), "--frames 3 is for --animate"),
     (("scene.toml", "--exposure", "nan"), "--exposure nan must be above 0"),
@@ -316,7 +316,7 @@ def test_nothing_half_written(irisjax, tmp_path, monkeypatch):
 
     (tmp_path / "scene.toml").write_text(BARE)
     (tmp_path / "eye.png").write_bytes(b"older")
-    monkeypatch.setattr("irisjax.render.tiles.prepare", broken)
+    monkeypatch.setattr("irisjax.render.stages.prepare", broken)
     assert irisjax("render", "scene.toml") == (130, "", "irisjax: interrupted\n")
     assert (tmp_path / "eye.png").read_bytes() == b"older"
     assert len(list(tmp_path.iterdir())) == 2

@@ -7,11 +7,13 @@ import pytest
 
 from irisjax.anatomy.eye import Eye
 from irisjax.optics.conicoid import Conicoid
-from irisjax.render.camera import Camera, _iris, _mirror, _sclera, _sorted
+from irisjax.render.camera import Camera
 from irisjax.render.lights import Lights
+from irisjax.render.project import any_pixels, mirror_pixels, sclera_pixels, seen_parts
 
-SIZE = (40, 30)
+SIZE = (16, 12)
 DISTANCES = (30.0, 250.0, 1e3, 1e4, 3e4, 1e5)
+SEEN = (seen_parts, any_pixels, sclera_pixels, mirror_pixels)
 INDEX = np.arange(SIZE[0] * SIZE[1], dtype=np.int32)
 
 
@@ -25,8 +27,8 @@ def seen():
             for distance in DISTANCES:
                 for polar in (0.0, 0.5, 1.05, 1.5):
                     camera = Camera(polar, 0.3, distance, 26.0, SIZE)
-                    parts = (f(INDEX, Eye(), camera) for f in (_sorted, _iris, _sclera, _mirror))
-                    found[distance, polar] = jax.tree.map(np.asarray, tuple(parts))
+                    parts = tuple(f(INDEX, Eye(), camera) for f in SEEN)
+                    found[distance, polar] = jax.tree.map(np.asarray, parts)
         return found
 
     return {x64: of(x64) for x64 in (True, False)}

@@ -13,16 +13,18 @@ import irisjax as ij
 from irisjax.anatomy.eye import Cornea, Eye
 from irisjax.anatomy.sclera import VeinMap
 from irisjax.measure.colour import tristimulus_matrix
-from irisjax.render import shading, surface
+from irisjax.render import outside, shading
 from irisjax.render.bands import GRID
-from irisjax.render.camera import Camera, ScleraPixels, look
+from irisjax.render.camera import Camera
 from irisjax.render.caustic import Grid, gathered
+from irisjax.render.compose import prepare
 from irisjax.render.environment import Environment
-from irisjax.render.illumination import Illumination
 from irisjax.render.lights import Lights
+from irisjax.render.project import ScleraPixels
 from irisjax.render.refraction import UNIQUE_POLAR, RefractionFunction, window
-from irisjax.render.scene import Scene, prepare
+from irisjax.render.scene import Scene
 from irisjax.render.sclera import bulk_reflectance
+from irisjax.render.stages import look
 from irisjax.tissue.maps import IrisMaps
 from render.tracing import disc, soft_edge, trace
 
@@ -30,11 +32,6 @@ CLEAR = Cornea(scatter=None)
 EYE = Eye(sclera=None, cornea=CLEAR)
 WHITE = Eye(cornea=CLEAR)
 IRIS = ij.Iris.of_level("low")
-
-
-@pytest.fixture(scope="module")
-def tables():
-    return Illumination.build(EYE, caustics=False)
 
 
 @pytest.mark.parametrize(
@@ -82,7 +79,7 @@ def pixels(normal, point=(0.0, 0.0, 0.0)):
 
 def lit(lights, *of):
     """Radiance of a white that sends back all, times π."""
-    return float(surface.white((pixels(*of), jnp.ones((1, 3))), lights)[0, 0])
+    return float(outside.white((pixels(*of), jnp.ones((1, 3))), lights)[0, 0])
 
 
 def test_round_white_keeps_its_power():
@@ -156,7 +153,7 @@ def test_white_in_an_even_room(tables):
     made = Scene(IRIS, eye=WHITE, lights=None, environment=room, environment_lights=200)
     made = made.replace(camera=Camera(polar=1.4, size=(24, 18), width=20.0))
     view = look(made.eye, made.camera)
-    picture = np.asarray(prepare(made, tables).base)
+    picture = np.asarray(prepare(made, tables, view).base)
     index = np.asarray(view.sclera.index)
     share, reflectance = (
         np.asarray(v)[index >= 0] for v in (view.sclera.share, view.sclera.reflectance)

@@ -8,12 +8,14 @@ import pytest
 import irisjax as ij
 from irisjax.anatomy.eye import Eye
 from irisjax.render.camera import Camera
+from irisjax.render.compose import render
 from irisjax.render.environment import Environment
 from irisjax.render.illumination import Illumination
 from irisjax.render.lights import Lights
-from irisjax.render.scene import Scene, render
+from irisjax.render.scene import Scene
 from irisjax.render.separable import Separable
 from irisjax.render.single_scattering import SingleScattering
+from irisjax.render.stages import Memory
 from irisjax.render.tiles import bands
 from irisjax.tissue.maps import IrisMaps
 
@@ -105,11 +107,8 @@ def test_one_program_for_all_bands(monkeypatch):
 
 
 def test_a_band_is_drawn_only_when_asked_for(monkeypatch):
-    from irisjax.render import tiles
-
-    made = []
-    prepare = tiles.prepare
-    monkeypatch.setattr(tiles, "prepare", lambda *a, **k: made.append(1) or prepare(*a, **k))
+    made, prepare = [], Memory.prepare
+    monkeypatch.setattr(Memory, "prepare", lambda *a, **k: made.append(1) or prepare(*a, **k))
     iterator = bands(scene(), memory=memory(4, 21))
     assert next(iterator).pixels.shape == (4, 21, 3) and len(made) == 1
 

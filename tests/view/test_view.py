@@ -25,7 +25,8 @@ from irisjax.grow.presets import PRESETS
 from irisjax.io.scenes import parse_scene, stream
 from irisjax.measure.colour import srgb_encode
 from irisjax.render.camera import Camera
-from irisjax.render.scene import Scene, render
+from irisjax.render.compose import render
+from irisjax.render.scene import Scene
 from irisjax.render.separable import Separable
 from irisjax.tissue.iris import Iris
 from irisjax.tissue.maps import IrisMaps
@@ -282,11 +283,9 @@ def address(tmp_path):
 def test_presets_in_another_chamber(bare):
     """Of F09's single surface: the iris is in what fills the eye."""
     eye = bare.eye.replace(cornea=Cornea.f09(), aqueous_index=1.376)
-    found = Studio(
-        bare.replace(eye=eye, iris=bare.iris.replace(aqueous_index=1.376)), lambda _: None
-    )
+    found = Studio(bare.replace(eye=eye), lambda _: None)
     made = found._set(dataclasses.replace(found.settings, preset="blue"), (8, 6))
-    assert float(made.iris.aqueous_index) == pytest.approx(1.376)
+    assert float(made.eye.aqueous_index) == pytest.approx(1.376)
 
 
 @pytest.mark.peer

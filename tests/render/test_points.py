@@ -1,0 +1,67 @@
+"""Texel to pixel and back."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from irisjax.anatomy.eye import Cornea, Eye
+from irisjax.optics.conicoid import joined
+from irisjax.render.camera import Camera
+from irisjax.render.points import project_points
+from irisjax.render.project import project
+from irisjax.render.surfaces import GlobeSurface, IrisSurface
+
+SIZE = (16, 12)
+ROW, COLUMN = np.divmod(np.arange(SIZE[0] * SIZE[1]), SIZE[0])
+# Programs for all cameras of an eye.
+there = jax.jit(lambda eye, camera: project(eye, camera))
+back = jax.jit(lambda eye, camera, point: project_points(IrisSurface(eye), camera, point))
+on_globe = jax.jit(lambda eye, camera, point: project_points(GlobeSurface(eye), camera, point))
+
+
+@pytest.mark.parametrize(("polar", "distance"), [(0.0, 250.0), (0.6, 60.0), (1.2, 1e4)])
+def test_pixels_return(polar, distance, bits):
+    """A pixel's point of the iris and of the white appears in that pixel."""
+    eye, camera = Eye(), Camera(polar, 0.8, distance, 24.0, SIZE)
+    view = there(eye, camera)
+    seen = np.asarray(view.iris.share) > 1e-3
+    assert seen.sum() > 20
+    found = back(eye, camera, joined(view.iris.point))
+    assert np.asarray(found.visible)[seen].all()
+    close = 1e-6 if bits == 64 else 2e-3
+    np.testing.assert_allclose(np.asarray(found.column)[seen], COLUMN[seen], atol=close)
+    np.testing.assert_allclose(np.asarray(found.row)[seen], ROW[seen], atol=close)
+    white = np.asarray(view.sclera.share) == 1
+    found = on_globe(eye, camera, joined(view.sclera.point))
+    assert np.asarray(found.visible)[white].all() and white.sum() > 20
+    np.testing.assert_allclose(np.asarray(found.column)[white], COLUMN[white], atol=close)
+    np.testing.assert_allclose(np.asarray(found.row)[white], ROW[white], atol=close)
+
+
+def test_without_a_cornea_and_in_a_part_of_the_picture():
+    """Straight lines; rows are counted from the part's first."""
+    eye = Eye(cornea=None, iris_slope=0.2)
+    camera = Camera(0.5, 2.0, 90.0, 16.0, SIZE).taking(3, 6)
+    view = there(eye, camera)
+    seen = np.asarray(view.iris.share) > 0
+    found = back(eye, camera, joined(view.iris.point))
+    assert np.asarray(found.visible)[seen].all()
+    np.testing.assert_allclose(np.asarray(found.row)[seen], ROW[: 6 * 16][seen], atol=1e-9)
+    np.testing.assert_allclose(np.asarray(found.column)[seen], COLUMN[: 6 * 16][seen], atol=1e-9)
+
+
+def test_what_is_turned_away_is_not_visible():
+    """The far side of the globe, and an iris seen from the side and from behind."""
+    eye, point = Eye(cornea=Cornea()), jnp.asarray([[-4.0, 0.0, 3.6], [4.0, 0.0, 3.6]])
+    assert not on_globe(eye, Camera(1.5, 0.0), jnp.asarray([[-11.0, 0.0, 12.0]])).visible[0]
+    assert back(eye, Camera(0.3, 0.0), point).visible.all()
+    assert not back(eye, Camera(3.0, 0.0), point).visible.any()
+
+
+def test_magnified_by_the_cornea():
+    """Of one surface, paraxially: 1 / (1 − depth (n − 1) / (n R))."""
+    eye, camera = Eye(cornea=Cornea(posterior=None)), Camera(distance=1e5, size=SIZE)
+    found = back(eye, camera, jnp.asarray([[1e-3, 0.0, 3.6], [0.0, 1e-3, 3.6]]))
+    x = (np.asarray(found.column)[0] - SIZE[0] / 2 + 0.5) * 15 / SIZE[0]
+    assert x / 1e-3 == pytest.approx(1 / (1 - 3.6 * 0.336 / (1.336 * 7.8)), rel=1e-4)
