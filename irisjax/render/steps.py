@@ -1,25 +1,12 @@
 """How the steps of a picture follow each other: simply, or kept by somebody (`stages.Memory`)."""
 
 from collections.abc import Callable
-<<<<<<< HEAD
-from typing import Any, Protocol, runtime_checkable
-
-
-@runtime_checkable
-class Once(Protocol):
-    """Does a named step of a picture."""
-
-    def __call__(self, name: str, make: Callable[..., Any], *inputs: Any) -> Any:
-        """`make(*inputs)`, done now or, of the same inputs, before."""
-        ...
-=======
 from typing import Any, TypeAlias
 
 Once: TypeAlias = Callable[..., Any]
 """Does a named step of a picture: `once(name, make, *inputs)` is `make(*inputs)`, done now or, of
 the same inputs, before.
 """
->>>>>>> render
 
 
 def simply(name: str, make: Callable[..., Any], *inputs: Any) -> Any:

@@ -24,10 +24,7 @@ from irisjax.render.compose import prepare, render
 from irisjax.render.environment import Environment
 from irisjax.render.illumination import Illumination
 from irisjax.render.lights import Lights
-<<<<<<< HEAD
-=======
 from irisjax.render.project import iris_pixels, project
->>>>>>> render
 from irisjax.render.refraction import UNIQUE_POLAR
 from irisjax.render.scene import Scene
 from irisjax.render.sclera import colour_table
@@ -405,22 +402,10 @@ def test_portions_change_nothing():
     np.testing.assert_allclose(slope, jnp.cos(x) + 2 * x, rtol=1e-12)
 
 
-<<<<<<< HEAD
-def test_settings_of_this_thread_hold_for_all_pixels(monkeypatch, bits):
+def test_settings_of_this_thread_hold_for_all_pixels(bits):
     """The other precision, chosen by a `with`: threads that do not know of it would compute in
     theirs.
     """
-    monkeypatch.setattr(chunks, "_threads", lambda: 2)
-    with jax.enable_x64(bits == 32):
-        found = chunks.side_by_side(lambda share, shares: share + jnp.arange(3.0) / 3, chunks._FEW)
-        assert (
-            {x.dtype for x in found} == {jnp.result_type(float)} == {jnp.dtype(f"float{96 - bits}")}
-        )
-    with jax.default_device(jax.devices("cpu")[0]):
-        chunks.side_by_side(lambda share, shares: share, chunks._FEW)
-=======
-def test_settings_of_this_thread_hold_for_all_pixels(bits):
-    """The other precision, chosen by a `with`: threads that do not know of it would compute in theirs."""
 
     @pixelwise
     def third(x):
@@ -429,7 +414,6 @@ def test_settings_of_this_thread_hold_for_all_pixels(bits):
     with ThreadPoolExecutor(2) as pool, jax.enable_x64(bits == 32):
         found = third.on_threads(pool, 2, jnp.arange(1 << 15))
         assert found.dtype == jnp.result_type(float) == jnp.dtype(f"float{96 - bits}")
->>>>>>> render
 
 
 def brightness(tables, view, bands, ranges):
