@@ -10,7 +10,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from irisjax.render.memory import Memory
 
 import irisjax as ij
 from common import operations
