@@ -296,9 +296,9 @@ def test_absent_parts_cost_nothing(tables):
     # The polynomials of a scale that does not vary are not there.
     responses = [
         operations(
-            lambda r=r, s=s: eqx.filter_jit(QUICK.response)(iris, 1.336, colour_bands(), r)(
-                s, jnp.ones(2)
-            )
+            lambda r=r, s=s: eqx.filter_jit(QUICK.response)(
+                iris, eye.aqueous_index, colour_bands(), r
+            )(s, jnp.ones(2))
         )
         for r, s in ((Scales(), Scales()), (Scales(abl=(0.5, 2.0)), Scales(abl=jnp.ones(2))))
     ]

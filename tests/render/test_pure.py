@@ -1,0 +1,69 @@
+"""A picture is a function: `jit`, `vmap` and `grad` through the public call."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import irisjax as ij
+from common import quick_jit
+from irisjax.tissue.maps import IrisMaps
+
+EYE = ij.Eye(cornea=None, sclera=None)
+MAPS = IrisMaps(
+    stroma_depth=0.25 + 0.1 * np.random.default_rng(0).random((6, 4)), relief=np.zeros((6, 4))
+)
+SCENE = ij.Scene(
+    ij.Iris.of_level("low"),
+    MAPS,
+    EYE,
+    camera=ij.Camera(size=(12, 9), width=9.0),
+    integrator=ij.Separable(degrees=(3, 3, 2, 2, 2), solver=ij.IlitExact(4)),
+)
+
+
+def test_a_scene_is_a_pytree_for_jit():
+    np.testing.assert_allclose(quick_jit(ij.Scene.render)(SCENE), SCENE.render(), atol=1e-12)
+
+
+def test_a_batch_of_irides():
+    irides = [ij.Iris.of_level(level) for level in ("low", "high")]
+    batch = jax.tree.map(lambda *x: jnp.stack(x), *irides)
+    pictures = quick_jit(jax.vmap(lambda iris: SCENE.replace(iris=iris).render()))(batch)
+    for iris, picture in zip(irides, pictures, strict=True):
+        np.testing.assert_allclose(picture, SCENE.replace(iris=iris).render(), atol=1e-12)
+
+
+def changed(scene, p):
+    """Pigment, a map, a lamp's angle and irradiance, the camera's angle and field."""
+    return scene.replace(
+        iris=scene.iris.replace(eumelanin=scene.iris.eumelanin + p[0]),
+        maps=scene.maps.replace(stroma_depth=scene.maps.stroma_depth + p[1]),
+        lights=ij.Lights.distant(0.613 + p[2], 2.2, 3.0 + p[3]),
+        camera=ij.Camera(0.1 + p[4], 0.2, 250.0, 9.0 + p[5], size=(12, 9)),
+    )
+
+
+def slopes(scene, tables=None):
+    """Derivatives, and finite differences."""
+
+    def mean(p):
+        picture = changed(scene, p).render(tables)
+        weight = 1 + jnp.cos(jnp.arange(picture.size)).reshape(picture.shape)
+        return (picture * weight).sum()
+
+    found = quick_jit(jax.grad(mean))(jnp.zeros(6))
+    value, step = quick_jit(mean), 1e-6
+    return found, [float(value(step * e) - value(-step * e)) / (2 * step) for e in np.eye(6)]
+
+
+def test_derivatives_are_finite_differences():
+    found, true = slopes(SCENE)
+    assert (np.abs(found) > 1e-6).all()
+    np.testing.assert_allclose(found, true, rtol=1e-4)
+
+
+@pytest.mark.slow
+def test_derivatives_through_a_cornea(tables):
+    scene = SCENE.replace(eye=ij.Eye(cornea=ij.Cornea(scatter=None)))
+    np.testing.assert_allclose(*slopes(scene, tables), rtol=1e-4)
