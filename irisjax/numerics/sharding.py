@@ -48,4 +48,4 @@ def _axes(x) -> frozenset:
 
 def _widened(x, axes: tuple):
     # JAX 0.8 gave `pvary` this name.
-    return lax.pcast(x, axes, to="varying") if hasattr(lax, "pcast") else lax.pvary(x, axes)
+    return lax.pcast(x, axes, to="varying") if hasattr(lax, "pcast") else lax.pvary(x, axes)  # pyright: ignore[reportAttributeAccessIssue]

@@ -51,7 +51,7 @@ class IlitTabulated(AbstractSolver):
     def build(
         cls,
         indices: RefractiveIndices | None = None,
-        process: Ilit = ILIT_2006,
+        process: AbstractProcess = ILIT_2006,
         *,
         tolerance: float = 1e-11,
         n_intervals: int = 256,
@@ -63,7 +63,7 @@ class IlitTabulated(AbstractSolver):
         **Raises:** `ValueError` if the process is depth-resolved, or if the error found exceeds
         `tolerance` (in float32 the tolerance is at least 1e-6).
         """
-        checked_process(cls, process, Ilit)
+        process = checked_process(cls, process, Ilit)
         indices = Iris().indices() if indices is None else indices
         order = indices.order()
         dtype = jnp.result_type(float)

@@ -123,8 +123,10 @@ class IlitWeighted(AbstractSolver):
 
 
 def _shares(order, process: Ilit, log2_paths: int, quasi: bool, key, depths, shared):
-    *indices, entering = shared
-    layers = Layers(*depths, RefractiveIndices(*indices), order)
+    abl, absorption, scattering = depths
+    aqueous, abl_index, stroma, ipe, entering = shared
+    indices = RefractiveIndices(aqueous, abl_index, stroma, ipe)
+    layers = Layers(abl, absorption, scattering, indices, order)
     groups = run_paths(key, layers, process, entering, scales(), log2_paths=log2_paths, quasi=quasi)
     return groups.astype(layers.extinction.dtype)
 
