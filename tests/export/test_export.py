@@ -143,10 +143,10 @@ def test_folder_is_new_or_empty(tmp_path, monkeypatch):
     [
         ((), "give a SCENE file or --preset"),
         (("--preset", "pink"), "--preset: unknown 'pink'"),
-        (("--preset", "blue", "--spacing", "0"), "--spacing 0 is outside 0.02 to 2 mm"),
+        (("--preset", "blue", "--spacing", "0"), "--spacing = 0 mm is outside [0.02, 2] mm"),
         (("--preset", "blue", "-o", "full"), "full: not empty; give a new folder"),
         (("--preset", "blue", "-o", "no/eye"), "no: no such folder"),
-        (("bare.toml", "--pupil", "12"), "--pupil: 12 is outside 0.5 to 9.5; it is a diameter"),
+        (("bare.toml", "--pupil", "12"), "--pupil: 12 is outside [0.5, 9.5]; it is a diameter"),
         (("missing.toml",), "missing.toml: No such file"),
     ],
 )

@@ -168,7 +168,7 @@ def test_spots_share_blood_but_not_melanin():
     ("options", "message"),
     [
         ({"free": ["melanin"]}, "unknown parameter 'melanin'"),
-        ({"fixed": {"abl_fraction": 1.2}}, "abl_fraction = 1.2 is outside 0 to 1"),
+        ({"fixed": {"abl_fraction": 1.2}}, r"abl_fraction = 1.2 is outside \[0, 1\]"),
         ({"free": ["gain"], "fixed": {"gain": 1.0}}, "both free and fixed"),
         ({"free": []}, "nothing is free"),
         ({"free": ["gain"], "priors": {"noise": LogNormal(1.0, 1.0)}}, "is not free"),

@@ -166,5 +166,5 @@ def test_traced_indices_cost_no_accuracy():
     ("field", "value"), [("n_angles", 3), ("n_angles", 0), ("n_depths", 1), ("n_panels", 0)]
 )
 def test_bad_solver(field, value):
-    with pytest.raises(ValueError, match=rf"^{field} = {value} must be a whole number of at least"):
+    with pytest.raises(ValueError, match=rf"^{field} = {value} is outside"):
         ij.RadiativeExact(**{field: value})
