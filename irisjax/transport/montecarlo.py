@@ -119,7 +119,7 @@ class MonteCarlo(AbstractSolver):
         incidence = -1.0 if isinstance(cos_incidence, str) else cos_incidence
         return laid_out_as(
             layers.extinction,
-            Counts(2, None if cells is None else 2, 1),
+            Counts._make((2, None if cells is None else 2, 1)),
             lambda *x: _count(*x, process, self),
             *(key, layers, mirrored, incidence, start, end, cells, scales()),
         )

@@ -137,7 +137,7 @@ class IlitTabulated(AbstractSolver):
         process = checked_process(self, process, Ilit)
         from_above, from_below, stroma = laid_out_as(
             layers.extinction,
-            (LayerFates(1, 1, 1),) * 3,
+            (LayerFates._make((1, 1, 1)),) * 3,
             IlitTabulated._responses,
             *(self, layers.abl_absorption, layers.extinction, layers.albedo),
         )

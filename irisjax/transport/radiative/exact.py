@@ -152,7 +152,7 @@ def _solve(
     one = partial(_one_wavelength, n_depths=n_depths, n_panels=n_panels)
     flux = laid_out_as(
         layers.extinction,
-        Flux(1, 1, 1, 1, 1, None if exits is None else 2),
+        Flux._make((1, 1, 1, 1, 1, None if exits is None else 2)),
         jax.vmap(one, in_axes=(0, 0, 0, 0, *(None,) * 6)),
         *(layers.abl_absorption, layers.extinction, layers.albedo, layers.coalbedo),
         *(n, nodes, beams, power, exits, azimuth),
