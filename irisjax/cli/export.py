@@ -12,6 +12,7 @@ from irisjax.cli.options import Group, grouped, option
 from irisjax.cli.scenes import EyeWithPupil, changed
 from irisjax.export.handover import check_folder
 from irisjax.export.handover import export as write
+from irisjax.numerics.checks import Range, check_range
 from irisjax.render.albedo import CONE
 
 
@@ -28,8 +29,7 @@ class Handover(Group):
 
     def __post_init__(self):
         super().__post_init__()
-        if not 0.02 <= self.spacing <= 2:
-            raise ValueError(f"--spacing {self.spacing:g} is outside 0.02 to 2 mm")
+        check_range("--spacing", self.spacing, Range(0.02, 2, "mm"))
 
 
 @grouped

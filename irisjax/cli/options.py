@@ -13,6 +13,7 @@ import typer
 from typer.models import OptionInfo
 
 import irisjax as ij
+from irisjax.numerics.checks import Range
 
 _MOST_WAVELENGTHS = 1_000_000
 
@@ -196,14 +197,15 @@ def grid(low: float = -math.inf, high: float = math.inf) -> Callable[[str], Grid
 
 def number(low: float = -math.inf, high: float = math.inf) -> Callable[[str], float]:
     """Parser of numbers, in [low, high] if either is given."""
+    allowed = Range(low, high)
 
     def parse(text: str) -> float:
         try:
             value = float(text)
         except ValueError:
             raise ValueError(f"{text!r} is not a number") from None
-        if not low <= value <= high and (low > -math.inf or high < math.inf):
-            raise ValueError(f"{text} is outside {low:g} to {high:g}")
+        if (low > -math.inf or high < math.inf) and not allowed.holds(value):
+            raise ValueError(f"{text} is outside {allowed}")
         return value
 
     return parse
@@ -211,6 +213,7 @@ def number(low: float = -math.inf, high: float = math.inf) -> Callable[[str], fl
 
 def whole(low: int, high: int) -> Callable[[str], int]:
     """Parser of whole numbers in [low, high]; 1e6 is one."""
+    allowed = Range(low, high)
 
     def parse(text: str) -> int:
         try:
@@ -220,8 +223,8 @@ def whole(low: int, high: int) -> Callable[[str], int]:
             if not real.is_integer():
                 raise ValueError(f"{text} is not a whole number") from None
             value = int(real)
-        if not low <= value <= high:
-            raise ValueError(f"{text} is outside {low} to {high}")
+        if not allowed.holds(value):
+            raise ValueError(f"{text} is outside {allowed}")
         return value
 
     return parse

@@ -18,6 +18,7 @@ from irisjax.cli.cache import kept_tables
 from irisjax.cli.options import Grid, Group, grid, grouped, option, whole
 from irisjax.cli.scenes import EyeWithPupil, changed
 from irisjax.measure.colour import srgb_encode
+from irisjax.numerics.checks import Range, check_range
 from irisjax.render import scene as staging
 from irisjax.render.separable import Separable
 from irisjax.render.single_scattering import SingleScattering
@@ -112,9 +113,7 @@ class Picture(Group):
             raise ValueError(
                 f"--integrator: unknown {self.integrator!r}; known: {', '.join(_INTEGRATORS)}"
             )
-        factor = self.exposure
-        if factor is not None and not (math.isfinite(factor) and factor > 0):
-            raise ValueError(f"--exposure {factor:g} must be above 0")
+        check_range("--exposure", self.exposure, Range(0, math.inf, above=True))
 
     @property
     def suffixes(self) -> tuple[str, ...]:

@@ -14,6 +14,7 @@ import numpy as np
 
 from irisjax.anatomy.eye import Eye
 from irisjax.io.tables import write_together
+from irisjax.numerics.checks import Range, check_range
 from irisjax.optics.conicoid import Conicoid
 
 
@@ -109,8 +110,7 @@ def eye_meshes(eye: Eye, spacing: float = 0.1) -> dict[str, Mesh]:
     Caps are open: an interface acts by the side of its normal a ray comes from. Anterior cornea and
     sclera share the points of the limbus and close the eye together.
     """
-    if not (math.isfinite(spacing) and spacing > 0):
-        raise ValueError(f"spacing = {spacing:g} mm must be positive")
+    check_range("spacing", spacing, Range(0, math.inf, "mm", above=True))
     limbus, root, pupil = float(eye.limbus_radius), float(eye.iris_radius), float(eye.pupil_radius)
     around = max(12, math.ceil(2 * math.pi * limbus / spacing))
     meshes = {}

@@ -17,6 +17,7 @@ from jaxtyping import Array, Float
 from irisjax._types import PRNGKey
 from irisjax.anatomy.eye import Eye
 from irisjax.grow.noise import Field, Seed, Whole, drawn, noise, split
+from irisjax.numerics.checks import Range, check_range
 from irisjax.numerics.interpolation import smoothstep
 from irisjax.tissue.iris import Iris
 from irisjax.tissue.maps import IrisMaps, cell_centres
@@ -77,8 +78,7 @@ def procedural(
         k: v for k, v in locals().items() if k not in ("iris", "eye", "shape", "profile", "key")
     }
     for name, value in wanted.items():
-        if not (math.isfinite(value) and value >= 0):
-            raise ValueError(f"{name} = {value:g} must be finite and not negative")
+        check_range(name, value, Range(0, math.inf))
     if shape[0] < 16 or shape[1] < 8:
         raise ValueError(f"shape {shape} is below (16, 8)")
     return IrisMaps(**_grow(iris, Eye() if eye is None else eye, shape, profile, wanted, key))

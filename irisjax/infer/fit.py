@@ -18,6 +18,7 @@ from irisjax.infer.search import Found, levenberg_marquardt, lowest
 from irisjax.infer.status import FitStatus
 from irisjax.infer.status import throw as throw_if
 from irisjax.numerics import linear
+from irisjax.numerics.checks import check_whole
 from irisjax.transport.solution import RESULTS
 
 MISFIT = 1e-6
@@ -109,8 +110,7 @@ def fit(
     elif not isinstance(solver, optx.AbstractLeastSquaresSolver):
         raise ValueError(f"solver={solver!r} is no least-squares solver of optimistix")
     for name, number in (("starts", starts), ("rounds", rounds), ("max_steps", max_steps)):
-        if number < 1:
-            raise ValueError(f"{name}={number} must be at least 1")
+        check_whole(name, number, 1)
     if starts == 1:
         key, rounds = None, 1
     elif key is None:

@@ -6,6 +6,7 @@ from typing import Any, NamedTuple
 import jax.numpy as jnp
 
 from irisjax.infer.priors import AbstractPrior, LogitNormal, LogNormal, Uniform
+from irisjax.numerics.checks import Range
 from irisjax.tissue.iris import Iris
 
 
@@ -20,6 +21,11 @@ class Parameter(NamedTuple):
     prior: AbstractPrior
     meaning: str
     source: str
+
+    @property
+    def allowed(self) -> Range:
+        """Its bounds, with their unit."""
+        return Range(self.low, self.high, self.unit, self.meaning)
 
 
 _INF = float("inf")

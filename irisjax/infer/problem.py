@@ -16,6 +16,7 @@ from irisjax.infer.observation import Observation
 from irisjax.infer.parameters import DEFAULT_FREE, DERIVED, PARAMETERS, derived, iris_of, of_iris
 from irisjax.infer.priors import AbstractPrior
 from irisjax.measure.observe import observed, prepared
+from irisjax.numerics.checks import check_range
 from irisjax.tissue.indices import RefractiveIndices
 from irisjax.tissue.iris import Iris
 from irisjax.transport.ilit.tabulated import IlitTabulated
@@ -195,9 +196,7 @@ def problem(
         if name not in PARAMETERS:
             raise ValueError(f"unknown parameter {name!r}; known: {', '.join(PARAMETERS)}")
     for name, value in fixed.items():
-        low, high = PARAMETERS[name].low, PARAMETERS[name].high
-        if not (low <= value <= high and np.isfinite(value)):
-            raise ValueError(f"{name} = {value:g} is outside {low:g} to {high:g}")
+        check_range(name, value, PARAMETERS[name].allowed)
         if free is not None and name in free:
             raise ValueError(f"{name} is both free and fixed")
     names = [

@@ -7,25 +7,24 @@ from typing import Any
 
 from irisjax.grow.presets import PRESETS
 from irisjax.measure.colour import illuminant_power
+from irisjax.numerics.checks import Range
 from irisjax.tissue.iris import LIMITS
 
 _LEVELS = ("low", "moderate", "high")
 
 
-def _number(low: float = -math.inf, high: float = math.inf) -> Callable[[Any], float]:
+def _number(low: float = -math.inf, high: float = math.inf, unit="") -> Callable[[Any], float]:
+    return _within(Range(low, high, unit))
+
+
+def _within(allowed: Range) -> Callable[[Any], float]:
     def check(value):
         if (
             isinstance(value, bool)
             or not isinstance(value, int | float)
-            or not low <= value <= high
+            or not allowed.holds(value)
         ):
-            span = (
-                ""
-                if low == -math.inf
-                else f", {low:g} or more"
-                if high == math.inf
-                else f" from {low:g} to {high:g}"
-            )
+            span = "" if allowed.low == -math.inf else f" in {allowed}"
             raise ValueError(f"must be a number{span}")
         return float(value)
 
@@ -33,9 +32,11 @@ def _number(low: float = -math.inf, high: float = math.inf) -> Callable[[Any], f
 
 
 def _whole(low: int, high: int) -> Callable[[Any], int]:
+    allowed = Range(low, high)
+
     def check(value):
-        if isinstance(value, bool) or not isinstance(value, int) or not low <= value <= high:
-            raise ValueError(f"must be a whole number from {low} to {high}")
+        if isinstance(value, bool) or not isinstance(value, int) or not allowed.holds(value):
+            raise ValueError(f"must be a whole number in {allowed}")
         return value
 
     return check
@@ -102,9 +103,9 @@ SECTIONS: dict[str, dict[str, Callable[[Any], Any]]] = {
         "preset": _one(*PRESETS),
         "level": _one(*_LEVELS),
         "melanin_load": _number(0),
-        **{name: _number(limits.low, limits.high) for name, limits in LIMITS.items()},
-        "abl_thickness": _number(0, _THICKEST),
-        "stroma_thickness": _number(0, _THICKEST),
+        **{name: _within(limits) for name, limits in LIMITS.items()},
+        "abl_thickness": _number(0, _THICKEST, "mm"),
+        "stroma_thickness": _number(0, _THICKEST, "mm"),
     },
     "maps": {"seed": _whole(0, 2**32 - 1), "file": _text, "uniform": _bool, **FEATURES},
     "eye": {
@@ -127,8 +128,8 @@ SECTIONS: dict[str, dict[str, Callable[[Any], Any]]] = {
     "camera": {
         "polar_deg": _number(0, 180),
         "azimuth_deg": _DEGREES,
-        "distance": _number(30, 1e5),
-        "width": _number(0.1, 100),
+        "distance": _number(30, 1e5, "mm"),
+        "width": _number(0.1, 100, "mm"),
         "size": _size,
     },
     "light": {

@@ -171,8 +171,13 @@ def illuminant_power(illuminant: str, wavelengths) -> Any:
 def _observer(grid_bytes: bytes, illuminant: str, observer: str, dtype: str) -> Observer:
     weights, white, adaptation = _constants(grid_bytes, illuminant, observer)
     with jax.ensure_compile_time_eval():
-        constants = (jnp.asarray(x, dtype) for x in (weights, white, _XYZ_TO_SRGB @ adaptation))
-        return Observer(*constants, illuminant, observer)
+        return Observer(
+            weights=jnp.asarray(weights, dtype),
+            white=jnp.asarray(white, dtype),
+            to_srgb=jnp.asarray(_XYZ_TO_SRGB @ adaptation, dtype),
+            illuminant=illuminant,
+            observer=observer,
+        )
 
 
 @lru_cache(maxsize=64)

@@ -16,9 +16,14 @@ class Range(NamedTuple):
     above: bool = False  # `low` itself is not allowed
 
     def __str__(self):
-        low = f"{'(' if self.above else '['}{self.low:g}"
-        high = "inf)" if np.isinf(self.high) else f"{self.high:g}]"
+        low = f"{'(' if self.above else '['}{_shown(self.low)}"
+        high = "inf)" if np.isinf(self.high) else f"{_shown(self.high)}]"
         return f"{low}, {high}{' ' + self.unit if self.unit else ''}"
+
+    def holds(self, value):
+        """Whether each number is finite and in the range."""
+        enough = value > self.low if self.above else value >= self.low
+        return np.isfinite(value) & enough & (value <= self.high)
 
 
 def check_range(name: str, value, allowed: Range) -> None:
@@ -29,12 +34,17 @@ def check_range(name: str, value, allowed: Range) -> None:
     if value is None or isinstance(value, Tracer):
         return
     v = np.asarray(value)
-    good = np.isfinite(v) & (v >= allowed.low) & (v <= allowed.high)
-    if allowed.above:
-        good &= v > allowed.low
+    good = allowed.holds(v)
     if not good.all():
         unit = f" {allowed.unit}" if allowed.unit else ""
-        raise ValueError(f"{name} = {v[~good].flat[0]:g}{unit} is outside {allowed}")
+        raise ValueError(f"{name} = {_shown(v[~good].flat[0])}{unit} is outside {allowed}")
+
+
+def check_whole(name: str, value, low: int, high: float = np.inf) -> None:
+    """Raise `ValueError` unless a setting is a whole number in [low, high]."""
+    if isinstance(value, bool) or not isinstance(value, int | np.integer):
+        raise ValueError(f"{name} = {value!r} is not a whole number")
+    check_range(name, value, Range(low, high))
 
 
 def check_fields(module, ranges: dict[str, Range]) -> None:
@@ -54,3 +64,8 @@ def check_scalars(module, names) -> None:
                 f"{kind}.{name} has shape {shape}; it must be one number: "
                 f"use jax.vmap for a batch of {kind.lower()}s"
             )
+
+
+def _shown(number) -> str:
+    """Whole numbers in full: limits are exact."""
+    return str(number) if isinstance(number, int | np.integer) else f"{number:g}"

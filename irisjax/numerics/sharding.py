@@ -4,6 +4,8 @@ In the body of `jax.shard_map` an array's type says over which axes of the mesh 
 carry and what an inner function closes over keep one such type, so it is given to them beforehand.
 """
 
+from typing import Any
+
 import jax
 from jax import lax
 from jax.sharding import AxisType, PartitionSpec
@@ -25,7 +27,7 @@ def vary_alike(tree, *others):
     return jax.tree.map(widened, tree)
 
 
-def laid_out_as(like, ranks, function, *arguments):
+def laid_out_as(like, ranks, function, *arguments) -> Any:
     """`function(*arguments)` where a mesh of explicit axes has the layouts inside left to the
     compiler.
 
@@ -48,4 +50,4 @@ def _axes(x) -> frozenset:
 
 def _widened(x, axes: tuple):
     # JAX 0.8 gave `pvary` this name.
-    return lax.pcast(x, axes, to="varying") if hasattr(lax, "pcast") else lax.pvary(x, axes)
+    return lax.pcast(x, axes, to="varying") if hasattr(lax, "pcast") else lax.pvary(x, axes)  # pyright: ignore[reportAttributeAccessIssue]

@@ -1,10 +1,12 @@
 """The optical description that transport works on: two layers between aqueous humour and IPE."""
 
+import math
+
 import equinox as eqx
 import jax.numpy as jnp
-from jax.core import Tracer
 
 from irisjax._types import Spectrum
+from irisjax.numerics.checks import Range, check_range
 from irisjax.tissue.indices import Order, RefractiveIndices
 
 
@@ -54,10 +56,7 @@ class Layers(eqx.Module):
             )
         )
         for name, depth in zip(("mu_a_abl", "mu_a_stroma", "mu_s_stroma"), depths, strict=True):
-            if not isinstance(depth, Tracer) and not bool(
-                (jnp.isfinite(depth) & (depth >= 0)).all()
-            ):
-                raise ValueError(f"{name} times its thickness must be finite and not negative")
+            check_range(f"{name} times its thickness", depth, Range(0, math.inf))
         return cls(*depths, indices=indices, order=indices.order())
 
     @property

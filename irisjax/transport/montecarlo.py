@@ -11,10 +11,10 @@ from typing import NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jax.sharding import Mesh, PartitionSpec
 from jaxtyping import Array, Int
 
+from irisjax.numerics.checks import check_whole
 from irisjax.numerics.sharding import laid_out_as
 from irisjax.numerics.streams import check_key, scales
 from irisjax.tissue.layers import Layers
@@ -54,11 +54,8 @@ class MonteCarlo(AbstractSolver):
     mesh: Mesh | None = eqx.field(static=True, default=None)
 
     def __check_init__(self):
-        n = self.n_photons
-        if isinstance(n, bool) or not isinstance(n, (int, np.integer)) or not 1 <= n <= _LIMIT:
-            raise ValueError(f"n_photons = {n!r} is outside [1, {_LIMIT}]")
-        if not isinstance(self.lanes, int) or self.lanes < 16:
-            raise ValueError(f"lanes = {self.lanes!r}: must be a whole number of at least 16")
+        check_whole("n_photons", self.n_photons, 1, _LIMIT)
+        check_whole("lanes", self.lanes, 16)
 
     def prepare(self, layers: Callable[[], Layers], process: AbstractProcess) -> "MonteCarlo":
         """Nothing to prepare."""
@@ -122,7 +119,7 @@ class MonteCarlo(AbstractSolver):
         incidence = -1.0 if isinstance(cos_incidence, str) else cos_incidence
         return laid_out_as(
             layers.extinction,
-            Counts(2, None if cells is None else 2, 1),
+            Counts._make((2, None if cells is None else 2, 1)),
             lambda *x: _count(*x, process, self),
             *(key, layers, mirrored, incidence, start, end, cells, scales()),
         )

@@ -79,8 +79,8 @@ def test_options_reach_the_scene(irisjax, drawn, tmp_path):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (("--samples", "9"), "--samples: 9 is outside 1 to 8"),
-        (("--frames", "1", "--animate", "light"), "--frames: 1 is outside 2 to 1000"),
+        (("--samples", "9"), "--samples: 9 is outside [1, 8]"),
+        (("--frames", "1", "--animate", "light"), "--frames: 1 is outside [2, 1000]"),
         (("--spectral", "red"), "--spectral: 'red' is not a grid"),
         (("--animate", "light", *SPECTRAL), "--animate: not with --spectral"),
         (("--integrator", "f09"), "--integrator: unknown 'f09'; known: separable"),

@@ -100,7 +100,7 @@ def test_errors():
         ValueError, match="unknown eye colour 'red'; known: blue, brown, green, grey, hazel"
     ):
         preset("red", key=KEY)
-    with pytest.raises(ValueError, match="crypts = -1 must be finite and not negative"):
+    with pytest.raises(ValueError, match="crypts = -1 is outside"):
         procedural(ij.Iris(), crypts=-1, key=KEY)
     with pytest.raises(ValueError, match=r"shape \(8, 8\) is below"):
         procedural(ij.Iris(), shape=(8, 8), key=KEY)

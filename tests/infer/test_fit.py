@@ -265,8 +265,8 @@ def test_rounds_follow_while_starts_disagree():
     [
         ({}, "starts=4 draws all but the first at random: give key="),
         ({"solver": "levenberg-marquardt"}, "'levenberg-marquardt' is no least-squares solver"),
-        ({"starts": 0}, "starts=0 must be at least 1"),
-        ({"max_steps": 0, "starts": 1}, "max_steps=0 must be at least 1"),
+        ({"starts": 0}, r"starts = 0 is outside \[1, inf\)"),
+        ({"max_steps": 0, "starts": 1}, r"max_steps = 0 is outside \[1, inf\)"),
     ],
 )
 def test_wrong_searches_are_named(problem, options, message):

@@ -1,92 +1,18 @@
-"""Priors, noise and the likelihood: against scipy, limits, and each other."""
+"""Noise and the likelihood: against scipy, limits, and each other."""
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 from scipy import stats
 
 import irisjax as ij
 from common import quick_jit
 from irisjax.infer.noise import Noise
-from irisjax.infer.parameters import PARAMETERS, derived, iris_of, of_iris
-from irisjax.infer.priors import LogitNormal, LogNormal, LogUniform, Normal, Uniform, prior_of
+from irisjax.infer.parameters import PARAMETERS
+from irisjax.infer.priors import LogNormal
 
 GRID = ij.wavelengths(400, 700, 20)
-SCIPY = [
-    (LogNormal(0.15, 1.2), stats.lognorm(1.2, scale=0.15)),
-    (Uniform(-1.0, 3.0), stats.uniform(-1, 4)),
-    (LogUniform(0.1, 30.0), stats.loguniform(0.1, 30)),
-    (Normal(0.5, 0.3, 0.0, 1.0), stats.truncnorm(-0.5 / 0.3, 0.5 / 0.3, 0.5, 0.3)),
-    (Normal(5.0, 2.0), stats.truncnorm(-2.5, np.inf, 5, 2)),
-]
-
-
-@pytest.mark.parametrize(("prior", "reference"), SCIPY, ids=lambda x: repr(x)[:12])
-def test_priors_are_the_distributions_they_say(prior, reference):
-    z = np.linspace(-4, 4, 33)
-    np.testing.assert_allclose(
-        reference.cdf(np.asarray(prior.value(z))), stats.norm.cdf(z), rtol=1e-9, atol=1e-14
-    )
-    np.testing.assert_allclose(prior.standard(prior.value(z)), z, atol=1e-6)
-
-
-def test_logit_normal():
-    z = np.linspace(-6, 6, 25)
-    value = np.asarray(LogitNormal(0.2, 0.8).value(z))
-    np.testing.assert_allclose(
-        np.log(value / (1 - value)), np.log(0.25) + 0.8 * z, rtol=1e-12, atol=1e-12
-    )
-
-
-@pytest.mark.parametrize("name", PARAMETERS)
-def test_prior_draws_stay_inside_the_bounds(name):
-    p = PARAMETERS[name]
-    value = np.asarray(p.prior.value(np.linspace(-8, 8, 101)))
-    assert np.isfinite(value).all()
-    assert (np.diff(value) >= 0).all()
-    assert p.low <= value.min() <= value.max() <= p.high
-
-
-@pytest.mark.parametrize(
-    ("text", "message"),
-    [
-        ("lognormal", "no prior"),
-        ("cauchy(0, 1)", "no prior"),
-        ("lognormal(1)", "no prior"),
-        ("lognormal(0, 1)", "no distribution"),
-        ("uniform(0.6, 0.2)", "no distribution"),
-        ("uniform(0, nan)", "no distribution"),
-        ("lognormal(0.5, 1)", "reaches outside"),
-        ("uniform(0, 1.5)", "reaches outside"),
-    ],
-)
-def test_bad_priors_are_named(text, message):
-    with pytest.raises(ValueError, match=message):
-        prior_of(text, 0, 1)
-    assert repr(prior_of("Normal( 0.5 , 0.1 )", 0, 1)) == "normal(0.5, 0.1)"
-
-
-@given(
-    st.floats(1e-3, 5), st.floats(0, 1), st.floats(0, 1), st.floats(1e-3, 1), st.floats(0, 1), st.floats(0.05, 1), st.floats(0.01, 0.2)
-)  # fmt: skip
-def test_parameters_make_the_iris_they_describe(
-    load, fraction, share, blood, saturation, stroma, abl
-):
-    values = {
-        "melanin_load": load, "abl_fraction": fraction, "pheomelanin_share": share, "hemoglobin": blood,
-        "saturation": saturation, "stroma_thickness": stroma, "abl_thickness": abl,
-    }  # fmt: skip
-    iris = iris_of(values, ij.Iris())
-    back = of_iris(iris)
-    for name, value in values.items():
-        assert float(back[name]) == pytest.approx(value, rel=1e-12, abs=1e-12)
-    assert float(iris.melanin_load * iris.abl_fraction) == pytest.approx(
-        float(derived(values)["abl_melanin"])
-    )
-    assert float(iris.eumelanin) == pytest.approx(float(derived(values)["eumelanin"]), abs=1e-12)
 
 
 def stated(noise=None, sd=None, **options):
@@ -242,7 +168,7 @@ def test_spots_share_blood_but_not_melanin():
     ("options", "message"),
     [
         ({"free": ["melanin"]}, "unknown parameter 'melanin'"),
-        ({"fixed": {"abl_fraction": 1.2}}, "abl_fraction = 1.2 is outside 0 to 1"),
+        ({"fixed": {"abl_fraction": 1.2}}, r"abl_fraction = 1.2 is outside \[0, 1\]"),
         ({"free": ["gain"], "fixed": {"gain": 1.0}}, "both free and fixed"),
         ({"free": []}, "nothing is free"),
         ({"free": ["gain"], "priors": {"noise": LogNormal(1.0, 1.0)}}, "is not free"),

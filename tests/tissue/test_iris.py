@@ -203,9 +203,7 @@ def test_layers_from_coefficients():
     )
     assert scalar.abl_absorption.shape == (3,)
     for bad in (-1.0, np.nan, np.inf):
-        with pytest.raises(
-            ValueError, match="mu_s_stroma times its thickness must be finite and not negative"
-        ):
+        with pytest.raises(ValueError, match=r"mu_s_stroma times its thickness = .* is outside"):
             ij.Layers.from_coefficients(
                 1.0, 1.0, bad, abl_thickness=1.0, stroma_thickness=1.0, indices=iris.indices()
             )

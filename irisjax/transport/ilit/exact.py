@@ -10,6 +10,7 @@ import equinox as eqx
 import jax.numpy as jnp
 
 from irisjax._types import Spectrum
+from irisjax.numerics.checks import check_whole
 from irisjax.numerics.quadrature import cosine_rule
 from irisjax.optics.fresnel import critical_cosine_squared, fresnel, fresnel_at, refract, refracted
 from irisjax.tissue.layers import Layers
@@ -35,8 +36,7 @@ class IlitExact(AbstractSolver):
     n_angles: int = eqx.field(static=True, default=40)
 
     def __check_init__(self):
-        if not isinstance(self.n_angles, int) or self.n_angles < 4:
-            raise ValueError(f"n_angles = {self.n_angles!r} must be a whole number of at least 4")
+        check_whole("n_angles", self.n_angles, 4)
 
     def prepare(self, layers: Callable[[], Layers], process) -> "IlitExact":
         """Check that the process is ILIT."""

@@ -51,7 +51,7 @@ class IlitTabulated(AbstractSolver):
     def build(
         cls,
         indices: RefractiveIndices | None = None,
-        process: Ilit = ILIT_2006,
+        process: AbstractProcess = ILIT_2006,
         *,
         tolerance: float = 1e-11,
         n_intervals: int = 256,
@@ -63,7 +63,7 @@ class IlitTabulated(AbstractSolver):
         **Raises:** `ValueError` if the process is depth-resolved, or if the error found exceeds
         `tolerance` (in float32 the tolerance is at least 1e-6).
         """
-        checked_process(cls, process, Ilit)
+        process = checked_process(cls, process, Ilit)
         indices = Iris().indices() if indices is None else indices
         order = indices.order()
         dtype = jnp.result_type(float)
@@ -137,7 +137,7 @@ class IlitTabulated(AbstractSolver):
         process = checked_process(self, process, Ilit)
         from_above, from_below, stroma = laid_out_as(
             layers.extinction,
-            (LayerFates(1, 1, 1),) * 3,
+            (LayerFates._make((1, 1, 1)),) * 3,
             IlitTabulated._responses,
             *(self, layers.abl_absorption, layers.extinction, layers.albedo),
         )

@@ -14,9 +14,9 @@ from functools import partial
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jax import lax
 
+from irisjax.numerics.checks import check_whole
 from irisjax.numerics.sharding import laid_out_as, vary_alike
 from irisjax.numerics.streams import check_key, fold_in_words, scales, uniform
 from irisjax.optics.fresnel import fresnel_at
@@ -62,9 +62,7 @@ class IlitWeighted(AbstractSolver):
     quasi: bool = eqx.field(static=True, default=False)
 
     def __check_init__(self):
-        n = self.n_paths
-        if isinstance(n, bool) or not isinstance(n, (int, np.integer)) or not 1 <= n <= 2**31:
-            raise ValueError(f"n_paths = {n!r} is outside [1, {2**31}]")
+        check_whole("n_paths", self.n_paths, 1, 2**31)
 
     def prepare(self, layers: Callable[[], Layers], process) -> "IlitWeighted":
         """Check that the process is one that it treats."""
@@ -123,8 +121,10 @@ class IlitWeighted(AbstractSolver):
 
 
 def _shares(order, process: Ilit, log2_paths: int, quasi: bool, key, depths, shared):
-    *indices, entering = shared
-    layers = Layers(*depths, RefractiveIndices(*indices), order)
+    abl, absorption, scattering = depths
+    aqueous, abl_index, stroma, ipe, entering = shared
+    indices = RefractiveIndices(aqueous, abl_index, stroma, ipe)
+    layers = Layers(abl, absorption, scattering, indices, order)
     groups = run_paths(key, layers, process, entering, scales(), log2_paths=log2_paths, quasi=quasi)
     return groups.astype(layers.extinction.dtype)
 

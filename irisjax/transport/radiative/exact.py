@@ -19,6 +19,7 @@ import numpy as np
 from jax.core import Tracer
 
 from irisjax.numerics import linear
+from irisjax.numerics.checks import check_whole
 from irisjax.numerics.quadrature import gauss_legendre
 from irisjax.numerics.sharding import laid_out_as
 from irisjax.tissue.layers import Layers
@@ -99,8 +100,8 @@ class RadiativeExact(AbstractSolver):
     def __check_init__(self):
         for name, low in (("n_angles", 4), ("n_depths", 2), ("n_panels", 1)):
             value = getattr(self, name)
-            if value is not None and (not isinstance(value, int) or value < low):
-                raise ValueError(f"{name} = {value!r} must be a whole number of at least {low}")
+            if value is not None:
+                check_whole(name, value, low)
 
     def prepare(self, layers: Callable[[], Layers], process) -> "RadiativeExact":
         """The solver with its number of panels fixed."""
@@ -151,7 +152,7 @@ def _solve(
     one = partial(_one_wavelength, n_depths=n_depths, n_panels=n_panels)
     flux = laid_out_as(
         layers.extinction,
-        Flux(1, 1, 1, 1, 1, None if exits is None else 2),
+        Flux._make((1, 1, 1, 1, 1, None if exits is None else 2)),
         jax.vmap(one, in_axes=(0, 0, 0, 0, *(None,) * 6)),
         *(layers.abl_absorption, layers.extinction, layers.albedo, layers.coalbedo),
         *(n, nodes, beams, power, exits, azimuth),

@@ -1,9 +1,6 @@
-"""The viewer: a change recomputes what it must and no more, and the page in a browser follows its
-sliders.
-"""
+"""The viewer's page: what the command refuses, and a browser that follows the sliders."""
 
 import contextlib
-import dataclasses
 import io
 import re
 import shutil
@@ -11,7 +8,6 @@ import signal
 import socket
 import subprocess
 import sys
-import threading
 import time
 from types import SimpleNamespace
 
@@ -20,173 +16,7 @@ import numpy as np
 import pytest
 
 from irisjax import cli
-from irisjax.anatomy.eye import Cornea, Eye
-from irisjax.grow.presets import PRESETS
-from irisjax.io.scenes import parse_scene, stream
-from irisjax.measure.colour import srgb_encode
-from irisjax.render.camera import Camera
-from irisjax.render.compose import render
-from irisjax.render.scene import Scene
-from irisjax.render.separable import Separable
-from irisjax.tissue.iris import Iris
-from irisjax.tissue.maps import IrisMaps
-from irisjax.view import Studio, server, studio
-from irisjax.view.worker import Newest
-
-
-def grown(seed=0, eumelanin=1.0):
-    """An iris and maps that need no growing."""
-    iris = Iris(eumelanin=eumelanin)
-    uneven = np.random.default_rng(seed).uniform(0.5, 1.5, (32, 16))
-    return iris, IrisMaps(stroma_depth=uneven * iris.stroma_thickness, relief=0.05 * uneven)
-
-
-@pytest.fixture
-def bare():
-    """A bare iris in air, small: nothing to tabulate."""
-    return Scene(
-        *grown(),
-        Eye(cornea=None, sclera=None),
-        camera=Camera(size=(40, 30)),
-        integrator=Separable(degrees=(2, 2, 2, 2, 2)),
-    )
-
-
-@pytest.fixture
-def counted(monkeypatch):
-    """How often pixels were sorted and stages made."""
-    counts = {"look": 0, "prepare": 0}
-
-    def count(name):
-        function = getattr(studio, name)
-
-        def called(*arguments, **named):
-            counts[name] += 1
-            return function(*arguments, **named)
-
-        monkeypatch.setattr(studio, name, called)
-
-    count("look")
-    count("prepare")
-    return counts
-
-
-def fresh(found: Studio) -> np.ndarray:
-    linear = found.settings.exposure * render(found.scene())
-    return np.rint(255 * np.clip(srgb_encode(linear), 0, 1))
-
-
-def test_a_change_costs_what_it_must(bare, counted):
-    found = Studio(bare)
-    before = found.update()
-    assert before.shape == (30, 40, 3)
-    assert before.dtype == np.uint8
-    last = {}
-    # (pixels sorted, stages made)
-    for change, cost in (
-        ({"eumelanin": 0.3}, (0, 0)),
-        ({"hemoglobin": 0.5, "saturation": 0.9, "abl_fraction": 0.2}, (0, 0)),
-        ({"stroma": 1.3}, (0, 0)),
-        ({"exposure": 1.5}, (0, 0)),
-        ({"light_polar": 50.0}, (0, 1)),
-        ({"light_polar": 50.0}, (0, 0)),
-        ({"pupil": 5.0}, (0, 1)),
-        ({"environment": "studio", "strength": 0.5}, (0, 1)),
-        ({"camera_polar": 30.0, "camera_azimuth": 120.0}, (1, 1)),
-        ({"width": 9.0}, (1, 1)),
-        ({}, (0, 0)),
-    ):
-        counted.update(look=0, prepare=0)
-        after = found.update(**change)
-        assert tuple(counted.values()) == cost, change
-        assert (after != before).any() == (change != {} and change != last), change
-        before, last = after, change
-    assert np.abs(after - fresh(found)).max() <= 1
-
-
-def test_drafts_are_kept_apart(bare, counted):
-    found = Studio(bare)
-    fine = found.update()
-    assert found.update(draft=True).shape == (15, 20, 3)
-    np.testing.assert_array_equal(found.update(), fine)
-    assert counted == {"look": 2, "prepare": 2}
-
-
-def test_a_preset_brings_its_pigments(bare, monkeypatch):
-    monkeypatch.setitem(PRESETS, "blue", lambda key: grown(int(key == stream(3, "maps")), 0.02))
-    found = Studio(bare)
-    assert found.presets()[0] == studio.GIVEN
-    own = found.settings
-    found.update(stroma=1.5)
-    found.update(preset="blue", abl_fraction=0.1, seed=3)
-    assert found.settings.eumelanin == pytest.approx(0.02)
-    assert (found.settings.abl_fraction, found.settings.stroma) == (0.1, 1.0)
-    np.testing.assert_array_equal(found.scene().maps.stroma_depth, grown(1)[1].stroma_depth)
-    found.update(preset=studio.GIVEN)
-    assert found.settings == studio.Settings(**{**vars(own), "seed": 3})
-
-
-def test_wrong_settings_change_nothing(bare):
-    found = Studio(bare)
-    before = found.settings
-    for wrong in (
-        {"melanin": 1.0},
-        {"preset": "violet"},
-        {"environment": "cave"},
-        {"pupil": 20.0},
-        {"eumelanin": -1.0},
-    ):
-        with pytest.raises(ValueError, match=r"no such|unknown|outside|must be"):
-            found.update(**wrong)
-        assert found.settings == before
-
-
-def test_starts_as_the_scene_is():
-    text = '[iris]\neumelanin = 0.4\n[maps]\nuniform = true\n[eye]\ncornea = "none"\npupil_radius = 1.4\n'
-    text += "[camera]\npolar_deg = 20\nazimuth_deg = 30\n[[light]]\npolar_deg = 40\nazimuth_deg = 100\nirradiance = 2\n"
-    found = Studio(parse_scene(text).scene()).settings
-    assert (found.pupil, found.camera_polar, found.camera_azimuth, found.environment) == (
-        2.8,
-        20,
-        30,
-        "none",
-    )
-    assert (found.light_polar, found.light_azimuth) == pytest.approx((40, 100), abs=1e-3)
-    assert (found.irradiance, found.eumelanin) == pytest.approx((2, 0.4))
-
-
-def test_spectrum_and_colour(bare):
-    import irisjax as ij
-
-    values, colour = Studio(bare).spectrum()
-    expected = ij.reflectance(bare.iris, studio.GRID)
-    np.testing.assert_allclose(values, expected.values, rtol=1e-9)
-    assert float(colour.lab[0]) == pytest.approx(float(ij.colour(bare.iris).lab[0]), abs=0.2)
-
-
-def test_only_the_newest_is_computed():
-    seen, busy, go = [], threading.Event(), threading.Event()
-
-    def work(changes):
-        seen.append(changes)
-        busy.set()
-        go.wait(10)
-
-    worker = Newest(work)
-    worker.start()
-    worker.put(a=1)
-    assert busy.wait(10)
-    for a in range(2, 9):
-        worker.put(a=a)
-    worker.put(b=1)
-    assert not worker.quiet(10)
-    go.set()
-    deadline = time.monotonic() + 10
-    while len(seen) < 2 and time.monotonic() < deadline:
-        time.sleep(0.01)
-    worker.stop()
-    worker.join(10)
-    assert seen == [{"a": 1}, {"a": 8, "b": 1}]
+from irisjax.view import Studio, server
 
 
 def _complaint(*arguments):
@@ -278,14 +108,6 @@ def address(tmp_path):
     finally:
         process.kill()
         process.communicate()
-
-
-def test_presets_in_another_chamber(bare):
-    """Of F09's single surface: the iris is in what fills the eye."""
-    eye = bare.eye.replace(cornea=Cornea.f09(), aqueous_index=1.376)
-    found = Studio(bare.replace(eye=eye), lambda _: None)
-    made = found._set(dataclasses.replace(found.settings, preset="blue"), (8, 6))
-    assert float(made.eye.aqueous_index) == pytest.approx(1.376)
 
 
 @pytest.mark.peer

@@ -1,0 +1,70 @@
+"""Irides at the edges of the physics, and what must hold for their light."""
+
+import numpy as np
+import pytest
+
+import irisjax as ij
+from common import GRID
+from irisjax.tissue.iris import LIMITS
+
+COSINES = (1.0, 0.3, 1e-6, 0.0)
+TINY = {64: 1e-12, 32: 1e-6}
+SWEEP = pytest.mark.slow
+
+BASE = ij.Iris.of_level("low")
+BARE = {"oxyhemoglobin": 0.0, "deoxyhemoglobin": 0.0, "lutein": 0.0, "zeaxanthin": 0.0}
+EDGES = {
+    "plain": {},
+    "no-melanin": {"eumelanin": 0.0, "pheomelanin": 0.0},
+    "no-pigment": {"eumelanin": 0.0, "pheomelanin": 0.0, **BARE},
+    "abl-fraction-0": {"abl_fraction": 0.0},
+    "abl-fraction-1": {"abl_fraction": 1.0},
+    "no-abl": {"abl_thickness": 0.0},
+    "no-stroma": {"stroma_thickness": 0.0},
+    "no-layers": {"abl_thickness": 0.0, "stroma_thickness": 0.0},
+    "no-scattering": {"collagen_index": 1.5},
+    "nothing-at-all": {"eumelanin": 0.0, "pheomelanin": 0.0, **BARE, "collagen_index": 1.5},
+    "no-intensification": {"intensification": 1e-30},
+    "melanin-1e6": {"eumelanin": 1e6},
+    "blood-1e6": {"oxyhemoglobin": 1e6},
+    "all-1e6": {"eumelanin": 1e6, "pheomelanin": 1e6, "lutein": 1e6},
+    "equal-indices": {
+        "abl_index": 1.4,
+        "stroma_index": 1.4,
+        "ipe_index": 1.4,
+    },
+    "abl-is-stroma": {"abl_index": 1.4727, "stroma_index": 1.4727},
+    "guided-stroma": {"stroma_index": 1.6, "abl_index": 1.4},
+    "total-at-ipe": {"ipe_index": 1.3},
+}
+
+
+def edge(name):
+    fields = {"abl_index": BASE.indices().abl, "stroma_index": BASE.indices().stroma, **EDGES[name]}
+    return {n: float(fields.get(n, getattr(BASE, n))) for n in LIMITS}
+
+
+VECTORS = {e: np.array([edge(e)[n] for n in LIMITS]) for e in EDGES}
+"""Made once, in double precision."""
+
+
+def as_vector(name):
+    return VECTORS[name]
+
+
+def reflectance_of(vector, process, solver, cosine=1.0):
+    """Everything traced: the iris is built inside the program."""
+    iris = ij.Iris(**dict(zip(LIMITS, vector, strict=True)))
+    return ij.reflectance(
+        iris,
+        GRID[::6],
+        process=process,
+        solver=solver,
+        cos_incidence=cosine,
+        throw=False,
+    )
+
+
+# An empty stroma between mirrors: grazing rays make reflectance go as τ ln τ, whose slope at 0 is
+# infinite.
+NO_SLOPE = ("no-layers", "nothing-at-all")

@@ -1,0 +1,66 @@
+"""Irides at the edges of the physics: values, energy, status."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import irisjax as ij
+from common import GRID, PROCESSES, exact, quick_jit, stack
+from edges import COSINES, EDGES, SWEEP, TINY, as_vector, reflectance_of
+
+SOME = ("plain", "no-layers", "nothing-at-all", "equal-indices", "guided-stroma", "all-1e6")
+
+
+@pytest.mark.parametrize(
+    ("name", "edges", "bits"),
+    [
+        ("lb06", SOME, 64),
+        ("rayleigh-retest", SOME, 64),
+        ("rayleigh-retest", SOME, 32),
+        ("depth-resolved", SOME, 64),
+        *(pytest.param(n, tuple(EDGES), b, marks=SWEEP) for n in PROCESSES for b in (64, 32)),
+    ],
+)
+def test_edge_irides(name, edges, bits):
+    vectors = jnp.asarray(np.stack([as_vector(e) for e in edges]), jnp.result_type(float))
+    # The printed phase function builds its operator for every iris whose indices are traced: keep
+    # it small.
+    solver = ij.IlitExact(12) if name.startswith("lb06") else exact(PROCESSES[name])
+    run = quick_jit(
+        jax.vmap(lambda v, c: reflectance_of(v, PROCESSES[name], solver, c), in_axes=(0, None))
+    )
+    for cosine in COSINES:
+        r = run(vectors, jnp.asarray(cosine, float))
+        values = np.asarray(r.values)
+        assert np.isfinite(values).all()
+        total = sum(
+            np.asarray(x).astype(np.float64) for x in jax.tree.leaves((r.values, r.absorbed))
+        )
+        np.testing.assert_allclose(total, 1, rtol=0, atol=TINY[bits])
+        fine = np.asarray(r.status == ij.RESULTS.successful)
+        for i, e in enumerate(edges):
+            deep = name == "depth-resolved" and e in ("melanin-1e6", "blood-1e6", "all-1e6")
+            assert fine[i] != deep, e
+            if not deep:
+                assert values[i].min() >= 0, e
+                assert values[i].max() <= 1, e
+
+
+def test_edge_irides_tabulated(tabulated):
+    same = [
+        e
+        for e in EDGES
+        if not {"abl_index", "stroma_index", "ipe_index", "collagen_index"} & set(EDGES[e])
+    ]
+    irides = stack([ij.Iris.of_level("low").replace(**EDGES[e]) for e in same])
+
+    def run(solver):
+        f = jax.vmap(lambda iris: ij.reflectance(iris, GRID, solver=solver, throw=False))
+        return quick_jit(f)(irides)
+
+    found, true = run(tabulated), run(ij.IlitExact(n_angles=64))
+    assert bool((found.status == ij.RESULTS.successful).all())
+    np.testing.assert_allclose(found.values, true.values, rtol=0, atol=8 * tabulated.error)
+    total = sum(np.asarray(x) for x in jax.tree.leaves((found.values, found.absorbed)))
+    np.testing.assert_allclose(total, 1, rtol=0, atol=1e-12)
