@@ -2,11 +2,11 @@
 
 import dataclasses
 import math
-import os
 from collections.abc import Callable, Iterator
 
 import numpy as np
 
+from irisjax.cli.cache import cores
 from irisjax.render.illumination import Illumination
 from irisjax.render.lights import Lights
 from irisjax.render.scene import Scene
@@ -39,7 +39,7 @@ def frames(
             lights=Lights.distant(TURN, 0.0, illuminant=scene.illuminant), environment=None
         )
     # Neither tables nor view depend on what changes: the lamp stays below grazing.
-    memory = Memory(os.cpu_count() or 1)
+    memory = Memory(cores())
     tables, view = tables_of(scene), memory.look(scene.eye, scene.camera)
     stage = memory.prepare(scene, tables, view) if change == "pigment" else None
     melanin = float(scene.iris.eumelanin + scene.iris.pheomelanin)

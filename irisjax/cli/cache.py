@@ -17,6 +17,11 @@ def folder() -> Path | None:
     return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "irisjax"
 
 
+def cores() -> int:
+    """Threads that a command shares pixels among: a power of two, so that no share is padded."""
+    return 1 << (min(os.cpu_count() or 1, 8).bit_length() - 1)
+
+
 def keep_compiled() -> None:
     """Compile once a machine. A folder from the environment JAX finds by itself."""
     if "JAX_COMPILATION_CACHE_DIR" not in os.environ:

@@ -14,7 +14,7 @@ from tqdm import tqdm
 from irisjax import io
 from irisjax.cli.animate import CHANGES, sheet
 from irisjax.cli.animate import frames as _frames
-from irisjax.cli.cache import kept_tables
+from irisjax.cli.cache import cores, kept_tables
 from irisjax.cli.options import Grid, Group, grid, grouped, option, whole
 from irisjax.cli.scenes import EyeWithPupil, changed
 from irisjax.measure.colour import srgb_encode
@@ -175,7 +175,13 @@ def _still(scene: staging.Scene, picture: Picture, exposure: float, output: Path
     with tqdm(
         desc="preparing", total=height, unit="row", disable=not sys.stderr.isatty()
     ) as progress:
-        parts = bands(scene, kept_tables(scene), samples=picture.samples, wavelengths=wavelengths)
+        parts = bands(
+            scene,
+            kept_tables(scene),
+            samples=picture.samples,
+            wavelengths=wavelengths,
+            threads=cores(),
+        )
         first = next(parts)
         if first.error is not None:
             remark += f", response within {100 * first.error:.2g} %"

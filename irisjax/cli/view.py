@@ -7,7 +7,7 @@ from typing import Annotated
 import jax
 import typer
 
-from irisjax.cli.cache import kept_tables
+from irisjax.cli.cache import cores, kept_tables
 from irisjax.cli.options import Group, grouped, option, whole
 from irisjax.cli.scenes import Subject, changed
 from irisjax.view import Studio, check, serve
@@ -48,7 +48,7 @@ def view(subject: Subject, window: Window) -> None:
     given = {"exposure": file.exposure}
     if subject.preset is not None:
         given |= {"preset": subject.preset, "seed": subject.seed, "environment": "studio"}
-    studio = Studio(changed(file.scene(), size=window.size), kept_tables, **given)
+    studio = Studio(changed(file.scene(), size=window.size), kept_tables, threads=cores(), **given)
     serve(
         studio,
         window.host,
