@@ -25,7 +25,7 @@ WRONG = {
     "[eye]\ncornea = 'thick'": "scene.toml, line 2: eye.cornea = 'thick' must be one of two-surfaces, f09, none",
     "[iris]\npupil_radius = 2": "scene.toml, line 2: unknown 'pupil_radius' in iris; known: preset",
     '[picture]\nilluminant = "D56"': "scene.toml, line 2: picture.illuminant = 'D56' unknown illuminant 'D56'; known: A",
-    "[eye]\npupil_radius = 7": "scene.toml, line 2: eye: pupil_radius = 7 is outside [0.25, 4.75] mm",
+    "[eye]\npupil_radius = 7": "scene.toml, line 2: eye: pupil_radius = 7 mm is outside [0.25, 4.75] mm",
     "[camera]\nsize = [0, 5]": "scene.toml, line 2: camera.size = [0, 5] must be a whole number in [1, 16384]",
     "[camera]\nsize = '8x6'": "scene.toml, line 2: camera.size = '8x6' must be [width, height]",
     "[light]\npolar_deg = 3": "scene.toml, line 1: light must be written [[light]]",
