@@ -102,7 +102,7 @@ def test_coloured_lamps():
     )
 
 
-def test_environment_from_a_file(irisjax, tmp_path):
+def test_environment_from_a_file(tmp_path):
     io.write_exr(tmp_path / "room.exr", np.asarray(Environment.studio(16).radiance))
     text = (
         BARE[: BARE.index("[[light]]")]
