@@ -2,7 +2,7 @@
 
 import dataclasses
 from dataclasses import dataclass
-from typing import Annotated
+from typing import Annotated, Any
 
 import jax
 import typer
@@ -45,7 +45,7 @@ def view(subject: Subject, window: Window) -> None:
     # Half the time of double precision, and the same picture to one level of 255 but for some
     # pixels.
     jax.config.update("jax_enable_x64", False)
-    given = {"exposure": file.exposure}
+    given: dict[str, Any] = {"exposure": file.exposure}
     if subject.preset is not None:
         given |= {"preset": subject.preset, "seed": subject.seed, "environment": "studio"}
     studio = Studio(changed(file.scene(), size=window.size), kept_tables, threads=cores(), **given)

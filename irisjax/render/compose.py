@@ -92,18 +92,18 @@ def prepare(
     """
     eye = scene.eye
     tables = scene.tables() if tables is None else tables
-    view = once("view", project, eye, scene.camera) if view is None else view
+    seen: View = once("view", project, eye, scene.camera) if view is None else view
     known = scene.lights, scene.environment, scene.environment_lights, scene.illuminant
     lights = once("lights", all_lights, *known)
     bands, clear, lamp = _channels(scene, lights, wavelengths, once)
-    base = _surroundings(scene, view, clear, lamp, once)
+    base = _surroundings(scene, seen, clear, lamp, once)
     texels, ground = None, None
     ranges = shading.ranges_of(scene.iris, scene.maps, once)
-    if view.iris is not None:
+    if seen.iris is not None:
         parts = lights, eye, scene.iris, scene.maps, tables, ranges
-        texels, ground = scene.integrator.place(view.iris, *parts, once)
+        texels, ground = scene.integrator.place(seen.iris, *parts, once)
     return Stage(
-        base, texels, ground, bands, scene.integrator, ranges, eye.aqueous_index, view.size
+        base, texels, ground, bands, scene.integrator, ranges, eye.aqueous_index, seen.size
     )
 
 

@@ -109,10 +109,10 @@ def seen_parts(index, eye: Eye, camera: Camera) -> Int8[Array, " pixels"]:
         return jnp.where(IrisSurface(eye).meet(origin, direction)[1], IRIS, 0).astype(jnp.int8)
     outside = _Outside.met(eye, origin, direction)
     sees = (outside.iris, outside.hit & (outside.blend > 0), outside.hit)
-    return sum(
-        jnp.where(s, n, 0).astype(jnp.int8)
-        for s, n in zip(sees, (IRIS, SCLERA, MIRROR), strict=True)
-    )
+    found = jnp.zeros(index.shape, jnp.int8)
+    for part, name in zip(sees, (IRIS, SCLERA, MIRROR), strict=True):
+        found = found + jnp.where(part, name, 0).astype(jnp.int8)
+    return found
 
 
 @pixelwise
