@@ -80,7 +80,9 @@ def _by_wavelength_jvp(primals, tangents):
         ones = tuple(ones[: len(depths)]), tuple(ones[len(depths) :])
         return eqx.filter_jvp(partial(run, how), (depths, shared), ones)
 
-    values, derivatives = eqx.filter_vmap(along, out_axes=(None, 0))(each)
+    values, derivatives = eqx.filter_vmap(along)(each)
+    # Alike along every direction; a status comes out of a batched loop as many times.
+    values = jax.tree.map(lambda v: v[0], values)
 
     def total(derivative):
         if derivative is None:

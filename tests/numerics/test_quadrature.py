@@ -141,7 +141,9 @@ def test_missing_breaks_cost_no_nodes(leave_out):
     """
     for places in [(0.18, -0.3), (-0.3, 0.18), (0.18, 0.18), (0.18, 0.0), (0.18, 1.0)]:
         found = rule_for(*places, n=32, leave_out_first=leave_out)
-        known = rule_for(0.18, n=found.cosine.size, leave_out_first=leave_out and places[1] == 0.18)
+        known = rule_for(
+            0.18, n=found.cosine.size, leave_out_first=leave_out and places == (0.18, 0.18)
+        )
         assert found.panels == known.panels
         np.testing.assert_allclose(found.cosine, known.cosine, rtol=1e-15)
         np.testing.assert_allclose(found.weight, known.weight, rtol=1e-14)
