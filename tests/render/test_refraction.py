@@ -161,7 +161,7 @@ def test_counted_rays_keep_the_power(eye, degrees):
 @pytest.fixture(scope="module")
 def illumination(tables):
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(RefractionFunction, "build", lambda eye: tables)  # made once for both
+        patch.setattr(RefractionFunction, "build", lambda eye, *size: tables)  # made once for both
         return Illumination.build(DEFAULT, n_rays=60_000)
 
 
