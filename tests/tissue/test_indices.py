@@ -58,11 +58,9 @@ def test_density():
 
 def test_order_is_static_for_concrete_indices():
     order = ij.Iris().order
-    assert order.abl_over_aqueous
     assert order.abl_over_stroma
     assert not order.stroma_over_abl
     assert not order.stroma_over_ipe
-    assert order.stroma_over_aqueous
 
 
 def test_order_survives_replacing_other_fields_inside_a_program():
