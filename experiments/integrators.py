@@ -12,7 +12,6 @@ import numpy as np
 import irisjax as ij
 from experiments.common import RESULTS, start, write
 from irisjax.anatomy.eye import Eye
-from irisjax.anatomy.media import AQUEOUS
 from irisjax.measure.colour import OBSERVER, tristimulus_matrix
 from irisjax.render.bands import Bands
 from irisjax.render.separable import texel_layers
@@ -119,7 +118,7 @@ def _models(iris, thickness, mu, exits):
         return jax.lax.map(one, scales)
 
     bands = Bands(tuple(GRID.tolist()), jnp.eye(GRID.size), tuple(map(str, GRID)))
-    response = SingleScattering().response(iris, AQUEOUS, bands, Scales())
+    response = SingleScattering().response(iris, ij.Eye().aqueous_index, bands, Scales())
     towards = jnp.stack([jnp.sqrt(1 - mu**2), jnp.zeros(()), mu])
     n = exits.size
     sight = -jnp.stack(
