@@ -98,7 +98,7 @@ def main(key, quick=False, out=RESULTS):
 
 
 def _layers(iris, table, scale):
-    return texel_layers(iris, AQUEOUS, table, Scales(stroma=scale))
+    return texel_layers(iris, ij.Eye().aqueous_index, table, Scales(stroma=scale))
 
 
 @jax.jit
