@@ -13,6 +13,7 @@ from irisjax.grow.presets import PRESETS
 from irisjax.io.scenes import parse_scene, stream
 from irisjax.measure.colour import srgb_encode
 from irisjax.render.compose import render
+from irisjax.render.stages import Memory
 from irisjax.view import Studio, studio
 from irisjax.view.worker import Newest
 
@@ -23,13 +24,13 @@ def counted(monkeypatch):
     counts = {"look": 0, "prepare": 0}
 
     def count(name):
-        function = getattr(studio, name)
+        function = getattr(Memory, name)
 
         def called(*arguments, **named):
             counts[name] += 1
             return function(*arguments, **named)
 
-        monkeypatch.setattr(studio, name, called)
+        monkeypatch.setattr(Memory, name, called)
 
     count("look")
     count("prepare")
@@ -78,7 +79,9 @@ def test_drafts_are_kept_apart(bare, counted):
 
 
 def test_a_preset_brings_its_pigments(bare, monkeypatch):
-    monkeypatch.setitem(PRESETS, "blue", lambda key: grown(int(key == stream(3, "maps")), 0.02))
+    monkeypatch.setitem(
+        PRESETS, "blue", lambda eye, key: grown(int(key == stream(3, "maps")), 0.02)
+    )
     found = Studio(bare)
     assert found.presets()[0] == studio.GIVEN
     own = found.settings
