@@ -33,8 +33,8 @@ class Colorimeter(AbstractInstrument):
         **settings: Any,
     ):
         wavelengths = grid(380, 780, 5) if wavelengths is None else wavelengths
-        self.observer = Observer.of(wavelengths, illuminant, observer)
         super().__init__(wavelengths, **settings)
+        self.observer = Observer.of(wavelengths, illuminant, observer)
 
     def reading(self, light: Solution, factor) -> Colour:
         """See `AbstractInstrument`."""

@@ -72,7 +72,7 @@ def test_parameters_make_the_iris_they_describe(
 ):
     values = {
         "melanin_load": load, "abl_fraction": fraction, "pheomelanin_share": share, "hemoglobin": blood,
-        "saturation": saturation, "stroma_thickness": stroma, "abl_thickness": abl,
+        "saturation": saturation, "stroma_thickness": stroma, "abl_thickness": abl, "scattering_scale": 1.3,
     }  # fmt: skip
     iris = iris_of(values, ij.Iris())
     back = of_iris(iris)
