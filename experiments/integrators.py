@@ -14,9 +14,9 @@ from experiments.common import RESULTS, start, write
 from irisjax.anatomy.eye import Eye
 from irisjax.measure.colour import OBSERVER, tristimulus_matrix
 from irisjax.render.bands import Bands
-from irisjax.render.separable import texel_layers
-from irisjax.render.single_scattering import Ground, Local, Rays, SingleScattering
-from irisjax.tissue.maps import Scales
+from irisjax.render.ground import Ground, Local
+from irisjax.render.single_scattering import Rays, SingleScattering
+from irisjax.tissue.maps import Scales, texel_layers
 from irisjax.transport.solution import raise_failure
 
 GRID = 380 + 20.0 * np.arange(21)

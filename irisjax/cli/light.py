@@ -2,7 +2,7 @@
 
 import math
 from dataclasses import dataclass
-from typing import Annotated, Any, get_args
+from typing import Annotated, Any, ClassVar, get_args
 
 import jax.numpy as jnp
 
@@ -137,7 +137,7 @@ class EyeLight(Light):
 class SpectrumLight(EyeLight):
     """What a spectrophotometer or a radiometer measures."""
 
-    ONLY_WITH = {"illuminant": ("instrument", ("radiance",))}  # noqa: RUF012
+    ONLY_WITH: ClassVar = {"illuminant": ("instrument", ("radiance",))}
 
     instrument: Annotated[
         str,

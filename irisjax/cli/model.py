@@ -3,7 +3,7 @@
 import dataclasses
 import math
 from dataclasses import dataclass
-from typing import Annotated, Any, get_args
+from typing import Annotated, Any, ClassVar, get_args
 
 import jax
 
@@ -99,7 +99,7 @@ class ProcessOptions(Group):
     """Rules of light transport; `None` stands for the named process's own."""
 
     PANEL = "Process"
-    ONLY_WITH = {  # noqa: RUF012  (a class variable by the base class)
+    ONLY_WITH: ClassVar = {
         "phase": ("process", ("ilit-2006", "ilit-corrected")),
         "rescatter": ("process", ("ilit-2006", "ilit-corrected")),
         "perturb_on_reflection": ("process", ("ilit-2006", "ilit-corrected")),
@@ -139,7 +139,7 @@ class SolverOptions(Group):
     """How the process is solved."""
 
     PANEL = "Solver"
-    ONLY_WITH = {  # noqa: RUF012
+    ONLY_WITH: ClassVar = {
         "photons": ("solver", ("monte-carlo",)),
         "estimator": ("solver", ("monte-carlo",)),
         "seed": ("solver", ("monte-carlo",)),

@@ -9,7 +9,6 @@ every table.
 """
 
 import dataclasses
-import functools
 import itertools
 from typing import Any
 
@@ -26,13 +25,20 @@ from irisjax.render.bands import Bands
 from irisjax.render.illumination import Illumination
 from irisjax.render.integrator import AbstractIntegrator, AbstractResponse
 from irisjax.render.lights import Lights
+from irisjax.render.products import (
+    basis,
+    chebyshev_nodes,
+    from_unit,
+    kept_products,
+    polynomials,
+    scaled,
+)
 from irisjax.render.project import IrisPixels
 from irisjax.render.shading import illuminate, irradiance_at, relief_at, scales_at
 from irisjax.render.steps import Once, simply
 from irisjax.tissue.iris import Iris
-from irisjax.tissue.layers import Layers
-from irisjax.tissue.maps import IrisMaps, Scales
-from irisjax.tissue.pigments import Extinction, extinction
+from irisjax.tissue.maps import IrisMaps, Scales, texel_layers
+from irisjax.tissue.pigments import extinction
 from irisjax.transport.ilit.exact import IlitExact
 from irisjax.transport.process import ILIT_2006, Ilit
 from irisjax.transport.solver import AbstractSolver
@@ -80,7 +86,7 @@ class Separable(AbstractIntegrator):
         names = [name for name, r in zip(Scales._fields, ranges, strict=True) if r is not None]
         terms = Terms(
             tuple(
-                once(f"polynomials of {n}", _scaled, *v) for n, v in zip(names, varied, strict=True)
+                once(f"polynomials of {n}", scaled, *v) for n, v in zip(names, varied, strict=True)
             ),
             once("angular", _angular, pixels.cosine, iris, eye.aqueous_index, self.degrees[4]),
         )
@@ -95,7 +101,7 @@ class Separable(AbstractIntegrator):
         """Tabulate `iris` for the channels of `bands`; `ranges` from `Scales.ranges`."""
         dtype = bands.weights.dtype
         varied = [i for i, r in enumerate(ranges) if r is not None]
-        nodes = [_chebyshev(self.degrees[i] + 1) for i in (*varied, 4)]
+        nodes = [chebyshev_nodes(self.degrees[i] + 1) for i in (*varied, 4)]
         n = iris.indices(aqueous_index)
         indices = (jnp.asarray(n.aqueous, dtype), jnp.asarray(n.abl, dtype))
         lowest = refract(jnp.zeros((), dtype), *indices)
@@ -109,7 +115,7 @@ class Separable(AbstractIntegrator):
             def one(x):
                 scales: list[Any] = [None] * 4
                 for k, i in enumerate(varied):
-                    scales[i] = _from_unit(ranges[i], x[k])
+                    scales[i] = from_unit(ranges[i], x[k])
                 layers = texel_layers(iris, aqueous_index, table, Scales(*scales))
                 found = self.solver.solve(layers, self.process, 1.0, cos_exit=cosines)
                 assert found.brdf is not None
@@ -132,7 +138,7 @@ class Separable(AbstractIntegrator):
             values = jnp.moveaxis(jnp.tensordot(inverse, values, (1, axis)), 0, axis)
         most = self._most(ranges)
         if len(most) > 1:
-            values = values[:, *np.array(_products(most[1:])).T]
+            values = values[:, *np.array(kept_products(most[1:])).T]
         values = values.reshape(most[0] + 1 if most else 1, -1, *values.shape[-2:])
         out = SeparableResponse(
             coefficients=values,
@@ -148,7 +154,7 @@ class Separable(AbstractIntegrator):
         true = radiance(unit, exits)
         scales: list[Any] = [None] * 4
         for k, i in enumerate(varied):
-            scales[i] = jnp.repeat(_from_unit(ranges[i], unit[:, k]), 3)
+            scales[i] = jnp.repeat(from_unit(ranges[i], unit[:, k]), 3)
         found = out(Scales(*scales), jnp.tile(exits, _CHECKS)).T.reshape(true.shape)
         error = jnp.abs(found - true).max() / jnp.abs(true).max()
         return dataclasses.replace(out, error=error)
@@ -195,7 +201,7 @@ class SeparableResponse(AbstractResponse):
 
     def _polynomials(self, scales: Scales):
         some = [(s, r) for s, r in zip(scales, self.ranges, strict=True) if r is not None]
-        return tuple(_scaled(*v, degree) for v, degree in zip(some, self.degrees, strict=True))
+        return tuple(scaled(*v, degree) for v, degree in zip(some, self.degrees, strict=True))
 
     def hemispherical(self, scales: Scales) -> Float[Array, "channels pixels"]:
         """Flux into the whole hemisphere per irradiance that entered the tissue, 2π ∫ g μ dμ, of
@@ -211,19 +217,18 @@ class SeparableResponse(AbstractResponse):
         # Linear in the polynomials of the cosine: their integrals once, not a sum over directions a
         # pixel.
         moments = (
-            _polynomials(_inside_to_unit(inside, *self.indices), self.coefficients.shape[2])
-            @ weight
+            polynomials(_inside_to_unit(inside, *self.indices), self.coefficients.shape[2]) @ weight
         )
         one = jnp.ones_like(
             next((s for s in scales if s is not None), jnp.ones(1, self.error.dtype))
         )
         whole = jnp.tensordot(self.coefficients, moments, (2, 0))
-        return whole.reshape(-1, whole.shape[-1]).T @ _basis(self._polynomials(scales), one)
+        return whole.reshape(-1, whole.shape[-1]).T @ basis(self._polynomials(scales), one)
 
     def _at(self, terms: Terms) -> Float[Array, "channels pixels"]:
         last, channels = self.coefficients.shape[2:]
         # One matrix product: 50 times as fast as polynomial by polynomial.
-        values = self.coefficients.reshape(-1, last * channels).T @ _basis(
+        values = self.coefficients.reshape(-1, last * channels).T @ basis(
             terms.scales, terms.angular[0]
         )
         return (values.reshape(last, channels, -1) * terms.angular[:, None]).sum(axis=0)
@@ -232,11 +237,6 @@ class SeparableResponse(AbstractResponse):
         """See `AbstractResponse`."""
         del ground
         return self._at(texels.terms) * texels.light
-
-
-@eqx.filter_jit
-def _scaled(scale, span, degree: int):
-    return _polynomials(_to_unit(span, scale), degree + 1)
 
 
 @eqx.filter_jit
@@ -249,66 +249,9 @@ def _exits(cosine, indices, degree: int):
     """Polynomials of the exit cosine, times the share that leaves the tissue."""
     inside = refract(cosine, *indices)
     return (
-        _polynomials(_inside_to_unit(inside, *indices), degree + 1)
+        polynomials(_inside_to_unit(inside, *indices), degree + 1)
         * fresnel(cosine, inside, *indices)[1]
     )
-
-
-def _basis(scales, like):
-    """Products of the polynomials of all scales that are kept; one, `like` an array, where there
-    are none.
-    """
-    if not scales:
-        return jnp.ones_like(like)[None]
-    first, *others = scales
-    if not others:
-        return first
-    terms = _products(tuple(len(t) - 1 for t in others))
-    rest = [
-        functools.reduce(jnp.multiply, [t[k] for t, k in zip(others, term, strict=True)])
-        for term in terms
-    ]
-    return (first[:, None] * jnp.stack(rest)).reshape(-1, first.shape[-1])
-
-
-def texel_layers(iris: Iris, aqueous_index, table: Extinction, scales: Scales) -> Layers:
-    """Layers of a texel, its scales numbers or `None`."""
-    if scales.eumelanin is not None:
-        iris = eqx.tree_at(lambda i: i.eumelanin, iris, iris.eumelanin * scales.eumelanin)
-    if scales.pheomelanin is not None:
-        iris = eqx.tree_at(lambda i: i.pheomelanin, iris, iris.pheomelanin * scales.pheomelanin)
-    layers = iris.layers(table, aqueous_index)
-    abl = 1.0 if scales.abl is None else scales.abl
-    stroma = 1.0 if scales.stroma is None else scales.stroma
-    return Layers(
-        layers.abl_absorption * abl,
-        layers.stroma_absorption * stroma,
-        layers.stroma_scattering * stroma,
-        layers.indices,
-        layers.order,
-    )
-
-
-def _products(degrees: tuple[int, ...]) -> list[tuple[int, ...]]:
-    """Degrees of the factors of the products that are kept: relative to the most of each, they add
-    up to one.
-    """
-    every = itertools.product(*(range(d + 1) for d in degrees))
-    return [
-        term for term in every if sum(k / d for k, d in zip(term, degrees, strict=True)) < 1 + 1e-9
-    ]
-
-
-def _chebyshev(n: int) -> np.ndarray:
-    return np.cos(np.pi * (np.arange(n) + 0.5) / n)
-
-
-def _polynomials(x: Float[Array, " pixels"], count: int) -> Float[Array, "count pixels"]:
-    """T₀ … of x in [−1, 1]."""
-    t = [jnp.ones_like(x), x]
-    while len(t) < count:
-        t.append(2 * x * t[-1] - t[-2])
-    return jnp.stack(t[:count])
 
 
 def _inside_to_unit(inside, n_in, n_out):
@@ -317,18 +260,3 @@ def _inside_to_unit(inside, n_in, n_out):
     """
     lowest = refract(jnp.zeros_like(inside), n_in, n_out)
     return 2 * (inside - lowest) / (1 - lowest) - 1
-
-
-# The response changes fast where a layer is thin: equal steps in the logarithm of one plus a few
-# times the scale.
-_BEND = 3.0
-
-
-def _from_unit(span, x):
-    low, high = (jnp.log1p(_BEND * s) for s in span)
-    return jnp.expm1(low + (x + 1) * ((high - low) / 2)) / _BEND
-
-
-def _to_unit(span, scale):
-    low, high = (jnp.log1p(_BEND * s) for s in span)
-    return jnp.clip((jnp.log1p(_BEND * scale) - low) * (2 / (high - low)) - 1, -1, 1)

@@ -21,19 +21,18 @@ from jaxtyping import Array, Float, Int
 
 from irisjax._types import Scalar
 from irisjax.anatomy.eye import Eye
-from irisjax.numerics.interpolation import bilinear
 from irisjax.numerics.portions import pixelwise
 from irisjax.optics.conicoid import norm
 from irisjax.render.bands import Bands
+from irisjax.render.ground import Ground, Local, local_textures
 from irisjax.render.illumination import Illumination
 from irisjax.render.integrator import AbstractIntegrator, AbstractResponse
 from irisjax.render.lights import Lights
 from irisjax.render.project import IrisPixels
-from irisjax.render.separable import texel_layers
 from irisjax.render.shading import Field, fluxes_of, normals, relief_at, shares
 from irisjax.render.steps import Once, simply
 from irisjax.tissue.iris import Iris
-from irisjax.tissue.maps import FRECKLE, IrisMaps, Scales
+from irisjax.tissue.maps import IrisMaps, Scales, texel_layers
 from irisjax.tissue.pigments import extinction
 from irisjax.transport.process import ILIT_2006, AbstractProcess
 
@@ -72,7 +71,7 @@ class SingleScattering(AbstractIntegrator):
         """
         slopes, place = relief_at(pixels, eye, maps, once)
         rays = once("rays", _placed, (pixels, place), eye, slopes)
-        textures = once("textures", _textures, maps, iris)
+        textures = once("textures", local_textures, maps, iris)
         return rays, Ground(
             textures, once("fluxes", fluxes_of, lights, eye, tables), lights.tint, eye
         )
@@ -112,39 +111,6 @@ class Rays(eqx.Module):
     direction: Float[Array, "3 pixels"]
     normal: Float[Array, "3 pixels"]
     share: Float[Array, " pixels"]
-
-
-class Local(NamedTuple):
-    """The subsurface map  [F09 Section 6.1], each relative to the uniform iris; `None`: one
-    everywhere.
-    """
-
-    abl_thickness: Any = None
-    stroma_thickness: Any = None
-    freckles: Any = None
-    eumelanin: Any = None
-    pheomelanin: Any = None
-
-
-class Ground(eqx.Module):
-    """What all pixels share: the subsurface map, each light's flux vectors on the grid of a
-    `Field`, the lights' tint, and the eye."""
-
-    textures: Local
-    flux: Float[Array, "lights 3 rows columns"]
-    tint: Float[Array, "lights 3"] | None
-    eye: Eye
-
-    def at(self, point: Float[Array, "3 pixels"]) -> Local:
-        """The map at points of the iris."""
-        present = [t for t in self.textures if t is not None]
-        if not present:
-            return self.textures
-        radius = (jnp.sqrt(point[0] ** 2 + point[1] ** 2) - self.eye.pupil_radius) / (
-            self.eye.iris_radius - self.eye.pupil_radius
-        )
-        found = iter(bilinear(jnp.stack(present), jnp.arctan2(point[1], point[0]), radius))
-        return Local(*(None if t is None else next(found) for t in self.textures))
 
 
 class Depths(NamedTuple):
@@ -264,15 +230,6 @@ def _placed(pixels, eye: Eye, slopes) -> Rays:
         jnp.stack, (iris.point, iris.direction, normals(iris.point, place, eye, slopes))
     )
     return Rays(iris.index, point, direction, normal, shares(iris, eye))
-
-
-@eqx.filter_jit
-def _textures(maps: IrisMaps | None, iris: Iris) -> Local:
-    if maps is None:
-        return Local()
-    dark = None if maps.freckles is None else 1 + (FRECKLE - 1) * maps.freckles
-    abl = None if maps.abl_depth is None else maps.abl_depth / iris.abl_thickness
-    return Local(abl, maps.stroma_scale(iris), dark, maps.eumelanin, maps.pheomelanin)
 
 
 def _sources(rays: Rays, ground: Ground):

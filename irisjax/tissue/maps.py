@@ -17,6 +17,8 @@ from jaxtyping import Array, Float
 
 from irisjax._types import as_float_or_none
 from irisjax.tissue.iris import Iris
+from irisjax.tissue.layers import Layers
+from irisjax.tissue.pigments import Extinction
 
 Texture = Float[Array, "angles radii"]
 
@@ -150,3 +152,21 @@ def cell_centres(shape: tuple[int, int]) -> tuple[jax.Array, jax.Array]:
     return (jnp.arange(rows, dtype=float) + 0.5) * (2 * jnp.pi / rows), (
         jnp.arange(columns, dtype=float) + 0.5
     ) / columns
+
+
+def texel_layers(iris: Iris, aqueous_index, table: Extinction, scales: Scales) -> Layers:
+    """Layers of a texel, its scales numbers or `None`."""
+    if scales.eumelanin is not None:
+        iris = eqx.tree_at(lambda i: i.eumelanin, iris, iris.eumelanin * scales.eumelanin)
+    if scales.pheomelanin is not None:
+        iris = eqx.tree_at(lambda i: i.pheomelanin, iris, iris.pheomelanin * scales.pheomelanin)
+    layers = iris.layers(table, aqueous_index)
+    abl = 1.0 if scales.abl is None else scales.abl
+    stroma = 1.0 if scales.stroma is None else scales.stroma
+    return Layers(
+        layers.abl_absorption * abl,
+        layers.stroma_absorption * stroma,
+        layers.stroma_scattering * stroma,
+        layers.indices,
+        layers.order,
+    )

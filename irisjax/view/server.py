@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from irisjax.view.page import BLACK, DISTANCE, framed, orbit, plot_scales, swatch
 from irisjax.view.studio import GRID, QUICK, Studio
 from irisjax.view.worker import Newest
 
@@ -51,11 +52,9 @@ _SLIDERS: dict[str, dict[str, tuple[str, float, float, float, str]]] = {
         "exposure": ("exposure ×", 0.25, 4, 0.05, "factor on the picture"),
     },
 }
-_DISTANCE = 2.5  # of viser's camera, in units of its own
 _VISERS = np.full(3, 3.0)  # where it puts its camera by itself
 _REST = 0.25  # s without a change before the fine picture replaces the draft
 _PATIENCE = 0.3  # s that other pigments may take without a draft
-_BLACK = 16  # round the picture
 
 
 def serve(
@@ -120,9 +119,9 @@ class _Page:
     def __init__(self, server: "viser.ViserServer", studio: Studio):
         self.server, self.studio = server, studio
         self.worker = Newest(self._show)
-        self.picture = np.full((3, 4, 3), _BLACK, np.uint8)
+        self.picture = np.full((3, 4, 3), BLACK, np.uint8)
         self.first, self.spent = True, 0.0  # s for the last picture with other pigments
-        self.width = studio.settings.width  # of the field at viser's `_DISTANCE`
+        self.width = studio.settings.width  # of the field at viser's `DISTANCE`
         start = server.initial_camera
         start.position, start.look_at, start.up = (
             self._place(),
@@ -185,7 +184,7 @@ class _Page:
                     uplot.Series(label="at first", stroke="#888888", width=1, dash=(4, 4)),
                     uplot.Series(label="reflectance", stroke="#56B4E9", width=2),
                 ),
-                scales=_scales(0.1),
+                scales=plot_scales(0.1),
                 axes=tuple(
                     uplot.Axis(label=label, stroke="#c0c0c0", grid=grid, size=60)
                     for label in ("wavelength (nm)", "reflectance of the iris")
@@ -229,8 +228,8 @@ class _Page:
         values, colour = self.studio.spectrum()
         before = values if self.first else self.plot.data[1]
         self.plot.data = (GRID, before, values)
-        self.plot.scales = _scales(max(before.max(), values.max()))
-        self.colour.content = _swatch(colour)
+        self.plot.scales = plot_scales(max(before.max(), values.max()))
+        self.colour.content = swatch(colour)
         for name, widget in self.widgets.items():
             wanted = getattr(self.studio.settings, name)
             if "preset" in changes and widget.value != wanted:
@@ -251,7 +250,7 @@ class _Page:
 
     def _send(self, client: "viser.ClientHandle") -> None:
         client.scene.set_background_image(
-            _framed(self.picture, client.camera.aspect), format="jpeg", jpeg_quality=92
+            framed(self.picture, client.camera.aspect), format="jpeg", jpeg_quality=92
         )
 
     def _connected(self, client: "viser.ClientHandle") -> None:
@@ -272,7 +271,7 @@ class _Page:
             ):  # a slow browser may report it after ours, and stay there
                 camera.position, camera.look_at = self._place(), np.zeros(3)
                 return
-            seen = _orbit(place, self.width)
+            seen = orbit(place, self.width)
             if seen["camera_polar"] < 0.5:  # straight ahead there is no azimuth
                 seen["camera_azimuth"] = settings.camera_azimuth
             moved = any(abs(getattr(settings, name) - value) > 0.02 for name, value in seen.items())
@@ -288,48 +287,4 @@ class _Page:
         polar, azimuth = math.radians(s.camera_polar), math.radians(s.camera_azimuth)
         sin = math.sin(polar)
         towards = np.array([sin * math.cos(azimuth), sin * math.sin(azimuth), math.cos(polar)])
-        return _DISTANCE * s.width / self.width * towards
-
-
-def _scales(largest: float) -> dict[str, Any]:
-    """Of the plot: reflectance from 0, its top changing in few steps."""
-    from viser import uplot
-
-    top = next(t for t in (0.01, 0.02, 0.05, 0.1, 0.2, 0.3, 0.5, 1.0) if largest < t or t == 1.0)
-    return {"x": uplot.Scale(time=False, auto=True), "y": uplot.Scale(auto=False, range=(0.0, top))}
-
-
-def _orbit(place: np.ndarray, width: float) -> dict[str, float]:
-    """Camera settings of viser's camera at a place relative to what it looks at."""
-    distance = float(np.linalg.norm(place))
-    polar = math.degrees(math.atan2(math.hypot(place[0], place[1]), place[2]))
-    return {
-        "camera_polar": round(min(polar, 85.0), 2),
-        "camera_azimuth": round(math.degrees(math.atan2(place[1], place[0])), 2),
-        "width": round(float(np.clip(width * distance / _DISTANCE, 2.0, 60.0)), 2),
-    }
-
-
-def _framed(picture: np.ndarray, aspect: float) -> np.ndarray:
-    """The picture amid black of the viewport's aspect: viser stretches its background."""
-    height, width = picture.shape[:2]
-    wide, high = max(width, round(height * aspect)), max(height, round(width / aspect))
-    framed = np.full((high, wide, 3), _BLACK, np.uint8)
-    top, left = (high - height) // 2, (wide - width) // 2
-    framed[top : top + height, left : left + width] = picture
-    return framed
-
-
-def _swatch(colour) -> str:
-    red, green, blue = (int(v) for v in np.rint(255 * np.clip(np.asarray(colour.srgb), 0, 1)))
-    lab = ", ".join(f"{v:.1f}" for v in np.asarray(colour.lab))
-    clipped = "" if bool(colour.in_gamut) else " (clipped)"
-    return (
-        '<div style="display:flex;gap:0.8em;padding:0.4em 0.9em;'
-        'font-size:0.85em;align-items:center">'
-        f'<div style="width:4.5em;height:4.5em;border-radius:4px;'
-        f'background:rgb({red},{green},{blue})"></div>'
-        f"<div>iris under {colour.illuminant}<br>L*a*b* {lab}<br>sRGB {red}, {green}, "
-        f"{blue}{clipped}<br>"
-        f"#{red:02x}{green:02x}{blue:02x}</div></div>"
-    )
+        return DISTANCE * s.width / self.width * towards

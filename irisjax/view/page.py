@@ -1,0 +1,54 @@
+"""What the viewer's page shows: a picture amid black, a patch of colour, from where one looks."""
+
+import math
+from typing import Any
+
+import numpy as np
+
+DISTANCE = 2.5  # of viser's camera, in units of its own
+BLACK = 16  # round the picture
+
+
+def framed(picture: np.ndarray, aspect: float) -> np.ndarray:
+    """The picture amid black of the viewport's aspect: viser stretches its background."""
+    height, width = picture.shape[:2]
+    wide, high = max(width, round(height * aspect)), max(height, round(width / aspect))
+    framed = np.full((high, wide, 3), BLACK, np.uint8)
+    top, left = (high - height) // 2, (wide - width) // 2
+    framed[top : top + height, left : left + width] = picture
+    return framed
+
+
+def swatch(colour) -> str:
+    """A `Colour` as the page shows it: a patch beside its numbers."""
+    red, green, blue = (int(v) for v in np.rint(255 * np.clip(np.asarray(colour.srgb), 0, 1)))
+    lab = ", ".join(f"{v:.1f}" for v in np.asarray(colour.lab))
+    clipped = "" if bool(colour.in_gamut) else " (clipped)"
+    return (
+        '<div style="display:flex;gap:0.8em;padding:0.4em 0.9em;'
+        'font-size:0.85em;align-items:center">'
+        f'<div style="width:4.5em;height:4.5em;border-radius:4px;'
+        f'background:rgb({red},{green},{blue})"></div>'
+        f"<div>iris under {colour.illuminant}<br>L*a*b* {lab}<br>sRGB {red}, {green}, "
+        f"{blue}{clipped}<br>"
+        f"#{red:02x}{green:02x}{blue:02x}</div></div>"
+    )
+
+
+def plot_scales(largest: float) -> dict[str, Any]:
+    """Of the plot: reflectance from 0, its top changing in few steps."""
+    from viser import uplot
+
+    top = next(t for t in (0.01, 0.02, 0.05, 0.1, 0.2, 0.3, 0.5, 1.0) if largest < t or t == 1.0)
+    return {"x": uplot.Scale(time=False, auto=True), "y": uplot.Scale(auto=False, range=(0.0, top))}
+
+
+def orbit(place: np.ndarray, width: float) -> dict[str, float]:
+    """Camera settings of viser's camera at a place relative to what it looks at."""
+    distance = float(np.linalg.norm(place))
+    polar = math.degrees(math.atan2(math.hypot(place[0], place[1]), place[2]))
+    return {
+        "camera_polar": round(min(polar, 85.0), 2),
+        "camera_azimuth": round(math.degrees(math.atan2(place[1], place[0])), 2),
+        "width": round(float(np.clip(width * distance / DISTANCE, 2.0, 60.0)), 2),
+    }

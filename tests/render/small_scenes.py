@@ -1,0 +1,39 @@
+"""A small eye, its scenes and maps, for several files of tests."""
+
+import jax.numpy as jnp
+import numpy as np
+
+import irisjax as ij
+from irisjax.anatomy.eye import Cornea, Eye
+from irisjax.render.camera import Camera
+from irisjax.render.lights import Lights
+from irisjax.render.scene import Scene
+from irisjax.render.separable import Separable
+from irisjax.tissue.maps import cell_centres
+
+LIGHT = ij.Iris.of_level("low")
+CLEAR = Cornea(scatter=None)
+BARE, CLOSE = (
+    Eye(cornea=None, sclera=None, pupil_radius=0.25),
+    Eye(sclera=None, cornea=CLEAR, pupil_radius=0.25),
+)
+SMALL = Camera(size=(12, 9), width=11.0)
+# A cheaper solver: the error of its quadrature is no matter of the picture's.
+QUICK = Separable(degrees=(5, 4, 2, 2, 3), solver=ij.IlitExact(8))
+
+
+def scene(eye=BARE, polar=0.0, azimuth=0.0, irradiance=np.pi, **parts):
+    lights = parts.pop("lights", Lights.distant(polar, azimuth, irradiance))
+    return Scene(
+        parts.pop("iris", LIGHT),
+        eye=eye,
+        lights=lights,
+        **{"camera": SMALL, "integrator": QUICK, **parts},
+    )
+
+
+def ring(height, radii=24, angles=48):
+    """A map of (x, y) functions: values at texels of a 0.25 to 5.5 mm iris."""
+    angle, radius = cell_centres((angles, radii))
+    r = 0.25 + 5.25 * radius
+    return height(r * jnp.cos(angle)[:, None], r * jnp.sin(angle)[:, None])
