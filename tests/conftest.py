@@ -45,6 +45,7 @@ def _wants_float32(item):
     return "float32" in item.fixturenames or (call is not None and call.params.get("bits") == 32)
 
 
+@pytest.hookimpl(tryfirst=True)  # before pytest-xdist reads the groups
 def pytest_collection_modifyitems(items):
     """Single precision last, and a file's tests on one worker:
     what is compiled is compiled once.

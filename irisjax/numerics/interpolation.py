@@ -49,32 +49,46 @@ def piecewise_linear(x: Float[Array, "..."], grid, values, *, outside: float):
     return jnp.where(inside, (hats * values).sum(-1), outside)
 
 
-def bilinear(texture: Float[Array, "*c angles radii"], angle, radius) -> Float[Array, "..."]:
-    """Bilinear look-up, round in `angle` (radians) and held at the ends of `radius` (0 pupil's
-    edge, 1 root).
-    """
+def bilinear(
+    texture: Float[Array, "*c rows columns"], row, column, *, round_rows: bool = False
+) -> Float[Array, "..."]:
+    """Linear interpolation at fractional indices, held at the ends; rows may run round instead."""
     rows, columns = texture.shape[-2:]
-    row = angle * (rows / (2 * jnp.pi)) - 0.5
-    column = jnp.clip(radius * columns - 0.5, 0, columns - 1)
-    i, j = jnp.floor(row), jnp.minimum(jnp.floor(column), columns - 2)
+    column = jnp.clip(column, 0, columns - 1)
+    j = jnp.minimum(jnp.floor(column), columns - 2)
+    if round_rows:
+        i = jnp.floor(row)
+        below = jnp.asarray(i, jnp.int32) % rows
+        above = jnp.where(below + 1 == rows, 0, below + 1)
+    else:
+        row = jnp.clip(row, 0, rows - 1)
+        i = jnp.minimum(jnp.floor(row), rows - 2)
+        below = jnp.asarray(i, jnp.int32)
+        above = below + 1
     u, v = row - i, column - j
-    i0 = jnp.asarray(i, jnp.int32) % rows
-    i1 = jnp.where(i0 + 1 == rows, 0, i0 + 1)
-    j0 = jnp.asarray(j, jnp.int32)
-    here, next_ = i0 * columns + j0, i1 * columns + j0
+    at_column = jnp.asarray(j, jnp.int32)
+    places = [r * columns + at_column for r in (below, above)]
 
     def one(flat):
         def at(place):
             return flat.at[place].get(mode="promise_in_bounds")
 
-        below = at(here) * (1 - v) + at(here + 1) * v
-        above = at(next_) * (1 - v) + at(next_ + 1) * v
-        return below * (1 - u) + above * u
+        low, high = (at(place) * (1 - v) + at(place + 1) * v for place in places)
+        return low * (1 - u) + high * u
 
     layers = texture.reshape(-1, rows * columns)
     if texture.ndim == 2:
         return one(layers[0])
     return jnp.stack([one(layer) for layer in layers]).reshape(*texture.shape[:-2], *row.shape)
+
+
+def polar_bilinear(texture: Float[Array, "*c angles radii"], angle, radius) -> Float[Array, "..."]:
+    """Linear interpolation between cell centres, round in `angle` (radians) and held at the ends of
+    `radius` (0 pupil's edge, 1 root).
+    """
+    rows, columns = texture.shape[-2:]
+    row = angle * (rows / (2 * jnp.pi)) - 0.5
+    return bilinear(texture, row, radius * columns - 0.5, round_rows=True)
 
 
 def trilinear(table, position):

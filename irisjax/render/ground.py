@@ -9,7 +9,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from irisjax.anatomy.eye import Eye
-from irisjax.numerics.interpolation import bilinear
+from irisjax.numerics.interpolation import polar_bilinear
 from irisjax.tissue.iris import Iris
 from irisjax.tissue.maps import FRECKLE, IrisMaps
 
@@ -43,7 +43,7 @@ class Ground(eqx.Module):
         radius = (jnp.sqrt(point[0] ** 2 + point[1] ** 2) - self.eye.pupil_radius) / (
             self.eye.iris_radius - self.eye.pupil_radius
         )
-        found = iter(bilinear(jnp.stack(present), jnp.arctan2(point[1], point[0]), radius))
+        found = iter(polar_bilinear(jnp.stack(present), jnp.arctan2(point[1], point[0]), radius))
         return Local(*(None if t is None else next(found) for t in self.textures))
 
 

@@ -7,12 +7,11 @@ import dataclasses
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jax.scipy.ndimage import map_coordinates
 from jaxtyping import Array, Float
 
 from irisjax._types import Scalar
 from irisjax.anatomy.eye import Eye
-from irisjax.numerics.interpolation import trilinear
+from irisjax.numerics.interpolation import bilinear, trilinear
 from irisjax.numerics.roots import safe_sqrt
 from irisjax.optics.conicoid import Vector, norm
 from irisjax.render.caustic import Grid, gathered
@@ -140,11 +139,8 @@ def near_light(
             lit, area / jnp.where(lit, wider, 1.0), 1.0
         )
 
-    at = [(point[..., k] / eye.iris_radius + 1) * ((size - 1) / 2) for k in (1, 0)]
-    x, y, spread = (
-        map_coordinates(v.reshape(size, size), at, order=1, mode="nearest")
-        for v in jax.vmap(found)(targets)
-    )
+    row, column = ((point[..., k] / eye.iris_radius + 1) * ((size - 1) / 2) for k in (1, 0))
+    x, y, spread = (bilinear(v.reshape(size, size), row, column) for v in jax.vmap(found)(targets))
     r = safe_sqrt(x * x + y * y)  # 0 on the axis, where a lamp's gradient is wanted too
     inside = jnp.minimum(1.0, eye.limbus_radius / jnp.where(r > 0, r, 1.0))
     return on_cornea(cornea, jnp.stack([x * inside, y * inside], axis=-1)), spread

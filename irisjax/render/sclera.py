@@ -16,7 +16,7 @@ from jaxtyping import Array, Float
 from irisjax._types import Spectrum
 from irisjax.anatomy.eye import Sclera
 from irisjax.anatomy.sclera import VeinMap
-from irisjax.numerics.interpolation import bilinear
+from irisjax.numerics.interpolation import polar_bilinear
 from irisjax.tissue.pigments import extinction
 
 SHALLOW, DEEP = 0.07, 0.3
@@ -169,5 +169,8 @@ def colour_table(sclera: Sclera, wavelengths, weights, *, nodes: int = 64) -> Co
 def vein_depth_at(veins: VeinMap, azimuth: Float[Array, "*s"], across: Float[Array, "*s"]) -> Blood:
     """Bilinear look-up at a `vein_place`; held at the limbus and the equator."""
     return Blood(
-        *(bilinear(texture, azimuth, across) for texture in (veins.depth, veins.cover, veins.deep))
+        *(
+            polar_bilinear(texture, azimuth, across)
+            for texture in (veins.depth, veins.cover, veins.deep)
+        )
     )

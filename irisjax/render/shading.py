@@ -8,7 +8,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from irisjax.anatomy.eye import Eye
-from irisjax.numerics.interpolation import bilinear, smoothstep
+from irisjax.numerics.interpolation import bilinear, polar_bilinear, smoothstep
 from irisjax.numerics.portions import pixelwise
 from irisjax.numerics.roots import safe_sqrt
 from irisjax.optics.conicoid import Parts, dot, from_axis, joined, norm, parts
@@ -37,24 +37,9 @@ class Field(eqx.Module):
 
     def at(self, point: Parts) -> Float[Array, "tints 3 pixels"]:
         """Bilinear look-up at points of the iris (mm)."""
-        size = self.flux.shape[-1]
-        x, y = (
-            jnp.clip((c / self.extent + 1) * ((size - 1) / 2), 0, size - 1)
-            for c in (point[0], point[1])
-        )
-        j, i = (jnp.minimum(jnp.floor(c), size - 2) for c in (x, y))
-        u, v = x - j, y - i
-        base = jnp.asarray(i * size + j, jnp.int32)
-
-        def one(flat):
-            a, b, c, d = (
-                flat.at[base + k].get(mode="promise_in_bounds") for k in (0, 1, size, size + 1)
-            )
-            low, high = a + u * (b - a), c + u * (d - c)
-            return low + v * (high - low)
-
-        layers = self.flux.reshape(-1, size * size)
-        return jnp.stack([one(layer) for layer in layers]).reshape(*self.flux.shape[:-2], -1)
+        middle = (self.flux.shape[-1] - 1) / 2
+        column, row = ((c / self.extent + 1) * middle for c in (point[0], point[1]))
+        return bilinear(self.flux, row, column)
 
 
 @eqx.filter_jit
@@ -177,7 +162,7 @@ def _scale(part: IrisMaps, iris: Iris):
 
 @pixelwise
 def _fetched(place: Place, texture):
-    return bilinear(texture, *place)
+    return polar_bilinear(texture, *place)
 
 
 @eqx.filter_jit
@@ -221,7 +206,7 @@ def normals(
     r = safe_sqrt(x * x + y * y)
     r = jnp.where(r > 0, r, 1.0)  # a pixel that looks straight at the middle of the pupil
     along, across = (
-        -w * s for s in bilinear(slopes, *place)
+        -w * s for s in polar_bilinear(slopes, *place)
     )  # of a unit normal: a cone's is none along z
     u, v = u - (along * x - across * y) / r, v - (along * y + across * x) / r
     length = jnp.sqrt(u * u + v * v + w * w)

@@ -10,7 +10,7 @@ from handed_over import CAMERA, EYE, pixels, rgb
 import irisjax as ij
 from irisjax.export import export
 from irisjax.export.mesh import encode_ply, eye_meshes, right_handed
-from irisjax.numerics.interpolation import bilinear
+from irisjax.numerics.interpolation import polar_bilinear
 from irisjax.render.environment import Environment
 from irisjax.render.shading import slopes_of
 from irisjax.render.stages import look
@@ -48,7 +48,7 @@ def matt(scene, folder, point):
     texture = np.flip(rgb(folder / "albedo.exr"), 0).swapaxes(0, 1)  # back to (angles, radii)
     pupil, root = float(scene.eye.pupil_radius), float(scene.eye.iris_radius)
     radius = (np.hypot(point[:, 0], point[:, 1]) - pupil) / (root - pupil)
-    albedo = bilinear(
+    albedo = polar_bilinear(
         jnp.moveaxis(jnp.asarray(texture, float), -1, 0),
         jnp.arctan2(point[:, 1], point[:, 0]),
         jnp.asarray(radius),
@@ -189,7 +189,9 @@ def test_slopes_of_a_relief():
         a, r = cell_centres((96, 32))
         phase = lobes * a[:, None] + 2 * np.pi * cycles * r + 0.7
         found = np.stack(
-            bilinear(slopes_of(0.02 * jnp.cos(phase), eye), jnp.asarray(angle), jnp.asarray(radius))
+            polar_bilinear(
+                slopes_of(0.02 * jnp.cos(phase), eye), jnp.asarray(angle), jnp.asarray(radius)
+            )
         )
         slope = -0.02 * np.sin(lobes * angle + 2 * np.pi * cycles * radius + 0.7)
         true = slope * np.stack(
