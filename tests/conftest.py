@@ -45,16 +45,9 @@ def _wants_float32(item):
     return "float32" in item.fixturenames or (call is not None and call.params.get("bits") == 32)
 
 
-@pytest.hookimpl(tryfirst=True)  # before pytest-xdist reads the groups
 def pytest_collection_modifyitems(items):
-    """Single precision last, and a file's tests on one worker:
-    what is compiled is compiled once.
-    """
+    """Single precision last: what is compiled, is compiled once."""
     items.sort(key=_wants_float32)
-    for item in items:
-        item.add_marker(
-            pytest.mark.xdist_group(f"{item.path.stem}-{32 if _wants_float32(item) else 64}")
-        )
 
 
 @pytest.fixture(autouse=True)
