@@ -10,8 +10,13 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+import pytest
 
 import irisjax as ij
+
+# A case of `parametrize` that is left to the slow tier: its neighbours find the same faults.
+slowly = functools.partial(pytest.param, marks=pytest.mark.slow)
+DOUBLE_FIRST = pytest.mark.parametrize("bits", [64, slowly(32)], ids=["f64", "f32"])
 
 LEVELS = ("low", "moderate", "high")
 GRID = ij.wavelengths(400, 700, 10)

@@ -52,9 +52,10 @@ def pytest_collection_modifyitems(items):
 
 @pytest.fixture(autouse=True)
 def _precision(request):
-    wanted = not _wants_float32(request.node)
-    if jax.config.read("jax_enable_x64") != wanted:
-        jax.config.update("jax_enable_x64", wanted)
+    """Of one test; what is made once for several is in double precision."""
+    jax.config.update("jax_enable_x64", not _wants_float32(request.node))
+    yield
+    jax.config.update("jax_enable_x64", True)
 
 
 # Floors whose programs hold with no promotion of dtypes but by hand; the upper ones follow.

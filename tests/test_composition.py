@@ -13,10 +13,12 @@ import numpy as np
 import pytest
 
 import irisjax as ij
+from common import quick_jit
 
 GRID = (430.0, 500.0, 570.0, 640.0)
 KEY = jax.random.key(0)
 LOW = ij.Iris.of_level("low")
+FEW = ij.IlitExact(12)  # where the number of angles is not the point
 
 
 def spectrum(iris, grid=GRID, **settings):
@@ -26,7 +28,7 @@ def spectrum(iris, grid=GRID, **settings):
 def test_an_iris_as_the_carry_of_a_scan():
     def step(iris, factor):
         iris = iris.replace(eumelanin=iris.eumelanin * factor, stroma_thickness=0.3)
-        return iris, spectrum(iris, solver=ij.IlitExact(12))
+        return iris, spectrum(iris, solver=FEW)
 
     def run(iris, factors):
         return jax.lax.scan(step, iris, factors)
@@ -34,13 +36,16 @@ def test_an_iris_as_the_carry_of_a_scan():
     factors = jnp.asarray([1.0, 1.1, 1.2])
     last, found = run(LOW, factors)
     assert last.order == LOW.order
-    expected = [spectrum(LOW.replace(eumelanin=0.1201 * c, stroma_thickness=0.3)) for c in (1, 1.1)]
-    np.testing.assert_allclose(found[:2], expected, rtol=1e-4)  # twelve angles
-    jitted, values = jax.jit(run)(LOW, factors)
+    expected = [
+        spectrum(LOW.replace(eumelanin=0.1201 * c, stroma_thickness=0.3), solver=FEW)
+        for c in (1, 1.1)
+    ]
+    np.testing.assert_allclose(found[:2], expected, rtol=1e-12)
+    jitted, values = quick_jit(run)(LOW, factors)
     assert jitted.order == LOW.order
     np.testing.assert_allclose(values, found, rtol=1e-12)
     batch = jax.tree.map(lambda x: jnp.stack([x, x]), LOW)
-    both, values = jax.vmap(run, in_axes=(0, None))(batch, factors)
+    both, values = quick_jit(jax.vmap(run, in_axes=(0, None)))(batch, factors)
     assert both.order == LOW.order
     np.testing.assert_allclose(values[1], found, rtol=1e-12)
     loads = jax.lax.scan(lambda i, x: (i.replace(melanin_load=x), i.melanin_load), LOW, factors)[1]
@@ -50,25 +55,28 @@ def test_an_iris_as_the_carry_of_a_scan():
 def test_one_wavelength_at_a_time():
     grid = jnp.asarray(GRID)
     for measure in (ij.reflectance, ij.radiance):
-        one = jax.vmap(lambda w, measure=measure: measure(LOW, w[None]).values[0])
-        np.testing.assert_allclose(one(grid), measure(LOW, GRID).values, rtol=1e-12)
-    traced = jax.jit(lambda w: ij.colour(LOW, w))(grid)
-    known = ij.colour(LOW, GRID)
+
+        def one(w, measure=measure):
+            return measure(LOW, w[None], solver=FEW).values[0]
+
+        known = measure(LOW, GRID, solver=FEW).values
+        np.testing.assert_allclose(quick_jit(jax.vmap(one))(grid), known, rtol=1e-12)
+    traced = quick_jit(lambda w: ij.colour(LOW, w, solver=FEW))(grid)
+    known = ij.colour(LOW, GRID, solver=FEW)
     for a, b in zip(jax.tree.leaves(traced), jax.tree.leaves(known), strict=True):
         np.testing.assert_allclose(a, b, rtol=1e-9)
-    shifted = jax.vmap(lambda d: ij.colour(LOW, grid + d).lab)(jnp.asarray([0.0, 5.0]))
-    np.testing.assert_allclose(shifted[0], known.lab, rtol=1e-9)
-    np.testing.assert_allclose(
-        shifted[1], ij.colour(LOW, np.asarray(GRID) + 5).lab, rtol=1e-9, atol=1e-9
-    )
+    shifted = quick_jit(jax.vmap(lambda d: ij.colour(LOW, grid + d, solver=FEW).lab))
+    expected = [ij.colour(LOW, np.asarray(GRID) + d, solver=FEW).lab for d in (0.0, 5.0)]
+    found = shifted(jnp.asarray([0.0, 5.0]))
+    np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-9)
 
 
 def test_exported_programs_give_the_same_numbers():
-    run = jax.jit(lambda iris: ij.reflectance(iris, GRID).values)
+    run = jax.jit(lambda iris: spectrum(iris, solver=FEW))
     leaves, structure = jax.tree.flatten(LOW)
     kept = jax.export.export(jax.jit(lambda *x: run(jax.tree.unflatten(structure, x))))(*leaves)
     np.testing.assert_allclose(kept.call(*leaves), run(LOW), rtol=1e-13)
-    traced = jax.jit(lambda w: ij.radiance(LOW, w).values)
+    traced = jax.jit(lambda w: ij.radiance(LOW, w, solver=FEW).values)
     kept = jax.export.export(traced)(jnp.asarray(GRID))
     np.testing.assert_allclose(kept.call(jnp.asarray(GRID)), traced(jnp.asarray(GRID)), rtol=1e-13)
 
@@ -76,16 +84,16 @@ def test_exported_programs_give_the_same_numbers():
 def test_exported_programs_are_bytes():
     pytest.importorskip("flatbuffers", reason="jax.export writes bytes by way of flatbuffers")
     leaves, structure = jax.tree.flatten(LOW)
-    run = jax.jit(lambda *x: spectrum(jax.tree.unflatten(structure, x)))
+    run = jax.jit(lambda *x: spectrum(jax.tree.unflatten(structure, x), solver=FEW))
     again = jax.export.deserialize(jax.export.export(run)(*leaves).serialize())
     np.testing.assert_allclose(again.call(*leaves), run(*leaves), rtol=1e-13)
 
 
 def test_checkpoint_and_donation():
     def loss(iris):
-        return spectrum(iris, solver=ij.IlitExact(12)).sum()
+        return spectrum(iris, solver=FEW).sum()
 
-    plain, kept = jax.grad(loss)(LOW), jax.grad(jax.checkpoint(loss))(LOW)
+    plain, kept = (quick_jit(jax.grad(f))(LOW) for f in (loss, jax.checkpoint(loss)))
     for a, b in zip(jax.tree.leaves(plain), jax.tree.leaves(kept), strict=True):
         np.testing.assert_allclose(a, b, rtol=1e-10, atol=1e-14)
     given = jax.tree.map(jnp.array, LOW)
@@ -133,6 +141,7 @@ def test_public_values_are_pytrees():
             np.testing.assert_array_equal(a, b, err_msg=name)
 
 
+@pytest.mark.slow  # half a minute of compiling
 def test_traced_or_known_radiative_transfer_is_the_same():
     def run(iris, solver):
         m = ij.reflectance(iris, GRID, process=ij.DEPTH_RESOLVED, solver=solver, throw=False)
@@ -172,7 +181,7 @@ def test_a_base_that_lacks_a_pigment(name):
     solver = ij.IlitTabulated.build(tolerance=1e-3, n_intervals=32, n_albedos=5)
     stated = ij.problem(data, base=ij.Iris().replace(**BASES[name]), solver=solver)
     z = jnp.zeros(len(stated.free))
-    value, slope = jax.jit(lambda p, z: jax.value_and_grad(type(p).log_posterior, 1)(p, z))(
+    value, slope = quick_jit(lambda p, z: jax.value_and_grad(type(p).log_posterior, 1)(p, z))(
         stated, z
     )
     assert np.isfinite(value)
@@ -227,9 +236,9 @@ def test_weighted_derivatives_are_unbiased(process, quasi):
     assert (error[:3].max((1, 2)) < 0.02 * np.abs(exact[:3]).max((1, 2))).all()
 
 
-@pytest.mark.parametrize("quasi", [False, True])
+@pytest.mark.parametrize("quasi", [True, pytest.param(False, marks=pytest.mark.slow)])
 def test_weighted_reverse_mode_is_forward_mode(quasi):
-    solver = ij.IlitWeighted(256, quasi=quasi)
+    solver = ij.IlitWeighted(64, quasi=quasi)
     names = ("eumelanin", "stroma_thickness", "fibril_radius", "ipe_index", "abl_fraction")
 
     def value(x):
@@ -238,10 +247,10 @@ def test_weighted_reverse_mode_is_forward_mode(quasi):
         return m.values @ jnp.arange(1.0, 5.0)
 
     x = tuple(getattr(LOW, name) for name in names)
-    reverse = jax.jit(jax.grad(value))(x)
-    forward = jax.jit(jax.jacfwd(value))(x)
+    reverse = quick_jit(jax.grad(value))(x)
+    forward = quick_jit(jax.jacfwd(value))(x)
     np.testing.assert_allclose(reverse, forward, rtol=1e-6)
-    each = jax.vmap(jax.grad(value))(jax.tree.map(lambda v: jnp.stack([v, v]), x))
+    each = quick_jit(jax.vmap(jax.grad(value)))(jax.tree.map(lambda v: jnp.stack([v, v]), x))
     np.testing.assert_allclose(np.asarray(each)[:, 1], reverse, rtol=1e-5)
 
 

@@ -92,6 +92,7 @@ def test_presets_render(irisjax, tmp_path):
     assert picture.shape == (30, 40, 3) and picture.max() > 0.3
 
 
+@pytest.mark.slow  # 6 s of compiling
 def test_spectral_layers_add_up_to_the_picture(irisjax, tmp_path):
     """81 layers under the colour-matching functions give the RGB picture, to the ten bands' own
     error.

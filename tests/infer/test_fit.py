@@ -86,6 +86,7 @@ def test_thirty_irides_of_the_priors_are_all_found(problem, predict):
         assert int(found.agreeing) >= 2
 
 
+@pytest.mark.slow  # 15 s of compiling
 def test_most_probable_point_is_scipys(problem, measured):
     rng = np.random.default_rng(0)
     clean = measured("moderate").observations[0].values
@@ -117,6 +118,7 @@ def test_most_probable_point_is_scipys(problem, measured):
     np.testing.assert_allclose(again.z, found.z, atol=1e-5)
 
 
+@pytest.mark.slow  # 15 s of compiling
 def test_batches_are_single_fits(problem, measured):
     """Several starts, and rounds that some of the batch need and others do not."""
     clean = measured("low").observations[0].values

@@ -26,6 +26,7 @@ def problem():
     return ij.problem(seen, free=["melanin_load", "hemoglobin"], solver=BeerLambert())
 
 
+@pytest.mark.slow  # 10 s of compiling
 def test_densities_and_fits_do_not_depend_on_the_pieces(problem, monkeypatch):
     monkeypatch.setattr(portions, "_ELEMENTS", 2 * GRID.size)  # of seven walkers one remains
     z = jnp.asarray(np.random.default_rng(0).normal(size=(7, 2)))

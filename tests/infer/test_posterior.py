@@ -15,6 +15,7 @@ import pytest
 from scipy import stats
 
 import irisjax as ij
+from common import slowly
 from irisjax.infer import posterior
 from irisjax.infer.analytic import BeerLambert
 from irisjax.infer.fit import fit
@@ -53,7 +54,7 @@ def whole(tmp_path_factory):
     return problem, path, sample(problem, path, walkers=16, key=KEY, max_steps=600)
 
 
-@pytest.mark.parametrize("when", [1, 250, 450, 640, 990])
+@pytest.mark.parametrize("when", [1, slowly(250), 450, slowly(640), slowly(990)])
 def test_interrupted_and_resumed_is_the_same_chain(whole, tmp_path, when):
     problem, path, _ = whole
     mine = tmp_path / "chain.h5"
@@ -113,6 +114,7 @@ def test_short_chains_are_called_short(whole, tmp_path):
     np.testing.assert_array_equal(rows(tmp_path / "short.h5")[0][:60], rows(whole[1])[0][:60])
 
 
+@pytest.mark.slow  # long chains
 def test_memory_does_not_grow_with_the_chain(whole, tmp_path, monkeypatch):
     """Ten times the steps, resumed or not: less is held at any moment than their log probabilities
     would take.
@@ -172,7 +174,7 @@ def test_posterior_agrees_with_a_grid(tmp_path):
     )
 
 
-@pytest.mark.parametrize("which", ["independent", "differences", "mixture"])
+@pytest.mark.parametrize("which", [slowly("independent"), slowly("differences"), "mixture"])
 def test_moves_leave_a_distribution_as_it_is(which):
     """Samples of a skewed density stay samples of it, with moves that others have taught."""
     rng = np.random.default_rng(0)
@@ -243,6 +245,7 @@ def test_summary_and_predictive_check(whole):
     assert check(problem, chains, key=KEY).warning is None
 
 
+@pytest.mark.slow  # 15 s of sampling
 def test_wrong_model_is_noticed(tmp_path):
     """A step that no pigment makes: smooth residuals, and noise beyond what was stated."""
     problem = stated()

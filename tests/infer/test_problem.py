@@ -20,6 +20,7 @@ def stated(noise=None, sd=None, **options):
     return ij.problem(ij.spectrum(GRID, y, sd), noise=noise, solver=ij.IlitExact(16), **options)
 
 
+@pytest.mark.slow  # 15 s of compiling
 def test_prediction_is_the_spectrophotometer():
     """At the values of an iris the model is `reflectance` times the gain;
     a radiance is `radiance`.
@@ -112,6 +113,7 @@ def test_colour_likelihood_is_scipys():
     assert float(problem.log_likelihood(z)) == pytest.approx(wanted, rel=1e-10)
 
 
+@pytest.mark.slow  # statistics
 def test_draws_have_the_stated_moments():
     for noise in (
         Noise(0.03, 1e-3, 0.05, 60.0),

@@ -46,7 +46,7 @@ def equal(a, b):
     np.testing.assert_array_equal(a.extent, b.extent)
 
 
-@pytest.mark.parametrize("bits", [64, pytest.param(32, marks=pytest.mark.slow)])
+@pytest.mark.slow  # 12 s of tables
 def test_true_tables_come_back_to_the_bit(tmp_path, monkeypatch, bits):
     scene = Scene(Iris(), eye=Eye(iris_depth=3.7))  # of this precision
     first = tables_of(scene, tmp_path)

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 import irisjax as ij
+from common import slowly
 
 GRID = ij.wavelengths(400, 700, 10)
 SHORT = (450.0, 550.0, 650.0)
@@ -150,7 +151,7 @@ def test_colour_of_whole_numbers():
             np.testing.assert_array_equal(a, b)
 
 
-@pytest.mark.parametrize("measure", [ij.reflectance, ij.radiance, ij.colour])
+@pytest.mark.parametrize("measure", [ij.reflectance, *map(slowly, (ij.radiance, ij.colour))])
 def test_wavelengths_in_whole_numbers(measure):
     whole = np.arange(400, 701, 20)
     expected = measure(ij.Iris(), whole.astype(float))
@@ -181,7 +182,7 @@ def test_one_program_for_every_kind_of_number():
         np.testing.assert_array_equal(v, values[0])
 
 
-@pytest.mark.parametrize("measure", [ij.reflectance, ij.radiance, ij.colour])
+@pytest.mark.parametrize("measure", [ij.reflectance, *map(slowly, (ij.radiance, ij.colour))])
 def test_failures_are_told_one_way(measure):
     iris = ij.Iris().replace(eumelanin=1e3, scattering_scale=1e6)
     settings = {"process": ij.DEPTH_RESOLVED, "solver": ij.RadiativeExact(8, 4, n_panels=1)}
@@ -191,6 +192,7 @@ def test_failures_are_told_one_way(measure):
     assert told.status == ij.RESULTS.under_resolved
 
 
+@pytest.mark.slow  # 15 s of compiling
 def test_diffuse_light_by_monte_carlo():
     settings = {"cos_incidence": "diffuse", "solver": ij.MonteCarlo(2_000, lanes=64), "key": KEY}
     for process in (ij.ILIT_2006, ij.DEPTH_RESOLVED):

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy.integrate import quad
 
-from common import quick_jit
+from common import quick_jit, slowly
 from irisjax.numerics.quadrature import cosine_rule, gauss_legendre, graded
 from irisjax.optics.per_angle import averaged_kernel, scattering_operator
 
@@ -55,7 +55,7 @@ def test_kernel(mu, other, bits):
     [
         ((), 1e-10),
         ((0.0223,), 1e-10),
-        ((0.18, 0.0007), 1e-10),
+        slowly((0.18, 0.0007), 1e-10),
         ((0.0223, -0.2), 1e-10),
         ((0.3, 0.3), 1e-10),
         ((1e-4, 0.9), 1e-9),  # as the docstring says of break points next to 0
@@ -72,7 +72,7 @@ def test_missing_breaks_are_one_panel():
     np.testing.assert_array_equal(found, program(0, found.shape[0])(jnp.zeros(0)))
 
 
-@pytest.mark.parametrize("breaks", [(0.0223,), (0.18, 0.0007)])
+@pytest.mark.parametrize("breaks", [(0.0223,), slowly((0.18, 0.0007))])
 def test_single_precision(breaks, float32):
     rule = rule_for(*breaks)
     found = np.asarray(program(len(breaks))(jnp.asarray(breaks, float)))
@@ -80,6 +80,7 @@ def test_single_precision(breaks, float32):
     np.testing.assert_allclose(found[::STEP], along_great_circles(rule), rtol=0, atol=1e-6)
 
 
+@pytest.mark.slow  # a minute of compiling
 def test_gradients_are_finite(bits):
     """In a batch, where every number of panels is worked out and one chosen."""
 
@@ -92,18 +93,14 @@ def test_gradients_are_finite(bits):
 
 def test_gradient_against_finite_differences():
     def some(b):
-        rule = cosine_rule(b, (True, True), 12)
+        rule = cosine_rule(b, (True,), 12)
         return (scattering_operator(rule) @ rule.cosine**3) @ rule.weight * 1e3
 
-    b, h = jnp.asarray([0.02, 0.3]), 1e-4
+    b, h = jnp.asarray([0.02]), 1e-4
     found = quick_jit(jax.grad(some))(b)
     f = quick_jit(some)
-    for i in range(2):
-        step = h * np.eye(2)[i]
-        difference = (8 * (f(b + step) - f(b - step)) - (f(b + 2 * step) - f(b - 2 * step))) / (
-            12 * h
-        )
-        assert found[i] == pytest.approx(float(difference), rel=1e-5, abs=1e-8)
+    difference = (8 * (f(b + h) - f(b - h)) - (f(b + 2 * h) - f(b - 2 * h))) / (12 * h)
+    assert found[0] == pytest.approx(float(difference), rel=1e-5, abs=1e-8)
 
 
 def along_great_circles(rule):

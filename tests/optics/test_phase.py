@@ -7,6 +7,7 @@ import pytest
 from scipy.integrate import quad
 from scipy.optimize import brentq
 
+from common import DOUBLE_FIRST, slowly
 from irisjax.numerics.quadrature import conserving, cosine_rule
 from irisjax.optics.phase import PHASES
 
@@ -125,7 +126,7 @@ def averaged_over_circle(power, a, b):
 
 
 @pytest.mark.parametrize("name", NAMES)
-@pytest.mark.parametrize("critical", [(), (0.18,), (0.18, 0.0007)])
+@pytest.mark.parametrize("critical", [(), (0.18,), slowly((0.18, 0.0007))])
 def test_redistribution_of_powers(name, critical):
     """S(μ) = ½∫dα D(α) ⟨|μ'|^k⟩, the deflection integrated about the ray itself (no singular
     kernel).
@@ -149,8 +150,9 @@ def test_redistribution_of_powers(name, critical):
             assert found[i] == pytest.approx(expected, rel=0, abs=1e-6 if name == "lb06" else 1e-8)
 
 
+@DOUBLE_FIRST
 @pytest.mark.parametrize("name", NAMES)
-@pytest.mark.parametrize("critical", [(), (0.18,), (0.18, 0.0007)])
+@pytest.mark.parametrize("critical", [(), (0.18,), slowly((0.18, 0.0007))])
 def test_scattering_conserves(name, critical, bits):
     """Half of all scattered light goes up, half goes down, to rounding and at any number of
     nodes.

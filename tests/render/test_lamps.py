@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 import irisjax as ij
+from common import slowly
 from irisjax.anatomy.eye import Cornea, Eye
 from irisjax.anatomy.sclera import VeinMap
 from irisjax.measure.colour import tristimulus_matrix
@@ -35,7 +36,8 @@ IRIS = ij.Iris.of_level("low")
 
 
 @pytest.mark.parametrize(
-    ("polar", "distance"), [(0.0, 25.0), (0.0, 100.0), (0.5, 50.0), (1.0, 50.0)]
+    ("polar", "distance"),
+    [(0.5, 50.0)] + [slowly(*x) for x in ((0.0, 25.0), (0.0, 100.0), (1.0, 50.0))],
 )
 def test_near_lamp_on_the_iris(tables, polar, distance):
     """Rays that part from the lamp itself, counted where they land."""
@@ -112,6 +114,7 @@ def test_near_lamp_on_the_white():
     assert lit(both, normal, point) == pytest.approx(expected + far, rel=1e-9)
 
 
+@pytest.mark.slow  # half a minute of compiling
 def test_near_lamp_is_mirrored_where_it_stands(tables):
     """Where a line of sight, mirrored by hand on the cornea's conicoid,
     points at the lamp itself.
@@ -145,6 +148,7 @@ def test_near_lamp_is_mirrored_where_it_stands(tables):
     )
 
 
+@pytest.mark.slow  # 10 s of compiling
 def test_white_in_an_even_room(tables):
     """All of the room lights it, that behind the eye too: seen from the side where the iris is not
     lit from.
@@ -175,6 +179,7 @@ def test_white_in_an_even_room(tables):
     )
 
 
+@pytest.mark.slow  # 10 s of compiling
 def test_vessels_have_their_colours_of_81_wavelengths(tables):
     """The picture in RGB and the one of all wavelengths, weighed."""
     drawn = VeinMap(*(jnp.full((4, 4), v) for v in (0.035, 0.9, 0.3)))

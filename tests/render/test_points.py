@@ -5,6 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from common import DOUBLE_FIRST
 from irisjax.anatomy.eye import Cornea, Eye
 from irisjax.optics.conicoid import joined
 from irisjax.render.camera import Camera
@@ -20,6 +21,7 @@ back = jax.jit(lambda eye, camera, point: project_points(IrisSurface(eye), camer
 on_globe = jax.jit(lambda eye, camera, point: project_points(GlobeSurface(eye), camera, point))
 
 
+@DOUBLE_FIRST
 @pytest.mark.parametrize(("polar", "distance"), [(0.0, 250.0), (0.6, 60.0), (1.2, 1e4)])
 def test_pixels_return(polar, distance, bits):
     """A pixel's point of the iris and of the white appears in that pixel."""

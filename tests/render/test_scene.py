@@ -195,11 +195,9 @@ def test_no_pigment_at_all():
         assert np.isfinite(picture).all() and (picture > -1e-3).all()
 
 
-def test_lights_add_up(tables):
+def test_lights_add_up():
     one, two = Lights.distant(0.6, 2.0, 1.5), Lights.points([20.0, -10.0, -60.0], 2.5)
-    pictures = [
-        np.asarray(render(scene(CLOSE, lights=which), tables)) for which in (one + two, one, two)
-    ]
+    pictures = [np.asarray(render(scene(BARE, lights=which))) for which in (one + two, one, two)]
     np.testing.assert_allclose(pictures[0], pictures[1] + pictures[2], atol=1e-9)
 
 
@@ -222,6 +220,7 @@ def test_a_pixel_that_looks_at_the_middle(tables):
     assert np.isfinite(picture).all()
 
 
+@pytest.mark.slow  # 10 s of compiling
 def test_all_pixels_or_those_that_see(tables):
     """`project` has every pixel for every part, `look` sorts them on the host: one picture."""
     eye = Eye(cornea=CLEAR)

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 import irisjax as ij
+from common import slowly
 from irisjax.render.bands import spectral_bands
 from irisjax.render.separable import Scales, Separable
 from irisjax.tissue.maps import IrisMaps
@@ -36,7 +37,9 @@ N_ABL = float(LIGHT.indices().abl)
 
 
 @pytest.mark.parametrize("level", ["low", "high"])
-@pytest.mark.parametrize("process", [ij.ILIT_2006, ij.ILIT_CORRECTED], ids=["2006", "corrected"])
+@pytest.mark.parametrize(
+    "process", [ij.ILIT_2006, slowly(ij.ILIT_CORRECTED)], ids=["2006", "corrected"]
+)
 def test_uniform_iris(level, process):
     iris = ij.Iris.of_level(level)
     response = tabulated(
@@ -53,6 +56,7 @@ def test_uniform_iris(level, process):
     np.testing.assert_allclose(found, true, atol=2 * float(response.error) * true.max())
 
 
+@pytest.mark.slow  # 10 s of compiling
 def test_texels_with_scaled_layers_are_irides_of_their_own():
     """An ABL three times as thick, with three times the pigment, and so on."""
     ranges = Scales(abl=(0.2, 6.0), stroma=(0.3, 2.0))
@@ -90,6 +94,7 @@ def test_pigment_maps_are_irides_of_their_own():
         np.testing.assert_allclose(found, true, atol=2 * float(response.error) * true.max() + 1e-12)
 
 
+@pytest.mark.slow  # 10 s of compiling
 def test_error_tells_a_table_too_coarse():
     def error(degree):
         integrator = Separable(degrees=(degree, 5, 4, 4, 3), solver=ij.IlitExact(8))

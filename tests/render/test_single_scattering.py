@@ -10,7 +10,7 @@ import pytest
 from typer.testing import CliRunner
 
 import irisjax as ij
-from common import quick_jit, solve
+from common import DOUBLE_FIRST, quick_jit, solve
 from irisjax.anatomy.eye import Eye
 from irisjax.cli import app
 from irisjax.render.bands import Bands
@@ -126,6 +126,7 @@ def mapped_layers(iris):
     return ij.Layers(*depths, indices=made.indices, order=made.order)
 
 
+@DOUBLE_FIRST
 def test_marching_through_uniform_maps_is_the_closed_form(bits):
     iris = ij.Iris.of_level("low")
     found = shown(scene(iris, maps_of()))
@@ -249,6 +250,7 @@ def test_lights_add(tint):
     np.testing.assert_allclose(both, total, rtol=1e-10)
 
 
+@DOUBLE_FIRST
 def test_gradients(bits):
     maps = maps_of(abl=0.06, stroma=0.35, freckles=0.2)  # down to nothing
     iris = ij.Iris.of_level("low")

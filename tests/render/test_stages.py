@@ -7,6 +7,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+import pytest
 
 from common import operations
 from irisjax.anatomy.eye import Eye
@@ -44,6 +45,7 @@ def test_tables_are_made_for_what_is_asked(monkeypatch):
     assert built == [False, True]
 
 
+@pytest.mark.slow  # 20 s of compiling
 def test_absent_parts_cost_nothing(tables):
     eye, iris = CLOSE, LIGHT
     pixels = look(eye, SMALL).iris
@@ -106,6 +108,7 @@ def test_absent_parts_cost_nothing(tables):
     assert look(BARE, SMALL).mirror is None and look(CLOSE, SMALL).sclera is None
 
 
+@pytest.mark.slow  # a minute of compiling
 def test_only_what_changed_is_made_again(tables):
     """Pictures of a scene that changes, with and without a memory of the one before."""
     maps = IrisMaps(
@@ -154,6 +157,7 @@ def test_pictures_with_a_memory(monkeypatch, tables):
     assert len(calls) == 2
 
 
+@pytest.mark.slow  # half a minute of compiling
 def test_threads_change_no_bit(tables):
     """A picture large enough for threads, by one, two and three."""
     maps = IrisMaps(stroma_depth=ring(lambda x, y: 0.3 + 0.02 * x))

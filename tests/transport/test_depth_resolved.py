@@ -230,6 +230,7 @@ def test_half_space_of_chandrasekhar(deep):
     assert solve(layers(0.0, np.array([1.0]), 0.0, (1.4,) * 4)).reflectance[0] == 0
 
 
+@pytest.mark.slow  # 10 s of compiling
 def test_darker_than_ilit():
     """ILIT forgets the way back: about twice as bright in the blue for light eyes (ilit.md, section
     6).
