@@ -2,6 +2,7 @@
 
 import importlib.metadata
 import os
+from pathlib import Path
 
 os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", "")  # the command's would be the user's own
 
@@ -56,6 +57,17 @@ def _precision(request):
     jax.config.update("jax_enable_x64", not _wants_float32(request.node))
     yield
     jax.config.update("jax_enable_x64", True)
+
+
+@pytest.fixture(autouse=True, scope="module")
+def _mappings():
+    """Compiled programs are dropped before Linux's 65,530 memory mappings a process run out: a few
+    dozen each, and at the last one XLA ends in a segmentation fault.
+    """
+    yield
+    maps = Path("/proc/self/maps")
+    if maps.exists() and len(maps.read_bytes().splitlines()) > 40_000:
+        jax.clear_caches()
 
 
 # Floors whose programs hold with no promotion of dtypes but by hand; the upper ones follow.
