@@ -14,8 +14,9 @@ import pytest
 
 import irisjax as ij
 
-# A case of `parametrize` that is left to the slow tier: its neighbours find the same faults.
+# Cases of `parametrize` that are left to another tier: their neighbours find the same faults.
 slowly = functools.partial(pytest.param, marks=pytest.mark.slow)
+heavily = functools.partial(pytest.param, marks=pytest.mark.heavy)
 DOUBLE_FIRST = pytest.mark.parametrize("bits", [64, slowly(32)], ids=["f64", "f32"])
 
 LEVELS = ("low", "moderate", "high")

@@ -32,7 +32,8 @@ def pytest_configure(config):
 
 
 def _compile_in_half_the_time(tier):
-    """The default tier's loops are put together by XLA's older code; LLVM optimises them as ever.
+    """Loops of the default and the heavy tier are put together by XLA's older code; LLVM optimises
+    them as ever.
 
     `peer` and `slow` run what users run to the letter. Other releases of jaxlib stop at this flag.
     """
@@ -70,17 +71,18 @@ def _mappings():
         jax.clear_caches()
 
 
-# Floors whose programs hold with no promotion of dtypes but by hand; the upper ones follow.
+# Floors whose programs promote neither dtypes nor ranks but by hand; the upper ones follow.
 _STRICT = {"numerics", "optics", "tissue", "transport"}
-_LAX = {"test_montecarlo.py"}  # cells of a BRDF, counted in integers over a real solid angle
+# Cells of a BRDF are counted in integers over a real solid angle; a path serves all wavelengths.
+_LAX = {"test_montecarlo.py", "test_weighted_derivatives.py"}
 
 
 @pytest.fixture(autouse=True)
-def _dtypes(request):
+def _no_promotion(request):
     if request.path.parent.name not in _STRICT or request.path.name in _LAX:
         yield
         return
-    with jax.numpy_dtype_promotion("strict"):
+    with jax.numpy_dtype_promotion("strict"), jax.numpy_rank_promotion("raise"):
         yield
 
 

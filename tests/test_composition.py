@@ -25,6 +25,7 @@ def spectrum(iris, grid=GRID, **settings):
     return ij.reflectance(iris, grid, **settings).values
 
 
+@pytest.mark.heavy
 def test_an_iris_as_the_carry_of_a_scan():
     def step(iris, factor):
         iris = iris.replace(eumelanin=iris.eumelanin * factor, stroma_thickness=0.3)
@@ -52,6 +53,7 @@ def test_an_iris_as_the_carry_of_a_scan():
     np.testing.assert_allclose(loads[1:], factors[:2], rtol=1e-12)
 
 
+@pytest.mark.heavy
 def test_one_wavelength_at_a_time():
     grid = jnp.asarray(GRID)
     for measure in (ij.reflectance, ij.radiance):
@@ -71,6 +73,7 @@ def test_one_wavelength_at_a_time():
     np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-9)
 
 
+@pytest.mark.heavy
 def test_exported_programs_give_the_same_numbers():
     run = jax.jit(lambda iris: spectrum(iris, solver=FEW))
     leaves, structure = jax.tree.flatten(LOW)
@@ -81,6 +84,7 @@ def test_exported_programs_give_the_same_numbers():
     np.testing.assert_allclose(kept.call(jnp.asarray(GRID)), traced(jnp.asarray(GRID)), rtol=1e-13)
 
 
+@pytest.mark.heavy
 def test_exported_programs_are_bytes():
     pytest.importorskip("flatbuffers", reason="jax.export writes bytes by way of flatbuffers")
     leaves, structure = jax.tree.flatten(LOW)
@@ -89,6 +93,7 @@ def test_exported_programs_are_bytes():
     np.testing.assert_allclose(again.call(*leaves), run(*leaves), rtol=1e-13)
 
 
+@pytest.mark.heavy
 def test_checkpoint_and_donation():
     def loss(iris):
         return spectrum(iris, solver=FEW).sum()
@@ -114,9 +119,9 @@ def values():
         "radiometer": ij.Radiometer(GRID),
         "colorimeter": ij.Colorimeter(GRID),
         "goniophotometer": ij.Goniophotometer(GRID, cos_exit=[0.3, 0.6]),
-        "measurement": ij.reflectance(iris, GRID),
-        "colour": ij.colour(iris, GRID),
-        "brdf": ij.brdf(iris, GRID, cos_exit=[0.3, 0.6]),
+        "measurement": quick_jit(lambda i: ij.reflectance(i, GRID))(iris),
+        "colour": quick_jit(lambda i: ij.colour(i, GRID))(iris),
+        "brdf": quick_jit(lambda i: ij.brdf(i, GRID, cos_exit=[0.3, 0.6]))(iris),
         "solver": ij.IlitExact(),
         "radiative": ij.RadiativeExact(),
         "weighted": ij.IlitWeighted(64),
@@ -160,6 +165,7 @@ def test_traced_or_known_radiative_transfer_is_the_same():
     assert jax.jit(run, static_argnums=1)(thick, ij.RadiativeExact(12, 8))[1]
 
 
+@pytest.mark.heavy
 def test_traced_or_known_ilit_is_the_same():
     known = spectrum(LOW)
     np.testing.assert_allclose(jax.jit(spectrum)(LOW), known, rtol=1e-12)
@@ -174,6 +180,7 @@ BASES = {
 }
 
 
+@pytest.mark.heavy
 @pytest.mark.parametrize("name", BASES)
 def test_a_base_that_lacks_a_pigment(name):
     grid = ij.wavelengths(420, 680, 20)
@@ -188,70 +195,6 @@ def test_a_base_that_lacks_a_pigment(name):
     assert np.isfinite(slope).all()
     for x in stated.natural(z):
         assert np.isfinite(x)
-
-
-# Derivatives of the weighted estimator -------------------------------------------------------
-
-
-def _moved(solver, process, x, key):
-    """Shares of light as functions of all that ILIT depends on: depths, indices and incidence."""
-    depths, indices, cosine = x
-    layers = ij.Layers(*depths, ij.RefractiveIndices(*indices), type(LOW.order)())
-    s = solver.solve(layers, process, cosine, key=key)
-    return jnp.stack([s.reflectance, s.absorbed.abl, s.absorbed.stroma, s.absorbed.ipe])
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("quasi", [False, True])
-@pytest.mark.parametrize(
-    "process", [ij.ILIT_2006, ij.Ilit("rayleigh", "retest")], ids=["printed", "retest"]
-)
-def test_weighted_derivatives_are_unbiased(process, quasi):
-    made = LOW.layers(ij.extinction(np.asarray(GRID)))
-    depths = (made.abl_absorption, made.stroma_absorption, made.stroma_scattering)
-    x = depths, tuple(jax.tree.leaves(made.indices)), jnp.asarray(0.7)
-    flat = jax.tree.leaves(x)
-    directions = [
-        jax.tree.unflatten(
-            jax.tree.structure(x), [jnp.full_like(v, i == k) for i, v in enumerate(flat)]
-        )
-        for k in range(len(flat))
-    ]
-    directions = jax.tree.map(lambda *d: jnp.stack(d), *directions)
-
-    def slopes(solver, key):
-        def along(d):
-            return jax.jvp(lambda x: _moved(solver, process, x, key), (x,), (d,))[1]
-
-        return jax.vmap(along)(directions)
-
-    exact = jax.jit(lambda: slopes(ij.IlitExact(), KEY))()
-    solver = ij.IlitWeighted(2048, quasi=quasi)
-    run = jax.jit(lambda key: slopes(solver, key))
-    runs = np.stack([run(k) for k in jax.random.split(jax.random.key(3), 24)])
-    error = runs.std(0, ddof=1) / np.sqrt(len(runs))
-    # Depths and incidence; 8 directions, 4 shares, 4 wavelengths each: |z| < 4.5 by Student's law.
-    z = (runs.mean(0) - exact) / np.where(error > 0, error, 1e-6)
-    assert np.abs(z).max() < 4.5
-    assert (error[:3].max((1, 2)) < 0.02 * np.abs(exact[:3]).max((1, 2))).all()
-
-
-@pytest.mark.parametrize("quasi", [True, pytest.param(False, marks=pytest.mark.slow)])
-def test_weighted_reverse_mode_is_forward_mode(quasi):
-    solver = ij.IlitWeighted(64, quasi=quasi)
-    names = ("eumelanin", "stroma_thickness", "fibril_radius", "ipe_index", "abl_fraction")
-
-    def value(x):
-        iris = LOW.replace(**dict(zip(names, x, strict=True)))
-        m = ij.reflectance(iris, GRID, solver=solver, key=KEY)
-        return m.values @ jnp.arange(1.0, 5.0)
-
-    x = tuple(getattr(LOW, name) for name in names)
-    reverse = quick_jit(jax.grad(value))(x)
-    forward = quick_jit(jax.jacfwd(value))(x)
-    np.testing.assert_allclose(reverse, forward, rtol=1e-6)
-    each = quick_jit(jax.vmap(jax.grad(value)))(jax.tree.map(lambda v: jnp.stack([v, v]), x))
-    np.testing.assert_allclose(np.asarray(each)[:, 1], reverse, rtol=1e-5)
 
 
 # Devices --------------------------------------------------------------------------------------

@@ -57,6 +57,7 @@ LEAVES, TREE = jax.tree.flatten(TEMPLATE)
 ORDERS = {e: ij.Iris(**edge(e)).order for e in EDGES}
 
 
+@pytest.mark.heavy
 @pytest.mark.parametrize(
     ("name", "traced_order", "edges"),
     [

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import irisjax as ij
-from common import slowly
+from common import heavily, slowly
 
 GRID = ij.wavelengths(400, 700, 1)
 
@@ -65,7 +65,9 @@ def test_range_between_levels():
     assert (np.diff(gap[200:]) < 0).all()
 
 
-@pytest.mark.parametrize("process", [ij.ILIT_2006, ij.ILIT_CORRECTED, slowly(ij.DEPTH_RESOLVED)])
+@pytest.mark.parametrize(
+    "process", [ij.ILIT_2006, heavily(ij.ILIT_CORRECTED), slowly(ij.DEPTH_RESOLVED)]
+)
 @pytest.mark.parametrize("fraction", [0.2, 0.5, 0.8])
 def test_more_melanin_is_darker(process, fraction):
     low, moderate, high = (
@@ -85,6 +87,7 @@ def test_more_of_it_in_the_abl_is_darker(level):
         assert (brighter > darker).all()
 
 
+@pytest.mark.heavy
 @pytest.mark.parametrize("level", ["low", "high"])
 @pytest.mark.parametrize("angle", [0, 60])
 def test_brdf_is_near_lambertian(level, angle):
@@ -101,6 +104,7 @@ def test_brdf_is_near_lambertian(level, angle):
     assert (np.diff(f) < 0).all()
 
 
+@pytest.mark.heavy
 def test_round_trip_of_figures():
     """In vivo the cornea takes two per cent of the light on its way in (T_in = 0.979)."""
     iris, grid = ij.Iris.of_level("low"), np.array([550.0])

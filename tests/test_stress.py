@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import irisjax as ij
-from common import PROCESSES, any_order, layers, quick_jit
+from common import PROCESSES, any_order, heavily, layers, quick_jit
 from edges import BASE, COSINES, SWEEP, TINY
 
 DEPTHS = np.array([0.0, 1e-12, 1e-6, 1e-3, 0.1, 1.0, 10.0, 1e3, 1e6])
@@ -149,7 +149,7 @@ def test_depth_resolved_deep(bits):
 MONOTONIC = ("lb06", "rayleigh")
 
 
-@pytest.mark.parametrize("name", [*MONOTONIC, "depth-resolved"])
+@pytest.mark.parametrize("name", [*MONOTONIC, heavily("depth-resolved")])
 def test_monotonic(name):
     """More absorption is never brighter; in depth-resolved transport more scatterers in matched
     media never darker.
@@ -169,6 +169,7 @@ def test_monotonic(name):
     assert (np.diff(matched) > 0).all()
 
 
+@pytest.mark.heavy
 @pytest.mark.parametrize("n", [1, 4_000, pytest.param(100_000, marks=SWEEP)])
 def test_number_of_wavelengths(n):
     grid = np.array([700.0]) if n == 1 else np.linspace(400, 700, n)

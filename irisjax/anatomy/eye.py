@@ -157,6 +157,14 @@ class Eye(eqx.Module):
         """A copy with some fields changed."""
         return dataclasses.replace(self, **fields)
 
+    def relative_radius(self, distance):
+        """Of distances from the axis (mm) across the iris: 0 at the pupil's edge, 1 at the root."""
+        return (distance - self.pupil_radius) / (self.iris_radius - self.pupil_radius)
+
+    def from_axis(self, relative_radius):
+        """Distances from the axis, mm: the inverse of `relative_radius`."""
+        return self.pupil_radius + (self.iris_radius - self.pupil_radius) * relative_radius
+
     def meet_iris(self, origin: Vector, direction: Vector):
         """Distance along rays to the plane or cone of the iris, mm."""
         t = (self.iris_depth - origin[..., 2]) / direction[..., 2]

@@ -22,7 +22,7 @@ from irisjax.cli.options import (
 )
 from irisjax.measure.colour import OBSERVER
 from irisjax.measure.instrument import Cornea
-from irisjax.tissue.pigments import common_range
+from irisjax.tissue.pigments import check_covered, common_range
 
 _VISIBLE, _GREEN, _WHOLE = Grid("400:700:10"), Grid("550"), Grid("380:780:5")
 _ILLUMINANT = option(metavar="name", help="light source by its name in colour-science")
@@ -41,7 +41,7 @@ def _wavelengths(*names: str) -> Any:
     low, high = common_range()
     return option(
         *names,
-        parse=grid(low, high),
+        parse=grid(check_covered),
         metavar="nm",
         help=f"start:stop:step or a list like 450,550; within {low:g} to {high:g}",
     )

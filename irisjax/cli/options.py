@@ -180,16 +180,14 @@ class Grid:
         return self.text
 
 
-def grid(low: float = -math.inf, high: float = math.inf) -> Callable[[str], Grid]:
-    """Parser of wavelengths within [low, high], nm."""
+def grid(check: Callable[[np.ndarray], None] | None = None) -> Callable[[str], Grid]:
+    """Parser of wavelengths, nm; `check` raises `ValueError` where they are not allowed."""
 
     def parse(text: str) -> Grid:
         found = Grid("".join(text.split()))
-        outside = [w for w in found.values if not low <= w <= high]
-        if outside:
-            raise ValueError(
-                f"{outside[0]:g} nm is outside the pigment tables ({low:g} to {high:g} nm)"
-            )
+        values = found.values  # or the error that it is no grid
+        if check is not None:
+            check(values)
         return found
 
     return parse

@@ -89,7 +89,7 @@ def _grow(
 ) -> dict[str, Field]:
     angles, radii = cell_centres(shape)
     turns, radius = jnp.broadcast_arrays(angles[:, None] / (2 * jnp.pi), radii)
-    place = eye.pupil_radius + (eye.iris_radius - eye.pupil_radius) * radius
+    place = eye.from_axis(radius)
     seeds = jax.vmap(lambda i: bits(fold_in(key, i), dtype=jnp.uint32))(jnp.arange(6))
     fibres, zigzag, crypts, furrows, freckles, mottles = seeds
     ring = COLLARETTE + _zigzag(zigzag, turns)
@@ -249,7 +249,7 @@ def _freckles(seed: Seed, turns: Field, place: Field, eye: Eye, count: Whole) ->
 
     def spot(k, painted):
         a, b, c, d = drawn(spots, 4, k, place.dtype)
-        where = eye.pupil_radius + (eye.iris_radius - eye.pupil_radius) * (0.15 + 0.75 * b)
+        where = eye.from_axis(0.15 + 0.75 * b)
         across = 2 * jnp.pi * ((turns - a + 0.5) % 1.0 - 0.5) * where
         away = jnp.sqrt(across**2 + (place - where) ** 2) * ragged / (0.05 * 5.0 ** (c**2))
         return jnp.maximum(painted, (0.5 + 0.5 * d) * smoothstep(1.6 - 1.1 * away))

@@ -16,7 +16,7 @@ from irisjax.measure.instrument import AbstractInstrument, Cornea
 from irisjax.measure.measurement import check_cosine, check_wavelengths
 from irisjax.measure.radiometer import Radiometer
 from irisjax.measure.spectrophotometer import Spectrophotometer
-from irisjax.tissue.pigments import common_range
+from irisjax.tissue.pigments import check_covered
 
 REFLECTANCE, RADIANCE = "reflectance", "radiance"
 COLOURS = {"XYZ": "xyz", "Lab": "lab", "linear sRGB": "srgb_linear"}
@@ -102,12 +102,10 @@ def spectrum(
     grid, y = grid[order], y[order]
     check_wavelengths(grid)
     check_cosine("cos_incidence", cos_incidence)
-    low, high = common_range()
-    if grid[0] < low or grid[-1] > high:
-        outside = grid[0] if grid[0] < low else grid[-1]
-        raise ValueError(
-            f"{name}: {outside:g} nm is outside the pigment tables ({low:g} to {high:g} nm)"
-        )
+    try:
+        check_covered(grid)
+    except ValueError as error:
+        raise ValueError(f"{name}: {error}") from None
     if not np.isfinite(y).all():
         raise ValueError(
             f"{name}: the value at {grid[~np.isfinite(y)][0]:g} nm is not a finite number"

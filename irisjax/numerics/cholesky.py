@@ -85,6 +85,6 @@ def _small_cholesky(a):
     def step(k, carry):
         rest, root = carry
         column = jnp.where(rows >= k, rest[:, k], 0.0) / jnp.sqrt(rest[k, k])
-        return rest - column[:, None] * column, root.at[:, k].set(column)
+        return rest - jnp.outer(column, column), root.at[:, k].set(column)
 
     return jax.lax.fori_loop(0, a.shape[0], step, (a, jnp.zeros_like(a)))[1]

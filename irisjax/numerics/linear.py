@@ -73,7 +73,7 @@ def _gauss_jordan(m: Float[Array, "n width many"]) -> Float[Array, "n rest many"
     rows = jnp.arange(n)[:, None, None]
 
     def step(k, m):
-        pivot_row = m[k] / m[k, k]
+        pivot_row = (m[k] / m[k, k][None])[None]
         return jnp.where(rows == k, pivot_row, m - m[:, k, None] * pivot_row)
 
     return jax.lax.fori_loop(0, n, step, m)[:, n:]

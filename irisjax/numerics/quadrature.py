@@ -143,7 +143,7 @@ def cosine_rule(
     return CosineRule(
         cosine=mu,
         weight=w * width * g * dg / mu,
-        excess=nu_squared + (start - breaks_squared[:, None]),
+        excess=nu_squared[None] + (start[None] - breaks_squared[:, None]),
         omitted=omitted,
         starts=starts,
         widths=widths,

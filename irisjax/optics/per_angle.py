@@ -62,7 +62,8 @@ def averaged_kernel(mu, other, sine_square, other_sine_square, difference, xp: A
     beside, across = 1 - a + b, 1 + a + b
     ahead, behind = (difference / (mu + other)) ** 2 / beside, (mu + other) ** 2 / across
     h, w = (xp.asarray(v, b.dtype) for v in _azimuths(xp.finfo(b.dtype).bits))
-    t = h[:, None] * b
+    t = h[:, None] * b[None]
+    ahead, across, beside, behind = (v[None] for v in (ahead, across, beside, behind))
     mild = w @ (xp.sqrt((ahead + t) * (across - t)) + xp.sqrt((beside - t) * (behind + t)))
     return (4 * np.pi / larger - 2 * mild) / (3 * np.pi**2)
 
@@ -86,7 +87,7 @@ def _product_integrated(starts, widths, m: int, xp: Any):
     pairs, measures = [], []
     for a, b in itertools.product(range(panels), repeat=2):
         target, p = targets[a], _points(m, a, b)
-        source = _places(starts, widths, b, p.x, p.rest, xp)
+        source = _places(starts, widths, b, np.atleast_2d(p.x), np.atleast_2d(p.rest), xp)
         if a == b:
             at, to, step = (xp.asarray(v, dtype) for v in (x, p.x, p.step))
             rise = graded_rise(at, to, step, starts[a], xp)
@@ -94,13 +95,13 @@ def _product_integrated(starts, widths, m: int, xp: Any):
         else:
             lower, upper = (target, source) if b > a else (source, target)
             between = widths[min(a, b) + 1 : max(a, b)].sum()
-            difference = between + lower.to_end + upper.from_start
+            difference = between + (lower.to_end + upper.from_start)
         pairs.append(
             xp.broadcast_arrays(
                 target.cosine, source.cosine, target.sine_square, source.sine_square, difference
             )
         )
-        measures.append(source.slope * xp.asarray(p.weight, dtype))
+        measures.append(source.slope * xp.asarray(np.atleast_2d(p.weight), dtype))
     # All pairs in one call: the program holds the kernel once, not for each pair of panels.
     arguments = [xp.concatenate([v.ravel() for v in each]) for each in zip(*pairs, strict=True)]
     k = averaged_kernel(arguments[0], arguments[1], arguments[2], arguments[3], arguments[4], xp)

@@ -84,7 +84,7 @@ class Rayleigh(AbstractPhase):
     def redistribution(self, rule):
         """Rank one beside the isotropic part: P₂ with weight ¼."""
         p2 = (1.5 * rule.cosine**2 - 0.5)[None, :]
-        return Redistribution(collect=rule.weight * p2, scatter=0.25 * p2)
+        return Redistribution(collect=rule.weight[None, :] * p2, scatter=0.25 * p2)
 
 
 class RayleighPerAngle(AbstractPhase):
@@ -126,4 +126,4 @@ def _conserving(operator, weight):
     """The operator with its error in energy, a quadrature error, given back to all directions
     alike.
     """
-    return operator + (0.5 * weight - weight @ operator) / weight.sum()
+    return operator + ((0.5 * weight - weight @ operator) / weight.sum())[None, :]

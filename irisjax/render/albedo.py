@@ -140,9 +140,7 @@ class Matt(eqx.Module):
             return Scales(), np.ones(1)
         rows, columns = self.shape
         step = max(1, round((rows * columns / _TEXELS) ** 0.5))
-        radius = np.asarray(cell_centres(self.shape)[1])
-        pupil, root = float(self.eye.pupil_radius), float(self.eye.iris_radius)
-        place = pupil + radius * (root - pupil)
+        place = np.asarray(self.eye.from_axis(cell_centres(self.shape)[1]))
         weight = np.broadcast_to(place, self.shape)[::step, ::step].ravel()
         return Scales(
             *(None if s is None else s[::step, ::step].ravel() for s in self.scales)

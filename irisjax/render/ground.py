@@ -40,9 +40,7 @@ class Ground(eqx.Module):
         present = [t for t in self.textures if t is not None]
         if not present:
             return self.textures
-        radius = (jnp.sqrt(point[0] ** 2 + point[1] ** 2) - self.eye.pupil_radius) / (
-            self.eye.iris_radius - self.eye.pupil_radius
-        )
+        radius = self.eye.relative_radius(jnp.sqrt(point[0] ** 2 + point[1] ** 2))
         found = iter(polar_bilinear(jnp.stack(present), jnp.arctan2(point[1], point[0]), radius))
         return Local(*(None if t is None else next(found) for t in self.textures))
 

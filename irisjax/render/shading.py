@@ -231,7 +231,7 @@ def slopes_of(relief: Float[Array, "angles radii"], eye: Eye) -> Float[Array, "2
     """
     rows, columns = relief.shape
     span = eye.iris_radius - eye.pupil_radius
-    radius = eye.pupil_radius + span * (jnp.arange(2 * columns) + 0.5) / (2 * columns)
+    radius = eye.from_axis((jnp.arange(2 * columns) + 0.5) / (2 * columns))
     # Straight on beyond both edges: what closes on itself there is cut off again.
     first, last = relief[:, :1], relief[:, -1:]
     ahead, behind = first - relief[:, 1:2], last - relief[:, -2:-1]

@@ -57,8 +57,7 @@ class IrisSurface(AbstractSurface):
 
     def place(self, point: Vector) -> Place:
         """Angle and relative radius in `IrisMaps`."""
-        eye = self.eye
-        radius = (from_axis(point) - eye.pupil_radius) / (eye.iris_radius - eye.pupil_radius)
+        radius = self.eye.relative_radius(from_axis(point))
         return arctan2(point[..., 1], point[..., 0]), radius
 
 

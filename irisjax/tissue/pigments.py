@@ -79,6 +79,16 @@ def common_range() -> tuple[float, float]:
     return max(r[0] for r in ranges), min(r[1] for r in ranges)
 
 
+def check_covered(wavelengths) -> None:
+    """Raise `ValueError` naming the first wavelength (nm) that a pigment's table does not cover."""
+    x = np.asarray(wavelengths, np.float64)
+    low, high = common_range()
+    # A NaN is neither below nor above: ask for what is allowed.
+    bad = ~((x >= low) & (x <= high))
+    if bad.any():
+        raise ValueError(f"{x[bad][0]:g} nm is outside the pigment tables ({low:g} to {high:g} nm)")
+
+
 @lru_cache(maxsize=64)
 def _on_host(grid: bytes, double: bool) -> Extinction:
     x = np.frombuffer(grid, np.float64)

@@ -15,6 +15,7 @@ from irisjax.export.handover import WAVELENGTHS, check_folder
 from irisjax.tissue.maps import FRECKLE
 
 
+@pytest.mark.heavy
 def test_albedo_is_the_spectrophotometers(bare):
     """The texel's own iris, its melanin shared out by hand, before the public instrument."""
     scene, folder, _ = bare
@@ -46,6 +47,7 @@ def test_albedo_is_the_spectrophotometers(bare):
         )  # ten bands for 81
 
 
+@pytest.mark.heavy
 def test_brdf_table_is_the_goniophotometers(bare):
     scene, folder, _ = bare
     table = io.read_table(folder / "brdf.csv")
@@ -60,6 +62,7 @@ def test_brdf_table_is_the_goniophotometers(bare):
     np.testing.assert_allclose(found, expected, rtol=0.01)
 
 
+@pytest.mark.heavy
 def test_error_of_a_matt_iris_by_plain_sums(bare):
     """Largest error of the mean radiance within 50°, from the public BRDF of the two kinds of texel
     there are.
@@ -92,6 +95,7 @@ def test_error_of_a_matt_iris_by_plain_sums(bare):
     )  # the largest is along the normal
 
 
+@pytest.mark.heavy
 def test_files_go_together(bare):
     scene, folder, made = bare
     assert {p.name for p in folder.iterdir()} == set(made.files)

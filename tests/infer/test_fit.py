@@ -146,6 +146,7 @@ def test_normal_equations_solve_least_squares():
     np.testing.assert_allclose(found, np.linalg.lstsq(a, b, rcond=None)[0], rtol=1e-10)
 
 
+@pytest.mark.heavy
 def test_ridge_is_found_and_said(measured):
     """Load and fraction correlate at −0.9 or worse; their product is known better than either."""
     problem = measured("moderate")
@@ -156,6 +157,7 @@ def test_ridge_is_found_and_said(measured):
     assert any("load × fraction" in line for line in in_words(found))
 
 
+@pytest.mark.heavy
 @pytest.mark.parametrize(
     ("values", "noise"),
     [

@@ -15,7 +15,7 @@ import pytest
 from scipy import stats
 
 import irisjax as ij
-from common import slowly
+from common import heavily, slowly
 from irisjax.infer import posterior
 from irisjax.infer.analytic import BeerLambert
 from irisjax.infer.fit import fit
@@ -54,7 +54,7 @@ def whole(tmp_path_factory):
     return problem, path, sample(problem, path, walkers=16, key=KEY, max_steps=600)
 
 
-@pytest.mark.parametrize("when", [1, slowly(250), 450, slowly(640), slowly(990)])
+@pytest.mark.parametrize("when", [1, slowly(250), heavily(450), slowly(640), slowly(990)])
 def test_interrupted_and_resumed_is_the_same_chain(whole, tmp_path, when):
     problem, path, _ = whole
     mine = tmp_path / "chain.h5"
@@ -145,6 +145,7 @@ def test_memory_does_not_grow_with_the_chain(whole, tmp_path, monkeypatch):
         assert peaks[300] - peaks[30] < 270 * walkers * 8
 
 
+@pytest.mark.heavy
 def test_posterior_agrees_with_a_grid(tmp_path):
     """Two parameters: mean, spread and correlation against brute force."""
     problem = stated()
@@ -174,6 +175,7 @@ def test_posterior_agrees_with_a_grid(tmp_path):
     )
 
 
+@pytest.mark.heavy
 @pytest.mark.parametrize("which", [slowly("independent"), slowly("differences"), "mixture"])
 def test_moves_leave_a_distribution_as_it_is(which):
     """Samples of a skewed density stay samples of it, with moves that others have taught."""

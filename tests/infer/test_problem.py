@@ -7,7 +7,7 @@ import pytest
 from scipy import stats
 
 import irisjax as ij
-from common import quick_jit
+from common import heavily, quick_jit
 from irisjax.infer.noise import Noise
 from irisjax.infer.parameters import PARAMETERS
 from irisjax.infer.priors import LogNormal
@@ -39,6 +39,7 @@ def test_prediction_is_the_spectrophotometer():
     np.testing.assert_allclose(problem.predict(jnp.zeros(1))[0], wanted.values, rtol=1e-12)
 
 
+@pytest.mark.heavy
 @pytest.mark.parametrize("quantity", ["XYZ", "Lab", "linear sRGB"])
 def test_colours_are_those_of_the_colorimeter(quantity):
     iris = ij.Iris.of_level("low")
@@ -101,6 +102,7 @@ def test_correlated_residuals_are_whitened(count):
     )
 
 
+@pytest.mark.heavy
 def test_colour_likelihood_is_scipys():
     c = np.array([[2.0, 0.5, 0.1], [0.5, 1.0, -0.2], [0.1, -0.2, 0.5]]) * 1e-4
     problem = ij.problem(
@@ -136,7 +138,7 @@ def test_draws_have_the_stated_moments():
         np.testing.assert_allclose(np.asarray(draws).var(0), variance, rtol=0.1)
 
 
-@pytest.mark.parametrize("solver", [ij.IlitExact(16), None], ids=["exact", "tabulated"])
+@pytest.mark.parametrize("solver", [heavily(ij.IlitExact(16)), None], ids=["exact", "tabulated"])
 def test_slopes_agree_with_differences(solver):
     """The rule that wavelengths do not mix: forward, reverse,
     and a difference of the whole model.

@@ -98,12 +98,14 @@ def test_jit_vmap_and_grad():
     assert slope.base_index != 0
 
 
+@pytest.mark.heavy
 def test_batched_result_prints():
     _, irides = all_irides()
     batch = jax.vmap(lambda iris: ij.reflectance(iris, GRID))(irides)
     assert repr(batch) == "reflectance, batch of shape (9, 31)"
 
 
+@pytest.mark.heavy
 def test_radiance_factor():
     """Over a white diffuser's E/π, what the eye sends back is its reflectance times the cornea's
     0.979.
@@ -123,6 +125,7 @@ def test_radiance_factor():
         ij.radiance(IRIS, GRID, cos_incidence="diffuse")
 
 
+@pytest.mark.heavy
 def test_cornea_settings():
     def values(cornea, cosine=1.0):
         return ij.reflectance(IRIS, GRID, cornea=cornea, cos_incidence=cosine).values
@@ -156,6 +159,7 @@ def test_ilit_brdf_is_separable():
     np.testing.assert_allclose(ratio, ratio[0, 0], rtol=1e-12)
 
 
+@pytest.mark.heavy
 def test_colour_against_colour_science():
     import colour as cs
 
@@ -222,6 +226,7 @@ def test_lighter_iris_is_lighter_and_bluer():
     assert low.lab[2] < 0
 
 
+@pytest.mark.heavy
 def test_colour_gradient():
     def lightness(eumelanin):
         return ij.colour(ij.Iris.of_level("low").replace(eumelanin=eumelanin)).lab[0]

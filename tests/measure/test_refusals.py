@@ -132,6 +132,7 @@ def test_a_colour_needs_its_whole_grid():
         jax.vmap(value)(jnp.asarray(GRID))
 
 
+@pytest.mark.heavy
 @pytest.mark.parametrize("measure", [ij.radiance, ij.colour], ids=["radiance", "colour"])
 def test_traced_wavelengths_beyond_a_table_say_so(measure):
     run = jax.jit(lambda w: measure(ij.Iris(), w, illuminant="FL2").status._value)
@@ -151,6 +152,7 @@ def test_colour_of_whole_numbers():
             np.testing.assert_array_equal(a, b)
 
 
+@pytest.mark.heavy
 @pytest.mark.parametrize("measure", [ij.reflectance, *map(slowly, (ij.radiance, ij.colour))])
 def test_wavelengths_in_whole_numbers(measure):
     whole = np.arange(400, 701, 20)

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from jax import export
 
+from common import heavily
 from irisjax.numerics import cholesky, linear
 
 RNG = np.random.default_rng(0)
@@ -21,7 +22,7 @@ def positive(n, many):
     return a @ np.swapaxes(a, 1, 2) + n * np.eye(n)
 
 
-@pytest.mark.parametrize("n", [1, 7, 16, 50])
+@pytest.mark.parametrize("n", [1, 7, heavily(16), 50])
 @pytest.mark.parametrize("columns", [None, 3], ids=["vector", "columns"])
 def test_systems_are_solved_as_by_numpy(n, columns):
     a = dominant(n, 4)
@@ -36,7 +37,7 @@ def test_systems_are_solved_as_by_numpy(n, columns):
         )
 
 
-@pytest.mark.parametrize("n", [1, 5, 16, 40])
+@pytest.mark.parametrize("n", [1, heavily(5), heavily(16), 40])
 def test_roots_and_whitened_residuals_are_numpys(n):
     a, residual = positive(n, 3), RNG.normal(size=(3, n))
     root = np.linalg.cholesky(a)

@@ -19,7 +19,7 @@ BARE, CLOSE = (
 )
 SMALL = Camera(size=(12, 9), width=11.0)
 # A cheaper solver: the error of its quadrature is no matter of the picture's.
-QUICK = Separable(degrees=(5, 4, 2, 2, 3), solver=ij.IlitExact(8))
+QUICK = Separable(degrees=(3, 3, 2, 2, 2), solver=ij.IlitExact(8))
 
 
 def scene(eye=BARE, polar=0.0, azimuth=0.0, irradiance=np.pi, **parts):

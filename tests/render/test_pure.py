@@ -8,6 +8,7 @@ import pytest
 import irisjax as ij
 from common import quick_jit
 from irisjax.tissue.maps import IrisMaps
+from render.small_scenes import QUICK
 
 EYE = ij.Eye(cornea=None, sclera=None)
 MAPS = IrisMaps(
@@ -18,7 +19,7 @@ SCENE = ij.Scene(
     MAPS,
     EYE,
     camera=ij.Camera(size=(12, 9), width=9.0),
-    integrator=ij.Separable(degrees=(3, 3, 2, 2, 2), solver=ij.IlitExact(4)),
+    integrator=QUICK,
 )
 
 
@@ -57,6 +58,7 @@ def slopes(scene, tables=None):
     return found, [float(value(step * e) - value(-step * e)) / (2 * step) for e in np.eye(6)]
 
 
+@pytest.mark.heavy
 def test_derivatives_are_finite_differences():
     found, true = slopes(SCENE)
     assert (np.abs(found) > 1e-6).all()

@@ -64,6 +64,7 @@ def test_table_finds_the_entry_points(tables):
     assert max(worst) < 0.008
 
 
+@pytest.mark.heavy
 @EYES
 def test_snells_law_at_the_entry_found(eye):
     """The ray that Newton's search finds obeys n sin θ = n' sin θ': numpy's up to the last surface
@@ -222,6 +223,7 @@ def test_no_light_meets_the_cornea_from_inside(eye):
     assert (z + t * d[..., 2]).min() > limbus + 0.3
 
 
+@pytest.mark.heavy
 def test_single_precision(float32):
     k, _ = disc(5.4, 40)
     eye = Eye()

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import irisjax as ij
+from common import heavily
 from irisjax.anatomy.eye import Cornea, Eye
 from irisjax.render import shading
 from irisjax.render.bands import colour_bands
@@ -29,6 +30,11 @@ def places(camera):
     return np.meshgrid((np.arange(w) + 0.5 - w / 2) * pitch, -(np.arange(h) + 0.5 - h / 2) * pitch)
 
 
+def tables_of(eye, request):
+    """Made where a cornea needs them."""
+    return None if eye.cornea is None else request.getfixturevalue("tables")
+
+
 @pytest.mark.parametrize("polar", [0.0, 1.0])
 def test_bare_uniform_iris_is_the_brdf(polar):
     """Every pixel: the solver's BRDF at 81 wavelengths × the irradiance of the slanting light."""
@@ -42,10 +48,10 @@ def test_bare_uniform_iris_is_the_brdf(polar):
     exits = 250 / np.hypot(250, r[seen])
     x = np.arange(380.0, 781, 5)
     bands, irradiance = colour_bands(), 2.0 * np.cos(polar)
-    found, at_bands = (
-        ij.brdf(LIGHT, w, cos_incidence=np.cos(polar), cos_exit=exits, solver=QUICK.solver).values
-        for w in (x, np.asarray(bands.wavelengths))
-    )
+    both = np.concatenate([x, np.asarray(bands.wavelengths)])
+    grid, where = np.unique(both, return_inverse=True)
+    brdf = ij.brdf(LIGHT, grid, cos_incidence=np.cos(polar), cos_exit=exits, solver=QUICK.solver)
+    found, at_bands = np.split(np.asarray(brdf.values)[where], [x.size])
     error = float(prepare(made).response(LIGHT).error)
     true = np.asarray(irradiance * bands.weights @ at_bands).T
     np.testing.assert_allclose(picture[seen], true, atol=2 * error * true.max())
@@ -62,6 +68,7 @@ def test_bare_uniform_iris_is_the_brdf(polar):
     assert delta_E_CIE2000(np.asarray(lab(picture[seen])), np.asarray(lab(linear))).max() < 0.5
 
 
+@pytest.mark.heavy
 def test_through_a_cornea(tables):
     """Light and camera on the axis: numpy's rays say what arrives, what leaves and where."""
     camera = Camera(size=(24, 18), width=11.0, distance=1e5)
@@ -93,9 +100,9 @@ def test_through_a_cornea(tables):
 NO_LIGHT_BACK = IrisMaps(abl_depth=np.full((4, 4), 50.0))
 
 
-@pytest.mark.parametrize("eye", [BARE, CLOSE], ids=["bare", "cornea"])
-def test_mirrored_light_mirrored_picture(eye, tables):
-    used = None if eye.cornea is None else tables
+@pytest.mark.parametrize("eye", [BARE, heavily(CLOSE)], ids=["bare", "cornea"])
+def test_mirrored_light_mirrored_picture(eye, request):
+    used = tables_of(eye, request)
     right, left, up = (
         np.asarray(render(scene(eye, 0.7, a), used)) for a in (0.4, np.pi - 0.4, -0.4)
     )
@@ -120,6 +127,7 @@ def test_rows_run_down_and_columns_right():
         np.testing.assert_allclose((picture / flat[inside])[:, 1], expected[inside], rtol=2e-3)
 
 
+@pytest.mark.heavy
 def test_maps_lie_where_they_are_drawn():
     """Dark above and right, in the eye's frame: the viewer sees it above and right."""
     corner = IrisMaps(eumelanin=ring(lambda x, y: 1 + 5.0 * ((x > 0) & (y > 0))))
@@ -139,6 +147,7 @@ def test_maps_lie_where_they_are_drawn():
     assert turned[1:4, 7:9].mean() < 0.8 * turned[1:4, 3:5].mean()
 
 
+@pytest.mark.heavy
 def test_cornea_of_air_is_no_cornea():
     air = CLOSE.replace(cornea=Cornea(index=1.0, scatter=None), aqueous_index=1.0)
     made = Illumination.build(air, caustics=False, size=65)
@@ -166,11 +175,13 @@ EXTREMES = {
 }
 
 
-@pytest.mark.parametrize("name", EXTREMES)
-def test_extremes_are_finite_and_no_darker_than_black(name, tables):
+@pytest.mark.parametrize(
+    "name", [n if eye.cornea is None else heavily(n) for n, (eye, _) in EXTREMES.items()]
+)
+def test_extremes_are_finite_and_no_darker_than_black(name, request):
     eye, options = EXTREMES[name]
     made = scene(eye, **options)
-    picture = np.asarray(render(made, None if eye.cornea is None else tables))
+    picture = np.asarray(render(made, tables_of(eye, request)))
     width, height = made.camera.size
     assert picture.shape == (height, width, 3)
     assert np.isfinite(picture).all()
@@ -180,6 +191,7 @@ def test_extremes_are_finite_and_no_darker_than_black(name, tables):
         assert not picture.any()
 
 
+@pytest.mark.heavy
 def test_no_pigment_at_all():
     clear = {
         "eumelanin": 0.0,
@@ -211,6 +223,7 @@ def test_scenes_that_make_no_sense_are_named():
             Camera(size=size)
 
 
+@pytest.mark.heavy
 def test_a_pixel_that_looks_at_the_middle(tables):
     """Odd sizes have one; a relief has no slope there, and the pupil no light."""
     maps = IrisMaps(relief=ring(lambda x, y: 0.01 * y))

@@ -28,6 +28,7 @@ from irisjax.tissue.maps import IrisMaps
 from render.small_scenes import BARE, CLEAR, CLOSE, LIGHT, QUICK, SMALL, ring, scene
 
 
+@pytest.mark.heavy
 def test_stage_serves_other_pigments(tables):
     dark = LIGHT.replace(eumelanin=3.0)
     made = scene(CLOSE, 0.6, 2.0)
@@ -139,6 +140,7 @@ def test_only_what_changed_is_made_again(tables):
     np.testing.assert_array_equal(back(LIGHT), first(LIGHT))
 
 
+@pytest.mark.heavy
 def test_pictures_with_a_memory(monkeypatch, tables):
     """Equal to those without, and the response is made again for other pigments only."""
     made = scene(maps=IrisMaps(stroma_depth=ring(lambda x, y: 0.3 + 0.02 * x)), eye=CLOSE)
@@ -168,6 +170,7 @@ def test_threads_change_no_bit(tables):
     np.testing.assert_array_equal(pictures[2], pictures[0])
 
 
+@pytest.mark.heavy
 def test_portions_change_nothing():
     """Small ones, as on a processor, or all pixels at once, as on an accelerator."""
     x = jnp.linspace(0.0, 9.0, 1000)

@@ -14,13 +14,12 @@ from irisjax.render.environment import Environment
 from irisjax.render.illumination import Illumination
 from irisjax.render.lights import Lights
 from irisjax.render.scene import Scene
-from irisjax.render.separable import Separable
 from irisjax.render.single_scattering import SingleScattering
 from irisjax.render.stages import Memory
 from irisjax.render.tiles import bands
 from irisjax.tissue.maps import IrisMaps
+from render.small_scenes import QUICK
 
-QUICK = Separable(degrees=(3, 3, 2, 2, 2), solver=ij.IlitExact(8))
 UNEVEN = np.random.default_rng(0).uniform(0.5, 1.5, (16, 8))
 
 
@@ -50,6 +49,7 @@ def joined(made, **options):
 
 
 # 16 rows: even bands, a last one that is smaller (its rows are drawn twice), single rows.
+@pytest.mark.heavy
 @pytest.mark.parametrize("bits", [64, slowly(32)])
 @pytest.mark.parametrize(
     ("rows", "heights"),
@@ -82,6 +82,7 @@ def test_no_seams_through_a_cornea():
     np.testing.assert_allclose(found, render(made, tables), atol=1e-12, rtol=0)
 
 
+@pytest.mark.heavy
 def test_samples_are_averaged_band_by_band():
     made = scene()
     fine = render(made.replace(camera=Camera(size=(63, 48))))

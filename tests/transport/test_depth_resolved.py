@@ -74,6 +74,7 @@ def standard():
     return solve(layers(*HARD, IRIS), 0.6)
 
 
+@pytest.mark.heavy
 @pytest.mark.parametrize(
     "change",
     [
@@ -101,6 +102,7 @@ def test_energy(media, cosine):
     assert bool(r.status == ij.RESULTS.successful)
 
 
+@pytest.mark.heavy
 @pytest.mark.parametrize("index", [1.0, 1.25])
 def test_single_scattering(index):
     """f = T(μ_i) T(μ_o) n⁻² ω p(Θ) [1 − e^{−τ(1/μ+1/μ')}]/(μ+μ') as the albedo goes to nothing, at
@@ -144,6 +146,7 @@ def test_thin_layer():
     np.testing.assert_allclose(found, expected, rtol=1e-6)
 
 
+@pytest.mark.heavy
 @pytest.mark.parametrize("media", [IRIS, (1.336, 1.3, 1.5, 1.4)])
 def test_reciprocity(media):
     made = layers(*HARD, media)

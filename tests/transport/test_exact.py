@@ -9,7 +9,7 @@ import pytest
 
 import common
 import irisjax as ij
-from common import GRID, PROCESSES, all_irides, quick_jit, reference
+from common import GRID, PROCESSES, all_irides, heavily, quick_jit, reference
 from multiprecision import ilit_rayleigh
 
 ROWS = reference("ilit_reflectance.csv")
@@ -71,7 +71,7 @@ def test_reference_table(phase, rescatter, redrawn):
 
 @pytest.mark.parametrize(
     ("level", "fraction", "wavelength"),
-    [("low", 0.2, 690.0), ("high", 0.8, 400.0), ("low", 0.5, 450.0)],
+    [("low", 0.2, 690.0), heavily("high", 0.8, 400.0), ("low", 0.5, 450.0)],
 )
 def test_multiprecision(level, fraction, wavelength):
     iris = ij.Iris.of_level(level).replace(abl_fraction=fraction)
@@ -109,6 +109,7 @@ def test_energy(name, bits):
     np.testing.assert_allclose(total, 1, rtol=0, atol=1e-12 if bits == 64 else 1e-6)
 
 
+@pytest.mark.heavy
 @pytest.mark.parametrize("name", mostly_slow(PROCESSES, SINGLE))
 def test_single_precision(name):
     double = spectra(PROCESSES[name])
@@ -124,6 +125,7 @@ def test_single_precision(name):
         np.testing.assert_allclose(a[bright], b[bright], rtol=2e-5)
 
 
+@pytest.mark.heavy
 @pytest.mark.parametrize(
     "name",
     mostly_slow(
@@ -147,6 +149,7 @@ def test_printed_phase_function_converges(name):
     )
 
 
+@pytest.mark.heavy
 def test_traced_indices_cost_no_accuracy():
     """An iris all of whose fields are traced gets a rule for every order of media."""
     iris = ij.Iris.of_level("low")

@@ -11,7 +11,7 @@ from scipy.special import expn
 
 import common
 import irisjax as ij
-from common import GRID, ILIT, PROCESSES, layers, quick_jit
+from common import GRID, ILIT, PROCESSES, heavily, layers, quick_jit
 from irisjax.optics.fresnel import fresnel_at
 from irisjax.transport.process import DEPTH_RESOLVED
 
@@ -97,7 +97,7 @@ def test_incidence_enters_by_the_first_transmission_only(name):
     np.testing.assert_allclose(r / t, np.full(4, r[0] / t[0]), rtol=1e-12)
 
 
-@pytest.mark.parametrize("name", ["lb06", "depth-resolved"])
+@pytest.mark.parametrize("name", ["lb06", heavily("depth-resolved")])
 def test_diffuse_incidence_is_the_mean_over_the_hemisphere(name):
     x, w = np.polynomial.legendre.leggauss(40)
     x, w = (x + 1) / 2, w / 2

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import irisjax as ij
-from common import quick_jit
+from common import heavily, quick_jit
 
 GRID = (420.0, 450.0, 550.0, 700.0)
 ANALOG = {
@@ -35,7 +35,9 @@ def exactly(**settings):
 
 @pytest.mark.parametrize("n", [40_000, pytest.param(400_000, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("level", ["low", "high"])
-@pytest.mark.parametrize("name", ANALOG)
+@pytest.mark.parametrize(
+    "name", ["printed", "depth-resolved", heavily("retest"), heavily("redrawn")]
+)
 def test_analog_agrees_with_exact(name, level, n):
     spheres = "rayleigh-spheres" if name == "retest" else "lb06"
     iris = ij.Iris.of_level(level).replace(scattering=spheres)
@@ -54,7 +56,7 @@ def test_analog_agrees_with_exact(name, level, n):
     ("name", "quasi"),
     [
         ("printed", False),
-        ("retest", True),
+        heavily("retest", True),
         pytest.param("printed", True, marks=pytest.mark.slow),
         pytest.param("retest", False, marks=pytest.mark.slow),
     ],
@@ -83,6 +85,7 @@ def test_expected_values_agree_with_exact(name, quasi):
     assert (ratio > 1.8 / 11).all() and (ratio < 31.3 / 11).all()
 
 
+@pytest.mark.heavy
 def test_quasi_beats_weighted():
     iris = ij.Iris.of_level("high")
     error = {
@@ -113,7 +116,11 @@ def test_standard_error_is_binomial_and_never_none():
 SAMPLERS = [ij.MonteCarlo(2_000), ij.IlitWeighted(16_384), ij.IlitWeighted(16_384, quasi=True)]
 
 
-@pytest.mark.parametrize("solver", SAMPLERS, ids=["analog", "weighted", "quasi"])
+@pytest.mark.parametrize(
+    "solver",
+    [SAMPLERS[0], heavily(SAMPLERS[1]), heavily(SAMPLERS[2])],
+    ids=["analog", "weighted", "quasi"],
+)
 def test_equal_keys_give_equal_bytes(solver):
     # Of the expected values the program of test_quasi_beats_weighted.
     iris = ij.Iris.of_level("low")
@@ -143,6 +150,7 @@ def test_lanes_and_blocks_do_not_change_a_photon(name):
     assert int(whole.fates.sum()) == 5_000 * len(GRID)
 
 
+@pytest.mark.heavy
 def test_rays_follow_the_illuminant():
     iris, solver, key = ij.Iris.of_level("low"), ij.MonteCarlo(20_000), jax.random.key(0)
     exact = quick_jit(lambda x: ij.radiance(x, GRID, illuminant="A"))(iris)
@@ -168,6 +176,7 @@ def test_brdf_counts_cells(n):
     assert np.abs((found.values[0] - cell) / found.standard_error[0]).max() < 4
 
 
+@pytest.mark.heavy
 def test_works_under_jit_and_vmap():
     solver, key = ij.MonteCarlo(1_000), jax.random.key(0)
 

@@ -85,6 +85,7 @@ def test_other_indices(tabulated):
         ij.reflectance(other, GRID, solver=tabulated)
 
 
+@pytest.mark.heavy
 def test_gradients_match_exact(tabulated):
     iris = ij.Iris.of_level("low")
 
@@ -102,6 +103,7 @@ def test_gradients_match_exact(tabulated):
     np.testing.assert_allclose(slopes(tabulated) / scale, exact / scale, rtol=0, atol=1e-8)
 
 
+@pytest.mark.heavy
 def test_incidence_and_brdf(tabulated):
     iris, exits = ij.Iris.of_level("moderate"), np.array([0.2, 0.6, 1.0])
     for cosine in (1.0, 0.2):

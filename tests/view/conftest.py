@@ -6,7 +6,7 @@ from small import grown
 from irisjax.anatomy.eye import Eye
 from irisjax.render.camera import Camera
 from irisjax.render.scene import Scene
-from irisjax.render.separable import Separable
+from render.small_scenes import QUICK
 
 
 @pytest.fixture
@@ -16,5 +16,5 @@ def bare():
         *grown(),
         Eye(cornea=None, sclera=None),
         camera=Camera(size=(40, 30)),
-        integrator=Separable(degrees=(2, 2, 2, 2, 2)),
+        integrator=QUICK,
     )

@@ -122,6 +122,7 @@ def _exit_brdf(layers: Layers, process: Ilit, cos_exit, entered, up, from_above,
     mu = refract(cos_exit, n.aqueous, n.abl)
     f_top, t_top = fresnel(mu, cos_exit, n.abl, n.aqueous)
     bottom = fresnel_at(mu, n.abl, n.stroma)
+    mu, f_top, t_top, *bottom = (x[None, :] for x in (mu, f_top, t_top, *bottom))
     depth = layers.abl_absorption[:, None]
     t, lost = survival(depth, mu), attenuation(depth, mu)
     if process.perturb_on_reflection:
@@ -142,4 +143,5 @@ def _transmitted_crossing(layers: Layers, process: Ilit) -> Spectrum:
     critical = jnp.stack([critical_cosine_squared(n.abl, n.aqueous)])
     rule = cosine_rule(critical, (True,), 48)
     _, t_top = fresnel(rule.cosine, refracted(rule, 0, n.abl, n.aqueous), n.abl, n.aqueous)
-    return survival(layers.abl_absorption[:, None], rule.cosine) @ (entry_weights(rule) * t_top)
+    survived = survival(layers.abl_absorption[:, None], rule.cosine[None, :])
+    return survived @ (entry_weights(rule) * t_top)

@@ -48,8 +48,8 @@ def abl_responses(
     top = fresnel(rule.cosine, refracted(rule, 0, n.abl, n.aqueous), n.abl, n.aqueous)
     bottom = fresnel(rule.cosine, refracted(rule, 1, n.abl, n.stroma), n.abl, n.stroma)
     entry = entry_weights(rule)
-    t = survival(depth[:, None], rule.cosine)
-    lost = attenuation(depth[:, None], rule.cosine)
+    along = depth[:, None], rule.cosine[None, :]
+    t, lost = survival(*along), attenuation(*along)
     solve = _redrawn_layer if process.perturb_on_reflection else _specular_layer
     return tuple(
         LayerFates(
@@ -68,19 +68,20 @@ def _specular_layer(entry, t, lost, near, far):
     so each node is a geometric series.
     """
     t_near, (f_far, t_far) = near[1], far
-    series, guided = reflections(t, lost, near, far)
-    weight = entry * series
+    series, guided = reflections(t, lost, *_rows((near, far)))
+    weight = entry[None, :] * series
     tw = t * weight
     reflected = (tw * t) @ (f_far * t_near)
     passed = tw @ t_far
-    absorbed = (weight * lost * (1 + t * f_far) + jnp.where(guided, entry, 0.0)).sum(-1)
+    guided = jnp.where(guided, entry[None, :], 0.0)
+    absorbed = (weight * lost * (1 + t * f_far[None, :]) + guided).sum(-1)
     return reflected, passed, absorbed
 
 
 def _redrawn_layer(entry, t, lost, near, far):
     """Entry through `near`; a reflected ray is redrawn, so each crossing is alike."""
     (_, t_near), (f_far, t_far) = near, far
-    crossing = entry * t
+    crossing = entry[None, :] * t
     passed, turned = crossing @ t_far, crossing @ f_far
     out = crossing @ t_near
     absorbed = lost @ entry
@@ -105,9 +106,10 @@ def stroma_response(
     )
     f_top, t_top = fresnel(rule.cosine, refracted(rule, 0, n.stroma, n.abl), n.stroma, n.abl)
     f_bottom, t_bottom = fresnel(rule.cosine, refracted(rule, 1, n.stroma, n.ipe), n.stroma, n.ipe)
-    depth = layers.extinction[:, None]
-    t, c = survival(depth, rule.cosine), attenuation(depth, rule.cosine)
-    entry = entry_weights(rule) / jnp.where(rule.weight > 0, rule.weight, 1.0)  # a density, as S is
+    along = layers.extinction[:, None], rule.cosine[None, :]
+    t, c = survival(*along), attenuation(*along)
+    # A density, as S is.
+    entry = (entry_weights(rule) / jnp.where(rule.weight > 0, rule.weight, 1.0))[None, :]
     tested = process.rescatter == "retest"
     w = rule.weight
     if process.perturb_on_reflection:
@@ -128,6 +130,8 @@ def stroma_response(
             absorbed=both * absorbed,
         ), converged
 
+    out_top, out_bottom = w * t_top, w * t_bottom
+    (f_top, t_top), (f_bottom, t_bottom) = _rows(((f_top, t_top), (f_bottom, t_bottom)))
     series, guided = reflections(t, c, (f_top, t_top), (f_bottom, t_bottom))
     series_t = series * t
     # Events per unit entering, and per unit scattered into both senses of travel; the rest of those
@@ -147,8 +151,8 @@ def stroma_response(
     up = entry * f_bottom * (series_t * t) + source * (arrive + f_bottom * arrive_t)
     down = entry * series_t + source * (arrive + f_top * arrive_t)
     return LayerFates(
-        reflected=up @ (w * t_top),
-        passed=down @ (w * t_bottom),
+        reflected=up @ out_top,
+        passed=down @ out_bottom,
         absorbed=absorbed + (jnp.where(guided, 1.0, 0.0) * entry) @ w,
     ), converged
 
@@ -192,8 +196,8 @@ def _scattered(process: Ilit, rule: CosineRule, first, again, rest, layers: Laye
         through = (again @ (k.collect * k.scatter)[0])[:, None]
         a, b = (s + albedo * k.anisotropic(again * s) / (1 - albedo * through) for s in right)
     else:
-        identity = jnp.eye(w.shape[0], dtype=again.dtype)
-        matrix = identity - albedo[..., None] * (k.scatter.T * again[:, None, :])
+        identity = jnp.eye(w.shape[0], dtype=again.dtype)[None]
+        matrix = identity - albedo[..., None] * (k.scatter.T[None] * again[:, None, :])
         a, b = jnp.moveaxis(jax.vmap(linear.solve)(matrix, jnp.stack(right, axis=-1)), -1, 0)
     # Σ w again a = ω(1 − rest) − 2ω Σ w rest K(again a), for K neither adds nor takes energy.
     lost = coalbedo + layers.albedo * ((rest + 2 * rest * k.anisotropic(again * a)) @ w)
@@ -225,6 +229,11 @@ def _sum_orders(operator, b):
         state = step(state)
     total, order, _ = jax.lax.while_loop(lambda s: counts(s[1]) & (s[2] < 2000), step, state)
     return total, ~counts(order)
+
+
+def _rows(coefficients):
+    """Each interface's coefficients along the last axis of two, behind the wavelengths'."""
+    return jax.tree.map(lambda x: x[None, :], coefficients)
 
 
 def entry_weights(rule: CosineRule) -> Float[Array, " n"]:

@@ -215,11 +215,10 @@ def _one_wavelength(
         strength = albedo * jnp.asarray(mode.strength, depth.dtype)
         f_nodes, f_beams = mode.functions(nodes.cosine), mode.functions(beams.cosine)
         operator = slab.moments(angle, nodes.weight, f_nodes, mode.parity)
-        driving = slab.driving(beam, f_beams * (entering / beams.cosine), mode.parity)
+        driving = slab.driving(beam, f_beams * (entering / beams.cosine)[None, :], mode.parity)
         size = operator.shape[0]
-        system = jnp.eye(size, dtype=depth.dtype) - operator * jnp.repeat(
-            strength, size // strength.size
-        )
+        each = jnp.repeat(strength, size // strength.size)
+        system = jnp.eye(size, dtype=depth.dtype) - operator * each[None, :]
         right = driving.reshape(size)
         if mode.order == 0:
             balance = _energy_balance(slab, strength, f_nodes, angle, nodes, roof_out, coalbedo)
@@ -271,8 +270,10 @@ def _split(tree, sets):
 def _energy_balance(slab, strength, f, b: Bounded, d: Directions, roof: Roof, coalbedo):
     """What each unknown takes from the light in the slab: absorbed by it, or sent out of it."""
     top, bottom = slab.leaving_each(b, 1)
-    flux = d.weight * d.cosine
-    leaving = (flux * f) @ (top * (roof.passed + roof.absorbed) + bottom * d.bottom[1]).T
+    flux, above, below = (
+        x[None, :] for x in (d.weight * d.cosine, roof.passed + roof.absorbed, d.bottom[1])
+    )
+    leaving = (flux * f) @ (top * above + bottom * below).T
     return (strength[:, None] * leaving).at[0, :: slab.n_depths].add(coalbedo * slab.widths).ravel()
 
 

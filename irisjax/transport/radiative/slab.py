@@ -59,21 +59,24 @@ class Slab:
         self.tops = depth * jnp.asarray(edges[:-1], depth.dtype)
         self.below = depth * jnp.asarray(1 - edges[1:], depth.dtype)
         self.edges = edges
-        self.sign = jnp.asarray((-1.0) ** np.arange(n_depths), depth.dtype)
-        self.norm = jnp.asarray(2.0 * np.arange(n_depths) + 1, depth.dtype)
+        # Of each order's polynomial, along the middle axis of (panels, orders, angles).
+        order = np.arange(n_depths)[None, :, None]
+        self._signs = jnp.asarray((-1.0) ** order, depth.dtype)
+        self._norms = jnp.asarray(2.0 * order + 1, depth.dtype)
 
     def bounded(self, cosine, ends: Ends) -> Bounded:
         """What the slab is along directions (angles,)."""
         through, lost = survival(self.depth, cosine), attenuation(self.depth, cosine)
         roof, floor = (ends.roof, ends.roof_lost), (ends.floor, ends.floor_lost)
         series, _ = reflections(through, lost, roof, floor)
-        x = self.widths[:, None] / cosine
+        row = cosine[None, :]
+        x = self.widths[:, None] / row
         start = _legendre_moments(x, 2 * self.n_depths)
         return Bounded(
             start=start,
             emitted=x[:, None, :] * start,
-            from_top=jnp.exp(-self.tops[:, None] / cosine),
-            from_bottom=jnp.exp(-self.below[:, None] / cosine),
+            from_top=jnp.exp(-self.tops[:, None] / row),
+            from_bottom=jnp.exp(-self.below[:, None] / row),
             through=through,
             roof=ends.roof,
             floor=ends.floor,
@@ -87,19 +90,20 @@ class Slab:
         """
         emitted = b.emitted[:, : self.n_depths]
         up = (parity * emitted * b.from_top[:, None]).reshape(-1, b.cosine.size)
-        down = (emitted * self.sign[:, None] * b.from_bottom[:, None]).reshape(-1, b.cosine.size)
-        downward = b.roof * b.series * (b.floor * b.through * down + up)
-        upward = b.floor * (b.through * downward + down)
+        down = (emitted * self._signs * b.from_bottom[:, None]).reshape(-1, b.cosine.size)
+        roof, floor, through, series = (x[None, :] for x in (b.roof, b.floor, b.through, b.series))
+        downward = roof * series * (floor * through * down + up)
+        upward = floor * (through * downward + down)
         return up, down, downward, upward
 
     def _tests(self, b: Bounded):
         """Depth moments of radiance entering at the top and at the bottom, (panels·orders,
         angles).
         """
-        start = b.start[:, : self.n_depths] * self.norm[:, None]
+        start = b.start[:, : self.n_depths] * self._norms
         return (
             (start * b.from_top[:, None]).reshape(-1, b.cosine.size),
-            (start * self.sign[:, None] * b.from_bottom[:, None]).reshape(-1, b.cosine.size),
+            (start * self._signs * b.from_bottom[:, None]).reshape(-1, b.cosine.size),
         )
 
     def moments(self, b: Bounded, weight, f, parity: int):
@@ -110,7 +114,7 @@ class Slab:
         rank, panels, n = f.shape[0], self.n_panels, self.n_depths
         _, _, downward, upward = self._sources(b, parity)
         entering_top, entering_bottom = self._tests(b)
-        weighted = weight * f
+        weighted = weight[None, :] * f
         entering = jnp.concatenate([entering_top, parity * entering_bottom], axis=-1)
         sent = jnp.concatenate([downward, upward], axis=-1)
         out = _between(jnp.tile(weighted, 2), entering, jnp.tile(f, 2), sent)
@@ -119,20 +123,21 @@ class Slab:
         overlap = jnp.asarray(
             2 * (2 * np.arange(n) + 1)[:, None, None] * _overlap(n), self.depth.dtype
         )
-        own = b.emitted @ (weighted[:, None] * f).reshape(rank * rank, -1).T
+        own = b.emitted @ (weighted[:, None] * f[None]).reshape(rank * rank, -1).T
         own = jnp.einsum("ijc,pclk->plikj", overlap, own.reshape(panels, 2 * n, rank, rank))
         for p in range(panels):
             out = out.at[:, p, :, :, p, :].add(own[p])
         # One panel on another: what leaves the one, thinned by the gap.
-        start, emitted = b.start[:, :n] * self.norm[:, None], b.emitted[:, :n]
-        mirrored_start, mirrored = self.sign[:, None] * start, self.sign[:, None] * emitted
+        start, emitted = b.start[:, :n] * self._norms, b.emitted[:, :n]
+        mirrored_start, mirrored = self._signs * start, self._signs * emitted
         for apart in range(1, panels):
             above = np.arange(panels - apart)
             under = above + apart
             gap = self.depth * jnp.asarray(
                 self.edges[under] - self.edges[above + 1], self.depth.dtype
             )
-            thinned = weighted * jnp.exp(-gap[:, None, None] / b.cosine)
+            survived = jnp.exp(-gap[:, None, None] / b.cosine[None, None, :])
+            thinned = weighted[None] * survived
             pairs = jax.vmap(_between, in_axes=(0, 0, None, 0))
             down = pairs(thinned, start[under], f, mirrored[above])
             up = pairs(thinned, mirrored_start[above], f, emitted[under])
@@ -146,8 +151,8 @@ class Slab:
         panels·orders).
         """
         entering_top, entering_bottom = self._tests(b)
-        downward = weights * b.series
-        upward = parity * downward * b.through * b.floor
+        downward = weights * b.series[None, :]
+        upward = parity * downward * (b.through * b.floor)[None, :]
         return downward @ entering_top.T + upward @ entering_bottom.T
 
     def leaving_each(self, b: Bounded, parity: int):
@@ -155,7 +160,8 @@ class Slab:
         angles).
         """
         up, down, downward, upward = self._sources(b, parity)
-        return up + b.through * upward, down + b.through * downward
+        through = b.through[None, :]
+        return up + through * upward, down + through * downward
 
     def leaving(self, b: Bounded, source, parity: int):
         """Radiance that sources (angles, panels·orders) send to the top and to the bottom,
@@ -167,8 +173,8 @@ class Slab:
 
 def _between(f, received, g, sent):
     """Σ_a f_l received_i g_k sent_j as a matrix over (l, i) and (k, j)."""
-    left = (f[:, None] * received).reshape(-1, f.shape[-1])
-    return left @ (g[:, None] * sent).reshape(-1, g.shape[-1]).T
+    left = (f[:, None] * received[None]).reshape(-1, f.shape[-1])
+    return left @ (g[:, None] * sent[None]).reshape(-1, g.shape[-1]).T
 
 
 def fractions(n_panels: int) -> np.ndarray:
