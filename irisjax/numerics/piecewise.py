@@ -35,7 +35,8 @@ def _piecewise_jvp(primals, tangents):
     table, interval, x = primals
     _check_constant(tangents[0])
     rows = list(_rows(table, interval))
-    slope = horner(x, [i * row for i, row in enumerate(rows)][1:]) * tangents[2]
+    x, dx = x[None], tangents[2][None]
+    slope = horner(x, [i * row for i, row in enumerate(rows)][1:]) * dx
     return tuple(horner(x, rows)), tuple(slope)
 
 
@@ -60,14 +61,14 @@ def _piecewise_chebyshev_jvp(primals, tangents):
     table, interval, x, s = primals
     _check_constant(tangents[0])
     along, across = (jnp.stack(c)[:, None] for c in chebyshev(s, table.shape[2]))
-    rows = _rows(table, interval)
+    rows, x = _rows(table, interval), x[None]
     inner = [(row * along).sum(0) for row in rows]
-    change = jnp.zeros(())
+    change = jnp.zeros((table.shape[3], *s.shape), s.dtype)
     if tangents[2] is not None:
-        change = change + horner(x, [i * c for i, c in enumerate(inner)][1:]) * tangents[2]
+        change = change + horner(x, [i * c for i, c in enumerate(inner)][1:]) * tangents[2][None]
     if tangents[3] is not None:
-        change = change + horner(x, [(row * across).sum(0) for row in rows]) * tangents[3]
-    return tuple(horner(x, inner)), tuple(jnp.broadcast_to(change, (table.shape[3], *x.shape)))
+        change = change + horner(x, [(row * across).sum(0) for row in rows]) * tangents[3][None]
+    return tuple(horner(x, inner)), tuple(change)
 
 
 def _reader(table, interval):
