@@ -21,6 +21,12 @@ from irisjax.infer.search import levenberg_marquardt
 from irisjax.infer.status import FitStatus, says
 
 _CHUNK = 64  # eyes a device at a time
+OK, DOUBTFUL, FAILED = "ok", "doubtful", "failed"
+"""An eye is doubtful where the model does not produce its data, searches disagree, or a value lies
+far outside its prior; failed where there are no numbers to believe."""
+_FIRST = ("eye", "status", "posterior")
+_CONVERGED, _SHORT = "converged", "not long enough"
+_FAR = 4.0  # standard deviations of a prior
 
 
 class Eye(NamedTuple):
@@ -34,6 +40,7 @@ class Eye(NamedTuple):
 def many(
     source: Path,
     output: Path | None,
+    reading: io.Reading,
     seen,
     options,
     sampler,
@@ -41,10 +48,12 @@ def many(
     resume: bool,
     overwrite: bool,
 ) -> int:
-    """Fit all eyes of a folder or table into `output`/fits.csv; returns the exit status."""
+    """Fit all eyes of a folder or table into `output`/fits.csv; returns the exit status: 3 where
+    one failed.
+    """
     from tqdm import tqdm
 
-    eyes = list(_eyes(source))
+    eyes = list(_eyes(source, reading))
     if not eyes:
         raise ValueError(f"{source}: no spectra in it")
     if posteriors and output is None:
@@ -56,7 +65,7 @@ def many(
         if target.exists() and not (resume or overwrite):
             raise ValueError(f"{target}: exists; --resume goes on with it, --overwrite begins anew")
         if target.exists() and resume:
-            done = _rows(target, "converged" if posteriors else "ok")
+            done = _rows(target, posteriors)
     columns: list[str] = []
     rows: dict[str, list[str]] = dict(done)
     with tqdm(
@@ -70,12 +79,8 @@ def many(
             named, found = _fitted(chunk, seen, options, sampler["seed"])
             columns = named or columns
             for eye, row in zip(chunk, found, strict=True):
-                if posteriors and eye.measured is not None:
-                    row[1] = (
-                        _sampled(eye, output, seen, options, sampler, resume)
-                        if row[1] in ("ok", "misfit")
-                        else row[1]
-                    )
+                if posteriors and row[1] != FAILED:
+                    row[1:] = _sampled(row[1:], eye, output, seen, options, sampler, resume)
                 rows[eye.name] = row
             if target is not None:  # each chunk whole: a killed run loses the one it was in
                 io.write_atomically(target, _table(columns, rows, eyes).encode())
@@ -84,17 +89,20 @@ def many(
     if target is None:
         sys.stdout.write(_table(columns, rows, eyes))
     elif not columns:
-        columns = next(csv.reader(target.read_text(encoding="utf-8").splitlines()))[2:]
-    failed = [e.name for e in eyes if rows[e.name][1] not in ("ok", "misfit", "converged")]
-    if failed:
-        print(
-            f"irisjax: {len(failed)} of {len(eyes)} eyes failed: {', '.join(failed[:8])}",
-            file=sys.stderr,
-        )
-    return 3 if failed else 0
+        columns = next(csv.reader(target.read_text(encoding="utf-8").splitlines()))[len(_FIRST) :]
+    for status, verb in ((FAILED, "failed"), (DOUBTFUL, "are doubtful")):
+        names = [e.name for e in eyes if rows[e.name][1] == status]
+        if names:
+            some = ", ".join(names[:8]) + (", ..." if len(names) > 8 else "")
+            print(
+                f"irisjax: {len(names)} of {len(eyes)} eyes {verb}: {some}; the column warnings "
+                f"says why",
+                file=sys.stderr,
+            )
+    return 3 if any(rows[e.name][1] == FAILED for e in eyes) else 0
 
 
-def _eyes(source: Path) -> Iterator[Eye]:
+def _eyes(source: Path, reading: io.Reading) -> Iterator[Eye]:
     if source.is_dir():
         for path in sorted(
             p
@@ -102,22 +110,15 @@ def _eyes(source: Path) -> Iterator[Eye]:
             if p.suffix.lower() in (".csv", ".tsv", ".txt", ".dx", ".jdx")
         ):
             try:
-                yield Eye(path.stem, io.read_measured(path), "")
+                yield Eye(path.stem, io.read_measured(path, **reading._asdict()), "")
             except ValueError as error:
                 yield Eye(path.stem, None, str(error))
         return
-    table = io.read_table(source)
-    names = list(table.columns)
-    for name in names[1:]:
-        values, grid = table.columns[name], table.columns[names[0]]
-        if np.isfinite(values).all():
-            yield Eye(name, io.Measured(grid, values, None, (), {}), "")
+    for name, found in io.read_eyes(source, reading).items():
+        if isinstance(found, ValueError):
+            yield Eye(name, None, f"{source}: {found}")
         else:
-            yield Eye(
-                name,
-                None,
-                f"the value at {grid[~np.isfinite(values)][0]:g} nm is not a finite number",
-            )
+            yield Eye(name, found, "")
 
 
 def _chunks(eyes: list[Eye]) -> Iterator[list[Eye]]:
@@ -139,12 +140,12 @@ def _fitted(
 ) -> tuple[list[str], list[list[str]]]:
     """Columns and rows of a chunk."""
     if chunk[0].measured is None:
-        return [], [[e.name, f"failed: {e.fault}"] for e in chunk]
+        return [], [_failed(e, e.fault) for e in chunk]
     first = chunk[0].measured
     try:
         problem = ij.problem(ij.spectrum(first, name="batch", **seen), **options)
     except ValueError as error:
-        return [], [[e.name, f"failed: {error}"] for e in chunk]
+        return [], [_failed(e, str(error)) for e in chunk]
     devices = jax.device_count()
     count = (
         -(-len(chunk) // devices) * devices if len(chunk) < _CHUNK * devices else _CHUNK * devices
@@ -166,19 +167,28 @@ def _fitted(
         sds = None if sds is None else jax.device_put(sds, place)
     found = _fit_all(problem, values, sds, jax.random.key(seed, impl="threefry2x32"))
     names = [n for n in problem.free if not n.startswith("noise")]
-    columns = [c for n in names for c in (n, f"{n}_sd")] + ["chi_square", "degrees"]
+    columns = ["warnings", *(c for n in names for c in (n, f"{n}_sd"))]
+    columns += ["chi_square", "degrees", "p_value", "notes"]
     rows = []
     for i, eye in enumerate(chunk):
+        assert eye.measured is not None
+        status, said = _judged(problem, found, i)
+        warnings = [*eye.measured.doubts, *said]
+        if warnings and status == OK:
+            status = DOUBTFUL
         numbers = [float(np.asarray(x)[i]) for n in names for x in (found.values[n], found.sd[n])]
-        row = [eye.name, _word(found.status, i)]
+        last = f"{float(found.chi_square[i]):.6g}", str(found.degrees)
         rows.append(
             [
-                *row,
-                *(f"{x:.6g}" for x in (*numbers, float(found.chi_square[i]))),
-                str(found.degrees),
+                *(eye.name, status, "", "; ".join(warnings), *(f"{x:.6g}" for x in numbers)),
+                *(*last, f"{float(found.p_value[i]):.3g}", "; ".join(eye.measured.notes)),
             ]
         )
     return columns, rows
+
+
+def _failed(eye: Eye, fault: str) -> list[str]:
+    return [eye.name, FAILED, "", fault]
 
 
 @eqx.filter_jit
@@ -193,17 +203,24 @@ def _fit_all(problem: Problem, values, sds, key):
     return eqx.filter_vmap(one, in_axes=(0, None if sds is None else 0))(values, sds)
 
 
-def _word(statuses: FitStatus, i: int) -> str:
-    """What row i says: that data and model do not fit is no failure of the search."""
-    status = jax.tree.map(lambda codes: np.asarray(codes)[i], statuses)
-    if status == FitStatus.misfit:
-        return "misfit"
-    return f"failed: {says(status)}" if says(status) else "ok"
+def _judged(problem: Problem, found, i: int) -> tuple[str, list[str]]:
+    """Status of fit i, and what is to be said of it."""
+    status = jax.tree.map(lambda codes: np.asarray(codes)[i], found.status)
+    said = [says(status)] if says(status) else []
+    if status == FitStatus.not_converged or status == FitStatus.solver_failed:
+        return FAILED, said
+    for name, z in zip(problem.free, np.asarray(found.z)[i], strict=True):
+        if abs(z) > _FAR:
+            value = float(np.asarray(found.values[name])[i])
+            said.append(f"{name} = {value:.3g} is {abs(z):.0f} standard deviations off its prior")
+    return (DOUBTFUL if said else OK), said
 
 
-def _sampled(eye: Eye, output: Path | None, seen, options, sampler, resume: bool) -> str:
+def _sampled(row: list[str], eye: Eye, output: Path | None, seen, options, sampler, resume: bool):
+    """The row, after its status, of an eye whose posterior is sampled now."""
     assert output is not None
     assert eye.measured is not None
+    status, _, warnings, *numbers = row
     folder = output / eye.name
     folder.mkdir(exist_ok=True)
     chain = folder / "chain.h5"
@@ -221,15 +238,20 @@ def _sampled(eye: Eye, output: Path | None, seen, options, sampler, resume: bool
             quiet=True,
         )
     except ValueError as error:
-        return f"failed: {error}"
-    return "converged" if good else "failed: the chain is not long enough"
+        return [FAILED, "", f"{folder}: {error}", *numbers]
+    if good:
+        return [status, _CONVERGED, warnings, *numbers]
+    return [FAILED, _SHORT, f"{folder}: the chain is not long enough", *numbers]
 
 
-def _rows(path: Path, good: str) -> dict[str, list[str]]:
+def _rows(path: Path, posteriors: bool) -> dict[str, list[str]]:
+    """Rows that are done: failures are tried again."""
     lines = list(csv.reader(path.read_text(encoding="utf-8").splitlines()))
-    # Failures are tried again.
-    kept = ("ok", "misfit", "converged") if good == "ok" else ("converged",)
-    return {row[0]: row for row in lines[1:] if row[1] in kept}
+    return {
+        row[0]: row
+        for row in lines[1:]
+        if row[1] != FAILED and (row[2] == _CONVERGED or not posteriors)
+    }
 
 
 def _table(columns: list[str], rows: Mapping[str, list[str]], eyes: list[Eye]) -> str:
@@ -237,6 +259,6 @@ def _table(columns: list[str], rows: Mapping[str, list[str]], eyes: list[Eye]) -
 
     out = text_io.StringIO()
     writer = csv.writer(out, lineterminator="\n")
-    writer.writerow(["eye", "status", *columns])
+    writer.writerow([*_FIRST, *columns])
     writer.writerows(rows[e.name] for e in eyes if e.name in rows)
     return out.getvalue()

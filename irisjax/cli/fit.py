@@ -37,10 +37,11 @@ def fit(measured: Measured, model: Model, sampler: Sampler, results: Results) ->
     For example: irisjax fit eye.csv -o fit_eye
 
     Columns of the file: wavelength (nm or µm), reflectance (fraction or %), and
-    its standard deviation (named sd) or further scans.
+    its standard deviation (named sd) or further scans. What is assumed is said.
 
     Exit status: 0; 3 where the chain is not long enough (raise --max-steps and
-    --resume); 2 for wrong input.
+    --resume), or an eye of a --batch failed (doubtful ones are counted, and
+    marked in the file); 2 for wrong input.
     """
     from irisjax.cli import report
     from irisjax.cli.batch import many
@@ -58,6 +59,7 @@ def fit(measured: Measured, model: Model, sampler: Sampler, results: Results) ->
         status = many(
             results.batch,
             results.output,
+            measured.reading,
             measured.seen,
             options,
             sampling,
@@ -68,9 +70,11 @@ def fit(measured: Measured, model: Model, sampler: Sampler, results: Results) ->
         raise typer.Exit(status)
     observations = []
     for path in spectra:
-        table = io.read_measured(path)
+        table = io.read_measured(path, **measured.reading._asdict())
         for note in table.notes:
             print(f"irisjax: {path}: {note}", file=sys.stderr)
+        for doubt in table.doubts:
+            print(f"irisjax: {path}: WARNING: {doubt}", file=sys.stderr)
         observations.append(ij.spectrum(table, name=path.name, **measured.seen))
     with tempfile.TemporaryDirectory() as scratch, report.progress_bar() as bar:
         problem = ij.problem(observations, **options)

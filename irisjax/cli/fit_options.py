@@ -19,7 +19,17 @@ from irisjax.cli.options import (
     whole,
 )
 from irisjax.infer.parameters import PARAMETERS
+from irisjax.io.measured import UNITS, WAVELENGTH_UNITS, Reading
+from irisjax.io.quantities import QUANTITIES, RADIANCE, REFLECTANCE
 from irisjax.transport.process import PROCESSES
+
+
+def _span(text: str) -> tuple[float, float]:
+    low, colon, high = text.partition(":")
+    found = number(1, 1e5)(low), number(1, 1e5)(high) if colon else 0.0
+    if not found[0] < found[1]:
+        raise ValueError(f"{text!r}: write two wavelengths in nm, such as 400:700")
+    return found
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -32,8 +42,8 @@ class Measured(Group):
         list[Path] | None,
         typer.Argument(
             metavar="SPECTRUM",
-            help="file of wavelengths and reflectances (CSV, TSV, JCAMP-DX); several are of one "
-            "eye, fitted together",
+            help="file of wavelengths and reflectances (CSV, an instrument's text, JCAMP-DX); "
+            "several are of one eye, fitted together",
             show_default=False,
         ),
     ] = None
@@ -65,8 +75,23 @@ class Measured(Group):
         ),
     ] = None
     quantity: Annotated[
-        str, name_of("of a radiance the illuminant is 1 at 560 nm", "reflectance", "radiance")
-    ] = "reflectance"
+        str | None,
+        name_of(
+            "what the file holds; default what it says, or a reflectance. Of a radiance the "
+            "illuminant is 1 at 560 nm",
+            *QUANTITIES,
+        ),
+    ] = None
+    unit: Annotated[str | None, name_of("of reflectances, where the file does not say", *UNITS)] = (
+        None
+    )
+    wavelength_unit: Annotated[
+        str | None, name_of("where the file does not say", *WAVELENGTH_UNITS)
+    ] = None
+    wavelengths: Annotated[
+        tuple[float, float] | None,
+        option(parse=_span, metavar="LOW:HIGH", help="leave out what is measured outside these nm"),
+    ] = None
     illuminant: Annotated[
         str, option(metavar="NAME", help="of a radiance, by its name in colour-science")
     ] = "D65"
@@ -103,8 +128,14 @@ class Measured(Group):
     @property
     def seen(self) -> dict[str, Any]:
         """What `irisjax.spectrum` is told beside the numbers."""
-        names = ("quantity", "illuminant", "cos_incidence", "first_surface")
-        return {name: getattr(self, name) for name in names}
+        names = ("illuminant", "cos_incidence", "first_surface")
+        quantity = RADIANCE if self.quantity == RADIANCE else REFLECTANCE
+        return {"quantity": quantity, **{name: getattr(self, name) for name in names}}
+
+    @property
+    def reading(self) -> Reading:
+        """What `irisjax.io.read_measured` is told."""
+        return Reading(self.quantity, self.unit, self.wavelength_unit, self.wavelengths)
 
 
 @dataclass(frozen=True, kw_only=True)

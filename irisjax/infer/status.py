@@ -1,6 +1,7 @@
 """How a fit or a chain ended, by name: searches that failed apart from data that do not fit."""
 
 import equinox as eqx
+import jax
 import numpy as np
 from jax.core import Tracer
 
@@ -53,4 +54,5 @@ def throw(status, reason: str = "") -> None:
 
 def says(status) -> str:
     """The words of one concrete status, empty for success."""
-    return status._enumeration[status]
+    # Equinox knows no words for a NumPy scalar, which is what an item of a batch is.
+    return status._enumeration[jax.tree.map(np.asarray, status)]

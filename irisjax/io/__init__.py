@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING
 
 from irisjax._lazy import modules_of
 from irisjax.io.measured import Measured as Measured
+from irisjax.io.measured import Reading as Reading
+from irisjax.io.measured import read_eyes as read_eyes
 from irisjax.io.measured import read_measured as read_measured
 from irisjax.io.tables import Table as Table
 from irisjax.io.tables import check_writable as check_writable

@@ -1,6 +1,5 @@
-"""Spectra as spectrometers write them: CSV or TSV with or without header, and JCAMP-DX."""
+"""Spectra as spectrometers write them: text tables of many kinds, and JCAMP-DX."""
 
-import csv
 import re
 from pathlib import Path
 from typing import NamedTuple
@@ -8,19 +7,25 @@ from typing import NamedTuple
 import numpy as np
 
 from irisjax.infer.observation import mean_of_scans
+from irisjax.io import quantities
+from irisjax.io.quantities import ABSORBANCE, KUBELKA_MUNK, QUANTITIES, RADIANCE, REFLECTANCE
+from irisjax.io.text import Columns, read_columns, read_text
+from irisjax.tissue.pigments import common_range
 
-_SD = re.compile(
-    r"^(sd|std|stdev|sigma|standard[ _]deviation|standard[ _]error|uncertainty)\b", re.I
-)
+UNITS = ("fraction", "percent")
+WAVELENGTH_UNITS = {"nm": 1.0, "um": 1e3}
+"""Of wavelengths, and how many nanometres they are."""
 _MICRO = re.compile(r"µm|μm|\bum\b|micro|_um\b", re.I)
 _NANO = re.compile(r"nm\b|nano", re.I)
+_WAVE = re.compile(r"wave|wellenl|λ|lambda|^\W*nm\W*$", re.I)
 
 
 class Measured(NamedTuple):
     """A spectrum from a file.
 
-    `wavelengths` (nm, increasing) and `values` (fractions), `sd` their standard deviations or
-    `None`; `notes` say what was detected and done (units, per cent, repeated scans); `header` holds
+    `wavelengths` (nm, increasing) and `values` (reflectances as fractions; radiances as they are),
+    `sd` their standard deviations or `None`; `notes` say what was detected, assumed and done
+    (units, repeated scans, what was left out); `doubts`, what no iris does; `header` holds
     `# key: value` lines.
     """
 
@@ -29,149 +34,195 @@ class Measured(NamedTuple):
     sd: np.ndarray | None
     notes: tuple[str, ...]
     header: dict[str, str]
+    doubts: tuple[str, ...] = ()
 
 
-def read_measured(path: str | Path) -> Measured:
-    """Read a measured spectrum.
+class Reading(NamedTuple):
+    """What a reader knows that the file may not say; `None`: as the file says, or by its numbers.
 
-    Text tables: lines with `#` are comments, the first line without numbers names the columns. The
-    first column is the wavelength, in nm or µm; one further column is the reflectance, a column
-    named sd (or sigma, uncertainty, ...) its standard deviation, several further columns are
-    repeated scans: their mean is used, and their scatter is its standard deviation. Values above 2
-    are per cent. JCAMP-DX by its first line `##TITLE`.
+    `quantity`: one of `QUANTITIES`; `unit`: of reflectances, "fraction" or "percent";
+    `wavelength_unit`: "nm" or "um"; `wavelengths`: the least and the largest to be kept, nm.
+    """
 
-    **Raises:** `ValueError` naming the file, the row and the problem.
+    quantity: str | None = None
+    unit: str | None = None
+    wavelength_unit: str | None = None
+    wavelengths: tuple[float, float] | None = None
+
+
+def read_measured(
+    path: str | Path,
+    *,
+    quantity: str | None = None,
+    unit: str | None = None,
+    wavelength_unit: str | None = None,
+    wavelengths: tuple[float, float] | None = None,
+) -> Measured:
+    """Read a measured spectrum; see `Reading` for the arguments.
+
+    Text tables in UTF-8, UTF-16 or cp1252, separated by tabs, semicolons, commas or blanks, with
+    decimal points or commas, below any preamble: as written by hand, by Excel, OceanView and
+    SpectraSuite, AvaSoft, or ViewSpec (ASD); with a spectrum a row as by SpectraMagic. The first
+    column is the wavelength unless another's name says so; one further column is the spectrum, a
+    column named sd (or sigma, uncertainty, ...) its standard deviation, several further columns are
+    repeated scans: their mean is used, and their scatter is its standard deviation. JCAMP-DX by its
+    first line `##TITLE`.
+
+    Absorbances log₁₀(1/R) and Kubelka–Munk's K/S become reflectances where the file says so or
+    `quantity` does. Wavelengths that the pigment tables do not cover, or outside `wavelengths`, are
+    left out, and so are those without a value.
+
+    **Raises:** `ValueError` naming the file, the row and the problem: above all where the numbers
+    are no reflectances, or could be fractions as well as per cent.
+    """
+    how = Reading(quantity, unit, wavelength_unit, wavelengths)
+    try:
+        table = _read(path)
+        return _finished(table, how, quantities.choose(table.names, how.quantity))
+    except ValueError as error:
+        raise ValueError(_named(path, error)) from None
+
+
+def read_eyes(path: str | Path, how: Reading | None = None) -> dict[str, Measured | ValueError]:
+    """Spectra of many eyes in one text table, a column each, by name; or what is wrong with one.
+
+    **Raises:** `ValueError` naming the file and the problem of the whole table.
     """
     try:
-        text = Path(path).read_bytes().decode("utf-8-sig")
-    except UnicodeDecodeError:
-        raise ValueError(f"{path}: not a text file (UTF-8)") from None
-    if text.lstrip().startswith("##"):
-        return _finished(path, *_jcamp(path), {})
-    header = dict(
-        re.findall(r"^#\s*([^:\n]+?)\s*:[ \t]*(.*?)(?:\s*\[[^\[\]\n]*\])?\s*$", text, flags=re.M)
-    )
-    return _finished(path, *_table(path, text), header)
-
-
-def _table(path, text: str):
-    rows, names = [], None
-    lines = text.splitlines()
-    body = [line for line in lines if line.strip() and not line.lstrip().startswith("#")]
-    if not body:
-        raise ValueError(f"{path}: no numbers in it")
-    # The one that most lines have; of tab, semicolon and comma in this order, as commas may be
-    # decimal.
-    found = {d: sum(d in line for line in body) for d in ("\t", ";", ",")}
-    delimiter = next((d for d, n in found.items() if 2 * n > len(body)), None)
-    decimal_comma = (
-        delimiter in ("\t", ";") and found[","] and not any("." in line for line in body[1:])
-    )
-    for number, line in enumerate(lines, 1):
-        if not line.strip() or line.lstrip().startswith("#"):
-            continue
-        cells = next(csv.reader([line], delimiter=delimiter)) if delimiter else line.split()
-        cells = [c.strip() for c in cells]
-        while cells and not cells[-1]:
-            cells.pop()
+        table = _read(path)
+    except ValueError as error:
+        raise ValueError(_named(path, error)) from None
+    how = Reading() if how is None else how
+    found: dict[str, Measured | ValueError] = {}
+    for j, name in enumerate(table.names[1:], 1):
+        name = name or f"column {j + 1}"
+        if name in found:
+            raise ValueError(f"{path}: column {name!r} stands twice")
+        kind = quantities.kind_of(name)
         try:
-            rows.append((number, [_number(c, bool(decimal_comma)) for c in cells]))
+            found[name] = _finished(table, how, quantities.Columns([j], None, kind, name))
         except ValueError as error:
-            if rows or names is not None:
-                raise ValueError(f"{path}, line {number}: {error}") from None
-            names = cells
-    if not rows:
-        raise ValueError(f"{path}: no numbers in it")
-    width = len(rows[0][1])
-    if width < 2:
-        raise ValueError(f"{path}, line {rows[0][0]}: one column; need wavelength and reflectance")
-    for number, row in rows:
-        if len(row) != width:
-            raise ValueError(
-                f"{path}, line {number}: {len(row)} values, {width} in the lines before"
-            )
-    values = np.array([row for _, row in rows])
-    where = [f"line {number}" for number, _ in rows]
-    names = (
-        [n.strip() for n in names] if names is not None and len(names) == width else [""] * width
-    )
-    return values, names, where
+            found[name] = error
+    return found
 
 
-def _number(cell: str, decimal_comma: bool) -> float:
-    try:
-        return float(cell.replace(",", ".") if decimal_comma else cell)
-    except ValueError:
-        raise ValueError(f"{cell!r} is not a number") from None
+def _named(path, error: ValueError) -> str:
+    return str(error) if str(error).startswith(str(path)) else f"{path}: {error}"
 
 
-def _jcamp(path):
+def _read(path) -> Columns:
+    text = read_text(path)
+    table = _jcamp(path) if text.lstrip().startswith("##") else read_columns(path, text)
+    order = sorted(range(len(table.names)), key=lambda j: not _WAVE.search(table.names[j]))
+    if _WAVE.search(table.names[order[0]]) and order[0]:
+        return table._replace(values=table.values[:, order], names=[table.names[j] for j in order])
+    return table
+
+
+def _jcamp(path) -> Columns:
     import jcamp
 
     try:
         found = jcamp.readfile(str(path))
         x, y = np.asarray(found["x"], float), np.asarray(found["y"], float)
     except Exception as error:
-        raise ValueError(f"{path}: not readable as JCAMP-DX ({error})") from None
+        raise ValueError(f"not readable as JCAMP-DX ({error})") from None
     if x.size == 0 or x.shape != y.shape:
-        raise ValueError(f"{path}: JCAMP-DX without a spectrum")
+        raise ValueError("JCAMP-DX without a spectrum")
     unit = str(found.get("xunits", "")).strip().upper()
-    known = {
-        "NANOMETERS": "nm",
-        "NANOMETRES": "nm",
-        "NM": "nm",
-        "MICROMETERS": "um",
-        "MICROMETRES": "um",
-        "1/CM": "1/cm",
-    }
-    if unit not in known:
-        raise ValueError(
-            f"{path}: XUNITS = {unit or 'nothing'}; need nanometers, micrometers or 1/cm"
-        )
-    if known[unit] == "1/cm":
-        x = 1e7 / x
-    name = "wavelength_um" if known[unit] == "um" else "wavelength_nm"
-    label = (
-        "percent"
-        if "%" in str(found.get("yunits", "")) or "PERCENT" in str(found.get("yunits", "")).upper()
-        else ""
-    )
-    return np.stack([x, y], 1), [name, label], [f"point {i + 1}" for i in range(x.size)]
+    if unit in ("NANOMETERS", "NANOMETRES", "NM"):
+        name = "wavelength (nm)"
+    elif unit in ("MICROMETERS", "MICROMETRES"):
+        name = "wavelength (um)"
+    elif unit == "1/CM":
+        name, x = "wavelength (nm)", 1e7 / x
+    else:
+        raise ValueError(f"XUNITS = {unit or 'nothing'}; need nanometers, micrometers or 1/cm")
+    label = str(found.get("yunits", "")).strip()
+    where = [f"point {i + 1}" for i in range(x.size)]
+    return Columns(np.stack([x, y], 1), [name, label], where, {})
 
 
-def _finished(path, values, names, where, header) -> Measured:
-    notes = []
-    for i, j in np.argwhere(~np.isfinite(values))[:1]:
-        column = f" in column {names[j]!r}" if names[j] else f" in column {j + 1}"
-        raise ValueError(f"{path}, {where[i]}: {values[i, j]} is not a finite number{column}")
-    x = values[:, 0]
-    if _MICRO.search(names[0]) or (not _NANO.search(names[0]) and x.min() > 0.1 and x.max() < 10):
-        x = 1e3 * x
-        notes.append("wavelengths read as µm")
-    order = np.argsort(x, kind="stable")
+def _finished(table: Columns, how: Reading, columns: quantities.Columns) -> Measured:
+    if how.quantity not in (None, *QUANTITIES):
+        raise ValueError(f"quantity must be one of {', '.join(QUANTITIES)}, got {how.quantity!r}")
+    if how.unit not in (None, *UNITS):
+        raise ValueError(f"unit must be one of {', '.join(UNITS)}, got {how.unit!r}")
+    notes: list[str] = []
+    table = _kept(table, how, columns, notes)
+    x, order = table.values[:, 0], np.argsort(table.values[:, 0], kind="stable")
     same = np.flatnonzero(np.diff(x[order]) == 0)
     if same.size:
         raise ValueError(
-            f"{path}, {where[order[same[0] + 1]]}: {x[order[same[0]]]:g} nm stands twice"
+            f"{table.where[order[same[0] + 1]]}: {x[order[same[0]]]:g} nm stands twice"
         )
-    scans = [j for j in range(1, values.shape[1]) if not _SD.match(names[j])]
-    stated = [j for j in range(1, values.shape[1]) if _SD.match(names[j])]
-    if not scans or len(stated) > 1 or (stated and len(scans) > 1):
-        raise ValueError(
-            f"{path}: columns {names[1:]}: need one spectrum (with its sd) or repeated scans"
-        )
-    y, sd = mean_of_scans(values[:, scans])
-    if stated:
-        sd = values[:, stated[0]]
-    if len(scans) > 1:
-        notes.append(f"mean of {len(scans)} scans; their scatter is the noise")
-        if sd is None:
+    scans = table.values[:, columns.spectra]
+    sd = None if columns.sd is None else table.values[:, columns.sd]
+    quantity = how.quantity or columns.kind or REFLECTANCE
+    doubt = ""
+    if quantity in (ABSORBANCE, KUBELKA_MUNK):
+        scans, sd = quantities.as_reflectance(scans, sd, quantity)
+        form = "log10(1/R)" if quantity == ABSORBANCE else "(1 - R)²/2R"
+        notes.append(f"{quantity} {form} converted to reflectance")
+    elif quantity != RADIANCE:
+        if not np.median(scans) > 0:
+            raise ValueError("half of the values or more are zero or negative: no reflectance")
+        said = "fraction" if "irisjax" in table.header else table.header.get("unit", "")
+        hundredths, word = quantities.percent(scans, how.unit, columns.label, said)
+        if hundredths:
+            scans, sd = scans / 100, None if sd is None else sd / 100
+        notes += [word] if word else []
+    if quantity != RADIANCE:
+        doubt = quantities.doubt(scans)
+    y, scatter = mean_of_scans(scans)
+    if len(columns.spectra) > 1:
+        notes.append(f"mean of {len(columns.spectra)} scans; their scatter is the noise")
+        if scatter is None:
             notes.append("the scans are equal: their scatter says nothing about the noise")
-    label = names[scans[0]].lower()
-    if "%" in label or "percent" in label or "per cent" in label or np.abs(y).max() > 2:
-        y, sd = y / 100, None if sd is None else sd / 100
-        notes.append("values read as per cent")
+    sd = scatter if sd is None else sd
     if sd is not None:
         for i in np.flatnonzero(~(sd > 0))[:1]:
-            raise ValueError(f"{path}, {where[i]}: standard deviation {sd[i]:g}; it must be > 0")
-    return Measured(x[order], y[order], None if sd is None else sd[order], tuple(notes), header)
+            raise ValueError(f"{table.where[i]}: standard deviation {sd[i]:g}; it must be > 0")
+        sd = sd[order]
+    doubts = (doubt,) if doubt else ()
+    return Measured(x[order], y[order], sd, tuple(notes), table.header, doubts)
+
+
+def _kept(table: Columns, how: Reading, columns, notes: list[str]) -> Columns:
+    """Rows whose numbers are there and whose wavelengths, now in nm, are wanted."""
+    values, where = table.values.copy(), table.where
+    infinite = np.argwhere(np.isinf(values))
+    for i, j in infinite[:1]:
+        raise ValueError(f"{where[i]}: {values[i, j]} is not a finite number")
+    used = [0, *columns.spectra, *([] if columns.sd is None else [columns.sd])]
+    missing = np.isnan(values[:, used]).any(axis=1)
+    if missing.any():
+        notes.append(f"{missing.sum()} of {missing.size} wavelengths without a value skipped")
+    values, where = values[~missing], [where[i] for i in np.flatnonzero(~missing)]
+    if not where:
+        raise ValueError("no wavelength has a value")
+    x, unit = values[:, 0], how.wavelength_unit
+    if unit not in (None, *WAVELENGTH_UNITS):
+        raise ValueError(f"wavelength_unit must be nm or um, got {unit!r}")
+    if unit is None and _MICRO.search(table.names[0]):
+        unit = "um"
+    if unit is None and not _NANO.search(table.names[0]) and x.min() > 0.1 and x.max() < 10:
+        unit = "um"
+        notes.append("wavelengths read as µm (the file does not say; --wavelength-unit otherwise)")
+    values[:, 0] = x = x * WAVELENGTH_UNITS[unit or "nm"]
+    low, high = common_range()
+    if how.wavelengths is not None:
+        low, high = max(low, how.wavelengths[0]), min(high, how.wavelengths[1])
+    inside = (x >= low) & (x <= high)
+    if not inside.any():
+        raise ValueError(
+            f"wavelengths {x.min():g} to {x.max():g} nm; none is within {low:g} to {high:g} nm"
+        )
+    if not inside.all():
+        why = "as asked" if how.wavelengths is not None else "which the pigment tables cover"
+        notes.append(
+            f"{(~inside).sum()} of {inside.size} wavelengths left out: only {low:g} to {high:g} nm,"
+            f" {why}"
+        )
+    where = [w for w, i in zip(where, inside, strict=True) if i]
+    return table._replace(values=values[inside], where=where)

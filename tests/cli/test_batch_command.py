@@ -3,12 +3,14 @@
 import csv
 from types import SimpleNamespace
 
+import jax
 import numpy as np
 import pytest
 from stand_ins import FREE
 
 from irisjax import io
 from irisjax.cli import batch, report
+from irisjax.infer.status import FitStatus
 
 
 @pytest.fixture
@@ -22,13 +24,16 @@ def searched(quick, monkeypatch):
         return SimpleNamespace(
             values={n: mean for n in problem.free},
             sd={n: mean / 10 for n in problem.free},
+            z=np.zeros((len(values), len(problem.free))),
             chi_square=mean,
             degrees=29,
-            status=None,
+            p_value=0 * mean + 0.5,
+            status=jax.vmap(
+                lambda bad: FitStatus.where(bad, FitStatus.misfit, FitStatus.successful)
+            )(np.array([v.mean() > 0.3 for v in np.asarray(values)])),
         )
 
     monkeypatch.setattr(batch, "_fit_all", fit_all)
-    monkeypatch.setattr(batch, "_word", lambda status, i: "ok")
     return sizes
 
 
@@ -42,7 +47,7 @@ def columns(path):
     return found.wavelengths, found.values
 
 
-def check_batch(irisjax, eye, tmp_path, rel):
+def check_batch(irisjax, eye, tmp_path, rel, status_of_all):
     eyes, out = tmp_path / "eyes", tmp_path / "out"
     eyes.mkdir()
     for i in range(3):
@@ -52,15 +57,17 @@ def check_batch(irisjax, eye, tmp_path, rel):
     assert status == 3
     assert "1 of 4 eyes failed: broken" in err
     rows = rows_of(out / "fits.csv")
-    assert rows["broken"]["status"].endswith("line 2: 'oops' is not a number")
-    assert rows["e0"]["status"] == "ok"
+    assert rows["broken"]["status"] == "failed"
+    assert rows["broken"]["warnings"] == f"{eyes / 'broken.csv'}, line 2: 'oops' is not a number"
+    assert rows["e0"]["status"] == status_of_all
+    assert (rows["e0"]["warnings"] == "") == (status_of_all == "ok")
     names = ("melanin_load", "chi_square")
     assert [rows["e0"][n] for n in names] == [rows["e2"][n] for n in names]
     # The mended eye alone is done again.
     (eyes / "broken.csv").write_bytes(eye.read_bytes())
     assert irisjax("fit", "--batch", eyes, "-o", out, *FREE)[0] == 2
     assert irisjax("fit", "--batch", eyes, "-o", out, *FREE, "--resume")[0] == 0
-    assert all(row["status"] == "ok" for row in rows_of(out / "fits.csv").values())
+    assert all(row["status"] == status_of_all for row in rows_of(out / "fits.csv").values())
     # The same eyes as columns of one table.
     x, y = columns(eye)
     lines = ["wavelength_nm,a,b", *(f"{a:g},{b:.12g},{b:.12g}" for a, b in zip(x, y, strict=True))]
@@ -75,13 +82,30 @@ def check_batch(irisjax, eye, tmp_path, rel):
 
 
 def test_batch(irisjax, eye, searched, tmp_path):
-    check_batch(irisjax, eye, tmp_path, 1e-5)
+    check_batch(irisjax, eye, tmp_path, 1e-5, "ok")
     assert searched == [3, 1, 2]
 
 
-@pytest.mark.slow  # the search of a batch compiles for half a minute
+@pytest.mark.heavy  # the search of a batch compiles for half a minute
 def test_batch_by_the_model_itself(irisjax, eye, tmp_path):
-    check_batch(irisjax, eye, tmp_path, 1e-4)
+    check_batch(irisjax, eye, tmp_path, 1e-4, "doubtful")  # by `Quick`, no iris
+
+
+def test_doubtful_eyes_are_marked_and_counted(irisjax, searched, tmp_path):
+    """Searched and found, but no model of these data: not "ok"."""
+    x = np.arange(400, 701, 10)
+    lines = ["nm,fair (%),bright (%)", *(f"{a},{3 + a / 1e3:g},{40 + a / 1e2:g}" for a in x)]
+    (tmp_path / "table.csv").write_text("\n".join(lines))
+    out = tmp_path / "out"
+    status, _, err = irisjax("fit", "--batch", tmp_path / "table.csv", "-o", out, *FREE)
+    assert status == 0
+    assert "1 of 2 eyes are doubtful: bright (%)" in err
+    rows = rows_of(out / "fits.csv")
+    assert rows["fair (%)"]["status"] == "ok"
+    assert rows["bright (%)"]["status"] == "doubtful"
+    assert "brighter than any iris" in rows["bright (%)"]["warnings"]
+    assert "the model does not produce these data" in rows["bright (%)"]["warnings"]
+    assert float(rows["fair (%)"]["p_value"]) == 0.5
 
 
 def test_posteriors_of_a_batch(irisjax, eye, searched, monkeypatch, tmp_path):
@@ -101,8 +125,8 @@ def test_posteriors_of_a_batch(irisjax, eye, searched, monkeypatch, tmp_path):
     assert irisjax(*arguments)[0] == 3
     how = {"resume": False, "files": True, "quiet": True}
     assert sampled == [("a", 16, how), ("b", 16, how)]
-    found = {name: row["status"] for name, row in rows_of(out / "fits.csv").items()}
-    assert found == {"a": "converged", "b": "failed: the chain is not long enough"}
+    found = {n: (r["status"], r["posterior"]) for n, r in rows_of(out / "fits.csv").items()}
+    assert found == {"a": ("ok", "converged"), "b": ("failed", "not long enough")}
     # Only what is not done yet goes on.
     assert irisjax(*arguments, "--resume")[0] == 3
     assert sampled[2:] == [("b", 16, how | {"resume": True})]

@@ -41,8 +41,18 @@ def test_layouts(tmp_path, text):
 
 def test_what_is_guessed_is_said(tmp_path):
     notes = io.read_measured(written(tmp_path, "0.4,4\n0.5,5\n")).notes
-    assert notes == ("wavelengths read as µm", "values read as per cent")
-    assert io.read_measured(written(tmp_path, "400,0.04\n500,0.05\n")).notes == ()
+    assert [n.partition(" (the file does not say")[0] for n in notes] == [
+        "wavelengths read as µm",
+        "values read as per cent",
+    ]
+    (note,) = io.read_measured(written(tmp_path, "400,0.04\n500,0.05\n")).notes
+    assert note.startswith("values read as fractions (the file does not say")
+    # What the file or the reader says is not assumed.
+    assert io.read_measured(written(tmp_path, "nm,R (%)\n400,4\n500,5\n")).notes == ()
+    said = {"unit": "percent", "wavelength_unit": "um"}
+    found = io.read_measured(written(tmp_path, "0.4,0.7\n0.5,0.8\n"), **said)
+    assert found.notes == ()
+    np.testing.assert_allclose(found.values, [0.007, 0.008])
 
 
 def test_standard_deviations_and_repeated_scans(tmp_path):
@@ -55,7 +65,7 @@ def test_standard_deviations_and_repeated_scans(tmp_path):
     np.testing.assert_allclose(found.values, scans.mean(1))
     assert found.sd is not None
     assert np.sqrt((found.sd**2).mean()) == pytest.approx(0.001 / np.sqrt(5), rel=0.06)
-    assert "mean of 5 scans" in found.notes[0]
+    assert any("mean of 5 scans" in note for note in found.notes)
 
 
 @pytest.mark.parametrize(
@@ -66,7 +76,9 @@ def test_standard_deviations_and_repeated_scans(tmp_path):
         ("400\n500\n", "line 1: one column"),
         ("nm,R\n400,0.1\n410,abc\n", "line 3: 'abc' is not a number"),
         ("nm,R\n400,0.1\n410\n", "line 3: 1 values, 2"),
-        ("nm,R\n400,0.1\n410,nan\n", "line 3: nan is not a finite number"),
+        ("nm,R\n400,0.1\n410,inf\n", "line 3: inf is not a finite number"),
+        ("nm,R\n400,\n410,nan\n", "no wavelength has a value"),
+        ("nm,R\n200,0.1\n210,0.1\n", "none is within 350 to 800 nm"),
         ("nm,R\n400,0.1\n400,0.2\n", "line 3: 400 nm stands twice"),
         ("nm,R,sd\n400,0.1,0.01\n410,0.1,0\n", "line 3: standard deviation 0"),
         ("nm,R,sd,sigma\n400,0.1,0.01,1\n", "need one spectrum"),
@@ -81,7 +93,7 @@ def test_faults_are_named(tmp_path, text, message):
 
 def test_binary_is_refused(tmp_path):
     path = tmp_path / "b.csv"
-    path.write_bytes(b"\xff\xfe\x00\x01")
+    path.write_bytes(b"\x89PNG\r\n\x1a\n\x00\x00\x00\rIHDR")
     with pytest.raises(ValueError, match="not a text file"):
         io.read_measured(path)
 

@@ -100,7 +100,9 @@ def test_gradients_match_exact(tabulated):
     scale = np.abs(exact).max(0)
     # Differentiating polynomials of degree 5 costs about the inverse of an interval's relative
     # width, 1/0.05, a few times.
-    np.testing.assert_allclose(np.asarray(slopes(tabulated)) / scale, exact / scale, rtol=0, atol=1e-8)
+    np.testing.assert_allclose(
+        np.asarray(slopes(tabulated)) / scale, exact / scale, rtol=0, atol=1e-8
+    )
 
 
 @pytest.mark.heavy
