@@ -1,16 +1,17 @@
 """The door of the command, `irisjax` and `python -m irisjax`."""
 
-import sys
+from irisjax import _interrupt
 
 
 def main() -> None:
     """Run the command; Ctrl-C while JAX is still being imported ends it in one line too."""
-    try:
-        from irisjax.cli import main as command
-    except KeyboardInterrupt:
-        print("irisjax: interrupted", file=sys.stderr)
-        sys.exit(130)
-    command()
+    _interrupt.guarded(_command)
+
+
+def _command() -> int:
+    from irisjax.cli import run
+
+    return run()
 
 
 if __name__ == "__main__":

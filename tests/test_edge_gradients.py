@@ -2,6 +2,7 @@
 
 import itertools
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -53,8 +54,12 @@ def stencil(field, value):
 
 
 TEMPLATE = ij.Iris(**edge("plain"))
-LEAVES, TREE = jax.tree.flatten(TEMPLATE)
 ORDERS = {e: ij.Iris(**edge(e)).order for e in EDGES}
+
+
+def replaced(iris, vector):
+    """With other numbers, and the order of media that it has."""
+    return eqx.tree_at(lambda i: [getattr(i, n) for n in LIMITS], iris, list(vector))
 
 
 @pytest.mark.heavy
@@ -87,9 +92,7 @@ def test_gradients(name, traced_order, edges):
 
     def values(v):
         iris = (
-            ij.Iris(**dict(zip(LIMITS, v, strict=True)))
-            if traced_order
-            else jax.tree.unflatten(TREE, list(v))
+            ij.Iris(**dict(zip(LIMITS, v, strict=True))) if traced_order else replaced(TEMPLATE, v)
         )
         return ij.reflectance(iris, GRID[::6], process=process, solver=solver, throw=False).values
 
@@ -124,9 +127,10 @@ def test_gradients(name, traced_order, edges):
                 f,
                 r,
                 rtol=1e-9,
-                atol=1e-9 if field in KINKED.get(e, ()) else 1e-13 * max(1.0, np.abs(f).max()),
+                # Beside a kink what is subtracted cancels to half of its digits.
+                atol=1e-8 if field in KINKED.get(e, ()) else 1e-13 * max(1.0, np.abs(f).max()),
             ):
-                problems.append(f"{e} {field}: forward {f} reverse {r}")
+                problems.append(f"{e} {field}: forward {f}, reverse off by {r - f}")
             if e in ONLY_FINITE or e in NO_SLOPE or field in KINKED.get(e, ()):
                 continue
             if not (np.abs(f - d) <= 1e-5 * np.abs(d) + noise).all():
@@ -143,7 +147,7 @@ def test_gradients_in_single_precision_are_finite(name, float32):
     def values(v):
         if name == "rayleigh":
             return reflectance_of(v, PROCESSES[name], None).values
-        iris = jax.tree.unflatten(TREE, list(v))
+        iris = replaced(TEMPLATE, v)
         return ij.reflectance(iris, GRID[::6], process=PROCESSES[name], throw=False).values
 
     g = quick_jit(jax.vmap(jax.jacfwd(values)))(vectors)

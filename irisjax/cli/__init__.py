@@ -8,6 +8,7 @@ import typer
 from typer.main import get_command
 
 import irisjax as ij
+from irisjax import _interrupt
 from irisjax.cli import cache
 from irisjax.cli.export import export
 from irisjax.cli.fit import EPILOG, fit
@@ -25,8 +26,8 @@ app = typer.Typer(
 
 
 def main(arguments: list[str] | None = None) -> None:
-    """Run the command and leave with its status; see `run`."""
-    sys.exit(run(arguments))
+    """Run the command and leave with its status; see `run`. Ctrl-C ends it whatever it does."""
+    _interrupt.guarded(lambda: run(arguments))
 
 
 def run(arguments: list[str] | None = None) -> int:
@@ -35,6 +36,7 @@ def run(arguments: list[str] | None = None) -> int:
     0, or 2 for wrong input, 130 for Ctrl-C, 1 for a fault of our own; whatever goes wrong ends in
     one line on standard error. With IRISJAX_DEBUG=1 exceptions pass.
     """
+    _interrupt.begin()
     try:
         # The one place where the package chooses a precision.
         jax.config.update("jax_enable_x64", True)
@@ -42,11 +44,12 @@ def run(arguments: list[str] | None = None) -> int:
         arguments = (sys.argv[1:] if arguments is None else arguments) or ["--help"]
         status = get_command(app).main(arguments, prog_name="irisjax", standalone_mode=False)
         sys.stdout.flush()
-        if status == 130:  # typer's way of passing on an interrupt
-            return _complain("interrupted", 130)
+        if status == _interrupt.STATUS:  # typer's way of passing on an interrupt
+            _interrupt.say()
         return status if isinstance(status, int) else 0
     except (KeyboardInterrupt, typer.Abort):
-        return _complain("interrupted", 130)
+        _interrupt.say()
+        return _interrupt.STATUS
     except BrokenPipeError:
         # `irisjax spectrum | head` is no fault, nor may the flush at exit complain.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

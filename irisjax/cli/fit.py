@@ -8,6 +8,7 @@ import typer
 
 import irisjax as ij
 from irisjax import io
+from irisjax._interrupt import unfinished
 from irisjax.cli.fit_options import Measured, Model, Results, Sampler
 from irisjax.cli.options import grouped
 from irisjax.infer.parameters import DEFAULT_FREE, PARAMETERS
@@ -76,9 +77,21 @@ def fit(measured: Measured, model: Model, sampler: Sampler, results: Results) ->
         for doubt in table.doubts:
             print(f"irisjax: {path}: WARNING: {doubt}", file=sys.stderr)
         observations.append(ij.spectrum(table, name=path.name, **measured.seen))
-    with tempfile.TemporaryDirectory() as scratch, report.progress_bar() as bar:
+    with (
+        tempfile.TemporaryDirectory() as scratch,
+        unfinished(Path(scratch)),
+        report.progress_bar() as bar,
+    ):
         problem = ij.problem(observations, **options)
         keep, resume = results.output, results.resume
+        again = None if keep is None or (results.overwrite and not resume) else keep
+        report.check_run(
+            problem,
+            (again or Path(scratch)) / "chain.h5",
+            walkers=sampler.walkers,
+            resume=resume,
+            key=report.key_of(sampling),
+        )
         folder = Path(scratch) if keep is None else _folder(keep, resume, results.overwrite)
         converged = report.one(
             problem, folder, sampling, bar, resume=resume, files=keep is not None

@@ -18,7 +18,9 @@ from irisjax.infer.identifiability import in_words, information
 from irisjax.infer.pieces import pointwise
 from irisjax.infer.posterior import Chains, sample
 from irisjax.infer.problem import Problem, kind
+from irisjax.infer.resume import check_run as check_run
 from irisjax.infer.status import says
+from irisjax.infer.stream import backup
 from irisjax.infer.summary import Check, Row, check, predictive, reported, summarise
 
 COLUMNS = (
@@ -52,6 +54,11 @@ def progress_bar(quiet: bool = False):
     return bar
 
 
+def key_of(sampler: Mapping[str, Any]):
+    """The key of a run."""
+    return jax.random.key(sampler["seed"], impl="threefry2x32")
+
+
 def one(
     problem: Problem,
     folder: Path,
@@ -65,7 +72,7 @@ def one(
     """Fit, sample, print and write, with progress on `bar`; returns whether the chain is long
     enough.
     """
-    key = jax.random.key(sampler["seed"], impl="threefry2x32")
+    key = key_of(sampler)
 
     def progress(n: int, word: str):
         first = not bar.disable and bar.bar_format is not None
@@ -76,6 +83,14 @@ def one(
         bar.update(n - bar.n)
 
     best = fit(problem, key=jax.random.fold_in(key, 1))
+    data = sum(o.values.shape[-1] for o in problem.observations)
+    moving = sum(kind(n) != "noise" for n in problem.free)
+    if data < moving:
+        _say(
+            f"{data} values for {moving} parameters: at least {moving - data} of them keep their "
+            f"priors whatever was measured",
+            quiet,
+        )
     if not bool(best.converged):
         _say(f"least squares: {says(best.status)}; the sampler starts there", quiet)
     chains = sample(
@@ -94,6 +109,8 @@ def one(
             f"predictive score {score:.1f} ± {error:.1f} (PSIS-LOO): compare it with that of "
             f"another --process"
         )
+        if chains.converged:
+            backup(folder / "chain.h5").unlink(missing_ok=True)
     bar.close()
     if not quiet:
         _print(problem, rows, lines, chains)
@@ -190,7 +207,8 @@ def _print(problem: Problem, rows: list[Row], lines: list[str], chains: Chains) 
     from rich.console import Console
     from rich.table import Table
 
-    console = Console(width=None if sys.stdout.isatty() else 100, highlight=False)
+    # Where nobody looks at it now, a line is as long as it is.
+    console = Console(width=None if sys.stdout.isatty() else 1000, highlight=False)
     seen = problem.observations
     title = f"{', '.join(o.name for o in seen)}: posterior{' of one eye' if len(seen) > 1 else ''}"
     table = Table(title=title, title_justify="left", box=None, pad_edge=False, padding=(0, 2, 0, 0))
@@ -204,15 +222,18 @@ def _print(problem: Problem, rows: list[Row], lines: list[str], chains: Chains) 
         "ESS": [f"{r.ess_bulk:.0f}" for r in rows],
         "contraction": [f"{r.contraction:.2f}" for r in rows],
     }
-    if console.width < 100:  # numbers cut short would be worse
-        del columns["68 %"]
+    # Numbers cut short would be worse than none.
+    widths = {n: 2 + max(map(len, (n, *cells))) for n, cells in columns.items()}
+    for name in ("68 %", "contraction", "unit", "ESS", "R-hat"):
+        if sum(widths[n] for n in columns) > console.width:
+            del columns[name]
     for name in columns:
         table.add_column(
             name, justify="left" if name in ("parameter", "unit") else "right", no_wrap=True
         )
     for cells in zip(*columns.values(), strict=True):
         table.add_row(*cells)
-    console.print(table)
+    console.print(table, crop=False)
     console.print(
         f"{chains.steps} steps, acceptance {chains.acceptance:.2f}, autocorrelation time "
         f"{chains.tau.max():.0f} steps"

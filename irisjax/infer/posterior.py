@@ -2,8 +2,6 @@
 be.
 """
 
-import hashlib
-import json
 import os
 from collections.abc import Callable
 from pathlib import Path
@@ -14,15 +12,17 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from irisjax._interrupt import unfinished
 from irisjax._types import PRNGKey
 from irisjax.infer.diagnostics import diagnostics
 from irisjax.infer.fit import Fit, fit
 from irisjax.infer.moves import mixture
 from irisjax.infer.pieces import density
 from irisjax.infer.problem import Problem
+from irisjax.infer.resume import check_run, fingerprint, words_of
 from irisjax.infer.status import ChainStatus
 from irisjax.infer.status import throw as throw_if
-from irisjax.infer.stream import Stream, checkpoint, repair
+from irisjax.infer.stream import Stream, checkpoint
 
 _SPREAD, _BURN, _BLOCK, _MOST_KEPT = 300, 600, 200, 1000
 TAUS, ESS, RHAT = 50, 1000, 1.03
@@ -92,25 +92,11 @@ def sample(
             are too few walkers; with `throw` for a chain that is not long enough.
     """
     path = Path(path)
-    free = len(problem.free)
-    if walkers < 2 * free + 2:
-        raise ValueError(
-            f"{walkers} walkers are too few for {free} free parameters; give at least "
-            f"{2 * free + 2}"
-        )
-    words = [int(word) for word in np.ravel(jax.random.key_data(key))]
-    mark = _fingerprint(problem, walkers, words)
-    if resume and path.exists():
-        repair(path)
-        if Stream(str(path), name="burn").mark() != mark:
-            raise ValueError(
-                f"{path}: made from other data or settings; it cannot be resumed with these"
-            )
-    elif path.exists():
-        raise ValueError(f"{path}: exists; resume it or remove it")
-    else:
+    check_run(problem, path, walkers=walkers, resume=resume, key=key)
+    words = words_of(key)
+    if not path.exists():
         best = fit(problem, key=jax.random.fold_in(key, 0)) if start is None else start
-        _begin(path, problem, walkers, words, mark, best)
+        _begin(path, problem, walkers, words, fingerprint(problem, walkers, words), best)
     at = density(problem)
 
     def log_probability(z):
@@ -265,14 +251,14 @@ def _begin(
     z, covariance = laplace(problem, best)
     random = np.random.RandomState([*words, 1 << 31])
     cloud = z + random.standard_normal((walkers, z.size)) @ np.linalg.cholesky(covariance).T
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
-    backend = Stream(str(temporary), name="burn")
-    try:
-        backend.reset(walkers, z.size)
-        backend.begin(cloud, mark)
-        os.replace(temporary, path)
-    finally:
-        temporary.unlink(missing_ok=True)
+    with unfinished(path.with_name(f".{path.name}.{os.getpid()}.tmp")) as temporary:
+        backend = Stream(str(temporary), name="burn")
+        try:
+            backend.reset(walkers, z.size)
+            backend.begin(cloud, mark)
+            os.replace(temporary, path)
+        finally:
+            temporary.unlink(missing_ok=True)
 
 
 def laplace(problem: Problem, best: Fit) -> tuple[np.ndarray, np.ndarray]:
@@ -287,13 +273,3 @@ def laplace(problem: Problem, best: Fit) -> tuple[np.ndarray, np.ndarray]:
             covariance[i, i] = min(1.0, 1 / (2 * points * 0.25))
     # Rounding must not make it indefinite.
     return z, covariance + 1e-10 * np.eye(z.size)
-
-
-def _fingerprint(problem: Problem, walkers: int, words: list[int]) -> str:
-    digest = hashlib.sha256(
-        json.dumps([walkers, words, problem.free, str(problem.process)]).encode()
-    )
-    digest.update(repr(problem.priors).encode())
-    for leaf in jax.tree.leaves((problem.observations, problem.noise, problem.base, problem.fixed)):
-        digest.update(np.asarray(leaf).tobytes() if not isinstance(leaf, str) else leaf.encode())
-    return digest.hexdigest()

@@ -197,9 +197,16 @@ def prior_of(text: str, low: float, high: float) -> AbstractPrior:
     )
     if not sane:
         raise ValueError(f"{text!r}: these numbers make no distribution; the forms are {kinds}")
-    if kind is Normal:
-        return Normal(a, b, low, high)
-    prior = kind(a, b)
-    if prior.support[0] < low or prior.support[1] > high:
-        raise ValueError(f"{text!r} reaches outside the parameter's range, {low:g} to {high:g}")
+    prior = Normal(a, b, low, high) if kind is Normal else kind(a, b)
+    check_prior(repr(text), prior, low, high)
     return prior
+
+
+def check_prior(name: str, prior: AbstractPrior, low: float, high: float) -> None:
+    """Raise `ValueError` where a prior is not one of a parameter that lies in [low, high]."""
+    within = f"the parameter's range, {low:g} to {high:g}"
+    if prior.support[0] < low or prior.support[1] > high:
+        raise ValueError(f"{name} reaches outside {within}")
+    # Beyond that nothing is left of it in double precision.
+    if isinstance(prior, Normal) and not low - 5 * prior.sd < prior.mean < high + 5 * prior.sd:
+        raise ValueError(f"{name} lies outside {within}")

@@ -14,7 +14,7 @@ from irisjax.anatomy.media import Media
 from irisjax.infer.noise import Noise
 from irisjax.infer.observation import Observation
 from irisjax.infer.parameters import DEFAULT_FREE, DERIVED, PARAMETERS, derived, iris_of, of_iris
-from irisjax.infer.priors import AbstractPrior
+from irisjax.infer.priors import AbstractPrior, check_prior
 from irisjax.measure.observe import observed, prepared
 from irisjax.numerics.checks import check_range
 from irisjax.tissue.indices import RefractiveIndices
@@ -209,6 +209,8 @@ def problem(
     for name in (*priors, *separate):
         if name not in names:
             raise ValueError(f"{name} has a prior or is separate, but is not free")
+    for name, prior in priors.items():
+        check_prior(f"{name} ~ {prior}", prior, PARAMETERS[name].low, PARAMETERS[name].high)
     expanded = [
         f"{n}@{i + 1}" if n in separate else n
         for n in names

@@ -12,6 +12,8 @@ import emcee
 import h5py
 import numpy as np
 
+from irisjax._interrupt import unfinished
+
 
 class Stream(emcee.backends.HDFBackend):
     """One group of an HDF5 file; every step is handed to the operating system before the next
@@ -126,9 +128,9 @@ def checkpoint(path: Path) -> None:
     """A whole copy to fall back on should the process die in the midst of writing to the file
     itself.
     """
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
-    shutil.copyfile(path, temporary)
-    os.replace(temporary, backup(path))
+    with unfinished(path.with_name(f".{path.name}.{os.getpid()}.tmp")) as temporary:
+        shutil.copyfile(path, temporary)
+        os.replace(temporary, backup(path))
 
 
 def backup(path: Path) -> Path:

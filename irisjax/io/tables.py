@@ -19,6 +19,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from irisjax._interrupt import unfinished
+
 _REMARK = re.compile(r"\s*\[[^\[\]]*\]$")
 
 
@@ -122,7 +124,7 @@ def write_together(files: Mapping[Path, bytes]) -> None:
     for path in files:
         check_writable(path)
     written: list[tuple[Path, Path]] = []
-    path = Path()
+    path, temporaries = Path(), contextlib.ExitStack()
     try:
         for path, data in files.items():
             if _is_special(path):
@@ -130,7 +132,7 @@ def write_together(files: Mapping[Path, bytes]) -> None:
                     device.write(data)
                 continue
             target = Path(os.path.realpath(path))  # through links, so that a link stays one
-            temporary = _beside(target)
+            temporary = temporaries.enter_context(unfinished(_beside(target)))
             written.append((temporary, target))
             # os.open, not tempfile: the file then has the permissions the user's umask asks for.
             with open(
@@ -148,6 +150,8 @@ def write_together(files: Mapping[Path, bytes]) -> None:
         if isinstance(error, OSError):  # name the file asked for, not the temporary one
             raise OSError(error.errno, error.strerror, str(path)) from error
         raise
+    finally:
+        temporaries.close()
 
 
 @contextlib.contextmanager
@@ -169,11 +173,12 @@ def replacing(path: str | Path) -> Iterator[Path]:
     target = Path(os.path.realpath(path))
     temporary = _beside(target)
     try:
-        os.close(os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o666))
-        yield temporary
-        with temporary.open("rb+") as file:
-            os.fsync(file.fileno())
-        os.replace(temporary, target)
+        with unfinished(temporary):
+            os.close(os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o666))
+            yield temporary
+            with temporary.open("rb+") as file:
+                os.fsync(file.fileno())
+            os.replace(temporary, target)
     except BaseException as error:
         with contextlib.suppress(OSError):
             temporary.unlink(missing_ok=True)

@@ -44,10 +44,10 @@ LIMITS: dict[str, Range] = {
     "base_index": Range(1, 3, "", "refractive index of the base material"),
     "ipe_index": Range(1, 3, "", "refractive index of the iris pigment epithelium"),
     "fibroblast_fraction": Range(0, 1, "", "volume fraction of fibroblasts in the ABL"),
-    "scattering_scale": Range(0, _INF, "", "factor on the stroma's scattering"),
     "collagen_fraction": Range(0, 1, "", "volume fraction of fibrils in the stroma", above=True),
     "abl_index": Range(1, 3, "", "refractive index of the ABL, in place of Gladstone-Dale's"),
     "stroma_index": Range(1, 3, "", "refractive index of the stroma, in place of Gladstone-Dale's"),
+    "scattering_scale": Range(0, _INF, "", "factor on the stroma's scattering"),
 }
 """Every settable number of `Iris` with its allowed range and unit."""
 

@@ -111,6 +111,7 @@ def without_search(monkeypatch):
 
     monkeypatch.setattr(report, "fit", lambda problem, key: SimpleNamespace(converged=True))
     monkeypatch.setattr(report, "sample", sample)
+    monkeypatch.setattr(report, "check_run", lambda *given, **settings: None)
     monkeypatch.setattr(report, "information", lambda problem, best: None)
     monkeypatch.setattr(report, "in_words", lambda found: ["best known: the load"])
     monkeypatch.setattr(report, "check", lambda problem, chains, *, key: Check(0.5, 0.5, 1.0))

@@ -1,6 +1,7 @@
 """`irisjax fit`: what is asked of the sampler, from a file to files, resumed; wrong input."""
 
 import csv
+import re
 import sys
 
 import jax
@@ -85,6 +86,48 @@ def test_two_spots_of_one_eye(irisjax, eye, sampled, tmp_path):
     assert {"melanin_load@1", "melanin_load@2", "hemoglobin", "eumelanin@2"} <= set(out.split())
     sizes = [o.values.size for o in sampled[0].problem.observations]
     assert sizes == [31, 28]
+
+
+def test_nothing_is_done_for_what_cannot_be_sampled(irisjax, eye, quick, monkeypatch, tmp_path):
+    """Too few walkers and priors that no iris has: refused before a file is touched."""
+    monkeypatch.setattr(report, "one", lambda *given, **settings: pytest.fail("work was done"))
+    chain = tmp_path / "chain.h5"
+    chain.write_text("mine")
+    said = ("fit", eye, "-o", tmp_path, "--overwrite")
+    for wrong, message in (
+        (("--walkers", "8"), "8 walkers are too few for 7 free parameters; give at least 16"),
+        (("--prior", "abl_fraction=normal(3, 0.1)"), "lies outside the parameter's range, 0 to 1"),
+        (("--prior", "abl_fraction=uniform(0, 2)"), "reaches outside"),
+    ):
+        status, out, err = irisjax(*said, *wrong)
+        assert (status, out, err.count("\n")) == (2, "", 1)
+        assert message in err
+        assert chain.read_text() == "mine"
+
+
+def test_fewer_values_than_parameters_is_said(irisjax, sampled, tmp_path):
+    path = tmp_path / "one.csv"
+    path.write_text("nm,R (%)\n550,4\n")
+    status, _, err = irisjax("fit", path)
+    assert status == 0
+    assert "1 values for 6 parameters: at least 5 of them keep their priors" in err
+
+
+@pytest.mark.parametrize("width", [None, 60])
+def test_numbers_are_never_cut(irisjax, eye, sampled, monkeypatch, width):
+    """A pipe takes lines of any length; a narrow terminal gets fewer columns."""
+    if width is not None:
+        monkeypatch.setenv("COLUMNS", str(width))
+        monkeypatch.setattr(sys.stdout, "isatty", lambda: True, raising=False)
+    out = irisjax("fit", eye, *FREE)[1]
+    assert "…" not in out
+    lines = out.splitlines()
+    assert "parameter" in lines[1]
+    if width is None:
+        assert lines[1].split()[-1] == "contraction"
+    else:
+        plain = [re.sub(r"\x1b\[\d*m", "", line) for line in lines[1:6]]
+        assert max(map(len, plain)) <= width
 
 
 def test_short_chains_end_with_status_three(irisjax, eye, sampled, monkeypatch):

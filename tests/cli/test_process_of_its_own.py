@@ -5,6 +5,7 @@ import os
 import signal
 import subprocess
 import sys
+import time
 
 import pytest
 
@@ -92,6 +93,52 @@ def test_ctrl_c_in_a_long_run(tmp_path, counted):
     process.send_signal(signal.SIGINT)
     _, err = process.communicate(timeout=60)
     assert (process.returncode, err) == (130, "irisjax: interrupted\n")
+    assert not list(tmp_path.iterdir())
+
+
+# The main thread is where Python hears nothing: a callback of JAX's swallows the exception, or a
+# program is being compiled. A file is half written.
+DEAF = """
+import ctypes, sys, time
+from irisjax import _interrupt
+from irisjax.io.tables import replacing
+
+def work():
+    with replacing("eye.png") as half:
+        half.write_bytes(b"half")
+        print("block", flush=True)
+        for _ in range(200):
+            try:
+                DEAFLY
+            except KeyboardInterrupt:
+                pass
+    return 0
+
+_interrupt.guarded(work)
+"""
+
+
+@pytest.mark.skipif(os.name == "nt", reason="POSIX signals")
+@pytest.mark.parametrize(
+    "deafly",
+    ["time.sleep(0.1)", "ctypes.CDLL(None).poll(None, 0, 60_000)"],
+    ids=["swallowed", "in C"],
+)
+def test_ctrl_c_where_python_does_not_hear_it(tmp_path, deafly):
+    process = subprocess.Popen(
+        [sys.executable, "-c", DEAF.replace("DEAFLY", deafly)],
+        cwd=tmp_path,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    assert process.stdout is not None
+    assert process.stdout.readline() == "block\n"
+    process.send_signal(signal.SIGINT)
+    begun = time.monotonic()
+    _, err = process.communicate(timeout=60)
+    assert (process.returncode, err) == (130, "irisjax: interrupted\n")
+    assert time.monotonic() - begun < 2
     assert not list(tmp_path.iterdir())
 
 

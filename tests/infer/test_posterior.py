@@ -17,10 +17,11 @@ from scipy import stats
 import irisjax as ij
 from common import heavily, slowly
 from irisjax.infer import posterior
-from irisjax.infer.analytic import BeerLambert
+from irisjax.infer.analytic import BeerLambert, FirstOrder
 from irisjax.infer.fit import fit
 from irisjax.infer.moves import DifferenceMove, IndependentMove, Straightening, mixture
 from irisjax.infer.posterior import sample
+from irisjax.infer.resume import check_run
 from irisjax.infer.summary import check, summarise
 
 GRID = ij.wavelengths(400, 700, 30)
@@ -98,6 +99,29 @@ def test_seeds_and_settings_count(whole, tmp_path):
         sample(stated(seed=9), other, walkers=16, key=OTHER, resume=True)
     with pytest.raises(ValueError, match="too few"):
         sample(problem, tmp_path / "few.h5", walkers=6, key=KEY)
+
+
+def test_other_settings_cannot_be_resumed(whole, tmp_path):
+    """Quantity, incidence, first surface and solver belong to a chain too."""
+    path = tmp_path / "chain.h5"
+    shutil.copy(whole[1], path)
+    seen = whole[0].observations[0]
+    for changed in (
+        {"quantity": "radiance"},
+        {"cos_incidence": 0.5},
+        {"cos_incidence": ij.DIFFUSE},
+        {"first_surface": False},
+        {"solver": FirstOrder()},
+    ):
+        solver = changed.pop("solver", BeerLambert())
+        again = ij.problem(
+            ij.spectrum(GRID, np.asarray(seen.values), **changed),
+            free=["melanin_load", "hemoglobin", "noise"],
+            solver=solver,
+        )
+        with pytest.raises(ValueError, match="other data or settings"):
+            check_run(again, path, walkers=16, resume=True, key=KEY)
+    check_run(whole[0], path, walkers=16, resume=True, key=KEY)
 
 
 def test_short_chains_are_called_short(whole, tmp_path):
@@ -263,7 +287,7 @@ def test_killed_process_resumes(whole, tmp_path):
     path = tmp_path / "chain.h5"
     code = (
         "import sys, jax; jax.config.update('jax_enable_x64', True); sys.path[:0] = ['tests', 'tests/infer'];"
-        "import test_posterior as t; t.sample(t.stated(), sys.argv[1], walkers=16, key=KEY, max_steps=600,"
+        "import test_posterior as t; t.sample(t.stated(), sys.argv[1], walkers=16, key=t.KEY, max_steps=600,"
         "resume=True, progress=lambda n, w: print(n, flush=True))"
     )
     for stop in (30, 333, 700, None):

@@ -56,6 +56,7 @@ def test_prior_draws_stay_inside_the_bounds(name):
         ("uniform(0, nan)", "no distribution"),
         ("lognormal(0.5, 1)", "reaches outside"),
         ("uniform(0, 1.5)", "reaches outside"),
+        ("normal(3, 0.1)", "lies outside"),
     ],
 )
 def test_bad_priors_are_named(text, message):
