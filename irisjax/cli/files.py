@@ -123,6 +123,9 @@ class SwatchFile(Source):
     swatch: Annotated[Path | None, option(metavar="FILE.png", help="paint the colour")] = None
 
 
+_TABLES = (".csv", ".txt", "")
+
+
 def check_files(output: Path | None = None, picture: Path | None = None, *suffixes: str) -> None:
     """Find out before the work whether its results can be kept."""
     paths = [path for path in (output, picture) if path is not None]
@@ -130,6 +133,8 @@ def check_files(output: Path | None = None, picture: Path | None = None, *suffix
         io.check_writable(path)
     if len({path.resolve() for path in paths}) < len(paths):
         raise ValueError(f"{paths[0]}: data and figure cannot go to the same file")
+    if output is not None and output.suffix.lower() not in _TABLES and not io.is_device(output):
+        raise ValueError(f"{output}: is written as CSV; its name must end in .csv or .txt")
     if picture is not None:
         plot.check_suffix(picture, *([suffixes] if suffixes else []))
 

@@ -133,6 +133,9 @@ class PictureFile(Group):
         Path,
         option("-o", "--output", metavar="FILE.png", help=".png, .exr (linear); see --animate"),
     ] = Path("eye.png")
+    overwrite: Annotated[
+        bool, option("--overwrite", metavar="", help="replace a picture of that name")
+    ] = False
 
 
 @grouped
@@ -147,7 +150,12 @@ def render(view: View, picture: Picture, files: PictureFile) -> None:
         raise ValueError(f"{output}: must end in {' or '.join(picture.suffixes)}")
     if picture.animate is not None and not _is_sheet(output):
         io.check_movie(output)
+    if "bits" in picture.typed and output.suffix == ".exr":
+        raise ValueError("--bits is for PNG; an EXR holds floating-point numbers")
     io.check_writable(output)
+    first = io.first_file(output)
+    if first.exists() and not files.overwrite and not io.is_device(first):
+        raise ValueError(f"{first}: exists; --overwrite replaces it")
     file = view.read()
     if picture.spectral is not None and not view.light and "environment" in file:
         raise ValueError(
@@ -187,9 +195,14 @@ def _still(scene: staging.Scene, picture: Picture, exposure: float, output: Path
             remark += f", response within {100 * first.error:.2g} %"
         progress.set_description("rendering")
 
+        lightest = 0.0
+
         def lit():
+            nonlocal lightest
             for band in itertools.chain([first], parts):
-                yield exposure * band.pixels
+                pixels = exposure * band.pixels
+                lightest = max(lightest, float(np.max(pixels)))
+                yield pixels
                 progress.update(len(band.pixels))
 
         if output.suffix == ".exr":
@@ -200,6 +213,11 @@ def _still(scene: staging.Scene, picture: Picture, exposure: float, output: Path
                 output, map(_encoded, lit()), bits=picture.bits, remark=remark, rows=height
             )
     _tell(output, clipped, width * height)
+    if lightest <= 0:
+        print(
+            f"irisjax: {output}: the picture is black: no light falls on what the camera sees",
+            file=sys.stderr,
+        )
 
 
 def _encoded(picture: np.ndarray) -> np.ndarray:

@@ -13,6 +13,7 @@ from irisjax.io.measured import read_measured as read_measured
 from irisjax.io.tables import Table as Table
 from irisjax.io.tables import check_writable as check_writable
 from irisjax.io.tables import format_table as format_table
+from irisjax.io.tables import is_device as is_device
 from irisjax.io.tables import read_header as read_header
 from irisjax.io.tables import read_table as read_table
 from irisjax.io.tables import write_atomically as write_atomically
@@ -29,6 +30,7 @@ if TYPE_CHECKING:
     from irisjax.io.maps import read_maps as read_maps
     from irisjax.io.maps import write_maps as write_maps
     from irisjax.io.movies import check_movie as check_movie
+    from irisjax.io.movies import first_file as first_file
     from irisjax.io.movies import write_movie as write_movie
     from irisjax.io.posterior import predictive_score as predictive_score
     from irisjax.io.posterior import write_posterior as write_posterior
@@ -48,7 +50,7 @@ _LATER = {
         "write_png",
     ),
     "maps": ("read_maps", "write_maps"),
-    "movies": ("check_movie", "write_movie"),
+    "movies": ("check_movie", "first_file", "write_movie"),
     "posterior": ("predictive_score", "write_posterior"),
     "scenes": ("SceneFile", "parse_scene", "read_scene"),
 }

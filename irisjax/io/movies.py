@@ -36,6 +36,13 @@ def check_movie(path: str | Path) -> None:
     check_writable(path)
 
 
+def first_file(path: str | Path) -> Path:
+    """The first file that a picture or a movie of this name writes."""
+    path = Path(path)
+    numbered = path.suffix.lower() == ".png" and "%" in path.name
+    return _numbered(path, 0) if numbered else path
+
+
 def write_movie(
     path: str | Path, frames: Iterable[Any], *, rate: int = 12, remark: str = ""
 ) -> int:

@@ -97,7 +97,7 @@ def check_writable(path: str | Path) -> None:
     target = Path(path)
     if target.is_dir():
         raise IsADirectoryError(errno.EISDIR, "is a folder, not a file", str(path))
-    if _is_special(target):
+    if is_device(target):
         return
     folder = Path(os.path.realpath(target)).parent
     if not folder.is_dir():
@@ -127,7 +127,7 @@ def write_together(files: Mapping[Path, bytes]) -> None:
     path, temporaries = Path(), contextlib.ExitStack()
     try:
         for path, data in files.items():
-            if _is_special(path):
+            if is_device(path):
                 with path.open("wb") as device:
                     device.write(data)
                 continue
@@ -163,7 +163,7 @@ def replacing(path: str | Path) -> Iterator[Path]:
     """
     path = Path(path)
     check_writable(path)
-    if _is_special(path):
+    if is_device(path):
         with tempfile.TemporaryDirectory() as folder:
             temporary = Path(folder, path.name)
             yield temporary
@@ -191,7 +191,8 @@ def _beside(target: Path) -> Path:
     return target.with_name(f".{target.name}.{os.getpid()}-{threading.get_ident()}.tmp")
 
 
-def _is_special(path: Path) -> bool:
+def is_device(path: Path) -> bool:
+    """Whether a name stands for a pipe or a device."""
     return path.exists() and not path.is_file() and not path.is_dir()
 
 

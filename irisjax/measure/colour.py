@@ -46,6 +46,11 @@ class Colour(eqx.Module):
     observer: str = eqx.field(static=True)
 
 
+VISIBLE = (420.0, 680.0)
+"""Wavelengths (nm) without which there is no colour."""
+_WIDEST = 25.0  # nm, of a step
+
+
 class Observer(eqx.Module):
     """An illuminant and a standard observer on a grid: what takes a reflectance to its colour.
 
@@ -61,9 +66,10 @@ class Observer(eqx.Module):
 
     @classmethod
     def of(cls, wavelengths, illuminant: str = "D65", observer: str = OBSERVER) -> "Observer":
-        """On a grid of `wavelengths` (nm, at least two; concrete or traced).
+        """On a grid of `wavelengths` (nm; concrete or traced).
 
-        **Raises:** `ValueError` for an unknown illuminant or observer.
+        **Raises:** `ValueError` for an unknown illuminant or observer, and for concrete wavelengths
+        that leave out a part of the visible range or are far apart.
         """
         check_wavelengths(wavelengths)
         if np.shape(wavelengths)[0] < 2:
@@ -77,6 +83,7 @@ class Observer(eqx.Module):
             to_srgb = jnp.asarray(_XYZ_TO_SRGB, x.dtype) @ adaptation
             return cls(weights, white, to_srgb, illuminant, observer)
         grid = np.asarray(wavelengths, np.float64)
+        _check_visible(grid)
         return _observer(grid.tobytes(), illuminant, observer, str(jnp.result_type(float)))
 
     def colour(self, values: Spectrum, status: RESULTS = RESULTS.successful) -> Colour:
@@ -100,7 +107,7 @@ class Observer(eqx.Module):
 
 
 def colour_of(wavelengths, values, *, illuminant: str = "D65", observer: str = OBSERVER) -> Colour:
-    """Colour of a spectral reflectance `values` on a grid of `wavelengths` (nm, at least two).
+    """Colour of a spectral reflectance `values` on `wavelengths` (nm; `VISIBLE` at least).
 
     Differentiable in `values`. **Raises:** `ValueError` for an unknown illuminant or observer, or
     values that are not one a wavelength.
@@ -145,6 +152,21 @@ def lab_of(ratio):
     dark = ratio <= delta**3
     f = jnp.where(dark, ratio / (3 * delta**2) + 4 / 29, jnp.cbrt(jnp.where(dark, 1.0, ratio)))
     return jnp.stack([116 * f[1] - 16, 500 * (f[0] - f[1]), 200 * (f[1] - f[2])])
+
+
+def _check_visible(grid: np.ndarray) -> None:
+    """Beyond `VISIBLE` lie 0.3 % of a white's luminance, and 3 % of its blue."""
+    if grid[0] > VISIBLE[0] or grid[-1] < VISIBLE[1]:
+        raise ValueError(
+            f"wavelengths from {grid[0]:g} to {grid[-1]:g} nm make no colour: it needs all from "
+            f"{VISIBLE[0]:g} to {VISIBLE[1]:g} nm"
+        )
+    widest = int(np.argmax(np.diff(grid)))
+    if grid[widest + 1] - grid[widest] > _WIDEST:
+        raise ValueError(
+            f"a colour needs steps of at most {_WIDEST:g} nm; {grid[widest]:g} nm is followed by "
+            f"{grid[widest + 1]:g} nm"
+        )
 
 
 def illuminant_power(illuminant: str, wavelengths) -> Any:

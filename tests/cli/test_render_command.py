@@ -36,6 +36,23 @@ def scene(tmp_path, *parts):
     return "scene.toml"
 
 
+def test_bits_are_of_a_png(irisjax, drawn, tmp_path):
+    path = scene(tmp_path, LAMP)
+    status, _, err = irisjax("render", path, "--bits", "16", "-o", "eye.exr")
+    assert (status, drawn) == (2, [])
+    assert "--bits is for PNG" in err
+    assert irisjax("render", path, "-o", "eye.exr")[0] == 0
+
+
+def test_pictures_are_not_lost(irisjax, drawn, tmp_path):
+    path = scene(tmp_path, LAMP)
+    for name, said in (("eye.png", ()), ("frame_%02d.png", ("--animate", "light"))):
+        (tmp_path / name.replace("%02d", "00")).write_bytes(b"mine")
+        status, _, err = irisjax("render", path, *said, "-o", name)
+        assert (status, drawn) == (2, [])
+        assert "exists; --overwrite replaces it" in err
+
+
 @pytest.mark.parametrize(
     ("lights", "message"),
     [

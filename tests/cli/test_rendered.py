@@ -81,7 +81,11 @@ def test_nothing_half_written(irisjax, tmp_path, monkeypatch):
     (tmp_path / "scene.toml").write_text(BARE)
     (tmp_path / "eye.png").write_bytes(b"older")
     monkeypatch.setattr("irisjax.render.stages.prepare", broken)
-    assert irisjax("render", "scene.toml") == (130, "", "irisjax: interrupted\n")
+    status, out, err = irisjax("render", "scene.toml")
+    assert (status, out) == (2, "")
+    assert err == "irisjax: eye.png: exists; --overwrite replaces it\n"
+    status = irisjax("render", "scene.toml", "--overwrite")
+    assert status == (130, "", "irisjax: interrupted\n")
     assert (tmp_path / "eye.png").read_bytes() == b"older"
     assert len(list(tmp_path.iterdir())) == 2
 

@@ -57,6 +57,7 @@ WRONG = [
     (("--plot", "figure.doc"), "figure.doc: a picture's name must end in .png or .pdf or .svg"),
     (("--plot", "figure"), "figure: a picture's name must end in"),
     (("--plot", "same.png", "-o", "same.png"), "same file"),
+    (("-o", "table.xlsx"), "table.xlsx: is written as CSV; its name must end in .csv or .txt"),
     (("--from", "missing.csv"), "missing.csv: No such file"),
     (("--eumelanine", "1"), "--eumelanine"),
     (("--eumelanin",), "--eumelanin"),

@@ -7,19 +7,16 @@ import subprocess
 import sys
 import tracemalloc
 
-import emcee
 import h5py
 import jax
 import numpy as np
 import pytest
-from scipy import stats
 
 import irisjax as ij
 from common import heavily, slowly
 from irisjax.infer import posterior
 from irisjax.infer.analytic import BeerLambert, FirstOrder
 from irisjax.infer.fit import fit
-from irisjax.infer.moves import DifferenceMove, IndependentMove, Straightening, mixture
 from irisjax.infer.posterior import sample
 from irisjax.infer.resume import check_run
 from irisjax.infer.summary import check, summarise
@@ -197,67 +194,6 @@ def test_posterior_agrees_with_a_grid(tmp_path):
     assert np.corrcoef(z.T)[0, 1] == pytest.approx(
         covariance[0, 1] / np.sqrt(covariance[0, 0] * covariance[1, 1]), abs=0.06
     )
-
-
-@pytest.mark.heavy
-@pytest.mark.parametrize("which", [slowly("independent"), slowly("differences"), "mixture"])
-def test_moves_leave_a_distribution_as_it_is(which):
-    """Samples of a skewed density stay samples of it, with moves that others have taught."""
-    rng = np.random.default_rng(0)
-    taught = rng.normal([0.5, 0.0], [1.4, 0.7], (400, 2))
-    taught[:, 1] += 0.2 * taught[:, 0] ** 2
-    straight = Straightening.of_samples(taught)
-    moves = {
-        "independent": IndependentMove(straight, taught),
-        "differences": DifferenceMove(straight),
-        "mixture": mixture(taught),
-    }[which]
-
-    def log_p(z):
-        return stats.gumbel_r.logpdf(z[:, 0]) + stats.norm.logpdf(z[:, 1], z[:, 0] / 2, 0.7)
-
-    sampler = emcee.EnsembleSampler(32, 2, log_p, vectorize=True, moves=moves)
-    sampler.random_state = np.random.RandomState(1).get_state()
-    first = rng.gumbel(size=32)
-    sampler.run_mcmc(np.stack([first, rng.normal(first / 2, 0.7)], 1), 4000)
-    z = sampler.get_chain(discard=200, thin=20, flat=True)
-    assert stats.kstest(z[:, 0], stats.gumbel_r.cdf).pvalue > 1e-3
-    assert stats.kstest((z[:, 1] - z[:, 0] / 2) / 0.7, stats.norm.cdf).pvalue > 1e-3
-
-
-def test_a_curved_ridge_is_straightened():
-    """A thin, curved ridge in three dimensions: walkers move along it as along a straight one."""
-    rng = np.random.default_rng(0)
-
-    def bent(n):
-        z = rng.normal(size=(n, 3)) * [1.0, 0.03, 0.5]
-        z[:, 1] += 0.1 * z[:, 0] ** 2 - 0.4 * z[:, 0]
-        return z
-
-    straight = Straightening.of_samples(bent(4000))
-    z = bent(4000)
-    y = straight.to(z)
-    np.testing.assert_allclose(straight.back(y), z, rtol=0, atol=1e-12)
-
-    def log_p(z):
-        thin = (z[:, 1] - 0.1 * z[:, 0] ** 2 + 0.4 * z[:, 0]) / 0.03
-        return -0.5 * (z[:, 0] ** 2 + thin**2 + (z[:, 2] / 0.5) ** 2)
-
-    sampler = emcee.EnsembleSampler(
-        32, 3, log_p, vectorize=True, moves=IndependentMove(straight, z)
-    )
-    sampler.random_state = np.random.RandomState(1).get_state()
-    sampler.run_mcmc(z[:32], 500)
-    assert sampler.acceptance_fraction.mean() > 0.5
-    # Densities carry over only if volumes do: the same Jacobian on the ridge, beside it and far
-    # out.
-    places = np.concatenate([z[:5], 3 * z[5:10], [[9.0, -7.0, 8.0]]])
-    step = 1e-6
-    volumes = []
-    for place in places:
-        there, back = (straight.to(place + sign * step * np.eye(3)) for sign in (1, -1))
-        volumes.append(np.linalg.det((there - back) / (2 * step)))
-    np.testing.assert_allclose(volumes, volumes[0], rtol=1e-5)
 
 
 def test_summary_and_predictive_check(whole):

@@ -218,6 +218,15 @@ def test_colour_errors():
         ij.colour(IRIS, illuminant="Z")
     with pytest.raises(ValueError, match="at least two wavelengths"):
         ij.colour(IRIS, np.array([500.0]))
+    for grid, message in (
+        ([450.0, 650.0], "wavelengths from 450 to 650 nm make no colour"),
+        (np.arange(500.0, 601.0, 5), "it needs all from 420 to 680 nm"),
+        ([400.0, 500.0, 600.0, 700.0], "400 nm is followed by 500 nm"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            ij.colour(IRIS, np.asarray(grid))
+        with pytest.raises(ValueError, match=message):
+            ij.colour_of(np.asarray(grid), jnp.ones(len(grid)))
 
 
 def test_lighter_iris_is_lighter_and_bluer():
