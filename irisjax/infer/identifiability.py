@@ -55,8 +55,7 @@ def information(problem: Problem, fit: Fit) -> Information:
     kept = [i for i, n in enumerate(problem.free) if not n.startswith("noise")]
     names = tuple(problem.free[i] for i in kept)
     jacobian = np.asarray(_jacobian(problem, fit.z))[:, kept]
-    slope = np.asarray(jax.grad(lambda z: problem.natural(z).sum())(fit.z))[kept]
-    value = np.asarray(problem.natural(fit.z))[kept]
+    value, slope = (np.asarray(x)[kept] for x in _natural(problem, fit.z))
     in_logs = jacobian / slope * value
     fisher = in_logs.T @ in_logs
     eigenvalues, vectors = np.linalg.eigh(fisher)
@@ -126,6 +125,12 @@ def _percent(x: float) -> str:
 def _power(name: str, exponent: float) -> str:
     word = _WORDS[kind(name)] + (f"@{name.partition('@')[2]}" if "@" in name else "")
     return word if abs(exponent - 1) < 0.05 else f"{word}^{exponent:.1f}"
+
+
+@jax.jit
+def _natural(problem: Problem, z):
+    """Values, and their slopes: each depends on its own coordinate only."""
+    return jax.jvp(lambda x: problem.natural(x), (z,), (jnp.ones_like(z),))
 
 
 @jax.jit

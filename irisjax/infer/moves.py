@@ -1,5 +1,6 @@
 """How walkers move: in coordinates in which the posterior's ridge is straight."""
 
+import functools
 from typing import Any, NamedTuple
 
 import emcee
@@ -56,8 +57,13 @@ class Straightening(NamedTuple):
 def _quadratic(w):
     """1, w and the products of pairs, (n, terms)."""
     w = np.clip(w, -_REACH, _REACH)
-    first, second = np.triu_indices(w.shape[1])
+    first, second = _pairs(w.shape[1])
     return np.concatenate([np.ones((len(w), 1)), w, w[:, first] * w[:, second]], axis=1)
+
+
+@functools.cache
+def _pairs(count: int) -> tuple[np.ndarray, np.ndarray]:
+    return np.triu_indices(count)
 
 
 class IndependentMove(emcee.moves.MHMove):

@@ -100,7 +100,7 @@ def sample(
     at = density(problem)
 
     def log_probability(z):
-        return np.asarray(at(jnp.asarray(z)))
+        return np.asarray(at(z))
 
     def report(word, offset=0):
         def tell(n):

@@ -1,5 +1,6 @@
 """What a posterior says: medians and intervals, and what the data could not tell."""
 
+import functools
 from typing import NamedTuple
 
 import jax
@@ -152,6 +153,7 @@ def _stated(problem, z, i, model, observation):
     return np.asarray(_sds(problem, z, model, i))
 
 
+@functools.partial(jax.jit, static_argnums=3)
 def _sds(problem, z, models, i):
     def one(x, m):
         values = problem.values(x)
