@@ -81,9 +81,15 @@ cli.main(sys.argv[1:])
 )
 def test_ctrl_c_in_a_long_run(tmp_path, counted):
     said = ("spectrum", "--wavelengths", "550", "--solver", "monte-carlo", "--photons", "2e9")
+    code = INTERRUPTIBLE.replace("COUNTED", counted)
+    interrupted(tmp_path, code, *said, "-o", "x.csv")
+
+
+def interrupted(folder, code, *arguments) -> float:
+    """Interrupt Python code once it has printed "block"; the seconds until it was gone."""
     process = subprocess.Popen(
-        [sys.executable, "-c", INTERRUPTIBLE.replace("COUNTED", counted), *said, "-o", "x.csv"],
-        cwd=tmp_path,
+        [sys.executable, "-c", code, *arguments],
+        cwd=folder,
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
@@ -91,9 +97,11 @@ def test_ctrl_c_in_a_long_run(tmp_path, counted):
     assert process.stdout is not None
     assert process.stdout.readline() == "block\n"
     process.send_signal(signal.SIGINT)
+    begun = time.monotonic()
     _, err = process.communicate(timeout=60)
     assert (process.returncode, err) == (130, "irisjax: interrupted\n")
-    assert not list(tmp_path.iterdir())
+    assert not list(folder.iterdir())
+    return time.monotonic() - begun
 
 
 # The main thread is where Python hears nothing: a callback of JAX's swallows the exception, or a
@@ -125,21 +133,7 @@ _interrupt.guarded(work)
     ids=["swallowed", "in C"],
 )
 def test_ctrl_c_where_python_does_not_hear_it(tmp_path, deafly):
-    process = subprocess.Popen(
-        [sys.executable, "-c", DEAF.replace("DEAFLY", deafly)],
-        cwd=tmp_path,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-    )
-    assert process.stdout is not None
-    assert process.stdout.readline() == "block\n"
-    process.send_signal(signal.SIGINT)
-    begun = time.monotonic()
-    _, err = process.communicate(timeout=60)
-    assert (process.returncode, err) == (130, "irisjax: interrupted\n")
-    assert time.monotonic() - begun < 2
-    assert not list(tmp_path.iterdir())
+    assert interrupted(tmp_path, DEAF.replace("DEAFLY", deafly)) < 2
 
 
 IMPORTS = """
