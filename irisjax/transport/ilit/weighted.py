@@ -137,7 +137,9 @@ def run_paths(key, layers: Layers, process: Ilit, entering, scale, *, log2_paths
 
     Forward derivatives are unbiased: what is drawn, and with what probability, is held; what a way
     contributes over that probability moves. (Where nothing scatters at any wavelength, ways that
-    scatter first are never drawn, and the derivative lacks what they would bring.)
+    scatter first are never drawn, and the derivative lacks what they would bring. By the indices of
+    two media that nearly agree (ABL and stroma do) it converges slowly: rare paths near their
+    critical angle carry it.)
     """
     f = jnp.float32
     n = jax.tree.map(lambda v: v.astype(f), layers.indices)
