@@ -87,8 +87,8 @@ def one(
     moving = sum(kind(n) != "noise" for n in problem.free)
     if data < moving:
         _say(
-            f"{data} values for {moving} parameters: at least {moving - data} of them keep their "
-            f"priors whatever was measured",
+            f"{data} value{'s' * (data > 1)} for {moving} parameters: at least {moving - data} of "
+            f"them keep their priors whatever was measured",
             quiet,
         )
     if not bool(best.converged):

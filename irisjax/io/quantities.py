@@ -118,15 +118,15 @@ def percent(y: np.ndarray, unit: str | None, label: str, said: str = "") -> tupl
         return unit == "percent", ""
     if top > 100:
         raise ValueError(
-            f"values up to {top:g} are no reflectances, neither fractions nor per cent; are they "
-            f"counts?"
+            f"values up to {top:,.6g} are no reflectances, neither fractions nor per cent; are "
+            f"they counts?"
         )
     if top > 2:
         return True, "values read as per cent (the file does not say; --unit fraction otherwise)"
     if top > _BRIGHT:
         raise ValueError(
-            f"values up to {top:g}: as fractions they are brighter than any iris, as per cent as "
-            f"dark as some; give --unit percent or --unit fraction"
+            f"values up to {top:.3g} may be fractions (brighter than any iris) or per cent (a dark "
+            f"iris): give --unit percent or --unit fraction"
         )
     return False, "values read as fractions (the file does not say; --unit percent otherwise)"
 

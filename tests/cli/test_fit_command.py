@@ -110,7 +110,7 @@ def test_fewer_values_than_parameters_is_said(irisjax, sampled, tmp_path):
     path.write_text("nm,R (%)\n550,4\n")
     status, _, err = irisjax("fit", path)
     assert status == 0
-    assert "1 values for 6 parameters: at least 5 of them keep their priors" in err
+    assert "1 value for 6 parameters: at least 5 of them keep their priors" in err
 
 
 @pytest.mark.parametrize("width", [None, 60])
