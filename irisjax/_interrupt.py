@@ -35,12 +35,12 @@ def unfinished(path: Path) -> Iterator[Path]:
         _UNFINISHED.discard(path)
 
 
-def say(word: str = "irisjax: interrupted") -> None:
+def say() -> None:
     """Say it once, whoever comes first."""
     with _line:
         if not _said.is_set():
             _said.set()
-            print(word, file=sys.stderr, flush=True)
+            print("irisjax: interrupted", file=sys.stderr, flush=True)
 
 
 def begin() -> None:

@@ -247,6 +247,8 @@ def _sampled(row: list[str], eye: Eye, output: Path | None, seen, options, sampl
 def _rows(path: Path, posteriors: bool) -> dict[str, list[str]]:
     """Rows that are done: failures are tried again."""
     lines = list(csv.reader(path.read_text(encoding="utf-8").splitlines()))
+    if tuple(lines[0][: len(_FIRST)]) != _FIRST:
+        raise ValueError(f"{path}: is no table of --batch; --overwrite begins anew")
     return {
         row[0]: row
         for row in lines[1:]

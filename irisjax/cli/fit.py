@@ -84,10 +84,11 @@ def fit(measured: Measured, model: Model, sampler: Sampler, results: Results) ->
     ):
         problem = ij.problem(observations, **options)
         keep, resume = results.output, results.resume
-        again = None if keep is None or (results.overwrite and not resume) else keep
+        begins_anew = keep is None or (results.overwrite and not resume)
         report.check_run(
             problem,
-            (again or Path(scratch)) / "chain.h5",
+            # Before the old chain is removed: the scratch folder has none.
+            (Path(scratch) if begins_anew or keep is None else keep) / "chain.h5",
             walkers=sampler.walkers,
             resume=resume,
             key=report.key_of(sampling),

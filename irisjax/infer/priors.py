@@ -207,6 +207,6 @@ def check_prior(name: str, prior: AbstractPrior, low: float, high: float) -> Non
     within = f"the parameter's range, {low:g} to {high:g}"
     if prior.support[0] < low or prior.support[1] > high:
         raise ValueError(f"{name} reaches outside {within}")
-    # Beyond that nothing is left of it in double precision.
+    # Cut off further out, it would be a sliver of its tail.
     if isinstance(prior, Normal) and not low - 5 * prior.sd < prior.mean < high + 5 * prior.sd:
         raise ValueError(f"{name} lies outside {within}")

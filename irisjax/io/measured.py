@@ -98,9 +98,9 @@ def read_eyes(path: str | Path, how: Reading | None = None) -> dict[str, Measure
         name = name or f"column {j + 1}"
         if name in found:
             raise ValueError(f"{path}: column {name!r} stands twice")
-        kind = quantities.kind_of(name)
         try:
-            found[name] = _finished(table, how, quantities.Columns([j], None, kind, name))
+            chosen = quantities.choose([table.names[0], name], how.quantity)
+            found[name] = _finished(table, how, chosen._replace(spectra=[j]))
         except ValueError as error:
             found[name] = error
     return found
@@ -143,7 +143,7 @@ def _jcamp(path) -> Columns:
     return Columns(np.stack([x, y], 1), [name, label], where, {})
 
 
-def _finished(table: Columns, how: Reading, columns: quantities.Columns) -> Measured:
+def _finished(table: Columns, how: Reading, columns: quantities.Chosen) -> Measured:
     if how.quantity not in (None, *QUANTITIES):
         raise ValueError(f"quantity must be one of {', '.join(QUANTITIES)}, got {how.quantity!r}")
     if how.unit not in (None, *UNITS):
@@ -191,10 +191,9 @@ def _finished(table: Columns, how: Reading, columns: quantities.Columns) -> Meas
 def _kept(table: Columns, how: Reading, columns, notes: list[str]) -> Columns:
     """Rows whose numbers are there and whose wavelengths, now in nm, are wanted."""
     values, where = table.values.copy(), table.where
-    infinite = np.argwhere(np.isinf(values))
-    for i, j in infinite[:1]:
-        raise ValueError(f"{where[i]}: {values[i, j]} is not a finite number")
     used = [0, *columns.spectra, *([] if columns.sd is None else [columns.sd])]
+    for i, j in np.argwhere(np.isinf(values[:, used]))[:1]:
+        raise ValueError(f"{where[i]}: {values[i, used[j]]} is not a finite number")
     missing = np.isnan(values[:, used]).any(axis=1)
     if missing.any():
         notes.append(f"{missing.sum()} of {missing.size} wavelengths without a value skipped")
@@ -213,6 +212,12 @@ def _kept(table: Columns, how: Reading, columns, notes: list[str]) -> Columns:
     low, high = common_range()
     if how.wavelengths is not None:
         low, high = max(low, how.wavelengths[0]), min(high, how.wavelengths[1])
+        if low > high:
+            asked, there = how.wavelengths, common_range()
+            raise ValueError(
+                f"{asked[0]:g} to {asked[1]:g} nm are asked for; the pigment tables have "
+                f"{there[0]:g} to {there[1]:g} nm"
+            )
     inside = (x >= low) & (x <= high)
     if not inside.any():
         raise ValueError(

@@ -29,10 +29,11 @@ _FORMS = {
 _KINDS = {kind: re.compile(form, re.I) for kind, form in _FORMS.items()}
 _PERCENT = re.compile(r"%|per\s?cent", re.I)
 _BRIGHT, _DARK = 0.4, 0.002
-"""Between these lies the brightest reflectance of any iris, with a wide margin."""
+"""Between these lies the largest reflectance of any iris: ILIT gives 0.12 without any pigment, and
+0.0024, the first surface's alone, under 8 µg/mm² of melanin."""
 
 
-class Columns(NamedTuple):
+class Chosen(NamedTuple):
     """Which columns are spectra (scans of one), which their standard deviation; the kind of them,
     "" where no name says it, and how it reads."""
 
@@ -47,7 +48,7 @@ def kind_of(label: str) -> str:
     return next((kind for kind, form in _KINDS.items() if form.search(label)), "")
 
 
-def choose(names: list[str], wanted: str | None) -> Columns:
+def choose(names: list[str], wanted: str | None) -> Chosen:
     """The columns behind the first one that are to be read.
 
     Beside a reflectance (or what becomes one) counts and references are left out.
@@ -69,7 +70,7 @@ def choose(names: list[str], wanted: str | None) -> Columns:
             raise ValueError(_refusal(names[spectra[0]], kind))
     if not spectra or len(stated) > 1 or (stated and len(spectra) > 1):
         raise ValueError(f"columns {names[1:]}: need one spectrum (with its sd) or repeated scans")
-    return Columns(spectra, stated[0] if stated else None, kind, names[spectra[0]])
+    return Chosen(spectra, stated[0] if stated else None, kind, names[spectra[0]])
 
 
 def _refusal(name: str, kind: str) -> str:
@@ -88,7 +89,7 @@ def _refusal(name: str, kind: str) -> str:
 
 def as_reflectance(y: np.ndarray, sd, quantity: str) -> tuple[np.ndarray, np.ndarray | None]:
     """Reflectances (and their standard deviations) of absorbances log₁₀(1/R) or of Kubelka and
-    Munk's K/S = (1 − R)²/2R.
+    Munk's K/S = (1 − R)²/2R  [Kubelka & Munk 1931].
     """
     if quantity == ABSORBANCE:
         with np.errstate(over="ignore"):

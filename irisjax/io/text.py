@@ -133,7 +133,7 @@ def _names(above: list[list[str]], width: int) -> list[str]:
 def _rows_of_spectra(path, lines) -> tuple[np.ndarray, list[str], list[str]] | None:
     """A spectrum a row, its columns named by wavelengths; `None` if no line names such columns."""
     for i, (_, line) in enumerate(lines[:60]):
-        for separator, decimal_comma in _SEPARATORS:
+        for separator in ("\t", ";", ","):
             split = _splitter(separator)
             groups = _by_wavelength(split(line))
             if not groups:
@@ -147,7 +147,7 @@ def _rows_of_spectra(path, lines) -> tuple[np.ndarray, list[str], list[str]] | N
                 cells = split(later)
                 found = _numbers([cells[j] for j in places.values() if j < len(cells)], True)
                 if found is None or len(found) != len(places):
-                    if decimal_comma or not rows:
+                    if not rows:
                         break
                     raise ValueError(f"{path}, line {number}: not a number for each wavelength")
                 rows.append(found)

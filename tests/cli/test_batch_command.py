@@ -91,6 +91,18 @@ def test_batch_by_the_model_itself(irisjax, eye, tmp_path):
     check_batch(irisjax, eye, tmp_path, 1e-4, "doubtful")  # by `Quick`, no iris
 
 
+def test_another_table_is_not_gone_on_with(irisjax, eye, searched, tmp_path):
+    out = tmp_path / "out"
+    out.mkdir()
+    (out / "fits.csv").write_text("eye,status,melanin_load\ne0,ok,0.1\n")
+    eyes = tmp_path / "eyes"
+    eyes.mkdir()
+    (eyes / "e0.csv").write_bytes(eye.read_bytes())
+    status, _, err = irisjax("fit", "--batch", eyes, "-o", out, *FREE, "--resume")
+    assert (status, searched) == (2, [])
+    assert "is no table of --batch; --overwrite begins anew" in err
+
+
 def test_doubtful_eyes_are_marked_and_counted(irisjax, searched, tmp_path):
     """Searched and found, but no model of these data: not "ok"."""
     x = np.arange(400, 701, 10)

@@ -55,6 +55,11 @@ def test_ctrl_c_while_importing(monkeypatch, capsys):
     assert (left.value.code, capsys.readouterr().err) == (130, "irisjax: interrupted\n")
 
 
+ON_POSIX = pytest.mark.skipif(
+    os.name == "nt",
+    reason="Windows hands no SIGINT to one process; there Python alone hears Ctrl-C",
+)
+
 # Says when photons are on their way.
 INTERRUPTIBLE = """
 import importlib, sys, time
@@ -70,7 +75,7 @@ cli.main(sys.argv[1:])
 """
 
 
-@pytest.mark.skipif(os.name == "nt", reason="POSIX signals")
+@ON_POSIX
 @pytest.mark.parametrize(
     "counted",
     [
@@ -126,7 +131,7 @@ _interrupt.guarded(work)
 """
 
 
-@pytest.mark.skipif(os.name == "nt", reason="POSIX signals")
+@ON_POSIX
 @pytest.mark.parametrize(
     "deafly",
     ["time.sleep(0.1)", "ctypes.CDLL(None).poll(None, 0, 60_000)"],

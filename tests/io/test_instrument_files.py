@@ -107,6 +107,10 @@ def test_what_the_tables_do_not_cover_is_left_out(tmp_path):
     assert "34 of 80 wavelengths left out: only 350 to 800 nm" in found.notes[0]
     found = io.read_measured(path, wavelengths=(400, 700))
     assert (found.wavelengths[0], found.wavelengths[-1]) == (400, 700)
+    with pytest.raises(
+        ValueError, match="900 to 1000 nm are asked for; the pigment tables have 350"
+    ):
+        io.read_measured(path, wavelengths=(900, 1000))
 
 
 def test_missing_values_are_skipped_and_counted(tmp_path):
@@ -201,3 +205,9 @@ def test_a_table_of_eyes(tmp_path):
     np.testing.assert_allclose(found["a"].values, Y, rtol=1e-5)
     assert isinstance(found["b"], ValueError)
     assert found["c"].wavelengths.size == 7
+    text = "nm,eye,radiance,sd,counts\n" + rows(",", X, Y, Y, Y, Y)
+    found = io.read_eyes(written(tmp_path, text))
+    refused = {name: str(error) for name, error in found.items() if name != "eye"}
+    assert "give --quantity radiance" in refused["radiance"]
+    assert "need one spectrum" in refused["sd"]
+    assert "holds counts" in refused["counts"]
