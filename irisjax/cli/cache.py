@@ -6,6 +6,7 @@ from pathlib import Path
 import jax
 
 from irisjax.io.illumination import tables_of
+from irisjax.numerics.programs import keep_programs
 from irisjax.render.illumination import Illumination
 from irisjax.render.scene import Scene
 
@@ -23,9 +24,12 @@ def cores() -> int:
 
 
 def keep_compiled() -> None:
-    """Compile once a machine. A folder from the environment JAX finds by itself."""
+    """Trace and compile once a machine. A folder from the environment JAX finds by itself."""
+    place = folder()
+    keep_programs(None if place is None else place / "programs")
     if "JAX_COMPILATION_CACHE_DIR" not in os.environ:
-        jax.config.update("jax_compilation_cache_dir", str(folder()))
+        jax.config.update("jax_compilation_cache_dir", str(place))
+    if "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS" not in os.environ:
         jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
 
 

@@ -8,17 +8,18 @@ from pathlib import Path
 from typing import Any
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
 import irisjax as ij
 from irisjax import io, plot
+from irisjax.infer.diagnostics import predictive_score
 from irisjax.infer.fit import fit
 from irisjax.infer.identifiability import in_words, information
 from irisjax.infer.pieces import pointwise
 from irisjax.infer.posterior import Chains, sample
 from irisjax.infer.problem import Problem, kind
 from irisjax.infer.resume import check_run as check_run
+from irisjax.infer.resume import words_of
 from irisjax.infer.status import says
 from irisjax.infer.stream import backup
 from irisjax.infer.summary import Check, Row, check, predictive, reported, summarise
@@ -103,8 +104,8 @@ def one(
     lines = [*in_words(information(problem, best)), *_cautions(problem, rows, tested, chains)]
     if files:
         bar.set_description_str("files")
-        _write(problem, folder, chains, rows, lines, key)
-        score, error = io.predictive_score(folder / "posterior.nc")
+        likelihoods = _write(problem, folder, chains, rows, lines, key)
+        score, error = predictive_score(likelihoods, chains.ess_bulk.mean() / chains.z[..., 0].size)
         lines.append(
             f"predictive score {score:.1f} ± {error:.1f} (PSIS-LOO): compare it with that of "
             f"another --process"
@@ -126,23 +127,24 @@ def summary_csv(rows: list[Row]) -> str:
     return out.getvalue()
 
 
-def _write(problem: Problem, folder: Path, chains: Chains, rows, lines, key) -> None:
+def _write(problem: Problem, folder: Path, chains: Chains, rows, lines, key) -> np.ndarray:
+    """Write all files; returns the log likelihoods that they hold, (walkers, draws, data)."""
     count = 500
-    _, simulated, models = predictive(problem, chains, count, key=jax.random.fold_in(key, 3))
-    prior = np.asarray(jax.random.normal(jax.random.fold_in(key, 4), (1, 4000, len(problem.free))))
+    _, simulated, models, _ = predictive(problem, chains, count, key=jax.random.fold_in(key, 3))
+    random = np.random.default_rng([*words_of(key), 4])
+    prior = random.standard_normal((1, 4000, len(problem.free)))
     seen = problem.observations
     # Every draw has a log likelihood for every value: of many values fewer draws are kept.
     most = _MOST_NUMBERS // (chains.z.shape[1] * sum(o.values.shape[-1] for o in seen))
     thin = -(-len(chains.z) // max(1, most))
     by_chain = np.moveaxis(chains.z[::thin], 0, 1)
-    likelihoods = np.asarray(
-        pointwise(problem, jnp.asarray(by_chain.reshape(-1, by_chain.shape[-1])))
-    )
+    likelihoods = pointwise(problem, by_chain.reshape(-1, by_chain.shape[-1]))
+    likelihoods = likelihoods.reshape(*by_chain.shape[:2], -1)
     names = [f"{o.quantity}_{i + 1}" if len(seen) > 1 else o.quantity for i, o in enumerate(seen)]
     groups = {
         "posterior": reported(problem, by_chain),
         "prior": reported(problem, prior),
-        "log_likelihood": {"data": likelihoods.reshape(*by_chain.shape[:2], -1)},
+        "log_likelihood": {"data": likelihoods},
         "posterior_predictive": {
             n: np.asarray(s)[None] for n, s in zip(names, simulated, strict=True)
         },
@@ -187,6 +189,7 @@ def _write(problem: Problem, folder: Path, chains: Chains, rows, lines, key) -> 
     )
     files[folder / "fit.png"] = plot.picture(fitted, ".png")
     io.write_together(files)
+    return likelihoods
 
 
 def _cautions(problem: Problem, rows: list[Row], tested: Check, chains: Chains) -> list[str]:

@@ -1,9 +1,9 @@
-"""R-hat and effective sample sizes by arviz; the one place that knows arviz 0.x from 1.x."""
+"""R-hat, effective sample sizes and predictive scores, by arviz-stats on plain arrays."""
 
-import warnings
 from typing import NamedTuple
 
 import numpy as np
+from jaxtyping import Float
 
 
 class Diagnostics(NamedTuple):
@@ -16,15 +16,29 @@ class Diagnostics(NamedTuple):
     ess_tail: float
 
 
-def diagnostics(draws: np.ndarray) -> Diagnostics:
-    """Of one quantity, shape (chains, draws)."""
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # arviz announces its next version on import
-        import arviz as az
+def diagnostics(draws: Float[np.ndarray, "chains draws"]) -> Diagnostics:
+    """Of one quantity."""
+    from arviz_stats.base import array_stats
 
-        return Diagnostics(
-            float(az.rhat(draws)),
-            float(az.ess(draws, method="bulk")),
-            # 1.x has no default for the tails' probabilities; these are 0.x's.
-            float(az.ess(draws, method="tail", prob=(0.05, 0.95))),
-        )
+    return Diagnostics(
+        float(array_stats.rhat(draws)),
+        float(array_stats.ess(draws, method="bulk")),
+        float(array_stats.ess(draws, method="tail", prob=(0.05, 0.95))),
+    )
+
+
+def predictive_score(
+    log_likelihood: Float[np.ndarray, "chains draws data"], effective: float = 1.0
+) -> tuple[float, float]:
+    """Expected log predictive density of left-out values by PSIS-LOO [Vehtari et al. 2017], and its
+    standard error.
+
+    Compare it between processes fitted to the same data; differences of a few standard errors
+    count. `effective`: effective samples a draw, at most 1.
+    """
+    from arviz_stats.base import array_stats
+
+    each, _, _ = array_stats.loo(
+        np.moveaxis(log_likelihood, -1, 0), chain_axis=-2, draw_axis=-1, r_eff=min(effective, 1.0)
+    )
+    return float(np.sum(each)), float(np.sqrt(np.size(each)) * np.std(each))

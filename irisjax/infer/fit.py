@@ -19,6 +19,7 @@ from irisjax.infer.status import FitStatus
 from irisjax.infer.status import throw as throw_if
 from irisjax.numerics import linear
 from irisjax.numerics.checks import check_whole
+from irisjax.numerics.programs import program
 from irisjax.transport.solution import RESULTS
 
 MISFIT = 1e-6
@@ -118,13 +119,13 @@ def fit(
             f"starts={starts} draws all but the first at random: give key=jax.random.key(...), or "
             f"starts=1"
         )
-    found = _fit(problem, solver, start, key, use_priors, starts, rounds, max_steps)
+    found = _fit(problem.unnamed(), solver, start, key, use_priors, starts, rounds, max_steps)
     if throw:
         throw_if(found.status)
     return found
 
 
-@eqx.filter_jit
+@program
 def _fit(problem, solver, start, key, use_priors, starts, rounds, max_steps) -> Fit:
     moving, dtype = _moving(problem), jnp.result_type(float)
     free = len(problem.free)

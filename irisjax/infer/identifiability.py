@@ -8,6 +8,7 @@ import numpy as np
 
 from irisjax.infer.fit import Fit
 from irisjax.infer.problem import Problem, kind
+from irisjax.numerics.programs import program
 
 _WORDS = {
     "melanin_load": "load", "abl_fraction": "fraction", "pheomelanin_share": "pheomelanin share",
@@ -54,8 +55,9 @@ def information(problem: Problem, fit: Fit) -> Information:
     """Fisher information at a fit."""
     kept = [i for i, n in enumerate(problem.free) if not n.startswith("noise")]
     names = tuple(problem.free[i] for i in kept)
-    jacobian = np.asarray(_jacobian(problem, fit.z))[:, kept]
-    value, slope = (np.asarray(x)[kept] for x in _natural(problem, fit.z))
+    jacobian, value, slope = (
+        np.asarray(x)[..., kept] for x in _slopes(problem.unnamed(), jnp.asarray(fit.z))
+    )
     in_logs = jacobian / slope * value
     fisher = in_logs.T @ in_logs
     eigenvalues, vectors = np.linalg.eigh(fisher)
@@ -127,12 +129,8 @@ def _power(name: str, exponent: float) -> str:
     return word if abs(exponent - 1) < 0.05 else f"{word}^{exponent:.1f}"
 
 
-@jax.jit
-def _natural(problem: Problem, z):
-    """Values, and their slopes: each depends on its own coordinate only."""
-    return jax.jvp(lambda x: problem.natural(x), (z,), (jnp.ones_like(z),))
-
-
-@jax.jit
-def _jacobian(problem: Problem, z):
-    return jax.jacfwd(lambda x: problem.residuals(x))(jnp.asarray(z))
+@program
+def _slopes(problem: Problem, z):
+    """Jacobian of the residuals; values, and their slopes: each depends on its own coordinate."""
+    natural = jax.jvp(lambda x: problem.natural(x), (z,), (jnp.ones_like(z),))
+    return jax.jacfwd(lambda x: problem.residuals(x))(z), *natural

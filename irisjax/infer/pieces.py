@@ -2,13 +2,15 @@
 the cache.
 """
 
-from functools import lru_cache, partial
-
 import jax
-import jax.numpy as jnp
+import numpy as np
 
 from irisjax.infer.problem import Problem
 from irisjax.numerics.portions import in_pieces
+from irisjax.numerics.programs import program
+
+_ROWS = 32
+"""Half of the sampler's default walkers: emcee moves one half, then the other."""
 
 
 def elements(problem: Problem) -> int:
@@ -22,31 +24,52 @@ def density(problem: Problem):
     """The function z (n, free) → log posterior densities (n,), compiled once for all problems of
     the same form.
     """
-    leaves, structure = jax.tree.flatten(problem)
-    return partial(_compiled_density(structure), [jnp.asarray(x) for x in leaves])
+    both = in_rows(_densities, problem.unnamed())
+    return lambda z: both(z)[0]
 
 
-@lru_cache(maxsize=32)
-def _compiled_density(structure):
-    @jax.jit
-    def run(leaves, z):
-        stated = jax.tree.unflatten(structure, leaves)
-        return in_pieces(lambda x: stated.log_posterior(x), z, elements(stated))
-
-    return run
-
-
-@jax.jit
 def pointwise(problem: Problem, z):
     """Log likelihoods of every value, shape (n, all data)."""
-    return in_pieces(lambda x: problem.pointwise(x), z, elements(problem))
+    return in_rows(_densities, problem.unnamed())(z)[1]
 
 
-@jax.jit
-def predicted(problem: Problem, z, keys):
-    """Noisy measurements and the models without noise: two tuples of arrays (n, data), one an
-    observation.
+def in_rows(function, problem: Problem, rows: int = _ROWS):
+    """`function(problem, z)` of any number of vectors z, so many at a time: a program for each
+    number would take longer to compile than all of them to run.
     """
-    return in_pieces(
-        lambda a: (problem.simulate(*a), problem.predict(a[0])), (z, keys), elements(problem)
-    )
+
+    bound = function.bound(problem)
+
+    def each(z):
+        z = np.asarray(z)
+        count = len(z)
+        # Copies of the last: whatever is finite there has finite copies.
+        z = np.pad(z, [(0, -count % rows), (0, 0)], mode="edge")
+        done = [bound(z[i : i + rows]) for i in range(0, len(z), rows)]
+        return jax.tree.map(lambda *x: np.concatenate([np.asarray(p) for p in x])[:count], *done)
+
+    return each
+
+
+@program
+def _densities(problem: Problem, z):
+    """Log posterior densities (n,), and log likelihoods of every value (n, all data)."""
+
+    def one(x):
+        each = problem.pointwise(x)
+        return problem.with_prior(each.sum(), x), each
+
+    return in_pieces(one, z, elements(problem))
+
+
+@program
+def predicted(problem: Problem, z, key):
+    """Noisy measurements, the models without noise and the standard deviations stated there: three
+    tuples of arrays (n, data), one an observation.
+    """
+
+    def one(each):
+        simulated, models = problem.simulated_and_models(*each)
+        return simulated, models, problem.stated_sds(each[0], models)
+
+    return in_pieces(one, (z, jax.random.split(key, len(z))), elements(problem))

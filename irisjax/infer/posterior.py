@@ -9,7 +9,6 @@ from typing import Any, NamedTuple
 
 import emcee
 import jax
-import jax.numpy as jnp
 import numpy as np
 
 from irisjax._interrupt import unfinished
@@ -24,7 +23,7 @@ from irisjax.infer.status import ChainStatus
 from irisjax.infer.status import throw as throw_if
 from irisjax.infer.stream import Stream, checkpoint
 
-_SPREAD, _BURN, _BLOCK, _MOST_KEPT = 300, 600, 200, 1000
+_SPREAD, _BURN, _BLOCK, _MOST_KEPT = 200, 300, 200, 1000
 TAUS, ESS, RHAT = 50, 1000, 1.03
 """A chain is long enough with 50 autocorrelation times, 1,000 effective samples of every parameter,
 and a split R-hat below 1.03 (walkers as chains: at 50 autocorrelation times each half-walker's mean
@@ -97,10 +96,7 @@ def sample(
     if not path.exists():
         best = fit(problem, key=jax.random.fold_in(key, 0)) if start is None else start
         _begin(path, problem, walkers, words, fingerprint(problem, walkers, words), best)
-    at = density(problem)
-
-    def log_probability(z):
-        return np.asarray(at(z))
+    log_probability = density(problem)
 
     def report(word, offset=0):
         def tell(n):
@@ -269,7 +265,7 @@ def laplace(problem: Problem, best: Fit) -> tuple[np.ndarray, np.ndarray]:
         if name.startswith("noise"):
             line = np.repeat(z[None], 64, axis=0)
             line[:, i] = np.linspace(-4, 4, 64)
-            z[i] = line[int(np.nanargmax(np.asarray(density(problem)(jnp.asarray(line))))), i]
+            z[i] = line[int(np.nanargmax(density(problem)(line))), i]
             covariance[i, i] = min(1.0, 1 / (2 * points * 0.25))
     # Rounding must not make it indefinite.
     return z, covariance + 1e-10 * np.eye(z.size)

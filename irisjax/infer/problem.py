@@ -1,7 +1,7 @@
 """An inverse problem: measurements, what is free, and the probability of every choice of it."""
 
+import dataclasses
 from collections.abc import Iterable, Mapping, Sequence
-from functools import lru_cache
 from typing import Any
 
 import equinox as eqx
@@ -10,16 +10,14 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from irisjax.anatomy.media import Media
 from irisjax.infer.noise import Noise
 from irisjax.infer.observation import Observation
 from irisjax.infer.parameters import DEFAULT_FREE, DERIVED, PARAMETERS, derived, iris_of, of_iris
 from irisjax.infer.priors import AbstractPrior, check_prior
 from irisjax.measure.observe import observed, prepared
 from irisjax.numerics.checks import check_range
-from irisjax.tissue.indices import RefractiveIndices
 from irisjax.tissue.iris import Iris
-from irisjax.transport.ilit.tabulated import IlitTabulated
+from irisjax.transport.ilit import shipped
 from irisjax.transport.pointwise import Pointwise
 from irisjax.transport.process import ILIT_2006, AbstractProcess, Ilit
 from irisjax.transport.radiative.exact import RadiativeExact
@@ -118,7 +116,11 @@ class Problem(eqx.Module):
 
     def log_posterior(self, z: Float[Array, " free"]) -> Float[Array, ""]:
         """Log posterior density of z up to a constant; −∞ where the solver has no answer."""
-        total = self.log_likelihood(z) + self.log_prior(z)
+        return self.with_prior(self.log_likelihood(z), z)
+
+    def with_prior(self, log_likelihood, z: Float[Array, " free"]) -> Float[Array, ""]:
+        """`log_posterior` of a log likelihood that is known."""
+        total = log_likelihood + self.log_prior(z)
         return jnp.where(jnp.isfinite(total), total, -jnp.inf)
 
     def residuals(self, z: Float[Array, " free"], factor=1.0) -> Float[Array, " all_data"]:
@@ -135,14 +137,35 @@ class Problem(eqx.Module):
 
     def simulate(self, z: Float[Array, " free"], key) -> tuple[Float[Array, " _"], ...]:
         """One noisy measurement of each kind, were z the truth."""
+        return self.simulated_and_models(z, key)[0]
+
+    def simulated_and_models(self, z: Float[Array, " free"], key):
+        """`simulate` and `predict` at once."""
         values, out = self.values(z), []
-        nu = self.noise.degrees_of_freedom
-        for i, (o, m) in enumerate(zip(self.observations, self._models(values), strict=True)):
+        models, nu = self._models(values), self.noise.degrees_of_freedom
+        for i, (o, m) in enumerate(zip(self.observations, models, strict=True)):
             one, two = jax.random.split(jax.random.fold_in(key, i))
             normal = jax.random.normal(one, m.shape)
             square = None if nu is None else 2 * jax.random.gamma(two, nu / 2, m.shape)
             out.append(self.noise.draw(o, m, _seen_by(values, i)["noise"], normal, square))
+        return tuple(out), models
+
+    def stated_sds(self, z: Float[Array, " free"], models) -> tuple[Float[Array, " _"], ...]:
+        """Standard deviations of the values of each observation about these models."""
+        values, noise, out = self.values(z), self.noise, []
+        for i, (o, m) in enumerate(zip(self.observations, models, strict=True)):
+            if o.covariance_root is not None:
+                out.append(jnp.sqrt((o.covariance_root**2).sum(axis=1)))
+                continue
+            sd = noise.sd(o, m, _seen_by(values, i)["noise"])
+            # A marginalised discrepancy is part of what the residuals may be.
+            out.append(sd if noise.discrepancy is None else jnp.hypot(sd, noise.discrepancy * m))
         return tuple(out)
+
+    def unnamed(self) -> "Problem":
+        """The same problem without its observations' names: one program serves every file."""
+        seen = tuple(dataclasses.replace(o, name="") for o in self.observations)
+        return dataclasses.replace(self, observations=seen)
 
     def with_observations(self, *observations: Observation) -> "Problem":
         """The same problem for other values on the same wavelengths (they may be traced)."""
@@ -226,7 +249,7 @@ def problem(
     base = Iris() if base is None else base
     first = seen[0].instrument
     if solver is None and isinstance(process, Ilit):
-        solver = table_for(base, first.media, process)
+        solver = shipped.table(base.indices(first.media.aqueous), process)
     solver = RadiativeExact(16, 8) if solver is None else solver
     dtype = jnp.result_type(float)
     start = {**of_iris(base), **fixed}
@@ -253,19 +276,6 @@ def unit_of(name: str) -> str:
         DERIVED.get(kind(name)) or PARAMETERS[kind(name)].unit
         if kind(name) in PARAMETERS
         else DERIVED[kind(name)]
-    )
-
-
-def table_for(base: Iris, media: Media, process: Ilit) -> IlitTabulated:
-    """`IlitTabulated` for the indices of `base`; those built last are kept."""
-    indices = tuple(float(n) for n in jax.tree.leaves(base.indices(media.aqueous)))
-    return _table(indices, process, str(jnp.result_type(float)))
-
-
-@lru_cache(maxsize=8)
-def _table(indices: tuple[float, ...], process: Ilit, dtype: str) -> IlitTabulated:
-    return IlitTabulated.build(
-        RefractiveIndices(*(jnp.asarray(n, dtype) for n in indices)), process
     )
 
 

@@ -148,13 +148,13 @@ def lowest(
         _repeated(optx.RESULTS.nonlinear_max_steps_reached, many),
     )
     if rounds == 1:
-        done, ends = jnp.asarray(1), one_round(0, ends)
+        done, ends = jnp.ones((), int), one_round(0, ends)
     else:
         # Of many problems at once all do as many rounds as the one that takes most.
         done, ends = jax.lax.while_loop(
             lambda state: (state[0] == 0) | ((state[0] < rounds) & (_best(state[1])[1] < 2)),
             lambda state: (state[0] + 1, one_round(state[0], state[1])),
-            (jnp.asarray(0), ends),
+            (jnp.zeros((), int), ends),
         )
     best, agreeing, elsewhere = _best(ends)
     x, cost, steps, result = jax.tree.map(lambda all_ends: all_ends[best], ends)

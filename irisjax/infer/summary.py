@@ -1,6 +1,5 @@
 """What a posterior says: medians and intervals, and what the data could not tell."""
 
-import functools
 from typing import NamedTuple
 
 import jax
@@ -11,9 +10,10 @@ from scipy.stats import qmc
 
 from irisjax._types import PRNGKey
 from irisjax.infer.diagnostics import diagnostics
-from irisjax.infer.pieces import predicted
+from irisjax.infer.pieces import in_rows, predicted
 from irisjax.infer.posterior import Chains
 from irisjax.infer.problem import Problem, unit_of
+from irisjax.numerics.programs import program
 
 QUANTILES = (2.5, 16, 50, 84, 97.5)
 
@@ -69,13 +69,12 @@ def reported(problem: Problem, z: np.ndarray) -> dict[str, np.ndarray]:
     """Free and derived parameters of samples z (..., free), by name, in the order of
     `problem.free`.
     """
-    flat = z.reshape(-1, z.shape[-1])
-    values = _reported(problem, jnp.asarray(flat))
+    values = in_rows(_reported, problem.unnamed(), 4096)(z.reshape(-1, z.shape[-1]))
     names = [*problem.free, *(n for n in values if n not in problem.free)]
     return {n: np.asarray(values[n]).reshape(z.shape[:-1]) for n in names}
 
 
-@jax.jit
+@program
 def _reported(problem: Problem, z):
     return jax.vmap(lambda x: problem.reported(x))(z)
 
@@ -115,23 +114,22 @@ def summarise(problem: Problem, chains: Chains) -> list[Row]:
 
 
 def predictive(problem: Problem, chains: Chains, count: int = 500, *, key: PRNGKey):
-    """Draws of the posterior predictive and of the model without noise: two arrays (count, data) an
-    observation.
+    """Places z (count, free), and there draws of the posterior predictive, the model without noise
+    and the standard deviations stated: three arrays (count, data) an observation.
     """
     z = chains.z.reshape(-1, chains.z.shape[-1])
     chosen = jnp.asarray(z[np.linspace(0, len(z) - 1, min(count, len(z))).astype(int)])
-    return chosen, *predicted(problem, chosen, jax.random.split(key, len(chosen)))
+    return chosen, *predicted(problem.unnamed(), chosen, key)
 
 
 def check(problem: Problem, chains: Chains, *, key: PRNGKey) -> Check:
     """Posterior predictive checks, by the residuals' size and by their pattern."""
-    z, simulated, models = predictive(problem, chains, key=key)
+    _, simulated, models, sds = predictive(problem, chains, key=key)
     size, pattern = [], []
     for values in (tuple(o.values for o in problem.observations), simulated):
         total, alike = 0.0, 0.0
-        for i, (o, m) in enumerate(zip(problem.observations, models, strict=True)):
-            sd = _stated(problem, z, i, m, o)
-            r = (np.asarray(values[i]) - np.asarray(m)) / sd
+        for y, m, sd in zip(values, models, sds, strict=True):
+            r = (np.asarray(y) - np.asarray(m)) / np.asarray(sd)
             total = total + (r**2).sum(axis=1)
             alike = alike + (r[:, 1:] * r[:, :-1]).sum(axis=1) / (r**2).sum(axis=1)
         size.append(total)
@@ -142,28 +140,3 @@ def check(problem: Problem, chains: Chains, *, key: PRNGKey) -> Check:
         float((pattern[1] >= pattern[0]).mean()),
         1.0 if noise is None else float(np.median(noise)),
     )
-
-
-def _stated(problem, z, i, model, observation):
-    """Standard deviations under each draw."""
-    if observation.covariance_root is not None:
-        return np.sqrt(
-            np.diag(np.asarray(observation.covariance_root @ observation.covariance_root.T))
-        )
-    return np.asarray(_sds(problem, z, model, i))
-
-
-@functools.partial(jax.jit, static_argnums=3)
-def _sds(problem, z, models, i):
-    def one(x, m):
-        values = problem.values(x)
-        factor = values.get("noise", values.get(f"noise@{i + 1}"))
-        sd = problem.noise.sd(problem.observations[i], m, factor)
-        # A marginalised discrepancy is part of what the residuals may be.
-        return (
-            sd
-            if problem.noise.discrepancy is None
-            else jnp.hypot(sd, problem.noise.discrepancy * m)
-        )
-
-    return jax.vmap(one)(z, models)

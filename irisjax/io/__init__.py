@@ -32,7 +32,6 @@ if TYPE_CHECKING:
     from irisjax.io.movies import check_movie as check_movie
     from irisjax.io.movies import first_file as first_file
     from irisjax.io.movies import write_movie as write_movie
-    from irisjax.io.posterior import predictive_score as predictive_score
     from irisjax.io.posterior import write_posterior as write_posterior
     from irisjax.io.scenes import SceneFile as SceneFile
     from irisjax.io.scenes import parse_scene as parse_scene
@@ -51,7 +50,7 @@ _LATER = {
     ),
     "maps": ("read_maps", "write_maps"),
     "movies": ("check_movie", "first_file", "write_movie"),
-    "posterior": ("predictive_score", "write_posterior"),
+    "posterior": ("write_posterior",),
     "scenes": ("SceneFile", "parse_scene", "read_scene"),
 }
 

@@ -154,22 +154,3 @@ def test_posterior_file_opens_in_arviz(tmp_path):
     assert found["observed_data"]["reflectance"].shape == (7,)
     assert found["posterior"].attrs["note"] == "simulated"
     assert list(tmp_path.iterdir()) == [path]
-
-
-def test_predictive_score_is_the_mean_log_density(tmp_path):
-    """Where the posterior hardly varies, leaving one value out changes nothing: the sum of the log
-    likelihoods.
-    """
-    rng = np.random.default_rng(2)
-    fixed = rng.normal(size=200)
-    density = fixed + 1e-3 * rng.normal(size=(4, 500, 200))
-    path = tmp_path / "p.nc"
-    io.write_posterior(
-        path,
-        {"posterior": {"x": rng.normal(size=(4, 500))}, "log_likelihood": {"data": density}},
-        {},
-        {},
-    )
-    score, error = io.predictive_score(path)
-    assert score == pytest.approx(fixed.sum(), abs=1e-2)
-    assert error == pytest.approx(np.sqrt(200) * fixed.std(), rel=1e-2)

@@ -16,6 +16,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from irisjax.numerics.piecewise import piecewise, piecewise_chebyshev
+from irisjax.numerics.programs import program
 from irisjax.numerics.sharding import laid_out_as
 from irisjax.tissue.indices import Order, RefractiveIndices
 from irisjax.tissue.iris import Iris
@@ -74,27 +75,12 @@ class IlitTabulated(AbstractSolver):
         to_albedo = np.linalg.inv(np.polynomial.chebyshev.chebvander(albedo_nodes, n_albedos - 1))
         depths = _depth((np.arange(n_intervals)[:, None] + (local + 1) / 2) / n_intervals)
 
-        responses = jax.jit(_responses, static_argnums=(3, 4))
-        abl, _ = responses(
-            jnp.asarray(depths.ravel(), dtype),
-            jnp.zeros(depths.size, dtype),
-            indices,
-            order,
-            process,
-        )
+        albedos = jnp.asarray((albedo_nodes + 1) / 2, dtype)
+        abl, stroma = _nodes(jnp.asarray(depths.ravel(), dtype), albedos, indices, order, process)
         abl = np.asarray(abl, np.float64).reshape(n_intervals, _DEGREE + 1, -1)
-        stroma = []
-        for albedo in (albedo_nodes + 1) / 2:
-            _, s = responses(
-                jnp.asarray(depths.ravel(), dtype),
-                jnp.full(depths.size, albedo, dtype),
-                indices,
-                order,
-                process,
-            )
-            stroma.append(np.asarray(s, np.float64).reshape(n_intervals, _DEGREE + 1, -1))
+        stroma = np.asarray(stroma, np.float64).reshape(n_albedos, n_intervals, _DEGREE + 1, -1)
         abl_table = np.einsum("ij,pjf->pif", to_local, abl)
-        stroma_table = np.einsum("ij,ab,bpjf->piaf", to_local, to_albedo, np.stack(stroma))
+        stroma_table = np.einsum("ij,ab,bpjf->piaf", to_local, to_albedo, stroma)
         table = cls(
             abl=jnp.asarray(abl_table, dtype),
             stroma=jnp.asarray(stroma_table, dtype),
@@ -189,17 +175,33 @@ class IlitTabulated(AbstractSolver):
             self.abl.dtype,
         )
 
-        @jax.jit
-        def error(tables, albedo):
-            albedos = jnp.full_like(depth, albedo)
-            abl, stroma = _responses(depth, albedos, tables.indices, order, tables.process, 64)
-            above, below = tables._abl_response(depth)
-            found = jnp.stack([above.reflected, above.passed, below.passed, below.reflected], -1)
-            s = tables._stroma_response(depth, albedos)
-            between = jnp.stack([s.reflected, s.passed], -1) - stroma
-            return jnp.maximum(jnp.abs(found - abl).max(), jnp.abs(between).max())
+        albedos = jnp.asarray([0.0, 0.23, 0.71, 0.97, 1.0], self.abl.dtype)
+        return float(_largest_error(self, depth, albedos, order))
 
-        return max(float(error(self, albedo)) for albedo in (0.0, 0.23, 0.71, 0.97, 1.0))
+
+@program
+def _nodes(depth, albedos, indices: RefractiveIndices, order: Order, process: Ilit):
+    """Responses of the ABL (depths, 4), and of the stroma at each albedo (albedos, depths, 2)."""
+
+    def at(albedo):
+        return _responses(depth, jnp.full_like(depth, albedo), indices, order, process)
+
+    abl, _ = at(jnp.zeros_like(albedos[0]))
+    return abl, jax.lax.map(lambda albedo: at(albedo)[1], albedos)
+
+
+@program
+def _largest_error(tables: IlitTabulated, depth, albedos, order: Order):
+    def at(albedo):
+        each = jnp.full_like(depth, albedo)
+        abl, stroma = _responses(depth, each, tables.indices, order, tables.process, 64)
+        above, below = tables._abl_response(depth)
+        found = jnp.stack([above.reflected, above.passed, below.passed, below.reflected], -1)
+        s = tables._stroma_response(depth, each)
+        between = jnp.stack([s.reflected, s.passed], -1) - stroma
+        return jnp.maximum(jnp.abs(found - abl).max(), jnp.abs(between).max())
+
+    return jax.lax.map(at, albedos).max()
 
 
 def _depth(fraction):

@@ -1,0 +1,228 @@
+"""Compiled functions whose traced programs outlive the process.
+
+Tracing and lowering a spectrum's or a picture's program takes longer than running it, and JAX's
+compilation cache saves only what comes after. `program` keeps the lowered program itself
+(`jax.export`), in the folder that `keep_programs` names; without one it is `equinox.filter_jit`.
+"""
+
+import functools
+import hashlib
+import importlib.metadata
+import itertools
+import os
+import pickle
+import shutil
+import sys
+import tempfile
+from collections.abc import Callable, Hashable, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import numpy as np
+
+_MOST_VERSIONS = 4  # of the package, whose programs are kept side by side
+_PACKAGES = ("jax", "jaxlib", "equinox", "optimistix", "lineax", "numpy")
+_SETTINGS = (
+    "jax_enable_x64",
+    "jax_default_matmul_precision",
+    "jax_default_prng_impl",
+    "jax_threefry_partitionable",
+)
+_FOR_DEBUGGING = ("jax_disable_jit", "jax_debug_nans", "jax_debug_infs", "jax_check_tracer_leaks")
+_folder: Path | None = None
+
+
+def keep_programs(folder: str | Path | None) -> None:
+    """Keep programs in this folder from now on; `None`: nowhere."""
+    global _folder
+    _folder = None if folder is None else Path(folder)
+
+
+def program(
+    function: Callable[..., Any] | None = None, *, options: dict[str, Any] | None = None
+) -> Any:
+    """`equinox.filter_jit` whose programs are kept on disk; use as a decorator.
+
+    A kept program stands for the same code (of this package and of those it is made with), the
+    same settings of JAX, the same shapes and types, and equal arguments that are no arrays. Where
+    such an argument cannot be pickled, an array is traced, or there are several devices, nothing
+    is kept.
+
+    Args:
+        function: A pure function, of a module's top level.
+        options: For XLA's compiler, by the names of its flags.
+    """
+    if function is None:
+        return functools.partial(program, options=options)
+    return _Program(function, options)
+
+
+class _Program:
+    def __init__(self, function: Callable[..., Any], options: dict[str, Any] | None):
+        functools.update_wrapper(self, function)
+        self._function, self._options = function, options
+        self._compiled = (
+            eqx.filter_jit(function)
+            if options is None
+            else eqx.filter_jit(function, compiler_options=options)
+        )
+        self._kept: dict[Hashable, _Kept | None] = {}
+
+    def __call__(self, *args):
+        kept, arrays = self._find(args)
+        return self._compiled(*args) if kept is None else kept(arrays)
+
+    def bound(self, held) -> Callable[..., Any]:
+        """The function of its other arguments, arrays all, with this one held: it is taken apart
+        once and not at every call.
+        """
+        found: dict[Hashable, tuple[_Kept | None, list[Any]]] = {}
+
+        def call(*arrays):
+            types = tuple((x.shape, x.dtype) for x in arrays)
+            if types not in found:
+                kept, all_arrays = self._find((held, *arrays))
+                first = all_arrays[: len(all_arrays) - len(arrays)]
+                found[types] = kept, [jax.numpy.asarray(x) for x in first]
+            kept, first = found[types]
+            return self(held, *arrays) if kept is None else kept([*first, *arrays])
+
+        return call
+
+    def _find(self, args) -> "tuple[_Kept | None, list[Any]]":
+        leaves, structure = jax.tree.flatten(args)
+        arrays = [x for x in leaves if _is_array(x)]
+        if _folder is None or any(isinstance(x, jax.core.Tracer) for x in arrays):
+            return None, arrays
+        rest = tuple(None if _is_array(x) else (type(x), x) for x in leaves)  # 1 is not 1.0 here
+        types = tuple(_type_of(x) for x in arrays)
+        here = (_folder, structure, rest, types, *_settings())
+        if here not in self._kept:
+            self._kept[here] = self._make(args, types)
+        return self._kept[here], arrays
+
+    def _make(self, args, types) -> "_Kept | None":
+        debugging = any(getattr(jax.config, name, False) for name in _FOR_DEBUGGING)
+        if debugging or jax.device_count() > 1 or _folder is None:
+            return None
+        form = _form_of(args)[1]
+        try:
+            name = [self._function.__module__, self._function.__qualname__]
+            seen = [(shape, str(dtype), weak) for shape, dtype, weak in types]
+            words = pickle.dumps([name, form, seen, _settings(), self._options], protocol=5)
+        except Exception:  # whatever an object says that has no pickle
+            return None
+        path = _versions(_folder) / hashlib.sha256(words).hexdigest()
+        try:
+            told, exported = pickle.loads(path.read_bytes())
+            lowered = jax.export.deserialize(bytearray(exported))
+        except Exception:  # not there, or half a file: made again
+            made = _exported(self._function, form, types)
+            if made is None:
+                return None
+            lowered, told = made
+            _write(path, pickle.dumps((told, lowered.serialize()), protocol=5))
+        return _Kept(jax.jit(lowered.call, compiler_options=self._options), told)
+
+
+class _Kept(NamedTuple):
+    """A program of flat arrays and the form of what it gives."""
+
+    call: Callable[..., Sequence[Any]]
+    form: Any
+
+    def __call__(self, arrays):
+        return _filled(self.form, self.call(*arrays))
+
+
+class _Array(NamedTuple):
+    """Stands in a form for an array: its place among them."""
+
+    place: int
+
+
+def _exported(function, form, types):
+    """The lowered program and the form of its results; `None` where it cannot be kept."""
+    forms = []
+
+    def flat(*arrays):
+        out, told = _form_of(function(*_filled(form, arrays)))
+        forms.append(told)
+        return out
+
+    shapes = [jax.ShapeDtypeStruct(shape, dtype, weak_type=weak) for shape, dtype, weak in types]
+    lowered = jax.export.export(jax.jit(flat))(*shapes)
+    # A kept program would make them strong, and so change the types of what follows.
+    weak = any(aval.weak_type for aval in lowered.out_avals if hasattr(aval, "weak_type"))
+    try:
+        pickle.loads(pickle.dumps(forms[-1], protocol=5))
+    except Exception:
+        return None
+    return None if weak else (lowered, forms[-1])
+
+
+def _is_array(x) -> bool:
+    return isinstance(x, jax.Array | np.ndarray | np.generic)
+
+
+def _type_of(x):
+    return x.shape, x.dtype, getattr(x, "weak_type", False)
+
+
+def _form_of(tree):
+    """The arrays of a tree, and the tree with their places instead."""
+    arrays, count = [], itertools.count()
+
+    def place(x):
+        if not _is_array(x):
+            return x
+        arrays.append(x)
+        return _Array(next(count))
+
+    return arrays, jax.tree.map(place, tree)
+
+
+def _filled(form, arrays):
+    return jax.tree.map(
+        lambda x: arrays[x.place] if isinstance(x, _Array) else x,
+        form,
+        is_leaf=lambda x: isinstance(x, _Array),
+    )
+
+
+def _settings() -> tuple[Any, ...]:
+    return (
+        jax.default_backend(),
+        os.cpu_count(),
+        *(str(getattr(jax.config, name, None)) for name in _SETTINGS),
+    )
+
+
+@functools.lru_cache(maxsize=4)
+def _versions(folder: Path) -> Path:
+    """The folder of this version of the code; those of older versions are removed."""
+    package = Path(__file__).parents[1]
+    files = sorted(p for p in package.rglob("*") if p.suffix != ".pyc" and p.is_file())
+    about = [(str(p), (s := p.stat()).st_size, s.st_mtime_ns) for p in files]
+    about.append((sys.version, *map(importlib.metadata.version, _PACKAGES)))
+    mine = folder / hashlib.sha256(repr(about).encode()).hexdigest()[:16]
+    if not mine.exists():
+        others = (
+            sorted(folder.glob("*"), key=lambda p: p.stat().st_mtime) if folder.exists() else []
+        )
+        for old in others[: max(0, len(others) - _MOST_VERSIONS + 1)]:
+            shutil.rmtree(old, ignore_errors=True)
+    return mine
+
+
+def _write(path: Path, data: bytes) -> None:
+    """Whole or not at all; a full disk or a folder that cannot be written costs only time."""
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with tempfile.NamedTemporaryFile(dir=path.parent, delete=False) as temporary:
+            temporary.write(data)
+        os.replace(temporary.name, path)
+    except OSError:
+        pass
