@@ -2,6 +2,7 @@
 
 import sys
 import tempfile
+from contextlib import nullcontext
 from pathlib import Path
 
 import typer
@@ -12,6 +13,7 @@ from irisjax._interrupt import unfinished
 from irisjax.cli.fit_options import Measured, Model, Results, Sampler
 from irisjax.cli.options import grouped
 from irisjax.infer.parameters import DEFAULT_FREE, PARAMETERS
+from irisjax.plot.beside import beside, here
 
 _NOT_CONVERGED = 3
 
@@ -77,13 +79,14 @@ def fit(measured: Measured, model: Model, sampler: Sampler, results: Results) ->
         for doubt in table.doubts:
             print(f"irisjax: {path}: WARNING: {doubt}", file=sys.stderr)
         observations.append(ij.spectrum(table, name=path.name, **measured.seen))
+    keep, resume = results.output, results.resume
     with (
         tempfile.TemporaryDirectory() as scratch,
         unfinished(Path(scratch)),
         report.progress_bar() as bar,
+        nullcontext(here) if keep is None else beside() as draw,
     ):
         problem = ij.problem(observations, **options)
-        keep, resume = results.output, results.resume
         begins_anew = keep is None or (results.overwrite and not resume)
         report.check_run(
             problem,
@@ -95,7 +98,7 @@ def fit(measured: Measured, model: Model, sampler: Sampler, results: Results) ->
         )
         folder = Path(scratch) if keep is None else _folder(keep, resume, results.overwrite)
         converged = report.one(
-            problem, folder, sampling, bar, resume=resume, files=keep is not None
+            problem, folder, sampling, bar, resume=resume, files=keep is not None, draw=draw
         )
     raise typer.Exit(0 if converged else _NOT_CONVERGED)
 

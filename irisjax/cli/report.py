@@ -3,7 +3,7 @@
 import csv
 import io as text_io
 import sys
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +11,8 @@ import jax
 import numpy as np
 
 import irisjax as ij
-from irisjax import io, plot
+from irisjax import io
+from irisjax.infer.ahead import ahead
 from irisjax.infer.diagnostics import predictive_score
 from irisjax.infer.fit import fit
 from irisjax.infer.identifiability import in_words, information
@@ -23,6 +24,7 @@ from irisjax.infer.resume import words_of
 from irisjax.infer.status import says
 from irisjax.infer.stream import backup
 from irisjax.infer.summary import Check, Row, check, predictive, reported, summarise
+from irisjax.plot.beside import Later, here
 
 COLUMNS = (
     "parameter",
@@ -69,6 +71,7 @@ def one(
     resume: bool,
     files: bool,
     quiet: bool = False,
+    draw: Callable[..., Later] = here,
 ) -> bool:
     """Fit, sample, print and write, with progress on `bar`; returns whether the chain is long
     enough.
@@ -83,7 +86,8 @@ def one(
         bar.set_description_str(word, refresh=first)
         bar.update(n - bar.n)
 
-    best = fit(problem, key=jax.random.fold_in(key, 1))
+    with ahead(problem, key):
+        best = fit(problem, key=jax.random.fold_in(key, 1))
     data = sum(o.values.shape[-1] for o in problem.observations)
     moving = sum(kind(n) != "noise" for n in problem.free)
     if data < moving:
@@ -104,7 +108,7 @@ def one(
     lines = [*in_words(information(problem, best)), *_cautions(problem, rows, tested, chains)]
     if files:
         bar.set_description_str("files")
-        likelihoods = _write(problem, folder, chains, rows, lines, key)
+        likelihoods = _write(problem, folder, chains, rows, lines, key, draw)
         score, error = predictive_score(likelihoods, chains.ess_bulk.mean() / chains.z[..., 0].size)
         lines.append(
             f"predictive score {score:.1f} ± {error:.1f} (PSIS-LOO): compare it with that of "
@@ -127,10 +131,9 @@ def summary_csv(rows: list[Row]) -> str:
     return out.getvalue()
 
 
-def _write(problem: Problem, folder: Path, chains: Chains, rows, lines, key) -> np.ndarray:
+def _write(problem: Problem, folder: Path, chains: Chains, rows, lines, key, draw) -> np.ndarray:
     """Write all files; returns the log likelihoods that they hold, (walkers, draws, data)."""
-    count = 500
-    _, simulated, models, _ = predictive(problem, chains, count, key=jax.random.fold_in(key, 3))
+    _, simulated, models, _ = predictive(problem, chains, key=jax.random.fold_in(key, 3))
     random = np.random.default_rng([*words_of(key), 4])
     prior = random.standard_normal((1, 4000, len(problem.free)))
     seen = problem.observations
@@ -167,28 +170,27 @@ def _write(problem: Problem, folder: Path, chains: Chains, rows, lines, key) -> 
         "irisjax": ij.__version__,
         "says": " | ".join(lines),
     }
-    io.write_posterior(folder / "posterior.nc", groups, about, observed)
     shown = [n for n in problem.free if kind(n) not in ("gain", "noise")]
     values = reported(problem, chains.z)
-    files = {folder / "summary.csv": summary_csv(rows).encode()}
+    later = {}
     if len(shown) > 1:
         units = [next(r.unit for r in rows if r.parameter == n) for n in shown]
-        figure = plot.corner_figure(
+        later["corner.png"] = draw(
+            "corner_figure",
             {
                 f"{n}\n({u})" if u else n: values[n].ravel()
                 for n, u in zip(shown, units, strict=True)
-            }
+            },
         )
-        files[folder / "corner.png"] = plot.picture(figure, ".png")
     shapes = [
         (o.name, o.quantity, o.is_colour, np.asarray(o.wavelengths), np.asarray(o.values))
         for o in seen
     ]
-    fitted = plot.fit_figure(
-        shapes, [np.asarray(s) for s in simulated], [np.asarray(m) for m in models]
-    )
-    files[folder / "fit.png"] = plot.picture(fitted, ".png")
-    io.write_together(files)
+    drawn = [[np.asarray(x) for x in arrays] for arrays in (simulated, models)]
+    later["fit.png"] = draw("fit_figure", shapes, *drawn)
+    io.write_posterior(folder / "posterior.nc", groups, about, observed)
+    files = {folder / "summary.csv": summary_csv(rows).encode()}
+    io.write_together(files | {folder / name: picture() for name, picture in later.items()})
     return likelihoods
 
 

@@ -55,9 +55,7 @@ def information(problem: Problem, fit: Fit) -> Information:
     """Fisher information at a fit."""
     kept = [i for i, n in enumerate(problem.free) if not n.startswith("noise")]
     names = tuple(problem.free[i] for i in kept)
-    jacobian, value, slope = (
-        np.asarray(x)[..., kept] for x in _slopes(problem.unnamed(), jnp.asarray(fit.z))
-    )
+    jacobian, value, slope = (x[..., kept] for x in slopes(problem, fit.z))
     in_logs = jacobian / slope * value
     fisher = in_logs.T @ in_logs
     eigenvalues, vectors = np.linalg.eigh(fisher)
@@ -127,6 +125,14 @@ def _percent(x: float) -> str:
 def _power(name: str, exponent: float) -> str:
     word = _WORDS[kind(name)] + (f"@{name.partition('@')[2]}" if "@" in name else "")
     return word if abs(exponent - 1) < 0.05 else f"{word}^{exponent:.1f}"
+
+
+def slopes(problem: Problem, z) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Jacobian of the residuals (data, free), values of the free parameters, and their slopes, in
+    the priors' coordinates.
+    """
+    jacobian, values, each = _slopes(problem.unnamed(), jnp.asarray(z))
+    return np.asarray(jacobian), np.asarray(values), np.asarray(each)
 
 
 @program

@@ -23,7 +23,7 @@ from irisjax.infer.status import ChainStatus
 from irisjax.infer.status import throw as throw_if
 from irisjax.infer.stream import Stream, checkpoint
 
-_SPREAD, _BURN, _BLOCK, _MOST_KEPT = 200, 300, 200, 1000
+_SPREAD, _BURN, _BLOCK, _MOST_KEPT = 200, 300, 125, 1000
 TAUS, ESS, RHAT = 50, 1000, 1.03
 """A chain is long enough with 50 autocorrelation times, 1,000 effective samples of every parameter,
 and a split R-hat below 1.03 (walkers as chains: at 50 autocorrelation times each half-walker's mean

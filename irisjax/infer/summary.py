@@ -16,6 +16,7 @@ from irisjax.infer.problem import Problem, unit_of
 from irisjax.numerics.programs import program
 
 QUANTILES = (2.5, 16, 50, 84, 97.5)
+DRAWS = 500
 
 
 class Row(NamedTuple):
@@ -113,7 +114,7 @@ def summarise(problem: Problem, chains: Chains) -> list[Row]:
     return rows
 
 
-def predictive(problem: Problem, chains: Chains, count: int = 500, *, key: PRNGKey):
+def predictive(problem: Problem, chains: Chains, count: int = DRAWS, *, key: PRNGKey):
     """Places z (count, free), and there draws of the posterior predictive, the model without noise
     and the standard deviations stated: three arrays (count, data) an observation.
     """

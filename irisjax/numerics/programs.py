@@ -14,12 +14,14 @@ import pickle
 import shutil
 import sys
 import tempfile
+import threading
 from collections.abc import Callable, Hashable, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
+import jaxlib
 import numpy as np
 
 _MOST_VERSIONS = 4  # of the package, whose programs are kept side by side
@@ -40,37 +42,29 @@ def keep_programs(folder: str | Path | None) -> None:
     _folder = None if folder is None else Path(folder)
 
 
-def program(
-    function: Callable[..., Any] | None = None, *, options: dict[str, Any] | None = None
-) -> Any:
-    """`equinox.filter_jit` whose programs are kept on disk; use as a decorator.
+def program(function: Callable[..., Any]) -> "Program":
+    """`equinox.filter_jit` of a pure function of a module's top level, whose programs are kept on
+    disk; use as a decorator.
 
     A kept program stands for the same code (of this package and of those it is made with), the
     same settings of JAX, the same shapes and types, and equal arguments that are no arrays. Where
     such an argument cannot be pickled, an array is traced, or there are several devices, nothing
     is kept.
-
-    Args:
-        function: A pure function, of a module's top level.
-        options: For XLA's compiler, by the names of its flags.
     """
-    if function is None:
-        return functools.partial(program, options=options)
-    return _Program(function, options)
+    return Program(function)
 
 
-class _Program:
-    def __init__(self, function: Callable[..., Any], options: dict[str, Any] | None):
+class Program:
+    """What `program` makes of a function; called as the function is, arguments in their order."""
+
+    def __init__(self, function: Callable[..., Any]):
         functools.update_wrapper(self, function)
-        self._function, self._options = function, options
-        self._compiled = (
-            eqx.filter_jit(function)
-            if options is None
-            else eqx.filter_jit(function, compiler_options=options)
-        )
+        self._function, self._compiled = function, eqx.filter_jit(function)
         self._kept: dict[Hashable, _Kept | None] = {}
+        self._making = threading.Lock()
 
     def __call__(self, *args):
+        """The function's result."""
         kept, arrays = self._find(args)
         return self._compiled(*args) if kept is None else kept(arrays)
 
@@ -99,8 +93,9 @@ class _Program:
         rest = tuple(None if _is_array(x) else (type(x), x) for x in leaves)  # 1 is not 1.0 here
         types = tuple(_type_of(x) for x in arrays)
         here = (_folder, structure, rest, types, *_settings())
-        if here not in self._kept:
-            self._kept[here] = self._make(args, types)
+        with self._making:
+            if here not in self._kept:
+                self._kept[here] = self._make(args, types)
         return self._kept[here], arrays
 
     def _make(self, args, types) -> "_Kept | None":
@@ -111,7 +106,7 @@ class _Program:
         try:
             name = [self._function.__module__, self._function.__qualname__]
             seen = [(shape, str(dtype), weak) for shape, dtype, weak in types]
-            words = pickle.dumps([name, form, seen, _settings(), self._options], protocol=5)
+            words = pickle.dumps([name, form, seen, _settings()], protocol=5)
         except Exception:  # whatever an object says that has no pickle
             return None
         path = _versions(_folder) / hashlib.sha256(words).hexdigest()
@@ -124,17 +119,23 @@ class _Program:
                 return None
             lowered, told = made
             _write(path, pickle.dumps((told, lowered.serialize()), protocol=5))
-        return _Kept(jax.jit(lowered.call, compiler_options=self._options), told)
+        return _Kept(jax.jit(lowered.call, compiler_options=_compiler_options()), told)
 
 
-class _Kept(NamedTuple):
+class _Kept:
     """A program of flat arrays and the form of what it gives."""
 
-    call: Callable[..., Sequence[Any]]
-    form: Any
+    def __init__(self, call: Callable[..., Sequence[Any]], form: Any):
+        self._call, self._form = call, form
+        self._first: threading.Lock | None = threading.Lock()
 
     def __call__(self, arrays):
-        return _filled(self.form, self.call(*arrays))
+        if (first := self._first) is not None:
+            with first:  # two threads would both compile
+                found = self._call(*arrays)
+                self._first = None
+            return _filled(self._form, found)
+        return _filled(self._form, self._call(*arrays))
 
 
 class _Array(NamedTuple):
@@ -161,6 +162,14 @@ def _exported(function, form, types):
     except Exception:
         return None
     return None if weak else (lowered, forms[-1])
+
+
+def _compiler_options() -> dict[str, Any] | None:
+    """A command waits for its compiler: XLA's older way of joining loops takes half as long, and
+    what it makes runs as fast. Other releases of jaxlib stop at this flag.
+    """
+    known = jaxlib.__version__.startswith("0.10.") and jax.default_backend() == "cpu"
+    return {"xla_cpu_use_fusion_emitters": False} if known else None
 
 
 def _is_array(x) -> bool:

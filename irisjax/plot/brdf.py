@@ -4,17 +4,18 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from irisjax.measure.goniophotometer import Brdf
 from irisjax.plot.style import PALETTE, figure_of
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from matplotlib.projections.polar import PolarAxes
 
+    from irisjax.measure.goniophotometer import Brdf
+
 _MOST_LINES, _MOST_DISCS = 8, 6
 
 
-def brdf_figure(result: Brdf, title: str = "") -> "Figure":
+def brdf_figure(result: "Brdf", title: str = "") -> "Figure":
     """BRDF as a polar plot: half a disc a principal plane, a shaded disc a wavelength for a
     hemisphere.
     """
@@ -23,7 +24,7 @@ def brdf_figure(result: Brdf, title: str = "") -> "Figure":
     return _principal_plane(result, title) if in_plane else _hemisphere(result, title)
 
 
-def _principal_plane(result: Brdf, title: str) -> "Figure":
+def _principal_plane(result: "Brdf", title: str) -> "Figure":
     from matplotlib.ticker import MaxNLocator
 
     figure = figure_of(6.4, 3.8)
@@ -79,7 +80,7 @@ def _principal_plane(result: Brdf, title: str) -> "Figure":
     return figure
 
 
-def _hemisphere(result: Brdf, title: str) -> "Figure":
+def _hemisphere(result: "Brdf", title: str) -> "Figure":
     polar = np.arccos(np.clip(np.asarray(result.cos_exit), 0, 1))
     azimuth = np.asarray(result.azimuth)
     grid, values = np.asarray(result.wavelengths), np.asarray(result.values)

@@ -1,5 +1,6 @@
 """What stands in for the solver and the sampler where a test looks at files and messages only."""
 
+import contextlib
 from pathlib import Path
 from types import SimpleNamespace
 from typing import NamedTuple
@@ -102,7 +103,7 @@ def without_search(monkeypatch):
             z, z[..., 0], 1, steps, 0.5, each / 100, each, each, each / 1000, ended, reason
         )
 
-    def predictive(problem, chains, count, *, key):
+    def predictive(problem, chains, count=20, *, key):
         values = [np.tile(np.asarray(o.values), (count, 1)) for o in problem.observations]
         return chains.z.reshape(-1, chains.z.shape[-1])[:count], values, values, values
 
@@ -111,6 +112,7 @@ def without_search(monkeypatch):
         shape = len(z), sum(o.values.size for o in problem.observations)
         return np.random.default_rng(0).normal(size=shape)
 
+    monkeypatch.setattr(report, "ahead", lambda problem, key: contextlib.nullcontext())
     monkeypatch.setattr(report, "fit", lambda problem, key: SimpleNamespace(converged=True))
     monkeypatch.setattr(report, "sample", sample)
     monkeypatch.setattr(report, "check_run", lambda *given, **settings: None)

@@ -1,0 +1,90 @@
+"""Figures drawn by a process of its own, while the caller's goes on with its work.
+
+Importing matplotlib and drawing hold Python's lock: threads would gain nothing.
+"""
+
+import contextlib
+import os
+import pickle
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
+from typing import Any
+
+import irisjax.plot
+
+Later = Callable[[], bytes]
+"""Waits for a picture's bytes."""
+
+
+def here(name: str, *args: Any) -> Later:
+    """The PNG of `irisjax.plot`'s figure of that name, drawn by this process when asked for."""
+    return lambda: irisjax.plot.picture(getattr(irisjax.plot, name)(*args), ".png")
+
+
+@contextlib.contextmanager
+def beside() -> Iterator[Callable[..., Later]]:
+    """A function as `here` that draws in another process, which is ready after a second; pictures
+    come in the order in which they were begun. Where there is but one core, it is `here`.
+    """
+    if (os.cpu_count() or 1) < 2:
+        yield here
+        return
+    try:
+        process = subprocess.Popen(
+            [sys.executable, "-m", __name__],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.DEVNULL,
+            start_new_session=True,  # Ctrl-C is for this one, which closes the other's input
+        )
+    except OSError:
+        yield here
+        return
+    waiting = ThreadPoolExecutor(1)
+    try:
+        yield lambda name, *args: _drawn(waiting.submit(_exchange, process, name, args), name, args)
+    finally:
+        process.kill()
+        waiting.shutdown(cancel_futures=True)
+        process.communicate()
+
+
+def _exchange(process: subprocess.Popen[bytes], name: str, args: Any) -> bytes:
+    """A picture, or nothing where the other process could not draw it."""
+    assert process.stdin is not None
+    assert process.stdout is not None
+    try:
+        pickle.dump((name, args), process.stdin, protocol=5)
+        process.stdin.flush()
+        return pickle.load(process.stdout)
+    except (EOFError, OSError, pickle.UnpicklingError):
+        return b""
+
+
+def _drawn(picture: Future[bytes], name: str, args: Any) -> Later:
+    return lambda: picture.result() or here(name, *args)()
+
+
+def main() -> None:
+    """Draw what comes on standard input until it ends."""
+    import corner  # noqa: F401 (what the first figure would wait for)
+    import matplotlib.figure  # noqa: F401
+
+    pictures = os.fdopen(os.dup(sys.stdout.fileno()), "wb")
+    while True:
+        try:
+            name, args = pickle.load(sys.stdin.buffer)
+        except EOFError:
+            return
+        try:
+            drawn = here(name, *args)()
+        except Exception:  # the caller draws it again and says what is wrong
+            drawn = b""
+        pickle.dump(drawn, pictures, protocol=5)
+        pictures.flush()
+
+
+if __name__ == "__main__":
+    main()
