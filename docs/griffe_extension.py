@@ -48,9 +48,10 @@ class Irisjax(griffe.Extension):
             name = match[1]
             if name in own or name in _WORDS or name not in self.names:
                 return match[0]
-            return f"[`{name}`][{self.names[name]}]"
+            return f"[{match[0]}][{self.names[name]}]"
 
-        return re.sub(r"(?<!\[)`([A-Za-z_]\w*)`(?!\])", link, text)
+        # `Iris`, `Iris.replace` and `MonteCarlo(1000)`, unless they are links already.
+        return re.sub(r"(?<!\[)`([A-Za-z_]\w*)(?:\.\w+)?(?:\([^`()]*\))?`(?!\])", link, text)
 
 
 def documented() -> dict[str, str]:
@@ -82,7 +83,7 @@ def _own_fields(found):
         if member.is_attribute
         and member.annotation is not None
         and "property" not in member.labels
-        and "ClassVar" not in str(member.annotation)
+        and not any(kind in str(member.annotation) for kind in ("ClassVar", "AbstractVar"))
         and "init=False" not in str(member.value).replace(" ", "")
     }
 
