@@ -31,7 +31,8 @@ def rows(separator, *columns, decimal="."):
 
 DARK, WHITE = 1000 + 0 * X, 31000 + 0 * X
 SAMPLE = DARK + (WHITE - DARK) * R
-NOISY = R * (1 + 0.02 * np.random.default_rng(0).standard_normal((3, R.size)))  # scans
+CLEAN = np.asarray(ij.reflectance(ij.Iris.of_level("low"), X).values)
+SCANS = CLEAN * (1 + 0.02 * np.random.default_rng(0).standard_normal((3, X.size)))
 WIDE_X = np.arange(1090.0, 299.0, -5.0)  # a whole detector, from long to short wavelengths
 COVERED = ij.wavelengths(350, 800, 5)
 WIDE_R = np.interp(WIDE_X, COVERED, ij.reflectance(ij.Iris.of_level("low"), COVERED).values)
@@ -85,7 +86,7 @@ JCAMP = """##TITLE=eye, left
 def magic(*kinds):
     """A table of SpectraMagic: two measurements of an eye, a row each."""
     waves = ",".join(f"{kind}{x:.0f}nm" for kind in kinds for x in X)
-    first, second = (",".join(f"{v:.4g}" for _ in kinds for v in 100 * s) for s in NOISY[:2])
+    first, second = (",".join(f"{v:.4g}" for _ in kinds for v in 100 * s) for s in SCANS[:2])
     return (
         "Instrument Name,CM-700d\nMeasurement Area,SAV\n"
         f"No.,Name,Illuminant,{waves}\n1,left eye,D65,{first}\n2,left eye,D65,{second}"
@@ -96,7 +97,7 @@ FILES = {
     "plain.csv": "wavelength_nm,reflectance\n" + rows(",", X, R),
     "with_sd.csv": "wavelength (nm),reflectance (%),sd\n"
     + rows(",", X, 100 * R, 100 * (0.02 * R + 2e-4)),
-    "scans.csv": "nm,R1 (%),R2 (%),R3 (%)\n" + rows(",", X, *(100 * NOISY)),
+    "scans.csv": "nm,R1 (%),R2 (%),R3 (%)\n" + rows(",", X, *(100 * SCANS)),
     "excel_german.csv": "Wellenlänge;Remission (%)\r\n" + rows(";", X, 100 * R, decimal=","),
     "excel_unicode.txt": "Wavelength\tReflectance %\r\n" + rows("\t", X, 100 * R),
     "oceanview.txt": PREAMBLE + rows("\t", X, 100 * R),
