@@ -17,7 +17,7 @@ from irisjax.numerics.quadrature import cosine_rule
 
 ROOT = Path(__file__).parent.parent
 SOURCES = sorted((ROOT / "irisjax").rglob("*.py"))
-INDEX = ROOT / "paper_figs" / "README.md"
+INDEX = ROOT / "docs" / "equation-index.md"
 # Paper: how its equations are indexed, and which of them the package holds.
 _PAPERS = {"LB06": ("", set(range(1, 10))), "F09": ("F09 ", {3, 15, 16, 17})}
 

@@ -1,6 +1,4 @@
-"""What LB06 says comes out (shared/spec/ilit.md, section 5). Aqueous side,
-first surface left out.
-"""
+"""What LB06 says comes out. Aqueous side, first surface left out."""
 
 import itertools
 

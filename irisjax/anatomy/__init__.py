@@ -1,4 +1,4 @@
-"""Floor 3: the shapes of the eye round its iris."""
+"""The shapes of the eye round its iris."""
 
 from irisjax._lazy import modules_of
 

@@ -1,4 +1,4 @@
-"""Floor 8: scenes handed over to other renderers, as meshes, textures and scene files."""
+"""Scenes handed over to other renderers, as meshes, textures and scene files."""
 
 import importlib
 from typing import TYPE_CHECKING

@@ -1,4 +1,4 @@
-"""Floor 6: irides, eye colours and vessels grown from a seed."""
+"""Irides, eye colours and vessels grown from a seed."""
 
 from irisjax._lazy import modules_of
 

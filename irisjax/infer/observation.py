@@ -51,7 +51,7 @@ class Observation(eqx.Module):
         return self.quantity in COLOURS
 
     def of(self, reading) -> Float[Array, " data"]:
-        """The data, of what the instrument reads."""
+        """The part of an instrument's reading that the data are compared with."""
         return getattr(reading, COLOURS.get(self.quantity, "values"))
 
 

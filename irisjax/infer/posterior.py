@@ -69,7 +69,10 @@ def sample(
     throw: bool = False,
     key: PRNGKey,
 ) -> Chains:
-    """Sample the posterior into an HDF5 file until it is long enough; see `TAUS`, `ESS`, `RHAT`.
+    """Sample the posterior into an HDF5 file until it is long enough.
+
+    That is for every parameter 50 autocorrelation times (`TAUS`), 1,000 effective samples (`ESS`;
+    500 of the tails) and an R-hat of at most 1.03 (`RHAT`).
 
     Burn-in (differences of walkers only) starts round the least-squares optimum and teaches the
     proposal of the independent jumps; it is kept apart and not used otherwise. Step i draws from

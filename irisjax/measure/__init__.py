@@ -1,4 +1,4 @@
-"""Floor 4: virtual instruments."""
+"""Virtual instruments."""
 
 from irisjax._lazy import modules_of
 

@@ -30,7 +30,7 @@ class Colour(eqx.Module):
     """A colour under an illuminant for an observer.
 
     - `xyz`: tristimulus values, white at Y = 1, shape (3,).
-    - `lab`: CIE 1976 L*a*b* relative to that white.
+    - `lab`: CIE 1976 `L*a*b*` relative to that white.
     - `srgb_linear`: linear sRGB, adapted to D65 (Bradford); *not* clipped.
     - `srgb`: the same with sRGB's transfer function, continued by its linear foot below 0.
     - `in_gamut`: whether all three linear components lie in [0, 1].

@@ -1,4 +1,4 @@
-"""Floor 1: numerics that know no physics."""
+"""Numerics that know no physics."""
 
 from irisjax._lazy import modules_of
 

@@ -1,4 +1,4 @@
-"""Floor 1: optics that knows nothing of eyes."""
+"""Optics that knows nothing of eyes."""
 
 from irisjax._lazy import modules_of
 

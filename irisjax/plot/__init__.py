@@ -1,4 +1,4 @@
-"""Floor 8: figures of spectra, BRDFs and fits. matplotlib is imported when one is asked for."""
+"""Figures of spectra, BRDFs and fits. matplotlib is imported when one is asked for."""
 
 from irisjax.plot.brdf import brdf_figure as brdf_figure
 from irisjax.plot.inference import corner_figure as corner_figure

@@ -48,8 +48,7 @@ _COSINES = 48
 
 
 class Separable(AbstractIntegrator):
-    """Integrator: ILIT's separable response, tabulated in pigment and thickness  [LB06; `ilit.md`
-    Section 4].
+    """Integrator: ILIT's separable response, tabulated in pigment and thickness  [LB06].
 
     - `degrees`: of the polynomials in ABL pigment, stroma thickness, eumelanin, pheomelanin and
         exit cosine.

@@ -1,4 +1,4 @@
-"""Floor 2: what the iris and the media before it are made of."""
+"""What the iris is made of."""
 
 from irisjax._lazy import modules_of
 

@@ -1,4 +1,4 @@
-"""Floor 3: the random process of ILIT, the solvers of it, and depth-resolved transport."""
+"""The random process of ILIT, the solvers of it, and depth-resolved transport."""
 
 from irisjax._lazy import modules_of
 

@@ -81,7 +81,7 @@ class Studio:
     - `tables_of`: makes the illumination tables of a scene, or finds them. `threads`: that share
         the pixels of a picture.
     - `given`: settings that the scene does not tell, such as the name of its `preset`.
-    - `error`: of the last picture's response, see `Response`.
+    - `error`: of the last picture's response, see `AbstractResponse`.
     """
 
     def __init__(

@@ -1,0 +1,156 @@
+"""Writes the example files of the page "Files of instruments"; prints what irisjax says of each.
+
+    python docs/instrument_files.py
+
+The numbers are those of data/spectra/simulated_low.csv, a light eye, and where it says so of
+simulated_moderate.csv (both simulated); the layouts are written by
+hand after what the makers' programs write. Nothing here was measured.
+"""
+
+from pathlib import Path
+
+import numpy as np
+
+import irisjax as ij
+from irisjax import io
+
+ROOT = Path(__file__).parent.parent
+FOLDER = Path(__file__).parent / "how-to" / "files"
+SPECTRA = ROOT / "data" / "spectra"
+X, R = io.read_measured(SPECTRA / "simulated_low.csv")[:2]
+MODERATE = io.read_measured(SPECTRA / "simulated_moderate.csv").values
+
+
+def rows(separator, *columns, decimal="."):
+    """Lines of a table, as many digits as an instrument writes."""
+    return "\n".join(
+        separator.join(f"{v:.5g}".replace(".", decimal) for v in row)
+        for row in zip(*columns, strict=True)
+    )
+
+
+DARK, WHITE = 1000 + 0 * X, 31000 + 0 * X
+SAMPLE = DARK + (WHITE - DARK) * R
+CLEAN = np.asarray(ij.reflectance(ij.Iris.of_level("low"), X).values)
+SCANS = CLEAN * (1 + 0.02 * np.random.default_rng(0).standard_normal((3, X.size)))
+WIDE_X = np.arange(1090.0, 299.0, -5.0)  # a whole detector, from long to short wavelengths
+COVERED = ij.wavelengths(350, 800, 5)
+WIDE_R = np.interp(WIDE_X, COVERED, ij.reflectance(ij.Iris.of_level("low"), COVERED).values)
+
+PREAMBLE = """Data from eye_Reflection_0001.txt Node
+
+Date: Mon Mar 04 10:11:12 CET 2024
+User: lab
+Spectrometer: FLMS12345
+Trigger mode: 0
+Integration Time (sec): 1.000000E-1
+Scans to average: 10
+Electric dark correction enabled: true
+XAxis mode: Wavelengths
+Number of Pixels in Spectrum: 31
+>>>>>Begin Spectral Data<<<<<
+"""
+SUITE = """SpectraSuite Data File
+++++++++++++++++++++++++++++++++++++
+Dark Spectrum Present: Yes
+Reference Spectrum Present: Yes
+Integration Time (usec): 100000 (USB2000)
+>>>>>Begin Processed Spectral Data<<<<<
+"""
+AVASOFT = """Integration time [ms]:   50,00
+Averaging Nr. [scans]: 20
+Data measured with spectrometer [name]: 0912086U1
+Wave   ;Sample   ;Dark     ;Reference;Reflectance
+[nm]   ;[counts] ;[counts] ;[counts] ;[%]
+
+"""
+VIEW_SPEC = """Text conversion of header file eye00000.asd
+The instrument number was 18000/1
+New ASD spectrum file: Program version = 6.00
+Wavelength\teye00000.asd
+"""
+JCAMP = """##TITLE=eye, left
+##JCAMP-DX=4.24
+##DATA TYPE=UV/VIS SPECTRUM
+##XUNITS=NANOMETERS
+##YUNITS={unit}
+##FIRSTX=400
+##LASTX=700
+##NPOINTS=31
+##XFACTOR=1.0
+##YFACTOR=1.0
+##XYPOINTS=(XY..XY)
+"""
+
+
+def magic(*kinds):
+    """A table of SpectraMagic: two measurements of an eye, a row each."""
+    waves = ",".join(f"{kind}{x:.0f}nm" for kind in kinds for x in X)
+    first, second = (",".join(f"{v:.4g}" for _ in kinds for v in 100 * s) for s in SCANS[:2])
+    return (
+        "Instrument Name,CM-700d\nMeasurement Area,SAV\n"
+        f"No.,Name,Illuminant,{waves}\n1,left eye,D65,{first}\n2,left eye,D65,{second}"
+    )
+
+
+FILES = {
+    "plain.csv": "wavelength_nm,reflectance\n" + rows(",", X, R),
+    "with_sd.csv": "wavelength (nm),reflectance (%),sd\n"
+    + rows(",", X, 100 * R, 100 * (0.02 * R + 2e-4)),
+    "scans.csv": "nm,R1 (%),R2 (%),R3 (%)\n" + rows(",", X, *(100 * SCANS)),
+    "excel_german.csv": "Wellenlänge;Remission (%)\r\n" + rows(";", X, 100 * R, decimal=","),
+    "excel_unicode.txt": "Wavelength\tReflectance %\r\n" + rows("\t", X, 100 * R),
+    "oceanview.txt": PREAMBLE + rows("\t", X, 100 * R),
+    "oceanview_moderate.txt": PREAMBLE + rows("\t", X, 100 * MODERATE),
+    "spectrasuite.txt": SUITE + rows("\t", X, 100 * R) + "\n>>>>>End Processed Spectral Data<<<<<",
+    "avasoft.txt": AVASOFT + rows(";", X, SAMPLE, DARK, WHITE, 100 * R, decimal=","),
+    "viewspec.txt": VIEW_SPEC + rows("\t", X, R),
+    "spectramagic.csv": magic(""),
+    "eye.jdx": JCAMP.format(unit="REFLECTANCE") + rows(", ", X, R) + "\n##END=",
+    "absorbance.jdx": JCAMP.format(unit="ABSORBANCE") + rows(", ", X, -np.log10(R)) + "\n##END=",
+    "kubelka_munk.csv": "nm,K/S\n" + rows(",", X, (1 - R) ** 2 / (2 * R)),
+    "whole_range.csv": "nm,R %\n" + rows(",", WIDE_X, 100 * WIDE_R),
+    "gaps.csv": "nm,R %\n"
+    + rows(",", X, 100 * R).replace("\n410,", "\n410,#").replace("\n430,", "\n430,NaN#"),
+    # What is refused, or needs a word more.
+    "counts.csv": "nm,counts\n" + rows(",", X, SAMPLE),
+    "unnamed_counts.csv": rows(",", X, SAMPLE),
+    "either.csv": "nm,R\n" + rows(",", X, 100 * MODERATE),
+    "bright.csv": "nm,R %\n" + rows(",", X, 1000 * R),
+    "dark.csv": "nm,R %\n" + rows(",", X, R),
+    "negative.csv": "nm,R\n" + rows(",", X, -R),
+    "transmittance.csv": "nm,Transmittance\n" + rows(",", X, R),
+    "radiance.csv": "nm,radiance\n" + rows(",", X, R),
+    "irradiance.csv": "nm,irradiance (µW/cm²)\n" + rows(",", X, R),
+    "arbitrary.jdx": JCAMP.format(unit="ARBITRARY UNITS") + rows(", ", X, R) + "\n##END=",
+    "sci_and_sce.csv": magic("SCI ", "SCE "),
+    "infrared.csv": "nm,R %\n" + rows(",", X + 600, 100 * R),
+    "wavenumber.csv": "cm-1,R %\n" + rows(",", 1e7 / X, 100 * R),
+    "letters.csv": "nm,R %\n400,3.1\n410,3.O\n420,3.2",
+    "twice.csv": "nm,R %\n400,3.1\n400,3.0\n420,3.2",
+    "one_column.csv": "R %\n3.1\n3.0\n3.2",
+}
+FILES["gaps.csv"] = "\n".join(line.split("#")[0] for line in FILES["gaps.csv"].splitlines())
+ENCODINGS = {"excel_german.csv": "cp1252", "excel_unicode.txt": "utf-16"}
+
+
+def main():
+    """Write all of them; print what reading them says."""
+    FOLDER.mkdir(exist_ok=True)
+    for name, text in FILES.items():
+        path = FOLDER / name
+        path.write_bytes((text + "\n").encode(ENCODINGS.get(name, "utf-8")))
+        try:
+            found = io.read_measured(path)
+        except ValueError as error:
+            print(f"{name}: REFUSED: {str(error).replace(f'{FOLDER}/', '')}")
+            continue
+        top = 100 * found.values.max()
+        sd = "" if found.sd is None else ", with sd"
+        print(f"{name}: {found.values.size} values up to {top:.3g} %{sd}")
+        for word in (*found.notes, *found.doubts):
+            print(f"    {word}")
+
+
+if __name__ == "__main__":
+    main()
