@@ -87,6 +87,8 @@ def fit(measured: Measured, model: Model, sampler: Sampler, results: Results) ->
         nullcontext(here) if keep is None else beside() as draw,
     ):
         problem = ij.problem(observations, **options)
+        if keep is not None:
+            _check_folder(keep, resume, results.overwrite)
         begins_anew = keep is None or (results.overwrite and not resume)
         report.check_run(
             problem,
@@ -96,24 +98,26 @@ def fit(measured: Measured, model: Model, sampler: Sampler, results: Results) ->
             resume=resume,
             key=report.key_of(sampling),
         )
-        folder = Path(scratch) if keep is None else _folder(keep, resume, results.overwrite)
+        folder = Path(scratch) if keep is None else _folder(keep, resume)
         converged = report.one(
             problem, folder, sampling, bar, resume=resume, files=keep is not None, draw=draw
         )
     raise typer.Exit(0 if converged else _NOT_CONVERGED)
 
 
-def _folder(folder: Path, resume: bool, overwrite: bool) -> Path:
-    """The folder for results, emptied of what would be overwritten."""
+def _check_folder(folder: Path, resume: bool, overwrite: bool) -> None:
     if folder.exists() and not folder.is_dir():
         raise ValueError(f"{folder}: is a file, not a folder")
+    if (folder / "chain.h5").exists() and not (resume or overwrite):
+        raise ValueError(
+            f"{folder}: has results; --resume goes on with them, --overwrite begins anew"
+        )
+
+
+def _folder(folder: Path, resume: bool) -> Path:
+    """The folder for results, emptied of a chain that is not to be gone on with."""
     folder.mkdir(parents=True, exist_ok=True)
-    chain = folder / "chain.h5"
-    if chain.exists() and not resume:
-        if not overwrite:
-            raise ValueError(
-                f"{folder}: has results; --resume goes on with them, --overwrite begins anew"
-            )
-        chain.unlink()
-        (folder / "chain.h5.bak").unlink(missing_ok=True)
+    if not resume:
+        for name in ("chain.h5", "chain.h5.bak"):
+            (folder / name).unlink(missing_ok=True)
     return folder

@@ -89,7 +89,7 @@ class Measured(Group):
         str | None, name_of("where the file does not say", *WAVELENGTH_UNITS)
     ] = None
     wavelengths: Annotated[
-        tuple[float, float] | None,
+        Any,  # typer takes a pair for two words
         option(parse=_span, metavar="LOW:HIGH", help="leave out what is measured outside these nm"),
     ] = None
     illuminant: Annotated[

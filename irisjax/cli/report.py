@@ -131,7 +131,9 @@ def summary_csv(rows: list[Row]) -> str:
     return out.getvalue()
 
 
-def _write(problem: Problem, folder: Path, chains: Chains, rows, lines, key, draw) -> np.ndarray:
+def _write(
+    problem: Problem, folder: Path, chains: Chains, rows, lines, key, draw=here
+) -> np.ndarray:
     """Write all files; returns the log likelihoods that they hold, (walkers, draws, data)."""
     _, simulated, models, _ = predictive(problem, chains, key=jax.random.fold_in(key, 3))
     random = np.random.default_rng([*words_of(key), 4])

@@ -11,7 +11,6 @@ Seed = UInt32[Array, ""]
 Whole = int | Int[Array, ""]
 
 
-@jax.jit
 def noise(
     seed: Seed, turns: Field, radius: Field, cells: tuple[Whole, Whole], octaves: Whole = 1
 ) -> Field:

@@ -7,7 +7,6 @@ Features are drawn from what textbooks show, not fitted to anything.
 """
 
 import math
-from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -19,6 +18,7 @@ from irisjax.anatomy.eye import Eye
 from irisjax.grow.noise import Field, Seed, Whole, drawn, noise, split
 from irisjax.numerics.checks import Range, check_range
 from irisjax.numerics.interpolation import smoothstep
+from irisjax.numerics.programs import program
 from irisjax.tissue.iris import Iris
 from irisjax.tissue.maps import IrisMaps, cell_centres
 
@@ -79,13 +79,21 @@ def procedural(
     }
     for name, value in wanted.items():
         check_range(name, value, Range(0, math.inf))
+    # Absent features are not computed; how much there is of the others is no new program.
+    has = {name: jnp.asarray(value) if value else None for name, value in wanted.items()}
     if shape[0] < 16 or shape[1] < 8:
         raise ValueError(f"shape {shape} is below (16, 8)")
-    return IrisMaps(**_grow(iris, Eye() if eye is None else eye, shape, profile, wanted, key))
+    return IrisMaps(**_grow(iris, Eye() if eye is None else eye, shape, profile, has, key))
 
 
+@program
 def _grow(
-    iris: Iris, eye: Eye, shape: tuple[int, int], profile: bool, has: dict[str, Any], key: PRNGKey
+    iris: Iris,
+    eye: Eye,
+    shape: tuple[int, int],
+    profile: bool,
+    has: dict[str, Array | None],
+    key: PRNGKey,
 ) -> dict[str, Field]:
     angles, radii = cell_centres(shape)
     turns, radius = jnp.broadcast_arrays(angles[:, None] / (2 * jnp.pi), radii)
@@ -93,31 +101,37 @@ def _grow(
     seeds = jax.vmap(lambda i: bits(fold_in(key, i), dtype=jnp.uint32))(jnp.arange(6))
     fibres, zigzag, crypts, furrows, freckles, mottles = seeds
     ring = COLLARETTE + _zigzag(zigzag, turns)
-    holes, parted = _crypts(crypts, turns, radius, has["crypts"])
-    crest = _furrows(furrows, turns, radius, has["furrows"])
+    holes, parted, crest = jnp.zeros_like(radius), turns, jnp.zeros_like(radius)
+    if has["crypts"] is not None:
+        holes, parted = _crypts(crypts, turns, radius, has["crypts"])
+    if has["furrows"] is not None:
+        crest = _furrows(furrows, turns, radius, has["furrows"])
     maps = {}
 
     uneven = 1.0
-    if has["fibres"]:
+    if has["fibres"] is not None:
         uneven += has["fibres"] * _fibres(fibres, parted, radius, ring, shape[0] // 4)
-    if has["collarette"]:
+    if has["collarette"] is not None:
         uneven += has["collarette"] * _ring(zigzag, turns, radius, ring)
     uneven *= 1 - 0.7 * holes
     stroma = stroma_profile(radius) if profile else jnp.ones_like(radius)
     smooth = _scaled(stroma, place, iris.stroma_thickness)
     stroma = _bounded(stroma * uneven, place, iris.stroma_thickness)
-    if profile or has["fibres"] or has["collarette"] or has["crypts"]:
+    rough = any(has[n] is not None for n in ("fibres", "collarette", "crypts"))
+    if profile or rough:
         maps["stroma_depth"] = stroma
-    height = has["relief"] * (stroma - smooth)
-    if has["abl"]:
+    share = 0.0 if has["relief"] is None else has["relief"]
+    height = share * (stroma - smooth)
+    if has["abl"] is not None:
         mottled = 0.3 * noise(mottles, parted, radius, (30, 4), 4) + 0.2 * crest - 0.3 * holes
         maps["abl_depth"] = _bounded(1 + has["abl"] * mottled, place, iris.abl_thickness)
-        height += has["relief"] * (maps["abl_depth"] - iris.abl_thickness)
-    if has["relief"] and any(has[n] for n in ("fibres", "collarette", "crypts", "furrows", "abl")):
+        height += share * (maps["abl_depth"] - iris.abl_thickness)
+    uneven_front = rough or has["furrows"] is not None or has["abl"] is not None
+    if has["relief"] is not None and uneven_front:
         maps["relief"] = height + FOLD * crest
-    if has["freckles"]:
+    if has["freckles"] is not None:
         maps["freckles"] = _freckles(freckles, turns, place, eye, has["freckles"])
-    if has["heterochromia"]:
+    if has["heterochromia"] is not None:
         maps["eumelanin"] = 1 + has["heterochromia"] * _rays(zigzag, parted, radius, ring)
     return maps
 
@@ -146,7 +160,6 @@ def _bounded(thickness: Field, place: Field, mean) -> Field:
     return _scaled(jnp.clip(_scaled(thickness, place, mean), low * mean, high * mean), place, mean)
 
 
-@jax.jit
 def _strands(
     seed: Seed, turns: Field, radius: Field, count: Whole, width: Number, sway: Number
 ) -> Field:
@@ -199,7 +212,6 @@ def _ring(seed: Seed, turns: Field, radius: Field, ring: Field) -> Field:
     ) - 0.12 * smoothstep(-off / 0.05)
 
 
-@jax.jit
 def _crypts(seed: Seed, turns: Field, radius: Field, count: Whole) -> tuple[Field, Field]:
     """Depth of crypts, 0 to 1, and `turns` as the strands see it that part round them."""
 
@@ -225,7 +237,6 @@ def _crypts(seed: Seed, turns: Field, radius: Field, count: Whole) -> tuple[Fiel
     return jax.lax.fori_loop(0, 2 * count, dig, (jnp.zeros_like(radius), turns))
 
 
-@jax.jit
 def _furrows(seed: Seed, turns: Field, radius: Field, count: Whole) -> Field:
     """Crests (to about +0.5) and furrows (to −1) of the folds of contraction."""
 
@@ -241,7 +252,6 @@ def _furrows(seed: Seed, turns: Field, radius: Field, count: Whole) -> Field:
     return jax.lax.fori_loop(0, count, fold, jnp.zeros_like(radius))
 
 
-@jax.jit
 def _freckles(seed: Seed, turns: Field, place: Field, eye: Eye, count: Whole) -> Field:
     """Soft irregular spots, 0 to 1, of 0.05 to 0.25 mm radius."""
     spots, edges = split(seed, 2)

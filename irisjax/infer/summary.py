@@ -86,12 +86,14 @@ def summarise(problem: Problem, chains: Chains) -> list[Row]:
     even = qmc.Sobol(len(problem.free), scramble=False).random_base2(14)
     before, rows = reported(problem, ndtri(even + 2.0**-15)), []
     for name, values in reported(problem, chains.z).items():
-        rhat, bulk, tail = diagnostics(values.T)
         if name in problem.free:
             i = problem.free.index(name)
             rhat, bulk, tail = chains.rhat[i], chains.ess_bulk[i], chains.ess_tail[i]
             contraction = 1 - chains.z[..., i].var()
         else:
+            # Of a chain too short to be judged nothing is judged.
+            judged = np.isfinite(chains.rhat).all()
+            rhat, bulk, tail = diagnostics(values.T) if judged else (np.nan,) * 3
             # Derived: their logarithms, which the priors make nearly normal.
             contraction = 1 - np.log(values).var() / np.log(before[name]).var()
         q = np.percentile(values, QUANTILES)

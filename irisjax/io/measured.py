@@ -1,6 +1,7 @@
 """Spectra as spectrometers write them: text tables of many kinds, and JCAMP-DX."""
 
 import re
+from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
 
@@ -13,9 +14,14 @@ from irisjax.io.text import Columns, read_columns, read_text
 from irisjax.tissue.pigments import common_range
 
 UNITS = ("fraction", "percent")
-WAVELENGTH_UNITS = {"nm": 1.0, "um": 1e3}
-"""Of wavelengths, and how many nanometres they are."""
+WAVELENGTH_UNITS: dict[str, Callable[[np.ndarray], np.ndarray]] = {
+    "nm": lambda x: x,
+    "um": lambda x: 1e3 * x,
+    "1/cm": lambda x: 1e7 / x,
+}
+"""What a first column may be in, and its wavelengths in nm."""
 _MICRO = re.compile(r"µm|μm|\bum\b|micro|_um\b", re.I)
+_PER_CM = re.compile(r"1/cm\b|\bcm\s*\^?\s*[-−–]\s*1|cm⁻¹|wave\s?number", re.I)
 _NANO = re.compile(r"nm\b|nano", re.I)
 _WAVE = re.compile(r"wave|wellenl|λ|lambda|^\W*nm\W*$", re.I)
 
@@ -41,7 +47,8 @@ class Reading(NamedTuple):
     """What a reader knows that the file may not say; `None`: as the file says, or by its numbers.
 
     `quantity`: one of `QUANTITIES`; `unit`: of reflectances, "fraction" or "percent";
-    `wavelength_unit`: "nm" or "um"; `wavelengths`: the least and the largest to be kept, nm.
+    `wavelength_unit`: one of `WAVELENGTH_UNITS`; `wavelengths`: the least and the largest that are
+    kept, nm.
     """
 
     quantity: str | None = None
@@ -202,13 +209,19 @@ def _kept(table: Columns, how: Reading, columns, notes: list[str]) -> Columns:
         raise ValueError("no wavelength has a value")
     x, unit = values[:, 0], how.wavelength_unit
     if unit not in (None, *WAVELENGTH_UNITS):
-        raise ValueError(f"wavelength_unit must be nm or um, got {unit!r}")
+        raise ValueError(
+            f"wavelength_unit must be one of {', '.join(WAVELENGTH_UNITS)}, got {unit!r}"
+        )
+    if unit is None and _PER_CM.search(table.names[0]):
+        unit = "1/cm"
     if unit is None and _MICRO.search(table.names[0]):
         unit = "um"
     if unit is None and not _NANO.search(table.names[0]) and x.min() > 0.1 and x.max() < 10:
         unit = "um"
         notes.append("wavelengths read as µm (the file does not say; --wavelength-unit otherwise)")
-    values[:, 0] = x = x * WAVELENGTH_UNITS[unit or "nm"]
+    if unit == "1/cm" and not (x > 0).all():
+        raise ValueError(f"{where[int(np.argmin(x))]}: a wavenumber of {x.min():g} 1/cm")
+    values[:, 0] = x = WAVELENGTH_UNITS[unit or "nm"](x)
     low, high = common_range()
     if how.wavelengths is not None:
         low, high = max(low, how.wavelengths[0]), min(high, how.wavelengths[1])

@@ -1,8 +1,10 @@
 """Colour of the iris: tristimulus values, CIE L*a*b* and sRGB.
-The only importer of colour-science.
+
+The CIE's observers and illuminants are colour-science's, written by `experiments.colour_tables`.
 """
 
 from functools import lru_cache, partial
+from importlib import resources
 from typing import Any
 
 import equinox as eqx
@@ -18,8 +20,19 @@ from irisjax.numerics.interpolation import piecewise_linear
 from irisjax.transport.solution import RESULTS
 
 OBSERVER = "CIE 1931 2 Degree Standard Observer"
-"""Default observer, a name known to colour-science."""
+"""Default observer, under colour-science's name."""
+OBSERVERS = (
+    OBSERVER,
+    "CIE 1964 10 Degree Standard Observer",
+    "CIE 2015 2 Degree Standard Observer",
+    "CIE 2015 10 Degree Standard Observer",
+)
+"""Observers whose tristimulus values are XYZ."""
 
+# Cones of the Bradford transform, as in ICC.1:2022, Annex E.
+_BRADFORD = np.array(
+    [[0.8951, 0.2664, -0.1614], [-0.7502, 1.7135, 0.0367], [0.0389, -0.0685, 1.0296]]
+)
 # IEC 61966-2-1, XYZ (D65 white at Y = 1) to linear sRGB.
 _XYZ_TO_SRGB = np.linalg.inv(
     np.array([[0.4124, 0.3576, 0.1805], [0.2126, 0.7152, 0.0722], [0.0193, 0.1192, 0.9505]])
@@ -179,8 +192,7 @@ def illuminant_power(illuminant: str, wavelengths) -> Any:
     **Raises:** `ValueError` for a concrete wavelength outside the illuminant's table; a traced one
     gets NaN.
     """
-    sd = _spectrum(illuminant)
-    grid, values = np.asarray(sd.wavelengths), np.asarray(sd.values)
+    grid, values = _spectrum(illuminant)
     values = values / np.interp(560.0, grid, values)
     if isinstance(wavelengths, Tracer):
         x = as_float(wavelengths)
@@ -216,32 +228,35 @@ def _weighting(x, illuminant: str, observer: str, xp):
 
     `xp` is `numpy`, or `jax.numpy` for a traced grid.
     """
-    import colour as cs
-
-    if observer not in cs.MSDS_CMFS:
-        raise ValueError(f"unknown observer {observer!r}; known: {', '.join(sorted(cs.MSDS_CMFS))}")
-    cmfs = cs.MSDS_CMFS[observer]
+    if observer not in OBSERVERS:
+        raise ValueError(f"unknown observer {observer!r}; known: {', '.join(OBSERVERS)}")
+    grid, *cmfs = _tables()[f"observer {observer}"]
     at = partial(np.interp, x, left=0.0, right=0.0)
     if xp is jnp:
         at = partial(piecewise_linear, x, outside=0.0)
-    xyz_bar = xp.stack([at(cmfs.wavelengths, cmfs.values[:, i]) for i in range(3)])
+    xyz_bar = xp.stack([at(grid, cmf) for cmf in cmfs])
     # Trapezoidal rule on the caller's grid.
     width = xp.concatenate([x[1:2] - x[:1], x[2:] - x[:-2], x[-1:] - x[-2:-1]]) / 2
     weights = xyz_bar * (illuminant_power(illuminant, x) * width)[None]
     weights = weights / weights[1].sum()
     white = weights.sum(axis=1)
-    cones = cs.CHROMATIC_ADAPTATION_TRANSFORMS["Bradford"]
+    cones = _BRADFORD
     d65 = cones @ np.linalg.inv(_XYZ_TO_SRGB) @ np.ones(3)
     to_cones, from_cones, d65 = (xp.asarray(m, x.dtype) for m in (cones, np.linalg.inv(cones), d65))
     return weights, white, from_cones @ ((d65 / (to_cones @ white))[:, None] * to_cones)
 
 
-@lru_cache(maxsize=16)
-def _spectrum(illuminant: str):
-    import colour as cs
+def _spectrum(illuminant: str) -> np.ndarray:
+    """Wavelengths (nm) and relative power."""
+    tables = _tables()
+    if (name := f"illuminant {illuminant}") not in tables:
+        known = [n.removeprefix("illuminant ") for n in tables if n.startswith("illuminant ")]
+        raise ValueError(f"unknown illuminant {illuminant!r}; known: {', '.join(sorted(known))}")
+    return tables[name]
 
-    if illuminant not in cs.SDS_ILLUMINANTS:
-        raise ValueError(
-            f"unknown illuminant {illuminant!r}; known: {', '.join(sorted(cs.SDS_ILLUMINANTS))}"
-        )
-    return cs.SDS_ILLUMINANTS[illuminant]
+
+@lru_cache(maxsize=1)
+def _tables() -> dict[str, np.ndarray]:
+    file = resources.files("irisjax.measure") / "tables" / "cie.npz"
+    with file.open("rb") as opened, np.load(opened) as arrays:
+        return dict(arrays)

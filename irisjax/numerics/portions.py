@@ -11,10 +11,11 @@ from collections.abc import Callable
 from concurrent.futures import Executor
 from typing import Any
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jax.core import Tracer
+
+from irisjax.numerics.programs import Program, program
 
 # On a processor: from 512 on XLA shares out small operations among threads, which takes longer.
 _SIZE = 256
@@ -85,15 +86,14 @@ class Pixelwise:
     def __init__(self, f: Callable[..., Any]):
         functools.update_wrapper(self, f)
 
-        @eqx.filter_jit
-        def program(pixels, others):
+        def whole(pixels, others):
             return in_portions(lambda some: f(some, *others), pixels)
 
-        @eqx.filter_jit
         def shared(pixels, others, share, shares: int):
             return share_of(lambda some: f(some, *others), pixels, share, shares)
 
-        self._program, self._shared = program, shared
+        name = f"{f.__module__}.{f.__qualname__}"
+        self._program, self._shared = Program(whole, name), Program(shared, f"{name} shared")
 
     def __call__(self, pixels, *others):
         """One program for all pixels."""
@@ -128,7 +128,7 @@ def _count(pixels) -> int:
     return jax.tree.leaves(pixels)[0].shape[-1]
 
 
-@functools.partial(jax.jit, static_argnums=1)
+@program
 def _joined(done, count: int):
     return jax.tree.map(lambda *x: jnp.concatenate(x, axis=-1)[..., :count], *done)
 

@@ -21,7 +21,6 @@ from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
-import jaxlib
 import numpy as np
 
 _MOST_VERSIONS = 4  # of the package, whose programs are kept side by side
@@ -57,9 +56,11 @@ def program(function: Callable[..., Any]) -> "Program":
 class Program:
     """What `program` makes of a function; called as the function is, arguments in their order."""
 
-    def __init__(self, function: Callable[..., Any]):
+    def __init__(self, function: Callable[..., Any], name: str | None = None):
+        """`name`: under which it is kept, of a function that is not of a module's top level."""
         functools.update_wrapper(self, function)
         self._function, self._compiled = function, eqx.filter_jit(function)
+        self._name = f"{function.__module__}.{function.__qualname__}" if name is None else name
         self._kept: dict[Hashable, _Kept | None] = {}
         self._making = threading.Lock()
 
@@ -104,9 +105,8 @@ class Program:
             return None
         form = _form_of(args)[1]
         try:
-            name = [self._function.__module__, self._function.__qualname__]
             seen = [(shape, str(dtype), weak) for shape, dtype, weak in types]
-            words = pickle.dumps([name, form, seen, _settings()], protocol=5)
+            words = pickle.dumps([self._name, form, seen, _settings()], protocol=5)
         except Exception:  # whatever an object says that has no pickle
             return None
         path = _versions(_folder) / hashlib.sha256(words).hexdigest()
@@ -168,8 +168,11 @@ def _compiler_options() -> dict[str, Any] | None:
     """A command waits for its compiler: XLA's older way of joining loops takes half as long, and
     what it makes runs as fast. Other releases of jaxlib stop at this flag.
     """
-    known = jaxlib.__version__.startswith("0.10.") and jax.default_backend() == "cpu"
-    return {"xla_cpu_use_fusion_emitters": False} if known else None
+    known = (
+        importlib.metadata.version("jaxlib").startswith("0.10.") and jax.default_backend() == "cpu"
+    )
+    on_processors = jax.default_backend() == "cpu"
+    return {"xla_cpu_use_fusion_emitters": False} if known and on_processors else None
 
 
 def _is_array(x) -> bool:

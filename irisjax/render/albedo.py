@@ -15,6 +15,7 @@ from jaxtyping import Array, Float
 
 from irisjax.anatomy.eye import Eye
 from irisjax.numerics.portions import in_portions
+from irisjax.numerics.programs import program
 from irisjax.optics.fresnel import fresnel_at
 from irisjax.render.bands import Bands
 from irisjax.render.separable import Separable, SeparableResponse
@@ -147,12 +148,12 @@ class Matt(eqx.Module):
         ), weight / weight.sum()
 
 
-@eqx.filter_jit
+@program
 def _response(iris, aqueous_index, bands, ranges, integrator: Separable) -> SeparableResponse:
     return integrator.response(iris, aqueous_index, bands, ranges)
 
 
-@eqx.filter_jit
+@program
 def _albedo(response: SeparableResponse, scales: Scales, entering, shape: tuple[int, int]):
     if all(s is None for s in scales):
         found = entering * response.hemispherical(scales)[:, 0]

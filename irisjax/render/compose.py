@@ -4,11 +4,9 @@ Pure: everything here works under `jit`, `vmap` and `grad`, and keeps nothing. W
 pictures of one scene keeps what does not change with `stages.Memory`.
 """
 
-import functools
 from typing import Any
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
@@ -16,6 +14,7 @@ from jaxtyping import Array, Float
 from irisjax._types import Scalar
 from irisjax.anatomy.eye import Sclera
 from irisjax.numerics.portions import pixelwise
+from irisjax.numerics.programs import program
 from irisjax.render import outside, shading
 from irisjax.render.bands import Bands, all_bands, colour_bands, spectral_bands
 from irisjax.render.illumination import Illumination
@@ -107,7 +106,7 @@ def prepare(
     )
 
 
-@eqx.filter_jit
+@program
 def respond(
     integrator: AbstractIntegrator, iris: Iris, aqueous_index, bands: Bands, ranges: Scales
 ) -> AbstractResponse:
@@ -181,7 +180,7 @@ def _black(lamp, pixels: int):
     return jnp.zeros((lamp.size, pixels), lamp.dtype)
 
 
-@jax.jit
+@program
 def _add(base, index, colour):
     # Channel by channel: twice as fast as pixels of three numbers.
     return (
@@ -191,6 +190,6 @@ def _add(base, index, colour):
     )
 
 
-@functools.partial(jax.jit, static_argnums=1)
+@program
 def _picture(channels, size: tuple[int, int]):
     return channels.T.reshape(size[1], size[0], -1)

@@ -6,12 +6,12 @@ Those of high degree in several numbers at once hold nothing of a smooth functio
 import functools
 import itertools
 
-import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
 from irisjax.numerics.interpolation import chebyshev
+from irisjax.numerics.programs import program
 
 
 def basis(scales, like):
@@ -41,7 +41,7 @@ def kept_products(degrees: tuple[int, ...]) -> list[tuple[int, ...]]:
     ]
 
 
-@eqx.filter_jit
+@program
 def scaled(scale, span, degree: int):
     """Polynomials up to `degree` of a scale that runs over `span`."""
     return polynomials(to_unit(span, scale), degree + 1)

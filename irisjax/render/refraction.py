@@ -15,6 +15,7 @@ from jaxtyping import Array, Float
 
 from irisjax.anatomy.eye import Cornea, Eye
 from irisjax.numerics.interpolation import smoothstep, trilinear
+from irisjax.numerics.programs import program
 from irisjax.numerics.roots import solve_2x2
 from irisjax.optics.conicoid import Vector, along, dot, norm, refract_vector
 
@@ -185,28 +186,11 @@ class RefractionFunction(eqx.Module):
     radius: Float[Array, ""]
 
     @classmethod
-    @eqx.filter_jit
     def build(
         cls, eye: Eye, n_polar: int = 50, n_azimuth: int = 50, n_radius: int = 100
     ) -> "RefractionFunction":
         """Search all entry points, from each polar angle to the next."""
-        polar = jnp.linspace(0, UNIQUE_POLAR, n_polar)
-        azimuth = jnp.linspace(0, jnp.pi, n_azimuth)
-        radius = jnp.linspace(0, 1, n_radius) * eye.iris_radius
-        # Light at azimuth 0, iris points at `azimuth` from it.
-        targets = (
-            radius[None, :, None] * jnp.stack([jnp.cos(azimuth), jnp.sin(azimuth)], -1)[:, None]
-        )
-        search = jax.vmap(jax.vmap(arrive, (None, 0, None, 0, None)), (None, 0, None, 0, None))
-
-        def next_polar(start, angle):
-            towards = jnp.stack([jnp.sin(angle), jnp.zeros_like(angle), -jnp.cos(angle)])
-            # From the entry of the last angle six steps reach rounding.
-            found = search(eye, targets, towards, start, 6)
-            return found.entry, found
-
-        _, found = jax.lax.scan(next_polar, 0.9 * targets, polar)
-        return cls(found.entry, found.flux, eye.iris_radius)
+        return cls(*_searched(eye, n_polar, n_azimuth, n_radius), eye.iris_radius)
 
     def at(self, point: Float[Array, "*#s 2"], towards_light: Float[Array, "*#s 3"]) -> Arrival:
         """Arrivals at iris points (x, y) of light from unit directions (that broadcast with
@@ -236,3 +220,23 @@ class RefractionFunction(eqx.Module):
             ..., None
         ]  # the last angle itself, whatever its rounding
         return Arrival(entry, jnp.where(lit, flux, 0.0))
+
+
+@program
+def _searched(eye: Eye, n_polar: int, n_azimuth: int, n_radius: int):
+    """`entry` and `flux` of `RefractionFunction`."""
+    polar = jnp.linspace(0, UNIQUE_POLAR, n_polar)
+    azimuth = jnp.linspace(0, jnp.pi, n_azimuth)
+    radius = jnp.linspace(0, 1, n_radius) * eye.iris_radius
+    # Light at azimuth 0, iris points at `azimuth` from it.
+    targets = radius[None, :, None] * jnp.stack([jnp.cos(azimuth), jnp.sin(azimuth)], -1)[:, None]
+    search = jax.vmap(jax.vmap(arrive, (None, 0, None, 0, None)), (None, 0, None, 0, None))
+
+    def next_polar(start, angle):
+        towards = jnp.stack([jnp.sin(angle), jnp.zeros_like(angle), -jnp.cos(angle)])
+        # From the entry of the last angle six steps reach rounding.
+        found = search(eye, targets, towards, start, 6)
+        return found.entry, found
+
+    _, found = jax.lax.scan(next_polar, 0.9 * targets, polar)
+    return found.entry, found.flux

@@ -20,6 +20,7 @@ from jaxtyping import Array, Float, Int
 
 from irisjax._types import Scalar
 from irisjax.anatomy.eye import Eye
+from irisjax.numerics.programs import program
 from irisjax.optics.fresnel import fresnel, refract
 from irisjax.render.bands import Bands
 from irisjax.render.illumination import Illumination
@@ -238,7 +239,7 @@ class SeparableResponse(AbstractResponse):
         return self._at(texels.terms) * texels.light
 
 
-@eqx.filter_jit
+@program
 def _angular(cosine, iris: Iris, aqueous_index, degree: int):
     n = iris.indices(aqueous_index)
     return _exits(cosine, (n.aqueous, n.abl), degree)

@@ -40,9 +40,23 @@ def test_one_eye_from_file_to_files(fitted):
         assert (fitted.folder / name).read_bytes().startswith(b"\x89PNG")
 
 
+def test_wavelengths_of_a_file_can_be_left_out(irisjax, eye, sampled):
+    assert irisjax("fit", eye, *FREE, "--wavelengths", "450:650")[0] == 0
+    (call,) = sampled
+    grid = np.asarray(call.problem.observations[0].wavelengths)
+    assert 450 <= grid.min() < grid.max() <= 650
+    status, _, err = irisjax("fit", eye, *FREE, "--wavelengths", "650:450")
+    assert (status, len(err.splitlines())) == (2, 1)
+    assert "400:700" in err
+
+
+def _densities():
+    return np.random.default_rng(0).normal(size=(4, 50, 3))
+
+
 def test_results_are_neither_lost_nor_mixed(fitted, irisjax, sampled, monkeypatch):
     written = []
-    monkeypatch.setattr(report, "_write", lambda *given: written.append(given))
+    monkeypatch.setattr(report, "_write", lambda *given: written.append(given) or _densities())
     status, out, err = irisjax(*fitted.arguments)
     assert (status, out, len(sampled)) == (2, "", 0)
     assert "--resume goes on with them, --overwrite begins anew" in err

@@ -211,3 +211,17 @@ def test_a_table_of_eyes(tmp_path):
     assert "give --quantity radiance" in refused["radiance"]
     assert "need one spectrum" in refused["sd"]
     assert "holds counts" in refused["counts"]
+
+
+@pytest.mark.parametrize("name", ["cm-1", "wavenumber (cm^-1)", "1/cm", "Wavenumber [cm⁻¹]"])
+def test_wavenumbers(tmp_path, name):
+    found = io.read_measured(written(tmp_path, f"{name},R\n" + rows(",", 1e7 / X, Y)))
+    np.testing.assert_allclose(found.wavelengths, X, rtol=1e-5)
+    np.testing.assert_allclose(found.values, Y, rtol=1e-5)
+    bare = written(tmp_path, "x,R\n" + rows(",", 1e7 / X, Y))
+    np.testing.assert_allclose(io.read_measured(bare, wavelength_unit="1/cm").wavelengths, X, 1e-5)
+
+
+def test_a_wavenumber_of_zero_is_refused(tmp_path):
+    with pytest.raises(ValueError, match="wavenumber of 0"):
+        io.read_measured(written(tmp_path, "cm-1,R\n" + rows(",", 1e7 / X, Y) + "\n0,0.1\n"))

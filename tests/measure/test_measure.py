@@ -9,6 +9,7 @@ import pytest
 
 import irisjax as ij
 from common import GRID, all_irides, quick_jit
+from irisjax.measure import colour
 from irisjax.measure.colour import illuminant_power, srgb_encode
 
 IRIS = ij.Iris.of_level("moderate")
@@ -243,3 +244,22 @@ def test_colour_gradient():
     slope = jax.jit(jax.grad(lightness))(0.12)
     difference = (lightness(0.12 + 1e-5) - lightness(0.12 - 1e-5)) / 2e-5
     assert slope == pytest.approx(float(difference), rel=1e-6)
+
+
+def test_observers_and_illuminants_are_colour_sciences():
+    """They are read from a file of the package: every table against the library's own."""
+    import colour as cs
+
+    tables = colour._tables()
+    for name, table in tables.items():
+        kind, _, of = name.partition(" ")
+        theirs = (cs.MSDS_CMFS if kind == "observer" else cs.SDS_ILLUMINANTS)[of]
+        np.testing.assert_array_equal(table[0], theirs.wavelengths)
+        np.testing.assert_array_equal(table[1:], theirs.values.T.reshape(len(table) - 1, -1))
+    assert len(tables) == len(cs.SDS_ILLUMINANTS) + 4
+    np.testing.assert_array_equal(colour._BRADFORD, cs.CHROMATIC_ADAPTATION_TRANSFORMS["Bradford"])
+
+
+def test_cone_fundamentals_are_no_observer():
+    with pytest.raises(ValueError, match="unknown observer"):
+        ij.colour(ij.Iris(), observer="Stockman & Sharpe 2 Degree Cone Fundamentals")
