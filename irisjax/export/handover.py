@@ -116,8 +116,9 @@ def _contents(scene: Scene, spacing: float) -> tuple[dict[str, bytes], int, Lamb
         )
     if maps is not None and maps.present():
         data["maps.exr"] = encode_maps("maps.exr", maps)
-    error = LambertError(*(value[:3] for value in matt.error()))
-    data["brdf.csv"] = _brdf(matt, scene.illuminant, integrator).encode()
+    seen = matt.first(3)
+    error = seen.error()
+    data["brdf.csv"] = _brdf(seen, scene.illuminant, integrator).encode()
     if scene.environment is not None:
         data["environment.exr"] = encode_exr(
             "environment.exr", np.asarray(scene.environment.radiance)
@@ -181,7 +182,7 @@ def _brdf(matt: Matt, illuminant: str, integrator: Separable) -> str:
     angle = np.arange(0.0, 90.0, 5.0)
     azimuth = np.array([0.0, 90.0, 180.0])
     cosine = jnp.cos(jnp.radians(jnp.asarray(angle)))
-    values = np.stack([np.asarray(matt.brdf(c, cosine))[:3].T for c in cosine])  # (in, out, rgb)
+    values = np.swapaxes(np.asarray(matt.brdf(cosine, cosine)), 1, 2)  # (in, out, rgb)
     values = np.repeat(values[:, :, None], azimuth.size, axis=2).reshape(-1, 3)
     place = np.stack(np.meshgrid(angle, angle, azimuth, indexing="ij"), axis=-1).reshape(-1, 3)
     header = {

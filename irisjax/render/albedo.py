@@ -9,6 +9,7 @@ power is its nearest relative.
 from typing import NamedTuple
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
@@ -77,6 +78,11 @@ class Matt(eqx.Module):
         response = _response(iris, eye.aqueous_index, bands, ranges, integrator)
         return cls(response, scales, iris, eye, (2, 2) if maps is None else maps.shape)
 
+    def first(self, channels: int) -> "Matt":
+        """The same in the first so many channels."""
+        some = self.response.coefficients[..., :channels]
+        return eqx.tree_at(lambda m: m.response.coefficients, self, some)
+
     def albedo(self) -> Float[Array, "angles radii channels"]:
         """Directional–hemispherical reflectance of each texel at normal incidence, in the aqueous
         humour.
@@ -87,30 +93,28 @@ class Matt(eqx.Module):
 
     def entering(self, cosine) -> Array:
         """Share of light that enters the tissue, 1 − F."""
-        n = self.iris.indices(self.eye.aqueous_index)
-        return fresnel_at(jnp.asarray(cosine, self.response.error.dtype), n.aqueous, n.abl)[1]
+        x = jnp.asarray(cosine, self.response.error.dtype)
+        return _entering(self.iris, self.eye.aqueous_index, x)
 
     def brdf(
-        self, cos_incidence, cos_exit: Float[Array, " exits"]
-    ) -> Float[Array, "channels exits"]:
+        self, cos_incidence: Float[Array, "..."], cos_exit: Float[Array, " exits"]
+    ) -> Float[Array, "... channels exits"]:
         """BRDF of the uniform iris, 1/sr; the same for all azimuths."""
         one = Scales(*(None if s is None else jnp.ones_like(cos_exit) for s in self.scales))
-        return self.entering(cos_incidence) * self.response(one, cos_exit)
+        return self.entering(cos_incidence)[..., None, None] * _exits(self.response, one, cos_exit)
 
     def error(self) -> LambertError:
         """How far a Lambertian iris is from this one, from at most 2048 texels."""
         texels, weight = self._some()
-        flat = (
-            np.asarray(self.entering(1.0) * self.response.hemispherical(texels)) / np.pi
-        )  # (channels, texels)
+        power = _power(self.response, texels)
+        flat = np.asarray(self.entering(1.0) * power, np.float64) / np.pi  # (channels, texels)
         mean = flat @ weight
 
         def factors(cosine):  # of BRDF over mean Lambertian one: t(μ_i) and s(μ_o), of all texels
-            t = np.asarray(self.entering(cosine))
-            s = np.stack(
-                [np.asarray(self.response(texels, jnp.full(weight.size, c))) for c in cosine], 1
-            )
-            return t, s / mean[:, None, None]
+            t = np.asarray(self.entering(cosine), np.float64)
+            x = jnp.asarray(cosine, self.response.error.dtype)
+            s = np.asarray(_exits_of_all(self.response, texels, x), np.float64)
+            return t, np.swapaxes(s, 0, 1) / mean[:, None, None]
 
         def nodes(lowest):
             x, w = np.polynomial.legendre.leggauss(24)
@@ -120,9 +124,12 @@ class Matt(eqx.Module):
         cosine, w = nodes(np.cos(np.radians(CONE)))
         t, all_s = factors(cosine)
         off = 1 / (t[:, None] * (all_s @ weight)[:, None, :]) - 1
-        seen = flat[:, None, None, :] / mean[:, None, None, None]
-        by_texel = seen - t[:, None, None] * all_s[:, None]  # (channels, in, out, texels)
-        by_texel = ((by_texel**2) @ weight) / (t[:, None] * (all_s @ weight)[:, None, :]) ** 2
+        seen = flat / mean[:, None]
+        # The mean over texels of (seen − t s)², for each incidence and exit, multiplied out.
+        squares = (t[:, None] ** 2) * ((all_s**2) @ weight)[:, None, :]
+        mixed = t[:, None] * np.einsum("ck,cok,k->co", seen, all_s, weight)[:, None, :]
+        by_texel = ((seen**2) @ weight)[:, None, None] - 2 * mixed + squares
+        by_texel = by_texel / (t[:, None] * (all_s @ weight)[:, None, :]) ** 2
         t, s = factors(np.cos(np.radians(np.linspace(0, CONE, 26))))
         most = (1 / (t[:, None] * (s @ weight)[:, None, :]) - 1).reshape(len(mean), -1)
         most = most[np.arange(len(mean)), np.abs(most).argmax(1)]
@@ -160,3 +167,26 @@ def _albedo(response: SeparableResponse, scales: Scales, entering, shape: tuple[
         return jnp.broadcast_to(found, (*shape, found.size))
     texels = Scales(*(None if s is None else s.ravel() for s in scales))
     return (entering * in_portions(response.hemispherical, texels)).T.reshape(*shape, -1)
+
+
+@program
+def _entering(iris: Iris, aqueous_index, cosine):
+    n = iris.indices(aqueous_index)
+    return fresnel_at(cosine, n.aqueous, n.abl)[1]
+
+
+@program
+def _exits(response: SeparableResponse, scales: Scales, cosine):
+    return response(scales, cosine)
+
+
+@program
+def _exits_of_all(response: SeparableResponse, scales: Scales, cosines):
+    """Radiance of every texel at each cosine, (cosines, channels, texels)."""
+    one = next((jnp.ones_like(s) for s in scales if s is not None), jnp.ones(1, cosines.dtype))
+    return jax.lax.map(lambda c: response(scales, c * one), cosines)
+
+
+@program
+def _power(response: SeparableResponse, scales: Scales):
+    return response.hemispherical(scales)
