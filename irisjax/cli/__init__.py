@@ -1,5 +1,6 @@
 """The command `irisjax`: settings in, files out. Thin; no equations here."""
 
+import importlib
 import os
 import sys
 
@@ -10,19 +11,18 @@ from typer.main import get_command
 import irisjax as ij
 from irisjax import _interrupt
 from irisjax.cli import cache
-from irisjax.cli.export import export
-from irisjax.cli.fit import EPILOG, fit
-from irisjax.cli.measure import brdf, colour, spectrum
-from irisjax.cli.render import render
-from irisjax.cli.simulate import simulate_measurement
-from irisjax.cli.view import view
 
-app = typer.Typer(
-    add_completion=False,
-    rich_markup_mode="rich",
-    pretty_exceptions_enable=False,
-    context_settings={"help_option_names": ["-h", "--help"]},
-)
+_COMMANDS = {
+    "spectrum": "measure",
+    "brdf": "measure",
+    "colour": "measure",
+    "simulate-measurement": "simulate",
+    "fit": "fit",
+    "render": "render",
+    "export": "export",
+    "view": "view",
+}
+"""Commands in the order of the help, and the modules of this package that have them."""
 
 
 def main(arguments: list[str] | None = None) -> None:
@@ -42,7 +42,7 @@ def run(arguments: list[str] | None = None) -> int:
         jax.config.update("jax_enable_x64", True)
         cache.keep_compiled()
         arguments = (sys.argv[1:] if arguments is None else arguments) or ["--help"]
-        status = get_command(app).main(arguments, prog_name="irisjax", standalone_mode=False)
+        status = parser(arguments).main(arguments, prog_name="irisjax", standalone_mode=False)
         sys.stdout.flush()
         if status == _interrupt.STATUS:  # typer's way of passing on an interrupt
             _interrupt.say()
@@ -90,7 +90,24 @@ def _complain(message: str, status: int) -> int:
     return status
 
 
-@app.callback(invoke_without_command=True)
+def parser(arguments: list[str]):
+    """What understands these arguments: a spectrum does not wait for the renderer's import."""
+    app = typer.Typer(
+        add_completion=False,
+        rich_markup_mode="rich",
+        pretty_exceptions_enable=False,
+        context_settings={"help_option_names": ["-h", "--help"]},
+    )
+    app.callback(invoke_without_command=True)(_irisjax)
+    asked = arguments[0] in _COMMANDS
+    for name, module in _COMMANDS.items():
+        if not asked or name == arguments[0]:
+            found = importlib.import_module(f"irisjax.cli.{module}")
+            epilog = getattr(found, "EPILOG", None)
+            app.command(name, epilog=epilog)(getattr(found, name.replace("-", "_")))
+    return get_command(app)
+
+
 def _irisjax(
     version: bool = typer.Option(False, "--version", help="Print the version and leave."),
 ) -> None:
@@ -102,13 +119,3 @@ def _irisjax(
     if version:
         typer.echo(f"irisjax {ij.__version__}")
         raise typer.Exit
-
-
-app.command("spectrum")(spectrum)
-app.command("brdf")(brdf)
-app.command("colour")(colour)
-app.command("simulate-measurement")(simulate_measurement)
-app.command("fit", epilog=EPILOG)(fit)
-app.command("render")(render)
-app.command("export")(export)
-app.command("view")(view)

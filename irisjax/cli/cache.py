@@ -2,13 +2,15 @@
 
 import os
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import jax
 
-from irisjax.io.illumination import tables_of
 from irisjax.numerics.programs import keep_programs
-from irisjax.render.illumination import Illumination
-from irisjax.render.scene import Scene
+
+if TYPE_CHECKING:
+    from irisjax.render.illumination import Illumination
+    from irisjax.render.scene import Scene
 
 
 def folder() -> Path | None:
@@ -33,7 +35,9 @@ def keep_compiled() -> None:
         jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
 
 
-def kept_tables(scene: Scene) -> Illumination | None:
+def kept_tables(scene: "Scene") -> "Illumination | None":
     """`scene.tables()`, made once a machine."""
+    from irisjax.io.illumination import tables_of
+
     place = folder()
     return tables_of(scene, None if place is None else place / "illumination")

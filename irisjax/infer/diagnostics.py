@@ -1,6 +1,6 @@
 """R-hat, effective sample sizes and predictive scores, by arviz-stats on plain arrays."""
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -18,12 +18,11 @@ class Diagnostics(NamedTuple):
 
 def diagnostics(draws: Float[np.ndarray, "chains draws"]) -> Diagnostics:
     """Of one quantity."""
-    from arviz_stats.base import array_stats
-
+    stats = _array_stats()
     return Diagnostics(
-        float(array_stats.rhat(draws)),
-        float(array_stats.ess(draws, method="bulk")),
-        float(array_stats.ess(draws, method="tail", prob=(0.05, 0.95))),
+        float(stats.rhat(draws)),
+        float(stats.ess(draws, method="bulk")),
+        float(stats.ess(draws, method="tail", prob=(0.05, 0.95))),
     )
 
 
@@ -36,9 +35,13 @@ def predictive_score(
     Compare it between processes fitted to the same data; differences of a few standard errors
     count. `effective`: effective samples a draw, at most 1.
     """
-    from arviz_stats.base import array_stats
-
-    each, _, _ = array_stats.loo(
+    each, _, _ = _array_stats().loo(
         np.moveaxis(log_likelihood, -1, 0), chain_axis=-2, draw_axis=-1, r_eff=min(effective, 1.0)
     )
     return float(np.sum(each)), float(np.sqrt(np.size(each)) * np.std(each))
+
+
+def _array_stats() -> Any:  # it returns scalars where its annotations have tuples too
+    from arviz_stats.base.array import array_stats
+
+    return array_stats

@@ -22,6 +22,7 @@ from typing import Any, NamedTuple
 import equinox as eqx
 import jax
 import numpy as np
+from jax.core import Tracer
 
 _MOST_VERSIONS = 4  # of the package, whose programs are kept side by side
 _PACKAGES = ("jax", "jaxlib", "equinox", "optimistix", "lineax", "numpy")
@@ -89,7 +90,7 @@ class Program:
     def _find(self, args) -> "tuple[_Kept | None, list[Any]]":
         leaves, structure = jax.tree.flatten(args)
         arrays = [x for x in leaves if _is_array(x)]
-        if _folder is None or any(isinstance(x, jax.core.Tracer) for x in arrays):
+        if _folder is None or any(isinstance(x, Tracer) for x in arrays):
             return None, arrays
         rest = tuple(None if _is_array(x) else (type(x), x) for x in leaves)  # 1 is not 1.0 here
         types = tuple(_type_of(x) for x in arrays)
@@ -217,8 +218,8 @@ def _versions(folder: Path) -> Path:
     """The folder of this version of the code; those of older versions are removed."""
     package = Path(__file__).parents[1]
     files = sorted(p for p in package.rglob("*") if p.suffix != ".pyc" and p.is_file())
-    about = [(str(p), (s := p.stat()).st_size, s.st_mtime_ns) for p in files]
-    about.append((sys.version, *map(importlib.metadata.version, _PACKAGES)))
+    sizes = [(str(p), (s := p.stat()).st_size, s.st_mtime_ns) for p in files]
+    about = sizes, sys.version, [importlib.metadata.version(name) for name in _PACKAGES]
     mine = folder / hashlib.sha256(repr(about).encode()).hexdigest()[:16]
     if not mine.exists():
         others = (

@@ -190,7 +190,8 @@ class RefractionFunction(eqx.Module):
         cls, eye: Eye, n_polar: int = 50, n_azimuth: int = 50, n_radius: int = 100
     ) -> "RefractionFunction":
         """Search all entry points, from each polar angle to the next."""
-        return cls(*_searched(eye, n_polar, n_azimuth, n_radius), eye.iris_radius)
+        entry, flux = _searched(eye, n_polar, n_azimuth, n_radius)
+        return cls(entry, flux, eye.iris_radius)
 
     def at(self, point: Float[Array, "*#s 2"], towards_light: Float[Array, "*#s 3"]) -> Arrival:
         """Arrivals at iris points (x, y) of light from unit directions (that broadcast with

@@ -1,12 +1,11 @@
 """The help of every command, whole at 80 columns."""
 
 import pytest
-from typer.main import get_command
 
 import irisjax as ij
-from irisjax.cli import app
+from irisjax.cli import parser
 
-COMMANDS = get_command(app).commands
+COMMANDS = parser(["--help"]).commands
 
 
 def test_version_and_list_of_commands(irisjax):
