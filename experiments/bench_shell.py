@@ -39,7 +39,6 @@ PARTS = {
     "lowering": "lower_sharding_computation",
     "compiling_or_loading": "compile_or_get_cached",
     "sampling_steps": "advance",
-    "figures": "print_figure",
 }
 PROFILED = """
 import cProfile, json, pstats, sys, time
