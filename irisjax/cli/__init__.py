@@ -23,6 +23,8 @@ _COMMANDS = {
     "view": "view",
 }
 """Commands in the order of the help, and the modules of this package that have them."""
+_RUN_AGAIN = ("measure", "simulate")
+"""Modules whose commands take each other's files by `--from`: each knows the settings of all."""
 
 
 def main(arguments: list[str] | None = None) -> None:
@@ -99,9 +101,10 @@ def parser(arguments: list[str]):
         context_settings={"help_option_names": ["-h", "--help"]},
     )
     app.callback(invoke_without_command=True)(_irisjax)
-    asked = arguments[0] in _COMMANDS
+    asked = _COMMANDS.get(arguments[0])
+    wanted = _RUN_AGAIN if asked in _RUN_AGAIN else (asked,)
     for name, module in _COMMANDS.items():
-        if not asked or name == arguments[0]:
+        if asked is None or module in wanted:
             found = importlib.import_module(f"irisjax.cli.{module}")
             epilog = getattr(found, "EPILOG", None)
             app.command(name, epilog=epilog)(getattr(found, name.replace("-", "_")))
