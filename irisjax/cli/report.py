@@ -135,7 +135,7 @@ def _write(
     problem: Problem, folder: Path, chains: Chains, rows, lines, key, draw=here
 ) -> np.ndarray:
     """Write all files; returns the log likelihoods that they hold, (walkers, draws, data)."""
-    _, simulated, models, _ = predictive(problem, chains, key=jax.random.fold_in(key, 3))
+    _, simulated, models = predictive(problem, chains, key=jax.random.fold_in(key, 3))
     random = np.random.default_rng([*words_of(key), 4])
     prior = random.standard_normal((1, 4000, len(problem.free)))
     seen = problem.observations

@@ -117,9 +117,14 @@ def summarise(problem: Problem, chains: Chains) -> list[Row]:
 
 
 def predictive(problem: Problem, chains: Chains, count: int = DRAWS, *, key: PRNGKey):
-    """Places z (count, free), and there draws of the posterior predictive, the model without noise
-    and the standard deviations stated: three arrays (count, data) an observation.
+    """Draws of the posterior predictive and of the model without noise: their places z (count,
+    free), and two arrays (count, data) an observation.
     """
+    return _drawn(problem, chains, count, key)[:3]
+
+
+def _drawn(problem: Problem, chains: Chains, count: int, key: PRNGKey):
+    """As `predictive`, and the standard deviations stated there."""
     z = chains.z.reshape(-1, chains.z.shape[-1])
     chosen = jnp.asarray(z[np.linspace(0, len(z) - 1, min(count, len(z))).astype(int)])
     return chosen, *predicted(problem.unnamed(), chosen, key)
@@ -127,7 +132,7 @@ def predictive(problem: Problem, chains: Chains, count: int = DRAWS, *, key: PRN
 
 def check(problem: Problem, chains: Chains, *, key: PRNGKey) -> Check:
     """Posterior predictive checks, by the residuals' size and by their pattern."""
-    _, simulated, models, sds = predictive(problem, chains, key=key)
+    _, simulated, models, sds = _drawn(problem, chains, DRAWS, key)
     size, pattern = [], []
     for values in (tuple(o.values for o in problem.observations), simulated):
         total, alike = 0.0, 0.0

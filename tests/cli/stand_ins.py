@@ -105,7 +105,7 @@ def without_search(monkeypatch):
 
     def predictive(problem, chains, count=20, *, key):
         values = [np.tile(np.asarray(o.values), (count, 1)) for o in problem.observations]
-        return chains.z.reshape(-1, chains.z.shape[-1])[:count], values, values, values
+        return chains.z.reshape(-1, chains.z.shape[-1])[:count], values, values
 
     def pointwise(problem, z):
         # arviz asks for tails that vary.
