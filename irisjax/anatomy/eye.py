@@ -17,6 +17,7 @@ from jaxtyping import Array, Float
 from irisjax._types import Scalar, as_float, as_float_or_none
 from irisjax.anatomy.media import AQUEOUS, CORNEA, INDEX, Media
 from irisjax.numerics.checks import Range, check_fields
+from irisjax.numerics.programs import program
 from irisjax.numerics.roots import safe_sqrt
 from irisjax.optics.conicoid import Conicoid, Vector, parts
 
@@ -138,7 +139,8 @@ class Eye(eqx.Module):
         if self.cornea is not None and not any(
             isinstance(x, Tracer) for x in jax.tree.leaves(decide)
         ):
-            least = _least_depth(self, self.cornea)
+            slope = 0.0 if self.iris_slope is None else self.iris_slope
+            least = float(_least_depth(self.cornea, self.iris_radius, self.limbus_radius, slope))
             if not float(self.iris_depth) > least:
                 raise ValueError(
                     f"iris_depth = {float(self.iris_depth):g} mm puts the iris into the cornea or "
@@ -193,12 +195,12 @@ class Eye(eqx.Module):
         return jnp.stack([rise * x, rise * y, -jnp.ones_like(x) / length], axis=-1)
 
 
-def _least_depth(eye: Eye, cornea: Cornea) -> float:
+@program
+def _least_depth(cornea: Cornea, iris_radius, limbus_radius, slope) -> Scalar:
     """Depth (mm) that the iris must exceed to lie behind the whole cornea: surfaces bulge forward,
     so that its root meets them first, or, where it rises to the root, its middle."""
     back = cornea.anterior if cornea.posterior is None else cornea.posterior
-    r = jnp.minimum(eye.iris_radius, eye.limbus_radius)  # beyond the limbus there is no cornea
-    slope = 0.0 if eye.iris_slope is None else float(eye.iris_slope)
-    root = float(back.apex + back.sagitta(r)) - slope * float(r)
-    limbus = float(cornea.anterior.apex + cornea.anterior.sagitta(eye.limbus_radius))
-    return max(root, limbus, float(back.apex))
+    r = jnp.minimum(iris_radius, limbus_radius)  # beyond the limbus there is no cornea
+    root = back.apex + back.sagitta(r) - slope * r
+    limbus = cornea.anterior.apex + cornea.anterior.sagitta(limbus_radius)
+    return jnp.maximum(jnp.maximum(root, limbus), back.apex)

@@ -41,7 +41,7 @@ def export(subject: EyeWithPupil, handover: Handover) -> None:
     """
     output = handover.output
     check_folder(output)
-    scene = changed(subject.read().scene(), pupil=subject.pupil)
+    scene = changed(subject.read().scene(), pupil_radius=subject.pupil_radius)
     made = write(output, scene, spacing=handover.spacing)
     off = ", ".join(f"{100 * v:.2g} %" for v in np.asarray(made.error.rms))
     typer.echo(

@@ -19,9 +19,10 @@ from irisjax.cli.options import (
     overrules,
     read_seed,
     whole,
+    within,
 )
 from irisjax.measure.colour import OBSERVER
-from irisjax.measure.instrument import Cornea
+from irisjax.measure.instrument import GAIN, Cornea
 from irisjax.tissue.pigments import check_covered, common_range
 
 _VISIBLE, _GREEN, _WHOLE = Grid("400:700:10"), Grid("550"), Grid("380:780:5")
@@ -183,9 +184,7 @@ class NoisyLight(EyeLight):
 
     gain: Annotated[
         float,
-        option(
-            parse=number(0, 1e6), metavar="number", help="factor of the instrument on every value"
-        ),
+        option(parse=within(GAIN), metavar="number", help=GAIN.meaning),
     ] = 1.0
     relative_noise: Annotated[
         float,

@@ -195,14 +195,19 @@ def grid(check: Callable[[np.ndarray], None] | None = None) -> Callable[[str], G
 
 def number(low: float = -math.inf, high: float = math.inf) -> Callable[[str], float]:
     """Parser of numbers, in [low, high] if either is given."""
-    allowed = Range(low, high)
+    return within(Range(low, high))
+
+
+def within(allowed: Range) -> Callable[[str], float]:
+    """Parser of numbers in a range."""
+    bounded = allowed.low > -math.inf or allowed.high < math.inf
 
     def parse(text: str) -> float:
         try:
             value = float(text)
         except ValueError:
             raise ValueError(f"{text!r} is not a number") from None
-        if (low > -math.inf or high < math.inf) and not allowed.holds(value):
+        if bounded and not allowed.holds(value):
             raise ValueError(f"{text} is outside {allowed}")
         return value
 

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
-import jax.numpy as jnp
 import numpy as np
 from tqdm import tqdm
 
@@ -19,6 +18,7 @@ from irisjax.cli.options import Grid, Group, grid, grouped, option, whole
 from irisjax.cli.scenes import EyeWithPupil, changed
 from irisjax.measure.colour import srgb_encode
 from irisjax.numerics.checks import Range, check_range
+from irisjax.numerics.programs import program
 from irisjax.render import scene as staging
 from irisjax.render.separable import Separable
 from irisjax.render.single_scattering import SingleScattering
@@ -161,7 +161,7 @@ def render(view: View, picture: Picture, files: PictureFile) -> None:
         raise ValueError(
             "--spectral needs lamps: an environment has colours, not spectra; give --light"
         )
-    scene = changed(file.scene(), view.light, view.pupil, picture.size, view.camera)
+    scene = changed(file.scene(), view.light, view.pupil_radius, picture.size, view.camera)
     scene = scene.replace(integrator=_INTEGRATORS[picture.integrator]())
     tinted = scene.lights is not None and scene.lights.tint is not None
     if picture.spectral is not None and tinted:
@@ -212,23 +212,26 @@ def _still(scene: staging.Scene, picture: Picture, exposure: float, output: Path
             clipped = io.write_png(
                 output, map(_encoded, lit()), bits=picture.bits, remark=remark, rows=height
             )
-    _tell(output, clipped, width * height)
-    if lightest <= 0:
-        print(
-            f"irisjax: {output}: the picture is black: no light falls on what the camera sees",
-            file=sys.stderr,
-        )
+    _tell(output, clipped, width * height, lightest)
+
+
+_encode = program(srgb_encode)
 
 
 def _encoded(picture: np.ndarray) -> np.ndarray:
-    return np.asarray(srgb_encode(jnp.asarray(picture)))
+    return np.asarray(_encode(picture))
 
 
-def _tell(output: Path, clipped: int, count: int) -> None:
+def _tell(output: Path, clipped: int, count: int, lightest: float) -> None:
     if clipped:
         share = 100 * clipped / count
         print(
             f"irisjax: {output}: {clipped} pixels ({share:.2g} %) out of sRGB's range are clipped",
+            file=sys.stderr,
+        )
+    if lightest <= 0:
+        print(
+            f"irisjax: {output}: the picture is black: no light falls on what the camera sees",
             file=sys.stderr,
         )
 
@@ -244,7 +247,15 @@ def _animated(scene: staging.Scene, change: str, count: int, exposure: float, ou
         unit="frame",
         disable=not sys.stderr.isatty(),
     )
-    pictures = (exposure * picture for picture in found)
+    lightest = 0.0
+
+    def lit():
+        nonlocal lightest
+        for picture in found:
+            lightest = max(lightest, float(np.max(picture)))
+            yield exposure * picture
+
+    pictures = lit()
     remark = f"simulated by irisjax; {change}, {count} frames"
     if _is_sheet(output):
         clipped = io.write_png(
@@ -252,4 +263,4 @@ def _animated(scene: staging.Scene, change: str, count: int, exposure: float, ou
         )
     else:
         clipped = io.write_movie(output, map(_encoded, pictures), remark=remark)
-    _tell(output, clipped, count * scene.camera.size[0] * scene.camera.size[1])
+    _tell(output, clipped, count * scene.camera.size[0] * scene.camera.size[1], lightest)

@@ -8,11 +8,14 @@ from typing import Annotated
 
 import typer
 
-from irisjax.cli.options import SEED_HELP, Group, number, option, read_seed
+from irisjax.anatomy import eye
+from irisjax.cli.options import SEED_HELP, Group, option, read_seed, within
 from irisjax.grow.presets import PRESETS
 from irisjax.io.scenes import SceneFile, parse_scene, read_scene
 from irisjax.render import scene as staging
 from irisjax.render.lights import Lights
+
+_PUPIL = eye.LIMITS["pupil_radius"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -46,7 +49,10 @@ class Subject(Group):
 class EyeWithPupil(Subject):
     """Which eye, its pupil how wide."""
 
-    pupil: Annotated[str | None, option(metavar="MM", help="diameter, 0.5 to 9.5")] = None
+    pupil_radius: Annotated[
+        float | None,
+        option(parse=within(_PUPIL), metavar="MM", help=f"{_PUPIL.low:g} to {_PUPIL.high:g}"),
+    ] = None
 
 
 def scene_file(path: Path | None, name: str | None, seed: int) -> SceneFile:
@@ -72,7 +78,9 @@ def scene_file(path: Path | None, name: str | None, seed: int) -> SceneFile:
     )
 
 
-def changed(scene: staging.Scene, light=None, pupil=None, size=None, camera=None) -> staging.Scene:
+def changed(
+    scene: staging.Scene, light=None, pupil_radius=None, size=None, camera=None
+) -> staging.Scene:
     """A scene with lamps, pupil (mm), picture size or camera as the options write them."""
     if light:
         lamps = [_lamp(text, scene.illuminant) for text in light]
@@ -80,12 +88,8 @@ def changed(scene: staging.Scene, light=None, pupil=None, size=None, camera=None
         for lamp in lamps[1:]:
             joined = joined + lamp
         scene = scene.replace(lights=joined, environment=None)
-    if pupil is not None:
-        try:
-            diameter = number(0.5, 9.5)(pupil)
-        except ValueError as error:
-            raise ValueError(f"--pupil: {error}; it is a diameter from 0.5 to 9.5 mm") from None
-        scene = scene.replace(eye=scene.eye.replace(pupil_radius=diameter / 2))
+    if pupil_radius is not None:
+        scene = scene.replace(eye=scene.eye.replace(pupil_radius=pupil_radius))
     if size is not None:
         width, cross, height = size.partition("x")
         if not (cross and width.isdigit() and height.isdigit()):

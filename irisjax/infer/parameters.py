@@ -6,8 +6,9 @@ from typing import Any, NamedTuple
 import jax.numpy as jnp
 
 from irisjax.infer.priors import AbstractPrior, LogitNormal, LogNormal, Uniform
+from irisjax.measure.instrument import GAIN
 from irisjax.numerics.checks import Range
-from irisjax.tissue.iris import Iris
+from irisjax.tissue.iris import LIMITS, MELANIN_LOAD, Iris
 
 
 class Parameter(NamedTuple):
@@ -21,11 +22,12 @@ class Parameter(NamedTuple):
     prior: AbstractPrior
     meaning: str
     source: str
+    above: bool = False  # `low` itself is not allowed
 
     @property
     def allowed(self) -> Range:
         """Its bounds, with their unit."""
-        return Range(self.low, self.high, self.unit, self.meaning)
+        return Range(self.low, self.high, self.unit, self.meaning, self.above)
 
 
 _INF = float("inf")
@@ -35,7 +37,7 @@ PARAMETERS: dict[str, Parameter] = {
     "melanin_load": Parameter(
         "ug/mm2",
         0,
-        _INF,
+        MELANIN_LOAD.high,
         LogNormal(0.15, 1.2),
         "melanin mass per iris area",
         "two thirds between 0.045 and 0.5: LB06 Table 2 has 0.048 (low), 0.35, 0.44 (high)",
@@ -59,7 +61,7 @@ PARAMETERS: dict[str, Parameter] = {
     "hemoglobin": Parameter(
         "mmol/l",
         0,
-        _INF,
+        LIMITS["oxyhemoglobin"].high,
         LogNormal(0.084, 0.5),
         "haemoglobin of both kinds in the stroma",
         "LB06 Table 2: 0.084; a factor 1.6 either way",
@@ -75,7 +77,7 @@ PARAMETERS: dict[str, Parameter] = {
     "stroma_thickness": Parameter(
         "mm",
         0,
-        _INF,
+        LIMITS["stroma_thickness"].high,
         LogNormal(0.2855, 0.2),
         "thickness of the stroma",
         "LB06 Section 3.1, 20 % either way",
@@ -83,7 +85,7 @@ PARAMETERS: dict[str, Parameter] = {
     "abl_thickness": Parameter(
         "mm",
         0,
-        _INF,
+        LIMITS["abl_thickness"].high,
         LogNormal(0.05675, 0.2),
         "thickness of the anterior border layer",
         "LB06 Section 3.1, 20 % either way",
@@ -99,10 +101,11 @@ PARAMETERS: dict[str, Parameter] = {
     "gain": Parameter(
         "",
         0,
-        _INF,
+        GAIN.high,
         LogNormal(1.0, 0.03),
         "factor of the instrument on every value",
         "calibration of a reflectance standard, 3 %",
+        above=True,
     ),
     "noise": Parameter(
         "",
@@ -111,6 +114,7 @@ PARAMETERS: dict[str, Parameter] = {
         LogNormal(1.0, 0.5),
         "factor on the stated standard deviations",
         "statements of noise hold to a factor of 1.6",
+        above=True,
     ),
 }
 """Every parameter by name."""

@@ -5,12 +5,24 @@ import re
 from collections.abc import Callable
 from typing import Any
 
+from irisjax.anatomy import eye
+from irisjax.anatomy.media import INDEX
 from irisjax.grow.presets import PRESETS
 from irisjax.measure.colour import illuminant_power
 from irisjax.numerics.checks import Range
-from irisjax.tissue.iris import LIMITS
+from irisjax.render import camera, lights
+from irisjax.tissue.iris import LIMITS, MELANIN_LOAD
 
 _LEVELS = ("low", "moderate", "high")
+_OF_EYES = (
+    "veins",
+    "iris_depth",
+    "iris_slope",
+    "limbus_radius",
+    "iris_radius",
+    "pupil_radius",
+    "attenuation",
+)
 
 
 def _number(low: float = -math.inf, high: float = math.inf, unit="") -> Callable[[Any], float]:
@@ -71,16 +83,14 @@ def _illuminant(value):
 def _size(value):
     if not (isinstance(value, list) and len(value) == 2):
         raise ValueError("must be [width, height]")
-    return tuple(_whole(1, 16384)(v) for v in value)
+    return tuple(_whole(1, camera.LARGEST)(v) for v in value)
 
 
-def _three(
-    form: str, low: float = -math.inf, high: float = math.inf
-) -> Callable[[Any], list[float]]:
+def _three(form: str, allowed: Range) -> Callable[[Any], list[float]]:
     def check(value):
         if not (isinstance(value, list) and len(value) == 3):
             raise ValueError(f"must be {form}")
-        return [_number(low, high)(v) for v in value]
+        return [_within(allowed)(v) for v in value]
 
     return check
 
@@ -96,49 +106,34 @@ FEATURES: dict[str, Callable[[Any], Any]] = {
     "relief": _number(0, 1),
 }
 _DEGREES = _number(-360, 360)
-# mm: a model may be thicker, an iris in its chamber not; micrometres by mistake would be.
-_THICKEST = 3.0
 SECTIONS: dict[str, dict[str, Callable[[Any], Any]]] = {
     "iris": {
         "preset": _one(*PRESETS),
         "level": _one(*_LEVELS),
-        "melanin_load": _number(0),
+        "melanin_load": _within(MELANIN_LOAD),
         **{name: _within(limits) for name, limits in LIMITS.items()},
-        "abl_thickness": _number(0, _THICKEST, "mm"),
-        "stroma_thickness": _number(0, _THICKEST, "mm"),
     },
     "maps": {"seed": _whole(0, 2**32 - 1), "file": _text, "uniform": _bool, **FEATURES},
     "eye": {
         "cornea": _one("two-surfaces", "f09", "none"),
         "sclera": _bool,
-        "veins": _number(0, 10),
-        **{
-            n: _number()
-            for n in (
-                "iris_depth",
-                "iris_slope",
-                "limbus_radius",
-                "iris_radius",
-                "pupil_radius",
-                "aqueous_index",
-                "attenuation",
-            )
-        },
+        **{name: _within(limits) for name, limits in eye.LIMITS.items() if name in _OF_EYES},
+        "aqueous_index": _within(INDEX),
     },
     "camera": {
         "polar_deg": _number(0, 180),
         "azimuth_deg": _DEGREES,
-        "distance": _number(30, 1e5, "mm"),
-        "width": _number(0.1, 100, "mm"),
+        "distance": _within(camera.LIMITS["distance"]),
+        "width": _within(camera.LIMITS["width"]),
         "size": _size,
     },
     "light": {
         "polar_deg": _number(0, 180),
         "azimuth_deg": _DEGREES,
-        "position": _three("[x, y, z] in mm"),
-        "irradiance": _number(0, 1e6),
+        "position": _three("[x, y, z] in mm", Range(-math.inf, math.inf)),
+        "irradiance": _within(lights.LIMITS["irradiance"]),
         "radius_deg": _number(0.01, 60),
-        "colour": _three("[red, green, blue]", 0, 1e3),
+        "colour": _three("[red, green, blue]", lights.LIMITS["tint"]),
     },
     "environment": {
         "file": _text,

@@ -12,12 +12,15 @@ import numpy as np
 from irisjax._types import Scalar, Spectrum
 from irisjax.anatomy.media import Media
 from irisjax.measure.measurement import check_cosine, check_wavelengths
-from irisjax.numerics.checks import check_scalars
+from irisjax.numerics.checks import Range, check_range, check_scalars
 from irisjax.tissue.pigments import Extinction, extinction
 from irisjax.transport.incidence import DIFFUSE
 from irisjax.transport.solution import Solution
 
 Cornea = Literal["none", "inward", "round-trip"]
+
+GAIN = Range(0, 1e6, meaning="factor of the instrument on every value", above=True)
+"""Allowed gains."""
 
 
 class AbstractInstrument(eqx.Module):
@@ -66,6 +69,7 @@ class AbstractInstrument(eqx.Module):
         self.pigments = extinction(wavelengths)
         if np.shape(gain):
             raise ValueError(f"gain has shape {np.shape(gain)}; it must be one number")
+        check_range("gain", gain, GAIN)
         dtype = self.pigments.wavelengths.dtype
         self.cos_incidence = None if diffuse else _number(cos_incidence, dtype)
         self.media = Media.default() if media is None else media

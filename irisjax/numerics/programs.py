@@ -1,8 +1,9 @@
-"""Compiled functions whose traced programs outlive the process.
+"""Compiled functions that outlive the process.
 
 Tracing and lowering a spectrum's or a picture's program takes longer than running it, and JAX's
-compilation cache saves only what comes after. `program` keeps the lowered program itself
-(`jax.export`), in the folder that `keep_programs` names; without one it is `equinox.filter_jit`.
+compilation cache saves only what comes after. `program` keeps what the compiler made, in the folder
+that `keep_programs` names; without one it is `equinox.filter_jit`. The files are pickles: whoever
+may write to that folder may run code as its user, as with JAX's cache.
 """
 
 import functools
@@ -11,11 +12,13 @@ import importlib.metadata
 import itertools
 import os
 import pickle
+import platform
+import secrets
 import shutil
 import sys
 import tempfile
 import threading
-from collections.abc import Callable, Hashable, Sequence
+from collections.abc import Callable, Hashable
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -23,6 +26,7 @@ import equinox as eqx
 import jax
 import numpy as np
 from jax.core import Tracer
+from jax.experimental import serialize_executable
 
 _MOST_VERSIONS = 4  # of the package, whose programs are kept side by side
 _PACKAGES = ("jax", "jaxlib", "equinox", "optimistix", "lineax", "numpy")
@@ -107,36 +111,33 @@ class Program:
         form = _form_of(args)[1]
         try:
             seen = [(shape, str(dtype), weak) for shape, dtype, weak in types]
-            words = pickle.dumps([self._name, form, seen, _settings()], protocol=5)
+            words = pickle.dumps([self._name, form, seen, _settings(), _machine()], protocol=5)
         except Exception:  # whatever an object says that has no pickle
             return None
         path = _versions(_folder) / hashlib.sha256(words).hexdigest()
         try:
-            told, exported = pickle.loads(path.read_bytes())
-            lowered = jax.export.deserialize(bytearray(exported))
-        except Exception:  # not there, or half a file: made again
-            made = _exported(self._function, form, types)
-            if made is None:
-                return None
-            lowered, told = made
-            _write(path, pickle.dumps((told, lowered.serialize()), protocol=5))
-        return _Kept(jax.jit(lowered.call, compiler_options=_compiler_options()), told)
+            told, linear_algebra, *executable = pickle.loads(path.read_bytes())
+            if linear_algebra:
+                _load_lapack()
+            return _Kept(serialize_executable.deserialize_and_load(*executable), told)
+        except Exception:  # not there, half a file, a compiler of another kind: made again
+            compiled, told, linear_algebra = _compiled(self._function, form, types)
+        try:
+            executable = serialize_executable.serialize(compiled)
+            _write(path, pickle.dumps((told, linear_algebra, *executable), protocol=5))
+        except Exception:  # results without a pickle, a compiler that gives nothing away
+            pass
+        return _Kept(compiled, told)
 
 
-class _Kept:
-    """A program of flat arrays and the form of what it gives."""
+class _Kept(NamedTuple):
+    """A compiled program of flat arrays and the form of what it gives."""
 
-    def __init__(self, call: Callable[..., Sequence[Any]], form: Any):
-        self._call, self._form = call, form
-        self._first: threading.Lock | None = threading.Lock()
+    program: jax.stages.Compiled
+    form: Any
 
     def __call__(self, arrays):
-        if (first := self._first) is not None:
-            with first:  # two threads would both compile
-                found = self._call(*arrays)
-                self._first = None
-            return _filled(self._form, found)
-        return _filled(self._form, self._call(*arrays))
+        return _filled(self.form, self.program(*arrays))
 
 
 class _Array(NamedTuple):
@@ -145,8 +146,8 @@ class _Array(NamedTuple):
     place: int
 
 
-def _exported(function, form, types):
-    """The lowered program and the form of its results; `None` where it cannot be kept."""
+def _compiled(function, form, types) -> tuple[jax.stages.Compiled, Any, bool]:
+    """The compiled program, the form of its results, and whether it calls LAPACK."""
     forms = []
 
     def flat(*arrays):
@@ -154,15 +155,20 @@ def _exported(function, form, types):
         forms.append(told)
         return out
 
+    # Under a name of its own JAX's cache does not have it: what comes from there cannot be
+    # serialised a second time (jaxlib 0.10).
+    flat.__name__ = f"kept_{secrets.token_hex(8)}"
     shapes = [jax.ShapeDtypeStruct(shape, dtype, weak_type=weak) for shape, dtype, weak in types]
-    lowered = jax.export.export(jax.jit(flat))(*shapes)
-    # A kept program would make them strong, and so change the types of what follows.
-    weak = any(aval.weak_type for aval in lowered.out_avals if hasattr(aval, "weak_type"))
-    try:
-        pickle.loads(pickle.dumps(forms[-1], protocol=5))
-    except Exception:
-        return None
-    return None if weak else (lowered, forms[-1])
+    lowered = jax.jit(flat, compiler_options=_compiler_options()).lower(*shapes)
+    return lowered.compile(), forms[-1], "lapack" in lowered.as_text()
+
+
+@functools.cache
+def _load_lapack() -> None:
+    """JAX loads it where it lowers a function of it; a program that is there already would call
+    what is not.
+    """
+    jax.jit(jax.numpy.linalg.cholesky).lower(jax.ShapeDtypeStruct((1, 1), np.float32))
 
 
 def _compiler_options() -> dict[str, Any] | None:
@@ -211,6 +217,19 @@ def _settings() -> tuple[Any, ...]:
         os.cpu_count(),
         *(str(getattr(jax.config, name, None)) for name in _SETTINGS),
     )
+
+
+@functools.cache
+def _machine() -> tuple[str, ...]:
+    """What a processor's programs are compiled for; a home may be shared by several machines."""
+    device = jax.devices()[0]
+    about = device.device_kind, device.client.platform_version, platform.machine()
+    try:
+        lines = Path("/proc/cpuinfo").read_text().splitlines()
+        found = [line for line in lines if line.startswith(("flags", "Features"))][:1]
+    except OSError:
+        found = [platform.processor()]
+    return (*about, *found, os.environ.get("XLA_FLAGS", ""))
 
 
 @functools.lru_cache(maxsize=4)

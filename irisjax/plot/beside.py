@@ -4,6 +4,7 @@ Importing matplotlib and drawing hold Python's lock: threads would gain nothing.
 """
 
 import contextlib
+import importlib
 import os
 import pickle
 import subprocess
@@ -69,8 +70,8 @@ def _drawn(picture: Future[bytes], name: str, args: Any) -> Later:
 
 def main() -> None:
     """Draw what comes on standard input until it ends."""
-    import corner  # noqa: F401 (what the first figure would wait for)
-    import matplotlib.figure  # noqa: F401
+    for name in ("corner", "matplotlib.figure"):  # the first figure would wait for them
+        importlib.import_module(name)
 
     pictures = os.fdopen(os.dup(sys.stdout.fileno()), "wb")
     while True:

@@ -16,6 +16,7 @@ from jaxtyping import Array, Float
 
 from irisjax.anatomy.eye import Cornea
 from irisjax.measure.colour import OBSERVER, illuminant_power, tristimulus_matrix
+from irisjax.numerics.programs import program
 
 GRID = 380 + 5.0 * np.arange(81)
 """Wavelengths (nm) that the bands stand for."""
@@ -67,6 +68,7 @@ def spectral_bands(wavelengths, illuminant: str = "D65", cornea: Cornea | None =
     )
 
 
+@program
 def _haze(cornea: Cornea | None, wavelengths: np.ndarray) -> Array:
     """Share that passes the haze of a cornea twice."""
     x = jnp.asarray(wavelengths, jnp.result_type(float))

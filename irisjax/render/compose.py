@@ -168,14 +168,17 @@ def _numbers(pixels: MirrorPixels):
     return every if pixels.index is None else jnp.maximum(pixels.index, 0)
 
 
+@program
 def _sclera_colours(sclera: Sclera, clear: Bands) -> ColourTable:
     return colour_table(sclera, np.asarray(clear.wavelengths), clear.weights)
 
 
+@program
 def _ones(clear: Bands):
     return jnp.ones_like(clear.weights[:, 0])
 
 
+@program
 def _black(lamp, pixels: int):
     return jnp.zeros((lamp.size, pixels), lamp.dtype)
 

@@ -8,10 +8,11 @@ from jaxtyping import Array, Float
 
 from irisjax._types import Scalar, as_float, as_float_or_none
 from irisjax.numerics.checks import Range, check_range
+from irisjax.numerics.programs import program
 
 LIMITS = {
-    "irradiance": Range(0, np.inf),
-    "tint": Range(0, np.inf),
+    "irradiance": Range(0, 1e6),
+    "tint": Range(0, 1e6),
     "radius": Range(0, np.pi + 1e-6, "radians", above=True),  # of regions of an environment to pi
 }
 """Allowed range of each number of a light."""
@@ -138,7 +139,7 @@ class Lights(eqx.Module):
 
     def polar(self) -> Float[Array, " lights"]:
         """Angle of each light from the eye's axis, radians."""
-        return jnp.arctan2(jnp.hypot(self.towards[:, 0], self.towards[:, 1]), -self.towards[:, 2])
+        return _polar(self.towards)
 
     def around(
         self, point: tuple[Float[Array, " pixels"], ...]
@@ -165,3 +166,8 @@ class Lights(eqx.Module):
         offset = towards - point * near
         square = (offset * offset).sum(-1)
         return offset / jnp.sqrt(square)[..., None], power / square
+
+
+@program
+def _polar(towards):
+    return jnp.arctan2(jnp.hypot(towards[:, 0], towards[:, 1]), -towards[:, 2])

@@ -25,16 +25,17 @@ from irisjax.tissue.layers import Layers
 from irisjax.tissue.pigments import Extinction
 
 _INF = float("inf")
+_PURE = Range(0, 2000, "mg/ml")  # denser than melanin itself
 LIMITS: dict[str, Range] = {
-    "eumelanin": Range(0, _INF, "mg/ml", "eumelanin over the whole iris"),
-    "pheomelanin": Range(0, _INF, "mg/ml", "pheomelanin over the whole iris"),
+    "eumelanin": _PURE._replace(meaning="eumelanin over the whole iris"),
+    "pheomelanin": _PURE._replace(meaning="pheomelanin over the whole iris"),
     "abl_fraction": Range(0, 1, "", "share of the melanin mass in the anterior border layer"),
-    "oxyhemoglobin": Range(0, _INF, "mmol/l", "oxyhaemoglobin in the stroma"),
-    "deoxyhemoglobin": Range(0, _INF, "mmol/l", "deoxyhaemoglobin in the stroma"),
-    "lutein": Range(0, _INF, "mg/ml", "lutein in the stroma"),
-    "zeaxanthin": Range(0, _INF, "mg/ml", "zeaxanthin in the stroma"),
-    "abl_thickness": Range(0, _INF, "mm", "thickness of the anterior border layer"),
-    "stroma_thickness": Range(0, _INF, "mm", "thickness of the stroma"),
+    "oxyhemoglobin": Range(0, 10, "mmol/l", "oxyhaemoglobin in the stroma"),
+    "deoxyhemoglobin": Range(0, 10, "mmol/l", "deoxyhaemoglobin in the stroma"),
+    "lutein": Range(0, 1000, "mg/ml", "lutein in the stroma"),
+    "zeaxanthin": Range(0, 1000, "mg/ml", "zeaxanthin in the stroma"),
+    "abl_thickness": Range(0, 3, "mm", "thickness of the anterior border layer"),
+    "stroma_thickness": Range(0, 3, "mm", "thickness of the stroma"),
     "intensification": Range(
         0, _INF, "", "factor of intensification of melanin absorption", above=True
     ),
@@ -50,6 +51,8 @@ LIMITS: dict[str, Range] = {
     "scattering_scale": Range(0, _INF, "", "factor on the stroma's scattering"),
 }
 """Every settable number of `Iris` with its allowed range and unit."""
+MELANIN_LOAD = Range(0, 500, "ug/mm2", "melanin mass per iris area")
+"""Allowed melanin loads: the most is a quarter of a millimetre of melanin."""
 
 # Fields that decide the order of media.
 _OPTICAL = {n for n in LIMITS if n.endswith("_index")} | {
@@ -151,7 +154,7 @@ class Iris(eqx.Module):
         if load is None:
             return iris
         load = _as_float("melanin_load", load)
-        check_range("melanin_load", load, Range(0, _INF, "ug/mm2"))
+        check_range("melanin_load", load, MELANIN_LOAD)
         total = iris.eumelanin + iris.pheomelanin
         none = total <= 0
         share = jnp.where(none, 0.0, iris.pheomelanin / jnp.where(none, 1.0, total))

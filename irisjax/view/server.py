@@ -42,7 +42,7 @@ _SLIDERS: dict[str, dict[str, tuple[str, float, float, float, str]]] = {
         ),
         "hemoglobin": ("blood", 0, 1, 0.002, "haemoglobin in the stroma, mmol/l"),
         "saturation": ("oxygen", 0, 1, 0.01, "saturation of the haemoglobin"),
-        "pupil": ("pupil", 1, 9, 0.1, "diameter, mm"),
+        "pupil_radius": ("pupil", 0.5, 4.5, 0.05, "radius, mm"),
     },
     "Light": {
         "light_polar": ("lamp angle", 0, 90, 1, "degrees from the eye's axis"),

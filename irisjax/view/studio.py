@@ -41,7 +41,7 @@ class Settings:
 
     - `preset`, `environment`: a name, or `GIVEN` for the scene's own. `seed`: of a preset's maps.
     - Concentrations as in `Iris`; `hemoglobin`: both forms together, mmol/l; `stroma`: thickness
-        relative to the iris's own, at equal concentrations. `pupil`: diameter, mm.
+        relative to the iris's own, at equal concentrations. `pupil_radius`: mm.
     - `light_*`: of the first lamp, degrees; `strength`: factor on the environment; `exposure`: on
         the picture.
     - `camera_*`: degrees; `width` of the field, mm.
@@ -55,7 +55,7 @@ class Settings:
     stroma: float = 1.0
     hemoglobin: float = 0.0
     saturation: float = 0.5
-    pupil: float = 3.8
+    pupil_radius: float = 1.9
     light_polar: float = 35.0
     light_azimuth: float = 120.0
     irradiance: float = 0.0
@@ -95,9 +95,9 @@ class Studio:
         self._kept: dict[Any, tuple[Any, Any]] = {}
         self._memory = {draft: Memory(threads) for draft in (False, True)}
         self.error = 0.0
-        camera, pupil = scene.camera, 2 * float(scene.eye.pupil_radius)
+        camera = scene.camera
         start = {
-            "pupil": round(pupil, 6),
+            "pupil_radius": round(float(scene.eye.pupil_radius), 6),
             "camera_polar": _degrees(camera.polar),
             "camera_azimuth": _degrees(camera.azimuth),
             "width": float(camera.width),
@@ -186,7 +186,7 @@ class Studio:
             tables = self._once(("tables", grazing), None, lambda: self._tables_of(scene))
             return memory.prepare(scene, tables, view)
 
-        return self._once(("stage", draft), (seen, lit, s.preset, s.seed, s.pupil), make)
+        return self._once(("stage", draft), (seen, lit, s.preset, s.seed, s.pupil_radius), make)
 
     def _grown(self, s: Settings) -> tuple[Iris, IrisMaps | None]:
         """Iris and maps before any slider is moved."""
@@ -221,7 +221,9 @@ class Studio:
         return base.replace(
             iris=iris,
             maps=maps,
-            eye=self._once("eye", s.pupil, lambda: base.eye.replace(pupil_radius=s.pupil / 2)),
+            eye=self._once(
+                "eye", s.pupil_radius, lambda: base.eye.replace(pupil_radius=s.pupil_radius)
+            ),
             lights=self._once("lights", _of(s, _LAMP), lambda: self._lamps(s)),
             environment=self._once(
                 "environment", (s.environment, s.strength), lambda: self._around(s)

@@ -82,7 +82,7 @@ def test_spectral_pictures_need_light_with_a_spectrum(irisjax, drawn, tmp_path, 
 
 def test_options_reach_the_scene(irisjax, drawn, tmp_path):
     path = scene(tmp_path, LAMP)
-    said = ("--camera", "20,90,11", "--pupil", "4", "--size", "32x24", "--exposure", "2")
+    said = ("--camera", "20,90,11", "--pupil-radius", "2", "--size", "32x24", "--exposure", "2")
     how = ("--samples", "3", "--integrator", "single-scattering", "--bits", "16")
     assert irisjax("render", path, *said, *how, "-o", "eye.png") == (0, "", "")
     ((found, picture, exposure, output),) = drawn

@@ -38,7 +38,7 @@ def test_command_makes_the_librarys_picture(irisjax, tmp_path):
 def test_options_go_before_the_file(irisjax, tmp_path):
     (tmp_path / "scene.toml").write_text(BARE)
     status, _, err = irisjax(
-        "render", "scene.toml", "--light", "0,0,3.14159265", "--pupil", "8", "--size", "9x7", "--exposure", "1e4", "-o", "a.exr"
+        "render", "scene.toml", "--light", "0,0,3.14159265", "--pupil-radius", "4", "--size", "9x7", "--exposure", "1e4", "-o", "a.exr"
     )  # fmt: skip
     assert (status, err) == (0, "")
     picture = io.read_image(tmp_path / "a.exr").pixels
@@ -151,6 +151,15 @@ def test_pigment_reaches_brown_from_any_eye():
     ).scene()
     light, dark = frames(scene.replace(camera=Camera(size=(8, 6))), "pigment", 2)
     assert dark.max(axis=(0, 1))[2] < 0.3 * light.max(axis=(0, 1))[2]
+
+
+def test_an_animation_without_light_is_said_to_be_black(irisjax, tmp_path):
+    path = tmp_path / "dark.toml"
+    path.write_text(BARE)
+    given = ("--light", "170,0", "--animate", "pupil", "--frames", 2, "-o", "dark.gif")
+    status, _, err = irisjax("render", path, *given)
+    assert status == 0
+    assert "dark.gif: the picture is black: no light falls on what the camera sees" in err
 
 
 def test_animations_return_to_their_first_frame(irisjax, tmp_path):

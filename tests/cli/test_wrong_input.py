@@ -6,11 +6,15 @@ from irisjax.cli import jobs
 
 WRONG = [
     (("--level", "middling"), "--level: unknown 'middling'; known: low, moderate, high"),
-    (("--eumelanin", "-1"), "eumelanin = -1 mg/ml is outside [0, inf) mg/ml"),
+    (("--eumelanin", "-1"), "eumelanin = -1 mg/ml is outside [0, 2000] mg/ml"),
     (("--eumelanin", "nan"), "eumelanin = nan mg/ml is outside"),
     (("--lutein", "much"), "--lutein: 'much' is not a number"),
     (("--abl-fraction", "1.5"), "abl_fraction = 1.5 is outside [0, 1]"),
     (("--melanin-load", "-0.1"), "melanin_load = -0.1"),
+    # What no tissue holds.
+    (("--melanin-load", "2e3"), "melanin_load = 2000 ug/mm2 is outside [0, 500] ug/mm2"),
+    (("--oxyhemoglobin", "50"), "oxyhemoglobin = 50 mmol/l is outside [0, 10] mmol/l"),
+    (("--stroma-thickness", "285"), "stroma_thickness = 285 mm is outside [0, 3] mm"),
     (("--pupil-radius", "2"), "--pupil-radius"),
     (("--tear-index", "0.9"), "--tear-index: 0.9 is outside [1, 3]"),
     (

@@ -150,7 +150,7 @@ def test_folder_is_new_or_empty(tmp_path, monkeypatch):
         (("--preset", "blue", "--spacing", "0"), "--spacing = 0 mm is outside [0.02, 2] mm"),
         (("--preset", "blue", "-o", "full"), "full: not empty; give a new folder"),
         (("--preset", "blue", "-o", "no/eye"), "no: no such folder"),
-        (("bare.toml", "--pupil", "12"), "--pupil: 12 is outside [0.5, 9.5]; it is a diameter"),
+        (("bare.toml", "--pupil-radius", "6"), "--pupil-radius: 6 is outside [0.25, 4.75] mm"),
         (("missing.toml",), "missing.toml: No such file"),
     ],
 )

@@ -3,6 +3,8 @@
 Examples by hand after the layouts that makers document: no measured file is in the project.
 """
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -20,20 +22,9 @@ def rows(separator, *columns, decimal="."):
     )
 
 
-OCEAN_VIEW = """Data from iris_Reflection_0001.txt Node
-
-Date: Mon Mar 04 10:11:12 CET 2024
-User: lab
-Spectrometer: FLMS12345
-Trigger mode: 0
-Integration Time (sec): 1.000000E-1
-Scans to average: 10
-Electric dark correction enabled: true
-XAxis mode: Wavelengths
-Number of Pixels in Spectrum: 6
->>>>>Begin Spectral Data<<<<<
-{rows}
-"""
+EXAMPLES = Path(__file__).parents[2] / "docs" / "how-to" / "files"
+BEGIN = ">>>>>Begin Spectral Data<<<<<\n"
+OCEAN_VIEW = (EXAMPLES / "oceanview.txt").read_text().split(BEGIN)[0] + BEGIN + "{rows}\n"
 SPECTRA_SUITE = """SpectraSuite Data File
 ++++++++++++++++++++++++++++++++++++
 Dark Spectrum Present: Yes

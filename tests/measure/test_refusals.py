@@ -94,6 +94,9 @@ def test_one_cosine_a_call(instrument, traced):
 def test_one_gain_and_one_medium():
     with pytest.raises(ValueError, match=r"gain has shape \(31,\)"):
         ij.Spectrophotometer(GRID, gain=MANY)
+    for none in (0.0, -1.0, np.inf):
+        with pytest.raises(ValueError, match=r"gain = .* is outside \(0, 1000000\]|\(0, 1e\+06\]"):
+            ij.Spectrophotometer(GRID, gain=none)
     with pytest.raises(REFUSED, match=r"aqueous"):
         ij.reflectance(ij.Iris(), GRID, media=ij.Media(aqueous=1 + MANY))
 

@@ -121,10 +121,16 @@ def test_half_a_file_is_made_again(folder):
 
 
 def test_what_cannot_be_kept_is_computed_all_the_same(folder):
-    # A function without a name in its module, and a result whose type is weak.
+    # A function without a name in its module.
     assert float(times(jnp.asarray(2.0), lambda x: 3 * x)) == 6
-    assert float(weak(jnp.asarray(2.0))[1]) == 2
     assert files(folder) == []
+
+
+def test_weak_types_stay_weak(folder):
+    for _ in range(2):
+        assert [x.weak_type for x in weak(jnp.asarray(2.0, jnp.float32))] == [False, True]
+        forgotten()
+    assert len(files(folder)) == 1
 
 
 def test_under_a_transformation_it_is_the_function(folder):
@@ -162,8 +168,8 @@ import irisjax as ij
 from irisjax.infer import pieces
 from irisjax.numerics import programs
 programs.keep_programs(sys.argv[1])
-made = programs._exported
-programs._exported = lambda *given: print("traced") or made(*given)
+made = programs._compiled
+programs._compiled = lambda *given: print("traced") or made(*given)
 m = ij.spectrum(np.linspace(400, 700, 4), np.full(4, 0.1), sd=0.01, name=sys.argv[2])
 print(repr(float(pieces.density(ij.problem(m))(np.zeros((2, 7)))[1])))
 """
@@ -182,3 +188,24 @@ def test_another_process_finds_it_whatever_the_file_is_called(tmp_path):
     ]
     assert told[0][0] == "traced"
     assert told[1] == told[0][1:]
+
+
+LINEAR_ALGEBRA = """
+import sys, jax, numpy as np
+from irisjax.numerics import programs
+programs.keep_programs(sys.argv[1])
+print(float(programs.Program(jax.numpy.linalg.det)(np.diag([2.0, 3.0]))))
+print(sum(p.is_file() for p in __import__("pathlib").Path(sys.argv[1]).rglob("*")))
+"""
+
+
+@pytest.mark.heavy  # two processes
+def test_a_kept_program_finds_lapack(tmp_path):
+    for _ in range(2):
+        told = subprocess.run(
+            [sys.executable, "-c", LINEAR_ALGEBRA, tmp_path],
+            capture_output=True,
+            text=True,
+            check=True,
+        ).stdout.split()
+        assert [float(x) for x in told] == [6.0, 1]

@@ -105,7 +105,7 @@ def test_quasi_beats_weighted():
 
 
 def test_standard_error_is_binomial_and_never_none():
-    black = ij.Iris.of_level("high").replace(melanin_load=1e4, abl_fraction=1.0)
+    black = ij.Iris.of_level("high").replace(melanin_load=500.0, abl_fraction=1.0)
     m = ij.reflectance(
         black, [450.0], solver=ij.MonteCarlo(1000), key=jax.random.key(0), first_surface=False
     )

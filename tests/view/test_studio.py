@@ -57,7 +57,7 @@ def test_a_change_costs_what_it_must(bare, counted):
         ({"exposure": 1.5}, (0, 0)),
         ({"light_polar": 50.0}, (0, 1)),
         ({"light_polar": 50.0}, (0, 0)),
-        ({"pupil": 5.0}, (0, 1)),
+        ({"pupil_radius": 2.5}, (0, 1)),
         ({"environment": "studio", "strength": 0.5}, (0, 1)),
         ({"camera_polar": 30.0, "camera_azimuth": 120.0}, (1, 1)),
         ({"width": 9.0}, (1, 1)),
@@ -103,7 +103,7 @@ def test_wrong_settings_change_nothing(bare):
         {"melanin": 1.0},
         {"preset": "violet"},
         {"environment": "cave"},
-        {"pupil": 20.0},
+        {"pupil_radius": 10.0},
         {"eumelanin": -1.0},
     ):
         with pytest.raises(ValueError, match=r"no such|unknown|outside|must be"):
@@ -115,8 +115,8 @@ def test_starts_as_the_scene_is():
     text = '[iris]\neumelanin = 0.4\n[maps]\nuniform = true\n[eye]\ncornea = "none"\npupil_radius = 1.4\n'
     text += "[camera]\npolar_deg = 20\nazimuth_deg = 30\n[[light]]\npolar_deg = 40\nazimuth_deg = 100\nirradiance = 2\n"
     found = Studio(parse_scene(text).scene()).settings
-    assert (found.pupil, found.camera_polar, found.camera_azimuth, found.environment) == (
-        2.8,
+    assert (found.pupil_radius, found.camera_polar, found.camera_azimuth, found.environment) == (
+        1.4,
         20,
         30,
         "none",
