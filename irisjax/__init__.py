@@ -67,6 +67,7 @@ if TYPE_CHECKING:
     from irisjax.transport.process import Ilit as Ilit
     from irisjax.transport.process import RadiativeTransfer as RadiativeTransfer
     from irisjax.transport.radiative.exact import RadiativeExact as RadiativeExact
+    from irisjax.transport.radiative.tabulated import RadiativeTabulated as RadiativeTabulated
     from irisjax.transport.solution import RESULTS as RESULTS
     from irisjax.transport.solution import Solution as Solution
     from irisjax.transport.solver import AbstractSolver as AbstractSolver
@@ -157,6 +158,7 @@ _HOMES = {
         "RadiativeTransfer",
     ),
     "transport.radiative.exact": ("RadiativeExact",),
+    "transport.radiative.tabulated": ("RadiativeTabulated",),
     "transport.solution": (
         "RESULTS",
         "Solution",

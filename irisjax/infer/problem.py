@@ -17,10 +17,9 @@ from irisjax.infer.priors import AbstractPrior, check_prior
 from irisjax.measure.observe import observed, prepared
 from irisjax.numerics.checks import check_range
 from irisjax.tissue.iris import Iris
-from irisjax.transport.ilit import shipped
+from irisjax.transport import shipped
 from irisjax.transport.pointwise import Pointwise
-from irisjax.transport.process import ILIT_2006, AbstractProcess, Ilit
-from irisjax.transport.radiative.exact import RadiativeExact
+from irisjax.transport.process import ILIT_2006, AbstractProcess
 from irisjax.transport.solution import RESULTS
 from irisjax.transport.solver import AbstractSolver
 
@@ -205,8 +204,7 @@ def problem(
     - `priors`: in place of those of `PARAMETERS`.
     - `separate`: names that each observation has for itself (two spots share blood, not melanin).
     - `base`: the iris for all that is neither free nor fixed; default LB06's, moderate.
-    - `solver`: default `IlitTabulated` for ILIT, `RadiativeExact(16, 8)` for radiative
-        transfer.
+    - `solver`: default `IlitTabulated` for ILIT, `RadiativeTabulated` for radiative transfer.
 
     **Raises:** `ValueError` for unknown names, values out of range, nothing free, or more than
     1,000 values with a correlated discrepancy.
@@ -248,9 +246,8 @@ def problem(
         )
     base = Iris() if base is None else base
     first = seen[0].instrument
-    if solver is None and isinstance(process, Ilit):
+    if solver is None:
         solver = shipped.table(base.indices(first.media.aqueous), process)
-    solver = RadiativeExact(16, 8) if solver is None else solver
     dtype = jnp.result_type(float)
     start = {**of_iris(base), **fixed}
     return Problem(

@@ -26,6 +26,11 @@ def chebyshev(t: Float[Array, "..."], count: int):
     return values, slopes
 
 
+def chebyshev_nodes(n: int) -> np.ndarray:
+    """Zeros of T_n, where a polynomial of degree n − 1 is fixed best."""
+    return np.cos(np.pi * (np.arange(n) + 0.5) / n)
+
+
 def smoothstep(x: Float[Array, "..."]) -> Float[Array, "..."]:
     """Smooth rise from 0 to 1 between the same."""
     x = jnp.clip(x, 0.0, 1.0)

@@ -52,11 +52,6 @@ def polynomials(x: Float[Array, " pixels"], count: int) -> Float[Array, "count p
     return jnp.stack(chebyshev(x, max(count, 2))[0][:count])
 
 
-def chebyshev_nodes(n: int) -> np.ndarray:
-    """Zeros of T_n, where a polynomial of degree n − 1 is fixed best."""
-    return np.cos(np.pi * (np.arange(n) + 0.5) / n)
-
-
 # The response changes fast where a layer is thin: equal steps in the logarithm of one plus a few
 # times the scale.
 _BEND = 3.0

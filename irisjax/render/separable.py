@@ -20,6 +20,7 @@ from jaxtyping import Array, Float, Int
 
 from irisjax._types import Scalar
 from irisjax.anatomy.eye import Eye
+from irisjax.numerics.interpolation import chebyshev_nodes
 from irisjax.numerics.programs import program
 from irisjax.optics.fresnel import fresnel, refract
 from irisjax.render.bands import Bands
@@ -28,7 +29,6 @@ from irisjax.render.integrator import AbstractIntegrator, AbstractResponse
 from irisjax.render.lights import Lights
 from irisjax.render.products import (
     basis,
-    chebyshev_nodes,
     from_unit,
     kept_products,
     polynomials,

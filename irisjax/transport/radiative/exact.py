@@ -23,7 +23,7 @@ from irisjax.numerics.checks import check_whole
 from irisjax.numerics.quadrature import gauss_legendre
 from irisjax.numerics.sharding import laid_out_as
 from irisjax.tissue.layers import Layers
-from irisjax.transport.process import RadiativeTransfer, attenuation
+from irisjax.transport.process import RadiativeTransfer
 from irisjax.transport.radiative.directions import (
     MODES,
     Directions,
@@ -32,6 +32,7 @@ from irisjax.transport.radiative.directions import (
     quadrature_nodes,
     roof_of,
 )
+from irisjax.transport.radiative.fates import before
 from irisjax.transport.radiative.slab import Bounded, Ends, Slab, fractions
 from irisjax.transport.solution import RESULTS, Absorbed, Solution
 from irisjax.transport.solver import AbstractSolver, checked_process
@@ -201,14 +202,11 @@ def _one_wavelength(
         everywhere.top[0] + roof.reflected, roof.passed + roof.absorbed, *everywhere.bottom
     )
     roofs = _split(roof, sets)
-    (angle, beam, *exit_), (roof_out, roof_beam) = (
-        _split(slab.bounded(everywhere.cosine, meets), sets),
-        roofs[:2],
-    )
+    angle, beam, *exit_ = _split(slab.bounded(everywhere.cosine, meets), sets)
+    roof_out = roofs[0]
 
-    # What of the beam is absorbed or scattered on its way between the slab's ends.
-    along = beam.series * attenuation(depth, beams.cosine) * (1 + beam.through * beam.floor)
-    lost_beam = entering @ along
+    unscattered = before(abl, depth, beams)
+    lost_beam = power @ unscattered.lost
     moments = {}
     leaving_exit = 0.0
     for mode in MODES if exits is not None else MODES[:1]:
@@ -236,23 +234,15 @@ def _one_wavelength(
     source = (strength[:, None] * mode.functions(nodes.cosine)).T @ moments[0]
     up_top, down_bottom = slab.leaving(angle, source, mode.parity)
     flux = nodes.weight * nodes.cosine
-    # What no one scatters: the beam mirrored between the slab's ends.
-    beam_down = entering * beam.series
-    beam_bottom = beam_down * beam.through
-    beam_top = beam_bottom * beams.bottom[0] * beam.through
     brdf = None
     if exits is not None:
         brdf = leaving_exit * roofs[2].passed * (n.aqueous / n.stroma) ** 2 / (2 * jnp.pi)
     return Flux(
-        reflectance=power @ roof_in.reflected
-        + flux @ (up_top * roof_out.passed)
-        + beam_top @ roof_beam.passed,
-        mirrored=power @ beams.surface[0],
-        abl=power @ roof_in.absorbed
-        + flux @ (up_top * roof_out.absorbed)
-        + beam_top @ roof_beam.absorbed,
+        reflectance=power @ unscattered.reflected + flux @ (up_top * roof_out.passed),
+        mirrored=power @ unscattered.mirrored,
+        abl=power @ unscattered.abl + flux @ (up_top * roof_out.absorbed),
         stroma=coalbedo * (slab.widths @ moments[0][0].reshape(n_panels, n_depths)[:, 0]),
-        ipe=flux @ (down_bottom * nodes.bottom[1]) + beam_bottom @ beams.bottom[1],
+        ipe=flux @ (down_bottom * nodes.bottom[1]) + power @ unscattered.passed,
         brdf=brdf,
     )
 

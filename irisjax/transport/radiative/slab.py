@@ -150,10 +150,13 @@ class Slab:
         """Moments of beams of radiance `weights` (rank, beams) that enter at the top, (rank,
         panels·orders).
         """
+        return weights @ self.driving_each(b, parity).T
+
+    def driving_each(self, b: Bounded, parity: int):
+        """Moments of beams of radiance 1 that enter at the top, (panels·orders, beams)."""
         entering_top, entering_bottom = self._tests(b)
-        downward = weights * b.series[None, :]
-        upward = parity * downward * (b.through * b.floor)[None, :]
-        return downward @ entering_top.T + upward @ entering_bottom.T
+        upward = parity * b.through * b.floor
+        return b.series[None, :] * (entering_top + upward[None, :] * entering_bottom)
 
     def leaving_each(self, b: Bounded, parity: int):
         """Radiance that each unit source sends to the top and to the bottom, (panels·orders,

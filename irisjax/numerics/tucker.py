@@ -1,0 +1,71 @@
+"""Smooth functions of a few numbers as tables: Chebyshev polynomials along each axis, compressed.
+
+Along an axis a handful of combinations of the polynomials hold what many polynomials do; what is
+left is a small core tensor [Tucker 1966, Psychometrika 31, 279; De Lathauwer, De Moor & Vandewalle
+2000, SIAM J. Matrix Anal. Appl. 21, 1253].
+"""
+
+from collections.abc import Sequence
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from irisjax.numerics.interpolation import chebyshev, chebyshev_nodes
+
+
+class Tucker(eqx.Module):
+    """A table of functions of several coordinates in [−1, 1].
+
+    - `factors`: along each axis the polynomials' weights, shape (polynomials, rank).
+    - `core`: shape (rank of each axis …, functions).
+    """
+
+    factors: tuple[Float[Array, "_ _"], ...]
+    core: Float[Array, "..."]
+
+    @classmethod
+    def of(cls, values: np.ndarray, tolerance: float, dtype) -> "Tucker":
+        """Of values at `chebyshev_nodes` of every axis, shape (nodes of each axis …, functions).
+
+        Each function is scaled by its largest value for the choice of ranks; what is left out of an
+        axis is below `tolerance` in the mean square.
+        """
+        values = np.asarray(values, np.float64)
+        *shape, _ = values.shape
+        largest = np.abs(values).reshape(-1, values.shape[-1]).max(axis=0)
+        found = values / np.where(largest > 0, largest, 1.0)
+        for axis, nodes in enumerate(shape):
+            found = _along(found, axis, coefficients(nodes))
+        factors, core = [], found
+        size = np.sqrt(np.sum(found**2))
+        for axis in range(len(shape)):
+            unfolded = np.moveaxis(found, axis, 0).reshape(shape[axis], -1)
+            left, weights, _ = np.linalg.svd(unfolded, full_matrices=False)
+            rest = np.sqrt(np.cumsum(weights[::-1] ** 2)[::-1])
+            rank = max(1, int((rest > tolerance * size).sum()))
+            factors.append(left[:, :rank])
+            core = _along(core, axis, left[:, :rank].T)
+        core = core * largest
+        return cls(tuple(jnp.asarray(f, dtype) for f in factors), jnp.asarray(core, dtype))
+
+    def basis(self, axis: int, x: Float[Array, " points"]) -> Float[Array, "rank points"]:
+        """The functions of one axis at its coordinate."""
+        factor = self.factors[axis]
+        polynomials = jnp.stack(chebyshev(x, max(factor.shape[0], 2))[0][: factor.shape[0]])
+        return factor.T @ polynomials
+
+
+def coefficients(nodes: int) -> np.ndarray:
+    """The matrix from values at Chebyshev nodes to the weights of the polynomials."""
+    return np.linalg.inv(np.polynomial.chebyshev.chebvander(chebyshev_nodes(nodes), nodes - 1))
+
+
+def grid(axes: Sequence[np.ndarray]) -> np.ndarray:
+    """All combinations of the axes' nodes, shape (points, axes), the last axis fastest."""
+    return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, len(axes))
+
+
+def _along(values: np.ndarray, axis: int, matrix: np.ndarray) -> np.ndarray:
+    return np.moveaxis(np.tensordot(matrix, values, axes=(1, axis)), 0, axis)

@@ -1,0 +1,21 @@
+"""Tables of either process for an iris's indices: those of LB06's iris come with the package."""
+
+from irisjax.tissue.indices import RefractiveIndices
+from irisjax.transport.ilit import shipped as ilit
+from irisjax.transport.process import AbstractProcess, Ilit
+from irisjax.transport.radiative import shipped as radiative
+from irisjax.transport.radiative.exact import RadiativeExact
+from irisjax.transport.solver import AbstractSolver
+
+
+def table(indices: RefractiveIndices, process: AbstractProcess) -> AbstractSolver:
+    """The solver for many spectra of irides with these indices: `IlitTabulated`, or for radiative
+    transfer `RadiativeTabulated`; where media guide light so that a table is not good to 1e-4,
+    `RadiativeExact`.
+    """
+    if isinstance(process, Ilit):
+        return ilit.table(indices, process)
+    try:
+        return radiative.table(indices)
+    except ValueError:
+        return RadiativeExact(16, 8)

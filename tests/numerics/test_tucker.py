@@ -1,0 +1,39 @@
+"""Compressed tables of Chebyshev polynomials."""
+
+import jax.numpy as jnp
+import numpy as np
+
+from irisjax.numerics.interpolation import chebyshev_nodes
+from irisjax.numerics.tucker import Tucker, grid
+
+NODES = 14, 12, 10
+
+
+def function(points):
+    x, y, z = points.T
+    return np.stack([np.exp(x * y) / (3 + z), np.cos(2 * x) * np.exp(y) * (1 + z)], -1)
+
+
+def read(table, points):
+    u, v, w = (table.basis(i, jnp.asarray(x)) for i, x in enumerate(points.T))
+    return np.asarray(jnp.einsum("abcf,ap,bp,cp->pf", table.core, u, v, w))
+
+
+def made(tolerance):
+    points = grid([chebyshev_nodes(n) for n in NODES])
+    return Tucker.of(function(points).reshape(*NODES, 2), tolerance, jnp.float64)
+
+
+def test_holds_smooth_functions_between_the_nodes():
+    points = np.random.default_rng(0).uniform(-1, 1, (200, 3))
+    np.testing.assert_allclose(read(made(1e-12), points), function(points), atol=1e-8)
+
+
+def test_ranks_are_no_larger_than_the_tolerance_asks_for():
+    # Along the last axis there are two functions, 1/(3 + z) and 1 + z.
+    fine, coarse = made(1e-10), made(1e-2)
+    assert fine.core.shape[2] == 2
+    assert all(a <= b for a, b in zip(coarse.core.shape, fine.core.shape, strict=True))
+    points = np.random.default_rng(1).uniform(-1, 1, (200, 3))
+    error = np.abs(read(coarse, points) - function(points)).max()
+    assert 1e-6 < error < 0.1 * np.abs(function(points)).max()

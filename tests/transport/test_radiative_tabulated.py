@@ -1,0 +1,169 @@
+"""Radiative transfer by table: against the exact solver, at the ends of its axes, and beyond."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import irisjax as ij
+from common import filled
+from irisjax.tissue.layers import Layers
+from irisjax.transport.radiative import shipped
+from irisjax.transport.shipped import table as either
+
+GRID = np.array([400.0, 480.0, 560.0, 640.0, 700.0])
+EXACT = ij.RadiativeExact(32, 8, 1)
+IRIDES = {
+    "low": {"eumelanin": 0.12, "pheomelanin": 0.02},
+    "high": {"eumelanin": 1.0, "pheomelanin": 0.27},
+    "no-abl": {"abl_thickness": 0.0},
+    "all-in-abl": {"abl_fraction": 1.0},
+    "none-in-abl": {"abl_fraction": 0.0},
+    "no-pigment": {"eumelanin": 0.0, "pheomelanin": 0.0, "oxyhemoglobin": 0.0},
+    "much-scattering": {"scattering_scale": 3.0},
+    "next-to-none": {"scattering_scale": 0.01},
+}
+
+
+@pytest.fixture(scope="module")
+def table():
+    with jax.enable_x64(True):
+        return shipped.table(ij.Iris().indices())
+
+
+@jax.jit
+def both(iris, cosine, table):
+    with_table, exact = (
+        ij.reflectance(
+            iris, GRID, process=ij.DEPTH_RESOLVED, solver=s, cos_incidence=cosine, throw=False
+        )
+        for s in (table, EXACT)
+    )
+    return (with_table.values, with_table.absorbed), (exact.values, exact.absorbed)
+
+
+@pytest.mark.parametrize("name", IRIDES)
+def test_agrees_with_the_exact_solver(table, name):
+    iris = ij.Iris.of_level("low").replace(**IRIDES[name])
+    for cosine in (1.0, 0.4, 0.02):
+        (found, absorbed), (exact, expected) = both(iris, cosine, table)
+        # The error that the table measured of itself, where it was looked for.
+        np.testing.assert_allclose(found, exact, rtol=3 * table.error)
+        for layer in ("abl", "stroma", "ipe"):
+            np.testing.assert_allclose(
+                getattr(absorbed, layer), getattr(expected, layer), rtol=0, atol=5e-5
+            )
+
+
+@pytest.mark.heavy  # sixteen beams
+def test_diffuse_light_and_energy(table):
+    iris = ij.Iris.of_level("low")
+    for cosine in (ij.DIFFUSE, 0.7):
+        found, exact = (
+            ij.reflectance(iris, GRID, process=ij.DEPTH_RESOLVED, solver=s, cos_incidence=cosine)
+            for s in (table, EXACT)
+        )
+        np.testing.assert_allclose(found.values, exact.values, rtol=3 * table.error)
+        np.testing.assert_allclose(found.values + found.absorbed.total(), 1, rtol=1e-12)
+
+
+@pytest.mark.heavy  # derivatives of the exact solver
+def test_slopes_are_those_of_the_exact_solver(table):
+    def brightness(values, solver):
+        load, fraction, scale, cosine = values
+        iris = ij.Iris.of_level("low").replace(
+            melanin_load=load, abl_fraction=fraction, scattering_scale=scale
+        )
+        return ij.reflectance(
+            iris, GRID, process=ij.DEPTH_RESOLVED, solver=solver, cos_incidence=cosine, throw=False
+        ).values.sum()
+
+    at = jnp.asarray([0.1, 0.3, 1.1, 0.8])
+    found, exact = (jax.jit(jax.grad(brightness))(at, s) for s in (table, EXACT))
+    np.testing.assert_allclose(found, exact, rtol=2e-4)
+
+
+@jax.jit
+def solve(table, layers):
+    return table.solve(layers, ij.DEPTH_RESOLVED, 0.9)
+
+
+def solved(table, abl, absorption, scattering, indices=None):
+    depths = (
+        jnp.atleast_1d(jnp.asarray(x, jnp.result_type(float)))
+        for x in (abl, absorption, scattering)
+    )
+    indices = table.indices if indices is None else indices
+    depths = (filled(x, 4) for x in jnp.broadcast_arrays(*depths))
+    return solve(table, Layers(*depths, indices, indices.order()))
+
+
+def test_what_is_deeper_than_the_table_is_alike(table):
+    depth = np.array([14.0, 16.0, 1e3, 1e6])
+    found = solved(table, 0.05, depth, 0.02 * depth)
+    assert bool(found.status == ij.RESULTS.successful)
+    np.testing.assert_allclose(found.reflectance, found.reflectance[-1], rtol=1e-5)
+    dark = solved(table, np.array([19.0, 50.0, 1e6]), 0.5, 0.1)
+    assert np.isfinite(dark.reflectance).all() and (np.diff(dark.reflectance) <= 0).all()
+    np.testing.assert_allclose(dark.energy, 1, rtol=1e-12)
+
+
+def test_empty_layers_are_the_interfaces_alone(table):
+    found = solved(table, [0.0, 0.0, 0.3], [0.0, 0.5, 0.0], 0.0)
+    assert np.isfinite(found.reflectance).all()
+    np.testing.assert_allclose(found.absorbed.abl[:2], 0, atol=1e-15)
+    np.testing.assert_allclose(found.absorbed.stroma[::2], 0, atol=1e-15)
+    np.testing.assert_allclose(found.energy, 1, rtol=1e-12)
+    thin = solved(table, 0.01, 0.01, [1e-12, 1e-9]).reflectance
+    without = solved(table, 0.01, 0.01, 0.0).reflectance
+    np.testing.assert_allclose(
+        (thin[1] - without) / 1e-9, (thin[1] - thin[0]) / (1e-9 - 1e-12), rtol=1e-4
+    )
+
+
+def test_what_the_table_does_not_hold_is_said(table):
+    inside, outside = (solved(table, 0.1, 0.0, s).status for s in (2.0, 2.2))
+    assert bool(inside == ij.RESULTS.successful)
+    assert bool(outside == ij.RESULTS.outside_table)
+    other = ij.Iris(ipe_index=1.51).indices()
+    assert bool(solved(table, 0.1, 0.1, 0.1, other).status == ij.RESULTS.outside_table)
+    with pytest.raises(ValueError, match="RadiativeTabulated treats RadiativeTransfer processes"):
+        ij.reflectance(ij.Iris(), GRID, solver=table)
+    with pytest.raises(ValueError, match="a BRDF needs RadiativeExact"):
+        ij.brdf(ij.Iris(), [550.0], cos_exit=[0.5], process=ij.DEPTH_RESOLVED, solver=table)
+
+
+def test_single_precision(table):
+    with jax.enable_x64(False):
+        narrow = shipped.table(ij.Iris().indices())
+        iris = ij.Iris.of_level("low")
+        found = ij.reflectance(iris, GRID, process=ij.DEPTH_RESOLVED, solver=narrow).values
+        assert found.dtype == jnp.float32
+    iris = ij.Iris.of_level("low")
+    exact = ij.reflectance(iris, GRID, process=ij.DEPTH_RESOLVED, solver=EXACT).values
+    np.testing.assert_allclose(found, exact, rtol=3 * narrow.error)
+
+
+@pytest.mark.heavy  # makes a table
+def test_the_table_that_is_shipped_is_the_one_that_is_built(table):
+    built = ij.RadiativeTabulated.build(ij.Iris().indices())
+    assert built.error == pytest.approx(table.error, rel=0.01)
+    assert built.error < 1.2e-5
+    by_both = (solved(t, 0.07, [0.3, 3.0], 0.2).reflectance for t in (built, table))
+    np.testing.assert_allclose(*by_both, rtol=1e-9)
+
+
+@pytest.mark.heavy  # makes a table
+def test_other_media_have_tables_of_their_own():
+    iris = ij.Iris.of_level("low").replace(abl_index=1.4, stroma_index=1.4, ipe_index=1.4)
+    table = ij.RadiativeTabulated.build(iris.indices())
+    (found, _), (exact, _) = both(iris, 0.8, table)
+    np.testing.assert_allclose(found, exact, rtol=3 * table.error)
+
+
+@pytest.mark.heavy  # makes a table
+def test_media_that_guide_light_are_refused_and_solved_exactly():
+    indices = ij.Iris(ipe_index=1.3).indices()
+    with pytest.raises(ValueError, match=r"are tabulated to .* only, not to 1\.0e-04"):
+        ij.RadiativeTabulated.build(indices)
+    assert isinstance(either(indices, ij.DEPTH_RESOLVED), ij.RadiativeExact)
