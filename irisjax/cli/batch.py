@@ -14,7 +14,8 @@ import numpy as np
 import irisjax as ij
 from irisjax import io
 from irisjax.cli import report
-from irisjax.infer.fit import fit
+from irisjax.infer import other_process
+from irisjax.infer.fit import Fit, fit
 from irisjax.infer.observation import with_values
 from irisjax.infer.problem import Problem
 from irisjax.infer.search import levenberg_marquardt
@@ -165,23 +166,34 @@ def _fitted(
         place = jax.sharding.NamedSharding(mesh, jax.sharding.PartitionSpec("eyes"))
         values = jax.device_put(values, place)
         sds = None if sds is None else jax.device_put(sds, place)
-    found = _fit_all(problem, values, sds, jax.random.key(seed, impl="threefry2x32"))
+    key = jax.random.key(seed, impl="threefry2x32")
+    other = problem.by(other_process.other_of(problem.process))
+    found, beside = (
+        jax.tree.map(np.asarray, _fit_all(p, values, sds, key)) for p in (problem, other)
+    )
     names = [n for n in problem.free if not n.startswith("noise")]
     columns = ["warnings", *(c for n in names for c in (n, f"{n}_sd"))]
-    columns += ["chi_square", "degrees", "p_value", "notes"]
+    columns += ["chi_square", "degrees", "p_value", "other_process", "log_odds_other"]
+    columns += [*(f"other_{n}" for n in names if n in other_process.PIGMENTS), "notes"]
     rows = []
     for i, eye in enumerate(chunk):
         assert eye.measured is not None
         status, said = _judged(problem, found, i)
         warnings = [*eye.measured.doubts, *said]
-        if warnings and status == OK:
+        compared = other_process.compared(problem, _of(found, i), other, _of(beside, i))
+        by_other = other_process.in_words(compared)
+        if (warnings or compared.preferred) and status == OK:
             status = DOUBTFUL
+        warnings += by_other
         numbers = [float(np.asarray(x)[i]) for n in names for x in (found.values[n], found.sd[n])]
         last = f"{float(found.chi_square[i]):.6g}", str(found.degrees)
         rows.append(
             [
                 *(eye.name, status, "", "; ".join(warnings), *(f"{x:.6g}" for x in numbers)),
-                *(*last, f"{float(found.p_value[i]):.3g}", "; ".join(eye.measured.notes)),
+                *(*last, f"{float(found.p_value[i]):.3g}", compared.process.transport),
+                f"{compared.log_odds:.4g}",
+                *(f"{m.other.value:.6g}" for m in compared.moved.values()),
+                "; ".join(eye.measured.notes),
             ]
         )
     return columns, rows
@@ -201,6 +213,11 @@ def _fit_all(problem: Problem, values, sds, key):
         return fit(mine, solver=levenberg_marquardt(1e-5, 1e-5), starts=2, key=key)
 
     return eqx.filter_vmap(one, in_axes=(0, None if sds is None else 0))(values, sds)
+
+
+def _of(found: Fit, i: int) -> Fit:
+    """Fit i of many."""
+    return jax.tree.map(lambda x: x[i], found)
 
 
 def _judged(problem: Problem, found, i: int) -> tuple[str, list[str]]:

@@ -12,10 +12,12 @@ import numpy as np
 
 import irisjax as ij
 from irisjax import io
-from irisjax.infer.ahead import ahead
+from irisjax.infer import other_process
+from irisjax.infer.ahead import ahead, other_fit
 from irisjax.infer.diagnostics import predictive_score
 from irisjax.infer.fit import fit
 from irisjax.infer.identifiability import in_words, information
+from irisjax.infer.other_process import Interval
 from irisjax.infer.pieces import pointwise
 from irisjax.infer.posterior import Chains, sample
 from irisjax.infer.problem import Problem, kind
@@ -39,6 +41,11 @@ COLUMNS = (
     "ess_bulk",
     "ess_tail",
     "contraction",
+    "other_process",
+    "other_value",
+    "other_q2.5",
+    "other_q97.5",
+    "differs",
 )
 _MOST_NUMBERS = 1 << 24  # of log likelihoods in a file: 128 MB
 
@@ -86,6 +93,7 @@ def one(
         bar.set_description_str(word, refresh=first)
         bar.update(n - bar.n)
 
+    other = other_fit(problem, jax.random.fold_in(key, 5))
     with ahead(problem, key):
         best = fit(problem, key=jax.random.fold_in(key, 1))
     data = sum(o.values.shape[-1] for o in problem.observations)
@@ -105,10 +113,18 @@ def one(
     bar.set_description_str("summary")
     rows = summarise(problem, chains)
     tested = check(problem, chains, key=jax.random.fold_in(key, 2))
-    lines = [*in_words(information(problem, best)), *_cautions(problem, rows, tested, chains)]
+    intervals = {r.parameter: Interval(r.median, r.q2_5, r.q97_5) for r in rows}
+    compared = other(best, intervals)
+    by_other = other_process.in_words(compared)
+    lines = [
+        *by_other,
+        *in_words(information(problem, best)),
+        *_cautions(problem, rows, tested, chains),
+    ]
     if files:
         bar.set_description_str("files")
-        likelihoods = _write(problem, folder, chains, rows, lines, key, draw)
+        table = summary_csv(rows, compared)
+        likelihoods = _write(problem, folder, chains, rows, table, lines, key, draw)
         score, error = predictive_score(likelihoods, chains.ess_bulk.mean() / chains.z[..., 0].size)
         lines.append(
             f"predictive score {score:.1f} ± {error:.1f} (PSIS-LOO): compare it with that of "
@@ -118,21 +134,26 @@ def one(
             backup(folder / "chain.h5").unlink(missing_ok=True)
     bar.close()
     if not quiet:
-        _print(problem, rows, lines, chains)
+        _print(problem, rows, lines, chains, first=len(by_other))
     return chains.converged
 
 
-def summary_csv(rows: list[Row]) -> str:
-    """The summary as CSV."""
+def summary_csv(rows: list[Row], by: other_process.Comparison) -> str:
+    """The summary as CSV, with what the other process makes of the pigments."""
     out = text_io.StringIO()
     writer = csv.writer(out, lineterminator="\n")
     writer.writerow(COLUMNS)
-    writer.writerows([row.parameter, row.unit, *(f"{x:.6g}" for x in row[2:])] for row in rows)
+    for row in rows:
+        moved, cells = by.moved.get(row.parameter), [""] * 5
+        if moved is not None:
+            numbers = (f"{x:.6g}" for x in moved.other)
+            cells = [by.process.transport, *numbers, "yes" if moved.differs else "no"]
+        writer.writerow([row.parameter, row.unit, *(f"{x:.6g}" for x in row[2:]), *cells])
     return out.getvalue()
 
 
 def _write(
-    problem: Problem, folder: Path, chains: Chains, rows, lines, key, draw=here
+    problem: Problem, folder: Path, chains: Chains, rows, table: str, lines, key, draw=here
 ) -> np.ndarray:
     """Write all files; returns the log likelihoods that they hold, (walkers, draws, data)."""
     _, simulated, models = predictive(problem, chains, key=jax.random.fold_in(key, 3))
@@ -191,7 +212,7 @@ def _write(
     drawn = [[np.asarray(x) for x in arrays] for arrays in (simulated, models)]
     later["fit.png"] = draw("fit_figure", shapes, *drawn)
     io.write_posterior(folder / "posterior.nc", groups, about, observed)
-    files = {folder / "summary.csv": summary_csv(rows).encode()}
+    files = {folder / "summary.csv": table.encode()}
     io.write_together(files | {folder / name: picture() for name, picture in later.items()})
     return likelihoods
 
@@ -210,7 +231,8 @@ def _cautions(problem: Problem, rows: list[Row], tested: Check, chains: Chains) 
     return lines
 
 
-def _print(problem: Problem, rows: list[Row], lines: list[str], chains: Chains) -> None:
+def _print(problem: Problem, rows: list[Row], lines: list[str], chains: Chains, first: int) -> None:
+    """The table, its `first` lines before it."""
     from rich.console import Console
     from rich.table import Table
 
@@ -240,12 +262,14 @@ def _print(problem: Problem, rows: list[Row], lines: list[str], chains: Chains) 
         )
     for cells in zip(*columns.values(), strict=True):
         table.add_row(*cells)
+    for line in lines[:first]:
+        console.print(line, markup=False, soft_wrap=True)
     console.print(table, crop=False)
     console.print(
         f"{chains.steps} steps, acceptance {chains.acceptance:.2f}, autocorrelation time "
         f"{chains.tau.max():.0f} steps"
     )
-    for line in lines:
+    for line in lines[first:]:
         console.print(line, markup=False, soft_wrap=True)
 
 

@@ -1,14 +1,17 @@
-"""What a posterior needs after its search, compiled by a second thread while the search is."""
+"""What a posterior needs beside its search, done by other threads meanwhile."""
 
 import contextlib
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Mapping
+from concurrent.futures import ThreadPoolExecutor
 
 import jax.numpy as jnp
 import numpy as np
 
 from irisjax._types import PRNGKey
+from irisjax.infer.fit import Fit
 from irisjax.infer.identifiability import slopes
+from irisjax.infer.other_process import Comparison, Interval, compared, optimum, other_of
 from irisjax.infer.pieces import density, predicted
 from irisjax.infer.problem import Problem
 from irisjax.infer.summary import DRAWS, reported
@@ -34,3 +37,16 @@ def ahead(problem: Problem, key: PRNGKey) -> Iterator[None]:
         yield
     finally:
         thread.join()
+
+
+def other_fit(
+    problem: Problem, key: PRNGKey
+) -> Callable[[Fit, Mapping[str, Interval]], Comparison]:
+    """`compare`, whose fit of the other process begins now: a function of the problem's own fit and
+    intervals, which waits for it.
+    """
+    executor = ThreadPoolExecutor(1, "irisjax-other-process")
+    other = problem.by(other_of(problem.process))
+    found = executor.submit(optimum, other, key)
+    executor.shutdown(wait=False)
+    return lambda own, intervals: compared(problem, own, other, found.result(), intervals)

@@ -170,6 +170,13 @@ class Problem(eqx.Module):
         """The same problem for other values on the same wavelengths (they may be traced)."""
         return eqx.tree_at(lambda p: p.observations, self, tuple(observations))
 
+    def by(self, process: AbstractProcess) -> "Problem":
+        """The same problem by another process, with that one's table."""
+        first = self.observations[0].instrument
+        solver = shipped.table(self.base.indices(first.media.aqueous), process)
+        solver = Pointwise(prepared(self.base, first, process, solver))
+        return dataclasses.replace(self, process=process, solver=solver)
+
     def _models(self, values) -> tuple[jax.Array, ...]:
         readings = (self._reading(values, i) for i in range(len(self.observations)))
         return tuple(o.of(r) for o, r in zip(self.observations, readings, strict=True))

@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from irisjax.numerics.interpolation import chebyshev, chebyshev_nodes
+from irisjax.numerics.interpolation import chebyshev_nodes, chebyshev_rows
 
 
 class Tucker(eqx.Module):
@@ -53,8 +53,7 @@ class Tucker(eqx.Module):
     def basis(self, axis: int, x: Float[Array, " points"]) -> Float[Array, "rank points"]:
         """The functions of one axis at its coordinate."""
         factor = self.factors[axis]
-        polynomials = jnp.stack(chebyshev(x, max(factor.shape[0], 2))[0][: factor.shape[0]])
-        return factor.T @ polynomials
+        return factor.T @ chebyshev_rows(x, factor.shape[0])
 
 
 def coefficients(nodes: int) -> np.ndarray:

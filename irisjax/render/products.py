@@ -7,7 +7,6 @@ import functools
 import itertools
 
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, Float
 
 from irisjax.numerics.interpolation import chebyshev

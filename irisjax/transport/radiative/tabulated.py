@@ -15,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from irisjax.numerics.interpolation import chebyshev, chebyshev_nodes
+from irisjax.numerics.interpolation import chebyshev_nodes, chebyshev_rows
 from irisjax.numerics.programs import program
 from irisjax.numerics.quadrature import gauss_legendre
 from irisjax.numerics.roots import safe_sqrt
@@ -224,7 +224,7 @@ def _depths(nodes: int, deepest: float) -> np.ndarray:
 
 
 def _polynomial(weights, x):
-    return weights @ jnp.stack(chebyshev(x, weights.size)[0])
+    return weights @ chebyshev_rows(x, weights.size)
 
 
 def _table(indices: RefractiveIndices) -> tuple[np.ndarray, np.ndarray]:
