@@ -15,8 +15,9 @@ import irisjax as ij
 from irisjax import io
 from irisjax.cli import report
 from irisjax.infer import other_process
-from irisjax.infer.fit import Fit, fit
+from irisjax.infer.fit import fit
 from irisjax.infer.observation import with_values
+from irisjax.infer.other_process import Optimum
 from irisjax.infer.problem import Problem
 from irisjax.infer.search import levenberg_marquardt
 from irisjax.infer.status import FitStatus, says
@@ -168,12 +169,10 @@ def _fitted(
         sds = None if sds is None else jax.device_put(sds, place)
     key = jax.random.key(seed, impl="threefry2x32")
     other = problem.by(other_process.other_of(problem.process))
-    found, beside = (
-        jax.tree.map(np.asarray, _fit_all(p, values, sds, key)) for p in (problem, other)
-    )
+    found, beside = (_fit_all(p, values, sds, key) for p in (problem, other))
     names = [n for n in problem.free if not n.startswith("noise")]
     columns = ["warnings", *(c for n in names for c in (n, f"{n}_sd"))]
-    columns += ["chi_square", "degrees", "p_value", "other_process", "log_odds_other"]
+    columns += ["chi_square", "degrees", "p_value", "other_process", "log_odds_other", "differs"]
     columns += [*(f"other_{n}" for n in names if n in other_process.PIGMENTS), "notes"]
     rows = []
     for i, eye in enumerate(chunk):
@@ -181,10 +180,10 @@ def _fitted(
         status, said = _judged(problem, found, i)
         warnings = [*eye.measured.doubts, *said]
         compared = other_process.compared(problem, _of(found, i), other, _of(beside, i))
-        by_other = other_process.in_words(compared)
-        if (warnings or compared.preferred) and status == OK:
+        if compared.preferred:
+            warnings.append(other_process.preference(compared))
+        if warnings and status == OK:
             status = DOUBTFUL
-        warnings += by_other
         numbers = [float(np.asarray(x)[i]) for n in names for x in (found.values[n], found.sd[n])]
         last = f"{float(found.chi_square[i]):.6g}", str(found.degrees)
         rows.append(
@@ -192,6 +191,7 @@ def _fitted(
                 *(eye.name, status, "", "; ".join(warnings), *(f"{x:.6g}" for x in numbers)),
                 *(*last, f"{float(found.p_value[i]):.3g}", compared.process.transport),
                 f"{compared.log_odds:.4g}",
+                " ".join(n for n, m in compared.moved.items() if m.differs),
                 *(f"{m.other.value:.6g}" for m in compared.moved.values()),
                 "; ".join(eye.measured.notes),
             ]
@@ -215,9 +215,11 @@ def _fit_all(problem: Problem, values, sds, key):
     return eqx.filter_vmap(one, in_axes=(0, None if sds is None else 0))(values, sds)
 
 
-def _of(found: Fit, i: int) -> Fit:
+def _of(found, i: int) -> Optimum:
     """Fit i of many."""
-    return jax.tree.map(lambda x: x[i], found)
+    chi_square, cost = (float(np.asarray(x)[i]) for x in (found.chi_square, found.cost))
+    z, covariance = (np.asarray(x)[i] for x in (found.z, found.covariance))
+    return Optimum(z, covariance, chi_square, found.degrees, cost)
 
 
 def _judged(problem: Problem, found, i: int) -> tuple[str, list[str]]:

@@ -17,10 +17,12 @@ from irisjax.cli.options import (
     option,
     read_seed,
     whole,
+    within,
 )
 from irisjax.infer.parameters import PARAMETERS
 from irisjax.io.measured import UNITS, WAVELENGTH_UNITS, Reading
 from irisjax.io.quantities import QUANTITIES, RADIANCE, REFLECTANCE
+from irisjax.numerics.checks import Range
 from irisjax.transport.process import PROCESSES
 
 
@@ -186,8 +188,7 @@ class Model(Group):
 
         fixed, priors = {}, {}
         for name, value in (_pair("--fix", text) for text in self.fix or ()):
-            known = PARAMETERS[name]
-            fixed[name] = _value(f"--fix {name}", value, known.low, known.high)
+            fixed[name] = _value(f"--fix {name}", value, PARAMETERS[name].allowed)
         for name, value in (_pair("--prior", text) for text in self.prior or ()):
             priors[name] = prior_of(value, PARAMETERS[name].low, PARAMETERS[name].high)
         return {
@@ -275,9 +276,9 @@ def _one(option: str, text: str, names) -> str:
         raise ValueError(f"{option}: {error}") from None
 
 
-def _value(option: str, text: str, low: float, high: float) -> float:
+def _value(option: str, text: str, allowed: Range) -> float:
     try:
-        return number(low, high)(text)
+        return within(allowed)(text)
     except ValueError as error:
         raise ValueError(f"{option}: {error}") from None
 
@@ -290,6 +291,6 @@ def _discrepancy(text: str | None) -> tuple[float | None, float | None]:
         raise ValueError(
             f"--discrepancy {text!r}: write its size and its length in nm, such as 0.02:80"
         )
-    return _value("--discrepancy size", size, 1e-6, 10), _value(
-        "--discrepancy length", length, 1e-3, 1e4
+    return _value("--discrepancy size", size, Range(1e-6, 10)), _value(
+        "--discrepancy length", length, Range(1e-3, 1e4)
     )

@@ -6,7 +6,7 @@ no fit speaks alone: the other process is fitted beside it, by least squares.
 
 import math
 from collections.abc import Mapping
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -83,7 +83,7 @@ class Comparison(NamedTuple):
 
 def compare(
     problem: Problem,
-    own: Fit,
+    own: Fit | Optimum,
     *,
     key: PRNGKey,
     intervals: Mapping[str, Interval] | None = None,
@@ -136,10 +136,9 @@ def optimum(problem: Problem, key: PRNGKey, starts: int = 4) -> Optimum:
 
     draws = np.array(jax.random.normal(key, (starts, moving.size)))
     draws[0] = 0.0
-    found = min(
-        (least_squares(lambda x: both(x)[0], x, lambda x: both(x)[1], method="lm") for x in draws),
-        key=lambda f: f.cost,
-    )
+    jacobian: Any = lambda x: both(x)[1]  # noqa: E731 (the stub knows names of rules only)
+    searches = (least_squares(lambda x: both(x)[0], x, jacobian, method="lm") for x in draws)
+    found = min(searches, key=lambda f: f.cost)
     residuals, slopes = both(found.x)
     z[moving] = found.x
     covariance = np.eye(z.size)
@@ -180,11 +179,16 @@ def in_words(found: Comparison) -> list[str]:
         word = "WARNING: the pigments depend on the model by more than their intervals: "
         lines.append(f"{word if differ else ''}by {by} {', '.join(parts)}")
     if found.preferred:
-        lines.append(
-            f"WARNING: the data prefer {by}, by odds of {_odds(found.log_odds)} to 1 (least "
-            f"squares, Laplace's approximation)"
-        )
+        lines.append(f"WARNING: {preference(found)}")
     return lines
+
+
+def preference(found: Comparison) -> str:
+    """That the data prefer the other process, and by how much."""
+    return (
+        f"the data prefer {name_of(found.process)}, by odds of {_odds(found.log_odds)} to 1 (least "
+        f"squares, Laplace's approximation)"
+    )
 
 
 def name_of(process: AbstractProcess) -> str:
@@ -220,7 +224,7 @@ def intervals_of(problem: Problem, found: Fit | Optimum, spread: float) -> dict[
     z, covariance = np.asarray(found.z), np.asarray(found.covariance)
     half = 1.96 * spread * np.sqrt(np.maximum(np.diagonal(covariance), 0.0))
     half = np.minimum(half, 1.96 * np.maximum(1.0, np.abs(z)))  # no wider than the prior
-    values = (np.asarray(problem.natural(x)) for x in (z, z - half, z + half))
+    values = (np.asarray(problem.natural(jnp.asarray(x))) for x in (z, z - half, z + half))
     return {
         n: Interval(*(float(v) for v in row)) for n, *row in zip(problem.free, *values, strict=True)
     }
@@ -232,4 +236,4 @@ def _log_evidence(problem: Problem, found: Fit | Optimum, spread: float) -> floa
     covariance = np.asarray(found.covariance)[np.ix_(kept, kept)]
     data = 0.5 * float(found.chi_square)
     prior = float(found.cost) - data
-    return 0.5 * np.linalg.slogdet(covariance)[1] - data / spread**2 - prior
+    return float(0.5 * np.linalg.slogdet(covariance)[1] - data / spread**2 - prior)

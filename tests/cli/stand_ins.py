@@ -12,6 +12,7 @@ import numpy as np
 
 import irisjax as ij
 from irisjax.cli import model, report, simulate
+from irisjax.infer.other_process import PIGMENTS, Comparison, Interval, Moved
 from irisjax.infer.posterior import Chains
 from irisjax.infer.status import ChainStatus
 from irisjax.infer.summary import Check
@@ -70,6 +71,15 @@ def with_quick(monkeypatch):
     )
 
 
+def _by_the_other(best, intervals):
+    moved = {
+        n: Moved(own, Interval(own.value / 2, own.value / 3, own.value))
+        for n, own in intervals.items()
+        if n in PIGMENTS
+    }
+    return Comparison(ij.DEPTH_RESOLVED, moved, -1.0)
+
+
 class Sampled(NamedTuple):
     """What `report.sample` was called with."""
 
@@ -113,6 +123,7 @@ def without_search(monkeypatch):
         return np.random.default_rng(0).normal(size=shape)
 
     monkeypatch.setattr(report, "ahead", lambda problem, key: contextlib.nullcontext())
+    monkeypatch.setattr(report, "other_fit", lambda problem, key: _by_the_other)
     monkeypatch.setattr(report, "fit", lambda problem, key: SimpleNamespace(converged=True))
     monkeypatch.setattr(report, "sample", sample)
     monkeypatch.setattr(report, "check_run", lambda *given, **settings: None)

@@ -1,7 +1,7 @@
 """`irisjax fit --batch` and `irisjax simulate-measurement`."""
 
 import csv
-from types import SimpleNamespace
+from typing import NamedTuple
 
 import jax
 import numpy as np
@@ -13,6 +13,20 @@ from irisjax.cli import batch, report
 from irisjax.infer.status import FitStatus
 
 
+class Found(NamedTuple):
+    """What a batch reads of many fits."""
+
+    values: dict
+    sd: dict
+    z: np.ndarray
+    covariance: np.ndarray
+    cost: np.ndarray
+    chi_square: np.ndarray
+    degrees: int
+    p_value: np.ndarray
+    status: FitStatus
+
+
 @pytest.fixture
 def searched(quick, monkeypatch):
     """The search of a batch replaced by means of the spectra; the sizes of its chunks."""
@@ -21,10 +35,12 @@ def searched(quick, monkeypatch):
     def fit_all(problem, values, sds, key):
         sizes.append(len(values))
         mean = np.asarray(values).mean(axis=1)
-        return SimpleNamespace(
+        return Found(
             values={n: mean for n in problem.free},
             sd={n: mean / 10 for n in problem.free},
             z=np.zeros((len(values), len(problem.free))),
+            covariance=np.stack([np.eye(len(problem.free))] * len(values)),
+            cost=mean,
             chi_square=mean,
             degrees=29,
             p_value=0 * mean + 0.5,

@@ -31,7 +31,12 @@ def test_one_eye_from_file_to_files(fitted):
     assert {p.name for p in fitted.folder.iterdir()} == FILES
     rows = summary(fitted.folder)
     columns = "parameter,unit,median,sd,q2.5,q16,q84,q97.5,rhat,ess_bulk,ess_tail,contraction"
+    columns += ",other_process,other_value,other_q2.5,other_q97.5,differs"
     assert list(rows["melanin_load"]) == columns.split(",")
+    assert rows["melanin_load"]["other_process"] == "depth-resolved"
+    assert float(rows["melanin_load"]["other_value"]) > 0
+    assert rows["eumelanin"]["other_process"] == ""
+    assert "by radiative transfer melanin_load is" in fitted.printed.splitlines()[0]
     assert set(rows) == {"melanin_load", "hemoglobin", "abl_melanin", "eumelanin", "pheomelanin"}
     file = fitted.folder / "posterior.nc"
     with xr.open_dataset(file, group="posterior", engine="h5netcdf") as found:
@@ -96,7 +101,7 @@ def test_two_spots_of_one_eye(irisjax, eye, sampled, tmp_path):
     both = ("fit", eye, other, "--separate", "melanin_load", *FREE)
     status, out, err = irisjax(*both)
     assert (status, err) == (0, "")
-    assert out.startswith("eye.csv, spot.csv: posterior of one eye")
+    assert out.splitlines()[1].startswith("eye.csv, spot.csv: posterior of one eye")
     assert {"melanin_load@1", "melanin_load@2", "hemoglobin", "eumelanin@2"} <= set(out.split())
     sizes = [o.values.size for o in sampled[0].problem.observations]
     assert sizes == [31, 28]
@@ -136,11 +141,11 @@ def test_numbers_are_never_cut(irisjax, eye, sampled, monkeypatch, width):
     out = irisjax("fit", eye, *FREE)[1]
     assert "…" not in out
     lines = out.splitlines()
-    assert "parameter" in lines[1]
+    assert "parameter" in lines[2]
     if width is None:
-        assert lines[1].split()[-1] == "contraction"
+        assert lines[2].split()[-1] == "contraction"
     else:
-        plain = [re.sub(r"\x1b\[\d*m", "", line) for line in lines[1:6]]
+        plain = [re.sub(r"\x1b\[\d*m", "", line) for line in lines[2:7]]
         assert max(map(len, plain)) <= width
 
 
@@ -165,7 +170,8 @@ def test_short_chains_end_with_status_three(irisjax, eye, sampled, monkeypatch):
         (("missing.csv",), "missing.csv: No such file"),
         (("{eye}", "--free", "melanin"), "unknown parameter 'melanin'"),
         (("{eye}", "--fix", "gain"), "--fix 'gain': write NAME=VALUE"),
-        (("{eye}", "--fix", "gain=-1"), "--fix gain: -1 is outside [0, inf)"),
+        (("{eye}", "--fix", "gain=-1"), "--fix gain: -1 is outside (0, 1e+06]"),
+        (("{eye}", "--fix", "gain=0"), "--fix gain: 0 is outside (0, 1e+06]"),
         (("{eye}", "--fix", "gian=1"), "--fix: unknown 'gian'"),
         (("{eye}", "--prior", "gain=flat"), "'flat' is no prior"),
         (("{eye}", "--walkers", "3"), "--walkers: 3 is outside [4, 4096]"),

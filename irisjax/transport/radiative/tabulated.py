@@ -72,8 +72,8 @@ class RadiativeTabulated(AbstractSolver):
         fates, pole = _table(indices)
         dtype = jnp.result_type(float)
         # `out` by itself: who wants no more pays for no more.
-        parts = (Tucker.of(f, _LEFT_OUT, dtype) for f in (fates[..., :1], fates[..., 1:]))
-        table = cls(*parts, jnp.asarray(pole, dtype), indices, 0.0)
+        out, ends = (Tucker.of(f, _LEFT_OUT, dtype) for f in (fates[..., :1], fates[..., 1:]))
+        table = cls(out, ends, jnp.asarray(pole, dtype), indices, 0.0)
         error = table._measure()
         if error > tolerance:
             raise ValueError(
