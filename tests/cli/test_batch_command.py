@@ -99,7 +99,7 @@ def check_batch(irisjax, eye, tmp_path, rel, status_of_all):
 
 def test_batch(irisjax, eye, searched, tmp_path):
     check_batch(irisjax, eye, tmp_path, 1e-5, "ok")
-    assert searched == [3, 1, 2]
+    assert searched == [3, 3, 1, 1, 2, 2]  # by either process
 
 
 @pytest.mark.heavy  # the search of a batch compiles for half a minute
