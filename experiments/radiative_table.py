@@ -19,11 +19,11 @@ def main() -> None:
         single = RadiativeTabulated.build(ij.Iris().indices())
     with jax.enable_x64(True):
         table = RadiativeTabulated.build(ij.Iris().indices())
-    arrays = {
-        f"{name}_{i}": np.asarray(x)
-        for name, part in (("out", table.out), ("ends", table.ends))
-        for i, x in enumerate((*part.factors, part.core))
-    }
+    arrays = {}
+    for name in ("out", "ends", "oftener"):
+        part = getattr(table, name)
+        arrays[f"{name}_core"] = np.asarray(part.core)
+        arrays |= {f"{name}_{i}": np.asarray(x) for i, x in enumerate(part.factors)}
     path = Path(ij.__file__).parent / "transport" / "radiative" / "tables" / "radiative.npz"
     np.savez_compressed(
         path,

@@ -25,9 +25,9 @@ EDGES = {
     "no-scattering": {"collagen_index": 1.5},
     "nothing-at-all": {"eumelanin": 0.0, "pheomelanin": 0.0, **BARE, "collagen_index": 1.5},
     "no-intensification": {"intensification": 1e-30},
-    "melanin-1e6": {"eumelanin": 1e6},
-    "blood-1e6": {"oxyhemoglobin": 1e6},
-    "all-1e6": {"eumelanin": 1e6, "pheomelanin": 1e6, "lutein": 1e6},
+    "most-melanin": {"eumelanin": 2e3},
+    "most-blood": {"oxyhemoglobin": 10.0},
+    "most-of-all": {"eumelanin": 2e3, "pheomelanin": 2e3, "lutein": 1e3, "oxyhemoglobin": 10.0},
     "equal-indices": {
         "abl_index": 1.4,
         "stroma_index": 1.4,

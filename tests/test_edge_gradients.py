@@ -29,7 +29,7 @@ INDEX_FIELDS = (
 )
 # Loads of a million: the derivative is far below the rounding of the value; only finiteness is
 # asked there.
-ONLY_FINITE = ("melanin-1e6", "blood-1e6", "all-1e6", "no-intensification")
+ONLY_FINITE = ("most-melanin", "most-blood", "most-of-all", "no-intensification")
 # Where two indices agree, reflectance has a kink in them (a critical angle appears on one side
 # only).
 KINKED = {

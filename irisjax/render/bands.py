@@ -69,7 +69,7 @@ def spectral_bands(wavelengths, illuminant: str = "D65", cornea: Cornea | None =
 
 
 @program
-def _haze(cornea: Cornea | None, wavelengths: np.ndarray) -> Array:
+def _haze(cornea: Cornea | None, wavelengths) -> Array:
     """Share that passes the haze of a cornea twice."""
     x = jnp.asarray(wavelengths, jnp.result_type(float))
     once = None if cornea is None else cornea.transmittance(x)

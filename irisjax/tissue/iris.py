@@ -51,8 +51,8 @@ LIMITS: dict[str, Range] = {
     "scattering_scale": Range(0, _INF, "", "factor on the stroma's scattering"),
 }
 """Every settable number of `Iris` with its allowed range and unit."""
-MELANIN_LOAD = Range(0, 500, "ug/mm2", "melanin mass per iris area")
-"""Allowed melanin loads: the most is a quarter of a millimetre of melanin."""
+MELANIN_LOAD = Range(0, 12000, "ug/mm2", "melanin mass per iris area")
+"""Allowed melanin loads: the most is what layers of the largest thicknesses could hold."""
 
 # Fields that decide the order of media.
 _OPTICAL = {n for n in LIMITS if n.endswith("_index")} | {

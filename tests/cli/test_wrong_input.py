@@ -12,7 +12,7 @@ WRONG = [
     (("--abl-fraction", "1.5"), "abl_fraction = 1.5 is outside [0, 1]"),
     (("--melanin-load", "-0.1"), "melanin_load = -0.1"),
     # What no tissue holds.
-    (("--melanin-load", "2e3"), "melanin_load = 2000 ug/mm2 is outside [0, 500] ug/mm2"),
+    (("--melanin-load", "2e4"), "melanin_load = 20000 ug/mm2 is outside [0, 12000] ug/mm2"),
     (("--oxyhemoglobin", "50"), "oxyhemoglobin = 50 mmol/l is outside [0, 10] mmol/l"),
     (("--stroma-thickness", "285"), "stroma_thickness = 285 mm is outside [0, 3] mm"),
     (("--pupil-radius", "2"), "--pupil-radius"),

@@ -55,7 +55,7 @@ def test_files_of_many_wavelengths_hold_fewer_draws(problem, tmp_path, monkeypat
     one = np.ones(2)
     chains = Chains(z, z[..., 0], 5, 1250, 0.5, one, one, one, one, ChainStatus.successful, "")
     report._write(
-        problem, tmp_path, chains, report.summarise(problem, chains), [], jax.random.key(0)
+        problem, tmp_path, chains, report.summarise(problem, chains), "", [], jax.random.key(0)
     )
     loads = {}
     for group in ("posterior", "log_likelihood", "sample_stats"):

@@ -222,9 +222,9 @@ def test_what_cannot_be_is_named():
         Scene(IRIS, lights=Lights.distant(0.3, 0.0, radius=2.0))
     for wrong, said in {
         "towards": (np.array([[0, 0, -2.0]]), "length of a lamp's direction = 2 is outside"),
-        "irradiance": (-1.0, r"a lamp's irradiance = -1 is outside \[0, inf\)"),
-        "tint": (np.array([1.0, np.nan, 1.0]), r"a lamp's tint = nan is outside \[0, inf\)"),
-        "tint ": (np.array([1.0, -0.5, 1.0]), r"a lamp's tint = -0.5 is outside \[0, inf\)"),
+        "irradiance": (-1.0, r"a lamp's irradiance = -1 is outside \[0, 1e\+06\]"),
+        "tint": (np.array([1.0, np.nan, 1.0]), r"a lamp's tint = nan is outside \[0, 1e\+06\]"),
+        "tint ": (np.array([1.0, -0.5, 1.0]), r"a lamp's tint = -0.5 is outside \[0, 1e\+06\]"),
         "distance": (-30.0, r"a lamp's distance = -30 mm is outside \[20, inf\) mm"),
         "distance ": (np.nan, r"a lamp's distance = nan mm is outside \[20, inf\) mm"),
         "radius": (np.ones(3), r"lights: radius has shape \(3,\); it must be \(1,\)"),

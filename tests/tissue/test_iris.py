@@ -119,7 +119,7 @@ def test_melanin_load_and_fraction_inside_jit_and_grad():
         ("stroma_index", 3.1, r"^stroma_index = 3\.1 is outside \[1, 3\]$"),
         ("collagen_fraction", 0.0, r"^collagen_fraction = 0 is outside \(0, 1\]$"),
         ("fibril_radius", 0.0, r"^fibril_radius = 0 nm is outside \(0, 200\] nm$"),
-        ("melanin_load", -1.0, r"^melanin_load = -1 ug/mm2 is outside \[0, 500\] ug/mm2$"),
+        ("melanin_load", -1.0, r"^melanin_load = -1 ug/mm2 is outside \[0, 12000\] ug/mm2$"),
         ("melanin", 1.0, r"^unknown parameter 'melanin'; known: melanin_load, eumelanin, "),
         ("eumelanin", "much", r"^eumelanin must be a number, got 'much'$"),
         ("eumelanin", True, r"^eumelanin must be a number, got True$"),

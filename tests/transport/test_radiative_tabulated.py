@@ -129,8 +129,43 @@ def test_what_the_table_does_not_hold_is_said(table):
     assert bool(solved(table, 0.1, 0.1, 0.1, other).status == ij.RESULTS.outside_table)
     with pytest.raises(ValueError, match="RadiativeTabulated treats RadiativeTransfer processes"):
         ij.reflectance(ij.Iris(), GRID, solver=table)
-    with pytest.raises(ValueError, match="a BRDF needs RadiativeExact"):
-        ij.brdf(ij.Iris(), [550.0], cos_exit=[0.5], process=ij.DEPTH_RESOLVED, solver=table)
+
+
+@pytest.mark.parametrize("cosine", [1.0, 0.5, 0.2])
+def test_brdf_agrees_with_the_exact_solver(table, cosine):
+    exits = np.cos(np.radians([0.0, 30.0, 60.0, 75.0, 80.0, 80.0]))
+    azimuth = np.array([0.0, 1.0, np.pi, 0.0, 2.0, np.pi])
+    for level in ("low", "high"):
+        found, exact = (
+            ij.brdf(
+                ij.Iris.of_level(level),
+                GRID,
+                cos_incidence=cosine,
+                cos_exit=exits,
+                azimuth=azimuth,
+                process=ij.DEPTH_RESOLVED,
+                solver=s,
+            ).values
+            for s in (table, EXACT)
+        )
+        np.testing.assert_allclose(found, exact, rtol=1e-3)
+
+
+def test_brdf_of_empty_layers_is_none(table):
+    found = ij.brdf(
+        ij.Iris.of_level("low").replace(stroma_thickness=0.0),
+        GRID,
+        cos_exit=[0.3, 1.0],
+        process=ij.DEPTH_RESOLVED,
+        solver=table,
+    ).values
+    np.testing.assert_array_equal(found, 0)
+
+
+def test_brdf_of_diffuse_light_is_refused(table):
+    layers = ij.Iris().layers(ij.tissue.pigments.extinction(GRID), 1.336)
+    with pytest.raises(ValueError, match="of light from one direction, not diffuse"):
+        table.solve(layers, ij.DEPTH_RESOLVED, ij.DIFFUSE, cos_exit=jnp.asarray([0.5]))
 
 
 def test_single_precision(table):

@@ -11,8 +11,8 @@ import jax.numpy as jnp
 
 from irisjax.numerics import linear
 from irisjax.transport.process import attenuation, survival
-from irisjax.transport.radiative.directions import MODES, Directions, roof_of
-from irisjax.transport.radiative.slab import Ends, Slab
+from irisjax.transport.radiative.directions import MODES, Directions, Roof, roof_of
+from irisjax.transport.radiative.slab import Bounded, Ends, Slab
 from irisjax.transport.series import reflections
 
 
@@ -29,6 +29,18 @@ class Beam(NamedTuple):
     abl: jax.Array
     lost: jax.Array
     passed: jax.Array
+
+
+class Course(NamedTuple):
+    """Of directions in the stroma, shape (angles,): the sum over all mirror images; the share that
+    comes back from the slab's floor; what of light that enters is lost to the slab; the share that
+    leaves through the ABL.
+    """
+
+    series: jax.Array
+    back: jax.Array
+    lost: jax.Array
+    roof: Roof
 
 
 class Fates(NamedTuple):
@@ -48,19 +60,26 @@ def before(abl, depth, beams: Directions) -> Beam:
     The mirror images of both layers' faces are geometric series.
     """
     roof_in = roof_of(abl, beams, from_stroma=False)
-    roof = roof_of(abl, beams, from_stroma=True)
-    through, gone = survival(depth, beams.cosine), attenuation(depth, beams.cosine)
-    above = beams.top[0] + roof.reflected, roof.passed + roof.absorbed
-    series, _ = reflections(through, gone, above, beams.bottom)
-    down = roof_in.passed * series
-    up = down * through**2 * beams.bottom[0]
+    through, way = survival(depth, beams.cosine), course(abl, depth, beams)
+    down = roof_in.passed * way.series
+    up = down * through * way.back
     return Beam(
         mirrored=beams.surface[0],
-        reflected=roof_in.reflected + up * roof.passed,
-        abl=roof_in.absorbed + up * roof.absorbed,
-        lost=down * gone * (1 + through * beams.bottom[0]),
+        reflected=roof_in.reflected + up * way.roof.passed,
+        abl=roof_in.absorbed + up * way.roof.absorbed,
+        lost=roof_in.passed * way.lost,
         passed=down * through * beams.bottom[1],
     )
+
+
+def course(abl, depth, d: Directions) -> Course:
+    """`Course` of directions between the ends of a stroma under an ABL of these optical depths."""
+    roof = roof_of(abl, d, from_stroma=True)
+    through, gone = survival(depth, d.cosine), attenuation(depth, d.cosine)
+    above = d.top[0] + roof.reflected, roof.passed + roof.absorbed
+    series, _ = reflections(through, gone, above, d.bottom)
+    back = through * d.bottom[0]
+    return Course(series, back, series * gone * (1 + back), roof)
 
 
 def after(abl, depth, albedo, nodes: Directions, beams: Directions, n_depths: int, n_panels: int):
@@ -71,9 +90,8 @@ def after(abl, depth, albedo, nodes: Directions, beams: Directions, n_depths: in
     """
     slab, mode = Slab(depth, n_depths, n_panels), MODES[0]
     strength = jnp.asarray(mode.strength, depth.dtype)
-    angle, roof = _met(slab, abl, nodes)
-    beam, _ = _met(slab, abl, beams)
-    lost = beam.series * attenuation(depth, beams.cosine) * (1 + beam.through * beam.floor)
+    roof, lost = course(abl, depth, nodes).roof, course(abl, depth, beams).lost
+    angle, beam = (met(slab, abl, d) for d in (nodes, beams))
     f_nodes, f_beams = mode.functions(nodes.cosine), mode.functions(beams.cosine)
     operator = slab.moments(angle, nodes.weight, f_nodes, mode.parity)
     operator = operator * jnp.repeat(strength, operator.shape[0] // strength.size)[None, :]
@@ -96,7 +114,8 @@ def after(abl, depth, albedo, nodes: Directions, beams: Directions, n_depths: in
     )
 
 
-def _met(slab: Slab, abl, d: Directions):
+def met(slab: Slab, abl, d: Directions) -> Bounded:
+    """The slab's depth polynomials along directions, its roof the ABL."""
     roof = roof_of(abl, d, from_stroma=True)
     ends = Ends(d.top[0] + roof.reflected, roof.passed + roof.absorbed, *d.bottom)
-    return slab.bounded(d.cosine, ends), roof
+    return slab.bounded(d.cosine, ends)

@@ -31,13 +31,14 @@ def _table(indices: tuple[float, ...], dtype: str) -> RadiativeTabulated:
     if not np.allclose(stored["indices"], indices, rtol=rounding, atol=0):
         return RadiativeTabulated.build(wanted)
 
-    def tucker(name):
-        arrays = [jnp.asarray(stored[f"{name}_{i}"], dtype) for i in range(5)]
-        return Tucker(tuple(arrays[:4]), arrays[4])
+    def tucker(name, axes):
+        factors = (jnp.asarray(stored[f"{name}_{i}"], dtype) for i in range(axes))
+        return Tucker(tuple(factors), jnp.asarray(stored[f"{name}_core"], dtype))
 
     return RadiativeTabulated(
-        out=tucker("out"),
-        ends=tucker("ends"),
+        out=tucker("out", 4),
+        ends=tucker("ends", 4),
+        oftener=tucker("oftener", 5),
         pole=jnp.asarray(stored["pole"], dtype),
         indices=wanted,
         error=float(stored[f"error_{dtype}"]),

@@ -206,7 +206,7 @@ def _legendre_moments(x, count: int):
         if k <= count:
             thin.append(now)
     thin.reverse()
-    first = _mean_survival(x)
+    first = mean_survival(x)
     power = first / thin[0]
     # coth z is 1 to the last bit here.
     before, last = first, -first * (1 - inverse)
@@ -218,7 +218,7 @@ def _legendre_moments(x, count: int):
     return jnp.stack(moments, axis=-2)
 
 
-def _mean_survival(x):
+def mean_survival(x):
     """(1 − e^{−x})/x, with a gradient that is right at small x too."""
     small = x < 0.1
     y = jnp.where(small, x, 0.0)

@@ -4,8 +4,10 @@ With fixed indices the stroma under its ABL depends on three numbers: the optica
 ABL and τ of the stroma, and the stroma's albedo ω. A beam up to its first scattering is exact;
 the fates of what it scatters are smooth in ln(1 + τ_A/k), ln(1 + τ/k), ω and the beam's cosine in
 the stroma, once the leading pole 1/(1 − ω λ(τ)) of the sum over orders of scattering is taken out.
+Of a BRDF light scattered once is exact too, and the rest a table (`brdf`).
 """
 
+import dataclasses
 from collections.abc import Callable
 from functools import partial
 
@@ -15,30 +17,38 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from irisjax.numerics.interpolation import chebyshev_nodes, chebyshev_rows
+from irisjax.numerics.interpolation import chebyshev_rows
 from irisjax.numerics.programs import program
 from irisjax.numerics.quadrature import gauss_legendre
-from irisjax.numerics.roots import safe_sqrt
 from irisjax.numerics.sharding import laid_out_as
-from irisjax.numerics.tucker import Tucker, coefficients, grid
+from irisjax.numerics.tucker import Tucker, coefficients
 from irisjax.tissue.indices import RefractiveIndices
 from irisjax.tissue.iris import Iris
 from irisjax.tissue.layers import Layers
 from irisjax.transport.process import DEPTH_RESOLVED, AbstractProcess, RadiativeTransfer
+from irisjax.transport.radiative import brdf
+from irisjax.transport.radiative.axes import (
+    CHUNK,
+    DEEPEST,
+    Places,
+    cosine_place,
+    in_double,
+    layers_at,
+    most,
+    nodes,
+    outside_nodes,
+    places,
+    scattered,
+)
 from irisjax.transport.radiative.directions import Directions, from_outside, quadrature_nodes
 from irisjax.transport.radiative.fates import Beam, Fates, after, before
 from irisjax.transport.solution import RESULTS, Absorbed, Solution
 from irisjax.transport.solver import AbstractSolver, checked_process
 
-_KNEE = 3e-4  # depths below which fates, which go as τ ln τ, hardly change
-_DEEPEST_ABL, _DEEPEST = 20.0, 15.0  # exp(−2·15) is below rounding: deeper is all alike
-# Albedos run from 0 to _ALBEDO/(1 + τ/_BEND): all there are where τ_s ≤ 2, and up to 7.5/τ in the
-# deep.
-_ALBEDO, _BEND = 1.25, 8.0
 _NODES = 24, 48, 10, 8  # along τ_A, τ, ω and the cosine
 _LEFT_OUT = 1e-6  # of the polynomials' weights, where they are compressed
 _ANGLES, _DEPTHS, _PANELS = 32, 10, 3  # of the exact solution at the nodes
-_CHUNK, _CHECKS = 1024, 4
+_CHECKS = 4  # portions of points, off the nodes
 
 
 class RadiativeTabulated(AbstractSolver):
@@ -55,6 +65,7 @@ class RadiativeTabulated(AbstractSolver):
 
     out: Tucker
     ends: Tucker
+    oftener: Tucker
     pole: Float[Array, " polynomials"]
     indices: RefractiveIndices
     error: float = eqx.field(static=True)
@@ -73,14 +84,15 @@ class RadiativeTabulated(AbstractSolver):
         dtype = jnp.result_type(float)
         # `out` by itself: who wants no more pays for no more.
         out, ends = (Tucker.of(f, _LEFT_OUT, dtype) for f in (fates[..., :1], fates[..., 1:]))
-        table = cls(out, ends, jnp.asarray(pole, dtype), indices, 0.0)
+        oftener = brdf.table(indices, pole, dtype)
+        table = cls(out, ends, oftener, jnp.asarray(pole, dtype), indices, 0.0)
         error = table._measure()
         if error > tolerance:
             raise ValueError(
                 f"the fates are tabulated to {error:.1e} only, not to {tolerance:.1e}; use "
                 "RadiativeExact, or a larger tolerance"
             )
-        return cls(table.out, table.ends, table.pole, indices, error)
+        return dataclasses.replace(table, error=error)
 
     def prepare(
         self, layers: Callable[[], Layers], process: AbstractProcess
@@ -102,8 +114,6 @@ class RadiativeTabulated(AbstractSolver):
     ):
         """See `AbstractSolver.solve`; no `key` and no `rays` are used."""
         checked_process(self, process, RadiativeTransfer)
-        if cos_exit is not None:
-            raise ValueError("RadiativeTabulated gives reflectances; a BRDF needs RadiativeExact")
         dtype = layers.extinction.dtype
         outside, power = _beams(cos_incidence, dtype)
         beams = from_outside(layers, outside)
@@ -115,13 +125,26 @@ class RadiativeTabulated(AbstractSolver):
             *(beams, power),
         )
         reflectance, mirrored, abl, stroma, ipe = light
+        values = None
+        if cos_exit is not None:
+            if isinstance(cos_incidence, str):
+                raise ValueError("a BRDF is of light from one direction, not diffuse")
+            exits = from_outside(layers, jnp.asarray(cos_exit, dtype))
+            azimuth = jnp.zeros_like(exits.cosine) if azimuth is None else azimuth
+            values = laid_out_as(
+                layers.extinction,
+                2,
+                brdf.values,
+                *(self.oftener, self.pole, layers.abl_absorption, layers.extinction, layers.albedo),
+                *(beams, exits, azimuth, self.indices),
+            )
         return Solution(
             reflectance=reflectance,
             mirrored=mirrored,
             absorbed=Absorbed(abl=abl, stroma=stroma, ipe=ipe),
             standard_error=None,
             total_error=None,
-            brdf=None,
+            brdf=values,
             brdf_error=None,
             status=RESULTS.where(
                 layers.valid(),
@@ -136,9 +159,9 @@ class RadiativeTabulated(AbstractSolver):
             jax.tree.leaves(self.indices), jax.tree.leaves(layers.indices), strict=True
         ):
             same = same & (jnp.abs(ours - theirs) <= 4 * jnp.finfo(theirs.dtype).eps * theirs)
-        depth = jnp.minimum(layers.extinction, _DEEPEST)
+        depth = jnp.minimum(layers.extinction, DEEPEST)
         rounding = 1 + 8 * jnp.finfo(depth.dtype).eps
-        return same & (layers.albedo <= rounding * _most(depth)).all()
+        return same & (layers.albedo <= rounding * most(depth)).all()
 
     def _light(self, abl, depth, albedo, coalbedo, beams: Directions, power):
         """Shares of the light, one value a wavelength."""
@@ -157,16 +180,10 @@ class RadiativeTabulated(AbstractSolver):
 
     def after(self, abl, depth, albedo, cosine) -> Fates:
         """Fates after the first scattering, shape (wavelengths, beams); `cosine`: in the stroma."""
-        shallow = jnp.minimum(depth, _DEEPEST)
-        places = (
-            _axis(jnp.minimum(abl, _DEEPEST_ABL), _DEEPEST_ABL),
-            _axis(shallow, _DEEPEST),
-            2 * albedo / _most(shallow) - 1,
-            self._cosine(cosine),
-        )
-        (out,) = _read(self.out, *places)
-        absorbed, ipe, collisions = _read(self.ends, *places)
-        pole = 1 / (1 - albedo * _polynomial(self.pole, places[1]))
+        at, across = places(abl, depth, albedo), cosine_place(cosine, self.indices)
+        (out,) = _read(self.out, at, across)
+        absorbed, ipe, collisions = _read(self.ends, at, across)
+        pole = 1 / (1 - albedo * (self.pole @ chebyshev_rows(at.depth, self.pole.size)))
         return Fates(
             out=out * (jnp.exp(-abl) / (1 + abl) * pole)[:, None],
             abl=absorbed * (-jnp.expm1(-abl) * pole)[:, None],
@@ -174,31 +191,25 @@ class RadiativeTabulated(AbstractSolver):
             collisions=collisions * pole[:, None],
         )
 
-    def _cosine(self, cosine):
-        """The table's coordinate of cosines in the stroma, of directions that come from outside."""
-        square = 1 - (self.indices.aqueous / self.indices.stroma) ** 2
-        low = safe_sqrt(square)
-        return 2 * (cosine - low) / (1 - low) - 1
-
     def _measure(self) -> float:
         """Largest error of the reflectance between the nodes."""
         rng = np.random.default_rng(0)
         error = 0.0
         for _ in range(_CHECKS):
-            points, outside = _scattered(rng, _CHUNK), rng.random(_NODES[3])
-            expected = _in_double(_reflectance, points, outside, self.indices)
+            points, outside = scattered(rng, CHUNK), rng.random(_NODES[3])
+            expected = in_double(_reflectance, points, outside, self.indices)
             found = _looked_up(self, *(jnp.asarray(x, self.pole.dtype) for x in (points, outside)))
             error = max(error, float(np.abs(np.asarray(found) / expected - 1).max()))
         return error
 
 
-def _read(table: Tucker, abl, depth, albedo, cosine):
+def _read(table: Tucker, at: Places, cosine):
     """A table's functions, each of shape (wavelengths, beams)."""
     core = jnp.einsum("abzmf,mk->fkbaz", table.core, table.basis(3, cosine))
     core = core.reshape(*core.shape[:3], -1)
     # The products of two short axes first: what is written out between is as short as the third.
-    along = (table.basis(0, abl)[:, None] * table.basis(2, albedo)[None]).reshape(-1, abl.size)
-    across = table.basis(1, depth)
+    along = table.basis(0, at.abl)[:, None] * table.basis(2, at.albedo)[None]
+    along, across = along.reshape(-1, at.abl.size), table.basis(1, at.depth)
     return [((function @ along) * across[None]).sum(1).T for function in core]
 
 
@@ -210,34 +221,10 @@ def _beams(cos_incidence, dtype):
     return jnp.atleast_1d(jnp.asarray(cos_incidence, dtype)), jnp.ones(1, dtype)
 
 
-def _most(depth):
-    """Largest albedo of the tables at an optical depth."""
-    return _ALBEDO / (1 + depth / _BEND)
-
-
-def _axis(depth, deepest: float):
-    return jnp.log1p(depth / _KNEE) * (2 / np.log1p(deepest / _KNEE)) - 1
-
-
-def _depths(nodes: int, deepest: float) -> np.ndarray:
-    return _KNEE * np.expm1((chebyshev_nodes(nodes) + 1) / 2 * np.log1p(deepest / _KNEE))
-
-
-def _polynomial(weights, x):
-    return weights @ chebyshev_rows(x, weights.size)
-
-
 def _table(indices: RefractiveIndices) -> tuple[np.ndarray, np.ndarray]:
     """Fates at the nodes, with what they share taken out, and the pole λ's polynomials."""
-    depth = _depths(_NODES[1], _DEEPEST)
-    albedo = (chebyshev_nodes(_NODES[2]) + 1) / 2
-    points = grid([_depths(_NODES[0], _DEEPEST_ABL), depth, albedo])
-    points[:, 2] *= np.asarray(_most(points[:, 1]))
-    ratio = float(indices.aqueous) / float(indices.stroma)
-    low = np.sqrt(max(1 - ratio**2, 0.0))
-    inside = low + (1 - low) * (chebyshev_nodes(_NODES[3]) + 1) / 2
-    outside = np.sqrt(1 - (1 - inside**2) / ratio**2)
-    found = _in_double(_fates, points, outside, indices)
+    points, outside = nodes(*_NODES[:3]), outside_nodes(_NODES[3], indices)
+    found = in_double(_fates, points, outside, indices)
     # Of a sum c/(1 − ω λ) over orders of scattering two values tell λ.
     shape = _NODES[:3]
     most, least = (found.collisions.reshape(*shape, -1)[-1, :, k, 0] for k in (0, -1))
@@ -247,34 +234,22 @@ def _table(indices: RefractiveIndices) -> tuple[np.ndarray, np.ndarray]:
     abl = points[:, 0]
     scale = factor * np.exp(abl) * (1 + abl), factor / -np.expm1(-abl), factor, factor
     values = [f * s[:, None] for f, s in zip(found, scale, strict=True)]
-    return np.stack(values, -1).reshape(*_NODES, 4), coefficients(depth.size) @ pole
-
-
-def _in_double(function, points: np.ndarray, outside: np.ndarray, indices: RefractiveIndices):
-    """`function` of portions of the points, one program for all, in double precision."""
-    with jax.enable_x64(True):
-        wide = jax.tree.map(lambda n: jnp.asarray(np.asarray(n, np.float64)), indices)
-        padded = np.pad(points, ((0, -len(points) % _CHUNK), (0, 0)), mode="edge")
-        parts = [
-            jax.tree.map(np.asarray, function(jnp.asarray(part), jnp.asarray(outside), wide))
-            for part in np.split(padded, len(padded) // _CHUNK)
-        ]
-    return jax.tree.map(lambda *x: np.concatenate(x)[: len(points)], *parts)
+    return np.stack(values, -1).reshape(*_NODES, 4), coefficients(shape[1]) @ pole
 
 
 @program
 def _fates(points, outside, indices: RefractiveIndices) -> Fates:
     """At points (τ_A, τ, ω), for beams of cosines in the aqueous humour: shape (points, beams)."""
-    layers = _layers(points, indices)
-    nodes, beams = quadrature_nodes(layers, _ANGLES), from_outside(layers, outside)
-    one = partial(after, nodes=nodes, beams=beams, n_depths=_DEPTHS, n_panels=_PANELS)
+    layers = layers_at(points, indices)
+    angles, beams = quadrature_nodes(layers, _ANGLES), from_outside(layers, outside)
+    one = partial(after, nodes=angles, beams=beams, n_depths=_DEPTHS, n_panels=_PANELS)
     return jax.lax.map(lambda p: one(p[0], p[1], p[2]), points, batch_size=32)
 
 
 @program
 def _first(points, outside, indices: RefractiveIndices) -> Beam:
     abl, depth, _ = points.T
-    beams = from_outside(_layers(points, indices), outside)
+    beams = from_outside(layers_at(points, indices), outside)
     return jax.vmap(before, (0, 0, None))(abl, depth, beams)
 
 
@@ -283,19 +258,7 @@ def _reflectance(points, outside, indices: RefractiveIndices):
     return beam.reflected + beam.lost * points[:, 2:] * found.out
 
 
-def _layers(points, indices: RefractiveIndices) -> Layers:
-    abl, depth, albedo = points.T
-    return Layers(abl, depth * (1 - albedo), depth * albedo, indices, indices.order())
-
-
-def _scattered(rng: np.random.Generator, count: int) -> np.ndarray:
-    """Points (τ_A, τ, ω) off the nodes, where tissue may be and beyond."""
-    abl = np.exp(rng.uniform(np.log(1e-4), np.log(5.0), count))
-    depth = np.exp(rng.uniform(np.log(1e-3), np.log(_DEEPEST), count))
-    return np.stack([abl, depth, rng.random(count) * np.minimum(1, np.asarray(_most(depth)))], -1)
-
-
 @program
 def _looked_up(table: RadiativeTabulated, points, outside):
-    layers = _layers(points, table.indices)
+    layers = layers_at(points, table.indices)
     return jax.vmap(lambda mu: table.solve(layers, DEPTH_RESOLVED, mu).reflectance)(outside).T
