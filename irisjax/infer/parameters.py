@@ -23,11 +23,12 @@ class Parameter(NamedTuple):
     meaning: str
     source: str
     above: bool = False  # `low` itself is not allowed
+    most: float = float("inf")  # of a value that is stated; priors may have tails beyond
 
     @property
     def allowed(self) -> Range:
         """Its bounds, with their unit."""
-        return Range(self.low, self.high, self.unit, self.meaning, self.above)
+        return Range(self.low, min(self.high, self.most), self.unit, self.meaning, self.above)
 
 
 _INF = float("inf")
@@ -37,10 +38,11 @@ PARAMETERS: dict[str, Parameter] = {
     "melanin_load": Parameter(
         "ug/mm2",
         0,
-        MELANIN_LOAD.high,
+        _INF,
         LogNormal(0.15, 1.2),
         "melanin mass per iris area",
         "two thirds between 0.045 and 0.5: LB06 Table 2 has 0.048 (low), 0.35, 0.44 (high)",
+        most=MELANIN_LOAD.high,
     ),
     "abl_fraction": Parameter(
         "",
@@ -61,10 +63,11 @@ PARAMETERS: dict[str, Parameter] = {
     "hemoglobin": Parameter(
         "mmol/l",
         0,
-        LIMITS["oxyhemoglobin"].high,
+        _INF,
         LogNormal(0.084, 0.5),
         "haemoglobin of both kinds in the stroma",
         "LB06 Table 2: 0.084; a factor 1.6 either way",
+        most=LIMITS["oxyhemoglobin"].high,
     ),
     "saturation": Parameter(
         "",
@@ -77,18 +80,20 @@ PARAMETERS: dict[str, Parameter] = {
     "stroma_thickness": Parameter(
         "mm",
         0,
-        LIMITS["stroma_thickness"].high,
+        _INF,
         LogNormal(0.2855, 0.2),
         "thickness of the stroma",
         "LB06 Section 3.1, 20 % either way",
+        most=LIMITS["stroma_thickness"].high,
     ),
     "abl_thickness": Parameter(
         "mm",
         0,
-        LIMITS["abl_thickness"].high,
+        _INF,
         LogNormal(0.05675, 0.2),
         "thickness of the anterior border layer",
         "LB06 Section 3.1, 20 % either way",
+        most=LIMITS["abl_thickness"].high,
     ),
     "scattering_scale": Parameter(
         "",
@@ -101,11 +106,12 @@ PARAMETERS: dict[str, Parameter] = {
     "gain": Parameter(
         "",
         0,
-        GAIN.high,
+        _INF,
         LogNormal(1.0, 0.03),
         "factor of the instrument on every value",
         "calibration of a reflectance standard, 3 %",
         above=True,
+        most=GAIN.high,
     ),
     "noise": Parameter(
         "",

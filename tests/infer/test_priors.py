@@ -83,3 +83,10 @@ def test_parameters_make_the_iris_they_describe(
         float(derived(values)["abl_melanin"])
     )
     assert float(iris.eumelanin) == pytest.approx(float(derived(values)["eumelanin"]), abs=1e-12)
+
+
+@pytest.mark.parametrize("name", ["melanin_load", "hemoglobin", "stroma_thickness", "gain"])
+def test_a_prior_may_have_a_tail_beyond_what_may_be_stated(name):
+    known = PARAMETERS[name]
+    assert prior_of("lognormal(0.1, 0.3)", known.low, known.high).median == 0.1
+    assert np.isfinite(known.allowed.high)
