@@ -20,7 +20,7 @@ def main() -> None:
     with jax.enable_x64(True):
         table = RadiativeTabulated.build(ij.Iris().indices())
     arrays = {}
-    for name in ("out", "ends", "oftener"):
+    for name in ("out", "ends", "multiple"):
         part = getattr(table, name)
         arrays[f"{name}_core"] = np.asarray(part.core)
         arrays |= {f"{name}_{i}": np.asarray(x) for i, x in enumerate(part.factors)}

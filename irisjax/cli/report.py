@@ -115,7 +115,7 @@ def one(
     tested = check(problem, chains, key=jax.random.fold_in(key, 2))
     intervals = {r.parameter: Interval(r.median, r.q2_5, r.q97_5) for r in rows}
     compared = other(best, intervals)
-    by_other = other_process.in_words(compared)
+    by_other = other_process.comparison_in_words(compared)
     lines = [
         *by_other,
         *in_words(information(problem, best)),

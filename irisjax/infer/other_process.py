@@ -136,8 +136,8 @@ def optimum(problem: Problem, key: PRNGKey, starts: int = 4) -> Optimum:
 
     draws = np.array(jax.random.normal(key, (starts, moving.size)))
     draws[0] = 0.0
-    jacobian: Any = lambda x: both(x)[1]  # noqa: E731 (the stub knows names of rules only)
-    searches = (least_squares(lambda x: both(x)[0], x, jacobian, method="lm") for x in draws)
+    search: Any = least_squares  # whose stub takes names of rules for Jacobians only
+    searches = (search(lambda x: both(x)[0], x, lambda x: both(x)[1], method="lm") for x in draws)
     found = min(searches, key=lambda f: f.cost)
     residuals, slopes = both(found.x)
     z[moving] = found.x
@@ -168,7 +168,7 @@ def noise_left(own: Fit | Optimum, other: Fit | Optimum) -> float:
     return math.sqrt(max(1.0, least / max(own.degrees, 1)))
 
 
-def in_words(found: Comparison) -> list[str]:
+def comparison_in_words(found: Comparison) -> list[str]:
     """How far the pigments move, and a warning where the data prefer the other process."""
     told = [n for n in found.moved if n.partition("@")[0] in _TOLD] or list(found.moved)[:1]
     parts = [_shift(n, found.moved[n]) for n in told]

@@ -175,11 +175,10 @@ def _compiler_options() -> dict[str, Any] | None:
     """A command waits for its compiler: XLA's older way of joining loops takes half as long, and
     what it makes runs as fast. Other releases of jaxlib stop at this flag.
     """
-    known = (
-        importlib.metadata.version("jaxlib").startswith("0.10.") and jax.default_backend() == "cpu"
+    known = importlib.metadata.version("jaxlib").startswith("0.10.")
+    return (
+        {"xla_cpu_use_fusion_emitters": False} if known and jax.default_backend() == "cpu" else None
     )
-    on_processors = jax.default_backend() == "cpu"
-    return {"xla_cpu_use_fusion_emitters": False} if known and on_processors else None
 
 
 def _is_array(x) -> bool:

@@ -22,6 +22,7 @@ from irisjax._types import Scalar
 from irisjax.anatomy.eye import Eye
 from irisjax.numerics.interpolation import chebyshev_nodes
 from irisjax.numerics.programs import program
+from irisjax.numerics.tucker import coefficients
 from irisjax.optics.fresnel import fresnel, refract
 from irisjax.render.bands import Bands
 from irisjax.render.illumination import Illumination
@@ -132,9 +133,7 @@ class Separable(AbstractIntegrator):
         )
         values = values.reshape(*(x.size for x in nodes), -1)
         for axis, x in enumerate(nodes):
-            inverse = jnp.asarray(
-                np.linalg.inv(np.polynomial.chebyshev.chebvander(x, x.size - 1)), dtype
-            )
+            inverse = jnp.asarray(coefficients(x.size), dtype)
             values = jnp.moveaxis(jnp.tensordot(inverse, values, (1, axis)), 0, axis)
         most = self._most(ranges)
         if len(most) > 1:

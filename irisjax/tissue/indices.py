@@ -5,6 +5,7 @@
 from typing import Literal
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 from jax.core import Tracer
 from jaxtyping import Array, Bool
@@ -93,6 +94,14 @@ class RefractiveIndices(eqx.Module):
     def order(self) -> Order:
         """The static `Order` of the layers."""
         return Order.of(self.abl, self.stroma, self.ipe)
+
+    def same(self, other: "RefractiveIndices") -> Bool[Array, ""]:
+        """Whether another set is this one but for rounding (either may be traced)."""
+        result = jnp.asarray(True)
+        for ours, theirs in zip(jax.tree.leaves(self), jax.tree.leaves(other), strict=True):
+            near = 4 * jnp.finfo(theirs.dtype).eps * theirs
+            result = result & (jnp.abs(ours - theirs) <= near)
+        return result
 
     def agree(self, order: Order) -> Bool[Array, ""]:
         """Whether the (possibly traced) indices have no critical angle that `order` rules out."""

@@ -10,13 +10,20 @@ DIFFUSE = "diffuse"
 """Incidence from every direction alike (cosine-weighted hemisphere)."""
 
 
+def beams_of(cos_incidence, nodes: int, dtype):
+    """Cosines of the light's directions and its shares along them; `nodes` for `DIFFUSE`."""
+    if isinstance(cos_incidence, str):
+        x, w = gauss_legendre(nodes)
+        return jnp.asarray(x, dtype), jnp.asarray(2 * x * w, dtype)
+    return jnp.atleast_1d(jnp.asarray(cos_incidence, dtype)), jnp.ones(1, dtype)
+
+
 def first_surface(cos_incidence, indices: RefractiveIndices, dtype):
     """Shares mirrored by and passing the aqueous/ABL interface, of light from a cosine or
     `DIFFUSE`.
     """
     if isinstance(cos_incidence, str):
-        x, w = gauss_legendre(48)
-        mu, w = jnp.asarray(x, dtype), jnp.asarray(2 * x * w, dtype)
+        mu, w = beams_of(cos_incidence, 48, dtype)
         mirrored, entered = fresnel_at(mu, indices.aqueous, indices.abl)
         return w @ mirrored, w @ entered
     return fresnel_at(jnp.asarray(cos_incidence, dtype), indices.aqueous, indices.abl)

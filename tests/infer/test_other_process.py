@@ -64,7 +64,7 @@ def test_the_data_prefer_the_process_that_made_them(read, maker):
         # ILIT takes the darkness of radiative transfer for several times as much melanin.
         ratio = load.other.value / load.own.value
         assert ratio < 0.6 if reader == "whole-layer" else ratio > 1.7
-        lines = other_process.in_words(found)
+        lines = other_process.comparison_in_words(found)
         assert lines[0].startswith("WARNING: the pigments depend on the model")
         assert ("the data prefer" in lines[-1]) == found.preferred
 
@@ -91,7 +91,7 @@ def test_intervals_of_a_posterior_take_the_place_of_the_fits(read):
 def test_what_is_said(other, differs, said):
     moved = {"melanin_load": Moved(Interval(0.4, 0.35, 0.45), Interval(*other))}
     assert moved["melanin_load"].differs == differs
-    (line,) = other_process.in_words(Comparison(ij.DEPTH_RESOLVED, moved, -5.0))
+    (line,) = other_process.comparison_in_words(Comparison(ij.DEPTH_RESOLVED, moved, -5.0))
     assert line.startswith("WARNING") == differs
     assert line.endswith(said)
 

@@ -15,9 +15,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from irisjax.numerics.interpolation import chebyshev_nodes
 from irisjax.numerics.piecewise import piecewise, piecewise_chebyshev
 from irisjax.numerics.programs import program
 from irisjax.numerics.sharding import laid_out_as
+from irisjax.numerics.tucker import coefficients
 from irisjax.tissue.indices import Order, RefractiveIndices
 from irisjax.tissue.iris import Iris
 from irisjax.tissue.layers import Layers
@@ -69,10 +71,10 @@ class IlitTabulated(AbstractSolver):
         order = indices.order()
         dtype = jnp.result_type(float)
         tolerance = max(tolerance, 32 * float(jnp.finfo(dtype).eps))
-        local = np.cos(np.pi * (np.arange(_DEGREE + 1) + 0.5) / (_DEGREE + 1))
-        albedo_nodes = np.cos(np.pi * (np.arange(n_albedos) + 0.5) / n_albedos)
+        local = chebyshev_nodes(_DEGREE + 1)
+        albedo_nodes = chebyshev_nodes(n_albedos)
         to_local = np.linalg.inv(np.polynomial.polynomial.polyvander(local, _DEGREE))
-        to_albedo = np.linalg.inv(np.polynomial.chebyshev.chebvander(albedo_nodes, n_albedos - 1))
+        to_albedo = coefficients(n_albedos)
         depths = _depth((np.arange(n_intervals)[:, None] + (local + 1) / 2) / n_intervals)
 
         albedos = jnp.asarray((albedo_nodes + 1) / 2, dtype)
@@ -137,11 +139,7 @@ class IlitTabulated(AbstractSolver):
             cos_incidence,
             cos_exit,
         )
-        same = jnp.asarray(True)
-        for ours, theirs in zip(
-            jax.tree.leaves(self.indices), jax.tree.leaves(layers.indices), strict=True
-        ):
-            same = same & (jnp.abs(ours - theirs) <= 4 * jnp.finfo(theirs.dtype).eps * theirs)
+        same = self.indices.same(layers.indices)
         status = RESULTS.where(same, solution.status, RESULTS.outside_table)
         return eqx.tree_at(lambda s: s.status, solution, status)
 

@@ -8,7 +8,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from irisjax.numerics.interpolation import chebyshev_rows
 from irisjax.numerics.programs import program
 from irisjax.numerics.tucker import Tucker
 from irisjax.tissue.indices import RefractiveIndices
@@ -19,10 +18,16 @@ from irisjax.transport.radiative.axes import (
     nodes,
     outside_nodes,
     places,
+    resummed,
 )
 from irisjax.transport.radiative.directions import Directions, from_outside, quadrature_nodes
 from irisjax.transport.radiative.fates import before
-from irisjax.transport.radiative.orders import azimuthal, oftener, once, ways
+from irisjax.transport.radiative.orders import (
+    azimuthal,
+    multiple_scattering,
+    single_scattering,
+    ways,
+)
 
 _NODES = 12, 24, 8, 6, 6  # along τ_A, τ, ω and the cosines in and out
 _LEFT_OUT = 1e-5
@@ -34,7 +39,7 @@ def table(indices: RefractiveIndices, pole: np.ndarray, dtype) -> Tucker:
     `pole`: polynomials of λ.
     """
     points, outside = nodes(*_NODES[:3]), outside_nodes(_NODES[3], indices)
-    found = in_double(_oftener, points, outside, indices)
+    found = in_double(_multiple, points, outside, indices)
     depth = np.asarray(places(*points.T).depth, np.float64)
     eigenvalue = np.polynomial.chebyshev.chebval(depth, pole)
     found[..., 0] *= (1 - points[:, 2] * eigenvalue)[:, None, None]
@@ -62,24 +67,23 @@ def values(
     )
     along = held.basis(0, at.abl)[:, None] * held.basis(2, at.albedo)[None]
     found = jnp.einsum("efabz,bw,azw->wef", core, held.basis(1, at.depth), along)
-    leading = 1 / (1 - albedo * (pole @ chebyshev_rows(at.depth, pole.size)))
-    found = found.at[..., 0].multiply(leading[:, None])
+    found = found.at[..., 0].multiply(resummed(pole, at, albedo)[:, None])
 
     def one(abl, depth, albedo, orders):
         out, lost = ways(abl, depth, exits, indices), before(abl, depth, beam).lost[0]
         more = albedo**2 * lost * out.taken * (orders.T * azimuthal(beam, exits, azimuth)).sum(0)
-        return out.outside * (once(abl, depth, albedo, beam, exits, azimuth) + more)
+        return out.outside * (single_scattering(abl, depth, albedo, beam, exits, azimuth) + more)
 
     return jax.vmap(one)(abl, depth, albedo, found)
 
 
 @program
-def _oftener(points, outside, indices: RefractiveIndices):
+def _multiple(points, outside, indices: RefractiveIndices):
     """At points (τ_A, τ, ω), between cosines in the aqueous humour: (points, beams, exits, 3)."""
     layers = layers_at(points, indices)
     angles, between = quadrature_nodes(layers, _ANGLES), from_outside(layers, outside)
 
     def one(p):
-        return oftener(p[0], p[1], p[2], angles, between, between, _HOW)
+        return multiple_scattering(p[0], p[1], p[2], angles, between, between, _HOW)
 
     return jax.lax.map(one, points, batch_size=32)

@@ -20,9 +20,9 @@ from jax.core import Tracer
 
 from irisjax.numerics import linear
 from irisjax.numerics.checks import check_whole
-from irisjax.numerics.quadrature import gauss_legendre
 from irisjax.numerics.sharding import laid_out_as
 from irisjax.tissue.layers import Layers
+from irisjax.transport.incidence import beams_of
 from irisjax.transport.process import RadiativeTransfer
 from irisjax.transport.radiative.directions import (
     MODES,
@@ -140,11 +140,7 @@ def _solve(
 ):
     n, dtype = layers.indices, layers.extinction.dtype
     nodes = quadrature_nodes(layers, n_angles)
-    if isinstance(cos_incidence, str):
-        x, w = gauss_legendre(max(16, n_angles // 2))
-        outside, power = jnp.asarray(x, dtype), jnp.asarray(2 * x * w, dtype)
-    else:
-        outside, power = jnp.atleast_1d(jnp.asarray(cos_incidence, dtype)), jnp.ones(1, dtype)
+    outside, power = beams_of(cos_incidence, max(16, n_angles // 2), dtype)
     beams = from_outside(layers, outside)
     exits = None if cos_exit is None else from_outside(layers, jnp.asarray(cos_exit, dtype))
     if exits is not None and azimuth is None:

@@ -43,7 +43,7 @@ class Course(NamedTuple):
     roof: Roof
 
 
-class Fates(NamedTuple):
+class ScatteredFates(NamedTuple):
     """Of light scattered once: shares that leave the iris and that end in the ABL and in the IPE,
     and the mean number of times that it collides again; shape (beams,).
     """
@@ -83,7 +83,7 @@ def course(abl, depth, d: Directions) -> Course:
 
 
 def after(abl, depth, albedo, nodes: Directions, beams: Directions, n_depths: int, n_panels: int):
-    """`Fates` of the light that each of some beams has scattered once, of one wavelength.
+    """`ScatteredFates` of the light that each of some beams has scattered once, of one wavelength.
 
     `albedo` may exceed 1 by a little: the sum over orders of scattering goes on converging as long
     as light leaves the slab faster.
@@ -106,7 +106,7 @@ def after(abl, depth, albedo, nodes: Directions, beams: Directions, n_depths: in
     def share(leaving, taken):
         return ((flux * taken[None, :]) @ leaving.T).ravel() @ first
 
-    return Fates(
+    return ScatteredFates(
         out=share(top, roof.passed),
         abl=share(top, roof.absorbed),
         ipe=share(bottom, nodes.bottom[1]),

@@ -36,7 +36,7 @@ def _taken(abl, depth, d: Directions):
     return way.series * (1 + way.back) * each * (1 + depth)
 
 
-def once(abl, depth, albedo, beam: Directions, exits: Directions, azimuth):
+def single_scattering(abl, depth, albedo, beam: Directions, exits: Directions, azimuth):
     """Radiance at the slab's top of light scattered once, shape (exits,), from a beam of flux 1 on
     the iris: ω p(α)/(2 μ_i μ_o) ∫ exp(−t/μ_i − t/μ_o) dt over its courses, up or down before, up or
     down after.
@@ -57,7 +57,9 @@ def once(abl, depth, albedo, beam: Directions, exits: Directions, azimuth):
     return 0.5 * albedo * into * after.series * courses * a * b
 
 
-def oftener(abl, depth, albedo, nodes: Directions, beams: Directions, exits: Directions, how):
+def multiple_scattering(
+    abl, depth, albedo, nodes: Directions, beams: Directions, exits: Directions, how
+):
     """Radiance at the slab's top of light scattered twice and oftener, by azimuthal order: shape
     (beams, exits, orders), over ω², what of each beam is lost to the slab, and each exit's
     `Ways.taken`.
@@ -88,7 +90,7 @@ def oftener(abl, depth, albedo, nodes: Directions, beams: Directions, exits: Dir
 
 
 def azimuthal(beam: Directions, exits: Directions, azimuth):
-    """What each order of `oftener` is times in a sum over them, shape (orders, exits)."""
+    """Factors of the orders of `multiple_scattering` in their sum, shape (orders, exits)."""
     rows = []
     for mode in MODES:
         row = jnp.cos(mode.order * azimuth) * (1 if mode.order == 0 else 2)

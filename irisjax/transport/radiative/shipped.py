@@ -38,7 +38,7 @@ def _table(indices: tuple[float, ...], dtype: str) -> RadiativeTabulated:
     return RadiativeTabulated(
         out=tucker("out", 4),
         ends=tucker("ends", 4),
-        oftener=tucker("oftener", 5),
+        multiple=tucker("multiple", 5),
         pole=jnp.asarray(stored["pole"], dtype),
         indices=wanted,
         error=float(stored[f"error_{dtype}"]),

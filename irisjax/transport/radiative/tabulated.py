@@ -17,14 +17,13 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from irisjax.numerics.interpolation import chebyshev_rows
 from irisjax.numerics.programs import program
-from irisjax.numerics.quadrature import gauss_legendre
 from irisjax.numerics.sharding import laid_out_as
 from irisjax.numerics.tucker import Tucker, coefficients
 from irisjax.tissue.indices import RefractiveIndices
 from irisjax.tissue.iris import Iris
 from irisjax.tissue.layers import Layers
+from irisjax.transport.incidence import beams_of
 from irisjax.transport.process import DEPTH_RESOLVED, AbstractProcess, RadiativeTransfer
 from irisjax.transport.radiative import brdf
 from irisjax.transport.radiative.axes import (
@@ -38,10 +37,11 @@ from irisjax.transport.radiative.axes import (
     nodes,
     outside_nodes,
     places,
+    resummed,
     scattered,
 )
 from irisjax.transport.radiative.directions import Directions, from_outside, quadrature_nodes
-from irisjax.transport.radiative.fates import Beam, Fates, after, before
+from irisjax.transport.radiative.fates import Beam, ScatteredFates, after, before
 from irisjax.transport.solution import RESULTS, Absorbed, Solution
 from irisjax.transport.solver import AbstractSolver, checked_process
 
@@ -65,7 +65,7 @@ class RadiativeTabulated(AbstractSolver):
 
     out: Tucker
     ends: Tucker
-    oftener: Tucker
+    multiple: Tucker
     pole: Float[Array, " polynomials"]
     indices: RefractiveIndices
     error: float = eqx.field(static=True)
@@ -84,8 +84,8 @@ class RadiativeTabulated(AbstractSolver):
         dtype = jnp.result_type(float)
         # `out` by itself: who wants no more pays for no more.
         out, ends = (Tucker.of(f, _LEFT_OUT, dtype) for f in (fates[..., :1], fates[..., 1:]))
-        oftener = brdf.table(indices, pole, dtype)
-        table = cls(out, ends, oftener, jnp.asarray(pole, dtype), indices, 0.0)
+        multiple = brdf.table(indices, pole, dtype)
+        table = cls(out, ends, multiple, jnp.asarray(pole, dtype), indices, 0.0)
         error = table._measure()
         if error > tolerance:
             raise ValueError(
@@ -115,7 +115,7 @@ class RadiativeTabulated(AbstractSolver):
         """See `AbstractSolver.solve`; no `key` and no `rays` are used."""
         checked_process(self, process, RadiativeTransfer)
         dtype = layers.extinction.dtype
-        outside, power = _beams(cos_incidence, dtype)
+        outside, power = beams_of(cos_incidence, 16, dtype)
         beams = from_outside(layers, outside)
         light = laid_out_as(
             layers.extinction,
@@ -135,7 +135,13 @@ class RadiativeTabulated(AbstractSolver):
                 layers.extinction,
                 2,
                 brdf.values,
-                *(self.oftener, self.pole, layers.abl_absorption, layers.extinction, layers.albedo),
+                *(
+                    self.multiple,
+                    self.pole,
+                    layers.abl_absorption,
+                    layers.extinction,
+                    layers.albedo,
+                ),
                 *(beams, exits, azimuth, self.indices),
             )
         return Solution(
@@ -154,14 +160,9 @@ class RadiativeTabulated(AbstractSolver):
         )
 
     def _holds(self, layers: Layers):
-        same = jnp.asarray(True)
-        for ours, theirs in zip(
-            jax.tree.leaves(self.indices), jax.tree.leaves(layers.indices), strict=True
-        ):
-            same = same & (jnp.abs(ours - theirs) <= 4 * jnp.finfo(theirs.dtype).eps * theirs)
         depth = jnp.minimum(layers.extinction, DEEPEST)
         rounding = 1 + 8 * jnp.finfo(depth.dtype).eps
-        return same & (layers.albedo <= rounding * most(depth)).all()
+        return self.indices.same(layers.indices) & (layers.albedo <= rounding * most(depth)).all()
 
     def _light(self, abl, depth, albedo, coalbedo, beams: Directions, power):
         """Shares of the light, one value a wavelength."""
@@ -178,13 +179,13 @@ class RadiativeTabulated(AbstractSolver):
         stroma = (beam.lost * coalbedo[:, None] + first * in_stroma) @ power
         return reflectance, mirrored, (beam.abl + first * in_abl) @ power, stroma, ipe
 
-    def after(self, abl, depth, albedo, cosine) -> Fates:
+    def after(self, abl, depth, albedo, cosine) -> ScatteredFates:
         """Fates after the first scattering, shape (wavelengths, beams); `cosine`: in the stroma."""
         at, across = places(abl, depth, albedo), cosine_place(cosine, self.indices)
         (out,) = _read(self.out, at, across)
         absorbed, ipe, collisions = _read(self.ends, at, across)
-        pole = 1 / (1 - albedo * (self.pole @ chebyshev_rows(at.depth, self.pole.size)))
-        return Fates(
+        pole = resummed(self.pole, at, albedo)
+        return ScatteredFates(
             out=out * (jnp.exp(-abl) / (1 + abl) * pole)[:, None],
             abl=absorbed * (-jnp.expm1(-abl) * pole)[:, None],
             ipe=ipe * pole[:, None],
@@ -213,14 +214,6 @@ def _read(table: Tucker, at: Places, cosine):
     return [((function @ along) * across[None]).sum(1).T for function in core]
 
 
-def _beams(cos_incidence, dtype):
-    """Cosines in the aqueous humour, and their shares of the light."""
-    if isinstance(cos_incidence, str):
-        x, w = gauss_legendre(16)
-        return jnp.asarray(x, dtype), jnp.asarray(2 * x * w, dtype)
-    return jnp.atleast_1d(jnp.asarray(cos_incidence, dtype)), jnp.ones(1, dtype)
-
-
 def _table(indices: RefractiveIndices) -> tuple[np.ndarray, np.ndarray]:
     """Fates at the nodes, with what they share taken out, and the pole λ's polynomials."""
     points, outside = nodes(*_NODES[:3]), outside_nodes(_NODES[3], indices)
@@ -238,7 +231,7 @@ def _table(indices: RefractiveIndices) -> tuple[np.ndarray, np.ndarray]:
 
 
 @program
-def _fates(points, outside, indices: RefractiveIndices) -> Fates:
+def _fates(points, outside, indices: RefractiveIndices) -> ScatteredFates:
     """At points (τ_A, τ, ω), for beams of cosines in the aqueous humour: shape (points, beams)."""
     layers = layers_at(points, indices)
     angles, beams = quadrature_nodes(layers, _ANGLES), from_outside(layers, outside)
