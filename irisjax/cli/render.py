@@ -20,14 +20,8 @@ from irisjax.measure.colour import srgb_encode
 from irisjax.numerics.checks import Range, check_range
 from irisjax.numerics.programs import program
 from irisjax.render import scene as staging
-from irisjax.render.separable import Separable
-from irisjax.render.single_scattering import SingleScattering
+from irisjax.render.integrators import INTEGRATORS, integrator_name
 from irisjax.render.tiles import bands
-
-_INTEGRATORS: dict[str, type[Separable] | type[SingleScattering]] = {
-    "separable": Separable,
-    "single-scattering": SingleScattering,
-}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -70,13 +64,14 @@ class Picture(Group):
         option(parse=whole(1, 8), metavar="count", help="along each side of a pixel, 1 to 8"),
     ] = 1
     integrator: Annotated[
-        str,
+        str | None,
         option(
             metavar="name",
-            help="separable (ILIT, all orders of scattering) or single-scattering (marched as in "
-            "F09)",
+            help="separable (ILIT, all orders of scattering), radiative-transfer (all orders, each "
+            "light's direction; presets have pigments of their own) or single-scattering (marched "
+            "as in F09); default: the scene's, separable",
         ),
-    ] = "separable"
+    ] = None
     bits: Annotated[int, option(metavar="count", help="8 or 16, of a PNG")] = 8
     spectral: Annotated[
         Grid | None,
@@ -109,9 +104,9 @@ class Picture(Group):
             raise ValueError(f"--frames {self.frames} is for --animate")
         if self.bits not in (8, 16):
             raise ValueError(f"--bits {self.bits} must be 8 or 16")
-        if self.integrator not in _INTEGRATORS:
+        if self.integrator is not None and self.integrator not in INTEGRATORS:
             raise ValueError(
-                f"--integrator: unknown {self.integrator!r}; known: {', '.join(_INTEGRATORS)}"
+                f"--integrator: unknown {self.integrator!r}; known: {', '.join(INTEGRATORS)}"
             )
         check_range("--exposure", self.exposure, Range(0, math.inf, above=True))
 
@@ -161,8 +156,8 @@ def render(view: View, picture: Picture, files: PictureFile) -> None:
         raise ValueError(
             "--spectral needs lamps: an environment has colours, not spectra; give --light"
         )
-    scene = changed(file.scene(), view.light, view.pupil_radius, picture.size, view.camera)
-    scene = scene.replace(integrator=_INTEGRATORS[picture.integrator]())
+    scene = file.scene(picture.integrator)
+    scene = changed(scene, view.light, view.pupil_radius, picture.size, view.camera)
     tinted = scene.lights is not None and scene.lights.tint is not None
     if picture.spectral is not None and tinted:
         raise ValueError(
@@ -178,7 +173,7 @@ def render(view: View, picture: Picture, files: PictureFile) -> None:
 def _still(scene: staging.Scene, picture: Picture, exposure: float, output: Path) -> None:
     wavelengths = None if picture.spectral is None else picture.spectral.values
     width, height = scene.camera.size
-    remark = f"simulated by irisjax; integrator {picture.integrator}"
+    remark = f"simulated by irisjax; integrator {integrator_name(scene.integrator)}"
     names = ("R", "G", "B") if wavelengths is None else io.spectral_channels(wavelengths)
     with tqdm(
         desc="preparing", total=height, unit="row", disable=not sys.stderr.isatty()

@@ -11,14 +11,29 @@ from irisjax.anatomy.eye import Eye
 from irisjax.grow.procedural import procedural
 from irisjax.tissue.iris import Iris
 from irisjax.tissue.maps import IrisMaps
+from irisjax.transport.process import ILIT_2006, AbstractProcess, Ilit
 
-# Pigments (eumelanin and pheomelanin, mg/ml), share in the ABL, fibril radius (nm); features.
-_COLOURS: dict[str, tuple[tuple[float, float, float, float], dict[str, Any]]] = {
-    "brown": ((2.4, 0.5, 0.72, 72.0), {"abl": 1.0, "crypts": 10, "furrows": 6}),
-    "hazel": ((0.4, 0.9, 0.5, 57.0), {"heterochromia": 2.5, "abl": 0.5, "freckles": 4}),
-    "green": ((0.1, 0.8, 0.6, 51.5), {"heterochromia": 2.0, "freckles": 6}),
-    "blue": ((0.015, 0.01, 0.5, 45.0), {}),
-    "grey": ((0.4, 0.05, 0.3, 65.0), {}),
+# Eumelanin and pheomelanin (mg/ml), share in the ABL, fibril radius (nm).
+_ILIT: dict[str, tuple[float, float, float, float]] = {
+    "brown": (2.4, 0.5, 0.72, 72.0),
+    "hazel": (0.4, 0.9, 0.5, 57.0),
+    "green": (0.1, 0.8, 0.6, 51.5),
+    "blue": (0.015, 0.01, 0.5, 45.0),
+    "grey": (0.4, 0.05, 0.3, 65.0),
+}
+_RADIATIVE: dict[str, tuple[float, float, float, float]] = {
+    "brown": (1.5, 0.6, 0.7, 71.0),
+    "hazel": (0.12, 1.7, 0.5, 71.0),
+    "green": (0.05, 0.95, 0.85, 69.0),
+    "blue": (0.025, 0.012, 0.5, 58.0),
+    "grey": (0.4, 0.05, 0.2, 71.0),
+}
+_FEATURES: dict[str, dict[str, Any]] = {
+    "brown": {"abl": 1.0, "crypts": 10, "furrows": 6},
+    "hazel": {"heterochromia": 2.5, "abl": 0.5, "freckles": 4},
+    "green": {"heterochromia": 2.0, "freckles": 6},
+    "blue": {},
+    "grey": {},
 }
 
 
@@ -26,6 +41,7 @@ def preset(
     colour: str,
     eye: Eye | None = None,
     *,
+    process: AbstractProcess = ILIT_2006,
     shape: tuple[int, int] = (768, 256),
     pigments: Mapping[str, Any] | None = None,
     features: Mapping[str, Any] | None = None,
@@ -33,20 +49,24 @@ def preset(
 ) -> tuple[Iris, IrisMaps]:
     """A made-up eye of a colour: `"brown"`, `"hazel"`, `"green"`, `"blue"` or `"grey"`.
 
-    The pigments are chosen by eye, not measured. So is the fibrils' radius: at LB06's 30 nm the
-    stroma sends back too little for any of these colours. `colour(iris)`, 8-bit sRGB under D65
-    against a perfect white: brown (57, 36, 12), hazel (80, 77, 59), green (76, 78, 65), blue (65,
-    87, 99), grey (99, 112, 112). Brown takes 2.4 times the eumelanin of LB06's high level, and the
-    model knows no neutral grey: a* stays near −5. Hazel and green eyes are browner than that near
-    the pupil, where their maps add eumelanin. `pigments` changes fields of the iris, `features`
+    The pigments are chosen by eye, not measured, for ILIT or, where `process` is radiative
+    transfer, for that. So is the fibrils' radius: at LB06's 30 nm the stroma sends back too little
+    for any of these colours, and under radiative transfer about half of what ILIT says.
+    `colour(iris)`, 8-bit sRGB under D65 against a perfect white, by ILIT: brown (57, 36, 12), hazel
+    (80, 77, 59), green (76, 78, 65), blue (65, 87, 99), grey (99, 112, 112); by radiative transfer:
+    brown (62, 49, 27), hazel (82, 74, 51), green (83, 82, 63), blue (65, 89, 99), grey (84,
+    99, 101). Brown takes 2.4 times the eumelanin of LB06's high level under ILIT, and the model
+    knows no neutral grey: a* stays near −5. Hazel and green eyes are browner than that near the
+    pupil, where their maps add eumelanin. `pigments` changes fields of the iris, `features`
     arguments of `procedural`.
 
     **Returns:** the iris and maps of `shape` (angles, radii). **Raises:** `ValueError` for an
     unknown colour.
     """
-    if colour not in _COLOURS:
-        raise ValueError(f"unknown eye colour {colour!r}; known: {', '.join(sorted(_COLOURS))}")
-    (eumelanin, pheomelanin, share, radius), usual = _COLOURS[colour]
+    if colour not in _FEATURES:
+        raise ValueError(f"unknown eye colour {colour!r}; known: {', '.join(sorted(_FEATURES))}")
+    made_for = _ILIT if isinstance(process, Ilit) else _RADIATIVE
+    eumelanin, pheomelanin, share, radius = made_for[colour]
     iris = Iris(
         eumelanin=jnp.asarray(eumelanin),
         pheomelanin=jnp.asarray(pheomelanin),
@@ -54,8 +74,9 @@ def preset(
         fibril_radius=jnp.asarray(radius),
     )
     iris = iris.replace(**pigments) if pigments else iris
+    usual = _FEATURES[colour]
     return iris, procedural(iris, eye, shape=shape, **{**usual, **(features or {})}, key=key)
 
 
-PRESETS = {colour: partial(preset, colour) for colour in _COLOURS}
-"""Eye colours: functions of `shape` and `key` that make an iris and its maps."""
+PRESETS = {colour: partial(preset, colour) for colour in _FEATURES}
+"""Eye colours: functions of `process`, `shape` and `key` that make an iris and its maps."""

@@ -11,6 +11,7 @@ from irisjax.grow.presets import PRESETS
 from irisjax.measure.colour import illuminant_power
 from irisjax.numerics.checks import Range
 from irisjax.render import camera, lights
+from irisjax.render.integrators import INTEGRATORS
 from irisjax.tissue.iris import LIMITS, MELANIN_LOAD
 
 _LEVELS = ("low", "moderate", "high")
@@ -141,7 +142,11 @@ SECTIONS: dict[str, dict[str, Callable[[Any], Any]]] = {
         "lights": _whole(1, 1000),
         "strength": _number(0, 1e6),
     },
-    "picture": {"exposure": _number(1e-6, 1e6), "illuminant": _illuminant},
+    "picture": {
+        "exposure": _number(1e-6, 1e6),
+        "illuminant": _illuminant,
+        "integrator": _one(*INTEGRATORS),
+    },
 }
 
 

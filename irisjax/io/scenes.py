@@ -20,10 +20,12 @@ from irisjax.io.images import read_environment
 from irisjax.io.maps import read_maps
 from irisjax.render.camera import Camera
 from irisjax.render.environment import Environment
+from irisjax.render.integrators import INTEGRATORS
 from irisjax.render.lights import Lights
 from irisjax.render.scene import Scene
 from irisjax.tissue.iris import Iris
 from irisjax.tissue.maps import IrisMaps
+from irisjax.transport.process import AbstractProcess
 
 
 class SceneError(ValueError):
@@ -52,13 +54,19 @@ class SceneFile(Mapping[str, Any]):
         """Factor on the picture."""
         return self._sections.get("picture", {}).get("exposure", 1.0)
 
-    def scene(self) -> Scene:
-        """Build it. **Raises:** `ValueError` that names file and line."""
-        parts: dict[str, Any] = {}
+    def scene(self, integrator: str | None = None) -> Scene:
+        """Build it, with an integrator of `INTEGRATORS` other than its own if one is named.
+
+        A preset has pigments of its own under radiative transfer. **Raises:** `ValueError` that
+        names file and line.
+        """
+        own = self._sections.get("picture", {}).get("integrator", "separable")
+        chosen = INTEGRATORS[own if integrator is None else integrator]()
+        parts: dict[str, Any] = {"integrator": chosen}
         drawn = self._maps_of_file()
         makers = {
             "eye": self._eye,
-            "iris": lambda: self._iris(parts["eye"]),
+            "iris": lambda: self._iris(parts["eye"], chosen.process),
             "camera": self._camera,
             "light": self._lights,
             "environment": self._environment,
@@ -95,7 +103,7 @@ class SceneFile(Mapping[str, Any]):
         except ValueError as error:
             raise SceneError(f"{self._where(section, 'file')}: {error}") from None
 
-    def _iris(self, eye: Eye):
+    def _iris(self, eye: Eye, process: AbstractProcess):
         given = dict(self._sections.get("iris", {}))
         features = {k: v for k, v in self._sections.get("maps", {}).items() if k in FEATURES}
         # Maps from a file take the place of grown ones.
@@ -108,7 +116,13 @@ class SceneFile(Mapping[str, Any]):
             colour = given.pop("preset")
             shape = (16, 8) if uniform else (768, 256)  # maps that nobody asked for are grown small
             iris, maps = preset(
-                colour, eye, shape=shape, pigments=given, features=features, key=self._key("maps")
+                colour,
+                eye,
+                process=process,
+                shape=shape,
+                pigments=given,
+                features=features,
+                key=self._key("maps"),
             )
         else:
             iris = Iris.of_level(given.pop("level", "moderate"))

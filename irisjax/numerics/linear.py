@@ -10,6 +10,7 @@ the libraries' batched routines serve.
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax.custom_batching import custom_vmap
 from jaxtyping import Array, Float
 
@@ -77,3 +78,35 @@ def _gauss_jordan(m: Float[Array, "n width many"]) -> Float[Array, "n rest many"
         return jnp.where(rows == k, pivot_row, m - m[:, k, None] * pivot_row)
 
     return jax.lax.fori_loop(0, n, step, m)[:, n:]
+
+
+def leading_subspace(
+    matrix: Float[Array, "n n"], count: int, turns: int = 16
+) -> Float[Array, "n count"]:
+    """Orthonormal vectors that span what a symmetric, positive semidefinite matrix stretches most.
+
+    Orthogonal iteration, each turn's vectors made orthogonal twice: small matrices, no LAPACK.
+    """
+    size = matrix.shape[0]
+    tiny = jnp.finfo(matrix.dtype).tiny ** 0.5
+
+    def orthonormal(vectors):
+        rows = []
+        for k in range(count):
+            v = vectors[:, k]
+            for _ in range(2):
+                for row in rows:
+                    v = v - row * (row @ v)
+            rows.append(v / jnp.maximum(jnp.sqrt(v @ v), tiny))
+        return jnp.stack(rows, 1)
+
+    # Never blind to a direction: every vector has something of every coordinate.
+    start = np.cos(np.outer(np.arange(size) + 0.5, np.arange(count)) * np.pi / size)
+    # Where the matrix has a lower rank the vectors beyond it are any others.
+    lifted = matrix + jnp.finfo(matrix.dtype).eps * jnp.eye(size, dtype=matrix.dtype)
+    return jax.lax.fori_loop(
+        0,
+        turns,
+        lambda _, v: orthonormal(lifted @ v),
+        orthonormal(jnp.asarray(start, matrix.dtype)),
+    )

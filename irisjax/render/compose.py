@@ -26,6 +26,7 @@ from irisjax.render.sclera import ColourTable, colour_table
 from irisjax.render.steps import Once, simply
 from irisjax.tissue.iris import Iris
 from irisjax.tissue.maps import Scales
+from irisjax.transport.solution import raise_failure
 
 
 def render(
@@ -98,20 +99,25 @@ def prepare(
     base = _surroundings(scene, seen, clear, lamp, once)
     texels, ground = None, None
     ranges = shading.ranges_of(scene.iris, scene.maps, once)
+    known = scene.integrator, scene.iris, eye.aqueous_index, bands, ranges
+    integrator = once("integrator", _prepared, *known)
     if seen.iris is not None:
         parts = lights, eye, scene.iris, scene.maps, tables, ranges
-        texels, ground = scene.integrator.place(seen.iris, *parts, once)
-    return Stage(
-        base, texels, ground, bands, scene.integrator, ranges, eye.aqueous_index, seen.size
-    )
+        texels, ground = integrator.place(seen.iris, *parts, once)
+    return Stage(base, texels, ground, bands, integrator, ranges, eye.aqueous_index, seen.size)
 
 
-@program
 def respond(
     integrator: AbstractIntegrator, iris: Iris, aqueous_index, bands: Bands, ranges: Scales
 ) -> AbstractResponse:
-    """How the iris of given pigments sends light back, in the channels of `bands`."""
-    return integrator.response(iris, aqueous_index, bands, ranges)
+    """How the iris of given pigments sends light back, in the channels of `bands`.
+
+    **Raises:** `ValueError` where the integrator's solver does not hold the layers of a texel.
+    """
+    found = _respond(integrator, iris, aqueous_index, bands, ranges)
+    if found.status is not None:
+        raise_failure(found.status)
+    return found
 
 
 @pixelwise
@@ -166,6 +172,15 @@ def _numbers(pixels: MirrorPixels):
     count = pixels.reflectance.size
     every = jnp.arange(count, dtype=jnp.int32)
     return every if pixels.index is None else jnp.maximum(pixels.index, 0)
+
+
+def _prepared(integrator: AbstractIntegrator, iris: Iris, aqueous_index, bands, ranges: Scales):
+    return integrator.prepare(iris, aqueous_index, bands, ranges)
+
+
+@program
+def _respond(integrator: AbstractIntegrator, iris: Iris, aqueous_index, bands, ranges: Scales):
+    return integrator.response(iris, aqueous_index, bands, ranges)
 
 
 @program

@@ -16,15 +16,18 @@ from irisjax.render.steps import Once, simply
 from irisjax.tissue.iris import Iris
 from irisjax.tissue.maps import IrisMaps, Scales
 from irisjax.transport.process import AbstractProcess
+from irisjax.transport.solution import RESULTS
 
 
 class AbstractResponse(eqx.Module):
     """An iris of given pigments, ready to shade pixels.
 
     - `error`: of a table, relative to the brightest texel; `None` where nothing is tabulated.
+    - `status`: of the solver, `None` where nothing can fail.
     """
 
     error: eqx.AbstractVar[Float[Array, ""] | None]
+    status: eqx.AbstractVar[RESULTS | None]
 
     @abc.abstractmethod
     def shade(self, texels: Any, ground: Any) -> Float[Array, "channels pixels"]:
@@ -39,6 +42,13 @@ class AbstractIntegrator(eqx.Module):
     """
 
     process: eqx.AbstractVar[AbstractProcess]
+
+    def prepare(
+        self, iris: Iris, aqueous_index: Scalar, bands: Bands, ranges: Scales
+    ) -> "AbstractIntegrator":
+        """The integrator with all fixed that must be known before tracing."""
+        del iris, aqueous_index, bands, ranges
+        return self
 
     @abc.abstractmethod
     def place(

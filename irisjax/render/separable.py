@@ -9,8 +9,6 @@ every table.
 """
 
 import dataclasses
-import itertools
-from typing import Any
 
 import equinox as eqx
 import jax
@@ -22,22 +20,16 @@ from irisjax._types import Scalar
 from irisjax.anatomy.eye import Eye
 from irisjax.numerics.interpolation import chebyshev_nodes
 from irisjax.numerics.programs import program
-from irisjax.numerics.tucker import coefficients
 from irisjax.optics.fresnel import fresnel, refract
 from irisjax.render.bands import Bands
 from irisjax.render.illumination import Illumination
 from irisjax.render.integrator import AbstractIntegrator, AbstractResponse
 from irisjax.render.lights import Lights
-from irisjax.render.products import (
-    basis,
-    from_unit,
-    kept_products,
-    polynomials,
-    scaled,
-)
+from irisjax.render.products import basis, polynomials, scaled
 from irisjax.render.project import IrisPixels
 from irisjax.render.shading import illuminate, irradiance_at, relief_at, scales_at
 from irisjax.render.steps import Once, simply
+from irisjax.render.texels import along, between, degrees_of, grid, of_products, scales_at_unit
 from irisjax.tissue.iris import Iris
 from irisjax.tissue.maps import IrisMaps, Scales, texel_layers
 from irisjax.tissue.pigments import extinction
@@ -45,7 +37,6 @@ from irisjax.transport.ilit.exact import IlitExact
 from irisjax.transport.process import ILIT_2006, Ilit
 from irisjax.transport.solver import AbstractSolver
 
-_CHECKS = 24
 _COSINES = 48
 
 
@@ -93,20 +84,17 @@ class Separable(AbstractIntegrator):
         )
         return Texels(pixels.index, terms, light), None
 
-    def _most(self, ranges: Scales) -> tuple[int, ...]:
-        return tuple(d for d, r in zip(self.degrees[:4], ranges, strict=True) if r is not None)
-
     def response(
         self, iris: Iris, aqueous_index: Scalar, bands: Bands, ranges: Scales
     ) -> "SeparableResponse":
         """Tabulate `iris` for the channels of `bands`; `ranges` from `Scales.ranges`."""
         dtype = bands.weights.dtype
-        varied = [i for i, r in enumerate(ranges) if r is not None]
-        nodes = [chebyshev_nodes(self.degrees[i] + 1) for i in (*varied, 4)]
+        most = degrees_of(ranges, self.degrees)
         n = iris.indices(aqueous_index)
         indices = (jnp.asarray(n.aqueous, dtype), jnp.asarray(n.abl, dtype))
         lowest = refract(jnp.zeros((), dtype), *indices)
-        inside = lowest + (1 - lowest) * jnp.asarray((nodes[-1] + 1) / 2, dtype)
+        nodes = jnp.asarray((chebyshev_nodes(self.degrees[4] + 1) + 1) / 2, dtype)
+        inside = lowest + (1 - lowest) * nodes
         cosines = refract(inside, *indices[::-1])
         table = extinction(np.asarray(bands.wavelengths))
 
@@ -114,47 +102,27 @@ class Separable(AbstractIntegrator):
             unit, cosines
         ):  # (texels, varied) on [−1, 1], (exits,) to (texels, exits, channels)
             def one(x):
-                scales: list[Any] = [None] * 4
-                for k, i in enumerate(varied):
-                    scales[i] = from_unit(ranges[i], x[k])
-                layers = texel_layers(iris, aqueous_index, table, Scales(*scales))
+                layers = texel_layers(iris, aqueous_index, table, scales_at_unit(x, ranges))
                 found = self.solver.solve(layers, self.process, 1.0, cos_exit=cosines)
                 assert found.brdf is not None
                 return bands.weights @ (found.brdf / (1 - found.mirrored[:, None]))
 
             return jnp.moveaxis(jax.vmap(one)(unit), 1, 2)
 
-        grid = np.array(
-            list(itertools.product(*nodes[:-1]))
-        )  # a uniform iris: one texel of no coordinates
-        values = (
-            radiance(jnp.asarray(grid, dtype), cosines)
-            / fresnel(cosines, inside, *indices)[1][:, None]
-        )
-        values = values.reshape(*(x.size for x in nodes), -1)
-        for axis, x in enumerate(nodes):
-            inverse = jnp.asarray(coefficients(x.size), dtype)
-            values = jnp.moveaxis(jnp.tensordot(inverse, values, (1, axis)), 0, axis)
-        most = self._most(ranges)
-        if len(most) > 1:
-            values = values[:, *np.array(kept_products(most[1:])).T]
-        values = values.reshape(most[0] + 1 if most else 1, -1, *values.shape[-2:])
+        values = radiance(jnp.asarray(grid(most), dtype), cosines)
+        values = values / fresnel(cosines, inside, *indices)[1][:, None]
         out = SeparableResponse(
-            coefficients=values,
+            coefficients=of_products(along(values, 1), most),
             indices=indices,
             ranges=ranges,
             error=jnp.zeros((), dtype),
             degrees=most,
         )
-        # Off the nodes: points that fill the box evenly.
-        steps = np.asarray([0.7548, 0.5698, 0.8192, 0.3249])[: len(varied)]
-        unit = jnp.asarray(2 * ((np.arange(_CHECKS)[:, None] + 0.5) * steps % 1) - 1, dtype)
+        unit = jnp.asarray(between(most), dtype)
         exits = jnp.asarray([0.15, 0.6, 0.95], dtype)
         true = radiance(unit, exits)
-        scales: list[Any] = [None] * 4
-        for k, i in enumerate(varied):
-            scales[i] = jnp.repeat(from_unit(ranges[i], unit[:, k]), 3)
-        found = out(Scales(*scales), jnp.tile(exits, _CHECKS)).T.reshape(true.shape)
+        scales = scales_at_unit(jnp.repeat(unit, exits.size, 0), ranges)
+        found = out(scales, jnp.tile(exits, len(unit))).T.reshape(true.shape)
         error = jnp.abs(found - true).max() / jnp.abs(true).max()
         return dataclasses.replace(out, error=error)
 
@@ -190,6 +158,7 @@ class SeparableResponse(AbstractResponse):
     ranges: Scales
     error: Float[Array, ""]
     degrees: tuple[int, ...] = eqx.field(static=True)
+    status: None = None
 
     def __call__(
         self, scales: Scales, cosine: Float[Array, " pixels"]

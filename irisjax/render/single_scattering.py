@@ -133,6 +133,7 @@ class March(AbstractResponse):
     weights: Float[Array, "channels bands"]
     n_steps: int = eqx.field(static=True)
     error: None = None
+    status: None = None
 
     def shade(self, texels: Rays, ground: Ground) -> Float[Array, "channels pixels"]:
         """See `AbstractResponse`: ∫ E p(α) μ_s e^(−τ_light/μ_i − τ_view/μ_o) dz/μ_o, light by

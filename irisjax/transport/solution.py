@@ -1,6 +1,8 @@
 """What every solver returns, and how it says that something is wrong."""
 
 import equinox as eqx
+import jax
+import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Float
@@ -73,6 +75,11 @@ class Solution(eqx.Module):
     def energy(self) -> Float[Array, "*batch wavelengths"]:
         """Sum of all shares; differs from one by rounding only."""
         return self.reflectance + self.mirrored + self.absorbed.total()
+
+
+def worst(status: RESULTS) -> RESULTS:
+    """Of a batch of outcomes one that is not successful, if there is any."""
+    return jax.tree.map(jnp.max, status)
 
 
 def raise_failure(status: RESULTS) -> None:

@@ -3,6 +3,7 @@
 """
 
 from irisjax.view.server import check, serve
-from irisjax.view.studio import Settings, Studio
+from irisjax.view.settings import Settings
+from irisjax.view.studio import Studio
 
 __all__ = ["Settings", "Studio", "check", "serve"]

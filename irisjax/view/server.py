@@ -15,8 +15,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from irisjax.render.integrators import INTEGRATORS
 from irisjax.view.page import BLACK, DISTANCE, framed, orbit, plot_scales, swatch
-from irisjax.view.studio import GRID, QUICK, Studio
+from irisjax.view.settings import QUICK
+from irisjax.view.studio import GRID, Studio
 from irisjax.view.worker import Newest
 
 if TYPE_CHECKING:
@@ -150,6 +152,12 @@ class _Page:
                 max=2**32 - 1,
                 step=1,
                 hint="of a preset's maps",
+            )
+            widgets["integrator"] = gui.add_dropdown(
+                "light transport",
+                tuple(INTEGRATORS),
+                initial_value=studio.settings.integrator,
+                hint="separable: ILIT; presets have pigments of their own under radiative transfer",
             )
         for folder, sliders in _SLIDERS.items():
             with gui.add_folder(folder):

@@ -19,57 +19,18 @@ from irisjax.render.camera import Camera
 from irisjax.render.compose import Stage
 from irisjax.render.environment import Environment
 from irisjax.render.illumination import Illumination
+from irisjax.render.integrator import AbstractIntegrator
+from irisjax.render.integrators import INTEGRATORS, integrator_name
 from irisjax.render.lights import Lights
 from irisjax.render.scene import Scene
 from irisjax.render.stages import Memory
 from irisjax.tissue.iris import Iris
 from irisjax.tissue.maps import IrisMaps
+from irisjax.view.settings import ENVIRONMENTS, GIVEN, PIGMENTS, Settings
 
-GIVEN = "as given"
-ENVIRONMENTS: dict[str, Callable[[], Environment] | None] = {
-    "none": None,
-    "studio": Environment.studio,
-    "sky": Environment.sky,
-}
 GRID = np.arange(400.0, 701.0, 5.0)
 """Wavelengths of the spectrum, nm."""
-
-
-@dataclasses.dataclass(frozen=True)
-class Settings:
-    """What can be changed; a scene's own values are where it starts.
-
-    - `preset`, `environment`: a name, or `GIVEN` for the scene's own. `seed`: of a preset's maps.
-    - Concentrations as in `Iris`; `hemoglobin`: both forms together, mmol/l; `stroma`: thickness
-        relative to the iris's own, at equal concentrations. `pupil_radius`: mm.
-    - `light_*`: of the first lamp, degrees; `strength`: factor on the environment; `exposure`: on
-        the picture.
-    - `camera_*`: degrees; `width` of the field, mm.
-    """
-
-    preset: str = GIVEN
-    seed: int = 0
-    eumelanin: float = 0.0
-    pheomelanin: float = 0.0
-    abl_fraction: float = 0.5
-    stroma: float = 1.0
-    hemoglobin: float = 0.0
-    saturation: float = 0.5
-    pupil_radius: float = 1.9
-    light_polar: float = 35.0
-    light_azimuth: float = 120.0
-    irradiance: float = 0.0
-    environment: str = GIVEN
-    strength: float = 1.0
-    exposure: float = 1.0
-    camera_polar: float = 0.0
-    camera_azimuth: float = 0.0
-    width: float = 15.0
-
-
-PIGMENTS = ("eumelanin", "pheomelanin", "abl_fraction", "hemoglobin", "saturation")
-QUICK = frozenset({*PIGMENTS, "stroma", "exposure"})
-"""Settings that leave tables, view and stage alone."""
+_GROWN = ("preset", "seed", "integrator")
 _LAMP = ("light_polar", "light_azimuth", "irradiance")
 _LIGHT = (*_LAMP, "environment", "strength")
 _CAMERA = ("camera_polar", "camera_azimuth", "width")
@@ -102,6 +63,7 @@ class Studio:
             "camera_azimuth": _degrees(camera.azimuth),
             "width": float(camera.width),
             "environment": "none" if scene.environment is None else GIVEN,
+            "integrator": integrator_name(scene.integrator),
             **_pigments(scene.iris),
         }
         if scene.lights is not None:
@@ -125,16 +87,17 @@ class Studio:
         """The picture after some changes: sRGB, 8 bits, (height, width, 3); a `draft` has half of
         either side.
 
-        Another preset brings its own pigments. **Raises:** `ValueError` and keeps the old settings.
+        Another preset brings its own pigments, and so does a preset under another integrator.
+        **Raises:** `ValueError` and keeps the old settings.
         """
         if unknown := changes.keys() - {f.name for f in dataclasses.fields(Settings)}:
             raise ValueError(f"no such setting: {', '.join(sorted(unknown))}")
         settings = dataclasses.replace(self.settings, **changes)
-        if settings.preset != self.settings.preset:
+        if self._look(settings) != self._look(self.settings):
             own = _pigments(self._grown(settings)[0]) | {"stroma": 1.0}
             settings = dataclasses.replace(settings, **{**own, **changes})
         stage = self._stage(settings, draft)
-        asked = _of(settings, (*PIGMENTS, "stroma", "preset", "seed"))
+        asked = _of(settings, (*PIGMENTS, "stroma", *_GROWN))
         response = self._once("response", asked, lambda: stage.response(self._iris(settings)))
         shown = self._memory[draft].shown(stage, response)
         picture = _encoded(shown, jnp.asarray(settings.exposure, shown.dtype))
@@ -160,7 +123,7 @@ class Studio:
 
     def spectrum(self) -> tuple[np.ndarray, Colour]:
         """Reflectance of the uniform iris, without an eye round it, on `GRID`; and its colour."""
-        found = reflectance(self.iris, GRID, process=self._base.integrator.process)
+        found = reflectance(self.iris, GRID, process=self._integrator(self.settings).process)
         return np.asarray(found.values), colour_of(
             GRID, found.values, illuminant=self._base.illuminant
         )
@@ -186,7 +149,21 @@ class Studio:
             tables = self._once(("tables", grazing), None, lambda: self._tables_of(scene))
             return memory.prepare(scene, tables, view)
 
-        return self._once(("stage", draft), (seen, lit, s.preset, s.seed, s.pupil_radius), make)
+        return self._once(("stage", draft), (seen, lit, _of(s, _GROWN), s.pupil_radius), make)
+
+    def _look(self, s: Settings):
+        """What an iris's own pigments depend on."""
+        return s.preset, s.preset != GIVEN and type(self._integrator(s).process)
+
+    def _integrator(self, s: Settings) -> AbstractIntegrator:
+        """The scene's own where its name is asked for."""
+        if s.integrator not in INTEGRATORS:
+            raise ValueError(
+                f"unknown integrator {s.integrator!r}; known: {', '.join(INTEGRATORS)}"
+            )
+        if integrator_name(self._base.integrator) == s.integrator:
+            return self._base.integrator
+        return self._once("integrator", s.integrator, INTEGRATORS[s.integrator])
 
     def _grown(self, s: Settings) -> tuple[Iris, IrisMaps | None]:
         """Iris and maps before any slider is moved."""
@@ -196,9 +173,10 @@ class Studio:
             raise ValueError(f"unknown eye colour {s.preset!r}; known: {', '.join(PRESETS)}")
 
         def grow():
-            return PRESETS[s.preset](self._base.eye, key=stream(s.seed, "maps"))
+            process = self._integrator(s).process
+            return PRESETS[s.preset](self._base.eye, process=process, key=stream(s.seed, "maps"))
 
-        return self._once("grown", (s.preset, s.seed), grow)
+        return self._once("grown", _of(s, _GROWN), grow)
 
     def _iris(self, s: Settings) -> Iris:
         iris = self._grown(s)[0]
@@ -212,24 +190,24 @@ class Studio:
         )
 
     def _set(self, s: Settings, size: tuple[int, int]) -> Scene:
-        """The scene but for the pigments: maps are relative to its iris, so a stage outlives other
-        thicknesses.
-        """
+        """The scene but for the pigments: maps are relative to its iris, whatever its thickness."""
         iris, maps = self._grown(s)
         base = self._base
         # The same objects for the same settings: by them `Memory` knows what has not changed.
         return base.replace(
             iris=iris,
             maps=maps,
-            eye=self._once(
-                "eye", s.pupil_radius, lambda: base.eye.replace(pupil_radius=s.pupil_radius)
-            ),
+            integrator=self._integrator(s),
+            eye=self._once("eye", s.pupil_radius, lambda: self._eye(s)),
             lights=self._once("lights", _of(s, _LAMP), lambda: self._lamps(s)),
             environment=self._once(
                 "environment", (s.environment, s.strength), lambda: self._around(s)
             ),
             camera=self._once(("camera", size), _of(s, _CAMERA), lambda: self._camera(s, size)),
         )
+
+    def _eye(self, s: Settings):
+        return self._base.eye.replace(pupil_radius=s.pupil_radius)
 
     def _camera(self, s: Settings, size: tuple[int, int]) -> Camera:
         polar, azimuth = (

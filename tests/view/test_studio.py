@@ -82,7 +82,9 @@ def test_drafts_are_kept_apart(bare, counted):
 
 def test_a_preset_brings_its_pigments(bare, monkeypatch):
     monkeypatch.setitem(
-        PRESETS, "blue", lambda eye, key: grown(int(key == stream(3, "maps")), 0.02)
+        PRESETS,
+        "blue",
+        lambda eye, process, key: grown(int(key == stream(3, "maps")), 0.02),
     )
     found = Studio(bare)
     assert found.presets()[0] == studio.GIVEN

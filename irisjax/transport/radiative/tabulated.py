@@ -15,7 +15,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from irisjax.numerics.programs import program
 from irisjax.numerics.sharding import laid_out_as
@@ -154,12 +154,13 @@ class RadiativeTabulated(AbstractSolver):
             brdf_error=None,
             status=RESULTS.where(
                 layers.valid(),
-                RESULTS.where(self._holds(layers), RESULTS.successful, RESULTS.outside_table),
+                RESULTS.where(self.holds(layers), RESULTS.successful, RESULTS.outside_table),
                 RESULTS.invalid_input,
             ),
         )
 
-    def _holds(self, layers: Layers):
+    def holds(self, layers: Layers) -> Bool[Array, ""]:
+        """Whether the table has these layers' indices, depths and albedos."""
         depth = jnp.minimum(layers.extinction, DEEPEST)
         rounding = 1 + 8 * jnp.finfo(depth.dtype).eps
         return self.indices.same(layers.indices) & (layers.albedo <= rounding * most(depth)).all()

@@ -1,0 +1,267 @@
+"""The iris by radiative transfer: each texel's BRDF, all orders of scattering, for every light by
+itself.
+
+What depends on directions alone (`angular`) is summed over the lights once; its coefficients are
+smooth functions of what texels differ in, held as `Separable` holds ILIT's.
+"""
+
+import dataclasses
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.core import Tracer
+from jaxtyping import Array, Float, Int
+
+from irisjax._types import Scalar
+from irisjax.anatomy.eye import Eye
+from irisjax.numerics.programs import program
+from irisjax.optics.fresnel import fresnel, refract
+from irisjax.render.angular import AZIMUTHS, AngularFunctions, Mixtures, light_of, mixed
+from irisjax.render.bands import Bands
+from irisjax.render.illumination import Illumination
+from irisjax.render.integrator import AbstractIntegrator, AbstractResponse
+from irisjax.render.lights import Lights
+from irisjax.render.products import basis, scaled
+from irisjax.render.project import IrisPixels
+from irisjax.render.shading import fluxes_of, relief_at, scales_at
+from irisjax.render.steps import Once, simply
+from irisjax.render.texels import between, degrees_of, grid, of_products, scales_at_unit
+from irisjax.tissue.iris import Iris
+from irisjax.tissue.layers import Layers
+from irisjax.tissue.maps import IrisMaps, Scales, texel_layers
+from irisjax.tissue.pigments import extinction
+from irisjax.transport.process import DEPTH_RESOLVED, RadiativeTransfer
+from irisjax.transport.radiative import shipped
+from irisjax.transport.radiative.exact import RadiativeExact
+from irisjax.transport.radiative.tabulated import RadiativeTabulated
+from irisjax.transport.solution import RESULTS, worst
+from irisjax.transport.solver import AbstractSolver
+
+_OFF = 0.4, 1.9, 2.8
+_PORTION = 24  # texels solved at a time
+
+
+class RadiativeIntegrator(AbstractIntegrator):
+    """Integrator: radiative transfer in the layers of every texel, tabulated in pigment, thickness
+    and directions.
+
+    As with `Separable` a relief tilts the surface towards the light, and directions within the
+    layers are those of the iris without it.
+
+    - `degrees`: of the polynomials in ABL pigment, stroma thickness, eumelanin and pheomelanin.
+    - `angular`: of those in each cosine, for the azimuthal orders 0, 1 and 2.
+    - `solver`: of the texels; `None` takes the table that comes with the package, or for other
+        refractive indices `RadiativeExact`.
+    """
+
+    process: RadiativeTransfer = eqx.field(static=True, default=DEPTH_RESOLVED)
+    degrees: tuple[int, int, int, int] = eqx.field(static=True, default=(6, 4, 4, 4))
+    angular: tuple[int, int, int] = eqx.field(static=True, default=(4, 3, 2))
+    solver: AbstractSolver | None = None
+
+    def __check_init__(self):
+        if not isinstance(self.process, RadiativeTransfer):
+            raise ValueError("the radiative integrator needs radiative transfer, not ILIT")
+
+    def prepare(
+        self, iris: Iris, aqueous_index: Scalar, bands: Bands, ranges: Scales
+    ) -> "RadiativeIntegrator":
+        """With the solver chosen, where none was: the table that comes with the package if it holds
+        the indices and the layers of all texels, else `RadiativeExact`.
+        """
+        parts = iris, aqueous_index, bands, ranges
+        table = shipped.ready(iris.indices(aqueous_index)) if self.solver is None else None
+        if table is not None:
+            held = _holds(table, *parts)
+            if not isinstance(held, Tracer) and held:
+                return dataclasses.replace(self, solver=table)
+        solver = RadiativeExact(16, 8) if self.solver is None else self.solver
+        solver = solver.prepare(lambda: _deepest(*parts), self.process)
+        return dataclasses.replace(self, solver=solver)
+
+    def place(
+        self,
+        pixels: IrisPixels,
+        lights: Lights,
+        eye: Eye,
+        iris: Iris,
+        maps: IrisMaps | None,
+        tables: Illumination | None,
+        ranges: Scales,
+        once: Once = simply,
+    ) -> tuple["Texels", "Mixtures | None"]:
+        """See `AbstractIntegrator`. The directions of one scene ask for a few mixtures of the
+        functions of directions; all of them are kept where something is traced, for derivatives.
+        """
+        flux = once("fluxes", fluxes_of, lights, eye, tables)
+        slopes, place = relief_at(pixels, eye, maps, once)
+        n = iris.indices(eye.aqueous_index)
+        light = once(
+            "angular light",
+            light_of,
+            (pixels, place),
+            *(flux, lights.tint, eye, slopes, (n.aqueous, n.abl), AngularFunctions(self.angular)),
+        )
+        scales = scales_at(pixels, eye, iris, maps, once)
+        varied = [v for v in zip(scales, ranges, self.degrees, strict=True) if v[1] is not None]
+        names = [name for name, r in zip(Scales._fields, ranges, strict=True) if r is not None]
+        terms = tuple(
+            once(f"polynomials of {n}", scaled, *v) for n, v in zip(names, varied, strict=True)
+        )
+        if isinstance(light, Tracer):
+            return Texels(pixels.index, terms, light), None
+        light, mixtures = once("mixed light", mixed, light, AngularFunctions(self.angular))
+        return Texels(pixels.index, terms, light), Mixtures(mixtures)
+
+    def response(
+        self, iris: Iris, aqueous_index: Scalar, bands: Bands, ranges: Scales
+    ) -> "RadiativeResponse":
+        """Tabulate `iris` for the channels of `bands`; `ranges` from `Scales.ranges`."""
+        dtype, angles = bands.weights.dtype, AngularFunctions(self.angular)
+        most = degrees_of(ranges, self.degrees)
+        n = iris.indices(aqueous_index)
+        indices = (jnp.asarray(n.aqueous, dtype), jnp.asarray(n.abl, dtype))
+        table = extinction(np.asarray(bands.wavelengths))
+        solver = self.prepare(iris, aqueous_index, bands, ranges).solver
+        assert solver is not None
+
+        def radiance(one):
+            """Of texels, for all pairs of directions: (texels, in, out, channels), and status."""
+            unit, into, (exits, azimuths) = one
+
+            def texel(x):
+                layers = texel_layers(iris, aqueous_index, table, scales_at_unit(x, ranges))
+
+                def each(mu):
+                    found = solver.solve(layers, self.process, mu, cos_exit=exits, azimuth=azimuths)
+                    assert found.brdf is not None
+                    return (bands.weights @ found.brdf).T, found.status
+
+                return jax.vmap(each)(into)
+
+            return jax.vmap(texel)(unit)
+
+        inside = angles.nodes(indices, dtype)
+        outside = refract(inside, *indices[::-1])
+        others = jnp.asarray(np.linspace(0.2, 0.95, inside.size), dtype)
+        nodes, checks = grid(most), between(most)
+        # One loop over both: the solver is compiled once.
+        portions = [
+            (jnp.asarray(unit, dtype), cosines, _pairs_of(cosines, turns))
+            for points, cosines, turns in (
+                (nodes, outside, AZIMUTHS),
+                (checks, others, _OFF),
+            )
+            for unit in _portions(points)
+        ]
+        found, status = jax.lax.map(radiance, jax.tree.map(lambda *x: jnp.stack(x), *portions))
+        found = found.reshape(len(portions), _PORTION, inside.size, 3, inside.size, -1)
+        passed = fresnel(outside, inside, *indices)[1]
+        values = found[:-1].reshape(-1, *found.shape[2:])[: len(nodes)]
+        values = values / (passed[:, None, None, None] * passed[:, None])
+        out = RadiativeResponse(
+            coefficients=of_products(angles.coefficients(values, inside), most),
+            indices=indices,
+            ranges=ranges,
+            error=jnp.zeros((), dtype),
+            degrees=most,
+            angular=self.angular,
+            status=worst(status),
+        )
+        return dataclasses.replace(out, error=_error(out, checks, others, found[-1]))
+
+
+def _deepest(iris: Iris, aqueous_index, bands: Bands, ranges: Scales) -> Layers:
+    """Layers of the texel that has most of everything."""
+    most = Scales(*(None if r is None else r[1] for r in ranges))
+    return texel_layers(iris, aqueous_index, extinction(np.asarray(bands.wavelengths)), most)
+
+
+@program
+def _holds(table: RadiativeTabulated, iris: Iris, aqueous_index, bands: Bands, ranges: Scales):
+    return table.holds(_deepest(iris, aqueous_index, bands, ranges))
+
+
+def _portions(points: np.ndarray) -> list[np.ndarray]:
+    """Points in equal portions, the last one filled up."""
+    padded = np.pad(points, ((0, -len(points) % _PORTION), (0, 0)), mode="edge")
+    return np.split(padded, len(padded) // _PORTION)
+
+
+def _pairs_of(cosines, azimuths):
+    """Each azimuth with each of some exits."""
+    turns = jnp.asarray(azimuths, cosines.dtype)
+    return jnp.tile(cosines, len(azimuths)), jnp.repeat(turns, cosines.size)
+
+
+def _error(response: "RadiativeResponse", checks: np.ndarray, cosines, true):
+    """Largest difference from the solver off the nodes, relative to the brightest of them."""
+    dtype, n = response.error.dtype, cosines.size
+    exits, azimuths = _pairs_of(cosines, _OFF)
+    into = jnp.repeat(cosines, exits.size)
+    pairs = [jnp.tile(x, len(checks)) for x in (into, jnp.tile(exits, n), jnp.tile(azimuths, n))]
+    unit = jnp.repeat(jnp.asarray(checks, dtype), into.size, 0)
+    found = response(scales_at_unit(unit, response.ranges), *pairs).T
+    true = true[: len(checks)].reshape(found.shape)
+    return jnp.abs(found - true).max() / jnp.abs(true).max()
+
+
+class Texels(eqx.Module):
+    """What a pigment change leaves alone: of each pixel the polynomials of the `scales` that vary,
+    and `light`: irradiance of all lights together times each function of directions and all shares
+    on the way out, (tints, functions, pixels).
+    """
+
+    index: Int[Array, " pixels"] | None
+    scales: tuple[Float[Array, "_ pixels"], ...]
+    light: Float[Array, "tints functions pixels"]
+
+
+class RadiativeResponse(AbstractResponse):
+    """The BRDF of every texel of an iris: coefficients of the products of scales (`texels`), of the
+    functions of directions, and of the channels.
+
+    - `error`: largest difference from the solver at points off the nodes, relative to the brightest
+        of them.
+    - `degrees`: the most of each scale that varies; `angular`: of the cosines.
+    - `status`: of the solver, a `RESULTS` item.
+    """
+
+    coefficients: Float[Array, "first rest functions channels"]
+    indices: tuple[Float[Array, ""], Float[Array, ""]]
+    ranges: Scales
+    error: Float[Array, ""]
+    status: RESULTS
+    degrees: tuple[int, ...] = eqx.field(static=True)
+    angular: tuple[int, int, int] = eqx.field(static=True)
+
+    def __call__(
+        self, scales: Scales, cos_incidence, cos_exit, azimuth
+    ) -> Float[Array, "channels pixels"]:
+        """BRDF (1/sr, times the picture's white) of pixels, each for a pair of directions in the
+        aqueous humour; `azimuth` 0 is straight on.
+        """
+        angles = AngularFunctions(self.angular)
+        sines = [jnp.sqrt(jnp.maximum(1 - c * c, 0.0)) for c in (cos_incidence, cos_exit)]
+        across = sines[0] * sines[1] * jnp.cos(azimuth)
+        light = angles.functions(cos_incidence, cos_exit, across, self.indices)
+        some = [(s, r) for s, r in zip(scales, self.ranges, strict=True) if r is not None]
+        terms = tuple(scaled(*v, degree) for v, degree in zip(some, self.degrees, strict=True))
+        return _sum(self.coefficients, terms, light[None])
+
+    def shade(self, texels: Texels, ground: Mixtures | None) -> Float[Array, "channels pixels"]:
+        """See `AbstractResponse`."""
+        some = self.coefficients
+        if ground is not None:
+            some = jnp.einsum("abkc,kr->abrc", some, ground.weights)
+        return _sum(some, texels.scales, texels.light)
+
+
+def _sum(coefficients, terms, light) -> Float[Array, "channels pixels"]:
+    functions, channels = coefficients.shape[2:]
+    whole = coefficients.reshape(-1, functions * channels).T
+    # One matrix product, as with `Separable`.
+    values = (whole @ basis(terms, light[0, 0])).reshape(functions, channels, -1)
+    return (values * jnp.swapaxes(light, 0, 1)).sum(axis=0)

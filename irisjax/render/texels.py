@@ -1,0 +1,63 @@
+"""What texels differ in, as nodes and coefficients of Chebyshev polynomials: pigment of the ABL,
+thickness of the stroma, concentrations.
+
+A response of the iris is computed at the nodes, turned into coefficients, and checked off them.
+"""
+
+import itertools
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+
+from irisjax.numerics.interpolation import chebyshev_nodes
+from irisjax.numerics.tucker import coefficients
+from irisjax.render.products import from_unit, kept_products
+from irisjax.tissue.maps import Scales
+
+_CHECKS = 24
+
+
+def degrees_of(ranges: Scales, degrees: tuple[int, ...]) -> tuple[int, ...]:
+    """Of `degrees`, one for each of the `Scales`, those of scales that vary."""
+    return tuple(d for d, r in zip(degrees, ranges, strict=False) if r is not None)
+
+
+def grid(degrees: tuple[int, ...]) -> np.ndarray:
+    """Nodes of all scales that vary, on [−1, 1], shape (nodes, scales); one where none does."""
+    return np.array(list(itertools.product(*(chebyshev_nodes(d + 1) for d in degrees))))
+
+
+def between(degrees: tuple[int, ...]) -> np.ndarray:
+    """Points off the nodes that fill the box evenly, shape (points, scales)."""
+    steps = np.asarray([0.7548, 0.5698, 0.8192, 0.3249])[: len(degrees)]
+    return 2 * ((np.arange(_CHECKS)[:, None] + 0.5) * steps % 1) - 1
+
+
+def scales_at_unit(unit, ranges: Scales) -> Scales:
+    """Scales at places in [−1, 1] within their ranges, the last axis of `unit`."""
+    found: list[Any] = [None] * len(ranges)
+    varied = [i for i, r in enumerate(ranges) if r is not None]
+    for k, i in enumerate(varied):
+        found[i] = from_unit(ranges[i], unit[..., k])
+    return Scales(*found)
+
+
+def along(values, axis: int):
+    """Chebyshev coefficients of values at nodes along an axis."""
+    inverse = jnp.asarray(coefficients(values.shape[axis]), values.dtype)
+    return jnp.moveaxis(jnp.tensordot(inverse, values, (1, axis)), 0, axis)
+
+
+def of_products(values, degrees: tuple[int, ...]):
+    """Coefficients of `products.basis` from values at `grid(degrees)`, shape (nodes, …).
+
+    **Returns:** shape (first, rest, …): an axis for the first scale, one for products of the
+    others.
+    """
+    values = values.reshape(*(d + 1 for d in degrees), *values.shape[1:])
+    for axis in range(len(degrees)):
+        values = along(values, axis)
+    if len(degrees) > 1:
+        return values[:, *np.array(kept_products(degrees[1:])).T]
+    return values[:, None] if degrees else values[None, None]

@@ -1,0 +1,52 @@
+"""What the viewer's sliders and menus set."""
+
+import dataclasses
+from collections.abc import Callable
+
+from irisjax.render.environment import Environment
+
+GIVEN = "as given"
+ENVIRONMENTS: dict[str, Callable[[], Environment] | None] = {
+    "none": None,
+    "studio": Environment.studio,
+    "sky": Environment.sky,
+}
+
+
+@dataclasses.dataclass(frozen=True)
+class Settings:
+    """What can be changed; a scene's own values are where it starts.
+
+    - `preset`, `environment`: a name, or `GIVEN` for the scene's own. `seed`: of a preset's maps.
+        `integrator`: a name of `INTEGRATORS`.
+    - Concentrations as in `Iris`; `hemoglobin`: both forms together, mmol/l; `stroma`: thickness
+        relative to the iris's own, at equal concentrations. `pupil_radius`: mm.
+    - `light_*`: of the first lamp, degrees; `strength`: factor on the environment; `exposure`: on
+        the picture.
+    - `camera_*`: degrees; `width` of the field, mm.
+    """
+
+    preset: str = GIVEN
+    seed: int = 0
+    integrator: str = "separable"
+    eumelanin: float = 0.0
+    pheomelanin: float = 0.0
+    abl_fraction: float = 0.5
+    stroma: float = 1.0
+    hemoglobin: float = 0.0
+    saturation: float = 0.5
+    pupil_radius: float = 1.9
+    light_polar: float = 35.0
+    light_azimuth: float = 120.0
+    irradiance: float = 0.0
+    environment: str = GIVEN
+    strength: float = 1.0
+    exposure: float = 1.0
+    camera_polar: float = 0.0
+    camera_azimuth: float = 0.0
+    width: float = 15.0
+
+
+PIGMENTS = ("eumelanin", "pheomelanin", "abl_fraction", "hemoglobin", "saturation")
+QUICK = frozenset({*PIGMENTS, "stroma", "exposure"})
+"""Settings that leave tables, view and stage alone."""

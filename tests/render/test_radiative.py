@@ -1,0 +1,196 @@
+"""Pictures by radiative transfer: against the exact solver, pixel by pixel and light by light."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import irisjax as ij
+from irisjax.measure.colour import illuminant_power
+from irisjax.render.bands import spectral_bands
+from irisjax.render.camera import Camera
+from irisjax.render.compose import prepare
+from irisjax.render.illumination import Illumination
+from irisjax.render.integrators import INTEGRATORS, integrator_name
+from irisjax.render.lights import Lights
+from irisjax.render.project import project
+from irisjax.render.radiative import RadiativeIntegrator
+from irisjax.render.shading import Field, fluxes_of
+from irisjax.tissue.maps import IrisMaps, Scales
+from irisjax.tissue.pigments import extinction
+from render.small_scenes import BARE, CLOSE, LIGHT, ring, scene
+
+X = np.array([430.0, 550.0, 650.0])
+INDEX = BARE.aqueous_index
+EXACT = ij.RadiativeExact(40, 10)
+
+
+def exact(iris, incidence, exits, azimuths):
+    """BRDF, (exits, wavelengths)."""
+    layers = iris.layers(extinction(X), INDEX)
+    found = EXACT.solve(
+        layers,
+        ij.DEPTH_RESOLVED,
+        jnp.asarray(incidence),
+        cos_exit=jnp.asarray(exits),
+        azimuth=jnp.asarray(azimuths),
+    )
+    return np.asarray(found.brdf).T, found
+
+
+@pytest.fixture(scope="module")
+def response():
+    """Of irides whose ABL is up to four times as dark and whose stroma is a half to double."""
+    integrator = RadiativeIntegrator()
+    ranges = Scales(abl=(0.2, 4.0), stroma=(0.5, 2.0))
+    bands = spectral_bands(X, "E")
+    made = integrator.prepare(LIGHT, INDEX, bands, ranges)
+    return eqx.filter_jit(lambda iris: made.response(iris, INDEX, bands, ranges))
+
+
+@pytest.mark.heavy
+@pytest.mark.parametrize("level", ["low", "moderate", "high"])
+def test_brdf_of_texels_is_the_exact_solver_s(response, level):
+    """To 1 % out to 75°, at three incidences, and of the brightest no worse than it says."""
+    iris = ij.Iris.of_level(level)
+    found = response(iris)
+    assert float(found.error) < 3e-3
+    exits, azimuths = np.cos(np.radians([0.0, 30.0, 55.0, 75.0])), np.array([0.3, 1.7, 2.9, 0.0])
+    for abl, stroma in ((1.0, 1.0), (3.5, 0.6)):
+        layers = iris.layers(extinction(X), INDEX)
+        layers = eqx.tree_at(
+            lambda x: (x.abl_absorption, x.stroma_absorption, x.stroma_scattering),
+            layers,
+            (
+                layers.abl_absorption * abl,
+                layers.stroma_absorption * stroma,
+                layers.stroma_scattering * stroma,
+            ),
+        )
+        for incidence in np.cos(np.radians([0.0, 40.0, 70.0])):
+            true = EXACT.solve(
+                layers,
+                ij.DEPTH_RESOLVED,
+                jnp.asarray(incidence),
+                cos_exit=jnp.asarray(exits),
+                azimuth=jnp.asarray(azimuths),
+            ).brdf
+            scales = Scales(jnp.full(4, abl), jnp.full(4, stroma))
+            given = found(scales, jnp.full(4, incidence), jnp.asarray(exits), jnp.asarray(azimuths))
+            np.testing.assert_allclose(given, true, rtol=1e-2)
+
+
+@pytest.mark.heavy
+def test_energy_is_closed(response):
+    """What leaves in all directions is the reflectance, but for light that is never scattered."""
+    x, w = np.polynomial.legendre.leggauss(24)
+    cosine, weight = (x + 1) / 2, w / 2
+    turns = 2 * np.pi * (np.arange(8) + 0.5) / 8
+    exits, azimuths = (a.ravel() for a in np.meshgrid(cosine, turns, indexing="ij"))
+    area = (np.repeat(weight * cosine, 8)) * (2 * np.pi / 8)
+    for incidence in (1.0, 0.4):
+        one = jnp.ones(exits.size)
+        given = response(LIGHT)(
+            Scales(one, one), incidence * one, jnp.asarray(exits), jnp.asarray(azimuths)
+        )
+        _, found = exact(LIGHT, incidence, [1.0], [0.0])
+        clear = EXACT.solve(
+            eqx.tree_at(
+                lambda x: (x.stroma_absorption, x.stroma_scattering),
+                layers := LIGHT.layers(extinction(X), INDEX),
+                (layers.extinction, jnp.zeros(X.size)),
+            ),
+            ij.DEPTH_RESOLVED,
+            jnp.asarray(incidence),
+        )
+        scattered = np.asarray(found.reflectance - clear.reflectance)
+        np.testing.assert_allclose(np.asarray(given) @ area, scattered, rtol=3e-3)
+
+
+@pytest.mark.heavy
+@pytest.mark.parametrize("eye", [BARE, CLOSE], ids=["bare", "cornea"])
+def test_each_pixel_is_its_brdf_times_its_light(eye):
+    """Two lights, a camera off the axis: every pixel's directions by themselves."""
+    lights = Lights.distant(0.4, 1.0, 2.0) + Lights.distant(0.9, -2.0, 3.0)
+    camera = Camera(polar=0.5, azimuth=0.3, size=(6, 4), width=10.0)
+    parts = {"eye": eye, "camera": camera, "integrator": RadiativeIntegrator()}
+    given = prepare(scene(lights=lights, **parts), wavelengths=tuple(X))(LIGHT)
+    seen = project(eye, camera).iris
+    normal = np.asarray(eye.iris_normal(jnp.stack(seen.point, -1)))
+    view = -np.stack(seen.direction, -1)
+    expected = np.zeros((24, 3))
+    if eye is CLOSE:
+        # Refraction at a cornea bends light and lines of sight: the integrator's own field.
+        tables = Illumination.build(eye, caustics=False)
+        field = fluxes_of(lights, eye, tables)
+        fluxes = [np.asarray(Field(f[None], eye.iris_radius).at(seen.point)[0]).T for f in field]
+    else:
+        fluxes = [
+            np.outer(np.ones(24), np.asarray(towards) * float(power))
+            for towards, power in zip(lights.towards, lights.irradiance, strict=True)
+        ]
+    for pixel in np.flatnonzero(np.asarray(seen.share) > 0):
+        n, out = normal[pixel], view[pixel]
+        for flux in fluxes:
+            power = np.linalg.norm(flux[pixel])
+            towards = flux[pixel] / power
+            incidence = -towards @ n
+            if incidence <= 0:
+                continue
+            along = towards + incidence * n, out - (out @ n) * n
+            lengths = np.linalg.norm(along[0]) * np.linalg.norm(along[1])
+            azimuth = np.arccos(np.clip(along[0] @ along[1] / lengths, -1, 1))
+            value, _ = exact(LIGHT, incidence, [out @ n], [azimuth])
+            expected[pixel] += value[0] * incidence * power * float(seen.share[pixel])
+    expected = expected * illuminant_power("D65", X)
+    bright = expected.max()
+    ring_of = expected.max(1) > 0
+    assert ring_of.sum() > 6
+    found = np.asarray(given).reshape(24, 3)
+    np.testing.assert_allclose(found[ring_of], expected[ring_of], atol=3e-3 * bright)
+
+
+@pytest.mark.heavy
+def test_traced_pictures_are_the_others():
+    """Kept mixtures of directions or all of them; and a derivative by the light's direction."""
+
+    def picture(polar):
+        lights = Lights.distant(polar, 0.7, 2.0)
+        return scene(lights=lights, integrator=RadiativeIntegrator(angular=(3, 2, 1))).render()
+
+    plain, traced = picture(0.6), jax.jit(picture)(0.6)
+    np.testing.assert_allclose(plain, traced, atol=1e-3 * float(traced.max()))
+    mean = jax.jit(lambda polar: picture(polar).mean())
+    slope = jax.jit(jax.grad(mean))(0.6)
+    difference = (mean(0.6 + 1e-4) - mean(0.6 - 1e-4)) / 2e-4
+    assert abs(float(slope)) > 1e-4
+    assert float(slope) == pytest.approx(float(difference), rel=1e-4)
+
+
+def test_layers_beyond_the_table_are_solved_exactly_or_refused():
+    bands, deep = spectral_bands(X, "E"), Scales(stroma=(0.5, 40.0))
+    thick = LIGHT.replace(scattering_scale=30.0)
+    made = RadiativeIntegrator().prepare(thick, INDEX, bands, deep)
+    assert isinstance(made.solver, ij.RadiativeExact)
+    table = RadiativeIntegrator().prepare(LIGHT, INDEX, bands, Scales()).solver
+    assert isinstance(table, ij.RadiativeTabulated)
+    other = RadiativeIntegrator().prepare(LIGHT, jnp.asarray(1.376), bands, Scales()).solver
+    assert isinstance(other, ij.RadiativeExact)
+    with pytest.raises(ValueError, match="outside the range"):
+        scene(iris=thick, integrator=RadiativeIntegrator(solver=table, angular=(2, 1, 1))).render()
+
+
+def test_maps_reach_the_picture():
+    """A stroma that is thicker to the right sends back more there."""
+    maps = IrisMaps(stroma_depth=ring(lambda x, y: 0.28 + 0.02 * x, 6, 12))
+    parts = {"integrator": RadiativeIntegrator(degrees=(2, 2, 2, 2), angular=(2, 1, 1))}
+    found = np.asarray(scene(maps=maps, **parts).render()).sum(-1)
+    assert found[:, 8:].sum() > 1.05 * found[:, :4].sum()
+
+
+def test_integrators_by_name():
+    for name, kind in INTEGRATORS.items():
+        assert integrator_name(kind()) == name
+    with pytest.raises(ValueError, match="not ILIT"):
+        RadiativeIntegrator(process=ij.ILIT_2006)
