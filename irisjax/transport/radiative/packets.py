@@ -67,7 +67,8 @@ def follow(
     seen: View | None,
 ):
     """Sums over each lane's packets, each of a first weight of 1: reflected, absorbed in ABL,
-    stroma and IPE, and the radiance at each exit; shape (4 + exits, wavelengths, lanes).
+    stroma and IPE, and at each exit the radiance of light scattered twice and oftener; shape
+    (4 + exits, wavelengths, lanes).
 
     Lane l has the packets l, l + `replicates`, ..., as many as `rounds` (wavelengths, 1) says, none
     where l is no replicate. Packet i at wavelength j draws from `fold_in(fold_in(key, j), i)`.
@@ -97,7 +98,8 @@ def follow(
         at = once(collision(medium, packet.leg, u.place))
         weight = packet.weight * medium.albedo
         if seen is not None:
-            glow = weight[None] * radiance(medium, seen, at, packet.leg.cosine, packet.across)
+            glow = radiance(medium, seen, at, packet.leg.cosine, packet.across)
+            glow = jnp.where(step > 0, weight, 0.0)[None] * glow
 
         # A new direction, and where it leads.
         turned, across, ratio = once(_scatter(phase, packet.leg, packet.across, u))

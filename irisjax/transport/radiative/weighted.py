@@ -25,6 +25,7 @@ from irisjax.transport.process import RadiativeTransfer
 from irisjax.transport.radiative.directions import from_outside
 from irisjax.transport.radiative.fates import before, course
 from irisjax.transport.radiative.flights import Medium, view
+from irisjax.transport.radiative.orders import single_scattering, ways
 from irisjax.transport.radiative.packets import Beams, follow
 from irisjax.transport.solution import RESULTS, Absorbed, Solution
 from irisjax.transport.solver import AbstractSolver, checked_process
@@ -37,8 +38,8 @@ _LIMIT = 2**31 - 2**20
 class RadiativeWeighted(AbstractSolver):
     """Expected values in place of tests, for scalar radiative transfer; needs a `key`.
 
-    BRDFs are next-event estimates in the very directions asked for. Standard errors come from the
-    scatter of up to 512 independent sums.
+    BRDFs are in the very directions asked for: light scattered once in closed form, oftener by
+    next-event estimates. Standard errors come from the scatter of up to 512 independent sums.
 
     - `n_packets`: packets a wavelength, rounded up to a multiple of those sums. Where `rays` are
         given (the illuminant's relative power), the packets at each wavelength follow them.
@@ -46,7 +47,8 @@ class RadiativeWeighted(AbstractSolver):
         `photon_mesh`.
 
     Derivatives, forward and reverse, are unbiased, and about as precise as the values; those by
-    indices have heavy tails near critical angles: `RadiativeExact` has them to rounding.
+    indices have heavy tails near critical angles: `RadiativeExact` has them to rounding. In a film
+    (depth 1e-3 and less) what is scattered twice is carried by few packets that it guides.
     """
 
     n_packets: int = eqx.field(static=True)
@@ -132,12 +134,18 @@ def _shares(solver: RadiativeWeighted, phase: AbstractPhase, how, depths, shared
     medium = Medium(
         *(x[:, None] for x in (abl, depth, layers.albedo, layers.coalbedo)), indices=indices
     )
-    seen = None
+    seen, single = None, jnp.zeros((0, lost.size, 1), dtype)
     if len(numbers) > 1:
         cosine, azimuth = (jnp.stack(x) for x in _halves(numbers[1:]))
         exits = from_outside(layers, cosine)
         seen = jax.vmap(view, (0, 0, None, None, None))(abl, depth, exits, azimuth, indices)
         seen = jax.tree.map(lambda x: x.T[..., None], seen)
+
+        def once(abl, depth, albedo):
+            glow = single_scattering(abl, depth, albedo, beams, exits, azimuth)
+            return glow * ways(abl, depth, exits, indices).outside
+
+        single = jax.vmap(once)(abl, depth, layers.albedo).T[..., None]
     wanted = jnp.ones_like(lost)
     if rays is not None:
         wanted = jnp.asarray(rays, dtype) / jnp.asarray(rays, dtype).max()
@@ -145,13 +153,13 @@ def _shares(solver: RadiativeWeighted, phase: AbstractPhase, how, depths, shared
     rounds = jnp.ceil(solver.n_packets * wanted / replicates).astype(jnp.int32)
     rounds = jnp.maximum(rounds, 1)[:, None]
     run = partial(follow, phase, replicates)
-    single = jax.tree.map(lambda x: x.astype(jnp.float32), (medium, light, seen))
-    sums = _dealt(run, solver.mesh, replicates, key, rounds, *single).astype(dtype)
+    short = jax.tree.map(lambda x: x.astype(jnp.float32), (medium, light, seen))
+    sums = _dealt(run, solver.mesh, replicates, key, rounds, *short).astype(dtype)
     found = (lost[:, None] / rounds.astype(dtype))[None] * sums
     unscattered = [first.reflected, first.abl, jnp.zeros_like(first.lost), first.passed]
     unscattered = jnp.stack([x @ power for x in unscattered])[..., None]
     mirrored = jnp.broadcast_to((first.mirrored @ power)[:, None], found.shape[1:])
-    found = jnp.concatenate([mirrored[None], found[:4] + unscattered, found[4:]])
+    found = jnp.concatenate([mirrored[None], found[:4] + unscattered, found[4:] + single])
     return jnp.moveaxis(found, 1, -1)
 
 
