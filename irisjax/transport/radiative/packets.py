@@ -157,11 +157,13 @@ class _Draws(NamedTuple):
 
 
 def _draws(words, step, scale) -> _Draws:
-    one, two = (fold_in_words(*words, (2 * step + i).astype(jnp.uint32)) for i in (0, 1))
-    numbers = [uniform(w >> 9, scale[0]) for w in (*one, *two)]
+    first, second = words
+    one, two = (fold_in_words(first, second, (2 * step + i).astype(jnp.uint32)) for i in (0, 1))
+    place, deflection, outcome, beam = (uniform(w >> 9, scale[0]) for w in (*one, *two))
     cosine = cosine_of_turn(uniform((one[0] & 511) << 9 | (one[1] & 511), scale[1]))
     sine = jnp.sqrt(jnp.maximum(1 - cosine * cosine, 0.0))
-    return _Draws(*numbers, (cosine, jnp.where((two[0] & 1) > 0, sine, -sine)))
+    azimuth = cosine, jnp.where((two[0] & 1) > 0, sine, -sine)
+    return _Draws(place, deflection, outcome, beam, azimuth)
 
 
 def _first(medium: Medium, light: Beams, u, at_exits: bool) -> Packet:

@@ -119,8 +119,11 @@ def _shares(solver: RadiativeWeighted, phase: AbstractPhase, how, depths, shared
     """Mirrored, reflected, absorbed in ABL, stroma and IPE, and the BRDF at each exit: one value
     for each of the replicates, shape (shares, replicates, wavelengths).
     """
-    (key, rays), numbers, indices = how, shared[4:], RefractiveIndices(*shared[:4])
-    layers = Layers(*depths, indices, Order())
+    key, rays = how
+    aqueous, abl, stroma, ipe, *numbers = shared
+    absorbing, absorption, scattering = depths
+    indices = RefractiveIndices(aqueous, abl, stroma, ipe)
+    layers = Layers(absorbing, absorption, scattering, indices, Order())
     dtype = layers.extinction.dtype
     outside, power = beams_of(numbers[0] if numbers else DIFFUSE, _BEAMS, dtype)
     beams = from_outside(layers, outside)
