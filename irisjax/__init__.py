@@ -68,6 +68,7 @@ if TYPE_CHECKING:
     from irisjax.transport.process import RadiativeTransfer as RadiativeTransfer
     from irisjax.transport.radiative.exact import RadiativeExact as RadiativeExact
     from irisjax.transport.radiative.tabulated import RadiativeTabulated as RadiativeTabulated
+    from irisjax.transport.radiative.weighted import RadiativeWeighted as RadiativeWeighted
     from irisjax.transport.solution import RESULTS as RESULTS
     from irisjax.transport.solution import Solution as Solution
     from irisjax.transport.solver import AbstractSolver as AbstractSolver
@@ -159,6 +160,7 @@ _HOMES = {
     ),
     "transport.radiative.exact": ("RadiativeExact",),
     "transport.radiative.tabulated": ("RadiativeTabulated",),
+    "transport.radiative.weighted": ("RadiativeWeighted",),
     "transport.solution": (
         "RESULTS",
         "Solution",

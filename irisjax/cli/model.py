@@ -23,7 +23,14 @@ from irisjax.tissue.iris import LIMITS
 from irisjax.transport.defaults import exact_solver
 from irisjax.transport.ilit.weighted import IlitWeighted
 from irisjax.transport.montecarlo import MonteCarlo
-from irisjax.transport.process import PROCESSES, AbstractProcess, Phase, Rescatter
+from irisjax.transport.process import (
+    PROCESSES,
+    AbstractProcess,
+    Phase,
+    RadiativeTransfer,
+    Rescatter,
+)
+from irisjax.transport.radiative.weighted import RadiativeWeighted
 from irisjax.transport.solver import AbstractSolver
 
 # As written in the class: making an iris would start JAX before the precision is chosen.
@@ -181,6 +188,8 @@ def solver_of(options: SolverOptions, process: AbstractProcess) -> AbstractSolve
         return exact_solver(process)
     if options.estimator == "analog":
         return MonteCarlo(options.photons)
+    if options.estimator == "weighted" and isinstance(process, RadiativeTransfer):
+        return RadiativeWeighted(options.photons)
     return IlitWeighted(options.photons, quasi=options.estimator == "quasi")
 
 

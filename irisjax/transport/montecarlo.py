@@ -102,7 +102,8 @@ class MonteCarlo(AbstractSolver):
             cos_incidence = _constant(cos_incidence)
         if cos_exit is not None and not isinstance(process, Ilit):
             raise ValueError(
-                "the BRDF of radiative transfer by Monte Carlo is not offered; use RadiativeExact"
+                "MonteCarlo has no BRDF of radiative transfer; "
+                "use RadiativeExact or RadiativeWeighted"
             )
         cells = None if cos_exit is None else _cells(cos_exit)
         share = (
@@ -159,7 +160,7 @@ def _constant(tree):
 def _constant_jvp(primals, tangents):
     raise NotImplementedError(
         "MonteCarlo has no derivatives: counts of photons do not change smoothly. "
-        "Use IlitExact, RadiativeExact or IlitWeighted"
+        "Use an exact solver, IlitWeighted or RadiativeWeighted"
     )
 
 

@@ -7,6 +7,7 @@ import jax.numpy as jnp
 
 from irisjax.numerics.quadrature import conserving, cosine_rule
 from irisjax.optics.fresnel import critical_cosine_squared, fresnel, refract, refracted
+from irisjax.tissue.indices import RefractiveIndices
 from irisjax.tissue.layers import Layers
 from irisjax.transport.process import attenuation, survival
 from irisjax.transport.series import visit
@@ -66,7 +67,7 @@ def quadrature_nodes(layers: Layers, n_angles: int) -> Directions:
     )
     rule = conserving(rule)
     cosines = [refracted(rule, i, n.stroma, k) for i, k in enumerate(neighbours)]
-    return _directions(layers, rule.cosine, rule.weight, *cosines)
+    return _directions(n, rule.cosine, rule.weight, *cosines)
 
 
 def from_outside(layers: Layers, outside) -> Directions:
@@ -74,11 +75,16 @@ def from_outside(layers: Layers, outside) -> Directions:
     n = layers.indices
     abl, stroma = (refract(outside, n.aqueous, k) for k in (n.abl, n.stroma))
     ipe = refract(outside, n.aqueous, n.ipe)
-    return _directions(layers, stroma, jnp.zeros_like(outside), outside, abl, ipe)
+    return _directions(n, stroma, jnp.zeros_like(outside), outside, abl, ipe)
 
 
-def _directions(layers: Layers, stroma, weight, aqueous, abl, ipe) -> Directions:
-    n = layers.indices
+def from_inside(n: RefractiveIndices, stroma) -> Directions:
+    """Directions with given cosines in the stroma, of any shape, without quadrature weight."""
+    outside, abl, ipe = (refract(stroma, n.stroma, k) for k in (n.aqueous, n.abl, n.ipe))
+    return _directions(n, stroma, jnp.zeros_like(stroma), outside, abl, ipe)
+
+
+def _directions(n: RefractiveIndices, stroma, weight, aqueous, abl, ipe) -> Directions:
     return Directions(
         # A beam that cannot enter has cosine 0 and no power; keep the exponentials finite.
         cosine=jnp.where(stroma > 0, stroma, 1.0),
