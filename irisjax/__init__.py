@@ -48,6 +48,7 @@ if TYPE_CHECKING:
     from irisjax.render.environment import Environment as Environment
     from irisjax.render.lights import Lights as Lights
     from irisjax.render.scene import Scene as Scene
+    from irisjax.render.radiative import RadiativeIntegrator as RadiativeIntegrator
     from irisjax.render.separable import Separable as Separable
     from irisjax.render.stages import Memory as Memory
     from irisjax.tissue.indices import RefractiveIndices as RefractiveIndices
@@ -136,6 +137,7 @@ _HOMES = {
     "render.lights": ("Lights",),
     "render.compose": ("prepare",),
     "render.scene": ("Scene",),
+    "render.radiative": ("RadiativeIntegrator",),
     "render.separable": ("Separable",),
     "render.stages": ("Memory",),
     "tissue.indices": ("RefractiveIndices",),

@@ -1,4 +1,4 @@
-"""Pictures of eyes: corneal optics, two integrators, lights and cameras."""
+"""Pictures of eyes: corneal optics, three integrators, lights and cameras."""
 
 from irisjax._lazy import modules_of
 

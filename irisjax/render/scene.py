@@ -31,8 +31,9 @@ class Scene(eqx.Module):
     - `lights`: lamps, mirrored as discs. `environment`: lights iris and white as
         `environment_lights` lamps each (those of the white from all round), and is mirrored itself.
         `illuminant`: the spectrum of all of them.
-    - `integrator`: how the iris sends light back; `Separable()` holds all orders of scattering,
-        `SingleScattering()` marches through the maps and holds the first.
+    - `integrator`: how the iris sends light back; `Separable()` is ILIT and `RadiativeIntegrator()`
+        radiative transfer, with all orders of scattering; `SingleScattering()` marches through the
+        maps and holds the first.
     """
 
     iris: Iris
