@@ -1,0 +1,117 @@
+"""Reflection and transmission of a homogeneous slab by doubling, for one azimuthal order.
+
+Operators act on radiances. Rows are the directions that light leaves along (quadrature nodes, then
+exits), columns those that it comes from (nodes, then beams); only nodes take part in what happens
+between. Unscattered light is kept apart, so that thin slabs keep all their digits.  [de Haan, Bosma
+& Hovenier 1987, Section 3]
+"""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from irisjax.numerics import linear
+from irisjax.transport.process import attenuation, survival
+from irisjax.transport.radiative.slab import mean_survival
+
+
+class Response(NamedTuple):
+    """What a slab makes of radiance 1 along each column: scattered radiance back and on, shape
+    (rows, columns), and the flux absorbed (columns,).
+    """
+
+    back: jax.Array
+    on: jax.Array
+    absorbed: jax.Array
+
+
+class Lines(NamedTuple):
+    """Cosines along which a slab is seen: `rows`, `columns` with their weights, the first `nodes`
+    of both the same.
+    """
+
+    rows: jax.Array
+    columns: jax.Array
+    weight: jax.Array
+    nodes: int
+
+
+class Medium(NamedTuple):
+    """A slab: optical depth, albedo and 1 − albedo; phase matrices (rows, columns) for light that
+    keeps its sense of travel, and for light that turns back.
+    """
+
+    depth: jax.Array
+    albedo: jax.Array
+    coalbedo: jax.Array
+    same: jax.Array
+    opposite: jax.Array
+
+
+def respond(medium: Medium, lines: Lines, doublings: int) -> Response:
+    """`Response` of a slab, doubled from 2^−doublings of its depth.
+
+    The first layer's error goes as the square of its depth; two of them take it away to the fourth
+    power.
+    """
+    first = medium._replace(depth=medium.depth / 2**doublings)
+    half = first._replace(depth=first.depth / 2)
+    coarse, fine = thin(first, lines), doubled(thin(half, lines), half.depth, lines)
+    found = jax.tree.map(lambda c, f: f + (f - c) / 3, coarse, fine)
+
+    def step(carried, _):
+        response, depth = carried
+        return (doubled(response, depth, lines), 2 * depth), None
+
+    return jax.lax.scan(step, (found, first.depth), None, length=doublings)[0][0]
+
+
+def thin(medium: Medium, lines: Lines) -> Response:
+    """A layer whose sources are alike over its depth; the rest is exact. It conserves energy."""
+    n, one = lines.nodes, jnp.eye(lines.nodes, dtype=medium.depth.dtype)
+    x_in, x_out = medium.depth / lines.columns, medium.depth / lines.rows
+    mean, own = mean_survival(x_in), mean_absence(x_out[:n])
+    sources = []
+    for sign in (1, -1):
+        kernel = 0.5 * medium.albedo * (medium.same + sign * medium.opposite) * lines.weight
+        driven = kernel * mean
+        inner = linear.solve(one - kernel[:n, :n] * own, driven[:n])
+        sources.append((driven + kernel[:, :n] @ (own[:, None] * inner), inner))
+    (even, inside), (odd, _) = sources
+    emitted = 0.5 * attenuation(medium.depth, lines.rows)[:, None]
+    light = lines.weight * mean + (lines.weight[:n] * own) @ inside
+    return Response(
+        back=emitted * (even - odd),
+        on=emitted * (even + odd),
+        absorbed=medium.coalbedo * medium.depth * light,
+    )
+
+
+def doubled(layer: Response, depth, lines: Lines) -> Response:
+    """Two equal layers, each of optical depth `depth`  [de Haan, Bosma & Hovenier 1987, Eqs. 5 to
+    11].
+    """
+    n, one = lines.nodes, jnp.eye(lines.nodes, dtype=depth.dtype)
+    back, on, absorbed = layer
+    into, out = survival(depth, lines.columns), survival(depth, lines.rows)[:, None]
+    twice = back[:n, :n] @ back[:n]
+    # Between the two: downwards, then upwards.
+    down = linear.solve(one - twice[:, :n], on[:n] + twice * into)
+    up = back[:, :n] @ down + back * into
+    below = jnp.concatenate([down, on[n:] + back[n:, :n] @ up[:n]])
+    return Response(
+        back=back + on[:, :n] @ up[:n] + out * up,
+        on=on[:, :n] @ down + out * below + on * into,
+        absorbed=absorbed * (1 + into) + absorbed[:n] @ (down + up[:n]),
+    )
+
+
+def mean_absence(x):
+    """1 − (1 − e^{−x})/x without cancellation."""
+    small = x < 0.1
+    y = jnp.where(small, x, 0.0)
+    series = (
+        y / 2 * (1 - y / 3 * (1 - y / 4 * (1 - y / 5 * (1 - y / 6 * (1 - y / 7 * (1 - y / 8))))))
+    )
+    return jnp.where(small, series, 1 - mean_survival(jnp.where(small, 1.0, x)))

@@ -1,0 +1,61 @@
+"""Phase functions as series of Legendre functions, on directions."""
+
+import jax.numpy as jnp
+import numpy as np
+
+from irisjax.numerics.roots import safe_sqrt
+from irisjax.transport.radiative.doubling import Lines
+
+
+def legendre(count: int, orders, cosine):
+    """P_l^m √((l − m)!/(l + m)!) at cosines, shape (orders, l = 0 to count − 1, cosines); 0 where
+    l < m.  [Chandrasekhar 1960, Section 48]
+    """
+    orders = np.asarray(orders)
+    sine = safe_sqrt(1 - cosine * cosine)
+    powers = [jnp.ones_like(cosine)]
+    for k in range(1, int(orders.max()) + 1):
+        powers.append(powers[-1] * sine * float(np.sqrt((2 * k - 1) / (2 * k))))
+    first = jnp.stack([powers[m] for m in orders])
+    before, last, found = jnp.zeros_like(first), jnp.zeros_like(first), []
+    for degree in range(count):
+        m = np.minimum(orders, max(degree - 1, 0))  # of no account where l <= m
+        falls = (degree - 1) ** 2 - m**2
+        rises = np.maximum(degree**2 - m**2, 1)
+        a, b = ((2 * degree - 1) / np.sqrt(rises), np.sqrt(falls / rises))
+        a, b = (jnp.asarray(x, first.dtype)[:, None] for x in (a, b))
+        following = a * cosine[None] * last - b * before
+        now = jnp.where(orders[:, None] < degree, following, 0.0)
+        now = jnp.where(orders[:, None] == degree, first, now)
+        before, last = last, now
+        found.append(now)
+    return jnp.stack(found, axis=1)
+
+
+def phase_matrices(moments, orders, lines: Lines):
+    """Σ (2l + 1) χ_l Λ_l(μ) Λ_l(±μ') of azimuthal orders, light that keeps its sense of travel and
+    light that turns back, each (orders, rows, columns).
+
+    Of order 0 each column is made to send out what it gets, to rounding: a quadrature of few nodes
+    misses some of a peaked phase function.
+    """
+    count, n = moments.shape[-1], lines.nodes
+    degree, orders = np.arange(count), np.asarray(orders)
+    rows, columns = (legendre(count, orders, x) for x in (lines.rows, lines.columns))
+    weighted = ((2 * degree + 1) * moments)[None, :, None] * columns
+    sign = jnp.asarray((-1.0) ** (degree[None] + orders[:, None]), moments.dtype)[..., None]
+    back = jnp.swapaxes(rows, 1, 2)
+    same, opposite = back @ weighted, back @ (sign * weighted)
+    if orders[0]:
+        return same, opposite
+    weight = lines.weight[:n]
+    missed = 1 - 0.5 * weight @ (same + opposite)[0, :n]
+    same = same.at[0, np.arange(n), np.arange(n)].add(2 * missed[:n] / weight)
+    lost = missed[n:] / weight.sum()
+    return same.at[0, :, n:].add(lost[None]), opposite.at[0, :, n:].add(lost[None])
+
+
+def series_value(moments, cosine):
+    """Σ (2l + 1) χ_l P_l at cosines of the scattering angle, shape (cosines,)."""
+    count = moments.shape[-1]
+    return ((2 * np.arange(count) + 1) * moments) @ legendre(count, [0], cosine)[0]
