@@ -151,6 +151,39 @@ def cosine_rule(
     )
 
 
+def polynomial_rule(
+    breaks: Float[Array, " k"], possible: tuple[bool, ...], n: int
+) -> tuple[Float[Array, " n"], Float[Array, " n"]]:
+    """Nodes and weights for ∫₀¹ f(μ) dμ, polynomials between break points, with square roots of the
+    distance above each.
+
+    A panel above a break point takes √(μ − b) for its variable, and twice the nodes of the first.
+    Arguments as for `cosine_rule`; the break points themselves, not their squares.
+    """
+    dtype = breaks.dtype
+    there = [b for b, p in zip(breaks, possible, strict=True) if p]
+    edges, panels, _ = _edges(there, dtype)
+    x64, w64, owner = _twice_shared(n, len(there) + 1)
+    row = panels - 1
+    x, w, of = jnp.asarray(x64, dtype)[row], jnp.asarray(w64, dtype)[row], jnp.asarray(owner)[row]
+    start, width = edges[:-1][of], (edges[1:] - edges[:-1])[of]
+    first = of == 0
+    return start + width * jnp.where(first, x, x * x), w * width * jnp.where(first, 1.0, 2 * x)
+
+
+@lru_cache(maxsize=64)
+def _twice_shared(n: int, most: int):
+    """As `_shared`, for any `n`; the first panel has half of what each other one has."""
+    rows = []
+    for panels in range(1, most + 1):
+        ends = np.rint(n * (2 * np.arange(1, panels + 1) - 1) / (2 * panels - 1)).astype(int)
+        counts = np.diff(ends, prepend=0)
+        parts = [gauss_legendre(int(c)) for c in counts]
+        owner = np.repeat(np.arange(panels, dtype=np.int32), counts)
+        rows.append((*(np.concatenate(p) for p in zip(*parts, strict=True)), owner))
+    return tuple(np.stack(part) for part in zip(*rows, strict=True))
+
+
 def _nodes(n: int, most: int) -> int:
     """Nodes in all, a number that every number of panels up to `most` divides."""
     if most == 1:

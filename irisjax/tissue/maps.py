@@ -169,4 +169,5 @@ def texel_layers(iris: Iris, aqueous_index, table: Extinction, scales: Scales) -
         layers.stroma_scattering * stroma,
         layers.indices,
         layers.order,
+        layers.phase,
     )

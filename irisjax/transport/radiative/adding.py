@@ -26,12 +26,12 @@ from irisjax.transport.process import RadiativeTransfer, survival
 from irisjax.transport.radiative.directions import (
     Directions,
     from_outside,
-    quadrature_nodes,
+    gauss_nodes,
     roof_of,
 )
-from irisjax.transport.radiative.doubling import Lines, Medium, Response, respond
+from irisjax.transport.radiative.doubling import Lines, Medium, Response, respond, turned_exactly
 from irisjax.transport.radiative.fates import Course, before, course
-from irisjax.transport.radiative.expansion import phase_matrices, series_value
+from irisjax.transport.radiative.expansion import mean_turned, phase_matrices, series_value
 from irisjax.transport.radiative.orders import single_scattering
 from irisjax.transport.solution import RESULTS, Absorbed, Solution
 from irisjax.transport.solver import AbstractSolver, checked_process
@@ -60,7 +60,7 @@ class AddingDoubling(AbstractSolver):
         Where it is not, known or traced, the status is `under_resolved`.
     """
 
-    n_angles: int = eqx.field(static=True, default=16)
+    n_angles: int = eqx.field(static=True, default=32)
     n_doublings: int | None = eqx.field(static=True, default=None)
 
     def __check_init__(self):
@@ -91,7 +91,7 @@ class AddingDoubling(AbstractSolver):
         if cos_exit is not None and isinstance(cos_incidence, str):
             raise ValueError("a BRDF is of light from one direction, not diffuse")
         n, dtype = layers.indices, layers.extinction.dtype
-        nodes = quadrature_nodes(layers, self.n_angles)
+        nodes = gauss_nodes(layers, self.n_angles)
         outside, power = beams_of(cos_incidence, self.n_angles, dtype)
         beams = from_outside(layers, outside)
         exits = None if cos_exit is None else from_outside(layers, jnp.asarray(cos_exit, dtype))
@@ -173,20 +173,25 @@ def _one_wavelength(
     )
 
     orders = range(1 if exits is None else count)
+    matrices = phase_matrices(moments, orders, lines)
+    turned = mean_turned(phase, nodes.cosine, beams.cosine) / (1 - peak)
 
-    def field(matrices):
-        slab = respond(Medium(depth, albedo, coalbedo, *matrices), lines, doublings)
+    def field(taken):
+        order, same, opposite = taken
+        medium = Medium(depth, albedo, coalbedo, same, opposite)
+        slab = respond(medium, lines, doublings)
+        exact = jnp.where(order == 0, turned, opposite[:count, count:])
+        slab = turned_exactly(slab, exact, medium, lines, nodes.weight)
         return slab, _between(slab, beamed, seen, nodes, depth)
 
     # One order after another: side by side they would fill the memory.
-    each = jax.lax.map(field, phase_matrices(moments, orders, lines))
+    each = jax.lax.map(field, (jnp.arange(len(orders)), *matrices))
     slab, light = jax.tree.map(lambda x: x[0], each)
     flux = nodes.weight * nodes.cosine
     absorbed = jnp.tile(slab.absorbed[count:], 2) @ beamed
     brdf = None
     if exits is not None:
         leave = course(abl, depth, exits)
-
         top, bottom = each[1].sent[..., count:].swapaxes(0, 1)
         cosines = jnp.cos(np.arange(count)[:, None] * azimuth)
         cosines = cosines * np.where(np.arange(count) > 0, 2.0, 1.0)[:, None]
@@ -195,9 +200,7 @@ def _one_wavelength(
         def left_out(cosine):
             return phase.value(cosine) / (1 - peak) - series_value(moments, cosine)
 
-        total = total + single_scattering(
-            abl, depth, albedo, beams, exits, azimuth, phase=left_out
-        )
+        total += single_scattering(abl, depth, albedo, beams, exits, azimuth, phase=left_out)
         brdf = total * leave.roof.passed * (n.aqueous / n.stroma) ** 2 / (2 * jnp.pi)
     return Flux(
         reflectance=power @ unscattered.reflected + flux @ (light.up * seen.roof.passed),

@@ -4,7 +4,10 @@ import jax.numpy as jnp
 import numpy as np
 
 from irisjax.numerics.roots import safe_sqrt
+from irisjax.optics.mixture import PhaseMixture
 from irisjax.transport.radiative.doubling import Lines
+
+_AZIMUTHS = 32
 
 
 def legendre(count: int, orders, cosine):
@@ -51,8 +54,19 @@ def phase_matrices(moments, orders, lines: Lines):
     weight = lines.weight[:n]
     missed = 1 - 0.5 * weight @ (same + opposite)[0, :n]
     same = same.at[0, np.arange(n), np.arange(n)].add(2 * missed[:n] / weight)
-    lost = missed[n:] / weight.sum()
-    return same.at[0, :, n:].add(lost[None]), opposite.at[0, :, n:].add(lost[None])
+    lost = missed[n:] / (0.5 * weight @ same[0, :n, n:])
+    return same.at[0, :, n:].multiply(1 + lost[None]), opposite
+
+
+def mean_turned(phase: PhaseMixture, rows, columns):
+    """Mean over azimuth of a phase function for light that turns back, of cosines `columns` into
+    cosines `rows`; shape (rows, columns).
+    """
+    azimuth = (np.arange(_AZIMUTHS) + 0.5) * (np.pi / _AZIMUTHS)
+    sideways = safe_sqrt(1 - rows**2)[:, None] * safe_sqrt(1 - columns**2)[None]
+    straight = rows[:, None] * columns[None]
+    cosine = sideways[..., None] * jnp.asarray(np.cos(azimuth), rows.dtype) - straight[..., None]
+    return phase.value(cosine).mean(-1)
 
 
 def series_value(moments, cosine):
