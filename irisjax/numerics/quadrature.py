@@ -151,37 +151,23 @@ def cosine_rule(
     )
 
 
-def polynomial_rule(
+def quadratic_rule(
     breaks: Float[Array, " k"], possible: tuple[bool, ...], n: int
 ) -> tuple[Float[Array, " n"], Float[Array, " n"]]:
-    """Nodes and weights for ∫₀¹ f(μ) dμ, polynomials between break points, with square roots of the
-    distance above each.
+    """Nodes and weights for ∫₀¹ f(μ) dμ of polynomials with square roots above the break points b.
 
-    A panel above a break point takes √(μ − b) for its variable, and twice the nodes of the first.
+    The variable of a panel that starts at b is √(μ − b), which keeps polynomials what they are.
     Arguments as for `cosine_rule`; the break points themselves, not their squares.
     """
     dtype = breaks.dtype
     there = [b for b, p in zip(breaks, possible, strict=True) if p]
     edges, panels, _ = _edges(there, dtype)
-    x64, w64, owner = _twice_shared(n, len(there) + 1)
+    most = len(there) + 1
+    x64, w64, owner = _shared(_nodes(n, most), most)
     row = panels - 1
     x, w, of = jnp.asarray(x64, dtype)[row], jnp.asarray(w64, dtype)[row], jnp.asarray(owner)[row]
     start, width = edges[:-1][of], (edges[1:] - edges[:-1])[of]
-    first = of == 0
-    return start + width * jnp.where(first, x, x * x), w * width * jnp.where(first, 1.0, 2 * x)
-
-
-@lru_cache(maxsize=64)
-def _twice_shared(n: int, most: int):
-    """As `_shared`, for any `n`; the first panel has half of what each other one has."""
-    rows = []
-    for panels in range(1, most + 1):
-        ends = np.rint(n * (2 * np.arange(1, panels + 1) - 1) / (2 * panels - 1)).astype(int)
-        counts = np.diff(ends, prepend=0)
-        parts = [gauss_legendre(int(c)) for c in counts]
-        owner = np.repeat(np.arange(panels, dtype=np.int32), counts)
-        rows.append((*(np.concatenate(p) for p in zip(*parts, strict=True)), owner))
-    return tuple(np.stack(part) for part in zip(*rows, strict=True))
+    return start + width * x * x, w * width * 2 * x
 
 
 def _nodes(n: int, most: int) -> int:

@@ -59,7 +59,7 @@ def checked_process(
     if layers is not None and layers.phase is not None:
         name = getattr(solver, "__name__", type(solver).__name__)
         raise ValueError(
-            f"a power law of scattering takes RadiativeTransfer by AddingDoubling or MonteCarlo, "
-            f"not {type(process).__name__} by {name}"
+            "a power law of scattering takes radiative transfer (depth-resolved) by AddingDoubling "
+            f"or MonteCarlo, not {type(process).__name__} by {name}"
         )
     return process

@@ -30,14 +30,14 @@ from irisjax.transport.radiative.directions import (
     roof_of,
 )
 from irisjax.transport.radiative.doubling import Lines, Medium, Response, respond, turned_exactly
-from irisjax.transport.radiative.fates import Course, before, course
 from irisjax.transport.radiative.expansion import mean_turned, phase_matrices, series_value
+from irisjax.transport.radiative.fates import Course, before, course
 from irisjax.transport.radiative.orders import single_scattering
 from irisjax.transport.solution import RESULTS, Absorbed, Solution
 from irisjax.transport.solver import AbstractSolver, checked_process
 
-_FIRST = 0.06  # optical depth of the first layer: its error is below 1e-6
-_TRACED = 9  # doublings where the depth is not known: 30 deep
+_FIRST = 0.1  # optical depth of the first layer: its error is below 1e-6
+_TRACED = 10  # doublings where the depth is not known: 100 deep
 
 
 class Flux(NamedTuple):
@@ -56,7 +56,7 @@ class AddingDoubling(AbstractSolver):
 
     - `n_angles`: quadrature nodes over the cosine; as many moments of the phase function are kept.
     - `n_doublings`: the slab is doubled so often from its first layer; `None` takes as many as the
-        optical depth asks for where it is known, and 9 while tracing: enough for depths of 30.
+        optical depth asks for where it is known, and 10 while tracing: enough for depths of 100.
         Where it is not, known or traced, the status is `under_resolved`.
     """
 
@@ -108,7 +108,7 @@ class AddingDoubling(AbstractSolver):
             *(layers.abl_absorption, layers.stroma_absorption, layers.stroma_scattering, phase),
             *(n, nodes, beams, power, exits, azimuth),
         )
-        resolved = (layers.extinction <= 2 * _FIRST * 2.0**doublings).all()
+        resolved = (layers.extinction <= 1.001 * _FIRST * 2.0**doublings).all()
         return Solution(
             reflectance=flux.reflectance,
             mirrored=flux.mirrored,

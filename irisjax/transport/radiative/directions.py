@@ -5,7 +5,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
-from irisjax.numerics.quadrature import conserving, cosine_rule, polynomial_rule
+from irisjax.numerics.quadrature import conserving, cosine_rule, quadratic_rule
 from irisjax.numerics.roots import safe_sqrt
 from irisjax.optics.fresnel import critical_cosine_squared, fresnel, refract, refracted
 from irisjax.tissue.layers import Layers
@@ -71,12 +71,12 @@ def quadrature_nodes(layers: Layers, n_angles: int) -> Directions:
 
 
 def gauss_nodes(layers: Layers, n_angles: int) -> Directions:
-    """Directions in the stroma of a quadrature that is exact for polynomials, split at its critical
-    angles.
+    """Directions in the stroma of a quadrature made for polynomials of the cosine, split at its
+    critical angles.
     """
     n, order = layers.indices, layers.order
     neighbours = (n.aqueous, n.abl, n.ipe)
-    cosine, weight = polynomial_rule(
+    cosine, weight = quadratic_rule(
         jnp.stack([safe_sqrt(critical_cosine_squared(n.stroma, k)) for k in neighbours]),
         (True, order.stroma_over_abl, order.stroma_over_ipe),
         n_angles,
