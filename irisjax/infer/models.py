@@ -1,4 +1,4 @@
-"""Which iris, process and solver an inverse problem is stated for, and the same problem for others."""
+"""Which iris, process and solver an inverse problem is for, and the same problem for others."""
 
 import dataclasses
 from collections.abc import Iterable, Mapping

@@ -155,7 +155,7 @@ def cell_centres(shape: tuple[int, int]) -> tuple[jax.Array, jax.Array]:
 
 
 def check_pictured(iris: Iris) -> None:
-    """Raise `ValueError` for an iris with a power law of scattering: pictures know Rayleigh's law."""
+    """Raise `ValueError` for an iris with a power law of scattering: pictures know none."""
     if iris.power_law is not None:
         raise ValueError(
             "a picture takes the iris's formula of scattering (lb06, rayleigh-spheres), not a "

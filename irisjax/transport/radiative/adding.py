@@ -36,8 +36,8 @@ from irisjax.transport.radiative.orders import single_scattering
 from irisjax.transport.solution import RESULTS, Absorbed, Solution
 from irisjax.transport.solver import AbstractSolver, checked_process
 
-_FIRST = 0.1  # optical depth of the first layer: its error is below 1e-6
-_TRACED = 10  # doublings where the depth is not known: 100 deep
+_FIRST = 0.2  # optical depth of the first layer: its error is below 1e-5
+_TRACED = 8  # doublings where the depth is not known: 50 deep
 
 
 class Flux(NamedTuple):
@@ -56,7 +56,7 @@ class AddingDoubling(AbstractSolver):
 
     - `n_angles`: quadrature nodes over the cosine; as many moments of the phase function are kept.
     - `n_doublings`: the slab is doubled so often from its first layer; `None` takes as many as the
-        optical depth asks for where it is known, and 10 while tracing: enough for depths of 100.
+        optical depth asks for where it is known, and 8 while tracing: enough for depths of 50.
         Where it is not, known or traced, the status is `under_resolved`.
     """
 

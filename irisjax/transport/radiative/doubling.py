@@ -6,6 +6,7 @@ between. Unscattered light is kept apart, so that thin slabs keep all their digi
 & Hovenier 1987, Section 3]
 """
 
+from operator import itemgetter
 from typing import NamedTuple
 
 import jax
@@ -52,19 +53,22 @@ class Medium(NamedTuple):
 def respond(medium: Medium, lines: Lines, doublings: int) -> Response:
     """`Response` of a slab, doubled from 2^−doublings of its depth.
 
-    The first layer's error goes as the square of its depth; two of them take it away to the fourth
-    power.
+    The first layer's error goes as the square of its depth; two halves of it take it away to the
+    fourth power.
     """
-    first = medium._replace(depth=medium.depth / 2**doublings)
-    half = first._replace(depth=first.depth / 2)
-    coarse, fine = thin(first, lines), doubled(thin(half, lines), half.depth, lines)
-    found = jax.tree.map(lambda c, f: f + (f - c) / 3, coarse, fine)
+    depth = medium.depth / 2**doublings
+    both = jax.vmap(lambda d: thin(medium._replace(depth=d), lines))(jnp.stack([depth, depth / 2]))
+    coarse, fine = (jax.tree.map(itemgetter(k), both) for k in (0, 1))
 
-    def step(carried, _):
+    def step(carried, first):
         response, depth = carried
-        return (doubled(response, depth, lines), 2 * depth), None
+        response = doubled(response, depth, lines)
+        third = jnp.where(first, 1 / 3, 0.0).astype(depth.dtype)
+        response = jax.tree.map(lambda f, c: f + third * (f - c), response, coarse)
+        return (response, 2 * depth), None
 
-    return jax.lax.scan(step, (found, first.depth), None, length=doublings)[0][0]
+    first = jnp.arange(doublings + 1) == 0
+    return jax.lax.scan(step, (fine, depth / 2), first)[0][0]
 
 
 def thin(medium: Medium, lines: Lines) -> Response:
@@ -72,13 +76,15 @@ def thin(medium: Medium, lines: Lines) -> Response:
     n, one = lines.nodes, jnp.eye(lines.nodes, dtype=medium.depth.dtype)
     x_in, x_out = medium.depth / lines.columns, medium.depth / lines.rows
     mean, own = mean_survival(x_in), mean_absence(x_out[:n])
-    sources = []
-    for sign in (1, -1):
+
+    def source(sign):
+        """Of light down and up together, or of their difference; and what of it the nodes have."""
         kernel = 0.5 * medium.albedo * (medium.same + sign * medium.opposite) * lines.weight
         driven = kernel * mean
         inner = linear.solve(one - kernel[:n, :n] * own, driven[:n])
-        sources.append((driven + kernel[:, :n] @ (own[:, None] * inner), inner))
-    (even, inside), (odd, _) = sources
+        return driven + kernel[:, :n] @ (own[:, None] * inner), inner
+
+    (even, odd), (inside, _) = jax.vmap(source)(jnp.asarray([1.0, -1.0], medium.depth.dtype))
     emitted = 0.5 * attenuation(medium.depth, lines.rows)[:, None]
     light = lines.weight * mean + (lines.weight[:n] * own) @ inside
     return Response(

@@ -1,5 +1,6 @@
 """Phase functions as series of Legendre functions, on directions."""
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -20,19 +21,21 @@ def legendre(count: int, orders, cosine):
     for k in range(1, int(orders.max()) + 1):
         powers.append(powers[-1] * sine * float(np.sqrt((2 * k - 1) / (2 * k))))
     first = jnp.stack([powers[m] for m in orders])
-    before, last, found = jnp.zeros_like(first), jnp.zeros_like(first), []
-    for degree in range(count):
-        m = np.minimum(orders, max(degree - 1, 0))  # of no account where l <= m
-        falls = (degree - 1) ** 2 - m**2
-        rises = np.maximum(degree**2 - m**2, 1)
-        a, b = ((2 * degree - 1) / np.sqrt(rises), np.sqrt(falls / rises))
-        a, b = (jnp.asarray(x, first.dtype)[:, None] for x in (a, b))
-        following = a * cosine[None] * last - b * before
-        now = jnp.where(orders[:, None] < degree, following, 0.0)
-        now = jnp.where(orders[:, None] == degree, first, now)
-        before, last = last, now
-        found.append(now)
-    return jnp.stack(found, axis=1)
+    degree, m = np.arange(count)[:, None], orders[None]
+    rises = np.maximum(degree**2 - m**2, 1)
+    a = (2 * degree - 1) / np.sqrt(rises)
+    b = np.sqrt(np.maximum((degree - 1) ** 2 - m**2, 0) / rises)
+    steps = np.where(degree > m, a, 0.0), np.where(degree > m, b, 0.0), 1.0 * (degree == m)
+
+    def step(known, factors):
+        before, last = known
+        a, b, starts = (f[:, None] for f in factors)
+        now = a * cosine * last - b * before + starts * first
+        return (last, now), now
+
+    steps = tuple(jnp.asarray(x, first.dtype) for x in steps)
+    found = jax.lax.scan(step, (jnp.zeros_like(first), jnp.zeros_like(first)), steps)[1]
+    return jnp.swapaxes(found, 0, 1)
 
 
 def phase_matrices(moments, orders, lines: Lines):
@@ -44,7 +47,8 @@ def phase_matrices(moments, orders, lines: Lines):
     """
     count, n = moments.shape[-1], lines.nodes
     degree, orders = np.arange(count), np.asarray(orders)
-    rows, columns = (legendre(count, orders, x) for x in (lines.rows, lines.columns))
+    both = legendre(count, orders, jnp.concatenate([lines.rows, lines.columns]))
+    rows, columns = jnp.split(both, [lines.rows.size], axis=-1)
     weighted = ((2 * degree + 1) * moments)[None, :, None] * columns
     sign = jnp.asarray((-1.0) ** (degree[None] + orders[:, None]), moments.dtype)[..., None]
     back = jnp.swapaxes(rows, 1, 2)
