@@ -42,7 +42,9 @@ class PhaseMixture(eqx.Module):
             powers.append(powers[-1] * self.anisotropy)
         s = self.rayleigh[..., None]
         dtype = self.anisotropy.dtype
-        return s * jnp.asarray(of_rayleigh, dtype) + (1 - s) * jnp.stack(powers, -1)
+        return jnp.multiply.outer(self.rayleigh, jnp.asarray(of_rayleigh, dtype)) + (
+            1 - s
+        ) * jnp.stack(powers, -1)
 
     def truncated(self, count: int):
         """The first moments without the forward peak, and the peak's share f: δ-M.

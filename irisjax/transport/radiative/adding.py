@@ -193,9 +193,10 @@ def _one_wavelength(
     if exits is not None:
         leave = course(abl, depth, exits)
         top, bottom = each[1].sent[..., count:].swapaxes(0, 1)
-        cosines = jnp.cos(np.arange(count)[:, None] * azimuth)
-        cosines = cosines * np.where(np.arange(count) > 0, 2.0, 1.0)[:, None]
-        total = leave.series * (cosines * (top + leave.back * bottom)).sum(0)
+        of = np.arange(count)[:, None]
+        cosines = jnp.cos(jnp.asarray(of, azimuth.dtype) * azimuth[None])
+        cosines = cosines * jnp.asarray(np.where(of > 0, 2.0, 1.0), azimuth.dtype)
+        total = leave.series * (cosines * (top + leave.back[None] * bottom)).sum(0)
 
         def left_out(cosine):
             return phase.value(cosine) / (1 - peak) - series_value(moments, cosine)
@@ -222,12 +223,12 @@ def _between(slab: Response, beamed, seen: Course, nodes: Directions, depth) -> 
     from_beams = jnp.concatenate([x[..., n:] for x in whole], axis=-1) @ beamed
     operator = jnp.concatenate([x[..., :n] for x in whole], axis=-1)
     # Unscattered from end to end, back and forth, light keeps its direction.
-    images = seen.series * jnp.stack(
+    images = seen.series[None, None] * jnp.stack(
         [jnp.stack([roof, roof * through * floor]), jnp.stack([floor * through * roof, floor])]
     )
 
     def sent_back(emitted):
-        return (images * emitted.reshape(2, n)).sum(1).ravel()
+        return (images * emitted.reshape(1, 2, n)).sum(1).ravel()
 
     inner = operator[:, :n].reshape(2 * n, 2, n)
     back = jnp.einsum("rsn,stn->rtn", inner, images).reshape(2 * n, 2 * n)

@@ -79,9 +79,9 @@ def thin(medium: Medium, lines: Lines) -> Response:
 
     def source(sign):
         """Of light down and up together, or of their difference; and what of it the nodes have."""
-        kernel = 0.5 * medium.albedo * (medium.same + sign * medium.opposite) * lines.weight
-        driven = kernel * mean
-        inner = linear.solve(one - kernel[:n, :n] * own, driven[:n])
+        kernel = 0.5 * medium.albedo * (medium.same + sign * medium.opposite) * lines.weight[None]
+        driven = kernel * mean[None]
+        inner = linear.solve(one - kernel[:n, :n] * own[None], driven[:n])
         return driven + kernel[:, :n] @ (own[:, None] * inner), inner
 
     (even, odd), (inside, _) = jax.vmap(source)(jnp.asarray([1.0, -1.0], medium.depth.dtype))
@@ -100,7 +100,8 @@ def doubled(layer: Response, depth, lines: Lines) -> Response:
     """
     n, one = lines.nodes, jnp.eye(lines.nodes, dtype=depth.dtype)
     back, on, absorbed = layer
-    into, out = survival(depth, lines.columns), survival(depth, lines.rows)[:, None]
+    passed = survival(depth, lines.columns)
+    into, out = passed[None], survival(depth, lines.rows)[:, None]
     twice = back[:n, :n] @ back[:n]
     # Between the two: downwards, then upwards.
     down = linear.solve(one - twice[:, :n], on[:n] + twice * into)
@@ -109,7 +110,7 @@ def doubled(layer: Response, depth, lines: Lines) -> Response:
     return Response(
         back=back + on[:, :n] @ up[:n] + out * up,
         on=on[:, :n] @ down + out * below + on * into,
-        absorbed=absorbed * (1 + into) + absorbed[:n] @ (down + up[:n]),
+        absorbed=absorbed * (1 + passed) + absorbed[:n] @ (down + up[:n]),
     )
 
 
@@ -129,10 +130,10 @@ def turned_exactly(slab: Response, turned, medium: Medium, lines: Lines, weight)
     others = beam[0] * attenuation(medium.depth, beam[0]) - flux @ once
     none = others <= 0
     kept = 1 - jnp.where(none, 0.0, flux @ more / jnp.where(none, 1.0, others))
-    back = slab.back.at[:n, n:].set(once + more + (slab.back[:n, n:] - once) * kept)
+    back = slab.back.at[:n, n:].set(once + more + (slab.back[:n, n:] - once) * kept[None])
     return Response(
         back=back,
-        on=slab.on.at[:, n:].multiply(kept),
+        on=slab.on.at[:, n:].multiply(kept[None]),
         absorbed=slab.absorbed.at[n:].multiply(kept),
     )
 

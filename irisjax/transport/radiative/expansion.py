@@ -30,7 +30,7 @@ def legendre(count: int, orders, cosine):
     def step(known, factors):
         before, last = known
         a, b, starts = (f[:, None] for f in factors)
-        now = a * cosine * last - b * before + starts * first
+        now = a * cosine[None] * last - b * before + starts * first
         return (last, now), now
 
     steps = tuple(jnp.asarray(x, first.dtype) for x in steps)
@@ -49,7 +49,7 @@ def phase_matrices(moments, orders, lines: Lines):
     degree, orders = np.arange(count), np.asarray(orders)
     both = legendre(count, orders, jnp.concatenate([lines.rows, lines.columns]))
     rows, columns = jnp.split(both, [lines.rows.size], axis=-1)
-    weighted = ((2 * degree + 1) * moments)[None, :, None] * columns
+    weighted = _weighted(moments)[None, :, None] * columns
     sign = jnp.asarray((-1.0) ** (degree[None] + orders[:, None]), moments.dtype)[..., None]
     back = jnp.swapaxes(rows, 1, 2)
     same, opposite = back @ weighted, back @ (sign * weighted)
@@ -69,11 +69,16 @@ def mean_turned(phase: PhaseMixture, rows, columns):
     azimuth = (np.arange(_AZIMUTHS) + 0.5) * (np.pi / _AZIMUTHS)
     sideways = safe_sqrt(1 - rows**2)[:, None] * safe_sqrt(1 - columns**2)[None]
     straight = rows[:, None] * columns[None]
-    cosine = sideways[..., None] * jnp.asarray(np.cos(azimuth), rows.dtype) - straight[..., None]
+    cosine = sideways[..., None] * jnp.asarray(np.cos(azimuth), rows.dtype)[None, None]
+    cosine = cosine - straight[..., None]
     return phase.value(cosine).mean(-1)
 
 
 def series_value(moments, cosine):
     """Σ (2l + 1) χ_l P_l at cosines of the scattering angle, shape (cosines,)."""
     count = moments.shape[-1]
-    return ((2 * np.arange(count) + 1) * moments) @ legendre(count, [0], cosine)[0]
+    return _weighted(moments) @ legendre(count, [0], cosine)[0]
+
+
+def _weighted(moments):
+    return jnp.asarray(2 * np.arange(moments.shape[-1]) + 1, moments.dtype) * moments
