@@ -110,7 +110,7 @@ PARAMETERS: dict[str, Parameter] = {
         _INF,
         LogNormal(1.0, 0.8),
         "reduced scattering of the stroma at 500 nm, a' of a power law",
-        "Jacques 2013 Tables 1, 2: soft tissues 0.2 to 5, which hold 95 % of the prior",
+        "soft tissues 0.2 to 5, Jacques 2013; that is 95 % of the prior",
         most=POWER_LAW_LIMITS["reduced_scattering"].high,
     ),
     "rayleigh_share": Parameter(
@@ -119,7 +119,7 @@ PARAMETERS: dict[str, Parameter] = {
         1,
         Uniform(0.0, 1.0),
         "share of Rayleigh scattering in it, f_Ray",
-        "no preference; Jacques 2013 Table 2 has 0 to 1",
+        "no preference",
     ),
     "scattering_power": Parameter(
         "",
@@ -127,7 +127,7 @@ PARAMETERS: dict[str, Parameter] = {
         POWER_LAW_LIMITS["scattering_power"].high,
         Uniform(0.2, 3.0),
         "power of the wavelength by which the rest of it falls, b",
-        "Jacques 2013 Tables 1, 2: 0.2 to 3",
+        "soft tissues 0.2 to 3, Jacques 2013",
     ),
     "anisotropy": Parameter(
         "",
@@ -135,7 +135,7 @@ PARAMETERS: dict[str, Parameter] = {
         POWER_LAW_LIMITS["anisotropy"].high,
         Uniform(0.7, 0.95),
         "mean cosine of the rest's scattering angle, g",
-        "Jacques 2013 Section 2.2: 0.7 to 0.95 in tissues",
+        "0.7 to 0.95 in soft tissues, Jacques 2013",
     ),
     "gain": Parameter(
         "",

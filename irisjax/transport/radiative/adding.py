@@ -36,7 +36,7 @@ from irisjax.transport.radiative.orders import single_scattering
 from irisjax.transport.solution import RESULTS, Absorbed, Solution
 from irisjax.transport.solver import AbstractSolver, checked_process
 
-_FIRST = 0.2  # optical depth of the first layer: its error is below 1e-5
+_FIRST = 0.2  # optical depth of the first layer: its error is about 2e-5
 _TRACED = 8  # doublings where the depth is not known: 50 deep
 
 
