@@ -45,6 +45,7 @@ def main(key, quick=False, out=RESULTS):
         ),
         "to 780 nm": (_spectra(400, 780, 10), noisy, {}),
         "gain calibrated": (base, noisy, {"fixed": ("gain",)}),
+        "scattering by a power law, radiative transfer": (base, noisy, {"law": True}),
         "the same measured twice": (_twice, noisy, {}),
         "a second spectrum at 60 degrees": (_two_angles, noisy, {}),
         "a second spot with twice the melanin": (
@@ -69,14 +70,14 @@ def main(key, quick=False, out=RESULTS):
         (
             "expected posterior standard deviations of ln load, ln fraction and "
             "ln(load x fraction), and the correlation",
-            "of load and fraction; process ilit-2006, default priors; simulated",
+            "of load and fraction; process ilit-2006 unless said, default priors; simulated",
         ),
         ("level", "design", "sd_load", "sd_fraction", "sd_product", "correlation"),
         rows,
     )
 
 
-def _widths(iris, measure, noise, solver, free=FREE, fixed=(), separate=()):
+def _widths(iris, measure, noise, solver, free=FREE, fixed=(), separate=(), law=False):
     seen = measure(iris)
     truth = {k: float(v) for k, v in of_iris(iris).items()}
     problem = ij.problem(
@@ -88,6 +89,9 @@ def _widths(iris, measure, noise, solver, free=FREE, fixed=(), separate=()):
         base=iris,
         solver=solver,
     )
+    if law:
+        problem = problem.under(ij.PowerLaw())
+        truth |= {k: float(v) for k, v in of_iris(problem.base).items() if k not in truth}
     values = {
         n: truth[n.partition("@")[0]] * (2 if n == "melanin_load@2" else 1) for n in problem.free
     }

@@ -56,6 +56,7 @@ if TYPE_CHECKING:
     from irisjax.tissue.layers import Layers as Layers
     from irisjax.tissue.maps import IrisMaps as IrisMaps
     from irisjax.tissue.pigments import extinction as extinction
+    from irisjax.tissue.scattering import PowerLaw as PowerLaw
     from irisjax.transport.ilit.exact import IlitExact as IlitExact
     from irisjax.transport.ilit.tabulated import IlitTabulated as IlitTabulated
     from irisjax.transport.ilit.weighted import IlitWeighted as IlitWeighted
@@ -67,6 +68,7 @@ if TYPE_CHECKING:
     from irisjax.transport.process import ILIT_CORRECTED as ILIT_CORRECTED
     from irisjax.transport.process import Ilit as Ilit
     from irisjax.transport.process import RadiativeTransfer as RadiativeTransfer
+    from irisjax.transport.radiative.adding import AddingDoubling as AddingDoubling
     from irisjax.transport.radiative.exact import RadiativeExact as RadiativeExact
     from irisjax.transport.radiative.tabulated import RadiativeTabulated as RadiativeTabulated
     from irisjax.transport.radiative.weighted import RadiativeWeighted as RadiativeWeighted
@@ -145,6 +147,7 @@ _HOMES = {
     "tissue.layers": ("Layers",),
     "tissue.maps": ("IrisMaps",),
     "tissue.pigments": ("extinction",),
+    "tissue.scattering": ("PowerLaw",),
     "transport.ilit.exact": ("IlitExact",),
     "transport.ilit.tabulated": ("IlitTabulated",),
     "transport.ilit.weighted": ("IlitWeighted",),
@@ -160,6 +163,7 @@ _HOMES = {
         "Ilit",
         "RadiativeTransfer",
     ),
+    "transport.radiative.adding": ("AddingDoubling",),
     "transport.radiative.exact": ("RadiativeExact",),
     "transport.radiative.tabulated": ("RadiativeTabulated",),
     "transport.radiative.weighted": ("RadiativeWeighted",),

@@ -14,7 +14,7 @@ PHOTOGRAPHED = {
     "hazel": ((33, 8, 18), (2, 3, 3)),
     "brown": ((35, 16, 17), (8, 8, 10)),
 }
-COLOURS = {"brown": "C5", "hazel": "C1", "green": "C2", "blue": "C0", "grey": "0.5"}
+COLOURS = {"brown": "#7a3b00", "hazel": "C1", "green": "C2", "blue": "C0", "grey": "0.5"}
 MODELS = {"separable": ("o", "ILIT"), "radiative-transfer": ("s", "radiative transfer")}
 rows = read("eye_colours.csv")
 figure = plt.figure(figsize=(9.4, 7.2), layout="constrained")
@@ -23,8 +23,9 @@ picture = top.add_subplot()
 picture.imshow(imread(RESULTS / "eye_colours.png"))
 side = imread(RESULTS / "eye_colours.png").shape[0] / 2
 picture.set_xticks([side * (k + 0.5) for k in range(5)], list(COLOURS))
-picture.set_yticks([side / 2, 1.5 * side], [label for _, label in MODELS.values()], rotation=90)
+picture.set_yticks([side / 2, 1.5 * side], [label for _, label in MODELS.values()], rotation=90, va="center")
 picture.tick_params(length=0)
+picture.grid(False)
 for spine in picture.spines.values():
     spine.set_visible(False)
 panels = bottom.subplots(1, 2)

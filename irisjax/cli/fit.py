@@ -20,7 +20,9 @@ _NOT_CONVERGED = 3
 EPILOG = "\n".join(
     [
         "Parameters and their priors (* free by default; ABL: anterior border layer).",
-        "What is neither free nor fixed stands as in LB06's moderate iris.",
+        "What is neither free nor fixed stands as in LB06's moderate iris. To name "
+        "reduced_scattering, rayleigh_share, scattering_power or anisotropy puts a power law of "
+        "scattering in the place of LB06's formula; it takes --process depth-resolved.",
         *(
             f"{'*' if name in DEFAULT_FREE else '·'} {name}{f' ({p.unit})' if p.unit else ''}: "
             f"{p.meaning}; {p.prior!r}"

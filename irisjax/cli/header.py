@@ -6,6 +6,7 @@ import irisjax as ij
 from irisjax.cli.model import IrisOptions, ProcessOptions
 from irisjax.cli.options import Group
 from irisjax.tissue.iris import LIMITS
+from irisjax.tissue.scattering import POWER_LAW_LIMITS
 from irisjax.transport.process import AbstractProcess, Ilit
 from irisjax.transport.solver import AbstractSolver
 
@@ -45,7 +46,10 @@ def settings(
     options made.
     """
     # float, not text made by numpy: that loses digits once colour-science has been imported.
-    fields = {name: float(getattr(iris, name)) for name in iris.parameters()}
+    fields = {
+        name: float(getattr(iris if name in LIMITS else iris.power_law, name))
+        for name in iris.parameters()
+    }
     groups = (
         dataclasses.replace(iris_options, **fields, melanin_load=float(iris.melanin_load)),
         dataclasses.replace(process_options, **process.describe()),
@@ -53,11 +57,12 @@ def settings(
     )
     lines: dict[str, str] = {}
     for name, value in (pair for group in groups for pair in group.settings().items()):
-        unit = LIMITS[name].unit if name in LIMITS else {"wavelengths": "nm"}.get(name)
+        ranges = LIMITS | POWER_LAW_LIMITS
+        unit = ranges[name].unit if name in ranges else {"wavelengths": "nm"}.get(name)
         text = {True: "yes", False: "no"}[value] if isinstance(value, bool) else str(value)
         if name == "melanin_load":  # both melanins say it already
             lines["melanin load that follows"] = f"{value:.12g} [ug/mm2]"
-        elif name != "level":
+        elif name != "level" and not (name == "scattering" and iris.power_law is not None):
             lines[name] = f"{text}{f' [{unit}]' if unit else ''}"
     return lines
 

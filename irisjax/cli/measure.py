@@ -132,7 +132,7 @@ def _read(
 ) -> tuple[Any, dict[str, str]]:
     """What the instrument reads, and the header that says how."""
     modelled, rules = iris_of(iris), process_of(process)
-    method = solver_of(solver, rules)
+    method = solver_of(solver, rules, modelled)
     result = measured(modelled, instrument, rules, method, key_of(solver))
     return result, head(command, quantity, modelled, rules, method, (iris, process, solver, light))
 

@@ -11,6 +11,7 @@ import irisjax as ij
 from irisjax.cli.options import (
     SEED_HELP,
     Group,
+    dashed,
     name_of,
     number,
     option,
@@ -20,6 +21,7 @@ from irisjax.cli.options import (
 )
 from irisjax.tissue.indices import Scattering
 from irisjax.tissue.iris import LIMITS
+from irisjax.tissue.scattering import POWER_LAW_LIMITS, PowerLaw
 from irisjax.transport.defaults import exact_solver
 from irisjax.transport.ilit.weighted import IlitWeighted
 from irisjax.transport.montecarlo import MonteCarlo
@@ -34,13 +36,15 @@ from irisjax.transport.radiative.weighted import RadiativeWeighted
 from irisjax.transport.solver import AbstractSolver
 
 # As written in the class: making an iris would start JAX before the precision is chosen.
-_DEFAULTS = {field.name: field.default for field in dataclasses.fields(ij.Iris)}
+_DEFAULTS = {
+    field.name: field.default for kind in (ij.Iris, PowerLaw) for field in dataclasses.fields(kind)
+}
 _LEVELS = ("low", "moderate", "high")
 
 
 def _field(name: str) -> Any:
     """Option of a field of `Iris`; the iris checks the range and holds the default."""
-    low, high, unit, meaning, above = LIMITS[name]
+    low, high, unit, meaning, above = (LIMITS | POWER_LAW_LIMITS)[name]
     allowed = f"{low:g} to {high:g}" if math.isfinite(high) else f"at least {low:g}"
     if above:
         allowed = f"above {low:g}, at most {high:g}" if math.isfinite(high) else f"above {low:g}"
@@ -97,8 +101,17 @@ class IrisOptions(Group):
     ] = None
     scattering_scale: Annotated[float | None, _field("scattering_scale")] = None
     scattering: Annotated[
-        str, name_of("scattering coefficient of the stroma", *get_args(Scattering))
+        str,
+        name_of(
+            "scattering coefficient of the stroma",
+            *get_args(Scattering),
+            callback=overrules(*POWER_LAW_LIMITS),
+        ),
     ] = "lb06"
+    reduced_scattering: Annotated[float | None, _field("reduced_scattering")] = None
+    rayleigh_share: Annotated[float | None, _field("rayleigh_share")] = None
+    scattering_power: Annotated[float | None, _field("scattering_power")] = None
+    anisotropy: Annotated[float | None, _field("anisotropy")] = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -170,8 +183,11 @@ class SolverOptions(Group):
 
 def iris_of(options: IrisOptions) -> ij.Iris:
     """The iris that the options describe."""
-    names = (*LIMITS, "melanin_load")
+    names = (*LIMITS, *POWER_LAW_LIMITS, "melanin_load")
     fields = {n: v for n in names if (v := getattr(options, n)) is not None}
+    law = [n for n in POWER_LAW_LIMITS if n in fields]
+    if law and "scattering" in options.typed:
+        raise ValueError(f"{dashed(law[0])} stands in place of the formula that --scattering names")
     return ij.Iris.of_level(options.level).replace(**fields, scattering=options.scattering)
 
 
@@ -182,10 +198,12 @@ def process_of(options: ProcessOptions) -> AbstractProcess:
     return dataclasses.replace(process, **{n: v for n, v in switches.items() if v is not None})
 
 
-def solver_of(options: SolverOptions, process: AbstractProcess) -> AbstractSolver:
-    """The solver that the options name, for such a process."""
+def solver_of(
+    options: SolverOptions, process: AbstractProcess, iris: ij.Iris | None = None
+) -> AbstractSolver:
+    """The solver that the options name, for such a process and iris."""
     if options.solver == "exact":
-        return exact_solver(process)
+        return exact_solver(process, iris)
     if options.estimator == "analog":
         return MonteCarlo(options.photons)
     if options.estimator == "weighted" and isinstance(process, RadiativeTransfer):

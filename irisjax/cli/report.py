@@ -18,9 +18,10 @@ from irisjax.infer.diagnostics import predictive_score
 from irisjax.infer.fit import fit
 from irisjax.infer.identifiability import in_words, information
 from irisjax.infer.other_process import Interval
+from irisjax.infer.parameters import kind
 from irisjax.infer.pieces import pointwise
 from irisjax.infer.posterior import Chains, sample
-from irisjax.infer.problem import Problem, kind
+from irisjax.infer.problem import Problem
 from irisjax.infer.resume import check_run as check_run
 from irisjax.infer.resume import words_of
 from irisjax.infer.status import says

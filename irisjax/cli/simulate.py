@@ -56,7 +56,7 @@ def _scans(
         fixed=truth,
         base=iris,
         process=process,
-        solver=exact_solver(process),
+        solver=exact_solver(process, iris),
         noise=ij.Noise(**noise),
     )
     key = jax.random.key(light.seed, impl="threefry2x32")

@@ -14,7 +14,7 @@ from irisjax.optics.fresnel import fresnel_at
 from irisjax.tissue.layers import Layers
 from irisjax.transport.process import AbstractProcess
 from irisjax.transport.solution import RESULTS, Absorbed, Solution
-from irisjax.transport.solver import AbstractSolver
+from irisjax.transport.solver import AbstractSolver, checked_process
 
 
 class AbstractAnalytic(AbstractSolver):
@@ -40,6 +40,7 @@ class AbstractAnalytic(AbstractSolver):
         rays=None,
     ):
         """See `AbstractSolver.solve`; light is taken to fall along the normal."""
+        checked_process(self, process, AbstractProcess, layers)
         if cos_exit is not None:
             raise ValueError("closed formulas give no BRDF")
         mirror, passed = fresnel_at(jnp.ones(()), layers.indices.aqueous, layers.indices.abl)

@@ -7,13 +7,16 @@ import jax.numpy as jnp
 import numpy as np
 
 from irisjax.infer.fit import Fit
-from irisjax.infer.problem import Problem, kind
+from irisjax.infer.parameters import OF_POWER_LAW, kind
+from irisjax.infer.problem import Problem
 from irisjax.numerics.programs import program
 
 _WORDS = {
     "melanin_load": "load", "abl_fraction": "fraction", "pheomelanin_share": "pheomelanin share",
     "hemoglobin": "haemoglobin", "saturation": "saturation", "stroma_thickness": "stroma thickness",
     "abl_thickness": "ABL thickness", "scattering_scale": "scattering", "gain": "gain",
+    "reduced_scattering": "reduced scattering", "rayleigh_share": "Rayleigh share",
+    "scattering_power": "scattering power", "anisotropy": "anisotropy",
 }  # fmt: skip
 
 
@@ -42,6 +45,8 @@ class Information(NamedTuple):
     - `alone`: relative sd of each parameter with all others free, without priors; infinite where
         unknown.
     - `correlation`: of load and fraction given data and priors, or nan.
+    - `trades`: of each free number of a power law of scattering, the share of its prior's width
+        that data and priors leave, the parameter it trades with most, and their correlation.
     """
 
     names: tuple[str, ...]
@@ -49,6 +54,7 @@ class Information(NamedTuple):
     directions: list[Direction]
     alone: dict[str, float]
     correlation: float
+    trades: dict[str, tuple[float, str, float]] = {}  # noqa: RUF012  # never changed
 
 
 def information(problem: Problem, fit: Fit) -> Information:
@@ -80,12 +86,11 @@ def information(problem: Problem, fit: Fit) -> Information:
             n: float(np.sqrt(x)) if np.isfinite(x) else np.inf
             for n, x in zip(names, np.diag(spread), strict=True)
         }
-    correlation = np.nan
+    correlation, c = np.nan, np.asarray(fit.covariance)
     if {"melanin_load", "abl_fraction"} <= set(problem.free):
         a, b = (problem.free.index(n) for n in ("melanin_load", "abl_fraction"))
-        c = np.asarray(fit.covariance)
         correlation = float(c[a, b] / np.sqrt(c[a, a] * c[b, b]))
-    return Information(names, fisher, directions, alone, correlation)
+    return Information(names, fisher, directions, alone, correlation, _trades(problem, c, kept))
 
 
 def in_words(found: Information) -> list[str]:
@@ -105,7 +110,28 @@ def in_words(found: Information) -> list[str]:
             f"{_percent(load)}, the fraction alone to {_percent(fraction)} (data only, without "
             f"priors)"
         )
+    for name, (left, partner, correlation) in found.trades.items():
+        told = "not told by the data" if left > 0.9 else f"{100 * left:.0f} % of its prior's width"
+        ridge = f"; trades with {_word(partner)} (correlation {correlation:+.2f})"
+        lines.append(f"{_word(name)}: {told}{ridge if abs(correlation) > 0.3 else ''}")
     return lines
+
+
+def _trades(problem: Problem, covariance, kept: list[int]) -> dict[str, tuple[float, str, float]]:
+    """`Information.trades`, in the priors' coordinates, in which a prior's width is one."""
+    width = np.sqrt(np.diag(covariance))
+    correlation = covariance / np.outer(width, width)
+    out = {}
+    for i in (i for i in kept if kind(problem.free[i]) in OF_POWER_LAW):
+        others = [k for k in kept if k != i]
+        if others:
+            most = max(others, key=lambda k: abs(correlation[i, k]))
+            out[problem.free[i]] = (
+                float(width[i]),
+                problem.free[most],
+                float(correlation[i, most]),
+            )
+    return out
 
 
 def _combination(fisher, a: int, b: int) -> float:
@@ -122,8 +148,12 @@ def _percent(x: float) -> str:
     return f"{100 * x:.0f} %" if x > 1 else f"{100 * x:.2g} %"
 
 
+def _word(name: str) -> str:
+    return _WORDS[kind(name)] + (f"@{name.partition('@')[2]}" if "@" in name else "")
+
+
 def _power(name: str, exponent: float) -> str:
-    word = _WORDS[kind(name)] + (f"@{name.partition('@')[2]}" if "@" in name else "")
+    word = _word(name)
     return word if abs(exponent - 1) < 0.05 else f"{word}^{exponent:.1f}"
 
 

@@ -15,7 +15,8 @@ from scipy.optimize import least_squares
 
 from irisjax._types import PRNGKey
 from irisjax.infer.fit import Fit
-from irisjax.infer.problem import Problem, kind
+from irisjax.infer.parameters import kind
+from irisjax.infer.problem import Problem
 from irisjax.numerics.programs import program
 from irisjax.transport.process import DEPTH_RESOLVED, ILIT_2006, AbstractProcess, Ilit
 

@@ -9,6 +9,7 @@ from irisjax.infer.priors import AbstractPrior, LogitNormal, LogNormal, Uniform
 from irisjax.measure.instrument import GAIN
 from irisjax.numerics.checks import Range
 from irisjax.tissue.iris import LIMITS, MELANIN_LOAD, Iris
+from irisjax.tissue.scattering import POWER_LAW_LIMITS
 
 
 class Parameter(NamedTuple):
@@ -103,6 +104,39 @@ PARAMETERS: dict[str, Parameter] = {
         "factor on the stroma's scattering",
         "the formula's own value, 30 %",
     ),
+    "reduced_scattering": Parameter(
+        "1/mm",
+        0,
+        _INF,
+        LogNormal(1.0, 0.8),
+        "reduced scattering of the stroma at 500 nm, a' of a power law",
+        "soft tissues 0.2 to 5, Jacques 2013; that is 95 % of the prior",
+        most=POWER_LAW_LIMITS["reduced_scattering"].high,
+    ),
+    "rayleigh_share": Parameter(
+        "",
+        0,
+        1,
+        Uniform(0.0, 1.0),
+        "share of Rayleigh scattering in it, f_Ray",
+        "no preference",
+    ),
+    "scattering_power": Parameter(
+        "",
+        0,
+        POWER_LAW_LIMITS["scattering_power"].high,
+        Uniform(0.2, 3.0),
+        "power of the wavelength by which the rest of it falls, b",
+        "soft tissues 0.2 to 3, Jacques 2013",
+    ),
+    "anisotropy": Parameter(
+        "",
+        POWER_LAW_LIMITS["anisotropy"].low,
+        POWER_LAW_LIMITS["anisotropy"].high,
+        Uniform(0.7, 0.95),
+        "mean cosine of the rest's scattering angle, g",
+        "0.7 to 0.95 in soft tissues, Jacques 2013",
+    ),
     "gain": Parameter(
         "",
         0,
@@ -136,6 +170,9 @@ DEFAULT_FREE = (
 )
 """What is free unless the user says otherwise."""
 
+OF_POWER_LAW = tuple(POWER_LAW_LIMITS)
+"""Parameters that only an iris with a power law of scattering has."""
+
 DERIVED = {"eumelanin": "mg/ml", "pheomelanin": "mg/ml", "abl_melanin": "ug/mm2"}
 """What follows from the parameters, with units."""
 
@@ -158,6 +195,7 @@ def of_iris(iris: Iris) -> dict[str, Any]:
         "stroma_thickness": iris.stroma_thickness,
         "abl_thickness": iris.abl_thickness,
         "scattering_scale": iris.scattering_scale,
+        **({} if iris.power_law is None else iris.power_law.parameters()),
         "gain": 1.0,
         "noise": 1.0,
     }
@@ -175,6 +213,7 @@ def iris_of(values: Mapping[str, Any], base: Iris) -> Iris:
         stroma_thickness=values["stroma_thickness"],
         abl_thickness=values["abl_thickness"],
         scattering_scale=values["scattering_scale"],
+        **({} if base.power_law is None else {n: values[n] for n in POWER_LAW_LIMITS}),
     )
 
 
@@ -186,3 +225,23 @@ def derived(values: Mapping[str, Any]) -> dict[str, Any]:
         "pheomelanin": concentration * values["pheomelanin_share"],
         "abl_melanin": values["melanin_load"] * values["abl_fraction"],
     }
+
+
+def kind(name: str) -> str:
+    """The parameter that a free name is of: `melanin_load@2` is a `melanin_load`."""
+    return name.partition("@")[0]
+
+
+def unit_of(name: str) -> str:
+    """Unit of a free or derived name."""
+    return (
+        DERIVED.get(kind(name)) or PARAMETERS[kind(name)].unit
+        if kind(name) in PARAMETERS
+        else DERIVED[kind(name)]
+    )
+
+
+def seen_by(values: Mapping[str, Any], i: int) -> dict[str, Any]:
+    """The parameters that the i-th observation has, under their plain names."""
+    tag = f"@{i + 1}"
+    return {kind(n): v for n, v in values.items() if "@" not in n or n.endswith(tag)}

@@ -10,16 +10,25 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from irisjax.infer.models import as_arrays, restated, solver_of, with_law
 from irisjax.infer.noise import Noise
 from irisjax.infer.observation import Observation
-from irisjax.infer.parameters import DEFAULT_FREE, DERIVED, PARAMETERS, derived, iris_of, of_iris
+from irisjax.infer.parameters import (
+    DEFAULT_FREE,
+    OF_POWER_LAW,
+    PARAMETERS,
+    derived,
+    iris_of,
+    kind,
+    of_iris,
+    seen_by,
+)
 from irisjax.infer.priors import AbstractPrior, check_prior
-from irisjax.measure.observe import observed, prepared
+from irisjax.measure.observe import observed
 from irisjax.numerics.checks import check_range
 from irisjax.tissue.iris import Iris
-from irisjax.transport import shipped
-from irisjax.transport.pointwise import Pointwise
-from irisjax.transport.process import ILIT_2006, AbstractProcess
+from irisjax.tissue.scattering import PowerLaw
+from irisjax.transport.process import DEPTH_RESOLVED, ILIT_2006, AbstractProcess, Ilit
 from irisjax.transport.solution import RESULTS
 from irisjax.transport.solver import AbstractSolver
 
@@ -77,7 +86,7 @@ class Problem(eqx.Module):
         out = {name: values[name] for name in self.free}
         for i in range(len(self.observations)):
             tag = f"@{i + 1}" if any("@" in n for n in self.free) else ""
-            for name, value in derived(_seen_by(values, i)).items():
+            for name, value in derived(seen_by(values, i)).items():
                 out[name + tag] = value
         return out
 
@@ -98,7 +107,7 @@ class Problem(eqx.Module):
         values = self.values(z)
         return jnp.concatenate(
             [
-                self.noise.pointwise(o, m, _seen_by(values, i)["noise"])
+                self.noise.pointwise(o, m, seen_by(values, i)["noise"])
                 for i, (o, m) in enumerate(
                     zip(self.observations, self._models(values), strict=True)
                 )
@@ -146,7 +155,7 @@ class Problem(eqx.Module):
             one, two = jax.random.split(jax.random.fold_in(key, i))
             normal = jax.random.normal(one, m.shape)
             square = None if nu is None else 2 * jax.random.gamma(two, nu / 2, m.shape)
-            out.append(self.noise.draw(o, m, _seen_by(values, i)["noise"], normal, square))
+            out.append(self.noise.draw(o, m, seen_by(values, i)["noise"], normal, square))
         return tuple(out), models
 
     def stated_sds(self, z: Float[Array, " free"], models) -> tuple[Float[Array, " _"], ...]:
@@ -156,7 +165,7 @@ class Problem(eqx.Module):
             if o.covariance_root is not None:
                 out.append(jnp.sqrt((o.covariance_root**2).sum(axis=1)))
                 continue
-            sd = noise.sd(o, m, _seen_by(values, i)["noise"])
+            sd = noise.sd(o, m, seen_by(values, i)["noise"])
             # A marginalised discrepancy is part of what the residuals may be.
             out.append(sd if noise.discrepancy is None else jnp.hypot(sd, noise.discrepancy * m))
         return tuple(out)
@@ -172,10 +181,16 @@ class Problem(eqx.Module):
 
     def by(self, process: AbstractProcess) -> "Problem":
         """The same problem by another process, with that one's table."""
-        first = self.observations[0].instrument
-        solver = shipped.table(self.base.indices(first.media.aqueous), process)
-        solver = Pointwise(prepared(self.base, first, process, solver))
-        return dataclasses.replace(self, process=process, solver=solver)
+        base = self.base.replace(power_law=None) if isinstance(process, Ilit) else self.base
+        return restated(self, base, process)
+
+    def under(self, law: PowerLaw | None) -> "Problem":
+        """The same problem by radiative transfer with a power law of scattering, its four numbers
+        free with their default priors in place of `scattering_scale`; `None`: the formula of the
+        iris, and these no parameters.
+        """
+        base = self.base.replace(power_law=law, scattering_scale=1.0)
+        return restated(self, base, DEPTH_RESOLVED, () if law is None else OF_POWER_LAW)
 
     def _models(self, values) -> tuple[jax.Array, ...]:
         readings = (self._reading(values, i) for i in range(len(self.observations)))
@@ -183,7 +198,7 @@ class Problem(eqx.Module):
 
     def _reading(self, values, i: int):
         """What the i-th instrument reads."""
-        mine, instrument = _seen_by(values, i), self.observations[i].instrument
+        mine, instrument = seen_by(values, i), self.observations[i].instrument
         gain = jnp.asarray(mine["gain"], instrument.gain.dtype)
         instrument = eqx.tree_at(lambda x: x.gain, instrument, gain)
         return observed(iris_of(mine, self.base), instrument, self.process, self.solver)
@@ -211,7 +226,10 @@ def problem(
     - `priors`: in place of those of `PARAMETERS`.
     - `separate`: names that each observation has for itself (two spots share blood, not melanin).
     - `base`: the iris for all that is neither free nor fixed; default LB06's, moderate.
-    - `solver`: default `IlitTabulated` for ILIT, `RadiativeTabulated` for radiative transfer.
+    - `solver`: default `IlitTabulated` for ILIT, `RadiativeTabulated` for radiative transfer and
+        `AddingDoubling` under a power law of scattering.
+
+    To state one of a `PowerLaw`'s numbers, free or fixed, puts a power law into `base`.
 
     **Raises:** `ValueError` for unknown names, values out of range, nothing free, or more than
     1,000 values with a correlated discrepancy.
@@ -252,38 +270,15 @@ def problem(
             f"to {_MOST_CORRELATED} values at most"
         )
     base = Iris() if base is None else base
-    first = seen[0].instrument
-    if solver is None:
-        solver = shipped.table(base.indices(first.media.aqueous), process)
-    dtype = jnp.result_type(float)
+    base = with_law(base, process, (*names, *fixed))
     start = {**of_iris(base), **fixed}
     return Problem(
         observations=seen,
         noise=Noise() if noise is None else noise,
         base=base,
-        fixed={n: jnp.asarray(v, dtype) for n, v in start.items() if n not in names},
-        solver=Pointwise(prepared(base, first, process, solver)),
+        fixed=as_arrays({n: v for n, v in start.items() if n not in names}),
+        solver=solver_of(base, seen[0].instrument, process, solver),
         free=tuple(expanded),
         priors=tuple(priors.get(kind(n), PARAMETERS[kind(n)].prior) for n in expanded),
         process=process,
     )
-
-
-def kind(name: str) -> str:
-    """The parameter that a free name is of: `melanin_load@2` is a `melanin_load`."""
-    return name.partition("@")[0]
-
-
-def unit_of(name: str) -> str:
-    """Unit of a free or derived name."""
-    return (
-        DERIVED.get(kind(name)) or PARAMETERS[kind(name)].unit
-        if kind(name) in PARAMETERS
-        else DERIVED[kind(name)]
-    )
-
-
-def _seen_by(values: Mapping[str, Any], i: int) -> dict[str, Any]:
-    """The parameters that observation i has, under their plain names."""
-    tag = f"@{i + 1}"
-    return {kind(n): v for n, v in values.items() if "@" not in n or n.endswith(tag)}

@@ -10,9 +10,10 @@ from scipy.stats import qmc
 
 from irisjax._types import PRNGKey
 from irisjax.infer.diagnostics import diagnostics
+from irisjax.infer.parameters import unit_of
 from irisjax.infer.pieces import in_rows, predicted
 from irisjax.infer.posterior import Chains
-from irisjax.infer.problem import Problem, unit_of
+from irisjax.infer.problem import Problem
 from irisjax.numerics.programs import program
 
 QUANTILES = (2.5, 16, 50, 84, 97.5)

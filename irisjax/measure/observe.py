@@ -38,7 +38,8 @@ def observe(
 
     - `iris`: its fields may be traced; batch with `jax.vmap`.
     - `process`: `ILIT_2006`, `ILIT_CORRECTED`, `DEPTH_RESOLVED` or one of your own.
-    - `solver`: default the process's exact one (`IlitExact`, `RadiativeExact`).
+    - `solver`: default the process's exact one (`IlitExact`, `RadiativeExact`; `AddingDoubling`
+        for an iris with a power law of scattering).
     - `key`: for solvers that sample.
     - `progress`: called with the number of photons followed since the last call, of `MonteCarlo`
         outside any trace: photons are then followed in blocks. The result does not depend on it.
@@ -86,7 +87,7 @@ def prepared(
     solver: AbstractSolver | None = None,
 ) -> AbstractSolver:
     """The solver (default: the process's exact one) after a look at the still concrete problem."""
-    solver = exact_solver(process) if solver is None else solver
+    solver = exact_solver(process, iris) if solver is None else solver
     # Through the class: binding a method of an Equinox module costs more than the call.
     return type(solver).prepare(solver, partial(_layers, iris, instrument), process)
 

@@ -151,6 +151,25 @@ def cosine_rule(
     )
 
 
+def quadratic_rule(
+    breaks: Float[Array, " k"], possible: tuple[bool, ...], n: int
+) -> tuple[Float[Array, " n"], Float[Array, " n"]]:
+    """Nodes and weights for ∫₀¹ f(μ) dμ of polynomials with square roots above the break points b.
+
+    The variable of a panel that starts at b is √(μ − b), which keeps polynomials what they are.
+    Arguments as for `cosine_rule`; the break points themselves, not their squares.
+    """
+    dtype = breaks.dtype
+    there = [b for b, p in zip(breaks, possible, strict=True) if p]
+    edges, panels, _ = _edges(there, dtype)
+    most = len(there) + 1
+    x64, w64, owner = _shared(_nodes(n, most), most)
+    row = panels - 1
+    x, w, of = jnp.asarray(x64, dtype)[row], jnp.asarray(w64, dtype)[row], jnp.asarray(owner)[row]
+    start, width = edges[:-1][of], (edges[1:] - edges[:-1])[of]
+    return start + width * x * x, w * width * 2 * x
+
+
 def _nodes(n: int, most: int) -> int:
     """Nodes in all, a number that every number of panels up to `most` divides."""
     if most == 1:

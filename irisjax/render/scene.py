@@ -20,7 +20,7 @@ from irisjax.render.lights import Lights
 from irisjax.render.refraction import LARGEST_POLAR
 from irisjax.render.separable import Separable
 from irisjax.tissue.iris import Iris
-from irisjax.tissue.maps import IrisMaps
+from irisjax.tissue.maps import IrisMaps, check_pictured
 
 
 class Scene(eqx.Module):
@@ -51,6 +51,7 @@ class Scene(eqx.Module):
     def __check_init__(self):
         if self.lights is None and self.environment is None:
             raise ValueError("a scene needs lights or an environment")
+        check_pictured(self.iris)
         if self.maps is not None:
             self.maps.check(self.iris)
         if self.lights is not None and self.lights.illuminant != self.illuminant:

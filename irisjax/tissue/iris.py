@@ -23,6 +23,7 @@ from irisjax.tissue.indices import (
 )
 from irisjax.tissue.layers import Layers
 from irisjax.tissue.pigments import Extinction
+from irisjax.tissue.scattering import POWER_LAW_LIMITS, PowerLaw
 
 _INF = float("inf")
 _PURE = Range(0, 2000, "mg/ml")  # denser than melanin itself
@@ -60,6 +61,8 @@ _OPTICAL = {n for n in LIMITS if n.endswith("_index")} | {
     "collagen_fraction",
 }
 
+_CHOICES = ("scattering", "power_law")
+
 _LEVELS = {"high": (1.008, 0.2674), "moderate": (0.8138, 0.2054), "low": (0.1201, 0.0194)}
 
 
@@ -81,7 +84,8 @@ class Iris(eqx.Module):
     the fibril radius nm. `abl_index` and `stroma_index` are `None` unless they are to
     replace the Gladstone–Dale mixtures. `scattering` names the formula of the stroma's scattering:
     `"lb06"` as printed or `"rayleigh-spheres"`, independent small spheres; `scattering_scale` is a
-    factor on it. Make variations with `replace`. Another thickness keeps the concentration of
+    factor on it. A `power_law` stands in the formula's place, for radiative transfer. Make
+    variations with `replace`. Another thickness keeps the concentration of
     melanin over both layers and its shares of mass; maps (`IrisMaps`) keep the concentration in
     each layer, and so give another picture.
 
@@ -109,6 +113,7 @@ class Iris(eqx.Module):
     stroma_index: Scalar | None = _parameter("stroma_index", None)
     scattering_scale: Scalar = _parameter("scattering_scale", 1.0)
     scattering: Scattering = eqx.field(static=True, default="lb06")
+    power_law: PowerLaw | None = None
     order: Order = eqx.field(init=False)
 
     def __post_init__(self):
@@ -139,15 +144,20 @@ class Iris(eqx.Module):
         """A copy with some fields changed.
 
         Besides the fields: `melanin_load` (µg/mm²) rescales both melanins after the other changes,
-        keeping their ratio (all eumelanin where there was none). The static order of media stays
+        keeping their ratio (all eumelanin where there was none); the numbers of a `PowerLaw` by
+        name change the iris's, or make one. The static order of media stays
         what it was unless an index changes: an iris may be carried through a loop.
         """
         load = fields.pop("melanin_load", None)
         for name in fields:
-            if name not in LIMITS and name != "scattering":
-                known = ", ".join(("melanin_load", *LIMITS, "scattering"))
+            if name not in LIMITS and name not in POWER_LAW_LIMITS and name not in _CHOICES:
+                known = ", ".join(("melanin_load", *LIMITS, *_CHOICES, *POWER_LAW_LIMITS))
                 raise ValueError(f"unknown parameter {name!r}; known: {known}")
-        current = {name: getattr(self, name) for name in (*LIMITS, "scattering")}
+        law = {name: fields.pop(name) for name in POWER_LAW_LIMITS if name in fields}
+        if law:
+            old = fields.get("power_law", self.power_law)
+            fields["power_law"] = PowerLaw(**{**({} if old is None else old.parameters()), **law})
+        current = {name: getattr(self, name) for name in (*LIMITS, *_CHOICES)}
         iris = Iris(**{**current, **fields})
         if not any(name in _OPTICAL for name in fields):
             object.__setattr__(iris, "order", self.order)
@@ -208,13 +218,17 @@ class Iris(eqx.Module):
             + e.lutein * self.lutein
             + e.zeaxanthin * self.zeaxanthin
         )
-        mu_s = SCATTERING[self.scattering](
-            e.wavelengths,
-            self.fibril_radius,
-            self.collagen_fraction,
-            self.collagen_index,
-            self.base_index,
-        )
+        law = self.power_law
+        if law is None:
+            mu_s = SCATTERING[self.scattering](
+                e.wavelengths,
+                self.fibril_radius,
+                self.collagen_fraction,
+                self.collagen_index,
+                self.base_index,
+            )
+        else:
+            mu_s = law.coefficient(e.wavelengths)
         return Layers(
             abl_absorption=melanin * self.abl_fraction,
             stroma_absorption=melanin * (1 - self.abl_fraction)
@@ -222,23 +236,25 @@ class Iris(eqx.Module):
             stroma_scattering=self.scattering_scale * mu_s * self.stroma_thickness,
             indices=self.indices(aqueous_index),
             order=self.order,
+            phase=None if law is None else law.phase(e.wavelengths),
         )
 
     def parameters(self) -> dict[str, Any]:
         """Every set field by name, for headers and tables; concrete scalars come as Python
         floats.
         """
-        out = {}
-        for name in LIMITS:
-            value = getattr(self, name)
+        out, law = {}, {} if self.power_law is None else self.power_law.parameters()
+        for name, value in {**{n: getattr(self, n) for n in LIMITS}, **law}.items():
             if value is not None:
                 out[name] = value if isinstance(value, Tracer) or value.ndim else _short(value)
         return out
 
     def __repr__(self):
-        units = {n: f" {limits.unit}" if limits.unit else "" for n, limits in LIMITS.items()}
+        ranges = LIMITS | POWER_LAW_LIMITS
+        units = {n: f" {limits.unit}" if limits.unit else "" for n, limits in ranges.items()}
         lines = [f"  {n} = {v}{units[n]}" for n, v in self.parameters().items()]
-        lines.append(f"  scattering = {self.scattering}")
+        if self.power_law is None:
+            lines.append(f"  scattering = {self.scattering}")
         return "Iris(\n" + "\n".join(lines) + "\n)"
 
 
@@ -267,4 +283,4 @@ def _as_float(name: str, value) -> jax.Array:
     )
 
 
-assert {f.name for f in dataclasses.fields(Iris)} == {*LIMITS, "scattering", "order"}
+assert {f.name for f in dataclasses.fields(Iris)} == {*LIMITS, *_CHOICES, "order"}

@@ -7,6 +7,7 @@ import jax.numpy as jnp
 
 from irisjax._types import Spectrum
 from irisjax.numerics.checks import Range, check_range
+from irisjax.optics.mixture import PhaseMixture
 from irisjax.tissue.indices import Order, RefractiveIndices
 
 
@@ -21,6 +22,7 @@ class Layers(eqx.Module):
     - `stroma_absorption`, `stroma_scattering`: μ_a h and μ_s h of the stroma.
     - `indices`: refractive indices of aqueous humour, ABL, stroma, IPE.
     - `order`: which neighbour is denser, known before tracing (see `tissue.indices.Order`).
+    - `phase`: phase function of the stroma where it is not Rayleigh's; `None` costs nothing.
     """
 
     abl_absorption: Spectrum
@@ -28,6 +30,7 @@ class Layers(eqx.Module):
     stroma_scattering: Spectrum
     indices: RefractiveIndices
     order: Order
+    phase: PhaseMixture | None = None
 
     @classmethod
     def from_coefficients(
@@ -87,4 +90,4 @@ class Layers(eqx.Module):
         ok = self.indices.agree(self.order)
         for depth in (self.abl_absorption, self.stroma_absorption, self.stroma_scattering):
             ok = ok & (jnp.isfinite(depth) & (depth >= 0)).all()
-        return ok
+        return ok if self.phase is None else ok & self.phase.valid()

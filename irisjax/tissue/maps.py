@@ -154,12 +154,22 @@ def cell_centres(shape: tuple[int, int]) -> tuple[jax.Array, jax.Array]:
     ) / columns
 
 
+def check_pictured(iris: Iris) -> None:
+    """Raise `ValueError` for an iris with a power law of scattering: pictures know none."""
+    if iris.power_law is not None:
+        raise ValueError(
+            "a picture takes the iris's formula of scattering (lb06, rayleigh-spheres), not a "
+            "power law"
+        )
+
+
 def texel_layers(iris: Iris, aqueous_index, table: Extinction, scales: Scales) -> Layers:
     """Layers of a texel, its scales numbers or `None`."""
     if scales.eumelanin is not None:
         iris = eqx.tree_at(lambda i: i.eumelanin, iris, iris.eumelanin * scales.eumelanin)
     if scales.pheomelanin is not None:
         iris = eqx.tree_at(lambda i: i.pheomelanin, iris, iris.pheomelanin * scales.pheomelanin)
+    check_pictured(iris)
     layers = iris.layers(table, aqueous_index)
     abl = 1.0 if scales.abl is None else scales.abl
     stroma = 1.0 if scales.stroma is None else scales.stroma

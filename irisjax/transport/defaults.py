@@ -1,11 +1,17 @@
 """The solver that is meant where none is named."""
 
+from irisjax.tissue.iris import Iris
 from irisjax.transport.ilit.exact import IlitExact
 from irisjax.transport.process import AbstractProcess, Ilit
+from irisjax.transport.radiative.adding import AddingDoubling
 from irisjax.transport.radiative.exact import RadiativeExact
 from irisjax.transport.solver import AbstractSolver
 
 
-def exact_solver(process: AbstractProcess) -> AbstractSolver:
-    """The deterministic reference solver of a process, at its default accuracy."""
+def exact_solver(process: AbstractProcess, iris: Iris | None = None) -> AbstractSolver:
+    """The deterministic reference solver of a process, at its default accuracy; for radiative
+    transfer of an iris with a power law of scattering `AddingDoubling`.
+    """
+    if iris is not None and iris.power_law is not None and not isinstance(process, Ilit):
+        return AddingDoubling()
     return IlitExact() if isinstance(process, Ilit) else RadiativeExact()

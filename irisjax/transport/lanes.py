@@ -18,6 +18,7 @@ from irisjax.numerics.interpolation import horner
 from irisjax.numerics.sharding import vary_alike
 from irisjax.numerics.streams import fold_in_words, uniform
 from irisjax.optics.fresnel import refract
+from irisjax.optics.mixture import PhaseMixture
 
 FATES = ("mirrored", "reflected", "abl", "stroma", "ipe")
 """Where photons end, in the order of the counts."""
@@ -38,6 +39,7 @@ class LaneLayers(NamedTuple):
     n_abl: jax.Array
     n_stroma: jax.Array
     n_ipe: jax.Array
+    phase: PhaseMixture | None = None  # of the lane's wavelength, where it is not the process's own
 
 
 class Photon(NamedTuple):

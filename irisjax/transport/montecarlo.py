@@ -22,7 +22,7 @@ from irisjax.transport import ilit, lanes, radiative
 from irisjax.transport.incidence import first_surface
 from irisjax.transport.process import AbstractProcess, Ilit
 from irisjax.transport.solution import RESULTS, Absorbed, Solution
-from irisjax.transport.solver import AbstractSolver
+from irisjax.transport.solver import AbstractSolver, checked_process
 
 _LIMIT = 2**31 - 2**20  # counts are int32; lanes look a stride ahead
 
@@ -97,6 +97,8 @@ class MonteCarlo(AbstractSolver):
         `first` and `last` may be traced. Returns `Counts`.
         """
         check_key(key)
+        if isinstance(process, Ilit):
+            checked_process(self, process, Ilit, layers)
         layers, cos_exit = _constant((layers, cos_exit))
         if not isinstance(cos_incidence, str):
             cos_incidence = _constant(cos_incidence)
@@ -225,6 +227,7 @@ def _count(
         n_abl=n.abl.astype(f),
         n_stroma=n.stroma.astype(f),
         n_ipe=n.ipe.astype(f),
+        phase=jax.tree.map(spread, layers.phase),
     )
     wave_words = (jnp.repeat(words[:, 0], a_wave), jnp.repeat(words[:, 1], a_wave))
     last = jnp.where(ok, jnp.broadcast_to(last, (n_waves,)), 0)

@@ -7,12 +7,14 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from irisjax.optics.mixture import PhaseMixture
 from irisjax.tissue.layers import Layers
 from irisjax.transport.solver import AbstractSolver
 
 
 class Pointwise(AbstractSolver):
-    """A solver whose derivatives by any number of parameters cost three, by the layers' depths.
+    """A solver whose derivatives by any number of parameters cost three, by the layers' depths, and
+    two more where a phase function has parameters.
 
     For inversions: derivatives by indices or incidence are refused, and so are BRDFs.
     """
@@ -41,12 +43,15 @@ class Pointwise(AbstractSolver):
         run = partial(_solution, layers.order, process, cos_incidence if diffuse else None)
         how = self.solver, layers.indices, None if diffuse else cos_incidence, key, rays
         depths = layers.abl_absorption, layers.stroma_absorption, layers.stroma_scattering
+        if layers.phase is not None:
+            depths = (*depths, layers.phase.rayleigh, layers.phase.anisotropy)
         return by_wavelength(run, how, depths, ())
 
 
 def _solution(order, process, diffuse, how, depths, _):
     solver, indices, cosine, key, rays = how
-    layers = Layers(depths[0], depths[1], depths[2], indices, order)
+    phase = PhaseMixture(*depths[3:]) if len(depths) > 3 else None
+    layers = Layers(depths[0], depths[1], depths[2], indices, order, phase)
     return solver.solve(layers, process, diffuse or cosine, key=key, rays=rays)
 
 

@@ -1,9 +1,11 @@
 """Tables of either process for an iris's indices: those of LB06's iris come with the package."""
 
 from irisjax.tissue.indices import RefractiveIndices
+from irisjax.tissue.iris import Iris
 from irisjax.transport.ilit import shipped as ilit
 from irisjax.transport.process import AbstractProcess, Ilit
 from irisjax.transport.radiative import shipped as radiative
+from irisjax.transport.radiative.adding import AddingDoubling
 from irisjax.transport.radiative.exact import RadiativeExact
 from irisjax.transport.solver import AbstractSolver
 
@@ -19,3 +21,12 @@ def table(indices: RefractiveIndices, process: AbstractProcess) -> AbstractSolve
         return radiative.table(indices)
     except ValueError:
         return RadiativeExact(16, 8)
+
+
+def quickest(iris: Iris, aqueous_index, process: AbstractProcess) -> AbstractSolver:
+    """The solver for many spectra of irides such as this one: its `table`, or `AddingDoubling`
+    where a power law of scattering has none.
+    """
+    if iris.power_law is not None and not isinstance(process, Ilit):
+        return AddingDoubling(16, 8)
+    return table(iris.indices(aqueous_index), process)

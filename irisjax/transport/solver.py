@@ -47,9 +47,19 @@ class AbstractSolver(eqx.Module):
         """
 
 
-def checked_process(solver, process: AbstractProcess, kind: type[P]) -> P:
-    """The process, of the kind that a solver treats; `ValueError` if it is of another."""
+def checked_process(
+    solver, process: AbstractProcess, kind: type[P], layers: Layers | None = None
+) -> P:
+    """The process, of the kind that a solver treats; `ValueError` if it is of another, or if
+    `layers` scatter otherwise than by Rayleigh's law, the only one that most solvers know.
+    """
     if not isinstance(process, kind):
         name = getattr(solver, "__name__", type(solver).__name__)
         raise ValueError(f"{name} treats {kind.__name__} processes, not {type(process).__name__}")
+    if layers is not None and layers.phase is not None:
+        name = getattr(solver, "__name__", type(solver).__name__)
+        raise ValueError(
+            "a power law of scattering takes radiative transfer (depth-resolved) by AddingDoubling "
+            f"or MonteCarlo, not {type(process).__name__} by {name}"
+        )
     return process

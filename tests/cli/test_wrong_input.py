@@ -8,6 +8,7 @@ WRONG = [
     (("--level", "middling"), "--level: unknown 'middling'; known: low, moderate, high"),
     (("--eumelanin", "-1"), "eumelanin = -1 mg/ml is outside [0, 2000] mg/ml"),
     (("--eumelanin", "nan"), "eumelanin = nan mg/ml is outside"),
+    (("--anisotropy", "0.99"), "anisotropy = 0.99 is outside [-0.9, 0.95]"),
     (("--lutein", "much"), "--lutein: 'much' is not a number"),
     (("--abl-fraction", "1.5"), "abl_fraction = 1.5 is outside [0, 1]"),
     (("--melanin-load", "-0.1"), "melanin_load = -0.1"),

@@ -55,7 +55,7 @@ class IlitExact(AbstractSolver):
         rays=None,
     ):
         """See `AbstractSolver.solve`; no `key` and no `rays` are used."""
-        process = checked_process(self, process, Ilit)
+        process = checked_process(self, process, Ilit, layers)
         from_above, from_below = abl_responses(
             layers.abl_absorption, layers.indices, layers.order, process, self.n_angles
         )

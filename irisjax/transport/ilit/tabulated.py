@@ -122,7 +122,7 @@ class IlitTabulated(AbstractSolver):
         rays=None,
     ):
         """See `AbstractSolver.solve`; no `key` and no `rays` are used."""
-        process = checked_process(self, process, Ilit)
+        process = checked_process(self, process, Ilit, layers)
         from_above, from_below, stroma = laid_out_as(
             layers.extinction,
             (LayerFates._make((1, 1, 1)),) * 3,

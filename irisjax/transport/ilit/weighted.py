@@ -89,7 +89,7 @@ class IlitWeighted(AbstractSolver):
         **Raises:** `ValueError` where a BRDF is asked for.
         """
         self.prepare(lambda: layers, process)
-        process = checked_process(self, process, Ilit)
+        process = checked_process(self, process, Ilit, layers)
         check_key(key)
         if cos_exit is not None:
             raise ValueError("a BRDF by Monte Carlo needs MonteCarlo")

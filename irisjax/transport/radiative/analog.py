@@ -27,7 +27,8 @@ def event(photon: Photon, words, layers: LaneLayers, scale, process: RadiativeTr
     in_abl, mode, k = (photon.code & 8) > 0, (photon.code >> 4) & 3, photon.code >> 6
     outside = k == 0
     u_outcome, u_direction, azimuth = draws(words, scale)
-    turned = deflect(photon.direction, process.phase_function.sample_cosine(u_direction), azimuth)
+    law = process.phase_function if layers.phase is None else layers.phase
+    turned = deflect(photon.direction, law.sample_cosine(u_direction), azimuth)
     entering = jnp.where(
         layers.incidence < 0, sample_entry(u_direction), layers.incidence
     )  # < 0: diffuse

@@ -5,7 +5,8 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
-from irisjax.numerics.quadrature import conserving, cosine_rule
+from irisjax.numerics.quadrature import conserving, cosine_rule, quadratic_rule
+from irisjax.numerics.roots import safe_sqrt
 from irisjax.optics.fresnel import critical_cosine_squared, fresnel, refract, refracted
 from irisjax.tissue.indices import RefractiveIndices
 from irisjax.tissue.layers import Layers
@@ -68,6 +69,21 @@ def quadrature_nodes(layers: Layers, n_angles: int) -> Directions:
     rule = conserving(rule)
     cosines = [refracted(rule, i, n.stroma, k) for i, k in enumerate(neighbours)]
     return _directions(n, rule.cosine, rule.weight, *cosines)
+
+
+def gauss_nodes(layers: Layers, n_angles: int) -> Directions:
+    """Directions in the stroma of a quadrature made for polynomials of the cosine, split at its
+    critical angles.
+    """
+    n, order = layers.indices, layers.order
+    neighbours = (n.aqueous, n.abl, n.ipe)
+    cosine, weight = quadratic_rule(
+        jnp.stack([safe_sqrt(critical_cosine_squared(n.stroma, k)) for k in neighbours]),
+        (True, order.stroma_over_abl, order.stroma_over_ipe),
+        n_angles,
+    )
+    abl, aqueous, ipe = (refract(cosine, n.stroma, k) for k in (n.abl, n.aqueous, n.ipe))
+    return _directions(layers, cosine, weight, aqueous, abl, ipe)
 
 
 def from_outside(layers: Layers, outside) -> Directions:

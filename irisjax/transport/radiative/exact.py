@@ -123,7 +123,7 @@ class RadiativeExact(AbstractSolver):
         rays=None,
     ):
         """See `AbstractSolver.solve`; no `key` and no `rays` are used."""
-        checked_process(self, process, RadiativeTransfer)
+        checked_process(self, process, RadiativeTransfer, layers)
         return _solve(
             layers,
             cos_incidence,

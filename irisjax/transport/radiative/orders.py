@@ -9,6 +9,7 @@ import jax
 import jax.numpy as jnp
 
 from irisjax.numerics import linear
+from irisjax.optics.mixture import rayleigh
 from irisjax.transport.process import survival
 from irisjax.transport.radiative.directions import MODES, Directions, roof_of
 from irisjax.transport.radiative.fates import course, met
@@ -36,12 +37,14 @@ def _taken(abl, depth, d: Directions):
     return way.series * (1 + way.back) * each * (1 + depth)
 
 
-def single_scattering(abl, depth, albedo, beam: Directions, exits: Directions, azimuth):
+def single_scattering(
+    abl, depth, albedo, beam: Directions, exits: Directions, azimuth, phase=rayleigh
+):
     """Radiance at the slab's top of light scattered once, shape (exits,), from a beam of flux 1 on
     the iris: ω p(α)/(2 μ_i μ_o) ∫ exp(−t/μ_i − t/μ_o) dt over its courses, up or down before, up or
     down after.
 
-    Rayleigh's law, p = ¾(1 + cos²α); `azimuth` 0 is straight on.
+    `phase`: p of the scattering angle's cosine; `azimuth` 0 is straight on.
     """
     before, after = course(abl, depth, beam), course(abl, depth, exits)
     cosine, series, back = beam.cosine[0], before.series[0], before.back[0]
@@ -51,7 +54,7 @@ def single_scattering(abl, depth, albedo, beam: Directions, exits: Directions, a
     along = along * mean_survival(depth * jnp.abs(a - b))
     across = jnp.maximum((1 - cosine**2) * (1 - exits.cosine**2), 0.0)
     sideways, straight = jnp.cos(azimuth) * jnp.sqrt(across), cosine * exits.cosine
-    away, on = (0.75 * (1 + (c + sideways) ** 2) for c in (-straight, straight))
+    away, on = (phase(c + sideways) for c in (-straight, straight))
     courses = away * turned * (1 + back * after.back) + on * along * (back + after.back)
     into = roof_of(abl, beam, from_stroma=False).passed[0] * series
     return 0.5 * albedo * into * after.series * courses * a * b

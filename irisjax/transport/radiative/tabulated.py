@@ -113,7 +113,7 @@ class RadiativeTabulated(AbstractSolver):
         rays=None,
     ):
         """See `AbstractSolver.solve`; no `key` and no `rays` are used."""
-        checked_process(self, process, RadiativeTransfer)
+        checked_process(self, process, RadiativeTransfer, layers)
         dtype = layers.extinction.dtype
         outside, power = beams_of(cos_incidence, 16, dtype)
         beams = from_outside(layers, outside)

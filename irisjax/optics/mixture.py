@@ -1,0 +1,90 @@
+"""A phase function for tissue: a share of Rayleigh's law, the rest Henyey and Greenstein's."""
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+
+from irisjax._types import Spectrum
+from irisjax.optics.phase import PHASES
+
+
+class PhaseMixture(eqx.Module):
+    """p(Θ) = s p_R + (1 − s) p_HG, one value a wavelength; each is 4π over the sphere.
+
+    p_HG = (1 − g²)/(1 + g² − 2g cos Θ)^{3/2} with the mean cosine g, whose Legendre moments are
+    g^l.  [Henyey & Greenstein 1941, Eq. 2]
+
+    **Fields:**
+
+    - `rayleigh`: share s of the scattering that follows Rayleigh's law.
+    - `anisotropy`: g of the rest.
+    """
+
+    rayleigh: Spectrum
+    anisotropy: Spectrum
+
+    def valid(self):
+        """Whether every share lies in [0, 1] and every g in (−1, 1) (traced)."""
+        s, g = self.rayleigh, self.anisotropy
+        return ((s >= 0) & (s <= 1) & (jnp.abs(g) < 1)).all()
+
+    def value(self, cosine):
+        """p at cosines of the scattering angle."""
+        s = self.rayleigh
+        return s * rayleigh(cosine) + (1 - s) * henyey_greenstein(cosine, self.anisotropy)
+
+    def moments(self, count: int):
+        """Legendre moments χ_0 to χ_{count − 1} along a new last axis: p = Σ (2l + 1) χ_l P_l."""
+        of_rayleigh = np.zeros(count)
+        of_rayleigh[: min(count, 3)] = (1.0, 0.0, 0.1)[:count]
+        powers = [jnp.ones_like(self.anisotropy)]
+        for _ in range(count - 1):
+            powers.append(powers[-1] * self.anisotropy)
+        s = self.rayleigh[..., None]
+        dtype = self.anisotropy.dtype
+        return jnp.multiply.outer(self.rayleigh, jnp.asarray(of_rayleigh, dtype)) + (
+            1 - s
+        ) * jnp.stack(powers, -1)
+
+    def truncated(self, count: int):
+        """The first moments without the forward peak, and the peak's share f: δ-M.
+
+        f is the first moment left out, and χ'_l = (χ_l − f)/(1 − f); a phase function that peaks
+        backwards has none.  [Wiscombe 1977, Eqs. 14, 15]
+        """
+        g = jnp.maximum(self.anisotropy, 0.0)
+        peak = (1 - self.rayleigh) * g**count
+        f = peak[..., None]
+        return (self.moments(count) - f) / (1 - f), peak
+
+    def sample_cosine(self, u):
+        """Cosine of the scattering angle from a uniform number in [0, 1]."""
+        s = self.rayleigh
+        rest = 1 - s
+        of_rayleigh = PHASES["rayleigh"].sample_cosine(jnp.clip(u / jnp.maximum(s, 1e-30), 0, 1))
+        v = jnp.clip((u - s) / jnp.maximum(rest, 1e-30), 0.0, 1.0)
+        return jnp.where(u < s, of_rayleigh, sample_henyey_greenstein(v, self.anisotropy))
+
+
+def rayleigh(cosine):
+    """Rayleigh's law, ¾(1 + cos²Θ)."""
+    return 0.75 * (1 + cosine**2)
+
+
+def henyey_greenstein(cosine, g):
+    """(1 − g²)/(1 + g² − 2g cos Θ)^{3/2}  [Henyey & Greenstein 1941, Eq. 2]."""
+    # Written round the peak, where the plain denominator cancels.
+    size = jnp.abs(g)
+    towards = jnp.where(g < 0, 1 + cosine, 1 - cosine)
+    base = (1 - size) ** 2 + 2 * size * towards
+    return (1 - g) * (1 + g) / (base * jnp.sqrt(base))
+
+
+def sample_henyey_greenstein(u, g):
+    """The inverse distribution function of the cosine, without the division by g of its usual form.
+
+    [Henyey & Greenstein 1941, Eq. 2]
+    """
+    v = 2 * u - 1
+    numerator = v + 0.5 * g * (3 + v * v) + g * g * v - 0.5 * g**3 * (1 - v * v)
+    return jnp.clip(numerator / jnp.square(1 + g * v), -1.0, 1.0)

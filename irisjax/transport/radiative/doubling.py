@@ -1,0 +1,148 @@
+"""Reflection and transmission of a homogeneous slab by doubling, for one azimuthal order.
+
+Operators act on radiances. Rows are the directions that light leaves along (quadrature nodes, then
+exits), columns those that it comes from (nodes, then beams); only nodes take part in what happens
+between. Unscattered light is kept apart, so that thin slabs keep all their digits.  [de Haan, Bosma
+& Hovenier 1987, Section 3]
+"""
+
+from operator import itemgetter
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from irisjax.numerics import linear
+from irisjax.transport.process import attenuation, survival
+from irisjax.transport.radiative.slab import mean_survival
+
+
+class Response(NamedTuple):
+    """What a slab makes of radiance 1 along each column: scattered radiance back and on, shape
+    (rows, columns), and the flux absorbed (columns,).
+    """
+
+    back: jax.Array
+    on: jax.Array
+    absorbed: jax.Array
+
+
+class Lines(NamedTuple):
+    """Cosines along which a slab is seen: `rows`, `columns` with their weights, the first `nodes`
+    of both the same.
+    """
+
+    rows: jax.Array
+    columns: jax.Array
+    weight: jax.Array
+    nodes: int
+
+
+class Medium(NamedTuple):
+    """A slab: optical depth, albedo and 1 − albedo; phase matrices (rows, columns) for light that
+    keeps its sense of travel, and for light that turns back.
+    """
+
+    depth: jax.Array
+    albedo: jax.Array
+    coalbedo: jax.Array
+    same: jax.Array
+    opposite: jax.Array
+
+
+def respond(medium: Medium, lines: Lines, doublings: int) -> Response:
+    """`Response` of a slab, doubled from 2^−doublings of its depth.
+
+    The first layer's error goes as the square of its depth; two halves of it take it away to the
+    fourth power.
+    """
+    depth = medium.depth / 2**doublings
+    both = jax.vmap(lambda d: thin(medium._replace(depth=d), lines))(jnp.stack([depth, depth / 2]))
+    coarse, fine = (jax.tree.map(itemgetter(k), both) for k in (0, 1))
+
+    def step(carried, first):
+        response, depth = carried
+        response = doubled(response, depth, lines)
+        third = jnp.where(first, 1 / 3, 0.0).astype(depth.dtype)
+        response = jax.tree.map(lambda f, c: f + third * (f - c), response, coarse)
+        return (response, 2 * depth), None
+
+    first = jnp.arange(doublings + 1) == 0
+    return jax.lax.scan(step, (fine, depth / 2), first)[0][0]
+
+
+def thin(medium: Medium, lines: Lines) -> Response:
+    """A layer whose sources are alike over its depth; the rest is exact. It conserves energy."""
+    n, one = lines.nodes, jnp.eye(lines.nodes, dtype=medium.depth.dtype)
+    x_in, x_out = medium.depth / lines.columns, medium.depth / lines.rows
+    mean, own = mean_survival(x_in), mean_absence(x_out[:n])
+
+    def source(sign):
+        """Of light down and up together, or of their difference; and what of it the nodes have."""
+        kernel = 0.5 * medium.albedo * (medium.same + sign * medium.opposite) * lines.weight[None]
+        driven = kernel * mean[None]
+        inner = linear.solve(one - kernel[:n, :n] * own[None], driven[:n])
+        return driven + kernel[:, :n] @ (own[:, None] * inner), inner
+
+    (even, odd), (inside, _) = jax.vmap(source)(jnp.asarray([1.0, -1.0], medium.depth.dtype))
+    emitted = 0.5 * attenuation(medium.depth, lines.rows)[:, None]
+    light = lines.weight * mean + (lines.weight[:n] * own) @ inside
+    return Response(
+        back=emitted * (even - odd),
+        on=emitted * (even + odd),
+        absorbed=medium.coalbedo * medium.depth * light,
+    )
+
+
+def doubled(layer: Response, depth, lines: Lines) -> Response:
+    """Two equal layers, each of optical depth `depth`  [de Haan, Bosma & Hovenier 1987, Eqs. 5 to
+    11].
+    """
+    n, one = lines.nodes, jnp.eye(lines.nodes, dtype=depth.dtype)
+    back, on, absorbed = layer
+    passed = survival(depth, lines.columns)
+    into, out = passed[None], survival(depth, lines.rows)[:, None]
+    twice = back[:n, :n] @ back[:n]
+    # Between the two: downwards, then upwards.
+    down = linear.solve(one - twice[:, :n], on[:n] + twice * into)
+    up = back[:, :n] @ down + back * into
+    below = jnp.concatenate([down, on[n:] + back[n:, :n] @ up[:n]])
+    return Response(
+        back=back + on[:, :n] @ up[:n] + out * up,
+        on=on[:, :n] @ down + out * below + on * into,
+        absorbed=absorbed * (1 + passed) + absorbed[:n] @ (down + up[:n]),
+    )
+
+
+def turned_exactly(slab: Response, turned, medium: Medium, lines: Lines, weight) -> Response:
+    """A slab whose light of beams that is scattered once and turns back follows the phase function
+    `turned` (nodes, beams), not its series.  [Nakajima & Tanaka 1988, Section 3]
+
+    What more of it turns back is taken from all that goes on, so that energy is conserved.
+    """
+    n = lines.nodes
+    mu, beam = lines.rows[:n, None], lines.columns[None, n:]
+    along = medium.depth * mean_survival(medium.depth * (1 / mu + 1 / beam)) / mu
+    each = 0.5 * medium.albedo * along
+    once = each * medium.opposite[:n, n:]
+    more = each * turned - once
+    flux = weight * mu[:, 0]
+    others = beam[0] * attenuation(medium.depth, beam[0]) - flux @ once
+    none = others <= 0
+    kept = 1 - jnp.where(none, 0.0, flux @ more / jnp.where(none, 1.0, others))
+    back = slab.back.at[:n, n:].set(once + more + (slab.back[:n, n:] - once) * kept[None])
+    return Response(
+        back=back,
+        on=slab.on.at[:, n:].multiply(kept[None]),
+        absorbed=slab.absorbed.at[n:].multiply(kept),
+    )
+
+
+def mean_absence(x):
+    """1 − (1 − e^{−x})/x without cancellation."""
+    small = x < 0.1
+    y = jnp.where(small, x, 0.0)
+    series = (
+        y / 2 * (1 - y / 3 * (1 - y / 4 * (1 - y / 5 * (1 - y / 6 * (1 - y / 7 * (1 - y / 8))))))
+    )
+    return jnp.where(small, series, 1 - mean_survival(jnp.where(small, 1.0, x)))

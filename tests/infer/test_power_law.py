@@ -1,0 +1,84 @@
+"""The inverse problem under a power law of scattering: its parameters, and what it refuses."""
+
+import numpy as np
+import pytest
+
+import irisjax as ij
+from common import quick_jit
+from irisjax.infer.identifiability import Information, in_words
+from irisjax.infer.parameters import OF_POWER_LAW
+
+GRID = ij.wavelengths(450, 650, 100)
+SEEN = ij.spectrum(GRID, np.full(GRID.size, 0.01))
+
+
+def test_the_problem_under_a_power_law_frees_its_numbers():
+    stated = ij.problem(SEEN, free=["melanin_load", "scattering_scale"])
+    under = stated.under(ij.PowerLaw())
+    assert under.free == ("melanin_load", *OF_POWER_LAW)
+    assert under.process == ij.DEPTH_RESOLVED
+    assert under.base.power_law is not None
+    assert set(under.fixed) == {"scattering_scale", *stated.fixed}
+    assert under.by(ij.ILIT_2006).free == ("melanin_load",)
+    assert under.by(ij.ILIT_2006).base.power_law is None
+    assert under.by(ij.DEPTH_RESOLVED).free == under.free
+    back = under.under(None)
+    assert back.free == ("melanin_load",) and not {*back.fixed} & {*OF_POWER_LAW}
+
+
+def test_a_number_that_is_stated_makes_the_law():
+    stated = ij.problem(
+        SEEN, free=["reduced_scattering"], fixed={"anisotropy": 0.9}, process=ij.DEPTH_RESOLVED
+    )
+    assert float(stated.fixed["anisotropy"]) == 0.9
+    assert float(stated.fixed["rayleigh_share"]) == float(ij.PowerLaw().rayleigh_share)
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        ({"free": ["anisotropy"]}, "anisotropy is of radiative transfer"),
+        ({"fixed": {"rayleigh_share": 0.1}}, "rayleigh_share is of radiative transfer"),
+        ({"base": ij.Iris(power_law=ij.PowerLaw())}, "power_law is of radiative transfer"),
+        (
+            {"free": ["reduced_scattering", "scattering_scale"], "process": ij.DEPTH_RESOLVED},
+            "one factor",
+        ),
+    ],
+)
+def test_refusals(options, said):
+    with pytest.raises(ValueError, match=said):
+        ij.problem(SEEN, **options)
+
+
+@pytest.mark.heavy
+def test_prediction_is_that_of_the_iris():
+    law = ij.PowerLaw(1.4, 0.2, 1.1, 0.8)
+    iris = ij.Iris(power_law=law)
+    stated = ij.problem(
+        SEEN, free=OF_POWER_LAW, base=iris, process=ij.DEPTH_RESOLVED, solver=ij.AddingDoubling(8)
+    )
+    z = stated.standard({n: float(v) for n, v in law.parameters().items()})
+    found = quick_jit(lambda x: stated.predict(x)[0])(z)
+    wanted = ij.reflectance(iris, GRID, process=ij.DEPTH_RESOLVED, solver=ij.AddingDoubling(8))
+    np.testing.assert_allclose(found, wanted.values, rtol=1e-9)
+
+
+def test_ridges_are_named():
+    trades = {
+        "reduced_scattering": (0.2, "stroma_thickness", -0.9),
+        "anisotropy": (0.98, "gain", 0.1),
+    }
+    found = Information(("reduced_scattering",), np.eye(1), [], {}, np.nan, trades)
+    found = found._replace(directions=_direction())
+    words = in_words(found)
+    assert (
+        "reduced scattering: 20 % of its prior's width; trades with stroma thickness " in words[2]
+    )
+    assert words[3] == "anisotropy: not told by the data"
+
+
+def _direction():
+    from irisjax.infer.identifiability import Direction
+
+    return [Direction({"reduced_scattering": 1.0}, 0.1)]

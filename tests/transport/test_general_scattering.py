@@ -1,0 +1,192 @@
+"""Radiative transfer with a share of Henyey and Greenstein's scattering: limits, tables, photons."""
+
+import dataclasses
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import irisjax as ij
+from common import DOUBLE_FIRST, layers, quick_jit, slowly
+from irisjax.optics.mixture import PhaseMixture
+
+MATCHED = (1.4, 1.4, 1.4, 1.4)
+LB06 = (1.336, 1.4733, 1.4728, 1.5)
+REVERSED = (1.5, 1.4, 1.35, 1.3)
+DEPTHS = (1e-12, 1e-3, 1.0, 30.0, 1e6, 0.0)
+
+
+def mixed(abl, absorption, scattering, rayleigh, g, indices):
+    """Layers whose phase function is a mixture, eight wavelengths or as many as are given."""
+    made = layers(abl, absorption, scattering, indices)
+    size = made.extinction.shape
+    spread = (jnp.broadcast_to(jnp.asarray(x, float), size) for x in (rayleigh, g))
+    return dataclasses.replace(made, phase=PhaseMixture(*spread))
+
+
+def _solve(seen, cosine, solver):
+    return solver.solve(seen, ij.DEPTH_RESOLVED, cosine)
+
+
+solve = quick_jit(_solve)
+SOLVER = ij.AddingDoubling(16, 8)
+
+
+@pytest.mark.parametrize("albedo", [0.5, 0.9, 0.999])
+def test_deep_isotropic_medium_is_chandrasekhars(albedo):
+    """R(μ₀) = 1 − H(μ₀) √(1 − ω)  [Chandrasekhar 1960, Section 37], H by iteration."""
+    x, w = np.polynomial.legendre.leggauss(200)
+    x, w = (x + 1) / 2, w / 2
+    h = np.ones_like(x)
+    for _ in range(400):
+        h = 1 / (np.sqrt(1 - albedo) + albedo / 2 * (w * x * h / (x[:, None] + x)).sum(1))
+    at = np.array([1.0, 0.6])
+    h_at = 1 / (np.sqrt(1 - albedo) + albedo / 2 * (w * x * h / (at[:, None] + x)).sum(1))
+    depth = np.full(8, 2.0e4)
+    seen = mixed(0.0, depth * (1 - albedo), depth * albedo, 0.0, 0.0, MATCHED)
+    for mu, value in zip(map(jnp.asarray, at), h_at, strict=True):
+        found = solve(seen, mu, ij.AddingDoubling(16, 20)).reflectance
+        np.testing.assert_allclose(found, 1 - value * np.sqrt(1 - albedo), rtol=2e-5)
+
+
+def test_slab_of_a_table():
+    """Plane albedo of a conservative isotropic slab of depth 1, light along the normal: 0.34133
+    [van de Hulst 1980, Table 12].
+    """
+    seen = mixed(0.0, 0.0, np.ones(8), 0.0, 0.0, MATCHED)
+    np.testing.assert_allclose(solve(seen, 1.0, SOLVER).reflectance, 0.34133, atol=1e-5)
+
+
+def test_rayleighs_law_alone_is_the_exact_solver():
+    seen = layers(0.2, np.linspace(0.0, 2.0, 8), np.linspace(0.05, 5.0, 8), LB06)
+    wanted = solve(seen, 1.0, ij.RadiativeExact(40, 10, 2))
+    found = solve(mixed(0.2, *np.stack([np.linspace(0, 2, 8), np.linspace(0.05, 5, 8)]), 1.0, 0.5,
+                        LB06), 1.0, SOLVER)  # fmt: skip
+    np.testing.assert_allclose(found.reflectance, wanted.reflectance, rtol=2e-5)
+    for layer in ("abl", "stroma", "ipe"):
+        np.testing.assert_allclose(
+            getattr(found.absorbed, layer), getattr(wanted.absorbed, layer), rtol=2e-4, atol=1e-7
+        )
+
+
+@DOUBLE_FIRST
+@pytest.mark.parametrize("indices", [LB06, slowly(REVERSED), slowly(MATCHED)])
+@pytest.mark.parametrize("g", [0.95, -0.9, slowly(0.0)])
+def test_no_wrong_number_at_any_depth(indices, g, bits):
+    """Every share is in [0, 1] and they sum to one, whatever the depth, albedo and angle."""
+    small = 1e-12 if bits == 64 else 2e-5
+    depth, albedo = np.repeat(DEPTHS, 3), np.tile([0.0, 0.7, 1.0], len(DEPTHS))
+    for rayleigh in (0.0, 0.4):
+        seen = mixed(0.1, depth * (1 - albedo), depth * albedo, rayleigh, g, indices)
+        for cosine in (1.0, 1e-3):
+            light = solve(seen, cosine, ij.AddingDoubling(16, 23))
+            shares = light.reflectance, *jax.tree.leaves(light.absorbed)
+            assert all(np.isfinite(x).all() for x in shares)
+            assert min(np.min(x) for x in shares) >= -small
+            np.testing.assert_allclose(light.energy, 1.0, atol=max(small, 1e-9))
+            assert bool(light.status == ij.RESULTS.successful)
+
+
+def test_too_few_doublings_are_said():
+    seen = mixed(0.1, 10.0, np.full(8, 990.0), 0.0, 0.9, LB06)
+    assert bool(solve(seen, 1.0, SOLVER).status == ij.RESULTS.under_resolved)
+    prepared = SOLVER.prepare(lambda: seen, ij.DEPTH_RESOLVED)
+    assert prepared.n_doublings == 8  # stated is stated
+    assert ij.AddingDoubling(16).prepare(lambda: seen, ij.DEPTH_RESOLVED).n_doublings == 13
+
+
+@pytest.mark.heavy
+def test_photons_agree():
+    """Of 4 million photons, within four standard errors, with mismatched indices."""
+    absorption, scattering = np.array([0.05, 0.5, 0.02]), np.array([3.0, 5.0, 0.4])
+    seen = mixed(0.1, absorption, scattering, np.array([0.1, 0.0, 0.5]), [0.85, 0.7, -0.4], LB06)
+    photons = jax.jit(lambda s: ij.MonteCarlo(4_000_000).solve(
+        s, ij.DEPTH_RESOLVED, 1.0, key=jax.random.key(3)))(seen)  # fmt: skip
+    found = solve(seen, 1.0, ij.AddingDoubling(32, 8))
+    apart = np.asarray((photons.reflectance - found.reflectance) / photons.standard_error)
+    assert np.abs(apart).max() < 4
+    in_stroma = np.asarray(photons.absorbed.stroma)
+    np.testing.assert_allclose(found.absorbed.stroma, in_stroma, rtol=4e-3)
+
+
+@pytest.mark.heavy
+def test_gradients_are_those_of_differences():
+    def value(x):
+        iris = ij.Iris.of_level("low").replace(
+            reduced_scattering=x[0], rayleigh_share=x[1], scattering_power=x[2], anisotropy=x[3]
+        )
+        made = iris.layers(ij.extinction(np.array([420.0, 640.0])), 1.336)
+        return _solve(made, 1.0, ij.AddingDoubling(12, 6)).reflectance.sum()
+
+    x, run = jnp.array([1.1, 0.3, 1.2, 0.8]), quick_jit(value)
+    step = 1e-5
+    wanted = [(run(x + step * d) - run(x - step * d)) / (2 * step) for d in jnp.eye(4)]
+    np.testing.assert_allclose(quick_jit(jax.grad(value))(x), wanted, rtol=1e-6)
+
+
+@pytest.mark.heavy
+def test_thick_tissue_obeys_the_similarity_relation():
+    """Equal μ_a and μ_s(1 − g) give about the same reflectance [van de Hulst 1980, Section 14.1]."""
+    absorption, reduced, g = (
+        1.0,
+        np.full(8, 100.0),
+        np.array([0, 0.2, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9]),
+    )
+    found = solve(mixed(0.0, absorption, reduced / (1 - g), 0.0, g, MATCHED), 0.6,
+                  ij.AddingDoubling(16, 13)).reflectance  # fmt: skip
+    np.testing.assert_allclose(found, found[0], rtol=0.02)
+
+
+@pytest.mark.heavy
+def test_brdf_is_reciprocal_and_rayleighs_is_the_exact_solvers():
+    def brdf(seen, mu_in, mu_out, solver):
+        seen = solver.solve(
+            seen, ij.DEPTH_RESOLVED, mu_in, cos_exit=mu_out[None], azimuth=jnp.array([0.7])
+        )
+        return seen.brdf[:, 0]
+
+    run = quick_jit(brdf)
+    a, b = jnp.asarray(0.9), jnp.asarray(0.4)
+    seen = mixed(0.1, 0.1, np.array([0.5, 4.0]), 0.3, 0.8, LB06)
+    there, back = (run(seen, *x, SOLVER) for x in ((a, b), (b, a)))
+    np.testing.assert_allclose(there, back, rtol=2e-3)
+    plain = layers(0.1, 0.1, np.array([0.5, 4.0]), LB06)
+    found = run(dataclasses.replace(plain, phase=PhaseMixture(jnp.ones(2), jnp.zeros(2))),
+                a, b, SOLVER)  # fmt: skip
+    np.testing.assert_allclose(found, run(plain, a, b, ij.RadiativeExact(40, 10, 2)), rtol=2e-4)
+
+
+@pytest.mark.parametrize(
+    ("process", "solver"),
+    [
+        (ij.ILIT_2006, None),
+        (ij.DEPTH_RESOLVED, ij.RadiativeExact()),
+        (ij.ILIT_2006, ij.MonteCarlo(1000)),
+    ],
+)
+def test_solvers_of_rayleighs_law_refuse(process, solver):
+    iris = ij.Iris(power_law=ij.PowerLaw())
+    with pytest.raises(ValueError, match="a power law of scattering takes radiative transfer"):
+        ij.reflectance(iris, [500.0], process=process, solver=solver, key=jax.random.key(0))
+
+
+def test_a_picture_refuses():
+    with pytest.raises(ValueError, match="not a power law"):
+        ij.Scene(iris=ij.Iris(power_law=ij.PowerLaw()))
+
+
+@pytest.mark.heavy
+def test_pointwise_derivatives_pass_through_the_phase_function():
+    from irisjax.transport.pointwise import Pointwise
+
+    def value(g, solver):
+        seen = mixed(0.1, 0.2, np.ones(8), 0.3, 0.5, MATCHED)
+        phase = PhaseMixture(seen.phase.rayleigh, g * jnp.ones(8))
+        seen = dataclasses.replace(seen, phase=phase)
+        return _solve(seen, 1.0, solver).reflectance.sum()
+
+    slope = [eqx.filter_jit(jax.jacfwd(value))(jnp.asarray(0.5), s)
+             for s in (ij.AddingDoubling(4, 2), Pointwise(ij.AddingDoubling(4, 2)))]  # fmt: skip
+    np.testing.assert_allclose(*slope, rtol=1e-9)
