@@ -47,8 +47,8 @@ if TYPE_CHECKING:
     from irisjax.render.compose import prepare as prepare
     from irisjax.render.environment import Environment as Environment
     from irisjax.render.lights import Lights as Lights
-    from irisjax.render.scene import Scene as Scene
     from irisjax.render.radiative import RadiativeIntegrator as RadiativeIntegrator
+    from irisjax.render.scene import Scene as Scene
     from irisjax.render.separable import Separable as Separable
     from irisjax.render.stages import Memory as Memory
     from irisjax.tissue.indices import RefractiveIndices as RefractiveIndices

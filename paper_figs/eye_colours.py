@@ -23,7 +23,9 @@ picture = top.add_subplot()
 picture.imshow(imread(RESULTS / "eye_colours.png"))
 side = imread(RESULTS / "eye_colours.png").shape[0] / 2
 picture.set_xticks([side * (k + 0.5) for k in range(5)], list(COLOURS))
-picture.set_yticks([side / 2, 1.5 * side], [label for _, label in MODELS.values()], rotation=90, va="center")
+picture.set_yticks(
+    [side / 2, 1.5 * side], [label for _, label in MODELS.values()], rotation=90, va="center"
+)
 picture.tick_params(length=0)
 picture.grid(False)
 for spine in picture.spines.values():

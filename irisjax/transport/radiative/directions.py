@@ -83,7 +83,7 @@ def gauss_nodes(layers: Layers, n_angles: int) -> Directions:
         n_angles,
     )
     abl, aqueous, ipe = (refract(cosine, n.stroma, k) for k in (n.abl, n.aqueous, n.ipe))
-    return _directions(layers, cosine, weight, aqueous, abl, ipe)
+    return _directions(n, cosine, weight, aqueous, abl, ipe)
 
 
 def from_outside(layers: Layers, outside) -> Directions:

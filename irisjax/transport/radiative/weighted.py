@@ -77,7 +77,7 @@ class RadiativeWeighted(AbstractSolver):
 
         **Raises:** `ValueError` for a BRDF under diffuse light.
         """
-        process = checked_process(self, process, RadiativeTransfer)
+        process = checked_process(self, process, RadiativeTransfer, layers)
         check_key(key)
         dtype = layers.extinction.dtype
         numbers = [] if isinstance(cos_incidence, str) else [jnp.asarray(cos_incidence, dtype)]
