@@ -4,6 +4,7 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from irisjax.numerics.quadrature import conserving, cosine_rule
 from irisjax.optics.fresnel import critical_cosine_squared, fresnel, refract, refracted
@@ -55,8 +56,10 @@ class Roof(NamedTuple):
     absorbed: jax.Array
 
 
-def quadrature_nodes(layers: Layers, n_angles: int) -> Directions:
-    """Directions in the stroma that a quadrature takes, split at its critical angles."""
+def quadrature_nodes(layers: Layers, n_angles: int, law=fresnel) -> Directions:
+    """Directions in the stroma that a quadrature takes, split at its critical angles; `law` of the
+    interfaces as in `optics.fresnel`.
+    """
     n, order = layers.indices, layers.order
     neighbours = (n.aqueous, n.abl, n.ipe)
     rule = cosine_rule(
@@ -66,27 +69,27 @@ def quadrature_nodes(layers: Layers, n_angles: int) -> Directions:
     )
     rule = conserving(rule)
     cosines = [refracted(rule, i, n.stroma, k) for i, k in enumerate(neighbours)]
-    return _directions(layers, rule.cosine, rule.weight, *cosines)
+    return _directions(layers, law, rule.cosine, rule.weight, *cosines)
 
 
-def from_outside(layers: Layers, outside) -> Directions:
+def from_outside(layers: Layers, outside, law=fresnel) -> Directions:
     """Directions with given cosines in the aqueous humour; they carry no quadrature weight."""
     n = layers.indices
     abl, stroma = (refract(outside, n.aqueous, k) for k in (n.abl, n.stroma))
     ipe = refract(outside, n.aqueous, n.ipe)
-    return _directions(layers, stroma, jnp.zeros_like(outside), outside, abl, ipe)
+    return _directions(layers, law, stroma, jnp.zeros_like(outside), outside, abl, ipe)
 
 
-def _directions(layers: Layers, stroma, weight, aqueous, abl, ipe) -> Directions:
+def _directions(layers: Layers, law, stroma, weight, aqueous, abl, ipe) -> Directions:
     n = layers.indices
     return Directions(
         # A beam that cannot enter has cosine 0 and no power; keep the exponentials finite.
         cosine=jnp.where(stroma > 0, stroma, 1.0),
         weight=weight,
         abl_cosine=jnp.where(abl > 0, abl, 1.0),
-        top=fresnel(stroma, abl, n.stroma, n.abl),
-        surface=fresnel(abl, aqueous, n.abl, n.aqueous),
-        bottom=fresnel(stroma, ipe, n.stroma, n.ipe),
+        top=law(stroma, abl, n.stroma, n.abl),
+        surface=law(abl, aqueous, n.abl, n.aqueous),
+        bottom=law(stroma, ipe, n.stroma, n.ipe),
     )
 
 
@@ -102,3 +105,13 @@ def roof_of(depth, d: Directions, *, from_stroma: bool) -> Roof:
         passed=near[1] * inside.out,
         absorbed=near[1] * inside.absorbed,
     )
+
+
+def split(tree, sets):
+    """What belongs to each set of directions, of arrays over all of them."""
+    ends = np.cumsum([d.cosine.size for d in sets])[:-1].tolist()
+    leaves, structure = jax.tree.flatten(tree)
+    return [
+        jax.tree.unflatten(structure, x)
+        for x in zip(*(jnp.split(x, ends, axis=-1) for x in leaves), strict=True)
+    ]
