@@ -59,14 +59,15 @@ class Polarisation(eqx.Module):
         it times light's Stokes vector is how much of that light comes back.
     - `mirrored`: the same of light mirrored by the first surface.
     - `brdf`: 1/sr, at the exits asked for, shape (wavelengths, exits, 4, 4), or `None`.
-    - `reflected_error`, `brdf_error`: standard errors where they are sampled.
+    - `reflected_covariance`, `brdf_covariance`: where they are sampled, of their 16 numbers, shapes
+        (wavelengths, 16, 16) and (wavelengths, exits, 16, 16).
     """
 
     reflected: Float[Array, "wavelengths 4 4"]
     mirrored: Float[Array, "wavelengths 4 4"]
     brdf: Float[Array, "wavelengths exits 4 4"] | None
-    reflected_error: Float[Array, "wavelengths 4 4"] | None = None
-    brdf_error: Float[Array, "wavelengths exits 4 4"] | None = None
+    reflected_covariance: Float[Array, "wavelengths 16 16"] | None = None
+    brdf_covariance: Float[Array, "wavelengths exits 16 16"] | None = None
 
 
 class Solution(eqx.Module):
