@@ -22,7 +22,7 @@ from irisjax.transport import ilit, lanes, radiative
 from irisjax.transport.incidence import first_surface
 from irisjax.transport.process import AbstractProcess, Ilit
 from irisjax.transport.solution import RESULTS, Absorbed, Solution
-from irisjax.transport.solver import AbstractSolver
+from irisjax.transport.solver import AbstractSolver, checked_process
 
 _LIMIT = 2**31 - 2**20  # counts are int32; lanes look a stride ahead
 
@@ -58,7 +58,8 @@ class MonteCarlo(AbstractSolver):
         check_whole("lanes", self.lanes, 16)
 
     def prepare(self, layers: Callable[[], Layers], process: AbstractProcess) -> "MonteCarlo":
-        """Nothing to prepare."""
+        """Check that the process is of unpolarised light."""
+        checked_process(self, process, AbstractProcess)
         return self
 
     def solve(
@@ -96,6 +97,7 @@ class MonteCarlo(AbstractSolver):
 
         `first` and `last` may be traced. Returns `Counts`.
         """
+        checked_process(self, process, AbstractProcess)
         check_key(key)
         layers, cos_exit = _constant((layers, cos_exit))
         if not isinstance(cos_incidence, str):

@@ -57,7 +57,10 @@ def checked_process(
         name = _name(solver)
         raise ValueError(f"{name} treats {kind.__name__} processes, not {type(process).__name__}")
     if is_polarised(process) and not polarised:
-        raise ValueError(f"{_name(solver)} does not treat polarised light; use RadiativeExact")
+        raise ValueError(
+            f"{_name(solver)} does not treat polarised light; use RadiativeExact, or "
+            "PolarisedMonteCarlo to sample"
+        )
     return process
 
 

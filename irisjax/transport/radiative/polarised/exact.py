@@ -34,7 +34,6 @@ from irisjax.transport.radiative.resolution import status_of
 from irisjax.transport.radiative.slab import Slab
 from irisjax.transport.solution import Absorbed, Polarisation, Solution
 
-
 _ROOT_HALF = math.sqrt(0.5)
 
 
