@@ -189,17 +189,26 @@ class SpectrumLight(EyeLight):
 
     def exit(self) -> dict[str, Any]:
         """Where a polarimeter looks from, and the light's polarisation."""
-        degrees = self.exit_deg
-        if degrees is None:
-            degrees = 45.0 if self.instrument == "degree-of-polarisation" else 0.0
-        angle = self.polariser_deg
-        if angle is None and self.instrument != "degree-of-polarisation":
-            angle = 0.0
+        degrees, angle = self._polarimetry()
         return {
             "cos_exit": degrees if isinstance(degrees, str) else math.cos(math.radians(degrees)),
             "azimuth": math.radians(self.exit_azimuth_deg),
             "polariser": None if angle is None else math.radians(angle),
         }
+
+    def settings(self) -> dict[str, Any]:
+        """A polarimeter's defaults are written too."""
+        found = super().settings()
+        if self.instrument in POLARIMETERS:
+            degrees, angle = self._polarimetry()
+            found |= {"exit_deg": degrees} | ({} if angle is None else {"polariser_deg": angle})
+        return found
+
+    def _polarimetry(self) -> tuple[float | str, float | None]:
+        degrees, angle = self.exit_deg, self.polariser_deg
+        if self.instrument == "degree-of-polarisation":
+            return 45.0 if degrees is None else degrees, angle
+        return 0.0 if degrees is None else degrees, 0.0 if angle is None else angle
 
 
 @dataclass(frozen=True, kw_only=True)

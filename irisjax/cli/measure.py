@@ -1,5 +1,6 @@
 """`irisjax spectrum`, `brdf` and `colour`: virtual instruments, CSV out."""
 
+import re
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
@@ -37,6 +38,11 @@ from irisjax.measure.radiometer import Radiometer
 from irisjax.measure.spectrophotometer import Spectrophotometer
 from irisjax.transport.process import DEPTH_RESOLVED
 
+_QUANTITIES = {
+    "cross-polarised": "cross-polarised reflectance",
+    "co-polarised": "co-polarised reflectance",
+    "degree-of-polarisation": "degree of linear polarisation",
+}
 _SETTINGS: dict[str, AnalyserSetting] = {"cross-polarised": "crossed", "co-polarised": "parallel"}
 
 
@@ -54,8 +60,9 @@ def spectrum(
         process = process.seeing_polarisation(light.instrument)
     grid = light.wavelengths.values
     make = partial(_instrument, light)
-    result, lines = _read(make, light.instrument, "spectrum", iris, process, solver, light)
-    columns = {"wavelength_nm": grid, result.quantity.replace(" ", "_"): result.values}
+    quantity = _QUANTITIES.get(light.instrument, light.instrument)
+    result, lines = _read(make, quantity, "spectrum", iris, process, solver, light)
+    columns = {"wavelength_nm": grid, re.sub(r"\W", "_", result.quantity): result.values}
     if isinstance(result, PolarisedMeasurement):
         columns["angle_deg"] = np.degrees(result.angle)
     if result.standard_error is not None:

@@ -18,7 +18,7 @@ from irisjax.measure.measurement import Measurement, check_cosine
 from irisjax.numerics.angle import arctan2
 from irisjax.numerics.checks import Range, check_range
 from irisjax.numerics.roots import safe_sqrt
-from irisjax.optics.mueller import polarised_at
+from irisjax.optics.mueller import polarised_at, rotation
 from irisjax.transport.incidence import HEMISPHERE
 from irisjax.transport.solution import Polarisation, Solution, dimmed
 
@@ -164,6 +164,7 @@ class Analyser(PolarisedInstrument):
 
     def reading(self, light: Solution, factor) -> Measurement:
         """See `AbstractInstrument`."""
+        assert self.polariser is not None
         crossed = self.setting == "crossed"
         passed = self.filtered(self.polariser + (jnp.pi / 2 if crossed else 0.0))
         scale = factor * self.gain
@@ -204,9 +205,7 @@ class Polarimeter(PolarisedInstrument):
     def reading(self, light: Solution, factor) -> PolarisedMeasurement:
         """See `AbstractInstrument`."""
         matrix, _ = self.matrix(light)
-        axes = [2 * self.filtered(a * jnp.ones_like(self.azimuth)) for a in (0.0, jnp.pi / 4)]
-        turn = jnp.stack([jnp.zeros(4, matrix.dtype).at[0].set(1.0), *(a.at[0].set(0.0) for a in axes),
-                          jnp.zeros(4, matrix.dtype).at[3].set(1.0)])  # fmt: skip
+        turn = rotation(jnp.zeros_like(self.azimuth) if self.cos_exit is None else -self.azimuth)
         sent = matrix @ self.light()
         stokes = sent @ turn.T
         dark = stokes[:, 0] <= 0

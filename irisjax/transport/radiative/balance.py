@@ -21,8 +21,9 @@ def energy_balance(slab, strength, f, b: Bounded, d: Directions, roof: Roof, coa
 def solve_balanced(slab, system, right, balance, lost_beam):
     """Solve with the slab's balance of energy, balance·x = lost_beam, in place of one row.
 
-    `right` has a column, `lost_beam` a number for each beam. The balance is a sum of the rows, so nothing changes mathematically; in a thick slab that hardly
-    absorbs, the rows' own sum would be lost in rounding. What rounding is left is scaled away.
+    `right` has a column, `lost_beam` a number for each beam. The balance is a sum of the rows, so
+    nothing changes mathematically; in a thick slab that hardly absorbs, the rows' own sum would be
+    lost in rounding. What rounding is left is scaled away.
     """
     empty = slab.depth <= 0
     scale = 1 / jnp.where(empty, 1.0, slab.depth)

@@ -1,6 +1,6 @@
 """Directions in the stroma, what each meets at the interfaces, and Rayleigh's modes in azimuth."""
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -36,14 +36,17 @@ MODES = (Mode(0, 1, (0.5, 0.25)), Mode(1, -1, (0.375,)), Mode(2, 1, (0.09375,)))
 
 
 class Directions(NamedTuple):
-    """Directions in the stroma with what each meets at the interfaces, all of shape (angles,)."""
+    """Directions in the stroma with what each meets at the interfaces, all of shape (angles,).
+
+    At an interface: reflectance and transmittance, or what else the law of the interfaces gives.
+    """
 
     cosine: jax.Array
     weight: jax.Array
     abl_cosine: jax.Array
-    top: tuple[jax.Array, jax.Array]  # stroma/ABL
-    surface: tuple[jax.Array, jax.Array]  # ABL/aqueous
-    bottom: tuple[jax.Array, jax.Array]  # stroma/IPE
+    top: Any  # stroma/ABL
+    surface: Any  # ABL/aqueous
+    bottom: Any  # stroma/IPE
 
 
 class Roof(NamedTuple):

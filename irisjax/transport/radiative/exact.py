@@ -50,7 +50,7 @@ class Flux(NamedTuple):
 
 
 class RadiativeExact(AbstractSolver):
-    """Deterministic solver of radiative transfer in the iris, scalar or polarised, to 1e-7 relative.
+    """Deterministic solver of radiative transfer in the iris to 1e-7 relative, scalar or polarised.
 
     - `n_angles`: quadrature nodes over the cosine.
     - `n_depths`: polynomials in depth, per panel.

@@ -107,7 +107,7 @@ class Slab:
         them.
         """
         emitted = b.emitted[:, : self.n_depths]
-        up = (parity * emitted * b.from_top[:, None]).reshape(-1, b.cosine.size)
+        up = (_signed(parity, emitted) * b.from_top[:, None]).reshape(-1, b.cosine.size)
         down = (emitted * self._signs * b.from_bottom[:, None]).reshape(-1, b.cosine.size)
         top, across, bottom = (x[None, :] for x in b.images[1:])
         return up, down, top * up + across * down, across * up + bottom * down
@@ -163,7 +163,7 @@ class Slab:
         """The part of `moments` that comes by way of the slab's ends."""
         _, _, downward, upward = self._sources(b, parity)
         entering_top, entering_bottom = self._tests(b)
-        entering = jnp.concatenate([entering_top, parity * entering_bottom], axis=-1)
+        entering = jnp.concatenate([entering_top, _signed(parity, entering_bottom)], axis=-1)
         sent = jnp.concatenate([downward, upward], axis=-1)
         return _between(jnp.tile(weight[None, :] * f, 2), entering, jnp.tile(f, 2), sent)
 
@@ -176,7 +176,7 @@ class Slab:
     def driving_each(self, b: Bounded, parity):
         """Moments of beams of radiance 1 that enter at the top, (panels·orders, beams)."""
         entering_top, entering_bottom = self._tests(b)
-        upward = parity * b.through * b.images.bottom
+        upward = _signed(parity, b.through) * b.images.bottom
         return b.images.series[None, :] * entering_top + upward[None, :] * entering_bottom
 
     def leaving_each(self, b: Bounded, parity):
@@ -198,6 +198,11 @@ class Slab:
         """
         top, bottom = self.leaving_each(b, parity)
         return (source.T * top).sum(0), (source.T * bottom).sum(0)
+
+
+def _signed(parity, x):
+    """x times one sign, or one a direction."""
+    return (jnp.reshape(parity, (1,) * (x.ndim - 1) + (-1,)) if jnp.ndim(parity) else parity) * x
 
 
 def _between(f, received, g, sent):

@@ -47,6 +47,29 @@ class Shares(NamedTuple):
     ipe: jax.Array
 
 
+class Matrices(NamedTuple):
+    """The fields of `Polarisation`, of one wavelength."""
+
+    reflected: jax.Array
+    mirrored: jax.Array
+    brdf: jax.Array | None
+
+
+class Lit(NamedTuple):
+    """The light on the iris: its directions, their cosines in the aqueous humour and shares."""
+
+    beams: Rays
+    outside: jax.Array
+    power: jax.Array
+
+
+class Looked(NamedTuple):
+    """Exits, and their azimuths."""
+
+    exits: Rays
+    azimuth: jax.Array
+
+
 def solve(
     layers: Layers,
     cos_incidence,
@@ -58,26 +81,28 @@ def solve(
     n_panels: int,
     modes: tuple[PolarisedMode, ...] = RAYLEIGH,
 ) -> Solution:
-    """`AbstractSolver.solve` of polarised light; `modes` are those of the phase matrix."""
-    n, dtype = layers.indices, layers.extinction.dtype
-    diffuse = isinstance(cos_incidence, str)
-    if diffuse and cos_exit is not None:
+    """`AbstractSolver.solve` of polarised light; `modes` are those of the phase matrix, the first
+    that of the whole intensity.
+    """
+    dtype = layers.extinction.dtype
+    if isinstance(cos_incidence, str) and cos_exit is not None:
         raise ValueError("a Mueller matrix is of light from one direction, not diffuse")
+    nodes = rays(quadrature_nodes, layers, n_angles)
     outside, power = beams_of(cos_incidence, max(16, n_angles // 2), dtype)
-    nodes, beams = rays(quadrature_nodes, layers, n_angles), rays(from_outside, layers, outside)
-    exits = None
+    lit = Lit(rays(from_outside, layers, outside), outside, power)
+    looked = None
     if cos_exit is not None and not isinstance(cos_exit, str):
         exits = rays(from_outside, layers, jnp.asarray(cos_exit, dtype))
-        azimuth = jnp.zeros_like(exits.l.cosine) if azimuth is None else azimuth
+        looked = Looked(exits, jnp.zeros_like(exits.l.cosine) if azimuth is None else azimuth)
     wanted = cos_exit is not None
     one = partial(_one_wavelength, how=(n_depths, n_panels), modes=modes, matrices=wanted)
-    ranks = Polarisation(3, 3, None if exits is None else 4) if wanted else None
-    shares, polarisation = laid_out_as(
+    ranks = Matrices._make((3, 3, None if looked is None else 4)) if wanted else None
+    shares, matrices = laid_out_as(
         layers.extinction,
-        (Shares(1, 1, 1, 1, 1), ranks),
-        jax.vmap(one, in_axes=(0, 0, 0, 0, *(None,) * 7)),
+        (Shares._make((1,) * 5), ranks),
+        jax.vmap(one, in_axes=(0, 0, 0, 0, *(None,) * 4)),
         *(layers.abl_absorption, layers.extinction, layers.albedo, layers.coalbedo),
-        *(n, nodes, beams, outside, power, exits, azimuth),
+        *(layers.indices, nodes, lit, looked),
     )
     return Solution(
         reflectance=shares.reflectance,
@@ -85,83 +110,88 @@ def solve(
         absorbed=Absorbed(abl=shares.abl, stroma=shares.stroma, ipe=shares.ipe),
         standard_error=None,
         total_error=None,
-        brdf=None if exits is None else polarisation.brdf[..., 0, 0],
+        brdf=None if looked is None else matrices.brdf[..., 0, 0],
         brdf_error=None,
         status=status_of(layers, n_depths, n_panels),
-        polarisation=polarisation,
+        polarisation=Polarisation(*matrices) if wanted else None,
     )
 
 
-def _one_wavelength(
-    abl, depth, albedo, coalbedo, n, nodes, beams, outside, power, exits, azimuth, *, how, modes,
-    matrices,
-):  # fmt: skip
-    slab = Slab(depth, *how)
-    sets = [d for d in (nodes, beams, exits) if d is not None]
+def _one_wavelength(abl, depth, albedo, coalbedo, n, nodes, lit, looked, *, how, modes, matrices):
+    slab, beams = Slab(depth, *how), lit.beams
+    sets = [nodes, beams] if looked is None else [nodes, beams, looked.exits]
     everywhere = jax.tree.map(lambda *x: jnp.concatenate(x, axis=-1), *sets)
     parts = split(meet(slab, abl, everywhere), [d.l for d in sets])
-    angle, beam, *exit_ = (Met(both(l, r), *w) for l, r, *w in parts)
-
-    mode, of_nodes = modes[0], both(nodes.l, nodes.r)
-    strength, entering = _strength(mode, albedo), _entering(abl, beams, power)
+    angle, beam, *exit_ = (Met(both(*x[:2]), *x[2:]) for x in parts)
     first = [before(abl, depth, d) for d in (beams.l, beams.r)]
-    system = _system(slab, mode, strength, angle, nodes)
-    right = _driving(slab, mode, beam, beams, entering, None)
-    roof = roof_of(abl, of_nodes, from_stroma=True)
-    f = mode.linear(nodes.l.cosine).reshape(strength.size, -1)
-    balance = energy_balance(slab, strength, f, angle.linear, of_nodes, roof, coalbedo)
-    lost = jnp.stack([power @ b.lost for b in first])
-    size = system.shape[0]
-    moments = solve_balanced(slab, system, right.reshape(size, 2), balance, lost)
-    moments = moments.reshape(right.shape)
-
-    # Of unpolarised light, half of it is either.
-    mean = moments.mean(-1)
-    up_top, down_bottom = slab.leaving(angle.linear, (strength[:, None] * f).T @ mean, 1)
-    flux = of_nodes.weight * of_nodes.cosine
-    unscattered_mean = jax.tree.map(lambda *x: power @ (sum(x) / 2), *first)
-    total = mean[0].reshape(slab.n_panels, slab.n_depths)[:, 0]
-    shares = Shares(
-        reflectance=unscattered_mean.reflected + flux @ (up_top * roof.passed),
-        mirrored=unscattered_mean.mirrored,
-        abl=unscattered_mean.abl + flux @ (up_top * roof.absorbed),
-        stroma=coalbedo * (slab.widths @ total),
-        ipe=unscattered_mean.passed + flux @ (down_bottom * of_nodes.bottom[1]),
-    )
+    entering = _entering(abl, lit)
+    scattering = albedo, coalbedo
+    shares, moments = _shares(slab, abl, scattering, modes[0], nodes, lit, angle, beam, first)
     if not matrices:
         return shares, None
 
-    mirrored, back = unscattered(abl, depth, beams, outside, n)
-    reflected = _mirror([b.reflected[0] for b in first], back[0])
-    found = [(mode, jnp.pad(moments, ((0, 0), (0, 0), (0, 2))))]
+    found = [(modes[0], jnp.pad(moments, ((0, 0), (0, 0), (0, 2))))]
     turned = turning_roof(abl, beams.w).passed
     for mode in modes[1:]:
         system = _system(slab, mode, _strength(mode, albedo), angle, nodes)
         right = _driving(slab, mode, beam, beams, entering, turned)
         solution = linear.solve(system, right.reshape(system.shape[0], 4))
         found.append((mode, solution.reshape(right.shape)))
-    brdf = 0.0
+
+    at_surface, back = unscattered(abl, depth, beams, lit.outside, n)
+    reflected = _mirror([b.reflected[0] for b in first], back[0])
     for mode, x in found:
-        strength = _strength(mode, albedo)
         if mode.order != 1:
-            leaving = _leaving(slab, mode, strength, abl, angle, nodes, x)
+            leaving = _leaving(slab, mode, _strength(mode, albedo), abl, angle, nodes, x)
             reflected += _collected(mode, nodes.l.weight * nodes.l.cosine, leaving)
-        if exits is not None:
-            leaving = _leaving(slab, mode, strength, abl, exit_[0], exits, x)
-            brdf += leaving * _azimuthal(mode.order, azimuth)
-    if exits is not None:
-        brdf = stokes(brdf) * ((n.aqueous / n.stroma) ** 2 / (2 * jnp.pi))
-    matrix = _mirror([b.mirrored[0] for b in first], mirrored[0])
-    return shares, Polarisation(stokes(reflected), stokes(matrix), None if exits is None else brdf)
+    mirrored = _mirror([b.mirrored[0] for b in first], at_surface[0])
+    brdf = None
+    if looked is not None:
+        exits, total = looked.exits, jnp.zeros((looked.azimuth.size, 4, 4), depth.dtype)
+        for mode, x in found:
+            leaving = _leaving(slab, mode, _strength(mode, albedo), abl, exit_[0], exits, x)
+            total += leaving * _azimuthal(mode.order, looked.azimuth)
+        brdf = stokes(total) * ((n.aqueous / n.stroma) ** 2 / (2 * jnp.pi))
+    return shares, Matrices(stokes(reflected), stokes(mirrored), brdf)
+
+
+def _shares(slab, abl, scattering, mode: PolarisedMode, nodes: Rays, lit: Lit, angle, beam, first):
+    """`Shares`, and the moments of light that is all I_l, and all I_r: (terms, moments, 2)."""
+    albedo, coalbedo = scattering
+    assert mode.linear is not None
+    of_nodes, strength = both(nodes.l, nodes.r), _strength(mode, albedo)
+    system = _system(slab, mode, strength, angle, nodes)
+    right = _driving(slab, mode, beam, lit.beams, _entering(abl, lit), None)
+    roof = roof_of(abl, of_nodes, from_stroma=True)
+    f = mode.linear(nodes.l.cosine).reshape(strength.size, -1)
+    balance = energy_balance(slab, strength, f, angle.linear, of_nodes, roof, coalbedo)
+    lost = jnp.stack([lit.power @ b.lost for b in first])
+    moments = solve_balanced(slab, system, right.reshape(system.shape[0], 2), balance, lost)
+    moments = moments.reshape(right.shape)
+    # Of unpolarised light either is one half.
+    mean = moments.mean(-1)
+    up_top, down_bottom = slab.leaving(angle.linear, (strength[:, None] * f).T @ mean, 1)
+    flux = of_nodes.weight * of_nodes.cosine
+    straight = jax.tree.map(lambda *x: lit.power @ (0.5 * sum(x)), *first)
+    inside = mean[0].reshape(slab.n_panels, slab.n_depths)[:, 0]
+    shares = Shares(
+        reflectance=straight.reflected + flux @ (up_top * roof.passed),
+        mirrored=straight.mirrored,
+        abl=straight.abl + flux @ (up_top * roof.absorbed),
+        stroma=coalbedo * (slab.widths @ inside),
+        ipe=straight.passed + flux @ (down_bottom * of_nodes.bottom[1]),
+    )
+    return shares, moments
 
 
 def _strength(mode: PolarisedMode, albedo):
     return albedo * jnp.asarray(mode.strength, albedo.dtype)
 
 
-def _entering(abl, beams: Rays, power):
-    passed = (roof_of(abl, d, from_stroma=False).passed for d in (beams.l, beams.r))
-    return jnp.stack([power * p for p in passed])
+def _entering(abl, lit: Lit):
+    """Flux of I_l and of I_r at the stroma's top, (2, beams)."""
+    passed = (roof_of(abl, d, from_stroma=False).passed for d in (lit.beams.l, lit.beams.r))
+    return jnp.stack([lit.power * p for p in passed])
 
 
 def _system(slab, mode: PolarisedMode, strength, angle: Met, nodes: Rays):

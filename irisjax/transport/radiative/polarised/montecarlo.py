@@ -1,5 +1,6 @@
-"""Analogue Monte Carlo of polarised light: photons as fields, Mueller matrices with their errors."""
+"""Analogue Monte Carlo of polarised light: photons as fields, Mueller matrices and their errors."""
 
+import math
 from collections.abc import Callable
 from functools import partial
 from typing import NamedTuple
@@ -11,7 +12,7 @@ import numpy as np
 from jax.core import Tracer
 
 from irisjax.numerics.checks import Range, check_range, check_whole
-from irisjax.numerics.streams import check_key
+from irisjax.numerics.streams import checked_key
 from irisjax.optics.mueller import reflection
 from irisjax.tissue.layers import Layers
 from irisjax.transport.process import AbstractProcess, RadiativeTransfer, sample_entry
@@ -70,7 +71,7 @@ class PolarisedMonteCarlo(AbstractSolver):
     ) -> Solution:
         """See `AbstractSolver.solve`; every wavelength has the same number of photons."""
         _checked(self, process)
-        check_key(key)
+        key = checked_key(key)
         diffuse, dtype = isinstance(cos_incidence, str), layers.extinction.dtype
         if diffuse and cos_exit is not None:
             raise ValueError("a Mueller matrix is of light from one direction, not diffuse")
@@ -84,48 +85,56 @@ class PolarisedMonteCarlo(AbstractSolver):
         # Photons in invalid layers would never end: none are sent.
         ok = layers.valid()
         depths = (layers.abl_absorption, layers.extinction, layers.albedo)
-        depths = [jnp.where(ok, x, 0.0) for x in depths]
-        tally = jax.lax.map(
-            lambda x: one(x[0], Medium(*x[1:], layers.indices), incidence, exits, ok),
-            (keys, *depths),
-        )
+        abl, depth, albedo = (jnp.where(ok, x, 0.0) for x in depths)
+
+        def at(x):
+            key, *numbers = x
+            abl, depth, albedo = numbers
+            return one(key, Medium(abl, depth, albedo, layers.indices), incidence, exits, ok)
+
+        tally = jax.lax.map(at, (keys, abl, depth, albedo))
         return self._summarise(tally, layers, cos_incidence, exits, ok)
 
     def _summarise(self, tally: Tally, layers: Layers, cos_incidence, exits, ok) -> Solution:
         n, dtype = self.n_photons, layers.extinction.dtype
         share = tally.fates.astype(dtype) / n
         mirrored, reflected, abl, stroma, ipe = (share[:, k] for k in range(5))
-        polarisation = None
+        polarisation = brdf = brdf_error = None
         if tally.whole is not None:
-            of_first = reflection(
-                jnp.asarray(cos_incidence, dtype), layers.indices.aqueous, layers.indices.abl
-            )
-            whole, whole_error = _estimate(*tally.whole, n)
-            shape = (*share.shape[:1], 4, 4)
-            cones = cones_error = None
-            if tally.cones is not None:
-                power = jnp.pi * np.sin(self.aperture) ** 2 * exits[:, 2]
-                cones, cones_error = _estimate(*tally.cones, n)
-                cones = (cones / power[None, :, None]).reshape(*cones.shape[:-1], 4, 4)
-                cones_error = cones_error / (power * power)[None, :, None, None]
-            polarisation = Polarisation(
-                whole.reshape(shape),
-                jnp.broadcast_to(of_first[None], shape),
-                cones,
-                whole_error,
-                cones_error,
-            )
-        has = polarisation is not None and polarisation.brdf is not None
+            polarisation = self._matrices(tally, layers, cos_incidence, exits)
+            if polarisation.brdf is not None and polarisation.brdf_covariance is not None:
+                brdf = polarisation.brdf[..., 0, 0]
+                brdf_error = jnp.sqrt(polarisation.brdf_covariance[..., 0, 0])
         return Solution(
             reflectance=reflected,
             mirrored=mirrored,
             absorbed=Absorbed(abl=abl, stroma=stroma, ipe=ipe),
             standard_error=_binomial_error(reflected, n),
             total_error=_binomial_error(reflected + mirrored, n),
-            brdf=polarisation.brdf[..., 0, 0] if has else None,
-            brdf_error=jnp.sqrt(polarisation.brdf_covariance[..., 0, 0]) if has else None,
+            brdf=brdf,
+            brdf_error=brdf_error,
             status=RESULTS.where(ok, RESULTS.successful, RESULTS.invalid_input),
             polarisation=polarisation,
+        )
+
+    def _matrices(self, tally: Tally, layers: Layers, cos_incidence, exits) -> Polarisation:
+        n, indices = self.n_photons, layers.indices
+        cosine = jnp.asarray(cos_incidence, layers.extinction.dtype)
+        shape = (layers.extinction.size, 4, 4)
+        of_first = reflection(cosine, indices.aqueous, indices.abl)
+        whole, covariance = _estimate(tally.whole, n)
+        cones = of_cones = None
+        if tally.cones is not None:
+            power = jnp.pi * math.sin(self.aperture) ** 2 * exits[:, 2]
+            cones, of_cones = _estimate(tally.cones, n)
+            cones = (cones / power[None, :, None]).reshape(*cones.shape[:-1], 4, 4)
+            of_cones = of_cones / (power * power)[None, :, None, None]
+        return Polarisation(
+            reflected=whole.reshape(shape),
+            mirrored=jnp.broadcast_to(of_first[None], shape),
+            brdf=cones,
+            reflected_covariance=covariance,
+            brdf_covariance=of_cones,
         )
 
 
@@ -194,8 +203,9 @@ def _sums(x, counted):
     return x.sum(0), x.T @ x
 
 
-def _estimate(total, products, n: int):
+def _estimate(sums, n: int):
     """Mean, and covariance of the mean."""
+    total, products = sums
     mean = total / n
     spread = products / n - mean[..., :, None] * mean[..., None, :]
     return mean, spread / n
