@@ -70,7 +70,8 @@ def _over_angles(level, angles):
     layers = iris.layers(ij.extinction(grid))
     solver = ij.RadiativeExact().prepare(lambda: layers, ij.POLARISED)
     cosine = jnp.asarray(np.cos(np.radians(angles)))
-    light = jax.jit(lambda x: solver.solve(x, ij.POLARISED, jnp.asarray(1.0), cos_exit=cosine))(layers)
+    normal = jnp.asarray(1.0)
+    light = jax.jit(lambda x: solver.solve(x, ij.POLARISED, normal, cos_exit=cosine))(layers)
     sent = np.pi * np.asarray(light.polarisation.brdf)[..., 0]
     degree = np.hypot(sent[..., 1], sent[..., 2]) / sent[..., 0]
     for i, nm in enumerate(grid):

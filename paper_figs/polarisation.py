@@ -1,4 +1,4 @@
-"""What a crossed polariser leaves of an iris's light, and how far that light is polarised itself."""
+"""What a crossed polariser leaves of an iris's light, and how polarised that light is itself."""
 
 from paper_figs.common import curves, plt, read, save
 
@@ -14,15 +14,16 @@ for i, (level, c) in enumerate(curves(rows, "level").items()):
 axes.set(
     xlabel="wavelength (nm)",
     ylabel="share that passes the crossed analyser (%)",
-    ylim=(0, 2),
+    ylim=(0, None),
     title="Radiative transfer, to and fro along the normal (simulated)",
 )
 axes.legend(title="melanin in the ABL: 20 % dotted, 50 % solid, 80 % dashed", title_fontsize=7,
-            ncols=3, loc="lower center")  # fmt: skip
+            loc="upper right")  # fmt: skip
 save(figure, "polarisation_crossed")
 
 figure, axes = plt.subplots(1, 3, figsize=(9.0, 3.2), sharey=True)
-for ax, (level, of_level) in zip(axes, curves(read("polarised_angles.csv"), "level").items(), strict=True):  # fmt: skip
+levels = curves(read("polarised_angles.csv"), "level")
+for ax, (level, of_level) in zip(axes, levels.items(), strict=True):
     for i, nm in enumerate((450.0, 550.0, 650.0)):
         of = of_level["wavelength_nm"] == nm
         ax.plot(

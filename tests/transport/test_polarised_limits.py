@@ -54,10 +54,13 @@ def test_scalar_limit():
     run = quick_jit(
         lambda x: exact.solve(
             x, jnp.asarray(0.6), jnp.asarray(EXITS), jnp.asarray(AZIMUTH),
-            n_angles=40, n_depths=8, n_panels=1, modes=_by_intensity_alone(),
+            n_angles=40, n_depths=8, n_panels=2, modes=_by_intensity_alone(),
         )
     )  # fmt: skip
-    found, scalar = run(made), common.solve(ij.DEPTH_RESOLVED, made, 0.6, None, EXITS, AZIMUTH)
+    found, scalar = (
+        run(made),
+        common.solve(ij.DEPTH_RESOLVED, made, 0.6, ij.RadiativeExact(n_panels=2), EXITS, AZIMUTH),
+    )
     for name in ("reflectance", "brdf"):
         np.testing.assert_allclose(getattr(found, name), getattr(scalar, name), rtol=1e-12)
     np.testing.assert_allclose(found.absorbed.ipe, scalar.absorbed.ipe, rtol=1e-12)

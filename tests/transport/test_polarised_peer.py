@@ -17,9 +17,10 @@ def test_stokes_vectors(albedo):
     depth, cosine = 0.5, 0.6
     config = sk.Config()
     config.num_stokes, config.num_streams = 3, 40
+    config.num_singlescatter_moments = 40
     config.multiple_scatter_source = sk.MultipleScatterSource.DiscreteOrdinates
     config.single_scatter_source = sk.SingleScatterSource.DiscreteOrdinates
-    heights = np.linspace(0, 1000.0, 2)
+    heights = np.linspace(0, 1000.0, 21)
     geometry = sk.Geometry1D(
         cosine, 0, 6_372_000, heights, sk.InterpolationMethod.LinearInterpolation,
         sk.GeometryType.PlaneParallel,
