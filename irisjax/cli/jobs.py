@@ -9,6 +9,7 @@ import numpy as np
 from tqdm import tqdm
 
 import irisjax as ij
+from irisjax.cli import model
 from irisjax.measure.colour import Colour
 from irisjax.measure.instrument import AbstractInstrument
 from irisjax.measure.observe import observe
@@ -49,7 +50,8 @@ def left_out_by_scalar_theory(
     if isinstance(instrument, ij.Colorimeter):
         instrument = make(grid)  # a colour is of the whole range
     scalar, full = (
-        _light(observe(iris, instrument, process)) for process in (DEPTH_RESOLVED, POLARISED)
+        _light(observe(iris, instrument, process, model.exact_solver(process)))
+        for process in (DEPTH_RESOLVED, POLARISED)
     )
     dark = full <= 0
     low = 100 * (1 - np.where(dark, 1, scalar) / np.where(dark, 1, full))
