@@ -34,6 +34,7 @@ def test_both_analysers_make_the_whole(where):
     np.testing.assert_allclose(total, wanted, rtol=1e-10)
 
 
+@pytest.mark.heavy
 def test_along_the_normal():
     """The spec's figures, alike for every polariser; unpolarised light stays so, by symmetry."""
     crossed, parallel = (
@@ -80,7 +81,6 @@ def test_refusals():
     with pytest.raises(ValueError, match="does not treat polarised light"):
         ij.observe(IRIS, analyser, ij.POLARISED, ij.MonteCarlo(10), key=jax.random.key(0))
     for settings, said in (
-        ({"setting": "tilted"}, "known: crossed, parallel"),
         ({"polariser": None}, "give its angle"),
         ({"polariser": 30.0}, r"polariser = 30 rad is outside"),
         ({"cos_exit": 1.2}, "cos_exit = 1.2 is outside"),
