@@ -77,7 +77,7 @@ def test_irides(row):
     assert 0.5 * (1 - matrix[1, 1] / matrix[0, 0]) == pytest.approx(crossed, abs=1e-3)
 
 
-HARD = (np.array([0.02, 0.3, 1.0]), np.array([0.05, 0.0, 0.8]), np.array([0.2, 1.0, 0.3]))
+HARD = (np.array([0.02, 0.3, 1.0]), np.array([0.05, 0.0, 0.8]), np.array([0.2, 0.8, 0.3]))
 
 
 @pytest.mark.parametrize("media", [IRIS, heavily(TURNING), heavily((1.5, 1.45, 1.4, 1.336))])
