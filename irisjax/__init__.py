@@ -39,6 +39,9 @@ if TYPE_CHECKING:
     from irisjax.measure.measurement import Measurement as Measurement
     from irisjax.measure.measurement import wavelengths as wavelengths
     from irisjax.measure.observe import observe as observe
+    from irisjax.measure.polarimeter import Analyser as Analyser
+    from irisjax.measure.polarimeter import Polarimeter as Polarimeter
+    from irisjax.measure.polarimeter import PolarisedMeasurement as PolarisedMeasurement
     from irisjax.measure.radiometer import Radiometer as Radiometer
     from irisjax.measure.radiometer import radiance as radiance
     from irisjax.measure.spectrophotometer import Spectrophotometer as Spectrophotometer
@@ -61,18 +64,24 @@ if TYPE_CHECKING:
     from irisjax.transport.ilit.tabulated import IlitTabulated as IlitTabulated
     from irisjax.transport.ilit.weighted import IlitWeighted as IlitWeighted
     from irisjax.transport.incidence import DIFFUSE as DIFFUSE
+    from irisjax.transport.incidence import HEMISPHERE as HEMISPHERE
     from irisjax.transport.montecarlo import MonteCarlo as MonteCarlo
     from irisjax.transport.montecarlo import photon_mesh as photon_mesh
     from irisjax.transport.process import DEPTH_RESOLVED as DEPTH_RESOLVED
     from irisjax.transport.process import ILIT_2006 as ILIT_2006
     from irisjax.transport.process import ILIT_CORRECTED as ILIT_CORRECTED
+    from irisjax.transport.process import POLARISED as POLARISED
     from irisjax.transport.process import Ilit as Ilit
     from irisjax.transport.process import RadiativeTransfer as RadiativeTransfer
     from irisjax.transport.radiative.adding import AddingDoubling as AddingDoubling
     from irisjax.transport.radiative.exact import RadiativeExact as RadiativeExact
+    from irisjax.transport.radiative.polarised.montecarlo import (
+        PolarisedMonteCarlo as PolarisedMonteCarlo,
+    )
     from irisjax.transport.radiative.tabulated import RadiativeTabulated as RadiativeTabulated
     from irisjax.transport.radiative.weighted import RadiativeWeighted as RadiativeWeighted
     from irisjax.transport.solution import RESULTS as RESULTS
+    from irisjax.transport.solution import Polarisation as Polarisation
     from irisjax.transport.solution import Solution as Solution
     from irisjax.transport.solver import AbstractSolver as AbstractSolver
 
@@ -126,6 +135,11 @@ _HOMES = {
         "wavelengths",
     ),
     "measure.observe": ("observe",),
+    "measure.polarimeter": (
+        "Analyser",
+        "Polarimeter",
+        "PolarisedMeasurement",
+    ),
     "measure.radiometer": (
         "Radiometer",
         "radiance",
@@ -151,7 +165,10 @@ _HOMES = {
     "transport.ilit.exact": ("IlitExact",),
     "transport.ilit.tabulated": ("IlitTabulated",),
     "transport.ilit.weighted": ("IlitWeighted",),
-    "transport.incidence": ("DIFFUSE",),
+    "transport.incidence": (
+        "DIFFUSE",
+        "HEMISPHERE",
+    ),
     "transport.montecarlo": (
         "MonteCarlo",
         "photon_mesh",
@@ -160,15 +177,18 @@ _HOMES = {
         "DEPTH_RESOLVED",
         "ILIT_2006",
         "ILIT_CORRECTED",
+        "POLARISED",
         "Ilit",
         "RadiativeTransfer",
     ),
     "transport.radiative.adding": ("AddingDoubling",),
     "transport.radiative.exact": ("RadiativeExact",),
+    "transport.radiative.polarised.montecarlo": ("PolarisedMonteCarlo",),
     "transport.radiative.tabulated": ("RadiativeTabulated",),
     "transport.radiative.weighted": ("RadiativeWeighted",),
     "transport.solution": (
         "RESULTS",
+        "Polarisation",
         "Solution",
     ),
     "transport.solver": ("AbstractSolver",),

@@ -74,7 +74,7 @@ def _mappings():
 # Floors whose programs promote neither dtypes nor ranks but by hand; the upper ones follow.
 _STRICT = {"numerics", "optics", "tissue", "transport"}
 # Cells of a BRDF are counted in integers over a real solid angle; a path serves all wavelengths.
-_LAX = {"test_montecarlo.py", "test_weighted_derivatives.py"}
+_LAX = {"test_montecarlo.py", "test_polarised_montecarlo.py", "test_weighted_derivatives.py"}
 
 
 @pytest.fixture(autouse=True)

@@ -8,7 +8,7 @@ from irisjax.cli.options import Group
 from irisjax.tissue.iris import LIMITS
 from irisjax.tissue.scattering import POWER_LAW_LIMITS
 from irisjax.transport.process import AbstractProcess, Ilit
-from irisjax.transport.solver import AbstractSolver
+from irisjax.transport.solver import AbstractSolver, is_polarised
 
 
 def head(
@@ -18,13 +18,14 @@ def head(
     process: AbstractProcess,
     solver: AbstractSolver,
     groups: tuple[IrisOptions, ProcessOptions, *tuple[Group, ...]],
+    left_out: str | None = None,
 ) -> dict[str, str]:
-    """Header of a file of simulated values."""
+    """Header of a file of simulated values; `left_out`: what polarisation would change in them."""
     return {
         "irisjax": ij.__version__,
         "simulated": f"{quantity} of a modelled human iris, not a measurement",
         "command": command,
-        "approximation": _approximation(process),
+        "approximation": _approximation(process, left_out),
         **settings(iris, process, *groups),
         "transport": process.transport,
         "solver settings": ", ".join(
@@ -67,12 +68,15 @@ def settings(
     return lines
 
 
-def _approximation(process: AbstractProcess) -> str:
+def _approximation(process: AbstractProcess, left_out: str | None) -> str:
     """What a reader of the numbers must know about the process that made them."""
-    if not isinstance(process, Ilit):
+    if is_polarised(process):
         return (
-            "scalar theory, no polarisation: about 1.7 % low for a thin slab of Rayleigh scatterers"
+            "Stokes vectors, Rayleigh's phase matrix: this model depolarises less than photographs "
+            "of irides through crossed polarisers show"
         )
+    if not isinstance(process, Ilit):
+        return f"scalar theory, no polarisation: {left_out}"
     ours, theirs = (
         ("0.0148", "darker than")
         if process.rescatter == "retest"

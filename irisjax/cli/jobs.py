@@ -1,16 +1,20 @@
 """What the command measures: the library's one way from an iris to a reading, with progress."""
 
 import sys
+from collections.abc import Callable
 from typing import Any
 
 import jax
+import numpy as np
 from tqdm import tqdm
 
 import irisjax as ij
+from irisjax.cli import model
+from irisjax.measure.colour import Colour
 from irisjax.measure.instrument import AbstractInstrument
 from irisjax.measure.observe import observe
 from irisjax.transport.montecarlo import MonteCarlo
-from irisjax.transport.process import AbstractProcess
+from irisjax.transport.process import DEPTH_RESOLVED, POLARISED, AbstractProcess
 from irisjax.transport.solver import AbstractSolver
 
 
@@ -33,3 +37,40 @@ def measured(
         disable=not sys.stderr.isatty(),
     ) as bar:
         return observe(iris, instrument, process, solver, key=key, progress=bar.update)
+
+
+def left_out_by_scalar_theory(
+    iris: ij.Iris, make: Callable[[np.ndarray], AbstractInstrument], grid: np.ndarray
+) -> str:
+    """How far scalar theory is off in what the instrument made for some of the wavelengths reads,
+    in words.
+    """
+    few = grid[np.unique(np.linspace(0, grid.size - 1, _FEW).round().astype(int))]
+    instrument = make(few)
+    if isinstance(instrument, ij.Colorimeter):
+        instrument = make(grid)  # a colour is of the whole range
+    scalar, full = (
+        _light(observe(iris, instrument, process, model.exact_solver(process)))
+        for process in (DEPTH_RESOLVED, POLARISED)
+    )
+    dark = full <= 0
+    low = 100 * (1 - np.where(dark, 1, scalar) / np.where(dark, 1, full))
+    first, last = float(low.min()), float(low.max())
+    name = "luminance" if isinstance(instrument, ij.Colorimeter) else "values"
+    said = [_off(first), _off(last)]
+    if said[0] == said[1]:
+        said = said[1:]
+    elif first >= 0:
+        said[0] = f"{first:.1f}"
+    return f"{name} {' to '.join(said)} against polarised transport of the same layers"
+
+
+_FEW = 7  # wavelengths
+
+
+def _light(reading: Any) -> np.ndarray:
+    return np.asarray(reading.xyz[1:2] if isinstance(reading, Colour) else reading.values)
+
+
+def _off(percent: float) -> str:
+    return f"{abs(percent):.1f} % {'low' if percent >= 0 else 'high'}"

@@ -12,6 +12,7 @@ from irisjax.cli.options import (
     Grid,
     Group,
     cosine,
+    exit_angle,
     grid,
     name_of,
     number,
@@ -24,6 +25,9 @@ from irisjax.cli.options import (
 from irisjax.measure.colour import OBSERVER
 from irisjax.measure.instrument import GAIN, Cornea
 from irisjax.tissue.pigments import check_covered, common_range
+
+POLARIMETERS = ("cross-polarised", "co-polarised", "degree-of-polarisation")
+"""Instruments that see polarisation."""
 
 _VISIBLE, _GREEN, _WHOLE = Grid("400:700:10"), Grid("550"), Grid("380:780:5")
 _ILLUMINANT = option(metavar="name", help="light source by its name in colour-science")
@@ -138,17 +142,73 @@ class EyeLight(Light):
 class SpectrumLight(EyeLight):
     """What a spectrophotometer or a radiometer measures."""
 
-    ONLY_WITH: ClassVar = {"illuminant": ("instrument", ("radiance",))}
+    ONLY_WITH: ClassVar = {
+        "illuminant": ("instrument", ("radiance",)),
+        "polariser_deg": ("instrument", POLARIMETERS),
+        "exit_deg": ("instrument", POLARIMETERS),
+        "exit_azimuth_deg": ("instrument", POLARIMETERS),
+    }
 
     instrument: Annotated[
         str,
         name_of(
-            "share of the light sent back, or radiance under an illuminant",
+            "share of the light sent back; radiance under an illuminant; share sent back through "
+            "an analyser, of polarised light; degree of linear polarisation",
             "reflectance",
             "radiance",
+            *POLARIMETERS,
         ),
     ] = "reflectance"
     illuminant: Annotated[str, _ILLUMINANT] = "D65"
+    polariser_deg: Annotated[
+        float | None,
+        option(
+            parse=number(-180, 180),
+            metavar="degrees",
+            help="polarisation of the light, from the plane of incidence; default 0, "
+            "unpolarised for degree-of-polarisation",
+        ),
+    ] = None
+    exit_deg: Annotated[
+        Any,  # a number or the word
+        option(
+            parse=exit_angle,
+            metavar="degrees",
+            help="angle from the normal that it looks from, 0 to 90, or hemisphere; default 0, "
+            "45 for degree-of-polarisation",
+        ),
+    ] = None
+    exit_azimuth_deg: Annotated[
+        float,
+        option(
+            parse=number(-360, 360),
+            metavar="degrees",
+            help="azimuth of that direction, 0 where a mirror would send the light",
+        ),
+    ] = 0.0
+
+    def exit(self) -> dict[str, Any]:
+        """Where a polarimeter looks from, and the light's polarisation."""
+        degrees, angle = self._polarimetry()
+        return {
+            "cos_exit": degrees if isinstance(degrees, str) else math.cos(math.radians(degrees)),
+            "azimuth": math.radians(self.exit_azimuth_deg),
+            "polariser": None if angle is None else math.radians(angle),
+        }
+
+    def settings(self) -> dict[str, Any]:
+        """A polarimeter's defaults are written too."""
+        found = super().settings()
+        if self.instrument in POLARIMETERS:
+            degrees, angle = self._polarimetry()
+            found |= {"exit_deg": degrees} | ({} if angle is None else {"polariser_deg": angle})
+        return found
+
+    def _polarimetry(self) -> tuple[float | str, float | None]:
+        degrees, angle = self.exit_deg, self.polariser_deg
+        if self.instrument == "degree-of-polarisation":
+            return 45.0 if degrees is None else degrees, angle
+        return 0.0 if degrees is None else degrees, 0.0 if angle is None else angle
 
 
 @dataclass(frozen=True, kw_only=True)

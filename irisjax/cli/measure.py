@@ -1,5 +1,8 @@
 """`irisjax spectrum`, `brdf` and `colour`: virtual instruments, CSV out."""
 
+import re
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -10,8 +13,8 @@ import irisjax as ij
 from irisjax import io, plot
 from irisjax.cli.files import SwatchFile, TableFiles, check_files, write_table
 from irisjax.cli.header import head
-from irisjax.cli.jobs import measured
-from irisjax.cli.light import BrdfLight, ColourLight, Light, SpectrumLight
+from irisjax.cli.jobs import left_out_by_scalar_theory, measured
+from irisjax.cli.light import POLARIMETERS, BrdfLight, ColourLight, Light, SpectrumLight
 from irisjax.cli.model import (
     IrisOptions,
     ProcessOptions,
@@ -25,8 +28,22 @@ from irisjax.cli.options import grouped
 from irisjax.measure.colorimeter import Colorimeter
 from irisjax.measure.goniophotometer import Goniophotometer
 from irisjax.measure.instrument import AbstractInstrument
+from irisjax.measure.polarimeter import (
+    Analyser,
+    AnalyserSetting,
+    Polarimeter,
+    PolarisedMeasurement,
+)
 from irisjax.measure.radiometer import Radiometer
 from irisjax.measure.spectrophotometer import Spectrophotometer
+from irisjax.transport.process import DEPTH_RESOLVED
+
+_QUANTITIES = {
+    "cross-polarised": "cross-polarised reflectance",
+    "co-polarised": "co-polarised reflectance",
+    "degree-of-polarisation": "degree of linear polarisation",
+}
+_SETTINGS: dict[str, AnalyserSetting] = {"cross-polarised": "crossed", "co-polarised": "parallel"}
 
 
 @grouped
@@ -39,13 +56,15 @@ def spectrum(
 ) -> None:
     """Spectral reflectance of an iris, or its radiance under an illuminant, as CSV."""
     check_files(files.output, files.plot)
-    grid, told = light.wavelengths.values, light.before_the_iris()
-    if light.instrument == "radiance":
-        instrument = Radiometer(grid, illuminant=light.illuminant, **told)
-    else:
-        instrument = Spectrophotometer(grid, **told)
-    result, lines = _read(instrument, light.instrument, "spectrum", iris, process, solver, light)
-    columns = {"wavelength_nm": grid, result.quantity: result.values}
+    if light.instrument in POLARIMETERS:
+        process = process.seeing_polarisation(light.instrument)
+    grid = light.wavelengths.values
+    make = partial(_instrument, light)
+    quantity = _QUANTITIES.get(light.instrument, light.instrument)
+    result, lines = _read(make, quantity, "spectrum", iris, process, solver, light)
+    columns = {"wavelength_nm": grid, re.sub(r"\W", "_", result.quantity): result.values}
+    if isinstance(result, PolarisedMeasurement):
+        columns["angle_deg"] = np.degrees(result.angle)
     if result.standard_error is not None:
         columns["standard_error"] = result.standard_error
     if result.unit:
@@ -67,11 +86,9 @@ def brdf(
     """BRDF of an iris in the aqueous humour, without the light mirrored by its surface, as CSV."""
     check_files(files.output, files.plot)
     angle, azimuth = _exits(light.plane, light.angles)
-    grid = light.wavelengths.values
-    instrument = Goniophotometer(
-        grid, cos_exit=np.cos(angle), azimuth=azimuth, **light.before_the_iris()
-    )
-    result, lines = _read(instrument, "BRDF", "brdf", iris, process, solver, light)
+    grid, told = light.wavelengths.values, light.before_the_iris()
+    make = partial(Goniophotometer, cos_exit=np.cos(angle), azimuth=azimuth, **told)
+    result, lines = _read(make, "BRDF", "brdf", iris, process, solver, light)
     rows = np.broadcast_to(grid[:, None], result.values.shape)
     columns = {
         "wavelength_nm": rows.ravel(),
@@ -98,13 +115,13 @@ def colour(
 ) -> None:
     """Colour of an iris under an illuminant: XYZ, CIE L*a*b*, sRGB, and a swatch."""
     check_files(None, files.swatch, ".png")
-    instrument = Colorimeter(
-        light.wavelengths.values,
+    make = partial(
+        Colorimeter,
         illuminant=light.illuminant,
         observer=light.observer,
         **light.before_the_iris(),
     )
-    result, lines = _read(instrument, "colour", "colour", iris, process, solver, light)
+    result, lines = _read(make, "colour", "colour", iris, process, solver, light)
     red, green, blue = (int(v) for v in np.rint(255 * np.clip(np.asarray(result.srgb), 0, 1)))
     srgb8 = (red, green, blue)
     clipped = "" if result.in_gamut else "outside sRGB's gamut: the 8-bit values are clipped"
@@ -121,8 +138,21 @@ def colour(
     typer.echo("\n".join(rows))
 
 
+def _instrument(light: SpectrumLight, grid: np.ndarray) -> AbstractInstrument:
+    """What measures the spectrum."""
+    told = light.before_the_iris()
+    if light.instrument == "radiance":
+        return Radiometer(grid, illuminant=light.illuminant, **told)
+    if light.instrument == "reflectance":
+        return Spectrophotometer(grid, **told)
+    told |= light.exit()
+    if light.instrument == "degree-of-polarisation":
+        return Polarimeter(grid, **told)
+    return Analyser(grid, _SETTINGS[light.instrument], **told)
+
+
 def _read(
-    instrument: AbstractInstrument,
+    make: Callable[[np.ndarray], AbstractInstrument],
     quantity: str,
     command: str,
     iris: IrisOptions,
@@ -130,11 +160,15 @@ def _read(
     solver: SolverOptions,
     light: Light,
 ) -> tuple[Any, dict[str, str]]:
-    """What the instrument reads, and the header that says how."""
+    """What the instrument that is made for the wavelengths reads, and the header that says how."""
     modelled, rules = iris_of(iris), process_of(process)
-    method = solver_of(solver, rules, modelled)
-    result = measured(modelled, instrument, rules, method, key_of(solver))
-    return result, head(command, quantity, modelled, rules, method, (iris, process, solver, light))
+    method, grid = solver_of(solver, rules, modelled), light.wavelengths.values
+    result = measured(modelled, make(grid), rules, method, key_of(solver))
+    left_out = None
+    if rules == DEPTH_RESOLVED:
+        left_out = left_out_by_scalar_theory(modelled, make, grid)
+    groups = (iris, process, solver, light)
+    return result, head(command, quantity, modelled, rules, method, groups, left_out)
 
 
 def _exits(plane: str, n: int) -> tuple[np.ndarray, np.ndarray]:
@@ -150,7 +184,8 @@ def _exits(plane: str, n: int) -> tuple[np.ndarray, np.ndarray]:
 
 def _title(quantity: str, process: ProcessOptions, solver: SolverOptions) -> str:
     how = "exact" if solver.solver == "exact" else f"{solver.photons:g} photons"
-    return f"Simulated {quantity} of an iris ({process.process}, {how})"
+    rules = f"{process.process}{', polarised' if process.polarised else ''}"
+    return f"Simulated {quantity} of an iris ({rules}, {how})"
 
 
 def _row(name: str, numbers, form: str, remark: str = "") -> str:

@@ -26,14 +26,16 @@ from irisjax.transport.defaults import exact_solver
 from irisjax.transport.ilit.weighted import IlitWeighted
 from irisjax.transport.montecarlo import MonteCarlo
 from irisjax.transport.process import (
+    POLARISED,
     PROCESSES,
     AbstractProcess,
     Phase,
     RadiativeTransfer,
     Rescatter,
 )
+from irisjax.transport.radiative.polarised.montecarlo import PolarisedMonteCarlo
 from irisjax.transport.radiative.weighted import RadiativeWeighted
-from irisjax.transport.solver import AbstractSolver
+from irisjax.transport.solver import AbstractSolver, is_polarised
 
 # As written in the class: making an iris would start JAX before the precision is chosen.
 _DEFAULTS = {
@@ -114,6 +116,14 @@ class IrisOptions(Group):
     anisotropy: Annotated[float | None, _field("anisotropy")] = None
 
 
+_DEEP = "depth-resolved"
+
+
+def _polarising(context, param, value):
+    """Polarised light, typed, is light of the one process that has it, whatever a file's was."""
+    return overrules("process")(context, param, value) if value else value
+
+
 @dataclass(frozen=True, kw_only=True)
 class ProcessOptions(Group):
     """Rules of light transport; `None` stands for the named process's own."""
@@ -123,6 +133,7 @@ class ProcessOptions(Group):
         "phase": ("process", ("ilit-2006", "ilit-corrected")),
         "rescatter": ("process", ("ilit-2006", "ilit-corrected")),
         "perturb_on_reflection": ("process", ("ilit-2006", "ilit-corrected")),
+        "polarised": ("process", ("depth-resolved",)),
     }
 
     process: Annotated[
@@ -152,6 +163,26 @@ class ProcessOptions(Group):
             help="redraw directions when reflected inside a layer",
         ),
     ] = None
+    polarised: Annotated[
+        bool | None,
+        option(
+            "--polarised/--scalar",
+            metavar="",
+            help="depth-resolved transport of Stokes vectors, or of intensities alone",
+            callback=_polarising,
+        ),
+    ] = None
+
+    def __post_init__(self):
+        if self.polarised and "process" not in self.typed:
+            object.__setattr__(self, "process", _DEEP)
+        super().__post_init__()
+
+    def seeing_polarisation(self, instrument: str) -> "ProcessOptions":
+        """The options with polarisation, for an instrument that needs it."""
+        if self.polarised is False or ("process" in self.typed and self.process != _DEEP):
+            raise ValueError(f"--instrument {instrument} needs --process {_DEEP} --polarised")
+        return dataclasses.replace(self, process=_DEEP, polarised=True)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -194,6 +225,8 @@ def iris_of(options: IrisOptions) -> ij.Iris:
 def process_of(options: ProcessOptions) -> AbstractProcess:
     """The process that the options name."""
     process = PROCESSES[options.process]
+    if options.polarised:
+        return POLARISED
     switches = {n: getattr(options, n) for n in process.describe()}
     return dataclasses.replace(process, **{n: v for n, v in switches.items() if v is not None})
 
@@ -204,6 +237,10 @@ def solver_of(
     """The solver that the options name, for such a process and iris."""
     if options.solver == "exact":
         return exact_solver(process, iris)
+    if is_polarised(process):
+        if options.estimator != "analog":
+            raise ValueError(f"--estimator {options.estimator} does not treat polarised light")
+        return PolarisedMonteCarlo(options.photons)
     if options.estimator == "analog":
         return MonteCarlo(options.photons)
     if options.estimator == "weighted" and isinstance(process, RadiativeTransfer):

@@ -249,6 +249,11 @@ def cosine(text: str) -> float | str:
     return text if text == ij.DIFFUSE else number(0, 1)(text)
 
 
+def exit_angle(text: str) -> float | str:
+    """Parse an angle from the normal in degrees, or the word for all directions."""
+    return text if text == ij.HEMISPHERE else number(0, 90)(text)
+
+
 SEED_HELP = "0 to 4294967295; equal seeds give equal "
 
 

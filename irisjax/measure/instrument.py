@@ -109,6 +109,11 @@ class AbstractInstrument(eqx.Module):
         """Cosines and azimuths of the directions it looks from, for a BRDF, or `None` twice."""
         return None, None
 
+    @property
+    def polarised(self) -> bool:
+        """Whether it needs a process that follows polarisation."""
+        return False
+
     @abc.abstractmethod
     def reading(self, light: Solution, factor) -> Any:
         """What it reads of light that was dimmed by `factor` on its way."""

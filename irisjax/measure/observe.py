@@ -17,7 +17,7 @@ from irisjax.transport.defaults import exact_solver
 from irisjax.transport.montecarlo import Counts, MonteCarlo
 from irisjax.transport.process import ILIT_2006, AbstractProcess
 from irisjax.transport.solution import raise_failure
-from irisjax.transport.solver import AbstractSolver
+from irisjax.transport.solver import AbstractSolver, is_polarised
 
 _BLOCK = 1 << 22  # photons of all wavelengths together between two reports of progress
 
@@ -37,7 +37,7 @@ def observe(
     **Arguments:**
 
     - `iris`: its fields may be traced; batch with `jax.vmap`.
-    - `process`: `ILIT_2006`, `ILIT_CORRECTED`, `DEPTH_RESOLVED` or one of your own.
+    - `process`: `ILIT_2006`, `ILIT_CORRECTED`, `DEPTH_RESOLVED`, `POLARISED` or one of your own.
     - `solver`: default the process's exact one (`IlitExact`, `RadiativeExact`; `AddingDoubling`
         for an iris with a power law of scattering).
     - `key`: for solvers that sample.
@@ -45,7 +45,8 @@ def observe(
         outside any trace: photons are then followed in blocks. The result does not depend on it.
 
     **Returns:** what the instrument's `reading` gives: a `Measurement`, `Brdf` or `Colour`.
-    **Raises:** `ValueError` for concrete input out of range or, unless `throw=False`, for a solve
+    **Raises:** `ValueError` for concrete input out of range, for an instrument that sees more than
+    the process has or, unless `throw=False`, for a solve
     that failed; while tracing, look at `.status`.
     """
     solver = prepared(iris, instrument, process, solver)
@@ -87,6 +88,11 @@ def prepared(
     solver: AbstractSolver | None = None,
 ) -> AbstractSolver:
     """The solver (default: the process's exact one) after a look at the still concrete problem."""
+    if instrument.polarised and not is_polarised(process):
+        raise ValueError(
+            f"{type(instrument).__name__} sees polarisation; "
+            "give process=RadiativeTransfer(polarised=True)"
+        )
     solver = exact_solver(process, iris) if solver is None else solver
     # Through the class: binding a method of an Equinox module costs more than the call.
     return type(solver).prepare(solver, partial(_layers, iris, instrument), process)

@@ -21,6 +21,12 @@ def check_key(key) -> None:
         raise ValueError(f"key must be of the threefry2x32 kind, got {jax.random.key_impl(key)}")
 
 
+def checked_key(key) -> jax.Array:
+    """The key, or what `check_key` raises."""
+    check_key(key)
+    return key
+
+
 def fold_in_words(k0, k1, count):
     """The two words of `jax.random.key_data(jax.random.fold_in(key, count))` for the words of
     `key`.

@@ -1,11 +1,14 @@
-"""Refraction and unpolarised Fresnel coefficients at a smooth dielectric interface.
+"""Refraction and Fresnel's coefficients, for either polarisation, at a smooth dielectric interface.
 
 Conventions: cosines are those of the angle to the interface normal, in [0, 1]; indices are real.
 [LB06 Section 3.1; Shirley 1990]
 """
 
+from typing import NamedTuple
+
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jax import lax
+from jaxtyping import Array, Complex, Float
 
 from irisjax.numerics.quadrature import CosineRule
 from irisjax.numerics.roots import safe_sqrt
@@ -36,22 +39,56 @@ def fresnel(cos_in: Float[Array, "*s"], cos_out: Float[Array, "*s"], n_in, n_out
     own formula, so that it keeps its relative precision where F is close to 1. Returns `(F, 1 -
     F)`.
     """
-    matched_grazing = (cos_in == 0) & (cos_out == 0)
-    # Two equal media at exact grazing are 0/0: a ray there meets no interface, so it is
-    # transmitted.
-    a = jnp.where(matched_grazing, 1.0, cos_in)
-    b = jnp.where(matched_grazing, 1.0, cos_out)
-    s = n_in * a + n_out * b
-    p = n_out * a + n_in * b
-    r_s = (n_in * a - n_out * b) / s
-    r_p = (n_out * a - n_in * b) / p
-    product = 4.0 * n_in * n_out * a * b
-    reflectance = 0.5 * (r_s * r_s + r_p * r_p)
-    transmittance = 0.5 * (product / (s * s) + product / (p * p))
-    matched = matched_grazing & (n_in == n_out)
-    reflectance = jnp.where(matched_grazing, jnp.where(matched, 0.0, 1.0), reflectance)
-    transmittance = jnp.where(matched_grazing, jnp.where(matched, 1.0, 0.0), transmittance)
-    return reflectance, transmittance
+    s, p = (law(cos_in, cos_out, n_in, n_out) for law in (fresnel_s, fresnel_p))
+    return 0.5 * (s[0] + p[0]), 0.5 * (s[1] + p[1])
+
+
+def fresnel_s(cos_in: Float[Array, "*s"], cos_out: Float[Array, "*s"], n_in, n_out):
+    """`fresnel` of light whose field is perpendicular to the plane of incidence."""
+    return _shares(cos_in, cos_out, n_in, n_out, n_in, n_out)
+
+
+def fresnel_p(cos_in: Float[Array, "*s"], cos_out: Float[Array, "*s"], n_in, n_out):
+    """`fresnel` of light whose field lies in the plane of incidence."""
+    return _shares(cos_in, cos_out, n_in, n_out, n_out, n_in)
+
+
+class Coherence(NamedTuple):
+    """What an interface makes of U + iV = 2 E_p E_s*, of which the flux is a share as of I.
+
+    - `reflected`: r_p r_s*, complex; `lost`: 1 less that, without cancellation.
+    - `passed`: √(T_p T_s), real; `contrast`: r_s − r_p, 0 under total reflection.
+    """
+
+    reflected: Complex[Array, "*s"]
+    lost: Complex[Array, "*s"]
+    passed: Float[Array, "*s"]
+    contrast: Float[Array, "*s"]
+
+
+def coherence(cos_in: Float[Array, "*s"], cos_out: Float[Array, "*s"], n_in, n_out) -> Coherence:
+    """`Coherence` at an interface from `n_in` into `n_out`; `cos_out` as in `fresnel`.
+
+    Where all is reflected, p runs ahead of s by 2 arctan(μ √(c² − μ²)/(1 − μ²)), c the critical
+    cosine (field ∝ e^{−iωt}): linearly polarised light comes back elliptical. [Born & Wolf 1999,
+    Section 1.5.4]
+    """
+    beyond = critical_cosine_squared(n_in, n_out) - cos_in * cos_in
+    total, empty = beyond > 0, (cos_in == 0) & (cos_out == 0)
+    a, b = (jnp.where(empty, 1.0, c) for c in (cos_in, cos_out))
+    x = 2 * a * b / ((n_in * a + n_out * b) * (n_out * a + n_in * b))
+    # Nothing meets an interface of equal media, exactly along it neither.
+    x = jnp.where(empty, 1 / (n_in * n_in + n_out * n_out), x)
+    sine_squared = jnp.where(total, 1 - cos_in * cos_in, 1.0)
+    q = jnp.where(total, cos_in * safe_sqrt(beyond) / sine_squared, 0.0)
+    turned = 2 * q / (1 + q * q)
+    lost = jnp.where(total, turned * q, (n_in * n_in + n_out * n_out) * x)
+    return Coherence(
+        reflected=lax.complex(1 - lost, turned),
+        lost=lax.complex(lost, -turned),
+        passed=jnp.where(total, 0.0, 2 * n_in * n_out * x),
+        contrast=jnp.where(total, 0.0, (n_in - n_out) * (n_in + n_out) * x),
+    )
 
 
 def fresnel_at(cos_in: Float[Array, "*s"], n_in, n_out):
@@ -64,3 +101,20 @@ def refracted(rule: CosineRule, k: int, n_in, n_out) -> Float[Array, " n"]:
     0 where it reflects totally.
     """
     return n_in / n_out * safe_sqrt(rule.excess[k])
+
+
+def _shares(cos_in, cos_out, n_in, n_out, along, across):
+    """Reflectance ((x − y)/(x + y))², x = `along` μ_in, y = `across` μ_out, and 1 less that."""
+    matched_grazing = (cos_in == 0) & (cos_out == 0)
+    # Two equal media at exact grazing are 0/0: a ray there meets no interface, so it is
+    # transmitted.
+    a = jnp.where(matched_grazing, 1.0, cos_in)
+    b = jnp.where(matched_grazing, 1.0, cos_out)
+    total = along * a + across * b
+    amplitude = (along * a - across * b) / total
+    reflectance = amplitude * amplitude
+    transmittance = 4.0 * n_in * n_out * a * b / (total * total)
+    matched = matched_grazing & (n_in == n_out)
+    reflectance = jnp.where(matched_grazing, jnp.where(matched, 0.0, 1.0), reflectance)
+    transmittance = jnp.where(matched_grazing, jnp.where(matched, 1.0, 0.0), transmittance)
+    return reflectance, transmittance

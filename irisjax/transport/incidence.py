@@ -9,6 +9,9 @@ from irisjax.tissue.indices import RefractiveIndices
 DIFFUSE = "diffuse"
 """Incidence from every direction alike (cosine-weighted hemisphere)."""
 
+HEMISPHERE = "hemisphere"
+"""Exits into every direction, collected by a lens."""
+
 
 def beams_of(cos_incidence, nodes: int, dtype):
     """Cosines of the light's directions and its shares along them; `nodes` for `DIFFUSE`."""

@@ -58,7 +58,8 @@ class MonteCarlo(AbstractSolver):
         check_whole("lanes", self.lanes, 16)
 
     def prepare(self, layers: Callable[[], Layers], process: AbstractProcess) -> "MonteCarlo":
-        """Nothing to prepare."""
+        """Check that the process is of unpolarised light."""
+        checked_process(self, process, AbstractProcess)
         return self
 
     def solve(
@@ -96,6 +97,7 @@ class MonteCarlo(AbstractSolver):
 
         `first` and `last` may be traced. Returns `Counts`.
         """
+        checked_process(self, process, AbstractProcess)
         check_key(key)
         if isinstance(process, Ilit):
             checked_process(self, process, Ilit, layers)

@@ -67,14 +67,23 @@ class Ilit(AbstractProcess):
 
 
 class RadiativeTransfer(AbstractProcess):
-    """Scalar radiative transfer in the same layers: free paths in depth, Rayleigh's law, Fresnel's
+    """Radiative transfer in the same layers: free paths in depth, Rayleigh's law, Fresnel's
     and Snell's at every interface; nothing is redrawn.
+
+    - `polarised`: whether light is followed by its Stokes vector, with Rayleigh's phase matrix and
+        Fresnel's Mueller matrices, or by its intensity alone (scalar theory).
     """
+
+    polarised: bool = eqx.field(static=True, default=False)
 
     @property
     def transport(self) -> str:
         """What outputs call it."""
-        return "depth-resolved"
+        return "depth-resolved, polarised" if self.polarised else "depth-resolved"
+
+    def describe(self) -> dict[str, str | bool]:
+        """The switch, where it is on."""
+        return {"polarised": True} if self.polarised else {}
 
 
 ILIT_2006 = Ilit()
@@ -85,6 +94,9 @@ ILIT_CORRECTED = Ilit(phase="rayleigh")
 
 DEPTH_RESOLVED = RadiativeTransfer()
 """Scalar radiative transfer in the same layers, Fresnel at every interface."""
+
+POLARISED = RadiativeTransfer(polarised=True)
+"""Radiative transfer of Stokes vectors in the same layers."""
 
 PROCESSES: dict[str, AbstractProcess] = {
     "ilit-2006": ILIT_2006,

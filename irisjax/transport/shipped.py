@@ -7,16 +7,18 @@ from irisjax.transport.process import AbstractProcess, Ilit
 from irisjax.transport.radiative import shipped as radiative
 from irisjax.transport.radiative.adding import AddingDoubling
 from irisjax.transport.radiative.exact import RadiativeExact
-from irisjax.transport.solver import AbstractSolver
+from irisjax.transport.solver import AbstractSolver, is_polarised
 
 
 def table(indices: RefractiveIndices, process: AbstractProcess) -> AbstractSolver:
     """The solver for many spectra of irides with these indices: `IlitTabulated`, or for radiative
-    transfer `RadiativeTabulated`; where media guide light so that a table is not good to 1e-4,
-    `RadiativeExact`.
+    transfer `RadiativeTabulated`; where media guide light so that a table is not good to 1e-4, and
+    for polarised light, `RadiativeExact`.
     """
     if isinstance(process, Ilit):
         return ilit.table(indices, process)
+    if is_polarised(process):
+        return RadiativeExact(16, 8)
     try:
         return radiative.table(indices)
     except ValueError:

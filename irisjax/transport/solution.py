@@ -48,6 +48,30 @@ def dimmed(absorbed: Absorbed, factor) -> Absorbed:
     return Absorbed(factor * absorbed.abl, factor * absorbed.stroma, factor * absorbed.ipe)
 
 
+class Polarisation(eqx.Module):
+    """Mueller matrices of what comes back: rows and columns are I, Q, U, V.
+
+    Q is the intensity of the field in the plane of the normal and the ray, less that across it; U
+    that along the diagonal between θ and φ (polar angle from the normal that points at the light,
+    azimuth round it), less that across it; V is positive for light whose field turns clockwise as
+    its receiver sees it.
+
+    - `reflected`: of the light that `Solution.reflectance` counts, shape (wavelengths, 4, 4), as a
+        lens collects it: Q and U are those in its plane, along the plane of incidence. A row I of
+        it times light's Stokes vector is how much of that light comes back.
+    - `mirrored`: the same of light mirrored by the first surface.
+    - `brdf`: 1/sr, at the exits asked for, shape (wavelengths, exits, 4, 4), or `None`.
+    - `reflected_covariance`, `brdf_covariance`: where they are sampled, of their 16 numbers, shapes
+        (wavelengths, 16, 16) and (wavelengths, exits, 16, 16).
+    """
+
+    reflected: Float[Array, "wavelengths 4 4"]
+    mirrored: Float[Array, "wavelengths 4 4"]
+    brdf: Float[Array, "wavelengths exits 4 4"] | None
+    reflected_covariance: Float[Array, "wavelengths 16 16"] | None = None
+    brdf_covariance: Float[Array, "wavelengths exits 16 16"] | None = None
+
+
 class Solution(eqx.Module):
     """Where the light goes that falls on the iris from the aqueous humour.
 
@@ -60,6 +84,8 @@ class Solution(eqx.Module):
         the requested exit directions, shape (wavelengths, exits), or `None`; `brdf_error` its
         standard error.
     - `status`: a `RESULTS` item.
+    - `polarisation`: Mueller matrices, of a polarised process where exits were asked for; the rest
+        is then that of unpolarised light.
     """
 
     reflectance: Spectrum
@@ -70,6 +96,7 @@ class Solution(eqx.Module):
     brdf: Float[Array, "wavelengths exits"] | None
     brdf_error: Float[Array, "wavelengths exits"] | None
     status: RESULTS
+    polarisation: Polarisation | None = None
 
     @property
     def energy(self) -> Float[Array, "*batch wavelengths"]:

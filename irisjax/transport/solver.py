@@ -7,7 +7,7 @@ from typing import TypeVar
 import equinox as eqx
 
 from irisjax.tissue.layers import Layers
-from irisjax.transport.process import AbstractProcess
+from irisjax.transport.process import AbstractProcess, RadiativeTransfer
 from irisjax.transport.solution import Solution
 
 P = TypeVar("P", bound=AbstractProcess)
@@ -48,18 +48,37 @@ class AbstractSolver(eqx.Module):
 
 
 def checked_process(
-    solver, process: AbstractProcess, kind: type[P], layers: Layers | None = None
+    solver,
+    process: AbstractProcess,
+    kind: type[P],
+    layers: Layers | None = None,
+    *,
+    polarised: bool = False,
 ) -> P:
-    """The process, of the kind that a solver treats; `ValueError` if it is of another, or if
-    `layers` scatter otherwise than by Rayleigh's law, the only one that most solvers know.
+    """The process, of the kind that a solver treats; `ValueError` if it is of another, if it is of
+    polarised light where the solver is of scalar theory, or if `layers` scatter otherwise than by
+    Rayleigh's law, the only one that most solvers know.
     """
     if not isinstance(process, kind):
-        name = getattr(solver, "__name__", type(solver).__name__)
+        name = _name(solver)
         raise ValueError(f"{name} treats {kind.__name__} processes, not {type(process).__name__}")
+    if is_polarised(process) and not polarised:
+        raise ValueError(
+            f"{_name(solver)} does not treat polarised light; use RadiativeExact, or "
+            "PolarisedMonteCarlo to sample"
+        )
     if layers is not None and layers.phase is not None:
-        name = getattr(solver, "__name__", type(solver).__name__)
         raise ValueError(
             "a power law of scattering takes radiative transfer (depth-resolved) by AddingDoubling "
-            f"or MonteCarlo, not {type(process).__name__} by {name}"
+            f"or MonteCarlo, not {type(process).__name__} by {_name(solver)}"
         )
     return process
+
+
+def is_polarised(process: AbstractProcess) -> bool:
+    """Whether a process follows light by its Stokes vector."""
+    return isinstance(process, RadiativeTransfer) and process.polarised
+
+
+def _name(solver) -> str:
+    return getattr(solver, "__name__", type(solver).__name__)

@@ -1,9 +1,10 @@
 """Directions in the stroma, what each meets at the interfaces, and Rayleigh's modes in azimuth."""
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from irisjax.numerics.quadrature import conserving, cosine_rule, quadratic_rule
 from irisjax.numerics.roots import safe_sqrt
@@ -37,14 +38,17 @@ MODES = (Mode(0, 1, (0.5, 0.25)), Mode(1, -1, (0.375,)), Mode(2, 1, (0.09375,)))
 
 
 class Directions(NamedTuple):
-    """Directions in the stroma with what each meets at the interfaces, all of shape (angles,)."""
+    """Directions in the stroma with what each meets at the interfaces, all of shape (angles,).
+
+    At an interface: reflectance and transmittance, or what else the law of the interfaces gives.
+    """
 
     cosine: jax.Array
     weight: jax.Array
     abl_cosine: jax.Array
-    top: tuple[jax.Array, jax.Array]  # stroma/ABL
-    surface: tuple[jax.Array, jax.Array]  # ABL/aqueous
-    bottom: tuple[jax.Array, jax.Array]  # stroma/IPE
+    top: Any  # stroma/ABL
+    surface: Any  # ABL/aqueous
+    bottom: Any  # stroma/IPE
 
 
 class Roof(NamedTuple):
@@ -57,8 +61,10 @@ class Roof(NamedTuple):
     absorbed: jax.Array
 
 
-def quadrature_nodes(layers: Layers, n_angles: int) -> Directions:
-    """Directions in the stroma that a quadrature takes, split at its critical angles."""
+def quadrature_nodes(layers: Layers, n_angles: int, law=fresnel) -> Directions:
+    """Directions in the stroma that a quadrature takes, split at its critical angles; `law` of the
+    interfaces as in `optics.fresnel`.
+    """
     n, order = layers.indices, layers.order
     neighbours = (n.aqueous, n.abl, n.ipe)
     rule = cosine_rule(
@@ -68,7 +74,7 @@ def quadrature_nodes(layers: Layers, n_angles: int) -> Directions:
     )
     rule = conserving(rule)
     cosines = [refracted(rule, i, n.stroma, k) for i, k in enumerate(neighbours)]
-    return _directions(n, rule.cosine, rule.weight, *cosines)
+    return _directions(n, law, rule.cosine, rule.weight, *cosines)
 
 
 def gauss_nodes(layers: Layers, n_angles: int) -> Directions:
@@ -83,32 +89,32 @@ def gauss_nodes(layers: Layers, n_angles: int) -> Directions:
         n_angles,
     )
     abl, aqueous, ipe = (refract(cosine, n.stroma, k) for k in (n.abl, n.aqueous, n.ipe))
-    return _directions(n, cosine, weight, aqueous, abl, ipe)
+    return _directions(n, fresnel, cosine, weight, aqueous, abl, ipe)
 
 
-def from_outside(layers: Layers, outside) -> Directions:
+def from_outside(layers: Layers, outside, law=fresnel) -> Directions:
     """Directions with given cosines in the aqueous humour; they carry no quadrature weight."""
     n = layers.indices
     abl, stroma = (refract(outside, n.aqueous, k) for k in (n.abl, n.stroma))
     ipe = refract(outside, n.aqueous, n.ipe)
-    return _directions(n, stroma, jnp.zeros_like(outside), outside, abl, ipe)
+    return _directions(n, law, stroma, jnp.zeros_like(outside), outside, abl, ipe)
 
 
 def from_inside(n: RefractiveIndices, stroma) -> Directions:
     """Directions with given cosines in the stroma, of any shape, without quadrature weight."""
     outside, abl, ipe = (refract(stroma, n.stroma, k) for k in (n.aqueous, n.abl, n.ipe))
-    return _directions(n, stroma, jnp.zeros_like(stroma), outside, abl, ipe)
+    return _directions(n, fresnel, stroma, jnp.zeros_like(stroma), outside, abl, ipe)
 
 
-def _directions(n: RefractiveIndices, stroma, weight, aqueous, abl, ipe) -> Directions:
+def _directions(n: RefractiveIndices, law, stroma, weight, aqueous, abl, ipe) -> Directions:
     return Directions(
         # A beam that cannot enter has cosine 0 and no power; keep the exponentials finite.
         cosine=jnp.where(stroma > 0, stroma, 1.0),
         weight=weight,
         abl_cosine=jnp.where(abl > 0, abl, 1.0),
-        top=fresnel(stroma, abl, n.stroma, n.abl),
-        surface=fresnel(abl, aqueous, n.abl, n.aqueous),
-        bottom=fresnel(stroma, ipe, n.stroma, n.ipe),
+        top=law(stroma, abl, n.stroma, n.abl),
+        surface=law(abl, aqueous, n.abl, n.aqueous),
+        bottom=law(stroma, ipe, n.stroma, n.ipe),
     )
 
 
@@ -124,3 +130,13 @@ def roof_of(depth, d: Directions, *, from_stroma: bool) -> Roof:
         passed=near[1] * inside.out,
         absorbed=near[1] * inside.absorbed,
     )
+
+
+def split(tree, sets):
+    """What belongs to each set of directions, of arrays over all of them."""
+    ends = np.cumsum([d.cosine.size for d in sets])[:-1].tolist()
+    leaves, structure = jax.tree.flatten(tree)
+    return [
+        jax.tree.unflatten(structure, x)
+        for x in zip(*(jnp.split(x, ends, axis=-1) for x in leaves), strict=True)
+    ]

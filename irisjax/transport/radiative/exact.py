@@ -15,8 +15,6 @@ from typing import NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import numpy as np
-from jax.core import Tracer
 
 from irisjax.numerics import linear
 from irisjax.numerics.checks import check_whole
@@ -24,22 +22,20 @@ from irisjax.numerics.sharding import laid_out_as
 from irisjax.tissue.layers import Layers
 from irisjax.transport.incidence import beams_of
 from irisjax.transport.process import RadiativeTransfer
+from irisjax.transport.radiative import polarised
+from irisjax.transport.radiative.balance import energy_balance, solve_balanced
 from irisjax.transport.radiative.directions import (
     MODES,
-    Directions,
-    Roof,
     from_outside,
     quadrature_nodes,
     roof_of,
+    split,
 )
 from irisjax.transport.radiative.fates import before
-from irisjax.transport.radiative.slab import Bounded, Ends, Slab, fractions
-from irisjax.transport.solution import RESULTS, Absorbed, Solution
+from irisjax.transport.radiative.resolution import panels_for, status_of
+from irisjax.transport.radiative.slab import Ends, Slab
+from irisjax.transport.solution import Absorbed, Solution
 from irisjax.transport.solver import AbstractSolver, checked_process
-
-# `_coarseness` up to which reflectance is good to 1e-7.
-_RESOLVED = 0.47
-_MOST_PANELS = 32  # optical depths of 1e9
 
 
 class Flux(NamedTuple):
@@ -53,36 +49,8 @@ class Flux(NamedTuple):
     brdf: jax.Array | None
 
 
-def panels_for(layers: Layers, n_depths: int) -> int | None:
-    """Depth panels needed for concrete layers; `None` for traced ones."""
-    if isinstance(layers.extinction, Tracer) or isinstance(layers.albedo, Tracer):
-        return None
-    panels, coarseness = 1, np.asarray(_coarseness(layers, n_depths, 1))
-    # Layers that are not numbers are refused by the status; no panels help them.
-    while (
-        panels < _MOST_PANELS and coarseness[np.isfinite(coarseness)].max(initial=0.0) > _RESOLVED
-    ):
-        panels += 1
-        coarseness = np.asarray(_coarseness(layers, n_depths, panels))
-    return panels
-
-
-def _coarseness(layers: Layers, n_depths: int, n_panels: int):
-    """How coarse the panels are; the relative error of reflectance is about 8e-7 of its cube.
-
-    Fitted to a scan over depths 0.1 to 32, albedos 0.003 to 1, 6 to 10 polynomials
-    (test_depth_resolved.py checks it at other points). Light scattered twice makes the error, hence
-    the albedo's square.
-    """
-    outer = layers.extinction * (fractions(n_panels)[0] * 8 / n_depths)
-    # The second is what it takes to follow the beam itself where next to nothing scatters.
-    return jnp.maximum(
-        jnp.cbrt(layers.albedo) ** 2 * outer * (8 / n_depths) ** (4 / 3), outer**4 / 406
-    )
-
-
 class RadiativeExact(AbstractSolver):
-    """Deterministic solver of scalar radiative transfer in the iris, to 1e-7 relative.
+    """Deterministic solver of radiative transfer in the iris to 1e-7 relative, scalar or polarised.
 
     - `n_angles`: quadrature nodes over the cosine.
     - `n_depths`: polynomials in depth, per panel.
@@ -106,7 +74,7 @@ class RadiativeExact(AbstractSolver):
 
     def prepare(self, layers: Callable[[], Layers], process) -> "RadiativeExact":
         """The solver with its number of panels fixed."""
-        checked_process(self, process, RadiativeTransfer)
+        checked_process(self, process, RadiativeTransfer, polarised=True)
         if self.n_panels is not None:
             return self
         return RadiativeExact(self.n_angles, self.n_depths, panels_for(layers(), self.n_depths))
@@ -123,8 +91,9 @@ class RadiativeExact(AbstractSolver):
         rays=None,
     ):
         """See `AbstractSolver.solve`; no `key` and no `rays` are used."""
-        checked_process(self, process, RadiativeTransfer, layers)
-        return _solve(
+        process = checked_process(self, process, RadiativeTransfer, layers, polarised=True)
+        solve = polarised.exact.solve if process.polarised else _solve
+        return solve(
             layers,
             cos_incidence,
             cos_exit,
@@ -154,7 +123,6 @@ def _solve(
         *(layers.abl_absorption, layers.extinction, layers.albedo, layers.coalbedo),
         *(n, nodes, beams, power, exits, azimuth),
     )
-    resolved = (_coarseness(layers, n_depths, n_panels) <= _RESOLVED).all()
     return Solution(
         reflectance=flux.reflectance,
         mirrored=flux.mirrored,
@@ -163,25 +131,8 @@ def _solve(
         total_error=None,
         brdf=flux.brdf,
         brdf_error=None,
-        status=RESULTS.where(
-            layers.valid(),
-            RESULTS.where(
-                resolved,
-                RESULTS.where(_conditioned(layers), RESULTS.successful, RESULTS.ill_conditioned),
-                RESULTS.under_resolved,
-            ),
-            RESULTS.invalid_input,
-        ),
+        status=status_of(layers, n_depths, n_panels),
     )
-
-
-def _conditioned(layers: Layers):
-    """Whether the balance of many scatterings survives rounding; its condition is 1/(1 − ω + 1/τ²).
-
-    At the limit float32 is wrong by 2e-4 of the light; float64 is never near it.
-    """
-    tau = jnp.maximum(layers.extinction, 1.0)
-    return (layers.coalbedo + 1 / (tau * tau) >= 10 * jnp.finfo(tau.dtype).eps).all()
 
 
 def _one_wavelength(
@@ -197,8 +148,8 @@ def _one_wavelength(
     meets = Ends(
         everywhere.top[0] + roof.reflected, roof.passed + roof.absorbed, *everywhere.bottom
     )
-    roofs = _split(roof, sets)
-    angle, beam, *exit_ = _split(slab.bounded(everywhere.cosine, meets), sets)
+    roofs = split(roof, sets)
+    angle, beam, *exit_ = split(slab.bounded(everywhere.cosine, meets), sets)
     roof_out = roofs[0]
 
     unscattered = before(abl, depth, beams)
@@ -215,8 +166,8 @@ def _one_wavelength(
         system = jnp.eye(size, dtype=depth.dtype) - operator * each[None, :]
         right = driving.reshape(size)
         if mode.order == 0:
-            balance = _energy_balance(slab, strength, f_nodes, angle, nodes, roof_out, coalbedo)
-            solution = _solve_balanced(slab, system, right, balance, lost_beam)
+            balance = energy_balance(slab, strength, f_nodes, angle, nodes, roof_out, coalbedo)
+            solution = solve_balanced(slab, system, right[:, None], balance, lost_beam[None])
         else:
             solution = linear.solve(system, right)
         moments[mode.order] = solution.reshape(driving.shape)
@@ -241,42 +192,3 @@ def _one_wavelength(
         ipe=flux @ (down_bottom * nodes.bottom[1]) + power @ unscattered.passed,
         brdf=brdf,
     )
-
-
-def _split(tree, sets):
-    """What belongs to each set of directions, of arrays over all of them."""
-    ends = np.cumsum([d.cosine.size for d in sets])[:-1].tolist()
-    leaves, structure = jax.tree.flatten(tree)
-    return [
-        jax.tree.unflatten(structure, x)
-        for x in zip(*(jnp.split(x, ends, axis=-1) for x in leaves), strict=True)
-    ]
-
-
-def _energy_balance(slab, strength, f, b: Bounded, d: Directions, roof: Roof, coalbedo):
-    """What each unknown takes from the light in the slab: absorbed by it, or sent out of it."""
-    top, bottom = slab.leaving_each(b, 1)
-    flux, above, below = (
-        x[None, :] for x in (d.weight * d.cosine, roof.passed + roof.absorbed, d.bottom[1])
-    )
-    leaving = (flux * f) @ (top * above + bottom * below).T
-    return (strength[:, None] * leaving).at[0, :: slab.n_depths].add(coalbedo * slab.widths).ravel()
-
-
-def _solve_balanced(slab, system, right, balance, lost_beam):
-    """Solve with the slab's balance of energy, balance·x = lost_beam, in place of one row.
-
-    The balance is a sum of the rows, so nothing changes mathematically; in a thick slab that hardly
-    absorbs, the rows' own sum would be lost in rounding. What rounding is left is scaled away.
-    """
-    empty = slab.depth <= 0
-    scale = 1 / jnp.where(empty, 1.0, slab.depth)
-    which = slab.n_panels // 2 * slab.n_depths  # the mean over the thickest panel
-    system = system.at[which].set(jnp.where(empty, system[which], balance * scale))
-    right = right.at[which].set(jnp.where(empty, right[which], lost_beam * scale))
-    # Eliminated last, where a small pivot is the small loss of light that it stands for.
-    order = np.append(np.delete(np.arange(right.size), which), which)
-    x = linear.solve(system[order][:, order], right[order])[np.argsort(order)]
-    spent = balance @ x
-    dark = spent <= 0
-    return x * jnp.where(dark, 1.0, lost_beam / jnp.where(dark, 1.0, spent))

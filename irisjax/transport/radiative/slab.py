@@ -30,6 +30,19 @@ class Ends(NamedTuple):
     floor_lost: jax.Array
 
 
+class Images(NamedTuple):
+    """Geometric series of the mirror images at a slab's ends, shape (angles,).
+
+    `series`: the sum itself; `top`: of light that arrives at the top, how much re-enters there;
+    `across`: of light at either end, at the other; `bottom`: at the bottom.
+    """
+
+    series: jax.Array
+    top: jax.Array
+    across: jax.Array
+    bottom: jax.Array
+
+
 class Bounded(NamedTuple):
     """The slab's depth polynomials along some directions, with the mirror images of its two ends.
 
@@ -42,9 +55,7 @@ class Bounded(NamedTuple):
     from_top: jax.Array
     from_bottom: jax.Array
     through: jax.Array
-    roof: jax.Array
-    floor: jax.Array
-    series: jax.Array
+    images: Images
     cosine: jax.Array
 
 
@@ -66,9 +77,18 @@ class Slab:
 
     def bounded(self, cosine, ends: Ends) -> Bounded:
         """What the slab is along directions (angles,)."""
+        return self.imaged(cosine, self.images(cosine, ends))
+
+    def images(self, cosine, ends: Ends) -> Images:
+        """Mirror images along directions (angles,)."""
         through, lost = survival(self.depth, cosine), attenuation(self.depth, cosine)
         roof, floor = (ends.roof, ends.roof_lost), (ends.floor, ends.floor_lost)
         series, _ = reflections(through, lost, roof, floor)
+        across = ends.roof * series * (ends.floor * through)
+        return Images(series, ends.roof * series, across, ends.floor * series)
+
+    def imaged(self, cosine, images: Images) -> Bounded:
+        """What the slab is along directions (angles,) with these mirror images."""
         row = cosine[None, :]
         x = self.widths[:, None] / row
         start = _legendre_moments(x, 2 * self.n_depths)
@@ -77,24 +97,20 @@ class Slab:
             emitted=x[:, None, :] * start,
             from_top=jnp.exp(-self.tops[:, None] / row),
             from_bottom=jnp.exp(-self.below[:, None] / row),
-            through=through,
-            roof=ends.roof,
-            floor=ends.floor,
-            series=series,
+            through=survival(self.depth, cosine),
+            images=images,
             cosine=cosine,
         )
 
-    def _sources(self, b: Bounded, parity: int):
+    def _sources(self, b: Bounded, parity):
         """Radiance that unit sources φ_j make: leaving at the slab's ends, and re-entering from
         them.
         """
         emitted = b.emitted[:, : self.n_depths]
-        up = (parity * emitted * b.from_top[:, None]).reshape(-1, b.cosine.size)
+        up = (_signed(parity, emitted) * b.from_top[:, None]).reshape(-1, b.cosine.size)
         down = (emitted * self._signs * b.from_bottom[:, None]).reshape(-1, b.cosine.size)
-        roof, floor, through, series = (x[None, :] for x in (b.roof, b.floor, b.through, b.series))
-        downward = roof * series * (floor * through * down + up)
-        upward = floor * (through * downward + down)
-        return up, down, downward, upward
+        top, across, bottom = (x[None, :] for x in b.images[1:])
+        return up, down, top * up + across * down, across * up + bottom * down
 
     def _tests(self, b: Bounded):
         """Depth moments of radiance entering at the top and at the bottom, (panels·orders,
@@ -106,18 +122,15 @@ class Slab:
             (start * self._signs * b.from_bottom[:, None]).reshape(-1, b.cosine.size),
         )
 
-    def moments(self, b: Bounded, weight, f, parity: int):
+    def moments(self, b: Bounded, weight, f, parity):
         """Moments ∫ weight f_l φ_i I of the radiance that unit sources f_k φ_j make.
 
-        `f` has shape (rank, angles); returns (rank·panels·orders, rank·panels·orders).
+        `f` has shape (rank, angles), `parity` is one number or one an angle; returns
+        (rank·panels·orders, rank·panels·orders).
         """
         rank, panels, n = f.shape[0], self.n_panels, self.n_depths
-        _, _, downward, upward = self._sources(b, parity)
-        entering_top, entering_bottom = self._tests(b)
         weighted = weight[None, :] * f
-        entering = jnp.concatenate([entering_top, parity * entering_bottom], axis=-1)
-        sent = jnp.concatenate([downward, upward], axis=-1)
-        out = _between(jnp.tile(weighted, 2), entering, jnp.tile(f, 2), sent)
+        out = self.moments_of_images(b, weight, f, parity)
         out = out.reshape(rank, panels, n, rank, panels, n)
         # A panel on itself: ∫∫ φ_i(s) x e^{−x|s−s'|} φ_j(s') = 2 Σ_c overlap_ijc x m_c(x).
         overlap = jnp.asarray(
@@ -146,19 +159,27 @@ class Slab:
             out = out.at[:, above, :, :, under, :].add(up.reshape(shape))
         return out.reshape(rank * panels * n, rank * panels * n)
 
-    def driving(self, b: Bounded, weights, parity: int):
+    def moments_of_images(self, b: Bounded, weight, f, parity):
+        """The part of `moments` that comes by way of the slab's ends."""
+        _, _, downward, upward = self._sources(b, parity)
+        entering_top, entering_bottom = self._tests(b)
+        entering = jnp.concatenate([entering_top, _signed(parity, entering_bottom)], axis=-1)
+        sent = jnp.concatenate([downward, upward], axis=-1)
+        return _between(jnp.tile(weight[None, :] * f, 2), entering, jnp.tile(f, 2), sent)
+
+    def driving(self, b: Bounded, weights, parity):
         """Moments of beams of radiance `weights` (rank, beams) that enter at the top, (rank,
         panels·orders).
         """
         return weights @ self.driving_each(b, parity).T
 
-    def driving_each(self, b: Bounded, parity: int):
+    def driving_each(self, b: Bounded, parity):
         """Moments of beams of radiance 1 that enter at the top, (panels·orders, beams)."""
         entering_top, entering_bottom = self._tests(b)
-        upward = parity * b.through * b.floor
-        return b.series[None, :] * (entering_top + upward[None, :] * entering_bottom)
+        upward = _signed(parity, b.through) * b.images.bottom
+        return b.images.series[None, :] * entering_top + upward[None, :] * entering_bottom
 
-    def leaving_each(self, b: Bounded, parity: int):
+    def leaving_each(self, b: Bounded, parity):
         """Radiance that each unit source sends to the top and to the bottom, (panels·orders,
         angles).
         """
@@ -166,12 +187,22 @@ class Slab:
         through = b.through[None, :]
         return up + through * upward, down + through * downward
 
-    def leaving(self, b: Bounded, source, parity: int):
+    def leaving_of_images_each(self, b: Bounded, parity):
+        """The part of `leaving_each` that comes by way of the slab's ends."""
+        _, _, downward, upward = self._sources(b, parity)
+        return b.through[None, :] * upward, b.through[None, :] * downward
+
+    def leaving(self, b: Bounded, source, parity):
         """Radiance that sources (angles, panels·orders) send to the top and to the bottom,
         (angles,).
         """
         top, bottom = self.leaving_each(b, parity)
         return (source.T * top).sum(0), (source.T * bottom).sum(0)
+
+
+def _signed(parity, x):
+    """x times one sign, or one a direction."""
+    return (jnp.reshape(parity, (1,) * (x.ndim - 1) + (-1,)) if jnp.ndim(parity) else parity) * x
 
 
 def _between(f, received, g, sent):

@@ -1,0 +1,228 @@
+"""Virtual instruments with a polariser before the lamp and an analyser before the eye.
+
+Angles of polarisation are those of a filter that is turned before a camera which looks at the iris:
+0 lies in the plane of incidence. Along oblique directions they are what a lens that collects the
+hemisphere makes of them: the field along the polar angle goes along the radius in its plane.
+"""
+
+from typing import Any, Literal, get_args
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from irisjax._types import Scalar, Spectrum
+from irisjax.measure.instrument import AbstractInstrument
+from irisjax.measure.measurement import Measurement, check_cosine
+from irisjax.numerics.angle import arctan2
+from irisjax.numerics.checks import Range, check_range
+from irisjax.numerics.roots import safe_sqrt
+from irisjax.optics.mueller import polarised_at, rotation
+from irisjax.transport.incidence import HEMISPHERE
+from irisjax.transport.solution import Polarisation, Solution, dimmed
+
+ANGLE = Range(-2 * np.pi, 2 * np.pi, "rad")
+"""Allowed angles of filters and azimuths."""
+
+AnalyserSetting = Literal["crossed", "parallel"]
+
+
+class PolarisedInstrument(AbstractInstrument):
+    """An instrument that sees polarisation, of a process that has it.
+
+    - `polariser`: angle (radians) of the light's polarisation, or `None` for unpolarised light.
+    - `cos_exit`, `azimuth`: the direction it looks from (azimuth in radians from the plane of
+        incidence, 0 where a mirror would send the light), or `None` for all of them: given as
+        `"hemisphere"`.
+
+    The cornea is left out. What the first surface mirrors counts where all directions do, unless
+    `first_surface=False`; a single direction never sees it.
+    """
+
+    polariser: Scalar | None
+    cos_exit: Scalar | None
+    azimuth: Scalar
+
+    def __init__(
+        self,
+        wavelengths,
+        *,
+        polariser: Any = None,
+        cos_exit: Any = 1.0,
+        azimuth: Any = 0.0,
+        **settings: Any,
+    ):
+        if isinstance(settings.get("cos_incidence"), str):
+            raise ValueError(
+                "polarised light comes from one direction: cos_incidence must be a number in [0, 1]"
+            )
+        super().__init__(wavelengths, **settings)
+        if self.cornea != "none":
+            raise ValueError(f"polarised light is that on the bare iris: cornea = {self.cornea!r}")
+        everywhere = isinstance(cos_exit, str)
+        if everywhere and cos_exit != HEMISPHERE:
+            raise ValueError(f"cos_exit must be a number in [0, 1] or {HEMISPHERE!r}")
+        if not everywhere:
+            check_cosine("cos_exit", cos_exit)
+        for name, angle in (("polariser", polariser), ("azimuth", azimuth)):
+            if np.shape(angle):
+                raise ValueError(f"{name} has shape {np.shape(angle)}; it must be one number")
+            check_range(name, angle, ANGLE)
+        dtype = self.wavelengths.dtype
+        self.polariser = None if polariser is None else jnp.asarray(polariser, dtype)
+        self.cos_exit = None if everywhere else jnp.asarray(cos_exit, dtype)
+        self.azimuth = jnp.asarray(azimuth, dtype)
+
+    @property
+    def polarised(self) -> bool:
+        """It needs Stokes vectors."""
+        return True
+
+    @property
+    def exits(self):
+        """The direction it looks from."""
+        if self.cos_exit is None:
+            return HEMISPHERE, None
+        return self.cos_exit[None], self.azimuth[None]
+
+    def light(self) -> Float[Array, "4"]:
+        """Stokes vector of the light on the iris, of intensity 1."""
+        if self.polariser is None:
+            return jnp.asarray([1.0, 0, 0, 0], self.wavelengths.dtype)
+        # The polar angle's axis of light on its way down points back at the lamp's side.
+        return polarised_at(-self.polariser)
+
+    def filtered(self, angle) -> Float[Array, "4"]:
+        """What an analyser at `angle` passes, as weights of a Stokes vector."""
+        turned = angle if self.cos_exit is None else angle - self.azimuth
+        return 0.5 * polarised_at(turned)
+
+    def matrix(
+        self, light: Solution
+    ) -> tuple[Float[Array, "n 4 4"], Float[Array, "n 16 16"] | None]:
+        """Mueller matrix of reflectance factors (n wavelengths), and its covariance or `None`."""
+        found = light.polarisation
+        assert isinstance(found, Polarisation)
+        if self.cos_exit is None:
+            whole = found.reflected + found.mirrored if self.first_surface else found.reflected
+            return whole, found.reflected_covariance
+        assert found.brdf is not None
+        covariance = found.brdf_covariance
+        covariance = None if covariance is None else jnp.pi**2 * covariance[:, 0]
+        return jnp.pi * found.brdf[:, 0], covariance
+
+    def measurement(self, light: Solution, factor, quantity: str, values, gradient, kind, **more):
+        """A result with the standard error that follows from `gradient` by the 16 numbers of
+        `matrix`.
+        """
+        covariance = self.matrix(light)[1]
+        error = None
+        if covariance is not None:
+            variance = jnp.einsum("wi,wij,wj->w", gradient, covariance, gradient)
+            error = safe_sqrt(variance)
+        return kind(
+            wavelengths=self.wavelengths,
+            values=values,
+            standard_error=error,
+            status=light.status,
+            absorbed=dimmed(light.absorbed, factor),
+            mirrored=factor * light.mirrored,
+            quantity=quantity,
+            unit="",
+            **more,
+        )
+
+
+class Analyser(PolarisedInstrument):
+    """Reads the share of linearly polarised light that comes back through an analyser, crossed with
+    the polariser or parallel to it.
+
+    Into one direction it is a reflectance factor, π L/E: 1 for a white diffuser that keeps the
+    polarisation, ½ through either analyser for one that does not. Both settings together make the
+    reflectance.
+    """
+
+    setting: AnalyserSetting = eqx.field(static=True)
+
+    def __init__(
+        self,
+        wavelengths,
+        setting: AnalyserSetting = "crossed",
+        *,
+        polariser: Any = 0.0,
+        **settings: Any,
+    ):
+        if setting not in get_args(AnalyserSetting):
+            raise ValueError(
+                f"setting = {setting!r}; known: {', '.join(get_args(AnalyserSetting))}"
+            )
+        if polariser is None:
+            raise ValueError("an analyser stands behind a polariser: give its angle")
+        super().__init__(wavelengths, polariser=polariser, **settings)
+        self.setting = setting
+
+    def reading(self, light: Solution, factor) -> Measurement:
+        """See `AbstractInstrument`."""
+        assert self.polariser is not None
+        crossed = self.setting == "crossed"
+        passed = self.filtered(self.polariser + (jnp.pi / 2 if crossed else 0.0))
+        scale = factor * self.gain
+        weights = scale * passed[:, None] * self.light()[None]
+        matrix, _ = self.matrix(light)
+        weights = jnp.broadcast_to(weights[None], matrix.shape)
+        name = f"{'cross' if crossed else 'co'}-polarised reflectance"
+        return self.measurement(
+            light,
+            factor,
+            name if self.cos_exit is None else f"{name} factor",
+            (weights * matrix).sum((-2, -1)),
+            weights.reshape(-1, 16),
+            Measurement,
+        )
+
+
+class PolarisedMeasurement(Measurement):
+    """A `Measurement` of the degree of linear polarisation, from 0 to 1.
+
+    - `angle`: of the polarisation, radians in (−π/2, π/2], shape (wavelengths,).
+    - `stokes`: reflectance factors I, Q, U, V, shape (wavelengths, 4); Q is 0°'s less 90°'s, U
+        45°'s less 135°'s.
+    """
+
+    angle: Spectrum
+    stokes: Float[Array, "wavelengths 4"]
+
+
+class Polarimeter(PolarisedInstrument):
+    """Reads the degree and the angle of linear polarisation of what comes back, of unpolarised
+    light or, given a `polariser`, of polarised light.
+    """
+
+    def __init__(self, wavelengths, **settings: Any):
+        super().__init__(wavelengths, **settings)
+
+    def reading(self, light: Solution, factor) -> PolarisedMeasurement:
+        """See `AbstractInstrument`."""
+        matrix, _ = self.matrix(light)
+        turn = rotation(jnp.zeros_like(self.azimuth) if self.cos_exit is None else -self.azimuth)
+        sent = matrix @ self.light()
+        stokes = sent @ turn.T
+        dark = stokes[:, 0] <= 0
+        intensity = jnp.where(dark, 1.0, stokes[:, 0])
+        linear = safe_sqrt(stokes[:, 1] ** 2 + stokes[:, 2] ** 2)
+        degree = linear / intensity
+        still = linear <= 0
+        along = stokes[:, 1:3] / jnp.where(still, 1.0, linear)[:, None]
+        by_stokes = jnp.concatenate([-degree[:, None], along, 0 * degree[:, None]], -1)
+        gradient = (by_stokes @ turn / intensity[:, None])[:, :, None] * self.light()
+        return self.measurement(
+            light,
+            factor,
+            "degree of linear polarisation",
+            degree,
+            gradient.reshape(-1, 16),
+            PolarisedMeasurement,
+            angle=0.5 * arctan2(stokes[:, 2], stokes[:, 1]),
+            stokes=factor * self.gain * stokes,
+        )

@@ -1,0 +1,93 @@
+"""Analysers and polarimeters: what every polariser must see, whatever the iris."""
+
+import jax
+import numpy as np
+import pytest
+
+import irisjax as ij
+
+GRID = [450.0, 620.0]
+IRIS = ij.Iris.of_level("low")
+SOLVER = ij.RadiativeExact(24, 8, 1)
+
+
+def read(instrument, solver=SOLVER, **options):
+    return ij.observe(IRIS, instrument, ij.POLARISED, solver, **options)
+
+
+@pytest.mark.heavy
+@pytest.mark.parametrize("where", [1.0, 0.6, "hemisphere"])
+def test_both_analysers_make_the_whole(where):
+    """Of unpolarised light: the mean over two polarisers of the sum over both analysers."""
+    total = 0.0
+    for setting in ("crossed", "parallel"):
+        for polariser in (0.3, 0.3 + np.pi / 2):
+            settings = {"polariser": polariser, "cos_exit": where, "azimuth": 0.7}
+            m = read(ij.Analyser(GRID, setting, cos_incidence=0.8, **settings))
+            assert (np.asarray(m.values) > 0).all()
+            total = total + 0.5 * m.values
+    if where == "hemisphere":
+        wanted = read(ij.Spectrophotometer(GRID, cos_incidence=0.8)).values
+    else:
+        seen = ij.Goniophotometer(GRID, cos_incidence=0.8, cos_exit=where, azimuth=0.7)
+        wanted = np.pi * read(seen).values[:, 0]
+    np.testing.assert_allclose(total, wanted, rtol=1e-10)
+
+
+@pytest.mark.heavy
+def test_along_the_normal():
+    """The spec's figures, alike for every polariser; unpolarised light stays so, by symmetry."""
+    crossed, parallel = (
+        [read(ij.Analyser(GRID, s, polariser=a)).values for a in (0.0, 0.9)]
+        for s in ("crossed", "parallel")
+    )
+    np.testing.assert_allclose(crossed[0], crossed[1], rtol=1e-9)
+    share = crossed[0] / (crossed[0] + parallel[0])
+    np.testing.assert_allclose(share, [0.0137, 0.0136], atol=1e-4)
+    plain = read(ij.Polarimeter(GRID))
+    np.testing.assert_allclose(plain.values, 0, atol=1e-9)
+    lit = read(ij.Polarimeter(GRID, polariser=0.4))
+    np.testing.assert_allclose(lit.values, 1 - 2 * share, rtol=1e-8)
+    np.testing.assert_allclose(lit.angle, 0.4, atol=1e-9)
+
+
+@pytest.mark.heavy
+def test_far_from_the_normal_light_is_polarised_across_the_plane():
+    seen = read(ij.Polarimeter(GRID, cos_exit=np.cos(np.radians(60))))
+    assert (np.asarray(seen.values) > 0.3).all()
+    np.testing.assert_allclose(np.abs(seen.angle), np.pi / 2, atol=1e-6)
+    assert seen.stokes.shape == (2, 4)
+
+
+@pytest.mark.heavy
+def test_errors_of_sampled_values():
+    """Standard errors follow from the matrices' covariance: z of both analysers, and of a degree."""
+    instruments = [
+        *(ij.Analyser(GRID, s, cos_exit="hemisphere") for s in ("crossed", "parallel")),
+        ij.Polarimeter(GRID, cos_exit=0.7),
+    ]
+    for instrument in instruments:
+        sampled = read(instrument, ij.PolarisedMonteCarlo(16_384, 0.2), key=jax.random.key(2))
+        exact = read(instrument)
+        z = (sampled.values - exact.values) / sampled.standard_error
+        assert np.abs(z).max() < 4
+        assert (np.asarray(sampled.standard_error) < exact.values).all()
+
+
+def test_refusals():
+    analyser = ij.Analyser(GRID)
+    with pytest.raises(ValueError, match=r"Analyser sees polarisation; give process=Radiative"):
+        ij.observe(IRIS, analyser, ij.DEPTH_RESOLVED)
+    with pytest.raises(ValueError, match="does not treat polarised light"):
+        ij.observe(IRIS, analyser, ij.POLARISED, ij.MonteCarlo(10), key=jax.random.key(0))
+    for settings, said in (
+        ({"polariser": None}, "give its angle"),
+        ({"polariser": 30.0}, r"polariser = 30 rad is outside"),
+        ({"cos_exit": 1.2}, "cos_exit = 1.2 is outside"),
+        ({"cos_exit": "diffuse"}, "or 'hemisphere'"),
+        ({"azimuth": [0.1]}, "azimuth has shape"),
+        ({"cos_incidence": "diffuse"}, "comes from one direction"),
+        ({"cornea": "inward"}, "bare iris: cornea = 'inward'"),
+    ):
+        with pytest.raises(ValueError, match=said):
+            ij.Analyser(GRID, **settings)

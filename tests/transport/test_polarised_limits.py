@@ -1,0 +1,154 @@
+"""Polarised radiative transfer where something is absent, equal, or at the end of its range."""
+
+import functools
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import common
+import irisjax as ij
+from common import any_order, heavily, layers, quick_jit
+from irisjax.transport.radiative.polarised import exact
+from irisjax.transport.radiative.polarised.modes import PolarisedMode
+
+IRIS = (1.336, 1.4733333333, 1.4727930095, 1.5)
+TURNING = (1.0, 1.3, 1.6, 1.2)  # total reflection at every interface
+EXITS = np.array([1.0, 0.8, 0.8, 0.6, 0.4, 0.15])
+AZIMUTH = np.array([0.0, 0.3, 2.0, np.pi / 2, np.pi - 0.2, 1.0])
+HARD = (np.array([0.02, 0.3, 1.0]), np.array([0.05, 0.0, 1.5]), np.array([0.2, 2.5, 0.3]))
+
+
+def solve(made, cosine, solver, exits=EXITS, azimuth=AZIMUTH):
+    return common.solve(ij.POLARISED, any_order(made), cosine, solver, exits, azimuth)
+
+
+def _by_intensity_alone():
+    """Rayleigh's matrix with all but its first element taken away."""
+    one, half = jnp.ones_like, 0.5
+
+    def same(*f):
+        return jnp.stack([jnp.stack([x, x]) for x in f])
+
+    def zero(mu):
+        return same(one(mu), 1.5 * mu * mu - 0.5)
+
+    def first(mu):
+        return same(mu * jnp.sqrt(1 - mu * mu))
+
+    def second(mu):
+        return same(1 - mu * mu)
+
+    return (
+        PolarisedMode(0, (half * 0.5, half * 0.25), (1, 1, 1), zero, None, None, None),
+        PolarisedMode(1, (half * 0.375,), (-1, -1, 1), first, None, None, None),
+        PolarisedMode(2, (half * 0.09375,), (1, 1, 1), second, None, None, None),
+    )
+
+
+@pytest.mark.heavy
+def test_scalar_limit():
+    """With the phase matrix's first element in its place, between equal media: scalar theory."""
+    made = layers(*HARD, (1.4, 1.4, 1.4, 1.4))
+    run = quick_jit(
+        lambda x: exact.solve(
+            x, jnp.asarray(0.6), jnp.asarray(EXITS), jnp.asarray(AZIMUTH),
+            n_angles=40, n_depths=8, n_panels=2, modes=_by_intensity_alone(),
+        )
+    )  # fmt: skip
+    found, scalar = (
+        run(made),
+        common.solve(ij.DEPTH_RESOLVED, made, 0.6, ij.RadiativeExact(n_panels=2), EXITS, AZIMUTH),
+    )
+    for name in ("reflectance", "brdf"):
+        np.testing.assert_allclose(getattr(found, name), getattr(scalar, name), rtol=1e-12)
+    np.testing.assert_allclose(found.absorbed.ipe, scalar.absorbed.ipe, rtol=1e-12)
+
+
+@pytest.mark.parametrize("media", [IRIS, heavily((1.2, 1.5, 1.3, 1.6)), heavily(TURNING)])
+@pytest.mark.parametrize("cosine", [0.7, heavily(1.0), heavily(0.1)])
+def test_without_scattering_fresnel_alone(media, cosine):
+    """Waves bounced to and fro one by one, their complex amplitudes multiplied."""
+    abl, stroma = 0.3, 0.2
+    found = solve(layers(abl, stroma, 0.0, media), cosine, ij.RadiativeExact(n_panels=2))
+    sine = media[0] * np.sqrt(1 - cosine**2)
+    mu = [np.sqrt(complex(1 - (sine / n) ** 2)) for n in media]
+
+    def amplitudes(i, j, p):
+        a, b = (media[j], media[i]) if p else (media[i], media[j])
+        share = np.sqrt(media[j] * mu[j].real / (media[i] * mu[i].real)) if mu[i].real else 0.0
+        total = a * mu[i] + b * mu[j]
+        return (a * mu[i] - b * mu[j]) / total, 2 * media[i] * mu[i] / total * share
+
+    def sent(down):
+        """Of each pair of waves the products of amplitudes that come back, bounce by bounce."""
+        states, out = {(1, 1): {k: np.prod(v) for k, v in down.items()}}, 0.0
+        for _ in range(400):
+            following = {}
+            for (layer, way), pair in states.items():
+                fade = np.exp(-(abl, stroma)[layer - 1] / mu[layer].real) if mu[layer].real else 0.0
+                ahead = layer + way
+                r, t = (np.array([amplitudes(layer, ahead, p)[k] for p in kinds]) for k in (0, 1))
+                back = pair["x"] * fade * r[0] * np.conj(r[1])
+                on = pair["x"] * fade * t[0] * np.conj(t[1]) if mu[ahead].real else 0.0
+                following.setdefault((layer, -way), {"x": 0.0})["x"] += back
+                if ahead == 0:
+                    out += on
+                elif ahead < 3:
+                    following.setdefault((ahead, way), {"x": 0.0})["x"] += on
+            states = following
+        return out
+
+    elements = {}
+    for name, kinds in (("l", (True, True)), ("r", (False, False)), ("w", (True, False))):
+        t = [amplitudes(0, 1, p)[1] for p in kinds]
+        elements[name] = sent({"x": [t[0] * np.conj(t[1])]})
+    l, r, w = (elements[k] for k in "lrw")  # noqa: E741
+    wanted = 0.5 * np.array(
+        [
+            [l.real + r.real, l.real - r.real, 0, 0],
+            [l.real - r.real, l.real + r.real, 0, 0],
+            [0, 0, 2 * w.real, -2 * w.imag],
+            [0, 0, 2 * w.imag, 2 * w.real],
+        ]
+    )
+    np.testing.assert_allclose(found.polarisation.reflected[0], wanted, rtol=0, atol=1e-13)
+    np.testing.assert_allclose(found.polarisation.brdf, 0, atol=1e-300)
+    assert float(found.reflectance[0]) == pytest.approx(wanted[0, 0], rel=1e-12, abs=1e-15)
+
+
+DEPTHS = (0.0, 1e-12, 1e-3, 1.0, 1e3, 1e6)
+
+
+@functools.cache
+def _extreme(media):
+    """Depths of absorption and scattering at the ends of their ranges, all pairs."""
+    a, s = (x.ravel() for x in np.meshgrid(DEPTHS, DEPTHS))
+    return layers(np.resize([0.0, 1e-12, 0.3, 1e6], a.size), a, s, media)
+
+
+@pytest.mark.heavy
+@pytest.mark.parametrize("media", [(1.4,) * 4, IRIS, TURNING, (1.6, 1.3, 1.2, 1.5)])
+@pytest.mark.parametrize("bits", [64, 32], ids=["f64", "f32"])
+def test_extremes(media, bits):
+    """Finite and physical, or a status that says why not; at grazing incidence and exits too."""
+    made, exits = _extreme(media), np.array([1.0, 0.5, 0.1, 1e-3, 1e-6, 0.0])
+    made = jax.tree.map(lambda x: jnp.asarray(np.asarray(x), float), made)
+    solver = ij.RadiativeExact(16, 8, 24)
+    slack = 1e-9 if bits == 64 else 2e-3
+    for cosine in (1.0, 1e-3, 0.0):
+        found = solve(made, cosine, solver, exits)
+        for leaf in jax.tree.leaves((found.reflectance, found.absorbed, found.polarisation)):
+            assert np.isfinite(leaf).all()
+        assert found.status in (ij.RESULTS.successful, ij.RESULTS.ill_conditioned)
+        shares = np.array([found.reflectance, found.mirrored, found.absorbed.ipe])
+        assert (shares > -slack).all() and (shares < 1 + slack).all()
+        matrices = np.concatenate(
+            [np.asarray(found.polarisation.brdf).reshape(-1, 4, 4), found.polarisation.reflected]
+        )
+        # No light is sent out more than wholly polarised, whatever light comes in.
+        for light in ([1, 0, 0, 0], [1, 1, 0, 0], [1, -1, 0, 0], [1, 0, 1, 0], [1, 0, 0, 1]):
+            i, *rest = np.moveaxis(matrices @ np.array(light, float), -1, 0)
+            excess = np.linalg.norm(rest, axis=0) - i
+            assert (excess < slack * (1e-6 + np.abs(matrices).max())).all()
