@@ -78,6 +78,9 @@ def test_no_wrong_number_at_any_depth(indices, g, bits):
     """Every share is in [0, 1] and they sum to one, whatever the depth, albedo and angle."""
     small = 1e-12 if bits == 64 else 2e-5
     depth, albedo = np.repeat(DEPTHS, 3), np.tile([0.0, 0.7, 1.0], len(DEPTHS))
+    if bits == 32:  # refused by name: see below
+        kept = (depth < 1e6) | (albedo < 1)
+        depth, albedo = depth[kept], albedo[kept]
     for rayleigh in (0.0, 0.4):
         seen = mixed(0.1, depth * (1 - albedo), depth * albedo, rayleigh, g, indices)
         for cosine in (1.0, 1e-3):
@@ -87,6 +90,14 @@ def test_no_wrong_number_at_any_depth(indices, g, bits):
             assert min(np.min(x) for x in shares) >= -small
             np.testing.assert_allclose(light.energy, 1.0, atol=max(small, 1e-9))
             assert bool(light.status == ij.RESULTS.successful)
+
+
+def test_single_precision_says_where_it_loses_count():
+    """Scattered 10¹² times before it is absorbed, light would leave with up to 0.3 % too little."""
+    with jax.enable_x64(False):
+        seen = mixed(0.1, 0.0, np.full(8, 1e6), 0.0, 0.9, LB06)
+        status = ij.AddingDoubling(16, 23).solve(seen, ij.DEPTH_RESOLVED, 1.0).status
+    assert bool(status == ij.RESULTS.ill_conditioned)
 
 
 def test_too_few_doublings_are_said():

@@ -33,7 +33,8 @@ from irisjax.transport.radiative.doubling import Lines, Medium, Response, respon
 from irisjax.transport.radiative.expansion import mean_turned, phase_matrices, series_value
 from irisjax.transport.radiative.fates import Course, before, course
 from irisjax.transport.radiative.orders import single_scattering
-from irisjax.transport.solution import RESULTS, Absorbed, Solution
+from irisjax.transport.radiative.resolution import outcome
+from irisjax.transport.solution import Absorbed, Solution
 from irisjax.transport.solver import AbstractSolver, checked_process
 
 _FIRST = 0.2  # optical depth of the first layer: its error is about 2e-5
@@ -117,11 +118,7 @@ class AddingDoubling(AbstractSolver):
             total_error=None,
             brdf=flux.brdf,
             brdf_error=None,
-            status=RESULTS.where(
-                layers.valid(),
-                RESULTS.where(resolved, RESULTS.successful, RESULTS.under_resolved),
-                RESULTS.invalid_input,
-            ),
+            status=outcome(layers, resolved),
         )
 
 

@@ -44,6 +44,11 @@ def _coarseness(layers: Layers, n_depths: int, n_panels: int):
 def status_of(layers: Layers, n_depths: int, n_panels: int) -> RESULTS:
     """The status of a solve with so many polynomials in so many panels."""
     resolved = (_coarseness(layers, n_depths, n_panels) <= _RESOLVED).all()
+    return outcome(layers, resolved)
+
+
+def outcome(layers: Layers, resolved) -> RESULTS:
+    """The status of a deterministic solve, given whether its depths are `resolved`."""
     conditioned = RESULTS.where(_conditioned(layers), RESULTS.successful, RESULTS.ill_conditioned)
     return RESULTS.where(
         layers.valid(),
