@@ -77,8 +77,9 @@ def coherence(cos_in: Float[Array, "*s"], cos_out: Float[Array, "*s"], n_in, n_o
     total, empty = beyond > 0, (cos_in == 0) & (cos_out == 0)
     a, b = (jnp.where(empty, 1.0, c) for c in (cos_in, cos_out))
     x = 2 * a * b / ((n_in * a + n_out * b) * (n_out * a + n_in * b))
-    # Nothing meets an interface of equal media, exactly along it neither.
-    x = jnp.where(empty, 1 / (n_in * n_in + n_out * n_out), x)
+    # Nothing meets an interface of equal media, exactly along it neither; any other one mirrors.
+    unhindered = jnp.where(n_in == n_out, 1 / (n_in * n_in + n_out * n_out), 0.0)
+    x = jnp.where(empty, unhindered, x)
     sine_squared = jnp.where(total, 1 - cos_in * cos_in, 1.0)
     q = jnp.where(total, cos_in * safe_sqrt(beyond) / sine_squared, 0.0)
     turned = 2 * q / (1 + q * q)
