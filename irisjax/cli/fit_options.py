@@ -244,6 +244,15 @@ class Results(Group):
             help="many eyes: a folder of spectra, or a CSV with a column an eye",
         ),
     ] = None
+    compare: Annotated[
+        bool,
+        option(
+            "--compare",
+            metavar="",
+            help="read the data by ILIT and by radiative transfer: evidences, pigments side by "
+            "side; into FOLDER: compare.csv, compare.png",
+        ),
+    ] = False
     posteriors: Annotated[
         bool,
         option("--posteriors", metavar="", help="with --batch: sample every eye, not only fit it"),

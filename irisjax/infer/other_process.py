@@ -185,15 +185,21 @@ def comparison_in_words(found: Comparison) -> list[str]:
 
 def preference(found: Comparison) -> str:
     """That the data prefer the other process, and by how much."""
+    odds = odds_in_words(found.log_odds)
     return (
-        f"the data prefer {name_of(found.process)}, by odds of {_odds(found.log_odds)} to 1 (least "
-        f"squares, Laplace's approximation)"
+        f"the data prefer {name_of(found.process)}, by odds of {odds} to 1 (least squares, "
+        f"Laplace's approximation)"
     )
 
 
 def name_of(process: AbstractProcess) -> str:
     """What a process is called in a sentence."""
     return "ILIT" if isinstance(process, Ilit) else "radiative transfer"
+
+
+def odds_in_words(log_odds: float) -> str:
+    """Odds to one, of their logarithm."""
+    return f"{math.exp(log_odds):.2g}" if log_odds < 30 else f"1e{log_odds / math.log(10):.0f}"
 
 
 def _shift(name: str, moved: Moved) -> str:
@@ -206,10 +212,6 @@ def _shift(name: str, moved: Moved) -> str:
         return f"{text}, about the same"
     more = ratio > 1
     return f"{text}, {ratio if more else 1 / ratio:.2g} times {'more' if more else 'less'}"
-
-
-def _odds(log_odds: float) -> str:
-    return f"{math.exp(log_odds):.2g}" if log_odds < 30 else f"1e{log_odds / math.log(10):.0f}"
 
 
 def _fitted(problem: Problem) -> list[int]:
