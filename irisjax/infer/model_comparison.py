@@ -24,10 +24,10 @@ from irisjax.infer.other_process import (
     other_of,
 )
 from irisjax.infer.pieces import pointwise, predicted
-from irisjax.infer.problem import Problem, kind
+from irisjax.infer.problem import Problem, kind, unit_of
 from irisjax.infer.summary import DRAWS, reported
 
-_QUOTED = ("melanin_load", "abl_fraction")
+_QUOTED = {"melanin_load": "melanin load", "abl_fraction": "ABL fraction"}
 
 
 class Candidate(NamedTuple):
@@ -117,8 +117,6 @@ def comparison_sentence(assessments: Sequence[Assessment]) -> str:
     first, second = sorted(assessments, key=lambda a: -a.evidence.log_evidence)[:2]
     log_odds = first.evidence.log_evidence - second.evidence.log_evidence
     error = math.hypot(first.evidence.error, second.evidence.error)
-    names = [a.name for a in assessments]
-    listed = f"{', '.join(names[:-1])} and {names[-1]}"
     if log_odds - 2 * error > PREFERRED:
         said = f"prefer {first.name} to {second.name} by odds of {odds_in_words(log_odds)} to 1"
     else:
@@ -126,23 +124,28 @@ def comparison_sentence(assessments: Sequence[Assessment]) -> str:
     evidences = ", ".join(
         f"{a.evidence.log_evidence:.1f} ± {a.evidence.error:.1f} by {a.name}" for a in assessments
     )
-    moves = [_moves(n, assessments) for n in assessments[0].values if kind(n) in _QUOTED]
     data = ", ".join(o.name for o in assessments[0].candidate.problem.observations)
-    return (
-        f"Of {listed}, the data ({data}) {said} (ln evidence {evidences}; nested sampling, the "
-        f"same priors){'; ' if moves else ''}{', '.join(moves)}."
+    quoted = [n for n in assessments[0].values if kind(n) in _QUOTED]
+    parts = (
+        f"The data ({data}) {said} (ln evidence {evidences}; nested sampling, equal priors)",
+        *(_placed(name, assessments) for name in quoted),
     )
+    return f"{'; '.join(parts)}."
 
 
-def _moves(name: str, assessments: Sequence[Assessment]) -> str:
-    unit = dict(zip(*(lambda p: (p.free, p.units))(assessments[0].candidate.problem), strict=True))
+def _placed(name: str, assessments: Sequence[Assessment]) -> str:
+    """A pigment by every model, and its ratio to the first one's."""
     each = []
     for a in assessments:
         value, low, high = a.values[name]
-        times = "" if a is assessments[0] else f", {a.ratios[name].value:.2g} times that"
-        each.append(f"{value:.3g} ({low:.3g} to {high:.3g}) by {a.name}{times}")
-    shown = unit[name] and f" ({unit[name]})"
-    return f"{name.replace('_', ' ')}{shown} is {', '.join(each)}"
+        text = f"{value:.3g} ({low:.3g} to {high:.3g}) by {a.name}"
+        if a is not assessments[0]:
+            ratio, least, most = a.ratios[name]
+            text += f", {ratio:.2g} ({least:.2g} to {most:.2g}) times that"
+        each.append(text)
+    plain, tag = _QUOTED[kind(name)], name.partition("@")[2]
+    unit = unit_of(name) and f", {unit_of(name)}"
+    return f"{plain}{tag and f' {tag}'}{unit} (95 %): {', '.join(each)}"
 
 
 def _assessed(
