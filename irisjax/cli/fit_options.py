@@ -246,12 +246,7 @@ class Results(Group):
     ] = None
     compare: Annotated[
         bool,
-        option(
-            "--compare",
-            metavar="",
-            help="read the data by ILIT and by radiative transfer: evidences, pigments side by "
-            "side; into FOLDER: compare.csv, compare.png",
-        ),
+        option("--compare", metavar="", help="models of light side by side, with evidences"),
     ] = False
     posteriors: Annotated[
         bool,

@@ -81,7 +81,7 @@ def evidence(
     check_whole("live", live, 50)
     check_whole("draws", draws, 1)
     import blackjax
-    from blackjax.ns import utils
+    from blackjax.ns import base, utils
 
     first, moves, volumes, choice = jax.random.split(key, 4)
     settings = _Settings(
@@ -91,10 +91,12 @@ def evidence(
     state = _begun(problem, jax.random.normal(first, (live, len(problem.free)), dtype), settings)
     if not bool((state.particles.loglikelihood > _LOWEST).any()):
         raise ValueError("no draw of the priors has a likelihood: see Problem.status")
-    dead, steps, left = [], 0, math.inf
+    without_moves: Any = base.NSInfo
+    dead = []
+    steps, left = 0, math.inf
     while left > math.log(_LEFT):
         state, died = _advanced(problem, state, jax.random.fold_in(moves, steps), settings)
-        dead.append(died)
+        dead.append(without_moves(died, None))
         steps += _STEPS
         left = float(state.integrator.logZ_live - state.integrator.logZ)
         if progress is not None:
@@ -153,6 +155,4 @@ def _advanced(problem: Problem, state, key, settings: _Settings):
         return state, info.particles
 
     state, died = jax.lax.scan(step, state, jax.random.split(key, _STEPS))
-    from blackjax.ns.base import NSInfo
-
-    return state, NSInfo(jax.tree.map(lambda x: x.reshape(-1, *x.shape[2:]), died), None)
+    return state, jax.tree.map(lambda x: x.reshape(-1, *x.shape[2:]), died)

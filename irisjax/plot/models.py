@@ -1,7 +1,7 @@
 """A measurement as several models read it."""
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -29,7 +29,8 @@ def models_figure(
     """
     n, marks = len(observations), ("o", "s", "^", "D")
     figure = figure_of(3.2 + 4.6 * n, 5.4)
-    left, right = figure.subfigures(1, 2, width_ratios=(4.6 * n, 2.6))
+    parts: Any = figure.subfigures(1, 2, width_ratios=(4.6 * n, 2.6))
+    left, right = parts
     figure.suptitle(title, fontsize=8, wrap=True)
     axes = left.subplots(2, n, squeeze=False, sharex="col", height_ratios=(2.2, 1))
     for k, (name, quantity, is_colour, grid, values) in enumerate(observations):
