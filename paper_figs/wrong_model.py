@@ -37,13 +37,13 @@ def main():
                 held = np.mean((low <= truth) & (truth <= high))
                 ax.plot(
                     truth, found / truth, marker, color=colour, ms=3, mew=0.8, ls="none",
-                    alpha=0.6, label=f"{label}: {100 * held:.0f} % held",
+                    alpha=0.6, label=f"{label}: {100 * held:.1f} % held",
                 )  # fmt: skip
             ax.axhline(1, color="0.4", lw=0.8)
             ax.set(yscale="log", xlabel=true)
             if name == "load":
                 ax.set(xscale="log", title=f"made by {maker},\nread by {reader}")
-            ax.legend(fontsize=6, loc="lower left" if name == "load" else "upper right")
+            ax.legend(fontsize=6, loc="upper right")
     for ax, (what, _) in zip(axes[:, 0], READ.values(), strict=True):
         ax.set_ylabel(f"{what}, read over true")
     figure.suptitle(
