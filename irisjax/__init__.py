@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from irisjax.grow.vessels import veins as veins
     from irisjax.infer.fit import fit as fit
     from irisjax.infer.identifiability import information as information
+    from irisjax.infer.model_comparison import compare_models as compare_models
     from irisjax.infer.noise import Noise as Noise
     from irisjax.infer.observation import Observation as Observation
     from irisjax.infer.observation import colour_data as colour_data
@@ -98,6 +99,7 @@ _HOMES = {
     "grow.vessels": ("veins",),
     "infer.fit": ("fit",),
     "infer.identifiability": ("information",),
+    "infer.model_comparison": ("compare_models",),
     "infer.noise": ("Noise",),
     "infer.observation": (
         "Observation",

@@ -11,7 +11,7 @@ import irisjax as ij
 from irisjax import io
 from irisjax._interrupt import unfinished
 from irisjax.cli.fit_options import Measured, Model, Results, Sampler
-from irisjax.cli.options import grouped
+from irisjax.cli.options import dashed, grouped
 from irisjax.infer.parameters import DEFAULT_FREE, PARAMETERS
 from irisjax.plot.beside import beside, here
 
@@ -48,7 +48,7 @@ def fit(measured: Measured, model: Model, sampler: Sampler, results: Results) ->
     --resume), or an eye of a --batch failed (doubtful ones are counted, and
     marked in the file); 2 for wrong input.
     """
-    from irisjax.cli import report
+    from irisjax.cli import compare, report
     from irisjax.cli.batch import many
 
     spectra = measured.spectra or []
@@ -56,6 +56,8 @@ def fit(measured: Measured, model: Model, sampler: Sampler, results: Results) ->
         raise ValueError(
             "give the SPECTRUM of an eye, or --batch with a folder or a CSV of many eyes"
         )
+    if results.compare:
+        _check_comparison(sampler, results)
     if model.separate is not None and len(spectra) < 2:
         raise ValueError("--separate needs two or more spectra of one eye")
     options = {"noise": measured.noise, **model.stated}
@@ -89,6 +91,9 @@ def fit(measured: Measured, model: Model, sampler: Sampler, results: Results) ->
         nullcontext(here) if keep is None else beside() as draw,
     ):
         problem = ij.problem(observations, **options)
+        if results.compare:
+            compare.models(problem, keep, sampling, bar, draw)
+            raise typer.Exit(0)
         if keep is not None:
             _check_folder(keep, resume, results.overwrite)
         begins_anew = keep is None or (results.overwrite and not resume)
@@ -105,6 +110,25 @@ def fit(measured: Measured, model: Model, sampler: Sampler, results: Results) ->
             problem, folder, sampling, bar, resume=resume, files=keep is not None, draw=draw
         )
     raise typer.Exit(0 if converged else _NOT_CONVERGED)
+
+
+def _check_comparison(sampler: Sampler, results: Results) -> None:
+    """Refuse what means nothing beside `--compare`, and results that would be lost."""
+    from irisjax.cli.compare import FILES
+    from irisjax.infer.evidence import check_sampler
+
+    typed = [n for n in ("walkers", "max_steps") if n in sampler.typed]
+    typed += [n for n in ("batch", "posteriors", "resume") if n in results.typed]
+    if typed:
+        raise ValueError(f"--compare does not go with {', '.join(map(dashed, typed))}")
+    check_sampler()
+    folder = results.output
+    if folder is None:
+        return
+    if folder.exists() and not folder.is_dir():
+        raise ValueError(f"{folder}: is a file, not a folder")
+    if not results.overwrite and any((folder / name).exists() for name in FILES):
+        raise ValueError(f"{folder}: has a comparison; --overwrite begins anew")
 
 
 def _check_folder(folder: Path, resume: bool, overwrite: bool) -> None:

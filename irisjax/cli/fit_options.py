@@ -244,6 +244,10 @@ class Results(Group):
             help="many eyes: a folder of spectra, or a CSV with a column an eye",
         ),
     ] = None
+    compare: Annotated[
+        bool,
+        option("--compare", metavar="", help="models of light side by side, with evidences"),
+    ] = False
     posteriors: Annotated[
         bool,
         option("--posteriors", metavar="", help="with --batch: sample every eye, not only fit it"),

@@ -186,15 +186,21 @@ def comparison_in_words(found: Comparison) -> list[str]:
 
 def preference(found: Comparison) -> str:
     """That the data prefer the other process, and by how much."""
+    odds = odds_in_words(found.log_odds)
     return (
-        f"the data prefer {name_of(found.process)}, by odds of {_odds(found.log_odds)} to 1 (least "
-        f"squares, Laplace's approximation)"
+        f"the data prefer {name_of(found.process)}, by odds of {odds} to 1 (least squares, "
+        f"Laplace's approximation)"
     )
 
 
 def name_of(process: AbstractProcess) -> str:
     """What a process is called in a sentence."""
     return "ILIT" if isinstance(process, Ilit) else "radiative transfer"
+
+
+def odds_in_words(log_odds: float) -> str:
+    """Odds to one, of their logarithm."""
+    return f"{math.exp(log_odds):.2g}" if log_odds < 30 else f"1e{log_odds / math.log(10):.0f}"
 
 
 def _shift(name: str, moved: Moved) -> str:
@@ -209,10 +215,6 @@ def _shift(name: str, moved: Moved) -> str:
     return f"{text}, {ratio if more else 1 / ratio:.2g} times {'more' if more else 'less'}"
 
 
-def _odds(log_odds: float) -> str:
-    return f"{math.exp(log_odds):.2g}" if log_odds < 30 else f"1e{log_odds / math.log(10):.0f}"
-
-
 def _fitted(problem: Problem) -> list[int]:
     """Places of the parameters that least squares fit."""
     return [i for i, n in enumerate(problem.free) if kind(n) != "noise"]
@@ -222,19 +224,26 @@ def intervals_of(problem: Problem, found: Fit | Optimum, spread: float) -> dict[
     """The free parameters with 95 % intervals, of a fit whose noise is `spread` times what was
     stated.
     """
-    z, covariance = np.asarray(found.z), np.asarray(found.covariance)
-    half = 1.96 * spread * np.sqrt(np.maximum(np.diagonal(covariance), 0.0))
-    half = np.minimum(half, 1.96 * np.maximum(1.0, np.abs(z)))  # no wider than the prior
+    z = np.asarray(found.z)
+    half = 1.96 * np.sqrt(np.diagonal(covariance_at(np.asarray(found.covariance), spread)))
     values = (np.asarray(problem.natural(jnp.asarray(x))) for x in (z, z - half, z + half))
     return {
         n: Interval(*(float(v) for v in row)) for n, *row in zip(problem.free, *values, strict=True)
     }
 
 
+def covariance_at(covariance: np.ndarray, spread: float) -> np.ndarray:
+    """(JᵀJ/s² + 1)⁻¹ of noise s times as large, from (JᵀJ + 1)⁻¹: the data count for less, the
+    priors, standard normal in these coordinates, for as much as before.
+    """
+    square = spread**2
+    return square * np.linalg.solve(np.eye(len(covariance)) + (square - 1) * covariance, covariance)
+
+
 def _log_evidence(problem: Problem, found: Fit | Optimum, spread: float) -> float:
     """ln of the evidence but for a constant that processes share."""
     kept = _fitted(problem)
-    covariance = np.asarray(found.covariance)[np.ix_(kept, kept)]
+    covariance = covariance_at(np.asarray(found.covariance)[np.ix_(kept, kept)], spread)
     data = 0.5 * float(found.chi_square)
     prior = float(found.cost) - data
     return float(0.5 * np.linalg.slogdet(covariance)[1] - data / spread**2 - prior)

@@ -3,6 +3,7 @@
 from irisjax.plot.brdf import brdf_figure as brdf_figure
 from irisjax.plot.inference import corner_figure as corner_figure
 from irisjax.plot.inference import fit_figure as fit_figure
+from irisjax.plot.models import models_figure as models_figure
 from irisjax.plot.pictures import SUFFIXES as SUFFIXES
 from irisjax.plot.pictures import check_suffix as check_suffix
 from irisjax.plot.pictures import picture as picture

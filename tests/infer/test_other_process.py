@@ -96,6 +96,21 @@ def test_what_is_said(other, differs, said):
     assert line.endswith(said)
 
 
+def test_noise_widens_what_the_data_say_and_not_the_prior(read):
+    """As a fit whose noise is stated that much larger."""
+    by, eyes = read
+    one = by["whole-layer"].with_observations(eyes["whole-layer"])
+    (seen,) = one.observations
+    larger = one.with_observations(with_values(seen, seen.values, 3 * seen.sd))
+    narrow, wide = (other_process.optimum(p, jax.random.key(1)) for p in (one, larger))
+    found = other_process.covariance_at(narrow.covariance, 3.0)
+    np.testing.assert_allclose(found, wide.covariance, atol=0.02)
+    np.testing.assert_allclose(other_process.covariance_at(np.eye(3), 7.0), np.eye(3))
+    intervals = other_process.intervals_of(one, narrow, 3.0)
+    for name, expected in other_process.intervals_of(larger, wide, 1.0).items():
+        np.testing.assert_allclose(intervals[name], expected, rtol=0.05)
+
+
 def test_noise_is_no_less_than_stated():
     def left(chi_square):
         z = np.zeros(1)

@@ -1,0 +1,126 @@
+"""`irisjax fit --compare`: files and one sentence; what does not go with it."""
+
+import csv
+
+import numpy as np
+import pytest
+from stand_ins import Quick
+
+import irisjax as ij
+from irisjax.cli import compare
+from irisjax.infer import evidence
+from irisjax.infer.evidence import Evidence
+from irisjax.infer.model_comparison import Assessment, Candidate, candidates_of
+from irisjax.infer.other_process import Interval
+
+
+@pytest.fixture
+def compared(quick, monkeypatch):
+    """The command without its sampler; the calls of the comparison."""
+    calls = []
+
+    def stand_in(problem, *, progress, key):
+        calls.append(problem)
+        out = []
+        for i, process in enumerate((ij.ILIT_2006, ij.DEPTH_RESOLVED)):
+            mine = ij.problem(problem.observations, process=process, solver=Quick())
+            found = Evidence(100.0 - 20 * i, 0.2, np.zeros((2, 7)), 2.0, 8)
+            values = {
+                n: Interval(0.1 * (i + 1), 0.05, 0.4)
+                for n in ("melanin_load", "abl_fraction", "noise")
+            }
+            ratios = {n: Interval(1.0 + i, 0.5, 4.0) for n in values}
+            models = tuple(np.asarray(o.values) for o in problem.observations)
+            name = ("ILIT", "radiative transfer")[i]
+            progress(name, 8)
+            out.append(
+                Assessment(Candidate(name, mine), found, 90.0, 4.0, values, ratios, models, models)
+            )
+        return tuple(out)
+
+    monkeypatch.setattr(compare, "compare_models", stand_in)
+    monkeypatch.setattr(evidence, "check_sampler", lambda: None)
+    return calls
+
+
+def test_from_file_to_files(irisjax, eye, compared, tmp_path):
+    folder = tmp_path / "out"
+    status, out, err = irisjax("fit", eye, "--compare", "-o", folder)
+    assert (status, err) == (0, "")
+    sentence = out.splitlines()[0]
+    assert sentence.startswith("The data (eye.csv) prefer ILIT to radiative transfer by odds of")
+    assert {p.name for p in folder.iterdir()} == {"compare.csv", "compare.png"}
+    text = (folder / "compare.csv").read_text()
+    assert text.splitlines()[0] == f"# {sentence}"
+    rows = list(csv.DictReader(line for line in text.splitlines() if not line.startswith("#")))
+    assert [r["model"] for r in rows] == ["ILIT", "radiative transfer"]
+    assert [r["process"] for r in rows] == ["whole-layer", "depth-resolved"]
+    assert [float(r["ln_evidence"]) for r in rows] == [100.0, 80.0]
+    assert float(rows[1]["melanin_load_ratio"]) == 2.0
+    assert float(rows[1]["melanin_load_ratio_q97.5"]) == 4.0
+    assert (folder / "compare.png").read_bytes().startswith(b"\x89PNG")
+    # A second run is refused, or gives the same bytes.
+    before = {p.name: p.read_bytes() for p in folder.iterdir()}
+    status, out, err = irisjax("fit", eye, "--compare", "-o", folder)
+    assert (status, out, err.count("\n")) == (2, "", 1)
+    assert "--overwrite begins anew" in err
+    assert irisjax("fit", eye, "--compare", "-o", folder, "--overwrite")[0] == 0
+    assert {p.name: p.read_bytes() for p in folder.iterdir()} == before
+
+
+def test_without_a_folder_it_is_printed_only(irisjax, eye, compared, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    status, out, _ = irisjax("fit", eye, "--compare")
+    assert status == 0
+    assert "ln evidence" in out
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_two_spots_and_settings_reach_the_comparison(irisjax, eye, compared, tmp_path):
+    said = ("--compare", "--process", "depth-resolved", "--fix", "abl_fraction=0.5")
+    said += ("--discrepancy", "0.02:80")
+    assert irisjax("fit", eye, eye, *said)[0] == 0
+    (problem,) = compared
+    assert len(problem.observations) == 2
+    assert problem.process == ij.DEPTH_RESOLVED
+    assert "abl_fraction" not in problem.free
+    np.testing.assert_allclose(problem.noise.discrepancy, 0.02)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (("{eye}", "--walkers", "32"), "--compare does not go with --walkers"),
+        (("{eye}", "--max-steps", "9"), "--compare does not go with --max-steps"),
+        (("{eye}", "--resume"), "--compare does not go with --resume"),
+        (("--batch", "{eye}"), "--compare does not go with --batch"),
+        (("{eye}", "-o", "{eye}"), "is a file, not a folder"),
+        (("{eye}", "--cos-incidence", "2"), "--cos-incidence: 2 is outside [0, 1]"),
+    ],
+)
+def test_wrong_input_is_one_line(irisjax, eye, compared, arguments, message):
+    given = (str(eye) if a == "{eye}" else a for a in arguments)
+    status, out, err = irisjax("fit", "--compare", *given)
+    assert (status, out, err.count("\n")) == (2, "", 1)
+    assert message in err
+    assert not compared
+
+
+def test_a_missing_sampler_is_one_line(irisjax, eye, quick, monkeypatch):
+    find = evidence.importlib.util.find_spec
+    monkeypatch.setattr(
+        evidence.importlib.util,
+        "find_spec",
+        lambda name, *more: None if name == "blackjax" else find(name, *more),
+    )
+    status, out, err = irisjax("fit", eye, "--compare")
+    assert (status, out, err.count("\n")) == (2, "", 1)
+    assert "pip install 'irisjax[compare]'" in err
+
+
+def test_the_command_compares_ilit_and_radiative_transfer(irisjax, eye, compared):
+    """What the stand-in takes the place of."""
+    irisjax("fit", eye, "--compare")
+    (problem,) = compared
+    names = [c.name for c in candidates_of(ij.problem(problem.observations))]
+    assert names == ["ILIT", "radiative transfer"]
