@@ -13,7 +13,8 @@ import irisjax as ij
 from irisjax import io
 from irisjax.cli.report import key_of
 from irisjax.infer.model_comparison import Assessment, compare_models, comparison_sentence
-from irisjax.infer.problem import Problem, kind, unit_of
+from irisjax.infer.parameters import kind, unit_of
+from irisjax.infer.problem import Problem
 from irisjax.plot.beside import Later, here
 
 FILES = ("compare.csv", "compare.png")

@@ -23,8 +23,9 @@ from irisjax.infer.other_process import (
     odds_in_words,
     other_of,
 )
+from irisjax.infer.parameters import kind, unit_of
 from irisjax.infer.pieces import pointwise, predicted
-from irisjax.infer.problem import Problem, kind, unit_of
+from irisjax.infer.problem import Problem
 from irisjax.infer.summary import DRAWS, reported
 
 _QUOTED = {"melanin_load": "melanin load", "abl_fraction": "ABL fraction"}
