@@ -99,8 +99,8 @@ def exact(process, n_angles=40):
 
 def any_order(made):
     """The same layers, compiled for every order of media alike: one program for all of them."""
-    fields = (getattr(made, f.name) for f in dataclasses.fields(made) if f.name != "order")
-    return type(made)(*fields, order=type(made.order)())
+    fields = {f.name: getattr(made, f.name) for f in dataclasses.fields(made)}
+    return type(made)(**fields | {"order": type(made.order)()})
 
 
 def solve(process, made, cosine=1.0, solver=None, exits=None, azimuth=None):
