@@ -15,6 +15,8 @@ from irisjax.export.handover import export as write
 from irisjax.numerics.checks import Range, check_range
 from irisjax.render.albedo import CONE
 
+_MODELS = "separable", "radiative-transfer"
+
 
 @dataclass(frozen=True, kw_only=True)
 class Handover(Group):
@@ -22,6 +24,13 @@ class Handover(Group):
 
     PANEL = "Files"
 
+    integrator: Annotated[
+        str | None,
+        option(
+            metavar="name",
+            help=f"whose albedo and BRDF: {', '.join(_MODELS)}; default: the scene's, separable",
+        ),
+    ] = None
     spacing: Annotated[float, option(metavar="MM", help="size of the triangles, 0.02 to 2")] = 0.1
     output: Annotated[
         Path, option("-o", "--output", metavar="FOLDER", help="a new or empty folder")
@@ -29,6 +38,10 @@ class Handover(Group):
 
     def __post_init__(self):
         super().__post_init__()
+        if self.integrator is not None and self.integrator not in _MODELS:
+            raise ValueError(
+                f"--integrator: unknown {self.integrator!r}; known: {', '.join(_MODELS)}"
+            )
         check_range("--spacing", self.spacing, Range(0.02, 2, "mm"))
 
 
@@ -41,7 +54,8 @@ def export(subject: EyeWithPupil, handover: Handover) -> None:
     """
     output = handover.output
     check_folder(output)
-    scene = changed(subject.read().scene(), pupil_radius=subject.pupil_radius)
+    scene = subject.read().scene(handover.integrator)
+    scene = changed(scene, pupil_radius=subject.pupil_radius)
     made = write(output, scene, spacing=handover.spacing)
     off = ", ".join(f"{100 * v:.2g} %" for v in np.asarray(made.error.rms))
     typer.echo(

@@ -19,8 +19,11 @@ from irisjax.io.images import encode_exr, encode_png, spectral_channels
 from irisjax.io.maps import encode_maps
 from irisjax.io.tables import format_table, write_together
 from irisjax.measure.colour import srgb_encode
-from irisjax.render.albedo import LambertError, Matt
+from irisjax.render.albedo import Matt
 from irisjax.render.bands import Bands, all_bands, colour_bands
+from irisjax.render.integrator import AbstractIntegrator
+from irisjax.render.lambert import LambertError
+from irisjax.render.radiative import RadiativeIntegrator
 from irisjax.render.scene import Scene
 from irisjax.render.sclera import Blood, colour_table
 from irisjax.render.separable import Separable
@@ -45,7 +48,8 @@ def export(folder: str | Path, scene: Scene, *, spacing: float = 0.1) -> Exporte
     - Meshes of what the eye has (anterior, posterior, iris, sclera) as .ply and .obj, triangles of
         about `spacing` mm.
     - albedo.exr: linear sRGB under the scene's illuminant of each texel, its
-        directional–hemispherical reflectance at normal incidence by ILIT (`render.albedo`);
+        directional–hemispherical reflectance at normal incidence (`render.albedo`), by radiative
+        transfer where that is the scene's integrator, else by ILIT;
         albedo.png: the same, 8-bit sRGB. Texels out of sRGB's range are clipped in both: renderers
         drop light paths that meet a negative albedo. reflectance.exr: the spectral albedo, a layer
         for each of `WAVELENGTHS`, never clipped; relief.exr: height towards the viewer, mm, if
@@ -84,7 +88,9 @@ def check_folder(folder: str | Path) -> None:
 
 
 def _contents(scene: Scene, spacing: float) -> tuple[dict[str, bytes], int, LambertError]:
-    integrator = scene.integrator if isinstance(scene.integrator, Separable) else Separable()
+    integrator = scene.integrator
+    if not isinstance(integrator, Separable | RadiativeIntegrator):
+        integrator = Separable()
     iris, maps, cornea = scene.iris, scene.maps, scene.eye.cornea
     meshes = {name: right_handed(mesh) for name, mesh in eye_meshes(scene.eye, spacing).items()}
     data = {f"{name}.ply": encode_ply(mesh) for name, mesh in meshes.items()}
@@ -131,7 +137,7 @@ def _contents(scene: Scene, spacing: float) -> tuple[dict[str, bytes], int, Lamb
         environment=None if scene.environment is None else "environment.exr",
     ).encode()
     data["README.txt"] = readme(
-        scene, list(data), error, float(matt.response.error), clipped
+        scene, list(data), error, float(matt.response.error), clipped, integrator.process
     ).encode()
     return data, clipped, error
 
@@ -178,12 +184,12 @@ def _white(scene: Scene) -> np.ndarray | None:
     return np.asarray(table(Blood(veins.depth, veins.cover, veins.deep))).mean((0, 1))
 
 
-def _brdf(matt: Matt, illuminant: str, integrator: Separable) -> str:
+def _brdf(matt: Matt, illuminant: str, integrator: AbstractIntegrator) -> str:
     angle = np.arange(0.0, 90.0, 5.0)
     azimuth = np.array([0.0, 90.0, 180.0])
     cosine = jnp.cos(jnp.radians(jnp.asarray(angle)))
-    values = np.swapaxes(np.asarray(matt.brdf(cosine, cosine)), 1, 2)  # (in, out, rgb)
-    values = np.repeat(values[:, :, None], azimuth.size, axis=2).reshape(-1, 3)
+    values = matt.brdf(cosine, cosine, jnp.radians(jnp.asarray(azimuth)))
+    values = np.asarray(values).reshape(-1, 3)
     place = np.stack(np.meshgrid(angle, angle, azimuth, indexing="ij"), axis=-1).reshape(-1, 3)
     header = {
         "simulated": "BRDF of the uniform iris in the aqueous humour, without the light "

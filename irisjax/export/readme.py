@@ -6,8 +6,10 @@ import numpy as np
 
 from irisjax.anatomy.media import TEAR
 from irisjax.export.mitsuba import WIDEST
-from irisjax.render.albedo import CONE, LambertError
+from irisjax.render.albedo import CONE
+from irisjax.render.lambert import LambertError
 from irisjax.render.scene import Scene
+from irisjax.transport.process import AbstractProcess
 
 _WHAT = {
     "anterior.ply": "front of the cornea (also .obj)",
@@ -29,9 +31,17 @@ _WHAT = {
 }
 
 
-def readme(scene: Scene, names: list[str], error: LambertError, table: float, clipped: int) -> str:
+def readme(
+    scene: Scene,
+    names: list[str],
+    error: LambertError,
+    table: float,
+    clipped: int,
+    process: AbstractProcess,
+) -> str:
     """The text for the files `names`; `table` is the error of the albedos' table, relative to the
-    brightest texel, `clipped` how many texels are out of sRGB's range.
+    brightest texel, `clipped` how many texels are out of sRGB's range, `process` of light in the
+    iris.
     """
     cornea = scene.eye.cornea
     lines = ["An eye simulated by irisjax; nothing here was measured.", ""]
@@ -43,8 +53,8 @@ def readme(scene: Scene, names: list[str], error: LambertError, table: float, cl
     lines += [f"{name:<16}{what}" for name, what in _WHAT.items() if name in names]
     lines += ["", *_blender(scene, names), "", "Approximations"]
     lines += [
-        "- The iris is matt here. The model's is not: its BRDF falls towards grazing exits. albedo "
-        "is the share of",
+        f"- The iris's light is by {process}.",
+        "- The iris is matt here. The model's is not: see brdf.csv. albedo is the share of",
         "  light that comes back from normal incidence, without the mirrored first surface. Used "
         "as a Lambertian base",
         f"  colour it is off, for directions within {CONE:g} degrees of the normal, by (red, "

@@ -2,11 +2,9 @@
 wrong it is.
 
 ILIT's BRDF is (1 − F(μ_i)) g(μ_o): it does not ask whence light comes but for the first surface,
-and falls towards grazing exits, the more the more the ABL absorbs. A Lambertian surface of the same
-power is its nearest relative.
+and falls towards grazing exits, the more the more the ABL absorbs. Radiative transfer's leans
+towards the light. A Lambertian surface of the same power is the nearest relative of either.
 """
-
-from typing import NamedTuple
 
 import equinox as eqx
 import jax
@@ -19,6 +17,9 @@ from irisjax.numerics.portions import in_portions
 from irisjax.numerics.programs import program
 from irisjax.optics.fresnel import fresnel_at
 from irisjax.render.bands import Bands
+from irisjax.render.compose import respond
+from irisjax.render.lambert import LambertError, of_pairs
+from irisjax.render.radiative import RadiativeIntegrator, RadiativeResponse
 from irisjax.render.separable import Separable, SeparableResponse
 from irisjax.tissue.iris import Iris
 from irisjax.tissue.maps import IrisMaps, Scales, cell_centres
@@ -28,23 +29,7 @@ CONE = 50.0
 cornea.
 """
 _TEXELS = 2048
-
-
-class LambertError(NamedTuple):
-    """A Lambertian iris of the albedo against ILIT's, relative, channel by channel, shape
-    (channels,).
-
-    - `rms`: of the whole iris's mean radiance, over pairs of directions within `CONE` of the normal
-        in proportion to their cosines. `most`: the largest there, with its sign (negative: the
-        Lambertian one is darker).
-    - `texels`: r.m.s. over texels too, relative to the mean radiance of the iris.
-    - `hemisphere`: as `rms`, over all directions, relative to the mean BRDF.
-    """
-
-    rms: np.ndarray
-    most: np.ndarray
-    texels: np.ndarray
-    hemisphere: np.ndarray
+_TURNS = np.pi * (np.arange(6) + 0.5) / 6  # azimuths that are told apart, each once
 
 
 class Matt(eqx.Module):
@@ -52,7 +37,7 @@ class Matt(eqx.Module):
     mirrors.
     """
 
-    response: SeparableResponse
+    response: SeparableResponse | RadiativeResponse
     scales: Scales
     iris: Iris
     eye: Eye
@@ -60,7 +45,12 @@ class Matt(eqx.Module):
 
     @classmethod
     def of(
-        cls, iris: Iris, maps: IrisMaps | None, eye: Eye, bands: Bands, integrator: Separable
+        cls,
+        iris: Iris,
+        maps: IrisMaps | None,
+        eye: Eye,
+        bands: Bands,
+        integrator: Separable | RadiativeIntegrator,
     ) -> "Matt":
         """The iris in the channels of `bands`: of `colour_bands` linear sRGB, of unit weights
         spectral reflectance.
@@ -75,7 +65,9 @@ class Matt(eqx.Module):
             )
 
         ranges = Scales(*map(with_one, scales.ranges()))
-        response = _response(iris, eye.aqueous_index, bands, ranges, integrator)
+        made = integrator.prepare(iris, eye.aqueous_index, bands, ranges)
+        response = respond(made, iris, eye.aqueous_index, bands, ranges)
+        assert isinstance(response, SeparableResponse | RadiativeResponse)
         return cls(response, scales, iris, eye, (2, 2) if maps is None else maps.shape)
 
     def first(self, channels: int) -> "Matt":
@@ -89,7 +81,7 @@ class Matt(eqx.Module):
 
         It has the shape of the maps; without maps (2, 2), every texel alike.
         """
-        return _albedo(self.response, self.scales, self.entering(1.0), self.shape)
+        return _albedo(self.response, self.scales, self._given(1.0), self.shape)
 
     def entering(self, cosine) -> Array:
         """Share of light that enters the tissue, 1 − F."""
@@ -97,17 +89,37 @@ class Matt(eqx.Module):
         return _entering(self.iris, self.eye.aqueous_index, x)
 
     def brdf(
-        self, cos_incidence: Float[Array, "..."], cos_exit: Float[Array, " exits"]
-    ) -> Float[Array, "... channels exits"]:
-        """BRDF of the uniform iris, 1/sr; the same for all azimuths."""
-        one = Scales(*(None if s is None else jnp.ones_like(cos_exit) for s in self.scales))
-        return self.entering(cos_incidence)[..., None, None] * _exits(self.response, one, cos_exit)
+        self,
+        cos_incidence: Float[Array, " incidences"],
+        cos_exit: Float[Array, " exits"],
+        azimuth: Float[Array, " azimuths"],
+    ) -> Float[Array, "incidences exits azimuths channels"]:
+        """BRDF of the uniform iris, 1/sr, azimuth 0 straight on."""
+        one = Scales(*(None if s is None else jnp.ones(1, s.dtype) for s in self.scales))
+        return _pairs(self.response, one, cos_incidence, cos_exit, azimuth)[..., 0]
+
+    def _given(self, cosine):
+        """What `hemispherical` of the response is to be told of the incidence."""
+        if isinstance(self.response, SeparableResponse):
+            return self.entering(cosine)
+        return jnp.asarray(cosine, self.response.error.dtype)
 
     def error(self) -> LambertError:
-        """How far a Lambertian iris is from this one, from at most 2048 texels."""
-        texels, weight = self._some()
-        power = _power(self.response, texels)
-        flat = np.asarray(self.entering(1.0) * power, np.float64) / np.pi  # (channels, texels)
+        """How far a Lambertian iris is from this one, from at most 2048 texels, of radiative
+        transfer 128.
+        """
+        if isinstance(self.response, RadiativeResponse):
+            texels, weight = self._some(128)
+            flat = _power(self.response, texels, self._given(1.0)) / np.pi
+            near, far = (_nodes(lowest, 8) for lowest in (np.cos(np.radians(CONE)), 0.0))
+            within, whole = (
+                np.asarray(_pairs(self.response, texels, *(jnp.asarray(x, flat.dtype) for x in v)))
+                for v in ((near[0], near[0], _TURNS), (far[0], far[0], _TURNS))
+            )
+            return of_pairs(np.asarray(flat), weight, within, near[1], whole, far[1])
+        texels, weight = self._some(_TEXELS)
+        power = _power(self.response, texels, self.entering(1.0))
+        flat = np.asarray(power, np.float64) / np.pi  # (channels, texels)
         mean = flat @ weight
 
         def factors(cosine):  # of BRDF over mean Lambertian one: t(μ_i) and s(μ_o), of all texels
@@ -116,12 +128,7 @@ class Matt(eqx.Module):
             s = np.asarray(_exits_of_all(self.response, texels, x), np.float64)
             return t, np.swapaxes(s, 0, 1) / mean[:, None, None]
 
-        def nodes(lowest):
-            x, w = np.polynomial.legendre.leggauss(24)
-            cosine = lowest + (1 - lowest) * (x + 1) / 2
-            return cosine, w * cosine / (w * cosine).sum()
-
-        cosine, w = nodes(np.cos(np.radians(CONE)))
+        cosine, w = _nodes(np.cos(np.radians(CONE)), 24)
         t, all_s = factors(cosine)
         off = 1 / (t[:, None] * (all_s @ weight)[:, None, :]) - 1
         seen = flat / mean[:, None]
@@ -134,7 +141,7 @@ class Matt(eqx.Module):
         most = (1 / (t[:, None] * (s @ weight)[:, None, :]) - 1).reshape(len(mean), -1)
         most = most[np.arange(len(mean)), np.abs(most).argmax(1)]
         rms, texel = (np.sqrt(np.einsum("cio,i,o->c", x, w, w)) for x in (off**2, by_texel))
-        cosine, w = nodes(0.0)
+        cosine, w = _nodes(0.0, 24)
         t, s = factors(cosine)
         whole = t[:, None] * (s @ weight)[:, None, :]
         average = np.einsum("cio,i,o->c", whole, w, w)
@@ -142,12 +149,12 @@ class Matt(eqx.Module):
             rms, most, texel, np.sqrt(np.einsum("cio,i,o->c", (whole - 1) ** 2, w, w)) / average
         )
 
-    def _some(self) -> tuple[Scales, np.ndarray]:
+    def _some(self, most: int) -> tuple[Scales, np.ndarray]:
         """Scales of some texels, and weights by their area."""
         if all(s is None for s in self.scales):
             return Scales(), np.ones(1)
         rows, columns = self.shape
-        step = max(1, round((rows * columns / _TEXELS) ** 0.5))
+        step = max(1, round((rows * columns / most) ** 0.5))
         place = np.asarray(self.eye.from_axis(cell_centres(self.shape)[1]))
         weight = np.broadcast_to(place, self.shape)[::step, ::step].ravel()
         return Scales(
@@ -155,29 +162,39 @@ class Matt(eqx.Module):
         ), weight / weight.sum()
 
 
-@program
-def _response(iris, aqueous_index, bands, ranges, integrator: Separable) -> SeparableResponse:
-    return integrator.response(iris, aqueous_index, bands, ranges)
+def _nodes(lowest: float, count: int):
+    """Cosines between a lowest one and 1, weights in proportion to them."""
+    x, w = np.polynomial.legendre.leggauss(count)
+    cosine = lowest + (1 - lowest) * (x + 1) / 2
+    return cosine, w * cosine / (w * cosine).sum()
 
 
 @program
-def _albedo(response: SeparableResponse, scales: Scales, entering, shape: tuple[int, int]):
+def _albedo(response, scales: Scales, given, shape: tuple[int, int]):
+    def one(texels):
+        return response.hemispherical(texels, given)
+
     if all(s is None for s in scales):
-        found = entering * response.hemispherical(scales)[:, 0]
+        found = one(scales)[:, 0]
         return jnp.broadcast_to(found, (*shape, found.size))
     texels = Scales(*(None if s is None else s.ravel() for s in scales))
-    return (entering * in_portions(response.hemispherical, texels)).T.reshape(*shape, -1)
+    return in_portions(one, texels).T.reshape(*shape, -1)
+
+
+@program
+def _pairs(response, scales: Scales, incidence, exits, azimuth):
+    """BRDF of each texel for all pairs of directions: (in, out, azimuths, channels, texels)."""
+    one = next((jnp.ones_like(s) for s in scales if s is not None), jnp.ones(1, exits.dtype))
+    shape = incidence.size, exits.size, azimuth.size
+    every = [x.ravel() for x in jnp.meshgrid(incidence, exits, azimuth, indexing="ij")]
+    found = jax.lax.map(lambda v: response.brdf(scales, *(x * one for x in v)), tuple(every))
+    return found.reshape(*shape, *found.shape[1:])
 
 
 @program
 def _entering(iris: Iris, aqueous_index, cosine):
     n = iris.indices(aqueous_index)
     return fresnel_at(cosine, n.aqueous, n.abl)[1]
-
-
-@program
-def _exits(response: SeparableResponse, scales: Scales, cosine):
-    return response(scales, cosine)
 
 
 @program
@@ -188,5 +205,5 @@ def _exits_of_all(response: SeparableResponse, scales: Scales, cosines):
 
 
 @program
-def _power(response: SeparableResponse, scales: Scales):
-    return response.hemispherical(scales)
+def _power(response, scales: Scales, given):
+    return response.hemispherical(scales, given)

@@ -36,6 +36,10 @@ class AngularFunctions(eqx.Module):
 
     degrees: tuple[int, int, int] = eqx.field(static=True)
 
+    def count(self, orders: int = 3) -> int:
+        """How many functions the first azimuthal orders have."""
+        return sum(len(_pairs(degree)) for degree in self.degrees[:orders])
+
     def nodes(self, indices, dtype):
         """Cosines in the ABL at which a BRDF is asked for, those of directions that leave the
         eye's tissue.
@@ -126,9 +130,8 @@ def light_of(pixels, flux, tint, eye: Eye, slopes, indices, angles: AngularFunct
         values = values * jnp.where(lit, irradiance, 0.0)
         return total + colour[:, None, None] * values, None
 
-    count = sum(len(_pairs(d)) for d in angles.degrees)
     tints = jnp.ones((flux.shape[0], 1), flux.dtype) if tint is None else tint
-    zero = jnp.zeros((tints.shape[1], count, seen.cosine.size), flux.dtype)
+    zero = jnp.zeros((tints.shape[1], angles.count(), seen.cosine.size), flux.dtype)
     return jax.lax.scan(add, zero, (flux, tints))[0] * shares(seen, eye)
 
 

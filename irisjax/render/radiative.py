@@ -41,6 +41,7 @@ from irisjax.transport.solver import AbstractSolver
 
 _OFF = 0.4, 1.9, 2.8
 _PORTION = 24  # texels solved at a time
+_COSINES = 48
 
 
 class RadiativeIntegrator(AbstractIntegrator):
@@ -203,7 +204,7 @@ def _error(response: "RadiativeResponse", checks: np.ndarray, cosines, true):
     into = jnp.repeat(cosines, exits.size)
     pairs = [jnp.tile(x, len(checks)) for x in (into, jnp.tile(exits, n), jnp.tile(azimuths, n))]
     unit = jnp.repeat(jnp.asarray(checks, dtype), into.size, 0)
-    found = response(scales_at_unit(unit, response.ranges), *pairs).T
+    found = response.brdf(scales_at_unit(unit, response.ranges), *pairs).T
     true = true[: len(checks)].reshape(found.shape)
     return jnp.abs(found - true).max() / jnp.abs(true).max()
 
@@ -237,7 +238,7 @@ class RadiativeResponse(AbstractResponse):
     degrees: tuple[int, ...] = eqx.field(static=True)
     angular: tuple[int, int, int] = eqx.field(static=True)
 
-    def __call__(
+    def brdf(
         self, scales: Scales, cos_incidence, cos_exit, azimuth
     ) -> Float[Array, "channels pixels"]:
         """BRDF (1/sr, times the picture's white) of pixels, each for a pair of directions in the
@@ -247,9 +248,29 @@ class RadiativeResponse(AbstractResponse):
         sines = [jnp.sqrt(jnp.maximum(1 - c * c, 0.0)) for c in (cos_incidence, cos_exit)]
         across = sines[0] * sines[1] * jnp.cos(azimuth)
         light = angles.functions(cos_incidence, cos_exit, across, self.indices)
+        return _sum(self.coefficients, self._terms(scales), light[None])
+
+    def hemispherical(self, scales: Scales, cos_incidence) -> Float[Array, "channels pixels"]:
+        """Directional–hemispherical reflectance of pixels for one incidence, without the first
+        surface's mirror and without light that is never scattered. Where nothing varies there is
+        one pixel.
+        """
+        x, w = (jnp.asarray(v, self.error.dtype) for v in np.polynomial.legendre.leggauss(_COSINES))
+        cosine = (x + 1) / 2
+        angles = AngularFunctions(self.angular)
+        into = jnp.full_like(cosine, cos_incidence)
+        # Of the azimuthal orders the mean over azimuth has the first alone.
+        functions = angles.functions(into, cosine, jnp.zeros_like(cosine), self.indices)
+        first = angles.count(1)
+        moments = functions[:first] @ (jnp.pi * w * cosine)
+        whole = jnp.tensordot(self.coefficients[:, :, :first], moments, (2, 0))
+        terms = self._terms(scales)
+        one = terms[0][0] if terms else jnp.ones(1, self.error.dtype)
+        return whole.reshape(-1, whole.shape[-1]).T @ basis(terms, one)
+
+    def _terms(self, scales: Scales):
         some = [(s, r) for s, r in zip(scales, self.ranges, strict=True) if r is not None]
-        terms = tuple(scaled(*v, degree) for v, degree in zip(some, self.degrees, strict=True))
-        return _sum(self.coefficients, terms, light[None])
+        return tuple(scaled(*v, degree) for v, degree in zip(some, self.degrees, strict=True))
 
     def shade(self, texels: Texels, ground: Mixtures | None) -> Float[Array, "channels pixels"]:
         """See `AbstractResponse`."""

@@ -20,7 +20,7 @@ from irisjax._types import Scalar
 from irisjax.anatomy.eye import Eye
 from irisjax.numerics.interpolation import chebyshev_nodes
 from irisjax.numerics.programs import program
-from irisjax.optics.fresnel import fresnel, refract
+from irisjax.optics.fresnel import fresnel, fresnel_at, refract
 from irisjax.render.bands import Bands
 from irisjax.render.illumination import Illumination
 from irisjax.render.integrator import AbstractIntegrator, AbstractResponse
@@ -171,12 +171,17 @@ class SeparableResponse(AbstractResponse):
         some = [(s, r) for s, r in zip(scales, self.ranges, strict=True) if r is not None]
         return tuple(scaled(*v, degree) for v, degree in zip(some, self.degrees, strict=True))
 
-    def hemispherical(self, scales: Scales) -> Float[Array, "channels pixels"]:
-        """Flux into the whole hemisphere per irradiance that entered the tissue, 2π ∫ g μ dμ, of
-        pixels.
+    def brdf(
+        self, scales: Scales, cos_incidence, cos_exit, azimuth
+    ) -> Float[Array, "channels pixels"]:
+        """BRDF (1/sr, times the picture's white) of pixels, each for a pair of directions."""
+        del azimuth
+        return fresnel_at(cos_incidence, *self.indices)[1] * self(scales, cos_exit)
 
-        Times 1 − F of the incidence it is the directional–hemispherical reflectance without the
-        first surface's mirror. Where nothing varies there is one pixel.
+    def hemispherical(self, scales: Scales, entering) -> Float[Array, "channels pixels"]:
+        """Directional–hemispherical reflectance without the first surface's mirror, 2π (1 − F) ∫ g
+        μ dμ, of pixels; `entering`: 1 − F of the incidence. Where nothing varies there is one
+        pixel.
         """
         x, w = (jnp.asarray(v, self.error.dtype) for v in np.polynomial.legendre.leggauss(_COSINES))
         cosine = (x + 1) / 2
@@ -191,7 +196,9 @@ class SeparableResponse(AbstractResponse):
             next((s for s in scales if s is not None), jnp.ones(1, self.error.dtype))
         )
         whole = jnp.tensordot(self.coefficients, moments, (2, 0))
-        return whole.reshape(-1, whole.shape[-1]).T @ basis(self._polynomials(scales), one)
+        return entering * (
+            whole.reshape(-1, whole.shape[-1]).T @ basis(self._polynomials(scales), one)
+        )
 
     def _at(self, terms: Terms) -> Float[Array, "channels pixels"]:
         last, channels = self.coefficients.shape[2:]

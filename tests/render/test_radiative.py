@@ -9,11 +9,13 @@ import pytest
 import irisjax as ij
 from common import slowly
 from irisjax.measure.colour import illuminant_power
+from irisjax.render.albedo import Matt
 from irisjax.render.bands import spectral_bands
 from irisjax.render.camera import Camera
 from irisjax.render.compose import prepare
 from irisjax.render.illumination import Illumination
 from irisjax.render.integrators import INTEGRATORS, integrator_name
+from irisjax.render.lambert import of_pairs
 from irisjax.render.lights import Lights
 from irisjax.render.project import project
 from irisjax.render.radiative import RadiativeIntegrator
@@ -70,7 +72,7 @@ def test_brdf_of_texels_is_the_exact_solver_s(response, level):
             true = solved(scaled(iris, abl, stroma), jnp.asarray(incidence), *pairs).brdf
             brightest = max(brightest, float(true.max()))
             scales = Scales(jnp.full(4, abl), jnp.full(4, stroma))
-            given = found(scales, jnp.full(4, incidence), *pairs)
+            given = found.brdf(scales, jnp.full(4, incidence), *pairs)
             np.testing.assert_allclose(given, true, atol=2 * float(found.error) * brightest)
             if abl <= 1:
                 np.testing.assert_allclose(given, true, rtol=1e-2)
@@ -86,7 +88,7 @@ def test_energy_is_closed(response):
     area = np.repeat(weight * cosine, 8) * (2 * np.pi / 8)
     one = jnp.ones(exits.size)
     for incidence in (1.0, 0.4):
-        given = response(LIGHT)(Scales(one, one), incidence * one, exits, azimuths)
+        given = response(LIGHT).brdf(Scales(one, one), incidence * one, exits, azimuths)
         whole, clear = (
             solved(scaled(LIGHT, scattering=s), jnp.asarray(incidence), exits[:4], azimuths[:4])
             for s in (1.0, 0.0)
@@ -182,6 +184,42 @@ def test_maps_reach_the_picture():
     parts = {"integrator": RadiativeIntegrator(degrees=(2, 2, 2, 2), angular=(2, 1, 1))}
     found = np.asarray(scene(maps=maps, **parts).render()).sum(-1)
     assert found[:, 8:].sum() > 1.05 * found[:, :4].sum()
+
+
+@pytest.mark.heavy
+def test_the_matt_iris_of_the_hand_over():
+    """Albedo, BRDF and its distance from Lambert's law, as the exact solver has them."""
+    bands, model = spectral_bands(X, "E"), RadiativeIntegrator()
+    matt = Matt.of(LIGHT, None, BARE, bands, model)
+    one, turn = jnp.asarray([0.9]), jnp.asarray([0.5])
+    whole, clear = (
+        solved(scaled(LIGHT, scattering=s), jnp.asarray(1.0), one, turn) for s in (1.0, 0.0)
+    )
+    albedo = np.asarray(whole.reflectance - clear.reflectance)
+    np.testing.assert_allclose(matt.albedo()[0, 0], albedo, rtol=2e-3)
+    true = solved(scaled(LIGHT), jnp.asarray(0.6), one, turn).brdf
+    found = matt.brdf(jnp.asarray([0.6]), one, turn)
+    np.testing.assert_allclose(found[0, 0, 0], np.asarray(true)[:, 0], rtol=3e-3)
+    ratio = albedo / np.pi / np.asarray(whole.brdf)[:, 0] - 1
+    error = matt.error()
+    assert (np.abs(error.most) >= 0.99 * np.abs(ratio)).all()
+    assert (error.rms < np.abs(error.most)).all() and (error.rms > 0.02).all()
+
+
+def test_distance_from_lamberts_law():
+    """Of a BRDF that is everywhere a tenth brighter, or brighter and darker by turns."""
+    flat, weight = np.full((3, 2), 0.01), np.array([0.25, 0.75])
+    share = np.array([0.4, 0.6])
+    brighter = np.full((2, 2, 3, 3, 2), 0.011)
+    found = of_pairs(flat, weight, brighter, share, brighter, share)
+    np.testing.assert_allclose(found.rms, 1 - 1 / 1.1)
+    np.testing.assert_allclose(found.most, 1 / 1.1 - 1)
+    np.testing.assert_allclose(found.texels, 1 - 1 / 1.1)
+    np.testing.assert_allclose(found.hemisphere, 0.1 / 1.1)
+    turns = brighter.copy()
+    turns[0] = 0.009
+    found = of_pairs(flat, weight, brighter, share, turns, share)
+    np.testing.assert_allclose(found.hemisphere, 0.1 / (0.4 * 0.9 + 0.6 * 1.1))
 
 
 def test_integrators_by_name():

@@ -30,6 +30,7 @@ from irisjax.transport.radiative.directions import (
     roof_of,
 )
 from irisjax.transport.radiative.doubling import Lines, Medium, Response, respond, turned_exactly
+from irisjax.transport.radiative.exact import Flux
 from irisjax.transport.radiative.expansion import mean_turned, phase_matrices, series_value
 from irisjax.transport.radiative.fates import Course, before, course
 from irisjax.transport.radiative.orders import single_scattering
@@ -39,17 +40,6 @@ from irisjax.transport.solver import AbstractSolver, checked_process
 
 _FIRST = 0.2  # optical depth of the first layer: its error is about 2e-5
 _TRACED = 8  # doublings where the depth is not known: 50 deep
-
-
-class Flux(NamedTuple):
-    """Where the light of one wavelength goes."""
-
-    reflectance: jax.Array
-    mirrored: jax.Array
-    abl: jax.Array
-    stroma: jax.Array
-    ipe: jax.Array
-    brdf: jax.Array | None
 
 
 class AddingDoubling(AbstractSolver):
