@@ -120,7 +120,9 @@ def in_words(found: Information) -> list[str]:
 def _trades(problem: Problem, covariance, kept: list[int]) -> dict[str, tuple[float, str, float]]:
     """`Information.trades`, in the priors' coordinates, in which a prior's width is one."""
     width = np.sqrt(np.diag(covariance))
-    correlation = covariance / np.outer(width, width)
+    # A parameter that the data do not see at all has no width here, and trades with none.
+    seen = np.where(width > 0, width, 1.0)
+    correlation = covariance / np.outer(seen, seen)
     out = {}
     for i in (i for i in kept if kind(problem.free[i]) in OF_POWER_LAW):
         others = [k for k in kept if k != i]

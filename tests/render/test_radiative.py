@@ -144,7 +144,7 @@ def test_each_pixel_is_its_brdf_times_its_light(eye):
     np.testing.assert_allclose(found[ring_of], expected[ring_of], atol=3e-3 * bright)
 
 
-@pytest.mark.heavy
+@pytest.mark.slow  # a minute and a half of compiling
 def test_traced_pictures_are_the_others():
     """Kept mixtures of directions or all of them; and a derivative by the light's direction."""
 

@@ -198,7 +198,8 @@ def test_gradients(media):
 
     x = jnp.array([0.1, 0.2, 0.7, *media, 0.8])
     gradient = np.asarray(quick_jit(jax.grad(value))(x))
-    run, step = quick_jit(value), 1e-6
+    # Rounding decides on which side of a critical angle a node falls: values jump by 5e-10.
+    run, step = quick_jit(value), 1e-4
     differences = [
         float(run(x.at[k].add(step)) - run(x.at[k].add(-step))) / (2 * step) for k in range(x.size)
     ]

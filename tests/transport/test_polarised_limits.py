@@ -9,7 +9,7 @@ import pytest
 
 import common
 import irisjax as ij
-from common import any_order, heavily, layers, quick_jit
+from common import any_order, heavily, layers, quick_jit, slowly
 from irisjax.transport.radiative.polarised import exact
 from irisjax.transport.radiative.polarised.modes import PolarisedMode
 
@@ -129,11 +129,20 @@ def _extreme(media):
 
 
 @pytest.mark.heavy
-@pytest.mark.parametrize("media", [(1.4,) * 4, IRIS, TURNING, (1.6, 1.3, 1.2, 1.5)])
+@pytest.mark.parametrize(
+    "media", [slowly((1.4,) * 4), IRIS, slowly(TURNING), slowly((1.6, 1.3, 1.2, 1.5))]
+)
 @pytest.mark.parametrize("bits", [64, 32], ids=["f64", "f32"])
 def test_extremes(media, bits):
     """Finite and physical, or a status that says why not; at grazing incidence and exits too."""
     made, exits = _extreme(media), np.array([1.0, 0.5, 0.1, 1e-3, 1e-6, 0.0])
+    if bits == 32:
+        # Scattered more often than single precision can count: refused as ill-conditioned.
+        kept = np.asarray(made.coalbedo + 1 / np.maximum(made.extinction, 1) ** 2) > 1e-5
+        made = type(made)(
+            *(np.asarray(x)[kept] for x in (made.abl_absorption, made.stroma_absorption,
+              made.stroma_scattering)), made.indices, made.order
+        )  # fmt: skip
     made = jax.tree.map(lambda x: jnp.asarray(np.asarray(x), float), made)
     solver = ij.RadiativeExact(16, 8, 24)
     slack = 1e-9 if bits == 64 else 2e-3
@@ -141,7 +150,7 @@ def test_extremes(media, bits):
         found = solve(made, cosine, solver, exits)
         for leaf in jax.tree.leaves((found.reflectance, found.absorbed, found.polarisation)):
             assert np.isfinite(leaf).all()
-        assert found.status in (ij.RESULTS.successful, ij.RESULTS.ill_conditioned)
+        assert found.status == ij.RESULTS.successful
         shares = np.array([found.reflectance, found.mirrored, found.absorbed.ipe])
         assert (shares > -slack).all() and (shares < 1 + slack).all()
         matrices = np.concatenate(
