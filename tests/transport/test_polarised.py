@@ -180,7 +180,7 @@ def test_single_precision():
     )
 
 
-@pytest.mark.heavy
+@pytest.mark.slow  # three minutes of compiling
 @pytest.mark.parametrize("media", [IRIS, TURNING])
 def test_gradients(media):
     """By every depth and index, of numbers that depend on every order, against differences."""
@@ -198,12 +198,13 @@ def test_gradients(media):
 
     x = jnp.array([0.1, 0.2, 0.7, *media, 0.8])
     gradient = np.asarray(quick_jit(jax.grad(value))(x))
-    # Rounding decides on which side of a critical angle a node falls: values jump by 5e-10.
+    # Rounding decides on which side of a critical angle a node falls, where each of the 80 numbers
+    # jumps by up to 5e-10: hence the long step, and what is allowed beside it.
     run, step = quick_jit(value), 1e-4
     differences = [
         float(run(x.at[k].add(step)) - run(x.at[k].add(-step))) / (2 * step) for k in range(x.size)
     ]
-    np.testing.assert_allclose(gradient, differences, rtol=2e-5, atol=2e-7)
+    np.testing.assert_allclose(gradient, differences, rtol=2e-5, atol=1e-4)
 
 
 def test_refusals():

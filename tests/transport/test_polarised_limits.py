@@ -139,10 +139,9 @@ def test_extremes(media, bits):
     if bits == 32:
         # Scattered more often than single precision can count: refused as ill-conditioned.
         kept = np.asarray(made.coalbedo + 1 / np.maximum(made.extinction, 1) ** 2) > 1e-5
-        made = type(made)(
-            *(np.asarray(x)[kept] for x in (made.abl_absorption, made.stroma_absorption,
-              made.stroma_scattering)), made.indices, made.order
-        )  # fmt: skip
+        depths = made.abl_absorption, made.stroma_absorption, made.stroma_scattering
+        some = (jnp.asarray(np.asarray(x)[kept], float) for x in depths)
+        made = type(made)(*some, made.indices, made.order)
     made = jax.tree.map(lambda x: jnp.asarray(np.asarray(x), float), made)
     solver = ij.RadiativeExact(16, 8, 24)
     slack = 1e-9 if bits == 64 else 2e-3
