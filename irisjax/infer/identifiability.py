@@ -54,7 +54,7 @@ class Information(NamedTuple):
     directions: list[Direction]
     alone: dict[str, float]
     correlation: float
-    trades: dict[str, tuple[float, str, float]] = {}  # noqa: RUF012  # never changed
+    trades: dict[str, tuple[float, str, float]]
 
 
 def information(problem: Problem, fit: Fit) -> Information:

@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from irisjax._types import Spectrum
-from irisjax.optics.phase import PHASES
+from irisjax.optics.phase import PHASES, rayleigh
 
 
 class PhaseMixture(eqx.Module):
@@ -64,11 +64,6 @@ class PhaseMixture(eqx.Module):
         of_rayleigh = PHASES["rayleigh"].sample_cosine(jnp.clip(u / jnp.maximum(s, 1e-30), 0, 1))
         v = jnp.clip((u - s) / jnp.maximum(rest, 1e-30), 0.0, 1.0)
         return jnp.where(u < s, of_rayleigh, sample_henyey_greenstein(v, self.anisotropy))
-
-
-def rayleigh(cosine):
-    """Rayleigh's law, ¾(1 + cos²Θ)."""
-    return 0.75 * (1 + cosine**2)
 
 
 def henyey_greenstein(cosine, g):

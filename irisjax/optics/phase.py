@@ -75,7 +75,7 @@ class Rayleigh(AbstractPhase):
 
     def angle_density(self, alpha):
         """¾(1 + cos²α)·½ sin α."""
-        return 0.375 * (1 + jnp.cos(alpha) ** 2) * jnp.sin(alpha)
+        return 0.5 * rayleigh(jnp.cos(alpha)) * jnp.sin(alpha)
 
     def sample_cosine(self, u):
         """The root of c³ + 3c = 4(2u − 1), to 8e-8."""
@@ -110,6 +110,11 @@ class RayleighPerAngle(AbstractPhase):
         """
         operator = _conserving(scattering_operator(rule), rule.weight)
         return Redistribution(collect=None, scatter=operator.T - 0.5 * rule.weight[:, None])
+
+
+def rayleigh(cosine):
+    """Rayleigh's law, ¾(1 + cos²α), whose mean over all directions is 1."""
+    return 0.75 * (1 + cosine * cosine)
 
 
 PHASES: dict[str, AbstractPhase] = {"rayleigh": Rayleigh(), "lb06": RayleighPerAngle()}

@@ -23,11 +23,18 @@ from irisjax.render.bands import Bands
 from irisjax.render.illumination import Illumination
 from irisjax.render.integrator import AbstractIntegrator, AbstractResponse
 from irisjax.render.lights import Lights
-from irisjax.render.products import basis, scaled
+from irisjax.render.products import basis, summed
 from irisjax.render.project import IrisPixels
 from irisjax.render.shading import fluxes_of, relief_at, scales_at
 from irisjax.render.steps import Once, simply
-from irisjax.render.texels import between, degrees_of, grid, of_products, scales_at_unit
+from irisjax.render.texels import (
+    between,
+    degrees_of,
+    grid,
+    of_products,
+    polynomials_of,
+    scales_at_unit,
+)
 from irisjax.tissue.iris import Iris
 from irisjax.tissue.layers import Layers
 from irisjax.tissue.maps import IrisMaps, Scales, texel_layers
@@ -106,11 +113,7 @@ class RadiativeIntegrator(AbstractIntegrator):
             *(flux, lights.tint, eye, slopes, (n.aqueous, n.abl), AngularFunctions(self.angular)),
         )
         scales = scales_at(pixels, eye, iris, maps, once)
-        varied = [v for v in zip(scales, ranges, self.degrees, strict=True) if v[1] is not None]
-        names = [name for name, r in zip(Scales._fields, ranges, strict=True) if r is not None]
-        terms = tuple(
-            once(f"polynomials of {n}", scaled, *v) for n, v in zip(names, varied, strict=True)
-        )
+        terms = polynomials_of(scales, ranges, degrees_of(ranges, self.degrees), once)
         if isinstance(light, Tracer):
             return Texels(pixels.index, terms, light), None
         light, mixtures = once("mixed light", mixed, light, AngularFunctions(self.angular))
@@ -248,7 +251,7 @@ class RadiativeResponse(AbstractResponse):
         sines = [jnp.sqrt(jnp.maximum(1 - c * c, 0.0)) for c in (cos_incidence, cos_exit)]
         across = sines[0] * sines[1] * jnp.cos(azimuth)
         light = angles.functions(cos_incidence, cos_exit, across, self.indices)
-        return _sum(self.coefficients, self._terms(scales), light[None])
+        return summed(self.coefficients, self._polynomials(scales), light[None])
 
     def hemispherical(self, scales: Scales, cos_incidence) -> Float[Array, "channels pixels"]:
         """Directional–hemispherical reflectance of pixels for one incidence, without the first
@@ -264,25 +267,16 @@ class RadiativeResponse(AbstractResponse):
         first = angles.count(1)
         moments = functions[:first] @ (jnp.pi * w * cosine)
         whole = jnp.tensordot(self.coefficients[:, :, :first], moments, (2, 0))
-        terms = self._terms(scales)
+        terms = self._polynomials(scales)
         one = terms[0][0] if terms else jnp.ones(1, self.error.dtype)
         return whole.reshape(-1, whole.shape[-1]).T @ basis(terms, one)
 
-    def _terms(self, scales: Scales):
-        some = [(s, r) for s, r in zip(scales, self.ranges, strict=True) if r is not None]
-        return tuple(scaled(*v, degree) for v, degree in zip(some, self.degrees, strict=True))
+    def _polynomials(self, scales: Scales):
+        return polynomials_of(scales, self.ranges, self.degrees)
 
     def shade(self, texels: Texels, ground: Mixtures | None) -> Float[Array, "channels pixels"]:
         """See `AbstractResponse`."""
         some = self.coefficients
         if ground is not None:
             some = jnp.einsum("abkc,kr->abrc", some, ground.weights)
-        return _sum(some, texels.scales, texels.light)
-
-
-def _sum(coefficients, terms, light) -> Float[Array, "channels pixels"]:
-    functions, channels = coefficients.shape[2:]
-    whole = coefficients.reshape(-1, functions * channels).T
-    # One matrix product, as with `Separable`.
-    values = (whole @ basis(terms, light[0, 0])).reshape(functions, channels, -1)
-    return (values * jnp.swapaxes(light, 0, 1)).sum(axis=0)
+        return summed(some, texels.scales, texels.light)

@@ -25,11 +25,19 @@ from irisjax.render.bands import Bands
 from irisjax.render.illumination import Illumination
 from irisjax.render.integrator import AbstractIntegrator, AbstractResponse
 from irisjax.render.lights import Lights
-from irisjax.render.products import basis, polynomials, scaled
+from irisjax.render.products import basis, polynomials, summed
 from irisjax.render.project import IrisPixels
 from irisjax.render.shading import illuminate, irradiance_at, relief_at, scales_at
 from irisjax.render.steps import Once, simply
-from irisjax.render.texels import along, between, degrees_of, grid, of_products, scales_at_unit
+from irisjax.render.texels import (
+    along,
+    between,
+    degrees_of,
+    grid,
+    of_products,
+    polynomials_of,
+    scales_at_unit,
+)
 from irisjax.tissue.iris import Iris
 from irisjax.tissue.maps import IrisMaps, Scales, texel_layers
 from irisjax.tissue.pigments import extinction
@@ -74,12 +82,8 @@ class Separable(AbstractIntegrator):
         slopes, place = relief_at(pixels, eye, maps, once)
         light = once("irradiance", irradiance_at, (pixels, place), field, eye, slopes)
         scales = scales_at(pixels, eye, iris, maps, once)
-        varied = [v for v in zip(scales, ranges, self.degrees, strict=False) if v[1] is not None]
-        names = [name for name, r in zip(Scales._fields, ranges, strict=True) if r is not None]
         terms = Terms(
-            tuple(
-                once(f"polynomials of {n}", scaled, *v) for n, v in zip(names, varied, strict=True)
-            ),
+            polynomials_of(scales, ranges, degrees_of(ranges, self.degrees), once),
             once("angular", _angular, pixels.cosine, iris, eye.aqueous_index, self.degrees[4]),
         )
         return Texels(pixels.index, terms, light), None
@@ -168,8 +172,7 @@ class SeparableResponse(AbstractResponse):
         return self._at(Terms(self._polynomials(scales), exits))
 
     def _polynomials(self, scales: Scales):
-        some = [(s, r) for s, r in zip(scales, self.ranges, strict=True) if r is not None]
-        return tuple(scaled(*v, degree) for v, degree in zip(some, self.degrees, strict=True))
+        return polynomials_of(scales, self.ranges, self.degrees)
 
     def brdf(
         self, scales: Scales, cos_incidence, cos_exit, azimuth
@@ -201,12 +204,7 @@ class SeparableResponse(AbstractResponse):
         )
 
     def _at(self, terms: Terms) -> Float[Array, "channels pixels"]:
-        last, channels = self.coefficients.shape[2:]
-        # One matrix product: 50 times as fast as polynomial by polynomial.
-        values = self.coefficients.reshape(-1, last * channels).T @ basis(
-            terms.scales, terms.angular[0]
-        )
-        return (values.reshape(last, channels, -1) * terms.angular[:, None]).sum(axis=0)
+        return summed(self.coefficients, terms.scales, terms.angular[None])
 
     def shade(self, texels: Texels, ground: None) -> Float[Array, "channels pixels"]:
         """See `AbstractResponse`."""

@@ -23,6 +23,7 @@ from irisjax._types import Scalar
 from irisjax.anatomy.eye import Eye
 from irisjax.numerics.portions import pixelwise
 from irisjax.optics.conicoid import norm
+from irisjax.optics.phase import rayleigh
 from irisjax.render.bands import Bands
 from irisjax.render.ground import Ground, Local, local_textures
 from irisjax.render.illumination import Illumination
@@ -244,7 +245,7 @@ def _sources(rays: Rays, ground: Ground):
         cosine = -(towards * rays.normal).sum(0)
         bend = (towards * rays.direction).sum(0)
         lit = (power > 0) & (cosine > 1e-3)
-        phase = 3 / (16 * jnp.pi) * (1 + bend * bend)
+        phase = rayleigh(bend) / (4 * jnp.pi)
         return jnp.where(lit, power * phase, 0.0), 1 / jnp.where(lit, cosine, 1.0)
 
     return jax.lax.map(one, ground.flux)

@@ -12,7 +12,8 @@ import numpy as np
 
 from irisjax.numerics.interpolation import chebyshev_nodes
 from irisjax.numerics.tucker import coefficients
-from irisjax.render.products import from_unit, kept_products
+from irisjax.render.products import from_unit, kept_products, scaled
+from irisjax.render.steps import Once, simply
 from irisjax.tissue.maps import Scales
 
 _CHECKS = 24
@@ -41,6 +42,18 @@ def scales_at_unit(unit, ranges: Scales) -> Scales:
     for k, i in enumerate(varied):
         found[i] = from_unit(ranges[i], unit[..., k])
     return Scales(*found)
+
+
+def polynomials_of(
+    scales: Scales, ranges: Scales, degrees: tuple[int, ...], once: Once = simply
+) -> tuple[Any, ...]:
+    """Polynomials of each scale that varies, at pixels; `degrees`: one for each that does."""
+    names = [name for name, r in zip(Scales._fields, ranges, strict=True) if r is not None]
+    some = [(s, r) for s, r in zip(scales, ranges, strict=True) if r is not None]
+    return tuple(
+        once(f"polynomials of {name}", scaled, *both, degree)
+        for name, both, degree in zip(names, some, degrees, strict=True)
+    )
 
 
 def along(values, axis: int):

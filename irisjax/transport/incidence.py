@@ -21,6 +21,21 @@ def beams_of(cos_incidence, nodes: int, dtype):
     return jnp.atleast_1d(jnp.asarray(cos_incidence, dtype)), jnp.ones(1, dtype)
 
 
+def exits_of(cos_incidence, cos_exit, azimuth, dtype):
+    """Cosines and azimuths (default 0, straight on) of exits; `None` twice where none are asked
+    for.
+
+    **Raises:** `ValueError` under diffuse light, which comes from no plane that azimuths count
+    from.
+    """
+    if cos_exit is None:
+        return None, None
+    if isinstance(cos_incidence, str):
+        raise ValueError("a BRDF is of light from one direction, not diffuse")
+    cosine = jnp.asarray(cos_exit, dtype)
+    return cosine, jnp.zeros_like(cosine) if azimuth is None else jnp.asarray(azimuth, dtype)
+
+
 def first_surface(cos_incidence, indices: RefractiveIndices, dtype):
     """Shares mirrored by and passing the aqueous/ABL interface, of light from a cosine or
     `DIFFUSE`.

@@ -101,14 +101,14 @@ def test_without_scattering_fresnel_alone(media, cosine):
         return out
 
     elements = {}
-    for name, kinds in (("l", (True, True)), ("r", (False, False)), ("w", (True, False))):
+    for name, kinds in (("p", (True, True)), ("s", (False, False)), ("w", (True, False))):
         t = [amplitudes(0, 1, p)[1] for p in kinds]
         elements[name] = sent({"x": [t[0] * np.conj(t[1])]})
-    l, r, w = (elements[k] for k in "lrw")  # noqa: E741
+    p, s, w = (elements[k] for k in "psw")
     wanted = 0.5 * np.array(
         [
-            [l.real + r.real, l.real - r.real, 0, 0],
-            [l.real - r.real, l.real + r.real, 0, 0],
+            [p.real + s.real, p.real - s.real, 0, 0],
+            [p.real - s.real, p.real + s.real, 0, 0],
             [0, 0, 2 * w.real, -2 * w.imag],
             [0, 0, 2 * w.imag, 2 * w.real],
         ]
@@ -138,9 +138,11 @@ def test_extremes(media, bits):
     made, exits = _extreme(media), np.array([1.0, 0.5, 0.1, 1e-3, 1e-6, 0.0])
     if bits == 32:
         # Scattered more often than single precision can count: refused as ill-conditioned.
-        kept = np.asarray(made.coalbedo + 1 / np.maximum(made.extinction, 1) ** 2) > 1e-5
         depths = made.abl_absorption, made.stroma_absorption, made.stroma_scattering
-        some = (jnp.asarray(np.asarray(x)[kept], float) for x in depths)
+        abl, absorbed, scattered = (np.asarray(x) for x in depths)
+        whole = absorbed + scattered
+        kept = absorbed / np.maximum(whole, 1e-300) + 1 / np.maximum(whole, 1) ** 2 > 1e-5
+        some = (jnp.asarray(x[kept], float) for x in (abl, absorbed, scattered))
         made = type(made)(*some, made.indices, made.order)
     made = jax.tree.map(lambda x: jnp.asarray(np.asarray(x), float), made)
     solver = ij.RadiativeExact(16, 8, 24)

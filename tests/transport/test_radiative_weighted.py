@@ -264,7 +264,7 @@ def test_what_is_not_offered_is_said():
         ij.reflectance(iris, grid, solver=FEW, process=rt)
     with pytest.raises(ValueError, match="treats RadiativeTransfer processes, not Ilit"):
         ij.reflectance(iris, grid, solver=FEW, key=KEY)
-    with pytest.raises(ValueError, match="one direction of incidence"):
+    with pytest.raises(ValueError, match="from one direction, not diffuse"):
         FEW.solve(of_levels(), rt, ij.DIFFUSE, cos_exit=jnp.ones(1), key=KEY)
     with pytest.raises(Exception, match="n_packets = 0 is outside"):
         ij.RadiativeWeighted(0)

@@ -21,7 +21,7 @@ from irisjax.numerics.checks import check_whole
 from irisjax.numerics.sharding import laid_out_as
 from irisjax.optics.mixture import PhaseMixture
 from irisjax.tissue.layers import Layers
-from irisjax.transport.incidence import beams_of
+from irisjax.transport.incidence import beams_of, exits_of
 from irisjax.transport.process import RadiativeTransfer, survival
 from irisjax.transport.radiative.directions import (
     Directions,
@@ -79,15 +79,12 @@ class AddingDoubling(AbstractSolver):
     ):
         """See `AbstractSolver.solve`; no `key` and no `rays` are used."""
         checked_process(self, process, RadiativeTransfer)
-        if cos_exit is not None and isinstance(cos_incidence, str):
-            raise ValueError("a BRDF is of light from one direction, not diffuse")
         n, dtype = layers.indices, layers.extinction.dtype
         nodes = gauss_nodes(layers, self.n_angles)
         outside, power = beams_of(cos_incidence, self.n_angles, dtype)
         beams = from_outside(layers, outside)
-        exits = None if cos_exit is None else from_outside(layers, jnp.asarray(cos_exit, dtype))
-        if exits is not None and azimuth is None:
-            azimuth = jnp.zeros_like(exits.cosine)
+        cosine, azimuth = exits_of(cos_incidence, cos_exit, azimuth, dtype)
+        exits = None if cosine is None else from_outside(layers, cosine)
         doublings = _TRACED if self.n_doublings is None else self.n_doublings
         phase = layers.phase
         if phase is None:

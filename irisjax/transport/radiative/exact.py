@@ -20,7 +20,7 @@ from irisjax.numerics import linear
 from irisjax.numerics.checks import check_whole
 from irisjax.numerics.sharding import laid_out_as
 from irisjax.tissue.layers import Layers
-from irisjax.transport.incidence import beams_of
+from irisjax.transport.incidence import beams_of, exits_of
 from irisjax.transport.process import RadiativeTransfer
 from irisjax.transport.radiative import polarised
 from irisjax.transport.radiative.balance import energy_balance, solve_balanced
@@ -111,9 +111,8 @@ def _solve(
     nodes = quadrature_nodes(layers, n_angles)
     outside, power = beams_of(cos_incidence, max(16, n_angles // 2), dtype)
     beams = from_outside(layers, outside)
-    exits = None if cos_exit is None else from_outside(layers, jnp.asarray(cos_exit, dtype))
-    if exits is not None and azimuth is None:
-        azimuth = jnp.zeros_like(exits.cosine)
+    cosine, azimuth = exits_of(cos_incidence, cos_exit, azimuth, dtype)
+    exits = None if cosine is None else from_outside(layers, cosine)
 
     one = partial(_one_wavelength, n_depths=n_depths, n_panels=n_panels)
     flux = laid_out_as(

@@ -11,6 +11,7 @@ import jax
 import jax.numpy as jnp
 
 from irisjax.numerics.roots import safe_sqrt
+from irisjax.optics.phase import rayleigh
 from irisjax.tissue.indices import RefractiveIndices
 from irisjax.transport.process import attenuation, survival
 from irisjax.transport.radiative.directions import Directions, from_inside
@@ -127,11 +128,6 @@ def radiance(medium: Medium, seen: View, at, cosine, across):
     up = rayleigh(beside - along) * survival(here, seen.cosine)
     down = rayleigh(beside + along) * survival(medium.depth[None] - here, seen.cosine) * seen.back
     return seen.bright * (up + down) / (4 * jnp.pi)
-
-
-def rayleigh(cosine):
-    """Rayleigh's phase function, ¾(1 + cos²α), whose mean over all directions is 1."""
-    return 0.75 * (1 + cosine * cosine)
 
 
 def _ahead(medium: Medium, at, down):

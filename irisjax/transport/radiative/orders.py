@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 
 from irisjax.numerics import linear
-from irisjax.optics.mixture import rayleigh
+from irisjax.optics.phase import rayleigh
 from irisjax.transport.process import survival
 from irisjax.transport.radiative.directions import MODES, Directions, roof_of
 from irisjax.transport.radiative.fates import course, met

@@ -19,7 +19,7 @@ from jax import lax
 from irisjax.numerics.roots import safe_sqrt
 from irisjax.numerics.sharding import vary_alike
 from irisjax.numerics.streams import fold_in_words, scales_of, uniform
-from irisjax.optics.phase import AbstractPhase
+from irisjax.optics.phase import AbstractPhase, rayleigh
 from irisjax.transport.lanes import cosine_of_turn, deflect
 from irisjax.transport.radiative.flights import (
     Leg,
@@ -29,7 +29,6 @@ from irisjax.transport.radiative.flights import (
     flight,
     leg_of,
     radiance,
-    rayleigh,
 )
 
 _FAINT = 0.05  # share of its first weight below which a packet ends as a photon does

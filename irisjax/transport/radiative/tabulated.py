@@ -23,7 +23,7 @@ from irisjax.numerics.tucker import Tucker, coefficients
 from irisjax.tissue.indices import RefractiveIndices
 from irisjax.tissue.iris import Iris
 from irisjax.tissue.layers import Layers
-from irisjax.transport.incidence import beams_of
+from irisjax.transport.incidence import beams_of, exits_of
 from irisjax.transport.process import DEPTH_RESOLVED, AbstractProcess, RadiativeTransfer
 from irisjax.transport.radiative import brdf
 from irisjax.transport.radiative.axes import (
@@ -126,11 +126,9 @@ class RadiativeTabulated(AbstractSolver):
         )
         reflectance, mirrored, abl, stroma, ipe = light
         values = None
-        if cos_exit is not None:
-            if isinstance(cos_incidence, str):
-                raise ValueError("a BRDF is of light from one direction, not diffuse")
-            exits = from_outside(layers, jnp.asarray(cos_exit, dtype))
-            azimuth = jnp.zeros_like(exits.cosine) if azimuth is None else azimuth
+        cosine, azimuth = exits_of(cos_incidence, cos_exit, azimuth, dtype)
+        if cosine is not None:
+            exits = from_outside(layers, cosine)
             values = laid_out_as(
                 layers.extinction,
                 2,

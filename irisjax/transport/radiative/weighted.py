@@ -19,7 +19,7 @@ from irisjax.numerics.streams import check_key
 from irisjax.optics.phase import AbstractPhase
 from irisjax.tissue.indices import Order, RefractiveIndices
 from irisjax.tissue.layers import Layers
-from irisjax.transport.incidence import DIFFUSE, beams_of
+from irisjax.transport.incidence import DIFFUSE, beams_of, exits_of
 from irisjax.transport.pointwise import by_wavelength
 from irisjax.transport.process import RadiativeTransfer
 from irisjax.transport.radiative.directions import from_outside
@@ -81,11 +81,8 @@ class RadiativeWeighted(AbstractSolver):
         check_key(key)
         dtype = layers.extinction.dtype
         numbers = [] if isinstance(cos_incidence, str) else [jnp.asarray(cos_incidence, dtype)]
-        if cos_exit is not None:
-            if not numbers:
-                raise ValueError("a BRDF needs one direction of incidence, not diffuse light")
-            exits = jnp.asarray(cos_exit, dtype)
-            azimuths = jnp.zeros_like(exits) if azimuth is None else jnp.asarray(azimuth, dtype)
+        exits, azimuths = exits_of(cos_incidence, cos_exit, azimuth, dtype)
+        if exits is not None and azimuths is not None:
             numbers += [*exits, *azimuths]
         n, ok = layers.indices, layers.valid()
         depths = layers.abl_absorption, layers.stroma_absorption, layers.stroma_scattering

@@ -93,7 +93,7 @@ def solve(
     looked = None
     if cos_exit is not None and not isinstance(cos_exit, str):
         exits = rays(from_outside, layers, jnp.asarray(cos_exit, dtype))
-        looked = Looked(exits, jnp.zeros_like(exits.l.cosine) if azimuth is None else azimuth)
+        looked = Looked(exits, jnp.zeros_like(exits.p.cosine) if azimuth is None else azimuth)
     wanted = cos_exit is not None
     one = partial(_one_wavelength, how=(n_depths, n_panels), modes=modes, matrices=wanted)
     ranks = Matrices._make((3, 3, None if looked is None else 4)) if wanted else None
@@ -121,9 +121,9 @@ def _one_wavelength(abl, depth, albedo, coalbedo, n, nodes, lit, looked, *, how,
     slab, beams = Slab(depth, *how), lit.beams
     sets = [nodes, beams] if looked is None else [nodes, beams, looked.exits]
     everywhere = jax.tree.map(lambda *x: jnp.concatenate(x, axis=-1), *sets)
-    parts = split(meet(slab, abl, everywhere), [d.l for d in sets])
+    parts = split(meet(slab, abl, everywhere), [d.p for d in sets])
     angle, beam, *exit_ = (Met(both(*x[:2]), *x[2:]) for x in parts)
-    first = [before(abl, depth, d) for d in (beams.l, beams.r)]
+    first = [before(abl, depth, d) for d in (beams.p, beams.s)]
     entering = _entering(abl, lit)
     scattering = albedo, coalbedo
     shares, moments = _shares(slab, abl, scattering, modes[0], nodes, lit, angle, beam, first)
@@ -143,7 +143,7 @@ def _one_wavelength(abl, depth, albedo, coalbedo, n, nodes, lit, looked, *, how,
     for mode, x in found:
         if mode.order != 1:
             leaving = _leaving(slab, mode, _strength(mode, albedo), abl, angle, nodes, x)
-            reflected += _collected(mode, nodes.l.weight * nodes.l.cosine, leaving)
+            reflected += _collected(mode, nodes.p.weight * nodes.p.cosine, leaving)
     mirrored = _mirror([b.mirrored[0] for b in first], at_surface[0])
     brdf = None
     if looked is not None:
@@ -159,11 +159,11 @@ def _shares(slab, abl, scattering, mode: PolarisedMode, nodes: Rays, lit: Lit, a
     """`Shares`, and the moments of light that is all I_l, and all I_r: (terms, moments, 2)."""
     albedo, coalbedo = scattering
     assert mode.linear is not None
-    of_nodes, strength = both(nodes.l, nodes.r), _strength(mode, albedo)
+    of_nodes, strength = both(nodes.p, nodes.s), _strength(mode, albedo)
     system = _system(slab, mode, strength, angle, nodes)
     right = _driving(slab, mode, beam, lit.beams, _entering(abl, lit), None)
     roof = roof_of(abl, of_nodes, from_stroma=True)
-    f = mode.linear(nodes.l.cosine).reshape(strength.size, -1)
+    f = mode.linear(nodes.p.cosine).reshape(strength.size, -1)
     balance = energy_balance(slab, strength, f, angle.linear, of_nodes, roof, coalbedo)
     lost = jnp.stack([lit.power @ b.lost for b in first])
     moments = solve_balanced(slab, system, right.reshape(system.shape[0], 2), balance, lost)
@@ -190,7 +190,7 @@ def _strength(mode: PolarisedMode, albedo):
 
 def _entering(abl, lit: Lit):
     """Flux of I_l and of I_r at the stroma's top, (2, beams)."""
-    passed = (roof_of(abl, d, from_stroma=False).passed for d in (lit.beams.l, lit.beams.r))
+    passed = (roof_of(abl, d, from_stroma=False).passed for d in (lit.beams.p, lit.beams.s))
     return jnp.stack([lit.power * p for p in passed])
 
 
@@ -198,7 +198,7 @@ def _system(slab, mode: PolarisedMode, strength, angle: Met, nodes: Rays):
     """I − K of the moments of every term, (terms·moments, terms·moments)."""
     terms, n = strength.size, slab.n_panels * slab.n_depths
     operator = jnp.zeros((terms, n, terms, n), strength.dtype)
-    mu, weight = nodes.l.cosine, nodes.l.weight
+    mu, weight = nodes.p.cosine, nodes.p.weight
     if mode.linear is not None:
         f = mode.linear(mu)
         rank = f.shape[0]
@@ -224,7 +224,7 @@ def _driving(slab, mode: PolarisedMode, beam: Met, beams: Rays, entering, turned
     """Moments that light of I_l, I_r, U and V on the iris drives, (terms, moments, 4); of the first
     two alone where `turned`, what passes of W, is not given.
     """
-    mu, n = beams.l.cosine, slab.n_panels * slab.n_depths
+    mu, n = beams.p.cosine, slab.n_panels * slab.n_depths
     right = jnp.zeros((len(mode.strength), n, 2 if turned is None else 4), mu.dtype)
     if mode.linear is not None:
         f = mode.linear(mu) * (entering / mu[None, :])[None]
@@ -247,12 +247,12 @@ def _leaving(slab, mode: PolarisedMode, strength, abl, met: Met, d: Rays, x):
     """I_l, I_r, U and V of radiance at the stroma's top, less what the ABL keeps of it, of light as
     in `_driving`, (directions, 4, 4).
     """
-    mu, source = d.l.cosine, strength[:, None, None] * x
+    mu, source = d.p.cosine, strength[:, None, None] * x
     out = jnp.zeros((mu.size, 4, 4), mu.dtype)
     if mode.linear is not None:
         f = mode.linear(mu)
         top = slab.leaving_each(met.linear, mode.signs(mu))[0].reshape(-1, 2, mu.size)
-        passed = jnp.stack([roof_of(abl, y, from_stroma=True).passed for y in (d.l, d.r)])
+        passed = jnp.stack([roof_of(abl, y, from_stroma=True).passed for y in (d.p, d.s)])
         radiance = jnp.einsum("rca,nca,rni->aci", f * passed[None], top, source[: f.shape[0]])
         out = out.at[:, :2].add(radiance)
     if mode.turning is not None:
@@ -279,14 +279,14 @@ def _collected(mode: PolarisedMode, flux, leaving):
     """What a lens collects over the hemisphere, seen in its plane: I_l, I_r, U and V along and
     across the plane of incidence. Orders 0 and 2 alone outlast the average over azimuth.
     """
-    l, r, u, v = (flux @ leaving[:, k] for k in range(4))  # noqa: E741
-    nothing = jnp.zeros_like(l)
-    of_linear = jnp.asarray([1, 1, 0, 0], l.dtype)
+    p, s, u, v = (flux @ leaving[:, k] for k in range(4))
+    nothing = jnp.zeros_like(p)
+    of_linear = jnp.asarray([1, 1, 0, 0], p.dtype)
     of_turning = 1 - of_linear
     if mode.order == 0:
-        half = 0.5 * (l + r) * of_linear
+        half = 0.5 * (p + s) * of_linear
         return jnp.stack([half, half, nothing, -v * of_turning])
-    half = 0.5 * (l - r - u)
+    half = 0.5 * (p - s - u)
     return jnp.stack([half * of_linear, -half * of_linear, 2 * half * of_turning, nothing])
 
 

@@ -16,12 +16,12 @@ from irisjax.transport.radiative.slab import Bounded, Ends, Images, Slab
 
 
 class Rays(NamedTuple):
-    """Directions in the stroma with the interfaces as I_l, as I_r and as W meet them (`w` has
-    `Coherence`s for them).
+    """Directions in the stroma with the interfaces as I_l, polarised in the plane of incidence
+    (`p`), as I_r, across it (`s`), and as W meet them (`w` has `Coherence`s for them).
     """
 
-    l: Directions  # noqa: E741 the field's name for it
-    r: Directions
+    p: Directions
+    s: Directions
     w: Directions
 
 
@@ -40,16 +40,16 @@ def rays(make, *where) -> Rays:
     return Rays(*(make(*where, law) for law in (fresnel_p, fresnel_s, coherence)))
 
 
-def both(l, r):  # noqa: E741
+def both(p, s):
     """What belongs to I_l, then what belongs to I_r, along the last axis."""
-    return jax.tree.map(lambda *x: jnp.concatenate(x, axis=-1), l, r)
+    return jax.tree.map(lambda *x: jnp.concatenate(x, axis=-1), p, s)
 
 
 def meet(slab: Slab, abl, d: Rays) -> tuple[Bounded, Bounded, Bounded, Bounded]:
     """The slab along directions as I_l, I_r and W (real part, imaginary part) meet it."""
-    of_l, of_r = (slab.images(x.cosine, _ends(abl, x)) for x in (d.l, d.r))
+    of_l, of_r = (slab.images(x.cosine, _ends(abl, x)) for x in (d.p, d.s))
     of_w = _turning_images(slab.depth, abl, d.w)
-    along = slab.imaged(d.l.cosine, of_l)
+    along = slab.imaged(d.p.cosine, of_l)
     return (
         along,
         along._replace(images=of_r),

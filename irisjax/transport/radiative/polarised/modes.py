@@ -40,8 +40,7 @@ class PolarisedMode(NamedTuple):
 
     def signs(self, cosine):
         """`parity` of I_l along directions, then of I_r."""
-        l, r, _ = self.parity  # noqa: E741
-        return jnp.concatenate([jnp.full_like(cosine, l), jnp.full_like(cosine, r)])
+        return jnp.concatenate([jnp.full_like(cosine, sign) for sign in self.parity[:2]])
 
 
 def _meridional(mu):
