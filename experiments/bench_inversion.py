@@ -142,15 +142,12 @@ def _moves(problem, best, steps):
     taught = burn.get_chain(discard=150, flat=True)
     last = burn.get_chain()[-1]
     straight = Straightening.of_samples(taught)
-    level = straight._replace(
-        bends=[np.zeros_like(bend) for bend in straight.bends], width=np.ones(z.size)
-    )
     rows = []
     for name, moves in {
         "stretch (emcee's default)": [(emcee.moves.StretchMove(), 1.0)],
         "differences + snooker": mixture(None),
         "kernel density of the other half": [(emcee.moves.KDEMove(), 1.0)],
-        "independent t": [(IndependentMove(level, taught), 1.0)],
+        "independent t": [(IndependentMove(straight.level(), taught), 1.0)],
         "independent t, straightened": [(IndependentMove(straight, taught), 1.0)],
         "independent t 0.8 + differences, straightened (used)": mixture(taught),
     }.items():

@@ -7,9 +7,9 @@ import emcee
 import numpy as np
 from scipy import stats
 
-_DEGREES = (
-    5  # tails heavier than a normal's: a walker must not stand where nothing is ever proposed
-)
+DEGREES = 5
+"""Of freedom of proposals: tails heavier than a normal's, for a walker must not stand where nothing
+is ever proposed."""
 _REACH = 4.0
 
 
@@ -40,6 +40,11 @@ class Straightening(NamedTuple):
             width[i] = np.std(own - terms @ bends[i])
         return cls(mean, axes, bends, width)
 
+    def level(self) -> "Straightening":
+        """The same axes without bends."""
+        flat = [np.zeros_like(bend) for bend in self.bends]
+        return self._replace(bends=flat, width=np.ones_like(self.width))
+
     def to(self, z) -> np.ndarray:
         """y of z, (n, free)."""
         w = np.linalg.solve(self.axes, (z - self.mean).T).T
@@ -66,22 +71,39 @@ def _pairs(count: int) -> tuple[np.ndarray, np.ndarray]:
     return np.triu_indices(count)
 
 
-class IndependentMove(emcee.moves.MHMove):
-    """Metropolis–Hastings with proposals that do not depend on where a walker stands.
-
-    Drawn from a multivariate Student t of the straight coordinates: as good as it resembles the
-    posterior; where it does, one accepted jump forgets all. Teach with samples (n, free).
-    """
+class Proposal:
+    """A multivariate Student t of the straight coordinates, taught by samples (n, free)."""
 
     def __init__(self, straight: Straightening, samples):
         y = straight.to(samples)
         spread: Any = np.cov(y.T)  # scipy's stub calls a matrix int
-        proposal = stats.multivariate_t(y.mean(axis=0), spread, df=_DEGREES)
+        self._straight = straight
+        self._t = stats.multivariate_t(y.mean(axis=0), spread, df=DEGREES)
+
+    def draw(self, count: int, random) -> np.ndarray:
+        """Draws (count, free)."""
+        y = self._t.rvs(count, random_state=random).reshape(count, -1)
+        return self._straight.back(y)
+
+    def log_density(self, z) -> np.ndarray:
+        """Log density at z (n, free), up to a constant: the Jacobian."""
+        return self._t.logpdf(self._straight.to(z))
+
+
+class IndependentMove(emcee.moves.MHMove):
+    """Metropolis–Hastings with proposals that do not depend on where a walker stands.
+
+    As good as the proposal resembles the posterior; where it does, one accepted jump forgets all.
+    Teach with samples (n, free).
+    """
+
+    def __init__(self, straight: Straightening, samples):
+        proposal = Proposal(straight, samples)
 
         def propose(z, random):
-            new = proposal.rvs(len(z), random_state=random).reshape(z.shape)
-            here, there = np.split(proposal.logpdf(np.concatenate([straight.to(z), new])), 2)
-            return straight.back(new), here - there
+            new = proposal.draw(len(z), random)
+            here, there = np.split(proposal.log_density(np.concatenate([z, new])), 2)
+            return new, here - there
 
         super().__init__(propose)
 

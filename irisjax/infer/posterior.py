@@ -15,6 +15,7 @@ from irisjax._interrupt import unfinished
 from irisjax._types import PRNGKey
 from irisjax.infer.diagnostics import diagnostics
 from irisjax.infer.fit import Fit, fit
+from irisjax.infer.importance import DRAWS, look
 from irisjax.infer.moves import mixture
 from irisjax.infer.pieces import density
 from irisjax.infer.problem import Problem
@@ -74,9 +75,11 @@ def sample(
     That is for every parameter 50 autocorrelation times (`TAUS`), 1,000 effective samples (`ESS`;
     500 of the tails) and an R-hat of at most 1.03 (`RHAT`).
 
-    Burn-in (differences of walkers only) starts round the least-squares optimum and teaches the
-    proposal of the independent jumps; it is kept apart and not used otherwise. Step i draws from
-    the key and i: a run that was killed and resumed gives the chain of one that was not.
+    Importance sampling from the least-squares optimum and the priors (`importance.look`) gives the
+    walkers their first places and teaches the proposal of their independent jumps. Where its
+    weights stay uneven a burn-in does, first with differences of walkers alone; it is kept apart
+    and not used otherwise. Step i draws from the key and i: a run that was killed and resumed gives
+    the chain of one that was not.
 
     Args:
         problem: What was measured and what is free.
@@ -108,20 +111,22 @@ def sample(
 
         return tell
 
-    # Burn-in: differences of walkers, then jumps that these have taught.
     burn = _Run(path, "burn", log_probability, mixture(None), words)
-    burn.advance(_SPREAD, report("burn-in"))
-    taught = burn.between(_SPREAD // 2, _SPREAD)
-    burn = _Run(path, "burn", log_probability, mixture(taught), words)
-    burn.advance(_BURN, report("burn-in"))
-    taught = burn.between((_SPREAD + _BURN) // 2, _BURN)
+    taught = burn.backend.taught()
+    if taught is None:
+        # Differences of walkers, then jumps that these have taught.
+        burn.advance(_SPREAD, report("burn-in"))
+        taught = burn.between(_SPREAD // 2, _SPREAD)
+        burn = _Run(path, "burn", log_probability, mixture(taught), words)
+        burn.advance(_BURN, report("burn-in"))
+        taught = burn.between((_SPREAD + _BURN) // 2, _BURN)
     begun = Stream(str(path), name="chain").initialized
     run = _Run(
         path, "chain", log_probability, mixture(taught), words, None if begun else burn.standing()
     )
     wanted = 2 * _BLOCK
     while True:
-        run.advance(min(wanted, max_steps), report("sampling", _BURN))
+        run.advance(min(wanted, max_steps), report("sampling", burn.backend.iteration))
         steps = run.backend.iteration
         checkpoint(path)
         chains = diagnose(run.backend, steps)
@@ -246,15 +251,18 @@ class _Run:
 def _begin(
     path: Path, problem: Problem, walkers: int, words: list[int], mark: str, best: Fit
 ) -> None:
-    """A new file with the walkers' first places: a cloud as wide as the fit's covariance."""
-    z, covariance = laplace(problem, best)
+    """A new file with the walkers' first places, and with what teaches their jumps."""
     random = np.random.RandomState([*words, 1 << 31])
-    cloud = z + random.standard_normal((walkers, z.size)) @ np.linalg.cholesky(covariance).T
+    found = look(density(problem), *laplace(problem, best), random)
+    free = found.samples.shape[1]
+    # Walkers on one spot would know no differences.
+    places = found.samples[random.choice(len(found.samples), walkers, walkers > DRAWS)]
+    cloud = places + 1e-3 * found.samples.std(axis=0) * random.standard_normal((walkers, free))
     with unfinished(path.with_name(f".{path.name}.{os.getpid()}.tmp")) as temporary:
         backend = Stream(str(temporary), name="burn")
         try:
-            backend.reset(walkers, z.size)
-            backend.begin(cloud, mark)
+            backend.reset(walkers, free)
+            backend.begin(cloud, mark, found.samples if found.even else None)
             os.replace(temporary, path)
         finally:
             temporary.unlink(missing_ok=True)

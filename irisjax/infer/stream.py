@@ -90,10 +90,14 @@ class Stream(emcee.backends.HDFBackend):
         with self.open() as file:
             return self._count(file[self.name])
 
-    def begin(self, places, mark: str | None = None) -> None:
-        """Keep where the walkers begin, and a mark of what the file belongs to."""
+    def begin(self, places, mark: str | None = None, taught=None) -> None:
+        """Keep where the walkers begin, a mark of what the file belongs to, and samples (n, free)
+        that teach jumps, if there are any yet.
+        """
         with self.open("a") as file:
             file[self.name]["start"] = places
+            if taught is not None:
+                file[self.name]["taught"] = taught
             if mark is not None:
                 file.attrs["problem"] = mark
 
@@ -101,6 +105,12 @@ class Stream(emcee.backends.HDFBackend):
         """Where the walkers began."""
         with self.open() as file:
             return np.asarray(file[self.name]["start"])
+
+    def taught(self) -> np.ndarray | None:
+        """Samples that teach jumps, if it began with some."""
+        with self.open() as file:
+            group = file[self.name]
+            return np.asarray(group["taught"]) if "taught" in group else None
 
     def mark(self) -> str | None:
         """What the file belongs to."""
@@ -144,12 +154,12 @@ def repair(path: Path) -> None:
         with h5py.File(path, "r") as file:
             group: Any
             for group in file.values():
-                for rows in group[
-                    "log_prob"
-                ].iter_chunks():  # not all at once: chains are longer than memory
+                if not len(group["chain"]):
+                    continue
+                # Not all at once: chains are longer than memory.
+                for rows in group["log_prob"].iter_chunks():
                     _ = group["log_prob"][rows]
-                if len(group["chain"]):
-                    _ = group["chain"][-1]
+                _ = group["chain"][-1]
     except (OSError, KeyError, ValueError, RuntimeError) as error:
         if not backup(path).exists():
             raise ValueError(

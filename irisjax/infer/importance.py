@@ -1,0 +1,102 @@
+"""A first look at a posterior: samples by importance, before any walker takes a step.
+
+Adaptive importance sampling [Cappé et al. 2004]: draws of a proposal are weighted by the posterior,
+and teach the next one. Weights that are too uneven to teach anything are flattened by a power of
+them first [Del Moral et al. 2006, Section 3.3].
+"""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+from scipy import stats
+from scipy.optimize import brentq
+
+from irisjax.infer.moves import DEGREES, Proposal, Straightening
+
+DRAWS, ROUNDS = 2048, 8
+"""Draws a round, and most rounds."""
+EVEN = 0.35
+"""Share of effective draws at which a proposal is good enough."""
+_TEACHING = 1 / 8
+_BENDING = 0.3
+"""Weights flatter than this power know nothing yet of how a ridge bends."""
+
+
+class Look(NamedTuple):
+    """Equally weighted samples (draws, free), and the share of the last round's draws that count:
+    effective draws [Kong 1992] over draws.
+    """
+
+    samples: np.ndarray
+    share: float
+
+    @property
+    def even(self) -> bool:
+        """Whether the samples may stand for the posterior."""
+        return self.share >= EVEN
+
+
+def look(
+    log_probability: Callable[[np.ndarray], np.ndarray],
+    mean: np.ndarray,
+    covariance: np.ndarray,
+    random: np.random.RandomState,
+) -> Look:
+    """Samples of a density of z (n, free) whose priors are standard normal.
+
+    The first round draws from the normal approximation, made wider, and from the priors, half and
+    half: where the model cannot follow the data they are far apart, and the posterior is elsewhere.
+
+    Args:
+        log_probability: Of z (n, free), (n,).
+        mean: Where the approximation lies, (free,).
+        covariance: Its covariance, (free, free).
+        random: For all draws.
+
+    Raises:
+        ValueError: If no draw at all has a probability.
+    """
+    free = len(mean)
+    both = [
+        stats.multivariate_t(m, c, df=DEGREES)
+        for m, c in ((mean, 4 * covariance), (np.zeros(free), 2 * np.eye(free)))
+    ]
+    z = np.concatenate([t.rvs(DRAWS // 2, random_state=random).reshape(-1, free) for t in both])
+    proposed = np.logaddexp(*(t.logpdf(z) for t in both))
+    for rounds in range(ROUNDS):
+        log_weight = log_probability(z) - proposed
+        if not np.isfinite(log_weight).any():
+            raise ValueError("no draw round the least-squares fit has a probability above zero")
+        log_weight = np.where(np.isfinite(log_weight), log_weight, -np.inf)
+        share = _share(log_weight, 1.0)
+        power = _flattened(log_weight)
+        samples = z[_resampled(log_weight, power, random)]
+        if share >= EVEN or rounds == ROUNDS - 1:
+            break
+        straight = Straightening.of_samples(samples)
+        taught = Proposal(straight if power >= _BENDING else straight.level(), samples)
+        z = taught.draw(DRAWS, random)
+        proposed = taught.log_density(z)
+    return Look(samples, share)
+
+
+def _share(log_weight, power: float) -> float:
+    """Effective draws over draws of weights to a power."""
+    w = np.exp(power * (log_weight - log_weight.max()))
+    return float(w.sum() ** 2 / (w**2).sum() / w.size)
+
+
+def _flattened(log_weight) -> float:
+    """The largest power, up to 1, of which enough draws count."""
+    least = min(_TEACHING, 0.5 * float(np.isfinite(log_weight).mean()))
+    if _share(log_weight, 1.0) >= least:
+        return 1.0
+    return float(brentq(lambda power: _share(log_weight, power) - least, 1e-12, 1.0))
+
+
+def _resampled(log_weight, power: float, random) -> np.ndarray:
+    """Indices of as many draws, systematically resampled [Carpenter et al. 1999]."""
+    w = np.exp(power * (log_weight - log_weight.max()))
+    at = (random.random_sample() + np.arange(w.size)) * (w.sum() / w.size)
+    return np.minimum(np.searchsorted(np.cumsum(w), at), w.size - 1)

@@ -1,0 +1,60 @@
+"""Importance sampling before the first step: right moments, found from far off, or said not to be."""
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from irisjax.infer.importance import DRAWS, look
+
+
+def _ridge(z):
+    """A thin, curved ridge; its mean and variances are known."""
+    first, second = z[:, 0], z[:, 1] - 0.3 * z[:, 0] ** 2
+    return stats.norm.logpdf(first, 0.5, 0.8) + stats.norm.logpdf(second, 1.0, 0.1)
+
+
+def _far(z):
+    """Far from where the search says."""
+    return stats.norm.logpdf(z, [-1.0, 3.0], [0.5, 0.2]).sum(axis=1)
+
+
+@pytest.mark.parametrize(
+    ("log_p", "mean", "variance"),
+    [
+        (_ridge, (0.5, 1.0 + 0.3 * 0.89), (0.64, 0.01 + 0.09 * (2 * 0.64**2 + 4 * 0.64 * 0.25))),
+        (_far, (-1.0, 3.0), (0.25, 0.04)),
+    ],
+)
+def test_samples_have_the_moments_of_the_posterior(log_p, mean, variance):
+    """From a normal approximation that is tilted, too narrow, or elsewhere."""
+    found = look(log_p, np.array([1.0, 1.3]), 0.01 * np.eye(2), np.random.RandomState(0))
+    assert found.even
+    z, count = found.samples, found.share * DRAWS
+    assert z.shape == (DRAWS, 2)
+    error = np.sqrt(np.array(variance) / count)
+    assert (np.abs(z.mean(axis=0) - mean) < 4 * error).all()
+    np.testing.assert_allclose(z.var(axis=0), variance, rtol=5 * np.sqrt(2 / count))
+
+
+def test_what_no_proposal_resembles_is_said():
+    """A thin ring: the samples may not stand for the posterior."""
+
+    def ring(z):
+        return -0.5 * ((np.hypot(*z.T) - 2) / 0.01) ** 2
+
+    found = look(ring, np.array([2.0, 0.0]), 1e-4 * np.eye(2), np.random.RandomState(0))
+    assert not found.even
+    assert np.isfinite(found.samples).all()
+
+
+def test_places_without_probability_are_left_out():
+    """Half the plane is impossible; nowhere possible is an error."""
+
+    def half(z):
+        return np.where(z[:, 0] > 0, -0.5 * (z**2).sum(axis=1), -np.inf)
+
+    z = look(half, np.ones(2), np.eye(2), np.random.RandomState(0)).samples
+    assert (z[:, 0] > 0).all()
+    assert z[:, 0].mean() == pytest.approx(np.sqrt(2 / np.pi), abs=0.1)
+    with pytest.raises(ValueError, match="no draw"):
+        look(lambda z: np.full(len(z), -np.inf), np.ones(2), np.eye(2), np.random.RandomState(0))
