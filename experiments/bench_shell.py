@@ -2,11 +2,15 @@
 
 Each is run with empty caches (first), then twice as every later time (second: the quicker one),
 and once more under Python's profiler, for where the time of a second run goes. Shares are of that
-profiled run, in which Python's own work counts for more than it takes.
+profiled run, in which Python's own work counts for more than it takes. Of the viewer it is the time
+until it says its address, and from a page's connection to the first draft and the first fine
+picture of the eye.
 """
 
+import asyncio
 import json
 import os
+import socket
 import subprocess
 import sys
 import tempfile
@@ -34,6 +38,7 @@ COMMANDS = {
     ),
     "export": ("export", "--preset", "hazel", "-o", "{}/eye{}"),
 }
+VIEWER = ("view: its address", "view: draft on the page", "view: picture on the page")
 PARTS = {
     "imports": "_find_and_load",
     "lowering": "lower_sharding_computation",
@@ -59,7 +64,7 @@ sys.exit(status)
 
 def main(key=None, quick: bool = False, out: Path = common.RESULTS) -> None:
     """Time every command; nothing is drawn at random."""
-    rows = []
+    rows = [] if quick else _viewer()
     for name, command in list(COMMANDS.items())[: 1 if quick else None]:
         with tempfile.TemporaryDirectory() as folder:
             place = {k: v for k, v in os.environ.items() if k != "JAX_COMPILATION_CACHE_DIR"}
@@ -85,6 +90,51 @@ def main(key=None, quick: bool = False, out: Path = common.RESULTS) -> None:
     ]
     columns = ["command", "first_s", "second_s", *(f"share_{part}" for part in PARTS)]
     common.write(out / "bench_shell.csv", header, columns, rows)
+
+
+def _viewer() -> list[list]:
+    """Rows of the viewer."""
+    with tempfile.TemporaryDirectory() as folder:
+        place = {**os.environ, "XDG_CACHE_HOME": folder}
+        place.pop("JAX_COMPILATION_CACHE_DIR", None)
+        runs = [asyncio.run(_opened(place)) for _ in range(3)]
+    rows = []
+    for name, of_all in zip(VIEWER, zip(*runs, strict=True), strict=True):
+        rows.append([name, of_all[0], min(of_all[1:]), *[float("nan")] * len(PARTS)])
+        print(f"{name}: first {of_all[0]:.1f} s, second {min(of_all[1:]):.1f} s", flush=True)
+    return rows
+
+
+async def _opened(environment) -> tuple[float, float, float]:
+    """Seconds to the viewer's address, and from a page's connection to draft and picture."""
+    import viser
+    import websockets
+    import zstandard
+    from websockets.typing import Subprotocol
+
+    with socket.create_server(("127.0.0.1", 0)) as free:
+        port = free.getsockname()[1]
+    command = [sys.executable, "-m", "irisjax", "view", "--port", str(port)]
+    begin, found = time.perf_counter(), {}
+    with subprocess.Popen(command, env=environment, stdout=subprocess.PIPE) as process:
+        try:
+            assert process.stdout is not None
+            process.stdout.readline()
+            ready = time.perf_counter() - begin
+            address, protocol = f"ws://127.0.0.1:{port}", Subprotocol(f"viser-v{viser.__version__}")
+            begin = time.perf_counter()
+            async with websockets.connect(address, subprotocols=[protocol], max_size=None) as page:
+                while b"picture " not in found:
+                    message = await asyncio.wait_for(page.recv(decode=False), 120)
+                    # Behind a header of its own: what one batch of changes is packed into.
+                    packed = message[message.find(bytes.fromhex("28b52ffd")) :]
+                    text = zstandard.ZstdDecompressor().decompressobj().decompress(packed)
+                    for word in (b"draft ", b"picture "):
+                        if word in text:
+                            found.setdefault(word, time.perf_counter() - begin)
+        finally:
+            process.terminate()
+    return ready, found.get(b"draft ", found[b"picture "]), found[b"picture "]
 
 
 def _run(command, environment) -> None:

@@ -14,7 +14,7 @@ from scipy.optimize import brentq
 
 from irisjax.infer.moves import DEGREES, Proposal, Straightening
 
-DRAWS, ROUNDS = 2048, 8
+DRAWS, ROUNDS = 2048, 12
 """Draws a round, and most rounds."""
 EVEN = 0.35
 """Share of effective draws at which a proposal is good enough."""

@@ -9,8 +9,8 @@ from irisjax.infer.problem import Problem
 from irisjax.numerics.portions import in_pieces
 from irisjax.numerics.programs import program
 
-_ROWS = 32
-"""Half of the sampler's default walkers: emcee moves one half, then the other."""
+_ROWS = 64
+"""The sampler's default walkers: what a call costs beside its rows is as much as twenty of them."""
 
 
 def elements(problem: Problem) -> int:

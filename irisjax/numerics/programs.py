@@ -67,6 +67,7 @@ class Program:
         self._function, self._compiled = function, eqx.filter_jit(function)
         self._name = f"{function.__module__}.{function.__qualname__}" if name is None else name
         self._kept: dict[Hashable, _Kept | None] = {}
+        self._flat: dict[Hashable, Callable[..., Any]] = {}
         self._making = threading.Lock()
 
     def __call__(self, *args):
@@ -75,10 +76,14 @@ class Program:
         return self._compiled(*args) if kept is None else kept(arrays)
 
     def bound(self, held) -> Callable[..., Any]:
-        """The function of its other arguments, arrays all, with this one held: it is taken apart
-        once and not at every call.
+        """The function of its other arguments, concrete arrays all, with this one held: it is taken
+        apart once and not at every call. Its results are arrays.
         """
         found: dict[Hashable, tuple[_Kept | None, list[Any]]] = {}
+        leaves, structure = jax.tree.flatten(held)
+        if any(isinstance(x, Tracer) for x in leaves):
+            return lambda *arrays: self(held, *arrays)
+        live = self._live(structure, tuple(None if _is_array(x) else (type(x), x) for x in leaves))
 
         def call(*arrays):
             types = tuple((x.shape, x.dtype) for x in arrays)
@@ -87,9 +92,22 @@ class Program:
                 first = all_arrays[: len(all_arrays) - len(arrays)]
                 found[types] = kept, [jax.numpy.asarray(x) for x in first]
             kept, first = found[types]
-            return self(held, *arrays) if kept is None else kept([*first, *arrays])
+            return live(first, *arrays) if kept is None else kept([*first, *arrays])
 
         return call
+
+    def _live(self, structure, rest) -> Callable[..., Any]:
+        """`jax.jit` of the function, of the arrays of its first argument and of the others."""
+        if (structure, rest) not in self._flat:
+
+            def flat(first, *arrays):
+                those = iter(first)
+                leaves = [next(those) if x is None else x[1] for x in rest]
+                return self._function(jax.tree.unflatten(structure, leaves), *arrays)
+
+            flat.__name__ = self._function.__name__
+            self._flat[structure, rest] = jax.jit(flat, compiler_options=_compiler_options())
+        return self._flat[structure, rest]
 
     def _find(self, args) -> "tuple[_Kept | None, list[Any]]":
         leaves, structure = jax.tree.flatten(args)

@@ -102,7 +102,7 @@ def test_batch(irisjax, eye, searched, tmp_path):
     assert searched == [3, 3, 1, 1, 2, 2]  # by either process
 
 
-@pytest.mark.heavy  # the search of a batch compiles for half a minute
+@pytest.mark.slow  # the search of a batch compiles for half a minute
 def test_batch_by_the_model_itself(irisjax, eye, tmp_path):
     check_batch(irisjax, eye, tmp_path, 1e-4, "doubtful")  # by `Quick`, no iris
 

@@ -62,7 +62,7 @@ def test_brdf_table_is_the_goniophotometers(bare):
     np.testing.assert_allclose(found, expected, rtol=0.01)
 
 
-@pytest.mark.heavy
+@pytest.mark.slow
 def test_error_of_a_matt_iris_by_plain_sums(bare):
     """Largest error of the mean radiance within 50°, from the public BRDF of the two kinds of texel
     there are.

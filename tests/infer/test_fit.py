@@ -58,6 +58,7 @@ def seen(problem, values, noise=None):
     return problem if noise is None else eqx.tree_at(lambda p: p.noise, problem, noise)
 
 
+@pytest.mark.heavy
 @pytest.mark.parametrize("level", ["low", "moderate", "high"])
 def test_noiseless_data_give_the_truth_back(measured, level):
     """Maximum likelihood, no priors: every parameter the noiseless spectrum determines, to 1e-6."""
@@ -146,7 +147,7 @@ def test_normal_equations_solve_least_squares():
     np.testing.assert_allclose(found, np.linalg.lstsq(a, b, rcond=None)[0], rtol=1e-10)
 
 
-@pytest.mark.heavy
+@pytest.mark.slow
 def test_ridge_is_found_and_said(measured):
     """Load and fraction correlate at −0.9 or worse; their product is known better than either."""
     problem = measured("moderate")
@@ -184,6 +185,7 @@ def test_odd_data_end_in_numbers_or_a_status(problem, values, noise):
         np.testing.assert_allclose(np.diag(found.covariance)[:-1], 1, atol=1e-3)
 
 
+@pytest.mark.heavy
 @pytest.mark.parametrize(
     "edge", [{"abl_fraction": 0.0}, {"abl_fraction": 1.0}, {"eumelanin": 0.0, "pheomelanin": 1e-6}]
 )

@@ -34,7 +34,7 @@ def read():
     return by, eyes
 
 
-@pytest.mark.heavy  # compiles a search
+@pytest.mark.slow  # compiles a search
 def test_its_search_finds_what_fit_finds(read):
     by, eyes = read
     problem = by["depth-resolved"].with_observations(eyes["whole-layer"])
@@ -49,6 +49,7 @@ def test_its_search_finds_what_fit_finds(read):
     np.testing.assert_allclose(found.covariance[kept], expected.covariance[kept], rtol=1e-3)
 
 
+@pytest.mark.heavy
 @pytest.mark.parametrize("maker", ["whole-layer", "depth-resolved"])
 def test_the_data_prefer_the_process_that_made_them(read, maker):
     by, eyes = read

@@ -40,7 +40,7 @@ def test_prediction_is_the_spectrophotometer():
     np.testing.assert_allclose(problem.predict(jnp.zeros(1))[0], wanted.values, rtol=1e-12)
 
 
-@pytest.mark.heavy
+@pytest.mark.slow
 @pytest.mark.parametrize("quantity", ["XYZ", "Lab", "linear sRGB"])
 def test_colours_are_those_of_the_colorimeter(quantity):
     iris = ij.Iris.of_level("low")
@@ -52,6 +52,7 @@ def test_colours_are_those_of_the_colorimeter(quantity):
     np.testing.assert_allclose(found, wanted, rtol=1e-9)
 
 
+@pytest.mark.heavy
 @pytest.mark.parametrize(
     ("noise", "distribution"),
     [

@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 import irisjax as ij
+from common import slowly
 
 GRID = [450.0, 620.0]
 IRIS = ij.Iris.of_level("low")
@@ -16,7 +17,7 @@ def read(instrument, solver=SOLVER, iris=IRIS, **options):
 
 
 @pytest.mark.heavy
-@pytest.mark.parametrize("where", [1.0, 0.6, "hemisphere"])
+@pytest.mark.parametrize("where", [slowly(1.0), slowly(0.6), "hemisphere"])
 def test_both_analysers_make_the_whole(where):
     """Of unpolarised light: the mean over two polarisers of the sum over both analysers."""
     total = 0.0
@@ -34,7 +35,7 @@ def test_both_analysers_make_the_whole(where):
     np.testing.assert_allclose(total, wanted, rtol=1e-10)
 
 
-@pytest.mark.heavy
+@pytest.mark.slow
 def test_along_the_normal():
     """The spec's figures, alike for every polariser; unpolarised light stays so, by symmetry."""
     crossed, parallel = (

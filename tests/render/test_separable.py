@@ -82,7 +82,7 @@ def test_texels_with_scaled_layers_are_irides_of_their_own():
         np.testing.assert_allclose(found, true, atol=2e-3 * 0.1, rtol=5e-3)
 
 
-@pytest.mark.heavy
+@pytest.mark.slow
 def test_pigment_maps_are_irides_of_their_own():
     ranges = Scales(eumelanin=(0.0, 3.0), pheomelanin=(0.5, 4.0))
     response = tabulated(Separable(solver=ij.IlitExact(12)), LIGHT, spectral_bands(X, "E"), ranges)

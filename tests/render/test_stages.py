@@ -140,7 +140,7 @@ def test_only_what_changed_is_made_again(tables):
     np.testing.assert_array_equal(back(LIGHT), first(LIGHT))
 
 
-@pytest.mark.heavy
+@pytest.mark.slow
 def test_pictures_with_a_memory(monkeypatch, tables):
     """Equal to those without, and the response is made again for other pigments only."""
     made = scene(maps=IrisMaps(stroma_depth=ring(lambda x, y: 0.3 + 0.02 * x)), eye=CLOSE)

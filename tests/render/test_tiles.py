@@ -106,6 +106,7 @@ def test_spectral_and_single_scattering():
     np.testing.assert_allclose(found, render(marched), atol=1e-12, rtol=0)
 
 
+@pytest.mark.heavy
 def test_one_program_for_all_bands(monkeypatch):
     traced, towards = [], Camera.towards
     monkeypatch.setattr(Camera, "towards", lambda *args: traced.append(1) or towards(*args))

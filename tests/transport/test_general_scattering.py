@@ -92,6 +92,7 @@ def test_no_wrong_number_at_any_depth(indices, g, bits):
             assert bool(light.status == ij.RESULTS.successful)
 
 
+@pytest.mark.heavy
 def test_single_precision_says_where_it_loses_count():
     """Scattered 10¹² times before it is absorbed, light would leave with up to 0.3 % too little."""
     with jax.enable_x64(False):
@@ -122,7 +123,7 @@ def test_photons_agree():
     np.testing.assert_allclose(found.absorbed.stroma, in_stroma, rtol=4e-3)
 
 
-@pytest.mark.heavy
+@pytest.mark.slow
 def test_gradients_are_those_of_differences():
     def value(x):
         iris = ij.Iris.of_level("low").replace(
@@ -188,7 +189,7 @@ def test_a_picture_refuses():
         ij.Scene(iris=ij.Iris(power_law=ij.PowerLaw()))
 
 
-@pytest.mark.heavy
+@pytest.mark.slow
 def test_pointwise_derivatives_pass_through_the_phase_function():
     from irisjax.transport.pointwise import Pointwise
 

@@ -164,7 +164,7 @@ def test_along_the_normal_no_direction_is_preferred():
     np.testing.assert_allclose(matrix[:, 1, 0], 0, atol=1e-15)
 
 
-@pytest.mark.heavy
+@pytest.mark.slow
 @pytest.mark.usefixtures("float32")
 def test_single_precision():
     made = layers(*HARD, IRIS)

@@ -168,6 +168,7 @@ def test_brdf_of_diffuse_light_is_refused(table):
         table.solve(layers, ij.DEPTH_RESOLVED, ij.DIFFUSE, cos_exit=jnp.asarray([0.5]))
 
 
+@pytest.mark.heavy
 def test_single_precision(table):
     with jax.enable_x64(False):
         narrow = shipped.table(ij.Iris().indices())
@@ -179,7 +180,7 @@ def test_single_precision(table):
     np.testing.assert_allclose(found, exact, rtol=3 * narrow.error)
 
 
-@pytest.mark.heavy  # makes a table
+@pytest.mark.slow  # makes a table
 def test_the_table_that_is_shipped_is_the_one_that_is_built(table):
     built = ij.RadiativeTabulated.build(ij.Iris().indices())
     assert built.error == pytest.approx(table.error, rel=0.01)
@@ -188,7 +189,7 @@ def test_the_table_that_is_shipped_is_the_one_that_is_built(table):
     np.testing.assert_allclose(*by_both, rtol=1e-9)
 
 
-@pytest.mark.heavy  # makes a table
+@pytest.mark.slow  # makes a table
 def test_other_media_have_tables_of_their_own():
     iris = ij.Iris.of_level("low").replace(abl_index=1.4, stroma_index=1.4, ipe_index=1.4)
     table = ij.RadiativeTabulated.build(iris.indices())

@@ -111,6 +111,7 @@ def test_limits(cosine):
     assert (found.absorbed.stroma[np.asarray(absorption) == 0] == 0).all()
 
 
+@pytest.mark.heavy
 def test_thick():
     """Depth 1e4: as bright as depth 30, and nothing reaches the floor."""
     albedo = np.linspace(0.1, 0.9, 9)
@@ -154,7 +155,7 @@ def test_diffuse_light():
     np.testing.assert_allclose(found.energy, 1, rtol=0, atol=3e-6)
 
 
-@pytest.mark.heavy
+@pytest.mark.slow
 def test_single_precision(float32):
     made = of_levels()
     found = sampled(made, 0.6)
@@ -172,7 +173,7 @@ def _moved(solver, made, key, x):
     )
 
 
-@pytest.mark.heavy
+@pytest.mark.slow
 def test_derivatives_are_unbiased():
     made = any_order(layers([0.02, 0.3], [0.05, 0.4], [0.2, 1.5], IRIS))
     depths = made.abl_absorption, made.stroma_absorption, made.stroma_scattering
@@ -222,7 +223,7 @@ def test_equal_keys_give_equal_bytes():
     assert (np.asarray(a.brdf) != np.asarray(c.brdf)).all()
 
 
-@pytest.mark.heavy
+@pytest.mark.slow
 def test_batches_and_meshes_do_not_change_a_packet():
     made = any_order(layers(0.1, 0.1, np.array([0.5, 2.0]), IRIS))
 

@@ -70,6 +70,7 @@ def test_depth_resolved_cannot_be_tabulated():
         ij.IlitTabulated.build(process=ij.DEPTH_RESOLVED)
 
 
+@pytest.mark.heavy
 def test_too_small_tables_are_refused():
     with pytest.raises(ValueError, match=r"are tabulated to .* only, not to 1.0e-11"):
         ij.IlitTabulated.build(process=ij.ILIT_CORRECTED, n_intervals=8)

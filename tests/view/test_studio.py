@@ -71,7 +71,7 @@ def test_a_change_costs_what_it_must(bare, counted):
     assert np.abs(after - fresh(found)).max() <= 1
 
 
-@pytest.mark.heavy
+@pytest.mark.slow
 def test_drafts_are_kept_apart(bare, counted):
     found = Studio(bare)
     fine = found.update()

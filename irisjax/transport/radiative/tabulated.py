@@ -115,6 +115,7 @@ class RadiativeTabulated(AbstractSolver):
         """See `AbstractSolver.solve`; no `key` and no `rays` are used."""
         checked_process(self, process, RadiativeTransfer, layers)
         dtype = layers.extinction.dtype
+        cosine, azimuth = exits_of(cos_incidence, cos_exit, azimuth, dtype)
         outside, power = beams_of(cos_incidence, 16, dtype)
         beams = from_outside(layers, outside)
         light = laid_out_as(
@@ -126,7 +127,6 @@ class RadiativeTabulated(AbstractSolver):
         )
         reflectance, mirrored, abl, stroma, ipe = light
         values = None
-        cosine, azimuth = exits_of(cos_incidence, cos_exit, azimuth, dtype)
         if cosine is not None:
             exits = from_outside(layers, cosine)
             values = laid_out_as(
