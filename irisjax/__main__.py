@@ -11,7 +11,9 @@ def main() -> None:
 def _command() -> int:
     from irisjax.cli import run
 
-    return run()
+    status = run()
+    _interrupt.done(status)
+    return status
 
 
 if __name__ == "__main__":

@@ -18,7 +18,7 @@ from irisjax.infer.diagnostics import predictive_score
 from irisjax.infer.fit import fit
 from irisjax.infer.identifiability import in_words, information
 from irisjax.infer.other_process import Interval
-from irisjax.infer.parameters import kind
+from irisjax.infer.parameters import kind, unit_of
 from irisjax.infer.pieces import pointwise
 from irisjax.infer.posterior import Chains, sample
 from irisjax.infer.problem import Problem
@@ -112,6 +112,8 @@ def one(
         max_steps=sampler["max_steps"], progress=progress, key=key,
     )  # fmt: skip
     bar.set_description_str("summary")
+    # Another process draws meanwhile.
+    pictures, simulated = _figures(problem, chains, key, draw) if files else ({}, ())
     rows = summarise(problem, chains)
     tested = check(problem, chains, key=jax.random.fold_in(key, 2))
     intervals = {r.parameter: Interval(r.median, r.q2_5, r.q97_5) for r in rows}
@@ -125,7 +127,7 @@ def one(
     if files:
         bar.set_description_str("files")
         table = summary_csv(rows, compared)
-        likelihoods = _write(problem, folder, chains, rows, table, lines, key, draw)
+        likelihoods = _write(problem, folder, chains, table, lines, key, simulated, pictures)
         score, error = predictive_score(likelihoods, chains.ess_bulk.mean() / chains.z[..., 0].size)
         lines.append(
             f"predictive score {score:.1f} ± {error:.1f} (PSIS-LOO): compare it with that of "
@@ -153,11 +155,35 @@ def summary_csv(rows: list[Row], by: other_process.Comparison) -> str:
     return out.getvalue()
 
 
+def _figures(problem: Problem, chains: Chains, key, draw) -> tuple[dict[str, Later], Any]:
+    """Pictures by file name, to come, and the simulated measurements that they show."""
+    later = {}
+    shown = [n for n in problem.free if kind(n) not in ("gain", "noise")]
+    if len(shown) > 1:
+        values = reported(problem, chains.z)
+        named = {n: f"{n}\n({unit_of(n)})" if unit_of(n) else n for n in shown}
+        later["corner.png"] = draw("corner_figure", {named[n]: values[n].ravel() for n in shown})
+    _, simulated, models = predictive(problem, chains, key=jax.random.fold_in(key, 3))
+    shapes = [
+        (o.name, o.quantity, o.is_colour, np.asarray(o.wavelengths), np.asarray(o.values))
+        for o in problem.observations
+    ]
+    drawn = [[np.asarray(x) for x in arrays] for arrays in (simulated, models)]
+    later["fit.png"] = draw("fit_figure", shapes, *drawn)
+    return later, simulated
+
+
 def _write(
-    problem: Problem, folder: Path, chains: Chains, rows, table: str, lines, key, draw=here
+    problem: Problem,
+    folder: Path,
+    chains: Chains,
+    table: str,
+    lines,
+    key,
+    simulated,
+    pictures: Mapping[str, Later],
 ) -> np.ndarray:
     """Write all files; returns the log likelihoods that they hold, (walkers, draws, data)."""
-    _, simulated, models = predictive(problem, chains, key=jax.random.fold_in(key, 3))
     random = np.random.default_rng([*words_of(key), 4])
     prior = random.standard_normal((1, 4000, len(problem.free)))
     seen = problem.observations
@@ -194,27 +220,9 @@ def _write(
         "irisjax": ij.__version__,
         "says": " | ".join(lines),
     }
-    shown = [n for n in problem.free if kind(n) not in ("gain", "noise")]
-    values = reported(problem, chains.z)
-    later = {}
-    if len(shown) > 1:
-        units = [next(r.unit for r in rows if r.parameter == n) for n in shown]
-        later["corner.png"] = draw(
-            "corner_figure",
-            {
-                f"{n}\n({u})" if u else n: values[n].ravel()
-                for n, u in zip(shown, units, strict=True)
-            },
-        )
-    shapes = [
-        (o.name, o.quantity, o.is_colour, np.asarray(o.wavelengths), np.asarray(o.values))
-        for o in seen
-    ]
-    drawn = [[np.asarray(x) for x in arrays] for arrays in (simulated, models)]
-    later["fit.png"] = draw("fit_figure", shapes, *drawn)
     io.write_posterior(folder / "posterior.nc", groups, about, observed)
     files = {folder / "summary.csv": table.encode()}
-    io.write_together(files | {folder / name: picture() for name, picture in later.items()})
+    io.write_together(files | {folder / name: picture() for name, picture in pictures.items()})
     return likelihoods
 
 

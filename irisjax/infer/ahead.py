@@ -1,6 +1,7 @@
 """What a posterior needs beside its search, done by other threads meanwhile."""
 
 import contextlib
+import importlib
 import threading
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
@@ -31,12 +32,18 @@ def ahead(problem: Problem, key: PRNGKey) -> Iterator[None]:
             slopes(problem, z[0])
             reported(problem, z)
 
+    def load() -> None:
+        with contextlib.suppress(ImportError):
+            importlib.import_module("arviz_stats.base.array")
+
     thread = threading.Thread(target=run)
     thread.start()
     try:
         yield
     finally:
         thread.join()
+        # What diagnostics need, half a second, while walkers walk.
+        threading.Thread(target=load, daemon=True).start()
 
 
 def other_fit(

@@ -4,7 +4,6 @@ Importing matplotlib and drawing hold Python's lock: threads would gain nothing.
 """
 
 import contextlib
-import importlib
 import os
 import pickle
 import subprocess
@@ -12,6 +11,8 @@ import sys
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from typing import Any
+
+import numpy as np
 
 import irisjax.plot
 
@@ -70,9 +71,10 @@ def _drawn(picture: Future[bytes], name: str, args: Any) -> Later:
 
 def main() -> None:
     """Draw what comes on standard input until it ends."""
-    for name in ("corner", "matplotlib.figure"):  # the first figure would wait for them
-        importlib.import_module(name)
-
+    # corner would load ArviZ where it is installed, for two seconds, and not need it for arrays.
+    sys.modules.setdefault("arviz", None)  # pyright: ignore[reportArgumentType]
+    # The first figure would wait for imports, fonts and what else is made at first use.
+    here("corner_figure", {"": np.arange(9.0)})()
     pictures = os.fdopen(os.dup(sys.stdout.fileno()), "wb")
     while True:
         try:
