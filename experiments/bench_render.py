@@ -20,12 +20,16 @@ from irisjax.grow.vessels import veins
 from irisjax.render.environment import Environment
 from irisjax.render.illumination import Illumination
 from irisjax.render.lights import Lights
+from irisjax.render.radiative import RadiativeIntegrator
 from irisjax.render.scene import Scene
 from irisjax.render.single_scattering import SingleScattering
 from irisjax.render.stages import Memory
+from irisjax.transport.process import DEPTH_RESOLVED
 
 TARGETS = {"pigments": 30, "thickness": 30, "2 lights": 10, "25 lights": 3, "camera, 2 lights": 10}
 """Frames per second that are wanted."""
+RADIATIVE = {"pigments": 20, "thickness": 15}
+"""The same by radiative transfer."""
 
 
 def main(key, quick=False, out=RESULTS):
@@ -64,9 +68,8 @@ def _table(key, size, repeats):
 
     def row(change, scene, f):
         ms, _ = _milliseconds(f, repeats)
-        rows.append(
-            (change, scene, ms, 1e3 / ms, 1 if "single" in scene else TARGETS.get(change, ""))
-        )
+        wanted = (RADIATIVE if "radiative" in scene else TARGETS).get(change, "")
+        rows.append((change, scene, ms, 1e3 / ms, 1 if "single" in scene else wanted))
 
     def of(change, name, scene, tables):
         """A row for the changes of one scene."""
@@ -77,6 +80,7 @@ def _table(key, size, repeats):
         def shown(stage, iris):
             return memory.shown(stage, stage.response(iris))
 
+        iris = scene.iris
         if change == "pigments":
             row(change, name, lambda i: shown(stage, iris.replace(eumelanin=0.4 + 1e-3 * i)))
         elif change == "thickness":
@@ -122,6 +126,11 @@ def _table(key, size, repeats):
         of(change, "all but environment", two, tables)
     marched = two.replace(integrator=SingleScattering())
     of("2 lights", "all but environment, single scattering", marched, tables)
+    transfer = two.replace(
+        iris=preset("hazel", key=key, process=DEPTH_RESOLVED)[0], integrator=RadiativeIntegrator()
+    )
+    for change in ("pigments", "thickness", "2 lights", "25 lights", "camera, 2 lights"):
+        of(change, "all but environment, radiative transfer", transfer, tables)
     without = {
         "no maps": two.replace(maps=None),
         "no relief": two.replace(maps=maps.replace(relief=None)),

@@ -1,4 +1,5 @@
-"""The evidence of a model, the probability of the data whatever its parameters, by nested sampling.
+"""The evidence of a model, the probability of the data whatever its parameters, by nested sampling,
+and by importance sampling where a spectrum takes too long for that.
 
 Likelihoods are compared over the whole of the priors and not at their best: a model that could have
 made many other data pays for it. The sampler is BlackJAX's nested slice sampling, all of whose
@@ -16,7 +17,12 @@ import numpy as np
 from jaxtyping import Float
 
 from irisjax._types import PRNGKey
+from irisjax.infer.fit import fit
+from irisjax.infer.importance import look
+from irisjax.infer.pieces import density
+from irisjax.infer.posterior import laplace
 from irisjax.infer.problem import Problem
+from irisjax.infer.resume import words_of
 from irisjax.numerics.checks import check_whole
 from irisjax.numerics.programs import program
 
@@ -28,12 +34,15 @@ _LOWEST = -1e30  # in place of the log likelihood where the solver has no answer
 
 
 class Evidence(NamedTuple):
-    """What nested sampling found.
+    """What a sampler found.
 
     - `log_evidence`: ln of the evidence, the likelihood averaged over the priors.
-    - `error`: its standard deviation, by what is not known of the prior's volumes.
+    - `error`: its standard deviation: by what is not known of the prior's volumes, or by the
+        importance weights'.
     - `z`: draws of the posterior (draws, free) in the priors' coordinates, of equal weight.
-    - `effective`: effective number of samples that they are drawn from; `steps` of the sampler.
+    - `effective`: effective number of samples that they are drawn from; `steps` of the sampler,
+        or rounds.
+    - `by`: the sampler's name.
     """
 
     log_evidence: float
@@ -41,6 +50,7 @@ class Evidence(NamedTuple):
     z: Float[np.ndarray, "draws free"]
     effective: float
     steps: int
+    by: str = "nested sampling"
 
 
 class _Settings(NamedTuple):
@@ -108,6 +118,45 @@ def evidence(
     z = np.asarray(found.particles.position)[_chosen(weights, draws, choice)]
     effective = weights.sum() ** 2 / (weights**2).sum()
     return Evidence(float(totals.mean()), float(totals.std()), z, float(effective), steps)
+
+
+def evidence_by_importance(
+    problem: Problem,
+    *,
+    draws: int = 2000,
+    progress: Callable[[int], Any] | None = None,
+    key: PRNGKey,
+) -> Evidence:
+    """The same by importance sampling from the least-squares fit and the priors on, see
+    `importance.look`: some 10,000 likelihoods in place of a million, and a smaller error.
+
+    It can miss a second mode far from the first, which nested sampling would find.
+
+    Args:
+        problem: What was measured and what is free.
+        draws: Draws of the posterior that are kept.
+        progress: Gets the number of rounds, now and then.
+        key: For all draws.
+
+    Raises:
+        ValueError: Where no proposal resembles the posterior.
+    """
+    check_whole("draws", draws, 1)
+    one, two = jax.random.split(key)
+    random = np.random.RandomState(words_of(two))
+    found = look(
+        density(problem),
+        *laplace(problem, fit(problem, key=one)),
+        random,
+        *(() if progress is None else (progress,)),
+    )
+    if not found.even:
+        raise ValueError(
+            f"importance weights stay uneven (effective share {found.share:.2g}): no evidence"
+        )
+    z = found.samples[random.choice(len(found.samples), draws, draws > len(found.samples))]
+    effective = found.share * len(found.samples)
+    return Evidence(found.log_mean, found.error, z, effective, found.rounds, "importance sampling")
 
 
 def check_sampler() -> None:

@@ -5,8 +5,9 @@ and teach the next one. Weights that are too uneven to teach anything are flatte
 them first [Del Moral et al. 2006, Section 3.3].
 """
 
+import math
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy import stats
@@ -24,12 +25,24 @@ _BENDING = 0.3
 
 
 class Look(NamedTuple):
-    """Equally weighted samples (draws, free), and the share of the last round's draws that count:
-    effective draws [Kong 1992] over draws.
+    """What the last round found.
+
+    - `samples`: of equal weight, (draws, free).
+    - `share`: of its draws that count, effective draws [Kong 1992] over draws.
+    - `log_mean`: logarithm of the density's integral, the mean weight; the evidence of a density
+        that is a likelihood times a prior.
+    - `rounds`: how many there were.
     """
 
     samples: np.ndarray
     share: float
+    log_mean: float
+    rounds: int
+
+    @property
+    def error(self) -> float:
+        """Standard deviation of `log_mean`, by that of the weights."""
+        return math.sqrt((1 / self.share - 1) / len(self.samples))
 
     @property
     def even(self) -> bool:
@@ -42,6 +55,7 @@ def look(
     mean: np.ndarray,
     covariance: np.ndarray,
     random: np.random.RandomState,
+    progress: Callable[[int], Any] = lambda rounds: None,
 ) -> Look:
     """Samples of a density of z (n, free) whose priors are standard normal.
 
@@ -53,18 +67,18 @@ def look(
         mean: Where the approximation lies, (free,).
         covariance: Its covariance, (free, free).
         random: For all draws.
+        progress: Gets the number of the round that begins.
 
     Raises:
         ValueError: If no draw at all has a probability.
     """
     free = len(mean)
-    both = [
-        stats.multivariate_t(m, c, df=DEGREES)
-        for m, c in ((mean, 4 * covariance), (np.zeros(free), 2 * np.eye(free)))
-    ]
+    two: Any = (mean, 4 * covariance), (np.zeros(free), 2 * np.eye(free))
+    both = [stats.multivariate_t(m, c, df=DEGREES) for m, c in two]
     z = np.concatenate([t.rvs(DRAWS // 2, random_state=random).reshape(-1, free) for t in both])
     proposed = np.logaddexp(*(t.logpdf(z) for t in both))
     for rounds in range(ROUNDS):
+        progress(rounds)
         log_weight = log_probability(z) - proposed
         if not np.isfinite(log_weight).any():
             raise ValueError("no draw round the least-squares fit has a probability above zero")
@@ -78,7 +92,8 @@ def look(
         taught = Proposal(straight if power >= _BENDING else straight.level(), samples)
         z = taught.draw(DRAWS, random)
         proposed = taught.log_density(z)
-    return Look(samples, share)
+    log_mean = float(np.logaddexp.reduce(log_weight) - math.log(DRAWS))
+    return Look(samples, share, log_mean, rounds + 1)
 
 
 def _share(log_weight, power: float) -> float:
@@ -92,7 +107,8 @@ def _flattened(log_weight) -> float:
     least = min(_TEACHING, 0.5 * float(np.isfinite(log_weight).mean()))
     if _share(log_weight, 1.0) >= least:
         return 1.0
-    return float(brentq(lambda power: _share(log_weight, power) - least, 1e-12, 1.0))
+    found: Any = brentq(lambda power: _share(log_weight, power) - least, 1e-12, 1.0)
+    return float(found)
 
 
 def _resampled(log_weight, power: float, random) -> np.ndarray:

@@ -1,7 +1,7 @@
 """One measurement read by several models of light: evidences, scores, and how far pigments move.
 
-Every model has the same priors and the same noise. Its posterior is that of the nested sampler
-which finds its evidence.
+Every model has the same priors of what it shares with the others and the same noise. Its posterior
+is that of the sampler which finds its evidence.
 """
 
 import math
@@ -14,7 +14,7 @@ import numpy as np
 
 from irisjax._types import PRNGKey
 from irisjax.infer.diagnostics import predictive_score
-from irisjax.infer.evidence import Evidence, check_sampler, evidence
+from irisjax.infer.evidence import Evidence, check_sampler, evidence, evidence_by_importance
 from irisjax.infer.other_process import (
     PIGMENTS,
     PREFERRED,
@@ -32,18 +32,19 @@ _QUOTED = {"melanin_load": "melanin load", "abl_fraction": "ABL fraction"}
 
 
 class Candidate(NamedTuple):
-    """A model that may have made the data: what a sentence calls it, and the data's problem by
-    it.
+    """A model that may have made the data: what a sentence calls it, the data's problem by it, and
+    whether its evidence is found by importance sampling, where nested sampling would take hours.
     """
 
     name: str
     problem: Problem
+    by_importance: bool = False
 
 
 class Assessment(NamedTuple):
     """What one model makes of the data.
 
-    - `evidence`: by nested sampling, with the posterior's draws.
+    - `evidence`: with the posterior's draws.
     - `score`, `score_error`: PSIS-LOO and its standard error. Neighbouring wavelengths tell of one
         another, so it is no evidence of its own.
     - `values`: median and 95 % interval of each of `PIGMENTS` that is free, and of the noise.
@@ -69,8 +70,10 @@ class Assessment(NamedTuple):
 
 def candidates_of(problem: Problem) -> tuple[Candidate, ...]:
     """The models that a measurement is read by: the problem's own first, then those beside it."""
-    others = (problem.by(other_of(problem.process)),)
-    return tuple(Candidate(name_of(p.process), p) for p in (problem, *others))
+    return tuple(
+        Candidate(name_of(p.process), p, p.base.power_law is not None)
+        for p in (problem, problem.by(other_of(problem.process)))
+    )
 
 
 def compare_models(
@@ -106,7 +109,10 @@ def compare_models(
 
         one, two = jax.random.split(jax.random.fold_in(key, i))
         tell(0)
-        found = evidence(candidate.problem, live=live, progress=tell, key=one)
+        if candidate.by_importance:
+            found = evidence_by_importance(candidate.problem, progress=tell, key=one)
+        else:
+            found = evidence(candidate.problem, live=live, progress=tell, key=one)
         out.append(_assessed(candidate, found, out[0] if out else None, two))
     return tuple(out)
 
@@ -127,8 +133,9 @@ def comparison_sentence(assessments: Sequence[Assessment]) -> str:
     )
     data = ", ".join(o.name for o in assessments[0].candidate.problem.observations)
     quoted = [n for n in assessments[0].values if kind(n) in _QUOTED]
+    samplers = " and ".join(dict.fromkeys(a.evidence.by for a in assessments))
     parts = (
-        f"The data ({data}) {said} (ln evidence {evidences}; nested sampling, equal priors)",
+        f"The data ({data}) {said} (ln evidence {evidences}; {samplers}, equal priors)",
         *(_placed(name, assessments) for name in quoted),
     )
     return f"{'; '.join(parts)}."

@@ -82,6 +82,8 @@ class Proposal:
         spread: Any = np.cov(y.T)  # scipy's stub calls a matrix int
         self._straight = straight
         self._t = stats.multivariate_t(y.mean(axis=0), spread, df=DEGREES)
+        # Shears keep volumes.
+        self._volume = np.linalg.slogdet(straight.axes)[1] + np.log(straight.width).sum()
 
     def draw(self, count: int, random) -> np.ndarray:
         """Draws (count, free)."""
@@ -89,8 +91,8 @@ class Proposal:
         return self._straight.back(y)
 
     def log_density(self, z) -> np.ndarray:
-        """Log density at z (n, free), up to a constant: the Jacobian."""
-        return self._t.logpdf(self._straight.to(z))
+        """Log density at z (n, free)."""
+        return self._t.logpdf(self._straight.to(z)) - self._volume
 
 
 class IndependentMove(emcee.moves.MHMove):

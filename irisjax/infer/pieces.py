@@ -17,7 +17,8 @@ def elements(problem: Problem) -> int:
     """Numbers in the largest array that one evaluation makes."""
     sizes = [max(o.wavelengths.size, o.values.shape[-1]) for o in problem.observations]
     # A correlated error takes a matrix.
-    return max(sizes) ** 2 if problem.noise.discrepancy is not None else sum(sizes)
+    noise = max(sizes) ** 2 if problem.noise.discrepancy is not None else 0
+    return max(noise, sum(sizes) * problem.solver.numbers)
 
 
 def density(problem: Problem):

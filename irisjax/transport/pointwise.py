@@ -25,6 +25,11 @@ class Pointwise(AbstractSolver):
         """Prepare the solver inside."""
         return Pointwise(type(self.solver).prepare(self.solver, layers, process))
 
+    @property
+    def numbers(self) -> int:
+        """Those of the solver inside."""
+        return self.solver.numbers
+
     def solve(
         self,
         layers: Layers,

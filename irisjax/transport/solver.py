@@ -46,6 +46,13 @@ class AbstractSolver(eqx.Module):
         those.
         """
 
+    @property
+    def numbers(self) -> int:
+        """Numbers a wavelength in the largest array on the way to a solution: many spectra are
+        solved in portions that stay in the processor's cache.
+        """
+        return 1
+
 
 def checked_process(
     solver,

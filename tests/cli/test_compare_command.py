@@ -55,6 +55,7 @@ def test_from_file_to_files(irisjax, eye, compared, tmp_path):
     rows = list(csv.DictReader(line for line in text.splitlines() if not line.startswith("#")))
     assert [r["model"] for r in rows] == ["ILIT", "radiative transfer"]
     assert [r["process"] for r in rows] == ["whole-layer", "depth-resolved"]
+    assert {r["sampler"] for r in rows} == {"nested sampling"}
     assert [float(r["ln_evidence"]) for r in rows] == [100.0, 80.0]
     assert float(rows[1]["melanin_load_ratio"]) == 2.0
     assert float(rows[1]["melanin_load_ratio_q97.5"]) == 4.0

@@ -13,7 +13,7 @@ from scipy.stats import multivariate_normal
 import irisjax as ij
 from irisjax.infer import other_process
 from irisjax.infer.analytic import KubelkaMunk
-from irisjax.infer.evidence import evidence
+from irisjax.infer.evidence import evidence, evidence_by_importance
 from irisjax.infer.observation import with_values
 from irisjax.infer.pieces import density
 from irisjax.infer.priors import Normal
@@ -68,14 +68,16 @@ def test_of_a_conjugate_problem(bits):
 
 
 @pytest.mark.peer
-def test_of_load_and_fraction_on_a_grid():
+@pytest.mark.parametrize("way", [evidence, evidence_by_importance])
+def test_of_load_and_fraction_on_a_grid(way):
     problem = stated(("melanin_load", "abl_fraction"), share=0.1)
     side = np.linspace(-6, 6, 241)
     z = np.stack(np.meshgrid(side, side, indexing="ij"), axis=-1).reshape(-1, 2)
     logs = density(problem)(z)
     area = (side[1] - side[0]) ** 2
     expected = np.logaddexp.reduce(logs) + np.log(area)
-    found = evidence(problem, live=1000, key=jax.random.key(1))
+    options = {"live": 1000} if way is evidence else {}
+    found = way(problem, **options, key=jax.random.key(1))
     assert abs(found.log_evidence - expected) < 3.5 * found.error
     weights = np.exp(logs - logs.max())
     mean = weights @ z / weights.sum()
@@ -95,6 +97,22 @@ def test_laplace_agrees_where_posteriors_are_normal():
     found = evidence(problem, key=jax.random.key(1))
     assert abs(found.log_evidence - laplace) < 3 * found.error
     np.testing.assert_allclose(found.z.std(0), np.sqrt(np.diagonal(best.covariance)), rtol=0.1)
+
+
+def test_importance_of_a_conjugate_problem():
+    """As by nested sampling, with an error of hundredths."""
+    mean, sd = 1.0, 0.1
+    problem = stated(("gain",), solver=KubelkaMunk(), priors={"gain": Normal(mean, sd)})
+    (seen,) = problem.observations
+    (shape,) = (np.asarray(m, float) for m in problem.predict(jnp.zeros(1)))
+    noise = np.diag(np.asarray(seen.sd, float) ** 2)
+    known = multivariate_normal(mean * shape, noise + sd**2 * np.outer(shape, shape))
+    one, same, other = (evidence_by_importance(problem, key=jax.random.key(k)) for k in (0, 0, 1))
+    for found in (one, other):
+        assert found.error < 0.05
+        assert abs(found.log_evidence - known.logpdf(np.asarray(seen.values))) < 4 * found.error
+    assert (one.z.tobytes(), one[:2]) == (same.z.tobytes(), same[:2])
+    assert one[:2] != other[:2]
 
 
 @pytest.mark.peer

@@ -29,6 +29,7 @@ def test_samples_have_the_moments_of_the_posterior(log_p, mean, variance):
     """From a normal approximation that is tilted, too narrow, or elsewhere."""
     found = look(log_p, np.array([1.0, 1.3]), 0.01 * np.eye(2), np.random.RandomState(0))
     assert found.even
+    assert abs(found.log_mean) < 4 * found.error  # the integral of a density is one
     z, count = found.samples, found.share * DRAWS
     assert z.shape == (DRAWS, 2)
     error = np.sqrt(np.array(variance) / count)

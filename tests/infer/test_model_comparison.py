@@ -17,6 +17,7 @@ from irisjax.infer.model_comparison import (
 )
 from irisjax.infer.observation import with_values
 from irisjax.infer.other_process import Interval
+from irisjax.tissue.scattering import PowerLaw
 
 GRID = np.arange(400.0, 701.0, 20.0)
 FREE = ("melanin_load", "abl_fraction", "noise")
@@ -42,6 +43,10 @@ def test_the_own_process_comes_first(blank, first):
     assert {own.name, other.name} == {"ILIT", "radiative transfer"}
     assert own.problem.free == other.problem.free
     assert own.problem.priors == other.problem.priors
+    assert not (own.by_importance or other.by_importance)
+    # A spectrum of a power law takes too long for nesting.
+    general, _ = candidates_of(own.problem.under(PowerLaw()))
+    assert general.by_importance
 
 
 @pytest.mark.parametrize(
@@ -84,7 +89,10 @@ def test_the_maker_of_the_data_is_preferred(blank, maker):
     problem = problem.with_observations(with_values(blank, seen, sd))
     told = []
     own, other = compare_models(
-        problem, live=200, progress=lambda name, steps: told.append(name), key=jax.random.key(2)
+        problem,
+        live=200,
+        progress=lambda name, steps: told.append(name),
+        key=jax.random.key(2),
     )
     assert own.evidence.log_evidence - other.evidence.log_evidence > 3
     assert own.score > other.score

@@ -66,6 +66,11 @@ class AddingDoubling(AbstractSolver):
             return self
         return AddingDoubling(self.n_angles, doublings_for(layers()))
 
+    @property
+    def numbers(self) -> int:
+        """Of a matrix between directions."""
+        return self.n_angles**2
+
     def solve(
         self,
         layers: Layers,
