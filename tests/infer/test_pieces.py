@@ -54,9 +54,7 @@ def test_files_of_many_wavelengths_hold_fewer_draws(problem, tmp_path, monkeypat
     z = 0.01 * np.random.default_rng(1).normal(size=(250, walkers, 2))
     one = np.ones(2)
     chains = Chains(z, z[..., 0], 5, 1250, 0.5, one, one, one, one, ChainStatus.successful, "")
-    report._write(
-        problem, tmp_path, chains, report.summarise(problem, chains), "", [], jax.random.key(0)
-    )
+    report._write(problem, tmp_path, chains, "", [], jax.random.key(0), [z[:, 0, :1]], {})
     loads = {}
     for group in ("posterior", "log_likelihood", "sample_stats"):
         loads[group] = xr.load_dataset(tmp_path / "posterior.nc", group=group, engine="h5netcdf")
