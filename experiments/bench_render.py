@@ -131,6 +131,9 @@ def _table(key, size, repeats):
     )
     for change in ("pigments", "thickness", "2 lights", "25 lights", "camera, 2 lights"):
         of(change, "all but environment, radiative transfer", transfer, tables)
+    plain = transfer.replace(maps=transfer.maps.replace(eumelanin=None))
+    for change in ("pigments", "thickness"):
+        of(change, "no pigment maps, radiative transfer", plain, tables)
     without = {
         "no maps": two.replace(maps=None),
         "no relief": two.replace(maps=maps.replace(relief=None)),
