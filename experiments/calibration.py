@@ -22,22 +22,38 @@ from irisjax.infer.stream import Stream
 DRAWS, LEVELS = 63, (0.5, 0.8, 0.95)
 
 
-def main(key, quick=False, out=RESULTS, eyes=None, walkers=64):
-    """Write ranks of every eye and, by parameter, p-values and coverage (quick: 3 eyes, a closed
-    formula).
-    """
-    from scipy import stats
+EYES = {
+    "": ("ilit-2006", ij.ILIT_2006, 320),
+    "_radiative": ("depth-resolved", ij.DEPTH_RESOLVED, 160),
+}
+"""Processes and numbers of eyes, by the end of their files' names."""
 
+
+def main(key, quick=False, out=RESULTS, eyes=None, walkers=64):
+    """Write ranks of every eye and, by parameter, p-values and coverage, for either process (quick:
+    3 eyes, a closed formula).
+    """
     from irisjax.infer.analytic import KubelkaMunk
 
-    count = eyes or (3 if quick else 320)
     grid = ij.wavelengths(400, 700, 10)
     blank = ij.spectrum(grid, np.ones(grid.size))
-    problem = ij.problem(blank, solver=KubelkaMunk() if quick else None)
+    if quick:
+        of_formula = ij.problem(blank, solver=KubelkaMunk())
+        calibrate(of_formula, "transport: Kubelka-Munk (quick)", "", key, eyes or 3, out, walkers)
+        return
+    for end, (name, process, count) in EYES.items():
+        of_process = ij.problem(blank, process=process)
+        calibrate(of_process, f"process {name}", end, key, eyes or count, out, walkers)
+
+
+def calibrate(problem, about, end, key, count, out=RESULTS, walkers=64):
+    """Write the two tables of a problem."""
+    from scipy import stats
+
     simulate = jax.jit(lambda z, k: problem.simulate(z, k)[0])
     rows, ranks, inside = [], [], []
     with tempfile.TemporaryDirectory() as folder:
-        for eye in tqdm(range(count), unit="eye", disable=quick):
+        for eye in tqdm(range(count), unit="eye", disable=count < 10):
             own = jax.random.fold_in(key, eye)
             z = jax.random.normal(jax.random.fold_in(own, 0), (len(problem.free),))
             values = simulate(z, jax.random.fold_in(own, 1))
@@ -75,12 +91,12 @@ def main(key, quick=False, out=RESULTS, eyes=None, walkers=64):
     header = (
         f"{count} simulated eyes from the default priors, 31 wavelengths, noise 2 % + 2e-4, "
         f"seed {jax.random.key_data(key)[-1]}",
-        "transport: Kubelka-Munk (quick)" if quick else "process ilit-2006",
+        about,
         f"binomial standard errors of the coverage: "
         f"{', '.join(f'{np.sqrt(p * (1 - p) / count):.3f}' for p in LEVELS)}",
     )
     write(
-        out / "calibration_ranks.csv",
+        out / f"calibration_ranks{end}.csv",
         header,
         ("eye", "parameter", "truth", "rank", "draws", "tau", "steps"),
         rows,
@@ -92,7 +108,7 @@ def main(key, quick=False, out=RESULTS, eyes=None, walkers=64):
         "p_kolmogorov",
         *(f"covered_{100 * p:g}" for p in LEVELS),
     )
-    write(out / "calibration_summary.csv", header, columns, summary)
+    write(out / f"calibration_summary{end}.csv", header, columns, summary)
 
 
 def _independent(path, chains, key):
