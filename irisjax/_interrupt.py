@@ -71,7 +71,9 @@ def done(status: int) -> None:
         if not (thread.daemon or thread is threading.main_thread()):
             thread.join()
     if not _signalled.is_set():
-        sys.stderr.flush()
+        for stream in (sys.stdout, sys.stderr):
+            with contextlib.suppress(OSError):  # nobody reads it any more
+                stream.flush()
         os._exit(status)
 
 

@@ -76,7 +76,7 @@ def look(
     two: Any = (mean, 4 * covariance), (np.zeros(free), 2 * np.eye(free))
     both = [stats.multivariate_t(m, c, df=DEGREES) for m, c in two]
     z = np.concatenate([t.rvs(DRAWS // 2, random_state=random).reshape(-1, free) for t in both])
-    proposed = np.logaddexp(*(t.logpdf(z) for t in both))
+    proposed = np.logaddexp(*(t.logpdf(z) for t in both)) - math.log(2)
     for rounds in range(ROUNDS):
         progress(rounds)
         log_weight = log_probability(z) - proposed

@@ -32,6 +32,13 @@ def test_status_and_one_line(tmp_path):
     assert not list(tmp_path.iterdir())
 
 
+def test_what_was_printed_is_not_lost(monkeypatch):
+    """A command leaves at once, and what it printed into a pipe before a complaint stays."""
+    monkeypatch.delenv("PYTHONUNBUFFERED", raising=False)
+    done = python("-c", "from irisjax import _interrupt as i; print('said', end=''); i.done(2)")
+    assert (done.returncode, done.stdout, done.stderr) == (2, "said", "")
+
+
 @pytest.mark.slow  # the exact solver, compiled by a process that keeps nothing
 def test_the_real_command(tmp_path):
     said = ("spectrum", "--level", "low", "--wavelengths", "450", "-o", "x.csv")

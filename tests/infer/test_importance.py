@@ -37,6 +37,17 @@ def test_samples_have_the_moments_of_the_posterior(log_p, mean, variance):
     np.testing.assert_allclose(z.var(axis=0), variance, rtol=5 * np.sqrt(2 / count))
 
 
+def test_the_integral_of_a_density_that_the_first_round_resembles():
+    """The first round draws from two proposals, half and half."""
+
+    def wide(z):
+        return stats.norm.logpdf(z, 0.0, 1.4).sum(axis=1)
+
+    found = look(wide, np.zeros(2), 0.5 * np.eye(2), np.random.RandomState(0))
+    assert found.rounds == 1
+    assert abs(found.log_mean) < 4 * found.error
+
+
 def test_what_no_proposal_resembles_is_said():
     """A thin ring: the samples may not stand for the posterior."""
 
