@@ -18,7 +18,7 @@ from irisjax.infer.problem import Problem
 from irisjax.plot.beside import Later, here
 
 FILES = ("compare.csv", "compare.png")
-_FIRST = ("model", "process", "ln_evidence", "ln_evidence_error", "sampler", "score", "score_error")
+_FIRST = ("model", "process", "sampler", "ln_evidence", "ln_evidence_error", "score", "score_error")
 _DRAWN = ("melanin_load", "abl_fraction", "pheomelanin_share", "hemoglobin", "saturation")
 
 
@@ -57,12 +57,10 @@ def _table(found: Sequence[Assessment], sentence: str, seed: int) -> str:
     writer = csv.writer(out, lineterminator="\n")
     writer.writerow([*_FIRST, *columns])
     for a in found:
-        found_so = [f"{x:.6g}" for x in a.evidence[:2]]
-        numbers = [a.score, a.score_error]
+        numbers = [a.evidence.log_evidence, a.evidence.error, a.score, a.score_error]
         numbers += [x for values in (a.values, a.ratios) for n in names for x in values[n]]
         process = a.candidate.problem.process.transport
-        row = [a.name, process, *found_so, a.evidence.by, *(f"{x:.6g}" for x in numbers)]
-        writer.writerow(row)
+        writer.writerow([a.name, process, a.evidence.by, *(f"{x:.6g}" for x in numbers)])
     return out.getvalue()
 
 

@@ -18,7 +18,7 @@ from jaxtyping import Float
 
 from irisjax._types import PRNGKey
 from irisjax.infer.fit import fit
-from irisjax.infer.importance import look
+from irisjax.infer.importance import importance_sample
 from irisjax.infer.pieces import density
 from irisjax.infer.posterior import laplace
 from irisjax.infer.problem import Problem
@@ -128,7 +128,8 @@ def evidence_by_importance(
     key: PRNGKey,
 ) -> Evidence:
     """The same by importance sampling from the least-squares fit and the priors on, see
-    `importance.look`: some 10,000 likelihoods in place of a million, and a smaller error.
+    `importance.importance_sample`: some 10,000 likelihoods in place of a million, and a smaller
+    error.
 
     It can miss a second mode far from the first, which nested sampling would find.
 
@@ -144,19 +145,21 @@ def evidence_by_importance(
     check_whole("draws", draws, 1)
     one, two = jax.random.split(key)
     random = np.random.RandomState(words_of(two))
-    found = look(
+    found = importance_sample(
         density(problem),
         *laplace(problem, fit(problem, key=one)),
         random,
         *(() if progress is None else (progress,)),
     )
-    if not found.even:
+    if not found.efficient:
         raise ValueError(
-            f"importance weights stay uneven (effective share {found.share:.2g}): no evidence"
+            f"importance weights stay uneven (efficiency {found.efficiency:.2g}): no evidence"
         )
     z = found.samples[random.choice(len(found.samples), draws, draws > len(found.samples))]
-    effective = found.share * len(found.samples)
-    return Evidence(found.log_mean, found.error, z, effective, found.rounds, "importance sampling")
+    effective = found.efficiency * len(found.samples)
+    return Evidence(
+        found.log_integral, found.error, z, effective, found.rounds, "importance sampling"
+    )
 
 
 def check_sampler() -> None:

@@ -1,8 +1,7 @@
-"""A first look at a posterior: samples by importance, before any walker takes a step.
+"""Adaptive importance sampling of a posterior, before any walker takes a step  [Cappé et al. 2004].
 
-Adaptive importance sampling [Cappé et al. 2004]: draws of a proposal are weighted by the posterior,
-and teach the next one. Weights that are too uneven to teach anything are flattened by a power of
-them first [Del Moral et al. 2006, Section 3.3].
+Draws of a proposal are weighted by the posterior, and teach the next one. Weights too uneven to
+teach anything are tempered first, taken to a power below one [Del Moral et al. 2006, Section 3.3].
 """
 
 import math
@@ -17,46 +16,46 @@ from irisjax.infer.moves import DEGREES, Proposal, Straightening
 
 DRAWS, ROUNDS = 2048, 12
 """Draws a round, and most rounds."""
-EVEN = 0.35
-"""Share of effective draws at which a proposal is good enough."""
+EFFICIENT = 0.35
+"""Effective draws over draws, at which a proposal is good enough."""
 _TEACHING = 1 / 8
 _BENDING = 0.3
-"""Weights flatter than this power know nothing yet of how a ridge bends."""
+"""Weights tempered by less than this power know nothing yet of how a ridge bends."""
 
 
-class Look(NamedTuple):
+class ImportanceSample(NamedTuple):
     """What the last round found.
 
     - `samples`: of equal weight, (draws, free).
-    - `share`: of its draws that count, effective draws [Kong 1992] over draws.
-    - `log_mean`: logarithm of the density's integral, the mean weight; the evidence of a density
-        that is a likelihood times a prior.
+    - `efficiency`: effective draws [Kong 1992] over draws.
+    - `log_integral`: logarithm of the density's integral, the mean weight; the evidence, of a
+        density that is a likelihood times a prior.
     - `rounds`: how many there were.
     """
 
     samples: np.ndarray
-    share: float
-    log_mean: float
+    efficiency: float
+    log_integral: float
     rounds: int
 
     @property
     def error(self) -> float:
-        """Standard deviation of `log_mean`, by that of the weights."""
-        return math.sqrt((1 / self.share - 1) / len(self.samples))
+        """Standard deviation of `log_integral`, by that of the weights."""
+        return math.sqrt((1 / self.efficiency - 1) / len(self.samples))
 
     @property
-    def even(self) -> bool:
+    def efficient(self) -> bool:
         """Whether the samples may stand for the posterior."""
-        return self.share >= EVEN
+        return self.efficiency >= EFFICIENT
 
 
-def look(
+def importance_sample(
     log_probability: Callable[[np.ndarray], np.ndarray],
     mean: np.ndarray,
     covariance: np.ndarray,
     random: np.random.RandomState,
     progress: Callable[[int], Any] = lambda rounds: None,
-) -> Look:
+) -> ImportanceSample:
     """Samples of a density of z (n, free) whose priors are standard normal.
 
     The first round draws from the normal approximation, made wider, and from the priors, half and
@@ -67,7 +66,7 @@ def look(
         mean: Where the approximation lies, (free,).
         covariance: Its covariance, (free, free).
         random: For all draws.
-        progress: Gets the number of the round that begins.
+        progress: Gets the number of rounds done.
 
     Raises:
         ValueError: If no draw at all has a probability.
@@ -78,36 +77,36 @@ def look(
     z = np.concatenate([t.rvs(DRAWS // 2, random_state=random).reshape(-1, free) for t in both])
     proposed = np.logaddexp(*(t.logpdf(z) for t in both)) - math.log(2)
     for rounds in range(ROUNDS):
-        progress(rounds)
         log_weight = log_probability(z) - proposed
+        progress(rounds + 1)
         if not np.isfinite(log_weight).any():
             raise ValueError("no draw round the least-squares fit has a probability above zero")
         log_weight = np.where(np.isfinite(log_weight), log_weight, -np.inf)
-        share = _share(log_weight, 1.0)
-        power = _flattened(log_weight)
+        efficiency = _efficiency(log_weight, 1.0)
+        power = _tempered(log_weight)
         samples = z[_resampled(log_weight, power, random)]
-        if share >= EVEN or rounds == ROUNDS - 1:
+        if efficiency >= EFFICIENT or rounds == ROUNDS - 1:
             break
         straight = Straightening.of_samples(samples)
         taught = Proposal(straight if power >= _BENDING else straight.level(), samples)
         z = taught.draw(DRAWS, random)
         proposed = taught.log_density(z)
-    log_mean = float(np.logaddexp.reduce(log_weight) - math.log(DRAWS))
-    return Look(samples, share, log_mean, rounds + 1)
+    log_integral = float(np.logaddexp.reduce(log_weight) - math.log(DRAWS))
+    return ImportanceSample(samples, efficiency, log_integral, rounds + 1)
 
 
-def _share(log_weight, power: float) -> float:
+def _efficiency(log_weight, power: float) -> float:
     """Effective draws over draws of weights to a power."""
     w = np.exp(power * (log_weight - log_weight.max()))
     return float(w.sum() ** 2 / (w**2).sum() / w.size)
 
 
-def _flattened(log_weight) -> float:
-    """The largest power, up to 1, of which enough draws count."""
+def _tempered(log_weight) -> float:
+    """The largest power, up to 1, with enough effective draws."""
     least = min(_TEACHING, 0.5 * float(np.isfinite(log_weight).mean()))
-    if _share(log_weight, 1.0) >= least:
+    if _efficiency(log_weight, 1.0) >= least:
         return 1.0
-    found: Any = brentq(lambda power: _share(log_weight, power) - least, 1e-12, 1.0)
+    found: Any = brentq(lambda power: _efficiency(log_weight, power) - least, 1e-12, 1.0)
     return float(found)
 
 

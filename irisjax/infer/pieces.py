@@ -18,7 +18,7 @@ def elements(problem: Problem) -> int:
     sizes = [max(o.wavelengths.size, o.values.shape[-1]) for o in problem.observations]
     # A correlated error takes a matrix.
     noise = max(sizes) ** 2 if problem.noise.discrepancy is not None else 0
-    return max(noise, sum(sizes) * problem.solver.numbers)
+    return max(noise, sum(sizes) * problem.solver.numbers_per_wavelength)
 
 
 def density(problem: Problem):

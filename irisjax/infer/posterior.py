@@ -15,7 +15,7 @@ from irisjax._interrupt import unfinished
 from irisjax._types import PRNGKey
 from irisjax.infer.diagnostics import diagnostics
 from irisjax.infer.fit import Fit, fit
-from irisjax.infer.importance import DRAWS, look
+from irisjax.infer.importance import DRAWS, importance_sample
 from irisjax.infer.moves import mixture
 from irisjax.infer.pieces import density
 from irisjax.infer.problem import Problem
@@ -75,11 +75,11 @@ def sample(
     That is for every parameter 50 autocorrelation times (`TAUS`), 1,000 effective samples (`ESS`;
     500 of the tails) and an R-hat of at most 1.03 (`RHAT`).
 
-    Importance sampling from the least-squares optimum and the priors (`importance.look`) gives the
-    walkers their first places and teaches the proposal of their independent jumps. Where its
-    weights stay uneven a burn-in does, first with differences of walkers alone; it is kept apart
-    and not used otherwise. Step i draws from the key and i: a run that was killed and resumed gives
-    the chain of one that was not.
+    `importance_sample`, from the least-squares optimum and the priors on, gives the walkers their
+    first places and teaches the proposal of their independent jumps. Where its weights stay uneven
+    a burn-in does, first with differences of walkers alone; it is kept apart and not used
+    otherwise. Step i draws from the key and i: a run that was killed and resumed gives the chain of
+    one that was not.
 
     Args:
         problem: What was measured and what is free.
@@ -88,7 +88,8 @@ def sample(
         start: Where the walkers begin; default the fit with this key.
         resume: Whether to go on where the file ends.
         max_steps: Most steps after burn-in.
-        progress: Gets the number of steps and a word on what is done after each step.
+        progress: Gets the number of steps and a word on what is done after each step; 0 after each
+            round of importance sampling.
         throw: Whether to raise where the chain is not long enough.
         key: For all draws.
 
@@ -99,10 +100,6 @@ def sample(
     path = Path(path)
     check_run(problem, path, walkers=walkers, resume=resume, key=key)
     words = words_of(key)
-    if not path.exists():
-        best = fit(problem, key=jax.random.fold_in(key, 0)) if start is None else start
-        _begin(path, problem, walkers, words, fingerprint(problem, walkers, words), best)
-    log_probability = density(problem)
 
     def report(word, offset=0):
         def tell(n):
@@ -110,6 +107,14 @@ def sample(
                 progress(offset + n, word)
 
         return tell
+
+    if not path.exists():
+        best = fit(problem, key=jax.random.fold_in(key, 0)) if start is None else start
+        mark = fingerprint(problem, walkers, words)
+        _begin(
+            path, problem, walkers, words, mark, best, lambda _: report("importance sampling")(0)
+        )
+    log_probability = density(problem)
 
     burn = _Run(path, "burn", log_probability, mixture(None), words)
     taught = burn.backend.taught()
@@ -249,11 +254,11 @@ class _Run:
 
 
 def _begin(
-    path: Path, problem: Problem, walkers: int, words: list[int], mark: str, best: Fit
+    path: Path, problem: Problem, walkers: int, words: list[int], mark: str, best: Fit, progress
 ) -> None:
     """A new file with the walkers' first places, and with what teaches their jumps."""
     random = np.random.RandomState([*words, 1 << 31])
-    found = look(density(problem), *laplace(problem, best), random)
+    found = importance_sample(density(problem), *laplace(problem, best), random, progress)
     free = found.samples.shape[1]
     # Walkers on one spot would know no differences.
     places = found.samples[random.choice(len(found.samples), walkers, walkers > DRAWS)]
@@ -262,7 +267,7 @@ def _begin(
         backend = Stream(str(temporary), name="burn")
         try:
             backend.reset(walkers, free)
-            backend.begin(cloud, mark, found.samples if found.even else None)
+            backend.begin(cloud, mark, found.samples if found.efficient else None)
             os.replace(temporary, path)
         finally:
             temporary.unlink(missing_ok=True)

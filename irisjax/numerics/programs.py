@@ -80,10 +80,9 @@ class Program:
         apart once and not at every call. Its results are arrays.
         """
         found: dict[Hashable, tuple[_Kept | None, list[Any]]] = {}
-        leaves, structure = jax.tree.flatten(held)
-        if any(isinstance(x, Tracer) for x in leaves):
+        if any(isinstance(x, Tracer) for x in jax.tree.leaves(held)):
             return lambda *arrays: self(held, *arrays)
-        live = self._live(structure, tuple(None if _is_array(x) else (type(x), x) for x in leaves))
+        live = self._live(held)
 
         def call(*arrays):
             types = tuple((x.shape, x.dtype) for x in arrays)
@@ -96,27 +95,28 @@ class Program:
 
         return call
 
-    def _live(self, structure, rest) -> Callable[..., Any]:
+    def _live(self, held) -> Callable[..., Any]:
         """`jax.jit` of the function, of the arrays of its first argument and of the others."""
-        if (structure, rest) not in self._flat:
+        leaves, structure = jax.tree.flatten(held)
+        static = structure, _constants(leaves)
+        with self._making:
+            if static not in self._flat:
+                form = _form_of(held)[1]
 
-            def flat(first, *arrays):
-                those = iter(first)
-                leaves = [next(those) if x is None else x[1] for x in rest]
-                return self._function(jax.tree.unflatten(structure, leaves), *arrays)
+                def flat(first, *arrays):
+                    return self._function(_filled(form, first), *arrays)
 
-            flat.__name__ = self._function.__name__
-            self._flat[structure, rest] = jax.jit(flat, compiler_options=_compiler_options())
-        return self._flat[structure, rest]
+                flat.__name__ = self._function.__name__
+                self._flat[static] = jax.jit(flat, compiler_options=_compiler_options())
+            return self._flat[static]
 
     def _find(self, args) -> "tuple[_Kept | None, list[Any]]":
         leaves, structure = jax.tree.flatten(args)
         arrays = [x for x in leaves if _is_array(x)]
         if _folder is None or any(isinstance(x, Tracer) for x in arrays):
             return None, arrays
-        rest = tuple(None if _is_array(x) else (type(x), x) for x in leaves)  # 1 is not 1.0 here
         types = tuple(_type_of(x) for x in arrays)
-        here = (_folder, structure, rest, types, *_settings())
+        here = (_folder, structure, _constants(leaves), types, *_settings())
         with self._making:
             if here not in self._kept:
                 self._kept[here] = self._make(args, types)
@@ -197,6 +197,11 @@ def _compiler_options() -> dict[str, Any] | None:
     return (
         {"xla_cpu_use_fusion_emitters": False} if known and jax.default_backend() == "cpu" else None
     )
+
+
+def _constants(leaves) -> tuple[Any, ...]:
+    """What stands between the arrays, with its types: 1 is not 1.0 here."""
+    return tuple(None if _is_array(x) else (type(x), x) for x in leaves)
 
 
 def _is_array(x) -> bool:

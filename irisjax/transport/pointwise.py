@@ -26,9 +26,9 @@ class Pointwise(AbstractSolver):
         return Pointwise(type(self.solver).prepare(self.solver, layers, process))
 
     @property
-    def numbers(self) -> int:
+    def numbers_per_wavelength(self) -> int:
         """Those of the solver inside."""
-        return self.solver.numbers
+        return self.solver.numbers_per_wavelength
 
     def solve(
         self,

@@ -47,9 +47,9 @@ class AbstractSolver(eqx.Module):
         """
 
     @property
-    def numbers(self) -> int:
-        """Numbers a wavelength in the largest array on the way to a solution: many spectra are
-        solved in portions that stay in the processor's cache.
+    def numbers_per_wavelength(self) -> int:
+        """Those in the largest array on the way to a solution: many spectra are solved in portions
+        that stay in the processor's cache.
         """
         return 1
 

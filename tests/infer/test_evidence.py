@@ -31,6 +31,21 @@ def stated(free, *, share=0.02, key=0, **given):
     return problem.with_observations(with_values(blank, seen, sd))
 
 
+def conjugate(mean, sd):
+    """A gain with a normal prior and normal noise: the data are normal too. The problem, the data's
+    distribution, the spectrum at gain 1 and the covariance of the noise.
+    """
+    problem = stated(("gain",), solver=KubelkaMunk(), priors={"gain": Normal(mean, sd)})
+    (shape,) = (np.asarray(m, float) for m in problem.predict(jnp.zeros(1)))
+    noise = np.diag(np.asarray(problem.observations[0].sd, float) ** 2)
+    return (
+        problem,
+        multivariate_normal(mean * shape, noise + sd**2 * np.outer(shape, shape)),
+        shape,
+        noise,
+    )
+
+
 def test_the_sampler_is_an_extra(monkeypatch):
     """Nothing of it is loaded before it is used; without it one line says what to install."""
     code = "import sys, irisjax.infer.model_comparison; sys.exit('blackjax' in sys.modules)"
@@ -44,13 +59,8 @@ def test_the_sampler_is_an_extra(monkeypatch):
 @pytest.mark.peer
 @pytest.mark.parametrize("bits", [64, 32])
 def test_of_a_conjugate_problem(bits):
-    """A gain with a normal prior and normal noise: the data are normal too."""
-    mean, sd = 1.0, 0.1
-    problem = stated(("gain",), solver=KubelkaMunk(), priors={"gain": Normal(mean, sd)})
+    problem, known, shape, noise = conjugate(mean := 1.0, sd := 0.1)
     (seen,) = problem.observations
-    (shape,) = (np.asarray(m, float) for m in problem.predict(jnp.zeros(1)))
-    noise = np.diag(np.asarray(seen.sd, float) ** 2)
-    known = multivariate_normal(mean * shape, noise + sd**2 * np.outer(shape, shape))
     found = [evidence(problem, key=jax.random.key(i)) for i in range(4)]
     each = np.array([f.log_evidence for f in found])
     error = found[0].error
@@ -101,12 +111,8 @@ def test_laplace_agrees_where_posteriors_are_normal():
 
 def test_importance_of_a_conjugate_problem():
     """As by nested sampling, with an error of hundredths."""
-    mean, sd = 1.0, 0.1
-    problem = stated(("gain",), solver=KubelkaMunk(), priors={"gain": Normal(mean, sd)})
+    problem, known, *_ = conjugate(1.0, 0.1)
     (seen,) = problem.observations
-    (shape,) = (np.asarray(m, float) for m in problem.predict(jnp.zeros(1)))
-    noise = np.diag(np.asarray(seen.sd, float) ** 2)
-    known = multivariate_normal(mean * shape, noise + sd**2 * np.outer(shape, shape))
     one, same, other = (evidence_by_importance(problem, key=jax.random.key(k)) for k in (0, 0, 1))
     for found in (one, other):
         assert found.error < 0.05

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from irisjax.infer.importance import DRAWS, look
+from irisjax.infer.importance import DRAWS, importance_sample
 
 
 def _ridge(z):
@@ -27,10 +27,12 @@ def _far(z):
 )
 def test_samples_have_the_moments_of_the_posterior(log_p, mean, variance):
     """From a normal approximation that is tilted, too narrow, or elsewhere."""
-    found = look(log_p, np.array([1.0, 1.3]), 0.01 * np.eye(2), np.random.RandomState(0))
-    assert found.even
-    assert abs(found.log_mean) < 4 * found.error  # the integral of a density is one
-    z, count = found.samples, found.share * DRAWS
+    found = importance_sample(
+        log_p, np.array([1.0, 1.3]), 0.01 * np.eye(2), np.random.RandomState(0)
+    )
+    assert found.efficient
+    assert abs(found.log_integral) < 4 * found.error  # the integral of a density is one
+    z, count = found.samples, found.efficiency * DRAWS
     assert z.shape == (DRAWS, 2)
     error = np.sqrt(np.array(variance) / count)
     assert (np.abs(z.mean(axis=0) - mean) < 4 * error).all()
@@ -43,9 +45,9 @@ def test_the_integral_of_a_density_that_the_first_round_resembles():
     def wide(z):
         return stats.norm.logpdf(z, 0.0, 1.4).sum(axis=1)
 
-    found = look(wide, np.zeros(2), 0.5 * np.eye(2), np.random.RandomState(0))
+    found = importance_sample(wide, np.zeros(2), 0.5 * np.eye(2), np.random.RandomState(0))
     assert found.rounds == 1
-    assert abs(found.log_mean) < 4 * found.error
+    assert abs(found.log_integral) < 4 * found.error
 
 
 def test_what_no_proposal_resembles_is_said():
@@ -54,8 +56,10 @@ def test_what_no_proposal_resembles_is_said():
     def ring(z):
         return -0.5 * ((np.hypot(*z.T) - 2) / 0.01) ** 2
 
-    found = look(ring, np.array([2.0, 0.0]), 1e-4 * np.eye(2), np.random.RandomState(0))
-    assert not found.even
+    found = importance_sample(
+        ring, np.array([2.0, 0.0]), 1e-4 * np.eye(2), np.random.RandomState(0)
+    )
+    assert not found.efficient
     assert np.isfinite(found.samples).all()
 
 
@@ -65,8 +69,10 @@ def test_places_without_probability_are_left_out():
     def half(z):
         return np.where(z[:, 0] > 0, -0.5 * (z**2).sum(axis=1), -np.inf)
 
-    z = look(half, np.ones(2), np.eye(2), np.random.RandomState(0)).samples
+    z = importance_sample(half, np.ones(2), np.eye(2), np.random.RandomState(0)).samples
     assert (z[:, 0] > 0).all()
     assert z[:, 0].mean() == pytest.approx(np.sqrt(2 / np.pi), abs=0.1)
     with pytest.raises(ValueError, match="no draw"):
-        look(lambda z: np.full(len(z), -np.inf), np.ones(2), np.eye(2), np.random.RandomState(0))
+        importance_sample(
+            lambda z: np.full(len(z), -np.inf), np.ones(2), np.eye(2), np.random.RandomState(0)
+        )

@@ -72,7 +72,7 @@ def test_interrupted_and_resumed_is_the_same_chain(whole, tmp_path, when):
 @pytest.mark.parametrize("when", [100, slowly(250), slowly(650)])
 def test_burn_in_interrupted_and_resumed(tmp_path, monkeypatch, when):
     """Where importance weights stay uneven walkers burn in; that too can be interrupted."""
-    monkeypatch.setattr(importance, "EVEN", 2.0)
+    monkeypatch.setattr(importance, "EFFICIENT", 2.0)
     problem, paths = stated(), [tmp_path / "whole.h5", tmp_path / "mine.h5"]
     options = {"walkers": 16, "key": KEY, "max_steps": 400}
 

@@ -67,7 +67,7 @@ class AddingDoubling(AbstractSolver):
         return AddingDoubling(self.n_angles, doublings_for(layers()))
 
     @property
-    def numbers(self) -> int:
+    def numbers_per_wavelength(self) -> int:
         """Of a matrix between directions."""
         return self.n_angles**2
 
