@@ -47,20 +47,22 @@ def models(problem: Problem, folder: Path | None, sampler: Mapping[str, Any], ba
 def _table(found: Sequence[Assessment], sentence: str, seed: int) -> str:
     """CSV, a model a row; what it says and is made with stand above, after `#`."""
     out = text_io.StringIO()
-    priors = zip(found[0].candidate.problem.free, found[0].candidate.problem.priors, strict=True)
+    problems = [a.candidate.problem for a in found]
+    priors = dict(pair for p in problems for pair in zip(p.free, p.priors, strict=True))
     out.write(f"# {sentence}\n")
     out.write(f"# irisjax {ij.__version__}, seed {seed}; ")
-    out.write(f"priors: {'; '.join(f'{n} ~ {p}' for n, p in priors)}\n")
-    names = list(found[0].values)
+    out.write(f"priors: {'; '.join(f'{n} ~ {p}' for n, p in priors.items())}\n")
+    names, shared = _names(found), list(found[0].ratios)
     columns = [f"{n}{end}" for n in names for end in ("", "_q2.5", "_q97.5")]
-    columns += [f"{n}_ratio{end}" for n in names for end in ("", "_q2.5", "_q97.5")]
+    columns += [f"{n}_ratio{end}" for n in shared for end in ("", "_q2.5", "_q97.5")]
     writer = csv.writer(out, lineterminator="\n")
     writer.writerow([*_FIRST, *columns])
     for a in found:
         numbers = [a.evidence.log_evidence, a.evidence.error, a.score, a.score_error]
-        numbers += [x for values in (a.values, a.ratios) for n in names for x in values[n]]
-        process = a.candidate.problem.process.transport
-        writer.writerow([a.name, process, a.evidence.by, *(f"{x:.6g}" for x in numbers)])
+        texts = [f"{x:.6g}" for x in numbers]
+        for n, of in (*((n, a.values) for n in names), *((n, a.ratios) for n in shared)):
+            texts += [f"{x:.6g}" for x in of[n]] if n in of else [""] * 3
+        writer.writerow([a.name, a.candidate.problem.process.transport, a.evidence.by, *texts])
     return out.getvalue()
 
 
@@ -86,7 +88,7 @@ def _print(found: Sequence[Assessment], sentence: str) -> None:
         "ln evidence": [f"{a.evidence.log_evidence:.1f} ± {a.evidence.error:.1f}" for a in found],
         "predictive score": [f"{a.score:.1f} ± {a.score_error:.1f}" for a in found],
     }
-    for name in found[0].values:
+    for name in _names(found):
         unit = f" ({unit_of(name)})" if unit_of(name) else ""
         rows[f"{name}{unit}"] = [_cell(a, name) for a in found]
     table.add_column("median (95 %)", no_wrap=True)
@@ -103,6 +105,13 @@ def _print(found: Sequence[Assessment], sentence: str) -> None:
     )
 
 
+def _names(found: Sequence[Assessment]) -> list[str]:
+    """Parameters that any of the models has."""
+    return list(dict.fromkeys(n for a in found for n in a.values))
+
+
 def _cell(a: Assessment, name: str) -> str:
+    if name not in a.values:
+        return ""
     value, low, high = a.values[name]
     return f"{value:.3g} ({low:.3g} to {high:.3g})"

@@ -18,7 +18,7 @@ from jaxtyping import Float
 
 from irisjax._types import PRNGKey
 from irisjax.infer.fit import fit
-from irisjax.infer.importance import importance_sample
+from irisjax.infer.importance import EFFECTIVE, importance_sample
 from irisjax.infer.pieces import density
 from irisjax.infer.posterior import laplace
 from irisjax.infer.problem import Problem
@@ -151,14 +151,14 @@ def evidence_by_importance(
         random,
         *(() if progress is None else (progress,)),
     )
-    if not found.efficient:
+    if not found.enough:
         raise ValueError(
-            f"importance weights stay uneven (efficiency {found.efficiency:.2g}): no evidence"
+            f"importance weights stay uneven ({found.effective:.0f} effective draws of "
+            f"{EFFECTIVE} asked): no evidence"
         )
     z = found.samples[random.choice(len(found.samples), draws, draws > len(found.samples))]
-    effective = found.efficiency * len(found.samples)
     return Evidence(
-        found.log_integral, found.error, z, effective, found.rounds, "importance sampling"
+        found.log_integral, found.error, z, found.effective, found.rounds, "importance sampling"
     )
 
 

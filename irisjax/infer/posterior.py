@@ -267,7 +267,7 @@ def _begin(
         backend = Stream(str(temporary), name="burn")
         try:
             backend.reset(walkers, free)
-            backend.begin(cloud, mark, found.samples if found.efficient else None)
+            backend.begin(cloud, mark, found.samples if found.enough else None)
             os.replace(temporary, path)
         finally:
             temporary.unlink(missing_ok=True)

@@ -30,9 +30,9 @@ def test_samples_have_the_moments_of_the_posterior(log_p, mean, variance):
     found = importance_sample(
         log_p, np.array([1.0, 1.3]), 0.01 * np.eye(2), np.random.RandomState(0)
     )
-    assert found.efficient
+    assert found.enough
     assert abs(found.log_integral) < 4 * found.error  # the integral of a density is one
-    z, count = found.samples, found.efficiency * DRAWS
+    z, count = found.samples, found.effective
     assert z.shape == (DRAWS, 2)
     error = np.sqrt(np.array(variance) / count)
     assert (np.abs(z.mean(axis=0) - mean) < 4 * error).all()
@@ -59,7 +59,7 @@ def test_what_no_proposal_resembles_is_said():
     found = importance_sample(
         ring, np.array([2.0, 0.0]), 1e-4 * np.eye(2), np.random.RandomState(0)
     )
-    assert not found.efficient
+    assert not found.enough
     assert np.isfinite(found.samples).all()
 
 

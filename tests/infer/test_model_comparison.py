@@ -17,6 +17,8 @@ from irisjax.infer.model_comparison import (
 )
 from irisjax.infer.observation import with_values
 from irisjax.infer.other_process import Interval
+from irisjax.infer.parameters import OF_POWER_LAW
+from irisjax.infer.summary import reported
 from irisjax.tissue.scattering import PowerLaw
 
 GRID = np.arange(400.0, 701.0, 20.0)
@@ -38,15 +40,23 @@ def assessed(name, problem, log_evidence, load):
 
 @pytest.mark.parametrize("first", [ij.ILIT_2006, ij.ILIT_CORRECTED, ij.DEPTH_RESOLVED])
 def test_the_own_process_comes_first(blank, first):
-    own, other = candidates_of(ij.problem(blank, free=FREE, process=first))
+    own, other, general = candidates_of(ij.problem(blank, free=FREE, process=first))
     assert own.problem.process == first
     assert {own.name, other.name} == {"ILIT", "radiative transfer"}
     assert own.problem.free == other.problem.free
     assert own.problem.priors == other.problem.priors
     assert not (own.by_importance or other.by_importance)
     # A spectrum of a power law takes too long for nesting.
-    general, _ = candidates_of(own.problem.under(PowerLaw()))
     assert general.by_importance
+    assert set(general.problem.free) == {*FREE, *OF_POWER_LAW}
+
+
+def test_a_power_law_comes_first_where_the_problem_has_one(blank):
+    problem = ij.problem(blank, free=FREE, process=ij.DEPTH_RESOLVED).under(PowerLaw())
+    general, plain, ilit = candidates_of(problem)
+    assert general.problem.free == problem.free
+    assert (plain.name, ilit.name) == ("radiative transfer", "ILIT")
+    assert plain.problem.free == ilit.problem.free == FREE
 
 
 @pytest.mark.parametrize(
@@ -90,6 +100,7 @@ def test_the_maker_of_the_data_is_preferred(blank, maker):
     told = []
     own, other = compare_models(
         problem,
+        candidates_of(problem)[:2],
         live=200,
         progress=lambda name, steps: told.append(name),
         key=jax.random.key(2),
@@ -104,3 +115,28 @@ def test_the_maker_of_the_data_is_preferred(blank, maker):
     assert (ratio.value > 1.5) == (other.name == "ILIT")
     assert np.abs(own.residuals[0]).max() < 4
     assert list(dict.fromkeys(told)) == [own.name, other.name]
+
+
+@pytest.mark.heavy
+def test_scattering_of_real_tissue_is_told_from_fibrils(blank):
+    """Data of a power law with large scatterers, which the formula of fibrils cannot follow."""
+    plain = ij.problem(blank, free=FREE, process=ij.DEPTH_RESOLVED)
+    maker = plain.under(PowerLaw())
+    true = {"rayleigh_share": 0.1, "scattering_power": 0.8, "anisotropy": 0.7}
+    rest = {"melanin_load": 0.1, "abl_fraction": 0.4, "noise": 1.0, "reduced_scattering": 3.0}
+    z = maker.standard(rest | true)
+    (model,) = maker.predict(z)
+    sd = 0.02 * model + 2e-4
+    seen = model + sd * jax.random.normal(jax.random.key(1), model.shape)
+    plain = plain.with_observations(with_values(blank, seen, sd))
+    by_fibrils, by_law = compare_models(
+        plain,
+        [c._replace(by_importance=True) for c in candidates_of(plain)[::2]],
+        key=jax.random.key(2),
+    )
+    assert by_law.name == "general radiative transfer"
+    assert by_law.evidence.log_evidence - by_fibrils.evidence.log_evidence > 10
+    draws = reported(by_law.candidate.problem, by_law.evidence.z)
+    for name, value in true.items():
+        assert draws[name].min() < value < draws[name].max()
+    assert "prefer general radiative transfer" in comparison_sentence([by_fibrils, by_law])
