@@ -120,8 +120,8 @@ def test_radiance_of_oblique_light():
     """Shares and BRDF, also with a share of Rayleigh's law, of slabs without interfaces."""
     nd = pytest.importorskip("nanodisort")
     cosine = 0.61
-    kinds = ((0.0, -0.5), (0.3, 0.5), (0.0, 0.9), (0.3, 0.9))  # Rayleigh's share, g
-    slabs = ((0.9, 1.0), (0.999999, 5.0), (0.8, 0.1))
+    kinds = ((0.0, -0.5), (0.3, 0.5), (0.3, 0.9), (0.0, 0.95))  # Rayleigh's share, g
+    slabs = ((0.9, 1.0), (0.999999, 5.0), (0.8, 0.1), (0.999999, 0.01))
     cases = [(*slab, *kind) for kind in kinds for slab in slabs]
     exits, azimuth = np.meshgrid(EXITS, np.radians(AZIMUTH), indexing="ij")
 
