@@ -85,7 +85,7 @@ def _print(found: Sequence[Assessment], sentence: str) -> None:
     console = Console(width=None if sys.stdout.isatty() else 1000, highlight=False)
     table = Table(box=None, pad_edge=False, padding=(0, 2, 0, 0))
     rows = {
-        "ln evidence": [f"{a.evidence.log_evidence:.1f} ± {a.evidence.error:.1f}" for a in found],
+        "ln evidence": [a.evidence.text for a in found],
         "predictive score": [f"{a.score:.1f} ± {a.score_error:.1f}" for a in found],
     }
     for name in _names(found):

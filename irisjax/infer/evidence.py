@@ -52,6 +52,12 @@ class Evidence(NamedTuple):
     steps: int
     by: str = "nested sampling"
 
+    @property
+    def text(self) -> str:
+        """The value and its error, with as many digits as the error asks for."""
+        digits = 1 if self.error >= 0.05 else 2
+        return f"{self.log_evidence:.{digits}f} ± {self.error:.{digits}f}"
+
 
 class _Settings(NamedTuple):
     """What a program is made for; the version stands for the sampler's code."""

@@ -158,9 +158,7 @@ def comparison_sentence(assessments: Sequence[Assessment]) -> str:
         said = f"prefer {first.name} to {second.name} by odds of {odds_in_words(log_odds)} to 1"
     else:
         said = f"do not decide between {first.name} and {second.name}"
-    evidences = ", ".join(
-        f"{a.evidence.log_evidence:.1f} ± {a.evidence.error:.1f} by {a.name}" for a in assessments
-    )
+    evidences = ", ".join(f"{a.evidence.text} by {a.name}" for a in assessments)
     data = ", ".join(o.name for o in assessments[0].candidate.problem.observations)
     quoted = [n for n in assessments[0].values if kind(n) in _QUOTED]
     samplers = " and ".join(dict.fromkeys(a.evidence.by for a in assessments))
