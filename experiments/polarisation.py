@@ -1,4 +1,7 @@
-"""What polarisation changes in the light of irides, and what a crossed polariser leaves of it."""
+"""What polarisation changes in the light of irides, and what a crossed polariser leaves of it.
+
+Beside the size of that change stands what ILIT makes of the same irides.
+"""
 
 import jax
 import jax.numpy as jnp
@@ -7,14 +10,15 @@ import numpy as np
 import irisjax as ij
 from experiments.common import RESULTS, start, write
 
+PROCESSES = (ij.ILIT_2006, ij.DEPTH_RESOLVED, ij.POLARISED)
 LEVELS = ("low", "moderate", "high")
 FRACTIONS = (0.2, 0.5, 0.8)
 _SAID = "simulated by irisjax; radiative transfer in LB06's irides, light along the normal"
 
 
 def main(key, quick=False, out=RESULTS):
-    """Write spectra by scalar and by polarised theory with what two analysers pass, and the degree
-    of polarisation over the exit angle. No key is used.
+    """Write spectra by scalar and by polarised theory with what two analysers pass, spectra by
+    these and by ILIT, and the degree of polarisation over the exit angle. No key is used.
     """
     del key
     grid = ij.wavelengths(400, 700, 150 if quick else 10)
@@ -32,6 +36,20 @@ def main(key, quick=False, out=RESULTS):
             "crossed_share_normal", "crossed_share_hemisphere",
         ),
         [row for level in LEVELS for f in FRACTIONS for row in _spectra(level, f, grid)],
+    )  # fmt: skip
+    fine = ij.wavelengths(400, 700, 150 if quick else 5)
+    write(
+        out / "three_processes.csv",
+        (
+            "simulated by irisjax; LB06's irides, light along the normal, ABL fraction 0.5",
+            "reflectance with the first surface: ILIT (ilit-2006), scalar and polarised radiative "
+            "transfer",
+        ),
+        (
+            "level", "wavelength_nm", "reflectance_ilit", "reflectance_scalar",
+            "reflectance_polarised",
+        ),
+        [row for level in LEVELS for row in _three(level, fine)],
     )  # fmt: skip
     angles = np.linspace(0, 85, 6 if quick else 86)
     write(
@@ -62,6 +80,13 @@ def _spectra(level, fraction, grid):
         columns.append(crossed / (crossed + parallel))
     for i, nm in enumerate(grid):
         yield level, fraction, float(nm), *(float(c[i]) for c in columns)
+
+
+def _three(level, grid):
+    iris = ij.Iris.of_level(level).replace(abl_fraction=0.5)
+    columns = [ij.reflectance(iris, grid, process=process).values for process in PROCESSES]
+    for i, nm in enumerate(grid):
+        yield level, float(nm), *(float(c[i]) for c in columns)
 
 
 def _over_angles(level, angles):
