@@ -1,5 +1,6 @@
 """A measurement as several models read it."""
 
+import textwrap
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
@@ -60,7 +61,8 @@ def models_figure(
             ax.errorbar(
                 value, -i, xerr=error, fmt=marks[i % len(marks)], color=PALETTE[i], capsize=3
             )
-        ax.set_yticks([-i for i in range(len(names))], names, fontsize=8)
+        labels = [textwrap.fill(n, 18) for n in names]
+        ax.set_yticks([-i for i in range(len(names))], labels, fontsize=7)
         ax.set_ylim(-len(names) + 0.5, 0.5)
         ax.set_xlim(left=0)
         ax.set_xlabel(label, fontsize=8)
