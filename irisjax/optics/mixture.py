@@ -7,6 +7,8 @@ import numpy as np
 from irisjax._types import Spectrum
 from irisjax.optics.phase import PHASES, rayleigh
 
+_MEANS = 7  # of a pair 1 and 1e-4 to rounding; each doubles the digits
+
 
 class PhaseMixture(eqx.Module):
     """p(Θ) = s p_R + (1 − s) p_HG, one value a wavelength; each is 4π over the sphere.
@@ -32,6 +34,14 @@ class PhaseMixture(eqx.Module):
         """p at cosines of the scattering angle."""
         s = self.rayleigh
         return s * rayleigh(cosine) + (1 - s) * henyey_greenstein(cosine, self.anisotropy)
+
+    def mean_over_azimuth(self, centre, reach):
+        """Mean of p over azimuth φ where the cosine of the scattering angle is `centre` + `reach`
+        cos φ, `reach` ≥ 0.
+        """
+        s = self.rayleigh
+        of_rayleigh = rayleigh(centre) + 0.375 * reach * reach
+        return s * of_rayleigh + (1 - s) * _mean_henyey_greenstein(centre, reach, self.anisotropy)
 
     def moments(self, count: int):
         """Legendre moments χ_0 to χ_{count − 1} along a new last axis: p = Σ (2l + 1) χ_l P_l."""
@@ -68,11 +78,35 @@ class PhaseMixture(eqx.Module):
 
 def henyey_greenstein(cosine, g):
     """(1 − g²)/(1 + g² − 2g cos Θ)^{3/2}  [Henyey & Greenstein 1941, Eq. 2]."""
-    # Written round the peak, where the plain denominator cancels.
+    base = _base(cosine, g)
+    return (1 - g) * (1 + g) / (base * jnp.sqrt(base))
+
+
+def _base(cosine, g):
+    """1 + g² − 2g cos Θ, written round the peak, where that cancels."""
     size = jnp.abs(g)
     towards = jnp.where(g < 0, 1 + cosine, 1 - cosine)
-    base = (1 - size) ** 2 + 2 * size * towards
-    return (1 - g) * (1 + g) / (base * jnp.sqrt(base))
+    return (1 - size) ** 2 + 2 * size * towards
+
+
+def _mean_henyey_greenstein(centre, reach, g):
+    """Over azimuth: ∫ (a − b cos φ)^{−3/2} dφ/2π = (2/π) E(m)/((a − b) √(a + b)), m = 2b/(a + b)
+    [DLMF 19.2.8 with 19.4].
+    """
+    towards = jnp.where(g < 0, -reach, reach)
+    least, most = _base(centre + towards, g), _base(centre - towards, g)
+    return (1 - g) * (1 + g) * _second_kind(least / most) / (least * jnp.sqrt(most))
+
+
+def _second_kind(complement):
+    """(2/π) E(m), the complete elliptic integral of the second kind of 1 − m, by the
+    arithmetic–geometric mean  [DLMF 19.8.6].
+    """
+    a, b, total = jnp.ones_like(complement), jnp.sqrt(complement), (1 - complement) / 2
+    for n in range(_MEANS):
+        a, b, half = (a + b) / 2, jnp.sqrt(a * b), (a - b) / 2
+        total = total + 2.0**n * half * half
+    return (1 - total) / a
 
 
 def sample_henyey_greenstein(u, g):

@@ -1,5 +1,6 @@
 """The mixture of Rayleigh's and Henyey and Greenstein's phase functions: norm, moments, samples."""
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -20,6 +21,22 @@ def test_moments_are_those_of_the_function(g):
     moments, peak = mixture.truncated(12)
     np.testing.assert_allclose(moments[:, 0], 1.0, atol=1e-14)
     assert ((peak >= 0) & (peak < 1)).all()
+
+
+@pytest.mark.parametrize("bits", [64, 32])
+@pytest.mark.parametrize("g", [*GS, 0.99])
+def test_mean_over_azimuth(g, bits):
+    """From light that turns straight back to grazing light, whose azimuths have a sharp peak."""
+    azimuth = (np.arange(20_000) + 0.5) * np.pi / 20_000
+    for centre, reach in ((-1.0, 0.0), (-0.3, 0.2), (0.4, 0.6), (-0.001, 0.998)):
+        with jax.enable_x64(bits == 64):
+            mixture = PhaseMixture(jnp.array([0.3]), jnp.array([g]))
+            found = mixture.mean_over_azimuth(jnp.array([centre]), jnp.array([reach]))
+        cosine = centre + reach * np.cos(azimuth)
+        wanted = (
+            0.3 * 0.75 * (1 + cosine**2) + 0.7 * (1 - g**2) / (1 + g**2 - 2 * g * cosine) ** 1.5
+        )
+        assert float(found[0]) == pytest.approx(wanted.mean(), rel=1e-12 if bits == 64 else 1e-4)
 
 
 @pytest.mark.parametrize("g", GS)

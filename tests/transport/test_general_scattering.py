@@ -124,7 +124,7 @@ def test_photons_agree():
 
 
 @pytest.mark.heavy
-@pytest.mark.parametrize("cosine", [1.0, 0.5])
+@pytest.mark.parametrize("cosine", [1.0, 0.5, 0.03])
 def test_light_scattered_once(cosine):
     """Where it is absorbed at its second collision, at any depth: the integral over directions.
 

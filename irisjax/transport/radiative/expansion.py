@@ -8,8 +8,6 @@ from irisjax.numerics.roots import safe_sqrt
 from irisjax.optics.mixture import PhaseMixture
 from irisjax.transport.radiative.doubling import Lines
 
-_AZIMUTHS = 32
-
 
 def legendre(count: int, orders, cosine):
     """P_l^m √((l − m)!/(l + m)!) at cosines, shape (orders, l = 0 to count − 1, cosines); 0 where
@@ -66,12 +64,8 @@ def mean_turned(phase: PhaseMixture, rows, columns):
     """Mean over azimuth of a phase function for light that turns back, of cosines `columns` into
     cosines `rows`; shape (rows, columns).
     """
-    azimuth = (np.arange(_AZIMUTHS) + 0.5) * (np.pi / _AZIMUTHS)
     sideways = safe_sqrt(1 - rows**2)[:, None] * safe_sqrt(1 - columns**2)[None]
-    straight = rows[:, None] * columns[None]
-    cosine = sideways[..., None] * jnp.asarray(np.cos(azimuth), rows.dtype)[None, None]
-    cosine = cosine - straight[..., None]
-    return phase.value(cosine).mean(-1)
+    return phase.mean_over_azimuth(-rows[:, None] * columns[None], sideways)
 
 
 def series_value(moments, cosine):
