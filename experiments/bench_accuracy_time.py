@@ -3,8 +3,9 @@
 The job is 81 wavelengths, 400–720 nm, normal incidence, first surface left out, an error over the
 three levels. Times are medians of warm calls after `block_until_ready`; compile time stands apart.
 `single` is one spectrum through the public function, `jitted` the same inside the caller's jit,
-`batch` the time a spectrum takes in a batch. Ratios within one run are what counts: machines
-differ.
+`batch` the time a spectrum takes in a batch. Samplers say their standard error; as `max_rel_error`
+and `rms_rel_error` it is relative to the reference, the root mean square over wavelengths and
+levels. Ratios within one run are what counts: machines differ.
 """
 
 import json
@@ -23,7 +24,7 @@ import numpy as np
 
 import irisjax as ij
 from experiments import bench_peers
-from experiments.bench_job import GRID, LEVELS, errors, matched, median_us, values
+from experiments.bench_job import GRID, LEVELS, errors, matched, median_us, reading, values
 from experiments.common import RESULTS, start, write
 
 COLUMNS = (
@@ -36,6 +37,7 @@ COLUMNS = (
     "batch_us",
     "max_rel_error",
     "rms_rel_error",
+    "rms_standard_error",
     "compile_s",
 )
 
@@ -47,7 +49,7 @@ def main(key, quick=False, out=RESULTS):
     print(f"{len(rows)} solver rows", flush=True)
     if not quick:
         rows += _other_precision()
-    rows += _depth_resolved(quick) + bench_peers.rows(quick)
+    rows += _depth_resolved(key, quick) + bench_peers.rows(quick)
     header = (
         f"simulated irides; {len(GRID)} wavelengths; {device}; jax {jax.__version__}; irisjax "
         f"{ij.__version__}",
@@ -99,7 +101,7 @@ def _solvers(key, quick):
                         estimator,
                         n,
                         "float32",
-                        *_sampled(_sampler(estimator, n), key, reference),
+                        *_sampled(_sampler(estimator, n), ij.ILIT_2006, key, reference),
                     )
                 )
     return rows
@@ -117,45 +119,56 @@ def _sampler(estimator, n):
 
 
 def _deterministic(solver, process, reference, quick):
-    found = np.stack([values(ij.Iris.of_level(v), solver, process) for v in LEVELS])
-    iris = ij.Iris.of_level("moderate")
+    irides = [ij.Iris.of_level(v) for v in LEVELS]
+    size = 64 if quick else 1024
+    loads = jnp.geomspace(0.01, 2.0, size)
+    return _integrated(solver, process, irides, reference, loads, together=64, calls=(40, 40, 5))
+
+
+def _integrated(solver, process, irides, reference, loads, together, calls):
+    """Times, errors and compile time of a solver without chance, as they stand in a row."""
+    found = np.stack([values(i, solver, process) for i in irides])
+    iris = irides[LEVELS.index("moderate")]
 
     def spectrum(x):
         return ij.reflectance(
             x, GRID, solver=solver, process=process, first_surface=False, throw=False
         ).values
 
-    size = 64 if quick else 1024
-    batch = jax.vmap(lambda c: iris.replace(eumelanin=c))(jnp.geomspace(0.01, 2.0, size))
+    batch = jax.vmap(lambda c: iris.replace(eumelanin=c))(loads)
     jitted = jax.jit(spectrum)
     begin = time.perf_counter()
     jax.block_until_ready(jitted(iris))
     compile_s = time.perf_counter() - begin
-    many = jax.jit(lambda x: jax.lax.map(spectrum, x, batch_size=64))
+    many = jax.jit(lambda x: jax.lax.map(spectrum, x, batch_size=together))
     return (
-        median_us(lambda: spectrum(iris)),
-        median_us(partial(jitted, iris)),
-        median_us(partial(many, batch), 5) / size,
+        median_us(lambda: spectrum(iris), calls[0]),
+        median_us(partial(jitted, iris), calls[1]),
+        median_us(partial(many, batch), calls[2]) / loads.size,
         *errors(found, reference),
+        float("nan"),
         compile_s,
     )
 
 
-def _sampled(solver, key, reference):
+def _sampled(solver, process, key, reference):
     keys = jax.random.split(key, len(LEVELS))
-    found = np.stack(
-        [
-            values(ij.Iris.of_level(v), solver, ij.ILIT_2006, key=k)
-            for v, k in zip(LEVELS, keys, strict=True)
-        ]
+    readings = [
+        reading(ij.Iris.of_level(v), solver, process, key=k)
+        for v, k in zip(LEVELS, keys, strict=True)
+    ]
+    found, error = (
+        np.stack([np.asarray(getattr(r, name)) for r in readings])
+        for name in ("values", "standard_error")
     )
     iris = ij.Iris.of_level("moderate")
 
     def spectrum():
-        return ij.reflectance(iris, GRID, solver=solver, first_surface=False, key=key).values
+        return reading(iris, solver, process, key=key).values
 
-    single = median_us(spectrum, 5)
-    return (single, float("nan"), float("nan"), *errors(found, reference), float("nan"))
+    nan = float("nan")
+    relative = float(np.sqrt(np.mean((error / reference) ** 2)))
+    return (median_us(spectrum, 5), nan, nan, *errors(found, reference), relative, nan)
 
 
 def _other_precision():
@@ -168,59 +181,34 @@ def _other_precision():
     return [tuple(row) for row in json.loads(run.stdout.splitlines()[-1])]
 
 
-def _depth_resolved(quick):
+def _depth_resolved(key, quick):
     """Radiative transfer with Fresnel interfaces, and index-matched as the peers treat it."""
     rows = []
-    full = {v: ij.Iris.of_level(v) for v in LEVELS}
+    process = ij.DEPTH_RESOLVED
+    full = [ij.Iris.of_level(v) for v in LEVELS]
+    loads = jnp.geomspace(0.01, 1.0, 16 if quick else 1000)
     for job, irides in (
         ("depth-resolved", full),
-        ("depth-resolved, index-matched", {v: matched(iris) for v, iris in full.items()}),
+        ("depth-resolved, index-matched", [matched(iris) for iris in full]),
     ):
-        process = ij.DEPTH_RESOLVED
-        reference = np.stack(
-            [values(i, ij.RadiativeExact(96, 12, 5), process) for i in irides.values()]
-        )
+        reference = np.stack([values(i, ij.RadiativeExact(96, 12, 5), process) for i in irides])
         for n, depths in ((12, 6),) if quick else ((8, 4), (12, 6), (10, 8), (16, 8), (24, 8)):
             solver = ij.RadiativeExact(n, depths, 1)
-            found = np.stack([values(i, solver, process) for i in irides.values()])
-            iris = irides["moderate"]
-
-            def spectrum(x, solver=solver, process=process):
-                return ij.reflectance(
-                    x,
-                    GRID,
-                    solver=solver,
-                    process=process,
-                    first_surface=False,
-                    throw=False,
-                ).values
-
-            size = 16 if quick else 1000
-            batch = jax.vmap(lambda c, iris=iris: iris.replace(eumelanin=c))(
-                jnp.geomspace(0.01, 1.0, size)
-            )
-            jitted = jax.jit(spectrum)
-            begin = time.perf_counter()
-            jax.block_until_ready(jitted(iris))
-            compile_s = time.perf_counter() - begin
-            many = jax.jit(lambda x, spectrum=spectrum: jax.lax.map(spectrum, x, batch_size=8))
-            times = (
-                median_us(lambda spectrum=spectrum, iris=iris: spectrum(iris), 20),
-                median_us(partial(jitted, iris), 20),
-                median_us(partial(many, batch), 3) / size,
-            )
-            rows.append(
-                (
-                    job,
-                    "exact",
-                    f"{n}x{depths}",
-                    "float64",
-                    *times,
-                    *errors(found, reference),
-                    compile_s,
-                )
-            )
+            found = _integrated(solver, process, irides, reference, loads, 8, (20, 20, 3))
+            rows.append((job, "exact", f"{n}x{depths}", "float64", *found))
+        if irides is full:
+            rows += _radiative_samplers(key, reference, quick)
     return rows
+
+
+def _radiative_samplers(key, reference, quick):
+    for name, sampler, counts in (
+        ("analog", ij.MonteCarlo, (1_000, 10_000, 100_000, 1_000_000)),
+        ("weighted", ij.RadiativeWeighted, (256, 1024, 4096, 16384, 65536, 262_144)),
+    ):
+        for n in counts[:1] if quick else counts:
+            found = _sampled(sampler(n), ij.DEPTH_RESOLVED, key, reference)
+            yield "depth-resolved", name, n, "float32", *found
 
 
 def _scaling(key, quick):

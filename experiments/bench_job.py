@@ -24,19 +24,16 @@ def median_us(call, repeats=40):
     return statistics.median(times) * 1e6
 
 
-def values(iris, solver, process, **options):
-    """Reflectance of an iris on `GRID`, the first surface left out."""
-    return np.asarray(
-        ij.reflectance(
-            iris,
-            GRID,
-            solver=solver,
-            process=process,
-            first_surface=False,
-            throw=False,
-            **options,
-        ).values
+def reading(iris, solver, process, **options):
+    """Measured reflectance of an iris on `GRID`, the first surface left out."""
+    return ij.reflectance(
+        iris, GRID, solver=solver, process=process, first_surface=False, throw=False, **options
     )
+
+
+def values(iris, solver, process):
+    """The values alone of `reading`, by a solver without chance."""
+    return np.asarray(reading(iris, solver, process).values)
 
 
 def errors(found, reference):

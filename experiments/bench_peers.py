@@ -18,12 +18,13 @@ def rows(quick):
     found = []
     if importlib.util.find_spec("nanodisort"):
         found += [
-            ("depth-resolved, index-matched", name, size, "float64", us, nan, us, *error, nan)
+            ("depth-resolved, index-matched", name, size, "float64", us, nan, us, *error, nan, nan)
             for name, size, us, error in _disort(quick)
         ]
     if importlib.util.find_spec("iadpython"):
+        job = "one slab, isotropic, index-matched"
         found += [
-            ("one slab, isotropic, index-matched", name, size, "float64", us, nan, us, *error, nan)
+            (job, name, size, "float64", us, nan, us, *error, nan, nan)
             for name, size, us, error in _adding_doubling(quick)
         ]
     return found

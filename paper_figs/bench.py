@@ -54,11 +54,13 @@ keys = sorted({(r["job"], r["solver"]) for r in rows if r["job"] in jobs})
 for i, (job, solver) in enumerate(keys):
     mine = [r for r in rows if (r["job"], r["solver"]) == (job, solver)]
     name = f"{solver}: {job.removeprefix('depth-resolved, ')}" if solver == "exact" else solver
+    if solver in ("analog", "weighted"):
+        name = f"{solver} Monte Carlo"
     line(
         right,
         mine,
         "single_us" if solver != "exact" else "jitted_us",
-        marker="o",
+        marker=MARKERS.get(solver, "o"),
         color=f"C{i}",
         label=name,
     )
