@@ -30,6 +30,8 @@ def compared(quick, monkeypatch):
                 for n in ("melanin_load", "abl_fraction", "noise")
             }
             ratios = {n: Interval(1.0 + i, 0.5, 4.0) for n in values}
+            if i:  # a parameter that the first model has not
+                values["anisotropy"] = Interval(0.8, 0.7, 0.9)
             models = tuple(np.asarray(o.values) for o in problem.observations)
             name = ("ILIT", "radiative transfer")[i]
             progress(name, 8)
@@ -58,6 +60,8 @@ def test_from_file_to_files(irisjax, eye, compared, tmp_path):
     assert {r["sampler"] for r in rows} == {"nested sampling"}
     assert [float(r["ln_evidence"]) for r in rows] == [100.0, 80.0]
     assert float(rows[1]["melanin_load_ratio"]) == 2.0
+    assert [r["anisotropy"] for r in rows] == ["", "0.8"]
+    assert "anisotropy_ratio" not in rows[0]
     assert float(rows[1]["melanin_load_ratio_q97.5"]) == 4.0
     assert (folder / "compare.png").read_bytes().startswith(b"\x89PNG")
     # A second run is refused, or gives the same bytes.
@@ -119,9 +123,9 @@ def test_a_missing_sampler_is_one_line(irisjax, eye, quick, monkeypatch):
     assert "pip install 'irisjax[compare]'" in err
 
 
-def test_the_command_compares_ilit_and_radiative_transfer(irisjax, eye, compared):
+def test_the_command_compares_three_models(irisjax, eye, compared):
     """What the stand-in takes the place of."""
     irisjax("fit", eye, "--compare")
     (problem,) = compared
     names = [c.name for c in candidates_of(ij.problem(problem.observations))]
-    assert names == ["ILIT", "radiative transfer"]
+    assert names == ["ILIT", "radiative transfer", "general radiative transfer"]
