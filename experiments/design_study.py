@@ -45,7 +45,8 @@ def main(key, quick=False, out=RESULTS):
         ),
         "to 780 nm": (_spectra(400, 780, 10), noisy, {}),
         "gain calibrated": (base, noisy, {"fixed": ("gain",)}),
-        "scattering by a power law, radiative transfer": (base, noisy, {"law": True}),
+        "radiative transfer": (base, noisy, {"process": ij.DEPTH_RESOLVED}),
+        "radiative transfer, scattering by a power law": (base, noisy, {"law": True}),
         "the same measured twice": (_twice, noisy, {}),
         "a second spectrum at 60 degrees": (_two_angles, noisy, {}),
         "a second spot with twice the melanin": (
@@ -77,7 +78,17 @@ def main(key, quick=False, out=RESULTS):
     )
 
 
-def _widths(iris, measure, noise, solver, free=FREE, fixed=(), separate=(), law=False):
+def _widths(
+    iris,
+    measure,
+    noise,
+    solver,
+    free=FREE,
+    fixed=(),
+    separate=(),
+    process=ij.ILIT_2006,
+    law=False,
+):
     seen = measure(iris)
     truth = {k: float(v) for k, v in of_iris(iris).items()}
     problem = ij.problem(
@@ -87,6 +98,7 @@ def _widths(iris, measure, noise, solver, free=FREE, fixed=(), separate=(), law=
         separate=separate,
         noise=noise,
         base=iris,
+        process=process,
         solver=solver,
     )
     if law:

@@ -117,12 +117,14 @@ def test_the_maker_of_the_data_is_preferred(blank, maker):
     assert list(dict.fromkeys(told)) == [own.name, other.name]
 
 
-@pytest.mark.heavy
-def test_scattering_of_real_tissue_is_told_from_fibrils(blank):
+@pytest.mark.slow
+def test_scattering_of_real_tissue_is_told_from_fibrils():
     """Data of a power law with large scatterers, which the formula of fibrils cannot follow."""
+    grid = GRID[::2]  # half the time
+    blank = ij.spectrum(grid, np.full(grid.size, 0.05), sd=np.full(grid.size, 0.01), name="eye")
     plain = ij.problem(blank, free=FREE, process=ij.DEPTH_RESOLVED)
     maker = plain.under(PowerLaw())
-    true = {"rayleigh_share": 0.1, "scattering_power": 0.8, "anisotropy": 0.7}
+    true = {"rayleigh_share": 0.1, "scattering_power": 0.8, "anisotropy": 0.85}
     rest = {"melanin_load": 0.1, "abl_fraction": 0.4, "noise": 1.0, "reduced_scattering": 3.0}
     z = maker.standard(rest | true)
     (model,) = maker.predict(z)
