@@ -7,7 +7,7 @@ import numpy as np
 from irisjax._types import Spectrum
 from irisjax.optics.phase import PHASES, rayleigh
 
-_MEANS = 7  # of a pair 1 and 1e-4 to rounding; each doubles the digits
+_MEANS = 7  # arithmetic–geometric means; each doubles the digits
 
 
 class PhaseMixture(eqx.Module):
@@ -95,10 +95,10 @@ def _mean_henyey_greenstein(centre, reach, g):
     """
     towards = jnp.where(g < 0, -reach, reach)
     least, most = _base(centre + towards, g), _base(centre - towards, g)
-    return (1 - g) * (1 + g) * _second_kind(least / most) / (least * jnp.sqrt(most))
+    return (1 - g) * (1 + g) * _elliptic_e(least / most) / (least * jnp.sqrt(most))
 
 
-def _second_kind(complement):
+def _elliptic_e(complement):
     """(2/π) E(m), the complete elliptic integral of the second kind of 1 − m, by the
     arithmetic–geometric mean  [DLMF 19.8.6].
     """

@@ -157,7 +157,7 @@ def test_short_chains_are_called_short(whole, tmp_path):
     assert not short.converged
     assert "20 steps are" in short.reason
     # More steps are the same chain, longer.
-    longer = sample(problem, tmp_path / "short.h5", walkers=16, key=KEY, max_steps=200, resume=True)
+    longer = sample(problem, tmp_path / "short.h5", walkers=16, key=KEY, max_steps=600, resume=True)
     assert longer.converged
     np.testing.assert_array_equal(rows(tmp_path / "short.h5")[0][:60], rows(whole[1])[0][:60])
 
