@@ -233,7 +233,7 @@ class RadiativeResponse(AbstractResponse):
     - `status`: of the solver, a `RESULTS` item.
     """
 
-    coefficients: Float[Array, "first rest functions channels"]
+    coefficients: Float[Array, "products functions channels"]
     indices: tuple[Float[Array, ""], Float[Array, ""]]
     ranges: Scales
     error: Float[Array, ""]
@@ -266,10 +266,10 @@ class RadiativeResponse(AbstractResponse):
         functions = angles.functions(into, cosine, jnp.zeros_like(cosine), self.indices)
         first = angles.count(1)
         moments = functions[:first] @ (jnp.pi * w * cosine)
-        whole = jnp.tensordot(self.coefficients[:, :, :first], moments, (2, 0))
+        whole = jnp.tensordot(self.coefficients[:, :first], moments, (1, 0))
         terms = self._polynomials(scales)
         one = terms[0][0] if terms else jnp.ones(1, self.error.dtype)
-        return whole.reshape(-1, whole.shape[-1]).T @ basis(terms, one)
+        return whole.T @ basis(terms, one)
 
     def _polynomials(self, scales: Scales):
         return polynomials_of(scales, self.ranges, self.degrees)
@@ -278,5 +278,5 @@ class RadiativeResponse(AbstractResponse):
         """See `AbstractResponse`."""
         some = self.coefficients
         if ground is not None:
-            some = jnp.einsum("abkc,kr->abrc", some, ground.weights)
+            some = jnp.einsum("pkc,kr->prc", some, ground.weights)
         return summed(some, texels.scales, texels.light)

@@ -149,15 +149,15 @@ class Texels(eqx.Module):
 
 
 class SeparableResponse(AbstractResponse):
-    """g of every texel of an iris: Chebyshev coefficients, an axis for the first scale that varies,
-    one for products of the others, then the cosine, then the channels.
+    """g of every texel of an iris: Chebyshev coefficients of the products of the scales that vary,
+    of the cosine and of the channels.
 
     - `error`: largest difference from the solver at points off the nodes, relative to the brightest
         of them.
     - `degrees`: the most of each scale that varies.
     """
 
-    coefficients: Float[Array, "first rest cosine channels"]
+    coefficients: Float[Array, "products cosine channels"]
     indices: tuple[Float[Array, ""], Float[Array, ""]]
     ranges: Scales
     error: Float[Array, ""]
@@ -168,7 +168,7 @@ class SeparableResponse(AbstractResponse):
         self, scales: Scales, cosine: Float[Array, " pixels"]
     ) -> Float[Array, "channels pixels"]:
         """Radiance per irradiance (1/sr, times the picture's white) of pixels."""
-        exits = _exits(cosine, self.indices, self.coefficients.shape[2] - 1)
+        exits = _exits(cosine, self.indices, self.coefficients.shape[1] - 1)
         return self._at(Terms(self._polynomials(scales), exits))
 
     def _polynomials(self, scales: Scales):
@@ -193,15 +193,13 @@ class SeparableResponse(AbstractResponse):
         # Linear in the polynomials of the cosine: their integrals once, not a sum over directions a
         # pixel.
         moments = (
-            polynomials(_inside_to_unit(inside, *self.indices), self.coefficients.shape[2]) @ weight
+            polynomials(_inside_to_unit(inside, *self.indices), self.coefficients.shape[1]) @ weight
         )
         one = jnp.ones_like(
             next((s for s in scales if s is not None), jnp.ones(1, self.error.dtype))
         )
-        whole = jnp.tensordot(self.coefficients, moments, (2, 0))
-        return entering * (
-            whole.reshape(-1, whole.shape[-1]).T @ basis(self._polynomials(scales), one)
-        )
+        whole = jnp.tensordot(self.coefficients, moments, (1, 0))
+        return entering * (whole.T @ basis(self._polynomials(scales), one))
 
     def _at(self, terms: Terms) -> Float[Array, "channels pixels"]:
         return summed(self.coefficients, terms.scales, terms.angular[None])

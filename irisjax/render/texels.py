@@ -4,11 +4,13 @@ thickness of the stroma, concentrations.
 A response of the iris is computed at the nodes, turned into coefficients, and checked off them.
 """
 
+import functools
 import itertools
 from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
+import scipy.linalg
 
 from irisjax.numerics.interpolation import chebyshev_nodes
 from irisjax.numerics.tucker import coefficients
@@ -25,8 +27,27 @@ def degrees_of(ranges: Scales, degrees: tuple[int, ...]) -> tuple[int, ...]:
 
 
 def grid(degrees: tuple[int, ...]) -> np.ndarray:
-    """Nodes of all scales that vary, on [−1, 1], shape (nodes, scales); one where none does."""
-    return np.array(list(itertools.product(*(chebyshev_nodes(d + 1) for d in degrees))))
+    """Nodes of all scales that vary, on [−1, 1], shape (nodes, scales): as many as there are
+    products; one where no scale varies.
+    """
+    return _fekete(degrees)[0]
+
+
+@functools.lru_cache(maxsize=16)
+def _fekete(degrees: tuple[int, ...]) -> tuple[np.ndarray, np.ndarray]:
+    """Nodes, and the matrix that turns values at them into coefficients of the products.
+
+    Of all combinations of Chebyshev nodes those that pivoted QR finds most independent,
+    approximate Fekete points [Sommariva & Vianello 2009]: a table of few products is made by few
+    solutions of the iris.
+    """
+    every = np.array(list(itertools.product(*(chebyshev_nodes(d + 1) for d in degrees))))
+    terms = np.array(kept_products(degrees), int)  # (products, scales)
+    products = np.ones((len(every), len(terms)))
+    for x, d, k in zip(every.T, degrees, terms.T, strict=True):
+        products *= np.polynomial.chebyshev.chebvander(x, d)[:, k]
+    chosen = np.sort(scipy.linalg.qr(products.T, mode="r", pivoting=True)[1][: len(terms)])
+    return every[chosen], np.linalg.inv(products[chosen])
 
 
 def between(degrees: tuple[int, ...]) -> np.ndarray:
@@ -65,12 +86,6 @@ def along(values, axis: int):
 def of_products(values, degrees: tuple[int, ...]):
     """Coefficients of `products.basis` from values at `grid(degrees)`, shape (nodes, …).
 
-    **Returns:** shape (first, rest, …): an axis for the first scale, one for products of the
-    others.
+    **Returns:** shape (products, …).
     """
-    values = values.reshape(*(d + 1 for d in degrees), *values.shape[1:])
-    for axis in range(len(degrees)):
-        values = along(values, axis)
-    if len(degrees) > 1:
-        return values[:, *np.array(kept_products(degrees[1:])).T]
-    return values[:, None] if degrees else values[None, None]
+    return jnp.tensordot(jnp.asarray(_fekete(degrees)[1], values.dtype), values, (1, 0))
