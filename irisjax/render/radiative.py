@@ -105,7 +105,7 @@ class RadiativeIntegrator(AbstractIntegrator):
         """
         flux = once("fluxes", fluxes_of, lights, eye, tables)
         slopes, place = relief_at(pixels, eye, maps, once)
-        n = iris.indices(eye.aqueous_index)
+        n = once("indices", Iris.indices, iris, eye.aqueous_index)
         light = once(
             "angular light",
             light_of,

@@ -1,0 +1,47 @@
+"""`Ellipse`: an outline in a photograph."""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+
+class Ellipse(NamedTuple):
+    """An ellipse in pixels of a photograph.
+
+    - `centre`: column and row; whole numbers are the middles of pixels, row 0 is the top one.
+    - `semi_axes`: the larger, then the smaller one.
+    - `angle`: of the larger one, radians from the columns' direction (right) towards the top of the
+        picture.
+    """
+
+    centre: tuple[float, float]
+    semi_axes: tuple[float, float]
+    angle: float = 0.0
+
+    def points(self, along: Float[np.ndarray, " n"]) -> Float[np.ndarray, "n 2"]:
+        """Columns and rows of points on it; `along`: radians of the ellipse's parameter from its
+        larger axis.
+        """
+        (x, y), (a, b) = self.centre, self.semi_axes
+        cos, sin = np.cos(self.angle), np.sin(self.angle)
+        u, v = a * np.cos(along), b * np.sin(along)
+        return np.stack([x + u * cos - v * sin, y - u * sin - v * cos], -1)
+
+    def relative_radius(self, column, row) -> np.ndarray:
+        """0 at the centre, 1 on the ellipse, of points of the picture."""
+        (x, y), (a, b) = self.centre, self.semi_axes
+        cos, sin = np.cos(self.angle), np.sin(self.angle)
+        right, up = np.asarray(column) - x, y - np.asarray(row)
+        return np.hypot((right * cos + up * sin) / a, (up * cos - right * sin) / b)
+
+    def mask(self, shape: tuple[int, int]) -> Bool[np.ndarray, "rows columns"]:
+        """Which pixels of a picture lie within it."""
+        row, column = np.ogrid[: shape[0], : shape[1]]
+        return self.relative_radius(column, row) < 1
+
+    def scaled(self, factor: float) -> "Ellipse":
+        """The same in a picture whose pixels are `factor` times as many along each side."""
+        x, y = ((c + 0.5) * factor - 0.5 for c in self.centre)
+        a, b = (s * factor for s in self.semi_axes)
+        return Ellipse((x, y), (a, b), self.angle)
