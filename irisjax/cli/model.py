@@ -76,6 +76,7 @@ class IrisOptions(Group):
     eumelanin: Annotated[float | None, _field("eumelanin")] = None
     pheomelanin: Annotated[float | None, _field("pheomelanin")] = None
     abl_fraction: Annotated[float | None, _field("abl_fraction")] = None
+    pheomelanin_abl_fraction: Annotated[float | None, _field("pheomelanin_abl_fraction")] = None
     oxyhemoglobin: Annotated[float | None, _field("oxyhemoglobin")] = None
     deoxyhemoglobin: Annotated[float | None, _field("deoxyhemoglobin")] = None
     lutein: Annotated[float | None, _field("lutein")] = None

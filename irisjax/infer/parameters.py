@@ -178,7 +178,13 @@ DERIVED = {"eumelanin": "mg/ml", "pheomelanin": "mg/ml", "abl_melanin": "ug/mm2"
 
 
 def of_iris(iris: Iris) -> dict[str, Any]:
-    """The parameters that make this iris; the instrument as stated."""
+    """The parameters that make this iris; the instrument as stated.
+
+    **Raises:** `ValueError` for an iris whose melanins are shared out differently: a spectrum's
+    parameters have one ABL fraction.
+    """
+    if iris.pheomelanin_abl_fraction is not None:
+        raise ValueError("pheomelanin_abl_fraction: an inversion knows one abl_fraction of both")
     melanin, blood = iris.eumelanin + iris.pheomelanin, iris.oxyhemoglobin + iris.deoxyhemoglobin
 
     def share(part, whole, otherwise):

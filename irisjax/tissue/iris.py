@@ -31,6 +31,9 @@ LIMITS: dict[str, Range] = {
     "eumelanin": _PURE._replace(meaning="eumelanin over the whole iris"),
     "pheomelanin": _PURE._replace(meaning="pheomelanin over the whole iris"),
     "abl_fraction": Range(0, 1, "", "share of the melanin mass in the anterior border layer"),
+    "pheomelanin_abl_fraction": Range(
+        0, 1, "", "the same of the pheomelanin alone, where it differs from the eumelanin's"
+    ),
     "oxyhemoglobin": Range(0, 10, "mmol/l", "oxyhaemoglobin in the stroma"),
     "deoxyhemoglobin": Range(0, 10, "mmol/l", "deoxyhaemoglobin in the stroma"),
     "lutein": Range(0, 1000, "mg/ml", "lutein in the stroma"),
@@ -81,7 +84,8 @@ class Iris(eqx.Module):
 
     Every field is a float array of shape () (batch with `jax.vmap`). Concentrations: melanins mg/ml
     over the whole iris, haemoglobins mmol/l and carotenoids mg/ml in the stroma; thicknesses mm;
-    the fibril radius nm. `abl_index` and `stroma_index` are `None` unless they are to
+    the fibril radius nm. `pheomelanin_abl_fraction` is `None` where both melanins are shared out
+    alike; a number leaves `abl_fraction` to the eumelanin [F09 Section 5.2]. `abl_index` and `stroma_index` are `None` unless they are to
     replace the Gladstone–Dale mixtures. `scattering` names the formula of the stroma's scattering:
     `"lb06"` as printed or `"rayleigh-spheres"`, independent small spheres; `scattering_scale` is a
     factor on it. A `power_law` stands in the formula's place, for radiative transfer. Make
@@ -95,6 +99,7 @@ class Iris(eqx.Module):
     eumelanin: Scalar = _parameter("eumelanin", _LEVELS["moderate"][0])
     pheomelanin: Scalar = _parameter("pheomelanin", _LEVELS["moderate"][1])
     abl_fraction: Scalar = _parameter("abl_fraction", 0.5)
+    pheomelanin_abl_fraction: Scalar | None = _parameter("pheomelanin_abl_fraction", None)
     oxyhemoglobin: Scalar = _parameter("oxyhemoglobin", 0.042)
     deoxyhemoglobin: Scalar = _parameter("deoxyhemoglobin", 0.042)
     lutein: Scalar = _parameter("lutein", 1.562e-4)
@@ -181,7 +186,10 @@ class Iris(eqx.Module):
     @property
     def abl_melanin(self):
         """Melanin mass of the ABL per iris area, µg/mm²."""
-        return self.melanin_load * self.abl_fraction
+        if (fraction := self.pheomelanin_abl_fraction) is None:
+            return self.melanin_load * self.abl_fraction
+        mass = self.eumelanin * self.abl_fraction + self.pheomelanin * fraction
+        return mass * (self.abl_thickness + self.stroma_thickness)
 
     def indices(self, aqueous_index: Scalar | float = AQUEOUS) -> RefractiveIndices:
         """Indices of the media round the layers  [LB06 Eqs. 8, 9].
@@ -207,11 +215,13 @@ class Iris(eqx.Module):
         e = extinction
         # The ABL fraction divides the mass: depth in a layer = extinction × mass per area in that
         # layer.
-        melanin = (
-            self.intensification
-            * (e.eumelanin * self.eumelanin + e.pheomelanin * self.pheomelanin)
-            * (self.abl_thickness + self.stroma_thickness)
-        )
+        eumelanin, pheomelanin = e.eumelanin * self.eumelanin, e.pheomelanin * self.pheomelanin
+        height = self.abl_thickness + self.stroma_thickness
+        melanin = self.intensification * (eumelanin + pheomelanin) * height
+        abl, stroma = melanin * self.abl_fraction, melanin * (1 - self.abl_fraction)
+        if (fraction := self.pheomelanin_abl_fraction) is not None:
+            moved = self.intensification * pheomelanin * height * (fraction - self.abl_fraction)
+            abl, stroma = abl + moved, stroma - moved
         blood_and_carotenoids = (
             e.oxyhemoglobin * self.oxyhemoglobin
             + e.deoxyhemoglobin * self.deoxyhemoglobin
@@ -230,9 +240,8 @@ class Iris(eqx.Module):
         else:
             mu_s = law.coefficient(e.wavelengths)
         return Layers(
-            abl_absorption=melanin * self.abl_fraction,
-            stroma_absorption=melanin * (1 - self.abl_fraction)
-            + blood_and_carotenoids * self.stroma_thickness,
+            abl_absorption=abl,
+            stroma_absorption=stroma + blood_and_carotenoids * self.stroma_thickness,
             stroma_scattering=self.scattering_scale * mu_s * self.stroma_thickness,
             indices=self.indices(aqueous_index),
             order=self.order,

@@ -127,7 +127,7 @@ def test_brdf_over_the_hemisphere(irisjax, quick, printed):
 
 def test_every_parameter_and_switch_is_in_the_header(irisjax, quick, printed):
     header = printed(irisjax("spectrum", *GRID)[1]).header
-    optional = {"abl_index", "stroma_index"}
+    optional = {"abl_index", "stroma_index", "pheomelanin_abl_fraction"}
     assert set(LIMITS) - optional <= set(header)
     switches = {"process", "phase", "rescatter", "perturb_on_reflection", "scattering", "cornea"}
     assert {"irisjax", *switches} <= set(header)

@@ -7,7 +7,9 @@ from hypothesis import strategies as st
 
 import irisjax as ij
 from common import GRID, reference
+from irisjax.infer.parameters import of_iris
 from irisjax.tissue.iris import LIMITS
+from irisjax.tissue.pigments import extinction
 
 H_A, H_S = 0.05675, 0.2855
 
@@ -213,3 +215,30 @@ def test_albedo_of_nothing():
     empty = ij.Iris(stroma_thickness=0.0).layers(ij.extinction(GRID))
     np.testing.assert_array_equal(empty.albedo, 0)
     np.testing.assert_array_equal(empty.coalbedo, 1)
+
+
+def test_pheomelanin_may_be_shared_out_for_itself():
+    """Layers of four concentrations  [F09 Section 5.2]."""
+    table = extinction(np.array([450.0, 600.0]))
+    both = ij.Iris(eumelanin=0.3, pheomelanin=0.2, abl_fraction=0.7)
+    np.testing.assert_allclose(
+        *(
+            x.layers(table).abl_absorption
+            for x in (both, both.replace(pheomelanin_abl_fraction=0.7))
+        ),
+        rtol=1e-14,
+    )
+    # What each melanin does by itself adds up.
+    one = both.replace(pheomelanin=0.0).layers(table)
+    other = both.replace(eumelanin=0.0, abl_fraction=0.1).layers(table)
+    none = both.replace(eumelanin=0.0, pheomelanin=0.0).layers(table)
+    apart = both.replace(pheomelanin_abl_fraction=0.1)
+    found = apart.layers(table)
+    for name in ("abl_absorption", "stroma_absorption"):
+        parts = [getattr(x, name) - getattr(none, name) for x in (one, other)]
+        np.testing.assert_allclose(
+            getattr(found, name) - getattr(none, name), sum(parts), rtol=1e-12
+        )
+    assert float(apart.abl_melanin) == pytest.approx((0.3 * 0.7 + 0.2 * 0.1) * (0.05675 + 0.2855))
+    with pytest.raises(ValueError, match="abl_fraction"):
+        of_iris(apart)
