@@ -87,8 +87,7 @@ def _scatter(values: np.ndarray) -> float:
 
 def _of_size(spots: np.ndarray, texel: float) -> np.ndarray:
     """Those connected parts that are as large and compact as freckles, grown by half the least."""
-    spots = ndimage.binary_fill_holes(spots)
-    label = skimage.measure.label(spots)
+    label = np.asarray(skimage.measure.label(np.asarray(ndimage.binary_fill_holes(spots))))
     keep = np.zeros(label.max() + 1, bool)
     for region in skimage.measure.regionprops(label):
         width = region.equivalent_diameter_area * texel

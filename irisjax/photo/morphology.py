@@ -6,6 +6,8 @@ iris.
 
 from typing import NamedTuple
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float
 
@@ -107,7 +109,7 @@ def maps_of(
     )
     rim = texture.pupil_radius, texture.iris_radius, shape
     maps = IrisMaps(
-        stroma_depth=to_polar(found, *rim),
+        stroma_depth=jnp.asarray(to_polar(found, *rim)),
         freckles=_share(to_polar(freckles.astype(np.float32), *rim)) if freckles.any() else None,
     )
     return Morphology(
@@ -115,6 +117,6 @@ def maps_of(
     )
 
 
-def _share(values: np.ndarray) -> np.ndarray:
+def _share(values: np.ndarray) -> jax.Array:
     """Rounding of means of 0 and 1 taken off."""
-    return np.clip(values, 0, 1)
+    return jnp.asarray(np.clip(values, 0, 1))

@@ -1,5 +1,6 @@
 """Thickness of the stroma from the brightness of a photograph: brighter is thicker  [F09 4.2]."""
 
+import jax.numpy as jnp
 import numpy as np
 import scipy.fft
 from jaxtyping import Bool, Float
@@ -39,7 +40,7 @@ def generic_thickness(radius: Float[np.ndarray, "..."]) -> Float[np.ndarray, "..
     beyond 5.08 mm.
     """
     within = np.clip(np.asarray(radius, np.float32), MEASURED.low, MEASURED.high)
-    return np.asarray(stroma_profile((within - 2.0) / 3.5))
+    return np.asarray(stroma_profile(jnp.asarray((within - 2.0) / 3.5)))
 
 
 def intensity(relative: Texture) -> Texture:
@@ -108,15 +109,25 @@ def deconvolve(
         raise ValueError("no texel is valid: there is nothing to deconvolve")
     if sigma_mm == 0 or iterations == 0:
         return np.where(valid, normalised, np.float32(0))
-    spread = Gaussian(valid.shape, sigma_mm / millimetres_per_texel)
-    light = 1 + normalised.astype(np.float32)
-    weight = np.maximum(spread(valid), np.float32(1e-3))
-    estimate = fill(light, ~valid)
+    sigma = sigma_mm / millimetres_per_texel
+    box = tuple(_extent(np.any(valid, axis=axis)) for axis in (1, 0))
+    shown, wide = valid[box], int(np.ceil(3 * sigma))
+    around = np.pad(shown, wide)
+    # The tissue goes on beyond what is shown: without it the edges would seem dark.
+    light = np.pad(fill(1 + normalised[box].astype(np.float32), ~shown), wide, mode="edge")
+    spread = Gaussian(around.shape, sigma, periodic=True)
+    weight = spread(around)
+    told = weight > 1e-3
+    estimate = light
     for _ in range(iterations):
         seen = np.maximum(spread(estimate), np.float32(1e-6))
-        estimate = estimate * spread(np.where(valid, light / seen, 0)) / weight
-    shift = light[valid].mean(dtype=np.float64) - estimate[valid].mean(dtype=np.float64)
-    return np.where(valid, estimate - np.float32(1 - shift), np.float32(0))
+        ratio = spread(np.where(around, light / seen, 0)) / np.where(told, weight, 1)
+        estimate = np.where(told, estimate * ratio, estimate)
+    found = estimate[around] - np.float32(1)
+    kept = normalised[valid].mean(dtype=np.float64) - found.mean(dtype=np.float64)
+    whole = np.zeros(valid.shape, np.float32)
+    whole[valid] = found + np.float32(kept)
+    return whole
 
 
 def thickness(
@@ -172,6 +183,12 @@ def unshade(
     of_height = np.float32(response / TYPICAL)
     along = np.float32(2 * np.pi) * (np.float32(slopes[0]) * right + np.float32(slopes[1]) * up)
     factor = of_height + np.complex64(1j) * along
-    height = scipy.fft.rfft2(known, shape) / factor
-    flat = scipy.fft.irfft2(height * of_height, shape)[: valid.shape[0], : valid.shape[1]]
-    return np.where(valid, flat, np.float32(0))
+    flat = np.asarray(scipy.fft.rfft2(known, shape)) * (of_height / factor)
+    found = np.asarray(scipy.fft.irfft2(flat, shape))[: valid.shape[0], : valid.shape[1]]
+    return np.where(valid, found, np.float32(0))
+
+
+def _extent(line) -> slice:
+    """From the first to the last that is true."""
+    where = np.flatnonzero(line)
+    return slice(int(where[0]), int(where[-1]) + 1)
