@@ -1,0 +1,218 @@
+"""What hides the iris in a photograph: highlights, lashes and lids.
+
+All work on a part of the photograph around the iris, reduced to at most `RESOLUTION` pixels a side.
+"""
+
+import numpy as np
+import skimage.filters
+import skimage.measure
+import skimage.morphology
+import skimage.transform
+from jaxtyping import Bool, Float
+from scipy import ndimage
+
+from irisjax.photo.ellipse import Ellipse
+from irisjax.photo.unrefracted import LUMINANCE
+
+RESOLUTION = 400
+"""Pixels along the longer side of the picture in which they are sought."""
+_SEEN_AROUND = 1.35  # of the limbus's semi-axes: where lashes come from
+
+Pixels = Float[np.ndarray, "rows columns 3"]
+Mask = Bool[np.ndarray, "rows columns"]
+
+
+def find_highlights(pixels: Pixels, saturated: Mask, iris: Mask) -> Mask:
+    """Pixels of the iris that show a mirror image of lamps, wet spots or the like.
+
+    Saturated ones, and ones that are brighter than the median round about by more than the iris's
+    own scatter, the excess having the light's colour; both with the glow around them. `pixels`:
+    linear; `iris`: the ring between limbus and pupil, as far as it is known. Nothing is marked
+    outside of it.
+    """
+    if not iris.any():
+        return np.zeros_like(iris)
+    part = _Part.around(iris)
+    small, ring = part.reduced(pixels), part.reduced(iris) > 0.5
+    cut_off = part.reduced(saturated & iris) > 0.1
+    encoded = _encoded(small @ LUMINANCE)
+    counted = ring & ~cut_off
+    if not counted.any():
+        return iris.copy()
+    size = max(ring.shape)
+    usual = _median(encoded, counted, max(3, round(0.06 * size)))
+    excess = encoded - usual
+    scatter = 1.4826 * np.median(np.abs(excess[counted]))
+    white = _colourless(small - usual[..., None] ** 2.2, small)
+    bright = (excess > max(5 * scatter, 0.15)) & white & ring
+    glow = (excess > max(2.5 * scatter, 0.06)) & ring
+    seeds = bright | cut_off
+    found = skimage.filters.apply_hysteresis_threshold(
+        (glow | seeds).astype(np.uint8) + seeds, 0.5, 1.5
+    )
+    # Fibres that touch a highlight are as bright as its glow; the glow itself is near.
+    away = np.asarray(ndimage.distance_transform_edt(~seeds))
+    found &= away <= max(2.0, 0.03 * size)
+    found = skimage.morphology.dilation(found, skimage.morphology.disk(max(1, size // 200)))
+    return (part.enlarged(found) | saturated) & iris
+
+
+def find_lashes(pixels: Pixels, limbus: Ellipse) -> Mask:
+    """Thin dark or bright streaks that cross the limbus.
+
+    Fibres and furrows of the iris end at it and vessels of the white are faint, so a streak that is
+    as clear outside as inside lies in front. `pixels`: linear, the whole photograph.
+    """
+    part, radius, small = _around_limbus(pixels, limbus)
+    if part is None or small is None:
+        return np.zeros(pixels.shape[:2], bool)
+    encoded = _encoded(small @ LUMINANCE)
+    width = max(2, round(0.02 * max(radius.shape)))
+    disk = skimage.morphology.disk(width)
+    found = np.zeros(radius.shape, bool)
+    near = radius < _SEEN_AROUND
+    for streak in (
+        np.asarray(ndimage.black_tophat(encoded, footprint=disk)),
+        np.asarray(ndimage.white_tophat(encoded, footprint=disk)),
+    ):
+        # In units of what fibres, or vessels and skin, usually reach.
+        within, without = radius < 1, near & (radius >= 1)
+        usual = np.where(within, _usual(streak[within]), _usual(streak[without]))
+        clear = skimage.filters.apply_hysteresis_threshold(near * streak / usual, 1.0, 1.5)
+        label = np.asarray(skimage.measure.label(clear))
+        for region in skimage.measure.regionprops(label):
+            at = radius[tuple(region.coords.T)]
+            long = region.axis_major_length > 4 * max(region.axis_minor_length, 1.0)
+            branched = region.solidity < 0.4
+            if (at.min() < 0.95 and at.max() > 1.12) and (long or branched):
+                found[tuple(region.coords.T)] = True
+    found = skimage.morphology.dilation(found, skimage.morphology.disk(1))
+    return part.enlarged(found)
+
+
+def find_lids(pixels: Pixels, limbus: Ellipse, pupil: Ellipse) -> Mask:
+    """Pixels within the limbus that lids cover.
+
+    The iris at its sides, where lids never reach, tells at each radius which brightness and colour
+    are usual. Parts above and below that differ and reach the limbus are lids, where outside of it
+    the same surface goes on. A lid of the iris's own colour is not found, nor is any where light
+    and shadow divide the eye.
+    """
+    part, radius, small = _around_limbus(pixels, limbus)
+    if part is None or small is None:
+        return np.zeros(pixels.shape[:2], bool)
+    size = max(radius.shape)
+    inside = part.reduced(pupil.mask(pixels.shape[:2])) < 0.5
+    smooth = ndimage.gaussian_filter(small, (0.012 * size,) * 2 + (0,))
+    light = np.log(np.maximum(smooth, 0) + 0.02 * max(float(np.median(smooth)), 1e-4))
+    seen = np.concatenate(
+        [light @ LUMINANCE[:, None], light[..., :1] - light[..., 2:]], -1
+    )  # brightness and colour
+    row, column = np.indices(radius.shape)
+    x, y = part.small(limbus.centre)
+    aside = np.abs(row - y) < 0.5 * np.abs(column - x)
+    ring = np.minimum((radius * 20).astype(int), int(20 * _SEEN_AROUND))
+    strange = np.zeros(radius.shape)
+    for k in range(20):
+        at = (ring == k) & inside
+        known = seen[at & aside]
+        if len(known) < 8:
+            continue
+        middle = np.median(known, 0)
+        scatter = np.maximum(1.4826 * np.median(np.abs(known - middle), 0), 0.12)
+        off = np.sqrt((((seen[at] - middle) / scatter) ** 2).sum(-1))
+        strange[at] = off
+    strange *= (radius < 1) & ~aside
+    covered = skimage.filters.apply_hysteresis_threshold(strange, 2.5, 4.0)
+    covered = skimage.morphology.opening(
+        covered, skimage.morphology.disk(max(1, round(0.02 * size)))
+    )
+    label = np.asarray(skimage.measure.label(covered))
+    keep = np.zeros(label.max() + 1, bool)
+    for k in range(1, label.max() + 1):
+        at = label == k
+        if not (radius[at] > 0.93).any():
+            continue
+        beyond = skimage.morphology.dilation(at, skimage.morphology.disk(round(0.05 * size)))
+        beyond &= (radius > 1.03) & (radius < 1.2)
+        if beyond.any():
+            step = np.abs(np.median(seen[beyond], 0) - np.median(seen[at & (radius > 0.8)], 0))
+            keep[k] = bool(step.max() < 0.5)
+    return part.enlarged(keep[label]) & limbus.mask(pixels.shape[:2])
+
+
+class _Part:
+    """A rectangle of the photograph and the smaller picture of it."""
+
+    def __init__(self, shape: tuple[int, int], rows: slice, columns: slice):
+        self.shape, self.rows, self.columns = shape, rows, columns
+        self.size = rows.stop - rows.start, columns.stop - columns.start
+        factor = min(1.0, RESOLUTION / max(self.size))
+        self.small_size = tuple(max(1, round(n * factor)) for n in self.size)
+
+    @classmethod
+    def around(cls, mask: np.ndarray) -> "_Part":
+        rows, columns = (np.flatnonzero(mask.any(axis)) for axis in (1, 0))
+        return cls(mask.shape, slice(rows[0], rows[-1] + 1), slice(columns[0], columns[-1] + 1))
+
+    def small(self, place: tuple[float, float]) -> tuple[float, float]:
+        """Column and row in the smaller picture."""
+        x, y = place[0] - self.columns.start, place[1] - self.rows.start
+        return (
+            (x + 0.5) * self.small_size[1] / self.size[1] - 0.5,
+            (y + 0.5) * self.small_size[0] / self.size[0] - 0.5,
+        )
+
+    def reduced(self, picture: np.ndarray) -> np.ndarray:
+        part = picture[self.rows, self.columns].astype(np.float32)
+        whole = self.small_size + part.shape[2:]
+        return skimage.transform.resize_local_mean(part, whole)
+
+    def enlarged(self, mask: np.ndarray) -> np.ndarray:
+        row, column = (
+            np.arange(n) * m // n for n, m in zip(self.size, self.small_size, strict=True)
+        )
+        whole = np.zeros(self.shape, bool)
+        whole[self.rows, self.columns] = mask[row[:, None], column]
+        return whole
+
+
+def _around_limbus(pixels: np.ndarray, limbus: Ellipse):
+    """The part of the photograph round the limbus, the relative radius there and its pixels."""
+    (x, y), reach = limbus.centre, _SEEN_AROUND * limbus.semi_axes[0]
+    rows, columns = pixels.shape[:2]
+    box = [
+        slice(max(0, int(c - reach)), min(n, int(c + reach) + 1))
+        for c, n in ((y, rows), (x, columns))
+    ]
+    if any(b.stop - b.start < 16 for b in box):
+        return None, np.zeros((0, 0)), None
+    part = _Part((rows, columns), *box)
+    at = [
+        b.start + (np.arange(n) + 0.5) * (size / n) - 0.5
+        for b, n, size in zip(box, part.small_size, part.size, strict=True)
+    ]
+    return part, limbus.relative_radius(at[1][None, :], at[0][:, None]), part.reduced(pixels)
+
+
+def _usual(streak: np.ndarray) -> float:
+    """What all but the clearest streaks of a texture stay below."""
+    return max(1.5 * float(np.quantile(streak, 0.75)), 0.08) if streak.size else 0.08
+
+
+def _encoded(luminance: np.ndarray) -> np.ndarray:
+    """Roughly as a screen wants it, so that equal steps look equal."""
+    return np.clip(luminance, 0, 1) ** np.float32(1 / 2.2)
+
+
+def _median(values: np.ndarray, counted: np.ndarray, radius: int) -> np.ndarray:
+    """Of the counted pixels within a radius, to 1/255."""
+    levels = np.round(255 * values).astype(np.uint8)
+    disk = skimage.morphology.disk(radius)
+    return skimage.filters.rank.median(levels, disk, mask=counted.astype(np.uint8)) / 255
+
+
+def _colourless(excess: np.ndarray, pixels: np.ndarray) -> np.ndarray:
+    """Whether what comes on top of the usual is about white, or cut off."""
+    top = excess.max(-1)
+    return (np.ptp(excess, axis=-1) < 0.6 * np.maximum(top, 1e-6)) | (pixels.min(-1) > 0.8)

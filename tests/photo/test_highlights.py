@@ -1,0 +1,88 @@
+"""What hides the iris: highlights, lashes, lids."""
+
+import numpy as np
+import pytest
+
+from irisjax.photo.ellipse import Ellipse
+from irisjax.photo.highlights import find_highlights, find_lashes, find_lids
+
+SHAPE = (360, 480)
+LIMBUS, PUPIL = Ellipse((240, 180), (110, 108)), Ellipse((240, 180), (40, 39))
+RING = LIMBUS.mask(SHAPE) & ~PUPIL.mask(SHAPE)
+ROW, COLUMN = np.indices(SHAPE)
+SKIN = np.array([0.5, 0.3, 0.2])
+
+
+def _eye(grey=False):
+    """White, a streaky iris with a dark rim, a pupil; skin far above and below."""
+    draw = np.random.default_rng(2)
+    pixels = np.broadcast_to([0.6, 0.57, 0.52], (*SHAPE, 3)).copy()
+    angle = np.arctan2(180 - ROW, COLUMN - 240)
+    radius = LIMBUS.relative_radius(COLUMN, ROW)
+    iris = np.array([0.10, 0.14, 0.20]) * (1 + 0.3 * np.sin(50 * angle + 5 * radius))[..., None]
+    iris = iris * np.clip((1.1 - radius) / 0.25, 0.35, 1)[..., None]
+    pixels[radius < 1] = iris[radius < 1]
+    pixels[PUPIL.mask(SHAPE)] = 0.004
+    pixels[np.abs(ROW - 180) > 165] = SKIN
+    pixels = pixels * np.exp(0.03 * draw.standard_normal(pixels.shape))
+    return np.repeat(pixels.mean(-1, keepdims=True), 3, -1) if grey else pixels
+
+
+@pytest.mark.parametrize("grey", [False, True])
+def test_highlights_are_marked_with_their_glow_and_little_else(grey):
+    pixels = _eye(grey)
+    away = np.hypot(COLUMN - 310, ROW - 150)
+    pixels = np.minimum(pixels + 4 * np.exp(-((away / 6) ** 2))[..., None], 1)
+    dim = np.hypot(COLUMN - 180, ROW - 230) < 4
+    pixels[dim] += 0.5
+    found = find_highlights(pixels, (pixels >= 0.99).any(-1), RING)
+    assert found[away < 8].all() and found[dim].mean() > 0.8
+    assert not found[RING & (away > 25) & (np.hypot(COLUMN - 180, ROW - 230) > 14)].any()
+    assert not found[~RING].any()
+
+
+def test_fibres_are_no_highlights():
+    pixels = _eye()
+    assert not find_highlights(pixels, np.zeros(SHAPE, bool), RING).any()
+    assert not find_highlights(pixels, np.zeros(SHAPE, bool), np.zeros(SHAPE, bool)).any()
+
+
+def _lashes():
+    """Curved streaks from above that end in the iris."""
+    drawn = np.zeros(SHAPE, bool)
+    for start, end in ((190, 215), (240, 232), (300, 270)):
+        down = np.linspace(0, 1, 400)
+        x = start + (end - start) * down**2
+        y = 45 + 70 * down
+        drawn[np.round(y).astype(int), np.round(x).astype(int)] = True
+        drawn[np.round(y).astype(int), np.round(x).astype(int) + 1] = True
+    return drawn
+
+
+@pytest.mark.parametrize("grey", [False, True])
+def test_lashes_that_cross_the_limbus_are_found(grey):
+    pixels, drawn = _eye(grey), _lashes()
+    pixels[drawn] = 0.006
+    found = find_lashes(pixels, LIMBUS)
+    assert found[drawn & RING & (ROW < 108)].mean() > 0.8
+    assert (found & RING).sum() < 6 * (drawn & RING).sum()
+
+
+@pytest.mark.parametrize("grey", [False, True])
+def test_a_lid_over_the_iris_is_found(grey):
+    pixels = _eye(grey)
+    lid = ROW < 100 + ((COLUMN - 240) / 40) ** 2
+    paint = np.full(3, SKIN.mean()) if grey else SKIN
+    pixels[lid] = paint * np.exp(0.03 * np.random.default_rng(3).standard_normal((lid.sum(), 3)))
+    found = find_lids(pixels, LIMBUS, PUPIL)
+    assert found[lid & RING].mean() > 0.9
+    assert found[~lid & RING].mean() < 0.02
+
+
+@pytest.mark.parametrize("grey", [False, True])
+def test_an_open_eye_has_neither_lids_nor_lashes_over_it(grey):
+    pixels = _eye(grey)
+    assert not find_lashes(pixels, LIMBUS).any()
+    assert not find_lids(pixels, LIMBUS, PUPIL).any()
+    beyond = Ellipse((-900.0, 20.0), (50.0, 50.0))
+    assert not find_lashes(pixels, beyond).any() and not find_lids(pixels, beyond, beyond).any()

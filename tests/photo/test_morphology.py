@@ -1,0 +1,92 @@
+"""Maps of an iris from its texture, checked against the package's own pictures."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import irisjax as ij
+from irisjax.numerics.interpolation import polar_bilinear
+from irisjax.photo.morphology import maps_of
+from irisjax.photo.unrefracted import Unrefracted
+
+SIZE = 192
+
+
+def _texture():
+    bare = Unrefracted(np.zeros((SIZE, SIZE, 3)), np.ones((SIZE, SIZE), bool), 1.9, 5.5)
+    radius, angle = bare.radius(), bare.angle()
+    streaks = 1 + 0.3 * np.sin(24 * angle)
+    pixels = np.array([0.1, 0.14, 0.2]) * streaks[..., None]
+    return bare._replace(pixels=pixels, valid=(radius > 1.9) & (radius < 5.5))
+
+
+def test_bright_streaks_are_thick_and_the_iris_thins_outwards():
+    texture = _texture()
+    found = maps_of(texture, shape=(192, 32))
+    depth = np.asarray(found.maps.stroma_depth)
+    assert depth.shape == (192, 32)
+    angle = (np.arange(192) + 0.5) * 2 * np.pi / 192
+    assert np.corrcoef(depth[:, 20], np.sin(24 * angle))[0, 1] > 0.95
+    assert depth[:, 2].mean() > depth[:, 16].mean() > depth[:, 30].mean()
+    assert found.maps.freckles is None and found.maps.abl_depth is None and found.clamped == 0
+
+
+def test_freckles_of_the_user_are_filled_and_handed_on():
+    texture = _texture()
+    spot = np.hypot(texture.radius() * np.cos(texture.angle()) - 3.5, 0) < 0.3
+    spot &= np.abs(texture.radius() * np.sin(texture.angle())) < 0.3
+    spoilt = texture._replace(pixels=np.where(spot[..., None], 1e-3, texture.pixels))
+    found = maps_of(spoilt, spot, shape=(192, 32))
+    clean = maps_of(texture, np.zeros_like(spot), shape=(192, 32))
+    assert np.asarray(found.maps.freckles).max() > 0.9
+    difference = np.abs(np.asarray(found.maps.stroma_depth) - clean.maps.stroma_depth)
+    assert difference.max() < 0.05 and np.median(difference) < 1e-4
+
+
+def test_hidden_texels_do_not_tell():
+    texture = _texture()
+    valid = texture.valid & ~(texture.radius() * np.sin(texture.angle()) > 4)
+    spoilt = np.where(valid[..., None], texture.pixels, np.nan)
+    found = maps_of(texture._replace(valid=valid, pixels=spoilt))
+    again = maps_of(texture._replace(valid=valid))
+    np.testing.assert_array_equal(found.thickness, again.thickness)
+
+
+def test_what_cannot_be():
+    texture = _texture()
+    with pytest.raises(ValueError, match="no texel that shows the iris"):
+        maps_of(texture._replace(valid=np.zeros_like(texture.valid)))
+    with pytest.raises(ValueError, match="the freckle mask is"):
+        maps_of(texture, np.zeros((2, 2), bool))
+    with pytest.raises(ValueError, match="need a response"):
+        maps_of(texture, slopes=(0.1, 0.0))
+
+
+@pytest.mark.heavy
+@pytest.mark.parametrize(("colour", "response"), [("blue", 0.6), ("green", 0.5)])
+def test_thickness_of_a_rendered_iris_comes_back(colour, response):
+    """Lamps aside, relief and all: the paper's method is better than the generic iris, ours than
+    the paper's and as good as was promised.
+    """
+    eye = ij.Eye(cornea=None, sclera=None)
+    iris, maps = ij.preset(colour, eye, shape=(384, 128), key=jax.random.key(3))
+    lights = ij.Lights.distant(jnp.array([0.6, 0.7]), jnp.array([2.2, 0.5]))
+    camera = ij.Camera(distance=1e4, width=12.0, size=(SIZE * 2, SIZE * 2))
+    pixels = np.asarray(ij.Scene(iris, maps, eye, lights, camera=camera).render())
+    bare = Unrefracted(pixels, np.ones(pixels.shape[:2], bool), 1.9, 5.5)
+    radius, angle = bare.radius(), bare.angle()
+    texture = bare._replace(valid=(radius > 1.95) & (radius < 5.45))
+    at = jnp.asarray(angle), jnp.asarray((radius - 1.9) / 3.6)
+    truth = np.asarray(polar_bilinear(maps.stroma_depth, *at))
+
+    def correlation(**options):
+        found = maps_of(texture, **options).thickness
+        return np.corrcoef(found[texture.valid], truth[texture.valid])[0, 1]
+
+    of_light = np.asarray(lights.towards).sum(0)  # alike in irradiance
+    slopes = tuple(float(0.3 * s / of_light[2]) for s in of_light[:2])  # z is negative
+    generic, paper = correlation(beta=0.0), correlation()
+    ours = correlation(response=response, slopes=slopes)
+    assert generic < paper < ours
+    assert ours >= 0.8

@@ -1,0 +1,138 @@
+"""Thickness from brightness."""
+
+import numpy as np
+import pytest
+from scipy import ndimage
+
+from irisjax.photo.thickness import (
+    LEAST,
+    deconvolve,
+    generic_thickness,
+    intensity,
+    local_normalisation,
+    relative_luminance,
+    relative_thickness,
+    thickness,
+    unshade,
+)
+
+TEXEL = 12 / 128
+Y, X = (np.mgrid[:128, :128] - 63.5) * TEXEL
+R = np.hypot(X, Y).astype(np.float32)
+RING = (R > 2) & (R < 5.5)
+
+
+def _pattern(width=4.0, seed=0):
+    """Smooth noise of unit variance."""
+    noise = ndimage.gaussian_filter(np.random.default_rng(seed).standard_normal(R.shape), width)
+    return (noise / noise.std()).astype(np.float32)
+
+
+def test_generic_iris_has_the_measured_thicknesses():
+    whole = generic_thickness(np.array([2.25, 3.5, 5.0])) + 0.07 + 0.05675
+    np.testing.assert_allclose(whole, [0.645, 0.457, 0.372], atol=1e-6)
+
+
+def test_generic_iris_is_constant_beyond_the_measurements_and_thins_between():
+    r = np.linspace(0.25, 7, 200)
+    t = generic_thickness(r)
+    assert t.min() > 0.2 and (np.diff(t) <= 0).all()
+    assert np.ptp(t[r < 2.25]) == 0 and np.ptp(t[r > 5]) == 0
+
+
+def test_exposure_and_slow_shadows_do_not_tell():
+    light = 0.1 * (1 + 0.2 * _pattern(1.5)).clip(0.1)
+    shadow = np.exp(-X / 12).astype(np.float32)
+    plain, shaded = (
+        local_normalisation(
+            intensity(relative_luminance(picture, RING, 0.5, TEXEL)), RING, 0.5, TEXEL
+        )
+        for picture in (light, 7 * shadow * light)
+    )
+    assert (plain - shaded)[RING].std() < 0.1 * plain[RING].std()
+
+
+def test_normalised_picture_has_no_mean_round_about_and_ignores_what_is_hidden():
+    values = 0.4 + 0.3 * X / 6 + 0.05 * _pattern(1.0)
+    hidden = np.where(RING, values, 50.0)
+    found = local_normalisation(hidden, RING, 0.8, TEXEL)
+    np.testing.assert_array_equal(found, local_normalisation(values, RING, 0.8, TEXEL))
+    assert abs(found[RING].mean()) < 0.01
+    assert (found[~RING] == 0).all()
+
+
+def test_deconvolution_sharpens_what_a_gaussian_has_blurred():
+    sharp = 0.1 * _pattern(3.0)
+    blurred = ndimage.gaussian_filter(sharp, 0.3 / TEXEL)
+    found = deconvolve(blurred, RING, 0.3, TEXEL)
+    inner = ndimage.binary_erosion(RING, iterations=6)
+
+    def error(picture):
+        return np.sqrt(np.mean((picture - sharp)[inner] ** 2))
+
+    assert error(found) < 0.6 * error(blurred)
+    more = deconvolve(blurred, RING, 0.3, TEXEL, iterations=100)
+    assert error(more) < error(found)
+
+
+def test_deconvolution_keeps_the_mean_and_does_nothing_at_no_width():
+    picture = 0.1 * _pattern(2.0) + 0.03
+    found = deconvolve(picture, RING, 0.5, TEXEL)
+    assert found[RING].mean() == pytest.approx(picture[RING].mean(), abs=1e-6)
+    np.testing.assert_array_equal(deconvolve(picture, RING, 0.0, TEXEL)[RING], picture[RING])
+    narrow = deconvolve(picture, RING, 0.001, TEXEL)
+    np.testing.assert_allclose(narrow[RING], picture[RING], atol=1e-3)
+
+
+def test_a_flat_picture_does_not_ring_at_its_holes():
+    flat = np.full(R.shape, 0.1, np.float32)
+    holes = RING & ~(np.hypot(X - 3.5, Y) < 0.6)
+    found = deconvolve(np.where(holes, flat, -0.9), holes, 0.5, TEXEL)
+    assert np.abs(found - flat)[holes].max() < 1e-3
+
+
+def test_thickness_is_clamped_and_says_where():
+    wide = np.where(X > 0, 0.4, -5.0).astype(np.float32)
+    found, clamped = thickness(R, wide)
+    np.testing.assert_array_equal(clamped, X <= 0)
+    assert found[clamped].min() == found[clamped].max() == np.float32(LEAST)
+    np.testing.assert_allclose((found - generic_thickness(R))[X > 0], 0.35 * 0.4, rtol=1e-4)
+
+
+def test_relative_thickness_inverts_a_power_law():
+    factor = np.exp(0.3 * _pattern()).clip(0.5, 2).astype(np.float32)
+    found, clamped = relative_thickness(R, factor**0.6 - 1, 0.6)
+    np.testing.assert_allclose(found, generic_thickness(R) * factor, rtol=1e-4)
+    assert not clamped.any()
+
+
+def test_shading_by_relief_is_taken_off():
+    height = 0.05 * _pattern(3.0)  # mm
+    down, right = np.gradient(height, TEXEL)
+    contrast = 0.6 * height / 0.4 + 0.1 * right + 0.15 * -down  # rows run against y
+    flat = unshade(contrast, np.ones_like(RING), (0.1, 0.15), 0.6, TEXEL)
+    inner = slice(12, -12)
+    expected = (0.6 * height / 0.4)[inner, inner]
+
+    def error(picture):
+        return np.abs(picture[inner, inner] - expected).max()
+
+    assert error(flat) < 0.2 * error(contrast)
+    np.testing.assert_array_equal(unshade(contrast, RING, (0.0, 0.0), 0.6, TEXEL), contrast)
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (lambda p: deconvolve(p, RING, -0.1, TEXEL), "sigma_mm = -0.1 mm is outside"),
+        (lambda p: deconvolve(p - 2, RING, 0.5, TEXEL), "values to deconvolve"),
+        (lambda p: deconvolve(p, np.zeros_like(RING), 0.5, TEXEL), "no texel is valid"),
+        (lambda p: local_normalisation(p, RING, 0.0, TEXEL), "width_mm = 0 mm"),
+        (lambda p: thickness(R, p, np.nan), "beta = nan mm"),
+        (lambda p: relative_thickness(R, p, 0.0), "response = 0"),
+        (lambda p: unshade(p, RING, (9.0, 0.0), 0.6, TEXEL), "slopes = 9"),
+    ],
+)
+def test_numbers_out_of_range(call, message):
+    with pytest.raises(ValueError, match=message):
+        call(np.zeros(R.shape, np.float32))
