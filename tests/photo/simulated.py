@@ -1,0 +1,128 @@
+"""Photographs of rendered eyes with lids, lashes, a highlight and noise, and their true outlines."""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from scipy import ndimage
+from skimage.measure import EllipseModel
+
+from irisjax.anatomy.eye import Eye
+from irisjax.grow.presets import preset
+from irisjax.photo.ellipse import Ellipse
+from irisjax.photo.photograph import Photograph
+from irisjax.render.camera import Camera
+from irisjax.render.environment import Environment
+from irisjax.render.points import project_points
+from irisjax.render.scene import Scene
+from irisjax.render.surfaces import IrisSurface
+
+SKIN = np.array([0.45, 0.26, 0.18])
+_AROUND = np.linspace(0, 2 * np.pi, 90, endpoint=False)
+
+
+class Simulated(NamedTuple):
+    """A picture (rows, columns, 3), linear, with the outlines that the camera's geometry gives."""
+
+    pixels: np.ndarray
+    limbus: Ellipse
+    pupil: Ellipse
+
+    def photograph(self) -> Photograph:
+        return as_photograph(self.pixels)
+
+
+def as_photograph(pixels, name="made.png") -> Photograph:
+    pixels = np.clip(pixels, 0, 1)
+    return Photograph(pixels.astype(float), (pixels > 0.99).any(-1), name=name)
+
+
+def rendered(colour="green", polar=0.0, size=(600, 460), seed=0, **eye) -> Simulated:
+    """An eye in a studio, nothing in front of it."""
+    shape = Eye(**eye)
+    camera = Camera(polar=polar, azimuth=0.6, width=15.0, size=size)
+    iris, maps = preset(colour, shape, key=jax.random.key(seed))
+    scene = Scene(
+        iris, maps, shape, lights=None, environment=Environment.studio(), camera=camera
+    )
+    picture = np.asarray(scene.render(caustics=False), float)
+    cos, sin = np.cos(_AROUND), np.sin(_AROUND)
+    assert shape.cornea is not None
+    radius, front = float(shape.limbus_radius), shape.cornea.anterior
+    depth = float(front.apex + front.sagitta(shape.limbus_radius))
+    limbus = np.stack([radius * cos, radius * sin, np.full_like(cos, depth)], -1)
+    radius = float(shape.pupil_radius)
+    pupil = np.stack([radius * cos, radius * sin, np.full_like(cos, float(shape.iris_depth))], -1)
+    shown = project_points(IrisSurface(shape), camera, jnp.asarray(pupil))
+    return Simulated(picture, fitted(*camera.pixel(jnp.asarray(limbus), shape)), fitted(*shown[:2]))
+
+
+def fitted(column, row) -> Ellipse:
+    """The ellipse through points."""
+    model = EllipseModel.from_estimate(np.stack([np.asarray(column), -np.asarray(row)], -1))
+    (x, y), (a, b), angle = model.center, model.axis_lengths, model.theta
+    if a < b:
+        a, b, angle = b, a, angle + np.pi / 2
+    return Ellipse((float(x), -float(y)), (float(a), float(b)), float(angle))
+
+
+def with_lids(eye: Simulated, upper=0.62, lower=0.8) -> Simulated:
+    """Skin that cuts the limbus along parabolas, `upper` and `lower` times its radius from its
+    centre, and a shadow below the upper one.
+    """
+    rows, columns = eye.pixels.shape[:2]
+    row, column = np.mgrid[:rows, :columns]
+    (x, y), r = eye.limbus.centre, eye.limbus.semi_axes[0]
+    u, v = (column - x) / r, (row - y) / r
+    top, bottom = -upper + 0.35 * u**2, lower - 0.2 * (u - 0.1) ** 2
+    texture = ndimage.gaussian_filter(np.random.default_rng(1).normal(size=u.shape), r / 80)
+    skin = SKIN * (1 + 0.1 * texture / texture.std())[..., None]
+    shadow = 1 - 0.5 * np.exp(-np.maximum(v - top, 0) / 0.06)
+    lid = ndimage.gaussian_filter(((v < top) | (v > bottom)).astype(float), 0.01 * r)[..., None]
+    return eye._replace(pixels=lid * skin + (1 - lid) * eye.pixels * shadow[..., None])
+
+
+def with_lashes(eye: Simulated, number=25, upper=0.75, seed=2) -> Simulated:
+    """Thin dark arcs that hang from the upper lid into the iris."""
+    rng = np.random.default_rng(seed)
+    covered = np.zeros(eye.pixels.shape[:2])
+    (x, y), r = eye.limbus.centre, eye.limbus.semi_axes[0]
+    t = np.linspace(0, 1, int(2 * r))
+    for start, length, lean in zip(
+        rng.uniform(-1.1, 1.1, number),
+        rng.uniform(0.2, 0.55, number),
+        rng.normal(0, 0.1, number),
+        strict=True,
+    ):
+        column = x + r * (start + (lean + 0.15 * start) * t**2)
+        row = y + r * (-upper + 0.35 * start**2 + length * t)
+        inside = (row >= 0) & (column >= 0) & (row < covered.shape[0] - 1)
+        inside &= column < covered.shape[1] - 1
+        covered[row[inside].astype(int), column[inside].astype(int)] = 1
+    covered = np.minimum(3 * ndimage.gaussian_filter(covered, 0.006 * r) * 0.012 * r, 1)
+    return eye._replace(pixels=eye.pixels * (1 - 0.93 * covered[..., None]))
+
+
+def with_highlight(eye: Simulated, right=-0.25, up=0.2, size=0.12) -> Simulated:
+    """A saturated disc, placed and measured in radii of the limbus."""
+    row, column = np.mgrid[: eye.pixels.shape[0], : eye.pixels.shape[1]]
+    (x, y), r = eye.limbus.centre, eye.limbus.semi_axes[0]
+    away = np.hypot(column - x - right * r, row - y + up * r)
+    return eye._replace(pixels=np.where((away < size * r)[..., None], 1.0, eye.pixels))
+
+
+def with_noise(eye: Simulated, sd=0.01, seed=3) -> Simulated:
+    noise = np.random.default_rng(seed).normal(0, sd, eye.pixels.shape)
+    return eye._replace(pixels=np.clip(eye.pixels + noise, 0, 1))
+
+
+def exposed(eye: Simulated, white=0.8) -> Simulated:
+    """Brightened until the 98th percentile is at `white`."""
+    scale = white / np.quantile(eye.pixels, 0.98)
+    return eye._replace(pixels=np.clip(eye.pixels * scale, 0, 1))
+
+
+def occluded(eye: Simulated) -> Simulated:
+    """Everything that happens to an eye before a camera."""
+    return with_noise(with_highlight(with_lashes(with_lids(exposed(eye)))))
