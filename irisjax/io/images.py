@@ -106,11 +106,11 @@ def decode_file(
     finally:
         file.close()
     pixels = np.asarray(values).reshape(spec.height, spec.width, spec.nchannels)
-    if (orientation := spec.get_int_attribute("Orientation", 1)) != 1:
-        held = oiio.ImageBuf(np.ascontiguousarray(pixels))
-        held.specmod().attribute("Orientation", orientation)
-        pixels = np.asarray(oiio.ImageBufAlgo.reorient(held).get_pixels(kind))
-    return pixels, spec, several
+    held = spec.get_int_attribute("Orientation", 1)
+    pixels = pixels.swapaxes(0, 1) if held in (5, 6, 7, 8) else pixels
+    pixels = pixels[::-1] if held in (3, 4, 7, 8) else pixels
+    pixels = pixels[:, ::-1] if held in (2, 3, 6, 7) else pixels
+    return np.ascontiguousarray(pixels), spec, several
 
 
 def write_png(

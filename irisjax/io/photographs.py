@@ -4,6 +4,7 @@ light.
 
 import contextlib
 import warnings
+from functools import reduce
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -65,7 +66,7 @@ def read_photograph(path: str | Path) -> Photograph:
         notes += told
         grey, saturated = _is_grey(values), np.zeros(pixels.shape[:2], bool)
         if values.dtype.kind == "u":
-            saturated = np.asarray((values >= _SATURATED * np.iinfo(values.dtype).max).any(2))
+            saturated = _any(values >= _SATURATED * np.iinfo(values.dtype).max)
         focal, told = focal_px(_exif(spec), (spec.height, spec.width))
     else:
         kinds = ", ".join(PHOTOGRAPHS)
@@ -134,7 +135,7 @@ def _linear(
 ) -> tuple[np.ndarray, list[str]]:
     profile = spec.getattribute("ICCProfile")
     if values.dtype.kind == "f" and not np.isfinite(values).all():
-        count = int((~np.isfinite(values)).any(2).sum())
+        count = int(_any(~np.isfinite(values)).sum())
         raise ValueError(f"{path}: {count} pixels are not finite (infinite or not a number)")
     if profile is not None and len(profile):
         pixels, name = profile_to_linear(values, np.asarray(profile, np.uint8).tobytes(), path)
@@ -163,8 +164,13 @@ def _settle_negatives(path: str | Path, pixels: np.ndarray, notes: list[str]) ->
     if count := int(small.sum()):
         pixels[small] = 0
         notes.append(f"{count} values between {-_SMALL} and 0 are set to 0.")
-    if count := int((pixels < 0).any(2).sum()):
+    if count := int(_any(pixels < 0).sum()):
         notes.append(f"{count} pixels have negative components (colours beyond sRGB); they stay.")
+
+
+def _any(of: np.ndarray) -> np.ndarray:
+    """Over the channels; NumPy's own reduction of three is five times slower."""
+    return reduce(np.logical_or, np.moveaxis(of, -1, 0))
 
 
 def _is_grey(values: np.ndarray) -> bool:
@@ -176,7 +182,8 @@ def _is_grey(values: np.ndarray) -> bool:
         band = values[i : i + _ROWS]
         if band.dtype.kind == "f":
             band = np.asarray(srgb_encode(band))
-        if (band.max(2) - band.min(2)).max() > step:
+        channels = np.moveaxis(band, -1, 0)
+        if (reduce(np.maximum, channels) - reduce(np.minimum, channels)).max() > step:
             return False
     return True
 
