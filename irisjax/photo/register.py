@@ -200,7 +200,6 @@ def _refined(affine, one, other, points, centre, radius, blur) -> np.ndarray:
         max_nfev=20,
         xtol=1e-6,
         ftol=1e-6,
-        tr_solver="lsmr",
     )
     return found.x.reshape(2, 3) / sizes
 
