@@ -32,6 +32,7 @@ if TYPE_CHECKING:
     from irisjax.io.movies import check_movie as check_movie
     from irisjax.io.movies import first_file as first_file
     from irisjax.io.movies import write_movie as write_movie
+    from irisjax.io.photographs import read_photograph as read_photograph
     from irisjax.io.posterior import write_posterior as write_posterior
     from irisjax.io.scenes import SceneFile as SceneFile
     from irisjax.io.scenes import parse_scene as parse_scene
@@ -50,6 +51,7 @@ _LATER = {
     ),
     "maps": ("read_maps", "write_maps"),
     "movies": ("check_movie", "first_file", "write_movie"),
+    "photographs": ("read_photograph",),
     "posterior": ("write_posterior",),
     "scenes": ("SceneFile", "parse_scene", "read_scene"),
 }

@@ -8,13 +8,16 @@ import re
 import tempfile
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import NamedTuple, TypeVar
+from typing import TYPE_CHECKING, NamedTuple, TypeVar
 
 import numpy as np
 
 from irisjax.io.tables import check_writable, replacing
 from irisjax.measure.colour import srgb_decode
 from irisjax.render.environment import Environment
+
+if TYPE_CHECKING:
+    import OpenImageIO
 
 T = TypeVar("T")
 
@@ -53,7 +56,32 @@ def read_image(path: str | Path, *, decode: bool = False) -> Image:
     **Raises:** `ValueError` for an unknown suffix or a broken file, `OSError` for one that cannot
     be opened.
     """
-    check_suffix(path, READABLE)
+    pixels, spec, _ = decode_file(path, READABLE, integers=False)
+    linear = Path(path).suffix.lower() in (".exr", ".hdr")
+    if decode and not linear:
+        colours = [i for i, name in enumerate(spec.channelnames) if name != "A"]
+        pixels[..., colours] = srgb_decode(pixels[..., colours])
+    metadata = {a.name: a.value for a in spec.extra_attribs if isinstance(a.value, str)}
+    return Image(pixels, linear or decode, tuple(spec.channelnames), metadata)
+
+
+def decode_file(
+    path: str | Path,
+    suffixes: tuple[str, ...],
+    *,
+    integers: bool,
+    check: Callable[["OpenImageIO.ImageSpec"], None] | None = None,
+) -> tuple[np.ndarray, "OpenImageIO.ImageSpec", bool]:
+    """The first picture of a file as the file holds it, held upright: values (rows, columns,
+    channels), OpenImageIO's description (of the picture before it was turned), and whether there
+    are more pictures.
+
+    Values are float32, whole numbers brought to [0, 1]; with `integers`, files of 8 and 16 bits
+    give uint8 and uint16. `check` may refuse a file by its header, before pixels are decoded.
+
+    **Raises:** as `read_image`.
+    """
+    check_suffix(path, suffixes)
     with open(path, "rb"):  # the system's word on files that are missing or forbidden
         pass
     import OpenImageIO as oiio
@@ -65,25 +93,24 @@ def read_image(path: str | Path, *, decode: bool = False) -> Image:
         raise ValueError(f"{path}: not a picture that can be read ({_first_line(oiio.geterror())})")
     try:
         spec = file.spec()
-        values = file.read_image("float")
+        if check is not None:
+            check(spec)
+        kind = str(spec.format) if integers and str(spec.format) in ("uint8", "uint16") else "float"
+        values = file.read_image(kind)
         complaint = (
             file.geterror()
         )  # of a JPEG that is cut short there is one, and values all the same
         if values is None or complaint:
             raise ValueError(f"{path}: the picture is broken ({_first_line(complaint)})")
+        several = file.seek_subimage(1, 0)
     finally:
         file.close()
-    pixels = np.asarray(values, np.float32).reshape(spec.height, spec.width, spec.nchannels)
-    if (orientation := spec.get_int_attribute("Orientation", 1)) != 1:
-        held = oiio.ImageBuf(np.ascontiguousarray(pixels))
-        held.specmod().attribute("Orientation", orientation)
-        pixels = np.asarray(oiio.ImageBufAlgo.reorient(held).get_pixels("float"))
-    linear = Path(path).suffix.lower() in (".exr", ".hdr")
-    if decode and not linear:
-        colours = [i for i, name in enumerate(spec.channelnames) if name != "A"]
-        pixels[..., colours] = srgb_decode(pixels[..., colours])
-    metadata = {a.name: a.value for a in spec.extra_attribs if isinstance(a.value, str)}
-    return Image(pixels, linear or decode, tuple(spec.channelnames), metadata)
+    pixels = np.asarray(values).reshape(spec.height, spec.width, spec.nchannels)
+    held = spec.get_int_attribute("Orientation", 1)
+    pixels = pixels.swapaxes(0, 1) if held in (5, 6, 7, 8) else pixels
+    pixels = pixels[::-1] if held in (3, 4, 7, 8) else pixels
+    pixels = pixels[:, ::-1] if held in (2, 3, 6, 7) else pixels
+    return np.ascontiguousarray(pixels), spec, several
 
 
 def write_png(

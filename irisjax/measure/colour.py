@@ -33,10 +33,10 @@ OBSERVERS = (
 _BRADFORD = np.array(
     [[0.8951, 0.2664, -0.1614], [-0.7502, 1.7135, 0.0367], [0.0389, -0.0685, 1.0296]]
 )
-# IEC 61966-2-1, XYZ (D65 white at Y = 1) to linear sRGB.
-_XYZ_TO_SRGB = np.linalg.inv(
+XYZ_TO_SRGB = np.linalg.inv(
     np.array([[0.4124, 0.3576, 0.1805], [0.2126, 0.7152, 0.0722], [0.0193, 0.1192, 0.9505]])
 )
+"""From XYZ (D65 white at Y = 1) to linear sRGB [IEC 61966-2-1]."""
 
 
 class Colour(eqx.Module):
@@ -93,7 +93,7 @@ class Observer(eqx.Module):
         if isinstance(wavelengths, Tracer):
             x = as_float(wavelengths)
             weights, white, adaptation = _weighting(x, illuminant, observer, jnp)
-            to_srgb = jnp.asarray(_XYZ_TO_SRGB, x.dtype) @ adaptation
+            to_srgb = jnp.asarray(XYZ_TO_SRGB, x.dtype) @ adaptation
             return cls(weights, white, to_srgb, illuminant, observer)
         grid = np.asarray(wavelengths, np.float64)
         _check_visible(grid)
@@ -140,7 +140,7 @@ def tristimulus_matrix(
     weights, white, adaptation = _constants(
         np.asarray(wavelengths, np.float64).tobytes(), illuminant, observer
     )
-    return (weights if space == "XYZ" else _XYZ_TO_SRGB @ adaptation @ weights), white
+    return (weights if space == "XYZ" else XYZ_TO_SRGB @ adaptation @ weights), white
 
 
 def srgb_encode(linear):
@@ -212,7 +212,7 @@ def _observer(grid_bytes: bytes, illuminant: str, observer: str, dtype: str) -> 
         return Observer(
             weights=jnp.asarray(weights, dtype),
             white=jnp.asarray(white, dtype),
-            to_srgb=jnp.asarray(_XYZ_TO_SRGB @ adaptation, dtype),
+            to_srgb=jnp.asarray(XYZ_TO_SRGB @ adaptation, dtype),
             illuminant=illuminant,
             observer=observer,
         )
@@ -241,7 +241,7 @@ def _weighting(x, illuminant: str, observer: str, xp):
     weights = weights / weights[1].sum()
     white = weights.sum(axis=1)
     cones = _BRADFORD
-    d65 = cones @ np.linalg.inv(_XYZ_TO_SRGB) @ np.ones(3)
+    d65 = cones @ np.linalg.inv(XYZ_TO_SRGB) @ np.ones(3)
     to_cones, from_cones, d65 = (xp.asarray(m, x.dtype) for m in (cones, np.linalg.inv(cones), d65))
     return weights, white, from_cones @ ((d65 / (to_cones @ white))[:, None] * to_cones)
 

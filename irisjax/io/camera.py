@@ -1,0 +1,186 @@
+"""What a camera adds to pixels: Exif's focal length, and raw files of the sensor."""
+
+import contextlib
+import math
+import warnings
+from collections.abc import Mapping
+from io import BytesIO
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+RAW = (
+    *(".dng", ".nef", ".nrw", ".cr2", ".cr3", ".crw", ".arw", ".sr2", ".raf", ".orf", ".rw2"),
+    *(".pef", ".srw", ".rwl", ".iiq", ".3fr", ".fff", ".mrw", ".x3f", ".kdc", ".erf"),
+)
+"""Kinds of raw file that LibRaw reads."""
+
+FOCAL_LIMITS = (0.0, 1e5)
+"""Focal lengths in pixels between which Exif is believed."""
+
+_DIAGONAL = math.hypot(36, 24)  # mm, of 35 mm film [CIPA DCG-001]
+_PER_MM = {2: 1 / 25.4, 3: 0.1, 4: 1.0, 5: 1000.0}  # Exif's units of the focal plane's resolution
+
+
+class Developed(NamedTuple):
+    """A raw file after its colours were filled in.
+
+    - `pixels`: linear, sRGB's primaries, 1 is the sensor's white level; upright.
+    - `saturated`: pixels that a photosite at its white level takes part in.
+    - `exif`: numbers by their names in Exif. `notes`: a sentence each.
+    """
+
+    pixels: np.ndarray
+    saturated: np.ndarray
+    exif: dict[str, float]
+    notes: tuple[str, ...]
+
+
+def focal_px(exif: Mapping[str, float], shape: tuple[int, int]) -> tuple[float | None, list[str]]:
+    """Focal length in pixels of a picture of `shape` (rows, columns, as the file stores it), `None`
+    where Exif has none that can be believed, and notes on how it was found.
+
+    From `FocalLengthIn35mmFilm` by the diagonals of picture and film; else `FocalLength` (mm) and
+    `FocalPlaneXResolution`. Both are scaled from `PixelXDimension` to the picture's pixels.
+    """
+    given = {k: v for k, v in exif.items() if math.isfinite(v)}
+    taken, scale, notes = _taken(given, shape)
+    by_film = given.get("FocalLengthIn35mmFilm", 0.0) / _DIAGONAL * math.hypot(*taken) * scale
+    per_mm = given.get("FocalPlaneXResolution", 0.0) * _PER_MM.get(
+        int(given.get("FocalPlaneResolutionUnit", 2)), 0.0
+    )
+    by_plane = given.get("FocalLength", 0.0) * per_mm * scale
+    told = {"the 35 mm equivalent": by_film, "the focal plane's resolution": by_plane}
+    for source, value in list(told.items()):
+        if not FOCAL_LIMITS[0] < value <= FOCAL_LIMITS[1]:
+            if value:
+                notes.append(f"A focal length of {value:.3g} pixels from {source} is ignored.")
+            del told[source]
+    if not told:
+        return None, notes
+    if len(told) == 2 and not 0.9 < by_plane / by_film < 1.1:
+        notes.append(
+            f"Exif contradicts itself on the focal length: {by_film:.0f} pixels from the 35 mm "
+            f"equivalent (taken), {by_plane:.0f} from the focal plane's resolution."
+        )
+    source, value = next(iter(told.items()))
+    return value, [*notes, f"Focal length: {value:.0f} pixels, from {source} in Exif."]
+
+
+def _taken(given: Mapping[str, float], shape: tuple[int, int]):
+    """Pixels along the sides as the camera took them, what the picture was resized by since, and
+    notes.
+    """
+    now = sorted(shape)
+    then = sorted(int(given.get(f"Pixel{axis}Dimension", 0)) for axis in "XY")
+    if then[0] < 1 or then == now:
+        return now, 1.0, []
+    factors = [n / t for n, t in zip(now, then, strict=True)]
+    sizes = f"{then[1]} × {then[0]} pixels to {now[1]} × {now[0]}"
+    if max(abs(n - t * factors[1]) for n, t in zip(now, then, strict=True)) <= 2:
+        return then, factors[1], [f"Exif tells of a picture resized from {sizes}."]
+    if max(factors) <= 1:
+        return then, 1.0, [f"Exif tells of {sizes}: taken for a detail cut out in full size."]
+    return now, 1.0, [f"Exif's size does not fit the picture ({sizes}) and is ignored."]
+
+
+def develop(path: str | Path, check) -> Developed:
+    """Read a raw file by LibRaw: camera's white balance, 16 bits, no brightening, held upright.
+
+    `check(rows, columns)` may refuse the size before colours are filled in.
+
+    **Raises:** `ValueError` without `rawpy` and for a file that LibRaw cannot read, `OSError` for
+    one that cannot be opened.
+    """
+    try:
+        import rawpy
+    except ImportError:
+        raise ValueError(
+            f"{path}: camera raw files need rawpy: install irisjax[raw] (pip install rawpy)"
+        ) from None
+    with open(path, "rb"):  # the system's word on files that are missing or forbidden
+        pass
+    try:
+        with rawpy.imread(str(path)) as raw:
+            check(raw.sizes.height, raw.sizes.width)
+            sensor = _at_white_level(raw)
+            pixels = raw.postprocess(
+                gamma=(1, 1),
+                no_auto_bright=True,
+                use_camera_wb=True,
+                output_bps=16,
+                output_color=rawpy.ColorSpace.sRGB,
+                highlight_mode=rawpy.HighlightMode.Clip,
+            )
+            notes, sizes, exif = [], raw.sizes, _exif_of(path, raw)
+            if not any(raw.camera_whitebalance):
+                notes.append("The file has no white balance of the camera: LibRaw's own is taken.")
+    except rawpy.LibRawError as error:
+        reason = (
+            error.args[0].decode() if error.args and isinstance(error.args[0], bytes) else error
+        )
+        raise ValueError(f"{path}: not a raw file that can be read ({reason})") from None
+    turns = {3: 2, 5: 1, 6: 3}.get(sizes.flip, 0)  # LibRaw's codes, in quarter turns to the left
+    sensor = np.rot90(sensor, turns)
+    linear = pixels.astype(np.float32) / np.float32(65535)
+    if linear.shape[2] == 1:
+        linear = np.repeat(linear, 3, 2)
+    saturated: np.ndarray = np.asarray((pixels >= 0.995 * 65535).any(2))
+    if sensor.shape == saturated.shape:  # it is not on sensors set askew
+        saturated = np.logical_or(saturated, sensor)
+    return Developed(linear, saturated, exif, tuple(notes))
+
+
+def _at_white_level(raw) -> np.ndarray:
+    """Pixels with a photosite at 0.995 of the way from black to white among them and their eight
+    neighbours, which their colours are filled in from.
+    """
+    from scipy.ndimage import maximum_filter
+
+    values = raw.raw_image_visible
+    black = np.asarray(raw.black_level_per_channel, np.float32)
+    white = np.full(4, raw.white_level, np.float32)
+    levels = raw.camera_white_level_per_channel
+    if levels is not None and all(levels):
+        white = np.minimum(white, np.asarray(levels, np.float32))
+    limit = black + np.float32(0.995) * (white - black)
+    if values.ndim == 3:
+        n = values.shape[2]
+        return (values >= limit[:n]).any(2)
+    return maximum_filter(values >= limit[raw.raw_colors_visible], 3)
+
+
+def _exif_of(path, raw) -> dict[str, float]:
+    """Exif's numbers: of the file where it is laid out as TIFF is, else of the preview within."""
+    import rawpy
+    from PIL import Image
+
+    found: dict[str, float] = {}
+    with warnings.catch_warnings(), contextlib.suppress(Exception):  # only the focal length is lost
+        warnings.simplefilter("ignore")
+        exif = Image.Exif()
+        with open(path, "rb") as file:
+            exif.load_from_fp(file)
+            found = _numbers(exif)
+    if "FocalLength" not in found:
+        with warnings.catch_warnings(), contextlib.suppress(Exception):
+            warnings.simplefilter("ignore")
+            preview = raw.extract_thumb()
+            if preview.format == rawpy.ThumbFormat.JPEG:
+                found = _numbers(Image.open(BytesIO(preview.data)).getexif())
+                # The preview is smaller than the picture that the numbers are about.
+                found = {k: v for k, v in found.items() if not k.endswith("Dimension")}
+    if raw.other.focal_length:
+        found.setdefault("FocalLength", float(raw.other.focal_length))
+    return found
+
+
+def _numbers(exif) -> dict[str, float]:
+    from PIL.ExifTags import IFD, TAGS
+
+    found = {}
+    for tag, value in exif.get_ifd(IFD.Exif).items():
+        with contextlib.suppress(TypeError, ValueError):
+            found[TAGS.get(tag, "")] = float(value)
+    return found

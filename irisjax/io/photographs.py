@@ -1,0 +1,210 @@
+"""Photographs in: JPEG, PNG, TIFF, OpenEXR and cameras' raw files, as pixels in proportion to
+light.
+"""
+
+import contextlib
+import warnings
+from functools import reduce
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from irisjax.io.camera import RAW, develop, focal_px
+from irisjax.io.images import decode_file
+from irisjax.io.profiles import profile_to_linear, srgb_to_linear
+from irisjax.measure.colour import srgb_encode
+from irisjax.photo.photograph import Photograph
+
+if TYPE_CHECKING:
+    import OpenImageIO
+
+PHOTOGRAPHS = (".jpg", ".jpeg", ".png", ".tif", ".tiff", ".exr")
+"""Kinds of photograph that can be read besides `camera.RAW`."""
+
+MOST_PIXELS = 100_000_000
+"""Larger pictures are refused before their pixels are decoded."""
+LEAST_SIDE = 64
+"""Pixels along the shorter side."""
+
+_SATURATED = 0.995  # of the largest value a file can hold
+_SMALL = 1e-3  # negative values of this size are a resampling filter's or a sensor's noise
+_ROWS = 256
+_ENCODINGS = ("", "srgb_rec709_scene", "srgb_rec709_display", "sRGB", "lin_rec709_scene")
+
+
+def read_photograph(path: str | Path) -> Photograph:
+    """Read a photograph; pixels are linear float32 on sRGB's primaries, upright as Exif says.
+
+    - JPEG, PNG and TIFF of 8 or 16 bits are decoded by their embedded ICC profile, else as sRGB.
+    - OpenEXR, and TIFF of floating point, are taken as linear; they have no largest value, so none
+        of their pixels counts as saturated.
+    - Camera raw files need `rawpy` (`irisjax[raw]`) and have the camera's white balance.
+
+    Of a file of several pictures the first is read. Transparency is left out. The notes of the
+    result name what was assumed. Colours outside sRGB have negative components.
+
+    **Raises:** `ValueError` for another suffix, a broken or truncated file, more than `MOST_PIXELS`
+    or fewer than `LEAST_SIDE` pixels along a side, CMYK, layered channels, values that are not
+    finite, and raw files without `rawpy`; `OSError` for a file that cannot be opened.
+    """
+    suffix, name = Path(path).suffix.lower(), Path(path).name
+    if suffix in RAW:
+        raw = develop(path, lambda rows, columns: _check_size(path, rows, columns))
+        pixels, saturated, notes = raw.pixels, np.asarray(raw.saturated), list(raw.notes)
+        focal, told = focal_px(raw.exif, saturated.shape)
+        grey = _is_grey(pixels)
+    elif suffix in PHOTOGRAPHS:
+        values, spec, several = decode_file(
+            path, PHOTOGRAPHS, integers=True, check=lambda spec: _check(path, spec)
+        )
+        notes = ["The file holds several pictures: the first is read."] * (
+            several or _several(path, suffix)
+        )
+        values = _colours(values, spec, notes)
+        pixels, told = _linear(path, values, spec)
+        notes += told
+        grey, saturated = _is_grey(values), np.zeros(pixels.shape[:2], bool)
+        if values.dtype.kind == "u":
+            saturated = _any(values >= _SATURATED * np.iinfo(values.dtype).max)
+        focal, told = focal_px(_exif(spec), (spec.height, spec.width))
+    else:
+        kinds = ", ".join(PHOTOGRAPHS)
+        raw = " ".join(RAW)
+        raise ValueError(
+            f"{path}: a photograph's name must end in {kinds}, or of camera raw in {raw}"
+        )
+    notes += told
+    _settle_negatives(path, pixels, notes)
+    return Photograph(pixels, saturated, grey, focal, name, tuple(notes))
+
+
+def _check(path: str | Path, spec: "OpenImageIO.ImageSpec") -> None:
+    _check_size(path, spec.height, spec.width)
+    space = spec.get_string_attribute("tiff:ColorSpace") or spec.get_string_attribute(
+        "jpeg:ColorSpace"
+    )
+    if space in ("CMYK", "YCCK"):
+        raise ValueError(f"{path}: a {space} picture for printing; convert it to RGB first")
+    if spec.deep or spec.depth > 1:
+        raise ValueError(f"{path}: a picture with values in depth; a photograph has one a pixel")
+    if str(spec.format) not in ("uint8", "uint16", "half", "float", "double"):
+        raise ValueError(f"{path}: values are {spec.format}; read are 8 and 16 bits and floats")
+    if _colour_channels(spec) is None:
+        raise ValueError(
+            f"{path}: a photograph has the channels R, G, B or one of grey, this has "
+            f"{', '.join(spec.channelnames)}"
+        )
+
+
+def _check_size(path: str | Path, rows: int, columns: int) -> None:
+    if rows * columns > MOST_PIXELS:
+        raise ValueError(
+            f"{path}: {columns} × {rows} pixels are more than {MOST_PIXELS / 1e6:.0f} million"
+        )
+    if min(rows, columns) < LEAST_SIDE:
+        raise ValueError(
+            f"{path}: {columns} × {rows} pixels; a photograph has at least {LEAST_SIDE} along each "
+            "side"
+        )
+
+
+def _colour_channels(spec: "OpenImageIO.ImageSpec") -> list[int] | None:
+    names = list(spec.channelnames)
+    if {"R", "G", "B"} <= set(names):
+        return [names.index(c) for c in "RGB"]
+    rest = [i for i, name in enumerate(names) if name != "A"]
+    return rest if len(rest) == 1 else None
+
+
+def _colours(values: np.ndarray, spec: "OpenImageIO.ImageSpec", notes: list[str]) -> np.ndarray:
+    """Without alpha, and the note that there was some."""
+    chosen = _colour_channels(spec)
+    assert chosen is not None, "checked with the header"
+    if "A" in spec.channelnames:
+        most = np.iinfo(values.dtype).max if values.dtype.kind == "u" else 1
+        if (values[..., list(spec.channelnames).index("A")] < most).any():
+            notes.append("Transparency is left out: colours are as opaque pixels would have them.")
+    if chosen == list(range(values.shape[2])):
+        return values
+    return np.ascontiguousarray(values[..., chosen])
+
+
+def _linear(
+    path: str | Path, values: np.ndarray, spec: "OpenImageIO.ImageSpec"
+) -> tuple[np.ndarray, list[str]]:
+    profile = spec.getattribute("ICCProfile")
+    if values.dtype.kind == "f" and not np.isfinite(values).all():
+        count = int(_any(~np.isfinite(values)).sum())
+        raise ValueError(f"{path}: {count} pixels are not finite (infinite or not a number)")
+    if profile is not None and len(profile):
+        pixels, name = profile_to_linear(values, np.asarray(profile, np.uint8).tobytes(), path)
+        return pixels, [f"Colours by the embedded profile: {name}."]
+    if values.dtype.kind == "f":
+        pixels, notes = values, ["Linear values on sRGB's primaries are assumed."]
+        if spec.getattribute("chromaticities") is not None:
+            notes = ["Linear values on sRGB's primaries are assumed; the file's own are not used."]
+    else:
+        pixels, notes = srgb_to_linear(values), ["Encoded as sRGB: the file has no colour profile."]
+        if spec.get_int_attribute("Exif:ColorSpace", 1) != 1:
+            notes = [
+                "Read as sRGB, for want of a colour profile; Exif says that the colour space is "
+                "another (Adobe RGB in most cameras), so colours may be too dull."
+            ]
+        elif (said := spec.get_string_attribute("oiio:ColorSpace")) not in _ENCODINGS:
+            notes = [f"Read as sRGB; the file says {said}."]
+    return (np.repeat(pixels, 3, 2) if pixels.shape[2] == 1 else pixels), notes
+
+
+def _settle_negatives(path: str | Path, pixels: np.ndarray, notes: list[str]) -> None:
+    """Small negative values to 0, in place; larger ones are colours beyond sRGB and stay."""
+    if pixels.min() >= 0:
+        return
+    small = (pixels < 0) & (pixels >= -_SMALL)
+    if count := int(small.sum()):
+        pixels[small] = 0
+        notes.append(f"{count} values between {-_SMALL} and 0 are set to 0.")
+    if count := int(_any(pixels < 0).sum()):
+        notes.append(f"{count} pixels have negative components (colours beyond sRGB); they stay.")
+
+
+def _any(of: np.ndarray) -> np.ndarray:
+    """Over the channels; NumPy's own reduction of three is five times slower."""
+    return reduce(np.logical_or, np.moveaxis(of, -1, 0))
+
+
+def _is_grey(values: np.ndarray) -> bool:
+    """Whether the channels are one, within a step of 8 bits, wherever one looks."""
+    if values.shape[2] == 1:
+        return True
+    step = 1 if values.dtype == np.uint8 else 257 if values.dtype == np.uint16 else 1 / 255
+    for i in range(0, len(values), _ROWS):
+        band = values[i : i + _ROWS]
+        if band.dtype.kind == "f":
+            band = np.asarray(srgb_encode(band))
+        channels = np.moveaxis(band, -1, 0)
+        if (reduce(np.maximum, channels) - reduce(np.minimum, channels)).max() > step:
+            return False
+    return True
+
+
+def _several(path: str | Path, suffix: str) -> bool:
+    """Whether a PNG is animated or a JPEG carries more pictures, which OpenImageIO does not say."""
+    from PIL import Image
+
+    if suffix in (".exr", ".tif", ".tiff"):
+        return False
+    with warnings.catch_warnings(), contextlib.suppress(OSError, SyntaxError, ValueError):
+        warnings.simplefilter("ignore")  # the size is checked already
+        with Image.open(path) as image:
+            return getattr(image, "n_frames", 1) > 1
+    return False
+
+
+def _exif(spec: "OpenImageIO.ImageSpec") -> dict[str, float]:
+    found = {}
+    for attribute in spec.extra_attribs:
+        if attribute.name.startswith("Exif:") and not isinstance(attribute.value, str):
+            # OpenImageIO turns rational numbers into one.
+            found[attribute.name[5:]] = spec.get_float_attribute(attribute.name, 0.0)
+    return found

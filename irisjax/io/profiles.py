@@ -1,0 +1,130 @@
+"""Embedded ICC profiles: from values as a file holds them to linear sRGB.
+
+Profiles of three curves and a matrix are OpenColorIO's work, by way of OpenImageIO, and lose
+nothing; those of other kinds are Little CMS's, by way of Pillow, which computes with 8 bits.
+"""
+
+import tempfile
+from io import BytesIO
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from irisjax.measure.colour import XYZ_TO_SRGB, srgb_decode
+
+_ROWS = 256  # decoded at once: indices take eight bytes a value
+
+
+def srgb_to_linear(steps: np.ndarray) -> np.ndarray:
+    """Linear float32 values of uint8 or uint16 ones that are sRGB-encoded, of any shape with rows
+    first.
+    """
+    return _look_up(steps, _srgb_table(steps.dtype))
+
+
+def profile_to_linear(
+    values: np.ndarray, profile: bytes, path: str | Path
+) -> tuple[np.ndarray, str]:
+    """Linear sRGB, float32 (rows, columns, 3), of uint8, uint16 or float values (rows, columns, 1
+    or 3) under an ICC profile, and the profile's name with what had to be given up, if anything.
+
+    Colours outside sRGB have negative components. White is white: the profile's goes to (1, 1, 1).
+    `path` is only named in errors.
+
+    **Raises:** `ValueError` for a profile that is broken or of another number of channels.
+    """
+    from PIL import ImageCms
+
+    try:
+        found = ImageCms.ImageCmsProfile(BytesIO(profile))
+        name = ImageCms.getProfileName(found).strip().split("\n")[0] or "without a name"
+    except (ImageCms.PyCMSError, OSError) as error:
+        raise ValueError(f"{path}: the embedded colour profile is broken ({error})") from None
+    about: Any = found.profile
+    space = about.xcolor_space.strip()
+    channels = {"RGB": 3, "GRAY": 1}.get(space)
+    if channels is None:
+        raise ValueError(f"{path}: embedded colour profile of {space}, read are RGB and grey ones")
+    if channels != values.shape[-1]:
+        if channels == 1:
+            raise ValueError(f"{path}: a grey colour profile in a picture of colours")
+        values = np.repeat(values, 3, -1)
+    if channels == 3 and about.is_matrix_shaper:
+        linear = _matrix_to_linear(values, profile)
+        if linear is not None:
+            return linear, name
+    steps = _managed_in_8_bits(values, found, path)
+    lossy = "" if values.dtype == np.uint8 else f", {values.dtype} before"
+    return srgb_to_linear(steps), f"{name} (no matrix profile: converted with 8 bits{lossy})"
+
+
+def _matrix_to_linear(values: np.ndarray, profile: bytes) -> np.ndarray | None:
+    if values.dtype.kind == "f":
+        xyz = _device_to_xyz(values, profile)
+        return None if xyz is None else (xyz @ XYZ_TO_SRGB.T).astype(np.float32)
+    most = np.iinfo(values.dtype).max
+    ramp = np.zeros((3, most + 1, 3), np.float32)
+    for i in range(3):
+        ramp[i, :, i] = np.linspace(0, 1, most + 1)
+    xyz = _device_to_xyz(ramp, profile)
+    if xyz is None:
+        return None
+    xyz = xyz.astype(np.float64)
+    columns = xyz[:, -1] - xyz[:, 0]  # XYZ of each primary
+    curves = np.einsum("cnx,cx->nc", xyz, columns) / (columns**2).sum(-1)
+    matrix = XYZ_TO_SRGB @ columns.T
+    matrix /= matrix.sum(-1, keepdims=True)  # rounding in the profile's numbers tints white
+    linear = np.empty(values.shape, np.float32)
+    curves, matrix = curves.astype(np.float32), matrix.T.astype(np.float32)
+    for i in range(0, len(values), _ROWS):
+        band = values[i : i + _ROWS]
+        light = np.stack([curves[band[..., c], c] for c in range(3)], -1)
+        np.matmul(light, matrix, out=linear[i : i + _ROWS])
+    return linear
+
+
+def _device_to_xyz(values: np.ndarray, profile: bytes) -> np.ndarray | None:
+    """XYZ, adapted from the profile's D50 to D65 (white at Y = 1); `None` where OpenColorIO does
+    not take the profile.
+    """
+    import OpenImageIO as oiio
+
+    image = oiio.ImageBuf(np.ascontiguousarray(values, np.float32))
+    with tempfile.TemporaryDirectory() as folder:
+        there = Path(folder, "embedded.icc")
+        there.write_bytes(profile)
+        # OpenColorIO's own direction is to the device.
+        if not oiio.ImageBufAlgo.ociofiletransform(image, image, str(there), inverse=True):
+            return None
+    return np.asarray(image.get_pixels("float")).reshape(values.shape)
+
+
+def _managed_in_8_bits(values: np.ndarray, profile, path) -> np.ndarray:
+    from PIL import Image, ImageCms
+
+    if values.dtype.kind == "f":
+        values = np.clip(values, 0, 1)
+    most = np.iinfo(values.dtype).max if values.dtype.kind == "u" else 1
+    steps = np.rint(values * np.float32(255 / most)).astype(np.uint8)
+    if steps.shape[-1] == 1:
+        steps = steps[..., 0]
+    try:
+        image = ImageCms.profileToProfile(
+            Image.fromarray(steps), profile, ImageCms.createProfile("sRGB"), outputMode="RGB"
+        )
+    except (ImageCms.PyCMSError, ValueError) as error:
+        raise ValueError(f"{path}: the embedded colour profile is broken ({error})") from None
+    return np.asarray(image)
+
+
+def _srgb_table(dtype: np.dtype) -> np.ndarray:
+    most = np.iinfo(dtype).max
+    return np.asarray(srgb_decode(np.arange(most + 1) / most), np.float32)
+
+
+def _look_up(steps: np.ndarray, table: np.ndarray) -> np.ndarray:
+    found = np.empty(steps.shape, table.dtype)
+    for i in range(0, len(steps), _ROWS):
+        found[i : i + _ROWS] = table[steps[i : i + _ROWS]]
+    return found

@@ -1,0 +1,260 @@
+"""A second photograph of the same eye, brought onto the pixels of the first.
+
+For pairs such as one through crossed polarisers and one without: highlights and shading differ,
+the iris' texture does not. Pixels count as (column, row) here.
+"""
+
+from functools import partial
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float
+from scipy.ndimage import binary_dilation, gaussian_filter, map_coordinates
+from scipy.optimize import least_squares
+from skimage.registration import optical_flow_ilk, phase_cross_correlation
+
+from irisjax.photo.ellipse import Ellipse
+from irisjax.photo.photograph import Photograph
+
+_ANNULUS = (0.4, 0.95)  # of the limbus: most pupils end below, lids and lashes begin above
+_WINDOW = 0.1  # of the limbus: where brightness is made even
+_SCALES = (1 / 24, 1 / 48, 1 / 96, 1 / 200)  # blurs of the refinement, of the limbus
+_POLAR = (64, 1024)  # samples along radius and angle
+_MOST = 15_000  # pixels compared at a time
+_LEAST_RADIUS = 20.0  # px, of a limbus with any texture in it
+
+
+class Registration(NamedTuple):
+    """A second photograph on the first one's pixels.
+
+    - `pixels`: of the second, linear, bilinear between its pixels; 0 where it has none.
+    - `valid`: where the second has a pixel, and none that may be cut off takes part.
+    - `transform`: (2, 3), from (column, row, 1) in the first to (column, row) in the second.
+    - `residual`: RMS distance (pixels of the first) by which textures within the limbus still
+        differ, over the half of the iris that agrees best; large where the pupil has another size.
+    - `correlation`: of the two textures within the limbus; below about 0.3 they have little in
+        common, and the transform is no better than the outlines.
+    """
+
+    pixels: Float[np.ndarray, "rows columns 3"]
+    valid: Bool[np.ndarray, "rows columns"]
+    transform: Float[np.ndarray, "2 3"]
+    residual: float
+    correlation: float
+
+    @property
+    def scale(self) -> float:
+        """Pixels of the second along a pixel of the first, geometric mean of both directions."""
+        return float(np.sqrt(np.linalg.det(self.transform[:, :2])))
+
+    @property
+    def rotation(self) -> float:
+        """Radians by which the second shows the eye turned, counted from right towards the top."""
+        (a, b), (c, d) = self.transform[:, :2]
+        return float(np.arctan2(b - c, a + d))
+
+
+class _Texture(NamedTuple):
+    """Luminance with the brightness around taken off, and where it can be relied on."""
+
+    values: np.ndarray
+    usable: np.ndarray
+
+
+def register(
+    second: Photograph, first: Photograph, first_limbus: Ellipse, second_limbus: Ellipse
+) -> Registration:
+    """Find the affine map between two photographs and resample the second onto the first.
+
+    Centres and sizes of the outlines come first; then the angle by phase correlation of the
+    unrolled irides, any turn included; then all six numbers by robust least squares on the
+    textures, from coarse to fine. What one of the two lacks (highlights, lashes) counts little.
+
+    **Raises:** `ValueError` for a limbus with its centre out of its photograph or a radius below 20
+    pixels.
+    """
+    for photograph, limbus in ((first, first_limbus), (second, second_limbus)):
+        _check(photograph, limbus)
+    radius = float(np.sqrt(np.prod(first_limbus.semi_axes)))
+    scale = float(np.sqrt(np.prod(second_limbus.semi_axes))) / radius
+    one, other = (
+        _texture(p, limbus) for p, limbus in ((first, first_limbus), (second, second_limbus))
+    )
+    turn = _turn(one, first_limbus, other, second_limbus)
+    cos, sin = scale * np.cos(turn), scale * np.sin(turn)
+    matrix = np.array([[cos, sin], [-sin, cos]])
+    # About the limbus and in its radii, so that all six numbers are of one size.
+    centre, offset = np.array(first_limbus.centre), np.array(second_limbus.centre)
+    points = _points(first_limbus, first.shape, one.usable)
+    affine = np.column_stack([matrix, offset])
+    for blur in _SCALES:
+        affine = _refined(affine, one, other, points, centre, radius, max(blur * radius, 1.0))
+    transform = np.column_stack([affine[:, :2], affine[:, 2] - affine[:, :2] @ centre])
+    pixels, valid = _resampled(second, transform, first.shape)
+    residual, correlation = _disagreement(one, other, transform, first_limbus)
+    return Registration(pixels, valid, transform, residual, correlation)
+
+
+def _check(photograph: Photograph, limbus: Ellipse) -> None:
+    (x, y), (rows, columns) = limbus.centre, photograph.shape
+    if not (0 <= x < columns and 0 <= y < rows):
+        raise ValueError(
+            f"{photograph.name}: the limbus is centred at column {x:.0f}, row {y:.0f}, out of the "
+            f"{columns} × {rows} pixels"
+        )
+    if not min(limbus.semi_axes) >= _LEAST_RADIUS:
+        raise ValueError(
+            f"{photograph.name}: the limbus has a radius of {min(limbus.semi_axes):.1f} pixels; "
+            f"photographs are registered by irides of at least {_LEAST_RADIUS:.0f}"
+        )
+
+
+def _texture(photograph: Photograph, limbus: Ellipse) -> _Texture:
+    radius = float(np.sqrt(np.prod(limbus.semi_axes)))
+    grown = binary_dilation(photograph.saturated, iterations=max(2, round(0.01 * radius)))
+    usable = np.logical_not(grown)
+    luminance = photograph.pixels @ np.array([0.2126, 0.7152, 0.0722], np.float32)
+    inside = limbus.mask(photograph.shape) & usable
+    dark = max(1e-6, 0.05 * float(np.median(luminance[inside]))) if inside.any() else 1e-6
+    # Logarithms: light that falls off across the iris adds instead of multiplying.
+    values = np.log(np.maximum(luminance, 0) + np.float32(dark))
+    weight = usable.astype(np.float32)
+    blur = partial(gaussian_filter, sigma=_WINDOW * radius, mode="constant", truncate=3.0)
+    share = np.maximum(blur(weight), 1e-6)
+    values = np.where(usable, values - blur(weight * values) / share, 0)
+    spread = np.sqrt(np.maximum(blur(values**2) / share, 1e-8))
+    return _Texture(np.clip(values / spread, -3, 3), usable)
+
+
+def _turn(one: _Texture, first: Ellipse, other: _Texture, second: Ellipse) -> float:
+    """Radians by which the second shows the eye turned, from right towards the top."""
+    unrolled = [_unrolled(t, limbus) for t, limbus in ((one, first), (other, second))]
+    shift, *_ = phase_cross_correlation(
+        *unrolled,
+        upsample_factor=10,
+        normalization=None,  # pyright: ignore[reportArgumentType] - as documented
+    )
+    return float(-shift[1] * 2 * np.pi / _POLAR[1])
+
+
+def _unrolled(texture: _Texture, limbus: Ellipse) -> np.ndarray:
+    """Texture along ellipses that share the limbus' shape, by the angle in the picture."""
+    radius = float(np.sqrt(np.prod(limbus.semi_axes)))
+    blurred = gaussian_filter(texture.values, max(radius / 100, 0.5))
+    angle = np.linspace(0, 2 * np.pi, _POLAR[1], endpoint=False)
+    share = np.linspace(*_ANNULUS, _POLAR[0])[:, None]
+    (x, y), reach = limbus.centre, radius * share
+    return map_coordinates(
+        blurred, [y - reach * np.sin(angle), x + reach * np.cos(angle)], order=1, mode="nearest"
+    )
+
+
+def _points(limbus: Ellipse, shape: tuple[int, int], usable: np.ndarray) -> np.ndarray:
+    """Pixels of the annulus, (n, 2), evenly thinned out."""
+    row, column = np.ogrid[: shape[0], : shape[1]]
+    share = limbus.relative_radius(column, row)
+    rows, columns = np.nonzero((share > _ANNULUS[0]) & (share < _ANNULUS[1]) & usable)
+    if not len(rows):
+        raise ValueError("no pixel of the iris is below the limit of the first photograph")
+    chosen = np.random.default_rng(0).permutation(len(rows))[:_MOST]
+    return np.stack([columns[chosen], rows[chosen]], -1).astype(np.float64)
+
+
+def _refined(affine, one, other, points, centre, radius, blur) -> np.ndarray:
+    """The affine map (2, 3) about `centre` after robust least squares at one scale."""
+    scale = np.sqrt(abs(np.linalg.det(affine[:, :2])))
+    target = gaussian_filter(one.values, blur)[points[:, 1].astype(int), points[:, 0].astype(int)]
+    image = gaussian_filter(other.values, blur * scale)
+    slopes = np.gradient(image)[::-1]  # along columns, along rows
+    image, slopes = image / target.std(), [s / target.std() for s in slopes]
+    target = target / target.std()
+    about = np.column_stack([(points - centre) / radius, np.ones(len(points))])
+    sizes = np.array([radius, radius, 1.0])
+
+    def sampled(picture, parameters):
+        column, row = (parameters.reshape(2, 3) @ about.T).astype(np.float64)
+        return map_coordinates(picture, [row, column], order=1, mode="nearest")
+
+    def counted(parameters):
+        """Points that fall on pixels of the second that can be relied on."""
+        return sampled(other.usable.astype(np.float32), parameters) > 0.99
+
+    start = (affine * sizes).ravel()
+    keep = counted(start)
+    if keep.sum() < 100:
+        return affine
+
+    def residuals(parameters):
+        return np.where(keep, sampled(image, parameters) - target, 0)
+
+    def jacobian(parameters):
+        along, down = (np.where(keep, sampled(s, parameters), 0)[:, None] for s in slopes)
+        return np.concatenate([along * about, down * about], 1)
+
+    found = least_squares(
+        residuals,
+        start,
+        jacobian,  # pyright: ignore[reportArgumentType] - SciPy's types know only names here
+        loss="cauchy",
+        f_scale=0.3,
+        max_nfev=20,
+        xtol=1e-6,
+        ftol=1e-6,
+    )
+    return found.x.reshape(2, 3) / sizes
+
+
+def _resampled(second: Photograph, transform: np.ndarray, shape: tuple[int, int]):
+    row, column = np.mgrid[: shape[0], : shape[1]]
+    column, row = (
+        t[0] * column + t[1] * row + t[2] for t in transform.astype(np.float32)
+    )  # single precision places pixels to a thousandth
+    there = np.stack([row, column])
+    scale = float(np.sqrt(abs(np.linalg.det(transform[:, :2]))))
+    # Pixels of the second that are finer are averaged, as in skimage.transform.resize.
+    blur = max(0.0, (scale - 1) / 2)
+    pixels = np.stack(
+        [
+            map_coordinates(
+                gaussian_filter(second.pixels[..., c], blur) if blur else second.pixels[..., c],
+                there,
+                order=1,
+                cval=0.0,
+            )
+            for c in range(3)
+        ],
+        -1,
+    )
+    cut = binary_dilation(second.saturated, iterations=max(1, round(2 * blur)))
+    cut = map_coordinates(cut.astype(np.float32), there, order=1, cval=1.0) > 0
+    rows, columns = second.shape
+    outside = (row < 0) | (row > rows - 1) | (column < 0) | (column > columns - 1)
+    return pixels, ~(cut | outside)
+
+
+def _disagreement(
+    one: _Texture, other: _Texture, transform: np.ndarray, limbus: Ellipse
+) -> tuple[float, float]:
+    """RMS of the flow left between the textures (px), and their correlation."""
+    (x, y), (a, _) = limbus.centre, limbus.semi_axes
+    step = max(1.0, a / 200)
+    column, row = np.meshgrid(np.arange(x - a, x + a, step), np.arange(y - a, y + a, step))
+    there = np.tensordot(transform, np.stack([column, row, np.ones_like(row)]), 1)
+    scale = float(np.sqrt(abs(np.linalg.det(transform[:, :2]))))
+    blur = max(a / 150, step)
+    pictures, usable = [], []
+    for texture, (at_column, at_row), size in ((one, (column, row), 1), (other, there, scale)):
+        values = gaussian_filter(texture.values, blur * size)
+        at = [at_row, at_column]
+        pictures.append(map_coordinates(values, at, order=1, mode="nearest").astype(np.float32))
+        known = texture.usable.astype(np.float32)
+        usable.append(map_coordinates(known, at, order=1, cval=0.0) > 0.99)
+    share = limbus.relative_radius(column, row)
+    inside = usable[0] & usable[1] & (share > _ANNULUS[0]) & (share < _ANNULUS[1])
+    if inside.sum() < 100:
+        return float("inf"), 0.0
+    correlation = float(np.corrcoef(*(p[inside] for p in pictures))[0, 1])
+    flow = optical_flow_ilk(*pictures, radius=9, num_warp=5)
+    left = np.hypot(*flow)[inside] * step
+    best = np.sort(left)[: max(1, len(left) // 2)]
+    return float(np.sqrt((best**2).mean())), correlation
