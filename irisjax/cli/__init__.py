@@ -21,6 +21,7 @@ _COMMANDS = {
     "render": "render",
     "export": "export",
     "view": "view",
+    "clone": "clone",
 }
 """Commands in the order of the help, and the modules of this package that have them."""
 _RUN_AGAIN = ("measure", "simulate")

@@ -83,11 +83,7 @@ def changed(
 ) -> staging.Scene:
     """A scene with lamps, pupil (mm), picture size or camera as the options write them."""
     if light:
-        lamps = [_lamp(text, scene.illuminant) for text in light]
-        joined = lamps[0]
-        for lamp in lamps[1:]:
-            joined = joined + lamp
-        scene = scene.replace(lights=joined, environment=None)
+        scene = scene.replace(lights=lamps(light, scene.illuminant), environment=None)
     if pupil_radius is not None:
         scene = scene.replace(eye=scene.eye.replace(pupil_radius=pupil_radius))
     if size is not None:
@@ -108,6 +104,14 @@ def changed(
         except ValueError as error:
             raise ValueError(f"--camera {camera!r}: {error}") from None
     return scene
+
+
+def lamps(texts: list[str], illuminant: str = "D65") -> Lights:
+    """Lamps as `--light` writes them."""
+    joined, *others = (_lamp(text, illuminant) for text in texts)
+    for lamp in others:
+        joined = joined + lamp
+    return joined
 
 
 def _lamp(text: str, illuminant: str) -> Lights:

@@ -138,7 +138,7 @@ SECTIONS: dict[str, dict[str, Callable[[Any], Any]]] = {
     },
     "environment": {
         "file": _text,
-        "kind": _one("studio", "sky"),
+        "kind": _one("studio", "sky", "uniform"),
         "lights": _whole(1, 1000),
         "strength": _number(0, 1e6),
     },

@@ -191,7 +191,12 @@ class SceneFile(Mapping[str, Any]):
         if "file" in given:
             around = self._read(read_environment, "environment", given["file"])
         else:
-            around = {"studio": Environment.studio, "sky": Environment.sky}[given["kind"]](rows=512)
+            kinds = {
+                "studio": Environment.studio,
+                "sky": Environment.sky,
+                "uniform": Environment.uniform,
+            }
+            around = kinds[given["kind"]](rows=512)
         around = dataclasses.replace(around, radiance=around.radiance * given.get("strength", 1.0))
         return {"environment": around, "environment_lights": given.get("lights", 25)}
 

@@ -85,7 +85,10 @@ def iris_of(values: dict[str, Any], base: Iris) -> Iris:
     whole = height[0] + height[1]
 
     def shared(kind):
-        masses = [values[f"{layer}_{kind}"] * h for layer, h in zip(("abl", "stroma"), height, strict=True)]
+        masses = [
+            values[f"{layer}_{kind}"] * h
+            for layer, h in zip(("abl", "stroma"), height, strict=True)
+        ]
         total = masses[0] + masses[1]
         none = total <= 0
         return total / whole, jnp.where(none, 0.5, masses[0] / jnp.where(none, 1.0, total))

@@ -96,6 +96,11 @@ class Environment(eqx.Module):
         warm = np.array([1.05, 0.99, 0.9])
         return cls(sky * gradient + sun * glare[..., None] * (warm / (warm @ LUMINANCE)))
 
+    @classmethod
+    def uniform(cls, rows: int = 32) -> "Environment":
+        """The same white light from everywhere; a white sheet in it has radiance 1."""
+        return cls(jnp.ones((rows, 2 * rows, 3)))
+
     def turned(self, angle: float) -> "Environment":
         """The environment turned about the vertical: what was straight ahead moves towards −x by
         `angle`, radians.

@@ -85,10 +85,11 @@ class Iris(eqx.Module):
     Every field is a float array of shape () (batch with `jax.vmap`). Concentrations: melanins mg/ml
     over the whole iris, haemoglobins mmol/l and carotenoids mg/ml in the stroma; thicknesses mm;
     the fibril radius nm. `pheomelanin_abl_fraction` is `None` where both melanins are shared out
-    alike; a number leaves `abl_fraction` to the eumelanin [F09 Section 5.2]. `abl_index` and `stroma_index` are `None` unless they are to
-    replace the Gladstone–Dale mixtures. `scattering` names the formula of the stroma's scattering:
-    `"lb06"` as printed or `"rayleigh-spheres"`, independent small spheres; `scattering_scale` is a
-    factor on it. A `power_law` stands in the formula's place, for radiative transfer. Make
+    alike; a number leaves `abl_fraction` to the eumelanin [F09 Section 5.2]. `abl_index` and
+    `stroma_index` are `None` unless they are to replace the Gladstone–Dale mixtures. `scattering`
+    names the formula of the stroma's scattering: `"lb06"` as printed or `"rayleigh-spheres"`,
+    independent small spheres; `scattering_scale` is a factor on it. A `power_law` stands in the
+    formula's place, for radiative transfer. Make
     variations with `replace`. Another thickness keeps the concentration of
     melanin over both layers and its shares of mass; maps (`IrisMaps`) keep the concentration in
     each layer, and so give another picture.

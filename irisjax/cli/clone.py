@@ -1,0 +1,292 @@
+"""`irisjax clone`: a photograph of an eye in, an iris with error bars out."""
+
+import sys
+import time
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+import typer
+from tqdm import tqdm
+
+from irisjax import io, plot
+from irisjax.cli.cache import cores
+from irisjax.cli.options import SEED_HELP, Group, grouped, name_of, number, option, read_seed, whole
+from irisjax.cli.scenes import lamps
+from irisjax.io.clones import files_of
+from irisjax.io.photographs import read_photograph
+from irisjax.numerics.checks import Range, check_range
+from irisjax.photo import clone as cloning
+from irisjax.photo.boundaries import MIN_CONFIDENCE
+from irisjax.photo.ellipse import Ellipse
+from irisjax.photo.picture import compare
+from irisjax.photo.posterior import PigmentPosterior
+from irisjax.render.environment import Environment
+from irisjax.render.lights import Lights
+from irisjax.render.radiative import RadiativeIntegrator
+from irisjax.render.separable import Separable
+
+_NOT_SURE = 3
+_PROCESSES = {"ilit-2006": Separable, "depth-resolved": RadiativeIntegrator}
+_FILES = ("clone.json",)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Picture(Group):
+    """The photograph and what is known of it."""
+
+    PANEL = "Photograph"
+
+    photograph: Annotated[
+        Path,
+        typer.Argument(
+            metavar="PHOTO", help="JPEG, PNG, TIFF, EXR or camera raw", show_default=False
+        ),
+    ]
+    focal_px: Annotated[
+        float | None,
+        option(parse=number(), metavar="pixels", help="focal length; default: the file's own"),
+    ] = None
+    limbus: Annotated[
+        str | None,
+        option(
+            metavar="X,Y,A,B,DEG",
+            help="outline of the cornea, in place of the one that is found: centre (column, row), "
+            "semi-axes (pixels), angle of the larger one from the right towards the top",
+        ),
+    ] = None
+    pupil: Annotated[
+        str | None, option(metavar="X,Y,A,B,DEG", help="the same of the pupil as it appears")
+    ] = None
+    tilt_azimuth: Annotated[
+        float | None,
+        option(
+            parse=number(-360, 360),
+            metavar="degrees",
+            help="side of the eye on which the camera stands, from the picture's right to its top; "
+            "default: told from the pupil",
+        ),
+    ] = None
+    light: Annotated[
+        list[str] | None,
+        option(
+            metavar="POLAR,AZIMUTH[,IRRADIANCE]",
+            help="as of render; repeatable; default: told from the highlights on the cornea",
+        ),
+    ] = None
+    environment: Annotated[
+        str | None,
+        option(metavar="FILE|uniform", help="latitude-longitude panorama, or light from all round"),
+    ] = None
+    cross_polarised: Annotated[
+        bool,
+        option("--cross-polarised", metavar="", help="the photograph was taken through polarisers"),
+    ] = False
+    freckles: Annotated[
+        Path | None,
+        option(metavar="FILE.png", help="mask in place of freckles.png, white where a freckle is"),
+    ] = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Model(Group):
+    """How the eye is modelled."""
+
+    PANEL = "Model"
+
+    media: Annotated[str, name_of("what light crosses before the iris", *cloning.MEDIA)] = (
+        "cornea-aqueous"
+    )
+    iris_depth: Annotated[
+        float,
+        option(parse=number(2.5, 8), metavar="mm", help="of the iris behind the cornea, 2.5 to 8"),
+    ] = 3.6
+    deconvolution: Annotated[
+        float,
+        option(parse=number(0, 2), metavar="mm", help="width of the blur by scattering, 0 to 2"),
+    ] = 0.5
+    method: Annotated[
+        str, name_of("search for the pigments; simplex is F09's", *cloning.METHODS)
+    ] = "least-squares"
+    process: Annotated[str, name_of("light in the iris", *_PROCESSES)] = "ilit-2006"
+    max_steps: Annotated[
+        int, option(parse=whole(150, 100_000), metavar="count", help="of the posterior's chain")
+    ] = 3000
+    seed: Annotated[int, option(parse=read_seed, metavar="number", help=SEED_HELP + "files")] = 0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Results(Group):
+    """Where it goes."""
+
+    PANEL = "Files"
+
+    output: Annotated[Path, option("-o", "--output", metavar="DIR", help="folder for the clone")]
+    stop_after: Annotated[str, name_of("last stage", *cloning.STAGES)] = "posterior"
+    overwrite: Annotated[
+        bool, option("--overwrite", metavar="", help="replace a clone in that folder")
+    ] = False
+
+
+@grouped
+def clone(picture: Picture, model: Model, results: Results) -> None:
+    """An iris from a photograph: outlines, the iris laid flat, thickness, pigments.
+
+    For example: irisjax clone eye.jpg -o clone_eye
+
+    Exit status: 0; 3 where an outline is doubtful (give --limbus and --pupil) or the chain is not
+    long enough (raise --max-steps); 2 for wrong input.
+    """
+    folder = results.output
+    if folder.exists() and not folder.is_dir():
+        raise ValueError(f"{folder}: is a file, not a folder")
+    if (folder / "clone.json").exists() and not results.overwrite:
+        raise ValueError(f"{folder}: has a clone; --overwrite begins anew")
+    check_range("--focal-px", picture.focal_px, Range(10, 1e6, "pixels"))
+    given = _given(picture)
+    settings = cloning.Settings(
+        model.media,
+        model.iris_depth,
+        picture.focal_px,
+        None if picture.tilt_azimuth is None else float(np.radians(picture.tilt_azimuth)),
+        sigma=model.deconvolution,
+        method=model.method,
+        integrator=_PROCESSES[model.process](),
+        steps=model.max_steps,
+        seed=model.seed,
+    )
+    photograph = read_photograph(picture.photograph)
+    for note in photograph.notes:
+        _say(f"{picture.photograph}: {note}")
+    timings: dict[str, float] = {}
+    wanted = cloning.STAGES[: cloning.STAGES.index(results.stop_after) + 1]
+    with tqdm(total=len(wanted), unit="stage", disable=not sys.stderr.isatty()) as bar:
+
+        @contextmanager
+        def stage(name: str):
+            bar.set_description(name)
+            begin = time.perf_counter()
+            yield
+            timings[name] = time.perf_counter() - begin
+            bar.update()
+
+        found: Any = None
+        for found in cloning.clone(
+            photograph, settings, given, last=results.stop_after, stage=stage
+        ):
+            pass
+    words = {**_words(picture), **_words(model)}
+    files = files_of(found, words, timings)
+    if found.fit is not None:
+        files |= _pictures(found)
+    folder.mkdir(parents=True, exist_ok=True)
+    io.write_together({folder / name: data for name, data in files.items()})
+    sure = _report(found, picture, folder)
+    raise typer.Exit(0 if sure else _NOT_SURE)
+
+
+def _words(group: Group) -> dict[str, Any]:
+    return {n: str(v) if isinstance(v, Path) else v for n, v in vars(group).items() if n != "typed"}
+
+
+def _given(picture: Picture) -> cloning.Given:
+    lights: Lights | None = None
+    if picture.light and picture.environment:
+        raise ValueError("give --light or --environment, not both")
+    if picture.light:
+        lights = lamps(picture.light)
+    elif picture.environment is not None:
+        around = (
+            Environment.uniform()
+            if picture.environment == "uniform"
+            else io.read_environment(picture.environment)
+        )
+        lights = around.to_lights(25)
+    mask = None
+    if picture.freckles is not None:
+        image = io.read_image(picture.freckles)
+        mask = image.pixels[..., 0] > 0.5
+    return cloning.Given(
+        _outline("--limbus", picture.limbus), _outline("--pupil", picture.pupil), lights, mask
+    )
+
+
+def _outline(name: str, text: str | None) -> Ellipse | None:
+    if text is None:
+        return None
+    try:
+        x, y, a, b, degrees = (float(part) for part in text.split(","))
+    except ValueError:
+        raise ValueError(f"{name} {text!r}: write X,Y,A,B,DEG, five numbers") from None
+    if not (a >= b > 0 and np.isfinite([x, y, a, b, degrees]).all()):
+        raise ValueError(f"{name} {text!r}: the semi-axes must be A >= B > 0")
+    return Ellipse((x, y), (a, b), float(np.radians(degrees)))
+
+
+def _pictures(found: cloning.Clone) -> dict[str, bytes]:
+    from irisjax.plot.clone import differences, luminance_profile, side_by_side
+
+    both = compare(found, cores())
+    assert found.pose is not None
+    eye = found.pose.eye
+    radius = float(0.5 * (eye.pupil_radius + eye.iris_radius))
+    figures = {
+        "side_by_side.png": side_by_side(both.photograph, both.rendered),
+        "differences.png": differences(both.photograph, both.rendered, both.clear),
+        "luminance.png": luminance_profile(*both.arc(found, radius), radius),
+    }
+    rms = 100 * both.rms
+    print(f"difference of the pictures, RMS: {rms[0]:.1f}, {rms[1]:.1f}, {rms[2]:.1f} % (R, G, B)")
+    return {name: plot.picture(figure, ".png") for name, figure in figures.items()}
+
+
+def _report(found: cloning.Clone, picture: Picture, folder: Path) -> bool:
+    outlines, sure = found.boundaries, True
+    for name, confidence in (
+        ("limbus", outlines.limbus_confidence),
+        ("pupil", outlines.pupil_confidence),
+    ):
+        if confidence < MIN_CONFIDENCE:
+            sure = False
+            _say(f"WARNING: the {name} is doubtful (confidence {confidence:.2f}); give --{name}")
+    if found.pose is not None:
+        pose = found.pose
+        where = "" if pose.distance is None else f", {pose.distance:.0f} mm away"
+        print(
+            f"camera: {np.degrees(pose.tilt):.1f} ± {np.degrees(pose.tilt_sd):.1f} degrees off the "
+            f"eye's axis{where}; pupil {2 * float(pose.eye.pupil_radius):.2f} mm wide, lengths for "
+            f"a limbus of {2 * float(pose.eye.limbus_radius):.1f} mm"
+        )
+        if pose.distance is None:
+            _say("no focal length in the file: the distance is not known; give --focal-px")
+    if found.fit is not None and picture.cross_polarised:
+        _say(
+            "WARNING: the model's iris keeps 99 % of the light's polarisation, so crossed "
+            "polarisers would make it black; the pigments stand for an iris that depolarises"
+        )
+    if found.fit is not None and found.photograph.grey:
+        sure = False
+        _say("WARNING: the photograph has no colours: its pigments mean nothing")
+    if found.lights_found == 0:
+        _say("no highlight on the cornea: light from all round is assumed")
+    if found.posterior is not None:
+        print(_table(found.posterior))
+        if not found.posterior.chains.converged:
+            sure = False
+            _say(f"WARNING: {found.posterior.chains.reason}; raise --max-steps")
+    print(f"written: {folder}")
+    return sure
+
+
+def _table(posterior: PigmentPosterior) -> str:
+    rows = [f"{'parameter':<20}{'median':>10}{'95 %':>22}{'contraction':>13}"]
+    for name, e in posterior.estimates.items():
+        span = f"{e.low:.3g} to {e.high:.3g}"
+        rows.append(f"{name:<20}{e.median:>10.3g}{span:>22}{e.contraction:>13.2f}")
+    return "\n".join(rows)
+
+
+def _say(text: str) -> None:
+    print(f"irisjax: {text}", file=sys.stderr)

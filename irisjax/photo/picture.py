@@ -1,0 +1,71 @@
+"""The clone's rendering against its photograph, on one scale."""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from irisjax.measure.colour import srgb_encode
+from irisjax.numerics.programs import program
+from irisjax.photo.clone import Clone
+from irisjax.photo.refraction import follow
+from irisjax.photo.unrefracted import LUMINANCE
+from irisjax.render.illumination import Illumination
+from irisjax.render.stages import Memory
+
+
+class Comparison(NamedTuple):
+    """Photograph and rendering of one camera.
+
+    - `photograph`, `rendered`: sRGB-encoded, the photograph with exposure, white balance and
+        contrast taken off and then given the fitted exposure, (rows, columns, 3).
+    - `clear`: pixels that are compared. `rms`: of their differences per channel, of the full range.
+    """
+
+    photograph: Float[np.ndarray, "rows columns 3"]
+    rendered: Float[np.ndarray, "rows columns 3"]
+    clear: Bool[np.ndarray, "rows columns"]
+    rms: Float[np.ndarray, "3"]
+
+    def arc(self, clone: Clone, radius: float, count: int = 720):
+        """Angles (degrees) round the eye, and encoded luminance of both pictures on an arc of the
+        iris at a distance from its axis, mm; what is not clear is NaN.
+        """
+        assert clone.pose is not None and clone.texture is not None  # noqa: PT018
+        where = follow(clone.pose, len(clone.texture.valid))
+        angle = np.arange(count) * (2 * np.pi / count)
+        texel = clone.texture.millimetres_per_texel
+        middle = len(clone.texture.valid) / 2 - 0.5
+        column = np.rint(middle + radius * np.cos(angle) / texel).astype(int)
+        row = np.rint(middle - radius * np.sin(angle) / texel).astype(int)
+        there = tuple(
+            np.clip(np.rint(v[row, column]).astype(int), 0, n - 1)
+            for v, n in zip((where.row, where.column), self.clear.shape, strict=True)
+        )
+        found = [
+            np.where(self.clear[there], picture[there] @ LUMINANCE, np.nan)
+            for picture in (self.photograph, self.rendered)
+        ]
+        return np.degrees(angle), *found
+
+
+def compare(clone: Clone, threads: int = 1) -> Comparison:
+    """Render a clone with its photograph's camera and compare.
+
+    **Raises:** `ValueError` before the pigments are known.
+    """
+    scene = clone.scene()
+    assert clone.fit is not None and clone.part is not None and clone.clear is not None  # noqa: PT018
+    values = clone.fit.values
+    tables = None if scene.eye.cornea is None else Illumination.build(scene.eye, caustics=False)
+    rendered = values["exposure"] * np.asarray(Memory(threads).render(scene, tables))
+    gains = np.array([values["red_gain"], 1.0, values["blue_gain"]])
+    # As the model's camera has it: exposure × gain × radiance^contrast.
+    radiance = np.maximum(clone.part / (values["exposure"] * gains), 0)
+    photograph = values["exposure"] * radiance ** (1 / values["contrast"])
+    both = [np.clip(np.asarray(_encoded(p)), 0, 1) for p in (photograph, rendered)]
+    off = (both[0] - both[1])[clone.clear]
+    return Comparison(both[0], both[1], clone.clear, np.sqrt((off**2).mean(0)))
+
+
+_encoded = program(srgb_encode)
