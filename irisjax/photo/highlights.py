@@ -95,8 +95,8 @@ def find_lids(pixels: Pixels, limbus: Ellipse, pupil: Ellipse) -> Mask:
 
     The iris at its sides, where lids never reach, tells at each radius which brightness and colour
     are usual. Parts above and below that differ and reach the limbus are lids, where outside of it
-    the same surface goes on. A lid of the iris's own colour is not found, nor is any where light
-    and shadow divide the eye.
+    the same surface goes on. Lids are marked with a small margin. A lid of the iris's own colour is
+    not found, nor is any where light and shadow divide the eye.
     """
     part, radius, small = _around_limbus(pixels, limbus)
     if part is None or small is None:
@@ -138,7 +138,10 @@ def find_lids(pixels: Pixels, limbus: Ellipse, pupil: Ellipse) -> Mask:
         if beyond.any():
             step = np.abs(np.median(seen[beyond], 0) - np.median(seen[at & (radius > 0.8)], 0))
             keep[k] = bool(step.max() < 0.5)
-    return part.enlarged(keep[label]) & limbus.mask(pixels.shape[:2])
+    found = keep[label]
+    for k in np.flatnonzero(keep):
+        found |= _beyond_edge(label == k, upper=bool(row[label == k].mean() < y))
+    return part.enlarged(found) & limbus.mask(pixels.shape[:2])
 
 
 class _Part:
@@ -193,6 +196,19 @@ def _around_limbus(pixels: np.ndarray, limbus: Ellipse):
         for b, n, size in zip(box, part.small_size, part.size, strict=True)
     ]
     return part, limbus.relative_radius(at[1][None, :], at[0][:, None]), part.reduced(pixels)
+
+
+def _beyond_edge(lid: np.ndarray, upper: bool) -> np.ndarray:
+    """All that lies beyond the edge of a lid, which is continued as a parabola: at its ends the
+    limbus's blur hides it.
+    """
+    columns = np.flatnonzero(lid.any(0))
+    if len(columns) < 0.15 * lid.shape[1]:  # too short to tell how it goes on
+        return lid
+    rows = [np.flatnonzero(lid[:, c])[-1 if upper else 0] for c in columns]
+    edge = np.poly1d(np.polyfit(columns, rows, 2))(np.arange(lid.shape[1]))
+    row = np.arange(len(lid))[:, None]
+    return row <= edge if upper else row >= edge
 
 
 def _usual(streak: np.ndarray) -> float:
