@@ -4,6 +4,7 @@ import sys
 
 import numpy as np
 import pytest
+import tifffile
 
 from irisjax import io
 from photograph_files import SHAPE, exif, jpeg
@@ -51,7 +52,6 @@ def test_raw_without_its_library(tmp_path, monkeypatch):
 
 def dng(path, mosaic, orientation=1):
     """A Bayer mosaic (red first, black 100, white 4000) whose camera has sRGB's primaries."""
-    tifffile = pytest.importorskip("tifffile")
     to_camera = np.array(
         [[3.2406, -1.5372, -0.4986], [-0.9689, 1.8758, 0.0415], [0.0557, -0.2040, 1.0570]]
     )
