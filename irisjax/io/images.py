@@ -8,16 +8,14 @@ import re
 import tempfile
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple, TypeVar
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 
+from irisjax.io.decoding import check_suffix, decode_file, first_line
 from irisjax.io.tables import check_writable, replacing
 from irisjax.measure.colour import srgb_decode
 from irisjax.render.environment import Environment
-
-if TYPE_CHECKING:
-    import OpenImageIO
 
 T = TypeVar("T")
 
@@ -63,54 +61,6 @@ def read_image(path: str | Path, *, decode: bool = False) -> Image:
         pixels[..., colours] = srgb_decode(pixels[..., colours])
     metadata = {a.name: a.value for a in spec.extra_attribs if isinstance(a.value, str)}
     return Image(pixels, linear or decode, tuple(spec.channelnames), metadata)
-
-
-def decode_file(
-    path: str | Path,
-    suffixes: tuple[str, ...],
-    *,
-    integers: bool,
-    check: Callable[["OpenImageIO.ImageSpec"], None] | None = None,
-) -> tuple[np.ndarray, "OpenImageIO.ImageSpec", bool]:
-    """The first picture of a file as the file holds it, held upright: values (rows, columns,
-    channels), OpenImageIO's description (of the picture before it was turned), and whether there
-    are more pictures.
-
-    Values are float32, whole numbers brought to [0, 1]; with `integers`, files of 8 and 16 bits
-    give uint8 and uint16. `check` may refuse a file by its header, before pixels are decoded.
-
-    **Raises:** as `read_image`.
-    """
-    check_suffix(path, suffixes)
-    with open(path, "rb"):  # the system's word on files that are missing or forbidden
-        pass
-    import OpenImageIO as oiio
-
-    wishes = oiio.ImageSpec()
-    wishes.attribute("oiio:UnassociatedAlpha", 1)  # else colours come multiplied by alpha
-    file = oiio.ImageInput.open(str(path), wishes)
-    if file is None:
-        raise ValueError(f"{path}: not a picture that can be read ({_first_line(oiio.geterror())})")
-    try:
-        spec = file.spec()
-        if check is not None:
-            check(spec)
-        kind = str(spec.format) if integers and str(spec.format) in ("uint8", "uint16") else "float"
-        values = file.read_image(kind)
-        complaint = (
-            file.geterror()
-        )  # of a JPEG that is cut short there is one, and values all the same
-        if values is None or complaint:
-            raise ValueError(f"{path}: the picture is broken ({_first_line(complaint)})")
-        several = file.seek_subimage(1, 0)
-    finally:
-        file.close()
-    pixels = np.asarray(values).reshape(spec.height, spec.width, spec.nchannels)
-    held = spec.get_int_attribute("Orientation", 1)
-    pixels = pixels.swapaxes(0, 1) if held in (5, 6, 7, 8) else pixels
-    pixels = pixels[::-1] if held in (3, 4, 7, 8) else pixels
-    pixels = pixels[:, ::-1] if held in (2, 3, 6, 7) else pixels
-    return np.ascontiguousarray(pixels), spec, several
 
 
 def write_png(
@@ -255,12 +205,6 @@ def to_steps(path: str | Path, encoded, bits: int) -> tuple[np.ndarray, int]:
     return np.clip(steps, 0, most).astype(np.uint8 if bits == 8 else np.uint16), clipped
 
 
-def check_suffix(path: str | Path, suffixes: tuple[str, ...]) -> None:
-    """Raise `ValueError` for a name that ends in none of `suffixes`."""
-    if Path(path).suffix.lower() not in suffixes:
-        raise ValueError(f"{path}: a picture's name must end in {' or '.join(suffixes)}")
-
-
 def _write(
     path: str | Path,
     bands: Iterator[np.ndarray],
@@ -283,21 +227,21 @@ def _write(
             Path(path).suffix[1:].lower()
         )  # by kind: the temporary name says nothing
         if not (file and file.open(str(temporary), spec)):
-            raise ValueError(f"{path}: {_first_line(file.geterror() if file else oiio.geterror())}")
+            raise ValueError(f"{path}: {first_line(file.geterror() if file else oiio.geterror())}")
         done = 0
         try:
             for band in itertools.chain([first], bands):
                 if done + band.shape[0] > rows or band.shape[1:] != first.shape[1:]:
                     raise ValueError(f"{path}: a band of {band.shape} after {done} of {rows} rows")
                 if not file.write_scanlines(done, done + band.shape[0], 0, band):
-                    raise ValueError(f"{path}: {_first_line(file.geterror())}")
+                    raise ValueError(f"{path}: {first_line(file.geterror())}")
                 done += band.shape[0]
         finally:
             closed = file.close()
         if done != rows or not closed:
             raise ValueError(
                 f"{path}: "
-                f"{_first_line(file.geterror()) if done == rows else f'{done} of {rows} rows'}"
+                f"{first_line(file.geterror()) if done == rows else f'{done} of {rows} rows'}"
             )
 
 
@@ -306,7 +250,3 @@ def _pixels(image, channels: int) -> np.ndarray:
     if values.ndim != 3 or values.shape[2] != channels or 0 in values.shape:
         raise ValueError(f"a picture has the shape (rows, columns, {channels}), got {values.shape}")
     return values
-
-
-def _first_line(text: str) -> str:
-    return text.strip().split("\n")[0] or "no reason given"

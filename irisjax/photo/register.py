@@ -10,8 +10,8 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float
 from scipy.ndimage import binary_dilation, gaussian_filter, map_coordinates
-from scipy.optimize import least_squares
 from skimage.registration import optical_flow_ilk, phase_cross_correlation
+from skimage.transform import AffineTransform, downscale_local_mean, warp
 
 from irisjax.photo.ellipse import Ellipse
 from irisjax.photo.photograph import Photograph
@@ -21,6 +21,10 @@ _WINDOW = 0.1  # of the limbus: where brightness is made even
 _SCALES = (1 / 24, 1 / 48, 1 / 96, 1 / 200)  # blurs of the refinement, of the limbus
 _POLAR = (64, 1024)  # samples along radius and angle
 _MOST = 15_000  # pixels compared at a time
+_OUTLYING = 0.3  # differences of textures (standard deviations) that count half
+_STEPS = 20
+_STILL = 3e-3  # px
+_WORKING = 300.0  # px; larger irides are compared at about this radius
 _LEAST_RADIUS = 20.0  # px, of a limbus with any texture in it
 
 
@@ -75,24 +79,27 @@ def register(
     """
     for photograph, limbus in ((first, first_limbus), (second, second_limbus)):
         _check(photograph, limbus)
-    radius = float(np.sqrt(np.prod(first_limbus.semi_axes)))
-    scale = float(np.sqrt(np.prod(second_limbus.semi_axes))) / radius
-    one, other = (
+    (one, near, fine), (other, far, fine_other) = (
         _texture(p, limbus) for p, limbus in ((first, first_limbus), (second, second_limbus))
     )
-    turn = _turn(one, first_limbus, other, second_limbus)
+    radius = _radius(near)
+    scale = _radius(far) / radius
+    turn = _turn(one, near, other, far)
     cos, sin = scale * np.cos(turn), scale * np.sin(turn)
-    matrix = np.array([[cos, sin], [-sin, cos]])
-    # About the limbus and in its radii, so that all six numbers are of one size.
-    centre, offset = np.array(first_limbus.centre), np.array(second_limbus.centre)
-    points = _points(first_limbus, first.shape, one.usable)
-    affine = np.column_stack([matrix, offset])
+    # About the limbus: all six numbers are then of one size.
+    centre = np.array(near.centre)
+    affine = np.array([[cos, sin, far.centre[0]], [-sin, cos, far.centre[1]]])
+    points = _points(near, one.usable, first.name)
     for blur in _SCALES:
         affine = _refined(affine, one, other, points, centre, radius, max(blur * radius, 1.0))
-    transform = np.column_stack([affine[:, :2], affine[:, 2] - affine[:, :2] @ centre])
+    reduced = np.column_stack([affine[:, :2], affine[:, 2] - affine[:, :2] @ centre])
+    residual, correlation = _disagreement(one, other, reduced, near)
+    # Whole numbers are the middles of pixels, reduced ones too.
+    matrix = reduced[:, :2] * fine_other / fine
+    offset = fine_other * (reduced[:, 2] + 0.5) - 0.5 + matrix @ np.full(2, (1 - fine) / 2)
+    transform = np.column_stack([matrix, offset])
     pixels, valid = _resampled(second, transform, first.shape)
-    residual, correlation = _disagreement(one, other, transform, first_limbus)
-    return Registration(pixels, valid, transform, residual, correlation)
+    return Registration(pixels, valid, transform, residual * fine, correlation)
 
 
 def _check(photograph: Photograph, limbus: Ellipse) -> None:
@@ -109,21 +116,33 @@ def _check(photograph: Photograph, limbus: Ellipse) -> None:
         )
 
 
-def _texture(photograph: Photograph, limbus: Ellipse) -> _Texture:
-    radius = float(np.sqrt(np.prod(limbus.semi_axes)))
-    grown = binary_dilation(photograph.saturated, iterations=max(2, round(0.01 * radius)))
-    usable = np.logical_not(grown)
+def _radius(limbus: Ellipse) -> float:
+    return float(np.sqrt(np.prod(limbus.semi_axes)))
+
+
+def _texture(photograph: Photograph, limbus: Ellipse) -> tuple[_Texture, Ellipse, int]:
+    """Texture at the resolution of the comparison, the limbus in it, and how many pixels along a
+    side went into one.
+    """
+    fine = max(1, round(_radius(limbus) / _WORKING))
+    limbus, radius = limbus.scaled(1 / fine), _radius(limbus) / fine
     luminance = photograph.pixels @ np.array([0.2126, 0.7152, 0.0722], np.float32)
-    inside = limbus.mask(photograph.shape) & usable
+    cut = photograph.saturated
+    if fine > 1:
+        rows, columns = (n // fine * fine for n in photograph.shape)
+        luminance = downscale_local_mean(luminance[:rows, :columns], (fine, fine))
+        cut = downscale_local_mean(cut[:rows, :columns].astype(np.float32), (fine, fine)) > 0
+    usable = np.logical_not(binary_dilation(cut, iterations=max(2, round(0.01 * radius))))
+    inside = limbus.mask(usable.shape) & usable
     dark = max(1e-6, 0.05 * float(np.median(luminance[inside]))) if inside.any() else 1e-6
     # Logarithms: light that falls off across the iris adds instead of multiplying.
-    values = np.log(np.maximum(luminance, 0) + np.float32(dark))
+    values = np.log(np.maximum(luminance, 0) + dark)
     weight = usable.astype(np.float32)
     blur = partial(gaussian_filter, sigma=_WINDOW * radius, mode="constant", truncate=3.0)
     share = np.maximum(blur(weight), 1e-6)
     values = np.where(usable, values - blur(weight * values) / share, 0)
     spread = np.sqrt(np.maximum(blur(values**2) / share, 1e-8))
-    return _Texture(np.clip(values / spread, -3, 3), usable)
+    return _Texture(np.clip(values / spread, -3, 3), usable), limbus, fine
 
 
 def _turn(one: _Texture, first: Ellipse, other: _Texture, second: Ellipse) -> float:
@@ -139,7 +158,7 @@ def _turn(one: _Texture, first: Ellipse, other: _Texture, second: Ellipse) -> fl
 
 def _unrolled(texture: _Texture, limbus: Ellipse) -> np.ndarray:
     """Texture along ellipses that share the limbus' shape, by the angle in the picture."""
-    radius = float(np.sqrt(np.prod(limbus.semi_axes)))
+    radius = _radius(limbus)
     blurred = gaussian_filter(texture.values, max(radius / 100, 0.5))
     angle = np.linspace(0, 2 * np.pi, _POLAR[1], endpoint=False)
     share = np.linspace(*_ANNULUS, _POLAR[0])[:, None]
@@ -149,13 +168,13 @@ def _unrolled(texture: _Texture, limbus: Ellipse) -> np.ndarray:
     )
 
 
-def _points(limbus: Ellipse, shape: tuple[int, int], usable: np.ndarray) -> np.ndarray:
+def _points(limbus: Ellipse, usable: np.ndarray, name: str) -> np.ndarray:
     """Pixels of the annulus, (n, 2), evenly thinned out."""
-    row, column = np.ogrid[: shape[0], : shape[1]]
+    row, column = np.ogrid[: usable.shape[0], : usable.shape[1]]
     share = limbus.relative_radius(column, row)
     rows, columns = np.nonzero((share > _ANNULUS[0]) & (share < _ANNULUS[1]) & usable)
     if not len(rows):
-        raise ValueError("no pixel of the iris is below the limit of the first photograph")
+        raise ValueError(f"{name}: all pixels of the iris are burnt out")
     chosen = np.random.default_rng(0).permutation(len(rows))[:_MOST]
     return np.stack([columns[chosen], rows[chosen]], -1).astype(np.float64)
 
@@ -184,52 +203,44 @@ def _refined(affine, one, other, points, centre, radius, blur) -> np.ndarray:
     if keep.sum() < 100:
         return affine
 
-    def residuals(parameters):
-        return np.where(keep, sampled(image, parameters) - target, 0)
+    def compared(parameters):
+        """Differences, Cauchy's weights of them, and the loss."""
+        off = np.where(keep, sampled(image, parameters) - target, 0)
+        share = (off / _OUTLYING) ** 2
+        return off, keep / (1 + share), np.log1p(share).sum()
 
-    def jacobian(parameters):
-        along, down = (np.where(keep, sampled(s, parameters), 0)[:, None] for s in slopes)
-        return np.concatenate([along * about, down * about], 1)
-
-    found = least_squares(
-        residuals,
-        start,
-        jacobian,  # pyright: ignore[reportArgumentType] - SciPy's types know only names here
-        loss="cauchy",
-        f_scale=0.3,
-        max_nfev=20,
-        xtol=1e-6,
-        ftol=1e-6,
-    )
-    return found.x.reshape(2, 3) / sizes
+    # Gauss-Newton, reweighted: six unknowns make SciPy's decompositions of all rows a waste.
+    (off, weight, loss), parameters = compared(start), start
+    for _ in range(_STEPS):
+        along, down = (sampled(s, parameters)[:, None] for s in slopes)
+        jacobian = np.concatenate([along * about, down * about], 1)
+        weighted = jacobian * weight[:, None]
+        step = np.linalg.lstsq(weighted.T @ jacobian, -weighted.T @ off, rcond=None)[0]
+        tried = parameters + step
+        off, weight, now = compared(tried)
+        if not now < loss:
+            break
+        parameters, loss = tried, now
+        if np.abs(step).max() < _STILL:
+            break
+    found = parameters.reshape(2, 3) / sizes
+    change = np.linalg.det(found[:, :2]) / np.linalg.det(affine[:, :2])
+    return found if 0.7 < change < 1.4 else affine  # textures that have nothing in common
 
 
 def _resampled(second: Photograph, transform: np.ndarray, shape: tuple[int, int]):
-    row, column = np.mgrid[: shape[0], : shape[1]]
-    column, row = (
-        t[0] * column + t[1] * row + t[2] for t in transform.astype(np.float32)
-    )  # single precision places pixels to a thousandth
-    there = np.stack([row, column])
     scale = float(np.sqrt(abs(np.linalg.det(transform[:, :2]))))
     # Pixels of the second that are finer are averaged, as in skimage.transform.resize.
     blur = max(0.0, (scale - 1) / 2)
-    pixels = np.stack(
-        [
-            map_coordinates(
-                gaussian_filter(second.pixels[..., c], blur) if blur else second.pixels[..., c],
-                there,
-                order=1,
-                cval=0.0,
-            )
-            for c in range(3)
-        ],
-        -1,
-    )
+    there = AffineTransform(np.vstack([transform, [0, 0, 1]]))
+    brought = partial(warp, inverse_map=there, output_shape=shape, order=1, preserve_range=True)
+    pixels = np.empty((*shape, 3), np.float32)
+    for c in range(3):
+        channel = second.pixels[..., c]
+        pixels[..., c] = brought(gaussian_filter(channel, blur) if blur else channel)
     cut = binary_dilation(second.saturated, iterations=max(1, round(2 * blur)))
-    cut = map_coordinates(cut.astype(np.float32), there, order=1, cval=1.0) > 0
-    rows, columns = second.shape
-    outside = (row < 0) | (row > rows - 1) | (column < 0) | (column > columns - 1)
-    return pixels, ~(cut | outside)
+    # Beyond the second all is cut off.
+    return pixels, brought(cut.astype(np.float32), cval=1.0) <= 1e-4
 
 
 def _disagreement(

@@ -1,104 +1,15 @@
 """Photographs: what the file says of light, colours, the way up and the lens is obeyed."""
 
 import struct
-import sys
 import zlib
 
 import numpy as np
-import OpenImageIO as oiio
 import pytest
-from PIL import Image, ImageCms
+from PIL import Image
 
 from irisjax import io
 from irisjax.measure.colour import srgb_decode, srgb_encode
-
-SHAPE = (72, 96)
-
-# Primaries under D50, as the ICC registry's profiles hold them, and the exponent of the curves.
-DISPLAY_P3 = [(0.51512, 0.2412, -0.00105), (0.29198, 0.69225, 0.04189), (0.1571, 0.06657, 0.78407)]
-ADOBE_RGB = [(0.60974, 0.31111, 0.01947), (0.20528, 0.62567, 0.06087), (0.14919, 0.06322, 0.74457)]
-
-
-def fixed(*values):
-    return b"".join(struct.pack(">i", round(v * 65536)) for v in values)
-
-
-def profile_of(space, **tags):
-    """A display profile [ICC.1:2010-12, sections 7 to 10]."""
-    text = b"desc" + struct.pack(">II", 0, 5) + b"Test\0" + bytes(12 + 67)
-    tags |= {
-        "wtpt": b"XYZ \0\0\0\0" + fixed(0.9642, 1.0, 0.8249),
-        "desc": text,
-        "cprt": b"text\0\0\0\0none\0",
-    }
-    table, body, at = struct.pack(">I", len(tags)), b"", 128 + 4 + 12 * len(tags)
-    for name, value in tags.items():
-        table += name.encode() + struct.pack(">II", at + len(body), len(value))
-        body += value + bytes(-len(value) % 4)
-    head = struct.pack(
-        ">I4xI4s4s4s12x4s", at + len(body), 0x02400000, b"mntr", space, b"XYZ ", b"acsp"
-    )
-    head += bytes(28) + fixed(0.9642, 1.0, 0.8249)
-    return head.ljust(128, b"\0") + table + body
-
-
-def curve(gamma):
-    return b"curv" + struct.pack(">IIH", 0, 1, round(gamma * 256))
-
-
-def matrix_profile(primaries, gamma):
-    colours = {
-        f"{c}XYZ": b"XYZ \0\0\0\0" + fixed(*p) for c, p in zip("rgb", primaries, strict=True)
-    }
-    return profile_of(b"RGB ", **colours, **{f"{c}TRC": curve(gamma) for c in "rgb"})
-
-
-def steps(dtype=np.uint8, channels=3, seed=3):
-    most = np.iinfo(dtype).max
-    return np.random.default_rng(seed).integers(0, most, (*SHAPE, channels), dtype, endpoint=True)
-
-
-def write(path, values, **attributes):
-    kind = {"uint8": "uint8", "uint16": "uint16", "float32": "float"}[values.dtype.name]
-    spec = oiio.ImageSpec(values.shape[1], values.shape[0], values.shape[2], kind)
-    for name, value in attributes.items():
-        if isinstance(value, bytes):
-            spec.attribute(
-                name, oiio.TypeDesc(f"uint8[{len(value)}]"), np.frombuffer(value, np.uint8)
-            )
-        else:
-            spec.attribute(name, value)
-    file = oiio.ImageOutput.create(str(path))
-    assert file.open(str(path), spec) and file.write_image(values) and file.close()
-    return path
-
-
-def smooth():
-    """A colour picture that JPEG keeps to within a step or two."""
-    y, x = np.mgrid[: SHAPE[0], : SHAPE[1]]
-    return np.stack([2 * x, 3 * y, 200 - x], -1).astype(np.uint8)
-
-
-def exif(orientation=1, **tags):
-    names = {
-        "film": 41989,
-        "focal": 37386,
-        "per": 41486,
-        "unit": 41488,
-        "x": 40962,
-        "y": 40963,
-        "space": 40961,
-    }
-    made = Image.Exif()
-    made[274] = orientation
-    made.get_ifd(0x8769).update({names[k]: v for k, v in tags.items()})
-    return made
-
-
-def jpeg(path, picture=None, **options):
-    picture = smooth() if picture is None else picture
-    Image.fromarray(picture).save(path, quality=98, subsampling=0, **options)
-    return path
+from photograph_files import SHAPE, exif, jpeg, smooth, steps, write
 
 
 @pytest.mark.parametrize("suffix", [".png", ".tif"])
@@ -131,65 +42,6 @@ def test_held_as_exif_says(tmp_path, orientation):
     found = io.read_photograph(path)
     np.testing.assert_allclose(found.pixels, srgb_decode(upright / 255), rtol=1e-6, atol=1e-9)
     assert found.shape == SHAPE
-
-
-@pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
-@pytest.mark.parametrize(("primaries", "gamma"), [(DISPLAY_P3, 2.2), (ADOBE_RGB, 563 / 256)])
-def test_matrix_profile_is_obeyed_in_full_depth(tmp_path, dtype, primaries, gamma):
-    from colour import RGB_COLOURSPACES, RGB_to_RGB
-
-    values, most = steps(dtype), np.iinfo(dtype).max
-    path = write(tmp_path / "p.tif", values, ICCProfile=matrix_profile(primaries, gamma))
-    found = io.read_photograph(path)
-    space = "Display P3" if primaries is DISPLAY_P3 else "Adobe RGB (1998)"
-    spaces = RGB_COLOURSPACES[space], RGB_COLOURSPACES["sRGB"]
-    linear = (values / most) ** (round(gamma * 256) / 256)
-    expected = RGB_to_RGB(linear, *spaces, chromatic_adaptation_transform="Bradford")
-    # The primaries stand in the profile, and sRGB's in IEC's matrix, with four decimals.
-    kept = (expected > 0).all(2)
-    np.testing.assert_allclose(found.pixels[kept], expected[kept], atol=6e-4)
-    white = write(
-        tmp_path / "w.tif",
-        np.full((*SHAPE, 3), most, dtype),
-        ICCProfile=matrix_profile(primaries, gamma),
-    )
-    np.testing.assert_allclose(io.read_photograph(white).pixels, 1, atol=1e-6)
-    assert any("profile" in note for note in found.notes)
-
-
-def test_sixteen_bits_survive_a_profile(tmp_path):
-    ramp = np.repeat(np.arange(30000, 30000 + SHAPE[1], dtype=np.uint16)[None, :, None], 3, 2)
-    values = np.ascontiguousarray(np.repeat(ramp, SHAPE[0], 0))
-    path = write(tmp_path / "p.png", values, ICCProfile=matrix_profile(DISPLAY_P3, 2.2))
-    pixels = io.read_photograph(path).pixels
-    slope = np.diff(pixels[0, :, 1])
-    assert (slope > 0).all()
-    np.testing.assert_allclose(pixels[0, :, 1], (ramp[0, :, 1] / 65535) ** (563 / 256), rtol=3e-5)
-
-
-def test_srgb_profile_is_srgb(tmp_path):
-    profile = ImageCms.ImageCmsProfile(ImageCms.createProfile("sRGB")).tobytes()
-    path = write(tmp_path / "p.png", steps(np.uint16), ICCProfile=profile)
-    expected = np.asarray(srgb_decode(steps(np.uint16) / 65535))
-    np.testing.assert_allclose(io.read_photograph(path).pixels, expected, atol=3e-4)
-
-
-def test_profile_without_a_matrix_is_converted_and_noted(tmp_path):
-    values = steps(np.uint16, 1)
-    path = write(tmp_path / "p.tif", values, ICCProfile=profile_of(b"GRAY", kTRC=curve(1.0)))
-    found = io.read_photograph(path)
-    assert found.grey and any("8 bits" in note and "uint16" in note for note in found.notes)
-    # A step of 8 bits at the bright end of sRGB is 0.009 of the light.
-    np.testing.assert_allclose(found.pixels, np.repeat(values / 65535, 3, 2), atol=0.01)
-
-
-def test_profile_that_cannot_be_used(tmp_path):
-    values = np.repeat(steps(channels=1), 3, 2)
-    lab = ImageCms.ImageCmsProfile(ImageCms.createProfile("LAB")).tobytes()
-    with pytest.raises(ValueError, match="embedded colour profile of Lab"):
-        io.read_photograph(write(tmp_path / "lab.tif", values, ICCProfile=lab))
-    with pytest.raises(ValueError, match="profile is broken"):
-        io.read_photograph(write(tmp_path / "bad.tif", values, ICCProfile=b"nonsense" * 20))
 
 
 def test_adobe_rgb_by_exif_alone_is_noted(tmp_path):
@@ -256,40 +108,6 @@ def test_first_of_several(tmp_path):
         assert np.abs(srgb_encode(found.pixels) * 255 - smooth()).mean() < 3
 
 
-DIAGONAL = np.hypot(36, 24)
-
-
-@pytest.mark.parametrize(
-    ("tags", "expected"),
-    [
-        ({"film": 50}, 50 / DIAGONAL * np.hypot(*SHAPE)),
-        ({"film": 50, "x": 960, "y": 720}, 50 / DIAGONAL * np.hypot(*SHAPE)),  # resized
-        ({"film": 50, "x": 960, "y": 640}, 50 / DIAGONAL * np.hypot(960, 640)),  # cut out
-        ({"focal": (100, 1), "per": (2540, 1), "unit": 2}, 100 * 100),
-        ({"focal": (100, 1), "per": (1000, 1), "unit": 3, "x": 960, "y": 720}, 100 * 100 * 0.1),
-        ({"focal": (100, 1)}, None),
-        ({"film": 0, "focal": (0, 1), "per": (1000, 1)}, None),
-        ({"film": 65000}, None),
-        ({}, None),
-    ],
-)
-@pytest.mark.parametrize("orientation", [1, 6])
-def test_focal_length(tmp_path, tags, expected, orientation):
-    found = io.read_photograph(jpeg(tmp_path / "p.jpg", exif=exif(orientation, **tags)))
-    if expected is None:
-        assert found.focal_px is None
-    else:
-        assert found.focal_px == pytest.approx(expected, rel=1e-3)
-    assert any("ignored" in note for note in found.notes) == (tags == {"film": 65000})
-
-
-def test_focal_lengths_that_disagree(tmp_path):
-    tags = exif(film=50, focal=(100, 1), per=(2540, 1))
-    found = io.read_photograph(jpeg(tmp_path / "p.jpg", exif=tags))
-    assert found.focal_px == pytest.approx(50 / DIAGONAL * np.hypot(*SHAPE))
-    assert any("contradicts" in note for note in found.notes)
-
-
 @pytest.mark.parametrize("suffix", [".jpg", ".png", ".tif", ".exr"])
 @pytest.mark.parametrize("rest", [0, 60, 0.5, 0.9])
 def test_truncated(tmp_path, suffix, rest):
@@ -352,53 +170,3 @@ def test_missing_file(tmp_path):
     for name in ("p.jpg", "p.nef"):
         with pytest.raises(FileNotFoundError):
             io.read_photograph(tmp_path / name)
-
-
-def test_raw_without_its_library(tmp_path, monkeypatch):
-    monkeypatch.setitem(sys.modules, "rawpy", None)
-    (tmp_path / "p.nef").touch()
-    with pytest.raises(ValueError, match=r"p\.nef: .*install irisjax\[raw\]"):
-        io.read_photograph(tmp_path / "p.nef")
-
-
-def dng(path, mosaic, orientation=1):
-    """A Bayer mosaic (red first, black 100, white 4000) whose camera has sRGB's primaries."""
-    tifffile = pytest.importorskip("tifffile")
-    to_camera = np.array(
-        [[3.2406, -1.5372, -0.4986], [-0.9689, 1.8758, 0.0415], [0.0557, -0.2040, 1.0570]]
-    )
-    matrix = np.stack([np.rint(to_camera * 10000).astype(int).ravel(), np.full(9, 10000)], 1)
-    tags = [
-        (50706, "B", 4, (1, 4, 0, 0)),
-        (50708, "s", 0, "Test"),
-        (33421, "H", 2, (2, 2)),
-        (33422, "B", 4, (0, 1, 1, 2)),
-        (50714, "H", 1, 100),
-        (50717, "H", 1, 4000),
-        (50721, "2i", 9, tuple(matrix.ravel().tolist())),
-        (50728, "2I", 3, (1, 2, 1, 1, 1, 1)),  # red is half of green in white
-        (50778, "H", 1, 21),
-        (274, "H", 1, orientation),
-    ]
-    tifffile.imwrite(path, mosaic, photometric=32803, extratags=tags, metadata=None)
-    return path
-
-
-def test_raw_is_linear_with_the_cameras_white_and_saturation(tmp_path):
-    pytest.importorskip("rawpy")
-    mosaic = np.full((80, 120), 2050, np.uint16)
-    mosaic[::2, ::2] = 100 + 1950 // 2
-    mosaic[20:30, 20:30] = 4000
-    found = io.read_photograph(dng(tmp_path / "p.dng", mosaic, orientation=6))
-    assert found.shape == (120, 80) and found.pixels.dtype == np.float32
-    np.testing.assert_allclose(found.pixels[60, 40], 1950 / 3900, rtol=2e-3)
-    np.testing.assert_allclose(found.pixels[24, 54], 1, rtol=2e-3)
-    burnt = np.zeros((80, 120), bool)
-    burnt[19:31, 19:31] = True  # and the pixels whose colours are filled in from it
-    np.testing.assert_array_equal(found.saturated, np.rot90(burnt, -1))
-
-
-def test_raw_that_is_too_small(tmp_path):
-    pytest.importorskip("rawpy")
-    with pytest.raises(ValueError, match=r"p\.dng: 60 × 80 pixels; a photograph has at least 64"):
-        io.read_photograph(dng(tmp_path / "p.dng", np.full((80, 60), 999, np.uint16)))
