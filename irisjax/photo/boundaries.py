@@ -26,9 +26,12 @@ PUPIL_SHARE = (0.12, 0.85)
 """Radii of pupils, of the limbus'."""
 _LONG = 1000  # px along the long side of the copy in which eyes are searched
 _LEAST = 40  # of the long side: the smallest iris' radius
-_CANDIDATES = 6
+_CANDIDATES, _FINALISTS = 6, 3
 _FINE = 250.0  # px: radius at which outlines are measured
 _SOFT = (0.02, 0.05, 0.09)  # half widths of the limbus' rise, of its radius: about 1 mm in all
+_ONSETS = (0.01, 0.02, 0.03, 0.04, 0.05, 0.065, 0.08, 0.1, 0.12)
+_LIMBUS_FLATTER = 1.25  # than the pupil, which the cornea shows turned towards the camera
+_ROUGH = 100.0  # px: the same while candidates are compared
 _SHARP = (0.02, 0.05, 0.1)  # the same of the pupil's
 
 
@@ -61,22 +64,27 @@ def find_boundaries(
         return Boundaries(limbus, pupil, 1.0, 1.0)
     brightness = photo.pixels.mean(-1)
     if limbus is not None:
-        return Boundaries(limbus, *_swap(_pupil(brightness, limbus), 1.0))
+        return Boundaries(limbus, *_swap(_pupil(brightness, limbus, coarse=False), 1.0))
     redness = None if photo.grey else _redness(photo.pixels)
     best: tuple[float, Boundaries] | None = None
-    for start in _starts(brightness, pupil):
-        outline, sure = _limbus(brightness, redness, start, pupil)
+    tried = [_limbus(brightness, redness, c, pupil) for c in _starts(brightness, pupil)]
+    tried = [(e, sure) for e, sure in tried if _within(e, photo.shape)]
+    for outline, sure in sorted(tried, key=lambda t: -t[1])[:_FINALISTS]:
         inner, inner_sure = (pupil, 1.0) if pupil is not None else _pupil(brightness, outline)
-        sure *= _plausible(outline, inner)
-        found = Boundaries(outline, inner, sure, inner_sure)
-        support = sure * (0.3 + inner_sure)
+        found = Boundaries(outline, inner, sure * _plausible(outline, inner), inner_sure)
+        support = found.limbus_confidence * (0.3 + inner_sure)
         if best is None or support > best[0]:
             best = support, found
     if best is None:
         raise ValueError(
             f"{photo.name}: no iris found; give --limbus with its centre and semi-axes in pixels"
         )
-    return best[1]
+    _, (outline, inner, sure, inner_sure) = best
+    known = inner if inner_sure > MIN_CONFIDENCE else None
+    outline, sure = _limbus(brightness, redness, outline, known, coarse=False)
+    if pupil is None:
+        inner, inner_sure = _pupil(brightness, outline, coarse=False)
+    return Boundaries(outline, inner, sure * _plausible(outline, inner), inner_sure)
 
 
 def _swap(found: tuple[Ellipse, float], other: float):
@@ -108,7 +116,13 @@ def _starts(brightness, pupil: Ellipse | None) -> list[Ellipse]:
     circles = [_circle(r).scaled(1 / scale) for r in sorted(limbi, key=worth, reverse=True)]
     if pupil is not None:
         circles = [c for c in circles if _plausible(c, pupil) > 0.5]
-    return circles[:_CANDIDATES]
+    inside = [c for c in circles if _within(c, brightness.shape)]
+    return inside[:_CANDIDATES]
+
+
+def _within(outline: Ellipse, shape) -> bool:
+    """Whether the middle lies in the picture."""
+    return all(-0.5 < v < n - 0.5 for v, n in zip(outline.centre, shape[::-1], strict=True))
 
 
 def _circle(ring: Ring) -> Ellipse:
@@ -155,28 +169,57 @@ def _redness(pixels: Float[np.ndarray, "rows columns 3"]):
     return np.log(red / blue)
 
 
-def _limbus(brightness, redness, start: Ellipse, pupil) -> tuple[Ellipse, float]:
-    """The limbus near a circle, and its confidence."""
-    picture, outline, back = _around(brightness, start, 2.0, _FINE)
-    colour = None if redness is None else _around(redness, start, 2.0, _FINE)[0]
+def _limbus(
+    brightness, redness, start: Ellipse, pupil: Ellipse | None = None, coarse: bool = True
+) -> tuple[Ellipse, float]:
+    """The limbus near a circle, or near an ellipse where that is not `coarse`, and its confidence.
+    A pupil that is known tells how flat it is.
+    """
+    picture, outline, back = _around(brightness, start, 2.0, _FINE if not coarse else _ROUGH)
+    colour = None if redness is None else _around(redness, start, 2.0, _FINE if not coarse else _ROUGH)[0]
     lateral = 0.5 + 0.5 * np.cos(ray_angles()) ** 2
-    span = (0.5, 1.65)
-
-    edges, white = _limbus_edges(picture, colour, outline, span, 116, _SOFT[1:])
-    score = _score(edges) * white * lateral[:, None]
-    outline, _ = best_outline(outline, edges.place, score)
-    for near in (0.1, 0.06, 0.04, 0.04):
-        edges, white = _limbus_edges(picture, colour, outline, (0.6, 1.4), 321, _SOFT)
-        score = _score(edges) * white
-        outline, support = _polished(outline, edges, score, near, lateral)
+    flattening = (0.0, 0.0, 0.1)
+    if pupil is not None:
+        flat = _LIMBUS_FLATTER * np.log(pupil.semi_axes[0] / pupil.semi_axes[1])
+        flattening = (flat * np.cos(2 * pupil.angle), flat * np.sin(2 * pupil.angle), 0.03)
+    if coarse:
+        edges, white, _ = _limbus_edges(picture, colour, outline, (0.5, 1.65), 93, _SOFT[1:])
+        score = _score(edges) * white * lateral[:, None]
+        outline, _ = best_outline(outline, edges.place, score)
+    support = 0.0
+    for near in (0.1, 0.06) if coarse else (0.06, 0.04, 0.04):
+        edges, white, profile = _limbus_edges(picture, colour, outline, (0.6, 1.4), 161, _SOFT)
+        value, place = _half_way(profile, edges, _score(edges) * white, near)
+        outline, support = _polished(outline, value, place, lateral, flattening)
     return back(outline), support
 
 
-def _limbus_edges(picture, colour, outline, span, steps, widths) -> tuple[Edges, np.ndarray]:
-    """Edges across the limbus, and how white it is beyond each of them, 0 to 1."""
-    edges = steps_along(along_rays(picture, outline, span, steps), span, widths, 0.2)
+def _half_way(profile, edges: Edges, score, near: float):
+    """Of each ray the score and the place at which the brightness is half way from iris to white,
+    nearest to the outline so far.
+    """
+    x = np.linspace(0.6, 1.4, profile.shape[1])
+    smooth = ndimage.gaussian_filter1d(np.nan_to_num(profile), 1.0, axis=1)
+    dark = np.quantile(smooth[:, (x > 0.82) & (x < 0.95)], 0.2, axis=1)
+    white = np.median(smooth[:, (x > 1.08) & (x < 1.18)], axis=1)
+    level = smooth - 0.5 * (dark + white)[:, None]
+    rising = (level[:, :-1] < 0) & (level[:, 1:] >= 0)
+    crossing = x[:-1] + (x[1] - x[0]) * level[:, :-1] / (level[:, :-1] - level[:, 1:] - 1e-12)
+    away = np.where(rising, abs(crossing - 1), np.inf)
+    at = away.argmin(1)
+    rays = np.arange(at.size)
+    place = np.where(rising[rays, at], crossing[rays, at], 1.0)
+    column = np.searchsorted(edges.place, place).clip(0, edges.place.size - 1)
+    good = (away[rays, at] < near) & (white > dark)
+    return np.where(good, score[rays, column], 0.0), place
+
+
+def _limbus_edges(picture, colour, outline, span, steps, widths) :
+    """Edges across the limbus, how white it is beyond each of them, 0 to 1, and the brightness."""
+    profile = along_rays(picture, outline, span, steps)
+    edges = steps_along(profile, span, widths, 0.2)
     if colour is None:
-        return edges, np.ones(edges.fit.shape)
+        return edges, np.ones(edges.fit.shape), profile
     tint = np.nan_to_num(along_rays(colour, outline, span, steps), nan=9.0)
     pitch = edges.place[1] - edges.place[0]
     smooth = ndimage.uniform_filter1d(tint, max(1, round(0.1 / pitch)), axis=1)
@@ -186,7 +229,8 @@ def _limbus_edges(picture, colour, outline, span, steps, widths) -> tuple[Edges,
     # The white is what is least red just outside: the sides of an eye show it.
     at = int(np.argmin(abs(edges.place - 1)))
     least = np.quantile(outside[:, at], 0.15)
-    return edges, 1 / (1 + np.exp(np.clip((outside - least - 0.4) / 0.08, -50, 50)))
+    white = 1 / (1 + np.exp(np.clip((outside - least - 0.4) / 0.08, -50, 50)))
+    return edges, white, profile
 
 
 def _score(edges: Edges):
@@ -197,30 +241,31 @@ def _score(edges: Edges):
     return edges.fit**2 * np.sqrt(rise / (most + 0.1 * typical + 1e-9))
 
 
-def _polished(outline: Ellipse, edges: Edges, score, near: float, weight):
-    """Least squares through the best edge of each ray within `near` of an outline; and the
-    confidence.
-    """
-    within = abs(edges.place - 1) <= near
-    part = np.where(within, score, 0.0)
+def _strongest(edges: Edges, near: float):
+    """Of each ray the score and the place of the best edge within `near` of the outline."""
+    part = np.where(abs(edges.place - 1) <= near, _score(edges), 0.0)
     at = part.argmax(1)
-    rays = np.arange(at.size)
-    value, place = part[rays, at], edges.place[at]
+    value, place = part[np.arange(at.size), at], edges.place[at]
     # At an end of the range it is the flank of an edge elsewhere.
-    value = np.where(abs(abs(place - 1) - near) < 1.5 * (edges.place[1] - edges.place[0]), 0, value)
+    flank = abs(abs(place - 1) - near) < 1.5 * (edges.place[1] - edges.place[0])
+    return np.where(flank, 0.0, value), place
+
+
+def _polished(outline: Ellipse, value, place, weight, flattening=(0.0, 0.0, 0.1)):
+    """Least squares through edges of some value, one a ray; and the confidence."""
     middle = np.asarray(outline.centre)
     points = middle + place[:, None] * (outline.points(ray_angles()) - middle)
     if (value > 0.3).sum() < 12:
         return outline, 0.0
-    better = fitted(outline, points, value * (value > 0.3), 0.25 * near)
+    better = fitted(outline, points, value * (value > 0.3), flattening)
     off = abs(better.relative_radius(points[:, 0], points[:, 1]) - 1)
     held = (weight * value * (off < 0.02)).sum() / weight.sum()
     return better, float(held)
 
 
-def _pupil(brightness, limbus: Ellipse) -> tuple[Ellipse, float]:
+def _pupil(brightness, limbus: Ellipse, coarse: bool = True) -> tuple[Ellipse, float]:
     """The pupil within a limbus, and its confidence."""
-    picture, outline, back = _around(brightness, limbus, 1.1, _FINE)
+    picture, outline, back = _around(brightness, limbus, 1.1, _ROUGH)
     radius = outline.semi_axes[0]
     row, column = np.ogrid[: picture.shape[0], : picture.shape[1]]
     relative = outline.relative_radius(column, row)
@@ -229,16 +274,10 @@ def _pupil(brightness, limbus: Ellipse) -> tuple[Ellipse, float]:
     # Highlights are no brighter than bright tissue from here on.
     ceiling = 1.5 * np.quantile(picture[relative < 0.9], 0.75) + 1e-9
     picture = np.minimum(picture, ceiling)
-    found = rings(
-        _reduced(picture, 100 / radius),
-        (0.13 * min(radius, 100), 0.8 * min(radius, 100)),
-        6,
-        sideways=0.2,
-    )
-    scale = max(1.0, radius / 100)
+    found = rings(picture, (0.13 * radius, 0.8 * radius), 6, sideways=0.2)
     best: tuple[float, Ellipse] | None = None
     for ring in found:
-        circle = _circle(ring).scaled(scale)
+        circle = _circle(ring)
         share = circle.semi_axes[0] / radius
         off = outline.relative_radius(*circle.centre)
         if not (PUPIL_SHARE[0] < share < PUPIL_SHARE[1] and off < 0.3 and off + share < 1.05):
@@ -251,13 +290,34 @@ def _pupil(brightness, limbus: Ellipse) -> tuple[Ellipse, float]:
         return middle, 0.0
     circle, span = best[1], (0.5, 1.65)
     even = np.ones(ray_angles().size)
-    edges = steps_along(along_rays(picture, circle, span, 116), span, _SHARP[1:], 0.2)
+    edges = steps_along(along_rays(picture, circle, span, 93), span, _SHARP[1:], 0.2)
     circle, _ = best_outline(circle, edges.place, _score(edges))
-    support = 0.0
-    for near in (0.12, 0.08, 0.05, 0.05):
-        edges = steps_along(along_rays(picture, circle, (0.6, 1.4), 321), (0.6, 1.4), _SHARP, 0.15)
-        circle, support = _polished(circle, edges, _score(edges), near, even)
-    return back(circle), support * _darkness(picture, relative, circle)
+    support, span = 0.0, (0.7, 1.3)
+    for near in (0.12, 0.08):
+        edges = steps_along(along_rays(picture, circle, span, 121), span, _SHARP, 0.15)
+        circle, support = _polished(circle, *_strongest(edges, near), even)
+    sure = support * _darkness(picture, relative, circle)
+    if coarse or not support:
+        return back(circle), sure
+    circle = _onset(np.minimum(brightness, ceiling), back(circle))
+    return circle, sure
+
+
+def _onset(brightness, pupil: Ellipse) -> Ellipse:
+    """The outline where the brightness begins to rise beyond the pupil: its margin is often dark.
+    """
+    picture, circle, back = _around(brightness, pupil, 1.5, _FINE)
+    span = (0.7, 1.3)
+    for near in (0.1, 0.08):
+        profile = along_rays(picture, circle, span, 241)
+        fits = [_strongest(steps_along(profile, span, (w,), 0.15), near) for w in _ONSETS]
+        best = int(np.argmax([value.sum() for value, _ in fits]))
+        value, place = fits[best]
+        circle, _ = _polished(circle, value, place, np.ones(value.size))
+    blur = 1.0 / circle.semi_axes[0]
+    rim = 1 - max(_ONSETS[best] - blur, 0.0)
+    axes = circle.semi_axes[0] * rim, circle.semi_axes[1] * rim
+    return back(circle._replace(semi_axes=axes))
 
 
 def _darkness(picture, relative, circle: Ellipse) -> float:

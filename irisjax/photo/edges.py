@@ -18,6 +18,7 @@ from irisjax.photo.ellipse import Ellipse
 _RINGS = np.geomspace(20, 40, 9)[:-1]  # px: radii of one octave
 _WEAK = 0.05  # change of log brightness per pixel that counts half
 _RAYS = 180
+_PRECISION = 0.005  # of an edge, of the radius
 _RATIOS = (1.0, 0.93, 0.86)
 """Ratios of the semi-axes that are tried: down to a tilt of about 30 degrees."""
 
@@ -143,23 +144,27 @@ def steps_along(
     n = max(3, round(reach / pitch))
     missing = np.isnan(profile)
     filled = np.where(missing, 0.0, profile)
+    filled = filled - filled.mean(1, keepdims=True)  # against rounding in the sums of squares
+    view = np.lib.stride_tricks.sliding_window_view
+    windows = view(filled, 2 * n + 1, axis=1)
+    incomplete = view(missing, 2 * n + 1, axis=1).any(-1)
+    even = np.full(2 * n + 1, 1 / (2 * n + 1))
+    squares = view(filled**2, 2 * n + 1, axis=1) @ even
+    total = np.maximum(squares - (windows @ even) ** 2, 0) + 1e-12
     u = np.arange(-n, n + 1) * pitch
-    windows = np.lib.stride_tricks.sliding_window_view(filled, 2 * n + 1, axis=1)
-    incomplete = np.lib.stride_tricks.sliding_window_view(missing, 2 * n + 1, axis=1).any(-1)
-    total = ((windows - windows.mean(-1, keepdims=True)) ** 2).sum(-1)
-    best, rise = np.full(total.shape, -np.inf), np.zeros(total.shape)
+    fit, rise = np.zeros(total.shape), np.zeros(total.shape)
     for width in widths:
         t = np.clip(u / (2 * width) + 0.5, 0, 1)
         s = t * t * (3 - 2 * t)
         basis = np.stack([1 - s, s, s * u], -1)
-        coefficients = windows @ np.linalg.pinv(basis).T
-        left = ((windows - coefficients @ basis.T) ** 2).sum(-1)
+        orthogonal, triangle = np.linalg.qr(basis)
+        projected = windows @ orthogonal
+        coefficients = projected @ np.linalg.inv(triangle).T
         up = coefficients[..., 1] - coefficients[..., 0]
-        explained = np.where(up > 0, total - left, -np.inf)
-        better = explained > best
-        best, rise = np.where(better, explained, best), np.where(better, up, rise)
-    fit = np.where(incomplete | (best < 0), 0.0, best / (total + 1e-12))
-    return Edges(x[n : x.size - n], np.clip(fit, 0, 1), np.where(incomplete, 0.0, rise))
+        explained = 1 - (squares - (projected**2).sum(-1) / (2 * n + 1)) / total
+        better = (up > 0) & (explained > fit) & ~incomplete
+        fit, rise = np.where(better, explained, fit), np.where(better, up, rise)
+    return Edges(x[n : x.size - n], np.minimum(fit, 1), rise)
 
 
 def best_outline(
@@ -171,14 +176,15 @@ def best_outline(
     them are tried.
     """
     radius = outline.semi_axes[0]
-    direction = outline.points(ray_angles()) - np.asarray(outline.centre)
+    score = score[::2]
+    direction = outline.points(ray_angles()[::2]) - np.asarray(outline.centre)
     direction = direction / radius
     best, found = -np.inf, outline
     offsets = np.linspace(-0.15, 0.15, 7)
     shapes = [(1.0, 0.0)] + [(q, a) for q, a in product(_RATIOS[1:], np.arange(6) * np.pi / 6)]
     pitch = place[1] - place[0]
-    rays = np.arange(_RAYS)
-    for (ratio, angle), size in product(shapes, np.linspace(0.8, 1.2, 17)):
+    rays = np.arange(len(score))
+    for (ratio, angle), size in product(shapes, np.linspace(0.82, 1.3, 13)):
         a, b = size / np.sqrt(ratio), size * np.sqrt(ratio)
         dx, dy = np.meshgrid(offsets, offsets)
         away = _distance(dx.ravel(), dy.ravel(), a, b, angle, direction)
@@ -212,28 +218,38 @@ def fitted(
     start: Ellipse,
     points: Float[np.ndarray, "n 2"],
     weights: Float[np.ndarray, " n"],
-    tolerance: float,
+    flattening: tuple[float, float, float] = (0.0, 0.0, 0.1),
 ) -> Ellipse:
-    """Least squares of the distances of points (column, row) to an ellipse; those far beyond
-    `tolerance`, relative to the radius, hardly count.
+    """The ellipse that points (column, row) and an expected `flattening` suggest, by least squares
+    in which points further off than about 1 % of the radius count little.
+
+    `flattening`: the log ratio of the axes times cosine and sine of twice the angle, and the
+    standard deviation of both; what arcs at the sides leave open is taken from it.
     """
     size = np.sqrt(start.semi_axes[0] * start.semi_axes[1])
     middle = np.asarray(start.centre)
     flat = np.log(start.semi_axes[0] / start.semi_axes[1])
-    first = np.array([0, 0, 0, flat * np.cos(2 * start.angle), flat * np.sin(2 * start.angle)])
-    scaled, root = (points - middle) / size, np.sqrt(weights)
+    at = np.array([0, 0, 0, flat * np.cos(2 * start.angle), flat * np.sin(2 * start.angle)])
+    scaled = (points - middle) / size
+    expected, spread = np.asarray(flattening[:2]), flattening[2]
 
     def ellipse(p) -> Ellipse:
         flat, angle = np.hypot(p[3], p[4]), 0.5 * np.arctan2(p[4], p[3])
         axes = np.exp(p[2] + 0.5 * flat), np.exp(p[2] - 0.5 * flat)
         return Ellipse((p[0], p[1]), axes, angle)
 
-    def miss(p):
-        off = ellipse(p).relative_radius(scaled[:, 0], scaled[:, 1]) - 1
-        return np.concatenate([root * off])
+    def off(p):
+        return ellipse(p).relative_radius(scaled[:, 0], scaled[:, 1]) - 1
 
-    found = optimize.least_squares(miss, first, loss="cauchy", f_scale=tolerance).x
-    e = ellipse(found)
+    for outlier in (0.04, 0.02, 0.01, 0.01, 0.01, 0.01):
+        # A tenth: neighbouring rays err alike.
+        root = np.sqrt(0.1 * weights) / _PRECISION / (1 + (off(at) / outlier) ** 2)
+
+        def miss(p, root=root):
+            return np.concatenate([root * off(p), (p[3:] - expected) / spread])
+
+        at = optimize.least_squares(miss, at).x
+    e = ellipse(at)
     (x, y), (a, b) = middle + size * np.asarray(e.centre), size * np.asarray(e.semi_axes)
     return Ellipse((float(x), float(y)), (float(a), float(b)), float(e.angle % np.pi))
 
