@@ -172,11 +172,7 @@ def clone(picture: Picture, model: Model, results: Results) -> None:
             timings[name] = time.perf_counter() - begin
             bar.update()
 
-        found: Any = None
-        for found in cloning.clone(
-            photograph, settings, given, last=results.stop_after, stage=stage
-        ):
-            pass
+        *_, found = cloning.clone(photograph, settings, given, last=results.stop_after, stage=stage)
     words = {**_words(picture), **_words(model)}
     files = files_of(found, words, timings)
     if found.fit is not None:

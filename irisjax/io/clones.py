@@ -92,6 +92,7 @@ def summary_of(clone: Clone, settings: Mapping[str, Any], timings: Mapping[str, 
         iris = iris_of(clone.fit.values, clone.base)
         found |= {
             "lamps_found": clone.lights_found,
+            "thickness_response": clone.response,
             "estimate": {n: clone.fit.values[n] for n in clone.fit.values}
             | concentrations_of(iris),
             "units": UNITS,
@@ -230,4 +231,4 @@ def _plain(value):
         return [_plain(v) for v in value]
     if isinstance(value, float | np.floating):
         return float(f"{float(value):.8g}") if math.isfinite(value) else None
-    return value.item() if isinstance(value, np.generic) else value
+    return _plain(value.item()) if hasattr(value, "item") else value

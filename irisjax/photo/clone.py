@@ -7,7 +7,7 @@ before, and what it found can be replaced by the user's own.
 import math
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, nullcontext
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import jax.numpy as jnp
 import numpy as np
@@ -19,13 +19,15 @@ from irisjax.anatomy.eye import Cornea, Eye
 from irisjax.photo.boundaries import Boundaries, find_boundaries
 from irisjax.photo.ellipse import Ellipse
 from irisjax.photo.highlights import find_highlights, find_lashes, find_lids
-from irisjax.photo.lamps import lamps_of
+from irisjax.photo.lamps import lamps_of, tangent_of
 from irisjax.photo.morphology import Morphology, maps_of
 from irisjax.photo.photograph import Photograph
 from irisjax.photo.pigments import Fit, iris_of, least_squares, simplex
+from irisjax.photo.polar import to_polar
 from irisjax.photo.pose import Pose, find_pose
 from irisjax.photo.posterior import PigmentPosterior, sample
 from irisjax.photo.refraction import SIZE, follow, unrefract
+from irisjax.photo.thickness import BETA, generic_thickness
 from irisjax.photo.unrefracted import Unrefracted
 from irisjax.photo.windows import Windows, windows_of
 from irisjax.render.illumination import Illumination
@@ -34,7 +36,6 @@ from irisjax.render.radiative import RadiativeIntegrator
 from irisjax.render.scene import Scene
 from irisjax.render.separable import Separable
 from irisjax.tissue.iris import Iris
-from irisjax.tissue.maps import IrisMaps
 
 STAGES = ("outlines", "pose", "texture", "thickness", "pigments", "posterior")
 """In their order."""
@@ -42,6 +43,10 @@ MEDIA = ("cornea-aqueous", "f09")
 METHODS = ("least-squares", "simplex")
 LARGEST = 1100
 """Pixels across the iris that are used; more are averaged."""
+LEAST_RESPONSE = 0.4
+"""Of luminance to thickness, as powers: below it, in brown eyes, brightness tells pigment."""
+RELIEF = 0.3
+"""Share of a stroma's unevenness that stands out towards the cornea, as in `grow.procedural`."""
 FIBRILS = 57.0
 """Radius of the stroma's fibrils (nm) that colours begin with: between those of the presets'
 blue and brown eyes. Its scattering is free within a factor."""
@@ -91,6 +96,8 @@ class Clone(NamedTuple):
     - `pose`: in pixels of the part that is used, `part`, (rows, columns, 3) linear; one of its
         pixels is `reduction` of the photograph's along each side, and `corner` the first of these.
     - `clear`: pixels of the part that show the iris and nothing else.
+    - `response`: d ln luminance / d ln thickness by which the thickness was told; `None` where
+        Eq. 7 did.
     - `lights`: given, or from the highlights on the cornea: `lights_found` says how many.
     """
 
@@ -108,21 +115,25 @@ class Clone(NamedTuple):
     windows: Windows | None = None
     base: Iris | None = None
     integrator: Separable | RadiativeIntegrator = Separable()
+    response: float | None = None
     fit: Fit | None = None
     log: tuple[dict[str, float], ...] = ()
     posterior: PigmentPosterior | None = None
+
+    def iris(self) -> Iris:
+        """The iris of the fitted pigments. **Raises:** `ValueError` before they are known."""
+        values = _needed(self.fit).values
+        return iris_of({k: jnp.asarray(v) for k, v in values.items()}, _needed(self.base))
 
     def scene(self) -> Scene:
         """The eye as it was photographed: the same camera, light and pigments.
 
         **Raises:** `ValueError` before the pigments are known.
         """
-        pose, morphology = self.pose, self.morphology
-        if pose is None or morphology is None or self.fit is None or self.base is None:
-            raise ValueError("the pigments have not been sought yet")
+        iris, pose = self.iris(), _needed(self.pose)
         return Scene(
-            iris_of({k: jnp.asarray(v) for k, v in self.fit.values.items()}, self.base),
-            morphology.maps,
+            iris,
+            _needed(self.morphology).maps,
             eye=pose.eye,
             lights=self.lights,
             camera=pose.camera,
@@ -150,48 +161,61 @@ def clone(
     Raises:
         ValueError: If a stage finds nothing, in one line.
     """
-    eye = eye_of(settings)
-    with stage("outlines"):
+    check_names(settings, last)
+    with stage(STAGES[0]):
         found = Clone(photograph, find_boundaries(photograph, given.limbus, given.pupil))
     yield found
-    if last == "outlines":
-        return
-    with stage("pose"):
-        found = _posed(found, eye, settings)
-    yield found
-    if last == "pose":
-        return
-    with stage("texture"):
-        assert found.pose is not None and found.part is not None and found.clear is not None
-        found = found._replace(texture=unrefract(found.part, found.clear, found.pose, SIZE))
-    yield found
-    if last == "texture":
-        return
-    with stage("thickness"):
-        assert found.texture is not None
-        found = found._replace(
-            morphology=maps_of(
-                found.texture,
-                given.freckles,
-                sigma_mm=settings.sigma,
-                **({} if settings.beta is None else {"beta": settings.beta}),
-            )
-        )
-    yield found
-    if last == "thickness":
-        return
-    with stage("pigments"):
-        found = _with_pigments(found, settings, given)
-    yield found
-    if last == "pigments":
-        return
-    with stage("posterior"):
-        assert found.windows is not None and found.base is not None and found.fit is not None
-        sampled = sample(
-            found.windows, found.base, found.fit, max_steps=settings.steps, seed=settings.seed
-        )
-        found = found._replace(posterior=sampled)
-    yield found
+    steps = (_posed, _flat, _with_thickness, _with_pigments, _sampled)
+    for name, step in zip(STAGES[1:], steps, strict=True):
+        if STAGES.index(name) > STAGES.index(last):
+            return
+        with stage(name):
+            found = step(found, settings, given)
+        yield found
+
+
+def check_names(settings: Settings, last: str = STAGES[-1]) -> None:
+    """Raise `ValueError` for media, methods and stages that do not exist."""
+    for value, known, what in (
+        (settings.media, MEDIA, "media"),
+        (settings.method, METHODS, "method"),
+        (last, STAGES, "stage"),
+    ):
+        if value not in known:
+            raise ValueError(f"unknown {what} {value!r}; known: {', '.join(known)}")
+
+
+def _flat(found: Clone, settings: Settings, given: Given) -> Clone:
+    """With the iris laid flat."""
+    del settings, given
+    part, clear, pose = _needed(found.part), _needed(found.clear), _needed(found.pose)
+    return found._replace(texture=unrefract(part, clear, pose, SIZE))
+
+
+def _with_thickness(found: Clone, settings: Settings, given: Given) -> Clone:
+    """With a coarse thickness by Eq. 7."""
+    beta = BETA if settings.beta is None else settings.beta
+    texture = _needed(found.texture)
+    return found._replace(
+        morphology=maps_of(texture, given.freckles, sigma_mm=settings.sigma, beta=beta)
+    )
+
+
+def _sampled(found: Clone, settings: Settings, given: Given) -> Clone:
+    """With a posterior of its pigments."""
+    del given
+    known = _needed(found.windows), _needed(found.base), _needed(found.fit)
+    return found._replace(posterior=sample(*known, max_steps=settings.steps, seed=settings.seed))
+
+
+T = TypeVar("T")
+
+
+def _needed(part: T | None) -> T:
+    """What an earlier stage found."""
+    if part is None:
+        raise ValueError("an earlier stage has not run")
+    return part
 
 
 def eye_of(settings: Settings) -> Eye:
@@ -201,7 +225,10 @@ def eye_of(settings: Settings) -> Eye:
     return Eye(iris_depth=settings.iris_depth)
 
 
-def _posed(found: Clone, eye: Eye, settings: Settings) -> Clone:
+def _posed(found: Clone, settings: Settings, given: Given) -> Clone:
+    """With the camera, and the part of the photograph that it sees."""
+    del given
+    eye = eye_of(settings)
     photograph, limbus, pupil = found.photograph, found.boundaries.limbus, found.boundaries.pupil
     focal = photograph.focal_px if settings.focal_px is None else settings.focal_px
     reduction = max(1, math.ceil(2 * limbus.semi_axes[0] / LARGEST))
@@ -263,49 +290,62 @@ def _posed(found: Clone, eye: Eye, settings: Settings) -> Clone:
 
 
 def _with_pigments(found: Clone, settings: Settings, given: Given) -> Clone:
-    assert found.pose is not None and found.part is not None and found.clear is not None
-    assert found.morphology is not None and found.texture is not None
+    """Pigments of the coarse thickness; then thickness by what the model makes of these pigments,
+    and pigments of that  [F09 Fig. 10]."""
+    pose, part, texture = _needed(found.pose), _needed(found.part), _needed(found.texture)
     lights, count = given.lights, None
     if lights is None:
-        lights, count = lamps_of(found.part, found.pose)
+        lights, count = lamps_of(part, pose)
+    tables = Illumination.build(pose.eye, caustics=False)
+    found = found._replace(lights=lights, lights_found=count, integrator=settings.integrator)
+    found = _fitted(found, settings, tables)
+    if settings.beta is not None:
+        return found
+    response = _needed(found.windows).thickness_response(found.iris())
+    if response < LEAST_RESPONSE:
+        return found
+    tangent = tangent_of(lights, pose.eye, tables)
+    first: Any = tuple(float(-RELIEF * t) for t in tangent)
+    coarse = _needed(found.morphology)
+    finer = maps_of(texture, coarse.freckles, sigma_mm=0.0, response=response, slopes=first)
+    height = RELIEF * (finer.thickness - generic_thickness(texture.radius()))
+    relief = to_polar(height, texture.pupil_radius, texture.iris_radius)
+    finer = finer._replace(maps=finer.maps.replace(relief=jnp.clip(jnp.asarray(relief), -1, 1)))
+    return _fitted(found._replace(morphology=finer, response=response), settings, tables)
+
+
+def _fitted(found: Clone, settings: Settings, tables: Illumination) -> Clone:
+    """With the pigments that fit to its thickness."""
+    pose, morphology = _needed(found.pose), _needed(found.morphology)
     base = Iris(
-        fibril_radius=FIBRILS,
-        stroma_thickness=float(np.mean(found.morphology.maps.stroma_depth)),
+        fibril_radius=jnp.asarray(FIBRILS),
+        stroma_thickness=jnp.mean(jnp.asarray(morphology.maps.stroma_depth)),
     )
-    tables = Illumination.build(found.pose.eye, caustics=False)
     windows = windows_of(
-        found.part,
-        found.clear & ~_freckled(found),
-        found.pose,
+        _needed(found.part),
+        _needed(found.clear) & ~_freckled(found),
+        pose,
         base,
-        IrisMaps(stroma_depth=found.morphology.maps.stroma_depth),
-        lights,
+        morphology.maps.replace(freckles=None),
+        _needed(found.lights),
         settings.integrator,
         tables,
     )
+    log = []
     if settings.method == "simplex":
         fit, log = simplex(windows, base)
     else:
-        fit, log = least_squares(windows, base), []
-    return found._replace(
-        integrator=settings.integrator,
-        lights=lights,
-        lights_found=count,
-        windows=windows,
-        base=base,
-        fit=fit,
-        log=tuple(log),
-    )
+        fit = least_squares(windows, base)
+    return found._replace(windows=windows, base=base, fit=fit, log=(*found.log, *log))
 
 
 def _freckled(found: Clone) -> Bool[np.ndarray, "rows columns"]:
     """Pixels of the part that show a freckle."""
-    assert found.pose is not None and found.morphology is not None and found.clear is not None
-    mask = np.zeros_like(found.clear)
-    freckles = found.morphology.freckles
+    mask = np.zeros_like(_needed(found.clear))
+    freckles = _needed(found.morphology).freckles
     if not freckles.any():
         return mask
-    where = follow(found.pose, len(freckles))
+    where = follow(_needed(found.pose), len(freckles))
     rows, columns = mask.shape
     row, column = (
         np.clip(np.rint(v[freckles]).astype(int), 0, n - 1)

@@ -6,9 +6,12 @@ import numpy as np
 import skimage.measure
 from jaxtyping import Float
 
+from irisjax.anatomy.eye import Eye
 from irisjax.photo.pose import Pose
 from irisjax.render.environment import Environment
+from irisjax.render.illumination import Illumination
 from irisjax.render.lights import Lights
+from irisjax.render.shading import fluxes_of
 from irisjax.render.stages import look
 
 AROUND = 25
@@ -56,6 +59,18 @@ def lamps_of(part: Float[np.ndarray, "rows columns 3"], pose: Pose) -> tuple[Lig
     radius = np.clip(2 * size / float(pose.eye.cornea.anterior.radius), 0.005, 0.5)
     found: list[Any] = [polar, azimuth, np.pi * share]
     return Lights.distant(*found, radius=cast(Any, radius)), len(towards)
+
+
+def tangent_of(lights: Lights, eye: Eye, tables: Illumination | None) -> tuple[float, float]:
+    """Horizontal over vertical part of the light that falls on the iris, along x and y, in the
+    chamber: a mean over the iris weighted by irradiance.
+    """
+    flux = np.asarray(fluxes_of(lights, eye, tables, 41)).sum(0)
+    line = np.linspace(-1, 1, flux.shape[-1])
+    inside = np.hypot(line[None], line[:, None]) < 0.85
+    x, y, z = (part[inside].sum() for part in flux)
+    # Towards the light, which travels the other way.
+    return float(-x / z), float(-y / z)
 
 
 def _spots(part):

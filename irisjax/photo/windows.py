@@ -18,6 +18,7 @@ from jaxtyping import Array, Bool, Float, Int
 from irisjax.anatomy.eye import Eye
 from irisjax.numerics.programs import program
 from irisjax.photo.pose import Pose
+from irisjax.photo.unrefracted import LUMINANCE
 from irisjax.render.bands import Bands, colour_bands
 from irisjax.render.illumination import Illumination
 from irisjax.render.integrator import AbstractIntegrator
@@ -66,6 +67,17 @@ class Windows(eqx.Module):
         found: Any = self.integrator.response(iris, *parts)
         terms = found.coefficients.reshape(-1, 3)
         return jnp.einsum("wtk,kt->wt", jnp.broadcast_to(self.matrix, self._full), terms)
+
+    def thickness_response(self, iris: Iris) -> float:
+        """d ln luminance / d ln stroma's thickness of an iris, about its mean thickness, seen and
+        lit from the front.
+        """
+        found: Any = self.integrator.response(iris, self.aqueous_index, self.bands, self.ranges)
+        scale = jnp.asarray([0.9, 1.1])
+        one = jnp.ones_like(scale)
+        scales = Scales(stroma=scale)
+        seen = jnp.asarray(LUMINANCE, scale.dtype) @ found.brdf(scales, one, one, 0 * one)
+        return float(jnp.log(seen[1] / seen[0]) / jnp.log(1.1 / 0.9))
 
     @property
     def _full(self):
