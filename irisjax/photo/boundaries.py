@@ -24,9 +24,9 @@ MIN_CONFIDENCE = 0.4
 """Below this an outline is more likely wrong than right."""
 PUPIL_SHARE = (0.12, 0.85)
 """Radii of pupils, of the limbus'."""
-_LONG = 1000  # px along the long side of the copy in which eyes are searched
+_LONG = 800  # px along the long side of the copy in which eyes are searched
 _LEAST = 40  # of the long side: the smallest iris' radius
-_CANDIDATES, _FINALISTS = 6, 3
+_CANDIDATES, _FINALISTS = 6, 6
 _FINE = 250.0  # px: radius at which outlines are measured
 _SOFT = (0.02, 0.05, 0.09)  # half widths of the limbus' rise, of its radius: about 1 mm in all
 _ONSETS = (0.01, 0.02, 0.03, 0.04, 0.05, 0.065, 0.08, 0.1, 0.12)
@@ -190,7 +190,9 @@ def _limbus(
     for near in (0.1, 0.06) if coarse else (0.06, 0.04, 0.04):
         edges, white, profile = _limbus_edges(picture, colour, outline, (0.6, 1.4), 161, _SOFT)
         value, place = _half_way(profile, edges, _score(edges) * white, near)
-        outline, support = _polished(outline, value, place, lateral, flattening)
+        # Where a lid lies on it the limbus cannot show.
+        shown = 0.3 + 0.7 * white[:, int(np.argmin(abs(edges.place - 1)))]
+        outline, support = _polished(outline, value, place, lateral * shown, flattening)
     return back(outline), support
 
 
@@ -259,7 +261,8 @@ def _polished(outline: Ellipse, value, place, weight, flattening=(0.0, 0.0, 0.1)
         return outline, 0.0
     better = fitted(outline, points, value * (value > 0.3), flattening)
     off = abs(better.relative_radius(points[:, 0], points[:, 1]) - 1)
-    held = (weight * value * (off < 0.02)).sum() / weight.sum()
+    near = off < 0.02 + 0.5 / better.semi_axes[0]
+    held = (weight * value * near).sum() / weight.sum()
     return better, float(held)
 
 
@@ -296,17 +299,18 @@ def _pupil(brightness, limbus: Ellipse, coarse: bool = True) -> tuple[Ellipse, f
     for near in (0.12, 0.08):
         edges = steps_along(along_rays(picture, circle, span, 121), span, _SHARP, 0.15)
         circle, support = _polished(circle, *_strongest(edges, near), even)
-    sure = support * _darkness(picture, relative, circle)
+    sure = support * float(np.sqrt(_darkness(picture, relative, circle)))
     if coarse or not support:
         return back(circle), sure
-    circle = _onset(np.minimum(brightness, ceiling), back(circle))
+    circle = _onset(brightness, ceiling, back(circle))
     return circle, sure
 
 
-def _onset(brightness, pupil: Ellipse) -> Ellipse:
+def _onset(brightness, ceiling: float, pupil: Ellipse) -> Ellipse:
     """The outline where the brightness begins to rise beyond the pupil: its margin is often dark.
     """
     picture, circle, back = _around(brightness, pupil, 1.5, _FINE)
+    picture = np.sqrt(np.clip(picture, 0, ceiling))  # shows the first rise
     span = (0.7, 1.3)
     for near in (0.1, 0.08):
         profile = along_rays(picture, circle, span, 241)
