@@ -310,16 +310,22 @@ def _onset(brightness, ceiling: float, pupil: Ellipse) -> Ellipse:
     """The outline where the brightness begins to rise beyond the pupil: its margin is often dark.
     """
     picture, circle, back = _around(brightness, pupil, 1.5, _FINE)
-    picture = np.sqrt(np.clip(picture, 0, ceiling))  # shows the first rise
-    span = (0.7, 1.3)
+    picture, span = np.clip(picture, 0, ceiling), (0.7, 1.3)
+    held = np.zeros(ray_angles().size)
     for near in (0.1, 0.08):
-        profile = along_rays(picture, circle, span, 241)
-        fits = [_strongest(steps_along(profile, span, (w,), 0.15), near) for w in _ONSETS]
-        best = int(np.argmax([value.sum() for value, _ in fits]))
-        value, place = fits[best]
-        circle, _ = _polished(circle, value, place, np.ones(value.size))
+        # The root shows the first rise.
+        profile = np.sqrt(along_rays(picture, circle, span, 241))
+        held, place = _strongest(steps_along(profile, span, _SHARP, 0.15), near)
+        circle, _ = _polished(circle, held, place, np.ones(held.size))
+    good = along_rays(picture, circle, span, 241)[held > 0.3]
+    if len(good) < 12:
+        return back(circle)
+    # The width of the rise comes from all rays together: one alone is too noisy in a dark iris.
+    typical = np.sqrt(np.nanmedian(good, axis=0))[None]
+    fits = [_strongest(steps_along(typical, span, (w,), 0.15), 0.1) for w in _ONSETS]
+    best = int(np.argmax([value[0] for value, _ in fits]))
     blur = 1.0 / circle.semi_axes[0]
-    rim = 1 - max(_ONSETS[best] - blur, 0.0)
+    rim = float(fits[best][1][0]) - max(_ONSETS[best] - blur, 0.0)
     axes = circle.semi_axes[0] * rim, circle.semi_axes[1] * rim
     return back(circle._replace(semi_axes=axes))
 
