@@ -10,6 +10,7 @@ from irisjax.numerics.programs import program
 from irisjax.photo.clone import Clone
 from irisjax.photo.refraction import follow
 from irisjax.photo.unrefracted import LUMINANCE
+from irisjax.photo.windows import iris_alone
 from irisjax.render.illumination import Illumination
 from irisjax.render.stages import Memory
 
@@ -19,7 +20,7 @@ class Comparison(NamedTuple):
 
     - `photograph`, `rendered`: sRGB-encoded, the photograph with exposure, white balance and
         contrast taken off and then given the fitted exposure, (rows, columns, 3).
-    - `clear`: pixels that are compared. `rms`: of their differences per channel, of the full range.
+    - `clear`: pixels that are compared: those of the iris that nothing hides. `rms`: of their differences per channel, of the full range.
     """
 
     photograph: Float[np.ndarray, "rows columns 3"]
@@ -64,8 +65,10 @@ def compare(clone: Clone, threads: int = 1) -> Comparison:
     radiance = np.maximum(clone.part / (values["exposure"] * gains), 0)
     photograph = values["exposure"] * radiance ** (1 / values["contrast"])
     both = [np.clip(np.asarray(_encoded(p)), 0, 1) for p in (photograph, rendered)]
-    off = (both[0] - both[1])[clone.clear]
-    return Comparison(both[0], both[1], clone.clear, np.sqrt((off**2).mean(0)))
+    assert clone.pose is not None
+    clear = clone.clear & iris_alone(clone.pose)
+    off = (both[0] - both[1])[clear]
+    return Comparison(both[0], both[1], clear, np.sqrt((off**2).mean(0)))
 
 
 _encoded = program(srgb_encode)

@@ -112,9 +112,7 @@ def windows_of(
     seen = look(pose.eye, pose.camera).iris
     if seen is None:
         raise ValueError("the camera does not see the iris")
-    # At the limbus the white shines through.
-    alone = _parts_of(pose) & (IRIS | SCLERA) == IRIS
-    index, window, place = _chosen(seen, clear & alone, pose.eye)
+    index, window, place = _chosen(seen, clear & iris_alone(pose), pose.eye)
     count = int(window.max()) + 1 if window.size else 0
     if count < 6:
         raise ValueError(
@@ -149,11 +147,14 @@ def windows_of(
     )
 
 
-def _parts_of(pose: Pose) -> np.ndarray:
-    """What each pixel sees, of the camera's shape."""
+def iris_alone(pose: Pose) -> Bool[np.ndarray, "rows columns"]:
+    """Pixels of the camera's picture that see the iris and none of the white, which shines through
+    at the limbus.
+    """
     rows, columns = pose.camera.shape
     every = np.arange(rows * columns, dtype=np.int32)
-    return np.asarray(seen_parts(every, pose.eye, pose.camera)).reshape(rows, columns)
+    seen = np.asarray(seen_parts(every, pose.eye, pose.camera))
+    return (seen & (IRIS | SCLERA) == IRIS).reshape(rows, columns)
 
 
 def _unnumbered(seen: IrisPixels) -> IrisPixels:
