@@ -26,10 +26,12 @@ from irisjax.render.bands import all_bands, colour_bands
 from irisjax.render.camera import Camera
 from irisjax.render.lights import Lights
 from irisjax.render.points import project_points
+from irisjax.render.refraction import enter
 from irisjax.render.scene import Scene
 from irisjax.render.sclera import colour_table
 from irisjax.render.separable import Separable
 from irisjax.render.surfaces import IrisSurface
+from irisjax.tissue.maps import Scales
 
 FOLDER = Path(__file__).parent.parent / "data" / "photographs"
 SIZE = (1300, 1080)
@@ -87,9 +89,10 @@ def main(key, quick=False, out=FOLDER):
         if colour not in eyes:
             eyes[colour] = _eye(colour, shape, jax.random.fold_in(key, len(eyes)))
             write_maps(out / f"{colour}_maps.exr", eyes[colour][0].maps)
-        scene, albedo = eyes[colour]
+        scene, matt = eyes[colour]
         camera = Camera(*(TILT if tilted else (0.0, 0.0)), DISTANCE, WIDTH, size)
         scene = dataclasses.replace(scene, camera=camera)
+        albedo = _towards(camera, matt)
         name = f"{colour}_tilted" if tilted else colour
         with tempfile.TemporaryDirectory() as made:
             folder = Path(made)
@@ -116,10 +119,8 @@ def main(key, quick=False, out=FOLDER):
             break
 
 
-def _eye(colour: str, shape: tuple[int, int], key) -> tuple[Scene, np.ndarray]:
-    """An eye and its lamp, and the albedo (angles, radii, 3) of the iris behind the cornea's haze,
-    twice passed.
-    """
+def _eye(colour: str, shape: tuple[int, int], key) -> tuple[Scene, Matt]:
+    """An eye and its lamp, and the iris behind the cornea's haze, twice passed."""
     eye = Eye(pupil_radius=jnp.asarray(PUPIL[colour]), sclera=Sclera(veins=jnp.asarray(0.0)))
     features = {**FEATURES[colour], "relief": 0}
     iris, maps = preset(colour, eye, shape=shape, pigments=EYES[colour], features=features, key=key)
@@ -130,7 +131,25 @@ def _eye(colour: str, shape: tuple[int, int], key) -> tuple[Scene, np.ndarray]:
     )
     lamp = Lights.distant(polar, azimuth, LAMP["irradiance"], radius=radius)
     matt = Matt.of(iris, maps, eye, colour_bands(cornea=eye.cornea), Separable())
-    return Scene(iris, maps, eye, lamp), np.asarray(matt.albedo(), np.float64)
+    return Scene(iris, maps, eye, lamp), matt
+
+
+def _towards(camera: Camera, matt: Matt) -> np.ndarray:
+    """Albedo (angles, radii, 3) of the matt iris as bright as ILIT's in a camera's direction.
+
+    Lines of sight behind the cornea stay within some 10 degrees of the one through its middle.
+    """
+    eye = matt.eye
+    assert eye.cornea is not None
+    width, height = camera.size
+    middle = jnp.asarray([height // 2 * width + width // 2])
+    origin, direction = camera.towards(middle, eye)
+    distance, _ = eye.cornea.anterior.intersect(origin, direction)
+    exits = enter(eye, origin + distance[:, None] * direction, direction).direction[0, 2]
+    texels = Scales(*(None if s is None else s.ravel() for s in matt.scales))
+    one = jnp.ones(matt.shape[0] * matt.shape[1])
+    found = jnp.pi * matt.response.brdf(texels, one, exits * one, 0 * one)
+    return np.asarray(found.T.reshape(*matt.shape, 3), np.float64)
 
 
 def _white(eye: Eye) -> np.ndarray:
@@ -226,7 +245,7 @@ def _truth(scene: Scene, colour: str, albedo: np.ndarray) -> dict:
         "size_px": list(camera.size),
         "iris": iris.parameters(),
         "concentrations": _concentrations(iris),
-        "process": str(Separable().process),
+        "process": "ilit-2006",
         "texels_out_of_srgb": int((albedo.min(-1) < 0).sum()),
         "eye": {
             "limbus_radius": float(eye.limbus_radius),
