@@ -26,14 +26,14 @@ def write(
     return path
 
 
-def start(main: Callable, doc: str | None) -> None:
+def start(main: Callable, doc: str | None, out: Path = RESULTS) -> None:
     """Parse `--quick`, `--seed` and `--out`, switch to float64 and run `main(key, quick=...,
     out=...)`.
     """
     parser = argparse.ArgumentParser(description=doc)
     parser.add_argument("--quick", action="store_true", help="a small version, for tests")
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--out", type=Path, default=RESULTS, help="folder for the results")
+    parser.add_argument("--out", type=Path, default=out, help="folder for the results")
     options = parser.parse_args()
     jax.config.update("jax_enable_x64", True)
     main(jax.random.key(options.seed), quick=options.quick, out=options.out)
