@@ -191,7 +191,11 @@ def _limbus(
     A pupil that is known tells how flat it is.
     """
     picture, outline, back = _around(brightness, start, 2.0, _FINE if not coarse else _ROUGH)
-    colour = None if redness is None else _around(redness, start, 2.0, _FINE if not coarse else _ROUGH)[0]
+    colour = (
+        None
+        if redness is None
+        else _around(redness, start, 2.0, _FINE if not coarse else _ROUGH)[0]
+    )
     lateral = 0.5 + 0.5 * np.cos(ray_angles()) ** 2
     flattening = (0.0, 0.0, 0.1)
     if pupil is not None:
@@ -231,7 +235,7 @@ def _half_way(profile, edges: Edges, score, near: float):
     return np.where(good, score[rays, column], 0.0), place
 
 
-def _limbus_edges(picture, colour, outline, span, steps, widths) :
+def _limbus_edges(picture, colour, outline, span, steps, widths):
     """Edges across the limbus, how white it is beyond each of them, 0 to 1, and the brightness."""
     profile = along_rays(picture, outline, span, steps)
     edges = steps_along(profile, span, widths, 0.2)
@@ -322,8 +326,7 @@ def _pupil(brightness, limbus: Ellipse, coarse: bool = True) -> tuple[Ellipse, f
 
 
 def _onset(brightness, ceiling: float, pupil: Ellipse) -> Ellipse:
-    """The outline where the brightness begins to rise beyond the pupil: its margin is often dark.
-    """
+    """The outline where the brightness begins to rise beyond the pupil: its margin is often dark."""
     picture, circle, back = _around(brightness, pupil, 1.5, _FINE)
     picture, span = np.clip(picture, 0, ceiling), (0.7, 1.3)
     picture = ndimage.gaussian_filter(picture, 0.01 * circle.semi_axes[0])  # against noise

@@ -30,6 +30,7 @@ from irisjax.photo.refraction import SIZE, follow, unrefract
 from irisjax.photo.thickness import BETA, generic_thickness
 from irisjax.photo.unrefracted import Unrefracted
 from irisjax.photo.windows import Windows, windows_of
+from irisjax.render.environment import Environment
 from irisjax.render.illumination import Illumination
 from irisjax.render.lights import Lights
 from irisjax.render.radiative import RadiativeIntegrator
@@ -125,6 +126,13 @@ class Clone(NamedTuple):
         values = _needed(self.fit).values
         return iris_of({k: jnp.asarray(v) for k, v in values.items()}, _needed(self.base))
 
+    def room(self) -> Environment | None:
+        """Light from all round beside the lamps, where these were told from highlights."""
+        if not self.lights_found:
+            return None
+        around = Environment.uniform()
+        return Environment(_needed(self.fit).values["room"] * around.radiance)
+
     def scene(self) -> Scene:
         """The eye as it was photographed: the same camera, light and pigments.
 
@@ -136,6 +144,7 @@ class Clone(NamedTuple):
             _needed(self.morphology).maps,
             eye=pose.eye,
             lights=self.lights,
+            environment=self.room(),
             camera=pose.camera,
             integrator=self.integrator,
         )
@@ -330,6 +339,7 @@ def _fitted(found: Clone, settings: Settings, tables: Illumination) -> Clone:
         _needed(found.lights),
         settings.integrator,
         tables,
+        room=bool(found.lights_found),
     )
     log = []
     if settings.method == "simplex":

@@ -181,9 +181,7 @@ def best_outline(
     direction = direction / radius
     best, found = -np.inf, outline
     offsets = np.linspace(-0.15, 0.15, 7)
-    shapes = [(1.0, 0.0)] + [
-        (q, a) for q, a in product(_RATIOS[1:], np.arange(6) * np.pi / 6)
-    ]
+    shapes = [(1.0, 0.0)] + [(q, a) for q, a in product(_RATIOS[1:], np.arange(6) * np.pi / 6)]
     pitch = place[1] - place[0]
     rays = np.arange(len(score))
     for (ratio, angle), size in product(shapes, np.linspace(0.82, 1.3, 13)):

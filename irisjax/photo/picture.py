@@ -20,7 +20,8 @@ class Comparison(NamedTuple):
 
     - `photograph`, `rendered`: sRGB-encoded, the photograph with exposure, white balance and
         contrast taken off and then given the fitted exposure, (rows, columns, 3).
-    - `clear`: pixels that are compared: those of the iris that nothing hides. `rms`: of their differences per channel, of the full range.
+    - `clear`: pixels that are compared: those of the iris that nothing hides. `rms`: of their
+        differences per channel, of the full range.
     """
 
     photograph: Float[np.ndarray, "rows columns 3"]
