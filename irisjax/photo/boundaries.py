@@ -43,8 +43,15 @@ def find_boundaries(
     two eyes the one whose outlines are better supported. A picture without an eye gives outlines of
     low confidence.
 
-    **Raises:** `ValueError` where nothing resembles an iris.
+    **Raises:** `ValueError` where nothing resembles an iris, or an outline given lies elsewhere.
     """
+    for name, given in (("limbus", limbus), ("pupil", pupil)):
+        if given is not None and not _within(given, photo.shape):
+            rows, columns = photo.shape
+            raise ValueError(
+                f"{photo.name}: the middle of the {name} given, {given.centre}, is outside the "
+                f"picture of {columns} x {rows} pixels"
+            )
     if limbus is not None and pupil is not None:
         return Boundaries(limbus, pupil, 1.0, 1.0)
     if limbus is None:
@@ -54,7 +61,7 @@ def find_boundaries(
         outline, held = limbus, None
     if pupil is not None:
         return _judged(outline, pupil, held, None)
-    inner, support = pupil_within(photo.pixels.mean(-1), outline, coarse=False)
+    inner, support = pupil_within(photo, outline, coarse=False)
     if limbus is None and support > _TRUSTED:
         outline, held = limbus_near(photo, outline, inner, coarse=False)
     return _judged(outline, inner, held, support)
@@ -65,16 +72,15 @@ def _searched(photo: Photograph, pupil: Ellipse | None) -> tuple[Ellipse, Ellips
     scale = min(1.0, _LONG / max(photo.shape))
     small = photo
     if scale < 1:
-        pixels = np.stack([reduced(photo.pixels[..., k], scale) for k in range(3)], -1)
-        small = photo._replace(pixels=pixels, saturated=np.zeros(pixels.shape[:2], bool))
+        cut_off = reduced(photo.saturated[..., None].astype(float), scale)[..., 0] > 0.1
+        small = photo._replace(pixels=reduced(photo.pixels, scale), saturated=cut_off)
     known = None if pupil is None else pupil.scaled(scale)
-    brightness = small.pixels.mean(-1)
     best, found = -1.0, None
-    for start in _starts(brightness, known):
+    for start in _starts(small.pixels.mean(-1), known):
         outline, held = limbus_near(small, start, known)
         if not _within(outline, small.shape):
             continue
-        inner, support = (known, 1.0) if known is not None else pupil_within(brightness, outline)
+        inner, support = (known, 1.0) if known is not None else pupil_within(small, outline)
         worth = held * _plausible(outline, inner) * (0.3 + support)
         if worth > best:
             trusted = inner.scaled(1 / scale) if support > _TRUSTED else None

@@ -50,24 +50,30 @@ class Edges(NamedTuple):
 
 
 def reduced(
-    picture: Float[np.ndarray, "rows columns"], scale: float
-) -> Float[np.ndarray, "rows_1 columns_1"]:
+    picture: Float[np.ndarray, "rows columns channels"], scale: float
+) -> Float[np.ndarray, "rows_1 columns_1 channels"]:
     """A picture made smaller by averaging."""
     if scale >= 1:
         return picture
-    shape = tuple(max(8, round(n * scale)) for n in picture.shape[:2])
-    # Boxes first: the smoothing filter of `resize` takes seconds on 12 megapixels.
-    step = int(0.5 / scale)
+    # Boxes first, rows before columns: the filter of `resize` takes seconds on 12 megapixels.
+    step = int(0.75 / scale)
     if step > 1:
-        rows, columns = (n // step * step for n in picture.shape)
-        blocks = picture[:rows, :columns].reshape(rows // step, step, columns // step, step)
-        picture = blocks.mean((1, 3))
+        rows, columns = (n // step for n in picture.shape[:2])
+        channels = picture.shape[2]
+        picture = picture[: rows * step, : columns * step]
+        picture = picture.reshape(rows, step, columns * step, channels).mean(1)
+        picture = picture.reshape(rows, columns, step, channels).mean(2)
+        scale *= step
+    shape = tuple(max(8, round(n * scale)) for n in picture.shape[:2])
     return np.asarray(resize(picture, shape, anti_aliasing=True))
 
 
 def around(
-    picture: Float[np.ndarray, "rows columns"], outline: Ellipse, margin: float, radius: float
-) -> tuple[Float[np.ndarray, "rows_1 columns_1"], Ellipse, Callable[[Ellipse], Ellipse]]:
+    picture: Float[np.ndarray, "rows columns channels"],
+    outline: Ellipse,
+    margin: float,
+    radius: float,
+) -> tuple[Float[np.ndarray, "rows_1 columns_1 channels"], Ellipse, Callable[[Ellipse], Ellipse]]:
     """The part of a picture within `margin` radii of an outline, reduced so that this has about
     `radius` pixels; and the outline there, with a function from there back to the picture.
     """

@@ -31,10 +31,9 @@ def limbus_near(
     A pupil that is known tells how flat it is.
     """
     size = ROUGH if coarse else FINE
-    parts = [around(photo.pixels[..., k], start, 2.0, size) for k in range(3)]
-    picture = np.mean([p[0] for p in parts], axis=0)
-    _, outline, back = parts[0]
-    colour = None if photo.grey else _redness(parts[0][0], parts[2][0])
+    pixels, outline, back = around(photo.pixels, start, 2.0, size)
+    picture = pixels.mean(-1)
+    colour = None if photo.grey else _redness(pixels[..., 0], pixels[..., 2])
     lateral = 0.5 + 0.5 * np.cos(ray_angles()) ** 2
     flattening = (0.0, 0.0, 0.1)
     if pupil is not None:
