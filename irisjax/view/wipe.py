@@ -5,7 +5,8 @@ from typing import cast
 import numpy as np
 from jaxtyping import UInt8
 
-Picture = UInt8[np.ndarray, "rows columns 3"]
+Picture = UInt8[np.ndarray, "_ _ 3"]
+"""sRGB, 8 bits, rows and columns of any number: two pictures need not agree."""
 _LINE = 255
 _PER_LINE = 400  # columns of the picture for each column of the line
 
@@ -33,8 +34,8 @@ def wiped(photograph: Picture, rendered: Picture, share: float) -> Picture:
 
 
 def resized(picture: Picture, size: tuple[int, int]) -> Picture:
-    """The picture at another (width, height), each pixel the mean of what it covers; the same
-    picture for its own size.
+    """The picture at another (width, height), each pixel the mean of what it covers, to one
+    level; the same picture for its own size.
 
     **Raises:** `ValueError` for sides in another proportion, by more than rounding.
     """
