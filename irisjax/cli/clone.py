@@ -31,7 +31,10 @@ from irisjax.render.separable import Separable
 
 _NOT_SURE = 3
 _PROCESSES = {"ilit-2006": Separable, "depth-resolved": RadiativeIntegrator}
-_FILES = ("clone.json",)
+_FILES = (
+    *("clone.json", "unrefracted.png", "freckles.png", "deconvolved.png", "maps.exr"),
+    *("scene.toml", "convergence.csv", "side_by_side.png", "differences.png", "luminance.png"),
+)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -141,10 +144,7 @@ def clone(picture: Picture, model: Model, results: Results) -> None:
     long enough (raise --max-steps); 2 for wrong input.
     """
     folder = results.output
-    if folder.exists() and not folder.is_dir():
-        raise ValueError(f"{folder}: is a file, not a folder")
-    if (folder / "clone.json").exists() and not results.overwrite:
-        raise ValueError(f"{folder}: has a clone; --overwrite begins anew")
+    _check_folder(folder, results.overwrite)
     check_range("--focal-px", picture.focal_px, Range(10, 1e6, "pixels"))
     given = _given(picture)
     settings = cloning.Settings(
@@ -180,8 +180,19 @@ def clone(picture: Picture, model: Model, results: Results) -> None:
         files |= _pictures(found)
     folder.mkdir(parents=True, exist_ok=True)
     io.write_together({folder / name: data for name, data in files.items()})
+    for name in set(_FILES) - set(files):  # of a clone that came further
+        (folder / name).unlink(missing_ok=True)
     sure = _report(found, picture, folder)
     raise typer.Exit(0 if sure else _NOT_SURE)
+
+
+def _check_folder(folder: Path, overwrite: bool) -> None:
+    """Find out before the work whether its results can be kept."""
+    first = next(f for f in (folder, *folder.absolute().parents) if f.exists())
+    if not first.is_dir():
+        raise ValueError(f"{first}: is a file, not a folder")
+    if (folder / "clone.json").exists() and not overwrite:
+        raise ValueError(f"{folder}: has a clone; --overwrite begins anew")
 
 
 def _words(group: Group) -> dict[str, Any]:
@@ -226,8 +237,7 @@ def _pictures(found: cloning.Clone) -> dict[str, bytes]:
     from irisjax.plot.clone import differences, luminance_profile, side_by_side
 
     both = compare(found, cores())
-    assert found.pose is not None
-    eye = found.pose.eye
+    eye = found.scene().eye
     radius = float(0.5 * (eye.pupil_radius + eye.iris_radius))
     figures = {
         "side_by_side.png": side_by_side(both.photograph, both.rendered),

@@ -11,7 +11,7 @@ from irisjax.infer.status import ChainStatus
 from irisjax.io.images import encode_png
 from irisjax.io.maps import encode_maps
 from irisjax.measure.colour import srgb_encode
-from irisjax.photo.clone import Clone
+from irisjax.photo.cloned import Clone, needed
 from irisjax.photo.ellipse import Ellipse
 from irisjax.photo.pigments import CONCENTRATIONS, UNITS, concentrations_of, iris_of
 from irisjax.photo.pose import limbus_spread
@@ -130,9 +130,8 @@ def scene_text(clone: Clone, maps: str = "maps.exr") -> str:
     """A scene file of the eye as it was photographed; `maps` is the name of the file of maps."""
     scene = clone.scene()
     eye, camera, iris, lights = scene.eye, scene.camera, scene.iris, scene.lights
-    cornea = eye.cornea
-    assert clone.fit is not None and cornea is not None  # noqa: PT018
-    exposure = float(np.clip(clone.fit.values["exposure"], 1e-6, 1e6))
+    cornea = needed(eye.cornea)
+    exposure = float(np.clip(needed(clone.fit).values["exposure"], 1e-6, 1e6))
     rows = [
         f"# {_REMARK}: {clone.photograph.name}",
         "[iris]",

@@ -7,35 +7,30 @@ before, and what it found can be replaced by the user's own.
 import math
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, nullcontext
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, cast
 
 import jax.numpy as jnp
 import numpy as np
 import skimage.measure
 import skimage.transform
-from jaxtyping import Bool, Float
+from jaxtyping import Bool
 
 from irisjax.anatomy.eye import Cornea, Eye
-from irisjax.photo.boundaries import Boundaries, find_boundaries
+from irisjax.photo.boundaries import find_boundaries
+from irisjax.photo.cloned import NOTHING, Clone, Given, Settings, needed
 from irisjax.photo.ellipse import Ellipse
 from irisjax.photo.highlights import find_highlights, find_lashes, find_lids
 from irisjax.photo.lamps import lamps_of, tangent_of
-from irisjax.photo.morphology import Morphology, maps_of
+from irisjax.photo.morphology import maps_of
 from irisjax.photo.photograph import Photograph
-from irisjax.photo.pigments import Fit, iris_of, least_squares, simplex
+from irisjax.photo.pigments import least_squares, simplex
 from irisjax.photo.polar import to_polar
-from irisjax.photo.pose import Pose, find_pose
-from irisjax.photo.posterior import PigmentPosterior, sample
+from irisjax.photo.pose import find_pose
+from irisjax.photo.posterior import sample
 from irisjax.photo.refraction import SIZE, follow, unrefract
 from irisjax.photo.thickness import BETA, generic_thickness
-from irisjax.photo.unrefracted import Unrefracted
-from irisjax.photo.windows import Windows, windows_of
-from irisjax.render.environment import Environment
+from irisjax.photo.windows import windows_of
 from irisjax.render.illumination import Illumination
-from irisjax.render.lights import Lights
-from irisjax.render.radiative import RadiativeIntegrator
-from irisjax.render.scene import Scene
-from irisjax.render.separable import Separable
 from irisjax.tissue.iris import Iris
 
 STAGES = ("outlines", "pose", "texture", "thickness", "pigments", "posterior")
@@ -51,103 +46,6 @@ RELIEF = 0.3
 FIBRILS = 57.0
 """Radius of the stroma's fibrils (nm) that colours begin with: between those of the presets'
 blue and brown eyes. Its scattering is free within a factor."""
-
-
-class Settings(NamedTuple):
-    """What a clone is made with.
-
-    - `media`: `"f09"` gives cornea and chamber one index, 1.376 [F09 Section 4.1.1].
-    - `iris_depth`: behind the corneal apex, mm. `focal_px`: in place of the photograph's own.
-    - `azimuth`: of the camera (radians), where it is known to which side the eye is tilted.
-    - `sigma`: of the deconvolution, mm; `beta`: of Eq. 7 (mm), `None` asks the model instead how
-        much brighter a thicker stroma is.
-    - `method`: least squares, or the paper's simplex. `process`: of light in the iris.
-    - `steps`: most steps of the posterior's chain. `seed`: of all random numbers.
-    """
-
-    media: str = "cornea-aqueous"
-    iris_depth: float = 3.6
-    focal_px: float | None = None
-    azimuth: float | None = None
-    sigma: float = 0.5
-    beta: float | None = None
-    method: str = "least-squares"
-    integrator: Separable | RadiativeIntegrator = Separable()
-    steps: int = 3000
-    seed: int = 0
-
-
-class Given(NamedTuple):
-    """What the user gives in place of what a stage would find; `None` leaves it to the stage."""
-
-    limbus: Ellipse | None = None
-    pupil: Ellipse | None = None
-    lights: Lights | None = None
-    freckles: Bool[np.ndarray, "size size"] | None = None
-
-
-NOTHING = Given()
-"""Every stage finds what it finds."""
-
-
-class Clone(NamedTuple):
-    """All that was found; stages that did not run leave `None`.
-
-    - `boundaries`: outlines in pixels of the photograph, with confidences.
-    - `pose`: in pixels of the part that is used, `part`, (rows, columns, 3) linear; one of its
-        pixels is `reduction` of the photograph's along each side, and `corner` the first of these.
-    - `clear`: pixels of the part that show the iris and nothing else.
-    - `response`: d ln luminance / d ln thickness by which the thickness was told; `None` where
-        Eq. 7 did.
-    - `lights`: given, or from the highlights on the cornea: `lights_found` says how many.
-    """
-
-    photograph: Photograph
-    boundaries: Boundaries
-    pose: Pose | None = None
-    part: Float[np.ndarray, "rows columns 3"] | None = None
-    clear: Bool[np.ndarray, "rows columns"] | None = None
-    reduction: int = 1
-    corner: tuple[int, int] = (0, 0)
-    texture: Unrefracted | None = None
-    morphology: Morphology | None = None
-    lights: Lights | None = None
-    lights_found: int | None = None
-    windows: Windows | None = None
-    base: Iris | None = None
-    integrator: Separable | RadiativeIntegrator = Separable()
-    response: float | None = None
-    fit: Fit | None = None
-    log: tuple[dict[str, float], ...] = ()
-    posterior: PigmentPosterior | None = None
-
-    def iris(self) -> Iris:
-        """The iris of the fitted pigments. **Raises:** `ValueError` before they are known."""
-        values = _needed(self.fit).values
-        return iris_of({k: jnp.asarray(v) for k, v in values.items()}, _needed(self.base))
-
-    def room(self) -> Environment | None:
-        """Light from all round beside the lamps, where these were told from highlights."""
-        if not self.lights_found:
-            return None
-        around = Environment.uniform()
-        return Environment(_needed(self.fit).values["room"] * around.radiance)
-
-    def scene(self) -> Scene:
-        """The eye as it was photographed: the same camera, light and pigments.
-
-        **Raises:** `ValueError` before the pigments are known.
-        """
-        iris, pose = self.iris(), _needed(self.pose)
-        return Scene(
-            iris,
-            _needed(self.morphology).maps,
-            eye=pose.eye,
-            lights=self.lights,
-            environment=self.room(),
-            camera=pose.camera,
-            integrator=self.integrator,
-        )
 
 
 def clone(
@@ -197,14 +95,14 @@ def check_names(settings: Settings, last: str = STAGES[-1]) -> None:
 def _flat(found: Clone, settings: Settings, given: Given) -> Clone:
     """With the iris laid flat."""
     del settings, given
-    part, clear, pose = _needed(found.part), _needed(found.clear), _needed(found.pose)
+    part, clear, pose = needed(found.part), needed(found.clear), needed(found.pose)
     return found._replace(texture=unrefract(part, clear, pose, SIZE))
 
 
 def _with_thickness(found: Clone, settings: Settings, given: Given) -> Clone:
     """With a coarse thickness by Eq. 7."""
     beta = BETA if settings.beta is None else settings.beta
-    texture = _needed(found.texture)
+    texture = needed(found.texture)
     return found._replace(
         morphology=maps_of(texture, given.freckles, sigma_mm=settings.sigma, beta=beta)
     )
@@ -213,25 +111,16 @@ def _with_thickness(found: Clone, settings: Settings, given: Given) -> Clone:
 def _sampled(found: Clone, settings: Settings, given: Given) -> Clone:
     """With a posterior of its pigments."""
     del given
-    known = _needed(found.windows), _needed(found.base), _needed(found.fit)
+    known = needed(found.windows), needed(found.base), needed(found.fit)
     return found._replace(posterior=sample(*known, max_steps=settings.steps, seed=settings.seed))
-
-
-T = TypeVar("T")
-
-
-def _needed(part: T | None) -> T:
-    """What an earlier stage found."""
-    if part is None:
-        raise ValueError("an earlier stage has not run")
-    return part
 
 
 def eye_of(settings: Settings) -> Eye:
     """The eye of these media and this depth, its pupil not yet known."""
+    depth = cast(Any, settings.iris_depth)
     if settings.media == "f09":
-        return Eye(cornea=Cornea.f09(), aqueous_index=1.376, iris_depth=settings.iris_depth)
-    return Eye(iris_depth=settings.iris_depth)
+        return Eye(cornea=Cornea.f09(), aqueous_index=cast(Any, 1.376), iris_depth=depth)
+    return Eye(iris_depth=depth)
 
 
 def _posed(found: Clone, settings: Settings, given: Given) -> Clone:
@@ -267,8 +156,7 @@ def _posed(found: Clone, settings: Settings, given: Given) -> Clone:
     if reduction > 1:
         pixels = skimage.transform.downscale_local_mean(pixels, (reduction, reduction, 1))
         hidden, outside = (
-            skimage.measure.block_reduce(m, (reduction, reduction), np.max)
-            for m in (hidden, outside)
+            skimage.measure.block_reduce(m, reduction, np.max) for m in (hidden, outside)
         )
     pixels = np.asarray(pixels, np.float32)
     ring = small.mask(hidden.shape) & ~dark.mask(hidden.shape)
@@ -301,7 +189,7 @@ def _posed(found: Clone, settings: Settings, given: Given) -> Clone:
 def _with_pigments(found: Clone, settings: Settings, given: Given) -> Clone:
     """Pigments of the coarse thickness; then thickness by what the model makes of these pigments,
     and pigments of that  [F09 Fig. 10]."""
-    pose, part, texture = _needed(found.pose), _needed(found.part), _needed(found.texture)
+    pose, part, texture = needed(found.pose), needed(found.part), needed(found.texture)
     lights, count = given.lights, None
     if lights is None:
         lights, count = lamps_of(part, pose)
@@ -310,12 +198,12 @@ def _with_pigments(found: Clone, settings: Settings, given: Given) -> Clone:
     found = _fitted(found, settings, tables)
     if settings.beta is not None:
         return found
-    response = _needed(found.windows).thickness_response(found.iris())
+    response = needed(found.windows).thickness_response(found.iris())
     if response < LEAST_RESPONSE:
         return found
     tangent = tangent_of(lights, pose.eye, tables)
     first: Any = tuple(float(-RELIEF * t) for t in tangent)
-    coarse = _needed(found.morphology)
+    coarse = needed(found.morphology)
     finer = maps_of(texture, coarse.freckles, sigma_mm=0.0, response=response, slopes=first)
     height = RELIEF * (finer.thickness - generic_thickness(texture.radius()))
     relief = to_polar(height, texture.pupil_radius, texture.iris_radius)
@@ -325,18 +213,18 @@ def _with_pigments(found: Clone, settings: Settings, given: Given) -> Clone:
 
 def _fitted(found: Clone, settings: Settings, tables: Illumination) -> Clone:
     """With the pigments that fit to its thickness."""
-    pose, morphology = _needed(found.pose), _needed(found.morphology)
+    pose, morphology = needed(found.pose), needed(found.morphology)
     base = Iris(
         fibril_radius=jnp.asarray(FIBRILS),
         stroma_thickness=jnp.mean(jnp.asarray(morphology.maps.stroma_depth)),
     )
     windows = windows_of(
-        _needed(found.part),
-        _needed(found.clear) & ~_freckled(found),
+        needed(found.part),
+        needed(found.clear) & ~_freckled(found),
         pose,
         base,
         morphology.maps.replace(freckles=None),
-        _needed(found.lights),
+        needed(found.lights),
         settings.integrator,
         tables,
         room=bool(found.lights_found),
@@ -351,11 +239,11 @@ def _fitted(found: Clone, settings: Settings, tables: Illumination) -> Clone:
 
 def _freckled(found: Clone) -> Bool[np.ndarray, "rows columns"]:
     """Pixels of the part that show a freckle."""
-    mask = np.zeros_like(_needed(found.clear))
-    freckles = _needed(found.morphology).freckles
+    mask = np.zeros_like(needed(found.clear))
+    freckles = needed(found.morphology).freckles
     if not freckles.any():
         return mask
-    where = follow(_needed(found.pose), len(freckles))
+    where = follow(needed(found.pose), len(freckles))
     rows, columns = mask.shape
     row, column = (
         np.clip(np.rint(v[freckles]).astype(int), 0, n - 1)

@@ -7,7 +7,7 @@ from jaxtyping import Bool, Float
 
 from irisjax.measure.colour import srgb_encode
 from irisjax.numerics.programs import program
-from irisjax.photo.clone import Clone
+from irisjax.photo.cloned import Clone, needed
 from irisjax.photo.refraction import follow
 from irisjax.photo.unrefracted import LUMINANCE
 from irisjax.photo.windows import iris_alone
@@ -29,26 +29,30 @@ class Comparison(NamedTuple):
     clear: Bool[np.ndarray, "rows columns"]
     rms: Float[np.ndarray, "3"]
 
-    def arc(self, clone: Clone, radius: float, count: int = 720):
+    def arc(
+        self, clone: Clone, radius: float, count: int = 720
+    ) -> tuple[
+        Float[np.ndarray, " count"], Float[np.ndarray, " count"], Float[np.ndarray, " count"]
+    ]:
         """Angles (degrees) round the eye, and encoded luminance of both pictures on an arc of the
         iris at a distance from its axis, mm; what is not clear is NaN.
         """
-        assert clone.pose is not None and clone.texture is not None  # noqa: PT018
-        where = follow(clone.pose, len(clone.texture.valid))
+        texture = needed(clone.texture)
+        size = len(texture.valid)
+        where = follow(needed(clone.pose), size)
         angle = np.arange(count) * (2 * np.pi / count)
-        texel = clone.texture.millimetres_per_texel
-        middle = len(clone.texture.valid) / 2 - 0.5
+        texel, middle = texture.millimetres_per_texel, size / 2 - 0.5
         column = np.rint(middle + radius * np.cos(angle) / texel).astype(int)
         row = np.rint(middle - radius * np.sin(angle) / texel).astype(int)
         there = tuple(
             np.clip(np.rint(v[row, column]).astype(int), 0, n - 1)
             for v, n in zip((where.row, where.column), self.clear.shape, strict=True)
         )
-        found = [
+        photograph, rendered = (
             np.where(self.clear[there], picture[there] @ LUMINANCE, np.nan)
             for picture in (self.photograph, self.rendered)
-        ]
-        return np.degrees(angle), *found
+        )
+        return np.degrees(angle), photograph, rendered
 
 
 def compare(clone: Clone, threads: int = 1) -> Comparison:
@@ -57,17 +61,15 @@ def compare(clone: Clone, threads: int = 1) -> Comparison:
     **Raises:** `ValueError` before the pigments are known.
     """
     scene = clone.scene()
-    assert clone.fit is not None and clone.part is not None and clone.clear is not None  # noqa: PT018
-    values = clone.fit.values
+    values = needed(clone.fit).values
     tables = None if scene.eye.cornea is None else Illumination.build(scene.eye, caustics=False)
     rendered = values["exposure"] * np.asarray(Memory(threads).render(scene, tables))
     gains = np.array([values["red_gain"], 1.0, values["blue_gain"]])
     # As the model's camera has it: exposure × gain × radiance^contrast.
-    radiance = np.maximum(clone.part / (values["exposure"] * gains), 0)
+    radiance = np.maximum(needed(clone.part) / (values["exposure"] * gains), 0)
     photograph = values["exposure"] * radiance ** (1 / values["contrast"])
     both = [np.clip(np.asarray(_encoded(p)), 0, 1) for p in (photograph, rendered)]
-    assert clone.pose is not None
-    clear = clone.clear & iris_alone(clone.pose)
+    clear = needed(clone.clear) & iris_alone(needed(clone.pose))
     off = (both[0] - both[1])[clear]
     return Comparison(both[0], both[1], clear, np.sqrt((off**2).mean(0)))
 

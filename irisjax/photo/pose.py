@@ -6,7 +6,7 @@ camera is never needed: the one here looks at the middle of the eye, and its pic
 the photograph, which leaves out only the perspective of an eye far from the picture's middle.
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple, cast
 
 import jax.numpy as jnp
 import numpy as np
@@ -144,9 +144,14 @@ def find_pose(
     along = v[:2] / max(np.hypot(*v[:2]), 1e-9)
     half = int(np.ceil(margin * limbus.semi_axes[0]))
     # Whole pixels: the middle of the camera's picture lies within half of one of the eye's.
-    corner = tuple(int(np.round(c)) - half for c in v[2:4])
+    corner = int(np.round(v[2])) - half, int(np.round(v[3])) - half
     size = 2 * half + 1
-    camera = Camera(distance=distance + behind, width=size / scale, size=(size, size), **parts(v))
+    camera = Camera(
+        distance=cast(Any, distance + behind),
+        width=cast(Any, size / scale),
+        size=(size, size),
+        **parts(v),
+    )
     moved = pupil._replace(
         centre=(pupil.centre[0] - (v[2] - half), pupil.centre[1] - (v[3] - half))
     )
@@ -175,7 +180,7 @@ def _check_distance(distance: float) -> None:
 
 def _square(parts, distance: float) -> Camera:
     """A camera one of whose pixels is one millimetre, the eye's middle in its corner."""
-    return Camera(distance=distance, width=2.0, size=(2, 2), **parts)
+    return Camera(distance=cast(Any, distance), width=cast(Any, 2.0), size=(2, 2), **parts)
 
 
 @program

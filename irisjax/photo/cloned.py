@@ -1,0 +1,130 @@
+"""`Clone`: what was found of a photographed eye, and what it was asked with."""
+
+from typing import NamedTuple, TypeVar
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Bool, Float
+
+from irisjax.photo.boundaries import Boundaries
+from irisjax.photo.ellipse import Ellipse
+from irisjax.photo.morphology import Morphology
+from irisjax.photo.photograph import Photograph
+from irisjax.photo.pigments import Fit, iris_of
+from irisjax.photo.pose import Pose
+from irisjax.photo.posterior import PigmentPosterior
+from irisjax.photo.unrefracted import Unrefracted
+from irisjax.photo.windows import Windows
+from irisjax.render.environment import Environment
+from irisjax.render.lights import Lights
+from irisjax.render.radiative import RadiativeIntegrator
+from irisjax.render.scene import Scene
+from irisjax.render.separable import Separable
+from irisjax.tissue.iris import Iris
+
+
+class Settings(NamedTuple):
+    """What a clone is made with.
+
+    - `media`: `"f09"` gives cornea and chamber one index, 1.376 [F09 Section 4.1.1].
+    - `iris_depth`: behind the corneal apex, mm. `focal_px`: in place of the photograph's own.
+    - `azimuth`: of the camera (radians), where it is known to which side the eye is tilted.
+    - `sigma`: of the deconvolution, mm; `beta`: of Eq. 7 (mm), `None` asks the model instead how
+        much brighter a thicker stroma is.
+    - `method`: least squares, or the paper's simplex. `process`: of light in the iris.
+    - `steps`: most steps of the posterior's chain. `seed`: of all random numbers.
+    """
+
+    media: str = "cornea-aqueous"
+    iris_depth: float = 3.6
+    focal_px: float | None = None
+    azimuth: float | None = None
+    sigma: float = 0.5
+    beta: float | None = None
+    method: str = "least-squares"
+    integrator: Separable | RadiativeIntegrator = Separable()
+    steps: int = 3000
+    seed: int = 0
+
+
+class Given(NamedTuple):
+    """What the user gives in place of what a stage would find; `None` leaves it to the stage."""
+
+    limbus: Ellipse | None = None
+    pupil: Ellipse | None = None
+    lights: Lights | None = None
+    freckles: Bool[np.ndarray, "size size"] | None = None
+
+
+NOTHING = Given()
+"""Every stage finds what it finds."""
+
+
+class Clone(NamedTuple):
+    """All that was found; stages that did not run leave `None`.
+
+    - `boundaries`: outlines in pixels of the photograph, with confidences.
+    - `pose`: in pixels of the part that is used, `part`, (rows, columns, 3) linear; one of its
+        pixels is `reduction` of the photograph's along each side, and `corner` the first of these.
+    - `clear`: pixels of the part that show the iris and nothing else.
+    - `response`: d ln luminance / d ln thickness by which the thickness was told; `None` where
+        Eq. 7 did.
+    - `lights`: given, or from the highlights on the cornea: `lights_found` says how many.
+    """
+
+    photograph: Photograph
+    boundaries: Boundaries
+    pose: Pose | None = None
+    part: Float[np.ndarray, "rows columns 3"] | None = None
+    clear: Bool[np.ndarray, "rows columns"] | None = None
+    reduction: int = 1
+    corner: tuple[int, int] = (0, 0)
+    texture: Unrefracted | None = None
+    morphology: Morphology | None = None
+    lights: Lights | None = None
+    lights_found: int | None = None
+    windows: Windows | None = None
+    base: Iris | None = None
+    integrator: Separable | RadiativeIntegrator = Separable()
+    response: float | None = None
+    fit: Fit | None = None
+    log: tuple[dict[str, float], ...] = ()
+    posterior: PigmentPosterior | None = None
+
+    def iris(self) -> Iris:
+        """The iris of the fitted pigments. **Raises:** `ValueError` before they are known."""
+        values = needed(self.fit).values
+        return iris_of({k: jnp.asarray(v) for k, v in values.items()}, needed(self.base))
+
+    def room(self) -> Environment | None:
+        """Light from all round beside the lamps, where these were told from highlights."""
+        if not self.lights_found:
+            return None
+        around = Environment.uniform()
+        return Environment(needed(self.fit).values["room"] * around.radiance)
+
+    def scene(self) -> Scene:
+        """The eye as it was photographed: the same camera, light and pigments.
+
+        **Raises:** `ValueError` before the pigments are known.
+        """
+        iris, pose = self.iris(), needed(self.pose)
+        return Scene(
+            iris,
+            needed(self.morphology).maps,
+            eye=pose.eye,
+            lights=self.lights,
+            environment=self.room(),
+            camera=pose.camera,
+            integrator=self.integrator,
+        )
+
+
+T = TypeVar("T")
+
+
+def needed(part: T | None) -> T:
+    """What an earlier stage found."""
+    if part is None:
+        raise ValueError("an earlier stage has not run")
+    return part
