@@ -167,11 +167,9 @@ def scene_text(clone: Clone, maps: str = "maps.exr") -> str:
         f"exposure = {_number(exposure)}",
         f'integrator = "{_integrator(clone)}"',
     ]
-    room = clone.room()
-    if clone.lights_found == 0 or room is not None:
-        strength = 1.0 if room is None else clone.fit.values["room"]
+    if (strength := clone.room_radiance()) is not None:
         rows += ["", "[environment]", 'kind = "uniform"', f"strength = {_number(strength)}"]
-    if clone.lights_found != 0 and lights is not None:
+    if lights is not None:
         towards = np.asarray(lights.towards, np.float64)
         for i, (x, y, z) in enumerate(towards):
             rows += [

@@ -228,6 +228,7 @@ def _fitted(found: Clone, settings: Settings, tables: Illumination) -> Clone:
         settings.integrator,
         tables,
         room=bool(found.lights_found),
+        mirrored=1.0 if found.lights_found == 0 else 0.0,
     )
     log = []
     if settings.method == "simplex":

@@ -60,6 +60,9 @@ NOTHING = Given()
 """Every stage finds what it finds."""
 
 
+_WHITE = Environment.uniform()
+
+
 class Clone(NamedTuple):
     """All that was found; stages that did not run leave `None`.
 
@@ -96,25 +99,26 @@ class Clone(NamedTuple):
         values = needed(self.fit).values
         return iris_of({k: jnp.asarray(v) for k, v in values.items()}, needed(self.base))
 
-    def room(self) -> Environment | None:
-        """Light from all round beside the lamps, where these were told from highlights."""
-        if not self.lights_found:
+    def room_radiance(self) -> float | None:
+        """Of light from all round: what the fit says beside lamps that were told from highlights, 1
+        where there was no highlight, `None` for lights that were given.
+        """
+        if self.lights_found is None:
             return None
-        around = Environment.uniform()
-        return Environment(needed(self.fit).values["room"] * around.radiance)
+        return needed(self.fit).values["room"] if self.lights_found else 1.0
 
     def scene(self) -> Scene:
         """The eye as it was photographed: the same camera, light and pigments.
 
         **Raises:** `ValueError` before the pigments are known.
         """
-        iris, pose = self.iris(), needed(self.pose)
+        iris, pose, around = self.iris(), needed(self.pose), self.room_radiance()
         return Scene(
             iris,
             needed(self.morphology).maps,
             eye=pose.eye,
-            lights=self.lights,
-            environment=self.room(),
+            lights=None if self.lights_found == 0 else self.lights,
+            environment=None if around is None else Environment(around * _WHITE.radiance),
             camera=pose.camera,
             integrator=self.integrator,
         )

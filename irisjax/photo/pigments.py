@@ -61,8 +61,8 @@ class Fit(NamedTuple):
     """The best pigments and camera.
 
     - `values` by name; `z`: the same as standard normal numbers of their priors, with their
-        `covariance` (normal approximation). `rms`: of the windows, relative to their mean, per
-        channel.
+        `covariance` (normal approximation). `rms`: of the
+        logarithms of photograph over model in the windows, per channel.
     - `steps`: that it took; `converged`: whether it ended of itself.
     """
 
@@ -130,13 +130,20 @@ def predicted(values: dict[str, Any], windows: Windows, base: Iris) -> Float[Arr
 
 
 def _off(values, windows: Windows, base: Iris):
-    """Relative differences of photograph and model, (windows, 3), and the standard deviations of
-    the pixels' means.
+    """Logarithms of photograph over model, (windows, 3), and the standard deviations of the pixels'
+    means.
+
+    Of logarithms: relative to the photograph, a model that is black would be off by one everywhere,
+    and a common factor would explain it.
     """
     floor = _FLOOR * windows.colour.mean(where=windows.present[:, None])
-    scale = jnp.abs(windows.colour) + floor
-    off = (windows.colour - predicted(values, windows, base)) / scale
-    return jnp.where(windows.present[:, None], off, 0.0), windows.error / scale
+    seen = jnp.maximum(windows.colour, 0) + floor
+    # Out of sRGB's range a channel may be below zero; it stays a slope.
+    shown = predicted(values, windows, base) + floor
+    least = 0.1 * floor
+    shown = jnp.where(shown > least, shown, least * jnp.exp(jnp.minimum(shown / least - 1, 0.0)))
+    off = jnp.log(seen / shown)
+    return jnp.where(windows.present[:, None], off, 0.0), windows.error / seen
 
 
 def log_probability(z, windows: Windows, base: Iris):

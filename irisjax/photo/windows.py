@@ -50,8 +50,9 @@ class Windows(eqx.Module):
         empty, so that every photograph has the same shapes.
     - `matrix`: from the coefficients of a response to radiance, (windows, channels or 1, products ×
         functions). `room`: the same of a uniform room of radiance 1 in place of the lights, or
-        `None` where nothing but the lights is thought of; `veil`: share of its radiance that the
-        tear film mirrors.
+        `None` where nothing but the lights is thought of.
+    - `veil`: share of the room's radiance that the tear film mirrors; `mirrored`: radiance of what
+        it mirrors of the lights themselves, where these stand for a room.
     - `angle` (radians), `radius` (mm): of their middles.
     - `bands`, `ranges`, `integrator`, `aqueous_index`: what a response is made with.
     """
@@ -62,6 +63,7 @@ class Windows(eqx.Module):
     matrix: Float[Array, "windows tints terms"]
     room: Float[Array, "windows tints terms"] | None
     veil: Float[np.ndarray, " windows"]
+    mirrored: Float[np.ndarray, ""]
     angle: Float[np.ndarray, " windows"]
     radius: Float[np.ndarray, " windows"]
     bands: Bands
@@ -79,7 +81,8 @@ class Windows(eqx.Module):
         matrix = self.matrix if self.room is None else self.matrix + room * self.room
         full = (matrix.shape[0], 3, matrix.shape[2])
         shown = jnp.einsum("wtk,kt->wt", jnp.broadcast_to(matrix, full), terms)
-        return shown if self.room is None else shown + room * self.veil[:, None]
+        around = self.mirrored if self.room is None else self.mirrored + room
+        return shown + around * self.veil[:, None]
 
     def thickness_response(self, iris: Iris) -> float:
         """d ln luminance / d ln stroma's thickness of an iris, about its mean thickness, seen and
@@ -103,6 +106,7 @@ def windows_of(
     integrator: Separable | RadiativeIntegrator,
     tables: Illumination | None,
     room: bool = False,
+    mirrored: float = 0.0,
 ) -> Windows:
     """Choose windows and make their matrix.
 
@@ -116,6 +120,7 @@ def windows_of(
         integrator: ILIT's or that of radiative transfer.
         tables: Of the eye, `None` without a cornea.
         room: Whether there may be light from all round beside the lights.
+        mirrored: Radiance that the tear film mirrors where the lights stand for a room.
 
     Raises:
         ValueError: If hardly any window is free.
@@ -157,6 +162,7 @@ def windows_of(
         of(lights),
         None if around is None else of(around),
         veil,
+        np.asarray(mirrored),
         angle,
         np.bincount(window, place[1])[:_COUNT] / np.maximum(share, 1),
         bands,

@@ -46,7 +46,8 @@ def _fekete(degrees: tuple[int, ...]) -> tuple[np.ndarray, np.ndarray]:
     products = np.ones((len(every), len(terms)))
     for x, d, k in zip(every.T, degrees, terms.T, strict=True):
         products *= np.polynomial.chebyshev.chebvander(x, d)[:, k]
-    chosen = np.sort(scipy.linalg.qr(products.T, mode="r", pivoting=True)[1][: len(terms)])
+    found: Any = scipy.linalg.qr(products.T, mode="r", pivoting=True)
+    chosen = np.sort(found[1][: len(terms)])
     return every[chosen], np.linalg.inv(products[chosen])
 
 
