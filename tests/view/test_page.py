@@ -259,3 +259,4 @@ def test_a_clone_beside_its_photograph(browser, tmp_path):
         slider.press("End")
         page.get_by_text("camera 0° off axis").wait_for(timeout=30_000)
         assert green(60, True)
+        page.get_by_text("picture 80 × 60").wait_for(timeout=30_000)
