@@ -253,10 +253,11 @@ class _Page:
         began = time.perf_counter()
         self.picture = self.studio.update(draft=draft, **changes)
         spent = time.perf_counter() - began
-        for client in self.server.get_clients().values():
+        clients = self.server.get_clients().values()
+        for client in clients:
             self._send(client)
-            if "photograph" in changes and self.worker.quiet(0) and self._asked(client.camera):
-                self._look(client.camera)
+        if changes.get("photograph") and self.worker.quiet(0):
+            self._beside(clients)
         values, colour = self.studio.spectrum()
         before = values if self.first else self.plot.data[1]
         self.plot.data = (GRID, before, values)
@@ -309,6 +310,15 @@ class _Page:
                 self.worker.put(**asked)
 
         follow(client.camera)
+
+    def _beside(self, clients) -> None:
+        """Slider and cameras as they must be for a photograph that is shown."""
+        slider, share = self.widgets["photograph"], self.studio.settings.photograph
+        if slider.value == 0 and share:  # by a turn of the eye that the slider overtook
+            slider.value = share
+        for client in clients:
+            if self._asked(client.camera):
+                self._look(client.camera)
 
     def _asked(self, camera) -> dict[str, float]:
         """Settings of viser's camera, if others than those of the picture."""

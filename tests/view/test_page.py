@@ -2,6 +2,7 @@
 
 import contextlib
 import io
+import json
 import re
 import shutil
 import signal
@@ -16,6 +17,7 @@ import numpy as np
 import pytest
 
 from irisjax import cli
+from irisjax.io.clone_folders import PHOTOGRAPH, encode_photograph
 from irisjax.view import Studio, server
 
 
@@ -54,6 +56,16 @@ def test_refuses_wrong_scenes(tmp_path):
     assert "not both" in _complaint("--port", "0", str(tmp_path / "eye.toml"), "--preset", "blue")
 
 
+@pytest.mark.peer
+def test_refuses_folders_that_are_no_clones(tmp_path):
+    pytest.importorskip("viser")
+    assert "no clone.json" in _complaint("--port", "0", str(tmp_path))
+    _clone(tmp_path, np.zeros((60, 80, 3)))
+    assert "in that proportion" in _complaint("--port", "0", str(tmp_path), "--size", "40x40")
+    _clone(tmp_path, np.zeros((50, 80, 3)))
+    assert "must be 80 x 60" in _complaint("--port", "0", str(tmp_path))
+
+
 def test_not_loaded_with_the_package():
     loaded = "import sys, irisjax, irisjax.view; raise SystemExit('viser' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", loaded]).returncode == 0
@@ -71,6 +83,12 @@ size = [80, 60]
 [[light]]
 irradiance = 60
 """
+
+
+def _clone(folder, photograph):
+    (folder / "clone.json").write_text(json.dumps({"photograph": "", "limbus": {}, "pupil": {}}))
+    (folder / "scene.toml").write_text(SCENE)
+    (folder / PHOTOGRAPH).write_bytes(encode_photograph(photograph))
 
 
 @pytest.fixture
@@ -92,12 +110,11 @@ def browser():
         pytest.skip("no Chromium: python -m playwright install --with-deps chromium")
 
 
-@pytest.fixture
-def address(tmp_path):
-    """Of a viewer in a process of its own, which Ctrl-C must end."""
-    (tmp_path / "eye.toml").write_text(SCENE)
+@contextlib.contextmanager
+def _viewer(subject):
+    """Address of a viewer in a process of its own, which Ctrl-C must end."""
     code = "import signal; signal.signal(signal.SIGINT, signal.default_int_handler); from irisjax.cli import main; main()"
-    command = [sys.executable, "-c", code, "view", str(tmp_path / "eye.toml"), "--port", "0"]
+    command = [sys.executable, "-c", code, "view", str(subject), "--port", "0"]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     try:
         line = process.stdout.readline()
@@ -108,6 +125,14 @@ def address(tmp_path):
     finally:
         process.kill()
         process.communicate()
+
+
+@pytest.fixture
+def address(tmp_path):
+    """Of a viewer of a small scene."""
+    (tmp_path / "eye.toml").write_text(SCENE)
+    with _viewer(tmp_path / "eye.toml") as found:
+        yield found
 
 
 @pytest.mark.peer
@@ -193,3 +218,45 @@ def test_page(browser, address):
     page.mouse.up()
     page.get_by_text(re.compile(r"camera [1-9]\d*° off axis")).wait_for(timeout=30_000)
     assert errors == []
+
+
+@pytest.mark.peer
+def test_a_clone_beside_its_photograph(browser, tmp_path):
+    """Turning the eye hides the photograph; the slider brings it back, and its camera."""
+    _clone(tmp_path, np.broadcast_to([0.0, 1.0, 0.0], (60, 80, 3)))
+    with _viewer(tmp_path) as address:
+        page = browser.new_page(viewport={"width": 1200, "height": 500})
+        page.goto(address)
+        page.get_by_text("left: photograph; right: simulated").wait_for(timeout=60_000)
+        page.get_by_text("picture 80 × 60").wait_for(timeout=60_000)
+        box = page.locator("canvas").first.bounding_box()
+        x, y = (box[at] + box[size] / 2 for at, size in (("x", "width"), ("y", "height")))
+
+        def green(offset, wanted):
+            import imageio.v3
+
+            clip = {"x": x + offset - 5, "y": y - 5, "width": 10, "height": 10}
+            deadline = time.monotonic() + 30
+            while time.monotonic() < deadline:
+                shot = imageio.v3.imread(page.screenshot(clip=clip), extension=".png")
+                red, middle, _ = shot[..., :3].mean((0, 1))
+                if (middle > red + 100) == wanted:
+                    return True
+                time.sleep(0.2)
+            return False
+
+        assert green(-60, True)
+        assert green(60, False)
+        slider = page.get_by_role("slider").first
+        page.mouse.move(x, y)
+        page.mouse.down()
+        page.mouse.move(x - 60, y, steps=6)
+        page.mouse.up()
+        page.get_by_text(re.compile(r"camera [1-9]\d*° off axis")).wait_for(timeout=30_000)
+        assert green(-60, False)
+        assert float(slider.get_attribute("aria-valuenow")) == 0
+        slider.focus()
+        slider.press("End")
+        page.get_by_text("camera 0° off axis").wait_for(timeout=30_000)
+        assert green(60, True)
+        page.get_by_text("picture 80 × 60").wait_for(timeout=30_000)
