@@ -75,8 +75,9 @@ class Picture(Group):
     light: Annotated[
         list[str] | None,
         option(
-            metavar="POLAR,AZIMUTH[,IRRADIANCE]",
-            help="as of render; repeatable; default: told from the highlights on the cornea",
+            metavar="POLAR,AZIMUTH[,E]",
+            help="as of render, E its irradiance; repeatable; default: told from the highlights on "
+            "the cornea",
         ),
     ] = None
     environment: Annotated[
@@ -139,8 +140,8 @@ def clone(picture: Picture, model: Model, results: Results) -> None:
 
     For example: irisjax clone eye.jpg -o clone_eye
 
-    Exit status: 0; 3 where an outline is doubtful (give --limbus and --pupil) or the chain is not
-    long enough (raise --max-steps); 2 for wrong input.
+    Exit status: 0; 3 where an outline is doubtful (give --limbus and --pupil) or
+    the chain is not long enough (raise --max-steps); 2 for wrong input.
     """
     folder = results.output
     _check_folder(folder, results.overwrite)
