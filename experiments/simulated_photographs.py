@@ -172,7 +172,8 @@ def _outline(scene: Scene, radius: float, pupil: bool) -> dict:
         [radius * jnp.cos(angle), radius * jnp.sin(angle), jnp.broadcast_to(depth, angle.shape)], -1
     )
     if pupil:
-        column, row, visible = project_points(IrisSurface(eye), scene.camera, ring)
+        found = jax.jit(project_points)(IrisSurface(eye), scene.camera, ring)
+        column, row, visible = found
         assert bool(visible.all())
     else:
         column, row = scene.camera.pixel(ring, eye)

@@ -15,6 +15,7 @@ from irisjax import io, plot
 from irisjax.cli.cache import cores
 from irisjax.cli.options import SEED_HELP, Group, grouped, name_of, number, option, read_seed, whole
 from irisjax.cli.scenes import lamps
+from irisjax.io.clone_folders import PHOTOGRAPH, encode_photograph
 from irisjax.io.clones import files_of
 from irisjax.io.photographs import read_photograph
 from irisjax.numerics.checks import Range, check_range
@@ -246,7 +247,8 @@ def _pictures(found: cloning.Clone) -> dict[str, bytes]:
     }
     rms = 100 * both.rms
     print(f"difference of the pictures, RMS: {rms[0]:.1f}, {rms[1]:.1f}, {rms[2]:.1f} % (R, G, B)")
-    return {name: plot.picture(figure, ".png") for name, figure in figures.items()}
+    written = {name: plot.picture(figure, ".png") for name, figure in figures.items()}
+    return written | {PHOTOGRAPH: encode_photograph(both.photograph)}
 
 
 def _report(found: cloning.Clone, picture: Picture, folder: Path) -> bool:

@@ -2,6 +2,7 @@
 
 import dataclasses
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Annotated, Any
 
 import jax
@@ -10,7 +11,23 @@ import typer
 from irisjax.cli.cache import cores, kept_tables
 from irisjax.cli.options import Group, grouped, option, whole
 from irisjax.cli.scenes import Subject, changed
+from irisjax.io.clone_folders import read_clone
 from irisjax.view import Studio, check, serve
+
+
+@dataclass(frozen=True, kw_only=True)
+class Shown(Subject):
+    """Which eye, or which clone of one."""
+
+    scene: Annotated[
+        Path | None,
+        typer.Argument(
+            metavar="SCENE|DIR",
+            help="scene file (TOML; data/scenes/everything.toml explains it), or the folder of a "
+            "clone, shown beside its photograph",
+            show_default=False,
+        ),
+    ] = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -31,7 +48,7 @@ class Window(Group):
 
 
 @grouped
-def view(subject: Subject, window: Window) -> None:
+def view(subject: Shown, window: Window) -> None:
     r"""An eye in the browser, with sliders, its spectrum and its colour.
 
     Sliders for pigments, layers, pupil and light; drag to orbit, scroll to zoom.
@@ -41,14 +58,19 @@ def view(subject: Subject, window: Window) -> None:
     check(window.host, window.port)
     if subject.scene is None and subject.preset is None:
         subject = dataclasses.replace(subject, preset="blue")
-    file = subject.read()
+    photograph = None
+    if subject.scene is not None and subject.preset is None and subject.scene.is_dir():
+        file, photograph = read_clone(subject.scene)
+    else:
+        file = subject.read()
     # Half the time of double precision, and the same picture to one level of 255 but for some
     # pixels.
     jax.config.update("jax_enable_x64", False)
     given: dict[str, Any] = {"exposure": file.exposure}
     if subject.preset is not None:
         given |= {"preset": subject.preset, "seed": subject.seed, "environment": "studio"}
-    studio = Studio(changed(file.scene(), size=window.size), kept_tables, threads=cores(), **given)
+    scene = changed(file.scene(), size=window.size)
+    studio = Studio(scene, kept_tables, threads=cores(), photograph=photograph, **given)
     serve(
         studio,
         window.host,

@@ -167,9 +167,11 @@ def scene_text(clone: Clone, maps: str = "maps.exr") -> str:
         f"exposure = {_number(exposure)}",
         f'integrator = "{_integrator(clone)}"',
     ]
-    if clone.lights_found == 0:
-        rows += ["", "[environment]", 'kind = "uniform"']
-    elif lights is not None:
+    room = clone.room()
+    if clone.lights_found == 0 or room is not None:
+        strength = 1.0 if room is None else clone.fit.values["room"]
+        rows += ["", "[environment]", 'kind = "uniform"', f"strength = {_number(strength)}"]
+    if clone.lights_found != 0 and lights is not None:
         towards = np.asarray(lights.towards, np.float64)
         for i, (x, y, z) in enumerate(towards):
             rows += [

@@ -227,6 +227,7 @@ def _fitted(found: Clone, settings: Settings, tables: Illumination) -> Clone:
         needed(found.lights),
         settings.integrator,
         tables,
+        room=bool(found.lights_found),
     )
     log = []
     if settings.method == "simplex":

@@ -15,6 +15,7 @@ from irisjax.photo.pose import Pose
 from irisjax.photo.posterior import PigmentPosterior
 from irisjax.photo.unrefracted import Unrefracted
 from irisjax.photo.windows import Windows
+from irisjax.render.environment import Environment
 from irisjax.render.lights import Lights
 from irisjax.render.radiative import RadiativeIntegrator
 from irisjax.render.scene import Scene
@@ -95,6 +96,13 @@ class Clone(NamedTuple):
         values = needed(self.fit).values
         return iris_of({k: jnp.asarray(v) for k, v in values.items()}, needed(self.base))
 
+    def room(self) -> Environment | None:
+        """Light from all round beside the lamps, where these were told from highlights."""
+        if not self.lights_found:
+            return None
+        around = Environment.uniform()
+        return Environment(needed(self.fit).values["room"] * around.radiance)
+
     def scene(self) -> Scene:
         """The eye as it was photographed: the same camera, light and pigments.
 
@@ -106,6 +114,7 @@ class Clone(NamedTuple):
             needed(self.morphology).maps,
             eye=pose.eye,
             lights=self.lights,
+            environment=self.room(),
             camera=pose.camera,
             integrator=self.integrator,
         )

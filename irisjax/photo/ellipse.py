@@ -33,7 +33,7 @@ class Ellipse(NamedTuple):
         (x, y), (a, b) = self.centre, self.semi_axes
         cos, sin = np.cos(self.angle), np.sin(self.angle)
         right, up = np.asarray(column) - x, y - np.asarray(row)
-        return np.hypot((right * cos + up * sin) / a, (up * cos - right * sin) / b)
+        return np.asarray(np.hypot((right * cos + up * sin) / a, (up * cos - right * sin) / b))
 
     def mask(self, shape: tuple[int, int]) -> Bool[np.ndarray, "rows columns"]:
         """Which pixels of a picture lie within it."""

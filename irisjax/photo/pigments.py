@@ -32,6 +32,7 @@ PRIORS: dict[str, AbstractPrior] = {
     "stroma_eumelanin": LogNormal(0.2, 1.3),
     "stroma_pheomelanin": LogNormal(0.05, 1.3),
     "scattering_scale": LogNormal(1.0, 0.5),
+    "room": LogNormal(0.1, 1.2),
     "exposure": LogNormal(1.0, 0.7),
     "red_gain": LogNormal(1.0, 0.08),
     "blue_gain": LogNormal(1.0, 0.08),
@@ -42,9 +43,10 @@ PRIORS: dict[str, AbstractPrior] = {
 """What is free and its prior.
 
 Concentrations: LB06's loads and shares of the two layers, a factor 3.7 either way. Scattering: a
-factor on the iris's own. Camera: exposure over that of a white sheet in the stated light, white
-balance of red and blue against green, and the power by which its values grow with light. Noise:
-relative, of a window as a whole and of each channel.
+factor on the iris's own. Room: radiance of light from all round beside lamps whose irradiance is π
+together, where lamps were told from their highlights. Camera: exposure over that of a white sheet
+in the stated light, white balance of red and blue against green, and the power by which its values
+grow with light. Noise: relative, of a window as a whole and of each channel.
 """
 NAMES = tuple(PRIORS)
 UNITS = {name: "mg/ml" if name in CONCENTRATIONS else "" for name in NAMES}
@@ -118,7 +120,7 @@ def concentrations_of(iris: Iris) -> dict[str, float]:
 
 def predicted(values: dict[str, Any], windows: Windows, base: Iris) -> Float[Array, "windows 3"]:
     """Linear values of a photograph of the iris in each window."""
-    radiance = windows.radiance(iris_of(values, base))
+    radiance = windows.radiance(iris_of(values, base), values["room"])
     # What is darker than nothing, out of sRGB's range, has no power: straight on from a small one.
     least = 1e-4
     held = jnp.maximum(radiance, least)
@@ -131,9 +133,10 @@ def _off(values, windows: Windows, base: Iris):
     """Relative differences of photograph and model, (windows, 3), and the standard deviations of
     the pixels' means.
     """
-    floor = _FLOOR * windows.colour.mean()
+    floor = _FLOOR * windows.colour.mean(where=windows.present[:, None])
     scale = jnp.abs(windows.colour) + floor
-    return (windows.colour - predicted(values, windows, base)) / scale, windows.error / scale
+    off = (windows.colour - predicted(values, windows, base)) / scale
+    return jnp.where(windows.present[:, None], off, 0.0), windows.error / scale
 
 
 def log_probability(z, windows: Windows, base: Iris):
@@ -149,7 +152,7 @@ def log_probability(z, windows: Windows, base: Iris):
         1 + common * total
     )
     determinant = jnp.log(own).sum(1) + jnp.log1p(common * total)
-    found = -0.5 * (squares + determinant).sum() - 0.5 * (z**2).sum()
+    found = -0.5 * jnp.where(windows.present, squares + determinant, 0).sum() - 0.5 * (z**2).sum()
     return jnp.where(jnp.isfinite(found), found, -jnp.inf)
 
 
@@ -158,6 +161,7 @@ def least_squares(windows: Windows, base: Iris, steps: int = 60) -> Fit:
     with the noise's priors at their medians; the best of a few starts.
     """
     free = [i for i, n in enumerate(NAMES) if n not in _NOISE]
+    free = [i for i in free if NAMES[i] != "room" or windows.room is not None]
     starts = np.zeros((len(_STARTS), len(free)))
     starts[:, : len(CONCENTRATIONS)] = _STARTS
     found, cost, taken, ended, covariance = _searched(
@@ -181,7 +185,7 @@ def _residuals(some, args):
     z = jnp.zeros(len(NAMES)).at[jnp.asarray(free)].set(some)
     values = values_of(z)
     off, pixels = _off(values, windows, base)
-    own = jnp.sqrt(values["channel_noise"] ** 2 + (pixels**2).mean())
+    own = jnp.sqrt(values["channel_noise"] ** 2 + (pixels**2).mean(where=windows.present[:, None]))
     mean = off.mean(1, keepdims=True)
     # Three numbers of a window: its mean, which the common factor moves too, and the rest.
     common = jnp.sqrt(own**2 / 3 + values["common_noise"] ** 2)
@@ -253,7 +257,7 @@ def _downhill(start, held, windows, base, eumelanin: bool, steps: int):
     def cost(x, _):
         four = _four(x, held) if eumelanin else _four(held, x)
         off = _off({**four, **rest}, windows, base)[0]
-        return (off**2).mean()
+        return (off**2).mean(where=windows.present[:, None])
 
     found = optx.minimise(cost, optx.NelderMead(1e-4, 1e-6), start, max_steps=steps, throw=False)
     return found.value, found.stats["num_steps"], found.result == optx.RESULTS.successful
@@ -271,4 +275,5 @@ def _rms(z, windows: Windows, base: Iris) -> np.ndarray:
 
 @program
 def _rms_of(z, windows, base):
-    return jnp.sqrt((_off(values_of(z), windows, base)[0] ** 2).mean(0))
+    off = _off(values_of(z), windows, base)[0]
+    return jnp.sqrt((off**2).mean(0, where=windows.present[:, None]))

@@ -15,15 +15,17 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
+from irisjax._types import Scalar
 from irisjax.anatomy.eye import Eye
 from irisjax.numerics.programs import program
 from irisjax.photo.pose import Pose
 from irisjax.photo.unrefracted import LUMINANCE
 from irisjax.render.bands import Bands, colour_bands
+from irisjax.render.environment import Environment
 from irisjax.render.illumination import Illumination
 from irisjax.render.integrator import AbstractIntegrator
 from irisjax.render.lights import Lights
-from irisjax.render.project import IRIS, SCLERA, IrisPixels, seen_parts
+from irisjax.render.project import IRIS, SCLERA, IrisPixels, MirrorPixels, seen_parts
 from irisjax.render.radiative import RadiativeIntegrator
 from irisjax.render.separable import Separable
 from irisjax.render.shading import ranges_of
@@ -35,6 +37,8 @@ ANGLES, RINGS = 16, 4
 """Windows round the iris and across it."""
 MARGIN = 0.35
 """Kept off the pupil's edge and off the root, mm."""
+_COUNT = ANGLES * RINGS
+_AROUND = 25  # lights that stand for a room
 _MOST, _LEAST = 96, 24  # pixels of a window: so many are taken of it, or it is left out
 
 
@@ -42,16 +46,22 @@ class Windows(eqx.Module):
     """Windows of one photograph: their mean colours, and the same of the model as a matrix.
 
     - `colour`: mean linear values of the photograph, (windows, 3); `error`: standard deviation of
-        each mean by the pixels' own spread.
+        each mean by the pixels' own spread. `present`: windows with enough pixels; the others stand
+        empty, so that every photograph has the same shapes.
     - `matrix`: from the coefficients of a response to radiance, (windows, channels or 1, products ×
-        functions).
+        functions). `room`: the same of a uniform room of radiance 1 in place of the lights, or
+        `None` where nothing but the lights is thought of; `veil`: share of its radiance that the
+        tear film mirrors.
     - `angle` (radians), `radius` (mm): of their middles.
     - `bands`, `ranges`, `integrator`, `aqueous_index`: what a response is made with.
     """
 
     colour: Float[np.ndarray, "windows 3"]
     error: Float[np.ndarray, "windows 3"]
+    present: Bool[np.ndarray, " windows"]
     matrix: Float[Array, "windows tints terms"]
+    room: Float[Array, "windows tints terms"] | None
+    veil: Float[np.ndarray, " windows"]
     angle: Float[np.ndarray, " windows"]
     radius: Float[np.ndarray, " windows"]
     bands: Bands
@@ -59,14 +69,17 @@ class Windows(eqx.Module):
     integrator: AbstractIntegrator
     aqueous_index: Float[Array, ""]
 
-    def radiance(self, iris: Iris) -> Float[Array, "windows 3"]:
+    def radiance(self, iris: Iris, room: Scalar | float = 0.0) -> Float[Array, "windows 3"]:
         """Mean linear sRGB of an iris in each window, where a white sheet facing an irradiance of π
-        has 1.
+        has 1; `room`: radiance of the room beside the lights.
         """
         parts = self.aqueous_index, self.bands, self.ranges
         found: Any = self.integrator.response(iris, *parts)
         terms = found.coefficients.reshape(-1, 3)
-        return jnp.einsum("wtk,kt->wt", jnp.broadcast_to(self.matrix, self._full), terms)
+        matrix = self.matrix if self.room is None else self.matrix + room * self.room
+        full = (matrix.shape[0], 3, matrix.shape[2])
+        shown = jnp.einsum("wtk,kt->wt", jnp.broadcast_to(matrix, full), terms)
+        return shown if self.room is None else shown + room * self.veil[:, None]
 
     def thickness_response(self, iris: Iris) -> float:
         """d ln luminance / d ln stroma's thickness of an iris, about its mean thickness, seen and
@@ -79,10 +92,6 @@ class Windows(eqx.Module):
         seen = jnp.asarray(LUMINANCE, scale.dtype) @ found.brdf(scales, one, one, 0 * one)
         return float(jnp.log(seen[1] / seen[0]) / jnp.log(1.1 / 0.9))
 
-    @property
-    def _full(self):
-        return (self.matrix.shape[0], 3, self.matrix.shape[2])
-
 
 def windows_of(
     pixels: Float[np.ndarray, "rows columns 3"],
@@ -93,6 +102,7 @@ def windows_of(
     lights: Lights,
     integrator: Separable | RadiativeIntegrator,
     tables: Illumination | None,
+    room: bool = False,
 ) -> Windows:
     """Choose windows and make their matrix.
 
@@ -105,41 +115,50 @@ def windows_of(
         lights: All of them.
         integrator: ILIT's or that of radiative transfer.
         tables: Of the eye, `None` without a cornea.
+        room: Whether there may be light from all round beside the lights.
 
     Raises:
         ValueError: If hardly any window is free.
     """
-    seen = look(pose.eye, pose.camera).iris
+    view = look(pose.eye, pose.camera)
+    seen = view.iris
     if seen is None:
         raise ValueError("the camera does not see the iris")
     index, window, place = _chosen(seen, clear & iris_alone(pose), pose.eye)
-    count = int(window.max()) + 1 if window.size else 0
-    if count < 6:
+    share = np.bincount(window, minlength=_COUNT)[:_COUNT]
+    present = share > 0
+    if present.sum() < 6:
         raise ValueError(
-            f"only {count} windows of the iris are free of highlights, lashes and lids; 6 are the "
-            "least that pigments can be told from"
+            f"only {present.sum()} windows of the iris are free of highlights, lashes and lids; 6 "
+            "are the least that pigments can be told from"
         )
     some = dataclasses.replace(
         jax.tree.map(lambda leaf: jnp.asarray(np.asarray(leaf)[index]), _unnumbered(seen)),
         index=None,
     )
     picture = pixels.reshape(-1, 3)[_numbers(seen)[index]]
-    share = np.bincount(window, minlength=count)
-    mean, spread = _moments(picture, window, count, share)
+    mean, spread = _moments(picture, window, np.maximum(share, 1))
+    mirror = _mirrored(view.mirror, pixels.shape[0] * pixels.shape[1])
+    veil = np.bincount(window, mirror[_numbers(seen)[index]])[:_COUNT] / np.maximum(share, 1)
     ranges = ranges_of(iris, maps)
     bands = colour_bands(lights.illuminant, cornea=pose.eye.cornea)
     made = integrator.prepare(iris, pose.eye.aqueous_index, bands, ranges)
-    matrix = _matrix(
-        some, jnp.asarray(window), count, lights, pose.eye, iris, maps, tables, ranges, bands, made
-    )
-    angle = np.arctan2(*(np.bincount(window, f(place[0]), count) for f in (np.sin, np.cos)))
-    radius = np.bincount(window, place[1], count) / share
+    known = pose.eye, iris, maps, tables, ranges, bands, made
+
+    def of(lamps: Lights):
+        return _matrix(some, jnp.asarray(window), lamps, *known)
+
+    around = Environment.uniform().to_lights(_AROUND) if room else None
+    angle = np.arctan2(*(np.bincount(window, f(place[0]))[:_COUNT] for f in (np.sin, np.cos)))
     return Windows(
         mean,
-        spread / np.sqrt(share)[:, None],
-        matrix,
+        spread / np.sqrt(np.maximum(share, 1))[:, None],
+        present,
+        of(lights),
+        None if around is None else of(around),
+        veil,
         angle,
-        radius,
+        np.bincount(window, place[1])[:_COUNT] / np.maximum(share, 1),
         bands,
         ranges,
         made,
@@ -155,6 +174,16 @@ def iris_alone(pose: Pose) -> Bool[np.ndarray, "rows columns"]:
     every = np.arange(rows * columns, dtype=np.int32)
     seen = np.asarray(seen_parts(every, pose.eye, pose.camera))
     return (seen & (IRIS | SCLERA) == IRIS).reshape(rows, columns)
+
+
+def _mirrored(mirror: MirrorPixels | None, count: int) -> np.ndarray:
+    """Reflectance of the tear film at every pixel of the camera's picture."""
+    found = np.zeros(count)
+    if mirror is not None:
+        reflectance = np.asarray(mirror.reflectance)
+        number = np.arange(count) if mirror.index is None else np.asarray(mirror.index)
+        found[number[number >= 0]] = reflectance[number >= 0]
+    return found
 
 
 def _unnumbered(seen: IrisPixels) -> IrisPixels:
@@ -177,39 +206,41 @@ def _chosen(seen: IrisPixels, clear, eye: Eye):
     ring = np.minimum((r - inner) / (outer - inner) * RINGS, RINGS - 1).astype(int)
     sector = np.minimum(around / (2 * np.pi) * ANGLES, ANGLES - 1).astype(int)
     window = np.where(usable, ring * ANGLES + sector, -1)
-    index, name = [], []
-    for w in range(ANGLES * RINGS):
+    # As many of each, those that are missing under the number of no window: one program for all.
+    index, name = np.zeros((_COUNT, _MOST), int), np.full((_COUNT, _MOST), _COUNT)
+    for w in range(_COUNT):
         of = np.flatnonzero(window == w)
         if len(of) < _LEAST:
             continue
-        index.append(of[np.linspace(0, len(of) - 1, min(_MOST, len(of))).astype(int)])
-        name.append(np.full(len(index[-1]), len(name)))
-    if not index:
-        return np.empty(0, int), np.empty(0, int), (np.empty(0), np.empty(0))
-    chosen = np.concatenate(index)
-    return chosen, np.concatenate(name), (around[chosen], r[chosen])
+        taken = of[np.linspace(0, len(of) - 1, min(_MOST, len(of))).astype(int)]
+        index[w, : len(taken)], name[w, : len(taken)] = taken, w
+    # Padding repeats a pixel that is seen.
+    index[name == _COUNT] = index[name < _COUNT][0] if (name < _COUNT).any() else 0
+    chosen = index.ravel()
+    return chosen, name.ravel(), (around[chosen], r[chosen])
 
 
-def _moments(values, window: Int[np.ndarray, " pixels"], count: int, share):
+def _moments(values, window: Int[np.ndarray, " pixels"], share):
     """Mean and standard deviation of values (pixels, 3) in each window."""
     mean, square = (
-        np.stack([np.bincount(window, v[:, k], count) for k in range(3)], -1) / share[:, None]
+        np.stack([np.bincount(window, v[:, k])[:_COUNT] for k in range(3)], -1) / share[:, None]
         for v in (values, values.astype(np.float64) ** 2)
     )
     return mean, np.sqrt(np.maximum(square - mean**2, 0))
 
 
 @program
-def _matrix(seen, window, count: int, lights, eye, iris, maps, tables, ranges, bands, integrator):
+def _matrix(seen, window, lights, eye, iris, maps, tables, ranges, bands, integrator):
     texels, ground = integrator.place(seen, lights, eye, iris, maps, tables, ranges)
     response = integrator.response(iris, eye.aqueous_index, bands, ranges)
     one = response.coefficients[..., :1]
-    share = jnp.zeros(count).at[window].add(1.0)
+    share = jnp.maximum(jnp.zeros(_COUNT).at[window].add(1.0, mode="drop"), 1.0)
 
     def means(coefficients):
         held = eqx.tree_at(lambda r: r.coefficients, response, coefficients.reshape(one.shape))
         shaded = held.shade(texels, ground)
-        return jnp.zeros((count, shaded.shape[0])).at[window].add(shaded.T) / share[:, None]
+        added = jnp.zeros((_COUNT, shaded.shape[0])).at[window].add(shaded.T, mode="drop")
+        return added / share[:, None]
 
     flat = jnp.zeros(one.size, one.dtype)
     return jax.lax.map(

@@ -54,6 +54,10 @@ _SLIDERS: dict[str, dict[str, tuple[str, float, float, float, str]]] = {
         "exposure": ("exposure ×", 0.25, 4, 0.05, "factor on the picture"),
     },
 }
+_NOTE = (
+    "Left of the line is the photograph. It belongs to its own camera: turning or zooming the eye "
+    "hides it, moving this slider brings both back."
+)
 _VISERS = np.full(3, 3.0)  # where it puts its camera by itself
 _REST = 0.25  # s without a change before the fine picture replaces the draft
 _PATIENCE = 0.3  # s that other pigments may take without a draft
@@ -141,6 +145,17 @@ class _Page:
 
     def _settings(self) -> dict[str, Any]:
         gui, studio, widgets = self.server.gui, self.studio, {}
+        if studio.settings.photograph is not None:
+            with gui.add_folder("Photograph"):
+                widgets["photograph"] = gui.add_slider(
+                    "photograph",
+                    0.0,
+                    1.0,
+                    0.005,
+                    studio.settings.photograph,
+                    hint="share of the picture's width",
+                )
+                gui.add_html(f'<div style="padding:0 0.9em 0.5em;font-size:0.8em">{_NOTE}</div>')
         with gui.add_folder("Eye"):
             widgets["preset"] = gui.add_dropdown(
                 "preset", studio.presets(), initial_value=studio.settings.preset
@@ -176,8 +191,12 @@ class _Page:
         return widgets
 
     def _moved(self, event, name: str) -> None:
-        if event.client is not None:  # else it is the page that follows the settings
-            self.worker.put(**{name: event.target.value})
+        if event.client is None:  # it is the page that follows the settings
+            return
+        changes = {name: event.target.value}
+        if name == "photograph" and event.target.value > 0:
+            changes |= self.studio.photographed
+        self.worker.put(**changes)
 
     def _results(self) -> None:
         from viser import uplot
@@ -216,14 +235,17 @@ class _Page:
     def _show(self, changes: dict[str, Any]) -> None:
         """Draw after some changes; what is not quick first as a draft."""
         try:
-            quick = QUICK.issuperset(changes)
-            if self.first or not quick or self.spent > _PATIENCE:
+            settings = self.studio.settings
+            new = {n for n, value in changes.items() if getattr(settings, n, None) != value}
+            quick, wipe = QUICK.issuperset(new), not self.first and new == {"photograph"}
+            if not wipe and (self.first or not quick or self.spent > _PATIENCE):
                 self._draw(True, changes)
                 if not self.first and not self.worker.quiet(_REST):
                     return
                 changes = {}
             spent = self._draw(False, changes)
-            self.spent, self.first = spent if quick and not self.first else self.spent, False
+            self.spent = spent if quick and not (wipe or self.first) else self.spent
+            self.first = False
         except Exception as error:  # the page must outlive a setting that cannot be drawn
             self._say(f"{type(error).__name__}: {error}".replace("<", "&lt;"))
 
@@ -233,6 +255,8 @@ class _Page:
         spent = time.perf_counter() - began
         for client in self.server.get_clients().values():
             self._send(client)
+            if "photograph" in changes and self.worker.quiet(0) and self._asked(client.camera):
+                self._look(client.camera)
         values, colour = self.studio.spectrum()
         before = values if self.first else self.plot.data[1]
         self.plot.data = (GRID, before, values)
@@ -252,7 +276,7 @@ class _Page:
             "single scattering"
             if (error := self.studio.error) is None
             else f"all orders, within {100 * error:.1g} %",
-            "simulated",
+            "simulated" if not s.photograph else "left: photograph; right: simulated",
         )
         return spent
 
@@ -263,8 +287,7 @@ class _Page:
 
     def _connected(self, client: "viser.ClientHandle") -> None:
         aspect, arrived = 0.0, False
-        client.camera.position = self._place()
-        client.camera.look_at = np.zeros(3)  # which viser carries along with the position
+        self._look(client.camera)
 
         @client.camera.on_update
         def follow(camera) -> None:
@@ -272,22 +295,34 @@ class _Page:
             if camera.aspect != aspect:
                 aspect = camera.aspect
                 self._send(client)
-            settings = self.studio.settings
             place = np.asarray(camera.position) - np.asarray(camera.look_at)
             if (
                 np.abs(place - _VISERS).max() < 1e-3
             ):  # a slow browser may report it after ours, and stay there
-                camera.position, camera.look_at = self._place(), np.zeros(3)
+                self._look(camera)
                 return
-            seen = orbit(place, self.width)
-            if seen["camera_polar"] < 0.5:  # straight ahead there is no azimuth
-                seen["camera_azimuth"] = settings.camera_azimuth
-            moved = any(abs(getattr(settings, name) - value) > 0.02 for name, value in seen.items())
-            arrived |= not moved  # before that, viser reports a camera of its own
-            if moved and arrived:
-                self.worker.put(**seen)
+            asked = self._asked(camera)
+            arrived |= not asked  # before that, viser reports a camera of its own
+            if asked and arrived:
+                if "photograph" in self.widgets:
+                    self.widgets["photograph"].value = 0.0
+                self.worker.put(**asked)
 
         follow(client.camera)
+
+    def _asked(self, camera) -> dict[str, float]:
+        """Settings of viser's camera, if others than those of the picture."""
+        settings = self.studio.settings
+        seen = orbit(np.asarray(camera.position) - np.asarray(camera.look_at), self.width)
+        if seen["camera_polar"] < 0.5:  # straight ahead there is no azimuth
+            seen["camera_azimuth"] = settings.camera_azimuth
+        moved = any(abs(getattr(settings, name) - value) > 0.02 for name, value in seen.items())
+        return seen if moved else {}
+
+    def _look(self, camera) -> None:
+        """Put viser's camera where the settings look from."""
+        camera.position = self._place()
+        camera.look_at = np.zeros(3)  # which viser carries along with the position
 
     def _place(self) -> np.ndarray:
         """Of viser's camera, by the settings; its z is the eye's −z."""

@@ -24,6 +24,8 @@ class Settings:
     - `light_*`: of the first lamp, degrees; `strength`: factor on the environment; `exposure`: on
         the picture.
     - `camera_*`: degrees; `width` of the field, mm.
+    - `photograph`: share of the picture's width that shows the photograph, from the left; `None`
+        where there is none.
     """
 
     preset: str = GIVEN
@@ -45,8 +47,10 @@ class Settings:
     camera_polar: float = 0.0
     camera_azimuth: float = 0.0
     width: float = 15.0
+    photograph: float | None = None
 
 
 PIGMENTS = ("eumelanin", "pheomelanin", "abl_fraction", "hemoglobin", "saturation")
+CAMERA = ("camera_polar", "camera_azimuth", "width")
 QUICK = frozenset({*PIGMENTS, "stroma", "exposure"})
 """Settings that leave tables, view and stage alone."""

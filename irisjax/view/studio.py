@@ -26,14 +26,14 @@ from irisjax.render.scene import Scene
 from irisjax.render.stages import Memory
 from irisjax.tissue.iris import Iris
 from irisjax.tissue.maps import IrisMaps
-from irisjax.view.settings import ENVIRONMENTS, GIVEN, PIGMENTS, Settings
+from irisjax.view.settings import CAMERA, ENVIRONMENTS, GIVEN, PIGMENTS, Settings
+from irisjax.view.wipe import Picture, resized, wiped
 
 GRID = np.arange(400.0, 701.0, 5.0)
 """Wavelengths of the spectrum, nm."""
 _GROWN = ("preset", "seed", "integrator")
 _LAMP = ("light_polar", "light_azimuth", "irradiance")
 _LIGHT = (*_LAMP, "environment", "strength")
-_CAMERA = ("camera_polar", "camera_azimuth", "width")
 
 
 class Studio:
@@ -41,6 +41,8 @@ class Studio:
 
     - `tables_of`: makes the illumination tables of a scene, or finds them. `threads`: that share
         the pixels of a picture.
+    - `photograph`: what the scene's camera saw, sRGB, 8 bits, sides in proportion to the picture's;
+        the left half of the first picture shows it.
     - `given`: settings that the scene does not tell, such as the name of its `preset`.
     - `error`: of the last picture's response, see `AbstractResponse`.
     """
@@ -50,9 +52,11 @@ class Studio:
         scene: Scene,
         tables_of: Callable[[Scene], Illumination | None] = Scene.tables,
         threads: int = 1,
+        photograph: Picture | None = None,
         **given: Any,
     ):
         self._base, self._tables_of = scene, tables_of
+        self._photograph = None if photograph is None else resized(photograph, scene.camera.size)
         self._kept: dict[Any, tuple[Any, Any]] = {}
         self._memory = {draft: Memory(threads) for draft in (False, True)}
         self.error = 0.0
@@ -73,7 +77,15 @@ class Studio:
                 "light_azimuth": _degrees(math.atan2(y, x)),
                 "irradiance": float(scene.lights.irradiance[0]),
             }
+        if photograph is not None:
+            start["photograph"] = 0.5
         self.settings = Settings(**{**start, **given})
+        self._cameras = _of(self.settings, CAMERA)
+
+    @property
+    def photographed(self) -> dict[str, float]:
+        """Settings of the camera that the scene, and its photograph, began with."""
+        return dict(zip(CAMERA, self._cameras, strict=True))
 
     def presets(self) -> tuple[str, ...]:
         """Eye colours to choose from."""
@@ -87,8 +99,9 @@ class Studio:
         """The picture after some changes: sRGB, 8 bits, (height, width, 3); a `draft` has half of
         either side.
 
-        Another preset brings its own pigments, and so does a preset under another integrator.
-        **Raises:** `ValueError` and keeps the old settings.
+        Another preset brings its own pigments, and so does a preset under another integrator. Any
+        camera but the photograph's hides the photograph. **Raises:** `ValueError` and keeps the old
+        settings.
         """
         if unknown := changes.keys() - {f.name for f in dataclasses.fields(Settings)}:
             raise ValueError(f"no such setting: {', '.join(sorted(unknown))}")
@@ -96,16 +109,16 @@ class Studio:
         if self._look(settings) != self._look(self.settings):
             own = _pigments(self._grown(settings)[0]) | {"stroma": 1.0}
             settings = dataclasses.replace(settings, **{**own, **changes})
-        stage = self._stage(settings, draft)
-        asked = _of(settings, (*PIGMENTS, "stroma", *_GROWN))
-        response = self._once("response", asked, lambda: stage.response(self._iris(settings)))
-        shown = self._memory[draft].shown(stage, response)
-        picture = _encoded(shown, jnp.asarray(settings.exposure, shown.dtype))
-        self.settings, self.error = (
-            settings,
-            None if response.error is None else float(response.error),
-        )
-        return np.asarray(picture)
+        if settings.photograph is not None and self._photograph is None:
+            raise ValueError("no photograph to show")
+        if settings.photograph and _of(settings, CAMERA) != self._cameras:
+            settings = dataclasses.replace(settings, photograph=0.0)
+        drawn = dataclasses.replace(settings, photograph=None)
+        picture, error = self._once(("picture", draft), drawn, lambda: self._rendered(drawn, draft))
+        if settings.photograph:
+            picture = wiped(self._seen(draft), picture, settings.photograph)
+        self.settings, self.error = settings, error
+        return picture
 
     @property
     def iris(self) -> Iris:
@@ -134,10 +147,30 @@ class Studio:
             self._kept[name] = inputs, make()
         return self._kept[name][1]
 
-    def _stage(self, s: Settings, draft: bool) -> Stage:
+    def _rendered(self, s: Settings, draft: bool) -> tuple[np.ndarray, float | None]:
+        """Picture, and the error of its response."""
+        stage = self._stage(s, draft)
+        asked = _of(s, (*PIGMENTS, "stroma", *_GROWN))
+        response = self._once("response", asked, lambda: stage.response(self._iris(s)))
+        shown = self._memory[draft].shown(stage, response)
+        picture = _encoded(shown, jnp.asarray(s.exposure, shown.dtype))
+        return np.asarray(picture), None if response.error is None else float(response.error)
+
+    def _seen(self, draft: bool) -> Picture:
+        """The photograph at the picture's size."""
+        photograph = self._photograph
+        assert photograph is not None
+        return self._once(
+            ("photograph", draft), None, lambda: resized(photograph, self._size(draft))
+        )
+
+    def _size(self, draft: bool) -> tuple[int, int]:
         width, height = self._base.camera.size
-        size = (max(width // 2, 1), max(height // 2, 1)) if draft else (width, height)
-        seen, lit = _of(s, _CAMERA), _of(s, _LIGHT)
+        return (max(width // 2, 1), max(height // 2, 1)) if draft else (width, height)
+
+    def _stage(self, s: Settings, draft: bool) -> Stage:
+        size = self._size(draft)
+        seen, lit = _of(s, CAMERA), _of(s, _LIGHT)
         memory = self._memory[draft]
 
         def make():
@@ -203,7 +236,7 @@ class Studio:
             environment=self._once(
                 "environment", (s.environment, s.strength), lambda: self._around(s)
             ),
-            camera=self._once(("camera", size), _of(s, _CAMERA), lambda: self._camera(s, size)),
+            camera=self._once(("camera", size), _of(s, CAMERA), lambda: self._camera(s, size)),
         )
 
     def _eye(self, s: Settings):

@@ -43,9 +43,7 @@ def rendered(colour="green", polar=0.0, size=(600, 460), seed=0, **eye) -> Simul
     shape = Eye(**eye)
     camera = Camera(polar=polar, azimuth=0.6, width=15.0, size=size)
     iris, maps = preset(colour, shape, key=jax.random.key(seed))
-    scene = Scene(
-        iris, maps, shape, lights=None, environment=Environment.studio(), camera=camera
-    )
+    scene = Scene(iris, maps, shape, lights=None, environment=Environment.studio(), camera=camera)
     picture = np.asarray(scene.render(caustics=False), float)
     cos, sin = np.cos(_AROUND), np.sin(_AROUND)
     assert shape.cornea is not None

@@ -1,0 +1,69 @@
+"""The folder of a clone read back: its scene, and the photograph that its camera saw."""
+
+import json
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float, UInt8
+
+from irisjax.io.images import encode_png, read_image
+from irisjax.io.scenes import SceneFile, read_scene
+
+PHOTOGRAPH = "photograph.png"
+"""The part of the photograph that the clone's camera shows."""
+
+
+class CloneFolder(NamedTuple):
+    """What `irisjax clone` wrote: the scene file, and the photograph at the size of the scene's
+    picture, sRGB-encoded.
+    """
+
+    scene: SceneFile
+    photograph: UInt8[np.ndarray, "rows columns 3"]
+
+
+def encode_photograph(encoded: Float[np.ndarray, "rows columns 3"]) -> bytes:
+    """The bytes of `photograph.png`, of sRGB-encoded values in [0, 1]."""
+    remark = "part of a photograph; exposure, white balance and contrast taken off by irisjax"
+    return encode_png(PHOTOGRAPH, encoded, remark=remark)[0]
+
+
+def read_clone(folder: str | Path) -> CloneFolder:
+    """Read the folder of a clone.
+
+    **Raises:** `ValueError` without a readable `clone.json`, for a clone that was stopped before
+    its pigments, and for a photograph of another size than the scene's picture; as `read_scene`.
+    """
+    folder = Path(folder)
+    _check_summary(folder)
+    if not (folder / "scene.toml").exists():
+        raise ValueError(
+            f"{folder}: the clone has no scene.toml, it was stopped before its pigments; "
+            "run irisjax clone to the end"
+        )
+    scene = read_scene(folder / "scene.toml")
+    path = folder / PHOTOGRAPH
+    if not path.exists():
+        raise ValueError(f"{folder}: the clone has no {PHOTOGRAPH}; run irisjax clone again")
+    pixels = read_image(path).pixels
+    width, height = scene.scene().camera.size
+    if pixels.shape != (height, width, 3):
+        rows, columns, channels = pixels.shape
+        raise ValueError(
+            f"{path}: is {columns} x {rows} pixels of {channels} channels, must be {width} x "
+            f"{height} of 3, the size in scene.toml"
+        )
+    return CloneFolder(scene, np.rint(255 * pixels).astype(np.uint8))
+
+
+def _check_summary(folder: Path) -> None:
+    path = folder / "clone.json"
+    if not path.exists():
+        raise ValueError(f"{folder}: has no clone.json, it is not the folder of a clone")
+    try:
+        found = json.loads(path.read_text(encoding="utf-8"))
+    except ValueError as error:
+        raise ValueError(f"{path}: broken: {error}") from None
+    if not (isinstance(found, dict) and {"photograph", "limbus", "pupil"} <= found.keys()):
+        raise ValueError(f"{path}: broken: photograph, limbus and pupil must be in it")

@@ -1,0 +1,98 @@
+"""The limbus near a circle: the middle of the soft rise from iris to white."""
+
+import numpy as np
+from scipy import ndimage
+
+from irisjax.photo.edges import (
+    FINE,
+    ROUGH,
+    Edges,
+    along_rays,
+    around,
+    best_outline,
+    polished,
+    ray_angles,
+    steps_along,
+)
+from irisjax.photo.ellipse import Ellipse
+from irisjax.photo.photograph import Photograph
+
+_WIDTHS = (0.02, 0.05, 0.09)  # half widths of the rise, of the radius: about 1 mm in all
+_FLATTER = 1.25  # than the pupil, which the cornea shows turned towards the camera
+_SPAN = (0.6, 1.4)
+
+
+def limbus_near(
+    photo: Photograph, start: Ellipse, pupil: Ellipse | None = None, coarse: bool = True
+) -> tuple[Ellipse, float]:
+    """The limbus near a circle or, where that is not `coarse`, near an ellipse, and the share of
+    what lids leave of it that edges support.
+
+    A pupil that is known tells how flat it is.
+    """
+    size = ROUGH if coarse else FINE
+    pixels, outline, back = around(photo.pixels, start, 2.0, size)
+    picture = pixels.mean(-1)
+    colour = None if photo.grey else _redness(pixels[..., 0], pixels[..., 2])
+    lateral = 0.5 + 0.5 * np.cos(ray_angles()) ** 2
+    flattening = (0.0, 0.0, 0.1)
+    if pupil is not None:
+        flat = _FLATTER * np.log(pupil.semi_axes[0] / pupil.semi_axes[1])
+        flattening = (flat * np.cos(2 * pupil.angle), flat * np.sin(2 * pupil.angle), 0.03)
+    if coarse:
+        edges, white, _ = _limbus_edges(picture, colour, outline, (0.5, 1.65), 93, _WIDTHS[1:])
+        score = edges.score() * white * lateral[:, None]
+        outline, _ = best_outline(outline, edges.place, score)
+    support = 0.0
+    for near in (0.1, 0.06) if coarse else (0.06, 0.04, 0.04):
+        edges, white, profile = _limbus_edges(picture, colour, outline, _SPAN, 161, _WIDTHS)
+        value, place = _half_way(profile, edges, edges.score() * white, near)
+        # Where a lid lies on it the limbus cannot show.
+        shown = 0.3 + 0.7 * white[:, int(np.argmin(abs(edges.place - 1)))]
+        outline, support = polished(outline, value, place, lateral * shown, flattening)
+    return back(outline), support
+
+
+def _redness(red, blue):
+    """Log ratio of red to blue: skin is far above the white of an eye."""
+    floor = 0.02 * float(np.quantile(red, 0.98)) + 1e-6
+    return np.log((np.maximum(red, 0) + floor) / (np.maximum(blue, 0) + floor))
+
+
+def _half_way(profile, edges: Edges, score, near: float):
+    """Of each ray the score and the place at which the brightness is half way from iris to white,
+    nearest to the outline so far.
+    """
+    x = np.linspace(*_SPAN, profile.shape[1])
+    smooth = ndimage.gaussian_filter1d(np.nan_to_num(profile), 1.0, axis=1)
+    dark = np.quantile(smooth[:, (x > 0.82) & (x < 0.95)], 0.2, axis=1)
+    white = np.median(smooth[:, (x > 1.08) & (x < 1.18)], axis=1)
+    level = smooth - 0.5 * (dark + white)[:, None]
+    rising = (level[:, :-1] < 0) & (level[:, 1:] >= 0)
+    crossing = x[:-1] + (x[1] - x[0]) * level[:, :-1] / (level[:, :-1] - level[:, 1:] - 1e-12)
+    away = np.where(rising, abs(crossing - 1), np.inf)
+    at = away.argmin(1)
+    rays = np.arange(at.size)
+    place = np.where(rising[rays, at], crossing[rays, at], 1.0)
+    column = np.searchsorted(edges.place, place).clip(0, edges.place.size - 1)
+    good = (away[rays, at] < near) & (white > dark)
+    return np.where(good, score[rays, column], 0.0), place
+
+
+def _limbus_edges(picture, colour, outline, span, steps, widths):
+    """Edges across the limbus, how white it is beyond each of them, 0 to 1, and the brightness."""
+    profile = along_rays(picture, outline, span, steps)
+    edges = steps_along(profile, span, widths, 0.2)
+    if colour is None:
+        return edges, np.ones(edges.fit.shape), profile
+    tint = np.nan_to_num(along_rays(colour, outline, span, steps), nan=9.0)
+    pitch = edges.place[1] - edges.place[0]
+    smooth = ndimage.uniform_filter1d(tint, max(1, round(0.1 / pitch)), axis=1)
+    skip = (steps - edges.place.size) // 2
+    shift = round(0.12 / pitch)  # beyond the middle of the rise
+    outside = smooth[:, skip + shift : skip + shift + edges.place.size]
+    # The white is what is least red just outside: the sides of an eye show it.
+    at = int(np.argmin(abs(edges.place - 1)))
+    least = np.quantile(outside[:, at], 0.15)
+    white = 1 / (1 + np.exp(np.clip((outside - least - 0.4) / 0.08, -50, 50)))
+    return edges, white, profile

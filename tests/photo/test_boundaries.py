@@ -1,0 +1,188 @@
+"""Limbus and pupil of simulated photographs, and of pictures that show no eye."""
+
+import contextlib
+
+import numpy as np
+import pytest
+from scipy import ndimage
+
+from irisjax.photo.boundaries import MIN_CONFIDENCE, find_boundaries
+from irisjax.photo.ellipse import Ellipse
+from photo.simulated import (
+    SKIN,
+    Simulated,
+    as_photograph,
+    exposed,
+    occluded,
+    rendered,
+    with_highlight,
+    with_lashes,
+    with_lids,
+    with_noise,
+)
+
+
+def drawn(size=(300, 400), middle=(200.0, 150.0), radius=80.0, pupil=0.4, ratio=1.0):
+    """An eye as discs: soft limbus, sharp pupil, rays in the iris."""
+    limbus = Ellipse(middle, (radius, ratio * radius), 0.4)
+    inner = Ellipse(middle, (pupil * radius, pupil * ratio * radius), 0.4)
+    row, column = np.mgrid[: size[0], : size[1]]
+    r = limbus.relative_radius(column, row)
+    t = np.clip((r - 0.91) / 0.18, 0, 1)
+    white = t * t * (3 - 2 * t)
+    angle = np.arctan2(row - middle[1], column - middle[0])
+    iris = 0.15 * (1 + 0.2 * np.cos(40 * angle) * np.cos(9 * r))
+    inside = np.clip((r - pupil) * radius + 0.5, 0, 1)
+    grey = 0.7 * white + iris * (1 - white) * inside + 0.003
+    return Simulated(grey[..., None] * np.array([1.0, 0.95, 0.9]), limbus, inner)
+
+
+def errors(found: Ellipse, true: Ellipse) -> np.ndarray:
+    """Of centre and semi-axes, in radii."""
+    return np.array(
+        [
+            np.hypot(*np.subtract(found.centre, true.centre)),
+            *np.abs(np.subtract(found.semi_axes, true.semi_axes)),
+        ]
+    ) / np.sqrt(np.prod(true.semi_axes))
+
+
+def check(eye: Simulated, within: float):
+    found = find_boundaries(eye.photograph())
+    assert errors(found.limbus, eye.limbus).max() < within
+    assert errors(found.pupil, eye.pupil).max() < within
+    assert found.limbus_confidence > MIN_CONFIDENCE
+    assert found.pupil_confidence > MIN_CONFIDENCE
+    return found
+
+
+@pytest.fixture(scope="module")
+def green():
+    """A rendered eye, looking aside."""
+    return exposed(rendered("green", polar=0.3, size=(600, 460)))
+
+
+def test_outlines_behind_lids_lashes_and_a_highlight_are_found():
+    check(occluded(drawn(radius=120.0)), 0.02)
+
+
+@pytest.mark.heavy
+def test_outlines_of_a_rendered_eye_behind_lids_lashes_and_a_highlight(green):
+    check(occluded(green), 0.015)
+
+
+@pytest.mark.heavy
+def test_a_grey_picture_has_the_same_outlines(green):
+    eye = with_noise(with_lashes(with_lids(green, 0.9, 0.9), upper=0.9))
+    photo = eye.photograph()
+    grey = np.repeat(photo.pixels.mean(-1, keepdims=True), 3, -1)
+    found = find_boundaries(photo._replace(pixels=grey, grey=True))
+    assert errors(found.limbus, eye.limbus).max() < 0.015
+    assert errors(found.pupil, eye.pupil).max() < 0.015
+    assert found.limbus_confidence > MIN_CONFIDENCE
+
+
+@pytest.mark.heavy
+def test_one_side_of_the_white_burnt_out_and_the_other_in_shadow(green):
+    light = np.geomspace(3, 0.15, green.pixels.shape[1])[None, :, None]
+    uneven = green._replace(pixels=np.clip(green.pixels * light, 0, 1))
+    check(with_noise(with_highlight(uneven), 0.002), 0.02)
+
+
+@pytest.mark.parametrize(
+    "eye",
+    [
+        drawn(middle=(95.0, 190.0)),
+        drawn(radius=41.0, middle=(330.0, 60.0)),
+        drawn(radius=140.0),
+        drawn(ratio=0.85),
+        drawn(pupil=0.2),
+        drawn(pupil=0.7),
+    ],
+    ids=["aside", "small", "large", "tilted", "narrow pupil", "wide pupil"],
+)
+def test_anywhere_and_of_any_size(eye):
+    check(with_noise(eye, 0.005), 0.02)
+
+
+def test_of_two_eyes_one_is_found_whole():
+    left, right = (
+        drawn(size=(300, 300), middle=(150, 150)),
+        drawn(size=(300, 300), middle=(150, 150)),
+    )
+    both = np.concatenate([left.pixels, right.pixels], 1)
+    found = find_boundaries(as_photograph(both))
+    assert found.limbus_confidence > MIN_CONFIDENCE
+    assert abs(found.limbus.centre[0] % 300 - 150) < 2
+    assert abs(found.pupil.centre[0] - found.limbus.centre[0]) < 2
+
+
+def test_given_outlines_are_kept_and_the_other_one_is_found():
+    eye = drawn()
+    found = find_boundaries(eye.photograph(), limbus=eye.limbus)
+    assert found.limbus == eye.limbus and found.limbus_confidence == 1
+    assert errors(found.pupil, eye.pupil).max() < 0.02
+    assert found.pupil_confidence > MIN_CONFIDENCE
+    found = find_boundaries(eye.photograph(), pupil=eye.pupil)
+    assert found.pupil == eye.pupil and found.pupil_confidence == 1
+    assert errors(found.limbus, eye.limbus).max() < 0.01
+    assert found.limbus_confidence > MIN_CONFIDENCE
+    found = find_boundaries(
+        as_photograph(np.zeros((50, 60, 3))),
+        Ellipse((1, 1), (9, 8)),
+        eye.pupil._replace(centre=(2, 2)),
+    )
+    assert found[2:] == (1.0, 1.0)
+
+
+def test_a_given_outline_outside_the_picture_is_refused():
+    with pytest.raises(
+        ValueError, match=r"middle of the limbus given, \(900, 20\), is outside .* 400 x 300"
+    ):
+        find_boundaries(drawn().photograph(), limbus=Ellipse((900, 20), (80, 80)))
+
+
+def blobs(width: float) -> np.ndarray:
+    field = ndimage.gaussian_filter(np.random.default_rng(0).normal(size=(300, 400)), width)
+    return np.clip(0.5 + 0.15 * field / field.std(), 0, 1)[..., None] * SKIN / 0.45
+
+
+def disc() -> np.ndarray:
+    row, column = np.mgrid[:300, :400]
+    return np.where(np.hypot(row - 150, column - 200) < 60, 0.05, 0.8)[..., None] * np.ones(3)
+
+
+@pytest.mark.parametrize(
+    "pixels",
+    [
+        np.random.default_rng(0).uniform(size=(300, 400, 3)),
+        blobs(3),
+        blobs(15),
+        disc(),
+        drawn().pixels[:, :200],
+        drawn().pixels[150:, 200:],
+        with_noise(with_lids(drawn(), upper=-1.1, lower=1.1)).pixels,
+        np.full((10, 12, 3), 0.5) + np.eye(10, 12)[..., None] * 0.3,
+    ],
+    ids=["noise", "spots", "blobs", "disc", "half", "quarter", "closed", "tiny"],
+)
+def test_pictures_without_a_whole_eye_get_low_confidence(pixels):
+    with contextlib.suppress(ValueError):  # no iris found
+        found = find_boundaries(as_photograph(pixels))
+        assert found.limbus_confidence < MIN_CONFIDENCE
+        assert found.pupil_confidence < MIN_CONFIDENCE
+
+
+@pytest.mark.parametrize("level", [0.0, 0.5, 1.0])
+def test_an_even_picture_is_refused_by_its_name(level):
+    with pytest.raises(ValueError, match=r"^even\.png: no iris found; give --limbus"):
+        find_boundaries(as_photograph(np.full((60, 80, 3), level), "even.png"))
+
+
+@pytest.mark.heavy
+@pytest.mark.parametrize("polar", [0.0, np.pi / 6], ids=["frontal", "tilted"])
+@pytest.mark.parametrize("colour", ["brown", "green", "blue"])
+def test_within_a_hundredth_of_the_radius_at_a_thousand_pixels(colour, polar, float32):
+    eye = rendered(colour, polar, size=(1300, 1000), seed=5)
+    check(exposed(eye), 0.01)
+    check(occluded(eye), 0.01)

@@ -1,0 +1,108 @@
+"""The simulated photographs that come with the project say the truth about themselves."""
+
+import json
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from irisjax.io.scenes import read_scene
+from irisjax.photo.ellipse import Ellipse
+
+FOLDER = Path(__file__).parent.parent.parent / "data" / "photographs"
+TRUTH = json.loads((FOLDER / "truth.json").read_text(encoding="utf-8"))["photographs"]
+CLEAN = [t for t in TRUTH if not t["dirty"]]
+
+
+def by_file(truths):
+    return pytest.mark.parametrize("truth", truths, ids=[t["file"] for t in truths])
+
+
+def outline(truth, name):
+    of = truth[name]
+    return Ellipse(tuple(of["centre_px"]), tuple(of["semi_axes_px"]), of["angle"])
+
+
+def luminance(truth):
+    with Image.open(FOLDER / truth["file"]) as image:
+        return np.asarray(image.convert("L"), float)
+
+
+def test_every_picture_has_its_truth():
+    assert {t["file"] for t in TRUTH} == {p.name for p in FOLDER.glob("*.jpg")}
+    assert len(TRUTH) == 12
+    assert len(CLEAN) == 6
+
+
+@by_file(TRUTH)
+def test_file(truth):
+    path = FOLDER / truth["file"]
+    assert path.stat().st_size < 400_000
+    with Image.open(path) as image:
+        assert list(image.size) == truth["size_px"]
+        of_camera = image.getexif().get_ifd(0x8769)
+    focal = truth["camera"]["focal_px"]
+    assert focal == pytest.approx(
+        truth["camera"]["distance"] * truth["size_px"][0] / truth["camera"]["width"]
+    )
+    # FocalLengthIn35mmFilm across 36 mm, and FocalLength with pixels per centimetre.
+    assert of_camera[0xA405] * truth["size_px"][0] / 36 == pytest.approx(focal, rel=1e-3)
+    assert float(of_camera[0x920A]) * float(of_camera[0xA20E]) / 10 == pytest.approx(focal, 1e-4)
+
+
+@by_file(TRUTH)
+def test_outlines_lie_in_the_frame(truth):
+    along = np.linspace(0, 2 * math.pi, 90)
+    limbus, pupil = (outline(truth, n) for n in ("limbus", "pupil"))
+    points = limbus.points(along)
+    assert points.min() >= 0
+    assert (points < truth["size_px"]).all()
+    assert 480 < limbus.semi_axes[0] < 520
+    assert (limbus.relative_radius(*pupil.points(along).T) < 0.6).all()
+
+
+@by_file(CLEAN)
+@pytest.mark.parametrize("name", ["limbus", "pupil"])
+def test_edges_lie_on_the_outlines(truth, name):
+    """Dark inside, bright outside, 3 pixels to either side (of the pupil's edge where no highlight
+    is near).
+    """
+    ellipse, picture = outline(truth, name), luminance(truth)
+    along = np.linspace(0, 2 * math.pi, 720, endpoint=False)
+
+    def at(pixels):
+        a, b = ellipse.semi_axes
+        column, row = (
+            np.round(ellipse._replace(semi_axes=(a + pixels, b + pixels)).points(along))
+            .astype(int)
+            .T
+        )
+        return picture[row, column]
+
+    inside, outside = at(-3), at(3)
+    middle = (np.median(inside) + np.median(outside)) / 2
+    # Iris in the shadow of the limbus is hardly brighter than the pupil.
+    assert (inside < middle).mean() > 0.97
+    assert (outside > middle).mean() > 0.97
+
+
+@by_file(CLEAN)
+def test_scene(truth):
+    """The scene file is of the same eye, camera and lamp."""
+    scene = read_scene(FOLDER / truth["scene"]).scene()
+    assert scene.iris.parameters() == pytest.approx(truth["iris"], rel=1e-6)
+    for name in ("polar", "azimuth", "distance", "width"):
+        assert float(getattr(scene.camera, name)) == pytest.approx(truth["camera"][name], abs=1e-6)
+    for name, value in truth["eye"].items():
+        assert float(getattr(scene.eye, name)) == pytest.approx(value)
+    assert float(scene.lights.irradiance[0]) == pytest.approx(truth["lamp"]["irradiance"])
+    whole = scene.iris.abl_thickness + scene.iris.stroma_thickness
+    for pigment in ("eumelanin", "pheomelanin"):
+        mass = sum(
+            truth["concentrations"][f"{pigment}_{layer}"]
+            * float(getattr(scene.iris, f"{layer}_thickness"))
+            for layer in ("abl", "stroma")
+        )
+        assert mass == pytest.approx(float(getattr(scene.iris, pigment) * whole), rel=1e-5)
