@@ -160,8 +160,6 @@ def clone(picture: Picture, model: Model, results: Results) -> None:
         seed=model.seed,
     )
     photograph = read_photograph(picture.photograph)
-    for note in photograph.notes:
-        _say(f"{picture.photograph}: {note}")
     timings: dict[str, float] = {}
     wanted = cloning.STAGES[: cloning.STAGES.index(results.stop_after) + 1]
     with tqdm(total=len(wanted), unit="stage", disable=not sys.stderr.isatty()) as bar:
@@ -175,6 +173,8 @@ def clone(picture: Picture, model: Model, results: Results) -> None:
             bar.update()
 
         *_, found = cloning.clone(photograph, settings, given, last=results.stop_after, stage=stage)
+    for note in photograph.notes:
+        _say(f"{picture.photograph}: {note}")
     words = {**_words(picture), **_words(model)}
     files = files_of(found, words, timings)
     if found.fit is not None:

@@ -53,7 +53,7 @@ def _centres(picture, guess, reach):
     """Middles of mass (row, column) of dots within `reach` pixels of where they may be."""
     found = []
     for row, column in guess:
-        r, c = int(round(row)), int(round(column))
+        r, c = round(row), round(column)
         part = np.maximum(picture[r - reach : r + reach + 1, c - reach : c + reach + 1] - 0.25, 0)
         dr, dc = ndimage.center_of_mass(part)
         found.append((r - reach + dr, c - reach + dc))
@@ -103,7 +103,7 @@ def test_what_a_mask_hides_is_not_valid(pose, dots):
 def test_a_picture_that_ends_within_the_iris(pose, dots):
     """Texels beyond the photograph's edge are neither filled nor valid."""
     _, picture = dots
-    rows, columns = picture.shape[:2]
+    columns = picture.shape[1]
     cut = picture[:, : columns // 3]
     flat = unrefract(cut, np.ones(cut.shape[:2], bool), pose, 256)
     beyond = follow(pose, 256).column > columns // 3 - 1
