@@ -76,8 +76,9 @@ class Picture(Group):
     light: Annotated[
         list[str] | None,
         option(
-            metavar="POLAR,AZIMUTH[,IRRADIANCE]",
-            help="as of render; repeatable; default: told from the highlights on the cornea",
+            metavar="POLAR,AZIMUTH[,E]",
+            help="as of render, E its irradiance; repeatable; default: told from the highlights on "
+            "the cornea",
         ),
     ] = None
     environment: Annotated[
@@ -140,8 +141,8 @@ def clone(picture: Picture, model: Model, results: Results) -> None:
 
     For example: irisjax clone eye.jpg -o clone_eye
 
-    Exit status: 0; 3 where an outline is doubtful (give --limbus and --pupil) or the chain is not
-    long enough (raise --max-steps); 2 for wrong input.
+    Exit status: 0; 3 where an outline is doubtful (give --limbus and --pupil) or
+    the chain is not long enough (raise --max-steps); 2 for wrong input.
     """
     folder = results.output
     _check_folder(folder, results.overwrite)
@@ -159,8 +160,6 @@ def clone(picture: Picture, model: Model, results: Results) -> None:
         seed=model.seed,
     )
     photograph = read_photograph(picture.photograph)
-    for note in photograph.notes:
-        _say(f"{picture.photograph}: {note}")
     timings: dict[str, float] = {}
     wanted = cloning.STAGES[: cloning.STAGES.index(results.stop_after) + 1]
     with tqdm(total=len(wanted), unit="stage", disable=not sys.stderr.isatty()) as bar:
@@ -174,6 +173,8 @@ def clone(picture: Picture, model: Model, results: Results) -> None:
             bar.update()
 
         *_, found = cloning.clone(photograph, settings, given, last=results.stop_after, stage=stage)
+    for note in photograph.notes:
+        _say(f"{picture.photograph}: {note}")
     words = {**_words(picture), **_words(model)}
     files = files_of(found, words, timings)
     if found.fit is not None:

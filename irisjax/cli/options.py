@@ -146,8 +146,10 @@ def _options_of(group: type[Group]) -> dict[str, inspect.Parameter]:
         if isinstance(info, OptionInfo):
             info = copy.copy(info)
             info.rich_help_panel = group.PANEL
+        must = field.default is dataclasses.MISSING
+        default = inspect.Parameter.empty if must else field.default
         found[field.name] = inspect.Parameter(
-            field.name, _KEYWORD, default=field.default, annotation=Annotated[kind, info]
+            field.name, _KEYWORD, default=default, annotation=Annotated[kind, info]
         )
     return found
 

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple, cast
 import jax.numpy as jnp
 import numpy as np
 import scipy.optimize
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from irisjax.anatomy.eye import Eye
 from irisjax.numerics.programs import program
@@ -120,8 +120,8 @@ def find_pose(
     def residuals(v):
         rim, hole = (np.asarray(p) for p in _outlines(eye, _square(parts(v), distance + behind)))
         scale = np.exp(v[4]) * pixels_per_mm
-        shown, middle = (v[2:4] + scale * p for p in (rim, hole.mean(0)))
-        off = (limbus.relative_radius(*shown.T) - 1) / (_OUTLINE * np.sqrt(_POINTS / 5))
+        edge, middle = (v[2:4] + scale * p for p in (rim, hole.mean(0)))
+        off = (limbus.relative_radius(*edge.T) - 1) / (_OUTLINE * np.sqrt(_POINTS / 5))
         pupil_off = (middle - pupil.centre) / (scale * DECENTRED)
         return np.concatenate([off, pupil_off if azimuth is None else [0.0, 0.0]])
 
@@ -220,15 +220,16 @@ def iris_points(eye: Eye, x, y) -> Float[np.ndarray, "*s 3"]:
 
 def _pupil_on_iris(eye: Eye, camera: Camera, pupil: Ellipse):
     """Centre and radius (mm) of the circle on the iris whose picture is an outline."""
-    turn = np.linspace(0, 2 * np.pi, 32, endpoint=False)
+    # As many as `refraction.follow` asks for: one program for both.
+    turn = np.linspace(0, 2 * np.pi, 64, endpoint=False)
     # The outline may not go round the axis: it is met along rays from its own middle.
-    radius = np.linspace(0.1, 0.95 * float(eye.iris_radius), 40)
+    radius = np.linspace(0.1, 0.95 * float(eye.iris_radius), 33)
     centre, towards = np.zeros(2), (np.cos(turn), np.sin(turn))
     for _ in range(2):
         x, y = (c + np.outer(d, radius) for c, d in zip(centre, towards, strict=True))
-        seen = _seen(eye, camera, jnp.asarray(iris_points(eye, x, y)))
-        place = pupil.relative_radius(np.asarray(seen.column), np.asarray(seen.row))
-        place = np.where(np.asarray(seen.visible), place, np.inf)
+        seen = shown(eye, camera, iris_points(eye, x, y))
+        place = pupil.relative_radius(seen.column, seen.row)
+        place = np.where(seen.visible, place, np.inf)
         if not ((place[:, 0] < 1) & (place[:, -1] > 1)).all():
             raise ValueError(
                 "the pupil's outline is not within the iris of such an eye; check both outlines"
@@ -246,6 +247,27 @@ def _pupil_on_iris(eye: Eye, camera: Camera, pupil: Ellipse):
             f"{low:g} to {high:g} mm"
         )
     return (float(centre[0]), float(centre[1])), found
+
+
+class Shown(NamedTuple):
+    """Where points appear in a camera's picture: column and row, and whether they are seen."""
+
+    column: Float[np.ndarray, "*s"]
+    row: Float[np.ndarray, "*s"]
+    visible: Bool[np.ndarray, "*s"]
+
+
+def shown(eye: Eye, camera: Camera, points: Float[np.ndarray, "*s 3"]) -> Shown:
+    """Where points of the iris (mm) appear in a camera, as `project_points` finds it."""
+    # A camera of one size for all photographs, whose sizes would each compile a program.
+    same = Camera(camera.polar, camera.azimuth, camera.distance, cast(Any, 2.0), (2, 2))
+    found = _seen(eye, same, jnp.asarray(points))
+    (columns, rows), pitch = camera.size, float(camera.width) / camera.size[0]
+    return Shown(
+        (np.asarray(found.column) - 0.5) / pitch + columns / 2 - 0.5,
+        (np.asarray(found.row) - 0.5) / pitch + rows / 2 - 0.5,
+        np.asarray(found.visible),
+    )
 
 
 @program

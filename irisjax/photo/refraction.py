@@ -7,19 +7,13 @@ and interpolated in between.
 
 from typing import NamedTuple
 
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float
 from scipy import ndimage
 from scipy.interpolate import RectBivariateSpline
 
-from irisjax.anatomy.eye import Eye
-from irisjax.numerics.programs import program
-from irisjax.photo.pose import Pose, iris_points
+from irisjax.photo.pose import Pose, iris_points, shown
 from irisjax.photo.unrefracted import Unrefracted
-from irisjax.render.camera import Camera
-from irisjax.render.points import project_points
-from irisjax.render.surfaces import IrisSurface
 
 SIZE = 1024
 """Texels along a side of the texture."""
@@ -48,8 +42,8 @@ def follow(pose: Pose, size: int = SIZE, grid: tuple[int, int] = GRID) -> Refrac
     # Closer together towards the root, where the cornea is steepest.
     radius = reach * np.sin(np.pi / 2 * np.linspace(0, 1, radii))
     points = iris_points(eye, np.outer(np.cos(turn), radius), np.outer(np.sin(turn), radius))
-    seen = _seen(eye, pose.camera, jnp.asarray(points))
-    visible = np.asarray(seen.visible)
+    seen = shown(eye, pose.camera, points)
+    visible = seen.visible
     # Each line from the middle ends where the iris is no longer seen.
     last = np.where(visible, radius, 0).max(1)
     nothing = np.zeros((size, size), bool)
@@ -58,7 +52,7 @@ def follow(pose: Pose, size: int = SIZE, grid: tuple[int, int] = GRID) -> Refrac
     pad = 4
     wide = np.concatenate([turn[-pad:] - 2 * np.pi, turn, turn[:pad] + 2 * np.pi])
     where = []
-    for values in (np.asarray(seen.column), np.asarray(seen.row)):
+    for values in (seen.column, seen.row):
         held = np.stack(
             [_continued(v, radius, seen) for v, seen in zip(values, visible, strict=True)]
         )
@@ -121,8 +115,3 @@ def unrefract(
     valid = where.visible & within & off_pupil & (sure > 0.999)
     shown = (where.visible & within)[..., None]
     return texture._replace(pixels=np.where(shown, found, np.float32(0)), valid=valid)
-
-
-@program
-def _seen(eye: Eye, camera: Camera, points):
-    return project_points(IrisSurface(eye), camera, points)

@@ -1,0 +1,62 @@
+"""Outlines that a camera's geometry gives, and pictures painted on an iris without a renderer."""
+
+from collections.abc import Callable
+
+import jax.numpy as jnp
+import numpy as np
+from skimage.measure import EllipseModel
+
+from irisjax.anatomy.eye import Eye
+from irisjax.numerics.programs import program
+from irisjax.photo.ellipse import Ellipse
+from irisjax.render.camera import Camera
+from irisjax.render.points import project_points
+from irisjax.render.stages import look
+from irisjax.render.surfaces import IrisSurface
+
+_AROUND = np.linspace(0, 2 * np.pi, 64, endpoint=False)
+
+
+def outlines(eye: Eye, camera: Camera) -> tuple[Ellipse, Ellipse]:
+    """Limbus and pupil as a camera sees them."""
+    assert eye.cornea is not None
+    limbus = _circle(eye.limbus_radius, eye.cornea.anterior.sagitta(eye.limbus_radius))
+    pupil = _circle(eye.pupil_radius, eye.iris_depth)
+    return _fitted(*camera.pixel(jnp.asarray(limbus), eye)), _fitted(*seen(eye, camera, pupil)[:2])
+
+
+def _circle(radius, depth):
+    r, z = float(radius), float(depth)
+    return np.stack([r * np.cos(_AROUND), r * np.sin(_AROUND), np.full_like(_AROUND, z)], -1)
+
+
+@program
+def _seen(eye, camera, points):
+    return project_points(IrisSurface(eye), camera, points)
+
+
+def seen(eye: Eye, camera: Camera, points):
+    """`project_points` of the iris, compiled."""
+    return _seen(eye, camera, jnp.asarray(points))
+
+
+def _fitted(column, row) -> Ellipse:
+    model = EllipseModel.from_estimate(np.stack([np.asarray(column), -np.asarray(row)], -1))
+    (x, y), (a, b), angle = model.center, model.axis_lengths, model.theta
+    if a < b:
+        a, b, angle = b, a, angle + np.pi / 2
+    return Ellipse((float(x), -float(y)), (float(a), float(b)), float(angle))
+
+
+def painted(eye: Eye, camera: Camera, paint: Callable) -> np.ndarray:
+    """What a camera sees of an iris that has the values `paint(x, y)` (pixels,) at x, y (mm): each
+    pixel those of its middle, (rows, columns, 3); 0 beside the iris.
+    """
+    pixels = look(eye, camera).iris
+    assert pixels is not None
+    count = camera.shape[0] * camera.shape[1]
+    number = np.arange(count) if pixels.index is None else np.asarray(pixels.index)
+    x, y = (np.asarray(c)[number >= 0] for c in pixels.point[:2])
+    flat = np.zeros(count, np.float32)
+    flat[number[number >= 0]] = paint(x, y) * (np.asarray(pixels.share)[number >= 0] > 0)
+    return np.repeat(flat.reshape(*camera.shape, 1), 3, -1)

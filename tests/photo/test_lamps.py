@@ -1,0 +1,88 @@
+"""Lamps from their images on the cornea."""
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from eyes_in_line import outlines
+
+from irisjax.anatomy.eye import Eye
+from irisjax.photo.lamps import lamps_of, tangent_of
+from irisjax.photo.pose import find_pose
+from irisjax.render.camera import Camera
+from irisjax.render.lights import Lights
+from irisjax.render.stages import look
+
+
+@pytest.fixture(scope="module")
+def pose():
+    camera = Camera(polar=0.2, azimuth=0.35, distance=300.0, width=14.0, size=(1001, 901))
+    found = find_pose(*outlines(Eye(), camera), Eye())
+    size = 201, 201  # fewer pixels of the same field
+    shape = Camera(
+        found.camera.polar,
+        found.camera.azimuth,
+        found.camera.distance,
+        found.camera.width,
+        size,
+    )
+    return found._replace(camera=shape)
+
+
+def _mirrored(pose, towards, radius):
+    """A picture of a lamp of some angular radius on the cornea, over a dim iris."""
+    seen = look(pose.eye, pose.camera).mirror
+    assert seen is not None
+    number = np.asarray(seen.index)
+    mirror = np.stack([np.asarray(c) for c in seen.mirror], -1)[number >= 0]
+    row, column = np.divmod(number[number >= 0], pose.camera.size[0])
+    # The white mirrors too, elsewhere.
+    cornea = np.hypot(row - 100, column - 100) < 70
+    picture = np.full((*pose.camera.shape, 3), 0.05)
+    bright = cornea & (mirror @ towards > np.cos(radius))
+    picture[row[bright], column[bright]] = 1.0
+    return picture
+
+
+def _direction(polar, azimuth):
+    sin = np.sin(polar)
+    return np.array([sin * np.cos(azimuth), sin * np.sin(azimuth), -np.cos(polar)])
+
+
+@pytest.mark.parametrize(("polar", "azimuth"), [(0.3, 2.0), (0.66, 2.18), (0.7, -1.0)])
+def test_a_highlight_tells_where_its_lamp_stands(pose, polar, azimuth):
+    towards = _direction(polar, azimuth)
+    lights, count = lamps_of(_mirrored(pose, towards, 0.08), pose)
+    assert count == 1
+    found = np.asarray(lights.towards)[0]
+    assert np.degrees(np.arccos(found @ towards)) < 2
+    np.testing.assert_allclose(lights.irradiance, np.pi)
+    assert float(lights.radius[0]) == pytest.approx(0.08, rel=0.4)
+
+
+def test_two_lamps_share_the_light_by_their_areas(pose):
+    one, other = _direction(0.5, 2.0), _direction(0.5, -1.0)
+    picture = np.maximum(_mirrored(pose, one, 0.12), _mirrored(pose, other, 0.07))
+    lights, count = lamps_of(picture, pose)
+    assert count == 2
+    off = np.degrees(np.arccos(np.asarray(lights.towards) @ np.stack([one, other], 1)))
+    assert off[0, 0] < 2 and off[1, 1] < 2
+    first, second = np.asarray(lights.irradiance)
+    assert first + second == pytest.approx(np.pi)
+    assert first > 2 * second
+
+
+def test_without_a_highlight_light_comes_from_all_round(pose):
+    lights, count = lamps_of(np.full((*pose.camera.shape, 3), 0.05), pose)
+    assert count == 0
+    assert len(lights.irradiance) > 10
+    mean = (np.asarray(lights.irradiance)[:, None] * np.asarray(lights.towards)).sum(0)
+    np.testing.assert_allclose(mean[:2], 0, atol=0.05)
+
+
+def test_light_from_the_right_leans_to_the_right():
+    eye = Eye(cornea=None, sclera=None)
+    lights = Lights.distant(jnp.asarray([0.5]), jnp.asarray([0.0]))
+    x, y = tangent_of(lights, eye, None)
+    # Refracted at the flat front of a chamber without a cornea.
+    assert 0 < x <= np.tan(0.5) + 1e-6
+    assert y == pytest.approx(0, abs=1e-9)

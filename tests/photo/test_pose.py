@@ -1,0 +1,106 @@
+"""Where the camera stood, from outlines that a known camera projects."""
+
+import numpy as np
+import pytest
+from eyes_in_line import outlines
+
+from irisjax.anatomy.eye import Cornea, Eye
+from irisjax.photo.ellipse import Ellipse
+from irisjax.photo.pose import LIMBUS_RADII, find_pose, limbus_spread
+from irisjax.render.camera import Camera
+
+EYE = Eye()
+TILTED = [(0.1, -2.0), (0.5236, 0.35), (0.5236, 1.5708), (0.5236, -2.4)]
+
+
+def _off(azimuth, other):
+    return abs(np.angle(np.exp(1j * (azimuth - other))))
+
+
+@pytest.mark.parametrize(("polar", "azimuth"), TILTED)
+def test_tilt_side_and_pupil_come_back(polar, azimuth):
+    eye = Eye(pupil_radius=2.3)
+    camera = Camera(polar=polar, azimuth=azimuth, distance=300.0, width=14.0, size=(1001, 901))
+    found = find_pose(*outlines(eye, camera), EYE)
+    assert found.tilt == pytest.approx(polar, abs=1e-3)
+    assert _off(float(found.camera.azimuth), azimuth) < 2e-3 / polar
+    assert float(found.eye.pupil_radius) == pytest.approx(2.3, abs=1e-3)
+    np.testing.assert_allclose(found.pupil_centre, 0, atol=2e-3)
+    assert (found.side, found.distance) == ("pupil", None)
+    assert found.residual < 1e-3
+
+
+def test_an_eye_that_looks_into_the_camera():
+    camera = Camera(distance=300.0, width=14.0, size=(1001, 901))
+    found = find_pose(*outlines(EYE, camera), EYE)
+    # What is left is within the uncertainty that it states: a cosine says little about small tilts.
+    assert found.tilt < 1e-3 < found.tilt_sd
+    assert float(found.eye.pupil_radius) == pytest.approx(1.9, abs=1e-3)
+
+
+@pytest.mark.parametrize("distance", [120.0, 400.0])
+def test_distance_from_the_focal_length(distance):
+    eye = Eye(pupil_radius=1.5)
+    camera = Camera(distance=distance, width=14.0, size=(1001, 901))
+    focal = 1001 / 14.0 * distance
+    found = find_pose(*outlines(eye, camera), EYE, focal_px=focal)
+    assert eye.cornea is not None
+    to_limbus = 3.6 - float(eye.cornea.anterior.sagitta(eye.limbus_radius))
+    assert found.distance == pytest.approx(distance - to_limbus, rel=1e-4)
+    assert float(found.camera.distance) == pytest.approx(distance, rel=1e-4)
+    assert float(found.eye.pupil_radius) == pytest.approx(1.5, abs=1e-3)
+
+
+def test_the_media_of_the_paper_make_another_pupil():
+    paper = Eye(cornea=Cornea.f09(), aqueous_index=1.376, pupil_radius=2.0)
+    shown = outlines(paper, Camera(polar=0.4, azimuth=0.2, distance=300.0, size=(1001, 901)))
+    own, other = (find_pose(*shown, eye).eye.pupil_radius for eye in (paper, EYE))
+    assert float(own) == pytest.approx(2.0, abs=1e-3)
+    assert abs(float(other) - 2.0) > 0.02
+
+
+def test_the_cameras_picture_is_a_part_of_the_photograph():
+    camera = Camera(polar=0.3, azimuth=0.5, distance=300.0, width=14.0, size=(1001, 901))
+    limbus, pupil = outlines(EYE, camera)
+    moved = [e._replace(centre=(e.centre[0] + 310.25, e.centre[1] - 17.5)) for e in (limbus, pupil)]
+    found = find_pose(*moved, EYE)
+    part = outlines(found.eye, found.camera)
+    for own, given in zip(part, moved, strict=True):
+        back = np.array(own.centre) + found.corner
+        np.testing.assert_allclose(back, given.centre, atol=0.6)  # to whole pixels
+        np.testing.assert_allclose(own.semi_axes, given.semi_axes, rtol=2e-3)
+
+
+def test_a_known_side_is_believed():
+    """A pupil off the middle of its iris would tell the wrong side."""
+    camera = Camera(polar=0.15, azimuth=0.0, distance=300.0, width=14.0, size=(1001, 901))
+    limbus, pupil = outlines(EYE, camera)
+    wrong = pupil._replace(centre=(2 * limbus.centre[0] - pupil.centre[0], pupil.centre[1]))
+    told = find_pose(limbus, wrong, EYE)
+    given = find_pose(limbus, wrong, EYE, azimuth=0.2)
+    assert _off(float(told.camera.azimuth), np.pi) < 0.1
+    assert _off(float(given.camera.azimuth), 0.0) < 0.02
+    assert given.side == "given"
+    assert given.tilt == pytest.approx(0.15, abs=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("pupil", "settings", "message"),
+    [
+        (Ellipse((500, 450), (3, 3)), {}, "pupil"),
+        (Ellipse((500, 450), (390, 390)), {}, "pupil"),
+        (Ellipse((900, 450), (100, 100)), {}, "the pupil's outline is not within the iris"),
+        (Ellipse((500, 450), (150, 150)), {"focal_px": 100.0}, "the focal length puts the camera"),
+        (Ellipse((500, 450), (150, 150)), {"focal_px": 1e9}, "the focal length puts the camera"),
+    ],
+)
+def test_outlines_of_no_eye(pupil, settings, message):
+    with pytest.raises(ValueError, match=message):
+        find_pose(Ellipse((500, 450), (400, 400)), pupil, EYE, **settings)
+
+
+def test_limbus_sizes_of_people():
+    radii = np.concatenate([[r] * n for r, n in LIMBUS_RADII])
+    assert len(radii) == 461
+    assert (radii.min(), radii.max()) == (5.3, 6.5)
+    assert limbus_spread() == pytest.approx((radii.mean(), radii.std()))

@@ -1,0 +1,66 @@
+"""Windows of the iris: their means, and the renderer as a matrix."""
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from window_scenes import BASE, CAMERA, EYE, LIGHTS, POSE, QUICK, SHAPE, maps, windows
+
+from irisjax.photo.windows import ANGLES, MARGIN, RINGS, iris_alone
+from irisjax.render.radiative import RadiativeIntegrator
+from irisjax.render.scene import Scene
+
+OTHER = BASE.replace(
+    eumelanin=jnp.asarray(1.0), pheomelanin=jnp.asarray(0.3), abl_fraction=jnp.asarray(0.7)
+)
+
+
+def _rendered(iris, integrator):
+    scene = Scene(iris, maps(), eye=EYE, lights=LIGHTS, camera=CAMERA, integrator=integrator)
+    return np.asarray(scene.render(caustics=False))
+
+
+def _means_are_the_renderers(integrator, rtol):
+    picture = _rendered(OTHER, integrator)
+    found = windows(picture, integrator=integrator)
+    # No window has more pixels than are taken of it, so every one of a picture counts.
+    np.testing.assert_allclose(found.radiance(OTHER), found.colour, rtol=rtol)
+    assert np.ptp(found.colour, axis=0).min() > 0.01 * found.colour.mean()
+    return found
+
+
+@pytest.mark.heavy  # compiles the renderer
+def test_a_windows_radiance_is_the_mean_of_the_rendered_pixels():
+    found = _means_are_the_renderers(QUICK, 1e-6)
+    assert ANGLES * RINGS / 2 < len(found.colour) <= ANGLES * RINGS
+    low, high = float(EYE.pupil_radius) + MARGIN, 5.5 - MARGIN
+    assert low < found.radius.min() and found.radius.max() < high
+    assert found.thickness_response(BASE) > 0
+
+
+@pytest.mark.heavy
+def test_the_same_by_radiative_transfer():
+    _means_are_the_renderers(RadiativeIntegrator(), 1e-5)
+
+
+@pytest.mark.heavy
+def test_hidden_pixels_do_not_count():
+    picture = np.random.default_rng(0).uniform(0.1, 0.2, (*SHAPE, 3))
+    hidden = np.zeros(SHAPE, bool)
+    hidden[:, : SHAPE[1] // 2] = True
+    whole, part = windows(picture), windows(np.where(hidden[..., None], 50.0, picture), ~hidden)
+    assert len(part.colour) < 0.7 * len(whole.colour)
+    assert part.colour.max() < 0.2
+
+
+@pytest.mark.heavy
+def test_too_little_iris_is_refused():
+    with pytest.raises(ValueError, match="only 0 windows of the iris are free"):
+        windows(np.ones((*SHAPE, 3)), np.zeros(SHAPE, bool))
+
+
+def test_the_iris_alone_is_a_disc_within_the_limbus():
+    alone = iris_alone(POSE)
+    row, column = np.indices(SHAPE)
+    away = np.hypot(row - 44.5, column - 44.5) * 13 / 90
+    assert alone[(away > 2.6) & (away < 4)].all()
+    assert not alone[away > 6].any()
