@@ -233,14 +233,14 @@ def fitted(
     def off(p):
         return ellipse(p).relative_radius(scaled[:, 0], scaled[:, 1]) - 1
 
-    for outlier in (0.04, 0.02, 0.01, 0.01, 0.01, 0.01):
+    for outlier in (0.04, 0.02, 0.01, 0.01, 0.01):
         # A tenth: neighbouring rays err alike.
         root = np.sqrt(0.1 * weights) / _PRECISION / (1 + (off(at) / outlier) ** 2)
 
         def miss(p, root=root):
             return np.concatenate([root * off(p), (p[3:] - expected) / spread])
 
-        at = optimize.least_squares(miss, at).x
+        at = optimize.least_squares(miss, at, method="lm", xtol=1e-6).x
     e = ellipse(at)
     (x, y), (a, b) = middle + size * np.asarray(e.centre), size * np.asarray(e.semi_axes)
     return Ellipse((float(x), float(y)), (float(a), float(b)), float(e.angle % np.pi))

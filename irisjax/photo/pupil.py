@@ -108,8 +108,8 @@ def _darkness(picture, relative, circle: Ellipse) -> float:
     """How much darker it is within a circle than in the iris around, 0 to 1."""
     row, column = np.ogrid[: picture.shape[0], : picture.shape[1]]
     own = circle.relative_radius(column, row)
-    within, around = own < 0.9, (own > 1.1) & (own < 1.6) & (relative < 0.95)
-    if not within.any() or not around.any():
+    within, beside = own < 0.9, (own > 1.1) & (own < 1.6) & (relative < 0.95)
+    if not within.any() or not beside.any():
         return 0.0
-    inside, outside = np.median(picture[within]), np.median(picture[around])
+    inside, outside = np.median(picture[within]), np.median(picture[beside])
     return float(np.clip(1 - inside / (outside + 1e-9), 0, 1))
