@@ -32,7 +32,8 @@ def _mirrored(pose, towards, radius):
     """A picture of a lamp of some angular radius on the cornea, over a dim iris."""
     seen = look(pose.eye, pose.camera).mirror
     assert seen is not None
-    number = np.asarray(seen.index)
+    count = pose.camera.shape[0] * pose.camera.shape[1]
+    number = np.arange(count) if seen.index is None else np.asarray(seen.index)
     mirror = np.stack([np.asarray(c) for c in seen.mirror], -1)[number >= 0]
     row, column = np.divmod(number[number >= 0], pose.camera.size[0])
     # The white mirrors too, elsewhere.
