@@ -218,7 +218,9 @@ def _save(path: Path, linear: np.ndarray, size: tuple[int, int]) -> None:
     exif[0x010E] = "simulated by irisjax and Mitsuba 3"
     more = exif.get_ifd(0x8769)
     more[0x920A] = 100.0  # FocalLength, mm
-    more[0xA405] = round(DISTANCE / WIDTH * 36)  # FocalLengthIn35mmFilm
+    # FocalLengthIn35mmFilm: of the same angle across the diagonal, 43.27 mm.
+    focal = DISTANCE / WIDTH * size[0]
+    more[0xA405] = round(focal * 43.27 / np.hypot(*size))
     # Pixels per centimetre of a sensor on which 100 mm see this field.
     more[0xA20E] = more[0xA20F] = DISTANCE / WIDTH * size[0] / 100.0 * 10
     more[0xA210] = 3

@@ -52,7 +52,7 @@ NAMES = tuple(PRIORS)
 UNITS = {name: "mg/ml" if name in CONCENTRATIONS else "" for name in NAMES}
 _CAMERA = ("exposure", "red_gain", "blue_gain", "contrast")
 _NOISE = ("common_noise", "channel_noise")
-LEAST_COMMON, LEAST_CHANNEL = 0.02, 0.01
+LEAST_COMMON, LEAST_CHANNEL = 0.05, 0.02
 """Noise beside the free one, relative: no camera and no model of an iris is better."""
 _FLOOR = 0.01  # of the photograph's mean, below which colours are not told apart
 
