@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 from window_scenes import BASE, CAMERA, EYE, LIGHTS, POSE, QUICK, SHAPE, maps, windows
 
+from irisjax.photo.pigments import LEAST_CHANNEL
 from irisjax.photo.windows import ANGLES, MARGIN, RINGS, iris_alone
 from irisjax.render.radiative import RadiativeIntegrator
 from irisjax.render.scene import Scene
@@ -20,9 +21,9 @@ def _rendered(iris, integrator):
 
 
 def _means_are_the_renderers(integrator, rtol):
-    picture = _rendered(OTHER, integrator)
-    found = windows(picture, integrator=integrator)
-    # No window has more pixels than are taken of it, so every one of a picture counts.
+    """No window has more pixels than are taken of it, so every one of the picture counts."""
+    found = windows(_rendered(OTHER, integrator), integrator=integrator)
+    assert found.present.all()
     np.testing.assert_allclose(found.radiance(OTHER), found.colour, rtol=rtol)
     assert np.ptp(found.colour, axis=0).min() > 0.01 * found.colour.mean()
     return found
@@ -31,7 +32,7 @@ def _means_are_the_renderers(integrator, rtol):
 @pytest.mark.heavy  # compiles the renderer
 def test_a_windows_radiance_is_the_mean_of_the_rendered_pixels():
     found = _means_are_the_renderers(QUICK, 1e-6)
-    assert ANGLES * RINGS / 2 < len(found.colour) <= ANGLES * RINGS
+    assert len(found.colour) == ANGLES * RINGS
     low, high = float(EYE.pupil_radius) + MARGIN, 5.5 - MARGIN
     assert low < found.radius.min() and found.radius.max() < high
     assert found.thickness_response(BASE) > 0
@@ -39,7 +40,8 @@ def test_a_windows_radiance_is_the_mean_of_the_rendered_pixels():
 
 @pytest.mark.heavy
 def test_the_same_by_radiative_transfer():
-    _means_are_the_renderers(RadiativeIntegrator(), 1e-5)
+    # Its nodes are placed for the iris that it begins with: a tenth of the least noise.
+    _means_are_the_renderers(RadiativeIntegrator(), 0.1 * LEAST_CHANNEL)
 
 
 @pytest.mark.heavy
@@ -48,7 +50,8 @@ def test_hidden_pixels_do_not_count():
     hidden = np.zeros(SHAPE, bool)
     hidden[:, : SHAPE[1] // 2] = True
     whole, part = windows(picture), windows(np.where(hidden[..., None], 50.0, picture), ~hidden)
-    assert len(part.colour) < 0.7 * len(whole.colour)
+    assert whole.present.all()
+    assert 0.3 < part.present.mean() < 0.7
     assert part.colour.max() < 0.2
 
 
