@@ -13,6 +13,7 @@ from tqdm import tqdm
 
 from irisjax import io, plot
 from irisjax.cli.cache import cores
+from irisjax.cli.clone_report import doubtful, report, say
 from irisjax.cli.options import SEED_HELP, Group, grouped, name_of, number, option, read_seed, whole
 from irisjax.cli.scenes import lamps
 from irisjax.io.clone_folders import PHOTOGRAPH, encode_photograph
@@ -20,10 +21,8 @@ from irisjax.io.clones import files_of
 from irisjax.io.photographs import read_photograph
 from irisjax.numerics.checks import Range, check_range
 from irisjax.photo import clone as cloning
-from irisjax.photo.boundaries import MIN_CONFIDENCE
 from irisjax.photo.ellipse import Ellipse
 from irisjax.photo.picture import compare
-from irisjax.photo.posterior import PigmentPosterior
 from irisjax.render.environment import Environment
 from irisjax.render.lights import Lights
 from irisjax.render.radiative import RadiativeIntegrator
@@ -172,9 +171,12 @@ def clone(picture: Picture, model: Model, results: Results) -> None:
             timings[name] = time.perf_counter() - begin
             bar.update()
 
-        *_, found = cloning.clone(photograph, settings, given, last=results.stop_after, stage=stage)
+        run = cloning.clone(photograph, settings, given, last=results.stop_after, stage=stage)
+        found = next(run)
+        # On a doubtful outline nothing is built.
+        *_, found = found, *(() if doubtful(found) else run)
     for note in photograph.notes:
-        _say(f"{picture.photograph}: {note}")
+        say(f"{picture.photograph}: {note}")
     words = {**_words(picture), **_words(model)}
     files = files_of(found, words, timings)
     if found.fit is not None:
@@ -183,7 +185,7 @@ def clone(picture: Picture, model: Model, results: Results) -> None:
     io.write_together({folder / name: data for name, data in files.items()})
     for name in set(_FILES) - set(files):  # of a clone that came further
         (folder / name).unlink(missing_ok=True)
-    sure = _report(found, picture, folder)
+    sure = report(found, picture.cross_polarised, folder)
     raise typer.Exit(0 if sure else _NOT_SURE)
 
 
@@ -249,53 +251,3 @@ def _pictures(found: cloning.Clone) -> dict[str, bytes]:
     print(f"difference of the pictures, RMS: {rms[0]:.1f}, {rms[1]:.1f}, {rms[2]:.1f} % (R, G, B)")
     written = {name: plot.picture(figure, ".png") for name, figure in figures.items()}
     return written | {PHOTOGRAPH: encode_photograph(both.photograph)}
-
-
-def _report(found: cloning.Clone, picture: Picture, folder: Path) -> bool:
-    outlines, sure = found.boundaries, True
-    for name, confidence in (
-        ("limbus", outlines.limbus_confidence),
-        ("pupil", outlines.pupil_confidence),
-    ):
-        if confidence < MIN_CONFIDENCE:
-            sure = False
-            _say(f"WARNING: the {name} is doubtful (confidence {confidence:.2f}); give --{name}")
-    if found.pose is not None:
-        pose = found.pose
-        where = "" if pose.distance is None else f", {pose.distance:.0f} mm away"
-        print(
-            f"camera: {np.degrees(pose.tilt):.1f} ± {np.degrees(pose.tilt_sd):.1f} degrees off the "
-            f"eye's axis{where}; pupil {2 * float(pose.eye.pupil_radius):.2f} mm wide, lengths for "
-            f"a limbus of {2 * float(pose.eye.limbus_radius):.1f} mm"
-        )
-        if pose.distance is None:
-            _say("no focal length in the file: the distance is not known; give --focal-px")
-    if found.fit is not None and picture.cross_polarised:
-        _say(
-            "WARNING: the model's iris keeps 99 % of the light's polarisation, so crossed "
-            "polarisers would make it black; the pigments stand for an iris that depolarises"
-        )
-    if found.fit is not None and found.photograph.grey:
-        sure = False
-        _say("WARNING: the photograph has no colours: its pigments mean nothing")
-    if found.lights_found == 0:
-        _say("no highlight on the cornea: light from all round is assumed")
-    if found.posterior is not None:
-        print(_table(found.posterior))
-        if not found.posterior.chains.converged:
-            sure = False
-            _say(f"WARNING: {found.posterior.chains.reason}; raise --max-steps")
-    print(f"written: {folder}")
-    return sure
-
-
-def _table(posterior: PigmentPosterior) -> str:
-    rows = [f"{'parameter':<20}{'median':>10}{'95 %':>22}{'contraction':>13}"]
-    for name, e in posterior.estimates.items():
-        span = f"{e.low:.3g} to {e.high:.3g}"
-        rows.append(f"{name:<20}{e.median:>10.3g}{span:>22}{e.contraction:>13.2f}")
-    return "\n".join(rows)
-
-
-def _say(text: str) -> None:
-    print(f"irisjax: {text}", file=sys.stderr)

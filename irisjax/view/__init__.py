@@ -2,7 +2,8 @@
 (`serve`).
 """
 
-from irisjax.view.server import check, serve
+from irisjax.view.address import check
+from irisjax.view.server import serve
 from irisjax.view.settings import Settings
 from irisjax.view.studio import Studio
 

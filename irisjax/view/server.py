@@ -3,10 +3,8 @@ to the left.
 """
 
 import contextlib
-import importlib.util
 import io
 import math
-import socket
 import threading
 import time
 import warnings
@@ -16,44 +14,16 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from irisjax.render.integrators import INTEGRATORS
+from irisjax.view.address import check
 from irisjax.view.page import BLACK, DISTANCE, framed, orbit, plot_scales, swatch
 from irisjax.view.settings import QUICK
+from irisjax.view.sliders import SLIDERS
 from irisjax.view.studio import GRID, Studio
 from irisjax.view.worker import Newest
 
 if TYPE_CHECKING:
     import viser
 
-_SLIDERS: dict[str, dict[str, tuple[str, float, float, float, str]]] = {
-    "Iris": {
-        "eumelanin": ("eumelanin", 0, 4, 0.005, "mg/ml over the whole iris"),
-        "pheomelanin": ("pheomelanin", 0, 2, 0.005, "mg/ml over the whole iris"),
-        "abl_fraction": (
-            "ABL fraction",
-            0,
-            1,
-            0.005,
-            "share of the melanin in the anterior border layer",
-        ),
-        "stroma": (
-            "stroma",
-            0.3,
-            2,
-            0.01,
-            "thickness relative to the preset's, at equal concentrations",
-        ),
-        "hemoglobin": ("blood", 0, 1, 0.002, "haemoglobin in the stroma, mmol/l"),
-        "saturation": ("oxygen", 0, 1, 0.01, "saturation of the haemoglobin"),
-        "pupil_radius": ("pupil", 0.5, 4.5, 0.05, "radius, mm"),
-    },
-    "Light": {
-        "light_polar": ("lamp angle", 0, 90, 1, "degrees from the eye's axis"),
-        "light_azimuth": ("lamp azimuth", -180, 180, 1, "degrees from the right over the top"),
-        "irradiance": ("lamp power", 0, 10, 0.05, "irradiance; π lights a white sheet white"),
-        "strength": ("surround ×", 0, 3, 0.05, "factor on the environment"),
-        "exposure": ("exposure ×", 0.25, 4, 0.05, "factor on the picture"),
-    },
-}
 _NOTE = (
     "Left of the line is the photograph. It belongs to its own camera: turning or zooming the eye "
     "hides it, moving this slider brings both back."
@@ -98,20 +68,6 @@ def serve(
             with _silence():
                 server.stop()
             page.worker.join(timeout=10)
-
-
-def check(host: str, port: int) -> None:
-    """Raise `ValueError` without viser, and for an address that cannot be had."""
-    if importlib.util.find_spec("viser") is None:
-        raise ValueError("the viewer needs viser: pip install 'irisjax[view]'")
-    # viser would move on to the next free port without a word.
-    try:
-        with socket.create_server((host, port)):
-            pass
-    except OSError as error:
-        raise ValueError(
-            f"cannot listen on port {port} of {host}: {error.strerror or error}"
-        ) from None
 
 
 def _silence():
@@ -174,7 +130,7 @@ class _Page:
                 initial_value=studio.settings.integrator,
                 hint="separable: ILIT; presets have pigments of their own under radiative transfer",
             )
-        for folder, sliders in _SLIDERS.items():
+        for folder, sliders in SLIDERS.items():
             with gui.add_folder(folder):
                 if folder == "Light":
                     widgets["environment"] = gui.add_dropdown(

@@ -1,0 +1,69 @@
+"""What `irisjax clone` says of what it found."""
+
+import sys
+from pathlib import Path
+
+import numpy as np
+
+from irisjax.photo.boundaries import MIN_CONFIDENCE
+from irisjax.photo.cloned import Clone
+from irisjax.photo.posterior import PigmentPosterior
+
+
+def report(found: Clone, cross_polarised: bool, folder: Path) -> bool:
+    """Say what was found and what is doubtful; whether nothing is."""
+    missing = doubtful(found)
+    for name, confidence in missing.items():
+        say(f"WARNING: the {name} is doubtful (confidence {confidence:.2f}); give --{name}")
+    if missing:
+        say("nothing after the outlines was done")
+    sure = not missing
+    if found.pose is not None:
+        pose = found.pose
+        where = "" if pose.distance is None else f", {pose.distance:.0f} mm away"
+        print(
+            f"camera: {np.degrees(pose.tilt):.1f} ± {np.degrees(pose.tilt_sd):.1f} degrees off the "
+            f"eye's axis{where}; pupil {2 * float(pose.eye.pupil_radius):.2f} mm wide, lengths for "
+            f"a limbus of {2 * float(pose.eye.limbus_radius):.1f} mm"
+        )
+        if pose.distance is None:
+            say("no focal length in the file: the distance is not known; give --focal-px")
+    if found.fit is not None and cross_polarised:
+        say(
+            "WARNING: the model's iris keeps 99 % of the light's polarisation, so crossed "
+            "polarisers would make it black; the pigments stand for an iris that depolarises"
+        )
+    if found.fit is not None and found.photograph.grey:
+        sure = False
+        say("WARNING: the photograph has no colours: its pigments mean nothing")
+    if found.lights_found == 0:
+        say("no highlight on the cornea: light from all round is assumed")
+    if found.posterior is not None:
+        print(_table(found.posterior))
+        if not found.posterior.chains.converged:
+            sure = False
+            say(f"WARNING: {found.posterior.chains.reason}; raise --max-steps")
+    print(f"written: {folder}")
+    return sure
+
+
+def doubtful(found: Clone) -> dict[str, float]:
+    """Outlines that a clone may not be built on, and the confidence in each."""
+    both = {
+        "limbus": found.boundaries.limbus_confidence,
+        "pupil": found.boundaries.pupil_confidence,
+    }
+    return {name: c for name, c in both.items() if c < MIN_CONFIDENCE}
+
+
+def _table(posterior: PigmentPosterior) -> str:
+    rows = [f"{'parameter':<20}{'median':>10}{'95 %':>22}{'contraction':>13}"]
+    for name, e in posterior.estimates.items():
+        span = f"{e.low:.3g} to {e.high:.3g}"
+        rows.append(f"{name:<20}{e.median:>10.3g}{span:>22}{e.contraction:>13.2f}")
+    return "\n".join(rows)
+
+
+def say(text: str) -> None:
+    """A line on standard error."""
+    print(f"irisjax: {text}", file=sys.stderr)
