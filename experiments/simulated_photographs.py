@@ -97,8 +97,9 @@ def main(key, quick=False, out=FOLDER):
         with tempfile.TemporaryDirectory() as made:
             folder = Path(made)
             before = lids(scene.eye, folder, number) if dirty else {}
+            behind = face() if dirty else {}
             texels, white = np.clip(albedo, 0, 1), _white(scene.eye)
-            light = photograph(scene, texels, white, ROOM, before, face(), effort, folder, number)
+            light = photograph(scene, texels, white, ROOM, before, behind, effort, folder, number)
         if dirty:
             file, factor = f"{name}_dirty.jpg", BRIGHTER * exposure[name]
         else:
@@ -218,11 +219,13 @@ def _save(path: Path, linear: np.ndarray, size: tuple[int, int]) -> None:
     exif[0x010E] = "simulated by irisjax and Mitsuba 3"
     more = exif.get_ifd(0x8769)
     more[0x920A] = 100.0  # FocalLength, mm
-    more[0xA405] = round(DISTANCE / WIDTH * 36)  # FocalLengthIn35mmFilm
+    # FocalLengthIn35mmFilm: of the same angle across the diagonal, 43.27 mm.
+    focal = DISTANCE / WIDTH * size[0]
+    more[0xA405] = round(focal * 43.27 / np.hypot(*size))
     # Pixels per centimetre of a sensor on which 100 mm see this field.
     more[0xA20E] = more[0xA20F] = DISTANCE / WIDTH * size[0] / 100.0 * 10
     more[0xA210] = 3
-    image.save(path, quality=92, subsampling=0, exif=exif)
+    image.save(path, quality=92, subsampling="4:2:0", exif=exif)
 
 
 def _concentrations(iris) -> dict[str, float]:
