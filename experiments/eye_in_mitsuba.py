@@ -61,7 +61,8 @@ def photograph(
     """Linear sRGB (rows, columns, 3) of an eye with one lamp in a room of even radiance.
 
     - `scene`: eye, camera and the lamp. `albedo` (angles, radii, 3) of the iris's texels, in linear
-        sRGB; `white` (3,) of the sclera. `room`: radiance from everywhere.
+        sRGB; `white` (3,) of the sclera. `room`: radiance from everywhere, seen
+        beside the globe.
     - `before`, `behind`: further Mitsuba shapes by name, such as lids, and those that keep no light
         from the iris. `folder`: for meshes.
     """
@@ -209,7 +210,7 @@ def _render(shapes, sensor, samples: int, seed: int, integrator="path", depth=3)
         {
             "type": "scene",
             **shapes,
-            "integrator": {"type": integrator, "max_depth": depth, "hide_emitters": True},
+            "integrator": {"type": integrator, "max_depth": depth},
             "sensor": {**sensor, "sampler": {"type": "independent", "sample_count": samples}},
         }
     )

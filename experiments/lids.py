@@ -23,7 +23,7 @@ INNER, OUTER = 12.1, 13.1
 
 
 def face() -> dict[str, Any]:
-    """Skin behind the globe, so that no picture ends in the void."""
+    """Skin behind the globe, where the lids end."""
     import mitsuba as mi
 
     place = mi.ScalarTransform4f().translate([0, 0, -8]).scale(60)

@@ -97,8 +97,9 @@ def main(key, quick=False, out=FOLDER):
         with tempfile.TemporaryDirectory() as made:
             folder = Path(made)
             before = lids(scene.eye, folder, number) if dirty else {}
+            behind = face() if dirty else {}
             texels, white = np.clip(albedo, 0, 1), _white(scene.eye)
-            light = photograph(scene, texels, white, ROOM, before, face(), effort, folder, number)
+            light = photograph(scene, texels, white, ROOM, before, behind, effort, folder, number)
         if dirty:
             file, factor = f"{name}_dirty.jpg", BRIGHTER * exposure[name]
         else:
@@ -224,7 +225,7 @@ def _save(path: Path, linear: np.ndarray, size: tuple[int, int]) -> None:
     # Pixels per centimetre of a sensor on which 100 mm see this field.
     more[0xA20E] = more[0xA20F] = DISTANCE / WIDTH * size[0] / 100.0 * 10
     more[0xA210] = 3
-    image.save(path, quality=92, subsampling=0, exif=exif)
+    image.save(path, quality=92, subsampling="4:2:0", exif=exif)
 
 
 def _concentrations(iris) -> dict[str, float]:

@@ -47,8 +47,9 @@ def test_file(truth):
     assert focal == pytest.approx(
         truth["camera"]["distance"] * truth["size_px"][0] / truth["camera"]["width"]
     )
-    # FocalLengthIn35mmFilm across 36 mm, and FocalLength with pixels per centimetre.
-    assert of_camera[0xA405] * truth["size_px"][0] / 36 == pytest.approx(focal, rel=1e-3)
+    # FocalLengthIn35mmFilm by the diagonal, and FocalLength with pixels per centimetre.
+    diagonal = np.hypot(*truth["size_px"])
+    assert of_camera[0xA405] * diagonal / 43.27 == pytest.approx(focal, rel=1e-3)
     assert float(of_camera[0x920A]) * float(of_camera[0xA20E]) / 10 == pytest.approx(focal, 1e-4)
 
 
