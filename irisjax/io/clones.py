@@ -169,7 +169,7 @@ def scene_text(clone: Clone, maps: str = "maps.exr") -> str:
     ]
     room = clone.room()
     if clone.lights_found == 0 or room is not None:
-        strength = 1.0 if room is None else clone.fit.values["room"]
+        strength = 1.0 if room is None else needed(clone.fit).values["room"]
         rows += ["", "[environment]", 'kind = "uniform"', f"strength = {_number(strength)}"]
     if clone.lights_found != 0 and lights is not None:
         towards = np.asarray(lights.towards, np.float64)
