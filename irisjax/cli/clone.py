@@ -34,6 +34,7 @@ _PROCESSES = {"ilit-2006": Separable, "depth-resolved": RadiativeIntegrator}
 _FILES = (
     *("clone.json", "unrefracted.png", "freckles.png", "deconvolved.png", "maps.exr"),
     *("scene.toml", "convergence.csv", "side_by_side.png", "differences.png", "luminance.png"),
+    PHOTOGRAPH,
 )
 
 
@@ -215,8 +216,7 @@ def _given(picture: Picture) -> cloning.Given:
         lights = around.to_lights(25)
     mask = None
     if picture.freckles is not None:
-        image = io.read_image(picture.freckles)
-        mask = image.pixels[..., 0] > 0.5
+        mask = io.read_image(picture.freckles).pixels[..., 0] > 0.5
     return cloning.Given(
         _outline("--limbus", picture.limbus), _outline("--pupil", picture.pupil), lights, mask
     )
@@ -247,16 +247,14 @@ def _pictures(found: cloning.Clone) -> dict[str, bytes]:
     }
     rms = 100 * both.rms
     print(f"difference of the pictures, RMS: {rms[0]:.1f}, {rms[1]:.1f}, {rms[2]:.1f} % (R, G, B)")
-    written = {name: plot.picture(figure, ".png") for name, figure in figures.items()}
-    return written | {PHOTOGRAPH: encode_photograph(both.photograph)}
+    drawn = {name: plot.picture(figure, ".png") for name, figure in figures.items()}
+    return drawn | {PHOTOGRAPH: encode_photograph(both.photograph)}
 
 
 def _report(found: cloning.Clone, picture: Picture, folder: Path) -> bool:
     outlines, sure = found.boundaries, True
-    for name, confidence in (
-        ("limbus", outlines.limbus_confidence),
-        ("pupil", outlines.pupil_confidence),
-    ):
+    known = {"limbus": outlines.limbus_confidence, "pupil": outlines.pupil_confidence}
+    for name, confidence in known.items():
         if confidence < MIN_CONFIDENCE:
             sure = False
             _say(f"WARNING: the {name} is doubtful (confidence {confidence:.2f}); give --{name}")
