@@ -33,6 +33,7 @@ _PROCESSES = {"ilit-2006": Separable, "depth-resolved": RadiativeIntegrator}
 _FILES = (
     *("clone.json", "unrefracted.png", "freckles.png", "deconvolved.png", "maps.exr"),
     *("scene.toml", "convergence.csv", "side_by_side.png", "differences.png", "luminance.png"),
+    PHOTOGRAPH,
 )
 
 
@@ -217,8 +218,7 @@ def _given(picture: Picture) -> cloning.Given:
         lights = around.to_lights(25)
     mask = None
     if picture.freckles is not None:
-        image = io.read_image(picture.freckles)
-        mask = image.pixels[..., 0] > 0.5
+        mask = io.read_image(picture.freckles).pixels[..., 0] > 0.5
     return cloning.Given(
         _outline("--limbus", picture.limbus), _outline("--pupil", picture.pupil), lights, mask
     )

@@ -34,7 +34,7 @@ def pupil_within(photo: Photograph, limbus: Ellipse, coarse: bool = True) -> tup
     if not (relative < 0.9).any():
         return limbus._replace(semi_axes=tuple(0.4 * a for a in limbus.semi_axes)), 0.0
     # Highlights are no brighter than bright tissue from here on.
-    ceiling = 1.5 * np.quantile(picture[relative < 0.9], 0.75) + 1e-9
+    ceiling = float(1.5 * np.quantile(picture[relative < 0.9], 0.75) + 1e-9)
     picture = np.minimum(picture, ceiling)
     found = rings(picture, (0.13 * radius, 0.8 * radius), 6, sideways=0.2)
     best: tuple[float, Ellipse] | None = None
