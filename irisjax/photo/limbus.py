@@ -48,7 +48,7 @@ def limbus_near(
         edges, white, profile = _limbus_edges(picture, colour, outline, _SPAN, 161, _WIDTHS)
         value, place = _half_way(profile, edges, edges.score() * white, near)
         # Where a lid lies on it the limbus cannot show.
-        shown = 0.3 + 0.7 * white[:, int(np.argmin(abs(edges.place - 1)))]
+        shown = 0.15 + 0.85 * white[:, int(np.argmin(abs(edges.place - 1)))]
         outline, support = polished(outline, value, place, lateral * shown, flattening)
     return back(outline), support
 
@@ -66,7 +66,7 @@ def _half_way(profile, edges: Edges, score, near: float):
     x = np.linspace(*_SPAN, profile.shape[1])
     smooth = ndimage.gaussian_filter1d(np.nan_to_num(profile), 1.0, axis=1)
     dark = np.quantile(smooth[:, (x > 0.82) & (x < 0.95)], 0.2, axis=1)
-    white = np.median(smooth[:, (x > 1.08) & (x < 1.18)], axis=1)
+    white = np.median(smooth[:, (x > 1.06) & (x < 1.13)], axis=1)
     level = smooth - 0.5 * (dark + white)[:, None]
     rising = (level[:, :-1] < 0) & (level[:, 1:] >= 0)
     crossing = x[:-1] + (x[1] - x[0]) * level[:, :-1] / (level[:, :-1] - level[:, 1:] - 1e-12)
@@ -87,10 +87,12 @@ def _limbus_edges(picture, colour, outline, span, steps, widths):
         return edges, np.ones(edges.fit.shape), profile
     tint = np.nan_to_num(along_rays(colour, outline, span, steps), nan=9.0)
     pitch = edges.place[1] - edges.place[0]
-    smooth = ndimage.uniform_filter1d(tint, max(1, round(0.1 / pitch)), axis=1)
-    skip = (steps - edges.place.size) // 2
-    shift = round(0.12 / pitch)  # beyond the middle of the rise
-    outside = smooth[:, skip + shift : skip + shift + edges.place.size]
+    smooth = ndimage.uniform_filter1d(tint, max(1, round(0.05 / pitch)), axis=1)
+    # The reddest from just beyond the middle of the rise to where the white is measured.
+    width = max(1, round(0.13 / pitch))
+    reddest = ndimage.maximum_filter1d(smooth, width, axis=1)
+    skip = (steps - edges.place.size) // 2 + round(0.12 / pitch)
+    outside = reddest[:, skip : skip + edges.place.size]
     # The white is what is least red just outside: the sides of an eye show it.
     at = int(np.argmin(abs(edges.place - 1)))
     least = np.quantile(outside[:, at], 0.15)
