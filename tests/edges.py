@@ -41,6 +41,8 @@ EDGES = {
 
 def edge(name):
     fields = {"abl_index": BASE.indices().abl, "stroma_index": BASE.indices().stroma, **EDGES[name]}
+    # Both melanins shared out alike, each by a number of its own.
+    fields.setdefault("pheomelanin_abl_fraction", fields.get("abl_fraction", BASE.abl_fraction))
     return {n: float(fields.get(n, getattr(BASE, n))) for n in LIMITS}
 
 

@@ -93,14 +93,14 @@ def develop(path: str | Path, check) -> Developed:
     **Raises:** `ValueError` without `rawpy` and for a file that LibRaw cannot read, `OSError` for
     one that cannot be opened.
     """
+    with open(path, "rb"):  # the system's word on files that are missing or forbidden
+        pass
     try:
         import rawpy
     except ImportError:
         raise ValueError(
             f"{path}: camera raw files need rawpy: install irisjax[raw] (pip install rawpy)"
         ) from None
-    with open(path, "rb"):  # the system's word on files that are missing or forbidden
-        pass
     try:
         with rawpy.imread(str(path)) as raw:
             check(raw.sizes.height, raw.sizes.width)

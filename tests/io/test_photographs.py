@@ -156,7 +156,7 @@ def png_header(path, columns, rows):
         (lambda p: Image.new("CMYK", (90, 90)).save(p / "p.jpg") or p / "p.jpg", "CMYK picture for printing"),
         (lambda p: Image.new("CMYK", (90, 90)).save(p / "p.tif") or p / "p.tif", "CMYK picture for printing"),
         (lambda p: (p / "p.jpg").write_text("no picture") and p / "p.jpg", "not a picture that can be read"),
-        (lambda p: (p / "p.dng").write_text("no picture") and p / "p.dng", "not a raw file that can be read"),
+        (lambda p: (p / "p.dng").write_text("no picture") and p / "p.dng", "not a raw file that can be read|need rawpy"),
         (lambda p: write(p / "p.exr", np.ones((*SHAPE, 2), np.float32)), "this has"),
     ],
 )  # fmt: skip
