@@ -152,5 +152,5 @@ def _plausible(limbus: Ellipse, pupil: Ellipse) -> float:
     low, high = PUPIL_SHARE
     odd = max(low - size, 0) / 0.05 + max(size - high, 0) / 0.05
     odd += max(off - 0.15, 0) / 0.1
-    odd += sum(max(0.8 - e.semi_axes[1] / e.semi_axes[0], 0) / 0.05 for e in (limbus, pupil))
+    odd += sum(max(0.82 - e.semi_axes[1] / e.semi_axes[0], 0) / 0.04 for e in (limbus, pupil))
     return float(np.exp(-odd))
