@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from irisjax.photo.edges import reduced
+from irisjax.photo.edges import ray_angles, reduced
 from irisjax.photo.ellipse import Ellipse
 from irisjax.photo.limbus import limbus_near
 from irisjax.photo.photograph import Photograph
@@ -60,11 +60,11 @@ def find_boundaries(
     else:
         outline, held = limbus, None
     if pupil is not None:
-        return _judged(outline, pupil, held, None)
+        return _judged(photo, outline, pupil, held, None)
     inner, support = pupil_within(photo, outline, coarse=False)
     if limbus is None and support > _TRUSTED:
         outline, held = limbus_near(photo, outline, inner, coarse=False)
-    return _judged(outline, inner, held, support)
+    return _judged(photo, outline, inner, held, support)
 
 
 def _searched(photo: Photograph, pupil: Ellipse | None) -> tuple[Ellipse, Ellipse | None]:
@@ -93,7 +93,11 @@ def _searched(photo: Photograph, pupil: Ellipse | None) -> tuple[Ellipse, Ellips
 
 
 def _judged(
-    limbus: Ellipse, pupil: Ellipse, limbus_support: float | None, pupil_support: float | None
+    photo: Photograph,
+    limbus: Ellipse,
+    pupil: Ellipse,
+    limbus_support: float | None,
+    pupil_support: float | None,
 ) -> Boundaries:
     """Confidences from the shares of the outlines that edges support; `None` for a given one.
 
@@ -102,6 +106,8 @@ def _judged(
     and lashes leave 0.4 of the limbus and half of the pupil.
     """
     likely = _plausible(limbus, pupil)
+    for outline in (limbus, pupil):  # half an eye is none
+        likely *= float(np.clip((_shown(outline, photo.shape) - 0.5) / 0.15, 0, 1))
     limbus_sure = pupil_sure = 1.0
     if limbus_support is not None:
         limbus_sure = likely * min(limbus_support / 0.75, 1.0) * min(1.0, limbus.semi_axes[1] / 30)
@@ -145,6 +151,15 @@ def _within(outline: Ellipse, shape) -> bool:
     return all(-0.5 < v < n - 0.5 for v, n in zip(outline.centre, shape[::-1], strict=True))
 
 
+def _shown(outline: Ellipse, shape) -> float:
+    """The share of an outline that lies in the picture."""
+    column, row = outline.points(ray_angles()).T
+    inside = (abs(column + 0.5 - shape[1] / 2) < shape[1] / 2) & (
+        abs(row + 0.5 - shape[0] / 2) < shape[0] / 2
+    )
+    return float(inside.mean())
+
+
 def _plausible(limbus: Ellipse, pupil: Ellipse) -> float:
     """1 for a pair that an eye may have, less the odder it is."""
     size = pupil.semi_axes[0] / limbus.semi_axes[0]
@@ -152,5 +167,5 @@ def _plausible(limbus: Ellipse, pupil: Ellipse) -> float:
     low, high = PUPIL_SHARE
     odd = max(low - size, 0) / 0.05 + max(size - high, 0) / 0.05
     odd += max(off - 0.15, 0) / 0.1
-    odd += sum(max(0.8 - e.semi_axes[1] / e.semi_axes[0], 0) / 0.05 for e in (limbus, pupil))
+    odd += sum(max(0.82 - e.semi_axes[1] / e.semi_axes[0], 0) / 0.04 for e in (limbus, pupil))
     return float(np.exp(-odd))

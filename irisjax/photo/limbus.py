@@ -47,8 +47,9 @@ def limbus_near(
     for near in (0.1, 0.06) if coarse else (0.06, 0.04, 0.04):
         edges, white, profile = _limbus_edges(picture, colour, outline, _SPAN, 161, _WIDTHS)
         value, place = _half_way(profile, edges, edges.score() * white, near)
-        # Where a lid lies on it the limbus cannot show.
-        shown = 0.15 + 0.85 * white[:, int(np.argmin(abs(edges.place - 1)))]
+        # Where a lid lies on it the limbus cannot show; outside the picture it is just missing.
+        covered = 1 - white[:, int(np.argmin(abs(edges.place - 1)))]
+        shown = 1 - 0.8 * np.where(np.isnan(profile[:, : profile.shape[1] // 2]).any(1), 0, covered)
         outline, support = polished(outline, value, place, lateral * shown, flattening)
     return back(outline), support
 

@@ -110,8 +110,10 @@ def with_highlight(eye: Simulated, right=-0.25, up=0.2, size=0.12) -> Simulated:
     return eye._replace(pixels=np.where((away < size * r)[..., None], 1.0, eye.pixels))
 
 
-def with_noise(eye: Simulated, sd=0.01, seed=3) -> Simulated:
-    noise = np.random.default_rng(seed).normal(0, sd, eye.pixels.shape)
+def with_noise(eye: Simulated, sd=0.015, readout=0.002, seed=3) -> Simulated:
+    """A sensor's: `sd` of photon noise in white, less in the dark as its root, and `readout`."""
+    noise = np.random.default_rng(seed).normal(0, 1, eye.pixels.shape)
+    noise *= np.sqrt(sd**2 * np.maximum(eye.pixels, 0) + readout**2)
     return eye._replace(pixels=np.clip(eye.pixels + noise, 0, 1))
 
 

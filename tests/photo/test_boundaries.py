@@ -87,7 +87,7 @@ def test_a_grey_picture_has_the_same_outlines(green):
 def test_one_side_of_the_white_burnt_out_and_the_other_in_shadow(green):
     light = np.geomspace(3, 0.15, green.pixels.shape[1])[None, :, None]
     uneven = green._replace(pixels=np.clip(green.pixels * light, 0, 1))
-    check(with_noise(with_highlight(uneven), 0.002), 0.02)
+    check(with_noise(with_highlight(uneven)), 0.02)
 
 
 @pytest.mark.parametrize(
@@ -103,7 +103,7 @@ def test_one_side_of_the_white_burnt_out_and_the_other_in_shadow(green):
     ids=["aside", "small", "large", "tilted", "narrow pupil", "wide pupil"],
 )
 def test_anywhere_and_of_any_size(eye):
-    check(with_noise(eye, 0.005), 0.02)
+    check(with_noise(eye), 0.02)
 
 
 def test_of_two_eyes_one_is_found_whole():
