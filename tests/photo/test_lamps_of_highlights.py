@@ -12,6 +12,8 @@ from irisjax.render.camera import Camera
 from irisjax.render.lights import Lights
 from irisjax.render.stages import look
 
+pytestmark = pytest.mark.heavy  # refraction compiles for seconds
+
 
 @pytest.fixture(scope="module")
 def pose():
