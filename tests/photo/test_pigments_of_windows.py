@@ -73,8 +73,8 @@ def test_the_simplex_goes_down_stage_by_stage(windows):
 
 
 def windows_rms(z, windows):
-    off = np.asarray(predicted(values_of(jnp.asarray(z)), windows, BASE)) - windows.colour
-    off = (off / windows.colour)[windows.present]
+    shown = np.asarray(predicted(values_of(jnp.asarray(z)), windows, BASE))[windows.present]
+    off = np.log(shown / windows.colour[windows.present])
     return float(np.sqrt((off**2).mean(0)).mean())
 
 
@@ -85,8 +85,9 @@ def test_the_posterior_is_a_normal_one_with_a_common_factor(windows):
         shown = np.asarray(predicted(values_of(jnp.asarray(z)), windows, BASE))
         there = windows.present
         colour = windows.colour[there]
-        scale = np.abs(colour) + 0.01 * colour.mean()
-        off, pixels = (colour - shown[there]) / scale, windows.error[there] / scale
+        floor = 0.01 * colour.mean()
+        off = np.log((colour + floor) / (shown[there] + floor))
+        pixels = windows.error[there] / (colour + floor)
         common = values["common_noise"] ** 2 + LEAST_COMMON**2
         total = scipy.stats.norm.logpdf(z).sum()
         for o, p in zip(off, pixels, strict=True):
