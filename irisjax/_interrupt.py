@@ -22,6 +22,7 @@ _PATIENCE = 1.2  # seconds
 _UNFINISHED: set[Path] = set()
 _said = threading.Event()
 _signalled = threading.Event()
+_expected = threading.Event()
 _line = threading.Lock()
 
 
@@ -38,7 +39,7 @@ def unfinished(path: Path) -> Iterator[Path]:
 def say() -> None:
     """Say it once, whoever comes first."""
     with _line:
-        if not _said.is_set():
+        if not (_said.is_set() or _expected.is_set()):
             _said.set()
             print("irisjax: interrupted", file=sys.stderr, flush=True)
 
@@ -47,6 +48,12 @@ def begin() -> None:
     """A command begins, and nothing has been said of it."""
     if not _signalled.is_set():
         _said.clear()
+        _expected.clear()
+
+
+def expect() -> None:
+    """From here on Ctrl-C is the command's usual end: nothing is said of it, the status is 0."""
+    _expected.set()
 
 
 def guarded(work: Callable[[], int]) -> NoReturn:
@@ -119,4 +126,4 @@ def _leave() -> NoReturn:
         else:
             with contextlib.suppress(OSError):
                 path.unlink(missing_ok=True)
-    os._exit(STATUS)
+    os._exit(0 if _expected.is_set() else STATUS)

@@ -8,6 +8,7 @@ from typing import Annotated, Any
 import jax
 import typer
 
+from irisjax import _interrupt
 from irisjax.cli.cache import cores, kept_tables
 from irisjax.cli.options import Group, grouped, option, whole
 from irisjax.cli.scenes import Subject, changed
@@ -71,9 +72,9 @@ def view(subject: Shown, window: Window) -> None:
         given |= {"preset": subject.preset, "seed": subject.seed, "environment": "studio"}
     scene = changed(file.scene(), size=window.size)
     studio = Studio(scene, kept_tables, threads=cores(), photograph=photograph, **given)
-    serve(
-        studio,
-        window.host,
-        window.port,
-        ready=lambda address: typer.echo(f"irisjax: {address}  (Ctrl-C ends it)"),
-    )
+
+    def ready(address: str) -> None:
+        _interrupt.expect()
+        typer.echo(f"irisjax: {address}  (Ctrl-C ends it)")
+
+    serve(studio, window.host, window.port, ready=ready)

@@ -176,6 +176,16 @@ def test_a_slow_browser_is_put_where_the_scene_looks_from(bare):
 
 
 @pytest.mark.peer
+@pytest.mark.parametrize("seconds", [0, 5])
+def test_ctrl_c_is_how_it_ends(tmp_path, seconds):
+    """While it computes its first picture, too: nothing is said, the status is 0."""
+    pytest.importorskip("viser")
+    (tmp_path / "eye.toml").write_text(SCENE)
+    with _viewer(tmp_path / "eye.toml"):
+        time.sleep(seconds)
+
+
+@pytest.mark.peer
 def test_page(browser, address):
     """A slider moves, the picture changes, nothing complains."""
     page = browser.new_page(viewport={"width": 1200, "height": 500})
