@@ -14,6 +14,7 @@ from irisjax.photo.ellipse import Ellipse
 FINE, ROUGH = 250.0, 100.0
 """Radii in pixels at which outlines are measured, and at which candidates are compared."""
 _RAYS = 180
+_FLANK = 0.04  # from the best score to the best fit
 _PRECISION = 0.005  # of an edge, of the radius
 _RATIOS = (1.0, 0.93, 0.86)
 """Ratios of the semi-axes that are tried: down to a tilt of about 30 degrees."""
@@ -40,12 +41,22 @@ class Edges(NamedTuple):
     def strongest(
         self, near: float
     ) -> tuple[Float[np.ndarray, " rays"], Float[np.ndarray, " rays"]]:
-        """Of each ray the score and the place of the best edge within `near` of the ellipse."""
+        """Of each ray the score and the place of the best edge within `near` of the ellipse.
+
+        The score says which edge; where it is, the fit alone, for a strong rise can also be had
+        from a step too far out with a line that falls behind it.
+        """
         part = np.where(abs(self.place - 1) <= near, self.score(), 0.0)
-        at = part.argmax(1)
-        value, place = part[np.arange(at.size), at], self.place[at]
+        at, rays = part.argmax(1), np.arange(len(part))
+        value, pitch = part[rays, at], self.place[1] - self.place[0]
+        close = abs(self.place - self.place[at][:, None]) <= _FLANK
+        at = np.where(close, self.fit, 0.0).argmax(1)
+        inner = np.clip(at, 1, self.place.size - 2)
+        below, here, above = (self.fit[rays, inner + k] for k in (-1, 0, 1))
+        bend = np.maximum(2 * here - below - above, 1e-12)
+        place = self.place[at] + pitch * np.clip(0.5 * (above - below) / bend, -0.5, 0.5)
         # At an end of the range it is the flank of an edge elsewhere.
-        flank = abs(abs(place - 1) - near) < 1.5 * (self.place[1] - self.place[0])
+        flank = abs(abs(place - 1) - near) < 1.5 * pitch
         return np.where(flank, 0.0, value), place
 
 

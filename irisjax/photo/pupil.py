@@ -1,7 +1,7 @@
-"""The pupil within a limbus: where the brightness begins to rise beyond its black."""
+"""The pupil within a limbus: where the iris begins beyond its black."""
 
 import numpy as np
-from scipy import ndimage
+from scipy import ndimage, optimize, special
 
 from irisjax.photo.edges import (
     FINE,
@@ -20,7 +20,9 @@ from irisjax.photo.rings import rings
 PUPIL_SHARE = (0.12, 0.85)
 """Radii of pupils, of the limbus'."""
 _WIDTHS = (0.02, 0.05, 0.1)  # half widths of the rise, of the radius
-_ONSETS = (0.01, 0.02, 0.03, 0.04, 0.05, 0.065, 0.08, 0.1, 0.12)
+_RISE = (0.8, 1.15)
+_BLUR, _BLUR_SPREAD = 0.8, 0.4  # standard deviation in px, and of its logarithm
+_MISFIT = 0.02  # of the rise, by which irides differ from the fit
 
 
 def pupil_within(photo: Photograph, limbus: Ellipse, coarse: bool = True) -> tuple[Ellipse, float]:
@@ -80,28 +82,60 @@ def _profile(picture, cut_off, circle: Ellipse, span, steps: int):
 
 
 def _onset(photo: Photograph, ceiling: float, pupil: Ellipse) -> Ellipse:
-    """The outline where the brightness begins to rise; the margin of the iris is often dark."""
+    """The outline where the iris begins, whose margin may be dark.
+
+    Where it is sharp that is half-way from black to bright, whatever the blur; where the brightness
+    takes long to rise it is where the rise began.
+    """
     picture, cut_off, circle, back = _part(photo, pupil, 1.5, FINE)
     picture, span = np.clip(picture, 0, ceiling), (0.7, 1.3)
-    picture = ndimage.gaussian_filter(picture, 0.01 * circle.semi_axes[0])  # against noise
+    smooth = ndimage.gaussian_filter(picture, 0.01 * circle.semi_axes[0])  # against noise
     held = np.zeros(ray_angles().size)
     for near in (0.1, 0.08):
         # The root shows the first rise.
-        profile = np.sqrt(_profile(picture, cut_off, circle, span, 241))
+        profile = np.sqrt(_profile(smooth, cut_off, circle, span, 241))
         held, place = steps_along(profile, span, _WIDTHS, 0.15).strongest(near)
         circle, _ = polished(circle, held, place, np.ones(held.size))
-    good = _profile(picture, cut_off, circle, span, 241)[held > 0.3]
-    seen = np.isfinite(good).any(0)
-    if len(good) < 12 or not seen.all():
+    good = _profile(picture, cut_off, circle, _RISE, 241)[held > 0.3]
+    if len(good) < 12 or not np.isfinite(good).any(0).all():
         return back(circle)
-    # The width of the rise comes from all rays together: one alone is too noisy in a dark iris.
-    typical = np.sqrt(np.nanmedian(good, axis=0))[None]
-    fits = [steps_along(typical, span, (w,), 0.15).strongest(0.1) for w in _ONSETS]
-    best = int(np.argmax([value[0] for value, _ in fits]))
-    blur = 1.0 / circle.semi_axes[0]
-    rim = float(fits[best][1][0]) - max(_ONSETS[best] - blur, 0.0)
+    # The width of the rise comes from all rays together: one alone is too noisy in a dark iris. Of
+    # edges that are not all at one place the median is as sharp as they are.
+    typical = np.nanmedian(good, axis=0)
+    rim = _beginning(np.linspace(*_RISE, 241), typical, 1 / circle.semi_axes[0])
     axes = circle.semi_axes[0] * rim, circle.semi_axes[1] * rim
     return back(circle._replace(semi_axes=axes))
+
+
+def _beginning(x, brightness, pixel: float) -> float:
+    """Where the brightness begins to rise beyond a constant, as it was before a Gaussian blurred it.
+
+    Fitted is a step from the constant, at the same place the beginning of a smoothstep of some
+    width, and a line behind; how wide the Gaussian is, is known to a factor. `pixel`: in x.
+    """
+    node, weight = np.polynomial.legendre.leggauss(32)
+    node = (node + 1) / 2
+    weight = 3 * weight * node * (1 - node)  # a smoothstep is as many steps as its slope says
+
+    def blurred(away, blur):
+        return 0.5 + 0.5 * special.erf(away / (np.sqrt(2) * blur))
+
+    def misfit(v):
+        start, width, factor = v
+        blur = _BLUR * np.exp(_BLUR_SPREAD * factor) * pixel
+        step = blurred(x - start, blur)
+        rise = blurred(x[:, None] - start - width * node, blur) @ weight
+        line = step * (x - start)
+        basis = np.stack([np.ones_like(x), step, rise, line, -line], -1)
+        off = basis @ optimize.nnls(basis, brightness)[0] - brightness
+        return np.append(off / noise, factor)
+
+    noise = _MISFIT * (np.quantile(brightness, 0.9) - np.quantile(brightness, 0.1)) + 1e-9
+    bounds = ([0.85, 0.01, -3.0], [1.1, 2 * _WIDTHS[-1], 3.0])
+    starts = ([1.0, 0.05, 0.0], [0.98, 0.04, 0.0], [0.95, 0.1, 0.0])
+    scale = [0.01, 0.01, 1.0]
+    fits = [optimize.least_squares(misfit, s, bounds=bounds, x_scale=scale) for s in starts]
+    return float(min(fits, key=lambda f: f.cost).x[0])
 
 
 def _darkness(picture, relative, circle: Ellipse) -> float:
