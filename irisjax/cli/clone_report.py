@@ -21,8 +21,9 @@ def report(found: Clone, cross_polarised: bool, folder: Path) -> bool:
     if found.pose is not None:
         pose = found.pose
         where = "" if pose.distance is None else f", {pose.distance:.0f} mm away"
+        low, high = np.degrees(pose.tilt_interval)
         print(
-            f"camera: {np.degrees(pose.tilt):.1f} ± {np.degrees(pose.tilt_sd):.1f} degrees off the "
+            f"camera: {np.degrees(pose.tilt):.1f} ({low:.1f} to {high:.1f}) degrees off the "
             f"eye's axis{where}; pupil {2 * float(pose.eye.pupil_radius):.2f} mm wide, lengths for "
             f"a limbus of {2 * float(pose.eye.limbus_radius):.1f} mm"
         )

@@ -58,6 +58,7 @@ def summary_of(clone: Clone, settings: Mapping[str, Any], timings: Mapping[str, 
         found |= {
             "tilt_deg": math.degrees(pose.tilt),
             "tilt_sd_deg": math.degrees(pose.tilt_sd),
+            "tilt_95_deg": [math.degrees(t) for t in pose.tilt_interval],
             "azimuth_deg": math.degrees(float(pose.camera.azimuth)),
             "side_from": pose.side,
             "distance_mm": pose.distance,

@@ -12,6 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 import scipy.optimize
 from jaxtyping import Bool, Float
+from scipy import special
 
 from irisjax.anatomy.eye import Eye
 from irisjax.numerics.programs import program
@@ -40,6 +41,7 @@ USUAL_DISTANCE = 300.0
 """Of the camera, mm, where no focal length is known: perspective hardly depends on it."""
 _OUTLINE = 0.004  # of the limbus's radius, by which points of its outline may be off
 _POINTS = 48
+_FLATTENING = 2 * np.sqrt(2 / 5) * _OUTLINE  # twice an amplitude; five points err apart
 _STEEPEST = 1.0  # of a tilt's components, radians
 
 
@@ -49,7 +51,8 @@ class Pose(NamedTuple):
     - `camera`: of the part's size; `corner`: column and row of its first pixel in the photograph.
     - `eye`: with the pupil that was seen; `pupil_centre`: of it on the iris, mm, off the axis. The
         model's own pupil is in the middle.
-    - `tilt`: between the eye's axis and the camera, radians, and its standard deviation.
+    - `tilt`: between the eye's axis and the camera, radians; `tilt_sd` and `tilt_interval` (95 %):
+        of what `tilts_allowed` leaves possible.
     - `distance`: to the limbus, mm, `None` without a focal length.
     - `side`: what told to which side the eye is tilted: `"pupil"` or `"given"`.
     - `residual`: of the limbus's outline, relative to its radius.
@@ -61,6 +64,7 @@ class Pose(NamedTuple):
     pupil_centre: tuple[float, float]
     tilt: float
     tilt_sd: float
+    tilt_interval: tuple[float, float]
     distance: float | None
     side: str
     residual: float
@@ -140,8 +144,7 @@ def find_pose(
         key=lambda f: f.cost,
     )
     v, scale = found.x, float(np.exp(found.x[4]) * pixels_per_mm)
-    spread = np.linalg.pinv(found.jac.T @ found.jac)[:2, :2]
-    along = v[:2] / max(np.hypot(*v[:2]), 1e-9)
+    tilt_sd, interval = tilts_allowed(float(np.hypot(*v[:2])))
     half = int(np.ceil(margin * limbus.semi_axes[0]))
     # Whole pixels: the middle of the camera's picture lies within half of one of the eye's.
     corner = int(np.round(v[2])) - half, int(np.round(v[3])) - half
@@ -163,11 +166,41 @@ def find_pose(
         eye.replace(pupil_radius=radius),
         centre,
         float(np.hypot(*v[:2])),
-        float(np.sqrt(along @ spread @ along)),
+        tilt_sd,
+        interval,
         distance if known else None,
         "pupil" if azimuth is None else "given",
         float(np.sqrt((off**2).mean())),
     )
+
+
+def tilts_allowed(
+    tilt: float, flattening_sd: float = _FLATTENING
+) -> tuple[float, tuple[float, float]]:
+    """Standard deviation and the 95 % interval (radians) of the tilts that an outline of a tilt
+    leaves possible.
+
+    What errs is the outline's flattening q = ln(a / b) = -ln cos(tilt) [F09 Eq. 1], a vector whose
+    direction is twice the axis's angle; each component by `flattening_sd`. The length that is seen
+    of such a vector follows Rice's distribution. Where every camera's direction is as likely, so
+    is every q (nearly, below 40 degrees), and the interval is the shortest in q that holds 95 %. No
+    straight line replaces the arc cosine, whose slope has no bound at 0: an eye that looks into the
+    camera has an interval from 0 to 8 degrees, one at 30 degrees of half a degree to each side.
+    """
+    seen = -np.log(np.cos(tilt))
+    q = np.linspace(max(seen - 6 * flattening_sd, 0.0), seen + 6 * flattening_sd, 4001)
+    rice = np.exp(-0.5 * ((q - seen) / flattening_sd) ** 2)
+    rice *= special.ive(0, q * seen / flattening_sd**2)
+    share = np.concatenate([[0.0], np.cumsum(rice[1:] + rice[:-1])])
+    share /= share[-1]
+    begin = q[share < 0.05]
+    end = np.interp(share[share < 0.05] + 0.95, share, q)
+    k = int(np.argmin(end - begin))
+    tilts = np.arccos(np.exp(-q))
+    mean = (rice * tilts).sum() / rice.sum()
+    sd = np.sqrt((rice * (tilts - mean) ** 2).sum() / rice.sum())
+    low, high = (float(np.arccos(np.exp(-v))) for v in (begin[k], end[k]))
+    return float(sd), (low, high)
 
 
 def _check_distance(distance: float) -> None:

@@ -108,7 +108,7 @@ def _onset(photo: Photograph, ceiling: float, pupil: Ellipse) -> Ellipse:
 
 
 def _beginning(x, brightness, pixel: float) -> float:
-    """Where the brightness begins to rise beyond a constant, as it was before a Gaussian blurred it.
+    """Where the brightness rises from a constant, as it was before a Gaussian blurred it.
 
     Fitted is a step from the constant, at the same place the beginning of a smoothstep of some
     width, and a line behind; how wide the Gaussian is, is known to a factor. `pixel`: in x.

@@ -106,6 +106,20 @@ def test_anywhere_and_of_any_size(eye):
     check(with_noise(eye), 0.02)
 
 
+@pytest.mark.parametrize("radius", [100.0, 250.0])
+@pytest.mark.parametrize("dark", [0.0, 0.06], ids=["sharp", "dark margin"])
+def test_the_pupil_ends_where_the_iris_begins(radius, dark):
+    """Sharp, or with a margin that rises slowly from black: of every fineness alike."""
+    eye = drawn((int(2.6 * radius),) * 2, (1.29 * radius, 1.3 * radius), radius)
+    row, column = np.mgrid[: eye.pixels.shape[0], : eye.pixels.shape[1]]
+    beyond = eye.pupil.relative_radius(column, row) - 1
+    t = np.clip(beyond / max(dark, 1e-9), 0, 1)
+    shade = np.where((beyond > 0) & (beyond < dark), t * t * (3 - 2 * t), 1.0)
+    pixels = 0.003 + (eye.pixels - 0.003) * shade[..., None]
+    found = find_boundaries(as_photograph(pixels), limbus=eye.limbus).pupil
+    assert errors(found, eye.pupil).max() < 0.01
+
+
 def test_of_two_eyes_one_is_found_whole():
     left, right = (
         drawn(size=(300, 300), middle=(150, 150)),

@@ -6,7 +6,7 @@ from eyes_in_line import outlines
 
 from irisjax.anatomy.eye import Cornea, Eye
 from irisjax.photo.ellipse import Ellipse
-from irisjax.photo.pose import LIMBUS_RADII, find_pose, limbus_spread
+from irisjax.photo.pose import LIMBUS_RADII, find_pose, limbus_spread, tilts_allowed
 from irisjax.render.camera import Camera
 
 EYE = Eye()
@@ -104,3 +104,21 @@ def test_limbus_sizes_of_people():
     assert len(radii) == 461
     assert (radii.min(), radii.max()) == (5.3, 6.5)
     assert limbus_spread() == pytest.approx((radii.mean(), radii.std()))
+
+
+@pytest.mark.parametrize("degrees", [0.0, 3.0, 8.0, 30.0])
+def test_intervals_of_the_tilt_hold_it_as_often_as_they_say(degrees):
+    """Of outlines whose two components of the flattening err; an eye's tilt is never negative."""
+    sd, tilt = 0.005, np.radians(degrees)
+    errors = np.random.default_rng(0).normal(0, sd, (1000, 2))
+    flattening = np.hypot(errors[:, 0] - np.log(np.cos(tilt)), errors[:, 1])
+    found = [tilts_allowed(float(t), sd)[1] for t in np.arccos(np.exp(-flattening))]
+    held = np.mean([low <= tilt + 1e-9 and tilt <= high for low, high in found])
+    assert held > 0.92
+
+
+def test_a_frontal_eye_may_be_tilted_by_degrees_and_not_by_a_dozen():
+    sd, (low, high) = tilts_allowed(0.0)
+    assert low == 0
+    assert 5 < np.degrees(high) < 10
+    assert 1 < np.degrees(sd) < 4

@@ -8,7 +8,9 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from irisjax.io.photographs import read_photograph
 from irisjax.io.scenes import read_scene
+from irisjax.photo.boundaries import MIN_CONFIDENCE, find_boundaries
 from irisjax.photo.ellipse import Ellipse
 
 FOLDER = Path(__file__).parent.parent.parent / "data" / "photographs"
@@ -87,6 +89,17 @@ def test_edges_lie_on_the_outlines(truth, name):
     # Iris in the shadow of the limbus is hardly brighter than the pupil.
     assert (inside < middle).mean() > 0.97
     assert (outside > middle).mean() > 0.97
+
+
+@pytest.mark.heavy
+@by_file(TRUTH)
+def test_outlines_are_found_to_a_hundredth_of_their_radius(truth):
+    found = find_boundaries(read_photograph(FOLDER / truth["file"]))
+    along = np.linspace(0, 2 * math.pi, 90)
+    for seen, name in zip(found[:2], ("limbus", "pupil"), strict=True):
+        off = outline(truth, name).relative_radius(*seen.points(along).T) - 1
+        assert abs(off).max() < 0.01
+    assert min(found[2:]) > MIN_CONFIDENCE
 
 
 @by_file(CLEAN)
