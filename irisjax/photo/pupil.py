@@ -110,8 +110,9 @@ def _onset(photo: Photograph, ceiling: float, pupil: Ellipse) -> Ellipse:
 def _beginning(x, brightness, pixel: float) -> float:
     """Where the brightness rises from a constant, as it was before a Gaussian blurred it.
 
-    Fitted is a step from the constant, at the same place the beginning of a smoothstep of some
-    width, and a line behind; how wide the Gaussian is, is known to a factor. `pixel`: in x.
+    Fitted are a step, the beginning of a smoothstep of some width, or both at one place, and a line
+    behind; how wide the Gaussian is, is known to a factor. Both at once have to be better by one
+    log likelihood, for they have one number more (Akaike). `pixel`: in x.
     """
     node, weight = np.polynomial.legendre.leggauss(32)
     node = (node + 1) / 2
@@ -120,23 +121,30 @@ def _beginning(x, brightness, pixel: float) -> float:
     def blurred(away, blur):
         return 0.5 + 0.5 * special.erf(away / (np.sqrt(2) * blur))
 
-    def misfit(v):
+    def misfit(v, sharp, soft):
         start, width, factor = v
         blur = _BLUR * np.exp(_BLUR_SPREAD * factor) * pixel
         step = blurred(x - start, blur)
-        rise = blurred(x[:, None] - start - width * node, blur) @ weight
         line = step * (x - start)
-        basis = np.stack([np.ones_like(x), step, rise, line, -line], -1)
+        basis = [np.ones_like(x), line, -line]
+        basis += [step] * sharp
+        basis += [blurred(x[:, None] - start - width * node, blur) @ weight] * soft
+        basis = np.stack(basis, -1)
         off = basis @ optimize.nnls(basis, brightness)[0] - brightness
         # A tenth: neighbouring samples err alike.
         return np.append(np.sqrt(0.1) * off / noise, factor)
 
+    def fit(start, sharp, soft):
+        found = optimize.least_squares(
+            misfit, start, bounds=bounds, x_scale=[0.01, 0.01, 1.0], args=(sharp, soft)
+        )
+        return found.cost + (sharp and soft), float(found.x[0])
+
     noise = _MISFIT * (np.quantile(brightness, 0.9) - np.quantile(brightness, 0.1)) + 1e-9
     bounds = ([0.85, 0.01, -3.0], [1.1, 2 * _WIDTHS[-1], 3.0])
-    starts = ([1.0, 0.05, 0.0], [0.98, 0.04, 0.0], [0.95, 0.1, 0.0])
-    scale = [0.01, 0.01, 1.0]
-    fits = [optimize.least_squares(misfit, s, bounds=bounds, x_scale=scale) for s in starts]
-    return float(min(fits, key=lambda f: f.cost).x[0])
+    fits = [fit([1.0, 0.05, 0.0], True, False), fit([1.0, 0.05, 0.0], True, True)]
+    fits += [fit([1 - width / 2, width, 0.0], False, True) for width in (0.04, 0.1)]
+    return min(fits)[1]
 
 
 def _darkness(picture, relative, circle: Ellipse) -> float:
