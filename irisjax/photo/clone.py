@@ -7,6 +7,7 @@ before, and what it found can be replaced by the user's own.
 import math
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, nullcontext
+from functools import partial
 from typing import Any, cast
 
 import jax.numpy as jnp
@@ -16,11 +17,12 @@ import skimage.transform
 from jaxtyping import Bool
 
 from irisjax.anatomy.eye import Cornea, Eye
+from irisjax.grow.procedural import RELIEF
 from irisjax.photo.boundaries import find_boundaries
 from irisjax.photo.cloned import NOTHING, Clone, Given, Settings, needed
 from irisjax.photo.ellipse import Ellipse
 from irisjax.photo.highlights import find_highlights, find_lashes, find_lids
-from irisjax.photo.lamps import lamps_of, tangent_of
+from irisjax.photo.lamps import Lighting, find_lighting, tangent_of
 from irisjax.photo.morphology import maps_of
 from irisjax.photo.photograph import Photograph
 from irisjax.photo.pigments import least_squares, simplex
@@ -29,8 +31,12 @@ from irisjax.photo.pose import find_pose
 from irisjax.photo.posterior import sample
 from irisjax.photo.refraction import SIZE, follow, unrefract
 from irisjax.photo.thickness import BETA, generic_thickness
+from irisjax.photo.window_pixels import WindowPixels, choose_pixels, iris_alone
 from irisjax.photo.windows import windows_of
+from irisjax.render.environment import Environment
 from irisjax.render.illumination import Illumination
+from irisjax.render.scene import Scene
+from irisjax.render.stages import look
 from irisjax.tissue.iris import Iris
 
 STAGES = ("outlines", "pose", "texture", "thickness", "pigments", "posterior")
@@ -41,8 +47,6 @@ LARGEST = 1100
 """Pixels across the iris that are used; more are averaged."""
 LEAST_RESPONSE = 0.4
 """Of luminance to thickness, as powers: below it, in brown eyes, brightness tells pigment."""
-RELIEF = 0.3
-"""Share of a stroma's unevenness that stands out towards the cornea, as in `grow.procedural`."""
 FIBRILS = 57.0
 """Radius of the stroma's fibrils (nm) that colours begin with: between those of the presets'
 blue and brown eyes. Its scattering is free within a factor."""
@@ -55,6 +59,7 @@ def clone(
     *,
     last: str = STAGES[-1],
     stage: Callable[[str], AbstractContextManager[Any]] = lambda name: nullcontext(),
+    tables: Callable[[Scene], Illumination | None] = Scene.tables,
 ) -> Iterator[Clone]:
     """Run the stages up to `last`; what is known after each is yielded.
 
@@ -64,6 +69,7 @@ def clone(
         given: In place of what stages would find.
         last: Name of the last stage.
         stage: Is entered with a stage's name for as long as it takes.
+        tables: Makes the tables of light on the iris, or has them from a file.
 
     Raises:
         ValueError: If a stage finds nothing, in one line.
@@ -72,7 +78,8 @@ def clone(
     with stage(STAGES[0]):
         found = Clone(photograph, find_boundaries(photograph, given.limbus, given.pupil))
     yield found
-    steps = (_posed, _flat, _with_thickness, _with_pigments, _sampled)
+    pigments = partial(_with_pigments, tables=tables)
+    steps = (_posed, _flat, _with_thickness, pigments, _sampled)
     for name, step in zip(STAGES[1:], steps, strict=True):
         if STAGES.index(name) > STAGES.index(last):
             return
@@ -96,7 +103,8 @@ def _flat(found: Clone, settings: Settings, given: Given) -> Clone:
     """With the iris laid flat."""
     del settings, given
     part, clear, pose = needed(found.part), needed(found.clear), needed(found.pose)
-    return found._replace(texture=unrefract(part, clear, pose, SIZE))
+    where = follow(pose, SIZE)
+    return found._replace(refraction=where, texture=unrefract(part, clear, pose, where))
 
 
 def _with_thickness(found: Clone, settings: Settings, given: Given) -> Clone:
@@ -186,49 +194,58 @@ def _posed(found: Clone, settings: Settings, given: Given) -> Clone:
     )
 
 
-def _with_pigments(found: Clone, settings: Settings, given: Given) -> Clone:
+def _with_pigments(
+    found: Clone,
+    settings: Settings,
+    given: Given,
+    tables: Callable[[Scene], Illumination | None],
+) -> Clone:
     """Pigments of the coarse thickness; then thickness by what the model makes of these pigments,
     and pigments of that  [F09 Fig. 10]."""
     pose, part, texture = needed(found.pose), needed(found.part), needed(found.texture)
-    lights, count = given.lights, None
-    if lights is None:
-        lights, count = lamps_of(part, pose)
-    tables = Illumination.build(pose.eye, caustics=False)
-    found = found._replace(lights=lights, lights_found=count, integrator=settings.integrator)
-    found = _fitted(found, settings, tables)
+    view = look(pose.eye, pose.camera)
+    if given.lights is None and given.environment is None:
+        light = find_lighting(part, pose, view)
+    else:
+        light = Lighting(given.lights, given.environment)
+    # Tables depend on how low light stands, and that of a room comes from all round.
+    around = Environment.uniform() if light.room else light.environment
+    made = tables(Scene(Iris(), eye=pose.eye, lights=light.lamps, environment=around))
+    found = found._replace(view=view, lighting=light, tables=made, integrator=settings.integrator)
+    clear = needed(found.clear) & iris_alone(pose) & ~_freckled(found)
+    chosen = choose_pixels(part, clear, view, pose.eye, light.environment)
+    found = _fitted(found, settings, chosen)
     if settings.beta is not None:
         return found
     response = needed(found.windows).thickness_response(found.iris())
     if response < LEAST_RESPONSE:
         return found
-    tangent = tangent_of(lights, pose.eye, tables)
+    tangent = tangent_of(light.lights(), pose.eye, made)
     first: Any = tuple(float(-RELIEF * t) for t in tangent)
     coarse = needed(found.morphology)
     finer = maps_of(texture, coarse.freckles, sigma_mm=0.0, response=response, slopes=first)
     height = RELIEF * (finer.thickness - generic_thickness(texture.radius()))
     relief = to_polar(height, texture.pupil_radius, texture.iris_radius)
     finer = finer._replace(maps=finer.maps.replace(relief=jnp.clip(jnp.asarray(relief), -1, 1)))
-    return _fitted(found._replace(morphology=finer, response=response), settings, tables)
+    return _fitted(found._replace(morphology=finer, response=response), settings, chosen)
 
 
-def _fitted(found: Clone, settings: Settings, tables: Illumination) -> Clone:
+def _fitted(found: Clone, settings: Settings, chosen: WindowPixels) -> Clone:
     """With the pigments that fit to its thickness."""
-    pose, morphology = needed(found.pose), needed(found.morphology)
+    maps, light = needed(found.morphology).maps, needed(found.lighting)
     base = Iris(
         fibril_radius=jnp.asarray(FIBRILS),
-        stroma_thickness=jnp.mean(jnp.asarray(morphology.maps.stroma_depth)),
+        stroma_thickness=jnp.mean(jnp.asarray(maps.stroma_depth)),
     )
     windows = windows_of(
-        needed(found.part),
-        needed(found.clear) & ~_freckled(found),
-        pose,
+        chosen,
+        needed(found.pose).eye,
         base,
-        morphology.maps.replace(freckles=None),
-        needed(found.lights),
+        maps.replace(freckles=None),
+        light.lights(),
         settings.integrator,
-        tables,
-        room=bool(found.lights_found),
-        mirrored=1.0 if found.lights_found == 0 else 0.0,
+        found.tables,
+        light.room,
     )
     log = []
     if settings.method == "simplex":
@@ -241,10 +258,7 @@ def _fitted(found: Clone, settings: Settings, tables: Illumination) -> Clone:
 def _freckled(found: Clone) -> Bool[np.ndarray, "rows columns"]:
     """Pixels of the part that show a freckle."""
     mask = np.zeros_like(needed(found.clear))
-    freckles = needed(found.morphology).freckles
-    if not freckles.any():
-        return mask
-    where = follow(needed(found.pose), len(freckles))
+    freckles, where = needed(found.morphology).freckles, needed(found.refraction)
     rows, columns = mask.shape
     row, column = (
         np.clip(np.rint(v[freckles]).astype(int), 0, n - 1)
