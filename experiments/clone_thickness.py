@@ -25,7 +25,7 @@ from irisjax.photo.polar import to_polar
 from irisjax.photo.refraction import unrefract
 from irisjax.photo.thickness import BETA, generic_thickness
 from irisjax.photo.unrefracted import HALF_WIDTH, Unrefracted
-from irisjax.photo.windows import ANGLES, MARGIN, RINGS
+from irisjax.photo.window_pixels import ANGLES, MARGIN, OUTER_MARGIN, RINGS
 
 EYES = "blue", "brown"
 VARIANTS = {
@@ -188,7 +188,8 @@ def _score(found: Clone, truth: Truth, both: Comparison) -> tuple:
 def _flat(picture: np.ndarray, found: Clone, clear: np.ndarray | None = None) -> Unrefracted:
     """A picture of the clone's camera, laid flat."""
     clear = needed(found.clear) if clear is None else clear
-    return unrefract(picture.astype(np.float32), clear, needed(found.pose))
+    where = needed(found.refraction)
+    return unrefract(picture.astype(np.float32), clear, needed(found.pose), where)
 
 
 def _detail(texture: np.ndarray) -> np.ndarray:
@@ -258,7 +259,7 @@ def _windows(found: Clone):
     fitted = {name: jnp.asarray(value) for name, value in needed(found.fit).values.items()}
     model = np.asarray(predicted(fitted, windows, needed(found.base)))
     inner = float(eye.pupil_radius) + MARGIN
-    width = (float(eye.iris_radius) - MARGIN - inner) / RINGS
+    width = (float(eye.iris_radius) - OUTER_MARGIN - inner) / RINGS
     for number, colours in enumerate(np.concatenate([windows.colour, model], 1)):
         ring, sector = divmod(number, ANGLES)
         place = sector * 360 / ANGLES, inner + ring * width, inner + (ring + 1) * width
