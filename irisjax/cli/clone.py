@@ -84,6 +84,18 @@ class Picture(Group):
         bool,
         option("--cross-polarised", metavar="", help="the photograph was taken through polarisers"),
     ] = False
+    second: Annotated[
+        Path | None,
+        option(
+            metavar="FILE",
+            help="of the same eye, best through crossed polarisers: without highlights it shows "
+            "the texture; light and pigments are told from PHOTO",
+        ),
+    ] = None
+    maps: Annotated[
+        Path | None,
+        option(metavar="FILE.exr", help="thickness, in place of what the texture tells: maps.exr"),
+    ] = None
     freckles: Annotated[
         Path | None,
         option(metavar="FILE.png", help="mask in place of freckles.png, white where a freckle is"),
@@ -216,11 +228,13 @@ def _given(picture: Picture) -> cloning.Given:
     if picture.freckles is not None:
         mask = io.read_image(picture.freckles).pixels[..., 0] > 0.5
     return cloning.Given(
-        _outline("--limbus", picture.limbus),
-        _outline("--pupil", picture.pupil),
-        lights,
-        around,
-        mask,
+        limbus=_outline("--limbus", picture.limbus),
+        pupil=_outline("--pupil", picture.pupil),
+        lights=lights,
+        environment=around,
+        freckles=mask,
+        maps=None if picture.maps is None else io.read_maps(picture.maps),
+        second=None if picture.second is None else read_photograph(picture.second),
     )
 
 

@@ -86,6 +86,14 @@ def summary_of(clone: Clone, settings: Mapping[str, Any], timings: Mapping[str, 
             "pupil_centre_mm": list(pose.pupil_centre),
             "iris_depth_mm": float(eye.iris_depth),
         }
+    if clone.second is not None:
+        told = clone.second.registration
+        found["second"] = {
+            "correlation": told.correlation,
+            "residual_px": told.residual,
+            "scale": told.scale,
+            "rotation_deg": math.degrees(told.rotation),
+        }
     if clone.morphology is not None and clone.texture is not None:
         shape, valid = clone.morphology, clone.texture.valid
         iris = clone.texture.radius() < clone.texture.iris_radius

@@ -15,6 +15,7 @@ from irisjax.photo.pigments import Fit, iris_of
 from irisjax.photo.pose import Pose
 from irisjax.photo.posterior import PigmentPosterior
 from irisjax.photo.refraction import Refraction
+from irisjax.photo.register import Registration
 from irisjax.photo.unrefracted import Unrefracted
 from irisjax.photo.windows import Windows
 from irisjax.render.environment import Environment
@@ -25,6 +26,7 @@ from irisjax.render.radiative import RadiativeIntegrator
 from irisjax.render.scene import Scene
 from irisjax.render.separable import Separable
 from irisjax.tissue.iris import Iris
+from irisjax.tissue.maps import IrisMaps
 
 
 class Settings(NamedTuple):
@@ -52,13 +54,28 @@ class Settings(NamedTuple):
 
 
 class Given(NamedTuple):
-    """What the user gives in place of what a stage would find; `None` leaves it to the stage."""
+    """What the user gives in place of what a stage would find; `None` leaves it to the stage.
+
+    - `maps`: with the stroma's thickness, which is then kept.
+    - `second`: a photograph of the same eye, for example through crossed polarisers, whose texture
+        tells the thickness in place of the first's; pigments and light are told from the first.
+    """
 
     limbus: Ellipse | None = None
     pupil: Ellipse | None = None
     lights: Lights | None = None
     environment: Environment | None = None
     freckles: Bool[np.ndarray, "size size"] | None = None
+    maps: IrisMaps | None = None
+    second: Photograph | None = None
+
+
+class Second(NamedTuple):
+    """A second photograph on the pixels of the first's part: `part` and `clear` as of `Clone`."""
+
+    registration: Registration
+    part: Float[np.ndarray, "rows columns 3"]
+    clear: Bool[np.ndarray, "rows columns"]
 
 
 NOTHING = Given()
@@ -71,7 +88,8 @@ class Clone(NamedTuple):
     - `boundaries`: outlines in pixels of the photograph, with confidences.
     - `pose`: in pixels of the part that is used, `part`, (rows, columns, 3) linear; one of its
         pixels is `reduction` of the photograph's along each side, and `corner` the first of these.
-    - `clear`: pixels of the part that show the iris and nothing else.
+    - `clear`: pixels of the part that show the iris and nothing else. `second`: the same of a
+        second photograph.
     - `refraction`: where the texels of `texture` appear in the part.
     - `response`: d ln luminance / d ln thickness by which the thickness was told; `None` where
         Eq. 7 did.
@@ -83,6 +101,7 @@ class Clone(NamedTuple):
     pose: Pose | None = None
     part: Float[np.ndarray, "rows columns 3"] | None = None
     clear: Bool[np.ndarray, "rows columns"] | None = None
+    second: Second | None = None
     reduction: int = 1
     corner: tuple[int, int] = (0, 0)
     refraction: Refraction | None = None
