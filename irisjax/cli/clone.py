@@ -119,6 +119,15 @@ class Model(Group):
         float,
         option(parse=number(0, 2), metavar="mm", help="width of the blur by scattering, 0 to 2"),
     ] = 0.5
+    relief: Annotated[
+        float,
+        option(
+            parse=number(0, 1),
+            metavar="share",
+            help="of the stroma's unevenness that stands out towards the cornea, 0 to 1; in light "
+            "eyes its shading is taken off",
+        ),
+    ] = 0.0
     method: Annotated[
         str, name_of("search for the pigments; simplex is F09's", *cloning.METHODS)
     ] = "least-squares"
@@ -161,6 +170,7 @@ def clone(picture: Picture, model: Model, results: Results) -> None:
         picture.focal_px,
         None if picture.tilt_azimuth is None else float(np.radians(picture.tilt_azimuth)),
         sigma=model.deconvolution,
+        relief=model.relief,
         method=model.method,
         integrator=_PROCESSES[model.process](),
         steps=model.max_steps,

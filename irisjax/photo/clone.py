@@ -14,7 +14,6 @@ import numpy as np
 from jaxtyping import Bool
 
 from irisjax.anatomy.eye import Cornea, Eye
-from irisjax.grow.procedural import RELIEF
 from irisjax.photo.boundaries import find_boundaries
 from irisjax.photo.cloned import NOTHING, Clone, Given, Second, Settings, needed
 from irisjax.photo.ellipse import Ellipse
@@ -213,13 +212,17 @@ def _with_pigments(
     response = needed(found.windows).thickness_response(found.iris())
     if response < LEAST_RESPONSE:
         return found
-    tangent = tangent_of(light.lights(), pose.eye, made)
-    first: Any = tuple(float(-RELIEF * t) for t in tangent)
-    coarse = needed(found.morphology)
-    finer = maps_of(texture, coarse.freckles, sigma_mm=0.0, response=response, slopes=first)
-    height = RELIEF * (finer.thickness - generic_thickness(texture.radius()))
-    relief = to_polar(height, texture.pupil_radius, texture.iris_radius)
-    finer = finer._replace(maps=finer.maps.replace(relief=jnp.clip(jnp.asarray(relief), -1, 1)))
+    freckles, share = needed(found.morphology).freckles, settings.relief
+    slopes: Any = (0.0, 0.0)
+    if share > 0:
+        tangent = tangent_of(light.lights(), pose.eye, made)
+        slopes = tuple(float(-share * t) for t in tangent)
+    finer = maps_of(texture, freckles, sigma_mm=0.0, response=response, slopes=slopes)
+    if share > 0:
+        height = share * (finer.thickness - generic_thickness(texture.radius()))
+        relief = to_polar(height, texture.pupil_radius, texture.iris_radius)
+        relief = jnp.clip(jnp.asarray(relief), -1, 1)
+        finer = finer._replace(maps=finer.maps.replace(relief=relief))
     return _fitted(found._replace(morphology=finer, response=response), settings, chosen)
 
 

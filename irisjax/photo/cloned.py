@@ -37,6 +37,8 @@ class Settings(NamedTuple):
     - `azimuth`: of the camera (radians), where it is known to which side the eye is tilted.
     - `sigma`: of the deconvolution, mm; `beta`: of Eq. 7 (mm), `None` asks the model instead how
         much brighter a thicker stroma is.
+    - `relief`: share of the stroma's unevenness that stands out towards the cornea, 0 to 1: its
+        shading is taken off the picture before the model tells thickness, and the clone has it.
     - `method`: least squares, or the paper's simplex. `integrator`: of light in the iris.
     - `steps`: most steps of the posterior's chain. `seed`: of all random numbers.
     """
@@ -47,6 +49,7 @@ class Settings(NamedTuple):
     azimuth: float | None = None
     sigma: float = 0.5
     beta: float | None = None
+    relief: float = 0.0
     method: str = "least-squares"
     integrator: Separable | RadiativeIntegrator = Separable()
     steps: int = 3000
