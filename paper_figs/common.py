@@ -1,6 +1,7 @@
 """Reading saved results and saving figures; the figures' only shared code."""
 
 import csv
+import io
 from pathlib import Path
 
 import matplotlib
@@ -8,6 +9,7 @@ import matplotlib
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 import numpy as np
+from PIL import Image
 
 HERE = Path(__file__).parent
 RESULTS = HERE.parent / "experiments" / "results"
@@ -37,6 +39,16 @@ def save(figure, name: str) -> None:
     """Save next to the scripts."""
     figure.savefig(HERE / f"{name}.png")
     plt.close(figure)
+
+
+def save_picture(figure, name: str) -> None:
+    """The same of pictures with noise, whose files are large: coarser, in 64 steps of colour."""
+    figure.savefig(data := io.BytesIO(), dpi=130)
+    plt.close(figure)
+    steps = np.asarray(Image.open(data).convert("RGB")) // 4 * 4
+    Image.fromarray(np.where(steps == 252, 255, steps).astype(np.uint8)).save(
+        HERE / f"{name}.png", optimize=True
+    )
 
 
 def spectra(

@@ -20,6 +20,8 @@ SLOW = {
     "bench_accuracy_time",
     "bench_inversion",
     "bench_render",
+    "clone_search",
+    "clone_thickness",
     "exact_against_montecarlo",
     "render_figures",
 }

@@ -12,29 +12,24 @@ import typer
 from tqdm import tqdm
 
 from irisjax import io, plot
-from irisjax.cli.cache import cores
+from irisjax.cli.cache import cores, kept_tables
 from irisjax.cli.clone_report import doubtful, report, say
 from irisjax.cli.options import SEED_HELP, Group, grouped, name_of, number, option, read_seed, whole
 from irisjax.cli.scenes import lamps
 from irisjax.io.clone_folders import PHOTOGRAPH, encode_photograph
-from irisjax.io.clones import files_of
+from irisjax.io.clones import FILES, files_of
 from irisjax.io.photographs import read_photograph
 from irisjax.numerics.checks import Range, check_range
 from irisjax.photo import clone as cloning
 from irisjax.photo.ellipse import Ellipse
 from irisjax.photo.picture import compare
 from irisjax.render.environment import Environment
-from irisjax.render.lights import Lights
 from irisjax.render.radiative import RadiativeIntegrator
 from irisjax.render.separable import Separable
 
 _NOT_SURE = 3
 _PROCESSES = {"ilit-2006": Separable, "depth-resolved": RadiativeIntegrator}
-_FILES = (
-    *("clone.json", "unrefracted.png", "freckles.png", "deconvolved.png", "maps.exr"),
-    *("scene.toml", "convergence.csv", "side_by_side.png", "differences.png", "luminance.png"),
-    PHOTOGRAPH,
-)
+_FIGURES = "side_by_side.png", "differences.png", "luminance.png"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -89,6 +84,18 @@ class Picture(Group):
         bool,
         option("--cross-polarised", metavar="", help="the photograph was taken through polarisers"),
     ] = False
+    second: Annotated[
+        Path | None,
+        option(
+            metavar="FILE",
+            help="of the same eye, best through crossed polarisers: without highlights it shows "
+            "the texture; light and pigments are told from PHOTO",
+        ),
+    ] = None
+    maps: Annotated[
+        Path | None,
+        option(metavar="FILE.exr", help="thickness, in place of what the texture tells: maps.exr"),
+    ] = None
     freckles: Annotated[
         Path | None,
         option(metavar="FILE.png", help="mask in place of freckles.png, white where a freckle is"),
@@ -112,6 +119,15 @@ class Model(Group):
         float,
         option(parse=number(0, 2), metavar="mm", help="width of the blur by scattering, 0 to 2"),
     ] = 0.5
+    relief: Annotated[
+        float,
+        option(
+            parse=number(0, 1),
+            metavar="share",
+            help="of the stroma's unevenness that stands out towards the cornea, 0 to 1; in light "
+            "eyes its shading is taken off",
+        ),
+    ] = 0.0
     method: Annotated[
         str, name_of("search for the pigments; simplex is F09's", *cloning.METHODS)
     ] = "least-squares"
@@ -154,6 +170,7 @@ def clone(picture: Picture, model: Model, results: Results) -> None:
         picture.focal_px,
         None if picture.tilt_azimuth is None else float(np.radians(picture.tilt_azimuth)),
         sigma=model.deconvolution,
+        relief=model.relief,
         method=model.method,
         integrator=_PROCESSES[model.process](),
         steps=model.max_steps,
@@ -172,7 +189,14 @@ def clone(picture: Picture, model: Model, results: Results) -> None:
             timings[name] = time.perf_counter() - begin
             bar.update()
 
-        run = cloning.clone(photograph, settings, given, last=results.stop_after, stage=stage)
+        run = cloning.clone(
+            photograph,
+            settings,
+            given,
+            last=results.stop_after,
+            stage=stage,
+            tables=kept_tables,
+        )
         found = next(run)
         # On a doubtful outline nothing is built.
         *_, found = found, *(() if doubtful(found) else run)
@@ -184,7 +208,7 @@ def clone(picture: Picture, model: Model, results: Results) -> None:
         files |= _pictures(found)
     folder.mkdir(parents=True, exist_ok=True)
     io.write_together({folder / name: data for name, data in files.items()})
-    for name in set(_FILES) - set(files):  # of a clone that came further
+    for name in {*FILES, *_FIGURES, PHOTOGRAPH} - set(files):  # of a clone that came further
         (folder / name).unlink(missing_ok=True)
     sure = report(found, picture.cross_polarised, folder)
     raise typer.Exit(0 if sure else _NOT_SURE)
@@ -204,23 +228,23 @@ def _words(group: Group) -> dict[str, Any]:
 
 
 def _given(picture: Picture) -> cloning.Given:
-    lights: Lights | None = None
-    if picture.light and picture.environment:
-        raise ValueError("give --light or --environment, not both")
-    if picture.light:
-        lights = lamps(picture.light)
+    lights = lamps(picture.light) if picture.light else None
+    around = None
+    if picture.environment == "uniform":
+        around = Environment.uniform()
     elif picture.environment is not None:
-        around = (
-            Environment.uniform()
-            if picture.environment == "uniform"
-            else io.read_environment(picture.environment)
-        )
-        lights = around.to_lights(25)
+        around = io.read_environment(picture.environment)
     mask = None
     if picture.freckles is not None:
         mask = io.read_image(picture.freckles).pixels[..., 0] > 0.5
     return cloning.Given(
-        _outline("--limbus", picture.limbus), _outline("--pupil", picture.pupil), lights, mask
+        limbus=_outline("--limbus", picture.limbus),
+        pupil=_outline("--pupil", picture.pupil),
+        lights=lights,
+        environment=around,
+        freckles=mask,
+        maps=None if picture.maps is None else io.read_maps(picture.maps),
+        second=None if picture.second is None else read_photograph(picture.second),
     )
 
 
@@ -242,12 +266,14 @@ def _pictures(found: cloning.Clone) -> dict[str, bytes]:
     both = compare(found, cores())
     eye = found.scene().eye
     radius = float(0.5 * (eye.pupil_radius + eye.iris_radius))
-    figures = {
-        "side_by_side.png": side_by_side(both.photograph, both.rendered),
-        "differences.png": differences(both.photograph, both.rendered, both.clear),
-        "luminance.png": luminance_profile(*both.arc(found, radius), radius),
-    }
+    figures = (
+        side_by_side(both.photograph, both.rendered),
+        differences(both.photograph, both.rendered, both.clear),
+        luminance_profile(*both.arc(found, radius), radius),
+    )
     rms = 100 * both.rms
     print(f"difference of the pictures, RMS: {rms[0]:.1f}, {rms[1]:.1f}, {rms[2]:.1f} % (R, G, B)")
-    written = {name: plot.picture(figure, ".png") for name, figure in figures.items()}
+    written = {
+        name: plot.picture(figure, ".png") for name, figure in zip(_FIGURES, figures, strict=True)
+    }
     return written | {PHOTOGRAPH: encode_photograph(both.photograph)}

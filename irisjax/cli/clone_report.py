@@ -31,13 +31,13 @@ def report(found: Clone, cross_polarised: bool, folder: Path) -> bool:
             say("no focal length in the file: the distance is not known; give --focal-px")
     if found.fit is not None and cross_polarised:
         say(
-            "WARNING: the model's iris keeps 99 % of the light's polarisation, so crossed "
+            "WARNING: the model's iris keeps 98 % and more of the light's polarisation, so crossed "
             "polarisers would make it black; the pigments stand for an iris that depolarises"
         )
     if found.fit is not None and found.photograph.grey:
         sure = False
         say("WARNING: the photograph has no colours: its pigments mean nothing")
-    if found.lights_found == 0:
+    if found.lighting is not None and found.lighting.found == 0:
         say("no highlight on the cornea: light from all round is assumed")
     if found.posterior is not None:
         print(_table(found.posterior))

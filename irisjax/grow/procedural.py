@@ -30,6 +30,8 @@ COLLARETTE = 0.32
 """Mean place of the collarette between the pupil's edge (0) and the root (1)."""
 RANGE = (0.38, 2.0)
 """Thinnest and thickest place of a layer relative to its mean."""
+RELIEF = 0.3
+"""Share of a stroma's unevenness that stands out towards the cornea."""
 FOLD = 0.03
 """Height of a contraction furrow's crest, mm."""
 
@@ -47,7 +49,7 @@ def procedural(
     freckles: int = 0,
     abl: float = 0.0,
     heterochromia: float = 0.0,
-    relief: float = 0.3,
+    relief: float = RELIEF,
     key: PRNGKey,
 ) -> IrisMaps:
     """Maps of a made-up iris; a map that no feature needs is absent.

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from irisjax.infer.status import ChainStatus
-from irisjax.io.images import encode_png
+from irisjax.io.images import encode_exr, encode_png
 from irisjax.io.maps import encode_maps
 from irisjax.measure.colour import srgb_encode
 from irisjax.photo.cloned import Clone, needed
@@ -16,7 +16,19 @@ from irisjax.photo.ellipse import Ellipse
 from irisjax.photo.pigments import CONCENTRATIONS, UNITS, concentrations_of, iris_of
 from irisjax.photo.pose import limbus_spread
 from irisjax.photo.unrefracted import HALF_WIDTH
+from irisjax.render.environment import Environment
 
+FILES = (
+    "clone.json",
+    "unrefracted.png",
+    "freckles.png",
+    "deconvolved.png",
+    "maps.exr",
+    "scene.toml",
+    "environment.exr",
+    "convergence.csv",
+)
+"""All that `files_of` may write."""
 _SHORT = 6  # digits
 
 
@@ -34,6 +46,9 @@ def files_of(clone: Clone, settings: Mapping[str, Any], timings: Mapping[str, fl
         found["maps.exr"] = encode_maps("maps.exr", shape.maps)
     if clone.fit is not None:
         found["scene.toml"] = scene_text(clone).encode()
+        around = clone.scene().environment
+        if around is not None and not _is_uniform(around):
+            found["environment.exr"] = encode_exr("environment.exr", np.asarray(around.radiance))
         if clone.log:
             found["convergence.csv"] = _log(clone).encode()
     return found
@@ -72,6 +87,14 @@ def summary_of(clone: Clone, settings: Mapping[str, Any], timings: Mapping[str, 
             "pupil_centre_mm": list(pose.pupil_centre),
             "iris_depth_mm": float(eye.iris_depth),
         }
+    if clone.second is not None:
+        told = clone.second.registration
+        found["second"] = {
+            "correlation": told.correlation,
+            "residual_px": told.residual,
+            "scale": told.scale,
+            "rotation_deg": math.degrees(told.rotation),
+        }
     if clone.morphology is not None and clone.texture is not None:
         shape, valid = clone.morphology, clone.texture.valid
         iris = clone.texture.radius() < clone.texture.iris_radius
@@ -92,7 +115,7 @@ def summary_of(clone: Clone, settings: Mapping[str, Any], timings: Mapping[str, 
     if clone.fit is not None and clone.base is not None:
         iris = iris_of(clone.fit.values, clone.base)
         found |= {
-            "lamps_found": clone.lights_found,
+            "lamps_found": needed(clone.lighting).found,
             "thickness_response": clone.response,
             "estimate": {n: clone.fit.values[n] for n in clone.fit.values}
             | concentrations_of(iris),
@@ -168,8 +191,10 @@ def scene_text(clone: Clone, maps: str = "maps.exr") -> str:
         f"exposure = {_number(exposure)}",
         f'integrator = "{_integrator(clone)}"',
     ]
-    if (strength := clone.room_radiance()) is not None:
-        rows += ["", "[environment]", 'kind = "uniform"', f"strength = {_number(strength)}"]
+    if (around := scene.environment) is not None:
+        kind = 'kind = "uniform"', f"strength = {_number(around.radiance[0, 0, 0])}"
+        rows += ["", "[environment]"]
+        rows += kind if _is_uniform(around) else ['file = "environment.exr"']
     if lights is not None:
         towards = np.asarray(lights.towards, np.float64)
         for i, (x, y, z) in enumerate(towards):
@@ -182,6 +207,10 @@ def scene_text(clone: Clone, maps: str = "maps.exr") -> str:
                 f"radius_deg = {_number(np.degrees(lights.radius[i]))}",
             ]
     return "\n".join(rows) + "\n"
+
+
+def _is_uniform(around: Environment) -> bool:
+    return float(np.ptp(np.asarray(around.radiance))) == 0
 
 
 def _integrator(clone: Clone) -> str:

@@ -22,7 +22,7 @@ from irisjax.render.camera import Camera
 from irisjax.render.environment import Environment
 from irisjax.render.integrators import INTEGRATORS
 from irisjax.render.lights import Lights
-from irisjax.render.scene import Scene
+from irisjax.render.scene import ENVIRONMENT_LIGHTS, Scene
 from irisjax.tissue.iris import Iris
 from irisjax.tissue.maps import IrisMaps
 from irisjax.transport.process import AbstractProcess
@@ -198,7 +198,10 @@ class SceneFile(Mapping[str, Any]):
             }
             around = kinds[given["kind"]](rows=512)
         around = dataclasses.replace(around, radiance=around.radiance * given.get("strength", 1.0))
-        return {"environment": around, "environment_lights": given.get("lights", 25)}
+        return {
+            "environment": around,
+            "environment_lights": given.get("lights", ENVIRONMENT_LIGHTS),
+        }
 
 
 def stream(seed: int, name: str) -> PRNGKey:

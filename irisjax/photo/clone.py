@@ -4,45 +4,48 @@ Outlines, pose, the iris laid flat, its thickness, its pigments: each stage is a
 before, and what it found can be replaced by the user's own.
 """
 
-import math
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, nullcontext
+from functools import partial
 from typing import Any, cast
 
 import jax.numpy as jnp
 import numpy as np
-import skimage.measure
-import skimage.transform
 from jaxtyping import Bool
 
 from irisjax.anatomy.eye import Cornea, Eye
 from irisjax.photo.boundaries import find_boundaries
-from irisjax.photo.cloned import NOTHING, Clone, Given, Settings, needed
+from irisjax.photo.cloned import NOTHING, Clone, Given, Second, Settings, needed
 from irisjax.photo.ellipse import Ellipse
-from irisjax.photo.highlights import find_highlights, find_lashes, find_lids
-from irisjax.photo.lamps import lamps_of, tangent_of
+from irisjax.photo.lamps import Lighting, find_lighting, tangent_of
 from irisjax.photo.morphology import maps_of
+from irisjax.photo.part import part_of
 from irisjax.photo.photograph import Photograph
 from irisjax.photo.pigments import least_squares, simplex
-from irisjax.photo.polar import to_polar
+from irisjax.photo.polar import from_polar, to_polar
 from irisjax.photo.pose import find_pose
 from irisjax.photo.posterior import sample
 from irisjax.photo.refraction import SIZE, follow, unrefract
+from irisjax.photo.register import register
 from irisjax.photo.thickness import BETA, generic_thickness
+from irisjax.photo.window_pixels import WindowPixels, choose_pixels, iris_alone
 from irisjax.photo.windows import windows_of
+from irisjax.render.environment import Environment
 from irisjax.render.illumination import Illumination
+from irisjax.render.scene import Scene
+from irisjax.render.stages import look
 from irisjax.tissue.iris import Iris
 
 STAGES = ("outlines", "pose", "texture", "thickness", "pigments", "posterior")
 """In their order."""
 MEDIA = ("cornea-aqueous", "f09")
 METHODS = ("least-squares", "simplex")
-LARGEST = 1100
-"""Pixels across the iris that are used; more are averaged."""
+MOST_OFF = 0.015
+"""Of the limbus's radius, by which textures of a second photograph may be off: other eyes, which
+the registration forces onto the first, are off by 0.02 to 0.03.
+"""
 LEAST_RESPONSE = 0.4
 """Of luminance to thickness, as powers: below it, in brown eyes, brightness tells pigment."""
-RELIEF = 0.3
-"""Share of a stroma's unevenness that stands out towards the cornea, as in `grow.procedural`."""
 FIBRILS = 57.0
 """Radius of the stroma's fibrils (nm) that colours begin with: between those of the presets'
 blue and brown eyes. Its scattering is free within a factor."""
@@ -55,6 +58,7 @@ def clone(
     *,
     last: str = STAGES[-1],
     stage: Callable[[str], AbstractContextManager[Any]] = lambda name: nullcontext(),
+    tables: Callable[[Scene], Illumination | None] = Scene.tables,
 ) -> Iterator[Clone]:
     """Run the stages up to `last`; what is known after each is yielded.
 
@@ -64,6 +68,7 @@ def clone(
         given: In place of what stages would find.
         last: Name of the last stage.
         stage: Is entered with a stage's name for as long as it takes.
+        tables: Makes the tables of light on the iris, or has them from a file.
 
     Raises:
         ValueError: If a stage finds nothing, in one line.
@@ -72,7 +77,8 @@ def clone(
     with stage(STAGES[0]):
         found = Clone(photograph, find_boundaries(photograph, given.limbus, given.pupil))
     yield found
-    steps = (_posed, _flat, _with_thickness, _with_pigments, _sampled)
+    pigments = partial(_with_pigments, tables=tables)
+    steps = (_posed, _flat, _with_thickness, pigments, _sampled)
     for name, step in zip(STAGES[1:], steps, strict=True):
         if STAGES.index(name) > STAGES.index(last):
             return
@@ -96,16 +102,24 @@ def _flat(found: Clone, settings: Settings, given: Given) -> Clone:
     """With the iris laid flat."""
     del settings, given
     part, clear, pose = needed(found.part), needed(found.clear), needed(found.pose)
-    return found._replace(texture=unrefract(part, clear, pose, SIZE))
+    if found.second is not None:
+        part, clear = found.second.part, found.second.clear
+    where = follow(pose, SIZE)
+    return found._replace(refraction=where, texture=unrefract(part, clear, pose, where))
 
 
 def _with_thickness(found: Clone, settings: Settings, given: Given) -> Clone:
     """With a coarse thickness by Eq. 7."""
     beta = BETA if settings.beta is None else settings.beta
     texture = needed(found.texture)
-    return found._replace(
-        morphology=maps_of(texture, given.freckles, sigma_mm=settings.sigma, beta=beta)
-    )
+    shape = maps_of(texture, given.freckles, sigma_mm=settings.sigma, beta=beta)
+    if given.maps is not None:
+        if (depth := given.maps.stroma_depth) is None:
+            raise ValueError("the maps that are given have no thickness of the stroma")
+        rim = texture.pupil_radius, texture.iris_radius
+        there = from_polar(np.asarray(depth), texture.radius(), texture.angle(), *rim)
+        shape = shape._replace(maps=given.maps, thickness=there, clamped=0)
+    return found._replace(morphology=shape)
 
 
 def _sampled(found: Clone, settings: Settings, given: Given) -> Clone:
@@ -125,110 +139,109 @@ def eye_of(settings: Settings) -> Eye:
 
 def _posed(found: Clone, settings: Settings, given: Given) -> Clone:
     """With the camera, and the part of the photograph that it sees."""
-    del given
     eye = eye_of(settings)
     photograph, limbus, pupil = found.photograph, found.boundaries.limbus, found.boundaries.pupil
     focal = photograph.focal_px if settings.focal_px is None else settings.focal_px
-    reduction = max(1, math.ceil(2 * limbus.semi_axes[0] / LARGEST))
-    # Wide enough for every pixel of the camera's picture.
-    half = math.ceil(1.3 * limbus.semi_axes[0] / reduction + 4) * reduction
-    corner = tuple(int(np.floor(c)) - half for c in limbus.centre)
-    side = 2 * half
-
-    def part_of(values, fill):
-        first = [max(0, corner[1]), max(0, corner[0])]
-        end = [min(n, c + side) for n, c in zip(values.shape, corner[::-1], strict=False)]
-        whole = np.full((side, side, *values.shape[2:]), fill, values.dtype)
-        rows, columns = (
-            slice(a - c, b - c) for a, b, c in zip(first, end, corner[::-1], strict=True)
-        )
-        whole[rows, columns] = values[first[0] : end[0], first[1] : end[1]]
-        return whole
-
-    def moved(outline: Ellipse) -> Ellipse:
-        x, y = outline.centre
-        return outline._replace(centre=(x - corner[0], y - corner[1])).scaled(1 / reduction)
-
-    pixels = part_of(photograph.pixels, np.float32(0))
-    hidden = part_of(photograph.saturated, True)
-    outside = part_of(np.zeros_like(photograph.saturated), True)
-    small, dark = moved(limbus), moved(pupil)
-    if reduction > 1:
-        pixels = skimage.transform.downscale_local_mean(pixels, (reduction, reduction, 1))
-        hidden, outside = (
-            skimage.measure.block_reduce(m, reduction, np.max) for m in (hidden, outside)
-        )
-    pixels = np.asarray(pixels, np.float32)
-    ring = small.mask(hidden.shape) & ~dark.mask(hidden.shape)
-    covered = find_highlights(pixels, hidden & ring, ring) | find_lashes(pixels, small)
-    covered |= find_lids(pixels, small, dark)
-    clear = ring & ~covered & ~outside
+    part = part_of(photograph, limbus)
+    clear = part.clear(part.moved(pupil))
     pose = find_pose(
-        small,
-        dark,
+        part.limbus,
+        part.moved(pupil),
         eye,
-        focal_px=None if focal is None else focal / reduction,
+        focal_px=None if focal is None else focal / part.reduction,
         azimuth=settings.azimuth,
     )
     x, y = pose.corner
     rows, columns = pose.camera.shape
-    if min(x, y) < 0 or y + rows > len(pixels) or x + columns > pixels.shape[1]:
+    if min(x, y) < 0 or y + rows > len(clear) or x + columns > len(clear):
         raise ValueError(
             "the outlines do not fit one another: the eye's middle lies off the limbus"
         )
     cut = slice(y, y + rows), slice(x, x + columns)
-    return found._replace(
+    found = found._replace(
         pose=pose,
-        part=pixels[cut],
+        part=part.pixels[cut],
         clear=clear[cut],
-        reduction=reduction,
-        corner=(corner[0] + x * reduction, corner[1] + y * reduction),
+        reduction=part.reduction,
+        corner=(part.corner[0] + x * part.reduction, part.corner[1] + y * part.reduction),
     )
+    if given.second is None:
+        return found
+    there, told = _brought(given.second, photograph, limbus)
+    other = part_of(there, limbus)
+    clear = other.clear(other.moved(pupil))
+    return found._replace(second=Second(told, other.pixels[cut], clear[cut]))
 
 
-def _with_pigments(found: Clone, settings: Settings, given: Given) -> Clone:
+def _brought(second: Photograph, first: Photograph, limbus: Ellipse):
+    """A second photograph on the pixels of the first, and how well it lies there."""
+    outline = find_boundaries(second).limbus
+    told = register(second, first, limbus, outline)
+    off = told.residual / limbus.semi_axes[0]
+    if not off < MOST_OFF:
+        raise ValueError(
+            f"{second.name}: its iris does not come to lie on the one of {first.name}: they are "
+            f"off by {100 * off:.1f} % of the limbus's radius, {100 * MOST_OFF:g} % is the most"
+        )
+    return Photograph(told.pixels.astype(np.float32), ~told.valid, second.grey), told
+
+
+def _with_pigments(
+    found: Clone,
+    settings: Settings,
+    given: Given,
+    tables: Callable[[Scene], Illumination | None],
+) -> Clone:
     """Pigments of the coarse thickness; then thickness by what the model makes of these pigments,
     and pigments of that  [F09 Fig. 10]."""
     pose, part, texture = needed(found.pose), needed(found.part), needed(found.texture)
-    lights, count = given.lights, None
-    if lights is None:
-        lights, count = lamps_of(part, pose)
-    tables = Illumination.build(pose.eye, caustics=False)
-    found = found._replace(lights=lights, lights_found=count, integrator=settings.integrator)
-    found = _fitted(found, settings, tables)
-    if settings.beta is not None:
+    view = look(pose.eye, pose.camera)
+    if given.lights is None and given.environment is None:
+        light = find_lighting(part, pose, view)
+    else:
+        light = Lighting(given.lights, given.environment)
+    # Tables depend on how low light stands, and that of a room comes from all round.
+    around = Environment.uniform() if light.room else light.environment
+    made = tables(Scene(Iris(), eye=pose.eye, lights=light.lamps, environment=around))
+    found = found._replace(view=view, lighting=light, tables=made, integrator=settings.integrator)
+    clear = needed(found.clear) & iris_alone(pose) & ~_freckled(found)
+    chosen = choose_pixels(part, clear, view, pose.eye, light.environment)
+    found = _fitted(found, settings, chosen)
+    if settings.beta is not None or given.maps is not None:
         return found
     response = needed(found.windows).thickness_response(found.iris())
     if response < LEAST_RESPONSE:
         return found
-    tangent = tangent_of(lights, pose.eye, tables)
-    first: Any = tuple(float(-RELIEF * t) for t in tangent)
-    coarse = needed(found.morphology)
-    finer = maps_of(texture, coarse.freckles, sigma_mm=0.0, response=response, slopes=first)
-    height = RELIEF * (finer.thickness - generic_thickness(texture.radius()))
-    relief = to_polar(height, texture.pupil_radius, texture.iris_radius)
-    finer = finer._replace(maps=finer.maps.replace(relief=jnp.clip(jnp.asarray(relief), -1, 1)))
-    return _fitted(found._replace(morphology=finer, response=response), settings, tables)
+    freckles, share = needed(found.morphology).freckles, settings.relief
+    slopes: Any = (0.0, 0.0)
+    if share > 0:
+        tangent = tangent_of(light.lights(), pose.eye, made)
+        slopes = tuple(float(-share * t) for t in tangent)
+    finer = maps_of(texture, freckles, sigma_mm=0.0, response=response, slopes=slopes)
+    if share > 0:
+        height = share * (finer.thickness - generic_thickness(texture.radius()))
+        relief = to_polar(height, texture.pupil_radius, texture.iris_radius)
+        relief = jnp.clip(jnp.asarray(relief), -1, 1)
+        finer = finer._replace(maps=finer.maps.replace(relief=relief))
+    return _fitted(found._replace(morphology=finer, response=response), settings, chosen)
 
 
-def _fitted(found: Clone, settings: Settings, tables: Illumination) -> Clone:
+def _fitted(found: Clone, settings: Settings, chosen: WindowPixels) -> Clone:
     """With the pigments that fit to its thickness."""
-    pose, morphology = needed(found.pose), needed(found.morphology)
+    maps, light = needed(found.morphology).maps, needed(found.lighting)
     base = Iris(
         fibril_radius=jnp.asarray(FIBRILS),
-        stroma_thickness=jnp.mean(jnp.asarray(morphology.maps.stroma_depth)),
+        stroma_thickness=jnp.mean(jnp.asarray(maps.stroma_depth)),
     )
     windows = windows_of(
-        needed(found.part),
-        needed(found.clear) & ~_freckled(found),
-        pose,
+        chosen,
+        needed(found.pose).eye,
         base,
-        morphology.maps.replace(freckles=None),
-        needed(found.lights),
+        maps.replace(freckles=None),
+        light.lights(),
         settings.integrator,
-        tables,
-        room=bool(found.lights_found),
-        mirrored=1.0 if found.lights_found == 0 else 0.0,
+        found.tables,
+        light.room,
     )
     log = []
     if settings.method == "simplex":
@@ -241,10 +254,7 @@ def _fitted(found: Clone, settings: Settings, tables: Illumination) -> Clone:
 def _freckled(found: Clone) -> Bool[np.ndarray, "rows columns"]:
     """Pixels of the part that show a freckle."""
     mask = np.zeros_like(needed(found.clear))
-    freckles = needed(found.morphology).freckles
-    if not freckles.any():
-        return mask
-    where = follow(needed(found.pose), len(freckles))
+    freckles, where = needed(found.morphology).freckles, needed(found.refraction)
     rows, columns = mask.shape
     row, column = (
         np.clip(np.rint(v[freckles]).astype(int), 0, n - 1)

@@ -8,19 +8,25 @@ from jaxtyping import Bool, Float
 
 from irisjax.photo.boundaries import Boundaries
 from irisjax.photo.ellipse import Ellipse
+from irisjax.photo.lamps import Lighting
 from irisjax.photo.morphology import Morphology
 from irisjax.photo.photograph import Photograph
 from irisjax.photo.pigments import Fit, iris_of
 from irisjax.photo.pose import Pose
 from irisjax.photo.posterior import PigmentPosterior
+from irisjax.photo.refraction import Refraction
+from irisjax.photo.register import Registration
 from irisjax.photo.unrefracted import Unrefracted
 from irisjax.photo.windows import Windows
 from irisjax.render.environment import Environment
+from irisjax.render.illumination import Illumination
 from irisjax.render.lights import Lights
+from irisjax.render.project import View
 from irisjax.render.radiative import RadiativeIntegrator
 from irisjax.render.scene import Scene
 from irisjax.render.separable import Separable
 from irisjax.tissue.iris import Iris
+from irisjax.tissue.maps import IrisMaps
 
 
 class Settings(NamedTuple):
@@ -31,7 +37,9 @@ class Settings(NamedTuple):
     - `azimuth`: of the camera (radians), where it is known to which side the eye is tilted.
     - `sigma`: of the deconvolution, mm; `beta`: of Eq. 7 (mm), `None` asks the model instead how
         much brighter a thicker stroma is.
-    - `method`: least squares, or the paper's simplex. `process`: of light in the iris.
+    - `relief`: share of the stroma's unevenness that stands out towards the cornea, 0 to 1: its
+        shading is taken off the picture before the model tells thickness, and the clone has it.
+    - `method`: least squares, or the paper's simplex. `integrator`: of light in the iris.
     - `steps`: most steps of the posterior's chain. `seed`: of all random numbers.
     """
 
@@ -41,6 +49,7 @@ class Settings(NamedTuple):
     azimuth: float | None = None
     sigma: float = 0.5
     beta: float | None = None
+    relief: float = 0.0
     method: str = "least-squares"
     integrator: Separable | RadiativeIntegrator = Separable()
     steps: int = 3000
@@ -48,19 +57,32 @@ class Settings(NamedTuple):
 
 
 class Given(NamedTuple):
-    """What the user gives in place of what a stage would find; `None` leaves it to the stage."""
+    """What the user gives in place of what a stage would find; `None` leaves it to the stage.
+
+    - `maps`: with the stroma's thickness, which is then kept.
+    - `second`: a photograph of the same eye, for example through crossed polarisers, whose texture
+        tells the thickness in place of the first's; pigments and light are told from the first.
+    """
 
     limbus: Ellipse | None = None
     pupil: Ellipse | None = None
     lights: Lights | None = None
+    environment: Environment | None = None
     freckles: Bool[np.ndarray, "size size"] | None = None
+    maps: IrisMaps | None = None
+    second: Photograph | None = None
+
+
+class Second(NamedTuple):
+    """A second photograph on the pixels of the first's part: `part` and `clear` as of `Clone`."""
+
+    registration: Registration
+    part: Float[np.ndarray, "rows columns 3"]
+    clear: Bool[np.ndarray, "rows columns"]
 
 
 NOTHING = Given()
 """Every stage finds what it finds."""
-
-
-_WHITE = Environment.uniform()
 
 
 class Clone(NamedTuple):
@@ -69,10 +91,12 @@ class Clone(NamedTuple):
     - `boundaries`: outlines in pixels of the photograph, with confidences.
     - `pose`: in pixels of the part that is used, `part`, (rows, columns, 3) linear; one of its
         pixels is `reduction` of the photograph's along each side, and `corner` the first of these.
-    - `clear`: pixels of the part that show the iris and nothing else.
+    - `clear`: pixels of the part that show the iris and nothing else. `second`: the same of a
+        second photograph.
+    - `refraction`: where the texels of `texture` appear in the part.
     - `response`: d ln luminance / d ln thickness by which the thickness was told; `None` where
         Eq. 7 did.
-    - `lights`: given, or from the highlights on the cornea: `lights_found` says how many.
+    - `view`: what the camera sees of the eye, and `tables` of light on its iris.
     """
 
     photograph: Photograph
@@ -80,12 +104,15 @@ class Clone(NamedTuple):
     pose: Pose | None = None
     part: Float[np.ndarray, "rows columns 3"] | None = None
     clear: Bool[np.ndarray, "rows columns"] | None = None
+    second: Second | None = None
     reduction: int = 1
     corner: tuple[int, int] = (0, 0)
+    refraction: Refraction | None = None
     texture: Unrefracted | None = None
     morphology: Morphology | None = None
-    lights: Lights | None = None
-    lights_found: int | None = None
+    view: View | None = None
+    lighting: Lighting | None = None
+    tables: Illumination | None = None
     windows: Windows | None = None
     base: Iris | None = None
     integrator: Separable | RadiativeIntegrator = Separable()
@@ -99,26 +126,21 @@ class Clone(NamedTuple):
         values = needed(self.fit).values
         return iris_of({k: jnp.asarray(v) for k, v in values.items()}, needed(self.base))
 
-    def room_radiance(self) -> float | None:
-        """Of light from all round: what the fit says beside lamps that were told from highlights, 1
-        where there was no highlight, `None` for lights that were given.
-        """
-        if self.lights_found is None:
-            return None
-        return needed(self.fit).values["room"] if self.lights_found else 1.0
-
     def scene(self) -> Scene:
         """The eye as it was photographed: the same camera, light and pigments.
 
         **Raises:** `ValueError` before the pigments are known.
         """
-        iris, pose, around = self.iris(), needed(self.pose), self.room_radiance()
+        iris, pose, light = self.iris(), needed(self.pose), needed(self.lighting)
+        around = light.environment
+        if light.room:
+            around = Environment.uniform(needed(self.fit).values["room"])
         return Scene(
             iris,
             needed(self.morphology).maps,
             eye=pose.eye,
-            lights=None if self.lights_found == 0 else self.lights,
-            environment=None if around is None else Environment(around * _WHITE.radiance),
+            lights=light.lamps,
+            environment=around,
             camera=pose.camera,
             integrator=self.integrator,
         )

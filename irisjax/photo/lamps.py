@@ -1,6 +1,6 @@
-"""Lamps from their images on the cornea: a mirror whose shape is known tells where they stand."""
+"""Light of a photograph: lamps from their images on the cornea, a mirror whose shape is known."""
 
-from typing import Any, cast
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 import skimage.measure
@@ -11,54 +11,57 @@ from irisjax.photo.pose import Pose
 from irisjax.render.environment import Environment
 from irisjax.render.illumination import Illumination
 from irisjax.render.lights import Lights
+from irisjax.render.project import MirrorPixels, View, onto_picture
+from irisjax.render.scene import ENVIRONMENT_LIGHTS, all_lights
 from irisjax.render.shading import fluxes_of
-from irisjax.render.stages import look
 
-AROUND = 25
-"""Lights that stand for a room of which nothing is known."""
 _LEAST = 5  # pixels of a highlight
 _MOST = 6  # lamps
 
 
-def lamps_of(part: Float[np.ndarray, "rows columns 3"], pose: Pose) -> tuple[Lights, int]:
-    """Lamps at infinity in the directions that highlights mirror, and how many.
+class Lighting(NamedTuple):
+    """Where the light of a photograph comes from.
+
+    - `lamps`, `environment`: as of a scene; one of them at least.
+    - `room`: whether there may be light from all round beside them, whose radiance is found with
+        the pigments.
+    - `found`: how many lamps were told from highlights; `None` for light that was given.
+    """
+
+    lamps: Lights | None
+    environment: Environment | None = None
+    room: bool = False
+    found: int | None = None
+
+    def lights(self) -> Lights:
+        """All of it but the room, as a scene counts it."""
+        return all_lights(self.lamps, self.environment, ENVIRONMENT_LIGHTS, "D65")
+
+
+def find_lighting(part: Float[np.ndarray, "rows columns 3"], pose: Pose, view: View) -> Lighting:
+    """Lamps at infinity in the directions that highlights mirror, in a room.
 
     They share an irradiance of π by their areas on the picture: the highlights are cut off, so
-    their brightness is not known. Without a highlight light comes from all round alike, and the
-    count is 0.
+    their brightness is not known. Without a highlight light comes from all round alike.
 
     Args:
         part: Linear, of the size of the camera's picture.
         pose: Of `find_pose`.
+        view: What its camera sees, of `render.stages.look`.
     """
-    seen = look(pose.eye, pose.camera).mirror
     spots = _spots(part)
-    if seen is None or not spots:
-        return Environment.uniform().to_lights(AROUND), 0
-    mirror = np.stack([np.asarray(c) for c in seen.mirror], -1)
-    number = np.arange(len(mirror)) if seen.index is None else np.asarray(seen.index)
-    place = np.full(part.shape[0] * part.shape[1], -1)
-    place[number[number >= 0]] = np.flatnonzero(number >= 0)
-    place = place.reshape(part.shape[:2])
-    towards, area = [], []
-    for spot in spots:
-        at = place[tuple(spot.coords.T)]
-        if (at < 0).mean() > 0.5:
-            continue
-        mean = mirror[at[at >= 0]].mean(0)
-        towards.append(mean / np.linalg.norm(mean))
-        area.append(spot.area)
-    if not towards:
-        return Environment.uniform().to_lights(AROUND), 0
-    towards, share = np.array(towards), np.array(area) / sum(area)
+    towards, area = _mirrored(spots, view.mirror, pose.camera.shape)
+    if not len(towards):
+        return Lighting(None, Environment.uniform(), found=0)
     polar = np.arccos(np.clip(-towards[:, 2], -1, 1))
     azimuth = np.arctan2(towards[:, 1], towards[:, 0])
     # As wide as the image: one on a mirror of half the cornea's radius.
-    size = np.sqrt(np.array(area) / np.pi) * float(pose.camera.width) / pose.camera.size[0]
+    size = np.sqrt(area / np.pi) * float(pose.camera.width) / pose.camera.size[0]
     assert pose.eye.cornea is not None
     radius = np.clip(2 * size / float(pose.eye.cornea.anterior.radius), 0.005, 0.5)
-    found: list[Any] = [polar, azimuth, np.pi * share]
-    return Lights.distant(*found, radius=cast(Any, radius)), len(towards)
+    found: list[Any] = [polar, azimuth, np.pi * area / area.sum()]
+    lamps = Lights.distant(*found, radius=cast(Any, radius))
+    return Lighting(lamps, room=True, found=len(towards))
 
 
 def tangent_of(lights: Lights, eye: Eye, tables: Illumination | None) -> tuple[float, float]:
@@ -71,6 +74,21 @@ def tangent_of(lights: Lights, eye: Eye, tables: Illumination | None) -> tuple[f
     x, y, z = (part[inside].sum() for part in flux)
     # Towards the light, which travels the other way.
     return float(-x / z), float(-y / z)
+
+
+def _mirrored(spots, seen: MirrorPixels | None, shape: tuple[int, int]):
+    """Unit directions that spots on the cornea mirror, and the areas of these (pixels)."""
+    towards, area = [], []
+    if seen is not None:
+        directions = onto_picture(seen, np.stack([np.asarray(c) for c in seen.mirror], -1), shape)
+        for spot in spots:
+            at = directions[tuple(spot.coords.T)]
+            on_cornea = at.any(-1)
+            if on_cornea.mean() >= 0.5:
+                mean = at[on_cornea].mean(0)
+                towards.append(mean / np.linalg.norm(mean))
+                area.append(spot.area)
+    return np.array(towards), np.array(area, float)
 
 
 def _spots(part):

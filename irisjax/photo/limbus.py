@@ -65,6 +65,7 @@ def _half_way(profile, edges: Edges, score, near: float):
     nearest to the outline so far.
     """
     x = np.linspace(*_SPAN, profile.shape[1])
+    # Beyond the picture's edge nothing rises: there is no edge.
     smooth = ndimage.gaussian_filter1d(np.nan_to_num(profile), 1.0, axis=1)
     dark = np.quantile(smooth[:, (x > 0.82) & (x < 0.95)], 0.2, axis=1)
     white = np.median(smooth[:, (x > 1.06) & (x < 1.13)], axis=1)
@@ -86,6 +87,7 @@ def _limbus_edges(picture, colour, outline, span, steps, widths):
     edges = steps_along(profile, span, widths, 0.2)
     if colour is None:
         return edges, np.ones(edges.fit.shape), profile
+    # Nothing beyond the picture's edge is white.
     tint = np.nan_to_num(along_rays(colour, outline, span, steps), nan=9.0)
     pitch = edges.place[1] - edges.place[0]
     smooth = ndimage.uniform_filter1d(tint, max(1, round(0.05 / pitch)), axis=1)

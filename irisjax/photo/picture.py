@@ -8,10 +8,8 @@ from jaxtyping import Bool, Float
 from irisjax.measure.colour import srgb_encode
 from irisjax.numerics.programs import program
 from irisjax.photo.cloned import Clone, needed
-from irisjax.photo.refraction import follow
 from irisjax.photo.unrefracted import LUMINANCE
-from irisjax.photo.windows import iris_alone
-from irisjax.render.illumination import Illumination
+from irisjax.photo.window_pixels import iris_alone
 from irisjax.render.stages import Memory
 
 
@@ -39,7 +37,7 @@ class Comparison(NamedTuple):
         """
         texture = needed(clone.texture)
         size = len(texture.valid)
-        where = follow(needed(clone.pose), size)
+        where = needed(clone.refraction)
         angle = np.arange(count) * (2 * np.pi / count)
         texel, middle = texture.millimetres_per_texel, size / 2 - 0.5
         column = np.rint(middle + radius * np.cos(angle) / texel).astype(int)
@@ -62,8 +60,8 @@ def compare(clone: Clone, threads: int = 1) -> Comparison:
     """
     scene = clone.scene()
     values = needed(clone.fit).values
-    tables = None if scene.eye.cornea is None else Illumination.build(scene.eye, caustics=False)
-    rendered = values["exposure"] * np.asarray(Memory(threads).render(scene, tables))
+    stage = (memory := Memory(threads)).prepare(scene, clone.tables, clone.view)
+    rendered = values["exposure"] * np.asarray(memory.shown(stage, stage.response(scene.iris)))
     gains = np.array([values["red_gain"], 1.0, values["blue_gain"]])
     # As the model's camera has it: exposure × gain × radiance^contrast.
     radiance = np.maximum(needed(clone.part) / (values["exposure"] * gains), 0)

@@ -1,4 +1,4 @@
-"""From the square texture of the iris plane to the polar cells of `IrisMaps`."""
+"""Between the square texture of the iris plane and the polar cells of `IrisMaps`."""
 
 import numpy as np
 from jaxtyping import Float
@@ -46,3 +46,20 @@ def to_polar(
     )
     cells = samples.reshape(angles, fine[0], radii, fine[1]).mean(1)
     return np.einsum("arf,rf->ar", cells, weight)
+
+
+def from_polar(
+    values: Float[np.ndarray, "angles radii"],
+    radius: Float[np.ndarray, "*s"],
+    angle: Float[np.ndarray, "*s"],
+    pupil_radius: float,
+    iris_radius: float,
+) -> Float[np.ndarray, "*s"]:
+    """Values of polar cells at distances from the axis (mm) and angles (radians), linear between
+    the cells' middles and constant beyond the first and last.
+    """
+    angles, radii = values.shape
+    ring = np.concatenate([values[-1:], values, values[:1]]).astype(np.float32)
+    row = np.asarray(angle) % (2 * np.pi) * (angles / (2 * np.pi)) + 0.5
+    column = (np.asarray(radius) - pupil_radius) * (radii / (iris_radius - pupil_radius)) - 0.5
+    return ndimage.map_coordinates(ring, np.stack([row, column]), order=1, mode="nearest")

@@ -13,7 +13,6 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from irisjax.infer.diagnostics import diagnostics
 from irisjax.infer.importance import importance_sample
 from irisjax.infer.moves import mixture
 from irisjax.infer.posterior import Chains, diagnose
@@ -102,22 +101,21 @@ def sample(
     values = {n: np.asarray(v) for n, v in jax.vmap(values_of)(jnp.asarray(flat)).items()}
     return PigmentPosterior(
         values,
-        {n: _estimate(chains.z[..., i], values[n]) for i, n in enumerate(NAMES)},
+        {n: _estimate(chains, i, values[n]) for i, n in enumerate(NAMES)},
         chains,
     )
 
 
-def _estimate(z, values) -> Estimate:
+def _estimate(chains: Chains, i: int, values) -> Estimate:
     low, median, high = (float(v) for v in np.quantile(values, [0.025, 0.5, 0.975]))
-    found = diagnostics(np.moveaxis(z, 0, 1))
     return Estimate(
         median,
         float(values.std()),
         low,
         high,
-        float(1 - z.var()),
-        found.rhat,
-        min(found.ess_bulk, found.ess_tail),
+        float(1 - chains.z[..., i].var()),
+        float(chains.rhat[i]),
+        float(min(chains.ess_bulk[i], chains.ess_tail[i])),
     )
 
 

@@ -77,7 +77,7 @@ def unrefract(
     pixels: Float[np.ndarray, "rows columns 3"],
     clear: Bool[np.ndarray, "rows columns"],
     pose: Pose,
-    size: int = SIZE,
+    where: Refraction,
 ) -> Unrefracted:
     """The texture of an iris from the part of a photograph that its camera shows.
 
@@ -88,9 +88,8 @@ def unrefract(
         pixels: Linear, of the size of the camera's picture.
         clear: Pixels that show what lies there: no highlight, no lash, no lid.
         pose: Of `find_pose`.
-        size: Texels along a side.
+        where: Of `follow`, which decides the texture's size.
     """
-    where = follow(pose, size)
     places = np.stack([where.row, where.column])
     found = np.stack(
         [

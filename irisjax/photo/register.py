@@ -15,6 +15,7 @@ from skimage.transform import AffineTransform, downscale_local_mean, warp
 
 from irisjax.photo.ellipse import Ellipse
 from irisjax.photo.photograph import Photograph
+from irisjax.photo.unrefracted import LUMINANCE
 
 _ANNULUS = (0.4, 0.95)  # of the limbus: most pupils end below, lids and lashes begin above
 _WINDOW = 0.1  # of the limbus: where brightness is made even
@@ -126,7 +127,7 @@ def _texture(photograph: Photograph, limbus: Ellipse) -> tuple[_Texture, Ellipse
     """
     fine = max(1, round(_radius(limbus) / _WORKING))
     limbus, radius = limbus.scaled(1 / fine), _radius(limbus) / fine
-    luminance = photograph.pixels @ np.array([0.2126, 0.7152, 0.0722], np.float32)
+    luminance = photograph.pixels @ LUMINANCE
     cut = photograph.saturated
     if fine > 1:
         rows, columns = (n // fine * fine for n in photograph.shape)

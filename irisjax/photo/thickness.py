@@ -6,6 +6,7 @@ import scipy.fft
 from jaxtyping import Bool, Float
 
 from irisjax.grow.procedural import stroma_profile
+from irisjax.measure.colour import srgb_encode
 from irisjax.numerics.checks import Range, check_range, check_whole
 from irisjax.photo.filling import Gaussian, fill, masked_mean
 
@@ -50,9 +51,8 @@ def intensity(relative: Texture) -> Texture:
     β of Eq. 7 belongs to encoded values in [0, 1]. They pass 1 where a texel is over 5.5 times as
     bright as its surroundings.
     """
-    linear = MID_GREY * np.maximum(relative, 0)
-    foot, power = 12.92 * linear, 1.055 * linear ** np.float32(1 / 2.4) - 0.055
-    return np.where(linear <= 0.0031308, foot, power).astype(np.float32)
+    linear = MID_GREY * np.maximum(relative, np.float32(0))
+    return np.asarray(srgb_encode(linear), np.float32)
 
 
 def relative_luminance(

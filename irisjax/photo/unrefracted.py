@@ -5,9 +5,11 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float
 
+from irisjax.render import environment
+
 HALF_WIDTH = 6.0
 """x and y of the iris plane that a texture covers on either side of the axis, mm."""
-LUMINANCE = np.array([0.2126, 0.7152, 0.0722], np.float32)
+LUMINANCE = np.array(environment.LUMINANCE, np.float32)
 """Share of linear sRGB's components in luminance [IEC 61966-2-1]."""
 
 

@@ -97,9 +97,9 @@ class Environment(eqx.Module):
         return cls(sky * gradient + sun * glare[..., None] * (warm / (warm @ LUMINANCE)))
 
     @classmethod
-    def uniform(cls, rows: int = 32) -> "Environment":
-        """The same white light from everywhere; a white sheet in it has radiance 1."""
-        return cls(jnp.ones((rows, 2 * rows, 3)))
+    def uniform(cls, radiance=1.0, *, rows: int = 32) -> "Environment":
+        """The same white light from everywhere, which a white sheet in it returns."""
+        return cls(jnp.full((rows, 2 * rows, 3), radiance, jnp.result_type(float)))
 
     def turned(self, angle: float) -> "Environment":
         """The environment turned about the vertical: what was straight ahead moves towards −x by
@@ -205,6 +205,9 @@ class Environment(eqx.Module):
 
 def _median_cut(power: np.ndarray, n: int) -> list[tuple[slice, slice]]:
     """At most n boxes of texels that hold all the power, none of them empty."""
+    # As shares, and rounded: of regions that are equal but for rounding the first is taken,
+    # whatever the unit of power.
+    power = power / power.sum()
     rows, columns = power.shape
     heap: list[
         tuple[float, int, tuple[slice, slice]]
@@ -222,17 +225,18 @@ def _median_cut(power: np.ndarray, n: int) -> list[tuple[slice, slice]]:
         r, c = (slice(s.start + k[0], s.start + k[-1] + 1) for s, k in ((r, i), (c, j)))
         # A box of one texel is never cut: it goes to the end of the queue.
         extent = 0.0 if r.stop - r.start == c.stop - c.start == 1 else max(sides(r, c))
-        heapq.heappush(heap, (-power[r, c].sum() * extent, next(count), (r, c)))
+        heapq.heappush(heap, (-round(power[r, c].sum() * extent, 12), next(count), (r, c)))
 
     count = iter(range(2 * n))
     push(slice(0, rows), slice(0, columns))
     while len(heap) < n and heap[0][0] < 0:
         r, c = heapq.heappop(heap)[2]
         height, width = sides(r, c)
-        across = r.stop - r.start > 1 and (height >= width or c.stop - c.start == 1)
+        higher = height > (1 - 1e-9) * width
+        across = r.stop - r.start > 1 and (higher or c.stop - c.start == 1)
         running = power[r, c].sum(1 if across else 0).cumsum()
         # Nearest to one half, with something left on both sides: the box is as tight as it can be.
-        cut = 1 + int(np.abs(running[:-1] - running[-1] / 2).argmin())
+        cut = 1 + int(np.abs(running[:-1] / running[-1] - 0.5).round(9).argmin())
         if across:
             push(slice(r.start, r.start + cut), c)
             push(slice(r.start + cut, r.stop), c)

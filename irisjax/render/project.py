@@ -7,8 +7,10 @@ import dataclasses
 from typing import NamedTuple
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float, Int, Int8
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int, Int8, Shaped
 
 from irisjax.anatomy.eye import Eye
 from irisjax.anatomy.media import TEAR
@@ -81,6 +83,24 @@ class View(eqx.Module):
     sclera: ScleraPixels | None
     mirror: MirrorPixels | None
     size: tuple[int, int] = eqx.field(static=True)
+
+
+def pixel_numbers(part: IrisPixels | ScleraPixels | MirrorPixels) -> Int[np.ndarray, " pixels"]:
+    """Number of each pixel of a part, counted along the picture's rows; −1 for padding."""
+    count = jax.tree.leaves(part)[-1].shape[-1]
+    return np.arange(count) if part.index is None else np.asarray(part.index)
+
+
+def onto_picture(
+    part: IrisPixels | ScleraPixels | MirrorPixels,
+    values: Shaped[np.ndarray, "pixels *channels"],
+    shape: tuple[int, int],
+) -> Shaped[np.ndarray, "rows columns *channels"]:
+    """Values of a part's pixels where these are in the picture, 0 elsewhere."""
+    number = pixel_numbers(part)
+    found = np.zeros((shape[0] * shape[1], *values.shape[1:]), values.dtype)
+    found[number[number >= 0]] = values[number >= 0]
+    return found.reshape(*shape, *values.shape[1:])
 
 
 def project(eye: Eye, camera: Camera) -> View:

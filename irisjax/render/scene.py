@@ -22,6 +22,9 @@ from irisjax.render.separable import Separable
 from irisjax.tissue.iris import Iris
 from irisjax.tissue.maps import IrisMaps, check_pictured
 
+ENVIRONMENT_LIGHTS = 25
+"""Lamps that stand for an environment."""
+
 
 class Scene(eqx.Module):
     """Everything a picture shows. Parts that are `None` are not computed.
@@ -44,7 +47,7 @@ class Scene(eqx.Module):
     camera: Camera = eqx.field(default_factory=Camera)
     veins: VeinMap | None = None
     integrator: AbstractIntegrator = eqx.field(default_factory=Separable)
-    environment_lights: int = eqx.field(static=True, default=25)
+    environment_lights: int = eqx.field(static=True, default=ENVIRONMENT_LIGHTS)
     illuminant: str = eqx.field(static=True, default="D65")
     observer: str = eqx.field(static=True, default=OBSERVER)
 

@@ -121,10 +121,8 @@ WRONG = [
     (("grey.png", "--focal-px", "long"), "--focal-px: 'long' is not a number"),
     (("grey.png", "--iris-depth", "9"), "--iris-depth: 9 is outside [2.5, 8]"),
     (("grey.png", "--max-steps", "1"), "--max-steps: 1 is outside"),
-    (
-        ("grey.png", "--light", "30,0", "--environment", "uniform"),
-        "give --light or --environment, not both",
-    ),
+    (("grey.png", "--maps", "missing.exr"), "missing.exr"),
+    (("grey.png", "--second", "missing.jpg"), "missing.jpg"),
     (("grey.png", "--light", "30"), "--light '30': write POLAR,AZIMUTH"),
     (("grey.png", "--environment", "missing.exr"), "missing.exr"),
     (("grey.png", "--freckles", "missing.png"), "missing.png"),

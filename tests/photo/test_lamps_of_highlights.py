@@ -6,7 +6,7 @@ import pytest
 from eyes_in_line import outlines
 
 from irisjax.anatomy.eye import Eye
-from irisjax.photo.lamps import lamps_of, tangent_of
+from irisjax.photo.lamps import find_lighting, tangent_of
 from irisjax.photo.pose import find_pose
 from irisjax.render.camera import Camera
 from irisjax.render.lights import Lights
@@ -46,6 +46,10 @@ def _mirrored(pose, towards, radius):
     return picture
 
 
+def _told(picture, pose):
+    return find_lighting(picture, pose, look(pose.eye, pose.camera))
+
+
 def _direction(polar, azimuth):
     sin = np.sin(polar)
     return np.array([sin * np.cos(azimuth), sin * np.sin(azimuth), -np.cos(polar)])
@@ -54,8 +58,9 @@ def _direction(polar, azimuth):
 @pytest.mark.parametrize(("polar", "azimuth"), [(0.3, 2.0), (0.66, 2.18), (0.7, -1.0)])
 def test_a_highlight_tells_where_its_lamp_stands(pose, polar, azimuth):
     towards = _direction(polar, azimuth)
-    lights, count = lamps_of(_mirrored(pose, towards, 0.08), pose)
-    assert count == 1
+    light = _told(_mirrored(pose, towards, 0.08), pose)
+    assert (light.found, light.room) == (1, True)
+    lights = light.lights()
     found = np.asarray(lights.towards)[0]
     assert np.degrees(np.arccos(found @ towards)) < 2
     np.testing.assert_allclose(lights.irradiance, np.pi)
@@ -65,8 +70,9 @@ def test_a_highlight_tells_where_its_lamp_stands(pose, polar, azimuth):
 def test_two_lamps_share_the_light_by_their_areas(pose):
     one, other = _direction(0.5, 2.0), _direction(0.5, -1.0)
     picture = np.maximum(_mirrored(pose, one, 0.12), _mirrored(pose, other, 0.07))
-    lights, count = lamps_of(picture, pose)
-    assert count == 2
+    light = _told(picture, pose)
+    assert light.found == 2
+    lights = light.lights()
     off = np.degrees(np.arccos(np.asarray(lights.towards) @ np.stack([one, other], 1)))
     assert off[0, 0] < 2 and off[1, 1] < 2
     first, second = np.asarray(lights.irradiance)
@@ -75,8 +81,9 @@ def test_two_lamps_share_the_light_by_their_areas(pose):
 
 
 def test_without_a_highlight_light_comes_from_all_round(pose):
-    lights, count = lamps_of(np.full((*pose.camera.shape, 3), 0.05), pose)
-    assert count == 0
+    light = _told(np.full((*pose.camera.shape, 3), 0.05), pose)
+    assert (light.found, light.room, light.lamps) == (0, False, None)
+    lights = light.lights()
     assert len(lights.irradiance) > 10
     mean = (np.asarray(lights.irradiance)[:, None] * np.asarray(lights.towards)).sum(0)
     np.testing.assert_allclose(mean[:2], 0, atol=0.05)

@@ -3,10 +3,20 @@
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from window_scenes import BASE, CAMERA, EYE, LIGHTS, POSE, QUICK, SHAPE, maps, windows
+from window_scenes import BASE, CAMERA, EYE, LIGHTS, POSE, QUICK, SHAPE, VIEW, maps, windows
 
+from irisjax.photo.lamps import Lighting
 from irisjax.photo.pigments import LEAST_CHANNEL
-from irisjax.photo.windows import ANGLES, MARGIN, RINGS, iris_alone
+from irisjax.photo.window_pixels import (
+    ANGLES,
+    MARGIN,
+    OUTER_MARGIN,
+    RINGS,
+    choose_pixels,
+    iris_alone,
+)
+from irisjax.photo.windows import windows_of
+from irisjax.render.environment import Environment
 from irisjax.render.radiative import RadiativeIntegrator
 from irisjax.render.scene import Scene
 
@@ -33,8 +43,6 @@ def _means_are_the_renderers(integrator, rtol):
 def test_a_windows_radiance_is_the_mean_of_the_rendered_pixels():
     found = _means_are_the_renderers(QUICK, 1e-6)
     assert len(found.colour) == ANGLES * RINGS
-    low, high = float(EYE.pupil_radius) + MARGIN, 5.5 - MARGIN
-    assert low < found.radius.min() and found.radius.max() < high
     assert found.thickness_response(BASE) > 0
 
 
@@ -42,6 +50,24 @@ def test_a_windows_radiance_is_the_mean_of_the_rendered_pixels():
 def test_the_same_by_radiative_transfer():
     # Its nodes are placed for the iris that it begins with: a tenth of the least noise.
     _means_are_the_renderers(RadiativeIntegrator(), 0.1 * LEAST_CHANNEL)
+
+
+@pytest.mark.heavy
+@pytest.mark.parametrize("room", [True, False], ids=["a room beside lamps", "a studio alone"])
+def test_light_from_all_round_is_the_renderers(room):
+    """What stands so low that the cornea folds it, and what the tear film mirrors, count too."""
+    around = Environment.uniform(0.4) if room else Environment.studio(32)
+    lamps = LIGHTS if room else None
+    scene = Scene(OTHER, maps(), EYE, lamps, around, CAMERA, integrator=QUICK)
+    assert scene.grazing()
+    tables = scene.tables()
+    picture = np.asarray(scene.render(tables))
+    chosen = choose_pixels(picture, iris_alone(POSE), VIEW, EYE, None if room else around)
+    low, high = float(EYE.pupil_radius) + MARGIN, 5.5 - OUTER_MARGIN
+    assert low < chosen.radius.min() and chosen.radius.max() < high
+    lights = Lighting(lamps, None if room else around).lights()
+    made = windows_of(chosen, EYE, BASE, maps(), lights, QUICK, tables, room)
+    np.testing.assert_allclose(made.radiance(OTHER, 0.4), made.colour, rtol=1e-6)
 
 
 @pytest.mark.heavy

@@ -8,11 +8,13 @@ import numpy as np
 import irisjax as ij
 from irisjax.anatomy.eye import Cornea, Eye
 from irisjax.photo.pose import Pose
+from irisjax.photo.window_pixels import choose_pixels, iris_alone
 from irisjax.photo.windows import Windows, windows_of
 from irisjax.render.camera import Camera
 from irisjax.render.illumination import Illumination
 from irisjax.render.lights import Lights
 from irisjax.render.separable import Separable
+from irisjax.render.stages import look
 from irisjax.tissue.iris import Iris
 from irisjax.tissue.maps import IrisMaps
 
@@ -24,6 +26,7 @@ LIGHTS = Lights.distant(0.6, 2.0) + Lights.distant(0.3, -1.0, 1.0)
 # A cheaper solver: the error of its quadrature is no matter of the windows'.
 QUICK = Separable(degrees=(3, 3, 2, 2, 2), solver=ij.IlitExact(8))
 SHAPE = CAMERA.shape
+VIEW = look(EYE, CAMERA)
 
 
 def maps():
@@ -37,7 +40,8 @@ def windows(pixels, clear=None, integrator=QUICK) -> Windows:
     """Of a picture (rows, columns, 3) of `POSE`."""
     clear = np.ones(SHAPE, bool) if clear is None else clear
     tables = Illumination.build(EYE, caustics=False)
-    return windows_of(pixels, clear, POSE, BASE, maps(), LIGHTS, integrator, tables)
+    chosen = choose_pixels(pixels, clear & iris_alone(POSE), VIEW, EYE)
+    return windows_of(chosen, EYE, BASE, maps(), LIGHTS, integrator, tables)
 
 
 def made_windows(colours) -> Windows:

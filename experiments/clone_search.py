@@ -1,0 +1,77 @@
+"""The search for a clone's pigments, F09's simplex beside least squares: its path, and the pictures
+on its way, for F09 Fig. 19; all simulated.
+"""
+
+import numpy as np
+import skimage.transform
+
+from experiments.clone_thickness import ABOUT, EYES, brightened, simulated, write_jpeg
+from experiments.common import RESULTS, start, write
+from irisjax.photo.clone import Settings, clone
+from irisjax.photo.cloned import Clone, needed
+from irisjax.photo.picture import compare
+from irisjax.photo.pigments import CONCENTRATIONS, Fit, least_squares, simplex
+
+STEPS = 1, 2, 4, 12, 50
+"""Of the searches, where their path is kept; of the simplex those for the eumelanins."""
+SHOWN = {"start": 1, "middle": 12, "end": 50}
+"""Steps of the simplex whose pictures are kept; those of the end with the ratios sought too."""
+SIDE = 220
+"""Of a picture, pixels."""
+FILE = "clone_search"
+
+
+def main(key, quick=False, out=RESULTS):
+    """Write paths, cumulative differences and pictures (quick: one eye, a third as large)."""
+    del key  # a clone up to its pigments draws no random numbers
+    steps = STEPS[:2] if quick else STEPS
+    path, differences, pictures = [], [], []
+    for colour in EYES[:1] if quick else EYES:
+        *_, found = clone(simulated(colour, quick), Settings(), last="pigments")
+        known, row = (needed(found.windows), needed(found.base)), []
+        for count in steps:
+            fit, log = simplex(*known, count)
+            print(f"{colour}: {count} steps", flush=True)
+            path.append((colour, "simplex", count, *_numbers(log[0]), 1.0))
+            if count == steps[-1]:
+                path.append((colour, "simplex", 2 * count, *_numbers(log[1]), 1.0))
+            least = least_squares(*known, count)
+            values = {**least.values, "rms": float(least.rms.mean())}
+            path.append((colour, "least squares", count, *_numbers(values), values["exposure"]))
+        fits = {name: simplex(*known, min(count, steps[-1]))[0] for name, count in SHOWN.items()}
+        for name, fit in {**fits, "least squares": found.fit}.items():
+            both, off, rms = _compared(found, fit)
+            row += both if not row else both[1:]
+            differences += [(colour, name, step, *share, *rms) for step, share in off]
+        pictures.append(np.concatenate(row, 1))
+    out.mkdir(parents=True, exist_ok=True)
+    write_jpeg(out / f"{FILE}.jpg", np.concatenate(pictures))
+    columns = "eye", "method", "steps", *CONCENTRATIONS, "rms", "exposure"
+    write(out / f"{FILE}.csv", ABOUT, columns, path)
+    shares = tuple(f"{which}_{c}" for which in ("share", "rms") for c in "rgb")
+    columns = "eye", "stage", "difference", *shares
+    write(out / f"{FILE}_differences.csv", ABOUT, columns, differences)
+
+
+def _numbers(values: dict[str, float]):
+    return (*(values[n] for n in CONCENTRATIONS), values["rms"])
+
+
+def _compared(found: Clone, fit: Fit):
+    """Photograph and rendering, reduced; shares of the pixels that differ by at most so many of 255
+    steps; RMS per channel.
+    """
+    both = compare(found._replace(fit=fit), 2)
+    off = 255 * np.abs(both.photograph - both.rendered)[both.clear]
+    shares = [
+        (step, [float((off[:, k] <= step).mean()) for k in range(3)]) for step in range(0, 121, 2)
+    ]
+    small = [
+        skimage.transform.resize(brightened(p), (SIDE, SIDE), anti_aliasing=True)
+        for p in (both.photograph, both.rendered)
+    ]
+    return small, shares, [float(r) for r in both.rms]
+
+
+if __name__ == "__main__":
+    start(main, __doc__)

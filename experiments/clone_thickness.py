@@ -1,0 +1,299 @@
+"""Clones of the simulated photographs against their truth, for F09 Figs. 8, 9 and 11: thickness
+with and without deconvolution, local profiles, and the windows that pigments are told from.
+"""
+
+import io
+import json
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from PIL import Image
+from scipy import ndimage
+
+from experiments.common import RESULTS, start, write
+from experiments.simulated_photographs import FOLDER
+from irisjax.io import read_maps, write_atomically
+from irisjax.io.photographs import read_photograph
+from irisjax.measure.colour import srgb_decode, srgb_encode
+from irisjax.photo.clone import Settings, clone
+from irisjax.photo.cloned import Clone, needed
+from irisjax.photo.photograph import Photograph
+from irisjax.photo.picture import Comparison, compare
+from irisjax.photo.pigments import predicted
+from irisjax.photo.polar import to_polar
+from irisjax.photo.refraction import unrefract
+from irisjax.photo.thickness import BETA, generic_thickness
+from irisjax.photo.unrefracted import HALF_WIDTH, Unrefracted
+from irisjax.photo.window_pixels import ANGLES, MARGIN, OUTER_MARGIN, RINGS
+
+EYES = "blue", "brown"
+VARIANTS = {
+    "none": Settings(beta=BETA, sigma=0.0),
+    "0.5 mm": Settings(beta=BETA, sigma=0.5),
+    "1.0 mm": Settings(beta=BETA, sigma=1.0),
+    "beta 2 mm": Settings(beta=2.0, sigma=0.0),
+    "default": Settings(),
+}
+"""F09's Eq. 7 without deconvolution and with two widths; with a larger β; and what `irisjax clone`
+does of itself: thickness by the model's response in the blue eye, Eq. 7 with 0.5 mm in the brown
+one."""
+DETAIL = (2.2, 4.8), (-1.3, 1.3)
+"""Of the iris plane, x and y, mm: a square beside the pupil, away from the highlight."""
+LIGHT = 2.0
+"""By which pictures are brightened."""
+CELLS = 480, 108
+"""Polar cells (angles, radii) of the filtered picture."""
+PROFILES = 0, 80, 200, 290
+"""Angles of the local profiles, degrees."""
+STEP = 0.05
+"""Of radii, mm."""
+ALONG, ACROSS = 1.0, 7.0
+"""Widths of the ortho-radial filter along and across the radius, mm  [F09 Section 7]."""
+FILE = "clone_thickness"
+
+
+class Truth(NamedTuple):
+    """Thickness (mm) at the texels of a clone's texture, and which of them are compared."""
+
+    thickness: np.ndarray
+    used: np.ndarray
+
+
+def main(key, quick=False, out=RESULTS):
+    """Write CSVs, pictures and arrays (quick: one eye, a third as large, two variants)."""
+    del key  # a clone up to its pigments draws no random numbers
+    names = ("none", "default") if quick else tuple(VARIANTS)
+    scores, rings, local, windows, pictures, arrays = [], [], [], [], [], {}
+    for colour in EYES[:1] if quick else EYES:
+        photograph, row = simulated(colour, quick), []
+        for name in names:
+            *_, found = clone(photograph, VARIANTS[name], last="pigments")
+            texture = needed(found.texture)
+            truth = _truth(colour, texture)
+            estimate, both = needed(found.morphology).thickness, compare(found, 2)
+            scores.append((colour, name, *_score(found, truth, both)))
+            row.append(_detail(_flat(brightened(both.rendered), found).pixels))
+            arrays[f"{colour} {name}"] = _micrometres(estimate)
+        arrays[f"{colour} true"] = _micrometres(truth.thickness)
+        taken = brightened(both.photograph)
+        pictures.append(np.concatenate([_detail(_flat(taken, found).pixels), *row], 1))
+        rings += [(colour, *r) for r in _rings(found, truth)]
+        local += [(colour, *r) for r in _profiles(found, truth)]
+        windows += [(colour, *r) for r in _windows(found)]
+        arrays[f"{colour} cells"] = _filtered(_flat(taken, found, both.clear))
+        arrays[f"{colour} rim"] = np.array([texture.pupil_radius, texture.iris_radius])
+    out.mkdir(parents=True, exist_ok=True)
+    write_jpeg(out / f"{FILE}.jpg", np.concatenate(pictures))
+    data = io.BytesIO()
+    np.savez_compressed(data, **arrays)
+    write_atomically(out / f"{FILE}.npz", data.getvalue())
+    for name, columns, rows in (
+        ("", _SCORES, scores),
+        ("_rings", _RINGS, rings),
+        ("_profiles", ("eye", "angle_deg", "radius_mm", "true_mm", "estimate_mm"), local),
+        ("_windows", _WINDOWS, windows),
+    ):
+        write(out / f"{FILE}{name}.csv", ABOUT, columns, rows)
+
+
+ABOUT = ("clones of data/photographs, all simulated; see experiments/README.md",)
+
+
+def simulated(colour: str, quick: bool) -> Photograph:
+    """The clean photograph from straight ahead (quick: 3 × 3 pixels averaged)."""
+    found = read_photograph(FOLDER / f"{colour}.jpg")
+    if not quick:
+        return found
+    rows, columns = (n // 3 for n in found.shape)
+    blocks = [v[: 3 * rows, : 3 * columns].reshape(rows, 3, columns, 3, *v.shape[2:])
+              for v in (found.pixels, found.saturated)]  # fmt: skip
+    return found._replace(
+        pixels=blocks[0].mean((1, 3)),
+        saturated=blocks[1].any((1, 3)),
+        focal_px=needed(found.focal_px) / 3,
+    )
+
+
+def brightened(encoded: np.ndarray) -> np.ndarray:
+    """An encoded picture in `LIGHT` times as much light."""
+    linear = np.asarray(srgb_decode(jnp.asarray(encoded)))
+    return np.clip(np.asarray(srgb_encode(jnp.asarray(LIGHT * linear))), 0, 1)
+
+
+def write_jpeg(path, encoded: np.ndarray) -> None:
+    """A picture encoded in [0, 1], which says that it is simulated."""
+    data = io.BytesIO()
+    whole = Image.fromarray(np.round(255 * np.clip(encoded, 0, 1)).astype(np.uint8))
+    whole.save(data, "JPEG", quality=90, subsampling="4:4:4", comment="simulated by irisjax")
+    write_atomically(path, data.getvalue())
+
+
+def _truth(colour: str, texture: Unrefracted) -> Truth:
+    """What the photograph was made with."""
+    every = json.loads((FOLDER / "truth.json").read_text(encoding="utf-8"))["photographs"]
+    numbers = next(p for p in every if p["file"] == f"{colour}.jpg")
+    depth = np.asarray(read_maps(FOLDER / numbers["maps"]).stroma_depth)
+    angles, radii = depth.shape
+    inner, outer = (numbers["eye"][f"{n}_radius"] for n in ("pupil", "iris"))
+    radius, turn = texture.radius(), texture.angle() % (2 * np.pi)
+    place = turn / (2 * np.pi) * angles - 0.5, (radius - inner) / (outer - inner) * radii - 0.5
+    around = np.concatenate([depth[-2:], depth, depth[:2]])
+    found = ndimage.map_coordinates(around, [place[0] + 2, place[1]], order=1, mode="nearest")
+    known = (radius > inner) & (radius < outer)
+    rim = max(inner, texture.pupil_radius) + MARGIN
+    used = texture.valid & (radius > rim) & (radius < texture.iris_radius - MARGIN)
+    return Truth(np.where(known, found, 0), used)
+
+
+_SCORES = (
+    *("eye", "variant", "response", "correlation", "spread", "error_mm", "generic_error_mm"),
+    *(
+        "mean_mm",
+        "true_mm",
+        "clamped",
+        "rms_r",
+        "rms_g",
+        "rms_b",
+        "contrast",
+        "contrast_photograph",
+    ),
+)
+
+
+def _score(found: Clone, truth: Truth, both: Comparison) -> tuple:
+    """How the thickness compares with the truth, and the rendering with the photograph.
+
+    Correlation of deviations from the mean at their radius, the estimate's spread over the truth's,
+    root mean square errors of the estimate and of the generic thickness, and means (mm).
+    """
+    estimate, used = needed(found.morphology).thickness, truth.used
+    ring = (needed(found.texture).radius()[used] / STEP).astype(int)
+    count = np.maximum(np.bincount(ring), 1)
+    true, seen = truth.thickness[used], estimate[used]
+    apart = [v - (np.bincount(ring, v) / count)[ring] for v in (true, seen)]
+    generic = generic_thickness(needed(found.texture).radius()[used])
+    return (
+        np.nan if found.response is None else found.response,
+        float(np.corrcoef(apart[0], apart[1])[0, 1]),
+        float(apart[1].std() / apart[0].std()),
+        *(float(np.sqrt(((v - true) ** 2).mean())) for v in (seen, generic)),
+        float(seen.mean()),
+        float(true.mean()),
+        needed(found.morphology).clamped,
+        *(float(r) for r in both.rms),
+    )
+
+
+def _flat(picture: np.ndarray, found: Clone, clear: np.ndarray | None = None) -> Unrefracted:
+    """A picture of the clone's camera, laid flat."""
+    clear = needed(found.clear) if clear is None else clear
+    where = needed(found.refraction)
+    return unrefract(picture.astype(np.float32), clear, needed(found.pose), where)
+
+
+def _detail(texture: np.ndarray) -> np.ndarray:
+    texel = 2 * HALF_WIDTH / len(texture)
+    (left, right), (low, high) = DETAIL
+    rows, columns = (
+        slice(round((HALF_WIDTH + a) / texel), round((HALF_WIDTH + b) / texel))
+        for a, b in ((-high, -low), (left, right))
+    )
+    return texture[rows, columns]
+
+
+def _micrometres(thickness: np.ndarray) -> np.ndarray:
+    """The detail, at half the resolution."""
+    return np.round(1000 * _detail(thickness)[::2, ::2]).astype(np.uint16)
+
+
+_RINGS = (
+    "eye",
+    "radius_mm",
+    "generic_mm",
+    "true_mm",
+    "true_sd_mm",
+    "estimate_mm",
+    "estimate_sd_mm",
+)
+
+
+def _rings(found: Clone, truth: Truth):
+    """Mean and standard deviation of the stroma's thickness round the eye, by radius."""
+    texture = needed(found.texture)
+    ring, estimate = (texture.radius() / STEP).astype(int), needed(found.morphology).thickness
+    there = texture.valid & (truth.thickness > 0)
+    for number in np.unique(ring[there]):
+        of = there & (ring == number)
+        if of.sum() < 200:
+            continue
+        middle = (number + 0.5) * STEP
+        pairs = [(float(v[of].mean()), float(v[of].std())) for v in (truth.thickness, estimate)]
+        yield middle, float(generic_thickness(np.asarray(middle))), *pairs[0], *pairs[1]
+
+
+def _profiles(found: Clone, truth: Truth):
+    """Thickness along a few radii; NaN where the photograph does not show the iris."""
+    texture = needed(found.texture)
+    radius = np.arange(0.5 * STEP, texture.iris_radius, STEP)
+    for degrees in PROFILES:
+        along = np.exp(1j * np.radians(degrees)) * radius
+        texel, middle = texture.millimetres_per_texel, len(texture.valid) / 2 - 0.5
+        place = middle - along.imag / texel, middle + along.real / texel
+        at = tuple(np.rint(p).astype(int) for p in place)
+        shown = texture.valid[at] & (truth.thickness[at] > 0)
+        values = [ndimage.map_coordinates(v, place, order=1)
+                  for v in (truth.thickness, needed(found.morphology).thickness)]  # fmt: skip
+        for r, true, seen, ok in zip(radius, *values, shown, strict=True):
+            if ok:
+                yield degrees, float(r), float(true), float(seen)
+
+
+_WINDOWS = ("eye", "angle_deg", "inner_mm", "outer_mm", "present")
+_WINDOWS += tuple(f"{which}_{c}" for which in ("photograph", "model") for c in "rgb")
+
+
+def _windows(found: Clone):
+    """Borders of the windows, and their linear colours in photograph and model."""
+    windows, eye = needed(found.windows), needed(found.pose).eye
+    fitted = {name: jnp.asarray(value) for name, value in needed(found.fit).values.items()}
+    model = np.asarray(predicted(fitted, windows, needed(found.base)))
+    inner = float(eye.pupil_radius) + MARGIN
+    width = (float(eye.iris_radius) - OUTER_MARGIN - inner) / RINGS
+    for number, colours in enumerate(np.concatenate([windows.colour, model], 1)):
+        ring, sector = divmod(number, ANGLES)
+        place = sector * 360 / ANGLES, inner + ring * width, inner + (ring + 1) * width
+        yield *place, int(windows.present[number]), *(float(c) for c in colours)
+
+
+def _filtered(texture: Unrefracted) -> np.ndarray:
+    """Polar cells of a picture, encoded, 8 bits: the upper half as it is, the lower one after the
+    ortho-radial filter  [F09 Eq. 14]."""
+    rim = texture.pupil_radius, texture.iris_radius
+    known = texture.valid.astype(np.float32)
+    layers = [known, *(known * texture.pixels[..., k] for k in range(3))]
+    cells = [to_polar(layer, *rim, CELLS) for layer in layers]
+    smooth = [_ortho_radial(c, *rim) for c in cells]
+    half = CELLS[0] // 2
+    means = [
+        np.concatenate([as_is[:half] / np.maximum(cells[0][:half], 0.5), wide[half:] / least])
+        for as_is, wide in zip(cells[1:], smooth[1:], strict=True)
+        for least in [np.maximum(smooth[0][half:], 1e-3)]
+    ]
+    return np.round(255 * np.clip(np.stack(means, -1), 0, 1)).astype(np.uint8)
+
+
+def _ortho_radial(cells: np.ndarray, inner: float, outer: float) -> np.ndarray:
+    angles, radii = cells.shape
+    step = (outer - inner) / radii
+    along = ndimage.gaussian_filter1d(cells, ALONG / step, axis=1, mode="constant")
+    radius = inner + (np.arange(radii) + 0.5) * step
+    turned = [
+        ndimage.gaussian_filter1d(column, ACROSS / r / (2 * np.pi / angles), mode="wrap")
+        for column, r in zip(along.T, radius, strict=True)
+    ]
+    return np.stack(turned, 1)
+
+
+if __name__ == "__main__":
+    start(main, __doc__)
