@@ -115,9 +115,21 @@ class Model(Group):
         float,
         option(parse=number(2.5, 8), metavar="mm", help="of the iris behind the cornea, 2.5 to 8"),
     ] = 3.6
+    beta: Annotated[
+        float | None,
+        option(
+            parse=number(0, 5),
+            metavar="mm",
+            help="thickness by F09's Eq. 7, which has 0.35; default: by the model's response",
+        ),
+    ] = None
     deconvolution: Annotated[
         float,
-        option(parse=number(0, 2), metavar="mm", help="width of the blur by scattering, 0 to 2"),
+        option(
+            parse=number(0, 2),
+            metavar="mm",
+            help="with --beta: width of the blur by scattering, 0 to 2",
+        ),
     ] = 0.5
     relief: Annotated[
         float,
@@ -170,6 +182,7 @@ def clone(picture: Picture, model: Model, results: Results) -> None:
         picture.focal_px,
         None if picture.tilt_azimuth is None else float(np.radians(picture.tilt_azimuth)),
         sigma=model.deconvolution,
+        beta=model.beta,
         relief=model.relief,
         method=model.method,
         integrator=_PROCESSES[model.process](),

@@ -44,8 +44,6 @@ MOST_OFF = 0.015
 """Of the limbus's radius, by which textures of a second photograph may be off: other eyes, which
 the registration forces onto the first, are off by 0.02 to 0.03.
 """
-LEAST_RESPONSE = 0.4
-"""Of luminance to thickness, as powers: below it, in brown eyes, brightness tells pigment."""
 FIBRILS = 57.0
 """Radius of the stroma's fibrils (nm) that colours begin with: between those of the presets'
 blue and brown eyes. Its scattering is free within a factor."""
@@ -210,8 +208,6 @@ def _with_pigments(
     if settings.beta is not None or given.maps is not None:
         return found
     response = needed(found.windows).thickness_response(found.iris())
-    if response < LEAST_RESPONSE:
-        return found
     freckles, share = needed(found.morphology).freckles, settings.relief
     slopes: Any = (0.0, 0.0)
     if share > 0:
