@@ -12,12 +12,12 @@ import jax.numpy as jnp
 import numpy as np
 import scipy.optimize
 from jaxtyping import Bool, Float
-from scipy import special
 
 from irisjax.anatomy.eye import Eye
 from irisjax.numerics.programs import program
 from irisjax.optics.conicoid import joined
 from irisjax.photo.ellipse import Ellipse
+from irisjax.photo.tilt import OUTLINE, tilts_allowed
 from irisjax.render.camera import Camera
 from irisjax.render.points import project_points
 from irisjax.render.surfaces import IrisSurface
@@ -39,9 +39,7 @@ DECENTRED = 0.2
 """Standard deviation of the pupil's middle about the limbus's, mm, in each direction."""
 USUAL_DISTANCE = 300.0
 """Of the camera, mm, where no focal length is known: perspective hardly depends on it."""
-_OUTLINE = 0.004  # of the limbus's radius, by which points of its outline may be off
 _POINTS = 48
-_FLATTENING = 2 * np.sqrt(2 / 5) * _OUTLINE  # twice an amplitude; five points err apart
 _STEEPEST = 1.0  # of a tilt's components, radians
 
 
@@ -125,7 +123,7 @@ def find_pose(
         rim, hole = (np.asarray(p) for p in _outlines(eye, _square(parts(v), distance + behind)))
         scale = np.exp(v[4]) * pixels_per_mm
         edge, middle = (v[2:4] + scale * p for p in (rim, hole.mean(0)))
-        off = (limbus.relative_radius(*edge.T) - 1) / (_OUTLINE * np.sqrt(_POINTS / 5))
+        off = (limbus.relative_radius(*edge.T) - 1) / (OUTLINE * np.sqrt(_POINTS / 5))
         pupil_off = (middle - pupil.centre) / (scale * DECENTRED)
         return np.concatenate([off, pupil_off if azimuth is None else [0.0, 0.0]])
 
@@ -159,7 +157,7 @@ def find_pose(
         centre=(pupil.centre[0] - (v[2] - half), pupil.centre[1] - (v[3] - half))
     )
     centre, radius = _pupil_on_iris(eye, camera, moved)
-    off = found.fun[:_POINTS] * _OUTLINE * np.sqrt(_POINTS / 5)
+    off = found.fun[:_POINTS] * OUTLINE * np.sqrt(_POINTS / 5)
     return Pose(
         camera,
         corner,
@@ -172,35 +170,6 @@ def find_pose(
         "pupil" if azimuth is None else "given",
         float(np.sqrt((off**2).mean())),
     )
-
-
-def tilts_allowed(
-    tilt: float, flattening_sd: float = _FLATTENING
-) -> tuple[float, tuple[float, float]]:
-    """Standard deviation and the 95 % interval (radians) of the tilts that an outline of a tilt
-    leaves possible.
-
-    What errs is the outline's flattening q = ln(a / b) = -ln cos(tilt) [F09 Eq. 1], a vector whose
-    direction is twice the axis's angle; each component by `flattening_sd`. The length that is seen
-    of such a vector follows Rice's distribution. Where every camera's direction is as likely, so
-    is every q (nearly, below 40 degrees), and the interval is the shortest in q that holds 95 %. No
-    straight line replaces the arc cosine, whose slope has no bound at 0: an eye that looks into the
-    camera has an interval from 0 to 8 degrees, one at 30 degrees of half a degree to each side.
-    """
-    seen = -np.log(np.cos(tilt))
-    q = np.linspace(max(seen - 6 * flattening_sd, 0.0), seen + 6 * flattening_sd, 4001)
-    rice = np.exp(-0.5 * ((q - seen) / flattening_sd) ** 2)
-    rice *= special.ive(0, q * seen / flattening_sd**2)
-    share = np.concatenate([[0.0], np.cumsum(rice[1:] + rice[:-1])])
-    share /= share[-1]
-    begin = q[share < 0.05]
-    end = np.interp(share[share < 0.05] + 0.95, share, q)
-    k = int(np.argmin(end - begin))
-    tilts = np.arccos(np.exp(-q))
-    mean = (rice * tilts).sum() / rice.sum()
-    sd = np.sqrt((rice * (tilts - mean) ** 2).sum() / rice.sum())
-    low, high = (float(np.arccos(np.exp(-v))) for v in (begin[k], end[k]))
-    return float(sd), (low, high)
 
 
 def _check_distance(distance: float) -> None:

@@ -6,7 +6,8 @@ from eyes_in_line import outlines
 
 from irisjax.anatomy.eye import Cornea, Eye
 from irisjax.photo.ellipse import Ellipse
-from irisjax.photo.pose import LIMBUS_RADII, find_pose, limbus_spread, tilts_allowed
+from irisjax.photo.pose import LIMBUS_RADII, find_pose, limbus_spread
+from irisjax.photo.tilt import tilts_allowed
 from irisjax.render.camera import Camera
 
 EYE = Eye()
