@@ -26,9 +26,9 @@ MOST = 1.5
 """Greatest thickness of the map that luminance and a response give, mm."""
 TYPICAL = 0.4
 """Mean thickness of a stroma, mm: of shading's share in the contrast."""
-OTHER = 1 / 3
+OTHER = 0.25
 """What else makes contrast: standard deviation of ln luminance by pigment, vessels and folds (about
-0.05) over that of ln thickness (about 0.15), both assumed.
+0.05) over that of ln thickness (about 0.2), both assumed.
 """
 MID_GREY = 0.18
 """Linear luminance to which the surroundings of each texel are exposed."""
