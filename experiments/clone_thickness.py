@@ -36,8 +36,7 @@ VARIANTS = {
     "default": Settings(),
 }
 """F09's Eq. 7 without deconvolution and with two widths; with a larger β; and what `irisjax clone`
-does of itself: thickness by the model's response in the blue eye, Eq. 7 with 0.5 mm in the brown
-one."""
+does of itself: thickness by the model's response."""
 DETAIL = (2.2, 4.8), (-1.3, 1.3)
 """Of the iris plane, x and y, mm: a square beside the pupil, away from the highlight."""
 LIGHT = 2.0

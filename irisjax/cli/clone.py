@@ -146,7 +146,7 @@ class Model(Group):
     process: Annotated[str, name_of("light in the iris", *_PROCESSES)] = "ilit-2006"
     max_steps: Annotated[
         int, option(parse=whole(150, 100_000), metavar="count", help="of the posterior's chain")
-    ] = 3000
+    ] = 8000
     seed: Annotated[int, option(parse=read_seed, metavar="number", help=SEED_HELP + "files")] = 0
 
 

@@ -52,7 +52,7 @@ class Settings(NamedTuple):
     relief: float = 0.0
     method: str = "least-squares"
     integrator: Separable | RadiativeIntegrator = Separable()
-    steps: int = 3000
+    steps: int = 8000
     seed: int = 0
 
 

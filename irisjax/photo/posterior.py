@@ -23,7 +23,7 @@ from irisjax.tissue.iris import Iris
 
 WALKERS = 48
 _BLOCK = 150  # steps between looks at the chain
-_ROWS = 64  # log probabilities computed at a time
+_ROWS = WALKERS // 2  # log probabilities computed at a time: what a step of emcee asks for
 
 
 class Estimate(NamedTuple):
@@ -57,7 +57,7 @@ def sample(
     base: Iris,
     best: Fit,
     *,
-    max_steps: int = 3000,
+    max_steps: int = 8000,
     progress: Callable[[int], Any] = lambda steps: None,
     seed: int,
 ) -> PigmentPosterior:
