@@ -16,6 +16,7 @@ MIN_CONFIDENCE = 0.4
 _LONG = 800  # px along the long side of the copy in which eyes are searched
 _LEAST = 40  # of the long side: the smallest iris' radius
 _CANDIDATES = 6
+_WIDE = 0.68  # of the limbus: pupils above are doubted
 _TRUSTED = 0.5  # support of a pupil that may tell of the limbus
 
 
@@ -166,6 +167,8 @@ def _plausible(limbus: Ellipse, pupil: Ellipse) -> float:
     off = float(limbus.relative_radius(*pupil.centre))
     low, high = PUPIL_SHARE
     odd = max(low - size, 0) / 0.05 + max(size - high, 0) / 0.05
+    # Of pupils that leave a narrow ring the white's edge is taken for the iris's: 3 to 12 % off.
+    odd += max(size - _WIDE, 0) / 0.1
     odd += max(off - 0.15, 0) / 0.1
     odd += sum(max(0.82 - e.semi_axes[1] / e.semi_axes[0], 0) / 0.04 for e in (limbus, pupil))
     return float(np.exp(-odd))

@@ -198,6 +198,15 @@ def test_an_even_picture_is_refused_by_its_name(level):
 
 
 @pytest.mark.heavy
+@pytest.mark.parametrize("colour", ["brown", "blue"])
+def test_a_pupil_of_eight_millimetres_is_right_or_doubted(colour, float32):
+    eye = exposed(rendered(colour, size=(800, 620), pupil_radius=4.0))
+    found = find_boundaries(eye.photograph())
+    off = found.pupil.relative_radius(*eye.pupil.points(np.linspace(0, 2 * np.pi, 60)).T) - 1
+    assert abs(off).max() < 0.01 or found.pupil_confidence < MIN_CONFIDENCE
+
+
+@pytest.mark.heavy
 @pytest.mark.parametrize("polar", [0.0, np.pi / 6], ids=["frontal", "tilted"])
 @pytest.mark.parametrize("colour", ["brown", "green", "blue"])
 def test_within_a_hundredth_of_the_radius_at_a_thousand_pixels(colour, polar, float32):
