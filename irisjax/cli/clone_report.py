@@ -41,6 +41,10 @@ def report(found: Clone, cross_polarised: bool, folder: Path) -> bool:
         say("no highlight on the cornea: light from all round is assumed")
     if found.posterior is not None:
         print(_table(found.posterior))
+        say(
+            "WARNING: the intervals take the thickness for known and are too narrow where it is "
+            "wrong: the stroma's eumelanin may be far above the truth"
+        )
         if not found.posterior.chains.converged:
             sure = False
             say(f"WARNING: {found.posterior.chains.reason}; raise --max-steps")
