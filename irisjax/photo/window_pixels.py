@@ -23,11 +23,15 @@ from irisjax.render.project import (
     seen_parts,
 )
 
-ANGLES, RINGS = 16, 4
-"""Windows round the iris and across it."""
-MARGIN, OUTER_MARGIN = 0.35, 0.7
-"""Kept off the pupil's edge, and off root and limbus, mm: the soft edge of the white, which is not
-modelled but by a blend, shades what lies under it.
+ANGLES = 16
+"""Windows round the iris."""
+RINGS = 4
+"""Windows across the iris."""
+MARGIN = 0.35
+"""Kept off the pupil's edge, mm."""
+OUTER_MARGIN = 0.7
+"""Kept off root and limbus, mm: the soft edge of the white, which is not modelled but by a blend,
+shades what lies under it.
 """
 COUNT = ANGLES * RINGS
 """All windows."""
