@@ -11,9 +11,15 @@ RESULTS = Path(__file__).parent / "results"
 
 
 def write(
-    path: Path, header: Sequence[str], columns: Sequence[str], rows: Iterable[Sequence]
+    path: Path,
+    header: Sequence[str],
+    columns: Sequence[str],
+    rows: Iterable[Sequence],
+    quiet: bool = False,
 ) -> Path:
-    """Write a CSV with `# ` header lines; a failed run leaves the old file."""
+    """Write a CSV with `# ` header lines; a failed run leaves the old file. `quiet`: without a
+    word, for files that grow.
+    """
     path.parent.mkdir(parents=True, exist_ok=True)
     temporary = path.with_suffix(".tmp")
     with temporary.open("w", newline="", encoding="utf-8") as f:
@@ -22,7 +28,8 @@ def write(
         writer.writerow(columns)
         writer.writerows([f"{v:.9g}" if isinstance(v, float) else v for v in row] for row in rows)
     temporary.replace(path)
-    print(f"wrote {path}")
+    if not quiet:
+        print(f"wrote {path}")
     return path
 
 

@@ -41,13 +41,13 @@ def report(found: Clone, cross_polarised: bool, folder: Path) -> bool:
         say("no highlight on the cornea: light from all round is assumed")
     if found.posterior is not None:
         print(_table(found.posterior))
-        say(
-            "WARNING: the intervals take the thickness for known and are too narrow where it is "
-            "wrong: the stroma's eumelanin may be far above the truth"
+        print(
+            f"{found.posterior.effective:.0f} effective samples by {found.posterior.sampler}; "
+            "intervals allow for a thickness of the iris that is not the average one"
         )
-        if not found.posterior.chains.converged:
+        if not found.posterior.converged:
             sure = False
-            say(f"WARNING: {found.posterior.chains.reason}; raise --max-steps")
+            say(f"WARNING: {found.posterior.reason}; raise --max-steps")
     print(f"written: {folder}")
     return sure
 

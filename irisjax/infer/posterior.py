@@ -152,7 +152,8 @@ def diagnose(backend, steps: int) -> Chains:
     """
     stride = -(-steps // _MOST_KEPT)
     z = backend.get_chain(thin=stride)
-    tau = stride * emcee.autocorr.integrated_time(z, tol=0, quiet=True)
+    with np.errstate(invalid="ignore"):  # of a walker that never moved: NaN, which is reported
+        tau = stride * emcee.autocorr.integrated_time(z, tol=0, quiet=True)
     rhat = bulk = tail = np.full(tau.shape, np.nan)
     if tau.max() * TAUS <= steps:  # a second's work, for nothing if it has to go on
         by_walker = np.moveaxis(

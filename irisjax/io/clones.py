@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 
-from irisjax.infer.status import ChainStatus
 from irisjax.io.images import encode_exr, encode_png
 from irisjax.io.maps import encode_maps
 from irisjax.measure.colour import srgb_encode
@@ -125,7 +124,11 @@ def summary_of(clone: Clone, settings: Mapping[str, Any], timings: Mapping[str, 
             "converged": clone.fit.converged,
         }
     if clone.posterior is not None:
-        chains = clone.posterior.chains
+        drawn = clone.posterior
+        chain = {}
+        if drawn.chains is not None:
+            tau = float(np.max(drawn.chains.tau))
+            chain = {"steps": drawn.chains.steps, "autocorrelation_steps": _finite(tau)}
         found |= {
             "posterior": {
                 name: {
@@ -134,20 +137,23 @@ def summary_of(clone: Clone, settings: Mapping[str, Any], timings: Mapping[str, 
                     "q2.5": e.low,
                     "q97.5": e.high,
                     "contraction": e.contraction,
-                    "r_hat": e.rhat,
-                    "effective": e.effective,
                     "unit": UNITS[name],
                 }
-                for name, e in clone.posterior.estimates.items()
+                for name, e in drawn.estimates.items()
             },
-            "chain": {
-                "converged": chains.status == ChainStatus.successful,
-                "reason": chains.reason,
-                "steps": chains.steps,
-                "autocorrelation_steps": float(np.max(chains.tau)),
-            },
+            "sampling": {
+                "sampler": drawn.sampler,
+                "converged": drawn.converged,
+                "reason": drawn.reason,
+                "effective_samples": _finite(drawn.effective),
+            }
+            | chain,
         }
     return found | {"seconds": dict(timings)}
+
+
+def _finite(value: float) -> float | None:
+    return value if np.isfinite(value) else None
 
 
 def scene_text(clone: Clone, maps: str = "maps.exr") -> str:
@@ -155,7 +161,7 @@ def scene_text(clone: Clone, maps: str = "maps.exr") -> str:
     scene = clone.scene()
     eye, camera, iris, lights = scene.eye, scene.camera, scene.iris, scene.lights
     cornea = needed(eye.cornea)
-    exposure = float(np.clip(needed(clone.fit).values["exposure"], 1e-6, 1e6))
+    exposure = float(np.clip(needed(clone.exposure)[1], 1e-6, 1e6))
     rows = [
         f"# {_REMARK}: {clone.photograph.name}",
         "[iris]",

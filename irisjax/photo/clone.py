@@ -14,6 +14,7 @@ import numpy as np
 from jaxtyping import Bool
 
 from irisjax.anatomy.eye import Cornea, Eye
+from irisjax.photo.average import TURNS, average_maps
 from irisjax.photo.boundaries import find_boundaries
 from irisjax.photo.cloned import NOTHING, Clone, Given, Second, Settings, needed
 from irisjax.photo.ellipse import Ellipse
@@ -21,20 +22,21 @@ from irisjax.photo.lamps import Lighting, find_lighting, tangent_of
 from irisjax.photo.morphology import maps_of
 from irisjax.photo.part import part_of
 from irisjax.photo.photograph import Photograph
-from irisjax.photo.pigments import least_squares, simplex
+from irisjax.photo.pigments import exposures_for, least_squares, simplex
 from irisjax.photo.polar import from_polar, to_polar
 from irisjax.photo.pose import find_pose
-from irisjax.photo.posterior import sample
+from irisjax.photo.posterior import SAMPLERS, sample
 from irisjax.photo.refraction import SIZE, follow, unrefract
 from irisjax.photo.register import register
 from irisjax.photo.thickness import BETA, generic_thickness
 from irisjax.photo.window_pixels import WindowPixels, choose_pixels, iris_alone
-from irisjax.photo.windows import windows_of
+from irisjax.photo.windows import Windows, windows_of
 from irisjax.render.environment import Environment
 from irisjax.render.illumination import Illumination
 from irisjax.render.scene import Scene
 from irisjax.render.stages import look
 from irisjax.tissue.iris import Iris
+from irisjax.tissue.maps import IrisMaps
 
 STAGES = ("outlines", "pose", "texture", "thickness", "pigments", "posterior")
 """In their order."""
@@ -90,6 +92,7 @@ def check_names(settings: Settings, last: str = STAGES[-1]) -> None:
     for value, known, what in (
         (settings.media, MEDIA, "media"),
         (settings.method, METHODS, "method"),
+        (settings.sampler, SAMPLERS, "sampler"),
         (last, STAGES, "stage"),
     ):
         if value not in known:
@@ -124,7 +127,8 @@ def _sampled(found: Clone, settings: Settings, given: Given) -> Clone:
     """With a posterior of its pigments."""
     del given
     known = needed(found.windows), needed(found.base), needed(found.fit)
-    return found._replace(posterior=sample(*known, max_steps=settings.steps, seed=settings.seed))
+    how = {"sampler": settings.sampler, "max_steps": settings.steps, "seed": settings.seed}
+    return found._replace(posterior=sample(*known, **how))
 
 
 def eye_of(settings: Settings) -> Eye:
@@ -190,9 +194,9 @@ def _with_pigments(
     given: Given,
     tables: Callable[[Scene], Illumination | None],
 ) -> Clone:
-    """Pigments of the coarse thickness; then thickness by what the model makes of these pigments,
-    and pigments of that  [F09 Fig. 10]."""
-    pose, part, texture = needed(found.pose), needed(found.part), needed(found.texture)
+    """Pigments of an average iris, or of one as thick as the given maps say; then thickness by what
+    the model makes of these pigments  [F09 Fig. 10]."""
+    pose, part = needed(found.pose), needed(found.part)
     view = look(pose.eye, pose.camera)
     if given.lights is None and given.environment is None:
         light = find_lighting(part, pose, view)
@@ -204,14 +208,22 @@ def _with_pigments(
     found = found._replace(view=view, lighting=light, tables=made, integrator=settings.integrator)
     clear = needed(found.clear) & iris_alone(pose) & ~_freckled(found)
     chosen = choose_pixels(part, clear, view, pose.eye, light.environment)
-    found = _fitted(found, settings, chosen)
-    if settings.beta is not None or given.maps is not None:
-        return found
+    found = _fitted(found, chosen, settings.method, given.maps)
+    if settings.beta is None and given.maps is None:
+        found = _with_finer_thickness(found, settings)
+    base, fit = needed(found.base), needed(found.fit)
+    windows = _windows(found, chosen, base, needed(found.morphology).maps)
+    return found._replace(exposure=exposures_for(fit, windows, base))
+
+
+def _with_finer_thickness(found: Clone, settings: Settings) -> Clone:
+    """With the thickness that the model tells from the texture."""
+    pose, texture = needed(found.pose), needed(found.texture)
     response = needed(found.windows).thickness_response(found.iris())
     freckles, share = needed(found.morphology).freckles, settings.relief
     slopes: Any = (0.0, 0.0)
     if share > 0:
-        tangent = tangent_of(light.lights(), pose.eye, made)
+        tangent = tangent_of(needed(found.lighting).lights(), pose.eye, found.tables)
         slopes = tuple(float(-share * t) for t in tangent)
     finer = maps_of(texture, freckles, sigma_mm=0.0, response=response, slopes=slopes)
     if share > 0:
@@ -219,32 +231,36 @@ def _with_pigments(
         relief = to_polar(height, texture.pupil_radius, texture.iris_radius)
         relief = jnp.clip(jnp.asarray(relief), -1, 1)
         finer = finer._replace(maps=finer.maps.replace(relief=relief))
-    return _fitted(found._replace(morphology=finer, response=response), settings, chosen)
+    return found._replace(morphology=finer, response=response)
 
 
-def _fitted(found: Clone, settings: Settings, chosen: WindowPixels) -> Clone:
-    """With the pigments that fit to its thickness."""
-    maps, light = needed(found.morphology).maps, needed(found.lighting)
+def _fitted(found: Clone, chosen: WindowPixels, method: str, given: IrisMaps | None) -> Clone:
+    """With the pigments of an average iris, or of the given maps."""
+    if given is None:
+        maps, turns = average_maps(needed(found.pose).eye), TURNS
+    else:
+        maps, turns = given, 1
     base = Iris(
         fibril_radius=jnp.asarray(FIBRILS),
         stroma_thickness=jnp.mean(jnp.asarray(maps.stroma_depth)),
     )
-    windows = windows_of(
-        chosen,
-        needed(found.pose).eye,
-        base,
-        maps.replace(freckles=None),
-        light.lights(),
-        settings.integrator,
-        found.tables,
-        light.room,
-    )
+    windows = _windows(found, chosen, base, maps, turns)
     log = []
-    if settings.method == "simplex":
+    if method == "simplex":
         fit, log = simplex(windows, base)
     else:
         fit = least_squares(windows, base)
     return found._replace(windows=windows, base=base, fit=fit, log=(*found.log, *log))
+
+
+def _windows(
+    found: Clone, chosen: WindowPixels, base: Iris, maps: IrisMaps, turns: int = 1
+) -> Windows:
+    """Windows of some maps in the found light."""
+    light, integrator = needed(found.lighting), cast(Any, found.integrator)
+    maps = maps.replace(freckles=None)
+    known = light.lights(), integrator, found.tables, light.room, turns
+    return windows_of(chosen, needed(found.pose).eye, base, maps, *known)
 
 
 def _freckled(found: Clone) -> Bool[np.ndarray, "rows columns"]:

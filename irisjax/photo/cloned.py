@@ -13,7 +13,7 @@ from irisjax.photo.morphology import Morphology
 from irisjax.photo.photograph import Photograph
 from irisjax.photo.pigments import Fit, iris_of
 from irisjax.photo.pose import Pose
-from irisjax.photo.posterior import PigmentPosterior
+from irisjax.photo.posterior import SAMPLERS, PigmentPosterior
 from irisjax.photo.refraction import Refraction
 from irisjax.photo.register import Registration
 from irisjax.photo.unrefracted import Unrefracted
@@ -40,7 +40,8 @@ class Settings(NamedTuple):
     - `relief`: share of the stroma's unevenness that stands out towards the cornea, 0 to 1: its
         shading is taken off the picture before the model tells thickness, and the clone has it.
     - `method`: least squares, or the paper's simplex. `integrator`: of light in the iris.
-    - `steps`: most steps of the posterior's chain. `seed`: of all random numbers.
+    - `sampler`: of the posterior. `steps`: most steps of its chain, where there is one. `seed`: of
+        all random numbers.
     """
 
     media: str = "cornea-aqueous"
@@ -52,6 +53,7 @@ class Settings(NamedTuple):
     relief: float = 0.0
     method: str = "least-squares"
     integrator: Separable | RadiativeIntegrator = Separable()
+    sampler: str = SAMPLERS[0]
     steps: int = 8000
     seed: int = 0
 
@@ -97,6 +99,8 @@ class Clone(NamedTuple):
     - `response`: d ln luminance / d ln thickness by which the thickness was told; `None` where
         Eq. 7 did.
     - `view`: what the camera sees of the eye, and `tables` of light on its iris.
+    - `exposure`: of the three channels, with which a picture of the clone is as bright as the
+        photograph. The posterior's is that of an iris with an average relief.
     """
 
     photograph: Photograph
@@ -118,6 +122,7 @@ class Clone(NamedTuple):
     integrator: Separable | RadiativeIntegrator = Separable()
     response: float | None = None
     fit: Fit | None = None
+    exposure: Float[np.ndarray, "3"] | None = None
     log: tuple[dict[str, float], ...] = ()
     posterior: PigmentPosterior | None = None
 

@@ -61,11 +61,11 @@ def compare(clone: Clone, threads: int = 1) -> Comparison:
     scene = clone.scene()
     values = needed(clone.fit).values
     stage = (memory := Memory(threads)).prepare(scene, clone.tables, clone.view)
-    rendered = values["exposure"] * np.asarray(memory.shown(stage, stage.response(scene.iris)))
-    gains = np.array([values["red_gain"], 1.0, values["blue_gain"]])
-    # As the model's camera has it: exposure × gain × radiance^contrast.
-    radiance = np.maximum(needed(clone.part) / (values["exposure"] * gains), 0)
-    photograph = values["exposure"] * radiance ** (1 / values["contrast"])
+    exposure = needed(clone.exposure)
+    rendered = exposure[1] * np.asarray(memory.shown(stage, stage.response(scene.iris)))
+    # As the model's camera has it: exposure × radiance^contrast.
+    radiance = np.maximum(needed(clone.part) / exposure, 0)
+    photograph = exposure[1] * radiance ** (1 / values["contrast"])
     both = [np.clip(np.asarray(_encoded(p)), 0, 1) for p in (photograph, rendered)]
     clear = needed(clone.clear) & iris_alone(needed(clone.pose))
     off = (both[0] - both[1])[clear]

@@ -2,9 +2,8 @@
 Section 5.2, Eqs. 13, 14].
 
 A photograph is light times an unknown exposure, through a camera of unknown white balance and
-contrast: these are free beside the four concentrations, and what they hide is not told. The
-thickness map is wrong in places; where it is, all channels go up and down together, so the noise of
-a window is a common factor and a smaller one for each channel.
+contrast: these are free beside the four concentrations, and what they hide is not told. What the
+model gets wrong beside that is integrated out, see `window_noise`.
 """
 
 from typing import Any, NamedTuple
@@ -18,6 +17,7 @@ from jaxtyping import Array, Float
 from irisjax.infer.priors import AbstractPrior, LogNormal
 from irisjax.infer.search import levenberg_marquardt
 from irisjax.numerics.programs import program
+from irisjax.photo.window_noise import covariances, log_likelihood, whitened
 from irisjax.photo.windows import Windows
 from irisjax.tissue.iris import Iris
 
@@ -37,8 +37,6 @@ PRIORS: dict[str, AbstractPrior] = {
     "red_gain": LogNormal(1.0, 0.08),
     "blue_gain": LogNormal(1.0, 0.08),
     "contrast": LogNormal(1.0, 0.05),
-    "common_noise": LogNormal(0.1, 0.7),
-    "channel_noise": LogNormal(0.02, 0.7),
 }
 """What is free and its prior.
 
@@ -46,14 +44,12 @@ Concentrations: LB06's loads and shares of the two layers, a factor 3.7 either w
 factor on the iris's own. Room: radiance of light from all round beside lamps whose irradiance is π
 together, where lamps were told from their highlights. Camera: exposure over that of a white sheet
 in the stated light, white balance of red and blue against green, and the power by which its values
-grow with light. Noise: relative, of a window as a whole and of each channel.
+grow with light.
 """
 NAMES = tuple(PRIORS)
 UNITS = {name: "mg/ml" if name in CONCENTRATIONS else "" for name in NAMES}
 _CAMERA = ("exposure", "red_gain", "blue_gain", "contrast")
-_NOISE = ("common_noise", "channel_noise")
-LEAST_COMMON, LEAST_CHANNEL = 0.05, 0.02
-"""Noise beside the free one, relative: no camera and no model of an iris is better."""
+_TURNS = 3  # of least squares under covariances that are held, and of these
 _FLOOR = 0.01  # of the photograph's mean, below which colours are not told apart
 
 
@@ -130,8 +126,7 @@ def predicted(values: dict[str, Any], windows: Windows, base: Iris) -> Float[Arr
 
 
 def _off(values, windows: Windows, base: Iris):
-    """Logarithms of photograph over model, (windows, 3), and the standard deviations of the pixels'
-    means.
+    """Logarithms of photograph over model, (windows, 3).
 
     Of logarithms: relative to the photograph, a model that is black would be off by one everywhere,
     and a common factor would explain it.
@@ -142,39 +137,40 @@ def _off(values, windows: Windows, base: Iris):
     shown = predicted(values, windows, base) + floor
     least = 0.1 * floor
     shown = jnp.where(shown > least, shown, least * jnp.exp(jnp.minimum(shown / least - 1, 0.0)))
-    off = jnp.log(seen / shown)
-    return jnp.where(windows.present[:, None], off, 0.0), windows.error / seen
+    return jnp.where(windows.present[:, None], jnp.log(seen / shown), 0.0)
+
+
+def _off_and_response(z, windows: Windows, base: Iris):
+    """`_off`, and the derivatives of the model's logarithms by that of the stroma's thickness."""
+    values = values_of(z)
+
+    def at(log_scale):
+        thicker = base.replace(stroma_thickness=base.stroma_thickness * jnp.exp(log_scale))
+        return _off(values, windows, thicker)
+
+    none = jnp.zeros((), z.dtype)
+    off, slope = jax.jvp(at, (none,), (jnp.ones_like(none),))
+    return off, -slope
 
 
 def log_probability(z, windows: Windows, base: Iris):
     """Logarithm of the posterior density of z (free,), without constants."""
-    values = values_of(z)
-    off, pixels = _off(values, windows, base)
-    own = values["channel_noise"] ** 2 + LEAST_CHANNEL**2 + pixels**2  # (windows, 3)
-    common = values["common_noise"] ** 2 + LEAST_COMMON**2
-    # Of a diagonal and a common factor [Sherman & Morrison 1950].
-    weights = 1 / own
-    total = weights.sum(1)
-    squares = (off**2 * weights).sum(1) - common * (off * weights).sum(1) ** 2 / (
-        1 + common * total
-    )
-    determinant = jnp.log(own).sum(1) + jnp.log1p(common * total)
-    found = -0.5 * jnp.where(windows.present, squares + determinant, 0).sum() - 0.5 * (z**2).sum()
+    found = log_likelihood(*_off_and_response(z, windows, base), windows.present)
+    found -= 0.5 * (z**2).sum()
     return jnp.where(jnp.isfinite(found), found, -jnp.inf)
 
 
 def least_squares(windows: Windows, base: Iris, steps: int = 60) -> Fit:
-    """The best pigments by Levenberg and Marquardt's steps through the differentiable renderer,
-    with the noise's priors at their medians; the best of a few starts.
+    """The best pigments by Levenberg and Marquardt's steps through the differentiable renderer, in
+    turns with the covariances of errors; the best of a few starts.
     """
-    free = [i for i, n in enumerate(NAMES) if n not in _NOISE]
-    free = [i for i in free if NAMES[i] != "room" or windows.room is not None]
+    free = [i for i, n in enumerate(NAMES) if n != "room" or windows.room is not None]
     starts = np.zeros((len(_STARTS), len(free)))
     starts[:, : len(CONCENTRATIONS)] = _STARTS
-    found, cost, taken, ended, covariance = _searched(
+    found, log_density, taken, ended, covariance = _searched(
         jnp.asarray(starts), windows, base, tuple(free), steps
     )
-    best = int(np.nanargmin(np.asarray(cost)))
+    best = int(np.nanargmax(np.asarray(log_density)))
     z = np.zeros(len(NAMES))
     z[free] = np.asarray(found[best])
     spread = np.eye(len(NAMES))
@@ -187,36 +183,44 @@ _STARTS = np.array(
 )
 
 
-def _residuals(some, args):
-    windows, base, free = args
-    z = jnp.zeros(len(NAMES)).at[jnp.asarray(free)].set(some)
-    values = values_of(z)
-    off, pixels = _off(values, windows, base)
-    own = jnp.sqrt(values["channel_noise"] ** 2 + (pixels**2).mean(where=windows.present[:, None]))
-    mean = off.mean(1, keepdims=True)
-    # Three numbers of a window: its mean, which the common factor moves too, and the rest.
-    common = jnp.sqrt(own**2 / 3 + values["common_noise"] ** 2)
-    return jnp.concatenate([(mean / common).ravel(), ((off - mean) / own).ravel(), some])
+@program
+def _searched(starts, windows, base, free: tuple[int, ...], steps: int):
+    def every(some):
+        return jnp.zeros(len(NAMES)).at[jnp.asarray(free)].set(some)
+
+    def residuals(some, held):
+        off = _off(values_of(every(some)), windows, base)
+        return jnp.concatenate([whitened(off, windows.present, held), some])
+
+    def turn(some, _):
+        held = covariances(*_off_and_response(every(some), windows, base), windows.present)
+        solver = levenberg_marquardt(1e-5, 1e-5)
+        found = optx.least_squares(residuals, solver, some, held, max_steps=steps, throw=False)
+        ended = found.result == optx.RESULTS.successful
+        return found.value, (found.stats["num_steps"], ended, held)
+
+    def one(start):
+        found, (taken, ended, held) = jax.lax.scan(turn, start, None, _TURNS)
+        last = jax.tree.map(lambda c: c[-1], held)
+        jacobian = jax.jacfwd(lambda x: residuals(x, last))(found)
+        density = log_probability(every(found), windows, base)
+        return found, density, taken.sum(), ended[-1], jnp.linalg.inv(jacobian.T @ jacobian)
+
+    return jax.lax.map(one, starts)
+
+
+def exposures_for(fit: Fit, windows: Windows, base: Iris) -> Float[np.ndarray, "3"]:
+    """Exposures of the channels with which the model's windows are on average as bright as the
+    photograph's, for windows of other maps than those of the fit.
+    """
+    values = fit.values
+    found = np.array([values["red_gain"], 1.0, values["blue_gain"]]) * values["exposure"]
+    return found * np.exp(np.asarray(_mean_off(jnp.asarray(fit.z), windows, base)))
 
 
 @program
-def _searched(starts, windows, base, free: tuple[int, ...], steps: int):
-    def one(start):
-        args = windows, base, free
-        found = optx.least_squares(
-            lambda x, _: _residuals(x, args),
-            levenberg_marquardt(1e-5, 1e-5),
-            start,
-            max_steps=steps,
-            throw=False,
-        )
-        residuals = _residuals(found.value, args)
-        jacobian = jax.jacfwd(lambda x: _residuals(x, args))(found.value)
-        covariance = jnp.linalg.inv(jacobian.T @ jacobian)
-        ended = found.result == optx.RESULTS.successful
-        return found.value, (residuals**2).sum(), found.stats["num_steps"], ended, covariance
-
-    return jax.lax.map(one, starts)
+def _mean_off(z, windows, base):
+    return _off(values_of(z), windows, base).mean(0, where=windows.present[:, None])
 
 
 def simplex(windows: Windows, base: Iris, steps: int = 50) -> tuple[Fit, list[dict[str, float]]]:
@@ -263,7 +267,7 @@ def _downhill(start, held, windows, base, eumelanin: bool, steps: int):
 
     def cost(x, _):
         four = _four(x, held) if eumelanin else _four(held, x)
-        off = _off({**four, **rest}, windows, base)[0]
+        off = _off({**four, **rest}, windows, base)
         return (off**2).mean(where=windows.present[:, None])
 
     found = optx.minimise(cost, optx.NelderMead(1e-4, 1e-6), start, max_steps=steps, throw=False)
@@ -282,5 +286,5 @@ def _rms(z, windows: Windows, base: Iris) -> np.ndarray:
 
 @program
 def _rms_of(z, windows, base):
-    off = _off(values_of(z), windows, base)[0]
+    off = _off(values_of(z), windows, base)
     return jnp.sqrt((off**2).mean(0, where=windows.present[:, None]))

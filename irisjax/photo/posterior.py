@@ -1,7 +1,8 @@
-"""A posterior of the pigments of a photographed iris, by emcee.
+"""A posterior of the pigments of a photographed iris.
 
-Importance sampling about the least-squares fit finds the walkers their places and teaches their
-jumps, as it does for spectra; the chain goes on until it is long enough.
+Importance sampling about the least-squares fit is enough as a rule, and takes seconds. Where its
+weights stay uneven, or where it is asked for, emcee's walkers start from its draws, whose
+differences teach their jumps; the chain goes on until it is long enough.
 """
 
 from collections.abc import Callable
@@ -13,7 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from irisjax.infer.importance import importance_sample
+from irisjax.infer.importance import ImportanceSample, importance_sample
 from irisjax.infer.moves import mixture
 from irisjax.infer.posterior import Chains, diagnose
 from irisjax.numerics.programs import program
@@ -21,6 +22,7 @@ from irisjax.photo.pigments import NAMES, Fit, log_probability, values_of
 from irisjax.photo.windows import Windows
 from irisjax.tissue.iris import Iris
 
+SAMPLERS = ("importance", "emcee")
 WALKERS = 48
 _BLOCK = 150  # steps between looks at the chain
 _ROWS = WALKERS // 2  # log probabilities computed at a time: what a step of emcee asks for
@@ -32,7 +34,6 @@ class Estimate(NamedTuple):
     - `median`, `sd`, `low`, `high`: of its samples, the last two 2.5 and 97.5 per cent.
     - `contraction`: one minus the variance over the prior's, in the coordinate in which that is a
         standard normal: 0 where the photograph told nothing.
-    - `rhat`, `effective`: of the chains.
     """
 
     median: float
@@ -40,16 +41,33 @@ class Estimate(NamedTuple):
     low: float
     high: float
     contraction: float
-    rhat: float
-    effective: float
 
 
 class PigmentPosterior(NamedTuple):
-    """Samples of all parameters by name, what they say of each, and the chains."""
+    """Samples of all parameters by name, and what they say of each.
+
+    - `z`: the samples as standard normal numbers of their priors, (samples, free).
+    - `effective`: how many independent ones they are worth, of the parameter where they are fewest.
+    - `chains`: of emcee; `None` where importance sampling was enough.
+    - `reason`: why they may not stand for the posterior, or nothing.
+    """
 
     samples: dict[str, Float[np.ndarray, " samples"]]
     estimates: dict[str, Estimate]
-    chains: Chains
+    z: Float[np.ndarray, "samples free"]
+    effective: float
+    chains: Chains | None
+    reason: str
+
+    @property
+    def sampler(self) -> str:
+        """By which they were drawn."""
+        return SAMPLERS[0] if self.chains is None else SAMPLERS[1]
+
+    @property
+    def converged(self) -> bool:
+        """Whether they may stand for the posterior."""
+        return not self.reason
 
 
 def sample(
@@ -57,17 +75,19 @@ def sample(
     base: Iris,
     best: Fit,
     *,
+    sampler: str = SAMPLERS[0],
     max_steps: int = 8000,
     progress: Callable[[int], Any] = lambda steps: None,
     seed: int,
 ) -> PigmentPosterior:
-    """Sample the posterior of concentrations, camera and noise.
+    """Sample the posterior of concentrations, light and camera.
 
     Args:
         windows: Of one photograph.
         base: Fixes everything but melanins and scattering.
         best: The least-squares fit, from which it starts.
-        max_steps: At which the chain ends, long enough or not; `chains.status` says which.
+        sampler: `"importance"` goes on to emcee only where it must.
+        max_steps: At which emcee's chain ends, long enough or not; `reason` says which.
         progress: Gets the number of steps done.
         seed: Of all random numbers.
     """
@@ -82,6 +102,15 @@ def sample(
     random = np.random.RandomState(seed)
     covariance = best.covariance + 1e-9 * np.eye(len(best.z))
     first = importance_sample(density, best.z, covariance, random)
+    if sampler == SAMPLERS[0] and first.enough:
+        return _posterior(first.samples, first.effective, None, "")
+    chains = _chains(density, first, random, max_steps, progress)
+    flat = chains.z.reshape(-1, len(NAMES))
+    effective = float(min(chains.ess_bulk.min(), chains.ess_tail.min()))
+    return _posterior(flat, effective, chains, chains.reason)
+
+
+def _chains(density, first: ImportanceSample, random, max_steps: int, progress) -> Chains:
     places = first.samples[random.choice(len(first.samples), WALKERS, False)]
     start = places + 1e-3 * first.samples.std(0) * random.standard_normal(places.shape)
     # What teaches jumps may be uneven where the sample is small: walkers then go by differences.
@@ -97,26 +126,18 @@ def sample(
             progress(sampler.iteration)
         here = sampler.get_last_sample()
         chains = diagnose(sampler.backend, sampler.iteration)
-    flat = chains.z.reshape(-1, len(NAMES))
-    values = {n: np.asarray(v) for n, v in jax.vmap(values_of)(jnp.asarray(flat)).items()}
-    return PigmentPosterior(
-        values,
-        {n: _estimate(chains, i, values[n]) for i, n in enumerate(NAMES)},
-        chains,
-    )
+    return chains
 
 
-def _estimate(chains: Chains, i: int, values) -> Estimate:
-    low, median, high = (float(v) for v in np.quantile(values, [0.025, 0.5, 0.975]))
-    return Estimate(
-        median,
-        float(values.std()),
-        low,
-        high,
-        float(1 - chains.z[..., i].var()),
-        float(chains.rhat[i]),
-        float(min(chains.ess_bulk[i], chains.ess_tail[i])),
-    )
+def _posterior(z, effective: float, chains: Chains | None, reason: str) -> PigmentPosterior:
+    drawn_values = jax.vmap(values_of)(jnp.asarray(z))
+    values = {name: np.asarray(drawn_values[name]) for name in NAMES}
+    estimates = {}
+    for i, (name, drawn) in enumerate(values.items()):
+        low, median, high = (float(v) for v in np.quantile(drawn, [0.025, 0.5, 0.975]))
+        told = float(1 - z[:, i].var())
+        estimates[name] = Estimate(median, float(drawn.std()), low, high, told)
+    return PigmentPosterior(values, estimates, z, float(effective), chains, reason)
 
 
 @program

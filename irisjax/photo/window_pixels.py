@@ -11,6 +11,7 @@ from jaxtyping import Bool, Float, Int
 
 from irisjax.anatomy.eye import Eye
 from irisjax.photo.pose import Pose
+from irisjax.photo.unrefracted import LUMINANCE
 from irisjax.render.environment import Environment
 from irisjax.render.outside import room_at
 from irisjax.render.project import (
@@ -33,6 +34,10 @@ OUTER_MARGIN = 0.7
 """Kept off root and limbus, mm: the soft edge of the white, which is not modelled but by a blend,
 shades what lies under it.
 """
+SHADED = 0.7
+"""Luminance of a window over the median of its ring, below which it is left out: the shadow of the
+limbus or of a lid falls on it, whose edge no model of the eye knows.
+"""
 COUNT = ANGLES * RINGS
 """All windows."""
 _MOST, _LEAST = 96, 24  # pixels of a window: so many are taken of it, or it is left out
@@ -45,8 +50,8 @@ class WindowPixels(NamedTuple):
     are missing have the number of no window, `COUNT`.
 
     - `seen`: the pixels; `window`: the number of each one's window.
-    - `present`: windows with enough pixels. `colour`: mean linear values of the photograph,
-        (windows, 3); `error`: standard deviation of each mean by the pixels' own spread.
+    - `present`: windows with enough pixels, and not in the shade. `colour`: mean linear values of
+        the photograph, (windows, 3).
     - `veil`: share of a uniform room's radiance that the tear film mirrors; `mirrored`: radiance
         that it mirrors of the environment.
     - `angle` (radians), `radius` (mm): of their middles.
@@ -56,7 +61,6 @@ class WindowPixels(NamedTuple):
     window: Int[np.ndarray, " pixels"]
     present: Bool[np.ndarray, " windows"]
     colour: Float[np.ndarray, "windows 3"]
-    error: Float[np.ndarray, "windows 3"]
     veil: Float[np.ndarray, " windows"]
     mirrored: Float[np.ndarray, "windows 3"]
     angle: Float[np.ndarray, " windows"]
@@ -88,12 +92,6 @@ def choose_pixels(
         raise ValueError("the camera does not see the iris")
     index, window, (around, r) = _chosen(seen, clear, eye)
     number = np.bincount(window, minlength=COUNT)[:COUNT]
-    present = number > 0
-    if present.sum() < 6:
-        raise ValueError(
-            f"only {present.sum()} windows of the iris are free of highlights, lashes and lids; 6 "
-            "are the least that pigments can be told from"
-        )
     some = dataclasses.replace(seen, index=None)
     some = jax.tree.map(lambda leaf: jnp.asarray(np.asarray(leaf)[index]), some)
     at = pixel_numbers(seen)[index]
@@ -103,9 +101,13 @@ def choose_pixels(
         sums = [np.bincount(window, v, COUNT + 1)[:COUNT] for v in np.asarray(values, float).T]
         return np.stack(sums, -1) / np.maximum(number, 1)[:, None]
 
-    picture = pixels.reshape(-1, 3)[at]
-    colour = mean(picture)
-    spread = np.sqrt(np.maximum(mean(picture.astype(np.float64) ** 2) - colour**2, 0))
+    colour = mean(pixels.reshape(-1, 3)[at])
+    present = (number > 0) & ~_shaded(colour @ LUMINANCE, number > 0)
+    if present.sum() < 6:
+        raise ValueError(
+            f"only {present.sum()} windows of the iris are free of highlights, lashes, lids and "
+            "their shadows; 6 are the least that pigments can be told from"
+        )
     veil, mirrored = _tear_film(view, clear.shape, environment)
     cos, sin, radius = mean(np.stack([np.cos(around), np.sin(around), r], -1)).T
     return WindowPixels(
@@ -113,12 +115,19 @@ def choose_pixels(
         window,
         present,
         colour,
-        spread / np.sqrt(np.maximum(number, 1))[:, None],
         mean(veil[at][:, None])[:, 0],
         mean(mirrored[at]),
         np.arctan2(sin, cos),
         radius,
     )
+
+
+def _shaded(luminance, present) -> Bool[np.ndarray, " windows"]:
+    """Windows that are much darker than most at their distance from the pupil."""
+    rings = np.where(present, luminance, np.nan).reshape(RINGS, ANGLES)
+    seen = [ring[~np.isnan(ring)] for ring in rings]
+    usual = [np.median(ring) if len(ring) else np.nan for ring in seen]
+    return (rings < SHADED * np.array(usual)[:, None]).ravel()
 
 
 def iris_alone(pose: Pose) -> Bool[np.ndarray, "rows columns"]:

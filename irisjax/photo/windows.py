@@ -27,7 +27,7 @@ from irisjax.render.lights import Lights
 from irisjax.render.radiative import RadiativeIntegrator
 from irisjax.render.scene import ENVIRONMENT_LIGHTS
 from irisjax.render.separable import Separable
-from irisjax.render.shading import ranges_of
+from irisjax.render.shading import illuminate, ranges_of
 from irisjax.tissue.iris import Iris
 from irisjax.tissue.maps import IrisMaps, Scales
 
@@ -35,7 +35,7 @@ from irisjax.tissue.maps import IrisMaps, Scales
 class Windows(eqx.Module):
     """Windows of one photograph: their mean colours, and the same of the model as a matrix.
 
-    - `colour`, `error`, `present`: of `WindowPixels`.
+    - `colour`, `present`: of `WindowPixels`.
     - `matrix`: from the coefficients of a response to radiance, (windows, channels or 1, products ×
         functions). `room`: the same of a uniform room of radiance 1 beside the lights, or `None`
         where nothing but the lights is thought of.
@@ -45,7 +45,6 @@ class Windows(eqx.Module):
     """
 
     colour: Float[np.ndarray, "windows 3"]
-    error: Float[np.ndarray, "windows 3"]
     present: Bool[np.ndarray, " windows"]
     matrix: Float[Array, "windows tints terms"]
     room: Float[Array, "windows shades terms"] | None
@@ -90,6 +89,7 @@ def windows_of(
     integrator: Separable | RadiativeIntegrator,
     tables: Illumination | None,
     room: bool = False,
+    turns: int = 1,
 ) -> Windows:
     """Make the matrix of windows.
 
@@ -102,6 +102,8 @@ def windows_of(
         integrator: ILIT's or that of radiative transfer.
         tables: Of the eye, `None` without a cornea. Those of a room need caustics.
         room: Whether there may be light from all round beside the lights.
+        turns: Places round the eye at which the maps stand in turn, for pixels of each window; a
+            window then shows what is usual at its distance from the pupil.
     """
     ranges = ranges_of(iris, maps)
     bands = colour_bands(lights.illuminant, cornea=eye.cornea)
@@ -109,12 +111,11 @@ def windows_of(
     known = eye, iris, maps, tables, ranges, bands, made
 
     def of(lamps: Lights):
-        return _matrix(chosen.seen, jnp.asarray(chosen.window), lamps, *known)
+        return _matrix(chosen.seen, jnp.asarray(chosen.window), lamps, *known, turns)
 
     around = Environment.uniform().to_lights(ENVIRONMENT_LIGHTS) if room else None
     return Windows(
         chosen.colour,
-        chosen.error,
         chosen.present,
         of(lights),
         None if around is None else of(around),
@@ -128,19 +129,33 @@ def windows_of(
 
 
 @program
-def _matrix(seen, window, lights, eye, iris, maps, tables, ranges, bands, integrator):
-    texels, ground = integrator.place(seen, lights, eye, iris, maps, tables, ranges)
+def _matrix(seen, window, lights, eye, iris, maps, tables, ranges, bands, integrator, turns: int):
     response = integrator.response(iris, eye.aqueous_index, bands, ranges)
     one = response.coefficients[..., :1]
     share = jnp.maximum(jnp.zeros(COUNT).at[window].add(1.0, mode="drop"), 1.0)
+    field = illuminate(lights, eye, iris, tables)
 
-    def means(coefficients):
-        held = eqx.tree_at(lambda r: r.coefficients, response, coefficients.reshape(one.shape))
-        shaded = held.shade(texels, ground)
-        added = jnp.zeros((COUNT, shaded.shape[0])).at[window].add(shaded.T, mode="drop")
-        return added / share[:, None]
+    def once(name, make, *given):
+        return field if name == "field" else make(*given)
 
-    flat = jnp.zeros(one.size, one.dtype)
-    return jax.lax.map(
-        lambda direction: jax.jvp(means, (flat,), (direction,))[1], jnp.eye(one.size)
-    ).transpose(1, 2, 0)
+    def turned(part):
+        turn, seen, window = part
+        around = jax.tree.map(lambda m: jnp.roll(m, turn * (m.shape[0] // turns), 0), maps)
+        texels, ground = integrator.place(seen, lights, eye, iris, around, tables, ranges, once)
+
+        def sums(coefficients):
+            held = eqx.tree_at(lambda r: r.coefficients, response, coefficients.reshape(one.shape))
+            shaded = held.shade(texels, ground)
+            return jnp.zeros((COUNT, shaded.shape[0])).at[window].add(shaded.T, mode="drop")
+
+        flat = jnp.zeros(one.size, one.dtype)
+        return jax.lax.map(
+            lambda direction: jax.jvp(sums, (flat,), (direction,))[1], jnp.eye(one.size)
+        )
+
+    def shared_out(leaf):  # neighbours in a window have different turns
+        return jnp.moveaxis(leaf.reshape(*leaf.shape[:-1], -1, turns), -1, 0)
+
+    parts = jax.tree.map(shared_out, (seen, window))
+    found = jax.lax.map(turned, (jnp.arange(turns), *parts)).sum(0)
+    return (found / share[:, None]).transpose(1, 2, 0)

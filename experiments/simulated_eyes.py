@@ -1,0 +1,139 @@
+"""Eyes drawn from the priors of `photo.pigments` and their photographs, by the package's own
+renderer: what experiments on clones begin with.
+"""
+
+import math
+import tempfile
+from collections.abc import Callable
+from functools import cache
+from pathlib import Path
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from PIL import Image
+
+from experiments.simulated_photographs import FULL, READ
+from irisjax.anatomy.eye import Eye
+from irisjax.grow.procedural import procedural
+from irisjax.io.photographs import read_photograph
+from irisjax.measure.colour import srgb_encode
+from irisjax.photo.clone import FIBRILS
+from irisjax.photo.ellipse import Ellipse
+from irisjax.photo.photograph import Photograph
+from irisjax.photo.pigments import NAMES, PRIORS, iris_of
+from irisjax.photo.pose import iris_points, shown
+from irisjax.photo.thickness import generic_thickness
+from irisjax.render.camera import Camera
+from irisjax.render.environment import Environment
+from irisjax.render.illumination import Illumination
+from irisjax.render.lights import Lights
+from irisjax.render.scene import Scene
+from irisjax.render.stages import Memory
+from irisjax.tissue.iris import Iris
+
+WHITE = 0.3, 0.97
+"""Linear values between which the brightest tenth of the white begins: not burnt out, not dark."""
+SIZE, WIDTH, DISTANCE = 640, 15.0, 250.0
+"""Of the picture (px), and of the field at the pupil and the camera's distance, mm: irides of 470
+pixels."""
+PUPIL = 1.5, 2.6
+"""Radii, mm."""
+LAMP_POLAR, LAMP_RADIUS = np.radians((20.0, 50.0)), np.radians(2.0)
+"""Angles off the eye's axis between which lamps stand, even by solid angle; half their width."""
+PEOPLE = 0.12
+"""Spread of the thickness of people's irides, of its logarithm; assumed."""
+STEEPEST = np.radians(30.0)
+"""Tilt of the camera, even by solid angle up to it."""
+
+
+class Truth(NamedTuple):
+    """A drawn eye: values by name, its scene, and outlines in pixels."""
+
+    values: dict[str, float]
+    scene: Scene
+    limbus: Ellipse
+    pupil: Ellipse
+
+
+def photographed(
+    random: np.random.Generator, tables: Callable[[Scene], Illumination | None] = Scene.tables
+) -> tuple[Truth, Photograph]:
+    """An eye of the priors, and its photograph as it is read from a file of 8 bits: the first whose
+    white is well exposed. Posteriors stay right under any choice that the picture itself decides.
+    """
+    while True:
+        values = {n: float(PRIORS[n].value(random.standard_normal())) for n in NAMES}
+        scene = _scene(values, random)
+        light = np.maximum(np.asarray(Memory().render(scene, tables(scene)), np.float64), 0)
+        gains = np.array([values["red_gain"], 1.0, values["blue_gain"]])
+        linear = values["exposure"] * gains * light ** values["contrast"]
+        electrons = random.poisson(np.minimum(linear, 2) * FULL)
+        sensed = (electrons + random.normal(0, READ, light.shape)) / FULL
+        encoded = np.asarray(srgb_encode(jnp.asarray(np.clip(sensed, 0, 1))))
+        with tempfile.TemporaryDirectory() as folder:
+            path = Path(folder) / "eye.png"
+            Image.fromarray(np.round(255 * encoded).astype(np.uint8)).save(path)
+            photograph = read_photograph(path)
+        limbus, pupil = _outlines(scene)
+        row, column = np.ogrid[:SIZE, :SIZE]
+        white = photograph.pixels[limbus.relative_radius(column, row) > 1.15].max(-1)
+        if WHITE[0] < np.quantile(white, 0.9) < WHITE[1]:
+            return Truth(values, scene, limbus, pupil), photograph
+
+
+def tables_of(scene: Scene) -> Illumination:
+    """Of all eyes: what decides them, cornea and depth, is the same."""
+    del scene
+    return _built()
+
+
+@cache
+def _built() -> Illumination:
+    return Illumination.build(Eye())
+
+
+def _scene(values: dict[str, float], random: np.random.Generator) -> Scene:
+    """An iris of these values, its structure, lamp and camera drawn."""
+    eye = Eye(pupil_radius=jnp.asarray(random.uniform(*PUPIL)))
+    # Means over the area of an average iris, and people's spread about it.
+    place = np.linspace(float(eye.pupil_radius), float(eye.iris_radius), 200)
+    height = np.average(generic_thickness(place), weights=place)
+    height *= np.exp(PEOPLE * random.standard_normal())
+    base = Iris(fibril_radius=jnp.asarray(FIBRILS), stroma_thickness=jnp.asarray(height))
+    maps = procedural(base, eye, key=jax.random.key(int(random.integers(2**31))))
+    iris = iris_of({n: jnp.asarray(v) for n, v in values.items()}, base)
+    tilt, lamp = (
+        float(np.arccos(random.uniform(np.cos(high), np.cos(low))))
+        for low, high in ((0.0, STEEPEST), LAMP_POLAR)
+    )
+    sides = random.uniform(0, 2 * np.pi, 2)
+    numbers = (jnp.asarray(v) for v in (tilt, sides[0], DISTANCE, WIDTH))
+    camera = Camera(*numbers, size=(SIZE, SIZE))
+    lights = Lights.distant(lamp, sides[1], radius=LAMP_RADIUS)
+    return Scene(iris, maps, eye, lights, Environment.uniform(values["room"]), camera)
+
+
+def _outlines(scene: Scene) -> tuple[Ellipse, Ellipse]:
+    """Of limbus and pupil, px."""
+    eye, turn = scene.eye, np.linspace(0, 2 * np.pi, 64, endpoint=False)
+    assert eye.cornea is not None
+    x, y = (float(eye.limbus_radius) * f(turn) for f in (np.cos, np.sin))
+    depth = eye.cornea.anterior.apex + eye.cornea.anterior.sagitta(eye.limbus_radius)
+    rim = jnp.asarray(np.stack([x, y, np.full_like(x, float(depth))], -1))
+    limbus = scene.camera.pixel(rim, eye)
+    x, y = (float(eye.pupil_radius) * f(turn) for f in (np.cos, np.sin))
+    # In a grid of the shape for which the pipeline has compiled this already.
+    hole = shown(eye, scene.camera, np.repeat(iris_points(eye, x, y)[:, None], 33, 1))
+    return _ellipse(turn, *limbus), _ellipse(turn, hole.column[:, 0], hole.row[:, 0])
+
+
+def _ellipse(turn: np.ndarray, column, row) -> Ellipse:
+    """The ellipse of a circle's picture: its points by their angles."""
+    waves = np.stack([np.ones_like(turn), np.cos(turn), np.sin(turn)], -1)
+    found = np.linalg.lstsq(waves, np.stack([column, row], -1), rcond=None)[0]
+    along, axes, _ = np.linalg.svd(found[1:].T)
+    angle = math.atan2(-along[1, 0], along[0, 0])  # rows run down
+    middle = float(found[0, 0]), float(found[0, 1])
+    return Ellipse(middle, (float(axes[0]), float(axes[1])), angle)
