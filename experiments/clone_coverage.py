@@ -38,7 +38,7 @@ POSTERIORS += ("rank", "draws", "z", "contraction")
 PICTURES = ("eye", "result", "seconds", "pupil_radius", "tilt_deg", "tilt_deg_found")
 PICTURES += ("lamp_deg", "lamps_found", "lamp_off_deg", "limbus_off_px", "pupil_off_px")
 PICTURES += ("limbus_confidence", "pupil_confidence", "thickness_response", "rms_red", "rms_green")
-PICTURES += ("rms_blue", "effective_samples", "sampler")
+PICTURES += ("rms_blue", "steps", "autocorrelation_times")
 SUMMARY = ("parameter", "eyes", *(f"{k}_{p}" for p in LEVELS for k in ("covered", "low", "high")))
 SUMMARY += ("p_chi_square", "p_kolmogorov", "mean_z", "sd_z", "contraction")
 
@@ -83,7 +83,7 @@ def _cloned(photograph: Photograph, given: Given, seed: int) -> tuple[Clone, str
             found = later
     except ValueError as error:
         return found, f"refused: {error}"
-    return found, needed(found.posterior).reason
+    return found, needed(found.posterior).chains.reason
 
 
 def _posterior(eye: int, truth: Truth, found: Clone, random: np.random.Generator) -> list[tuple]:
@@ -122,11 +122,12 @@ def _picture(eye: int, truth: Truth, found: Clone, result: str, seconds: float) 
         cosines = np.asarray(found.lighting.lamps.towards) @ lamp
         off = float(np.degrees(np.arccos(np.clip(cosines, -1, 1))).min())
     rms = np.full(3, nan)
-    effective, sampler = nan, ""
+    steps = taus = nan
     if found.fit is not None:
         rms = found.fit.rms
     if found.posterior is not None:
-        effective, sampler = found.posterior.effective, found.posterior.sampler
+        chains = found.posterior.chains
+        steps, taus = chains.steps, float(chains.steps / chains.tau.max())
     return (
         *(eye, result, seconds, float(scene.eye.pupil_radius)),
         *(
@@ -139,7 +140,7 @@ def _picture(eye: int, truth: Truth, found: Clone, result: str, seconds: float) 
         *(boundaries.limbus_confidence, boundaries.pupil_confidence),
         nan if found.response is None else float(found.response),
         *(float(v) for v in rms),
-        *(effective, sampler),
+        *(steps, taus),
     )
 
 

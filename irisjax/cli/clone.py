@@ -23,7 +23,6 @@ from irisjax.numerics.checks import Range, check_range
 from irisjax.photo import clone as cloning
 from irisjax.photo.ellipse import Ellipse
 from irisjax.photo.picture import compare
-from irisjax.photo.posterior import SAMPLERS
 from irisjax.render.environment import Environment
 from irisjax.render.radiative import RadiativeIntegrator
 from irisjax.render.separable import Separable
@@ -145,11 +144,8 @@ class Model(Group):
         str, name_of("search for the pigments; simplex is F09's", *cloning.METHODS)
     ] = "least-squares"
     process: Annotated[str, name_of("light in the iris", *_PROCESSES)] = "ilit-2006"
-    sampler: Annotated[
-        str, name_of("of the posterior; importance goes on to emcee where it must", *SAMPLERS)
-    ] = SAMPLERS[0]
     max_steps: Annotated[
-        int, option(parse=whole(150, 100_000), metavar="count", help="of emcee's chain, at most")
+        int, option(parse=whole(150, 100_000), metavar="count", help="of the posterior's chain")
     ] = 8000
     seed: Annotated[int, option(parse=read_seed, metavar="number", help=SEED_HELP + "files")] = 0
 
@@ -190,7 +186,6 @@ def clone(picture: Picture, model: Model, results: Results) -> None:
         relief=model.relief,
         method=model.method,
         integrator=_PROCESSES[model.process](),
-        sampler=model.sampler,
         steps=model.max_steps,
         seed=model.seed,
     )

@@ -41,13 +41,10 @@ def report(found: Clone, cross_polarised: bool, folder: Path) -> bool:
         say("no highlight on the cornea: light from all round is assumed")
     if found.posterior is not None:
         print(_table(found.posterior))
-        print(
-            f"{found.posterior.effective:.0f} effective samples by {found.posterior.sampler}; "
-            "intervals allow for a thickness of the iris that is not the average one"
-        )
-        if not found.posterior.converged:
+        print("the intervals allow for an iris that is not as thick as the average")
+        if not found.posterior.chains.converged:
             sure = False
-            say(f"WARNING: {found.posterior.reason}; raise --max-steps")
+            say(f"WARNING: {found.posterior.chains.reason}; raise --max-steps")
     print(f"written: {folder}")
     return sure
 

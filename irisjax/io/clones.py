@@ -124,11 +124,8 @@ def summary_of(clone: Clone, settings: Mapping[str, Any], timings: Mapping[str, 
             "converged": clone.fit.converged,
         }
     if clone.posterior is not None:
-        drawn = clone.posterior
-        chain = {}
-        if drawn.chains is not None:
-            tau = float(np.max(drawn.chains.tau))
-            chain = {"steps": drawn.chains.steps, "autocorrelation_steps": _finite(tau)}
+        chains = clone.posterior.chains
+        effective = min(chains.ess_bulk.min(), chains.ess_tail.min())
         found |= {
             "posterior": {
                 name: {
@@ -139,21 +136,23 @@ def summary_of(clone: Clone, settings: Mapping[str, Any], timings: Mapping[str, 
                     "contraction": e.contraction,
                     "unit": UNITS[name],
                 }
-                for name, e in drawn.estimates.items()
+                for name, e in clone.posterior.estimates.items()
             },
-            "sampling": {
-                "sampler": drawn.sampler,
-                "converged": drawn.converged,
-                "reason": drawn.reason,
-                "effective_samples": _finite(drawn.effective),
-            }
-            | chain,
+            "chain": {
+                "converged": chains.converged,
+                "reason": chains.reason,
+                "steps": chains.steps,
+                "autocorrelation_steps": _finite(np.max(chains.tau)),
+                "r_hat": _finite(np.max(chains.rhat)),
+                "effective_samples": _finite(effective),
+            },
         }
     return found | {"seconds": dict(timings)}
 
 
-def _finite(value: float) -> float | None:
-    return value if np.isfinite(value) else None
+def _finite(value) -> float | None:
+    """Of chains that are too short some numbers are not known."""
+    return float(value) if np.isfinite(value) else None
 
 
 def scene_text(clone: Clone, maps: str = "maps.exr") -> str:

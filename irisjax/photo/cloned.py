@@ -13,7 +13,7 @@ from irisjax.photo.morphology import Morphology
 from irisjax.photo.photograph import Photograph
 from irisjax.photo.pigments import Fit, iris_of
 from irisjax.photo.pose import Pose
-from irisjax.photo.posterior import SAMPLERS, PigmentPosterior
+from irisjax.photo.posterior import PigmentPosterior
 from irisjax.photo.refraction import Refraction
 from irisjax.photo.register import Registration
 from irisjax.photo.unrefracted import Unrefracted
@@ -40,8 +40,7 @@ class Settings(NamedTuple):
     - `relief`: share of the stroma's unevenness that stands out towards the cornea, 0 to 1: its
         shading is taken off the picture before the model tells thickness, and the clone has it.
     - `method`: least squares, or the paper's simplex. `integrator`: of light in the iris.
-    - `sampler`: of the posterior. `steps`: most steps of its chain, where there is one. `seed`: of
-        all random numbers.
+    - `steps`: most steps of the posterior's chain. `seed`: of all random numbers.
     """
 
     media: str = "cornea-aqueous"
@@ -53,7 +52,6 @@ class Settings(NamedTuple):
     relief: float = 0.0
     method: str = "least-squares"
     integrator: Separable | RadiativeIntegrator = Separable()
-    sampler: str = SAMPLERS[0]
     steps: int = 8000
     seed: int = 0
 

@@ -116,7 +116,11 @@ def concentrations_of(iris: Iris) -> dict[str, float]:
 
 def predicted(values: dict[str, Any], windows: Windows, base: Iris) -> Float[Array, "windows 3"]:
     """Linear values of a photograph of the iris in each window."""
-    radiance = windows.radiance(iris_of(values, base), values["room"])
+    return _taken(values, windows.radiance(iris_of(values, base), values["room"]))
+
+
+def _taken(values, radiance):
+    """Values that the camera makes of radiances."""
     # What is darker than nothing, out of sRGB's range, has no power: straight on from a small one.
     least = 1e-4
     held = jnp.maximum(radiance, least)
@@ -126,36 +130,31 @@ def predicted(values: dict[str, Any], windows: Windows, base: Iris) -> Float[Arr
 
 
 def _off(values, windows: Windows, base: Iris):
-    """Logarithms of photograph over model, (windows, 3).
+    """Logarithms of photograph over model, (windows, 3), and the derivatives of the model's by that
+    of the stroma's thickness.
 
     Of logarithms: relative to the photograph, a model that is black would be off by one everywhere,
     and a common factor would explain it.
     """
     floor = _FLOOR * windows.colour.mean(where=windows.present[:, None])
     seen = jnp.maximum(windows.colour, 0) + floor
-    # Out of sRGB's range a channel may be below zero; it stays a slope.
-    shown = predicted(values, windows, base) + floor
     least = 0.1 * floor
-    shown = jnp.where(shown > least, shown, least * jnp.exp(jnp.minimum(shown / least - 1, 0.0)))
-    return jnp.where(windows.present[:, None], jnp.log(seen / shown), 0.0)
 
+    def of(radiance):
+        # Out of sRGB's range a channel may be below zero; it stays a slope.
+        shown = _taken(values, radiance) + floor
+        low = least * jnp.exp(jnp.minimum(shown / least - 1, 0.0))
+        off = jnp.log(seen / jnp.where(shown > least, shown, low))
+        return jnp.where(windows.present[:, None], off, 0.0)
 
-def _off_and_response(z, windows: Windows, base: Iris):
-    """`_off`, and the derivatives of the model's logarithms by that of the stroma's thickness."""
-    values = values_of(z)
-
-    def at(log_scale):
-        thicker = base.replace(stroma_thickness=base.stroma_thickness * jnp.exp(log_scale))
-        return _off(values, windows, thicker)
-
-    none = jnp.zeros((), z.dtype)
-    off, slope = jax.jvp(at, (none,), (jnp.ones_like(none),))
-    return off, -slope
+    radiance, slope = windows.radiance_and_slope(iris_of(values, base), values["room"])
+    off, change = jax.jvp(of, (radiance,), (slope,))
+    return off, -change
 
 
 def log_probability(z, windows: Windows, base: Iris):
     """Logarithm of the posterior density of z (free,), without constants."""
-    found = log_likelihood(*_off_and_response(z, windows, base), windows.present)
+    found = log_likelihood(*_off(values_of(z), windows, base), windows.present)
     found -= 0.5 * (z**2).sum()
     return jnp.where(jnp.isfinite(found), found, -jnp.inf)
 
@@ -189,11 +188,11 @@ def _searched(starts, windows, base, free: tuple[int, ...], steps: int):
         return jnp.zeros(len(NAMES)).at[jnp.asarray(free)].set(some)
 
     def residuals(some, held):
-        off = _off(values_of(every(some)), windows, base)
+        off, _ = _off(values_of(every(some)), windows, base)
         return jnp.concatenate([whitened(off, windows.present, held), some])
 
     def turn(some, _):
-        held = covariances(*_off_and_response(every(some), windows, base), windows.present)
+        held = covariances(*_off(values_of(every(some)), windows, base), windows.present)
         solver = levenberg_marquardt(1e-5, 1e-5)
         found = optx.least_squares(residuals, solver, some, held, max_steps=steps, throw=False)
         ended = found.result == optx.RESULTS.successful
@@ -220,7 +219,7 @@ def exposures_for(fit: Fit, windows: Windows, base: Iris) -> Float[np.ndarray, "
 
 @program
 def _mean_off(z, windows, base):
-    return _off(values_of(z), windows, base).mean(0, where=windows.present[:, None])
+    return _off(values_of(z), windows, base)[0].mean(0, where=windows.present[:, None])
 
 
 def simplex(windows: Windows, base: Iris, steps: int = 50) -> tuple[Fit, list[dict[str, float]]]:
@@ -267,7 +266,7 @@ def _downhill(start, held, windows, base, eumelanin: bool, steps: int):
 
     def cost(x, _):
         four = _four(x, held) if eumelanin else _four(held, x)
-        off = _off({**four, **rest}, windows, base)
+        off, _ = _off({**four, **rest}, windows, base)
         return (off**2).mean(where=windows.present[:, None])
 
     found = optx.minimise(cost, optx.NelderMead(1e-4, 1e-6), start, max_steps=steps, throw=False)
@@ -286,5 +285,5 @@ def _rms(z, windows: Windows, base: Iris) -> np.ndarray:
 
 @program
 def _rms_of(z, windows, base):
-    off = _off(values_of(z), windows, base)
+    off, _ = _off(values_of(z), windows, base)
     return jnp.sqrt((off**2).mean(0, where=windows.present[:, None]))

@@ -36,9 +36,10 @@ class Windows(eqx.Module):
     """Windows of one photograph: their mean colours, and the same of the model as a matrix.
 
     - `colour`, `present`: of `WindowPixels`.
-    - `matrix`: from the coefficients of a response to radiance, (windows, channels or 1, products ×
-        functions). `room`: the same of a uniform room of radiance 1 beside the lights, or `None`
-        where nothing but the lights is thought of.
+    - `matrix`: from the coefficients of a response to radiance, and its derivative by the logarithm
+        of the stroma's thickness, (2, windows, channels or 1, products × functions). `room`: the
+        same of a uniform room of radiance 1 beside the lights, or `None` where nothing but the
+        lights is thought of.
     - `veil`: share of the room's radiance that the tear film mirrors; `mirrored`: radiance that it
         mirrors of an environment among the lights.
     - `bands`, `ranges`, `integrator`, `aqueous_index`: what a response is made with.
@@ -46,8 +47,8 @@ class Windows(eqx.Module):
 
     colour: Float[np.ndarray, "windows 3"]
     present: Bool[np.ndarray, " windows"]
-    matrix: Float[Array, "windows tints terms"]
-    room: Float[Array, "windows shades terms"] | None
+    matrix: Float[Array, "2 windows tints terms"]
+    room: Float[Array, "2 windows shades terms"] | None
     veil: Float[np.ndarray, " windows"]
     mirrored: Float[np.ndarray, "windows 3"]
     bands: Bands
@@ -59,13 +60,20 @@ class Windows(eqx.Module):
         """Mean linear sRGB of an iris in each window, where a white sheet facing an irradiance of π
         has 1; `room`: radiance of the room beside the lights.
         """
+        return self.radiance_and_slope(iris, room)[0]
+
+    def radiance_and_slope(
+        self, iris: Iris, room: Scalar | float = 0.0
+    ) -> tuple[Float[Array, "windows 3"], Float[Array, "windows 3"]]:
+        """`radiance`, and its derivative by the logarithm of the stroma's thickness."""
         parts = self.aqueous_index, self.bands, self.ranges
         found: Any = self.integrator.response(iris, *parts)
         terms = found.coefficients.reshape(-1, 3)
         matrix = self.matrix if self.room is None else self.matrix + room * self.room
-        full = (matrix.shape[0], 3, matrix.shape[2])
-        shown = jnp.einsum("wtk,kt->wt", jnp.broadcast_to(matrix, full), terms) + self.mirrored
-        return shown if self.room is None else shown + room * self.veil[:, None]
+        full = (*matrix.shape[:2], 3, matrix.shape[3])
+        shown, slope = jnp.einsum("dwtk,kt->dwt", jnp.broadcast_to(matrix, full), terms)
+        shown += self.mirrored
+        return shown if self.room is None else shown + room * self.veil[:, None], slope
 
     def thickness_response(self, iris: Iris) -> float:
         """d ln luminance / d ln stroma's thickness of an iris, about its mean thickness, seen and
@@ -141,21 +149,33 @@ def _matrix(seen, window, lights, eye, iris, maps, tables, ranges, bands, integr
     def turned(part):
         turn, seen, window = part
         around = jax.tree.map(lambda m: jnp.roll(m, turn * (m.shape[0] // turns), 0), maps)
-        texels, ground = integrator.place(seen, lights, eye, iris, around, tables, ranges, once)
 
-        def sums(coefficients):
+        def placed(log_scale):
+            thicker = around.replace(stroma_depth=around.stroma_depth * jnp.exp(log_scale))
+            places = integrator.place(seen, lights, eye, iris, thicker, tables, ranges, once)
+            return eqx.partition(places, eqx.is_inexact_array)
+
+        none = jnp.zeros((), one.dtype)
+        numbers, moved, rest = jax.jvp(placed, (none,), (jnp.ones_like(none),), has_aux=True)
+
+        def sums(numbers, coefficients):
             held = eqx.tree_at(lambda r: r.coefficients, response, coefficients.reshape(one.shape))
-            shaded = held.shade(texels, ground)
+            shaded = held.shade(*eqx.combine(numbers, rest))
             return jnp.zeros((COUNT, shaded.shape[0])).at[window].add(shaded.T, mode="drop")
 
         flat = jnp.zeros(one.size, one.dtype)
-        return jax.lax.map(
-            lambda direction: jax.jvp(sums, (flat,), (direction,))[1], jnp.eye(one.size)
-        )
+
+        def column(direction):
+            def linear(numbers):
+                return jax.jvp(lambda c: sums(numbers, c), (flat,), (direction,))[1]
+
+            return jnp.stack(jax.jvp(linear, (numbers,), (moved,)))
+
+        return jax.lax.map(column, jnp.eye(one.size))
 
     def shared_out(leaf):  # neighbours in a window have different turns
         return jnp.moveaxis(leaf.reshape(*leaf.shape[:-1], -1, turns), -1, 0)
 
     parts = jax.tree.map(shared_out, (seen, window))
     found = jax.lax.map(turned, (jnp.arange(turns), *parts)).sum(0)
-    return (found / share[:, None]).transpose(1, 2, 0)
+    return (found / share[:, None]).transpose(1, 2, 3, 0)

@@ -1,18 +1,18 @@
 """Pigments from windows whose colours a known iris made."""
 
+import dataclasses
+
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-import scipy.stats
 from window_scenes import BASE, made_windows
 
 from irisjax.photo.pigments import (
     CONCENTRATIONS,
-    LEAST_CHANNEL,
-    LEAST_COMMON,
     NAMES,
     concentrations_of,
+    exposures_for,
     iris_of,
     least_squares,
     log_probability,
@@ -20,9 +20,10 @@ from irisjax.photo.pigments import (
     simplex,
     values_of,
 )
+from irisjax.photo.window_noise import RING, log_likelihood
 from irisjax.tissue.iris import Iris
 
-# Standard normal numbers; what is not named, noise and room, is at the prior's median.
+# Standard normal numbers; what is not named, the room, is at the prior's median.
 _NAMED = dict(zip(CONCENTRATIONS, (0.6, -0.5, 0.8, 0.4), strict=True)) | {
     "scattering_scale": 0.3,
     "exposure": 0.5,
@@ -54,7 +55,7 @@ def _cost(z, windows):
 def test_least_squares_fits_what_the_model_made(windows):
     found = least_squares(windows, BASE)
     assert found.converged
-    assert found.rms.max() < 0.01
+    assert found.rms.max() < RING.light  # by which a ring may be off
     assert tuple(found.values) == NAMES
     assert _cost(found.z, windows) <= _cost(TRUE, windows) + 1e-6
     # The prior pulls by less than what is not known.
@@ -79,30 +80,43 @@ def windows_rms(z, windows):
 
 
 @pytest.mark.heavy
-def test_the_posterior_is_a_normal_one_with_a_common_factor(windows):
+def test_the_posterior_is_likelihood_times_prior(windows):
+    """With the response to thickness by differences."""
+
+    def off(z, thicker=1.0):
+        base = BASE.replace(stroma_thickness=thicker * BASE.stroma_thickness)
+        shown = np.asarray(predicted(values_of(jnp.asarray(z)), windows, base))
+        floor = 0.01 * windows.colour[windows.present].mean()
+        found = np.log((windows.colour + floor) / (shown + floor))
+        return np.where(windows.present[:, None], found, 0.0)
+
     def direct(z):
-        values = {n: float(v) for n, v in values_of(jnp.asarray(z)).items()}
-        shown = np.asarray(predicted(values_of(jnp.asarray(z)), windows, BASE))
-        there = windows.present
-        colour = windows.colour[there]
-        floor = 0.01 * colour.mean()
-        off = np.log((colour + floor) / (shown[there] + floor))
-        pixels = windows.error[there] / (colour + floor)
-        common = values["common_noise"] ** 2 + LEAST_COMMON**2
-        total = scipy.stats.norm.logpdf(z).sum()
-        for o, p in zip(off, pixels, strict=True):
-            own = values["channel_noise"] ** 2 + LEAST_CHANNEL**2 + p**2
-            covariance = np.diag(own) + common
-            total += scipy.stats.multivariate_normal.logpdf(o, np.zeros(3), covariance)
-        return total
+        step = 1e-4
+        response = (off(z, np.exp(-step)) - off(z, np.exp(step))) / (2 * step)
+        parts = (jnp.asarray(v) for v in (off(z), response, windows.present))
+        return float(log_likelihood(*parts)) - 0.5 * (z**2).sum()
 
     places = TRUE + 0.3 * np.random.default_rng(4).standard_normal((4, len(NAMES)))
-    own = np.array([float(log_probability(jnp.asarray(z), windows, BASE)) for z in places])
-    other = np.array([direct(z) for z in places])
-    np.testing.assert_allclose(own - own[0], other - other[0], atol=1e-6)
+    own = [float(log_probability(jnp.asarray(z), windows, BASE)) for z in places]
+    assert np.ptp(own) > 10
+    # Slopes of polynomials of low degree, of the same in two ways.
+    np.testing.assert_allclose(own, [direct(z) for z in places], atol=0.05)
 
 
 @pytest.mark.heavy
 def test_the_posterior_has_a_slope_everywhere(windows):
     slope = jax.grad(lambda z: log_probability(z, windows, BASE))(jnp.asarray(TRUE))
     assert np.isfinite(np.asarray(slope)).all()
+
+
+@pytest.mark.heavy
+def test_exposures_take_up_what_other_maps_change(windows):
+    """Windows of an iris that is darker throughout, by a filter of three colours."""
+    fit = least_squares(windows, BASE)
+    filtered = dataclasses.replace(windows, colour=windows.colour * np.array([0.8, 0.9, 0.7]))
+    first, then = exposures_for(fit, windows, BASE), exposures_for(fit, filtered, BASE)
+    np.testing.assert_allclose(then / first, [0.8, 0.9, 0.7], rtol=0.01)
+    values = fit.values
+    own = values["exposure"] * np.array([values["red_gain"], 1, values["blue_gain"]])
+    # The fit's windows are as bright as it says, but for what the prior pulls.
+    np.testing.assert_allclose(first, own, rtol=0.05)

@@ -14,29 +14,37 @@ TRUE = np.array([0.4 * (-1) ** i for i in range(len(NAMES))])
 
 
 @pytest.fixture(scope="module")
-def sampled():
+def problem():
     windows = made_windows(lambda w: predicted(values_of(jnp.asarray(TRUE)), w, BASE))
-    best = least_squares(windows, BASE)
-    return [sample(windows, BASE, best, max_steps=150, seed=seed) for seed in (3, 3, 4)]
+    return windows, BASE, least_squares(windows, BASE)
 
 
-def test_equal_seeds_give_equal_samples(sampled):
-    one, again, other = (s.chains.z for s in sampled)
-    np.testing.assert_array_equal(one, again)
-    assert not np.array_equal(one, other)
+@pytest.fixture(scope="module")
+def drawn(problem):
+    return sample(*problem, seed=3)
 
 
-def test_a_chain_that_is_too_short_says_so(sampled):
-    chains = sampled[0].chains
+def test_equal_seeds_give_equal_samples(problem):
+    one, again, other = (sample(*problem, max_steps=150, seed=s) for s in (3, 3, 4))
+    np.testing.assert_array_equal(one.z, again.z)
+    assert not np.array_equal(one.z, other.z)
+
+
+def test_a_chain_that_is_too_short_says_so(problem):
+    chains = sample(*problem, max_steps=150, seed=3).chains
     assert chains.steps == 150 and not chains.converged
-    assert "autocorrelation" in chains.reason or "effective" in chains.reason
+    # On some machines a walker stays where it is for as long.
+    words = "autocorrelation", "effective", "never moved"
+    assert any(word in chains.reason for word in words)
 
 
-def test_estimates_are_those_of_the_samples_and_hold_the_truth(sampled):
+def test_estimates_are_those_of_the_samples_and_hold_the_truth(drawn):
+    assert drawn.chains.converged
     true = values_of(jnp.asarray(TRUE))
-    for name, estimate in sampled[0].estimates.items():
-        low, median, high = np.quantile(sampled[0].samples[name], [0.025, 0.5, 0.975])
+    assert tuple(drawn.estimates) == tuple(drawn.samples) == NAMES
+    for i, (name, estimate) in enumerate(drawn.estimates.items()):
+        low, median, high = np.quantile(drawn.samples[name], [0.025, 0.5, 0.975])
         assert (estimate.low, estimate.median, estimate.high) == pytest.approx((low, median, high))
         # Windows without noise: what the camera has free still hides the pigments.
-        if not name.endswith("noise"):
-            assert low < float(true[name]) < high, name
+        assert low < float(true[name]) < high, name
+        assert estimate.contraction == pytest.approx(1 - drawn.z[:, i].var())
