@@ -20,6 +20,7 @@ SLOW = {
     "bench_accuracy_time",
     "bench_inversion",
     "bench_render",
+    "clone_coverage",
     "clone_search",
     "clone_thickness",
     "exact_against_montecarlo",

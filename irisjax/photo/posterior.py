@@ -1,11 +1,10 @@
 """A posterior of the pigments of a photographed iris, by emcee.
 
 Importance sampling about the least-squares fit finds the walkers their places and teaches their
-jumps, as it does for spectra; the chain goes on until it is long enough. (The weighted draws alone
-are not the posterior: with 1,600 effective ones spreads were 10 to 40 % small, for proposals are
-thin where one layer holds next to nothing.)
+jumps, as it does for spectra; the chain goes on until it is long enough.
 """
 
+import math
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
@@ -19,7 +18,14 @@ from irisjax.infer.importance import ImportanceSample, importance_sample
 from irisjax.infer.moves import mixture
 from irisjax.infer.posterior import Chains, diagnose
 from irisjax.numerics.programs import program
-from irisjax.photo.pigments import NAMES, Fit, log_probability, values_of
+from irisjax.photo.pigments import (
+    CONCENTRATIONS,
+    NAMES,
+    PRIORS,
+    Fit,
+    log_probability,
+    values_of,
+)
 from irisjax.photo.windows import Windows
 from irisjax.tissue.iris import Iris
 
@@ -47,7 +53,7 @@ class PigmentPosterior(NamedTuple):
     """Samples of all parameters by name, and what they say of each.
 
     - `z`: the samples as standard normal numbers of their priors, (samples, free).
-    - `chains`: of emcee.
+    - `chains`: of emcee, in coordinates of its own.
     """
 
     samples: dict[str, Float[np.ndarray, " samples"]]
@@ -77,17 +83,19 @@ def sample(
     """
     held = _density.bound((windows, base))
 
-    def density(z):
-        z = np.asarray(z, np.float64)
-        padded = np.pad(z, ((0, -len(z) % _ROWS), (0, 0)), mode="edge")
-        rows = padded.reshape(-1, _ROWS, z.shape[1])
-        return np.concatenate([np.asarray(held(jnp.asarray(r))) for r in rows])[: len(z)]
+    def density(x):
+        x = np.asarray(x, np.float64)
+        padded = np.pad(x, ((0, -len(x) % _ROWS), (0, 0)), mode="edge")
+        rows = padded.reshape(-1, _ROWS, x.shape[1])
+        return np.concatenate([np.asarray(held(jnp.asarray(r))) for r in rows])[: len(x)]
 
     random = np.random.RandomState(seed)
-    covariance = best.covariance + 1e-9 * np.eye(len(best.z))
-    first = importance_sample(density, best.z, covariance, random)
+    slope = np.asarray(jax.jacfwd(_totals)(jnp.asarray(best.z)))
+    covariance = slope @ best.covariance @ slope.T + 1e-9 * np.eye(len(best.z))
+    middle = np.asarray(_totals(jnp.asarray(best.z)))
+    first = importance_sample(density, middle, covariance, random)
     chains = _chains(density, first, random, max_steps, progress)
-    z = chains.z.reshape(-1, len(NAMES))
+    z = np.asarray(_parts(jnp.asarray(chains.z.reshape(-1, len(NAMES)))))
     drawn_values = jax.vmap(values_of)(jnp.asarray(z))
     values = {name: np.asarray(drawn_values[name]) for name in NAMES}
     estimates = {}
@@ -130,6 +138,42 @@ def _ensemble(density, taught, random) -> emcee.EnsembleSampler:
 
 
 @program
-def _density(held, z):
+def _density(held, x):
     windows, base = held
-    return jax.vmap(lambda row: log_probability(row, windows, base))(z)
+    return jax.vmap(lambda row: log_probability(row, windows, base))(_parts(x))
+
+
+_PAIRS = tuple(
+    tuple(NAMES.index(f"{layer}_{kind}") for kind in ("eumelanin", "pheomelanin"))
+    for layer in ("abl", "stroma")
+)
+_OF_CONCENTRATIONS: list[Any] = [PRIORS[name] for name in CONCENTRATIONS]  # which stand first
+_CENTRE = np.log([prior.median for prior in _OF_CONCENTRATIONS])
+_SCALE = np.array([prior.spread for prior in _OF_CONCENTRATIONS])
+
+
+def _totals(z):
+    """Coordinates (..., free) in which the chain walks: of each layer the logarithms of its melanin
+    and of eumelanin over pheomelanin, scaled about the priors' middles, in place of the two. Colours
+    tell the total, which bends what they say of either alone: chains of these forget 10 to 30 times
+    as slowly. The Jacobian's determinant is constant.
+    """
+    for e, p in _PAIRS:
+        sigma, centre = _SCALE[e], _CENTRE[[e, p]]
+        logs = _CENTRE[e] + sigma * z[..., e], _CENTRE[p] + _SCALE[p] * z[..., p]
+        total = jnp.logaddexp(*logs) - jnp.logaddexp(*centre)
+        share = (logs[0] - logs[1]) - (centre[0] - centre[1])
+        z = z.at[..., e].set(total / sigma).at[..., p].set(share / (sigma * math.sqrt(2)))
+    return z
+
+
+def _parts(x):
+    """The inverse of `_totals`."""
+    for e, p in _PAIRS:
+        sigma, centre = _SCALE[e], _CENTRE[[e, p]]
+        total = sigma * x[..., e] + jnp.logaddexp(*centre)
+        share = sigma * math.sqrt(2) * x[..., p] + (centre[0] - centre[1])
+        logs = total + jax.nn.log_sigmoid(share), total + jax.nn.log_sigmoid(-share)
+        x = x.at[..., e].set((logs[0] - _CENTRE[e]) / sigma)
+        x = x.at[..., p].set((logs[1] - _CENTRE[p]) / _SCALE[p])
+    return x

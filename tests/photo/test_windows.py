@@ -109,7 +109,7 @@ def test_features_of_an_average_iris_have_no_place():
         np.median(np.abs(matrix(turned, turns) / matrix(usual, turns) - 1)) for turns in (1, TURNS)
     )
     # Windows have few pixels here, so some turns are missing.
-    assert moving < 0.03 and moving < 0.5 * still
+    assert moving < 0.03 and moving < 0.7 * still, (moving, still)
     assert float(usual.relief.max()) > 0.02
 
 
