@@ -154,9 +154,10 @@ _SCALE = np.array([prior.spread for prior in _OF_CONCENTRATIONS])
 
 def _totals(z):
     """Coordinates (..., free) in which the chain walks: of each layer the logarithms of its melanin
-    and of eumelanin over pheomelanin, scaled about the priors' middles, in place of the two. Colours
-    tell the total, which bends what they say of either alone: chains of these forget 10 to 30 times
-    as slowly. The Jacobian's determinant is constant.
+    and of eumelanin over pheomelanin, scaled about the priors' middles, in place of the two.
+
+    Colours tell the total, which bends what they say of either alone: chains of these forget 10 to
+    30 times as slowly. The Jacobian's determinant is constant.
     """
     for e, p in _PAIRS:
         sigma, centre = _SCALE[e], _CENTRE[[e, p]]
