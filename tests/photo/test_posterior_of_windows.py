@@ -1,11 +1,13 @@
 """The chain over pigments and camera: seeded, and honest where it is too short."""
 
+import dataclasses
+
 import jax.numpy as jnp
 import numpy as np
 import pytest
 from window_scenes import BASE, made_windows
 
-from irisjax.photo.pigments import NAMES, least_squares, predicted, values_of
+from irisjax.photo.pigments import CONCENTRATIONS, NAMES, least_squares, predicted, values_of
 from irisjax.photo.posterior import sample
 
 pytestmark = pytest.mark.heavy  # compiles search and density
@@ -48,3 +50,14 @@ def test_estimates_are_those_of_the_samples_and_hold_the_truth(drawn):
         # Windows without noise: what the camera has free still hides the pigments.
         assert low < float(true[name]) < high, name
         assert estimate.contraction == pytest.approx(1 - drawn.z[:, i].var())
+
+
+def test_where_windows_tell_nothing_the_priors_come_back(problem):
+    """Windows on which no light of the iris falls: the chain's own coordinates do not show."""
+    windows, base, best = problem
+    dark = dataclasses.replace(windows, matrix=0 * windows.matrix)
+    drawn = sample(dark, base, best, seed=6)
+    z = drawn.z[:, [NAMES.index(name) for name in (*CONCENTRATIONS, "scattering_scale")]]
+    error = 1 / np.sqrt(drawn.chains.ess_tail.min())
+    assert np.abs(z.mean(0)).max() < 4 * error
+    assert np.abs(np.cov(z.T) - np.eye(5)).max() < 6 * error
