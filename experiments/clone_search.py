@@ -10,7 +10,7 @@ from experiments.common import RESULTS, start, write
 from irisjax.photo.clone import Settings, clone
 from irisjax.photo.cloned import Clone, needed
 from irisjax.photo.picture import compare
-from irisjax.photo.pigments import CONCENTRATIONS, Fit, least_squares, simplex
+from irisjax.photo.pigments import CONCENTRATIONS, least_squares, simplex
 
 STEPS = 1, 2, 4, 12, 50
 """Of the searches, where their path is kept; of the simplex those for the eumelanins."""
@@ -30,7 +30,7 @@ def main(key, quick=False, out=RESULTS):
         *_, found = clone(simulated(colour, quick), Settings(), last="pigments")
         known, row = (needed(found.windows), needed(found.base)), []
         for count in steps:
-            fit, log = simplex(*known, count)
+            _, log = simplex(*known, count)
             print(f"{colour}: {count} steps", flush=True)
             path.append((colour, "simplex", count, *_numbers(log[0]), 1.0))
             if count == steps[-1]:
@@ -39,8 +39,10 @@ def main(key, quick=False, out=RESULTS):
             values = {**least.values, "rms": float(least.rms.mean())}
             path.append((colour, "least squares", count, *_numbers(values), values["exposure"]))
         fits = {name: simplex(*known, min(count, steps[-1]))[0] for name, count in SHOWN.items()}
-        for name, fit in {**fits, "least squares": found.fit}.items():
-            both, off, rms = _compared(found, fit)
+        # The simplex holds the exposure as stated.
+        shown = {name: found._replace(fit=f, exposure=np.ones(3)) for name, f in fits.items()}
+        for name, at in {**shown, "least squares": found}.items():
+            both, off, rms = _compared(at)
             row += both if not row else both[1:]
             differences += [(colour, name, step, *share, *rms) for step, share in off]
         pictures.append(np.concatenate(row, 1))
@@ -57,11 +59,11 @@ def _numbers(values: dict[str, float]):
     return (*(values[n] for n in CONCENTRATIONS), values["rms"])
 
 
-def _compared(found: Clone, fit: Fit):
+def _compared(found: Clone):
     """Photograph and rendering, reduced; shares of the pixels that differ by at most so many of 255
     steps; RMS per channel.
     """
-    both = compare(found._replace(fit=fit), 2)
+    both = compare(found, 2)
     off = 255 * np.abs(both.photograph - both.rendered)[both.clear]
     shares = [
         (step, [float((off[:, k] <= step).mean()) for k in range(3)]) for step in range(0, 121, 2)
