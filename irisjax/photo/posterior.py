@@ -6,6 +6,7 @@ jumps, as it does for spectra; the chain goes on until it is long enough.
 
 import math
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from typing import Any, NamedTuple
 
 import emcee
@@ -31,7 +32,7 @@ from irisjax.tissue.iris import Iris
 
 WALKERS = 48
 _BLOCK = 150  # steps between looks at the chain
-_ROWS = WALKERS // 2  # log probabilities computed at a time: what a step of emcee asks for
+_ROWS = WALKERS // 4  # log probabilities computed at a time: half of what a step of emcee asks for
 
 
 class Estimate(NamedTuple):
@@ -82,19 +83,20 @@ def sample(
         seed: Of all random numbers.
     """
     held = _density.bound((windows, base))
-
-    def density(x):
-        x = np.asarray(x, np.float64)
-        padded = np.pad(x, ((0, -len(x) % _ROWS), (0, 0)), mode="edge")
-        rows = padded.reshape(-1, _ROWS, x.shape[1])
-        return np.concatenate([np.asarray(held(jnp.asarray(r))) for r in rows])[: len(x)]
-
     random = np.random.RandomState(seed)
     slope = np.asarray(jax.jacfwd(_totals)(jnp.asarray(best.z)))
     covariance = slope @ best.covariance @ slope.T + 1e-9 * np.eye(len(best.z))
     middle = np.asarray(_totals(jnp.asarray(best.z)))
-    first = importance_sample(density, middle, covariance, random)
-    chains = _chains(density, first, random, max_steps, progress)
+    with ThreadPoolExecutor(2) as pool:  # one program is too small for two cores
+
+        def density(x):
+            x = np.asarray(x, np.float64)
+            padded = np.pad(x, ((0, -len(x) % _ROWS), (0, 0)), mode="edge")
+            rows = padded.reshape(-1, _ROWS, x.shape[1])
+            return np.concatenate(list(pool.map(lambda r: np.asarray(held(r)), rows)))[: len(x)]
+
+        first = importance_sample(density, middle, covariance, random)
+        chains = _chains(density, first, random, max_steps, progress)
     z = np.asarray(_parts(jnp.asarray(chains.z.reshape(-1, len(NAMES)))))
     drawn_values = jax.vmap(values_of)(jnp.asarray(z))
     values = {name: np.asarray(drawn_values[name]) for name in NAMES}
