@@ -13,7 +13,7 @@ import numpy as np
 from tqdm import tqdm
 
 import irisjax as ij
-from experiments.common import RESULTS, start, write
+from experiments.common import RESULTS, start, uniform_ranks, write
 from irisjax.infer.fit import fit
 from irisjax.infer.observation import with_values
 from irisjax.infer.posterior import sample
@@ -48,8 +48,6 @@ def main(key, quick=False, out=RESULTS, eyes=None, walkers=64):
 
 def calibrate(problem, about, end, key, count, out=RESULTS, walkers=64):
     """Write the two tables of a problem."""
-    from scipy import stats
-
     simulate = jax.jit(lambda z, k: problem.simulate(z, k)[0])
     rows, ranks, inside = [], [], []
     with tempfile.TemporaryDirectory() as folder:
@@ -77,17 +75,8 @@ def calibrate(problem, about, end, key, count, out=RESULTS, walkers=64):
     ranks, covered = np.array(ranks), np.array(inside).mean(axis=0)
     summary = []
     for i, name in enumerate(problem.free):
-        counts = np.bincount(ranks[:, i] // 8, minlength=8)
-        ks = stats.kstest((ranks[:, i] + 0.5) / (DRAWS + 1), "uniform").pvalue
-        summary.append(
-            (
-                name,
-                count,
-                float(stats.chisquare(counts).pvalue),
-                float(ks),
-                *(float(c) for c in covered[:, i]),
-            )
-        )
+        tests = uniform_ranks(ranks[:, i], DRAWS)
+        summary.append((name, count, *tests, *(float(c) for c in covered[:, i])))
     header = (
         f"{count} simulated eyes from the default priors, 31 wavelengths, noise 2 % + 2e-4, "
         f"seed {jax.random.key_data(key)[-1]}",

@@ -17,7 +17,7 @@ import numpy as np
 from scipy import stats
 from tqdm import tqdm
 
-from experiments.common import RESULTS, write
+from experiments.common import RESULTS, uniform_ranks, write
 from experiments.simulated_eyes import DISTANCE, SIZE, WIDTH, Truth, photographed, tables_of
 from irisjax.photo.boundaries import MIN_CONFIDENCE
 from irisjax.photo.clone import Given, Settings, clone
@@ -188,9 +188,7 @@ def _summarise(path: Path, about: tuple[str, ...], posteriors: list, pictures: l
             inside = int(((low < truth) & (truth < high)).sum())
             interval = stats.binomtest(inside, len(mine)).proportion_ci(method="exact")
             line += [inside / len(mine), float(interval.low), float(interval.high)]
-        bins = np.bincount((rank // 8).astype(int), minlength=8)
-        uniform = stats.kstest((rank + 0.5) / (DRAWS + 1), "uniform")
-        line += [float(stats.chisquare(bins).pvalue), float(uniform.pvalue)]
+        line += uniform_ranks(rank, DRAWS)
         line += [float(np.mean(z)), float(np.std(z)), float(np.median(told))]
         summary.append(line)
     write(path, (*about, ", ".join(f"{n} {k}" for k, n in counts.items())), SUMMARY, summary)

@@ -6,6 +6,8 @@ from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 
 import jax
+import numpy as np
+from scipy import stats
 
 RESULTS = Path(__file__).parent / "results"
 
@@ -31,6 +33,13 @@ def write(
     if not quiet:
         print(f"wrote {path}")
     return path
+
+
+def uniform_ranks(ranks: np.ndarray, draws: int) -> tuple[float, float]:
+    """p-values of ranks from 0 to `draws` being uniform: chi-square in 8 bins, Kolmogorov."""
+    counts = np.bincount(ranks.astype(int) * 8 // (draws + 1), minlength=8)
+    kolmogorov = stats.kstest((ranks + 0.5) / (draws + 1), "uniform")
+    return float(stats.chisquare(counts).pvalue), float(kolmogorov.pvalue)
 
 
 def start(main: Callable, doc: str | None, out: Path = RESULTS) -> None:

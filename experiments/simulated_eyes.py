@@ -2,7 +2,6 @@
 renderer: what experiments on clones begin with.
 """
 
-import math
 import tempfile
 from collections.abc import Callable
 from functools import cache
@@ -14,17 +13,16 @@ import jax.numpy as jnp
 import numpy as np
 from PIL import Image
 
-from experiments.simulated_photographs import FULL, READ
+from experiments.simulated_photographs import outline, sensed
 from irisjax.anatomy.eye import Eye
 from irisjax.grow.procedural import procedural
 from irisjax.io.photographs import read_photograph
 from irisjax.measure.colour import srgb_encode
+from irisjax.photo.average import average_thickness
 from irisjax.photo.clone import FIBRILS
 from irisjax.photo.ellipse import Ellipse
 from irisjax.photo.photograph import Photograph
 from irisjax.photo.pigments import NAMES, PRIORS, iris_of
-from irisjax.photo.pose import iris_points, shown
-from irisjax.photo.thickness import generic_thickness
 from irisjax.render.camera import Camera
 from irisjax.render.environment import Environment
 from irisjax.render.illumination import Illumination
@@ -69,14 +67,13 @@ def photographed(
         light = np.maximum(np.asarray(Memory().render(scene, tables(scene)), np.float64), 0)
         gains = np.array([values["red_gain"], 1.0, values["blue_gain"]])
         linear = values["exposure"] * gains * light ** values["contrast"]
-        electrons = random.poisson(np.minimum(linear, 2) * FULL)
-        sensed = (electrons + random.normal(0, READ, light.shape)) / FULL
-        encoded = np.asarray(srgb_encode(jnp.asarray(np.clip(sensed, 0, 1))))
+        encoded = srgb_encode(jnp.asarray(np.clip(sensed(linear, random), 0, 1)))
         with tempfile.TemporaryDirectory() as folder:
             path = Path(folder) / "eye.png"
-            Image.fromarray(np.round(255 * encoded).astype(np.uint8)).save(path)
+            Image.fromarray(np.round(255 * np.asarray(encoded)).astype(np.uint8)).save(path)
             photograph = read_photograph(path)
-        limbus, pupil = _outlines(scene)
+        limbus, _ = outline(scene, float(scene.eye.limbus_radius), pupil=False)
+        pupil, _ = outline(scene, float(scene.eye.pupil_radius), pupil=True)
         row, column = np.ogrid[:SIZE, :SIZE]
         white = photograph.pixels[limbus.relative_radius(column, row) > 1.15].max(-1)
         if WHITE[0] < np.quantile(white, 0.9) < WHITE[1]:
@@ -97,10 +94,7 @@ def _built() -> Illumination:
 def _scene(values: dict[str, float], random: np.random.Generator) -> Scene:
     """An iris of these values, its structure, lamp and camera drawn."""
     eye = Eye(pupil_radius=jnp.asarray(random.uniform(*PUPIL)))
-    # Means over the area of an average iris, and people's spread about it.
-    place = np.linspace(float(eye.pupil_radius), float(eye.iris_radius), 200)
-    height = np.average(generic_thickness(place), weights=place)
-    height *= np.exp(PEOPLE * random.standard_normal())
+    height = average_thickness(eye) * np.exp(PEOPLE * random.standard_normal())
     base = Iris(fibril_radius=jnp.asarray(FIBRILS), stroma_thickness=jnp.asarray(height))
     maps = procedural(base, eye, key=jax.random.key(int(random.integers(2**31))))
     iris = iris_of({n: jnp.asarray(v) for n, v in values.items()}, base)
@@ -113,27 +107,3 @@ def _scene(values: dict[str, float], random: np.random.Generator) -> Scene:
     camera = Camera(*numbers, size=(SIZE, SIZE))
     lights = Lights.distant(lamp, sides[1], radius=LAMP_RADIUS)
     return Scene(iris, maps, eye, lights, Environment.uniform(values["room"]), camera)
-
-
-def _outlines(scene: Scene) -> tuple[Ellipse, Ellipse]:
-    """Of limbus and pupil, px."""
-    eye, turn = scene.eye, np.linspace(0, 2 * np.pi, 64, endpoint=False)
-    assert eye.cornea is not None
-    x, y = (float(eye.limbus_radius) * f(turn) for f in (np.cos, np.sin))
-    depth = eye.cornea.anterior.apex + eye.cornea.anterior.sagitta(eye.limbus_radius)
-    rim = jnp.asarray(np.stack([x, y, np.full_like(x, float(depth))], -1))
-    limbus = scene.camera.pixel(rim, eye)
-    x, y = (float(eye.pupil_radius) * f(turn) for f in (np.cos, np.sin))
-    # In a grid of the shape for which the pipeline has compiled this already.
-    hole = shown(eye, scene.camera, np.repeat(iris_points(eye, x, y)[:, None], 33, 1))
-    return _ellipse(turn, *limbus), _ellipse(turn, hole.column[:, 0], hole.row[:, 0])
-
-
-def _ellipse(turn: np.ndarray, column, row) -> Ellipse:
-    """The ellipse of a circle's picture: its points by their angles."""
-    waves = np.stack([np.ones_like(turn), np.cos(turn), np.sin(turn)], -1)
-    found = np.linalg.lstsq(waves, np.stack([column, row], -1), rcond=None)[0]
-    along, axes, _ = np.linalg.svd(found[1:].T)
-    angle = math.atan2(-along[1, 0], along[0, 0])  # rows run down
-    middle = float(found[0, 0]), float(found[0, 1])
-    return Ellipse(middle, (float(axes[0]), float(axes[1])), angle)

@@ -21,6 +21,7 @@ from irisjax.anatomy.eye import Eye, Sclera
 from irisjax.grow.presets import preset
 from irisjax.io import write_exr, write_maps
 from irisjax.measure.colour import srgb_encode
+from irisjax.photo.ellipse import Ellipse
 from irisjax.render.albedo import Matt
 from irisjax.render.bands import all_bands, colour_bands
 from irisjax.render.camera import Camera
@@ -109,7 +110,7 @@ def main(key, quick=False, out=FOLDER):
             (out / f"{name}.toml").write_text(text, encoding="utf-8")
         gains = GAINS.get(colour, (1.0, 1.0, 1.0))
         light = light * factor * np.asarray(gains)
-        _save(out / file, _noisy(light, number) if dirty else light, size)
+        _save(out / file, sensed(light, np.random.default_rng(number)) if dirty else light, size)
         of_file = {"file": file, "scene": f"{name}.toml", "dirty": dirty}
         camera = {"exposure": factor, "gains": list(gains)}
         truths.append(of_file | camera | _truth(scene, colour, albedo))
@@ -161,9 +162,9 @@ def _white(eye: Eye) -> np.ndarray:
     return np.asarray(table(jnp.zeros(1)))[0]
 
 
-def _outline(scene: Scene, radius: float, pupil: bool) -> dict:
-    """Ellipse (px) of a circle round the eye's axis: the pupil's edge through the cornea, or the
-    limbus.
+def outline(scene: Scene, radius: float, pupil: bool) -> tuple[Ellipse, float]:
+    """Ellipse of a circle round the eye's axis in a picture, of the pupil through the cornea
+    or of the limbus; and how far the outline is from it at most, px.
     """
     eye, angle = scene.eye, jnp.linspace(0, 2 * jnp.pi, 180, endpoint=False)
     assert eye.cornea is not None
@@ -184,29 +185,22 @@ def _outline(scene: Scene, radius: float, pupil: bool) -> dict:
     (x, y), (a, b), turn = model.center, model.axis_lengths, model.theta
     if a < b:
         a, b, turn = b, a, turn + math.pi / 2
-    turn = -turn  # rows run down
-    return {
-        "centre_px": [float(x), float(y)],
-        "semi_axes_px": [float(a), float(b)],
-        "angle": float((turn + math.pi / 2) % math.pi - math.pi / 2),
-        "residual_px": float(np.abs(model.residuals(points)).max()),
-    }
+    turn = float((math.pi / 2 - turn) % math.pi - math.pi / 2)  # rows run down
+    off = float(np.abs(model.residuals(points)).max())
+    return Ellipse((float(x), float(y)), (float(a), float(b)), turn), off
 
 
-def _noisy(linear: np.ndarray, seed: int) -> np.ndarray:
-    """With the noise of photons and of reading, and what the sensor cannot hold cut off."""
-    random = np.random.default_rng(seed)
-    electrons = random.poisson(np.clip(linear, 0, 1.2) * FULL) + random.normal(
-        0, READ, linear.shape
-    )
-    return electrons / FULL
+def sensed(linear: np.ndarray, random: np.random.Generator) -> np.ndarray:
+    """With the noise of photons and of reading; what the sensor cannot hold is cut off."""
+    electrons = random.poisson(np.clip(linear, 0, 1.2) * FULL)
+    return (electrons + random.normal(0, READ, linear.shape)) / FULL
 
 
 def _exposure(linear: np.ndarray, scene: Scene) -> float:
     """What brings the bright part of the white, and hardly any of it, to `WHITE`."""
-    limbus = _outline(scene, float(scene.eye.limbus_radius), False)
+    limbus, _ = outline(scene, float(scene.eye.limbus_radius), False)
     rows, columns = np.indices(linear.shape[:2])
-    (x, y), a = limbus["centre_px"], limbus["semi_axes_px"][0]
+    (x, y), (a, _) = limbus.centre, limbus.semi_axes
     white = linear[np.hypot(columns - x, rows - y) > 1.03 * a].max(-1)
     return float(WHITE / np.quantile(white, 0.9))
 
@@ -266,8 +260,17 @@ def _truth(scene: Scene, colour: str, albedo: np.ndarray) -> dict:
         },
         "lamp": LAMP,
         "room_radiance": ROOM,
-        "limbus": _outline(scene, float(eye.limbus_radius), False),
-        "pupil": _outline(scene, float(eye.pupil_radius), True),
+        "limbus": _in_file(*outline(scene, float(eye.limbus_radius), False)),
+        "pupil": _in_file(*outline(scene, float(eye.pupil_radius), True)),
+    }
+
+
+def _in_file(ellipse: Ellipse, off: float) -> dict:
+    return {
+        "centre_px": list(ellipse.centre),
+        "semi_axes_px": list(ellipse.semi_axes),
+        "angle": ellipse.angle,
+        "residual_px": off,
     }
 
 

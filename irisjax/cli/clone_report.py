@@ -41,7 +41,7 @@ def report(found: Clone, cross_polarised: bool, folder: Path) -> bool:
         say("no highlight on the cornea: light from all round is assumed")
     if found.posterior is not None:
         print(_table(found.posterior))
-        print("the intervals allow for an iris that is not as thick as the average")
+        print("the intervals allow for a thickness and shading unlike the model's")
         if not found.posterior.chains.converged:
             sure = False
             say(f"WARNING: {found.posterior.chains.reason}; raise --max-steps")

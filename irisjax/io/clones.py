@@ -142,17 +142,12 @@ def summary_of(clone: Clone, settings: Mapping[str, Any], timings: Mapping[str, 
                 "converged": chains.converged,
                 "reason": chains.reason,
                 "steps": chains.steps,
-                "autocorrelation_steps": _finite(np.max(chains.tau)),
-                "r_hat": _finite(np.max(chains.rhat)),
-                "effective_samples": _finite(effective),
+                "autocorrelation_steps": float(np.max(chains.tau)),
+                "r_hat": float(np.max(chains.rhat)),
+                "effective_samples": effective,
             },
         }
     return found | {"seconds": dict(timings)}
-
-
-def _finite(value) -> float | None:
-    """Of chains that are too short some numbers are not known."""
-    return float(value) if np.isfinite(value) else None
 
 
 def scene_text(clone: Clone, maps: str = "maps.exr") -> str:

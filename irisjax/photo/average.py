@@ -19,11 +19,16 @@ TURNS = 16
 _SEED = 5
 
 
+def average_thickness(eye: Eye) -> float:
+    """Mean of the generic thickness over the area of an eye's iris, mm."""
+    radius = np.linspace(float(eye.pupil_radius), float(eye.iris_radius), 200)
+    return float(np.average(generic_thickness(radius), weights=radius))
+
+
 def average_maps(eye: Eye) -> IrisMaps:
     """Thickness of ultrasound's average, and the fibres, crypts and relief of `procedural`: shade
     and uneven thickness make an iris darker than a smooth one, by 6 % near the limbus to 15 % near
     the pupil.
     """
-    radius = np.linspace(float(eye.pupil_radius), float(eye.iris_radius), 200)
-    mean = np.average(generic_thickness(radius), weights=radius)
-    return procedural(Iris(stroma_thickness=jnp.asarray(mean)), eye, key=jax.random.key(_SEED))
+    iris = Iris(stroma_thickness=jnp.asarray(average_thickness(eye)))
+    return procedural(iris, eye, key=jax.random.key(_SEED))

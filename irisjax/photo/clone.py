@@ -49,7 +49,7 @@ MOST_OFF = 0.015
 """Of the limbus's radius, by which textures of a second photograph may be off: other eyes, which
 the registration forces onto the first, are off by 0.02 to 0.03.
 """
-ANGLES = 12
+SOLVER_ANGLES = 12
 """Of ILIT's solver where pigments are sought: radiances are within 5e-5 of those of a picture."""
 FIBRILS = 57.0
 """Radius of the stroma's fibrils (nm) that colours begin with: between those of the presets'
@@ -212,10 +212,11 @@ def _with_pigments(
     clear = needed(found.clear) & iris_alone(pose) & ~_freckled(found)
     chosen = choose_pixels(part, clear, view, pose.eye, light.environment)
     found = _fitted(found, chosen, settings.method, given.maps)
-    if settings.beta is None and given.maps is None:
-        found = _with_finer_thickness(found, settings)
-    base, fit = needed(found.base), needed(found.fit)
-    windows = _windows(found, chosen, base, needed(found.morphology).maps)
+    base, fit, windows = needed(found.base), needed(found.fit), needed(found.windows)
+    if given.maps is None:
+        if settings.beta is None:
+            found = _with_finer_thickness(found, settings)
+        windows = _windows(found, chosen, base, needed(found.morphology).maps)
     return found._replace(exposure=exposures_for(fit, windows, base))
 
 
@@ -262,7 +263,7 @@ def _windows(
     """Windows of some maps in the found light."""
     light, integrator = needed(found.lighting), cast(Any, found.integrator)
     if isinstance(integrator, Separable):
-        integrator = dataclasses.replace(integrator, solver=IlitExact(ANGLES))
+        integrator = dataclasses.replace(integrator, solver=IlitExact(SOLVER_ANGLES))
     maps = maps.replace(freckles=None)
     known = light.lights(), integrator, found.tables, light.room, turns
     return windows_of(chosen, needed(found.pose).eye, base, maps, *known)

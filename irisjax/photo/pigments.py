@@ -125,8 +125,14 @@ def _taken(values, radiance):
     least = 1e-4
     held = jnp.maximum(radiance, least)
     powered = held ** values["contrast"] + (radiance - held)
-    gains = jnp.stack([values["red_gain"], jnp.ones_like(values["red_gain"]), values["blue_gain"]])
-    return values["exposure"] * gains * powered
+    return _exposures(values) * powered
+
+
+def _exposures(values):
+    """Of the three channels."""
+    return values["exposure"] * jnp.stack(
+        [values["red_gain"], jnp.ones_like(values["red_gain"]), values["blue_gain"]]
+    )
 
 
 def _off(values, windows: Windows, base: Iris):
@@ -212,14 +218,14 @@ def exposures_for(fit: Fit, windows: Windows, base: Iris) -> Float[np.ndarray, "
     """Exposures of the channels with which the model's windows are on average as bright as the
     photograph's, for windows of other maps than those of the fit.
     """
-    values = fit.values
-    found = np.array([values["red_gain"], 1.0, values["blue_gain"]]) * values["exposure"]
-    return found * np.exp(np.asarray(_mean_off(jnp.asarray(fit.z), windows, base)))
+    return np.asarray(_matched(jnp.asarray(fit.z), windows, base))
 
 
 @program
-def _mean_off(z, windows, base):
-    return _off(values_of(z), windows, base)[0].mean(0, where=windows.present[:, None])
+def _matched(z, windows, base):
+    values = values_of(z)
+    off, _ = _off(values, windows, base)
+    return _exposures(values) * jnp.exp(off.mean(0, where=windows.present[:, None]))
 
 
 def simplex(windows: Windows, base: Iris, steps: int = 50) -> tuple[Fit, list[dict[str, float]]]:

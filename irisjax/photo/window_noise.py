@@ -8,7 +8,7 @@ alike. How the windows of a ring scatter is told by the photograph itself, and n
 pigments: irides hold more than pigments and thickness.
 """
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -68,12 +68,12 @@ def log_likelihood(off: WindowColours, response: WindowColours, present) -> Scal
         response: Derivatives of the model's by that of thickness; its means in rings count.
         present: Windows that count, (windows,).
     """
-    number, means, apart = _in_rings(off, present)
-    scatter, free = _scatter(apart, number)
-    within = 0.5 * (free * jnp.linalg.slogdet(scatter)[1]).sum()
-    factor = jnp.linalg.cholesky(covariances(off, response, present).between)
+    number, means, _ = _in_rings(off, present)
+    held = covariances(off, response, present)
+    within = (_free(number) * jnp.linalg.slogdet(held.within)[1]).sum()
+    factor = jnp.linalg.cholesky(held.between)
     row = jax.scipy.linalg.solve_triangular(factor, means.ravel(), lower=True)
-    return -within - 0.5 * (row**2).sum() - jnp.log(jnp.diagonal(factor)).sum()
+    return -0.5 * (within + (row**2).sum()) - jnp.log(jnp.diagonal(factor)).sum()
 
 
 def whitened(off: WindowColours, present, held: Covariances) -> Float[Array, " values"]:
@@ -89,9 +89,10 @@ def covariances(off: WindowColours, response: WindowColours, present) -> Covaria
     """The likeliest within rings, and that of their means; rings without windows stand apart with a
     variance of 1.
     """
-    number, along, _ = _in_rings(response, present)
-    scatter, free = _scatter(_in_rings(off, present)[2], number)
-    within = scatter / free[:, None, None]
+    number, _, apart = _in_rings(off, present)
+    along = _in_rings(response, present)[1]
+    scatter = FREEDOM * jnp.asarray(USUAL) + jnp.einsum("rni,rnj->rij", apart, apart)
+    within = scatter / _free(number)[:, None, None]
 
     def of(level: Spreads):
         squares = level.thickness**2 * along[:, None, :, None] * along[None, :, None, :]
@@ -105,10 +106,9 @@ def covariances(off: WindowColours, response: WindowColours, present) -> Covaria
     return Covariances(within, between.transpose(0, 2, 1, 3).reshape(3 * RINGS, 3 * RINGS))
 
 
-def _scatter(apart, number) -> tuple[Any, Any]:
-    """Sums of squares and products of each ring with the usual ones, and what they count for."""
-    scatter = FREEDOM * jnp.asarray(USUAL) + jnp.einsum("rni,rnj->rij", apart, apart)
-    return scatter, FREEDOM + jnp.maximum(number - 1, 0)
+def _free(number):
+    """What windows of rings, and the usual ones, count for where they scatter about their mean."""
+    return FREEDOM + jnp.maximum(number - 1, 0)
 
 
 def _in_rings(values, present):

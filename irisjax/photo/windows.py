@@ -5,6 +5,7 @@ thickness map make of them is worked out once, and a change of pigments costs a 
 matrix.
 """
 
+import dataclasses
 from typing import Any
 
 import equinox as eqx
@@ -27,7 +28,7 @@ from irisjax.render.lights import Lights
 from irisjax.render.radiative import RadiativeIntegrator
 from irisjax.render.scene import ENVIRONMENT_LIGHTS
 from irisjax.render.separable import Separable
-from irisjax.render.shading import illuminate, ranges_of
+from irisjax.render.shading import ranges_of
 from irisjax.tissue.iris import Iris
 from irisjax.tissue.maps import IrisMaps, Scales
 
@@ -118,8 +119,12 @@ def windows_of(
     made = integrator.prepare(iris, eye.aqueous_index, bands, ranges)
     known = eye, iris, maps, tables, ranges, bands, made
 
+    # Neighbours in a window have different turns.
+    turn = 2 * np.pi / turns * (np.arange(len(chosen.window)) % turns)
+    seen = dataclasses.replace(chosen.seen, turn=jnp.asarray(turn))
+
     def of(lamps: Lights):
-        return _matrix(chosen.seen, jnp.asarray(chosen.window), lamps, *known, turns)
+        return _matrix(seen, jnp.asarray(chosen.window), lamps, *known)
 
     around = Environment.uniform().to_lights(ENVIRONMENT_LIGHTS) if room else None
     return Windows(
@@ -137,45 +142,31 @@ def windows_of(
 
 
 @program
-def _matrix(seen, window, lights, eye, iris, maps, tables, ranges, bands, integrator, turns: int):
+def _matrix(seen, window, lights, eye, iris, maps, tables, ranges, bands, integrator):
     response = integrator.response(iris, eye.aqueous_index, bands, ranges)
     one = response.coefficients[..., :1]
     share = jnp.maximum(jnp.zeros(COUNT).at[window].add(1.0, mode="drop"), 1.0)
-    field = illuminate(lights, eye, iris, tables)
 
-    def once(name, make, *given):
-        return field if name == "field" else make(*given)
+    def placed(log_scale):
+        thicker = maps.replace(stroma_depth=maps.stroma_depth * jnp.exp(log_scale))
+        places = integrator.place(seen, lights, eye, iris, thicker, tables, ranges)
+        return eqx.partition(places, eqx.is_inexact_array)
 
-    def turned(part):
-        turn, seen, window = part
-        around = jax.tree.map(lambda m: jnp.roll(m, turn * (m.shape[0] // turns), 0), maps)
+    none = jnp.zeros((), one.dtype)
+    numbers, moved, rest = jax.jvp(placed, (none,), (jnp.ones_like(none),), has_aux=True)
 
-        def placed(log_scale):
-            thicker = around.replace(stroma_depth=around.stroma_depth * jnp.exp(log_scale))
-            places = integrator.place(seen, lights, eye, iris, thicker, tables, ranges, once)
-            return eqx.partition(places, eqx.is_inexact_array)
+    def means(numbers, coefficients):
+        held = eqx.tree_at(lambda r: r.coefficients, response, coefficients.reshape(one.shape))
+        shaded = held.shade(*eqx.combine(numbers, rest))
+        added = jnp.zeros((COUNT, shaded.shape[0])).at[window].add(shaded.T, mode="drop")
+        return added / share[:, None]
 
-        none = jnp.zeros((), one.dtype)
-        numbers, moved, rest = jax.jvp(placed, (none,), (jnp.ones_like(none),), has_aux=True)
+    flat = jnp.zeros(one.size, one.dtype)
 
-        def sums(numbers, coefficients):
-            held = eqx.tree_at(lambda r: r.coefficients, response, coefficients.reshape(one.shape))
-            shaded = held.shade(*eqx.combine(numbers, rest))
-            return jnp.zeros((COUNT, shaded.shape[0])).at[window].add(shaded.T, mode="drop")
+    def column(direction):
+        def linear(numbers):
+            return jax.jvp(lambda c: means(numbers, c), (flat,), (direction,))[1]
 
-        flat = jnp.zeros(one.size, one.dtype)
+        return jnp.stack(jax.jvp(linear, (numbers,), (moved,)))
 
-        def column(direction):
-            def linear(numbers):
-                return jax.jvp(lambda c: sums(numbers, c), (flat,), (direction,))[1]
-
-            return jnp.stack(jax.jvp(linear, (numbers,), (moved,)))
-
-        return jax.lax.map(column, jnp.eye(one.size))
-
-    def shared_out(leaf):  # neighbours in a window have different turns
-        return jnp.moveaxis(leaf.reshape(*leaf.shape[:-1], -1, turns), -1, 0)
-
-    parts = jax.tree.map(shared_out, (seen, window))
-    found = jax.lax.map(turned, (jnp.arange(turns), *parts)).sum(0)
-    return (found / share[:, None]).transpose(1, 2, 3, 0)
+    return jax.lax.map(column, jnp.eye(one.size)).transpose(1, 2, 3, 0)

@@ -45,6 +45,7 @@ class IrisPixels(eqx.Module):
     - `point`: on the iris, mm; `direction`: of the line of sight in the chamber, into the eye.
     - `cosine`: of the exit angle to the flat iris; `share`: transmitted on the way out, over n² of
         the chamber, times the blend at the limbus; 0 where the iris is not seen.
+    - `turn`: by which each pixel sees the maps turned, radians; `None` where they stand still.
     """
 
     index: Int[Array, " pixels"] | None
@@ -52,6 +53,7 @@ class IrisPixels(eqx.Module):
     direction: Parts
     cosine: Float[Array, " pixels"]
     share: Float[Array, " pixels"]
+    turn: Float[Array, " pixels"] | None = None
 
 
 class ScleraPixels(eqx.Module):

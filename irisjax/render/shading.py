@@ -123,7 +123,7 @@ def scales_at(
 
 def place_of(pixels: IrisPixels, eye: Eye, once: Once = simply) -> Place:
     """Where the pixels lie in the maps."""
-    return once("place", _polar, pixels.point, eye)
+    return once("place", _polar, (pixels.point, pixels.turn), eye)
 
 
 def relief_at(pixels: IrisPixels, eye: Eye, maps: IrisMaps | None, once: Once = simply):
@@ -189,9 +189,11 @@ def irradiance_at(
 
 
 @pixelwise
-def _polar(point: Parts, eye: Eye) -> Place:
-    """Angle (radians) and relative radius of points of the iris."""
-    return IrisSurface(eye).place(joined(point))
+def _polar(seen: tuple[Parts, Float[Array, " pixels"] | None], eye: Eye) -> Place:
+    """Angle (radians) and relative radius of points of the iris in maps that stand turned."""
+    point, turn = seen
+    angle, radius = IrisSurface(eye).place(joined(point))
+    return angle if turn is None else angle + turn, radius
 
 
 def normals(
