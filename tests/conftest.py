@@ -72,7 +72,7 @@ def _mappings():
 
 
 # Floors whose programs promote neither dtypes nor ranks but by hand; the upper ones follow.
-_STRICT = {"numerics", "optics", "tissue", "transport"}
+_STRICT = {"numerics", "optics", "tissue", "transport", "ocularist"}
 # Cells of a BRDF are counted in integers over a real solid angle; a path serves all wavelengths.
 _LAX = {"test_montecarlo.py", "test_polarised_montecarlo.py", "test_weighted_derivatives.py"}
 

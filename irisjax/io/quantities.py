@@ -5,6 +5,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from irisjax.optics.kubelka_munk import thick_layer
+
 REFLECTANCE, RADIANCE, ABSORBANCE, KUBELKA_MUNK = (
     "reflectance",
     "radiance",
@@ -96,9 +98,8 @@ def as_reflectance(y: np.ndarray, sd, quantity: str) -> tuple[np.ndarray, np.nda
             found = 10.0**-y
         slope = np.log(10) * found
     else:
+        found = thick_layer(y, 1.0, xp=np)
         root = np.sqrt(np.maximum(y * (y + 2), 0))
-        # 1 + y − root without cancellation.
-        found = 1 / (1 + y + root)
         slope = found / np.where(root > 0, root, np.inf)
     return found, None if sd is None else slope * sd
 

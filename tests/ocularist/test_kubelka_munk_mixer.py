@@ -1,0 +1,262 @@
+"""Mixtures by absorption and scattering, the paints that come with it, and users' files."""
+
+import colorsys
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from irisjax.io.paints import read_paints
+from irisjax.measure.colour import XYZ_TO_SRGB, colour_of, srgb_encode
+from irisjax.ocularist.kubelka_munk import SCATTERING, KubelkaMunkMixer, constructed
+from irisjax.ocularist.mixing import HslMixer
+from irisjax.ocularist.palette import FURTHER_PAINTS, PAINTS, Palette, linear_colour
+from irisjax.ocularist.reflectance import smoothest_reflectance
+
+EVERY = {name: paint.srgb for name, paint in {**PAINTS, **FURTHER_PAINTS}.items()}
+
+
+def hue(linear):
+    """Degrees."""
+    return 360 * colorsys.rgb_to_hls(*np.asarray(srgb_encode(linear)))[0]
+
+
+def luminance(linear):
+    return float(np.linalg.inv(XYZ_TO_SRGB)[1] @ np.asarray(linear))
+
+
+def test_masstones_have_the_palettes_colours(bits):
+    mixer, palette = KubelkaMunkMixer.default(), Palette.of(EVERY)
+    assert mixer.names == palette.names
+    found = mixer.mix(mixer.names, mixer.names, 0.3)
+    np.testing.assert_allclose(found, palette.colours, atol=2e-5)
+
+
+def test_the_table_is_what_the_construction_gives():
+    """To its six digits; see `experiments.paint_table`."""
+    mixer = KubelkaMunkMixer.default()
+    for i, (name, srgb) in enumerate(EVERY.items()):
+        assert float(jnp.ptp(mixer.scattering[i])) == 0
+        assert float(mixer.scattering[i, 0]) == SCATTERING[name]
+        k = constructed(linear_colour(name, srgb), mixer.wavelengths, SCATTERING[name])
+        np.testing.assert_allclose(mixer.absorption[i], k, rtol=1e-5)
+
+
+def test_the_bands_are_narrow_enough():
+    """K and S read off a grid four times as fine change no mixture by a step of 8 bits."""
+    coarse = KubelkaMunkMixer.default()
+    x = np.arange(400.0, 700.1, 2.5)
+    fine = KubelkaMunkMixer(
+        coarse.paints,
+        tuple(x.tolist()),
+        *(jnp.asarray([np.interp(x, coarse.wavelengths, row) for row in table])
+          for table in (coarse.absorption, coarse.scattering)),
+    )  # fmt: skip
+    for first, second in (("ultramarine", "cadmium yellow"), ("cadmium red", "titanium white")):
+        steps = [255 * srgb_encode(m.mix(first, second, 0.5)) for m in (coarse, fine)]
+        np.testing.assert_allclose(*steps, atol=1.0)
+
+
+@pytest.mark.parametrize("blue", ["ultramarine", "phthalo blue"])
+def test_a_blue_and_a_yellow_make_a_green(blue):
+    """Darker than both the average of the light and the mixture in HSL."""
+    mixed = KubelkaMunkMixer.default().mix(blue, "cadmium yellow", 0.5)
+    assert 80 < hue(mixed) < 170
+    palette = Palette.of(EVERY)
+    average = (palette.colour(blue) + palette.colour("cadmium yellow")) / 2
+    assert not 80 < hue(average) < 170
+    assert luminance(mixed) < luminance(average)
+    assert luminance(mixed) < luminance(HslMixer(palette).mix(blue, "cadmium yellow", 0.5))
+
+
+def test_ultramarine_and_yellow_in_hsl_make_a_pink():
+    assert 300 < hue(HslMixer().mix("ultramarine", "cadmium yellow", 0.5)) < 345
+
+
+def test_ultramarine_and_burnt_sienna_make_a_neutral_dark():
+    """What painters use for a black."""
+    mixed = KubelkaMunkMixer.default().mix("ultramarine", "burnt sienna", 0.5)
+    encoded = np.asarray(srgb_encode(mixed))
+    assert np.ptp(encoded) < 0.06 and encoded.max() < 0.3
+
+
+def test_a_mixture_by_hand():
+    """K and S of two grey paints add: (0.2, 1) and (1, 0.5) at a quarter make 0.4 and 0.875."""
+    x = np.arange(400.0, 701.0, 20.0)
+    k, s = (np.outer(column, np.ones(x.size)) for column in ([0.2, 1.0], [1.0, 0.5]))
+    mixer = KubelkaMunkMixer(("light", "dark"), tuple(x.tolist()), jnp.asarray(k), jnp.asarray(s))
+    q = 0.4 / 0.875
+    by_hand = 1 + q - np.sqrt(q * q + 2 * q)
+    np.testing.assert_allclose(mixer.mix("light", "dark", 0.25), np.full(3, by_hand), atol=1e-4)
+    under = KubelkaMunkMixer(
+        *(getattr(mixer, f) for f in ("paints", "wavelengths", "absorption", "scattering")),
+        (0.04, 0.6),
+    )
+    covered = 0.96 * 0.4 * by_hand / (1 - 0.6 * by_hand)
+    np.testing.assert_allclose(under.mix("light", "dark", 0.25), np.full(3, covered), atol=1e-4)
+
+
+def test_colours_are_those_of_the_spectrum():
+    """By `colour_of`, of R∞ as the books write it."""
+    mixer = KubelkaMunkMixer.default()
+    first, second = "cadmium yellow", "cadmium red"
+    i, j = (mixer.names.index(name) for name in (first, second))
+    k, s = (np.asarray(table[i] + table[j]) / 2 for table in (mixer.absorption, mixer.scattering))
+    spectrum = 1 + k / s - np.sqrt((k / s) ** 2 + 2 * k / s)
+    found = np.clip(colour_of(mixer.wavelengths, spectrum).srgb_linear, 0, 1)
+    np.testing.assert_allclose(mixer.mix(first, second, 0.5), found, atol=1e-12)
+
+
+def test_mixtures_lie_in_srgb_and_have_gradients():
+    mixer, step = KubelkaMunkMixer.default(), 1e-6
+    first = [name for name in mixer.names for _ in mixer.names]
+    second = list(mixer.names) * len(mixer.names)
+    mix = jax.jit(lambda mixer, share: mixer.mix(first, second, share))
+    half = jnp.full(len(first), 0.5)
+    for share in (0 * half, half, 2 * half):
+        found = mix(mixer, share)
+        assert found.shape == (len(first), 3)
+        assert float(found.min()) >= 0 and float(found.max()) <= 1
+    of_mixer, of_share = jax.grad(lambda m, s: mix(m, s).sum(), (0, 1))(mixer, half)
+    for slopes in (of_mixer.absorption, of_mixer.scattering):
+        assert np.isfinite(slopes).all() and np.abs(slopes).max() > 0
+    difference = (mix(mixer, half + step) - mix(mixer, half - step)).sum(-1) / (2 * step)
+    np.testing.assert_allclose(of_share, difference, rtol=1e-5, atol=1e-8)
+
+
+@pytest.mark.parametrize("surface", [None, (0.04, 0.6)])
+def test_paints_are_added_and_replaced_by_colour(surface):
+    default = KubelkaMunkMixer.default()
+    mixer = KubelkaMunkMixer(
+        default.paints, default.wavelengths, default.absorption, default.scattering, surface
+    )
+    edited = mixer.with_paints({"moss": "#506030", "ultramarine": (40, 60, 170)})
+    assert edited.names == (*default.names, "moss")
+    for name, steps in (("moss", (80, 96, 48)), ("ultramarine", (40, 60, 170))):
+        found = 255 * np.asarray(srgb_encode(edited.mix(name, name, 0.0)))
+        np.testing.assert_allclose(found, steps, atol=1e-3)
+    place = default.names.index("ultramarine")
+    np.testing.assert_array_equal(edited.scattering[place], default.scattering[place])
+    with pytest.raises(ValueError, match="paint 'moss': '#50603' is no colour"):
+        mixer.with_paints({"moss": "#50603"})
+
+
+@pytest.mark.parametrize(
+    "steps",
+    [
+        (0, 0, 0),
+        (255, 255, 255),
+        (0, 0, 255),
+        (255, 0, 0),
+        (0, 255, 255),
+        (3, 0, 250),
+        (127, 128, 127),
+    ],
+)
+@pytest.mark.parametrize("spacing", ["even", "uneven"])
+def test_smoothest_reflectances(steps, spacing):
+    x = np.arange(400.0, 701.0, 10.0)
+    if spacing == "uneven":
+        x = np.concatenate([x[:10], x[10::2]])
+    colour = linear_colour("any", steps)
+    found = smoothest_reflectance(colour, x)
+    assert found.min() > 0 and found.max() < 1
+    np.testing.assert_allclose(colour_of(x, found).srgb_linear, colour, atol=1.1e-5)
+
+
+def test_the_smoothest_reflectance_is_the_smoothest():
+    """Any small change that keeps the colour is rougher in z = artanh(2R − 1)."""
+    from scipy.linalg import null_space
+
+    from irisjax.measure.colour import tristimulus_matrix
+
+    x = np.arange(400.0, 701.0, 10.0)
+    best = smoothest_reflectance(linear_colour("any", (90, 60, 150)), x)
+
+    def roughness(r):
+        return float(np.sum(np.diff(np.arctanh(2 * r - 1)) ** 2))
+
+    for direction in null_space(tristimulus_matrix(x, "linear sRGB")[0]).T:
+        for step in (1e-3, -1e-3):
+            assert roughness(best + step * direction) > roughness(best)
+
+
+def written(tmp_path, text):
+    path = tmp_path / "mine.csv"
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+def rows(*columns, x=range(400, 701, 20)):
+    return "".join(",".join(str(v) for v in (w, *columns)) + "\n" for w in x)
+
+
+def test_a_users_file(tmp_path):
+    """The package's own table, written by hand with semicolons, and two blues in it."""
+    default = KubelkaMunkMixer.default()
+    wanted = ("ultramarine", "phthalo blue", "cadmium yellow")
+    lines = ["wavelength_nm;" + ";".join(f"{n}_K;{n}_S" for n in wanted)]
+    for i, w in enumerate(default.wavelengths):
+        cells = [w]
+        for name in wanted:
+            place = default.names.index(name)
+            cells += [float(default.absorption[place, i]), float(default.scattering[place, i])]
+        lines.append(";".join(f"{c:.9g}".replace(".", ",") for c in cells))
+    mixer = read_paints(written(tmp_path, "# my paints\n" + "\n".join(lines) + "\n"))
+    assert mixer.names == wanted and mixer.surface is None
+    for blue in wanted[:2]:
+        found = mixer.mix(blue, "cadmium yellow", 0.5)
+        np.testing.assert_allclose(found, default.mix(blue, "cadmium yellow", 0.5), atol=1e-7)
+        assert 80 < hue(found) < 170
+
+
+def test_a_file_with_a_surface(tmp_path):
+    head = "# saunderson: 0.04, 0.6 [outside, inside]\nwavelength_nm,grey_K,grey_S\n"
+    mixer = read_paints(written(tmp_path, head + rows(0.5, 1)))
+    assert mixer.surface == (0.04, 0.6)
+    np.testing.assert_allclose(
+        mixer.mix("grey", "grey", 0.0),
+        np.full(3, 0.96 * 0.4 * 0.381966 / (1 - 0.6 * 0.381966)),
+        atol=1e-4,
+    )
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("", "no numbers"),
+        ("nm,a_K,a_S\n" + rows(1, 1), "the first column must be wavelength_nm, not 'nm'"),
+        ("wavelength_nm,a_K,a_S\n" + rows(1, 1) + "720,x,1\n", "line 18: 'x' is not a number"),
+        ("wavelength_nm,a_K,a_S\n" + rows(-1, 1), r"line 2: a_K = -1 is outside \[0, inf\)"),
+        ("wavelength_nm,a_K,a_S\n" + rows(1, 1) + "720,,1\n", "line 18: a_K = nan is outside"),
+        ("wavelength_nm,a_K,a_S\n" + rows(0, 0), "line 2: K and S of a are both 0"),
+        ("wavelength_nm,a_K,b_S\n" + rows(1, 1), "column a_K has no a_S beside it"),
+        ("wavelength_nm,a_S\n" + rows(1), "column a_S has no a_K beside it"),
+        ("wavelength_nm,a_K,a_S,a_K\n" + rows(1, 1, 1), "column 'a_K' stands twice"),
+        ("wavelength_nm,a,a_S\n" + rows(1, 1), "column 'a' is neither PAINT_K nor PAINT_S"),
+        ("wavelength_nm,a_K,a_S\n" + rows(1, 1, x=range(500, 701, 20)), "wavelengths from 500 to 700 nm make no colour"),
+        ("wavelength_nm,a_K,a_S\n" + rows(1, 1, x=range(400, 701, 50)), "steps of at most 25 nm"),
+        ("wavelength_nm,a_K,a_S\n" + rows(1, 1, x=range(700, 399, -20)), "wavelengths must increase"),
+        ("# saunderson: 0.04\n" + "wavelength_nm,a_K,a_S\n" + rows(1, 1), "saunderson: '0.04' is not two numbers"),
+        ("# saunderson: 0.04 1\n" + "wavelength_nm,a_K,a_S\n" + rows(1, 1), r"surface = 1 is outside \[0, 0.99\]"),
+    ],
+)  # fmt: skip
+def test_broken_files(tmp_path, text, said):
+    path = written(tmp_path, text)
+    with pytest.raises(ValueError, match=said) as caught:
+        read_paints(path)
+    assert str(caught.value).startswith(f"{path}") and "\n" not in str(caught.value)
+
+
+def test_broken_mixers():
+    default = KubelkaMunkMixer.default()
+    k, s = default.absorption, default.scattering
+    with pytest.raises(ValueError, match="one row a paint, each paint once"):
+        KubelkaMunkMixer(default.paints[:-1], default.wavelengths, k, s)
+    with pytest.raises(ValueError, match="one row a paint, each paint once"):
+        KubelkaMunkMixer(("a", *default.paints[:-2], "a"), default.wavelengths, k, s)
+    with pytest.raises(ValueError, match="S of paint 'ivory black' = -1 is outside"):
+        KubelkaMunkMixer(default.paints, default.wavelengths, k, s.at[0, 3].set(-1.0))
+    with pytest.raises(ValueError, match=r"K \+ S of paint 'ivory black' = 0 is outside \(0"):
+        KubelkaMunkMixer(default.paints, default.wavelengths, 0 * k, 0 * s)

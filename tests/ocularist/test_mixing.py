@@ -1,0 +1,162 @@
+"""Mixtures in HSL, against Python's colorsys and by hand."""
+
+import colorsys
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from irisjax.measure.colour import srgb_decode, srgb_encode
+from irisjax.ocularist.mixing import HslMixer, hsl_of, mixed_in_hsl, srgb_of
+from irisjax.ocularist.palette import Palette
+
+GRID = np.stack(np.meshgrid(*[np.linspace(0, 1, 6)] * 3), -1).reshape(-1, 3)
+TONES = {
+    "red": "#ff0000", "yellow": "#ffff00", "green": "#00ff00", "cyan": "#00ffff", "blue": "#0000ff",
+    "magenta": "#ff00ff", "black": "#000000", "white": "#ffffff", "grey": "#808080",
+}  # fmt: skip
+
+
+def mixer():
+    return HslMixer(Palette.of(TONES))
+
+
+def encoded(linear):
+    return np.asarray(srgb_encode(linear))
+
+
+def test_hsl_is_that_of_colorsys():
+    h, s, lightness = hsl_of(jnp.asarray(GRID))
+    for i, colour in enumerate(GRID):
+        hue, light, saturation = colorsys.rgb_to_hls(*colour)
+        assert (float(h[i]), float(s[i]), float(lightness[i])) == pytest.approx(
+            (hue, saturation, light), abs=1e-14
+        )
+
+
+def test_srgb_of_hsl_is_that_of_colorsys():
+    found = srgb_of(*(jnp.asarray(column) for column in GRID.T))
+    for i, (hue, saturation, light) in enumerate(GRID):
+        np.testing.assert_allclose(
+            found[i], colorsys.hls_to_rgb(hue, light, saturation), atol=1e-14
+        )
+
+
+def test_hues_repeat_by_turns():
+    turns = jnp.asarray([-1.7, 0.3, 2.3])
+    found = srgb_of(turns, jnp.full(3, 0.8), jnp.full(3, 0.4))
+    np.testing.assert_allclose(found, jnp.stack([found[1]] * 3), atol=1e-14)
+
+
+@pytest.mark.parametrize(
+    ("first", "second", "share", "hand"),
+    [
+        ("red", "yellow", 0.5, (1, 0.5, 0)),
+        ("yellow", "green", 0.5, (0.5, 1, 0)),
+        ("red", "blue", 0.5, (1, 0, 1)),  # through magenta, not through green
+        ("blue", "red", 0.25, (0.5, 0, 1)),
+        ("magenta", "yellow", 0.5, (1, 0, 0)),  # across hue 0
+        ("yellow", "magenta", 0.75, (1, 0, 0.5)),
+        ("red", "white", 0.5, (0.875, 0.625, 0.625)),  # S 1/2, L 3/4
+        ("white", "red", 0.5, (0.875, 0.625, 0.625)),
+        ("blue", "black", 0.5, (0.125, 0.125, 0.375)),
+        ("black", "white", 0.25, (0.25, 0.25, 0.25)),
+        ("grey", "white", 0.0, (128 / 255,) * 3),
+    ],
+)
+def test_mixtures_by_hand(first, second, share, hand):
+    np.testing.assert_allclose(encoded(mixer().mix(first, second, share)), hand, atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("first", "second", "middle"),
+    [
+        ("red", "cyan", (0.5, 1, 0)),
+        ("yellow", "blue", (0, 1, 0.5)),
+        ("green", "magenta", (0, 0.5, 1)),
+    ],
+)
+def test_between_opposite_hues_red_is_not_passed(first, second, middle, bits):
+    """Whichever is first, and in either precision."""
+    m = mixer()
+    for a, b in ((first, second), (second, first)):
+        np.testing.assert_allclose(encoded(m.mix(a, b, 0.5)), middle, atol=1e-5)
+
+
+def pairs(names):
+    """Every paint with every other, one pair a coat."""
+    return [a for a in names for _ in names], list(names) * len(names)
+
+
+def test_the_ends_are_the_paints(bits):
+    m = HslMixer()
+    first, second = pairs(m.names)
+    for share, paints in ((0.0, first), (1.0, second)):
+        found = m.mix(first, second, share)
+        np.testing.assert_allclose(found, m.palette.colour(paints), atol=1e-5)
+        assert found.dtype == m.palette.colours.dtype
+
+
+@pytest.mark.parametrize("share", [0.2, 0.5, 0.7])
+def test_a_mixture_and_its_mirror_image(share):
+    m = HslMixer()
+    first, second = pairs(m.names)
+    there, back = m.mix(first, second, share), m.mix(second, first, 1 - share)
+    np.testing.assert_allclose(there, back, atol=1e-12)
+
+
+def test_many_coats_at_once():
+    m = HslMixer()
+    first, second = ["ultramarine", "raw umber", "cadmium red"], "titanium white"
+    shares = jnp.asarray([0.1, 0.5, 0.9])
+    found = jax.jit(lambda m, s: m.mix(first, second, s))(m, shares)
+    assert found.shape == (3, 3)
+    for i, name in enumerate(first):
+        np.testing.assert_allclose(found[i], m.mix(name, second, float(shares[i])), atol=1e-14)
+    assert m.mix("ultramarine", second, jnp.zeros((2, 5))).shape == (2, 5, 3)
+
+
+@jax.jit
+def weighted(x):
+    """One number a mixture of rows (first colour, second colour, share)."""
+    return (mixed_in_hsl(x[:, :3], x[:, 3:6], x[:, 6]) * jnp.asarray([[1.0, 2.0, 3.0]])).sum(-1)
+
+
+SLOPES = jax.jit(jax.grad(lambda x: weighted(x).sum()))
+
+
+def test_gradients_are_those_of_differences():
+    """In a number of each mixture at a time: the others do not see it."""
+    x = jnp.asarray(np.random.default_rng(3).uniform(0.1, 0.9, (len(GRID), 7)))
+    slopes, step = SLOPES(x), 1e-6
+    for j in range(7):
+        difference = (weighted(x.at[:, j].add(step)) - weighted(x.at[:, j].add(-step))) / (2 * step)
+        np.testing.assert_allclose(slopes[:, j], difference, rtol=1e-5, atol=1e-7)
+
+
+def test_no_gradient_is_lost_at_greys_and_ends():
+    colours = np.asarray(srgb_decode(jnp.asarray(GRID)))
+    for second in (np.roll(colours, 7, 0), colours, np.full_like(colours, 0.2), 0 * colours):
+        for share in (0.0, 0.4, 1.0):
+            x = np.concatenate([colours, second, np.full((len(colours), 1), share)], 1)
+            assert np.isfinite(SLOPES(jnp.asarray(x))).all()
+
+
+def test_refusals():
+    m = HslMixer()
+    with pytest.raises(ValueError, match=r"^share = 1\.2 is outside \[0, 1\]$"):
+        m.mix("raw umber", "ultramarine", 1.2)
+    with pytest.raises(ValueError, match="share = nan is outside"):
+        m.mix("raw umber", "ultramarine", float("nan"))
+    with pytest.raises(ValueError, match="did you mean 'raw umber'"):
+        m.mix("raw amber", "ultramarine", 0.5)
+    with pytest.raises(ValueError, match=r"paints of shapes \(2,\) and \(\) and shares of \(3,\)"):
+        m.mix(["raw umber", "raw umber"], "ultramarine", jnp.zeros(3))
+
+
+def test_paints_are_added():
+    edited = HslMixer().with_paints({"phthalo blue": "#072b73"})
+    assert edited.names[-1] == "phthalo blue"
+    found = 255 * encoded(edited.mix("phthalo blue", "raw umber", 0.0))
+    np.testing.assert_allclose(found, (7, 43, 115), atol=1e-9)
