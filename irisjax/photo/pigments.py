@@ -50,6 +50,7 @@ NAMES = tuple(PRIORS)
 UNITS = {name: "mg/ml" if name in CONCENTRATIONS else "" for name in NAMES}
 _CAMERA = ("exposure", "red_gain", "blue_gain", "contrast")
 _TURNS = 3  # of least squares under covariances that are held, and of these
+_CLOSE = 1e-3  # of a prior's standard deviation, to which least squares are told
 _FLOOR = 0.01  # of the photograph's mean, below which colours are not told apart
 
 
@@ -199,7 +200,7 @@ def _searched(starts, windows, base, free: tuple[int, ...], steps: int):
 
     def turn(some, _):
         held = covariances(*_off(values_of(every(some)), windows, base), windows.present)
-        solver = levenberg_marquardt(1e-5, 1e-5)
+        solver = levenberg_marquardt(_CLOSE, _CLOSE)
         found = optx.least_squares(residuals, solver, some, held, max_steps=steps, throw=False)
         ended = found.result == optx.RESULTS.successful
         return found.value, (found.stats["num_steps"], ended, held)

@@ -23,7 +23,6 @@ from irisjax.render.bands import Bands, colour_bands
 from irisjax.render.compose import respond
 from irisjax.render.environment import Environment
 from irisjax.render.illumination import Illumination
-from irisjax.render.integrator import AbstractIntegrator
 from irisjax.render.lights import Lights
 from irisjax.render.radiative import RadiativeIntegrator
 from irisjax.render.scene import ENVIRONMENT_LIGHTS
@@ -31,6 +30,7 @@ from irisjax.render.separable import Separable
 from irisjax.render.shading import ranges_of
 from irisjax.tissue.iris import Iris
 from irisjax.tissue.maps import IrisMaps, Scales
+from irisjax.transport.solution import RESULTS
 
 
 class Windows(eqx.Module):
@@ -54,12 +54,13 @@ class Windows(eqx.Module):
     mirrored: Float[np.ndarray, "windows 3"]
     bands: Bands
     ranges: Scales
-    integrator: AbstractIntegrator
+    integrator: Separable | RadiativeIntegrator
     aqueous_index: Float[Array, ""]
 
     def radiance(self, iris: Iris, room: Scalar | float = 0.0) -> Float[Array, "windows 3"]:
         """Mean linear sRGB of an iris in each window, where a white sheet facing an irradiance of π
-        has 1; `room`: radiance of the room beside the lights.
+        has 1; `room`: radiance of the room beside the lights. NaN for an iris that the integrator's
+        solver does not hold.
         """
         return self.radiance_and_slope(iris, room)[0]
 
@@ -68,8 +69,10 @@ class Windows(eqx.Module):
     ) -> tuple[Float[Array, "windows 3"], Float[Array, "windows 3"]]:
         """`radiance`, and its derivative by the logarithm of the stroma's thickness."""
         parts = self.aqueous_index, self.bands, self.ranges
-        found: Any = self.integrator.response(iris, *parts)
-        terms = found.coefficients.reshape(-1, 3)
+        found, status = self.integrator.coefficients(iris, *parts)
+        terms = found.reshape(-1, 3)
+        if status is not None:
+            terms = jnp.where(status == RESULTS.successful, terms, jnp.nan)
         matrix = self.matrix if self.room is None else self.matrix + room * self.room
         full = (*matrix.shape[:2], 3, matrix.shape[3])
         shown, slope = jnp.einsum("dwtk,kt->dwt", jnp.broadcast_to(matrix, full), terms)

@@ -19,7 +19,8 @@ from irisjax.optics.fresnel import fresnel_at
 from irisjax.render.bands import Bands
 from irisjax.render.compose import respond
 from irisjax.render.lambert import LambertError, of_pairs
-from irisjax.render.radiative import RadiativeIntegrator, RadiativeResponse
+from irisjax.render.radiative import RadiativeIntegrator
+from irisjax.render.radiative_response import RadiativeResponse
 from irisjax.render.separable import Separable, SeparableResponse
 from irisjax.tissue.iris import Iris
 from irisjax.tissue.maps import IrisMaps, Scales, cell_centres

@@ -1,7 +1,7 @@
 """What a scene asks of an integrator: how the iris sends back the light that reaches it."""
 
 import abc
-from typing import Any
+from typing import Any, Self
 
 import equinox as eqx
 from jaxtyping import Array, Float
@@ -43,9 +43,7 @@ class AbstractIntegrator(eqx.Module):
 
     process: eqx.AbstractVar[AbstractProcess]
 
-    def prepare(
-        self, iris: Iris, aqueous_index: Scalar, bands: Bands, ranges: Scales
-    ) -> "AbstractIntegrator":
+    def prepare(self, iris: Iris, aqueous_index: Scalar, bands: Bands, ranges: Scales) -> Self:
         """The integrator with all fixed that must be known before tracing."""
         del iris, aqueous_index, bands, ranges
         return self

@@ -6,13 +6,14 @@ smooth functions of what texels differ in, held as `Separable` holds ILIT's.
 """
 
 import dataclasses
+from typing import Self
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Float
 
 from irisjax._types import Scalar
 from irisjax.anatomy.eye import Eye
@@ -21,10 +22,10 @@ from irisjax.optics.fresnel import fresnel, refract
 from irisjax.render.angular import AZIMUTHS, AngularFunctions, Mixtures, light_of, mixed
 from irisjax.render.bands import Bands
 from irisjax.render.illumination import Illumination
-from irisjax.render.integrator import AbstractIntegrator, AbstractResponse
+from irisjax.render.integrator import AbstractIntegrator
 from irisjax.render.lights import Lights
-from irisjax.render.products import basis, summed
 from irisjax.render.project import IrisPixels
+from irisjax.render.radiative_response import RadiativeResponse, Texels
 from irisjax.render.shading import fluxes_of, relief_at, scales_at
 from irisjax.render.steps import Once, simply
 from irisjax.render.texels import (
@@ -48,7 +49,6 @@ from irisjax.transport.solver import AbstractSolver
 
 _OFF = 0.4, 1.9, 2.8
 _PORTION = 24  # texels solved at a time
-_COSINES = 48
 
 
 class RadiativeIntegrator(AbstractIntegrator):
@@ -73,9 +73,7 @@ class RadiativeIntegrator(AbstractIntegrator):
         if not isinstance(self.process, RadiativeTransfer):
             raise ValueError("the radiative integrator needs radiative transfer, not ILIT")
 
-    def prepare(
-        self, iris: Iris, aqueous_index: Scalar, bands: Bands, ranges: Scales
-    ) -> "RadiativeIntegrator":
+    def prepare(self, iris: Iris, aqueous_index: Scalar, bands: Bands, ranges: Scales) -> Self:
         """With the solver chosen, where none was: the table that comes with the package if it holds
         the indices and the layers of all texels, else `RadiativeExact`.
         """
@@ -99,7 +97,7 @@ class RadiativeIntegrator(AbstractIntegrator):
         tables: Illumination | None,
         ranges: Scales,
         once: Once = simply,
-    ) -> tuple["Texels", "Mixtures | None"]:
+    ) -> tuple[Texels, Mixtures | None]:
         """See `AbstractIntegrator`. The directions of one scene ask for a few mixtures of the
         functions of directions; all of them are kept where something is traced, for derivatives.
         """
@@ -121,18 +119,63 @@ class RadiativeIntegrator(AbstractIntegrator):
 
     def response(
         self, iris: Iris, aqueous_index: Scalar, bands: Bands, ranges: Scales
-    ) -> "RadiativeResponse":
+    ) -> RadiativeResponse:
         """Tabulate `iris` for the channels of `bands`; `ranges` from `Scales.ranges`."""
         dtype, angles = bands.weights.dtype, AngularFunctions(self.angular)
         most = degrees_of(ranges, self.degrees)
-        n = iris.indices(aqueous_index)
-        indices = (jnp.asarray(n.aqueous, dtype), jnp.asarray(n.abl, dtype))
+        indices = _front(iris, aqueous_index, dtype)
+        inside = angles.nodes(indices, dtype)
+        outside = refract(inside, *indices[::-1])
+        others = jnp.asarray(np.linspace(0.2, 0.95, inside.size), dtype)
+        nodes, checks = grid(most), between(most)
+        # One loop over both: the solver is compiled once.
+        portions = [
+            (jnp.asarray(unit, dtype), cosines, _pairs_of(cosines, turns))
+            for points, cosines, turns in (
+                (nodes, outside, AZIMUTHS),
+                (checks, others, _OFF),
+            )
+            for unit in _portions(points)
+        ]
+        radiance = self._solver_of_texels(iris, aqueous_index, bands, ranges)
+        found, status = jax.lax.map(radiance, jax.tree.map(lambda *x: jnp.stack(x), *portions))
+        found = found.reshape(len(portions), _PORTION, inside.size, 3, inside.size, -1)
+        values = found[:-1].reshape(-1, *found.shape[2:])[: len(nodes)]
+        out = RadiativeResponse(
+            coefficients=_coefficients(values, angles, indices, most),
+            indices=indices,
+            ranges=ranges,
+            error=jnp.zeros((), dtype),
+            degrees=most,
+            angular=self.angular,
+            status=worst(status),
+        )
+        return dataclasses.replace(out, error=_error(out, checks, others, found[-1]))
+
+    def coefficients(
+        self, iris: Iris, aqueous_index: Scalar, bands: Bands, ranges: Scales
+    ) -> tuple[Float[Array, "products functions channels"], RESULTS]:
+        """Those of the response and its status, without its error: for many irides alike."""
+        dtype, angles = bands.weights.dtype, AngularFunctions(self.angular)
+        most = degrees_of(ranges, self.degrees)
+        indices = _front(iris, aqueous_index, dtype)
+        inside = angles.nodes(indices, dtype)
+        outside = refract(inside, *indices[::-1])
+        radiance = self._solver_of_texels(iris, aqueous_index, bands, ranges)
+        unit = jnp.asarray(grid(most), dtype)
+        found, status = radiance((unit, outside, _pairs_of(outside, AZIMUTHS)))
+        values = found.reshape(len(unit), inside.size, 3, inside.size, -1)
+        return _coefficients(values, angles, indices, most), worst(status)
+
+    def _solver_of_texels(self, iris: Iris, aqueous_index, bands: Bands, ranges: Scales):
+        """Function of places of texels within `ranges`, incidences, and exits with their azimuths:
+        radiances (texels, in, out, channels), and status.
+        """
         table = extinction(np.asarray(bands.wavelengths))
         solver = self.prepare(iris, aqueous_index, bands, ranges).solver
         assert solver is not None
 
         def radiance(one):
-            """Of texels, for all pairs of directions: (texels, in, out, channels), and status."""
             unit, into, (exits, azimuths) = one
 
             def texel(x):
@@ -147,34 +190,23 @@ class RadiativeIntegrator(AbstractIntegrator):
 
             return jax.vmap(texel)(unit)
 
-        inside = angles.nodes(indices, dtype)
-        outside = refract(inside, *indices[::-1])
-        others = jnp.asarray(np.linspace(0.2, 0.95, inside.size), dtype)
-        nodes, checks = grid(most), between(most)
-        # One loop over both: the solver is compiled once.
-        portions = [
-            (jnp.asarray(unit, dtype), cosines, _pairs_of(cosines, turns))
-            for points, cosines, turns in (
-                (nodes, outside, AZIMUTHS),
-                (checks, others, _OFF),
-            )
-            for unit in _portions(points)
-        ]
-        found, status = jax.lax.map(radiance, jax.tree.map(lambda *x: jnp.stack(x), *portions))
-        found = found.reshape(len(portions), _PORTION, inside.size, 3, inside.size, -1)
-        passed = fresnel(outside, inside, *indices)[1]
-        values = found[:-1].reshape(-1, *found.shape[2:])[: len(nodes)]
-        values = values / (passed[:, None, None, None] * passed[:, None])
-        out = RadiativeResponse(
-            coefficients=of_products(angles.coefficients(values, inside), most),
-            indices=indices,
-            ranges=ranges,
-            error=jnp.zeros((), dtype),
-            degrees=most,
-            angular=self.angular,
-            status=worst(status),
-        )
-        return dataclasses.replace(out, error=_error(out, checks, others, found[-1]))
+        return radiance
+
+
+def _front(iris: Iris, aqueous_index, dtype):
+    """Indices before and behind the iris's surface."""
+    n = iris.indices(aqueous_index)
+    return jnp.asarray(n.aqueous, dtype), jnp.asarray(n.abl, dtype)
+
+
+def _coefficients(values, angles: AngularFunctions, indices, most: tuple[int, ...]):
+    """Of the products of scales and the functions of directions, from radiances at the nodes
+    (texels, in, azimuths, out, channels).
+    """
+    inside = angles.nodes(indices, values.dtype)
+    passed = fresnel(refract(inside, *indices[::-1]), inside, *indices)[1]
+    values = values / (passed[:, None, None, None] * passed[:, None])
+    return of_products(angles.coefficients(values, inside), most)
 
 
 def _deepest(iris: Iris, aqueous_index, bands: Bands, ranges: Scales) -> Layers:
@@ -200,7 +232,7 @@ def _pairs_of(cosines, azimuths):
     return jnp.tile(cosines, len(azimuths)), jnp.repeat(turns, cosines.size)
 
 
-def _error(response: "RadiativeResponse", checks: np.ndarray, cosines, true):
+def _error(response: RadiativeResponse, checks: np.ndarray, cosines, true):
     """Largest difference from the solver off the nodes, relative to the brightest of them."""
     dtype, n = response.error.dtype, cosines.size
     exits, azimuths = _pairs_of(cosines, _OFF)
@@ -210,73 +242,3 @@ def _error(response: "RadiativeResponse", checks: np.ndarray, cosines, true):
     found = response.brdf(scales_at_unit(unit, response.ranges), *pairs).T
     true = true[: len(checks)].reshape(found.shape)
     return jnp.abs(found - true).max() / jnp.abs(true).max()
-
-
-class Texels(eqx.Module):
-    """What a pigment change leaves alone: of each pixel the polynomials of the `scales` that vary,
-    and `light`: irradiance of all lights together times each function of directions and all shares
-    on the way out, (tints, functions, pixels).
-    """
-
-    index: Int[Array, " pixels"] | None
-    scales: tuple[Float[Array, "_ pixels"], ...]
-    light: Float[Array, "tints functions pixels"]
-
-
-class RadiativeResponse(AbstractResponse):
-    """The BRDF of every texel of an iris: coefficients of the products of scales (`texels`), of the
-    functions of directions, and of the channels.
-
-    - `error`: largest difference from the solver at points off the nodes, relative to the brightest
-        of them.
-    - `degrees`: the most of each scale that varies; `angular`: of the cosines.
-    - `status`: of the solver, a `RESULTS` item.
-    """
-
-    coefficients: Float[Array, "products functions channels"]
-    indices: tuple[Float[Array, ""], Float[Array, ""]]
-    ranges: Scales
-    error: Float[Array, ""]
-    status: RESULTS
-    degrees: tuple[int, ...] = eqx.field(static=True)
-    angular: tuple[int, int, int] = eqx.field(static=True)
-
-    def brdf(
-        self, scales: Scales, cos_incidence, cos_exit, azimuth
-    ) -> Float[Array, "channels pixels"]:
-        """BRDF (1/sr, times the picture's white) of pixels, each for a pair of directions in the
-        aqueous humour; `azimuth` 0 is straight on.
-        """
-        angles = AngularFunctions(self.angular)
-        sines = [jnp.sqrt(jnp.maximum(1 - c * c, 0.0)) for c in (cos_incidence, cos_exit)]
-        across = sines[0] * sines[1] * jnp.cos(azimuth)
-        light = angles.functions(cos_incidence, cos_exit, across, self.indices)
-        return summed(self.coefficients, self._polynomials(scales), light[None])
-
-    def hemispherical(self, scales: Scales, cos_incidence) -> Float[Array, "channels pixels"]:
-        """Directional–hemispherical reflectance of pixels for one incidence, without the first
-        surface's mirror and without light that is never scattered. Where nothing varies there is
-        one pixel.
-        """
-        x, w = (jnp.asarray(v, self.error.dtype) for v in np.polynomial.legendre.leggauss(_COSINES))
-        cosine = (x + 1) / 2
-        angles = AngularFunctions(self.angular)
-        into = jnp.full_like(cosine, cos_incidence)
-        # Of the azimuthal orders the mean over azimuth has the first alone.
-        functions = angles.functions(into, cosine, jnp.zeros_like(cosine), self.indices)
-        first = angles.count(1)
-        moments = functions[:first] @ (jnp.pi * w * cosine)
-        whole = jnp.tensordot(self.coefficients[:, :first], moments, (1, 0))
-        terms = self._polynomials(scales)
-        one = terms[0][0] if terms else jnp.ones(1, self.error.dtype)
-        return whole.T @ basis(terms, one)
-
-    def _polynomials(self, scales: Scales):
-        return polynomials_of(scales, self.ranges, self.degrees)
-
-    def shade(self, texels: Texels, ground: Mixtures | None) -> Float[Array, "channels pixels"]:
-        """See `AbstractResponse`."""
-        some = self.coefficients
-        if ground is not None:
-            some = jnp.einsum("pkc,kr->prc", some, ground.weights)
-        return summed(some, texels.scales, texels.light)

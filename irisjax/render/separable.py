@@ -130,6 +130,14 @@ class Separable(AbstractIntegrator):
         error = jnp.abs(found - true).max() / jnp.abs(true).max()
         return dataclasses.replace(out, error=error)
 
+    def coefficients(
+        self, iris: Iris, aqueous_index: Scalar, bands: Bands, ranges: Scales
+    ) -> tuple[Float[Array, "products cosine channels"], None]:
+        """Those of the response, and its status: nothing can fail. A program that asks for them
+        alone does not compute the error.
+        """
+        return self.response(iris, aqueous_index, bands, ranges).coefficients, None
+
 
 class Terms(eqx.Module):
     """The polynomials of each pixel: of the scales that vary, and of the exit cosine, the share 1 −
