@@ -42,11 +42,11 @@ def frames(
     memory = Memory(cores())
     tables, view = tables_of(scene), memory.look(scene.eye, scene.camera)
     stage = memory.prepare(scene, tables, view) if change == "pigment" else None
-    melanin = float(scene.iris.eumelanin + scene.iris.pheomelanin)
+    melanin = float(scene.tissue.eumelanin + scene.tissue.pheomelanin)
     darkest = max(FACTOR, DARK / melanin) if melanin > 0 else FACTOR
     for s in swing:
         if stage is not None:
-            iris, factor = scene.iris, (darkest * FACTOR) ** ((1 - s) / 2) / FACTOR
+            iris, factor = scene.tissue, (darkest * FACTOR) ** ((1 - s) / 2) / FACTOR
             iris = iris.replace(
                 eumelanin=iris.eumelanin * factor, pheomelanin=iris.pheomelanin * factor
             )
@@ -60,7 +60,7 @@ def frames(
             radius = (NARROW + WIDE) / 2 - (WIDE - NARROW) / 2 * s
             eye = dataclasses.replace(scene.eye, pupil_radius=radius)
             lit = memory.prepare(scene.replace(eye=eye), tables, view)
-            yield np.asarray(memory.shown(lit, lit.response(scene.iris)))
+            yield np.asarray(memory.shown(lit, lit.response(scene.tissue)))
 
 
 def sheet(pictures: list[np.ndarray]) -> np.ndarray:

@@ -91,7 +91,7 @@ def _contents(scene: Scene, spacing: float) -> tuple[dict[str, bytes], int, Lamb
     integrator = scene.integrator
     if not isinstance(integrator, Separable | RadiativeIntegrator):
         integrator = Separable()
-    iris, maps, cornea = scene.iris, scene.maps, scene.eye.cornea
+    iris, maps, cornea = scene.tissue, scene.maps, scene.eye.cornea
     meshes = {name: right_handed(mesh) for name, mesh in eye_meshes(scene.eye, spacing).items()}
     data = {f"{name}.ply": encode_ply(mesh) for name, mesh in meshes.items()}
     for name, mesh in meshes.items():

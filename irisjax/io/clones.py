@@ -153,7 +153,7 @@ def summary_of(clone: Clone, settings: Mapping[str, Any], timings: Mapping[str, 
 def scene_text(clone: Clone, maps: str = "maps.exr") -> str:
     """A scene file of the eye as it was photographed; `maps` is the name of the file of maps."""
     scene = clone.scene()
-    eye, camera, iris, lights = scene.eye, scene.camera, scene.iris, scene.lights
+    eye, camera, iris, lights = scene.eye, scene.camera, scene.tissue, scene.lights
     cornea = needed(eye.cornea)
     exposure = float(np.clip(needed(clone.exposure)[1], 1e-6, 1e6))
     rows = [

@@ -62,7 +62,7 @@ def compare(clone: Clone, threads: int = 1) -> Comparison:
     values = needed(clone.fit).values
     stage = (memory := Memory(threads)).prepare(scene, clone.tables, clone.view)
     exposure = needed(clone.exposure)
-    rendered = exposure[1] * np.asarray(memory.shown(stage, stage.response(scene.iris)))
+    rendered = exposure[1] * np.asarray(memory.shown(stage, stage.response(scene.tissue)))
     # As the model's camera has it: exposure × radiance^contrast.
     radiance = np.maximum(needed(clone.part) / exposure, 0)
     photograph = exposure[1] * radiance ** (1 / values["contrast"])

@@ -24,7 +24,6 @@ from irisjax.render.project import MirrorPixels, View, mirror_points, project
 from irisjax.render.scene import Scene, all_lights
 from irisjax.render.sclera import ColourTable, colour_table
 from irisjax.render.steps import Once, simply
-from irisjax.tissue.iris import Iris
 from irisjax.tissue.maps import Scales
 from irisjax.transport.solution import raise_failure
 
@@ -58,11 +57,11 @@ class Stage(eqx.Module):
     aqueous_index: Scalar
     size: tuple[int, int] = eqx.field(static=True)
 
-    def __call__(self, iris: Iris) -> Float[Array, "height width channels"]:
+    def __call__(self, iris: Any) -> Float[Array, "height width channels"]:
         """The picture with the pigments of `iris`, in the channels of `bands` (linear sRGB)."""
         return self.shown(self.response(iris))
 
-    def response(self, iris: Iris) -> AbstractResponse:
+    def response(self, iris: Any) -> AbstractResponse:
         """What the integrator makes of the pigments; the `error` of a table says how good it is."""
         return respond(self.integrator, iris, self.aqueous_index, self.bands, self.ranges)
 
@@ -98,17 +97,18 @@ def prepare(
     bands, clear, lamp = _channels(scene, lights, wavelengths, once)
     base = _surroundings(scene, seen, clear, lamp, once)
     texels, ground = None, None
-    ranges = shading.ranges_of(scene.iris, scene.maps, once)
-    known = scene.integrator, scene.iris, eye.aqueous_index, bands, ranges
+    iris: Any = scene.iris  # None for an integrator of paint, which asks for none
+    ranges = shading.ranges_of(iris, scene.maps, once)
+    known = scene.integrator, iris, eye.aqueous_index, bands, ranges
     integrator = once("integrator", _prepared, *known)
     if seen.iris is not None:
-        parts = lights, eye, scene.iris, scene.maps, tables, ranges
+        parts = lights, eye, iris, scene.maps, tables, ranges
         texels, ground = integrator.place(seen.iris, *parts, once)
     return Stage(base, texels, ground, bands, integrator, ranges, eye.aqueous_index, seen.size)
 
 
 def respond(
-    integrator: AbstractIntegrator, iris: Iris, aqueous_index, bands: Bands, ranges: Scales
+    integrator: AbstractIntegrator, iris: Any, aqueous_index, bands: Bands, ranges: Scales
 ) -> AbstractResponse:
     """How the iris of given pigments sends light back, in the channels of `bands`.
 
@@ -174,12 +174,12 @@ def _numbers(pixels: MirrorPixels):
     return every if pixels.index is None else jnp.maximum(pixels.index, 0)
 
 
-def _prepared(integrator: AbstractIntegrator, iris: Iris, aqueous_index, bands, ranges: Scales):
+def _prepared(integrator: AbstractIntegrator, iris: Any, aqueous_index, bands, ranges: Scales):
     return integrator.prepare(iris, aqueous_index, bands, ranges)
 
 
 @program
-def _respond(integrator: AbstractIntegrator, iris: Iris, aqueous_index, bands, ranges: Scales):
+def _respond(integrator: AbstractIntegrator, iris: Any, aqueous_index, bands, ranges: Scales):
     return integrator.response(iris, aqueous_index, bands, ranges)
 
 

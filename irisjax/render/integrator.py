@@ -38,10 +38,10 @@ class AbstractResponse(eqx.Module):
 
 class AbstractIntegrator(eqx.Module):
     """An integrator is an immutable value: a method and its settings, the `process` of light in
-    tissue among them.
+    tissue among them; `None` where there is no tissue, but paint.
     """
 
-    process: eqx.AbstractVar[AbstractProcess]
+    process: eqx.AbstractVar[AbstractProcess | None]
 
     def prepare(self, iris: Iris, aqueous_index: Scalar, bands: Bands, ranges: Scales) -> Self:
         """The integrator with all fixed that must be known before tracing."""

@@ -29,7 +29,8 @@ ENVIRONMENT_LIGHTS = 25
 class Scene(eqx.Module):
     """Everything a picture shows. Parts that are `None` are not computed.
 
-    - `maps`: of the iris, or `None` for a uniform one. `veins`: of the sclera
+    - `iris`: its tissue, `None` for a painted one, whose integrator has all there is. `maps`: of the
+        iris, or `None` for a uniform one. `veins`: of the sclera
         (`grow.vessels.veins`).
     - `lights`: lamps, mirrored as discs. `environment`: lights iris and white as
         `environment_lights` lamps each (those of the white from all round), and is mirrored itself.
@@ -39,7 +40,7 @@ class Scene(eqx.Module):
         maps and holds the first.
     """
 
-    iris: Iris
+    iris: Iris | None
     maps: IrisMaps | None = None
     eye: Eye = eqx.field(default_factory=Eye)
     lights: Lights | None = eqx.field(default_factory=lambda: Lights.distant(0.6, 2.2))
@@ -54,9 +55,13 @@ class Scene(eqx.Module):
     def __check_init__(self):
         if self.lights is None and self.environment is None:
             raise ValueError("a scene needs lights or an environment")
-        check_pictured(self.iris)
-        if self.maps is not None:
-            self.maps.check(self.iris)
+        if self.iris is None:
+            if self.integrator.process is not None or self.maps is not None:
+                raise ValueError("a scene without an iris has no maps, and an integrator of paint")
+        else:
+            check_pictured(self.iris)
+            if self.maps is not None:
+                self.maps.check(self.iris)
         if self.lights is not None and self.lights.illuminant != self.illuminant:
             raise ValueError(
                 f"the lights are {self.lights.illuminant}, the scene is {self.illuminant}"
@@ -69,6 +74,16 @@ class Scene(eqx.Module):
                     f"a lamp's radius = {widest:g} is above pi/2 radians; give an environment "
                     f"instead"
                 )
+
+    @property
+    def tissue(self) -> Iris:
+        """The iris, where it is of tissue.
+
+        **Raises:** `ValueError` where it is painted.
+        """
+        if self.iris is None:
+            raise ValueError("the iris is painted: it has no tissue and no pigments")
+        return self.iris
 
     def replace(self, **parts: Any) -> "Scene":
         """A copy with some parts changed."""

@@ -26,6 +26,7 @@ from irisjax.render.scene import Scene
 from irisjax.render.stages import Memory
 from irisjax.tissue.iris import Iris
 from irisjax.tissue.maps import IrisMaps
+from irisjax.transport.process import AbstractProcess
 from irisjax.view.settings import CAMERA, ENVIRONMENTS, GIVEN, PIGMENTS, Settings
 from irisjax.view.wipe import Picture, resized, wiped
 
@@ -68,7 +69,7 @@ class Studio:
             "width": float(camera.width),
             "environment": "none" if scene.environment is None else GIVEN,
             "integrator": integrator_name(scene.integrator),
-            **_pigments(scene.iris),
+            **_pigments(scene.tissue),
         }
         if scene.lights is not None:
             x, y, z = np.asarray(scene.lights.towards[0], np.float64)
@@ -136,7 +137,7 @@ class Studio:
 
     def spectrum(self) -> tuple[np.ndarray, Colour]:
         """Reflectance of the uniform iris, without an eye round it, on `GRID`; and its colour."""
-        found = reflectance(self.iris, GRID, process=self._integrator(self.settings).process)
+        found = reflectance(self.iris, GRID, process=self._process(self.settings))
         return np.asarray(found.values), colour_of(
             GRID, found.values, illuminant=self._base.illuminant
         )
@@ -198,15 +199,20 @@ class Studio:
             return self._base.integrator
         return self._once("integrator", s.integrator, INTEGRATORS[s.integrator])
 
+    def _process(self, s: Settings) -> AbstractProcess:
+        process = self._integrator(s).process
+        assert process is not None  # none of INTEGRATORS paints
+        return process
+
     def _grown(self, s: Settings) -> tuple[Iris, IrisMaps | None]:
         """Iris and maps before any slider is moved."""
         if s.preset == GIVEN:
-            return self._base.iris, self._base.maps
+            return self._base.tissue, self._base.maps
         if s.preset not in PRESETS:
             raise ValueError(f"unknown eye colour {s.preset!r}; known: {', '.join(PRESETS)}")
 
         def grow():
-            process = self._integrator(s).process
+            process = self._process(s)
             return PRESETS[s.preset](self._base.eye, process=process, key=stream(s.seed, "maps"))
 
         return self._once("grown", _of(s, _GROWN), grow)

@@ -1,0 +1,129 @@
+"""Coats of paint on cones, and what light makes of them  [L03 Section 3.3]."""
+
+from typing import Any
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jax.core import Tracer
+from jaxtyping import Array, Float
+
+from irisjax._types import Scalar
+from irisjax.anatomy.eye import Cornea, Eye
+from irisjax.numerics.checks import Range, check_range
+from irisjax.ocularist.cones import Cones
+from irisjax.optics.conicoid import Conicoid
+
+OPACITY = Range(0.0, 1.0)
+COLOUR = Range(0.0, 1.0, meaning="linear reflectance of a paint")
+HEIGHT = Range(0.0, 1.0, "mm", meaning="of a coat above the base")
+LIMBUS = 5.77
+"""Distance from the axis (mm) at which the paper's spheres meet: of 11.5 and 7.8 mm, their centres
+4.7 mm apart  [L03 Fig. 6, which prints 5.8].
+"""
+DEPTH, SLOPE = 2.9, 0.12
+"""Of the cone of the iris: depth behind the cornea at the axis (mm), and its fall towards the root.
+The pupil's margin stands further forward  [L03 Section 2.2]; how far is this package's choice.
+"""
+
+
+class Coat(eqx.Module):
+    """One coat of paint.
+
+    - `name`: unique in a painting. `opacity`: (rows, columns) from 0, clear, to 1; a picture of the
+        iris as seen from ahead, whose sides touch the root. `colour`: linear sRGB. `height`: above
+        the base, towards the cornea, mm.
+    """
+
+    name: str = eqx.field(static=True)
+    opacity: Float[Array, "rows columns"]
+    colour: Float[Array, "3"]
+    height: Scalar
+
+    def __check_init__(self):
+        where = f"coat {self.name!r}: "
+        check_range(f"{where}opacity", self.opacity, OPACITY)
+        check_range(f"{where}colour", self.colour, COLOUR)
+        check_range(f"{where}height", self.height, HEIGHT)
+
+
+class Painting(eqx.Module):
+    """Coats from the bottom up, on cones that differ in height alone.
+
+    **Fields:** `coats`, of which those of equal height lie in their order; and `profile`, the
+    cross-section of the lowest surface from the pupil's margin to the root, radii rising.
+
+    **Raises:** `ValueError` where two coats have one name, or one lies below another that was
+    painted before it.
+    """
+
+    coats: tuple[Coat, ...]
+    profile: Cones
+
+    def __check_init__(self):
+        names = [coat.name for coat in self.coats]
+        twice = {n for n in names if names.count(n) > 1}
+        if twice:
+            raise ValueError(f"coats need names of their own; more than once: {sorted(twice)}")
+        if isinstance(self.profile.radius, Tracer):
+            return
+        if (np.diff(np.asarray(self.profile.radius)) <= 0).any():
+            raise ValueError("the radii of an iris's profile must rise from the pupil to the root")
+        heights = [coat.height for coat in self.coats]
+        if any(isinstance(h, Tracer) for h in heights):
+            return
+        for before, coat in zip(self.coats, self.coats[1:], strict=False):
+            if float(coat.height) < float(before.height):
+                raise ValueError(
+                    f"coat {coat.name!r} at {float(coat.height):g} mm is painted after "
+                    f"{before.name!r} and lies below it, at {float(before.height):g} mm"
+                )
+
+    def replace(self, name: str, **fields: Any) -> "Painting":
+        """With some fields of a coat changed; the others keep their arrays."""
+        known = [coat.name for coat in self.coats]
+        if name not in known:
+            raise ValueError(f"no coat {name!r}; there are {', '.join(known)}")
+        changed = tuple(
+            Coat(**(vars(coat) | fields)) if coat.name == name else coat for coat in self.coats
+        )
+        return Painting(changed, self.profile)
+
+
+def prosthesis(pupil_radius: float = 1.9) -> Eye:
+    """The paper's eye: two spheres, a cornea of index 1.376 that fills the chamber, a conical iris
+    up to the limbus  [L03 Section 3.1, Fig. 6].
+    """
+    cornea = Cornea(Conicoid(7.8, 1.0), posterior=None, index=jnp.asarray(1.376), scatter=None)
+    return Eye(
+        cornea=cornea,
+        aqueous_index=jnp.asarray(1.376),
+        iris_depth=jnp.asarray(DEPTH),
+        iris_slope=jnp.asarray(SLOPE),
+        limbus_radius=jnp.asarray(LIMBUS),
+        iris_radius=jnp.asarray(LIMBUS),
+        pupil_radius=jnp.asarray(pupil_radius),
+    )
+
+
+def profile_of(eye: Eye) -> Cones:
+    """The plane or cone of an eye's iris, as a stack of one."""
+    radius = jnp.stack([eye.pupil_radius, eye.iris_radius])
+    slope = 0.0 if eye.iris_slope is None else eye.iris_slope
+    return Cones(eye.iris_depth + slope * radius, radius)
+
+
+def over(behind, opacity, paint, light):
+    """Radiance of a coat over what lies behind it: R = (1 − a) T + a C L  [L03 Eq. 1]."""
+    return (1 - opacity) * behind + opacity * paint * light
+
+
+def through(light, opacity, paint, as_printed: bool = False):
+    """Light below a coat: what misses the paint, and what the paint tints  [L03 Eq. 2].
+
+    The paper prints L' = (1 − a) a C L, by which clear varnish is black; here it is
+    ((1 − a) + a C) L. `as_printed` keeps the other for comparison.
+    """
+    if as_printed:
+        return (1 - opacity) * opacity * paint * light
+    return ((1 - opacity) + opacity * paint) * light
