@@ -1,0 +1,1 @@
+"""Painted irides: coats of paint on cones [L03]."""
