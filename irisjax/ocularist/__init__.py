@@ -1,1 +1,1 @@
-"""A prosthetic iris as an ocularist paints it: thin coats of paint on stacked cones  [L03]."""
+"""Painted irides: coats of paint on cones, as ocularists make them [L03]."""

@@ -1,0 +1,279 @@
+"""Opacity maps of components: what an artist relies on."""
+
+import re
+
+import jax
+import numpy as np
+import pytest
+from scipy import ndimage
+
+from irisjax.ocularist.component import LIMITS, AbstractComponent
+from irisjax.ocularist.components import COMPONENTS, component
+from irisjax.ocularist.scans import scan
+
+PUPIL, SIZE = 0.3, 256
+DRAWN = [name for name in COMPONENTS if name != "base"]
+STROKES = [name for name in COMPONENTS if hasattr(COMPONENTS[name](), "count")]
+
+
+def drawn(name, size=SIZE, pupil=PUPIL, seed=1, **parameters):
+    return component(name, parameters).opacity(size, pupil, key=jax.random.key(seed))
+
+
+def places(size=SIZE, pupil=PUPIL):
+    """Relative radius and angle of texels."""
+    x = (2 * np.arange(size) + 1) / size - 1
+    radius = np.hypot(x[None], x[:, None])
+    return (radius - pupil) / (1 - pupil), np.arctan2(-x[:, None], x[None])
+
+
+def along(opacity, relative, pupil=PUPIL, count=1024):
+    """Values round a circle, from +x towards +y."""
+    angle = 2 * np.pi * np.arange(count) / count
+    r = pupil + (1 - pupil) * relative
+    half = len(opacity) / 2
+    at = [half * (1 - r * np.sin(angle)) - 0.5, half * (1 + r * np.cos(angle)) - 0.5]
+    return ndimage.map_coordinates(opacity, at, order=1)
+
+
+@pytest.mark.parametrize("name", COMPONENTS)
+@pytest.mark.parametrize("pupil", [0.05, 0.3, 0.9])
+def test_maps_are_opacities_of_the_iris_alone(name, pupil):
+    opacity = drawn(name, pupil=pupil)
+    assert opacity.dtype == np.float32
+    assert opacity.shape == (SIZE, SIZE)
+    assert 0 <= opacity.min() < 0.05
+    assert 0.5 < opacity.max() <= 1
+    x = (2 * np.arange(SIZE) + 1) / SIZE - 1
+    radius = np.hypot(x[None], x[:, None])
+    assert not opacity[(radius > 1 + 4.01 / SIZE) | (radius < pupil - 4.01 / SIZE)].any()
+
+
+@pytest.mark.parametrize("name", COMPONENTS)
+def test_equal_keys_give_equal_bytes_and_others_do_not(name):
+    one = drawn(name)
+    assert one.tobytes() == drawn(name).tobytes()
+    if name != "base":
+        assert np.abs(one - drawn(name, seed=2)).max() > 0.1
+
+
+@pytest.mark.parametrize("name", DRAWN)
+@pytest.mark.parametrize(("fine", "coarse"), [(768, 256), (512, 128)])
+def test_another_size_samples_the_same_painting(name, fine, coarse):
+    times = fine // coarse
+    mean = drawn(name, fine).reshape(coarse, times, coarse, times).mean((1, 3))
+    relative, _ = places(coarse)
+    # Texels that the iris's edges cut are all clear or painted to their rims.
+    within = (relative > 3 / coarse) & (relative < 1 - 3 / coarse)
+    own = drawn(name, coarse)[within]
+    assert np.sqrt(((own - mean[within]) ** 2).mean()) < 0.05 * own.std()
+
+
+def test_the_base_is_opaque_all_over_the_iris():
+    relative, _ = places()
+    assert drawn("base")[(relative >= 0) & (relative <= 1)].min() == 1
+
+
+@pytest.mark.parametrize("name", ["collarette-spokes", "collarette-dots"])
+def test_the_collarette_keeps_to_the_inner_half(name):
+    relative, _ = places()
+    opacity = drawn(name)
+    assert opacity[relative > 0.6].max() < 0.01
+    assert opacity[(relative > 0.1) & (relative < 0.45)].mean() > 0.03
+
+
+@pytest.mark.parametrize("name", ["stroma-dots", "stroma-smeared-dots", "stroma-smears"])
+def test_stroma_covers_nearly_all_of_the_iris(name):
+    """Each of 48 fields of the iris has some paint."""
+    relative, angle = places()
+    opacity = drawn(name)
+    for low in np.linspace(0.1, 0.7, 4):
+        ring = (relative > low) & (relative < low + 0.2)
+        sectors = np.floor((angle[ring] + np.pi) / (2 * np.pi) * 12)
+        most = ndimage.maximum(opacity[ring], sectors, np.arange(12))
+        assert np.min(most) > 0.3
+
+
+def test_sphincter_is_a_ring_close_to_the_pupil():
+    relative, _ = places()
+    opacity = drawn("sphincter", reach=0.2)
+    means = [
+        opacity[(relative > a) & (relative < b)].mean() for a, b in ((0, 0.1), (0.1, 0.2), (0.5, 1))
+    ]
+    assert means[0] > 0.4 > means[1] > 0.1
+    assert means[2] < 1e-3
+
+
+def test_limbus_goes_from_clear_to_opaque():
+    relative, _ = places()
+    opacity = drawn("limbus", reach=0.2)
+    assert opacity[relative < 0.6].max() < 0.01
+    assert opacity[(relative > 0.985) & (relative <= 1)].min() > 0.95
+    rings = [along(opacity, r).mean() for r in np.linspace(0.7, 0.98, 13)]
+    assert (np.diff(rings) > 0).all()
+    assert np.diff(rings).max() < 0.3
+
+
+def test_pupil_is_a_soft_ring_at_its_margin():
+    opacity = drawn("pupil", 512, reach=0.1)
+    rings = [along(opacity, r).mean() for r in np.linspace(0.0, 0.2, 9)]
+    assert rings[0] > 0.99
+    assert (np.diff(rings) <= 0).all()
+    assert rings[-1] == 0
+
+
+@pytest.mark.parametrize("name", ["stroma-smears", "stroma-smeared-dots", "collarette-spokes"])
+def test_smears_run_radially(name):
+    opacity = drawn(name, 512)
+    polar = np.stack([along(opacity, r) for r in np.linspace(0.1, 0.38, 29)], 1)
+    # Steps of 0.007 outer radii along the radius, of 0.0025 or more round the axis.
+    assert np.abs(np.diff(polar, axis=0)).mean() * (0.007 / 0.0025) > 2 * (
+        np.abs(np.diff(polar, axis=1)).mean()
+    )
+
+
+@pytest.mark.parametrize("name", DRAWN)
+def test_no_seam_where_the_angle_begins(name):
+    """Neighbours across the +x axis differ as they do across the −x axis."""
+    pupil_to_root = slice(round(SIZE / 2 * (1 + PUPIL)) + 1, SIZE - 1)
+    jumps = np.zeros(2)
+    for seed in range(8):
+        opacity = drawn(name, seed=seed)
+        step = np.abs(opacity[SIZE // 2] - opacity[SIZE // 2 - 1])
+        jumps += [step[pupil_to_root].mean(), step[::-1][pupil_to_root].mean()]
+    assert jumps[0] < 1.6 * jumps[1]
+
+
+def strongest_harmonic(values):
+    """Its share of the variance round a circle."""
+    power = np.abs(np.fft.rfft(values - values.mean())) ** 2
+    return power.max() / power.sum()
+
+
+@pytest.mark.parametrize("irregularity", [0.0, 0.6, 1.0])
+def test_strokes_are_no_computer_pattern(irregularity):
+    """No number of spokes to a turn stands out, even of spokes at even distances."""
+    opacity = drawn("collarette-spokes", 512, irregularity=irregularity, count=100)
+    painted = np.mean([along(opacity, r) for r in (0.15, 0.2, 0.25)], axis=0)
+    computed = np.exp(-0.5 * (np.abs(np.arange(1024) * 100 / 1024 % 1 - 0.5) / 0.15) ** 2)
+    assert strongest_harmonic(computed) > 0.8
+    assert strongest_harmonic(painted) < 0.2
+
+
+@pytest.mark.parametrize("name", STROKES)
+def test_more_strokes_cover_more_and_none_are_bare(name):
+    few, many = (drawn(name, count=n).mean() for n in (60, 400))
+    if name.startswith(("stroma", "collarette")):
+        assert drawn(name, count=0).max() == 0
+        assert many > 2 * few
+    else:  # rings, on a wash, whose dabs are the narrower the more there are
+        assert 0 < drawn(name, count=0).mean() < min(few, many)
+
+
+def test_softer_brushes_leave_softer_edges():
+    crisp, soft = (drawn("stroma-smears", softness=s) for s in (0.004, 0.03))
+    assert np.abs(np.diff(soft, axis=0)).max() < 0.3 * np.abs(np.diff(crisp, axis=0)).max()
+
+
+@pytest.mark.parametrize("name", COMPONENTS)
+def test_every_limit_can_be_drawn(name):
+    for end in ("low", "high"):
+        given = {
+            p: getattr(LIMITS[p], end)
+            for p in COMPONENTS[name].__dataclass_fields__
+            if p in LIMITS and p not in ("inner", "outer")
+        }
+        assert np.isfinite(drawn(name, 32, **given)).all()
+
+
+@pytest.mark.parametrize(
+    ("name", "parameters", "line"),
+    [
+        ("stroma", {}, "unknown component 'stroma'; did you mean 'stroma-dots'? known: base, stro"),
+        ("crypts", {}, "unknown component 'crypts'"),
+        ("limbus", {"widht": 1}, "unknown parameter of limbus 'widht'"),
+        ("base", {"width": 0.1}, "unknown parameter of base 'width'; known: none"),
+        ("limbus", {"reach": 2.0}, "limbus: reach = 2 is outside [0.01, 1]"),
+        ("limbus", {"reach": float("nan")}, "limbus: reach = nan is outside"),
+        ("limbus", {"reach": True}, "limbus: reach = True is not a number"),
+        ("limbus", {"reach": "wide"}, "limbus: reach = 'wide' is not a number"),
+        ("stroma-dots", {"count": 2.5}, "stroma-dots: count = 2.5 is not a whole number"),
+        ("stroma-dots", {"count": -1}, "stroma-dots: count = -1 is outside [0, 1500]"),
+        ("stroma-smears", {"inner": 0.6, "outer": 0.5}, "inner = 0.6 is not below outer = 0.5"),
+    ],
+)
+def test_what_is_wrong_is_said_in_one_line(name, parameters, line):
+    with pytest.raises(ValueError, match=re.escape(line)) as raised:
+        component(name, parameters)
+    assert "\n" not in str(raised.value)
+
+
+@pytest.mark.parametrize(
+    ("size", "pupil", "line"),
+    [
+        (1, 0.3, r"size = 1 is outside \[2, 8192\]"),
+        (64, 1.0, r"pupil = 1 is outside \[0.02, 0.95\]"),
+        (64, float("nan"), "pupil = nan is outside"),
+    ],
+)
+def test_sizes_and_pupils_that_no_map_has(size, pupil, line):
+    with pytest.raises(ValueError, match=line):
+        drawn("limbus", size, pupil)
+
+
+def test_a_component_is_a_value():
+    assert component("limbus", {"reach": 0.1}) == component("limbus", {"reach": 0.1})
+    assert isinstance(component("limbus"), AbstractComponent)
+    with pytest.raises(AttributeError):
+        component("limbus").reach = 0.2  # pyright: ignore
+
+
+def test_scans_are_one_less_their_grey_value():
+    grey = np.array([[0, 51], [204, 255]], np.uint8)
+    opaque = np.array([[1, 0.8], [0.2, 0]], np.float32)
+    same = {"atol": 1e-6}
+    np.testing.assert_allclose(scan(grey, 2), opaque, **same)
+    np.testing.assert_allclose(scan(grey.astype(np.uint16) * 257, 2), opaque, **same)
+    np.testing.assert_allclose(scan(1 - opaque, 2), opaque, **same)
+    np.testing.assert_allclose(scan(np.repeat(grey[..., None], 3, 2), 2), opaque, **same)
+    assert scan(grey, 2).dtype == np.float32
+
+
+def test_scans_in_colour_and_with_alpha():
+    paper = np.ones((2, 2, 4))
+    paper[0, 0] = (1, 0, 0, 1)
+    paper[0, 1] = (0, 1, 0, 1)
+    paper[1, 0] = (0, 0, 0, 0.25)
+    # Weights of ITU-R BT.709; a quarter of black on white.
+    expected = [[1 - 0.2126, 1 - 0.7152], [0.25, 0]]
+    np.testing.assert_allclose(scan(paper, 2), expected, atol=1e-6)
+    grey = np.stack([np.zeros((2, 2)), np.full((2, 2), 0.5)], -1)
+    np.testing.assert_allclose(scan(grey, 2), 0.5)
+
+
+def test_scans_of_another_size():
+    x = (2 * np.arange(300) + 1) / 300 - 1
+    picture = 0.5 + 0.4 * np.sin(3 * x)[None] * np.cos(2 * x)[:, None]
+    for size in (100, 450):
+        y = (2 * np.arange(size) + 1) / size - 1
+        expected = 0.5 - 0.4 * np.sin(3 * y)[None] * np.cos(2 * y)[:, None]
+        np.testing.assert_allclose(scan(picture, size), expected, atol=2e-3)
+    noise = np.random.default_rng(0).integers(0, 2, (64, 64)).astype(float)
+    assert 0 <= scan(noise, 97).min() < scan(noise, 97).max() <= 1
+
+
+@pytest.mark.parametrize(
+    ("picture", "line"),
+    [
+        (np.zeros((4, 6)), "a scan is 6 × 4 pixels; it must be square"),
+        (np.zeros((0, 0)), "a scan is 0 × 0 pixels"),
+        (np.zeros(4), r"a scan has shape \(4,\)"),
+        (np.zeros((4, 4, 5)), r"a scan has shape \(4, 4, 5\)"),
+        (np.full((4, 4), np.nan), "grey value of a scan = nan is outside"),
+        (np.full((4, 4), 1.5), r"grey value of a scan = 1.5 is outside \[0, 1\]"),
+        (np.zeros((4, 4), int), "a scan of int64 values"),
+    ],
+)
+def test_scans_that_are_none(picture, line):
+    with pytest.raises(ValueError, match=line):
+        scan(picture, 8)

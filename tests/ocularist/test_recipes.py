@@ -1,0 +1,79 @@
+"""Default coats of the types of eye."""
+
+import itertools
+
+import numpy as np
+import pytest
+
+from irisjax.ocularist.components import component
+from irisjax.ocularist.recipes import COLOURS, HEIGHT_STEP, TYPES, coats
+
+COUNTS = {"brown": 12, "blue": 50, "green": 30}  # [L03 Fig. 10] and our own for green
+EYES = [(kind, colour) for kind in TYPES for colour in COLOURS]
+
+
+def test_types_and_colours_are_the_papers():
+    assert TYPES == ("smeared", "dit-dot", "detail")
+    assert set(COLOURS) == set(COUNTS)
+
+
+@pytest.mark.parametrize(("kind", "colour"), EYES)
+def test_coats_are_as_a_recipe_needs_them(kind, colour):
+    painted = coats(kind, colour, seed=4)
+    assert len(painted) == COUNTS[colour]
+    assert painted[0].component == "base"
+    assert (painted[0].opacity, painted[0].height) == (1, 0)
+    assert "base" not in [c.component for c in painted[1:]]
+    np.testing.assert_allclose(np.diff([c.height for c in painted]), HEIGHT_STEP)
+    assert len({c.seed for c in painted}) == len(painted)
+    for coat in painted:
+        component(coat.component, coat.parameters)
+        assert 0 < coat.opacity <= 1
+        assert 0 <= coat.share <= 1
+        assert {type(v) for v in coat.parameters.values()} <= {int, float}
+        assert [type(v) for v in coat[2:]] == [str, str, float, float, int, float]
+
+
+def test_fewer_than_ten_paints():
+    """[L03 Section 3.2]."""
+    used = {p for eye in EYES for c in coats(*eye, seed=0) for p in (c.first, c.second)}
+    assert len(used) < 10
+
+
+@pytest.mark.parametrize(("kind", "colour"), EYES)
+def test_back_and_forth_between_all_parts(kind, colour):
+    parts = [c.component.split("-")[0] for c in coats(kind, colour, seed=1)]
+    assert set(parts) == {"base", "stroma", "collarette", "sphincter", "limbus", "pupil"}
+    runs = 1 + sum(a != b for a, b in itertools.pairwise(parts))
+    assert runs > 0.7 * len(parts)
+
+
+def test_smeared_eyes_have_the_softest_brushes_and_dit_dot_ones_the_most_dots():
+    for colour in COLOURS:
+        soft, dots = {}, {}
+        for kind in TYPES:
+            stroma = [
+                c for s in range(3) for c in coats(kind, colour, seed=s) if "stroma" in c.component
+            ]
+            soft[kind] = np.median([c.parameters["softness"] for c in stroma])
+            dots[kind] = np.mean([c.component.endswith("dots") for c in stroma])
+        assert soft["smeared"] > 2 * max(soft["dit-dot"], soft["detail"])
+        assert dots["dit-dot"] > max(dots["smeared"], dots["detail"])
+
+
+def test_equal_seeds_give_equal_coats_and_others_do_not():
+    assert coats("detail", "blue", seed=3) == coats("detail", "blue", seed=3)
+    assert coats("detail", "blue", seed=3) != coats("detail", "blue", seed=4)
+
+
+@pytest.mark.parametrize(
+    ("kind", "colour", "seed", "line"),
+    [
+        ("dotted", "blue", 0, "unknown type of eye 'dotted'; known: smeared, dit-dot, detail"),
+        ("detail", "grey", 0, "unknown colour of eye 'grey'; known: brown, blue, green"),
+        ("detail", "blue", -1, r"seed = -1 is outside \[0, inf\)"),
+    ],
+)
+def test_eyes_that_there_are_none_of(kind, colour, seed, line):
+    with pytest.raises(ValueError, match=line):
+        coats(kind, colour, seed=seed)
