@@ -179,7 +179,8 @@ def outline(scene: Scene, radius: float, pupil: bool) -> tuple[Ellipse, float]:
         assert bool(visible.all())
     else:
         column, row = scene.camera.pixel(ring, eye)
-    points = np.stack([np.asarray(column), np.asarray(row)], -1)
+    # Points that lie on an ellipse to the last digit make the fit's matrix singular.
+    points = np.round(np.stack([np.asarray(column), np.asarray(row)], -1), 6)
     with np.errstate(divide="ignore"):  # of a circle's axes
         model = EllipseModel.from_estimate(points)
     (x, y), (a, b), turn = model.center, model.axis_lengths, model.theta
