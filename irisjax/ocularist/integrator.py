@@ -11,6 +11,7 @@ from typing import NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+from jax.core import Tracer
 from jaxtyping import Array, Float, Int
 
 from irisjax._types import Scalar
@@ -18,7 +19,7 @@ from irisjax.anatomy.eye import Eye
 from irisjax.numerics.interpolation import bilinear, smoothstep
 from irisjax.numerics.portions import pixelwise
 from irisjax.numerics.programs import program
-from irisjax.ocularist.coats import Painting, through
+from irisjax.ocularist.coats import Coat, Painting, through
 from irisjax.ocularist.cones import Cones
 from irisjax.optics.conicoid import Parts, from_axis, joined, parts
 from irisjax.render.bands import Bands
@@ -33,6 +34,10 @@ from irisjax.tissue.maps import IrisMaps, Scales
 
 SHADOW = 384
 """Texels along each side of the maps of light that falls through coats."""
+NEAR = 0.02
+"""Difference in height (mm) up to which coats are lit alike but for what they take from each other:
+light moves aside by less than a texel of a shadow between them.
+"""
 _BEHIND = 2.0  # mm before the eye's iris at which lines of sight begin
 
 
@@ -67,18 +72,23 @@ class Painted(AbstractIntegrator):
         shape = len(lights), 3, SHADOW, SHADOW
         light = once("light on paint", _full, flux, shape)
         state = once("bare ground", _nothing, seen)
-        for coat in reversed(self.painting.coats):
-            name, here = coat.name, (coat.opacity, coat.height)
-            alpha = once(f"opacity of {name}", _opacity, seen, *here, profile, reach)
-            known = state, alpha, seen
-            state = once(
-                f"paint of {name}",
-                _painted,
-                known,
-                *(light, coat.colour, coat.height, lights.tint, reach),
+        for group in _groups(self.painting):
+            top, colours = group[0], tuple(coat.colour for coat in group)
+            wheres = [(coat.opacity, coat.height, profile, reach) for coat in group]
+            names = [coat.name for coat in group]
+            covered = tuple(
+                once(f"opacity of {name}", _opacity, seen, *where)
+                for name, where in zip(names, wheres, strict=True)
             )
-            shaded = once(f"shadow of {name}", _crossed, rays, *here, profile, reach)
-            light = once(f"light under {name}", _under, light, shaded, coat.colour, self.as_printed)
+            known = state, covered, seen
+            more = colours, top.height, lights.tint, reach, self.as_printed
+            state = once(f"paint of {top.name}", _painted, known, light, *more)
+            crossed = tuple(
+                once(f"shadow of {name}", _crossed, rays, *where)
+                for name, where in zip(names, wheres, strict=True)
+            )
+            known = crossed, colours, self.as_printed
+            light = once(f"light under {top.name}", _under, light, *known)
         return Texels(pixels.index, state.radiance), None
 
     def response(
@@ -198,20 +208,22 @@ def _nothing(seen: Ground) -> State:
 
 
 @pixelwise
-def _painted(known, light, colour, height, tint, reach) -> State:
-    """A coat under those above it: Eq. 1 from the uppermost down."""
-    (radiance, clear), alpha, seen = known
+def _painted(known, light, colours, height, tint, reach, as_printed: bool) -> State:
+    """A group of coats under those above it: Eq. 1 from the uppermost down."""
+    (radiance, clear), covered, seen = known
     place = _lifted(seen.point, seen.direction, seen.normal, height)
-    lit = 0.0
+    lit = jnp.zeros_like(radiance)
     for i in range(light.shape[0]):
         flux = tuple(f[i] for f in seen.flux)
         irradiance = jnp.maximum(-sum(f * n for f, n in zip(flux, seen.normal, strict=True)), 0.0)
-        towards = _directed(flux)
-        x, y, _ = _lifted(place, towards, seen.normal, -height)
+        x, y, _ = _lifted(place, _directed(flux), seen.normal, -height)
         arriving = _look_up(light[i], x, y, reach) * irradiance
         lit = lit + (arriving if tint is None else tint[i][:, None] * arriving)
-    added = (clear * alpha * seen.share) * colour[:, None] * lit
-    return State(radiance + added, clear * (1 - alpha))
+    for alpha, colour in zip(covered, colours, strict=True):
+        radiance = radiance + (clear * alpha * seen.share) * colour[:, None] * lit
+        clear = clear * (1 - alpha)
+        lit = through(lit, alpha, colour[:, None], as_printed)
+    return State(radiance, clear)
 
 
 def _directed(flux: Parts) -> Parts:
@@ -264,5 +276,20 @@ def _crossed(rays, opacity, height, profile: Cones, reach):
 
 
 @program
-def _under(light, opacity, colour, as_printed: bool):
-    return through(light, opacity[:, None], colour[:, None, None], as_printed)
+def _under(light, crossed, colours, as_printed: bool):
+    for opacity, colour in zip(crossed, colours, strict=True):
+        light = through(light, opacity[:, None], colour[:, None, None], as_printed)
+    return light
+
+
+def _groups(painting: Painting) -> list[list[Coat]]:
+    """Coats from the uppermost down, those within `NEAR` of the first of a group together."""
+    groups: list[list[Coat]] = []
+    for coat in reversed(painting.coats):
+        first = groups[-1][0].height if groups else None
+        traced = isinstance(coat.height, Tracer) or isinstance(first, Tracer)
+        if first is None or traced or float(first) - float(coat.height) > NEAR:
+            groups.append([coat])
+        else:
+            groups[-1].append(coat)
+    return groups

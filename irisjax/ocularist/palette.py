@@ -37,16 +37,16 @@ PAINTS = {
     "titanium white": Published("#fdfdfd", f"{_REMBRANDT}; (253, 254, 249) made neutral"),
     "yellow ochre": Published("#ac7726", _REMBRANDT),
     "burnt sienna": Published("#65382f", _REMBRANDT),
-    "raw umber": Published("#322b26", _REMBRANDT),
     "burnt umber": Published("#3c2823", _REMBRANDT),
     "ultramarine": Published("#1e1da0", f"{_REMBRANDT}, ultramarine deep"),
+    "phthalo blue": Published("#072b73", f"{_REMBRANDT}, phthalo blue red"),
     "cadmium yellow": Published("#ffc000", f"{_REMBRANDT}, cadmium yellow medium"),
     "cadmium red": Published("#cd261e", f"{_REMBRANDT}, cadmium red medium"),
 }
 """The default paints."""
 FURTHER_PAINTS = {
     "raw sienna": Published("#8b5f2f", _REMBRANDT),
-    "phthalo blue": Published("#072b73", f"{_REMBRANDT}, phthalo blue red"),
+    "raw umber": Published("#322b26", _REMBRANDT),
 }
 """Paints that can be added by name."""
 

@@ -29,8 +29,8 @@ ENVIRONMENT_LIGHTS = 25
 class Scene(eqx.Module):
     """Everything a picture shows. Parts that are `None` are not computed.
 
-    - `iris`: its tissue, `None` for a painted one, whose integrator has all there is. `maps`: of the
-        iris, or `None` for a uniform one. `veins`: of the sclera
+    - `iris`: its tissue, `None` for a painted one, whose integrator has all there is. `maps`: of
+        the iris, or `None` for a uniform one. `veins`: of the sclera
         (`grow.vessels.veins`).
     - `lights`: lamps, mirrored as discs. `environment`: lights iris and white as
         `environment_lights` lamps each (those of the white from all round), and is mirrored itself.
