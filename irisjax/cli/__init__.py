@@ -22,6 +22,7 @@ _COMMANDS = {
     "export": "export",
     "view": "view",
     "clone": "clone",
+    "paint": "paint",
 }
 """Commands in the order of the help, and the modules of this package that have them."""
 _RUN_AGAIN = ("measure", "simulate")

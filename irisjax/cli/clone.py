@@ -14,6 +14,7 @@ from tqdm import tqdm
 from irisjax import io, plot
 from irisjax.cli.cache import cores, kept_tables
 from irisjax.cli.clone_report import doubtful, report, say
+from irisjax.cli.files import check_folder
 from irisjax.cli.options import SEED_HELP, Group, grouped, name_of, number, option, read_seed, whole
 from irisjax.cli.scenes import lamps
 from irisjax.io.clone_folders import PHOTOGRAPH, encode_photograph
@@ -173,7 +174,7 @@ def clone(picture: Picture, model: Model, results: Results) -> None:
     the chain is not long enough (raise --max-steps); 2 for wrong input.
     """
     folder = results.output
-    _check_folder(folder, results.overwrite)
+    check_folder(folder, "clone.json", "a clone", results.overwrite)
     check_range("--focal-px", picture.focal_px, Range(10, 1e6, "pixels"))
     given = _given(picture)
     settings = cloning.Settings(
@@ -225,15 +226,6 @@ def clone(picture: Picture, model: Model, results: Results) -> None:
         (folder / name).unlink(missing_ok=True)
     sure = report(found, picture.cross_polarised, folder)
     raise typer.Exit(0 if sure else _NOT_SURE)
-
-
-def _check_folder(folder: Path, overwrite: bool) -> None:
-    """Find out before the work whether its results can be kept."""
-    first = next(f for f in (folder, *folder.absolute().parents) if f.exists())
-    if not first.is_dir():
-        raise ValueError(f"{first}: is a file, not a folder")
-    if (folder / "clone.json").exists() and not overwrite:
-        raise ValueError(f"{folder}: has a clone; --overwrite begins anew")
 
 
 def _words(group: Group) -> dict[str, Any]:

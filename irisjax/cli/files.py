@@ -27,6 +27,17 @@ FOR_PEOPLE = (
 """Keys of a header that set nothing."""
 
 
+def check_folder(folder: Path, file: str, what: str, overwrite: bool) -> None:
+    """Find out before the work whether a folder can keep its results; `file` says that it has
+    `what` already.
+    """
+    first = next(f for f in (folder, *folder.absolute().parents) if f.exists())
+    if not first.is_dir():
+        raise ValueError(f"{first}: is a file, not a folder")
+    if (folder / file).exists() and not overwrite:
+        raise ValueError(f"{folder}: has {what}; --overwrite begins anew")
+
+
 def _take_settings(context, param, source: Path | None) -> Path | None:
     """Let a file's settings stand in for the defaults of the options that were not typed.
 

@@ -27,10 +27,12 @@ _OF_EYES = (
 
 
 def _number(low: float = -math.inf, high: float = math.inf, unit="") -> Callable[[Any], float]:
-    return _within(Range(low, high, unit))
+    return within(Range(low, high, unit))
 
 
-def _within(allowed: Range) -> Callable[[Any], float]:
+def within(allowed: Range) -> Callable[[Any], float]:
+    """A check that gives numbers within a range, and else raises `ValueError`."""
+
     def check(value):
         if (
             isinstance(value, bool)
@@ -44,7 +46,8 @@ def _within(allowed: Range) -> Callable[[Any], float]:
     return check
 
 
-def _whole(low: int, high: int) -> Callable[[Any], int]:
+def whole(low: int, high: int) -> Callable[[Any], int]:
+    """The same for whole numbers."""
     allowed = Range(low, high)
 
     def check(value):
@@ -55,7 +58,9 @@ def _whole(low: int, high: int) -> Callable[[Any], int]:
     return check
 
 
-def _one(*names: str) -> Callable[[Any], str]:
+def one_of(*names: str) -> Callable[[Any], str]:
+    """The same for one of some names."""
+
     def check(value):
         if value not in names:
             raise ValueError(f"must be one of {', '.join(names)}")
@@ -70,28 +75,29 @@ def _bool(value):
     return value
 
 
-def _text(value):
+def text(value):
+    """Text as it is; `ValueError` for anything else."""
     if not isinstance(value, str):
         raise ValueError("must be text")
     return value
 
 
 def _illuminant(value):
-    illuminant_power(_text(value), [560.0])
+    illuminant_power(text(value), [560.0])
     return value
 
 
 def _size(value):
     if not (isinstance(value, list) and len(value) == 2):
         raise ValueError("must be [width, height]")
-    return tuple(_whole(1, camera.LARGEST)(v) for v in value)
+    return tuple(whole(1, camera.LARGEST)(v) for v in value)
 
 
 def _three(form: str, allowed: Range) -> Callable[[Any], list[float]]:
     def check(value):
         if not (isinstance(value, list) and len(value) == 3):
             raise ValueError(f"must be {form}")
-        return [_within(allowed)(v) for v in value]
+        return [within(allowed)(v) for v in value]
 
     return check
 
@@ -99,9 +105,9 @@ def _three(form: str, allowed: Range) -> Callable[[Any], list[float]]:
 FEATURES: dict[str, Callable[[Any], Any]] = {
     "fibres": _number(0, 4),
     "collarette": _number(0, 4),
-    "crypts": _whole(0, 200),
-    "furrows": _whole(0, 50),
-    "freckles": _whole(0, 200),
+    "crypts": whole(0, 200),
+    "furrows": whole(0, 50),
+    "freckles": whole(0, 200),
     "abl": _number(0, 2),
     "heterochromia": _number(0, 20),
     "relief": _number(0, 1),
@@ -109,43 +115,43 @@ FEATURES: dict[str, Callable[[Any], Any]] = {
 _DEGREES = _number(-360, 360)
 SECTIONS: dict[str, dict[str, Callable[[Any], Any]]] = {
     "iris": {
-        "preset": _one(*PRESETS),
-        "level": _one(*_LEVELS),
-        "melanin_load": _within(MELANIN_LOAD),
-        **{name: _within(limits) for name, limits in LIMITS.items()},
+        "preset": one_of(*PRESETS),
+        "level": one_of(*_LEVELS),
+        "melanin_load": within(MELANIN_LOAD),
+        **{name: within(limits) for name, limits in LIMITS.items()},
     },
-    "maps": {"seed": _whole(0, 2**32 - 1), "file": _text, "uniform": _bool, **FEATURES},
+    "maps": {"seed": whole(0, 2**32 - 1), "file": text, "uniform": _bool, **FEATURES},
     "eye": {
-        "cornea": _one("two-surfaces", "f09", "none"),
+        "cornea": one_of("two-surfaces", "f09", "none"),
         "sclera": _bool,
-        **{name: _within(limits) for name, limits in eye.LIMITS.items() if name in _OF_EYES},
-        "aqueous_index": _within(INDEX),
+        **{name: within(limits) for name, limits in eye.LIMITS.items() if name in _OF_EYES},
+        "aqueous_index": within(INDEX),
     },
     "camera": {
         "polar_deg": _number(0, 180),
         "azimuth_deg": _DEGREES,
-        "distance": _within(camera.LIMITS["distance"]),
-        "width": _within(camera.LIMITS["width"]),
+        "distance": within(camera.LIMITS["distance"]),
+        "width": within(camera.LIMITS["width"]),
         "size": _size,
     },
     "light": {
         "polar_deg": _number(0, 180),
         "azimuth_deg": _DEGREES,
         "position": _three("[x, y, z] in mm", Range(-math.inf, math.inf)),
-        "irradiance": _within(lights.LIMITS["irradiance"]),
+        "irradiance": within(lights.LIMITS["irradiance"]),
         "radius_deg": _number(0.01, 60),
         "colour": _three("[red, green, blue]", lights.LIMITS["tint"]),
     },
     "environment": {
-        "file": _text,
-        "kind": _one("studio", "sky", "uniform"),
-        "lights": _whole(1, 1000),
+        "file": text,
+        "kind": one_of("studio", "sky", "uniform"),
+        "lights": whole(1, 1000),
         "strength": _number(0, 1e6),
     },
     "picture": {
         "exposure": _number(1e-6, 1e6),
         "illuminant": _illuminant,
-        "integrator": _one(*INTEGRATORS),
+        "integrator": one_of(*INTEGRATORS),
     },
 }
 

@@ -1,0 +1,205 @@
+"""`irisjax paint`: a recipe of coats in, the painted eye and every coat out."""
+
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+import typer
+from tqdm import tqdm
+
+from irisjax import io
+from irisjax.anatomy.eye import LIMITS, Eye
+from irisjax.cli.animate import sheet
+from irisjax.cli.cache import cores, kept_tables
+from irisjax.cli.files import check_folder
+from irisjax.cli.options import SEED_HELP, Group, grouped, name_of, option, read_seed, whole, within
+from irisjax.cli.scenes import changed
+from irisjax.io.images import encode_png
+from irisjax.io.recipes import MIXING, Recipe, read_recipe, recipe_text
+from irisjax.measure.colour import srgb_encode
+from irisjax.numerics.programs import program
+from irisjax.ocularist.coats import Coat, Painting
+from irisjax.ocularist.easel import SIZE, painted, studio
+from irisjax.ocularist.integrator import Painted
+from irisjax.ocularist.recipes import COLOURS, TYPES, coats
+from irisjax.render.camera import Camera
+from irisjax.render.scene import Scene
+from irisjax.render.stages import Memory
+
+_STEPS = 12  # pictures of the progression at most
+_SMALL = 320, 240
+_SHADOWS = "tinted", "as-printed"
+_PUPIL = LIMITS["pupil_radius"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Subject(Group):
+    """Which eye."""
+
+    PANEL = "What"
+
+    recipe: Annotated[
+        Path | None,
+        typer.Argument(metavar="RECIPE", help="coats of paint (TOML)", show_default=False),
+    ] = None
+    type: Annotated[
+        str | None, option(metavar="name", help=f"{', '.join(TYPES)}: in place of a recipe")
+    ] = None
+    colour: Annotated[
+        str | None, option(metavar="name", help=f"{', '.join(COLOURS)}; with --type")
+    ] = None
+    seed: Annotated[
+        int, option(parse=read_seed, metavar="number", help=f"{SEED_HELP}coats of a --type")
+    ] = 0
+    mixing: Annotated[
+        str | None, option(metavar="name", help=f"{', '.join(MIXING)}: of the paints")
+    ] = None
+    pupil_radius: Annotated[
+        float | None,
+        option(parse=within(_PUPIL), metavar="MM", help=f"{_PUPIL.low:g} to {_PUPIL.high:g}"),
+    ] = None
+
+    def __post_init__(self):
+        super().__post_init__()
+        if (self.recipe is None) == (self.type is None):
+            raise ValueError("give a recipe or --type, one of them")
+        if (self.type is None) != (self.colour is None):
+            raise ValueError("--type and --colour go together")
+        if self.mixing is not None and self.mixing not in MIXING:
+            raise ValueError(f"--mixing: unknown {self.mixing!r}; known: {', '.join(MIXING)}")
+
+    def read(self) -> Recipe:
+        """The recipe of the file, or of the type, with what the options change."""
+        if self.recipe is not None:
+            found = read_recipe(self.recipe)
+        else:
+            assert self.type is not None
+            assert self.colour is not None
+            found = Recipe(coats(self.type, self.colour, seed=self.seed))
+        if self.mixing is not None:
+            found = found._replace(mixing=self.mixing, paints=None)
+        if self.pupil_radius is not None:
+            found = found._replace(pupil_radius=self.pupil_radius)
+        return found
+
+
+@dataclass(frozen=True, kw_only=True)
+class Picture(Group):
+    """How it is drawn."""
+
+    PANEL = "Picture"
+
+    light: Annotated[
+        list[str] | None,
+        option(
+            metavar="POLAR,AZIMUTH[,IRRADIANCE]",
+            help="as of render; repeatable; in place of two lamps",
+        ),
+    ] = None
+    camera: Annotated[str | None, option(metavar="POLAR,AZIMUTH[,WIDTH]", help="as of render")] = (
+        None
+    )
+    size: Annotated[str | None, option(metavar="WIDTHxHEIGHT", help="pixels; default 800x600")] = (
+        None
+    )
+    texels: Annotated[
+        int, option(parse=whole(64, 4096), metavar="count", help="along a side of opacity maps")
+    ] = SIZE
+    shadow: Annotated[
+        str,
+        name_of("shadows; as-printed: by the paper's Eq. 2 as it stands there", *_SHADOWS),
+    ] = "tinted"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Results(Group):
+    """Where it goes."""
+
+    PANEL = "Files"
+
+    output: Annotated[Path, option("-o", "--output", metavar="DIR", help="folder for the eye")]
+    overwrite: Annotated[
+        bool, option("--overwrite", metavar="", help="replace a painted eye in that folder")
+    ] = False
+
+
+@grouped
+def paint(subject: Subject, picture: Picture, results: Results) -> None:
+    """An eye painted in semi-transparent coats, as ocularists make them.
+
+    For example: irisjax paint --type detail --colour blue -o blue_eye
+
+    Writes the picture (eye.png), its progress from the base up (progression.png), every coat
+    (coats/) and the recipe as it was used (recipe.toml). No physics of tissue: paint.
+    """
+    folder = results.output
+    check_folder(folder, "recipe.toml", "a painted eye", results.overwrite)
+    recipe = subject.read()
+    eye = recipe.eye()
+    painting = painted(recipe.coats, recipe.mixer(), eye, size=picture.texels, scans=recipe.scans())
+    scene = studio(painting, eye)
+    scene = changed(scene, picture.light, None, picture.size, picture.camera)
+    scene = _with(scene, painting, picture.shadow)
+    files = {folder / "recipe.toml": recipe_text(recipe).encode()}
+    shown = _shown(painting)
+    with tqdm(total=1 + len(shown), unit="picture", disable=not sys.stderr.isatty()) as bar:
+        memory = Memory(cores())
+        whole_eye = np.asarray(memory.render(scene, kept_tables(scene)))
+        bar.update()
+        steps = []
+        small = scene.replace(camera=_small(scene.camera))
+        for count in shown:
+            part = Painting(painting.coats[:count], painting.profile)
+            memory = Memory(cores())
+            part = _with(small, part, picture.shadow)
+            steps.append(np.asarray(memory.render(part, kept_tables(part))))
+            bar.update()
+    remark = "painted and simulated by irisjax"
+    for name, linear in (("eye.png", whole_eye), ("progression.png", sheet(steps))):
+        path = folder / name
+        files[path], clipped = encode_png(path, np.asarray(_encode(linear)), remark=remark)
+        if clipped:
+            print(
+                f"irisjax: {path}: {clipped} pixels out of sRGB's range are clipped",
+                file=sys.stderr,
+            )
+    for coat in painting.coats:
+        path = folder / "coats" / f"{coat.name.replace(' ', '_')}.png"
+        files[path] = encode_png(path, _on_white(coat), remark=remark)[0]
+    (folder / "coats").mkdir(parents=True, exist_ok=True)
+    io.write_together(files)
+    print(f"{len(painting.coats)} coats; written: {folder}")
+
+
+_encode = program(srgb_encode)
+
+
+def _painted(subject: Subject, recipe: Recipe, eye: Eye, size: int) -> Painting:
+    mixer, scans = recipe.mixer(), recipe.scans()
+    try:
+        return painted(recipe.coats, mixer, eye, size=size, scans=scans)
+    except ValueError as error:
+        where = "" if subject.recipe is None else f"{subject.recipe}: "
+        raise ValueError(f"{where}{error}") from None
+
+
+def _with(scene: Scene, painting: Painting, shadow: str) -> Scene:
+    return scene.replace(integrator=Painted(painting=painting, as_printed=shadow == "as-printed"))
+
+
+def _shown(painting: Painting) -> list[int]:
+    """Numbers of coats after which the progress is shown."""
+    count = len(painting.coats)
+    return sorted({round(1 + i * (count - 1) / (_STEPS - 1)) for i in range(_STEPS)})
+
+
+def _small(camera: Camera) -> Camera:
+    return Camera(camera.polar, camera.azimuth, camera.distance, camera.width, size=_SMALL)
+
+
+def _on_white(coat: Coat) -> np.ndarray:
+    """A coat as it lies on white paper, encoded."""
+    a = np.asarray(coat.opacity)[..., None]
+    return np.asarray(_encode((1 - a) + a * np.asarray(coat.colour)))
