@@ -138,7 +138,7 @@ def paint(subject: Subject, picture: Picture, results: Results) -> None:
     check_folder(folder, "recipe.toml", "a painted eye", results.overwrite)
     recipe = subject.read()
     eye = recipe.eye()
-    painting = painted(recipe.coats, recipe.mixer(), eye, size=picture.texels, scans=recipe.scans())
+    painting = _painted(subject, recipe, eye, picture.texels)
     scene = studio(painting, eye)
     scene = changed(scene, picture.light, None, picture.size, picture.camera)
     scene = _with(scene, painting, picture.shadow)

@@ -119,7 +119,7 @@ def windows_of(
     """
     ranges = ranges_of(iris, maps)
     bands = colour_bands(lights.illuminant, cornea=eye.cornea)
-    made = integrator.prepare(iris, eye.aqueous_index, bands, ranges)
+    made: Any = integrator.prepare(iris, eye.aqueous_index, bands, ranges)
     known = eye, iris, maps, tables, ranges, bands, made
 
     # Neighbours in a window have different turns.

@@ -1,0 +1,140 @@
+"""`irisjax paint`: what it writes and refuses."""
+
+import tomllib
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+from refusals import one_line
+
+from irisjax.io.recipes import read_recipe
+
+RECIPE = Path(__file__).parent.parent.parent / "data" / "recipes" / "green.toml"
+SMALL = ("--size", "120x90", "--texels", "64")
+
+
+def _refused(result, *words):
+    for word in words:
+        one_line(result, word)
+
+
+def _pixels(path):
+    return np.asarray(Image.open(path)).astype(int)
+
+
+@pytest.mark.heavy  # compiles a picture
+def test_a_recipe_becomes_an_eye_its_coats_and_the_recipe_as_used(irisjax, tmp_path):
+    folder = tmp_path / "new" / "green"
+    status, out, err = irisjax("paint", RECIPE, *SMALL, "-o", folder)
+    assert status == 0, err
+    assert out.startswith("6 coats")
+    assert {p.name for p in folder.iterdir()} == {
+        "eye.png", "progression.png", "recipe.toml", "coats",
+    }  # fmt: skip
+    assert len(list((folder / "coats").iterdir())) == 6
+    eye = _pixels(folder / "eye.png")
+    assert eye.shape == (90, 120, 3)
+    assert eye[45, 60].max() == 0  # the pupil
+    red, green, blue = eye[45, 80:90].mean(0)
+    assert green > blue and green > 0.9 * red
+    used = read_recipe(folder / "recipe.toml")
+    assert used.coats == read_recipe(RECIPE).coats and used.palette == {"moss": "#5a6b2c"}
+    # The recipe as used makes the same eye again.
+    again = tmp_path / "again"
+    assert irisjax("paint", folder / "recipe.toml", *SMALL, "-o", again)[0] == 0
+    assert (again / "eye.png").read_bytes() == (folder / "eye.png").read_bytes()
+    _refused(irisjax("paint", RECIPE, "-o", folder), str(folder), "--overwrite")
+    # Other paints, another eye; a file in the folder is replaced when asked.
+    mixed = irisjax(
+        "paint", RECIPE, *SMALL, "--mixing", "kubelka-munk", "-o", folder, "--overwrite"
+    )
+    assert mixed[0] == 0
+    assert np.abs(_pixels(folder / "eye.png") - eye).max() > 5
+    assert tomllib.loads((folder / "recipe.toml").read_text())["painting"]["mixing"] == (
+        "kubelka-munk"
+    )
+
+
+@pytest.mark.heavy
+def test_a_type_of_eye_has_the_papers_number_of_coats(irisjax, tmp_path):
+    options = ("--type", "smeared", "--colour", "brown", *SMALL, "-o", tmp_path / "eye")
+    status, out, err = irisjax("paint", *options)
+    assert status == 0, err
+    assert out.startswith("12 coats")
+    red, green, blue = _pixels(tmp_path / "eye" / "eye.png")[45, 80:90].mean(0)
+    assert red > green > blue
+
+
+@pytest.mark.heavy
+def test_a_scan_is_a_coat(irisjax, tmp_path):
+    """Black on white paper covers; the picture's top is the eye's."""
+    scan = np.full((32, 32), 255, np.uint8)
+    scan[:16] = 0
+    Image.fromarray(scan).save(tmp_path / "scan.png")
+    recipe = tmp_path / "recipe.toml"
+    recipe.write_text(
+        '[[coat]]\ncomponent = "base"\npaints = "titanium white"\n[[coat]]\ncomponent = "scan"\n'
+        'parameters = { file = "scan.png" }\npaints = "cadmium red"\n'
+    )
+    assert irisjax("paint", recipe, *SMALL, "-o", tmp_path / "eye")[0] == 0
+    eye = _pixels(tmp_path / "eye" / "eye.png")
+    upper, lower = eye[20, 55:65].mean(0), eye[70, 55:65].mean(0)
+    assert upper[0] > 2 * upper[1] and lower[1] > 0.9 * lower[0]
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("", ["no coats"]),
+        ('[[coat]]\ncomponent = "base"\n', ["line 1", "needs paints"]),
+        ('[[coat]]\ncomponent = "blobs"\npaints = "ultramarine"\n', ["line 2", "one of base"]),
+        ('[[coat]]\ncomponent = "base"\npaints = "blue"\n', ["coat 1", "unknown paint 'blue'"]),
+        ('[[coat]]\ncomponent = "base"\npaints = 3\n', ["line 3", "names of paints"]),
+        ('[[coat]]\ncomponent = "scan"\npaints = "ultramarine"\n', ["coat 1", "file"]),
+        (
+            '[[coat]]\ncomponent = "scan"\nparameters = { file = "none.png" }\npaints = "ultramarine"',
+            ["none.png", "No such file"],
+        ),
+        (
+            '[[coat]]\ncomponent = "base"\npaints = "ultramarine"\nheight = 2\n',
+            ["line 4", "coat.height = 2", "[0, 1] mm"],
+        ),
+        (
+            '[[coat]]\ncomponent = "base"\npaints = "ultramarine"\nsheen = 2\n',
+            ["line 4", "unknown 'sheen'", "opacity"],
+        ),
+        ('[painting]\nmixing = "oil"\n[[coat]]\n', ["line 2", "mixing", "kubelka-munk"]),
+        ("[coats]\n", ["line 1", "unknown section", "coat"]),
+        ("[coat]\n", ["line 1", "[[coat]]"]),
+        ("coat = [\n", ["line 2"]),
+        ('[palette]\nsky = "blue"\n[[coat]]\ncomponent="base"\npaints="sky"\n', ["sky", "#rrggbb"]),
+        (
+            '[[coat]]\ncomponent = "sphincter"\nparameters = { reech = 1 }\npaints = "ultramarine"',
+            ["coat 1", "wdth", "did you mean 'width'"],
+        ),
+    ],
+)
+def test_wrong_recipes_are_one_line(irisjax, tmp_path, text, words):
+    recipe = tmp_path / "recipe.toml"
+    recipe.write_text(text)
+    file = "none.png" if "none.png" in text else "recipe.toml"
+    _refused(irisjax("paint", recipe, "-o", tmp_path / "eye"), file, *words)
+    assert not (tmp_path / "eye").exists()
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ((), ["a recipe or --type"]),
+        ((RECIPE, "--type", "detail", "--colour", "blue"), ["one of them"]),
+        (("--type", "detail"), ["--colour"]),
+        (("--type", "spotted", "--colour", "blue"), ["spotted", "dit-dot"]),
+        (("--type", "detail", "--colour", "red"), ["red", "brown"]),
+        ((RECIPE, "--mixing", "oil"), ["oil", "hsl"]),
+        ((RECIPE, "--pupil-radius", "9"), ["9", "4.75"]),
+    ],
+)
+def test_wrong_options_are_one_line(irisjax, tmp_path, options, words):
+    _refused(irisjax("paint", *options, "-o", tmp_path / "eye"), *words)
+    assert not (tmp_path / "eye").exists()
