@@ -108,8 +108,8 @@ class Cones(eqx.Module):
         discriminant is Δz² times a sum of squares less a square: what cancels is left out, and
         flat cones lose nothing.
         """
-        (ox, oy, oz), (dx, dy, dz) = parts(origin), parts(direction)
-        shape = (-1, *(1,) * ox.ndim)
+        (ox, oy, oz), (dx, dy, dz) = (parts(v[None]) for v in (origin, direction))
+        shape = (-1, *(1,) * (ox.ndim - 1))
         z0, r0 = self.z[:-1].reshape(shape), self.radius[:-1].reshape(shape)
         rise = jnp.diff(self.z).reshape(shape)
         out = jnp.diff(self.radius).reshape(shape)
