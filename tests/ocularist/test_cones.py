@@ -1,5 +1,7 @@
 """Rays and stacks of cones, against spheres, points put on them, and marching."""
 
+from functools import partial
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -36,13 +38,14 @@ def on_stack(profile, cone, share, angle):
     return np.stack([r * np.cos(angle), r * np.sin(angle), z + share * dz], -1)
 
 
-@jax.jit
+@partial(jax.jit, static_argnames="least")
 def compiled(cones, origin, direction, least):
     return cones.meet(origin, direction, least)
 
 
 def meet(cones, origin, direction, least=0.0):
-    return compiled(cones, *(jnp.asarray(v, cones.z.dtype) for v in (origin, direction, least)))
+    rays = (jnp.asarray(v, cones.z.dtype) for v in (origin, direction))
+    return compiled(cones, *rays, least)
 
 
 def rounding(cones):
