@@ -10,7 +10,8 @@ import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Bool, Float, Int
 
-from irisjax.optics.conicoid import Vector, parts
+from irisjax.numerics.roots import safe_sqrt
+from irisjax.optics.conicoid import Vector, from_axis, parts
 
 _ROUNDING = 16  # units in the last place by which cones reach beyond their seams
 
@@ -85,7 +86,7 @@ class Cones(eqx.Module):
         cylinders away from the axis.
         """
         x, y, _ = parts(point)
-        r = jnp.hypot(x, y)
+        r = from_axis(point)
         r = jnp.where(r > 0, r, 1.0)
         rise, out = jnp.diff(self.z)[cone], jnp.diff(self.radius)[cone]
         length = jnp.hypot(rise, out)
@@ -108,16 +109,16 @@ class Cones(eqx.Module):
         discriminant is Δz² times a sum of squares less a square: what cancels is left out, and
         flat cones lose nothing.
         """
-        (ox, oy, oz), (dx, dy, dz) = parts(origin), parts(direction)
-        shape = (-1, *(1,) * ox.ndim)
+        (ox, oy, oz), (dx, dy, dz) = (parts(v[None]) for v in (origin, direction))
+        shape = (-1, *(1,) * (ox.ndim - 1))
         z0, r0 = self.z[:-1].reshape(shape), self.radius[:-1].reshape(shape)
         rise = jnp.diff(self.z).reshape(shape)
         out = jnp.diff(self.radius).reshape(shape)
         w0, w1 = r0 * rise + out * (oz - z0), out * dz
-        across, from_axis = jnp.sqrt(dx * dx + dy * dy), jnp.sqrt(ox * ox + oy * oy)
+        across, away = safe_sqrt(dx * dx + dy * dy), safe_sqrt(ox * ox + oy * oy)
         a = (rise * across - w1) * (rise * across + w1)
         b = rise * rise * (ox * dx + oy * dy) - w0 * w1
-        c = (rise * from_axis - w0) * (rise * from_axis + w0)
+        c = (rise * away - w0) * (rise * away + w0)
         inner = (w0 * dx - w1 * ox) ** 2 + (w0 * dy - w1 * oy) ** 2
         inner = inner - rise * rise * (ox * dy - oy * dx) ** 2
         root = jnp.abs(rise) * jnp.sqrt(jnp.where(inner > 0, inner, 0.0))

@@ -19,6 +19,7 @@ from irisjax.anatomy.eye import Eye
 from irisjax.numerics.interpolation import bilinear, smoothstep
 from irisjax.numerics.portions import pixelwise
 from irisjax.numerics.programs import program
+from irisjax.numerics.roots import safe_sqrt
 from irisjax.ocularist.coats import Coat, Painting, through
 from irisjax.ocularist.cones import Cones
 from irisjax.optics.conicoid import Parts, from_axis, joined, parts
@@ -191,7 +192,7 @@ def _look_up(texture, x, y, reach):
 
 def _covering(opacity, x, y, profile: Cones, reach):
     """Opacity at places, softly none in the pupil, none beyond the root."""
-    r = jnp.sqrt(x * x + y * y)
+    r = safe_sqrt(x * x + y * y)
     edge = smoothstep((r - profile.radius[0]) / PUPIL_MARGIN)
     return jnp.where(r <= profile.radius[-1], edge * _look_up(opacity, x, y, reach), 0.0)
 

@@ -1,0 +1,292 @@
+"""Rays and stacks of cones, against spheres, points put on them, and marching."""
+
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from skimage.measure import points_in_poly
+
+from irisjax.ocularist.cones import Cones
+
+RNG = np.random.default_rng(7)
+VASE = ((4.0, 0.0), (4.5, 3.0), (2.0, 3.5), (-1.0, 1.0), (-3.0, 1.0), (-3.0, 2.5), (-4.0, 0.0))
+
+
+def sphere(count, radius=11.5):
+    angle = np.linspace(0, np.pi, count + 1)
+    profile = radius * np.stack([-np.cos(angle), np.sin(angle)], -1)
+    profile[[0, -1], 1] = 0
+    return Cones.of(profile)
+
+
+def unit(v):
+    return v / np.linalg.norm(v, axis=-1, keepdims=True)
+
+
+def rays_towards(target, length):
+    """Origins and directions of rays that reach targets from anywhere after a length."""
+    direction = unit(RNG.normal(size=target.shape))
+    return target - length * direction, direction
+
+
+def on_stack(profile, cone, share, angle):
+    """Points on numbered cones, at a share of the way between their circles."""
+    (z, r), (dz, dr) = np.asarray(profile)[cone].T, np.diff(np.asarray(profile), axis=0)[cone].T
+    r = r + share * dr
+    return np.stack([r * np.cos(angle), r * np.sin(angle), z + share * dz], -1)
+
+
+@partial(jax.jit, static_argnames="least")
+def compiled(cones, origin, direction, least):
+    return cones.meet(origin, direction, least)
+
+
+def meet(cones, origin, direction, least=0.0):
+    rays = (jnp.asarray(v, cones.z.dtype) for v in (origin, direction))
+    return compiled(cones, *rays, least)
+
+
+def rounding(cones):
+    """Sixteen units in the last place of the stack's size: what seams overlap by, mm."""
+    size = float(jnp.abs(cones.z).max() + cones.radius.max())
+    return 16 * float(jnp.finfo(cones.z.dtype).eps) * size
+
+
+def off_the_nearest(profile, point):
+    """Distances in the cross-section from points to the profile."""
+    at = np.stack([point[:, 2], np.hypot(point[:, 0], point[:, 1])], -1)[:, None]
+    start, way = np.asarray(profile, float)[:-1], np.diff(np.asarray(profile, float), axis=0)
+    share = np.clip(((at - start) * way).sum(-1) / (way**2).sum(-1), 0, 1)
+    return np.linalg.norm(at - start - share[..., None] * way, axis=-1).min(1)
+
+
+@pytest.mark.parametrize("inside", [False, True], ids=["from-outside", "from-inside"])
+def test_many_cones_are_a_sphere(inside):
+    centre = RNG.normal(size=(2000, 3))
+    origin, direction = rays_towards(8 * unit(centre), 3.0 if inside else 40.0)
+    along = (origin * direction).sum(1)
+    half = np.sqrt(along**2 - (origin**2).sum(1) + 11.5**2)
+    exact = -along + half if inside else -along - half
+    worst = []
+    for count in (50, 100, 200):
+        hit = meet(sphere(count), origin, direction)
+        assert bool(hit.met.all())
+        away = np.linalg.norm(origin + np.asarray(hit.distance)[:, None] * direction, axis=1)
+        # Chords of a circle lie inside it, by their sagitta at most.
+        assert away.max() <= 11.5 + 1e-12
+        assert away.min() >= 11.5 * np.cos(np.pi / count / 2) - 1e-12
+        worst.append(np.abs(np.asarray(hit.distance) - exact).mean())
+    assert worst[0] / worst[1] == pytest.approx(4, rel=0.1)
+    assert worst[1] / worst[2] == pytest.approx(4, rel=0.1)
+
+
+def test_no_ray_slips_through_a_seam(bits):
+    cones = sphere(60)
+    profile = np.stack([cones.z, cones.radius], -1).astype(float)
+    seam = RNG.integers(1, 60, 20_000)
+    target = on_stack(profile, seam, np.zeros(len(seam)), RNG.uniform(0, 2 * np.pi, len(seam)))
+    for length in (1e-2, 3.0, 40.0):
+        # Towards the inside: grazing rays may miss a stack by rights.
+        origin, direction = rays_towards(target, length)
+        hit = meet(cones, origin, direction)
+        inwards = -(direction * target).sum(1) / 11.5 > 0.1
+        assert bool(hit.met[inwards].all())
+        # The target is on the stack: what is met, is met there or before.
+        assert float(hit.distance[inwards].max()) <= length + 10 * rounding(cones)
+
+
+def test_no_ray_leaves_a_closed_stack(bits):
+    cones, n = Cones.of(VASE), 20_000
+    origin = np.tile([0.0, 0.0, 3.0], (n, 1))
+    z, r = np.asarray(VASE)[RNG.integers(0, len(VASE), n)].T
+    angle = RNG.uniform(0, 2 * np.pi, n)
+    direction = unit(np.stack([r * np.cos(angle), r * np.sin(angle), z], -1) - origin)
+    hit = meet(cones, origin, direction)
+    assert bool(hit.met.all())
+    point = origin + np.asarray(hit.distance, float)[:, None] * direction
+    assert off_the_nearest(VASE, point).max() < 4 * rounding(cones)
+
+
+def test_the_first_meeting_is_that_of_marching():
+    origin = 12 * unit(RNG.normal(size=(200, 3)))
+    direction = unit(on_stack(VASE, np.full(200, 2), RNG.random(200), RNG.random(200)) - origin)
+    hit = meet(Cones.of(VASE), origin, direction)
+    step = 0.005
+    t = np.arange(0, 24, step)
+    x, y, z = np.moveaxis(origin[:, None] + t[:, None] * direction[:, None], -1, 0)
+    inside = points_in_poly(np.stack([z, np.hypot(x, y)], -1).reshape(-1, 2), VASE)
+    inside = inside.reshape(x.shape)
+    first = t[inside.argmax(1)]
+    assert (inside.any(1) <= np.asarray(hit.met)).all()
+    both = inside.any(1)
+    assert both.sum() > 150
+    late = first[both] - np.asarray(hit.distance)[both]
+    # What is thinner than a step along a ray is stepped over: few rays.
+    assert late.min() >= -1e-9
+    assert (late > step).mean() < 0.03
+
+
+def test_rays_meet_cylinders_rings_and_cones_at_points_put_there(bits):
+    cones, n = Cones.of(VASE), 5000
+    cone = RNG.integers(0, len(VASE) - 1, n)
+    target = on_stack(VASE, cone, RNG.uniform(0.01, 0.99, n), RNG.uniform(0, 2 * np.pi, n))
+    origin, direction = rays_towards(target, 0.7)
+    # Beyond every other meeting of these rays, which may have several.
+    hit = meet(cones, origin, direction, least=0.0)
+    point = origin + np.asarray(hit.distance, float)[:, None] * direction
+    normal = np.asarray(cones.normal(jnp.asarray(target, cones.z.dtype), jnp.asarray(cone)))
+    steep = np.abs((normal * direction).sum(1)) > 0.1
+    assert bool(hit.met[steep].all())
+    assert (np.asarray(hit.distance)[steep] <= 0.7 + 20 * rounding(cones)).all()
+    first = steep & (np.asarray(hit.distance) > 0.7 - 1e-3)
+    assert first.sum() > 0.6 * n
+    np.testing.assert_array_equal(np.asarray(hit.cone)[first], cone[first])
+    np.testing.assert_allclose(point[first], target[first], atol=20 * rounding(cones))
+
+
+@pytest.mark.parametrize("slope", [0.0, 1e-12, 1e-7, 1e-3, -1e-7])
+def test_almost_flat_cones_lose_nothing(slope, bits):
+    dtype = jnp.float64 if bits == 64 else jnp.float32
+    radius = np.array([2.0, 3.5, 6.0])
+    cones = Cones(jnp.asarray(3 + slope * (radius - 2), dtype), jnp.asarray(radius, dtype))
+    profile = np.stack([cones.z, cones.radius], -1).astype(float)
+    n = 4000
+    share = RNG.uniform(0.001, 0.999, n)
+    target = on_stack(profile, RNG.integers(0, 2, n), share, RNG.uniform(0, 2 * np.pi, n))
+    origin, direction = rays_towards(target, 2.0)
+    steep = np.abs(direction[:, 2]) > 0.1
+    hit = meet(cones, origin, direction)
+    assert bool(hit.met[steep].all())
+    off = np.abs((np.asarray(hit.distance, float) - 2.0) * direction[:, 2])
+    assert off[steep].max() < rounding(cones)
+
+
+def test_a_ring_is_a_plane_with_a_hole():
+    ring = Cones.of([(3.0, 2.0), (3.0, 6.0)])
+    origin = np.array([[0, 0, 0], [4, 0, 0], [0, 5, 7], [6.5, 0, 0], [0, 1.9, 0]], float)
+    direction = unit(np.array([[0, 0.1, 1], [0, 0, 1], [0, 0, -1], [0, 0, 1], [0, 0, 1.0]]))
+    hit = meet(ring, origin, direction)
+    np.testing.assert_array_equal(hit.met, [False, True, True, False, False])
+    np.testing.assert_allclose(hit.distance, [0, 3, 4, 0, 0])
+
+
+def test_a_cylinder_is_met_from_inside_and_outside_and_not_along_the_axis():
+    tube = Cones.of([(-2.0, 1.5), (2.0, 1.5)])
+    origin = np.array([[-5, 0, 0], [0, 0, 0], [0.3, 0, -9], [-5, 0, 2.5], [-5, 0, -1.0]])
+    direction = unit(np.array([[1, 0, 0], [0, 1, 0], [0, 0, 1], [1, 0, 0], [1, 0, 0.3]]))
+    hit = meet(tube, origin, direction)
+    np.testing.assert_array_equal(hit.met, [True, True, False, False, True])
+    np.testing.assert_allclose(hit.distance, [3.5, 1.5, 0, 0, 3.5 * np.sqrt(1.09)], atol=1e-14)
+    beyond = meet(tube, origin[:1], direction[:1], least=4.0)
+    np.testing.assert_allclose(beyond.distance, [6.5])
+
+
+@pytest.mark.parametrize("turned", [1.0, -1.0], ids=["opens-back", "opens-forward"])
+def test_the_mirror_image_of_a_cone_is_not_met(turned):
+    cone = Cones.of([(turned * 1.0, 1.0), (turned * 2.0, 2.0)])
+    up = np.array([[0.0, 1.0, 0.0]])
+    assert not bool(meet(cone, np.array([[0.5, -9, -turned * 1.5]]), up).met.any())
+    hit = meet(cone, np.array([[0.5, -9, turned * 1.5]]), up)
+    np.testing.assert_allclose(hit.distance, [9 - np.sqrt(1.5**2 - 0.25)])
+
+
+def test_rays_along_the_axis():
+    cone, ring = Cones.of([(1.0, 0.0), (2.0, 3.0)]), Cones.of([(1.0, 0.0), (1.0, 3.0)])
+    origin = np.array([[0.0, 0, -4], [0, 0, 5.0]])
+    along = np.array([[0.0, 0, 1], [0, 0, -1]])
+    for stack in (cone, ring):
+        hit = meet(stack, origin, along)
+        assert bool(hit.met.all())
+        np.testing.assert_allclose(hit.distance, [5.0, 4.0], atol=1e-13)
+    assert np.isfinite(cone.normal(jnp.asarray([[0.0, 0, 1]]), jnp.asarray([0]))).all()
+
+
+def test_both_sides_of_a_cone_meet_in_the_same_points():
+    cones, n = Cones.of([(3.0, 2.0), (3.4, 6.0)]), 1000
+    target = on_stack([(3.0, 2.0), (3.4, 6.0)], np.zeros(n, int), RNG.random(n), RNG.random(n))
+    there = unit(np.stack([*RNG.normal(0, 0.2, (2, n)), np.ones(n)], -1))
+    for direction in (there, -there):
+        hit = meet(cones, target - 2 * direction, direction)
+        np.testing.assert_allclose(hit.distance, np.full(n, 2.0), atol=1e-12)
+
+
+def test_normals_are_unit_perpendicular_and_out_of_the_eye():
+    cones, n = Cones.of(VASE), 2000
+    cone, angle = RNG.integers(0, len(VASE) - 1, n), RNG.uniform(0, 2 * np.pi, n)
+    share = RNG.uniform(0.05, 0.95, n)
+    point = on_stack(VASE, cone, share, angle)
+    normal = np.asarray(cones.normal(jnp.asarray(point), jnp.asarray(cone)))
+    np.testing.assert_allclose(np.linalg.norm(normal, axis=1), 1, rtol=1e-14)
+    for aside in (
+        on_stack(VASE, cone, share + 0.02, angle) - point,
+        on_stack(VASE, cone, share, angle + 1e-6) - on_stack(VASE, cone, share, angle - 1e-6),
+    ):
+        assert np.abs((unit(aside) * normal).sum(1)).max() < 1e-8
+    tube = np.asarray(VASE)[cone, 1] == np.asarray(VASE)[cone + 1, 1]
+    assert (normal[~tube, 2] < 0).all()
+    assert ((normal * point)[tube, :2].sum(1) > 0).all()
+
+
+def test_height_follows_the_profile_and_goes_straight_on():
+    profile = np.array([(3.0, 2.0), (3.2, 3.0), (3.1, 5.0)])
+    cones = Cones.of(profile)
+    inside = np.linspace(2, 5, 31)
+    np.testing.assert_allclose(
+        cones.height(jnp.asarray(inside)), np.interp(inside, profile[:, 1], profile[:, 0])
+    )
+    np.testing.assert_allclose(cones.height(jnp.asarray([1.0, 7.0])), [2.8, 3.0])
+
+
+@pytest.mark.parametrize(
+    ("profile", "words"),
+    [
+        ([(3.0, 2.0)], "two circles or more"),
+        ([(3.0, 2.0), (3.0, 2.0)], "circles 0 and 1 of the cones are the same"),
+        ([(3.0, 2.0), (np.nan, 3.0)], "circle 1 of the cones has z = nan mm"),
+        ([(3.0, -2.0), (3.0, 2.0)], "circle 0 of the cones has z = 3 mm and radius = -2 mm"),
+        ([(3.0, 2.0, 1.0)], "pairs"),
+        ([3.0, 2.0], "pairs"),
+    ],
+)
+def test_bad_profiles_are_one_clear_line(profile, words):
+    with pytest.raises(ValueError, match=words) as error:
+        Cones.of(profile)
+    assert "\n" not in str(error.value)
+
+
+def test_distances_change_with_the_circles_as_finite_differences_say():
+    z, radius = jnp.asarray([3.0, 3.3, 3.2]), jnp.asarray([2.0, 3.5, 6.0])
+    origin = jnp.asarray([[0.5, -3.0, -4.0], [2.0, 2.0, -4.0], [1.0, 5.5, -4.0]])
+    direction = jnp.asarray(unit(np.array([[0.1, 0.0, 1.0], [0.2, 0.1, 1.0], [0.0, -0.1, 1.0]])))
+
+    @jax.jit
+    def total(z):
+        return Cones(z, radius).meet(origin, direction).distance.sum()
+
+    slope, step = jax.grad(total)(z), 1e-5
+    for i in range(3):
+        numeric = (total(z.at[i].add(step)) - total(z.at[i].add(-step))) / (2 * step)
+        assert abs(float(numeric)) > 0.05
+        assert float(slope[i]) == pytest.approx(float(numeric), rel=1e-7)
+
+
+@pytest.mark.parametrize("tilt", [0.3, 0.0, 1e-8], ids=["cone", "ring", "almost-flat"])
+def test_derivatives_are_finite_where_rays_miss_or_run_along_the_axis(tilt):
+    origin = jnp.asarray([[0.0, 0.0, -4.0], [9.0, 9.0, -4.0], [9.0, 0.0, 0.5], [1.0, 0.0, -4.0]])
+    direction = jnp.asarray([[0.0, 0.0, 1.0], [0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]])
+
+    @jax.jit
+    @jax.grad
+    def slopes(given):
+        z, origin, direction = given
+        hit = Cones(z, jnp.asarray([0.0, 3.0, 6.0])).meet(origin, direction)
+        return hit.distance.sum()
+
+    z = jnp.asarray([3.0, 3.0 + tilt, 3.0 + tilt / 2])
+    by_z, by_origin, _ = found = slopes((z, origin, direction))
+    assert all(np.isfinite(v).all() for v in found)
+    # The apex and a third of the first cone, and what starts later arrives earlier.
+    np.testing.assert_allclose(by_z, [1 + 2 / 3, 1 / 3, 0], rtol=1e-6)
+    np.testing.assert_allclose(by_origin[0, 2], -1, rtol=1e-6)
