@@ -18,6 +18,7 @@ from irisjax.ocularist.components import COMPONENTS
 from irisjax.ocularist.easel import SCAN
 from irisjax.ocularist.kubelka_munk import KubelkaMunkMixer
 from irisjax.ocularist.mixing import AbstractMixer, HslMixer
+from irisjax.ocularist.palette import linear_colour
 from irisjax.ocularist.recipes import CoatRecipe
 
 MIXING = ("hsl", "kubelka-munk")
@@ -121,7 +122,7 @@ def read_recipe(path: str | Path) -> Recipe:
         coats,
         take("painting", head, "mixing", one_of(*MIXING), "hsl"),
         take("painting", head, "paints", text, "") or None,
-        {n: take("palette", palette, n, text, None) for n in palette},
+        {n: take("palette", palette, n, _colour(n), None) for n in palette},
         take("painting", head, "pupil_radius", within(LIMITS["pupil_radius"]), 1.9),
         path.parent,
     )
@@ -163,6 +164,14 @@ def _coat(take) -> CoatRecipe:
         take("seed", whole(0, 2**32 - 1), 0),
         take("height", within(HEIGHT), 0.0),
     )
+
+
+def _colour(name: str):
+    def check(value):
+        linear_colour(name, value)
+        return value
+
+    return check
 
 
 def _table(value):

@@ -44,7 +44,7 @@ class AbstractIntegrator(eqx.Module):
     process: eqx.AbstractVar[AbstractProcess | None]
 
     def prepare(
-        self, iris: Iris, aqueous_index: Scalar, bands: Bands, ranges: Scales
+        self, iris: Iris | None, aqueous_index: Scalar, bands: Bands, ranges: Scales
     ) -> "AbstractIntegrator":
         """The integrator with all fixed that must be known before tracing."""
         del iris, aqueous_index, bands, ranges
@@ -56,7 +56,7 @@ class AbstractIntegrator(eqx.Module):
         pixels: IrisPixels,
         lights: Lights,
         eye: Eye,
-        iris: Iris,
+        iris: Iris | None,
         maps: IrisMaps | None,
         tables: Illumination | None,
         ranges: Scales,
@@ -72,7 +72,7 @@ class AbstractIntegrator(eqx.Module):
 
     @abc.abstractmethod
     def response(
-        self, iris: Iris, aqueous_index: Scalar, bands: Bands, ranges: Scales
+        self, iris: Iris | None, aqueous_index: Scalar, bands: Bands, ranges: Scales
     ) -> AbstractResponse:
         """The iris behind a chamber for the channels of `bands`; `ranges` of its texels from
         `Scales.ranges`.
