@@ -22,6 +22,7 @@ INDEX = ROOT / "docs" / "equation-index.md"
 _PAPERS = {
     "LB06": ("", set(range(1, 10))),
     "F09": ("F09 ", {*range(1, 8), 13, 14, 15, 16, 17}),
+    "L03": ("L03 ", {1, 2}),
 }
 
 

@@ -1,5 +1,7 @@
-"""Range checks, once: what is wrong, where, and what is allowed."""
+"""Checks of values and names, once: what is wrong, where, and what is allowed."""
 
+import difflib
+from collections.abc import Collection
 from typing import NamedTuple
 
 import numpy as np
@@ -45,6 +47,14 @@ def check_whole(name: str, value, low: int, high: float = np.inf) -> None:
     if isinstance(value, bool) or not isinstance(value, int | np.integer):
         raise ValueError(f"{name} = {value!r} is not a whole number")
     check_range(name, value, Range(low, high))
+
+
+def check_known(what: str, name: str, known: Collection[str]) -> None:
+    """Raise `ValueError` with the known names, and the nearest of them, unless `name` is one."""
+    if name not in known:
+        near = difflib.get_close_matches(name, known, 1)
+        hint = f"; did you mean {near[0]!r}?" if near else ";"
+        raise ValueError(f"unknown {what} {name!r}{hint} known: {', '.join(known) or 'none'}")
 
 
 def check_fields(module, ranges: dict[str, Range]) -> None:

@@ -21,9 +21,11 @@ LIMBUS = 5.77
 """Distance from the axis (mm) at which the paper's spheres meet: of 11.5 and 7.8 mm, their centres
 4.7 mm apart  [L03 Fig. 6, which prints 5.8].
 """
-DEPTH, SLOPE = 2.9, 0.12
-"""Of the cone of the iris: depth behind the cornea at the axis (mm), and its fall towards the root.
-The pupil's margin stands further forward  [L03 Section 2.2]; how far is this package's choice.
+DEPTH = 2.9
+"""Depth (mm) of the cone of the iris behind the cornea, at the axis."""
+SLOPE = 0.12
+"""Fall of that cone towards the root, mm a mm. The pupil's margin stands further forward
+[L03 Section 2.2]; how far is this package's choice.
 """
 
 

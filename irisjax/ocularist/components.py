@@ -3,10 +3,10 @@
 The paper scans what an ocularist has painted; these are drawn from a key (`scan` takes the former).
 """
 
-import difflib
-from collections.abc import Collection, Mapping
+from collections.abc import Mapping
 from typing import Any
 
+from irisjax.numerics.checks import check_known
 from irisjax.ocularist.component import AbstractComponent, check_parameter
 from irisjax.ocularist.rings import Base, Limbus, Pupil, Sphincter
 from irisjax.ocularist.stroma import (
@@ -37,10 +37,10 @@ def component(name: str, parameters: Mapping[str, Any] | None = None) -> Abstrac
     **Raises:** `ValueError` naming the known ones for an unknown component or parameter, and for a
     value out of range.
     """
-    _check_known("component", name, COMPONENTS)
+    check_known("component", name, COMPONENTS)
     kind, parameters = COMPONENTS[name], parameters or {}
     for given in parameters:
-        _check_known(f"parameter of {name}", given, kind.__dataclass_fields__)
+        check_known(f"parameter of {name}", given, kind.__dataclass_fields__)
     try:
         # Before the types of fields are checked, where they are: a file may hold anything.
         for given, value in parameters.items():
@@ -48,10 +48,3 @@ def component(name: str, parameters: Mapping[str, Any] | None = None) -> Abstrac
         return kind(**parameters)
     except ValueError as wrong:
         raise ValueError(f"{name}: {wrong}") from None
-
-
-def _check_known(what: str, name: str, known: Collection[str]) -> None:
-    if name not in known:
-        near = difflib.get_close_matches(name, known, 1)
-        hint = f"; did you mean {near[0]!r}?" if near else ";"
-        raise ValueError(f"unknown {what} {name!r}{hint} known: {', '.join(known) or 'none'}")

@@ -35,13 +35,13 @@ SCATTERING = {
     "titanium white": 1.0,
     "yellow ochre": 0.1,
     "burnt sienna": 0.06,
-    "raw umber": 0.03,
     "burnt umber": 0.03,
     "ultramarine": 0.03,
+    "phthalo blue": 0.03,
     "cadmium yellow": 0.2,
     "cadmium red": 0.1,
     "raw sienna": 0.08,
-    "phthalo blue": 0.03,
+    "raw umber": 0.03,
 }
 """S of the paints that come with the package, relative to titanium white's."""
 USUAL_SCATTERING = 0.1

@@ -6,7 +6,6 @@ spectrophotometer, in sRGB: Sensual Logic, Artist Color Data (sensuallogic.com/a
 taken to 8 bits from the copy with three decimals in the LYGIA shader library (`color/palette`).
 """
 
-import difflib
 import re
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
@@ -17,7 +16,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from irisjax.measure.colour import srgb_decode, srgb_encode
-from irisjax.numerics.checks import Range, check_range
+from irisjax.numerics.checks import Range, check_known, check_range
 
 Paints = str | Sequence[str]
 """The name of a paint, or one name a coat."""
@@ -147,8 +146,5 @@ def places(paints: Paints, known: tuple[str, ...]) -> np.ndarray:
 
 
 def _place(paint: str, known: tuple[str, ...]) -> int:
-    if paint in known:
-        return known.index(paint)
-    near = difflib.get_close_matches(paint, known, 1)
-    hint = f"; did you mean {near[0]!r}?" if near else ";"
-    raise ValueError(f"unknown paint {paint!r}{hint} known: {', '.join(known)}")
+    check_known("paint", paint, known)
+    return known.index(paint)

@@ -138,9 +138,8 @@ class Studio:
     def spectrum(self) -> tuple[np.ndarray, Colour]:
         """Reflectance of the uniform iris, without an eye round it, on `GRID`; and its colour."""
         found = reflectance(self.iris, GRID, process=self._process(self.settings))
-        return np.asarray(found.values), colour_of(
-            GRID, found.values, illuminant=self._base.illuminant
-        )
+        colour = colour_of(GRID, found.values, illuminant=self._base.illuminant)
+        return np.asarray(found.values), colour
 
     def _once(self, name: Any, inputs: Any, make: Callable[[], Any]) -> Any:
         """What `make` gave for the same inputs last time, or gives now."""
@@ -161,9 +160,8 @@ class Studio:
         """The photograph at the picture's size."""
         photograph = self._photograph
         assert photograph is not None
-        return self._once(
-            ("photograph", draft), None, lambda: resized(photograph, self._size(draft))
-        )
+        size = self._size(draft)
+        return self._once(("photograph", draft), None, lambda: resized(photograph, size))
 
     def _size(self, draft: bool) -> tuple[int, int]:
         width, height = self._base.camera.size
@@ -271,12 +269,11 @@ class Studio:
                 f"unknown environment {s.environment!r}; known: {', '.join(ENVIRONMENTS)}"
             )
         make = ENVIRONMENTS.get(s.environment)
-        found = (
-            self._base.environment if s.environment == GIVEN else None if make is None else make()
-        )
-        return (
-            None if found is None or s.strength == 0 else Environment(found.radiance * s.strength)
-        )
+        given = s.environment == GIVEN
+        found = self._base.environment if given else None if make is None else make()
+        if found is None or s.strength == 0:
+            return None
+        return Environment(found.radiance * s.strength)
 
 
 def _of(settings: Settings, names: tuple[str, ...]) -> tuple[Any, ...]:

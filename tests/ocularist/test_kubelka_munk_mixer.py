@@ -29,6 +29,7 @@ def luminance(linear):
 def test_masstones_have_the_palettes_colours(bits):
     mixer, palette = KubelkaMunkMixer.default(), Palette.of(EVERY)
     assert mixer.names == palette.names
+    assert mixer.names[: len(PAINTS)] == Palette.default().names
     found = mixer.mix(mixer.names, mixer.names, 0.3)
     np.testing.assert_allclose(found, palette.colours, atol=2e-5)
 

@@ -108,7 +108,7 @@ def test_a_mixture_and_its_mirror_image(share):
 
 def test_many_coats_at_once():
     m = HslMixer()
-    first, second = ["ultramarine", "raw umber", "cadmium red"], "titanium white"
+    first, second = ["ultramarine", "burnt umber", "cadmium red"], "titanium white"
     shares = jnp.asarray([0.1, 0.5, 0.9])
     found = jax.jit(lambda m, s: m.mix(first, second, s))(m, shares)
     assert found.shape == (3, 3)
@@ -146,17 +146,17 @@ def test_no_gradient_is_lost_at_greys_and_ends():
 def test_refusals():
     m = HslMixer()
     with pytest.raises(ValueError, match=r"^share = 1\.2 is outside \[0, 1\]$"):
-        m.mix("raw umber", "ultramarine", 1.2)
+        m.mix("burnt umber", "ultramarine", 1.2)
     with pytest.raises(ValueError, match="share = nan is outside"):
-        m.mix("raw umber", "ultramarine", float("nan"))
-    with pytest.raises(ValueError, match="did you mean 'raw umber'"):
-        m.mix("raw amber", "ultramarine", 0.5)
+        m.mix("burnt umber", "ultramarine", float("nan"))
+    with pytest.raises(ValueError, match="did you mean 'burnt umber'"):
+        m.mix("burnt amber", "ultramarine", 0.5)
     with pytest.raises(ValueError, match=r"paints of shapes \(2,\) and \(\) and shares of \(3,\)"):
-        m.mix(["raw umber", "raw umber"], "ultramarine", jnp.zeros(3))
+        m.mix(["burnt umber", "burnt umber"], "ultramarine", jnp.zeros(3))
 
 
 def test_paints_are_added():
-    edited = HslMixer().with_paints({"phthalo blue": "#072b73"})
-    assert edited.names[-1] == "phthalo blue"
-    found = 255 * encoded(edited.mix("phthalo blue", "raw umber", 0.0))
-    np.testing.assert_allclose(found, (7, 43, 115), atol=1e-9)
+    edited = HslMixer().with_paints({"raw umber": "#322b26"})
+    assert edited.names[-1] == "raw umber"
+    found = 255 * encoded(edited.mix("raw umber", "burnt umber", 0.0))
+    np.testing.assert_allclose(found, (50, 43, 38), atol=1e-9)

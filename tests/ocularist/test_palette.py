@@ -23,22 +23,22 @@ def test_colours_are_linear():
 
 def test_one_colour_a_coat():
     palette = Palette.default()
-    coats = palette.colour(["ultramarine", "raw umber", "ultramarine"])
+    coats = palette.colour(["ultramarine", "burnt umber", "ultramarine"])
     assert coats.shape == (3, 3)
     np.testing.assert_array_equal(coats[0], palette.colour("ultramarine"))
     np.testing.assert_array_equal(coats[2], coats[0])
 
 
 @pytest.mark.parametrize(
-    "same", ["#072B73", (7, 43, 115), [7.0, 43.0, 115.0], np.array([7, 43, 115])]
+    "same", ["#322B26", (50, 43, 38), [50.0, 43.0, 38.0], np.array([50, 43, 38])]
 )
 def test_paints_are_added_and_replaced(same):
     default = Palette.default()
-    edited = default.with_paints({"phthalo blue": same, "raw umber": "#402010"})
-    assert edited.names == (*default.names, "phthalo blue")
-    assert edited.srgb() == {**default.srgb(), "phthalo blue": "#072b73", "raw umber": "#402010"}
-    assert "phthalo blue" not in default.names
-    assert default.srgb()["raw umber"] == PAINTS["raw umber"].srgb
+    edited = default.with_paints({"raw umber": same, "burnt umber": "#402010"})
+    assert edited.names == (*default.names, "raw umber")
+    assert edited.srgb() == {**default.srgb(), "raw umber": "#322b26", "burnt umber": "#402010"}
+    assert "raw umber" not in default.names
+    assert default.srgb()["burnt umber"] == PAINTS["burnt umber"].srgb
 
 
 def test_gradients_reach_the_colours():
@@ -75,7 +75,7 @@ def test_unknown_paints_are_named_with_the_known():
     ):
         palette.colour("ultramarin")
     with pytest.raises(ValueError, match=r"^unknown paint 'xyz'; known: ivory black, "):
-        palette.colour(["raw umber", "xyz"])
+        palette.colour(["burnt umber", "xyz"])
 
 
 def test_broken_palettes():
