@@ -121,16 +121,22 @@ class Cones(eqx.Module):
         c = (rise * away - w0) * (rise * away + w0)
         inner = (w0 * dx - w1 * ox) ** 2 + (w0 * dy - w1 * oy) ** 2
         inner = inner - rise * rise * (ox * dy - oy * dx) ** 2
-        root = jnp.abs(rise) * jnp.sqrt(jnp.where(inner > 0, inner, 0.0))
+        opens = rise >= 0
+        root = jnp.where(opens, rise, -rise) * jnp.sqrt(jnp.where(inner > 0, inner, 0.0))
         q = -(b + jnp.where(b >= 0, root, -root))
         first = c / jnp.where(q != 0, q, 1.0)
         second = q / jnp.where(a != 0, a, 1.0)
         t = jnp.concatenate([first, second])
         real = jnp.concatenate([(inner >= 0) & (q != 0), (inner >= 0) & (a != 0)])
-        return t, real & self._between(t, (ox, oy, oz), (dx, dy, dz), shape)
+        # Rays steeper than a cone meet it once and its mirror image once; w tells which is which.
+        # Of flat cones the two are one point, and their derivatives two.
+        one = (b >= 0) == ((w1 >= 0) != opens)
+        known, right = jnp.concatenate([a < 0, a < 0]), jnp.concatenate([one, ~one])
+        on, inside = self._between(t, (ox, oy, oz), (dx, dy, dz), shape)
+        return t, real & inside & jnp.where(known, right, on)
 
     def _between(self, t, origin, direction, shape):
-        """Whether points lie on their cone between its circles, not on its mirror image."""
+        """Whether points lie on their cone, not on its mirror image, and between its circles."""
         x, y, z = (o + t * d for o, d in zip(origin, direction, strict=True))
         r = jnp.sqrt(x * x + y * y)
         ends = [jnp.concatenate([v, v]).reshape(shape) for v in (self.z[:-1], self.radius[:-1])]
@@ -146,4 +152,4 @@ class Cones(eqx.Module):
         sheet = (ends[1] * rise + (z - ends[0]) * out) * rise
         on = sheet >= -slack * jnp.abs(out * rise)
         slack = slack / jnp.sqrt(square)
-        return on & (share >= -slack) & (share <= 1 + slack)
+        return on, (share >= -slack) & (share <= 1 + slack)
