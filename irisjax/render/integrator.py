@@ -1,7 +1,7 @@
 """What a scene asks of an integrator: how the iris sends back the light that reaches it."""
 
 import abc
-from typing import Any, Self
+from typing import Any
 
 import equinox as eqx
 from jaxtyping import Array, Float
@@ -43,7 +43,9 @@ class AbstractIntegrator(eqx.Module):
 
     process: eqx.AbstractVar[AbstractProcess | None]
 
-    def prepare(self, iris: Iris, aqueous_index: Scalar, bands: Bands, ranges: Scales) -> Self:
+    def prepare(
+        self, iris: Iris, aqueous_index: Scalar, bands: Bands, ranges: Scales
+    ) -> "AbstractIntegrator":
         """The integrator with all fixed that must be known before tracing."""
         del iris, aqueous_index, bands, ranges
         return self

@@ -6,7 +6,6 @@ smooth functions of what texels differ in, held as `Separable` holds ILIT's.
 """
 
 import dataclasses
-from typing import Self
 
 import equinox as eqx
 import jax
@@ -73,7 +72,9 @@ class RadiativeIntegrator(AbstractIntegrator):
         if not isinstance(self.process, RadiativeTransfer):
             raise ValueError("the radiative integrator needs radiative transfer, not ILIT")
 
-    def prepare(self, iris: Iris, aqueous_index: Scalar, bands: Bands, ranges: Scales) -> Self:
+    def prepare(
+        self, iris: Iris, aqueous_index: Scalar, bands: Bands, ranges: Scales
+    ) -> "RadiativeIntegrator":
         """With the solver chosen, where none was: the table that comes with the package if it holds
         the indices and the layers of all texels, else `RadiativeExact`.
         """
