@@ -22,7 +22,7 @@ from irisjax.numerics.programs import program
 from irisjax.numerics.roots import safe_sqrt
 from irisjax.ocularist.coats import Coat, Painting, through
 from irisjax.ocularist.cones import Cones
-from irisjax.optics.conicoid import Parts, from_axis, joined, parts
+from irisjax.optics.conicoid import Parts, joined, parts
 from irisjax.render.bands import Bands
 from irisjax.render.illumination import Illumination
 from irisjax.render.integrator import AbstractIntegrator, AbstractResponse
@@ -264,7 +264,7 @@ def _full(flux, shape: tuple[int, ...]):
 def _crossed(rays, opacity, height, profile: Cones, reach):
     """Opacity of a coat where rays to texels of the base cross it, (lights, rows, columns)."""
     x, y = _texels(rays.shape[-1], reach, rays.dtype)
-    r = from_axis(jnp.stack([x, y], -1))
+    r = safe_sqrt(x * x + y * y)
     cone = jnp.clip(jnp.searchsorted(profile.radius, r) - 1, 0, len(profile.z) - 2)
     point = jnp.stack([x, y, profile.height(r)], -1)
     normal = parts(profile.normal(point, cone))

@@ -44,7 +44,7 @@ class AbstractIntegrator(eqx.Module):
     process: eqx.AbstractVar[AbstractProcess | None]
 
     def prepare(
-        self, iris: Iris, aqueous_index: Scalar, bands: Bands, ranges: Scales
+        self, iris: Any, aqueous_index: Scalar, bands: Bands, ranges: Scales
     ) -> "AbstractIntegrator":
         """The integrator with all fixed that must be known before tracing."""
         del iris, aqueous_index, bands, ranges

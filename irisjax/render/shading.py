@@ -135,8 +135,10 @@ def relief_at(pixels: IrisPixels, eye: Eye, maps: IrisMaps | None, once: Once = 
     return once("slopes", slopes_of, maps.relief, eye), place_of(pixels, eye, once)
 
 
-def ranges_of(iris: Iris, maps: IrisMaps | None, once: Once = simply) -> Scales:
-    """`Scales.ranges` of the maps; a map that has not changed is not searched again."""
+def ranges_of(iris: Iris | None, maps: IrisMaps | None, once: Once = simply) -> Scales:
+    """`Scales.ranges` of the maps; a map that has not changed is not searched again. A painted iris,
+    `None`, has no maps.
+    """
     return _each(lambda name, part: once(f"range of {name}", _range, part, iris), maps)
 
 
