@@ -1,0 +1,140 @@
+"""Painted irides after L03 Figs. 3, 4, 5, 8, 9 and 10, and what a picture of them costs by the
+number of coats.
+"""
+
+import io
+import time
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from PIL import Image
+
+from experiments.common import RESULTS, start, write
+from irisjax.io import write_atomically
+from irisjax.measure.colour import srgb_encode
+from irisjax.ocularist.coats import Painting, prosthesis
+from irisjax.ocularist.components import COMPONENTS, component
+from irisjax.ocularist.easel import painted, studio
+from irisjax.ocularist.integrator import Painted
+from irisjax.ocularist.kubelka_munk import KubelkaMunkMixer
+from irisjax.ocularist.mixing import HslMixer
+from irisjax.ocularist.palette import PAINTS
+from irisjax.ocularist.recipes import coats
+from irisjax.render.camera import Camera
+from irisjax.render.stages import Memory
+
+ABOUT = "painted and simulated by irisjax"
+BASES = (("detail", "blue", 0), ("detail", "blue", 1), ("dit-dot", "blue", 2))
+BASES += (("dit-dot", "green", 3), ("smeared", "brown", 4))
+"""Type, colour and seed of the eyes whose first coats are shown."""
+STAGES = 10
+
+
+def main(key, quick=False, out=RESULTS):
+    """Write strips of pictures as JPEG, mixtures and times (quick: small, without times)."""
+    side, size = (40, 64) if quick else (240, 512)
+    eye, seed = prosthesis(), int(jax.random.key_data(key)[-1])
+    tables = studio(_painting("smeared", "brown", seed, eye, 64), eye).tables()
+
+    def picture(painting, polar=0.0):
+        camera = Camera(polar=jnp.asarray(polar), width=jnp.asarray(12.6), size=(side, side))
+        scene = studio(painting, eye, camera=camera, seed=seed)
+        return np.asarray(Memory(2).render(scene, tables))
+
+    def save(name, panels):
+        encoded = np.asarray(srgb_encode(jnp.clip(np.concatenate(panels, axis=1), 0, 1)))
+        data = io.BytesIO()
+        Image.fromarray(np.rint(255 * encoded).astype(np.uint8)).save(
+            data, "jpeg", quality=88, comment=ABOUT
+        )
+        write_atomically(out / f"{name}.jpg", data.getvalue())
+
+    out.mkdir(parents=True, exist_ok=True)
+    pupil = float(eye.pupil_radius / eye.iris_radius)
+    save(
+        "painted_fig3",
+        [
+            np.repeat((1 - component(n).opacity(side, pupil, key=key))[..., None], 3, -1)
+            for n in COMPONENTS
+        ],
+    )
+    save(
+        "painted_fig5",
+        [picture(_first(_painting(*eye_of, eye, size), 5)) for eye_of in BASES],
+    )
+    green = _painting("dit-dot", "green", seed, eye, size)
+    counts = np.unique(np.linspace(1, len(green.coats), STAGES).round().astype(int))
+    save("painted_fig9", [picture(_first(green, int(n))) for n in counts])
+    brown, blue = (
+        _painting(kind, colour, seed, eye, size)
+        for kind, colour in (("smeared", "brown"), ("detail", "blue"))
+    )
+    save("painted_fig10", [picture(brown), picture(blue), picture(blue, np.radians(40.0))])
+    _mixtures(out)
+    if not quick:
+        _times(blue, eye, tables, out)
+
+
+def _painting(kind: str, colour: str, seed: int, eye, size: int) -> Painting:
+    return painted(coats(kind, colour, seed=seed), HslMixer(), eye, size=size)
+
+
+def _first(painting: Painting, count: int) -> Painting:
+    return Painting(painting.coats[:count], painting.profile)
+
+
+def _mixtures(out) -> None:
+    """Equal parts of each pair of paints, both ways."""
+    rows = []
+    for way, mixer in (("hsl", HslMixer()), ("kubelka-munk", KubelkaMunkMixer.default())):
+        for first in PAINTS:
+            for second in PAINTS:
+                rows.append((way, first, second, *map(float, mixer.mix(first, second, 0.5))))
+    columns = ("mixing", "first", "second", "r_linear", "g_linear", "b_linear")
+    write(out / "painted_mixtures.csv", (ABOUT, "equal parts, linear sRGB"), columns, rows)
+
+
+def _times(blue: Painting, eye, tables, out) -> None:
+    """Seconds of pictures of 800 × 600 pixels with two lamps, two threads, warm."""
+    rows, other = [], jnp.asarray([0.4, 0.2, 0.1])
+    for count in (10, 20, 30, 40, 50, 70):
+        more = [c for c in blue.coats[1:] for _ in range(1)][: max(count - len(blue.coats), 0)]
+        top = float(blue.coats[-1].height)
+        added = [
+            type(c)(f"again {c.name}", c.opacity, c.colour, c.height * 0 + top + 0.006 * (i + 1))
+            for i, c in enumerate(more)
+        ]
+        painting = Painting((*blue.coats, *added)[:count], blue.profile)
+        scene = studio(painting, eye)
+
+        def timed(memory, scene):
+            begin = time.perf_counter()
+            memory.render(scene, tables).block_until_ready()
+            return time.perf_counter() - begin
+
+        changed = [painting.coats[i].name for i in (-1, count // 2, 0)]
+        scenes = [
+            scene.replace(integrator=Painted(painting=painting.replace(name, colour=other)))
+            for name in changed
+        ]
+        found = []
+        for _ in range(4):
+            memory = Memory(2)
+            whole = timed(memory, scene)
+            again = []
+            for s in scenes:
+                again.append(timed(memory, s))
+                memory.render(scene, tables).block_until_ready()
+            found.append((whole, *again))
+        rows.append((count, *(float(v) for v in np.median(found[1:], axis=0))))
+    write(
+        out / "painted_times.csv",
+        (ABOUT, "800 x 600 pixels, two lamps, maps of 512 x 512, float64, two threads, warm"),
+        ("coats", "whole_s", "top_recoloured_s", "middle_recoloured_s", "base_recoloured_s"),
+        rows,
+    )
+
+
+if __name__ == "__main__":
+    start(main, __doc__)
