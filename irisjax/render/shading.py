@@ -136,8 +136,8 @@ def relief_at(pixels: IrisPixels, eye: Eye, maps: IrisMaps | None, once: Once = 
 
 
 def ranges_of(iris: Iris | None, maps: IrisMaps | None, once: Once = simply) -> Scales:
-    """`Scales.ranges` of the maps; a map that has not changed is not searched again. A painted iris,
-    `None`, has no maps.
+    """`Scales.ranges` of the maps; a map that has not changed is not searched again. An iris of
+    paint, `None`, has no maps.
     """
     return _each(lambda name, part: once(f"range of {name}", _range, part, iris), maps)
 
