@@ -169,6 +169,7 @@ def pixel(x, y, height, camera):
     )
 
 
+@pytest.mark.heavy
 @pytest.mark.parametrize(("polar", "azimuth"), [(0.0, 0.0), (0.5, 0.0), (0.5, np.pi / 2)])
 def test_dots_on_high_coats_move_against_the_base(polar, azimuth):
     camera = Camera(size=FINE.size, width=9.0, distance=1e4, polar=polar, azimuth=azimuth)
@@ -200,9 +201,10 @@ def direction_in_chamber(polar, place):
     return bent
 
 
+@pytest.mark.heavy
 def test_shadows_fall_aside_from_the_lamp():
     x, y, height = 0.5, 3.0, 0.3
-    base, faint = coat("base"), coat("dot", height, dot(x, y, opacity=0.02), BLACK)
+    base, faint = coat("base"), coat("dot", height, dot(x, y, 0.2, 0.02), BLACK)
 
     def shadow(polar):
         at, down = np.array([x, y]), height  # and on along the cone's fall under the shadow
@@ -219,7 +221,7 @@ def test_shadows_fall_aside_from_the_lamp():
         )
         return centroid(np.where(lit > 0, 1 - dotted / np.where(lit > 0, lit, 1.0), 0.0))
 
-    # The dot is so faint that it and its shadow, each as dark, add up: half-way between the two.
+    # The dot is small: the cornea draws wide shadows out unevenly. It is so faint that it and its shadow, each as dark, add up: half-way between the two.
     overhead, slanted = (pixel(*shadow(polar), 0.0, FINE) for polar in (0.0, 0.9))
     expected = (slanted - overhead) / 2
     assert abs(expected[0]) > 1.5
