@@ -73,8 +73,14 @@ def _mappings():
 
 # Floors whose programs promote neither dtypes nor ranks but by hand; the upper ones follow.
 _STRICT = {"numerics", "optics", "tissue", "transport", "ocularist"}
-# Cells of a BRDF are counted in integers over a real solid angle; a path serves all wavelengths.
-_LAX = {"test_montecarlo.py", "test_polarised_montecarlo.py", "test_weighted_derivatives.py"}
+# Cells of a BRDF are counted in integers over a real solid angle; a path serves all wavelengths;
+# pictures of paint are the renderer's.
+_LAX = {
+    "test_montecarlo.py",
+    "test_polarised_montecarlo.py",
+    "test_weighted_derivatives.py",
+    "test_painted_scenes.py",
+}
 
 
 @pytest.fixture(autouse=True)
