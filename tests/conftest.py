@@ -79,6 +79,7 @@ _LAX = {
     "test_montecarlo.py",
     "test_polarised_montecarlo.py",
     "test_weighted_derivatives.py",
+    "test_painted_light.py",
     "test_painted_scenes.py",
 }
 

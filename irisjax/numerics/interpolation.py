@@ -102,6 +102,27 @@ def bilinear(
     return jnp.stack([one(layer) for layer in layers]).reshape(*texture.shape[:-2], *row.shape)
 
 
+def bilinear_rows(
+    texture: Float[Array, "rows columns channels"], row, column
+) -> Float[Array, "channels ..."]:
+    """As `bilinear`, channels last: with four of them, one of which may be idle, two to three times
+    as fast as three layers one by one.
+    """
+    rows, columns, channels = texture.shape
+    row, column = jnp.clip(row, 0, rows - 1), jnp.clip(column, 0, columns - 1)
+    i = jnp.minimum(jnp.floor(row), rows - 2)
+    j = jnp.minimum(jnp.floor(column), columns - 2)
+    u, v = (row - i)[..., None], (column - j)[..., None]
+    flat = texture.reshape(-1, channels)
+    place = jnp.asarray(i, jnp.int32) * columns + jnp.asarray(j, jnp.int32)
+
+    def at(place):
+        return flat.at[place].get(mode="promise_in_bounds")
+
+    low, high = (at(p) * (1 - v) + at(p + 1) * v for p in (place, place + columns))
+    return jnp.moveaxis(low * (1 - u) + high * u, -1, 0)
+
+
 def polar_bilinear(texture: Float[Array, "*c angles radii"], angle, radius) -> Float[Array, "..."]:
     """Linear interpolation between cell centres, round in `angle` (radians) and held at the ends of
     `radius` (0 pupil's edge, 1 root).
