@@ -16,6 +16,7 @@ from irisjax.cli.cache import cores, kept_tables
 from irisjax.cli.files import check_folder
 from irisjax.cli.options import SEED_HELP, Group, grouped, name_of, option, read_seed, whole, within
 from irisjax.cli.scenes import changed
+from irisjax.export.coats import FORMATS, write_painting
 from irisjax.io.images import encode_png
 from irisjax.io.recipes import MIXING, Recipe, read_recipe, recipe_text
 from irisjax.measure.colour import srgb_encode
@@ -120,9 +121,18 @@ class Results(Group):
     PANEL = "Files"
 
     output: Annotated[Path, option("-o", "--output", metavar="DIR", help="folder for the eye")]
+    meshes: Annotated[
+        str | None,
+        option(metavar="name", help=f"{', '.join(FORMATS)}: a mesh of every coat, in meshes/"),
+    ] = None
     overwrite: Annotated[
         bool, option("--overwrite", metavar="", help="replace a painted eye in that folder")
     ] = False
+
+    def __post_init__(self):
+        super().__post_init__()
+        if self.meshes is not None and self.meshes not in FORMATS:
+            raise ValueError(f"--meshes: unknown {self.meshes!r}; known: {', '.join(FORMATS)}")
 
 
 @grouped
@@ -168,8 +178,11 @@ def paint(subject: Subject, picture: Picture, results: Results) -> None:
     for coat in painting.coats:
         path = folder / "coats" / f"{coat.name.replace(' ', '_')}.png"
         files[path] = encode_png(path, _on_white(coat), remark=remark)[0]
-    (folder / "coats").mkdir(parents=True, exist_ok=True)
+    for name in ("coats",) if results.meshes is None else ("coats", "meshes"):
+        (folder / name).mkdir(parents=True, exist_ok=True)
     io.write_together(files)
+    if results.meshes is not None:
+        write_painting(folder / "meshes", painting, results.meshes)
     print(f"{len(painting.coats)} coats; written: {folder}")
 
 

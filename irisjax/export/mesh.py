@@ -124,7 +124,7 @@ def eye_meshes(eye: Eye, spacing: float = 0.1) -> dict[str, Mesh]:
     r = np.linspace(pupil, root, _steps(root - pupil, spacing))
     slope = 0.0 if eye.iris_slope is None else float(eye.iris_slope)
     # A seam: the points at u = 1 are those at u = 0 once more.
-    points, faces = _revolve(r, float(eye.iris_depth) + slope * r, around, seam=True)
+    points, faces = revolved(r, float(eye.iris_depth) + slope * r, around, seam=True)
     u, v = np.meshgrid(np.arange(around + 1) / around, (r - pupil) / (root - pupil))
     meshes["iris"] = Mesh(
         points,
@@ -141,7 +141,7 @@ def eye_meshes(eye: Eye, spacing: float = 0.1) -> dict[str, Mesh]:
         angle = np.linspace(start, math.pi, _steps(radius * (math.pi - start), spacing))
         r, z = radius * np.sin(angle), centre - radius * np.cos(angle)
         r[0], z[0], r[-1] = limbus, edge, 0.0
-        points, faces = _revolve(r, z, around)
+        points, faces = revolved(r, z, around)
         meshes["sclera"] = Mesh(points, (points - [0, 0, centre]) / radius, None, faces)
     return meshes
 
@@ -156,7 +156,7 @@ def _cap(surface: Conicoid, edge: float, spacing: float, around: int) -> Mesh:
         edge,
         _steps(math.hypot(edge, float(_depth(surface, edge) - _depth(surface, 0))), spacing),
     )
-    points, faces = _revolve(r, _depth(surface, r), around)
+    points, faces = revolved(r, _depth(surface, r), around)
     return Mesh(points, _double(surface.normal(jnp.asarray(points, float))), None, faces)
 
 
@@ -180,7 +180,7 @@ def _reach(eye: Eye, surface: Conicoid) -> float:
     return low
 
 
-def _revolve(
+def revolved(
     r: np.ndarray, z: np.ndarray, around: int, seam: bool = False
 ) -> tuple[np.ndarray, np.ndarray]:
     """Points and triangles of a profile turned about z; rings of radius 0 are single points at

@@ -81,11 +81,16 @@ class Painting(eqx.Module):
                     f"{before.name!r} and lies below it, at {float(before.height):g} mm"
                 )
 
+    def coat(self, name: str) -> Coat:
+        """The coat of that name; **raises** `ValueError` where there is none."""
+        found = {coat.name: coat for coat in self.coats}
+        if name not in found:
+            raise ValueError(f"no coat {name!r}; there are {', '.join(found)}")
+        return found[name]
+
     def replace(self, name: str, **fields: Any) -> "Painting":
         """With some fields of a coat changed; the others keep their arrays."""
-        known = [coat.name for coat in self.coats]
-        if name not in known:
-            raise ValueError(f"no coat {name!r}; there are {', '.join(known)}")
+        self.coat(name)
         changed = tuple(
             Coat(**(vars(coat) | fields)) if coat.name == name else coat for coat in self.coats
         )

@@ -77,7 +77,8 @@ def test_a_scan_is_a_coat(irisjax, tmp_path):
         '[[coat]]\ncomponent = "base"\npaints = "titanium white"\n[[coat]]\ncomponent = "scan"\n'
         'parameters = { file = "scan.png" }\npaints = "cadmium red"\n'
     )
-    assert irisjax("paint", recipe, *SMALL, "-o", tmp_path / "eye")[0] == 0
+    assert irisjax("paint", recipe, *SMALL, "--meshes", "obj", "-o", tmp_path / "eye")[0] == 0
+    assert len(list((tmp_path / "eye" / "meshes").glob("*.obj"))) == 2
     eye = _pixels(tmp_path / "eye" / "eye.png")
     upper, lower = eye[20, 55:65].mean(0), eye[70, 55:65].mean(0)
     assert upper[0] > 2 * upper[1] and lower[1] > 0.9 * lower[0]
@@ -136,6 +137,7 @@ def test_wrong_recipes_are_one_line(irisjax, tmp_path, text, words):
         (("--type", "detail", "--colour", "red"), ["red", "brown"]),
         ((RECIPE, "--mixing", "oil"), ["oil", "hsl"]),
         ((RECIPE, "--pupil-radius", "9"), ["9", "4.75"]),
+        ((RECIPE, "--meshes", "stl"), ["stl", "ply"]),
     ],
 )
 def test_wrong_options_are_one_line(irisjax, tmp_path, options, words):
