@@ -180,8 +180,10 @@ def _lifted(point: Parts, direction: Parts, normal: Parts, height) -> Parts:
     return tuple(p + d * path for p, d in zip(point, direction, strict=True))
 
 
-def _look_up(texture, x, y, reach):
-    """In a picture of the iris, at places in mm."""
+def look_up(texture, x, y, reach):
+    """In square pictures of the iris whose sides are `reach` (mm) from the axis, at places in mm;
+    linear between texels.
+    """
     rows, columns = texture.shape[-2:]
     return bilinear(
         texture,
@@ -194,7 +196,7 @@ def _covering(opacity, x, y, profile: Cones, reach):
     """Opacity at places, softly none in the pupil, none beyond the root."""
     r = safe_sqrt(x * x + y * y)
     edge = smoothstep((r - profile.radius[0]) / PUPIL_MARGIN)
-    return jnp.where(r <= profile.radius[-1], edge * _look_up(opacity, x, y, reach), 0.0)
+    return jnp.where(r <= profile.radius[-1], edge * look_up(opacity, x, y, reach), 0.0)
 
 
 @pixelwise
@@ -218,7 +220,7 @@ def _painted(known, light, colours, height, tint, reach, as_printed: bool) -> St
         flux = tuple(f[i] for f in seen.flux)
         irradiance = jnp.maximum(-sum(f * n for f, n in zip(flux, seen.normal, strict=True)), 0.0)
         x, y, _ = _lifted(place, _directed(flux), seen.normal, -height)
-        arriving = _look_up(light[i], x, y, reach) * irradiance
+        arriving = look_up(light[i], x, y, reach) * irradiance
         lit = lit + (arriving if tint is None else tint[i][:, None] * arriving)
     for alpha, colour in zip(covered, colours, strict=True):
         radiance = radiance + (clear * alpha * seen.share) * colour[:, None] * lit
