@@ -94,8 +94,10 @@ def _aside(direction: Parts, normal: Parts):
     return jnp.stack([direction[0] * path, direction[1] * path])
 
 
-def _look_up(texture, x, y, reach):
-    """In a picture of the iris, at places in mm."""
+def look_up(texture, x, y, reach):
+    """In square pictures of the iris whose sides are `reach` (mm) from the axis, at places in mm;
+    linear between texels.
+    """
     return bilinear(texture, *_texel(x, y, reach, texture.shape))
 
 
@@ -109,7 +111,7 @@ def _covering(opacity, x, y, profile: Cones, reach):
     """Opacity at places, softly none in the pupil, none beyond the root."""
     r = safe_sqrt(x * x + y * y)
     edge = smoothstep((r - profile.radius[0]) / PUPIL_MARGIN)
-    return jnp.where(r <= profile.radius[-1], edge * _look_up(opacity, x, y, reach), 0.0)
+    return jnp.where(r <= profile.radius[-1], edge * look_up(opacity, x, y, reach), 0.0)
 
 
 @pixelwise

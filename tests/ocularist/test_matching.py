@@ -1,0 +1,199 @@
+"""Paintings in plan, matched to a target, retouched, and taken to maps of pigments."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from irisjax.measure.colour import lab_of
+from irisjax.ocularist.bridge import EUMELANIN, PHEOMELANIN, STROMA, maps_of, reflectance_of
+from irisjax.ocularist.coats import Coat, Painting, profile_of, prosthesis
+from irisjax.ocularist.easel import painted
+from irisjax.ocularist.matching import match
+from irisjax.ocularist.mixing import HslMixer
+from irisjax.ocularist.plan import difference, plan_view, rolled, texture_of, unrolled
+from irisjax.ocularist.recipes import CoatRecipe
+from irisjax.ocularist.retouching import retouched
+
+SHAPE = (48, 16)
+SIZE = 64
+EYE = prosthesis()
+RECIPES = (
+    CoatRecipe("base", {}, "burnt umber", "burnt sienna", 0.4, 1.0, 0, 0.0),
+    CoatRecipe("stroma-smears", {"count": 60}, "burnt sienna", "yellow ochre", 0.7, 0.6, 1, 0.01),
+    CoatRecipe("limbus", {}, "ivory black", "burnt umber", 0.3, 0.7, 2, 0.02),
+)
+OTHERS = tuple(
+    recipe._replace(share=share, opacity=opacity)
+    for recipe, share, opacity in zip(RECIPES, (0.8, 0.3, 0.6), (1.0, 0.3, 0.4), strict=True)
+)
+
+
+@pytest.fixture(scope="module")
+def target():
+    return texture_of(painted(RECIPES, HslMixer(), EYE, size=SIZE), EYE, SHAPE)
+
+
+def matched(target, known=None, recipes=OTHERS, **more):
+    few = {"size": SIZE, "texels": 200, "key": jax.random.key(0)} | more
+    return match(recipes, HslMixer(), EYE, target, known, **few)
+
+
+def test_two_coats_over_a_base_by_hand():
+    """Light reaches the middle coat through the upper one's paint, the base through both."""
+    opacity = jnp.asarray([[1.0], [0.5], [0.25]])
+    colour = jnp.asarray([[0.8] * 3, [0.4] * 3, [0.2] * 3])
+    middle = 0.75 + 0.25 * 0.2
+    base = middle * (0.5 + 0.5 * 0.4)
+    expected = 0.75 * (0.5 * 0.8 * base + 0.5 * 0.4 * middle) + 0.25 * 0.2
+    np.testing.assert_allclose(plan_view(opacity, colour), np.full((1, 3), expected), atol=1e-15)
+
+
+def test_a_painting_shows_at_each_place_what_is_painted_there():
+    """Left and right, above and below, near the pupil and near the root."""
+    along = (2 * np.arange(SIZE) + 1) / SIZE - 1
+    x, y = np.meshgrid(along, -along)
+    shades = 0.5 + 0.3 * x + 0.2 * y
+    coat = Coat("one", jnp.asarray(shades), jnp.ones(3), jnp.asarray(0.0))
+    seen = texture_of(Painting((coat,), profile_of(EYE)), EYE, SHAPE)
+    angle = (np.arange(48) + 0.5) * 2 * np.pi / 48
+    away = np.asarray(EYE.from_axis((np.arange(16) + 0.5) / 16) / EYE.iris_radius)
+    expected = 0.5 + 0.3 * np.cos(angle)[:, None] * away + 0.2 * np.sin(angle)[:, None] * away
+    # Within half a texel of the sides, where maps are held, the plane is flat.
+    inner = away < 1 - 1 / SIZE
+    np.testing.assert_allclose(seen[:, inner, 0], expected[:, inner], atol=1e-12)
+    row, column, on = rolled(seen, EYE, SIZE)
+    back = np.asarray(seen)[row, column, 0]
+    assert np.abs(back - shades)[on].max() < 0.03  # of a texel of the coarser texture
+    assert np.hypot(x, y)[on].min() > EYE.pupil_radius / EYE.iris_radius
+
+
+def test_photographs_reach_beyond_the_root():
+    """A ring of 4 mm in a picture of 6 mm either way."""
+    along = ((np.arange(240) + 0.5) / 240 * 2 - 1) * 6.0
+    radius = np.hypot(along[None], along[:, None])
+    polar = np.asarray(unrolled(np.where(radius < 4.0, 1.0, 0.0), EYE, SHAPE, reach=6.0))
+    away = np.asarray(EYE.from_axis((np.arange(16) + 0.5) / 16))
+    np.testing.assert_array_equal(polar.mean(0) > 0.5, away < 4.0)
+
+
+def test_differences_are_of_lab():
+    one, other = np.array([0.2, 0.1, 0.05]), np.array([0.25, 0.1, 0.02])
+    matrix = np.array(
+        [[0.4124, 0.3576, 0.1805], [0.2126, 0.7152, 0.0722], [0.0193, 0.1192, 0.9505]]
+    )
+    white = matrix.sum(1)
+    by_hand = np.linalg.norm(
+        np.subtract(*(lab_of(jnp.asarray(matrix @ c / white)) for c in (one, other)))
+    )
+    found = difference(jnp.tile(one, (4, 1)), jnp.tile(other, (4, 1)))
+    np.testing.assert_allclose(found, by_hand, rtol=1e-9)
+
+
+@pytest.mark.heavy
+def test_a_painting_is_found_again_from_its_plan_view(target):
+    found = matched(target)
+    assert found.converged
+    assert found.before.mean > 3
+    assert found.after.mean < 0.5
+    assert found.exposure == 1
+    for recipe, true, start in zip(found.recipes, RECIPES, OTHERS, strict=True):
+        assert recipe.opacity == pytest.approx(true.opacity, abs=0.05)
+        assert recipe._replace(share=0, opacity=0) == start._replace(share=0, opacity=0)
+
+
+@pytest.mark.heavy
+def test_exposure_is_told_from_paint(target):
+    found = matched(0.5 * target, recipes=RECIPES, exposure=True)
+    assert found.after.mean < 0.5 < found.before.mean
+
+
+@pytest.mark.heavy
+def test_what_is_not_known_has_no_say(target):
+    known = np.ones(SHAPE, bool)
+    known[:12] = False
+    spoilt = np.where(known[..., None], target, np.nan)
+    found = matched(spoilt, known)
+    assert found == matched(np.where(known[..., None], target, 1.0), known)
+    assert found.after.mean < 0.5
+
+
+def test_derivatives_are_differences():
+    opacity = jnp.asarray([[1.0, 1.0], [0.5, 0.0], [0.3, 1.0]])
+    colour = jnp.asarray([[0.8, 0.5, 0.1], [0.4, 0.0, 1.0], [0.2, 0.3, 0.4]])
+    weight = jnp.arange(6.0).reshape(2, 3)
+
+    def f(opacity):
+        return (weight * plan_view(opacity, colour)).sum()
+
+    step = 1e-6
+    for i, j in np.ndindex(opacity.shape):
+        change = jnp.zeros_like(opacity).at[i, j].set(step)
+        numeric = (f(opacity + change) - f(opacity - change)) / (2 * step)
+        np.testing.assert_allclose(jax.grad(f)(opacity)[i, j], numeric, atol=1e-8)
+
+
+@pytest.mark.heavy
+def test_retouching_paints_what_strokes_cannot():
+    angle = (np.arange(SHAPE[0]) + 0.5) * 2 * np.pi / SHAPE[0]
+    spot = np.exp(-((angle[:, None] - 2) ** 2) / 0.1) * np.ones(SHAPE[1])
+    base = RECIPES[:1]
+    plain = texture_of(painted(base, HslMixer(), EYE, size=SIZE), EYE, SHAPE)
+    white = plain + 0.4 * spot[..., None] * (0.9 - plain)
+    known = np.ones(SHAPE, bool)
+    known[30:] = False
+    more = retouched(base, HslMixer(), EYE, white, known, count=2, size=SIZE)
+    assert [recipe.component for recipe in more.recipes] == ["scan", "scan"]
+    both = base + more.recipes
+    seen = texture_of(painted(both, HslMixer(), EYE, size=SIZE, scans=more.scans), EYE, SHAPE)
+    before, after = (difference(v, white, known) for v in (plain, seen))
+    assert after.mean < 0.3 * before.mean
+    far = np.zeros(SHAPE, bool)
+    far[33:45] = True  # beyond the brush and a map's texel
+    assert difference(seen, plain, far).mean < 1e-6
+
+
+@pytest.mark.heavy
+def test_a_painting_as_tissue():
+    """Brown by brown; the maps' own reflectance is as far off as they say."""
+    painting = painted(RECIPES, HslMixer(), EYE, size=SIZE)
+    found = maps_of(painting, EYE, shape=(12, 6))
+    paint = texture_of(painting, EYE, (12, 6))
+    shown = found.exposure * reflectance_of(found.iris, found.maps, EYE)
+    off = difference(shown, paint)
+    assert off.mean == pytest.approx(found.left.mean, abs=0.01)
+    assert found.left.mean < 15
+    maps = found.maps.present()
+    assert set(maps) == {"eumelanin", "pheomelanin", "stroma_depth"}
+    depth = maps["stroma_depth"] / found.iris.stroma_thickness
+    tried = (maps["eumelanin"], EUMELANIN), (maps["pheomelanin"], PHEOMELANIN), (depth, STROMA)
+    for values, table in tried:
+        assert table[0] - 1e-9 <= values.min() <= values.max() <= table[-1] + 1e-9
+    light = np.asarray(paint)[..., 1]
+    dark = np.asarray(maps["eumelanin"])
+    assert np.corrcoef(light.ravel(), dark.ravel())[0, 1] < 0
+
+
+@pytest.mark.parametrize(
+    ("target", "known", "line"),
+    [
+        (np.zeros((8, 3)), None, r"a target has shape \(8, 3\); need \(angles, radii, 3\)"),
+        (np.full((8, 4, 3), np.nan), None, r"target = nan is outside \[0, 100\]"),
+        (np.zeros((8, 4, 3)), np.ones((4, 8), bool), r"mask of a target of 8 angles and 4 radii"),
+        (np.zeros((8, 4, 3)), np.zeros((8, 4), bool), "the mask of a target leaves no texel"),
+    ],
+)
+def test_targets_that_there_are_none_of(target, known, line):
+    with pytest.raises(ValueError, match=line):
+        matched(target, known)
+
+
+def test_nothing_to_match_with():
+    with pytest.raises(ValueError, match="a match needs at least one coat"):
+        matched(np.zeros((8, 4, 3)), recipes=())
+    with pytest.raises(ValueError, match=r"has shape \(4, 8\); it must be square"):
+        unrolled(np.zeros((4, 8)), EYE)
+    with pytest.raises(ValueError, match="exposure = 0 is outside"):
+        maps_of(painted(RECIPES[:1], HslMixer(), EYE, size=SIZE), EYE, exposure=0.0)
+    with pytest.raises(ValueError, match="a painting without coats has no colours"):
+        texture_of(Painting((), profile_of(EYE)), EYE)
