@@ -2,6 +2,7 @@
 
 import dataclasses
 from collections.abc import Callable
+from typing import Any
 
 from irisjax.render.environment import Environment
 
@@ -52,5 +53,12 @@ class Settings:
 
 PIGMENTS = ("eumelanin", "pheomelanin", "abl_fraction", "hemoglobin", "saturation")
 CAMERA = ("camera_polar", "camera_azimuth", "width")
+LAMP = ("light_polar", "light_azimuth", "irradiance")
+LIGHT = (*LAMP, "environment", "strength")
 QUICK = frozenset({*PIGMENTS, "stroma", "exposure"})
 """Settings that leave tables, view and stage alone."""
+
+
+def values_of(settings: Settings, names: tuple[str, ...]) -> tuple[Any, ...]:
+    """Some of the settings, in this order."""
+    return tuple(getattr(settings, name) for name in names)
