@@ -14,7 +14,7 @@ from irisjax.render.camera import Camera
 from irisjax.render.environment import Environment
 from irisjax.render.lights import Lights
 from irisjax.render.scene import Scene
-from irisjax.view.settings import CAMERA, ENVIRONMENTS, GIVEN, LAMP, Settings, values_of
+from irisjax.view.settings import CAMERA, ENVIRONMENTS, GIVEN, LAMP, Shown, values_of
 
 
 class Staging:
@@ -55,7 +55,7 @@ class Staging:
         width, height = self._base.camera.size
         return (max(width // 2, 1), max(height // 2, 1)) if draft else (width, height)
 
-    def parts(self, s: Settings, size: tuple[int, int]) -> dict[str, Any]:
+    def parts(self, s: Shown, size: tuple[int, int]) -> dict[str, Any]:
         """Lights, environment and camera of a `Scene`."""
         return {
             "lights": self.once("lights", values_of(s, LAMP), lambda: self._lamps(s)),
@@ -67,13 +67,13 @@ class Staging:
             ),
         }
 
-    def _camera(self, s: Settings, size: tuple[int, int]) -> Camera:
+    def _camera(self, s: Shown, size: tuple[int, int]) -> Camera:
         polar, azimuth = (
             jnp.asarray(math.radians(angle), float) for angle in (s.camera_polar, s.camera_azimuth)
         )
         return Camera(polar, azimuth, self._base.camera.distance, jnp.asarray(s.width, float), size)
 
-    def _lamps(self, s: Settings) -> Lights:
+    def _lamps(self, s: Shown) -> Lights:
         base = self._base
         lamp = Lights.distant(
             math.radians(s.light_polar), math.radians(s.light_azimuth), illuminant=base.illuminant
@@ -84,7 +84,7 @@ class Staging:
             )
         return dataclasses.replace(lamp, irradiance=lamp.irradiance.at[0].set(s.irradiance))
 
-    def _around(self, s: Settings) -> Environment | None:
+    def _around(self, s: Shown) -> Environment | None:
         if s.environment not in (GIVEN, *ENVIRONMENTS):
             raise ValueError(
                 f"unknown environment {s.environment!r}; known: {', '.join(ENVIRONMENTS)}"
@@ -97,7 +97,7 @@ class Staging:
         return Environment(found.radiance * s.strength)
 
 
-def environments(settings: Settings) -> tuple[str, ...]:
+def environments(settings: Shown) -> tuple[str, ...]:
     """Environments to choose from."""
     return ((GIVEN,) if settings.environment == GIVEN else ()) + tuple(ENVIRONMENTS)
 
