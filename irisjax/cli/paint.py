@@ -10,21 +10,21 @@ import typer
 from tqdm import tqdm
 
 from irisjax import io
-from irisjax.anatomy.eye import LIMITS, Eye
+from irisjax.anatomy.eye import Eye
 from irisjax.cli.animate import sheet
 from irisjax.cli.cache import cores, kept_tables
 from irisjax.cli.files import check_folder
-from irisjax.cli.options import SEED_HELP, Group, grouped, name_of, option, read_seed, whole, within
+from irisjax.cli.options import SEED_HELP, Group, grouped, name_of, option, read_seed, whole
+from irisjax.cli.paints import Paints, of_file
 from irisjax.cli.scenes import changed
 from irisjax.export.coats import FORMATS, write_painting
 from irisjax.io.images import encode_png
-from irisjax.io.recipes import MIXING, Recipe, read_recipe, recipe_text
+from irisjax.io.recipes import Recipe, recipe_text
 from irisjax.measure.colour import srgb_encode
 from irisjax.numerics.programs import program
 from irisjax.ocularist.coats import Coat, Painting
 from irisjax.ocularist.easel import SIZE, painted, studio
 from irisjax.ocularist.integrator import Painted
-from irisjax.ocularist.recipes import COLOURS, TYPES, coats
 from irisjax.render.camera import Camera
 from irisjax.render.scene import Scene
 from irisjax.render.stages import Memory
@@ -32,58 +32,24 @@ from irisjax.render.stages import Memory
 _STEPS = 12  # pictures of the progression at most
 _SMALL = 320, 240
 _SHADOWS = "tinted", "as-printed"
-_PUPIL = LIMITS["pupil_radius"]
 
 
 @dataclass(frozen=True, kw_only=True)
-class Subject(Group):
+class Subject(Paints):
     """Which eye."""
-
-    PANEL = "What"
 
     recipe: Annotated[
         Path | None,
         typer.Argument(metavar="RECIPE", help="coats of paint (TOML)", show_default=False),
     ] = None
-    type: Annotated[
-        str | None, option(metavar="name", help=f"{', '.join(TYPES)}: in place of a recipe")
-    ] = None
-    colour: Annotated[
-        str | None, option(metavar="name", help=f"{', '.join(COLOURS)}; with --type")
-    ] = None
     seed: Annotated[
         int, option(parse=read_seed, metavar="number", help=f"{SEED_HELP}coats of a --type")
     ] = 0
-    mixing: Annotated[
-        str | None, option(metavar="name", help=f"{', '.join(MIXING)}: of the paints")
-    ] = None
-    pupil_radius: Annotated[
-        float | None,
-        option(parse=within(_PUPIL), metavar="MM", help=f"{_PUPIL.low:g} to {_PUPIL.high:g}"),
-    ] = None
 
     def __post_init__(self):
         super().__post_init__()
-        if (self.recipe is None) == (self.type is None):
+        if not self.painted(self.recipe):
             raise ValueError("give a recipe or --type, one of them")
-        if (self.type is None) != (self.colour is None):
-            raise ValueError("--type and --colour go together")
-        if self.mixing is not None and self.mixing not in MIXING:
-            raise ValueError(f"--mixing: unknown {self.mixing!r}; known: {', '.join(MIXING)}")
-
-    def read(self) -> Recipe:
-        """The recipe of the file, or of the type, with what the options change."""
-        if self.recipe is not None:
-            found = read_recipe(self.recipe)
-        else:
-            assert self.type is not None
-            assert self.colour is not None
-            found = Recipe(coats(self.type, self.colour, seed=self.seed))
-        if self.mixing is not None:
-            found = found._replace(mixing=self.mixing, paints=None)
-        if self.pupil_radius is not None:
-            found = found._replace(pupil_radius=self.pupil_radius)
-        return found
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -146,7 +112,7 @@ def paint(subject: Subject, picture: Picture, results: Results) -> None:
     """
     folder = results.output
     check_folder(folder, "recipe.toml", "a painted eye", results.overwrite)
-    recipe = subject.read()
+    recipe = subject.read(subject.recipe, subject.seed)
     eye = recipe.eye()
     painting = _painted(subject, recipe, eye, picture.texels)
     scene = studio(painting, eye)
@@ -191,11 +157,8 @@ _encode = program(srgb_encode)
 
 def _painted(subject: Subject, recipe: Recipe, eye: Eye, size: int) -> Painting:
     mixer, scans = recipe.mixer(), recipe.scans()
-    try:
+    with of_file(subject.recipe):
         return painted(recipe.coats, mixer, eye, size=size, scans=scans)
-    except ValueError as error:
-        where = "" if subject.recipe is None else f"{subject.recipe}: "
-        raise ValueError(f"{where}{error}") from None
 
 
 def _with(scene: Scene, painting: Painting, shadow: str) -> Scene:

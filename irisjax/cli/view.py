@@ -10,10 +10,11 @@ import typer
 
 from irisjax import _interrupt
 from irisjax.cli.cache import cores, kept_tables
-from irisjax.cli.options import Group, grouped, option, whole
+from irisjax.cli.options import SEED_HELP, Group, grouped, option, read_seed, whole
+from irisjax.cli.paints import Paints, of_file
 from irisjax.cli.scenes import Subject, changed
 from irisjax.io.clone_folders import read_clone
-from irisjax.view import Studio, check, serve
+from irisjax.view import Bench, Studio, check, serve
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -28,6 +29,25 @@ class Shown(Subject):
             "clone, shown beside its photograph",
             show_default=False,
         ),
+    ] = None
+    seed: Annotated[
+        int,
+        option(
+            parse=read_seed,
+            metavar="number",
+            help=f"{SEED_HELP}maps of a preset, and coats of a --type",
+        ),
+    ] = 0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Coats(Paints):
+    """A painted eye instead."""
+
+    PANEL = "A painted eye"
+
+    recipe: Annotated[
+        Path | None, option(metavar="RECIPE", help="coats of paint (TOML), as paint takes them")
     ] = None
 
 
@@ -49,14 +69,31 @@ class Window(Group):
 
 
 @grouped
-def view(subject: Shown, window: Window) -> None:
-    r"""An eye in the browser, with sliders, its spectrum and its colour.
+def view(subject: Shown, coats: Coats, window: Window) -> None:
+    r"""An eye in the browser, with sliders, its spectrum and its colour; or a painted one.
 
     Sliders for pigments, layers, pupil and light; drag to orbit, scroll to zoom.
-    Without a scene the eye is blue. Ctrl-C ends it.
+    Without a scene the eye is blue. A painted eye (--recipe, or --type and --colour) has
+    coats to be switched, recoloured, reordered and saved instead. Ctrl-C ends it.
     Needs the extra: pip install 'irisjax\[view]'. Simulated.
     """
     check(window.host, window.port)
+    painted = coats.painted(coats.recipe)
+    if painted and (subject.scene is not None or subject.preset is not None):
+        raise ValueError("give one eye: SCENE, --preset, --recipe or --type")
+    # Half the time of double precision, and the same picture to one level of 255 but for some
+    # pixels.
+    jax.config.update("jax_enable_x64", False)
+    shown = _bench(coats, subject.seed, window.size) if painted else _studio(subject, window.size)
+
+    def ready(address: str) -> None:
+        _interrupt.expect()
+        typer.echo(f"irisjax: {address}  (Ctrl-C ends it)")
+
+    serve(shown, window.host, window.port, ready=ready)
+
+
+def _studio(subject: Shown, size: str | None) -> Studio:
     if subject.scene is None and subject.preset is None:
         subject = dataclasses.replace(subject, preset="blue")
     photograph = None
@@ -64,17 +101,14 @@ def view(subject: Shown, window: Window) -> None:
         file, photograph = read_clone(subject.scene)
     else:
         file = subject.read()
-    # Half the time of double precision, and the same picture to one level of 255 but for some
-    # pixels.
-    jax.config.update("jax_enable_x64", False)
     given: dict[str, Any] = {"exposure": file.exposure}
     if subject.preset is not None:
         given |= {"preset": subject.preset, "seed": subject.seed, "environment": "studio"}
-    scene = changed(file.scene(), size=window.size)
-    studio = Studio(scene, kept_tables, threads=cores(), photograph=photograph, **given)
+    scene = changed(file.scene(), size=size)
+    return Studio(scene, kept_tables, threads=cores(), photograph=photograph, **given)
 
-    def ready(address: str) -> None:
-        _interrupt.expect()
-        typer.echo(f"irisjax: {address}  (Ctrl-C ends it)")
 
-    serve(studio, window.host, window.port, ready=ready)
+def _bench(coats: Coats, seed: int, size: str | None) -> Bench:
+    recipe = coats.read(coats.recipe, seed)
+    with of_file(coats.recipe):
+        return Bench(recipe, lambda scene: changed(scene, size=size), kept_tables, threads=cores())

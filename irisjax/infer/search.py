@@ -41,7 +41,7 @@ class Normal(lx.AbstractLinearSolver):
         unseen = jnp.diag(gram) <= 0
         gram = gram + jnp.diag(jnp.where(unseen, 1.0, 0.0))
         scale = 1 / jnp.sqrt(jnp.diag(gram))
-        x = scale * linear.solve(scale[:, None] * gram * scale, scale * (matrix.T @ flat))
+        x = scale * linear.solve(scale[:, None] * gram * scale[None], scale * (matrix.T @ flat))
         _, unravel = jax.flatten_util.ravel_pytree(
             jax.tree.map(lambda s: jnp.zeros(s.shape, s.dtype), structure)
         )

@@ -1,10 +1,11 @@
-"""The interactive viewer: what a change of settings costs (`Studio`), and the page that shows it
-(`serve`).
+"""The interactive viewer: what a change of settings costs (`Studio`, and `Bench` for a painted
+eye), and the page that shows it (`serve`).
 """
 
 from irisjax.view.address import check
+from irisjax.view.bench import Bench
 from irisjax.view.server import serve
 from irisjax.view.settings import Settings
 from irisjax.view.studio import Studio
 
-__all__ = ["Settings", "Studio", "check", "serve"]
+__all__ = ["Bench", "Settings", "Studio", "check", "serve"]

@@ -5,6 +5,9 @@ from typing import Any
 
 import numpy as np
 
+from irisjax.view.settings import Shown
+from irisjax.view.sliders import SLIDERS
+
 DISTANCE = 2.5  # of viser's camera, in units of its own
 BLACK = 16  # round the picture
 
@@ -33,6 +36,16 @@ def swatch(colour) -> str:
         f"{blue}{clipped}<br>"
         f"#{red:02x}{green:02x}{blue:02x}</div></div>"
     )
+
+
+def sliders(gui, folder: str, settings: Shown) -> dict[str, Any]:
+    """Sliders of a folder of `SLIDERS`, by the names of settings; values widen their ranges."""
+    made = {}
+    for name, (label, low, high, step, hint) in SLIDERS[folder].items():
+        value = float(getattr(settings, name))
+        low, high = float(min(low, value)), float(max(high, value))
+        made[name] = gui.add_slider(label, low, high, float(step), value, hint=hint)
+    return made
 
 
 def plot_scales(largest: float) -> dict[str, Any]:

@@ -13,28 +13,25 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from irisjax.render.integrators import INTEGRATORS
 from irisjax.view.address import check
-from irisjax.view.page import BLACK, DISTANCE, framed, orbit, plot_scales, swatch
+from irisjax.view.bench import Bench
+from irisjax.view.coats_panel import CoatsPanel
+from irisjax.view.page import BLACK, DISTANCE, framed, orbit, sliders
 from irisjax.view.settings import QUICK
-from irisjax.view.sliders import SLIDERS
-from irisjax.view.studio import GRID, Studio
+from irisjax.view.studio import Studio
+from irisjax.view.tissue_panel import TissuePanel
 from irisjax.view.worker import Newest
 
 if TYPE_CHECKING:
     import viser
 
-_NOTE = (
-    "Left of the line is the photograph. It belongs to its own camera: turning or zooming the eye "
-    "hides it, moving this slider brings both back."
-)
 _VISERS = np.full(3, 3.0)  # where it puts its camera by itself
 _REST = 0.25  # s without a change before the fine picture replaces the draft
 _PATIENCE = 0.3  # s that other pigments may take without a draft
 
 
 def serve(
-    studio: Studio,
+    studio: Studio | Bench,
     host: str = "127.0.0.1",
     port: int = 8080,
     *,
@@ -78,10 +75,15 @@ def _silence():
 class _Page:
     """Widgets, and the worker that answers them."""
 
-    def __init__(self, server: "viser.ViserServer", studio: Studio):
+    def __init__(self, server: "viser.ViserServer", studio: Studio | Bench):
         self.server, self.studio = server, studio
         self.worker = Newest(self._show)
         self.picture = np.full((3, 4, 3), BLACK, np.uint8)
+        self.panel = (
+            CoatsPanel(server.gui, studio, self.worker.put)
+            if isinstance(studio, Bench)
+            else TissuePanel(server.gui, studio)
+        )
         self.first, self.spent = True, 0.0  # s for the last picture with other pigments
         self.width = studio.settings.width  # of the field at viser's `DISTANCE`
         start = server.initial_camera
@@ -101,47 +103,14 @@ class _Page:
 
     def _settings(self) -> dict[str, Any]:
         gui, studio, widgets = self.server.gui, self.studio, {}
-        if studio.settings.photograph is not None:
-            with gui.add_folder("Photograph"):
-                widgets["photograph"] = gui.add_slider(
-                    "photograph",
-                    0.0,
-                    1.0,
-                    0.005,
-                    studio.settings.photograph,
-                    hint="share of the picture's width",
-                )
-                gui.add_html(f'<div style="padding:0 0.9em 0.5em;font-size:0.8em">{_NOTE}</div>')
-        with gui.add_folder("Eye"):
-            widgets["preset"] = gui.add_dropdown(
-                "preset", studio.presets(), initial_value=studio.settings.preset
+        widgets |= self.panel.widgets()
+        with gui.add_folder("Light"):
+            widgets["environment"] = gui.add_dropdown(
+                "environment",
+                studio.environments(),
+                initial_value=studio.settings.environment,
             )
-            widgets["seed"] = gui.add_number(
-                "seed",
-                studio.settings.seed,
-                min=0,
-                max=2**32 - 1,
-                step=1,
-                hint="of a preset's maps",
-            )
-            widgets["integrator"] = gui.add_dropdown(
-                "light transport",
-                tuple(INTEGRATORS),
-                initial_value=studio.settings.integrator,
-                hint="separable: ILIT; presets have pigments of their own under radiative transfer",
-            )
-        for folder, sliders in SLIDERS.items():
-            with gui.add_folder(folder):
-                if folder == "Light":
-                    widgets["environment"] = gui.add_dropdown(
-                        "environment",
-                        studio.environments(),
-                        initial_value=studio.settings.environment,
-                    )
-                for name, (label, low, high, step, hint) in sliders.items():
-                    value = float(getattr(studio.settings, name))
-                    low, high = float(min(low, value)), float(max(high, value))
-                    widgets[name] = gui.add_slider(label, low, high, float(step), value, hint=hint)
+            widgets |= sliders(gui, "Light", studio.settings)
         for name, widget in widgets.items():
             widget.on_update(lambda event, name=name: self._moved(event, name))
         return widgets
@@ -149,35 +118,12 @@ class _Page:
     def _moved(self, event, name: str) -> None:
         if event.client is None:  # it is the page that follows the settings
             return
-        changes = {name: event.target.value}
-        if name == "photograph" and event.target.value > 0:
-            changes |= self.studio.photographed
-        self.worker.put(**changes)
+        self.worker.put(**self.panel.asked(name, event.target.value))
 
     def _results(self) -> None:
-        from viser import uplot
-
-        gui, grid = self.server.gui, uplot.Axis_Grid(stroke="#444444", width=1)
-        panel = gui.add_panel()
-        with panel.add_tab("Spectrum and colour"):
-            self.plot = gui.add_uplot(
-                (GRID, np.zeros_like(GRID), np.zeros_like(GRID)),
-                (
-                    uplot.Series(label="nm"),
-                    uplot.Series(label="at first", stroke="#888888", width=1, dash=(4, 4)),
-                    uplot.Series(label="reflectance", stroke="#56B4E9", width=2),
-                ),
-                scales=plot_scales(0.1),
-                axes=tuple(
-                    uplot.Axis(label=label, stroke="#c0c0c0", grid=grid, size=60)
-                    for label in ("wavelength (nm)", "reflectance of the iris")
-                ),
-                legend=uplot.Legend(show=False),
-                height=260,
-                padding=(12, 16, 0, 0),
-            )
-            self.colour = gui.add_html("")
-            self.status = gui.add_html("")
+        panel = self.server.gui.add_panel()
+        with panel.add_tab(self.panel.TITLE):
+            self.status = self.panel.results()
         panel.dock_left()
         panel.set_width(320)
         self._say("computing the eye's tables …")
@@ -214,11 +160,7 @@ class _Page:
             self._send(client)
         if changes.get("photograph") and self.worker.quiet(0):
             self._beside(clients)
-        values, colour = self.studio.spectrum()
-        before = values if self.first else self.plot.data[1]
-        self.plot.data = (GRID, before, values)
-        self.plot.scales = plot_scales(max(before.max(), values.max()))
-        self.colour.content = swatch(colour)
+        self.panel.tell(self.first)
         for name, widget in self.widgets.items():
             wanted = getattr(self.studio.settings, name)
             if "preset" in changes and widget.value != wanted:
@@ -230,10 +172,7 @@ class _Page:
             f"camera {s.camera_polar:.0f}° off axis at {s.camera_azimuth:.0f}°, field "
             f"{s.width:.1f} mm; "
             "drag to orbit, scroll to zoom",
-            "single scattering"
-            if (error := self.studio.error) is None
-            else f"all orders, within {100 * error:.1g} %",
-            "simulated" if not s.photograph else "left: photograph; right: simulated",
+            *self.panel.remarks(),
         )
         return spent
 
@@ -269,6 +208,7 @@ class _Page:
 
     def _beside(self, clients) -> None:
         """Slider and cameras as they must be for a photograph that is shown."""
+        assert isinstance(self.studio, Studio)  # paint has no photograph
         slider, share = self.widgets["photograph"], self.studio.settings.photograph
         if slider.value == 0 and share:  # by a turn of the eye that the slider overtook
             slider.value = share

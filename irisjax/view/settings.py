@@ -2,6 +2,7 @@
 
 import dataclasses
 from collections.abc import Callable
+from typing import Any
 
 from irisjax.render.environment import Environment
 
@@ -14,16 +15,33 @@ ENVIRONMENTS: dict[str, Callable[[], Environment] | None] = {
 
 
 @dataclasses.dataclass(frozen=True)
-class Settings:
-    """What can be changed; a scene's own values are where it starts.
+class Shown:
+    """What can be changed whatever the iris is made of; a scene's own values are where it starts.
 
-    - `preset`, `environment`: a name, or `GIVEN` for the scene's own. `seed`: of a preset's maps.
+    - `light_*`: of the first lamp, degrees; `environment`: a name, or `GIVEN` for the scene's own;
+        `strength`: factor on the environment; `exposure`: on the picture.
+    - `camera_*`: degrees; `width` of the field, mm.
+    """
+
+    light_polar: float = 35.0
+    light_azimuth: float = 120.0
+    irradiance: float = 0.0
+    environment: str = GIVEN
+    strength: float = 1.0
+    exposure: float = 1.0
+    camera_polar: float = 0.0
+    camera_azimuth: float = 0.0
+    width: float = 15.0
+
+
+@dataclasses.dataclass(frozen=True)
+class Settings(Shown):
+    """What can be changed of an eye of tissue.
+
+    - `preset`: a name, or `GIVEN` for the scene's own iris. `seed`: of a preset's maps.
         `integrator`: a name of `INTEGRATORS`.
     - Concentrations as in `Iris`; `hemoglobin`: both forms together, mmol/l; `stroma`: thickness
         relative to the iris's own, at equal concentrations. `pupil_radius`: mm.
-    - `light_*`: of the first lamp, degrees; `strength`: factor on the environment; `exposure`: on
-        the picture.
-    - `camera_*`: degrees; `width` of the field, mm.
     - `photograph`: share of the picture's width that shows the photograph, from the left; `None`
         where there is none.
     """
@@ -38,19 +56,17 @@ class Settings:
     hemoglobin: float = 0.0
     saturation: float = 0.5
     pupil_radius: float = 1.9
-    light_polar: float = 35.0
-    light_azimuth: float = 120.0
-    irradiance: float = 0.0
-    environment: str = GIVEN
-    strength: float = 1.0
-    exposure: float = 1.0
-    camera_polar: float = 0.0
-    camera_azimuth: float = 0.0
-    width: float = 15.0
     photograph: float | None = None
 
 
 PIGMENTS = ("eumelanin", "pheomelanin", "abl_fraction", "hemoglobin", "saturation")
 CAMERA = ("camera_polar", "camera_azimuth", "width")
-QUICK = frozenset({*PIGMENTS, "stroma", "exposure"})
-"""Settings that leave tables, view and stage alone."""
+LAMP = ("light_polar", "light_azimuth", "irradiance")
+LIGHT = (*LAMP, "environment", "strength")
+QUICK = frozenset({*PIGMENTS, "stroma", "exposure", "layers"})
+"""Settings that leave tables and view alone, and whatever else takes long."""
+
+
+def values_of(settings: Shown, names: tuple[str, ...]) -> tuple[Any, ...]:
+    """Some of the settings, in this order."""
+    return tuple(getattr(settings, name) for name in names)

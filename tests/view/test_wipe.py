@@ -55,7 +55,7 @@ def still(bare, monkeypatch):
 
     def rendered(self, settings, draft):
         drawn.append((settings, draft))
-        width, height = self._size(draft)
+        width, height = self._staging.size(draft)
         return flat(200, height, width), 0.0
 
     monkeypatch.setattr(Studio, "_rendered", rendered)

@@ -1,0 +1,191 @@
+"""`Bench`: a painted eye whose coats are switched, recoloured and reordered. A coat that changes is
+painted anew with those below it, and no other.
+"""
+
+import dataclasses
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+
+from irisjax.io.recipes import Recipe, recipe_text
+from irisjax.io.tables import write_atomically
+from irisjax.measure.colour import srgb_encode
+from irisjax.ocularist.coats import Coat, Painting
+from irisjax.ocularist.easel import SIZE, painted, studio
+from irisjax.ocularist.integrator import Painted
+from irisjax.ocularist.palette import linear_colour
+from irisjax.ocularist.recipes import CoatRecipe
+from irisjax.render.illumination import Illumination
+from irisjax.render.scene import Scene
+from irisjax.render.stages import Memory
+from irisjax.view.layers import Layer, Layers, place_of
+from irisjax.view.settings import LIGHT, Shown, values_of
+from irisjax.view.staging import Staging, encoded, environments
+
+NAME = "recipe"
+"""Of files that keep recipes, before a number and `.toml`."""
+
+
+@dataclasses.dataclass(frozen=True)
+class BenchSettings(Shown):
+    """What can be changed of a painted eye. `layers`: its coats, the bottom one first."""
+
+    layers: Layers = ()
+
+
+class Bench:
+    """A recipe, its settings, and what is already painted of them.
+
+    - `scene`: what stands round the painted iris, as `easel.studio` by default; its own painting
+        does not matter. `texels`: along a side of opacity maps.
+    - `tables_of`: makes the illumination tables of a scene, or finds them. `threads`: that share
+        the pixels of a picture.
+
+    **Raises:** `ValueError` naming the coat that cannot be painted.
+    """
+
+    def __init__(
+        self,
+        recipe: Recipe,
+        scene: Callable[[Scene], Scene] = lambda scene: scene,
+        tables_of: Callable[[Scene], Illumination | None] = Scene.tables,
+        threads: int = 1,
+        texels: int = SIZE,
+    ):
+        self._given, self._tables_of = recipe, tables_of
+        eye = recipe.eye()
+        whole = [coat._replace(opacity=1.0) for coat in recipe.coats]
+        painting = painted(whole, recipe.mixer(), eye, size=texels, scans=recipe.scans())
+        self._profile = painting.profile
+        self._full = {coat.name: coat for coat in painting.coats}
+        # Coats bear their places in the recipe, whose order need not be that of heights.
+        places = {coat.name: int(coat.name.split()[0]) - 1 for coat in painting.coats}
+        self._recipes: dict[str, CoatRecipe] = {n: recipe.coats[i] for n, i in places.items()}
+        self._coats: dict[str, tuple[Layer, Coat]] = {}
+        self._heights = {r.height: self._full[n].height for n, r in self._recipes.items()}
+        self._base = scene(studio(painting, eye))
+        self._staging = Staging(self._base)
+        self._memory = {draft: Memory(threads) for draft in (False, True)}
+        self._file: Path | None = None
+        layers = tuple(
+            Layer(name, True, None, r.opacity, r.height) for name, r in self._recipes.items()
+        )
+        self.settings = BenchSettings(**self._staging.start(), layers=layers)
+
+    def environments(self) -> tuple[str, ...]:
+        """Environments to choose from."""
+        return environments(self.settings)
+
+    def update(self, *, draft: bool = False, **changes: Any) -> np.ndarray:
+        """The picture after some changes: sRGB, 8 bits, (height, width, 3); a `draft` has half of
+        either side. **Raises:** `ValueError` and keeps the old settings.
+        """
+        if unknown := changes.keys() - {f.name for f in dataclasses.fields(BenchSettings)}:
+            raise ValueError(f"no such setting: {', '.join(sorted(unknown))}")
+        settings = dataclasses.replace(self.settings, **changes)
+        picture = self._staging.once(
+            ("picture", draft), settings, lambda: self._rendered(settings, draft)
+        )
+        self.settings = settings
+        return picture
+
+    def scene(self) -> Scene:
+        """The scene as it is set; `exposure` is no part of it."""
+        return self._set(self.settings, False)
+
+    def painting(self) -> Painting:
+        """Coats that are on, the bottom one first."""
+        return self._painting(self.settings.layers)
+
+    def colour(self, name: str) -> tuple[int, int, int]:
+        """A coat's colour as it is set, sRGB, 8 bits. **Raises:** `ValueError` for an unknown
+        coat.
+        """
+        layer = self.settings.layers[place_of(self.settings.layers, name)]
+        red, green, blue = np.rint(255 * np.asarray(srgb_encode(self._coat(layer).colour)))
+        return int(red), int(green), int(blue)
+
+    def recipe(self, layers: Layers | None = None) -> Recipe:
+        """The recipe of the coats that are on, by default those set, as `irisjax paint` takes it. A
+        colour picked by hand is a paint of the palette by itself.
+
+        **Raises:** `ValueError` where every coat is off.
+        """
+        palette, coats = dict(self._given.palette), []
+        for layer in self.settings.layers if layers is None else layers:
+            if not layer.on:
+                continue
+            coat = self._recipes[layer.name]._replace(opacity=layer.opacity, height=layer.height)
+            if layer.colour is not None:
+                paint = _free(f"picked {layer.name.split()[0]}", palette)
+                palette[paint] = layer.colour
+                coat = coat._replace(first=paint, second=paint, share=0.0)
+            coats.append(coat)
+        if not coats:
+            raise ValueError("no coat is on: there is nothing to save")
+        return self._given._replace(coats=tuple(coats), palette=palette)
+
+    def save(self, layers: Layers | None = None) -> Path:
+        """Write `recipe` beside the recipe that was given, where files it names are found; at first
+        as a new file, then over that.
+
+        **Raises:** `ValueError` where every coat is off, `OSError` where it cannot be written.
+        """
+        text = recipe_text(self.recipe(layers))
+        path = self._file or _new(self._given.folder)
+        write_atomically(path, text.encode())
+        self._file = path
+        return path
+
+    def _rendered(self, s: BenchSettings, draft: bool) -> np.ndarray:
+        scene, memory = self._set(s, draft), self._memory[draft]
+        grazing = self._staging.once("grazing", values_of(s, LIGHT), scene.grazing)
+        tables = self._staging.once(("tables", grazing), None, lambda: self._tables_of(scene))
+        return encoded(memory.render(scene, tables), s.exposure)
+
+    def _set(self, s: BenchSettings, draft: bool) -> Scene:
+        integrator = Painted(painting=self._painting(s.layers))
+        parts = self._staging.parts(s, self._staging.size(draft))
+        return self._base.replace(integrator=integrator, **parts)
+
+    def _painting(self, layers: Layers) -> Painting:
+        on = tuple(self._coat(layer) for layer in layers if layer.on)
+        return Painting(on, self._profile)
+
+    def _coat(self, layer: Layer) -> Coat:
+        """The same arrays for what has not changed: by them `Memory` knows it."""
+        last = self._coats.get(layer.name)
+        if last is not None and last[0] == layer:
+            return last[1]
+        full = self._full[layer.name]
+        if last is not None and last[0].opacity == layer.opacity:
+            opacity = last[1].opacity
+        else:
+            opacity = layer.opacity * full.opacity
+        if last is not None and last[0].colour == layer.colour:
+            colour = last[1].colour
+        elif layer.colour is None:
+            colour = full.colour
+        else:
+            colour = jnp.asarray(linear_colour(layer.name, layer.colour), full.colour.dtype)
+        made = Coat(layer.name, opacity, colour, self._heights[layer.height])
+        self._coats[layer.name] = layer, made
+        return made
+
+
+def _free(name: str, palette: dict[str, str]) -> str:
+    """A name that no paint of the palette has."""
+    found, number = name, 2
+    while found in palette:
+        found, number = f"{name} ({number})", number + 1
+    return found
+
+
+def _new(folder: Path) -> Path:
+    path, number = folder / f"{NAME}.toml", 2
+    while path.exists():
+        path, number = folder / f"{NAME}_{number}.toml", number + 1
+    return path

@@ -1,0 +1,97 @@
+"""What the page has for a painted eye: its coats, the uppermost first."""
+
+import html
+import threading
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any
+
+from irisjax.view.bench import Bench
+from irisjax.view.layers import Layer, Layers, covering, moved, recoloured, switched
+
+if TYPE_CHECKING:
+    import viser
+
+UP, DOWN = "up", "down"
+
+
+class CoatsPanel:
+    """Widgets of a `Bench`; those of coats ask by `put` for settings."""
+
+    TITLE = "Coats"
+
+    def __init__(self, gui: "viser.GuiApi", bench: Bench, put: Callable[..., None]):
+        self.gui, self.bench, self.put = gui, bench, put
+        self.layers: Layers = bench.settings.layers  # as asked for, painted or not yet
+        self._lock = threading.Lock()  # every event comes on a thread of viser's
+        self.folders: dict[str, Any] = {}
+
+    def widgets(self) -> dict[str, Any]:
+        """None that shows a setting by itself."""
+        return {}
+
+    def asked(self, name: str, value: Any) -> dict[str, Any]:
+        """Settings that another widget asks for."""
+        return {name: value}
+
+    def results(self) -> "viser.GuiHtmlHandle":
+        """How it stands, the button that saves, and the coats."""
+        gui = self.gui
+        status = gui.add_html("", order=0)
+        save = gui.add_button(
+            "save the recipe", hint="of the coats that are on, beside the recipe", order=1
+        )
+        self.saved = gui.add_html("", order=2)
+        save.on_click(lambda event: self._save())
+        for layer in self.layers:
+            self.folders[layer.name] = self._coat(layer)
+        self._sort()
+        return status
+
+    def tell(self, first: bool) -> None:
+        """Nothing to read after a picture."""
+
+    def remarks(self) -> tuple[str, ...]:
+        """Of the last picture."""
+        layers = self.bench.settings.layers
+        return (f"{sum(layer.on for layer in layers)} of {len(layers)} coats", "painted")
+
+    def _coat(self, layer: Layer):
+        gui, name = self.gui, layer.name
+        folder = gui.add_folder(name, expand_by_default=False)
+        with folder:
+            on = gui.add_checkbox("on", layer.on)
+            colour = gui.add_rgb("colour", self.bench.colour(name))
+            opacity = gui.add_slider("opacity", 0.0, 1.0, 0.005, layer.opacity)
+            place = gui.add_button_group("place", (UP, DOWN))
+        on.on_update(lambda event: self._change(switched, name, event.target.value))
+        colour.on_update(lambda event: self._change(recoloured, name, _hex(event.target.value)))
+        opacity.on_update(lambda event: self._change(covering, name, event.target.value))
+        place.on_click(lambda event: self._change(moved, name, event.target.value == UP))
+        return folder
+
+    def _change(self, edit: Callable[..., Layers], *values: Any) -> None:
+        with self._lock:
+            before, self.layers = self.layers, edit(self.layers, *values)
+            self.put(layers=self.layers)
+            if [x.name for x in before] != [x.name for x in self.layers]:
+                self._sort()
+
+    def _sort(self) -> None:
+        """The uppermost first, below what does not move."""
+        for place, layer in enumerate(reversed(self.layers)):
+            folder, order = self.folders[layer.name], 10.0 + place
+            if folder.order != order:
+                folder.order = order
+
+    def _save(self) -> None:
+        try:
+            said = f"saved: {self.bench.save(self.layers)}"
+        except (ValueError, OSError) as error:
+            said = str(error)
+        self.saved.content = (
+            f'<div style="padding:0.4em 0.9em;font-size:0.8em">{html.escape(said)}</div>'
+        )
+
+
+def _hex(colour: tuple[int, int, int]) -> str:
+    return "#" + "".join(f"{step:02x}" for step in colour)
