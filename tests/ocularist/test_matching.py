@@ -1,5 +1,7 @@
 """Paintings in plan, matched to a target, retouched, and taken to maps of pigments."""
 
+import contextlib
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -34,9 +36,17 @@ def target():
     return texture_of(painted(RECIPES, HslMixer(), EYE, size=SIZE), EYE, SHAPE)
 
 
+@contextlib.contextmanager
+def promoting():
+    """Searches and pictures of tissue promote as NumPy does."""
+    with jax.numpy_dtype_promotion("standard"), jax.numpy_rank_promotion("allow"):
+        yield
+
+
 def matched(target, known=None, recipes=OTHERS, **more):
     few = {"size": SIZE, "texels": 200, "key": jax.random.key(0)} | more
-    return match(recipes, HslMixer(), EYE, target, known, **few)
+    with promoting():
+        return match(recipes, HslMixer(), EYE, target, known, **few)
 
 
 def test_two_coats_over_a_base_by_hand():
@@ -123,14 +133,16 @@ def test_derivatives_are_differences():
     colour = jnp.asarray([[0.8, 0.5, 0.1], [0.4, 0.0, 1.0], [0.2, 0.3, 0.4]])
     weight = jnp.arange(6.0).reshape(2, 3)
 
+    @jax.jit
+    @jax.value_and_grad
     def f(opacity):
         return (weight * plan_view(opacity, colour)).sum()
 
     step = 1e-6
     for i, j in np.ndindex(opacity.shape):
         change = jnp.zeros_like(opacity).at[i, j].set(step)
-        numeric = (f(opacity + change) - f(opacity - change)) / (2 * step)
-        np.testing.assert_allclose(jax.grad(f)(opacity)[i, j], numeric, atol=1e-8)
+        numeric = (f(opacity + change)[0] - f(opacity - change)[0]) / (2 * step)
+        np.testing.assert_allclose(f(opacity)[1][i, j], numeric, atol=1e-8)
 
 
 @pytest.mark.heavy
@@ -155,23 +167,25 @@ def test_retouching_paints_what_strokes_cannot():
 
 @pytest.mark.heavy
 def test_a_painting_as_tissue():
-    """Brown by brown; the maps' own reflectance is as far off as they say."""
+    """The maps' own reflectance is as far off as they say, and paint of a tissue's colour is found
+    among tissues.
+    """
     painting = painted(RECIPES, HslMixer(), EYE, size=SIZE)
-    found = maps_of(painting, EYE, shape=(12, 6))
-    paint = texture_of(painting, EYE, (12, 6))
-    shown = found.exposure * reflectance_of(found.iris, found.maps, EYE)
-    off = difference(shown, paint)
-    assert off.mean == pytest.approx(found.left.mean, abs=0.01)
-    assert found.left.mean < 15
+    with promoting():
+        found = maps_of(painting, EYE, shape=(12, 6))
+        shown = found.exposure * reflectance_of(found.iris, found.maps, EYE)
+        iris = found.iris.replace(eumelanin=1.9 * found.iris.eumelanin)
+        colour = 10 * reflectance_of(iris, None, EYE)[0, 0]
+        coat = Coat("flat", jnp.ones((4, 4)), colour, jnp.asarray(0.0))
+        flat = maps_of(Painting((coat,), profile_of(EYE)), EYE, shape=(12, 6), exposure=10.0)
+    assert difference(shown, texture_of(painting, EYE, (12, 6))) == pytest.approx(found.left)
+    assert flat.left.most < 1
     maps = found.maps.present()
     assert set(maps) == {"eumelanin", "pheomelanin", "stroma_depth"}
     depth = maps["stroma_depth"] / found.iris.stroma_thickness
     tried = (maps["eumelanin"], EUMELANIN), (maps["pheomelanin"], PHEOMELANIN), (depth, STROMA)
     for values, table in tried:
         assert table[0] - 1e-9 <= values.min() <= values.max() <= table[-1] + 1e-9
-    light = np.asarray(paint)[..., 1]
-    dark = np.asarray(maps["eumelanin"])
-    assert np.corrcoef(light.ravel(), dark.ravel())[0, 1] < 0
 
 
 @pytest.mark.parametrize(
