@@ -60,8 +60,8 @@ def reflectance_of(
 ) -> Float[Array, "angles radii 3"]:
     """Linear sRGB reflectance of an iris of pigments without its cornea, as `match` takes targets.
 
-    Tissue sends back a few per cent: times 10 or 20 it is as bright as a photograph shows it.
-    `integrator`: ILIT's by default. Without maps all texels of (2, 2) are alike.
+    Tissue sends back a few per cent of the light, paint far more: a factor on the result makes them
+    alike. `integrator`: ILIT's by default. Without maps all texels of (2, 2) are alike.
     """
     asked = Separable(degrees=_DEGREES) if integrator is None else integrator
     matt = Matt.of(iris, maps, eye, colour_bands(), asked)
