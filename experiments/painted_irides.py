@@ -13,7 +13,7 @@ from PIL import Image
 from experiments.common import RESULTS, start, write
 from irisjax.io import write_atomically
 from irisjax.measure.colour import srgb_encode
-from irisjax.ocularist.coats import Painting, prosthesis
+from irisjax.ocularist.coats import Coat, Painting, prosthesis
 from irisjax.ocularist.components import COMPONENTS, component
 from irisjax.ocularist.easel import painted, studio
 from irisjax.ocularist.integrator import Painted
@@ -99,20 +99,14 @@ def _times(blue: Painting, eye, tables, out) -> None:
     """Seconds of pictures of 800 × 600 pixels with two lamps, two threads, warm."""
     rows, other = [], jnp.asarray([0.4, 0.2, 0.1])
     for count in (10, 20, 30, 40, 50, 70):
-        more = [c for c in blue.coats[1:] for _ in range(1)][: max(count - len(blue.coats), 0)]
-        top = float(blue.coats[-1].height)
-        added = [
-            type(c)(f"again {c.name}", c.opacity, c.colour, c.height * 0 + top + 0.006 * (i + 1))
-            for i, c in enumerate(more)
-        ]
-        painting = Painting((*blue.coats, *added)[:count], blue.profile)
-        scene = studio(painting, eye)
+        scene = studio(_first(_doubled(blue), count), eye)
 
         def timed(memory, scene):
             begin = time.perf_counter()
             memory.render(scene, tables).block_until_ready()
             return time.perf_counter() - begin
 
+        painting = scene.integrator.painting
         changed = [painting.coats[i].name for i in (-1, count // 2, 0)]
         scenes = [
             scene.replace(integrator=Painted(painting=painting.replace(name, colour=other)))
@@ -134,6 +128,15 @@ def _times(blue: Painting, eye, tables, out) -> None:
         ("coats", "whole_s", "top_recoloured_s", "middle_recoloured_s", "base_recoloured_s"),
         rows,
     )
+
+
+def _doubled(painting: Painting) -> Painting:
+    """All coats but the base once more on top."""
+    top = painting.coats[-1].height
+    again = (
+        Coat(f"again {c.name}", c.opacity, c.colour, top + c.height) for c in painting.coats[1:]
+    )
+    return Painting((*painting.coats, *again), painting.profile)
 
 
 if __name__ == "__main__":

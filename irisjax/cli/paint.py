@@ -1,7 +1,7 @@
 """`irisjax paint`: a recipe of coats in, the painted eye and every coat out."""
 
 import sys
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated
 
@@ -22,10 +22,9 @@ from irisjax.io.images import encode_png
 from irisjax.io.recipes import Recipe, recipe_text
 from irisjax.measure.colour import srgb_encode
 from irisjax.numerics.programs import program
-from irisjax.ocularist.coats import Coat, Painting
+from irisjax.ocularist.coats import Coat, Painting, over
 from irisjax.ocularist.easel import SIZE, painted, studio
 from irisjax.ocularist.integrator import Painted
-from irisjax.render.camera import Camera
 from irisjax.render.scene import Scene
 from irisjax.render.stages import Memory
 
@@ -118,19 +117,19 @@ def paint(subject: Subject, picture: Picture, results: Results) -> None:
     scene = studio(painting, eye)
     scene = changed(scene, picture.light, None, picture.size, picture.camera)
     scene = _with(scene, painting, picture.shadow)
-    files = {folder / "recipe.toml": recipe_text(recipe).encode()}
+    files = {folder / "recipe.toml": recipe_text(recipe.moved(folder)).encode()}
     shown = _shown(painting)
     with tqdm(total=1 + len(shown), unit="picture", disable=not sys.stderr.isatty()) as bar:
-        memory = Memory(cores())
-        whole_eye = np.asarray(memory.render(scene, kept_tables(scene)))
+        tables = kept_tables(scene)
+        whole_eye = np.asarray(Memory(cores()).render(scene, tables))
         bar.update()
         steps = []
-        small = scene.replace(camera=_small(scene.camera))
+        small = scene.replace(camera=replace(scene.camera, size=_SMALL))
+        memory = Memory(cores())
         for count in shown:
             part = Painting(painting.coats[:count], painting.profile)
-            memory = Memory(cores())
             part = _with(small, part, picture.shadow)
-            steps.append(np.asarray(memory.render(part, kept_tables(part))))
+            steps.append(np.asarray(memory.render(part, tables)))
             bar.update()
     remark = "painted and simulated by irisjax"
     for name, linear in (("eye.png", whole_eye), ("progression.png", sheet(steps))):
@@ -171,11 +170,6 @@ def _shown(painting: Painting) -> list[int]:
     return sorted({round(1 + i * (count - 1) / (_STEPS - 1)) for i in range(_STEPS)})
 
 
-def _small(camera: Camera) -> Camera:
-    return Camera(camera.polar, camera.azimuth, camera.distance, camera.width, size=_SMALL)
-
-
 def _on_white(coat: Coat) -> np.ndarray:
     """A coat as it lies on white paper, encoded."""
-    a = np.asarray(coat.opacity)[..., None]
-    return np.asarray(_encode((1 - a) + a * np.asarray(coat.colour)))
+    return np.asarray(_encode(over(1.0, coat.opacity[..., None], coat.colour, 1.0)))

@@ -63,7 +63,8 @@ class Paints(Group):
             assert self.colour is not None
             found = Recipe(coats(self.type, self.colour, seed=seed))
         if self.mixing is not None:
-            found = found._replace(mixing=self.mixing, paints=None)
+            kept = found.paints if self.mixing == "kubelka-munk" else None
+            found = found._replace(mixing=self.mixing, paints=kept)
         if self.pupil_radius is not None:
             found = found._replace(pupil_radius=self.pupil_radius)
         return found

@@ -1,13 +1,13 @@
-"""Entries of a scene file: sections and keys, what they may be, and where they are written."""
+"""Entries of a scene file: sections and keys, and what they may be."""
 
 import math
-import re
 from collections.abc import Callable
 from typing import Any
 
 from irisjax.anatomy import eye
 from irisjax.anatomy.media import INDEX
 from irisjax.grow.presets import PRESETS
+from irisjax.io.sections import Check, boolean, one_of, text, whole, within
 from irisjax.measure.colour import illuminant_power
 from irisjax.numerics.checks import Range
 from irisjax.render import camera, lights
@@ -30,58 +30,6 @@ def _number(low: float = -math.inf, high: float = math.inf, unit="") -> Callable
     return within(Range(low, high, unit))
 
 
-def within(allowed: Range) -> Callable[[Any], float]:
-    """A check that gives numbers within a range, and else raises `ValueError`."""
-
-    def check(value):
-        if (
-            isinstance(value, bool)
-            or not isinstance(value, int | float)
-            or not allowed.holds(value)
-        ):
-            span = "" if allowed.low == -math.inf else f" in {allowed}"
-            raise ValueError(f"must be a number{span}")
-        return float(value)
-
-    return check
-
-
-def whole(low: int, high: int) -> Callable[[Any], int]:
-    """The same for whole numbers."""
-    allowed = Range(low, high)
-
-    def check(value):
-        if isinstance(value, bool) or not isinstance(value, int) or not allowed.holds(value):
-            raise ValueError(f"must be a whole number in {allowed}")
-        return value
-
-    return check
-
-
-def one_of(*names: str) -> Callable[[Any], str]:
-    """The same for one of some names."""
-
-    def check(value):
-        if value not in names:
-            raise ValueError(f"must be one of {', '.join(names)}")
-        return value
-
-    return check
-
-
-def _bool(value):
-    if not isinstance(value, bool):
-        raise ValueError("must be true or false")
-    return value
-
-
-def text(value):
-    """Text as it is; `ValueError` for anything else."""
-    if not isinstance(value, str):
-        raise ValueError("must be text")
-    return value
-
-
 def _illuminant(value):
     illuminant_power(text(value), [560.0])
     return value
@@ -102,7 +50,7 @@ def _three(form: str, allowed: Range) -> Callable[[Any], list[float]]:
     return check
 
 
-FEATURES: dict[str, Callable[[Any], Any]] = {
+FEATURES: dict[str, Check] = {
     "fibres": _number(0, 4),
     "collarette": _number(0, 4),
     "crypts": whole(0, 200),
@@ -113,17 +61,17 @@ FEATURES: dict[str, Callable[[Any], Any]] = {
     "relief": _number(0, 1),
 }
 _DEGREES = _number(-360, 360)
-SECTIONS: dict[str, dict[str, Callable[[Any], Any]]] = {
+SECTIONS: dict[str, dict[str, Check]] = {
     "iris": {
         "preset": one_of(*PRESETS),
         "level": one_of(*_LEVELS),
         "melanin_load": within(MELANIN_LOAD),
         **{name: within(limits) for name, limits in LIMITS.items()},
     },
-    "maps": {"seed": whole(0, 2**32 - 1), "file": text, "uniform": _bool, **FEATURES},
+    "maps": {"seed": whole(0, 2**32 - 1), "file": text, "uniform": boolean, **FEATURES},
     "eye": {
         "cornea": one_of("two-surfaces", "f09", "none"),
-        "sclera": _bool,
+        "sclera": boolean,
         **{name: within(limits) for name, limits in eye.LIMITS.items() if name in _OF_EYES},
         "aqueous_index": within(INDEX),
     },
@@ -154,18 +102,3 @@ SECTIONS: dict[str, dict[str, Callable[[Any], Any]]] = {
         "integrator": one_of(*INTEGRATORS),
     },
 }
-
-
-def line_of(text: str, section: str, key: str | None, nth: int) -> int | None:
-    """Where a key of the nth table of a section is written (1 is the first line)."""
-    current, count, header = "", -1, None
-    entry = None if key is None else re.compile(rf"\s*[\"']?{re.escape(key)}[\"']?\s*=")
-    for number, line in enumerate(text.splitlines(), 1):
-        if found := re.match(r"\s*\[\[?\s*([\w-]+)\s*\]?\]", line):
-            current = found[1]
-            if current == section:
-                count += 1
-                header = number if count == nth else header
-        elif entry is not None and current == section and count == nth and entry.match(line):
-            return number
-    return header

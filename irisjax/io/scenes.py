@@ -2,7 +2,6 @@
 
 import dataclasses
 import math
-import tomllib
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
@@ -15,9 +14,10 @@ from irisjax.anatomy.eye import Cornea, Eye, Sclera
 from irisjax.grow.presets import preset
 from irisjax.grow.procedural import procedural
 from irisjax.grow.vessels import veins
-from irisjax.io.entries import FEATURES, SECTIONS, line_of
+from irisjax.io.entries import FEATURES, SECTIONS
 from irisjax.io.images import read_environment
 from irisjax.io.maps import read_maps
+from irisjax.io.sections import Where, checked
 from irisjax.render.camera import Camera
 from irisjax.render.environment import Environment
 from irisjax.render.integrators import INTEGRATORS
@@ -35,9 +35,7 @@ class SceneError(ValueError):
 class SceneFile(Mapping[str, Any]):
     """A checked scene file: sections by name, and the scene they make."""
 
-    def __init__(
-        self, sections: Mapping[str, Any], where: Callable[[str, str | None], str], folder: Path
-    ):
+    def __init__(self, sections: Mapping[str, Any], where: Where, folder: Path):
         self._sections, self._where, self._folder = sections, where, folder
 
     def __getitem__(self, name):
@@ -225,46 +223,12 @@ def read_scene(path: str | Path) -> SceneFile:
 
 def parse_scene(text: str, name: str = "scene", folder: Path = Path()) -> SceneFile:
     """A scene from TOML text."""
-    try:
-        sections = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
-        raise ValueError(f"{name}: {error}") from None
-
-    def where(section: str, key: str | None, nth: int = 0) -> str:
-        line = line_of(text, section, key, nth)
-        return f"{name}, line {line}" if line else name
-
-    checked: dict[str, Any] = {}
-    for section, given in sections.items():
-        if section not in SECTIONS:
-            raise ValueError(
-                f"{where(section, None)}: unknown section [{section}]; known: {', '.join(SECTIONS)}"
-            )
-        tables = given if section == "light" else [given]
-        if not isinstance(tables, list) or not all(isinstance(t, dict) for t in tables):
-            wanted = "[[light]]" if section == "light" else f"[{section}]"
-            raise ValueError(f"{where(section, None)}: {section} must be written {wanted}")
-        done = []
-        for nth, table in enumerate(tables):
-            done.append({})
-            for key, value in table.items():
-                if key not in (checks := SECTIONS[section]):
-                    raise ValueError(
-                        f"{where(section, key, nth)}: unknown {key!r} in {section}; known: "
-                        f"{', '.join(checks)}"
-                    )
-                try:
-                    done[-1][key] = checks[key](value)
-                except ValueError as error:
-                    raise ValueError(
-                        f"{where(section, key, nth)}: {section}.{key} = {value!r} {error}"
-                    ) from None
-        checked[section] = done if section == "light" else done[0]
-    maps = checked.get("maps", {})
+    sections, where = checked(text, name, SECTIONS, "light")
+    maps = sections.get("maps", {})
     if "file" in maps and (grown := [key for key in maps if key not in ("file", "seed")]):
         raise ValueError(
             f"{where('maps', grown[0])}: maps.{grown[0]} is for grown maps, and maps.file gives "
             f"all of them; "
             "give one or the other (seed still draws the veins)"
         )
-    return SceneFile(checked, where, folder)
+    return SceneFile(sections, where, folder)

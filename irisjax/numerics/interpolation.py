@@ -74,19 +74,15 @@ def bilinear(
 ) -> Float[Array, "..."]:
     """Linear interpolation at fractional indices, held at the ends; rows may run round instead."""
     rows, columns = texture.shape[-2:]
-    column = jnp.clip(column, 0, columns - 1)
-    j = jnp.minimum(jnp.floor(column), columns - 2)
+    at_column, v = _cell(column, columns)
     if round_rows:
         i = jnp.floor(row)
+        u = row - i
         below = jnp.asarray(i, jnp.int32) % rows
         above = jnp.where(below + 1 == rows, 0, below + 1)
     else:
-        row = jnp.clip(row, 0, rows - 1)
-        i = jnp.minimum(jnp.floor(row), rows - 2)
-        below = jnp.asarray(i, jnp.int32)
+        below, u = _cell(row, rows)
         above = below + 1
-    u, v = row - i, column - j
-    at_column = jnp.asarray(j, jnp.int32)
     places = [r * columns + at_column for r in (below, above)]
 
     def one(flat):
@@ -109,18 +105,23 @@ def bilinear_rows(
     as fast as three layers one by one.
     """
     rows, columns, channels = texture.shape
-    row, column = jnp.clip(row, 0, rows - 1), jnp.clip(column, 0, columns - 1)
-    i = jnp.minimum(jnp.floor(row), rows - 2)
-    j = jnp.minimum(jnp.floor(column), columns - 2)
-    u, v = (row - i)[..., None], (column - j)[..., None]
+    (i, u), (j, v) = _cell(row, rows), _cell(column, columns)
+    u, v = u[..., None], v[..., None]
     flat = texture.reshape(-1, channels)
-    place = jnp.asarray(i, jnp.int32) * columns + jnp.asarray(j, jnp.int32)
+    place = i * columns + j
 
     def at(place):
         return flat.at[place].get(mode="promise_in_bounds")
 
     low, high = (at(p) * (1 - v) + at(p + 1) * v for p in (place, place + columns))
     return jnp.moveaxis(low * (1 - u) + high * u, -1, 0)
+
+
+def _cell(x, count: int):
+    """Index below a fractional one, held at the ends, and the weight of the next one."""
+    x = jnp.clip(x, 0, count - 1)
+    below = jnp.minimum(jnp.floor(x), count - 2)
+    return jnp.asarray(below, jnp.int32), x - below
 
 
 def polar_bilinear(texture: Float[Array, "*c angles radii"], angle, radius) -> Float[Array, "..."]:
@@ -135,13 +136,8 @@ def polar_bilinear(texture: Float[Array, "*c angles radii"], angle, radius) -> F
 def trilinear(table, position):
     """Linear interpolation at fractional indices, held at the ends."""
     flat = table.reshape(-1, table.shape[-1])
-    index, weight = [], []
-    for x, n in zip(position, table.shape, strict=False):
-        x = jnp.clip(x, 0, n - 1)
-        i = jnp.minimum(jnp.floor(x), n - 2)
-        index.append(jnp.asarray(i, jnp.int32))
-        weight.append((x - i)[..., None])
-    (i, j, k), (u, v, w) = index, weight
+    (i, u), (j, v), (k, w) = map(_cell, position, table.shape[:3])
+    u, v, w = (weight[..., None] for weight in (u, v, w))
     _, n_j, n_k = table.shape[:3]
 
     def row(a, b):

@@ -16,11 +16,11 @@ from irisjax.numerics.interpolation import bilinear, bilinear_rows, smoothstep
 from irisjax.numerics.portions import pixelwise
 from irisjax.numerics.programs import program
 from irisjax.numerics.roots import safe_sqrt
-from irisjax.ocularist.coats import through
+from irisjax.ocularist.coats import over, through
 from irisjax.ocularist.cones import Cones
 from irisjax.optics.conicoid import Parts, joined, parts
 from irisjax.render.project import IrisPixels
-from irisjax.render.shading import PUPIL_MARGIN
+from irisjax.render.shading import PUPIL_MARGIN, Field
 
 SHADOW = 384
 """Texels along each side of the maps of light that falls through coats."""
@@ -60,9 +60,7 @@ def ground(pixels: IrisPixels, profile: Cones, eye: Eye, flux) -> Ground:
     hit = whole.meet(origin, direction)
     point = origin + hit.distance[..., None] * direction
     normal = whole.normal(point, hit.cone)
-    x, y, _ = parts(point)
-    middle = (flux.shape[-1] - 1) / 2
-    at = bilinear(flux, (y / eye.iris_radius + 1) * middle, (x / eye.iris_radius + 1) * middle)
+    at = Field(flux, eye.iris_radius).at(parts(point))
     share = jnp.where(hit.met, pixels.share, 0.0)
     if pixels.index is not None:
         share = jnp.where(pixels.index < 0, 0.0, share)
@@ -139,7 +137,7 @@ def paint_over(known, light, colours, height, tint, reach, as_printed: bool) -> 
         arriving = arriving * seen.irradiance[i]
         lit = lit + (arriving if tint is None else tint[i][:, None] * arriving)
     for alpha, colour in zip(covered, colours, strict=True):
-        radiance = radiance + (clear * alpha) * colour[:, None] * lit
+        radiance = radiance + clear * over(0.0, alpha, colour[:, None], lit)
         clear = clear * (1 - alpha)
         lit = through(lit, alpha, colour[:, None], as_printed)
     return State(radiance, clear)
@@ -160,10 +158,7 @@ def _directed(flux: Parts) -> Parts:
 def rays(flux, profile: Cones, reach):
     """Directions of lights at texels of the base, (lights, 3, rows, columns)."""
     x, y = _texels(SHADOW, reach, flux.dtype)
-    middle = (flux.shape[-1] - 1) / 2
-    at = jax.lax.map(
-        lambda f: bilinear(f, (y / reach + 1) * middle, (x / reach + 1) * middle), flux
-    )
+    at = jax.lax.map(lambda f: Field(f[None], reach).at((x, y, x))[0], flux)
     return jnp.stack(_directed((at[:, 0], at[:, 1], at[:, 2])), 1)
 
 

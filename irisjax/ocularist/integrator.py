@@ -58,8 +58,8 @@ class Painted(AbstractIntegrator):
         light = once("light on paint", composite.full_light, flux, shape)
         state = once("bare ground", composite.nothing, seen)
         groups = _groups(self.painting)
-        for group in groups:
-            top, colours = group[0], tuple(coat.colour for coat in group)
+        for nth, group in enumerate(groups):
+            height, colours = group[0].height, tuple(coat.colour for coat in group)
             wheres = [(coat.opacity, coat.height, profile, reach) for coat in group]
             names = [coat.name for coat in group]
             covered = tuple(
@@ -67,8 +67,8 @@ class Painted(AbstractIntegrator):
                 for name, where in zip(names, wheres, strict=True)
             )
             known = state, covered, seen
-            more = colours, top.height, lights.tint, reach, self.as_printed
-            state = once(f"paint of {top.name}", composite.paint_over, known, light, *more)
+            more = colours, height, lights.tint, reach, self.as_printed
+            state = once(f"paint of group {nth}", composite.paint_over, known, light, *more)
             if group is groups[-1]:
                 break
             crossed = tuple(
@@ -76,7 +76,7 @@ class Painted(AbstractIntegrator):
                 for name, where in zip(names, wheres, strict=True)
             )
             known = crossed, colours, self.as_printed
-            light = once(f"light under {top.name}", composite.light_under, light, *known)
+            light = once(f"light under group {nth}", composite.light_under, light, *known)
         return Texels(pixels.index, state.radiance), None
 
     def response(

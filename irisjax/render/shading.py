@@ -36,7 +36,7 @@ class Field(eqx.Module):
     flux: Float[Array, "tints 3 rows columns"]
     extent: Float[Array, ""]
 
-    def at(self, point: Parts) -> Float[Array, "tints 3 pixels"]:
+    def at(self, point: Parts) -> Float[Array, "tints 3 *points"]:
         """Bilinear look-up at points of the iris (mm)."""
         middle = (self.flux.shape[-1] - 1) / 2
         column, row = ((c / self.extent + 1) * middle for c in (point[0], point[1]))

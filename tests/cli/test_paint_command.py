@@ -82,6 +82,11 @@ def test_a_scan_is_a_coat(irisjax, tmp_path):
     eye = _pixels(tmp_path / "eye" / "eye.png")
     upper, lower = eye[20, 55:65].mean(0), eye[70, 55:65].mean(0)
     assert upper[0] > 2 * upper[1] and lower[1] > 0.9 * lower[0]
+    # The recipe as used lies elsewhere and finds the scan all the same.
+    again = tmp_path / "deeper" / "again"
+    status, _, err = irisjax("paint", tmp_path / "eye" / "recipe.toml", *SMALL, "-o", again)
+    assert status == 0, err
+    assert (again / "eye.png").read_bytes() == (tmp_path / "eye" / "eye.png").read_bytes()
 
 
 @pytest.mark.parametrize(
@@ -108,6 +113,11 @@ def test_a_scan_is_a_coat(irisjax, tmp_path):
         (
             '[painting]\nmixing = "oil"\n[[coat]]\ncomponent = "base"\npaints = "ultramarine"\n',
             ["line 2", "mixing", "kubelka-munk"],
+        ),
+        (
+            '[painting]\npaints = "own.csv"\nmixing = "hsl"\n[[coat]]\ncomponent = "base"\n'
+            'paints = "ultramarine"\n',
+            ["line 3", "a file of paints", "kubelka-munk"],
         ),
         ("[coats]\n", ["line 1", "unknown section", "coat"]),
         ("[coat]\n", ["line 1", "[[coat]]"]),

@@ -113,7 +113,8 @@ def test_a_memory_redoes_a_coat_and_those_below_alone():
         return {f"{step} {name}" for name in which}
 
     # What lights the middle coat has not changed; what lies above has not been touched.
-    redone = of("paint of", "middle", "low", "base") | of("light under", "middle", "low")
+    below = "group 1", "group 2", "group 3"  # the topmost is group 0
+    redone = of("paint of", *below) | of("light under", *below[:2])
     assert again(colour=jnp.asarray(BLUE)) == redone
     # The colour is the old one again, and the opacity another.
     shape = coat("other", 0.0, spots(9)).opacity
