@@ -5,6 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from paintings import (
+    BLACK,
     BLUE,
     CAMERA,
     EYE,
@@ -20,7 +21,11 @@ from paintings import (
     tables,
 )
 
+from irisjax.ocularist.coats import Painting, profile_of, prosthesis
 from irisjax.ocularist.integrator import Painted
+from irisjax.render.camera import Camera
+from irisjax.render.illumination import Illumination
+from irisjax.render.lights import Lights
 from irisjax.render.scene import Scene
 from irisjax.render.separable import Separable
 from irisjax.render.stages import Memory
@@ -48,6 +53,26 @@ def test_uniform_coats_are_composed_as_the_equations_say(heights, order):
     coats = [coat(str(i), h, *k) for i, (h, k) in enumerate(zip(heights, stack, strict=True))]
     ratio = in_the_middle(picture(*coats)) / in_the_middle(picture(coat("white", heights[2])))
     np.testing.assert_allclose(ratio, np.tile(by_hand(*stack[::-1]), (len(ratio), 1)), rtol=1e-9)
+
+
+def test_single_precision(float32):
+    eye = prosthesis().replace(sclera=None)
+    tables = Illumination.build(eye, caustics=False, size=33)
+
+    def drawn(*coats):
+        painted = Painted(Painting(coats, profile_of(eye)))
+        camera, lamp = Camera(size=(48, 36), width=13.0), Lights.distant(0.6, 2.2)
+        return Scene(None, eye=eye, lights=lamp, camera=camera, integrator=painted).render(tables)
+
+    stack = (1.0, RED), (0.6, GREEN), (0.3, BLUE)
+    coats = [coat(str(i), 0.1 * i, *k) for i, k in enumerate(stack)]
+    # Less the cornea's mirror images, which a black iris has too.
+    painted, white, bare = (
+        drawn(*c) for c in (coats, [coat("white", 0.2)], [coat("bare", 0.2, colour=BLACK)])
+    )
+    assert painted.dtype == jnp.float32
+    ratio = in_the_middle(np.asarray(painted - bare)) / in_the_middle(np.asarray(white - bare))
+    np.testing.assert_allclose(ratio, np.tile(by_hand(*stack[::-1]), (len(ratio), 1)), rtol=1e-5)
 
 
 def test_shadows_as_printed_blacken_what_lies_under_varnish():
