@@ -11,19 +11,20 @@ import typer
 from tqdm import tqdm
 
 from irisjax import io
-from irisjax.anatomy.eye import Eye
 from irisjax.cli.animate import sheet
 from irisjax.cli.cache import cores, kept_tables
 from irisjax.cli.files import check_folder
+from irisjax.cli.matching import RETOUCHES, Matched, matched, nearest_colour
 from irisjax.cli.options import SEED_HELP, Group, grouped, name_of, option, read_seed, whole
 from irisjax.cli.paints import Paints, of_file
 from irisjax.cli.scenes import changed
 from irisjax.export.coats import FORMATS, write_painting
 from irisjax.io.images import encode_png
 from irisjax.io.recipes import Recipe, recipe_text
+from irisjax.io.targets import read_target
 from irisjax.measure.colour import srgb_encode
 from irisjax.numerics.programs import program
-from irisjax.ocularist.coats import Coat, Painting, over
+from irisjax.ocularist.coats import LIMBUS, Coat, Painting, over
 from irisjax.ocularist.easel import SIZE, painted, studio
 from irisjax.ocularist.integrator import Painted
 from irisjax.render.scene import Scene
@@ -46,11 +47,30 @@ class Subject(Paints):
     seed: Annotated[
         int, option(parse=read_seed, metavar="number", help=f"{SEED_HELP}coats of a --type")
     ] = 0
+    match: Annotated[
+        Path | None,
+        option(
+            metavar="TARGET",
+            help="folder of irisjax clone, scene file, or square picture of an iris laid flat: its "
+            "pupil, and shares of paints and opacities fitted to it; with neither recipe nor "
+            "--type: those of the nearest colour",
+        ),
+    ] = None
+    retouch: Annotated[
+        int | None,
+        option(
+            parse=whole(0, 30),
+            metavar="count",
+            help=f"with --match: coats on top that follow its pattern; default {RETOUCHES}",
+        ),
+    ] = None
 
     def __post_init__(self):
         super().__post_init__()
-        if not self.painted(self.recipe):
+        if not self.painted(self.recipe, self.match is not None):
             raise ValueError("give a recipe or --type, one of them")
+        if self.retouch is not None and self.match is None:
+            raise ValueError(f"--retouch {self.retouch} is for --match")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -113,18 +133,22 @@ def paint(subject: Subject, picture: Picture, results: Results) -> None:
 
     Writes the picture (eye.png), its progress from the base up (progression.png), every coat
     (coats/) and the recipe as it was used (recipe.toml). No physics of tissue: paint.
+    With --match also the target and its match laid flat (match.png) and how far apart their
+    colours are (match.json).
     """
     folder = results.output
     check_folder(folder, "recipe.toml", "a painted eye", results.overwrite)
+    recipe, scans, more, said = _prepared(subject, picture.texels, folder)
     # Half the memory of double precision, and the same picture to a few levels of 255.
     jax.config.update("jax_enable_x64", False)
-    recipe = subject.read(subject.recipe, subject.seed)
     eye = recipe.eye()
-    painting = _painted(subject, recipe, eye, picture.texels)
+    with of_file(subject.recipe):
+        painting = painted(recipe.coats, recipe.mixer(), eye, size=picture.texels, scans=scans)
     scene = studio(painting, eye)
     scene = changed(scene, picture.light, None, picture.size, picture.camera)
     scene = _with(scene, painting, picture.shadow)
-    files = {folder / "recipe.toml": recipe_text(recipe.moved(folder)).encode()}
+    files = {folder / name: data for name, data in more.items()}
+    files[folder / "recipe.toml"] = recipe_text(recipe.moved(folder)).encode()
     shown = _shown(painting)
     with tqdm(total=1 + len(shown), unit="picture", disable=not sys.stderr.isatty()) as bar:
         tables = kept_tables(scene)
@@ -156,16 +180,31 @@ def paint(subject: Subject, picture: Picture, results: Results) -> None:
     io.write_together(files)
     if results.meshes is not None:
         write_painting(folder / "meshes", painting, results.meshes)
+    if said:
+        print(said)
     print(f"{len(painting.coats)} coats; written: {folder}")
 
 
 _encode = program(srgb_encode)
 
 
-def _painted(subject: Subject, recipe: Recipe, eye: Eye, size: int) -> Painting:
-    mixer, scans = recipe.mixer(), recipe.scans()
+def _prepared(subject: Subject, size: int, folder: Path) -> Matched:
+    """The recipe, matched if that is asked for."""
+    given = subject.recipe is not None or subject.type is not None
+    recipe = subject.read(subject.recipe, subject.seed) if given else None
+    if subject.match is None:
+        assert recipe is not None
+        with of_file(subject.recipe):
+            return Matched(recipe, recipe.scans(), {}, "")
+    asked = subject.pupil_radius or (recipe or Recipe(())).pupil_radius
+    target = read_target(subject.match, asked / LIMBUS)
+    if subject.pupil_radius is not None and not np.isclose(target.pupil * LIMBUS, asked):
+        raise ValueError(f"--pupil-radius: {subject.match} has a pupil of its own")
+    if recipe is None:
+        recipe = subject.changed(nearest_colour(target, subject.seed))
+    count = RETOUCHES if subject.retouch is None else subject.retouch
     with of_file(subject.recipe):
-        return painted(recipe.coats, mixer, eye, size=size, scans=scans)
+        return matched(target, recipe, folder, count=count, size=size, seed=subject.seed)
 
 
 def _with(scene: Scene, painting: Painting, shadow: str) -> Scene:

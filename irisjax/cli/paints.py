@@ -39,8 +39,9 @@ class Paints(Group):
         if self.mixing is not None and self.mixing not in MIXING:
             raise ValueError(f"--mixing: unknown {self.mixing!r}; known: {', '.join(MIXING)}")
 
-    def painted(self, recipe: Path | None) -> bool:
-        """Whether a painted eye is asked for, by the file of a recipe or by type.
+    def painted(self, recipe: Path | None, matched: bool = False) -> bool:
+        """Whether a painted eye is asked for, by the file of a recipe, by type or, where there is
+        something to be `matched`, by nothing else.
 
         **Raises:** `ValueError` for both, and for options that mean nothing by themselves.
         """
@@ -48,7 +49,7 @@ class Paints(Group):
             raise ValueError("give a recipe or --type, one of them")
         if (self.type is None) != (self.colour is None):
             raise ValueError("--type and --colour go together")
-        found = recipe is not None or self.type is not None
+        found = recipe is not None or self.type is not None or matched
         for name, value in (("mixing", self.mixing), ("pupil-radius", self.pupil_radius)):
             if value is not None and not found:
                 raise ValueError(f"--{name} is of a painted eye: give a recipe or --type")
@@ -62,6 +63,10 @@ class Paints(Group):
             assert self.type is not None
             assert self.colour is not None
             found = Recipe(coats(self.type, self.colour, seed=seed))
+        return self.changed(found)
+
+    def changed(self, found: Recipe) -> Recipe:
+        """A recipe with what the options change."""
         if self.mixing is not None:
             kept = found.paints if self.mixing == "kubelka-munk" else None
             found = found._replace(mixing=self.mixing, paints=kept)

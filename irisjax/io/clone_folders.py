@@ -2,7 +2,7 @@
 
 import json
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float, UInt8
@@ -36,7 +36,7 @@ def read_clone(folder: str | Path) -> CloneFolder:
     its pigments, and for a photograph of another size than the scene's picture; as `read_scene`.
     """
     folder = Path(folder)
-    _check_summary(folder)
+    check_summary(folder)
     if not (folder / "scene.toml").exists():
         raise ValueError(
             f"{folder}: the clone has no scene.toml, it was stopped before its pigments; "
@@ -57,7 +57,8 @@ def read_clone(folder: str | Path) -> CloneFolder:
     return CloneFolder(scene, np.rint(255 * pixels).astype(np.uint8))
 
 
-def _check_summary(folder: Path) -> None:
+def check_summary(folder: Path) -> dict[str, Any]:
+    """The `clone.json` of a clone's folder; **raises** `ValueError` without a readable one."""
     path = folder / "clone.json"
     if not path.exists():
         raise ValueError(f"{folder}: has no clone.json, it is not the folder of a clone")
@@ -67,3 +68,4 @@ def _check_summary(folder: Path) -> None:
         raise ValueError(f"{path}: broken: {error}") from None
     if not (isinstance(found, dict) and {"photograph", "limbus", "pupil"} <= found.keys()):
         raise ValueError(f"{path}: broken: photograph, limbus and pupil must be in it")
+    return found

@@ -17,9 +17,12 @@ from irisjax.photo.pose import limbus_spread
 from irisjax.photo.unrefracted import HALF_WIDTH
 from irisjax.render.environment import Environment
 
+UNREFRACTED, VISIBLE = "unrefracted.png", "visible.png"
+"""Of the texture: its picture, and a mask of what shows the iris."""
 FILES = (
     "clone.json",
-    "unrefracted.png",
+    UNREFRACTED,
+    VISIBLE,
     "freckles.png",
     "deconvolved.png",
     "maps.exr",
@@ -35,7 +38,8 @@ def files_of(clone: Clone, settings: Mapping[str, Any], timings: Mapping[str, fl
     """The files of a clone as far as it has come: bytes by name, `clone.json` among them."""
     found = {"clone.json": _json(summary_of(clone, settings, timings))}
     if clone.texture is not None:
-        found["unrefracted.png"] = _texture("unrefracted.png", clone.texture.pixels)
+        found[UNREFRACTED] = _texture(UNREFRACTED, clone.texture.pixels)
+        found[VISIBLE] = _mask(VISIBLE, clone.texture.valid)
     if clone.morphology is not None:
         shape = clone.morphology
         found["freckles.png"] = _mask("freckles.png", shape.freckles)
@@ -83,6 +87,7 @@ def summary_of(clone: Clone, settings: Mapping[str, Any], timings: Mapping[str, 
                 "meaning": "every length is in proportion to the limbus's radius, which is assumed",
             },
             "pupil_radius_mm": float(eye.pupil_radius),
+            "iris_radius_mm": float(eye.iris_radius),
             "pupil_centre_mm": list(pose.pupil_centre),
             "iris_depth_mm": float(eye.iris_depth),
         }

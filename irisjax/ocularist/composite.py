@@ -96,7 +96,7 @@ def look_up(texture, x, y, reach):
     """In square pictures of the iris whose sides are `reach` (mm) from the axis, at places in mm;
     linear between texels.
     """
-    return bilinear(texture, *_texel(x, y, reach, texture.shape))
+    return bilinear(texture, *_texel(x, y, reach, texture.shape[-2:]))
 
 
 def _texel(x, y, reach, shape: tuple[int, int]):

@@ -114,8 +114,8 @@ def lab(linear: Float[Array, "*s 3"]) -> Float[Array, "*s 3"]:
 
 
 def difference(
-    one: Float[Array, "*s 3"],
-    other: Float[Array, "*s 3"],
+    one: Float[Array | np.ndarray, "*s 3"],
+    other: Float[Array | np.ndarray, "*s 3"],
     known: Bool[np.ndarray, "*s"] | None = None,
 ) -> Difference:
     """Of two textures of linear reflectance, over the texels that are `known`."""

@@ -45,6 +45,7 @@ def retouched(
     exposure: float = 1.0,
     most: float = 1.0,
     blur: float = 0.5,
+    prefix: str = "retouch-",
     scans: Mapping[str, np.ndarray] | None = None,
     size: int = 256,
 ) -> Retouch:
@@ -61,6 +62,7 @@ def retouched(
         exposure: Factor on all colours, such as that of a `Match`.
         most: Opacity that no coat exceeds.
         blur: Standard deviation of the brush, texels of the map.
+        prefix: Of the names of the files, before a number and `.png`.
         scans: As for `painted`.
         size: Texels along a side of opacity maps; paint them at this size.
 
@@ -84,7 +86,7 @@ def retouched(
     some = np.linspace(0, len(wanted) - 1, min(_TEXELS, len(wanted))).astype(int)
     height = max(recipe.height for recipe in recipes)
     taken = {recipe.parameters.get("file") for recipe in recipes}
-    names = (f"retouch-{n}" for n in range(1, len(recipes) + count + 1))
+    names = (f"{prefix}{n}.png" for n in range(1, len(recipes) + count + 1))
     free = [name for name in names if name not in taken]
     new: list[CoatRecipe] = []
     pictures: dict[str, np.ndarray] = dict(scans or {})

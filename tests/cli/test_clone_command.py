@@ -90,7 +90,7 @@ def test_texture(irisjax, tmp_path, outlined, truth):
     assert status == 0, err
     assert all(line.startswith(f"irisjax: {DATA / NAME}: ") for line in err.splitlines())
     assert "degrees off the eye's axis" in out
-    assert _files(tmp_path) == {"clone.json", "unrefracted.png"}
+    assert _files(tmp_path) == {"clone.json", "unrefracted.png", "visible.png"}
     found = _summary(tmp_path)
     assert set(found) >= SUMMARY | POSED
     assert found["tilt_deg"] == pytest.approx(30, abs=1)
@@ -154,7 +154,14 @@ def test_a_whole_clone(irisjax, tmp_path, outlined):
     )
     assert status == 3 and "raise --max-steps" in err  # so few steps are not enough
     assert "abl_eumelanin" in out and "difference of the pictures" in out
-    files = {"clone.json", "unrefracted.png", "freckles.png", "deconvolved.png", "maps.exr"}
+    files = {
+        "clone.json",
+        "unrefracted.png",
+        "visible.png",
+        "freckles.png",
+        "deconvolved.png",
+        "maps.exr",
+    }
     files |= {"scene.toml", "side_by_side.png", "differences.png", "luminance.png"}
     assert _files(tmp_path) >= files
     found = _summary(tmp_path)

@@ -1,0 +1,126 @@
+"""Irides for paint to be matched to: clones of photographs, scenes of tissue, flat pictures."""
+
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from irisjax.io.clone_folders import check_summary
+from irisjax.io.clones import UNREFRACTED, VISIBLE
+from irisjax.io.images import READABLE, read_image
+from irisjax.io.scenes import read_scene
+from irisjax.ocularist.bridge import reflectance_of
+from irisjax.photo.polar import SHAPE, to_polar
+from irisjax.photo.unrefracted import HALF_WIDTH
+from irisjax.render.integrators import integrator_name
+from irisjax.render.radiative import RadiativeIntegrator
+from irisjax.render.separable import Separable
+
+_WHOLE = 0.999  # share of a cell that has to be known
+
+
+class Target(NamedTuple):
+    """What paint is matched to.
+
+    - `name`: of its file or folder. `texture`: linear reflectance, polar as in `IrisMaps`.
+        `known`: texels that show the iris; the others hold the mean of those of their radius.
+    - `pupil`: radius of the pupil over the iris's.
+    """
+
+    name: str
+    texture: Float[np.ndarray, "angles radii 3"]
+    known: Bool[np.ndarray, "angles radii"]
+    pupil: float
+
+
+def read_target(path: str | Path, pupil: float) -> Target:
+    """Read a target.
+
+    Args:
+        path: The folder of `irisjax clone` (the iris laid flat, as photographed); a scene file (the
+            reflectance of its tissue without the cornea, times the scene's exposure); or a square
+            picture of an iris laid flat whose outer edge touches the four sides, what its alpha
+            leaves clear not being known.
+        pupil: Radius of a picture's pupil over the iris's; the others have their own.
+
+    Raises:
+        ValueError: for a file of another kind, a clone without its texture, a picture that is not
+            square, a scene of an integrator without a reflectance. OSError: for one that cannot be
+            opened.
+    """
+    path = Path(path)
+    if path.is_dir():
+        return _of_clone(path)
+    if path.suffix == ".toml":
+        return _of_scene(path)
+    if path.suffix.lower() in READABLE:
+        return _of_picture(path, pupil)
+    raise ValueError(
+        f"{path}: neither the folder of a clone, nor a scene file (.toml), nor a picture "
+        f"({', '.join(READABLE)})"
+    )
+
+
+def _of_clone(folder: Path) -> Target:
+    summary = check_summary(folder)
+    names = "pupil_radius_mm", "iris_radius_mm"
+    if not {*names} <= summary.keys() or not (folder / VISIBLE).exists():
+        raise ValueError(
+            f"{folder}: the clone has no {VISIBLE}, it was stopped before its texture or is an "
+            "older one; run irisjax clone again"
+        )
+    pixels = read_image(folder / UNREFRACTED, decode=True).pixels
+    shown = read_image(folder / VISIBLE).pixels[..., 0]
+    inner, outer = (float(summary[name]) for name in names)
+    return _unrolled(folder.resolve().name, pixels, shown > 0.5, inner, outer)
+
+
+def _of_scene(path: Path) -> Target:
+    file = read_scene(path)
+    scene = file.scene()
+    integrator = scene.integrator
+    if not isinstance(integrator, Separable | RadiativeIntegrator):
+        raise ValueError(
+            f"{path}: an iris of the integrator {integrator_name(integrator)} has no reflectance; "
+            "need separable or radiative-transfer"
+        )
+    # Separable: with degrees for the wide ranges of maps, by default.
+    chosen = None if isinstance(integrator, Separable) else integrator
+    found = np.asarray(reflectance_of(scene.tissue, scene.maps, scene.eye, chosen))
+    if scene.maps is None:
+        found = np.broadcast_to(found[:1, :1], (*SHAPE, 3))
+    eye = scene.eye
+    pupil = float(eye.pupil_radius / eye.iris_radius)
+    return Target(path.name, file.exposure * found, np.ones(found.shape[:2], bool), pupil)
+
+
+def _of_picture(path: Path, pupil: float) -> Target:
+    image = read_image(path, decode=True)
+    rows, columns, channels = image.pixels.shape
+    if rows != columns:
+        raise ValueError(
+            f"{path}: is {columns} x {rows} pixels; it must be square, the outer edge of the iris "
+            "touching its four sides"
+        )
+    clear = [i for i, name in enumerate(image.channels) if name == "A"]
+    colours = [i for i in range(channels) if i not in clear][:3]
+    pixels = image.pixels[..., colours if len(colours) == 3 else colours[:1] * 3]
+    shown = image.pixels[..., clear[0]] > 0.5 if clear else np.ones((rows, columns), bool)
+    return _unrolled(path.name, pixels, shown, HALF_WIDTH * pupil, HALF_WIDTH)
+
+
+def _unrolled(name: str, pixels, shown, inner: float, outer: float) -> Target:
+    """Means of what is shown over polar cells; radii in mm, the picture 2 `HALF_WIDTH` wide."""
+    share = to_polar(shown.astype(float), inner, outer, SHAPE)
+    known = share > _WHOLE
+    if not known.any():
+        raise ValueError(f"{name}: nothing of the iris is visible")
+    cells = [
+        to_polar(np.where(shown, c, 0), inner, outer, SHAPE) for c in np.moveaxis(pixels, 2, 0)
+    ]
+    texture = np.stack(cells, -1) / np.where(known, share, 1)[..., None]
+    held = np.where(known[..., None], texture, 0)
+    count = known.sum(0)[:, None]
+    mean = np.where(count > 0, held.sum(0) / np.maximum(count, 1), held.sum((0, 1)) / known.sum())
+    return Target(name, np.where(known[..., None], texture, mean), known, inner / outer)
