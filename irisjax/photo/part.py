@@ -43,8 +43,8 @@ class Part(NamedTuple):
         highlight, lash or lid."""
         ring = self.limbus.mask(self.outside.shape) & ~pupil.mask(self.outside.shape)
         covered = find_highlights(self.pixels, self.saturated & ring, ring)
-        covered |= find_lashes(self.pixels, self.limbus)
-        covered |= find_lids(self.pixels, self.limbus, pupil)
+        lids = find_lids(self.pixels, self.limbus, pupil)
+        covered |= lids | find_lashes(self.pixels, self.limbus, lids)
         return ring & ~covered & ~self.outside
 
 

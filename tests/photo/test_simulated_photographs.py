@@ -7,11 +7,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 from PIL import Image
+from scipy import ndimage
 
 from irisjax.io.photographs import read_photograph
 from irisjax.io.scenes import read_scene
 from irisjax.photo.boundaries import MIN_CONFIDENCE, find_boundaries
 from irisjax.photo.ellipse import Ellipse
+from irisjax.photo.part import part_of
+from irisjax.photo.unrefracted import LUMINANCE
 
 FOLDER = Path(__file__).parent.parent.parent / "data" / "photographs"
 TRUTH = json.loads((FOLDER / "truth.json").read_text(encoding="utf-8"))["photographs"]
@@ -120,3 +123,23 @@ def test_scene(truth):
             for layer in ("abl", "stroma")
         )
         assert mass == pytest.approx(float(getattr(scene.iris, pigment) * whole), rel=1e-5)
+
+
+@by_file([t for t in TRUTH if t["dirty"]])
+def test_what_lids_lashes_and_a_lamp_hide_is_masked(truth):
+    """What differs from the same eye without them, in brightness by more than a third."""
+    limbus, pupil = outline(truth, "limbus"), outline(truth, "pupil")
+    names = truth["file"], truth["file"].replace("_dirty", "")
+    dirty, clean = (part_of(read_photograph(FOLDER / name), limbus) for name in names)
+    inner = dirty.moved(pupil)
+    shape = dirty.outside.shape
+    ring = dirty.limbus.mask(shape) & ~inner.mask(shape)
+    seen, bare = (
+        np.log(ndimage.gaussian_filter(p.pixels @ LUMINANCE, 1.0) + 1e-4) for p in (dirty, clean)
+    )
+    change = np.abs(seen - bare - np.median((seen - bare)[ring]))
+    hidden = ring & (change > 0.35)
+    found = ring & ~dirty.clear(inner)
+    assert found[hidden].mean() > 0.8
+    away = ndimage.distance_transform_edt(~hidden) > 6
+    assert (found & away).sum() < 0.03 * ring.sum()
