@@ -9,6 +9,7 @@ from typing import NamedTuple
 
 import jax
 import numpy as np
+from tqdm import tqdm
 
 from irisjax.io.images import encode_png
 from irisjax.io.recipes import Recipe
@@ -58,32 +59,35 @@ def matched(
     recipe = recipe._replace(pupil_radius=target.pupil * LIMBUS)
     eye, mixer, scans = recipe.eye(), recipe.mixer(), recipe.scans()
     known = target.known
-    fitted = match(
-        recipe.coats,
-        mixer,
-        eye,
-        target.texture,
-        known,
-        scans=scans,
-        size=size,
-        max_steps=_STEPS,
-        key=jax.random.key(seed),
-    )
+    with tqdm(total=2, desc="matching", disable=not sys.stderr.isatty()) as bar:
+        fitted = match(
+            recipe.coats,
+            mixer,
+            eye,
+            target.texture,
+            known,
+            scans=scans,
+            size=size,
+            max_steps=_STEPS,
+            key=jax.random.key(seed),
+        )
+        bar.update()
+        there = os.path.relpath(folder, recipe.folder)
+        prefix = posixpath.normpath(posixpath.join(Path(there).as_posix(), "retouch-"))
+        # What is hidden holds its radius's mean, and is painted so.
+        more = retouched(
+            fitted.recipes,
+            mixer,
+            eye,
+            target.texture,
+            count=count,
+            prefix=prefix,
+            scans=scans,
+            size=size,
+        )
+        bar.update()
     if not fitted.converged:
         print(f"irisjax: the match was stopped after {fitted.steps} steps", file=sys.stderr)
-    # What is hidden holds its radius's mean, and is painted so.
-    there = os.path.relpath(folder, recipe.folder)
-    prefix = posixpath.normpath(posixpath.join(Path(there).as_posix(), "retouch-"))
-    more = retouched(
-        fitted.recipes,
-        mixer,
-        eye,
-        target.texture,
-        count=count,
-        prefix=prefix,
-        scans=scans,
-        size=size,
-    )
     whole = recipe._replace(coats=(*fitted.recipes, *more.recipes))
     seen = [
         texture_of(painted(some, mixer, eye, size=size, scans=more.scans), eye, known.shape)

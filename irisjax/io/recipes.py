@@ -22,8 +22,9 @@ from irisjax.ocularist.mixing import AbstractMixer, HslMixer
 from irisjax.ocularist.palette import linear_colour
 from irisjax.ocularist.recipes import CoatRecipe
 
-_HSL, _KUBELKA_MUNK = MIXING = ("hsl", "kubelka-munk")
+MIXING = ("hsl", "kubelka-munk")
 """Ways to mix paints."""
+_HSL, _KUBELKA_MUNK = MIXING
 
 
 class Recipe(NamedTuple):

@@ -24,7 +24,8 @@ class Target(NamedTuple):
     """What paint is matched to.
 
     - `name`: of its file or folder. `texture`: linear reflectance, polar as in `IrisMaps`.
-        `known`: texels that show the iris; the others hold the mean of those of their radius.
+        `known`: texels that show the iris; the others hold the mean of those of their radius, or of
+        the nearest radius that has some.
     - `pupil`: radius of the pupil over the iris's.
     """
 
@@ -120,7 +121,8 @@ def _unrolled(name: str, pixels, shown, inner: float, outer: float) -> Target:
         to_polar(np.where(shown, c, 0), inner, outer, SHAPE) for c in np.moveaxis(pixels, 2, 0)
     ]
     texture = np.stack(cells, -1) / np.where(known, share, 1)[..., None]
-    held = np.where(known[..., None], texture, 0)
-    count = known.sum(0)[:, None]
-    mean = np.where(count > 0, held.sum(0) / np.maximum(count, 1), held.sum((0, 1)) / known.sum())
+    count = known.sum(0)
+    radii = np.flatnonzero(count)
+    sums = np.where(known[..., None], texture, 0).sum(0)[radii] / count[radii, None]
+    mean = np.stack([np.interp(np.arange(len(count)), radii, channel) for channel in sums.T], -1)
     return Target(name, np.where(known[..., None], texture, mean), known, inner / outer)

@@ -87,6 +87,13 @@ def test_photographs_reach_beyond_the_root():
     np.testing.assert_array_equal(polar.mean(0) > 0.5, away < 4.0)
 
 
+def test_colours_are_unrolled_channel_by_channel():
+    picture = np.random.default_rng(0).random((32, 32, 3))
+    together = unrolled(picture, EYE, SHAPE, reach=6.0)
+    one_by_one = [unrolled(picture[..., k], EYE, SHAPE, reach=6.0) for k in range(3)]
+    np.testing.assert_array_equal(together, np.stack(one_by_one, -1))
+
+
 def test_differences_are_of_lab():
     one, other = np.array([0.2, 0.1, 0.05]), np.array([0.25, 0.1, 0.02])
     matrix = np.array(

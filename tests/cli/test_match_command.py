@@ -1,0 +1,108 @@
+"""`irisjax paint --match`: eyes that paint comes close to."""
+
+import json
+
+import numpy as np
+import pytest
+from PIL import Image
+from refusals import one_line
+
+from irisjax.io.images import read_image
+from irisjax.io.recipes import read_recipe
+
+RECIPE = (
+    '[[coat]]\ncomponent = "base"\npaints = ["titanium white", "ivory black"]\nshare = 0.2\n'
+    '[[coat]]\ncomponent = "limbus"\npaints = "ivory black"\nheight = 0.1\n'
+)
+SMALL = ("--size", "120x90", "--texels", "64")
+
+
+@pytest.fixture
+def recipe(tmp_path):
+    path = tmp_path / "recipe.toml"
+    path.write_text(RECIPE)
+    return path
+
+
+def _flat(path, alpha=False):
+    """Red above and blue below, as a flat picture of an iris; nothing is known at its right."""
+    pixels = np.zeros((96, 96, 4), np.uint8)
+    pixels[..., 3] = 255
+    pixels[:48, :, 0], pixels[48:, :, 2] = 150, 120
+    if alpha:
+        pixels[:, 64:] = 255, 255, 255, 0
+    Image.fromarray(pixels if alpha else pixels[..., :3]).save(path)
+    return path
+
+
+@pytest.mark.heavy  # compiles a search and a picture
+def test_paint_is_matched_to_a_flat_picture_and_can_be_painted_again(irisjax, tmp_path, recipe):
+    target, folder = _flat(tmp_path / "flat.png", alpha=True), tmp_path / "eye"
+    status, out, err = irisjax(
+        *("paint", recipe, "--match", target, "--retouch", "2", *SMALL, "-o", folder)
+    )
+    assert status == 0, err
+    assert out.startswith("mean colour difference") and "4 coats" in out
+    told = json.loads((folder / "match.json").read_text())
+    before, matched, last = (
+        told["colour_difference"][k]["mean"] for k in ("before", "matched", "retouched")
+    )
+    assert told["target"] == "flat.png"
+    assert matched < before and last < 0.4 * matched
+    eye = read_image(folder / "eye.png", decode=True).pixels
+    red, blue = (eye[rows, 38:44].mean((0, 1)) for rows in (slice(26, 34), slice(56, 64)))
+    assert red[0] > 1.5 * red[2] and blue[2] > 1.5 * blue[0]
+    # At the right, where nothing of it was known, the mean of both.
+    above, below = (eye[rows, 76:82].mean((0, 1)) for rows in (slice(26, 34), slice(56, 64)))
+    np.testing.assert_allclose(above / above.sum(), below / below.sum(), atol=0.03)
+    assert red[0] > 1.2 * above[0] and blue[2] > 1.2 * above[2]
+    # Retouching coats are files beside the recipe.
+    used = read_recipe(folder / "recipe.toml")
+    assert [c.component for c in used.coats] == ["base", "limbus", "scan", "scan"]
+    assert [c.parameters["file"] for c in used.coats[2:]] == ["retouch-1.png", "retouch-2.png"]
+    again = tmp_path / "other" / "eye"
+    assert irisjax("paint", folder / "recipe.toml", *SMALL, "-o", again)[0] == 0
+    difference = read_image(again / "eye.png").pixels - read_image(folder / "eye.png").pixels
+    assert np.abs(difference).max() < 3 / 255  # scans are kept in 8 bits
+
+
+@pytest.mark.heavy
+def test_without_a_recipe_coats_of_the_nearest_colour_are_matched(irisjax, tmp_path):
+    """A scene of tissue, with the pupil that it has."""
+    scene = tmp_path / "scene.toml"
+    scene.write_text(
+        '[iris]\npreset = "brown"\n[maps]\nuniform = true\n[eye]\npupil_radius = 2.4\n'
+    )
+    folder = tmp_path / "eye"
+    status, out, err = irisjax(*("paint", "--match", scene, "--retouch", "0", *SMALL, "-o", folder))
+    assert status == 0, err
+    assert "12 coats" in out  # of brown eyes
+    used = read_recipe(folder / "recipe.toml")
+    assert used.pupil_radius / 5.77 == pytest.approx(2.4 / 6.0, rel=0.1)
+    assert not list(folder.glob("retouch*"))
+
+
+def test_wrong_targets_are_one_line(irisjax, tmp_path, recipe):
+    def refused(*options, words):
+        result = irisjax("paint", *options, "-o", tmp_path / "eye")
+        for word in words:
+            one_line(result, word)
+        assert not (tmp_path / "eye").exists()
+
+    flat = _flat(tmp_path / "flat.png")
+    Image.fromarray(np.zeros((20, 30, 3), np.uint8)).save(tmp_path / "wide.png")
+    Image.fromarray(np.zeros((20, 20, 4), np.uint8)).save(tmp_path / "clear.png")
+    (tmp_path / "clone").mkdir()
+    (tmp_path / "flat.toml").write_text('[picture]\nintegrator = "single-scattering"\n')
+    at = tmp_path
+    refused(recipe, "--match", at / "none.png", words=["none.png", "No such file"])
+    refused(recipe, "--match", at / "wide.png", words=["wide.png", "30 x 20", "square"])
+    refused(recipe, "--match", at / "clear.png", words=["clear.png", "nothing of the iris"])
+    refused(recipe, "--match", at / "clone", words=["clone", "clone.json"])
+    refused(recipe, "--match", recipe.with_suffix(".txt"), words=["recipe.txt", ".png"])
+    refused(recipe, "--match", at / "flat.toml", words=["single-scattering", "separable"])
+    refused(recipe, "--match", recipe, words=["recipe.toml", "unknown section"])
+    refused(recipe, "--retouch", "3", words=["--retouch 3", "--match"])
+    refused(recipe, "--match", flat, "--retouch", "99", words=["--retouch", "[0, 30]"])
+    refused("--match", flat, "--type", "detail", words=["--colour"])
+    refused("--match", at / "x.toml", "--pupil-radius", "9", words=["--pupil-radius", "4.75"])
