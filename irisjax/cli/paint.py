@@ -17,7 +17,7 @@ from irisjax.cli.files import check_folder
 from irisjax.cli.matching import RETOUCHES, Matched, matched, nearest_colour
 from irisjax.cli.options import SEED_HELP, Group, grouped, name_of, option, read_seed, whole
 from irisjax.cli.paints import Paints, of_file
-from irisjax.cli.scenes import changed
+from irisjax.cli.scenes import changed, environment_of
 from irisjax.export.coats import FORMATS, write_painting
 from irisjax.io.images import encode_png
 from irisjax.io.recipes import Recipe, recipe_text
@@ -27,6 +27,7 @@ from irisjax.numerics.programs import program
 from irisjax.ocularist.coats import LIMBUS, Coat, Painting, over
 from irisjax.ocularist.easel import SIZE, painted, studio
 from irisjax.ocularist.integrator import Painted
+from irisjax.render.environment import ENVIRONMENTS
 from irisjax.render.scene import Scene
 from irisjax.render.stages import Memory
 from irisjax.render.tiles import bands
@@ -84,6 +85,14 @@ class Picture(Group):
         option(
             metavar="POLAR,AZIMUTH[,IRRADIANCE]",
             help="as of render; repeatable; in place of two lamps",
+        ),
+    ] = None
+    environment: Annotated[
+        str | None,
+        option(
+            metavar="NAME|FILE",
+            help=f"{', '.join(ENVIRONMENTS)}, or a latitude-longitude panorama; in place of lamps, "
+            "or beside those of --light",
         ),
     ] = None
     camera: Annotated[str | None, option(metavar="POLAR,AZIMUTH[,WIDTH]", help="as of render")] = (
@@ -146,6 +155,9 @@ def paint(subject: Subject, picture: Picture, results: Results) -> None:
         painting = painted(recipe.coats, recipe.mixer(), eye, size=picture.texels, scans=scans)
     scene = studio(painting, eye)
     scene = changed(scene, picture.light, None, picture.size, picture.camera)
+    if picture.environment is not None:
+        around = environment_of(picture.environment)
+        scene = scene.replace(environment=around, lights=scene.lights if picture.light else None)
     scene = _with(scene, painting, picture.shadow)
     files = {folder / name: data for name, data in more.items()}
     files[folder / "recipe.toml"] = recipe_text(recipe.moved(folder)).encode()

@@ -11,8 +11,10 @@ import typer
 from irisjax.anatomy import eye
 from irisjax.cli.options import SEED_HELP, Group, option, read_seed, within
 from irisjax.grow.presets import PRESETS
+from irisjax.io.images import read_environment
 from irisjax.io.scenes import SceneFile, parse_scene, read_scene
 from irisjax.render import scene as staging
+from irisjax.render.environment import ENVIRONMENTS, Environment
 from irisjax.render.lights import Lights
 
 _PUPIL = eye.LIMITS["pupil_radius"]
@@ -104,6 +106,16 @@ def changed(
         except ValueError as error:
             raise ValueError(f"--camera {camera!r}: {error}") from None
     return scene
+
+
+def environment_of(text: str) -> Environment:
+    """An environment by its name in `ENVIRONMENTS`, else from a panorama's file."""
+    if text in ENVIRONMENTS:
+        return ENVIRONMENTS[text](rows=512)
+    if not Path(text).suffix:
+        known = ", ".join(ENVIRONMENTS)
+        raise ValueError(f"unknown environment {text!r}; known: {known}, and panoramas' files")
+    return read_environment(text)
 
 
 def lamps(texts: list[str], illuminant: str = "D65") -> Lights:

@@ -11,6 +11,7 @@ from irisjax.io.sections import Check, boolean, one_of, text, whole, within
 from irisjax.measure.colour import illuminant_power
 from irisjax.numerics.checks import Range
 from irisjax.render import camera, lights
+from irisjax.render.environment import ENVIRONMENTS
 from irisjax.render.integrators import INTEGRATORS
 from irisjax.tissue.iris import LIMITS, MELANIN_LOAD
 
@@ -92,7 +93,7 @@ SECTIONS: dict[str, dict[str, Check]] = {
     },
     "environment": {
         "file": text,
-        "kind": one_of("studio", "sky", "uniform"),
+        "kind": one_of(*ENVIRONMENTS),
         "lights": whole(1, 1000),
         "strength": _number(0, 1e6),
     },

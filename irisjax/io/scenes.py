@@ -19,7 +19,7 @@ from irisjax.io.images import read_environment
 from irisjax.io.maps import read_maps
 from irisjax.io.sections import Where, checked
 from irisjax.render.camera import Camera
-from irisjax.render.environment import Environment
+from irisjax.render.environment import ENVIRONMENTS
 from irisjax.render.integrators import INTEGRATORS
 from irisjax.render.lights import Lights
 from irisjax.render.scene import ENVIRONMENT_LIGHTS, Scene
@@ -189,12 +189,7 @@ class SceneFile(Mapping[str, Any]):
         if "file" in given:
             around = self._read(read_environment, "environment", given["file"])
         else:
-            kinds = {
-                "studio": Environment.studio,
-                "sky": Environment.sky,
-                "uniform": Environment.uniform,
-            }
-            around = kinds[given["kind"]](rows=512)
+            around = ENVIRONMENTS[given["kind"]](rows=512)
         around = dataclasses.replace(around, radiance=around.radiance * given.get("strength", 1.0))
         return {
             "environment": around,

@@ -25,6 +25,11 @@ SCAN = "scan"
 SIZE = 512
 """Texels along a side of opacity maps."""
 
+ENVIRONMENT_LIGHTS = 16
+"""Lamps that stand for an environment: each has shadows of every coat. Of a blue eye of 50 coats
+they leave 1.0 level of 255 in the mean to 64 lamps in the studio, and 1.8 under the sky.
+"""
+
 
 def painted(
     recipes: Sequence[CoatRecipe],
@@ -80,12 +85,14 @@ def _opacity(recipe: CoatRecipe, eye: Eye, size: int, scans: Mapping[str, np.nda
 def studio(painting: Painting, eye: Eye, *, seed: int = 0, **parts: Any) -> Scene:
     """A scene of a painted eye in the light of two lamps, vessels on its white.
 
-    `seed`: of the vessels. `parts`: of the `Scene`, in place of these.
+    `seed`: of the vessels. `parts`: of the `Scene`, in place of these; an environment is
+    `ENVIRONMENT_LIGHTS` lamps.
     """
     usual: dict[str, Any] = {
         "lights": Lights.distant(0.6, 2.2, 2.4) + Lights.distant(0.5, -0.6, 0.9),
         "camera": Camera(width=jnp.asarray(16.5), size=(800, 600)),
         "integrator": Painted(painting=painting),
+        "environment_lights": ENVIRONMENT_LIGHTS,
     }
     if eye.sclera is not None:
         usual["veins"] = veins(eye, key=jax.random.key(seed))

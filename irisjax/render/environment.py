@@ -279,3 +279,11 @@ def _panel(direction: np.ndarray, centre, half, soft: float) -> np.ndarray:
     inside = [np.clip(0.5 + (1 - p) * h / soft, 0, 1) for h, p in zip(half, place, strict=True)]
     glow = 1 - np.minimum(place[0] ** 2 + place[1] ** 2, 2.0) / 6
     return np.where(along > 0, glow * np.prod([i * i * (3 - 2 * i) for i in inside], axis=0), 0.0)
+
+
+ENVIRONMENTS = {
+    "studio": Environment.studio,
+    "sky": Environment.sky,
+    "uniform": Environment.uniform,
+}
+"""Environments that need no file."""

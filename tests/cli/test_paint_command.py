@@ -8,6 +8,7 @@ import pytest
 from PIL import Image
 from refusals import one_line
 
+from irisjax.io.images import read_image
 from irisjax.io.recipes import read_recipe
 
 RECIPE = Path(__file__).parent.parent.parent / "data" / "recipes" / "green.toml"
@@ -89,6 +90,28 @@ def test_a_scan_is_a_coat(irisjax, tmp_path):
     assert (again / "eye.png").read_bytes() == (tmp_path / "eye" / "eye.png").read_bytes()
 
 
+@pytest.mark.heavy
+def test_an_environment_lights_and_is_mirrored(irisjax, tmp_path):
+    """Of equal radiance all round: the pupil mirrors 2 to 3 % of it, and a lamp adds to it."""
+    recipe = tmp_path / "recipe.toml"
+    recipe.write_text('[[coat]]\ncomponent = "base"\npaints = "burnt sienna"\n')
+    eyes = {}
+    for name, options in {
+        "round": ("--environment", "uniform"),
+        "both": ("--environment", "uniform", "--light", "30,0"),
+    }.items():
+        folder = tmp_path / name
+        status, _, err = irisjax("paint", recipe, *SMALL, *options, "-o", folder)
+        assert status == 0, err
+        eyes[name] = read_image(folder / "eye.png", decode=True).pixels
+    pupil, iris = (
+        eyes["round"][45, columns].mean((0, 1)) for columns in (slice(56, 64), slice(80, 90))
+    )
+    assert 0.02 < pupil < 0.03
+    assert iris > 4 * pupil
+    assert (eyes["both"][45, 80:90] > eyes["round"][45, 80:90] + 0.01).all()
+
+
 @pytest.mark.parametrize(
     ("text", "words"),
     [
@@ -148,6 +171,8 @@ def test_wrong_recipes_are_one_line(irisjax, tmp_path, text, words):
         ((RECIPE, "--mixing", "oil"), ["oil", "hsl"]),
         ((RECIPE, "--pupil-radius", "9"), ["9", "4.75"]),
         ((RECIPE, "--meshes", "stl"), ["stl", "ply"]),
+        ((RECIPE, "--environment", "garden"), ["garden", "studio"]),
+        ((RECIPE, "--environment", "none.exr"), ["none.exr", "No such file"]),
     ],
 )
 def test_wrong_options_are_one_line(irisjax, tmp_path, options, words):
