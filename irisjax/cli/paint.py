@@ -122,7 +122,10 @@ class Results(Group):
     output: Annotated[Path, option("-o", "--output", metavar="DIR", help="folder for the eye")]
     meshes: Annotated[
         str | None,
-        option(metavar="name", help=f"{', '.join(FORMATS)}: a mesh of every coat, in meshes/"),
+        option(
+            metavar="name",
+            help=f"{', '.join(FORMATS)}: a mesh of every coat, of cornea and white, in meshes/",
+        ),
     ] = None
     overwrite: Annotated[
         bool, option("--overwrite", metavar="", help="replace a painted eye in that folder")
@@ -191,7 +194,7 @@ def paint(subject: Subject, picture: Picture, results: Results) -> None:
         (folder / name).mkdir(parents=True, exist_ok=True)
     io.write_together(files)
     if results.meshes is not None:
-        write_painting(folder / "meshes", painting, results.meshes)
+        write_painting(folder / "meshes", painting, results.meshes, eye=eye)
     if said:
         print(said)
     print(f"{len(painting.coats)} coats; written: {folder}")

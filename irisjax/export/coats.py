@@ -7,12 +7,14 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
+from irisjax.anatomy.eye import Eye
 from irisjax.export.mesh import Mesh, encode_obj, encode_ply, revolved, right_handed
 from irisjax.io.tables import write_together
 from irisjax.measure.colour import srgb_encode
 from irisjax.numerics.checks import check_whole
 from irisjax.ocularist.coats import Coat, Painting
 from irisjax.ocularist.cones import Cones
+from irisjax.ocularist.shell import shell
 
 AROUND = 256
 """Points round the axis."""
@@ -62,9 +64,14 @@ def coat_mesh(painting: Painting, name: str, around: int = AROUND) -> Mesh:
 
 
 def write_painting(
-    folder: str | Path, painting: Painting, form: str = "obj", around: int = AROUND
+    folder: str | Path,
+    painting: Painting,
+    form: str = "obj",
+    around: int = AROUND,
+    eye: Eye | None = None,
 ) -> dict[str, Path]:
-    """Write a mesh of every coat and its picture with opacity into an existing folder, all or none.
+    """Write a mesh of every coat and its picture with opacity into an existing folder, all or none;
+    of an `eye` also its `cornea` and `white`, without pictures.
 
     Meshes are in the frame of other renderers, x right, y up, +z towards the viewer. Returns the
     meshes' files by the coats' names; spaces become underscores.
@@ -75,19 +82,27 @@ def write_painting(
     if form not in FORMATS:
         raise ValueError(f"unknown kind of mesh {form!r}; known: {', '.join(FORMATS)}")
     files, found = {}, {}
+    meshes = {coat.name: coat_mesh(painting, coat.name, around) for coat in painting.coats}
+    if eye is not None:
+        outside = shell(eye)._asdict()
+        meshes |= {name: cone_mesh(cones, around) for name, cones in outside.items()}
     for coat in painting.coats:
-        mesh = right_handed(coat_mesh(painting, coat.name, around))
-        stem = coat.name.replace(" ", "_")
-        picture = f"{stem}.png"
-        files[Path(folder) / picture] = _picture(coat)
-        found[coat.name] = Path(folder) / f"{stem}.{form}"
+        files[Path(folder) / f"{_stem(coat.name)}.png"] = _picture(coat)
+    for name, mesh in meshes.items():
+        stem, mesh = _stem(name), right_handed(mesh)
+        painted = Path(folder) / f"{stem}.png" in files
+        found[name] = Path(folder) / f"{stem}.{form}"
         if form == "ply":
-            files[found[coat.name]] = encode_ply(mesh)
+            files[found[name]] = encode_ply(mesh)
         else:
-            made = encode_obj(mesh, stem, picture)
-            files |= {Path(folder) / name: data for name, data in made.items()}
+            made = encode_obj(mesh, stem, f"{stem}.png" if painted else None)
+            files |= {Path(folder) / other: data for other, data in made.items()}
     write_together(files)
     return found
+
+
+def _stem(name: str) -> str:
+    return name.replace(" ", "_")
 
 
 def _picture(coat: Coat) -> bytes:

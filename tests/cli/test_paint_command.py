@@ -79,7 +79,8 @@ def test_a_scan_is_a_coat(irisjax, tmp_path):
         'parameters = { file = "scan.png" }\npaints = "cadmium red"\n'
     )
     assert irisjax("paint", recipe, *SMALL, "--meshes", "obj", "-o", tmp_path / "eye")[0] == 0
-    assert len(list((tmp_path / "eye" / "meshes").glob("*.obj"))) == 2
+    meshes = {p.name for p in (tmp_path / "eye" / "meshes").glob("*.obj")}
+    assert meshes == {"01_base.obj", "02_scan.obj", "cornea.obj", "white.obj"}
     eye = _pixels(tmp_path / "eye" / "eye.png")
     upper, lower = eye[20, 55:65].mean(0), eye[70, 55:65].mean(0)
     assert upper[0] > 2 * upper[1] and lower[1] > 0.9 * lower[0]
