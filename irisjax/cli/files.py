@@ -11,6 +11,7 @@ import numpy as np
 from irisjax import io, plot
 from irisjax.cli.light import Light
 from irisjax.cli.options import Group, option
+from irisjax.io.images import encode_png
 
 FOR_PEOPLE = (
     "irisjax",
@@ -36,6 +37,14 @@ def check_folder(folder: Path, file: str, what: str, overwrite: bool) -> None:
         raise ValueError(f"{first}: is a file, not a folder")
     if (folder / file).exists() and not overwrite:
         raise ValueError(f"{folder}: has {what}; --overwrite begins anew")
+
+
+def png_of(path: Path, encoded, remark: str) -> bytes:
+    """The bytes of a PNG of encoded values; what is out of range is clipped, and said so."""
+    data, clipped = encode_png(path, encoded, remark=remark)
+    if clipped:
+        print(f"irisjax: {path}: {clipped} pixels out of sRGB's range are clipped", file=sys.stderr)
+    return data
 
 
 def _take_settings(context, param, source: Path | None) -> Path | None:

@@ -11,7 +11,7 @@ import jax
 import numpy as np
 from tqdm import tqdm
 
-from irisjax.io.images import encode_png
+from irisjax.cli.files import png_of
 from irisjax.io.recipes import Recipe
 from irisjax.io.targets import Target
 from irisjax.measure.colour import srgb_encode
@@ -94,14 +94,14 @@ def matched(
         for some in (fitted.recipes, whole.coats)
     ]
     last = difference(seen[1], target.texture, known)
-    remark = "painted by irisjax; the target, its match, with retouching coats"
+    remark = "painted by irisjax to match a target"
     flat = [_flat(texture, eye, size) for texture in (target.texture, *seen)]
     files = {
-        posixpath.basename(name): encode_png(name, np.repeat(grey[..., None], 3, 2))[0]
+        posixpath.basename(name): png_of(folder / name, np.repeat(grey[..., None], 3, 2), remark)
         for name, grey in more.scans.items()
         if name not in scans
     }
-    files["match.png"] = encode_png("match.png", np.concatenate(flat, 1), remark=remark)[0]
+    files["match.png"] = png_of(folder / "match.png", np.concatenate(flat, 1), remark)
     files["match.json"] = _summary(target, fitted, last)
     steps = (
         ("as it was", fitted.before),
@@ -137,5 +137,4 @@ _encode = program(srgb_encode)
 def _flat(texture, eye, size: int) -> np.ndarray:
     """A polar texture as the iris laid flat, encoded."""
     row, column, on = rolled(texture, eye, size)
-    encoded = np.clip(np.asarray(_encode(texture)), 0, 1)
-    return np.where(on[..., None], encoded[row, column], 0)
+    return np.where(on[..., None], np.asarray(_encode(texture))[row, column], 0)

@@ -13,14 +13,13 @@ from tqdm import tqdm
 from irisjax import io
 from irisjax.cli.animate import sheet
 from irisjax.cli.cache import cores, kept_tables
-from irisjax.cli.files import check_folder
+from irisjax.cli.files import check_folder, png_of
 from irisjax.cli.matching import RETOUCHES, Matched, matched, nearest_colour
 from irisjax.cli.options import SEED_HELP, Group, grouped, name_of, option, read_seed, whole
 from irisjax.cli.paints import Paints, of_file
 from irisjax.cli.scenes import changed, environment_of
 from irisjax.export.coats import FORMATS, write_painting
-from irisjax.io.images import encode_png
-from irisjax.io.recipes import Recipe, recipe_text
+from irisjax.io.recipes import PUPIL, recipe_text
 from irisjax.io.targets import read_target
 from irisjax.measure.colour import srgb_encode
 from irisjax.numerics.programs import program
@@ -180,21 +179,18 @@ def paint(subject: Subject, picture: Picture, results: Results) -> None:
             bar.update()
     remark = "painted and simulated by irisjax"
     for name, linear in (("eye.png", whole_eye), ("progression.png", sheet(steps))):
-        path = folder / name
-        files[path], clipped = encode_png(path, np.asarray(_encode(linear)), remark=remark)
-        if clipped:
-            print(
-                f"irisjax: {path}: {clipped} pixels out of sRGB's range are clipped",
-                file=sys.stderr,
-            )
+        files[folder / name] = png_of(folder / name, np.asarray(_encode(linear)), remark)
     for coat in painting.coats:
         path = folder / "coats" / f"{coat.name.replace(' ', '_')}.png"
-        files[path] = encode_png(path, _on_white(coat), remark=remark)[0]
+        files[path] = png_of(path, _on_white(coat), remark)
     for name in ("coats",) if results.meshes is None else ("coats", "meshes"):
         (folder / name).mkdir(parents=True, exist_ok=True)
     io.write_together(files)
     if results.meshes is not None:
         write_painting(folder / "meshes", painting, results.meshes, eye=eye)
+    for old in (folder / "coats").glob("[0-9][0-9]_*.png"):  # of an eye that was replaced
+        if old not in files:
+            old.unlink()
     if said:
         print(said)
     print(f"{len(painting.coats)} coats; written: {folder}")
@@ -211,7 +207,7 @@ def _prepared(subject: Subject, size: int, folder: Path) -> Matched:
         assert recipe is not None
         with of_file(subject.recipe):
             return Matched(recipe, recipe.scans(), {}, "")
-    asked = subject.pupil_radius or (recipe or Recipe(())).pupil_radius
+    asked = subject.pupil_radius or (PUPIL if recipe is None else recipe.pupil_radius)
     target = read_target(subject.match, asked / LIMBUS)
     if subject.pupil_radius is not None and not np.isclose(target.pupil * LIMBUS, asked):
         raise ValueError(f"--pupil-radius: {subject.match} has a pupil of its own")

@@ -24,6 +24,8 @@ from irisjax.ocularist.recipes import CoatRecipe
 
 MIXING = ("hsl", "kubelka-munk")
 """Ways to mix paints."""
+PUPIL = 1.9
+"""Radius of a painted eye's pupil by default, mm."""
 _HSL, _KUBELKA_MUNK = MIXING
 
 
@@ -39,7 +41,7 @@ class Recipe(NamedTuple):
     mixing: str = _HSL
     paints: str | None = None
     palette: Mapping[str, str] = {}
-    pupil_radius: float = 1.9
+    pupil_radius: float = PUPIL
     folder: Path = Path()
 
     def eye(self) -> Eye:

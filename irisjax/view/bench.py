@@ -105,8 +105,11 @@ class Bench:
         coat.
         """
         layer = self.settings.layers[place_of(self.settings.layers, name)]
-        red, green, blue = np.rint(255 * np.asarray(srgb_encode(self._coat(layer).colour)))
-        return int(red), int(green), int(blue)
+        return _shown(self._coat(layer))
+
+    def mixed(self, name: str) -> tuple[int, int, int]:
+        """The colour that a coat's paints make, whatever is set; as `colour`."""
+        return _shown(self._full[self.settings.layers[place_of(self.settings.layers, name)].name])
 
     def recipe(self, layers: Layers | None = None) -> Recipe:
         """The recipe of the coats that are on, by default those set, as `irisjax paint` takes it. A
@@ -174,6 +177,11 @@ class Bench:
         made = Coat(layer.name, opacity, colour, self._heights[layer.height])
         self._coats[layer.name] = layer, made
         return made
+
+
+def _shown(coat: Coat) -> tuple[int, int, int]:
+    red, green, blue = np.rint(255 * np.asarray(srgb_encode(coat.colour)))
+    return int(red), int(green), int(blue)
 
 
 def _free(name: str, palette: dict[str, str]) -> str:

@@ -12,6 +12,7 @@ if TYPE_CHECKING:
     import viser
 
 UP, DOWN = "up", "down"
+MIXTURE = "back to the mixture"
 
 
 class CoatsPanel:
@@ -61,10 +62,12 @@ class CoatsPanel:
         with folder:
             on = gui.add_checkbox("on", layer.on)
             colour = gui.add_rgb("colour", self.bench.colour(name))
+            mixture = gui.add_button(MIXTURE, hint="the colour that its paints make")
             opacity = gui.add_slider("opacity", 0.0, 1.0, 0.005, layer.opacity)
             place = gui.add_button_group("place", (UP, DOWN))
         on.on_update(lambda event: self._change(switched, name, event.target.value))
-        colour.on_update(lambda event: self._change(recoloured, name, _hex(event.target.value)))
+        colour.on_update(lambda event: self._picked(name, event))
+        mixture.on_click(lambda event: self._mixed(name, colour))
         opacity.on_update(lambda event: self._change(covering, name, event.target.value))
         place.on_click(lambda event: self._change(moved, name, event.target.value == UP))
         return folder
@@ -75,6 +78,14 @@ class CoatsPanel:
             self.put(layers=self.layers)
             if [x.name for x in before] != [x.name for x in self.layers]:
                 self._sort()
+
+    def _picked(self, name: str, event: Any) -> None:
+        if event.client is not None:  # by somebody, not by `_mixed`
+            self._change(recoloured, name, _hex(event.target.value))
+
+    def _mixed(self, name: str, colour: "viser.GuiRgbHandle") -> None:
+        self._change(recoloured, name, None)
+        colour.value = self.bench.mixed(name)
 
     def _sort(self) -> None:
         """The uppermost first, below what does not move."""

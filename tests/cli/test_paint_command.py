@@ -55,6 +55,11 @@ def test_a_recipe_becomes_an_eye_its_coats_and_the_recipe_as_used(irisjax, tmp_p
     assert tomllib.loads((folder / "recipe.toml").read_text())["painting"]["mixing"] == (
         "kubelka-munk"
     )
+    # Of fewer coats none of the former are left.
+    fewer = tmp_path / "fewer.toml"
+    fewer.write_text('[[coat]]\ncomponent = "base"\npaints = "ultramarine"\n')
+    assert irisjax("paint", fewer, *SMALL, "-o", folder, "--overwrite")[0] == 0
+    assert [p.name for p in (folder / "coats").iterdir()] == ["01_base.png"]
 
 
 @pytest.mark.heavy

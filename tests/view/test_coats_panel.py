@@ -90,6 +90,14 @@ def test_every_control_asks_for_its_change_on_top_of_the_last(page):
     )
 
 
+def test_a_picked_colour_goes_back_to_the_mixture(page):
+    base = "01 base"
+    page.gui[base, "colour"].becomes((1, 160, 255))
+    page.gui[base, "back to the mixture"].becomes(True)
+    assert page.asked["layers"][0] == (base, True, None, 1.0, 0.0)
+    assert page.gui[base, "colour"].value == (0x3C, 0x28, 0x23)
+
+
 def test_the_uppermost_coat_stands_first_wherever_it_came_from(page):
     folders = page.panel.folders
 
