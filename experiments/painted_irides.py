@@ -22,6 +22,7 @@ from irisjax.ocularist.mixing import HslMixer
 from irisjax.ocularist.palette import PAINTS
 from irisjax.ocularist.recipes import coats
 from irisjax.render.camera import Camera
+from irisjax.render.environment import ENVIRONMENTS
 from irisjax.render.stages import Memory
 
 ABOUT = "painted and simulated by irisjax"
@@ -73,6 +74,7 @@ def main(key, quick=False, out=RESULTS):
     save("painted_fig10", [picture(brown), picture(blue), picture(blue, np.radians(40.0))])
     _mixtures(out)
     if not quick:
+        _environments(blue, eye, out)
         _times(blue, eye, tables, out)
 
 
@@ -93,6 +95,31 @@ def _mixtures(out) -> None:
                 rows.append((way, first, second, *map(float, mixer.mix(first, second, 0.5))))
     columns = ("mixing", "first", "second", "r_linear", "g_linear", "b_linear")
     write(out / "painted_mixtures.csv", (ABOUT, "equal parts, linear sRGB"), columns, rows)
+
+
+def _environments(blue: Painting, eye, out) -> None:
+    """How far few lamps in place of an environment are from 64, on the iris, in levels of 255."""
+    rows, (width, height) = [], (400, 300)
+    for kind in ("studio", "sky"):
+        around = ENVIRONMENTS[kind](rows=256)
+        camera = Camera(width=jnp.asarray(16.5), size=(width, height))
+        scene = studio(blue, eye, lights=None, environment=around, camera=camera)
+        tables, memory, pictures = scene.tables(), Memory(2), {}
+        for count in (64, 25, 16, 9, 4):
+            drawn = memory.render(scene.replace(environment_lights=count), tables)
+            pictures[count] = 255 * np.clip(np.asarray(srgb_encode(drawn)), 0, 1)
+        x, y = (16.5 * ((np.arange(n) + 0.5) - n / 2) / width for n in (width, height))
+        away = np.hypot(x, y[:, None])
+        iris = (away > 2.2) & (away < 5.5)
+        for count, picture in pictures.items():
+            off = np.abs(picture - pictures[64])[iris]
+            rows.append((kind, count, off.mean(), np.quantile(off, 0.95)))
+    write(
+        out / "painted_environments.csv",
+        (ABOUT, "blue eye of 50 coats, 400 x 300 pixels, encoded sRGB against 64 lamps"),
+        ("environment", "lamps", "mean_levels", "q95_levels"),
+        rows,
+    )
 
 
 def _times(blue: Painting, eye, tables, out) -> None:

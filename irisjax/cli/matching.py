@@ -37,7 +37,7 @@ class Matched(NamedTuple):
     recipe: Recipe
     scans: dict[str, np.ndarray]
     files: dict[str, bytes]
-    said: str
+    said: list[str]
 
 
 def nearest_colour(target: Target, seed: int) -> Recipe:
@@ -113,7 +113,7 @@ def matched(
         whole,
         more.scans,
         files,
-        f"mean colour difference (95 % below), CIE 1976, flat and in plain light: {said}",
+        [f"mean colour difference (95 % below), CIE 1976, flat and in plain light: {said}"],
     )
 
 

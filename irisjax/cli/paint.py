@@ -21,8 +21,10 @@ from irisjax.cli.scenes import changed, environment_of
 from irisjax.export.coats import FORMATS, write_painting
 from irisjax.io.recipes import PUPIL, recipe_text
 from irisjax.io.targets import read_target
+from irisjax.io.tissue_of_paint import tissue_files
 from irisjax.measure.colour import srgb_encode
 from irisjax.numerics.programs import program
+from irisjax.ocularist.bridge import maps_of
 from irisjax.ocularist.coats import LIMBUS, Coat, Painting, over
 from irisjax.ocularist.easel import SIZE, painted, studio
 from irisjax.ocularist.integrator import Painted
@@ -126,6 +128,12 @@ class Results(Group):
             help=f"{', '.join(FORMATS)}: a mesh of every coat, of cornea and white, in meshes/",
         ),
     ] = None
+    tissue: Annotated[
+        bool,
+        option(
+            "--tissue", metavar="", help="the nearest tissue, in tissue/: maps and a scene file"
+        ),
+    ] = False
     overwrite: Annotated[
         bool, option("--overwrite", metavar="", help="replace a painted eye in that folder")
     ] = False
@@ -183,17 +191,23 @@ def paint(subject: Subject, picture: Picture, results: Results) -> None:
     for coat in painting.coats:
         path = folder / "coats" / f"{coat.name.replace(' ', '_')}.png"
         files[path] = png_of(path, _on_white(coat), remark)
-    for name in ("coats",) if results.meshes is None else ("coats", "meshes"):
-        (folder / name).mkdir(parents=True, exist_ok=True)
+    if results.tissue:
+        alike = maps_of(painting, eye)
+        files |= {folder / "tissue" / n: data for n, data in tissue_files(alike, eye).items()}
+        said.append(
+            f"mean colour difference (95 % below) of the nearest tissue: {alike.left.mean:.1f} "
+            f"({alike.left.most:.1f})"
+        )
+    folders = {path.parent for path in files}
+    for path in folders if results.meshes is None else {*folders, folder / "meshes"}:
+        path.mkdir(parents=True, exist_ok=True)
     io.write_together(files)
     if results.meshes is not None:
         write_painting(folder / "meshes", painting, results.meshes, eye=eye)
     for old in (folder / "coats").glob("[0-9][0-9]_*.png"):  # of an eye that was replaced
         if old not in files:
             old.unlink()
-    if said:
-        print(said)
-    print(f"{len(painting.coats)} coats; written: {folder}")
+    print(*said, f"{len(painting.coats)} coats; written: {folder}", sep="\n")
 
 
 _encode = program(srgb_encode)
@@ -206,7 +220,7 @@ def _prepared(subject: Subject, size: int, folder: Path) -> Matched:
     if subject.match is None:
         assert recipe is not None
         with of_file(subject.recipe):
-            return Matched(recipe, recipe.scans(), {}, "")
+            return Matched(recipe, recipe.scans(), {}, [])
     asked = subject.pupil_radius or (PUPIL if recipe is None else recipe.pupil_radius)
     target = read_target(subject.match, asked / LIMBUS)
     if subject.pupil_radius is not None and not np.isclose(target.pupil * LIMBUS, asked):

@@ -35,13 +35,14 @@ class Ground(NamedTuple):
     - `place`: where it sees the base, (x, y) in mm; `view`: by how much further aside it sees a
         coat, per mm of its height. `light`: by how much a ray of each lamp that meets the coat
         there falls beside the base's place, per mm.
-    - `irradiance`: of each lamp, times the share that reaches the camera, (lights, pixels).
+    - `white`: radiance of a white sheet there in the light of each lamp, times the share that
+        reaches the camera, (lights, pixels).
     """
 
     place: Float[Array, "2 pixels"]
     view: Float[Array, "2 pixels"]
     light: Float[Array, "lights 2 pixels"]
-    irradiance: Float[Array, "lights pixels"]
+    white: Float[Array, "lights pixels"]
 
 
 class State(NamedTuple):
@@ -65,12 +66,13 @@ def ground(pixels: IrisPixels, profile: Cones, eye: Eye, flux) -> Ground:
     if pixels.index is not None:
         share = jnp.where(pixels.index < 0, 0.0, share)
     n, view = parts(normal), _aside(pixels.direction, parts(normal))
-    falls, irradiance = [], []
+    falls, white = [], []
     for f in at:
-        irradiance.append(jnp.maximum(-(f[0] * n[0] + f[1] * n[1] + f[2] * n[2]), 0.0) * share)
+        irradiance = jnp.maximum(-(f[0] * n[0] + f[1] * n[1] + f[2] * n[2]), 0.0)
+        white.append(irradiance * share / jnp.pi)
         falls.append(view - _aside(_directed((f[0], f[1], f[2])), n))
     place = jnp.stack([point[..., 0], point[..., 1]])
-    return Ground(place, view, jnp.stack(falls), jnp.stack(irradiance))
+    return Ground(place, view, jnp.stack(falls), jnp.stack(white))
 
 
 def _extended(profile: Cones) -> Cones:
@@ -134,7 +136,7 @@ def paint_over(known, light, colours, height, tint, reach, as_printed: bool) -> 
     for i, texture in enumerate(light):
         x, y = seen.place + height * seen.light[i]
         arriving = bilinear_rows(texture, *_texel(x, y, reach, texture.shape[:2]))[:3]
-        arriving = arriving * seen.irradiance[i]
+        arriving = arriving * seen.white[i]
         lit = lit + (arriving if tint is None else tint[i][:, None] * arriving)
     for alpha, colour in zip(covered, colours, strict=True):
         radiance = radiance + clear * over(0.0, alpha, colour[:, None], lit)

@@ -24,6 +24,7 @@ from paintings import (
 from irisjax.ocularist.coats import Painting, profile_of, prosthesis
 from irisjax.ocularist.integrator import Painted
 from irisjax.render.camera import Camera
+from irisjax.render.environment import Environment
 from irisjax.render.illumination import Illumination
 from irisjax.render.lights import Lights
 from irisjax.render.scene import Scene
@@ -187,3 +188,37 @@ def test_derivatives_by_colour_and_opacity_are_those_of_finite_differences():
             assert abs(numeric) > 1e-4
             assert float(slopes[i][j]) == pytest.approx(numeric, rel=1e-6)
     assert np.isfinite(float(slopes[2]))
+
+
+def test_white_paint_is_a_white_sheet():
+    """Without a cornea: 1 in irradiance π from straight ahead, its cosine from aside, and half of
+    it for half of the light.
+    """
+    bare_eye = EYE.replace(cornea=None, iris_slope=None)
+    for polar, irradiance in ((0.0, np.pi), (0.7, np.pi), (0.0, np.pi / 2)):
+        sheet = Painted(Painting((coat("white"),), profile_of(bare_eye)))
+        lamp = Lights.distant(polar, 0.4, irradiance)
+        drawn = Scene(None, eye=bare_eye, lights=lamp, camera=CAMERA, integrator=sheet).render()
+        seen = in_the_middle(np.asarray(drawn)) / (irradiance / np.pi * np.cos(polar))
+        np.testing.assert_allclose(seen.mean(1), 1, rtol=0.01)
+        # Bands of wavelengths are fitted to tissue: they leave white less blue than it is.
+        np.testing.assert_allclose(seen, 1, rtol=0.03)
+
+
+def test_white_paint_in_light_from_all_round_is_no_brighter_than_that():
+    """As bright without a cornea; behind one that mirrors some of it, and lets none in beyond the
+    limbus, darker.
+    """
+
+    def drawn(eye, tables):
+        painted = Painted(Painting((coat("white"),), profile_of(eye)))
+        around = Environment.uniform()
+        lit = Scene(
+            None, eye=eye, lights=None, environment=around, camera=CAMERA, integrator=painted
+        )
+        return in_the_middle(np.asarray(lit.render(tables)))
+
+    np.testing.assert_allclose(drawn(EYE.replace(cornea=None), None), 1, rtol=0.03)
+    behind = drawn(EYE, tables())
+    assert behind.min() > 0.4
+    assert behind.max() < 1
