@@ -117,7 +117,9 @@ def _models(iris, thickness, mu, exits):
 
         return jax.lax.map(one, scales)
 
-    bands = Bands(tuple(GRID.tolist()), jnp.eye(GRID.size), tuple(map(str, GRID)))
+    bands = Bands(
+        tuple(GRID.tolist()), jnp.eye(GRID.size), jnp.ones(GRID.size), tuple(map(str, GRID))
+    )
     response = SingleScattering().response(iris, ij.Eye().aqueous_index, bands, Scales())
     towards = jnp.stack([jnp.sqrt(1 - mu**2), jnp.zeros(()), mu])
     n = exits.size

@@ -158,7 +158,11 @@ def _joined(bands: Bands, hazy: Bands) -> Bands:
     weights[:6, :nodes] = np.concatenate([np.asarray(bands.weights), np.asarray(hazy.weights)])
     weights[6:, nodes:] = np.eye(len(WAVELENGTHS))
     names = (*bands.channels, *hazy.channels, *spectral_channels(WAVELENGTHS, layer="T"))
-    return Bands(bands.wavelengths + WAVELENGTHS, jnp.asarray(weights, bands.weights.dtype), names)
+    white = jnp.concatenate(
+        [bands.white, hazy.white, jnp.ones_like(bands.white, shape=len(WAVELENGTHS))]
+    )
+    weights = jnp.asarray(weights, bands.weights.dtype)
+    return Bands(bands.wavelengths + WAVELENGTHS, weights, white, names)
 
 
 def _haze(colour: np.ndarray, through: np.ndarray, bands: Bands, hazy: Bands) -> np.ndarray:

@@ -61,18 +61,16 @@ def ground(pixels: IrisPixels, profile: Cones, eye: Eye, flux) -> Ground:
     hit = whole.meet(origin, direction)
     point = origin + hit.distance[..., None] * direction
     normal = whole.normal(point, hit.cone)
-    at = Field(flux, eye.iris_radius).at(parts(point))
     share = jnp.where(hit.met, pixels.share, 0.0)
     if pixels.index is not None:
         share = jnp.where(pixels.index < 0, 0.0, share)
     n, view = parts(normal), _aside(pixels.direction, parts(normal))
-    falls, white = [], []
-    for f in at:
-        irradiance = jnp.maximum(-(f[0] * n[0] + f[1] * n[1] + f[2] * n[2]), 0.0)
-        white.append(irradiance * share / jnp.pi)
-        falls.append(view - _aside(_directed((f[0], f[1], f[2])), n))
+    at = Field(flux, eye.iris_radius).at(parts(point))
+    light = at[:, 0], at[:, 1], at[:, 2]
+    irradiance = jnp.maximum(-sum(f * c for f, c in zip(light, n, strict=True)), 0.0)
+    falls = view - jax.vmap(lambda direction: _aside(direction, n))(_directed(light))
     place = jnp.stack([point[..., 0], point[..., 1]])
-    return Ground(place, view, jnp.stack(falls), jnp.stack(white))
+    return Ground(place, view, falls, irradiance * share / jnp.pi)
 
 
 def _extended(profile: Cones) -> Cones:
@@ -132,12 +130,16 @@ def nothing(seen: Ground) -> State:
 def paint_over(known, light, colours, height, tint, reach, as_printed: bool) -> State:
     """A group of coats under those above it: Eq. 1 from the uppermost down."""
     (radiance, clear), covered, seen = known
-    lit = jnp.zeros_like(radiance)
-    for i, texture in enumerate(light):
-        x, y = seen.place + height * seen.light[i]
-        arriving = bilinear_rows(texture, *_texel(x, y, reach, texture.shape[:2]))[:3]
-        arriving = arriving * seen.white[i]
-        lit = lit + (arriving if tint is None else tint[i][:, None] * arriving)
+
+    def lamp(lit, one):
+        texture, falls, white, colour = one
+        x, y = seen.place + height * falls
+        arriving = bilinear_rows(texture, *_texel(x, y, reach, texture.shape[:2]))[:3] * white
+        return lit + (arriving if colour is None else colour[:, None] * arriving), None
+
+    # Two at a time: all written out, XLA compiles 16 lamps for minutes.
+    lamps = light, seen.light, seen.white, tint
+    lit = jax.lax.scan(lamp, jnp.zeros_like(radiance), lamps, unroll=2)[0]
     for alpha, colour in zip(covered, colours, strict=True):
         radiance = radiance + clear * over(0.0, alpha, colour[:, None], lit)
         clear = clear * (1 - alpha)

@@ -27,7 +27,7 @@ SIZE = 512
 
 ENVIRONMENT_LIGHTS = 16
 """Lamps that stand for an environment: each has shadows of every coat. Of a blue eye of 50 coats
-they leave 1.0 level of 255 in the mean to 64 lamps in the studio, and 1.8 under the sky.
+they leave 0.6 levels of 255 in the mean to 64 lamps in the studio, and 1.1 under the sky.
 """
 
 

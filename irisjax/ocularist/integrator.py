@@ -88,7 +88,7 @@ class Painted(AbstractIntegrator):
         """
         if bands.channels != ("R", "G", "B"):
             raise ValueError("a painted iris has colours, not spectra: ask for no wavelengths")
-        return PaintedResponse(white=bands.weights.sum(1))
+        return PaintedResponse(white=bands.white)
 
 
 class Texels(eqx.Module):

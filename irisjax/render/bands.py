@@ -27,10 +27,13 @@ class Bands(eqx.Module):
 
     - `channels`: their names; `("R", "G", "B")` is linear sRGB, a white sheet under irradiance π is
         (1, 1, 1).
+    - `white`: a white sheet in the picture's channels, exactly: bands are fitted to tissue, their
+        weights make it 3 % too dark in blue.
     """
 
     wavelengths: tuple[float, ...] = eqx.field(static=True)
     weights: Float[Array, "channels bands"]
+    white: Float[Array, " channels"]
     channels: tuple[str, ...] = eqx.field(static=True)
 
 
@@ -42,19 +45,22 @@ def colour_bands(
     """
     nodes, fill = _table()
     matrix = np.asarray(tristimulus_matrix(GRID, "linear sRGB", illuminant, observer)[0])
+    dtype = jnp.result_type(float)
     if cornea is None or cornea.scatter is None:
-        weights = jnp.asarray(matrix @ fill.T, jnp.result_type(float))
+        weights, white = (jnp.asarray(x, dtype) for x in (matrix @ fill.T, matrix.sum(1)))
     else:
         # Channel by channel and band by band, summed over the wavelengths they stand for.
-        each = jnp.asarray(matrix[:, None] * fill[None], jnp.result_type(float))
-        weights = (each * _haze(cornea, GRID)).sum(axis=-1)
-    return Bands(tuple(nodes.tolist()), weights, ("R", "G", "B"))
+        haze = _haze(cornea, GRID)
+        weights = (jnp.asarray(matrix[:, None] * fill[None], dtype) * haze).sum(axis=-1)
+        white = (jnp.asarray(matrix, dtype) * haze).sum(axis=-1)
+    return Bands(tuple(nodes.tolist()), weights, white, ("R", "G", "B"))
 
 
 def all_bands(illuminant: str = "D65", observer: str = OBSERVER) -> Bands:
     """All of `GRID` to linear sRGB, adapted to D65, without a cornea."""
     matrix = tristimulus_matrix(GRID, "linear sRGB", illuminant, observer)[0]
-    return Bands(tuple(GRID.tolist()), jnp.asarray(matrix, jnp.result_type(float)), ("R", "G", "B"))
+    weights = jnp.asarray(matrix, jnp.result_type(float))
+    return Bands(tuple(GRID.tolist()), weights, weights.sum(1), ("R", "G", "B"))
 
 
 def spectral_bands(wavelengths, illuminant: str = "D65", cornea: Cornea | None = None) -> Bands:
@@ -63,9 +69,8 @@ def spectral_bands(wavelengths, illuminant: str = "D65", cornea: Cornea | None =
     """
     x = np.asarray(wavelengths, np.float64)
     power = jnp.asarray(illuminant_power(illuminant, x), jnp.result_type(float))
-    return Bands(
-        tuple(x.tolist()), jnp.diag(power * _haze(cornea, x)), tuple(f"{w:g}nm" for w in x)
-    )
+    seen = power * _haze(cornea, x)
+    return Bands(tuple(x.tolist()), jnp.diag(seen), seen, tuple(f"{w:g}nm" for w in x))
 
 
 @program

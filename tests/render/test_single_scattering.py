@@ -51,7 +51,7 @@ def scene(iris, maps=None, lights=None, n_steps=12, size=24):
 def spectral(made):
     """The scene's stage with a channel for each of `WAVES`."""
     stage = prepare(made)
-    bands = Bands(WAVES, jnp.eye(3, dtype=stage.base.dtype), tuple(map(str, WAVES)))
+    bands = Bands(WAVES, jnp.eye(3, dtype=stage.base.dtype), jnp.ones(3), tuple(map(str, WAVES)))
     return dataclasses.replace(stage, bands=bands)
 
 
