@@ -1,5 +1,8 @@
 """Polynomials, steps and look-ups in textures and tables."""
 
+import functools
+import math
+
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
@@ -26,19 +29,36 @@ def chebyshev(t: Float[Array, "..."], count: int):
     return values, slopes
 
 
-def chebyshev_rows(t: Float[Array, " points"], count: int) -> Float[Array, "count points"]:
-    """As `chebyshev`, values alone, twice as many in each step: T_{b+k} = 2 T_b T_k − T_{b−k}.
+def chebyshev_series(
+    weights: Float[Array, "count functions"], t: Float[Array, " points"]
+) -> Float[Array, "functions points"]:
+    """Σ_k weights_k T_k(t) of several functions at many points.
 
-    A dozen operations to compile where the recurrence has two for each polynomial.
+    By products: with w about the root of `count` every T_k is a sum of ± 2 T_{wa} T_b, a and b
+    below w, so that two short recurrences and a matrix product take the place of a long recurrence.
     """
-    rows = jnp.stack([jnp.ones_like(t), t])
-    while len(rows) < count:
-        last = len(rows) - 1
-        more = min(last, count - len(rows))
-        rows = jnp.concatenate(
-            [rows, 2 * rows[last][None] * rows[1 : more + 1] - rows[last - more : last][::-1]]
-        )
-    return rows[:count]
+    count = weights.shape[0]
+    width = max(math.isqrt(count - 1) + 1, 2)
+    few, _ = chebyshev(t, width + 1)
+    steps, _ = chebyshev(few[width], width)  # T_a(T_w) = T_{wa}
+    rows = jnp.stack(steps)[:, None] * jnp.stack(few[:width])[None]
+    products = jnp.asarray(_in_products(count, width), t.dtype)
+    return (products @ weights).T @ rows.reshape(width * width, -1)
+
+
+@functools.lru_cache(maxsize=32)
+def _in_products(count: int, width: int) -> np.ndarray:
+    """The matrix from weights of T_k to those of T_{wa} T_b, shape (w², count)."""
+    out = np.zeros((width, width, count))
+    for k in range(count):
+        weight, rest = 1.0, k
+        # T_{wa + b} = 2 T_{wa} T_b − T_{wa − b}
+        while rest >= width and rest % width:
+            a, b = divmod(rest, width)
+            out[a, b, k] += 2 * weight
+            weight, rest = -weight, width * a - b
+        out[(*divmod(rest, width), k)] += weight
+    return out.reshape(width * width, count)
 
 
 def chebyshev_nodes(n: int) -> np.ndarray:

@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from irisjax.numerics.interpolation import chebyshev_nodes, chebyshev_rows
+from irisjax.numerics.interpolation import chebyshev_nodes, chebyshev_series
 
 
 class Tucker(eqx.Module):
@@ -52,8 +52,7 @@ class Tucker(eqx.Module):
 
     def basis(self, axis: int, x: Float[Array, " points"]) -> Float[Array, "rank points"]:
         """The functions of one axis at its coordinate."""
-        factor = self.factors[axis]
-        return factor.T @ chebyshev_rows(x, factor.shape[0])
+        return chebyshev_series(self.factors[axis], x)
 
 
 def coefficients(nodes: int) -> np.ndarray:

@@ -1,9 +1,11 @@
 """Compressed tables of Chebyshev polynomials."""
 
+import jax
 import jax.numpy as jnp
 import numpy as np
+import pytest
 
-from irisjax.numerics.interpolation import chebyshev_nodes
+from irisjax.numerics.interpolation import chebyshev_nodes, chebyshev_series
 from irisjax.numerics.tucker import Tucker, grid
 
 NODES = 14, 12, 10
@@ -37,3 +39,21 @@ def test_ranks_are_no_larger_than_the_tolerance_asks_for():
     points = np.random.default_rng(1).uniform(-1, 1, (200, 3))
     error = np.abs(read(coarse, points) - function(points)).max()
     assert 1e-6 < error < 0.1 * np.abs(function(points)).max()
+
+
+@pytest.mark.parametrize("count", [1, 2, 3, 8, 10, 24, 48, 50])
+def test_series_are_those_of_numpy(count):
+    """Ends of the interval too, where T_k and its slope k² are largest."""
+    rng = np.random.default_rng(count)
+    weights = rng.normal(size=(count, 3))
+    t = np.concatenate([[-1.0, 0.0, 1.0], rng.uniform(-1, 1, 200)])
+    expected = np.polynomial.chebyshev.chebval(t, weights)
+    found = chebyshev_series(jnp.asarray(weights), jnp.asarray(t))
+    np.testing.assert_allclose(found, expected, atol=1e-14 * count**2)
+
+    def summed(x):
+        return chebyshev_series(jnp.asarray(weights), x).sum()
+
+    slopes = np.polynomial.chebyshev.chebder(weights.sum(1)) if count > 1 else np.zeros(1)
+    expected = np.polynomial.chebyshev.chebval(t, slopes)
+    np.testing.assert_allclose(jax.grad(summed)(jnp.asarray(t)), expected, atol=1e-13 * count**3)

@@ -10,7 +10,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from irisjax.numerics.interpolation import chebyshev_nodes, chebyshev_rows
+from irisjax.numerics.interpolation import chebyshev_nodes, chebyshev_series
 from irisjax.numerics.roots import safe_sqrt
 from irisjax.numerics.tucker import grid
 from irisjax.tissue.indices import RefractiveIndices
@@ -44,7 +44,7 @@ def resummed(pole, at: Places, albedo):
     """The leading pole of the sum over orders of scattering, 1/(1 − ω λ); `pole`: λ's polynomials
     in the depth's coordinate.
     """
-    return 1 / (1 - albedo * (pole @ chebyshev_rows(at.depth, pole.size)))
+    return 1 / (1 - albedo * chebyshev_series(pole[:, None], at.depth)[0])
 
 
 def most(depth):
