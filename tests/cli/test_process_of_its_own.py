@@ -99,18 +99,23 @@ def test_ctrl_c_in_a_long_run(tmp_path, counted):
 
 def interrupted(folder, code, *arguments) -> float:
     """Interrupt Python code once it has printed "block"; the seconds until it was gone."""
-    process = subprocess.Popen(
-        [sys.executable, "-c", code, *arguments],
+    # Of a job in the background a shell has SIGINT ignored, and its children's too.
+    hears = "import signal; signal.signal(signal.SIGINT, signal.default_int_handler)\n"
+    with subprocess.Popen(
+        [sys.executable, "-c", hears + code, *arguments],
         cwd=folder,
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
-    )
-    assert process.stdout is not None
-    assert process.stdout.readline() == "block\n"
-    process.send_signal(signal.SIGINT)
-    begun = time.monotonic()
-    _, err = process.communicate(timeout=60)
+    ) as process:
+        assert process.stdout is not None
+        try:
+            assert process.stdout.readline() == "block\n"
+            process.send_signal(signal.SIGINT)
+            begun = time.monotonic()
+            _, err = process.communicate(timeout=60)
+        finally:
+            process.kill()
     assert (process.returncode, err) == (130, "irisjax: interrupted\n")
     assert not list(folder.iterdir())
     return time.monotonic() - begun

@@ -41,7 +41,9 @@ def seen(eye: Eye, camera: Camera, points):
 
 
 def _fitted(column, row) -> Ellipse:
-    model = EllipseModel.from_estimate(np.stack([np.asarray(column), -np.asarray(row)], -1))
+    points = np.stack([np.asarray(column), -np.asarray(row)], -1)
+    with np.errstate(divide="ignore"):  # a circle may have any angle: scikit-image divides by 0
+        model = EllipseModel.from_estimate(points)
     (x, y), (a, b), angle = model.center, model.axis_lengths, model.theta
     if a < b:
         a, b, angle = b, a, angle + np.pi / 2
