@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 import irisjax as ij
-from common import quick_jit
+from common import quick_jit, slowly
 
 GRID = (430.0, 500.0, 570.0, 640.0)
 KEY = jax.random.key(0)
@@ -53,7 +53,7 @@ def test_an_iris_as_the_carry_of_a_scan():
     np.testing.assert_allclose(loads[1:], factors[:2], rtol=1e-12)
 
 
-@pytest.mark.heavy
+@pytest.mark.slow
 def test_one_wavelength_at_a_time():
     grid = jnp.asarray(GRID)
     for measure in (ij.reflectance, ij.radiance):
@@ -183,7 +183,7 @@ BASES = {
 
 
 @pytest.mark.heavy
-@pytest.mark.parametrize("name", BASES)
+@pytest.mark.parametrize("name", [slowly("no blood"), slowly("no melanin"), "neither"])
 def test_a_base_that_lacks_a_pigment(name):
     grid = ij.wavelengths(420, 680, 20)
     data = ij.spectrum(grid, np.asarray(ij.reflectance(LOW, grid).values), sd=np.full(14, 1e-3))

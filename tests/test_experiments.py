@@ -15,7 +15,7 @@ NAMES = sorted(
     for p in (ROOT / "experiments").glob("*.py")
     if "\ndef main(key" in p.read_text(encoding="utf-8")  # the others are what these share
 )
-# A minute of timing each; the others take seconds.
+# A minute each, of timing or of compiling; the others take seconds.
 SLOW = {
     "bench_accuracy_time",
     "bench_inversion",
@@ -24,7 +24,11 @@ SLOW = {
     "clone_search",
     "clone_thickness",
     "exact_against_montecarlo",
+    "eye_colours",
+    "painted_irides",
+    "polarisation",
     "render_figures",
+    "wrong_model",
 }
 
 

@@ -66,7 +66,7 @@ def test_paint_is_matched_to_a_flat_picture_and_can_be_painted_again(irisjax, tm
     assert np.abs(difference).max() < 3 / 255  # scans are kept in 8 bits
 
 
-@pytest.mark.heavy
+@pytest.mark.slow
 def test_without_a_recipe_coats_of_the_nearest_colour_are_matched(irisjax, tmp_path):
     """A scene of tissue, with the pupil that it has."""
     scene = tmp_path / "scene.toml"

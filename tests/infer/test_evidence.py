@@ -11,6 +11,7 @@ import pytest
 from scipy.stats import multivariate_normal
 
 import irisjax as ij
+from common import DOUBLE_FIRST
 from irisjax.infer import other_process
 from irisjax.infer.analytic import KubelkaMunk
 from irisjax.infer.evidence import evidence, evidence_by_importance
@@ -57,7 +58,7 @@ def test_the_sampler_is_an_extra(monkeypatch):
 
 
 @pytest.mark.peer
-@pytest.mark.parametrize("bits", [64, 32])
+@DOUBLE_FIRST
 def test_of_a_conjugate_problem(bits):
     problem, known, shape, noise = conjugate(mean := 1.0, sd := 0.1)
     (seen,) = problem.observations

@@ -74,6 +74,7 @@ def test_noiseless_data_give_the_truth_back(measured, level):
     assert found.degrees == 25
 
 
+@pytest.mark.heavy
 def test_thirty_irides_of_the_priors_are_all_found(problem, predict):
     """Precise noiseless data: two of these ended at chi-squares of 828 and 105 with status ok, and
     of twelve one start in four had found the truth.
@@ -197,6 +198,7 @@ def test_truth_at_an_edge(measured, edge):
         assert abs(float(found.values["abl_fraction"]) - edge["abl_fraction"]) < 0.5
 
 
+@pytest.mark.heavy
 def test_misfit_is_no_failed_search(problem, measured):
     """A step that no pigment makes: all starts agree, and the data do not fit."""
     clean = measured("low").observations[0].values

@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 import irisjax as ij
+from common import slowly
 from irisjax.infer import model_comparison
 from irisjax.infer.analytic import KubelkaMunk
 from irisjax.infer.evidence import Evidence
@@ -89,7 +90,7 @@ def test_one_model_is_no_comparison(blank, monkeypatch):
 
 
 @pytest.mark.peer
-@pytest.mark.parametrize("maker", [ij.ILIT_2006, ij.DEPTH_RESOLVED])
+@pytest.mark.parametrize("maker", [slowly(ij.ILIT_2006), ij.DEPTH_RESOLVED])
 def test_the_maker_of_the_data_is_preferred(blank, maker):
     problem = ij.problem(blank, free=FREE, process=maker)
     z = problem.standard({"melanin_load": 0.1, "abl_fraction": 0.4, "noise": 1.0})

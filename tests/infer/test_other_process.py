@@ -70,6 +70,7 @@ def test_the_data_prefer_the_process_that_made_them(read, maker):
         assert ("the data prefer" in lines[-1]) == found.preferred
 
 
+@pytest.mark.heavy
 def test_intervals_of_a_posterior_take_the_place_of_the_fits(read):
     by, eyes = read
     mine = by["whole-layer"].with_observations(eyes["whole-layer"])

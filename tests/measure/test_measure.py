@@ -83,6 +83,7 @@ def test_result():
     assert "..." in lines
 
 
+@pytest.mark.heavy
 def test_jit_vmap_and_grad():
     _, irides = all_irides()
 

@@ -56,6 +56,7 @@ def test_uniform_coats_are_composed_as_the_equations_say(heights, order):
     np.testing.assert_allclose(ratio, np.tile(by_hand(*stack[::-1]), (len(ratio), 1)), rtol=1e-9)
 
 
+@pytest.mark.heavy
 def test_single_precision(float32):
     eye = prosthesis().replace(sclera=None)
     tables = Illumination.build(eye, caustics=False, size=33)
@@ -206,6 +207,7 @@ def test_white_paint_is_a_white_sheet():
 LAMPS = 64
 
 
+@pytest.mark.heavy
 def test_white_paint_in_light_from_all_round_is_no_brighter_than_that():
     """As bright without a cornea; behind one that mirrors some of it, and lets none in beyond the
     limbus, darker.

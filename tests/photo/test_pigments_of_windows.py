@@ -63,7 +63,7 @@ def test_least_squares_fits_what_the_model_made(windows):
     assert abs(off).max() < 3
 
 
-@pytest.mark.heavy
+@pytest.mark.slow
 def test_the_simplex_goes_down_stage_by_stage(windows):
     found, log = simplex(windows, BASE)
     assert [set(row) for row in log] == [{*CONCENTRATIONS, "steps", "rms"}] * 2

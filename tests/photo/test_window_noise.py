@@ -68,6 +68,7 @@ def _drawn(off, covariance, number=100_000):
     return total
 
 
+@pytest.mark.heavy
 def test_the_likelihood_is_the_one_with_covariances_drawn():
     prior = stats.invwishart(FREEDOM, FREEDOM * USUAL)
     own, other = [], []

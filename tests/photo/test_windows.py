@@ -48,7 +48,7 @@ def test_a_windows_radiance_is_the_mean_of_the_rendered_pixels():
     assert found.thickness_response(BASE) > 0
 
 
-@pytest.mark.heavy
+@pytest.mark.slow
 def test_the_same_by_radiative_transfer():
     # Its nodes are placed for the iris that it begins with: less than half of a ring's noise.
     _means_are_the_renderers(RadiativeIntegrator(), 0.002)

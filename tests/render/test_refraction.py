@@ -175,6 +175,7 @@ def test_illumination_keeps_the_power(illumination, polar):
     assert (found * _AREAS).sum() + power[r > 5.5].sum() == pytest.approx(power.sum(), rel=1e-3)
 
 
+@pytest.mark.heavy
 def test_the_rim_is_as_bright_as_its_surroundings(illumination):
     """The grid's edge cells reach beyond the iris: they must hold all the light there."""
     light = jnp.asarray(towards(0.7))

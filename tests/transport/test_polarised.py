@@ -25,6 +25,7 @@ def solve(made, cosine=1.0, exits=EXITS, azimuth=AZIMUTH):
     return common.solve(ij.POLARISED, any_order(made), cosine, SOLVER, exits, azimuth)
 
 
+@pytest.mark.heavy
 def test_reference_table():
     """Natraj, Li and Yung 2009: the Stokes vector at every direction, to 1e-5 (2e-6 found)."""
     rows = reference("rayleigh_polarised_tau05_mu02.csv")

@@ -197,7 +197,7 @@ def test_other_media_have_tables_of_their_own():
     np.testing.assert_allclose(found, exact, rtol=3 * table.error)
 
 
-@pytest.mark.heavy  # makes a table
+@pytest.mark.slow  # makes a table
 def test_media_that_guide_light_are_refused_and_solved_exactly():
     indices = ij.Iris(ipe_index=1.3).indices()
     with pytest.raises(ValueError, match=r"are tabulated to .* only, not to 1\.0e-04"):

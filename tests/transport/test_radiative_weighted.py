@@ -195,7 +195,7 @@ def test_derivatives_are_unbiased():
     assert (error.max((1, 2)) < 0.02 * np.abs(exact).max((1, 2))).all()
 
 
-@pytest.mark.heavy
+@pytest.mark.slow
 def test_reverse_mode_is_forward_mode():
     made = any_order(layers([0.02, 0.3], [0.05, 0.4], [0.2, 1.5], IRIS))
     few = ij.RadiativeWeighted(16)
