@@ -26,6 +26,7 @@ import irisjax as ij
 from experiments import bench_peers
 from experiments.bench_job import GRID, LEVELS, errors, matched, median_us, reading, values
 from experiments.common import RESULTS, start, write
+from irisjax.transport.radiative import shipped
 
 COLUMNS = (
     "job",
@@ -197,6 +198,9 @@ def _depth_resolved(key, quick):
             found = _integrated(solver, process, irides, reference, loads, 8, (20, 20, 3))
             rows.append((job, "exact", f"{n}x{depths}", "float64", *found))
         if irides is full:
+            table = shipped.table(ij.Iris().indices())
+            found = _integrated(table, process, irides, reference, loads, 32, (40, 40, 5))
+            rows.append((job, "tabulated", "shipped", "float64", *found))
             rows += _radiative_samplers(key, reference, quick)
     return rows
 

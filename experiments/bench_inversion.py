@@ -27,68 +27,80 @@ from irisjax.infer.search import levenberg_marquardt
 LEVELS = ("low", "moderate", "high")
 
 
+JOBS = {"ilit-2006": ij.ILIT_2006, "depth-resolved": ij.DEPTH_RESOLVED}
+
+
 def main(key, quick=False, out=RESULTS):
     """Write times and autocorrelation times (quick: one level, short chains)."""
-    grid = ij.wavelengths(400, 700, 10)
     times, moves = [], []
-    levels = LEVELS[:1] if quick else LEVELS
-    problems = {}
+    for name, process in JOBS.items():
+        problems = _problems(process, LEVELS[:1] if quick else LEVELS, key)
+        for level, problem in problems.items():
+            best, rows = _times(problem, key, quick)
+            times += [(name, level, *row) for row in rows]
+            if process is ij.ILIT_2006:
+                found = _moves(problem, best, 400 if quick else 2500)
+                moves += [(level, *row) for row in found]
+        level, problem = next(iter(problems.items()))
+        times.append((name, level, *_many(problem, key, 64 if quick else 2048)))
+    header = ("31 wavelengths, noise 2 % + 2e-4, default free set, tabulated solvers, float64",)
+    write(out / "bench_inversion.csv", header, ("process", "level", "what", "value", "unit"), times)
+    write(
+        out / "bench_moves.csv",
+        (*header, "ilit-2006, 64 walkers; seconds that 50 autocorrelation times take"),
+        ("level", "moves", "tau_max", "acceptance", "ms_per_step", "seconds_50_tau"),
+        moves,
+    )
+
+
+def _problems(process, levels, key):
+    """Noisy spectra that a process made of each level, to be read by it."""
+    grid, found = ij.wavelengths(400, 700, 10), {}
     for i, level in enumerate(levels):
         blank = ij.spectrum(grid, np.ones(grid.size))
-        problem = ij.problem(blank, base=ij.Iris.of_level(level))
+        problem = ij.problem(blank, base=ij.Iris.of_level(level), process=process)
         truth = ij.infer.parameters.of_iris(ij.Iris.of_level(level))
         noisy = problem.simulate(problem.standard(truth), jax.random.fold_in(key, i))[0]
-        problems[level] = problem.with_observations(with_values(problem.observations[0], noisy))
-    for level, problem in problems.items():
-        begin = time.perf_counter()
-        best = fit(problem, key=key)
-        jax.block_until_ready(best.z)
-        times.append(
-            (level, "least squares, first (compiles)", 1e3 * (time.perf_counter() - begin), "ms")
-        )
-        times.append(
-            (
-                level,
-                "least squares, 4 starts",
-                median_us(lambda p=problem: fit(p, key=key).z, 10) / 1e3,
-                "ms",
+        found[level] = problem.with_observations(with_values(problem.observations[0], noisy))
+    return found
+
+
+def _times(problem, key, quick):
+    """The best fit, and rows of what was timed."""
+    begin = time.perf_counter()
+    best = fit(problem, key=key)
+    jax.block_until_ready(best.z)
+    first = 1e3 * (time.perf_counter() - begin)
+    again = median_us(lambda: fit(problem, key=key).z, 10) / 1e3
+    at = density(problem)
+    z = np.asarray(best.z) + 0.05 * np.random.default_rng(0).normal(size=(64, 7))
+    rows = [
+        ("least squares, first (compiles)", first, "ms"),
+        ("least squares, 4 starts", again, "ms"),
+        ("log probability, 64 walkers", median_us(lambda: at(z), 100) / 1e3, "ms"),
+    ]
+    for seed in range(1 if quick else 5):
+        with tempfile.TemporaryDirectory() as folder:
+            begin = time.perf_counter()
+            chains = sample(
+                problem,
+                Path(folder) / "c.h5",
+                start=best,
+                max_steps=200 if quick else 20_000,
+                key=jax.random.fold_in(key, seed),
             )
+            seconds = time.perf_counter() - begin
+        found = (
+            f"{chains.steps} steps, ESS {chains.ess_bulk.min():.0f}, converged {chains.converged}"
         )
-        at, z = (
-            density(problem),
-            np.asarray(best.z) + 0.05 * np.random.default_rng(0).normal(size=(64, 7)),
-        )
-        times.append(
-            (
-                level,
-                "log probability, 64 walkers",
-                median_us(lambda at=at, z=z: at(z), 100) / 1e3,
-                "ms",
-            )
-        )
-        for seed in range(1 if quick else 5):
-            with tempfile.TemporaryDirectory() as folder:
-                begin = time.perf_counter()
-                steps = 200 if quick else 20_000
-                chains = sample(
-                    problem,
-                    Path(folder) / "c.h5",
-                    start=best,
-                    max_steps=steps,
-                    key=jax.random.fold_in(key, seed),
-                )
-                seconds = time.perf_counter() - begin
-            found = (
-                f"{chains.steps} steps, ESS {chains.ess_bulk.min():.0f}, converged "
-                f"{chains.converged}"
-            )
-            times.append((level, f"posterior, seed {seed}: {found}", seconds, "s"))
-        moves += [(level, *row) for row in _moves(problem, best, 400 if quick else 2500)]
-    level, problem = next(iter(problems.items()))
-    size = 64 if quick else 2048
-    draws = jax.random.normal(key, (size, grid.size))
-    batch = problem.observations[0].values * (1 + 0.02 * draws)
+        rows.append((f"posterior, seed {seed}: {found}", seconds, "s"))
+    return best, rows
+
+
+def _many(problem, key, size: int):
+    """Least squares of many eyes in one program."""
     o = problem.observations[0]
+    batch = o.values * (1 + 0.02 * jax.random.normal(key, (size, o.values.size)))
 
     @eqx.filter_jit
     def many(problem, values):
@@ -102,20 +114,7 @@ def main(key, quick=False, out=RESULTS):
         return jax.lax.map(one, values, batch_size=32)
 
     us = median_us(lambda: many(problem, batch), 3)
-    times.append(
-        (level, f"least squares, batch of {size}: spectra a second", size / us * 1e6, "1/s")
-    )
-    header = (
-        "31 wavelengths, noise 2 % + 2e-4, default free set, process ilit-2006, tabulated solver, "
-        "float64",
-    )
-    write(out / "bench_inversion.csv", header, ("level", "what", "value", "unit"), times)
-    write(
-        out / "bench_moves.csv",
-        (*header, "64 walkers; seconds that 50 autocorrelation times take"),
-        ("level", "moves", "tau_max", "acceptance", "ms_per_step", "seconds_50_tau"),
-        moves,
-    )
+    return f"least squares, batch of {size}: spectra a second", size / us * 1e6, "1/s"
 
 
 def _moves(problem, best, steps):

@@ -53,21 +53,14 @@ jobs = ("depth-resolved", "depth-resolved, index-matched", "one slab, isotropic,
 keys = sorted({(r["job"], r["solver"]) for r in rows if r["job"] in jobs})
 for i, (job, solver) in enumerate(keys):
     mine = [r for r in rows if (r["job"], r["solver"]) == (job, solver)]
+    sure = solver in ("exact", "tabulated")
     name = f"{solver}: {job.removeprefix('depth-resolved, ')}" if solver == "exact" else solver
     if solver in ("analog", "weighted"):
         name = f"{solver} Monte Carlo"
-    line(
-        right,
-        mine,
-        "single_us" if solver != "exact" else "jitted_us",
-        marker=MARKERS.get(solver, "o"),
-        color=f"C{i}",
-        label=name,
-    )
-    if solver == "exact":
-        line(
-            right, mine, "batch_us", marker="o", color=f"C{i}", ls=":", label=f"{name}, in a batch"
-        )
+    style = {"marker": MARKERS.get(solver, "o"), "color": f"C{i}"}
+    line(right, mine, "jitted_us" if sure else "single_us", label=name, **style)
+    if sure:
+        line(right, mine, "batch_us", ls=":", label=f"{name}, in a batch", **style)
 right.set_title("radiative transfer, 81 wavelengths", fontsize=10)
 for axes in (left, right):
     axes.set(
