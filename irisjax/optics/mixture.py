@@ -41,7 +41,7 @@ class PhaseMixture(eqx.Module):
         """
         s = self.rayleigh
         of_rayleigh = rayleigh(centre) + 0.375 * reach * reach
-        return s * of_rayleigh + (1 - s) * _mean_henyey_greenstein(centre, reach, self.anisotropy)
+        return s * of_rayleigh + (1 - s) * mean_henyey_greenstein(centre, reach, self.anisotropy)
 
     def moments(self, count: int):
         """Legendre moments χ_0 to χ_{count − 1} along a new last axis: p = Σ (2l + 1) χ_l P_l."""
@@ -84,12 +84,12 @@ def henyey_greenstein(cosine, g):
 
 def _base(cosine, g):
     """1 + g² − 2g cos Θ, written round the peak, where that cancels."""
-    size = jnp.abs(g)
+    size = jnp.where(g < 0, -g, g)  # whose derivative at 0 is that from above, as `towards` is
     towards = jnp.where(g < 0, 1 + cosine, 1 - cosine)
     return (1 - size) ** 2 + 2 * size * towards
 
 
-def _mean_henyey_greenstein(centre, reach, g):
+def mean_henyey_greenstein(centre, reach, g):
     """Over azimuth: ∫ (a − b cos φ)^{−3/2} dφ/2π = (2/π) E(m)/((a − b) √(a + b)), m = 2b/(a + b)
     [DLMF 19.2.8 with 19.4].
     """

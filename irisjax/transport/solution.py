@@ -29,6 +29,10 @@ class RESULTS(eqx.Enumeration):
     )
     not_converged = "the orders of scattering did not converge"
     outside_table = "an optical depth or index lies outside the range the table was built for"
+    too_few_angles = (
+        "the stroma scatters too sharply forwards for so few angles where light grazes it; "
+        "give AddingDoubling(n_angles=...) a larger number"
+    )
 
 
 class Absorbed(eqx.Module):

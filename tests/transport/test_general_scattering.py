@@ -89,7 +89,60 @@ def test_no_wrong_number_at_any_depth(indices, g, bits):
             assert all(np.isfinite(x).all() for x in shares)
             assert min(np.min(x) for x in shares) >= -small
             np.testing.assert_allclose(light.energy, 1.0, atol=max(small, 1e-9))
-            assert bool(light.status == ij.RESULTS.successful)
+            # Only where light grazes a peaked slab are 16 angles too few: see below.
+            grazes = cosine < 1 and g == 0.95 and indices != LB06
+            assert bool(light.status == ij.RESULTS.successful) or (
+                grazes and bool(light.status == ij.RESULTS.too_few_angles)
+            )
+
+
+@pytest.mark.parametrize("bits", [64, pytest.param(32, marks=pytest.mark.heavy)])
+def test_thin_forward_slabs_keep_their_digits(bits):
+    """16 angles beside 32, light along the normal, nothing mirrored; 0.08 wrong with the series."""
+    depth, g = (x.ravel() for x in np.meshgrid([1e-3, 1e-2, 0.1, 1.0], [0.9, -0.9]))
+    with jax.enable_x64(bits == 64):
+        seen = mixed(0.0, 0.0, depth, 0.0, g, MATCHED)
+        few, many = (solve(seen, 1.0, ij.AddingDoubling(n, 3)) for n in (16, 32))
+    np.testing.assert_allclose(few.reflectance, many.reflectance, rtol=3e-4)
+    assert bool(few.status == ij.RESULTS.successful)
+
+
+def test_light_scattered_once_and_back():
+    """In the thin limit a slab sends back the integral of the whole phase function over the half
+    space behind: at normal incidence (1 − g)/2g · ((1 + g)/√(1 + g²) − 1) of what it scatters, of
+    g = −0.9 as of 0.9.
+    """
+    g = np.array([0.5, 0.8, 0.9, 0.95, -0.5, -0.8, -0.9])
+    depth = np.full(g.size, 1e-9)
+    found = solve(mixed(0.0, 0.0, depth, 0.0, g, MATCHED), 1.0, ij.AddingDoubling(16, 0))
+    back = (1 - g) / (2 * g) * ((1 + g) / np.sqrt(1 + g * g) - 1)
+    np.testing.assert_allclose(found.reflectance / depth, back, rtol=1e-5)
+
+
+@pytest.mark.parametrize(("cosine", "angles", "g", "said"), [
+    (0.03, 16, 0.95, True), (0.03, 32, 0.95, True), (0.1, 16, 0.9, True),
+    (0.03, 32, 0.8, False), (1.0, 16, 0.95, False),
+])  # fmt: skip
+def test_too_few_angles_are_said(cosine, angles, g, said):
+    """As wrong as 1 to 5 % without it, at worst; traced too."""
+    from irisjax.transport.radiative.directions import from_outside
+    from irisjax.transport.radiative.resolution import angles_resolved
+
+    seen = mixed(0.0, 0.0, np.array([0.02]), 0.0, g, MATCHED)
+
+    def resolved(made):
+        beam = from_outside(made, jnp.array([cosine])).cosine
+        return angles_resolved(made, made.phase.truncated(angles)[1], beam, jnp.ones(1))
+
+    assert bool(resolved(seen)) != said
+    assert bool(jax.jit(resolved)(seen)) != said
+
+
+def test_too_few_angles_reach_the_status():
+    seen = mixed(0.0, 0.0, np.array([0.02]), 0.0, 0.95, MATCHED)
+    assert bool(solve(seen, 0.03, ij.AddingDoubling(4, 0)).status == ij.RESULTS.too_few_angles)
+    plain = layers(0.0, 0.0, np.array([0.02]), MATCHED)  # Rayleigh's law has no peak
+    assert bool(solve(plain, 0.03, ij.AddingDoubling(4, 0)).status == ij.RESULTS.successful)
 
 
 @pytest.mark.heavy

@@ -29,12 +29,12 @@ from irisjax.transport.radiative.directions import (
     gauss_nodes,
     roof_of,
 )
-from irisjax.transport.radiative.doubling import Lines, Medium, Response, respond, turned_exactly
+from irisjax.transport.radiative.doubling import Lines, Medium, Response, respond
 from irisjax.transport.radiative.exact import Flux
-from irisjax.transport.radiative.expansion import mean_turned, phase_matrices, series_value
+from irisjax.transport.radiative.expansion import phase_matrices, series_value
 from irisjax.transport.radiative.fates import Course, before, course
 from irisjax.transport.radiative.orders import single_scattering
-from irisjax.transport.radiative.resolution import outcome
+from irisjax.transport.radiative.resolution import angles_resolved, outcome
 from irisjax.transport.solution import Absorbed, Solution
 from irisjax.transport.solver import AbstractSolver, checked_process
 
@@ -46,6 +46,8 @@ class AddingDoubling(AbstractSolver):
     """Deterministic solver of scalar radiative transfer with any phase function of the stroma.
 
     - `n_angles`: quadrature nodes over the cosine; as many moments of the phase function are kept.
+        Where light grazes a slab that scatters too sharply forwards for them, the status is
+        `too_few_angles`.
     - `n_doublings`: the slab is doubled so often from its first layer; `None` takes as many as the
         optical depth asks for where it is known, and 8 while tracing: enough for depths of 50.
         Where it is not, known or traced, the status is `under_resolved`.
@@ -102,6 +104,8 @@ class AddingDoubling(AbstractSolver):
             *(n, nodes, beams, power, exits, azimuth),
         )
         resolved = (layers.extinction <= 1.001 * _FIRST * 2.0**doublings).all()
+        peak = phase.truncated(self.n_angles)[1]
+        angles = angles_resolved(layers, peak, beams.cosine, power)
         return Solution(
             reflectance=flux.reflectance,
             mirrored=flux.mirrored,
@@ -110,7 +114,7 @@ class AddingDoubling(AbstractSolver):
             total_error=None,
             brdf=flux.brdf,
             brdf_error=None,
-            status=outcome(layers, resolved),
+            status=outcome(layers, resolved, angles),
         )
 
 
@@ -162,19 +166,14 @@ def _one_wavelength(
     )
 
     orders = range(1 if exits is None else count)
-    matrices = phase_matrices(moments, orders, lines)
-    turned = mean_turned(phase, nodes.cosine, beams.cosine) / (1 - peak)
+    matrices = phase_matrices(phase, moments, peak, orders, lines)
 
     def field(taken):
-        order, same, opposite = taken
-        medium = Medium(depth, albedo, coalbedo, same, opposite)
-        slab = respond(medium, lines, doublings)
-        exact = jnp.where(order == 0, turned, opposite[:count, count:])
-        slab = turned_exactly(slab, exact, medium, lines, nodes.weight)
+        slab = respond(Medium(depth, albedo, coalbedo, *taken), lines, doublings)
         return slab, _between(slab, beamed, seen, nodes, depth)
 
     # One order after another: side by side they would fill the memory.
-    each = jax.lax.map(field, (jnp.arange(len(orders)), *matrices))
+    each = jax.lax.map(field, matrices)
     slab, light = jax.tree.map(lambda x: x[0], each)
     flux = nodes.weight * nodes.cosine
     absorbed = jnp.tile(slab.absorbed[count:], 2) @ beamed

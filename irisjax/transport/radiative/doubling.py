@@ -114,30 +114,6 @@ def doubled(layer: Response, depth, lines: Lines) -> Response:
     )
 
 
-def turned_exactly(slab: Response, turned, medium: Medium, lines: Lines, weight) -> Response:
-    """A slab whose light of beams that is scattered once and turns back follows the phase function
-    `turned` (nodes, beams), not its series.  [Nakajima & Tanaka 1988, Section 3]
-
-    What more of it turns back is taken from all that goes on, so that energy is conserved.
-    """
-    n = lines.nodes
-    mu, beam = lines.rows[:n, None], lines.columns[None, n:]
-    along = medium.depth * mean_survival(medium.depth * (1 / mu + 1 / beam)) / mu
-    each = 0.5 * medium.albedo * along
-    once = each * medium.opposite[:n, n:]
-    more = each * turned - once
-    flux = weight * mu[:, 0]
-    others = beam[0] * attenuation(medium.depth, beam[0]) - flux @ once
-    none = others <= 0
-    kept = 1 - jnp.where(none, 0.0, flux @ more / jnp.where(none, 1.0, others))
-    back = slab.back.at[:n, n:].set(once + more + (slab.back[:n, n:] - once) * kept[None])
-    return Response(
-        back=back,
-        on=slab.on.at[:, n:].multiply(kept[None]),
-        absorbed=slab.absorbed.at[n:].multiply(kept),
-    )
-
-
 def mean_absence(x):
     """1 − (1 − e^{−x})/x without cancellation."""
     small = x < 0.1

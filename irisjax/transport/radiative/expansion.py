@@ -4,9 +4,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from irisjax.numerics import linear
 from irisjax.numerics.roots import safe_sqrt
-from irisjax.optics.mixture import PhaseMixture
+from irisjax.optics.mixture import PhaseMixture, mean_henyey_greenstein
 from irisjax.transport.radiative.doubling import Lines
+
+_KEPT = 4  # moments of a phase function that its values at the nodes have to the last digit
+_FINE = 64  # nodes that hold them exactly, for |g| up to 0.95
 
 
 def legendre(count: int, orders, cosine):
@@ -36,12 +40,12 @@ def legendre(count: int, orders, cosine):
     return jnp.swapaxes(found, 0, 1)
 
 
-def phase_matrices(moments, orders, lines: Lines):
-    """Σ (2l + 1) χ_l Λ_l(μ) Λ_l(±μ') of azimuthal orders, light that keeps its sense of travel and
-    light that turns back, each (orders, rows, columns).
+def phase_matrices(phase: PhaseMixture, moments, peak, orders, lines: Lines):
+    """Azimuthal orders of a phase function without its forward peak, light that keeps its sense of
+    travel and light that turns back, each (orders, rows, columns).
 
-    Of order 0 each column is made to send out what it gets, to rounding: a quadrature of few nodes
-    misses some of a peaked phase function.
+    They are Σ (2l + 1) χ_l Λ_l(μ) Λ_l(±μ') with the `moments` χ_l, but that order 0 goes into the
+    nodes by `_means`: `phase` less its share `peak`.
     """
     count, n = moments.shape[-1], lines.nodes
     degree, orders = np.arange(count), np.asarray(orders)
@@ -53,19 +57,57 @@ def phase_matrices(moments, orders, lines: Lines):
     same, opposite = back @ weighted, back @ (sign * weighted)
     if orders[0]:
         return same, opposite
-    weight = lines.weight[:n]
-    missed = 1 - 0.5 * weight @ (same + opposite)[0, :n]
-    same = same.at[0, np.arange(n), np.arange(n)].add(2 * missed[:n] / weight)
-    lost = missed[n:] / (0.5 * weight @ same[0, :n, n:])
-    return same.at[0, :, n:].multiply(1 + lost[None]), opposite
+    same_0, opposite_0 = _means(phase, moments, peak, lines)
+    return same.at[0, :n].set(same_0), opposite.at[0, :n].set(opposite_0)
 
 
-def mean_turned(phase: PhaseMixture, rows, columns):
-    """Mean over azimuth of a phase function for light that turns back, of cosines `columns` into
-    cosines `rows`; shape (rows, columns).
+def _means(phase: PhaseMixture, moments, peak, lines: Lines):
+    """Mean over azimuth of a phase function into the nodes, light that keeps its sense of travel
+    and light that turns back, each (nodes, columns).
+
+    Far from its peak it is the phase function itself: there its series rings, by more than what
+    little is scattered so far, and a thin slab sends back nothing else. Near the peak, which so few
+    nodes do not resolve, it is what gives the first `_KEPT` moments over all directions, which
+    thick slabs live by, and those over the directions that turn back, which thin ones do.
+    [after Wiscombe 1976, who renormalises by the first moment, and Nakajima & Tanaka 1988]
     """
-    sideways = safe_sqrt(1 - rows**2)[:, None] * safe_sqrt(1 - columns**2)[None]
-    return phase.mean_over_azimuth(-rows[:, None] * columns[None], sideways)
+    n, dtype = lines.nodes, moments.dtype
+    mu, weight, columns = lines.rows[:n], lines.weight[:n], lines.columns
+    across, beside = safe_sqrt(1 - mu**2)[:, None], safe_sqrt(1 - columns**2)[None]
+    along, reach = mu[:, None] * columns[None], across * beside
+
+    def either(of):
+        """Of light that keeps its sense of travel, and of light that turns back."""
+        return jnp.stack([of(along), of(-along)])
+
+    means = either(lambda centre: phase.mean_over_azimuth(centre, reach)) / (1 - peak)
+
+    into, out = legendre(_KEPT, [0], mu)[0], legendre(_KEPT, [0], columns)[0]
+    x, w = np.polynomial.legendre.leggauss(_FINE)
+    height = np.pi / 4 * (x + 1)
+    fine, w = jnp.asarray(np.sin(height), dtype), np.pi / 8 * w * np.cos(height)
+    aside = jnp.asarray(np.cos(height), dtype)[:, None] * beside
+    turned = phase.mean_over_azimuth(-fine[:, None] * columns[None], aside) / (1 - peak)
+    turned = (legendre(_KEPT, [0], fine)[0] * jnp.asarray(w, dtype)[None]) @ turned
+    sign = jnp.asarray((-1.0) ** np.arange(_KEPT), dtype)[:, None]
+    wanted = jnp.stack([moments[:_KEPT, None] * out - sign * turned, turned])
+
+    # Corrections go where the peak is, but never to a single node alone.
+    narrowest = 1 - 1 / n
+    g = jnp.clip(phase.anisotropy, -narrowest, narrowest)
+    near = either(lambda centre: mean_henyey_greenstein(centre, reach, g))
+    near = (near / jax.lax.stop_gradient(near.max(1, keepdims=True))) ** 3
+    collect = 0.5 * into * weight[None]
+    missed = wanted - jnp.einsum("li,sij->slj", collect, means)
+    system = jnp.einsum("li,sij,mi->sjlm", collect, near, into)
+    strength = jax.vmap(jax.vmap(linear.solve))(system, jnp.swapaxes(missed, 1, 2))
+    same, opposite = means + near * jnp.einsum("mi,sjm->sij", into, strength)
+
+    # Each column sends out what it gets, to rounding.
+    lost = 1 - 0.5 * weight @ (same + opposite)
+    same = same.at[np.arange(n), np.arange(n)].add(2 * lost[:n] / weight)
+    more = lost[n:] / (0.5 * weight @ same[:, n:])
+    return same.at[:, n:].multiply(1 + more[None]), opposite
 
 
 def series_value(moments, cosine):
