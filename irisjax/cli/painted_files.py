@@ -10,23 +10,25 @@ from pathlib import Path
 from irisjax.export.coats import FORMATS
 from irisjax.io.recipes import Recipe
 from irisjax.io.tissue_of_paint import MAPS, SCENE
+from irisjax.ocularist.components import COMPONENTS
+from irisjax.ocularist.easel import SCAN
 
 COATS, MESHES, TISSUE = "coats", "meshes", "tissue"
 """Folders of a painted eye."""
 MATCH, DIFFERENCES, RETOUCH = "match.png", "match.json", "retouch-"
 """What a match leaves beside it: files, and how the names of its coats' scans begin."""
-_COAT = "[0-9][0-9]_*"
+_COATS = tuple(f"[0-9]*_{component}" for component in (*COMPONENTS, SCAN))
 _OF_MESHES = (*FORMATS, "mtl", "png")
 _OF_AN_EYE = (
     MATCH,
     DIFFERENCES,
-    f"{RETOUCH}*.png",
-    f"{COATS}/{_COAT}.png",
+    f"{RETOUCH}[0-9]*.png",
+    *(f"{COATS}/{name}.png" for name in _COATS),
     f"{TISSUE}/{MAPS}",
     f"{TISSUE}/{SCENE}",
     *(
         f"{MESHES}/{name}.{suffix}"
-        for name, suffix in itertools.product((_COAT, "cornea", "white"), _OF_MESHES)
+        for name, suffix in itertools.product((*_COATS, "cornea", "white"), _OF_MESHES)
     ),
 )
 

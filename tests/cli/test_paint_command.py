@@ -60,15 +60,15 @@ def test_a_recipe_becomes_an_eye_its_coats_and_the_recipe_as_used(irisjax, tmp_p
     # the command would not write stays.
     made = ("match.png", "match.json", "retouch-1.png", "tissue/maps.exr", "tissue/scene.toml")
     made += ("meshes/09_base.obj", "meshes/09_base.mtl", "meshes/09_base.png", "meshes/white.ply")
-    for name in (*made, "coats/mine.png", "notes.txt"):
+    kept = ("notes.txt", "retouch-idea.png", "coats/01_mine.png")
+    for name in (*made, *kept):
         (folder / name).parent.mkdir(exist_ok=True)
         (folder / name).write_text("of before")
     fewer = tmp_path / "fewer.toml"
     fewer.write_text('[[coat]]\ncomponent = "base"\npaints = "ultramarine"\n')
     assert irisjax("paint", fewer, *SMALL, "-o", folder, "--overwrite")[0] == 0
     assert {p.relative_to(folder).as_posix() for p in folder.rglob("*.*")} == {
-        *("eye.png", "progression.png", "recipe.toml", "notes.txt"),
-        *("coats/01_base.png", "coats/mine.png"),
+        *("eye.png", "progression.png", "recipe.toml", "coats/01_base.png", *kept),
     }
     assert not (folder / "tissue").exists() and not (folder / "meshes").exists()
 
