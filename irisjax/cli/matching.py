@@ -12,6 +12,7 @@ import numpy as np
 from tqdm import tqdm
 
 from irisjax.cli.files import png_of
+from irisjax.cli.painted_files import DIFFERENCES, MATCH, RETOUCH
 from irisjax.io.recipes import Recipe
 from irisjax.io.targets import Target
 from irisjax.measure.colour import srgb_encode
@@ -73,7 +74,7 @@ def matched(
         )
         bar.update()
         there = os.path.relpath(folder, recipe.folder)
-        prefix = posixpath.normpath(posixpath.join(Path(there).as_posix(), "retouch-"))
+        prefix = posixpath.normpath(posixpath.join(Path(there).as_posix(), RETOUCH))
         # What is hidden holds its radius's mean, and is painted so.
         more = retouched(
             fitted.recipes,
@@ -101,8 +102,8 @@ def matched(
         for name, grey in more.scans.items()
         if name not in scans
     }
-    files["match.png"] = png_of(folder / "match.png", np.concatenate(flat, 1), remark)
-    files["match.json"] = _summary(target, fitted, last)
+    files[MATCH] = png_of(folder / MATCH, np.concatenate(flat, 1), remark)
+    files[DIFFERENCES] = _summary(target, fitted, last)
     steps = (
         ("as it was", fitted.before),
         ("matched", fitted.after),

@@ -16,6 +16,14 @@ from irisjax.cli.cache import cores, kept_tables
 from irisjax.cli.files import check_folder, png_of
 from irisjax.cli.matching import RETOUCHES, Matched, matched, nearest_colour
 from irisjax.cli.options import SEED_HELP, Group, grouped, name_of, option, read_seed, whole
+from irisjax.cli.painted_files import (
+    COATS,
+    MESHES,
+    TISSUE,
+    check_spared,
+    mesh_files,
+    remove_left_over,
+)
 from irisjax.cli.paints import Paints, of_file
 from irisjax.cli.scenes import changed, environment_of
 from irisjax.export.coats import FORMATS, write_painting
@@ -170,43 +178,31 @@ def paint(subject: Subject, picture: Picture, results: Results) -> None:
         scene = scene.replace(environment=around, lights=scene.lights if picture.light else None)
     scene = _with(scene, painting, picture.shadow)
     files = {folder / name: data for name, data in more.items()}
+    names = [coat.name for coat in painting.coats]
+    pictures = [folder / COATS / f"{name.replace(' ', '_')}.png" for name in names]
+    bodies = set() if results.meshes is None else mesh_files(folder, names, results.meshes)
+    own = [folder / name for name in ("recipe.toml", "eye.png", "progression.png")]
+    check_spared(recipe, {*own, *pictures, *bodies})
     files[folder / "recipe.toml"] = recipe_text(recipe.moved(folder)).encode()
-    shown = _shown(painting)
-    with tqdm(total=1 + len(shown), unit="picture", disable=not sys.stderr.isatty()) as bar:
-        tables = kept_tables(scene)
-        parts = bands(scene, tables, samples=picture.samples, threads=cores())
-        whole_eye = np.concatenate([band.pixels for band in parts])
-        bar.update()
-        steps = []
-        small = scene.replace(camera=replace(scene.camera, size=_SMALL))
-        memory = Memory(cores())
-        for count in shown:
-            part = Painting(painting.coats[:count], painting.profile)
-            part = _with(small, part, picture.shadow)
-            steps.append(np.asarray(memory.render(part, tables)))
-            bar.update()
+    drawn = _drawn(scene, painting, picture)
     remark = "painted and simulated by irisjax"
-    for name, linear in (("eye.png", whole_eye), ("progression.png", sheet(steps))):
+    for name, linear in zip(("eye.png", "progression.png"), drawn, strict=True):
         files[folder / name] = png_of(folder / name, np.asarray(_encode(linear)), remark)
-    for coat in painting.coats:
-        path = folder / "coats" / f"{coat.name.replace(' ', '_')}.png"
+    for path, coat in zip(pictures, painting.coats, strict=True):
         files[path] = png_of(path, _on_white(coat), remark)
     if results.tissue:
         alike = maps_of(painting, eye)
-        files |= {folder / "tissue" / n: data for n, data in tissue_files(alike, eye).items()}
+        files |= {folder / TISSUE / n: data for n, data in tissue_files(alike, eye).items()}
         said.append(
             f"mean colour difference (95 % below) of the nearest tissue: {alike.left.mean:.1f} "
             f"({alike.left.most:.1f})"
         )
-    folders = {path.parent for path in files}
-    for path in folders if results.meshes is None else {*folders, folder / "meshes"}:
+    for path in {path.parent for path in (*files, *bodies)}:
         path.mkdir(parents=True, exist_ok=True)
     io.write_together(files)
     if results.meshes is not None:
-        write_painting(folder / "meshes", painting, results.meshes, eye=eye)
-    for old in (folder / "coats").glob("[0-9][0-9]_*.png"):  # of an eye that was replaced
-        if old not in files:
-            old.unlink()
+        write_painting(folder / MESHES, painting, results.meshes, eye=eye)
+    remove_left_over(folder, recipe, {*files, *bodies})
     print(*said, f"{len(painting.coats)} coats; written: {folder}", sep="\n")
 
 
@@ -230,6 +226,27 @@ def _prepared(subject: Subject, size: int, folder: Path) -> Matched:
     count = RETOUCHES if subject.retouch is None else subject.retouch
     with of_file(subject.recipe):
         return matched(target, recipe, folder, count=count, size=size, seed=subject.seed)
+
+
+def _drawn(scene: Scene, painting: Painting, picture: Picture) -> tuple[np.ndarray, np.ndarray]:
+    """The picture and the sheet of its progress, linear. What they kept of every coat goes with
+    them: it is the most memory of all.
+    """
+    shown = _shown(painting)
+    with tqdm(total=1 + len(shown), unit="picture", disable=not sys.stderr.isatty()) as bar:
+        tables = kept_tables(scene)
+        parts = bands(scene, tables, samples=picture.samples, threads=cores())
+        whole_eye = np.concatenate([band.pixels for band in parts])
+        bar.update()
+        steps = []
+        small = scene.replace(camera=replace(scene.camera, size=_SMALL))
+        memory = Memory(cores())
+        for count in shown:
+            part = Painting(painting.coats[:count], painting.profile)
+            part = _with(small, part, picture.shadow)
+            steps.append(np.asarray(memory.render(part, tables)))
+            bar.update()
+    return whole_eye, sheet(steps)
 
 
 def _with(scene: Scene, painting: Painting, shadow: str) -> Scene:

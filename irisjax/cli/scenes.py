@@ -92,8 +92,8 @@ def changed(
         width, cross, height = size.partition("x")
         if not (cross and width.isdigit() and height.isdigit()):
             raise ValueError(f"--size {size!r}: write WIDTHxHEIGHT, such as 800x600")
-        if max(int(width), int(height)) > 16384:
-            raise ValueError(f"--size {size}: at most 16384 along a side")
+        if not all(1 <= int(side) <= 16384 for side in (width, height)):
+            raise ValueError(f"--size {size}: must be from 1 to 16384 along a side")
         scene = scene.replace(
             camera=dataclasses.replace(scene.camera, size=(int(width), int(height)))
         )
@@ -128,7 +128,10 @@ def lamps(texts: list[str], illuminant: str = "D65") -> Lights:
 
 def _lamp(text: str, illuminant: str) -> Lights:
     polar, azimuth, irradiance = _angles("--light", text, "IRRADIANCE", math.pi)
-    return Lights.distant(polar, azimuth, irradiance, illuminant=illuminant)
+    try:
+        return Lights.distant(polar, azimuth, irradiance, illuminant=illuminant)
+    except ValueError as error:
+        raise ValueError(f"--light {text!r}: {error}") from None
 
 
 def _angles(option: str, text: str, third: str, default: float) -> tuple[float, float, float]:

@@ -65,8 +65,12 @@ class Recipe(NamedTuple):
 
     def scans(self) -> dict[str, np.ndarray]:
         """Pictures of the coats that are scans, by the names of their files."""
-        files = {c.parameters.get("file") for c in self.coats if c.component == SCAN}
-        return {f: read_image(self.folder / f).pixels for f in files if isinstance(f, str)}
+        return {f: read_image(self.folder / f).pixels for f in sorted(self.scan_files())}
+
+    def scan_files(self) -> set[str]:
+        """Names of these files, as the recipe has them; what is no name is left to `painted`."""
+        files = (c.parameters.get("file") for c in self.coats if c.component == SCAN)
+        return {f for f in files if isinstance(f, str) and f}
 
     def moved(self, folder: Path) -> "Recipe":
         """The same with its files named as they are found from another folder."""

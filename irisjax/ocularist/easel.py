@@ -9,6 +9,7 @@ import numpy as np
 
 from irisjax.anatomy.eye import Eye
 from irisjax.grow.vessels import veins
+from irisjax.numerics.checks import check_known
 from irisjax.ocularist.coats import Coat, Painting, profile_of
 from irisjax.ocularist.components import component
 from irisjax.ocularist.cones import Cones
@@ -22,6 +23,7 @@ from irisjax.render.scene import Scene
 
 SCAN = "scan"
 """Component of a coat whose opacity is a picture of the user's, `parameters["file"]`."""
+_FILE = "file"  # its only parameter
 SIZE = 512
 """Texels along a side of opacity maps."""
 
@@ -73,9 +75,14 @@ def _coat(name: str, opacity, colour, height) -> Coat:
 
 def _opacity(recipe: CoatRecipe, eye: Eye, size: int, scans: Mapping[str, np.ndarray]):
     if recipe.component == SCAN:
-        file = str(recipe.parameters.get("file"))
+        for given in recipe.parameters:
+            check_known(f"parameter of {SCAN}", given, (_FILE,))
+        file = recipe.parameters.get(_FILE)
+        if not isinstance(file, str) or not file:
+            got = "" if file is None else f", got {file!r}"
+            raise ValueError(f'a scan needs its picture, parameters = {{ file = "coat.png" }}{got}')
         if file not in scans:
-            raise ValueError(f"a coat of a scan needs its file, got {file!r}")
+            raise ValueError(f"no picture of {file!r} among the scans")
         return scan(scans[file], size)
     pupil = float(eye.pupil_radius / eye.iris_radius)
     made = component(recipe.component, recipe.parameters)

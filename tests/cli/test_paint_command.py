@@ -56,11 +56,56 @@ def test_a_recipe_becomes_an_eye_its_coats_and_the_recipe_as_used(irisjax, tmp_p
     assert tomllib.loads((folder / "recipe.toml").read_text())["painting"]["mixing"] == (
         "kubelka-munk"
     )
-    # Of fewer coats none of the former are left.
+    # Of fewer coats none of the former are left, and nothing of a match, of tissue and meshes; what
+    # the command would not write stays.
+    made = ("match.png", "match.json", "retouch-1.png", "tissue/maps.exr", "tissue/scene.toml")
+    made += ("meshes/09_base.obj", "meshes/09_base.mtl", "meshes/09_base.png", "meshes/white.ply")
+    kept = ("notes.txt", "retouch-idea.png", "coats/01_mine.png")
+    for name in (*made, *kept):
+        (folder / name).parent.mkdir(exist_ok=True)
+        (folder / name).write_text("of before")
     fewer = tmp_path / "fewer.toml"
     fewer.write_text('[[coat]]\ncomponent = "base"\npaints = "ultramarine"\n')
     assert irisjax("paint", fewer, *SMALL, "-o", folder, "--overwrite")[0] == 0
-    assert [p.name for p in (folder / "coats").iterdir()] == ["01_base.png"]
+    assert {p.relative_to(folder).as_posix() for p in folder.rglob("*.*")} == {
+        *("eye.png", "progression.png", "recipe.toml", "coats/01_base.png", *kept),
+    }
+    assert not (folder / "tissue").exists() and not (folder / "meshes").exists()
+
+
+def test_pictures_that_a_recipe_paints_with_are_spared(irisjax, tmp_path):
+    """An artist goes on with a coat that the command wrote; it must be there the next time."""
+    (tmp_path / "coats").mkdir()
+    (tmp_path / "recipe.toml").touch()  # a painted eye
+    recipe = tmp_path / "new.toml"
+    for name in ("coats/01_scan.png", "eye.png", "meshes/01_scan.png"):
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        Image.fromarray(np.zeros((16, 16), np.uint8)).save(tmp_path / name)
+        before = (tmp_path / name).read_bytes()
+        recipe.write_text(
+            f'[[coat]]\ncomponent = "scan"\nparameters = {{ file = "{name}" }}\n'
+            'paints = "ultramarine"\n'
+        )
+        options = ("--meshes", "obj", *SMALL, "-o", tmp_path, "--overwrite")
+        _refused(irisjax("paint", recipe, *options), name, "another folder")
+        assert (tmp_path / name).read_bytes() == before
+
+
+@pytest.mark.heavy
+def test_a_former_coat_that_is_a_scan_now_stays(irisjax, tmp_path):
+    (tmp_path / "coats").mkdir()
+    (tmp_path / "recipe.toml").touch()
+    scan, stale = tmp_path / "coats" / "07_sphincter.png", tmp_path / "coats" / "08_limbus.png"
+    for path in (scan, stale):
+        Image.fromarray(np.zeros((16, 16), np.uint8)).save(path)
+    recipe = tmp_path / "new.toml"
+    recipe.write_text(
+        '[[coat]]\ncomponent = "scan"\nparameters = { file = "coats/07_sphincter.png" }\n'
+        'paints = "ultramarine"\n'
+    )
+    assert irisjax("paint", recipe, *SMALL, "-o", tmp_path, "--overwrite")[0] == 0
+    assert scan.exists() and not stale.exists()
+    assert read_recipe(tmp_path / "recipe.toml").scans()
 
 
 @pytest.mark.heavy
@@ -136,6 +181,18 @@ def test_an_environment_lights_and_is_mirrored(irisjax, tmp_path):
         ('[[coat]]\ncomponent = "base"\npaints = 3\n', ["line 3", "names of paints"]),
         ('[[coat]]\ncomponent = "scan"\npaints = "ultramarine"\n', ["coat 1", "file"]),
         (
+            '[[coat]]\ncomponent = "scan"\nparameters = { file = ["a.png"] }\npaints = "ultramarine"',
+            ["coat 1 (scan)", 'file = "coat.png"', "['a.png']"],
+        ),
+        (
+            '[[coat]]\ncomponent = "scan"\nparameters = { file = "" }\npaints = "ultramarine"',
+            ["coat 1 (scan)", 'file = "coat.png"'],
+        ),
+        (
+            '[[coat]]\ncomponent = "scan"\nparameters = { flie = "a.png" }\npaints = "ultramarine"',
+            ["coat 1 (scan)", "flie", "did you mean 'file'"],
+        ),
+        (
             '[[coat]]\ncomponent = "scan"\nparameters = { file = "none.png" }\npaints = "ultramarine"',
             ["none.png", "No such file"],
         ),
@@ -185,6 +242,8 @@ def test_wrong_recipes_are_one_line(irisjax, tmp_path, text, words):
         ((RECIPE, "--mixing", "oil"), ["oil", "hsl"]),
         ((RECIPE, "--pupil-radius", "9"), ["9", "4.75"]),
         ((RECIPE, "--meshes", "stl"), ["stl", "ply"]),
+        ((RECIPE, "--size", "0x0"), ["--size 0x0", "from 1 to 16384"]),
+        ((RECIPE, "--light", "30,0,-1"), ["--light '30,0,-1'", "irradiance"]),
         ((RECIPE, "--environment", "garden"), ["garden", "studio"]),
         ((RECIPE, "--environment", "none.exr"), ["none.exr", "No such file"]),
     ],

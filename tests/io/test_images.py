@@ -109,7 +109,7 @@ def test_a_camera_held_upright_and_grey_with_alpha(tmp_path):
 
 @pytest.mark.parametrize("suffix", [".exr", ".png", ".hdr", ".jpg"])
 @pytest.mark.parametrize("keep", [0, 30, 200, -20])
-def test_broken_files_get_one_line(tmp_path, suffix, keep):
+def test_broken_files_get_one_line(tmp_path, suffix, keep, capfd):
     import OpenImageIO as oiio
 
     path = tmp_path / f"whole{suffix}"
@@ -123,6 +123,17 @@ def test_broken_files_get_one_line(tmp_path, suffix, keep):
     with pytest.raises(ValueError, match=f"broken\\{suffix}: ") as caught:
         io.read_image(broken)
     assert "\n" not in str(caught.value)
+    assert capfd.readouterr() == ("", "")  # of libraries in C, which know of no sys.stderr
+
+
+def test_a_damaged_png_is_told_in_one_line(tmp_path, capfd):
+    io.write_png(tmp_path / "p.png", np.abs(noise(16, 32, 3)) % 1)
+    whole = (tmp_path / "p.png").read_bytes()
+    at = whole.index(b"IDAT") + 40
+    (tmp_path / "p.png").write_bytes(whole[:at] + bytes([whole[at] ^ 1]) + whole[at + 1 :])
+    with pytest.raises(ValueError, match=r"p\.png: the picture is broken \(its part 'IDAT'"):
+        io.read_image(tmp_path / "p.png")
+    assert capfd.readouterr() == ("", "")
 
 
 def test_errors(tmp_path):
