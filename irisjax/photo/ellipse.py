@@ -40,8 +40,33 @@ class Ellipse(NamedTuple):
         row, column = np.ogrid[: shape[0], : shape[1]]
         return self.relative_radius(column, row) < 1
 
+    @property
+    def flattening(self) -> Float[np.ndarray, "2"]:
+        """ln(a / b) times cosine and sine of twice the angle: 0 of a circle."""
+        (a, b), twice = self.semi_axes, 2 * self.angle
+        return np.log(a / b) * np.array([np.cos(twice), np.sin(twice)])
+
     def scaled(self, factor: float) -> "Ellipse":
         """The same in a picture whose pixels are `factor` times as many along each side."""
         x, y = ((c + 0.5) * factor - 0.5 for c in self.centre)
         a, b = (s * factor for s in self.semi_axes)
         return Ellipse((x, y), (a, b), self.angle)
+
+
+def ellipse_through(points: Float[np.ndarray, "n 2"]) -> Ellipse:
+    """The ellipse through points (column, row), by linear least squares of the conic.
+
+    scikit-image's divides by zero where the points lie on a circle.
+    """
+    middle = points.mean(0)
+    size = np.sqrt(((points - middle) ** 2).sum(1).mean())
+    x, y = ((points - middle) / size).T * [[1], [-1]]
+    # x² + y² + A (x² - y²) + 2 B x y + C x + D y + E = 0
+    system = np.stack([x * x - y * y, 2 * x * y, x, y, np.ones_like(x)], -1)
+    a, b, c, d, e = np.linalg.lstsq(system, -(x * x + y * y), rcond=None)[0]
+    u, v = -0.5 * np.linalg.solve([[1 + a, b], [b, 1 - a]], [c, d])
+    level, uneven = -(e + 0.5 * (c * u + d * v)), np.hypot(a, b)
+    axes = size * np.sqrt(level / (1 - uneven)), size * np.sqrt(level / (1 + uneven))
+    angle = 0.5 * np.arctan2(-b, -a) % np.pi
+    centre = middle[0] + size * u, middle[1] - size * v
+    return Ellipse((float(centre[0]), float(centre[1])), (float(axes[0]), float(axes[1])), angle)

@@ -16,9 +16,9 @@ from irisjax.photo.edges import (
 )
 from irisjax.photo.ellipse import Ellipse
 from irisjax.photo.photograph import Photograph
+from irisjax.photo.tilt import FLATTER, PUPIL_OVAL
 
 _WIDTHS = (0.02, 0.05, 0.09)  # half widths of the rise, of the radius: about 1 mm in all
-_FLATTER = 1.25  # than the pupil, which the cornea shows turned towards the camera
 _SPAN = (0.6, 1.4)
 
 
@@ -37,8 +37,8 @@ def limbus_near(
     lateral = 0.5 + 0.5 * np.cos(ray_angles()) ** 2
     flattening = (0.0, 0.0, 0.1)
     if pupil is not None:
-        flat = _FLATTER * np.log(pupil.semi_axes[0] / pupil.semi_axes[1])
-        flattening = (flat * np.cos(2 * pupil.angle), flat * np.sin(2 * pupil.angle), 0.03)
+        right, aslant = FLATTER * pupil.flattening
+        flattening = (right, aslant, FLATTER * PUPIL_OVAL)
     if coarse:
         edges, white, _ = _limbus_edges(picture, colour, outline, (0.5, 1.65), 93, _WIDTHS[1:])
         score = edges.score() * white * lateral[:, None]

@@ -1,9 +1,10 @@
 """Where the camera stood: from the outlines of limbus and pupil  [F09 Section 4.1, Eqs. 1, 2].
 
-The limbus is a circle that appears as an ellipse. Its axes give the tilt but not to which side; the
-pupil, seen through the cornea, moves towards the camera's side and tells that. A whole photograph's
-camera is never needed: the one here looks at the middle of the eye, and its picture is cut out of
-the photograph, which leaves out only the perspective of an eye far from the picture's middle.
+Limbus and pupil are nearly circles that appear as ellipses. How flat both are tells the tilt, by a
+joint fit, but not to which side; the pupil, seen through the cornea, moves towards the camera's
+side and tells that. A whole photograph's camera is never needed: the one here looks at the middle
+of the eye, and its picture is cut out of the photograph, which leaves out only the perspective of
+an eye far from the picture's middle.
 """
 
 from typing import Any, NamedTuple, cast
@@ -16,8 +17,8 @@ from jaxtyping import Bool, Float
 from irisjax.anatomy.eye import Eye
 from irisjax.numerics.programs import program
 from irisjax.optics.conicoid import joined
-from irisjax.photo.ellipse import Ellipse
-from irisjax.photo.tilt import OUTLINE, tilts_allowed
+from irisjax.photo.ellipse import Ellipse, ellipse_through
+from irisjax.photo.tilt import LIMBUS_OVAL, PUPIL_OVAL, tilts_allowed
 from irisjax.render.camera import Camera
 from irisjax.render.points import project_points
 from irisjax.render.surfaces import IrisSurface
@@ -35,8 +36,15 @@ LIMBUS_RADII = tuple(
 """Radii of the visible iris (mm) and how many of 461 people have them, as collected by
 gkaModelEye (MIT).
 """
-DECENTRED = 0.2
-"""Standard deviation of the pupil's middle about the limbus's, mm, in each direction."""
+DECENTRED = 0.27
+"""Of the pupil's middle from the limbus's, mm, root mean square in each direction: 0.27 ± 0.09 mm
+to the nose and 0.20 ± 0.15 mm upwards  [Wyatt 1995], and a photograph need not say where the nose
+is.
+"""
+SHARP = 0.002
+"""Standard deviation of an outline's middle and size in a photograph, of its radius."""
+PUPIL_RADII = (0.25, 4.75)
+"""Of pupils that may be, mm."""
 USUAL_DISTANCE = 300.0
 """Of the camera, mm, where no focal length is known: perspective hardly depends on it."""
 _POINTS = 48
@@ -120,29 +128,47 @@ def find_pose(
         return {"polar": np.hypot(*v[:2]), "azimuth": np.arctan2(v[1], v[0])}
 
     def residuals(v):
-        rim, hole = (np.asarray(p) for p in _outlines(eye, _square(parts(v), distance + behind)))
+        open_ = eye.replace(pupil_radius=jnp.asarray(np.clip(v[5], *PUPIL_RADII), float))
+        rim, hole = (np.asarray(p) for p in _outlines(open_, _square(parts(v), distance + behind)))
         scale = np.exp(v[4]) * pixels_per_mm
-        edge, middle = (v[2:4] + scale * p for p in (rim, hole.mean(0)))
-        off = (limbus.relative_radius(*edge.T) - 1) / (OUTLINE * np.sqrt(_POINTS / 5))
-        pupil_off = (middle - pupil.centre) / (scale * DECENTRED)
-        return np.concatenate([off, pupil_off if azimuth is None else [0.0, 0.0]])
+        edge, inner = (ellipse_through(v[2:4] + scale * p) for p in (rim, hole))
+        larger = [
+            np.log(np.prod(own.semi_axes) / np.prod(seen.semi_axes)) / (2 * SHARP)
+            for own, seen in ((edge, limbus), (inner, pupil))
+        ]
+        middle = (np.array(edge.centre) - limbus.centre) / (SHARP * limbus.semi_axes[0])
+        aside = (np.array(inner.centre) - pupil.centre) / (scale * DECENTRED)
+        return np.concatenate(
+            [
+                (edge.flattening - limbus.flattening) / LIMBUS_OVAL,
+                (inner.flattening - pupil.flattening) / PUPIL_OVAL,
+                middle,
+                larger,
+                aside if azimuth is None else np.zeros(2),
+            ]
+        )
 
+    # The cornea magnifies the pupil by about 1.13.
+    opening = np.clip(pupil.semi_axes[0] / pixels_per_mm / 1.13, *PUPIL_RADII)
     start = min(max(tilt, 0.05), 0.9 * _STEEPEST)
     found = min(
         (
             scipy.optimize.least_squares(
                 residuals,
-                [start * np.cos(a), start * np.sin(a), x, y, 0.0],
-                x_scale=[0.1, 0.1, 1.0, 1.0, 0.01],
+                [start * np.cos(a), start * np.sin(a), x, y, 0.0, opening],
+                x_scale=[0.1, 0.1, 1.0, 1.0, 0.01, 0.1],
                 diff_step=1e-5,
-                bounds=([-_STEEPEST] * 2 + [-np.inf] * 3, [_STEEPEST] * 2 + [np.inf] * 3),
+                bounds=([-_STEEPEST] * 2 + [-np.inf] * 4, [_STEEPEST] * 2 + [np.inf] * 4),
             )
             for a in sides
         ),
         key=lambda f: f.cost,
     )
-    v, scale = found.x, float(np.exp(found.x[4]) * pixels_per_mm)
-    tilt_sd, interval = tilts_allowed(float(np.hypot(*v[:2])))
+    v, tilt = found.x, float(np.hypot(*found.x[:2]))
+    tilt_sd, interval = tilts_allowed(tilt)
+    scale = float(np.exp(v[4]) * pixels_per_mm)
+    rim = np.asarray(_outlines(eye, _square(parts(v), distance + behind))[0])
+    off = limbus.relative_radius(*(v[2:4] + scale * rim).T) - 1
     half = int(np.ceil(margin * limbus.semi_axes[0]))
     # Whole pixels: the middle of the camera's picture lies within half of one of the eye's.
     corner = int(np.round(v[2])) - half, int(np.round(v[3])) - half
@@ -157,13 +183,12 @@ def find_pose(
         centre=(pupil.centre[0] - (v[2] - half), pupil.centre[1] - (v[3] - half))
     )
     centre, radius = _pupil_on_iris(eye, camera, moved)
-    off = found.fun[:_POINTS] * OUTLINE * np.sqrt(_POINTS / 5)
     return Pose(
         camera,
         corner,
         eye.replace(pupil_radius=radius),
         centre,
-        float(np.hypot(*v[:2])),
+        tilt,
         tilt_sd,
         interval,
         distance if known else None,
@@ -242,7 +267,7 @@ def _pupil_on_iris(eye: Eye, camera: Camera, pupil: Ellipse):
         solved = np.linalg.lstsq(system, (edge**2).sum(1), rcond=None)[0]
         centre = solved[:2]
     found = float(np.sqrt(solved[2] + centre @ centre))
-    low, high = 0.25, min(4.75, float(eye.iris_radius) - 0.3)
+    low, high = PUPIL_RADII[0], min(PUPIL_RADII[1], float(eye.iris_radius) - 0.3)
     if not low < found < high:
         raise ValueError(
             f"the outlines make the pupil's radius {found:.2f} mm; it must be within "

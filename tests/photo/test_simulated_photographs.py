@@ -9,11 +9,13 @@ import pytest
 from PIL import Image
 from scipy import ndimage
 
+from irisjax.anatomy.eye import Eye
 from irisjax.io.photographs import read_photograph
 from irisjax.io.scenes import read_scene
 from irisjax.photo.boundaries import MIN_CONFIDENCE, find_boundaries
 from irisjax.photo.ellipse import Ellipse
 from irisjax.photo.part import part_of
+from irisjax.photo.pose import find_pose
 from irisjax.photo.unrefracted import LUMINANCE
 
 FOLDER = Path(__file__).parent.parent.parent / "data" / "photographs"
@@ -96,13 +98,18 @@ def test_edges_lie_on_the_outlines(truth, name):
 
 @pytest.mark.heavy
 @by_file(TRUTH)
-def test_outlines_are_found_to_a_hundredth_of_their_radius(truth):
+def test_outlines_are_found_to_a_hundredth_of_their_radius_and_the_tilt_to_2_degrees(truth):
     found = find_boundaries(read_photograph(FOLDER / truth["file"]))
     along = np.linspace(0, 2 * math.pi, 90)
     for seen, name in zip(found[:2], ("limbus", "pupil"), strict=True):
         off = outline(truth, name).relative_radius(*seen.points(along).T) - 1
         assert abs(off).max() < 0.01
     assert min(found[2:]) > MIN_CONFIDENCE
+    camera = truth["camera"]
+    pose = find_pose(found.limbus, found.pupil, Eye(), focal_px=camera["focal_px"])
+    off = pose.tilt * np.exp(1j * float(pose.camera.azimuth))
+    off -= camera["polar"] * np.exp(1j * camera["azimuth"])
+    assert math.degrees(abs(off)) < 2
 
 
 @by_file(CLEAN)
