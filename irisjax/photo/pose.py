@@ -138,15 +138,11 @@ def find_pose(
         ]
         middle = (np.array(edge.centre) - limbus.centre) / (SHARP * limbus.semi_axes[0])
         aside = (np.array(inner.centre) - pupil.centre) / (scale * DECENTRED)
-        return np.concatenate(
-            [
-                (edge.flattening - limbus.flattening) / LIMBUS_OVAL,
-                (inner.flattening - pupil.flattening) / PUPIL_OVAL,
-                middle,
-                larger,
-                aside if azimuth is None else np.zeros(2),
-            ]
+        flatter = (
+            (edge.flattening - limbus.flattening) / LIMBUS_OVAL,
+            (inner.flattening - pupil.flattening) / PUPIL_OVAL,
         )
+        return np.concatenate([*flatter, middle, larger, aside * (azimuth is None)])
 
     # The cornea magnifies the pupil by about 1.13.
     opening = np.clip(pupil.semi_axes[0] / pixels_per_mm / 1.13, *PUPIL_RADII)

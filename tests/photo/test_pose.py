@@ -173,3 +173,11 @@ def test_a_frontal_eye_may_be_tilted_by_degrees_and_not_by_a_dozen():
     assert low == 0
     assert 5 < np.degrees(high) < 10
     assert 1 < np.degrees(sd) < 4
+
+
+def test_people_are_no_circles_and_frontal_eyes_may_be_tilted_by_more():
+    """Limbus and pupil oval by 3 % together leave ln cos φ open by about 0.02."""
+    sd, (low, high) = tilts_allowed(0.0)
+    assert low == 0
+    assert 12 < np.degrees(high) < 20
+    assert 3 < np.degrees(sd) < 8
