@@ -4,11 +4,10 @@ from collections.abc import Callable
 
 import jax.numpy as jnp
 import numpy as np
-from skimage.measure import EllipseModel
 
 from irisjax.anatomy.eye import Eye
 from irisjax.numerics.programs import program
-from irisjax.photo.ellipse import Ellipse
+from irisjax.photo.ellipse import Ellipse, ellipse_through
 from irisjax.render.camera import Camera
 from irisjax.render.points import project_points
 from irisjax.render.stages import look
@@ -41,13 +40,7 @@ def seen(eye: Eye, camera: Camera, points):
 
 
 def _fitted(column, row) -> Ellipse:
-    points = np.stack([np.asarray(column), -np.asarray(row)], -1)
-    with np.errstate(divide="ignore"):  # a circle may have any angle: scikit-image divides by 0
-        model = EllipseModel.from_estimate(points)
-    (x, y), (a, b), angle = model.center, model.axis_lengths, model.theta
-    if a < b:
-        a, b, angle = b, a, angle + np.pi / 2
-    return Ellipse((float(x), -float(y)), (float(a), float(b)), float(angle))
+    return ellipse_through(np.stack([np.asarray(column), np.asarray(row)], -1))
 
 
 def painted(eye: Eye, camera: Camera, paint: Callable) -> np.ndarray:
