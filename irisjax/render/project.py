@@ -57,9 +57,9 @@ class IrisPixels(eqx.Module):
 
 
 class ScleraPixels(eqx.Module):
-    """Pixels that see the white: `point` and `normal` (3, pixels), the `reflectance` of the tear
-    film over it, and the `share` of sclera, which blends with the iris at the limbus and is 0 where
-    it is not seen."""
+    """Pixels that see the white: `point` (3, pixels) on the tear film, `normal` of the globe there,
+    the `reflectance` of the film, and the `share` of sclera, which blends with the iris at the
+    limbus and is 0 where it is not seen."""
 
     index: Int[Array, " pixels"] | None
     point: Parts
@@ -183,7 +183,10 @@ def sclera_pixels(index, eye: Eye, camera: Camera) -> ScleraPixels:
     outside = _Outside.met(eye, origin, direction)
     passed = refract_vector(direction, outside.normal, 1.0, TEAR)[1]
     share = jnp.where(outside.hit, outside.blend, 0.0)
-    return ScleraPixels(index, parts(outside.point), parts(outside.normal), 1 - passed, share)
+    # Within the limbus white lies under clear cornea and is lit as the globe goes on: by the
+    # cornea's normal, some 16° steeper, it would end at a sharp line where light comes from aside.
+    normal = GlobeSurface(eye).normal(outside.point)
+    return ScleraPixels(index, parts(outside.point), parts(normal), 1 - passed, share)
 
 
 @pixelwise

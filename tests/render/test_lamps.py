@@ -21,7 +21,7 @@ from irisjax.render.caustic import Grid, gathered
 from irisjax.render.compose import prepare
 from irisjax.render.environment import Environment
 from irisjax.render.lights import Lights
-from irisjax.render.project import ScleraPixels
+from irisjax.render.project import ScleraPixels, sclera_pixels
 from irisjax.render.refraction import UNIQUE_POLAR, RefractionFunction, window
 from irisjax.render.scene import Scene
 from irisjax.render.sclera import bulk_reflectance
@@ -99,6 +99,20 @@ def test_round_white_keeps_its_power():
     )
     assert slant / straight == pytest.approx(np.cos(1.1)) and straight == pytest.approx(1 / 1.03)
     assert 0 < past < 0.02
+
+
+def test_white_has_no_edge_where_the_cornea_begins():
+    """The white below the clear cornea goes on as the globe does: lit from the other side, a normal
+    that turned with the cornea's would darken it by half from one pixel to the next.
+    """
+    camera = Camera(distance=1e5, width=14.0, size=(1400, 1))
+    row = np.arange(1200, 1300, dtype=np.int32)  # 5 to 6 mm from the axis, 0.01 mm each
+    white = sclera_pixels(row, WHITE, camera)
+    assert 0 < float(white.share[60]) < 1  # it has begun to blend
+    for polar in (0.0, 0.6, 1.2):
+        lamp = Lights.distant(polar, np.pi, 1.0)
+        shown = np.asarray(outside.white((white, jnp.ones((1, len(row)))), lamp))[0]
+        assert np.abs(np.diff(shown)).max() < 0.005, polar
 
 
 def test_near_lamp_on_the_white():
