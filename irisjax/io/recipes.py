@@ -90,7 +90,8 @@ class Recipe(NamedTuple):
 
 
 def read_recipe(path: str | Path) -> Recipe:
-    """Read and check a recipe.
+    """Read and check a recipe. A coat without a height has that of the coat before it, 0 mm the
+    first one.
 
     Raises:
         ValueError: naming file, line, what is wrong and what is allowed.
@@ -108,8 +109,7 @@ def read_recipe(path: str | Path) -> Recipe:
     head = sections.get("painting", {})
     if "paints" in head and head.setdefault("mixing", _KUBELKA_MUNK) == _HSL:
         raise ValueError(f"{where('painting', 'mixing')}: {_NO_USE}")
-    coats = tuple(map(_coat, given))
-    return Recipe(coats, **head, palette=sections.get("palette", {}), folder=path.parent)
+    return Recipe(_coats(given), **head, palette=sections.get("palette", {}), folder=path.parent)
 
 
 def recipe_text(recipe: Recipe) -> str:
@@ -138,11 +138,17 @@ def recipe_text(recipe: Recipe) -> str:
     return tomlkit.dumps(document)
 
 
-def _coat(table: Mapping[str, Any]) -> CoatRecipe:
-    first, second = table["paints"]
+def _coats(tables: Sequence[Mapping[str, Any]]) -> tuple[CoatRecipe, ...]:
     usual = {"parameters": {}, "share": 0.0, "opacity": 1.0, "seed": 0, "height": 0.0}
-    given = {key: value for key, value in table.items() if key != "paints"}
-    return CoatRecipe(**(usual | given), first=first, second=second)
+    coats: list[CoatRecipe] = []
+    for table in tables:
+        first, second = table["paints"]
+        given = {key: value for key, value in table.items() if key != "paints"}
+        coats.append(CoatRecipe(**(usual | given), first=first, second=second))
+        # On the coat before it: at the base's height one that is added at the end of a recipe
+        # would lie below all others and not be seen.
+        usual["height"] = coats[-1].height
+    return tuple(coats)
 
 
 def _colour(name: str) -> Check:

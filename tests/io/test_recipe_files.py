@@ -29,6 +29,15 @@ def test_a_written_recipe_is_the_same_to_the_last_digit(tmp_path):
     )
 
 
+def test_a_coat_without_a_height_lies_on_the_one_before_it(tmp_path):
+    """At the base it would be hidden by all that was painted before."""
+    coat = '[[coat]]\ncomponent = "base"\npaints = "ultramarine"\n'
+    text = f"{coat}{coat}height = 0.04\n{coat}{coat}height = 0.08\n{coat}"
+    (tmp_path / "recipe.toml").write_text(text)
+    heights = [c.height for c in read_recipe(tmp_path / "recipe.toml").coats]
+    assert heights == [0.0, 0.04, 0.04, 0.08, 0.08]
+
+
 def test_a_file_of_paints_is_mixed_by_kubelka_and_munk(tmp_path):
     (tmp_path / "own.csv").write_text(TABLE)
     text = '[painting]\npaints = "own.csv"\n[[coat]]\ncomponent = "base"\npaints = "mud"\n'
