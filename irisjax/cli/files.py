@@ -32,11 +32,16 @@ def check_folder(folder: Path, file: str, what: str, overwrite: bool) -> None:
     """Find out before the work whether a folder can keep its results; `file` says that it has
     `what` already.
     """
+    check_is_folder(folder)
+    if (folder / file).exists() and not overwrite:
+        raise ValueError(f"{folder}: has {what}; --overwrite begins anew")
+
+
+def check_is_folder(folder: Path) -> None:
+    """Raise `ValueError` where a folder, or one that it would lie in, is a file."""
     first = next(f for f in (folder, *folder.absolute().parents) if f.exists())
     if not first.is_dir():
         raise ValueError(f"{first}: is a file, not a folder")
-    if (folder / file).exists() and not overwrite:
-        raise ValueError(f"{folder}: has {what}; --overwrite begins anew")
 
 
 def png_of(path: Path, encoded, remark: str) -> bytes:

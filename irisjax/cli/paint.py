@@ -13,7 +13,7 @@ from tqdm import tqdm
 from irisjax import io
 from irisjax.cli.animate import sheet
 from irisjax.cli.cache import cores, kept_tables
-from irisjax.cli.files import check_folder, png_of
+from irisjax.cli.files import check_folder, check_is_folder, png_of
 from irisjax.cli.matching import RETOUCHES, Matched, matched, nearest_colour
 from irisjax.cli.options import SEED_HELP, Group, grouped, name_of, option, read_seed, whole
 from irisjax.cli.painted_files import (
@@ -21,12 +21,11 @@ from irisjax.cli.painted_files import (
     MESHES,
     TISSUE,
     check_spared,
-    mesh_files,
     remove_left_over,
 )
 from irisjax.cli.paints import Paints, of_file
 from irisjax.cli.scenes import changed, environment_of
-from irisjax.export.coats import FORMATS, write_painting
+from irisjax.export.coats import FORMATS, painting_files
 from irisjax.io.recipes import PUPIL, recipe_text
 from irisjax.io.targets import read_target
 from irisjax.io.tissue_of_paint import tissue_files
@@ -165,6 +164,9 @@ def paint(subject: Subject, picture: Picture, results: Results) -> None:
     """
     folder = results.output
     check_folder(folder, "recipe.toml", "a painted eye", results.overwrite)
+    asked = (COATS, True), (MESHES, results.meshes is not None), (TISSUE, results.tissue)
+    for name in (name for name, wanted in asked if wanted):
+        check_is_folder(folder / name)
     recipe, scans, more, said = _prepared(subject, picture.texels, folder)
     # Half the memory of double precision, and the same picture to a few levels of 255.
     jax.config.update("jax_enable_x64", False)
@@ -180,9 +182,11 @@ def paint(subject: Subject, picture: Picture, results: Results) -> None:
     files = {folder / name: data for name, data in more.items()}
     names = [coat.name for coat in painting.coats]
     pictures = [folder / COATS / f"{name.replace(' ', '_')}.png" for name in names]
-    bodies = set() if results.meshes is None else mesh_files(folder, names, results.meshes)
+    made = {} if results.meshes is None else painting_files(painting, results.meshes, eye=eye)
+    bodies = {folder / MESHES / name: data for name, data in made.items()}
     own = [folder / name for name in ("recipe.toml", "eye.png", "progression.png")]
     check_spared(recipe, {*own, *pictures, *bodies})
+    files |= bodies
     files[folder / "recipe.toml"] = recipe_text(recipe.moved(folder)).encode()
     drawn = _drawn(scene, painting, picture)
     remark = "painted and simulated by irisjax"
@@ -197,12 +201,10 @@ def paint(subject: Subject, picture: Picture, results: Results) -> None:
             f"mean colour difference (95 % below) of the nearest tissue: {alike.left.mean:.1f} "
             f"({alike.left.most:.1f})"
         )
-    for path in {path.parent for path in (*files, *bodies)}:
+    for path in {path.parent for path in files}:
         path.mkdir(parents=True, exist_ok=True)
     io.write_together(files)
-    if results.meshes is not None:
-        write_painting(folder / MESHES, painting, results.meshes, eye=eye)
-    remove_left_over(folder, recipe, {*files, *bodies})
+    remove_left_over(folder, recipe, files)
     print(*said, f"{len(painting.coats)} coats; written: {folder}", sep="\n")
 
 

@@ -61,15 +61,6 @@ def remove_left_over(folder: Path, recipe: Recipe, written: Iterable[Path]) -> N
             (folder / name).rmdir()
 
 
-def mesh_files(folder: Path, names: Iterable[str], form: str) -> set[Path]:
-    """Files that `write_painting` may write for coats of these names."""
-    stems = {name.replace(" ", "_") for name in names} | {"cornea", "white"}
-    suffixes = (form, "png") if form != "obj" else (form, "mtl", "png")
-    return {
-        folder / MESHES / f"{stem}.{suffix}" for stem, suffix in itertools.product(stems, suffixes)
-    }
-
-
 def _needed(recipe: Recipe) -> set[str]:
     names = recipe.scan_files() | ({recipe.paints} if recipe.paints is not None else set())
     return {os.path.realpath(recipe.folder / name) for name in names}

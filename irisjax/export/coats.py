@@ -70,35 +70,45 @@ def write_painting(
     around: int = AROUND,
     eye: Eye | None = None,
 ) -> dict[str, Path]:
-    """Write a mesh of every coat and its picture with opacity into an existing folder, all or none;
-    of an `eye` also its `cornea` and `white`, without pictures.
-
-    Meshes are in the frame of other renderers, x right, y up, +z towards the viewer. Returns the
-    meshes' files by the coats' names; spaces become underscores.
+    """Write the files of `painting_files` into an existing folder, all or none. Returns the meshes'
+    files by the coats' names.
 
     Raises:
         ValueError: for an unknown form. OSError: naming a file that cannot be written.
     """
+    files = painting_files(painting, form, around, eye)
+    write_together({Path(folder) / name: data for name, data in files.items()})
+    names = [coat.name for coat in painting.coats] + ([] if eye is None else ["cornea", "white"])
+    return {name: Path(folder) / f"{_stem(name)}.{form}" for name in names}
+
+
+def painting_files(
+    painting: Painting, form: str = "obj", around: int = AROUND, eye: Eye | None = None
+) -> dict[str, bytes]:
+    """Files, by their names, of a mesh of every coat and its picture with opacity; of an `eye` also
+    its `cornea` and `white`, without pictures.
+
+    Meshes are in the frame of other renderers, x right, y up, +z towards the viewer, mm. Files bear
+    the coats' names, with underscores for spaces.
+
+    Raises:
+        ValueError: for an unknown form.
+    """
     if form not in FORMATS:
         raise ValueError(f"unknown kind of mesh {form!r}; known: {', '.join(FORMATS)}")
-    files, found = {}, {}
     meshes = {coat.name: coat_mesh(painting, coat.name, around) for coat in painting.coats}
     if eye is not None:
         outside = shell(eye)._asdict()
         meshes |= {name: cone_mesh(cones, around) for name, cones in outside.items()}
-    for coat in painting.coats:
-        files[Path(folder) / f"{_stem(coat.name)}.png"] = _picture(coat)
+    files = {f"{_stem(coat.name)}.png": _picture(coat) for coat in painting.coats}
     for name, mesh in meshes.items():
         stem, mesh = _stem(name), right_handed(mesh)
-        painted = Path(folder) / f"{stem}.png" in files
-        found[name] = Path(folder) / f"{stem}.{form}"
+        picture = f"{stem}.png" if f"{stem}.png" in files else None
         if form == "ply":
-            files[found[name]] = encode_ply(mesh)
+            files[f"{stem}.ply"] = encode_ply(mesh)
         else:
-            made = encode_obj(mesh, stem, f"{stem}.png" if painted else None)
-            files |= {Path(folder) / other: data for other, data in made.items()}
-    write_together(files)
-    return found
+            files |= encode_obj(mesh, stem, picture)
+    return files
 
 
 def _stem(name: str) -> str:

@@ -232,6 +232,19 @@ def test_wrong_recipes_are_one_line(irisjax, tmp_path, text, words):
 
 
 @pytest.mark.parametrize(
+    ("name", "options"),
+    [("coats", ()), ("meshes", ("--meshes", "obj")), ("tissue", ("--tissue",))],
+)
+def test_a_file_where_a_folder_should_be_is_told_before_the_work(irisjax, tmp_path, name, options):
+    folder = tmp_path / "eye"
+    folder.mkdir()
+    (folder / name).write_text("mine")
+    result = irisjax("paint", RECIPE, *SMALL, *options, "-o", folder)
+    _refused(result, name, "is a file, not a folder")
+    assert [p.name for p in folder.iterdir()] == [name]
+
+
+@pytest.mark.parametrize(
     ("options", "words"),
     [
         ((), ["a recipe or --type"]),

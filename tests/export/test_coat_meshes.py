@@ -9,7 +9,7 @@ import trimesh
 from PIL import Image
 
 from irisjax.export.coats import coat_mesh, cone_mesh, write_painting
-from irisjax.ocularist.coats import Coat, Painting
+from irisjax.ocularist.coats import Coat, Painting, prosthesis
 from irisjax.ocularist.cones import Cones
 
 PROFILE = Cones.of([(3.0, 2.0), (3.2, 3.5), (3.2, 5.0)])
@@ -67,6 +67,12 @@ def test_files_hold_meshes_and_pictures(tmp_path, form):
     assert picture.shape == (8, 8, 4)
     np.testing.assert_array_equal(picture[..., :3], np.broadcast_to([255, 0, 0], (8, 8, 3)))
     np.testing.assert_allclose(picture[..., 3].ravel(), np.linspace(0, 255, 64), atol=0.51)
+
+
+def test_an_eyes_outside_is_written_too(tmp_path):
+    files = write_painting(tmp_path, painting(), "ply", around=24, eye=prosthesis())
+    assert set(files) == {"01 base", "02 dots", "cornea", "white"}
+    assert all(path.exists() for path in files.values())
 
 
 def test_an_unknown_kind_of_file_is_refused(tmp_path):
