@@ -1,5 +1,7 @@
 """Files in and out: `--from` runs a file's header again; results are written together or not."""
 
+import errno
+import os
 import sys
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -38,10 +40,14 @@ def check_folder(folder: Path, file: str, what: str, overwrite: bool) -> None:
 
 
 def check_is_folder(folder: Path) -> None:
-    """Raise `ValueError` where a folder, or one that it would lie in, is a file."""
+    """Raise `ValueError` where a folder, or one that it would lie in, is a file, and `OSError`
+    where nothing may be written there.
+    """
     first = next(f for f in (folder, *folder.absolute().parents) if f.exists())
     if not first.is_dir():
         raise ValueError(f"{first}: is a file, not a folder")
+    if not os.access(first, os.W_OK | os.X_OK):
+        raise PermissionError(errno.EACCES, "no permission to write in this folder", str(first))
 
 
 def png_of(path: Path, encoded, remark: str) -> bytes:

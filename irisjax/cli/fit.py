@@ -10,6 +10,7 @@ import typer
 import irisjax as ij
 from irisjax import io
 from irisjax._interrupt import unfinished
+from irisjax.cli.files import check_is_folder
 from irisjax.cli.fit_options import Measured, Model, Results, Sampler
 from irisjax.cli.options import dashed, grouped
 from irisjax.infer.parameters import DEFAULT_FREE, PARAMETERS
@@ -132,8 +133,7 @@ def _check_comparison(sampler: Sampler, results: Results) -> None:
 
 
 def _check_folder(folder: Path, resume: bool, overwrite: bool) -> None:
-    if folder.exists() and not folder.is_dir():
-        raise ValueError(f"{folder}: is a file, not a folder")
+    check_is_folder(folder)
     if (folder / "chain.h5").exists() and not (resume or overwrite):
         raise ValueError(
             f"{folder}: has results; --resume goes on with them, --overwrite begins anew"

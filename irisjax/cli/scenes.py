@@ -90,7 +90,7 @@ def changed(
         scene = scene.replace(eye=scene.eye.replace(pupil_radius=pupil_radius))
     if size is not None:
         width, cross, height = size.partition("x")
-        if not (cross and width.isdigit() and height.isdigit()):
+        if not (cross and width.isdecimal() and height.isdecimal()):
             raise ValueError(f"--size {size!r}: write WIDTHxHEIGHT, such as 800x600")
         if not all(1 <= int(side) <= 16384 for side in (width, height)):
             raise ValueError(f"--size {size}: must be from 1 to 16384 along a side")

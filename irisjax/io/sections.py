@@ -36,6 +36,8 @@ def checked(
         sections = tomllib.loads(written)
     except tomllib.TOMLDecodeError as error:
         raise ValueError(f"{name}: {error}") from None
+    except RecursionError:
+        raise ValueError(f"{name}: nested too deeply") from None
 
     def where(section: str, key: str | None = None, nth: int = 0) -> str:
         line = _line_of(written, section, key, nth)

@@ -1,5 +1,6 @@
 """`irisjax paint`: what it writes and refuses."""
 
+import os
 import tomllib
 from pathlib import Path
 
@@ -242,6 +243,14 @@ def test_a_file_where_a_folder_should_be_is_told_before_the_work(irisjax, tmp_pa
     result = irisjax("paint", RECIPE, *SMALL, *options, "-o", folder)
     _refused(result, name, "is a file, not a folder")
     assert [p.name for p in folder.iterdir()] == [name]
+
+
+def test_a_folder_without_permission_is_told_before_the_work(irisjax, tmp_path, monkeypatch):
+    """`os.access` says no, as it never does to root."""
+    monkeypatch.setattr(os, "access", lambda path, mode, **options: not mode & os.W_OK)
+    result = irisjax("paint", RECIPE, *SMALL, "-o", tmp_path / "new" / "eye")
+    _refused(result, f"{tmp_path}: no permission to write in this folder")
+    assert not (tmp_path / "new").exists()
 
 
 @pytest.mark.parametrize(

@@ -43,10 +43,11 @@ WRONG = {
     "[picture]\nexposure = 0": "scene.toml, line 2: picture.exposure = 0 must be a number in [1e-06, 1e+06]",
     "[iris\nlevel = 1": "scene.toml: ",
     "iris = 3": "iris must be written [iris]",
+    "iris = " + 2000 * "[": "scene.toml: nested too deeply",
 }
 
 
-@pytest.mark.parametrize("text", WRONG, ids=[repr(t) for t in WRONG])
+@pytest.mark.parametrize("text", WRONG, ids=[repr(t)[:80] for t in WRONG])
 def test_wrong_entries_are_one_line(irisjax, tmp_path, text):
     (tmp_path / "scene.toml").write_text(text)
     one_line(irisjax("render", "scene.toml", "--size", "4x3"), WRONG[text])
@@ -63,6 +64,7 @@ OPTIONS = [
     (("scene.toml", "-o", "missing/eye.png"), "missing: no such folder"),
     (("scene.toml", "--bits", "12"), "--bits 12 must be 8 or 16"),
     (("scene.toml", "--size", "8"), "--size '8': write WIDTHxHEIGHT"),
+    (("scene.toml", "--size", "²x8"), "--size '²x8': write WIDTHxHEIGHT"),
     (("scene.toml", "--size", "0x8"), "--size 0x8: must be from 1 to 16384 along a side"),
     (("scene.toml", "--size", "16385x8"), "--size 16385x8: must be from 1 to 16384 along a side"),
     (("scene.toml", "--light", "30"), "--light '30': write POLAR,AZIMUTH"),
