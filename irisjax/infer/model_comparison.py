@@ -98,7 +98,7 @@ def _general(problem: Problem) -> Problem:
     for 95 % of the priors' irides: a tenth of the noise of a good spectrum.
     """
     general, instrument = problem.under(PowerLaw()), problem.observations[0].instrument
-    solver = solver_of(general.base, instrument, general.process, AddingDoubling(12, 8))
+    solver = solver_of(general.base, instrument, general.process, AddingDoubling(12, 10))
     return dataclasses.replace(general, solver=solver)
 
 

@@ -30,5 +30,5 @@ def quickest(iris: Iris, aqueous_index, process: AbstractProcess) -> AbstractSol
     where a power law of scattering has none.
     """
     if iris.power_law is not None and not isinstance(process, Ilit):
-        return AddingDoubling(16, 8)
+        return AddingDoubling(16, 10)
     return table(iris.indices(aqueous_index), process)

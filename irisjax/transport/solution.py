@@ -30,8 +30,8 @@ class RESULTS(eqx.Enumeration):
     not_converged = "the orders of scattering did not converge"
     outside_table = "an optical depth or index lies outside the range the table was built for"
     too_few_angles = (
-        "the stroma scatters too sharply forwards for so few angles where light grazes it; "
-        "give AddingDoubling(n_angles=...) a larger number"
+        "so few angles do not follow light in a stroma that scatters this sharply, or between these "
+        "interfaces; give AddingDoubling(n_angles=...) a larger number"
     )
 
 

@@ -38,19 +38,21 @@ from irisjax.transport.radiative.resolution import angles_resolved, outcome
 from irisjax.transport.solution import Absorbed, Solution
 from irisjax.transport.solver import AbstractSolver, checked_process
 
-_FIRST = 0.2  # optical depth of the first layer: its error is about 2e-5
-_TRACED = 8  # doublings where the depth is not known: 50 deep
+_FIRST = 0.025  # optical depth of the first layer that is chosen: 2e-5 of reflectance, grazing 2e-4
+_COARSEST = 0.125  # of one that is allowed: 5e-4 under LB06's indices, grazing 2e-3
+_TRACED = 10  # doublings where the depth is not known: 128 deep
 
 
 class AddingDoubling(AbstractSolver):
     """Deterministic solver of scalar radiative transfer with any phase function of the stroma.
 
     - `n_angles`: quadrature nodes over the cosine; as many moments of the phase function are kept.
-        Where light grazes a slab that scatters too sharply forwards for them, the status is
-        `too_few_angles`.
+        Where reflectance is estimated to miss 5e-3 or more by them, since the slab scatters too
+        sharply, the status is `too_few_angles`.
     - `n_doublings`: the slab is doubled so often from its first layer; `None` takes as many as the
-        optical depth asks for where it is known, and 8 while tracing: enough for depths of 50.
-        Where it is not, known or traced, the status is `under_resolved`.
+        optical depth asks for where it is known, and 10 while tracing: enough for depths of 128.
+        Where the first layer is deeper than 0.125, known or traced, the status is
+        `under_resolved`.
     """
 
     n_angles: int = eqx.field(static=True, default=32)
@@ -103,9 +105,8 @@ class AddingDoubling(AbstractSolver):
             *(layers.abl_absorption, layers.stroma_absorption, layers.stroma_scattering, phase),
             *(n, nodes, beams, power, exits, azimuth),
         )
-        resolved = (layers.extinction <= 1.001 * _FIRST * 2.0**doublings).all()
-        peak = phase.truncated(self.n_angles)[1]
-        angles = angles_resolved(layers, peak, beams.cosine, power)
+        resolved = (layers.extinction <= 1.001 * _COARSEST * 2.0**doublings).all()
+        angles = angles_resolved(layers, phase, self.n_angles, beams.cosine, power)
         return Solution(
             reflectance=flux.reflectance,
             mirrored=flux.mirrored,

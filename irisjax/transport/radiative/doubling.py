@@ -72,25 +72,38 @@ def respond(medium: Medium, lines: Lines, doublings: int) -> Response:
 
 
 def thin(medium: Medium, lines: Lines) -> Response:
-    """A layer whose sources are alike over its depth; the rest is exact. It conserves energy."""
+    """A layer whose light is scattered once exactly; what follows comes from sources that are alike
+    over its depth. It conserves energy.
+    """
     n, one = lines.nodes, jnp.eye(lines.nodes, dtype=medium.depth.dtype)
-    x_in, x_out = medium.depth / lines.columns, medium.depth / lines.rows
-    mean, own = mean_survival(x_in), mean_absence(x_out[:n])
+    depth, rows, columns = medium.depth, lines.rows[:, None], lines.columns[None]
+    each = 0.5 * medium.albedo * lines.weight[None]
+    on, back = each * medium.same, each * medium.opposite
+    mean, own = mean_survival(depth / columns), mean_absence(depth / lines.rows[:n])
+    # Of sources that fade along each column, in the mean over the depth: what leaves along a row.
+    up = mean_survival(depth * (1 / rows + 1 / columns))
+    down = survival(depth, jnp.maximum(rows, columns))
+    down = down * mean_survival(depth * jnp.abs(1 / rows - 1 / columns))
+    stays_on, stays_back = (on * (mean - down))[:n], (back * (mean - up))[:n]
 
-    def source(sign):
-        """Of light down and up together, or of their difference; and what of it the nodes have."""
-        kernel = 0.5 * medium.albedo * (medium.same + sign * medium.opposite) * lines.weight[None]
-        driven = kernel * mean[None]
-        inner = linear.solve(one - kernel[:n, :n] * own[None], driven[:n])
-        return driven + kernel[:, :n] @ (own[:, None] * inner), inner
+    def later(sign):
+        """Of light down and up together, or of their difference: sources after one scattering and
+        more; and all scattered light inside, in the mean over the depth.
+        """
+        kernel = on[:, :n] + sign * back[:, :n]
+        once = stays_on + sign * stays_back
+        driven = kernel @ once
+        inner = linear.solve(one - kernel[:n] * own[None], driven[:n])
+        more = own[:, None] * inner
+        return driven + kernel @ more, once + more
 
-    (even, odd), (inside, _) = jax.vmap(source)(jnp.asarray([1.0, -1.0], medium.depth.dtype))
-    emitted = 0.5 * attenuation(medium.depth, lines.rows)[:, None]
-    light = lines.weight * mean + (lines.weight[:n] * own) @ inside
+    (even, odd), (inside, _) = jax.vmap(later)(jnp.asarray([1.0, -1.0], depth.dtype))
+    emitted = 0.5 * attenuation(depth, lines.rows)[:, None]
+    light = lines.weight * mean[0] + lines.weight[:n] @ inside
     return Response(
-        back=emitted * (even - odd),
-        on=emitted * (even + odd),
-        absorbed=medium.coalbedo * medium.depth * light,
+        back=back * up * (depth / rows) + emitted * (even - odd),
+        on=on * down * (depth / rows) + emitted * (even + odd),
+        absorbed=medium.coalbedo * depth * light,
     )
 
 
