@@ -30,7 +30,7 @@ class RESULTS(eqx.Enumeration):
     not_converged = "the orders of scattering did not converge"
     outside_table = "an optical depth or index lies outside the range the table was built for"
     too_few_angles = (
-        "so few angles do not follow light in a stroma that scatters this sharply, or between these "
+        "so few angles do not follow light in a stroma that scatters so sharply, or between such "
         "interfaces; give AddingDoubling(n_angles=...) a larger number"
     )
 

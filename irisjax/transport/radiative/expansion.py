@@ -4,7 +4,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from irisjax.numerics import linear
 from irisjax.numerics.roots import safe_sqrt
 from irisjax.optics.mixture import PhaseMixture, mean_henyey_greenstein
 from irisjax.transport.radiative.doubling import Lines
@@ -99,15 +98,31 @@ def _means(phase: PhaseMixture, moments, peak, lines: Lines):
     near = (near / jax.lax.stop_gradient(near.max(1, keepdims=True))) ** 3
     collect = 0.5 * into * weight[None]
     missed = wanted - jnp.einsum("li,sij->slj", collect, means)
-    system = jnp.einsum("li,sij,mi->sjlm", collect, near, into)
-    strength = jax.vmap(jax.vmap(linear.solve))(system, jnp.swapaxes(missed, 1, 2))
-    same, opposite = means + near * jnp.einsum("mi,sjm->sij", into, strength)
+    same, opposite = means + _correction(near, into, weight, missed)
 
     # Each column sends out what it gets, to rounding.
     lost = 1 - 0.5 * weight @ (same + opposite)
     same = same.at[np.arange(n), np.arange(n)].add(2 * lost[:n] / weight)
     more = lost[n:] / (0.5 * weight @ same[:, n:])
     return same.at[:, n:].multiply(1 + more[None]), opposite
+
+
+def _correction(near, into, weight, missed):
+    """Of all values at nodes that have the half-range moments `missed` (senses, moments, columns),
+    the least in the mean square where `near` (senses, nodes, columns) is its weight.
+
+    By orthogonal polynomials: beside a sharp peak the normal equations lose float32's digits.
+    """
+    root, known, found = jnp.sqrt(near * weight[None, :, None]), [], 0.0
+    for order in range(_KEPT):
+        v, m = root * into[order][None, :, None], missed[:, order]
+        for q, moment in 2 * known:  # twice is enough
+            along = (v * q).sum(1)
+            v, m = v - along[:, None] * q, m - along * moment
+        size = jnp.sqrt((v * v).sum(1))
+        known.append((v / size[:, None], m / size))
+        found = found + known[-1][0] * known[-1][1][:, None]
+    return 2 * jnp.sqrt(near / weight[None, :, None]) * found
 
 
 def series_value(moments, cosine):
