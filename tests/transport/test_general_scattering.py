@@ -7,30 +7,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from mixed_layers import LB06, MATCHED, REVERSED, _solve, mixed, solve
 
 import irisjax as ij
 from common import DOUBLE_FIRST, layers, quick_jit, slowly
 from irisjax.optics.mixture import PhaseMixture
 
-MATCHED = (1.4, 1.4, 1.4, 1.4)
-LB06 = (1.336, 1.4733, 1.4728, 1.5)
-REVERSED = (1.5, 1.4, 1.35, 1.3)
 DEPTHS = (1e-12, 1e-3, 1.0, 30.0, 1e6, 0.0)
-
-
-def mixed(abl, absorption, scattering, rayleigh, g, indices):
-    """Layers whose phase function is a mixture, eight wavelengths or as many as are given."""
-    made = layers(abl, absorption, scattering, indices)
-    size = made.extinction.shape
-    spread = (jnp.broadcast_to(jnp.asarray(x, float), size) for x in (rayleigh, g))
-    return dataclasses.replace(made, phase=PhaseMixture(*spread))
-
-
-def _solve(seen, cosine, solver):
-    return solver.solve(seen, ij.DEPTH_RESOLVED, cosine)
-
-
-solve = quick_jit(_solve)
 SOLVER = ij.AddingDoubling(16, 8)
 
 
@@ -94,125 +77,6 @@ def test_no_wrong_number_at_any_depth(indices, g, bits):
             assert bool(light.status == ij.RESULTS.successful) or (
                 grazes and bool(light.status == ij.RESULTS.too_few_angles)
             )
-
-
-@pytest.mark.parametrize("bits", [64, pytest.param(32, marks=pytest.mark.heavy)])
-def test_thin_forward_slabs_keep_their_digits(bits):
-    """16 angles beside 32, light along the normal, nothing mirrored; 0.08 wrong with the series."""
-    depth, g = (x.ravel() for x in np.meshgrid([1e-3, 1e-2, 0.1, 1.0], [0.9, -0.9]))
-    with jax.enable_x64(bits == 64):
-        seen = mixed(0.0, 0.0, depth, 0.0, g, MATCHED)
-        few, many = (solve(seen, 1.0, ij.AddingDoubling(n, 3)) for n in (16, 32))
-    np.testing.assert_allclose(few.reflectance, many.reflectance, rtol=3e-4)
-    assert bool(few.status == ij.RESULTS.successful)
-
-
-def test_light_scattered_once_and_back():
-    """In the thin limit a slab sends back the integral of the whole phase function over the half
-    space behind: at normal incidence (1 − g)/2g · ((1 + g)/√(1 + g²) − 1) of what it scatters, of
-    g = −0.9 as of 0.9.
-    """
-    g = np.array([0.5, 0.8, 0.9, 0.95, -0.5, -0.8, -0.9])
-    depth = np.full(g.size, 1e-9)
-    found = solve(mixed(0.0, 0.0, depth, 0.0, g, MATCHED), 1.0, ij.AddingDoubling(16, 0))
-    back = (1 - g) / (2 * g) * ((1 + g) / np.sqrt(1 + g * g) - 1)
-    np.testing.assert_allclose(found.reflectance / depth, back, rtol=1e-5)
-
-
-@pytest.mark.parametrize(("cosine", "angles", "g", "said"), [
-    (0.03, 16, 0.95, True), (0.03, 32, 0.95, True), (0.1, 16, 0.9, True),
-    (0.03, 32, 0.8, False), (1.0, 16, 0.95, False), (0.03, 16, -0.9, False), (1.0, 6, -0.9, True),
-])  # fmt: skip
-def test_too_few_angles_are_said(cosine, angles, g, said):
-    """As wrong as 1 to 5 % without it, at worst; traced too."""
-    from irisjax.transport.radiative.directions import from_outside
-    from irisjax.transport.radiative.resolution import angles_resolved
-
-    seen = mixed(0.0, 0.0, np.array([0.02]), 0.0, g, MATCHED)
-
-    def resolved(made):
-        beam = from_outside(made, jnp.array([cosine])).cosine
-        return angles_resolved(made, made.phase, angles, beam, jnp.ones(1))
-
-    assert bool(resolved(seen)) != said
-    assert bool(jax.jit(resolved)(seen)) != said
-
-
-def test_too_few_angles_reach_the_status():
-    seen = mixed(0.0, 0.0, np.array([0.02]), 0.0, 0.95, MATCHED)
-    assert bool(solve(seen, 0.03, ij.AddingDoubling(4, 0)).status == ij.RESULTS.too_few_angles)
-    plain = layers(0.0, 0.0, np.array([0.02]), MATCHED)  # Rayleigh's law has no peak
-    assert bool(solve(plain, 0.03, ij.AddingDoubling(4, 0)).status == ij.RESULTS.successful)
-
-
-def test_few_nodes_between_interfaces_are_said():
-    """4 angles lose 40 % under LB06's indices, whose critical angles share them out; 8 lose 2e-3."""
-    plain = layers(0.0, 0.0, np.array([0.01]), LB06)
-    said = [solve(plain, 1.0, ij.AddingDoubling(n, 0)).status for n in (4, 8)]
-    assert bool(said[0] == ij.RESULTS.too_few_angles)
-    assert bool(said[1] == ij.RESULTS.successful)
-
-
-# Light back from slabs without interfaces, rows of depth and g, nothing absorbed but in the last:
-# CDISORT 4.0 with 192 streams (nanodisort), flux only, albedo 1 − 1e-9 where nothing is.
-GRAZED = {
-    0.03: """\
-0.01 0.5 1 0.1378765
-0.2 0 1 0.5740775
-0.2 0.5 1 0.5537767
-0.2 -0.9 1 0.7223408
-10 0 1 0.9449891
-10 0.5 1 0.9088644
-10 -0.9 1 0.9824386
-0.2 0.5 0.5 0.2381006""",
-    0.003: """\
-0.01 0.5 1 0.4869752
-0.2 0 1 0.6065707
-0.2 0.5 1 0.595889
-0.2 -0.9 1 0.7726594
-10 0 1 0.9488419
-10 0.5 1 0.9167201
-10 -0.9 1 0.9854673
-0.2 0.5 0.5 0.2659694""",
-}
-
-
-@pytest.mark.parametrize("cosine", [0.03, 0.003])
-def test_grazing_light_is_cdisorts(cosine):
-    """With the doublings that the solver takes by itself: up to 13 % wrong at depth 0.2,
-    when all sources in a first layer of 0.2 were alike over its depth.
-    """
-    depth, g, albedo, wanted = np.array([x.split() for x in GRAZED[cosine].splitlines()], float).T
-    seen = mixed(0.0, depth * (1 - albedo), depth * albedo, 0.0, g, MATCHED)
-    solver = ij.AddingDoubling(16).prepare(lambda: seen, ij.DEPTH_RESOLVED)
-    found = solve(seen, cosine, solver)
-    assert bool(found.status == ij.RESULTS.successful)
-    np.testing.assert_allclose(found.reflectance, wanted, rtol=2e-4)
-
-
-def test_a_thin_layers_first_scattering_is_exact():
-    """At any depth of the layer: all that comes back where light is absorbed at its second
-    collision, isotropic, ½ ω ∫ μ/(μ + μ₀) (1 − e^{−τ(1/μ + 1/μ₀)}) dμ.
-    """
-    depth, cosine = np.array([0.01, 0.12]), 0.02
-    x, w = np.polynomial.legendre.leggauss(300)
-    mu, w = ((x + 1) / 2) ** 3, 1.5 * ((x + 1) / 2) ** 2 * w
-    once = 0.5 * -np.expm1(-depth[:, None] * (1 / mu + 1 / cosine)) @ (w * mu / (mu + cosine))
-    seen = mixed(0.0, depth * (1 - 1e-9), depth * 1e-9, 0.0, 0.0, MATCHED)
-    found = solve(seen, cosine, ij.AddingDoubling(32, 0)).reflectance
-    np.testing.assert_allclose(found / 1e-9, once, rtol=1e-5)
-
-
-@pytest.mark.heavy
-def test_single_precision_keeps_a_peaks_moments():
-    """4e-3 wrong at g = 0.9 by normal equations, 6e-3 at 0.95."""
-    depth, g = (x.ravel() for x in np.meshgrid([0.01, 0.1, 1.0, 10.0], [0.5, 0.8, 0.9, 0.95]))
-    found = []
-    for bits in (64, 32):
-        with jax.enable_x64(bits == 64):
-            seen = mixed(0.1, 0.0, depth, 0.0, g, LB06)
-            found.append(np.asarray(solve(seen, 1.0, ij.AddingDoubling(16, 9)).reflectance, float))
-    np.testing.assert_allclose(found[1], found[0], rtol=1e-5)
 
 
 @pytest.mark.heavy

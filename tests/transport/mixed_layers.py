@@ -1,0 +1,28 @@
+"""Layers whose phase function is a mixture, and their solution in one program."""
+
+import dataclasses
+
+import jax.numpy as jnp
+
+import irisjax as ij
+from common import layers, quick_jit
+from irisjax.optics.mixture import PhaseMixture
+
+MATCHED = (1.4, 1.4, 1.4, 1.4)
+LB06 = (1.336, 1.4733, 1.4728, 1.5)
+REVERSED = (1.5, 1.4, 1.35, 1.3)
+
+
+def mixed(abl, absorption, scattering, rayleigh, g, indices):
+    """Layers whose phase function is a mixture, eight wavelengths or as many as are given."""
+    made = layers(abl, absorption, scattering, indices)
+    size = made.extinction.shape
+    spread = (jnp.broadcast_to(jnp.asarray(x, float), size) for x in (rayleigh, g))
+    return dataclasses.replace(made, phase=PhaseMixture(*spread))
+
+
+def _solve(seen, cosine, solver):
+    return solver.solve(seen, ij.DEPTH_RESOLVED, cosine)
+
+
+solve = quick_jit(_solve)
