@@ -19,7 +19,7 @@ from irisjax.photo.average import TURNS, average_maps
 from irisjax.photo.boundaries import find_boundaries
 from irisjax.photo.cloned import NOTHING, Clone, Given, Second, Settings, needed
 from irisjax.photo.ellipse import Ellipse
-from irisjax.photo.lamps import Lighting, find_lighting, tangent_of
+from irisjax.photo.lamps import Lighting, find_lighting, shade_on, tangent_of
 from irisjax.photo.morphology import maps_of
 from irisjax.photo.part import part_of
 from irisjax.photo.photograph import Photograph
@@ -226,10 +226,15 @@ def _with_finer_thickness(found: Clone, settings: Settings) -> Clone:
     response = needed(found.windows).thickness_response(found.iris())
     freckles, share = needed(found.morphology).freckles, settings.relief
     slopes: Any = (0.0, 0.0)
+    lights, shade = needed(found.lighting).lights(), None
+    if found.second is None:  # whose light is not known
+        room = needed(found.fit).values["room"] if needed(found.lighting).room else 0.0
+        shade = shade_on(texture, lights, room, pose.eye, found.tables)
     if share > 0:
-        tangent = tangent_of(needed(found.lighting).lights(), pose.eye, found.tables)
+        tangent = tangent_of(lights, pose.eye, found.tables)
         slopes = tuple(float(-share * t) for t in tangent)
-    finer = maps_of(texture, freckles, sigma_mm=0.0, response=response, slopes=slopes)
+    told = {"response": response, "slopes": slopes, "shade": shade}
+    finer = maps_of(texture, freckles, sigma_mm=0.0, **told)
     if share > 0:
         height = share * (finer.thickness - generic_thickness(texture.radius()))
         relief = to_polar(height, texture.pupil_radius, texture.iris_radius)

@@ -4,10 +4,12 @@ from typing import Any, NamedTuple, cast
 
 import numpy as np
 import skimage.measure
-from jaxtyping import Float
+from jaxtyping import Bool, Float
+from scipy import ndimage
 
 from irisjax.anatomy.eye import Eye
 from irisjax.photo.pose import Pose
+from irisjax.photo.unrefracted import Unrefracted
 from irisjax.render.environment import Environment
 from irisjax.render.illumination import Illumination
 from irisjax.render.lights import Lights
@@ -17,6 +19,9 @@ from irisjax.render.shading import fluxes_of
 
 _LEAST = 5  # pixels of a highlight
 _MOST = 6  # lamps
+_GATHERED = 1.131**2  # of light from all round, by the cornea: the pupil's magnification, squared
+SHADED = 0.7
+"""Light on the iris, of its median, below which it counts as shade."""
 
 
 class Lighting(NamedTuple):
@@ -74,6 +79,25 @@ def tangent_of(lights: Lights, eye: Eye, tables: Illumination | None) -> tuple[f
     x, y, z = (part[inside].sum() for part in flux)
     # Towards the light, which travels the other way.
     return float(-x / z), float(-y / z)
+
+
+def shade_on(
+    texture: Unrefracted, lights: Lights, room: float, eye: Eye, tables: Illumination | None
+) -> Bool[np.ndarray, "size size"]:
+    """Texels of an iris that get less than `SHADED` of the usual light: the shadow of the limbus.
+
+    `room`: radiance of light from all round beside the lights.
+    """
+    flux = np.asarray(fluxes_of(lights, eye, tables))[:, 2].sum(0)
+    radius, angle = texture.radius(), texture.angle()
+    middle, reach = (len(flux) - 1) / 2, float(eye.iris_radius)
+    place = [
+        (d * radius / reach + 1) * middle for d in (np.sin(angle), np.cos(angle))
+    ]  # rows of the grid run up, as y does
+    lit = ndimage.map_coordinates(flux.astype(np.float32), place, order=1, mode="nearest")
+    lit += np.float32(np.pi * _GATHERED * room)
+    usual = np.median(lit[texture.valid]) if texture.valid.any() else 0.0
+    return lit < SHADED * usual
 
 
 def _mirrored(spots, seen: MirrorPixels | None, shape: tuple[int, int]):

@@ -19,6 +19,7 @@ from irisjax.photo.thickness import (
     ITERATIONS,
     SIGMA,
     WIDTH,
+    contrast,
     deconvolve,
     intensity,
     local_normalisation,
@@ -59,6 +60,7 @@ def maps_of(
     beta: float = BETA,
     response: float | None = None,
     slopes: tuple[float, float] = (0.0, 0.0),
+    shade: Bool[np.ndarray, "size size"] | None = None,
     width_mm: float = WIDTH,
     iterations: int = ITERATIONS,
     shape: tuple[int, int] = SHAPE,
@@ -72,6 +74,7 @@ def maps_of(
     - `beta`: thickness per encoded pixel value, mm  [Eq. 7]. `response`: in its place, the model's
         (`relative_thickness`); the photograph is then taken as linear luminance.
     - `slopes`: of the shading by relief to be taken off, see `unshade`; needs `response`.
+    - `shade`: texels that lamps hardly reach; used with `response`.
     - `shape`: (angles, radii) of the maps.
 
     **Raises:** `ValueError` for a texture without valid texels, a mask of another size and numbers
@@ -91,13 +94,12 @@ def maps_of(
     # Freckles and small holes take part as they are filled; what lies outside does not.
     radius = texture.radius()
     shown = valid | freckles
-    relative = relative_luminance(
-        texture._replace(pixels=filled).luminance(), shown, width_mm, texel
-    )
+    luminance = texture._replace(pixels=filled).luminance()
     if response is None:
+        relative = relative_luminance(luminance, shown, width_mm, texel)
         normalised = local_normalisation(intensity(relative), shown, width_mm, texel)
     else:
-        normalised = local_normalisation(relative, shown, width_mm, texel)
+        normalised = contrast(luminance, shown, shade, texel, width_mm)
         normalised = unshade(normalised, shown, slopes, response, texel)
     normalised = np.maximum(normalised, np.float32(-0.99))
     deconvolved = deconvolve(normalised, shown, sigma_mm, texel, iterations)

@@ -24,6 +24,15 @@ LEAST = 0.03
 """Thickness to which the map is clamped, mm: the floor of a deep crypt."""
 MOST = 1.5
 """Greatest thickness of the map that luminance and a response give, mm."""
+SMOOTH = 0.012
+"""Standard deviation of the Gaussian that takes the sensor's noise off a contrast, mm: a texel of
+the usual texture.
+"""
+SHADE_WIDTH, SHADE_SHARE = 0.4, 0.5
+"""In the shade: width of the neighbourhood, mm, and share of the contrast that is believed. Light
+that falls off within less than a millimetre makes contrast as thickness does; in simulated
+photographs the two correlate by 0.3 to 0.5 there, and by 0.8 to 0.9 elsewhere.
+"""
 TYPICAL = 0.4
 """Mean thickness of a stroma, mm: of shading's share in the contrast."""
 OTHER = 0.25
@@ -73,6 +82,31 @@ def relative_luminance(
     around = masked_mean(luminance, valid, width_mm / millimetres_per_texel)
     known = valid & (around > 1e-6)
     return np.where(known, luminance / np.where(known, around, 1), 1).astype(np.float32)
+
+
+def contrast(
+    luminance: Texture,
+    valid: Bool[np.ndarray, "size size"],
+    shade: Bool[np.ndarray, "size size"] | None,
+    millimetres_per_texel: float,
+    width_mm: float = WIDTH,
+) -> Texture:
+    """Contrast of linear luminance to its mean round about, less noise; 0 where not valid.
+
+    Texels in the `shade`, where lamps hardly reach, and those beside it are compared each with
+    their own kind only, for light falls off steeply between them. `width_mm`: of the neighbourhood.
+    """
+    shade = np.zeros_like(valid) if shade is None else shade & valid
+    whole = np.zeros(valid.shape, np.float32)
+    kinds = (valid & ~shade, width_mm, 1.0), (shade, min(width_mm, SHADE_WIDTH), SHADE_SHARE)
+    for kind, width, share in kinds:
+        if not kind.any():
+            continue
+        relative = relative_luminance(luminance, kind, width, millimetres_per_texel)
+        found = local_normalisation(relative, kind, width, millimetres_per_texel)
+        found = masked_mean(found, kind, SMOOTH / millimetres_per_texel)
+        whole[kind] = np.float32(share) * found[kind]
+    return whole
 
 
 def local_normalisation(

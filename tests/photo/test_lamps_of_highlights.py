@@ -6,9 +6,11 @@ import pytest
 from eyes_in_line import outlines
 
 from irisjax.anatomy.eye import Eye
-from irisjax.photo.lamps import find_lighting, tangent_of
+from irisjax.photo.lamps import find_lighting, shade_on, tangent_of
 from irisjax.photo.pose import find_pose
+from irisjax.photo.unrefracted import Unrefracted
 from irisjax.render.camera import Camera
+from irisjax.render.illumination import Illumination
 from irisjax.render.lights import Lights
 from irisjax.render.stages import look
 
@@ -96,3 +98,23 @@ def test_light_from_the_right_leans_to_the_right():
     # Refracted at the flat front of a chamber without a cornea.
     assert 0 < x <= np.tan(0.5) + 1e-6
     assert y == pytest.approx(0, abs=1e-9)
+
+
+def test_the_limbus_shades_the_side_of_the_lamp():
+    """A lamp low on the right leaves the right rim dark; light from all round fills the shadow."""
+    eye, size = Eye(), 128
+    texture = Unrefracted(
+        np.ones((size, size, 3), np.float32), np.ones((size, size), bool), 2.0, 5.5
+    )
+    radius = texture.radius()
+    texture = texture._replace(valid=(radius > 2.0) & (radius < 5.2))
+    tables = Illumination.build(eye, caustics=False, size=65)
+    lamp = Lights.distant([0.9], [0.0], [np.pi])
+    shade = shade_on(texture, lamp, 0.0, eye, tables) & texture.valid
+    right = np.cos(texture.angle()) > 0.9
+    outer, inner = radius > 4.9, radius < 3.5
+    assert shade[right & outer & texture.valid].mean() > 0.9
+    assert not shade[right & inner].any()
+    # Opposite it fades more slowly, where the cornea is steep.
+    assert shade[right].sum() > 1.5 * shade[np.cos(texture.angle()) < -0.9].sum()
+    assert not (shade_on(texture, lamp, 20.0, eye, tables) & texture.valid & (radius < 5)).any()

@@ -6,6 +6,8 @@ from scipy import ndimage
 
 from irisjax.photo.thickness import (
     LEAST,
+    SHADE_SHARE,
+    contrast,
     deconvolve,
     generic_thickness,
     intensity,
@@ -148,3 +150,31 @@ def test_shading_by_relief_is_taken_off():
 def test_numbers_out_of_range(call, message):
     with pytest.raises(ValueError, match=message):
         call(np.zeros(R.shape, np.float32))
+
+
+def test_the_edge_of_a_shadow_is_no_thickness():
+    """Light falls off to a fifth within 0.6 mm; what is beyond is told to be shade."""
+    pattern = 0.15 * _pattern(1.5)
+    light = (0.2 + 0.8 / (1 + np.exp(-(X + 3) / 0.15))).astype(np.float32)
+    picture, shade = light * (1 + pattern), light < 0.7
+    whole = contrast(picture, RING, None, TEXEL)
+    told = contrast(picture, RING, shade, TEXEL)
+    lit, beside = RING & ~shade, RING & ~shade & (X < -2)
+
+    def error(found, where):
+        return np.sqrt(np.mean((found - pattern)[where] ** 2))
+
+    assert error(told, beside) < 0.75 * error(whole, beside)
+    assert error(told, lit) <= error(whole, lit)
+    assert told[RING & shade].std() < 0.7 * whole[RING & shade].std()
+    assert (told[~RING] == 0).all()
+    even = contrast(1 + pattern, RING, RING & (Y > 0), TEXEL)
+    assert even[RING & (Y > 0)].std() < 1.2 * SHADE_SHARE * even[RING & (Y < 0)].std()
+
+
+def test_noise_is_taken_off_a_contrast():
+    """Of a picture as fine as the usual texture."""
+    size, texel = 256, 12 / 1024
+    noise = np.random.default_rng(1).normal(0, 0.1, (size, size)).astype(np.float32)
+    everywhere = np.ones((size, size), bool)
+    assert contrast(1 + noise, everywhere, None, texel).std() < 0.04
