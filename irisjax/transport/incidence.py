@@ -2,8 +2,8 @@
 
 import jax.numpy as jnp
 
-from irisjax.numerics.quadrature import gauss_legendre
-from irisjax.optics.fresnel import fresnel_at
+from irisjax.numerics.quadrature import cosine_rule
+from irisjax.optics.fresnel import critical_cosine_squared, fresnel_at
 from irisjax.tissue.indices import RefractiveIndices
 
 DIFFUSE = "diffuse"
@@ -13,11 +13,18 @@ HEMISPHERE = "hemisphere"
 """Exits into every direction, collected by a lens."""
 
 
-def beams_of(cos_incidence, nodes: int, dtype):
-    """Cosines of the light's directions and its shares along them; `nodes` for `DIFFUSE`."""
+def beams_of(cos_incidence, nodes: int, indices: RefractiveIndices, dtype, layers: int = 3):
+    """Cosines of the light's directions and its shares along them; `nodes` for `DIFFUSE`.
+
+    Grazing light of a thin layer and total reflection at any of the first `layers` interfaces are
+    resolved.
+    """
     if isinstance(cos_incidence, str):
-        x, w = gauss_legendre(nodes)
-        return jnp.asarray(x, dtype), jnp.asarray(2 * x * w, dtype)
+        beyond = (indices.abl, indices.stroma, indices.ipe)[:layers]
+        breaks = jnp.stack([critical_cosine_squared(indices.aqueous, n) for n in beyond])
+        rule = cosine_rule(breaks.astype(dtype), (True,) * layers, nodes)
+        shares = 2 * rule.cosine * rule.weight
+        return rule.cosine, shares / shares.sum()
     return jnp.atleast_1d(jnp.asarray(cos_incidence, dtype)), jnp.ones(1, dtype)
 
 
@@ -41,7 +48,7 @@ def first_surface(cos_incidence, indices: RefractiveIndices, dtype):
     `DIFFUSE`.
     """
     if isinstance(cos_incidence, str):
-        mu, w = beams_of(cos_incidence, 48, dtype)
+        mu, w = beams_of(cos_incidence, 48, indices, dtype, layers=1)
         mirrored, entered = fresnel_at(mu, indices.aqueous, indices.abl)
         return w @ mirrored, w @ entered
     return fresnel_at(jnp.asarray(cos_incidence, dtype), indices.aqueous, indices.abl)

@@ -3,6 +3,7 @@ and what a BRDF integrates to.
 """
 
 import dataclasses
+import math
 
 import jax.numpy as jnp
 import numpy as np
@@ -97,15 +98,51 @@ def test_incidence_enters_by_the_first_transmission_only(name):
     np.testing.assert_allclose(r / t, np.full(4, r[0] / t[0]), rtol=1e-12)
 
 
+def hemisphere(media):
+    """Cosines in the aqueous humour and the shares along them of light from all round, between the
+    cosines where an interface begins to reflect totally: smooth in √(μ² − edge²).
+    """
+    critical = {np.sqrt(max(0.0, 1 - (n / media[0]) ** 2)) for n in media[1:]}
+    edges = sorted({0.0, 1.0} | critical)
+    above, below = np.array(edges[1:])[:, None] ** 2, np.array(edges[:-1])[:, None] ** 2
+    squares = below + (above - below) * X**2
+    return np.sqrt(squares).ravel(), ((above - below) * 2 * X * W).ravel()
+
+
 @pytest.mark.parametrize("name", ["lb06", heavily("depth-resolved")])
-def test_diffuse_incidence_is_the_mean_over_the_hemisphere(name):
-    x, w = np.polynomial.legendre.leggauss(40)
-    x, w = (x + 1) / 2, w / 2
-    one = np.array(
-        [solve(PROCESSES[name], 0.1, 0.1, 0.2, cosine=c).reflectance[0] for c in jnp.asarray(x)]
-    )
-    diffuse = solve(PROCESSES[name], 0.1, 0.1, 0.2, cosine=ij.DIFFUSE).reflectance[0]
-    assert diffuse == pytest.approx(float(np.sum(2 * x * w * one)), rel=1e-6)
+@pytest.mark.parametrize(
+    "media", [IRIS, (1.45, 1.35, 1.4, 1.42), (1.5, 1.6, 1.4, 1.3)], ids=["iris", "abl", "stroma"]
+)
+def test_diffuse_incidence_is_the_mean_over_the_hemisphere(name, media):
+    """Interfaces that light comes to from the denser side mirror a part of it totally."""
+    made = layers(0.1, 0.1, 0.2, media)
+    cosines, shares = hemisphere(media)
+    one = [common.solve(PROCESSES[name], made, c).reflectance[0] for c in jnp.asarray(cosines)]
+    diffuse = common.solve(PROCESSES[name], made, ij.DIFFUSE).reflectance[0]
+    assert diffuse == pytest.approx(float(shares @ np.array(one)), rel=1e-7)
+
+
+@pytest.mark.parametrize(
+    ("process", "solver", "tolerance"),
+    [
+        (ij.DEPTH_RESOLVED, ij.RadiativeExact(), 1e-7),
+        (ij.DEPTH_RESOLVED, ij.AddingDoubling(), 1e-6),
+        (ij.POLARISED, ij.RadiativeExact(), 1e-7),
+    ],
+    ids=["scalar", "doubling", "polarised"],
+)
+def test_diffuse_light_in_thin_layers_that_only_absorb(process, solver, tolerance):
+    """What passes of light from all round is 2E₃(τ), of which grazing light is the hard part."""
+    depth = np.geomspace(1e-6, 10, 15)
+    found = common.solve(process, layers(0.0, depth, 0.0, MATCHED), ij.DIFFUSE, solver)
+    lost = np.where(depth < 1e-2, _lost_in_thin(depth), 1 - 2 * expn(3, depth))
+    np.testing.assert_allclose(found.absorbed.stroma, lost, rtol=tolerance)
+
+
+def _lost_in_thin(depth):
+    """1 − 2E₃(τ) without what cancels  [DLMF 8.19.8]."""
+    powers = sum((-depth) ** k / (math.factorial(k) * (k - 2)) for k in (0, 1, 3, 4, 5, 6))
+    return 1 + 2 * powers - depth**2 * (1.5 - np.euler_gamma - np.log(depth))
 
 
 @pytest.mark.parametrize("name", ILIT)

@@ -116,7 +116,7 @@ class RadiativeTabulated(AbstractSolver):
         checked_process(self, process, RadiativeTransfer, layers)
         dtype = layers.extinction.dtype
         cosine, azimuth = exits_of(cos_incidence, cos_exit, azimuth, dtype)
-        outside, power = beams_of(cos_incidence, 16, dtype)
+        outside, power = beams_of(cos_incidence, 24, layers.indices, dtype)
         beams = from_outside(layers, outside)
         light = laid_out_as(
             layers.extinction,

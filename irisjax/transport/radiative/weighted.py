@@ -122,7 +122,7 @@ def _shares(solver: RadiativeWeighted, phase: AbstractPhase, how, depths, shared
     indices = RefractiveIndices(aqueous, abl, stroma, ipe)
     layers = Layers(absorbing, absorption, scattering, indices, Order())
     dtype = layers.extinction.dtype
-    outside, power = beams_of(numbers[0] if numbers else DIFFUSE, _BEAMS, dtype)
+    outside, power = beams_of(numbers[0] if numbers else DIFFUSE, _BEAMS, indices, dtype)
     beams = from_outside(layers, outside)
     abl, depth = layers.abl_absorption, layers.extinction
     first = jax.vmap(before, (0, 0, None))(abl, depth, beams)
