@@ -6,6 +6,7 @@ import functools
 import inspect
 import math
 from collections.abc import Callable, Mapping
+from pathlib import Path
 from typing import Annotated, Any, ClassVar, get_args, get_type_hints
 
 import numpy as np
@@ -146,12 +147,23 @@ def _options_of(group: type[Group]) -> dict[str, inspect.Parameter]:
         if isinstance(info, OptionInfo):
             info = copy.copy(info)
             info.rich_help_panel = group.PANEL
+            if Path in (kind, *get_args(kind)) and info.parser is None:
+                info.parser = _path
         must = field.default is dataclasses.MISSING
         default = inspect.Parameter.empty if must else field.default
         found[field.name] = inspect.Parameter(
             field.name, _KEYWORD, default=default, annotation=Annotated[kind, info]
         )
     return found
+
+
+def _path(text: str | Path) -> Path:
+    """A file or folder; an empty text, of a shell's variable that is not set, is the working folder
+    to `pathlib`.
+    """
+    if not str(text):
+        raise typer.BadParameter("no file or folder is named")
+    return Path(text)
 
 
 @dataclasses.dataclass(frozen=True)

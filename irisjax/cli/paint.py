@@ -78,6 +78,8 @@ class Subject(Paints):
         super().__post_init__()
         if not self.painted(self.recipe, self.match is not None):
             raise ValueError("give a recipe or --type, one of them")
+        if "seed" in self.typed and self.recipe is not None and self.match is None:
+            raise ValueError("--seed is for --type: a recipe has a seed for each of its coats")
         if self.retouch is not None and self.match is None:
             raise ValueError(f"--retouch {self.retouch} is for --match")
 

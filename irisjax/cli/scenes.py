@@ -42,6 +42,11 @@ class Subject(Group):
         option(parse=read_seed, metavar="number", help=f"{SEED_HELP}maps of a preset"),
     ] = 0
 
+    def __post_init__(self):
+        super().__post_init__()
+        if "seed" in self.typed and self.scene is not None:
+            raise ValueError("--seed is for what has no file: a scene file says its own")
+
     def read(self) -> SceneFile:
         """The scene of the file, or of the preset in a studio."""
         return scene_file(self.scene, self.preset, self.seed)

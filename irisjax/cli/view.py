@@ -81,6 +81,8 @@ def view(subject: Shown, coats: Coats, window: Window) -> None:
     painted = coats.painted(coats.recipe)
     if painted and (subject.scene is not None or subject.preset is not None):
         raise ValueError("give one eye: SCENE, --preset, --recipe or --type")
+    if "seed" in subject.typed and coats.recipe is not None:
+        raise ValueError("--seed is for --type: a recipe has a seed for each of its coats")
     # Half the time of double precision, and the same picture to one level of 255 but for some
     # pixels.
     jax.config.update("jax_enable_x64", False)
