@@ -23,7 +23,7 @@ from irisjax.cli.painted_files import (
     check_spared,
     remove_left_over,
 )
-from irisjax.cli.paints import Paints, of_file
+from irisjax.cli.paints import Paints, check_no_seed, of_file
 from irisjax.cli.scenes import changed, environment_of
 from irisjax.export.coats import FORMATS, painting_files
 from irisjax.io.recipes import PUPIL, recipe_text
@@ -78,8 +78,8 @@ class Subject(Paints):
         super().__post_init__()
         if not self.painted(self.recipe, self.match is not None):
             raise ValueError("give a recipe or --type, one of them")
-        if "seed" in self.typed and self.recipe is not None and self.match is None:
-            raise ValueError("--seed is for --type: a recipe has a seed for each of its coats")
+        if self.recipe is not None and self.match is None:
+            check_no_seed(self.typed)
         if self.retouch is not None and self.match is None:
             raise ValueError(f"--retouch {self.retouch} is for --match")
 

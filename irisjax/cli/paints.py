@@ -75,6 +75,12 @@ class Paints(Group):
         return found
 
 
+def check_no_seed(typed: frozenset[str]) -> None:
+    """**Raises:** `ValueError` for a seed that was typed beside a recipe."""
+    if "seed" in typed:
+        raise ValueError("--seed is for --type: a recipe has a seed for each of its coats")
+
+
 @contextlib.contextmanager
 def of_file(recipe: Path | None) -> Iterator[None]:
     """Name the file of a recipe in what is said against it."""

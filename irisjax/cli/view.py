@@ -11,7 +11,7 @@ import typer
 from irisjax import _interrupt
 from irisjax.cli.cache import cores, kept_tables
 from irisjax.cli.options import SEED_HELP, Group, grouped, option, read_seed, whole
-from irisjax.cli.paints import Paints, of_file
+from irisjax.cli.paints import Paints, check_no_seed, of_file
 from irisjax.cli.scenes import Subject, changed
 from irisjax.io.clone_folders import read_clone
 from irisjax.view import Bench, Studio, check, serve
@@ -81,8 +81,8 @@ def view(subject: Shown, coats: Coats, window: Window) -> None:
     painted = coats.painted(coats.recipe)
     if painted and (subject.scene is not None or subject.preset is not None):
         raise ValueError("give one eye: SCENE, --preset, --recipe or --type")
-    if "seed" in subject.typed and coats.recipe is not None:
-        raise ValueError("--seed is for --type: a recipe has a seed for each of its coats")
+    if coats.recipe is not None:
+        check_no_seed(subject.typed)
     # Half the time of double precision, and the same picture to one level of 255 but for some
     # pixels.
     jax.config.update("jax_enable_x64", False)

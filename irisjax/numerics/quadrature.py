@@ -108,6 +108,7 @@ def cosine_rule(
     n: int,
     *,
     leave_out_first: bool = False,
+    entering: bool = False,
 ) -> CosineRule:
     """Quadrature over [0, 1] split at break points.
 
@@ -119,6 +120,9 @@ def cosine_rule(
         (a few more where that makes the shares even).
     - `leave_out_first`: leave out [0, min b_k] if all break points exist, and report its measure in
         `omitted`.
+    - `entering`: of light from outside, which every panel begins with grazing the layer beyond a
+        break point: each is graded. There are `n` nodes in all, a few more where that makes the
+        shares even, for these break points hardly ever exist.
     """
     dtype = breaks_squared.dtype
     breaks = [b for b, p in zip(breaks_squared, possible, strict=True) if p]
@@ -132,12 +136,12 @@ def cosine_rule(
         # Unless all are there, one edge too many stands at 1.
         edges = jnp.where(all_there, edges[1:], edges[:-1])
     starts, widths = edges[:-1], edges[1:] - edges[:-1]
-    x64, w64, owner = _shared(_nodes(n, most), most)
+    x64, w64, owner = _shared(_even(n, most) if entering else _nodes(n, most), most)
     row = panels - 1
     x, w = jnp.asarray(x64, dtype)[row], jnp.asarray(w64, dtype)[row]
     of = jnp.asarray(owner)[row]
     start, width = starts[of], widths[of]
-    g, dg = graded(x, start)
+    g, dg = graded(x, jnp.zeros_like(start) if entering else start)
     nu_squared = width * g * g
     mu = jnp.sqrt(start + nu_squared)
     return CosineRule(
@@ -175,8 +179,13 @@ def _nodes(n: int, most: int) -> int:
     if most == 1:
         return n
     each = max(2, n // 2 if most == 2 else n - n // 4)
-    unit = math.lcm(*range(1, most + 1)) // most
-    return most * unit * math.ceil(each / unit)
+    return _even(most * each, most)
+
+
+def _even(n: int, most: int) -> int:
+    """At least `n`, and a number that every number of panels up to `most` divides."""
+    unit = math.lcm(*range(1, most + 1))
+    return unit * math.ceil(n / unit)
 
 
 @lru_cache(maxsize=64)

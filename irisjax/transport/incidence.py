@@ -13,16 +13,17 @@ HEMISPHERE = "hemisphere"
 """Exits into every direction, collected by a lens."""
 
 
-def beams_of(cos_incidence, nodes: int, indices: RefractiveIndices, dtype, layers: int = 3):
-    """Cosines of the light's directions and its shares along them; `nodes` for `DIFFUSE`.
+def beams_of(cos_incidence, nodes: int, indices: RefractiveIndices, dtype, interfaces: int = 3):
+    """Cosines of the light's directions and its shares along them; `nodes` for `DIFFUSE`, a few
+    more where that makes the shares of their panels even.
 
-    Grazing light of a thin layer and total reflection at any of the first `layers` interfaces are
-    resolved.
+    Grazing light of a thin layer is resolved, and total reflection at the first `interfaces`, for
+    which the nodes are shared out where the aqueous humour is denser than what lies beyond.
     """
     if isinstance(cos_incidence, str):
-        beyond = (indices.abl, indices.stroma, indices.ipe)[:layers]
-        breaks = jnp.stack([critical_cosine_squared(indices.aqueous, n) for n in beyond])
-        rule = cosine_rule(breaks.astype(dtype), (True,) * layers, nodes)
+        beyond = (indices.abl, indices.stroma, indices.ipe)[:interfaces]
+        breaks = [critical_cosine_squared(indices.aqueous, n) for n in beyond]
+        rule = cosine_rule(jnp.asarray(breaks, dtype), (True,) * interfaces, nodes, entering=True)
         shares = 2 * rule.cosine * rule.weight
         return rule.cosine, shares / shares.sum()
     return jnp.atleast_1d(jnp.asarray(cos_incidence, dtype)), jnp.ones(1, dtype)
@@ -48,7 +49,7 @@ def first_surface(cos_incidence, indices: RefractiveIndices, dtype):
     `DIFFUSE`.
     """
     if isinstance(cos_incidence, str):
-        mu, w = beams_of(cos_incidence, 48, indices, dtype, layers=1)
+        mu, w = beams_of(cos_incidence, 48, indices, dtype, interfaces=1)
         mirrored, entered = fresnel_at(mu, indices.aqueous, indices.abl)
         return w @ mirrored, w @ entered
     return fresnel_at(jnp.asarray(cos_incidence, dtype), indices.aqueous, indices.abl)

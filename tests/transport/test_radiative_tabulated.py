@@ -203,3 +203,11 @@ def test_media_that_guide_light_are_refused_and_solved_exactly():
     with pytest.raises(ValueError, match=r"are tabulated to .* only, not to 1\.0e-04"):
         ij.RadiativeTabulated.build(indices)
     assert isinstance(either(indices, ij.DEPTH_RESOLVED), ij.RadiativeExact)
+
+
+@pytest.mark.slow  # a table of its own is built
+def test_what_no_table_holds_is_refused_with_its_error():
+    """From a denser medium a part of the light does not come in: 0 of 0 is no error of 0."""
+    media = ij.RefractiveIndices(*(jnp.asarray(n) for n in (1.45, 1.35, 1.4, 1.42)))
+    with pytest.raises(ValueError, match=r"tabulated to \d\.\de-03 only"):
+        ij.RadiativeTabulated.build(media)

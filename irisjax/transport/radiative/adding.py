@@ -90,7 +90,7 @@ class AddingDoubling(AbstractSolver):
         checked_process(self, process, RadiativeTransfer)
         n, dtype = layers.indices, layers.extinction.dtype
         nodes = gauss_nodes(layers, self.n_angles)
-        outside, power = beams_of(cos_incidence, self.n_angles, n, dtype)
+        outside, power = beams_of(cos_incidence, max(48, self.n_angles), n, dtype)
         beams = from_outside(layers, outside)
         cosine, azimuth = exits_of(cos_incidence, cos_exit, azimuth, dtype)
         exits = None if cosine is None else from_outside(layers, cosine)

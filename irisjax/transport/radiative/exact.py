@@ -109,7 +109,7 @@ def _solve(
 ):
     n, dtype = layers.indices, layers.extinction.dtype
     nodes = quadrature_nodes(layers, n_angles)
-    outside, power = beams_of(cos_incidence, n_angles, n, dtype)
+    outside, power = beams_of(cos_incidence, 2 * n_angles, n, dtype)
     beams = from_outside(layers, outside)
     cosine, azimuth = exits_of(cos_incidence, cos_exit, azimuth, dtype)
     exits = None if cosine is None else from_outside(layers, cosine)

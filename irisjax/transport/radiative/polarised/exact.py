@@ -88,7 +88,7 @@ def solve(
     if isinstance(cos_incidence, str) and cos_exit is not None:
         raise ValueError("a Mueller matrix is of light from one direction, not diffuse")
     nodes = rays(quadrature_nodes, layers, n_angles)
-    outside, power = beams_of(cos_incidence, n_angles, layers.indices, dtype)
+    outside, power = beams_of(cos_incidence, 2 * n_angles, layers.indices, dtype)
     lit = Lit(rays(from_outside, layers, outside), outside, power)
     looked = None
     if cos_exit is not None and not isinstance(cos_exit, str):
