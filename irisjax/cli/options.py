@@ -260,12 +260,21 @@ def one_of(*names: str) -> Callable[[str], str]:
 
 def cosine(text: str) -> float | str:
     """Parse a cosine of incidence, or the word for light from everywhere."""
-    return text if text == ij.DIFFUSE else number(0, 1)(text)
+    return _number_or(ij.DIFFUSE, text, 1)
 
 
 def exit_angle(text: str) -> float | str:
     """Parse an angle from the normal in degrees, or the word for all directions."""
-    return text if text == ij.HEMISPHERE else number(0, 90)(text)
+    return _number_or(ij.HEMISPHERE, text, 90)
+
+
+def _number_or(word: str, text: str, most: float) -> float | str:
+    if text == word:
+        return word
+    try:
+        return number(0, most)(text)
+    except ValueError as error:
+        raise ValueError(f"{error}; or write {word}") from None
 
 
 SEED_HELP = "0 to 4294967295; equal seeds give equal "
