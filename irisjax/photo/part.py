@@ -10,6 +10,7 @@ from jaxtyping import Bool, Float
 
 from irisjax.photo.ellipse import Ellipse
 from irisjax.photo.highlights import find_highlights, find_lashes, find_lids
+from irisjax.photo.lash_shadows import find_lash_shadows, without_islands
 from irisjax.photo.photograph import Photograph
 
 LARGEST = 1100
@@ -45,7 +46,9 @@ class Part(NamedTuple):
         covered = find_highlights(self.pixels, self.saturated & ring, ring)
         lids = find_lids(self.pixels, self.limbus, pupil)
         covered |= lids | find_lashes(self.pixels, self.limbus, lids)
-        return ring & ~covered & ~self.outside
+        clear = ring & ~covered & ~self.outside
+        clear &= ~find_lash_shadows(self.pixels, self.limbus, lids, clear)
+        return without_islands(clear)
 
 
 def part_of(photograph: Photograph, limbus: Ellipse) -> Part:
