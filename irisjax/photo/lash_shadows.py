@@ -34,7 +34,8 @@ def find_lash_shadows(
     radius = limbus.semi_axes[0]
     encoded = (np.clip(pixels @ LUMINANCE, 0, 1) ** np.float32(1 / 2.2)).astype(np.float32)
     around, there = (masked_mean(encoded, clear, s * radius) for s in (_AROUND, _THIN))
-    near = np.asarray(ndimage.distance_transform_edt(~lids)) < _REACH * radius
+    away = np.asarray(ndimage.distance_transform_edt(~lids), np.float32)
+    near = away < _REACH * radius
     streak = np.where(clear & near, (around - there) / np.maximum(around, 1e-3), 0)
     dark = skimage.filters.apply_hysteresis_threshold(streak, *_CLEAR)
     found = np.zeros_like(clear)
@@ -42,10 +43,17 @@ def find_lash_shadows(
         long, wide = region.axis_major_length, region.axis_minor_length
         branched = region.solidity < 0.4
         slender = long > 4 * max(wide, 1.0) and wide < _WIDEST * radius
-        if long > _SHORTEST * radius and (slender or branched):
+        if long > _SHORTEST * radius and (branched or (slender and _hangs(region, away))):
             found[tuple(region.coords.T)] = True
     margin = skimage.morphology.disk(max(1, round(0.008 * radius)))
     return np.asarray(skimage.morphology.dilation(found, margin))
+
+
+def _hangs(region, away) -> bool:
+    """Whether a streak runs away from the lid rather than along it, as fibres beside a pupil do."""
+    rows, columns = region.coords.T
+    along = away[rows, columns]
+    return bool(np.ptp(along) > 0.5 * region.axis_major_length)
 
 
 def without_islands(clear: Mask) -> Mask:
