@@ -69,7 +69,7 @@ def main(key, quick=False, out=RESULTS):
         for name in names:
             *_, found = clone(photograph, VARIANTS[name], last="pigments")
             texture = needed(found.texture)
-            truth = _truth(colour, texture)
+            truth = true_thickness(colour, texture)
             estimate, both = needed(found.morphology).thickness, compare(found, 2)
             scores.append((colour, name, *_score(found, truth, both)))
             row.append(_detail(_flat(brightened(both.rendered), found).pixels))
@@ -128,7 +128,7 @@ def write_jpeg(path, encoded: np.ndarray) -> None:
     write_atomically(path, data.getvalue())
 
 
-def _truth(colour: str, texture: Unrefracted) -> Truth:
+def true_thickness(colour: str, texture: Unrefracted) -> Truth:
     """What the photograph was made with."""
     every = json.loads((FOLDER / "truth.json").read_text(encoding="utf-8"))["photographs"]
     numbers = next(p for p in every if p["file"] == f"{colour}.jpg")
@@ -167,21 +167,28 @@ def _score(found: Clone, truth: Truth, both: Comparison) -> tuple:
     root mean square errors of the estimate and of the generic thickness, and means (mm).
     """
     estimate, used = needed(found.morphology).thickness, truth.used
-    ring = (needed(found.texture).radius()[used] / STEP).astype(int)
-    count = np.maximum(np.bincount(ring), 1)
     true, seen = truth.thickness[used], estimate[used]
-    apart = [v - (np.bincount(ring, v) / count)[ring] for v in (true, seen)]
     generic = generic_thickness(needed(found.texture).radius()[used])
     return (
         np.nan if found.response is None else found.response,
-        float(np.corrcoef(apart[0], apart[1])[0, 1]),
-        float(apart[1].std() / apart[0].std()),
+        *correlation(found, truth.thickness, used),
         *(float(np.sqrt(((v - true) ** 2).mean())) for v in (seen, generic)),
         float(seen.mean()),
         float(true.mean()),
         needed(found.morphology).clamped,
         *(float(r) for r in both.rms),
     )
+
+
+def correlation(found: Clone, thickness: np.ndarray, used: np.ndarray) -> tuple[float, float]:
+    """Of a true and a clone's deviations from the mean at their radius; and the spread of the
+    clone's over that of the true ones.
+    """
+    ring = (needed(found.texture).radius()[used] / STEP).astype(int)
+    count = np.maximum(np.bincount(ring), 1)
+    pair = thickness[used], needed(found.morphology).thickness[used]
+    true, told = (v - (np.bincount(ring, v) / count)[ring] for v in pair)
+    return float(np.corrcoef(true, told)[0, 1]), float(told.std() / true.std())
 
 
 def _flat(picture: np.ndarray, found: Clone, clear: np.ndarray | None = None) -> Unrefracted:

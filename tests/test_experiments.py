@@ -21,6 +21,7 @@ SLOW = {
     "bench_inversion",
     "bench_render",
     "clone_coverage",
+    "clone_light",
     "clone_search",
     "clone_thickness",
     "exact_against_montecarlo",

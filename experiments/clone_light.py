@@ -1,0 +1,73 @@
+"""Thickness of clones of all simulated photographs against the truth, where light comes.
+
+A part is well lit where neither the limbus nor a lid takes light away: what a lid takes is seen by
+the clean photograph of the same eye. Correlations are of deviations from the mean at a radius.
+"""
+
+import json
+
+import numpy as np
+from scipy import ndimage
+
+from experiments.clone_thickness import ABOUT, correlation, true_thickness
+from experiments.common import RESULTS, start, write
+from experiments.simulated_photographs import FOLDER
+from irisjax.io.photographs import read_photograph
+from irisjax.photo.clone import Settings, clone
+from irisjax.photo.cloned import Clone, needed
+from irisjax.photo.lamps import shade_on
+from irisjax.photo.part import part_of
+from irisjax.photo.refraction import unrefract
+from irisjax.photo.unrefracted import LUMINANCE
+
+TAKEN = 0.2
+"""Of the light, by a lid: more is not well lit."""
+SMOOTH = 6.0
+"""Standard deviation of what light is compared by, pixels: fibres and noise are narrower."""
+
+
+def main(key, quick=False, out=RESULTS):
+    """Write a CSV (quick: one photograph)."""
+    del key  # a clone up to its pigments draws no random numbers
+    every = json.loads((FOLDER / "truth.json").read_text(encoding="utf-8"))["photographs"]
+    files = [p["file"] for p in every][: 1 if quick else None]
+    write(out / "clone_light.csv", ABOUT, _COLUMNS, (_row(f) for f in files))
+
+
+_COLUMNS = (
+    *("photograph", "share_known", "correlation", "spread"),
+    *("share_beside_limbus_shade", "correlation_beside_limbus_shade"),
+    *("share_well_lit", "correlation_well_lit", "spread_well_lit"),
+)
+
+
+def _row(file: str) -> tuple:
+    *_, found = clone(read_photograph(FOLDER / file), Settings(), last="pigments")
+    texture, light = needed(found.texture), needed(found.lighting)
+    truth = true_thickness(file.split("_")[0].removesuffix(".jpg"), texture)
+    room = needed(found.fit).values["room"] if light.room else 0.0
+    shade = shade_on(texture, light.lights(), room, needed(found.pose).eye, found.tables)
+    beside = truth.used & ~shade
+    lit = beside & (_light_left(found, file, beside) > 1 - TAKEN)
+    whole = np.pi * (texture.iris_radius**2 - texture.pupil_radius**2)
+    share = [float(u.sum() * texture.millimetres_per_texel**2 / whole) for u in
+             (truth.used, beside, lit)]  # fmt: skip
+    scores = [correlation(found, truth.thickness, u) for u in (truth.used, beside, lit)]
+    return (file, share[0], *scores[0], share[1], scores[1][0], share[2], *scores[2])
+
+
+def _light_left(found: Clone, file: str, usual) -> np.ndarray:
+    """At each texel, share of the light that the same eye gets without lids."""
+    limbus = found.boundaries.limbus
+    seen, bare = (
+        ndimage.gaussian_filter(part_of(p, limbus).pixels @ LUMINANCE, SMOOTH)
+        for p in (read_photograph(FOLDER / f) for f in (file, file.replace("_dirty", "")))
+    )
+    ratio = np.repeat((seen / np.maximum(bare, 1e-6))[..., None], 3, -1).astype(np.float32)
+    every = np.ones(seen.shape, bool)
+    flat = unrefract(ratio, every, needed(found.pose), needed(found.refraction)).pixels[..., 0]
+    return flat / np.median(flat[usual])
+
+
+if __name__ == "__main__":
+    start(main, __doc__)
