@@ -9,7 +9,8 @@ import json
 import numpy as np
 from scipy import ndimage
 
-from experiments.clone_thickness import ABOUT, correlation, true_thickness
+from experiments.clone_thickness import ABOUT
+from experiments.clone_truth import correlation, true_thickness
 from experiments.common import RESULTS, start, write
 from experiments.simulated_photographs import FOLDER
 from irisjax.io.photographs import read_photograph

@@ -3,17 +3,16 @@ with and without deconvolution, local profiles, and the windows that pigments ar
 """
 
 import io
-import json
-from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
 from PIL import Image
 from scipy import ndimage
 
+from experiments.clone_truth import STEP, Truth, correlation, true_thickness
 from experiments.common import RESULTS, start, write
 from experiments.simulated_photographs import FOLDER
-from irisjax.io import read_maps, write_atomically
+from irisjax.io import write_atomically
 from irisjax.io.photographs import read_photograph
 from irisjax.measure.colour import srgb_decode, srgb_encode
 from irisjax.photo.clone import Settings, clone
@@ -45,18 +44,9 @@ CELLS = 480, 108
 """Polar cells (angles, radii) of the filtered picture."""
 PROFILES = 0, 80, 200, 290
 """Angles of the local profiles, degrees."""
-STEP = 0.05
-"""Of radii, mm."""
 ALONG, ACROSS = 1.0, 7.0
 """Widths of the ortho-radial filter along and across the radius, mm  [F09 Section 7]."""
 FILE = "clone_thickness"
-
-
-class Truth(NamedTuple):
-    """Thickness (mm) at the texels of a clone's texture, and which of them are compared."""
-
-    thickness: np.ndarray
-    used: np.ndarray
 
 
 def main(key, quick=False, out=RESULTS):
@@ -128,23 +118,6 @@ def write_jpeg(path, encoded: np.ndarray) -> None:
     write_atomically(path, data.getvalue())
 
 
-def true_thickness(colour: str, texture: Unrefracted) -> Truth:
-    """What the photograph was made with."""
-    every = json.loads((FOLDER / "truth.json").read_text(encoding="utf-8"))["photographs"]
-    numbers = next(p for p in every if p["file"] == f"{colour}.jpg")
-    depth = np.asarray(read_maps(FOLDER / numbers["maps"]).stroma_depth)
-    angles, radii = depth.shape
-    inner, outer = (numbers["eye"][f"{n}_radius"] for n in ("pupil", "iris"))
-    radius, turn = texture.radius(), texture.angle() % (2 * np.pi)
-    place = turn / (2 * np.pi) * angles - 0.5, (radius - inner) / (outer - inner) * radii - 0.5
-    around = np.concatenate([depth[-2:], depth, depth[:2]])
-    found = ndimage.map_coordinates(around, [place[0] + 2, place[1]], order=1, mode="nearest")
-    known = (radius > inner) & (radius < outer)
-    rim = max(inner, texture.pupil_radius) + MARGIN
-    used = texture.valid & (radius > rim) & (radius < texture.iris_radius - MARGIN)
-    return Truth(np.where(known, found, 0), used)
-
-
 _SCORES = (
     *("eye", "variant", "response", "correlation", "spread", "error_mm", "generic_error_mm"),
     *(
@@ -178,17 +151,6 @@ def _score(found: Clone, truth: Truth, both: Comparison) -> tuple:
         needed(found.morphology).clamped,
         *(float(r) for r in both.rms),
     )
-
-
-def correlation(found: Clone, thickness: np.ndarray, used: np.ndarray) -> tuple[float, float]:
-    """Of a true and a clone's deviations from the mean at their radius; and the spread of the
-    clone's over that of the true ones.
-    """
-    ring = (needed(found.texture).radius()[used] / STEP).astype(int)
-    count = np.maximum(np.bincount(ring), 1)
-    pair = thickness[used], needed(found.morphology).thickness[used]
-    true, told = (v - (np.bincount(ring, v) / count)[ring] for v in pair)
-    return float(np.corrcoef(true, told)[0, 1]), float(told.std() / true.std())
 
 
 def _flat(picture: np.ndarray, found: Clone, clear: np.ndarray | None = None) -> Unrefracted:

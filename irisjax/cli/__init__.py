@@ -3,6 +3,7 @@
 import importlib
 import os
 import sys
+from contextlib import nullcontext
 
 import jax
 import typer
@@ -11,6 +12,7 @@ from typer.main import get_command
 import irisjax as ij
 from irisjax import _interrupt
 from irisjax.cli import cache
+from irisjax.numerics.programs import reading_ahead
 
 _COMMANDS = {
     "spectrum": "measure",
@@ -46,7 +48,8 @@ def run(arguments: list[str] | None = None) -> int:
         jax.config.update("jax_enable_x64", True)
         cache.keep_compiled()
         arguments = (sys.argv[1:] if arguments is None else arguments) or ["--help"]
-        status = parser(arguments).main(arguments, prog_name="irisjax", standalone_mode=False)
+        with reading_ahead(arguments[0]) if arguments[0] in _COMMANDS else nullcontext():
+            status = parser(arguments).main(arguments, prog_name="irisjax", standalone_mode=False)
         sys.stdout.flush()
         if status == _interrupt.STATUS:  # typer's way of passing on an interrupt
             _interrupt.say()

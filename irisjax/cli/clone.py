@@ -2,7 +2,8 @@
 
 import sys
 import time
-from contextlib import contextmanager
+from collections.abc import Callable
+from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
@@ -11,7 +12,7 @@ import numpy as np
 import typer
 from tqdm import tqdm
 
-from irisjax import io, plot
+from irisjax import io
 from irisjax.cli.cache import cores, kept_tables
 from irisjax.cli.clone_report import doubtful, report, say
 from irisjax.cli.files import check_folder
@@ -24,6 +25,7 @@ from irisjax.numerics.checks import Range, check_range
 from irisjax.photo import clone as cloning
 from irisjax.photo.ellipse import Ellipse
 from irisjax.photo.picture import compare
+from irisjax.plot.beside import Later, beside, here
 from irisjax.render.environment import Environment
 from irisjax.render.radiative import RadiativeIntegrator
 from irisjax.render.separable import Separable
@@ -193,7 +195,41 @@ def clone(picture: Picture, model: Model, results: Results) -> None:
     photograph = read_photograph(picture.photograph)
     timings: dict[str, float] = {}
     wanted = cloning.STAGES[: cloning.STAGES.index(results.stop_after) + 1]
-    with tqdm(total=len(wanted), unit="stage", disable=not sys.stderr.isatty()) as bar:
+    drawing = beside() if "pigments" in wanted else nullcontext(here)
+    with drawing as draw:
+        with _progress(len(wanted), timings) as stage:
+            run = cloning.clone(
+                photograph,
+                settings,
+                given,
+                last=results.stop_after,
+                stage=stage,
+                tables=kept_tables,
+            )
+            found, drawn = next(run), None
+            # On a doubtful outline nothing is built.
+            for known in () if doubtful(found) else run:
+                found = known
+                if drawn is None and known.fit is not None:  # while the posterior is sampled
+                    drawn = _pictures(known, draw)
+        for note in photograph.notes:
+            say(f"{picture.photograph}: {note}")
+        words = {**_words(picture), **_words(model)}
+        files = files_of(found, words, timings)
+        if drawn is not None:
+            files |= drawn()
+    folder.mkdir(parents=True, exist_ok=True)
+    io.write_together({folder / name: data for name, data in files.items()})
+    for name in {*FILES, *_FIGURES, PHOTOGRAPH} - set(files):  # of a clone that came further
+        (folder / name).unlink(missing_ok=True)
+    sure = report(found, picture.cross_polarised, folder)
+    raise typer.Exit(0 if sure else _NOT_SURE)
+
+
+@contextmanager
+def _progress(stages: int, timings: dict[str, float]):
+    """A bar of the stages; what is entered with a stage's name keeps its time."""
+    with tqdm(total=stages, unit="stage", disable=not sys.stderr.isatty()) as bar:
 
         @contextmanager
         def stage(name: str):
@@ -203,29 +239,7 @@ def clone(picture: Picture, model: Model, results: Results) -> None:
             timings[name] = time.perf_counter() - begin
             bar.update()
 
-        run = cloning.clone(
-            photograph,
-            settings,
-            given,
-            last=results.stop_after,
-            stage=stage,
-            tables=kept_tables,
-        )
-        found = next(run)
-        # On a doubtful outline nothing is built.
-        *_, found = found, *(() if doubtful(found) else run)
-    for note in photograph.notes:
-        say(f"{picture.photograph}: {note}")
-    words = {**_words(picture), **_words(model)}
-    files = files_of(found, words, timings)
-    if found.fit is not None:
-        files |= _pictures(found)
-    folder.mkdir(parents=True, exist_ok=True)
-    io.write_together({folder / name: data for name, data in files.items()})
-    for name in {*FILES, *_FIGURES, PHOTOGRAPH} - set(files):  # of a clone that came further
-        (folder / name).unlink(missing_ok=True)
-    sure = report(found, picture.cross_polarised, folder)
-    raise typer.Exit(0 if sure else _NOT_SURE)
+        yield stage
 
 
 def _words(group: Group) -> dict[str, Any]:
@@ -265,20 +279,21 @@ def _outline(name: str, text: str | None) -> Ellipse | None:
     return Ellipse((x, y), (a, b), float(np.radians(degrees)))
 
 
-def _pictures(found: cloning.Clone) -> dict[str, bytes]:
-    from irisjax.plot.clone import differences, luminance_profile, side_by_side
-
+def _pictures(found: cloning.Clone, draw: Callable[..., Later]) -> Callable[[], dict[str, bytes]]:
+    """Begin the pictures; what is returned waits for them and says how far they are apart."""
     both = compare(found, cores())
     eye = found.scene().eye
     radius = float(0.5 * (eye.pupil_radius + eye.iris_radius))
-    figures = (
-        side_by_side(both.photograph, both.rendered),
-        differences(both.photograph, both.rendered, both.clear),
-        luminance_profile(*both.arc(found, radius), radius),
-    )
-    rms = 100 * both.rms
-    print(f"difference of the pictures, RMS: {rms[0]:.1f}, {rms[1]:.1f}, {rms[2]:.1f} % (R, G, B)")
-    written = {
-        name: plot.picture(figure, ".png") for name, figure in zip(_FIGURES, figures, strict=True)
+    begun = {
+        "side_by_side.png": draw("side_by_side", both.photograph, both.rendered),
+        "differences.png": draw("differences", both.photograph, both.rendered, both.clear),
+        "luminance.png": draw("luminance_profile", *both.arc(found, radius), radius),
     }
-    return written | {PHOTOGRAPH: encode_photograph(both.photograph)}
+
+    def written() -> dict[str, bytes]:
+        rms = ", ".join(f"{100 * r:.1f}" for r in both.rms)
+        print(f"difference of the pictures, RMS: {rms} % (R, G, B)")
+        made = {name: later() for name, later in begun.items()}
+        return made | {PHOTOGRAPH: encode_photograph(both.photograph)}
+
+    return written

@@ -19,6 +19,7 @@ import sys
 import tempfile
 import threading
 from collections.abc import Callable, Hashable
+from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -27,6 +28,8 @@ import jax
 import numpy as np
 from jax.core import Tracer
 from jax.experimental import serialize_executable
+
+from irisjax.numerics.ahead import Ahead
 
 _MOST_VERSIONS = 4  # of the package, whose programs are kept side by side
 _PACKAGES = ("jax", "jaxlib", "equinox", "optimistix", "lineax", "numpy")
@@ -44,6 +47,13 @@ def keep_programs(folder: str | Path | None) -> None:
     """Keep programs in this folder from now on; `None`: nowhere."""
     global _folder
     _folder = None if folder is None else Path(folder)
+
+
+def reading_ahead(name: str) -> AbstractContextManager[None]:
+    """While this is entered, threads read the programs that were used under this name last time."""
+    if _folder is None:
+        return nullcontext()
+    return _ahead.reading(_versions(_folder) / "used" / name)
 
 
 def program(function: Callable[..., Any]) -> "Program":
@@ -134,10 +144,7 @@ class Program:
             return None
         path = _versions(_folder) / hashlib.sha256(words).hexdigest()
         try:
-            told, linear_algebra, *executable = pickle.loads(path.read_bytes())
-            if linear_algebra:
-                _load_lapack()
-            return _Kept(serialize_executable.deserialize_and_load(*executable), told)
+            return _ahead(path)
         except Exception:  # not there, half a file, a compiler of another kind: made again
             compiled, told, linear_algebra = _compiled(self._function, form, types)
         try:
@@ -156,6 +163,17 @@ class _Kept(NamedTuple):
 
     def __call__(self, arrays):
         return _filled(self.form, self.program(*arrays))
+
+
+def _read(path: Path) -> _Kept:
+    """A program from its file."""
+    told, linear_algebra, *executable = pickle.loads(path.read_bytes())
+    if linear_algebra:
+        _load_lapack()
+    return _Kept(serialize_executable.deserialize_and_load(*executable), told)
+
+
+_ahead = Ahead(_read)
 
 
 class _Array(NamedTuple):

@@ -1,0 +1,51 @@
+"""Thickness of the simulated photographs' eyes, and how near a clone comes to it."""
+
+import json
+from typing import NamedTuple
+
+import numpy as np
+from scipy import ndimage
+
+from experiments.simulated_photographs import FOLDER
+from irisjax.io import read_maps
+from irisjax.photo.cloned import Clone, needed
+from irisjax.photo.unrefracted import Unrefracted
+from irisjax.photo.window_pixels import MARGIN
+
+STEP = 0.05
+"""Of radii, mm."""
+
+
+class Truth(NamedTuple):
+    """Thickness (mm) at the texels of a clone's texture, and which of them are compared."""
+
+    thickness: np.ndarray
+    used: np.ndarray
+
+
+def true_thickness(colour: str, texture: Unrefracted) -> Truth:
+    """What the photograph was made with."""
+    every = json.loads((FOLDER / "truth.json").read_text(encoding="utf-8"))["photographs"]
+    numbers = next(p for p in every if p["file"] == f"{colour}.jpg")
+    depth = np.asarray(read_maps(FOLDER / numbers["maps"]).stroma_depth)
+    angles, radii = depth.shape
+    inner, outer = (numbers["eye"][f"{n}_radius"] for n in ("pupil", "iris"))
+    radius, turn = texture.radius(), texture.angle() % (2 * np.pi)
+    place = turn / (2 * np.pi) * angles - 0.5, (radius - inner) / (outer - inner) * radii - 0.5
+    around = np.concatenate([depth[-2:], depth, depth[:2]])
+    found = ndimage.map_coordinates(around, [place[0] + 2, place[1]], order=1, mode="nearest")
+    known = (radius > inner) & (radius < outer)
+    rim = max(inner, texture.pupil_radius) + MARGIN
+    used = texture.valid & (radius > rim) & (radius < texture.iris_radius - MARGIN)
+    return Truth(np.where(known, found, 0), used)
+
+
+def correlation(found: Clone, thickness: np.ndarray, used: np.ndarray) -> tuple[float, float]:
+    """Of a true and a clone's deviations from the mean at their radius; and the spread of the
+    clone's over that of the true ones.
+    """
+    ring = (needed(found.texture).radius()[used] / STEP).astype(int)
+    count = np.maximum(np.bincount(ring), 1)
+    pair = thickness[used], needed(found.morphology).thickness[used]
+    true, told = (v - (np.bincount(ring, v) / count)[ring] for v in pair)
+    return float(np.corrcoef(true, told)[0, 1]), float(told.std() / true.std())
