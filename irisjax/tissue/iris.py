@@ -132,8 +132,10 @@ class Iris(eqx.Module):
                     object.__setattr__(self, name, _as_float(name, value))
             order = self.indices().order()
         check_fields(self, LIMITS)
-        if self.scattering not in SCATTERING:
-            raise ValueError(f"scattering = {self.scattering!r}; known: {', '.join(SCATTERING)}")
+        if not isinstance(self.scattering, str) or self.scattering not in SCATTERING:
+            found = repr(self.scattering).split("(")[0]
+            known = ", ".join(SCATTERING)
+            raise ValueError(f"scattering = {found}; known: {known}; power_law holds a PowerLaw")
         object.__setattr__(self, "order", order)
 
     @classmethod

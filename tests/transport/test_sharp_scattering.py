@@ -127,3 +127,24 @@ def test_single_precision_keeps_a_peaks_moments():
             seen = mixed(0.1, 0.0, depth, 0.0, g, LB06)
             found.append(np.asarray(solve(seen, 1.0, ij.AddingDoubling(16, 9)).reflectance, float))
     np.testing.assert_allclose(found[1], found[0], rtol=1e-5)
+
+
+@pytest.mark.parametrize(("g", "angles", "said"), [
+    (0.8, 32, False), (0.9, 32, True), (-0.9, 32, True),
+    pytest.param(0.9, 64, False, marks=pytest.mark.heavy),
+])  # fmt: skip
+def test_a_brdf_whose_moments_are_missing_says_so(g, angles, said):
+    """Light scattered once in the thin limit is τ p(Θ)/(4π μ μ₀) in every direction; a BRDF is that
+    to 5e-3, or has the status. Reflectance takes fewer moments.
+    """
+    depth, cosine = 1e-6, np.array([0.1, 0.3, 0.7, 1.0])
+    seen = mixed(0.0, 0.0, np.array([depth]), 0.0, g, MATCHED)
+    solver, there = ij.AddingDoubling(angles, 0), {"cos_exit": cosine, "azimuth": np.zeros(4)}
+    found = solver.solve(seen, ij.DEPTH_RESOLVED, 0.9, **there)
+    turned = -0.9 * cosine + np.sqrt(1 - 0.9**2) * np.sqrt(1 - cosine**2)
+    phase = (1 - g * g) / (1 + g * g - 2 * g * turned) ** 1.5
+    off = np.abs(found.brdf[0] / (depth * phase / (4 * np.pi * cosine * 0.9)) - 1).max()
+    assert bool(found.status == ij.RESULTS.too_few_angles) == said
+    assert bool(found.status == ij.RESULTS.successful) != said
+    assert said or off < 5e-3
+    assert bool(solve(seen, 0.9, solver).status == ij.RESULTS.successful)

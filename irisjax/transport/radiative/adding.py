@@ -34,7 +34,7 @@ from irisjax.transport.radiative.exact import Flux
 from irisjax.transport.radiative.expansion import phase_matrices, series_value
 from irisjax.transport.radiative.fates import Course, before, course
 from irisjax.transport.radiative.orders import single_scattering
-from irisjax.transport.radiative.resolution import angles_resolved, outcome
+from irisjax.transport.radiative.resolution import angles_resolved, brdf_resolved, outcome
 from irisjax.transport.solution import Absorbed, Solution
 from irisjax.transport.solver import AbstractSolver, checked_process
 
@@ -47,8 +47,8 @@ class AddingDoubling(AbstractSolver):
     """Deterministic solver of scalar radiative transfer with any phase function of the stroma.
 
     - `n_angles`: quadrature nodes over the cosine; as many moments of the phase function are kept.
-        Where reflectance is estimated to miss 5e-3 or more by them, since the slab scatters too
-        sharply, the status is `too_few_angles`.
+        Where reflectance, or the BRDF if exits are asked for, is estimated to miss 5e-3 or more by
+        them, since the slab scatters too sharply, the status is `too_few_angles`.
     - `n_doublings`: the slab is doubled so often from its first layer; `None` takes as many as the
         optical depth asks for where it is known, and 10 while tracing: enough for depths of 128.
         Where the first layer is deeper than 0.125, known or traced, the status is
@@ -107,6 +107,8 @@ class AddingDoubling(AbstractSolver):
         )
         resolved = (layers.extinction <= 1.001 * _COARSEST * 2.0**doublings).all()
         angles = angles_resolved(layers, phase, self.n_angles, beams.cosine, power)
+        if exits is not None:
+            angles &= brdf_resolved(layers, phase, self.n_angles)
         return Solution(
             reflectance=flux.reflectance,
             mirrored=flux.mirrored,

@@ -57,6 +57,22 @@ def angles_resolved(layers: Layers, phase: PhaseMixture, n_angles: int, cosine, 
     return (_angular_error(layers, phase, n_angles, cosine, power) <= _SHARP).all()
 
 
+def brdf_resolved(layers: Layers, phase: PhaseMixture, n_angles: int):
+    """Whether so many moments of the phase function follow a BRDF (traced).
+
+    Light scattered once is as wrong in a direction as these are. Beside 96 moments the share of the
+    first that is left out bounds the error of g −0.9 to 0.95, Rayleigh's share 0 to 0.3, depths
+    0.02 to 3, cosines 0.05 to 1, 32 moments; where they follow it is half of that or less.
+    """
+    scatters = (layers.extinction > 0) & (layers.albedo > 0)
+    return jnp.where(scatters, _beyond(phase, n_angles) <= _SHARP, True).all()
+
+
+def _beyond(phase: PhaseMixture, n_angles: int):
+    """What the phase function has in moments beyond those that count."""
+    return (1 - phase.rayleigh) * jnp.abs(phase.anisotropy) ** n_angles
+
+
 def _angular_error(layers: Layers, phase: PhaseMixture, n_angles: int, cosine, power):
     """Estimate of the relative error of reflectance by the number of angles, shape (wavelengths,).
 
@@ -78,9 +94,7 @@ def _angular_error(layers: Layers, phase: PhaseMixture, n_angles: int, cosine, p
     most, from_ = jnp.where(trapped, 0.025, 0.011), jnp.where(trapped, 0.3, 0.02)
     known = jnp.where(forwards, jnp.minimum(1.0, (whole / from_) ** 0.7), 1.0)
     others = most * known * max(1.0, (16 / n_angles) ** 4)
-    # What the phase function has in moments beyond those that count.
-    beyond = (1 - phase.rayleigh) * jnp.abs(g) ** n_angles
-    sharp = beyond * jnp.maximum(jnp.where(forwards, grazing, 0.0), others)
+    sharp = _beyond(phase, n_angles) * jnp.maximum(jnp.where(forwards, grazing, 0.0), others)
     # Critical angles share out the nodes, whatever the phase function.
     critical = n.stroma > jnp.minimum(jnp.minimum(n.aqueous, n.abl), n.ipe)
     few = jnp.where(critical, 0.03 * (6 / n_angles) ** 8, 0.0)
