@@ -57,6 +57,13 @@ class Chains(NamedTuple):
         """Whether the chain is long enough."""
         return bool(self.status == ChainStatus.successful)
 
+    def next_look(self, least: int) -> int:
+        """Steps at which to look again whether it is long enough, `least` on or later: to where
+        this autocorrelation time would do; it is still growing, so soon after.
+        """
+        tau = self.tau.max() if np.isfinite(self.tau).all() else self.steps
+        return int(np.clip(1.05 * TAUS * tau, self.steps + least, 1.5 * self.steps))
+
 
 def sample(
     problem: Problem,
@@ -137,10 +144,7 @@ def sample(
         chains = diagnose(run.backend, steps)
         if chains.converged or steps >= max_steps:
             break
-        # To where this autocorrelation time would do; it is still growing, so look again soon
-        # after.
-        tau = chains.tau.max() if np.isfinite(chains.tau).all() else steps
-        wanted = int(np.clip(1.05 * TAUS * tau, steps + _BLOCK, 1.5 * steps))
+        wanted = chains.next_look(_BLOCK)
     if throw:
         throw_if(chains.status, chains.reason)
     return chains

@@ -16,6 +16,7 @@ MIN_CONFIDENCE = 0.4
 _LONG = 800  # px along the long side of the copy in which eyes are searched
 _LEAST = 40  # of the long side: the smallest iris' radius
 _CANDIDATES = 6
+_SURE = 0.8  # worth of a pair of outlines, at most 1.3, from which on no other is searched
 _WIDE = 0.68  # of the limbus: pupils above are doubted
 _TRUSTED = 0.5  # support of a pupil that may tell of the limbus
 
@@ -41,8 +42,8 @@ def find_boundaries(
 
     The limbus is the middle of the soft rise from iris to white. Irides of a fortieth of the
     picture's long side up to about half of its short side are found, tilted by up to 30 degrees; of
-    two eyes the one whose outlines are better supported. A picture without an eye gives outlines of
-    low confidence.
+    two eyes the one whose outlines are better supported, or the first that is beyond doubt. A
+    picture without an eye gives outlines of low confidence.
 
     **Raises:** `ValueError` where nothing resembles an iris, or an outline given lies elsewhere.
     """
@@ -77,15 +78,20 @@ def _searched(photo: Photograph, pupil: Ellipse | None) -> tuple[Ellipse, Ellips
         small = photo._replace(pixels=reduced(photo.pixels, scale), saturated=cut_off)
     known = None if pupil is None else pupil.scaled(scale)
     best, found = -1.0, None
+    seen: list[Ellipse] = []
     for start in _starts(small.pixels.mean(-1), known):
         outline, held = limbus_near(small, start, known)
-        if not _within(outline, small.shape):
+        # From several starts the way may lead to one outline.
+        if not _within(outline, small.shape) or any(_same(outline, other) for other in seen):
             continue
+        seen.append(outline)
         inner, support = (known, 1.0) if known is not None else pupil_within(small, outline)
         worth = held * _plausible(outline, inner) * (0.3 + support)
         if worth > best:
             trusted = inner.scaled(1 / scale) if support > _TRUSTED else None
             best, found = worth, (outline.scaled(1 / scale), trusted)
+        if best > _SURE:
+            break
     if found is None:
         raise ValueError(
             f"{photo.name}: no iris found; give --limbus with its centre and semi-axes in pixels"
@@ -145,6 +151,12 @@ def _starts(brightness, pupil: Ellipse | None) -> list[Ellipse]:
         circles = [c for c in circles if _plausible(c, pupil) > 0.5]
     inside = [c for c in circles if _within(c, shape)]
     return inside[:_CANDIDATES]
+
+
+def _same(a: Ellipse, b: Ellipse) -> bool:
+    """Whether two outlines are one, within a hundredth of the radius."""
+    off = np.hypot(*np.subtract(a.centre, b.centre))
+    return bool(max(off, *abs(np.subtract(a.semi_axes, b.semi_axes))) < 0.01 * a.semi_axes[0])
 
 
 def _within(outline: Ellipse, shape) -> bool:

@@ -6,8 +6,8 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
+from PIL import Image
 from scipy import ndimage, optimize
-from skimage.transform import resize
 
 from irisjax.photo.ellipse import Ellipse
 
@@ -66,20 +66,12 @@ def reduced(
     """A picture made smaller by averaging."""
     if scale >= 1:
         return picture
-    # Boxes first, rows before columns: the filter of `resize` takes seconds on 12 megapixels.
-    step = int(0.75 / scale)
-    if step > 1:
-        rows, columns = (n // step for n in picture.shape[:2])
-        picture = picture[: rows * step, : columns * step]
-        picture = picture.reshape(rows, step, columns * step, -1).mean(1)
-        # Strided sums: a mean over so short an axis takes numpy four times as long.
-        total = picture[:, ::step].copy()
-        for k in range(1, step):
-            total += picture[:, k::step]
-        picture = total / step
-        scale *= step
-    shape = tuple(max(8, round(n * scale)) for n in picture.shape[:2])
-    return np.asarray(resize(picture, shape, anti_aliasing=True))
+    rows, columns = (max(8, round(n * scale)) for n in picture.shape[:2])
+    small = np.empty((rows, columns, picture.shape[2]), np.float32)
+    for k in range(picture.shape[2]):  # as Pillow takes them: it is ten times as fast as `resize`
+        channel = Image.fromarray(np.ascontiguousarray(picture[..., k], np.float32))
+        small[..., k] = np.asarray(channel.resize((columns, rows), Image.Resampling.BILINEAR))
+    return small
 
 
 def around(

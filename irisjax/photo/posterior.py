@@ -1,7 +1,7 @@
 """A posterior of the pigments of a photographed iris, by emcee.
 
 Importance sampling about the least-squares fit finds the walkers their places and teaches their
-jumps, as it does for spectra; the chain goes on until it is long enough.
+jumps, as it does for spectra, or a burn-in does; the chain goes on until it is long enough.
 """
 
 import math
@@ -31,7 +31,8 @@ from irisjax.photo.windows import Windows
 from irisjax.tissue.iris import Iris
 
 WALKERS = 48
-_BLOCK = 150  # steps between looks at the chain
+_BURN = 150  # steps, where importance sampling found too little
+_FIRST, _BLOCK = 200, 40  # steps to the first look at the chain, and between looks at least
 _ROWS = WALKERS // 4  # log probabilities computed at a time: half of what a step of emcee asks for
 
 
@@ -84,59 +85,74 @@ def sample(
     """
     held = _density.bound((windows, base))
     random = np.random.RandomState(seed)
-    slope = np.asarray(jax.jacfwd(_totals)(jnp.asarray(best.z)))
+    middle, slope = (np.asarray(v) for v in _totals_and_slope(jnp.asarray(best.z)))
     covariance = slope @ best.covariance @ slope.T + 1e-9 * np.eye(len(best.z))
-    middle = np.asarray(_totals(jnp.asarray(best.z)))
     with ThreadPoolExecutor(2) as pool:  # one program is too small for two cores
 
         def density(x):
-            x = np.asarray(x, np.float64)
-            padded = np.pad(x, ((0, -len(x) % _ROWS), (0, 0)), mode="edge")
-            rows = padded.reshape(-1, _ROWS, x.shape[1])
+            rows = _padded(x, _ROWS).reshape(-1, _ROWS, x.shape[1])
             return np.concatenate(list(pool.map(lambda r: np.asarray(held(r)), rows)))[: len(x)]
 
         first = importance_sample(density, middle, covariance, random)
         chains = _chains(density, first, random, max_steps, progress)
-    z = np.asarray(_parts(jnp.asarray(chains.z.reshape(-1, len(NAMES)))))
-    drawn_values = jax.vmap(values_of)(jnp.asarray(z))
-    values = {name: np.asarray(drawn_values[name]) for name in NAMES}
+    x = chains.z.reshape(-1, len(NAMES))
+    drawn = {k: np.asarray(v)[: len(x)] for k, v in _drawn(jnp.asarray(_padded(x, 4096))).items()}
+    z, values = drawn.pop("z"), {name: drawn[name] for name in NAMES}
     estimates = {}
-    for i, (name, drawn) in enumerate(values.items()):
-        low, median, high = (float(v) for v in np.quantile(drawn, [0.025, 0.5, 0.975]))
+    for i, (name, value) in enumerate(values.items()):
+        low, median, high = (float(v) for v in np.quantile(value, [0.025, 0.5, 0.975]))
         told = float(1 - z[:, i].var())
-        estimates[name] = Estimate(median, float(drawn.std()), low, high, told)
+        estimates[name] = Estimate(median, float(value.std()), low, high, told)
     return PigmentPosterior(values, estimates, z, chains)
 
 
 def _chains(density, first: ImportanceSample, random, max_steps: int, progress) -> Chains:
     places = first.samples[random.choice(len(first.samples), WALKERS, False)]
     start = places + 1e-3 * first.samples.std(0) * random.standard_normal(places.shape)
-    # What teaches jumps may be uneven where the sample is small: walkers then go by differences.
-    taught = first.samples if first.effective > 100 else None
-    burn = _ensemble(density, taught, random)
-    for _ in burn.sample(start, iterations=_BLOCK, skip_initial_state_check=True):
-        progress(0)
-    here: Any = burn.get_last_sample()
-    sampler = _ensemble(density, burn.get_chain(discard=_BLOCK // 2, flat=True), random)
-    chains = None
+    here: Any = emcee.State(start, random_state=random.get_state())
+    taught = first.samples
+    if not first.enough:
+        # What teaches jumps may be uneven where the sample is small: differences of walkers then.
+        burn = _ensemble(density, taught if first.effective > 100 else None)
+        for _ in burn.sample(here, iterations=_BURN, skip_initial_state_check=True):
+            progress(0)
+        here = burn.get_last_sample()
+        taught = burn.get_chain(discard=_BURN // 2, flat=True)
+    sampler, chains, wanted = _ensemble(density, taught), None, _FIRST
     while chains is None or not (chains.converged or chains.steps >= max_steps):
-        for _ in sampler.sample(here, iterations=_BLOCK, skip_initial_state_check=True):
+        more = min(wanted, max_steps) - sampler.iteration
+        for _ in sampler.sample(here, iterations=more, skip_initial_state_check=True):
             progress(sampler.iteration)
         here = sampler.get_last_sample()
         chains = diagnose(sampler.backend, sampler.iteration)
+        wanted = chains.next_look(_BLOCK)
     return chains
 
 
-def _ensemble(density, taught, random) -> emcee.EnsembleSampler:
+def _ensemble(density, taught) -> emcee.EnsembleSampler:
     """Walkers whose jumps are taught by samples."""
-    made = emcee.EnsembleSampler(
+    return emcee.EnsembleSampler(
         *(WALKERS, len(NAMES), density),
         vectorize=True,
         moves=mixture(taught),
         backend=emcee.backends.Backend(),
     )
-    made.random_state = random.get_state()
-    return made
+
+
+def _padded(x, rows: int) -> np.ndarray:
+    """The last repeated up to a multiple of `rows`: programs are compiled for each shape."""
+    return np.pad(np.asarray(x, np.float64), ((0, -len(x) % rows), (0, 0)), mode="edge")
+
+
+@program
+def _totals_and_slope(z):
+    return _totals(z), jax.jacfwd(_totals)(z)
+
+
+@program
+def _drawn(x):
+    z = _parts(x)
+    return {"z": z, **jax.vmap(values_of)(z)}
 
 
 @program

@@ -10,8 +10,8 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 from scipy import fft, ndimage
-from skimage.transform import resize
 
+from irisjax.photo.edges import reduced
 from irisjax.photo.ellipse import Ellipse
 
 _RINGS = np.geomspace(20, 40, 9)[:-1]  # px: radii of one octave
@@ -47,8 +47,8 @@ def rings(
     while low < high:
         found: list[Ring] = []
         scale = min(_RINGS[0] / low, 1.0)
-        shape = tuple(max(8, round(n * scale)) for n in brightness.shape)
-        small = resize(brightness, shape, anti_aliasing=scale < 1)
+        small = reduced(brightness[..., None], scale)[..., 0]
+        shape = small.shape
         size = tuple(fft.next_fast_len(n + 2 * int(_RINGS[-1] + 10)) for n in shape)
         transformed = fft.fft2(_directions(small), size)
         for radius in _RINGS * (low * scale / _RINGS[0]):
