@@ -11,6 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float
 
+from irisjax.photo.directions import along_fibres
 from irisjax.photo.filling import fill
 from irisjax.photo.freckles import find_freckles
 from irisjax.photo.polar import SHAPE, to_polar
@@ -100,6 +101,7 @@ def maps_of(
         normalised = local_normalisation(intensity(relative), shown, width_mm, texel)
     else:
         normalised = contrast(luminance, shown, shade, texel, width_mm)
+        normalised = along_fibres(normalised, shown, texture, response)
         normalised = unshade(normalised, shown, slopes, response, texel)
     normalised = np.maximum(normalised, np.float32(-0.99))
     deconvolved = deconvolve(normalised, shown, sigma_mm, texel, iterations)

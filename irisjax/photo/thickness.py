@@ -24,10 +24,6 @@ LEAST = 0.03
 """Thickness to which the map is clamped, mm: the floor of a deep crypt."""
 MOST = 1.5
 """Greatest thickness of the map that luminance and a response give, mm."""
-SMOOTH = 0.012
-"""Standard deviation of the Gaussian that takes the sensor's noise off a contrast, mm: a texel of
-the usual texture.
-"""
 SHADE_WIDTH, SHADE_SHARE = 0.4, 0.5
 """In the shade: width of the neighbourhood, mm, and share of the contrast that is believed. Light
 that falls off within less than a millimetre makes contrast as thickness does; in simulated
@@ -91,7 +87,7 @@ def contrast(
     millimetres_per_texel: float,
     width_mm: float = WIDTH,
 ) -> Texture:
-    """Contrast of linear luminance to its mean round about, less noise; 0 where not valid.
+    """Contrast of linear luminance to its mean round about; 0 where not valid.
 
     Texels in the `shade`, where lamps hardly reach, and those beside it are compared each with
     their own kind only, for light falls off steeply between them. `width_mm`: of the neighbourhood.
@@ -104,7 +100,6 @@ def contrast(
             continue
         relative = relative_luminance(luminance, kind, width, millimetres_per_texel)
         found = local_normalisation(relative, kind, width, millimetres_per_texel)
-        found = masked_mean(found, kind, SMOOTH / millimetres_per_texel)
         whole[kind] = np.float32(share) * found[kind]
     return whole
 
