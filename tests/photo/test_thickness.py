@@ -170,11 +170,3 @@ def test_the_edge_of_a_shadow_is_no_thickness():
     assert (told[~RING] == 0).all()
     even = contrast(1 + pattern, RING, RING & (Y > 0), TEXEL)
     assert even[RING & (Y > 0)].std() < 1.2 * SHADE_SHARE * even[RING & (Y < 0)].std()
-
-
-def test_noise_is_taken_off_a_contrast():
-    """Of a picture as fine as the usual texture."""
-    size, texel = 256, 12 / 1024
-    noise = np.random.default_rng(1).normal(0, 0.1, (size, size)).astype(np.float32)
-    everywhere = np.ones((size, size), bool)
-    assert contrast(1 + noise, everywhere, None, texel).std() < 0.04
