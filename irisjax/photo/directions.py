@@ -35,7 +35,8 @@ def along_fibres(
     side is taken off with the light, and of a round crypt 0.5 mm wide up to a quarter.
 
     `response`: of ln luminance to ln thickness. The share taken off is the linear estimate of least
-    mean square error, `LIGHT`² / (`LIGHT`² + response²): 0.7 to 0.9 in a brown iris, 0.6 in a blue one.
+    mean square error, `LIGHT`² / (`LIGHT`² + response²): 0.7 to 0.9 in a brown iris, 0.6 in a blue
+    one.
     """
     inner, outer, texel = texture.pupil_radius, texture.iris_radius, texture.millimetres_per_texel
     angles = 64 * math.ceil(2 * math.pi * outer / texel / 64)  # a length that transforms like
