@@ -16,7 +16,7 @@ LENGTH, WIDTH = 0.7, 0.05
 """Standard deviations of the neighbourhood along an arc and across it, mm."""
 LIGHT = 0.75
 """Standard deviation of what light puts into ln luminance along arcs over that of ln thickness
-along them, about what simulated photographs have.
+along them. Assumed; like the lengths above chosen on the simulated photographs of the package.
 """
 _LEAST_WEIGHT = 1e-3
 
@@ -39,7 +39,7 @@ def along_fibres(
     one.
     """
     inner, outer, texel = texture.pupil_radius, texture.iris_radius, texture.millimetres_per_texel
-    angles = 64 * math.ceil(2 * math.pi * outer / texel / 64)  # a length that transforms like
+    angles = 64 * math.ceil(2 * math.pi * outer / texel / 64)  # Fourier transforms are fast
     rim = inner, outer, (angles, max(2, math.ceil((outer - inner) / texel)))
     cells = [to_polar(np.where(valid, v, np.float32(0)), *rim) for v in (contrast, valid)]
     size = (outer - inner) / rim[2][1]

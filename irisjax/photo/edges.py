@@ -67,11 +67,18 @@ def reduced(
     if scale >= 1:
         return picture
     rows, columns = (max(8, round(n * scale)) for n in picture.shape[:2])
-    small = np.empty((rows, columns, picture.shape[2]), np.float32)
-    for k in range(picture.shape[2]):  # as Pillow takes them: it is ten times as fast as `resize`
-        channel = Image.fromarray(np.ascontiguousarray(picture[..., k], np.float32))
-        small[..., k] = np.asarray(channel.resize((columns, rows), Image.Resampling.BILINEAR))
-    return small
+    return by_channel(picture, lambda c: c.resize((columns, rows), Image.Resampling.BILINEAR))
+
+
+def by_channel(
+    picture: Float[np.ndarray, "rows columns channels"],
+    change: Callable[[Image.Image], Image.Image],
+) -> Float[np.ndarray, "rows_1 columns_1 channels"]:
+    """A picture whose channels Pillow has changed: it makes 12 megapixels smaller in a third to a
+    sixth of the time that scikit-image takes.
+    """
+    channels = np.ascontiguousarray(np.moveaxis(picture, -1, 0), np.float32)
+    return np.stack([np.asarray(change(Image.fromarray(c))) for c in channels], axis=-1)
 
 
 def around(
