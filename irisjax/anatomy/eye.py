@@ -29,6 +29,7 @@ LIMITS = {
     "limbus_radius": Range(4, 7, "mm"),
     "iris_radius": Range(4, 7, "mm"),
     "pupil_radius": Range(0.25, 4.75, "mm"),
+    "pupil_margin": Range(0.005, 1.2, "mm"),
     "radius": Range(8, 16, "mm"),
     "veins": Range(0, 10),
     "hemoglobin": Range(0, 10, "mmol/l"),
@@ -104,6 +105,8 @@ class Eye(eqx.Module):
         towards the root (`None`: a plane, as F09; positive: a cone that bulges forward at the
         pupil).
     - `iris_radius`, `pupil_radius`, `limbus_radius` (where cornea meets sclera), mm.
+    - `pupil_margin`: width over which the iris's radiance rises from none at the pupil's edge, mm;
+        0.005 is sharp in any picture.
     - `attenuation`: of the aqueous humour, 1/mm, or `None`: water absorbs 1e-4 over the chamber in
         the visible.
     - `sclera`: `None` for a close-up.
@@ -119,6 +122,7 @@ class Eye(eqx.Module):
     limbus_radius: Scalar = _number(5.5)
     iris_radius: Scalar = _number(5.5)
     pupil_radius: Scalar = _number(1.9)
+    pupil_margin: Scalar = _number(0.12)
     attenuation: Scalar | None = _optional()
 
     def __check_init__(self):

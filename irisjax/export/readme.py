@@ -71,7 +71,7 @@ def readme(
         "as displacement,",
         "  relief.exr makes a preset 5 % brighter round the pupil for an albedo of 0.2.",
         "- The limbus is sharp here; irisjax blends iris and white over 1 mm, and fades it at the "
-        "pupil over 0.12.",
+        f"pupil over {float(scene.eye.pupil_margin):.2g}.",
     ]
     if scene.eye.sclera is not None:
         lines += [

@@ -23,6 +23,7 @@ _OF_EYES = (
     "limbus_radius",
     "iris_radius",
     "pupil_radius",
+    "pupil_margin",
     "attenuation",
 )
 

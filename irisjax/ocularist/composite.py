@@ -20,7 +20,7 @@ from irisjax.ocularist.coats import over, through
 from irisjax.ocularist.cones import Cones
 from irisjax.optics.conicoid import Parts, joined, parts
 from irisjax.render.project import IrisPixels
-from irisjax.render.shading import PUPIL_MARGIN, Field
+from irisjax.render.shading import Field
 
 SHADOW = 384
 """Texels along each side of the maps of light that falls through coats."""
@@ -105,18 +105,20 @@ def _texel(x, y, reach, shape: tuple[int, int]):
     return (1 - y / reach) * (rows / 2) - 0.5, (1 + x / reach) * (columns / 2) - 0.5
 
 
-def _covering(opacity, x, y, profile: Cones, reach):
+def _covering(opacity, x, y, profile: Cones, reach, margin):
     """Opacity at places, softly none in the pupil, none beyond the root."""
     r = safe_sqrt(x * x + y * y)
-    edge = smoothstep((r - profile.radius[0]) / PUPIL_MARGIN)
+    edge = smoothstep((r - profile.radius[0]) / margin)
     return jnp.where(r <= profile.radius[-1], edge * look_up(opacity, x, y, reach), 0.0)
 
 
 @pixelwise
-def opacity_at(seen: Ground, opacity, height, profile: Cones, reach):
-    """Opacity of a coat at the pixels. `reach`: radius of the iris, mm."""
+def opacity_at(seen: Ground, opacity, height, profile: Cones, reach, margin):
+    """Opacity of a coat at the pixels. `reach`: radius of the iris, `margin`: over which it fades
+    into the pupil, mm.
+    """
     x, y = seen.place + height * seen.view
-    return _covering(opacity, x, y, profile, reach)
+    return _covering(opacity, x, y, profile, reach, margin)
 
 
 @pixelwise
@@ -179,7 +181,7 @@ def full_light(flux, shape: tuple[int, ...]):
 
 
 @program
-def crossed(rays, opacity, height, profile: Cones, reach):
+def crossed(rays, opacity, height, profile: Cones, reach, margin):
     """Opacity of a coat where rays to texels of the base cross it, (lights, rows, columns)."""
     x, y = _texels(rays.shape[-1], reach, rays.dtype)
     r = safe_sqrt(x * x + y * y)
@@ -189,7 +191,7 @@ def crossed(rays, opacity, height, profile: Cones, reach):
 
     def one(direction):
         u, v = _aside(tuple(direction), normal)
-        return _covering(opacity, x + height * u, y + height * v, profile, reach)
+        return _covering(opacity, x + height * u, y + height * v, profile, reach, margin)
 
     return jax.lax.map(one, rays)
 

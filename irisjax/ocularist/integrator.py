@@ -60,7 +60,8 @@ class Painted(AbstractIntegrator):
         groups = _groups(self.painting)
         for nth, group in enumerate(groups):
             height, colours = group[0].height, tuple(coat.colour for coat in group)
-            wheres = [(coat.opacity, coat.height, profile, reach) for coat in group]
+            rim = profile, reach, eye.pupil_margin
+            wheres = [(coat.opacity, coat.height, *rim) for coat in group]
             names = [coat.name for coat in group]
             covered = tuple(
                 once(f"opacity of {name}", composite.opacity_at, seen, *where)

@@ -8,7 +8,7 @@ from irisjax.photo.edges import ray_angles, reduced
 from irisjax.photo.ellipse import Ellipse
 from irisjax.photo.limbus import limbus_near
 from irisjax.photo.photograph import Photograph
-from irisjax.photo.pupil import PUPIL_SHARE, pupil_within
+from irisjax.photo.pupil import PUPIL_SHARE, Pupil, beginning_of, pupil_within
 from irisjax.photo.rings import Ring, rings
 
 MIN_CONFIDENCE = 0.4
@@ -26,13 +26,14 @@ class Boundaries(NamedTuple):
 
     `limbus_confidence`, `pupil_confidence`: 0 to 1, from the share of each outline that edges
     support, how near to it they lie and how strong they are; 1 for an outline that was given. Below
-    `MIN_CONFIDENCE` the outline is not to be trusted.
+    `MIN_CONFIDENCE` the outline is not to be trusted. `pupil_margin`: see `Pupil.margin`.
     """
 
     limbus: Ellipse
     pupil: Ellipse
     limbus_confidence: float
     pupil_confidence: float
+    pupil_margin: float | None = None
 
 
 def find_boundaries(
@@ -55,18 +56,24 @@ def find_boundaries(
                 f"picture of {columns} x {rows} pixels"
             )
     if limbus is not None and pupil is not None:
-        return Boundaries(limbus, pupil, 1.0, 1.0)
+        return Boundaries(limbus, pupil, 1.0, 1.0, _margin(photo, limbus, pupil))
     if limbus is None:
         outline, inner = _searched(photo, pupil)
         outline, held = limbus_near(photo, outline, inner, coarse=False)
     else:
         outline, held = limbus, None
     if pupil is not None:
-        return _judged(photo, outline, pupil, held, None)
-    inner, support = pupil_within(photo, outline, coarse=False)
+        found = _judged(photo, outline, pupil, held, None)
+        return found._replace(pupil_margin=_margin(photo, outline, pupil))
+    inner, support, margin = pupil_within(photo, outline, coarse=False)
     if limbus is None and support > _TRUSTED:
         outline, held = limbus_near(photo, outline, inner, coarse=False)
-    return _judged(photo, outline, inner, held, support)
+    return _judged(photo, outline, inner, held, support)._replace(pupil_margin=margin)
+
+
+def _margin(photo: Photograph, limbus: Ellipse, pupil: Ellipse) -> float | None:
+    """Of a pupil that was given."""
+    return beginning_of(photo, limbus, Pupil(pupil, 1.0)).margin
 
 
 def _searched(photo: Photograph, pupil: Ellipse | None) -> tuple[Ellipse, Ellipse | None]:
@@ -85,7 +92,7 @@ def _searched(photo: Photograph, pupil: Ellipse | None) -> tuple[Ellipse, Ellips
         if not _within(outline, small.shape) or any(_same(outline, other) for other in seen):
             continue
         seen.append(outline)
-        inner, support = (known, 1.0) if known is not None else pupil_within(small, outline)
+        inner, support, _ = pupil_within(small, outline) if known is None else Pupil(known, 1.0)
         worth = held * _plausible(outline, inner) * (0.3 + support)
         if worth > best:
             trusted = inner.scaled(1 / scale) if support > _TRUSTED else None

@@ -25,7 +25,7 @@ from irisjax.photo.part import part_of
 from irisjax.photo.photograph import Photograph
 from irisjax.photo.pigments import exposures_for, least_squares, simplex
 from irisjax.photo.polar import from_polar, to_polar
-from irisjax.photo.pose import find_pose
+from irisjax.photo.pose import Pose, find_pose
 from irisjax.photo.posterior import sample
 from irisjax.photo.refraction import SIZE, follow, unrefract
 from irisjax.photo.register import register
@@ -156,6 +156,7 @@ def _posed(found: Clone, settings: Settings, given: Given) -> Clone:
         focal_px=None if focal is None else focal / part.reduction,
         azimuth=settings.azimuth,
     )
+    pose = pose._replace(eye=_with_margin(pose, found.boundaries.pupil_margin))
     x, y = pose.corner
     rows, columns = pose.camera.shape
     if min(x, y) < 0 or y + rows > len(clear) or x + columns > len(clear):
@@ -176,6 +177,17 @@ def _posed(found: Clone, settings: Settings, given: Given) -> Clone:
     other = part_of(there, limbus)
     clear = other.clear(other.moved(pupil))
     return found._replace(second=Second(told, other.pixels[cut], clear[cut]))
+
+
+def _with_margin(pose: Pose, relative: float | None) -> Eye:
+    """The eye with a pupil's margin in proportion to its radius; a pixel of the camera at least, as
+    the picture is of points.
+    """
+    if relative is None:
+        return pose.eye
+    pixel = float(pose.camera.width) / pose.camera.size[0]
+    width = max(relative * float(pose.eye.pupil_radius), pixel)
+    return pose.eye.replace(pupil_margin=jnp.asarray(width, float))
 
 
 def _brought(second: Photograph, first: Photograph, limbus: Ellipse):

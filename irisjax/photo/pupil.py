@@ -1,5 +1,7 @@
 """The pupil within a limbus: where the iris begins beyond its black."""
 
+from typing import NamedTuple
+
 import numpy as np
 from scipy import ndimage, optimize, special
 
@@ -25,19 +27,34 @@ _BLUR, _BLUR_SPREAD = 0.8, 0.4  # standard deviation in px, and of its logarithm
 _MISFIT = 0.02  # of the rise, by which irides differ from the fit
 
 
-def pupil_within(photo: Photograph, limbus: Ellipse, coarse: bool = True) -> tuple[Ellipse, float]:
-    """The pupil within a limbus, and the share of its outline that edges support, less where it is
-    hardly darker than the iris.
+class Pupil(NamedTuple):
+    """The outline where the iris begins, whose margin may be dark.
+
+    - `support`: share of the outline that edges support, less where it is hardly darker than the
+        iris.
+    - `margin`: width over which the brightness rises to the iris's, of the pupil's radius: 0 of a
+        sharp edge, `None` where it is not known. Of a step and a smoothstep at one place it is that
+        of a smoothstep that lets as much light by.
+    """
+
+    outline: Ellipse
+    support: float
+    margin: float | None = None
+
+
+def pupil_within(photo: Photograph, limbus: Ellipse, coarse: bool = True) -> Pupil:
+    """The pupil within a limbus.
+
+    Where it is not `coarse` and its edge is sharp, the outline is half-way from black to bright,
+    whatever the blur; where the brightness takes long to rise, it is where the rise began.
     """
     picture, cut_off, outline, back = _part(photo, limbus, 1.1, ROUGH)
     radius = outline.semi_axes[0]
     row, column = np.ogrid[: picture.shape[0], : picture.shape[1]]
     relative = outline.relative_radius(column, row)
     if not (relative < 0.9).any():
-        return limbus._replace(semi_axes=tuple(0.4 * a for a in limbus.semi_axes)), 0.0
-    # Highlights are no brighter than bright tissue from here on.
-    ceiling = float(1.5 * np.quantile(picture[relative < 0.9], 0.75) + 1e-9)
-    picture = np.minimum(picture, ceiling)
+        return Pupil(limbus._replace(semi_axes=tuple(0.4 * a for a in limbus.semi_axes)), 0.0)
+    picture = np.minimum(picture, _ceiling(picture, relative))
     found = rings(picture, (0.13 * radius, 0.8 * radius), 6, sideways=0.2)
     best: tuple[float, Ellipse] | None = None
     for ring in found:
@@ -51,7 +68,7 @@ def pupil_within(photo: Photograph, limbus: Ellipse, coarse: bool = True) -> tup
             best = worth, circle
     if best is None:
         middle = limbus._replace(semi_axes=tuple(0.4 * a for a in limbus.semi_axes))
-        return middle, 0.0
+        return Pupil(middle, 0.0)
     circle, span = best[1], (0.5, 1.65)
     even = np.ones(ray_angles().size)
     edges = steps_along(_profile(picture, cut_off, circle, span, 93), span, _WIDTHS[1:], 0.2)
@@ -62,8 +79,35 @@ def pupil_within(photo: Photograph, limbus: Ellipse, coarse: bool = True) -> tup
         circle, support = polished(circle, *edges.strongest(near), even)
     sure = support * float(np.sqrt(_darkness(picture, relative, circle)))
     if coarse or not support:
-        return back(circle), sure
-    return _onset(photo, ceiling, back(circle)), sure
+        return Pupil(back(circle), sure)
+    return beginning_of(photo, limbus, Pupil(back(circle), sure))
+
+
+def beginning_of(photo: Photograph, limbus: Ellipse, near: Pupil) -> Pupil:
+    """The outline moved to where the iris begins, and the width of its margin, if enough of it is
+    seen.
+    """
+    picture, _, outline, _ = _part(photo, limbus, 1.1, ROUGH)
+    row, column = np.ogrid[: picture.shape[0], : picture.shape[1]]
+    ceiling = _ceiling(picture, outline.relative_radius(column, row))
+    picture, cut_off, circle, back = _part(photo, near.outline, 1.5, FINE)
+    picture, span = np.clip(picture, 0, ceiling), (0.7, 1.3)
+    smooth = ndimage.gaussian_filter(picture, 0.01 * circle.semi_axes[0])  # against noise
+    held = np.zeros(ray_angles().size)
+    for reach in (0.1, 0.08):
+        # The root shows the first rise.
+        profile = np.sqrt(_profile(smooth, cut_off, circle, span, 241))
+        held, place = steps_along(profile, span, _WIDTHS, 0.15).strongest(reach)
+        circle, _ = polished(circle, held, place, np.ones(held.size))
+    good = _profile(picture, cut_off, circle, _RISE, 241)[held > 0.3]
+    if len(good) < 12 or not np.isfinite(good).any(0).all():
+        return near._replace(outline=back(circle))
+    # The width of the rise comes from all rays together: one alone is too noisy in a dark iris. Of
+    # edges that are not all at one place the median is as sharp as they are.
+    typical = np.nanmedian(good, axis=0)
+    rim, width = _beginning(np.linspace(*_RISE, 241), typical, 1 / circle.semi_axes[0])
+    axes = circle.semi_axes[0] * rim, circle.semi_axes[1] * rim
+    return near._replace(outline=back(circle._replace(semi_axes=axes)), margin=width / rim)
 
 
 def _part(photo: Photograph, outline: Ellipse, margin: float, radius: float):
@@ -81,34 +125,14 @@ def _profile(picture, cut_off, circle: Ellipse, span, steps: int):
     return np.where(hidden, np.nan, along_rays(picture, circle, span, steps))
 
 
-def _onset(photo: Photograph, ceiling: float, pupil: Ellipse) -> Ellipse:
-    """The outline where the iris begins, whose margin may be dark.
-
-    Where it is sharp that is half-way from black to bright, whatever the blur; where the brightness
-    takes long to rise it is where the rise began.
-    """
-    picture, cut_off, circle, back = _part(photo, pupil, 1.5, FINE)
-    picture, span = np.clip(picture, 0, ceiling), (0.7, 1.3)
-    smooth = ndimage.gaussian_filter(picture, 0.01 * circle.semi_axes[0])  # against noise
-    held = np.zeros(ray_angles().size)
-    for near in (0.1, 0.08):
-        # The root shows the first rise.
-        profile = np.sqrt(_profile(smooth, cut_off, circle, span, 241))
-        held, place = steps_along(profile, span, _WIDTHS, 0.15).strongest(near)
-        circle, _ = polished(circle, held, place, np.ones(held.size))
-    good = _profile(picture, cut_off, circle, _RISE, 241)[held > 0.3]
-    if len(good) < 12 or not np.isfinite(good).any(0).all():
-        return back(circle)
-    # The width of the rise comes from all rays together: one alone is too noisy in a dark iris. Of
-    # edges that are not all at one place the median is as sharp as they are.
-    typical = np.nanmedian(good, axis=0)
-    rim = _beginning(np.linspace(*_RISE, 241), typical, 1 / circle.semi_axes[0])
-    axes = circle.semi_axes[0] * rim, circle.semi_axes[1] * rim
-    return back(circle._replace(semi_axes=axes))
+def _ceiling(picture, relative) -> float:
+    """Brightness within a limbus above which there are highlights alone."""
+    return float(1.5 * np.quantile(picture[relative < 0.9], 0.75) + 1e-9)
 
 
-def _beginning(x, brightness, pixel: float) -> float:
-    """Where the brightness rises from a constant, as it was before a Gaussian blurred it.
+def _beginning(x, brightness, pixel: float) -> tuple[float, float]:
+    """Where the brightness rises from a constant, as it was before a Gaussian blurred it, and the
+    width of the rise.
 
     Fitted are a step, the beginning of a smoothstep of some width, or both at one place, and a line
     behind; how wide the Gaussian is, is known to a factor. Both at once have to be better by one
@@ -121,7 +145,8 @@ def _beginning(x, brightness, pixel: float) -> float:
     def blurred(away, blur):
         return 0.5 + 0.5 * special.erf(away / (np.sqrt(2) * blur))
 
-    def misfit(v, sharp, soft):
+    def parts(v, sharp, soft):
+        """Constant, line up or down, and what rises; and how much of each there is."""
         start, width, factor = v
         blur = _BLUR * np.exp(_BLUR_SPREAD * factor) * pixel
         step = blurred(x - start, blur)
@@ -130,21 +155,26 @@ def _beginning(x, brightness, pixel: float) -> float:
         basis += [step] * sharp
         basis += [blurred(x[:, None] - start - width * node, blur) @ weight] * soft
         basis = np.stack(basis, -1)
-        off = basis @ optimize.nnls(basis, brightness)[0] - brightness
+        return basis, optimize.nnls(basis, brightness)[0]
+
+    def misfit(v, sharp, soft):
+        basis, much = parts(v, sharp, soft)
         # A tenth: neighbouring samples err alike.
-        return np.append(np.sqrt(0.1) * off / noise, factor)
+        return np.append(np.sqrt(0.1) * (basis @ much - brightness) / noise, v[2])
 
     def fit(start, sharp, soft):
         found = optimize.least_squares(
             misfit, start, bounds=bounds, x_scale=[0.01, 0.01, 1.0], args=(sharp, soft)
         )
-        return found.cost + (sharp and soft), float(found.x[0])
+        rises = parts(found.x, sharp, soft)[1][3:]
+        share = rises[-1] / (rises.sum() + 1e-30) if soft else 0.0
+        return found.cost + (sharp and soft), float(found.x[0]), float(share * found.x[1])
 
     noise = _MISFIT * (np.quantile(brightness, 0.9) - np.quantile(brightness, 0.1)) + 1e-9
     bounds = ([0.85, 0.01, -3.0], [1.1, 2 * _WIDTHS[-1], 3.0])
     fits = [fit([1.0, 0.05, 0.0], True, False), fit([1.0, 0.05, 0.0], True, True)]
     fits += [fit([1 - width / 2, width, 0.0], False, True) for width in (0.04, 0.1)]
-    return min(fits)[1]
+    return min(fits)[1:]
 
 
 def _darkness(picture, relative, circle: Ellipse) -> float:

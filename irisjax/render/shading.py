@@ -22,9 +22,6 @@ from irisjax.render.surfaces import IrisSurface, Place
 from irisjax.tissue.iris import Iris
 from irisjax.tissue.maps import IrisMaps, Scales
 
-PUPIL_MARGIN = 0.12
-"""Width over which the iris fades into the pupil, mm."""
-
 
 class Field(eqx.Module):
     """Light on the iris, all lamps together: flux vectors on a square grid of ± `extent` mm.
@@ -218,7 +215,7 @@ def normals(
 
 def shares(pixels: IrisPixels, eye: Eye) -> Float[Array, " pixels"]:
     """Of the iris's radiance that reaches the camera; fades into the pupil, 0 for padding."""
-    seen = smoothstep((from_axis(joined(pixels.point)) - eye.pupil_radius) / PUPIL_MARGIN)
+    seen = smoothstep((from_axis(joined(pixels.point)) - eye.pupil_radius) / eye.pupil_margin)
     share = pixels.share * seen
     return share if pixels.index is None else jnp.where(pixels.index < 0, 0.0, share)
 

@@ -2,6 +2,7 @@
 
 import contextlib
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy import ndimage
@@ -151,7 +152,18 @@ def test_given_outlines_are_kept_and_the_other_one_is_found():
         Ellipse((1, 1), (9, 8)),
         eye.pupil._replace(centre=(2, 2)),
     )
-    assert found[2:] == (1.0, 1.0)
+    assert found[2:] == (1.0, 1.0, None)  # nothing to be seen of a margin
+
+
+@pytest.mark.parametrize("margin", [0.01, 0.12, 0.25])
+def test_the_width_of_the_pupils_margin_is_told(margin):
+    eye = exposed(rendered("brown", 0.2, size=(1000, 800), pupil_margin=jnp.asarray(margin)))
+    pixel = 15.0 / 1000
+    for given in (None, eye.pupil):
+        found = find_boundaries(eye.photograph(), pupil=given)
+        assert found.pupil_margin is not None
+        # Blur and what is narrower than it cannot be told apart.
+        assert abs(1.9 * found.pupil_margin - margin) < 2 * pixel
 
 
 def test_a_given_outline_outside_the_picture_is_refused():

@@ -8,7 +8,6 @@ import pytest
 import irisjax as ij
 from common import heavily
 from irisjax.anatomy.eye import Cornea, Eye
-from irisjax.render import shading
 from irisjax.render.bands import colour_bands
 from irisjax.render.camera import Camera
 from irisjax.render.compose import prepare, render
@@ -43,7 +42,7 @@ def test_bare_uniform_iris_is_the_brdf(polar):
     made = scene(polar=polar, azimuth=2.0, irradiance=2.0)
     picture = np.asarray(render(made))
     r = np.hypot(*places(SMALL))
-    seen = (r > 0.25 + shading.PUPIL_MARGIN) & (r < 5.5)
+    seen = (r > 0.25 + float(made.eye.pupil_margin)) & (r < 5.5)
     assert not picture[r > 5.5].any()
     exits = 250 / np.hypot(250, r[seen])
     x = np.arange(380.0, 781, 5)
