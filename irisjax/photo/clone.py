@@ -17,10 +17,10 @@ from jaxtyping import Bool
 from irisjax.anatomy.eye import Cornea, Eye
 from irisjax.photo.average import TURNS, average_maps
 from irisjax.photo.boundaries import find_boundaries
-from irisjax.photo.cloned import NOTHING, Clone, Given, Second, Settings, needed
-from irisjax.photo.ellipse import Ellipse
+from irisjax.photo.cloned import NOTHING, Clone, Given, Settings, needed
 from irisjax.photo.lamps import Lighting, find_lighting, shade_on, tangent_of
-from irisjax.photo.morphology import maps_of
+from irisjax.photo.mirrored_face import find_mirrored_face
+from irisjax.photo.morphology import Darkness, maps_of
 from irisjax.photo.part import part_of
 from irisjax.photo.photograph import Photograph
 from irisjax.photo.pigments import exposures_for, least_squares, simplex
@@ -28,7 +28,7 @@ from irisjax.photo.polar import from_polar, to_polar
 from irisjax.photo.pose import Pose, find_pose
 from irisjax.photo.posterior import sample
 from irisjax.photo.refraction import SIZE, follow, unrefract
-from irisjax.photo.register import register
+from irisjax.photo.second import second_of
 from irisjax.photo.thickness import BETA, generic_thickness
 from irisjax.photo.window_pixels import WindowPixels, choose_pixels, iris_alone
 from irisjax.photo.windows import Windows, windows_of
@@ -45,10 +45,6 @@ STAGES = ("outlines", "pose", "texture", "thickness", "pigments", "posterior")
 """In their order."""
 MEDIA = ("cornea-aqueous", "f09")
 METHODS = ("least-squares", "simplex")
-MOST_OFF = 0.015
-"""Of the limbus's radius, by which textures of a second photograph may be off: other eyes, which
-the registration forces onto the first, are off by 0.02 to 0.03.
-"""
 SOLVER_ANGLES = 12
 """Of ILIT's solver where pigments are sought: radiances are within 5e-5 of those of a picture."""
 FIBRILS = 57.0
@@ -148,7 +144,8 @@ def _posed(found: Clone, settings: Settings, given: Given) -> Clone:
     photograph, limbus, pupil = found.photograph, found.boundaries.limbus, found.boundaries.pupil
     focal = photograph.focal_px if settings.focal_px is None else settings.focal_px
     part = part_of(photograph, limbus)
-    clear = part.clear(part.moved(pupil))
+    lids = part.lids(part.moved(pupil))
+    clear = part.clear(part.moved(pupil), lids)
     pose = find_pose(
         part.limbus,
         part.moved(pupil),
@@ -164,19 +161,21 @@ def _posed(found: Clone, settings: Settings, given: Given) -> Clone:
             "the outlines do not fit one another: the eye's middle lies off the limbus"
         )
     cut = slice(y, y + rows), slice(x, x + columns)
+    view, pixels, clear = look(pose.eye, pose.camera), part.pixels[cut], clear[cut]
+    if lids.any():
+        around = part.outside[cut], part.limbus.moved(-x, -y)
+        clear = clear & ~find_mirrored_face(pixels, *around, view.mirror)
     found = found._replace(
         pose=pose,
-        part=part.pixels[cut],
-        clear=clear[cut],
+        view=view,
+        part=pixels,
+        clear=clear,
         reduction=part.reduction,
         corner=(part.corner[0] + x * part.reduction, part.corner[1] + y * part.reduction),
     )
     if given.second is None:
         return found
-    there, told = _brought(given.second, photograph, limbus)
-    other = part_of(there, limbus)
-    clear = other.clear(other.moved(pupil))
-    return found._replace(second=Second(told, other.pixels[cut], clear[cut]))
+    return found._replace(second=second_of(given.second, photograph, limbus, pupil, cut))
 
 
 def _with_margin(pose: Pose, relative: float | None) -> Eye:
@@ -190,19 +189,6 @@ def _with_margin(pose: Pose, relative: float | None) -> Eye:
     return pose.eye.replace(pupil_margin=jnp.asarray(width, float))
 
 
-def _brought(second: Photograph, first: Photograph, limbus: Ellipse):
-    """A second photograph on the pixels of the first, and how well it lies there."""
-    outline = find_boundaries(second).limbus
-    told = register(second, first, limbus, outline)
-    off = told.residual / limbus.semi_axes[0]
-    if not off < MOST_OFF:
-        raise ValueError(
-            f"{second.name}: its iris does not come to lie on the one of {first.name}: they are "
-            f"off by {100 * off:.1f} % of the limbus's radius, {100 * MOST_OFF:g} % is the most"
-        )
-    return Photograph(told.pixels.astype(np.float32), ~told.valid, second.grey), told
-
-
 def _with_pigments(
     found: Clone,
     settings: Settings,
@@ -212,7 +198,7 @@ def _with_pigments(
     """Pigments of an average iris, or of one as thick as the given maps say; then thickness by what
     the model makes of these pigments  [F09 Fig. 10]."""
     pose, part = needed(found.pose), needed(found.part)
-    view = look(pose.eye, pose.camera)
+    view = needed(found.view)
     if given.lights is None and given.environment is None:
         light = find_lighting(part, pose, view)
     else:
@@ -220,7 +206,7 @@ def _with_pigments(
     # Tables depend on how low light stands, and that of a room comes from all round.
     around = Environment.uniform() if light.room else light.environment
     made = tables(Scene(Iris(), eye=pose.eye, lights=light.lamps, environment=around))
-    found = found._replace(view=view, lighting=light, tables=made, integrator=settings.integrator)
+    found = found._replace(lighting=light, tables=made, integrator=settings.integrator)
     clear = needed(found.clear) & iris_alone(pose) & ~_freckled(found)
     chosen = choose_pixels(part, clear, view, pose.eye, light.environment)
     found = _fitted(found, chosen, settings.method, given.maps)
@@ -245,7 +231,11 @@ def _with_finer_thickness(found: Clone, settings: Settings) -> Clone:
     if share > 0:
         tangent = tangent_of(lights, pose.eye, found.tables)
         slopes = tuple(float(-share * t) for t in tangent)
-    told = {"response": response, "slopes": slopes, "shade": shade}
+    told: dict[str, Any] = {"response": response, "slopes": slopes, "shade": shade}
+    if freckles.any():
+        shares = np.linspace(0, 1, 21) ** 2
+        iris = found.iris()
+        told["darkness"] = Darkness(shares, needed(found.windows).freckle_response(iris, shares))
     finer = maps_of(texture, freckles, sigma_mm=0.0, **told)
     if share > 0:
         height = share * (finer.thickness - generic_thickness(texture.radius()))

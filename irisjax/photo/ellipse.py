@@ -46,6 +46,11 @@ class Ellipse(NamedTuple):
         (a, b), twice = self.semi_axes, 2 * self.angle
         return np.log(a / b) * np.array([np.cos(twice), np.sin(twice)])
 
+    def moved(self, right: float, down: float) -> "Ellipse":
+        """The same one, pixels further on."""
+        x, y = self.centre
+        return self._replace(centre=(x + right, y + down))
+
     def scaled(self, factor: float) -> "Ellipse":
         """The same in a picture whose pixels are `factor` times as many along each side."""
         x, y = ((c + 0.5) * factor - 0.5 for c in self.centre)

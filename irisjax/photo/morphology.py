@@ -10,6 +10,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float
+from scipy import ndimage
 
 from irisjax.photo.directions import along_fibres
 from irisjax.photo.filling import fill
@@ -31,6 +32,25 @@ from irisjax.photo.thickness import (
 )
 from irisjax.photo.unrefracted import Unrefracted
 from irisjax.tissue.maps import IrisMaps
+
+BLUR = 0.02
+"""Standard deviation of the Gaussian that freckles are smoothed with against noise, mm."""
+
+
+class Darkness(NamedTuple):
+    """Luminance of an iris with a share of a freckle over its own, falling with the share."""
+
+    shares: Float[np.ndarray, " shares"]
+    ratios: Float[np.ndarray, " shares"]
+
+    def share(self, seen, around, freckles, texel: float) -> Float[np.ndarray, "size size"]:
+        """Of a freckle that makes what is `around` as dark as what is `seen`; that of the darkest
+        one where it is darker still.
+        """
+        ratio = np.where(freckles, seen / np.maximum(around, 1e-6), 1).astype(np.float32)
+        ratio = ndimage.gaussian_filter(ratio, BLUR / texel)
+        falling = np.minimum.accumulate(self.ratios)
+        return np.interp(ratio, falling[::-1], self.shares[::-1]).astype(np.float32)
 
 
 class Morphology(NamedTuple):
@@ -62,6 +82,7 @@ def maps_of(
     response: float | None = None,
     slopes: tuple[float, float] = (0.0, 0.0),
     shade: Bool[np.ndarray, "size size"] | None = None,
+    darkness: Darkness | None = None,
     width_mm: float = WIDTH,
     iterations: int = ITERATIONS,
     shape: tuple[int, int] = SHAPE,
@@ -75,6 +96,8 @@ def maps_of(
     - `beta`: thickness per encoded pixel value, mm  [Eq. 7]. `response`: in its place, the model's
         (`relative_thickness`); the photograph is then taken as linear luminance.
     - `slopes`: of the shading by relief to be taken off, see `unshade`; needs `response`.
+    - `darkness`: of freckles, by which a share is told from the photograph's luminance; without it
+        freckles are whole ones.
     - `shade`: texels that lamps hardly reach; used with `response`.
     - `shape`: (angles, radii) of the maps.
 
@@ -112,9 +135,12 @@ def maps_of(
         else relative_thickness(radius, smooth, response)
     )
     rim = texture.pupil_radius, texture.iris_radius, shape
+    spots = freckles.astype(np.float32)
+    if darkness is not None:
+        spots *= darkness.share(texture.luminance(), luminance, freckles, texel)
     maps = IrisMaps(
         stroma_depth=jnp.asarray(to_polar(found, *rim)),
-        freckles=_share(to_polar(freckles.astype(np.float32), *rim)) if freckles.any() else None,
+        freckles=_share(to_polar(spots, *rim)) if freckles.any() else None,
     )
     return Morphology(
         maps, freckles, filled, normalised, deconvolved, found, int((clamped & shown).sum())

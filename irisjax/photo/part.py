@@ -35,16 +35,19 @@ class Part(NamedTuple):
 
     def moved(self, outline: Ellipse) -> Ellipse:
         """An outline of the photograph on these pixels."""
-        x, y = outline.centre
-        there = outline._replace(centre=(x - self.corner[0], y - self.corner[1]))
-        return there.scaled(1 / self.reduction)
+        return outline.moved(-self.corner[0], -self.corner[1]).scaled(1 / self.reduction)
 
-    def clear(self, pupil: Ellipse) -> Bool[np.ndarray, "side side"]:
+    def lids(self, pupil: Ellipse) -> Bool[np.ndarray, "side side"]:
+        """Pixels within the limbus that lids cover; `pupil`: an outline on these pixels."""
+        return find_lids(self.pixels, self.limbus, pupil)
+
+    def clear(
+        self, pupil: Ellipse, lids: Bool[np.ndarray, "side side"]
+    ) -> Bool[np.ndarray, "side side"]:
         """Pixels between a pupil, an outline on these pixels, and the limbus that show the iris: no
         highlight, lash or lid."""
         ring = self.limbus.mask(self.outside.shape) & ~pupil.mask(self.outside.shape)
         covered = find_highlights(self.pixels, self.saturated & ring, ring)
-        lids = find_lids(self.pixels, self.limbus, pupil)
         covered |= lids | find_lashes(self.pixels, self.limbus, lids)
         clear = ring & ~covered & ~self.outside
         clear &= ~find_lash_shadows(self.pixels, self.limbus, lids, clear)

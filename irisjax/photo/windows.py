@@ -83,13 +83,28 @@ class Windows(eqx.Module):
         """d ln luminance / d ln stroma's thickness of an iris, about its mean thickness, seen and
         lit from the front.
         """
-        parts = self.aqueous_index, self.bands, self.ranges
-        found: Any = respond(self.integrator, iris, *parts)
-        scale = jnp.asarray([0.9, 1.1])
-        one = jnp.ones_like(scale)
-        scales = Scales(stroma=scale)
-        seen = jnp.asarray(LUMINANCE, scale.dtype) @ found.brdf(scales, one, one, 0 * one)
-        return float(jnp.log(seen[1] / seen[0]) / jnp.log(1.1 / 0.9))
+        seen = self._from_the_front(iris, self.ranges, Scales(stroma=jnp.asarray([0.9, 1.1])))
+        return float(np.log(seen[1] / seen[0]) / np.log(1.1 / 0.9))
+
+    def freckle_response(
+        self, iris: Iris, shares: Float[np.ndarray, " shares"]
+    ) -> Float[np.ndarray, " shares"]:
+        """Luminance of an iris with shares of a freckle (as of `IrisMaps.freckles`) over its own,
+        seen and lit from the front.
+        """
+        spots = IrisMaps(freckles=jnp.asarray([shares, shares], float))
+        ranges = self.ranges._replace(abl=ranges_of(iris, spots).abl)
+        dark = spots.abl_scale(iris)
+        assert dark is not None
+        both = Scales(abl=dark[0], stroma=jnp.ones_like(dark[0]))
+        seen = self._from_the_front(iris, ranges, both)
+        return seen / self._from_the_front(iris, ranges, both._replace(abl=0 * dark[0] + 1))
+
+    def _from_the_front(self, iris: Iris, ranges: Scales, scales: Scales) -> np.ndarray:
+        """Luminance of uniform irides, (irides,)."""
+        found: Any = respond(self.integrator, iris, self.aqueous_index, self.bands, ranges)
+        one = jnp.ones_like(scales.stroma)
+        return np.asarray(LUMINANCE @ np.asarray(found.brdf(scales, one, one, 0 * one)))
 
 
 def windows_of(

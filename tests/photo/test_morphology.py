@@ -7,7 +7,7 @@ import pytest
 
 import irisjax as ij
 from irisjax.numerics.interpolation import polar_bilinear
-from irisjax.photo.morphology import maps_of
+from irisjax.photo.morphology import Darkness, maps_of
 from irisjax.photo.unrefracted import Unrefracted
 
 SIZE = 192
@@ -42,6 +42,23 @@ def test_freckles_of_the_user_are_filled_and_handed_on():
     assert np.asarray(found.maps.freckles).max() > 0.9
     difference = np.abs(np.asarray(found.maps.stroma_depth) - clean.maps.stroma_depth)
     assert difference.max() < 0.05 and np.median(difference) < 1e-4
+
+
+def test_a_freckle_is_as_dark_as_in_the_photograph():
+    """Where the model's are darker; the darkest there is where they are not."""
+    texture = _texture()
+    radius, angle = texture.radius(), texture.angle()
+    middle = np.hypot(radius * np.cos(angle) - 3.5, radius * np.sin(angle))
+    spot, darkness = middle < 0.5, Darkness(np.array([0, 0.5, 1.0]), np.array([1, 0.5, 0.4]))
+    for seen, share in ((0.75, 0.25), (0.45, 0.75), (0.2, 1.0)):
+        dark = np.where(spot, seen, 1.0)[..., None] * texture.pixels
+        known = {"response": 0.5, "darkness": darkness, "shape": (192, 32)}
+        # About a spot as large the surroundings are filled in: the streaks are lost there.
+        flat = texture._replace(pixels=np.where(middle[..., None] < 1, [0.1, 0.14, 0.2], dark))
+        flat = flat._replace(pixels=np.where(spot[..., None], seen, 1.0) * flat.pixels)
+        found = np.asarray(maps_of(flat, spot, **known).maps.freckles)
+        assert found.max() == pytest.approx(share, abs=0.02)
+        assert found.min() == 0
 
 
 def test_hidden_texels_do_not_tell():

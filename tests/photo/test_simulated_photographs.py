@@ -13,8 +13,11 @@ from irisjax.anatomy.eye import Eye
 from irisjax.io.photographs import read_photograph
 from irisjax.io.scenes import read_scene
 from irisjax.photo.boundaries import MIN_CONFIDENCE, find_boundaries
+from irisjax.photo.clone import clone
+from irisjax.photo.cloned import Settings, needed
 from irisjax.photo.ellipse import Ellipse
 from irisjax.photo.filling import masked_mean
+from irisjax.photo.mirrored_face import find_mirrored_face
 from irisjax.photo.part import part_of
 from irisjax.photo.pose import find_pose
 from irisjax.photo.unrefracted import LUMINANCE
@@ -105,7 +108,7 @@ def test_outlines_are_found_to_a_hundredth_of_their_radius_and_the_tilt_to_2_deg
     for seen, name in zip(found[:2], ("limbus", "pupil"), strict=True):
         off = outline(truth, name).relative_radius(*seen.points(along).T) - 1
         assert abs(off).max() < 0.01
-    assert min(found[2:]) > MIN_CONFIDENCE
+    assert min(found[2:4]) > MIN_CONFIDENCE
     camera = truth["camera"]
     pose = find_pose(found.limbus, found.pupil, Eye(), focal_px=camera["focal_px"])
     off = pose.tilt * np.exp(1j * float(pose.camera.azimuth))
@@ -151,9 +154,36 @@ def test_what_lids_lashes_and_a_lamp_hide_is_masked(truth):
     )
     change = seen - bare
     hidden = ring & (np.abs(change - np.median(change[ring])) > 0.35)
-    found = ring & ~dirty.clear(inner)
+    found = ring & ~dirty.clear(inner, dirty.lids(inner))
     assert found[hidden].mean() > 0.8
     around = masked_mean(change, ring & ~hidden, 0.05 * dirty.limbus.semi_axes[0])
     touched = hidden | (np.abs(change - around) > 0.06)
     away = ring & (ndimage.distance_transform_edt(~touched) > 6)
     assert found[away].mean() < 0.03
+
+
+@pytest.mark.heavy
+@by_file([t for t in TRUTH if t["dirty"]])
+def test_the_mirrored_face_is_masked(truth):
+    """Of an eye that is turned: where it makes the rim brighter by a third than without a face."""
+    *_, found = clone(read_photograph(FOLDER / truth["file"]), Settings(), last="pose")
+    mirror = None if found.view is None else found.view.mirror
+    (x, y), part = found.corner, needed(found.part)
+    limbus, pupil = (outline(truth, n).moved(-x, -y) for n in ("limbus", "pupil"))
+    masked = find_mirrored_face(part, np.zeros(part.shape[:2], bool), limbus, mirror)
+    if not truth["camera"]["polar"]:
+        assert not masked.any()
+        return
+    clean = read_photograph(FOLDER / truth["file"].replace("_dirty", ""))
+    whole, (rows, columns) = part_of(clean, found.boundaries.limbus), part.shape[:2]
+    x, y = x - whole.corner[0], y - whole.corner[1]
+    bare = 1.2 * whole.pixels[y : y + rows, x : x + columns]
+    row, column = np.ogrid[:rows, :columns]
+    iris = limbus.relative_radius(column, row) < 0.97
+    iris &= pupil.relative_radius(column, row) > 1.1
+    excess = ndimage.gaussian_filter((part - bare)[..., 0], 2.0)
+    changed = iris & (excess > 0.33 * bare[..., 0]) & (np.abs(row - rows / 2) < 0.2 * rows)
+    assert changed.sum() > 1000
+    assert masked[changed].mean() > 0.95
+    assert masked[iris].mean() < 0.1
+    assert not needed(found.clear)[masked].any()

@@ -8,6 +8,7 @@ from window_scenes import BASE, CAMERA, EYE, LIGHTS, POSE, QUICK, SHAPE, VIEW, m
 
 from irisjax.photo.average import TURNS, average_maps
 from irisjax.photo.lamps import Lighting
+from irisjax.photo.unrefracted import LUMINANCE
 from irisjax.photo.window_pixels import (
     ANGLES,
     MARGIN,
@@ -46,6 +47,34 @@ def test_a_windows_radiance_is_the_mean_of_the_rendered_pixels():
     found = _means_are_the_renderers(QUICK, 1e-6)
     assert len(found.colour) == ANGLES * RINGS
     assert found.thickness_response(BASE) > 0
+
+
+@pytest.mark.heavy  # compiles the renderer
+def test_a_freckles_darkness_is_the_rendered_one():
+    """The ratio hardly depends on the direction: within a hundredth."""
+    shares = np.array([0.0, 0.1, 0.5, 1.0])
+    found = windows(np.ones((*SHAPE, 3))).freckle_response(BASE, shares)
+    assert found[0] == 1
+    assert (np.diff(found) < 0).all()
+    bare = maps().replace(stroma_depth=None)
+    seen = iris_alone(POSE)
+    pictures = [
+        np.asarray(
+            Scene(
+                BASE,
+                bare.replace(freckles=jnp.full((4, 4), share)),
+                eye=EYE,
+                lights=LIGHTS,
+                camera=CAMERA,
+                integrator=QUICK,
+            ).render(caustics=False)
+        )[seen]
+        @ LUMINANCE
+        for share in (0.0, 0.5)
+    ]
+    lit = pictures[0] > 0
+    # The median: lamps are mirrored in both.
+    assert np.median(pictures[1][lit] / pictures[0][lit]) == pytest.approx(found[2], abs=0.01)
 
 
 @pytest.mark.slow
