@@ -1,6 +1,7 @@
 """Thickness of the simulated photographs' eyes, and how near a clone comes to it."""
 
 import json
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -23,11 +24,11 @@ class Truth(NamedTuple):
     used: np.ndarray
 
 
-def true_thickness(colour: str, texture: Unrefracted) -> Truth:
+def true_thickness(colour: str, texture: Unrefracted, folder: Path = FOLDER) -> Truth:
     """What the photograph was made with."""
-    every = json.loads((FOLDER / "truth.json").read_text(encoding="utf-8"))["photographs"]
+    every = json.loads((folder / "truth.json").read_text(encoding="utf-8"))["photographs"]
     numbers = next(p for p in every if p["file"] == f"{colour}.jpg")
-    depth = np.asarray(read_maps(FOLDER / numbers["maps"]).stroma_depth)
+    depth = np.asarray(read_maps(folder / numbers["maps"]).stroma_depth)
     angles, radii = depth.shape
     inner, outer = (numbers["eye"][f"{n}_radius"] for n in ("pupil", "iris"))
     radius, turn = texture.radius(), texture.angle() % (2 * np.pi)

@@ -27,6 +27,7 @@ LIMITS = {
     "iris_depth": Range(2.5, 8, "mm"),
     "iris_slope": Range(-0.5, 0.5),
     "limbus_radius": Range(4, 7, "mm"),
+    "limbus_width": Range(0.005, 3, "mm"),
     "iris_radius": Range(4, 7, "mm"),
     "pupil_radius": Range(0.25, 4.75, "mm"),
     "pupil_margin": Range(0.005, 1.2, "mm"),
@@ -106,7 +107,8 @@ class Eye(eqx.Module):
         pupil).
     - `iris_radius`, `pupil_radius`, `limbus_radius` (where cornea meets sclera), mm.
     - `pupil_margin`: width over which the iris's radiance rises from none at the pupil's edge, mm;
-        0.005 is sharp in any picture.
+        0.005 is sharp in any picture. `limbus_width`: over which iris and sclera blend about the
+        limbus, mm  [F09 Section 6.5: about 1 mm].
     - `attenuation`: of the aqueous humour, 1/mm, or `None`: water absorbs 1e-4 over the chamber in
         the visible.
     - `sclera`: `None` for a close-up.
@@ -120,6 +122,7 @@ class Eye(eqx.Module):
     iris_depth: Scalar = _number(3.6)
     iris_slope: Scalar | None = _optional()
     limbus_radius: Scalar = _number(5.5)
+    limbus_width: Scalar = _number(1.0)
     iris_radius: Scalar = _number(5.5)
     pupil_radius: Scalar = _number(1.9)
     pupil_margin: Scalar = _number(0.12)

@@ -70,8 +70,9 @@ def readme(
         "- relief tilts the shading; nothing casts shadows on the iris, nor does it light itself: "
         "as displacement,",
         "  relief.exr makes a preset 5 % brighter round the pupil for an albedo of 0.2.",
-        "- The limbus is sharp here; irisjax blends iris and white over 1 mm, and fades it at the "
-        f"pupil over {float(scene.eye.pupil_margin):.2g}.",
+        "- The limbus is sharp here; irisjax blends iris and white over "
+        f"{float(scene.eye.limbus_width):.2g} mm, and fades it at the pupil over "
+        f"{float(scene.eye.pupil_margin):.2g}.",
     ]
     if scene.eye.sclera is not None:
         lines += [

@@ -21,6 +21,7 @@ _OF_EYES = (
     "iris_depth",
     "iris_slope",
     "limbus_radius",
+    "limbus_width",
     "iris_radius",
     "pupil_radius",
     "pupil_margin",

@@ -23,8 +23,8 @@ def tissue_files(tissue: Tissue, eye: Eye) -> dict[str, bytes]:
     ):
         document.add(tomlkit.comment(line))
     iris = {name: getattr(tissue.iris, name) for name in LIMITS}
-    places = "iris_depth", "iris_slope", "limbus_radius", "iris_radius"
-    places += "pupil_radius", "pupil_margin"
+    places = "iris_depth", "iris_slope", "limbus_radius", "limbus_width"
+    places += "iris_radius", "pupil_radius", "pupil_margin"
     anatomy = {name: getattr(eye, name) for name in places}
     document["iris"] = _numbers(iris)
     document["maps"] = {"file": MAPS}

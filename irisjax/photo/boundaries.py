@@ -6,7 +6,7 @@ import numpy as np
 
 from irisjax.photo.edges import ray_angles, reduced
 from irisjax.photo.ellipse import Ellipse
-from irisjax.photo.limbus import limbus_near
+from irisjax.photo.limbus import limbus_near, width_of
 from irisjax.photo.photograph import Photograph
 from irisjax.photo.pupil import PUPIL_SHARE, Pupil, beginning_of, pupil_within
 from irisjax.photo.rings import Ring, rings
@@ -26,7 +26,8 @@ class Boundaries(NamedTuple):
 
     `limbus_confidence`, `pupil_confidence`: 0 to 1, from the share of each outline that edges
     support, how near to it they lie and how strong they are; 1 for an outline that was given. Below
-    `MIN_CONFIDENCE` the outline is not to be trusted. `pupil_margin`: see `Pupil.margin`.
+    `MIN_CONFIDENCE` the outline is not to be trusted. `pupil_margin`: see `Pupil.margin`;
+    `limbus_width`: over which iris and white blend, of the limbus's radius; `None`: not known.
     """
 
     limbus: Ellipse
@@ -34,6 +35,7 @@ class Boundaries(NamedTuple):
     limbus_confidence: float
     pupil_confidence: float
     pupil_margin: float | None = None
+    limbus_width: float | None = None
 
 
 def find_boundaries(
@@ -56,24 +58,25 @@ def find_boundaries(
                 f"picture of {columns} x {rows} pixels"
             )
     if limbus is not None and pupil is not None:
-        return Boundaries(limbus, pupil, 1.0, 1.0, _margin(photo, limbus, pupil))
+        return _with_widths(photo, Boundaries(limbus, pupil, 1.0, 1.0))
     if limbus is None:
         outline, inner = _searched(photo, pupil)
         outline, held = limbus_near(photo, outline, inner, coarse=False)
     else:
         outline, held = limbus, None
     if pupil is not None:
-        found = _judged(photo, outline, pupil, held, None)
-        return found._replace(pupil_margin=_margin(photo, outline, pupil))
+        return _with_widths(photo, _judged(photo, outline, pupil, held, None))
     inner, support, margin = pupil_within(photo, outline, coarse=False)
     if limbus is None and support > _TRUSTED:
         outline, held = limbus_near(photo, outline, inner, coarse=False)
-    return _judged(photo, outline, inner, held, support)._replace(pupil_margin=margin)
+    return _with_widths(photo, _judged(photo, outline, inner, held, support), margin)
 
 
-def _margin(photo: Photograph, limbus: Ellipse, pupil: Ellipse) -> float | None:
-    """Of a pupil that was given."""
-    return beginning_of(photo, limbus, Pupil(pupil, 1.0)).margin
+def _with_widths(photo: Photograph, found: Boundaries, margin: float | None = None) -> Boundaries:
+    """With how soft both edges are; `margin`: of a pupil that was found."""
+    if margin is None:
+        margin = beginning_of(photo, found.limbus, Pupil(found.pupil, 1.0)).margin
+    return found._replace(pupil_margin=margin, limbus_width=width_of(photo, found.limbus))
 
 
 def _searched(photo: Photograph, pupil: Ellipse | None) -> tuple[Ellipse, Ellipse | None]:

@@ -16,7 +16,7 @@ from jaxtyping import Bool
 
 from irisjax.anatomy.eye import Cornea, Eye
 from irisjax.photo.average import TURNS, average_maps
-from irisjax.photo.boundaries import find_boundaries
+from irisjax.photo.boundaries import Boundaries, find_boundaries
 from irisjax.photo.cloned import NOTHING, Clone, Given, Settings, needed
 from irisjax.photo.lamps import Lighting, find_lighting, shade_on, tangent_of
 from irisjax.photo.mirrored_face import find_mirrored_face
@@ -153,7 +153,7 @@ def _posed(found: Clone, settings: Settings, given: Given) -> Clone:
         focal_px=None if focal is None else focal / part.reduction,
         azimuth=settings.azimuth,
     )
-    pose = pose._replace(eye=_with_margin(pose, found.boundaries.pupil_margin))
+    pose = pose._replace(eye=_with_widths(pose, found.boundaries))
     x, y = pose.corner
     rows, columns = pose.camera.shape
     if min(x, y) < 0 or y + rows > len(clear) or x + columns > len(clear):
@@ -178,15 +178,21 @@ def _posed(found: Clone, settings: Settings, given: Given) -> Clone:
     return found._replace(second=second_of(given.second, photograph, limbus, pupil, cut))
 
 
-def _with_margin(pose: Pose, relative: float | None) -> Eye:
-    """The eye with a pupil's margin in proportion to its radius; a pixel of the camera at least, as
-    the picture is of points.
+def _with_widths(pose: Pose, outlines: Boundaries) -> Eye:
+    """The eye with edges as soft as the outlines; a pixel of the camera at least, as the picture is
+    of points.
     """
-    if relative is None:
-        return pose.eye
-    pixel = float(pose.camera.width) / pose.camera.size[0]
-    width = max(relative * float(pose.eye.pupil_radius), pixel)
-    return pose.eye.replace(pupil_margin=jnp.asarray(width, float))
+    eye, pixel = pose.eye, float(pose.camera.width) / pose.camera.size[0]
+    known = (
+        ("pupil_margin", outlines.pupil_margin, eye.pupil_radius),
+        ("limbus_width", outlines.limbus_width, eye.limbus_radius),
+    )
+    widths = {
+        name: jnp.asarray(max(relative * float(radius), pixel), float)
+        for name, relative, radius in known
+        if relative is not None
+    }
+    return eye.replace(**widths)
 
 
 def _with_pigments(

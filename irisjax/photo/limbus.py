@@ -20,6 +20,9 @@ from irisjax.photo.tilt import FLATTER, PUPIL_OVAL
 
 _WIDTHS = (0.02, 0.05, 0.09)  # half widths of the rise, of the radius: about 1 mm in all
 _SPAN = (0.6, 1.4)
+_BLUR = 0.8  # standard deviation of a photograph's own blur, px
+_BETWEEN_QUARTERS = 1.349  # standard deviations of a Gaussian's
+_OF_SMOOTHSTEP = 0.3473  # of a smoothstep's width, between a quarter and three of its rise
 
 
 def limbus_near(
@@ -52,6 +55,40 @@ def limbus_near(
         shown = 1 - 0.8 * np.where(np.isnan(profile[:, : profile.shape[1] // 2]).any(1), 0, covered)
         outline, support = polished(outline, value, place, lateral * shown, flattening)
     return back(outline), support
+
+
+def width_of(photo: Photograph, limbus: Ellipse) -> float | None:
+    """Width over which the brightness rises from the iris's to the white's, of the limbus's radius,
+    if enough of the rise is seen: that of a smoothstep as steep between a quarter of it and three.
+    """
+    pixels, outline, _ = around(photo.pixels, limbus, 2.0, FINE)
+    picture = pixels.mean(-1)
+    colour = None if photo.grey else _redness(pixels[..., 0], pixels[..., 2])
+    edges, white, profile = _limbus_edges(picture, colour, outline, _SPAN, 161, _WIDTHS)
+    held, place = _half_way(profile, edges, edges.score() * white, 0.04)
+    good = held > 0.3
+    if good.sum() < 12:
+        return None
+    # Each ray about its own half-way point: what the outline is off by is no softness.
+    x, aside = np.linspace(*_SPAN, profile.shape[1]), np.linspace(-0.2, 0.2, 401)
+    rays = zip(place[good], profile[good], strict=True)
+    moved = np.stack([np.interp(at + aside, x, ray) for at, ray in rays])
+    dark = np.median(moved[:, (aside > -0.18) & (aside < -0.05)], 1)
+    bright = np.median(moved[:, (aside > 0.06) & (aside < 0.13)], 1)
+    rise = np.nanmedian((moved - dark[:, None]) / (bright - dark)[:, None], 0)
+    low, high = (_crossed(aside, rise, share) for share in (0.25, 0.75))
+    blur = _BLUR * _BETWEEN_QUARTERS / outline.semi_axes[0]
+    return float(np.sqrt(max((high - low) ** 2 - blur**2, 0)) / _OF_SMOOTHSTEP)
+
+
+def _crossed(x, rising, level: float) -> float:
+    """Where a curve that rises through its middle crosses a level there."""
+    middle = len(x) // 2
+    if level < 0.5:
+        at = np.flatnonzero(rising[:middle] <= level)
+        return float(x[at[-1] if len(at) else 0])
+    at = np.flatnonzero(rising[middle:] >= level)
+    return float(x[middle + at[0] if len(at) else -1])
 
 
 def _redness(red, blue):

@@ -13,7 +13,6 @@ from jaxtyping import Array, Bool, Float
 from irisjax.anatomy.eye import Eye
 from irisjax.optics.conicoid import Vector, dot, norm
 from irisjax.render.camera import Camera
-from irisjax.render.project import BLEND
 from irisjax.render.refraction import enter, nearer, on_cornea, reach_of
 from irisjax.render.surfaces import AbstractSurface, CorneaSurface, GlobeSurface, IrisSurface
 
@@ -84,7 +83,7 @@ def _through_cornea(eye: Eye, camera: Camera, target: Float[Array, "3"]):
     ).astype(target.dtype)
     entry = jax.lax.scan(newton, 0.9 * target[:2], shares)[0]
     found, front = landing(entry, 1.0), on_cornea(cornea, entry)
-    edge = eye.limbus_radius + (0.0 if eye.sclera is None else BLEND)
+    edge = eye.limbus_radius + (0.0 if eye.sclera is None else eye.limbus_width / 2)
     facing = dot(_towards(camera, eye, front), cornea.anterior.normal(front)) < 0
     close = norm(found.point[:2] - target[:2]) < _CLOSE
     return front, close & facing & (norm(entry) < edge) & (found.share > 0)

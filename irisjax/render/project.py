@@ -30,10 +30,6 @@ from irisjax.render.camera import Camera
 from irisjax.render.refraction import enter, on_cornea
 from irisjax.render.surfaces import CorneaSurface, GlobeSurface, IrisSurface
 
-BLEND = 0.5
-"""Half the width over which iris and sclera blend at the limbus, mm  [F09 Section 6.5: about 1 mm
-in all].
-"""
 IRIS, SCLERA, MIRROR = 1, 2, 4
 """What a pixel may see, to be added up."""
 
@@ -231,6 +227,6 @@ class _Outside(NamedTuple):
         normal = choose(on_cornea, normal, globe.normal(point))
         point = choose(on_cornea, front, point)
         hit = on_cornea | on_globe
-        edge = smoothstep((from_axis(point) - eye.limbus_radius) / (2 * BLEND) + 0.5)
+        edge = smoothstep((from_axis(point) - eye.limbus_radius) / eye.limbus_width + 0.5)
         blend = jnp.where(globe.behind(point), 1.0, edge)
         return cls(front, point, normal, blend, hit, hit & shown & (blend < 1))

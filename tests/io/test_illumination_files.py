@@ -68,7 +68,11 @@ def test_true_tables_come_back_to_the_bit(tmp_path, monkeypatch, bits):
 def test_tables_are_made_of_what_the_key_sees():
     """Two eyes of one key have the same tables: build looks at nothing else."""
     a = EYE.replace(
-        pupil_radius=3.0, pupil_margin=0.02, sclera=Sclera(radius=13.0), cornea=Cornea(scatter=85e8)
+        pupil_radius=3.0,
+        pupil_margin=0.02,
+        limbus_width=0.3,
+        sclera=Sclera(radius=13.0),
+        cornea=Cornea(scatter=85e8),
     )
     b = EYE.replace(sclera=None)
     assert key(a, False) == key(b, False) == key(EYE, False)
@@ -98,7 +102,7 @@ def test_what_matters_makes_another_key(name):
 
 
 def test_every_field_of_the_eye_is_in_the_key_or_said_not_to_matter():
-    said = {"sclera", "pupil_radius", "pupil_margin"}
+    said = {"sclera", "pupil_radius", "pupil_margin", "limbus_width"}
     assert {f.name for f in dataclasses.fields(Eye)} - said - {"cornea"} <= OTHERS.keys()
     assert {f"cornea.{f.name}" for f in dataclasses.fields(Cornea)} - {
         "cornea.scatter"

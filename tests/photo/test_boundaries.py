@@ -152,7 +152,16 @@ def test_given_outlines_are_kept_and_the_other_one_is_found():
         Ellipse((1, 1), (9, 8)),
         eye.pupil._replace(centre=(2, 2)),
     )
-    assert found[2:] == (1.0, 1.0, None)  # nothing to be seen of a margin
+    assert found[2:] == (1.0, 1.0, None, None)  # nothing to be seen of a margin
+
+
+@pytest.mark.parametrize("width", [0.03, 0.3, 1.0])
+def test_the_width_of_the_limbus_is_told(width):
+    eye = exposed(rendered("brown", 0.2, size=(1000, 800), limbus_width=jnp.asarray(width)))
+    found = find_boundaries(eye.photograph())
+    assert found.limbus_width is not None
+    # Of a wide one, a tenth of which is lost in the shadow below; of a sharp one some pixels.
+    assert abs(5.5 * found.limbus_width - width) < max(0.1 * width, 0.05)
 
 
 @pytest.mark.parametrize("margin", [0.01, 0.12, 0.25])
