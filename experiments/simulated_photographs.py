@@ -14,14 +14,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from PIL import Image
-from skimage.measure import EllipseModel
 
 from experiments.common import start
 from irisjax.anatomy.eye import Eye, Sclera
 from irisjax.grow.presets import preset
 from irisjax.io import write_exr, write_maps
 from irisjax.measure.colour import srgb_encode
-from irisjax.photo.ellipse import Ellipse
+from irisjax.photo.ellipse import Ellipse, ellipse_through
 from irisjax.render.albedo import Matt
 from irisjax.render.bands import all_bands, colour_bands
 from irisjax.render.camera import Camera
@@ -179,16 +178,10 @@ def outline(scene: Scene, radius: float, pupil: bool) -> tuple[Ellipse, float]:
         assert bool(visible.all())
     else:
         column, row = scene.camera.pixel(ring, eye)
-    # Points that lie on an ellipse to the last digit make the fit's matrix singular.
-    points = np.round(np.stack([np.asarray(column), np.asarray(row)], -1), 6)
-    with np.errstate(divide="ignore"):  # of a circle's axes
-        model = EllipseModel.from_estimate(points)
-    (x, y), (a, b), turn = model.center, model.axis_lengths, model.theta
-    if a < b:
-        a, b, turn = b, a, turn + math.pi / 2
-    turn = float((math.pi / 2 - turn) % math.pi - math.pi / 2)  # rows run down
-    off = float(np.abs(model.residuals(points)).max())
-    return Ellipse((float(x), float(y)), (float(a), float(b)), turn), off
+    points = np.stack([np.asarray(column), np.asarray(row)], -1)
+    found = ellipse_through(points)
+    off = np.abs(found.relative_radius(column, row) - 1).max() * found.semi_axes[0]
+    return found, float(off)
 
 
 def sensed(linear: np.ndarray, random: np.random.Generator) -> np.ndarray:

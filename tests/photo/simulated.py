@@ -6,11 +6,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from scipy import ndimage
-from skimage.measure import EllipseModel
 
 from irisjax.anatomy.eye import Eye
 from irisjax.grow.presets import preset
-from irisjax.photo.ellipse import Ellipse
+from irisjax.photo.ellipse import Ellipse, ellipse_through
 from irisjax.photo.photograph import Photograph
 from irisjax.render.camera import Camera
 from irisjax.render.environment import Environment
@@ -58,11 +57,7 @@ def rendered(colour="green", polar=0.0, size=(600, 460), seed=0, **eye) -> Simul
 
 def fitted(column, row) -> Ellipse:
     """The ellipse through points."""
-    model = EllipseModel.from_estimate(np.stack([np.asarray(column), -np.asarray(row)], -1))
-    (x, y), (a, b), angle = model.center, model.axis_lengths, model.theta
-    if a < b:
-        a, b, angle = b, a, angle + np.pi / 2
-    return Ellipse((float(x), -float(y)), (float(a), float(b)), float(angle))
+    return ellipse_through(np.stack([np.asarray(column), np.asarray(row)], -1))
 
 
 def with_lids(eye: Simulated, upper=0.62, lower=0.8) -> Simulated:
