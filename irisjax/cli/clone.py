@@ -4,166 +4,27 @@ import sys
 import time
 from collections.abc import Callable
 from contextlib import contextmanager, nullcontext
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
-import numpy as np
 import typer
 from tqdm import tqdm
 
 from irisjax import io
 from irisjax.cli.cache import cores, kept_tables
+from irisjax.cli.clone_options import Model, Picture, Results, settings_of
 from irisjax.cli.clone_report import doubtful, report, say
 from irisjax.cli.files import check_folder
-from irisjax.cli.options import SEED_HELP, Group, grouped, name_of, number, option, read_seed, whole
-from irisjax.cli.scenes import lamps
+from irisjax.cli.options import Group, grouped
 from irisjax.io.clone_folders import PHOTOGRAPH, encode_photograph
 from irisjax.io.clones import FILES, files_of
 from irisjax.io.photographs import read_photograph
-from irisjax.numerics.checks import Range, check_range
 from irisjax.photo import clone as cloning
-from irisjax.photo.ellipse import Ellipse
 from irisjax.photo.picture import compare
 from irisjax.plot.beside import Later, beside, here
-from irisjax.render.environment import Environment
-from irisjax.render.radiative import RadiativeIntegrator
-from irisjax.render.separable import Separable
 
 _NOT_SURE = 3
-_PROCESSES = {"ilit-2006": Separable, "depth-resolved": RadiativeIntegrator}
 _FIGURES = "side_by_side.png", "differences.png", "luminance.png"
-
-
-@dataclass(frozen=True, kw_only=True)
-class Picture(Group):
-    """The photograph and what is known of it."""
-
-    PANEL = "Photograph"
-
-    photograph: Annotated[
-        Path,
-        typer.Argument(
-            metavar="PHOTO", help="JPEG, PNG, TIFF, EXR or camera raw", show_default=False
-        ),
-    ]
-    focal_px: Annotated[
-        float | None,
-        option(parse=number(), metavar="pixels", help="focal length; default: the file's own"),
-    ] = None
-    limbus: Annotated[
-        str | None,
-        option(
-            metavar="X,Y,A,B,DEG",
-            help="outline of the cornea, in place of the one that is found: centre (column, row), "
-            "semi-axes (pixels), angle of the larger one from the right towards the top",
-        ),
-    ] = None
-    pupil: Annotated[
-        str | None, option(metavar="X,Y,A,B,DEG", help="the same of the pupil as it appears")
-    ] = None
-    tilt_azimuth: Annotated[
-        float | None,
-        option(
-            parse=number(-360, 360),
-            metavar="degrees",
-            help="side of the eye on which the camera stands, from the picture's right to its top; "
-            "default: told from the pupil",
-        ),
-    ] = None
-    light: Annotated[
-        list[str] | None,
-        option(
-            metavar="POLAR,AZIMUTH[,E]",
-            help="as of render, E its irradiance; repeatable; default: told from the highlights on "
-            "the cornea",
-        ),
-    ] = None
-    environment: Annotated[
-        str | None,
-        option(metavar="FILE|uniform", help="latitude-longitude panorama, or light from all round"),
-    ] = None
-    cross_polarised: Annotated[
-        bool,
-        option("--cross-polarised", metavar="", help="the photograph was taken through polarisers"),
-    ] = False
-    second: Annotated[
-        Path | None,
-        option(
-            metavar="FILE",
-            help="of the same eye, best through crossed polarisers: without highlights it shows "
-            "the texture; light and pigments are told from PHOTO",
-        ),
-    ] = None
-    maps: Annotated[
-        Path | None,
-        option(metavar="FILE.exr", help="thickness, in place of what the texture tells: maps.exr"),
-    ] = None
-    freckles: Annotated[
-        Path | None,
-        option(metavar="FILE.png", help="mask in place of freckles.png, white where a freckle is"),
-    ] = None
-
-
-@dataclass(frozen=True, kw_only=True)
-class Model(Group):
-    """How the eye is modelled."""
-
-    PANEL = "Model"
-
-    media: Annotated[str, name_of("what light crosses before the iris", *cloning.MEDIA)] = (
-        "cornea-aqueous"
-    )
-    iris_depth: Annotated[
-        float,
-        option(parse=number(2.5, 8), metavar="mm", help="of the iris behind the cornea, 2.5 to 8"),
-    ] = 3.6
-    beta: Annotated[
-        float | None,
-        option(
-            parse=number(0, 5),
-            metavar="mm",
-            help="thickness by F09's Eq. 7, which has 0.35; default: by the model's response",
-        ),
-    ] = None
-    deconvolution: Annotated[
-        float,
-        option(
-            parse=number(0, 2),
-            metavar="mm",
-            help="with --beta: width of the blur by scattering, 0 to 2",
-        ),
-    ] = 0.5
-    relief: Annotated[
-        float,
-        option(
-            parse=number(0, 1),
-            metavar="share",
-            help="of the stroma's unevenness that stands out towards the cornea, 0 to 1; in light "
-            "eyes its shading is taken off",
-        ),
-    ] = 0.0
-    method: Annotated[
-        str, name_of("search for the pigments; simplex is F09's", *cloning.METHODS)
-    ] = "least-squares"
-    process: Annotated[str, name_of("light in the iris", *_PROCESSES)] = "ilit-2006"
-    max_steps: Annotated[
-        int, option(parse=whole(150, 100_000), metavar="count", help="of the posterior's chain")
-    ] = 8000
-    seed: Annotated[int, option(parse=read_seed, metavar="number", help=SEED_HELP + "files")] = 0
-
-
-@dataclass(frozen=True, kw_only=True)
-class Results(Group):
-    """Where it goes."""
-
-    PANEL = "Files"
-
-    output: Annotated[Path, option("-o", "--output", metavar="DIR", help="folder for the clone")]
-    stop_after: Annotated[str, name_of("last stage", *cloning.STAGES)] = "posterior"
-    overwrite: Annotated[
-        bool, option("--overwrite", metavar="", help="replace a clone in that folder")
-    ] = False
 
 
 @grouped
@@ -177,21 +38,7 @@ def clone(picture: Picture, model: Model, results: Results) -> None:
     """
     folder = results.output
     check_folder(folder, "clone.json", "a clone", results.overwrite)
-    check_range("--focal-px", picture.focal_px, Range(10, 1e6, "pixels"))
-    given = _given(picture)
-    settings = cloning.Settings(
-        model.media,
-        model.iris_depth,
-        picture.focal_px,
-        None if picture.tilt_azimuth is None else float(np.radians(picture.tilt_azimuth)),
-        sigma=model.deconvolution,
-        beta=model.beta,
-        relief=model.relief,
-        method=model.method,
-        integrator=_PROCESSES[model.process](),
-        steps=model.max_steps,
-        seed=model.seed,
-    )
+    given, settings = picture.given(), settings_of(picture, model)
     photograph = read_photograph(picture.photograph)
     timings: dict[str, float] = {}
     wanted = cloning.STAGES[: cloning.STAGES.index(results.stop_after) + 1]
@@ -244,39 +91,6 @@ def _progress(stages: int, timings: dict[str, float]):
 
 def _words(group: Group) -> dict[str, Any]:
     return {n: str(v) if isinstance(v, Path) else v for n, v in vars(group).items() if n != "typed"}
-
-
-def _given(picture: Picture) -> cloning.Given:
-    lights = lamps(picture.light) if picture.light else None
-    around = None
-    if picture.environment == "uniform":
-        around = Environment.uniform()
-    elif picture.environment is not None:
-        around = io.read_environment(picture.environment)
-    mask = None
-    if picture.freckles is not None:
-        mask = io.read_image(picture.freckles).pixels[..., 0] > 0.5
-    return cloning.Given(
-        limbus=_outline("--limbus", picture.limbus),
-        pupil=_outline("--pupil", picture.pupil),
-        lights=lights,
-        environment=around,
-        freckles=mask,
-        maps=None if picture.maps is None else io.read_maps(picture.maps),
-        second=None if picture.second is None else read_photograph(picture.second),
-    )
-
-
-def _outline(name: str, text: str | None) -> Ellipse | None:
-    if text is None:
-        return None
-    try:
-        x, y, a, b, degrees = (float(part) for part in text.split(","))
-    except ValueError:
-        raise ValueError(f"{name} {text!r}: write X,Y,A,B,DEG, five numbers") from None
-    if not (a >= b > 0 and np.isfinite([x, y, a, b, degrees]).all()):
-        raise ValueError(f"{name} {text!r}: the semi-axes must be A >= B > 0")
-    return Ellipse((x, y), (a, b), float(np.radians(degrees)))
 
 
 def _pictures(found: cloning.Clone, draw: Callable[..., Later]) -> Callable[[], dict[str, bytes]]:

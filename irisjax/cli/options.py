@@ -258,24 +258,25 @@ def one_of(*names: str) -> Callable[[str], str]:
     return parse
 
 
-def cosine(text: str) -> float | str:
-    """Parse a cosine of incidence, or the word for light from everywhere."""
-    return _number_or(ij.DIFFUSE, text, 1)
+def number_or(word: str, low: float, high: float) -> Callable[[str], float | str]:
+    """Parser of numbers in [low, high], and of a word in place of one."""
+    parse_number = number(low, high)
+
+    def parse(text: str) -> float | str:
+        if text == word:
+            return word
+        try:
+            return parse_number(text)
+        except ValueError as error:
+            raise ValueError(f"{error}; or write {word}") from None
+
+    return parse
 
 
-def exit_angle(text: str) -> float | str:
-    """Parse an angle from the normal in degrees, or the word for all directions."""
-    return _number_or(ij.HEMISPHERE, text, 90)
-
-
-def _number_or(word: str, text: str, most: float) -> float | str:
-    if text == word:
-        return word
-    try:
-        return number(0, most)(text)
-    except ValueError as error:
-        raise ValueError(f"{error}; or write {word}") from None
-
+cosine = number_or(ij.DIFFUSE, 0, 1)
+"""Parses a cosine of incidence, or the word for light from everywhere."""
+exit_angle = number_or(ij.HEMISPHERE, 0, 90)
+"""Parses an angle from the normal in degrees, or the word for all directions."""
 
 SEED_HELP = "0 to 4294967295; equal seeds give equal "
 

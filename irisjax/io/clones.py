@@ -109,6 +109,7 @@ def summary_of(clone: Clone, settings: Mapping[str, Any], timings: Mapping[str, 
             "visible_share": float(valid.sum() / ring.sum()),
             "freckles_share": float(shape.freckles.sum() / ring.sum()),
             "clamped_texels": shape.clamped,
+            "deconvolution_mm": shape.sigma_mm,
             "stroma_thickness_mm": {
                 name: float(q)
                 for name, q in zip(

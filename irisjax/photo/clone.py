@@ -16,20 +16,22 @@ from jaxtyping import Bool
 
 from irisjax.anatomy.eye import Cornea, Eye
 from irisjax.photo.average import TURNS, average_maps
+from irisjax.photo.blur import width_by_rendering
 from irisjax.photo.boundaries import Boundaries, find_boundaries
 from irisjax.photo.cloned import NOTHING, Clone, Given, Settings, needed
-from irisjax.photo.lamps import Lighting, find_lighting, shade_on, tangent_of
+from irisjax.photo.finer import with_finer_thickness
+from irisjax.photo.lamps import Lighting, find_lighting
 from irisjax.photo.mirrored_face import find_mirrored_face
-from irisjax.photo.morphology import Darkness, maps_of
+from irisjax.photo.morphology import maps_of
 from irisjax.photo.part import part_of
 from irisjax.photo.photograph import Photograph
 from irisjax.photo.pigments import exposures_for, least_squares, simplex
-from irisjax.photo.polar import from_polar, to_polar
+from irisjax.photo.polar import from_polar
 from irisjax.photo.pose import Pose, find_pose
 from irisjax.photo.posterior import sample
 from irisjax.photo.refraction import SIZE, follow, unrefract
 from irisjax.photo.second import second_of
-from irisjax.photo.thickness import BETA, generic_thickness
+from irisjax.photo.thickness import BETA, SIGMA
 from irisjax.photo.window_pixels import WindowPixels, choose_pixels, iris_alone
 from irisjax.photo.windows import Windows, windows_of
 from irisjax.render.environment import Environment
@@ -113,7 +115,8 @@ def _with_thickness(found: Clone, settings: Settings, given: Given) -> Clone:
     """With a coarse thickness by Eq. 7."""
     beta = BETA if settings.beta is None else settings.beta
     texture = needed(found.texture)
-    shape = maps_of(texture, given.freckles, sigma_mm=settings.sigma, beta=beta)
+    sigma = SIGMA if settings.sigma is None else settings.sigma
+    shape = maps_of(texture, given.freckles, sigma_mm=sigma, beta=beta)
     if given.maps is not None:
         if (depth := given.maps.stroma_depth) is None:
             raise ValueError("the maps that are given have no thickness of the stroma")
@@ -219,36 +222,24 @@ def _with_pigments(
     base, fit, windows = needed(found.base), needed(found.fit), needed(found.windows)
     if given.maps is None:
         if settings.beta is None:
-            found = _with_finer_thickness(found, settings)
+            found = with_finer_thickness(found, settings)
+        elif settings.sigma is None:
+            found = _with_width(found, chosen, settings.beta)
         windows = _windows(found, chosen, base, needed(found.morphology).maps)
     return found._replace(exposure=exposures_for(fit, windows, base))
 
 
-def _with_finer_thickness(found: Clone, settings: Settings) -> Clone:
-    """With the thickness that the model tells from the texture."""
-    pose, texture = needed(found.pose), needed(found.texture)
-    response = needed(found.windows).thickness_response(found.iris())
-    freckles, share = needed(found.morphology).freckles, settings.relief
-    slopes: Any = (0.0, 0.0)
-    lights, shade = needed(found.lighting).lights(), None
-    if found.second is None:  # whose light is not known
-        room = needed(found.fit).values["room"] if needed(found.lighting).room else 0.0
-        shade = shade_on(texture, lights, room, pose.eye, found.tables)
-    if share > 0:
-        tangent = tangent_of(lights, pose.eye, found.tables)
-        slopes = tuple(float(-share * t) for t in tangent)
-    told: dict[str, Any] = {"response": response, "slopes": slopes, "shade": shade}
-    if freckles.any():
-        shares = np.linspace(0, 1, 21) ** 2
-        iris = found.iris()
-        told["darkness"] = Darkness(shares, needed(found.windows).freckle_response(iris, shares))
-    finer = maps_of(texture, freckles, sigma_mm=0.0, **told)
-    if share > 0:
-        height = share * (finer.thickness - generic_thickness(texture.radius()))
-        relief = to_polar(height, texture.pupil_radius, texture.iris_radius)
-        relief = jnp.clip(jnp.asarray(relief), -1, 1)
-        finer = finer._replace(maps=finer.maps.replace(relief=relief))
-    return found._replace(morphology=finer, response=response)
+def _with_width(found: Clone, chosen: WindowPixels, beta: float) -> Clone:
+    """With a thickness whose deconvolution makes the rendering most like the photograph."""
+    texture, base, fit = needed(found.texture), needed(found.base), needed(found.fit)
+    freckles = needed(found.morphology).freckles
+
+    def deconvolved(width: float) -> Clone:
+        shape = maps_of(texture, freckles, sigma_mm=width, beta=beta)
+        exposure = exposures_for(fit, _windows(found, chosen, base, shape.maps), base)
+        return found._replace(morphology=shape, exposure=exposure)
+
+    return deconvolved(width_by_rendering(deconvolved))
 
 
 def _fitted(found: Clone, chosen: WindowPixels, method: str, given: IrisMaps | None) -> Clone:

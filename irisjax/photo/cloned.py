@@ -35,7 +35,8 @@ class Settings(NamedTuple):
     - `media`: `"f09"` gives cornea and chamber one index, 1.376 [F09 Section 4.1.1].
     - `iris_depth`: behind the corneal apex, mm. `focal_px`: in place of the photograph's own.
     - `azimuth`: of the camera (radians), where it is known to which side the eye is tilted.
-    - `sigma`: of the deconvolution, mm; `beta`: of Eq. 7 (mm), `None` asks the model instead how
+    - `sigma`: of the deconvolution, mm, `None` takes the one with which the rendering is nearest to
+        the photograph; `beta`: of Eq. 7 (mm), `None` asks the model instead how
         much brighter a thicker stroma is.
     - `relief`: share of the stroma's unevenness that stands out towards the cornea, 0 to 1: its
         shading is taken off the picture before the model tells thickness, and the clone has it.
@@ -47,7 +48,7 @@ class Settings(NamedTuple):
     iris_depth: float = 3.6
     focal_px: float | None = None
     azimuth: float | None = None
-    sigma: float = 0.5
+    sigma: float | None = 0.5
     beta: float | None = None
     relief: float = 0.0
     method: str = "least-squares"

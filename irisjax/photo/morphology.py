@@ -62,6 +62,7 @@ class Morphology(NamedTuple):
     - `normalised` [F09 Eq. 5], `deconvolved` [Eq. 6] and `thickness` (mm) [Eq. 7] of the texels;
         the latter is complete, the others 0 where the texture is not valid.
     - `clamped`: number of valid texels whose thickness came out below what a stroma has.
+    - `sigma_mm`: of the deconvolution.
     """
 
     maps: IrisMaps
@@ -71,6 +72,7 @@ class Morphology(NamedTuple):
     deconvolved: Float[np.ndarray, "size size"]
     thickness: Float[np.ndarray, "size size"]
     clamped: int
+    sigma_mm: float
 
 
 def maps_of(
@@ -142,9 +144,8 @@ def maps_of(
         stroma_depth=jnp.asarray(to_polar(found, *rim)),
         freckles=_share(to_polar(spots, *rim)) if freckles.any() else None,
     )
-    return Morphology(
-        maps, freckles, filled, normalised, deconvolved, found, int((clamped & shown).sum())
-    )
+    low = int((clamped & shown).sum())
+    return Morphology(maps, freckles, filled, normalised, deconvolved, found, low, sigma_mm)
 
 
 def _share(values: np.ndarray) -> jax.Array:

@@ -1,0 +1,217 @@
+"""Options of `irisjax clone`."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+import typer
+
+from irisjax import io
+from irisjax.cli.options import (
+    SEED_HELP,
+    Group,
+    name_of,
+    number,
+    number_or,
+    option,
+    read_seed,
+    whole,
+)
+from irisjax.cli.scenes import lamps
+from irisjax.io.photographs import read_photograph
+from irisjax.photo import clone as cloning
+from irisjax.photo.ellipse import Ellipse
+from irisjax.render.environment import Environment
+from irisjax.render.radiative import RadiativeIntegrator
+from irisjax.render.separable import Separable
+
+_PROCESSES = {"ilit-2006": Separable, "depth-resolved": RadiativeIntegrator}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Picture(Group):
+    """The photograph and what is known of it."""
+
+    PANEL = "Photograph"
+
+    photograph: Annotated[
+        Path,
+        typer.Argument(
+            metavar="PHOTO", help="JPEG, PNG, TIFF, EXR or camera raw", show_default=False
+        ),
+    ]
+    focal_px: Annotated[
+        float | None,
+        option(
+            parse=number(10, 1e6), metavar="pixels", help="focal length; default: the file's own"
+        ),
+    ] = None
+    limbus: Annotated[
+        str | None,
+        option(
+            metavar="X,Y,A,B,DEG",
+            help="outline of the cornea, in place of the one that is found: centre (column, row), "
+            "semi-axes (pixels), angle of the larger one from the right towards the top",
+        ),
+    ] = None
+    pupil: Annotated[
+        str | None, option(metavar="X,Y,A,B,DEG", help="the same of the pupil as it appears")
+    ] = None
+    tilt_azimuth: Annotated[
+        float | None,
+        option(
+            parse=number(-360, 360),
+            metavar="degrees",
+            help="side of the eye on which the camera stands, from the picture's right to its top; "
+            "default: told from the pupil",
+        ),
+    ] = None
+    light: Annotated[
+        list[str] | None,
+        option(
+            metavar="POLAR,AZIMUTH[,E]",
+            help="as of render, E its irradiance; repeatable; default: told from the highlights on "
+            "the cornea",
+        ),
+    ] = None
+    environment: Annotated[
+        str | None,
+        option(metavar="FILE|uniform", help="latitude-longitude panorama, or light from all round"),
+    ] = None
+    cross_polarised: Annotated[
+        bool,
+        option("--cross-polarised", metavar="", help="the photograph was taken through polarisers"),
+    ] = False
+    second: Annotated[
+        Path | None,
+        option(
+            metavar="FILE",
+            help="of the same eye, best through crossed polarisers: without highlights it shows "
+            "the texture; light and pigments are told from PHOTO",
+        ),
+    ] = None
+    maps: Annotated[
+        Path | None,
+        option(metavar="FILE.exr", help="thickness, in place of what the texture tells: maps.exr"),
+    ] = None
+    freckles: Annotated[
+        Path | None,
+        option(metavar="FILE.png", help="mask in place of freckles.png, white where a freckle is"),
+    ] = None
+
+    def given(self) -> cloning.Given:
+        """What is known, read from its files."""
+        lights = lamps(self.light) if self.light else None
+        around = None
+        if self.environment == "uniform":
+            around = Environment.uniform()
+        elif self.environment is not None:
+            around = io.read_environment(self.environment)
+        mask = None
+        if self.freckles is not None:
+            mask = io.read_image(self.freckles).pixels[..., 0] > 0.5
+        return cloning.Given(
+            limbus=_outline("--limbus", self.limbus),
+            pupil=_outline("--pupil", self.pupil),
+            lights=lights,
+            environment=around,
+            freckles=mask,
+            maps=None if self.maps is None else io.read_maps(self.maps),
+            second=None if self.second is None else read_photograph(self.second),
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Model(Group):
+    """How the eye is modelled."""
+
+    PANEL = "Model"
+
+    media: Annotated[str, name_of("what light crosses before the iris", *cloning.MEDIA)] = (
+        "cornea-aqueous"
+    )
+    iris_depth: Annotated[
+        float,
+        option(parse=number(2.5, 8), metavar="mm", help="of the iris behind the cornea, 2.5 to 8"),
+    ] = 3.6
+    beta: Annotated[
+        float | None,
+        option(
+            parse=number(0, 5),
+            metavar="mm",
+            help="thickness by F09's Eq. 7, which has 0.35; default: by the model's response",
+        ),
+    ] = None
+    deconvolution: Annotated[
+        Any,  # a number or the word
+        option(
+            parse=number_or("fit", 0, 2),
+            metavar="mm|fit",
+            help="with --beta: width of scattering's blur, 0 to 2, or fit: what looks nearest",
+        ),
+    ] = 0.5
+    relief: Annotated[
+        float,
+        option(
+            parse=number(0, 1),
+            metavar="share",
+            help="of the stroma's unevenness that stands out towards the cornea, 0 to 1; in light "
+            "eyes its shading is taken off",
+        ),
+    ] = 0.0
+    method: Annotated[
+        str, name_of("search for the pigments; simplex is F09's", *cloning.METHODS)
+    ] = "least-squares"
+    process: Annotated[str, name_of("light in the iris", *_PROCESSES)] = "ilit-2006"
+    max_steps: Annotated[
+        int, option(parse=whole(150, 100_000), metavar="count", help="of the posterior's chain")
+    ] = 8000
+    seed: Annotated[int, option(parse=read_seed, metavar="number", help=SEED_HELP + "files")] = 0
+
+    def __post_init__(self):
+        super().__post_init__()
+        if self.beta is None and "deconvolution" in self.typed:
+            raise ValueError("--deconvolution means something only with --beta")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Results(Group):
+    """Where it goes."""
+
+    PANEL = "Files"
+
+    output: Annotated[Path, option("-o", "--output", metavar="DIR", help="folder for the clone")]
+    stop_after: Annotated[str, name_of("last stage", *cloning.STAGES)] = "posterior"
+    overwrite: Annotated[
+        bool, option("--overwrite", metavar="", help="replace a clone in that folder")
+    ] = False
+
+
+def settings_of(picture: Picture, model: Model) -> cloning.Settings:
+    """What the stages of a clone are told."""
+    return cloning.Settings(
+        model.media,
+        model.iris_depth,
+        picture.focal_px,
+        None if picture.tilt_azimuth is None else float(np.radians(picture.tilt_azimuth)),
+        sigma=None if model.deconvolution == "fit" else model.deconvolution,
+        beta=model.beta,
+        relief=model.relief,
+        method=model.method,
+        integrator=_PROCESSES[model.process](),
+        steps=model.max_steps,
+        seed=model.seed,
+    )
+
+
+def _outline(name: str, text: str | None) -> Ellipse | None:
+    if text is None:
+        return None
+    try:
+        x, y, a, b, degrees = (float(part) for part in text.split(","))
+    except ValueError:
+        raise ValueError(f"{name} {text!r}: write X,Y,A,B,DEG, five numbers") from None
+    if not (a >= b > 0 and np.isfinite([x, y, a, b, degrees]).all()):
+        raise ValueError(f"{name} {text!r}: the semi-axes must be A >= B > 0")
+    return Ellipse((x, y), (a, b), float(np.radians(degrees)))
