@@ -143,6 +143,7 @@ def _fit(problem, solver, start, key, use_priors, starts, rounds, max_steps) -> 
         best.x
     )
     inverse = linear.solve(jacobian.T @ jacobian, jnp.eye(moving.size, dtype=dtype))
+    inverse = 0.5 * (inverse + inverse.T)  # rounding does not keep it symmetric
     covariance = jnp.zeros((free, free), dtype).at[np.ix_(moving, moving)].set(inverse)
     z = _placed(best.x, problem)
     # Each value depends on its own coordinate only.

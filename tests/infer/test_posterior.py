@@ -17,22 +17,20 @@ from common import heavily, slowly
 from irisjax.infer import importance, posterior
 from irisjax.infer.analytic import BeerLambert, FirstOrder
 from irisjax.infer.fit import fit
+from irisjax.infer.noise import Noise
 from irisjax.infer.posterior import sample
 from irisjax.infer.resume import check_run
 from irisjax.infer.summary import check, summarise
 
 GRID = ij.wavelengths(400, 700, 30)
 KEY, OTHER = jax.random.key(3), jax.random.key(4)
-TRUTH = {"melanin_load": 0.1, "hemoglobin": 0.08}
+TRUTH = {"melanin_load": 0.1, "hemoglobin": 0.08, "pheomelanin_share": 0.4, "abl_fraction": 0.6}
 
 
-def stated(seed=0, **options):
+def stated(seed=0, free=("melanin_load", "hemoglobin", "noise"), **options):
     """A problem that compiles in a moment: the closed formula in place of transport."""
     problem = ij.problem(
-        ij.spectrum(GRID, np.zeros(GRID.size)),
-        free=["melanin_load", "hemoglobin", "noise"],
-        solver=BeerLambert(),
-        **options,
+        ij.spectrum(GRID, np.zeros(GRID.size)), free=free, solver=BeerLambert(), **options
     )
     z = problem.standard({**TRUTH, "noise": 1.0})
     values = problem.simulate(z, jax.random.key(seed))[0]
@@ -191,6 +189,18 @@ def test_memory_does_not_grow_with_the_chain(whole, tmp_path, monkeypatch):
             peaks[steps] = tracemalloc.get_traced_memory()[1]
             tracemalloc.stop()
         assert peaks[300] - peaks[30] < 270 * walkers * 8
+
+
+@pytest.mark.usefixtures("float32")
+def test_single_precision_samples_without_a_warning(tmp_path):
+    """Rounding leaves the fit's covariance symmetric; as sharp a measurement as any."""
+    free = ["melanin_load", "abl_fraction", "pheomelanin_share", "hemoglobin", "noise"]
+    problem = stated(free=free, noise=Noise(1e-3, 1e-5))
+    best = fit(problem, key=KEY)
+    assert best.covariance.dtype == np.float32
+    np.testing.assert_array_equal(best.covariance, best.covariance.T)
+    chains = sample(problem, tmp_path / "chain.h5", walkers=16, start=best, key=KEY, max_steps=600)
+    assert chains.converged
 
 
 @pytest.mark.heavy
