@@ -12,7 +12,7 @@ from typing import Any, cast
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Bool
+from jaxtyping import Bool, Float
 
 from irisjax.anatomy.eye import Cornea, Eye
 from irisjax.photo.average import TURNS, average_maps
@@ -20,7 +20,7 @@ from irisjax.photo.blur import width_by_rendering
 from irisjax.photo.boundaries import Boundaries, find_boundaries
 from irisjax.photo.cloned import NOTHING, Clone, Given, Settings, needed
 from irisjax.photo.finer import with_finer_thickness
-from irisjax.photo.lamps import Lighting, find_lighting
+from irisjax.photo.lamps import Lighting, find_lighting, light_at
 from irisjax.photo.mirrored_face import find_mirrored_face
 from irisjax.photo.morphology import maps_of
 from irisjax.photo.part import part_of
@@ -36,6 +36,7 @@ from irisjax.photo.window_pixels import WindowPixels, choose_pixels, iris_alone
 from irisjax.photo.windows import Windows, windows_of
 from irisjax.render.environment import Environment
 from irisjax.render.illumination import Illumination
+from irisjax.render.project import onto_picture
 from irisjax.render.scene import Scene
 from irisjax.render.separable import Separable
 from irisjax.render.stages import look
@@ -173,6 +174,7 @@ def _posed(found: Clone, settings: Settings, given: Given) -> Clone:
         view=view,
         part=pixels,
         clear=clear,
+        lids=bool(lids.any()),
         reduction=part.reduction,
         corner=(part.corner[0] + x * part.reduction, part.corner[1] + y * part.reduction),
     )
@@ -217,7 +219,7 @@ def _with_pigments(
     made = tables(Scene(Iris(), eye=pose.eye, lights=light.lamps, environment=around))
     found = found._replace(lighting=light, tables=made, integrator=settings.integrator)
     clear = needed(found.clear) & iris_alone(pose) & ~_freckled(found)
-    chosen = choose_pixels(part, clear, view, pose.eye, light.environment)
+    chosen = choose_pixels(part, clear, view, pose.eye, light.environment, _light_on(found))
     found = _fitted(found, chosen, settings.method, given.maps)
     base, fit, windows = needed(found.base), needed(found.fit), needed(found.windows)
     if given.maps is None:
@@ -227,6 +229,16 @@ def _with_pigments(
             found = _with_width(found, chosen, settings.beta)
         windows = _windows(found, chosen, base, needed(found.morphology).maps)
     return found._replace(exposure=exposures_for(fit, windows, base))
+
+
+def _light_on(found: Clone) -> Float[np.ndarray, "rows columns"] | None:
+    """Irradiance of the iris by lamps at each pixel of the part; not known where lids shade it."""
+    seen, pose = needed(found.view).iris, needed(found.pose)
+    if found.lids or seen is None:
+        return None
+    x, y = (np.asarray(c) for c in seen.point[:2])
+    lit = light_at(x, y, needed(found.lighting).lights(), pose.eye, found.tables)
+    return onto_picture(seen, lit, pose.camera.shape)
 
 
 def _with_width(found: Clone, chosen: WindowPixels, beta: float) -> Clone:

@@ -92,8 +92,8 @@ class Clone(NamedTuple):
     - `boundaries`: outlines in pixels of the photograph, with confidences.
     - `pose`: in pixels of the part that is used, `part`, (rows, columns, 3) linear; one of its
         pixels is `reduction` of the photograph's along each side, and `corner` the first of these.
-    - `clear`: pixels of the part that show the iris and nothing else. `second`: the same of a
-        second photograph.
+    - `clear`: pixels of the part that show the iris and nothing else; `lids`: whether lids hide
+        some of it. `second`: a second photograph.
     - `refraction`: where the texels of `texture` appear in the part.
     - `response`: d ln luminance / d ln thickness by which the thickness was told; `None` where
         Eq. 7 did.
@@ -107,6 +107,7 @@ class Clone(NamedTuple):
     pose: Pose | None = None
     part: Float[np.ndarray, "rows columns 3"] | None = None
     clear: Bool[np.ndarray, "rows columns"] | None = None
+    lids: bool = False
     second: Second | None = None
     reduction: int = 1
     corner: tuple[int, int] = (0, 0)

@@ -81,6 +81,20 @@ def tangent_of(lights: Lights, eye: Eye, tables: Illumination | None) -> tuple[f
     return float(-x / z), float(-y / z)
 
 
+def light_at(
+    x: Float[np.ndarray, "*shape"],
+    y: Float[np.ndarray, "*shape"],
+    lights: Lights,
+    eye: Eye,
+    tables: Illumination | None,
+) -> Float[np.ndarray, "*shape"]:
+    """Irradiance of the iris at places of its plane (mm), in the chamber."""
+    flux = np.asarray(fluxes_of(lights, eye, tables))[:, 2].sum(0)
+    middle, reach = (len(flux) - 1) / 2, float(eye.iris_radius)
+    place = [(c / reach + 1) * middle for c in (y, x)]  # rows of the grid run up, as y does
+    return ndimage.map_coordinates(flux.astype(np.float32), place, order=1, mode="nearest")
+
+
 def shade_on(
     texture: Unrefracted, lights: Lights, room: float, eye: Eye, tables: Illumination | None
 ) -> Bool[np.ndarray, "size size"]:
@@ -88,13 +102,8 @@ def shade_on(
 
     `room`: radiance of light from all round beside the lights.
     """
-    flux = np.asarray(fluxes_of(lights, eye, tables))[:, 2].sum(0)
     radius, angle = texture.radius(), texture.angle()
-    middle, reach = (len(flux) - 1) / 2, float(eye.iris_radius)
-    place = [
-        (d * radius / reach + 1) * middle for d in (np.sin(angle), np.cos(angle))
-    ]  # rows of the grid run up, as y does
-    lit = ndimage.map_coordinates(flux.astype(np.float32), place, order=1, mode="nearest")
+    lit = light_at(radius * np.cos(angle), radius * np.sin(angle), lights, eye, tables)
     lit += np.float32(np.pi * _GATHERED * room)
     usual = np.median(lit[texture.valid]) if texture.valid.any() else 0.0
     return lit < SHADED * usual

@@ -35,8 +35,8 @@ OUTER_MARGIN = 0.7
 shades what lies under it.
 """
 SHADED = 0.7
-"""Luminance of a window over the median of its ring, below which it is left out: the shadow of the
-limbus or of a lid falls on it, whose edge no model of the eye knows.
+"""Light of a window over the median of its ring, below which it is left out: the shadow of the
+limbus or of a lid falls on it, whose edge no model of the eye knows well.
 """
 COUNT = ANGLES * RINGS
 """All windows."""
@@ -49,9 +49,9 @@ class WindowPixels(NamedTuple):
     Every photograph has the same shapes: windows with too few pixels stand empty, and pixels that
     are missing have the number of no window, `COUNT`.
 
-    - `seen`: the pixels; `window`: the number of each one's window.
+    - `seen`: some of their pixels; `window`: the number of each one's window.
     - `present`: windows with enough pixels, and not in the shade. `colour`: mean linear values of
-        the photograph, (windows, 3).
+        all of a window's pixels in the photograph, (windows, 3).
     - `veil`: share of a uniform room's radiance that the tear film mirrors; `mirrored`: radiance
         that it mirrors of the environment.
     - `angle` (radians), `radius` (mm): of their middles.
@@ -73,6 +73,7 @@ def choose_pixels(
     view: View,
     eye: Eye,
     environment: Environment | None = None,
+    light: Float[np.ndarray, "rows columns"] | None = None,
 ) -> WindowPixels:
     """Choose the pixels of all windows.
 
@@ -83,6 +84,9 @@ def choose_pixels(
         view: What the camera sees.
         eye: That it sees.
         environment: That the tear film mirrors, if any.
+        light: On the iris at each pixel, by the model, where nothing but the eye itself throws
+            shadows on it. Without it the photograph's own brightness tells windows in the shade,
+            which leaves out those that are dark of themselves, too.
 
     Raises:
         ValueError: If hardly any window is free.
@@ -90,19 +94,23 @@ def choose_pixels(
     seen = view.iris
     if seen is None:
         raise ValueError("the camera does not see the iris")
-    index, window, (around, r) = _chosen(seen, clear, eye)
-    number = np.bincount(window, minlength=COUNT)[:COUNT]
+    every, around, r = _windows_of_pixels(seen, clear, eye)
+    index, window = _sampled(every)
     some = dataclasses.replace(seen, index=None)
     some = jax.tree.map(lambda leaf: jnp.asarray(np.asarray(leaf)[index]), some)
-    at = pixel_numbers(seen)[index]
+    inside = every < COUNT
+    every, around, r = (v[inside] for v in (every, around, r))
+    at = pixel_numbers(seen)[inside]
+    number = np.bincount(every, minlength=COUNT)
 
     def mean(values):
         """Of values (pixels, channels) in each window."""
-        sums = [np.bincount(window, v, COUNT + 1)[:COUNT] for v in np.asarray(values, float).T]
+        sums = [np.bincount(every, v, COUNT) for v in np.asarray(values, float).T]
         return np.stack(sums, -1) / np.maximum(number, 1)[:, None]
 
     colour = mean(pixels.reshape(-1, 3)[at])
-    present = (number > 0) & ~_shaded(colour @ LUMINANCE, number > 0)
+    brightness = colour @ LUMINANCE if light is None else mean(light.reshape(-1, 1)[at])[:, 0]
+    present = (number > 0) & ~_shaded(brightness, number > 0)
     if present.sum() < 6:
         raise ValueError(
             f"only {present.sum()} windows of the iris are free of highlights, lashes, lids and "
@@ -122,9 +130,9 @@ def choose_pixels(
     )
 
 
-def _shaded(luminance, present) -> Bool[np.ndarray, " windows"]:
+def _shaded(light, present) -> Bool[np.ndarray, " windows"]:
     """Windows that are much darker than most at their distance from the pupil."""
-    rings = np.where(present, luminance, np.nan).reshape(RINGS, ANGLES)
+    rings = np.where(present, light, np.nan).reshape(RINGS, ANGLES)
     seen = [ring[~np.isnan(ring)] for ring in rings]
     usual = [np.median(ring) if len(ring) else np.nan for ring in seen]
     return (rings < SHADED * np.array(usual)[:, None]).ravel()
@@ -156,8 +164,8 @@ def _tear_film(view: View, shape: tuple[int, int], environment: Environment | No
     )
 
 
-def _chosen(seen: IrisPixels, clear, eye: Eye):
-    """Places of pixels among `seen`, the number of each one's window, and its angle and radius."""
+def _windows_of_pixels(seen: IrisPixels, clear, eye: Eye):
+    """The number of each pixel's window, `COUNT` for none; its angle and radius."""
     number = pixel_numbers(seen)
     x, y = (np.asarray(c) for c in seen.point[:2])
     r, around = np.hypot(x, y), np.arctan2(y, x) % (2 * np.pi)
@@ -166,16 +174,21 @@ def _chosen(seen: IrisPixels, clear, eye: Eye):
     usable = (number >= 0) & (r > inner) & (r < outer) & clear.reshape(-1)[number]
     ring = np.minimum((r - inner) / (outer - inner) * RINGS, RINGS - 1).astype(int)
     sector = np.minimum(around / (2 * np.pi) * ANGLES, ANGLES - 1).astype(int)
-    window = np.where(usable, ring * ANGLES + sector, -1)
+    window = np.where(usable, ring * ANGLES + sector, COUNT)
+    enough = np.bincount(window, minlength=COUNT + 1) >= _LEAST
+    return np.where(enough[window], window, COUNT), around, r
+
+
+def _sampled(window):
+    """Places of some pixels of each window, and the numbers of their windows."""
     # As many of each, those that are missing under the number of no window: one program for all.
     index, name = np.zeros((COUNT, _MOST), int), np.full((COUNT, _MOST), COUNT)
     for w in range(COUNT):
         of = np.flatnonzero(window == w)
-        if len(of) < _LEAST:
+        if len(of) == 0:
             continue
         taken = of[np.linspace(0, len(of) - 1, min(_MOST, len(of))).astype(int)]
         index[w, : len(taken)], name[w, : len(taken)] = taken, w
     # Padding repeats a pixel that is seen.
     index[name == COUNT] = index[name < COUNT][0] if (name < COUNT).any() else 0
-    chosen = index.ravel()
-    return chosen, name.ravel(), (around[chosen], r[chosen])
+    return index.ravel(), name.ravel()

@@ -32,6 +32,8 @@ from irisjax.tissue.iris import Iris
 from irisjax.tissue.maps import IrisMaps, Scales
 from irisjax.transport.solution import RESULTS
 
+_COPIES = 4  # turns at which one pixel sees maps that are turned
+
 
 class Windows(eqx.Module):
     """Windows of one photograph: their mean colours, and the same of the model as a matrix.
@@ -137,12 +139,16 @@ def windows_of(
     made: Any = integrator.prepare(iris, eye.aqueous_index, bands, ranges)
     known = eye, iris, maps, tables, ranges, bands, made
 
+    # What a window's features owe to chance would be taken for an error of the contrast.
+    copies = min(turns, _COPIES)
+    seen = jax.tree.map(lambda leaf: jnp.repeat(leaf, copies, -1), chosen.seen)
+    window = jnp.repeat(jnp.asarray(chosen.window), copies)
     # Neighbours in a window have different turns.
-    turn = 2 * np.pi / turns * (np.arange(len(chosen.window)) % turns)
-    seen = dataclasses.replace(chosen.seen, turn=jnp.asarray(turn))
+    turn = 2 * np.pi / turns * (np.arange(len(window)) % turns)
+    seen = dataclasses.replace(seen, turn=jnp.asarray(turn))
 
     def of(lamps: Lights):
-        return _matrix(seen, jnp.asarray(chosen.window), lamps, *known)
+        return _matrix(seen, window, lamps, *known)
 
     around = Environment.uniform().to_lights(ENVIRONMENT_LIGHTS) if room else None
     return Windows(

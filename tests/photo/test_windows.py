@@ -123,22 +123,42 @@ def test_windows_in_the_shade_do_not_count():
 
 
 @pytest.mark.heavy
+def test_the_light_tells_the_shade_where_it_is_known():
+    """A part that is dark of itself counts; what lies in the shade does not, however bright."""
+    row, column = np.indices(SHAPE)
+    spot = np.hypot(row - 44.5, column - 80) < 20
+    even, spotted = np.full(SHAPE, 0.2), np.where(spot, 0.05, 0.2)
+    seen = iris_alone(POSE)
+
+    def present(picture, light=None):
+        colours = np.repeat(picture[..., None], 3, -1)
+        return choose_pixels(colours, seen, VIEW, EYE, light=light).present
+
+    shaded = ~present(spotted)
+    assert shaded.any()
+    assert present(spotted, even).all()
+    np.testing.assert_array_equal(present(even, spotted), ~shaded)
+
+
+@pytest.mark.heavy
 def test_features_of_an_average_iris_have_no_place():
     """Turned maps give the same windows where every pixel sees them at all turns; maps that stand
     still do not.
     """
     chosen = choose_pixels(np.ones((*SHAPE, 3)), iris_alone(POSE), VIEW, EYE)
     seen = jax.tree.map(lambda x: jnp.repeat(x, TURNS, -1), chosen.seen)
-    chosen = chosen._replace(seen=seen, window=np.repeat(chosen.window, TURNS))
+    every = chosen._replace(seen=seen, window=np.repeat(chosen.window, TURNS))
     usual = average_maps(EYE)
     turned = jax.tree.map(lambda m: jnp.roll(m, 5 * m.shape[0] // TURNS, 0), usual)
     tables = Illumination.build(EYE, caustics=False)
 
-    def radiance(maps, turns):
-        made = windows_of(chosen, EYE, BASE, maps, LIGHTS, QUICK, tables, turns=turns)
+    def radiance(maps, turns, seen=every):
+        made = windows_of(seen, EYE, BASE, maps, LIGHTS, QUICK, tables, turns=turns)
         return np.asarray(made.radiance(OTHER))
 
     np.testing.assert_allclose(radiance(turned, TURNS), radiance(usual, TURNS), rtol=1e-5)
+    chance = np.log(radiance(usual, TURNS, chosen) / radiance(usual, TURNS))
+    assert np.sqrt(np.mean(chance**2)) < 0.015  # a third of what irides differ by, 0.05
     still = np.abs(radiance(turned, 1) / radiance(usual, 1) - 1)
     assert np.median(still) > 0.01
     assert float(usual.relief.max()) > 0.02
