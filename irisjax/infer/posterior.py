@@ -25,6 +25,7 @@ from irisjax.infer.status import throw as throw_if
 from irisjax.infer.stream import Stream, checkpoint
 
 _SPREAD, _BURN, _BLOCK, _MOST_KEPT = 200, 300, 125, 1000
+_LESSONS, _TAUGHT_BY = 3, 8192  # most times that a chain teaches a new one, most samples that teach
 TAUS, ESS, RHAT = 50, 1000, 1.03
 """A chain is long enough with 50 autocorrelation times, 1,000 effective samples of every parameter,
 and a split R-hat below 1.03 (walkers as chains: at 50 autocorrelation times each half-walker's mean
@@ -57,12 +58,16 @@ class Chains(NamedTuple):
         """Whether the chain is long enough."""
         return bool(self.status == ChainStatus.successful)
 
-    def next_look(self, least: int) -> int:
-        """Steps at which to look again whether it is long enough, `least` on or later: to where
-        this autocorrelation time would do; it is still growing, so soon after.
+    def steps_needed(self) -> float:
+        """Steps that this autocorrelation time asks for, and some more, for it is still growing;
+        NaN where a walker never moved.
         """
-        tau = self.tau.max() if np.isfinite(self.tau).all() else self.steps
-        return int(np.clip(1.05 * TAUS * tau, self.steps + least, 1.5 * self.steps))
+        return 1.05 * TAUS * self.tau.max()
+
+    def next_look(self, least: int) -> int:
+        """Steps at which to look again whether it is long enough, `least` on or later."""
+        needed = np.nan_to_num(self.steps_needed(), nan=np.inf)
+        return int(np.clip(needed, self.steps + least, 1.5 * self.steps))
 
 
 def sample(
@@ -85,8 +90,10 @@ def sample(
     `importance_sample`, from the least-squares optimum and the priors on, gives the walkers their
     first places and teaches the proposal of their independent jumps. Where its weights stay uneven
     a burn-in does, first with differences of walkers alone; it is kept apart and not used
-    otherwise. Step i draws from the key and i: a run that was killed and resumed gives the chain of
-    one that was not.
+    otherwise. A chain that is not long enough after 500 steps, or will not be, teaches a new one
+    and is forgotten: a tail that the first lesson missed holds walkers for long. Such a second one
+    has 1,000 steps, a third 2,000, a fourth as many as it takes. Step i draws from the key and i: a
+    run that was killed and resumed gives the chain of one that was not.
 
     Args:
         problem: What was measured and what is free.
@@ -136,15 +143,25 @@ def sample(
     run = _Run(
         path, "chain", log_probability, mixture(taught), words, None if begun else burn.standing()
     )
-    wanted = 2 * _BLOCK
+    before, wanted = burn.backend.iteration, run.backend.next_look() or 2 * _BLOCK
     while True:
-        run.advance(min(wanted, max_steps), report("sampling", burn.backend.iteration))
+        run.advance(min(wanted, max_steps), report("sampling", before))
         steps = run.backend.iteration
         checkpoint(path)
         chains = diagnose(run.backend, steps)
         if chains.converged or steps >= max_steps:
             break
         wanted = chains.next_look(_BLOCK)
+        run.backend.plan(wanted)
+        lesson = run.backend.lesson() + 1
+        patience = 2 * _BLOCK * 2**lesson
+        if lesson <= _LESSONS and (steps >= patience or chains.steps_needed() > patience):
+            thin = -(-steps * walkers // _TAUGHT_BY)
+            taught = run.backend.get_chain(thin=thin, flat=True)
+            mark, places = fingerprint(problem, walkers, words), run.standing()
+            _new_file(path, places, mark, taught, lesson)
+            run = _Run(path, "chain", log_probability, mixture(taught), words, places)
+            before, wanted = before + steps, 2 * _BLOCK
     if throw:
         throw_if(chains.status, chains.reason)
     return chains
@@ -209,7 +226,9 @@ class _Run:
         self.sampler = emcee.EnsembleSampler(
             *self.backend.shape, log_probability, vectorize=True, moves=moves, backend=self.backend
         )
-        self.seed, self.random = [*words, len(name)], np.random.RandomState(0)
+        lesson = self.backend.lesson()
+        self.seed = [*words, len(name), *([lesson] if lesson else [])]
+        self.random = np.random.RandomState(0)
 
     def advance(self, steps: int, progress) -> None:
         """Go on to so many steps."""
@@ -268,11 +287,16 @@ def _begin(
     # Walkers on one spot would know no differences.
     places = found.samples[random.choice(len(found.samples), walkers, walkers > DRAWS)]
     cloud = places + 1e-3 * found.samples.std(axis=0) * random.standard_normal((walkers, free))
+    _new_file(path, cloud, mark, found.samples if found.enough else None)
+
+
+def _new_file(path: Path, places, mark: str, taught, lesson: int = 0) -> None:
+    """A file without a step, in place of one that may be there."""
     with unfinished(path.with_name(f".{path.name}.{os.getpid()}.tmp")) as temporary:
         backend = Stream(str(temporary), name="burn")
         try:
-            backend.reset(walkers, free)
-            backend.begin(cloud, mark, found.samples if found.enough else None)
+            backend.reset(*places.shape)
+            backend.begin(places, mark, taught, lesson)
             os.replace(temporary, path)
         finally:
             temporary.unlink(missing_ok=True)

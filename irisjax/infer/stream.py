@@ -90,16 +90,16 @@ class Stream(emcee.backends.HDFBackend):
         with self.open() as file:
             return self._count(file[self.name])
 
-    def begin(self, places, mark: str | None = None, taught=None) -> None:
-        """Keep where the walkers begin, a mark of what the file belongs to, and samples (n, free)
-        that teach jumps, if there are any yet.
+    def begin(self, places, mark: str | None = None, taught=None, lesson: int = 0) -> None:
+        """Keep where the walkers begin, a mark of what the file belongs to, samples (n, free)
+        that teach jumps, if there are any yet, and how many chains before it taught them.
         """
         with self.open("a") as file:
             file[self.name]["start"] = places
             if taught is not None:
                 file[self.name]["taught"] = taught
             if mark is not None:
-                file.attrs["problem"] = mark
+                file.attrs["problem"], file.attrs["lesson"] = mark, lesson
 
     def first(self) -> np.ndarray:
         """Where the walkers began."""
@@ -116,6 +116,21 @@ class Stream(emcee.backends.HDFBackend):
         """What the file belongs to."""
         with self.open() as file:
             return file.attrs.get("problem")
+
+    def lesson(self) -> int:
+        """How many chains taught the file's jumps."""
+        with self.open() as file:
+            return int(file.attrs.get("lesson", 0))
+
+    def plan(self, steps: int) -> None:
+        """Keep at how many steps to look next, for a run that is resumed."""
+        with self.open("a") as file:
+            file[self.name].attrs["next_look"] = steps
+
+    def next_look(self) -> int:
+        """That number, 0 before the first look."""
+        with self.open() as file:
+            return int(file[self.name].attrs.get("next_look", 0))
 
     def rows(self, first: int, last: int) -> np.ndarray:
         """Steps first to last, (steps, walkers, free)."""

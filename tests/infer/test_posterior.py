@@ -67,7 +67,7 @@ def test_interrupted_and_resumed_is_the_same_chain(whole, tmp_path, when):
 
 
 @pytest.mark.heavy
-@pytest.mark.parametrize("when", [100, slowly(250), slowly(650)])
+@pytest.mark.parametrize("when", [100, slowly(250), slowly(560)])
 def test_burn_in_interrupted_and_resumed(tmp_path, monkeypatch, when):
     """Where importance weights stay uneven walkers burn in; that too can be interrupted."""
     monkeypatch.setattr(importance, "EFFECTIVE", 1e9)
@@ -91,6 +91,32 @@ def test_burn_in_interrupted_and_resumed(tmp_path, monkeypatch, when):
     assert direct.steps <= chains.steps
     error = chains.z.std(axis=(0, 1)) * np.sqrt(1 / chains.ess_bulk + 1 / direct.ess_bulk)
     assert (np.abs(direct.z.mean(axis=(0, 1)) - chains.z.mean(axis=(0, 1))) < 4 * error).all()
+
+
+@pytest.mark.heavy
+@pytest.mark.parametrize("when", [slowly(250), 251, slowly(700)])
+def test_a_chain_that_is_too_slow_teaches_another(tmp_path, monkeypatch, when):
+    """What is kept has the same distribution, and is the same if the work is interrupted."""
+    problem, paths = stated(), [tmp_path / f"{name}.h5" for name in ("one", "whole", "mine")]
+    options = {"walkers": 16, "key": KEY}
+    one = sample(problem, paths[0], **options)
+    monkeypatch.setattr(posterior, "TAUS", 300)
+    reported = []
+    chains = sample(problem, paths[1], progress=lambda n, _: reported.append(n), **options)
+    assert chains.converged
+    assert max(reported) > chains.steps > 500
+    error = chains.z.std(axis=(0, 1)) * np.sqrt(1 / chains.ess_bulk + 1 / one.ess_bulk)
+    assert (np.abs(one.z.mean(axis=(0, 1)) - chains.z.mean(axis=(0, 1))) < 4 * error).all()
+
+    def stop(n, _):
+        if n == when:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        sample(problem, paths[2], progress=stop, **options)
+    sample(problem, paths[2], resume=True, **options)
+    for a, b in zip(*(rows(path) for path in paths[1:]), strict=True):
+        np.testing.assert_array_equal(a, b)
 
 
 def test_torn_step_and_damaged_file_are_mended(whole, tmp_path):
@@ -171,7 +197,13 @@ def test_memory_does_not_grow_with_the_chain(whole, tmp_path, monkeypatch):
     )
     # As with the real numbers: a short burn-in, never long enough, and fewer steps kept than either
     # run has.
-    for name, value in (("TAUS", np.inf), ("_SPREAD", 10), ("_BURN", 20), ("_MOST_KEPT", 20)):
+    for name, value in (
+        ("TAUS", np.inf),
+        ("_SPREAD", 10),
+        ("_BURN", 20),
+        ("_MOST_KEPT", 20),
+        ("_LESSONS", 0),
+    ):
         monkeypatch.setattr(posterior, name, value)
     walkers, peaks = 256, {}
     for resume in (False, True):
@@ -263,7 +295,7 @@ def test_killed_process_resumes(whole, tmp_path):
         "import test_posterior as t; t.sample(t.stated(), sys.argv[1], walkers=16, key=t.KEY, max_steps=600,"
         "resume=True, progress=lambda n, w: print(n, flush=True))"
     )
-    for stop in (30, 333, 700, None):
+    for stop in (30, 150, 220, None):
         with subprocess.Popen(
             [sys.executable, "-c", code, str(path)], stdout=subprocess.PIPE, text=True
         ) as run:
