@@ -30,7 +30,7 @@ def main(key, quick=False, out=RESULTS):
         *_, found = clone(simulated(colour, quick), Settings(), last="pigments")
         known, row = (needed(found.windows), needed(found.base)), []
         for count in steps:
-            _, log = simplex(*known, count)
+            log = simplex(*known, count).log
             print(f"{colour}: {count} steps", flush=True)
             path.append((colour, "simplex", count, *_numbers(log[0]), 1.0))
             if count == steps[-1]:
@@ -38,7 +38,7 @@ def main(key, quick=False, out=RESULTS):
             least = least_squares(*known, count)
             values = {**least.values, "rms": float(least.rms.mean())}
             path.append((colour, "least squares", count, *_numbers(values), values["exposure"]))
-        fits = {name: simplex(*known, min(count, steps[-1]))[0] for name, count in SHOWN.items()}
+        fits = {name: simplex(*known, min(count, steps[-1])) for name, count in SHOWN.items()}
         # The simplex holds the exposure as stated.
         shown = {name: found._replace(fit=f, exposure=np.ones(3)) for name, f in fits.items()}
         for name, at in {**shown, "least squares": found}.items():

@@ -13,14 +13,15 @@ from tqdm import tqdm
 from irisjax import io
 from irisjax.cli.cache import cores, kept_tables
 from irisjax.cli.clone_options import Model, Picture, Results, settings_of
-from irisjax.cli.clone_report import doubtful, report, say
+from irisjax.cli.clone_report import report, say
 from irisjax.cli.files import check_folder
 from irisjax.cli.options import Group, grouped
 from irisjax.io.clone_folders import PHOTOGRAPH, encode_photograph
 from irisjax.io.clones import FILES, files_of
 from irisjax.io.photographs import read_photograph
 from irisjax.photo import clone as cloning
-from irisjax.photo.picture import compare
+from irisjax.photo.doubts import doubtful_outlines, doubts_of
+from irisjax.photo.picture import Comparison, compare
 from irisjax.plot.beside import Later, beside, here
 
 _NOT_SURE = 3
@@ -33,8 +34,10 @@ def clone(picture: Picture, model: Model, results: Results) -> None:
 
     For example: irisjax clone eye.jpg -o clone_eye
 
-    Exit status: 0; 3 where an outline is doubtful (give --limbus and --pupil) or
-    the chain is not long enough (raise --max-steps); 2 for wrong input.
+    Exit status: 0; 3 with warnings where an outline is doubtful (give --limbus
+    and --pupil), a stage fails (what those before it found is written), the model
+    does not follow the photograph, or the chain is not long enough; 2 for wrong
+    input.
     """
     folder = results.output
     check_folder(folder, "clone.json", "a clone", results.overwrite)
@@ -53,24 +56,33 @@ def clone(picture: Picture, model: Model, results: Results) -> None:
                 stage=stage,
                 tables=kept_tables,
             )
-            found, drawn = next(run), None
-            # On a doubtful outline nothing is built.
-            for known in () if doubtful(found) else run:
-                found = known
-                if drawn is None and known.fit is not None:  # while the posterior is sampled
-                    drawn = _pictures(known, draw)
+            found, both, drawn, failed = next(run), None, None, ()
+            try:
+                # On a doubtful outline nothing is built.
+                for known in () if doubtful_outlines(found) else run:
+                    found = known
+                    if both is None and known.fit is not None:  # while the posterior is sampled
+                        both = compare(known, cores())
+                        drawn = _begun(known, both, draw)
+            except ValueError as error:
+                if found.pose is None:
+                    raise
+                failed = (f"{wanted[len(timings)]}: {error}; what is before it is written",)
         for note in photograph.notes:
             say(f"{picture.photograph}: {note}")
         words = {**_words(picture), **_words(model)}
-        files = files_of(found, words, timings)
-        if drawn is not None:
-            files |= drawn()
+        doubts = doubts_of(found, None if both is None else both.rms) + failed
+        files = files_of(found, words, timings, both, doubts)
+        if both is not None and drawn is not None:
+            print(f"difference of the pictures, RMS: {_percent(both.rms)} % (R, G, B)")
+            files |= {name: later() for name, later in drawn.items()}
+            files[PHOTOGRAPH] = encode_photograph(both.photograph)
     folder.mkdir(parents=True, exist_ok=True)
     io.write_together({folder / name: data for name, data in files.items()})
     for name in {*FILES, *_FIGURES, PHOTOGRAPH} - set(files):  # of a clone that came further
         (folder / name).unlink(missing_ok=True)
-    sure = report(found, picture.cross_polarised, folder)
-    raise typer.Exit(0 if sure else _NOT_SURE)
+    report(found, picture.cross_polarised, folder, doubts)
+    raise typer.Exit(_NOT_SURE if doubts else 0)
 
 
 @contextmanager
@@ -93,21 +105,16 @@ def _words(group: Group) -> dict[str, Any]:
     return {n: str(v) if isinstance(v, Path) else v for n, v in vars(group).items() if n != "typed"}
 
 
-def _pictures(found: cloning.Clone, draw: Callable[..., Later]) -> Callable[[], dict[str, bytes]]:
-    """Begin the pictures; what is returned waits for them and says how far they are apart."""
-    both = compare(found, cores())
+def _begun(found: cloning.Clone, both: Comparison, draw: Callable[..., Later]) -> dict[str, Later]:
+    """Begin the pictures."""
     eye = found.scene().eye
     radius = float(0.5 * (eye.pupil_radius + eye.iris_radius))
-    begun = {
+    return {
         "side_by_side.png": draw("side_by_side", both.photograph, both.rendered),
         "differences.png": draw("differences", both.photograph, both.rendered, both.clear),
         "luminance.png": draw("luminance_profile", *both.arc(found, radius), radius),
     }
 
-    def written() -> dict[str, bytes]:
-        rms = ", ".join(f"{100 * r:.1f}" for r in both.rms)
-        print(f"difference of the pictures, RMS: {rms} % (R, G, B)")
-        made = {name: later() for name, later in begun.items()}
-        return made | {PHOTOGRAPH: encode_photograph(both.photograph)}
 
-    return written
+def _percent(shares) -> str:
+    return ", ".join(f"{100 * share:.1f}" for share in shares)

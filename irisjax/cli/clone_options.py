@@ -100,6 +100,14 @@ class Picture(Group):
         option(metavar="FILE.png", help="mask in place of freckles.png, white where a freckle is"),
     ] = None
 
+    visible: Annotated[
+        Path | None,
+        option(
+            metavar="FILE.png",
+            help="mask in place of visible.png, white where nothing hides the iris",
+        ),
+    ] = None
+
     def given(self) -> cloning.Given:
         """What is known, read from its files."""
         lights = lamps(self.light) if self.light else None
@@ -108,15 +116,13 @@ class Picture(Group):
             around = Environment.uniform()
         elif self.environment is not None:
             around = io.read_environment(self.environment)
-        mask = None
-        if self.freckles is not None:
-            mask = io.read_image(self.freckles).pixels[..., 0] > 0.5
         return cloning.Given(
             limbus=_outline("--limbus", self.limbus),
             pupil=_outline("--pupil", self.pupil),
             lights=lights,
             environment=around,
-            freckles=mask,
+            freckles=_mask(self.freckles),
+            visible=_mask(self.visible),
             maps=None if self.maps is None else io.read_maps(self.maps),
             second=None if self.second is None else read_photograph(self.second),
         )
@@ -203,6 +209,10 @@ def settings_of(picture: Picture, model: Model) -> cloning.Settings:
         steps=model.max_steps,
         seed=model.seed,
     )
+
+
+def _mask(path: Path | None) -> np.ndarray | None:
+    return None if path is None else io.read_image(path).pixels[..., 0] > 0.5
 
 
 def _outline(name: str, text: str | None) -> Ellipse | None:

@@ -5,19 +5,14 @@ from pathlib import Path
 
 import numpy as np
 
-from irisjax.photo.boundaries import MIN_CONFIDENCE
 from irisjax.photo.cloned import Clone
 from irisjax.photo.posterior import PigmentPosterior
 
 
-def report(found: Clone, cross_polarised: bool, folder: Path) -> bool:
-    """Say what was found and what is doubtful; whether nothing is."""
-    missing = doubtful(found)
-    for name, confidence in missing.items():
-        say(f"WARNING: the {name} is doubtful (confidence {confidence:.2f}); give --{name}")
-    if missing:
-        say("nothing after the outlines was done")
-    sure = not missing
+def report(found: Clone, cross_polarised: bool, folder: Path, doubts: tuple[str, ...]) -> None:
+    """Say what was found and what is doubtful."""
+    for doubt in doubts:
+        say(f"WARNING: {doubt}")
     if found.pose is not None:
         pose = found.pose
         where = "" if pose.distance is None else f", {pose.distance:.0f} mm away"
@@ -34,28 +29,12 @@ def report(found: Clone, cross_polarised: bool, folder: Path) -> bool:
             "WARNING: the model's iris keeps 98 % and more of the light's polarisation, so crossed "
             "polarisers would make it black; the pigments stand for an iris that depolarises"
         )
-    if found.fit is not None and found.photograph.grey:
-        sure = False
-        say("WARNING: the photograph has no colours: its pigments mean nothing")
     if found.lighting is not None and found.lighting.found == 0:
         say("no highlight on the cornea: light from all round is assumed")
     if found.posterior is not None:
         print(_table(found.posterior))
         print("the intervals allow for a thickness and shading unlike the model's")
-        if not found.posterior.chains.converged:
-            sure = False
-            say(f"WARNING: {found.posterior.chains.reason}; raise --max-steps")
     print(f"written: {folder}")
-    return sure
-
-
-def doubtful(found: Clone) -> dict[str, float]:
-    """Outlines that a clone may not be built on, and the confidence in each."""
-    both = {
-        "limbus": found.boundaries.limbus_confidence,
-        "pupil": found.boundaries.pupil_confidence,
-    }
-    return {name: c for name, c in both.items() if c < MIN_CONFIDENCE}
 
 
 def _table(posterior: PigmentPosterior) -> str:

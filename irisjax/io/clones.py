@@ -2,7 +2,7 @@
 
 import json
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -12,7 +12,8 @@ from irisjax.io.maps import encode_maps
 from irisjax.measure.colour import srgb_encode
 from irisjax.photo.cloned import Clone, needed
 from irisjax.photo.ellipse import Ellipse
-from irisjax.photo.pigments import CONCENTRATIONS, UNITS, concentrations_of, iris_of
+from irisjax.photo.picture import Comparison
+from irisjax.photo.pigments import UNITS, concentrations_of, iris_of
 from irisjax.photo.pose import limbus_spread
 from irisjax.photo.unrefracted import HALF_WIDTH
 from irisjax.render.environment import Environment
@@ -34,9 +35,26 @@ FILES = (
 _SHORT = 6  # digits
 
 
-def files_of(clone: Clone, settings: Mapping[str, Any], timings: Mapping[str, float]) -> dict:
-    """The files of a clone as far as it has come: bytes by name, `clone.json` among them."""
-    found = {"clone.json": _json(summary_of(clone, settings, timings))}
+def files_of(
+    clone: Clone,
+    settings: Mapping[str, Any],
+    timings: Mapping[str, float],
+    pictures: Comparison | None = None,
+    doubts: Sequence[str] = (),
+) -> dict:
+    """The files of a clone as far as it has come: bytes by name, `clone.json` among them.
+
+    Args:
+        clone: The clone.
+        settings: What it was asked with.
+        timings: Seconds by the names of stages.
+        pictures: Of clone and photograph, compared.
+        doubts: Sentences on what is doubtful.
+    """
+    summary = summary_of(clone, settings, timings) | {"doubts": list(doubts)}
+    if pictures is not None:
+        summary["picture_rms"] = pictures.rms.tolist()
+    found = {"clone.json": _json(summary)}
     if clone.texture is not None:
         found[UNREFRACTED] = _texture(UNREFRACTED, clone.texture.pixels)
         found[VISIBLE] = _mask(VISIBLE, clone.texture.valid)
@@ -52,7 +70,7 @@ def files_of(clone: Clone, settings: Mapping[str, Any], timings: Mapping[str, fl
         around = clone.scene().environment
         if around is not None and not _is_uniform(around):
             found["environment.exr"] = encode_exr("environment.exr", np.asarray(around.radiance))
-        if clone.log:
+        if clone.fit.log:
             found["convergence.csv"] = _log(clone).encode()
     return found
 
@@ -80,6 +98,7 @@ def summary_of(clone: Clone, settings: Mapping[str, Any], timings: Mapping[str, 
             "azimuth_deg": math.degrees(float(pose.camera.azimuth)),
             "side_from": pose.side,
             "distance_mm": pose.distance,
+            "distance_sd_mm": None if pose.distance is None else pose.distance * spread / mean,
             "lengths": {
                 "limbus_radius_mm": float(eye.limbus_radius),
                 "limbus_width_mm": float(eye.limbus_width),
@@ -234,9 +253,9 @@ def _number(value) -> str:
 
 
 def _log(clone: Clone) -> str:
-    names = [*CONCENTRATIONS, "steps", "rms"]
-    rows = [",".join(names)]
-    rows += [",".join(f"{row[n]:.6g}" for n in names) for row in clone.log]
+    log = needed(clone.fit).log
+    rows = [",".join(log[0])]
+    rows += [",".join(f"{value:.6g}" for value in row.values()) for row in log]
     return "\n".join(rows) + "\n"
 
 

@@ -29,6 +29,8 @@ LEAST_SIDE = 64
 
 _SATURATED = 0.995  # of the largest value a file can hold
 _SMALL = 1e-3  # negative values of this size are a resampling filter's or a sensor's noise
+_BRIGHT = 0.995  # share of a linear file's pixels that are darker than what is set to 1
+_UNITS = 0.05, 20.0  # within which that is left as it is
 _ROWS = 256
 _ENCODINGS = ("", "srgb_rec709_scene", "srgb_rec709_display", "sRGB", "lin_rec709_scene")
 
@@ -38,7 +40,8 @@ def read_photograph(path: str | Path) -> Photograph:
 
     - JPEG, PNG and TIFF of 8 or 16 bits are decoded by their embedded ICC profile, else as sRGB.
     - OpenEXR, and TIFF of floating point, are taken as linear; they have no largest value, so none
-        of their pixels counts as saturated.
+        of their pixels counts as saturated. Where their brightest pixels are far from 1 all are
+        divided by these.
     - Camera raw files need `rawpy` (`irisjax[raw]`) and have the camera's white balance.
 
     Of a file of several pictures the first is read. Transparency is left out. The notes of the
@@ -64,6 +67,8 @@ def read_photograph(path: str | Path) -> Photograph:
         values = _colours(values, spec, notes)
         pixels, told = _linear(path, values, spec)
         notes += told
+        if values.dtype.kind == "f":
+            pixels = _to_unit(pixels, notes)
         grey, saturated = _is_grey(values), np.zeros(pixels.shape[:2], bool)
         if values.dtype.kind == "u":
             saturated = _any(values >= _SATURATED * np.iinfo(values.dtype).max)
@@ -154,6 +159,15 @@ def _linear(
         elif (said := spec.get_string_attribute("oiio:ColorSpace")) not in _ENCODINGS:
             notes = [f"Read as sRGB; the file says {said}."]
     return (np.repeat(pixels, 3, 2) if pixels.shape[2] == 1 else pixels), notes
+
+
+def _to_unit(pixels: np.ndarray, notes: list[str]) -> np.ndarray:
+    """Linear values near 1, whatever their unit was."""
+    bright = float(np.quantile(pixels.max(-1), _BRIGHT))
+    if bright <= 0 or _UNITS[0] <= bright <= _UNITS[1]:
+        return pixels
+    notes.append(f"All values are divided by {bright:.4g}, so that the brightest are about 1.")
+    return (pixels / bright).astype(np.float32)
 
 
 def _settle_negatives(path: str | Path, pixels: np.ndarray, notes: list[str]) -> None:

@@ -60,6 +60,8 @@ class Settings(NamedTuple):
 class Given(NamedTuple):
     """What the user gives in place of what a stage would find; `None` leaves it to the stage.
 
+    - `freckles`: mask of texels; `visible`: of texels that show the iris, in place of what finds
+        lids, lashes and highlights.
     - `maps`: with the stroma's thickness, which is then kept.
     - `second`: a photograph of the same eye, for example through crossed polarisers, whose texture
         tells the thickness in place of the first's; pigments and light are told from the first.
@@ -70,6 +72,7 @@ class Given(NamedTuple):
     lights: Lights | None = None
     environment: Environment | None = None
     freckles: Bool[np.ndarray, "size size"] | None = None
+    visible: Bool[np.ndarray, "size size"] | None = None
     maps: IrisMaps | None = None
     second: Photograph | None = None
 
@@ -123,7 +126,6 @@ class Clone(NamedTuple):
     response: float | None = None
     fit: Fit | None = None
     exposure: Float[np.ndarray, "3"] | None = None
-    log: tuple[dict[str, float], ...] = ()
     posterior: PigmentPosterior | None = None
 
     def iris(self) -> Iris:

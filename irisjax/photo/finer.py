@@ -6,16 +6,19 @@ import jax.numpy as jnp
 import numpy as np
 
 from irisjax.photo.cloned import Clone, Settings, needed
+from irisjax.photo.doubts import misfits
 from irisjax.photo.lamps import shade_on, tangent_of
 from irisjax.photo.morphology import Darkness, maps_of
+from irisjax.photo.pigments import NAMES, iris_of, values_of
 from irisjax.photo.polar import to_polar
 from irisjax.photo.thickness import generic_thickness
+from irisjax.tissue.iris import Iris
 
 
 def with_finer_thickness(found: Clone, settings: Settings) -> Clone:
     """With the thickness that the model tells from the texture."""
     pose, texture = needed(found.pose), needed(found.texture)
-    response = needed(found.windows).thickness_response(found.iris())
+    response = needed(found.windows).thickness_response(_iris(found))
     freckles, share = needed(found.morphology).freckles, settings.relief
     slopes: Any = (0.0, 0.0)
     lights, shade = needed(found.lighting).lights(), None
@@ -37,3 +40,12 @@ def with_finer_thickness(found: Clone, settings: Settings) -> Clone:
         relief = jnp.clip(jnp.asarray(relief), -1, 1)
         finer = finer._replace(maps=finer.maps.replace(relief=relief))
     return found._replace(morphology=finer, response=response)
+
+
+def _iris(found: Clone) -> Iris:
+    """That tells thickness: the clone's own, or a usual one where the model does not follow the
+    photograph.
+    """
+    if not misfits(needed(found.fit)):
+        return found.iris()
+    return iris_of(values_of(np.zeros(len(NAMES))), needed(found.base))

@@ -60,7 +60,8 @@ class Fit(NamedTuple):
     - `values` by name; `z`: the same as standard normal numbers of their priors, with their
         `covariance` (normal approximation). `rms`: of the
         logarithms of photograph over model in the windows, per channel.
-    - `steps`: that it took; `converged`: whether it ended of itself.
+    - `steps`: that it took; `converged`: whether it ended of itself. `log`: how it went, a row of
+        numbers by name each turn.
     """
 
     values: dict[str, float]
@@ -69,6 +70,7 @@ class Fit(NamedTuple):
     rms: Float[np.ndarray, "3"]
     steps: int
     converged: bool
+    log: tuple[dict[str, float], ...] = ()
 
 
 def values_of(z) -> dict[str, Any]:
@@ -173,15 +175,22 @@ def least_squares(windows: Windows, base: Iris, steps: int = 60) -> Fit:
     free = [i for i, n in enumerate(NAMES) if n != "room" or windows.room is not None]
     starts = np.zeros((len(_STARTS), len(free)))
     starts[:, : len(CONCENTRATIONS)] = _STARTS
-    found, log_density, taken, ended, covariance = _searched(
+    (found, log_density), (taken, ended), covariance = _searched(
         jnp.asarray(starts), windows, base, tuple(free), steps
     )
-    best = int(np.nanargmax(np.asarray(log_density)))
+    best = int(np.nanargmax(np.asarray(log_density[:, -1])))
     z = np.zeros(len(NAMES))
-    z[free] = np.asarray(found[best])
+    z[free] = np.asarray(found[best, -1])
     spread = np.eye(len(NAMES))
     spread[np.ix_(free, free)] = np.asarray(covariance[best])
-    return _fit(z, spread, windows, base, int(np.sum(taken)), bool(ended[best]))
+    log = []
+    for start, turn in np.ndindex(len(starts), _TURNS):
+        there = np.zeros(len(NAMES))
+        there[free] = np.asarray(found[start, turn])
+        counted = {"start": start + 1, "turn": turn + 1, "steps": taken[start, turn]}
+        row = counted | {"log_density": log_density[start, turn]} | values_of(jnp.asarray(there))
+        log.append({name: float(v) for name, v in row.items()})
+    return _fit(z, spread, windows, base, int(np.sum(taken)), bool(ended[best, -1]), log)
 
 
 _STARTS = np.array(
@@ -203,14 +212,15 @@ def _searched(starts, windows, base, free: tuple[int, ...], steps: int):
         solver = levenberg_marquardt(_CLOSE, _CLOSE)
         found = optx.least_squares(residuals, solver, some, held, max_steps=steps, throw=False)
         ended = found.result == optx.RESULTS.successful
-        return found.value, (found.stats["num_steps"], ended, held)
+        density = log_probability(every(found.value), windows, base)
+        told = (found.value, density), (found.stats["num_steps"], ended), held
+        return found.value, told
 
     def one(start):
-        found, (taken, ended, held) = jax.lax.scan(turn, start, None, _TURNS)
+        found, (reached, counted, held) = jax.lax.scan(turn, start, None, _TURNS)
         last = jax.tree.map(lambda c: c[-1], held)
         jacobian = jax.jacfwd(lambda x: residuals(x, last))(found)
-        density = log_probability(every(found), windows, base)
-        return found, density, taken.sum(), ended[-1], jnp.linalg.inv(jacobian.T @ jacobian)
+        return reached, counted, jnp.linalg.inv(jacobian.T @ jacobian)
 
     return jax.lax.map(one, starts)
 
@@ -229,11 +239,10 @@ def _matched(z, windows, base):
     return _exposures(values) * jnp.exp(off.mean(0, where=windows.present[:, None]))
 
 
-def simplex(windows: Windows, base: Iris, steps: int = 50) -> tuple[Fit, list[dict[str, float]]]:
+def simplex(windows: Windows, base: Iris, steps: int = 50) -> Fit:
     """F09's search: Nelder and Mead's simplex for the eumelanins with pheomelanin tied to them,
-    then for the two ratios; exposure and white balance stay as stated  [F09 Section 5.2].
-
-    **Returns:** the fit, and the values and relative RMS at each stage.
+    then for the two ratios; exposure and white balance stay as stated  [F09 Section 5.2]. Its log
+    has the values and the relative RMS at each stage.
     """
     log: list[dict[str, float]] = []
     z = np.zeros(len(NAMES))
@@ -258,7 +267,7 @@ def simplex(windows: Windows, base: Iris, steps: int = 50) -> tuple[Fit, list[di
             {n: float(values[n]) for n in CONCENTRATIONS}
             | {"steps": float(count), "rms": float(_rms(z, windows, base).mean())}
         )
-    return _fit(z, np.eye(len(NAMES)), windows, base, taken, ended), log
+    return _fit(z, np.eye(len(NAMES)), windows, base, taken, ended, log)
 
 
 def _four(eumelanin, ratios):
@@ -280,9 +289,9 @@ def _downhill(start, held, windows, base, eumelanin: bool, steps: int):
     return found.value, found.stats["num_steps"], found.result == optx.RESULTS.successful
 
 
-def _fit(z, covariance, windows, base, steps: int, ended: bool) -> Fit:
+def _fit(z, covariance, windows, base, steps: int, ended: bool, log) -> Fit:
     values = {n: float(v) for n, v in values_of(jnp.asarray(z)).items()}
-    return Fit(values, z, covariance, _rms(z, windows, base), steps, ended)
+    return Fit(values, z, covariance, _rms(z, windows, base), steps, ended, tuple(log))
 
 
 def _rms(z, windows: Windows, base: Iris) -> np.ndarray:

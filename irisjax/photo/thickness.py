@@ -1,5 +1,7 @@
 """Thickness of the stroma from the brightness of a photograph: brighter is thicker  [F09 4.2]."""
 
+import math
+
 import jax.numpy as jnp
 import numpy as np
 import scipy.fft
@@ -37,6 +39,8 @@ OTHER = 0.25
 """
 MID_GREY = 0.18
 """Linear luminance to which the surroundings of each texel are exposed."""
+_RESPONSES = Range(-5, 5)
+_LEAST_RESPONSE = 1e-3
 ITERATIONS = 10
 """Of Richardson and Lucy: more sharpen noise."""
 
@@ -184,7 +188,7 @@ def relative_thickness(
     came from thickness g would be 1 / response; this is the linear estimate of least mean square
     error, and promises little where thickness hardly shows. **Returns:** as `thickness`.
     """
-    check_range("response", response, Range(0.05, 5))
+    check_range("response", response, _RESPONSES)
     power = response / (response**2 + OTHER**2)
     grown = np.maximum(1 + contrast, np.float32(1e-3)) ** np.float32(power)
     found = generic_thickness(radius) * grown
@@ -210,9 +214,11 @@ def unshade(
     in the chamber, means weighted by irradiance. (0, 0) changes nothing.
     """
     check_range("slopes", slopes, Range(-2, 2))
-    check_range("response", response, Range(0.05, 5))
+    check_range("response", response, _RESPONSES)
     if slopes == (0, 0):
         return contrast
+    # Relief shades an iris, too, whose thickness does not show.
+    response = math.copysign(max(abs(response), _LEAST_RESPONSE), response)
     known = np.where(valid, contrast, np.float32(0))
     shape = [scipy.fft.next_fast_len(n + n // 8, real=True) for n in valid.shape]
     up = -scipy.fft.fftfreq(shape[0], millimetres_per_texel).astype(np.float32)[:, None]

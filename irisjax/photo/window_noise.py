@@ -5,7 +5,8 @@ iris, from ring to ring of one, and from window to window of a ring: normal erro
 as in an analysis of variance with random effects. In the logarithms of the channels an error of
 thickness of the whole or of a ring shows as the model's own response to it, one of light in all
 alike. How the windows of a ring scatter is told by the photograph itself, and not by a model of
-pigments: irides hold more than pigments and thickness.
+pigments: irides hold more than pigments and thickness. How much rings are off it tells too: an iris
+may have another colour round its pupil, and light may fall off as that of no lamp here does.
 """
 
 from typing import NamedTuple
@@ -35,8 +36,10 @@ WHOLE = Spreads(0.15, 0.1, 0.0)
 """Of an iris from the average: assumed. What single channels
 have in common is the camera's white balance.
 """
-RING = Spreads(0.12, 0.05, 0.005)
+RING = Spreads(0.12, 0.08, 0.02)
 """Of rings of one iris, for its collarette and its folds; those of `procedural` differ by 0.01."""
+WIDER = 2.0 ** np.arange(4)
+"""That these may be, twice as wide being half as likely: as much more as the photograph says."""
 USUAL = (
     0.04**2 * np.ones((3, 3))
     + 0.06**2 * np.outer([0.55, 0.33, 0.15], [0.55, 0.33, 0.15])
@@ -59,21 +62,19 @@ class Covariances(NamedTuple):
 
 
 def log_likelihood(off: WindowColours, response: WindowColours, present) -> Scalar:
-    """Logarithm of the density of errors, without constants: of the rings' means a normal one, of
-    what windows are off them a matrix t, the normal one with an inverse Wishart prior of its
-    covariance integrated out [Gelman et al. 2013, Section 3.6].
+    """Logarithm of the density of errors, without constants: of the rings' means a mixture of
+    normal ones, as `WIDER` has it; of what windows are off them a matrix t, the normal one with an
+    inverse Wishart prior of its covariance integrated out [Gelman et al. 2013, Section 3.6].
 
     Args:
         off: Logarithms of photograph over model, ring after ring.
         response: Derivatives of the model's by that of thickness; its means in rings count.
         present: Windows that count, (windows,).
     """
+    within, between = _every(off, response, present)
     number, means, _ = _in_rings(off, present)
-    held = covariances(off, response, present)
-    within = (_free(number) * jnp.linalg.slogdet(held.within)[1]).sum()
-    factor = jnp.linalg.cholesky(held.between)
-    row = jax.scipy.linalg.solve_triangular(factor, means.ravel(), lower=True)
-    return -0.5 * (within + (row**2).sum()) - jnp.log(jnp.diagonal(factor)).sum()
+    scatter = (_free(number) * jnp.linalg.slogdet(within)[1]).sum()
+    return jax.nn.logsumexp(_log_weights(between, means)) - 0.5 * scatter
 
 
 def whitened(off: WindowColours, present, held: Covariances) -> Float[Array, " values"]:
@@ -86,8 +87,28 @@ def whitened(off: WindowColours, present, held: Covariances) -> Float[Array, " v
 
 
 def covariances(off: WindowColours, response: WindowColours, present) -> Covariances:
-    """The likeliest within rings, and that of their means; rings without windows stand apart with a
-    variance of 1.
+    """The likeliest within rings, and that of their means, as wide as these make likely: under it a
+    step of least squares is one of expectation and maximisation over `WIDER`.
+    """
+    within, between = _every(off, response, present)
+    share = jax.nn.softmax(_log_weights(between, _in_rings(off, present)[1]))
+    inverse = (share[:, None, None] * jnp.linalg.inv(between)).sum(0)
+    return Covariances(within, jnp.linalg.inv(0.5 * (inverse + inverse.T)))
+
+
+def _log_weights(between, means):
+    """Logarithms of the densities of rings' means under each of the covariances, (wider,)."""
+    factor = jnp.linalg.cholesky(between)
+    row = jax.scipy.linalg.solve_triangular(
+        factor, jnp.broadcast_to(means.ravel(), factor.shape[:-1])[..., None], lower=True
+    )
+    density = -0.5 * (row**2).sum((1, 2)) - jnp.log(jnp.diagonal(factor, 0, 1, 2)).sum(-1)
+    return density - jnp.log(jnp.asarray(WIDER))
+
+
+def _every(off: WindowColours, response: WindowColours, present) -> Covariances:
+    """The likeliest within rings, and those of their means, (wider, means, means); rings without
+    windows stand apart with a variance of 1.
     """
     number, _, apart = _in_rings(off, present)
     along = _in_rings(response, present)[1]
@@ -99,11 +120,15 @@ def covariances(off: WindowColours, response: WindowColours, present) -> Covaria
         return squares + level.light**2 + level.channel**2 * jnp.eye(3)
 
     every = jnp.arange(RINGS)
-    alone = of(RING)[every, every] + within / jnp.maximum(number, 1)[:, None, None]
+    alone = within / jnp.maximum(number, 1)[:, None, None]
+    alone = jnp.asarray(WIDER**2)[:, None, None, None] * of(RING)[every, every] + alone
     seen = (number > 0)[:, None, None]
     between = of(WHOLE) * (seen[:, None] & seen[None])
-    between = between.at[every, every].add(jnp.where(seen, alone, jnp.eye(3)))
-    return Covariances(within, between.transpose(0, 2, 1, 3).reshape(3 * RINGS, 3 * RINGS))
+    between = jnp.broadcast_to(between, (len(WIDER), *between.shape))
+    between = between.at[:, every, every].add(jnp.where(seen, alone, jnp.eye(3)))
+    return Covariances(
+        within, between.transpose(0, 1, 3, 2, 4).reshape(len(WIDER), 3 * RINGS, 3 * RINGS)
+    )
 
 
 def _free(number):

@@ -149,6 +149,54 @@ def test_a_folder_must_be_given(irisjax):
     one_line(irisjax("clone", "eye.jpg"), "Missing option '-o' / '--output'")
 
 
+@pytest.fixture(scope="module")
+def painted(tmp_path_factory):
+    """A flat disc, as bright at its edge as within, about a black one: no iris of the model's."""
+    path = tmp_path_factory.mktemp("painted") / "disc.png"
+    row, column = np.indices((420, 420))
+    radius = np.hypot(row - 209.5, column - 209.5)
+    picture = np.full((420, 420, 3), 215, np.uint8)
+    picture[radius < 180] = 60, 130, 40
+    picture[radius < 60] = 4
+    Image.fromarray(picture).save(path)
+    return path, ("--limbus", "209.5,209.5,180,180,0", "--pupil", "209.5,209.5,60,60,0")
+
+
+@pytest.mark.heavy  # compiles the search
+def test_what_the_model_cannot_follow_is_doubtful(irisjax, tmp_path, painted):
+    path, outlines = painted
+    asked = "--focal-px", "1500", "--stop-after", "pigments"
+    status, out, err = irisjax("clone", path, "-o", tmp_path / "clone", *outlines, *asked)
+    assert status == 3, err
+    found = _summary(tmp_path / "clone")
+    assert any("far from what is usual" in doubt for doubt in found["doubts"])
+    assert any("camera 46 mm away" in doubt for doubt in found["doubts"])
+    assert all(f"WARNING: {doubt}" in err for doubt in found["doubts"])
+    assert len(found["picture_rms"]) == 3
+    assert f"RMS: {100 * found['picture_rms'][0]:.1f}, " in out
+    assert {"maps.exr", "scene.toml", "convergence.csv"} <= _files(tmp_path / "clone")
+
+
+@pytest.mark.heavy
+def test_what_was_found_before_a_stage_failed_is_written(irisjax, tmp_path, painted):
+    """All but a sector of the iris is hidden: too little for pigments."""
+    path, outlines = painted
+    seen = np.zeros((1024, 1024, 3), np.uint8)
+    seen[:512, 520:545] = 255
+    Image.fromarray(seen).save(tmp_path / "seen.png")
+    asked = "clone", path, "-o", tmp_path / "clone", *outlines, "--visible", tmp_path / "seen.png"
+    status, _, err = irisjax(*asked)
+    assert status == 3
+    assert "WARNING: pigments: only " in err and "what is before it is written" in err
+    files = {"clone.json", "unrefracted.png", "visible.png", "maps.exr"}
+    assert files <= _files(tmp_path / "clone") and "scene.toml" not in _files(tmp_path / "clone")
+    visible = np.asarray(Image.open(tmp_path / "clone" / "visible.png"))[..., 0] > 127
+    assert visible.any() and not visible[:, :500].any() and not visible[525:].any()
+    small = tmp_path / "small.png"
+    Image.fromarray(seen[:64, :64]).save(small)
+    one_line(irisjax(*asked[:-1], small, "--overwrite"), "the mask of what is visible is (64, 64)")
+
+
 @pytest.mark.slow  # compiles for minutes
 def test_a_whole_clone(irisjax, tmp_path, outlined):
     status, out, err = irisjax(

@@ -67,7 +67,7 @@ def test_interrupted_and_resumed_is_the_same_chain(whole, tmp_path, when):
 
 
 @pytest.mark.heavy
-@pytest.mark.parametrize("when", [100, slowly(250), slowly(560)])
+@pytest.mark.parametrize("when", [100, slowly(250), slowly(400)])
 def test_burn_in_interrupted_and_resumed(tmp_path, monkeypatch, when):
     """Where importance weights stay uneven walkers burn in; that too can be interrupted."""
     monkeypatch.setattr(importance, "EFFECTIVE", 1e9)

@@ -57,6 +57,9 @@ def test_least_squares_fits_what_the_model_made(windows):
     assert found.converged
     assert found.rms.max() < RING.light  # by which a ring may be off
     assert tuple(found.values) == NAMES
+    assert {*NAMES, "start", "turn", "steps", "log_density"} == set(found.log[0])
+    ended = [row["log_density"] for row in found.log if row["turn"] == found.log[-1]["turn"]]
+    assert max(ended) == pytest.approx(-_cost(found.z, windows))
     assert _cost(found.z, windows) <= _cost(TRUE, windows) + 1e-6
     # The prior pulls by less than what is not known.
     off = (found.z - TRUE) / np.sqrt(np.diag(found.covariance))
@@ -65,7 +68,8 @@ def test_least_squares_fits_what_the_model_made(windows):
 
 @pytest.mark.slow
 def test_the_simplex_goes_down_stage_by_stage(windows):
-    found, log = simplex(windows, BASE)
+    found = simplex(windows, BASE)
+    log = found.log
     assert [set(row) for row in log] == [{*CONCENTRATIONS, "steps", "rms"}] * 2
     start = windows_rms(np.zeros(len(NAMES)), windows)
     assert start > log[0]["rms"] >= log[1]["rms"]

@@ -135,6 +135,17 @@ def test_shading_by_relief_is_taken_off():
     np.testing.assert_array_equal(unshade(contrast, RING, (0.0, 0.0), 0.6, TEXEL), contrast)
 
 
+def test_a_thickness_that_does_not_show_is_the_average():
+    """An opaque iris: no number is out of range, and nothing is told."""
+    contrast = 0.2 * _pattern(2.0)
+    found, clamped = relative_thickness(R, contrast, 0.0)
+    np.testing.assert_allclose(found, generic_thickness(R), rtol=1e-6)
+    assert not clamped.any()
+    for response in (0.0, 1e-4, -1e-4):
+        flat = unshade(contrast, np.ones_like(RING), (0.1, 0.15), response, TEXEL)
+        assert np.abs(flat).max() < np.abs(contrast).max()
+
+
 @pytest.mark.parametrize(
     ("call", "message"),
     [
@@ -143,7 +154,7 @@ def test_shading_by_relief_is_taken_off():
         (lambda p: deconvolve(p, np.zeros_like(RING), 0.5, TEXEL), "no texel is valid"),
         (lambda p: local_normalisation(p, RING, 0.0, TEXEL), "width_mm = 0 mm"),
         (lambda p: thickness(R, p, np.nan), "beta = nan mm"),
-        (lambda p: relative_thickness(R, p, 0.0), "response = 0"),
+        (lambda p: relative_thickness(R, p, 9.0), "response = 9"),
         (lambda p: unshade(p, RING, (9.0, 0.0), 0.6, TEXEL), "slopes = 9"),
     ],
 )

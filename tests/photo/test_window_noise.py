@@ -10,6 +10,7 @@ from irisjax.photo.window_noise import (
     RING,
     USUAL,
     WHOLE,
+    WIDER,
     covariances,
     log_likelihood,
     whitened,
@@ -34,7 +35,7 @@ def _rings(off):
     return [ring[there] for ring, there in by_ring if there.any()]
 
 
-def _between(off, within):
+def _between(off, within, wider):
     """Covariance of the means of rings with windows, element by element."""
     seen = _rings(off)
     along = [r[0] for r in RESPONSE.reshape(RINGS, ANGLES, 3)]
@@ -45,10 +46,18 @@ def _between(off, within):
                 for d in range(3):
                     e = WHOLE.thickness**2 * along[k][c] * along[m][d] + WHOLE.light**2
                     if k == m:
-                        e += RING.thickness**2 * along[k][c] * along[k][d] + RING.light**2
-                        e += RING.channel**2 * (c == d) + within[k][c, d] / len(ring)
+                        own = RING.thickness**2 * along[k][c] * along[k][d] + RING.light**2
+                        e += wider**2 * (own + RING.channel**2 * (c == d))
+                        e += within[k][c, d] / len(ring)
                     found[3 * k + c, 3 * m + d] = e
     return found
+
+
+def _means(off, within):
+    """Logarithms of the densities of the rings' means, each as likely as `WIDER` has it."""
+    means = np.concatenate([ring.mean(0) for ring in _rings(off)])
+    normal = [stats.multivariate_normal(cov=_between(off, within, w)) for w in WIDER]
+    return np.array([n.logpdf(means) - np.log(w) for n, w in zip(normal, WIDER, strict=True)])
 
 
 def _drawn(off, covariance, number=100_000):
@@ -76,10 +85,9 @@ def test_the_likelihood_is_the_one_with_covariances_drawn():
         off = _errors(seed)
         found = log_likelihood(jnp.asarray(off), jnp.asarray(RESPONSE), jnp.asarray(PRESENT))
         held = covariances(jnp.asarray(off), jnp.asarray(RESPONSE), jnp.asarray(PRESENT))
-        means = np.concatenate([ring.mean(0) for ring in _rings(off)])
-        between = _between(off, np.asarray(held.within))
+        means = np.logaddexp.reduce(_means(off, np.asarray(held.within)))
         own.append(float(found))
-        other.append(_drawn(off, prior) + stats.multivariate_normal(cov=between).logpdf(means))
+        other.append(_drawn(off, prior) + means)
     assert np.ptp(own) > 5
     np.testing.assert_allclose(np.diff(own), np.diff(other), atol=0.15)  # as sure as 100,000 are
 
@@ -93,7 +101,9 @@ def test_whitened_errors_have_the_density_of_their_covariances():
         apart = ring - ring.mean(0)
         direct += np.einsum("ni,ij,nj->", apart, np.linalg.inv(within[k]), apart)
     means = np.concatenate([ring.mean(0) for ring in _rings(np.asarray(off))])
-    direct += means @ np.linalg.solve(_between(np.asarray(off), within), means)
+    likely = _means(np.asarray(off), within)
+    for share, wider in zip(np.exp(likely - np.logaddexp.reduce(likely)), WIDER, strict=True):
+        direct += share * means @ np.linalg.solve(_between(np.asarray(off), within, wider), means)
     assert float((whitened(off, present, held) ** 2).sum()) == pytest.approx(direct)
 
 
@@ -106,4 +116,17 @@ def test_errors_alike_in_a_ring_are_forgiven_more_than_uneven_ones():
     thicker = log_likelihood(jnp.asarray(rings * RESPONSE + noise), response, present)
     other = np.array([0.5, -0.5, 0.5]) * rings * np.linalg.norm(RESPONSE, axis=1, keepdims=True)
     coloured = log_likelihood(jnp.asarray(other + noise), response, present)
-    assert thicker > coloured + 20
+    assert thicker > coloured + 5
+
+
+def test_rings_far_off_one_another_are_paid_for_once():
+    """Light that falls off as that of no lamp: twice as far off costs by the logarithm."""
+    response, present = jnp.asarray(RESPONSE), jnp.ones(COUNT, bool)
+    scatter = 0.02 * _RANDOM.standard_normal((COUNT, 3))
+    rings = np.repeat([-0.5, 0.5, -0.5, 0.5], ANGLES)[:, None]
+
+    def found(factor):
+        return float(log_likelihood(jnp.asarray(factor * rings + scatter), response, present))
+
+    assert found(0.05) - found(0.5) < 20
+    assert found(0.5) - found(1.0) < 20
