@@ -65,7 +65,7 @@ def clone(picture: Picture, model: Model, results: Results) -> None:
                         both = compare(known, cores())
                         drawn = _begun(known, both, draw)
             except ValueError as error:
-                if found.pose is None:
+                if found.morphology is None:
                     raise
                 failed = (f"{wanted[len(timings)]}: {error}; what is before it is written",)
         for note in photograph.notes:
