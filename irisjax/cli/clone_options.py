@@ -173,7 +173,14 @@ class Model(Group):
     max_steps: Annotated[
         int, option(parse=whole(150, 100_000), metavar="count", help="of the posterior's chain")
     ] = 8000
-    seed: Annotated[int, option(parse=read_seed, metavar="number", help=SEED_HELP + "files")] = 0
+    seed: Annotated[
+        int,
+        option(
+            parse=read_seed,
+            metavar="number",
+            help=SEED_HELP + "files, but for the seconds in clone.json",
+        ),
+    ] = 0
 
     def __post_init__(self):
         super().__post_init__()

@@ -30,6 +30,7 @@ LEAST_SIDE = 64
 _SATURATED = 0.995  # of the largest value a file can hold
 _SMALL = 1e-3  # negative values of this size are a resampling filter's or a sensor's noise
 _BRIGHT = 0.995  # share of a linear file's pixels that are darker than what is set to 1
+_MOST = 1e4  # brighter pixels are a sensor's or a renderer's faults
 _UNITS = 0.05, 20.0  # within which that is left as it is
 _ROWS = 256
 _ENCODINGS = ("", "srgb_rec709_scene", "srgb_rec709_display", "sRGB", "lin_rec709_scene")
@@ -68,7 +69,7 @@ def read_photograph(path: str | Path) -> Photograph:
         pixels, told = _linear(path, values, spec)
         notes += told
         if values.dtype.kind == "f":
-            pixels = _to_unit(pixels, notes)
+            pixels = _to_unit(path, pixels, notes)
         grey, saturated = _is_grey(values), np.zeros(pixels.shape[:2], bool)
         if values.dtype.kind == "u":
             saturated = _any(values >= _SATURATED * np.iinfo(values.dtype).max)
@@ -161,13 +162,19 @@ def _linear(
     return (np.repeat(pixels, 3, 2) if pixels.shape[2] == 1 else pixels), notes
 
 
-def _to_unit(pixels: np.ndarray, notes: list[str]) -> np.ndarray:
+def _to_unit(path: str | Path, pixels: np.ndarray, notes: list[str]) -> np.ndarray:
     """Linear values near 1, whatever their unit was."""
-    bright = float(np.quantile(pixels.max(-1), _BRIGHT))
-    if bright <= 0 or _UNITS[0] <= bright <= _UNITS[1]:
-        return pixels
-    notes.append(f"All values are divided by {bright:.4g}, so that the brightest are about 1.")
-    return (pixels / bright).astype(np.float32)
+    brightest = pixels.max(-1)
+    if brightest.max() <= 0:
+        raise ValueError(f"{path}: no pixel is brighter than 0")
+    bright = float(np.quantile(brightest, _BRIGHT))
+    if bright > 0 and not _UNITS[0] <= bright <= _UNITS[1]:
+        notes.append(f"All values are divided by {bright:.4g}, so that the brightest are about 1.")
+        pixels, brightest = (np.asarray(v / bright, np.float32) for v in (pixels, brightest))
+    if count := int((brightest > _MOST).sum()):
+        notes.append(f"{count} pixels are brighter than {_MOST:g}: they are set to that.")
+        pixels = np.minimum(pixels, np.float32(_MOST))
+    return pixels
 
 
 def _settle_negatives(path: str | Path, pixels: np.ndarray, notes: list[str]) -> None:

@@ -89,6 +89,25 @@ def test_exr_is_linear(tmp_path):
     np.testing.assert_array_equal(tif.pixels, np.abs(values))
 
 
+@pytest.mark.parametrize("unit", [1e-4, 1e6])
+def test_a_linear_file_may_have_any_unit(tmp_path, unit):
+    values = np.random.default_rng(0).uniform(0.1, 0.9, (*SHAPE, 3)).astype(np.float32)
+    found = io.read_photograph(write(tmp_path / "p.exr", unit * values))
+    assert 0.9 < found.pixels.max() < 1.1
+    np.testing.assert_allclose(found.pixels / found.pixels.max(), values / values.max(), rtol=1e-5)
+    assert any("All values are divided by" in note for note in found.notes)
+
+
+def test_a_pixel_brighter_than_all_is_no_light(tmp_path):
+    values = np.full((*SHAPE, 3), 0.5, np.float32)
+    values[3, 5] = 1e30
+    found = io.read_photograph(write(tmp_path / "p.exr", values))
+    assert found.pixels[3, 5].max() == 1e4 and np.delete(found.pixels, 3, 0).max() == 0.5
+    assert any(note.startswith("1 pixels are brighter than 10000") for note in found.notes)
+    with pytest.raises(ValueError, match="no pixel is brighter than 0"):
+        io.read_photograph(write(tmp_path / "p.exr", -values))
+
+
 @pytest.mark.parametrize("bad", [np.nan, np.inf])
 def test_exr_that_is_not_finite(tmp_path, bad):
     values = np.ones((*SHAPE, 3), np.float32)
