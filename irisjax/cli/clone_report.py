@@ -30,7 +30,7 @@ def report(found: Clone, cross_polarised: bool, folder: Path, doubts: tuple[str,
             "polarisers would make it black; the pigments stand for an iris that depolarises"
         )
     if found.lighting is not None and found.lighting.found == 0:
-        say("no highlight on the cornea: light from all round is assumed")
+        say("no lamp was told from a highlight on the cornea: light from all round is assumed")
     if found.posterior is not None:
         print(_table(found.posterior))
         print("the intervals allow for a thickness and shading unlike the model's")

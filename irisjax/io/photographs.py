@@ -31,7 +31,7 @@ _SATURATED = 0.995  # of the largest value a file can hold
 _SMALL = 1e-3  # negative values of this size are a resampling filter's or a sensor's noise
 _BRIGHT = 0.995  # share of a linear file's pixels that are darker than what is set to 1
 _MOST = 1e4  # brighter pixels are a sensor's or a renderer's faults
-_UNITS = 0.05, 20.0  # within which that is left as it is
+_UNITS = 0.3, 3.0  # within which that is left as it is
 _ROWS = 256
 _ENCODINGS = ("", "srgb_rec709_scene", "srgb_rec709_display", "sRGB", "lin_rec709_scene")
 
@@ -69,7 +69,7 @@ def read_photograph(path: str | Path) -> Photograph:
         pixels, told = _linear(path, values, spec)
         notes += told
         if values.dtype.kind == "f":
-            pixels = _to_unit(path, pixels, notes)
+            pixels = values = _to_unit(path, pixels, notes)
         grey, saturated = _is_grey(values), np.zeros(pixels.shape[:2], bool)
         if values.dtype.kind == "u":
             saturated = _any(values >= _SATURATED * np.iinfo(values.dtype).max)

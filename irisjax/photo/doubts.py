@@ -6,14 +6,15 @@ from jaxtyping import Float
 
 from irisjax.numerics.checks import Range
 from irisjax.photo.boundaries import MIN_CONFIDENCE
-from irisjax.photo.cloned import Clone
-from irisjax.photo.pigments import NAMES, PRIORS, UNITS, Fit
+from irisjax.photo.cloned import Clone, needed
+from irisjax.photo.pigments import NAMES, PRIORS, UNITS
 
 DISTANCES = Range(80, 2000, "mm")
 """Of cameras that photograph an iris: from macro lenses near their limit to long ones."""
 WINDOWS_OFF = 0.25
-"""Root mean square of ln photograph over model in the windows from which on a fit is doubtful;
-simulated photographs stay below 0.15, lids and lashes or not.
+"""Root mean square of ln photograph over model in the windows from which on a fit is doubtful, the
+channels weighted by their brightness; simulated photographs stay below 0.15, lids and lashes or
+not.
 """
 PICTURES_OFF = 0.05
 """The same of the pictures' encoded values: what F09 reached."""
@@ -54,7 +55,7 @@ def doubts_of(found: Clone, rms: Float[np.ndarray, "3"] | None = None) -> tuple[
     if found.fit is not None:
         if found.photograph.grey:
             doubts.append("the photograph has no colours: its pigments mean nothing")
-        doubts += (odd := misfits(found.fit))
+        doubts += (odd := misfits(found))
         if odd and found.response is not None:
             doubts.append(
                 f"thickness is told as in a usual iris, whose response is {found.response:.2f}"
@@ -74,15 +75,16 @@ def doubts_of(found: Clone, rms: Float[np.ndarray, "3"] | None = None) -> tuple[
     return tuple(doubts)
 
 
-def misfits(fit: Fit) -> list[str]:
+def misfits(found: Clone) -> list[str]:
     """Sentences on where the model does not follow the photograph, or follows it by what hardly any
     eye has.
     """
-    doubts = []
-    if fit.rms.max() > WINDOWS_OFF:
+    doubts, fit, windows = [], needed(found.fit), needed(found.windows)
+    weights = np.maximum(windows.colour[windows.present].mean(0), 0)
+    if np.sqrt(np.average(fit.rms**2, weights=weights + 1e-9)) > WINDOWS_OFF:
         doubts.append(
             f"the model does not follow the photograph's colours (off by {_percent(fit.rms)} % RMS "
-            "in R, G, B over the iris): its pigments mean little"
+            "in R, G, B over the iris): its pigments may mean little"
         )
     for name, z in zip(NAMES, fit.z, strict=True):
         if abs(z) > UNUSUAL:

@@ -46,6 +46,6 @@ def _iris(found: Clone) -> Iris:
     """That tells thickness: the clone's own, or a usual one where the model does not follow the
     photograph.
     """
-    if not misfits(needed(found.fit)):
+    if not misfits(found):
         return found.iris()
     return iris_of(values_of(np.zeros(len(NAMES))), needed(found.base))
