@@ -13,7 +13,7 @@ DISTANCES = Range(80, 2000, "mm")
 """Of cameras that photograph an iris: from macro lenses near their limit to long ones."""
 WINDOWS_OFF = 0.25
 """Root mean square of ln photograph over model in the windows from which on a fit is doubtful, the
-channels weighted by their brightness; simulated photographs stay below 0.15, lids and lashes or
+channels weighted by their brightness; simulated photographs stay below 0.16, lids and lashes or
 not.
 """
 PICTURES_OFF = 0.05
@@ -50,7 +50,7 @@ def doubts_of(found: Clone, rms: Float[np.ndarray, "3"] | None = None) -> tuple[
     if distance is not None and not DISTANCES.holds(distance):
         doubts.append(
             f"the focal length puts the camera {distance:.0f} mm away, where {DISTANCES} are "
-            "usual: it may be wrong; give --focal-px, in pixels of this file"
+            "usual: it may be wrong; --focal-px is in pixels of this file"
         )
     if found.fit is not None:
         if found.photograph.grey:
@@ -83,8 +83,9 @@ def misfits(found: Clone) -> list[str]:
     weights = np.maximum(windows.colour[windows.present].mean(0), 0)
     if np.sqrt(np.average(fit.rms**2, weights=weights + 1e-9)) > WINDOWS_OFF:
         doubts.append(
-            f"the model does not follow the photograph's colours (off by {_percent(fit.rms)} % RMS "
-            "in R, G, B over the iris): its pigments may mean little"
+            "the model does not follow the photograph's colours (off by factors of "
+            f"{', '.join(f'{f:.2f}' for f in np.exp(fit.rms))} in R, G, B over the iris, RMS): its "
+            "pigments may mean little"
         )
     for name, z in zip(NAMES, fit.z, strict=True):
         if abs(z) > UNUSUAL:
