@@ -18,10 +18,11 @@ import irisjax as ij
 from experiments.bench_job import median_us
 from experiments.common import RESULTS, start, write
 from irisjax.infer.fit import fit
+from irisjax.infer.laplace import laplace
 from irisjax.infer.moves import IndependentMove, Straightening, mixture
 from irisjax.infer.observation import with_values
 from irisjax.infer.pieces import density
-from irisjax.infer.posterior import laplace, sample
+from irisjax.infer.posterior import sample
 from irisjax.infer.search import levenberg_marquardt
 
 LEVELS = ("low", "moderate", "high")

@@ -22,9 +22,10 @@ from experiments.simulated_eyes import DISTANCE, SIZE, WIDTH, Truth, photographe
 from irisjax.photo.boundaries import MIN_CONFIDENCE
 from irisjax.photo.clone import Given, Settings, clone
 from irisjax.photo.cloned import NOTHING, Clone, needed
+from irisjax.photo.concentrations import CONCENTRATIONS
 from irisjax.photo.ellipse import Ellipse
 from irisjax.photo.photograph import Photograph
-from irisjax.photo.pigments import CONCENTRATIONS, NAMES, PRIORS
+from irisjax.photo.pigments import NAMES, PRIORS
 
 EYES, DRAWS = 48, 63
 LEVELS = {"68": (0.16, 0.84), "95": (0.025, 0.975)}

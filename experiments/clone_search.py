@@ -9,8 +9,9 @@ from experiments.clone_thickness import ABOUT, EYES, brightened, simulated, writ
 from experiments.common import RESULTS, start, write
 from irisjax.photo.clone import Settings, clone
 from irisjax.photo.cloned import Clone, needed
+from irisjax.photo.concentrations import CONCENTRATIONS
 from irisjax.photo.picture import compare
-from irisjax.photo.pigments import CONCENTRATIONS, least_squares, simplex
+from irisjax.photo.pigments import least_squares, simplex
 
 STEPS = 1, 2, 4, 12, 50
 """Of the searches, where their path is kept; of the simplex those for the eumelanins."""

@@ -20,9 +20,10 @@ from irisjax.io.photographs import read_photograph
 from irisjax.measure.colour import srgb_encode
 from irisjax.photo.average import average_thickness
 from irisjax.photo.clone import FIBRILS
+from irisjax.photo.concentrations import iris_of
 from irisjax.photo.ellipse import Ellipse
 from irisjax.photo.photograph import Photograph
-from irisjax.photo.pigments import NAMES, PRIORS, iris_of
+from irisjax.photo.pigments import NAMES, PRIORS
 from irisjax.render.camera import Camera
 from irisjax.render.environment import Environment
 from irisjax.render.illumination import Illumination

@@ -19,8 +19,8 @@ from jaxtyping import Float
 from irisjax._types import PRNGKey
 from irisjax.infer.fit import fit
 from irisjax.infer.importance import EFFECTIVE, importance_sample
+from irisjax.infer.laplace import laplace
 from irisjax.infer.pieces import density
-from irisjax.infer.posterior import laplace
 from irisjax.infer.problem import Problem
 from irisjax.infer.resume import words_of
 from irisjax.numerics.checks import check_whole

@@ -16,6 +16,7 @@ from irisjax._types import PRNGKey
 from irisjax.infer.diagnostics import diagnostics
 from irisjax.infer.fit import Fit, fit
 from irisjax.infer.importance import DRAWS, importance_sample
+from irisjax.infer.laplace import laplace
 from irisjax.infer.moves import mixture
 from irisjax.infer.pieces import density
 from irisjax.infer.problem import Problem
@@ -59,9 +60,7 @@ class Chains(NamedTuple):
         return bool(self.status == ChainStatus.successful)
 
     def steps_needed(self) -> float:
-        """Steps that this autocorrelation time asks for, and some more, for it is still growing;
-        NaN where a walker never moved.
-        """
+        """Steps for this autocorrelation time, which still grows; NaN where a walker is stuck."""
         return 1.05 * TAUS * self.tau.max()
 
     def next_look(self, least: int) -> int:
@@ -124,10 +123,7 @@ def sample(
 
     if not path.exists():
         best = fit(problem, key=jax.random.fold_in(key, 0)) if start is None else start
-        mark = fingerprint(problem, walkers, words)
-        _begin(
-            path, problem, walkers, words, mark, best, lambda _: report("importance sampling")(0)
-        )
+        _begin(path, problem, walkers, words, best, lambda _: report("importance sampling")(0))
     log_probability = density(problem)
 
     burn = _Run(path, "burn", log_probability, mixture(None), words)
@@ -278,7 +274,7 @@ class _Run:
 
 
 def _begin(
-    path: Path, problem: Problem, walkers: int, words: list[int], mark: str, best: Fit, progress
+    path: Path, problem: Problem, walkers: int, words: list[int], best: Fit, progress
 ) -> None:
     """A new file with the walkers' first places, and with what teaches their jumps."""
     random = np.random.RandomState([*words, 1 << 31])
@@ -287,6 +283,7 @@ def _begin(
     # Walkers on one spot would know no differences.
     places = found.samples[random.choice(len(found.samples), walkers, walkers > DRAWS)]
     cloud = places + 1e-3 * found.samples.std(axis=0) * random.standard_normal((walkers, free))
+    mark = fingerprint(problem, walkers, words)
     _new_file(path, cloud, mark, found.samples if found.enough else None)
 
 
@@ -300,17 +297,3 @@ def _new_file(path: Path, places, mark: str, taught, lesson: int = 0) -> None:
             os.replace(temporary, path)
         finally:
             temporary.unlink(missing_ok=True)
-
-
-def laplace(problem: Problem, best: Fit) -> tuple[np.ndarray, np.ndarray]:
-    """Optimum and covariance of the normal approximation, the noise at what the residuals say."""
-    z, covariance = np.array(best.z, float), np.array(best.covariance, float)
-    points = sum(o.values.shape[-1] for o in problem.observations)
-    for i, name in enumerate(problem.free):
-        if name.startswith("noise"):
-            line = np.repeat(z[None], 64, axis=0)
-            line[:, i] = np.linspace(-4, 4, 64)
-            z[i] = line[int(np.nanargmax(density(problem)(line))), i]
-            covariance[i, i] = min(1.0, 1 / (2 * points * 0.25))
-    # Rounding must not make it indefinite.
-    return z, covariance + 1e-10 * np.eye(z.size)

@@ -11,9 +11,10 @@ from irisjax.io.images import encode_exr, encode_png
 from irisjax.io.maps import encode_maps
 from irisjax.measure.colour import srgb_encode
 from irisjax.photo.cloned import Clone, needed
+from irisjax.photo.concentrations import concentrations_of, iris_of
 from irisjax.photo.ellipse import Ellipse
 from irisjax.photo.picture import Comparison
-from irisjax.photo.pigments import UNITS, concentrations_of, iris_of
+from irisjax.photo.pigments import UNITS
 from irisjax.photo.pose import limbus_spread
 from irisjax.photo.unrefracted import HALF_WIDTH
 from irisjax.render.environment import Environment

@@ -32,12 +32,12 @@ from irisjax.photo.posterior import sample
 from irisjax.photo.refraction import SIZE, follow, unrefract
 from irisjax.photo.second import second_of
 from irisjax.photo.thickness import BETA, SIGMA
-from irisjax.photo.unrefracted import HALF_WIDTH
+from irisjax.photo.visible import pixels_shown
 from irisjax.photo.window_pixels import WindowPixels, choose_pixels, iris_alone
 from irisjax.photo.windows import Windows, windows_of
 from irisjax.render.environment import Environment
 from irisjax.render.illumination import Illumination
-from irisjax.render.project import View, onto_picture
+from irisjax.render.project import onto_picture
 from irisjax.render.scene import Scene
 from irisjax.render.separable import Separable
 from irisjax.render.stages import look
@@ -110,23 +110,10 @@ def _flat(found: Clone, settings: Settings, given: Given) -> Clone:
     if found.second is not None:
         part, clear = found.second.part, found.second.clear
     if given.visible is not None:
-        clear = _painted(needed(found.view), given.visible, clear.shape)
+        clear = pixels_shown(needed(found.view), given.visible, clear.shape)
         found = found._replace(clear=clear)
     where = follow(pose, SIZE)
     return found._replace(refraction=where, texture=unrefract(part, clear, pose, where))
-
-
-def _painted(view: View, visible: Bool[np.ndarray, "size size"], shape: tuple[int, int]):
-    """Pixels of the part that show what a mask of the flat iris says to be seen."""
-    if visible.shape != (SIZE, SIZE):
-        raise ValueError(f"the mask of what is visible is {visible.shape}, not {(SIZE, SIZE)}")
-    seen = view.iris
-    if seen is None:
-        return np.zeros(shape, bool)
-    x, y = (np.asarray(c) for c in seen.point[:2])
-    texel = 2 * HALF_WIDTH / SIZE
-    column, row = (np.clip(((c + HALF_WIDTH) / texel).astype(int), 0, SIZE - 1) for c in (x, -y))
-    return onto_picture(seen, visible[row, column].astype(np.float32), shape) > 0.5
 
 
 def _with_thickness(found: Clone, settings: Settings, given: Given) -> Clone:

@@ -7,11 +7,12 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from irisjax.photo.boundaries import Boundaries
+from irisjax.photo.concentrations import iris_of
 from irisjax.photo.ellipse import Ellipse
 from irisjax.photo.lamps import Lighting
 from irisjax.photo.morphology import Morphology
 from irisjax.photo.photograph import Photograph
-from irisjax.photo.pigments import Fit, iris_of
+from irisjax.photo.pigments import Fit
 from irisjax.photo.pose import Pose
 from irisjax.photo.posterior import PigmentPosterior
 from irisjax.photo.refraction import Refraction

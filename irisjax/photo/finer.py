@@ -6,10 +6,11 @@ import jax.numpy as jnp
 import numpy as np
 
 from irisjax.photo.cloned import Clone, Settings, needed
+from irisjax.photo.concentrations import iris_of
 from irisjax.photo.doubts import misfits
 from irisjax.photo.lamps import shade_on, tangent_of
 from irisjax.photo.morphology import Darkness, maps_of
-from irisjax.photo.pigments import NAMES, iris_of, values_of
+from irisjax.photo.pigments import NAMES, values_of
 from irisjax.photo.polar import to_polar
 from irisjax.photo.thickness import generic_thickness
 from irisjax.tissue.iris import Iris

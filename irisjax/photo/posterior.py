@@ -19,14 +19,8 @@ from irisjax.infer.importance import ImportanceSample, importance_sample
 from irisjax.infer.moves import mixture
 from irisjax.infer.posterior import Chains, diagnose
 from irisjax.numerics.programs import program
-from irisjax.photo.pigments import (
-    CONCENTRATIONS,
-    NAMES,
-    PRIORS,
-    Fit,
-    log_probability,
-    values_of,
-)
+from irisjax.photo.concentrations import CONCENTRATIONS
+from irisjax.photo.pigments import NAMES, PRIORS, Fit, log_probability, values_of
 from irisjax.photo.windows import Windows
 from irisjax.tissue.iris import Iris
 

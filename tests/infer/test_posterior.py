@@ -17,7 +17,6 @@ from common import heavily, slowly
 from irisjax.infer import importance, posterior
 from irisjax.infer.analytic import BeerLambert, FirstOrder
 from irisjax.infer.fit import fit
-from irisjax.infer.noise import Noise
 from irisjax.infer.posterior import sample
 from irisjax.infer.resume import check_run
 from irisjax.infer.summary import check, summarise
@@ -91,32 +90,6 @@ def test_burn_in_interrupted_and_resumed(tmp_path, monkeypatch, when):
     assert direct.steps <= chains.steps
     error = chains.z.std(axis=(0, 1)) * np.sqrt(1 / chains.ess_bulk + 1 / direct.ess_bulk)
     assert (np.abs(direct.z.mean(axis=(0, 1)) - chains.z.mean(axis=(0, 1))) < 4 * error).all()
-
-
-@pytest.mark.heavy
-@pytest.mark.parametrize("when", [slowly(250), 251, slowly(700)])
-def test_a_chain_that_is_too_slow_teaches_another(tmp_path, monkeypatch, when):
-    """What is kept has the same distribution, and is the same if the work is interrupted."""
-    problem, paths = stated(), [tmp_path / f"{name}.h5" for name in ("one", "whole", "mine")]
-    options = {"walkers": 16, "key": KEY}
-    one = sample(problem, paths[0], **options)
-    monkeypatch.setattr(posterior, "TAUS", 300)
-    reported = []
-    chains = sample(problem, paths[1], progress=lambda n, _: reported.append(n), **options)
-    assert chains.converged
-    assert max(reported) > chains.steps > 500
-    error = chains.z.std(axis=(0, 1)) * np.sqrt(1 / chains.ess_bulk + 1 / one.ess_bulk)
-    assert (np.abs(one.z.mean(axis=(0, 1)) - chains.z.mean(axis=(0, 1))) < 4 * error).all()
-
-    def stop(n, _):
-        if n == when:
-            raise KeyboardInterrupt
-
-    with pytest.raises(KeyboardInterrupt):
-        sample(problem, paths[2], progress=stop, **options)
-    sample(problem, paths[2], resume=True, **options)
-    for a, b in zip(*(rows(path) for path in paths[1:]), strict=True):
-        np.testing.assert_array_equal(a, b)
 
 
 def test_torn_step_and_damaged_file_are_mended(whole, tmp_path):
@@ -221,18 +194,6 @@ def test_memory_does_not_grow_with_the_chain(whole, tmp_path, monkeypatch):
             peaks[steps] = tracemalloc.get_traced_memory()[1]
             tracemalloc.stop()
         assert peaks[300] - peaks[30] < 270 * walkers * 8
-
-
-@pytest.mark.usefixtures("float32")
-def test_single_precision_samples_without_a_warning(tmp_path):
-    """Rounding leaves the fit's covariance symmetric; as sharp a measurement as any."""
-    free = ["melanin_load", "abl_fraction", "pheomelanin_share", "hemoglobin", "noise"]
-    problem = stated(free=free, noise=Noise(1e-3, 1e-5))
-    best = fit(problem, key=KEY)
-    assert best.covariance.dtype == np.float32
-    np.testing.assert_array_equal(best.covariance, best.covariance.T)
-    chains = sample(problem, tmp_path / "chain.h5", walkers=16, start=best, key=KEY, max_steps=600)
-    assert chains.converged
 
 
 @pytest.mark.heavy

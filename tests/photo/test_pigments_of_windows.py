@@ -8,12 +8,10 @@ import numpy as np
 import pytest
 from window_scenes import BASE, made_windows
 
+from irisjax.photo.concentrations import CONCENTRATIONS, concentrations_of, iris_of
 from irisjax.photo.pigments import (
-    CONCENTRATIONS,
     NAMES,
-    concentrations_of,
     exposures_for,
-    iris_of,
     least_squares,
     log_probability,
     predicted,

@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 from window_scenes import BASE, made_windows
 
-from irisjax.photo.pigments import CONCENTRATIONS, NAMES, least_squares, predicted, values_of
+from irisjax.photo.concentrations import CONCENTRATIONS
+from irisjax.photo.pigments import NAMES, least_squares, predicted, values_of
 from irisjax.photo.posterior import sample
 
 pytestmark = pytest.mark.heavy  # compiles search and density
