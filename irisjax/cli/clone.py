@@ -20,7 +20,7 @@ from irisjax.io.clone_folders import PHOTOGRAPH, encode_photograph
 from irisjax.io.clones import FILES, files_of
 from irisjax.io.photographs import read_photograph
 from irisjax.photo import clone as cloning
-from irisjax.photo.doubts import doubtful_outlines, doubts_of
+from irisjax.photo.doubts import doubtful_outlines, doubts_of, percent
 from irisjax.photo.picture import Comparison, compare
 from irisjax.plot.beside import Later, beside, here
 
@@ -74,7 +74,7 @@ def clone(picture: Picture, model: Model, results: Results) -> None:
         doubts = doubts_of(found, None if both is None else both.rms) + failed
         files = files_of(found, words, timings, both, doubts)
         if both is not None and drawn is not None:
-            print(f"difference of the pictures, RMS: {_percent(both.rms)} % (R, G, B)")
+            print(f"difference of the pictures, RMS: {percent(both.rms)} % (R, G, B)")
             files |= {name: later() for name, later in drawn.items()}
             files[PHOTOGRAPH] = encode_photograph(both.photograph)
     folder.mkdir(parents=True, exist_ok=True)
@@ -114,7 +114,3 @@ def _begun(found: cloning.Clone, both: Comparison, draw: Callable[..., Later]) -
         "differences.png": draw("differences", both.photograph, both.rendered, both.clear),
         "luminance.png": draw("luminance_profile", *both.arc(found, radius), radius),
     }
-
-
-def _percent(shares) -> str:
-    return ", ".join(f"{100 * share:.1f}" for share in shares)

@@ -65,6 +65,7 @@ class Chains(NamedTuple):
 
     def next_look(self, least: int) -> int:
         """Steps at which to look again whether it is long enough, `least` on or later."""
+        # A stuck walker may yet move: then as late as for a long autocorrelation time.
         needed = np.nan_to_num(self.steps_needed(), nan=np.inf)
         return int(np.clip(needed, self.steps + least, 1.5 * self.steps))
 

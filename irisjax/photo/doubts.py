@@ -67,7 +67,7 @@ def doubts_of(found: Clone, rms: Float[np.ndarray, "3"] | None = None) -> tuple[
             )
     if rms is not None and rms.max() > PICTURES_OFF:
         doubts.append(
-            f"the clone's picture differs from the photograph by {_percent(rms)} % RMS (R, G, B): "
+            f"the clone's picture differs from the photograph by {percent(rms)} % RMS (R, G, B): "
             "a reflection, a shadow or an iris that the model does not have"
         )
     if found.posterior is not None and not found.posterior.chains.converged:
@@ -100,5 +100,6 @@ def misfits(found: Clone) -> list[str]:
     return doubts
 
 
-def _percent(shares) -> str:
+def percent(shares) -> str:
+    """Shares of the channels as text."""
     return ", ".join(f"{100 * share:.1f}" for share in shares)

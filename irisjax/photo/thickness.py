@@ -39,10 +39,10 @@ OTHER = 0.25
 """
 MID_GREY = 0.18
 """Linear luminance to which the surroundings of each texel are exposed."""
-_RESPONSES = Range(-5, 5)
-_LEAST_RESPONSE = 1e-3
 ITERATIONS = 10
 """Of Richardson and Lucy: more sharpen noise."""
+_RESPONSES = Range(-5, 5)  # next to 0 where the stroma is opaque
+_LEAST_RESPONSE = 1e-3  # below it the Fourier factor of shading would be 0 / 0
 
 
 def generic_thickness(radius: Float[np.ndarray, "..."]) -> Float[np.ndarray, "..."]:

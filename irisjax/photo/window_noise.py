@@ -37,7 +37,9 @@ WHOLE = Spreads(0.15, 0.1, 0.0)
 have in common is the camera's white balance.
 """
 RING = Spreads(0.12, 0.08, 0.02)
-"""Of rings of one iris, for its collarette and its folds; those of `procedural` differ by 0.01."""
+"""Of rings of one iris, for its collarette, its folds and its colours: assumed; the light of those
+of `procedural` differs by 0.01.
+"""
 WIDER = 2.0 ** np.arange(4)
 """That these may be, twice as wide being half as likely: as much more as the photograph says."""
 USUAL = (
