@@ -216,21 +216,7 @@ class Iris(eqx.Module):
         """
         check_scalars(self, LIMITS)
         e = extinction
-        # The ABL fraction divides the mass: depth in a layer = extinction × mass per area in that
-        # layer.
-        eumelanin, pheomelanin = e.eumelanin * self.eumelanin, e.pheomelanin * self.pheomelanin
-        height = self.abl_thickness + self.stroma_thickness
-        melanin = self.intensification * (eumelanin + pheomelanin) * height
-        abl, stroma = melanin * self.abl_fraction, melanin * (1 - self.abl_fraction)
-        if (fraction := self.pheomelanin_abl_fraction) is not None:
-            moved = self.intensification * pheomelanin * height * (fraction - self.abl_fraction)
-            abl, stroma = abl + moved, stroma - moved
-        blood_and_carotenoids = (
-            e.oxyhemoglobin * self.oxyhemoglobin
-            + e.deoxyhemoglobin * self.deoxyhemoglobin
-            + e.lutein * self.lutein
-            + e.zeaxanthin * self.zeaxanthin
-        )
+        absorption = jnp.matmul(self._masses(), e.matrix, precision="highest")
         law = self.power_law
         if law is None:
             mu_s = SCATTERING[self.scattering](
@@ -243,13 +229,26 @@ class Iris(eqx.Module):
         else:
             mu_s = law.coefficient(e.wavelengths)
         return Layers(
-            abl_absorption=abl,
-            stroma_absorption=stroma + blood_and_carotenoids * self.stroma_thickness,
+            abl_absorption=absorption[0],
+            stroma_absorption=absorption[1],
             stroma_scattering=self.scattering_scale * mu_s * self.stroma_thickness,
             indices=self.indices(aqueous_index),
             order=self.order,
             phase=None if law is None else law.phase(e.wavelengths),
         )
+
+    def _masses(self):
+        """Of each pigment per area of the ABL and of the stroma, shape (2, pigments), in units of
+        `Extinction` times mm.
+        """
+        height = self.intensification * (self.abl_thickness + self.stroma_thickness)
+        melanin = jnp.stack([self.eumelanin, self.pheomelanin]) * height
+        fraction, own = self.abl_fraction, self.pheomelanin_abl_fraction
+        fraction = fraction if own is None else jnp.stack([fraction, own])
+        others = [self.oxyhemoglobin, self.deoxyhemoglobin, self.lutein, self.zeaxanthin]
+        others = jnp.stack(others) * self.stroma_thickness
+        abl = jnp.concatenate([melanin * fraction, jnp.zeros_like(others)])
+        return jnp.stack([abl, jnp.concatenate([melanin * (1 - fraction), others])])
 
     def parameters(self) -> dict[str, Any]:
         """Every set field by name, for headers and tables; concrete scalars come as Python

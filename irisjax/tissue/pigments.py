@@ -13,6 +13,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
+from jaxtyping import Array, Float
 
 from irisjax._types import Spectrum, as_float
 from irisjax.numerics.interpolation import piecewise_linear
@@ -48,6 +49,11 @@ class Extinction(eqx.Module):
     deoxyhemoglobin: Spectrum
     lutein: Spectrum
     zeaxanthin: Spectrum
+
+    @property
+    def matrix(self) -> Float[Array, "pigments wavelengths"]:
+        """All pigments', in the order of `PIGMENTS`: what concentrations times it sum to."""
+        return jnp.stack([getattr(self, pigment) for pigment in PIGMENTS])
 
 
 def table_range(pigment: str) -> tuple[float, float]:
