@@ -16,7 +16,7 @@ import numpy as np
 from irisjax._types import PRNGKey
 from irisjax.infer.diagnostics import predictive_score
 from irisjax.infer.evidence import Evidence, check_sampler, evidence, evidence_by_importance
-from irisjax.infer.models import solver_of
+from irisjax.infer.models import solvers_of
 from irisjax.infer.other_process import (
     PIGMENTS,
     PREFERRED,
@@ -97,9 +97,13 @@ def _general(problem: Problem) -> Problem:
     """The problem with a power law of scattering, by a solver with a relative error of 2e-3 or less
     for 95 % of the priors' irides: a tenth of the noise of a good spectrum.
     """
-    general, instrument = problem.under(PowerLaw()), problem.observations[0].instrument
-    solver = solver_of(general.base, instrument, general.process, AddingDoubling(12, 10))
-    return dataclasses.replace(general, solver=solver)
+    general = problem.under(PowerLaw())
+    return dataclasses.replace(
+        general,
+        solvers=solvers_of(
+            general.base, general.observations, general.process, {}, AddingDoubling(12, 10)
+        ),
+    )
 
 
 def compare_models(

@@ -1,11 +1,13 @@
 """Which iris, process and solver an inverse problem is for, and the same problem for others."""
 
 import dataclasses
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import jax.numpy as jnp
+from jax.core import Tracer
 
+from irisjax.infer.observation import Observation
 from irisjax.infer.parameters import OF_POWER_LAW, PARAMETERS, kind, of_iris
 from irisjax.measure.instrument import AbstractInstrument
 from irisjax.measure.observe import prepared
@@ -14,7 +16,11 @@ from irisjax.tissue.scattering import PowerLaw
 from irisjax.transport import shipped
 from irisjax.transport.pointwise import Pointwise
 from irisjax.transport.process import AbstractProcess, Ilit
+from irisjax.transport.radiative import known
+from irisjax.transport.radiative.tabulated import RadiativeTabulated
 from irisjax.transport.solver import AbstractSolver
+
+_OF_SCATTERING = {"stroma_thickness", "scattering_scale"}
 
 
 def restated(problem: Any, base: Iris, process: AbstractProcess, more: tuple[str, ...] = ()):
@@ -29,14 +35,15 @@ def restated(problem: Any, base: Iris, process: AbstractProcess, more: tuple[str
     free |= {n: PARAMETERS[n].prior for n in more if n not in set(map(kind, free))}
     stated = {n: v for n, v in of_iris(base).items() if n not in set(map(kind, free))}
     known = {n: v for n, v in problem.fixed.items() if n in stated and n not in gone}
+    fixed = as_arrays(stated) | known
     return dataclasses.replace(
         problem,
         base=base,
-        fixed=as_arrays(stated) | known,
+        fixed=fixed,
         free=tuple(free),
         priors=tuple(free.values()),
         process=process,
-        solver=solver_of(base, problem.observations[0].instrument, process, None),
+        solvers=solvers_of(base, problem.observations, process, fixed, None),
     )
 
 
@@ -56,16 +63,41 @@ def with_law(base: Iris, process: AbstractProcess, names: Iterable[str]) -> Iris
     return base.replace(power_law=PowerLaw()) if law and base.power_law is None else base
 
 
-def solver_of(
+def solvers_of(
     base: Iris,
-    instrument: AbstractInstrument,
+    observations: Sequence[Observation],
     process: AbstractProcess,
+    fixed: Mapping[str, Any],
     solver: AbstractSolver | None,
-) -> Pointwise:
-    """A solver (default: what is quickest for many spectra) ready for an inversion."""
-    if solver is None:
-        solver = shipped.quickest(base, instrument.media.aqueous, process)
-    return Pointwise(prepared(base, instrument, process, solver))
+) -> tuple[Pointwise, ...]:
+    """For each observation a solver (default: what is quickest for many spectra of irides with
+    these `fixed` parameters) ready for an inversion.
+    """
+
+    def one(instrument: AbstractInstrument):
+        mine = (
+            shipped.quickest(base, instrument.media.aqueous, process) if solver is None else solver
+        )
+        if solver is None and isinstance(mine, RadiativeTabulated):
+            mine = _of_what_scatters(base, instrument, fixed, mine)
+        return Pointwise(prepared(base, instrument, process, mine))
+
+    return tuple(one(o.instrument) for o in observations)
+
+
+def _of_what_scatters(
+    base: Iris, instrument: AbstractInstrument, fixed: Mapping[str, Any], table: RadiativeTabulated
+) -> AbstractSolver:
+    """The table, or what is quicker where nothing that scatters is free."""
+    _, cosine = instrument.incident()
+    if isinstance(cosine, str) or not fixed.keys() >= _OF_SCATTERING:
+        return table
+    iris = base.replace(**{n: fixed[n] for n in _OF_SCATTERING})
+    scattering = iris.layers(instrument.pigments, instrument.media.aqueous).stroma_scattering
+    traced = any(isinstance(x, Tracer) for x in (scattering, cosine))
+    if traced or not known.held(scattering):
+        return table
+    return known.of_known_scattering(table, scattering, cosine)
 
 
 def as_arrays(values: Mapping[str, Any]) -> dict[str, Any]:

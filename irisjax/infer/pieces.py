@@ -16,9 +16,10 @@ _ROWS = 64
 def elements(problem: Problem) -> int:
     """Numbers in the largest array that one evaluation makes."""
     sizes = [max(o.wavelengths.size, o.values.shape[-1]) for o in problem.observations]
+    each = max(solver.numbers_per_wavelength for solver in problem.solvers)
     # A correlated error takes a matrix.
     noise = max(sizes) ** 2 if problem.noise.discrepancy is not None else 0
-    return max(noise, sum(sizes) * problem.solver.numbers_per_wavelength)
+    return max(noise, sum(sizes) * each)
 
 
 def density(problem: Problem):

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from irisjax.infer.models import as_arrays, restated, solver_of, with_law
+from irisjax.infer.models import as_arrays, restated, solvers_of, with_law
 from irisjax.infer.noise import Noise
 from irisjax.infer.observation import Observation
 from irisjax.infer.parameters import (
@@ -40,14 +40,14 @@ class Problem(eqx.Module):
 
     Vectors `z`, shape (free,), hold the free parameters in the coordinates in which each prior is
     the standard normal. With several observations a name in `separate` is free once for each, as
-    `name@1`, …
+    `name@1`, … Each observation has its solver.
     """
 
     observations: tuple[Observation, ...]
     noise: Noise
     base: Iris
     fixed: dict[str, Any]
-    solver: AbstractSolver
+    solvers: tuple[AbstractSolver, ...]
     free: tuple[str, ...] = eqx.field(static=True)
     priors: tuple[AbstractPrior, ...]
     process: AbstractProcess = eqx.field(static=True)
@@ -201,7 +201,7 @@ class Problem(eqx.Module):
         mine, instrument = seen_by(values, i), self.observations[i].instrument
         gain = jnp.asarray(mine["gain"], instrument.gain.dtype)
         instrument = eqx.tree_at(lambda x: x.gain, instrument, gain)
-        return observed(iris_of(mine, self.base), instrument, self.process, self.solver)
+        return observed(iris_of(mine, self.base), instrument, self.process, self.solvers[i])
 
 
 def problem(
@@ -272,12 +272,13 @@ def problem(
     base = Iris() if base is None else base
     base = with_law(base, process, (*names, *fixed))
     start = {**of_iris(base), **fixed}
+    known = as_arrays({n: v for n, v in start.items() if n not in names})
     return Problem(
         observations=seen,
         noise=Noise() if noise is None else noise,
         base=base,
-        fixed=as_arrays({n: v for n, v in start.items() if n not in names}),
-        solver=solver_of(base, seen[0].instrument, process, solver),
+        fixed=known,
+        solvers=solvers_of(base, seen, process, known, solver),
         free=tuple(expanded),
         priors=tuple(priors.get(kind(n), PARAMETERS[kind(n)].prior) for n in expanded),
         process=process,

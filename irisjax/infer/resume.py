@@ -46,7 +46,7 @@ def fingerprint(problem: Problem, walkers: int, words: list[int]) -> str:
     # Structures name what is static: quantity, incidence, cornea, first surface, solver's settings.
     static = [jax.tree.structure((o.instrument, o.covariance_root)) for o in problem.observations]
     quantities = [o.quantity for o in problem.observations]
-    form = [problem.priors, static, quantities, jax.tree.structure(problem.solver)]
+    form = [problem.priors, static, quantities, jax.tree.structure(problem.solvers)]
     digest.update(repr(form).encode())
     for leaf in jax.tree.leaves((problem.observations, problem.noise, problem.base, problem.fixed)):
         digest.update(np.asarray(leaf).tobytes() if not isinstance(leaf, str) else leaf.encode())

@@ -13,8 +13,8 @@ from irisjax.transport.solver import AbstractSolver
 
 
 class Pointwise(AbstractSolver):
-    """A solver whose derivatives by any number of parameters cost three, by the layers' depths, and
-    two more where a phase function has parameters.
+    """A solver whose derivatives by any number of parameters cost three, by the layers' depths, two
+    where the scattering is known, and two more where a phase function has parameters.
 
     For inversions: derivatives by indices or incidence are refused, and so are BRDFs.
     """
@@ -46,17 +46,21 @@ class Pointwise(AbstractSolver):
             raise ValueError("Pointwise solves for reflectances; a BRDF needs the solver itself")
         diffuse = isinstance(cos_incidence, str)
         run = partial(_solution, layers.order, process, cos_incidence if diffuse else None)
-        how = self.solver, layers.indices, None if diffuse else cos_incidence, key, rays
-        depths = layers.abl_absorption, layers.stroma_absorption, layers.stroma_scattering
+        held = layers.stroma_scattering if self.solver.scattering_is_known else None
+        how = self.solver, layers.indices, None if diffuse else cos_incidence, key, rays, held
+        depths = layers.abl_absorption, layers.stroma_absorption
+        depths = depths if held is not None else (*depths, layers.stroma_scattering)
         if layers.phase is not None:
             depths = (*depths, layers.phase.rayleigh, layers.phase.anisotropy)
         return by_wavelength(run, how, depths, ())
 
 
 def _solution(order, process, diffuse, how, depths, _):
-    solver, indices, cosine, key, rays = how
-    phase = PhaseMixture(*depths[3:]) if len(depths) > 3 else None
-    layers = Layers(depths[0], depths[1], depths[2], indices, order, phase)
+    solver, indices, cosine, key, rays, scattering = how
+    abl, stroma, *others = depths
+    scattering = others.pop(0) if scattering is None else scattering
+    phase = PhaseMixture(*others) if others else None
+    layers = Layers(abl, stroma, scattering, indices, order, phase)
     return solver.solve(layers, process, diffuse or cosine, key=key, rays=rays)
 
 
@@ -78,7 +82,8 @@ def _by_wavelength_jvp(primals, tangents):
     _, moved, *slopes = tangents
     if any(t is not None for t in jax.tree.leaves(moved)):
         raise NotImplementedError(
-            "derivatives by indices or incidence are not part of an inversion"
+            "derivatives by indices, incidence or a scattering that is known are not part of an "
+            "inversion"
         )
     inputs, slopes = (*depths, *shared), (*slopes[0], *slopes[1])
     active = [i for i, slope in enumerate(slopes) if slope is not None]

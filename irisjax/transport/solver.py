@@ -2,7 +2,7 @@
 
 import abc
 from collections.abc import Callable
-from typing import TypeVar
+from typing import ClassVar, TypeVar
 
 import equinox as eqx
 
@@ -17,7 +17,12 @@ class AbstractSolver(eqx.Module):
     """A solver is an immutable value: a method and its settings.
 
     A new one is a subclass with these two methods; no instrument needs to know of it.
+
+    - `scattering_is_known`: whether it is made for layers that scatter alike, without derivatives
+        by their scattering.
     """
+
+    scattering_is_known: ClassVar[bool] = False
 
     @abc.abstractmethod
     def prepare(self, layers: Callable[[], Layers], process: AbstractProcess) -> "AbstractSolver":

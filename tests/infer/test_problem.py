@@ -12,6 +12,8 @@ from irisjax.infer.noise import Noise
 from irisjax.infer.parameters import PARAMETERS
 from irisjax.infer.priors import LogNormal
 from irisjax.tissue.scattering import POWER_LAW_LIMITS
+from irisjax.transport.radiative import shipped
+from irisjax.transport.solution import RESULTS
 
 GRID = ij.wavelengths(400, 700, 20)
 
@@ -156,6 +158,37 @@ def test_slopes_agree_with_differences(solver):
     steps = np.eye(10) * h
     difference = np.stack([(run(z + s) - run(z - s)) / (2 * h) for s in steps], 1)
     np.testing.assert_allclose(forward, difference, rtol=1e-4, atol=1e-5 * np.abs(forward).max())
+
+
+@pytest.mark.parametrize("free", [(), ("scattering_scale",), ("stroma_thickness",)])
+def test_radiative_transfer_reads_as_its_table_does_whatever_is_free(free):
+    """Of several observations, each on its own wavelengths and in its own light; some scattering is
+    known before, some is not.
+    """
+    iris = ij.Iris.of_level("low").replace(scattering_scale=1.3)
+    table = shipped.table(iris.indices())
+    spots = [
+        ij.spectrum(GRID, np.ones(GRID.size)),
+        ij.spectrum(GRID[3:], np.ones(GRID.size - 3), cos_incidence=0.6),
+        ij.spectrum(GRID, np.ones(GRID.size), cos_incidence="diffuse"),
+    ]
+    options = {"free": ("melanin_load", "abl_fraction", "gain", *free), "base": iris}
+    options |= {"process": ij.DEPTH_RESOLVED, "fixed": {"hemoglobin": 0.1}}
+    quick, whole = (ij.problem(spots, solver=solver, **options) for solver in (None, table))
+    z = jnp.linspace(-1.0, 1.5, len(quick.free))
+    assert quick.status(z) == RESULTS.successful
+    for found, expected in zip(quick.predict(z), whole.predict(z), strict=True):
+        np.testing.assert_allclose(found, expected, rtol=2e-5)
+
+
+@pytest.mark.parametrize("scale", [0.01, 30.0])
+def test_what_scatters_less_or_more_than_usual_is_read_too(scale):
+    iris = ij.Iris.of_level("low").replace(scattering_scale=scale)
+    seen = ij.spectrum(GRID[5:], np.ones(GRID.size - 5))
+    problem = ij.problem(seen, base=iris, free=["melanin_load"], process=ij.DEPTH_RESOLVED)
+    z = problem.standard({"melanin_load": float(iris.melanin_load)})
+    expected = ij.reflectance(iris, GRID[5:], process=ij.DEPTH_RESOLVED).values
+    np.testing.assert_allclose(problem.predict(z)[0], expected, rtol=3e-5)
 
 
 def test_spots_share_blood_but_not_melanin():

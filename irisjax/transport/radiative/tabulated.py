@@ -123,14 +123,6 @@ class RadiativeTabulated(AbstractSolver):
         nodes, interfaces = (60, 3) if self.dense_outside else (16, 0)
         outside, power = beams_of(cos_incidence, nodes, layers.indices, dtype, interfaces)
         beams = from_outside(layers, outside)
-        light = laid_out_as(
-            layers.extinction,
-            (1, 1, 1, 1, 1),
-            RadiativeTabulated._light,
-            *(self, layers.abl_absorption, layers.extinction, layers.albedo, layers.coalbedo),
-            *(beams, power),
-        )
-        reflectance, mirrored, abl, stroma, ipe = light
         values = None
         if cosine is not None:
             exits = from_outside(layers, cosine)
@@ -147,17 +139,41 @@ class RadiativeTabulated(AbstractSolver):
                 ),
                 *(beams, exits, azimuth, self.indices),
             )
+        return dataclasses.replace(self.solution(layers, beams, power), brdf=values)
+
+    def solution(
+        self,
+        layers: Layers,
+        beams: Directions,
+        power,
+        out=None,
+        held: Bool[Array, ""] | bool = True,
+    ) -> Solution:
+        """Shares of light along some beams, of these shares of its `power`, shape (beams,).
+
+        `out`: what of light scattered once leaves the iris, shape (wavelengths, beams), if it is
+        known without the table; `held`: whether that is of these layers.
+        """
+        light = laid_out_as(
+            layers.extinction,
+            (1, 1, 1, 1, 1),
+            RadiativeTabulated._light,
+            *(self, layers.abl_absorption, layers.extinction, layers.albedo, layers.coalbedo),
+            *(beams, power, out),
+        )
+        reflectance, mirrored, abl, stroma, ipe = light
+        held = self.holds(layers) & held
         return Solution(
             reflectance=reflectance,
             mirrored=mirrored,
             absorbed=Absorbed(abl=abl, stroma=stroma, ipe=ipe),
             standard_error=None,
             total_error=None,
-            brdf=values,
+            brdf=None,
             brdf_error=None,
             status=RESULTS.where(
                 layers.valid(),
-                RESULTS.where(self.holds(layers), RESULTS.successful, RESULTS.outside_table),
+                RESULTS.where(held, RESULTS.successful, RESULTS.outside_table),
                 RESULTS.invalid_input,
             ),
         )
@@ -168,10 +184,11 @@ class RadiativeTabulated(AbstractSolver):
         rounding = 1 + 8 * jnp.finfo(depth.dtype).eps
         return self.indices.same(layers.indices) & (layers.albedo <= rounding * most(depth)).all()
 
-    def _light(self, abl, depth, albedo, coalbedo, beams: Directions, power):
+    def _light(self, abl, depth, albedo, coalbedo, beams: Directions, power, out):
         """Shares of the light, one value a wavelength."""
         beam = jax.vmap(before, (0, 0, None))(abl, depth, beams)
         after = self.after(abl, depth, albedo, beams.cosine)
+        after = after if out is None else after._replace(out=out)
         first = beam.lost * albedo[:, None]
         # The fates are shares of one: what little the tables miss is shared out among the rest.
         ends = after.abl, after.ipe, coalbedo[:, None] * after.collisions
