@@ -21,6 +21,7 @@ from irisjax.infer.other_process import Optimum
 from irisjax.infer.problem import Problem
 from irisjax.infer.search import levenberg_marquardt
 from irisjax.infer.status import FitStatus, says
+from irisjax.transport.process import option_of
 
 _CHUNK = 64  # eyes a device at a time
 OK, DOUBTFUL, FAILED = "ok", "doubtful", "failed"
@@ -172,7 +173,8 @@ def _fitted(
     found, beside = (_fit_all(p, values, sds, key) for p in (problem, other))
     names = [n for n in problem.free if not n.startswith("noise")]
     columns = ["warnings", *(c for n in names for c in (n, f"{n}_sd"))]
-    columns += ["chi_square", "degrees", "p_value", "other_process", "log_odds_other", "differs"]
+    columns += ["chi_square", "degrees", "p_value", "process"]
+    columns += ["other_process", "log_odds_other", "differs"]
     columns += [*(f"other_{n}" for n in names if n in other_process.PIGMENTS), "notes"]
     rows = []
     for i, eye in enumerate(chunk):
@@ -189,8 +191,8 @@ def _fitted(
         rows.append(
             [
                 *(eye.name, status, "", "; ".join(warnings), *(f"{x:.6g}" for x in numbers)),
-                *(*last, f"{float(found.p_value[i]):.3g}", compared.process.transport),
-                f"{compared.log_odds:.4g}",
+                *(*last, f"{float(found.p_value[i]):.3g}", option_of(problem.process)),
+                *(option_of(compared.process), f"{compared.log_odds:.4g}"),
                 " ".join(n for n, m in compared.moved.items() if m.differs),
                 *(f"{m.other.value:.6g}" for m in compared.moved.values()),
                 "; ".join(eye.measured.notes),

@@ -16,6 +16,7 @@ from irisjax.infer.model_comparison import Assessment, compare_models, compariso
 from irisjax.infer.parameters import kind, unit_of
 from irisjax.infer.problem import Problem
 from irisjax.plot.beside import Later, here
+from irisjax.transport.process import option_of
 
 FILES = ("compare.csv", "compare.png")
 _FIRST = ("model", "process", "sampler", "ln_evidence", "ln_evidence_error", "score", "score_error")
@@ -62,7 +63,7 @@ def _table(found: Sequence[Assessment], sentence: str, seed: int) -> str:
         texts = [f"{x:.6g}" for x in numbers]
         for n, of in (*((n, a.values) for n in names), *((n, a.ratios) for n in shared)):
             texts += [f"{x:.6g}" for x in of[n]] if n in of else [""] * 3
-        writer.writerow([a.name, a.candidate.problem.process.transport, a.evidence.by, *texts])
+        writer.writerow([a.name, option_of(a.candidate.problem.process), a.evidence.by, *texts])
     return out.getvalue()
 
 

@@ -45,10 +45,11 @@ def left_out_by_scalar_theory(
     """How far scalar theory is off in what the instrument made for some of the wavelengths reads,
     in words.
     """
-    few = grid[np.unique(np.linspace(0, grid.size - 1, _FEW).round().astype(int))]
-    instrument = make(few)
-    if isinstance(instrument, ij.Colorimeter):
-        instrument = make(grid)  # a colour is of the whole range
+    if iris.power_law is not None:
+        return "how far that is off is not known under a power law of scattering"
+    instrument = make(grid)
+    if not isinstance(instrument, ij.Colorimeter):  # a colour is of the whole range
+        instrument = make(grid[np.unique(np.linspace(0, grid.size - 1, _FEW).round().astype(int))])
     scalar, full = (
         _light(observe(iris, instrument, process, model.exact_solver(process)))
         for process in (DEPTH_RESOLVED, POLARISED)
@@ -57,6 +58,8 @@ def left_out_by_scalar_theory(
     low = 100 * (1 - np.where(dark, 1, scalar) / np.where(dark, 1, full))
     first, last = float(low.min()), float(low.max())
     name = "luminance" if isinstance(instrument, ij.Colorimeter) else "values"
+    if max(abs(first), abs(last)) < 0.05:
+        return f"{name} equal to those of polarised transport of the same layers, to 0.05 %"
     said = [_off(first), _off(last)]
     if said[0] == said[1]:
         said = said[1:]
@@ -66,6 +69,24 @@ def left_out_by_scalar_theory(
 
 
 _FEW = 7  # wavelengths
+
+
+def few_photons(reading: Any) -> str | None:
+    """Says of a reading with standard errors where these rest on too few photons; else `None`."""
+    error = getattr(reading, "standard_error", None)
+    if error is None:
+        return None
+    # Of N photons of equal weight the standard error is the Nth part's root of the value.
+    rare = np.asarray(error) > np.abs(np.asarray(reading.values)) / np.sqrt(_LEAST)
+    if not rare.any():
+        return None
+    return (
+        f"{rare.sum()} of {rare.size} values come from fewer than {_LEAST} photons' worth: their "
+        "standard errors may be far too small; give more --photons"
+    )
+
+
+_LEAST = 10  # photons
 
 
 def _light(reading: Any) -> np.ndarray:

@@ -1,6 +1,7 @@
 """`irisjax spectrum`, `brdf` and `colour`: virtual instruments, CSV out."""
 
 import re
+import sys
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
@@ -13,12 +14,13 @@ import irisjax as ij
 from irisjax import io, plot
 from irisjax.cli.files import SwatchFile, TableFiles, check_files, write_table
 from irisjax.cli.header import head
-from irisjax.cli.jobs import left_out_by_scalar_theory, measured
+from irisjax.cli.jobs import few_photons, left_out_by_scalar_theory, measured
 from irisjax.cli.light import POLARIMETERS, BrdfLight, ColourLight, Light, SpectrumLight
 from irisjax.cli.model import (
     IrisOptions,
     ProcessOptions,
     SolverOptions,
+    check_scattering,
     iris_of,
     key_of,
     process_of,
@@ -162,8 +164,13 @@ def _read(
 ) -> tuple[Any, dict[str, str]]:
     """What the instrument that is made for the wavelengths reads, and the header that says how."""
     modelled, rules = iris_of(iris), process_of(process)
-    method, grid = solver_of(solver, rules, modelled), light.wavelengths.values
-    result = measured(modelled, make(grid), rules, method, key_of(solver))
+    check_scattering(modelled, rules)
+    grid = light.wavelengths.values
+    instrument = make(grid)
+    method = solver_of(solver, rules, modelled, exits=instrument.exits[0] is not None)
+    result = measured(modelled, instrument, rules, method, key_of(solver))
+    if (doubt := few_photons(result)) is not None:
+        print(f"irisjax: WARNING: {doubt}", file=sys.stderr)
     left_out = None
     if rules == DEPTH_RESOLVED:
         left_out = left_out_by_scalar_theory(modelled, make, grid)

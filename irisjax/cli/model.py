@@ -42,6 +42,7 @@ _DEFAULTS = {
     field.name: field.default for kind in (ij.Iris, PowerLaw) for field in dataclasses.fields(kind)
 }
 _LEVELS = ("low", "moderate", "high")
+_DEEP = "depth-resolved"
 
 
 def _field(name: str) -> Any:
@@ -51,6 +52,8 @@ def _field(name: str) -> Any:
     if above:
         allowed = f"above {low:g}, at most {high:g}" if math.isfinite(high) else f"above {low:g}"
     default = _DEFAULTS[name]
+    if name in POWER_LAW_LIMITS:
+        meaning = f"{meaning}; makes scattering a power law, for --process {_DEEP} alone"
     shown = isinstance(default, float) and not name.endswith("melanin")  # those are the level's
     return option(
         parse=number(),
@@ -115,9 +118,6 @@ class IrisOptions(Group):
     rayleigh_share: Annotated[float | None, _field("rayleigh_share")] = None
     scattering_power: Annotated[float | None, _field("scattering_power")] = None
     anisotropy: Annotated[float | None, _field("anisotropy")] = None
-
-
-_DEEP = "depth-resolved"
 
 
 def _polarising(context, param, value):
@@ -232,12 +232,31 @@ def process_of(options: ProcessOptions) -> AbstractProcess:
     return dataclasses.replace(process, **{n: v for n, v in switches.items() if v is not None})
 
 
+def check_scattering(iris: ij.Iris, process: AbstractProcess) -> None:
+    """Refuse a power law of scattering for a process that does not know it."""
+    law = "a power law of scattering (--reduced-scattering, --anisotropy, ...)"
+    if iris.power_law is None:
+        return
+    if not isinstance(process, RadiativeTransfer):
+        raise ValueError(f"{law} needs --process {_DEEP}")
+    if process.polarised:
+        raise ValueError(f"{law} does not go with polarised light, which knows Rayleigh's law only")
+
+
 def solver_of(
-    options: SolverOptions, process: AbstractProcess, iris: ij.Iris | None = None
+    options: SolverOptions,
+    process: AbstractProcess,
+    iris: ij.Iris | None = None,
+    *,
+    exits: bool = False,
 ) -> AbstractSolver:
-    """The solver that the options name, for such a process and iris."""
+    """The solver that the options name, for such a process and iris; `exits`: for a BRDF."""
     if options.solver == "exact":
-        return exact_solver(process, iris)
+        return exact_solver(process, iris, exits=exits)
+    if iris is not None and iris.power_law is not None and options.estimator != "analog":
+        raise ValueError(
+            f"--estimator {options.estimator} does not know a power law of scattering; analog does"
+        )
     if is_polarised(process):
         if options.estimator != "analog":
             raise ValueError(f"--estimator {options.estimator} does not treat polarised light")

@@ -28,6 +28,7 @@ from irisjax.infer.status import says
 from irisjax.infer.stream import backup
 from irisjax.infer.summary import Check, Row, check, predictive, reported, summarise
 from irisjax.plot.beside import Later, here
+from irisjax.transport.process import AbstractProcess, option_of
 
 COLUMNS = (
     "parameter",
@@ -42,6 +43,7 @@ COLUMNS = (
     "ess_bulk",
     "ess_tail",
     "contraction",
+    "process",
     "other_process",
     "other_value",
     "other_q2.5",
@@ -126,7 +128,7 @@ def one(
     ]
     if files:
         bar.set_description_str("files")
-        table = summary_csv(rows, compared)
+        table = summary_csv(rows, problem.process, compared)
         likelihoods = _write(problem, folder, chains, table, lines, key, simulated, pictures)
         score, error = predictive_score(likelihoods, chains.ess_bulk.mean() / chains.z[..., 0].size)
         lines.append(
@@ -141,8 +143,8 @@ def one(
     return chains.converged
 
 
-def summary_csv(rows: list[Row], by: other_process.Comparison) -> str:
-    """The summary as CSV, with what the other process makes of the pigments."""
+def summary_csv(rows: list[Row], process: AbstractProcess, by: other_process.Comparison) -> str:
+    """The summary by a process as CSV, with what the other one makes of the pigments."""
     out = text_io.StringIO()
     writer = csv.writer(out, lineterminator="\n")
     writer.writerow(COLUMNS)
@@ -150,8 +152,9 @@ def summary_csv(rows: list[Row], by: other_process.Comparison) -> str:
         moved, cells = by.moved.get(row.parameter), [""] * 5
         if moved is not None:
             numbers = (f"{x:.6g}" for x in moved.other)
-            cells = [by.process.transport, *numbers, "yes" if moved.differs else "no"]
-        writer.writerow([row.parameter, row.unit, *(f"{x:.6g}" for x in row[2:]), *cells])
+            cells = [option_of(by.process), *numbers, "yes" if moved.differs else "no"]
+        numbers = (f"{x:.6g}" for x in row[2:])
+        writer.writerow([row.parameter, row.unit, *numbers, option_of(process), *cells])
     return out.getvalue()
 
 
@@ -164,8 +167,15 @@ def _figures(problem: Problem, chains: Chains, key, draw) -> tuple[dict[str, Lat
         named = {n: f"{n}\n({unit_of(n)})" if unit_of(n) else n for n in shown}
         later["corner.png"] = draw("corner_figure", {named[n]: values[n].ravel() for n in shown})
     _, simulated, models = predictive(problem, chains, key=jax.random.fold_in(key, 3))
+    by = other_process.name_of(problem.process)
     shapes = [
-        (o.name, o.quantity, o.is_colour, np.asarray(o.wavelengths), np.asarray(o.values))
+        (
+            f"{o.name}, by {by}",
+            o.quantity,
+            o.is_colour,
+            np.asarray(o.wavelengths),
+            np.asarray(o.values),
+        )
         for o in problem.observations
     ]
     drawn = [[np.asarray(x) for x in arrays] for arrays in (simulated, models)]
@@ -248,7 +258,8 @@ def _print(problem: Problem, rows: list[Row], lines: list[str], chains: Chains, 
     # Where nobody looks at it now, a line is as long as it is.
     console = Console(width=None if sys.stdout.isatty() else 1000, highlight=False)
     seen = problem.observations
-    title = f"{', '.join(o.name for o in seen)}: posterior{' of one eye' if len(seen) > 1 else ''}"
+    names, by = ", ".join(o.name for o in seen), other_process.name_of(problem.process)
+    title = f"{names}: posterior{' of one eye' if len(seen) > 1 else ''} by {by}"
     table = Table(title=title, title_justify="left", box=None, pad_edge=False, padding=(0, 2, 0, 0))
     columns = {
         "parameter": [r.parameter for r in rows],

@@ -10,7 +10,13 @@ import irisjax as ij
 from irisjax.cli.files import TableFile, check_files, write_table
 from irisjax.cli.header import settings
 from irisjax.cli.light import NoisyLight
-from irisjax.cli.model import IrisOptions, ProcessOptions, iris_of, process_of
+from irisjax.cli.model import (
+    IrisOptions,
+    ProcessOptions,
+    check_scattering,
+    iris_of,
+    process_of,
+)
 from irisjax.cli.options import grouped
 from irisjax.infer.parameters import of_iris
 from irisjax.transport.defaults import exact_solver
@@ -24,6 +30,7 @@ def simulate_measurement(
     """A noisy spectrum of a modelled iris with its truth in the header, to try `irisjax fit` on."""
     check_files(files.output)
     modelled, followed = iris_of(iris), process_of(process)
+    check_scattering(modelled, followed)
     truth = {n: float(v) for n, v in of_iris(modelled).items() if n != "noise"}
     truth["gain"] = light.gain
     lines = {
@@ -53,7 +60,7 @@ def _scans(
     problem = ij.problem(
         seen,
         free=["noise"],
-        fixed=truth,
+        fixed={"gain": light.gain},
         base=iris,
         process=process,
         solver=exact_solver(process, iris),

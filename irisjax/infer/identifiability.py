@@ -145,9 +145,12 @@ def _combination(fisher, a: int, b: int) -> float:
 
 
 def _percent(x: float) -> str:
-    if not np.isfinite(x) or x > 100:
+    if not np.isfinite(x) or x > _UNKNOWN:
         return "no limit"
-    return f"{100 * x:.0f} %" if x > 1 else f"{100 * x:.2g} %"
+    return f"a factor of {np.exp(x):.2g}" if x > 1 else f"{100 * x:.2g} %"
+
+
+_UNKNOWN = 3.0  # a factor of twenty
 
 
 def _word(name: str) -> str:

@@ -200,7 +200,7 @@ def name_of(process: AbstractProcess) -> str:
 
 def odds_in_words(log_odds: float) -> str:
     """Odds to one, of their logarithm."""
-    return f"{math.exp(log_odds):.2g}" if log_odds < 30 else f"1e{log_odds / math.log(10):.0f}"
+    return _number(math.exp(log_odds)) if log_odds < 12 else f"1e{log_odds / math.log(10):.0f}"
 
 
 def _shift(name: str, moved: Moved) -> str:
@@ -212,7 +212,12 @@ def _shift(name: str, moved: Moved) -> str:
     if 0.95 < ratio < 1.05:
         return f"{text}, about the same"
     more = ratio > 1
-    return f"{text}, {ratio if more else 1 / ratio:.2g} times {'more' if more else 'less'}"
+    return f"{text}, {_number(ratio if more else 1 / ratio)} times {'more' if more else 'less'}"
+
+
+def _number(x: float) -> str:
+    """Two digits, without an exponent."""
+    return f"{x:.2g}" if x < 100 else f"{float(f'{x:.2g}'):,.0f}"
 
 
 def _fitted(problem: Problem) -> list[int]:

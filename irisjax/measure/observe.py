@@ -93,7 +93,8 @@ def prepared(
             f"{type(instrument).__name__} sees polarisation; "
             "give process=RadiativeTransfer(polarised=True)"
         )
-    solver = exact_solver(process, iris) if solver is None else solver
+    if solver is None:
+        solver = exact_solver(process, iris, exits=instrument.exits[0] is not None)
     # Through the class: binding a method of an Equinox module costs more than the call.
     return type(solver).prepare(solver, partial(_layers, iris, instrument), process)
 

@@ -8,10 +8,13 @@ from irisjax.transport.radiative.exact import RadiativeExact
 from irisjax.transport.solver import AbstractSolver
 
 
-def exact_solver(process: AbstractProcess, iris: Iris | None = None) -> AbstractSolver:
+def exact_solver(
+    process: AbstractProcess, iris: Iris | None = None, *, exits: bool = False
+) -> AbstractSolver:
     """The deterministic reference solver of a process, at its default accuracy; for radiative
-    transfer of an iris with a power law of scattering `AddingDoubling`.
+    transfer of an iris with a power law of scattering `AddingDoubling`, with as many angles as a
+    BRDF takes if there are `exits`.
     """
     if iris is not None and iris.power_law is not None and not isinstance(process, Ilit):
-        return AddingDoubling()
+        return AddingDoubling.following(iris.power_law.anisotropy) if exits else AddingDoubling()
     return IlitExact() if isinstance(process, Ilit) else RadiativeExact()

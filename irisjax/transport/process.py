@@ -106,6 +106,12 @@ PROCESSES: dict[str, AbstractProcess] = {
 """Processes by the name the command line gives them."""
 
 
+def option_of(process: AbstractProcess) -> str:
+    """The name that the command line gives a process; what outputs call it where it has none."""
+    names = (name for name, known in PROCESSES.items() if known == process)
+    return next(names, process.transport)
+
+
 def entry_density(cosine: Float[Array, "*s"]) -> Float[Array, "*s"]:
     """Density of the cosine after diffuse perturbation, 2μ on [0, 1]  [LB06 Eq. 1]."""
     return 2 * cosine

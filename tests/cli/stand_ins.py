@@ -65,7 +65,7 @@ class Quick(AbstractSolver):
 def with_quick(monkeypatch):
     true = ij.problem
     for module in (model, simulate):
-        monkeypatch.setattr(module, "exact_solver", lambda process, iris=None: Quick())
+        monkeypatch.setattr(module, "exact_solver", lambda process, iris=None, **how: Quick())
     monkeypatch.setattr(
         ij, "problem", lambda *given, **stated: true(*given, **{**stated, "solver": Quick()})
     )

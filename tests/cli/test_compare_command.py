@@ -56,7 +56,7 @@ def test_from_file_to_files(irisjax, eye, compared, tmp_path):
     assert text.splitlines()[0] == f"# {sentence}"
     rows = list(csv.DictReader(line for line in text.splitlines() if not line.startswith("#")))
     assert [r["model"] for r in rows] == ["ILIT", "radiative transfer"]
-    assert [r["process"] for r in rows] == ["whole-layer", "depth-resolved"]
+    assert [r["process"] for r in rows] == ["ilit-2006", "depth-resolved"]
     assert {r["sampler"] for r in rows} == {"nested sampling"}
     assert [float(r["ln_evidence"]) for r in rows] == [100.0, 80.0]
     assert float(rows[1]["melanin_load_ratio"]) == 2.0

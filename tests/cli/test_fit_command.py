@@ -31,9 +31,10 @@ def test_one_eye_from_file_to_files(fitted):
     assert {p.name for p in fitted.folder.iterdir()} == FILES
     rows = summary(fitted.folder)
     columns = "parameter,unit,median,sd,q2.5,q16,q84,q97.5,rhat,ess_bulk,ess_tail,contraction"
-    columns += ",other_process,other_value,other_q2.5,other_q97.5,differs"
+    columns += ",process,other_process,other_value,other_q2.5,other_q97.5,differs"
     assert list(rows["melanin_load"]) == columns.split(",")
     assert rows["melanin_load"]["other_process"] == "depth-resolved"
+    assert rows["melanin_load"]["process"] == "ilit-2006"
     assert float(rows["melanin_load"]["other_value"]) > 0
     assert rows["eumelanin"]["other_process"] == ""
     assert "by radiative transfer melanin_load is" in fitted.printed.splitlines()[0]

@@ -13,7 +13,7 @@ SOLVER = ij.RadiativeExact(24, 8, 1)
 
 @pytest.fixture
 def coarse(monkeypatch):
-    monkeypatch.setattr(model, "exact_solver", lambda process, iris=None: SOLVER)
+    monkeypatch.setattr(model, "exact_solver", lambda process, iris=None, **how: SOLVER)
 
 
 @pytest.mark.heavy

@@ -77,6 +77,59 @@ def test_spectrum_is_the_librarys(irisjax, printed):
     np.testing.assert_allclose(columns["reflectance"], expected.values, rtol=1e-11)
 
 
+POWER_LAW = ("--process", "depth-resolved", "--reduced-scattering", "1.2")
+
+
+@pytest.mark.heavy  # adding-doubling of few wavelengths
+@pytest.mark.parametrize("g", ["0.85", "0.95"])
+def test_a_power_law_of_scattering_is_measured_from_the_shell(irisjax, printed, g):
+    status, out, err = irisjax("spectrum", *POWER_LAW, "--anisotropy", g, *GRID)
+    assert (status, err) == (0, "")
+    header, columns = printed(out)
+    assert "not known under a power law" in header["approximation"]
+    iris = ij.Iris().replace(reduced_scattering=1.2, anisotropy=float(g))
+    expected = ij.reflectance(iris, ij.wavelengths(400, 700, 100), process=ij.DEPTH_RESOLVED)
+    np.testing.assert_allclose(columns["reflectance"], expected.values, rtol=1e-9)
+
+
+@pytest.mark.slow  # as many azimuthal orders as angles
+@pytest.mark.parametrize("g", ["0.85", "0.95"])
+def test_a_brdf_has_the_angles_that_its_anisotropy_takes(irisjax, g):
+    grid = ("--wavelengths", "700", "--angles", "4")
+    assert irisjax("brdf", *POWER_LAW, "--anisotropy", g, *grid)[0] == 0
+
+
+@pytest.mark.heavy
+def test_a_colour_by_radiative_transfer(irisjax):
+    status, out, err = irisjax("colour", "--process", "depth-resolved", "--level", "low")
+    assert (status, err) == (0, "")
+    assert "luminance" in out
+
+
+@pytest.mark.parametrize(
+    ("arguments", "told"),
+    [
+        ((), "needs --process depth-resolved"),
+        (("--polarised",), "does not go with polarised light"),
+        (
+            (*POWER_LAW[:2], "--solver", "monte-carlo", "--estimator", "weighted"),
+            "--estimator weighted does not know",
+        ),
+    ],
+)
+def test_where_a_power_law_is_not_known_is_said(irisjax, arguments, told):
+    status, out, err = irisjax("spectrum", *arguments, "--reduced-scattering", "1", *GRID)
+    assert (status, out) == (2, "")
+    assert told in err and err.count("\n") == 1
+
+
+def test_standard_errors_of_few_photons_are_doubted(irisjax):
+    few = ("spectrum", "--solver", "monte-carlo", "--photons", "100", "--level", "high", *GRID)
+    status, _, err = irisjax(*few)
+    assert status == 0
+    assert "fewer than 10 photons" in err
+
+
 @pytest.mark.slow  # two programs of photons
 def test_brdf_by_photons(irisjax, printed):
     sampled = ("--solver", "monte-carlo", "--photons", "2000")

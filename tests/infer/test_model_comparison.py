@@ -63,7 +63,7 @@ def test_a_power_law_comes_first_where_the_problem_has_one(blank):
 @pytest.mark.parametrize(
     ("apart", "said"),
     [
-        (10.0, "prefer A to B by odds of 2.2e+04 to 1"),
+        (10.0, "prefer A to B by odds of 22,000 to 1"),
         (-100.0, "prefer B to A by odds of 1e43 to 1"),
         (3.2, "do not decide between A and B"),  # 20 to 1, but for the errors
         (0.0, "do not decide between"),

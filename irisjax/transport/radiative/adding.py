@@ -34,7 +34,12 @@ from irisjax.transport.radiative.exact import Flux
 from irisjax.transport.radiative.expansion import phase_matrices, series_value
 from irisjax.transport.radiative.fates import Course, before, course
 from irisjax.transport.radiative.orders import single_scattering
-from irisjax.transport.radiative.resolution import angles_resolved, brdf_resolved, outcome
+from irisjax.transport.radiative.resolution import (
+    angles_resolved,
+    brdf_resolved,
+    moments_for,
+    outcome,
+)
 from irisjax.transport.solution import Absorbed, Solution
 from irisjax.transport.solver import AbstractSolver, checked_process
 
@@ -62,6 +67,15 @@ class AddingDoubling(AbstractSolver):
         check_whole("n_angles", self.n_angles, 4)
         if self.n_doublings is not None:
             check_whole("n_doublings", self.n_doublings, 0, 60)
+
+    @classmethod
+    def following(cls, anisotropy) -> "AddingDoubling":
+        """With as many angles as a BRDF takes of a stroma that scatters with this mean cosine; the
+        usual number where it is traced.
+        """
+        if isinstance(anisotropy, Tracer):
+            return cls()
+        return cls(max(cls.n_angles, moments_for(float(anisotropy))))
 
     def prepare(self, layers: Callable[[], Layers], process) -> "AddingDoubling":
         """The solver with its number of doublings fixed."""

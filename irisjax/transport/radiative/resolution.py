@@ -68,6 +68,12 @@ def brdf_resolved(layers: Layers, phase: PhaseMixture, n_angles: int):
     return jnp.where(scatters, _beyond(phase, n_angles) <= _SHARP, True).all()
 
 
+def moments_for(anisotropy: float) -> int:
+    """Moments of a phase function that follow a BRDF for every share of Rayleigh's law."""
+    g = abs(anisotropy)
+    return 1 if g < _SHARP else int(np.ceil(np.log(_SHARP) / np.log(g)))
+
+
 def _beyond(phase: PhaseMixture, n_angles: int):
     """What the phase function has in moments beyond those that count."""
     return (1 - phase.rayleigh) * jnp.abs(phase.anisotropy) ** n_angles
