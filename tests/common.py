@@ -108,6 +108,7 @@ def solve(process, made, cosine=1.0, solver=None, exits=None, azimuth=None):
     filled shape and order of media.
     """
     solver = exact(process) if solver is None else solver
+    solver = type(solver).along(solver, lambda: made, cosine, exits)
     solver = type(solver).prepare(solver, lambda: made, process)
     depths = ("abl_absorption", "stroma_absorption", "stroma_scattering")
     n, n_exits = len(made.abl_absorption), None if exits is None else len(exits)

@@ -95,8 +95,10 @@ def prepared(
         )
     if solver is None:
         solver = exact_solver(process, iris, exits=instrument.exits[0] is not None)
+    layers = partial(_layers, iris, instrument)
     # Through the class: binding a method of an Equinox module costs more than the call.
-    return type(solver).prepare(solver, partial(_layers, iris, instrument), process)
+    solver = type(solver).along(solver, layers, instrument.incident()[1], instrument.exits[0])
+    return type(solver).prepare(solver, layers, process)
 
 
 @jax.jit

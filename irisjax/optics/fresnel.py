@@ -85,8 +85,8 @@ def coherence(cos_in: Float[Array, "*s"], cos_out: Float[Array, "*s"], n_in, n_o
     turned = 2 * q / (1 + q * q)
     lost = jnp.where(total, turned * q, (n_in * n_in + n_out * n_out) * x)
     return Coherence(
-        reflected=lax.complex(1 - lost, turned),
-        lost=lax.complex(lost, -turned),
+        reflected=lax.complex(1 - lost, -turned),
+        lost=lax.complex(lost, turned),
         passed=jnp.where(total, 0.0, 2 * n_in * n_out * x),
         contrast=jnp.where(total, 0.0, (n_in - n_out) * (n_in + n_out) * x),
     )

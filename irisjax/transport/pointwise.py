@@ -25,6 +25,10 @@ class Pointwise(AbstractSolver):
         """Prepare the solver inside."""
         return Pointwise(type(self.solver).prepare(self.solver, layers, process))
 
+    def along(self, layers, cos_incidence, cos_exit=None) -> "Pointwise":
+        """As the solver inside."""
+        return Pointwise(type(self.solver).along(self.solver, layers, cos_incidence, cos_exit))
+
     @property
     def numbers_per_wavelength(self) -> int:
         """Those of the solver inside."""

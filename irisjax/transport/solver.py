@@ -32,6 +32,12 @@ class AbstractSolver(eqx.Module):
         `ValueError` for a process that the solver does not treat.
         """
 
+    def along(self, layers: Callable[[], Layers], cos_incidence, cos_exit=None) -> "AbstractSolver":
+        """The solver with what light from and into these directions takes; called before `prepare`
+        where they are known. Most solvers need nothing.
+        """
+        return self
+
     @abc.abstractmethod
     def solve(
         self,

@@ -7,7 +7,13 @@ from hypothesis import strategies as st
 from mpmath import mp, mpf
 
 from irisjax.numerics.roots import safe_sqrt
-from irisjax.optics.fresnel import critical_cosine_squared, fresnel, fresnel_at, refract
+from irisjax.optics.fresnel import (
+    coherence,
+    critical_cosine_squared,
+    fresnel,
+    fresnel_at,
+    refract,
+)
 
 indices = st.floats(1.0, 3.0)
 cosines = st.floats(0.0, 1.0)
@@ -157,3 +163,19 @@ def test_safe_sqrt():
     np.testing.assert_array_equal(
         jax.vmap(jax.grad(safe_sqrt))(array([-1.0, 0.0, 4.0])), [0, 0, 0.25]
     )
+
+
+@pytest.mark.parametrize(("n_in", "n_out"), [(1.5, 1.0), (1.0, 1.5), (1.4, 1.336)])
+def test_coherence_is_the_product_of_fresnels_amplitudes(n_in, n_out):
+    """r_p r_s* of complex amplitudes, total reflection included, field as e^{−iωt}: beyond an
+    interface that mirrors totally it dies away, so that the cosine there is positive imaginary.
+    [Born & Wolf 1999, Section 1.5.4]
+    """
+    cosine = np.linspace(0.02, 1.0, 50)
+    beyond = np.sqrt((1 - (n_in / n_out) ** 2 * (1 - cosine**2)).astype(complex))
+    s = (n_in * cosine - n_out * beyond) / (n_in * cosine + n_out * beyond)
+    p = (n_out * cosine - n_in * beyond) / (n_out * cosine + n_in * beyond)
+    refracted = refract(jnp.asarray(cosine), n_in, n_out)
+    found = coherence(jnp.asarray(cosine), refracted, n_in, n_out)
+    np.testing.assert_allclose(found.reflected, p * s.conj(), rtol=1e-12, atol=1e-14)
+    np.testing.assert_allclose(found.lost, 1 - p * s.conj(), rtol=1e-9, atol=1e-13)

@@ -252,3 +252,44 @@ def test_darker_than_ilit():
         if (r["level"], float(r["abl_fraction"]), float(r["mu_i"])) == ("low", 0.5, 1.0)
     )
     np.testing.assert_allclose(spectrum, list(rows), rtol=1e-6)
+
+
+@pytest.mark.parametrize("polarised", [False, pytest.param(True, marks=pytest.mark.heavy)])
+def test_grazing_light_has_the_panels_that_it_takes(polarised):
+    """Of a stroma that is not denser than the aqueous humour: the beam dies in its skin, which one
+    panel was too coarse for (reflectances 5e-4 off, a BRDF by two fifths). Scalar values by an
+    adding-doubling of one's own from layers of 1e-9.
+    """
+    pigments = (
+        "eumelanin",
+        "pheomelanin",
+        "oxyhemoglobin",
+        "deoxyhemoglobin",
+        "lutein",
+        "zeaxanthin",
+    )
+    colourless = dict.fromkeys(pigments, 0.0)
+    matched = dict.fromkeys(("abl_index", "stroma_index", "ipe_index"), 1.336)
+    process = ij.RadiativeTransfer(polarised=polarised)
+    fine = ij.RadiativeExact(n_panels=12)
+    for scale, independent in ((1.0, 0.57602924), (4.0, None)):
+        iris = ij.Iris(**colourless, **matched, scattering_scale=scale)
+        found, expected = (
+            ij.reflectance(iris, [450.0], process=process, cos_incidence=0.003, solver=s).values
+            for s in (None, fine)
+        )
+        np.testing.assert_allclose(found, expected, rtol=1e-7)
+        if independent is not None and not polarised:
+            np.testing.assert_allclose(found, independent, rtol=3e-8)
+    if not polarised:
+        found, expected = (
+            ij.brdf(iris, [450.0], cos_incidence=0.03, cos_exit=[1.0, 0.003], solver=s,
+                    process=process).values
+            for s in (None, fine)
+        )  # fmt: skip
+        np.testing.assert_allclose(found, expected, rtol=1e-6)
+        coarse = ij.reflectance(
+            iris, [450.0], process=process, cos_incidence=0.003, throw=False,
+            solver=ij.RadiativeExact(n_panels=1),
+        )  # fmt: skip
+        assert coarse.status == ij.RESULTS.under_resolved

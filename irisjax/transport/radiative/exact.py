@@ -15,6 +15,7 @@ from typing import NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+from jax.core import Tracer
 
 from irisjax.numerics import linear
 from irisjax.numerics.checks import check_whole
@@ -32,7 +33,7 @@ from irisjax.transport.radiative.directions import (
     split,
 )
 from irisjax.transport.radiative.fates import before
-from irisjax.transport.radiative.resolution import panels_for, status_of
+from irisjax.transport.radiative.resolution import panels_for, status_of, steepness
 from irisjax.transport.radiative.slab import Ends, Slab
 from irisjax.transport.solution import Absorbed, Solution
 from irisjax.transport.solver import AbstractSolver, checked_process
@@ -71,6 +72,17 @@ class RadiativeExact(AbstractSolver):
             value = getattr(self, name)
             if value is not None:
                 check_whole(name, value, low)
+
+    def along(self, layers: Callable[[], Layers], cos_incidence, cos_exit=None) -> "RadiativeExact":
+        """The solver with as many panels as grazing light of a stroma takes that is not denser than
+        what lies before it.
+        """
+        known = not any(isinstance(x, Tracer) for x in (cos_incidence, cos_exit))
+        if self.n_panels is not None or not known:
+            return self
+        made = layers()
+        slant = steepness(made, cos_incidence, cos_exit)
+        return RadiativeExact(self.n_angles, self.n_depths, panels_for(made, self.n_depths, slant))
 
     def prepare(self, layers: Callable[[], Layers], process) -> "RadiativeExact":
         """The solver with its number of panels fixed."""
@@ -130,7 +142,7 @@ def _solve(
         total_error=None,
         brdf=flux.brdf,
         brdf_error=None,
-        status=status_of(layers, n_depths, n_panels),
+        status=status_of(layers, n_depths, n_panels, steepness(layers, cos_incidence, cos_exit)),
     )
 
 

@@ -1,9 +1,12 @@
 """Whether a slab's depth polynomials are enough, and whether precision is."""
 
+from typing import Any
+
 import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
 
+from irisjax.optics.fresnel import refract
 from irisjax.optics.mixture import PhaseMixture
 from irisjax.tissue.layers import Layers
 from irisjax.transport.radiative.slab import fractions
@@ -11,25 +14,46 @@ from irisjax.transport.solution import RESULTS
 
 # `_coarseness` up to which reflectance is good to 1e-7.
 _RESOLVED = 0.47
+_STEEP = 0.25  # cosine up to which directions need no panels of their own
 _SHARP = 5e-3  # `_angular_error` up to which there are enough angles
 _MOST_PANELS = 32  # optical depths of 1e9
 
 
-def panels_for(layers: Layers, n_depths: int) -> int | None:
-    """Depth panels needed for concrete layers; `None` for traced ones."""
-    if isinstance(layers.extinction, Tracer) or isinstance(layers.albedo, Tracer):
+def panels_for(layers: Layers, n_depths: int, slant: Any = 1.0) -> int | None:
+    """Depth panels needed for concrete layers of such a `steepness`; `None` for traced ones."""
+    if any(isinstance(x, Tracer) for x in (layers.extinction, layers.albedo, slant)):
         return None
-    panels, coarseness = 1, np.asarray(_coarseness(layers, n_depths, 1))
+    panels, coarseness = 1, np.asarray(_coarseness(layers, n_depths, 1, slant))
     # Layers that are not numbers are refused by the status; no panels help them.
     while (
         panels < _MOST_PANELS and coarseness[np.isfinite(coarseness)].max(initial=0.0) > _RESOLVED
     ):
         panels += 1
-        coarseness = np.asarray(_coarseness(layers, n_depths, panels))
+        coarseness = np.asarray(_coarseness(layers, n_depths, panels, slant))
     return panels
 
 
-def _coarseness(layers: Layers, n_depths: int, n_panels: int):
+def steepness(layers: Layers, cos_incidence, cos_exit=None):
+    """By how much sources change faster in depth than those of light at a cosine of 0.25 in the
+    stroma, because of light from or into a single direction nearer to grazing; 1 at least. LB06's
+    stroma, denser than the aqueous humour, has no such direction.
+
+    Diffuse light has 1: what grazes is little of it.
+    """
+    n, steep = layers.indices, jnp.ones((), layers.extinction.dtype)
+    for outside in (cos_incidence, cos_exit):
+        if outside is None or isinstance(outside, str):
+            continue
+        inside = refract(jnp.asarray(outside, steep.dtype), n.aqueous, n.stroma)
+        # What is mirrored totally does not come in.
+        enters = inside > 0
+        steep = jnp.maximum(
+            steep, jnp.where(enters, _STEEP / jnp.where(enters, inside, 1.0), 1.0).max()
+        )
+    return steep
+
+
+def _coarseness(layers: Layers, n_depths: int, n_panels: int, slant: Any = 1.0):
     """How coarse the panels are; the relative error of reflectance is about 8e-7 of its cube.
 
     Fitted to a scan over depths 0.1 to 32, albedos 0.003 to 1, 6 to 10 polynomials
@@ -38,14 +62,14 @@ def _coarseness(layers: Layers, n_depths: int, n_panels: int):
     """
     outer = layers.extinction * (fractions(n_panels)[0] * 8 / n_depths)
     # The second is what it takes to follow the beam itself where next to nothing scatters.
-    return jnp.maximum(
+    return slant * jnp.maximum(
         jnp.cbrt(layers.albedo) ** 2 * outer * (8 / n_depths) ** (4 / 3), outer**4 / 406
     )
 
 
-def status_of(layers: Layers, n_depths: int, n_panels: int) -> RESULTS:
-    """The status of a solve with so many polynomials in so many panels."""
-    resolved = (_coarseness(layers, n_depths, n_panels) <= _RESOLVED).all()
+def status_of(layers: Layers, n_depths: int, n_panels: int, slant) -> RESULTS:
+    """The status of a solve with so many polynomials in so many panels, of such a `steepness`."""
+    resolved = (_coarseness(layers, n_depths, n_panels, slant) <= _RESOLVED).all()
     return outcome(layers, resolved)
 
 
@@ -94,7 +118,14 @@ def _angular_error(layers: Layers, phase: PhaseMixture, n_angles: int, cosine, p
     thin = (whole / 0.005) ** 0.7
     thick = 0.15 * jnp.maximum(1 / whole, jnp.sqrt(jnp.clip(2 * layers.coalbedo, 0.0, 1.0)))
     near = jnp.clip(0.03 / cosine, 1.0, 3.0) * jnp.minimum(1.0, jnp.square(0.08 / cosine))
-    grazing = 0.12 * (power @ near) * jnp.minimum(1.0, jnp.minimum(thin, thick))
+    # Each beam counts as it is scattered: of thin layers the grazing ones most.
+    met = power[None] * -jnp.expm1(-whole[:, None] / cosine[None])
+    near = (met * near[None]).sum(1) / met.sum(1)
+    # Beside a critical angle, where all that grazes outside enters, nodes are as far as anywhere.
+    outside = refract(cosine, n.stroma, n.aqueous)
+    oblique = jnp.where(n.stroma > n.aqueous, power @ (0.07 / (1 + outside / 0.08)), 0.0)
+    spread = jnp.minimum(1.0, jnp.minimum(thin, thick))
+    grazing = jnp.maximum(0.12 * near, oblique) * spread
     # Light scattered oftener, or sent back by interfaces, comes along all directions.
     trapped = (n.stroma > n.ipe) & (n.stroma > n.aqueous)
     most, from_ = jnp.where(trapped, 0.025, 0.011), jnp.where(trapped, 0.3, 0.02)

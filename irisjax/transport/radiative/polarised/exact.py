@@ -30,7 +30,7 @@ from irisjax.transport.radiative.polarised.interfaces import (
     unscattered,
 )
 from irisjax.transport.radiative.polarised.modes import RAYLEIGH, PolarisedMode
-from irisjax.transport.radiative.resolution import status_of
+from irisjax.transport.radiative.resolution import status_of, steepness
 from irisjax.transport.radiative.slab import Slab
 from irisjax.transport.solution import Absorbed, Polarisation, Solution
 
@@ -112,7 +112,7 @@ def solve(
         total_error=None,
         brdf=None if looked is None else matrices.brdf[..., 0, 0],
         brdf_error=None,
-        status=status_of(layers, n_depths, n_panels),
+        status=status_of(layers, n_depths, n_panels, steepness(layers, cos_incidence, cos_exit)),
         polarisation=Polarisation(*matrices) if wanted else None,
     )
 
