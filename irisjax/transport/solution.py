@@ -24,8 +24,8 @@ class RESULTS(eqx.Enumeration):
         "loses count; compute in float64"
     )
     under_resolved = (
-        "the stroma is optically too thick, or light too near to grazing, for the number of depth panels "
-        "or doublings; "
+        "the stroma is optically too thick, or light too near to grazing, for the number of depth "
+        "panels or doublings; "
         "give RadiativeExact(n_panels=...) or AddingDoubling(n_doublings=...) a larger one"
     )
     not_converged = "the orders of scattering did not converge"
