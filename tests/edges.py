@@ -70,3 +70,12 @@ def reflectance_of(vector, process, solver, cosine=1.0):
 # An empty stroma between mirrors: grazing rays make reflectance go as τ ln τ, whose slope at 0 is
 # infinite.
 NO_SLOPE = ("no-layers", "nothing-at-all")
+
+
+def grazes(indices, cosine):
+    """Whether light along this cosine in the aqueous humour is so near to grazing in the stroma
+    that its number of depth panels may be too few, which the status says.
+    """
+    ratio = float(indices[0]) / float(indices[2])
+    inside = np.sqrt(max(1 - ratio**2 * (1 - float(cosine) ** 2), 0.0))
+    return 0 < inside < 0.25

@@ -9,7 +9,7 @@ import pytest
 
 import irisjax as ij
 from common import PROCESSES, any_order, heavily, layers, quick_jit
-from edges import BASE, COSINES, SWEEP, TINY
+from edges import BASE, COSINES, SWEEP, TINY, grazes
 
 DEPTHS = np.array([0.0, 1e-12, 1e-6, 1e-3, 0.1, 1.0, 10.0, 1e3, 1e6])
 ABL, ABSORPTION, SCATTERING = (
@@ -93,7 +93,8 @@ def test_depth_resolved_shallow(media, chosen, bits):
     for cosine in COSINES:
         solution = shallow(made, jnp.asarray(cosine, float))
         check(solution, bits)
-        assert bool(solution.status == ij.RESULTS.successful)
+        few = grazes(MEDIA[media], cosine) and bool(solution.status == ij.RESULTS.under_resolved)
+        assert few or bool(solution.status == ij.RESULTS.successful)
 
 
 @quick_jit

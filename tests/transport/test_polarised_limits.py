@@ -10,6 +10,7 @@ import pytest
 import common
 import irisjax as ij
 from common import any_order, heavily, layers, quick_jit, slowly
+from edges import grazes
 from irisjax.transport.radiative.polarised import exact
 from irisjax.transport.radiative.polarised.modes import PolarisedMode
 
@@ -151,7 +152,9 @@ def test_extremes(media, bits):
         found = solve(made, cosine, solver, exits)
         for leaf in jax.tree.leaves((found.reflectance, found.absorbed, found.polarisation)):
             assert np.isfinite(leaf).all()
-        assert found.status == ij.RESULTS.successful
+        few = any(grazes(media, c) for c in (cosine, *exits))
+        few = few and bool(found.status == ij.RESULTS.under_resolved)
+        assert few or bool(found.status == ij.RESULTS.successful)
         shares = np.array([found.reflectance, found.mirrored, found.absorbed.ipe])
         assert (shares > -slack).all() and (shares < 1 + slack).all()
         matrices = np.concatenate(
