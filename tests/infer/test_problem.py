@@ -160,7 +160,9 @@ def test_slopes_agree_with_differences(solver):
     np.testing.assert_allclose(forward, difference, rtol=1e-4, atol=1e-5 * np.abs(forward).max())
 
 
-@pytest.mark.parametrize("free", [(), ("scattering_scale",), ("stroma_thickness",)])
+@pytest.mark.parametrize(
+    "free", [(), heavily(("scattering_scale",)), heavily(("stroma_thickness",))]
+)
 def test_radiative_transfer_reads_as_its_table_does_whatever_is_free(free):
     """Of several observations, each on its own wavelengths and in its own light; some scattering is
     known before, some is not.
@@ -181,6 +183,7 @@ def test_radiative_transfer_reads_as_its_table_does_whatever_is_free(free):
         np.testing.assert_allclose(found, expected, rtol=2e-5)
 
 
+@pytest.mark.heavy
 @pytest.mark.parametrize("scale", [0.01, 30.0])
 def test_what_scatters_less_or_more_than_usual_is_read_too(scale):
     iris = ij.Iris.of_level("low").replace(scattering_scale=scale)
