@@ -59,7 +59,7 @@ def left_out_by_scalar_theory(
     first, last = float(low.min()), float(low.max())
     name = "luminance" if isinstance(instrument, ij.Colorimeter) else "values"
     if max(abs(first), abs(last)) < 0.05:
-        return f"{name} equal to those of polarised transport of the same layers, to 0.05 %"
+        return f"{name} within 0.05 % of polarised transport of the same layers"
     said = [_off(first), _off(last)]
     if said[0] == said[1]:
         said = said[1:]

@@ -16,7 +16,7 @@ from irisjax.tissue.scattering import PowerLaw
 from irisjax.transport import shipped
 from irisjax.transport.pointwise import Pointwise
 from irisjax.transport.process import AbstractProcess, Ilit
-from irisjax.transport.radiative import known
+from irisjax.transport.radiative.known import depths_held, of_known_scattering
 from irisjax.transport.radiative.tabulated import RadiativeTabulated
 from irisjax.transport.solver import AbstractSolver
 
@@ -95,9 +95,9 @@ def _of_what_scatters(
     iris = base.replace(**{n: fixed[n] for n in _OF_SCATTERING})
     scattering = iris.layers(instrument.pigments, instrument.media.aqueous).stroma_scattering
     traced = any(isinstance(x, Tracer) for x in (scattering, cosine))
-    if traced or not known.held(scattering):
+    if traced or not depths_held(scattering):
         return table
-    return known.of_known_scattering(table, scattering, cosine)
+    return of_known_scattering(table, scattering, cosine)
 
 
 def as_arrays(values: Mapping[str, Any]) -> dict[str, Any]:

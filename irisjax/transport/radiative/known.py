@@ -109,7 +109,7 @@ def of_known_scattering(
     **Raises:** `ValueError` for a depth outside `SCATTERING_DEPTHS`.
     """
     scattering = np.asarray(scattering, jnp.result_type(float))
-    if not held(scattering):
+    if not depths_held(scattering):
         least, most = SCATTERING_DEPTHS
         raise ValueError(
             f"scattering depths from {scattering.min():.3g} to {scattering.max():.3g} are not "
@@ -118,7 +118,7 @@ def of_known_scattering(
     return _made(_Same(table), scattering.tobytes(), scattering.dtype.str, float(cos_incidence))
 
 
-def held(scattering) -> bool:
+def depths_held(scattering) -> bool:
     """Whether every scattering depth lies in `SCATTERING_DEPTHS`."""
     least, most = SCATTERING_DEPTHS
     return bool(scattering.min() >= least and scattering.max() <= most)

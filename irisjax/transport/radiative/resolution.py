@@ -119,7 +119,8 @@ def _angular_error(layers: Layers, phase: PhaseMixture, n_angles: int, cosine, p
     thick = 0.15 * jnp.maximum(1 / whole, jnp.sqrt(jnp.clip(2 * layers.coalbedo, 0.0, 1.0)))
     near = jnp.clip(0.03 / cosine, 1.0, 3.0) * jnp.minimum(1.0, jnp.square(0.08 / cosine))
     # Each beam counts as it is scattered: of thin layers the grazing ones most.
-    met = power[None] * -jnp.expm1(-whole[:, None] / cosine[None])
+    # Beams share a depth below rounding as they do the least above it.
+    met = power[None] * -jnp.expm1(-jnp.maximum(whole, 1e-30)[:, None] / cosine[None])
     near = (met * near[None]).sum(1) / met.sum(1)
     # Beside a critical angle, where all that grazes outside enters, nodes are as far as anywhere.
     outside = refract(cosine, n.stroma, n.aqueous)
