@@ -17,7 +17,7 @@ from experiments.common import RESULTS, start, uniform_ranks, write
 from irisjax.infer.fit import fit
 from irisjax.infer.observation import with_values
 from irisjax.infer.posterior import sample
-from irisjax.infer.stream import Stream
+from irisjax.infer.store import FileStore
 
 DRAWS, LEVELS = 63, (0.5, 0.8, 0.95)
 
@@ -58,8 +58,8 @@ def calibrate(problem, about, end, key, count, out=RESULTS, walkers=64):
             mine = problem.with_observations(with_values(problem.observations[0], values))
             path = Path(folder) / f"{eye}.h5"
             best = fit(mine, key=jax.random.fold_in(own, 2))
-            chains = sample(mine, path, walkers=walkers, start=best, max_steps=400, key=own)
-            draws = _independent(path, chains, jax.random.fold_in(own, 3))
+            chains = sample(mine, best, store=path, walkers=walkers, max_steps=400, key=own)
+            draws = _independent(path, jax.random.fold_in(own, 3))
             rank = (draws < np.asarray(z)).sum(axis=0)
             ranks.append(rank)
             flat = chains.z.reshape(-1, z.size)
@@ -100,9 +100,10 @@ def calibrate(problem, about, end, key, count, out=RESULTS, walkers=64):
     write(out / f"calibration_summary{end}.csv", header, columns, summary)
 
 
-def _independent(path, chains, key):
+def _independent(path, key):
     """Draws far apart: one of each walker, at random steps."""
-    z = Stream(str(path), name="chain").get_chain()
+    store = FileStore(path)
+    z, _ = store.rows(0, store.steps)
     steps = np.asarray(jax.random.randint(key, (z.shape[1],), z.shape[0] // 4, z.shape[0]))
     every = z[steps, np.arange(z.shape[1])]
     return every[np.linspace(0, len(every) - 1, DRAWS).astype(int)]

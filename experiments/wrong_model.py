@@ -22,9 +22,9 @@ from scipy.stats import chi2
 import irisjax as ij
 from experiments import common
 from irisjax.infer.fit import MISFIT, fit
+from irisjax.infer.least_squares import levenberg_marquardt
 from irisjax.infer.observation import with_values
 from irisjax.infer.other_process import Optimum, compared, intervals_of, noise_left
-from irisjax.infer.search import levenberg_marquardt
 
 PROCESSES = {"ILIT": ij.ILIT_2006, "radiative transfer": ij.DEPTH_RESOLVED}
 ALLOWED = {"none": ij.Noise(), "0.02:80": ij.Noise(discrepancy=0.02, length=80.0)}

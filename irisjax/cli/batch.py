@@ -15,12 +15,11 @@ import irisjax as ij
 from irisjax import io
 from irisjax.cli import report
 from irisjax.infer import other_process
-from irisjax.infer.fit import fit
+from irisjax.infer.fit import FitStatus, fit, words_for
+from irisjax.infer.least_squares import levenberg_marquardt
 from irisjax.infer.observation import with_values
 from irisjax.infer.other_process import Optimum
 from irisjax.infer.problem import Problem
-from irisjax.infer.search import levenberg_marquardt
-from irisjax.infer.status import FitStatus, says
 from irisjax.transport.process import option_of
 
 _CHUNK = 64  # eyes a device at a time
@@ -227,7 +226,7 @@ def _of(found, i: int) -> Optimum:
 def _judged(problem: Problem, found, i: int) -> tuple[str, list[str]]:
     """Status of fit i, and what is to be said of it."""
     status = jax.tree.map(lambda codes: np.asarray(codes)[i], found.status)
-    said = [says(status)] if says(status) else []
+    said = [words_for(status)] if words_for(status) else []
     if status == FitStatus.not_converged or status == FitStatus.solver_failed:
         return FAILED, said
     for name, z in zip(problem.free, np.asarray(found.z)[i], strict=True):

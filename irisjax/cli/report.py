@@ -15,17 +15,15 @@ from irisjax import io
 from irisjax.infer import other_process
 from irisjax.infer.ahead import ahead, other_fit
 from irisjax.infer.diagnostics import predictive_score
-from irisjax.infer.fit import fit
+from irisjax.infer.fit import fit, words_for
 from irisjax.infer.identifiability import in_words, information
 from irisjax.infer.other_process import Interval
 from irisjax.infer.parameters import kind, unit_of
 from irisjax.infer.pieces import pointwise
-from irisjax.infer.posterior import Chains, sample
+from irisjax.infer.posterior import Chains, sample, words_of
+from irisjax.infer.posterior import check_run as check_run
 from irisjax.infer.problem import Problem
-from irisjax.infer.resume import check_run as check_run
-from irisjax.infer.resume import words_of
-from irisjax.infer.status import says
-from irisjax.infer.stream import backup
+from irisjax.infer.store import copy_of
 from irisjax.infer.summary import Check, Row, check, predictive, reported, summarise
 from irisjax.plot.beside import Later, here
 from irisjax.transport.process import AbstractProcess, option_of
@@ -108,9 +106,9 @@ def one(
             quiet,
         )
     if not bool(best.converged):
-        _say(f"least squares: {says(best.status)}; the sampler starts there", quiet)
+        _say(f"least squares: {words_for(best.status)}; the sampler starts there", quiet)
     chains = sample(
-        problem, folder / "chain.h5", walkers=sampler["walkers"], start=best, resume=resume,
+        problem, best, store=folder / "chain.h5", walkers=sampler["walkers"], resume=resume,
         max_steps=sampler["max_steps"], progress=progress, key=key,
     )  # fmt: skip
     bar.set_description_str("summary")
@@ -136,7 +134,7 @@ def one(
             f"another --process"
         )
         if chains.converged:
-            backup(folder / "chain.h5").unlink(missing_ok=True)
+            copy_of(folder / "chain.h5").unlink(missing_ok=True)
     bar.close()
     if not quiet:
         _print(problem, rows, lines, chains, first=len(by_other))

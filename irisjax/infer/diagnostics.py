@@ -1,29 +1,9 @@
-"""R-hat, effective sample sizes and predictive scores, by arviz-stats on plain arrays."""
+"""Predictive scores, by arviz-stats on plain arrays."""
 
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
-
-
-class Diagnostics(NamedTuple):
-    """Rank-normalised split R-hat, and effective sample sizes of bulk and tails [Vehtari et al.
-    2021].
-    """
-
-    rhat: float
-    ess_bulk: float
-    ess_tail: float
-
-
-def diagnostics(draws: Float[np.ndarray, "chains draws"]) -> Diagnostics:
-    """Of one quantity."""
-    stats = _array_stats()
-    return Diagnostics(
-        float(stats.rhat(draws)),
-        float(stats.ess(draws, method="bulk")),
-        float(stats.ess(draws, method="tail", prob=(0.05, 0.95))),
-    )
 
 
 def predictive_score(

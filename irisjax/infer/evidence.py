@@ -19,10 +19,9 @@ from jaxtyping import Float
 from irisjax._types import PRNGKey
 from irisjax.infer.fit import fit
 from irisjax.infer.importance import EFFECTIVE, importance_sample
-from irisjax.infer.laplace import laplace
 from irisjax.infer.pieces import density
+from irisjax.infer.posterior import words_of
 from irisjax.infer.problem import Problem
-from irisjax.infer.resume import words_of
 from irisjax.numerics.checks import check_whole
 from irisjax.numerics.programs import program
 
@@ -153,7 +152,7 @@ def evidence_by_importance(
     random = np.random.RandomState(words_of(two))
     found = importance_sample(
         density(problem),
-        *laplace(problem, fit(problem, key=one)),
+        fit(problem, key=one),
         random,
         *(() if progress is None else (progress,)),
     )

@@ -7,37 +7,61 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import optimistix as optx
+from jax.core import Tracer
 from jax.scipy.special import gammaincc
 from jaxtyping import Array, Bool, Float, Int
 from scipy.special import chdtri
 
 from irisjax._types import PRNGKey
+from irisjax.infer.least_squares import Found, least_squares, levenberg_marquardt
 from irisjax.infer.pieces import elements
 from irisjax.infer.problem import Problem
-from irisjax.infer.search import Found, levenberg_marquardt, lowest
-from irisjax.infer.status import FitStatus
-from irisjax.infer.status import throw as throw_if
 from irisjax.numerics import linear
 from irisjax.numerics.checks import check_whole
 from irisjax.numerics.programs import program
 from irisjax.transport.solution import RESULTS
 
 MISFIT = 1e-6
-"""Below this probability of a chi-square as large a fit is called a misfit."""
+"""Probability of a chi-square as large below which a fit is called a misfit."""
+
+
+class FitStatus(eqx.Enumeration):
+    """Outcome of a least-squares fit; the first of these that holds, from the bottom up."""
+
+    successful = ""
+    misfit = (
+        "the search converged, but the model does not produce these data: chi-square is far above "
+        "its degrees of freedom at the stated noise"
+    )
+    disagreement = (
+        "one start alone reached the lowest cost while others converged elsewhere; there may be a "
+        "lower one: give more starts"
+    )
+    not_converged = "the search did not converge within its steps"
+    solver_failed = (
+        "least squares or the transport solver failed at the best point found; see `steps` and "
+        "`Problem.status`"
+    )
 
 
 class Fit(eqx.Module):
     """A least-squares fit.
 
-    - `z`, `covariance`: the optimum in the priors' normal coordinates and (JᵀJ)⁻¹ there.
-    - `values`, `sd`: the free parameters and their standard deviations by name.
-    - `predicted`: what each instrument would read there, without noise.
-    - `chi_square`: Σ of squared residuals of the data alone, over `degrees` of freedom: the number
-        of data, less the free parameters where no priors hold them.
-    - `cost`: ½ Σ of squares, the priors' included where they count.
-    - `starts`: how many searches ran; `agreeing`: how many of them converged within 1e-6 of that
-        cost; `steps`: those of the best.
-    - `status`: a `FitStatus` item; `result`: optimistix's status of the best search.
+    Attributes:
+        z: The optimum in the priors' normal coordinates.
+        covariance: (JᵀJ)⁻¹ there; zero for the noise, which is not fitted.
+        values: The free parameters by name.
+        sd: Their standard deviations by name.
+        predicted: What each instrument would read at the optimum, without noise.
+        chi_square: Σ of squared residuals of the data alone.
+        degrees: Its degrees of freedom: the number of data, less the free parameters where no
+            priors hold them.
+        cost: ½ Σ of squares, the priors' included where they count.
+        starts: Number of searches.
+        agreeing: How many of them converged within 1e-6 of that cost.
+        steps: Number of steps of the best.
+        status: A `FitStatus` item.
+        result: optimistix's status of the best search.
     """
 
     z: Float[Array, "*batch free"]
@@ -56,17 +80,17 @@ class Fit(eqx.Module):
 
     @property
     def ok(self) -> Bool[Array, "*batch"]:
-        """Whether the search found what may be believed: the status is success."""
+        """Whether the status is success."""
         return self.status == FitStatus.successful
 
     @property
     def converged(self) -> Bool[Array, "*batch"]:
-        """Whether the search ended as it should, be the model right or wrong for the data."""
+        """Whether the search converged, even if the model does not fit the data."""
         return self.ok | (self.status == FitStatus.misfit)
 
     @property
     def p_value(self) -> Float[Array, "*batch"]:
-        """Probability of a chi-square as large from normal noise as large as stated; NaN without
+        """Probability of a chi-square as large if the noise is normal and as stated; NaN without
         degrees of freedom.
         """
         half = jnp.asarray(0.5 * self.degrees if self.degrees > 0 else jnp.nan, self.cost.dtype)
@@ -85,26 +109,27 @@ def fit(
     throw: bool = False,
     key: PRNGKey | None = None,
 ) -> Fit:
-    """Fit by least squares.
+    """Fit a problem by least squares.
 
-    With priors this is the most probable vector z (noise held at what is stated: `noise` is not
-    fitted and keeps its prior's median); without them, maximum likelihood, searched from where the
-    priors end. The best of several searches counts. Traceable: `eqx.filter_vmap` it over problems.
+    With priors this is the most probable vector z, the noise being as stated (`noise` is not fitted
+    and keeps its prior's median). Without them it is the maximum likelihood, searched from the
+    optimum with priors of little weight. The best of several searches counts. It can be traced:
+    `eqx.filter_vmap` it over problems.
 
     Args:
         problem: What was measured and what is free.
-        solver: optimistix's; default `levenberg_marquardt()`.
+        solver: optimistix's solver; default `levenberg_marquardt()`.
         use_priors: Whether the priors count.
         start: Where the first search starts, in z; default the priors' medians.
-        starts: Searches in a round; all but the first start from draws of the priors.
-        rounds: Most rounds: another follows while fewer than two searches agree on the best.
-        max_steps: Most steps of a search.
+        starts: Number of searches in a round; all but the first start from draws of the priors.
+        rounds: Largest number of rounds: another follows while fewer than two searches agree.
+        max_steps: Largest number of steps of a search.
         throw: Whether to raise where the status is not success.
-        key: For the draws; needed unless `starts=1`.
+        key: Source of the draws; needed unless `starts=1`.
 
     Raises:
-        ValueError: Without a key for several starts, for what is no solver or number of starts,
-            and with `throw` for any status but success.
+        ValueError: If there are several starts and no key, if the solver or a number is not valid,
+            and, with `throw`, for any status but success.
     """
     if solver is None:
         solver = levenberg_marquardt()
@@ -121,8 +146,24 @@ def fit(
         )
     found = _fit(problem.unnamed(), solver, start, key, use_priors, starts, rounds, max_steps)
     if throw:
-        throw_if(found.status)
+        _raise_for(found.status)
     return found
+
+
+def words_for(status: FitStatus) -> str:
+    """Return the words of one concrete status, empty for success."""
+    # Equinox has no words for a NumPy scalar, which is what an item of a batch is.
+    return FitStatus[jax.tree.map(np.asarray, status)]
+
+
+def _raise_for(status: FitStatus) -> None:
+    """Raise `ValueError` if a concrete status is not success."""
+    if isinstance(status._value, Tracer):
+        return
+    codes = np.asarray(status._value)
+    if codes.any():
+        words = words_for(status) if codes.ndim == 0 else "some of the batch failed; see status"
+        raise ValueError(words)
 
 
 @program
@@ -134,9 +175,9 @@ def _fit(problem, solver, start, key, use_priors, starts, rounds, max_steps) -> 
         first = jnp.asarray(start, dtype)[moving]
     last = jnp.asarray(1.0 if use_priors else 0.0, dtype)
     weights = last[None] if use_priors else jnp.stack([0.1 * _signal_to_noise(problem), last])
-    best = lowest(
-        lambda x, weight, problem: _residuals(x, weight, problem)[0], problem, first, weights,
-        solver=solver, starts=starts, rounds=rounds, max_steps=max_steps,
+    best = least_squares(
+        lambda x, weight, problem: _residuals(x, weight, problem)[0], problem, first,
+        weights=weights, solver=solver, starts=starts, rounds=rounds, max_steps=max_steps,
         elements=elements(problem), key=key,
     )  # fmt: skip
     jacobian, (data, predicted) = jax.jacfwd(lambda x: _residuals(x, last, problem), has_aux=True)(
@@ -170,12 +211,12 @@ def _fit(problem, solver, start, key, use_priors, starts, rounds, max_steps) -> 
 
 
 def _moving(problem: Problem) -> np.ndarray:
-    """Places of the parameters that are fitted."""
+    """Indices of the parameters that are fitted."""
     return np.flatnonzero([not n.startswith("noise") for n in problem.free])
 
 
 def _placed(x, problem: Problem):
-    """All of z from its moving part; the rest at the priors' medians."""
+    """All of z from its fitted part; the rest at the priors' medians."""
     return jnp.zeros(len(problem.free), x.dtype).at[_moving(problem)].set(x)
 
 
@@ -191,8 +232,8 @@ def _signal_to_noise(problem: Problem):
 
 
 def _status(best: Found, chi_square, limit: float, solved) -> FitStatus:
-    """What is worst: the data's `limit` of chi-square last, before it how the search ended, and
-    first of all whether there is an answer.
+    """The worst that holds: first whether there is an answer, then how the search ended, then
+    whether chi-square is above its limit.
     """
     status = FitStatus.where(chi_square > limit, FitStatus.misfit, FitStatus.successful)
     lone = (best.agreeing < 2) & (best.elsewhere > 0)
@@ -205,8 +246,8 @@ def _status(best: Found, chi_square, limit: float, solved) -> FitStatus:
 
 
 def _most(problem: Problem, degrees: int) -> float:
-    """The largest chi-square that is no misfit."""
-    # Student's t has outliers that chi-square knows nothing of.
+    """Largest chi-square that is not called a misfit."""
+    # Chi-square means nothing for Student's t, which has outliers.
     if degrees < 1 or problem.noise.degrees_of_freedom is not None:
         return np.inf
     return float(chdtri(degrees, MISFIT))

@@ -1,94 +1,112 @@
-"""Adaptive importance sampling of a posterior, before any walker takes a step.
+"""Adaptive importance sampling of a density, before any walker takes a step.
 
-Draws of a proposal are weighted by the posterior and teach the next proposal. All draws so far
-count, each as a draw of the mixture of all proposals so far [adaptive multiple importance sampling,
-Cornuet et al. 2012]. Weights too uneven to teach anything are tempered first, taken to a power
-below one [Del Moral et al. 2006, Section 3.3].
+Draws of a proposal are weighted by the density, and the next proposal is fitted to them. All draws
+so far count, each as a draw of the mixture of all proposals so far [adaptive multiple importance
+sampling, Cornuet et al. 2012]. Where the weights are too uneven to fit a proposal to, they are
+tempered first, that is taken to a power below one [Del Moral et al. 2006, Section 3.3].
 """
 
 import math
 from collections.abc import Callable
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
+from jaxtyping import Float
 from scipy import stats
 from scipy.optimize import brentq
 
 from irisjax.infer.moves import DEGREES, Proposal, Straightening
 
 DRAWS, ROUNDS = 2048, 16
-"""Draws a round, and most rounds."""
+"""Draws of a round, and largest number of rounds."""
 EFFECTIVE = 1000
-"""Effective draws that are enough."""
-_TEACHING = 256
-_BENDING = 0.3
-"""Weights tempered by less than this power know nothing yet of how a ridge bends."""
+"""Number of effective draws at which sampling ends."""
+_FITTED_TO = 256  # effective draws that a proposal needs
+_BENDING = 0.3  # power of tempered weights below which proposals have no bent coordinates yet
+
+
+@runtime_checkable
+class Approximation(Protocol):
+    """A normal approximation of a density, such as a least-squares fit.
+
+    Attributes:
+        z: Its mean, (free,).
+        covariance: Its covariance, (free, free). A coordinate whose variance is zero was not
+            fitted; its mean and variance are taken from the density along its axis.
+    """
+
+    @property
+    def z(self) -> Any: ...
+
+    @property
+    def covariance(self) -> Any: ...
+
+
+class Start(NamedTuple):
+    """An `Approximation` of plain numbers."""
+
+    z: Float[np.ndarray, " free"]
+    covariance: Float[np.ndarray, "free free"]
 
 
 class ImportanceSample(NamedTuple):
     """What all rounds found.
 
-    - `samples`: of equal weight, (`DRAWS`, free).
-    - `effective`: effective draws [Kong 1992].
-    - `log_integral`: logarithm of the density's integral, the mean weight; the evidence, of a
-        density that is a likelihood times a prior.
-    - `rounds`: how many there were, of `DRAWS` each.
+    Attributes:
+        samples: Draws of equal weight, (`DRAWS`, free).
+        effective: Number of effective draws [Kong 1992].
+        log_integral: Logarithm of the density's integral, which is the mean weight. Of a likelihood
+            times a prior it is the evidence.
+        rounds: Number of rounds of `DRAWS` each.
     """
 
-    samples: np.ndarray
+    samples: Float[np.ndarray, "draws free"]
     effective: float
     log_integral: float
     rounds: int
 
     @property
     def error(self) -> float:
-        """Standard deviation of `log_integral`, by that of the weights."""
+        """Standard deviation of `log_integral`, from that of the weights."""
         return math.sqrt(1 / self.effective - 1 / (self.rounds * DRAWS))
 
     @property
     def enough(self) -> bool:
-        """Whether the samples may stand for the posterior."""
+        """Whether the samples represent the density."""
         return self.effective >= EFFECTIVE
 
 
-class _Drawn(Protocol):
-    """What draws are proposed by, see `Proposal`."""
-
-    def draw(self, count: int, random) -> np.ndarray: ...
-
-    def log_density(self, z) -> np.ndarray: ...
-
-
 def importance_sample(
-    log_probability: Callable[[np.ndarray], np.ndarray],
-    mean: np.ndarray,
-    covariance: np.ndarray,
+    log_density: Callable[[np.ndarray], np.ndarray],
+    start: Approximation,
     random: np.random.RandomState,
     progress: Callable[[int], Any] = lambda rounds: None,
 ) -> ImportanceSample:
-    """Samples of a density of z (n, free) whose priors are standard normal.
+    """Sample a density of z whose priors are standard normal.
+
+    It can miss a second mode far from `start` and from the priors' middle.
 
     Args:
-        log_probability: Of z (n, free), (n,).
-        mean: Where the normal approximation of the density lies, (free,).
-        covariance: Its covariance, (free, free).
-        random: For all draws.
-        progress: Gets the number of rounds done.
+        log_density: Function of z (n, free) that returns (n,).
+        start: Normal approximation of the density.
+        random: Source of all draws.
+        progress: Called with the number of rounds done.
 
     Raises:
-        ValueError: If no draw at all has a probability.
+        ValueError: If no draw at all has a density above zero.
     """
+    mean, covariance = _completed(log_density, start)
     proposals: list[_Drawn] = [_First(mean, covariance)]
-    z, log_density = np.empty((0, len(mean))), np.empty(0)
+    z, values = np.empty((0, len(mean))), np.empty(0)
     proposed = np.empty(0)  # log of the sum of all proposals' densities
     while True:
         proposed = np.logaddexp(proposed, proposals[-1].log_density(z)) if len(z) else proposed
         new = proposals[-1].draw(DRAWS, random)
         proposed_new = np.logaddexp.reduce([p.log_density(new) for p in proposals])
         z, proposed = np.concatenate([z, new]), np.concatenate([proposed, proposed_new])
-        log_density = np.concatenate([log_density, log_probability(new)])
+        values = np.concatenate([values, log_density(new)])
         progress(len(proposals))
-        log_weight = log_density - proposed + math.log(len(proposals))
+        log_weight = values - proposed + math.log(len(proposals))
         if not np.isfinite(log_weight).any():
             raise ValueError("no draw round the least-squares fit has a probability above zero")
         log_weight = np.where(np.isfinite(log_weight), log_weight, -np.inf)
@@ -103,32 +121,60 @@ def importance_sample(
     return ImportanceSample(samples, effective, log_integral, len(proposals))
 
 
+def _completed(log_density, start: Approximation) -> tuple[np.ndarray, np.ndarray]:
+    """Mean and covariance of the approximation, unfitted coordinates filled in."""
+    mean, covariance = np.array(start.z, float), np.array(start.covariance, float)
+    side = np.linspace(-4.0, 4.0, 64)
+    for i in np.flatnonzero(np.diag(covariance) == 0):
+        line = np.repeat(mean[None], side.size, axis=0)
+        line[:, i] = side
+        values = log_density(line)
+        covariance[i, i] = 1.0
+        if np.isfinite(values).any():
+            weights = np.exp(values - values.max())
+            weights /= weights.sum()
+            mean[i] = weights @ side
+            # No narrower than the nodes are apart, between which the peak may lie.
+            covariance[i, i] = weights @ (side - mean[i]) ** 2 + (side[1] - side[0]) ** 2
+    # Rounding must not make it indefinite.
+    return mean, covariance + 1e-10 * np.eye(mean.size)
+
+
+@runtime_checkable
+class _Drawn(Protocol):
+    """A proposal, see `Proposal`."""
+
+    def draw(self, count: int, random: np.random.RandomState) -> np.ndarray: ...
+
+    def log_density(self, z: np.ndarray) -> np.ndarray: ...
+
+
 class _First:
     """Half the normal approximation, made wider, and half the priors: where the model cannot follow
     the data they are far apart, and the posterior is elsewhere.
     """
 
-    def __init__(self, mean, covariance):
+    def __init__(self, mean: np.ndarray, covariance: np.ndarray):
         two: Any = (mean, 4 * covariance), (np.zeros(len(mean)), 2 * np.eye(len(mean)))
         self._both = [stats.multivariate_t(m, c, df=DEGREES) for m, c in two]
 
-    def draw(self, count: int, random) -> np.ndarray:
+    def draw(self, count: int, random: np.random.RandomState) -> np.ndarray:
         each = [t.rvs(count // 2, random_state=random).reshape(count // 2, -1) for t in self._both]
         return np.concatenate(each)
 
-    def log_density(self, z) -> np.ndarray:
+    def log_density(self, z: np.ndarray) -> np.ndarray:
         return np.logaddexp(*(t.logpdf(z) for t in self._both)) - math.log(2)
 
 
 def _effective(log_weight, power: float) -> float:
-    """Effective draws of weights to a power."""
+    """Number of effective draws of weights to a power."""
     w = np.exp(power * (log_weight - log_weight.max()))
     return float(w.sum() ** 2 / (w**2).sum())
 
 
 def _tempered(log_weight) -> float:
-    """The largest power, up to 1, with enough effective draws to teach."""
-    least = min(_TEACHING, 0.5 * float(np.isfinite(log_weight).sum()))
+    """Largest power, up to 1, with enough effective draws to fit a proposal to."""
+    least = min(_FITTED_TO, 0.5 * float(np.isfinite(log_weight).sum()))
     if _effective(log_weight, 1.0) >= least:
         return 1.0
     found: Any = brentq(lambda power: _effective(log_weight, power) - least, 1e-12, 1.0)
@@ -136,7 +182,7 @@ def _tempered(log_weight) -> float:
 
 
 def _resampled(log_weight, power: float, random) -> np.ndarray:
-    """Indices of `DRAWS` draws, systematically resampled [Carpenter et al. 1999]."""
+    """Indices of `DRAWS` draws by systematic resampling [Carpenter et al. 1999]."""
     w = np.exp(power * (log_weight - log_weight.max()))
     at = (random.random_sample() + np.arange(DRAWS)) * (w.sum() / DRAWS)
     return np.minimum(np.searchsorted(np.cumsum(w), at), w.size - 1)

@@ -1,16 +1,17 @@
-"""How walkers move: in coordinates in which the posterior's ridge is straight."""
+"""Moves of an ensemble of walkers, in coordinates in which the posterior's ridge is straight."""
 
 import functools
 from typing import Any, NamedTuple
 
 import emcee
 import numpy as np
+from jaxtyping import Float
 from scipy import stats
 
 DEGREES = 5
-"""Of freedom of proposals: tails heavier than a normal's, for a walker must not stand where nothing
-is ever proposed."""
-_REACH = 4.0
+"""Degrees of freedom of proposals. Their tails are heavier than a normal's, so that places far out
+are still proposed now and then."""
+_REACH = 4.0  # standard deviations beyond which the quadratic polynomials are constant
 
 
 class Straightening(NamedTuple):
@@ -18,17 +19,23 @@ class Straightening(NamedTuple):
 
     Principal axes, longest first, each less a quadratic polynomial of the longer ones: a triangular
     transport map [Parno & Marzouk 2018] of shears, so that its Jacobian is constant and densities
-    carry over. Beyond `_REACH` standard deviations the polynomials stay at their edge.
+    carry over. Beyond `_REACH` standard deviations the polynomials keep their value there.
+
+    Attributes:
+        mean: Origin of the coordinates.
+        axes: Principal axes as columns, each as long as its standard deviation.
+        bends: Coefficients of each axis's polynomial, see `_quadratic`.
+        width: Standard deviation along each axis that its polynomial leaves.
     """
 
-    mean: np.ndarray
-    axes: np.ndarray
-    bends: list[np.ndarray]
-    width: np.ndarray
+    mean: Float[np.ndarray, " free"]
+    axes: Float[np.ndarray, "free free"]
+    bends: list[Float[np.ndarray, " terms"]]
+    width: Float[np.ndarray, " free"]
 
     @classmethod
-    def of_samples(cls, z) -> "Straightening":
-        """From samples (n, free)."""
+    def of_samples(cls, z: Float[np.ndarray, "n free"]) -> "Straightening":
+        """Fit the coordinates to samples."""
         mean = z.mean(axis=0)
         variance, axes = np.linalg.eigh(np.cov(z.T).reshape(z.shape[1], z.shape[1]))
         axes = (axes * np.sqrt(np.maximum(variance, 1e-12 * variance.max())))[:, ::-1]
@@ -44,18 +51,18 @@ class Straightening(NamedTuple):
         return cls(mean, axes, bends, width)
 
     def level(self) -> "Straightening":
-        """The same axes without bends."""
+        """Return the same axes without bends."""
         flat = [np.zeros_like(bend) for bend in self.bends]
         return self._replace(bends=flat, width=np.ones_like(self.width))
 
-    def to(self, z) -> np.ndarray:
-        """y of z, (n, free)."""
+    def to(self, z: Float[np.ndarray, "n free"]) -> Float[np.ndarray, "n free"]:
+        """Compute y of z."""
         w = np.linalg.solve(self.axes, (z - self.mean).T).T
         bent = [_quadratic(w[:, :i]) @ bend for i, bend in enumerate(self.bends)]
         return (w - np.stack(bent, axis=1)) / self.width
 
-    def back(self, y) -> np.ndarray:
-        """z of y, (n, free)."""
+    def back(self, y: Float[np.ndarray, "n free"]) -> Float[np.ndarray, "n free"]:
+        """Compute z of y."""
         w = y * self.width
         for i, bend in enumerate(self.bends):
             w[:, i] += _quadratic(w[:, :i]) @ bend
@@ -63,7 +70,7 @@ class Straightening(NamedTuple):
 
 
 def _quadratic(w):
-    """1, w and the products of pairs, (n, terms)."""
+    """Return 1, w and the products of pairs, (n, terms)."""
     w = np.clip(w, -_REACH, _REACH)
     first, second = _pairs(w.shape[1])
     return np.concatenate([np.ones((len(w), 1)), w, w[:, first] * w[:, second]], axis=1)
@@ -75,9 +82,10 @@ def _pairs(count: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 class Proposal:
-    """A multivariate Student t of the straight coordinates, taught by samples (n, free)."""
+    """A multivariate Student t in straightened coordinates, fitted to samples."""
 
-    def __init__(self, straight: Straightening, samples):
+    def __init__(self, straight: Straightening, samples: Float[np.ndarray, "n free"]):
+        """Fit the distribution's mean and spread."""
         y = straight.to(samples)
         spread: Any = np.cov(y.T)  # scipy's stub calls a matrix int
         self._straight = straight
@@ -85,24 +93,25 @@ class Proposal:
         # Shears keep volumes.
         self._volume = np.linalg.slogdet(straight.axes)[1] + np.log(straight.width).sum()
 
-    def draw(self, count: int, random) -> np.ndarray:
-        """Draws (count, free)."""
+    def draw(self, count: int, random: np.random.RandomState) -> Float[np.ndarray, "count free"]:
+        """Draw `count` places."""
         y = self._t.rvs(count, random_state=random).reshape(count, -1)
         return self._straight.back(y)
 
-    def log_density(self, z) -> np.ndarray:
-        """Log density at z (n, free)."""
+    def log_density(self, z: Float[np.ndarray, "n free"]) -> Float[np.ndarray, " n"]:
+        """Compute the log density at places z."""
         return self._t.logpdf(self._straight.to(z)) - self._volume
 
 
 class IndependentMove(emcee.moves.MHMove):
-    """Metropolis–Hastings with proposals that do not depend on where a walker stands.
+    """Metropolis–Hastings with proposals that do not depend on a walker's place.
 
-    As good as the proposal resembles the posterior; where it does, one accepted jump forgets all.
-    Teach with samples (n, free).
+    It is as good as the proposal resembles the posterior: where it does, a place after one accepted
+    jump is independent of the place before.
     """
 
-    def __init__(self, straight: Straightening, samples):
+    def __init__(self, straight: Straightening, samples: Float[np.ndarray, "n free"]):
+        """Fit the proposal to samples."""
         proposal = Proposal(straight, samples)
 
         def propose(z, random):
@@ -114,27 +123,37 @@ class IndependentMove(emcee.moves.MHMove):
 
 
 class DifferenceMove(emcee.moves.DEMove):
-    """Differential evolution in straight coordinates."""
+    """Differential evolution in straightened coordinates."""
 
     def __init__(self, straight: Straightening):
+        """Use these coordinates."""
         super().__init__()
         self._straight = straight
 
-    def get_proposal(self, s, c, random):
-        """New places of walkers `s`, from the differences of the others `c`."""
+    def get_proposal(
+        self,
+        s: Float[np.ndarray, "n free"],
+        c: list[Float[np.ndarray, "_ free"]],
+        random: np.random.RandomState,
+    ) -> tuple[Float[np.ndarray, "n free"], Float[np.ndarray, " n"]]:
+        """Propose places for walkers `s` from the differences of the others, `c`."""
         new, factors = super().get_proposal(
             self._straight.to(s), [self._straight.to(z) for z in c], random
         )
         return self._straight.back(new), factors
 
 
-def mixture(samples=None):
-    """Moves and their weights, as `emcee.EnsembleSampler` takes them; taught by samples (n, free)
-    if there are any.
+def mixture(
+    samples: Float[np.ndarray, "n free"] | None = None,
+) -> list[tuple[emcee.moves.Move, float]]:
+    """Return moves and their shares, as `emcee.EnsembleSampler` takes them.
 
-    Shares by experiments/bench_inversion.py: independent jumps carry walkers along the ridge,
-    thirty times faster than stretches; the differences of walkers are for places where the
-    t-distribution fits badly.
+    Independent jumps carry walkers along the ridge, thirty times faster than emcee's stretches
+    (experiments/bench_inversion.py, which also chose the shares). Differences of walkers serve
+    places where the t distribution fits badly.
+
+    Args:
+        samples: What the jumps are adapted to; without them there are differences alone.
     """
     if samples is None:
         return [(emcee.moves.DEMove(), 0.7), (emcee.moves.DESnookerMove(), 0.3)]

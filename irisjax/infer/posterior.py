@@ -1,56 +1,89 @@
-"""Posterior by ensemble sampling (emcee), streamed to disk, resumable, long enough or said not to
-be.
+"""Posteriors by ensemble sampling (emcee): importance sampling finds where the walkers start, and
+the chain goes on until it is long enough.
 """
 
-import os
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import emcee
+import equinox as eqx
 import jax
 import numpy as np
+from jaxtyping import Float
 
-from irisjax._interrupt import unfinished
 from irisjax._types import PRNGKey
-from irisjax.infer.diagnostics import diagnostics
-from irisjax.infer.fit import Fit, fit
-from irisjax.infer.importance import DRAWS, importance_sample
-from irisjax.infer.laplace import laplace
+from irisjax.infer.importance import DRAWS, Approximation, importance_sample
 from irisjax.infer.moves import mixture
-from irisjax.infer.pieces import density
-from irisjax.infer.problem import Problem
-from irisjax.infer.resume import check_run, fingerprint, words_of
-from irisjax.infer.status import ChainStatus
-from irisjax.infer.status import throw as throw_if
-from irisjax.infer.stream import Stream, checkpoint
+from irisjax.infer.store import FileStore, Stage, Store
 
-_SPREAD, _BURN, _BLOCK, _MOST_KEPT = 200, 300, 125, 1000
-_LESSONS, _TAUGHT_BY = 3, 8192  # most times that a chain teaches a new one, most samples that teach
 TAUS, ESS, RHAT = 50, 1000, 1.03
 """A chain is long enough with 50 autocorrelation times, 1,000 effective samples of every parameter,
 and a split R-hat below 1.03 (walkers as chains: at 50 autocorrelation times each half-walker's mean
 scatters by 1/√25)."""
+_BURN_IN = (200, 100)  # steps of the two stages of burn-in
+_FIRST_LOOK, _BETWEEN_LOOKS = 250, 125  # steps
+_PATIENCE = 500  # steps after which a first chain that is not long enough is replaced
+_REPLACED = 3  # largest number of chains that are replaced
+_ADAPTED_TO = 8192  # most samples that proposals are adapted to
+_MOST_KEPT = 1000  # steps that a diagnosis reads
+
+
+@runtime_checkable
+class Target(Protocol):
+    """What can be sampled: the unnormalised log density of a vector z (free,).
+
+    Coordinates should be such that the priors are standard normal: importance sampling draws from
+    that too.
+
+    Attributes:
+        names: Names of the coordinates.
+        log_density: Function of many vectors, (n, free) → (n,); −∞ where there is no density.
+    """
+
+    @property
+    def names(self) -> Sequence[str]: ...
+
+    @property
+    def log_density(self) -> Callable[[np.ndarray], np.ndarray]: ...
+
+
+class ChainStatus(eqx.Enumeration):
+    """Outcome of a sampling run: whether the chain is long enough, or what it lacks first."""
+
+    successful = ""
+    stuck = "a walker never moved"
+    few_autocorrelation_times = "the chain has too few autocorrelation times"
+    few_effective_samples = "the chain has too few effective samples"
+    not_mixed = "walkers disagree (R-hat)"
 
 
 class Chains(NamedTuple):
-    """What a sampler left: the file, and how far it can be trusted.
+    """Samples of a posterior, and how far they can be trusted.
 
-    - `z`: kept samples (draws, walkers, free) in the priors' coordinates, every `thin`-th step
-        after burn-in.
-    - `tau` (steps), `ess_bulk`, `ess_tail`, `rhat`: one a parameter.
-    - `status`: a `ChainStatus` item; `reason`: the figures behind it, empty for success.
+    Attributes:
+        z: Samples (draws, walkers, free) in the priors' coordinates, every `thin`-th step.
+        log_probability: Their log densities, (draws, walkers).
+        thin: Steps between two samples.
+        steps: Number of steps after burn-in.
+        acceptance: Share of accepted proposals in the last 1,000 steps.
+        tau: Autocorrelation time of each parameter, in steps.
+        ess_bulk: Effective number of samples of each parameter.
+        ess_tail: The same for the tails.
+        rhat: Split R-hat of each parameter.
+        status: A `ChainStatus` item.
+        reason: The figures behind the status, empty for success.
     """
 
-    z: np.ndarray
-    log_probability: np.ndarray
+    z: Float[np.ndarray, "draws walkers free"]
+    log_probability: Float[np.ndarray, "draws walkers"]
     thin: int
     steps: int
     acceptance: float
-    tau: np.ndarray
-    ess_bulk: np.ndarray
-    ess_tail: np.ndarray
-    rhat: np.ndarray
+    tau: Float[np.ndarray, " free"]
+    ess_bulk: Float[np.ndarray, " free"]
+    ess_tail: Float[np.ndarray, " free"]
+    rhat: Float[np.ndarray, " free"]
     status: ChainStatus
     reason: str
 
@@ -59,125 +92,142 @@ class Chains(NamedTuple):
         """Whether the chain is long enough."""
         return bool(self.status == ChainStatus.successful)
 
-    def steps_needed(self) -> float:
-        """Steps for this autocorrelation time, which still grows; NaN where a walker is stuck."""
-        return 1.05 * TAUS * self.tau.max()
-
-    def next_look(self, least: int) -> int:
-        """Steps at which to look again whether it is long enough, `least` on or later."""
-        # A stuck walker may yet move: then as late as for a long autocorrelation time.
-        needed = np.nan_to_num(self.steps_needed(), nan=np.inf)
-        return int(np.clip(needed, self.steps + least, 1.5 * self.steps))
+    @property
+    def flat(self) -> Float[np.ndarray, "samples free"]:
+        """Samples of all walkers, one after another."""
+        return self.z.reshape(-1, self.z.shape[-1])
 
 
 def sample(
-    problem: Problem,
-    path: str | Path,
+    target: Target,
+    start: Approximation,
     *,
-    walkers: int = 64,
-    start: Fit | None = None,
+    store: str | Path | None = None,
     resume: bool = False,
+    walkers: int = 64,
     max_steps: int = 20_000,
     progress: Callable[[int, str], Any] | None = None,
     throw: bool = False,
     key: PRNGKey,
 ) -> Chains:
-    """Sample the posterior into an HDF5 file until it is long enough.
+    """Sample a posterior until the chain is long enough.
 
-    That is for every parameter 50 autocorrelation times (`TAUS`), 1,000 effective samples (`ESS`;
-    500 of the tails) and an R-hat of at most 1.03 (`RHAT`).
+    Long enough means, for every parameter, 50 autocorrelation times (`TAUS`), 1,000 effective
+    samples (`ESS`; 500 of the tails) and an R-hat of at most 1.03 (`RHAT`).
 
-    `importance_sample`, from the least-squares optimum and the priors on, gives the walkers their
-    first places and teaches the proposal of their independent jumps. Where its weights stay uneven
-    a burn-in does, first with differences of walkers alone; it is kept apart and not used
-    otherwise. A chain that is not long enough after 500 steps, or will not be, teaches a new one
-    and is forgotten: a tail that the first lesson missed holds walkers for long. Such a second one
-    has 1,000 steps, a third 2,000, a fourth as many as it takes. Step i draws from the key and i: a
-    run that was killed and resumed gives the chain of one that was not.
+    `importance_sample` draws the walkers' first places, and the proposal of their independent jumps
+    is adapted to its samples. Where its weights stay uneven, a burn-in does both, at first with
+    differences of walkers alone; it is discarded. If the chain is not long enough after 500 steps,
+    or will not be soon after, the proposal is adapted to its samples and a new chain replaces it.
+    This rescues runs in which the first proposal missed a tail. The second chain has 1,000 steps,
+    the third 2,000, the fourth as many as it takes. Step i draws from the key and i, so that a run
+    which was killed and resumed gives the same chain as one that was not.
 
     Args:
-        problem: What was measured and what is free.
-        path: The file.
-        walkers: How many, more than twice the free parameters.
-        start: Where the walkers begin; default the fit with this key.
-        resume: Whether to go on where the file ends.
-        max_steps: Most steps after burn-in.
-        progress: Gets the number of steps and a word on what is done after each step; 0 after each
-            round of importance sampling.
+        target: The density, such as a `Problem`.
+        start: Normal approximation of it, such as the least-squares fit of a problem.
+        store: HDF5 file for the chain; by default it stays in memory.
+        resume: Whether to continue the chain in the file.
+        walkers: Number of walkers, at least 2 more than twice the free parameters.
+        max_steps: Largest number of steps after burn-in.
+        progress: Called after each step with the number of steps and a word for what is done; with
+            0 after each round of importance sampling.
         throw: Whether to raise where the chain is not long enough.
-        key: For all draws.
+        key: Source of all draws.
 
     Raises:
-        ValueError: If `path` exists and `resume` is false, or belongs to another problem; if there
-            are too few walkers; with `throw` for a chain that is not long enough.
+        ValueError: If the file exists and `resume` is false, or holds a chain of another target,
+            key or number of walkers; if there are too few walkers; with `throw`, for a chain that
+            is not long enough.
     """
-    path = Path(path)
-    check_run(problem, path, walkers=walkers, resume=resume, key=key)
-    words = words_of(key)
-
-    def report(word, offset=0):
-        def tell(n):
-            if progress is not None:
-                progress(offset + n, word)
-
-        return tell
-
-    if not path.exists():
-        best = fit(problem, key=jax.random.fold_in(key, 0)) if start is None else start
-        _begin(path, problem, walkers, words, best, lambda _: report("importance sampling")(0))
-    log_probability = density(problem)
-
-    burn = _Run(path, "burn", log_probability, mixture(None), words)
-    taught = burn.backend.taught()
-    if taught is None:
-        # Differences of walkers, then jumps that these have taught.
-        burn.advance(_SPREAD, report("burn-in"))
-        taught = burn.between(_SPREAD // 2, _SPREAD)
-        burn = _Run(path, "burn", log_probability, mixture(taught), words)
-        burn.advance(_BURN, report("burn-in"))
-        taught = burn.between((_SPREAD + _BURN) // 2, _BURN)
-    begun = Stream(str(path), name="chain").initialized
-    run = _Run(
-        path, "chain", log_probability, mixture(taught), words, None if begun else burn.standing()
-    )
-    before, wanted = burn.backend.iteration, run.backend.next_look() or 2 * _BLOCK
+    check_run(target, store, walkers=walkers, resume=resume, key=key)
+    kept = Store() if store is None else FileStore(store)
+    tell = (lambda steps, word: None) if progress is None else progress
+    log_density = target.log_density
+    if kept.stage is None:
+        kept.begin(_first(target, start, walkers, key, tell))
     while True:
-        run.advance(min(wanted, max_steps), report("sampling", before))
-        steps = run.backend.iteration
-        checkpoint(path)
-        chains = diagnose(run.backend, steps)
-        if chains.converged or steps >= max_steps:
+        stage = kept.stage
+        assert stage is not None
+        run = _Run(kept, stage, log_density, key)
+        burn_in = stage.number < len(_BURN_IN)
+        if burn_in:
+            most = _BURN_IN[stage.number]
+            run.advance(most, lambda n, before=stage.steps_before: tell(before + n, "burn-in"))
+            samples = kept.rows(most // 2, most)[0]
+            kept.begin(run.next_stage(samples))
+            continue
+        most = min(kept.planned or _FIRST_LOOK, max_steps)
+        run.advance(most, lambda n, before=stage.steps_before: tell(before + n, "sampling"))
+        kept.save_copy()
+        chains = diagnose(kept)
+        if chains.converged or chains.steps >= max_steps:
             break
-        wanted = chains.next_look(_BLOCK)
-        run.backend.plan(wanted)
-        lesson = run.backend.lesson() + 1
-        patience = 2 * _BLOCK * 2**lesson
-        if lesson <= _LESSONS and (steps >= patience or chains.steps_needed() > patience):
-            thin = -(-steps * walkers // _TAUGHT_BY)
-            taught = run.backend.get_chain(thin=thin, flat=True)
-            mark, places = fingerprint(problem, walkers, words), run.standing()
-            _new_file(path, places, mark, taught, lesson)
-            run = _Run(path, "chain", log_probability, mixture(taught), words, places)
-            before, wanted = before + steps, 2 * _BLOCK
-    if throw:
-        throw_if(chains.status, chains.reason)
+        needed = 1.05 * TAUS * chains.tau.max()  # NaN of a walker that never moved, which may yet
+        planned = np.nan_to_num(needed, nan=np.inf)
+        kept.plan(int(np.clip(planned, chains.steps + _BETWEEN_LOOKS, 1.5 * chains.steps)))
+        replaced = stage.number - len(_BURN_IN)
+        patience = _PATIENCE * 2**replaced
+        if replaced < _REPLACED and (chains.steps >= patience or needed > patience):
+            every = -(-chains.steps * walkers // _ADAPTED_TO)
+            kept.begin(run.next_stage(kept.rows(every - 1, chains.steps, every)[0]))
+    if throw and not chains.converged:
+        raise ValueError(chains.reason)
     return chains
 
 
-def diagnose(backend, steps: int) -> Chains:
-    """Autocorrelation, effective samples and R-hat of a chain on disk, read with a stride that
-    bounds memory.
+def check_run(
+    target: Target,
+    store: str | Path | None,
+    *,
+    walkers: int = 64,
+    resume: bool = False,
+    key: PRNGKey,
+) -> None:
+    """Raise, before any work, the `ValueError` that `sample` would raise for its arguments."""
+    free = len(target.names)
+    if walkers < 2 * free + 2:
+        raise ValueError(
+            f"{walkers} walkers are too few for {free} free parameters; give at least "
+            f"{2 * free + 2}"
+        )
+    if store is None or not Path(store).exists():
+        return
+    if not resume:
+        raise ValueError(f"{store}: exists; resume it or remove it")
+    stage = FileStore(store).stage
+    assert stage is not None
+    # A chain belongs to the density that its walkers had where they started.
+    if (
+        stage.owner != _owner(target, key)
+        or stage.places.shape != (walkers, free)
+        or not _equal(target.log_density(stage.places), stage.log_density)
+    ):
+        raise ValueError(
+            f"{store}: made from other data or settings; it cannot be resumed with these"
+        )
+
+
+def words_of(key: PRNGKey) -> list[int]:
+    """Return the numbers of a key."""
+    return [int(word) for word in np.ravel(jax.random.key_data(key))]
+
+
+def diagnose(store: Store) -> Chains:
+    """Judge a chain by its autocorrelation, effective samples and R-hat.
+
+    It is read with a stride that bounds memory.
     """
+    steps = store.steps
     stride = -(-steps // _MOST_KEPT)
-    z = backend.get_chain(thin=stride)
+    z, log_density = store.rows(stride - 1, steps, stride)
     with np.errstate(invalid="ignore"):  # of a walker that never moved: NaN, which is reported
         tau = stride * emcee.autocorr.integrated_time(z, tol=0, quiet=True)
     rhat = bulk = tail = np.full(tau.shape, np.nan)
-    if tau.max() * TAUS <= steps:  # a second's work, for nothing if it has to go on
-        by_walker = np.moveaxis(
-            z[:: max(1, int(tau.min() / stride / 3))], 0, 1
-        )  # neighbours are alike
-        rhat, bulk, tail = np.array([diagnostics(by_walker[..., k]) for k in range(z.shape[2])]).T
+    if tau.max() * TAUS <= steps:  # a second's work, which a chain that goes on does not need
+        # Neighbours are alike.
+        by_walker = np.moveaxis(z[:: max(1, int(tau.min() / stride / 3))], 0, 1)
+        rhat, bulk, tail = np.array([mixing(by_walker[..., k]) for k in range(z.shape[2])]).T
     # Walkers are not independent chains: count no more than their autocorrelation leaves.
     bulk = np.minimum(bulk, steps * z.shape[1] / tau)
     tail = np.minimum(tail, steps * z.shape[1] / tau)
@@ -196,12 +246,13 @@ def diagnose(backend, steps: int) -> Chains:
     elif not rhat.max() <= RHAT:
         status, reason = ChainStatus.not_mixed, f"R-hat {rhat.max():.3f}, not {RHAT}"
     thin = max(1, int(tau.min() / 2 / stride)) if np.isfinite(tau).all() else 1
+    last, _ = store.rows(max(0, steps - _MOST_KEPT), steps)
     return Chains(
         z=z[thin - 1 :: thin],
-        log_probability=backend.get_log_prob(thin=stride)[thin - 1 :: thin],
+        log_probability=log_density[thin - 1 :: thin],
         thin=thin * stride,
         steps=steps,
-        acceptance=float(np.mean(backend.accepted) / max(steps, 1)),
+        acceptance=float((last[1:] != last[:-1]).any(axis=-1).mean()) if steps > 1 else np.nan,
         tau=tau,
         ess_bulk=bulk,
         ess_tail=tail,
@@ -211,90 +262,125 @@ def diagnose(backend, steps: int) -> Chains:
     )
 
 
+class Mixing(NamedTuple):
+    """Rank-normalised split R-hat, and effective sample sizes of bulk and tails [Vehtari et al.
+    2021].
+    """
+
+    rhat: float
+    ess_bulk: float
+    ess_tail: float
+
+
+def mixing(draws: Float[np.ndarray, "chains draws"]) -> Mixing:
+    """Compute how well the chains of one quantity mix."""
+    from arviz_stats.base.array import array_stats
+
+    stats: Any = array_stats  # it returns scalars where its annotations have tuples too
+    return Mixing(
+        float(stats.rhat(draws)),
+        float(stats.ess(draws, method="bulk")),
+        float(stats.ess(draws, method="tail", prob=(0.05, 0.95))),
+    )
+
+
+def _first(
+    target: Target,
+    start: Approximation,
+    walkers: int,
+    key: PRNGKey,
+    tell: Callable[[int, str], Any],
+) -> Stage:
+    """The walkers' first places, and the samples that their jumps are adapted to."""
+    random = np.random.RandomState([*words_of(key), 1 << 31])
+    found = importance_sample(
+        target.log_density, start, random, lambda rounds: tell(0, "importance sampling")
+    )
+    places = found.samples[random.choice(len(found.samples), walkers, walkers > DRAWS)]
+    # Differences of walkers on one spot would be zero.
+    apart = random.standard_normal(places.shape)
+    places = places + 1e-3 * found.samples.std(axis=0) * apart
+    return Stage(
+        owner=_owner(target, key),
+        number=len(_BURN_IN) if found.enough else 0,
+        steps_before=0,
+        places=places,
+        log_density=np.asarray(target.log_density(places), float),
+        adapted_to=found.samples if found.enough else None,
+    )
+
+
+def _owner(target: Target, key: PRNGKey) -> str:
+    return f"{', '.join(target.names)}; key {words_of(key)}"
+
+
+def _equal(one: np.ndarray, other: np.ndarray) -> bool:
+    return np.allclose(one, other, rtol=1e-9, atol=1e-9, equal_nan=True)
+
+
 class _Run:
-    """An ensemble and the group of the file that it streams to."""
+    """An ensemble, and the store that its steps go to."""
 
-    def __init__(self, path, name, log_probability, moves, words, first=None):
-        self.backend = Stream(str(path), name=name)
-        if first is not None:
-            self.backend.reset(*first.shape)
-            self.backend.begin(first)
-        self._forget_half_written(path, log_probability)
-        self.sampler = emcee.EnsembleSampler(
-            *self.backend.shape, log_probability, vectorize=True, moves=moves, backend=self.backend
+    def __init__(self, store: Store, stage: Stage, log_density, key: PRNGKey):
+        self._store, self._stage = store, stage
+        self._remove_half_written(log_density)
+        walkers, free = stage.places.shape
+        moves = mixture(stage.adapted_to)
+        self._sampler = emcee.EnsembleSampler(
+            walkers, free, log_density, vectorize=True, moves=moves
         )
-        lesson = self.backend.lesson()
-        self.seed = [*words, len(name), *([lesson] if lesson else [])]
-        self.random = np.random.RandomState(0)
+        self._seed = [*words_of(key), stage.number]
+        self._random = np.random.RandomState(0)
 
-    def advance(self, steps: int, progress) -> None:
-        """Go on to so many steps."""
-        done = self.backend.iteration
+    def advance(self, steps: int, progress: Callable[[int], Any]) -> None:
+        """Continue to so many steps."""
+        done = self._store.steps
         if done >= steps:
             return
-        here = self.standing()
+        places, log_density = self._last()
+        here = emcee.State(places, log_prob=log_density)
         self._reseed(done)
-        with self.backend.held():
-            for _ in self.sampler.sample(
-                here, iterations=steps - done, skip_initial_state_check=True
+        with self._store.writing(steps - done) as append:
+            for state in self._sampler.sample(
+                here, iterations=steps - done, store=False, skip_initial_state_check=True
             ):
+                append(state.coords, np.asarray(state.log_prob))
                 done += 1
                 self._reseed(done)
                 progress(done)
 
-    def standing(self) -> np.ndarray:
-        """Where the walkers are."""
-        if self.backend.iteration:
-            return self.backend.get_last_sample().coords
-        return self.backend.first()
+    def next_stage(self, samples: Float[np.ndarray, "steps walkers free"]) -> Stage:
+        """Start again from the walkers' places, with proposals adapted to samples."""
+        stage = self._stage
+        places, log_density = self._last()
+        return Stage(
+            owner=stage.owner,
+            number=stage.number + 1,
+            steps_before=stage.steps_before + self._store.steps,
+            places=places,
+            log_density=log_density,
+            adapted_to=samples.reshape(-1, samples.shape[-1]),
+        )
 
-    def between(self, first: int, last: int) -> np.ndarray:
-        """All walkers' places in steps first to last, (n, free)."""
-        z = self.backend.rows(first, last)
-        return z.reshape(-1, z.shape[-1])
+    def _last(self) -> tuple[np.ndarray, np.ndarray]:
+        """Where the walkers are, and the log density there."""
+        steps = self._store.steps
+        if not steps:
+            return self._stage.places, self._stage.log_density
+        places, log_density = self._store.rows(steps - 1, steps)
+        return places[0], log_density[0]
 
-    def _reseed(self, step: int):
-        self.random.seed([*self.seed, step])
-        self.sampler.random_state = self.random.get_state()
+    def _reseed(self, step: int) -> None:
+        self._random.seed([*self._seed, step])
+        self._sampler.random_state = self._random.get_state()
 
-    def _forget_half_written(self, path, log_probability):
-        """Drop a last step whose log probability is not that of its place: the process died while
+    def _remove_half_written(self, log_density) -> None:
+        """Remove a last step whose log density is not that of its places: the process died while
         writing it.
         """
         for _ in range(3):
-            if not self.backend.iteration:
+            places, stored = self._last()
+            if _equal(log_density(places), stored):
                 return
-            last = self.backend.get_last_sample()
-            again = log_probability(last.coords)
-            if np.allclose(again, np.asarray(last.log_prob), rtol=1e-9, atol=1e-9, equal_nan=True):
-                return
-            self.backend.drop_last()
-        raise ValueError(
-            f"{path}: its steps do not belong to this problem; remove it and start again"
-        )
-
-
-def _begin(
-    path: Path, problem: Problem, walkers: int, words: list[int], best: Fit, progress
-) -> None:
-    """A new file with the walkers' first places, and with what teaches their jumps."""
-    random = np.random.RandomState([*words, 1 << 31])
-    found = importance_sample(density(problem), *laplace(problem, best), random, progress)
-    free = found.samples.shape[1]
-    # Walkers on one spot would know no differences.
-    places = found.samples[random.choice(len(found.samples), walkers, walkers > DRAWS)]
-    cloud = places + 1e-3 * found.samples.std(axis=0) * random.standard_normal((walkers, free))
-    mark = fingerprint(problem, walkers, words)
-    _new_file(path, cloud, mark, found.samples if found.enough else None)
-
-
-def _new_file(path: Path, places, mark: str, taught, lesson: int = 0) -> None:
-    """A file without a step, in place of one that may be there."""
-    with unfinished(path.with_name(f".{path.name}.{os.getpid()}.tmp")) as temporary:
-        backend = Stream(str(temporary), name="burn")
-        try:
-            backend.reset(*places.shape)
-            backend.begin(places, mark, taught, lesson)
-            os.replace(temporary, path)
-        finally:
-            temporary.unlink(missing_ok=True)
+            self._store.drop_last()
+        raise ValueError("the steps in the file do not belong to this problem; remove it")

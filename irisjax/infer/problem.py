@@ -1,7 +1,7 @@
 """An inverse problem: measurements, what is free, and the probability of every choice of it."""
 
 import dataclasses
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
 import equinox as eqx
@@ -51,6 +51,18 @@ class Problem(eqx.Module):
     free: tuple[str, ...] = eqx.field(static=True)
     priors: tuple[AbstractPrior, ...]
     process: AbstractProcess = eqx.field(static=True)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the free parameters."""
+        return self.free
+
+    @property
+    def log_density(self) -> Callable[[np.ndarray], np.ndarray]:
+        """Function of many vectors z, (n, free) → (n,): their log posterior densities."""
+        from irisjax.infer.pieces import density
+
+        return density(self)
 
     @property
     def units(self) -> tuple[str, ...]:

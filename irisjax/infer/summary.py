@@ -9,10 +9,9 @@ from scipy.special import ndtri
 from scipy.stats import qmc
 
 from irisjax._types import PRNGKey
-from irisjax.infer.diagnostics import diagnostics
 from irisjax.infer.parameters import unit_of
 from irisjax.infer.pieces import in_rows, predicted
-from irisjax.infer.posterior import Chains
+from irisjax.infer.posterior import Chains, mixing
 from irisjax.infer.problem import Problem
 from irisjax.numerics.programs import program
 
@@ -94,7 +93,7 @@ def summarise(problem: Problem, chains: Chains) -> list[Row]:
         else:
             # Of a chain too short to be judged nothing is judged.
             judged = np.isfinite(chains.rhat).all()
-            rhat, bulk, tail = diagnostics(values.T) if judged else (np.nan,) * 3
+            rhat, bulk, tail = mixing(values.T) if judged else (np.nan,) * 3
             # Derived: their logarithms, which the priors make nearly normal.
             contraction = 1 - np.log(values).var() / np.log(before[name]).var()
         q = np.percentile(values, QUANTILES)

@@ -16,7 +16,7 @@ from jaxtyping import Array, Bool, Float
 
 from irisjax._types import PRNGKey, as_float
 from irisjax.anatomy.eye import Eye
-from irisjax.infer.search import Found, levenberg_marquardt, lowest
+from irisjax.infer.least_squares import Found, least_squares, levenberg_marquardt
 from irisjax.numerics.checks import Range, check_range, check_whole
 from irisjax.numerics.programs import program
 from irisjax.ocularist.easel import painted
@@ -199,17 +199,13 @@ def _residuals(x, pull, problem: _Problem):
 
 @program
 def _searched(problem: _Problem, max_steps: int) -> Found:
-    return lowest(
+    return least_squares(
         _residuals,
         problem,
         problem.start,
-        jnp.full(1, PULL, problem.start.dtype),
+        weights=jnp.full(1, PULL, problem.start.dtype),
         solver=levenberg_marquardt(_CLOSE, _CLOSE),
-        starts=1,
-        rounds=1,
         max_steps=max_steps,
-        elements=3 * problem.opacity.size,
-        key=None,
     )
 
 

@@ -14,8 +14,8 @@ import numpy as np
 import optimistix as optx
 from jaxtyping import Array, Float
 
+from irisjax.infer.least_squares import levenberg_marquardt
 from irisjax.infer.priors import AbstractPrior, LogNormal
-from irisjax.infer.search import levenberg_marquardt
 from irisjax.numerics.programs import program
 from irisjax.photo.concentrations import CONCENTRATIONS, iris_of
 from irisjax.photo.window_noise import covariances, log_likelihood, whitened

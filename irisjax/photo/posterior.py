@@ -7,17 +7,17 @@ jumps, as it does for spectra, or a burn-in does; the chain goes on until it is 
 import math
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
 from typing import Any, NamedTuple
 
-import emcee
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from irisjax.infer.importance import ImportanceSample, importance_sample
-from irisjax.infer.moves import mixture
-from irisjax.infer.posterior import Chains, diagnose
+from irisjax.infer import posterior
+from irisjax.infer.importance import Start
+from irisjax.infer.posterior import Chains
 from irisjax.numerics.programs import program
 from irisjax.photo.concentrations import CONCENTRATIONS
 from irisjax.photo.pigments import NAMES, PRIORS, Fit, log_probability, values_of
@@ -25,8 +25,6 @@ from irisjax.photo.windows import Windows
 from irisjax.tissue.iris import Iris
 
 WALKERS = 48
-_BURN = 150  # steps, where importance sampling found too little
-_FIRST, _BLOCK = 200, 40  # steps to the first look at the chain, and between looks at least
 _ROWS = WALKERS // 4  # log probabilities computed at a time: half of what a step of emcee asks for
 
 
@@ -58,6 +56,14 @@ class PigmentPosterior(NamedTuple):
     chains: Chains
 
 
+@dataclass(frozen=True)
+class _Target:
+    """A `posterior.Target`."""
+
+    names: tuple[str, ...]
+    log_density: Callable[[np.ndarray], np.ndarray]
+
+
 def sample(
     windows: Windows,
     base: Iris,
@@ -78,7 +84,6 @@ def sample(
         seed: Of all random numbers.
     """
     held = _density.bound((windows, base))
-    random = np.random.RandomState(seed)
     middle, slope = (np.asarray(v) for v in _totals_and_slope(jnp.asarray(best.z)))
     covariance = slope @ best.covariance @ slope.T + 1e-9 * np.eye(len(best.z))
     with ThreadPoolExecutor(2) as pool:  # one program is too small for two cores
@@ -87,8 +92,14 @@ def sample(
             rows = _padded(x, _ROWS).reshape(-1, _ROWS, x.shape[1])
             return np.concatenate(list(pool.map(lambda r: np.asarray(held(r)), rows)))[: len(x)]
 
-        first = importance_sample(density, middle, covariance, random)
-        chains = _chains(density, first, random, max_steps, progress)
+        chains = posterior.sample(
+            _Target(NAMES, density),
+            Start(middle, covariance),
+            walkers=WALKERS,
+            max_steps=max_steps,
+            progress=lambda steps, word: progress(steps),
+            key=jax.random.key(seed),
+        )
     x = chains.z.reshape(-1, len(NAMES))
     drawn = {k: np.asarray(v)[: len(x)] for k, v in _drawn(jnp.asarray(_padded(x, 4096))).items()}
     z, values = drawn.pop("z"), {name: drawn[name] for name in NAMES}
@@ -98,39 +109,6 @@ def sample(
         told = float(1 - z[:, i].var())
         estimates[name] = Estimate(median, float(value.std()), low, high, told)
     return PigmentPosterior(values, estimates, z, chains)
-
-
-def _chains(density, first: ImportanceSample, random, max_steps: int, progress) -> Chains:
-    places = first.samples[random.choice(len(first.samples), WALKERS, False)]
-    start = places + 1e-3 * first.samples.std(0) * random.standard_normal(places.shape)
-    here: Any = emcee.State(start, random_state=random.get_state())
-    taught = first.samples
-    if not first.enough:
-        # What teaches jumps may be uneven where the sample is small: differences of walkers then.
-        burn = _ensemble(density, taught if first.effective > 100 else None)
-        for _ in burn.sample(here, iterations=_BURN, skip_initial_state_check=True):
-            progress(0)
-        here = burn.get_last_sample()
-        taught = burn.get_chain(discard=_BURN // 2, flat=True)
-    sampler, chains, wanted = _ensemble(density, taught), None, _FIRST
-    while chains is None or not (chains.converged or chains.steps >= max_steps):
-        more = min(wanted, max_steps) - sampler.iteration
-        for _ in sampler.sample(here, iterations=more, skip_initial_state_check=True):
-            progress(sampler.iteration)
-        here = sampler.get_last_sample()
-        chains = diagnose(sampler.backend, sampler.iteration)
-        wanted = chains.next_look(_BLOCK)
-    return chains
-
-
-def _ensemble(density, taught) -> emcee.EnsembleSampler:
-    """Walkers whose jumps are taught by samples."""
-    return emcee.EnsembleSampler(
-        *(WALKERS, len(NAMES), density),
-        vectorize=True,
-        moves=mixture(taught),
-        backend=emcee.backends.Backend(),
-    )
 
 
 def _padded(x, rows: int) -> np.ndarray:

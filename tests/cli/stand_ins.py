@@ -13,8 +13,7 @@ import numpy as np
 import irisjax as ij
 from irisjax.cli import model, report, simulate
 from irisjax.infer.other_process import PIGMENTS, Comparison, Interval, Moved
-from irisjax.infer.posterior import Chains
-from irisjax.infer.status import ChainStatus
+from irisjax.infer.posterior import Chains, ChainStatus
 from irisjax.infer.summary import Check
 from irisjax.transport.solution import RESULTS, Absorbed
 from irisjax.transport.solver import AbstractSolver
@@ -95,11 +94,11 @@ def without_search(monkeypatch):
     """Neither search nor sampler nor checks: a cloud of samples. Returns the list of calls."""
     calls = []
 
-    def sample(problem, path, *, start, resume, progress, key, **settings):
+    def sample(problem, start, *, store, resume, progress, key, **settings):
         calls.append(
-            Sampled(problem, **settings, key=key, resume=resume, went_on=Path(path).exists())
+            Sampled(problem, **settings, key=key, resume=resume, went_on=Path(store).exists())
         )
-        Path(path).write_text("chain")
+        Path(store).write_text("chain")
         progress(10, "sampling")
         free, steps = len(problem.free), settings["max_steps"]
         shape = (50, settings["walkers"])

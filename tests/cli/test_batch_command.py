@@ -10,7 +10,7 @@ from stand_ins import FREE
 
 from irisjax import io
 from irisjax.cli import batch, report
-from irisjax.infer.status import FitStatus
+from irisjax.infer.fit import FitStatus
 
 
 class Found(NamedTuple):

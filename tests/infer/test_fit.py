@@ -12,14 +12,13 @@ from scipy import stats
 from scipy.optimize import least_squares
 
 import irisjax as ij
-from irisjax.infer import search
-from irisjax.infer.fit import _status, fit
+from irisjax.infer import least_squares as search
+from irisjax.infer.fit import FitStatus, _status, fit, words_for
 from irisjax.infer.identifiability import in_words, information
+from irisjax.infer.least_squares import Normal, levenberg_marquardt
 from irisjax.infer.noise import Noise
 from irisjax.infer.observation import with_values
 from irisjax.infer.parameters import of_iris
-from irisjax.infer.search import Normal, levenberg_marquardt
-from irisjax.infer.status import FitStatus, says
 
 GRID = ij.wavelengths(400, 700, 10)
 KEY = jax.random.key(0, impl="threefry2x32")
@@ -83,7 +82,7 @@ def test_thirty_irides_of_the_priors_are_all_found(problem, predict):
     spectra = predict(jnp.pad(z, ((0, 0), (0, 2))))
     for values in spectra:
         found = fit(seen(problem, values, Noise(1e-3, 1e-5)), use_priors=False, key=KEY)
-        assert bool(found.ok), says(found.status)
+        assert bool(found.ok), words_for(found.status)
         assert float(found.chi_square) < 1e-6
         assert int(found.agreeing) >= 2
 
@@ -245,7 +244,7 @@ EXHAUSTED = {"result": optx.RESULTS.nonlinear_max_steps_reached, "agreeing": 0, 
 def test_statuses(best, chi_square, solved, wanted):
     status = _status(best, jnp.asarray(chi_square), 80.0, jnp.asarray(solved))
     assert bool(status == getattr(FitStatus, wanted))
-    assert says(status) == FitStatus[getattr(FitStatus, wanted)]
+    assert words_for(status) == FitStatus[getattr(FitStatus, wanted)]
 
 
 def test_rounds_follow_while_starts_disagree():
@@ -257,9 +256,8 @@ def test_rounds_follow_while_starts_disagree():
 
     @jax.jit
     def run(width):
-        return search.lowest(
-            residuals, width, jnp.asarray([-1.0]), jnp.zeros(1), solver=levenberg_marquardt(),
-            starts=3, rounds=5, max_steps=100, elements=1, key=KEY,
+        return search.least_squares(
+            residuals, width, jnp.asarray([-1.0]), weights=jnp.zeros(1), starts=3, rounds=5, max_steps=100, elements=1, key=KEY,
         )._replace(result=None)  # fmt: skip
 
     wide, narrow = run(1.0), run(0.5)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from irisjax.infer.importance import DRAWS, importance_sample
+from irisjax.infer.importance import DRAWS, Start, importance_sample
 
 
 def _ridge(z):
@@ -28,7 +28,7 @@ def _far(z):
 def test_samples_have_the_moments_of_the_posterior(log_p, mean, variance):
     """From a normal approximation that is tilted, too narrow, or elsewhere."""
     found = importance_sample(
-        log_p, np.array([1.0, 1.3]), 0.01 * np.eye(2), np.random.RandomState(0)
+        log_p, Start(np.array([1.0, 1.3]), 0.01 * np.eye(2)), np.random.RandomState(0)
     )
     assert found.enough
     assert abs(found.log_integral) < 4 * found.error  # the integral of a density is one
@@ -45,7 +45,7 @@ def test_the_integral_of_a_density_that_the_first_round_resembles():
     def wide(z):
         return stats.norm.logpdf(z, 0.0, 1.4).sum(axis=1)
 
-    found = importance_sample(wide, np.zeros(2), 0.5 * np.eye(2), np.random.RandomState(0))
+    found = importance_sample(wide, Start(np.zeros(2), 0.5 * np.eye(2)), np.random.RandomState(0))
     assert found.rounds == 1
     assert abs(found.log_integral) < 4 * found.error
 
@@ -57,7 +57,7 @@ def test_what_no_proposal_resembles_is_said():
         return -0.5 * ((np.hypot(*z.T) - 2) / 0.01) ** 2
 
     found = importance_sample(
-        ring, np.array([2.0, 0.0]), 1e-4 * np.eye(2), np.random.RandomState(0)
+        ring, Start(np.array([2.0, 0.0]), 1e-4 * np.eye(2)), np.random.RandomState(0)
     )
     assert not found.enough
     assert np.isfinite(found.samples).all()
@@ -69,10 +69,12 @@ def test_places_without_probability_are_left_out():
     def half(z):
         return np.where(z[:, 0] > 0, -0.5 * (z**2).sum(axis=1), -np.inf)
 
-    z = importance_sample(half, np.ones(2), np.eye(2), np.random.RandomState(0)).samples
+    z = importance_sample(half, Start(np.ones(2), np.eye(2)), np.random.RandomState(0)).samples
     assert (z[:, 0] > 0).all()
     assert z[:, 0].mean() == pytest.approx(np.sqrt(2 / np.pi), abs=0.1)
     with pytest.raises(ValueError, match="no draw"):
         importance_sample(
-            lambda z: np.full(len(z), -np.inf), np.ones(2), np.eye(2), np.random.RandomState(0)
+            lambda z: np.full(len(z), -np.inf),
+            Start(np.ones(2), np.zeros((2, 2))),
+            np.random.RandomState(0),
         )

@@ -16,7 +16,7 @@ pytestmark = [pytest.mark.peer, pytest.mark.filterwarnings("ignore")]  # numpyro
 
 
 @pytest.mark.parametrize("model", ["closed formula", pytest.param("ilit", marks=pytest.mark.slow)])
-def test_ensemble_and_nuts_agree(model, tmp_path):
+def test_ensemble_and_nuts_agree(model):
     """Means, spreads and the correlation of load and fraction, within Monte Carlo error."""
     from numpyro.diagnostics import effective_sample_size
     from numpyro.infer import MCMC, NUTS
@@ -29,7 +29,7 @@ def test_ensemble_and_nuts_agree(model, tmp_path):
         ij.spectrum(grid, np.asarray(problem.simulate(truth, jax.random.key(1))[0]))
     )
     best = fit(problem, key=jax.random.key(3))
-    chains = sample(problem, tmp_path / "chain.h5", start=best, key=jax.random.key(4))
+    chains = sample(problem, best, key=jax.random.key(4))
     assert chains.converged
     nuts = MCMC(
         NUTS(potential_fn=lambda z: -problem.log_posterior(z)),

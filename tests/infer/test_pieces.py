@@ -10,8 +10,7 @@ from irisjax.cli import report
 from irisjax.infer import pieces
 from irisjax.infer.analytic import BeerLambert
 from irisjax.infer.fit import fit
-from irisjax.infer.posterior import Chains
-from irisjax.infer.status import ChainStatus
+from irisjax.infer.posterior import Chains, ChainStatus
 from irisjax.numerics import portions
 
 GRID = ij.wavelengths(400, 700, 10)

@@ -1,11 +1,12 @@
-"""Posterior sampling: right distributions, chains that survive being killed,
-diagnostics that tell.
+"""Posterior sampling: right distributions, the same chain in memory, in a file and after a kill, and
+chains that are too short are called so.
 """
 
 import shutil
 import subprocess
 import sys
 import tracemalloc
+from typing import NamedTuple
 
 import h5py
 import jax
@@ -13,248 +14,234 @@ import numpy as np
 import pytest
 
 import irisjax as ij
-from common import heavily, slowly
 from irisjax.infer import importance, posterior
-from irisjax.infer.analytic import BeerLambert, FirstOrder
+from irisjax.infer.analytic import BeerLambert
 from irisjax.infer.fit import fit
-from irisjax.infer.posterior import sample
-from irisjax.infer.resume import check_run
+from irisjax.infer.importance import Start
+from irisjax.infer.noise import Noise
+from irisjax.infer.posterior import check_run, diagnose, mixing, sample
+from irisjax.infer.store import Store
 from irisjax.infer.summary import check, summarise
 
-GRID = ij.wavelengths(400, 700, 30)
 KEY, OTHER = jax.random.key(3), jax.random.key(4)
-TRUTH = {"melanin_load": 0.1, "hemoglobin": 0.08, "pheomelanin_share": 0.4, "abl_fraction": 0.6}
+START = Start(np.zeros(2), np.diag([0.5, 0.0]))
+SETTINGS = {"walkers": 16, "max_steps": 600, "key": KEY}
 
 
-def stated(seed=0, free=("melanin_load", "hemoglobin", "noise"), **options):
-    """A problem that compiles in a moment: the closed formula in place of transport."""
-    problem = ij.problem(
-        ij.spectrum(GRID, np.zeros(GRID.size)), free=free, solver=BeerLambert(), **options
-    )
-    z = problem.standard({**TRUTH, "noise": 1.0})
-    values = problem.simulate(z, jax.random.key(seed))[0]
-    return problem.with_observations(ij.spectrum(GRID, np.asarray(values)))
+class Ridge(NamedTuple):
+    """A curved ridge; as any target, it needs no transport and no JAX."""
+
+    middle: float = 0.5
+
+    @property
+    def names(self):
+        return ("along", "across")
+
+    def log_density(self, z):
+        across = z[:, 1] - 0.3 * z[:, 0] ** 2
+        return -0.5 * ((z[:, 0] - self.middle) / 0.8) ** 2 - 0.5 * ((across - 1) / 0.2) ** 2
+
+
+RIDGE = Ridge()
 
 
 def rows(path):
     with h5py.File(path) as file:
-        return np.asarray(file["chain"]["chain"]), np.asarray(file["chain"]["log_prob"])
+        return np.asarray(file["chain"]), np.asarray(file["log_density"])
+
+
+def assert_same(one, other):
+    for a, b in zip(rows(one), rows(other), strict=True):
+        np.testing.assert_array_equal(a, b)
+
+
+def interrupted(path, when, **settings):
+    """A run that stops at a step and is resumed."""
+
+    def stop(n, _):
+        if n == when:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        sample(RIDGE, START, store=path, progress=stop, **settings)
+    return sample(RIDGE, START, store=path, resume=True, **settings)
+
+
+def assert_same_distribution(one, other):
+    error = one.z.std(axis=(0, 1)) * np.sqrt(1 / one.ess_bulk + 1 / other.ess_bulk)
+    assert (np.abs(one.z.mean(axis=(0, 1)) - other.z.mean(axis=(0, 1))) < 4 * error).all()
 
 
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory):
-    """A chain no one interrupted."""
+    """A chain that nothing interrupted."""
     path = tmp_path_factory.mktemp("whole") / "chain.h5"
-    problem = stated()
-    return problem, path, sample(problem, path, walkers=16, key=KEY, max_steps=600)
+    return path, sample(RIDGE, START, store=path, **SETTINGS)
 
 
-@pytest.mark.parametrize("when", [1, slowly(100), heavily(240)])
+def test_the_chain_in_memory_is_that_in_a_file(whole):
+    path, chains = whole
+    assert chains.converged
+    again = sample(RIDGE, START, **SETTINGS)
+    for one, other in zip(chains, again, strict=True):
+        np.testing.assert_array_equal(one, other)
+    np.testing.assert_array_equal(rows(path)[0][chains.thin - 1 :: chains.thin], chains.z)
+
+
+@pytest.mark.parametrize("when", [1, 100, 249])
 def test_interrupted_and_resumed_is_the_same_chain(whole, tmp_path, when):
-    problem, path, _ = whole
-    mine = tmp_path / "chain.h5"
-
-    def stop(n, _):
-        if n == when:
-            raise KeyboardInterrupt
-
-    with pytest.raises(KeyboardInterrupt):
-        sample(problem, mine, walkers=16, key=KEY, max_steps=600, progress=stop)
-    sample(problem, mine, walkers=16, key=KEY, max_steps=600, resume=True)
-    for a, b in zip(rows(path), rows(mine), strict=True):
-        np.testing.assert_array_equal(a, b)
+    interrupted(tmp_path / "mine.h5", when, **SETTINGS)
+    assert_same(whole[0], tmp_path / "mine.h5")
 
 
-@pytest.mark.heavy
-@pytest.mark.parametrize("when", [100, slowly(250), slowly(400)])
-def test_burn_in_interrupted_and_resumed(tmp_path, monkeypatch, when):
+@pytest.mark.parametrize("when", [100, 250, 400])
+def test_burn_in_interrupted_and_resumed(whole, tmp_path, monkeypatch, when):
     """Where importance weights stay uneven walkers burn in; that too can be interrupted."""
     monkeypatch.setattr(importance, "EFFECTIVE", 1e9)
-    problem, paths = stated(), [tmp_path / "whole.h5", tmp_path / "mine.h5"]
-    options = {"walkers": 16, "key": KEY, "max_steps": 400}
+    words = []
+    chains = sample(
+        RIDGE, START, store=tmp_path / "a.h5", progress=lambda n, word: words.append((n, word)),
+        **SETTINGS,
+    )  # fmt: skip
+    assert words[:1] == [(0, "importance sampling")]
+    assert [n for n, word in words if word == "burn-in"] == list(range(1, 301))
+    interrupted(tmp_path / "b.h5", when, **SETTINGS)
+    assert_same(tmp_path / "a.h5", tmp_path / "b.h5")
+    assert_same_distribution(whole[1], chains)
 
-    def stop(n, _):
-        if n == when:
-            raise KeyboardInterrupt
 
-    chains = sample(problem, paths[0], **options)
-    with pytest.raises(KeyboardInterrupt):
-        sample(problem, paths[1], progress=stop, **options)
-    sample(problem, paths[1], resume=True, **options)
-    for a, b in zip(*(rows(path) for path in paths), strict=True):
-        np.testing.assert_array_equal(a, b)
-    # Importance sampling begins where burn-in ends.
+@pytest.mark.parametrize("when", [250, 251, 700])
+def test_a_chain_that_is_too_slow_is_replaced(whole, tmp_path, monkeypatch, when):
+    """The next one has the same distribution, and is the same if the work is interrupted."""
+    monkeypatch.setattr(posterior, "TAUS", 300)
+    settings, reported = SETTINGS | {"max_steps": 20_000}, []
+    chains = sample(
+        RIDGE, START, store=tmp_path / "a.h5", progress=lambda n, _: reported.append(n), **settings
+    )
     assert chains.converged
-    monkeypatch.undo()
-    direct = sample(problem, tmp_path / "direct.h5", **options)
-    assert direct.steps <= chains.steps
-    error = chains.z.std(axis=(0, 1)) * np.sqrt(1 / chains.ess_bulk + 1 / direct.ess_bulk)
-    assert (np.abs(direct.z.mean(axis=(0, 1)) - chains.z.mean(axis=(0, 1))) < 4 * error).all()
+    assert max(reported) > chains.steps > 500
+    assert_same_distribution(whole[1], chains)
+    interrupted(tmp_path / "b.h5", when, **settings)
+    assert_same(tmp_path / "a.h5", tmp_path / "b.h5")
 
 
-def test_torn_step_and_damaged_file_are_mended(whole, tmp_path):
-    problem, path, _ = whole
-    for fault in ("torn", "damaged"):
-        mine = tmp_path / f"{fault}.h5"
-        shutil.copy(path, mine)
-        shutil.copy(path.with_name("chain.h5.bak"), mine.with_name(f"{fault}.h5.bak"))
-        if fault == "torn":
-            with h5py.File(mine, "a") as file:
-                file["chain"]["chain"][-1] = 0.25
-        else:
-            data = mine.read_bytes()
-            mine.write_bytes(data[: len(data) // 2])
-        sample(problem, mine, walkers=16, key=KEY, max_steps=600, resume=True)
-        for a, b in zip(rows(path), rows(mine), strict=True):
-            np.testing.assert_array_equal(a, b)
+@pytest.mark.parametrize("fault", ["torn", "damaged"])
+def test_torn_step_and_damaged_file_are_mended(whole, tmp_path, fault):
+    path, mine = whole[0], tmp_path / "mine.h5"
+    shutil.copy(path, mine)
+    shutil.copy(path.with_name("chain.h5.bak"), mine.with_name("mine.h5.bak"))
+    if fault == "torn":
+        with h5py.File(mine, "a") as file:
+            file["chain"][-1] = 0.25
+    else:
+        mine.write_bytes(mine.read_bytes()[: mine.stat().st_size // 2])
+    sample(RIDGE, START, store=mine, resume=True, **SETTINGS)
+    assert_same(path, mine)
+    mine.write_bytes(b"")
+    mine.with_name("mine.h5.bak").unlink()
+    with pytest.raises(ValueError, match=r"damaged .* and without a copy"):
+        sample(RIDGE, START, store=mine, resume=True, **SETTINGS)
 
 
-def test_seeds_and_settings_count(whole, tmp_path):
-    problem, path, _ = whole
-    other = tmp_path / "other.h5"
-    sample(problem, other, walkers=16, key=OTHER, max_steps=400)
-    assert not np.array_equal(rows(path)[0][:400], rows(other)[0][:400])
-    with pytest.raises(ValueError, match="exists"):
-        sample(problem, other, walkers=16, key=OTHER)
-    with pytest.raises(ValueError, match="other data or settings"):
-        sample(stated(seed=9), other, walkers=16, key=OTHER, resume=True)
-    with pytest.raises(ValueError, match="too few"):
-        sample(problem, tmp_path / "few.h5", walkers=6, key=KEY)
-
-
-def test_other_settings_cannot_be_resumed(whole, tmp_path):
-    """Quantity, incidence, first surface and solver belong to a chain too."""
-    path = tmp_path / "chain.h5"
-    shutil.copy(whole[1], path)
-    seen = whole[0].observations[0]
-    for changed in (
-        {"quantity": "radiance"},
-        {"cos_incidence": 0.5},
-        {"cos_incidence": ij.DIFFUSE},
-        {"first_surface": False},
-        {"solver": FirstOrder()},
+def test_other_runs_cannot_be_resumed(whole, tmp_path):
+    path, _ = whole
+    other = sample(RIDGE, START, **SETTINGS | {"key": OTHER})
+    assert not np.array_equal(other.z[0], whole[1].z[0])
+    with pytest.raises(ValueError, match="exists; resume it or remove it"):
+        sample(RIDGE, START, store=path, **SETTINGS)
+    renamed = ij.problem(ij.spectrum([500.0, 600.0], [0.1, 0.1]), free=["gain", "noise"])
+    for target, changed in (
+        (Ridge(0.6), {}),
+        (RIDGE, {"key": OTHER}),
+        (RIDGE, {"walkers": 18}),
+        (renamed, {}),
     ):
-        solver = changed.pop("solver", BeerLambert())
-        again = ij.problem(
-            ij.spectrum(GRID, np.asarray(seen.values), **changed),
-            free=["melanin_load", "hemoglobin", "noise"],
-            solver=solver,
-        )
+        settings = {"walkers": 16, "key": KEY} | changed
         with pytest.raises(ValueError, match="other data or settings"):
-            check_run(again, path, walkers=16, resume=True, key=KEY)
-    check_run(whole[0], path, walkers=16, resume=True, key=KEY)
+            check_run(target, path, resume=True, **settings)
+    check_run(RIDGE, path, walkers=16, resume=True, key=KEY)
+    with pytest.raises(ValueError, match="5 walkers are too few for 2 free parameters"):
+        sample(RIDGE, START, walkers=5, key=KEY)
 
 
 def test_short_chains_are_called_short(whole, tmp_path):
-    problem, _, chains = whole
-    assert chains.converged
+    path, chains = whole
     assert chains.steps >= 50 * chains.tau.max()
     assert chains.ess_bulk.min() >= 1000
-    short = sample(problem, tmp_path / "short.h5", walkers=16, key=KEY, max_steps=20)
+    short = sample(RIDGE, START, store=tmp_path / "short.h5", **SETTINGS | {"max_steps": 20})
     assert not short.converged
     assert "20 steps are" in short.reason
+    with pytest.raises(ValueError, match="20 steps are"):
+        sample(RIDGE, START, throw=True, **SETTINGS | {"max_steps": 20})
     # More steps are the same chain, longer.
-    longer = sample(problem, tmp_path / "short.h5", walkers=16, key=KEY, max_steps=600, resume=True)
+    longer = sample(RIDGE, START, store=tmp_path / "short.h5", resume=True, **SETTINGS)
     assert longer.converged
-    np.testing.assert_array_equal(rows(tmp_path / "short.h5")[0][:60], rows(whole[1])[0][:60])
+    np.testing.assert_array_equal(rows(tmp_path / "short.h5")[0][:60], rows(path)[0][:60])
+
+
+def test_moments_are_those_of_the_density(whole):
+    """The ridge's moments are known; its second coordinate has skewness and kurtosis."""
+    z, error = whole[1].flat, 4.5 / np.sqrt(whole[1].ess_bulk)
+    mean, sd = [0.5, 1 + 0.3 * 0.89], [0.8, np.sqrt(0.04 + 0.09 * (2 * 0.64**2 + 4 * 0.64 * 0.25))]
+    assert (np.abs(z.mean(0) - mean) < error * sd).all()
+    np.testing.assert_allclose(z.std(0), sd, rtol=2 * error.max())
+    covariance = 0.3 * 2 * 0.5 * 0.64  # of x and 0.3 x²
+    assert np.cov(z.T)[0, 1] == pytest.approx(covariance, abs=2 * error.max())
+
+
+def test_a_walker_that_never_moves_is_reported():
+    store = Store()
+    places = np.random.default_rng(0).standard_normal((200, 6, 2))
+    places[:, 2] = places[0, 2]
+    with store.writing(200) as append:
+        for step in places:
+            append(step, step[:, 0])
+    found = diagnose(store)
+    assert not found.converged
+    assert found.reason == "a walker never moved"
+
+
+def test_mixing_counts_independent_draws_and_notices_chains_apart():
+    rng = np.random.default_rng(0)
+    found = mixing(rng.normal(size=(8, 500)))
+    assert found.rhat == pytest.approx(1, abs=0.01)
+    assert found.ess_bulk == pytest.approx(4000, rel=0.2)
+    assert found.ess_tail == pytest.approx(4000, rel=0.3)
+    assert mixing(rng.normal(size=(4, 200)) + np.arange(4)[:, None]).rhat > 1.2
 
 
 @pytest.mark.slow  # long chains
-def test_memory_does_not_grow_with_the_chain(whole, tmp_path, monkeypatch):
+def test_memory_does_not_grow_with_the_chain(tmp_path, monkeypatch):
     """Ten times the steps, resumed or not: less is held at any moment than their log probabilities
     would take.
     """
-    problem, best = whole[0], fit(whole[0], starts=1)
-    monkeypatch.setattr(
-        posterior, "density", lambda _: lambda z: -0.5 * np.square(np.asarray(z)).sum(axis=1)
-    )
     # As with the real numbers: a short burn-in, never long enough, and fewer steps kept than either
     # run has.
     for name, value in (
-        ("TAUS", np.inf),
-        ("_SPREAD", 10),
-        ("_BURN", 20),
-        ("_MOST_KEPT", 20),
-        ("_LESSONS", 0),
-    ):
+        ("TAUS", np.inf), ("_BURN_IN", (10, 10)), ("_MOST_KEPT", 20), ("_REPLACED", 0)
+    ):  # fmt: skip
         monkeypatch.setattr(posterior, name, value)
     walkers, peaks = 256, {}
     for resume in (False, True):
         for steps in (20, 30, 300):  # the first warms up
             tracemalloc.start()
             sample(
-                problem,
-                tmp_path / f"{steps}.h5",
-                walkers=walkers,
-                start=best,
-                max_steps=steps,
-                resume=resume,
-                key=KEY,
-            )
+                RIDGE, START, store=tmp_path / f"{steps}.h5", resume=resume, walkers=walkers,
+                max_steps=steps, key=KEY,
+            )  # fmt: skip
             peaks[steps] = tracemalloc.get_traced_memory()[1]
             tracemalloc.stop()
         assert peaks[300] - peaks[30] < 270 * walkers * 8
 
 
-@pytest.mark.heavy
-def test_posterior_agrees_with_a_grid(tmp_path):
-    """Two parameters: mean, spread and correlation against brute force."""
-    problem = stated()
-    problem = ij.problem(
-        problem.observations[0],
-        free=["melanin_load", "hemoglobin"],
-        fixed={"noise": 1.0},
-        solver=BeerLambert(),
-    )
-    chains = sample(problem, tmp_path / "chain.h5", walkers=32, key=KEY)
-    assert chains.converged
-    z = chains.z.reshape(-1, 2)
-    best = fit(problem, starts=1)
-    width = 6 * np.sqrt(np.diag(best.covariance))
-    axes = [np.linspace(c - w, c + w, 201) for c, w in zip(np.asarray(best.z), width, strict=True)]
-    nodes = np.stack([a.ravel() for a in np.meshgrid(*axes, indexing="ij")], 1)
-    log_p = np.asarray(jax.jit(jax.vmap(lambda x: problem.log_posterior(x)))(nodes))
-    p = np.exp(log_p - log_p.max())
-    p /= p.sum()
-    mean = p @ nodes
-    covariance = (nodes - mean).T @ ((nodes - mean) * p[:, None])
-    error = np.sqrt(np.diag(covariance) / chains.ess_bulk)
-    assert (np.abs(z.mean(0) - mean) < 4.5 * error).all()
-    np.testing.assert_allclose(z.std(0), np.sqrt(np.diag(covariance)), rtol=0.08)
-    assert np.corrcoef(z.T)[0, 1] == pytest.approx(
-        covariance[0, 1] / np.sqrt(covariance[0, 0] * covariance[1, 1]), abs=0.06
-    )
-
-
-def test_summary_and_predictive_check(whole):
-    problem, _, chains = whole
-    table = {row.parameter: row for row in summarise(problem, chains)}
-    assert list(table)[:3] == ["melanin_load", "hemoglobin", "noise"]
-    load = table["melanin_load"]
-    assert load.q2_5 < load.q16 < load.median < load.q84 < load.q97_5
-    assert 0.9 < load.contraction < 1
-    assert table["eumelanin"].unit == "mg/ml"
-    assert check(problem, chains, key=KEY).warning is None
-
-
-@pytest.mark.slow  # 15 s of sampling
-def test_wrong_model_is_noticed(tmp_path):
-    """A step that no pigment makes: smooth residuals, and noise beyond what was stated."""
-    problem = stated()
-    y = np.asarray(problem.observations[0].values) * np.where(GRID < 550, 1.0, 1.6)
-    problem = problem.with_observations(ij.spectrum(GRID, y))
-    chains = sample(problem, tmp_path / "chain.h5", walkers=16, key=KEY, max_steps=600)
-    assert "does not produce these data" in (check(problem, chains, key=KEY).warning or "")
-
-
 @pytest.mark.slow
 def test_killed_process_resumes(whole, tmp_path):
-    """kill -9, at several moments; the chain in the end is that of a run no one killed."""
+    """kill -9, at several moments; the chain in the end is that of a run that nothing killed."""
     path = tmp_path / "chain.h5"
     code = (
         "import sys, jax; jax.config.update('jax_enable_x64', True); sys.path[:0] = ['tests', 'tests/infer'];"
-        "import test_posterior as t; t.sample(t.stated(), sys.argv[1], walkers=16, key=t.KEY, max_steps=600,"
-        "resume=True, progress=lambda n, w: print(n, flush=True))"
+        "import test_posterior as t; t.sample(t.RIDGE, t.START, store=sys.argv[1], resume=True, **t.SETTINGS,"
+        "progress=lambda n, w: print(n, flush=True))"
     )
     for stop in (30, 150, 220, None):
         with subprocess.Popen(
@@ -266,5 +253,47 @@ def test_killed_process_resumes(whole, tmp_path):
                     run.kill()
                     break
         assert (run.returncode == 0) == (stop is None)
-    for a, b in zip(rows(whole[1]), rows(path), strict=True):
-        np.testing.assert_array_equal(a, b)
+    assert_same(whole[0], path)
+
+
+GRID = ij.wavelengths(400, 700, 30)
+TRUTH = {"melanin_load": 0.1, "hemoglobin": 0.08, "pheomelanin_share": 0.4, "abl_fraction": 0.6}
+
+
+def stated(free=("melanin_load", "hemoglobin", "noise"), **options):
+    """A problem that compiles in a moment: the closed formula in place of transport."""
+    problem = ij.problem(
+        ij.spectrum(GRID, np.zeros(GRID.size)), free=free, solver=BeerLambert(), **options
+    )
+    z = problem.standard({**TRUTH, "noise": 1.0})
+    values = problem.simulate(z, jax.random.key(0))[0]
+    return problem.with_observations(ij.spectrum(GRID, np.asarray(values)))
+
+
+def test_summary_and_predictive_check():
+    """Also of a step that no pigment makes: smooth residuals, and noise beyond what was stated."""
+    problem = stated()
+    start = Start(np.zeros(3), np.diag([1.0, 1.0, 0.0]))
+    chains = sample(problem, start, **SETTINGS)
+    table = {row.parameter: row for row in summarise(problem, chains)}
+    assert list(table)[:3] == ["melanin_load", "hemoglobin", "noise"]
+    load = table["melanin_load"]
+    assert load.q2_5 < load.q16 < load.median < load.q84 < load.q97_5
+    assert 0.9 < load.contraction < 1
+    assert table["eumelanin"].unit == "mg/ml"
+    assert check(problem, chains, key=KEY).warning is None
+    y = np.asarray(problem.observations[0].values) * np.where(GRID < 550, 1.0, 1.6)
+    problem = problem.with_observations(ij.spectrum(GRID, y))
+    chains = sample(problem, start, **SETTINGS)
+    assert "does not produce these data" in (check(problem, chains, key=KEY).warning or "")
+
+
+@pytest.mark.usefixtures("float32")
+def test_single_precision_samples_without_a_warning():
+    """Rounding leaves the fit's covariance symmetric; as sharp a measurement as any."""
+    free = ["melanin_load", "abl_fraction", "pheomelanin_share", "hemoglobin", "noise"]
+    problem = stated(free=free, noise=Noise(1e-3, 1e-5))
+    best = fit(problem, key=KEY)
+    assert best.covariance.dtype == np.float32
+    np.testing.assert_array_equal(best.covariance, best.covariance.T)
+    assert sample(problem, best, **SETTINGS).converged
