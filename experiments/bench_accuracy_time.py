@@ -89,22 +89,9 @@ def _solvers(key, quick):
             )
         if precision == "float32" or job == "ilit-corrected":
             continue
-        sizes = {
-            "analog": (1_000,) if quick else (1_000, 10_000, 100_000),
-            "weighted": (256,) if quick else (256, 1024, 4096, 16384, 65536),
-            "quasi": (256,) if quick else (256, 1024, 4096, 16384, 65536),
-        }
-        for estimator, counts in sizes.items():
-            for n in counts:
-                rows.append(
-                    (
-                        job,
-                        estimator,
-                        n,
-                        "float32",
-                        *_sampled(_sampler(estimator, n), ij.ILIT_2006, key, reference),
-                    )
-                )
+        for n in (1_000,) if quick else (1_000, 10_000, 100_000):
+            found = _sampled(ij.MonteCarlo(n), ij.ILIT_2006, key, reference)
+            rows.append((job, "analog", n, "float32", *found))
     return rows
 
 
@@ -113,10 +100,6 @@ def _reference(process, n_angles):
         return np.stack(
             [values(ij.Iris.of_level(v), ij.IlitExact(n_angles), process) for v in LEVELS]
         )
-
-
-def _sampler(estimator, n):
-    return ij.MonteCarlo(n) if estimator == "analog" else ij.IlitWeighted(n, estimator == "quasi")
 
 
 def _deterministic(solver, process, reference, quick):
@@ -201,18 +184,10 @@ def _depth_resolved(key, quick):
             table = shipped.table(ij.Iris().indices())
             found = _integrated(table, process, irides, reference, loads, 32, (40, 40, 5))
             rows.append((job, "tabulated", "shipped", "float64", *found))
-            rows += _radiative_samplers(key, reference, quick)
+            for n in (1_000,) if quick else (1_000, 10_000, 100_000, 1_000_000):
+                found = _sampled(ij.MonteCarlo(n), process, key, reference)
+                rows.append((job, "analog", n, "float32", *found))
     return rows
-
-
-def _radiative_samplers(key, reference, quick):
-    for name, sampler, counts in (
-        ("analog", ij.MonteCarlo, (1_000, 10_000, 100_000, 1_000_000)),
-        ("weighted", ij.RadiativeWeighted, (256, 1024, 4096, 16384, 65536, 262_144)),
-    ):
-        for n in counts[:1] if quick else counts:
-            found = _sampled(sampler(n), ij.DEPTH_RESOLVED, key, reference)
-            yield "depth-resolved", name, n, "float32", *found
 
 
 def _scaling(key, quick):

@@ -63,7 +63,6 @@ if TYPE_CHECKING:
     from irisjax.tissue.scattering import PowerLaw as PowerLaw
     from irisjax.transport.ilit.exact import IlitExact as IlitExact
     from irisjax.transport.ilit.tabulated import IlitTabulated as IlitTabulated
-    from irisjax.transport.ilit.weighted import IlitWeighted as IlitWeighted
     from irisjax.transport.incidence import DIFFUSE as DIFFUSE
     from irisjax.transport.incidence import HEMISPHERE as HEMISPHERE
     from irisjax.transport.montecarlo import MonteCarlo as MonteCarlo
@@ -80,7 +79,6 @@ if TYPE_CHECKING:
         PolarisedMonteCarlo as PolarisedMonteCarlo,
     )
     from irisjax.transport.radiative.tabulated import RadiativeTabulated as RadiativeTabulated
-    from irisjax.transport.radiative.weighted import RadiativeWeighted as RadiativeWeighted
     from irisjax.transport.solution import RESULTS as RESULTS
     from irisjax.transport.solution import Polarisation as Polarisation
     from irisjax.transport.solution import Solution as Solution
@@ -166,7 +164,6 @@ _HOMES = {
     "tissue.scattering": ("PowerLaw",),
     "transport.ilit.exact": ("IlitExact",),
     "transport.ilit.tabulated": ("IlitTabulated",),
-    "transport.ilit.weighted": ("IlitWeighted",),
     "transport.incidence": (
         "DIFFUSE",
         "HEMISPHERE",
@@ -187,7 +184,6 @@ _HOMES = {
     "transport.radiative.exact": ("RadiativeExact",),
     "transport.radiative.polarised.montecarlo": ("PolarisedMonteCarlo",),
     "transport.radiative.tabulated": ("RadiativeTabulated",),
-    "transport.radiative.weighted": ("RadiativeWeighted",),
     "transport.solution": (
         "RESULTS",
         "Polarisation",

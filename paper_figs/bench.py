@@ -4,7 +4,7 @@ import numpy as np
 
 from paper_figs.common import plt, read, save
 
-MARKERS = {"exact": "o", "tabulated": "s", "analog": "x", "weighted": "v", "quasi": "^"}
+MARKERS = {"exact": "o", "tabulated": "s", "analog": "x"}
 rows = read("bench_accuracy_time.csv")
 figure, (left, right) = plt.subplots(1, 2, figsize=(10.0, 4.2))
 
@@ -55,8 +55,8 @@ for i, (job, solver) in enumerate(keys):
     mine = [r for r in rows if (r["job"], r["solver"]) == (job, solver)]
     sure = solver in ("exact", "tabulated")
     name = f"{solver}: {job.removeprefix('depth-resolved, ')}" if solver == "exact" else solver
-    if solver in ("analog", "weighted"):
-        name = f"{solver} Monte Carlo"
+    if solver == "analog":
+        name = "analog Monte Carlo"
     style = {"marker": MARKERS.get(solver, "o"), "color": f"C{i}"}
     line(right, mine, "jitted_us" if sure else "single_us", label=name, **style)
     if sure:

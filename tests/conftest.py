@@ -78,7 +78,6 @@ _STRICT = {"numerics", "optics", "tissue", "transport", "ocularist"}
 _LAX = {
     "test_montecarlo.py",
     "test_polarised_montecarlo.py",
-    "test_weighted_derivatives.py",
     "test_painted_light.py",
     "test_painted_scenes.py",
 }

@@ -30,8 +30,6 @@ SOLVERS = {
     ),
     "radiative": (ij.DEPTH_RESOLVED, ij.RadiativeExact(8, 4)),
     "monte carlo": (ij.ILIT_2006, ij.MonteCarlo(200, lanes=16)),
-    "weighted": (ij.ILIT_2006, ij.IlitWeighted(64)),
-    "packets": (ij.DEPTH_RESOLVED, ij.RadiativeWeighted(64)),
 }
 
 
@@ -90,21 +88,6 @@ def photons():
     return worst
 
 
-def packets():
-    """A BRDF by packets dealt to four devices, and to three, against one."""
-    layers = ij.Iris.of_level("low").layers(ij.extinction(GRID))
-
-    def run(mesh):
-        solver, exits = ij.RadiativeWeighted(600, mesh=mesh), jnp.asarray([0.9, 0.3])
-        return solver.solve(layers, ij.DEPTH_RESOLVED, 0.7, cos_exit=exits, key=KEY).brdf
-
-    one, *others = (
-        jax.jit(partial(run, mesh))()
-        for mesh in (None, ij.photon_mesh(), ij.photon_mesh(jax.devices()[:3]))
-    )
-    return max(difference(one, other) for other in others)
-
-
 def photons_of_a_caller():
     """Blocks of photons dealt out by a caller's own `shard_map`, summed over its mesh."""
     layers = ij.Iris.of_level("low").layers(ij.extinction(GRID))
@@ -133,7 +116,6 @@ def main():
         cases[f"{name}: explicit mesh of irides"] = partial(explicit, run)
     cases["derivatives"] = derivatives
     cases["photons"] = photons
-    cases["packets"] = packets
     cases["photons in a caller's sharding"] = photons_of_a_caller
     found = {}
     for name, case in cases.items():

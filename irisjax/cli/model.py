@@ -23,7 +23,6 @@ from irisjax.tissue.indices import Scattering
 from irisjax.tissue.iris import LIMITS
 from irisjax.tissue.scattering import POWER_LAW_LIMITS, PowerLaw
 from irisjax.transport.defaults import exact_solver
-from irisjax.transport.ilit.weighted import IlitWeighted
 from irisjax.transport.montecarlo import MonteCarlo
 from irisjax.transport.process import (
     POLARISED,
@@ -34,7 +33,6 @@ from irisjax.transport.process import (
     Rescatter,
 )
 from irisjax.transport.radiative.polarised.montecarlo import PolarisedMonteCarlo
-from irisjax.transport.radiative.weighted import RadiativeWeighted
 from irisjax.transport.solver import AbstractSolver, is_polarised
 
 # As written in the class: making an iris would start JAX before the precision is chosen.
@@ -193,7 +191,6 @@ class SolverOptions(Group):
     PANEL = "Solver"
     ONLY_WITH: ClassVar = {
         "photons": ("solver", ("monte-carlo",)),
-        "estimator": ("solver", ("monte-carlo",)),
         "seed": ("solver", ("monte-carlo",)),
     }
 
@@ -204,12 +201,6 @@ class SolverOptions(Group):
         int,
         option(parse=whole(1, 2**31 - 2**20), metavar="count", help="photons at each wavelength"),
     ] = 1_000_000
-    estimator: Annotated[
-        str,
-        name_of(
-            "event by event; expected values; those on a lattice", "analog", "weighted", "quasi"
-        ),
-    ] = "analog"
     seed: Annotated[int, option(parse=read_seed, metavar="number", help=SEED_HELP + "bytes")] = 0
 
 
@@ -253,19 +244,9 @@ def solver_of(
     """The solver that the options name, for such a process and iris; `exits`: for a BRDF."""
     if options.solver == "exact":
         return exact_solver(process, iris, exits=exits)
-    if iris is not None and iris.power_law is not None and options.estimator != "analog":
-        raise ValueError(
-            f"--estimator {options.estimator} does not know a power law of scattering; analog does"
-        )
     if is_polarised(process):
-        if options.estimator != "analog":
-            raise ValueError(f"--estimator {options.estimator} does not treat polarised light")
         return PolarisedMonteCarlo(options.photons)
-    if options.estimator == "analog":
-        return MonteCarlo(options.photons)
-    if options.estimator == "weighted" and isinstance(process, RadiativeTransfer):
-        return RadiativeWeighted(options.photons)
-    return IlitWeighted(options.photons, quasi=options.estimator == "quasi")
+    return MonteCarlo(options.photons)
 
 
 def key_of(options: SolverOptions) -> jax.Array | None:

@@ -61,9 +61,3 @@ def scales():
     1.
     """
     return tuple(jnp.float32(v) for v in (2**23, 2**18, 1))
-
-
-def scales_of(word):
-    """`scales`, made of one word of a traced key: inside a caller's jit `scales()` are literals."""
-    one = jnp.minimum(word | 1, 1).astype(jnp.float32)
-    return 2**23 * one, 2**18 * one, one

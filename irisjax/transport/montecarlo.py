@@ -107,7 +107,7 @@ class MonteCarlo(AbstractSolver):
         if cos_exit is not None and not isinstance(process, Ilit):
             raise ValueError(
                 "MonteCarlo has no BRDF of radiative transfer; "
-                "use RadiativeExact or RadiativeWeighted"
+                "use RadiativeExact, or PolarisedMonteCarlo to sample"
             )
         cells = None if cos_exit is None else _cells(cos_exit)
         share = (
@@ -164,7 +164,7 @@ def _constant(tree):
 def _constant_jvp(primals, tangents):
     raise NotImplementedError(
         "MonteCarlo has no derivatives: counts of photons do not change smoothly. "
-        "Use an exact solver, IlitWeighted or RadiativeWeighted"
+        "Use an exact solver"
     )
 
 

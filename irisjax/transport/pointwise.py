@@ -56,10 +56,10 @@ class Pointwise(AbstractSolver):
         depths = depths if held is not None else (*depths, layers.stroma_scattering)
         if layers.phase is not None:
             depths = (*depths, layers.phase.rayleigh, layers.phase.anisotropy)
-        return by_wavelength(run, how, depths, ())
+        return _by_wavelength(run, how, depths)
 
 
-def _solution(order, process, diffuse, how, depths, _):
+def _solution(order, process, diffuse, how, depths):
     solver, indices, cosine, key, rays, scattering = how
     abl, stroma, *others = depths
     scattering = others.pop(0) if scattering is None else scattering
@@ -69,35 +69,32 @@ def _solution(order, process, diffuse, how, depths, _):
 
 
 @eqx.filter_custom_jvp
-def by_wavelength(run, how, depths, shared):
-    """`run(how, depths, shared)`, with derivatives from one forward pass for each array of the last
-    two.
+def _by_wavelength(run, how, depths):
+    """`run(how, depths)`, with derivatives from one forward pass for each of the `depths`.
 
-    `depths` have shape (wavelengths,), and a value depends on those of its own wavelength only;
-    `shared` are numbers. The last axis of what `run` returns is that of wavelengths. Derivatives
-    by `how` are refused. Reverse mode works whatever loops there are inside.
+    The `depths` have shape (wavelengths,), and a value depends on those of its own wavelength only.
+    The last axis of what `run` returns is that of wavelengths. Derivatives with respect to `how`
+    are refused. Reverse mode works whatever loops there are inside.
     """
-    return run(how, depths, shared)
+    return run(how, depths)
 
 
-@by_wavelength.def_jvp
+@_by_wavelength.def_jvp
 def _by_wavelength_jvp(primals, tangents):
-    run, how, depths, shared = primals
-    _, moved, *slopes = tangents
+    run, how, depths = primals
+    _, moved, slopes = tangents
     if any(t is not None for t in jax.tree.leaves(moved)):
         raise NotImplementedError(
             "derivatives by indices, incidence or a scattering that is known are not part of an "
             "inversion"
         )
-    inputs, slopes = (*depths, *shared), (*slopes[0], *slopes[1])
     active = [i for i, slope in enumerate(slopes) if slope is not None]
     # One program for all: compiling is what takes long here.
-    each = jnp.eye(len(inputs), dtype=depths[0].dtype)[np.array(active)]
+    each = jnp.eye(len(depths), dtype=depths[0].dtype)[np.array(active)]
 
     def along(direction):
-        ones = [jnp.full_like(x, d) for x, d in zip(inputs, direction, strict=True)]
-        ones = tuple(ones[: len(depths)]), tuple(ones[len(depths) :])
-        return eqx.filter_jvp(partial(run, how), (depths, shared), ones)
+        ones = tuple(jnp.full_like(x, d) for x, d in zip(depths, direction, strict=True))
+        return eqx.filter_jvp(partial(run, how), (depths,), (ones,))
 
     values, derivatives = eqx.filter_vmap(along)(each)
     # Alike along every direction; a status comes out of a batched loop as many times.

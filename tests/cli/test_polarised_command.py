@@ -66,7 +66,6 @@ def test_a_file_says_what_scalar_theory_leaves_out(irisjax, coarse, printed, tmp
         (("--instrument", "cross-polarised", "--exit-deg", "95"), "outside [0, 90]"),
         (("--instrument", "cross-polarised", "--cornea", "inward"), "bare iris"),
         (("--instrument", "cross-polarised", "--cos-incidence", "diffuse"), "one direction"),
-        (("--polarised", "--solver", "monte-carlo", "--estimator", "quasi"), "--estimator quasi"),
     ],
 )
 def test_refusals(irisjax, arguments, said):

@@ -51,11 +51,9 @@ def test_data_that_ship_run_again(irisjax, printed, name):
         np.testing.assert_allclose(made.columns[column], values, rtol=1e-9, atol=0)
 
 
-@pytest.mark.slow  # two more programs
-@pytest.mark.parametrize("estimator", ["weighted", "quasi"])
-def test_a_sampled_file_runs_again_to_the_same_bytes(irisjax, tmp_path, estimator):
+def test_a_sampled_file_runs_again_to_the_same_bytes(irisjax, tmp_path):
     path = tmp_path / "first.csv"
-    sampled = ("--solver", "monte-carlo", "--photons", "2000", "--estimator", estimator)
+    sampled = ("--solver", "monte-carlo", "--photons", "2000")
     assert irisjax("spectrum", *sampled, *GRID, "-o", path)[0] == 0
     assert irisjax("spectrum", "--from", path)[1] == path.read_text()
 

@@ -111,10 +111,6 @@ def test_a_colour_by_radiative_transfer(irisjax):
     [
         ((), "needs --process depth-resolved"),
         (("--polarised",), "does not go with polarised light"),
-        (
-            (*POWER_LAW[:2], "--solver", "monte-carlo", "--estimator", "weighted"),
-            "--estimator weighted does not know",
-        ),
     ],
 )
 def test_where_a_power_law_is_not_known_is_said(irisjax, arguments, told):

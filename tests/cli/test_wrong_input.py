@@ -40,11 +40,6 @@ WRONG = [
     (("--solver", "monte-carlo", "--seed", "1.5"), "--seed: 1.5 is not a whole number"),
     (("--solver", "monte-carlo", "--seed", "luck"), "--seed: 'luck' is not a number"),
     (("--solver", "monte-carlo", "--seed", "-1"), "--seed: -1 is outside [0, 4294967295]"),
-    (("--solver", "monte-carlo", "--estimator", "guess"), "--estimator: unknown 'guess'"),
-    (
-        ("--solver", "monte-carlo", "--estimator", "quasi", "--process", "depth-resolved"),
-        "treats Ilit processes, not RadiativeTransfer",
-    ),
     (("--solver", "oracle"), "--solver: unknown 'oracle'; known: exact, monte-carlo"),
     (("--process", "ilit-2007"), "--process: unknown 'ilit-2007'"),
     (("--process", "depth-resolved", "--phase", "lb06"), "--phase means something only with"),

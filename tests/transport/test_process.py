@@ -44,8 +44,6 @@ def test_unknown_switch(switch, value, message):
     [
         (ij.IlitExact(8), ij.DEPTH_RESOLVED),
         (ij.RadiativeExact(8), ij.ILIT_2006),
-        (ij.IlitWeighted(16), ij.DEPTH_RESOLVED),
-        (ij.RadiativeWeighted(16), ij.ILIT_2006),
     ],
 )
 def test_a_solver_names_the_processes_it_treats(solver, process):

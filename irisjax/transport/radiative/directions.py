@@ -100,12 +100,6 @@ def from_outside(layers: Layers, outside, law=fresnel) -> Directions:
     return _directions(n, law, stroma, jnp.zeros_like(outside), outside, abl, ipe)
 
 
-def from_inside(n: RefractiveIndices, stroma) -> Directions:
-    """Directions with given cosines in the stroma, of any shape, without quadrature weight."""
-    outside, abl, ipe = (refract(stroma, n.stroma, k) for k in (n.aqueous, n.abl, n.ipe))
-    return _directions(n, fresnel, stroma, jnp.zeros_like(stroma), outside, abl, ipe)
-
-
 def _directions(n: RefractiveIndices, law, stroma, weight, aqueous, abl, ipe) -> Directions:
     return Directions(
         # A beam that cannot enter has cosine 0 and no power; keep the exponentials finite.
