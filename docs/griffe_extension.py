@@ -1,4 +1,4 @@
-"""What mkdocstrings cannot read by itself from irisjax's source, for the API pages.
+"""Completes what mkdocstrings reads from the source of irisjax, for the API pages.
 
 - Classes of Equinox take their fields as arguments: they get the signature that Python gives them.
 - A name in backticks that has an entry on an API page becomes a link to it.
@@ -12,15 +12,15 @@ import griffe
 HERE = Path(__file__).parent
 
 _MODULES = {"Module", "eqx.Module", "equinox.Module", "NamedTuple"}
-# Kept in backticks: words of English, and names that two objects bear.
+# Names that are not linked, because they are common words too.
 _WORDS = {"fit", "sample", "spectrum", "problem", "colour", "check", "export", "picture"}
 
 
 class Irisjax(griffe.Extension):
-    """Signatures of Equinox modules, links between docstrings."""
+    """Adds signatures to Equinox modules, and links to docstrings."""
 
     def on_package(self, *, pkg: griffe.Module, **_):
-        """After the package is read: `pkg` is irisjax."""
+        """Change what was read of irisjax, given as `pkg`."""
         self.names = documented()
         classes = [c for m in _modules(pkg) for c in m.classes.values() if not c.is_alias]
         for found in [c for c in classes if _is_module(c)]:
@@ -50,12 +50,12 @@ class Irisjax(griffe.Extension):
                 return match[0]
             return f"[{match[0]}][{self.names[name]}]"
 
-        # `Iris`, `Iris.replace` and `MonteCarlo(1000)`, unless they are links already.
+        # Matches `Iris`, `Iris.replace` and `MonteCarlo(1000)`, unless they are links already.
         return re.sub(r"(?<!\[)`([A-Za-z_]\w*)(?:\.\w+)?(?:\([^`()]*\))?`(?!\])", link, text)
 
 
 def documented() -> dict[str, str]:
-    """Path of every object that has an entry on an API page, by its name."""
+    """Return the path of every object that has an entry on an API page, by its name."""
     pages = (page.read_text(encoding="utf-8") for page in sorted((HERE / "api").glob("*.md")))
     paths = re.findall(r"^::: (\S+)", "\n".join(pages), flags=re.M)
     return {path.rsplit(".", 1)[1]: path for path in paths}
@@ -69,7 +69,7 @@ def _modules(package):
 
 
 def _fields(found) -> dict[str, griffe.Attribute]:
-    """Fields of a class in order, with those of irisjax's classes that it extends."""
+    """Return the fields of a class in order, with those of the irisjax classes that it extends."""
     out = {}
     for base in reversed(found.mro()):
         out |= _own_fields(base)
@@ -114,16 +114,16 @@ def _give_signature(found: griffe.Class) -> None:
 
 
 def _default(value):
-    """What a field is by default: of the call that declares it, the argument that says so."""
+    """Return the default of a field: the argument of the declaring call that states it."""
     if isinstance(value, griffe.ExprCall):
         keywords = {a.name: a.value for a in value.arguments if isinstance(a, griffe.ExprKeyword)}
         plain = [a for a in value.arguments if not isinstance(a, griffe.ExprKeyword)]
         name = str(value.function)
-        if name.startswith("_"):  # a module's own way of declaring fields
+        if name.startswith("_"):  # a helper of the module that declares fields
             value = plain[-1] if plain else "None"
         elif name.endswith("field"):
             value = keywords.get("default", _made(keywords.get("default_factory")))
-    # What is private says nothing to a reader.
+    # A private name means nothing to a reader.
     return "…" if re.match(r"_[A-Za-z]", str(value)) else value
 
 

@@ -1,7 +1,7 @@
-"""Hooks of the site: pictures and the changelog stand once in the repository, outside docs/.
+"""Hooks of the site, which take pictures and the changelog from outside docs/.
 
-A page writes `../paper_figs/bench.png` as seen from its own file, so that it reads right in the
-repository too; the site holds the picture at `paper_figs/bench.png`.
+A page links to `../paper_figs/bench.png` relative to its own file, so that the link works in the
+repository too; the site has the picture at `paper_figs/bench.png`.
 """
 
 import re
@@ -14,7 +14,7 @@ PAGES = {"changelog.md": "CHANGELOG.md"}  # page of the site: file of the reposi
 
 
 def on_files(files, config):
-    """The files that the site takes from outside docs/."""
+    """Add the files that the site takes from outside docs/."""
     for picture in sorted((ROOT / "paper_figs").glob("*.png")):
         name = f"paper_figs/{picture.name}"
         files.append(File.generated(config, name, abs_src_path=str(picture)))
@@ -24,5 +24,5 @@ def on_files(files, config):
 
 
 def on_page_markdown(markdown, page, config, files):
-    """Links out of docs/ to pictures become links within the site."""
+    """Turn links out of docs/ to pictures into links within the site."""
     return re.sub(r"\]\(\.\./((?:\.\./)*paper_figs/[^)\s]+\.png)\)", r"](\1)", markdown)
