@@ -45,22 +45,6 @@ def _files(*folders):
     return [p for f in folders for p in sorted((ROOT / f).rglob("*.py"))]
 
 
-def test_files_stay_short():
-    """No file is above 300 lines, no line of the package above 100 columns."""
-    lines = {
-        str(p.relative_to(ROOT)): p.read_text(encoding="utf-8").splitlines()
-        for p in _files("irisjax", "tests", "experiments", "paper_figs")
-    }
-    assert {p: len(text) for p, text in lines.items() if len(text) > 300} == {}
-    wide = [p for p, text in lines.items() if not p.startswith("tests/") and _wide(text)]
-    assert wide == []
-
-
-def _wide(text):
-    """As ruff counts: a remark to the type checker stands where it must."""
-    return any(len(line.split("  # pyright:")[0]) > 100 for line in text)
-
-
 def test_types_are_published():
     """Type checkers of those who import the package look for the marker."""
     assert (ROOT / "irisjax" / "py.typed").is_file()

@@ -17,7 +17,6 @@ from jaxtyping import Array, Float
 from irisjax._types import Scalar, as_float, as_float_or_none
 from irisjax.anatomy.media import AQUEOUS, CORNEA, INDEX, Media
 from irisjax.numerics.checks import Range, check_fields
-from irisjax.numerics.programs import program
 from irisjax.numerics.roots import safe_sqrt
 from irisjax.optics.conicoid import Conicoid, Vector, parts
 
@@ -202,7 +201,7 @@ class Eye(eqx.Module):
         return jnp.stack([rise * x, rise * y, -jnp.ones_like(x) / length], axis=-1)
 
 
-@program
+@eqx.filter_jit
 def _least_depth(cornea: Cornea, iris_radius, limbus_radius, slope) -> Scalar:
     """Depth (mm) that the iris must exceed to lie behind the whole cornea: surfaces bulge forward,
     so that its root meets them first, or, where it rises to the root, its middle."""

@@ -11,8 +11,7 @@ from typer.main import get_command
 
 import irisjax as ij
 from irisjax import _interrupt
-from irisjax.cli import cache
-from irisjax.numerics.programs import reading_ahead
+from irisjax.cli.compiled import keep_compiled, reading_ahead
 
 _COMMANDS = {
     "spectrum": "measure",
@@ -46,7 +45,7 @@ def run(arguments: list[str] | None = None) -> int:
     try:
         # The one place where the package chooses a precision.
         jax.config.update("jax_enable_x64", True)
-        cache.keep_compiled()
+        keep_compiled()
         arguments = (sys.argv[1:] if arguments is None else arguments) or ["--help"]
         with reading_ahead(arguments[0]) if arguments[0] in _COMMANDS else nullcontext():
             status = parser(arguments).main(arguments, prog_name="irisjax", standalone_mode=False)

@@ -11,9 +11,9 @@ import typer
 from tqdm import tqdm
 
 from irisjax import io
-from irisjax.cli.cache import cores, kept_tables
 from irisjax.cli.clone_options import Model, Picture, Results, settings_of
 from irisjax.cli.clone_report import report, say
+from irisjax.cli.compiled import cores, kept_tables
 from irisjax.cli.files import check_folder
 from irisjax.cli.options import Group, grouped
 from irisjax.io.clone_folders import PHOTOGRAPH, encode_photograph

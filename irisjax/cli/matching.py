@@ -16,7 +16,6 @@ from irisjax.cli.painted_files import DIFFERENCES, MATCH, RETOUCH
 from irisjax.io.recipes import Recipe
 from irisjax.io.targets import Target
 from irisjax.measure.colour import srgb_encode
-from irisjax.numerics.programs import program
 from irisjax.ocularist.coats import LIMBUS
 from irisjax.ocularist.easel import painted
 from irisjax.ocularist.matching import Match, match
@@ -132,10 +131,7 @@ def _summary(target: Target, fitted: Match, last: Difference) -> bytes:
     return (json.dumps(found, indent=1) + "\n").encode()
 
 
-_encode = program(srgb_encode)
-
-
 def _flat(texture, eye, size: int) -> np.ndarray:
     """A polar texture as the iris laid flat, encoded."""
     row, column, on = rolled(texture, eye, size)
-    return np.where(on[..., None], np.asarray(_encode(texture))[row, column], 0)
+    return np.where(on[..., None], np.asarray(srgb_encode(texture))[row, column], 0)

@@ -12,7 +12,7 @@ from tqdm import tqdm
 
 from irisjax import io
 from irisjax.cli.animate import sheet
-from irisjax.cli.cache import cores, kept_tables
+from irisjax.cli.compiled import cores, kept_tables
 from irisjax.cli.files import check_folder, check_is_folder, png_of
 from irisjax.cli.matching import RETOUCHES, Matched, matched, nearest_colour
 from irisjax.cli.options import SEED_HELP, Group, grouped, name_of, option, read_seed, whole
@@ -30,7 +30,6 @@ from irisjax.io.recipes import PUPIL, recipe_text
 from irisjax.io.targets import read_target
 from irisjax.io.tissue_of_paint import tissue_files
 from irisjax.measure.colour import srgb_encode
-from irisjax.numerics.programs import program
 from irisjax.ocularist.bridge import maps_of
 from irisjax.ocularist.coats import LIMBUS, Coat, Painting, over
 from irisjax.ocularist.easel import SIZE, painted, studio
@@ -193,7 +192,7 @@ def paint(subject: Subject, picture: Picture, results: Results) -> None:
     drawn = _drawn(scene, painting, picture)
     remark = "painted and simulated by irisjax"
     for name, linear in zip(("eye.png", "progression.png"), drawn, strict=True):
-        files[folder / name] = png_of(folder / name, np.asarray(_encode(linear)), remark)
+        files[folder / name] = png_of(folder / name, np.asarray(srgb_encode(linear)), remark)
     for path, coat in zip(pictures, painting.coats, strict=True):
         files[path] = png_of(path, _on_white(coat), remark)
     if results.tissue:
@@ -208,9 +207,6 @@ def paint(subject: Subject, picture: Picture, results: Results) -> None:
     io.write_together(files)
     remove_left_over(folder, recipe, files)
     print(*said, f"{len(painting.coats)} coats; written: {folder}", sep="\n")
-
-
-_encode = program(srgb_encode)
 
 
 def _prepared(subject: Subject, size: int, folder: Path) -> Matched:
@@ -265,4 +261,4 @@ def _shown(painting: Painting) -> list[int]:
 
 def _on_white(coat: Coat) -> np.ndarray:
     """A coat as it lies on white paper, encoded."""
-    return np.asarray(_encode(over(1.0, coat.opacity[..., None], coat.colour, 1.0)))
+    return np.asarray(srgb_encode(over(1.0, coat.opacity[..., None], coat.colour, 1.0)))

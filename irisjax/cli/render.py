@@ -13,12 +13,11 @@ from tqdm import tqdm
 from irisjax import io
 from irisjax.cli.animate import CHANGES, sheet
 from irisjax.cli.animate import frames as _frames
-from irisjax.cli.cache import cores, kept_tables
+from irisjax.cli.compiled import cores, kept_tables
 from irisjax.cli.options import Grid, Group, grid, grouped, option, whole
 from irisjax.cli.scenes import EyeWithPupil, changed
 from irisjax.measure.colour import srgb_encode
 from irisjax.numerics.checks import Range, check_range
-from irisjax.numerics.programs import program
 from irisjax.render import scene as staging
 from irisjax.render.integrators import INTEGRATORS, integrator_name
 from irisjax.render.tiles import bands
@@ -210,11 +209,8 @@ def _still(scene: staging.Scene, picture: Picture, exposure: float, output: Path
     _tell(output, clipped, width * height, lightest)
 
 
-_encode = program(srgb_encode)
-
-
 def _encoded(picture: np.ndarray) -> np.ndarray:
-    return np.asarray(_encode(picture))
+    return np.asarray(srgb_encode(picture))
 
 
 def _tell(output: Path, clipped: int, count: int, lightest: float) -> None:

@@ -9,7 +9,7 @@ import jax
 import typer
 
 from irisjax import _interrupt
-from irisjax.cli.cache import cores, kept_tables
+from irisjax.cli.compiled import cores, kept_tables
 from irisjax.cli.options import SEED_HELP, Group, grouped, option, read_seed, whole
 from irisjax.cli.paints import Paints, check_no_seed, of_file
 from irisjax.cli.scenes import Subject, changed

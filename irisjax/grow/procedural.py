@@ -8,6 +8,7 @@ Features are drawn from what textbooks show, not fitted to anything.
 
 import math
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jax.random import bits, fold_in
@@ -18,7 +19,6 @@ from irisjax.anatomy.eye import Eye
 from irisjax.grow.noise import Field, Seed, Whole, drawn, noise, split
 from irisjax.numerics.checks import Range, check_range
 from irisjax.numerics.interpolation import smoothstep
-from irisjax.numerics.programs import program
 from irisjax.tissue.iris import Iris
 from irisjax.tissue.maps import IrisMaps, cell_centres
 
@@ -88,7 +88,7 @@ def procedural(
     return IrisMaps(**_grow(iris, Eye() if eye is None else eye, shape, profile, has, key))
 
 
-@program
+@eqx.filter_jit
 def _grow(
     iris: Iris,
     eye: Eye,

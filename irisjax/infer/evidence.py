@@ -11,6 +11,7 @@ import math
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -23,7 +24,6 @@ from irisjax.infer.pieces import density
 from irisjax.infer.posterior import words_of
 from irisjax.infer.problem import Problem
 from irisjax.numerics.checks import check_whole
-from irisjax.numerics.programs import program
 
 _LEFT = 0.01  # of the evidence, in the points that still live, where the sampler stops
 _TOGETHER = 64  # points that are replaced side by side, no more than an eighth of those that live
@@ -198,12 +198,12 @@ def _sampler(problem: Problem, settings: _Settings) -> Any:
     )
 
 
-@program
+@eqx.filter_jit
 def _begun(problem: Problem, z, settings: _Settings):
     return _sampler(problem, settings).init(z)
 
 
-@program
+@eqx.filter_jit
 def _advanced(problem: Problem, state, key, settings: _Settings):
     """The state after `_STEPS` steps, and the points that died."""
 

@@ -18,7 +18,6 @@ from irisjax.infer.pieces import elements
 from irisjax.infer.problem import Problem
 from irisjax.numerics import linear
 from irisjax.numerics.checks import check_whole
-from irisjax.numerics.programs import program
 from irisjax.transport.solution import RESULTS
 
 MISFIT = 1e-6
@@ -166,7 +165,7 @@ def _raise_for(status: FitStatus) -> None:
         raise ValueError(words)
 
 
-@program
+@eqx.filter_jit
 def _fit(problem, solver, start, key, use_priors, starts, rounds, max_steps) -> Fit:
     moving, dtype = _moving(problem), jnp.result_type(float)
     free = len(problem.free)

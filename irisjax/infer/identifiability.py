@@ -2,6 +2,7 @@
 
 from typing import NamedTuple
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -9,7 +10,6 @@ import numpy as np
 from irisjax.infer.fit import Fit
 from irisjax.infer.parameters import OF_POWER_LAW, kind
 from irisjax.infer.problem import Problem
-from irisjax.numerics.programs import program
 
 _WORDS = {
     "melanin_load": "load", "abl_fraction": "fraction", "pheomelanin_share": "pheomelanin share",
@@ -170,7 +170,7 @@ def slopes(problem: Problem, z) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return np.asarray(jacobian), np.asarray(values), np.asarray(each)
 
 
-@program
+@eqx.filter_jit
 def _slopes(problem: Problem, z):
     """Jacobian of the residuals; values, and their slopes: each depends on its own coordinate."""
     natural = jax.jvp(lambda x: problem.natural(x), (z,), (jnp.ones_like(z),))

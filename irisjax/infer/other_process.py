@@ -8,6 +8,7 @@ import math
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -17,7 +18,6 @@ from irisjax._types import PRNGKey
 from irisjax.infer.fit import Fit
 from irisjax.infer.parameters import kind
 from irisjax.infer.problem import Problem
-from irisjax.numerics.programs import program
 from irisjax.transport.process import DEPTH_RESOLVED, ILIT_2006, AbstractProcess, Ilit
 
 PIGMENTS = ("melanin_load", "abl_fraction", "pheomelanin_share", "hemoglobin", "saturation")
@@ -148,7 +148,7 @@ def optimum(problem: Problem, key: PRNGKey, starts: int = 4) -> Optimum:
     return Optimum(z, covariance, float(data @ data), data.size, float(found.cost))
 
 
-@program
+@eqx.filter_jit
 def _linearised(problem: Problem, z):
     def twice(z):
         residuals = problem.residuals(z)

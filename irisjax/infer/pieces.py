@@ -2,12 +2,12 @@
 the cache.
 """
 
+import equinox as eqx
 import jax
 import numpy as np
 
 from irisjax.infer.problem import Problem
 from irisjax.numerics.portions import in_pieces
-from irisjax.numerics.programs import program
 
 _ROWS = 64
 """The sampler's default walkers: what a call costs beside its rows is as much as twenty of them."""
@@ -40,20 +40,18 @@ def in_rows(function, problem: Problem, rows: int = _ROWS):
     number would take longer to compile than all of them to run.
     """
 
-    bound = function.bound(problem)
-
     def each(z):
         z = np.asarray(z)
         count = len(z)
         # Copies of the last: whatever is finite there has finite copies.
         z = np.pad(z, [(0, -count % rows), (0, 0)], mode="edge")
-        done = [bound(z[i : i + rows]) for i in range(0, len(z), rows)]
+        done = [function(problem, z[i : i + rows]) for i in range(0, len(z), rows)]
         return jax.tree.map(lambda *x: np.concatenate([np.asarray(p) for p in x])[:count], *done)
 
     return each
 
 
-@program
+@eqx.filter_jit
 def _densities(problem: Problem, z):
     """Log posterior densities (n,), and log likelihoods of every value (n, all data)."""
 
@@ -64,7 +62,7 @@ def _densities(problem: Problem, z):
     return in_pieces(one, z, elements(problem))
 
 
-@program
+@eqx.filter_jit
 def predicted(problem: Problem, z, key):
     """Noisy measurements, the models without noise and the standard deviations stated there: three
     tuples of arrays (n, data), one an observation.

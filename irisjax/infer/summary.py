@@ -2,6 +2,7 @@
 
 from typing import NamedTuple
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -13,7 +14,6 @@ from irisjax.infer.parameters import unit_of
 from irisjax.infer.pieces import in_rows, predicted
 from irisjax.infer.posterior import Chains, mixing
 from irisjax.infer.problem import Problem
-from irisjax.numerics.programs import program
 
 QUANTILES = (2.5, 16, 50, 84, 97.5)
 DRAWS = 500
@@ -75,7 +75,7 @@ def reported(problem: Problem, z: np.ndarray) -> dict[str, np.ndarray]:
     return {n: np.asarray(values[n]).reshape(z.shape[:-1]) for n in names}
 
 
-@program
+@eqx.filter_jit
 def _reported(problem: Problem, z):
     return jax.vmap(lambda x: problem.reported(x))(z)
 

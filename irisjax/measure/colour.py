@@ -143,6 +143,7 @@ def tristimulus_matrix(
     return (weights if space == "XYZ" else XYZ_TO_SRGB @ adaptation @ weights), white
 
 
+@jax.jit
 def srgb_encode(linear):
     """sRGB transfer function [IEC 61966-2-1]; negative values follow its linear foot."""
     foot = linear <= 0.0031308

@@ -11,11 +11,10 @@ from collections.abc import Callable
 from concurrent.futures import Executor
 from typing import Any
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jax.core import Tracer
-
-from irisjax.numerics.programs import Program, program
 
 # On a processor: from 512 on XLA shares out small operations among threads, which takes longer.
 _SIZE = 256
@@ -80,10 +79,10 @@ class Pixelwise:
     """A function `f(pixels, *others)` in portions; use as a decorator.
 
     The last axis of all arrays in `pixels` and in what `f` gives is that of pixels; of `others`
-    each portion has all.
+    each portion has all. `jit` compiles.
     """
 
-    def __init__(self, f: Callable[..., Any]):
+    def __init__(self, f: Callable[..., Any], jit: Callable[..., Any] = eqx.filter_jit):
         functools.update_wrapper(self, f)
 
         def whole(pixels, others):
@@ -92,12 +91,11 @@ class Pixelwise:
         def shared(pixels, others, share, shares: int):
             return share_of(lambda some: f(some, *others), pixels, share, shares)
 
-        name = f"{f.__module__}.{f.__qualname__}"
-        self._program, self._shared = Program(whole, name), Program(shared, f"{name} shared")
+        self._whole, self._shared = jit(whole), jit(shared)
 
     def __call__(self, pixels, *others):
         """One program for all pixels."""
-        return self._program(pixels, others)
+        return self._whole(pixels, others)
 
     def on_threads(self, executor: Executor, threads: int, pixels, *others):
         """As a call, with an equal share of the pixels for each thread of an executor.
@@ -128,7 +126,7 @@ def _count(pixels) -> int:
     return jax.tree.leaves(pixels)[0].shape[-1]
 
 
-@program
+@eqx.filter_jit
 def _joined(done, count: int):
     return jax.tree.map(lambda *x: jnp.concatenate(x, axis=-1)[..., :count], *done)
 

@@ -7,6 +7,7 @@ high, seen and lit at 45°, the place is off by 4 μm at most.
 
 from typing import NamedTuple
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
@@ -14,7 +15,6 @@ from jaxtyping import Array, Float
 from irisjax.anatomy.eye import Eye
 from irisjax.numerics.interpolation import bilinear, bilinear_rows, smoothstep
 from irisjax.numerics.portions import pixelwise
-from irisjax.numerics.programs import program
 from irisjax.numerics.roots import safe_sqrt
 from irisjax.ocularist.coats import over, through
 from irisjax.ocularist.cones import Cones
@@ -160,7 +160,7 @@ def _directed(flux: Parts) -> Parts:
     return jnp.where(lit, x, 0.0), jnp.where(lit, y, 0.0), jnp.where(lit, z, 1.0)
 
 
-@program
+@eqx.filter_jit
 def rays(flux, profile: Cones, reach):
     """Directions of lights at texels of the base, (lights, 3, rows, columns)."""
     x, y = _texels(SHADOW, reach, flux.dtype)
@@ -174,13 +174,13 @@ def _texels(size: int, reach, dtype):
     return x, y
 
 
-@program
+@eqx.filter_jit
 def full_light(flux, shape: tuple[int, ...]):
     """Light above all coats, as a share."""
     return jnp.ones(shape, flux.dtype)
 
 
-@program
+@eqx.filter_jit
 def crossed(rays, opacity, height, profile: Cones, reach, margin):
     """Opacity of a coat where rays to texels of the base cross it, (lights, rows, columns)."""
     x, y = _texels(rays.shape[-1], reach, rays.dtype)
@@ -196,7 +196,7 @@ def crossed(rays, opacity, height, profile: Cones, reach, margin):
     return jax.lax.map(one, rays)
 
 
-@program
+@eqx.filter_jit
 def light_under(light, crossed, colours, as_printed: bool):
     """Maps of light below a group of coats, (lights, rows, columns, channels)."""
     for opacity, colour in zip(crossed, colours, strict=True):

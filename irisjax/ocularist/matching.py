@@ -8,6 +8,7 @@ pattern, `retouched` paints on top.
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -18,7 +19,6 @@ from irisjax._types import PRNGKey, as_float
 from irisjax.anatomy.eye import Eye
 from irisjax.infer.least_squares import Found, least_squares, levenberg_marquardt
 from irisjax.numerics.checks import Range, check_range, check_whole
-from irisjax.numerics.programs import program
 from irisjax.ocularist.easel import painted
 from irisjax.ocularist.mixing import AbstractMixer
 from irisjax.ocularist.palette import places
@@ -197,7 +197,7 @@ def _residuals(x, pull, problem: _Problem):
     return jnp.concatenate([off, pull * (x - problem.start)])
 
 
-@program
+@eqx.filter_jit
 def _searched(problem: _Problem, max_steps: int) -> Found:
     return least_squares(
         _residuals,

@@ -16,7 +16,6 @@ from jaxtyping import Array, Float, Int
 from irisjax._types import as_float
 from irisjax.measure.colour import srgb_decode, srgb_encode
 from irisjax.numerics.checks import Range, check_range
-from irisjax.numerics.programs import program
 from irisjax.ocularist.palette import Paints, Palette, places
 
 SHARE = Range(0.0, 1.0, meaning="share of the second paint in a mixture")
@@ -70,7 +69,7 @@ class AbstractMixer(eqx.Module):
         return _blended(self, i, j, jnp.broadcast_to(share, shape))
 
 
-@program
+@eqx.filter_jit
 def _blended(mixer: AbstractMixer, first, second, share):
     return mixer.blend(first, second, share)
 

@@ -6,6 +6,7 @@ the pupil's edge to the root.
 
 from typing import NamedTuple
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -14,7 +15,6 @@ from jaxtyping import Array, Bool, Float
 from irisjax.anatomy.eye import Eye
 from irisjax.measure.colour import XYZ_TO_SRGB, lab_of
 from irisjax.numerics.checks import check_whole
-from irisjax.numerics.programs import program
 from irisjax.ocularist.coats import Painting, over, through
 from irisjax.ocularist.composite import look_up
 from irisjax.tissue.maps import cell_centres
@@ -124,12 +124,12 @@ def difference(
     return Difference(float(off.mean()), float(np.quantile(off, 0.95)))
 
 
-@program
+@eqx.filter_jit
 def _delta(one, other):
     return jnp.sqrt(((lab(one) - lab(other)) ** 2).sum(-1))
 
 
-@program
+@eqx.filter_jit
 def _unrolled(picture, eye: Eye, reach, shape: tuple[int, int]):
     angle, radius = (c.astype(picture.dtype) for c in cell_centres(shape))
     away = eye.from_axis(radius).astype(picture.dtype)[None, :]

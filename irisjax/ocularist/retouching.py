@@ -4,6 +4,7 @@ from collections.abc import Mapping, Sequence
 from itertools import combinations
 from typing import Any, NamedTuple
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -12,7 +13,6 @@ from scipy.ndimage import gaussian_filter
 from irisjax._types import as_float
 from irisjax.anatomy.eye import Eye
 from irisjax.numerics.checks import check_range, check_whole
-from irisjax.numerics.programs import program
 from irisjax.ocularist.coats import OPACITY, over, through
 from irisjax.ocularist.easel import SCAN, painted
 from irisjax.ocularist.matching import checked
@@ -130,12 +130,12 @@ def _above(state, opacity, paint):
     return over(through(state, opacity, paint), opacity, paint, 1.0)
 
 
-@program
+@eqx.filter_jit
 def _costs(state, wanted, colours, levels, exposure):
     return jax.lax.map(lambda c: _best(state, wanted, c, levels, exposure)[0].mean(), colours)
 
 
-@program
+@eqx.filter_jit
 def _best(state, wanted, colour, levels, exposure):
     """Least ΔE² of each texel, and the opacity that leaves it."""
 

@@ -6,7 +6,6 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from irisjax.measure.colour import srgb_encode
-from irisjax.numerics.programs import program
 from irisjax.photo.cloned import Clone, needed
 from irisjax.photo.unrefracted import LUMINANCE
 from irisjax.photo.window_pixels import iris_alone
@@ -66,10 +65,7 @@ def compare(clone: Clone, threads: int = 1) -> Comparison:
     # As the model's camera has it: exposure × radiance^contrast.
     radiance = np.maximum(needed(clone.part) / exposure, 0)
     photograph = exposure[1] * radiance ** (1 / values["contrast"])
-    both = [np.clip(np.asarray(_encoded(p)), 0, 1) for p in (photograph, rendered)]
+    both = [np.clip(np.asarray(srgb_encode(p)), 0, 1) for p in (photograph, rendered)]
     clear = needed(clone.clear) & iris_alone(needed(clone.pose))
     off = (both[0] - both[1])[clear]
     return Comparison(both[0], both[1], clear, np.sqrt((off**2).mean(0)))
-
-
-_encoded = program(srgb_encode)

@@ -8,6 +8,7 @@ model gets wrong beside that is integrated out, see `window_noise`.
 
 from typing import Any, NamedTuple
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -16,7 +17,6 @@ from jaxtyping import Array, Float
 
 from irisjax.infer.least_squares import levenberg_marquardt
 from irisjax.infer.priors import AbstractPrior, LogNormal
-from irisjax.numerics.programs import program
 from irisjax.photo.concentrations import CONCENTRATIONS, iris_of
 from irisjax.photo.window_noise import covariances, log_likelihood, whitened
 from irisjax.photo.windows import Windows
@@ -158,7 +158,7 @@ _STARTS = np.array(
 )
 
 
-@program
+@eqx.filter_jit
 def _searched(starts, windows, base, free: tuple[int, ...], steps: int):
     def every(some):
         return jnp.zeros(len(NAMES)).at[jnp.asarray(free)].set(some)
@@ -192,7 +192,7 @@ def exposures_for(fit: Fit, windows: Windows, base: Iris) -> Float[np.ndarray, "
     return np.asarray(_matched(jnp.asarray(fit.z), windows, base))
 
 
-@program
+@eqx.filter_jit
 def _matched(z, windows, base):
     values = values_of(z)
     off, _ = _off(values, windows, base)
@@ -236,7 +236,7 @@ def _four(eumelanin, ratios):
     return dict(zip(CONCENTRATIONS, (abl, first * abl, stroma, second * stroma), strict=True))
 
 
-@program
+@eqx.filter_jit
 def _downhill(start, held, windows, base, eumelanin: bool, steps: int):
     rest = {n: p.value(jnp.zeros(())) for n, p in PRIORS.items() if n not in CONCENTRATIONS}
 
@@ -259,7 +259,7 @@ def _rms(z, windows: Windows, base: Iris) -> np.ndarray:
     return np.asarray(_rms_of(jnp.asarray(z), windows, base))
 
 
-@program
+@eqx.filter_jit
 def _rms_of(z, windows, base):
     off, _ = _off(values_of(z), windows, base)
     return jnp.sqrt((off**2).mean(0, where=windows.present[:, None]))

@@ -9,13 +9,13 @@ an eye far from the picture's middle.
 
 from typing import Any, NamedTuple, cast
 
+import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 import scipy.optimize
 from jaxtyping import Bool, Float
 
 from irisjax.anatomy.eye import Eye
-from irisjax.numerics.programs import program
 from irisjax.optics.conicoid import joined
 from irisjax.photo.ellipse import Ellipse, ellipse_through
 from irisjax.photo.tilt import LIMBUS_OVAL, PUPIL_OVAL, tilts_allowed
@@ -206,7 +206,7 @@ def _square(parts, distance: float) -> Camera:
     return Camera(distance=cast(Any, distance), width=cast(Any, 2.0), size=(2, 2), **parts)
 
 
-@program
+@eqx.filter_jit
 def _outlines(eye: Eye, camera: Camera):
     """Limbus and pupil in mm at the eye, columns and rows from the middle of the pupil."""
     turn = jnp.linspace(0.0, 2 * jnp.pi, _POINTS, endpoint=False)
@@ -293,6 +293,6 @@ def shown(eye: Eye, camera: Camera, points: Float[np.ndarray, "*s 3"]) -> Shown:
     )
 
 
-@program
+@eqx.filter_jit
 def _seen(eye: Eye, camera: Camera, points):
     return project_points(IrisSurface(eye), camera, points)

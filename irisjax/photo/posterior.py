@@ -10,6 +10,7 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -18,7 +19,6 @@ from jaxtyping import Float
 from irisjax.infer import posterior
 from irisjax.infer.importance import Start
 from irisjax.infer.posterior import Chains
-from irisjax.numerics.programs import program
 from irisjax.photo.concentrations import CONCENTRATIONS
 from irisjax.photo.pigments import NAMES, PRIORS, Fit, log_probability, values_of
 from irisjax.photo.windows import Windows
@@ -83,14 +83,15 @@ def sample(
         progress: Gets the number of steps done.
         seed: Of all random numbers.
     """
-    held = _density.bound((windows, base))
     middle, slope = (np.asarray(v) for v in _totals_and_slope(jnp.asarray(best.z)))
     covariance = slope @ best.covariance @ slope.T + 1e-9 * np.eye(len(best.z))
     with ThreadPoolExecutor(2) as pool:  # one program is too small for two cores
 
         def density(x):
             rows = _padded(x, _ROWS).reshape(-1, _ROWS, x.shape[1])
-            return np.concatenate(list(pool.map(lambda r: np.asarray(held(r)), rows)))[: len(x)]
+            return np.concatenate(
+                list(pool.map(lambda r: np.asarray(_density((windows, base), r)), rows))
+            )[: len(x)]
 
         chains = posterior.sample(
             _Target(NAMES, density),
@@ -116,18 +117,18 @@ def _padded(x, rows: int) -> np.ndarray:
     return np.pad(np.asarray(x, np.float64), ((0, -len(x) % rows), (0, 0)), mode="edge")
 
 
-@program
+@eqx.filter_jit
 def _totals_and_slope(z):
     return _totals(z), jax.jacfwd(_totals)(z)
 
 
-@program
+@eqx.filter_jit
 def _drawn(x):
     z = _parts(x)
     return {"z": z, **jax.vmap(values_of)(z)}
 
 
-@program
+@eqx.filter_jit
 def _density(held, x):
     windows, base = held
     return jax.vmap(lambda row: log_probability(row, windows, base))(_parts(x))

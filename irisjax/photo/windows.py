@@ -16,7 +16,6 @@ from jaxtyping import Array, Bool, Float
 
 from irisjax._types import Scalar
 from irisjax.anatomy.eye import Eye
-from irisjax.numerics.programs import program
 from irisjax.photo.unrefracted import LUMINANCE
 from irisjax.photo.window_pixels import COUNT, WindowPixels
 from irisjax.render.bands import Bands, colour_bands
@@ -165,7 +164,7 @@ def windows_of(
     )
 
 
-@program
+@eqx.filter_jit
 def _matrix(seen, window, lights, eye, iris, maps, tables, ranges, bands, integrator):
     response = integrator.response(iris, eye.aqueous_index, bands, ranges)
     one = response.coefficients[..., :1]

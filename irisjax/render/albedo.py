@@ -14,7 +14,6 @@ from jaxtyping import Array, Float
 
 from irisjax.anatomy.eye import Eye
 from irisjax.numerics.portions import in_portions
-from irisjax.numerics.programs import program
 from irisjax.optics.fresnel import fresnel_at
 from irisjax.render.bands import Bands
 from irisjax.render.compose import respond
@@ -170,7 +169,7 @@ def _nodes(lowest: float, count: int):
     return cosine, w * cosine / (w * cosine).sum()
 
 
-@program
+@eqx.filter_jit
 def _albedo(response, scales: Scales, given, shape: tuple[int, int]):
     def one(texels):
         return response.hemispherical(texels, given)
@@ -182,7 +181,7 @@ def _albedo(response, scales: Scales, given, shape: tuple[int, int]):
     return in_portions(one, texels).T.reshape(*shape, -1)
 
 
-@program
+@eqx.filter_jit
 def _pairs(response, scales: Scales, incidence, exits, azimuth):
     """BRDF of each texel for all pairs of directions: (in, out, azimuths, channels, texels)."""
     one = next((jnp.ones_like(s) for s in scales if s is not None), jnp.ones(1, exits.dtype))
@@ -192,19 +191,19 @@ def _pairs(response, scales: Scales, incidence, exits, azimuth):
     return found.reshape(*shape, *found.shape[1:])
 
 
-@program
+@eqx.filter_jit
 def _entering(iris: Iris, aqueous_index, cosine):
     n = iris.indices(aqueous_index)
     return fresnel_at(cosine, n.aqueous, n.abl)[1]
 
 
-@program
+@eqx.filter_jit
 def _exits_of_all(response: SeparableResponse, scales: Scales, cosines):
     """Radiance of every texel at each cosine, (cosines, channels, texels)."""
     one = next((jnp.ones_like(s) for s in scales if s is not None), jnp.ones(1, cosines.dtype))
     return jax.lax.map(lambda c: response(scales, c * one), cosines)
 
 
-@program
+@eqx.filter_jit
 def _power(response, scales: Scales, given):
     return response.hemispherical(scales, given)

@@ -16,7 +16,6 @@ from irisjax.anatomy.eye import Eye
 from irisjax.numerics.interpolation import chebyshev_nodes
 from irisjax.numerics.linear import leading_subspace
 from irisjax.numerics.portions import pixelwise
-from irisjax.numerics.programs import program
 from irisjax.optics.conicoid import dot, joined, norm
 from irisjax.optics.fresnel import fresnel, refract
 from irisjax.render.products import polynomials
@@ -135,7 +134,7 @@ def light_of(pixels, flux, tint, eye: Eye, slopes, indices, angles: AngularFunct
     return jax.lax.scan(add, zero, (flux, tints))[0] * shares(seen, eye)
 
 
-@program
+@eqx.filter_jit
 def mixed(light, angles: AngularFunctions):
     """Light in the mixtures of functions that it has most of, as coefficients weigh them, and what
     of each function is in a mixture.

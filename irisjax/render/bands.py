@@ -16,7 +16,6 @@ from jaxtyping import Array, Float
 
 from irisjax.anatomy.eye import Cornea
 from irisjax.measure.colour import OBSERVER, illuminant_power, tristimulus_matrix
-from irisjax.numerics.programs import program
 
 GRID = 380 + 5.0 * np.arange(81)
 """Wavelengths (nm) that the bands stand for."""
@@ -73,7 +72,7 @@ def spectral_bands(wavelengths, illuminant: str = "D65", cornea: Cornea | None =
     return Bands(tuple(x.tolist()), jnp.diag(seen), seen, tuple(f"{w:g}nm" for w in x))
 
 
-@program
+@eqx.filter_jit
 def _haze(cornea: Cornea | None, wavelengths) -> Array:
     """Share that passes the haze of a cornea twice."""
     x = jnp.asarray(wavelengths, jnp.result_type(float))

@@ -14,7 +14,6 @@ from jaxtyping import Array, Float
 from irisjax._types import Scalar
 from irisjax.anatomy.eye import Sclera
 from irisjax.numerics.portions import pixelwise
-from irisjax.numerics.programs import program
 from irisjax.render import outside, shading
 from irisjax.render.bands import Bands, all_bands, colour_bands, spectral_bands
 from irisjax.render.illumination import Illumination
@@ -178,27 +177,25 @@ def _prepared(integrator: AbstractIntegrator, iris: Any, aqueous_index, bands, r
     return integrator.prepare(iris, aqueous_index, bands, ranges)
 
 
-@program
+@eqx.filter_jit
 def _respond(integrator: AbstractIntegrator, iris: Any, aqueous_index, bands, ranges: Scales):
     return integrator.response(iris, aqueous_index, bands, ranges)
 
 
-@program
+@eqx.filter_jit
 def _sclera_colours(sclera: Sclera, clear: Bands) -> ColourTable:
     return colour_table(sclera, np.asarray(clear.wavelengths), clear.weights)
 
 
-@program
 def _ones(clear: Bands):
-    return jnp.ones_like(clear.weights[:, 0])
+    return jnp.ones(len(clear.weights), clear.weights.dtype)
 
 
-@program
 def _black(lamp, pixels: int):
     return jnp.zeros((lamp.size, pixels), lamp.dtype)
 
 
-@program
+@eqx.filter_jit
 def _add(base, index, colour):
     # Channel by channel: twice as fast as pixels of three numbers.
     return (
@@ -208,6 +205,6 @@ def _add(base, index, colour):
     )
 
 
-@program
+@eqx.filter_jit
 def _picture(channels, size: tuple[int, int]):
     return channels.T.reshape(size[1], size[0], -1)

@@ -10,7 +10,6 @@ from jaxtyping import Array, Float
 
 from irisjax.anatomy.eye import Eye
 from irisjax.numerics.interpolation import polar_bilinear
-from irisjax.numerics.programs import program
 from irisjax.tissue.iris import Iris
 from irisjax.tissue.maps import FRECKLE, IrisMaps
 
@@ -46,7 +45,7 @@ class Ground(eqx.Module):
         return Local(*(None if t is None else next(found) for t in self.textures))
 
 
-@program
+@eqx.filter_jit
 def local_textures(maps: IrisMaps | None, iris: Iris) -> Local:
     """The subsurface map of an iris with maps."""
     if maps is None:

@@ -12,7 +12,6 @@ from jaxtyping import Array, Float
 from irisjax._types import Scalar
 from irisjax.anatomy.eye import Eye
 from irisjax.numerics.interpolation import bilinear, trilinear
-from irisjax.numerics.programs import program
 from irisjax.numerics.roots import safe_sqrt
 from irisjax.optics.conicoid import Vector, norm
 from irisjax.render.caustic import Grid, gathered
@@ -148,7 +147,7 @@ def near_light(
     return on_cornea(cornea, jnp.stack([x * inside, y * inside], axis=-1)), spread
 
 
-@program
+@eqx.filter_jit
 def _build(
     eye: Eye, refraction: RefractionFunction, caustics: bool, size: int, n_rays: int
 ) -> Illumination:

@@ -8,7 +8,6 @@ from jaxtyping import Array, Float
 
 from irisjax._types import Scalar, as_float, as_float_or_none
 from irisjax.numerics.checks import Range, check_range
-from irisjax.numerics.programs import program
 
 LIMITS = {
     "irradiance": Range(0, 1e6),
@@ -168,6 +167,6 @@ class Lights(eqx.Module):
         return offset / jnp.sqrt(square)[..., None], power / square
 
 
-@program
+@eqx.filter_jit
 def _polar(towards):
     return jnp.arctan2(jnp.hypot(towards[:, 0], towards[:, 1]), -towards[:, 2])

@@ -6,11 +6,11 @@ Those of high degree in several numbers at once hold nothing of a smooth functio
 import functools
 import itertools
 
+import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from irisjax.numerics.interpolation import chebyshev
-from irisjax.numerics.programs import program
 
 
 def basis(scales, like):
@@ -48,7 +48,7 @@ def summed(coefficients, scales, factors) -> Float[Array, "channels pixels"]:
     return functools.reduce(jnp.add, [v * factors[:, k] for k, v in enumerate(values)])
 
 
-@program
+@eqx.filter_jit
 def scaled(scale, span, degree: int):
     """Polynomials up to `degree` of a scale that runs over `span`."""
     return polynomials(to_unit(span, scale), degree + 1)

@@ -16,7 +16,6 @@ from jaxtyping import Array, Float
 
 from irisjax._types import Scalar
 from irisjax.anatomy.eye import Eye
-from irisjax.numerics.programs import program
 from irisjax.optics.fresnel import fresnel, refract
 from irisjax.render.angular import AZIMUTHS, AngularFunctions, Mixtures, light_of, mixed
 from irisjax.render.bands import Bands
@@ -216,7 +215,7 @@ def _deepest(iris: Iris, aqueous_index, bands: Bands, ranges: Scales) -> Layers:
     return texel_layers(iris, aqueous_index, extinction(np.asarray(bands.wavelengths)), most)
 
 
-@program
+@eqx.filter_jit
 def _holds(table: RadiativeTabulated, iris: Iris, aqueous_index, bands: Bands, ranges: Scales):
     return table.holds(_deepest(iris, aqueous_index, bands, ranges))
 

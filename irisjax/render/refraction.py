@@ -15,7 +15,6 @@ from jaxtyping import Array, Float
 
 from irisjax.anatomy.eye import Cornea, Eye
 from irisjax.numerics.interpolation import smoothstep, trilinear
-from irisjax.numerics.programs import program
 from irisjax.numerics.roots import solve_2x2
 from irisjax.optics.conicoid import Vector, along, dot, norm, refract_vector
 
@@ -223,7 +222,7 @@ class RefractionFunction(eqx.Module):
         return Arrival(entry, jnp.where(lit, flux, 0.0))
 
 
-@program
+@eqx.filter_jit
 def _searched(eye: Eye, n_polar: int, n_azimuth: int, n_radius: int):
     """`entry` and `flux` of `RefractionFunction`."""
     polar = jnp.linspace(0, UNIQUE_POLAR, n_polar)

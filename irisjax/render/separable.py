@@ -19,7 +19,6 @@ from jaxtyping import Array, Float, Int
 from irisjax._types import Scalar
 from irisjax.anatomy.eye import Eye
 from irisjax.numerics.interpolation import chebyshev_nodes
-from irisjax.numerics.programs import program
 from irisjax.optics.fresnel import fresnel, fresnel_at, refract
 from irisjax.render.bands import Bands
 from irisjax.render.illumination import Illumination
@@ -218,7 +217,7 @@ class SeparableResponse(AbstractResponse):
         return self._at(texels.terms) * texels.light
 
 
-@program
+@eqx.filter_jit
 def _angular(cosine, iris: Iris, aqueous_index, degree: int):
     n = iris.indices(aqueous_index)
     return _exits(cosine, (n.aqueous, n.abl), degree)

@@ -10,7 +10,6 @@ from jaxtyping import Array, Float
 from irisjax.anatomy.eye import Eye
 from irisjax.numerics.interpolation import bilinear, polar_bilinear, smoothstep
 from irisjax.numerics.portions import pixelwise
-from irisjax.numerics.programs import program
 from irisjax.numerics.roots import safe_sqrt
 from irisjax.optics.conicoid import Parts, dot, from_axis, joined, norm, parts
 from irisjax.optics.fresnel import fresnel_at
@@ -40,7 +39,7 @@ class Field(eqx.Module):
         return bilinear(self.flux, row, column)
 
 
-@program
+@eqx.filter_jit
 def illuminate(
     lights: Lights, eye: Eye, iris: Iris, tables: Illumination | None, size: int = 161
 ) -> Field:
@@ -69,7 +68,7 @@ def illuminate(
     return Field(jax.lax.scan(add, zero, jnp.arange(len(lights)))[0], eye.iris_radius)
 
 
-@program
+@eqx.filter_jit
 def fluxes_of(
     lights: Lights, eye: Eye, tables: Illumination | None, size: int = 161
 ) -> Float[Array, "lights 3 rows columns"]:
@@ -153,7 +152,7 @@ def _only(scales: Scales):
     return next(s for s in scales if s is not None)
 
 
-@program
+@eqx.filter_jit
 def _scale(part: IrisMaps, iris: Iris):
     return _only(Scales.of(part, iris))
 
@@ -163,7 +162,7 @@ def _fetched(place: Place, texture):
     return polar_bilinear(texture, *place)
 
 
-@program
+@eqx.filter_jit
 def _range(part: IrisMaps, iris: Iris):
     return _only(Scales.of(part, iris).ranges())
 
@@ -220,7 +219,7 @@ def shares(pixels: IrisPixels, eye: Eye) -> Float[Array, " pixels"]:
     return share if pixels.index is None else jnp.where(pixels.index < 0, 0.0, share)
 
 
-@program
+@eqx.filter_jit
 def slopes_of(relief: Float[Array, "angles radii"], eye: Eye) -> Float[Array, "2 2*angles 2*radii"]:
     """∂h/∂r and ∂h/(r ∂angle) of a relief, on a grid twice as fine: of Catmull and Rom's cubics
     through its texels.

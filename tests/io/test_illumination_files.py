@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from irisjax.anatomy.eye import Cornea, Eye, Sclera
-from irisjax.cli import cache
+from irisjax.cli import compiled
 from irisjax.io import illumination
 from irisjax.io.illumination import key, tables_of
 from irisjax.optics.conicoid import Conicoid
@@ -210,12 +210,12 @@ def test_no_cornea_no_file(tmp_path):
 
 def test_where_the_command_keeps_them(monkeypatch, tmp_path, made):
     monkeypatch.setenv("JAX_COMPILATION_CACHE_DIR", "")
-    assert cache.folder() is None
-    assert cache.kept_tables(SCENE) is not None
+    assert compiled.folder() is None
+    assert compiled.kept_tables(SCENE) is not None
     monkeypatch.setenv("JAX_COMPILATION_CACHE_DIR", str(tmp_path / "named"))
-    cache.kept_tables(SCENE)
+    compiled.kept_tables(SCENE)
     assert len(list((tmp_path / "named" / "illumination").iterdir())) == 1
     monkeypatch.delenv("JAX_COMPILATION_CACHE_DIR")
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    assert cache.folder() == tmp_path / "irisjax"
+    assert compiled.folder() == tmp_path / "irisjax"
     assert len(made) == 2

@@ -2,11 +2,11 @@
 
 from collections.abc import Callable
 
+import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
 from irisjax.anatomy.eye import Eye
-from irisjax.numerics.programs import program
 from irisjax.photo.ellipse import Ellipse, ellipse_through
 from irisjax.render.camera import Camera
 from irisjax.render.points import project_points
@@ -29,7 +29,7 @@ def _circle(radius, depth):
     return np.stack([r * np.cos(_AROUND), r * np.sin(_AROUND), np.full_like(_AROUND, z)], -1)
 
 
-@program
+@eqx.filter_jit
 def _seen(eye, camera, points):
     return project_points(IrisSurface(eye), camera, points)
 

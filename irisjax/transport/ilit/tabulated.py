@@ -17,7 +17,6 @@ from jaxtyping import Array, Float
 
 from irisjax.numerics.interpolation import chebyshev_nodes
 from irisjax.numerics.piecewise import piecewise, piecewise_chebyshev
-from irisjax.numerics.programs import program
 from irisjax.numerics.sharding import laid_out_as
 from irisjax.numerics.tucker import coefficients
 from irisjax.tissue.indices import Order, RefractiveIndices
@@ -177,7 +176,7 @@ class IlitTabulated(AbstractSolver):
         return float(_largest_error(self, depth, albedos, order))
 
 
-@program
+@eqx.filter_jit
 def _nodes(depth, albedos, indices: RefractiveIndices, order: Order, process: Ilit):
     """Responses of the ABL (depths, 4), and of the stroma at each albedo (albedos, depths, 2)."""
 
@@ -188,7 +187,7 @@ def _nodes(depth, albedos, indices: RefractiveIndices, order: Order, process: Il
     return abl, jax.lax.map(lambda albedo: at(albedo)[1], albedos)
 
 
-@program
+@eqx.filter_jit
 def _largest_error(tables: IlitTabulated, depth, albedos, order: Order):
     def at(albedo):
         each = jnp.full_like(depth, albedo)

@@ -4,11 +4,11 @@ A look-up in the layers' three numbers and both cosines holds the azimuthal orde
 that Rayleigh's law has, of light scattered twice and oftener.
 """
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from irisjax.numerics.programs import program
 from irisjax.numerics.tucker import Tucker
 from irisjax.tissue.indices import RefractiveIndices
 from irisjax.transport.radiative.axes import (
@@ -77,7 +77,7 @@ def values(
     return jax.vmap(one)(abl, depth, albedo, found)
 
 
-@program
+@eqx.filter_jit
 def _multiple(points, outside, indices: RefractiveIndices):
     """At points (τ_A, τ, ω), between cosines in the aqueous humour: (points, beams, exits, 3)."""
     layers = layers_at(points, indices)

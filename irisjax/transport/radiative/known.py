@@ -8,13 +8,13 @@ absorption of the two layers alone.
 import functools
 from typing import ClassVar
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
 from irisjax.numerics.interpolation import chebyshev, chebyshev_nodes
-from irisjax.numerics.programs import program
 from irisjax.numerics.tucker import coefficients
 from irisjax.tissue.layers import Layers
 from irisjax.transport.incidence import beams_of
@@ -157,7 +157,7 @@ def _made(same: _Same, scattering: bytes, dtype: str, cosine: float) -> Radiativ
         return RadiativeOfKnownScattering(same.table, weights, deep, known, incidence)
 
 
-@program
+@eqx.filter_jit
 def _looked_up(table: RadiativeTabulated, scattering, abl, stroma, cosine):
     """The share that leaves, its steep dependence on the ABL taken out; (wavelengths, points), the
     stroma's fastest; and that of a deep stroma that scatters no more, (ABLs,).

@@ -17,7 +17,6 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from irisjax.numerics.programs import program
 from irisjax.numerics.sharding import laid_out_as
 from irisjax.numerics.tucker import Tucker, coefficients
 from irisjax.tissue.indices import RefractiveIndices
@@ -253,7 +252,7 @@ def _table(indices: RefractiveIndices) -> tuple[np.ndarray, np.ndarray]:
     return np.stack(values, -1).reshape(*_NODES, 4), coefficients(shape[1]) @ pole
 
 
-@program
+@eqx.filter_jit
 def _fates(points, outside, indices: RefractiveIndices) -> ScatteredFates:
     """At points (τ_A, τ, ω), for beams of cosines in the aqueous humour: shape (points, beams)."""
     layers = layers_at(points, indices)
@@ -262,7 +261,7 @@ def _fates(points, outside, indices: RefractiveIndices) -> ScatteredFates:
     return jax.lax.map(lambda p: one(p[0], p[1], p[2]), points, batch_size=32)
 
 
-@program
+@eqx.filter_jit
 def _first(points, outside, indices: RefractiveIndices) -> Beam:
     abl, depth, _ = points.T
     beams = from_outside(layers_at(points, indices), outside)
@@ -274,7 +273,7 @@ def _reflectance(points, outside, indices: RefractiveIndices):
     return beam.reflected + beam.lost * points[:, 2:] * found.out
 
 
-@program
+@eqx.filter_jit
 def _looked_up(table: RadiativeTabulated, points, outside):
     layers = layers_at(points, table.indices)
     return jax.vmap(lambda mu: table.solve(layers, DEPTH_RESOLVED, mu).reflectance)(outside).T

@@ -1,0 +1,459 @@
+"""What a command makes once a machine and not once a run: compiled programs, illumination tables.
+
+Tracing and lowering the program of a spectrum or of a picture takes longer than running it, and
+JAX's compilation cache saves only what comes after (without this module the second run of `fit`
+takes 1.9 times as long, that of `render` 1.4 times). `keep_compiled` replaces the jitted functions
+named in `PROGRAMS` by `Kept` ones, which read the compiler's result from a file. The library knows
+nothing of it. The files are pickles: whoever may write to their folder may run code as its user, as
+with JAX's cache.
+"""
+
+import functools
+import hashlib
+import importlib.abc
+import importlib.machinery
+import importlib.metadata
+import itertools
+import os
+import pickle
+import platform
+import secrets
+import shutil
+import sys
+import tempfile
+import threading
+from collections.abc import Callable, Hashable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import contextmanager
+from pathlib import Path
+from types import ModuleType
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import jax
+import numpy as np
+from jax.core import Tracer
+from jax.experimental import serialize_executable
+
+if TYPE_CHECKING:
+    from irisjax.render.illumination import Illumination
+    from irisjax.render.scene import Scene
+
+PROGRAMS: dict[str, tuple[str, ...]] = {
+    "anatomy.eye": ("_least_depth",),
+    "grow.procedural": ("_grow",),
+    "infer.evidence": ("_begun", "_advanced"),
+    "infer.fit": ("_fit",),
+    "infer.identifiability": ("_slopes",),
+    "infer.other_process": ("_linearised",),
+    "infer.pieces": ("_densities", "predicted"),
+    "infer.summary": ("_reported",),
+    "measure.colour": ("srgb_encode",),
+    "numerics.portions": ("_joined",),
+    "ocularist.composite": (
+        "ground",
+        "opacity_at",
+        "nothing",
+        "paint_over",
+        "rays",
+        "full_light",
+        "crossed",
+        "light_under",
+    ),
+    "ocularist.matching": ("_searched",),
+    "ocularist.mixing": ("_blended",),
+    "ocularist.plan": ("_delta", "_unrolled"),
+    "ocularist.retouching": ("_costs", "_best"),
+    "photo.pigments": ("_searched", "_matched", "_downhill", "_rms_of"),
+    "photo.pose": ("_outlines", "_seen"),
+    "photo.posterior": ("_totals_and_slope", "_drawn", "_density"),
+    "photo.windows": ("_matrix",),
+    "render.albedo": ("_albedo", "_pairs", "_entering", "_exits_of_all", "_power"),
+    "render.angular": ("light_of", "mixed"),
+    "render.bands": ("_haze",),
+    "render.compose": ("shade", "_respond", "_sclera_colours", "_add", "_picture"),
+    "render.ground": ("local_textures",),
+    "render.illumination": ("_build",),
+    "render.lights": ("_polar",),
+    "render.outside": (
+        "_vein_place",
+        "_blood",
+        "_vein_node",
+        "_white_colour",
+        "white",
+        "mirrored",
+        "room_at",
+    ),
+    "render.products": ("scaled",),
+    "render.project": (
+        "seen_parts",
+        "iris_pixels",
+        "any_pixels",
+        "sclera_pixels",
+        "mirror_pixels",
+        "mirror_points",
+    ),
+    "render.radiative": ("_holds",),
+    "render.refraction": ("_searched",),
+    "render.separable": ("_angular",),
+    "render.shading": (
+        "illuminate",
+        "fluxes_of",
+        "irradiance_at",
+        "slopes_of",
+        "_scale",
+        "_fetched",
+        "_range",
+        "_polar",
+    ),
+    "render.single_scattering": ("_placed",),
+    "transport.ilit.tabulated": ("_nodes", "_largest_error"),
+    "transport.radiative.brdf": ("_multiple",),
+    "transport.radiative.known": ("_looked_up",),
+    "transport.radiative.tabulated": ("_fates", "_first", "_looked_up"),
+}
+"""Modules of the package and the jitted functions of their top level whose programs are kept. They
+are pure, and called by these names.
+"""
+_PACKAGE = "irisjax"
+_MOST_VERSIONS = 4  # of the package, whose programs are kept side by side
+_MOST_THREADS = 4  # that read files
+_PACKAGES = ("jax", "jaxlib", "equinox", "optimistix", "lineax", "numpy")
+_SETTINGS = (
+    "jax_enable_x64",
+    "jax_default_matmul_precision",
+    "jax_default_prng_impl",
+    "jax_threefry_partitionable",
+)
+_FOR_DEBUGGING = ("jax_disable_jit", "jax_debug_nans", "jax_debug_infs", "jax_check_tracer_leaks")
+
+
+def folder() -> Path | None:
+    """The cache's folder: JAX_COMPILATION_CACHE_DIR names another, or, when empty, none."""
+    if (given := os.environ.get("JAX_COMPILATION_CACHE_DIR")) is not None:
+        return Path(given) if given else None
+    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "irisjax"
+
+
+def cores() -> int:
+    """Threads that a command shares pixels among: a power of two, so that no share is padded."""
+    return 1 << (min(os.cpu_count() or 1, 8).bit_length() - 1)
+
+
+def keep_compiled() -> None:
+    """Trace and compile once a machine: from now on `PROGRAMS` are kept in the cache's folder."""
+    place = folder()
+    # JAX reads both variables of the environment by itself.
+    if "JAX_COMPILATION_CACHE_DIR" not in os.environ:
+        jax.config.update("jax_compilation_cache_dir", str(place))
+    if "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS" not in os.environ:
+        jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
+    if place is None or any(isinstance(finder, _Keeper) for finder in sys.meta_path):
+        return
+    for name in PROGRAMS:
+        if (module := sys.modules.get(f"{_PACKAGE}.{name}")) is not None:
+            _keep_programs_of(module)
+    sys.meta_path.insert(0, _Keeper())
+
+
+@contextmanager
+def reading_ahead(command: str) -> Iterator[None]:
+    """While this is entered, threads read the programs that the command used last time, while it
+    imports modules and reads its input: to read one takes XLA 50 ms, in which Python is free.
+    """
+    if (place := _programs()) is None:
+        yield
+    else:
+        with _files.reading(_version_of(place) / "used" / command):
+            yield
+
+
+def kept_tables(scene: "Scene") -> "Illumination | None":
+    """Return `scene.tables()`, made once a machine."""
+    from irisjax.io.illumination import tables_of
+
+    place = folder()
+    return tables_of(scene, None if place is None else place / "illumination")
+
+
+def _programs() -> Path | None:
+    place = folder()
+    return None if place is None else place / "programs"
+
+
+class _Keeper(importlib.abc.MetaPathFinder):
+    """Has the programs of a module kept as soon as it is imported, before others take its names."""
+
+    def find_spec(self, fullname: str, path: Any, target: ModuleType | None = None) -> Any:
+        if fullname.removeprefix(f"{_PACKAGE}.") not in PROGRAMS:
+            return None
+        spec = importlib.machinery.PathFinder.find_spec(fullname, path, target)
+        if spec is not None and spec.loader is not None:
+            execute = spec.loader.exec_module
+
+            def then_keep(module: ModuleType) -> None:
+                execute(module)
+                _keep_programs_of(module)
+
+            spec.loader.exec_module = then_keep
+        return spec
+
+
+def _keep_programs_of(module: ModuleType) -> None:
+    for name in PROGRAMS[module.__name__.removeprefix(f"{_PACKAGE}.")]:
+        function = getattr(module, name)
+        if not isinstance(function, Kept):
+            setattr(module, name, kept(function, f"{module.__name__}.{name}"))
+
+
+def kept(function: Callable[..., Any], name: str) -> Callable[..., Any]:
+    """Return the same function with its programs kept under a name.
+
+    Args:
+        function: The result of `equinox.filter_jit` or of `numerics.portions.pixelwise`.
+        name: The name, of its own for each function.
+    """
+    form: Any = type(function)
+    if hasattr(function, "on_threads"):
+        return form(function.__wrapped__, lambda part: Kept(part, f"{name} {part.__name__}"))
+    return Kept(function, name)
+
+
+class Kept:
+    """A function made by `equinox.filter_jit` whose programs are kept; called with arguments in
+    their order.
+
+    A program is read from its file for the same code (of this package and of those it is made
+    with), the same settings of JAX, the same shapes and types, and equal arguments that are no
+    arrays. Where such an argument cannot be pickled, an array is traced, or there are several
+    devices, this is the function itself.
+    """
+
+    def __init__(self, function: Callable[..., Any], name: str):
+        self.__wrapped__ = function
+        self._name = name
+        self._known: dict[Hashable, _Program | None] = {}
+        self._making = threading.Lock()
+
+    def __call__(self, *args: Any) -> Any:
+        """Return the function's result."""
+        leaves, structure = jax.tree.flatten(args)
+        arrays = [x for x in leaves if _is_array(x)]
+        if any(isinstance(x, Tracer) for x in arrays):
+            return self.__wrapped__(*args)
+        types = tuple(_type_of(x) for x in arrays)
+        here = structure, _constants(leaves), types, *_settings()
+        if here not in self._known:
+            with self._making:
+                if here not in self._known:
+                    self._known[here] = self._found(args, types)
+        program = self._known[here]
+        return self.__wrapped__(*args) if program is None else program(arrays)
+
+    def _found(self, args: Any, types: tuple[Any, ...]) -> "_Program | None":
+        debugging = any(getattr(jax.config, name, False) for name in _FOR_DEBUGGING)
+        place = _programs()
+        if debugging or jax.device_count() > 1 or place is None:
+            return None
+        form = _form_of(args)[1]
+        try:
+            seen = [(shape, str(dtype), weak) for shape, dtype, weak in types]
+            words = pickle.dumps([self._name, form, seen, _settings(), _machine()], protocol=5)
+        except Exception:  # an object without a pickle may raise anything
+            return None
+        path = _version_of(place) / hashlib.sha256(words).hexdigest()
+        try:
+            return _files(path)
+        except Exception:  # not there, half a file, a compiler of another kind: compile again
+            compiled, result, linear_algebra = _compiled(self.__wrapped__, form, types)
+        try:
+            executable = serialize_executable.serialize(compiled)
+            _write(path, pickle.dumps((result, linear_algebra, *executable), protocol=5))
+        except Exception:  # results without a pickle, a compiler that cannot serialize
+            pass
+        return _Program(compiled, result)
+
+
+class _Program(NamedTuple):
+    """A compiled program of flat arrays and the form of its result."""
+
+    compiled: jax.stages.Compiled
+    result: Any
+
+    def __call__(self, arrays: list[Any]) -> Any:
+        return _filled(self.result, self.compiled(*arrays))
+
+
+class _Array(NamedTuple):
+    """Stands in a form for an array: its place among them."""
+
+    place: int
+
+
+def _compiled(
+    function: Callable[..., Any], form: Any, types: tuple[Any, ...]
+) -> tuple[jax.stages.Compiled, Any, bool]:
+    """Compile; the program, the form of its results, and whether it calls LAPACK."""
+    plain = getattr(function, "__wrapped__", function)
+    results = []
+
+    def flat(*arrays):
+        out, result = _form_of(plain(*_filled(form, arrays)))
+        results.append(result)
+        return out
+
+    # Under a name of its own JAX's cache does not have it: what comes from there cannot be
+    # serialised a second time (jaxlib 0.10).
+    flat.__name__ = f"kept_{secrets.token_hex(8)}"
+    shapes = [jax.ShapeDtypeStruct(shape, dtype, weak_type=weak) for shape, dtype, weak in types]
+    lowered = jax.jit(flat, compiler_options=_compiler_options()).lower(*shapes)
+    return lowered.compile(), results[-1], "lapack" in lowered.as_text()
+
+
+def _read(path: Path) -> _Program:
+    """Read a program from its file."""
+    result, linear_algebra, *executable = pickle.loads(path.read_bytes())
+    if linear_algebra:
+        _load_lapack()
+    return _Program(serialize_executable.deserialize_and_load(*executable), result)
+
+
+@functools.cache
+def _load_lapack() -> None:
+    """Have JAX load LAPACK, which it does where it lowers a function of it; a program from a file
+    would call what is not there.
+    """
+    jax.jit(jax.numpy.linalg.cholesky).lower(jax.ShapeDtypeStruct((1, 1), np.float32))
+
+
+def _compiler_options() -> dict[str, Any] | None:
+    """Options of XLA: its older way of joining loops takes half as long, and its programs run as
+    fast. Other releases of jaxlib stop at this flag.
+    """
+    known = importlib.metadata.version("jaxlib").startswith("0.10.")
+    return (
+        {"xla_cpu_use_fusion_emitters": False} if known and jax.default_backend() == "cpu" else None
+    )
+
+
+def _constants(leaves: list[Any]) -> tuple[Any, ...]:
+    """What stands between the arrays, with its types: 1 is not 1.0 here."""
+    return tuple(None if _is_array(x) else (type(x), x) for x in leaves)
+
+
+def _is_array(x: Any) -> bool:
+    return isinstance(x, jax.Array | np.ndarray | np.generic)
+
+
+def _type_of(x: Any) -> tuple[Any, ...]:
+    return x.shape, x.dtype, getattr(x, "weak_type", False)
+
+
+def _form_of(tree: Any) -> tuple[list[Any], Any]:
+    """The arrays of a tree, and the tree with their places instead."""
+    arrays, count = [], itertools.count()
+
+    def place(x):
+        if not _is_array(x):
+            return x
+        arrays.append(x)
+        return _Array(next(count))
+
+    return arrays, jax.tree.map(place, tree)
+
+
+def _filled(form: Any, arrays: Any) -> Any:
+    return jax.tree.map(
+        lambda x: arrays[x.place] if isinstance(x, _Array) else x,
+        form,
+        is_leaf=lambda x: isinstance(x, _Array),
+    )
+
+
+def _settings() -> tuple[Any, ...]:
+    return (
+        jax.default_backend(),
+        os.cpu_count(),
+        *(str(getattr(jax.config, name, None)) for name in _SETTINGS),
+    )
+
+
+@functools.cache
+def _machine() -> tuple[str, ...]:
+    """What a processor's programs are compiled for; a home may be shared by several machines."""
+    device = jax.devices()[0]
+    about = device.device_kind, device.client.platform_version, platform.machine()
+    try:
+        lines = Path("/proc/cpuinfo").read_text().splitlines()
+        found = [line for line in lines if line.startswith(("flags", "Features"))][:1]
+    except OSError:
+        found = [platform.processor()]
+    return (*about, *found, os.environ.get("XLA_FLAGS", ""))
+
+
+@functools.lru_cache(maxsize=4)
+def _version_of(place: Path) -> Path:
+    """The folder of this version of the code; those of older versions are removed."""
+    package = Path(__file__).parents[1]
+    files = sorted(p for p in package.rglob("*") if p.suffix != ".pyc" and p.is_file())
+    sizes = [(str(p), (s := p.stat()).st_size, s.st_mtime_ns) for p in files]
+    about = sizes, sys.version, [importlib.metadata.version(name) for name in _PACKAGES]
+    mine = place / hashlib.sha256(repr(about).encode()).hexdigest()[:16]
+    if not mine.exists():
+        others = sorted(place.glob("*"), key=lambda p: p.stat().st_mtime) if place.exists() else []
+        for old in others[: max(0, len(others) - _MOST_VERSIONS + 1)]:
+            shutil.rmtree(old, ignore_errors=True)
+    return mine
+
+
+def _write(path: Path, data: bytes) -> None:
+    """Write whole or not at all; a full disk or a read-only folder costs only time."""
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with tempfile.NamedTemporaryFile(dir=path.parent, delete=False) as temporary:
+            temporary.write(data)
+        os.replace(temporary.name, path)
+    except OSError:
+        pass
+
+
+class Ahead:
+    """Reads files by a function of their paths, on threads before they are asked for, or then."""
+
+    def __init__(self, read: Callable[[Path], Any]):
+        self._read = read
+        self._begun: dict[Path, Future[Any]] = {}
+        self._used: dict[Path, None] = {}
+
+    def __call__(self, path: Path) -> Any:
+        """Return what the file holds; raises what reading it raises."""
+        self._used[path] = None
+        begun = self._begun.pop(path, None)
+        # A file that no thread has begun need not wait for those before it.
+        return self._read(path) if begun is None or begun.cancel() else begun.result()
+
+    @contextmanager
+    def reading(self, notes: Path) -> Iterator[None]:
+        """While this is entered, the files that `notes` names, one a line, are read; in the end it
+        names those that were asked for. Does nothing where a file was asked for before: most of
+        what a process does later it has in memory.
+        """
+        if self._used:
+            yield
+            return
+        try:
+            last = [notes.parent.parent / name for name in notes.read_text("utf-8").split()]
+        except OSError:
+            last = []
+        threads = ThreadPoolExecutor(max(1, min(_MOST_THREADS, (os.cpu_count() or 1) - 1)))
+        try:
+            self._begun |= {path: threads.submit(self._read, path) for path in last}
+            yield
+        finally:
+            threads.shutdown(cancel_futures=True)
+            self._begun.clear()
+        # A command that was broken off has not used all.
+        if self._used and set(self._used) != set(last):
+            _write(notes, "\n".join(path.name for path in self._used).encode())
+
+
+_files = Ahead(_read)
