@@ -1,7 +1,12 @@
-"""Float64 unless a test asks otherwise, runtime type checks, and repeatable hypothesis."""
+"""Double precision unless a test asks otherwise, runtime type checks, repeatable hypothesis, and a
+budget of compiled programs for each file.
+"""
 
+import collections
+import hashlib
 import importlib.metadata
 import os
+import platform
 from pathlib import Path
 
 os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", "")  # the command's would be the user's own
@@ -11,6 +16,7 @@ import jaxtyping
 jaxtyping.install_import_hook("irisjax", "typechecking.checked")
 
 import jax
+import jax.monitoring
 import pytest
 from hypothesis import settings
 
@@ -23,12 +29,28 @@ settings.load_profile("deterministic")
 
 
 def pytest_configure(config):
-    """Programs compiled once for all workers and runs; `pytest --cache-clear` forgets them."""
+    """Compiled programs are shared by all workers and later runs; `pytest --cache-clear` deletes
+    them, unless the environment names another folder.
+    """
     _compile_in_half_the_time(config.option.markexpr)
-    if hasattr(config, "cache"):
-        # Not in the environment: the commands that tests start keep nothing.
-        jax.config.update("jax_compilation_cache_dir", str(config.cache.mkdir("compiled")))
-        jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.2)
+    folder = os.environ.get("IRISJAX_TEST_PROGRAMS")
+    if folder:
+        kept = Path(folder) / f"jaxlib-{importlib.metadata.version('jaxlib')}-{_processor()}"
+    elif hasattr(config, "cache"):
+        kept = config.cache.mkdir("compiled")
+    else:
+        return
+    # Not in the environment: the commands that tests start keep nothing.
+    jax.config.update("jax_compilation_cache_dir", str(kept))
+    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.2)
+
+
+def _processor():
+    """A short name of the processor's instructions: compiled programs run on no other."""
+    path = Path("/proc/cpuinfo")
+    lines = path.read_text(encoding="utf-8").splitlines() if path.exists() else []
+    flags = next((x for x in lines if x.startswith(("flags", "Features"))), "")
+    return hashlib.sha256(f"{platform.machine()} {flags}".encode()).hexdigest()[:12]
 
 
 def _compile_in_half_the_time(tier):
@@ -48,8 +70,9 @@ def _wants_float32(item):
 
 
 def pytest_collection_modifyitems(items):
-    """Single precision last: what is compiled, is compiled once."""
-    items.sort(key=_wants_float32)
+    """Within a file, tests of single precision run last, after all those of double precision."""
+    files = {path: k for k, path in enumerate(dict.fromkeys(item.path for item in items))}
+    items.sort(key=lambda item: (files[item.path], _wants_float32(item)))
 
 
 @pytest.fixture(autouse=True)
@@ -69,6 +92,67 @@ def _mappings():
     maps = Path("/proc/self/maps")
     if maps.exists() and len(maps.read_bytes().splitlines()) > 40_000:
         jax.clear_caches()
+
+
+# Programs that a file may compile, single operations of NumPy's interface included: what tests cost
+# is mostly the number of programs. A program found in the cache on disk counts, one still in memory
+# does not, so that a file run alone compiles most. Numbers of the files in the table may only fall.
+_MOST_PROGRAMS = 60
+_MORE_PROGRAMS: dict[str, int] = {}
+_compiled = collections.Counter()
+_counts = collections.Counter()
+
+
+def _count(event, _duration, **_about):
+    _compiled[event] += 1
+
+
+jax.monitoring.register_event_duration_secs_listener(_count)
+
+
+@pytest.fixture(autouse=True, scope="module")
+def _few_programs(request):
+    """Fails a file of the default tier that compiles more programs than its budget."""
+    event = "/jax/core/compile/backend_compile_duration"
+    before = _compiled[event]
+    yield
+    name = request.path.relative_to(Path(__file__).parent).as_posix()
+    n = _compiled[event] - before
+    _counts[name] += n
+    budget = _MORE_PROGRAMS.get(name, _MOST_PROGRAMS)
+    if n > budget and request.config.option.markexpr == _default_tier(request.config):
+        pytest.fail(
+            f"{name} compiles {n} programs, its budget is {budget}: share sizes and jitted functions "
+            "between tests (pytest --compilations prints the numbers)"
+        )
+
+
+def _default_tier(config):
+    return config.getini("addopts")[-1]
+
+
+def pytest_addoption(parser):
+    """`--compilations`: prints how many programs each file compiled."""
+    parser.addoption("--compilations", action="store_true", help="programs compiled by each file")
+
+
+def pytest_sessionfinish(session):
+    """A worker of pytest-xdist sends its numbers to the process that prints them."""
+    if hasattr(session.config, "workeroutput"):
+        session.config.workeroutput["programs"] = dict(_counts)
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_testnodedown(node):
+    """Adds the numbers of a worker."""
+    _counts.update(getattr(node, "workeroutput", {}).get("programs", {}))
+
+
+def pytest_terminal_summary(terminalreporter, config):
+    """Prints the numbers, highest first."""
+    if config.option.compilations:
+        for name, n in sorted(_counts.items(), key=lambda x: -x[1]):
+            terminalreporter.write_line(f"{n:6d} programs  {name}")
 
 
 # Floors whose programs promote neither dtypes nor ranks but by hand; the upper ones follow.
