@@ -62,7 +62,6 @@ def replaced(iris, vector):
     return eqx.tree_at(lambda i: [getattr(i, n) for n in LIMITS], iris, list(vector))
 
 
-@pytest.mark.heavy
 @pytest.mark.parametrize(
     ("name", "traced_order", "edges"),
     [
@@ -83,7 +82,7 @@ def test_gradients(name, traced_order, edges):
     Either the iris is built outside and all its leaves are batched (its order of media is known),
     or it is built inside the program from traced numbers (any order is possible).
     """
-    process, solver = PROCESSES[name], exact(PROCESSES[name], 24)
+    process, solver = PROCESSES[name], exact(PROCESSES[name], 12)
     asked, edges = edges, [e for e in edges if not (name == "depth-resolved" and e in ONLY_FINITE)]
     if not traced_order:
         edges = [e for e in edges if ORDERS[e] == TEMPLATE.order]

@@ -16,7 +16,6 @@ SOME = ("plain", "no-layers", "nothing-at-all", "equal-indices", "guided-stroma"
     ("name", "edges", "bits"),
     [
         ("lb06", SOME, 64),
-        ("rayleigh-retest", SOME, 64),
         ("rayleigh-retest", SOME, 32),
         ("depth-resolved", SOME, 64),
         *(pytest.param(n, tuple(EDGES), b, marks=SWEEP) for n in PROCESSES for b in (64, 32)),
@@ -24,9 +23,7 @@ SOME = ("plain", "no-layers", "nothing-at-all", "equal-indices", "guided-stroma"
 )
 def test_edge_irides(name, edges, bits):
     vectors = jnp.asarray(np.stack([as_vector(e) for e in edges]), jnp.result_type(float))
-    # The printed phase function builds its operator for every iris whose indices are traced: keep
-    # it small.
-    solver = ij.IlitExact(12) if name.startswith("lb06") else exact(PROCESSES[name])
+    solver = exact(PROCESSES[name], 12)
     run = quick_jit(
         jax.vmap(lambda v, c: reflectance_of(v, PROCESSES[name], solver, c), in_axes=(0, None))
     )

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import irisjax as ij
-from common import heavily, slowly
+from common import slowly
 
 GRID = ij.wavelengths(400, 700, 1)
 
@@ -63,9 +63,7 @@ def test_range_between_levels():
     assert (np.diff(gap[200:]) < 0).all()
 
 
-@pytest.mark.parametrize(
-    "process", [ij.ILIT_2006, heavily(ij.ILIT_CORRECTED), slowly(ij.DEPTH_RESOLVED)]
-)
+@pytest.mark.parametrize("process", [ij.ILIT_2006, ij.ILIT_CORRECTED, slowly(ij.DEPTH_RESOLVED)])
 @pytest.mark.parametrize("fraction", [0.2, 0.5, 0.8])
 def test_more_melanin_is_darker(process, fraction):
     low, moderate, high = (
@@ -85,7 +83,6 @@ def test_more_of_it_in_the_abl_is_darker(level):
         assert (brighter > darker).all()
 
 
-@pytest.mark.heavy
 @pytest.mark.parametrize("level", ["low", "high"])
 @pytest.mark.parametrize("angle", [0, 60])
 def test_brdf_is_near_lambertian(level, angle):
@@ -102,9 +99,9 @@ def test_brdf_is_near_lambertian(level, angle):
     assert (np.diff(f) < 0).all()
 
 
-@pytest.mark.heavy
 def test_round_trip_of_figures():
     """In vivo the cornea takes two per cent of the light on its way in (T_in = 0.979)."""
-    iris, grid = ij.Iris.of_level("low"), np.array([550.0])
-    bare = ij.radiance(iris, grid, cornea="none").values[0]
-    assert ij.radiance(iris, grid).values[0] / bare == pytest.approx(0.979, abs=5e-4)
+    iris, grid, few = ij.Iris.of_level("low"), np.array([550.0]), ij.IlitExact(12)
+    bare = ij.radiance(iris, grid, cornea="none", solver=few).values[0]
+    seen = ij.radiance(iris, grid, solver=few).values[0]
+    assert seen / bare == pytest.approx(0.979, abs=5e-4)

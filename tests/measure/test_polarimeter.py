@@ -9,14 +9,13 @@ from common import slowly
 
 GRID = [450.0, 620.0]
 IRIS = ij.Iris.of_level("low")
-SOLVER = ij.RadiativeExact(24, 8, 1)
+SOLVER = ij.RadiativeExact(16, 8, 1)
 
 
 def read(instrument, solver=SOLVER, iris=IRIS, **options):
     return ij.observe(iris, instrument, ij.POLARISED, solver, **options)
 
 
-@pytest.mark.heavy
 @pytest.mark.parametrize("where", [slowly(1.0), slowly(0.6), "hemisphere"])
 def test_both_analysers_make_the_whole(where):
     """Of unpolarised light: the mean over two polarisers of the sum over both analysers."""
@@ -52,7 +51,6 @@ def test_along_the_normal():
     np.testing.assert_allclose(lit.angle, 0.4, atol=1e-9)
 
 
-@pytest.mark.heavy
 def test_far_from_the_normal_light_is_polarised_across_the_plane():
     seen = read(ij.Polarimeter(GRID, cos_exit=np.cos(np.radians(60))))
     assert (np.asarray(seen.values) > 0.3).all()

@@ -10,18 +10,21 @@ from irisjax.numerics.streams import check_key, fold_in_words, scales, uniform
 def test_words_are_those_of_fold_in(seed):
     key = jax.random.key(seed)
     counts = np.concatenate([np.arange(50), [2**16, 2**31 - 1, 2**31]]).astype(np.uint32)
-    expected = jax.vmap(lambda c: jax.random.key_data(jax.random.fold_in(key, c)))(
-        jnp.asarray(counts)
-    )
-    k0, k1 = jax.random.key_data(key)
-    found = jnp.stack(fold_in_words(k0, k1, jnp.asarray(counts)), -1)
+    found, expected = _words(key, jnp.asarray(counts))
     np.testing.assert_array_equal(found, expected)
+
+
+@jax.jit
+def _words(key, counts):
+    expected = jax.vmap(lambda c: jax.random.key_data(jax.random.fold_in(key, c)))(counts)
+    k0, k1 = jax.random.key_data(key)
+    return jnp.stack(fold_in_words(k0, k1, counts), -1), expected
 
 
 def test_words_are_spread_evenly():
     # Bytes of consecutive counts: 256 cells, χ² within 5 standard deviations of its mean.
     words = np.asarray(
-        fold_in_words(jnp.uint32(1), jnp.uint32(2), jnp.arange(2**18, dtype=jnp.uint32))
+        jax.jit(fold_in_words)(jnp.uint32(1), jnp.uint32(2), jnp.arange(2**18, dtype=jnp.uint32))
     )
     for byte in words.view(np.uint8).reshape(-1, 4).T:
         seen = np.bincount(byte, minlength=256)
@@ -30,7 +33,7 @@ def test_words_are_spread_evenly():
 
 
 def test_uniform_is_never_an_end():
-    ends = uniform(jnp.asarray([0, 2**23 - 1], jnp.uint32), scales()[0])
+    ends = jax.jit(uniform)(jnp.asarray([0, 2**23 - 1], jnp.uint32), scales()[0])
     assert ends.dtype == jnp.float32
     assert 0 < ends[0] < ends[1] < 1
 

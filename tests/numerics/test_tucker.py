@@ -16,9 +16,14 @@ def function(points):
     return np.stack([np.exp(x * y) / (3 + z), np.cos(2 * x) * np.exp(y) * (1 + z)], -1)
 
 
+@jax.jit
+def _read(table, points):
+    u, v, w = (table.basis(i, x) for i, x in enumerate(points.T))
+    return jnp.einsum("abcf,ap,bp,cp->pf", table.core, u, v, w)
+
+
 def read(table, points):
-    u, v, w = (table.basis(i, jnp.asarray(x)) for i, x in enumerate(points.T))
-    return np.asarray(jnp.einsum("abcf,ap,bp,cp->pf", table.core, u, v, w))
+    return np.asarray(_read(table, jnp.asarray(points)))
 
 
 def made(tolerance):
@@ -41,19 +46,21 @@ def test_ranks_are_no_larger_than_the_tolerance_asks_for():
     assert 1e-6 < error < 0.1 * np.abs(function(points)).max()
 
 
-@pytest.mark.parametrize("count", [1, 2, 3, 8, 10, 24, 48, 50])
+@pytest.mark.parametrize("count", [1, 2, 3, 24, 50])
 def test_series_are_those_of_numpy(count):
     """Ends of the interval too, where T_k and its slope k² are largest."""
     rng = np.random.default_rng(count)
     weights = rng.normal(size=(count, 3))
     t = np.concatenate([[-1.0, 0.0, 1.0], rng.uniform(-1, 1, 200)])
     expected = np.polynomial.chebyshev.chebval(t, weights)
-    found = chebyshev_series(jnp.asarray(weights), jnp.asarray(t))
+
+    @jax.jit
+    def both(weights, t):
+        slope = jax.grad(lambda t: chebyshev_series(weights, t).sum())
+        return chebyshev_series(weights, t), slope(t)
+
+    found, slope = both(jnp.asarray(weights), jnp.asarray(t))
     np.testing.assert_allclose(found, expected, atol=1e-14 * count**2)
-
-    def summed(x):
-        return chebyshev_series(jnp.asarray(weights), x).sum()
-
     slopes = np.polynomial.chebyshev.chebder(weights.sum(1)) if count > 1 else np.zeros(1)
     expected = np.polynomial.chebyshev.chebval(t, slopes)
-    np.testing.assert_allclose(jax.grad(summed)(jnp.asarray(t)), expected, atol=1e-13 * count**3)
+    np.testing.assert_allclose(slope, expected, atol=1e-13 * count**3)

@@ -3,7 +3,6 @@
 import functools
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 import pytest
 
@@ -147,22 +146,6 @@ def test_printed_phase_function_converges(name):
     np.testing.assert_allclose(
         spectra(PROCESSES[name]).values, spectra(PROCESSES[name], fine).values, rtol=1e-10
     )
-
-
-@pytest.mark.heavy
-def test_traced_indices_cost_no_accuracy():
-    """An iris all of whose fields are traced gets a rule for every order of media."""
-    iris = ij.Iris.of_level("low")
-
-    @quick_jit
-    def traced(fields):
-        return ij.reflectance(
-            ij.Iris(**fields), GRID, process=ij.ILIT_CORRECTED, first_surface=False
-        ).values
-
-    fields = {name: jnp.asarray(value) for name, value in iris.parameters().items()}
-    concrete = ij.reflectance(iris, GRID, process=ij.ILIT_CORRECTED, first_surface=False).values
-    np.testing.assert_allclose(traced(fields), concrete, rtol=1e-9)
 
 
 @pytest.mark.parametrize(
