@@ -9,7 +9,7 @@ from common import slowly
 
 GRID = [450.0, 620.0]
 IRIS = ij.Iris.of_level("low")
-SOLVER = ij.RadiativeExact(16, 8, 1)
+SOLVER = ij.RadiativeExact(24, 8, 1)
 
 
 def read(instrument, solver=SOLVER, iris=IRIS, **options):
