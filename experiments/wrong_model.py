@@ -24,7 +24,7 @@ from experiments import common
 from irisjax.infer.fit import MISFIT, fit
 from irisjax.infer.least_squares import levenberg_marquardt
 from irisjax.infer.observation import with_values
-from irisjax.infer.other_process import Optimum, compared, intervals_of, noise_left
+from irisjax.infer.other_process import compare_processes, intervals_of, noise_left
 
 PROCESSES = {"ILIT": ij.ILIT_2006, "radiative transfer": ij.DEPTH_RESOLVED}
 ALLOWED = {"none": ij.Noise(), "0.02:80": ij.Noise(discrepancy=0.02, length=80.0)}
@@ -95,18 +95,17 @@ def _fits(problem, seen, sd, keys):
     return eqx.filter_vmap(one)(seen, sd, keys)
 
 
-def _optimum(found, i: int) -> Optimum:
-    z, covariance = np.asarray(found.z[i]), np.asarray(found.covariance[i])
-    return Optimum(z, covariance, float(found.chi_square[i]), found.degrees, float(found.cost[i]))
+def _of_eye(found, i: int):
+    return jax.tree.map(lambda x: np.asarray(x)[i], found)
 
 
 def _read(problems, fits, reader: str, eye, i: int):
     """What the reader makes of an eye beside the other process, and its fit."""
     (other,) = (name for name in problems if name != reader)
-    mine, beside = (_optimum(fits[name], i) for name in (reader, other))
+    mine, beside = (_of_eye(fits[name], i) for name in (reader, other))
     problem, second = (problems[name].with_observations(eye) for name in (reader, other))
     intervals = intervals_of(problem, mine, noise_left(mine, mine))
-    return compared(problem, mine, second, beside, intervals), mine
+    return compare_processes(problem, mine, second, beside, intervals=intervals), mine
 
 
 def _row(maker, reader, allowed, truth, found, fit):

@@ -14,6 +14,9 @@ if TYPE_CHECKING:
     from irisjax.grow.presets import preset as preset
     from irisjax.grow.procedural import procedural as procedural
     from irisjax.grow.vessels import veins as veins
+    from irisjax.infer.analysis import Analysis as Analysis
+    from irisjax.infer.analysis import analyse as analyse
+    from irisjax.infer.analysis import summarise as summarise
     from irisjax.infer.fit import fit as fit
     from irisjax.infer.identifiability import information as information
     from irisjax.infer.model_comparison import compare_models as compare_models
@@ -24,7 +27,6 @@ if TYPE_CHECKING:
     from irisjax.infer.posterior import sample as sample
     from irisjax.infer.problem import Problem as Problem
     from irisjax.infer.problem import problem as problem
-    from irisjax.infer.summary import summarise as summarise
     from irisjax.io.measured import Measured as Measured
     from irisjax.io.measured import read_measured as read_measured
     from irisjax.io.scenes import read_scene as read_scene
@@ -95,6 +97,7 @@ _HOMES = {
     "grow.presets": ("preset",),
     "grow.procedural": ("procedural",),
     "grow.vessels": ("veins",),
+    "infer.analysis": ("Analysis", "analyse", "summarise"),
     "infer.fit": ("fit",),
     "infer.identifiability": ("information",),
     "infer.model_comparison": ("compare_models",),
@@ -109,7 +112,6 @@ _HOMES = {
         "Problem",
         "problem",
     ),
-    "infer.summary": ("summarise",),
     "io.measured": (
         "Measured",
         "read_measured",

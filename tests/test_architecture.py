@@ -94,7 +94,7 @@ def test_every_import_is_declared():
     def undeclared(imports, *extras):
         return {n: f for n, f in imports.items() if n not in _declared(project, *extras)}
 
-    assert undeclared(package, "view", "video", "compare", "raw") == {}
+    assert undeclared(package, "view", "video", "raw") == {}
     assert undeclared(tests, "dev") == {}
     assert undeclared(everything, "dev", "bench") == {}
     assert _declared(project) - set(package) - _INDIRECT == set(), "declared, but not imported"

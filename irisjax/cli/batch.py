@@ -14,11 +14,11 @@ import numpy as np
 import irisjax as ij
 from irisjax import io
 from irisjax.cli import report
-from irisjax.infer import other_process
-from irisjax.infer.fit import FitStatus, fit, words_for
+from irisjax.cli.sentences import preference
+from irisjax.infer.fit import Fit, FitStatus, fit, words_for
 from irisjax.infer.least_squares import levenberg_marquardt
 from irisjax.infer.observation import with_values
-from irisjax.infer.other_process import Optimum
+from irisjax.infer.other_process import PIGMENTS, compare_processes, other_of
 from irisjax.infer.problem import Problem
 from irisjax.transport.process import option_of
 
@@ -168,21 +168,21 @@ def _fitted(
         values = jax.device_put(values, place)
         sds = None if sds is None else jax.device_put(sds, place)
     key = jax.random.key(seed, impl="threefry2x32")
-    other = problem.by(other_process.other_of(problem.process))
+    other = problem.by(other_of(problem.process))
     found, beside = (_fit_all(p, values, sds, key) for p in (problem, other))
     names = [n for n in problem.free if not n.startswith("noise")]
     columns = ["warnings", *(c for n in names for c in (n, f"{n}_sd"))]
     columns += ["chi_square", "degrees", "p_value", "process"]
     columns += ["other_process", "log_odds_other", "differs"]
-    columns += [*(f"other_{n}" for n in names if n in other_process.PIGMENTS), "notes"]
+    columns += [*(f"other_{n}" for n in names if n in PIGMENTS), "notes"]
     rows = []
     for i, eye in enumerate(chunk):
         assert eye.measured is not None
         status, said = _judged(problem, found, i)
         warnings = [*eye.measured.doubts, *said]
-        compared = other_process.compared(problem, _of(found, i), other, _of(beside, i))
+        compared = compare_processes(problem, _of(found, i), other, _of(beside, i))
         if compared.preferred:
-            warnings.append(other_process.preference(compared))
+            warnings.append(preference(compared))
         if warnings and status == OK:
             status = DOUBTFUL
         numbers = [float(np.asarray(x)[i]) for n in names for x in (found.values[n], found.sd[n])]
@@ -216,11 +216,9 @@ def _fit_all(problem: Problem, values, sds, key):
     return eqx.filter_vmap(one, in_axes=(0, None if sds is None else 0))(values, sds)
 
 
-def _of(found, i: int) -> Optimum:
+def _of(found: Fit, i: int) -> Fit:
     """Fit i of many."""
-    chi_square, cost = (float(np.asarray(x)[i]) for x in (found.chi_square, found.cost))
-    z, covariance = (np.asarray(x)[i] for x in (found.z, found.covariance))
-    return Optimum(z, covariance, chi_square, found.degrees, cost)
+    return jax.tree.map(lambda x: np.asarray(x)[i], found)
 
 
 def _judged(problem: Problem, found, i: int) -> tuple[str, list[str]]:
@@ -254,7 +252,6 @@ def _sampled(row: list[str], eye: Eye, output: Path | None, seen, options, sampl
             sampler,
             report.progress_bar(True),
             resume=chain.exists(),
-            files=True,
             quiet=True,
         )
     except ValueError as error:
@@ -277,10 +274,4 @@ def _rows(path: Path, posteriors: bool) -> dict[str, list[str]]:
 
 
 def _table(columns: list[str], rows: Mapping[str, list[str]], eyes: list[Eye]) -> str:
-    import io as text_io
-
-    out = text_io.StringIO()
-    writer = csv.writer(out, lineterminator="\n")
-    writer.writerow([*_FIRST, *columns])
-    writer.writerows(rows[e.name] for e in eyes if e.name in rows)
-    return out.getvalue()
+    return report.csv_of([[*_FIRST, *columns], *(rows[e.name] for e in eyes if e.name in rows)])

@@ -41,12 +41,10 @@ if TYPE_CHECKING:
 PROGRAMS: dict[str, tuple[str, ...]] = {
     "anatomy.eye": ("_least_depth",),
     "grow.procedural": ("_grow",),
-    "infer.evidence": ("_begun", "_advanced"),
+    "infer.analysis": ("_reported",),
     "infer.fit": ("_fit",),
     "infer.identifiability": ("_slopes",),
-    "infer.other_process": ("_linearised",),
     "infer.pieces": ("_densities", "predicted"),
-    "infer.summary": ("_reported",),
     "measure.colour": ("srgb_encode",),
     "numerics.portions": ("_joined",),
     "ocularist.composite": (

@@ -1,7 +1,6 @@
 """`irisjax fit`: a measured spectrum in, a posterior with its diagnostics out."""
 
 import sys
-import tempfile
 from contextlib import nullcontext
 from pathlib import Path
 
@@ -9,7 +8,6 @@ import typer
 
 import irisjax as ij
 from irisjax import io
-from irisjax._interrupt import unfinished
 from irisjax.cli.files import check_is_folder
 from irisjax.cli.fit_options import Measured, Model, Results, Sampler
 from irisjax.cli.options import dashed, grouped
@@ -18,17 +16,21 @@ from irisjax.plot.beside import beside, here
 
 _NOT_CONVERGED = 3
 
+
+def _described(name: str) -> str:
+    """A parameter's line of the help."""
+    known, mark = PARAMETERS[name], "*" if name in DEFAULT_FREE else "·"
+    unit = f" ({known.allowed.unit})" if known.allowed.unit else ""
+    return f"{mark} {name}{unit}: {known.allowed.meaning}; {known.prior!r}"
+
+
 EPILOG = "\n".join(
     [
         "Parameters and their priors (* free by default; ABL: anterior border layer).",
-        "What is neither free nor fixed stands as in LB06's moderate iris. To name "
-        "reduced_scattering, rayleigh_share, scattering_power or anisotropy puts a power law of "
-        "scattering in the place of LB06's formula; it takes --process depth-resolved.",
-        *(
-            f"{'*' if name in DEFAULT_FREE else '·'} {name}{f' ({p.unit})' if p.unit else ''}: "
-            f"{p.meaning}; {p.prior!r}"
-            for name, p in PARAMETERS.items()
-        ),
+        "What is neither free nor fixed is as in LB06's moderate iris. To name reduced_scattering, "
+        "rayleigh_share, scattering_power or anisotropy puts a power law of scattering in the "
+        "place of LB06's formula; it takes --process depth-resolved.",
+        *map(_described, PARAMETERS),
         "Kinds of priors: normal(mean, sd), lognormal(median, sd of ln), logitnormal(median, sd of "
         "logit), uniform(low, high), loguniform(low, high).",
     ]
@@ -51,6 +53,7 @@ def fit(measured: Measured, model: Model, sampler: Sampler, results: Results) ->
     """
     from irisjax.cli import compare, report
     from irisjax.cli.batch import many
+    from irisjax.infer.posterior import check_run
 
     spectra = measured.spectra or []
     if bool(spectra) == (results.batch is not None):
@@ -84,45 +87,29 @@ def fit(measured: Measured, model: Model, sampler: Sampler, results: Results) ->
         for doubt in table.doubts:
             print(f"irisjax: {path}: WARNING: {doubt}", file=sys.stderr)
         observations.append(ij.spectrum(table, name=path.name, **measured.seen))
-    keep, resume = results.output, results.resume
-    with (
-        tempfile.TemporaryDirectory() as scratch,
-        unfinished(Path(scratch)),
-        report.progress_bar() as bar,
-        nullcontext(here) if keep is None else beside() as draw,
-    ):
+    folder, resume = results.output, results.resume
+    with report.progress_bar() as bar, nullcontext(here) if folder is None else beside() as draw:
         problem = ij.problem(observations, **options)
         if results.compare:
-            compare.models(problem, keep, sampling, bar, draw)
+            compare.models(problem, folder, sampling, bar, draw)
             raise typer.Exit(0)
-        if keep is not None:
-            _check_folder(keep, resume, results.overwrite)
-        begins_anew = keep is None or (results.overwrite and not resume)
-        report.check_run(
-            problem,
-            # Before the old chain is removed: the scratch folder has none.
-            (Path(scratch) if begins_anew or keep is None else keep) / "chain.h5",
-            walkers=sampler.walkers,
-            resume=resume,
-            key=report.key_of(sampling),
-        )
-        folder = Path(scratch) if keep is None else _folder(keep, resume)
-        converged = report.one(
-            problem, folder, sampling, bar, resume=resume, files=keep is not None, draw=draw
-        )
+        if folder is not None:
+            # Before an old chain is removed.
+            _check_folder(folder, resume, results.overwrite)
+            check_run(problem, None, walkers=sampler.walkers, key=report.key_of(sampling))
+            _prepare(folder, resume)
+        converged = report.one(problem, folder, sampling, bar, resume=resume, draw=draw)
     raise typer.Exit(0 if converged else _NOT_CONVERGED)
 
 
 def _check_comparison(sampler: Sampler, results: Results) -> None:
-    """Refuse what means nothing beside `--compare`, and results that would be lost."""
+    """Refuse options without meaning beside `--compare`, and results that would be lost."""
     from irisjax.cli.compare import FILES
-    from irisjax.infer.evidence import check_sampler
 
     typed = [n for n in ("walkers", "max_steps") if n in sampler.typed]
     typed += [n for n in ("batch", "posteriors", "resume") if n in results.typed]
     if typed:
         raise ValueError(f"--compare does not go with {', '.join(map(dashed, typed))}")
-    check_sampler()
     folder = results.output
     if folder is None:
         return
@@ -140,10 +127,9 @@ def _check_folder(folder: Path, resume: bool, overwrite: bool) -> None:
         )
 
 
-def _folder(folder: Path, resume: bool) -> Path:
-    """The folder for results, emptied of a chain that is not to be gone on with."""
+def _prepare(folder: Path, resume: bool) -> None:
+    """Make the folder for results, without a chain that is not to be continued."""
     folder.mkdir(parents=True, exist_ok=True)
     if not resume:
         for name in ("chain.h5", "chain.h5.bak"):
             (folder / name).unlink(missing_ok=True)
-    return folder

@@ -190,7 +190,7 @@ class Model(Group):
         for name, value in (_pair("--fix", text) for text in self.fix or ()):
             fixed[name] = _value(f"--fix {name}", value, PARAMETERS[name].allowed)
         for name, value in (_pair("--prior", text) for text in self.prior or ()):
-            priors[name] = prior_of(value, PARAMETERS[name].low, PARAMETERS[name].high)
+            priors[name] = prior_of(value, *PARAMETERS[name].support)
         return {
             "free": None if self.free is None else _names(self.free),
             "separate": _names(self.separate or ""),

@@ -2,17 +2,22 @@
 
 A parameter is sampled and fitted in the coordinate z in which its prior is the standard normal: its
 value is `prior.value(z)`. Bounds then hold by themselves, the log prior is −z²/2 whatever the
-prior, and a posterior variance of z below 1 is what the data have taught.
+prior, and how far a posterior variance of z is below 1 measures what the data add to the prior.
 """
 
 import abc
+import dataclasses
 import re
-from typing import Any
+from typing import Any, TypeAlias
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.scipy.special import ndtr, ndtri
+
+Real: TypeAlias = float | np.ndarray | jax.Array
+"""A number or an array of numbers."""
 
 
 class AbstractPrior(eqx.Module):
@@ -21,69 +26,95 @@ class AbstractPrior(eqx.Module):
     """
 
     @abc.abstractmethod
-    def value(self, z) -> Any:
-        """The number whose prior probability below it is that of the standard normal below `z`."""
+    def value(self, z: Real) -> jax.Array:
+        """Return the number below which the prior has the probability that the standard normal has
+        below z.
+        """
 
     @abc.abstractmethod
-    def standard(self, value) -> Any:
-        """The inverse of `value`."""
+    def standard(self, value: Real) -> jax.Array:
+        """Return the inverse of `value`."""
 
     @property
     @abc.abstractmethod
     def support(self) -> tuple[float, float]:
-        """The interval that holds all of it."""
+        """The interval in which the density is above zero."""
+
+    @property
+    @abc.abstractmethod
+    def valid(self) -> bool:
+        """Whether its numbers make a distribution."""
+
+    def __repr__(self) -> str:
+        """The form in which `prior_of` reads it: the kind and its two numbers."""
+        a, b = (getattr(self, f.name) for f in dataclasses.fields(self)[:2])
+        return f"{type(self).__name__.lower()}({a:g}, {b:g})"
+
+
+def _number(**options: Any) -> Any:
+    return eqx.field(static=True, converter=float, **options)
 
 
 class LogNormal(AbstractPrior):
-    """A positive number whose logarithm is normal: median, and standard deviation of the
-    logarithm.
+    """A positive number whose logarithm is normal.
+
+    Attributes:
+        median: Its median.
+        spread: Standard deviation of the logarithm.
     """
 
-    median: float = eqx.field(static=True, converter=float)
-    spread: float = eqx.field(static=True, converter=float)
+    median: float = _number()
+    spread: float = _number()
 
-    def value(self, z):
+    def value(self, z: Real) -> jax.Array:
         return self.median * jnp.exp(self.spread * z)
 
-    def standard(self, value):
+    def standard(self, value: Real) -> jax.Array:
         return jnp.log(value / self.median) / self.spread
 
     @property
-    def support(self):
+    def support(self) -> tuple[float, float]:
         return 0.0, np.inf
 
-    def __repr__(self):
-        return f"lognormal({self.median:g}, {self.spread:g})"
+    @property
+    def valid(self) -> bool:
+        return self.median > 0 and self.spread > 0
 
 
 class LogitNormal(AbstractPrior):
-    """A share in (0, 1) whose logit is normal: median, and standard deviation of the logit."""
+    """A share in (0, 1) whose logit is normal.
 
-    median: float = eqx.field(static=True, converter=float)
-    spread: float = eqx.field(static=True, converter=float)
+    Attributes:
+        median: Its median.
+        spread: Standard deviation of the logit.
+    """
 
-    def value(self, z):
+    median: float = _number()
+    spread: float = _number()
+
+    def value(self, z: Real) -> jax.Array:
         odds = self.median / (1 - self.median) * jnp.exp(self.spread * z)
         return odds / (1 + odds)
 
-    def standard(self, value):
+    def standard(self, value: Real) -> jax.Array:
         return jnp.log(value / (1 - value) * (1 - self.median) / self.median) / self.spread
 
     @property
-    def support(self):
+    def support(self) -> tuple[float, float]:
         return 0.0, 1.0
 
-    def __repr__(self):
-        return f"logitnormal({self.median:g}, {self.spread:g})"
+    @property
+    def valid(self) -> bool:
+        return 0 < self.median < 1 and self.spread > 0
 
 
 class Uniform(AbstractPrior):
-    """Equal density between two numbers."""
+    """Equal density between two numbers, `low` and `high`."""
 
-    low: float = eqx.field(static=True, converter=float)
-    high: float = eqx.field(static=True, converter=float)
+    low: float = _number()
+    high: float = _number()
 
-    def value(self, z):
+    def value(self, z: Real) -> jax.Array:
         # From the nearer end, so that both ends are resolved alike.
         width = self.high - self.low
         return jnp.where(
@@ -92,112 +123,108 @@ class Uniform(AbstractPrior):
             self.high - width * ndtr(-jnp.maximum(z, 0)),
         )
 
-    def standard(self, value):
+    def standard(self, value: Real) -> jax.Array:
         return ndtri((value - self.low) / (self.high - self.low))
 
     @property
-    def support(self):
-        return float(self.low), float(self.high)
+    def support(self) -> tuple[float, float]:
+        return self.low, self.high
 
-    def __repr__(self):
-        return f"uniform({self.low:g}, {self.high:g})"
+    @property
+    def valid(self) -> bool:
+        return self.low < self.high
 
 
 class LogUniform(AbstractPrior):
-    """Equal density of the logarithm between two positive numbers."""
+    """Equal density of the logarithm between two positive numbers, `low` and `high`."""
 
-    low: float = eqx.field(static=True, converter=float)
-    high: float = eqx.field(static=True, converter=float)
+    low: float = _number()
+    high: float = _number()
 
-    def value(self, z):
-        return jnp.exp(Uniform(np.log(self.low), np.log(self.high)).value(z))
+    def value(self, z: Real) -> jax.Array:
+        return jnp.exp(self._logarithm.value(z))
 
-    def standard(self, value):
-        return Uniform(np.log(self.low), np.log(self.high)).standard(jnp.log(value))
+    def standard(self, value: Real) -> jax.Array:
+        return self._logarithm.standard(jnp.log(value))
 
     @property
-    def support(self):
-        return float(self.low), float(self.high)
+    def support(self) -> tuple[float, float]:
+        return self.low, self.high
 
-    def __repr__(self):
-        return f"loguniform({self.low:g}, {self.high:g})"
+    @property
+    def valid(self) -> bool:
+        return 0 < self.low < self.high
+
+    @property
+    def _logarithm(self) -> Uniform:
+        return Uniform(np.log(self.low), np.log(self.high))
 
 
 class Normal(AbstractPrior):
-    """Normal with mean and standard deviation, cut off outside [`low`, `high`]."""
+    """Normal, cut off outside [`low`, `high`].
 
-    mean: float = eqx.field(static=True, converter=float)
-    sd: float = eqx.field(static=True, converter=float)
-    low: float = eqx.field(static=True, converter=float, default=0.0)
-    high: float = eqx.field(static=True, converter=float, default=np.inf)
+    Attributes:
+        mean: Mean before it is cut off.
+        sd: Standard deviation before it is cut off.
+        low: Lower bound.
+        high: Upper bound.
+    """
 
-    def value(self, z):
-        below, above = (
-            ndtr((self.low - self.mean) / self.sd),
-            ndtr((self.mean - self.high) / self.sd),
-        )
+    mean: float = _number()
+    sd: float = _number()
+    low: float = _number(default=0.0)
+    high: float = _number(default=np.inf)
+
+    def value(self, z: Real) -> jax.Array:
+        below, above = self._cut_off()
         # Counted from the nearer tail, where the other would round to one.
         lower = ndtri(below + (1 - below - above) * ndtr(jnp.minimum(z, 0)))
         upper = -ndtri(above + (1 - below - above) * ndtr(-jnp.maximum(z, 0)))
         return self.mean + self.sd * jnp.where(z < 0, lower, upper)
 
-    def standard(self, value):
-        below, above = (
-            ndtr((self.low - self.mean) / self.sd),
-            ndtr((self.mean - self.high) / self.sd),
-        )
+    def standard(self, value: Real) -> jax.Array:
+        below, above = self._cut_off()
         return ndtri((ndtr((value - self.mean) / self.sd) - below) / (1 - below - above))
 
     @property
-    def support(self):
-        return float(self.low), float(self.high)
+    def support(self) -> tuple[float, float]:
+        return self.low, self.high
 
-    def __repr__(self):
-        return f"normal({self.mean:g}, {self.sd:g})"
+    @property
+    def valid(self) -> bool:
+        return self.sd > 0
+
+    def _cut_off(self) -> tuple[jax.Array, jax.Array]:
+        """Probabilities below and above the bounds."""
+        return ndtr((self.low - self.mean) / self.sd), ndtr((self.mean - self.high) / self.sd)
 
 
-_KINDS = {
-    "lognormal": LogNormal,
-    "logitnormal": LogitNormal,
-    "uniform": Uniform,
-    "loguniform": LogUniform,
-    "normal": Normal,
+_KINDS: dict[str, Any] = {
+    kind.__name__.lower(): kind for kind in (LogNormal, LogitNormal, Uniform, LogUniform, Normal)
 }
-_FORM = re.compile(r"\s*(\w+)\s*\(([^()]*)\)\s*")
+_FORM = re.compile(r"\s*(\w+)\s*\(([^(),]*),([^(),]*)\)\s*")
+_FORMS = (
+    "lognormal(median, spread), logitnormal(median, spread), uniform(low, high), "
+    "loguniform(low, high), normal(mean, sd)"
+)
 
 
 def prior_of(text: str, low: float, high: float) -> AbstractPrior:
-    """The prior written as `kind(a, b)`, for a parameter that lies in [low, high].
+    """Read a prior written as `kind(a, b)`, for a parameter that lies in [low, high].
 
-    **Raises:** `ValueError` for an unknown kind, numbers that make no distribution, or a support
-    that reaches outside.
+    Raises:
+        ValueError: For an unknown kind, numbers that make no distribution, or a support that
+            reaches outside.
     """
-    match = _FORM.fullmatch(text)
-    kinds = (
-        "lognormal(median, spread), logitnormal(median, spread), uniform(low, high), "
-        "loguniform(low, high), "
-        "normal(mean, sd)"
-    )
     try:
-        kind = _KINDS[match[1].lower()] if match else None
-        a, b = (float(x) for x in match[2].split(",")) if match else (np.nan, np.nan)
-    except (KeyError, ValueError):
-        kind, a, b = None, np.nan, np.nan
-    if kind is None:
-        raise ValueError(f"{text!r} is no prior; write one of {kinds}")
-    sane = (
-        np.isfinite([a, b]).all()
-        and {
-            LogNormal: a > 0 and b > 0,
-            LogitNormal: 0 < a < 1 and b > 0,
-            Uniform: a < b,
-            LogUniform: 0 < a < b,
-            Normal: b > 0,
-        }[kind]
-    )
-    if not sane:
-        raise ValueError(f"{text!r}: these numbers make no distribution; the forms are {kinds}")
+        name, *numbers = _FORM.fullmatch(text).groups()  # pyright: ignore[reportOptionalMemberAccess]
+        a, b = map(float, numbers)
+        kind = _KINDS[name.lower()]
+    except (AttributeError, KeyError, ValueError):
+        raise ValueError(f"{text!r} is no prior; write one of {_FORMS}") from None
     prior = Normal(a, b, low, high) if kind is Normal else kind(a, b)
+    if not (np.isfinite([a, b]).all() and prior.valid):
+        raise ValueError(f"{text!r}: these numbers make no distribution; the forms are {_FORMS}")
     check_prior(repr(text), prior, low, high)
     return prior
 

@@ -64,11 +64,6 @@ class Problem(eqx.Module):
 
         return density(self)
 
-    @property
-    def units(self) -> tuple[str, ...]:
-        """Unit of each free parameter."""
-        return tuple(PARAMETERS[kind(name)].unit for name in self.free)
-
     def values(self, z: Float[Array, " free"]) -> dict[str, Any]:
         """Parameters by name, those fixed included."""
         return {
@@ -268,7 +263,7 @@ def problem(
         if name not in names:
             raise ValueError(f"{name} has a prior or is separate, but is not free")
     for name, prior in priors.items():
-        check_prior(f"{name} ~ {prior}", prior, PARAMETERS[name].low, PARAMETERS[name].high)
+        check_prior(f"{name} ~ {prior}", prior, *PARAMETERS[name].support)
     expanded = [
         f"{n}@{i + 1}" if n in separate else n
         for n in names

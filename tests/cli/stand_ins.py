@@ -1,7 +1,5 @@
 """What stands in for the solver and the sampler where a test looks at files and messages only."""
 
-import contextlib
-from pathlib import Path
 from types import SimpleNamespace
 from typing import NamedTuple
 
@@ -12,9 +10,11 @@ import numpy as np
 
 import irisjax as ij
 from irisjax.cli import model, report, simulate
-from irisjax.infer.other_process import PIGMENTS, Comparison, Interval, Moved
+from irisjax.infer.analysis import Analysis, Check, summarise
+from irisjax.infer.identifiability import Direction, Information
+from irisjax.infer.other_process import PIGMENTS, Interval, Moved, ProcessComparison
+from irisjax.infer.parameters import kind
 from irisjax.infer.posterior import Chains, ChainStatus
-from irisjax.infer.summary import Check
 from irisjax.transport.solution import RESULTS, Absorbed
 from irisjax.transport.solver import AbstractSolver
 
@@ -70,17 +70,8 @@ def with_quick(monkeypatch):
     )
 
 
-def _by_the_other(best, intervals):
-    moved = {
-        n: Moved(own, Interval(own.value / 2, own.value / 3, own.value))
-        for n, own in intervals.items()
-        if n in PIGMENTS
-    }
-    return Comparison(ij.DEPTH_RESOLVED, moved, -1.0)
-
-
 class Sampled(NamedTuple):
-    """What `report.sample` was called with."""
+    """What `report.analyse` was called with."""
 
     problem: ij.Problem
     walkers: int
@@ -94,11 +85,11 @@ def without_search(monkeypatch):
     """Neither search nor sampler nor checks: a cloud of samples. Returns the list of calls."""
     calls = []
 
-    def sample(problem, start, *, store, resume, progress, key, **settings):
-        calls.append(
-            Sampled(problem, **settings, key=key, resume=resume, went_on=Path(store).exists())
-        )
-        Path(store).write_text("chain")
+    def analyse(problem, *, store, resume, progress, key, **settings):
+        went_on = store is not None and store.exists()
+        calls.append(Sampled(problem, **settings, key=key, resume=resume, went_on=went_on))
+        if store is not None:
+            store.write_text("chain")
         progress(10, "sampling")
         free, steps = len(problem.free), settings["max_steps"]
         shape = (50, settings["walkers"])
@@ -108,27 +99,38 @@ def without_search(monkeypatch):
         each = np.full(free, 1000.0)
         reason = "" if steps > 100 else f"{steps} steps are not enough"
         ended = ChainStatus.successful if not reason else ChainStatus.few_autocorrelation_times
-        return Chains(
+        chains = Chains(
             z, z[..., 0], 1, steps, 0.5, each / 100, each, each, each / 1000, ended, reason
+        )
+        rows = summarise(problem, chains)
+        moved = {
+            r.parameter: Moved(
+                Interval(r.median, r.q2_5, r.q97_5), Interval(r.median / 2, r.median / 3, r.median)
+            )
+            for r in rows
+            if r.parameter in problem.free and kind(r.parameter) in PIGMENTS
+        }
+        known = [Direction({"melanin_load": 1.0}, 0.1)]
+        return Analysis(
+            problem=problem,
+            fit=SimpleNamespace(converged=True),
+            chains=chains,
+            rows=rows,
+            check=Check(0.5, 0.5, 1.0),
+            information=Information(("melanin_load",), np.eye(1), known, {}, np.nan, {}),
+            other=ProcessComparison(ij.DEPTH_RESOLVED, moved, -1.0),
         )
 
     def predictive(problem, chains, count=20, *, key):
-        values = [np.tile(np.asarray(o.values), (count, 1)) for o in problem.observations]
-        return chains.z.reshape(-1, chains.z.shape[-1])[:count], values, values
+        values = tuple(np.tile(np.asarray(o.values), (count, 1)) for o in problem.observations)
+        return values, values
 
     def pointwise(problem, z):
         # arviz asks for tails that vary.
         shape = len(z), sum(o.values.size for o in problem.observations)
         return np.random.default_rng(0).normal(size=shape)
 
-    monkeypatch.setattr(report, "ahead", lambda problem, key: contextlib.nullcontext())
-    monkeypatch.setattr(report, "other_fit", lambda problem, key: _by_the_other)
-    monkeypatch.setattr(report, "fit", lambda problem, key: SimpleNamespace(converged=True))
-    monkeypatch.setattr(report, "sample", sample)
-    monkeypatch.setattr(report, "check_run", lambda *given, **settings: None)
-    monkeypatch.setattr(report, "information", lambda problem, best: None)
-    monkeypatch.setattr(report, "in_words", lambda found: ["best known: the load"])
-    monkeypatch.setattr(report, "check", lambda problem, chains, *, key: Check(0.5, 0.5, 1.0))
+    monkeypatch.setattr(report, "analyse", analyse)
     monkeypatch.setattr(report, "predictive", predictive)
     monkeypatch.setattr(report, "pointwise", pointwise)
     return calls

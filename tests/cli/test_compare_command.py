@@ -8,10 +8,16 @@ from stand_ins import Quick
 
 import irisjax as ij
 from irisjax.cli import compare
-from irisjax.infer import evidence
-from irisjax.infer.evidence import Evidence
+from irisjax.cli.sentences import models_sentence
+from irisjax.infer.importance import ImportanceSample
 from irisjax.infer.model_comparison import Assessment, Candidate, candidates_of
 from irisjax.infer.other_process import Interval
+
+
+def assessment(name, problem, log_evidence, values, ratios=None, models=()):
+    found = ImportanceSample(np.zeros((2, 7)), 25.0, log_evidence, 8)
+    ratios = {n: Interval(1.0, 0.5, 2.0) for n in values} if ratios is None else ratios
+    return Assessment(Candidate(name, problem), found, 90.0, 4.0, values, ratios, models, models)
 
 
 @pytest.fixture
@@ -24,24 +30,18 @@ def compared(quick, monkeypatch):
         out = []
         for i, process in enumerate((ij.ILIT_2006, ij.DEPTH_RESOLVED)):
             mine = ij.problem(problem.observations, process=process, solver=Quick())
-            found = Evidence(100.0 - 20 * i, 0.2, np.zeros((2, 7)), 2.0, 8)
-            values = {
-                n: Interval(0.1 * (i + 1), 0.05, 0.4)
-                for n in ("melanin_load", "abl_fraction", "noise")
-            }
+            names = ("melanin_load", "abl_fraction", "noise")
+            values = {n: Interval(0.1 * (i + 1), 0.05, 0.4) for n in names}
             ratios = {n: Interval(1.0 + i, 0.5, 4.0) for n in values}
             if i:  # a parameter that the first model has not
                 values["anisotropy"] = Interval(0.8, 0.7, 0.9)
             models = tuple(np.asarray(o.values) for o in problem.observations)
             name = ("ILIT", "radiative transfer")[i]
             progress(name, 8)
-            out.append(
-                Assessment(Candidate(name, mine), found, 90.0, 4.0, values, ratios, models, models)
-            )
+            out.append(assessment(name, mine, 100.0 - 20 * i, values, ratios, models))
         return tuple(out)
 
     monkeypatch.setattr(compare, "compare_models", stand_in)
-    monkeypatch.setattr(evidence, "check_sampler", lambda: None)
     return calls
 
 
@@ -57,7 +57,7 @@ def test_from_file_to_files(irisjax, eye, compared, tmp_path):
     rows = list(csv.DictReader(line for line in text.splitlines() if not line.startswith("#")))
     assert [r["model"] for r in rows] == ["ILIT", "radiative transfer"]
     assert [r["process"] for r in rows] == ["ilit-2006", "depth-resolved"]
-    assert {r["sampler"] for r in rows} == {"nested sampling"}
+    assert {r["sampler"] for r in rows} == {"importance sampling"}
     assert [float(r["ln_evidence"]) for r in rows] == [100.0, 80.0]
     assert float(rows[1]["melanin_load_ratio"]) == 2.0
     assert [r["anisotropy"] for r in rows] == ["", "0.8"]
@@ -111,16 +111,32 @@ def test_wrong_input_is_one_line(irisjax, eye, compared, arguments, message):
     assert not compared
 
 
-def test_a_missing_sampler_is_one_line(irisjax, eye, quick, monkeypatch):
-    find = evidence.importlib.util.find_spec
-    monkeypatch.setattr(
-        evidence.importlib.util,
-        "find_spec",
-        lambda name, *more: None if name == "blackjax" else find(name, *more),
+@pytest.mark.parametrize(
+    ("apart", "said"),
+    [
+        (10.0, "prefer A to B by odds of 22,000 to 1"),
+        (-100.0, "prefer B to A by odds of 1e43 to 1"),
+        (3.2, "do not decide between A and B"),  # 20 to 1, but for the errors
+        (0.0, "do not decide between"),
+    ],
+)
+def test_the_sentence(apart, said):
+    blank = ij.spectrum([500.0, 600.0], [0.1, 0.1], name="eye")
+    problem = ij.problem(blank, free=["melanin_load"], solver=Quick())
+    first = {"melanin_load": Interval(0.1, 0.05, 0.2)}
+    second = {"melanin_load": Interval(0.25, 0.125, 0.5)}
+    ratios = {"melanin_load": Interval(2.5, 1.25, 5.0)}
+    found = (
+        assessment("A", problem, 50.0 + apart, first),
+        assessment("B", problem, 50.0, second, ratios),
     )
-    status, out, err = irisjax("fit", eye, "--compare")
-    assert (status, out, err.count("\n")) == (2, "", 1)
-    assert "pip install 'irisjax[compare]'" in err
+    sentence = models_sentence(found)
+    assert sentence.startswith(f"The data (eye) {said}")
+    assert sentence.count(".\n") == 0
+    assert sentence.endswith(
+        "melanin load, ug/mm2 (95 %): 0.1 (0.05 to 0.2) by A, 0.25 (0.125 to 0.5) by B, "
+        "2.5 (1.2 to 5) times that."
+    )
 
 
 def test_the_command_compares_three_models(irisjax, eye, compared):

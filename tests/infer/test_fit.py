@@ -12,9 +12,10 @@ from scipy import stats
 from scipy.optimize import least_squares
 
 import irisjax as ij
+from irisjax.cli.sentences import information_lines
 from irisjax.infer import least_squares as search
 from irisjax.infer.fit import FitStatus, _status, fit, words_for
-from irisjax.infer.identifiability import in_words, information
+from irisjax.infer.identifiability import information
 from irisjax.infer.least_squares import Normal, levenberg_marquardt
 from irisjax.infer.noise import Noise
 from irisjax.infer.observation import with_values
@@ -155,7 +156,7 @@ def test_ridge_is_found_and_said(measured):
     assert found.correlation < -0.9
     values = [d.relative for d in found.directions]
     assert values == sorted(values)
-    assert any("load × fraction" in line for line in in_words(found))
+    assert any("load × fraction" in line for line in information_lines(found))
 
 
 @pytest.mark.heavy

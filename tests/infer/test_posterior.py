@@ -15,13 +15,9 @@ import pytest
 
 import irisjax as ij
 from irisjax.infer import importance, posterior
-from irisjax.infer.analytic import BeerLambert
-from irisjax.infer.fit import fit
 from irisjax.infer.importance import Start
-from irisjax.infer.noise import Noise
 from irisjax.infer.posterior import check_run, diagnose, mixing, sample
 from irisjax.infer.store import Store
-from irisjax.infer.summary import check, summarise
 
 KEY, OTHER = jax.random.key(3), jax.random.key(4)
 START = Start(np.zeros(2), np.diag([0.5, 0.0]))
@@ -254,46 +250,3 @@ def test_killed_process_resumes(whole, tmp_path):
                     break
         assert (run.returncode == 0) == (stop is None)
     assert_same(whole[0], path)
-
-
-GRID = ij.wavelengths(400, 700, 30)
-TRUTH = {"melanin_load": 0.1, "hemoglobin": 0.08, "pheomelanin_share": 0.4, "abl_fraction": 0.6}
-
-
-def stated(free=("melanin_load", "hemoglobin", "noise"), **options):
-    """A problem that compiles in a moment: the closed formula in place of transport."""
-    problem = ij.problem(
-        ij.spectrum(GRID, np.zeros(GRID.size)), free=free, solver=BeerLambert(), **options
-    )
-    z = problem.standard({**TRUTH, "noise": 1.0})
-    values = problem.simulate(z, jax.random.key(0))[0]
-    return problem.with_observations(ij.spectrum(GRID, np.asarray(values)))
-
-
-def test_summary_and_predictive_check():
-    """Also of a step that no pigment makes: smooth residuals, and noise beyond what was stated."""
-    problem = stated()
-    start = Start(np.zeros(3), np.diag([1.0, 1.0, 0.0]))
-    chains = sample(problem, start, **SETTINGS)
-    table = {row.parameter: row for row in summarise(problem, chains)}
-    assert list(table)[:3] == ["melanin_load", "hemoglobin", "noise"]
-    load = table["melanin_load"]
-    assert load.q2_5 < load.q16 < load.median < load.q84 < load.q97_5
-    assert 0.9 < load.contraction < 1
-    assert table["eumelanin"].unit == "mg/ml"
-    assert check(problem, chains, key=KEY).warning is None
-    y = np.asarray(problem.observations[0].values) * np.where(GRID < 550, 1.0, 1.6)
-    problem = problem.with_observations(ij.spectrum(GRID, y))
-    chains = sample(problem, start, **SETTINGS)
-    assert "does not produce these data" in (check(problem, chains, key=KEY).warning or "")
-
-
-@pytest.mark.usefixtures("float32")
-def test_single_precision_samples_without_a_warning():
-    """Rounding leaves the fit's covariance symmetric; as sharp a measurement as any."""
-    free = ["melanin_load", "abl_fraction", "pheomelanin_share", "hemoglobin", "noise"]
-    problem = stated(free=free, noise=Noise(1e-3, 1e-5))
-    best = fit(problem, key=KEY)
-    assert best.covariance.dtype == np.float32
-    np.testing.assert_array_equal(best.covariance, best.covariance.T)
-    assert sample(problem, best, **SETTINGS).converged

@@ -5,7 +5,8 @@ import pytest
 
 import irisjax as ij
 from common import quick_jit
-from irisjax.infer.identifiability import Information, in_words
+from irisjax.cli.sentences import information_lines
+from irisjax.infer.identifiability import Direction, Information
 from irisjax.infer.parameters import OF_POWER_LAW
 
 GRID = ij.wavelengths(450, 650, 100)
@@ -69,16 +70,10 @@ def test_ridges_are_named():
         "reduced_scattering": (0.2, "stroma_thickness", -0.9),
         "anisotropy": (0.98, "gain", 0.1),
     }
-    found = Information(("reduced_scattering",), np.eye(1), [], {}, np.nan, trades)
-    found = found._replace(directions=_direction())
-    words = in_words(found)
+    directions = [Direction({"reduced_scattering": 1.0}, 0.1)]
+    found = Information(("reduced_scattering",), np.eye(1), directions, {}, np.nan, trades)
+    words = information_lines(found)
     assert (
         "reduced scattering: 20 % of its prior's width; trades with stroma thickness " in words[2]
     )
-    assert words[3] == "anisotropy: not told by the data"
-
-
-def _direction():
-    from irisjax.infer.identifiability import Direction
-
-    return [Direction({"reduced_scattering": 1.0}, 0.1)]
+    assert words[3] == "anisotropy: not determined by the data"

@@ -1,0 +1,182 @@
+"""What `irisjax fit` says about its numbers."""
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from irisjax.infer.analysis import Analysis
+from irisjax.infer.identifiability import Direction, Information
+from irisjax.infer.model_comparison import Assessment
+from irisjax.infer.other_process import PREFERRED, Moved, ProcessComparison
+from irisjax.infer.parameters import kind, unit_of
+from irisjax.transport.process import AbstractProcess, Ilit
+
+_WORDS = {
+    "melanin_load": "load", "abl_fraction": "fraction", "pheomelanin_share": "pheomelanin share",
+    "hemoglobin": "haemoglobin", "saturation": "saturation", "stroma_thickness": "stroma thickness",
+    "abl_thickness": "ABL thickness", "scattering_scale": "scattering", "gain": "gain",
+    "reduced_scattering": "reduced scattering", "rayleigh_share": "Rayleigh share",
+    "scattering_power": "scattering power", "anisotropy": "anisotropy",
+}  # fmt: skip
+_MOVED = ("melanin_load", "abl_fraction")  # parameters whose change with the process is printed
+_QUOTED = {"melanin_load": "melanin load", "abl_fraction": "ABL fraction"}
+_UNKNOWN = 3.0  # relative sd above which a parameter counts as unknown: a factor of twenty
+
+
+def process_lines(found: ProcessComparison) -> list[str]:
+    """How far the pigments move, and a warning where the data prefer the other process."""
+    names = [n for n in found.moved if kind(n) in _MOVED] or list(found.moved)[:1]
+    lines = []
+    if names:
+        parts = ", ".join(_shift(n, found.moved[n]) for n in names)
+        warning = "WARNING: the pigments depend on the model by more than their intervals: "
+        differ = any(moved.differs for moved in found.moved.values())
+        lines.append(f"{warning if differ else ''}by {name_of(found.process)} {parts}")
+    if found.preferred:
+        lines.append(f"WARNING: {preference(found)}")
+    return lines
+
+
+def preference(found: ProcessComparison) -> str:
+    """By what odds the data prefer the other process."""
+    return (
+        f"the data prefer {name_of(found.process)}, by odds of {odds(found.log_odds)} to 1 (least "
+        f"squares, Laplace's approximation)"
+    )
+
+
+def name_of(process: AbstractProcess) -> str:
+    """Name of a process in a sentence."""
+    return "ILIT" if isinstance(process, Ilit) else "radiative transfer"
+
+
+def information_lines(found: Information) -> list[str]:
+    """The best and the least known combination, and each parameter by itself."""
+    best, least = found.directions[0], found.directions[-1]
+    lines = [
+        f"best known: {product(best)}, to {_percent(best.relative)}",
+        f"least known: {product(least)}, to {_percent(least.relative)}",
+    ]
+    load, fraction = found.alone.get("melanin_load"), found.alone.get("abl_fraction")
+    if load is not None and fraction is not None:
+        lines.append(
+            f"load × fraction (the melanin of the ABL) is known to "
+            f"{_percent(found.of_product('melanin_load', 'abl_fraction'))}, the load alone to "
+            f"{_percent(load)}, the fraction alone to {_percent(fraction)} (data only, without "
+            f"priors)"
+        )
+    for name, (left, partner, correlation) in found.trades.items():
+        share = f"{100 * left:.0f} % of its prior's width"
+        known = "not determined by the data" if left > 0.9 else share
+        ridge = f"; trades with {_word(partner)} (correlation {correlation:+.2f})"
+        lines.append(f"{_word(name)}: {known}{ridge if abs(correlation) > 0.3 else ''}")
+    return lines
+
+
+def product(direction: Direction) -> str:
+    """A combination of parameters as a product of powers."""
+    above = [_power(n, e) for n, e in direction.exponents.items() if e > 0]
+    below = [_power(n, -e) for n, e in direction.exponents.items() if e < 0]
+    divisor = f"({' × '.join(below)})" if len(below) > 1 else "".join(below)
+    return (" × ".join(above) or "1") + (f" / {divisor}" if below else "")
+
+
+def cautions(found: Analysis) -> list[str]:
+    """What to be careful about."""
+    lines = []
+    if found.unmoved:
+        lines.append(
+            f"the data hardly move {', '.join(found.unmoved)}: what is shown is mostly the prior"
+        )
+    check, faults = found.check, []
+    if check.large:
+        faults.append(f"residuals are larger than the noise (p = {check.p_chi_square:.3g})")
+    if check.smooth:
+        faults.append(f"residuals are correlated over wavelength (p = {check.p_pattern:.3g})")
+    if check.noisy:
+        faults.append(f"it takes {check.noise:.1f} times the stated noise")
+    if faults:
+        lines.append(f"WARNING: the model does not produce these data: {'; '.join(faults)}")
+    if not found.chains.converged:
+        lines.append(f"NOT CONVERGED: {found.chains.reason}")
+    return lines
+
+
+def models_sentence(assessments: Sequence[Assessment]) -> str:
+    """One sentence to quote: which model the data prefer by what odds, and how far the melanin load
+    moves.
+    """
+    first, second = sorted(assessments, key=lambda a: -a.evidence.log_integral)[:2]
+    log_odds = first.evidence.log_integral - second.evidence.log_integral
+    error = math.hypot(first.evidence.error, second.evidence.error)
+    if log_odds - 2 * error > PREFERRED:
+        said = f"prefer {first.name} to {second.name} by odds of {odds(log_odds)} to 1"
+    else:
+        said = f"do not decide between {first.name} and {second.name}"
+    evidences = ", ".join(f"{with_error(a)} by {a.name}" for a in assessments)
+    data = ", ".join(o.name for o in assessments[0].candidate.problem.observations)
+    parts = (
+        f"The data ({data}) {said} (ln evidence {evidences}; importance sampling, equal priors)",
+        *(_by_models(n, assessments) for n in assessments[0].values if kind(n) in _QUOTED),
+    )
+    return f"{'; '.join(parts)}."
+
+
+def with_error(assessment: Assessment) -> str:
+    """An evidence and its error, with as many digits as the error allows."""
+    found = assessment.evidence
+    digits = 1 if found.error >= 0.05 else 2
+    return f"{found.log_integral:.{digits}f} ± {found.error:.{digits}f}"
+
+
+def odds(log_odds: float) -> str:
+    """Odds to one, from their logarithm."""
+    return _number(math.exp(log_odds)) if log_odds < 12 else f"1e{log_odds / math.log(10):.0f}"
+
+
+def _by_models(name: str, assessments: Sequence[Assessment]) -> str:
+    """A pigment by every model, and its ratio to the first one's."""
+    each = []
+    for a in assessments:
+        value, low, high = a.values[name]
+        text = f"{value:.3g} ({low:.3g} to {high:.3g}) by {a.name}"
+        if a is not assessments[0]:
+            ratio, least, most = a.ratios[name]
+            text += f", {ratio:.2g} ({least:.2g} to {most:.2g}) times that"
+        each.append(text)
+    plain, tag = _QUOTED[kind(name)], name.partition("@")[2]
+    unit = unit_of(name) and f", {unit_of(name)}"
+    return f"{plain}{tag and f' {tag}'}{unit} (95 %): {', '.join(each)}"
+
+
+def _shift(name: str, moved: Moved) -> str:
+    own, other = moved
+    text = f"{name} is {other.value:.3g} ({other.low:.3g} to {other.high:.3g})"
+    if kind(name) != "melanin_load" or not (own.value > 0 and other.value > 0):
+        return f"{text} for {own.value:.3g}"
+    ratio = other.value / own.value
+    if 0.95 < ratio < 1.05:
+        return f"{text}, about the same"
+    more = ratio > 1
+    return f"{text}, {_number(ratio if more else 1 / ratio)} times {'more' if more else 'less'}"
+
+
+def _number(x: float) -> str:
+    """Two digits, without an exponent."""
+    return f"{x:.2g}" if x < 100 else f"{float(f'{x:.2g}'):,.0f}"
+
+
+def _percent(x: float) -> str:
+    if not np.isfinite(x) or x > _UNKNOWN:
+        return "no limit"
+    return f"a factor of {np.exp(x):.2g}" if x > 1 else f"{100 * x:.2g} %"
+
+
+def _word(name: str) -> str:
+    return _WORDS[kind(name)] + (f"@{name.partition('@')[2]}" if "@" in name else "")
+
+
+def _power(name: str, exponent: float) -> str:
+    word = _word(name)
+    return word if abs(exponent - 1) < 0.05 else f"{word}^{exponent:.1f}"

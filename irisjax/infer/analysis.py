@@ -1,0 +1,280 @@
+"""What a posterior says: medians and intervals, checks of the model, and all of it at once."""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+from scipy.special import ndtri
+from scipy.stats import qmc
+
+from irisjax._types import PRNGKey
+from irisjax.infer.fit import Fit, fit
+from irisjax.infer.identifiability import Information, information
+from irisjax.infer.other_process import (
+    Interval,
+    ProcessComparison,
+    compare_processes,
+    other_of,
+)
+from irisjax.infer.parameters import kind, unit_of
+from irisjax.infer.pieces import in_rows, predicted
+from irisjax.infer.posterior import Chains, check_run, mixing, sample
+from irisjax.infer.problem import Problem
+
+QUANTILES = (2.5, 16, 50, 84, 97.5)
+DRAWS = 500
+"""Draws of a posterior that stand for all of it where models are computed."""
+UNMOVED = 0.3
+"""Contraction below which a posterior is mostly the prior."""
+
+
+class Row(NamedTuple):
+    """One parameter's posterior.
+
+    Attributes:
+        parameter: Its name.
+        unit: Its unit, or an empty string.
+        median: 50 % quantile.
+        sd: Standard deviation.
+        q2_5: 2.5 % quantile.
+        q16: 16 % quantile.
+        q84: 84 % quantile.
+        q97_5: 97.5 % quantile.
+        rhat: Split R-hat.
+        ess_bulk: Effective number of samples.
+        ess_tail: The same for the tails.
+        contraction: 1 − posterior variance / prior variance, in the coordinate in which the prior
+            is normal.
+    """
+
+    parameter: str
+    unit: str
+    median: float
+    sd: float
+    q2_5: float
+    q16: float
+    q84: float
+    q97_5: float
+    rhat: float
+    ess_bulk: float
+    ess_tail: float
+    contraction: float
+
+
+class Check(NamedTuple):
+    """Posterior predictive checks: the share of simulated data that lie further from the model than
+    the measured ones.
+
+    Attributes:
+        p_chi_square: By Σ of squared residuals.
+        p_pattern: By the correlation of neighbouring residuals.
+        noise: Median factor on the stated noise, if it was free, else 1.
+    """
+
+    p_chi_square: float
+    p_pattern: float
+    noise: float
+
+    @property
+    def large(self) -> bool:
+        """Whether residuals are larger than the noise."""
+        return self.p_chi_square < 0.01
+
+    @property
+    def smooth(self) -> bool:
+        """Whether neighbouring residuals are alike."""
+        return self.p_pattern < 0.01
+
+    @property
+    def noisy(self) -> bool:
+        """Whether the fit takes much more noise than was stated."""
+        return self.noise > 2.5
+
+    @property
+    def passed(self) -> bool:
+        """Whether the model may have produced the data."""
+        return not (self.large or self.smooth or self.noisy)
+
+
+class Analysis(NamedTuple):
+    """Everything that is said of one eye.
+
+    Attributes:
+        problem: What was measured and what is free.
+        fit: The least-squares fit.
+        chains: Samples of the posterior.
+        rows: The posterior of every free and derived parameter.
+        check: Whether the model may have produced the data.
+        information: What the data determine.
+        other: What the other process makes of the same data.
+    """
+
+    problem: Problem
+    fit: Fit
+    chains: Chains
+    rows: list[Row]
+    check: Check
+    information: Information
+    other: ProcessComparison
+
+    @property
+    def undetermined(self) -> int:
+        """Number of parameters that keep their priors because there are fewer data than these."""
+        fitted = sum(kind(n) != "noise" for n in self.problem.free)
+        return max(0, fitted - sum(o.values.shape[-1] for o in self.problem.observations))
+
+    @property
+    def unmoved(self) -> tuple[str, ...]:
+        """Free parameters of which the posterior is mostly the prior."""
+        free = self.problem.free
+        return tuple(
+            r.parameter for r in self.rows if r.parameter in free and r.contraction < UNMOVED
+        )
+
+
+def analyse(
+    problem: Problem,
+    *,
+    store: str | Path | None = None,
+    resume: bool = False,
+    walkers: int = 64,
+    max_steps: int = 20_000,
+    progress: Callable[[int, str], Any] | None = None,
+    key: PRNGKey,
+) -> Analysis:
+    """Fit a problem, sample its posterior, and judge both.
+
+    Args:
+        problem: What was measured and what is free.
+        store: HDF5 file for the chain; by default it stays in memory.
+        resume: Whether to continue the chain in the file.
+        walkers: Number of walkers.
+        max_steps: Largest number of steps after burn-in.
+        progress: Called with a number of steps and a word for what is done.
+        key: Source of all draws.
+
+    Raises:
+        ValueError: As `sample` does, before any work.
+    """
+    check_run(problem, store, walkers=walkers, resume=resume, key=key)
+    best = fit(problem, key=jax.random.fold_in(key, 1))
+    other = problem.by(other_of(problem.process))
+    best_by_other = fit(other, key=jax.random.fold_in(key, 5))
+    chains = sample(
+        problem, best, store=store, resume=resume, walkers=walkers, max_steps=max_steps,
+        progress=progress, key=key,
+    )  # fmt: skip
+    rows = summarise(problem, chains)
+    intervals = {r.parameter: Interval(r.median, r.q2_5, r.q97_5) for r in rows}
+    return Analysis(
+        problem=problem,
+        fit=best,
+        chains=chains,
+        rows=rows,
+        check=predictive_check(problem, chains, key=jax.random.fold_in(key, 2)),
+        information=information(problem, best),
+        other=compare_processes(problem, best, other, best_by_other, intervals=intervals),
+    )
+
+
+def summarise(problem: Problem, chains: Chains) -> list[Row]:
+    """Return a row for every free and derived parameter."""
+    # The prior of derived parameters: an integral over even points, nothing random.
+    even = qmc.Sobol(len(problem.free), scramble=False).random_base2(14)
+    before, rows = reported(problem, ndtri(even + 2.0**-15)), []
+    for name, values in reported(problem, chains.z).items():
+        if name in problem.free:
+            i = problem.free.index(name)
+            rhat, bulk, tail = chains.rhat[i], chains.ess_bulk[i], chains.ess_tail[i]
+            contraction = 1 - chains.z[..., i].var()
+        else:
+            # A chain that is too short to be judged has no R-hat.
+            judged = np.isfinite(chains.rhat).all()
+            rhat, bulk, tail = mixing(values.T) if judged else (np.nan,) * 3
+            # Of derived parameters the logarithm has a nearly normal prior.
+            contraction = 1 - np.log(values).var() / np.log(before[name]).var()
+        low, less, median, more, high = np.percentile(values, QUANTILES)
+        rows.append(
+            Row(
+                name, unit_of(name), median, values.std(), low, less, more, high, rhat, bulk, tail,
+                float(contraction),
+            )
+        )  # fmt: skip
+    return rows
+
+
+def reported(
+    problem: Problem, z: Float[np.ndarray, "*samples free"]
+) -> dict[str, Float[np.ndarray, "*samples"]]:
+    """Return free and derived parameters of samples by name, in the order of `problem.free`."""
+    values = in_rows(_reported, problem.unnamed(), 4096)(z.reshape(-1, z.shape[-1]))
+    names = [*problem.free, *(n for n in values if n not in problem.free)]
+    return {n: np.asarray(values[n]).reshape(z.shape[:-1]) for n in names}
+
+
+def predictive(
+    problem: Problem, chains: Chains, count: int = DRAWS, *, key: PRNGKey
+) -> tuple[tuple[np.ndarray, ...], tuple[np.ndarray, ...]]:
+    """Return draws of the posterior predictive, and of the model without noise: an array (count,
+    data) for each observation.
+    """
+    return _drawn(problem, chains, count, key)[:2]
+
+
+def predictive_check(problem: Problem, chains: Chains, *, key: PRNGKey) -> Check:
+    """Check residuals by their size and by their pattern."""
+    simulated, models, sds = _drawn(problem, chains, DRAWS, key)
+    size, pattern = [], []
+    for values in (tuple(np.asarray(o.values) for o in problem.observations), simulated):
+        total, alike = 0.0, 0.0
+        for y, m, sd in zip(values, models, sds, strict=True):
+            r = (y - m) / sd
+            total = total + (r**2).sum(axis=1)
+            alike = alike + (r[:, 1:] * r[:, :-1]).sum(axis=1) / (r**2).sum(axis=1)
+        size.append(total)
+        pattern.append(alike)
+    noise = reported(problem, chains.z).get("noise")
+    return Check(
+        float((size[1] >= size[0]).mean()),
+        float((pattern[1] >= pattern[0]).mean()),
+        1.0 if noise is None else float(np.median(noise)),
+    )
+
+
+def predictive_score(
+    log_likelihood: Float[np.ndarray, "chains draws data"], effective: float = 1.0
+) -> tuple[float, float]:
+    """Return the expected log predictive density of left-out values by PSIS-LOO [Vehtari et al.
+    2017], and its standard error.
+
+    Compare it between processes fitted to the same data; differences of a few standard errors
+    count.
+
+    Args:
+        log_likelihood: Of every draw and value.
+        effective: Effective samples a draw, at most 1.
+    """
+    from arviz_stats.base.array import array_stats
+
+    stats: Any = array_stats  # it returns scalars where its annotations have tuples too
+    each, _, _ = stats.loo(
+        np.moveaxis(log_likelihood, -1, 0), chain_axis=-2, draw_axis=-1, r_eff=min(effective, 1.0)
+    )
+    return float(np.sum(each)), float(np.sqrt(np.size(each)) * np.std(each))
+
+
+def _drawn(problem: Problem, chains: Chains, count: int, key: PRNGKey):
+    """As `predictive`, and the standard deviations stated for these models."""
+    z = chains.flat
+    chosen = z[np.linspace(0, len(z) - 1, min(count, len(z))).astype(int)]
+    return jax.tree.map(np.asarray, predicted(problem.unnamed(), jnp.asarray(chosen), key))
+
+
+@eqx.filter_jit
+def _reported(problem: Problem, z):
+    return jax.vmap(lambda x: problem.reported(x))(z)
