@@ -22,24 +22,24 @@ def searched(quick, monkeypatch):
     def fit_all(problem, values, sds, key):
         count, free = len(values), len(problem.free)
         sizes.append(count)
-        mean = np.asarray(values).mean(axis=1)
-        misfit = jnp.asarray(mean > 0.3)
+        mean = jnp.asarray(values).mean(axis=1)
+        ones = jnp.ones(count, int)
         return Fit(
             values={n: mean for n in problem.free},
             sd={n: mean / 10 for n in problem.free},
-            z=np.zeros((count, free)),
-            covariance=np.stack([np.eye(free)] * count),
+            z=jnp.zeros((count, free)),
+            covariance=jnp.stack([jnp.eye(free)] * count),
             predicted=(),
             cost=mean,
             chi_square=mean,
             degrees=29,
-            starts=np.ones(count, int),
-            agreeing=np.ones(count, int),
-            steps=np.ones(count, int),
+            starts=ones,
+            agreeing=ones,
+            steps=ones,
             status=jax.vmap(
                 lambda bad: FitStatus.where(bad, FitStatus.misfit, FitStatus.successful)
-            )(misfit),
-            result=jax.vmap(lambda bad: RESULTS.successful)(misfit),
+            )(mean > 0.3),
+            result=jax.vmap(lambda bad: RESULTS.successful)(mean),
         )
 
     monkeypatch.setattr(batch, "_fit_all", fit_all)
