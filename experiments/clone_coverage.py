@@ -19,13 +19,20 @@ from tqdm import tqdm
 
 from experiments.common import RESULTS, uniform_ranks, write
 from experiments.simulated_eyes import DISTANCE, SIZE, WIDTH, Truth, photographed, tables_of
-from irisjax.photo.boundaries import MIN_CONFIDENCE
-from irisjax.photo.clone import Given, Settings, clone
-from irisjax.photo.cloned import NOTHING, Clone, needed
-from irisjax.photo.concentrations import CONCENTRATIONS
-from irisjax.photo.ellipse import Ellipse
-from irisjax.photo.photograph import Photograph
-from irisjax.photo.pigments import NAMES, PRIORS
+from irisjax.photo.clone import (
+    NOTHING,
+    CloneSettings,
+    Fitted,
+    Given,
+    Lit,
+    Outlined,
+    Posed,
+    Sampled,
+    clone_eye,
+)
+from irisjax.photo.outlines import MIN_CONFIDENCE
+from irisjax.photo.photograph import Ellipse, Photograph
+from irisjax.photo.pigments import CONCENTRATIONS, FREE_NAMES, PRIORS
 
 EYES, DRAWS = 48, 63
 LEVELS = {"68": (0.16, 0.84), "95": (0.025, 0.975)}
@@ -33,7 +40,7 @@ TOTALS = {
     "abl_melanin": ("abl_eumelanin", "abl_pheomelanin"),
     "stroma_melanin": ("stroma_eumelanin", "stroma_pheomelanin"),
 }
-REPORTED = (*CONCENTRATIONS, *TOTALS, *NAMES[len(CONCENTRATIONS) :])
+REPORTED = (*CONCENTRATIONS, *TOTALS, *FREE_NAMES[len(CONCENTRATIONS) :])
 POSTERIORS = ("eye", "parameter", "truth", "median", "q2.5", "q16", "q84", "q97.5")
 POSTERIORS += ("rank", "draws", "z", "contraction")
 PICTURES = ("eye", "result", "seconds", "pupil_radius", "tilt_deg", "tilt_deg_found")
@@ -63,7 +70,7 @@ def main(key, quick=False, out=RESULTS, eyes=EYES, given_outlines=False, end="")
         truth, photograph = photographed(np.random.default_rng([seed, eye]), tables_of)
         given = Given(truth.limbus, truth.pupil) if given_outlines else NOTHING
         found, result = _cloned(photograph, given, eye)
-        if found.posterior is not None:
+        if isinstance(found, Sampled):
             posteriors += _posterior(eye, truth, found, np.random.default_rng([seed, eye, 1]))
         pictures.append(_picture(eye, truth, found, result, time.perf_counter() - begin))
         write(paths[0], about, POSTERIORS, posteriors, quiet=True)
@@ -71,10 +78,11 @@ def main(key, quick=False, out=RESULTS, eyes=EYES, given_outlines=False, end="")
     _summarise(out / f"clone_coverage{end}.csv", about, posteriors, pictures)
 
 
-def _cloned(photograph: Photograph, given: Given, seed: int) -> tuple[Clone, str]:
+def _cloned(photograph: Photograph, given: Given, seed: int) -> tuple[Outlined, str]:
     """As far as a clone gets, and how it ended: as the command ends, and in its words."""
     focal = DISTANCE / WIDTH * SIZE
-    run = clone(photograph, Settings(focal_px=focal, seed=seed), given, tables=tables_of)
+    settings, key = CloneSettings(focal_px=focal), jax.random.key(seed)
+    run = clone_eye(photograph, settings, given, tables=tables_of, key=key)
     found = next(run)
     sure = found.boundaries.limbus_confidence, found.boundaries.pupil_confidence
     if min(sure) < MIN_CONFIDENCE:
@@ -84,14 +92,15 @@ def _cloned(photograph: Photograph, given: Given, seed: int) -> tuple[Clone, str
             found = later
     except ValueError as error:
         return found, f"refused: {error}"
-    return found, needed(found.posterior).chains.reason
+    assert isinstance(found, Sampled)
+    return found, found.posterior.chains.reason
 
 
-def _posterior(eye: int, truth: Truth, found: Clone, random: np.random.Generator) -> list[tuple]:
+def _posterior(eye: int, truth: Truth, found: Sampled, random: np.random.Generator) -> list[tuple]:
     """Rows of an eye's parameters."""
-    posterior = needed(found.posterior)
+    posterior = found.posterior
     rows = []
-    prior = {n: PRIORS[n].value(z) for n, z in zip(NAMES, _standard().T, strict=True)}
+    prior = {n: PRIORS[n].value(z) for n, z in zip(FREE_NAMES, _standard().T, strict=True)}
     for name in REPORTED:
         parts = TOTALS.get(name, (name,))
         value = sum(truth.values[n] for n in parts)
@@ -111,35 +120,35 @@ def _posterior(eye: int, truth: Truth, found: Clone, random: np.random.Generator
 
 
 def _standard() -> np.ndarray:
-    return np.random.default_rng(0).standard_normal((20_000, len(NAMES)))
+    return np.random.default_rng(0).standard_normal((20_000, len(FREE_NAMES)))
 
 
-def _picture(eye: int, truth: Truth, found: Clone, result: str, seconds: float) -> tuple:
+def _picture(eye: int, truth: Truth, found: Outlined, result: str, seconds: float) -> tuple:
     """The row of a photograph; NaN for what was not reached."""
     lamp, scene = np.asarray(truth.scene.all_lights().towards[0]), truth.scene
     boundaries, nan = found.boundaries, float("nan")
     off = nan
-    if found.lighting is not None and found.lighting.lamps is not None:
+    if isinstance(found, Lit) and found.lighting.lamps is not None:
         cosines = np.asarray(found.lighting.lamps.towards) @ lamp
         off = float(np.degrees(np.arccos(np.clip(cosines, -1, 1))).min())
     rms = np.full(3, nan)
     steps = taus = nan
-    if found.fit is not None:
+    if isinstance(found, Fitted):
         rms = found.fit.rms
-    if found.posterior is not None:
+    if isinstance(found, Sampled):
         chains = found.posterior.chains
         steps, taus = chains.steps, float(chains.steps / chains.tau.max())
     return (
         *(eye, result, seconds, float(scene.eye.pupil_radius)),
         *(
             np.degrees(float(scene.camera.polar)),
-            np.degrees(found.pose.tilt) if found.pose else nan,
+            np.degrees(found.pose.tilt) if isinstance(found, Posed) else nan,
         ),
         float(np.degrees(np.arccos(-lamp[2]))),
-        *(nan if found.lighting is None else needed(found.lighting.found), off),
+        *(found.lighting.found if isinstance(found, Lit) else nan, off),
         *(_apart(truth.limbus, boundaries.limbus), _apart(truth.pupil, boundaries.pupil)),
         *(boundaries.limbus_confidence, boundaries.pupil_confidence),
-        nan if found.response is None else float(found.response),
+        found.response if isinstance(found, Fitted) and found.response is not None else nan,
         *(float(v) for v in rms),
         *(steps, taus),
     )

@@ -20,13 +20,10 @@ from experiments.clone_truth import correlation, true_thickness
 from experiments.common import RESULTS, write
 from experiments.simulated_photographs import FOLDER
 from irisjax.io.photographs import read_photograph
-from irisjax.photo.clone import Settings, clone
-from irisjax.photo.cloned import Clone, needed
-from irisjax.photo.lamps import shade_on
-from irisjax.photo.part import part_of
-from irisjax.photo.picture import compare
-from irisjax.photo.refraction import unrefract
-from irisjax.photo.unrefracted import LUMINANCE
+from irisjax.photo.clone import CloneSettings, Fitted, clone_to_pigments, compare_with_photograph
+from irisjax.photo.light import shade_on
+from irisjax.photo.masks import part_of
+from irisjax.photo.texture import LUMINANCE_WEIGHTS, unrefract
 
 TAKEN = 0.2
 """Of the light, by a lid: more is not well lit."""
@@ -55,11 +52,11 @@ _COLUMNS = (
 
 
 def _row(folder: Path, file: str) -> tuple:
-    *_, found = clone(read_photograph(folder / file), Settings(), last="pigments")
-    texture, light = needed(found.texture), needed(found.lighting)
+    found = clone_to_pigments(read_photograph(folder / file), CloneSettings())
+    texture, light = found.texture, found.lighting
     truth = true_thickness(file.split("_")[0].removesuffix(".jpg"), texture, folder)
-    room = needed(found.fit).values["room"] if light.room else 0.0
-    shade = shade_on(texture, light.lights(), room, needed(found.pose).eye, found.tables)
+    room = found.fit.values["room"] if light.room else 0.0
+    shade = shade_on(texture, light.lights(), room, found.pose.eye, found.tables)
     beside = truth.used & ~shade
     lit = beside & (_light_left(found, folder, file, beside) > 1 - TAKEN)
     whole = np.pi * (texture.iris_radius**2 - texture.pupil_radius**2)
@@ -67,19 +64,19 @@ def _row(folder: Path, file: str) -> tuple:
              (truth.used, beside, lit)]  # fmt: skip
     scores = [correlation(found, truth.thickness, u) for u in (truth.used, beside, lit)]
     both = (share[0], *scores[0], share[1], scores[1][0], share[2], *scores[2])
-    return (file, *both, *compare(found).rms)
+    return (file, *both, *compare_with_photograph(found).rms)
 
 
-def _light_left(found: Clone, folder: Path, file: str, usual) -> np.ndarray:
+def _light_left(found: Fitted, folder: Path, file: str, usual) -> np.ndarray:
     """At each texel, share of the light that the same eye gets without lids."""
     limbus = found.boundaries.limbus
     seen, bare = (
-        ndimage.gaussian_filter(part_of(p, limbus).pixels @ LUMINANCE, SMOOTH)
+        ndimage.gaussian_filter(part_of(p, limbus).pixels @ LUMINANCE_WEIGHTS, SMOOTH)
         for p in (read_photograph(folder / f) for f in (file, file.replace("_dirty", "")))
     )
     ratio = np.repeat((seen / np.maximum(bare, 1e-6))[..., None], 3, -1).astype(np.float32)
     every = np.ones(seen.shape, bool)
-    flat = unrefract(ratio, every, needed(found.pose), needed(found.refraction)).pixels[..., 0]
+    flat = unrefract(ratio, every, found.pose, found.refraction).pixels[..., 0]
     return flat / np.median(flat[usual])
 
 

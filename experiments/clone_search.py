@@ -2,16 +2,15 @@
 on its way, for F09 Fig. 19; all simulated.
 """
 
+from dataclasses import replace
+
 import numpy as np
 import skimage.transform
 
 from experiments.clone_thickness import ABOUT, EYES, brightened, simulated, write_jpeg
 from experiments.common import RESULTS, start, write
-from irisjax.photo.clone import Settings, clone
-from irisjax.photo.cloned import Clone, needed
-from irisjax.photo.concentrations import CONCENTRATIONS
-from irisjax.photo.picture import compare
-from irisjax.photo.pigments import least_squares, simplex
+from irisjax.photo.clone import CloneSettings, Fitted, clone_to_pigments, compare_with_photograph
+from irisjax.photo.pigments import CONCENTRATIONS, fit_pigments, simplex
 
 STEPS = 1, 2, 4, 12, 50
 """Of the searches, where their path is kept; of the simplex those for the eumelanins."""
@@ -28,20 +27,20 @@ def main(key, quick=False, out=RESULTS):
     steps = STEPS[:2] if quick else STEPS
     path, differences, pictures = [], [], []
     for colour in EYES[:1] if quick else EYES:
-        *_, found = clone(simulated(colour, quick), Settings(), last="pigments")
-        known, row = (needed(found.windows), needed(found.base)), []
+        found = clone_to_pigments(simulated(colour, quick), CloneSettings())
+        known, row = (found.windows, found.base), []
         for count in steps:
             log = simplex(*known, count).log
             print(f"{colour}: {count} steps", flush=True)
             path.append((colour, "simplex", count, *_numbers(log[0]), 1.0))
             if count == steps[-1]:
                 path.append((colour, "simplex", 2 * count, *_numbers(log[1]), 1.0))
-            least = least_squares(*known, count)
+            least = fit_pigments(*known, count)
             values = {**least.values, "rms": float(least.rms.mean())}
             path.append((colour, "least squares", count, *_numbers(values), values["exposure"]))
         fits = {name: simplex(*known, min(count, steps[-1])) for name, count in SHOWN.items()}
         # The simplex holds the exposure as stated.
-        shown = {name: found._replace(fit=f, exposure=np.ones(3)) for name, f in fits.items()}
+        shown = {name: replace(found, fit=f, exposure=np.ones(3)) for name, f in fits.items()}
         for name, at in {**shown, "least squares": found}.items():
             both, off, rms = _compared(at)
             row += both if not row else both[1:]
@@ -60,11 +59,11 @@ def _numbers(values: dict[str, float]):
     return (*(values[n] for n in CONCENTRATIONS), values["rms"])
 
 
-def _compared(found: Clone):
+def _compared(found: Fitted):
     """Photograph and rendering, reduced; shares of the pixels that differ by at most so many of 255
     steps; RMS per channel.
     """
-    both = compare(found, 2)
+    both = compare_with_photograph(found, 2)
     off = 255 * np.abs(both.photograph - both.rendered)[both.clear]
     shares = [
         (step, [float((off[:, k] <= step).mean()) for k in range(3)]) for step in range(0, 121, 2)

@@ -15,24 +15,26 @@ from experiments.simulated_photographs import FOLDER
 from irisjax.io import write_atomically
 from irisjax.io.photographs import read_photograph
 from irisjax.measure.colour import srgb_decode, srgb_encode
-from irisjax.photo.clone import Settings, clone
-from irisjax.photo.cloned import Clone, needed
+from irisjax.photo.clone import (
+    CloneSettings,
+    Fitted,
+    PictureDifference,
+    clone_to_pigments,
+    compare_with_photograph,
+)
 from irisjax.photo.photograph import Photograph
-from irisjax.photo.picture import Comparison, compare
-from irisjax.photo.pigments import predicted
-from irisjax.photo.polar import to_polar
-from irisjax.photo.refraction import unrefract
+from irisjax.photo.pigments import predicted_colours
+from irisjax.photo.texture import HALF_WIDTH, Unrefracted, to_polar, unrefract
 from irisjax.photo.thickness import BETA, generic_thickness
-from irisjax.photo.unrefracted import HALF_WIDTH, Unrefracted
-from irisjax.photo.window_pixels import ANGLES, MARGIN, OUTER_MARGIN, RINGS
+from irisjax.photo.windows import ANGLES, MARGIN, OUTER_MARGIN, RINGS
 
 EYES = "blue", "brown"
 VARIANTS = {
-    "none": Settings(beta=BETA, sigma=0.0),
-    "0.5 mm": Settings(beta=BETA, sigma=0.5),
-    "1.0 mm": Settings(beta=BETA, sigma=1.0),
-    "beta 2 mm": Settings(beta=2.0, sigma=0.0),
-    "default": Settings(),
+    "none": CloneSettings(beta=BETA, sigma=0.0),
+    "0.5 mm": CloneSettings(beta=BETA, sigma=0.5),
+    "1.0 mm": CloneSettings(beta=BETA, sigma=1.0),
+    "beta 2 mm": CloneSettings(beta=2.0, sigma=0.0),
+    "default": CloneSettings(),
 }
 """F09's Eq. 7 without deconvolution and with two widths; with a larger β; and what `irisjax clone`
 does of itself: thickness by the model's response."""
@@ -57,10 +59,10 @@ def main(key, quick=False, out=RESULTS):
     for colour in EYES[:1] if quick else EYES:
         photograph, row = simulated(colour, quick), []
         for name in names:
-            *_, found = clone(photograph, VARIANTS[name], last="pigments")
-            texture = needed(found.texture)
+            found = clone_to_pigments(photograph, VARIANTS[name])
+            texture = found.texture
             truth = true_thickness(colour, texture)
-            estimate, both = needed(found.morphology).thickness, compare(found, 2)
+            estimate, both = found.morphology.thickness, compare_with_photograph(found, 2)
             scores.append((colour, name, *_score(found, truth, both)))
             row.append(_detail(_flat(brightened(both.rendered), found).pixels))
             arrays[f"{colour} {name}"] = _micrometres(estimate)
@@ -97,10 +99,11 @@ def simulated(colour: str, quick: bool) -> Photograph:
     rows, columns = (n // 3 for n in found.shape)
     blocks = [v[: 3 * rows, : 3 * columns].reshape(rows, 3, columns, 3, *v.shape[2:])
               for v in (found.pixels, found.saturated)]  # fmt: skip
+    assert found.focal_px is not None
     return found._replace(
         pixels=blocks[0].mean((1, 3)),
         saturated=blocks[1].any((1, 3)),
-        focal_px=needed(found.focal_px) / 3,
+        focal_px=found.focal_px / 3,
     )
 
 
@@ -133,31 +136,31 @@ _SCORES = (
 )
 
 
-def _score(found: Clone, truth: Truth, both: Comparison) -> tuple:
+def _score(found: Fitted, truth: Truth, both: PictureDifference) -> tuple:
     """How the thickness compares with the truth, and the rendering with the photograph.
 
     Correlation of deviations from the mean at their radius, the estimate's spread over the truth's,
     root mean square errors of the estimate and of the generic thickness, and means (mm).
     """
-    estimate, used = needed(found.morphology).thickness, truth.used
+    estimate, used = found.morphology.thickness, truth.used
     true, seen = truth.thickness[used], estimate[used]
-    generic = generic_thickness(needed(found.texture).radius()[used])
+    generic = generic_thickness(found.texture.radius()[used])
     return (
         np.nan if found.response is None else found.response,
         *correlation(found, truth.thickness, used),
         *(float(np.sqrt(((v - true) ** 2).mean())) for v in (seen, generic)),
         float(seen.mean()),
         float(true.mean()),
-        needed(found.morphology).clamped,
+        found.morphology.clamped,
         *(float(r) for r in both.rms),
     )
 
 
-def _flat(picture: np.ndarray, found: Clone, clear: np.ndarray | None = None) -> Unrefracted:
+def _flat(picture: np.ndarray, found: Fitted, clear: np.ndarray | None = None) -> Unrefracted:
     """A picture of the clone's camera, laid flat."""
-    clear = needed(found.clear) if clear is None else clear
-    where = needed(found.refraction)
-    return unrefract(picture.astype(np.float32), clear, needed(found.pose), where)
+    clear = found.clear if clear is None else clear
+    where = found.refraction
+    return unrefract(picture.astype(np.float32), clear, found.pose, where)
 
 
 def _detail(texture: np.ndarray) -> np.ndarray:
@@ -186,10 +189,10 @@ _RINGS = (
 )
 
 
-def _rings(found: Clone, truth: Truth):
+def _rings(found: Fitted, truth: Truth):
     """Mean and standard deviation of the stroma's thickness round the eye, by radius."""
-    texture = needed(found.texture)
-    ring, estimate = (texture.radius() / STEP).astype(int), needed(found.morphology).thickness
+    texture = found.texture
+    ring, estimate = (texture.radius() / STEP).astype(int), found.morphology.thickness
     there = texture.valid & (truth.thickness > 0)
     for number in np.unique(ring[there]):
         of = there & (ring == number)
@@ -200,9 +203,9 @@ def _rings(found: Clone, truth: Truth):
         yield middle, float(generic_thickness(np.asarray(middle))), *pairs[0], *pairs[1]
 
 
-def _profiles(found: Clone, truth: Truth):
+def _profiles(found: Fitted, truth: Truth):
     """Thickness along a few radii; NaN where the photograph does not show the iris."""
-    texture = needed(found.texture)
+    texture = found.texture
     radius = np.arange(0.5 * STEP, texture.iris_radius, STEP)
     for degrees in PROFILES:
         along = np.exp(1j * np.radians(degrees)) * radius
@@ -211,7 +214,7 @@ def _profiles(found: Clone, truth: Truth):
         at = tuple(np.rint(p).astype(int) for p in place)
         shown = texture.valid[at] & (truth.thickness[at] > 0)
         values = [ndimage.map_coordinates(v, place, order=1)
-                  for v in (truth.thickness, needed(found.morphology).thickness)]  # fmt: skip
+                  for v in (truth.thickness, found.morphology.thickness)]  # fmt: skip
         for r, true, seen, ok in zip(radius, *values, shown, strict=True):
             if ok:
                 yield degrees, float(r), float(true), float(seen)
@@ -221,11 +224,11 @@ _WINDOWS = ("eye", "angle_deg", "inner_mm", "outer_mm", "present")
 _WINDOWS += tuple(f"{which}_{c}" for which in ("photograph", "model") for c in "rgb")
 
 
-def _windows(found: Clone):
+def _windows(found: Fitted):
     """Borders of the windows, and their linear colours in photograph and model."""
-    windows, eye = needed(found.windows), needed(found.pose).eye
-    fitted = {name: jnp.asarray(value) for name, value in needed(found.fit).values.items()}
-    model = np.asarray(predicted(fitted, windows, needed(found.base)))
+    windows, eye = found.windows, found.pose.eye
+    fitted = {name: jnp.asarray(value) for name, value in found.fit.values.items()}
+    model = np.asarray(predicted_colours(fitted, windows, found.base))
     inner = float(eye.pupil_radius) + MARGIN
     width = (float(eye.iris_radius) - OUTER_MARGIN - inner) / RINGS
     for number, colours in enumerate(np.concatenate([windows.colour, model], 1)):

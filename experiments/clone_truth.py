@@ -9,9 +9,9 @@ from scipy import ndimage
 
 from experiments.simulated_photographs import FOLDER
 from irisjax.io import read_maps
-from irisjax.photo.cloned import Clone, needed
-from irisjax.photo.unrefracted import Unrefracted
-from irisjax.photo.window_pixels import MARGIN
+from irisjax.photo.clone import Shaped
+from irisjax.photo.texture import Unrefracted
+from irisjax.photo.windows import MARGIN
 
 STEP = 0.05
 """Of radii, mm."""
@@ -41,12 +41,12 @@ def true_thickness(colour: str, texture: Unrefracted, folder: Path = FOLDER) -> 
     return Truth(np.where(known, found, 0), used)
 
 
-def correlation(found: Clone, thickness: np.ndarray, used: np.ndarray) -> tuple[float, float]:
+def correlation(found: Shaped, thickness: np.ndarray, used: np.ndarray) -> tuple[float, float]:
     """Of a true and a clone's deviations from the mean at their radius; and the spread of the
     clone's over that of the true ones.
     """
-    ring = (needed(found.texture).radius()[used] / STEP).astype(int)
+    ring = (found.texture.radius()[used] / STEP).astype(int)
     count = np.maximum(np.bincount(ring), 1)
-    pair = thickness[used], needed(found.morphology).thickness[used]
+    pair = thickness[used], found.morphology.thickness[used]
     true, told = (v - (np.bincount(ring, v) / count)[ring] for v in pair)
     return float(np.corrcoef(true, told)[0, 1]), float(told.std() / true.std())

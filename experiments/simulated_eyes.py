@@ -18,12 +18,10 @@ from irisjax.anatomy.eye import Eye
 from irisjax.grow.procedural import procedural
 from irisjax.io.photographs import read_photograph
 from irisjax.measure.colour import srgb_encode
-from irisjax.photo.average import average_thickness
 from irisjax.photo.clone import FIBRILS
-from irisjax.photo.concentrations import iris_of
-from irisjax.photo.ellipse import Ellipse
-from irisjax.photo.photograph import Photograph
-from irisjax.photo.pigments import NAMES, PRIORS
+from irisjax.photo.photograph import Ellipse, Photograph
+from irisjax.photo.pigments import FREE_NAMES, PRIORS, iris_of_concentrations
+from irisjax.photo.windows import average_thickness
 from irisjax.render.camera import Camera
 from irisjax.render.environment import Environment
 from irisjax.render.illumination import Illumination
@@ -63,7 +61,7 @@ def photographed(
     white is well exposed. Posteriors stay right under any choice that the picture itself decides.
     """
     while True:
-        values = {n: float(PRIORS[n].value(random.standard_normal())) for n in NAMES}
+        values = {n: float(PRIORS[n].value(random.standard_normal())) for n in FREE_NAMES}
         scene = _scene(values, random)
         light = np.maximum(np.asarray(Memory().render(scene, tables(scene)), np.float64), 0)
         gains = np.array([values["red_gain"], 1.0, values["blue_gain"]])
@@ -98,7 +96,7 @@ def _scene(values: dict[str, float], random: np.random.Generator) -> Scene:
     height = average_thickness(eye) * np.exp(PEOPLE * random.standard_normal())
     base = Iris(fibril_radius=jnp.asarray(FIBRILS), stroma_thickness=jnp.asarray(height))
     maps = procedural(base, eye, key=jax.random.key(int(random.integers(2**31))))
-    iris = iris_of({n: jnp.asarray(v) for n, v in values.items()}, base)
+    iris = iris_of_concentrations({n: jnp.asarray(v) for n, v in values.items()}, base)
     tilt, lamp = (
         float(np.arccos(random.uniform(np.cos(high), np.cos(low))))
         for low, high in ((0.0, STEEPEST), LAMP_POLAR)

@@ -20,7 +20,7 @@ from irisjax.anatomy.eye import Eye, Sclera
 from irisjax.grow.presets import preset
 from irisjax.io import write_exr, write_maps
 from irisjax.measure.colour import srgb_encode
-from irisjax.photo.ellipse import Ellipse, ellipse_through
+from irisjax.photo.photograph import Ellipse, ellipse_through
 from irisjax.render.albedo import Matt
 from irisjax.render.bands import all_bands, colour_bands
 from irisjax.render.camera import Camera

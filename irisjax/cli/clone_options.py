@@ -21,7 +21,7 @@ from irisjax.cli.options import (
 from irisjax.cli.scenes import lamps
 from irisjax.io.photographs import read_photograph
 from irisjax.photo import clone as cloning
-from irisjax.photo.ellipse import Ellipse
+from irisjax.photo.photograph import Ellipse
 from irisjax.render.environment import Environment
 from irisjax.render.radiative import RadiativeIntegrator
 from irisjax.render.separable import Separable
@@ -30,8 +30,8 @@ _PROCESSES = {"ilit-2006": Separable, "depth-resolved": RadiativeIntegrator}
 
 
 @dataclass(frozen=True, kw_only=True)
-class Picture(Group):
-    """The photograph and what is known of it."""
+class ClonePicture(Group):
+    """Options: the photograph and what is known about it."""
 
     PANEL = "Photograph"
 
@@ -51,12 +51,12 @@ class Picture(Group):
         str | None,
         option(
             metavar="X,Y,A,B,DEG",
-            help="outline of the cornea, in place of the one that is found: centre (column, row), "
+            help="outline of the limbus, in place of the one that is found: centre (column, row), "
             "semi-axes (pixels), angle of the larger one from the right towards the top",
         ),
     ] = None
     pupil: Annotated[
-        str | None, option(metavar="X,Y,A,B,DEG", help="the same of the pupil as it appears")
+        str | None, option(metavar="X,Y,A,B,DEG", help="the same for the pupil as it appears")
     ] = None
     tilt_azimuth: Annotated[
         float | None,
@@ -64,14 +64,14 @@ class Picture(Group):
             parse=number(-360, 360),
             metavar="degrees",
             help="side of the eye on which the camera stands, from the picture's right to its top; "
-            "default: told from the pupil",
+            "default: inferred from the pupil",
         ),
     ] = None
     light: Annotated[
         list[str] | None,
         option(
             metavar="POLAR,AZIMUTH[,E]",
-            help="as of render, E its irradiance; repeatable; default: told from the highlights on "
+            help="as in render, E its irradiance; repeatable; default: inferred from highlights on "
             "the cornea",
         ),
     ] = None
@@ -87,13 +87,16 @@ class Picture(Group):
         Path | None,
         option(
             metavar="FILE",
-            help="of the same eye, best through crossed polarisers: without highlights it shows "
-            "the texture; light and pigments are told from PHOTO",
+            help="another photograph of the eye, best through crossed polarisers: it shows the "
+            "texture without highlights; light and pigments are inferred from PHOTO",
         ),
     ] = None
     maps: Annotated[
         Path | None,
-        option(metavar="FILE.exr", help="thickness, in place of what the texture tells: maps.exr"),
+        option(
+            metavar="FILE.exr",
+            help="thickness (maps.exr), in place of the estimate from the texture",
+        ),
     ] = None
     freckles: Annotated[
         Path | None,
@@ -109,7 +112,7 @@ class Picture(Group):
     ] = None
 
     def given(self) -> cloning.Given:
-        """What is known, read from its files."""
+        """Return what is given, read from its files."""
         lights = lamps(self.light) if self.light else None
         around = None
         if self.environment == "uniform":
@@ -129,8 +132,8 @@ class Picture(Group):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Model(Group):
-    """How the eye is modelled."""
+class CloneModel(Group):
+    """Options: the model of the eye."""
 
     PANEL = "Model"
 
@@ -139,14 +142,16 @@ class Model(Group):
     )
     iris_depth: Annotated[
         float,
-        option(parse=number(2.5, 8), metavar="mm", help="of the iris behind the cornea, 2.5 to 8"),
+        option(
+            parse=number(2.5, 8), metavar="mm", help="depth of the iris behind the cornea, 2.5 to 8"
+        ),
     ] = 3.6
     beta: Annotated[
         float | None,
         option(
             parse=number(0, 5),
             metavar="mm",
-            help="thickness by F09's Eq. 7, which has 0.35; default: by the model's response",
+            help="thickness by F09's Eq. 7, where it is 0.35; default: by the model's response",
         ),
     ] = None
     deconvolution: Annotated[
@@ -154,7 +159,7 @@ class Model(Group):
         option(
             parse=number_or("fit", 0, 2),
             metavar="mm|fit",
-            help="with --beta: width of scattering's blur, 0 to 2, or fit: what looks nearest",
+            help="with --beta: width of the blur by scattering, 0 to 2, or fit: nearest picture",
         ),
     ] = 0.5
     relief: Annotated[
@@ -162,8 +167,8 @@ class Model(Group):
         option(
             parse=number(0, 1),
             metavar="share",
-            help="of the stroma's unevenness that stands out towards the cornea, 0 to 1; in light "
-            "eyes its shading is taken off",
+            help="share of the stroma's unevenness that stands out towards the cornea, 0 to 1; in "
+            "light eyes its shading is removed",
         ),
     ] = 0.0
     method: Annotated[
@@ -171,7 +176,10 @@ class Model(Group):
     ] = "least-squares"
     process: Annotated[str, name_of("light in the iris", *_PROCESSES)] = "ilit-2006"
     max_steps: Annotated[
-        int, option(parse=whole(150, 100_000), metavar="count", help="of the posterior's chain")
+        int,
+        option(
+            parse=whole(150, 100_000), metavar="count", help="most steps of the posterior's chain"
+        ),
     ] = 8000
     seed: Annotated[
         int,
@@ -189,8 +197,8 @@ class Model(Group):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Results(Group):
-    """Where it goes."""
+class CloneResults(Group):
+    """Options: the files."""
 
     PANEL = "Files"
 
@@ -201,9 +209,9 @@ class Results(Group):
     ] = False
 
 
-def settings_of(picture: Picture, model: Model) -> cloning.Settings:
-    """What the stages of a clone are told."""
-    return cloning.Settings(
+def settings_of(picture: ClonePicture, model: CloneModel) -> cloning.CloneSettings:
+    """Return the settings of a clone."""
+    return cloning.CloneSettings(
         model.media,
         model.iris_depth,
         picture.focal_px,
@@ -214,7 +222,6 @@ def settings_of(picture: Picture, model: Model) -> cloning.Settings:
         method=model.method,
         integrator=_PROCESSES[model.process](),
         steps=model.max_steps,
-        seed=model.seed,
     )
 
 

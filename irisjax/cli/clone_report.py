@@ -1,19 +1,19 @@
-"""What `irisjax clone` says of what it found."""
+"""What `irisjax clone` prints about its result."""
 
 import sys
 from pathlib import Path
 
 import numpy as np
 
-from irisjax.photo.cloned import Clone
+from irisjax.photo.clone import Fitted, Outlined, Posed, Sampled
 from irisjax.photo.posterior import PigmentPosterior
 
 
-def report(found: Clone, cross_polarised: bool, folder: Path, doubts: tuple[str, ...]) -> None:
-    """Say what was found and what is doubtful."""
+def report(found: Outlined, cross_polarised: bool, folder: Path, doubts: tuple[str, ...]) -> None:
+    """Print what was found, and on standard error what is doubtful."""
     for doubt in doubts:
-        say(f"WARNING: {doubt}")
-    if found.pose is not None:
+        tell(f"WARNING: {doubt}")
+    if isinstance(found, Posed):
         pose = found.pose
         where = "" if pose.distance is None else f", {pose.distance:.0f} mm away"
         low, high = np.degrees(pose.tilt_interval)
@@ -23,18 +23,25 @@ def report(found: Clone, cross_polarised: bool, folder: Path, doubts: tuple[str,
             f"a limbus of {2 * float(pose.eye.limbus_radius):.1f} mm"
         )
         if pose.distance is None:
-            say("no focal length in the file: the distance is not known; give --focal-px")
-    if found.fit is not None and cross_polarised:
-        say(
-            "WARNING: the model's iris keeps 98 % and more of the light's polarisation, so crossed "
-            "polarisers would make it black; the pigments stand for an iris that depolarises"
-        )
-    if found.lighting is not None and found.lighting.found == 0:
-        say("no lamp was told from a highlight on the cornea: light from all round is assumed")
-    if found.posterior is not None:
+            tell("no focal length in the file: the distance is not known; give --focal-px")
+    if isinstance(found, Fitted):
+        if cross_polarised:
+            tell(
+                "WARNING: the model's iris keeps 98 % and more of the light's polarisation, so "
+                "crossed polarisers would make it black; the pigments stand for an iris that "
+                "depolarises"
+            )
+        if found.lighting.found == 0:
+            tell("no highlight on the cornea shows a lamp: light from all round is assumed")
+    if isinstance(found, Sampled):
         print(_table(found.posterior))
         print("the intervals allow for a thickness and shading unlike the model's")
     print(f"written: {folder}")
+
+
+def tell(text: str) -> None:
+    """Print a line on standard error."""
+    print(f"irisjax: {text}", file=sys.stderr)
 
 
 def _table(posterior: PigmentPosterior) -> str:
@@ -43,8 +50,3 @@ def _table(posterior: PigmentPosterior) -> str:
         span = f"{e.low:.3g} to {e.high:.3g}"
         rows.append(f"{name:<20}{e.median:>10.3g}{span:>22}{e.contraction:>13.2f}")
     return "\n".join(rows)
-
-
-def say(text: str) -> None:
-    """A line on standard error."""
-    print(f"irisjax: {text}", file=sys.stderr)

@@ -1,4 +1,4 @@
-"""The folder of a clone read back: its scene, and the photograph that its camera saw."""
+"""Read the folder of a clone: its scene, and the photograph that its camera saw."""
 
 import json
 from pathlib import Path
@@ -15,8 +15,11 @@ PHOTOGRAPH = "photograph.png"
 
 
 class CloneFolder(NamedTuple):
-    """What `irisjax clone` wrote: the scene file, and the photograph at the size of the scene's
-    picture, sRGB-encoded.
+    """The result of `irisjax clone`.
+
+    Attributes:
+        scene: The scene file.
+        photograph: The photograph at the size of the scene's picture, sRGB-encoded.
     """
 
     scene: SceneFile
@@ -24,7 +27,7 @@ class CloneFolder(NamedTuple):
 
 
 def encode_photograph(encoded: Float[np.ndarray, "rows columns 3"]) -> bytes:
-    """The bytes of `photograph.png`, of sRGB-encoded values in [0, 1]."""
+    """Return the bytes of `photograph.png` for sRGB-encoded values in [0, 1]."""
     remark = "part of a photograph; exposure, white balance and contrast taken off by irisjax"
     return encode_png(PHOTOGRAPH, encoded, remark=remark)[0]
 
@@ -32,8 +35,9 @@ def encode_photograph(encoded: Float[np.ndarray, "rows columns 3"]) -> bytes:
 def read_clone(folder: str | Path) -> CloneFolder:
     """Read the folder of a clone.
 
-    **Raises:** `ValueError` without a readable `clone.json`, for a clone that was stopped before
-    its pigments, and for a photograph of another size than the scene's picture; as `read_scene`.
+    Raises:
+        ValueError: If there is no readable `clone.json` or `scene.toml`, the clone ended before its
+            pigments, or the photograph has another size than the scene's picture.
     """
     folder = Path(folder)
     check_summary(folder)
@@ -58,7 +62,11 @@ def read_clone(folder: str | Path) -> CloneFolder:
 
 
 def check_summary(folder: Path) -> dict[str, Any]:
-    """The `clone.json` of a clone's folder; **raises** `ValueError` without a readable one."""
+    """Return the contents of a clone's `clone.json`.
+
+    Raises:
+        ValueError: If there is no readable one.
+    """
     path = folder / "clone.json"
     if not path.exists():
         raise ValueError(f"{folder}: has no clone.json, it is not the folder of a clone")

@@ -1,4 +1,4 @@
-"""What a clone of a photographed eye is written as: numbers, textures, maps and a scene."""
+"""Files of a clone: numbers, textures, maps and a scene."""
 
 import json
 import math
@@ -10,21 +10,20 @@ import numpy as np
 from irisjax.io.images import encode_exr, encode_png
 from irisjax.io.maps import encode_maps
 from irisjax.measure.colour import srgb_encode
-from irisjax.photo.cloned import Clone, needed
-from irisjax.photo.concentrations import concentrations_of, iris_of
-from irisjax.photo.ellipse import Ellipse
-from irisjax.photo.picture import Comparison
-from irisjax.photo.pigments import UNITS
-from irisjax.photo.pose import limbus_spread
-from irisjax.photo.unrefracted import HALF_WIDTH
+from irisjax.photo.clone import Fitted, Flat, Outlined, PictureDifference, Posed, Sampled, Shaped
+from irisjax.photo.photograph import Ellipse
+from irisjax.photo.pigments import PIGMENT_UNITS, concentrations_of, iris_of_concentrations
+from irisjax.photo.pose import Pose, limbus_spread
+from irisjax.photo.texture import HALF_WIDTH
 from irisjax.render.environment import Environment
+from irisjax.render.integrators import integrator_name
 
-UNREFRACTED, VISIBLE = "unrefracted.png", "visible.png"
-"""Of the texture: its picture, and a mask of what shows the iris."""
-FILES = (
+UNREFRACTED_PICTURE, VISIBLE_MASK = "unrefracted.png", "visible.png"
+"""Names of the texture's picture, and of the mask of texels that show the iris."""
+CLONE_FILES = (
     "clone.json",
-    UNREFRACTED,
-    VISIBLE,
+    UNREFRACTED_PICTURE,
+    VISIBLE_MASK,
     "freckles.png",
     "deconvolved.png",
     "maps.exr",
@@ -32,57 +31,59 @@ FILES = (
     "environment.exr",
     "convergence.csv",
 )
-"""All that `files_of` may write."""
+"""Names of all files that `files_of` may write."""
 _SHORT = 6  # digits
 
 
 def files_of(
-    clone: Clone,
+    clone: Outlined,
     settings: Mapping[str, Any],
     timings: Mapping[str, float],
-    pictures: Comparison | None = None,
+    pictures: PictureDifference | None = None,
     doubts: Sequence[str] = (),
-) -> dict:
-    """The files of a clone as far as it has come: bytes by name, `clone.json` among them.
+) -> dict[str, bytes]:
+    """Return the files of a clone up to the stage that it has reached, by name.
 
     Args:
-        clone: The clone.
-        settings: What it was asked with.
+        clone: The last stage that was reached.
+        settings: Options of the command.
         timings: Seconds by the names of stages.
-        pictures: Of clone and photograph, compared.
+        pictures: The clone's picture compared with the photograph.
         doubts: Sentences on what is doubtful.
     """
-    summary = summary_of(clone, settings, timings) | {"doubts": list(doubts)}
+    summary = _summary(clone, settings, timings) | {"doubts": list(doubts)}
     if pictures is not None:
         summary["picture_rms"] = pictures.rms.tolist()
     found = {"clone.json": _json(summary)}
-    if clone.texture is not None:
-        found[UNREFRACTED] = _texture(UNREFRACTED, clone.texture.pixels)
-        found[VISIBLE] = _mask(VISIBLE, clone.texture.valid)
-    if clone.morphology is not None:
+    if isinstance(clone, Flat):
+        found[UNREFRACTED_PICTURE] = _texture(UNREFRACTED_PICTURE, clone.texture.pixels)
+        found[VISIBLE_MASK] = _mask(VISIBLE_MASK, clone.texture.valid)
+    if isinstance(clone, Shaped):
         shape = clone.morphology
         found["freckles.png"] = _mask("freckles.png", shape.freckles)
         span = max(float(np.abs(shape.deconvolved).max()), 1e-6)
         grey = np.repeat(0.5 + 0.5 * shape.deconvolved[..., None] / span, 3, -1)
         found["deconvolved.png"] = encode_png("deconvolved.png", grey, remark=_REMARK)[0]
         found["maps.exr"] = encode_maps("maps.exr", shape.maps)
-    if clone.fit is not None:
+    if isinstance(clone, Fitted):
         found["scene.toml"] = scene_text(clone).encode()
         around = clone.scene().environment
         if around is not None and not _is_uniform(around):
             found["environment.exr"] = encode_exr("environment.exr", np.asarray(around.radiance))
-        if clone.fit.log:
-            found["convergence.csv"] = _log(clone).encode()
+        if log := clone.fit.log:
+            rows = [",".join(log[0]), *(",".join(f"{v:.6g}" for v in r.values()) for r in log)]
+            found["convergence.csv"] = ("\n".join(rows) + "\n").encode()
     return found
 
 
 _REMARK = "estimated by irisjax from a photograph"
 
 
-def summary_of(clone: Clone, settings: Mapping[str, Any], timings: Mapping[str, float]) -> dict:
-    """What `clone.json` holds."""
-    outlines, pose = clone.boundaries, clone.pose
-    mean, spread = limbus_spread()
+def _summary(
+    clone: Outlined, settings: Mapping[str, Any], timings: Mapping[str, float]
+) -> dict[str, Any]:
+    """The contents of `clone.json`."""
+    outlines = clone.boundaries
     found: dict[str, Any] = {
         "photograph": clone.photograph.name,
         "notes": list(clone.photograph.notes),
@@ -90,70 +91,42 @@ def summary_of(clone: Clone, settings: Mapping[str, Any], timings: Mapping[str, 
         "limbus": _ellipse(outlines.limbus) | {"confidence": outlines.limbus_confidence},
         "pupil": _ellipse(outlines.pupil) | {"confidence": outlines.pupil_confidence},
     }
-    if pose is not None:
-        eye = pose.eye
+    if isinstance(clone, Posed):
+        found |= _pose(clone.pose)
+        if clone.second is not None:
+            laid = clone.second.registration
+            found["second"] = {
+                "correlation": laid.correlation,
+                "residual_px": laid.residual,
+                "scale": laid.scale,
+                "rotation_deg": math.degrees(laid.rotation),
+            }
+    if isinstance(clone, Shaped):
+        texture, shape = clone.texture, clone.morphology
+        radius = texture.radius()
+        ring = (radius > texture.pupil_radius) & (radius < texture.iris_radius)
+        quantiles = np.quantile(shape.thickness[texture.valid], [0.025, 0.5, 0.975])
+        names = "q2.5", "median", "q97.5"
         found |= {
-            "tilt_deg": math.degrees(pose.tilt),
-            "tilt_sd_deg": math.degrees(pose.tilt_sd),
-            "tilt_95_deg": [math.degrees(t) for t in pose.tilt_interval],
-            "azimuth_deg": math.degrees(float(pose.camera.azimuth)),
-            "side_from": pose.side,
-            "distance_mm": pose.distance,
-            "distance_sd_mm": None if pose.distance is None else pose.distance * spread / mean,
-            "lengths": {
-                "limbus_radius_mm": float(eye.limbus_radius),
-                "limbus_width_mm": float(eye.limbus_width),
-                "mean_of_461_people_mm": mean,
-                "relative_sd": spread / mean,
-                "meaning": "every length is in proportion to the limbus's radius, which is assumed",
-            },
-            "pupil_radius_mm": float(eye.pupil_radius),
-            "pupil_margin_mm": float(eye.pupil_margin),
-            "iris_radius_mm": float(eye.iris_radius),
-            "pupil_centre_mm": list(pose.pupil_centre),
-            "iris_depth_mm": float(eye.iris_depth),
-        }
-    if clone.second is not None:
-        told = clone.second.registration
-        found["second"] = {
-            "correlation": told.correlation,
-            "residual_px": told.residual,
-            "scale": told.scale,
-            "rotation_deg": math.degrees(told.rotation),
-        }
-    if clone.morphology is not None and clone.texture is not None:
-        shape, valid = clone.morphology, clone.texture.valid
-        iris = clone.texture.radius() < clone.texture.iris_radius
-        ring = iris & (clone.texture.radius() > clone.texture.pupil_radius)
-        found |= {
-            "visible_share": float(valid.sum() / ring.sum()),
+            "visible_share": float(texture.valid.sum() / ring.sum()),
             "freckles_share": float(shape.freckles.sum() / ring.sum()),
             "clamped_texels": shape.clamped,
             "deconvolution_mm": shape.sigma_mm,
-            "stroma_thickness_mm": {
-                name: float(q)
-                for name, q in zip(
-                    ("q2.5", "median", "q97.5"),
-                    np.quantile(shape.thickness[valid], [0.025, 0.5, 0.975]),
-                    strict=True,
-                )
-            },
+            "stroma_thickness_mm": dict(zip(names, quantiles.tolist(), strict=True)),
         }
-    if clone.fit is not None and clone.base is not None:
-        iris = iris_of(clone.fit.values, clone.base)
+    if isinstance(clone, Fitted):
         found |= {
-            "lamps_found": needed(clone.lighting).found,
+            "lamps_found": clone.lighting.found,
             "thickness_response": clone.response,
-            "estimate": {n: clone.fit.values[n] for n in clone.fit.values}
-            | concentrations_of(iris),
-            "units": UNITS,
+            "estimate": clone.fit.values
+            | concentrations_of(iris_of_concentrations(clone.fit.values, clone.base)),
+            "units": PIGMENT_UNITS,
             "windows_rms": clone.fit.rms.tolist(),
             "steps": clone.fit.steps,
             "converged": clone.fit.converged,
         }
-    if clone.posterior is not None:
+    if isinstance(clone, Sampled):
         chains = clone.posterior.chains
-        effective = min(chains.ess_bulk.min(), chains.ess_tail.min())
         found |= {
             "posterior": {
                 name: {
@@ -162,7 +135,7 @@ def summary_of(clone: Clone, settings: Mapping[str, Any], timings: Mapping[str, 
                     "q2.5": e.low,
                     "q97.5": e.high,
                     "contraction": e.contraction,
-                    "unit": UNITS[name],
+                    "unit": PIGMENT_UNITS[name],
                 }
                 for name, e in clone.posterior.estimates.items()
             },
@@ -172,18 +145,45 @@ def summary_of(clone: Clone, settings: Mapping[str, Any], timings: Mapping[str, 
                 "steps": chains.steps,
                 "autocorrelation_steps": float(np.max(chains.tau)),
                 "r_hat": float(np.max(chains.rhat)),
-                "effective_samples": effective,
+                "effective_samples": min(chains.ess_bulk.min(), chains.ess_tail.min()),
             },
         }
     return found | {"seconds": dict(timings)}
 
 
-def scene_text(clone: Clone, maps: str = "maps.exr") -> str:
-    """A scene file of the eye as it was photographed; `maps` is the name of the file of maps."""
+def _pose(pose: Pose) -> dict[str, Any]:
+    """Camera and eye as entries of `clone.json`."""
+    eye, (mean, spread) = pose.eye, limbus_spread()
+    return {
+        "tilt_deg": math.degrees(pose.tilt),
+        "tilt_sd_deg": math.degrees(pose.tilt_sd),
+        "tilt_95_deg": [math.degrees(t) for t in pose.tilt_interval],
+        "azimuth_deg": math.degrees(float(pose.camera.azimuth)),
+        "side_from": pose.side,
+        "distance_mm": pose.distance,
+        "distance_sd_mm": None if pose.distance is None else pose.distance * spread / mean,
+        "lengths": {
+            "limbus_radius_mm": float(eye.limbus_radius),
+            "limbus_width_mm": float(eye.limbus_width),
+            "mean_of_461_people_mm": mean,
+            "relative_sd": spread / mean,
+            "meaning": "every length is in proportion to the limbus's radius, which is assumed",
+        },
+        "pupil_radius_mm": float(eye.pupil_radius),
+        "pupil_margin_mm": float(eye.pupil_margin),
+        "iris_radius_mm": float(eye.iris_radius),
+        "pupil_centre_mm": list(pose.pupil_centre),
+        "iris_depth_mm": float(eye.iris_depth),
+    }
+
+
+def scene_text(clone: Fitted) -> str:
+    """Return a scene file of the eye as it was photographed."""
     scene = clone.scene()
     eye, camera, iris, lights = scene.eye, scene.camera, scene.tissue, scene.lights
-    cornea = needed(eye.cornea)
-    exposure = float(np.clip(needed(clone.exposure)[1], 1e-6, 1e6))
+    cornea = eye.cornea
+    assert cornea is not None
+    exposure = float(np.clip(clone.exposure[1], 1e-6, 1e6))
     rows = [
         f"# {_REMARK}: {clone.photograph.name}",
         "[iris]",
@@ -201,7 +201,7 @@ def scene_text(clone: Clone, maps: str = "maps.exr") -> str:
         ),
         "",
         "[maps]",
-        f"file = {json.dumps(maps)}",
+        'file = "maps.exr"',
         "",
         "[eye]",
         f"cornea = {json.dumps('f09' if cornea.posterior is None else 'two-surfaces')}",
@@ -219,7 +219,7 @@ def scene_text(clone: Clone, maps: str = "maps.exr") -> str:
         "",
         "[picture]",
         f"exposure = {_number(exposure)}",
-        f'integrator = "{_integrator(clone)}"',
+        f'integrator = "{integrator_name(clone.integrator)}"',
     ]
     if (around := scene.environment) is not None:
         kind = 'kind = "uniform"', f"strength = {_number(around.radiance[0, 0, 0])}"
@@ -243,21 +243,8 @@ def _is_uniform(around: Environment) -> bool:
     return float(np.ptp(np.asarray(around.radiance))) == 0
 
 
-def _integrator(clone: Clone) -> str:
-    from irisjax.render.integrators import integrator_name
-
-    return integrator_name(clone.integrator)
-
-
 def _number(value) -> str:
     return repr(float(f"{float(value):.{_SHORT}g}"))
-
-
-def _log(clone: Clone) -> str:
-    log = needed(clone.fit).log
-    rows = [",".join(log[0])]
-    rows += [",".join(f"{value:.6g}" for value in row.values()) for row in log]
-    return "\n".join(rows) + "\n"
 
 
 def _ellipse(outline: Ellipse) -> dict[str, Any]:
@@ -283,7 +270,7 @@ def _json(values: Mapping[str, Any]) -> bytes:
 
 
 def _plain(value):
-    """Numbers of few digits, and `null` for those that are none."""
+    """Numbers of few digits, and `null` for infinite and undefined ones."""
     if isinstance(value, Mapping):
         return {str(k): _plain(v) for k, v in value.items()}
     if isinstance(value, list | tuple):

@@ -1,4 +1,4 @@
-"""Photographs in: JPEG, PNG, TIFF, OpenEXR and cameras' raw files, as pixels in proportion to
+"""Read photographs: JPEG, PNG, TIFF, OpenEXR and cameras' raw files, as pixels in proportion to
 light.
 """
 
@@ -20,12 +20,12 @@ if TYPE_CHECKING:
     import OpenImageIO
 
 PHOTOGRAPHS = (".jpg", ".jpeg", ".png", ".tif", ".tiff", ".exr")
-"""Kinds of photograph that can be read besides `camera.RAW`."""
+"""Suffixes of photographs that can be read besides `camera.RAW`."""
 
 MOST_PIXELS = 100_000_000
-"""Larger pictures are refused before their pixels are decoded."""
+"""Number of pixels above which a picture is refused before it is decoded."""
 LEAST_SIDE = 64
-"""Pixels along the shorter side."""
+"""Least number of pixels along the shorter side."""
 
 _SATURATED = 0.995  # of the largest value a file can hold
 _SMALL = 1e-3  # negative values of this size are a resampling filter's or a sensor's noise
@@ -37,20 +37,20 @@ _ENCODINGS = ("", "srgb_rec709_scene", "srgb_rec709_display", "sRGB", "lin_rec70
 
 
 def read_photograph(path: str | Path) -> Photograph:
-    """Read a photograph; pixels are linear float32 on sRGB's primaries, upright as Exif says.
+    """Read a photograph; pixels are linear float32 on sRGB's primaries, upright according to Exif.
 
-    - JPEG, PNG and TIFF of 8 or 16 bits are decoded by their embedded ICC profile, else as sRGB.
-    - OpenEXR, and TIFF of floating point, are taken as linear; they have no largest value, so none
-        of their pixels counts as saturated. Where their brightest pixels are far from 1 all are
-        divided by these.
-    - Camera raw files need `rawpy` (`irisjax[raw]`) and have the camera's white balance.
+    JPEG, PNG and TIFF of 8 or 16 bits are decoded by their embedded ICC profile, or else as sRGB.
+    OpenEXR, and TIFF of floating point, are taken as linear; they have no largest value, so none of
+    their pixels counts as saturated. If their brightest pixels are far from 1, all are divided by
+    these. Camera raw files need `rawpy` (`irisjax[raw]`) and get the camera's white balance. Of a
+    file with several pictures the first is read. Transparency is ignored. The notes of the result
+    name every assumption. Colours outside sRGB have negative components.
 
-    Of a file of several pictures the first is read. Transparency is left out. The notes of the
-    result name what was assumed. Colours outside sRGB have negative components.
-
-    **Raises:** `ValueError` for another suffix, a broken or truncated file, more than `MOST_PIXELS`
-    or fewer than `LEAST_SIDE` pixels along a side, CMYK, layered channels, values that are not
-    finite, and raw files without `rawpy`; `OSError` for a file that cannot be opened.
+    Raises:
+        ValueError: For another suffix, a broken or truncated file, more than `MOST_PIXELS` pixels
+            or fewer than `LEAST_SIDE` along a side, CMYK, layered channels, values that are not
+            finite, and raw files without `rawpy`.
+        OSError: If the file cannot be opened.
     """
     suffix, name = Path(path).suffix.lower(), Path(path).name
     if suffix in RAW:
@@ -124,7 +124,7 @@ def _colour_channels(spec: "OpenImageIO.ImageSpec") -> list[int] | None:
 
 
 def _colours(values: np.ndarray, spec: "OpenImageIO.ImageSpec", notes: list[str]) -> np.ndarray:
-    """Without alpha, and the note that there was some."""
+    """Values without alpha; a note is added if there was some."""
     chosen = _colour_channels(spec)
     assert chosen is not None, "checked with the header"
     if "A" in spec.channelnames:
@@ -178,7 +178,7 @@ def _to_unit(path: str | Path, pixels: np.ndarray, notes: list[str]) -> np.ndarr
 
 
 def _settle_negatives(path: str | Path, pixels: np.ndarray, notes: list[str]) -> None:
-    """Small negative values to 0, in place; larger ones are colours beyond sRGB and stay."""
+    """Set small negative values to 0, in place; larger ones are colours outside sRGB and stay."""
     if pixels.min() >= 0:
         return
     small = (pixels < 0) & (pixels >= -_SMALL)
@@ -190,12 +190,12 @@ def _settle_negatives(path: str | Path, pixels: np.ndarray, notes: list[str]) ->
 
 
 def _any(of: np.ndarray) -> np.ndarray:
-    """Over the channels; NumPy's own reduction of three is five times slower."""
+    """Reduce over the channels: NumPy's own reduction over three is five times slower."""
     return reduce(np.logical_or, np.moveaxis(of, -1, 0))
 
 
 def _is_grey(values: np.ndarray) -> bool:
-    """Whether the channels are one, within a step of 8 bits, wherever one looks."""
+    """Whether the channels are equal, within a step of 8 bits, everywhere."""
     if values.shape[2] == 1:
         return True
     step = 1 if values.dtype == np.uint8 else 257 if values.dtype == np.uint16 else 1 / 255
@@ -210,7 +210,7 @@ def _is_grey(values: np.ndarray) -> bool:
 
 
 def _several(path: str | Path, suffix: str) -> bool:
-    """Whether a PNG is animated or a JPEG carries more pictures, which OpenImageIO does not say."""
+    """Whether a PNG is animated or a JPEG has more pictures, which OpenImageIO does not report."""
     from PIL import Image
 
     if suffix in (".exr", ".tif", ".tiff"):

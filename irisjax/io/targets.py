@@ -7,12 +7,11 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from irisjax.io.clone_folders import check_summary
-from irisjax.io.clones import UNREFRACTED, VISIBLE
+from irisjax.io.clones import UNREFRACTED_PICTURE, VISIBLE_MASK
 from irisjax.io.images import READABLE, read_image
 from irisjax.io.scenes import read_scene
 from irisjax.ocularist.bridge import reflectance_of
-from irisjax.photo.polar import SHAPE, to_polar
-from irisjax.photo.unrefracted import HALF_WIDTH
+from irisjax.photo.texture import HALF_WIDTH, MAP_SHAPE, to_polar
 from irisjax.render.integrators import integrator_name
 from irisjax.render.radiative import RadiativeIntegrator
 from irisjax.render.separable import Separable
@@ -66,13 +65,13 @@ def read_target(path: str | Path, pupil: float) -> Target:
 def _of_clone(folder: Path) -> Target:
     summary = check_summary(folder)
     names = "pupil_radius_mm", "iris_radius_mm"
-    if not {*names} <= summary.keys() or not (folder / VISIBLE).exists():
+    if not {*names} <= summary.keys() or not (folder / VISIBLE_MASK).exists():
         raise ValueError(
-            f"{folder}: the clone has no {VISIBLE}, it was stopped before its texture or is an "
-            "older one; run irisjax clone again"
+            f"{folder}: the clone has no {VISIBLE_MASK}, it was stopped before its texture or is "
+            "an older one; run irisjax clone again"
         )
-    pixels = read_image(folder / UNREFRACTED, decode=True).pixels
-    shown = read_image(folder / VISIBLE).pixels[..., 0]
+    pixels = read_image(folder / UNREFRACTED_PICTURE, decode=True).pixels
+    shown = read_image(folder / VISIBLE_MASK).pixels[..., 0]
     inner, outer = (float(summary[name]) for name in names)
     return _unrolled(folder.resolve().name, pixels, shown > 0.5, inner, outer)
 
@@ -90,7 +89,7 @@ def _of_scene(path: Path) -> Target:
     chosen = None if isinstance(integrator, Separable) else integrator
     found = np.asarray(reflectance_of(scene.tissue, scene.maps, scene.eye, chosen))
     if scene.maps is None:
-        found = np.broadcast_to(found[:1, :1], (*SHAPE, 3))
+        found = np.broadcast_to(found[:1, :1], (*MAP_SHAPE, 3))
     eye = scene.eye
     pupil = float(eye.pupil_radius / eye.iris_radius)
     return Target(path.name, file.exposure * found, np.ones(found.shape[:2], bool), pupil)
@@ -113,12 +112,12 @@ def _of_picture(path: Path, pupil: float) -> Target:
 
 def _unrolled(name: str, pixels, shown, inner: float, outer: float) -> Target:
     """Means of what is shown over polar cells; radii in mm, the picture 2 `HALF_WIDTH` wide."""
-    share = to_polar(shown.astype(float), inner, outer, SHAPE)
+    share = to_polar(shown.astype(float), inner, outer, MAP_SHAPE)
     known = share > _WHOLE
     if not known.any():
         raise ValueError(f"{name}: nothing of the iris is visible")
     cells = [
-        to_polar(np.where(shown, c, 0), inner, outer, SHAPE) for c in np.moveaxis(pixels, 2, 0)
+        to_polar(np.where(shown, c, 0), inner, outer, MAP_SHAPE) for c in np.moveaxis(pixels, 2, 0)
     ]
     texture = np.stack(cells, -1) / np.where(known, share, 1)[..., None]
     count = known.sum(0)

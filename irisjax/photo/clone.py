@@ -1,98 +1,373 @@
-"""A photograph turned into an iris, stage by stage  [F09 Figs. 4, 5].
+"""An iris cloned from a photograph, stage by stage  [F09 Figs. 4, 5].
 
-Outlines, pose, the iris laid flat, its thickness, its pigments: each stage is a function of those
-before, and what it found can be replaced by the user's own.
+`Outlined → Posed → Flat → Shaped → Lit → Fitted → Sampled`: each stage has the fields of the one
+before and is made from it by one function. What a stage would find can be given by the user.
 """
 
 import dataclasses
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, nullcontext
-from functools import partial
-from typing import Any, cast
+from dataclasses import dataclass
+from typing import Any, NamedTuple, cast
 
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float
+from scipy import optimize
 
+from irisjax._types import PRNGKey
 from irisjax.anatomy.eye import Cornea, Eye
-from irisjax.photo.average import TURNS, average_maps
-from irisjax.photo.blur import width_by_rendering
-from irisjax.photo.boundaries import Boundaries, find_boundaries
-from irisjax.photo.cloned import NOTHING, Clone, Given, Settings, needed
-from irisjax.photo.finer import with_finer_thickness
-from irisjax.photo.lamps import Lighting, find_lighting, light_at
-from irisjax.photo.mirrored_face import find_mirrored_face
-from irisjax.photo.morphology import maps_of
-from irisjax.photo.part import part_of
-from irisjax.photo.photograph import Photograph
-from irisjax.photo.pigments import exposures_for, least_squares, simplex
-from irisjax.photo.polar import from_polar
+from irisjax.measure.colour import srgb_encode
+from irisjax.numerics.checks import Range
+from irisjax.photo.light import Lighting, find_lighting, light_at, light_tangent, shade_on
+from irisjax.photo.masks import find_mirrored_face, part_of, pixels_shown
+from irisjax.photo.outlines import Boundaries, find_boundaries
+from irisjax.photo.photograph import Ellipse, Photograph
+from irisjax.photo.pigments import (
+    FREE_NAMES,
+    PigmentFit,
+    exposures_for,
+    fit_pigments,
+    iris_of_concentrations,
+    misfits,
+    parameter_values,
+    simplex,
+)
 from irisjax.photo.pose import Pose, find_pose
-from irisjax.photo.posterior import sample
-from irisjax.photo.refraction import SIZE, follow, unrefract
-from irisjax.photo.second import second_of
-from irisjax.photo.thickness import BETA, SIGMA
-from irisjax.photo.visible import pixels_shown
-from irisjax.photo.window_pixels import WindowPixels, choose_pixels, iris_alone
-from irisjax.photo.windows import Windows, windows_of
+from irisjax.photo.posterior import PigmentPosterior, sample_pigments
+from irisjax.photo.register import SecondPhotograph, lay_on_first
+from irisjax.photo.texture import (
+    LUMINANCE_WEIGHTS,
+    TEXTURE_SIZE,
+    Refraction,
+    Unrefracted,
+    follow_refraction,
+    from_polar,
+    to_polar,
+    unrefract,
+)
+from irisjax.photo.thickness import BETA, SIGMA, Darkness, Morphology, generic_thickness, shape_maps
+from irisjax.photo.windows import (
+    TURNS,
+    WindowPixels,
+    Windows,
+    average_maps,
+    choose_pixels,
+    iris_alone,
+    windows_of,
+)
 from irisjax.render.environment import Environment
 from irisjax.render.illumination import Illumination
-from irisjax.render.project import onto_picture
+from irisjax.render.lights import Lights
+from irisjax.render.project import View, onto_picture
+from irisjax.render.radiative import RadiativeIntegrator
 from irisjax.render.scene import Scene
 from irisjax.render.separable import Separable
-from irisjax.render.stages import look
+from irisjax.render.stages import Memory, look
 from irisjax.tissue.iris import Iris
 from irisjax.tissue.maps import IrisMaps
 from irisjax.transport.ilit.exact import IlitExact
 
 STAGES = ("outlines", "pose", "texture", "thickness", "pigments", "posterior")
-"""In their order."""
+"""Names of the stages in their order; `"pigments"` stands for `Lit` and `Fitted`."""
 MEDIA = ("cornea-aqueous", "f09")
 METHODS = ("least-squares", "simplex")
 SOLVER_ANGLES = 12
-"""Of ILIT's solver where pigments are sought: radiances are within 5e-5 of those of a picture."""
+"""Quadrature angles of ILIT's solver during the search for the pigments: its radiances are within
+5e-5 of those of a picture.
+"""
 FIBRILS = 57.0
-"""Radius of the stroma's fibrils (nm) that colours begin with: between those of the presets'
-blue and brown eyes. Its scattering is free within a factor."""
+"""Radius of the stroma's fibrils during the search (nm), between those of the presets' blue and
+brown eyes. The strength of their scattering is a free factor.
+"""
+BLUR_WIDTHS = Range(0.05, 2.0, "mm")
+"""Widths of the deconvolution among which the best one is searched."""
+_BLUR_STEPS, _BLUR_TOLERANCE = 7, 0.1  # number of first trials; tolerance of the logarithm
+
+_Pixels = Float[np.ndarray, "rows columns 3"]
+_Mask = Bool[np.ndarray, "rows columns"]
 
 
-def clone(
+class CloneSettings(NamedTuple):
+    """Model and method of a clone.
+
+    Attributes:
+        media: `"f09"` gives cornea and chamber one refractive index, 1.376 [F09 Section 4.1.1].
+        iris_depth: Distance of the iris behind the corneal apex, mm.
+        focal_px: Focal length in pixels, in place of the photograph's own.
+        azimuth: Azimuth of the camera (radians), if it is known to which side the eye is tilted.
+        sigma: Width of the deconvolution (mm) with `beta`; `None` chooses the one with which the
+            rendering is nearest to the photograph.
+        beta: β of Eq. 7 (mm); `None` takes the model's own response of brightness to thickness.
+        relief: Share of the stroma's unevenness that stands out towards the cornea, 0 to 1. Its
+            shading is removed before the thickness is estimated, and the clone has that relief.
+        method: Search for the pigments, one of `METHODS`.
+        integrator: Model of light in the iris.
+        steps: Most steps of the posterior's chain.
+    """
+
+    media: str = "cornea-aqueous"
+    iris_depth: float = 3.6
+    focal_px: float | None = None
+    azimuth: float | None = None
+    sigma: float | None = 0.5
+    beta: float | None = None
+    relief: float = 0.0
+    method: str = "least-squares"
+    integrator: Separable | RadiativeIntegrator = Separable()
+    steps: int = 8000
+
+
+class Given(NamedTuple):
+    """What the user gives in place of a stage's own result; `None` leaves it to the stage.
+
+    Attributes:
+        limbus: Outline of the limbus in pixels of the photograph.
+        pupil: Outline of the pupil as it appears through the cornea.
+        lights: Lamps, in place of those inferred from highlights.
+        environment: Surroundings that light the eye.
+        freckles: Mask of texels that belong to freckles.
+        visible: Mask of texels that show the iris, in place of the search for lids, lashes and
+            highlights.
+        maps: Maps with the stroma's thickness, which the clone keeps.
+        second: A photograph of the same eye, for example through crossed polarisers. Its texture
+            gives the thickness; pigments and light are inferred from the first photograph.
+    """
+
+    limbus: Ellipse | None = None
+    pupil: Ellipse | None = None
+    lights: Lights | None = None
+    environment: Environment | None = None
+    freckles: Bool[np.ndarray, "size size"] | None = None
+    visible: Bool[np.ndarray, "size size"] | None = None
+    maps: IrisMaps | None = None
+    second: Photograph | None = None
+
+
+NOTHING = Given()
+"""Nothing is given: every stage finds its own result."""
+
+
+@dataclass(frozen=True)
+class Outlined:
+    """Stage 1: the outlines of limbus and pupil, in pixels of the photograph."""
+
+    photograph: Photograph
+    boundaries: Boundaries
+
+
+@dataclass(frozen=True)
+class Posed(Outlined):
+    """Stage 2: the camera, and the part of the photograph that it sees.
+
+    Attributes:
+        pose: Camera and eye, in pixels of `part`.
+        view: What the camera sees of the eye.
+        part: Linear pixels of the camera's picture.
+        clear: Pixels of `part` that show the iris and nothing in front of it.
+        lids: Whether lids hide some of the iris.
+        second: The second photograph on the pixels of `part`.
+        reduction: Pixels of the photograph along each side of one pixel of `part`.
+        corner: Column and row in the photograph of the first pixel of `part`.
+    """
+
+    pose: Pose
+    view: View
+    part: _Pixels
+    clear: _Mask
+    lids: bool
+    second: SecondPhotograph | None
+    reduction: int
+    corner: tuple[int, int]
+
+
+@dataclass(frozen=True)
+class Flat(Posed):
+    """Stage 3: the iris laid flat; `refraction` says where its texels appear in `part`."""
+
+    refraction: Refraction
+    texture: Unrefracted
+
+
+@dataclass(frozen=True)
+class Shaped(Flat):
+    """Stage 4: freckles and the stroma's thickness, at first by Eq. 7."""
+
+    morphology: Morphology
+
+
+@dataclass(frozen=True)
+class Lit(Shaped):
+    """Stage 5: the light of the photograph, and its `tables` on the iris."""
+
+    lighting: Lighting
+    tables: Illumination | None
+
+
+@dataclass(frozen=True)
+class Fitted(Lit):
+    """Stage 6: the pigments.
+
+    Attributes:
+        windows: Windows of an average iris (or of the given maps), whose colours are fitted.
+        base: Iris that fixes everything but melanins and scattering.
+        fit: The best pigments and camera.
+        integrator: Model of light in the iris.
+        response: d ln luminance / d ln thickness with which the thickness was estimated; `None` if
+            it comes from Eq. 7 or was given.
+        exposure: Exposures of the three channels with which a picture of the clone is as bright as
+            the photograph. The posterior's exposure is that of an iris with an average relief.
+    """
+
+    windows: Windows
+    base: Iris
+    fit: PigmentFit
+    integrator: Separable | RadiativeIntegrator
+    response: float | None
+    exposure: Float[np.ndarray, "3"]
+
+    def iris(self) -> Iris:
+        """Return the iris of the fitted pigments."""
+        values = {name: jnp.asarray(value) for name, value in self.fit.values.items()}
+        return iris_of_concentrations(values, self.base)
+
+    def scene(self) -> Scene:
+        """Return the eye as it was photographed: the same camera, light and pigments."""
+        around = self.lighting.environment
+        if self.lighting.room:
+            around = Environment.uniform(self.fit.values["room"])
+        return Scene(
+            self.iris(),
+            self.morphology.maps,
+            eye=self.pose.eye,
+            lights=self.lighting.lamps,
+            environment=around,
+            camera=self.pose.camera,
+            integrator=self.integrator,
+        )
+
+
+@dataclass(frozen=True)
+class Sampled(Fitted):
+    """Stage 7: the posterior of the pigments."""
+
+    posterior: PigmentPosterior
+
+
+class PictureDifference(NamedTuple):
+    """Photograph and rendering through one camera.
+
+    Attributes:
+        photograph: sRGB-encoded, its exposure, white balance and contrast removed and the fitted
+            exposure applied.
+        rendered: sRGB-encoded picture of the clone.
+        clear: Pixels that are compared: those of the iris that nothing hides.
+        rms: Root mean square of the differences per channel, of the full range.
+    """
+
+    photograph: _Pixels
+    rendered: _Pixels
+    clear: _Mask
+    rms: Float[np.ndarray, "3"]
+
+    def arc(
+        self, clone: Flat, radius: float, count: int = 720
+    ) -> tuple[
+        Float[np.ndarray, " count"], Float[np.ndarray, " count"], Float[np.ndarray, " count"]
+    ]:
+        """Return the encoded luminance of both pictures on an arc of the iris.
+
+        Args:
+            clone: The clone whose pictures these are.
+            radius: Distance of the arc from the eye's axis, mm.
+            count: Number of places along it.
+
+        Returns:
+            Angles (degrees), and the luminance in the photograph and in the rendering; NaN where a
+            pixel is not clear.
+        """
+        size, texel = len(clone.texture.valid), clone.texture.millimetres_per_texel
+        angle, middle = np.arange(count) * (2 * np.pi / count), size / 2 - 0.5
+        column = np.rint(middle + radius * np.cos(angle) / texel).astype(int)
+        row = np.rint(middle - radius * np.sin(angle) / texel).astype(int)
+        there = clone.refraction.pixels((row, column), self.clear.shape)
+        photograph, rendered = (
+            np.where(self.clear[there], picture[there] @ LUMINANCE_WEIGHTS, np.nan)
+            for picture in (self.photograph, self.rendered)
+        )
+        return np.degrees(angle), photograph, rendered
+
+
+def clone_eye(
     photograph: Photograph,
-    settings: Settings,
+    settings: CloneSettings,
     given: Given = NOTHING,
     *,
     last: str = STAGES[-1],
     stage: Callable[[str], AbstractContextManager[Any]] = lambda name: nullcontext(),
     tables: Callable[[Scene], Illumination | None] = Scene.tables,
-) -> Iterator[Clone]:
-    """Run the stages up to `last`; what is known after each is yielded.
+    key: PRNGKey,
+) -> Iterator[Outlined]:
+    """Run the stages up to `last` and yield the result of each.
 
     Args:
-        photograph: Linear; of `io.read_photograph`.
-        settings: What a clone is made with.
-        given: In place of what stages would find.
-        last: Name of the last stage.
-        stage: Is entered with a stage's name for as long as it takes.
-        tables: Makes the tables of light on the iris, or has them from a file.
+        photograph: A linear photograph, of `io.read_photograph`.
+        settings: Model and method.
+        given: What replaces the stages' own results.
+        last: Name of the last stage, one of `STAGES`.
+        stage: Makes a context that is entered with a stage's name while that stage runs.
+        tables: Makes the tables of light on the iris, or reads them from a file.
+        key: Key of the posterior's random numbers.
 
     Raises:
-        ValueError: If a stage finds nothing, in one line.
+        ValueError: If a stage finds nothing, with a message of one line, and for unknown names.
     """
     check_names(settings, last)
-    with stage(STAGES[0]):
-        found = Clone(photograph, find_boundaries(photograph, given.limbus, given.pupil))
-    yield found
-    pigments = partial(_with_pigments, tables=tables)
-    steps = (_posed, _flat, _with_thickness, pigments, _sampled)
-    for name, step in zip(STAGES[1:], steps, strict=True):
-        if STAGES.index(name) > STAGES.index(last):
-            return
-        with stage(name):
-            found = step(found, settings, given)
-        yield found
+    count = STAGES.index(last)
+    with stage("outlines"):
+        outlined = outline_eye(photograph, given)
+    yield outlined
+    if count < STAGES.index("pose"):
+        return
+    with stage("pose"):
+        posed = pose_eye(outlined, settings, given)
+    yield posed
+    if count < STAGES.index("texture"):
+        return
+    with stage("texture"):
+        flat = flatten_iris(posed, given)
+    yield flat
+    if count < STAGES.index("thickness"):
+        return
+    with stage("thickness"):
+        shaped = shape_iris(flat, settings, given)
+    yield shaped
+    if count < STAGES.index("pigments"):
+        return
+    with stage("pigments"):
+        fitted = fit_clone(light_eye(shaped, given, tables), settings, given)
+    yield fitted
+    if count < STAGES.index("posterior"):
+        return
+    with stage("posterior"):
+        sampled = sample_clone(fitted, settings, key=key)
+    yield sampled
 
 
-def check_names(settings: Settings, last: str = STAGES[-1]) -> None:
+def clone_to_pigments(
+    photograph: Photograph,
+    settings: CloneSettings,
+    given: Given = NOTHING,
+    tables: Callable[[Scene], Illumination | None] = Scene.tables,
+) -> Fitted:
+    """Clone a photograph up to its pigments; arguments and errors as of `clone_eye`."""
+    check_names(settings)
+    posed = pose_eye(outline_eye(photograph, given), settings, given)
+    shaped = shape_iris(flatten_iris(posed, given), settings, given)
+    return fit_clone(light_eye(shaped, given, tables), settings, given)
+
+
+def check_names(settings: CloneSettings, last: str = STAGES[-1]) -> None:
     """Raise `ValueError` for media, methods and stages that do not exist."""
     for value, known, what in (
         (settings.media, MEDIA, "media"),
@@ -103,65 +378,27 @@ def check_names(settings: Settings, last: str = STAGES[-1]) -> None:
             raise ValueError(f"unknown {what} {value!r}; known: {', '.join(known)}")
 
 
-def _flat(found: Clone, settings: Settings, given: Given) -> Clone:
-    """With the iris laid flat."""
-    del settings
-    part, clear, pose = needed(found.part), needed(found.clear), needed(found.pose)
-    if found.second is not None:
-        part, clear = found.second.part, found.second.clear
-    if given.visible is not None:
-        clear = pixels_shown(needed(found.view), given.visible, clear.shape)
-        found = found._replace(clear=clear)
-    where = follow(pose, SIZE)
-    return found._replace(refraction=where, texture=unrefract(part, clear, pose, where))
+def outline_eye(photograph: Photograph, given: Given = NOTHING) -> Outlined:
+    """Find the outlines of limbus and pupil."""
+    return Outlined(photograph, find_boundaries(photograph, given.limbus, given.pupil))
 
 
-def _with_thickness(found: Clone, settings: Settings, given: Given) -> Clone:
-    """With a coarse thickness by Eq. 7."""
-    beta = BETA if settings.beta is None else settings.beta
-    texture = needed(found.texture)
-    sigma = SIGMA if settings.sigma is None else settings.sigma
-    shape = maps_of(texture, given.freckles, sigma_mm=sigma, beta=beta)
-    if given.maps is not None:
-        if (depth := given.maps.stroma_depth) is None:
-            raise ValueError("the maps that are given have no thickness of the stroma")
-        rim = texture.pupil_radius, texture.iris_radius
-        there = from_polar(np.asarray(depth), texture.radius(), texture.angle(), *rim)
-        shape = shape._replace(maps=given.maps, thickness=there, clamped=0)
-    return found._replace(morphology=shape)
-
-
-def _sampled(found: Clone, settings: Settings, given: Given) -> Clone:
-    """With a posterior of its pigments."""
-    del given
-    known = needed(found.windows), needed(found.base), needed(found.fit)
-    return found._replace(posterior=sample(*known, max_steps=settings.steps, seed=settings.seed))
-
-
-def eye_of(settings: Settings) -> Eye:
-    """The eye of these media and this depth, its pupil not yet known."""
-    depth = cast(Any, settings.iris_depth)
-    if settings.media == "f09":
-        return Eye(cornea=Cornea.f09(), aqueous_index=cast(Any, 1.376), iris_depth=depth)
-    return Eye(iris_depth=depth)
-
-
-def _posed(found: Clone, settings: Settings, given: Given) -> Clone:
-    """With the camera, and the part of the photograph that it sees."""
-    eye = eye_of(settings)
-    photograph, limbus, pupil = found.photograph, found.boundaries.limbus, found.boundaries.pupil
+def pose_eye(outlined: Outlined, settings: CloneSettings, given: Given = NOTHING) -> Posed:
+    """Find the camera, and cut out the part of the photograph that it sees."""
+    photograph, boundaries = outlined.photograph, outlined.boundaries
     focal = photograph.focal_px if settings.focal_px is None else settings.focal_px
-    part = part_of(photograph, limbus)
-    lids = part.lids(part.moved(pupil))
-    clear = part.clear(part.moved(pupil), lids)
+    part = part_of(photograph, boundaries.limbus)
+    pupil = part.moved(boundaries.pupil)
+    lids = part.lids(pupil)
+    clear = part.clear(pupil, lids)
     pose = find_pose(
         part.limbus,
-        part.moved(pupil),
-        eye,
+        pupil,
+        eye_model(settings),
         focal_px=None if focal is None else focal / part.reduction,
         azimuth=settings.azimuth,
     )
-    pose = pose._replace(eye=_with_widths(pose, found.boundaries))
+    pose = pose._replace(eye=_with_soft_edges(pose, boundaries))
     x, y = pose.corner
     rows, columns = pose.camera.shape
     if min(x, y) < 0 or y + rows > len(clear) or x + columns > len(clear):
@@ -173,23 +410,180 @@ def _posed(found: Clone, settings: Settings, given: Given) -> Clone:
     if lids.any():
         around = part.outside[cut], part.limbus.moved(-x, -y)
         clear = clear & ~find_mirrored_face(pixels, *around, view.mirror)
-    found = found._replace(
+    second = None
+    if given.second is not None:
+        second = lay_on_first(given.second, photograph, boundaries.limbus, boundaries.pupil, cut)
+    corner = part.corner[0] + x * part.reduction, part.corner[1] + y * part.reduction
+    return Posed(
+        **vars(outlined),
         pose=pose,
         view=view,
         part=pixels,
         clear=clear,
         lids=bool(lids.any()),
+        second=second,
         reduction=part.reduction,
-        corner=(part.corner[0] + x * part.reduction, part.corner[1] + y * part.reduction),
+        corner=corner,
     )
-    if given.second is None:
-        return found
-    return found._replace(second=second_of(given.second, photograph, limbus, pupil, cut))
 
 
-def _with_widths(pose: Pose, outlines: Boundaries) -> Eye:
-    """The eye with edges as soft as the outlines; a pixel of the camera at least, as the picture is
-    of points.
+def flatten_iris(posed: Posed, given: Given = NOTHING) -> Flat:
+    """Lay the iris flat; the texture comes from the second photograph if there is one."""
+    part, clear = posed.part, posed.clear
+    if posed.second is not None:
+        part, clear = posed.second.part, posed.second.clear
+    if given.visible is not None:
+        clear = pixels_shown(posed.view, given.visible, clear.shape)
+        posed = dataclasses.replace(posed, clear=clear)
+    refraction = follow_refraction(posed.pose, TEXTURE_SIZE)
+    texture = unrefract(part, clear, posed.pose, refraction)
+    return Flat(**vars(posed), refraction=refraction, texture=texture)
+
+
+def shape_iris(flat: Flat, settings: CloneSettings, given: Given = NOTHING) -> Shaped:
+    """Find freckles, and estimate the stroma's thickness by Eq. 7 or take that of the given maps.
+
+    Raises:
+        ValueError: If the given maps have no thickness of the stroma.
+    """
+    beta = BETA if settings.beta is None else settings.beta
+    sigma = SIGMA if settings.sigma is None else settings.sigma
+    texture = flat.texture
+    shape = shape_maps(texture, given.freckles, sigma_mm=sigma, beta=beta)
+    if given.maps is not None:
+        if (depth := given.maps.stroma_depth) is None:
+            raise ValueError("the maps that are given have no thickness of the stroma")
+        rim = texture.pupil_radius, texture.iris_radius
+        there = from_polar(np.asarray(depth), texture.radius(), texture.angle(), *rim)
+        shape = shape._replace(maps=given.maps, thickness=there, clamped=0)
+    return Shaped(**vars(flat), morphology=shape)
+
+
+def light_eye(
+    shaped: Shaped,
+    given: Given = NOTHING,
+    tables: Callable[[Scene], Illumination | None] = Scene.tables,
+) -> Lit:
+    """Infer the light from highlights, or take the given one, and tabulate it on the iris."""
+    pose = shaped.pose
+    if given.lights is None and given.environment is None:
+        light = find_lighting(shaped.part, pose, shaped.view)
+    else:
+        light = Lighting(given.lights, given.environment)
+    # Tables depend on the lowest light, and a room shines from all round.
+    around = Environment.uniform() if light.room else light.environment
+    scene = Scene(Iris(), eye=pose.eye, lights=light.lamps, environment=around)
+    return Lit(**vars(shaped), lighting=light, tables=tables(scene))
+
+
+def fit_clone(lit: Lit, settings: CloneSettings, given: Given = NOTHING) -> Fitted:
+    """Fit the pigments of an average iris, or of the given maps; then estimate the thickness by the
+    response of the model with these pigments  [F09 Fig. 10].
+    """
+    integrator = settings.integrator
+    clear = lit.clear & iris_alone(lit.pose) & ~_freckled(lit)
+    eye, environment = lit.pose.eye, lit.lighting.environment
+    chosen = choose_pixels(lit.part, clear, lit.view, eye, environment, _light_on_part(lit))
+    maps, turns = (average_maps(eye), TURNS) if given.maps is None else (given.maps, 1)
+    base = Iris(
+        fibril_radius=jnp.asarray(FIBRILS),
+        stroma_thickness=jnp.mean(jnp.asarray(maps.stroma_depth)),
+    )
+
+    def windows_with(maps: IrisMaps, turns: int = 1) -> Windows:
+        return _windows(lit, chosen, integrator, base, maps, turns)
+
+    windows = windows_with(maps, turns)
+    fit = simplex(windows, base) if settings.method == "simplex" else fit_pigments(windows, base)
+
+    def fitted(morphology: Morphology, shown: Windows, response: float | None = None) -> Fitted:
+        return Fitted(
+            **vars(dataclasses.replace(lit, morphology=morphology)),
+            windows=windows,
+            base=base,
+            fit=fit,
+            integrator=integrator,
+            response=response,
+            exposure=exposures_for(fit, shown, base),
+        )
+
+    if given.maps is not None:
+        return fitted(lit.morphology, windows)
+    if settings.beta is None:
+        shape, response = _thickness_by_model(lit, windows, base, fit, settings.relief)
+        return fitted(shape, windows_with(shape.maps), response)
+    if settings.sigma is not None:
+        return fitted(lit.morphology, windows_with(lit.morphology.maps))
+    beta, freckles = settings.beta, lit.morphology.freckles
+
+    def deconvolved(width: float) -> Fitted:
+        shape = shape_maps(lit.texture, freckles, sigma_mm=width, beta=beta)
+        return fitted(shape, windows_with(shape.maps))
+
+    return deconvolved(width_by_rendering(deconvolved))
+
+
+def sample_clone(fitted: Fitted, settings: CloneSettings, *, key: PRNGKey) -> Sampled:
+    """Sample the posterior of the pigments."""
+    posterior = sample_pigments(
+        fitted.windows, fitted.base, fitted.fit, max_steps=settings.steps, key=key
+    )
+    return Sampled(**vars(fitted), posterior=posterior)
+
+
+def eye_model(settings: CloneSettings) -> Eye:
+    """Return the eye with the media and the depth of the settings, its pupil not yet known."""
+    depth = cast(Any, settings.iris_depth)
+    if settings.media == "f09":
+        return Eye(cornea=Cornea.f09(), aqueous_index=cast(Any, 1.376), iris_depth=depth)
+    return Eye(iris_depth=depth)
+
+
+def compare_with_photograph(clone: Fitted, threads: int = 1) -> PictureDifference:
+    """Render a clone with its photograph's camera and compare the two."""
+    scene = clone.scene()
+    stage = (memory := Memory(threads)).prepare(scene, clone.tables, clone.view)
+    exposure = clone.exposure
+    rendered = exposure[1] * np.asarray(memory.shown(stage, stage.response(scene.tissue)))
+    # The model's camera records exposure × radiance^contrast.
+    radiance = np.maximum(clone.part / exposure, 0)
+    photograph = exposure[1] * radiance ** (1 / clone.fit.values["contrast"])
+    both = [np.clip(np.asarray(srgb_encode(p)), 0, 1) for p in (photograph, rendered)]
+    clear = clone.clear & iris_alone(clone.pose)
+    off = (both[0] - both[1])[clear]
+    return PictureDifference(both[0], both[1], clear, np.sqrt((off**2).mean(0)))
+
+
+def width_by_rendering(with_width: Callable[[float], Fitted]) -> float:
+    """Return the width of the deconvolution (mm) with which the picture is nearest to the
+    photograph, in root mean square over all channels  [F09 Section 4.2.1].
+
+    The best of seven widths is found first, then the best between its neighbours: where fibres are
+    finer than the blur, the difference is flat over most widths and has several minima.
+
+    Args:
+        with_width: Makes the clone whose thickness was deconvolved with a width.
+    """
+
+    def difference(logarithm: Any) -> float:
+        width = float(np.clip(np.exp(np.squeeze(logarithm)), BLUR_WIDTHS.low, BLUR_WIDTHS.high))
+        return float(np.sqrt((compare_with_photograph(with_width(width)).rms ** 2).mean()))
+
+    low, high = np.log([BLUR_WIDTHS.low, BLUR_WIDTHS.high])
+    trials = optimize.brute(difference, ((low, high),), Ns=_BLUR_STEPS, finish=None)
+    best, step = float(np.squeeze(trials)), (high - low) / (_BLUR_STEPS - 1)
+    found = optimize.minimize_scalar(
+        difference,
+        bounds=(max(best - step, low), min(best + step, high)),
+        method="bounded",
+        options={"xatol": _BLUR_TOLERANCE},
+    )
+    return float(np.exp(found.x if found.fun < difference(best) else best))
+
+
+def _with_soft_edges(pose: Pose, outlines: Boundaries) -> Eye:
+    """The eye with edges as soft as the outlines, and at least a pixel of the camera wide: a pixel
+    of a rendering samples a single point.
     """
     eye, pixel = pose.eye, float(pose.camera.width) / pose.camera.size[0]
     known = (
@@ -204,95 +598,71 @@ def _with_widths(pose: Pose, outlines: Boundaries) -> Eye:
     return eye.replace(**widths)
 
 
-def _with_pigments(
-    found: Clone,
-    settings: Settings,
-    given: Given,
-    tables: Callable[[Scene], Illumination | None],
-) -> Clone:
-    """Pigments of an average iris, or of one as thick as the given maps say; then thickness by what
-    the model makes of these pigments  [F09 Fig. 10]."""
-    pose, part = needed(found.pose), needed(found.part)
-    view = needed(found.view)
-    if given.lights is None and given.environment is None:
-        light = find_lighting(part, pose, view)
-    else:
-        light = Lighting(given.lights, given.environment)
-    # Tables depend on how low light stands, and that of a room comes from all round.
-    around = Environment.uniform() if light.room else light.environment
-    made = tables(Scene(Iris(), eye=pose.eye, lights=light.lamps, environment=around))
-    found = found._replace(lighting=light, tables=made, integrator=settings.integrator)
-    clear = needed(found.clear) & iris_alone(pose) & ~_freckled(found)
-    chosen = choose_pixels(part, clear, view, pose.eye, light.environment, _light_on(found))
-    found = _fitted(found, chosen, settings.method, given.maps)
-    base, fit, windows = needed(found.base), needed(found.fit), needed(found.windows)
-    if given.maps is None:
-        if settings.beta is None:
-            found = with_finer_thickness(found, settings)
-        elif settings.sigma is None:
-            found = _with_width(found, chosen, settings.beta)
-        windows = _windows(found, chosen, base, needed(found.morphology).maps)
-    return found._replace(exposure=exposures_for(fit, windows, base))
-
-
-def _light_on(found: Clone) -> Float[np.ndarray, "rows columns"] | None:
+def _light_on_part(lit: Lit) -> Float[np.ndarray, "rows columns"] | None:
     """Irradiance of the iris by lamps at each pixel of the part; not known where lids shade it."""
-    seen, pose = needed(found.view).iris, needed(found.pose)
-    if found.lids or seen is None:
+    seen = lit.view.iris
+    if lit.lids or seen is None:
         return None
     x, y = (np.asarray(c) for c in seen.point[:2])
-    lit = light_at(x, y, needed(found.lighting).lights(), pose.eye, found.tables)
-    return onto_picture(seen, lit, pose.camera.shape)
-
-
-def _with_width(found: Clone, chosen: WindowPixels, beta: float) -> Clone:
-    """With a thickness whose deconvolution makes the rendering most like the photograph."""
-    texture, base, fit = needed(found.texture), needed(found.base), needed(found.fit)
-    freckles = needed(found.morphology).freckles
-
-    def deconvolved(width: float) -> Clone:
-        shape = maps_of(texture, freckles, sigma_mm=width, beta=beta)
-        exposure = exposures_for(fit, _windows(found, chosen, base, shape.maps), base)
-        return found._replace(morphology=shape, exposure=exposure)
-
-    return deconvolved(width_by_rendering(deconvolved))
-
-
-def _fitted(found: Clone, chosen: WindowPixels, method: str, given: IrisMaps | None) -> Clone:
-    """With the pigments of an average iris, or of the given maps."""
-    if given is None:
-        maps, turns = average_maps(needed(found.pose).eye), TURNS
-    else:
-        maps, turns = given, 1
-    base = Iris(
-        fibril_radius=jnp.asarray(FIBRILS),
-        stroma_thickness=jnp.mean(jnp.asarray(maps.stroma_depth)),
-    )
-    windows = _windows(found, chosen, base, maps, turns)
-    fit = simplex(windows, base) if method == "simplex" else least_squares(windows, base)
-    return found._replace(windows=windows, base=base, fit=fit)
+    irradiance = light_at(x, y, lit.lighting.lights(), lit.pose.eye, lit.tables)
+    return onto_picture(seen, irradiance, lit.pose.camera.shape)
 
 
 def _windows(
-    found: Clone, chosen: WindowPixels, base: Iris, maps: IrisMaps, turns: int = 1
+    lit: Lit,
+    chosen: WindowPixels,
+    integrator: Separable | RadiativeIntegrator,
+    base: Iris,
+    maps: IrisMaps,
+    turns: int,
 ) -> Windows:
-    """Windows of some maps in the found light."""
-    light, integrator = needed(found.lighting), cast(Any, found.integrator)
+    """Windows of an iris with these maps in the light that was found."""
     if isinstance(integrator, Separable):
         integrator = dataclasses.replace(integrator, solver=IlitExact(SOLVER_ANGLES))
-    maps = maps.replace(freckles=None)
-    known = light.lights(), integrator, found.tables, light.room, turns
-    return windows_of(chosen, needed(found.pose).eye, base, maps, *known)
+    light = lit.lighting
+    known = light.lights(), integrator, lit.tables, light.room, turns
+    return windows_of(chosen, lit.pose.eye, base, maps.replace(freckles=None), *known)
 
 
-def _freckled(found: Clone) -> Bool[np.ndarray, "rows columns"]:
+def _freckled(flat: Shaped) -> _Mask:
     """Pixels of the part that show a freckle."""
-    mask = np.zeros_like(needed(found.clear))
-    freckles, where = needed(found.morphology).freckles, needed(found.refraction)
-    rows, columns = mask.shape
-    row, column = (
-        np.clip(np.rint(v[freckles]).astype(int), 0, n - 1)
-        for v, n in ((where.row, rows), (where.column, columns))
-    )
-    mask[row, column] = True
+    mask = np.zeros_like(flat.clear)
+    mask[flat.refraction.pixels(flat.morphology.freckles, mask.shape)] = True
     return mask
+
+
+def _thickness_by_model(
+    lit: Lit, windows: Windows, base: Iris, fit: PigmentFit, relief: float
+) -> tuple[Morphology, float]:
+    """Thickness by the model's response of luminance to thickness, and that response."""
+    eye, texture, freckles = lit.pose.eye, lit.texture, lit.morphology.freckles
+    iris = iris_of_concentrations({k: jnp.asarray(v) for k, v in fit.values.items()}, base)
+    usual = iris
+    if misfits(fit, windows):  # the fitted iris is not one to estimate the thickness with
+        usual = iris_of_concentrations(parameter_values(np.zeros(len(FREE_NAMES))), base)
+    response, lights = windows.thickness_response(usual), lit.lighting.lights()
+    shade, slopes, darkness = None, (0.0, 0.0), None
+    if lit.second is None:  # the light of a second photograph is not known
+        room = fit.values["room"] if lit.lighting.room else 0.0
+        shade = shade_on(texture, lights, room, eye, lit.tables)
+    if relief > 0:
+        x, y = light_tangent(lights, eye, lit.tables)
+        slopes = -relief * x, -relief * y
+    if freckles.any():
+        shares = np.linspace(0, 1, 21) ** 2
+        darkness = Darkness(shares, windows.freckle_response(iris, shares))
+    shape = shape_maps(
+        texture,
+        freckles,
+        sigma_mm=0.0,
+        response=response,
+        slopes=slopes,
+        shade=shade,
+        darkness=darkness,
+    )
+    if relief > 0:
+        height = relief * (shape.thickness - generic_thickness(texture.radius()))
+        heights = to_polar(height, texture.pupil_radius, texture.iris_radius)
+        maps = shape.maps.replace(relief=jnp.clip(jnp.asarray(heights), -1, 1))
+        shape = shape._replace(maps=maps)
+    return shape, response

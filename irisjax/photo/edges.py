@@ -1,4 +1,4 @@
-"""Edges along rays through an ellipse that rise outwards, and ellipses through such edges."""
+"""Dark rings and rising edges in a picture, and ellipses through such edges."""
 
 from collections.abc import Callable
 from itertools import product
@@ -7,25 +7,45 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 from PIL import Image
-from scipy import ndimage, optimize
+from scipy import fft, ndimage, optimize
 
-from irisjax.photo.ellipse import Ellipse
+from irisjax.photo.photograph import Ellipse
 
 FINE, ROUGH = 250.0, 100.0
 """Radii in pixels at which outlines are measured, and at which candidates are compared."""
 _RAYS = 180
-_FLANK = 0.04  # from the best score to the best fit
-_PRECISION = 0.005  # of an edge, of the radius
-_RATIOS = (1.0, 0.93, 0.86)
-"""Ratios of the semi-axes that are tried: down to a tilt of about 30 degrees."""
+_FLANK = 0.04  # distance from the best score within which the best fit is sought
+_PRECISION = 0.005  # of an edge, relative to the radius
+_RATIOS = (1.0, 0.93, 0.86)  # trial ratios of the semi-axes, for tilts up to about 30 degrees
+_RINGS = np.geomspace(20, 40, 9)[:-1]  # px: radii of one octave
+_WEAK = 0.05  # change of log brightness per pixel that has half the weight
+
+_Picture = Float[np.ndarray, "rows columns channels"]
+
+
+class DarkRing(NamedTuple):
+    """A circle in pixels that is darker inside than outside, and the mean of its votes, at most 1.
+
+    The votes are those of `find_rings`.
+    """
+
+    column: float
+    row: float
+    radius: float
+    votes: float
+
+    def circle(self) -> Ellipse:
+        """Return the circle as an ellipse."""
+        return Ellipse((self.column, self.row), (self.radius, self.radius))
 
 
 class Edges(NamedTuple):
-    """Steps along rays through an ellipse: arrays (rays, places) of `place`, relative to the
-    ellipse.
+    """Rising steps along rays through an ellipse.
 
-    - `fit`: the share of the brightness' variation that a rising step there explains, 0 to 1.
-    - `rise`: of the brightness. `place`: (places,).
+    Attributes:
+        place: Distances along a ray, relative to the ellipse.
+        fit: Share of the brightness' variation that a rising step there explains, 0 to 1.
+        rise: Height of the step in brightness.
     """
 
     place: Float[np.ndarray, " places"]
@@ -33,7 +53,7 @@ class Edges(NamedTuple):
     rise: Float[np.ndarray, "rays places"]
 
     def score(self) -> Float[np.ndarray, "rays places"]:
-        """How well the step fits, and how strong it is among those of its ray, 0 to 1."""
+        """Return how well a step fits and how strong it is among those of its ray, 0 to 1."""
         rise = np.maximum(self.rise, 0) * self.fit
         most = rise.max(1, keepdims=True)
         return self.fit**2 * np.sqrt(rise / (most + 0.1 * np.median(most) + 1e-9))
@@ -41,10 +61,10 @@ class Edges(NamedTuple):
     def strongest(
         self, near: float
     ) -> tuple[Float[np.ndarray, " rays"], Float[np.ndarray, " rays"]]:
-        """Of each ray the score and the place of the best edge within `near` of the ellipse.
+        """Return the score and the place of each ray's best edge within `near` of the ellipse.
 
-        The score says which edge; where it is, the fit alone, for a strong rise can also be had
-        from a step too far out with a line that falls behind it.
+        The score selects the edge. Its place is where the fit alone is best, for a step too far out
+        with a line that falls behind it can have a strong rise, too.
         """
         part = np.where(abs(self.place - 1) <= near, self.score(), 0.0)
         at, rays = part.argmax(1), np.arange(len(part))
@@ -55,15 +75,63 @@ class Edges(NamedTuple):
         below, here, above = (self.fit[rays, inner + k] for k in (-1, 0, 1))
         bend = np.maximum(2 * here - below - above, 1e-12)
         place = self.place[at] + pitch * np.clip(0.5 * (above - below) / bend, -0.5, 0.5)
-        # At an end of the range it is the flank of an edge elsewhere.
+        # A maximum at an end of the range is the flank of an edge elsewhere.
         flank = abs(abs(place - 1) - near) < 1.5 * pitch
         return np.where(flank, 0.0, value), place
 
 
-def reduced(
-    picture: Float[np.ndarray, "rows columns channels"], scale: float
+def find_rings(
+    brightness: Float[np.ndarray, "rows columns"],
+    radii: tuple[float, float],
+    number: int,
+    sideways: float = 0.0,
+) -> list[DarkRing]:
+    """Find circles that are dark inside and bright outside, by voting.
+
+    Daugman's integro-differential operator searches circles of the strongest radial change of
+    brightness. Here each pixel votes by the direction of its gradient alone, so that a highlight or
+    a burnt-out white counts no more than any other edge.
+
+    Args:
+        brightness: The picture; each octave of radii is searched in a copy in which they are 20 to
+            40 px.
+        radii: Smallest and largest radius, px.
+        number: Most rings of an octave.
+        sideways: By how much less the top and the bottom of a ring count, 0 to 1, because lids hide
+            them.
+
+    Returns:
+        The rings with the most votes, best first.
+    """
+    kept: list[DarkRing] = []
+    low, high = radii
+    while low < high:
+        found: list[DarkRing] = []
+        scale = min(_RINGS[0] / low, 1.0)
+        small = reduce_picture(brightness[..., None], scale)[..., 0]
+        shape = small.shape
+        size = tuple(fft.next_fast_len(n + 2 * int(_RINGS[-1] + 10)) for n in shape)
+        transformed = fft.fft2(_directions(small), size)
+        for radius in _RINGS * (low * scale / _RINGS[0]):
+            if radius / scale < 1.06 * high:
+                votes = _votes(transformed, shape, radius, sideways)
+                peak = ndimage.maximum_filter(votes, max(3, int(radius / 3)))
+                for row, column in np.argwhere((votes == peak) & (votes > 0.15)):
+                    at = (column + 0.5) / scale - 0.5, (row + 0.5) / scale - 0.5
+                    found.append(DarkRing(*at, radius / scale, float(votes[row, column])))
+        fresh: list[DarkRing] = []
+        for ring in sorted(found, key=lambda r: -r.votes):
+            if len(fresh) < number and not any(_alike(ring, other) for other in kept + fresh):
+                fresh.append(ring)
+        kept += fresh
+        low *= 2
+    return sorted(kept, key=lambda r: -r.votes)
+
+
+def reduce_picture(
+    picture: _Picture, scale: float
 ) -> Float[np.ndarray, "rows_1 columns_1 channels"]:
-    """A picture made smaller by averaging."""
+    """Return the picture with fewer pixels, each an average."""
     if scale >= 1:
         return picture
     rows, columns = (max(8, round(n * scale)) for n in picture.shape[:2])
@@ -71,39 +139,46 @@ def reduced(
 
 
 def by_channel(
-    picture: Float[np.ndarray, "rows columns channels"],
-    change: Callable[[Image.Image], Image.Image],
+    picture: _Picture, change: Callable[[Image.Image], Image.Image]
 ) -> Float[np.ndarray, "rows_1 columns_1 channels"]:
-    """A picture whose channels Pillow has changed: it makes 12 megapixels smaller in a third to a
-    sixth of the time that scikit-image takes.
+    """Apply a function of Pillow to each channel.
+
+    Pillow reduces 12 megapixels in a third to a sixth of the time that scikit-image takes.
     """
     channels = np.ascontiguousarray(np.moveaxis(picture, -1, 0), np.float32)
     return np.stack([np.asarray(change(Image.fromarray(c))) for c in channels], axis=-1)
 
 
-def around(
-    picture: Float[np.ndarray, "rows columns channels"],
-    outline: Ellipse,
-    margin: float,
-    radius: float,
+def cut_around(
+    picture: _Picture, outline: Ellipse, margin: float, radius: float
 ) -> tuple[Float[np.ndarray, "rows_1 columns_1 channels"], Ellipse, Callable[[Ellipse], Ellipse]]:
-    """The part of a picture within `margin` radii of an outline, reduced so that this has about
-    `radius` pixels; and the outline there, with a function from there back to the picture.
+    """Cut out the part of a picture around an outline, and reduce it.
+
+    Args:
+        picture: The picture.
+        outline: An outline in it.
+        margin: Half the side of the part, in radii of the outline.
+        radius: Radius of the outline in the reduced part, px; a smaller one stays as it is.
+
+    Returns:
+        The part, the outline in it, and a function from ellipses in it to those in the picture.
     """
     reach = margin * outline.semi_axes[0]
     (x, y), shape = outline.centre, picture.shape
     left, right = (int(np.clip(v, 0, shape[1])) for v in (x - reach, x + reach + 1))
     top, bottom = (int(np.clip(v, 0, shape[0])) for v in (y - reach, y + reach + 1))
-    part = picture[top:bottom, left:right]
     scale = min(1.0, radius / outline.semi_axes[0])
-    small = reduced(part, scale)
-    moved = outline._replace(centre=(x - left, y - top)).scaled(scale)
+    small = reduce_picture(picture[top:bottom, left:right], scale)
+    return (
+        small,
+        outline.moved(-left, -top).scaled(scale),
+        lambda e: e.scaled(1 / scale).moved(left, top),
+    )
 
-    def back(e: Ellipse) -> Ellipse:
-        e = e.scaled(1 / scale)
-        return e._replace(centre=(e.centre[0] + left, e.centre[1] + top))
 
-    return small, moved, back
+def ray_angles() -> Float[np.ndarray, " rays"]:
+    """Return the parameters (radians) of the points at which the rays cross their ellipse."""
+    return np.arange(_RAYS) * (2 * np.pi / _RAYS)
 
 
 def along_rays(
@@ -112,8 +187,8 @@ def along_rays(
     span: tuple[float, float],
     steps: int,
 ) -> Float[np.ndarray, "rays steps"]:
-    """Brightness at `steps` distances over `span`, relative to an ellipse, of 180 directions; not a
-    number outside the picture.
+    """Return the brightness at `steps` distances over `span`, relative to an ellipse, along 180
+    rays; NaN outside the picture.
     """
     middle = np.asarray(outline.centre)
     edge = outline.points(ray_angles()) - middle
@@ -131,10 +206,10 @@ def steps_along(
     widths: tuple[float, ...],
     reach: float,
 ) -> Edges:
-    """How well a soft step fits at each place of profiles over `span`.
+    """Fit a soft step at each place of profiles over `span`.
 
-    A step rises as a smoothstep of one of the half `widths` from a constant to a straight line, the
-    middle of the rise being its place; it is fitted to what lies within `reach`.
+    A step rises as a smoothstep of one of the half `widths` from a constant to a straight line; its
+    place is the middle of the rise. It is fitted to the profile within `reach`.
     """
     x = np.linspace(*span, profile.shape[1])
     pitch = x[1] - x[0]
@@ -166,102 +241,106 @@ def steps_along(
 
 def best_outline(
     outline: Ellipse, place: Float[np.ndarray, " places"], score: Float[np.ndarray, "rays places"]
-) -> tuple[Ellipse, float]:
-    """Of ellipses about a circle the one along which the mean score is the largest, and that mean.
+) -> Ellipse:
+    """Return, of ellipses about a circle, the one along which the mean score is largest.
 
-    Centres up to 0.15 radii off, radii and ratios of the axes in steps of a few per cent: all of
-    them are tried.
+    All centres up to 0.15 radii off, radii and ratios of the axes are tried in steps of a few per
+    cent.
     """
     radius = outline.semi_axes[0]
     score = score[::2]
-    direction = outline.points(ray_angles()[::2]) - np.asarray(outline.centre)
-    direction = direction / radius
+    direction = (outline.points(ray_angles()[::2]) - np.asarray(outline.centre)) / radius
     best, found = -np.inf, outline
-    offsets = np.linspace(-0.15, 0.15, 7)
-    shapes = [(1.0, 0.0)] + [(q, a) for q, a in product(_RATIOS[1:], np.arange(6) * np.pi / 6)]
-    pitch = place[1] - place[0]
-    rays = np.arange(len(score))
+    dx, dy = (c.ravel() for c in np.meshgrid(*[np.linspace(-0.15, 0.15, 7)] * 2))
+    shapes = [(1.0, 0.0), *product(_RATIOS[1:], np.arange(6) * np.pi / 6)]
+    pitch, rays = place[1] - place[0], np.arange(len(score))
     for (ratio, angle), size in product(shapes, np.linspace(0.82, 1.3, 13)):
         a, b = size / np.sqrt(ratio), size * np.sqrt(ratio)
-        dx, dy = np.meshgrid(offsets, offsets)
-        away = _distance(dx.ravel(), dy.ravel(), a, b, angle, direction)
-        index = np.round((away - place[0]) / pitch)
+        index = np.round((_distance(dx, dy, a, b, angle, direction) - place[0]) / pitch)
         within = (index >= 0) & (index < place.size)
         index = np.clip(index, 0, place.size - 1).astype(int)
         mean = np.where(within, score[rays, index], 0.0).mean(-1)
         k = int(np.argmax(mean))
         if mean[k] > best:
             best = float(mean[k])
-            x = outline.centre[0] + radius * dx.ravel()[k]
-            y = outline.centre[1] + radius * dy.ravel()[k]
-            found = Ellipse((float(x), float(y)), (radius * a, radius * b), float(angle))
-    return found, best
+            centre = np.asarray(outline.centre) + radius * np.array([dx[k], dy[k]])
+            axes = (float(radius * a), float(radius * b))
+            found = Ellipse((float(centre[0]), float(centre[1])), axes, float(angle))
+    return found
 
 
-def polished(
+def refine_outline(
     outline: Ellipse,
     value: Float[np.ndarray, " rays"],
     place: Float[np.ndarray, " rays"],
     weight: Float[np.ndarray, " rays"],
     flattening: tuple[float, float, float] = (0.0, 0.0, 0.1),
 ) -> tuple[Ellipse, float]:
-    """Least squares through one edge a ray, of a `value` from `Edges.score` and a `place` relative
-    to an outline; and the share of the outline, `weight`ed, that such edges support.
+    """Fit an ellipse through one edge a ray.
+
+    Args:
+        outline: The ellipse so far.
+        value: Scores of the edges, see `Edges.score`.
+        place: Their places relative to the outline.
+        weight: Weight of each ray in the share.
+        flattening: See `fit_ellipse`.
+
+    Returns:
+        The ellipse, and the share of the outline that such edges support.
     """
     middle = np.asarray(outline.centre)
     points = middle + place[:, None] * (outline.points(ray_angles()) - middle)
     if (value > 0.3).sum() < 12:
         return outline, 0.0
-    better = fitted(outline, points, value * (value > 0.3), flattening)
+    better = fit_ellipse(outline, points, value * (value > 0.3), flattening)
     off = abs(better.relative_radius(points[:, 0], points[:, 1]) - 1)
     near = off < 0.02 + 0.5 / better.semi_axes[0]
-    held = (weight * value * near).sum() / weight.sum()
-    return better, float(held)
+    support = (weight * value * near).sum() / weight.sum()
+    return better, float(support)
 
 
-def fitted(
+def fit_ellipse(
     start: Ellipse,
     points: Float[np.ndarray, "n 2"],
     weights: Float[np.ndarray, " n"],
     flattening: tuple[float, float, float] = (0.0, 0.0, 0.1),
 ) -> Ellipse:
-    """The ellipse that points (column, row) and an expected `flattening` suggest, by least squares
-    in which points further off than about 1 % of the radius count little.
+    """Fit an ellipse to points (column, row) by robust least squares.
 
-    `flattening`: the log ratio of the axes times cosine and sine of twice the angle, and the
-    standard deviation of both; what arcs at the sides leave open is taken from it.
+    Points further off than about 1 % of the radius have little weight.
+
+    Args:
+        start: The ellipse to start from.
+        points: Columns and rows.
+        weights: Of the points.
+        flattening: Expected `Ellipse.flattening`, two components, and the standard deviation of
+            both; where the points lie at the sides alone, it decides.
     """
     size = np.sqrt(start.semi_axes[0] * start.semi_axes[1])
     middle = np.asarray(start.centre)
-    flat = np.log(start.semi_axes[0] / start.semi_axes[1])
-    at = np.array([0, 0, 0, flat * np.cos(2 * start.angle), flat * np.sin(2 * start.angle)])
+    at = np.array([0, 0, 0, *start.flattening])
     scaled = (points - middle) / size
     expected, spread = np.asarray(flattening[:2]), flattening[2]
 
-    def ellipse(p) -> Ellipse:
+    def ellipse(p: np.ndarray) -> Ellipse:
         flat, angle = np.hypot(p[3], p[4]), 0.5 * np.arctan2(p[4], p[3])
         axes = np.exp(p[2] + 0.5 * flat), np.exp(p[2] - 0.5 * flat)
         return Ellipse((p[0], p[1]), axes, angle)
 
-    def off(p):
+    def off(p: np.ndarray) -> np.ndarray:
         return ellipse(p).relative_radius(scaled[:, 0], scaled[:, 1]) - 1
 
     for outlier in (0.04, 0.02, 0.01, 0.01, 0.01):
-        # A tenth: neighbouring rays err alike.
+        # A tenth: the errors of neighbouring rays are correlated.
         root = np.sqrt(0.1 * weights) / _PRECISION / (1 + (off(at) / outlier) ** 2)
 
-        def miss(p, root=root):
+        def miss(p: np.ndarray, root: np.ndarray = root) -> np.ndarray:
             return np.concatenate([root * off(p), (p[3:] - expected) / spread])
 
         at = optimize.least_squares(miss, at, method="lm", xtol=1e-6).x
     e = ellipse(at)
     (x, y), (a, b) = middle + size * np.asarray(e.centre), size * np.asarray(e.semi_axes)
     return Ellipse((float(x), float(y)), (float(a), float(b)), float(e.angle % np.pi))
-
-
-def ray_angles() -> Float[np.ndarray, " rays"]:
-    """Of the rays: parameters of the ellipse they leave, radians."""
-    return np.arange(_RAYS) * (2 * np.pi / _RAYS)
 
 
 def _distance(dx, dy, a, b, angle, direction):
@@ -275,3 +354,34 @@ def _distance(dx, dy, a, b, angle, direction):
     cu, cv = (c[:, None] for c in turned(dx, dy))
     square, mixed = u * u + v * v, u * cu + v * cv
     return (mixed + np.sqrt(np.maximum(mixed**2 - square * (cu**2 + cv**2 - 1), 0))) / square
+
+
+def _alike(a: DarkRing, b: DarkRing) -> bool:
+    near = np.hypot(a.column - b.column, a.row - b.row) < 0.3 * b.radius
+    return bool(near and 0.75 < a.radius / b.radius < 1.33)
+
+
+def _directions(brightness):
+    """Direction of the gradient of log brightness as cosine minus i sine, shrunk where it is weak.
+
+    The gradient is that of a smoothed picture.
+    """
+    floor = 0.02 * np.quantile(brightness, 0.98) + 1e-6
+    smooth = ndimage.gaussian_filter(np.log(np.maximum(brightness, 0) + floor), 1.5)
+    down, right = np.gradient(smooth)
+    return ((right - 1j * down) / (np.hypot(down, right) + _WEAK)).astype(np.complex64)
+
+
+def _votes(transformed, shape, radius: float, sideways: float):
+    """Votes for rings of one radius about each pixel: the mean over the ring of the cosine between
+    its normal and the gradient, whose directions are given as their Fourier transform.
+    """
+    n = int(np.ceil(radius + 5))
+    y, x = np.mgrid[-n : n + 1, -n : n + 1]
+    away = np.hypot(x, y) + 1e-9
+    ring = np.exp(-0.5 * ((away - radius) / 2) ** 2) * (1 - sideways * (y / away) ** 2)
+    # This is a correlation, and the kernel is odd: its mirror image is its negative.
+    kernel = (-ring / ring.sum() * (x + 1j * y) / away).astype(np.complex64)
+    size = transformed.shape
+    summed = np.real(np.asarray(fft.ifft2(transformed * fft.fft2(kernel, size))))
+    return summed[n : n + shape[0], n : n + shape[1]]

@@ -7,26 +7,24 @@ import skimage.morphology
 from jaxtyping import Bool, Float
 from scipy import ndimage
 
-from irisjax.photo.filling import masked_mean
-from irisjax.photo.unrefracted import Unrefracted
+from irisjax.photo.texture import Unrefracted, masked_mean
 
-SMALLEST, LARGEST = 0.05, 1.5
-"""Diameters of freckles, mm."""
-_RING = 0.1  # mm, of radii whose median is one
-_AROUND = 1.0  # mm, standard deviation of the neighbourhood that a spot differs from
+_SMALLEST, _LARGEST = 0.05, 1.5  # mm, diameters
+_RING = 0.1  # mm, width of a ring with one median
+_AROUND = 1.0  # mm, standard deviation of the neighbourhood
 _BROWNER, _DARKER = 0.2, 0.1  # least differences of the logarithms
 _STRONG, _WEAK = 5.0, 2.5  # differences in units of the usual scatter
 _COMPACT = 0.5  # least share of a spot in its convex hull
 
 
 def find_freckles(texture: Unrefracted) -> Bool[np.ndarray, "size size"]:
-    """Which texels belong to spots that are darker and browner than their surroundings.
+    """Find texels of spots that are darker and browner than their surroundings.
 
-    Browner: more red against blue, whose ratio does not fall in shadows and crypts, where tissue is
-    thin or dim. Each texel is compared with the median at its radius, so rings of pigment round the
-    pupil are no freckles, and with a neighbourhood of 1 mm; the scatter of the texture itself says
-    what is usual. Spots are between 0.05 and 1.5 mm wide and compact. A photograph without colours
-    cannot tell freckles from crypts: none are found.
+    Browner means more red against blue, a ratio that does not fall in shadows and crypts. Each
+    texel is compared with the median at its radius, so that rings of pigment around the pupil are
+    no freckles, and with a neighbourhood of 1 mm; the scatter of the texture itself sets the scale.
+    Spots are 0.05 to 1.5 mm wide and compact. Without colours freckles cannot be distinguished from
+    crypts: none are found.
     """
     valid = texture.valid
     none = np.zeros_like(valid)
@@ -34,7 +32,7 @@ def find_freckles(texture: Unrefracted) -> Bool[np.ndarray, "size size"]:
     if not valid.any() or _colourless(pixels[valid]):
         return none
     texel = texture.millimetres_per_texel
-    smooth = ndimage.gaussian_filter(pixels, (0.3 * SMALLEST / texel,) * 2 + (0,))
+    smooth = ndimage.gaussian_filter(pixels, (0.3 * _SMALLEST / texel,) * 2 + (0,))
     luminance = texture._replace(pixels=smooth).luminance()
     dim = 0.02 * np.median(luminance[valid])
     if not dim > 0:
@@ -61,7 +59,9 @@ def _colourless(pixels: Float[np.ndarray, "texels 3"]) -> bool:
 
 
 def _deviation(values: np.ndarray, texture: Unrefracted) -> tuple[np.ndarray, float]:
-    """From the median at each radius and from the neighbourhood; and its robust scatter."""
+    """Difference from the median at each radius and from the neighbourhood, and its robust
+    scatter.
+    """
     valid = texture.valid
     ring = (texture.radius() / _RING).astype(np.int32)
     found, count = ring[valid], ring.max() + 1
@@ -86,15 +86,17 @@ def _scatter(values: np.ndarray) -> float:
 
 
 def _of_size(spots: np.ndarray, texel: float) -> np.ndarray:
-    """Those connected parts that are as large and compact as freckles, grown by half the least."""
+    """Connected parts that are as large and compact as freckles, grown by half the smallest
+    size.
+    """
     label = np.asarray(skimage.measure.label(np.asarray(ndimage.binary_fill_holes(spots))))
     keep = np.zeros(label.max() + 1, bool)
     for region in skimage.measure.regionprops(label):
         width = region.equivalent_diameter_area * texel
-        if SMALLEST <= width <= LARGEST:
-            keep[region.label] = region.axis_major_length * texel <= LARGEST and (
+        if _SMALLEST <= width <= _LARGEST:
+            keep[region.label] = region.axis_major_length * texel <= _LARGEST and (
                 region.solidity >= _COMPACT
             )
     return skimage.morphology.dilation(
-        keep[label], skimage.morphology.disk(max(1, round(0.5 * SMALLEST / texel)))
+        keep[label], skimage.morphology.disk(max(1, round(0.5 * _SMALLEST / texel)))
     )

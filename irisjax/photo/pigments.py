@@ -1,9 +1,9 @@
-"""Pigments from the colours of windows: least squares, F09's simplex, and a posterior  [F09
-Section 5.2, Eqs. 13, 14].
+"""Pigments from the colours of windows: least squares, and F09's simplex  [F09 Section 5.2, Eqs.
+13, 14].
 
 A photograph is light times an unknown exposure, through a camera of unknown white balance and
-contrast: these are free beside the four concentrations, and what they hide is not told. What the
-model gets wrong beside that is integrated out, see `window_noise`.
+contrast. These are free beside the four concentrations, which they make less certain. Other errors
+of the model are integrated out, see `window_noise`.
 """
 
 from typing import Any, NamedTuple
@@ -15,16 +15,17 @@ import numpy as np
 import optimistix as optx
 from jaxtyping import Array, Float
 
-from irisjax.infer.least_squares import levenberg_marquardt
+from irisjax._types import Scalar
+from irisjax.infer.least_squares import least_squares, levenberg_marquardt
 from irisjax.infer.priors import AbstractPrior, LogNormal
-from irisjax.photo.concentrations import CONCENTRATIONS, iris_of
-from irisjax.photo.window_noise import covariances, log_likelihood, whitened
+from irisjax.photo.window_noise import covariances, log_likelihood, whitened_errors
 from irisjax.photo.windows import Windows
 from irisjax.tissue.iris import Iris
 
+CONCENTRATIONS = ("abl_eumelanin", "abl_pheomelanin", "stroma_eumelanin", "stroma_pheomelanin")
+"""The four concentrations that are sought, mg/ml of each layer."""
 PHEOMELANIN_PER_EUMELANIN = 0.226
-"""That F09 begins with [F09 Section 5.2]."""
-
+"""Pheomelanin over eumelanin with which F09 begins [F09 Section 5.2]."""
 PRIORS: dict[str, AbstractPrior] = {
     "abl_eumelanin": LogNormal(1.0, 1.3),
     "abl_pheomelanin": LogNormal(0.25, 1.3),
@@ -37,30 +38,45 @@ PRIORS: dict[str, AbstractPrior] = {
     "blue_gain": LogNormal(1.0, 0.08),
     "contrast": LogNormal(1.0, 0.05),
 }
-"""What is free and its prior.
+"""Free parameters and their priors.
 
-Concentrations: LB06's loads and shares of the two layers, a factor 3.7 either way. Scattering: a
-factor on the iris's own. Room: radiance of light from all round beside lamps whose irradiance is π
-together, where lamps were told from their highlights. Camera: exposure over that of a white sheet
-in the stated light, white balance of red and blue against green, and the power by which its values
+Concentrations: LB06's loads and shares of the two layers, within a factor 3.7. Scattering: a factor
+on the iris's own. Room: radiance of light from all round beside lamps whose irradiance is π
+together, if lamps were inferred from highlights. Camera: exposure relative to that of a white sheet
+in the given light, white balance of red and blue against green, and the power with which values
 grow with light.
 """
-NAMES = tuple(PRIORS)
-UNITS = {name: "mg/ml" if name in CONCENTRATIONS else "" for name in NAMES}
-_CAMERA = ("exposure", "red_gain", "blue_gain", "contrast")
-_TURNS = 3  # of least squares under covariances that are held, and of these
-_CLOSE = 1e-3  # of a prior's standard deviation, to which least squares are told
-_FLOOR = 0.01  # of the photograph's mean, below which colours are not told apart
+FREE_NAMES = tuple(PRIORS)
+PIGMENT_UNITS = {name: "mg/ml" if name in CONCENTRATIONS else "" for name in FREE_NAMES}
+WINDOWS_OFF = 0.25
+"""Root mean square of ln photograph over model in the windows above which a fit is doubtful, the
+channels weighted by their brightness; simulated photographs stay below 0.16, with lids and lashes
+or without.
+"""
+UNUSUAL = 3.0
+"""Distance of a parameter from its prior's median above which it is doubtful, in standard
+deviations of the prior.
+"""
+_TURNS = 3  # of least squares under fixed covariances, and of these
+_CLOSE = 1e-3  # tolerance of the search, in standard deviations of the prior
+_FLOOR = 0.01  # of the photograph's mean, below which colours do not count
+_STARTS = np.array(
+    [[0.0] * 4, [-1.5, -1.5, -1.0, -1.0], [1.0, 0.0, 1.0, 0.0], [-1.0, 1.0, -1.0, 1]]
+)
 
 
-class Fit(NamedTuple):
+class PigmentFit(NamedTuple):
     """The best pigments and camera.
 
-    - `values` by name; `z`: the same as standard normal numbers of their priors, with their
-        `covariance` (normal approximation). `rms`: of the
-        logarithms of photograph over model in the windows, per channel.
-    - `steps`: that it took; `converged`: whether it ended of itself. `log`: how it went, a row of
-        numbers by name each turn.
+    Attributes:
+        values: Values by name.
+        z: The same as standard normal numbers of their priors.
+        covariance: Covariance of `z` in normal approximation.
+        rms: Root mean square of the logarithms of photograph over model in the windows, per
+            channel.
+        steps: Number of steps.
+        converged: Whether the search ended by itself.
+        log: Course of the search, a row of numbers by name for each turn.
     """
 
     values: dict[str, float]
@@ -72,140 +88,97 @@ class Fit(NamedTuple):
     log: tuple[dict[str, float], ...] = ()
 
 
-def values_of(z) -> dict[str, Any]:
-    """The parameters, by name, of standard normal numbers (free,)."""
+def parameter_values(z: Float[Array | np.ndarray, " free"]) -> dict[str, Any]:
+    """Return the parameters, by name, of standard normal numbers (free,)."""
     return {name: prior.value(z[i]) for i, (name, prior) in enumerate(PRIORS.items())}
 
 
-def predicted(values: dict[str, Any], windows: Windows, base: Iris) -> Float[Array, "windows 3"]:
-    """Linear values of a photograph of the iris in each window."""
-    return _taken(values, windows.radiance(iris_of(values, base), values["room"]))
+def predicted_colours(
+    values: dict[str, Any], windows: Windows, base: Iris
+) -> Float[Array, "windows 3"]:
+    """Return the linear values of a photograph of the iris in each window."""
+    return _taken(values, windows.radiance(iris_of_concentrations(values, base), values["room"]))
 
 
-def _taken(values, radiance):
-    """Values that the camera makes of radiances."""
-    # What is darker than nothing, out of sRGB's range, has no power: straight on from a small one.
-    least = 1e-4
-    held = jnp.maximum(radiance, least)
-    powered = held ** values["contrast"] + (radiance - held)
-    return _exposures(values) * powered
-
-
-def _exposures(values):
-    """Of the three channels."""
-    return values["exposure"] * jnp.stack(
-        [values["red_gain"], jnp.ones_like(values["red_gain"]), values["blue_gain"]]
-    )
-
-
-def _off(values, windows: Windows, base: Iris):
-    """Logarithms of photograph over model, (windows, 3), and the derivatives of the model's by that
-    of the stroma's thickness.
-
-    Of logarithms: relative to the photograph, a model that is black would be off by one everywhere,
-    and a common factor would explain it.
-    """
-    floor = _FLOOR * windows.colour.mean(where=windows.present[:, None])
-    seen = jnp.maximum(windows.colour, 0) + floor
-    least = 0.1 * floor
-
-    def of(radiance):
-        # Out of sRGB's range a channel may be below zero; it stays a slope.
-        shown = _taken(values, radiance) + floor
-        low = least * jnp.exp(jnp.minimum(shown / least - 1, 0.0))
-        off = jnp.log(seen / jnp.where(shown > least, shown, low))
-        return jnp.where(windows.present[:, None], off, 0.0)
-
-    radiance, slope = windows.radiance_and_slope(iris_of(values, base), values["room"])
-    off, change = jax.jvp(of, (radiance,), (slope,))
-    return off, -change
-
-
-def log_probability(z, windows: Windows, base: Iris):
-    """Logarithm of the posterior density of z (free,), without constants."""
-    found = log_likelihood(*_off(values_of(z), windows, base), windows.present)
+def log_posterior(z: Float[Array, " free"], windows: Windows, base: Iris) -> Scalar:
+    """Return the logarithm of the posterior density of z (free,), without constants."""
+    found = log_likelihood(*_off(parameter_values(z), windows, base), windows.present)
     found -= 0.5 * (z**2).sum()
     return jnp.where(jnp.isfinite(found), found, -jnp.inf)
 
 
-def least_squares(windows: Windows, base: Iris, steps: int = 60) -> Fit:
-    """The best pigments by Levenberg and Marquardt's steps through the differentiable renderer, in
-    turns with the covariances of errors; the best of a few starts.
+def fit_pigments(windows: Windows, base: Iris, steps: int = 60) -> PigmentFit:
+    """Fit the pigments by least squares through the differentiable renderer; the best of a few
+    starts.
+
+    Steps of Levenberg and Marquardt alternate with estimates of the covariances of the errors.
     """
-    free = [i for i, n in enumerate(NAMES) if n != "room" or windows.room is not None]
+    free = [i for i, n in enumerate(FREE_NAMES) if n != "room" or windows.room is not None]
     starts = np.zeros((len(_STARTS), len(free)))
     starts[:, : len(CONCENTRATIONS)] = _STARTS
     (found, log_density), (taken, ended), covariance = _searched(
         jnp.asarray(starts), windows, base, tuple(free), steps
     )
     best = int(np.nanargmax(np.asarray(log_density[:, -1])))
-    z = np.zeros(len(NAMES))
+    z = np.zeros(len(FREE_NAMES))
     z[free] = np.asarray(found[best, -1])
-    spread = np.eye(len(NAMES))
+    spread = np.eye(len(FREE_NAMES))
     spread[np.ix_(free, free)] = np.asarray(covariance[best])
     log = []
     for start, turn in np.ndindex(len(starts), _TURNS):
-        there = np.zeros(len(NAMES))
+        there = np.zeros(len(FREE_NAMES))
         there[free] = np.asarray(found[start, turn])
         counted = {"start": start + 1, "turn": turn + 1, "steps": taken[start, turn]}
-        row = counted | {"log_density": log_density[start, turn]} | values_of(jnp.asarray(there))
+        row = (
+            counted
+            | {"log_density": log_density[start, turn]}
+            | parameter_values(jnp.asarray(there))
+        )
         log.append({name: float(v) for name, v in row.items()})
     return _fit(z, spread, windows, base, int(np.sum(taken)), bool(ended[best, -1]), log)
 
 
-_STARTS = np.array(
-    [[0.0] * 4, [-1.5, -1.5, -1.0, -1.0], [1.0, 0.0, 1.0, 0.0], [-1.0, 1.0, -1.0, 1]]
-)
-
-
-@eqx.filter_jit
-def _searched(starts, windows, base, free: tuple[int, ...], steps: int):
-    def every(some):
-        return jnp.zeros(len(NAMES)).at[jnp.asarray(free)].set(some)
-
-    def residuals(some, held):
-        off, _ = _off(values_of(every(some)), windows, base)
-        return jnp.concatenate([whitened(off, windows.present, held), some])
-
-    def turn(some, _):
-        held = covariances(*_off(values_of(every(some)), windows, base), windows.present)
-        solver = levenberg_marquardt(_CLOSE, _CLOSE)
-        found = optx.least_squares(residuals, solver, some, held, max_steps=steps, throw=False)
-        ended = found.result == optx.RESULTS.successful
-        density = log_probability(every(found.value), windows, base)
-        told = (found.value, density), (found.stats["num_steps"], ended), held
-        return found.value, told
-
-    def one(start):
-        found, (reached, counted, held) = jax.lax.scan(turn, start, None, _TURNS)
-        last = jax.tree.map(lambda c: c[-1], held)
-        jacobian = jax.jacfwd(lambda x: residuals(x, last))(found)
-        return reached, counted, jnp.linalg.inv(jacobian.T @ jacobian)
-
-    return jax.lax.map(one, starts)
-
-
-def exposures_for(fit: Fit, windows: Windows, base: Iris) -> Float[np.ndarray, "3"]:
-    """Exposures of the channels with which the model's windows are on average as bright as the
-    photograph's, for windows of other maps than those of the fit.
+def exposures_for(fit: PigmentFit, windows: Windows, base: Iris) -> Float[np.ndarray, "3"]:
+    """Return the exposures of the channels with which the model's windows are on average as bright
+    as the photograph's, for windows of other maps than those of the fit.
     """
     return np.asarray(_matched(jnp.asarray(fit.z), windows, base))
 
 
-@eqx.filter_jit
-def _matched(z, windows, base):
-    values = values_of(z)
-    off, _ = _off(values, windows, base)
-    return _exposures(values) * jnp.exp(off.mean(0, where=windows.present[:, None]))
+def misfits(fit: PigmentFit, windows: Windows) -> list[str]:
+    """Return sentences on where the model does not follow the photograph, or follows it only with
+    values that hardly any eye has.
+    """
+    doubts = []
+    weights = np.maximum(windows.colour[windows.present].mean(0), 0)
+    if np.sqrt(np.average(fit.rms**2, weights=weights + 1e-9)) > WINDOWS_OFF:
+        doubts.append(
+            "the model does not follow the photograph's colours (off by factors of "
+            f"{', '.join(f'{f:.2f}' for f in np.exp(fit.rms))} in R, G, B over the iris, RMS): its "
+            "pigments may mean little"
+        )
+    for name, z in zip(FREE_NAMES, fit.z, strict=True):
+        if abs(z) > UNUSUAL:
+            low, high = (float(PRIORS[name].value(s)) for s in (-1.96, 1.96))
+            unit = f" {PIGMENT_UNITS[name]}" if PIGMENT_UNITS[name] else ""
+            doubts.append(
+                f"{name} is {fit.values[name]:.3g}{unit}, far from what is usual ({low:.2g} to "
+                f"{high:.2g}): the model may not fit this photograph"
+            )
+    if not fit.converged:
+        doubts.append("the search for the pigments did not end of itself")
+    return doubts
 
 
-def simplex(windows: Windows, base: Iris, steps: int = 50) -> Fit:
-    """F09's search: Nelder and Mead's simplex for the eumelanins with pheomelanin tied to them,
-    then for the two ratios; exposure and white balance stay as stated  [F09 Section 5.2]. Its log
-    has the values and the relative RMS at each stage.
+def simplex(windows: Windows, base: Iris, steps: int = 50) -> PigmentFit:
+    """Fit the pigments by F09's search  [F09 Section 5.2].
+
+    Nelder and Mead's simplex finds the eumelanins with pheomelanin tied to them, then the two
+    ratios; exposure and white balance keep their stated values. The log has the values and the
+    relative RMS at each stage.
     """
     log: list[dict[str, float]] = []
-    z = np.zeros(len(NAMES))
+    z = np.zeros(len(FREE_NAMES))
     ratios = np.full(2, PHEOMELANIN_PER_EUMELANIN)
     eumelanin = np.array(
         [PRIORS["abl_eumelanin"].value(0.0), PRIORS["stroma_eumelanin"].value(0.0)]
@@ -227,7 +200,121 @@ def simplex(windows: Windows, base: Iris, steps: int = 50) -> Fit:
             {n: float(values[n]) for n in CONCENTRATIONS}
             | {"steps": float(count), "rms": float(_rms(z, windows, base).mean())}
         )
-    return _fit(z, np.eye(len(NAMES)), windows, base, taken, ended, log)
+    return _fit(z, np.eye(len(FREE_NAMES)), windows, base, taken, ended, log)
+
+
+def iris_of_concentrations(values: dict[str, Any], base: Iris) -> Iris:
+    """Return the iris of four concentrations (mg/ml of each layer) and a factor on the scattering
+    of `base`.
+    """
+    height = base.abl_thickness, base.stroma_thickness
+    whole = height[0] + height[1]
+
+    def shared(kind):
+        masses = [
+            values[f"{layer}_{kind}"] * h
+            for layer, h in zip(("abl", "stroma"), height, strict=True)
+        ]
+        total = masses[0] + masses[1]
+        none = total <= 0
+        return total / whole, jnp.where(none, 0.5, masses[0] / jnp.where(none, 1.0, total))
+
+    (eumelanin, first), (pheomelanin, second) = shared("eumelanin"), shared("pheomelanin")
+    return base.replace(
+        eumelanin=eumelanin,
+        pheomelanin=pheomelanin,
+        abl_fraction=first,
+        pheomelanin_abl_fraction=second,
+        scattering_scale=values.get("scattering_scale", 1.0) * base.scattering_scale,
+    )
+
+
+def concentrations_of(iris: Iris) -> dict[str, float]:
+    """Return the four concentrations of an iris, mg/ml of each layer."""
+    second = iris.pheomelanin_abl_fraction
+    shares = iris.abl_fraction, iris.abl_fraction if second is None else second
+    whole = iris.abl_thickness + iris.stroma_thickness
+    found = {}
+    for kind, share in zip(("eumelanin", "pheomelanin"), shares, strict=True):
+        mass = getattr(iris, kind) * whole
+        found[f"abl_{kind}"] = float(mass * share / iris.abl_thickness)
+        found[f"stroma_{kind}"] = float(mass * (1 - share) / iris.stroma_thickness)
+    return {name: found[name] for name in CONCENTRATIONS}
+
+
+def _taken(values, radiance):
+    """Values that the camera records for radiances."""
+    # Negative values, out of sRGB's range, have no power: the curve continues in a straight line.
+    least = 1e-4
+    held = jnp.maximum(radiance, least)
+    powered = held ** values["contrast"] + (radiance - held)
+    return _exposures(values) * powered
+
+
+def _exposures(values):
+    """Exposures of the three channels."""
+    return values["exposure"] * jnp.stack(
+        [values["red_gain"], jnp.ones_like(values["red_gain"]), values["blue_gain"]]
+    )
+
+
+def _off(values, windows: Windows, base: Iris):
+    """Logarithms of photograph over model, (windows, 3), and the derivatives of the model's by that
+    of the stroma's thickness.
+
+    With differences relative to the photograph instead, a black model would be off by one
+    everywhere, which a common factor would explain.
+    """
+    floor = _FLOOR * windows.colour.mean(where=windows.present[:, None])
+    seen = jnp.maximum(windows.colour, 0) + floor
+    least = 0.1 * floor
+
+    def of(radiance):
+        # A channel out of sRGB's range may be negative; the logarithm keeps a slope there.
+        shown = _taken(values, radiance) + floor
+        low = least * jnp.exp(jnp.minimum(shown / least - 1, 0.0))
+        off = jnp.log(seen / jnp.where(shown > least, shown, low))
+        return jnp.where(windows.present[:, None], off, 0.0)
+
+    radiance, slope = windows.radiance_and_slope(
+        iris_of_concentrations(values, base), values["room"]
+    )
+    off, change = jax.jvp(of, (radiance,), (slope,))
+    return off, -change
+
+
+@eqx.filter_jit
+def _searched(starts, windows, base, free: tuple[int, ...], steps: int):
+    def every(some):
+        return jnp.zeros(len(FREE_NAMES)).at[jnp.asarray(free)].set(some)
+
+    def residuals(some, weight, held):
+        del weight  # the priors count in full
+        off, _ = _off(parameter_values(every(some)), windows, base)
+        return jnp.concatenate([whitened_errors(off, windows.present, held), some])
+
+    def turn(some, _):
+        held = covariances(*_off(parameter_values(every(some)), windows, base), windows.present)
+        solver = levenberg_marquardt(_CLOSE, _CLOSE)
+        found = least_squares(residuals, held, some, solver=solver, max_steps=steps)
+        ended = found.result == optx.RESULTS.successful
+        density = log_posterior(every(found.x), windows, base)
+        return found.x, ((found.x, density), (found.steps, ended), held)
+
+    def one(start):
+        found, (reached, counted, held) = jax.lax.scan(turn, start, None, _TURNS)
+        last = jax.tree.map(lambda c: c[-1], held)
+        jacobian = jax.jacfwd(lambda x: residuals(x, 1.0, last))(found)
+        return reached, counted, jnp.linalg.inv(jacobian.T @ jacobian)
+
+    return jax.lax.map(one, starts)
+
+
+@eqx.filter_jit
+def _matched(z, windows, base):
+    values = parameter_values(z)
+    off, _ = _off(values, windows, base)
+    return _exposures(values) * jnp.exp(off.mean(0, where=windows.present[:, None]))
 
 
 def _four(eumelanin, ratios):
@@ -249,9 +336,9 @@ def _downhill(start, held, windows, base, eumelanin: bool, steps: int):
     return found.value, found.stats["num_steps"], found.result == optx.RESULTS.successful
 
 
-def _fit(z, covariance, windows, base, steps: int, ended: bool, log) -> Fit:
-    values = {n: float(v) for n, v in values_of(jnp.asarray(z)).items()}
-    return Fit(values, z, covariance, _rms(z, windows, base), steps, ended, tuple(log))
+def _fit(z, covariance, windows, base, steps: int, ended: bool, log) -> PigmentFit:
+    values = {n: float(v) for n, v in parameter_values(jnp.asarray(z)).items()}
+    return PigmentFit(values, z, covariance, _rms(z, windows, base), steps, ended, tuple(log))
 
 
 def _rms(z, windows: Windows, base: Iris) -> np.ndarray:
@@ -261,5 +348,5 @@ def _rms(z, windows: Windows, base: Iris) -> np.ndarray:
 
 @eqx.filter_jit
 def _rms_of(z, windows, base):
-    off, _ = _off(values_of(z), windows, base)
+    off, _ = _off(parameter_values(z), windows, base)
     return jnp.sqrt((off**2).mean(0, where=windows.present[:, None]))

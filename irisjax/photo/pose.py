@@ -1,11 +1,4 @@
-"""Where the camera stood: from the outlines of limbus and pupil  [F09 Section 4.1, Eqs. 1, 2].
-
-Limbus and pupil are nearly circles that appear as ellipses. How flat both are tells the tilt, by a
-joint fit, but not to which side; the pupil, seen through the cornea, moves towards the camera's
-side and tells that. A whole photograph's camera is never needed: the one here looks at the middle
-of the eye, and its picture is cut out of the photograph, which leaves out only the perspective of
-an eye far from the picture's middle.
-"""
+"""The camera's pose, from the outlines of limbus and pupil  [F09 Section 4.1, Eqs. 1, 2]."""
 
 from typing import Any, NamedTuple, cast
 
@@ -14,15 +7,33 @@ import jax.numpy as jnp
 import numpy as np
 import scipy.optimize
 from jaxtyping import Bool, Float
+from numpy.typing import ArrayLike
+from scipy import special
 
 from irisjax.anatomy.eye import Eye
 from irisjax.optics.conicoid import joined
-from irisjax.photo.ellipse import Ellipse, ellipse_through
-from irisjax.photo.tilt import LIMBUS_OVAL, PUPIL_OVAL, tilts_allowed
+from irisjax.photo.photograph import Ellipse, ellipse_through
 from irisjax.render.camera import Camera
 from irisjax.render.points import project_points
 from irisjax.render.surfaces import IrisSurface
 
+LIMBUS_OVAL = 0.03
+"""Standard deviation of either component of the flattening ln(a / b) of people's limbi seen from
+straight ahead; assumed. Textbooks' 11.7 by 10.6 mm would be 0.1, but rest on no measurement
+[Bergmanson & Martinez 2017].
+"""
+PUPIL_OVAL = 0.025
+"""The same for pupils: they deviate from a circle by 0.0166 of their radius, about half of which an
+ellipse explains  [Wyatt 1995].
+"""
+FLATTER = 1.25
+"""Flattening of a tilted limbus over that of the pupil, which the cornea shows turned towards the
+camera.
+"""
+FLATTENING = float(1 / np.hypot(1 / LIMBUS_OVAL, 1 / (FLATTER * PUPIL_OVAL)))
+"""Standard deviation of either component of the flattening that limbus and pupil determine
+together. The error of measured outlines hardly adds to it: 0.003 if lids hide half of the limbus.
+"""
 _PEOPLE = [0, 2, 2, 0, 0, 4, 5, 12, 19, 23, 36, 44, 52, 41]
 _PEOPLE += [39, 37, 43, 30, 28, 12, 15, 10, 4, 1, 0, 2, 0]
 LIMBUS_RADII = tuple(
@@ -33,20 +44,20 @@ LIMBUS_RADII = tuple(
         strict=True,
     )
 )
-"""Radii of the visible iris (mm) and how many of 461 people have them, as collected by
-gkaModelEye (MIT).
+"""Radii of the visible iris (mm) and how many of 461 people have them, as collected by gkaModelEye
+(MIT).
 """
 DECENTRED = 0.27
-"""Of the pupil's middle from the limbus's, mm, root mean square in each direction: 0.27 ± 0.09 mm
-to the nose and 0.20 ± 0.15 mm upwards  [Wyatt 1995], and a photograph need not say where the nose
-is.
+"""Distance of the pupil's middle from the limbus's, mm, root mean square in each direction: 0.27 ±
+0.09 mm to the nose and 0.20 ± 0.15 mm upwards  [Wyatt 1995]; a photograph need not say where the
+nose is.
 """
 SHARP = 0.002
-"""Standard deviation of an outline's middle and size in a photograph, of its radius."""
+"""Standard deviation of an outline's middle and size in a photograph, relative to its radius."""
 PUPIL_RADII = (0.25, 4.75)
-"""Of pupils that may be, mm."""
+"""Allowed pupil radii, in mm."""
 USUAL_DISTANCE = 300.0
-"""Of the camera, mm, where no focal length is known: perspective hardly depends on it."""
+"""Distance of the camera, mm, if no focal length is known: perspective hardly depends on it."""
 _POINTS = 48
 _STEEPEST = 1.0  # of a tilt's components, radians
 
@@ -54,14 +65,17 @@ _STEEPEST = 1.0  # of a tilt's components, radians
 class Pose(NamedTuple):
     """A camera whose picture is a part of the photograph, and the eye that it sees.
 
-    - `camera`: of the part's size; `corner`: column and row of its first pixel in the photograph.
-    - `eye`: with the pupil that was seen; `pupil_centre`: of it on the iris, mm, off the axis. The
-        model's own pupil is in the middle.
-    - `tilt`: between the eye's axis and the camera, radians; `tilt_sd` and `tilt_interval` (95 %):
-        of what `tilts_allowed` leaves possible.
-    - `distance`: to the limbus, mm, `None` without a focal length.
-    - `side`: what told to which side the eye is tilted: `"pupil"` or `"given"`.
-    - `residual`: of the limbus's outline, relative to its radius.
+    Attributes:
+        camera: The camera, whose picture has the size of the part.
+        corner: Column and row of the part's first pixel in the photograph.
+        eye: The eye with its pupil, which the model has in the middle of the iris.
+        pupil_centre: Observed centre of the pupil on the iris, mm from the axis.
+        tilt: Angle between the eye's axis and the camera, radians.
+        tilt_sd: Standard deviation of the tilt, see `tilts_allowed`.
+        tilt_interval: Interval that holds 95 % of the tilts.
+        distance: Distance to the limbus, mm; `None` without a focal length.
+        side: What determines to which side the eye is tilted, `"pupil"` or `"given"`.
+        residual: Root mean square distance from the limbus's outline, relative to its radius.
     """
 
     camera: Camera
@@ -76,9 +90,17 @@ class Pose(NamedTuple):
     residual: float
 
 
+class PicturePlaces(NamedTuple):
+    """Where points appear in a camera's picture: columns, rows, and whether they are visible."""
+
+    column: Float[np.ndarray, "*s"]
+    row: Float[np.ndarray, "*s"]
+    visible: Bool[np.ndarray, "*s"]
+
+
 def limbus_spread() -> tuple[float, float]:
-    """Mean and standard deviation of `LIMBUS_RADII`, mm: of one photograph every length has this
-    relative spread.
+    """Return mean and standard deviation of `LIMBUS_RADII`, mm; every length from one photograph
+    has this relative spread.
     """
     radius, count = np.asarray(LIMBUS_RADII).T
     mean = (radius * count).sum() / count.sum()
@@ -94,19 +116,26 @@ def find_pose(
     margin: float = 1.15,
     azimuth: float | None = None,
 ) -> Pose:
-    """The pose of an eye whose outlines these are.
+    """Find the pose of an eye from its outlines  [F09 Eqs. 1, 2].
+
+    Limbus and pupil are nearly circles that appear as ellipses. A joint fit of their flattening
+    gives the tilt, but not its side. The pupil, seen through the cornea, moves towards the camera's
+    side, which gives that. The camera looks at the middle of the eye and its picture is cut out of
+    the photograph, which neglects only the perspective of an eye far from the picture's middle.
 
     Args:
         limbus: Outline of the cornea, in pixels of the photograph.
         pupil: Outline of the pupil as it appears through the cornea.
-        eye: Everything but the pupil.
+        eye: The eye apart from its pupil.
         focal_px: Focal length in pixels; without one the camera is `USUAL_DISTANCE` away and the
             distance is not known.
         margin: Half the side of the part that is cut out, over the limbus's larger semi-axis.
-        azimuth: Of the camera as seen from the eye (radians, from the picture's right to its top),
-            where it is known to which side the eye is tilted.
+        azimuth: Azimuth of the camera as seen from the eye (radians, from the picture's right to
+            its top), if the side of the tilt is known.
 
-    **Raises:** `ValueError` where the pupil does not lie on the iris of such an eye.
+    Raises:
+        ValueError: If the pupil does not lie on the iris of such an eye, or the distance is
+            impossible.
     """
     ratio = min(limbus.semi_axes[1] / limbus.semi_axes[0], 1.0)
     radius_mm = float(eye.limbus_radius)
@@ -114,7 +143,7 @@ def find_pose(
     distance = radius_mm * focal_px / limbus.semi_axes[0] if focal_px else USUAL_DISTANCE
     _check_distance(distance)
     tilt = np.arccos(ratio)  # [F09 Eq. 1]
-    # A camera's distance is counted from the pupil, the paper's from the limbus before it.
+    # A camera's distance is measured from the pupil, the paper's from the limbus in front of it.
     behind = (float(eye.iris_depth) - float(_limbus_height(eye))) * ratio
     # The camera's azimuth is that of the smaller axis, to one side or the other.
     across = limbus.angle + np.pi / 2
@@ -193,6 +222,58 @@ def find_pose(
     )
 
 
+def iris_points(eye: Eye, x: ArrayLike, y: ArrayLike) -> Float[np.ndarray, "*s 3"]:
+    """Return points of the iris above places x, y (mm)."""
+    slope = 0.0 if eye.iris_slope is None else float(eye.iris_slope)
+    x, y = np.asarray(x, np.float64), np.asarray(y, np.float64)
+    return np.stack([x, y, float(eye.iris_depth) + slope * np.hypot(x, y)], -1)
+
+
+def project_iris_points(
+    eye: Eye, camera: Camera, points: Float[np.ndarray, "*s 3"]
+) -> PicturePlaces:
+    """Project points of the iris (mm) into a camera's picture, by `project_points`."""
+    # A camera of one size for all photographs, so that one compiled program serves them all.
+    same = Camera(camera.polar, camera.azimuth, camera.distance, cast(Any, 2.0), (2, 2))
+    found = _seen(eye, same, jnp.asarray(points))
+    (columns, rows), pitch = camera.size, float(camera.width) / camera.size[0]
+    return PicturePlaces(
+        (np.asarray(found.column) - 0.5) / pitch + columns / 2 - 0.5,
+        (np.asarray(found.row) - 0.5) / pitch + rows / 2 - 0.5,
+        np.asarray(found.visible),
+    )
+
+
+def tilts_allowed(
+    tilt: float, flattening_sd: float = FLATTENING
+) -> tuple[float, tuple[float, float]]:
+    """Return the standard deviation and the 95 % interval (radians) of the tilts that are
+    compatible with outlines of one tilt.
+
+    The error is that of the limbus's flattening q = ln(a / b) = -ln cos(tilt) [F09 Eq. 1], a vector
+    whose direction is twice the axis's angle; each component has the standard deviation
+    `flattening_sd`. The observed length of such a vector follows Rice's distribution. If every
+    direction of the camera is equally likely, so is every q (nearly, below 40 degrees), and the
+    interval is the shortest one in q that holds 95 %. It is not linearised, because the slope of
+    the arc cosine has no bound at 0: an eye that looks into the camera has an interval from 0 to 17
+    degrees, one at 30 degrees of 4 to each side.
+    """
+    seen = -np.log(np.cos(tilt))
+    q = np.linspace(max(seen - 6 * flattening_sd, 0.0), seen + 6 * flattening_sd, 4001)
+    rice = np.exp(-0.5 * ((q - seen) / flattening_sd) ** 2)
+    rice *= special.ive(0, q * seen / flattening_sd**2)
+    share = np.concatenate([[0.0], np.cumsum(rice[1:] + rice[:-1])])
+    share /= share[-1]
+    begin = q[share < 0.05]
+    end = np.interp(share[share < 0.05] + 0.95, share, q)
+    k = int(np.argmin(end - begin))
+    tilts = np.arccos(np.exp(-q))
+    mean = (rice * tilts).sum() / rice.sum()
+    sd = np.sqrt((rice * (tilts - mean) ** 2).sum() / rice.sum())
+    low, high = (float(np.arccos(np.exp(-v))) for v in (begin[k], end[k]))
+    return float(sd), (low, high)
+
+
 def _check_distance(distance: float) -> None:
     if not 30 <= distance <= 1e5:
         raise ValueError(
@@ -202,13 +283,13 @@ def _check_distance(distance: float) -> None:
 
 
 def _square(parts, distance: float) -> Camera:
-    """A camera one of whose pixels is one millimetre, the eye's middle in its corner."""
+    """A camera with pixels of one millimetre and the eye's middle in its corner."""
     return Camera(distance=cast(Any, distance), width=cast(Any, 2.0), size=(2, 2), **parts)
 
 
 @eqx.filter_jit
 def _outlines(eye: Eye, camera: Camera):
-    """Limbus and pupil in mm at the eye, columns and rows from the middle of the pupil."""
+    """Limbus and pupil in mm at the eye, as columns and rows from the middle of the pupil."""
     turn = jnp.linspace(0.0, 2 * jnp.pi, _POINTS, endpoint=False)
     circle = jnp.cos(turn), jnp.sin(turn)
     r = eye.limbus_radius
@@ -228,29 +309,22 @@ def _outlines(eye: Eye, camera: Camera):
 
 
 def _limbus_height(eye: Eye):
-    """Of the limbus behind the corneal apex, mm."""
+    """Depth of the limbus behind the corneal apex, mm."""
     if eye.cornea is None:
         return eye.iris_depth
     return eye.cornea.anterior.sagitta(eye.limbus_radius)
 
 
-def iris_points(eye: Eye, x, y) -> Float[np.ndarray, "*s 3"]:
-    """Points of the iris above places x, y (mm)."""
-    slope = 0.0 if eye.iris_slope is None else float(eye.iris_slope)
-    x, y = np.asarray(x, np.float64), np.asarray(y, np.float64)
-    return np.stack([x, y, float(eye.iris_depth) + slope * np.hypot(x, y)], -1)
-
-
 def _pupil_on_iris(eye: Eye, camera: Camera, pupil: Ellipse):
     """Centre and radius (mm) of the circle on the iris whose picture is an outline."""
-    # As many as `refraction.follow` asks for: one program for both.
+    # As many points as `follow_refraction` has, so that one compiled program serves both.
     turn = np.linspace(0, 2 * np.pi, 64, endpoint=False)
-    # The outline may not go round the axis: it is met along rays from its own middle.
+    # The outline need not enclose the axis: it is intersected by rays from its own middle.
     radius = np.linspace(0.1, 0.95 * float(eye.iris_radius), 33)
     centre, towards = np.zeros(2), (np.cos(turn), np.sin(turn))
     for _ in range(2):
         x, y = (c + np.outer(d, radius) for c, d in zip(centre, towards, strict=True))
-        seen = shown(eye, camera, iris_points(eye, x, y))
+        seen = project_iris_points(eye, camera, iris_points(eye, x, y))
         place = pupil.relative_radius(seen.column, seen.row)
         place = np.where(seen.visible, place, np.inf)
         if not ((place[:, 0] < 1) & (place[:, -1] > 1)).all():
@@ -270,27 +344,6 @@ def _pupil_on_iris(eye: Eye, camera: Camera, pupil: Ellipse):
             f"{low:g} to {high:g} mm"
         )
     return (float(centre[0]), float(centre[1])), found
-
-
-class Shown(NamedTuple):
-    """Where points appear in a camera's picture: column and row, and whether they are seen."""
-
-    column: Float[np.ndarray, "*s"]
-    row: Float[np.ndarray, "*s"]
-    visible: Bool[np.ndarray, "*s"]
-
-
-def shown(eye: Eye, camera: Camera, points: Float[np.ndarray, "*s 3"]) -> Shown:
-    """Where points of the iris (mm) appear in a camera, as `project_points` finds it."""
-    # A camera of one size for all photographs, whose sizes would each compile a program.
-    same = Camera(camera.polar, camera.azimuth, camera.distance, cast(Any, 2.0), (2, 2))
-    found = _seen(eye, same, jnp.asarray(points))
-    (columns, rows), pitch = camera.size, float(camera.width) / camera.size[0]
-    return Shown(
-        (np.asarray(found.column) - 0.5) / pitch + columns / 2 - 0.5,
-        (np.asarray(found.row) - 0.5) / pitch + rows / 2 - 0.5,
-        np.asarray(found.visible),
-    )
 
 
 @eqx.filter_jit

@@ -1,8 +1,4 @@
-"""A second photograph of the same eye, brought onto the pixels of the first.
-
-For pairs such as one through crossed polarisers and one without: highlights and shading differ,
-the iris' texture does not. Pixels count as (column, row) here.
-"""
+"""A second photograph of the same eye, brought onto the pixels of the first."""
 
 from functools import partial
 from typing import NamedTuple
@@ -13,10 +9,15 @@ from scipy.ndimage import binary_dilation, gaussian_filter, map_coordinates
 from skimage.registration import optical_flow_ilk, phase_cross_correlation
 from skimage.transform import AffineTransform, downscale_local_mean, warp
 
-from irisjax.photo.ellipse import Ellipse
-from irisjax.photo.photograph import Photograph
-from irisjax.photo.unrefracted import LUMINANCE
+from irisjax.photo.masks import part_of
+from irisjax.photo.outlines import find_boundaries
+from irisjax.photo.photograph import Ellipse, Photograph
+from irisjax.photo.texture import LUMINANCE_WEIGHTS
 
+MOST_SECOND_OFF = 0.015
+"""Greatest distance between the textures of two photographs, of the limbus's radius: those of other
+eyes, which the registration forces onto the first, are off by 0.02 to 0.03.
+"""
 _ANNULUS = (0.4, 0.95)  # of the limbus: most pupils end below, lids and lashes begin above
 _WINDOW = 0.1  # of the limbus: where brightness is made even
 _SCALES = (1 / 24, 1 / 48, 1 / 96, 1 / 200)  # blurs of the refinement, of the limbus
@@ -32,13 +33,14 @@ _LEAST_RADIUS = 20.0  # px, of a limbus with any texture in it
 class Registration(NamedTuple):
     """A second photograph on the first one's pixels.
 
-    - `pixels`: of the second, linear, bilinear between its pixels; 0 where it has none.
-    - `valid`: where the second has a pixel, and none that may be cut off takes part.
-    - `transform`: (2, 3), from (column, row, 1) in the first to (column, row) in the second.
-    - `residual`: RMS distance (pixels of the first) by which textures within the limbus still
-        differ, over the half of the iris that agrees best; large where the pupil has another size.
-    - `correlation`: of the two textures within the limbus; below about 0.3 they have little in
-        common, and the transform is no better than the outlines.
+    Attributes:
+        pixels: Linear pixels of the second, interpolated bilinearly; 0 where it has none.
+        valid: Pixels that the second has and to which no saturated one contributes.
+        transform: (2, 3) matrix from (column, row, 1) in the first to (column, row) in the second.
+        residual: RMS distance (pixels of the first) by which textures within the limbus still
+            differ, over the half of the iris that agrees best; large if the pupil has another size.
+        correlation: Correlation of the two textures within the limbus; below about 0.3 they have
+            little in common, and the transform is no better than the outlines.
     """
 
     pixels: Float[np.ndarray, "rows columns 3"]
@@ -49,34 +51,72 @@ class Registration(NamedTuple):
 
     @property
     def scale(self) -> float:
-        """Pixels of the second along a pixel of the first, geometric mean of both directions."""
+        """Pixels of the second per pixel of the first, geometric mean of both directions."""
         return float(np.sqrt(np.linalg.det(self.transform[:, :2])))
 
     @property
     def rotation(self) -> float:
-        """Radians by which the second shows the eye turned, counted from right towards the top."""
+        """Radians by which the second shows the eye turned, from right towards the top."""
         (a, b), (c, d) = self.transform[:, :2]
         return float(np.arctan2(b - c, a + d))
 
 
-class _Texture(NamedTuple):
-    """Luminance with the brightness around taken off, and where it can be relied on."""
+class SecondPhotograph(NamedTuple):
+    """A second photograph on the pixels of the first one's part.
 
-    values: np.ndarray
-    usable: np.ndarray
+    Attributes:
+        registration: How it was laid on the first.
+        part: Linear pixels of the part.
+        clear: Pixels that show the iris and nothing in front of it.
+    """
+
+    registration: Registration
+    part: Float[np.ndarray, "rows columns 3"]
+    clear: Bool[np.ndarray, "rows columns"]
 
 
-def register(
+def lay_on_first(
+    second: Photograph, first: Photograph, limbus: Ellipse, pupil: Ellipse, cut: tuple[slice, slice]
+) -> SecondPhotograph:
+    """Lay a second photograph on a part of the first.
+
+    Args:
+        second: A photograph of the same eye.
+        first: The photograph whose part is meant.
+        limbus: Outline in the first.
+        pupil: Outline in the first.
+        cut: Rows and columns of the part, in what `part_of` cuts out for the limbus.
+
+    Raises:
+        ValueError: If the second photograph shows another eye.
+    """
+    found = register_photographs(second, first, limbus, find_boundaries(second).limbus)
+    off = found.residual / limbus.semi_axes[0]
+    if not off < MOST_SECOND_OFF:
+        raise ValueError(
+            f"{second.name}: its iris does not come to lie on the one of {first.name}: they are "
+            f"off by {100 * off:.1f} % of the limbus's radius, {100 * MOST_SECOND_OFF:g} % is the "
+            "most"
+        )
+    laid = Photograph(found.pixels.astype(np.float32), ~found.valid, second.grey)
+    part = part_of(laid, limbus)
+    inner = part.moved(pupil)
+    return SecondPhotograph(found, part.pixels[cut], part.clear(inner, part.lids(inner))[cut])
+
+
+def register_photographs(
     second: Photograph, first: Photograph, first_limbus: Ellipse, second_limbus: Ellipse
 ) -> Registration:
     """Find the affine map between two photographs and resample the second onto the first.
 
-    Centres and sizes of the outlines come first; then the angle by phase correlation of the
-    unrolled irides, any turn included; then all six numbers by robust least squares on the
-    textures, from coarse to fine. What one of the two lacks (highlights, lashes) counts little.
+    For pairs such as one through crossed polarisers and one without: highlights and shading differ,
+    the iris's texture does not. Centres and sizes of the outlines come first, then the angle by
+    phase correlation of the unrolled irides, then all six numbers by robust least squares on the
+    textures, from coarse to fine. Parts that one of the two lacks (highlights, lashes) have little
+    weight.
 
-    **Raises:** `ValueError` for a limbus with its centre out of its photograph or a radius below 20
-    pixels.
+    Raises:
+        ValueError: If a limbus has its centre outside its photograph or a radius below 20 pixels.
     """
     for photograph, limbus in ((first, first_limbus), (second, second_limbus)):
         _check(photograph, limbus)
@@ -87,7 +127,7 @@ def register(
     scale = _radius(far) / radius
     turn = _turn(one, near, other, far)
     cos, sin = scale * np.cos(turn), scale * np.sin(turn)
-    # About the limbus: all six numbers are then of one size.
+    # About the limbus, so that all six numbers have one magnitude.
     centre = np.array(near.centre)
     affine = np.array([[cos, sin, far.centre[0]], [-sin, cos, far.centre[1]]])
     points = _points(near, one.usable, first.name)
@@ -101,6 +141,13 @@ def register(
     transform = np.column_stack([matrix, offset])
     pixels, valid = _resampled(second, transform, first.shape)
     return Registration(pixels, valid, transform, residual * fine, correlation)
+
+
+class _Texture(NamedTuple):
+    """Luminance less the brightness around it, and where it is reliable."""
+
+    values: np.ndarray
+    usable: np.ndarray
 
 
 def _check(photograph: Photograph, limbus: Ellipse) -> None:
@@ -122,12 +169,12 @@ def _radius(limbus: Ellipse) -> float:
 
 
 def _texture(photograph: Photograph, limbus: Ellipse) -> tuple[_Texture, Ellipse, int]:
-    """Texture at the resolution of the comparison, the limbus in it, and how many pixels along a
-    side went into one.
+    """Texture at the resolution of the comparison, the limbus in it, and the reduction along a
+    side.
     """
     fine = max(1, round(_radius(limbus) / _WORKING))
     limbus, radius = limbus.scaled(1 / fine), _radius(limbus) / fine
-    luminance = photograph.pixels @ LUMINANCE
+    luminance = photograph.pixels @ LUMINANCE_WEIGHTS
     cut = photograph.saturated
     if fine > 1:
         rows, columns = (n // fine * fine for n in photograph.shape)
@@ -136,7 +183,7 @@ def _texture(photograph: Photograph, limbus: Ellipse) -> tuple[_Texture, Ellipse
     usable = np.logical_not(binary_dilation(cut, iterations=max(2, round(0.01 * radius))))
     inside = limbus.mask(usable.shape) & usable
     dark = max(1e-6, 0.05 * float(np.median(luminance[inside]))) if inside.any() else 1e-6
-    # Logarithms: light that falls off across the iris adds instead of multiplying.
+    # Logarithms turn light that falls off across the iris into an additive term.
     values = np.log(np.maximum(luminance, 0) + dark)
     weight = usable.astype(np.float32)
     blur = partial(gaussian_filter, sigma=_WINDOW * radius, mode="constant", truncate=3.0)
@@ -158,7 +205,7 @@ def _turn(one: _Texture, first: Ellipse, other: _Texture, second: Ellipse) -> fl
 
 
 def _unrolled(texture: _Texture, limbus: Ellipse) -> np.ndarray:
-    """Texture along ellipses that share the limbus' shape, by the angle in the picture."""
+    """Texture along ellipses of the limbus's shape, by the angle in the picture."""
     radius = _radius(limbus)
     blurred = gaussian_filter(texture.values, max(radius / 100, 0.5))
     angle = np.linspace(0, 2 * np.pi, _POLAR[1], endpoint=False)
@@ -210,7 +257,7 @@ def _refined(affine, one, other, points, centre, radius, blur) -> np.ndarray:
         share = (off / _OUTLYING) ** 2
         return off, keep / (1 + share), np.log1p(share).sum()
 
-    # Gauss-Newton, reweighted: six unknowns make SciPy's decompositions of all rows a waste.
+    # Reweighted Gauss-Newton by normal equations: SciPy's solvers are far slower for six unknowns.
     (off, weight, loss), parameters = compared(start), start
     for _ in range(_STEPS):
         along, down = (sampled(s, parameters)[:, None] for s in slopes)
@@ -247,7 +294,7 @@ def _resampled(second: Photograph, transform: np.ndarray, shape: tuple[int, int]
 def _disagreement(
     one: _Texture, other: _Texture, transform: np.ndarray, limbus: Ellipse
 ) -> tuple[float, float]:
-    """RMS of the flow left between the textures (px), and their correlation."""
+    """RMS of the remaining flow between the textures (px), and their correlation."""
     (x, y), (a, _) = limbus.centre, limbus.semi_axes
     step = max(1.0, a / 200)
     column, row = np.meshgrid(np.arange(x - a, x + a, step), np.arange(y - a, y + a, step))

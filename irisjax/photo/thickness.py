@@ -1,67 +1,252 @@
-"""Thickness of the stroma from the brightness of a photograph: brighter is thicker  [F09 4.2]."""
+"""Freckles, and thickness of the stroma from the brightness of a photograph: brighter is thicker
+[F09 Section 4.2].
+"""
 
 import math
+from typing import NamedTuple
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import scipy.fft
 from jaxtyping import Bool, Float
+from scipy import ndimage
 
 from irisjax.grow.procedural import stroma_profile
 from irisjax.measure.colour import srgb_encode
 from irisjax.numerics.checks import Range, check_range, check_whole
-from irisjax.photo.filling import Gaussian, fill, masked_mean
+from irisjax.photo.freckles import find_freckles
+from irisjax.photo.texture import (
+    MAP_SHAPE,
+    Gaussian,
+    Unrefracted,
+    fill_holes,
+    from_polar,
+    masked_mean,
+    to_polar,
+)
+from irisjax.tissue.maps import IrisMaps
 
-Texture = Float[np.ndarray, "size size"]
-
+_Texels = Float[np.ndarray, "size size"]
 MEASURED = Range(2.25, 5.0, "mm")
 """Distances from the axis between which the iris's thickness was measured  [F09 Fig. 8]."""
 SIGMA = 0.5
 """Width of the blur by scattering within the tissue, mm  [F09 Section 4.2.1]."""
 BETA = 0.350
-"""Thickness that goes with encoded values from 0 to 1, mm  [F09 Section 4.2.1]."""
+"""Thickness per encoded pixel value from 0 to 1, mm  [F09 Section 4.2.1]."""
 WIDTH = 0.8
-"""Standard deviation of the neighbourhood whose mean Eq. 5 takes off, mm."""
-LEAST = 0.03
-"""Thickness to which the map is clamped, mm: the floor of a deep crypt."""
-MOST = 1.5
+"""Standard deviation of the neighbourhood whose mean Eq. 5 subtracts, mm."""
+THINNEST = 0.03
+"""Least thickness of the map, mm: the bottom of a deep crypt."""
+THICKEST = 1.5
 """Greatest thickness of the map that luminance and a response give, mm."""
 SHADE_WIDTH, SHADE_SHARE = 0.4, 0.5
-"""In the shade: width of the neighbourhood, mm, and share of the contrast that is believed. Light
-that falls off within less than a millimetre makes contrast as thickness does; in simulated
-photographs the two correlate by 0.3 to 0.5 there, and by 0.8 to 0.9 elsewhere.
+"""Width of the neighbourhood in the shade, mm, and share of the contrast there that is attributed
+to thickness. Light that falls off within less than a millimetre makes contrast as thickness does;
+in simulated photographs the two correlate by 0.3 to 0.5 in the shade, and by 0.8 to 0.9 elsewhere.
 """
 TYPICAL = 0.4
-"""Mean thickness of a stroma, mm: of shading's share in the contrast."""
+"""Mean thickness of a stroma, mm, which sets the share of shading in the contrast."""
 OTHER = 0.25
-"""What else makes contrast: standard deviation of ln luminance by pigment, vessels and folds (about
-0.05) over that of ln thickness (about 0.2), both assumed.
+"""Other sources of contrast: standard deviation of ln luminance by pigment, vessels and folds
+(about 0.05) over that of ln thickness (about 0.2), both assumed.
 """
 MID_GREY = 0.18
 """Linear luminance to which the surroundings of each texel are exposed."""
 ITERATIONS = 10
-"""Of Richardson and Lucy: more sharpen noise."""
+"""Iterations of Richardson's and Lucy's method; more sharpen noise."""
 _RESPONSES = Range(-5, 5)  # next to 0 where the stroma is opaque
 _LEAST_RESPONSE = 1e-3  # below it the Fourier factor of shading would be 0 / 0
+NOISE_WIDTH = 0.05
+"""Standard deviation of the Gaussian along the radius that removes the sensor's noise, mm."""
+ARC_LENGTH, ARC_WIDTH = 0.7, 0.05
+"""Standard deviations of the neighbourhood along an arc and across it, mm."""
+ARC_LIGHT = 0.75
+"""Standard deviation of the light's variation in ln luminance along arcs over that of ln thickness
+along them. Assumed, and like the lengths above chosen on the simulated photographs of the package.
+"""
+_LEAST_ARC_WEIGHT = 1e-3
+BLUR = 0.02
+"""Standard deviation of the Gaussian that smooths freckles against noise, mm."""
+
+
+class Darkness(NamedTuple):
+    """Luminance of an iris with a share of a freckle over its own, falling with the share."""
+
+    shares: Float[np.ndarray, " shares"]
+    ratios: Float[np.ndarray, " shares"]
+
+    def share(
+        self, seen: _Texels, around: _Texels, freckles: Bool[np.ndarray, "size size"], texel: float
+    ) -> _Texels:
+        """Return the share of a freckle that makes luminance `around` as dark as the luminance
+        `seen`, at most the greatest one.
+        """
+        ratio = np.where(freckles, seen / np.maximum(around, 1e-6), 1).astype(np.float32)
+        ratio = ndimage.gaussian_filter(ratio, BLUR / texel)
+        falling = np.minimum.accumulate(self.ratios)
+        return np.interp(ratio, falling[::-1], self.shares[::-1]).astype(np.float32)
+
+
+class Morphology(NamedTuple):
+    """The iris's shape as estimated from a photograph.
+
+    Attributes:
+        maps: `stroma_depth`, and `freckles` if there are any; the ABL is equally thick everywhere.
+        freckles: Mask of texels.
+        filled: The texture without freckles, complete between pupil and root.
+        normalised: Pixel values less their mean [F09 Eq. 5]; 0 where the texture is not valid.
+        deconvolved: The same after deconvolution [F09 Eq. 6].
+        thickness: Thickness of the stroma, mm [F09 Eq. 7], complete.
+        clamped: Number of valid texels whose thickness was outside the allowed range.
+        sigma_mm: Width of the deconvolution.
+    """
+
+    maps: IrisMaps
+    freckles: Bool[np.ndarray, "size size"]
+    filled: Float[np.ndarray, "size size 3"]
+    normalised: Float[np.ndarray, "size size"]
+    deconvolved: Float[np.ndarray, "size size"]
+    thickness: Float[np.ndarray, "size size"]
+    clamped: int
+    sigma_mm: float
+
+
+def shape_maps(
+    texture: Unrefracted,
+    freckles: Bool[np.ndarray, "size size"] | None = None,
+    *,
+    sigma_mm: float = SIGMA,
+    beta: float = BETA,
+    response: float | None = None,
+    slopes: tuple[float, float] = (0.0, 0.0),
+    shade: Bool[np.ndarray, "size size"] | None = None,
+    darkness: Darkness | None = None,
+    shape: tuple[int, int] = MAP_SHAPE,
+) -> Morphology:
+    """Find and fill freckles, and estimate the thickness from what is left  [F09 Section 4.2].
+
+    Args:
+        texture: The iris laid flat.
+        freckles: The user's mask, in place of `find_freckles`.
+        sigma_mm: Width of the deconvolution.
+        beta: Thickness per encoded pixel value, mm  [F09 Eq. 7].
+        response: The model's response, used by `relative_thickness` in place of `beta` and Eq. 7;
+            the photograph is then taken as linear luminance.
+        slopes: Shading by relief to be removed, see `unshade`; needs `response`.
+        shade: Texels that lamps hardly reach; used with `response`.
+        darkness: Luminance of freckles, which gives their share; without it freckles are whole
+            ones.
+        shape: Angles and radii of the maps.
+
+    Raises:
+        ValueError: If the texture has no valid texel, the mask has another size, or a number is out
+            of range.
+    """
+    valid, texel = texture.valid, texture.millimetres_per_texel
+    if freckles is None:
+        freckles = find_freckles(texture)
+    elif freckles.shape != valid.shape:
+        raise ValueError(f"the freckle mask is {freckles.shape}, the texture {valid.shape}")
+    if response is None and slopes != (0, 0):
+        raise ValueError("slopes of the shading need a response of luminance to thickness")
+    known = valid & ~freckles
+    if not known.any():
+        raise ValueError("the texture has no texel that shows the iris beside freckles")
+    filled = fill_holes(texture.pixels, ~known)
+    # Filled freckles and small holes take part; texels outside the iris do not.
+    radius = texture.radius()
+    shown = valid | freckles
+    luminance = texture._replace(pixels=filled).luminance()
+    if response is None:
+        relative = relative_luminance(luminance, shown, WIDTH, texel)
+        normalised = local_normalisation(encoded_intensity(relative), shown, WIDTH, texel)
+    else:
+        normalised = local_contrast(luminance, shown, shade, texel)
+        normalised = along_fibres(normalised, shown, texture, response)
+        normalised = unshade(normalised, shown, slopes, response, texel)
+    normalised = np.maximum(normalised, np.float32(-0.99))
+    deconvolved = deconvolve(normalised, shown, sigma_mm, texel)
+    smooth = fill_holes(deconvolved, ~shown)
+    found, clamped = (
+        f09_thickness(radius, smooth, beta)
+        if response is None
+        else relative_thickness(radius, smooth, response)
+    )
+    rim = texture.pupil_radius, texture.iris_radius, shape
+    spots = freckles.astype(np.float32)
+    if darkness is not None:
+        spots *= darkness.share(texture.luminance(), luminance, freckles, texel)
+    maps = IrisMaps(
+        stroma_depth=jnp.asarray(to_polar(found, *rim)),
+        freckles=_share(to_polar(spots, *rim)) if freckles.any() else None,
+    )
+    low = int((clamped & shown).sum())
+    return Morphology(maps, freckles, filled, normalised, deconvolved, found, low, sigma_mm)
+
+
+def along_fibres(
+    contrast: Float[np.ndarray, "size size"],
+    valid: Bool[np.ndarray, "size size"],
+    texture: Unrefracted,
+    response: float,
+) -> Float[np.ndarray, "size size"]:
+    """Return the contrast of luminance smoothed along the radius, less what an arc about the axis
+    has in common beyond the whole ring; 0 where not valid.
+
+    Fibres run along the radius, and the collarette all the way round. The shadows of lids and
+    limbus and the caustics of the cornea run along the limbus on one side of it, and so does a
+    furrow, which is removed with the light; a round crypt 0.5 mm wide loses up to a quarter.
+
+    Args:
+        contrast: Contrast of linear luminance.
+        valid: Texels that count.
+        texture: The texture.
+        response: d ln luminance / d ln thickness. The share removed is the linear estimate of least
+            mean square error, `ARC_LIGHT`² / (`ARC_LIGHT`² + response²): 0.7 to 0.9 in a brown
+            iris, 0.6 in a blue one.
+    """
+    inner, outer, texel = texture.pupil_radius, texture.iris_radius, texture.millimetres_per_texel
+    angles = 64 * math.ceil(2 * math.pi * outer / texel / 64)  # Fourier transforms are fast
+    rim = inner, outer, (angles, max(2, math.ceil((outer - inner) / texel)))
+    cells = [to_polar(np.where(valid, v, np.float32(0)), *rim) for v in (contrast, valid)]
+    size = (outer - inner) / rim[2][1]
+    smooth = _ratio(*(_along(c, NOISE_WIDTH / size) for c in cells))
+    values, weights = (_along(c, ARC_WIDTH / size) for c in cells)
+    ring = _ratio(values.sum(0), weights.sum(0))
+    radius = inner + size * (np.arange(rim[2][1]) + 0.5)
+    frequency = np.arange(angles // 2 + 1, dtype=np.float32)[:, None]
+    transfer = np.exp(-0.5 * (frequency * (ARC_LENGTH / radius).astype(np.float32)) ** 2)
+
+    def over_arcs(c):
+        spectrum = np.asarray(scipy.fft.rfft(c, axis=0))
+        return np.asarray(scipy.fft.irfft(spectrum * transfer, angles, axis=0))
+
+    weight = over_arcs(weights)
+    arc = np.where(weight < _LEAST_ARC_WEIGHT, 0, _ratio(over_arcs(values), weight) - ring)
+    share = np.float32(ARC_LIGHT**2 / (ARC_LIGHT**2 + response**2))
+    found = from_polar(smooth - share * arc, texture.radius(), texture.angle(), inner, outer)
+    return np.where(valid, found, np.float32(0)).astype(np.float32)
 
 
 def generic_thickness(radius: Float[np.ndarray, "..."]) -> Float[np.ndarray, "..."]:
-    """Stroma of an average iris at distances from the axis (mm), mm  [F09 Section 4.2.1].
+    """Return the stroma's thickness (mm) of an average iris at distances from the axis (mm)  [F09
+    Section 4.2.1].
 
-    The quadratic through ultrasound's 0.645, 0.457 and 0.372 mm at 2.25, 3.5 and 5 mm, less 0.07 mm
-    of IPE and 0.05675 mm of ABL. Constant inside and outside of these radii: 0.645 mm is the
-    thickest place of an iris, where the quadratic would reach 1.3 mm, and it would rise again
-    beyond 5.08 mm.
+    It is the quadratic through ultrasound's 0.645, 0.457 and 0.372 mm at 2.25, 3.5 and 5 mm, less
+    0.07 mm of IPE and 0.05675 mm of ABL. It is constant inside and outside of these radii: 0.645 mm
+    is the thickest place of an iris, where the quadratic would reach 1.3 mm, and it would rise
+    again beyond 5.08 mm.
     """
     within = np.clip(np.asarray(radius, np.float32), MEASURED.low, MEASURED.high)
     return np.asarray(stroma_profile(jnp.asarray((within - 2.0) / 3.5)))
 
 
-def intensity(relative: Texture) -> Texture:
-    """Pixel values as a photograph holds them whose surroundings are exposed to mid-grey; 0.46
+def encoded_intensity(relative: _Texels) -> _Texels:
+    """Return the pixel values of a photograph whose surroundings are exposed to mid-grey; 0.46
     where `relative` luminance is 1.
 
-    β of Eq. 7 belongs to encoded values in [0, 1]. They pass 1 where a texel is over 5.5 times as
+    β of Eq. 7 refers to encoded values in [0, 1]. They pass 1 where a texel is over 5.5 times as
     bright as its surroundings.
     """
     linear = MID_GREY * np.maximum(relative, np.float32(0))
@@ -69,36 +254,34 @@ def intensity(relative: Texture) -> Texture:
 
 
 def relative_luminance(
-    luminance: Texture,
+    luminance: _Texels,
     valid: Bool[np.ndarray, "size size"],
     width_mm: float,
     millimetres_per_texel: float,
-) -> Texture:
-    """Linear luminance over its mean round about; 1 where not valid.
+) -> _Texels:
+    """Return linear luminance over its mean around each texel; 1 where not valid or black.
 
-    So neither the exposure nor a shadow that falls across the eye tells in the thickness. Of black
-    surroundings nothing is known: 1.
+    So the thickness depends neither on the exposure nor on a shadow that falls across the eye.
     """
     around = masked_mean(luminance, valid, width_mm / millimetres_per_texel)
     known = valid & (around > 1e-6)
     return np.where(known, luminance / np.where(known, around, 1), 1).astype(np.float32)
 
 
-def contrast(
-    luminance: Texture,
+def local_contrast(
+    luminance: _Texels,
     valid: Bool[np.ndarray, "size size"],
     shade: Bool[np.ndarray, "size size"] | None,
     millimetres_per_texel: float,
-    width_mm: float = WIDTH,
-) -> Texture:
-    """Contrast of linear luminance to its mean round about; 0 where not valid.
+) -> _Texels:
+    """Return the contrast of linear luminance to its mean around each texel; 0 where not valid.
 
     Texels in the `shade`, where lamps hardly reach, and those beside it are compared each with
-    their own kind only, for light falls off steeply between them. `width_mm`: of the neighbourhood.
+    their own kind only, for light falls off steeply between them.
     """
     shade = np.zeros_like(valid) if shade is None else shade & valid
     whole = np.zeros(valid.shape, np.float32)
-    kinds = (valid & ~shade, width_mm, 1.0), (shade, min(width_mm, SHADE_WIDTH), SHADE_SHARE)
+    kinds = (valid & ~shade, WIDTH, 1.0), (shade, SHADE_WIDTH, SHADE_SHARE)
     for kind, width, share in kinds:
         if not kind.any():
             continue
@@ -109,12 +292,12 @@ def contrast(
 
 
 def local_normalisation(
-    values: Texture,
+    values: _Texels,
     valid: Bool[np.ndarray, "size size"],
     width_mm: float,
     millimetres_per_texel: float,
-) -> Texture:
-    """`values` less their mean around each texel, 0 where not valid  [F09 Eq. 5].
+) -> _Texels:
+    """Return `values` less their mean around each texel; 0 where not valid  [F09 Eq. 5].
 
     The neighbourhood is a Gaussian of standard deviation `width_mm`; only valid texels count.
     """
@@ -124,20 +307,23 @@ def local_normalisation(
 
 
 def deconvolve(
-    normalised: Texture,
+    normalised: _Texels,
     valid: Bool[np.ndarray, "size size"],
     sigma_mm: float,
     millimetres_per_texel: float,
     iterations: int = ITERATIONS,
-) -> Texture:
-    """Sharpened by Richardson's and Lucy's method with a Gaussian of `sigma_mm`  [F09 Eq. 6].
+) -> _Texels:
+    """Sharpen a texture by Richardson's and Lucy's method with a Gaussian of `sigma_mm`  [F09 Eq.
+    6].
 
-    The method wants light, which is positive: an offset of 1 is added and taken off again. It
-    begins with the picture itself, so what is finer than the Gaussian stays as it was. Texels that
-    are not valid say nothing: they are filled at first, then only the valid ones are explained. The
-    mean over these is kept; 0 elsewhere. `sigma_mm` 0 changes nothing.
+    The method needs positive values: an offset of 1 is added and removed again. It starts from the
+    texture itself, so details finer than the Gaussian are kept. Texels that are not valid are
+    filled first and then left out of the comparison. The mean over the valid ones is kept; the
+    result is 0 elsewhere. `sigma_mm` 0 changes nothing. scikit-image's version has neither a mask
+    nor a start.
 
-    **Raises:** `ValueError` for values of −1 and below, and widths and counts out of range.
+    Raises:
+        ValueError: If values are −1 or below, or a width or count is out of range.
     """
     check_range("sigma_mm", sigma_mm, Range(0, 2, "mm"))
     check_whole("iterations", iterations, 0, 1000)
@@ -150,8 +336,8 @@ def deconvolve(
     box = tuple(_extent(np.any(valid, axis=axis)) for axis in (1, 0))
     shown, wide = valid[box], int(np.ceil(3 * sigma))
     around = np.pad(shown, wide)
-    # The tissue goes on beyond what is shown: without it the edges would seem dark.
-    light = np.pad(fill(1 + normalised[box].astype(np.float32), ~shown), wide, mode="edge")
+    # The tissue continues beyond the visible part: without it the edges would seem dark.
+    light = np.pad(fill_holes(1 + normalised[box].astype(np.float32), ~shown), wide, mode="edge")
     spread = Gaussian(around.shape, sigma, periodic=True)
     weight = spread(around)
     told = weight > 1e-3
@@ -167,57 +353,71 @@ def deconvolve(
     return whole
 
 
-def thickness(
-    radius: Texture, deconvolved: Texture, beta: float = BETA
-) -> tuple[Texture, Bool[np.ndarray, "size size"]]:
-    """Stroma's thickness (mm), and which texels had to be clamped to `LEAST`  [F09 Eq. 7]."""
+def f09_thickness(
+    radius: _Texels, deconvolved: _Texels, beta: float = BETA
+) -> tuple[_Texels, Bool[np.ndarray, "size size"]]:
+    """Return the stroma's thickness (mm), and which texels were clamped to `THINNEST`  [F09 Eq.
+    7].
+    """
     check_range("beta", beta, Range(0, 5, "mm"))
     found = generic_thickness(radius) + np.float32(beta) * deconvolved
-    return np.maximum(found, np.float32(LEAST)), found < LEAST
+    return np.maximum(found, np.float32(THINNEST)), found < THINNEST
 
 
 def relative_thickness(
-    radius: Texture, contrast: Texture, response: float
-) -> tuple[Texture, Bool[np.ndarray, "size size"]]:
-    """In place of Eq. 7: the generic thickness times (1 + contrast)^g, g = response / (response² +
-    `OTHER`²).
+    radius: _Texels, contrast: _Texels, response: float
+) -> tuple[_Texels, Bool[np.ndarray, "size size"]]:
+    """Return, in place of Eq. 7, the generic thickness times (1 + contrast)^g, g = response /
+    (response² + `OTHER`²).
 
-    `contrast`: of linear luminance, relative to the surroundings. `response`: of the logarithm of
-    luminance to that of thickness, which the model tells (ILIT: 0.6 for a blue iris, 0.5 for a
-    green one, 0.2 to 0.3 for a brown one); F09's β stands for about 5. Where all of the contrast
-    came from thickness g would be 1 / response; this is the linear estimate of least mean square
-    error, and promises little where thickness hardly shows. **Returns:** as `thickness`.
+    If all contrast came from thickness, g would be 1 / response. This is the linear estimate of
+    least mean square error, which gives little where thickness hardly shows.
+
+    Args:
+        radius: Distance from the axis, mm.
+        contrast: Contrast of linear luminance to the surroundings.
+        response: d ln luminance / d ln thickness of the model (ILIT: 0.6 for a blue iris, 0.5 for a
+            green one, 0.2 to 0.3 for a brown one); F09's β corresponds to about 5.
+
+    Returns:
+        The thickness (mm), and which texels were clamped.
     """
     check_range("response", response, _RESPONSES)
     power = response / (response**2 + OTHER**2)
     grown = np.maximum(1 + contrast, np.float32(1e-3)) ** np.float32(power)
     found = generic_thickness(radius) * grown
-    clamped = (found < LEAST) | (found > MOST)
-    return np.clip(found, LEAST, MOST), clamped
+    clamped = (found < THINNEST) | (found > THICKEST)
+    return np.clip(found, THINNEST, THICKEST), clamped
 
 
 def unshade(
-    contrast: Texture,
+    contrast: _Texels,
     valid: Bool[np.ndarray, "size size"],
     slopes: tuple[float, float],
     response: float,
     millimetres_per_texel: float,
-) -> Texture:
-    """Contrast of linear luminance as it would be without relief.
+) -> _Texels:
+    """Return the contrast of linear luminance without the shading by relief.
 
-    Light from aside brightens what rises towards it, so a picture holds the thickness and its
+    Light from aside brightens what rises towards it, so a picture contains the thickness and its
     derivative. To first order contrast is `response` h / T + s · ∇h, h being the deviation from the
     mean thickness T; in Fourier space that is one factor, which is divided out.
 
-    `slopes`: s along x and y, mm per mm: minus the share of the unevenness that stands out towards
-    the cornea (0.3 in `procedural`) times the lights' horizontal over their vertical components,
-    in the chamber, means weighted by irradiance. (0, 0) changes nothing.
+    Args:
+        contrast: Contrast of linear luminance.
+        valid: Texels that count.
+        slopes: s along x and y, mm per mm: minus the share of the unevenness that stands out
+            towards the cornea (0.3 in `procedural`) times the lights' horizontal over their
+            vertical components, in the chamber, means weighted by irradiance. (0, 0) changes
+            nothing.
+        response: d ln luminance / d ln thickness.
+        millimetres_per_texel: Width of a texel.
     """
     check_range("slopes", slopes, Range(-2, 2))
     check_range("response", response, _RESPONSES)
     if slopes == (0, 0):
         return contrast
-    # Relief shades an iris, too, whose thickness does not show.
+    # Relief shades an iris even if its thickness does not show.
     response = math.copysign(max(abs(response), _LEAST_RESPONSE), response)
     known = np.where(valid, contrast, np.float32(0))
     shape = [scipy.fft.next_fast_len(n + n // 8, real=True) for n in valid.shape]
@@ -231,7 +431,23 @@ def unshade(
     return np.where(valid, found, np.float32(0))
 
 
+def _share(values: np.ndarray) -> jax.Array:
+    """Values limited to [0, 1] against the rounding of means."""
+    return jnp.asarray(np.clip(values, 0, 1))
+
+
+def _along(cells: np.ndarray, sigma: float) -> np.ndarray:
+    """Convolve with a Gaussian along the radius; `sigma` is in cells."""
+    return ndimage.gaussian_filter1d(cells, sigma, axis=1, mode="constant")
+
+
+def _ratio(values: np.ndarray, weights: np.ndarray) -> np.ndarray:
+    """Means by their weights; 0 where there is no weight."""
+    none = weights < _LEAST_ARC_WEIGHT
+    return np.where(none, 0, values / np.where(none, 1, weights))
+
+
 def _extent(line) -> slice:
-    """From the first to the last that is true."""
+    """The range from the first to the last true element."""
     where = np.flatnonzero(line)
     return slice(int(where[0]), int(where[-1]) + 1)

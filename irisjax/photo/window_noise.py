@@ -1,12 +1,13 @@
-"""What a model of windows gets wrong, integrated out of the likelihood of their colours.
+"""Errors of the model of windows, integrated out of the likelihood of their colours.
 
-An iris is not as thick as the average one and its relief shades otherwise; both differ from iris to
+An iris is not as thick as the average one and its relief shades otherwise. Both differ from iris to
 iris, from ring to ring of one, and from window to window of a ring: normal errors of three levels,
-as in an analysis of variance with random effects. In the logarithms of the channels an error of
-thickness of the whole or of a ring shows as the model's own response to it, one of light in all
-alike. How the windows of a ring scatter is told by the photograph itself, and not by a model of
-pigments: irides hold more than pigments and thickness. How much rings are off it tells too: an iris
-may have another colour round its pupil, and light may fall off as that of no lamp here does.
+as in an analysis of variance with random effects. In the logarithms of the channels, an error of
+the thickness of the whole or of a ring is proportional to the model's own response to it, and one
+of light is equal in all channels. The scatter of the windows of a ring is estimated from the
+photograph itself, because irides contain more than pigments and thickness. So is the spread of the
+rings: an iris may have another colour around its pupil, and light may fall off as that of no lamp
+of the model does.
 """
 
 from typing import NamedTuple
@@ -14,17 +15,22 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, ArrayLike, Bool, Float
 
 from irisjax._types import Scalar
-from irisjax.photo.window_pixels import ANGLES, RINGS
+from irisjax.photo.windows import ANGLES, RINGS
 
 WindowColours = Float[Array, "windows 3"]
+_Present = Bool[ArrayLike, " windows"]
 
 
 class Spreads(NamedTuple):
-    """Standard deviations of errors of one level: of ln thickness, of ln light, and of ln of each
-    channel by itself.
+    """Standard deviations of errors at one level, each of a logarithm.
+
+    Attributes:
+        thickness: Of the thickness.
+        light: Of the light.
+        channel: Of each channel by itself.
     """
 
     thickness: float
@@ -33,45 +39,49 @@ class Spreads(NamedTuple):
 
 
 WHOLE = Spreads(0.15, 0.1, 0.0)
-"""Of an iris from the average: assumed. What single channels
-have in common is the camera's white balance.
-"""
+"""Errors of a whole iris: assumed. Errors of single channels are the camera's white balance."""
 RING = Spreads(0.12, 0.08, 0.02)
-"""Of rings of one iris, for its collarette, its folds and its colours: assumed; the light of those
-of `procedural` differs by 0.01.
+"""Errors of the rings of one iris, by its collarette, folds and colours: assumed; the light of
+those of `procedural` differs by 0.01.
 """
-WIDER = 2.0 ** np.arange(4)
-"""That these may be, twice as wide being half as likely: as much more as the photograph says."""
-USUAL = (
+SPREAD_FACTORS = 2.0 ** np.arange(4)
+"""Factors on `RING`, with a 1/x prior, so that the photograph determines the spread."""
+PRIOR_COVARIANCE = (
     0.04**2 * np.ones((3, 3))
     + 0.06**2 * np.outer([0.55, 0.33, 0.15], [0.55, 0.33, 0.15])
     + 0.007**2 * np.eye(3)
 )
-"""Covariance of a window's channels about its ring before the photograph is seen: light, thickness
-with the response of a green iris, and each channel by itself.
+"""Prior covariance of a window's channels about its ring: light, thickness with the response of a
+green iris, and each channel by itself.
 """
-FREEDOM = 5.0
-"""Windows that it counts for."""
+PRIOR_WINDOWS = 5.0
+"""Number of windows that the prior counts for."""
 
 
 class Covariances(NamedTuple):
-    """Of the channels of a window about the mean of its ring, (rings, 3, 3), and of the means of
-    all rings, (3 rings, 3 rings).
+    """Covariances of the errors.
+
+    Attributes:
+        within: Of the channels of a window about the mean of its ring.
+        between: Of the means of all rings.
     """
 
     within: Float[Array, "rings 3 3"]
     between: Float[Array, "means means"]
 
 
-def log_likelihood(off: WindowColours, response: WindowColours, present) -> Scalar:
-    """Logarithm of the density of errors, without constants: of the rings' means a mixture of
-    normal ones, as `WIDER` has it; of what windows are off them a matrix t, the normal one with an
-    inverse Wishart prior of its covariance integrated out [Gelman et al. 2013, Section 3.6].
+def log_likelihood(off: WindowColours, response: WindowColours, present: _Present) -> Scalar:
+    """Return the logarithm of the density of errors, without constants.
+
+    That of the rings' means is a mixture of normal densities over `SPREAD_FACTORS`. That of windows
+    about them is a matrix t: the normal density with the inverse Wishart prior of its covariance
+    integrated out [Gelman et al. 2013, Section 3.6].
 
     Args:
         off: Logarithms of photograph over model, ring after ring.
-        response: Derivatives of the model's by that of thickness; its means in rings count.
-        present: Windows that count, (windows,).
+        response: Derivatives of the model's logarithms by that of thickness; their means in rings
+            count.
+        present: Windows that count.
     """
     within, between = _every(off, response, present)
     number, means, _ = _in_rings(off, present)
@@ -79,8 +89,10 @@ def log_likelihood(off: WindowColours, response: WindowColours, present) -> Scal
     return jax.nn.logsumexp(_log_weights(between, means)) - 0.5 * scatter
 
 
-def whitened(off: WindowColours, present, held: Covariances) -> Float[Array, " values"]:
-    """Numbers of unit variance, under covariances that are held."""
+def whitened_errors(
+    off: WindowColours, present: _Present, held: Covariances
+) -> Float[Array, " values"]:
+    """Return errors as numbers of unit variance, under fixed covariances."""
     _, means, apart = _in_rings(off, present)
     within, between = (jnp.linalg.cholesky(c) for c in held)
     rows = jax.scipy.linalg.solve_triangular(within, apart.mT, lower=True)
@@ -88,9 +100,11 @@ def whitened(off: WindowColours, present, held: Covariances) -> Float[Array, " v
     return jnp.concatenate([rows.ravel(), row])
 
 
-def covariances(off: WindowColours, response: WindowColours, present) -> Covariances:
-    """The likeliest within rings, and that of their means, as wide as these make likely: under it a
-    step of least squares is one of expectation and maximisation over `WIDER`.
+def covariances(off: WindowColours, response: WindowColours, present: _Present) -> Covariances:
+    """Return the most likely covariance within rings, and that of their means weighted by the
+    probability of each factor.
+
+    With it a step of least squares is one of expectation and maximisation over `SPREAD_FACTORS`.
     """
     within, between = _every(off, response, present)
     share = jax.nn.softmax(_log_weights(between, _in_rings(off, present)[1]))
@@ -99,22 +113,24 @@ def covariances(off: WindowColours, response: WindowColours, present) -> Covaria
 
 
 def _log_weights(between, means):
-    """Logarithms of the densities of rings' means under each of the covariances, (wider,)."""
+    """Logarithms of the densities of rings' means under each of the covariances."""
     factor = jnp.linalg.cholesky(between)
     row = jax.scipy.linalg.solve_triangular(
         factor, jnp.broadcast_to(means.ravel(), factor.shape[:-1])[..., None], lower=True
     )
     density = -0.5 * (row**2).sum((1, 2)) - jnp.log(jnp.diagonal(factor, 0, 1, 2)).sum(-1)
-    return density - jnp.log(jnp.asarray(WIDER))
+    return density - jnp.log(jnp.asarray(SPREAD_FACTORS))
 
 
-def _every(off: WindowColours, response: WindowColours, present) -> Covariances:
-    """The likeliest within rings, and those of their means, (wider, means, means); rings without
-    windows stand apart with a variance of 1.
+def _every(off: WindowColours, response: WindowColours, present: _Present) -> Covariances:
+    """The most likely covariance within rings, and those of their means for each factor; rings
+    without windows are independent with a variance of 1.
     """
     number, _, apart = _in_rings(off, present)
     along = _in_rings(response, present)[1]
-    scatter = FREEDOM * jnp.asarray(USUAL) + jnp.einsum("rni,rnj->rij", apart, apart)
+    scatter = PRIOR_WINDOWS * jnp.asarray(PRIOR_COVARIANCE) + jnp.einsum(
+        "rni,rnj->rij", apart, apart
+    )
     within = scatter / _free(number)[:, None, None]
 
     def of(level: Spreads):
@@ -123,23 +139,23 @@ def _every(off: WindowColours, response: WindowColours, present) -> Covariances:
 
     every = jnp.arange(RINGS)
     alone = within / jnp.maximum(number, 1)[:, None, None]
-    alone = jnp.asarray(WIDER**2)[:, None, None, None] * of(RING)[every, every] + alone
+    alone = jnp.asarray(SPREAD_FACTORS**2)[:, None, None, None] * of(RING)[every, every] + alone
     seen = (number > 0)[:, None, None]
     between = of(WHOLE) * (seen[:, None] & seen[None])
-    between = jnp.broadcast_to(between, (len(WIDER), *between.shape))
+    between = jnp.broadcast_to(between, (len(SPREAD_FACTORS), *between.shape))
     between = between.at[:, every, every].add(jnp.where(seen, alone, jnp.eye(3)))
     return Covariances(
-        within, between.transpose(0, 1, 3, 2, 4).reshape(len(WIDER), 3 * RINGS, 3 * RINGS)
+        within, between.transpose(0, 1, 3, 2, 4).reshape(len(SPREAD_FACTORS), 3 * RINGS, 3 * RINGS)
     )
 
 
 def _free(number):
-    """What windows of rings, and the usual ones, count for where they scatter about their mean."""
-    return FREEDOM + jnp.maximum(number - 1, 0)
+    """Windows of rings, and of the prior, that count for the scatter about their mean."""
+    return PRIOR_WINDOWS + jnp.maximum(number - 1, 0)
 
 
 def _in_rings(values, present):
-    """Number of windows of each ring, their mean values (rings, 3), and what they are off it."""
+    """Number of windows of each ring, their mean values, and the differences from it."""
     count = jnp.asarray(present).reshape(RINGS, ANGLES, 1)
     by_ring = values.reshape(RINGS, ANGLES, 3)
     number = count.sum(1)[:, 0]

@@ -1,28 +1,36 @@
-"""The renderer as a matrix for windows of the iris  [F09 Section 5.2].
-
-A picture is linear in the coefficients of the iris's response: what the lights, the cornea and the
-thickness map make of them is worked out once, and a change of pigments costs a product with a small
-matrix.
-"""
+"""Windows of the iris, and the renderer as a matrix for their colours  [F09 Section 5.2]."""
 
 import dataclasses
-from typing import Any
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Bool, Float, Int
 
 from irisjax._types import Scalar
 from irisjax.anatomy.eye import Eye
-from irisjax.photo.unrefracted import LUMINANCE
-from irisjax.photo.window_pixels import COUNT, WindowPixels
+from irisjax.grow.procedural import procedural
+from irisjax.photo.light import SHADED
+from irisjax.photo.pose import Pose
+from irisjax.photo.texture import LUMINANCE_WEIGHTS
+from irisjax.photo.thickness import generic_thickness
 from irisjax.render.bands import Bands, colour_bands
 from irisjax.render.compose import respond
 from irisjax.render.environment import Environment
 from irisjax.render.illumination import Illumination
 from irisjax.render.lights import Lights
+from irisjax.render.outside import room_at
+from irisjax.render.project import (
+    IRIS,
+    SCLERA,
+    IrisPixels,
+    View,
+    onto_picture,
+    pixel_numbers,
+    seen_parts,
+)
 from irisjax.render.radiative import RadiativeIntegrator
 from irisjax.render.scene import ENVIRONMENT_LIGHTS
 from irisjax.render.separable import Separable
@@ -31,20 +39,73 @@ from irisjax.tissue.iris import Iris
 from irisjax.tissue.maps import IrisMaps, Scales
 from irisjax.transport.solution import RESULTS
 
-_COPIES = 4  # turns at which one pixel sees maps that are turned
+TURNS = 16
+"""Places around the eye to which its maps are turned one after another, so that no feature has a
+place.
+"""
+_SEED = 5
+ANGLES = 16
+"""Windows around the iris."""
+RINGS = 4
+"""Windows across the iris."""
+MARGIN = 0.35
+"""Distance of the windows from the pupil's edge, mm."""
+OUTER_MARGIN = 0.7
+"""Distance of the windows from root and limbus, mm: the soft edge of the white, which is modelled
+only as a blend, shades the iris below it.
+"""
+COUNT = ANGLES * RINGS
+"""Number of windows."""
+_MOST, _LEAST = 96, 24  # most pixels taken of a window; least pixels of one that counts
+_COPIES = 4  # turns of the maps that one pixel sees
+
+
+class WindowPixels(NamedTuple):
+    """Pixels of the windows of one photograph, and the windows' mean colours.
+
+    Every photograph has the same shapes: windows with too few pixels are empty, and missing pixels
+    have the number of no window, `COUNT`.
+
+    Attributes:
+        seen: Some pixels of the windows.
+        window: The number of each pixel's window.
+        present: Windows with enough pixels, and not in the shade.
+        colour: Mean linear values of all of a window's pixels in the photograph.
+        veil: Share of a uniform room's radiance that the tear film mirrors.
+        mirrored: Radiance that it mirrors of the environment.
+        angle: Angles of the windows' middles, radians.
+        radius: Their distances from the axis, mm.
+    """
+
+    seen: IrisPixels
+    window: Int[np.ndarray, " pixels"]
+    present: Bool[np.ndarray, " windows"]
+    colour: Float[np.ndarray, "windows 3"]
+    veil: Float[np.ndarray, " windows"]
+    mirrored: Float[np.ndarray, "windows 3"]
+    angle: Float[np.ndarray, " windows"]
+    radius: Float[np.ndarray, " windows"]
 
 
 class Windows(eqx.Module):
-    """Windows of one photograph: their mean colours, and the same of the model as a matrix.
+    """Windows of one photograph: their mean colours, and the model's as a matrix.
 
-    - `colour`, `present`: of `WindowPixels`.
-    - `matrix`: from the coefficients of a response to radiance, and its derivative by the logarithm
-        of the stroma's thickness, (2, windows, channels or 1, products × functions). `room`: the
-        same of a uniform room of radiance 1 beside the lights, or `None` where nothing but the
-        lights is thought of.
-    - `veil`: share of the room's radiance that the tear film mirrors; `mirrored`: radiance that it
-        mirrors of an environment among the lights.
-    - `bands`, `ranges`, `integrator`, `aqueous_index`: what a response is made with.
+    A picture is linear in the coefficients of the iris's response. What lights, cornea and
+    thickness map do to them is computed once, and a change of the pigments costs a product with a
+    small matrix.
+
+    Attributes:
+        colour: As in `WindowPixels`.
+        present: As in `WindowPixels`.
+        matrix: Matrix from the coefficients of a response to radiance, and its derivative by the
+            logarithm of the stroma's thickness, (2, windows, channels or 1, products × functions).
+        room: The same for a uniform room of radiance 1 beside the lights; `None` without a room.
+        veil: As in `WindowPixels`.
+        mirrored: As in `WindowPixels`.
+        bands: Wavelength bands of the response.
+        ranges: Ranges of its thickness scales.
+        integrator: Model of light in the iris.
+        aqueous_index: Refractive index of the aqueous humour.
     """
 
     colour: Float[np.ndarray, "windows 3"]
@@ -59,16 +120,19 @@ class Windows(eqx.Module):
     aqueous_index: Float[Array, ""]
 
     def radiance(self, iris: Iris, room: Scalar | float = 0.0) -> Float[Array, "windows 3"]:
-        """Mean linear sRGB of an iris in each window, where a white sheet facing an irradiance of π
-        has 1; `room`: radiance of the room beside the lights. NaN for an iris that the integrator's
-        solver does not hold.
+        """Return the mean linear sRGB of an iris in each window, where a white sheet that faces an
+        irradiance of π has 1; NaN for an iris that the solver cannot solve.
+
+        Args:
+            iris: The iris.
+            room: Radiance of the room beside the lights.
         """
         return self.radiance_and_slope(iris, room)[0]
 
     def radiance_and_slope(
         self, iris: Iris, room: Scalar | float = 0.0
     ) -> tuple[Float[Array, "windows 3"], Float[Array, "windows 3"]]:
-        """`radiance`, and its derivative by the logarithm of the stroma's thickness."""
+        """Return `radiance`, and its derivative by the logarithm of the stroma's thickness."""
         parts = self.aqueous_index, self.bands, self.ranges
         found, status = self.integrator.coefficients(iris, *parts)
         terms = found.reshape(-1, 3)
@@ -81,7 +145,7 @@ class Windows(eqx.Module):
         return shown if self.room is None else shown + room * self.veil[:, None], slope
 
     def thickness_response(self, iris: Iris) -> float:
-        """d ln luminance / d ln stroma's thickness of an iris, about its mean thickness, seen and
+        """Return d ln luminance / d ln thickness of the stroma, about the mean thickness, seen and
         lit from the front.
         """
         seen = self._from_the_front(iris, self.ranges, Scales(stroma=jnp.asarray([0.9, 1.1])))
@@ -90,8 +154,8 @@ class Windows(eqx.Module):
     def freckle_response(
         self, iris: Iris, shares: Float[np.ndarray, " shares"]
     ) -> Float[np.ndarray, " shares"]:
-        """Luminance of an iris with shares of a freckle (as of `IrisMaps.freckles`) over its own,
-        seen and lit from the front.
+        """Return the luminance of an iris with shares of a freckle (as in `IrisMaps.freckles`) over
+        its own, seen and lit from the front.
         """
         spots = IrisMaps(freckles=jnp.asarray([shares, shares], float))
         ranges = self.ranges._replace(abl=ranges_of(iris, spots).abl)
@@ -102,10 +166,10 @@ class Windows(eqx.Module):
         return seen / self._from_the_front(iris, ranges, both._replace(abl=0 * dark[0] + 1))
 
     def _from_the_front(self, iris: Iris, ranges: Scales, scales: Scales) -> np.ndarray:
-        """Luminance of uniform irides, (irides,)."""
+        """Luminance of uniform irides."""
         found: Any = respond(self.integrator, iris, self.aqueous_index, self.bands, ranges)
         one = jnp.ones_like(scales.stroma)
-        return np.asarray(LUMINANCE @ np.asarray(found.brdf(scales, one, one, 0 * one)))
+        return np.asarray(LUMINANCE_WEIGHTS @ np.asarray(found.brdf(scales, one, one, 0 * one)))
 
 
 def windows_of(
@@ -119,18 +183,18 @@ def windows_of(
     room: bool = False,
     turns: int = 1,
 ) -> Windows:
-    """Make the matrix of windows.
+    """Compute the matrix of the windows.
 
     Args:
-        chosen: Their pixels.
-        eye: That the camera sees.
-        iris: Fixes everything but the melanins.
+        chosen: Pixels of the windows.
+        eye: The eye.
+        iris: Iris that fixes everything but the melanins.
         maps: Thickness of the stroma.
-        lights: All of them but a room.
-        integrator: ILIT's or that of radiative transfer.
-        tables: Of the eye, `None` without a cornea. Those of a room need caustics.
+        lights: All lights but a room.
+        integrator: Model of light in the iris.
+        tables: Tables of light on the iris, `None` without a cornea. Those of a room need caustics.
         room: Whether there may be light from all round beside the lights.
-        turns: Places round the eye at which the maps stand in turn, for pixels of each window; a
+        turns: Places around the eye to which the maps are turned for the pixels of each window; a
             window then shows what is usual at its distance from the pupil.
     """
     ranges = ranges_of(iris, maps)
@@ -138,7 +202,8 @@ def windows_of(
     made: Any = integrator.prepare(iris, eye.aqueous_index, bands, ranges)
     known = eye, iris, maps, tables, ranges, bands, made
 
-    # What a window's features owe to chance would be taken for an error of the contrast.
+    # Each pixel sees the maps at several turns: features of a window by chance would look like an
+    # error of the contrast.
     copies = min(turns, _COPIES)
     seen = jax.tree.map(lambda leaf: jnp.repeat(leaf, copies, -1), chosen.seen)
     window = jnp.repeat(jnp.asarray(chosen.window), copies)
@@ -162,6 +227,99 @@ def windows_of(
         made,
         jnp.asarray(eye.aqueous_index),
     )
+
+
+def choose_pixels(
+    pixels: Float[np.ndarray, "rows columns 3"],
+    clear: Bool[np.ndarray, "rows columns"],
+    view: View,
+    eye: Eye,
+    environment: Environment | None = None,
+    light: Float[np.ndarray, "rows columns"] | None = None,
+) -> WindowPixels:
+    """Choose the pixels of all windows.
+
+    Args:
+        pixels: Linear pixels of the camera's picture.
+        clear: Pixels that show the iris alone: no highlight, lash, lid or freckle, and not the
+            white.
+        view: What the camera sees.
+        eye: The eye.
+        environment: Surroundings that the tear film mirrors.
+        light: The model's irradiance of the iris at each pixel, if only the eye itself casts
+            shadows on it. Without it, windows in the shade are recognised by the photograph's
+            brightness, which also drops windows that are dark themselves.
+
+    Raises:
+        ValueError: If fewer than 6 windows are free.
+    """
+    seen = view.iris
+    if seen is None:
+        raise ValueError("the camera does not see the iris")
+    every, around, r = _windows_of_pixels(seen, clear, eye)
+    index, window = _sampled(every)
+    some = dataclasses.replace(seen, index=None)
+    some = jax.tree.map(lambda leaf: jnp.asarray(np.asarray(leaf)[index]), some)
+    inside = every < COUNT
+    every, around, r = (v[inside] for v in (every, around, r))
+    at = pixel_numbers(seen)[inside]
+    number = np.bincount(every, minlength=COUNT)
+
+    def mean(values):
+        """Mean of values (pixels, channels) in each window."""
+        sums = [np.bincount(every, v, COUNT) for v in np.asarray(values, float).T]
+        return np.stack(sums, -1) / np.maximum(number, 1)[:, None]
+
+    colour = mean(pixels.reshape(-1, 3)[at])
+    brightness = (
+        colour @ LUMINANCE_WEIGHTS if light is None else mean(light.reshape(-1, 1)[at])[:, 0]
+    )
+    present = (number > 0) & ~_shaded(brightness, number > 0)
+    if present.sum() < 6:
+        raise ValueError(
+            f"only {present.sum()} windows of the iris are free of highlights, lashes, lids and "
+            "their shadows; at least 6 are needed for the pigments"
+        )
+    veil, mirrored = _tear_film(view, clear.shape, environment)
+    cos, sin, radius = mean(np.stack([np.cos(around), np.sin(around), r], -1)).T
+    return WindowPixels(
+        some,
+        window,
+        present,
+        colour,
+        mean(veil[at][:, None])[:, 0],
+        mean(mirrored[at]),
+        np.arctan2(sin, cos),
+        radius,
+    )
+
+
+def iris_alone(pose: Pose) -> Bool[np.ndarray, "rows columns"]:
+    """Return the pixels of the camera's picture that see the iris and none of the white, which
+    shines through at the limbus.
+    """
+    rows, columns = pose.camera.shape
+    every = np.arange(rows * columns, dtype=np.int32)
+    seen = np.asarray(seen_parts(every, pose.eye, pose.camera))
+    return (seen & (IRIS | SCLERA) == IRIS).reshape(rows, columns)
+
+
+def average_thickness(eye: Eye) -> float:
+    """Return the mean of the generic thickness over the area of an eye's iris, mm."""
+    radius = np.linspace(float(eye.pupil_radius), float(eye.iris_radius), 200)
+    return float(np.average(generic_thickness(radius), weights=radius))
+
+
+def average_maps(eye: Eye) -> IrisMaps:
+    """Return the average thickness by ultrasound with the fibres, crypts and relief of
+    `procedural`.
+
+    Pigments are fitted with this iris: the thickness map is estimated from the same photograph, so
+    it must not be used as independent evidence for the pigments. Shade and uneven thickness make an
+    iris darker than a smooth one, by 6 % near the limbus to 15 % near the pupil.
+    """
+    iris = Iris(stroma_thickness=jnp.asarray(average_thickness(eye)))
+    return procedural(iris, eye, key=jax.random.key(_SEED))
 
 
 @eqx.filter_jit
@@ -193,3 +351,59 @@ def _matrix(seen, window, lights, eye, iris, maps, tables, ranges, bands, integr
         return jnp.stack(jax.jvp(linear, (numbers,), (moved,)))
 
     return jax.lax.map(column, jnp.eye(one.size)).transpose(1, 2, 3, 0)
+
+
+def _shaded(light, present) -> Bool[np.ndarray, " windows"]:
+    """Windows that are much darker than most at their distance from the pupil: the shadow of the
+    limbus or of a lid falls on them, whose edge is not modelled well.
+    """
+    rings = np.where(present, light, np.nan).reshape(RINGS, ANGLES)
+    seen = [ring[~np.isnan(ring)] for ring in rings]
+    usual = [np.median(ring) if len(ring) else np.nan for ring in seen]
+    return (rings < SHADED * np.array(usual)[:, None]).ravel()
+
+
+def _tear_film(view: View, shape: tuple[int, int], environment: Environment | None):
+    """Reflectance of every pixel of the picture, and the radiance mirrored of an environment."""
+    count = shape[0] * shape[1]
+    mirror = view.mirror
+    if mirror is None:
+        return np.zeros(count), np.zeros((count, 3))
+    reflectance = np.asarray(mirror.reflectance)
+    room = np.zeros((len(reflectance), 3))
+    if environment is not None:
+        room = reflectance[:, None] * np.asarray(room_at(mirror, environment)).T
+    return (
+        onto_picture(mirror, reflectance, shape).reshape(count),
+        onto_picture(mirror, room, shape).reshape(count, 3),
+    )
+
+
+def _windows_of_pixels(seen: IrisPixels, clear, eye: Eye):
+    """The number of each pixel's window, `COUNT` for none; its angle and radius."""
+    number = pixel_numbers(seen)
+    x, y = (np.asarray(c) for c in seen.point[:2])
+    r, around = np.hypot(x, y), np.arctan2(y, x) % (2 * np.pi)
+    inner = float(eye.pupil_radius) + MARGIN
+    outer = min(float(eye.iris_radius), float(eye.limbus_radius)) - OUTER_MARGIN
+    usable = (number >= 0) & (r > inner) & (r < outer) & clear.reshape(-1)[number]
+    ring = np.minimum((r - inner) / (outer - inner) * RINGS, RINGS - 1).astype(int)
+    sector = np.minimum(around / (2 * np.pi) * ANGLES, ANGLES - 1).astype(int)
+    window = np.where(usable, ring * ANGLES + sector, COUNT)
+    enough = np.bincount(window, minlength=COUNT + 1) >= _LEAST
+    return np.where(enough[window], window, COUNT), around, r
+
+
+def _sampled(window):
+    """Indices of some pixels of each window, and the numbers of their windows."""
+    # Equally many of each, so that one compiled program serves all photographs.
+    index, name = np.zeros((COUNT, _MOST), int), np.full((COUNT, _MOST), COUNT)
+    for w in range(COUNT):
+        of = np.flatnonzero(window == w)
+        if len(of) == 0:
+            continue
+        taken = of[np.linspace(0, len(of) - 1, min(_MOST, len(of))).astype(int)]
+        index[w, : len(taken)], name[w, : len(taken)] = taken, w
+    # Padding repeats a visible pixel.
+    index[name == COUNT] = index[name < COUNT][0] if (name < COUNT).any() else 0
+    return index.ravel(), name.ravel()

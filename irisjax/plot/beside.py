@@ -1,6 +1,6 @@
-"""Figures drawn by a process of its own, while the caller's goes on with its work.
+"""Figures drawn by another process while the caller's continues.
 
-Importing matplotlib and drawing hold Python's lock: threads would gain nothing.
+Importing matplotlib and drawing hold Python's lock, so threads would gain nothing.
 """
 
 import contextlib
@@ -21,14 +21,15 @@ Later = Callable[[], bytes]
 
 
 def here(name: str, *args: Any) -> Later:
-    """The PNG of `irisjax.plot`'s figure of that name, drawn by this process when asked for."""
+    """Return a function that draws `irisjax.plot`'s figure of that name as PNG in this process."""
     return lambda: irisjax.plot.picture(getattr(irisjax.plot, name)(*args), ".png")
 
 
 @contextlib.contextmanager
 def beside() -> Iterator[Callable[..., Later]]:
-    """A function as `here` that draws in another process, which is ready after a second; pictures
-    come in the order in which they were begun. Where there is but one core, it is `here`.
+    """Make a function like `here` that draws in another process, which is ready after a second.
+
+    Pictures come in the order in which they were begun. With a single core it is `here`.
     """
     if (os.cpu_count() or 1) < 2:
         yield here
@@ -54,7 +55,7 @@ def beside() -> Iterator[Callable[..., Later]]:
 
 
 def _exchange(process: subprocess.Popen[bytes], name: str, args: Any) -> bytes:
-    """A picture, or nothing where the other process could not draw it."""
+    """A picture, or nothing if the other process could not draw it."""
     assert process.stdin is not None
     assert process.stdout is not None
     try:
@@ -70,7 +71,7 @@ def _drawn(picture: Future[bytes], name: str, args: Any) -> Later:
 
 
 def main() -> None:
-    """Draw what comes on standard input until it ends."""
+    """Draw the figures that arrive on standard input until it ends."""
     # corner would load ArviZ where it is installed, for two seconds, and not need it for arrays.
     sys.modules.setdefault("arviz", None)  # pyright: ignore[reportArgumentType]
     # The first figure would wait for imports, fonts and what else is made at first use.

@@ -18,7 +18,7 @@ _STYLES = ("-", "--", ":")
 
 
 def side_by_side(photograph: Encoded, rendered: Encoded) -> "Figure":
-    """Both pictures, sRGB-encoded in [0, 1]."""
+    """Draw both pictures, sRGB-encoded in [0, 1]."""
     figure = figure_of(9, 4.6)
     for axes, picture, name in zip(
         figure.subplots(1, 2), (photograph, rendered), ("photograph", "rendered"), strict=True
@@ -32,7 +32,7 @@ def side_by_side(photograph: Encoded, rendered: Encoded) -> "Figure":
 def differences(
     photograph: Encoded, rendered: Encoded, clear: Bool[np.ndarray, "rows columns"]
 ) -> "Figure":
-    """Share of pixels whose difference is at most so large, per channel  [F09 Fig. 19]."""
+    """Draw the share of pixels whose difference is at most so large, per channel  [F09 Fig. 19]."""
     figure = figure_of(5.5, 3.8)
     axes = figure.subplots()
     off = np.abs(photograph - rendered)[clear]
@@ -58,7 +58,9 @@ def luminance_profile(
     rendered: Float[np.ndarray, " points"],
     radius: float,
 ) -> "Figure":
-    """Luminance on an arc of the iris, both pictures  [F09 Fig. 20]; `angle` in degrees."""
+    """Draw the luminance on an arc of the iris in both pictures  [F09 Fig. 20]; `angle` is in
+    degrees.
+    """
     figure = figure_of(7, 3.2)
     axes = figure.subplots()
     axes.plot(angle, photograph, color=PALETTE[1], label="photograph")

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from irisjax.anatomy.eye import Eye
-from irisjax.photo.ellipse import Ellipse, ellipse_through
+from irisjax.photo.photograph import Ellipse, ellipse_through
 from irisjax.render.camera import Camera
 from irisjax.render.points import project_points
 from irisjax.render.stages import look

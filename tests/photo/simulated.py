@@ -9,8 +9,7 @@ from scipy import ndimage
 
 from irisjax.anatomy.eye import Eye
 from irisjax.grow.presets import preset
-from irisjax.photo.ellipse import Ellipse, ellipse_through
-from irisjax.photo.photograph import Photograph
+from irisjax.photo.photograph import Ellipse, Photograph, ellipse_through
 from irisjax.render.camera import Camera
 from irisjax.render.environment import Environment
 from irisjax.render.points import project_points

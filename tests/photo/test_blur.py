@@ -6,9 +6,7 @@ import numpy as np
 import pytest
 
 from irisjax.io.photographs import read_photograph
-from irisjax.photo.clone import Settings, clone
-from irisjax.photo.cloned import needed
-from irisjax.photo.picture import compare
+from irisjax.photo.clone import CloneSettings, clone_to_pigments, compare_with_photograph
 
 PHOTOGRAPH = Path(__file__).parent.parent.parent / "data" / "photographs" / "blue.jpg"
 
@@ -16,10 +14,13 @@ PHOTOGRAPH = Path(__file__).parent.parent.parent / "data" / "photographs" / "blu
 def cloned(sigma):
     photograph = read_photograph(PHOTOGRAPH)
     small = photograph.pixels[:-1:3, :-1:3], photograph.saturated[:-1:3, :-1:3]
-    focal = needed(photograph.focal_px) / 3
+    assert photograph.focal_px is not None
+    focal = photograph.focal_px / 3
     photograph = photograph._replace(pixels=small[0], saturated=small[1], focal_px=focal)
-    *_, found = clone(photograph, Settings(beta=0.35, sigma=sigma), last="pigments")
-    return needed(found.morphology).sigma_mm, float(np.sqrt((compare(found).rms ** 2).mean()))
+    found = clone_to_pigments(photograph, CloneSettings(beta=0.35, sigma=sigma))
+    return found.morphology.sigma_mm, float(
+        np.sqrt((compare_with_photograph(found).rms ** 2).mean())
+    )
 
 
 @pytest.mark.heavy  # renders a dozen pictures

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from irisjax.photo.directions import LIGHT, along_fibres
-from irisjax.photo.unrefracted import Unrefracted
+from irisjax.photo.texture import Unrefracted
+from irisjax.photo.thickness import ARC_LIGHT, along_fibres
 
 SIZE = 600
 
@@ -47,7 +47,7 @@ def test_light_along_an_arc_is_taken_off(response):
     found = along_fibres(shadow.astype(np.float32), texture.valid, texture, response)
     where = away_from_edges(texture) & (middle > 0.9) & (texture.radius() > 4.8)
     left = found[where].mean() / shadow[where].mean()
-    kept = response**2 / (LIGHT**2 + response**2)
+    kept = response**2 / (ARC_LIGHT**2 + response**2)
     # The ring's mean, a fifth of the shadow, stays; the arc is blurred by 0.7 mm.
     share = 1.2533 * 0.5 / np.pi
     assert left == pytest.approx(kept + (1 - kept) * share, abs=0.08)

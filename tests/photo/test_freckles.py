@@ -5,7 +5,7 @@ import pytest
 from scipy import ndimage
 
 from irisjax.photo.freckles import find_freckles
-from irisjax.photo.unrefracted import Unrefracted
+from irisjax.photo.texture import Unrefracted
 
 BLUE = np.array([0.10, 0.14, 0.20])
 BROWN = np.array([0.06, 0.035, 0.012])

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from irisjax.photo.ellipse import Ellipse
-from irisjax.photo.highlights import find_highlights, find_lashes, find_lids
+from irisjax.photo.masks import find_highlights, find_lashes, find_lids
+from irisjax.photo.photograph import Ellipse
 
 SHAPE = (360, 480)
 LIMBUS, PUPIL = Ellipse((240, 180), (110, 108)), Ellipse((240, 180), (40, 39))

@@ -6,9 +6,9 @@ import pytest
 from eyes_in_line import outlines
 
 from irisjax.anatomy.eye import Eye
-from irisjax.photo.lamps import find_lighting, shade_on, tangent_of
+from irisjax.photo.light import find_lighting, light_tangent, shade_on
 from irisjax.photo.pose import find_pose
-from irisjax.photo.unrefracted import Unrefracted
+from irisjax.photo.texture import Unrefracted
 from irisjax.render.camera import Camera
 from irisjax.render.illumination import Illumination
 from irisjax.render.lights import Lights
@@ -94,7 +94,7 @@ def test_without_a_highlight_light_comes_from_all_round(pose):
 def test_light_from_the_right_leans_to_the_right():
     eye = Eye(cornea=None, sclera=None)
     lights = Lights.distant(jnp.asarray([0.5]), jnp.asarray([0.0]))
-    x, y = tangent_of(lights, eye, None)
+    x, y = light_tangent(lights, eye, None)
     # Refracted at the flat front of a chamber without a cornea.
     assert 0 < x <= np.tan(0.5) + 1e-6
     assert y == pytest.approx(0, abs=1e-9)

@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from irisjax.photo.ellipse import Ellipse
-from irisjax.photo.lash_shadows import find_lash_shadows, without_islands
+from irisjax.photo.masks import find_lash_shadows, without_islands
+from irisjax.photo.photograph import Ellipse
 
 SIDE, RADIUS = 400, 180.0
 LIMBUS = Ellipse((200.0, 200.0), (RADIUS, RADIUS), 0.0)

@@ -7,8 +7,8 @@ import pytest
 
 import irisjax as ij
 from irisjax.numerics.interpolation import polar_bilinear
-from irisjax.photo.morphology import Darkness, maps_of
-from irisjax.photo.unrefracted import Unrefracted
+from irisjax.photo.texture import Unrefracted
+from irisjax.photo.thickness import Darkness, shape_maps
 
 SIZE = 192
 
@@ -23,7 +23,7 @@ def _texture():
 
 def test_bright_streaks_are_thick_and_the_iris_thins_outwards():
     texture = _texture()
-    found = maps_of(texture, shape=(192, 32))
+    found = shape_maps(texture, shape=(192, 32))
     depth = np.asarray(found.maps.stroma_depth)
     assert depth.shape == (192, 32)
     angle = (np.arange(192) + 0.5) * 2 * np.pi / 192
@@ -37,8 +37,8 @@ def test_freckles_of_the_user_are_filled_and_handed_on():
     spot = np.hypot(texture.radius() * np.cos(texture.angle()) - 3.5, 0) < 0.3
     spot &= np.abs(texture.radius() * np.sin(texture.angle())) < 0.3
     spoilt = texture._replace(pixels=np.where(spot[..., None], 1e-3, texture.pixels))
-    found = maps_of(spoilt, spot, shape=(192, 32))
-    clean = maps_of(texture, np.zeros_like(spot), shape=(192, 32))
+    found = shape_maps(spoilt, spot, shape=(192, 32))
+    clean = shape_maps(texture, np.zeros_like(spot), shape=(192, 32))
     assert np.asarray(found.maps.freckles).max() > 0.9
     difference = np.abs(np.asarray(found.maps.stroma_depth) - clean.maps.stroma_depth)
     assert difference.max() < 0.05 and np.median(difference) < 1e-4
@@ -56,7 +56,7 @@ def test_a_freckle_is_as_dark_as_in_the_photograph():
         # About a spot as large the surroundings are filled in: the streaks are lost there.
         flat = texture._replace(pixels=np.where(middle[..., None] < 1, [0.1, 0.14, 0.2], dark))
         flat = flat._replace(pixels=np.where(spot[..., None], seen, 1.0) * flat.pixels)
-        found = np.asarray(maps_of(flat, spot, **known).maps.freckles)
+        found = np.asarray(shape_maps(flat, spot, **known).maps.freckles)
         assert found.max() == pytest.approx(share, abs=0.02)
         assert found.min() == 0
 
@@ -65,19 +65,19 @@ def test_hidden_texels_do_not_tell():
     texture = _texture()
     valid = texture.valid & ~(texture.radius() * np.sin(texture.angle()) > 4)
     spoilt = np.where(valid[..., None], texture.pixels, np.nan)
-    found = maps_of(texture._replace(valid=valid, pixels=spoilt))
-    again = maps_of(texture._replace(valid=valid))
+    found = shape_maps(texture._replace(valid=valid, pixels=spoilt))
+    again = shape_maps(texture._replace(valid=valid))
     np.testing.assert_array_equal(found.thickness, again.thickness)
 
 
 def test_what_cannot_be():
     texture = _texture()
     with pytest.raises(ValueError, match="no texel that shows the iris"):
-        maps_of(texture._replace(valid=np.zeros_like(texture.valid)))
+        shape_maps(texture._replace(valid=np.zeros_like(texture.valid)))
     with pytest.raises(ValueError, match="the freckle mask is"):
-        maps_of(texture, np.zeros((2, 2), bool))
+        shape_maps(texture, np.zeros((2, 2), bool))
     with pytest.raises(ValueError, match="need a response"):
-        maps_of(texture, slopes=(0.1, 0.0))
+        shape_maps(texture, slopes=(0.1, 0.0))
 
 
 @pytest.mark.heavy
@@ -98,7 +98,7 @@ def test_thickness_of_a_rendered_iris_comes_back(colour, response):
     truth = np.asarray(polar_bilinear(maps.stroma_depth, *at))
 
     def correlation(**options):
-        found = maps_of(texture, **options).thickness
+        found = shape_maps(texture, **options).thickness
         return np.corrcoef(found[texture.valid], truth[texture.valid])[0, 1]
 
     of_light = np.asarray(lights.towards).sum(0)  # alike in irradiance

@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from irisjax.photo.polar import to_polar
-from irisjax.photo.unrefracted import Unrefracted
+from irisjax.photo.texture import Unrefracted, to_polar
 from irisjax.tissue.maps import cell_centres
 
 

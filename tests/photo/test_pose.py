@@ -5,9 +5,16 @@ import pytest
 from eyes_in_line import outlines
 
 from irisjax.anatomy.eye import Cornea, Eye
-from irisjax.photo.ellipse import Ellipse, ellipse_through
-from irisjax.photo.pose import DECENTRED, LIMBUS_RADII, find_pose, limbus_spread
-from irisjax.photo.tilt import LIMBUS_OVAL, PUPIL_OVAL, tilts_allowed
+from irisjax.photo.photograph import Ellipse, ellipse_through
+from irisjax.photo.pose import (
+    DECENTRED,
+    LIMBUS_OVAL,
+    LIMBUS_RADII,
+    PUPIL_OVAL,
+    find_pose,
+    limbus_spread,
+    tilts_allowed,
+)
 from irisjax.render.camera import Camera
 
 EYE = Eye()

@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter, map_coordinates
 
-from irisjax.photo.ellipse import Ellipse
-from irisjax.photo.photograph import Photograph
-from irisjax.photo.register import register
+from irisjax.photo.photograph import Ellipse, Photograph
+from irisjax.photo.register import register_photographs
 
 SHAPE, LIMBUS = (300, 360), Ellipse((175.0, 150.0), (110.0, 108.0), 0.3)
 
@@ -81,7 +80,7 @@ def test_a_similarity_is_found_to_half_a_pixel(scale, turn, shift):
     # Outlines as a detector finds them, 1 % off.
     centre = transform @ [*LIMBUS.centre, 1]
     limbus = Ellipse((centre[0] + 0.8, centre[1] - 0.7), (LIMBUS.semi_axes[0] * scale * 1.01,) * 2)
-    found = register(second, first, LIMBUS, limbus)
+    found = register_photographs(second, first, LIMBUS, limbus)
     assert error(found.transform, transform) < 0.5
     assert found.scale == pytest.approx(scale, rel=3e-3)
     assert found.rotation == pytest.approx(turn, abs=3e-3)
@@ -98,7 +97,7 @@ def test_pixels_beyond_the_second_and_cut_off_ones_are_not_valid():
     first = photograph(IDENTITY, SHAPE)
     second = photograph(transform, SHAPE, [(120, 150, 10)])
     limbus = Ellipse((LIMBUS.centre[0] - 60, LIMBUS.centre[1]), LIMBUS.semi_axes, LIMBUS.angle)
-    found = register(second, first, LIMBUS, limbus)
+    found = register_photographs(second, first, LIMBUS, limbus)
     assert error(found.transform, transform) < 0.5
     assert not found.valid[:, :59].any() and not found.valid[143:158, 173:188].any()
     assert found.valid[40:110, 80:330].all()
@@ -108,13 +107,13 @@ def test_pixels_beyond_the_second_and_cut_off_ones_are_not_valid():
 def test_another_eye_has_no_texture_in_common():
     first = photograph(IDENTITY, SHAPE)
     mirrored = first._replace(pixels=first.pixels[::-1].copy())
-    found = register(mirrored, first, LIMBUS, LIMBUS._replace(angle=-LIMBUS.angle))
+    found = register_photographs(mirrored, first, LIMBUS, LIMBUS._replace(angle=-LIMBUS.angle))
     assert found.correlation < 0.3
 
 
 def test_outlines_out_of_the_picture():
     first = photograph(IDENTITY, SHAPE)
     with pytest.raises(ValueError, match=r"centred at column 500, row 20, out of the 360 × 300"):
-        register(first, first, LIMBUS, LIMBUS._replace(centre=(500.0, 20.0)))
+        register_photographs(first, first, LIMBUS, LIMBUS._replace(centre=(500.0, 20.0)))
     with pytest.raises(ValueError, match=r"a radius of 9\.0 pixels"):
-        register(first, first, LIMBUS._replace(semi_axes=(9.0, 9.0)), LIMBUS)
+        register_photographs(first, first, LIMBUS._replace(semi_axes=(9.0, 9.0)), LIMBUS)

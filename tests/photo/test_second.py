@@ -7,7 +7,7 @@ import pytest
 from scipy.ndimage import rotate, zoom
 
 from irisjax.io.photographs import read_photograph
-from irisjax.photo.clone import Given, Settings, clone
+from irisjax.photo.clone import CloneSettings, Given, flatten_iris, outline_eye, pose_eye
 from irisjax.photo.photograph import Photograph
 
 PHOTOGRAPHS = Path(__file__).parent.parent.parent / "data" / "photographs"
@@ -21,8 +21,8 @@ def first():
 
 
 def _last(photograph, **given):
-    *_, found = clone(photograph, Settings(), Given(**given), last="texture")
-    return found
+    given = Given(**given)
+    return flatten_iris(pose_eye(outline_eye(photograph, given), CloneSettings(), given), given)
 
 
 def _burnt(photograph, centre, radius):

@@ -12,15 +12,12 @@ from scipy import ndimage
 from irisjax.anatomy.eye import Eye
 from irisjax.io.photographs import read_photograph
 from irisjax.io.scenes import read_scene
-from irisjax.photo.boundaries import MIN_CONFIDENCE, find_boundaries
-from irisjax.photo.clone import clone
-from irisjax.photo.cloned import Settings, needed
-from irisjax.photo.ellipse import Ellipse
-from irisjax.photo.filling import masked_mean
-from irisjax.photo.mirrored_face import find_mirrored_face
-from irisjax.photo.part import part_of
+from irisjax.photo.clone import CloneSettings, outline_eye, pose_eye
+from irisjax.photo.masks import find_mirrored_face, part_of
+from irisjax.photo.outlines import MIN_CONFIDENCE, find_boundaries
+from irisjax.photo.photograph import Ellipse
 from irisjax.photo.pose import find_pose
-from irisjax.photo.unrefracted import LUMINANCE
+from irisjax.photo.texture import LUMINANCE_WEIGHTS, masked_mean
 
 FOLDER = Path(__file__).parent.parent.parent / "data" / "photographs"
 TRUTH = json.loads((FOLDER / "truth.json").read_text(encoding="utf-8"))["photographs"]
@@ -150,7 +147,8 @@ def test_what_lids_lashes_and_a_lamp_hide_is_masked(truth):
     shape = dirty.outside.shape
     ring = dirty.limbus.mask(shape) & ~inner.mask(shape)
     seen, bare = (
-        np.log(ndimage.gaussian_filter(p.pixels @ LUMINANCE, 1.0) + 1e-4) for p in (dirty, clean)
+        np.log(ndimage.gaussian_filter(p.pixels @ LUMINANCE_WEIGHTS, 1.0) + 1e-4)
+        for p in (dirty, clean)
     )
     change = seen - bare
     hidden = ring & (np.abs(change - np.median(change[ring])) > 0.35)
@@ -166,9 +164,9 @@ def test_what_lids_lashes_and_a_lamp_hide_is_masked(truth):
 @by_file([t for t in TRUTH if t["dirty"]])
 def test_the_mirrored_face_is_masked(truth):
     """Of an eye that is turned: where it makes the rim brighter by a third than without a face."""
-    *_, found = clone(read_photograph(FOLDER / truth["file"]), Settings(), last="pose")
-    mirror = None if found.view is None else found.view.mirror
-    (x, y), part = found.corner, needed(found.part)
+    found = pose_eye(outline_eye(read_photograph(FOLDER / truth["file"])), CloneSettings())
+    mirror = found.view.mirror
+    (x, y), part = found.corner, found.part
     limbus, pupil = (outline(truth, n).moved(-x, -y) for n in ("limbus", "pupil"))
     masked = find_mirrored_face(part, np.zeros(part.shape[:2], bool), limbus, mirror)
     if not truth["camera"]["polar"]:
@@ -186,4 +184,4 @@ def test_the_mirrored_face_is_masked(truth):
     assert changed.sum() > 1000
     assert masked[changed].mean() > 0.95
     assert masked[iris].mean() < 0.1
-    assert not needed(found.clear)[masked].any()
+    assert not found.clear[masked].any()

@@ -5,16 +5,16 @@ import pytest
 from scipy import ndimage
 
 from irisjax.photo.thickness import (
-    LEAST,
     SHADE_SHARE,
-    contrast,
+    THINNEST,
     deconvolve,
+    encoded_intensity,
+    f09_thickness,
     generic_thickness,
-    intensity,
+    local_contrast,
     local_normalisation,
     relative_luminance,
     relative_thickness,
-    thickness,
     unshade,
 )
 
@@ -47,7 +47,7 @@ def test_exposure_and_slow_shadows_do_not_tell():
     shadow = np.exp(-X / 12).astype(np.float32)
     plain, shaded = (
         local_normalisation(
-            intensity(relative_luminance(picture, RING, 0.5, TEXEL)), RING, 0.5, TEXEL
+            encoded_intensity(relative_luminance(picture, RING, 0.5, TEXEL)), RING, 0.5, TEXEL
         )
         for picture in (light, 7 * shadow * light)
     )
@@ -95,9 +95,9 @@ def test_a_flat_picture_does_not_ring_at_its_holes():
 
 def test_thickness_is_clamped_and_says_where():
     wide = np.where(X > 0, 0.4, -5.0).astype(np.float32)
-    found, clamped = thickness(R, wide)
+    found, clamped = f09_thickness(R, wide)
     np.testing.assert_array_equal(clamped, X <= 0)
-    assert found[clamped].min() == found[clamped].max() == np.float32(LEAST)
+    assert found[clamped].min() == found[clamped].max() == np.float32(THINNEST)
     np.testing.assert_allclose((found - generic_thickness(R))[X > 0], 0.35 * 0.4, rtol=1e-4)
 
 
@@ -153,7 +153,7 @@ def test_a_thickness_that_does_not_show_is_the_average():
         (lambda p: deconvolve(p - 2, RING, 0.5, TEXEL), "values to deconvolve"),
         (lambda p: deconvolve(p, np.zeros_like(RING), 0.5, TEXEL), "no texel is valid"),
         (lambda p: local_normalisation(p, RING, 0.0, TEXEL), "width_mm = 0 mm"),
-        (lambda p: thickness(R, p, np.nan), "beta = nan mm"),
+        (lambda p: f09_thickness(R, p, np.nan), "beta = nan mm"),
         (lambda p: relative_thickness(R, p, 9.0), "response = 9"),
         (lambda p: unshade(p, RING, (9.0, 0.0), 0.6, TEXEL), "slopes = 9"),
     ],
@@ -168,8 +168,8 @@ def test_the_edge_of_a_shadow_is_no_thickness():
     pattern = 0.15 * _pattern(1.5)
     light = (0.2 + 0.8 / (1 + np.exp(-(X + 3) / 0.15))).astype(np.float32)
     picture, shade = light * (1 + pattern), light < 0.7
-    whole = contrast(picture, RING, None, TEXEL)
-    told = contrast(picture, RING, shade, TEXEL)
+    whole = local_contrast(picture, RING, None, TEXEL)
+    told = local_contrast(picture, RING, shade, TEXEL)
     lit, beside = RING & ~shade, RING & ~shade & (X < -2)
 
     def error(found, where):
@@ -179,5 +179,5 @@ def test_the_edge_of_a_shadow_is_no_thickness():
     assert error(told, lit) <= error(whole, lit)
     assert told[RING & shade].std() < 0.7 * whole[RING & shade].std()
     assert (told[~RING] == 0).all()
-    even = contrast(1 + pattern, RING, RING & (Y > 0), TEXEL)
+    even = local_contrast(1 + pattern, RING, RING & (Y > 0), TEXEL)
     assert even[RING & (Y > 0)].std() < 1.2 * SHADE_SHARE * even[RING & (Y < 0)].std()

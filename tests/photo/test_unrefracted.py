@@ -7,8 +7,7 @@ from scipy import ndimage
 
 from irisjax.anatomy.eye import Eye
 from irisjax.photo.pose import find_pose, iris_points
-from irisjax.photo.refraction import follow, unrefract
-from irisjax.photo.unrefracted import Unrefracted
+from irisjax.photo.texture import Unrefracted, follow_refraction, unrefract
 from irisjax.render.camera import Camera
 
 SPACING, WIDTH = 0.8, 0.12  # mm, of the dots
@@ -37,7 +36,7 @@ def _places(size):
 def test_interpolated_as_if_every_texel_were_followed(pose):
     size = 128
     radius, x, y = _places(size)
-    found = follow(pose, size)
+    found = follow_refraction(pose, size)
     iris = radius < 0.99 * float(pose.eye.iris_radius)
     every = seen(pose.eye, pose.camera, iris_points(pose.eye, x[iris], y[iris]))
     clear = np.asarray(every.visible) & found.visible[iris]
@@ -75,7 +74,7 @@ def dots(pose):
 def test_a_painted_iris_lies_flat_where_it_was_painted(pose, dots):
     places, picture = dots
     size = 512
-    flat = unrefract(picture, np.ones(picture.shape[:2], bool), pose, follow(pose, size))
+    flat = unrefract(picture, np.ones(picture.shape[:2], bool), pose, follow_refraction(pose, size))
     texel = flat.millimetres_per_texel
     guess = np.stack([-places[:, 1], places[:, 0]], -1) / texel + size / 2 - 0.5
     found = (_centres(flat.pixels[..., 0], guess, round(0.3 / texel)) + 0.5) * texel - 6
@@ -92,9 +91,9 @@ def test_what_a_mask_hides_is_not_valid(pose, dots):
     _, picture = dots
     clear = np.ones(picture.shape[:2], bool)
     clear[:, picture.shape[1] // 2 :] = False
-    flat = unrefract(picture, clear, pose, follow(pose, 256))
+    flat = unrefract(picture, clear, pose, follow_refraction(pose, 256))
     radius, x, _ = _places(256)
-    where = follow(pose, 256)
+    where = follow_refraction(pose, 256)
     assert not flat.valid[where.column > picture.shape[1] / 2].any()
     ring = (radius > 2.2) & (radius < 4.8)
     assert flat.valid[ring & (where.column < picture.shape[1] / 2 - 2)].all()
@@ -108,8 +107,8 @@ def test_a_picture_that_ends_within_the_iris(pose, dots):
     _, picture = dots
     columns = picture.shape[1]
     cut = picture[:, : columns // 3]
-    flat = unrefract(cut, np.ones(cut.shape[:2], bool), pose, follow(pose, 256))
-    beyond = follow(pose, 256).column > columns // 3 - 1
+    flat = unrefract(cut, np.ones(cut.shape[:2], bool), pose, follow_refraction(pose, 256))
+    beyond = follow_refraction(pose, 256).column > columns // 3 - 1
     assert not flat.valid[beyond].any() and (flat.pixels[beyond] == 0).all()
     assert flat.valid.any()
 
@@ -117,7 +116,7 @@ def test_a_picture_that_ends_within_the_iris(pose, dots):
 def test_the_pupil_off_the_middle_is_left_out(pose, dots):
     _, picture = dots
     clear = np.ones(picture.shape[:2], bool)
-    where = follow(pose, 256)
+    where = follow_refraction(pose, 256)
     flat = unrefract(picture, clear, pose._replace(pupil_centre=(0.4, 0.0)), where)
     _, x, y = _places(256)
     inside = np.hypot(x - 0.4, y) < float(pose.eye.pupil_radius) - 0.01

@@ -6,16 +6,16 @@ import pytest
 from scipy import stats
 
 from irisjax.photo.window_noise import (
-    FREEDOM,
+    PRIOR_COVARIANCE,
+    PRIOR_WINDOWS,
     RING,
-    USUAL,
+    SPREAD_FACTORS,
     WHOLE,
-    WIDER,
     covariances,
     log_likelihood,
-    whitened,
+    whitened_errors,
 )
-from irisjax.photo.window_pixels import ANGLES, COUNT, RINGS
+from irisjax.photo.windows import ANGLES, COUNT, RINGS
 
 _RANDOM = np.random.default_rng(3)
 RESPONSE = np.repeat(_RANDOM.uniform(0.1, 0.7, (RINGS, 1, 3)), ANGLES, 1).reshape(COUNT, 3)
@@ -54,10 +54,12 @@ def _between(off, within, wider):
 
 
 def _means(off, within):
-    """Logarithms of the densities of the rings' means, each as likely as `WIDER` has it."""
+    """Logarithms of the densities of the rings' means, each as likely as `SPREAD_FACTORS` has it."""
     means = np.concatenate([ring.mean(0) for ring in _rings(off)])
-    normal = [stats.multivariate_normal(cov=_between(off, within, w)) for w in WIDER]
-    return np.array([n.logpdf(means) - np.log(w) for n, w in zip(normal, WIDER, strict=True)])
+    normal = [stats.multivariate_normal(cov=_between(off, within, w)) for w in SPREAD_FACTORS]
+    return np.array(
+        [n.logpdf(means) - np.log(w) for n, w in zip(normal, SPREAD_FACTORS, strict=True)]
+    )
 
 
 def _drawn(off, covariance, number=100_000):
@@ -79,7 +81,7 @@ def _drawn(off, covariance, number=100_000):
 
 @pytest.mark.heavy
 def test_the_likelihood_is_the_one_with_covariances_drawn():
-    prior = stats.invwishart(FREEDOM, FREEDOM * USUAL)
+    prior = stats.invwishart(PRIOR_WINDOWS, PRIOR_WINDOWS * PRIOR_COVARIANCE)
     own, other = [], []
     for seed in range(3):
         off = _errors(seed)
@@ -102,9 +104,11 @@ def test_whitened_errors_have_the_density_of_their_covariances():
         direct += np.einsum("ni,ij,nj->", apart, np.linalg.inv(within[k]), apart)
     means = np.concatenate([ring.mean(0) for ring in _rings(np.asarray(off))])
     likely = _means(np.asarray(off), within)
-    for share, wider in zip(np.exp(likely - np.logaddexp.reduce(likely)), WIDER, strict=True):
+    for share, wider in zip(
+        np.exp(likely - np.logaddexp.reduce(likely)), SPREAD_FACTORS, strict=True
+    ):
         direct += share * means @ np.linalg.solve(_between(np.asarray(off), within, wider), means)
-    assert float((whitened(off, present, held) ** 2).sum()) == pytest.approx(direct)
+    assert float((whitened_errors(off, present, held) ** 2).sum()) == pytest.approx(direct)
 
 
 def test_errors_alike_in_a_ring_are_forgiven_more_than_uneven_ones():

@@ -1,6 +1,4 @@
-"""Windows of a small eye of uneven thickness, whose colours the tests choose."""
-
-import dataclasses
+"""A small eye of uneven thickness, as a camera sees it."""
 
 import jax.numpy as jnp
 import numpy as np
@@ -8,10 +6,7 @@ import numpy as np
 import irisjax as ij
 from irisjax.anatomy.eye import Cornea, Eye
 from irisjax.photo.pose import Pose
-from irisjax.photo.window_pixels import choose_pixels, iris_alone
-from irisjax.photo.windows import Windows, windows_of
 from irisjax.render.camera import Camera
-from irisjax.render.illumination import Illumination
 from irisjax.render.lights import Lights
 from irisjax.render.separable import Separable
 from irisjax.render.stages import look
@@ -29,22 +24,8 @@ SHAPE = CAMERA.shape
 VIEW = look(EYE, CAMERA)
 
 
-def maps():
+def maps() -> IrisMaps:
     """Thickness that varies round the iris and across it."""
     angle = np.linspace(0, 2 * np.pi, 48, endpoint=False)[:, None]
     across = np.linspace(0, 1, 24)[None]
     return IrisMaps(stroma_depth=jnp.asarray(0.3 + 0.08 * np.cos(3 * angle) - 0.05 * across))
-
-
-def windows(pixels, clear=None, integrator=QUICK) -> Windows:
-    """Of a picture (rows, columns, 3) of `POSE`."""
-    clear = np.ones(SHAPE, bool) if clear is None else clear
-    tables = Illumination.build(EYE, caustics=False)
-    chosen = choose_pixels(pixels, clear & iris_alone(POSE), VIEW, EYE)
-    return windows_of(chosen, EYE, BASE, maps(), LIGHTS, integrator, tables)
-
-
-def made_windows(colours) -> Windows:
-    """Noiseless ones whose colours are `colours(windows)`."""
-    bare = windows(np.ones((*SHAPE, 3)))
-    return dataclasses.replace(bare, colour=np.asarray(colours(bare)))

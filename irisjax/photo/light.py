@@ -1,4 +1,4 @@
-"""Light of a photograph: lamps from their images on the cornea, a mirror whose shape is known."""
+"""Light of a photograph: lamps from their images on the cornea."""
 
 from typing import Any, NamedTuple, cast
 
@@ -9,7 +9,7 @@ from scipy import ndimage
 
 from irisjax.anatomy.eye import Eye
 from irisjax.photo.pose import Pose
-from irisjax.photo.unrefracted import Unrefracted
+from irisjax.photo.texture import Unrefracted
 from irisjax.render.environment import Environment
 from irisjax.render.illumination import Illumination
 from irisjax.render.lights import Lights
@@ -19,18 +19,20 @@ from irisjax.render.shading import fluxes_of
 
 _LEAST = 5  # pixels of a highlight
 _MOST = 6  # lamps
-_GATHERED = 1.131**2  # of light from all round, by the cornea: the pupil's magnification, squared
+_GATHERED = 1.131**2  # gain of light from all round by the cornea: the pupil's magnification²
 SHADED = 0.7
-"""Light on the iris, of its median, below which it counts as shade."""
+"""Light below which a place of the iris counts as shade, relative to the usual light."""
 
 
 class Lighting(NamedTuple):
-    """Where the light of a photograph comes from.
+    """The light of a photograph.
 
-    - `lamps`, `environment`: as of a scene; one of them at least.
-    - `room`: whether there may be light from all round beside them, whose radiance is found with
-        the pigments.
-    - `found`: how many lamps were told from highlights; `None` for light that was given.
+    Attributes:
+        lamps: Lamps as in a scene; `None` if there is only an environment.
+        environment: Surroundings as in a scene.
+        room: Whether there may be light from all round beside them, whose radiance is fitted with
+            the pigments.
+        found: Number of lamps inferred from highlights; `None` for a given light.
     """
 
     lamps: Lights | None
@@ -39,20 +41,20 @@ class Lighting(NamedTuple):
     found: int | None = None
 
     def lights(self) -> Lights:
-        """All of it but the room, as a scene counts it."""
+        """Return all of it but the room, as the lights of a scene."""
         return all_lights(self.lamps, self.environment, ENVIRONMENT_LIGHTS, "D65")
 
 
 def find_lighting(part: Float[np.ndarray, "rows columns 3"], pose: Pose, view: View) -> Lighting:
-    """Lamps at infinity in the directions that highlights mirror, in a room.
+    """Infer lamps at infinity, in a room, from the directions that highlights mirror.
 
-    They share an irradiance of π by their areas on the picture: the highlights are cut off, so
-    their brightness is not known. Without a highlight light comes from all round alike.
+    The lamps share an irradiance of π in proportion to the areas of their highlights, whose
+    brightness is cut off. Without a highlight, uniform light from all round is assumed.
 
     Args:
-        part: Linear, of the size of the camera's picture.
-        pose: Of `find_pose`.
-        view: What its camera sees, of `render.stages.look`.
+        part: Linear pixels of the camera's picture.
+        pose: Result of `find_pose`.
+        view: What the camera sees of the eye.
     """
     spots = _spots(part)
     towards, area = _mirrored(spots, view.mirror, pose.camera.shape)
@@ -60,7 +62,7 @@ def find_lighting(part: Float[np.ndarray, "rows columns 3"], pose: Pose, view: V
         return Lighting(None, Environment.uniform(), found=0)
     polar = np.arccos(np.clip(-towards[:, 2], -1, 1))
     azimuth = np.arctan2(towards[:, 1], towards[:, 0])
-    # As wide as the image: one on a mirror of half the cornea's radius.
+    # The image of a lamp appears at a distance of half the cornea's radius.
     size = np.sqrt(area / np.pi) * float(pose.camera.width) / pose.camera.size[0]
     assert pose.eye.cornea is not None
     radius = np.clip(2 * size / float(pose.eye.cornea.anterior.radius), 0.005, 0.5)
@@ -69,15 +71,15 @@ def find_lighting(part: Float[np.ndarray, "rows columns 3"], pose: Pose, view: V
     return Lighting(lamps, room=True, found=len(towards))
 
 
-def tangent_of(lights: Lights, eye: Eye, tables: Illumination | None) -> tuple[float, float]:
-    """Horizontal over vertical part of the light that falls on the iris, along x and y, in the
-    chamber: a mean over the iris weighted by irradiance.
+def light_tangent(lights: Lights, eye: Eye, tables: Illumination | None) -> tuple[float, float]:
+    """Return horizontal over vertical part, along x and y, of the light that falls on the iris in
+    the chamber: a mean weighted by irradiance.
     """
     flux = np.asarray(fluxes_of(lights, eye, tables, 41)).sum(0)
     line = np.linspace(-1, 1, flux.shape[-1])
     inside = np.hypot(line[None], line[:, None]) < 0.85
     x, y, z = (part[inside].sum() for part in flux)
-    # Towards the light, which travels the other way.
+    # Towards the light, against its direction of travel.
     return float(-x / z), float(-y / z)
 
 
@@ -88,7 +90,7 @@ def light_at(
     eye: Eye,
     tables: Illumination | None,
 ) -> Float[np.ndarray, "*shape"]:
-    """Irradiance of the iris at places of its plane (mm), in the chamber."""
+    """Return the irradiance of the iris at places of its plane (mm), in the chamber."""
     flux = np.asarray(fluxes_of(lights, eye, tables))[:, 2].sum(0)
     middle, reach = (len(flux) - 1) / 2, float(eye.iris_radius)
     place = [(c / reach + 1) * middle for c in (y, x)]  # rows of the grid run up, as y does
@@ -98,9 +100,14 @@ def light_at(
 def shade_on(
     texture: Unrefracted, lights: Lights, room: float, eye: Eye, tables: Illumination | None
 ) -> Bool[np.ndarray, "size size"]:
-    """Texels of an iris that get less than `SHADED` of the usual light: the shadow of the limbus.
+    """Return the texels that get less than `SHADED` of the median light: the shadow of the limbus.
 
-    `room`: radiance of light from all round beside the lights.
+    Args:
+        texture: The iris laid flat.
+        lights: Lamps and surroundings.
+        room: Radiance of light from all round beside them.
+        eye: The eye.
+        tables: Tables of light on the iris.
     """
     radius, angle = texture.radius(), texture.angle()
     lit = light_at(radius * np.cos(angle), radius * np.sin(angle), lights, eye, tables)
@@ -110,7 +117,7 @@ def shade_on(
 
 
 def _mirrored(spots, seen: MirrorPixels | None, shape: tuple[int, int]):
-    """Unit directions that spots on the cornea mirror, and the areas of these (pixels)."""
+    """Unit directions that spots on the cornea mirror, and the areas of these spots (pixels)."""
     towards, area = [], []
     if seen is not None:
         directions = onto_picture(seen, np.stack([np.asarray(c) for c in seen.mirror], -1), shape)

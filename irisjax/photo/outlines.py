@@ -1,0 +1,523 @@
+"""Outlines of limbus and pupil in a photograph, and the confidence in each."""
+
+from typing import NamedTuple
+
+import numpy as np
+from scipy import ndimage, optimize, special
+
+from irisjax.photo.edges import (
+    FINE,
+    ROUGH,
+    DarkRing,
+    Edges,
+    along_rays,
+    best_outline,
+    cut_around,
+    find_rings,
+    ray_angles,
+    reduce_picture,
+    refine_outline,
+    steps_along,
+)
+from irisjax.photo.photograph import Ellipse, Photograph
+from irisjax.photo.pose import FLATTER, PUPIL_OVAL
+
+MIN_CONFIDENCE = 0.4
+"""Confidence below which an outline is more likely wrong than right."""
+PUPIL_SHARE = (0.12, 0.85)
+"""Range of pupil radii, relative to the limbus."""
+_LIMBUS_WIDTHS = (0.02, 0.05, 0.09)  # half widths of the rise, relative to the radius
+_LIMBUS_SPAN = (0.6, 1.4)  # of profiles across the limbus, relative to it
+_BLUR, _BLUR_SPREAD = 0.8, 0.4  # standard deviation of a photograph's own blur, px; of its log
+_QUARTILES_OF_GAUSSIAN = 1.349  # distance between quartiles over the standard deviation
+_QUARTILES_OF_SMOOTHSTEP = 0.3473  # distance between 1/4 and 3/4 of the rise, over its width
+_PUPIL_WIDTHS = (0.02, 0.05, 0.1)  # half widths of the rise, relative to the radius
+_PUPIL_SPAN = (0.8, 1.15)
+_MISFIT = 0.02  # difference of irides from the fitted rise, relative to the rise
+_LONG = 800  # px along the long side of the copy in which eyes are searched
+_SMALLEST = 40  # long side over the radius of the smallest iris
+_CANDIDATES = 6
+_SURE = 0.8  # worth of a pair of outlines, at most 1.3, above which the search ends
+_WIDE = 0.68  # pupil over limbus above which the pair is less plausible
+_TRUSTED = 0.5  # support above which a pupil is used to find the limbus
+
+
+class PupilEdge(NamedTuple):
+    """The outline at which the iris begins; the iris's margin may be dark.
+
+    Attributes:
+        outline: The outline, in pixels of the photograph.
+        support: Share of the outline that edges support, reduced if the pupil is hardly darker than
+            the iris.
+        margin: Width over which the brightness rises to the iris's, relative to the pupil's radius:
+            0 for a sharp edge, `None` if it is not known. A step and a smoothstep at one place
+            count as the smoothstep that lets as much light by.
+    """
+
+    outline: Ellipse
+    support: float
+    margin: float | None = None
+
+
+class Boundaries(NamedTuple):
+    """Outlines of limbus and pupil in pixels of the photograph.
+
+    Attributes:
+        limbus: Middle of the soft rise from iris to white.
+        pupil: Outline at which the iris begins.
+        limbus_confidence: 0 to 1, from the share of the outline that edges support, their distance
+            from it and their strength; 1 for a given outline. An outline below `MIN_CONFIDENCE`
+            must not be trusted.
+        pupil_confidence: The same for the pupil.
+        pupil_margin: See `PupilEdge.margin`.
+        limbus_width: Width over which iris and white blend, relative to the limbus's radius; `None`
+            if it is not known.
+    """
+
+    limbus: Ellipse
+    pupil: Ellipse
+    limbus_confidence: float
+    pupil_confidence: float
+    pupil_margin: float | None = None
+    limbus_width: float | None = None
+
+
+def find_boundaries(
+    photo: Photograph, limbus: Ellipse | None = None, pupil: Ellipse | None = None
+) -> Boundaries:
+    """Find the outlines of the eye in a photograph; given ones are kept.
+
+    Irides from a fortieth of the picture's long side to about half of its short side are found,
+    tilted by up to 30 degrees. Of two eyes the one whose outlines are better supported is found, or
+    the first that is beyond doubt. A picture without an eye gives outlines of low confidence.
+
+    Raises:
+        ValueError: If nothing resembles an iris, or a given outline lies outside the picture.
+    """
+    for name, given in (("limbus", limbus), ("pupil", pupil)):
+        if given is not None and not _within(given, photo.shape):
+            rows, columns = photo.shape
+            raise ValueError(
+                f"{photo.name}: the middle of the {name} given, {given.centre}, is outside the "
+                f"picture of {columns} x {rows} pixels"
+            )
+    if limbus is not None and pupil is not None:
+        return _with_widths(photo, Boundaries(limbus, pupil, 1.0, 1.0))
+    if limbus is None:
+        outline, inner = _searched(photo, pupil)
+        outline, held = limbus_near(photo, outline, inner, coarse=False)
+    else:
+        outline, held = limbus, None
+    if pupil is not None:
+        return _with_widths(photo, _judged(photo, outline, pupil, held, None))
+    inner, support, margin = pupil_within(photo, outline, coarse=False)
+    if limbus is None and support > _TRUSTED:
+        outline, held = limbus_near(photo, outline, inner, coarse=False)
+    return _with_widths(photo, _judged(photo, outline, inner, held, support), margin)
+
+
+def pupil_within(photo: Photograph, limbus: Ellipse, coarse: bool = True) -> PupilEdge:
+    """Find the pupil within a limbus.
+
+    Unless the search is `coarse`, a sharp edge is placed half-way from black to bright, whatever
+    the blur; if the brightness rises slowly, the outline is placed where the rise begins.
+    """
+    picture, cut_off, outline, back = _part_about(photo, limbus, 1.1, ROUGH)
+    radius = outline.semi_axes[0]
+    row, column = np.ogrid[: picture.shape[0], : picture.shape[1]]
+    relative = outline.relative_radius(column, row)
+    if not (relative < 0.9).any():
+        return _middle_of(limbus)
+    picture = np.minimum(picture, _ceiling(picture, relative))
+    found = find_rings(picture, (0.13 * radius, 0.8 * radius), 6, sideways=0.2)
+    best: tuple[float, Ellipse] | None = None
+    for ring in found:
+        circle = ring.circle()
+        share = circle.semi_axes[0] / radius
+        off = outline.relative_radius(*circle.centre)
+        if not (PUPIL_SHARE[0] < share < PUPIL_SHARE[1] and off < 0.3 and off + share < 1.05):
+            continue
+        worth = ring.votes * _darkness(picture, relative, circle)
+        if best is None or worth > best[0]:
+            best = worth, circle
+    if best is None:
+        return _middle_of(limbus)
+    circle, span = best[1], (0.5, 1.65)
+    even = np.ones(ray_angles().size)
+    edges = steps_along(_profile(picture, cut_off, circle, span, 93), span, _PUPIL_WIDTHS[1:], 0.2)
+    circle = best_outline(circle, edges.place, edges.score())
+    support, span = 0.0, (0.7, 1.3)
+    for near in (0.12, 0.08):
+        edges = steps_along(
+            _profile(picture, cut_off, circle, span, 121), span, _PUPIL_WIDTHS, 0.15
+        )
+        circle, support = refine_outline(circle, *edges.strongest(near), even)
+    sure = support * float(np.sqrt(_darkness(picture, relative, circle)))
+    if coarse or not support:
+        return PupilEdge(back(circle), sure)
+    return beginning_of(photo, limbus, PupilEdge(back(circle), sure))
+
+
+def beginning_of(photo: Photograph, limbus: Ellipse, near: PupilEdge) -> PupilEdge:
+    """Move an outline to where the iris begins, and measure the width of its margin, if enough of
+    it is seen.
+    """
+    picture, _, outline, _ = _part_about(photo, limbus, 1.1, ROUGH)
+    row, column = np.ogrid[: picture.shape[0], : picture.shape[1]]
+    ceiling = _ceiling(picture, outline.relative_radius(column, row))
+    picture, cut_off, circle, back = _part_about(photo, near.outline, 1.5, FINE)
+    picture, span = np.clip(picture, 0, ceiling), (0.7, 1.3)
+    smooth = ndimage.gaussian_filter(picture, 0.01 * circle.semi_axes[0])  # against noise
+    held = np.zeros(ray_angles().size)
+    for reach in (0.1, 0.08):
+        # The root shows the first rise.
+        profile = np.sqrt(_profile(smooth, cut_off, circle, span, 241))
+        held, place = steps_along(profile, span, _PUPIL_WIDTHS, 0.15).strongest(reach)
+        circle, _ = refine_outline(circle, held, place, np.ones(held.size))
+    good = _profile(picture, cut_off, circle, _PUPIL_SPAN, 241)[held > 0.3]
+    if len(good) < 12 or not np.isfinite(good).any(0).all():
+        return near._replace(outline=back(circle))
+    # The width of the rise comes from all rays together: one alone is too noisy in a dark iris. The
+    # median of edges at slightly different places is as sharp as they are.
+    typical = np.nanmedian(good, axis=0)
+    rim, width = _beginning(np.linspace(*_PUPIL_SPAN, 241), typical, 1 / circle.semi_axes[0])
+    axes = circle.semi_axes[0] * rim, circle.semi_axes[1] * rim
+    return near._replace(outline=back(circle._replace(semi_axes=axes)), margin=width / rim)
+
+
+def limbus_near(
+    photo: Photograph, start: Ellipse, pupil: Ellipse | None = None, coarse: bool = True
+) -> tuple[Ellipse, float]:
+    """Refine a limbus near a circle (`coarse`) or near an ellipse.
+
+    Args:
+        photo: The photograph.
+        start: The circle or ellipse.
+        pupil: A reliable pupil, which determines how flat the limbus is.
+        coarse: Whether `start` is only a circle.
+
+    Returns:
+        The outline, and the share of its part outside the lids that edges support.
+    """
+    size = ROUGH if coarse else FINE
+    pixels, outline, back = cut_around(photo.pixels, start, 2.0, size)
+    picture = pixels.mean(-1)
+    colour = None if photo.grey else _redness(pixels[..., 0], pixels[..., 2])
+    lateral = 0.5 + 0.5 * np.cos(ray_angles()) ** 2
+    flattening = (0.0, 0.0, 0.1)
+    if pupil is not None:
+        right, aslant = FLATTER * pupil.flattening
+        flattening = (right, aslant, FLATTER * PUPIL_OVAL)
+    if coarse:
+        edges, white, _ = _limbus_edges(
+            picture, colour, outline, (0.5, 1.65), 93, _LIMBUS_WIDTHS[1:]
+        )
+        score = edges.score() * white * lateral[:, None]
+        outline = best_outline(outline, edges.place, score)
+    support = 0.0
+    for near in (0.1, 0.06) if coarse else (0.06, 0.04, 0.04):
+        edges, white, profile = _limbus_edges(
+            picture, colour, outline, _LIMBUS_SPAN, 161, _LIMBUS_WIDTHS
+        )
+        value, place = _half_way(profile, edges, edges.score() * white, near)
+        # A lid hides the limbus; outside the picture it is just missing.
+        covered = 1 - white[:, int(np.argmin(abs(edges.place - 1)))]
+        shown = 1 - 0.8 * np.where(np.isnan(profile[:, : profile.shape[1] // 2]).any(1), 0, covered)
+        outline, support = refine_outline(outline, value, place, lateral * shown, flattening)
+    return back(outline), support
+
+
+def limbus_width_of(photo: Photograph, limbus: Ellipse) -> float | None:
+    """Return the width over which the brightness rises from the iris's to the white's, relative to
+    the limbus's radius; `None` if too little of the rise is seen.
+
+    It is the width of the smoothstep that is as steep between a quarter and three quarters.
+    """
+    pixels, outline, _ = cut_around(photo.pixels, limbus, 2.0, FINE)
+    picture = pixels.mean(-1)
+    colour = None if photo.grey else _redness(pixels[..., 0], pixels[..., 2])
+    edges, white, profile = _limbus_edges(
+        picture, colour, outline, _LIMBUS_SPAN, 161, _LIMBUS_WIDTHS
+    )
+    held, place = _half_way(profile, edges, edges.score() * white, 0.04)
+    good = held > 0.3
+    if good.sum() < 12:
+        return None
+    # Each ray about its own half-way point: an error of the outline is not softness.
+    x, aside = np.linspace(*_LIMBUS_SPAN, profile.shape[1]), np.linspace(-0.2, 0.2, 401)
+    rays = zip(place[good], profile[good], strict=True)
+    moved = np.stack([np.interp(at + aside, x, ray) for at, ray in rays])
+    dark = np.median(moved[:, (aside > -0.18) & (aside < -0.05)], 1)
+    bright = np.median(moved[:, (aside > 0.06) & (aside < 0.13)], 1)
+    rise = np.nanmedian((moved - dark[:, None]) / (bright - dark)[:, None], 0)
+    low, high = (_crossed(aside, rise, share) for share in (0.25, 0.75))
+    blur = _BLUR * _QUARTILES_OF_GAUSSIAN / outline.semi_axes[0]
+    return float(np.sqrt(max((high - low) ** 2 - blur**2, 0)) / _QUARTILES_OF_SMOOTHSTEP)
+
+
+def _with_widths(photo: Photograph, found: Boundaries, margin: float | None = None) -> Boundaries:
+    """Add the softness of both edges; `margin` is that of a pupil that was found."""
+    if margin is None:
+        margin = beginning_of(photo, found.limbus, PupilEdge(found.pupil, 1.0)).margin
+    return found._replace(pupil_margin=margin, limbus_width=limbus_width_of(photo, found.limbus))
+
+
+def _searched(photo: Photograph, pupil: Ellipse | None) -> tuple[Ellipse, Ellipse | None]:
+    """The best limbus in a reduced copy, and its pupil if that is reliable."""
+    scale = min(1.0, _LONG / max(photo.shape))
+    small = photo
+    if scale < 1:
+        cut_off = reduce_picture(photo.saturated[..., None].astype(float), scale)[..., 0] > 0.1
+        small = photo._replace(pixels=reduce_picture(photo.pixels, scale), saturated=cut_off)
+    known = None if pupil is None else pupil.scaled(scale)
+    best, found = -1.0, None
+    seen: list[Ellipse] = []
+    for start in _starts(small.pixels.mean(-1), known):
+        outline, held = limbus_near(small, start, known)
+        # Several starts may lead to one outline.
+        if not _within(outline, small.shape) or any(_same(outline, other) for other in seen):
+            continue
+        seen.append(outline)
+        inner, support, _ = pupil_within(small, outline) if known is None else PupilEdge(known, 1.0)
+        worth = held * _plausible(outline, inner) * (0.3 + support)
+        if worth > best:
+            trusted = inner.scaled(1 / scale) if support > _TRUSTED else None
+            best, found = worth, (outline.scaled(1 / scale), trusted)
+        if best > _SURE:
+            break
+    if found is None:
+        raise ValueError(
+            f"{photo.name}: no iris found; give --limbus with its centre and semi-axes in pixels"
+        )
+    return found
+
+
+def _judged(
+    photo: Photograph,
+    limbus: Ellipse,
+    pupil: Ellipse,
+    limbus_support: float | None,
+    pupil_support: float | None,
+) -> Boundaries:
+    """Confidences from the shares of the outlines that edges support; `None` for a given outline.
+
+    In pictures without an eye, chance edges support up to 0.8 of a dark disc's outline and 0.35 of
+    others, most of tiny ones, but hardly 0.3 of a pupil within. Lids and lashes leave 0.4 of the
+    limbus and half of the pupil in simulated and real eyes.
+    """
+    likely = _plausible(limbus, pupil)
+    for outline in (limbus, pupil):  # half an eye does not count
+        likely *= float(np.clip((_shown(outline, photo.shape) - 0.5) / 0.15, 0, 1))
+    limbus_sure = pupil_sure = 1.0
+    if limbus_support is not None:
+        limbus_sure = likely * min(limbus_support / 0.75, 1.0) * min(1.0, limbus.semi_axes[1] / 30)
+        if pupil_support is not None:
+            limbus_sure *= float(np.clip((pupil_support - 0.2) / 0.2, 0, 1))
+    if pupil_support is not None:
+        pupil_sure = likely * float(np.clip((pupil_support - 0.2) / 0.5, 0, 1))
+        pupil_sure *= min(1.0, limbus_sure / MIN_CONFIDENCE)
+    return Boundaries(limbus, pupil, float(limbus_sure), float(pupil_sure))
+
+
+def _starts(brightness, pupil: Ellipse | None) -> list[Ellipse]:
+    """Circles near which a limbus may lie, best first."""
+    shape = brightness.shape
+    least = max(max(shape) / _SMALLEST, 8.0)
+    found = find_rings(brightness, (0.4 * least, 0.58 * min(shape)), 8, sideways=0.6)
+
+    def partner(ring: DarkRing) -> float:
+        """Votes of the best pupil within."""
+        inside = (
+            other.votes
+            for other in found
+            if PUPIL_SHARE[0] < other.radius / ring.radius < PUPIL_SHARE[1]
+            and np.hypot(other.column - ring.column, other.row - ring.row) < 0.25 * ring.radius
+        )
+        return max(inside, default=0.0)
+
+    def worth(ring: DarkRing) -> float:
+        return ring.votes * (0.5 + partner(ring))
+
+    limbi = [ring for ring in found if ring.radius >= least]
+    circles = [r.circle() for r in sorted(limbi, key=worth, reverse=True)]
+    if pupil is not None:
+        circles = [c for c in circles if _plausible(c, pupil) > 0.5]
+    inside = [c for c in circles if _within(c, shape)]
+    return inside[:_CANDIDATES]
+
+
+def _same(a: Ellipse, b: Ellipse) -> bool:
+    """Whether two outlines agree within a hundredth of the radius."""
+    off = np.hypot(*np.subtract(a.centre, b.centre))
+    return bool(max(off, *abs(np.subtract(a.semi_axes, b.semi_axes))) < 0.01 * a.semi_axes[0])
+
+
+def _within(outline: Ellipse, shape) -> bool:
+    """Whether an outline's middle lies in the picture."""
+    return all(-0.5 < v < n - 0.5 for v, n in zip(outline.centre, shape[::-1], strict=True))
+
+
+def _shown(outline: Ellipse, shape) -> float:
+    """The share of an outline that lies in the picture."""
+    column, row = outline.points(ray_angles()).T
+    inside = (abs(column + 0.5 - shape[1] / 2) < shape[1] / 2) & (
+        abs(row + 0.5 - shape[0] / 2) < shape[0] / 2
+    )
+    return float(inside.mean())
+
+
+def _plausible(limbus: Ellipse, pupil: Ellipse) -> float:
+    """1 for a pair of outlines that an eye may have, and less for odder ones."""
+    size = pupil.semi_axes[0] / limbus.semi_axes[0]
+    off = float(limbus.relative_radius(*pupil.centre))
+    low, high = PUPIL_SHARE
+    odd = max(low - size, 0) / 0.05 + max(size - high, 0) / 0.05
+    # If a pupil leaves a narrow ring, the white's edge is mistaken for the iris's: 3 to 12 % off.
+    odd += max(size - _WIDE, 0) / 0.1
+    odd += max(off - 0.15, 0) / 0.1
+    odd += sum(max(0.82 - e.semi_axes[1] / e.semi_axes[0], 0) / 0.04 for e in (limbus, pupil))
+    return float(np.exp(-odd))
+
+
+def _middle_of(limbus: Ellipse) -> PupilEdge:
+    """A pupil in place of one that is not found."""
+    a, b = limbus.semi_axes
+    return PupilEdge(limbus._replace(semi_axes=(0.4 * a, 0.4 * b)), 0.0)
+
+
+def _part_about(photo: Photograph, outline: Ellipse, margin: float, radius: float):
+    """The brightness around an outline and the share of saturated pixels, reduced; the outline
+    there and the function back to the photograph.
+    """
+    pixels, moved, back = cut_around(photo.pixels, outline, margin, radius)
+    cut_off = cut_around(photo.saturated[..., None].astype(float), outline, margin, radius)[0]
+    return pixels.mean(-1), cut_off[..., 0], moved, back
+
+
+def _profile(picture, cut_off, circle: Ellipse, span, steps: int):
+    """Brightness along rays; NaN in highlights, whose edges are not the pupil's."""
+    hidden = along_rays(cut_off, circle, span, steps) > 0.05
+    return np.where(hidden, np.nan, along_rays(picture, circle, span, steps))
+
+
+def _ceiling(picture, relative) -> float:
+    """Brightness within a limbus that only highlights exceed."""
+    return float(1.5 * np.quantile(picture[relative < 0.9], 0.75) + 1e-9)
+
+
+def _beginning(x, brightness, pixel: float) -> tuple[float, float]:
+    """Where the brightness rises from a constant, before a Gaussian blurred it, and the width of
+    the rise.
+
+    Fitted are a step, the beginning of a smoothstep, or both at one place, and a line behind; the
+    width of the Gaussian is known to a factor. Both at once are accepted only if they are better by
+    one log likelihood, for they have one parameter more (Akaike). `pixel` is the width of a pixel
+    in the unit of x.
+    """
+    node, weight = np.polynomial.legendre.leggauss(32)
+    node = (node + 1) / 2
+    weight = 3 * weight * node * (1 - node)  # a smoothstep is as many steps as its slope says
+
+    def blurred(away, blur):
+        return 0.5 + 0.5 * special.erf(away / (np.sqrt(2) * blur))
+
+    def parts(v, sharp, soft):
+        """Constant, line up or down, and what rises; and how much of each there is."""
+        start, width, factor = v
+        blur = _BLUR * np.exp(_BLUR_SPREAD * factor) * pixel
+        step = blurred(x - start, blur)
+        line = step * (x - start)
+        basis = [np.ones_like(x), line, -line]
+        basis += [step] * sharp
+        basis += [blurred(x[:, None] - start - width * node, blur) @ weight] * soft
+        basis = np.stack(basis, -1)
+        return basis, optimize.nnls(basis, brightness)[0]
+
+    def misfit(v, sharp, soft):
+        basis, much = parts(v, sharp, soft)
+        # A tenth: neighbouring samples err alike.
+        return np.append(np.sqrt(0.1) * (basis @ much - brightness) / noise, v[2])
+
+    def fit(start, sharp, soft):
+        found = optimize.least_squares(
+            misfit, start, bounds=bounds, x_scale=[0.01, 0.01, 1.0], args=(sharp, soft)
+        )
+        rises = parts(found.x, sharp, soft)[1][3:]
+        share = rises[-1] / (rises.sum() + 1e-30) if soft else 0.0
+        return found.cost + (sharp and soft), float(found.x[0]), float(share * found.x[1])
+
+    noise = _MISFIT * (np.quantile(brightness, 0.9) - np.quantile(brightness, 0.1)) + 1e-9
+    bounds = ([0.85, 0.01, -3.0], [1.1, 2 * _PUPIL_WIDTHS[-1], 3.0])
+    fits = [fit([1.0, 0.05, 0.0], True, False), fit([1.0, 0.05, 0.0], True, True)]
+    fits += [fit([1 - width / 2, width, 0.0], False, True) for width in (0.04, 0.1)]
+    return min(fits)[1:]
+
+
+def _darkness(picture, relative, circle: Ellipse) -> float:
+    """How much darker a circle is inside than the iris around it, 0 to 1."""
+    row, column = np.ogrid[: picture.shape[0], : picture.shape[1]]
+    own = circle.relative_radius(column, row)
+    within, beside = own < 0.9, (own > 1.1) & (own < 1.6) & (relative < 0.95)
+    if not within.any() or not beside.any():
+        return 0.0
+    inside, outside = np.median(picture[within]), np.median(picture[beside])
+    return float(np.clip(1 - inside / (outside + 1e-9), 0, 1))
+
+
+def _crossed(x, rising, level: float) -> float:
+    """The place nearest to the middle at which a curve that rises through it crosses a level."""
+    middle = len(x) // 2
+    if level < 0.5:
+        at = np.flatnonzero(rising[:middle] <= level)
+        return float(x[at[-1] if len(at) else 0])
+    at = np.flatnonzero(rising[middle:] >= level)
+    return float(x[middle + at[0] if len(at) else -1])
+
+
+def _redness(red, blue):
+    """Log ratio of red to blue: it is far larger for skin than for the white of an eye."""
+    floor = 0.02 * float(np.quantile(red, 0.98)) + 1e-6
+    return np.log((np.maximum(red, 0) + floor) / (np.maximum(blue, 0) + floor))
+
+
+def _half_way(profile, edges: Edges, score, near: float):
+    """For each ray, the score and the place at which the brightness is half-way from iris to white,
+    nearest to the outline so far.
+    """
+    x = np.linspace(*_LIMBUS_SPAN, profile.shape[1])
+    # Beyond the picture's edge there is no edge.
+    smooth = ndimage.gaussian_filter1d(np.nan_to_num(profile), 1.0, axis=1)
+    dark = np.quantile(smooth[:, (x > 0.82) & (x < 0.95)], 0.2, axis=1)
+    white = np.median(smooth[:, (x > 1.06) & (x < 1.13)], axis=1)
+    level = smooth - 0.5 * (dark + white)[:, None]
+    rising = (level[:, :-1] < 0) & (level[:, 1:] >= 0)
+    crossing = x[:-1] + (x[1] - x[0]) * level[:, :-1] / (level[:, :-1] - level[:, 1:] - 1e-12)
+    away = np.where(rising, abs(crossing - 1), np.inf)
+    at = away.argmin(1)
+    rays = np.arange(at.size)
+    place = np.where(rising[rays, at], crossing[rays, at], 1.0)
+    column = np.searchsorted(edges.place, place).clip(0, edges.place.size - 1)
+    good = (away[rays, at] < near) & (white > dark)
+    return np.where(good, score[rays, column], 0.0), place
+
+
+def _limbus_edges(picture, colour, outline, span, steps, widths):
+    """Edges across the limbus, how white it is beyond each of them (0 to 1), and the brightness."""
+    profile = along_rays(picture, outline, span, steps)
+    edges = steps_along(profile, span, widths, 0.2)
+    if colour is None:
+        return edges, np.ones(edges.fit.shape), profile
+    # Nothing beyond the picture's edge is white.
+    tint = np.nan_to_num(along_rays(colour, outline, span, steps), nan=9.0)
+    pitch = edges.place[1] - edges.place[0]
+    smooth = ndimage.uniform_filter1d(tint, max(1, round(0.05 / pitch)), axis=1)
+    # The reddest from just beyond the middle of the rise to where the white is measured.
+    width = max(1, round(0.13 / pitch))
+    reddest = ndimage.maximum_filter1d(smooth, width, axis=1)
+    skip = (steps - edges.place.size) // 2 + round(0.12 / pitch)
+    outside = reddest[:, skip : skip + edges.place.size]
+    # The white is what is least red just outside: the sides of an eye show it.
+    at = int(np.argmin(abs(edges.place - 1)))
+    least = np.quantile(outside[:, at], 0.15)
+    white = 1 / (1 + np.exp(np.clip((outside - least - 0.4) / 0.08, -50, 50)))
+    return edges, white, profile

@@ -1,0 +1,339 @@
+"""The iris laid flat: refraction undone, holes filled, polar coordinates  [F09 Section 4.1]."""
+
+from typing import Any, NamedTuple
+
+import numpy as np
+import scipy.fft
+from jaxtyping import Bool, Float, Shaped
+from scipy import ndimage
+from scipy.interpolate import RectBivariateSpline
+
+from irisjax.photo.pose import Pose, iris_points, project_iris_points
+from irisjax.render import environment
+
+HALF_WIDTH = 6.0
+"""Half the width of a texture, which is centred on the eye's axis, mm."""
+LUMINANCE_WEIGHTS = np.array(environment.LUMINANCE, np.float32)
+"""Luminance of linear sRGB's components [IEC 61966-2-1]."""
+_LEAST_WEIGHT = 1e-3
+"""Share of a mean's weight that must lie on valid texels; below it rounding would show."""
+MAP_SHAPE = (768, 256)
+"""Angles and radii of maps, as in `procedural`."""
+_MOST_SAMPLES = 16  # of a cell along each side: coarse maps of fine textures
+TEXTURE_SIZE = 1024
+"""Texels along a side of the texture."""
+REFRACTION_GRID = 64, 33
+"""Angles and radii at which refraction is followed."""
+
+
+class Unrefracted(NamedTuple):
+    """A square texture of the iris plane, x and y from −6 to 6 mm: x right, row 0 at y = +6.
+
+    Attributes:
+        pixels: Linear values on sRGB's primaries.
+        valid: Texels that show the iris: not the pupil, and not hidden by lids, lashes or
+            highlights.
+        pupil_radius: In mm.
+        iris_radius: In mm.
+    """
+
+    pixels: Float[np.ndarray, "size size 3"]
+    valid: Bool[np.ndarray, "size size"]
+    pupil_radius: float
+    iris_radius: float
+
+    @property
+    def millimetres_per_texel(self) -> float:
+        """Width of a texel, mm."""
+        return 2 * HALF_WIDTH / len(self.valid)
+
+    def radius(self) -> Float[np.ndarray, "size size"]:
+        """Return the distance of the texels' middles from the axis, mm."""
+        x, y = self._places()
+        return np.hypot(x, y)
+
+    def angle(self) -> Float[np.ndarray, "size size"]:
+        """Return the angle of the texels' middles from +x towards +y, radians in (−π, π]."""
+        x, y = self._places()
+        return np.arctan2(y, x)
+
+    def luminance(self) -> Float[np.ndarray, "size size"]:
+        """Return the linear luminance."""
+        return self.pixels.astype(np.float32) @ LUMINANCE_WEIGHTS
+
+    def _places(self) -> tuple[np.ndarray, np.ndarray]:
+        size = len(self.valid)
+        along = ((np.arange(size) + 0.5) * (2 * HALF_WIDTH / size) - HALF_WIDTH).astype(np.float32)
+        return along[None, :], -along[:, None]
+
+
+class Gaussian:
+    """Convolution of pictures of one shape with a Gaussian, by Fourier transforms in float32.
+
+    For wide Gaussians this is far quicker than `scipy.ndimage.gaussian_filter`. The picture is
+    continued by zeros, or `periodic`ally. `sigma` is in texels; 0 changes nothing.
+    """
+
+    def __init__(self, shape: tuple[int, ...], sigma: float, periodic: bool = False):
+        self.shape = shape
+        margin = 0 if periodic else int(np.ceil(4 * sigma))
+        self.padded = [scipy.fft.next_fast_len(n + margin, real=True) for n in shape]
+        rows, columns = (
+            np.exp(-2 * (np.pi * sigma * frequency) ** 2).astype(np.float32)
+            for frequency in (scipy.fft.fftfreq(self.padded[0]), scipy.fft.rfftfreq(self.padded[1]))
+        )
+        self.transfer = rows[:, None] * columns
+
+    def __call__(self, values: Shaped[np.ndarray, "rows columns"]) -> np.ndarray:
+        """Return the picture convolved."""
+        spectrum = np.asarray(scipy.fft.rfft2(values.astype(np.float32), self.padded))
+        whole = np.asarray(scipy.fft.irfft2(spectrum * self.transfer, self.padded))
+        return whole[: self.shape[0], : self.shape[1]]
+
+
+class Refraction(NamedTuple):
+    """Columns and rows at which texels appear in a part of a photograph, and whether they are
+    visible.
+    """
+
+    column: Float[np.ndarray, "size size"]
+    row: Float[np.ndarray, "size size"]
+    visible: Bool[np.ndarray, "size size"]
+
+    def pixels(self, texels: Any, shape: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
+        """Return rows and columns of the pixels in which texels appear.
+
+        Args:
+            texels: A mask, or indices of rows and columns.
+            shape: Rows and columns of the part.
+        """
+        row, column = (
+            np.clip(np.rint(v[texels]).astype(int), 0, n - 1)
+            for v, n in zip((self.row, self.column), shape, strict=True)
+        )
+        return row, column
+
+
+def follow_refraction(
+    pose: Pose, size: int = TEXTURE_SIZE, grid: tuple[int, int] = REFRACTION_GRID
+) -> Refraction:
+    """Return where the texels of an iris appear in the picture of its camera  [F09 Eqs. 3, 4].
+
+    The renderer finds where a point of the iris appears (`project_points`: Newton's method on the
+    path whose entry Fermat's principle selects). Here this is done on a polar grid of (angles,
+    radii) and interpolated by cubic splines.
+    """
+    eye = pose.eye
+    angles, radii = grid
+    reach = float(eye.iris_radius)
+    turn = np.linspace(0, 2 * np.pi, angles, endpoint=False)
+    # Closer together towards the root, where the cornea is steepest.
+    radius = reach * np.sin(np.pi / 2 * np.linspace(0, 1, radii))
+    points = iris_points(eye, np.outer(np.cos(turn), radius), np.outer(np.sin(turn), radius))
+    seen = project_iris_points(eye, pose.camera, points)
+    visible = seen.visible
+    # Each line from the middle ends where the iris is no longer seen.
+    last = np.where(visible, radius, 0).max(1)
+    nothing = np.zeros((size, size), bool)
+    texture = Unrefracted(np.zeros((size, size, 3), np.float32), nothing, 0.0, reach)
+    around, out = texture.angle() % (2 * np.pi), texture.radius()
+    pad = 4
+    wide = np.concatenate([turn[-pad:] - 2 * np.pi, turn, turn[:pad] + 2 * np.pi])
+    where = []
+    for values in (seen.column, seen.row):
+        held = np.stack(
+            [_continued(v, radius, seen) for v, seen in zip(values, visible, strict=True)]
+        )
+        held = np.concatenate([held[-pad:], held, held[:pad]])
+        spline = RectBivariateSpline(wide, radius, held, kx=3, ky=3)
+        where.append(spline.ev(around, np.minimum(out, reach)))
+    edge = np.interp(around, wide, np.concatenate([last[-pad:], last, last[:pad]]))
+    return Refraction(where[0], where[1], out < np.minimum(edge, reach))
+
+
+def unrefract(
+    pixels: Float[np.ndarray, "rows columns 3"],
+    clear: Bool[np.ndarray, "rows columns"],
+    pose: Pose,
+    where: Refraction,
+) -> Unrefracted:
+    """Return the texture of an iris from the part of a photograph that its camera shows.
+
+    Values are interpolated linearly, so the photograph should not be finer than the texture.
+
+    Args:
+        pixels: Linear pixels of the camera's picture.
+        clear: Pixels that show the iris: no highlight, no lash, no lid.
+        pose: Result of `find_pose`.
+        where: Result of `follow_refraction`, which determines the texture's size.
+    """
+    places = np.stack([where.row, where.column])
+    found = np.stack(
+        [
+            ndimage.map_coordinates(pixels[..., k], places, order=1, mode="nearest")
+            for k in range(3)
+        ],
+        -1,
+    ).astype(np.float32)
+    rows, columns = clear.shape
+    within = (
+        (where.row >= 0)
+        & (where.row <= rows - 1)
+        & (where.column >= 0)
+        & (where.column <= columns - 1)
+    )
+    sure = ndimage.map_coordinates(clear.astype(np.float32), places, order=1, mode="nearest")
+    eye = pose.eye
+    texture = Unrefracted(found, within, float(eye.pupil_radius), float(eye.iris_radius))
+    radius, angle = texture.radius(), texture.angle()
+    x, y = radius * np.cos(angle), radius * np.sin(angle)
+    off_pupil = np.hypot(x - pose.pupil_centre[0], y - pose.pupil_centre[1]) > texture.pupil_radius
+    valid = where.visible & within & off_pupil & (sure > 0.999)
+    shown = (where.visible & within)[..., None]
+    return texture._replace(pixels=np.where(shown, found, np.float32(0)), valid=valid)
+
+
+def to_polar(
+    values: Float[np.ndarray, "size size"],
+    pupil_radius: float,
+    iris_radius: float,
+    shape: tuple[int, int] = MAP_SHAPE,
+) -> Float[np.ndarray, "angles radii"]:
+    """Return means over polar cells of a texture without holes.
+
+    The texture is sampled bilinearly, at least once a texel along each side of a cell. Rows run
+    from +x towards +y, columns from the pupil's edge to the root; radii are in mm.
+
+    Raises:
+        ValueError: If the radii are not those of an iris within the texture, or the shape is too
+            small.
+    """
+    if not 0 < pupil_radius < iris_radius <= HALF_WIDTH:
+        raise ValueError(
+            f"pupil_radius = {pupil_radius:g} mm and iris_radius = {iris_radius:g} mm must rise "
+            f"within (0, {HALF_WIDTH:g}] mm"
+        )
+    if min(shape) < 2:
+        raise ValueError(f"shape {shape} of polar maps is below (2, 2)")
+    angles, radii = shape
+    texel = 2 * HALF_WIDTH / len(values)
+    widest = 2 * np.pi * iris_radius / angles, (iris_radius - pupil_radius) / radii
+    fine = [int(np.clip(np.ceil(width / texel), 1, _MOST_SAMPLES)) for width in widest]
+    turn = (np.arange(angles * fine[0]) + 0.5) * (2 * np.pi / (angles * fine[0]))
+    out = (np.arange(radii * fine[1]) + 0.5) / (radii * fine[1])
+    # A cell's outer part covers more of it.
+    place = pupil_radius + (iris_radius - pupil_radius) * out
+    weight = place.reshape(radii, fine[1])
+    weight = (weight / weight.sum(1, keepdims=True)).astype(np.float32)
+    column = (np.cos(turn)[:, None] * place + HALF_WIDTH) / texel - 0.5
+    row = (HALF_WIDTH - np.sin(turn)[:, None] * place) / texel - 0.5
+    samples = ndimage.map_coordinates(
+        values.astype(np.float32), np.stack([row, column]), order=1, mode="nearest"
+    )
+    cells = samples.reshape(angles, fine[0], radii, fine[1]).mean(1)
+    return np.einsum("arf,rf->ar", cells, weight)
+
+
+def from_polar(
+    values: Float[np.ndarray, "angles radii"],
+    radius: Float[np.ndarray, "*s"],
+    angle: Float[np.ndarray, "*s"],
+    pupil_radius: float,
+    iris_radius: float,
+) -> Float[np.ndarray, "*s"]:
+    """Return values of polar cells at distances from the axis (mm) and angles (radians), linear
+    between the cells' middles and constant beyond the first and last.
+    """
+    angles, radii = values.shape
+    ring = np.concatenate([values[-1:], values, values[:1]]).astype(np.float32)
+    row = np.asarray(angle) % (2 * np.pi) * (angles / (2 * np.pi)) + 0.5
+    column = (np.asarray(radius) - pupil_radius) * (radii / (iris_radius - pupil_radius)) - 0.5
+    return ndimage.map_coordinates(ring, np.stack([row, column]), order=1, mode="nearest")
+
+
+def fill_holes(
+    pixels: Float[np.ndarray, "rows columns ..."], holes: Bool[np.ndarray, "rows columns"]
+) -> Float[np.ndarray, "rows columns ..."]:
+    """Fill the holes of a picture smoothly from their surroundings; the rest stays exact.
+
+    Means over ever larger squares, each without the holes, are interpolated linearly: a wide hole
+    takes the colours of a wide neighbourhood, in time proportional to the number of pixels. Values
+    lie between those outside.
+
+    Raises:
+        ValueError: If the picture has nothing but holes.
+    """
+    if holes.all():
+        raise ValueError(f"all {holes.size} pixels are holes; there is nothing to fill them from")
+    if not holes.any():
+        return pixels.copy()
+    hole = holes[..., None]
+    layers = np.where(hole, 0, pixels.reshape(*holes.shape, -1)).astype(np.float32)
+    filled = _filled(layers, (~hole).astype(np.float32)).reshape(pixels.shape)
+    return np.where(holes.reshape(holes.shape + (1,) * (pixels.ndim - 2)), filled, pixels).astype(
+        pixels.dtype
+    )
+
+
+def masked_mean(
+    values: Float[np.ndarray, "rows columns"], valid: Bool[np.ndarray, "rows columns"], sigma: float
+) -> Float[np.ndarray, "rows columns"]:
+    """Return the Gaussian-weighted mean of the valid texels around each texel.
+
+    It is the mean of all valid texels where every one of them is far.
+
+    Args:
+        values: The picture.
+        valid: Texels that count.
+        sigma: Standard deviation, in texels.
+
+    Raises:
+        ValueError: If no texel is valid.
+    """
+    if not valid.any():
+        raise ValueError("no texel is valid: there is nothing to take a mean of")
+    mean_of = Gaussian(valid.shape, sigma)
+    weight = mean_of(valid)
+    far = weight < _LEAST_WEIGHT
+    mean = mean_of(np.where(valid, values, 0)) / np.where(far, 1, weight)
+    return np.where(far, values[valid].mean(dtype=np.float32), mean)
+
+
+def _continued(values, radius, visible):
+    """Values along a line from the middle, extrapolated linearly where they are out of sight."""
+    if visible.all():
+        return values
+    n = int(np.argmin(visible))
+    slope = (values[n - 1] - values[n - 2]) / (radius[n - 1] - radius[n - 2])
+    beyond = np.arange(len(radius)) >= n
+    return np.where(beyond, values[n - 1] + slope * (radius - radius[n - 1]), values)
+
+
+def _filled(total: np.ndarray, known: np.ndarray) -> np.ndarray:
+    """Values whose sums over the known parts are `total`, filled where the known part is below
+    1.
+    """
+    if known.all():
+        return total / known
+    rows, columns = known.shape[:2]
+    if rows == columns == 1:
+        return total / known
+    coarse = [_halved(x) for x in (total, known)]
+    # A quarter known is enough for a square to count in full at the next level.
+    share = np.maximum(coarse[1], 1e-30)
+    weight = np.minimum(4 * coarse[1], 1.0)
+    below = _filled(coarse[0] / share * weight, weight)
+    above = _doubled(_doubled(below).swapaxes(0, 1)).swapaxes(0, 1)[:rows, :columns]
+    return total + (1 - known) * above
+
+
+def _doubled(x: np.ndarray) -> np.ndarray:
+    """Twice as many rows, linear between the middles of the old ones and constant at the ends."""
+    above, below = np.concatenate([x[:1], x[:-1]]), np.concatenate([x[1:], x[-1:]])
+    return np.stack([0.75 * x + 0.25 * above, 0.75 * x + 0.25 * below], 1).reshape(-1, *x.shape[1:])
+
+
+def _halved(x: np.ndarray) -> np.ndarray:
+    """Means over squares of 2 × 2, the picture continued by zeros to even sizes."""
+    x = np.pad(x, [(0, n % 2) for n in x.shape[:2]] + [(0, 0)])
+    return (x[::2, ::2] + x[1::2, ::2] + x[::2, 1::2] + x[1::2, 1::2]) / 4

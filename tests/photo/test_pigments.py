@@ -1,0 +1,165 @@
+"""Pigments and their posterior from windows whose colours a known iris made."""
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from formula import BASE, formula_windows
+
+from irisjax.photo.pigments import (
+    CONCENTRATIONS,
+    FREE_NAMES,
+    concentrations_of,
+    exposures_for,
+    fit_pigments,
+    iris_of_concentrations,
+    log_posterior,
+    parameter_values,
+    predicted_colours,
+    simplex,
+)
+from irisjax.photo.posterior import sample_pigments
+from irisjax.photo.window_noise import RING, log_likelihood
+from irisjax.tissue.iris import Iris
+
+# Standard normal numbers; what is not named, the room, is at the prior's median.
+_NAMED = dict(zip(CONCENTRATIONS, (0.6, -0.5, 0.8, 0.4), strict=True)) | {
+    "scattering_scale": 0.3,
+    "exposure": 0.5,
+    "red_gain": 0.4,
+    "blue_gain": -0.6,
+    "contrast": 0.2,
+}
+TRUE = np.array([_NAMED.get(name, 0.0) for name in FREE_NAMES])
+
+
+def test_concentrations_there_and_back():
+    values = dict(zip(CONCENTRATIONS, (4.3, 1.8, 0.57, 0.24), strict=True))
+    found = concentrations_of(iris_of_concentrations(values, Iris()))
+    assert found == pytest.approx(values)
+    none = concentrations_of(iris_of_concentrations(dict.fromkeys(CONCENTRATIONS, 0.0), Iris()))
+    assert none == pytest.approx(dict.fromkeys(CONCENTRATIONS, 0.0))
+
+
+@pytest.fixture(scope="module")
+def windows():
+    return formula_windows(TRUE)
+
+
+@pytest.fixture(scope="module")
+def fit(windows):
+    return fit_pigments(windows, BASE)
+
+
+def _cost(z, windows):
+    return -float(log_posterior(jnp.asarray(z), windows, BASE))
+
+
+def test_least_squares_fits_what_the_model_made(windows, fit):
+    found = fit
+    assert found.converged
+    assert found.rms.max() < RING.light  # by which a ring may be off
+    assert tuple(found.values) == FREE_NAMES
+    assert {*FREE_NAMES, "start", "turn", "steps", "log_density"} == set(found.log[0])
+    ended = [row["log_density"] for row in found.log if row["turn"] == found.log[-1]["turn"]]
+    assert max(ended) == pytest.approx(-_cost(found.z, windows))
+    assert _cost(found.z, windows) <= _cost(TRUE, windows) + 1e-6
+    # The prior pulls by less than what is not known.
+    off = (found.z - TRUE) / np.sqrt(np.diag(found.covariance))
+    assert abs(off).max() < 3
+
+
+def test_the_simplex_goes_down_stage_by_stage(windows):
+    found = simplex(windows, BASE)
+    log = found.log
+    assert [set(row) for row in log] == [{*CONCENTRATIONS, "steps", "rms"}] * 2
+    start = windows_rms(np.zeros(len(FREE_NAMES)), windows)
+    assert start > log[0]["rms"] >= log[1]["rms"]
+    assert found.rms.mean() == pytest.approx(log[1]["rms"])
+    assert found.values["exposure"] == pytest.approx(1)
+
+
+def windows_rms(z, windows):
+    shown = np.asarray(predicted_colours(parameter_values(jnp.asarray(z)), windows, BASE))[
+        windows.present
+    ]
+    off = np.log(shown / windows.colour[windows.present])
+    return float(np.sqrt((off**2).mean(0)).mean())
+
+
+def test_the_posterior_is_likelihood_times_prior(windows):
+    """With the response to thickness by differences."""
+
+    def off(z, thicker=1.0):
+        base = BASE.replace(stroma_thickness=thicker * BASE.stroma_thickness)
+        shown = np.asarray(predicted_colours(parameter_values(jnp.asarray(z)), windows, base))
+        floor = 0.01 * windows.colour[windows.present].mean()
+        found = np.log((windows.colour + floor) / (shown + floor))
+        return np.where(windows.present[:, None], found, 0.0)
+
+    def direct(z):
+        step = 1e-4
+        response = (off(z, np.exp(-step)) - off(z, np.exp(step))) / (2 * step)
+        parts = (jnp.asarray(v) for v in (off(z), response, windows.present))
+        return float(log_likelihood(*parts)) - 0.5 * (z**2).sum()
+
+    places = TRUE + 0.3 * np.random.default_rng(4).standard_normal((4, len(FREE_NAMES)))
+    own = [float(log_posterior(jnp.asarray(z), windows, BASE)) for z in places]
+    assert np.ptp(own) > 10
+    np.testing.assert_allclose(own, [direct(z) for z in places], atol=1e-3)
+
+
+def test_the_posterior_has_a_slope_everywhere(windows):
+    slope = jax.grad(lambda z: log_posterior(z, windows, BASE))(jnp.asarray(TRUE))
+    assert np.isfinite(np.asarray(slope)).all()
+
+
+def test_exposures_take_up_what_other_maps_change(windows, fit):
+    """Windows of an iris that is darker throughout, by a filter of three colours."""
+    filtered = dataclasses.replace(windows, colour=windows.colour * np.array([0.8, 0.9, 0.7]))
+    first, then = exposures_for(fit, windows, BASE), exposures_for(fit, filtered, BASE)
+    np.testing.assert_allclose(then / first, [0.8, 0.9, 0.7], rtol=0.01)
+    values = fit.values
+    own = values["exposure"] * np.array([values["red_gain"], 1, values["blue_gain"]])
+    # The fit's windows are as bright as it says, but for what the prior pulls.
+    np.testing.assert_allclose(first, own, rtol=0.05)
+
+
+@pytest.fixture(scope="module")
+def drawn(windows, fit):
+    return sample_pigments(windows, BASE, fit, key=jax.random.key(3))
+
+
+def test_equal_keys_give_equal_samples_and_a_short_chain_says_so(windows, fit):
+    one, again, other = (
+        sample_pigments(windows, BASE, fit, max_steps=60, key=jax.random.key(s)) for s in (3, 3, 4)
+    )
+    np.testing.assert_array_equal(one.z, again.z)
+    assert not np.array_equal(one.z, other.z)
+    assert one.chains.steps == 60 and not one.chains.converged
+    # On some machines a walker stays where it is for as long.
+    words = "autocorrelation", "effective", "never moved"
+    assert any(word in one.chains.reason for word in words)
+
+
+def test_estimates_are_those_of_the_samples_and_hold_the_truth(drawn):
+    assert drawn.chains.converged
+    true = parameter_values(jnp.asarray(TRUE))
+    assert tuple(drawn.estimates) == tuple(drawn.samples) == FREE_NAMES
+    for i, (name, estimate) in enumerate(drawn.estimates.items()):
+        low, median, high = np.quantile(drawn.samples[name], [0.025, 0.5, 0.975])
+        assert (estimate.low, estimate.median, estimate.high) == pytest.approx((low, median, high))
+        # Windows without noise: what the camera has free still hides the pigments.
+        assert low < float(true[name]) < high, name
+        assert estimate.contraction == pytest.approx(1 - drawn.z[:, i].var())
+
+
+def test_where_windows_tell_nothing_the_priors_come_back(fit):
+    """Windows on which no light of the iris falls: the chain's own coordinates do not show."""
+    drawn = sample_pigments(formula_windows(dark=True), BASE, fit, key=jax.random.key(6))
+    z = drawn.z[:, [FREE_NAMES.index(name) for name in (*CONCENTRATIONS, "scattering_scale")]]
+    error = 1 / np.sqrt(drawn.chains.ess_tail.min())
+    assert np.abs(z.mean(0)).max() < 4 * error
+    assert np.abs(np.cov(z.T) - np.eye(5)).max() < 6 * error
