@@ -14,8 +14,6 @@ from irisjax.render.illumination import Illumination
 from irisjax.render.lights import Lights
 from irisjax.render.stages import look
 
-pytestmark = pytest.mark.heavy  # refraction compiles for seconds
-
 
 @pytest.fixture(scope="module")
 def pose():

@@ -1,12 +1,8 @@
 """Maps of an iris from its texture, checked against the package's own pictures."""
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 import pytest
 
-import irisjax as ij
-from irisjax.numerics.interpolation import polar_bilinear
 from irisjax.photo.texture import Unrefracted
 from irisjax.photo.thickness import Darkness, shape_maps
 
@@ -78,32 +74,3 @@ def test_what_cannot_be():
         shape_maps(texture, np.zeros((2, 2), bool))
     with pytest.raises(ValueError, match="need a response"):
         shape_maps(texture, slopes=(0.1, 0.0))
-
-
-@pytest.mark.heavy
-@pytest.mark.parametrize(("colour", "response"), [("blue", 0.6), ("green", 0.5)])
-def test_thickness_of_a_rendered_iris_comes_back(colour, response):
-    """Lamps aside, relief and all: the paper's method is better than the generic iris, ours than
-    the paper's and as good as was promised.
-    """
-    eye = ij.Eye(cornea=None, sclera=None)
-    iris, maps = ij.preset(colour, eye, shape=(384, 128), key=jax.random.key(3))
-    lights = ij.Lights.distant(jnp.array([0.6, 0.7]), jnp.array([2.2, 0.5]))
-    camera = ij.Camera(distance=1e4, width=12.0, size=(SIZE * 2, SIZE * 2))
-    pixels = np.asarray(ij.Scene(iris, maps, eye, lights, camera=camera).render())
-    bare = Unrefracted(pixels, np.ones(pixels.shape[:2], bool), 1.9, 5.5)
-    radius, angle = bare.radius(), bare.angle()
-    texture = bare._replace(valid=(radius > 1.95) & (radius < 5.45))
-    at = jnp.asarray(angle), jnp.asarray((radius - 1.9) / 3.6)
-    truth = np.asarray(polar_bilinear(maps.stroma_depth, *at))
-
-    def correlation(**options):
-        found = shape_maps(texture, **options).thickness
-        return np.corrcoef(found[texture.valid], truth[texture.valid])[0, 1]
-
-    of_light = np.asarray(lights.towards).sum(0)  # alike in irradiance
-    slopes = tuple(float(0.3 * s / of_light[2]) for s in of_light[:2])  # z is negative
-    generic, paper = correlation(beta=0.0), correlation()
-    ours = correlation(response=response, slopes=slopes)
-    assert generic < paper < ours
-    assert ours >= 0.8

@@ -13,9 +13,6 @@ from irisjax.render.camera import Camera
 SPACING, WIDTH = 0.8, 0.12  # mm, of the dots
 
 
-pytestmark = pytest.mark.heavy  # refraction compiles for seconds
-
-
 @pytest.fixture(scope="module")
 def pose():
     camera = Camera(polar=0.5236, azimuth=0.35, distance=300.0, width=14.0, size=(1001, 901))

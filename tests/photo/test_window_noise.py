@@ -79,7 +79,6 @@ def _drawn(off, covariance, number=100_000):
     return total
 
 
-@pytest.mark.heavy
 def test_the_likelihood_is_the_one_with_covariances_drawn():
     prior = stats.invwishart(PRIOR_WINDOWS, PRIOR_WINDOWS * PRIOR_COVARIANCE)
     own, other = [], []

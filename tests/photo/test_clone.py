@@ -1,0 +1,121 @@
+"""Stages of a clone: the texture, its thickness against the truth, and a second photograph."""
+
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from scipy.ndimage import rotate, zoom
+
+from experiments.clone_truth import correlation, true_thickness
+from irisjax.io.photographs import read_photograph
+from irisjax.photo import clone as cloning
+from irisjax.photo.clone import (
+    CloneSettings,
+    Given,
+    check_names,
+    flatten_iris,
+    outline_eye,
+    pose_eye,
+    shape_iris,
+    width_by_rendering,
+)
+from irisjax.photo.photograph import Photograph
+from irisjax.photo.thickness import shape_maps
+
+PHOTOGRAPHS = Path(__file__).parent.parent.parent / "data" / "photographs"
+SETTINGS = CloneSettings()
+
+
+def reduced(name):
+    """A photograph with pixels averaged two by two."""
+    found = read_photograph(PHOTOGRAPHS / name)
+    rows, columns = (n // 2 for n in found.shape)
+    blocks = (
+        v[: 2 * rows, : 2 * columns].reshape(rows, 2, columns, 2, *v.shape[2:])
+        for v in (found.pixels, found.saturated)
+    )
+    pixels, saturated = (next(blocks).mean((1, 3)), next(blocks).any((1, 3)))
+    focal = None if found.focal_px is None else found.focal_px / 2
+    return found._replace(pixels=pixels, saturated=saturated, focal_px=focal)
+
+
+@pytest.fixture(scope="module")
+def first():
+    return reduced("blue.jpg")
+
+
+def flat(photograph, **given):
+    given = Given(**given)
+    return flatten_iris(pose_eye(outline_eye(photograph, given), SETTINGS, given), given)
+
+
+@pytest.fixture(scope="module")
+def alone(first):
+    return flat(first)
+
+
+def test_thickness_of_a_photographed_iris_comes_back(alone):
+    """The paper's method is better than the generic iris, and the model's than the paper's."""
+    truth = true_thickness("blue", alone.texture)
+
+    def score(**options):
+        shaped = shape_iris(alone, SETTINGS)
+        shape = shape_maps(alone.texture, shaped.morphology.freckles, **options)
+        vars(shaped)["morphology"] = shape
+        return correlation(shaped, truth.thickness, truth.used)[0]
+
+    paper, ours = score(), score(response=0.6, sigma_mm=0.0)
+    assert 0 < paper < ours
+    assert ours > 0.8
+
+
+def test_texture_under_a_highlight_is_the_seconds(first, alone):
+    limbus, pupil = alone.boundaries.limbus, alone.boundaries.pupil
+    (x, y), radius = limbus.centre, limbus.semi_axes[0]
+    row, column = np.indices(first.shape)
+    disc = np.hypot(row - y - 0.476 * radius, column - x + 0.476 * radius) < 0.08 * radius
+    burnt = first._replace(
+        pixels=np.where(disc[..., None], np.float32(1), first.pixels),
+        saturated=first.saturated | disc,
+    )
+    # Another camera: turned by four degrees and a tenth smaller, a little darker.
+    turned = rotate(first.pixels, 4.0, reshape=False, order=1, mode="nearest")
+    turned = zoom(turned, (0.9, 0.9, 1), order=1)
+    second = Photograph(0.8 * turned, (turned > 0.99).any(-1), name="second")
+    outlines = {"limbus": limbus, "pupil": pupil}
+    without, found = flat(burnt, **outlines), flat(burnt, **outlines, second=second)
+    hidden = alone.texture.valid & ~without.texture.valid
+    assert hidden.sum() > 1000
+    assert found.texture.valid[hidden].mean() > 0.95
+    laid = found.second.registration
+    assert laid.correlation > 0.9 and laid.residual < 0.5
+    assert laid.scale == pytest.approx(0.9, rel=0.005)
+    seen, true = (t.texture.luminance()[hidden] for t in (found, alone))
+    assert np.corrcoef(seen, true)[0, 1] > 0.95
+    # Pigments come from the first: its pixels are left as they are.
+    np.testing.assert_array_equal(found.part, without.part)
+    with pytest.raises(ValueError, match=r"brown\.jpg: its iris does not come to lie on"):
+        flat(burnt, **outlines, second=reduced("brown.jpg"))
+
+
+@pytest.mark.parametrize("best", [0.07, 0.45, 2.0])
+def test_the_width_with_the_nearest_rendering_is_found(monkeypatch, best):
+    def compared(width):
+        return SimpleNamespace(rms=0.01 + 0.002 * np.full(3, np.log(width / best) ** 2))
+
+    monkeypatch.setattr(cloning, "compare_with_photograph", compared)
+    assert width_by_rendering(lambda width: width) == pytest.approx(best, rel=0.1)
+
+
+@pytest.mark.parametrize(
+    ("settings", "last", "message"),
+    [
+        (CloneSettings(media="water"), "pose", "unknown media 'water'; known: cornea-aqueous, f09"),
+        (CloneSettings(method="luck"), "pose", "unknown method 'luck'; known: least-squares"),
+        (SETTINGS, "lunch", "unknown stage 'lunch'; known: outlines, pose, texture"),
+    ],
+)
+def test_unknown_names_are_refused(settings, last, message):
+    with pytest.raises(ValueError, match=message):
+        check_names(settings, last)
