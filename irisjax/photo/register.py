@@ -1,10 +1,11 @@
 """A second photograph of the same eye, brought onto the pixels of the first."""
 
 from functools import partial
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float
+from scipy import optimize
 from scipy.ndimage import binary_dilation, gaussian_filter, map_coordinates
 from skimage.registration import optical_flow_ilk, phase_cross_correlation
 from skimage.transform import AffineTransform, downscale_local_mean, warp
@@ -24,8 +25,7 @@ _SCALES = (1 / 24, 1 / 48, 1 / 96, 1 / 200)  # blurs of the refinement, of the l
 _POLAR = (64, 1024)  # samples along radius and angle
 _MOST = 15_000  # pixels compared at a time
 _OUTLYING = 0.3  # differences of textures (standard deviations) that count half
-_STEPS = 20
-_STILL = 3e-3  # px
+_STEPS, _STILL = 20, 3e-5  # most steps, and relative change at which they end
 _WORKING = 300.0  # px; larger irides are compared at about this radius
 _LEAST_RADIUS = 20.0  # px, of a limbus with any texture in it
 
@@ -242,35 +242,20 @@ def _refined(affine, one, other, points, centre, radius, blur) -> np.ndarray:
         column, row = (parameters.reshape(2, 3) @ about.T).astype(np.float64)
         return map_coordinates(picture, [row, column], order=1, mode="nearest")
 
-    def counted(parameters):
-        """Points that fall on pixels of the second that can be relied on."""
-        return sampled(other.usable.astype(np.float32), parameters) > 0.99
-
     start = (affine * sizes).ravel()
-    keep = counted(start)
+    keep = sampled(other.usable.astype(np.float32), start) > 0.99
     if keep.sum() < 100:
         return affine
 
-    def compared(parameters):
-        """Differences, Cauchy's weights of them, and the loss."""
-        off = np.where(keep, sampled(image, parameters) - target, 0)
-        share = (off / _OUTLYING) ** 2
-        return off, keep / (1 + share), np.log1p(share).sum()
+    def residuals(parameters: np.ndarray) -> np.ndarray:
+        return np.where(keep, sampled(image, parameters) - target, 0)
 
-    # Reweighted Gauss-Newton by normal equations: SciPy's solvers are far slower for six unknowns.
-    (off, weight, loss), parameters = compared(start), start
-    for _ in range(_STEPS):
+    def jacobian(parameters: np.ndarray) -> np.ndarray:
         along, down = (sampled(s, parameters)[:, None] for s in slopes)
-        jacobian = np.concatenate([along * about, down * about], 1)
-        weighted = jacobian * weight[:, None]
-        step = np.linalg.lstsq(weighted.T @ jacobian, -weighted.T @ off, rcond=None)[0]
-        tried = parameters + step
-        off, weight, now = compared(tried)
-        if not now < loss:
-            break
-        parameters, loss = tried, now
-        if np.abs(step).max() < _STILL:
-            break
+        return keep[:, None] * np.concatenate([along * about, down * about], 1)
+
+    robust: Any = {"loss": "cauchy", "f_scale": _OUTLYING, "max_nfev": _STEPS, "xtol": _STILL}
+    parameters = optimize.least_squares(residuals, start, jacobian, **robust).x
     found = parameters.reshape(2, 3) / sizes
     change = np.linalg.det(found[:, :2]) / np.linalg.det(affine[:, :2])
     return found if 0.7 < change < 1.4 else affine  # textures that have nothing in common
