@@ -63,7 +63,7 @@ class ClonePicture(Group):
         option(
             parse=number(-360, 360),
             metavar="degrees",
-            help="side of the eye on which the camera stands, from the picture's right to its top; "
+            help="azimuth of the camera around the eye, from the picture's right to its top; "
             "default: inferred from the pupil",
         ),
     ] = None

@@ -28,7 +28,7 @@ def report(found: Outlined, cross_polarised: bool, folder: Path, doubts: tuple[s
         if cross_polarised:
             tell(
                 "WARNING: the model's iris keeps 98 % and more of the light's polarisation, so "
-                "crossed polarisers would make it black; the pigments stand for an iris that "
+                "crossed polarisers would make it black; the pigments are those of an iris that "
                 "depolarises"
             )
         if found.lighting.found == 0:

@@ -56,7 +56,7 @@ def read_photograph(path: str | Path) -> Photograph:
     if suffix in RAW:
         raw = develop(path, lambda rows, columns: _check_size(path, rows, columns))
         pixels, saturated, notes = raw.pixels, np.asarray(raw.saturated), list(raw.notes)
-        focal, told = focal_px(raw.exif, saturated.shape)
+        focal, added = focal_px(raw.exif, saturated.shape)
         grey = _is_grey(pixels)
     elif suffix in PHOTOGRAPHS:
         values, spec, several = decode_file(
@@ -66,21 +66,21 @@ def read_photograph(path: str | Path) -> Photograph:
             several or _several(path, suffix)
         )
         values = _colours(values, spec, notes)
-        pixels, told = _linear(path, values, spec)
-        notes += told
+        pixels, added = _linear(path, values, spec)
+        notes += added
         if values.dtype.kind == "f":
             pixels = values = _to_unit(path, pixels, notes)
         grey, saturated = _is_grey(values), np.zeros(pixels.shape[:2], bool)
         if values.dtype.kind == "u":
             saturated = _any(values >= _SATURATED * np.iinfo(values.dtype).max)
-        focal, told = focal_px(_exif(spec), (spec.height, spec.width))
+        focal, added = focal_px(_exif(spec), (spec.height, spec.width))
     else:
         kinds = ", ".join(PHOTOGRAPHS)
         raw = " ".join(RAW)
         raise ValueError(
             f"{path}: a photograph's name must end in {kinds}, or of camera raw in {raw}"
         )
-    notes += told
+    notes += added
     _settle_negatives(path, pixels, notes)
     return Photograph(pixels, saturated, grey, focal, name, tuple(notes))
 

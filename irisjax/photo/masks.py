@@ -428,7 +428,7 @@ def _beyond_edge(lid: np.ndarray, upper: bool) -> np.ndarray:
     limbus's blur hides it.
     """
     columns = np.flatnonzero(lid.any(0))
-    if len(columns) < 0.15 * lid.shape[1]:  # too short to tell how it goes on
+    if len(columns) < 0.15 * lid.shape[1]:  # too short to be continued
         return lid
     rows = [np.flatnonzero(lid[:, c])[-1 if upper else 0] for c in columns]
     edge = np.poly1d(np.polyfit(columns, rows, 2))(np.arange(lid.shape[1]))

@@ -340,12 +340,12 @@ def deconvolve(
     light = np.pad(fill_holes(1 + normalised[box].astype(np.float32), ~shown), wide, mode="edge")
     spread = Gaussian(around.shape, sigma, periodic=True)
     weight = spread(around)
-    told = weight > 1e-3
+    known = weight > 1e-3
     estimate = light
     for _ in range(iterations):
         seen = np.maximum(spread(estimate), np.float32(1e-6))
-        ratio = spread(np.where(around, light / seen, 0)) / np.where(told, weight, 1)
-        estimate = np.where(told, estimate * ratio, estimate)
+        ratio = spread(np.where(around, light / seen, 0)) / np.where(known, weight, 1)
+        estimate = np.where(known, estimate * ratio, estimate)
     found = estimate[around] - np.float32(1)
     kept = normalised[valid].mean(dtype=np.float64) - found.mean(dtype=np.float64)
     whole = np.zeros(valid.shape, np.float32)
