@@ -1,3 +1,5 @@
-"""A photograph of an eye taken apart: its outlines, what refraction hides, thickness and
-pigments  [F09].
-"""
+"""An iris from a photograph: outlines, pose, texture, thickness, light and pigments  [F09]."""
+
+from irisjax._lazy import modules_of
+
+__getattr__ = modules_of(__name__)
