@@ -11,10 +11,13 @@ from refusals import one_line
 
 import irisjax as ij
 from irisjax.cli.clone_report import report
+from irisjax.infer.posterior import Chains, ChainStatus
 from irisjax.io.scenes import read_scene
 from irisjax.photo import clone as cloning
 from irisjax.photo.doubts import doubts_of
 from irisjax.photo.pigments import FREE_NAMES, PRIORS, PigmentFit
+from irisjax.photo.posterior import PigmentPosterior
+from irisjax.photo.windows import Windows
 
 DATA = Path(__file__).parent.parent.parent / "data" / "photographs"
 NAME = "green_tilted.jpg"
@@ -197,7 +200,15 @@ def test_what_the_model_cannot_follow_is_doubtful(capsys, tmp_path):
         False,
     )
     reason = "150 steps are 3 autocorrelation times, not 50"
-    found = object.__new__(cloning.Sampled)
+    every = np.ones(10)
+    chains = Chains(
+        *(np.zeros((1, 1, 10)), np.zeros((1, 1)), 1, 150, 0.5, every, every, every, every),
+        status=ChainStatus.few_autocorrelation_times,
+        reason=reason,
+    )
+    windows, found = object.__new__(Windows), object.__new__(cloning.Sampled)
+    for name, value in (("colour", np.ones((4, 3))), ("present", np.ones(4, bool))):
+        object.__setattr__(windows, name, value)
     vars(found).update(
         photograph=SimpleNamespace(grey=True),
         boundaries=SimpleNamespace(limbus_confidence=1.0, pupil_confidence=1.0),
@@ -208,12 +219,10 @@ def test_what_the_model_cannot_follow_is_doubtful(capsys, tmp_path):
             eye=SimpleNamespace(pupil_radius=2.0, limbus_radius=5.5),
         ),
         lighting=SimpleNamespace(found=0),
-        windows=SimpleNamespace(colour=np.ones((4, 3)), present=np.ones(4, bool)),
+        windows=windows,
         fit=fit,
         response=0.05,
-        posterior=SimpleNamespace(
-            estimates={}, chains=SimpleNamespace(converged=False, reason=reason)
-        ),
+        posterior=PigmentPosterior({}, {}, np.zeros((1, 10)), chains),
     )
     doubts = doubts_of(found, np.array([0.06, 0.04, 0.03]))
     for words in (

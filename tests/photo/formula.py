@@ -35,7 +35,8 @@ class FormulaWindows(Windows):
                 ]
             )
             scattering = iris.scattering_scale * jnp.asarray([0.3, 0.5, 0.9]) * height
-            back = scattering / (scattering + 0.3 + stroma @ _ABSORPTION * whole)
+            melanin = stroma * whole * jnp.exp(log_thickness)
+            back = scattering / (scattering + 0.3 + melanin @ _ABSORPTION)
             seen = back * jnp.exp(-2 * abl @ _ABSORPTION)
             return (self.light + room)[:, None] * seen
 
@@ -43,12 +44,9 @@ class FormulaWindows(Windows):
         return jax.jvp(radiance, (zero,), (jnp.ones_like(zero),))
 
 
-def formula_windows(z=None, dark=False) -> FormulaWindows:
-    """Windows whose colours are those of the parameters z, lamps without a room; `dark` ones show
-    none of the iris's light.
-    """
+def formula_windows(z) -> FormulaWindows:
+    """Windows whose colours are those of the parameters z; lamps without a room."""
     eye = Eye()
-    light = jnp.linspace(0.8, 1.2, COUNT)
     bare = FormulaWindows(
         colour=np.ones((COUNT, 3)),
         present=np.ones(COUNT, bool),
@@ -60,9 +58,7 @@ def formula_windows(z=None, dark=False) -> FormulaWindows:
         ranges=Scales(stroma=jnp.asarray([0.5, 2.0])),
         integrator=Separable(),
         aqueous_index=jnp.asarray(eye.aqueous_index),
-        light=0 * light if dark else light,
+        light=jnp.linspace(0.8, 1.2, COUNT),
     )
-    if z is None:
-        return bare
     colour = predicted_colours(parameter_values(jnp.asarray(z)), bare, BASE)
     return eqx.tree_at(lambda w: w.colour, bare, np.asarray(colour))
