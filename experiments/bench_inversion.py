@@ -57,7 +57,7 @@ def _problems(process, levels, key):
     for i, level in enumerate(levels):
         blank = ij.spectrum(grid, np.ones(grid.size))
         problem = ij.problem(blank, base=ij.Iris.of_level(level), process=process)
-        truth = ij.infer.parameters.of_iris(ij.Iris.of_level(level))
+        truth = ij.infer.of_iris(ij.Iris.of_level(level))
         noisy = problem.simulate(problem.standard(truth), jax.random.fold_in(key, i))[0]
         found[level] = problem.with_observations(with_values(problem.observations[0], noisy))
     return found

@@ -1,6 +1,7 @@
 """The command `irisjax`: settings in, files out. Thin; no equations here."""
 
 import importlib
+import importlib.util
 import os
 import sys
 from contextlib import nullcontext
@@ -26,6 +27,23 @@ _COMMANDS = {
     "paint": "paint",
 }
 """Commands in the order of the help, and the modules of this package that have them."""
+_EXTRAS = {
+    "images": ("OpenImageIO", "PIL", "tomlkit"),
+    "photo": ("skimage",),
+    "mesh": ("trimesh",),
+    "view": ("viser",),
+    "video": ("av",),
+    "raw": ("rawpy",),
+}
+"""Extras of the package and the modules that they bring; an extra may bring another's too."""
+_NEEDED = {
+    "render": ("OpenImageIO",),
+    "export": ("OpenImageIO", "trimesh"),
+    "view": ("OpenImageIO", "tomlkit", "viser"),
+    "clone": ("OpenImageIO", "skimage"),
+    "paint": ("OpenImageIO", "tomlkit"),
+}
+"""Modules of extras without which a command cannot do its work."""
 _RUN_AGAIN = ("measure", "simulate")
 """Modules whose commands take each other's files by `--from`: each knows the settings of all."""
 
@@ -72,6 +90,8 @@ def run(arguments: list[str] | None = None) -> int:
             )
         if isinstance(error, ValueError):
             return _complain(str(error), 2)
+        if isinstance(error, ModuleNotFoundError) and (said := _of_extra(error)):
+            return _complain(said, 2)
         if isinstance(error, MemoryError):
             return _complain("not enough memory for so many wavelengths, directions or photons", 2)
         return _complain(
@@ -91,6 +111,21 @@ def _of_value(error: Exception) -> str:
     return f"{parameter.opts[-1]}: {message}"
 
 
+def _of_extra(error: ModuleNotFoundError) -> str:
+    """How a package that an extra brings is installed; empty for other modules."""
+    package = (error.name or "").split(".")[0]
+    for extra, packages in _EXTRAS.items():
+        if package in packages:
+            return f"this needs {package}, which is not installed: pip install 'irisjax[{extra}]'"
+    return ""
+
+
+def _is_installed(package: str) -> bool:
+    if package in sys.modules:
+        return sys.modules[package] is not None
+    return importlib.util.find_spec(package) is not None
+
+
 def _complain(message: str, status: int) -> int:
     print("irisjax:", " ".join(message.split()), file=sys.stderr)
     return status
@@ -107,9 +142,19 @@ def parser(arguments: list[str]):
     app.callback(invoke_without_command=True)(_irisjax)
     asked = _COMMANDS.get(arguments[0])
     wanted = _RUN_AGAIN if asked in _RUN_AGAIN else (asked,)
+    if asked is not None and not {"-h", "--help"} & set(arguments):
+        for package in _NEEDED.get(arguments[0], ()):
+            if not _is_installed(package):
+                raise ModuleNotFoundError(package, name=package)
     for name, module in _COMMANDS.items():
         if asked is None or module in wanted:
-            found = importlib.import_module(f"irisjax.cli.{module}")
+            try:
+                found = importlib.import_module(f"irisjax.cli.{module}")
+            except ModuleNotFoundError as error:
+                if asked is not None or not _of_extra(error):
+                    raise
+                app.command(name, help=f"Not installed: {_of_extra(error)}")(lambda: None)
+                continue
             epilog = getattr(found, "EPILOG", None)
             app.command(name, epilog=epilog)(getattr(found, name.replace("-", "_")))
     return get_command(app)

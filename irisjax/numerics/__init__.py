@@ -1,5 +1,1 @@
-"""Numerics that know no physics."""
-
-from irisjax._lazy import modules_of
-
-__getattr__ = modules_of(__name__)
+"""Numerics without physics; not part of the public API."""

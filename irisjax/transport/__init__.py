@@ -1,5 +1,5 @@
 """The random process of ILIT, the solvers of it, and depth-resolved transport."""
 
-from irisjax._lazy import modules_of
+import lazy_loader
 
-__getattr__ = modules_of(__name__)
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

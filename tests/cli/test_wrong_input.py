@@ -1,5 +1,7 @@
 """Wrong input ends in one line and status 2, with nothing written; so do faults and Ctrl-C."""
 
+import sys
+
 import pytest
 
 from irisjax.cli import jobs
@@ -90,6 +92,25 @@ def test_wrong_command_and_wrong_swatch(irisjax, quick, tmp_path):
     ):
         status, out, err = irisjax(*arguments)
         assert (status, out, err.count("\n")) == (2, "", 1)
+
+
+@pytest.mark.parametrize(
+    ("command", "package", "extra"),
+    [
+        ("render", "OpenImageIO", "images"),
+        ("clone", "skimage", "photo"),
+        ("export", "trimesh", "mesh"),
+        ("paint", "tomlkit", "images"),
+        ("view", "viser", "view"),
+    ],
+)
+def test_a_missing_extra_is_one_line(irisjax, monkeypatch, command, package, extra):
+    monkeypatch.setitem(sys.modules, package, None)
+    status, out, told = irisjax(command, "eye")
+    assert (status, out) == (2, "")
+    assert told == (
+        f"irisjax: this needs {package}, which is not installed: pip install 'irisjax[{extra}]'\n"
+    )
 
 
 def test_a_fault_of_our_own_is_one_line(irisjax, monkeypatch):

@@ -24,7 +24,7 @@ def test_ensemble_and_nuts_agree(model):
     grid = ij.wavelengths(400, 700, 10)
     blank = ij.spectrum(grid, np.ones(grid.size))
     problem = ij.problem(blank, solver=KubelkaMunk() if model == "closed formula" else None)
-    truth = problem.standard(ij.infer.parameters.of_iris(ij.Iris.of_level("low")))
+    truth = problem.standard(ij.infer.of_iris(ij.Iris.of_level("low")))
     problem = problem.with_observations(
         ij.spectrum(grid, np.asarray(problem.simulate(truth, jax.random.key(1))[0]))
     )

@@ -34,7 +34,7 @@ def test_densities_and_fits_do_not_depend_on_the_pieces(problem, monkeypatch):
         pieces.pointwise(problem, z), [problem.pointwise(x) for x in z], rtol=1e-12
     )
     found = fit(problem, use_priors=False, key=jax.random.key(0))
-    truth = ij.infer.parameters.of_iris(ij.Iris())
+    truth = ij.infer.of_iris(ij.Iris())
     assert int(found.agreeing) == 4
     for name in problem.free:
         assert float(found.values[name]) == pytest.approx(float(truth[name]), rel=1e-5)

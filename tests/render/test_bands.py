@@ -41,7 +41,7 @@ def test_colours_as_of_81_wavelengths(illuminant):
             ij.reflectance(iris, x, solver=ij.IlitExact(16)).values
             for x in (GRID, np.asarray(bands.wavelengths))
         ]
-        true = ij.measure.colour.colour_of(GRID, at[0], illuminant=illuminant).srgb_linear
+        true = ij.colour_of(GRID, at[0], illuminant=illuminant).srgb_linear
         difference = delta_E_CIE2000(lab(np.asarray(true)), lab(np.asarray(bands.weights @ at[1])))
         assert difference < 0.5, name
 

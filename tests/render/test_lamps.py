@@ -204,7 +204,7 @@ def test_vessels_have_their_colours_of_81_wavelengths(tables):
     index = np.asarray(look(made.eye, made.camera).sclera.index)
     index = index[index >= 0]
     spectral = np.asarray(prepare(made, tables, wavelengths=GRID).base)[:, index]
-    power = np.asarray(ij.measure.colour.illuminant_power("D65", GRID))
+    power = np.asarray(ij.measure.illuminant_power("D65", GRID))
     weights = np.asarray(tristimulus_matrix(GRID, "linear sRGB", "D65")[0])
     np.testing.assert_allclose(
         np.asarray(prepare(made, tables).base)[:, index], weights / power @ spectral, atol=2e-4

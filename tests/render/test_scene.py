@@ -54,15 +54,13 @@ def test_bare_uniform_iris_is_the_brdf(polar):
     error = float(prepare(made).response(LIGHT).error)
     true = np.asarray(irradiance * bands.weights @ at_bands).T
     np.testing.assert_allclose(picture[seen], true, atol=2 * error * true.max())
-    linear = jax.vmap(lambda s: ij.measure.colour.colour_of(x, s).srgb_linear)(irradiance * found.T)
+    linear = jax.vmap(lambda s: ij.colour_of(x, s).srgb_linear)(irradiance * found.T)
     to_xyz = np.array(
         [[0.4124, 0.3576, 0.1805], [0.2126, 0.7152, 0.0722], [0.0193, 0.1192, 0.9505]]
     )
 
     def lab(rgb):
-        return jax.vmap(ij.measure.colour.lab_of)(
-            jnp.asarray(np.asarray(rgb) @ to_xyz.T / to_xyz.sum(1))
-        )
+        return jax.vmap(ij.measure.lab_of)(jnp.asarray(np.asarray(rgb) @ to_xyz.T / to_xyz.sum(1)))
 
     assert delta_E_CIE2000(np.asarray(lab(picture[seen])), np.asarray(lab(linear))).max() < 0.5
 

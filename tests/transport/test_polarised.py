@@ -115,7 +115,7 @@ def _dipole(cosine, exits, azimuth):
         jones = np.array([[mu * c, mu * s, -across], [-s, c, 0]]) @ inward.T
         (ll, lr), (rl, rr) = jones
         out.append(
-            ij.optics.mueller.stokes(
+            ij.optics.stokes(
                 jnp.asarray(
                     1.5
                     * np.array(

@@ -163,7 +163,7 @@ def test_brdf_of_empty_layers_is_none(table):
 
 
 def test_brdf_of_diffuse_light_is_refused(table):
-    layers = ij.Iris().layers(ij.tissue.pigments.extinction(GRID), 1.336)
+    layers = ij.Iris().layers(ij.extinction(GRID), 1.336)
     with pytest.raises(ValueError, match="of light from one direction, not diffuse"):
         table.solve(layers, ij.DEPTH_RESOLVED, ij.DIFFUSE, cos_exit=jnp.asarray([0.5]))
 

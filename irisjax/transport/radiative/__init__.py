@@ -1,5 +1,1 @@
 """Radiative transfer of the same layers."""
-
-from irisjax._lazy import modules_of
-
-__getattr__ = modules_of(__name__)

@@ -1,0 +1,3 @@
+"""Public names of `irisjax.anatomy`; each loads from its module when it is first used."""
+
+from .sclera import VeinMap as VeinMap

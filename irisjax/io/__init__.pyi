@@ -1,0 +1,36 @@
+"""Public names of `irisjax.io`; each loads from its module when it is first used."""
+
+from .clone_folders import CloneFolder as CloneFolder
+from .clone_folders import read_clone as read_clone
+from .illumination import tables_of as tables_of
+from .images import Image as Image
+from .images import read_environment as read_environment
+from .images import read_image as read_image
+from .images import spectral_channels as spectral_channels
+from .images import write_exr as write_exr
+from .images import write_png as write_png
+from .maps import read_maps as read_maps
+from .maps import write_maps as write_maps
+from .measured import Measured as Measured
+from .measured import Reading as Reading
+from .measured import read_eyes as read_eyes
+from .measured import read_measured as read_measured
+from .movies import check_movie as check_movie
+from .movies import first_file as first_file
+from .movies import write_movie as write_movie
+from .paints import read_paints as read_paints
+from .photographs import read_photograph as read_photograph
+from .posterior import write_posterior as write_posterior
+from .recipes import Recipe as Recipe
+from .recipes import read_recipe as read_recipe
+from .scenes import SceneFile as SceneFile
+from .scenes import parse_scene as parse_scene
+from .scenes import read_scene as read_scene
+from .tables import Table as Table
+from .tables import check_writable as check_writable
+from .tables import format_table as format_table
+from .tables import is_device as is_device
+from .tables import read_header as read_header
+from .tables import read_table as read_table
+from .tables import write_atomically as write_atomically
+from .tables import write_together as write_together

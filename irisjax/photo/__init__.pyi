@@ -1,0 +1,29 @@
+"""Public names of `irisjax.photo`; each loads from its module when it is first used."""
+
+from .clone import CloneSettings as CloneSettings
+from .clone import Fitted as Fitted
+from .clone import Flat as Flat
+from .clone import Given as Given
+from .clone import Lit as Lit
+from .clone import Outlined as Outlined
+from .clone import PictureDifference as PictureDifference
+from .clone import Posed as Posed
+from .clone import Sampled as Sampled
+from .clone import Shaped as Shaped
+from .clone import clone_eye as clone_eye
+from .clone import clone_to_pigments as clone_to_pigments
+from .clone import compare_with_photograph as compare_with_photograph
+from .clone import fit_clone as fit_clone
+from .clone import flatten_iris as flatten_iris
+from .clone import light_eye as light_eye
+from .clone import outline_eye as outline_eye
+from .clone import pose_eye as pose_eye
+from .clone import sample_clone as sample_clone
+from .clone import shape_iris as shape_iris
+from .light import Lighting as Lighting
+from .outlines import Boundaries as Boundaries
+from .photograph import Ellipse as Ellipse
+from .photograph import Photograph as Photograph
+from .pose import Pose as Pose
+from .posterior import Estimate as Estimate
+from .posterior import PigmentPosterior as PigmentPosterior
