@@ -46,12 +46,12 @@ from .measure.goniophotometer import Goniophotometer as Goniophotometer
 from .measure.goniophotometer import brdf as brdf
 from .measure.goniophotometer import principal_plane as principal_plane
 from .measure.instrument import AbstractInstrument as AbstractInstrument
-from .measure.measurement import Measurement as Measurement
+from .measure.measurement import Reading as Reading
 from .measure.measurement import wavelengths as wavelengths
 from .measure.observe import observe as observe
 from .measure.polarimeter import Analyser as Analyser
 from .measure.polarimeter import Polarimeter as Polarimeter
-from .measure.polarimeter import PolarisedMeasurement as PolarisedMeasurement
+from .measure.polarimeter import PolarisedReading as PolarisedReading
 from .measure.radiometer import Radiometer as Radiometer
 from .measure.radiometer import radiance as radiance
 from .measure.spectrophotometer import Spectrophotometer as Spectrophotometer

@@ -42,7 +42,7 @@ class Eye(NamedTuple):
 def many(
     source: Path,
     output: Path | None,
-    reading: io.Reading,
+    reading: io.ReadOptions,
     seen,
     options,
     sampler,
@@ -104,7 +104,7 @@ def many(
     return 3 if any(rows[e.name][1] == FAILED for e in eyes) else 0
 
 
-def _eyes(source: Path, reading: io.Reading) -> Iterator[Eye]:
+def _eyes(source: Path, reading: io.ReadOptions) -> Iterator[Eye]:
     if source.is_dir():
         for path in sorted(
             p

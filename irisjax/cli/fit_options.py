@@ -20,7 +20,7 @@ from irisjax.cli.options import (
     within,
 )
 from irisjax.infer.parameters import PARAMETERS
-from irisjax.io.measured import UNITS, WAVELENGTH_UNITS, Reading
+from irisjax.io.measured import UNITS, WAVELENGTH_UNITS, ReadOptions
 from irisjax.io.quantities import QUANTITIES, RADIANCE, REFLECTANCE
 from irisjax.numerics.checks import Range
 from irisjax.transport.process import PROCESSES
@@ -135,9 +135,9 @@ class Measured(Group):
         return {"quantity": quantity, **{name: getattr(self, name) for name in names}}
 
     @property
-    def reading(self) -> Reading:
+    def reading(self) -> ReadOptions:
         """What `irisjax.io.read_measured` is told."""
-        return Reading(self.quantity, self.unit, self.wavelength_unit, self.wavelengths)
+        return ReadOptions(self.quantity, self.unit, self.wavelength_unit, self.wavelengths)
 
 
 @dataclass(frozen=True, kw_only=True)

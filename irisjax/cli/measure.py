@@ -34,7 +34,7 @@ from irisjax.measure.polarimeter import (
     Analyser,
     AnalyserSetting,
     Polarimeter,
-    PolarisedMeasurement,
+    PolarisedReading,
 )
 from irisjax.measure.radiometer import Radiometer
 from irisjax.measure.spectrophotometer import Spectrophotometer
@@ -65,7 +65,7 @@ def spectrum(
     quantity = _QUANTITIES.get(light.instrument, light.instrument)
     result, lines = _read(make, quantity, "spectrum", iris, process, solver, light)
     columns = {"wavelength_nm": grid, re.sub(r"\W", "_", result.quantity): result.values}
-    if isinstance(result, PolarisedMeasurement):
+    if isinstance(result, PolarisedReading):
         columns["angle_deg"] = np.degrees(result.angle)
     if result.standard_error is not None:
         columns["standard_error"] = result.standard_error

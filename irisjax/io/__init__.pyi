@@ -12,7 +12,7 @@ from .images import write_png as write_png
 from .maps import read_maps as read_maps
 from .maps import write_maps as write_maps
 from .measured import Measured as Measured
-from .measured import Reading as Reading
+from .measured import ReadOptions as ReadOptions
 from .measured import read_eyes as read_eyes
 from .measured import read_measured as read_measured
 from .movies import check_movie as check_movie

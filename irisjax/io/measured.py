@@ -43,7 +43,7 @@ class Measured(NamedTuple):
     doubts: tuple[str, ...] = ()
 
 
-class Reading(NamedTuple):
+class ReadOptions(NamedTuple):
     """What a reader knows that the file may not say; `None`: as the file says, or by its numbers.
 
     `quantity`: one of `QUANTITIES`; `unit`: of reflectances, "fraction" or "percent";
@@ -65,7 +65,7 @@ def read_measured(
     wavelength_unit: str | None = None,
     wavelengths: tuple[float, float] | None = None,
 ) -> Measured:
-    """Read a measured spectrum; see `Reading` for the arguments.
+    """Read a measured spectrum; see `ReadOptions` for the arguments.
 
     Text tables in UTF-8, UTF-16 or cp1252, separated by tabs, semicolons, commas or blanks, with
     decimal points or commas, below any preamble: as written by hand, by Excel, OceanView and
@@ -82,7 +82,7 @@ def read_measured(
     **Raises:** `ValueError` naming the file, the row and the problem: above all where the numbers
     are no reflectances, or could be fractions as well as per cent.
     """
-    how = Reading(quantity, unit, wavelength_unit, wavelengths)
+    how = ReadOptions(quantity, unit, wavelength_unit, wavelengths)
     try:
         table = _read(path)
         return _finished(table, how, quantities.choose(table.names, how.quantity))
@@ -90,7 +90,7 @@ def read_measured(
         raise ValueError(_named(path, error)) from None
 
 
-def read_eyes(path: str | Path, how: Reading | None = None) -> dict[str, Measured | ValueError]:
+def read_eyes(path: str | Path, how: ReadOptions | None = None) -> dict[str, Measured | ValueError]:
     """Spectra of many eyes in one text table, a column each, by name; or what is wrong with one.
 
     **Raises:** `ValueError` naming the file and the problem of the whole table.
@@ -99,7 +99,7 @@ def read_eyes(path: str | Path, how: Reading | None = None) -> dict[str, Measure
         table = _read(path)
     except ValueError as error:
         raise ValueError(_named(path, error)) from None
-    how = Reading() if how is None else how
+    how = ReadOptions() if how is None else how
     found: dict[str, Measured | ValueError] = {}
     for j, name in enumerate(table.names[1:], 1):
         name = name or f"column {j + 1}"
@@ -150,7 +150,7 @@ def _jcamp(path) -> Columns:
     return Columns(np.stack([x, y], 1), [name, label], where, {})
 
 
-def _finished(table: Columns, how: Reading, columns: quantities.Chosen) -> Measured:
+def _finished(table: Columns, how: ReadOptions, columns: quantities.Chosen) -> Measured:
     if how.quantity not in (None, *QUANTITIES):
         raise ValueError(f"quantity must be one of {', '.join(QUANTITIES)}, got {how.quantity!r}")
     if how.unit not in (None, *UNITS):
@@ -195,7 +195,7 @@ def _finished(table: Columns, how: Reading, columns: quantities.Chosen) -> Measu
     return Measured(x[order], y[order], sd, tuple(notes), table.header, doubts)
 
 
-def _kept(table: Columns, how: Reading, columns, notes: list[str]) -> Columns:
+def _kept(table: Columns, how: ReadOptions, columns, notes: list[str]) -> Columns:
     """Rows whose numbers are there and whose wavelengths, now in nm, are wanted."""
     values, where = table.values.copy(), table.where
     used = [0, *columns.spectra, *([] if columns.sd is None else [columns.sd])]

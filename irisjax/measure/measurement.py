@@ -12,7 +12,7 @@ from irisjax.transport.incidence import DIFFUSE
 from irisjax.transport.solution import RESULTS, Absorbed
 
 
-class Measurement(eqx.Module):
+class Reading(eqx.Module):
     """One value a wavelength, and what is known about it.
 
     - `wavelengths` (nm) and `values`, shape (wavelengths,); `unit` and `quantity` say what they

@@ -44,7 +44,7 @@ def observe(
     - `progress`: called with the number of photons followed since the last call, of `MonteCarlo`
         outside any trace: photons are then followed in blocks. The result does not depend on it.
 
-    **Returns:** what the instrument's `reading` gives: a `Measurement`, `Brdf` or `Colour`.
+    **Returns:** what the instrument's `reading` gives: a `Reading`, `Brdf` or `Colour`.
     **Raises:** `ValueError` for concrete input out of range, for an instrument that sees more than
     the process has or, unless `throw=False`, for a solve
     that failed; while tracing, look at `.status`.

@@ -14,7 +14,7 @@ from jaxtyping import Array, Float
 
 from irisjax._types import Scalar, Spectrum
 from irisjax.measure.instrument import AbstractInstrument
-from irisjax.measure.measurement import Measurement, check_cosine
+from irisjax.measure.measurement import Reading, check_cosine
 from irisjax.numerics.angle import arctan2
 from irisjax.numerics.checks import Range, check_range
 from irisjax.numerics.roots import safe_sqrt
@@ -162,7 +162,7 @@ class Analyser(PolarisedInstrument):
         super().__init__(wavelengths, polariser=polariser, **settings)
         self.setting = setting
 
-    def reading(self, light: Solution, factor) -> Measurement:
+    def reading(self, light: Solution, factor) -> Reading:
         """See `AbstractInstrument`."""
         assert self.polariser is not None
         crossed = self.setting == "crossed"
@@ -178,12 +178,12 @@ class Analyser(PolarisedInstrument):
             name if self.cos_exit is None else f"{name} factor",
             (weights * matrix).sum((-2, -1)),
             weights.reshape(-1, 16),
-            Measurement,
+            Reading,
         )
 
 
-class PolarisedMeasurement(Measurement):
-    """A `Measurement` of the degree of linear polarisation, from 0 to 1.
+class PolarisedReading(Reading):
+    """A `Reading` of the degree of linear polarisation, from 0 to 1.
 
     - `angle`: of the polarisation, radians in (−π/2, π/2], shape (wavelengths,).
     - `stokes`: reflectance factors I, Q, U, V, shape (wavelengths, 4); Q is 0°'s less 90°'s, U
@@ -202,7 +202,7 @@ class Polarimeter(PolarisedInstrument):
     def __init__(self, wavelengths, **settings: Any):
         super().__init__(wavelengths, **settings)
 
-    def reading(self, light: Solution, factor) -> PolarisedMeasurement:
+    def reading(self, light: Solution, factor) -> PolarisedReading:
         """See `AbstractInstrument`."""
         matrix, _ = self.matrix(light)
         turn = rotation(jnp.zeros_like(self.azimuth) if self.cos_exit is None else -self.azimuth)
@@ -222,7 +222,7 @@ class Polarimeter(PolarisedInstrument):
             "degree of linear polarisation",
             degree,
             gradient.reshape(-1, 16),
-            PolarisedMeasurement,
+            PolarisedReading,
             angle=0.5 * arctan2(stokes[:, 2], stokes[:, 1]),
             stokes=factor * self.gain * stokes,
         )

@@ -9,7 +9,7 @@ from irisjax._types import PRNGKey, Spectrum
 from irisjax.anatomy.media import Media
 from irisjax.measure.colour import illuminant_power
 from irisjax.measure.instrument import AbstractInstrument, Cornea
-from irisjax.measure.measurement import Measurement
+from irisjax.measure.measurement import Reading
 from irisjax.measure.observe import observe
 from irisjax.tissue.iris import Iris
 from irisjax.transport.process import ILIT_2006, AbstractProcess
@@ -49,11 +49,11 @@ class Radiometer(AbstractInstrument):
         """As in LB06: the number of rays at each wavelength follows the illuminant."""
         return self.power
 
-    def reading(self, light: Solution, factor) -> Measurement:
+    def reading(self, light: Solution, factor) -> Reading:
         """See `AbstractInstrument`."""
         values, error = self.counted(light)
         scale = factor * self.gain * self.power / jnp.pi
-        return Measurement(
+        return Reading(
             wavelengths=self.wavelengths,
             values=scale * values,
             standard_error=None if error is None else scale * error,
@@ -80,7 +80,7 @@ def radiance(
     media: Media | None = None,
     key: PRNGKey | None = None,
     throw: bool = True,
-) -> Measurement:
+) -> Reading:
     """Reflected spectral radiance of an iris under an illuminant; see `Radiometer`.
 
     `cos_incidence` is measured in air, where the light crosses the cornea. For the other arguments

@@ -5,7 +5,7 @@ from typing import Any
 from irisjax._types import PRNGKey
 from irisjax.anatomy.media import Media
 from irisjax.measure.instrument import AbstractInstrument, Cornea
-from irisjax.measure.measurement import Measurement
+from irisjax.measure.measurement import Reading
 from irisjax.measure.observe import observe
 from irisjax.tissue.iris import Iris
 from irisjax.transport.process import ILIT_2006, AbstractProcess
@@ -19,11 +19,11 @@ class Spectrophotometer(AbstractInstrument):
     def __init__(self, wavelengths, **settings: Any):
         super().__init__(wavelengths, **settings)
 
-    def reading(self, light: Solution, factor) -> Measurement:
+    def reading(self, light: Solution, factor) -> Reading:
         """See `AbstractInstrument`."""
         values, error = self.counted(light)
         scale = factor * self.gain
-        return Measurement(
+        return Reading(
             wavelengths=self.wavelengths,
             values=scale * values,
             standard_error=None if error is None else scale * error,
@@ -47,7 +47,7 @@ def reflectance(
     media: Media | None = None,
     key: PRNGKey | None = None,
     throw: bool = True,
-) -> Measurement:
+) -> Reading:
     """Spectral reflectance of an iris: the share of the light falling on it that it sends back.
 
     **Arguments:**
@@ -56,7 +56,7 @@ def reflectance(
     - `cos_incidence`, `first_surface`, `cornea`, `media`: see `Spectrophotometer`.
     - `iris`, `process`, `solver`, `key`, `throw`: see `observe`.
 
-    **Returns:** a `Measurement`. **Raises:** as `observe`.
+    **Returns:** a `Reading`. **Raises:** as `observe`.
     """
     instrument = Spectrophotometer(
         wavelengths,

@@ -10,12 +10,12 @@ from irisjax.plot.style import PALETTE, figure_of
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from irisjax.measure.measurement import Measurement
+    from irisjax.measure.measurement import Reading
 
 _LINES = ("-", "--", "-.", ":")
 
 
-def spectra_figure(measurements: "Mapping[str, Measurement]", title: str = "") -> "Figure":
+def spectra_figure(measurements: "Mapping[str, Reading]", title: str = "") -> "Figure":
     """Spectra by name, with a band of one standard error where they are sampled."""
     figure = figure_of(6.4, 4.0)
     ax = figure.add_subplot()
