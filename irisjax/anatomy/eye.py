@@ -48,15 +48,19 @@ def _optional(default: float | None = None) -> Any:
 
 
 class Cornea(eqx.Module):
-    """Two refracting surfaces, or one.
+    """A cornea of two refracting surfaces, or one.
 
-    - `anterior`, `posterior`: conicoids; without `posterior` everything behind the anterior one is
-        aqueous humour, as in F09, which gives it the index 1.376 (`Cornea.f09()`).
-    - `index`: of the corneal tissue. `scatter` (nm⁴): c of log₁₀ T = −0.016 − c λ⁻⁴ [F09 Eq. 16],
-        21e8 counting light scattered forwards, 85e8 the direct beam; `None` is a perfectly clear
-        cornea. Fresnel's shares come on top, as in F09: should the measured T hold the front's
-        reflection too, 2.5 % is lost twice each way. What the haze takes is lost and comes back as
-        no veil.
+    The light that its haze takes is lost; it does not return as a veil.
+
+    Attributes:
+        anterior: Conicoid of the front.
+        posterior: Conicoid of the back; `None` if everything behind the front is aqueous humour, as
+            in F09, which gives it the index 1.376 (`Cornea.f09()`).
+        index: Refractive index of the corneal tissue.
+        scatter: c of log₁₀ T = −0.016 − c λ⁻⁴ [F09 Eq. 16], nm⁴: 21e8 including light scattered
+            forwards, 85e8 for the direct beam; `None` for a perfectly clear cornea. Fresnel's
+            losses are added, as in F09: if the measured T includes the reflection of the front,
+            2.5 % is lost twice each way.
     """
 
     anterior: Conicoid = eqx.field(default_factory=lambda: Conicoid(7.8, 0.75))
@@ -66,16 +70,18 @@ class Cornea(eqx.Module):
 
     @classmethod
     def f09(cls) -> "Cornea":
-        """The single surface of F09, R = 7.8 mm and p = 0.75; set `aqueous_index=1.376` of `Eye`
-        with it.
+        """Make the single surface of F09, R = 7.8 mm and p = 0.75.
+
+        Use it with `aqueous_index=1.376` of `Eye`.
         """
         return cls(posterior=None, index=jnp.asarray(1.376))
 
     def transmittance(
         self, wavelengths: Float[Array, " wavelengths"]
     ) -> Float[Array, " wavelengths"] | None:
-        """Of one passage, without the mirror losses; `None` for a clear cornea  [F09 Eq. 16]. Above
-        310 nm.
+        """Compute the transmittance of one passage above 310 nm  [F09 Eq. 16].
+
+        Losses by reflection are not included; the result is `None` for a clear cornea.
         """
         return None if self.scatter is None else 10.0 ** (-0.016 - self.scatter * wavelengths**-4.0)
 
@@ -83,8 +89,11 @@ class Cornea(eqx.Module):
 class Sclera(eqx.Module):
     """The white of the eye, a sphere through the limbus.
 
-    - `radius`, mm; `veins`: density of the drawn vessels, 0 none; `hemoglobin` (mmol/l) and
-        `saturation` of the blood in them.
+    Attributes:
+        radius: Radius of the sphere, mm.
+        veins: Density of the drawn vessels; 0 for none.
+        hemoglobin: Haemoglobin in the vessels, mmol/l.
+        saturation: Oxygen saturation in the vessels.
     """
 
     radius: Scalar = _number(11.5)
@@ -97,22 +106,27 @@ class Sclera(eqx.Module):
 
 
 class Eye(eqx.Module):
-    """Everything that light meets before and around the iris.
+    """The eye in front of and around the iris.
 
-    - `cornea`: `None` for the iris alone, light and camera with it in the aqueous humour.
-        `aqueous_index`: of the chamber.
-    - `iris_depth`: of the iris plane behind the apex, at the axis, mm; `iris_slope`: its fall
-        towards the root (`None`: a plane, as F09; positive: a cone that bulges forward at the
-        pupil).
-    - `iris_radius`, `pupil_radius`, `limbus_radius` (where cornea meets sclera), mm.
-    - `pupil_margin`: width over which the iris's radiance rises from none at the pupil's edge, mm;
-        0.005 is sharp in any picture. `limbus_width`: over which iris and sclera blend about the
-        limbus, mm  [F09 Section 6.5: about 1 mm].
-    - `attenuation`: of the aqueous humour, 1/mm, or `None`: water absorbs 1e-4 over the chamber in
-        the visible.
-    - `sclera`: `None` for a close-up.
+    Attributes:
+        cornea: The cornea; `None` for the iris alone, with light and camera in the aqueous humour.
+        sclera: The white; `None` for a close-up without it.
+        aqueous_index: Refractive index of the aqueous humour, which fills the chamber.
+        iris_depth: Depth of the iris behind the apex, at the axis, mm.
+        iris_slope: Slope of a conical iris towards the root, positive if it bulges forward at the
+            pupil; `None` for a plane, as in F09.
+        limbus_radius: Radius of the limbus, where cornea and sclera meet, mm.
+        limbus_width: Width over which iris and sclera blend, mm  [F09 Section 6.5: about 1 mm].
+        iris_radius: Radius of the root of the iris, mm.
+        pupil_radius: Radius of the pupil, mm.
+        pupil_margin: Width over which the iris fades into the pupil, mm; 0.005 is sharp in any
+            picture.
+        attenuation: Attenuation of the aqueous humour, 1/mm, or `None`: water absorbs 1e-4 over the
+            chamber in the visible.
 
-    **Raises:** `ValueError` naming field, value and allowed range.
+    Raises:
+        ValueError: For a value out of range, with its field, value and range, and for an iris that
+            lies in the cornea.
     """
 
     cornea: Cornea | None = eqx.field(default_factory=Cornea)
@@ -157,24 +171,24 @@ class Eye(eqx.Module):
 
     @property
     def media(self) -> Media:
-        """The indices before its iris, for instruments that look at it in vivo."""
+        """Refractive indices in front of the iris, for instruments that measure it in vivo."""
         cornea = CORNEA if self.cornea is None else self.cornea.index
         return Media(aqueous=self.aqueous_index, cornea=cornea)
 
     def replace(self, **fields: Any) -> "Eye":
-        """A copy with some fields changed."""
+        """Return a copy with some fields changed."""
         return dataclasses.replace(self, **fields)
 
     def relative_radius(self, distance):
-        """Of distances from the axis (mm) across the iris: 0 at the pupil's edge, 1 at the root."""
+        """Map distances from the axis (mm) to 0 at the pupil's edge and 1 at the root."""
         return (distance - self.pupil_radius) / (self.iris_radius - self.pupil_radius)
 
     def from_axis(self, relative_radius):
-        """Distances from the axis, mm: the inverse of `relative_radius`."""
+        """Map relative radii to distances from the axis, mm: the inverse of `relative_radius`."""
         return self.pupil_radius + (self.iris_radius - self.pupil_radius) * relative_radius
 
     def meet_iris(self, origin: Vector, direction: Vector):
-        """Distance along rays to the plane or cone of the iris, mm."""
+        """Compute the distance along rays to the plane or cone of the iris, mm."""
         t = (self.iris_depth - origin[..., 2]) / direction[..., 2]
         if self.iris_slope is None:
             return t
@@ -191,7 +205,7 @@ class Eye(eqx.Module):
         return t
 
     def iris_normal(self, point: Vector) -> Vector:
-        """Unit normal of the iris towards the cornea."""
+        """Compute the unit normal of the iris towards the cornea."""
         x, y, _ = parts(point)
         if self.iris_slope is None:
             return jnp.stack([jnp.zeros_like(x), jnp.zeros_like(x), -jnp.ones_like(x)], axis=-1)
@@ -203,8 +217,11 @@ class Eye(eqx.Module):
 
 @eqx.filter_jit
 def _least_depth(cornea: Cornea, iris_radius, limbus_radius, slope) -> Scalar:
-    """Depth (mm) that the iris must exceed to lie behind the whole cornea: surfaces bulge forward,
-    so that its root meets them first, or, where it rises to the root, its middle."""
+    """Compute the depth (mm) that the iris must exceed to lie behind the whole cornea.
+
+    The surfaces bulge forward, so the root of the iris meets them first, or its middle if the iris
+    rises towards the root.
+    """
     back = cornea.anterior if cornea.posterior is None else cornea.posterior
     r = jnp.minimum(iris_radius, limbus_radius)  # beyond the limbus there is no cornea
     root = back.apex + back.sagitta(r) - slope * r

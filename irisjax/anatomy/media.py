@@ -17,9 +17,15 @@ INDEX = Range(1, 3)
 
 
 class Media(eqx.Module):
-    """Refractive indices of what lies before an iris; the defaults are those of LB06 Table 1.
+    """Refractive indices of the media in front of an iris, by default those of LB06 Table 1.
 
-    **Raises:** `ValueError` naming field, value and allowed range.
+    Attributes:
+        aqueous: Refractive index of the aqueous humour.
+        cornea: Refractive index of the cornea.
+        tear: Refractive index of the tear film.
+
+    Raises:
+        ValueError: For an index out of range, with its field, value and range.
     """
 
     aqueous: Scalar = eqx.field(default=AQUEOUS, converter=as_float)
@@ -31,18 +37,23 @@ class Media(eqx.Module):
 
     @classmethod
     def default(cls) -> "Media":
-        """Those of LB06 Table 1, kept in either precision: making arrays takes longer than a
-        spectrum.
+        """Return the indices of LB06 Table 1, which are kept for either precision.
+
+        Making the arrays would take longer than computing a spectrum.
         """
         return _default(jnp.result_type(float))
 
     def inward(self, cos_air):
-        """Share of light that reaches the iris and its cosine there, ∏(1 − F) over
-        air→tear→cornea→aqueous.
+        """Compute the share of light that reaches the iris, ∏(1 − F) over air→tear→cornea→aqueous.
 
-        Parallel interfaces, one pass, no wavelength dependence and no absorption, as in the in vivo
-        comparison of [LB06 Section 4]: 0.979 at normal incidence. Returns `(transmittance, cosine
-        in the aqueous humour)`.
+        The interfaces are parallel and crossed once, without wavelength dependence and absorption,
+        as in the in vivo comparison of [LB06 Section 4]: 0.979 at normal incidence.
+
+        Args:
+            cos_air: Cosine of the angle of incidence in air.
+
+        Returns:
+            The transmittance, and the cosine in the aqueous humour.
         """
         cos_air = jnp.asarray(cos_air, jnp.result_type(float, cos_air))
         total, cosine, n = jnp.ones_like(cos_air), cos_air, AIR

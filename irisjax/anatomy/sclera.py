@@ -12,13 +12,17 @@ from irisjax.optics.conicoid import Conicoid, Vector, parts
 
 
 class VeinMap(eqx.Module):
-    """Vessels over the white, from the limbus (first column) to the equator of the eye (last),
-    round in azimuth.
+    """Maps of the vessels in the white, over azimuth and the polar angle about the sphere's centre.
 
-    Textures of shape (azimuths, polars), cell centres, rows from +x towards +y, columns uniform in
-    the polar angle about the sphere's centre: the fields of `Blood`. `depth` also reaches a little
-    past a vessel's edge, where `cover` ends it: blood spread evenly over a texel would look yellow,
-    as thin blood is.
+    Values are at cell centres. Rows run from +x towards +y; columns are uniform in the polar angle,
+    from the limbus (first) to the equator of the eye (last).
+
+    Attributes:
+        depth: Thickness of the blood in a conjunctival vessel along its normal, mm. It extends a
+            little beyond the vessel's edge, where `cover` ends it: blood spread evenly over a texel
+            would look yellow, as thin blood does.
+        cover: Share of the light, 0 to 1, that meets a conjunctival vessel.
+        deep: Share of the light that meets an episcleral vessel.
     """
 
     depth: Float[Array, "azimuths polars"]
@@ -27,37 +31,38 @@ class VeinMap(eqx.Module):
 
 
 def sclera_centre(eye: Eye) -> Scalar:
-    """z of the sphere's centre, mm: the sphere passes through the limbus, where the cornea ends.
+    """Compute z of the centre, mm, of the sphere through the limbus, where the cornea ends.
 
-    Without a cornea the limbus lies in the plane of the iris. **Raises:** `ValueError` for an eye
-    without sclera.
+    Without a cornea the limbus lies in the plane of the iris.
+
+    Raises:
+        ValueError: For an eye without sclera.
     """
     sclera = sclera_of(eye)
     return limbus_depth(eye) + jnp.sqrt(sclera.radius**2 - eye.limbus_radius**2)
 
 
 def limbus_depth(eye: Eye) -> Scalar:
-    """z of the limbus, mm."""
+    """Compute z of the limbus, mm."""
     return eye.iris_depth if eye.cornea is None else eye.cornea.anterior.sagitta(eye.limbus_radius)
 
 
 def limbus_angle(eye: Eye) -> Scalar:
-    """Polar angle of the limbus about the sphere's centre, radians."""
+    """Compute the polar angle of the limbus about the sphere's centre, radians."""
     return jnp.arcsin(eye.limbus_radius / sclera_of(eye).radius)
 
 
 def sphere(eye: Eye) -> Conicoid:
-    """The sphere of the sclera; only what lies behind the limbus is white."""
+    """Return the sphere of the sclera; only its part behind the limbus is white."""
     radius = sclera_of(eye).radius
     return Conicoid(radius, jnp.ones_like(radius), sclera_centre(eye) - radius)
 
 
 def meet_sclera(eye: Eye, origin: Vector, direction: Vector):
-    """Distance along rays (unit vectors) to the sphere, mm, and whether they meet its white part
-    from outside.
+    """Compute the distance along rays (unit vectors) to the white, mm, and whether they meet it.
 
-    The cap in front of the limbus is not white. Whether the cornea hides the white is the caller's
-    to ask. Where nothing is met the distance is that of the nearest approach.
+    Only rays from outside that meet the sphere behind the limbus count; the caller decides whether
+    the cornea hides that point. For a ray that misses, the distance is that of its nearest approach.
     """
     distance, met = sphere(eye).intersect(origin, direction)
     z = origin[..., 2] + distance * direction[..., 2]
@@ -65,8 +70,11 @@ def meet_sclera(eye: Eye, origin: Vector, direction: Vector):
 
 
 def vein_place(eye: Eye, point: Vector) -> tuple[Float[Array, "*s"], Float[Array, "*s"]]:
-    """Where points (…, 3) on the sphere, mm in the eye's frame, lie in a `VeinMap`: azimuth,
-    radians, and the way from the limbus (0) to the equator (1)."""
+    """Compute the coordinates in a `VeinMap` of points (…, 3) on the sphere, mm in the eye's frame.
+
+    Returns:
+        The azimuth, radians, and the relative distance from the limbus (0) to the equator (1).
+    """
     x, y, z = parts(point)
     azimuth = arctan2(y, x)
     polar = arctan2(safe_sqrt(x * x + y * y), sclera_centre(eye) - z)
@@ -75,7 +83,11 @@ def vein_place(eye: Eye, point: Vector) -> tuple[Float[Array, "*s"], Float[Array
 
 
 def sclera_of(eye: Eye) -> Sclera:
-    """The sclera of an eye, or `ValueError` where it has none."""
+    """Return the sclera of an eye.
+
+    Raises:
+        ValueError: If the eye has none.
+    """
     if eye.sclera is None:
         raise ValueError("this eye has no sclera (Eye.sclera is None)")
     return eye.sclera

@@ -20,21 +20,21 @@ COLLAGEN_FRACTION = 0.9068996821171089
 
 
 def gladstone_dale(n_component, fraction, n_base):
-    """Index of a mixture, n_component·f + n_base·(1 − f)  [LB06 Eqs. 8, 9]."""
+    """Compute the index of a mixture, n_component·f + n_base·(1 − f)  [LB06 Eqs. 8, 9]."""
     return n_base + fraction * (n_component - n_base)
 
 
 def scatterer_density(radius, fraction):
-    """Spheres per volume, N = f/(4πr³/3)  [LB06 Eq. 4]; radius in mm gives mm⁻³."""
+    """Compute the number of spheres per volume, N = f/(4πr³/3)  [LB06 Eq. 4]; radius in mm gives mm⁻³."""
     return fraction / (4 / 3 * jnp.pi * radius**3)
 
 
 def scattering_lb06(wavelengths: Spectrum, radius, fraction, n_collagen, n_base) -> Spectrum:
-    """Scattering coefficient (mm⁻¹) as LB06 prints it, 8π³/(3N)·(m² − 1)²·λ⁻⁴  [LB06 Eq. 5].
+    """Compute the scattering coefficient (mm⁻¹) of LB06, 8π³/(3N)·(m² − 1)²·λ⁻⁴  [LB06 Eq. 5].
 
-    N stands in the denominator as for Strutt's gas of dipoles, where m² − 1 itself grows with N;
-    for spheres of given index see `scattering_rayleigh_spheres`. `wavelengths` in nm, `radius` in
-    nm.
+    N is in the denominator as in Strutt's formula of a gas of dipoles, where m² − 1 itself grows
+    with N; for spheres of a given index see `scattering_rayleigh_spheres`. Wavelengths and radius
+    are in nm.
     """
     density = scatterer_density(radius, fraction)  # nm⁻³
     contrast = (n_collagen - n_base) * (n_collagen + n_base) / n_base**2
@@ -45,10 +45,10 @@ def scattering_lb06(wavelengths: Spectrum, radius, fraction, n_collagen, n_base)
 def scattering_rayleigh_spheres(
     wavelengths: Spectrum, radius, fraction, n_collagen, n_base
 ) -> Spectrum:
-    """Scattering coefficient (mm⁻¹) of independent small spheres, 24π³ n_b⁴ f V λ⁻⁴
-    ((m²−1)/(m²+2))².
+    """Compute the scattering coefficient (mm⁻¹) of independent small spheres.
 
-    [Bohren & Huffman 1983, Section 5.1]; `wavelengths` in vacuum, nm; `radius` in nm.
+    It is 24π³ n_b⁴ f V λ⁻⁴ ((m²−1)/(m²+2))² [Bohren & Huffman 1983, Section 5.1], with vacuum
+    wavelengths and the radius in nm.
     """
     volume = 4 / 3 * jnp.pi * radius**3
     contrast = (n_collagen - n_base) * (n_collagen + n_base) / (n_collagen**2 + 2 * n_base**2)
@@ -58,15 +58,19 @@ def scattering_rayleigh_spheres(
 Scattering = Literal["lb06", "rayleigh-spheres"]
 
 SCATTERING = {"lb06": scattering_lb06, "rayleigh-spheres": scattering_rayleigh_spheres}
-"""Scattering formulas by the name an iris gives them."""
+"""Scattering formulas by their names in `Iris.scattering`."""
 
 
 class Order(eqx.Module):
-    """Which layer is optically denser than its neighbour, known before tracing.
+    """Which layers may be optically denser than their neighbours, known before tracing.
 
-    It fixes which critical angles may exist, hence how many quadrature panels are compiled. Where
-    an index is traced every one is possible, and towards the aqueous humour, which is no tissue,
-    always.
+    It determines which critical angles can exist, hence how many quadrature panels are compiled. If
+    an index is traced, all of them can; towards the aqueous humour they always can.
+
+    Attributes:
+        abl_over_stroma: Whether the ABL may be denser than the stroma.
+        stroma_over_abl: Whether the stroma may be denser than the ABL.
+        stroma_over_ipe: Whether the stroma may be denser than the pigment epithelium.
     """
 
     abl_over_stroma: bool = eqx.field(static=True, default=True)
@@ -75,7 +79,7 @@ class Order(eqx.Module):
 
     @classmethod
     def of(cls, abl, stroma, ipe) -> "Order":
-        """The order of these indices, or the all-possible one if any is traced or an array."""
+        """Return the order of these indices; all is possible if any is traced or an array."""
         values = (abl, stroma, ipe)
         if any(isinstance(v, Tracer) or jnp.ndim(v) for v in values):
             return cls()
@@ -84,7 +88,14 @@ class Order(eqx.Module):
 
 
 class RefractiveIndices(eqx.Module):
-    """Indices of the media that bound the two layers: aqueous humour, ABL, stroma, IPE."""
+    """Refractive indices of the two layers and of the media around them.
+
+    Attributes:
+        aqueous: Index of the aqueous humour.
+        abl: Index of the anterior border layer.
+        stroma: Index of the stroma.
+        ipe: Index of the iris pigment epithelium.
+    """
 
     aqueous: Scalar
     abl: Scalar
@@ -92,11 +103,11 @@ class RefractiveIndices(eqx.Module):
     ipe: Scalar
 
     def order(self) -> Order:
-        """The static `Order` of the layers."""
+        """Return the static `Order` of the layers."""
         return Order.of(self.abl, self.stroma, self.ipe)
 
     def same(self, other: "RefractiveIndices") -> Bool[Array, ""]:
-        """Whether another set is this one but for rounding (either may be traced)."""
+        """Check that another set equals this one up to rounding; either may be traced."""
         result = jnp.asarray(True)
         for ours, theirs in zip(jax.tree.leaves(self), jax.tree.leaves(other), strict=True):
             near = 4 * jnp.finfo(theirs.dtype).eps * theirs
@@ -104,7 +115,7 @@ class RefractiveIndices(eqx.Module):
         return result
 
     def agree(self, order: Order) -> Bool[Array, ""]:
-        """Whether the (possibly traced) indices have no critical angle that `order` rules out."""
+        """Check that the (possibly traced) indices have no critical angle that `order` excludes."""
         result = jnp.asarray(True)
         for allowed, actual in (
             (order.abl_over_stroma, self.abl > self.stroma),

@@ -1,4 +1,4 @@
-"""`Iris`: the biophysical parameters of LB06, its presets, and the layers they make."""
+"""`Iris`: the biophysical parameters of LB06, its levels, and the layers that follow from them."""
 
 import dataclasses
 from typing import Any
@@ -79,22 +79,43 @@ def _parameter(name: str, default: float | None) -> Any:
 
 
 class Iris(eqx.Module):
-    """A human iris by its biophysical parameters; the defaults are those of LB06, moderate
-    pigmentation.
+    """A human iris by its biophysical parameters, by default LB06's with moderate pigmentation.
 
-    Every field is a float array of shape () (batch with `jax.vmap`). Concentrations: melanins mg/ml
-    over the whole iris, haemoglobins mmol/l and carotenoids mg/ml in the stroma; thicknesses mm;
-    the fibril radius nm. `pheomelanin_abl_fraction` is `None` where both melanins are shared out
-    alike; a number leaves `abl_fraction` to the eumelanin [F09 Section 5.2]. `abl_index` and
-    `stroma_index` are `None` unless they are to replace the Gladstone–Dale mixtures. `scattering`
-    names the formula of the stroma's scattering: `"lb06"` as printed or `"rayleigh-spheres"`,
-    independent small spheres; `scattering_scale` is a factor on it. A `power_law` stands in the
-    formula's place, for radiative transfer. Make
-    variations with `replace`. Another thickness keeps the concentration of
-    melanin over both layers and its shares of mass; maps (`IrisMaps`) keep the concentration in
-    each layer, and so give another picture.
+    Every number is a float array of shape (); batch with `jax.vmap`, and make variations with
+    `replace`. A changed thickness keeps the concentration of melanin over both layers and its
+    division by mass, whereas maps (`IrisMaps`) keep the concentration in each layer and so give
+    another picture.
 
-    **Raises:** `ValueError` naming field, value and allowed range for concrete values out of range.
+    Attributes:
+        eumelanin: Concentration over the whole iris, mg/ml.
+        pheomelanin: Concentration over the whole iris, mg/ml.
+        abl_fraction: Share of the melanin's mass in the anterior border layer (ABL).
+        pheomelanin_abl_fraction: The same of the pheomelanin, if it differs from the eumelanin's
+            [F09 Section 5.2]; otherwise `None`.
+        oxyhemoglobin: Concentration in the stroma, mmol/l.
+        deoxyhemoglobin: Concentration in the stroma, mmol/l.
+        lutein: Concentration in the stroma, mg/ml.
+        zeaxanthin: Concentration in the stroma, mg/ml.
+        abl_thickness: Thickness of the ABL, mm.
+        stroma_thickness: Thickness of the stroma, mm.
+        intensification: Factor on the absorption of melanin.
+        fibril_radius: Radius of the collagen fibrils, nm.
+        fibroblast_index: Refractive index of the ABL's fibroblasts.
+        collagen_index: Refractive index of the collagen fibrils.
+        base_index: Refractive index of the base material.
+        ipe_index: Refractive index of the iris pigment epithelium.
+        fibroblast_fraction: Volume fraction of fibroblasts in the ABL.
+        collagen_fraction: Volume fraction of fibrils in the stroma.
+        abl_index: Refractive index of the ABL; `None` for the Gladstone–Dale mixture.
+        stroma_index: Refractive index of the stroma; `None` for the Gladstone–Dale mixture.
+        scattering_scale: Factor on the stroma's scattering.
+        scattering: Formula of the stroma's scattering: `"lb06"` as printed, or
+            `"rayleigh-spheres"`, independent small spheres.
+        power_law: Power law that replaces the formula, for radiative transfer; `None` for none.
+        order: Which layers are denser than their neighbours, known before tracing.
+
+    Raises:
+        ValueError: For a concrete value out of range, with its field, value and range.
     """
 
     eumelanin: Scalar = _parameter("eumelanin", _LEVELS["moderate"][0])
@@ -140,7 +161,7 @@ class Iris(eqx.Module):
 
     @classmethod
     def of_level(cls, level: str) -> "Iris":
-        """The iris of a pigmentation level of LB06 Table 2: `"low"`, `"moderate"` or `"high"`."""
+        """Make the iris of a level of LB06 Table 2: `"low"`, `"moderate"` or `"high"`."""
         if level not in _LEVELS:
             raise ValueError(
                 f"unknown pigmentation level {level!r}; known: {', '.join(sorted(_LEVELS))}"
@@ -149,12 +170,18 @@ class Iris(eqx.Module):
         return cls(eumelanin=jnp.asarray(eumelanin), pheomelanin=jnp.asarray(pheomelanin))
 
     def replace(self, **fields: Any) -> "Iris":
-        """A copy with some fields changed.
+        """Return a copy with some fields changed.
 
-        Besides the fields: `melanin_load` (µg/mm²) rescales both melanins after the other changes,
-        keeping their ratio (all eumelanin where there was none); the numbers of a `PowerLaw` by
-        name change the iris's, or make one. The static order of media stays
-        what it was unless an index changes: an iris may be carried through a loop.
+        The static order of media is kept unless an index changes, so an iris can be carried through
+        a loop.
+
+        Args:
+            **fields: New values of fields. Besides the fields, `melanin_load` (µg/mm²) rescales
+                both melanins after the other changes and keeps their ratio (all eumelanin if there
+                was none), and the numbers of a `PowerLaw` change the iris's or make one.
+
+        Raises:
+            ValueError: For an unknown name and for a value out of range.
         """
         load = fields.pop("melanin_load", None)
         for name in fields:
@@ -195,9 +222,10 @@ class Iris(eqx.Module):
         return mass * (self.abl_thickness + self.stroma_thickness)
 
     def indices(self, aqueous_index: Scalar | float = AQUEOUS) -> RefractiveIndices:
-        """Indices of the media round the layers  [LB06 Eqs. 8, 9].
+        """Compute the refractive indices around the layers  [LB06 Eqs. 8, 9].
 
-        `aqueous_index` is that of the chamber before them: an eye's, or an instrument's.
+        Args:
+            aqueous_index: Index of the chamber in front of them, from an eye or an instrument.
         """
         abl = gladstone_dale(self.fibroblast_index, self.fibroblast_fraction, self.base_index)
         stroma = gladstone_dale(self.collagen_index, self.collagen_fraction, self.base_index)
@@ -209,10 +237,14 @@ class Iris(eqx.Module):
         )
 
     def layers(self, extinction: Extinction, aqueous_index: Scalar | float = AQUEOUS) -> Layers:
-        """Optical depths of the layers on the wavelengths of `extinction`  [LB06 Section 3.3, Eqs.
-        4, 5].
+        """Compute the optical depths of the layers  [LB06 Section 3.3, Eqs. 4, 5].
 
-        **Raises:** `ValueError` naming a field that is an array: batches are for `jax.vmap`.
+        Args:
+            extinction: Extinction of the pigments at the wavelengths.
+            aqueous_index: Refractive index of the chamber in front of the layers.
+
+        Raises:
+            ValueError: If a field is an array: use `jax.vmap` for batches.
         """
         check_scalars(self, LIMITS)
         e = extinction
@@ -238,8 +270,10 @@ class Iris(eqx.Module):
         )
 
     def _masses(self):
-        """Of each pigment per area of the ABL and of the stroma, shape (2, pigments), in units of
-        `Extinction` times mm.
+        """Compute the mass per area of each pigment in the ABL and in the stroma.
+
+        Returns:
+            Masses, shape (2, pigments), in the units of `Extinction` times mm.
         """
         height = self.intensification * (self.abl_thickness + self.stroma_thickness)
         melanin = jnp.stack([self.eumelanin, self.pheomelanin]) * height
@@ -251,8 +285,9 @@ class Iris(eqx.Module):
         return jnp.stack([abl, jnp.concatenate([melanin * (1 - fraction), others])])
 
     def parameters(self) -> dict[str, Any]:
-        """Every set field by name, for headers and tables; concrete scalars come as Python
-        floats.
+        """Return every number that is set, by name, for headers and tables.
+
+        Concrete scalars are returned as Python floats.
         """
         out, law = {}, {} if self.power_law is None else self.power_law.parameters()
         for name, value in {**{n: getattr(self, n) for n in LIMITS}, **law}.items():

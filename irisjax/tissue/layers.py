@@ -12,17 +12,18 @@ from irisjax.tissue.indices import Order, RefractiveIndices
 
 
 class Layers(eqx.Module):
-    """An absorbing ABL over an absorbing and scattering stroma over the black IPE.
+    """An absorbing ABL over an absorbing and scattering stroma over the black pigment epithelium.
 
-    Optical depths, not coefficients: they stay finite when a layer's thickness goes to zero.
+    The fields are optical depths, not coefficients, because these stay finite when the thickness of
+    a layer goes to zero.
 
-    **Fields:**
-
-    - `abl_absorption`: μ_a h of the ABL, one value a wavelength.
-    - `stroma_absorption`, `stroma_scattering`: μ_a h and μ_s h of the stroma.
-    - `indices`: refractive indices of aqueous humour, ABL, stroma, IPE.
-    - `order`: which neighbour is denser, known before tracing (see `tissue.indices.Order`).
-    - `phase`: phase function of the stroma where it is not Rayleigh's; `None` costs nothing.
+    Attributes:
+        abl_absorption: μ_a h of the ABL, one value a wavelength.
+        stroma_absorption: μ_a h of the stroma.
+        stroma_scattering: μ_s h of the stroma.
+        indices: Refractive indices of aqueous humour, ABL, stroma and pigment epithelium.
+        order: Which layers are denser than their neighbours, known before tracing.
+        phase: Phase function of the stroma; `None` for Rayleigh's.
     """
 
     abl_absorption: Spectrum
@@ -43,10 +44,18 @@ class Layers(eqx.Module):
         stroma_thickness,
         indices: RefractiveIndices,
     ) -> "Layers":
-        """Layers from coefficients in mm⁻¹ (scalars or one value a wavelength) and thicknesses in
-        mm.
+        """Make layers from coefficients and thicknesses.
 
-        **Raises:** `ValueError` for negative or non-finite concrete values.
+        Args:
+            mu_a_abl: Absorption coefficient of the ABL, mm⁻¹, a scalar or one value a wavelength.
+            mu_a_stroma: Absorption coefficient of the stroma, mm⁻¹.
+            mu_s_stroma: Scattering coefficient of the stroma, mm⁻¹.
+            abl_thickness: Thickness of the ABL, mm.
+            stroma_thickness: Thickness of the stroma, mm.
+            indices: Refractive indices around the layers.
+
+        Raises:
+            ValueError: For negative or non-finite concrete values.
         """
         depths = jnp.broadcast_arrays(
             *(
@@ -69,23 +78,22 @@ class Layers(eqx.Module):
 
     @property
     def albedo(self) -> Spectrum:
-        """Single-scattering albedo of the stroma, μ_s/(μ_a + μ_s); 0 where there is neither.  [LB06
-        Eq. 7]
-        """
+        """Single-scattering albedo of the stroma, μ_s/(μ_a + μ_s), or 0  [LB06 Eq. 7]."""
         total = self.extinction
         empty = total <= 0
         return jnp.where(empty, 0.0, self.stroma_scattering / jnp.where(empty, 1.0, total))
 
     @property
     def coalbedo(self) -> Spectrum:
-        """1 − albedo without cancellation, μ_a/(μ_a + μ_s); 1 where there is neither."""
+        """1 − albedo without cancellation, μ_a/(μ_a + μ_s); 1 without either."""
         total = self.extinction
         empty = total <= 0
         return jnp.where(empty, 1.0, self.stroma_absorption / jnp.where(empty, 1.0, total))
 
     def valid(self):
-        """Whether every depth is finite and not negative and the indices keep to `order`
-        (traced).
+        """Check that every depth is finite and not negative and that the indices obey `order`.
+
+        Works under tracing.
         """
         ok = self.indices.agree(self.order)
         for depth in (self.abl_absorption, self.stroma_absorption, self.stroma_scattering):

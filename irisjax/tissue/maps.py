@@ -1,8 +1,7 @@
-"""`IrisMaps`: what photographs, painters and procedures hand to the renderers, texel by texel.
+"""`IrisMaps`: maps of an iris for the renderers, from photographs, painters or procedures.
 
-Polar textures of shape (angles, radii): rows run once round the eye from +x towards +y, columns
-from the pupil's edge to the root, both at cell centres. The pupil's motion stretches them; they do
-not change with it.
+Polar textures of shape (angles, radii): rows go around the eye from +x towards +y, columns from the
+pupil's edge to the root, with values at cell centres. Another pupil radius stretches the maps.
 """
 
 import dataclasses
@@ -28,17 +27,21 @@ def _texture() -> Any:
 
 
 class IrisMaps(eqx.Module):
-    """Maps of an iris; every one may be absent (`None`), which costs nothing.
+    """Maps of an iris, shape (angles, radii); an absent one is `None` and costs nothing.
 
-    - `relief`: height of the surface towards the cornea, mm; it tilts the surface and shades it.
-    - `abl_depth`, `stroma_depth`: of the layers at each texel, mm. A texel keeps the concentrations
-        of each layer of the `Iris`, so a deeper one holds more pigment. An `Iris` of that
-        thickness, whose melanin is shared out by mass, gives another picture.
-    - `freckles`: share of a freckle, 0 to 1; where it is 1 the ABL holds `FRECKLE` times its
-        melanin.
-    - `eumelanin`, `pheomelanin`: concentrations relative to the `Iris`'s, both layers alike.
+    A texel keeps the concentrations of each layer of the `Iris`, so a deeper layer contains more
+    pigment. An `Iris` of that thickness, whose melanin is divided by mass, gives another picture.
 
-    **Raises:** `ValueError` for maps of different shapes and for values that no iris has.
+    Attributes:
+        relief: Height of the surface towards the cornea, mm; it tilts the surface and shades it.
+        abl_depth: Thickness of the anterior border layer (ABL), mm.
+        stroma_depth: Thickness of the stroma, mm.
+        freckles: Share of a freckle, 0 to 1; at 1 the ABL contains `FRECKLE` times its melanin.
+        eumelanin: Concentration relative to the `Iris`'s, in both layers.
+        pheomelanin: Concentration relative to the `Iris`'s, in both layers.
+
+    Raises:
+        ValueError: For maps of different shapes and for values that no iris can have.
     """
 
     relief: Texture | None = _texture()
@@ -69,24 +72,26 @@ class IrisMaps(eqx.Module):
                 raise ValueError(f"map {name} has values outside [{low:g}, {high:g}] or not finite")
 
     def present(self) -> dict[str, Any]:
-        """The maps there are, by name."""
+        """Return the maps that are set, by name."""
         return {
             f.name: m for f in dataclasses.fields(self) if (m := getattr(self, f.name)) is not None
         }
 
     @property
     def shape(self) -> tuple[int, int]:
-        """(angles, radii), or (2, 2) where there is no map."""
+        """Shape (angles, radii), or (2, 2) without any map."""
         present = self.present()
         return next(iter(present.values())).shape if present else (2, 2)
 
     def replace(self, **fields: Any) -> "IrisMaps":
-        """A copy with some maps changed."""
+        """Return a copy with some maps changed."""
         return dataclasses.replace(self, **fields)
 
     def abl_scale(self, iris: Iris) -> Texture | None:
-        """Melanin of the ABL relative to that of a uniform `iris`; `None` where it is one
-        everywhere.
+        """Compute the melanin of the ABL relative to that of a uniform iris.
+
+        Returns:
+            The ratio, or `None` if it is one everywhere.
         """
         scale = None if self.abl_depth is None else self.abl_depth / iris.abl_thickness
         if self.freckles is not None:
@@ -95,13 +100,19 @@ class IrisMaps(eqx.Module):
         return scale
 
     def stroma_scale(self, iris: Iris) -> Texture | None:
-        """Thickness of the stroma relative to that of a uniform `iris`; `None` where it is one
-        everywhere.
+        """Compute the thickness of the stroma relative to that of a uniform iris.
+
+        Returns:
+            The ratio, or `None` if it is one everywhere.
         """
         return None if self.stroma_depth is None else self.stroma_depth / iris.stroma_thickness
 
     def check(self, iris: Iris) -> None:
-        """Raise `ValueError` where a layer of an iris has no concentrations for a map to keep."""
+        """Check that each layer with a map of its thickness has a thickness in the iris.
+
+        Raises:
+            ValueError: If the layer has none, so that there are no concentrations to keep.
+        """
         for layer in ("abl", "stroma"):
             thickness = getattr(iris, f"{layer}_thickness")
             given = getattr(self, f"{layer}_depth") is not None
@@ -119,9 +130,14 @@ hand-set maps.
 
 
 class Scales(NamedTuple):
-    """How texels differ from the uniform iris: pigment of the ABL, thickness of the stroma, and
-    concentrations of eumelanin and pheomelanin, each relative to the iris's. `None`: one
-    everywhere."""
+    """Textures relative to the uniform iris; `None` is one everywhere.
+
+    Attributes:
+        abl: Melanin of the ABL.
+        stroma: Thickness of the stroma.
+        eumelanin: Concentration of eumelanin.
+        pheomelanin: Concentration of pheomelanin.
+    """
 
     abl: Any = None
     stroma: Any = None
@@ -130,14 +146,15 @@ class Scales(NamedTuple):
 
     @classmethod
     def of(cls, maps: IrisMaps | None, iris: Iris) -> "Scales":
-        """Textures of the maps."""
+        """Make the scales of some maps."""
         if maps is None:
             return cls()
         return cls(maps.abl_scale(iris), maps.stroma_scale(iris), maps.eumelanin, maps.pheomelanin)
 
     def ranges(self) -> "Scales":
-        """Smallest and largest value of each texture, a little widened; without gradients: they
-        place nodes.
+        """Return a slightly widened range of each texture, without gradients.
+
+        The ranges place interpolation nodes.
         """
 
         def span(t):
@@ -147,7 +164,7 @@ class Scales(NamedTuple):
 
 
 def cell_centres(shape: tuple[int, int]) -> tuple[jax.Array, jax.Array]:
-    """Angles (radians) and relative radii of a texture's cells, shapes (angles,) and (radii,)."""
+    """Return angles (radians) and relative radii of a texture's cells, (angles,) and (radii,)."""
     rows, columns = shape
     return (jnp.arange(rows, dtype=float) + 0.5) * (2 * jnp.pi / rows), (
         jnp.arange(columns, dtype=float) + 0.5
@@ -155,16 +172,20 @@ def cell_centres(shape: tuple[int, int]) -> tuple[jax.Array, jax.Array]:
 
 
 def check_pictured(iris: Iris) -> None:
-    """Raise `ValueError` for an iris with a power law of scattering: pictures know none."""
+    """Check that an iris can be drawn.
+
+    Raises:
+        ValueError: For a power law of scattering, which pictures do not support.
+    """
     if iris.power_law is not None:
         raise ValueError(
-            "a picture takes the iris's formula of scattering (lb06, rayleigh-spheres), not a "
+            "a picture needs the iris's formula of scattering (lb06, rayleigh-spheres), not a "
             "power law"
         )
 
 
 def texel_layers(iris: Iris, aqueous_index, table: Extinction, scales: Scales) -> Layers:
-    """Layers of a texel, its scales numbers or `None`."""
+    """Compute the layers of one texel, whose scales are numbers or `None`."""
     if scales.eumelanin is not None:
         iris = eqx.tree_at(lambda i: i.eumelanin, iris, iris.eumelanin * scales.eumelanin)
     if scales.pheomelanin is not None:

@@ -1,6 +1,6 @@
 """Extinction of the iridal pigments, from tables shipped with the package.
 
-Wavelengths in nm. The tables are facts with their sources in their headers; they are interpolated
+Wavelengths are in nm. The headers of the tables name their sources; values are interpolated
 linearly.
 """
 
@@ -38,8 +38,14 @@ PIGMENTS = tuple(_SOURCES)
 class Extinction(eqx.Module):
     """Napierian extinction of every pigment on one wavelength grid.
 
-    **Fields:** the grid (nm) and, one value a wavelength, mm⁻¹ per mg/ml (melanins, carotenoids) or
-    mm⁻¹ per mmol/l (haemoglobins).
+    Attributes:
+        wavelengths: The grid, nm.
+        eumelanin: Extinction, mm⁻¹ per mg/ml.
+        pheomelanin: Extinction, mm⁻¹ per mg/ml.
+        oxyhemoglobin: Extinction, mm⁻¹ per mmol/l.
+        deoxyhemoglobin: Extinction, mm⁻¹ per mmol/l.
+        lutein: Extinction, mm⁻¹ per mg/ml.
+        zeaxanthin: Extinction, mm⁻¹ per mg/ml.
     """
 
     wavelengths: Spectrum
@@ -52,24 +58,28 @@ class Extinction(eqx.Module):
 
     @property
     def matrix(self) -> Float[Array, "pigments wavelengths"]:
-        """All pigments', in the order of `PIGMENTS`: what concentrations times it sum to."""
+        """Extinction of all pigments, in the order of `PIGMENTS`."""
         return jnp.stack([getattr(self, pigment) for pigment in PIGMENTS])
 
 
 def table_range(pigment: str) -> tuple[float, float]:
-    """First and last wavelength (nm) of a pigment's table."""
+    """Return the first and last wavelength (nm) of a pigment's table."""
     x, _ = _table(pigment)
     return float(x[0]), float(x[-1])
 
 
 def extinction(wavelengths) -> Extinction:
-    """Extinction of all pigments at `wavelengths` (nm, any shape (n,)).
+    """Interpolate the extinction of all pigments.
 
-    Concrete wavelengths are interpolated on the host, once; traced ones inside the program.
-
-    **Raises:** `ValueError` naming the table and its range where a concrete wavelength lies outside
-    it; a traced one has no extinction (NaN) there, and what is solved with it says
+    Concrete wavelengths are interpolated on the host and cached, traced ones inside the program. A
+    traced wavelength outside a table has no extinction (NaN), and solutions for it have the status
     `RESULTS.invalid_input`.
+
+    Args:
+        wavelengths: Wavelengths in nm, shape (n,).
+
+    Raises:
+        ValueError: For a concrete wavelength outside a table, with the table and its range.
     """
     if isinstance(wavelengths, Tracer):
         x = as_float(wavelengths)
@@ -80,16 +90,20 @@ def extinction(wavelengths) -> Extinction:
 
 
 def common_range() -> tuple[float, float]:
-    """The wavelengths (nm) covered by every pigment's table."""
+    """Return the range of wavelengths (nm) that every pigment's table covers."""
     ranges = [table_range(p) for p in PIGMENTS]
     return max(r[0] for r in ranges), min(r[1] for r in ranges)
 
 
 def check_covered(wavelengths) -> None:
-    """Raise `ValueError` naming the first wavelength (nm) that a pigment's table does not cover."""
+    """Check that every pigment's table covers some wavelengths (nm).
+
+    Raises:
+        ValueError: For the first wavelength that a table does not cover.
+    """
     x = np.asarray(wavelengths, np.float64)
     low, high = common_range()
-    # A NaN is neither below nor above: ask for what is allowed.
+    # A NaN is neither below nor above, so the condition states what is allowed.
     bad = ~((x >= low) & (x <= high))
     if bad.any():
         raise ValueError(f"{x[bad][0]:g} nm is outside the pigment tables ({low:g} to {high:g} nm)")
@@ -100,7 +114,7 @@ def _on_host(grid: bytes, double: bool) -> Extinction:
     x = np.frombuffer(grid, np.float64)
     for pigment in PIGMENTS:
         low, high = table_range(pigment)
-        # A NaN is neither below nor above: ask for what is allowed.
+        # A NaN is neither below nor above, so the condition states what is allowed.
         bad = ~((x >= low) & (x <= high))
         if bad.any():
             raise ValueError(

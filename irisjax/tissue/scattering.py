@@ -1,6 +1,6 @@
-"""Scattering as tissue optics states it: a power law of the wavelength with a share of Rayleigh's.
+"""Scattering as in tissue optics: a power law of the wavelength with a share of Rayleigh's.
 
-Beside LB06's formula (`tissue.indices`), which knows fibrils of one size far below the wavelength.
+LB06's formula (`tissue.indices`) is for fibrils of one size, far below the wavelength.
 """
 
 from typing import Any
@@ -34,20 +34,21 @@ def _number(default: float) -> Any:
 
 
 class PowerLaw(eqx.Module):
-    """μ_s′(λ) = a′ [f_Ray (λ/500 nm)⁻⁴ + (1 − f_Ray)(λ/500 nm)^−b], in place of LB06's formula.
-    [Jacques 2013, Eq. 2]
+    """A power law of scattering that replaces LB06's formula  [Jacques 2013, Eq. 2].
 
-    The first part scatters by Rayleigh's law, the rest by Henyey and Greenstein's with the mean
-    cosine g, so that its μ_s is μ_s′/(1 − g). The defaults are of soft tissue in general.
+    The reduced scattering coefficient is μ_s′(λ) = a′ [f_Ray (λ/500 nm)⁻⁴ + (1 − f_Ray)
+    (λ/500 nm)^−b]. The first part scatters by Rayleigh's law, the rest by Henyey and Greenstein's
+    with the mean cosine g, so that its μ_s is μ_s′/(1 − g). The defaults are typical of soft
+    tissue.
 
-    **Fields**, each of shape ():
+    Attributes:
+        reduced_scattering: a′, mm⁻¹.
+        rayleigh_share: f_Ray, at 500 nm.
+        scattering_power: b.
+        anisotropy: g.
 
-    - `reduced_scattering`: a′, mm⁻¹.
-    - `rayleigh_share`: f_Ray, at 500 nm.
-    - `scattering_power`: b.
-    - `anisotropy`: g.
-
-    **Raises:** `ValueError` naming field, value and allowed range for concrete values out of range.
+    Raises:
+        ValueError: For a concrete value out of range, with its field, value and range.
     """
 
     reduced_scattering: Scalar = _number(1.0)
@@ -59,28 +60,28 @@ class PowerLaw(eqx.Module):
         check_fields(self, POWER_LAW_LIMITS)
 
     def parameters(self) -> dict[str, Any]:
-        """Its numbers by name."""
+        """Return its numbers by name."""
         return {name: getattr(self, name) for name in POWER_LAW_LIMITS}
 
     def reduced(self, wavelengths: Spectrum) -> Spectrum:
-        """μ_s′ in mm⁻¹ at wavelengths in nm  [Jacques 2013, Eq. 2]."""
+        """Compute μ_s′ in mm⁻¹ at wavelengths in nm  [Jacques 2013, Eq. 2]."""
         small, large = self._parts(wavelengths)
         return self.reduced_scattering * (small + large)
 
     def coefficient(self, wavelengths: Spectrum) -> Spectrum:
-        """μ_s in mm⁻¹ at wavelengths in nm."""
+        """Compute μ_s in mm⁻¹ at wavelengths in nm."""
         small, large = self._parts(wavelengths)
         return self.reduced_scattering * (small + large / (1 - self.anisotropy))
 
     def phase(self, wavelengths: Spectrum) -> PhaseMixture:
-        """Phase function: each part's share of μ_s."""
+        """Compute the phase function, a mixture by each part's share of μ_s."""
         small, large = self._parts(wavelengths)
         large = large / (1 - self.anisotropy)
         g = jnp.broadcast_to(self.anisotropy, small.shape)
         return PhaseMixture(small / (small + large), g)
 
     def _parts(self, wavelengths: Spectrum) -> tuple[Spectrum, Spectrum]:
-        """Rayleigh's part and the rest, relative to a′."""
+        """Return Rayleigh's part and the rest, relative to a′."""
         ratio = wavelengths / REFERENCE
         rest = (1 - self.rayleigh_share) * jnp.exp(-self.scattering_power * jnp.log(ratio))
         return self.rayleigh_share / ratio**4, rest
