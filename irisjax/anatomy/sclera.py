@@ -62,7 +62,7 @@ def meet_sclera(eye: Eye, origin: Vector, direction: Vector):
     """Compute the distance along rays (unit vectors) to the white, mm, and whether they meet it.
 
     Only rays from outside that meet the sphere behind the limbus count; the caller decides whether
-    the cornea hides that point. For a ray that misses, the distance is that of its nearest approach.
+    the cornea hides that point. A ray that misses has the distance of its nearest approach.
     """
     distance, met = sphere(eye).intersect(origin, direction)
     z = origin[..., 2] + distance * direction[..., 2]

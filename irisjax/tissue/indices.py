@@ -25,7 +25,7 @@ def gladstone_dale(n_component, fraction, n_base):
 
 
 def scatterer_density(radius, fraction):
-    """Compute the number of spheres per volume, N = f/(4πr³/3)  [LB06 Eq. 4]; radius in mm gives mm⁻³."""
+    """Compute spheres per volume, N = f/(4πr³/3)  [LB06 Eq. 4]; a radius in mm gives mm⁻³."""
     return fraction / (4 / 3 * jnp.pi * radius**3)
 
 
