@@ -8,7 +8,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Array, Float
 from scipy.special import ndtri
 from scipy.stats import qmc
 
@@ -22,7 +22,7 @@ from irisjax.infer.other_process import (
     other_of,
 )
 from irisjax.infer.parameters import kind, unit_of
-from irisjax.infer.pieces import in_rows, predicted
+from irisjax.infer.pieces import Form, in_rows, predicted
 from irisjax.infer.posterior import Chains, check_run, mixing, sample
 from irisjax.infer.problem import Problem
 
@@ -212,7 +212,7 @@ def reported(
     problem: Problem, z: Float[np.ndarray, "*samples free"]
 ) -> dict[str, Float[np.ndarray, "*samples"]]:
     """Return free and derived parameters of samples by name, in the order of `problem.free`."""
-    values = in_rows(_reported, problem.unnamed(), 4096)(z.reshape(-1, z.shape[-1]))
+    values = in_rows(_reported, problem, 4096)(z.reshape(-1, z.shape[-1]))
     names = [*problem.free, *(n for n in values if n not in problem.free)]
     return {n: np.asarray(values[n]).reshape(z.shape[:-1]) for n in names}
 
@@ -276,5 +276,6 @@ def _drawn(problem: Problem, chains: Chains, count: int, key: PRNGKey):
 
 
 @eqx.filter_jit
-def _reported(problem: Problem, z):
+def _reported(arrays: list[Array], form: Form, z: Float[Array, "n free"]) -> Any:
+    problem = form.filled(arrays)
     return jax.vmap(lambda x: problem.reported(x))(z)

@@ -16,7 +16,6 @@ from irisjax._types import PRNGKey
 from irisjax.infer.least_squares import Found, least_squares, levenberg_marquardt
 from irisjax.infer.pieces import elements
 from irisjax.infer.problem import Problem
-from irisjax.numerics import linear
 from irisjax.numerics.checks import check_whole
 from irisjax.transport.solution import RESULTS
 
@@ -175,22 +174,16 @@ def _fit(problem, solver, start, key, use_priors, starts, rounds, max_steps) -> 
     last = jnp.asarray(1.0 if use_priors else 0.0, dtype)
     weights = last[None] if use_priors else jnp.stack([0.1 * _signal_to_noise(problem), last])
     best = least_squares(
-        lambda x, weight, problem: _residuals(x, weight, problem)[0], problem, first,
-        weights=weights, solver=solver, starts=starts, rounds=rounds, max_steps=max_steps,
-        elements=elements(problem), key=key,
+        _residuals, problem, first, has_aux=True, weights=weights, solver=solver, starts=starts,
+        rounds=rounds, max_steps=max_steps, elements=elements(problem), key=key,
     )  # fmt: skip
-    jacobian, (data, predicted) = jax.jacfwd(lambda x: _residuals(x, last, problem), has_aux=True)(
-        best.x
-    )
-    inverse = linear.solve(jacobian.T @ jacobian, jnp.eye(moving.size, dtype=dtype))
-    inverse = 0.5 * (inverse + inverse.T)  # rounding does not keep it symmetric
-    covariance = jnp.zeros((free, free), dtype).at[np.ix_(moving, moving)].set(inverse)
+    data, predicted, solved = best.aux
+    covariance = jnp.zeros((free, free), dtype).at[np.ix_(moving, moving)].set(best.covariance)
     z = _placed(best.x, problem)
     # Each value depends on its own coordinate only.
     natural, slope = jax.jvp(lambda z: problem.natural(z), (z,), (jnp.ones_like(z),))
     sd = jnp.abs(slope) * jnp.sqrt(jnp.diag(covariance))
     chi_square = (data**2).sum()
-    solved = problem.status(z) == RESULTS.successful
     degrees = data.size - (0 if use_priors else moving.size)
     return Fit(
         z=z,
@@ -204,7 +197,7 @@ def _fit(problem, solver, start, key, use_priors, starts, rounds, max_steps) -> 
         starts=best.searches,
         agreeing=best.agreeing,
         steps=best.steps,
-        status=_status(best, chi_square, _most(problem, degrees), solved),
+        status=_status(best, chi_square, _most(problem, degrees), solved == RESULTS.successful),
         result=best.result,
     )
 
@@ -220,8 +213,8 @@ def _placed(x, problem: Problem):
 
 
 def _residuals(x, weight, problem: Problem):
-    data, predicted = problem.residuals_and_models(_placed(x, problem))
-    return jnp.concatenate([data, weight * x]), (data, predicted)
+    data, predicted, solved = problem.evaluated(_placed(x, problem))
+    return jnp.concatenate([data, weight * x]), (data, predicted, solved)
 
 
 def _signal_to_noise(problem: Problem):

@@ -9,6 +9,7 @@ import jax.flatten_util
 import jax.numpy as jnp
 import lineax as lx
 import optimistix as optx
+from equinox.internal import nondifferentiable
 from jaxtyping import Array, Float, Int
 
 from irisjax._types import PRNGKey, Scalar
@@ -22,6 +23,8 @@ class Found(NamedTuple):
     Attributes:
         x: Where it ended.
         cost: ½ Σ residuals² there.
+        jacobian: Derivatives of the residuals there.
+        aux: What the function returned there beside its residuals.
         steps: Number of its steps.
         result: optimistix's status of it.
         searches: Number of searches.
@@ -31,11 +34,20 @@ class Found(NamedTuple):
 
     x: Float[Array, " moving"]
     cost: Scalar
+    jacobian: Float[Array, "residuals moving"]
+    aux: Any
     steps: Int[Array, ""]
     result: optx.RESULTS
     searches: Int[Array, ""]
     agreeing: Int[Array, ""]
     elsewhere: Int[Array, ""]
+
+    @property
+    def covariance(self) -> Float[Array, "moving moving"]:
+        """(JᵀJ)⁻¹."""
+        jacobian = self.jacobian
+        inverse = linear.solve(jacobian.T @ jacobian, jnp.eye(self.x.size, dtype=self.x.dtype))
+        return 0.5 * (inverse + inverse.T)  # rounding does not keep it symmetric
 
 
 def least_squares(
@@ -43,6 +55,7 @@ def least_squares(
     args: Any,
     start: Float[Array, " moving"],
     *,
+    has_aux: bool = False,
     weights: Float[Array, " stages"] | None = None,
     solver: optx.AbstractLeastSquaresSolver | None = None,
     starts: int = 1,
@@ -56,8 +69,9 @@ def least_squares(
 
     Args:
         residuals: Pure function `residuals(x, weight, args)`, where `weight` is that of the priors.
-        args: Whatever else the residuals depend on.
+        args: Whatever else the residuals depend on; not differentiable.
         start: Where the first search starts; the others start from standard normal draws.
+        has_aux: Whether the function returns its residuals and something else.
         weights: Weights of the priors, one search after another; the last one counts. By default
             there is one, 1. A search that shall end with priors of little weight should begin with
             more: far outside nothing depends on some parameters any more.
@@ -70,24 +84,33 @@ def least_squares(
     """
     solver = levenberg_marquardt() if solver is None else solver
     weights = jnp.ones(1, start.dtype) if weights is None else weights
-    dense = _with_dense_jacobian(residuals)
+    args = nondifferentiable(args, name="the data of least squares")
 
-    def residuals_and_cost(x, weight):
-        r = dense(x, weight, args)
-        return r, 0.5 * (r * r).sum()
+    def evaluated(x, weight):
+        def twice(x):
+            found = residuals(x, weight, args)
+            values, aux = found if has_aux else (found, None)
+            return values, (values, aux)
+
+        # The Jacobian is computed here, and the solver gets it as the function's derivative: its
+        # program then holds the model once.
+        here = jax.lax.stop_gradient(x)
+        jacobian, (values, aux) = jax.jacfwd(twice, has_aux=True)(here)
+        return values + jacobian @ (x - here), _End(here, 0.5 * (values**2).sum(), jacobian, aux)
 
     def at_weight(x, weight):
         ended = optx.least_squares(
-            residuals_and_cost, solver, x, weight, has_aux=True, max_steps=max_steps, throw=False
+            evaluated, solver, x, weight, has_aux=True, max_steps=max_steps, throw=False
         )
-        return ended.value, (ended.stats["num_steps"], ended.result, ended.aux)
+        return ended.value, (ended.aux, ended.stats["num_steps"], ended.result)
 
     def search(x):
-        x, (steps, results, costs) = jax.lax.scan(at_weight, x, weights)
-        result = jax.tree.map(lambda code: code[-1], results)
-        return _End(x, jnp.where(jnp.isfinite(costs[-1]), costs[-1], jnp.inf), steps.sum(), result)
+        _, (ends, steps, results) = jax.lax.scan(at_weight, x, weights)
+        end, result = jax.tree.map(lambda stages: stages[-1], (ends, results))
+        cost = jnp.where(jnp.isfinite(end.cost), end.cost, jnp.inf)
+        return _Search(end._replace(cost=cost), steps.sum(), result)
 
-    def one_round(i, ends):
+    def one_round(i):
         begins = start[None]
         if key is not None:
             begins = jax.random.normal(
@@ -96,30 +119,47 @@ def least_squares(
             begins = begins.at[0].set(jnp.where(i == 0, start, begins[0]))
         # Searches side by side all last as long as the longest: large problems are quicker one
         # after another.
-        new = in_pieces(search, begins, elements * start.size)
-        return jax.tree.map(
-            lambda old, x: jax.lax.dynamic_update_slice_in_dim(old, x, i * starts, 0), ends, new
-        )
+        return in_pieces(search, begins, elements * start.size)
 
-    many = rounds * starts
-    ends = _End(
-        jnp.zeros((many, start.size), start.dtype),
-        jnp.full(many, jnp.inf, start.dtype),
-        jnp.zeros(many, int),
-        _repeated(optx.RESULTS.nonlinear_max_steps_reached, many),
-    )
-    if rounds == 1:
-        done, ends = jnp.ones((), int), one_round(0, ends)
-    else:
-        # Under vmap all problems do as many rounds as the one that takes most.
-        done, ends = jax.lax.while_loop(
-            lambda state: (state[0] == 0) | ((state[0] < rounds) & (_best(state[1])[1] < 2)),
-            lambda state: (state[0] + 1, one_round(state[0], state[1])),
-            (jnp.zeros((), int), ends),
+    def with_round(state):
+        done, all_searches = state
+        at = done * starts
+        new = jax.tree.map(
+            lambda old, x: jax.lax.dynamic_update_slice_in_dim(old, x, at, 0),
+            all_searches,
+            one_round(done),
         )
-    best, agreeing, elsewhere = _best(ends)
-    x, cost, steps, result = jax.tree.map(lambda all_ends: all_ends[best], ends)
-    return Found(x, cost, steps, result, done * starts, agreeing, elsewhere)
+        return done + 1, new
+
+    if rounds == 1:
+        done, searches = jnp.ones((), int), one_round(0)
+    else:
+        empty = jax.tree.map(
+            lambda s: jnp.zeros((rounds * starts, *s.shape), s.dtype),
+            eqx.filter_eval_shape(search, start),
+        )
+        failed = jax.tree.map(
+            lambda code, some: jnp.full_like(some, code),
+            optx.RESULTS.nonlinear_max_steps_reached,
+            empty.result,
+        )
+        end = empty.end._replace(cost=jnp.full_like(empty.end.cost, jnp.inf))
+        # Under vmap all problems do as many rounds as the one that takes most.
+        done, searches = jax.lax.while_loop(
+            lambda state: (state[0] == 0) | ((state[0] < rounds) & (_best(state[1])[1] < 2)),
+            with_round,
+            (jnp.zeros((), int), empty._replace(end=end, result=failed)),
+        )
+    best, agreeing, elsewhere = _best(searches)
+    end, steps, result = jax.tree.map(lambda each: each[best], searches)
+    return Found(
+        **end._asdict(),
+        steps=steps,
+        result=result,
+        searches=done * starts,
+        agreeing=agreeing,
+        elsewhere=elsewhere,
+    )
 
 
 def levenberg_marquardt(rtol: float = 1e-8, atol: float = 1e-8) -> optx.LevenbergMarquardt:
@@ -169,46 +209,21 @@ class Normal(lx.AbstractLinearSolver):
 class _End(NamedTuple):
     x: Any
     cost: Any
+    jacobian: Any
+    aux: Any
+
+
+class _Search(NamedTuple):
+    end: _End
     steps: Any
     result: Any
 
 
-def _best(ends: _End) -> tuple[Int[Array, ""], Int[Array, ""], Int[Array, ""]]:
+def _best(searches: _Search) -> tuple[Int[Array, ""], Int[Array, ""], Int[Array, ""]]:
     """Place of the lowest cost, how many searches converged there, and how many elsewhere."""
-    converged = ends.result == optx.RESULTS.successful
+    costs = searches.end.cost
+    converged = searches.result == optx.RESULTS.successful
     # Among equal costs one that converged.
-    best = jnp.argmin(ends.cost + jnp.where(converged, 0.0, 1e-9 * ends.cost + 1e-12))
-    level = ends.cost <= ends.cost[best] * (1 + 1e-6) + 1e-9
+    best = jnp.argmin(costs + jnp.where(converged, 0.0, 1e-9 * costs + 1e-12))
+    level = costs <= costs[best] * (1 + 1e-6) + 1e-9
     return best, (converged & level).sum(), (converged & ~level).sum()
-
-
-def _with_dense_jacobian(residuals):
-    """Return the same function with a derivative that is a product with its Jacobian.
-
-    A solver keeps the derivative from step to step and evaluates it in several ways. As a matrix of
-    a few columns it compiles in half the time that the model's own derivative takes.
-    """
-
-    @eqx.filter_custom_jvp
-    def dense(x, weight, args):
-        return residuals(x, weight, args)
-
-    @dense.def_jvp
-    def _(primals, tangents):
-        x, weight, args = primals
-        moved, *held = tangents
-        if any(t is not None for t in jax.tree.leaves(held)):
-            raise NotImplementedError("least squares cannot be differentiated by their data")
-
-        def twice(x):
-            r = residuals(x, weight, args)
-            return r, r
-
-        jacobian, r = jax.jacfwd(twice, has_aux=True)(x)
-        return r, jacobian @ moved
-
-    return dense
-
-
-def _repeated(item, many: int):
-    return jax.tree.map(lambda code: jnp.full(many, code), item)

@@ -1,4 +1,4 @@
-"""What was measured: a spectrum or a colour, and how the model's reflectance becomes it."""
+"""Measured spectra and colours, and the instruments that read them."""
 
 import dataclasses
 from typing import Any
@@ -7,7 +7,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, ArrayLike, Float
 
 from irisjax.anatomy.media import Media
 from irisjax.measure.colorimeter import Colorimeter
@@ -26,11 +26,13 @@ COLOURS = {"XYZ": "xyz", "Lab": "lab", "linear sRGB": "srgb_linear"}
 class Observation(eqx.Module):
     """Measured values and the instrument that read them. Make one with `spectrum` or `colour_data`.
 
-    - `values`: shape (data,); `sd`: their standard deviations, or `None` where the noise model
-        states them.
-    - `instrument`: what the model is read by.
-    - `quantity`: `"reflectance"`, `"radiance"`, `"XYZ"`, `"Lab"` or `"linear sRGB"`.
-    - `covariance_root`: for colours, R with R Rᵀ the covariance; `sd` is then `None`.
+    Attributes:
+        values: The values.
+        sd: Their standard deviations, or `None` where the noise model states them.
+        instrument: What reads the model.
+        covariance_root: For colours, R with R Rᵀ the covariance; `sd` is then `None`.
+        quantity: `"reflectance"`, `"radiance"`, `"XYZ"`, `"Lab"` or `"linear sRGB"`.
+        name: What messages and figures call it.
     """
 
     values: Float[Array, "*batch data"]
@@ -50,15 +52,15 @@ class Observation(eqx.Module):
         """Whether the data are tristimulus values."""
         return self.quantity in COLOURS
 
-    def of(self, reading) -> Float[Array, " data"]:
-        """The part of an instrument's reading that the data are compared with."""
+    def of(self, reading: Any) -> Float[Array, " data"]:
+        """Return the part of an instrument's reading that is compared with the data."""
         return getattr(reading, COLOURS.get(self.quantity, "values"))
 
 
 def spectrum(
-    wavelengths,
-    values=None,
-    sd=None,
+    wavelengths: Any,
+    values: Any = None,
+    sd: Any = None,
     *,
     quantity: str = REFLECTANCE,
     illuminant: str = "D65",
@@ -68,18 +70,28 @@ def spectrum(
     media: Media | None = None,
     name: str = "spectrum",
 ) -> Observation:
-    """A measured reflectance factor, or the radiance under an illuminant (relative to it at 560 nm,
-    per sr).
+    """State a measured reflectance factor, or a radiance under an illuminant (relative to the
+    illuminant's at 560 nm, per sr).
 
-    `wavelengths` in nm, in any order; `values` (fractions) and `sd` (standard deviations, or
-    `None`) one a wavelength. `values` of shape (wavelengths, scans) are repeated scans, see
-    `mean_of_scans`; their scatter is the `sd` where none is given. In place of wavelengths and
-    values: one object that has both, such as `read_measured` returns (its `sd` is used), or
-    colour-science's `SpectralDistribution` and `MultiSpectralDistributions` (repeated scans).
-    `cornea` and `media` are the instrument's; by default a radiance is dimmed by the cornea, a
-    reflectance is not.
+    Args:
+        wavelengths: In nm, in any order; or one object that has wavelengths and values, such as
+            `read_measured` returns (its `sd` is used), or colour-science's `SpectralDistribution`
+            and `MultiSpectralDistributions` (repeated scans).
+        values: Fractions, one for each wavelength; or repeated scans (wavelengths, scans), see
+            `mean_of_scans`.
+        sd: Standard deviations of the values; by default the scatter of repeated scans, or else
+            what the noise model states.
+        quantity: `"reflectance"` or `"radiance"`.
+        illuminant: Of a radiance, by its name in colour-science.
+        cos_incidence: Cosine of the light's angle from the normal, or `"diffuse"`.
+        first_surface: Whether the iris's own mirror reflection is in the data.
+        cornea: What dims the light before and behind the iris; by default a radiance is dimmed by
+            the cornea, a reflectance is not.
+        media: Media before the iris.
+        name: What messages and figures call it.
 
-    **Raises:** `ValueError` naming the first wavelength at which something is wrong.
+    Raises:
+        ValueError: Naming the first wavelength at which something is wrong.
     """
     if (hasattr(wavelengths, "wavelengths") and hasattr(wavelengths, "values")) == (
         values is not None
@@ -135,26 +147,26 @@ def spectrum(
     return Observation(_array(y), sd, instrument, None, quantity, name)
 
 
-def mean_of_scans(scans: np.ndarray) -> tuple[np.ndarray, np.ndarray | None]:
-    """Mean of repeated scans, shape (wavelengths, scans), and the standard deviations of that mean
-    by their scatter.
+def mean_of_scans(
+    scans: Float[np.ndarray, "wavelengths scans"],
+) -> tuple[Float[np.ndarray, " wavelengths"], Float[np.ndarray, " wavelengths"] | None]:
+    """Return the mean of repeated scans, and the standard deviations of that mean by their scatter.
 
-    `None` in place of these for a single scan, and where scans are equal: they say nothing about
-    the noise.
+    A single scan, and equal ones, say nothing about the noise: `None` in place of these.
     """
     count = scans.shape[1]
     if count < 2:
         return scans.mean(axis=1), None
-    # Few scans scatter little somewhere by chance, and would count too much there: lean on all
-    # wavelengths together.
+    # Few scans scatter little at some wavelengths by chance, which would then count too much: mix
+    # in the mean scatter of all wavelengths.
     scatter = scans.std(axis=1, ddof=1)
     sd = np.sqrt((scatter**2 + 3 * (scatter**2).mean()) / 4 / count)
     return scans.mean(axis=1), sd if (sd > 0).all() else None
 
 
 def colour_data(
-    values,
-    covariance,
+    values: Any,
+    covariance: Any,
     *,
     quantity: str = "XYZ",
     illuminant: str = "D65",
@@ -162,11 +174,19 @@ def colour_data(
     first_surface: bool = True,
     name: str = "colour",
 ) -> Observation:
-    """Measured tristimulus values: `"XYZ"` (white at Y = 1), `"Lab"` or `"linear sRGB"`, with their
-    covariance.
+    """State measured tristimulus values.
 
-    `values` has shape (3,), `covariance` (3, 3). **Raises:** `ValueError` unless the covariance is
-    symmetric and positive definite.
+    Args:
+        values: Three numbers.
+        covariance: Their covariance, (3, 3).
+        quantity: `"XYZ"` (white at Y = 1), `"Lab"` or `"linear sRGB"`.
+        illuminant: By its name in colour-science.
+        observer: The colour-matching functions, by their name in colour-science.
+        first_surface: Whether the iris's own mirror reflection is in the data.
+        name: What messages and figures call it.
+
+    Raises:
+        ValueError: Unless the covariance is symmetric and positive definite.
     """
     if quantity not in COLOURS:
         raise ValueError(f"quantity must be one of {', '.join(COLOURS)}, got {quantity!r}")
@@ -180,10 +200,16 @@ def colour_data(
     return Observation(_array(y), None, instrument, root, quantity, name)
 
 
-def with_values(observation: Observation, values, sd=None) -> Observation:
-    """The same measurement with other values (and standard deviations); values may be traced."""
+def with_values(
+    observation: Observation,
+    values: Float[ArrayLike, "*batch data"],
+    sd: Float[ArrayLike, "*batch data"] | None = None,
+) -> Observation:
+    """Return the same measurement with other values (and standard deviations), which may be
+    traced.
+    """
     return dataclasses.replace(observation, values=values, sd=observation.sd if sd is None else sd)
 
 
-def _array(x) -> jax.Array:
+def _array(x: ArrayLike) -> jax.Array:
     return jnp.asarray(x, jnp.result_type(float))

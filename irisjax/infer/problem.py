@@ -10,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from irisjax._types import Scalar
 from irisjax.infer.models import as_arrays, restated, solvers_of, with_law
 from irisjax.infer.noise import Noise
 from irisjax.infer.observation import Observation
@@ -99,15 +100,11 @@ class Problem(eqx.Module):
 
     def predict(self, z: Float[Array, " free"]) -> tuple[Float[Array, " _"], ...]:
         """What each instrument would read without noise."""
-        return self._models(self.values(z))
+        return self._models(self._readings(self.values(z)))
 
     def status(self, z: Float[Array, " free"]):
-        """The solver's status at z: a `RESULTS` item, the first that is not success."""
-        out, values = RESULTS.successful, self.values(z)
-        for i in range(len(self.observations)):
-            found = self._reading(values, i).status
-            out = RESULTS.where(out == RESULTS.successful, found, out)
-        return out
+        """Return the solver's status at z: a `RESULTS` item, the first that is not success."""
+        return _worst(self._readings(self.values(z)))
 
     def pointwise(self, z: Float[Array, " free"]) -> Float[Array, " all_data"]:
         """Log likelihood of every value, all observations one after another."""
@@ -116,7 +113,7 @@ class Problem(eqx.Module):
             [
                 self.noise.pointwise(o, m, seen_by(values, i)["noise"])
                 for i, (o, m) in enumerate(
-                    zip(self.observations, self._models(values), strict=True)
+                    zip(self.observations, self._models(self._readings(values)), strict=True)
                 )
             ]
         )
@@ -140,15 +137,18 @@ class Problem(eqx.Module):
 
     def residuals(self, z: Float[Array, " free"], factor=1.0) -> Float[Array, " all_data"]:
         """Residuals in units of the noise, which is taken at `factor` times what is stated."""
-        return self.residuals_and_models(z, factor)[0]
+        return self.evaluated(z, factor)[0]
 
-    def residuals_and_models(self, z: Float[Array, " free"], factor=1.0):
-        """`residuals` and `predict` at once."""
-        models = self._models(self.values(z))
+    def evaluated(
+        self, z: Float[Array, " free"], factor: float | Scalar = 1.0
+    ) -> tuple[Float[Array, " all_data"], tuple[Float[Array, " _"], ...], RESULTS]:
+        """Return `residuals`, `predict` and `status` at once."""
+        readings = self._readings(self.values(z))
+        models = self._models(readings)
         whitened = [
             self.noise.whiten(o, m, factor) for o, m in zip(self.observations, models, strict=True)
         ]
-        return jnp.concatenate(whitened), models
+        return jnp.concatenate(whitened), models, _worst(readings)
 
     def simulate(self, z: Float[Array, " free"], key) -> tuple[Float[Array, " _"], ...]:
         """One noisy measurement of each kind, were z the truth."""
@@ -157,7 +157,7 @@ class Problem(eqx.Module):
     def simulated_and_models(self, z: Float[Array, " free"], key):
         """`simulate` and `predict` at once."""
         values, out = self.values(z), []
-        models, nu = self._models(values), self.noise.degrees_of_freedom
+        models, nu = self._models(self._readings(values)), self.noise.degrees_of_freedom
         for i, (o, m) in enumerate(zip(self.observations, models, strict=True)):
             one, two = jax.random.split(jax.random.fold_in(key, i))
             normal = jax.random.normal(one, m.shape)
@@ -199,9 +199,11 @@ class Problem(eqx.Module):
         base = self.base.replace(power_law=law, scattering_scale=1.0)
         return restated(self, base, DEPTH_RESOLVED, () if law is None else OF_POWER_LAW)
 
-    def _models(self, values) -> tuple[jax.Array, ...]:
-        readings = (self._reading(values, i) for i in range(len(self.observations)))
+    def _models(self, readings: list[Any]) -> tuple[jax.Array, ...]:
         return tuple(o.of(r) for o, r in zip(self.observations, readings, strict=True))
+
+    def _readings(self, values: Mapping[str, Any]) -> list[Any]:
+        return [self._reading(values, i) for i in range(len(self.observations))]
 
     def _reading(self, values, i: int):
         """What the i-th instrument reads."""
@@ -290,3 +292,10 @@ def problem(
         priors=tuple(priors.get(kind(n), PARAMETERS[kind(n)].prior) for n in expanded),
         process=process,
     )
+
+
+def _worst(readings: list[Any]) -> RESULTS:
+    out = RESULTS.successful
+    for reading in readings:
+        out = RESULTS.where(out == RESULTS.successful, reading.status, out)
+    return out

@@ -153,8 +153,7 @@ def test_posteriors_of_a_batch(irisjax, eye, searched, monkeypatch, tmp_path):
     assert sampled[2:] == [("b", 16, how | {"resume": True})]
 
 
-@pytest.mark.heavy  # adding-doubling
-def test_a_measurement_under_a_power_law_is_simulated(irisjax, tmp_path):
+def test_a_measurement_under_a_power_law_is_simulated(irisjax, quick, tmp_path):
     path = tmp_path / "eye.csv"
     law = ("--process", "depth-resolved", "--reduced-scattering", "1.5", "--anisotropy", "0.8")
     same = ("simulate-measurement", *law, "--wavelengths", "450,600", "-o", path)

@@ -58,7 +58,6 @@ def seen(problem, values, noise=None):
     return problem if noise is None else eqx.tree_at(lambda p: p.noise, problem, noise)
 
 
-@pytest.mark.heavy
 @pytest.mark.parametrize("level", ["low", "moderate", "high"])
 def test_noiseless_data_give_the_truth_back(measured, level):
     """Maximum likelihood, no priors: every parameter the noiseless spectrum determines, to 1e-6."""
@@ -74,7 +73,6 @@ def test_noiseless_data_give_the_truth_back(measured, level):
     assert found.degrees == 25
 
 
-@pytest.mark.heavy
 def test_thirty_irides_of_the_priors_are_all_found(problem, predict):
     """Precise noiseless data: two of these ended at chi-squares of 828 and 105 with status ok, and
     of twelve one start in four had found the truth.
@@ -159,7 +157,6 @@ def test_ridge_is_found_and_said(measured):
     assert any("load × fraction" in line for line in information_lines(found))
 
 
-@pytest.mark.heavy
 @pytest.mark.parametrize(
     ("values", "noise"),
     [
@@ -186,7 +183,6 @@ def test_odd_data_end_in_numbers_or_a_status(problem, values, noise):
         np.testing.assert_allclose(np.diag(found.covariance)[:-1], 1, atol=1e-3)
 
 
-@pytest.mark.heavy
 @pytest.mark.parametrize(
     "edge", [{"abl_fraction": 0.0}, {"abl_fraction": 1.0}, {"eumelanin": 0.0, "pheomelanin": 1e-6}]
 )
@@ -198,7 +194,6 @@ def test_truth_at_an_edge(measured, edge):
         assert abs(float(found.values["abl_fraction"]) - edge["abl_fraction"]) < 0.5
 
 
-@pytest.mark.heavy
 def test_misfit_is_no_failed_search(problem, measured):
     """A step that no pigment makes: all starts agree, and the data do not fit."""
     clean = measured("low").observations[0].values
@@ -214,13 +209,15 @@ def test_misfit_is_no_failed_search(problem, measured):
 
 def ended(**fields):
     good = search.Found(
-        jnp.zeros(1),
-        0.0,
-        5,
-        optx.RESULTS.successful,
-        jnp.asarray(4),
-        jnp.asarray(4),
-        jnp.asarray(0),
+        x=jnp.zeros(1),
+        cost=jnp.zeros(()),
+        jacobian=jnp.ones((1, 1)),
+        aux=None,
+        steps=jnp.asarray(5),
+        result=optx.RESULTS.successful,
+        searches=jnp.asarray(4),
+        agreeing=jnp.asarray(4),
+        elsewhere=jnp.asarray(0),
     )
     return good._replace(**{n: jnp.asarray(v) if n != "result" else v for n, v in fields.items()})
 
