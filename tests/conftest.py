@@ -9,7 +9,8 @@ import os
 import platform
 from pathlib import Path
 
-os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", "")  # the command's would be the user's own
+# The command would otherwise use the user's own cache.
+os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", "")
 
 import jaxtyping
 
@@ -40,7 +41,7 @@ def pytest_configure(config):
         kept = config.cache.mkdir("compiled")
     else:
         return
-    # Not in the environment: the commands that tests start keep nothing.
+    # Not through the environment: commands that tests start as processes must not use it.
     jax.config.update("jax_compilation_cache_dir", str(kept))
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.2)
 
@@ -78,7 +79,7 @@ def pytest_collection_modifyitems(items):
 
 @pytest.fixture(autouse=True)
 def _precision(request):
-    """Of one test; what is made once for several is in double precision."""
+    """The precision of one test; fixtures shared by several tests are made in double precision."""
     jax.config.update("jax_enable_x64", not _wants_float32(request.node))
     yield
     jax.config.update("jax_enable_x64", True)
@@ -86,8 +87,8 @@ def _precision(request):
 
 @pytest.fixture(autouse=True, scope="module")
 def _mappings():
-    """Compiled programs are dropped before Linux's 65,530 memory mappings a process run out: a few
-    dozen each, and at the last one XLA ends in a segmentation fault.
+    """Deletes the compiled programs in memory before a process reaches Linux's limit of 65,530
+    memory mappings, where XLA ends in a segmentation fault. A program has a few dozen mappings.
     """
     yield
     maps = Path("/proc/self/maps")
@@ -95,9 +96,10 @@ def _mappings():
         jax.clear_caches()
 
 
-# Programs that a file may compile, single operations of NumPy's interface included: what tests cost
-# is mostly the number of programs. A program found in the cache on disk counts, one still in memory
-# does not, so that a file run alone compiles most. Numbers of the files in the table may only fall.
+# Number of programs that a file may compile, single operations of `jax.numpy` included: the cost of
+# tests is mostly the number of programs. A program read from the cache on disk counts, one that is
+# still in memory does not, so a file compiles most when it runs alone. The numbers in the table may
+# only fall.
 _MOST_PROGRAMS = 1000
 _MORE_PROGRAMS: dict[str, int] = {}
 _compiled = collections.Counter()
@@ -156,10 +158,10 @@ def pytest_terminal_summary(terminalreporter, config):
             terminalreporter.write_line(f"{n:6d} programs  {name}")
 
 
-# Floors whose programs promote neither dtypes nor ranks but by hand; the upper ones follow.
+# Packages whose programs must not promote dtypes or ranks implicitly.
 _STRICT = {"numerics", "optics", "tissue", "transport", "ocularist"}
-# Cells of a BRDF are counted in integers over a real solid angle; a path serves all wavelengths;
-# pictures of paint are the renderer's.
+# Exceptions: a BRDF divides integer counts by a real solid angle, one photon path serves all
+# wavelengths, and pictures of paint use the renderer.
 _LAX = {
     "test_montecarlo.py",
     "test_polarised_montecarlo.py",

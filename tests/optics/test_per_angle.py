@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy.integrate import quad
 
-from common import heavily, quick_jit, slowly
+from common import quick_jit, slowly
 from irisjax.numerics.quadrature import cosine_rule, gauss_legendre, graded
 from irisjax.optics.per_angle import averaged_kernel, scattering_operator
 
@@ -56,9 +56,9 @@ def test_kernel(mu, other, bits):
         ((), 1e-10),
         ((0.0223,), 1e-10),
         slowly((0.18, 0.0007), 1e-10),
-        heavily((0.0223, -0.2), 1e-10),
-        heavily((0.3, 0.3), 1e-10),
-        heavily((1e-4, 0.9), 1e-9),  # as the docstring says of break points next to 0
+        ((0.0223, -0.2), 1e-10),
+        ((0.3, 0.3), 1e-10),
+        ((1e-4, 0.9), 1e-9),  # as the docstring says of break points next to 0
     ],
 )
 def test_as_along_great_circles(breaks, error):
@@ -67,7 +67,6 @@ def test_as_along_great_circles(breaks, error):
     np.testing.assert_allclose(found[::STEP], along_great_circles(rule), rtol=0, atol=error)
 
 
-@pytest.mark.heavy
 def test_missing_breaks_are_one_panel():
     found = program(2)(jnp.asarray([-0.1, -0.2]))
     np.testing.assert_array_equal(found, program(0, found.shape[0])(jnp.zeros(0)))
@@ -92,7 +91,6 @@ def test_gradients_are_finite(bits):
     assert np.isfinite(quick_jit(jax.vmap(jax.grad(some)))(jnp.asarray(breaks, float))).all()
 
 
-@pytest.mark.heavy
 def test_gradient_against_finite_differences():
     def some(b):
         rule = cosine_rule(b, (True,), 12)
