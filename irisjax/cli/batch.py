@@ -65,7 +65,7 @@ def many(
     if target is not None:
         target.parent.mkdir(parents=True, exist_ok=True)
         if target.exists() and not (resume or overwrite):
-            raise ValueError(f"{target}: exists; --resume goes on with it, --overwrite begins anew")
+            raise ValueError(f"{target}: exists; --resume continues it, --overwrite starts again")
         if target.exists() and resume:
             done = _rows(target, posteriors)
     columns: list[str] = []
@@ -265,7 +265,7 @@ def _rows(path: Path, posteriors: bool) -> dict[str, list[str]]:
     """Rows that are done: failures are tried again."""
     lines = list(csv.reader(path.read_text(encoding="utf-8").splitlines()))
     if tuple(lines[0][: len(_FIRST)]) != _FIRST:
-        raise ValueError(f"{path}: is no table of --batch; --overwrite begins anew")
+        raise ValueError(f"{path}: is no table of --batch; --overwrite starts again")
     return {
         row[0]: row
         for row in lines[1:]

@@ -36,7 +36,7 @@ def check_folder(folder: Path, file: str, what: str, overwrite: bool) -> None:
     """
     check_is_folder(folder)
     if (folder / file).exists() and not overwrite:
-        raise ValueError(f"{folder}: has {what}; --overwrite begins anew")
+        raise ValueError(f"{folder}: has {what}; --overwrite starts again")
 
 
 def check_is_folder(folder: Path) -> None:

@@ -116,14 +116,14 @@ def _check_comparison(sampler: Sampler, results: Results) -> None:
     if folder.exists() and not folder.is_dir():
         raise ValueError(f"{folder}: is a file, not a folder")
     if not results.overwrite and any((folder / name).exists() for name in FILES):
-        raise ValueError(f"{folder}: has a comparison; --overwrite begins anew")
+        raise ValueError(f"{folder}: has a comparison; --overwrite starts again")
 
 
 def _check_folder(folder: Path, resume: bool, overwrite: bool) -> None:
     check_is_folder(folder)
     if (folder / "chain.h5").exists() and not (resume or overwrite):
         raise ValueError(
-            f"{folder}: has results; --resume goes on with them, --overwrite begins anew"
+            f"{folder}: has results; --resume continues them, --overwrite starts again"
         )
 
 

@@ -79,9 +79,9 @@ def _taken(given: Mapping[str, float], shape: tuple[int, int]):
     factors = [n / t for n, t in zip(now, then, strict=True)]
     sizes = f"{then[1]} × {then[0]} pixels to {now[1]} × {now[0]}"
     if max(abs(n - t * factors[1]) for n, t in zip(now, then, strict=True)) <= 2:
-        return then, factors[1], [f"Exif tells of a picture resized from {sizes}."]
+        return then, factors[1], [f"Exif states that the picture was resized from {sizes}."]
     if max(factors) <= 1:
-        return then, 1.0, [f"Exif tells of {sizes}: taken for a detail cut out in full size."]
+        return then, 1.0, [f"Exif states {sizes}: the picture is taken as a full-size detail."]
     return now, 1.0, [f"Exif's size does not fit the picture ({sizes}) and is ignored."]
 
 

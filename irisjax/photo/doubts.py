@@ -45,11 +45,11 @@ def doubts_of(found: Outlined, rms: Float[ndarray, "3"] | None = None) -> tuple[
     if distance is not None and not DISTANCES.holds(distance):
         doubts.append(
             f"the focal length puts the camera {distance:.0f} mm away, where {DISTANCES} are "
-            "usual: it may be wrong; --focal-px is in pixels of this file"
+            "usual: it may be wrong; give --focal-px in pixels of this file"
         )
     if isinstance(found, Fitted):
         if found.photograph.grey:
-            doubts.append("the photograph has no colours: its pigments mean nothing")
+            doubts.append("the photograph has no colours: the pigments are meaningless")
         doubts += (odd := misfits(found.fit, found.windows))
         if odd and found.response is not None:
             doubts.append(
@@ -58,7 +58,7 @@ def doubts_of(found: Outlined, rms: Float[ndarray, "3"] | None = None) -> tuple[
         elif found.response is not None and found.response < LEAST_RESPONSE:
             doubts.append(
                 f"thickness hardly shows in this iris (1 % of it changes the light by "
-                f"{max(found.response, 0):.2f} %): the map is little more than an average's"
+                f"{max(found.response, 0):.2f} %): the map is little more than an average iris's"
             )
     if rms is not None and rms.max() > PICTURES_OFF:
         doubts.append(

@@ -166,7 +166,7 @@ def misfits(fit: PigmentFit, windows: Windows) -> list[str]:
                 f"{high:.2g}): the model may not fit this photograph"
             )
     if not fit.converged:
-        doubts.append("the search for the pigments did not end of itself")
+        doubts.append("the search for the pigments did not converge")
     return doubts
 
 

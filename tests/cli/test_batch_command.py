@@ -109,7 +109,7 @@ def test_another_table_is_not_gone_on_with(irisjax, eye, searched, tmp_path):
     (eyes / "e0.csv").write_bytes(eye.read_bytes())
     status, _, err = irisjax("fit", "--batch", eyes, "-o", out, *FREE, "--resume")
     assert (status, searched) == (2, [])
-    assert "is no table of --batch; --overwrite begins anew" in err
+    assert "is no table of --batch; --overwrite starts again" in err
 
 
 def test_doubtful_eyes_are_marked_and_counted(irisjax, searched, tmp_path):

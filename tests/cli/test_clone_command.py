@@ -94,7 +94,7 @@ def test_given_outlines_are_taken_and_a_clone_is_kept(irisjax, tmp_path, outline
         [*own["centre_px"], *own["semi_axes_px"], own["angle_deg"]], given, atol=1e-5
     )
     before = (tmp_path / "clone.json").read_bytes()
-    one_line(irisjax(*arguments), "has a clone; --overwrite begins anew")
+    one_line(irisjax(*arguments), "has a clone; --overwrite starts again")
     assert (tmp_path / "clone.json").read_bytes() == before
     (tmp_path / "scene.toml").write_text("of a clone that came further")
     (tmp_path / "notes.txt").write_text("mine")
@@ -230,7 +230,7 @@ def test_what_the_model_cannot_follow_is_doubtful(capsys, tmp_path):
         "no colours",
         "off by factors of 1.65, 1.49, 1.35 in R, G, B",
         "abl_eumelanin is 90 mg/ml, far from what is usual",
-        "did not end of itself",
+        "did not converge",
         "the thickness is that of a usual iris, whose response is 0.05",
         "differs from the photograph by 6.0, 4.0, 3.0 % RMS",
         f"{reason}; raise --max-steps",

@@ -68,7 +68,7 @@ def test_from_file_to_files(irisjax, eye, compared, tmp_path):
     before = {p.name: p.read_bytes() for p in folder.iterdir()}
     status, out, err = irisjax("fit", eye, "--compare", "-o", folder)
     assert (status, out, err.count("\n")) == (2, "", 1)
-    assert "--overwrite begins anew" in err
+    assert "--overwrite starts again" in err
     assert irisjax("fit", eye, "--compare", "-o", folder, "--overwrite")[0] == 0
     assert {p.name: p.read_bytes() for p in folder.iterdir()} == before
 

@@ -61,7 +61,7 @@ def test_results_are_neither_lost_nor_mixed(fitted, irisjax, sampled, monkeypatc
     monkeypatch.setattr(report, "_write", lambda *given: written.append(given) or (1.0, 0.1))
     status, out, err = irisjax(*fitted.arguments)
     assert (status, out, len(sampled)) == (2, "", 0)
-    assert "--resume goes on with them, --overwrite begins anew" in err
+    assert "--resume continues them, --overwrite starts again" in err
     for how in ("--resume", "--overwrite"):
         assert irisjax(*fitted.arguments, how)[0] == 0
         assert (sampled[-1].resume, sampled[-1].went_on) == (how == "--resume",) * 2
