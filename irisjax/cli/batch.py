@@ -1,4 +1,4 @@
-"""`irisjax fit --batch`: a row an eye, failures listed, resumed at the eye where it stopped."""
+"""`irisjax fit --batch`: a row for each eye, failures listed, resumed where it stopped."""
 
 import csv
 import sys
@@ -25,14 +25,21 @@ from irisjax.transport.process import option_of
 _CHUNK = 64  # eyes a device at a time
 OK, DOUBTFUL, FAILED = "ok", "doubtful", "failed"
 """An eye is doubtful where the model does not produce its data, searches disagree, or a value lies
-far outside its prior; failed where there are no numbers to believe."""
+far outside its prior; it failed where there is no valid result."""
 _FIRST = ("eye", "status", "posterior")
 _CONVERGED, _SHORT = "converged", "not long enough"
+_SUFFIXES = (".csv", ".tsv", ".txt", ".dx", ".jdx")
 _FAR = 4.0  # standard deviations of a prior
 
 
 class Eye(NamedTuple):
-    """A spectrum of a batch by name, or why it cannot be read."""
+    """A spectrum of a batch.
+
+    Attributes:
+        name: Its name.
+        measured: The spectrum, or `None` where it cannot be read.
+        fault: Why it cannot be read, or an empty string.
+    """
 
     name: str
     measured: io.Measured | None
@@ -43,15 +50,28 @@ def many(
     source: Path,
     output: Path | None,
     reading: io.ReadOptions,
-    seen,
-    options,
-    sampler,
+    seen: Mapping[str, Any],
+    options: Mapping[str, Any],
+    sampler: Mapping[str, Any],
     posteriors: bool,
     resume: bool,
     overwrite: bool,
 ) -> int:
-    """Fit all eyes of a folder or table into `output`/fits.csv; returns the exit status: 3 where
-    one failed.
+    """Fit all eyes of a folder or table into `output`/fits.csv, or print the table.
+
+    Args:
+        source: A folder of spectra, or a CSV with a column for each eye.
+        output: The folder for results, if any.
+        reading: How the files are read.
+        seen: Options of `irisjax.spectrum`.
+        options: Options of `irisjax.problem`.
+        sampler: Walkers, max_steps and seed.
+        posteriors: Whether every eye is sampled and not only fitted.
+        resume: Whether to continue a table.
+        overwrite: Whether to replace a table.
+
+    Returns:
+        The exit status: 3 where an eye failed.
     """
     from tqdm import tqdm
 
@@ -70,12 +90,9 @@ def many(
             done = _rows(target, posteriors)
     columns: list[str] = []
     rows: dict[str, list[str]] = dict(done)
+    quiet = not sys.stderr.isatty()
     with tqdm(
-        desc="compiling",
-        total=len(eyes),
-        initial=len(done),
-        unit="eye",
-        disable=not sys.stderr.isatty(),
+        desc="compiling", total=len(eyes), initial=len(done), unit="eye", disable=quiet
     ) as bar:
         for chunk in _chunks([e for e in eyes if e.name not in done]):
             named, found = _fitted(chunk, seen, options, sampler["seed"])
@@ -106,11 +123,7 @@ def many(
 
 def _eyes(source: Path, reading: io.ReadOptions) -> Iterator[Eye]:
     if source.is_dir():
-        for path in sorted(
-            p
-            for p in source.iterdir()
-            if p.suffix.lower() in (".csv", ".tsv", ".txt", ".dx", ".jdx")
-        ):
+        for path in sorted(p for p in source.iterdir() if p.suffix.lower() in _SUFFIXES):
             try:
                 yield Eye(path.stem, io.read_measured(path, **reading._asdict()), "")
             except ValueError as error:
@@ -124,7 +137,7 @@ def _eyes(source: Path, reading: io.ReadOptions) -> Iterator[Eye]:
 
 
 def _chunks(eyes: list[Eye]) -> Iterator[list[Eye]]:
-    """Eyes on one grid together, so that one program serves them."""
+    """Eyes on one grid together, so that they share one program."""
     groups: dict[Any, list[Eye]] = {}
     for eye in eyes:
         m = eye.measured
@@ -138,7 +151,7 @@ def _chunks(eyes: list[Eye]) -> Iterator[list[Eye]]:
 
 
 def _fitted(
-    chunk: list[Eye], seen: Mapping[str, Any], options, seed: int
+    chunk: list[Eye], seen: Mapping[str, Any], options: Mapping[str, Any], seed: int
 ) -> tuple[list[str], list[list[str]]]:
     """Columns and rows of a chunk."""
     if chunk[0].measured is None:
@@ -149,24 +162,18 @@ def _fitted(
     except ValueError as error:
         return [], [_failed(e, str(error)) for e in chunk]
     devices = jax.device_count()
-    count = (
-        -(-len(chunk) // devices) * devices if len(chunk) < _CHUNK * devices else _CHUNK * devices
-    )
-    padded = [*chunk, *[chunk[-1]] * (count - len(chunk))]
+    full = _CHUNK * devices
+    count = full if len(chunk) >= full else -(-len(chunk) // devices) * devices
+    measured = [e.measured for e in (*chunk, *[chunk[-1]] * (count - len(chunk))) if e.measured]
     dtype = jnp.result_type(float)
-    values = jnp.asarray(
-        np.stack([np.asarray(e.measured.values) for e in padded if e.measured is not None]), dtype
-    )
+    values = jnp.asarray(np.stack([np.asarray(m.values) for m in measured]), dtype)
     sds = None
     if first.sd is not None:
-        sds = jnp.asarray(
-            np.stack([np.asarray(e.measured.sd) for e in padded if e.measured is not None]), dtype
-        )
+        sds = jnp.asarray(np.stack([np.asarray(m.sd) for m in measured]), dtype)
     if devices > 1:
         mesh = jax.make_mesh((devices,), ("eyes",))
         place = jax.sharding.NamedSharding(mesh, jax.sharding.PartitionSpec("eyes"))
-        values = jax.device_put(values, place)
-        sds = None if sds is None else jax.device_put(sds, place)
+        values, sds = jax.device_put((values, sds), place)
     key = jax.random.key(seed, impl="threefry2x32")
     other = problem.by(other_of(problem.process))
     found, beside = (_fit_all(p, values, sds, key) for p in (problem, other))
@@ -209,7 +216,7 @@ def _fit_all(problem: Problem, values, sds, key):
     o = problem.observations[0]
 
     def one(v, sd):
-        # Costs agree with those of a search to 1e-8 within 1e-9; it takes half the steps.
+        # Costs agree within 1e-9 with those of a search to 1e-8, in half the steps.
         mine = problem.with_observations(with_values(o, v, sd))
         return fit(mine, solver=levenberg_marquardt(1e-5, 1e-5), starts=2, key=key)
 
@@ -222,7 +229,7 @@ def _of(found: Fit, i: int) -> Fit:
 
 
 def _judged(problem: Problem, found, i: int) -> tuple[str, list[str]]:
-    """Status of fit i, and what is to be said of it."""
+    """Status of fit i, and its warnings."""
     status = jax.tree.map(lambda codes: np.asarray(codes)[i], found.status)
     said = [words_for(status)] if words_for(status) else []
     if status == FitStatus.not_converged or status == FitStatus.solver_failed:
@@ -234,8 +241,16 @@ def _judged(problem: Problem, found, i: int) -> tuple[str, list[str]]:
     return (DOUBTFUL if said else OK), said
 
 
-def _sampled(row: list[str], eye: Eye, output: Path | None, seen, options, sampler, resume: bool):
-    """The row, after its status, of an eye whose posterior is sampled now."""
+def _sampled(
+    row: list[str],
+    eye: Eye,
+    output: Path | None,
+    seen: Mapping[str, Any],
+    options: Mapping[str, Any],
+    sampler: Mapping[str, Any],
+    resume: bool,
+) -> list[str]:
+    """Sample the posterior of an eye; its row from the status on."""
     assert output is not None
     assert eye.measured is not None
     status, _, warnings, *numbers = row
@@ -246,14 +261,8 @@ def _sampled(row: list[str], eye: Eye, output: Path | None, seen, options, sampl
         chain.unlink()
     problem = ij.problem(ij.spectrum(eye.measured, name=eye.name, **seen), **options)
     try:
-        good = report.one(
-            problem,
-            folder,
-            sampler,
-            report.progress_bar(True),
-            resume=chain.exists(),
-            quiet=True,
-        )
+        bar = report.progress_bar(True)
+        good = report.one(problem, folder, sampler, bar, resume=chain.exists(), quiet=True)
     except ValueError as error:
         return [FAILED, "", f"{folder}: {error}", *numbers]
     if good:
@@ -262,7 +271,7 @@ def _sampled(row: list[str], eye: Eye, output: Path | None, seen, options, sampl
 
 
 def _rows(path: Path, posteriors: bool) -> dict[str, list[str]]:
-    """Rows that are done: failures are tried again."""
+    """Rows of eyes that are done; those that failed are tried again."""
     lines = list(csv.reader(path.read_text(encoding="utf-8").splitlines()))
     if tuple(lines[0][: len(_FIRST)]) != _FIRST:
         raise ValueError(f"{path}: is no table of --batch; --overwrite starts again")

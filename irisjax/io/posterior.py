@@ -13,10 +13,13 @@ def write_posterior(
     attributes: Mapping[str, str],
     observed: Mapping[str, np.ndarray],
 ) -> None:
-    """Write groups (`posterior`, `prior`, …) of arrays (chain, draw, …) and `observed_data`, whole
-    or not at all.
+    """Write a posterior completely or not at all. Groups are plain datasets, as xarray writes them.
 
-    Groups are plain datasets, as xarray writes them.
+    Args:
+        path: The file.
+        groups: Arrays (chain, draw, …) by name in groups such as `posterior` and `prior`.
+        attributes: Attributes of every group.
+        observed: Arrays of the group `observed_data`.
     """
     import h5netcdf
 
@@ -35,7 +38,7 @@ def write_posterior(
 def _write_group(
     group, arrays: Mapping[str, np.ndarray], attributes: Mapping[str, str], sampled: tuple[str, ...]
 ) -> None:
-    """Arrays whose first axes are `sampled`, which count from 0; the others are each one's own."""
+    """Write arrays whose first axes are `sampled`, counted from 0; other axes are not shared."""
     group.attrs.update({"created_with": "irisjax", **attributes})
     for key, array in arrays.items():
         array = np.asarray(array)

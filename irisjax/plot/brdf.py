@@ -16,8 +16,8 @@ _MOST_LINES, _MOST_DISCS = 8, 6
 
 
 def brdf_figure(result: "Brdf", title: str = "") -> "Figure":
-    """BRDF as a polar plot: half a disc a principal plane, a shaded disc a wavelength for a
-    hemisphere.
+    """Draw a BRDF as polar plots: half a disc for a principal plane, or a shaded disc for each
+    wavelength of a hemisphere.
     """
     azimuth = np.asarray(result.azimuth)
     in_plane = np.isclose(np.sin(azimuth), 0, atol=1e-6).all()

@@ -1,6 +1,6 @@
 """Figures of fits and posteriors."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -11,12 +11,18 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-def fit_figure(observations, simulated, models) -> "Figure":
-    """Measured spectra with the posterior predictive band, and their residuals in standard
+def fit_figure(
+    observations: Sequence[tuple[str, str, bool, np.ndarray, np.ndarray]],
+    simulated: Sequence[np.ndarray],
+    models: Sequence[np.ndarray],
+) -> "Figure":
+    """Draw measured spectra with the posterior predictive band, and their residuals in standard
     deviations below.
 
-    `observations`: tuples (name, quantity, is_colour, wavelengths, values); `simulated`, `models`:
-    draws (draws, data) of each, with and without noise.
+    Args:
+        observations: Tuples (name, quantity, is_colour, wavelengths, values).
+        simulated: Draws (draws, data) of the posterior predictive of each.
+        models: Draws of the models without noise.
     """
     n = len(observations)
     figure = figure_of(1.4 + 5.0 * n, 5.2)
@@ -24,64 +30,34 @@ def fit_figure(observations, simulated, models) -> "Figure":
     for k, (name, quantity, is_colour, grid, values) in enumerate(observations):
         x = np.arange(values.size) if is_colour else grid
         top, below = axes[0, k], axes[1, k]
-        # Many points go behind what they would hide.
-        many = values.size > 500
-        mark = {
-            "marker": "o",
-            "markersize": 1 if many else 3,
-            "linestyle": "none",
-            "zorder": 0.5 if many else 2,
-        }
+        middle = np.median(models[k], axis=0)
         for low, high, alpha in ((2.5, 97.5, 0.2), (16, 84, 0.35)):
             band = np.percentile(simulated[k], [low, high], axis=0)
-            label = f"simulated, {'95' if low < 10 else '68'} %"
             if is_colour:
-                top.errorbar(
-                    x,
-                    band.mean(0),
-                    np.diff(band, axis=0)[0] / 2,
-                    fmt="none",
-                    color=PALETTE[0],
-                    alpha=alpha * 2,
-                    lw=6,
-                )
+                bar = {"fmt": "none", "color": PALETTE[0], "alpha": alpha * 2, "lw": 6}
+                top.errorbar(x, band.mean(0), np.diff(band, axis=0)[0] / 2, **bar)
             else:
+                label = f"simulated, {'95' if low < 10 else '68'} %"
                 top.fill_between(x, *band, color=PALETTE[0], alpha=alpha, linewidth=0, label=label)
         if not is_colour:
-            top.plot(
-                x,
-                np.median(models[k], axis=0),
-                color=PALETTE[0],
-                linewidth=1,
-                label="model, median",
-            )
-        top.plot(x, values, color=PALETTE[1], label="data", **mark)
+            top.plot(x, middle, color=PALETTE[0], linewidth=1, label="model, median")
+        # Many points go behind the lines that they would hide.
+        many = values.size > 500
+        mark = {"marker": "o", "linestyle": "none", "color": PALETTE[1]}
+        mark |= {"markersize": 1, "zorder": 0.5} if many else {"markersize": 3, "zorder": 2}
+        top.plot(x, values, label="data", **mark)
         spread = np.std(simulated[k] - models[k], axis=0)
+        residuals = (values - middle) / np.where(spread > 0, spread, 1)
         below.axhspan(-2, 2, color="0.9", linewidth=0)
         below.axhline(0, color="0.5", linewidth=0.8)
-        below.plot(
-            x,
-            (values - np.median(models[k], axis=0)) / np.where(spread > 0, spread, 1),
-            color=PALETTE[1],
-            **mark,
-        )
-        widest = max(
-            3.0,
-            1.1
-            * float(
-                np.abs(
-                    (values - np.median(models[k], axis=0)) / np.where(spread > 0, spread, 1)
-                ).max()
-            ),
-        )
+        below.plot(x, residuals, **mark)
+        widest = max(3.0, 1.1 * float(np.abs(residuals).max()))
         below.set_ylim(-widest, widest)
         top.set_ylabel(quantity)
         below.set_ylabel("residual (sd)")
         if is_colour:
-            below.set_xticks(
-                x,
-                {"Lab": ("L*", "a*", "b*"), "XYZ": ("X", "Y", "Z")}.get(quantity, ("R", "G", "B")),
-            )
+            axis_of = {"Lab": ("L*", "a*", "b*"), "XYZ": ("X", "Y", "Z")}
+            below.set_xticks(x, axis_of.get(quantity, ("R", "G", "B")))
         else:
             below.set_xlabel("wavelength (nm)")
             top.legend(frameon=False, fontsize=8)
@@ -93,7 +69,11 @@ def fit_figure(observations, simulated, models) -> "Figure":
 
 
 def corner_figure(samples: Mapping[str, np.ndarray]) -> "Figure":
-    """Every pair of parameters: samples by label, each of shape (n,); contours hold 68 and 95 %."""
+    """Draw every pair of parameters with contours of 68 and 95 %.
+
+    Args:
+        samples: Samples of each parameter by its label.
+    """
     from corner import corner
 
     n = len(samples)

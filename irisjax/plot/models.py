@@ -1,4 +1,4 @@
-"""A measurement as several models read it."""
+"""Figure of a measurement and the fits of several models."""
 
 import textwrap
 from collections.abc import Mapping, Sequence
@@ -20,13 +20,13 @@ def models_figure(
     pigments: Mapping[str, Mapping[str, Sequence[float]]],
     title: str = "",
 ) -> "Figure":
-    """Data with the fits of several models, their residuals below, and pigments side by side.
+    """Draw data with the fits of several models, their residuals below, and pigments side by side.
 
     Args:
         observations: Tuples (name, quantity, is_colour, wavelengths, values).
         fits: By model, predictions and residuals (standard deviations) of each observation.
-        pigments: By what stands at the axis, for each model its value and 95 % interval.
-        title: Over all of it.
+        pigments: By the label of the axis, for each model its value and 95 % interval.
+        title: Title of the figure.
     """
     n, marks = len(observations), ("o", "s", "^", "D")
     figure = figure_of(3.2 + 4.6 * n, 5.4)

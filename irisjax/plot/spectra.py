@@ -16,7 +16,7 @@ _LINES = ("-", "--", "-.", ":")
 
 
 def spectra_figure(measurements: "Mapping[str, Reading]", title: str = "") -> "Figure":
-    """Spectra by name, with a band of one standard error where they are sampled."""
+    """Draw spectra by name, with a band of one standard error where they are sampled."""
     figure = figure_of(6.4, 4.0)
     ax = figure.add_subplot()
     first = next(iter(measurements.values()))
