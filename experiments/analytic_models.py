@@ -44,24 +44,22 @@ def main(key, quick=False, out=RESULTS):
     """Write residuals by wavelength and their root mean squares (quick: one level, coarse)."""
     grid = ij.wavelengths(400, 700, 50 if quick else 10)
     rows, summary = [], []
-    targets = {"ilit-2006": ij.ILIT_2006, "depth-resolved": ij.DEPTH_RESOLVED}
+    targets = {"ilit-2006": ij.IlitExact(), "depth-resolved": ij.RadiativeExact()}
     if quick:
-        targets = {"ilit-2006": ij.ILIT_2006}
+        del targets["depth-resolved"]
     truths = {}
-    for target, process in targets.items():
+    for target, solver in targets.items():
         for level in ("low",) if quick else ("low", "moderate", "high"):
             truths[target, level] = ij.reflectance(
-                ij.Iris.of_level(level), grid, process=process
+                ij.Iris.of_level(level), grid, solver=solver
             ).values
     for model, solver in list(MODELS.items())[: 3 if quick else None]:
-        process = ij.DEPTH_RESOLVED if model == "depth-resolved" else ij.ILIT_2006
         blank = ij.spectrum(grid, np.ones(grid.size))
         problem = ij.problem(
             blank,
             free=FREE,
             priors=WIDE,
             noise=Noise(0.01, 1e-6),
-            process=process,
             solver=solver,
             base=ij.Iris.of_level("moderate"),
         )

@@ -79,18 +79,16 @@ def _solvers(key, quick):
                     "exact",
                     n,
                     precision,
-                    *_deterministic(ij.IlitExact(n), process, reference, quick),
+                    *_deterministic(ij.IlitExact(n, process=process), reference, quick),
                 )
             )
         for n in (64,) if quick else (64, 128, 256):
             solver = ij.IlitTabulated.build(process=process, n_intervals=n, tolerance=1.0)
-            rows.append(
-                (job, "tabulated", n, precision, *_deterministic(solver, process, reference, quick))
-            )
+            rows.append((job, "tabulated", n, precision, *_deterministic(solver, reference, quick)))
         if precision == "float32" or job == "ilit-corrected":
             continue
         for n in (1_000,) if quick else (1_000, 10_000, 100_000):
-            found = _sampled(ij.MonteCarlo(n), ij.ILIT_2006, key, reference)
+            found = _sampled(ij.MonteCarlo(n), key, reference)
             rows.append((job, "analog", n, "float32", *found))
     return rows
 
@@ -98,26 +96,24 @@ def _solvers(key, quick):
 def _reference(process, n_angles):
     with jax.enable_x64(True):
         return np.stack(
-            [values(ij.Iris.of_level(v), ij.IlitExact(n_angles), process) for v in LEVELS]
+            [values(ij.Iris.of_level(v), ij.IlitExact(n_angles, process=process)) for v in LEVELS]
         )
 
 
-def _deterministic(solver, process, reference, quick):
+def _deterministic(solver, reference, quick):
     irides = [ij.Iris.of_level(v) for v in LEVELS]
     size = 64 if quick else 1024
     loads = jnp.geomspace(0.01, 2.0, size)
-    return _integrated(solver, process, irides, reference, loads, together=64, calls=(40, 40, 5))
+    return _integrated(solver, irides, reference, loads, together=64, calls=(40, 40, 5))
 
 
-def _integrated(solver, process, irides, reference, loads, together, calls):
+def _integrated(solver, irides, reference, loads, together, calls):
     """Times, errors and compile time of a solver without chance, as they stand in a row."""
-    found = np.stack([values(i, solver, process) for i in irides])
+    found = np.stack([values(i, solver) for i in irides])
     iris = irides[LEVELS.index("moderate")]
 
     def spectrum(x):
-        return ij.reflectance(
-            x, GRID, solver=solver, process=process, first_surface=False, throw=False
-        ).values
+        return ij.reflectance(x, GRID, solver=solver, first_surface=False, throw=False).values
 
     batch = jax.vmap(lambda c: iris.replace(eumelanin=c))(loads)
     jitted = jax.jit(spectrum)
@@ -135,11 +131,10 @@ def _integrated(solver, process, irides, reference, loads, together, calls):
     )
 
 
-def _sampled(solver, process, key, reference):
+def _sampled(solver, key, reference):
     keys = jax.random.split(key, len(LEVELS))
     readings = [
-        reading(ij.Iris.of_level(v), solver, process, key=k)
-        for v, k in zip(LEVELS, keys, strict=True)
+        reading(ij.Iris.of_level(v), solver, key=k) for v, k in zip(LEVELS, keys, strict=True)
     ]
     found, error = (
         np.stack([np.asarray(getattr(r, name)) for r in readings])
@@ -148,7 +143,7 @@ def _sampled(solver, process, key, reference):
     iris = ij.Iris.of_level("moderate")
 
     def spectrum():
-        return reading(iris, solver, process, key=key).values
+        return reading(iris, solver, key=key).values
 
     nan = float("nan")
     relative = float(np.sqrt(np.mean((error / reference) ** 2)))
@@ -168,24 +163,23 @@ def _other_precision():
 def _depth_resolved(key, quick):
     """Radiative transfer with Fresnel interfaces, and index-matched as the peers treat it."""
     rows = []
-    process = ij.DEPTH_RESOLVED
     full = [ij.Iris.of_level(v) for v in LEVELS]
     loads = jnp.geomspace(0.01, 1.0, 16 if quick else 1000)
     for job, irides in (
         ("depth-resolved", full),
         ("depth-resolved, index-matched", [matched(iris) for iris in full]),
     ):
-        reference = np.stack([values(i, ij.RadiativeExact(96, 12, 5), process) for i in irides])
+        reference = np.stack([values(i, ij.RadiativeExact(96, 12, 5)) for i in irides])
         for n, depths in ((12, 6),) if quick else ((8, 4), (12, 6), (10, 8), (16, 8), (24, 8)):
             solver = ij.RadiativeExact(n, depths, 1)
-            found = _integrated(solver, process, irides, reference, loads, 8, (20, 20, 3))
+            found = _integrated(solver, irides, reference, loads, 8, (20, 20, 3))
             rows.append((job, "exact", f"{n}x{depths}", "float64", *found))
         if irides is full:
             table = shipped.table(ij.Iris().indices())
-            found = _integrated(table, process, irides, reference, loads, 32, (40, 40, 5))
+            found = _integrated(table, irides, reference, loads, 32, (40, 40, 5))
             rows.append((job, "tabulated", "shipped", "float64", *found))
             for n in (1_000,) if quick else (1_000, 10_000, 100_000, 1_000_000):
-                found = _sampled(ij.MonteCarlo(n), process, key, reference)
+                found = _sampled(ij.MonteCarlo(n, process=ij.DEPTH_RESOLVED), key, reference)
                 rows.append((job, "analog", n, "float32", *found))
     return rows
 

@@ -24,16 +24,14 @@ def median_us(call, repeats=40):
     return statistics.median(times) * 1e6
 
 
-def reading(iris, solver, process, **options):
+def reading(iris, solver, **options):
     """Measured reflectance of an iris on `GRID`, the first surface left out."""
-    return ij.reflectance(
-        iris, GRID, solver=solver, process=process, first_surface=False, throw=False, **options
-    )
+    return ij.reflectance(iris, GRID, solver=solver, first_surface=False, throw=False, **options)
 
 
-def values(iris, solver, process):
+def values(iris, solver):
     """The values alone of `reading`, by a solver without chance."""
-    return np.asarray(reading(iris, solver, process).values)
+    return np.asarray(reading(iris, solver).values)
 
 
 def errors(found, reference):

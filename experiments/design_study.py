@@ -86,7 +86,7 @@ def _widths(
     free=FREE,
     fixed=(),
     separate=(),
-    process=ij.ILIT_2006,
+    process=None,
     law=False,
 ):
     seen = measure(iris)

@@ -11,6 +11,7 @@ import numpy as np
 
 import irisjax as ij
 from experiments.common import RESULTS, start, write
+from irisjax.transport.defaults import exact_solver
 
 VARIANTS = {
     f"{phase} {rescatter}{' perturbed' if perturb else ''}": ij.Ilit(
@@ -38,9 +39,10 @@ def main(key, quick=False, out=RESULTS):
         key, k = jax.random.split(key)
         spheres = name == "rayleigh spheres"
         iris = ij.Iris.of_level(level).replace(scattering="rayleigh-spheres" if spheres else "lb06")
-        settings = {"process": process, "cos_incidence": mu, "first_surface": False}
-        exact = ij.reflectance(iris, GRID, **settings)
-        mc = ij.reflectance(iris, GRID, **settings, solver=ij.MonteCarlo(n), key=k)
+        exact, mc = (
+            ij.reflectance(iris, GRID, cos_incidence=mu, first_surface=False, solver=solver, key=k)
+            for solver in (exact_solver(process), ij.MonteCarlo(n, process=process))
+        )
         for fate in ("reflected", "mirrored", "abl", "stroma", "ipe"):
             p, seen = (np.asarray(_fate(m, fate)) for m in (exact, mc))
             z = (seen - p) / np.sqrt(np.maximum(p * (1 - p), 1e-12) / n)

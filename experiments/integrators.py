@@ -106,13 +106,11 @@ def _models(iris, thickness, mu, exits):
     """ILIT, depth-resolved, single scattering, shapes (thicknesses, wavelengths, exits); and the
     solver's status.
     """
-    table, scales, azimuth = ij.extinction(GRID), thickness / USUAL, jnp.zeros(exits.size)
+    table, scales = ij.extinction(GRID), thickness / USUAL
 
-    def solved(process, solver):
+    def solved(solver):
         def one(scale):
-            found = solver.solve(
-                _layers(iris, table, scale), process, mu, cos_exit=exits, azimuth=azimuth
-            )
+            found = solver.solve(_layers(iris, table, scale), ij.Light(mu, ij.Directions(exits)))
             return found.brdf, found.status
 
         return jax.lax.map(one, scales)
@@ -135,8 +133,8 @@ def _models(iris, thickness, mu, exits):
         ground = Ground(map_, light, None, Eye(cornea=None, sclera=None))
         return response.shade(rays, ground) / mu
 
-    ilit, _ = solved(ij.ILIT_2006, ij.IlitExact(24))
-    deep, status = solved(ij.DEPTH_RESOLVED, ij.RadiativeExact(24, n_panels=2))
+    ilit, _ = solved(ij.IlitExact(24))
+    deep, status = solved(ij.RadiativeExact(24, n_panels=2))
     return (ilit, deep, jax.lax.map(marched, scales)), status
 
 

@@ -26,7 +26,7 @@ def main(key, quick=False, out=RESULTS):
             mc = ij.brdf(
                 iris, [550.0], **plane, solver=ij.MonteCarlo(10_000 if quick else 10_000_000), key=k
             )
-            deep = ij.brdf(iris, [550.0], **plane, process=ij.DEPTH_RESOLVED)
+            deep = ij.brdf(iris, [550.0], **plane, solver=ij.RadiativeExact())
             values = (
                 np.degrees(angle),
                 exact.values[0],

@@ -4,11 +4,11 @@ Beside the size of that change stands what ILIT makes of the same irides.
 """
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
 import irisjax as ij
 from experiments.common import RESULTS, start, write
+from irisjax.transport.defaults import exact_solver
 
 PROCESSES = (ij.ILIT_2006, ij.DEPTH_RESOLVED, ij.POLARISED)
 LEVELS = ("low", "moderate", "high")
@@ -65,9 +65,11 @@ def _spectra(level, fraction, grid):
     normal = ij.Goniophotometer(grid, cos_exit=1.0)
     columns = []
     for process in (ij.DEPTH_RESOLVED, ij.POLARISED):
-        columns.append(ij.reflectance(iris, grid, process=process).values)
+        solver = ij.RadiativeExact(process=process)
+        columns.append(ij.reflectance(iris, grid, solver=solver).values)
     for process in (ij.DEPTH_RESOLVED, ij.POLARISED):
-        columns.append(np.pi * ij.observe(iris, normal, process).values[:, 0])
+        solver = ij.RadiativeExact(process=process)
+        columns.append(np.pi * ij.observe(iris, normal, solver).values[:, 0])
     for where in (1.0, ij.HEMISPHERE):
         crossed, parallel = (
             ij.observe(
@@ -84,7 +86,7 @@ def _spectra(level, fraction, grid):
 
 def _three(level, grid):
     iris = ij.Iris.of_level(level).replace(abl_fraction=0.5)
-    columns = [ij.reflectance(iris, grid, process=process).values for process in PROCESSES]
+    columns = [ij.reflectance(iris, grid, solver=exact_solver(p)).values for p in PROCESSES]
     for i, nm in enumerate(grid):
         yield level, float(nm), *(float(c[i]) for c in columns)
 
@@ -93,11 +95,10 @@ def _over_angles(level, angles):
     grid = np.array([450.0, 550.0, 650.0])
     iris = ij.Iris.of_level(level).replace(abl_fraction=0.5)
     layers = iris.layers(ij.extinction(grid))
-    solver = ij.RadiativeExact().prepare(lambda: layers, ij.POLARISED)
-    cosine = jnp.asarray(np.cos(np.radians(angles)))
-    normal = jnp.asarray(1.0)
-    light = jax.jit(lambda x: solver.solve(x, ij.POLARISED, normal, cos_exit=cosine))(layers)
-    sent = np.pi * np.asarray(light.polarisation.brdf)[..., 0]
+    light = ij.Light(1.0, ij.Directions(np.cos(np.radians(angles))))
+    solver = ij.RadiativeExact(process=ij.POLARISED).prepare(layers, light)
+    found = jax.jit(lambda x: solver.solve(x, light))(layers)
+    sent = np.pi * np.asarray(found.polarisation.brdf)[..., 0]
     degree = np.hypot(sent[..., 1], sent[..., 2]) / sent[..., 0]
     for i, nm in enumerate(grid):
         for j, angle in enumerate(angles):

@@ -13,7 +13,6 @@ import irisjax as ij
 from experiments.common import RESULTS, start, write
 from irisjax.measure.colour import OBSERVER, tristimulus_matrix
 from irisjax.tissue.pigments import extinction
-from irisjax.transport.process import ILIT_2006
 
 GRID = 380 + 5.0 * np.arange(81)
 LIGHTS = ("D65", "A", "FL11")
@@ -98,7 +97,7 @@ def _spectra(key, count):
 
     def reflectance(fields):
         layers = ij.Iris().replace(**fields).layers(table)
-        return ij.IlitExact(24).solve(layers, ILIT_2006, 1.0).reflectance
+        return ij.IlitExact(24).solve(layers, ij.Light(1.0)).reflectance
 
     return np.asarray(jax.jit(jax.vmap(reflectance))(drawn))
 

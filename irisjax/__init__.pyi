@@ -46,6 +46,8 @@ from .measure.goniophotometer import Goniophotometer as Goniophotometer
 from .measure.goniophotometer import brdf as brdf
 from .measure.goniophotometer import principal_plane as principal_plane
 from .measure.instrument import AbstractInstrument as AbstractInstrument
+from .measure.measurement import DIFFUSE as DIFFUSE
+from .measure.measurement import HEMISPHERE as HEMISPHERE
 from .measure.measurement import Reading as Reading
 from .measure.measurement import wavelengths as wavelengths
 from .measure.observe import observe as observe
@@ -72,8 +74,8 @@ from .tissue.pigments import extinction as extinction
 from .tissue.scattering import PowerLaw as PowerLaw
 from .transport.ilit.exact import IlitExact as IlitExact
 from .transport.ilit.tabulated import IlitTabulated as IlitTabulated
-from .transport.incidence import DIFFUSE as DIFFUSE
-from .transport.incidence import HEMISPHERE as HEMISPHERE
+from .transport.light import Directions as Directions
+from .transport.light import Light as Light
 from .transport.montecarlo import MonteCarlo as MonteCarlo
 from .transport.montecarlo import photon_mesh as photon_mesh
 from .transport.process import DEPTH_RESOLVED as DEPTH_RESOLVED

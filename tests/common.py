@@ -78,12 +78,16 @@ def layers(abl, absorption, scattering, indices):
 
 
 @functools.cache
-def _solving(solver, process, where):
-    def run(made, cosine, exits, azimuth):
-        options = {"cos_exit": exits, "azimuth": azimuth} if exits is not None else {}
-        return solver.solve(made, process, where if cosine is None else cosine, **options)
+def _solving(solver):
+    return quick_jit(solver.solve)
 
-    return quick_jit(run)
+
+def light(cosine=1.0, exits=None, azimuth=None):
+    """`ij.Light` of numbers as tests have them."""
+    cosine = None if isinstance(cosine, str) else jnp.asarray(cosine, float)
+    if exits is None:
+        return ij.Light(cosine)
+    return ij.Light(cosine, ij.Directions(exits, 0.0 if azimuth is None else azimuth))
 
 
 def filled(x, multiple):
@@ -94,7 +98,7 @@ def filled(x, multiple):
 def exact(process, n_angles=40):
     """The deterministic solver of a process."""
     ilit = isinstance(process, ij.Ilit)
-    return ij.IlitExact(n_angles) if ilit else ij.RadiativeExact(n_angles)
+    return (ij.IlitExact if ilit else ij.RadiativeExact)(n_angles, process=process)
 
 
 def any_order(made):
@@ -103,22 +107,17 @@ def any_order(made):
     return type(made)(**fields | {"order": type(made.order)()})
 
 
-def solve(process, made, cosine=1.0, solver=None, exits=None, azimuth=None):
-    """A solver on layers, compiled once for each solver, process,
-    filled shape and order of media.
-    """
-    solver = exact(process) if solver is None else solver
-    solver = type(solver).along(solver, lambda: made, cosine, exits)
-    solver = type(solver).prepare(solver, lambda: made, process)
+def solve(solver, made, cosine=1.0, exits=None, azimuth=None):
+    """A solver on layers, compiled once for each solver, filled shape and order of media."""
     depths = ("abl_absorption", "stroma_absorption", "stroma_scattering")
     n, n_exits = len(made.abl_absorption), None if exits is None else len(exits)
+    if exits is not None:
+        exits = filled(jnp.asarray(exits, float), 6)
+        azimuth = None if azimuth is None else filled(jnp.asarray(azimuth, float), 6)
+    lit = light(cosine, exits, azimuth)
+    solver = solver.prepare(made, lit)
     made = dataclasses.replace(made, **{d: filled(getattr(made, d), 4) for d in depths})
-    as_array = [
-        None if x is None or isinstance(x, str) else jnp.asarray(x, float)
-        for x in (cosine, exits, azimuth)
-    ]
-    as_array[1:] = [None if x is None else filled(x, 6) for x in as_array[1:]]
-    found = _solving(solver, process, cosine if isinstance(cosine, str) else None)(made, *as_array)
+    found = _solving(solver)(made, lit)
     found = jax.tree.map(lambda x: x[:n] if jnp.ndim(x) else x, found)
     if exits is None:
         return found

@@ -54,13 +54,12 @@ def as_vector(name):
     return VECTORS[name]
 
 
-def reflectance_of(vector, process, solver, cosine=1.0):
+def reflectance_of(vector, solver, cosine=1.0):
     """Everything traced: the iris is built inside the program."""
     iris = ij.Iris(**dict(zip(LIMITS, vector, strict=True)))
     return ij.reflectance(
         iris,
         GRID[::6],
-        process=process,
         solver=solver,
         cos_incidence=cosine,
         throw=False,

@@ -21,21 +21,18 @@ SPLIT = PartitionSpec("d")
 AUTO = jax.make_mesh((4,), ("d",), axis_types=(AxisType.Auto,))
 EXPLICIT = jax.make_mesh((4,), ("d",), axis_types=(AxisType.Explicit,))
 SOLVERS = {
-    "exact": (ij.ILIT_2006, ij.IlitExact(8)),
-    "rayleigh": (ij.ILIT_CORRECTED, ij.IlitExact(8)),
-    "retest": (ij.Ilit(rescatter="retest"), ij.IlitExact(8)),
-    "tabulated": (
-        ij.ILIT_2006,
-        ij.IlitTabulated.build(tolerance=1e-2, n_intervals=16, n_albedos=4),
-    ),
-    "radiative": (ij.DEPTH_RESOLVED, ij.RadiativeExact(8, 4)),
-    "monte carlo": (ij.ILIT_2006, ij.MonteCarlo(200, lanes=16)),
+    "exact": ij.IlitExact(8),
+    "rayleigh": ij.IlitExact(8, process=ij.ILIT_CORRECTED),
+    "retest": ij.IlitExact(8, process=ij.Ilit(rescatter="retest")),
+    "tabulated": ij.IlitTabulated.build(tolerance=1e-2, n_intervals=16, n_albedos=4),
+    "radiative": ij.RadiativeExact(8, 4),
+    "monte carlo": ij.MonteCarlo(200, lanes=16),
 }
 
 
-def values(process, solver, eumelanin, grid=GRID):
+def values(solver, eumelanin, grid=GRID):
     iris = ij.Iris().replace(eumelanin=eumelanin)
-    return ij.reflectance(iris, grid, process=process, solver=solver, key=KEY).values
+    return ij.reflectance(iris, grid, solver=solver, key=KEY).values
 
 
 def over_shards(f, x):
@@ -66,7 +63,7 @@ def explicit(run):
 
 def derivatives():
     def loss(x):
-        return sum(values(*SOLVERS[name], x).sum() for name in ("exact", "tabulated"))
+        return sum(values(SOLVERS[name], x).sum() for name in ("exact", "tabulated"))
 
     f = jax.vmap(jax.grad(loss))
     expected = jax.jit(f)(BATCH)
@@ -81,7 +78,9 @@ def photons():
     worst = 0.0
     for process in (ij.ILIT_2006, ij.DEPTH_RESOLVED):
         one, four = (
-            ij.MonteCarlo(5_000, lanes=64, mesh=mesh).count(layers, process, 1.0, key=KEY)
+            ij.MonteCarlo(5_000, lanes=64, mesh=mesh, process=process).count(
+                layers, ij.Light(1.0), key=KEY
+            )
             for mesh in (None, ij.photon_mesh())
         )
         worst = max(worst, difference(one.fates, four.fates))
@@ -94,23 +93,22 @@ def photons_of_a_caller():
     solver = ij.MonteCarlo(4_000, lanes=64)
 
     def block(first):
-        counts = solver.count(
-            layers, ij.ILIT_2006, 1.0, key=KEY, first=first[0], last=first[0] + 1_000
-        )
+        first = first[0]
+        counts = solver.count(layers, ij.Light(1.0), key=KEY, first=first, last=first + 1_000)
         return jax.lax.psum(counts.fates, "d")
 
     first = jnp.arange(4, dtype=jnp.int32) * 1_000
     dealt = jax.shard_map(
         block, mesh=AUTO, in_specs=SPLIT, out_specs=PartitionSpec(), check_vma=True
     )
-    whole = solver.count(layers, ij.ILIT_2006, 1.0, key=KEY)
+    whole = solver.count(layers, ij.Light(1.0), key=KEY)
     return difference(jax.jit(dealt)(first), whole.fates)
 
 
 def main():
     cases = {}
     for name, solver in SOLVERS.items():
-        run = partial(values, *solver)
+        run = partial(values, solver)
         cases[f"{name}: shard_map over irides"] = partial(irides, run)
         cases[f"{name}: shard_map over wavelengths"] = partial(wavelengths, run)
         cases[f"{name}: explicit mesh of irides"] = partial(explicit, run)

@@ -9,6 +9,7 @@ import pytest
 
 import irisjax as ij
 from common import GRID
+from irisjax.transport.defaults import exact_solver
 
 pytestmark = pytest.mark.gpu
 
@@ -23,7 +24,9 @@ def _accelerator():
 @pytest.mark.parametrize("level", ["low", "high"])
 def test_single_precision_is_double_to_its_rounding(process, level):
     def values():
-        return np.asarray(ij.reflectance(ij.Iris.of_level(level), GRID, process=process).values)
+        return np.asarray(
+            ij.reflectance(ij.Iris.of_level(level), GRID, solver=exact_solver(process)).values
+        )
 
     double = values()
     with jax.enable_x64(False):
@@ -44,9 +47,9 @@ def test_photons_that_fill_the_device():
     # The bits of a photon are the same on every device.
     few = ij.MonteCarlo(20_000)
     layers = iris.layers(ij.extinction(GRID))
-    here = few.count(layers, ij.ILIT_2006, 1.0, key=jax.random.key(3)).fates
+    here = few.count(layers, ij.Light(1.0), key=jax.random.key(3)).fates
     with jax.default_device(jax.devices("cpu")[0]):
-        there = few.count(layers, ij.ILIT_2006, 1.0, key=jax.random.key(3)).fates
+        there = few.count(layers, ij.Light(1.0), key=jax.random.key(3)).fates
     # Transcendental functions round differently: a photon in ten thousand may end elsewhere.
     assert np.abs(np.asarray(here) - np.asarray(there)).sum() <= 2e-4 * few.n_photons * len(GRID)
 

@@ -137,14 +137,13 @@ def test_equation_index_both_ways(paper):
 
 def test_what_is_not_asked_for_costs_nothing():
     layers = ij.Iris.of_level("low").layers(ij.extinction([450.0, 550.0]))
-    exits = jnp.asarray([0.5, 0.9])
+    exits = ij.Directions([0.5, 0.9])
 
-    def program(process, cos_exit=None, panels=1, name=None):
+    def program(process, exits=None, panels=1, name=None):
         ilit = isinstance(process, ij.Ilit)
-        solver = ij.IlitExact(8) if ilit else ij.RadiativeExact(8, 4, panels)
-        return operations(
-            lambda x: solver.solve(x, process, 1.0, cos_exit=cos_exit), layers, name=name
-        )
+        solver = ij.IlitExact(8, process=process) if ilit else ij.RadiativeExact(8, 4, panels)
+        light = ij.Light(1.0, exits)
+        return operations(lambda x: solver.solve(x, light), layers, name=name)
 
     plain, deep = program(ij.ILIT_CORRECTED), program(ij.DEPTH_RESOLVED)
     # The two azimuthal orders of Rayleigh's phase function are compiled for a BRDF only.

@@ -138,7 +138,7 @@ def test_public_values_are_pytrees():
 @pytest.mark.slow  # half a minute of compiling
 def test_traced_or_known_radiative_transfer_is_the_same():
     def run(iris, solver):
-        m = ij.reflectance(iris, GRID, process=ij.DEPTH_RESOLVED, solver=solver, throw=False)
+        m = ij.reflectance(iris, GRID, solver=solver, throw=False)
         return m.values, m.status == ij.RESULTS.under_resolved
 
     solver = ij.RadiativeExact(12, 8, n_panels=1)

@@ -82,7 +82,7 @@ def test_gradients(name, traced_order, edges):
     Either the iris is built outside and all its leaves are batched (its order of media is known),
     or it is built inside the program from traced numbers (any order is possible).
     """
-    process, solver = PROCESSES[name], exact(PROCESSES[name], 12)
+    solver = exact(PROCESSES[name], 12)
     asked, edges = edges, [e for e in edges if not (name == "depth-resolved" and e in ONLY_FINITE)]
     if not traced_order:
         edges = [e for e in edges if ORDERS[e] == TEMPLATE.order]
@@ -93,7 +93,7 @@ def test_gradients(name, traced_order, edges):
         iris = (
             ij.Iris(**dict(zip(LIMITS, v, strict=True))) if traced_order else replaced(TEMPLATE, v)
         )
-        return ij.reflectance(iris, GRID[::6], process=process, solver=solver, throw=False).values
+        return ij.reflectance(iris, GRID[::6], solver=solver, throw=False).values
 
     forward = np.asarray(quick_jit(jax.vmap(jax.jacfwd(values)))(jnp.asarray(vectors)))
     reverse = np.asarray(quick_jit(jax.vmap(jax.jacrev(values)))(jnp.asarray(vectors)))
@@ -145,9 +145,9 @@ def test_gradients_in_single_precision_are_finite(name, float32):
 
     def values(v):
         if name == "rayleigh":
-            return reflectance_of(v, PROCESSES[name], None).values
+            return reflectance_of(v, exact(PROCESSES[name])).values
         iris = replaced(TEMPLATE, v)
-        return ij.reflectance(iris, GRID[::6], process=PROCESSES[name], throw=False).values
+        return ij.reflectance(iris, GRID[::6], solver=exact(PROCESSES[name]), throw=False).values
 
     g = quick_jit(jax.vmap(jax.jacfwd(values)))(vectors)
     bad = [

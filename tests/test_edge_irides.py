@@ -24,9 +24,7 @@ SOME = ("plain", "no-layers", "nothing-at-all", "equal-indices", "guided-stroma"
 def test_edge_irides(name, edges, bits):
     vectors = jnp.asarray(np.stack([as_vector(e) for e in edges]), jnp.result_type(float))
     solver = exact(PROCESSES[name], 12)
-    run = quick_jit(
-        jax.vmap(lambda v, c: reflectance_of(v, PROCESSES[name], solver, c), in_axes=(0, None))
-    )
+    run = quick_jit(jax.vmap(lambda v, c: reflectance_of(v, solver, c), in_axes=(0, None)))
     for cosine in COSINES:
         r = run(vectors, jnp.asarray(cosine, float))
         values = np.asarray(r.values)

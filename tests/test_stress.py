@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import irisjax as ij
-from common import PROCESSES, any_order, layers, quick_jit
+from common import PROCESSES, any_order, exact, layers, quick_jit
 from edges import BASE, COSINES, SWEEP, TINY, grazes
 
 DEPTHS = np.array([0.0, 1e-12, 1e-6, 1e-3, 0.1, 1.0, 10.0, 1e3, 1e6])
@@ -62,7 +62,7 @@ def run_grid(process, solver, chosen):
             indices,
             anything.order,
         )
-        return solver.solve(made, process, cosine)
+        return solver.solve(made, ij.Light(cosine))
 
     run = quick_jit(jax.vmap(one, in_axes=(0, None)))
     return [run(anything.indices, jnp.asarray(c, float)) for c in COSINES]
@@ -76,7 +76,7 @@ def run_grid(process, solver, chosen):
     ],
 )  # fmt: skip
 def test_every_depth_index_and_incidence(name, chosen, bits):
-    for solution in run_grid(PROCESSES[name], ij.IlitExact(n_angles=16), chosen):
+    for solution in run_grid(exact(PROCESSES[name], 16), chosen):
         check(solution, bits)
         assert bool((solution.status == ij.RESULTS.successful).all())
 
@@ -97,7 +97,7 @@ def test_depth_resolved_shallow(media, chosen, bits):
 
 @quick_jit
 def shallow(made, cosine):
-    return ij.RadiativeExact(n_angles=24, n_panels=3).solve(made, ij.DEPTH_RESOLVED, cosine)
+    return ij.RadiativeExact(n_angles=24, n_panels=3).solve(made, ij.Light(cosine))
 
 
 def holds(absorption, scattering, bits):
@@ -111,10 +111,8 @@ def holds(absorption, scattering, bits):
 def test_depth_resolved_at_every_depth(media, bits):
     held = np.flatnonzero(holds(ABSORPTION, SCATTERING, bits))
     made = layers(ABL[held], ABSORPTION[held], SCATTERING[held], MEDIA[media])
-    solver = ij.RadiativeExact().prepare(lambda: made, ij.DEPTH_RESOLVED)
-    solution = quick_jit(lambda x: solver.solve(x, ij.DEPTH_RESOLVED, jnp.asarray(1.0, float)))(
-        made
-    )
+    solver = ij.RadiativeExact().prepare(made, ij.Light(1.0))
+    solution = quick_jit(lambda x: solver.solve(x, ij.Light(1.0)))(made)
     check(solution, bits)
     assert bool(solution.status == ij.RESULTS.successful)
 
@@ -129,7 +127,7 @@ def test_depth_resolved_deep(bits):
     held = holds(absorption, scattering, bits)
     assert held.sum() > 15
     solver = ij.RadiativeExact(n_panels=22)
-    run = quick_jit(lambda x: solver.solve(x, ij.DEPTH_RESOLVED, jnp.asarray(1.0, float)))
+    run = quick_jit(lambda x: solver.solve(x, ij.Light(1.0)))
     good = run(
         layers(0.0, np.where(held, absorption, 1.0), np.where(held, scattering, 1.0), MEDIA["iris"])
     )
@@ -155,8 +153,8 @@ def test_monotonic(name):
     """
     steps = np.geomspace(1e-9, 2.0, 60)
     deep = name == "depth-resolved"
-    solver = ij.RadiativeExact(12, 4, 1) if deep else ij.IlitExact(12)
-    run = quick_jit(lambda x: solver.solve(x, PROCESSES[name], jnp.asarray(1.0)).reflectance)
+    solver = ij.RadiativeExact(12, 4, 1) if deep else exact(PROCESSES[name], 12)
+    run = quick_jit(lambda x: solver.solve(x, ij.Light(1.0)).reflectance)
 
     def reflected(abl, absorption, scattering, media):
         return np.asarray(run(any_order(layers(abl, absorption, scattering, MEDIA[media]))))
@@ -172,15 +170,12 @@ def test_monotonic(name):
 @pytest.mark.parametrize("n", [4_000, pytest.param(100_000, marks=SWEEP)])
 def test_number_of_wavelengths(n):
     """The last of many wavelengths, and the same wavelength alone."""
-    for process, solver, step in (
-        (ij.ILIT_2006, ij.IlitExact(12), 1),
-        (ij.DEPTH_RESOLVED, ij.RadiativeExact(12, 4, 1), 20),
-    ):
+    for solver, step in ((ij.IlitExact(12), 1), (ij.RadiativeExact(12, 4, 1), 20)):
         grid = np.linspace(400, 700, n)[::step]
 
         @quick_jit
-        def run(iris, grid, process=process, solver=solver):
-            return ij.reflectance(iris, grid, process=process, solver=solver).values
+        def run(iris, grid, solver=solver):
+            return ij.reflectance(iris, grid, solver=solver).values
 
         values = np.asarray(run(BASE, jnp.asarray(grid)))
         assert values.shape == grid.shape

@@ -7,8 +7,8 @@ from irisjax.cli.model import IrisOptions, ProcessOptions
 from irisjax.cli.options import Group
 from irisjax.tissue.iris import LIMITS
 from irisjax.tissue.scattering import POWER_LAW_LIMITS
-from irisjax.transport.process import AbstractProcess, Ilit
-from irisjax.transport.solver import AbstractSolver, is_polarised
+from irisjax.transport.process import AbstractProcess, Ilit, is_polarised
+from irisjax.transport.solver import AbstractSolver
 
 
 def head(

@@ -14,20 +14,19 @@ from irisjax.measure.colour import Colour
 from irisjax.measure.instrument import AbstractInstrument
 from irisjax.measure.observe import observe
 from irisjax.transport.montecarlo import MonteCarlo
-from irisjax.transport.process import DEPTH_RESOLVED, POLARISED, AbstractProcess
+from irisjax.transport.process import DEPTH_RESOLVED, POLARISED
 from irisjax.transport.solver import AbstractSolver
 
 
 def measured(
     iris: ij.Iris,
     instrument: AbstractInstrument,
-    process: AbstractProcess,
     solver: AbstractSolver,
     key: jax.Array | None,
 ) -> Any:
     """What the instrument reads; photons are followed in blocks, with a progress bar."""
     if not isinstance(solver, MonteCarlo):
-        return observe(iris, instrument, process, solver, key=key)
+        return observe(iris, instrument, solver, key=key)
     # `delay`: runs of less than a second need no bar.
     with tqdm(
         total=solver.n_photons,
@@ -36,7 +35,7 @@ def measured(
         delay=1,
         disable=not sys.stderr.isatty(),
     ) as bar:
-        return observe(iris, instrument, process, solver, key=key, progress=bar.update)
+        return observe(iris, instrument, solver, key=key, progress=bar.update)
 
 
 def left_out_by_scalar_theory(
@@ -51,7 +50,7 @@ def left_out_by_scalar_theory(
     if not isinstance(instrument, ij.Colorimeter):  # a colour is of the whole range
         instrument = make(grid[np.unique(np.linspace(0, grid.size - 1, _FEW).round().astype(int))])
     scalar, full = (
-        _light(observe(iris, instrument, process, model.exact_solver(process)))
+        _light(observe(iris, instrument, model.exact_solver(process)))
         for process in (DEPTH_RESOLVED, POLARISED)
     )
     dark = full <= 0

@@ -167,8 +167,8 @@ def _read(
     check_scattering(modelled, rules)
     grid = light.wavelengths.values
     instrument = make(grid)
-    method = solver_of(solver, rules, modelled, exits=instrument.exits[0] is not None)
-    result = measured(modelled, instrument, rules, method, key_of(solver))
+    method = solver_of(solver, rules, modelled, exits=instrument.exits is not None)
+    result = measured(modelled, instrument, method, key_of(solver))
     if (doubt := few_photons(result)) is not None:
         print(f"irisjax: WARNING: {doubt}", file=sys.stderr)
     left_out = None

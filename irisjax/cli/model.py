@@ -31,9 +31,10 @@ from irisjax.transport.process import (
     Phase,
     RadiativeTransfer,
     Rescatter,
+    is_polarised,
 )
 from irisjax.transport.radiative.polarised.montecarlo import PolarisedMonteCarlo
-from irisjax.transport.solver import AbstractSolver, is_polarised
+from irisjax.transport.solver import AbstractSolver
 
 # As written in the class: making an iris would start JAX before the precision is chosen.
 _DEFAULTS = {
@@ -237,7 +238,7 @@ def check_scattering(iris: ij.Iris, process: AbstractProcess) -> None:
 def solver_of(
     options: SolverOptions,
     process: AbstractProcess,
-    iris: ij.Iris | None = None,
+    iris: ij.Iris,
     *,
     exits: bool = False,
 ) -> AbstractSolver:
@@ -246,7 +247,7 @@ def solver_of(
         return exact_solver(process, iris, exits=exits)
     if is_polarised(process):
         return PolarisedMonteCarlo(options.photons)
-    return MonteCarlo(options.photons)
+    return MonteCarlo(options.photons, process=process)
 
 
 def key_of(options: SolverOptions) -> jax.Array | None:

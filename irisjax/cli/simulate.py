@@ -62,7 +62,6 @@ def _scans(
         free=["noise"],
         fixed={"gain": light.gain},
         base=iris,
-        process=process,
         solver=exact_solver(process, iris),
         noise=ij.Noise(**noise),
     )

@@ -9,39 +9,31 @@ import abc
 import equinox as eqx
 import jax.numpy as jnp
 
-from irisjax._types import Spectrum
+from irisjax._types import PRNGKey, Spectrum
 from irisjax.optics.fresnel import fresnel_at
 from irisjax.tissue.layers import Layers
-from irisjax.transport.process import AbstractProcess
+from irisjax.transport.light import Light
+from irisjax.transport.process import ILIT_2006, Ilit
 from irisjax.transport.solution import RESULTS, Absorbed, Solution
-from irisjax.transport.solver import AbstractSolver, checked_process
+from irisjax.transport.solver import AbstractSolver, check_rayleigh
 
 
 class AbstractAnalytic(AbstractSolver):
-    """A closed formula for the light that comes back from inside."""
+    """A closed formula for the light that comes back from inside.
+
+    Its `process` is ILIT, whose layers and optical depths it shares.
+    """
+
+    process: Ilit = eqx.field(default=ILIT_2006, init=False)
 
     @abc.abstractmethod
     def inner(self, layers: Layers) -> Spectrum:
         """Share of the light that entered which leaves again, one value a wavelength."""
 
-    def prepare(self, layers, process: AbstractProcess):
-        """Nothing to prepare."""
-        return self
-
-    def solve(
-        self,
-        layers: Layers,
-        process: AbstractProcess,
-        cos_incidence,
-        *,
-        cos_exit=None,
-        azimuth=None,
-        key=None,
-        rays=None,
-    ):
+    def solve(self, layers: Layers, light: Light, *, key: PRNGKey | None = None) -> Solution:
         """See `AbstractSolver.solve`; light is taken to fall along the normal."""
-        checked_process(self, process, AbstractProcess, layers)
-        if cos_exit is not None:
+        check_rayleigh(self, layers)
+        if light.exits is not None:
             raise ValueError("closed formulas give no BRDF")
         mirror, passed = fresnel_at(jnp.ones(()), layers.indices.aqueous, layers.indices.abl)
         reflected = passed * self.inner(layers)

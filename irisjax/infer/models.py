@@ -42,8 +42,7 @@ def restated(problem: Any, base: Iris, process: AbstractProcess, more: tuple[str
         fixed=fixed,
         free=tuple(free),
         priors=tuple(free.values()),
-        process=process,
-        solvers=solvers_of(base, problem.observations, process, fixed, None),
+        solvers=solvers_of(base, problem.observations, fixed, process),
     )
 
 
@@ -66,21 +65,20 @@ def with_law(base: Iris, process: AbstractProcess, names: Iterable[str]) -> Iris
 def solvers_of(
     base: Iris,
     observations: Sequence[Observation],
-    process: AbstractProcess,
     fixed: Mapping[str, Any],
-    solver: AbstractSolver | None,
+    by: AbstractProcess | AbstractSolver,
 ) -> tuple[Pointwise, ...]:
-    """For each observation a solver (default: what is quickest for many spectra of irides with
-    these `fixed` parameters) ready for an inversion.
+    """For each observation a solver that is prepared for an inversion: the one given, or for a
+    process the quickest one for many spectra of irides with these `fixed` parameters.
     """
 
     def one(instrument: AbstractInstrument):
-        mine = (
-            shipped.quickest(base, instrument.media.aqueous, process) if solver is None else solver
-        )
-        if solver is None and isinstance(mine, RadiativeTabulated):
+        if isinstance(by, AbstractSolver):
+            return Pointwise(prepared(base, instrument, by))
+        mine = shipped.quickest(base, instrument.media.aqueous, by)
+        if isinstance(mine, RadiativeTabulated):
             mine = _of_what_scatters(base, instrument, fixed, mine)
-        return Pointwise(prepared(base, instrument, process, mine))
+        return Pointwise(prepared(base, instrument, mine))
 
     return tuple(one(o.instrument) for o in observations)
 
@@ -89,8 +87,8 @@ def _of_what_scatters(
     base: Iris, instrument: AbstractInstrument, fixed: Mapping[str, Any], table: RadiativeTabulated
 ) -> AbstractSolver:
     """The table, or what is quicker where nothing that scatters is free."""
-    _, cosine = instrument.incident()
-    if isinstance(cosine, str) or not fixed.keys() >= _OF_SCATTERING:
+    cosine = instrument.incident()[1].cosine
+    if cosine is None or not fixed.keys() >= _OF_SCATTERING:
         return table
     iris = base.replace(**{n: fixed[n] for n in _OF_SCATTERING})
     scattering = iris.layers(instrument.pigments, instrument.media.aqueous).stroma_scattering

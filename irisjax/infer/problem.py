@@ -51,7 +51,6 @@ class Problem(eqx.Module):
     solvers: tuple[AbstractSolver, ...]
     free: tuple[str, ...] = eqx.field(static=True)
     priors: tuple[AbstractPrior, ...]
-    process: AbstractProcess = eqx.field(static=True)
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -64,6 +63,11 @@ class Problem(eqx.Module):
         from irisjax.infer.pieces import density
 
         return density(self)
+
+    @property
+    def process(self) -> AbstractProcess:
+        """The process of the solvers."""
+        return self.solvers[0].process
 
     def values(self, z: Float[Array, " free"]) -> dict[str, Any]:
         """Parameters by name, those fixed included."""
@@ -210,7 +214,7 @@ class Problem(eqx.Module):
         mine, instrument = seen_by(values, i), self.observations[i].instrument
         gain = jnp.asarray(mine["gain"], instrument.gain.dtype)
         instrument = eqx.tree_at(lambda x: x.gain, instrument, gain)
-        return observed(iris_of(mine, self.base), instrument, self.process, self.solvers[i])
+        return observed(iris_of(mine, self.base), instrument, self.solvers[i])
 
 
 def problem(
@@ -222,7 +226,7 @@ def problem(
     separate: Iterable[str] = (),
     noise: Noise | None = None,
     base: Iris | None = None,
-    process: AbstractProcess = ILIT_2006,
+    process: AbstractProcess | None = None,
     solver: AbstractSolver | None = None,
 ) -> Problem:
     """State an inverse problem.
@@ -235,13 +239,15 @@ def problem(
     - `priors`: in place of those of `PARAMETERS`.
     - `separate`: names that each observation has for itself (two spots share blood, not melanin).
     - `base`: the iris for all that is neither free nor fixed; default LB06's, moderate.
-    - `solver`: default `IlitTabulated` for ILIT, `RadiativeTabulated` for radiative transfer and
-        `AddingDoubling` under a power law of scattering.
+    - `process`: default `ILIT_2006`. It is solved by its quickest solver: `IlitTabulated` for ILIT,
+        `RadiativeTabulated` for radiative transfer and `AddingDoubling` under a power law of
+        scattering.
+    - `solver`: in place of `process`; a solver has a process.
 
     To state one of a `PowerLaw`'s numbers, free or fixed, puts a power law into `base`.
 
-    **Raises:** `ValueError` for unknown names, values out of range, nothing free, or more than
-    1,000 values with a correlated discrepancy.
+    **Raises:** `ValueError` for unknown names, values out of range, nothing free, a process beside
+    a solver, or more than 1,000 values with a correlated discrepancy.
     """
     seen = (observations,) if isinstance(observations, Observation) else tuple(observations)
     fixed, priors, separate = dict(fixed or {}), dict(priors or {}), tuple(separate)
@@ -279,7 +285,10 @@ def problem(
             f"to {_MOST_CORRELATED} values at most"
         )
     base = Iris() if base is None else base
-    base = with_law(base, process, (*names, *fixed))
+    if process is not None and solver is not None:
+        raise ValueError("a solver has a process: give process or solver, not both")
+    by = solver or process or ILIT_2006
+    base = with_law(base, by.process if isinstance(by, AbstractSolver) else by, (*names, *fixed))
     start = {**of_iris(base), **fixed}
     known = as_arrays({n: v for n, v in start.items() if n not in names})
     return Problem(
@@ -287,10 +296,9 @@ def problem(
         noise=Noise() if noise is None else noise,
         base=base,
         fixed=known,
-        solvers=solvers_of(base, seen, process, known, solver),
+        solvers=solvers_of(base, seen, known, by),
         free=tuple(expanded),
         priors=tuple(priors.get(kind(n), PARAMETERS[kind(n)].prior) for n in expanded),
-        process=process,
     )
 
 

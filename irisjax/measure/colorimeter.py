@@ -11,7 +11,6 @@ from irisjax.measure.instrument import AbstractInstrument, Cornea
 from irisjax.measure.measurement import wavelengths as grid
 from irisjax.measure.observe import observe
 from irisjax.tissue.iris import Iris
-from irisjax.transport.process import ILIT_2006, AbstractProcess
 from irisjax.transport.solution import Solution
 from irisjax.transport.solver import AbstractSolver
 
@@ -48,7 +47,6 @@ def colour(
     *,
     illuminant: str = "D65",
     observer: str = OBSERVER,
-    process: AbstractProcess = ILIT_2006,
     solver: AbstractSolver | None = None,
     cos_incidence=1.0,
     first_surface: bool = True,
@@ -71,4 +69,4 @@ def colour(
         cornea=cornea,
         media=media,
     )
-    return observe(iris, instrument, process, solver, key=key, throw=throw)
+    return observe(iris, instrument, solver, key=key, throw=throw)

@@ -14,7 +14,7 @@ from irisjax.measure.measurement import COSINE
 from irisjax.measure.observe import observe
 from irisjax.numerics.checks import check_range
 from irisjax.tissue.iris import Iris
-from irisjax.transport.process import ILIT_2006, AbstractProcess
+from irisjax.transport.light import Directions
 from irisjax.transport.solution import RESULTS, Solution
 from irisjax.transport.solver import AbstractSolver
 
@@ -75,9 +75,9 @@ class Goniophotometer(AbstractInstrument):
         self.cos_exit, self.azimuth = jnp.broadcast_arrays(*exits)
 
     @property
-    def exits(self):
+    def exits(self) -> Directions:
         """The directions it looks from."""
-        return self.cos_exit, self.azimuth
+        return Directions(self.cos_exit, self.azimuth)
 
     def reading(self, light: Solution, factor) -> Brdf:
         """See `AbstractInstrument`."""
@@ -103,7 +103,6 @@ def brdf(
     cos_incidence=1.0,
     cos_exit,
     azimuth=0.0,
-    process: AbstractProcess = ILIT_2006,
     solver: AbstractSolver | None = None,
     media: Media | None = None,
     key: PRNGKey | None = None,
@@ -122,7 +121,7 @@ def brdf(
     instrument = Goniophotometer(
         wavelengths, cos_incidence=cos_incidence, cos_exit=cos_exit, azimuth=azimuth, media=media
     )
-    return observe(iris, instrument, process, solver, key=key, throw=throw)
+    return observe(iris, instrument, solver, key=key, throw=throw)
 
 
 def principal_plane(n: int = 181):

@@ -14,7 +14,7 @@ from irisjax.anatomy.media import Media
 from irisjax.measure.measurement import check_cosine, check_wavelengths
 from irisjax.numerics.checks import Range, check_range, check_scalars
 from irisjax.tissue.pigments import Extinction, extinction
-from irisjax.transport.incidence import DIFFUSE
+from irisjax.transport.light import Directions, Light
 from irisjax.transport.solution import Solution
 
 Cornea = Literal["none", "inward", "round-trip"]
@@ -82,16 +82,14 @@ class AbstractInstrument(eqx.Module):
         """Where it measures, nm."""
         return self.pigments.wavelengths
 
-    def incident(self):
-        """Factor on the light and its cosine at the iris, or `DIFFUSE`."""
-        if self.cos_incidence is None:
-            return jnp.ones_like(self.gain), DIFFUSE
-        if self.cornea == "none":
-            return jnp.ones_like(self.gain), self.cos_incidence
-        inward, cosine = self.media.inward(self.cos_incidence)
-        if self.cornea == "round-trip":
-            inward = inward * self.media.inward(jnp.ones_like(cosine))[0]
-        return inward, cosine
+    def incident(self) -> tuple[Scalar, Light]:
+        """Factor on the light on its way to the iris and back, and the light there."""
+        factor, cosine = jnp.ones_like(self.gain), self.cos_incidence
+        if cosine is not None and self.cornea != "none":
+            factor, cosine = self.media.inward(cosine)
+            if self.cornea == "round-trip":
+                factor = factor * self.media.inward(jnp.ones_like(cosine))[0]
+        return factor, Light(cosine, self.exits, self.rays, self.polarised)
 
     def counted(self, light: Solution) -> tuple[Spectrum, Spectrum | None]:
         """What comes back of the light, one value a wavelength, and its standard error."""
@@ -101,13 +99,13 @@ class AbstractInstrument(eqx.Module):
 
     @property
     def rays(self) -> Spectrum | None:
-        """Relative number of rays a wavelength for solvers that sample; `None`: all alike."""
+        """Relative number of rays a wavelength for solvers that sample; `None`: equally many."""
         return None
 
     @property
-    def exits(self):
-        """Cosines and azimuths of the directions it looks from, for a BRDF, or `None` twice."""
-        return None, None
+    def exits(self) -> Directions | None:
+        """Directions it looks from, for a BRDF, or `None`."""
+        return None
 
     @property
     def polarised(self) -> bool:

@@ -8,8 +8,13 @@ from jaxtyping import Array, Float
 
 from irisjax._types import Spectrum
 from irisjax.numerics.checks import Range, check_range
-from irisjax.transport.incidence import DIFFUSE
 from irisjax.transport.solution import RESULTS, Absorbed
+
+DIFFUSE = "diffuse"
+"""Incidence from every direction alike (cosine-weighted hemisphere)."""
+
+HEMISPHERE = "hemisphere"
+"""Exits into every direction, collected by a lens."""
 
 
 class Reading(eqx.Module):

@@ -4,7 +4,6 @@ The public calls, the inversion and the command all go through `observed`.
 """
 
 from collections.abc import Callable
-from functools import partial
 from typing import Any
 
 import jax
@@ -13,11 +12,11 @@ from irisjax._types import PRNGKey
 from irisjax.measure.instrument import AbstractInstrument
 from irisjax.tissue.iris import Iris
 from irisjax.tissue.layers import Layers
-from irisjax.transport.defaults import exact_solver
+from irisjax.transport.ilit.exact import IlitExact
 from irisjax.transport.montecarlo import Counts, MonteCarlo
-from irisjax.transport.process import ILIT_2006, AbstractProcess
+from irisjax.transport.process import is_polarised
 from irisjax.transport.solution import raise_failure
-from irisjax.transport.solver import AbstractSolver, is_polarised
+from irisjax.transport.solver import AbstractSolver
 
 _BLOCK = 1 << 22  # photons of all wavelengths together between two reports of progress
 
@@ -25,7 +24,6 @@ _BLOCK = 1 << 22  # photons of all wavelengths together between two reports of p
 def observe(
     iris: Iris,
     instrument: AbstractInstrument,
-    process: AbstractProcess = ILIT_2006,
     solver: AbstractSolver | None = None,
     *,
     key: PRNGKey | None = None,
@@ -37,9 +35,9 @@ def observe(
     **Arguments:**
 
     - `iris`: its fields may be traced; batch with `jax.vmap`.
-    - `process`: `ILIT_2006`, `ILIT_CORRECTED`, `DEPTH_RESOLVED`, `POLARISED` or one of your own.
-    - `solver`: default the process's exact one (`IlitExact`, `RadiativeExact`; `AddingDoubling`
-        for an iris with a power law of scattering).
+    - `solver`: which process the light follows, and how it is solved: default `IlitExact()`.
+        `RadiativeExact()` is radiative transfer, `AddingDoubling()` that of an iris with a power
+        law of scattering.
     - `key`: for solvers that sample.
     - `progress`: called with the number of photons followed since the last call, of `MonteCarlo`
         outside any trace: photons are then followed in blocks. The result does not depend on it.
@@ -49,11 +47,11 @@ def observe(
     the process has or, unless `throw=False`, for a solve
     that failed; while tracing, look at `.status`.
     """
-    solver = prepared(iris, instrument, process, solver)
+    solver = prepared(iris, instrument, IlitExact() if solver is None else solver)
     if progress is not None and isinstance(solver, MonteCarlo):
-        reading = _in_blocks(iris, instrument, process, solver, key, progress)
+        reading = _in_blocks(iris, instrument, solver, key, progress)
     else:
-        reading = _observe(iris, instrument, process, solver, key)
+        reading = _observe(iris, instrument, solver, key)
     if throw:
         raise_failure(reading.status)
     return reading
@@ -62,43 +60,25 @@ def observe(
 def observed(
     iris: Iris,
     instrument: AbstractInstrument,
-    process: AbstractProcess,
     solver: AbstractSolver,
     key: PRNGKey | None = None,
 ):
     """`observe` as a traced function: no checks, no preparation, the status tells."""
-    factor, cosine = instrument.incident()
-    cos_exit, azimuth = instrument.exits
-    light = solver.solve(
-        iris.layers(instrument.pigments, instrument.media.aqueous),
-        process,
-        cosine,
-        cos_exit=cos_exit,
-        azimuth=azimuth,
-        key=key,
-        rays=instrument.rays,
-    )
-    return instrument.reading(light, factor)
+    factor, light = instrument.incident()
+    layers = iris.layers(instrument.pigments, instrument.media.aqueous)
+    return instrument.reading(solver.solve(layers, light, key=key), factor)
 
 
-def prepared(
-    iris: Iris,
-    instrument: AbstractInstrument,
-    process: AbstractProcess,
-    solver: AbstractSolver | None = None,
-) -> AbstractSolver:
-    """The solver (default: the process's exact one) after a look at the still concrete problem."""
-    if instrument.polarised and not is_polarised(process):
+def prepared(iris: Iris, instrument: AbstractInstrument, solver: AbstractSolver) -> AbstractSolver:
+    """The solver, prepared for the problem while its values are known."""
+    if instrument.polarised and not is_polarised(solver.process):
         raise ValueError(
             f"{type(instrument).__name__} sees polarisation; "
-            "give process=RadiativeTransfer(polarised=True)"
+            "give solver=RadiativeExact(process=POLARISED)"
         )
-    if solver is None:
-        solver = exact_solver(process, iris, exits=instrument.exits[0] is not None)
-    layers = partial(_layers, iris, instrument)
-    # Through the class: binding a method of an Equinox module costs more than the call.
-    solver = type(solver).along(solver, layers, instrument.incident()[1], instrument.exits[0])
-    return type(solver).prepare(solver, layers, process)
+    if type(solver).prepare is AbstractSolver.prepare:
+        return solver  # Layers take as long as a tenth of a spectrum.
+    return solver.prepare(_layers(iris, instrument), instrument.incident()[1])
 
 
 @jax.jit
@@ -111,31 +91,23 @@ _observe = jax.jit(observed)
 
 @jax.jit
 def _read(iris, instrument, solver: MonteCarlo, counts: Counts):
-    layers = iris.layers(instrument.pigments, instrument.media.aqueous)
-    light = solver.summarise(counts, layers, instrument.exits[0])
-    return instrument.reading(light, instrument.incident()[0])
+    factor, light = instrument.incident()
+    found = solver.summarise(counts, _layers(iris, instrument), light.exits)
+    return instrument.reading(found, factor)
 
 
 @jax.jit
-def _count(iris, instrument, process, solver: MonteCarlo, key, first, last) -> Counts:
-    return solver.count(
-        iris.layers(instrument.pigments, instrument.media.aqueous),
-        process,
-        instrument.incident()[1],
-        cos_exit=instrument.exits[0],
-        key=key,
-        rays=instrument.rays,
-        first=first,
-        last=last,
-    )
+def _count(iris, instrument, solver: MonteCarlo, key, first, last) -> Counts:
+    layers, light = _layers(iris, instrument), instrument.incident()[1]
+    return solver.count(layers, light, key=key, first=first, last=last)
 
 
-def _in_blocks(iris, instrument, process, solver: MonteCarlo, key, progress):
+def _in_blocks(iris, instrument, solver: MonteCarlo, key, progress):
     """Counts of blocks of photons add, so that the result does not depend on the blocks' size."""
     total, block = None, max(1, _BLOCK // instrument.wavelengths.size)
     for first in range(0, solver.n_photons, block):
         last = min(first + block, solver.n_photons)
-        counts = _count(iris, instrument, process, solver, key, first, last)
+        counts = _count(iris, instrument, solver, key, first, last)
         total = counts if total is None else jax.tree.map(lambda a, b: a + b, total, counts)
         jax.block_until_ready(total)
         progress(last - first)

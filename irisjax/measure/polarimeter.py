@@ -14,12 +14,12 @@ from jaxtyping import Array, Float
 
 from irisjax._types import Scalar, Spectrum
 from irisjax.measure.instrument import AbstractInstrument
-from irisjax.measure.measurement import Reading, check_cosine
+from irisjax.measure.measurement import HEMISPHERE, Reading, check_cosine
 from irisjax.numerics.angle import arctan2
 from irisjax.numerics.checks import Range, check_range
 from irisjax.numerics.roots import safe_sqrt
 from irisjax.optics.mueller import polarised_at, rotation
-from irisjax.transport.incidence import HEMISPHERE
+from irisjax.transport.light import Directions
 from irisjax.transport.solution import Polarisation, Solution, dimmed
 
 ANGLE = Range(-2 * np.pi, 2 * np.pi, "rad")
@@ -80,11 +80,9 @@ class PolarisedInstrument(AbstractInstrument):
         return True
 
     @property
-    def exits(self):
-        """The direction it looks from."""
-        if self.cos_exit is None:
-            return HEMISPHERE, None
-        return self.cos_exit[None], self.azimuth[None]
+    def exits(self) -> Directions | None:
+        """The direction it looks from, `None` for all of them."""
+        return None if self.cos_exit is None else Directions(self.cos_exit, self.azimuth)
 
     def light(self) -> Float[Array, "4"]:
         """Stokes vector of the light on the iris, of intensity 1."""

@@ -12,7 +12,6 @@ from irisjax.measure.instrument import AbstractInstrument, Cornea
 from irisjax.measure.measurement import Reading
 from irisjax.measure.observe import observe
 from irisjax.tissue.iris import Iris
-from irisjax.transport.process import ILIT_2006, AbstractProcess
 from irisjax.transport.solution import RESULTS, Solution, dimmed
 from irisjax.transport.solver import AbstractSolver
 
@@ -72,7 +71,6 @@ def radiance(
     wavelengths,
     *,
     illuminant: str = "D65",
-    process: AbstractProcess = ILIT_2006,
     solver: AbstractSolver | None = None,
     cos_incidence=1.0,
     first_surface: bool = True,
@@ -94,4 +92,4 @@ def radiance(
         cornea=cornea,
         media=media,
     )
-    return observe(iris, instrument, process, solver, key=key, throw=throw)
+    return observe(iris, instrument, solver, key=key, throw=throw)

@@ -8,7 +8,6 @@ from irisjax.measure.instrument import AbstractInstrument, Cornea
 from irisjax.measure.measurement import Reading
 from irisjax.measure.observe import observe
 from irisjax.tissue.iris import Iris
-from irisjax.transport.process import ILIT_2006, AbstractProcess
 from irisjax.transport.solution import Solution, dimmed
 from irisjax.transport.solver import AbstractSolver
 
@@ -39,7 +38,6 @@ def reflectance(
     iris: Iris,
     wavelengths,
     *,
-    process: AbstractProcess = ILIT_2006,
     solver: AbstractSolver | None = None,
     cos_incidence=1.0,
     first_surface: bool = True,
@@ -54,7 +52,7 @@ def reflectance(
 
     - `wavelengths`: nm, increasing, shape (n,), within the pigment tables; see `wavelengths`.
     - `cos_incidence`, `first_surface`, `cornea`, `media`: see `Spectrophotometer`.
-    - `iris`, `process`, `solver`, `key`, `throw`: see `observe`.
+    - `iris`, `solver`, `key`, `throw`: see `observe`.
 
     **Returns:** a `Reading`. **Raises:** as `observe`.
     """
@@ -65,4 +63,4 @@ def reflectance(
         cornea=cornea,
         media=media,
     )
-    return observe(iris, instrument, process, solver, key=key, throw=throw)
+    return observe(iris, instrument, solver, key=key, throw=throw)

@@ -38,7 +38,8 @@ from irisjax.tissue.iris import Iris
 from irisjax.tissue.layers import Layers
 from irisjax.tissue.maps import IrisMaps, Scales, texel_layers
 from irisjax.tissue.pigments import extinction
-from irisjax.transport.process import DEPTH_RESOLVED, RadiativeTransfer
+from irisjax.transport.light import Directions, Light
+from irisjax.transport.process import DEPTH_RESOLVED, AbstractProcess, RadiativeTransfer
 from irisjax.transport.radiative import shipped
 from irisjax.transport.radiative.exact import RadiativeExact
 from irisjax.transport.radiative.tabulated import RadiativeTabulated
@@ -62,10 +63,14 @@ class RadiativeIntegrator(AbstractIntegrator):
         refractive indices `RadiativeExact`.
     """
 
-    process: RadiativeTransfer = eqx.field(static=True, default=DEPTH_RESOLVED)
     degrees: tuple[int, int, int, int] = eqx.field(static=True, default=(6, 4, 4, 4))
     angular: tuple[int, int, int] = eqx.field(static=True, default=(4, 3, 2))
     solver: AbstractSolver | None = None
+
+    process: AbstractProcess = eqx.field(init=False)
+
+    def __post_init__(self):
+        self.process = DEPTH_RESOLVED if self.solver is None else self.solver.process
 
     def __check_init__(self):
         if not isinstance(self.process, RadiativeTransfer):
@@ -84,7 +89,7 @@ class RadiativeIntegrator(AbstractIntegrator):
             if not isinstance(held, Tracer) and held:
                 return dataclasses.replace(self, solver=table)
         solver = RadiativeExact(16, 8) if self.solver is None else self.solver
-        solver = solver.prepare(lambda: _deepest(*parts), self.process)
+        solver = solver.prepare(_deepest(*parts), Light(1.0))
         return dataclasses.replace(self, solver=solver)
 
     def place(
@@ -182,7 +187,7 @@ class RadiativeIntegrator(AbstractIntegrator):
                 layers = texel_layers(iris, aqueous_index, table, scales_at_unit(x, ranges))
 
                 def each(mu):
-                    found = solver.solve(layers, self.process, mu, cos_exit=exits, azimuth=azimuths)
+                    found = solver.solve(layers, Light(mu, Directions(exits, azimuths)))
                     assert found.brdf is not None
                     return (bands.weights @ found.brdf).T, found.status
 

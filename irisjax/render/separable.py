@@ -41,7 +41,8 @@ from irisjax.tissue.iris import Iris
 from irisjax.tissue.maps import IrisMaps, Scales, texel_layers
 from irisjax.tissue.pigments import extinction
 from irisjax.transport.ilit.exact import IlitExact
-from irisjax.transport.process import ILIT_2006, Ilit
+from irisjax.transport.light import Directions, Light
+from irisjax.transport.process import AbstractProcess, Ilit
 from irisjax.transport.solver import AbstractSolver
 
 _COSINES = 48
@@ -55,9 +56,13 @@ class Separable(AbstractIntegrator):
     - `solver`: of the texels; of ILIT.
     """
 
-    process: Ilit = eqx.field(static=True, default=ILIT_2006)
     degrees: tuple[int, int, int, int, int] = eqx.field(static=True, default=(8, 5, 4, 4, 3))
     solver: AbstractSolver = eqx.field(default_factory=lambda: IlitExact(20))
+
+    process: AbstractProcess = eqx.field(init=False)
+
+    def __post_init__(self):
+        self.process = self.solver.process
 
     def __check_init__(self):
         if not isinstance(self.process, Ilit):
@@ -106,7 +111,7 @@ class Separable(AbstractIntegrator):
         ):  # (texels, varied) on [−1, 1], (exits,) to (texels, exits, channels)
             def one(x):
                 layers = texel_layers(iris, aqueous_index, table, scales_at_unit(x, ranges))
-                found = self.solver.solve(layers, self.process, 1.0, cos_exit=cosines)
+                found = self.solver.solve(layers, Light(1.0, Directions(cosines)))
                 assert found.brdf is not None
                 return bands.weights @ (found.brdf / (1 - found.mirrored[:, None]))
 

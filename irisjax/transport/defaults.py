@@ -2,7 +2,7 @@
 
 from irisjax.tissue.iris import Iris
 from irisjax.transport.ilit.exact import IlitExact
-from irisjax.transport.process import AbstractProcess, Ilit
+from irisjax.transport.process import DEPTH_RESOLVED, AbstractProcess, Ilit, RadiativeTransfer
 from irisjax.transport.radiative.adding import AddingDoubling
 from irisjax.transport.radiative.exact import RadiativeExact
 from irisjax.transport.solver import AbstractSolver
@@ -15,6 +15,10 @@ def exact_solver(
     transfer of an iris with a power law of scattering `AddingDoubling`, with as many angles as a
     BRDF takes if there are `exits`.
     """
-    if iris is not None and iris.power_law is not None and not isinstance(process, Ilit):
+    if iris is not None and iris.power_law is not None and process == DEPTH_RESOLVED:
         return AddingDoubling.following(iris.power_law.anisotropy) if exits else AddingDoubling()
-    return IlitExact() if isinstance(process, Ilit) else RadiativeExact()
+    if isinstance(process, Ilit):
+        return IlitExact(process=process)
+    if isinstance(process, RadiativeTransfer):
+        return RadiativeExact(process=process)
+    raise ValueError(f"no deterministic solver treats {type(process).__name__} processes")

@@ -4,9 +4,8 @@ Photons are dealt out by their index, over a mesh of devices where the caller gi
 counts do not depend on how.
 """
 
-from collections.abc import Callable
 from functools import partial
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -14,15 +13,18 @@ import jax.numpy as jnp
 from jax.sharding import Mesh, PartitionSpec
 from jaxtyping import Array, Int
 
+from irisjax._types import PRNGKey
 from irisjax.numerics.checks import check_whole
 from irisjax.numerics.sharding import laid_out_as
 from irisjax.numerics.streams import check_key, scales
 from irisjax.tissue.layers import Layers
-from irisjax.transport import ilit, lanes, radiative
-from irisjax.transport.incidence import first_surface
-from irisjax.transport.process import AbstractProcess, Ilit
+from irisjax.transport import lanes
+from irisjax.transport.ilit.analog import event as ilit_event
+from irisjax.transport.light import Directions, Light, first_surface
+from irisjax.transport.process import ILIT_2006, AbstractProcess, Ilit, is_polarised
+from irisjax.transport.radiative.analog import event as radiative_event
 from irisjax.transport.solution import RESULTS, Absorbed, Solution
-from irisjax.transport.solver import AbstractSolver, checked_process
+from irisjax.transport.solver import AbstractSolver, check_rayleigh
 
 _LIMIT = 2**31 - 2**20  # counts are int32; lanes look a stride ahead
 
@@ -37,109 +39,89 @@ class Counts(NamedTuple):
 
 
 class MonteCarlo(AbstractSolver):
-    """Analogue sampling of any process; needs a `key`, and has no derivatives.
+    """Analogue sampling of any process of unpolarised light; needs a `key`, and has no derivatives.
 
-    - `n_photons`: photons a wavelength, up to 2.1e9 a call.
-    - `lanes`: photons under way at once; a matter of speed and memory only (about 100 bytes each).
-    - `mesh`: devices to deal the photons to, or `None` for where the program runs; see
-        `photon_mesh`.
+    Arithmetic is float32 whatever the iris's precision; counts are integers. Where the light has a
+    `power` (an illuminant's), the photons at each wavelength are in proportion to it, at most
+    `n_photons`. The BRDF is the average over cells of the cosine bounded half-way between the exits
+    requested.
 
-    Arithmetic is float32 whatever the iris's precision; counts are integers. Where `rays` are given
-    (the illuminant's relative power), the photons at each wavelength follow them, at most
-    `n_photons`.
+    Attributes:
+        n_photons: Photons a wavelength, up to 2.1e9 a call.
+        lanes: Photons followed at once; affects speed and memory only (about 100 bytes each).
+        mesh: Devices to deal the photons to, or `None` for where the program runs; see
+            `photon_mesh`.
+        process: `ILIT_2006`, `ILIT_CORRECTED`, `DEPTH_RESOLVED` or one of your own.
     """
 
     n_photons: int = eqx.field(static=True)
     lanes: int = eqx.field(static=True, default=16384)
     mesh: Mesh | None = eqx.field(static=True, default=None)
+    process: AbstractProcess = eqx.field(default=ILIT_2006, kw_only=True)
 
     def __check_init__(self):
         check_whole("n_photons", self.n_photons, 1, _LIMIT)
         check_whole("lanes", self.lanes, 16)
+        if is_polarised(self.process):
+            raise ValueError(
+                "MonteCarlo does not treat polarised light; use RadiativeExact, or "
+                "PolarisedMonteCarlo to sample"
+            )
 
-    def prepare(self, layers: Callable[[], Layers], process: AbstractProcess) -> "MonteCarlo":
-        """Check that the process is of unpolarised light."""
-        checked_process(self, process, AbstractProcess)
-        return self
-
-    def solve(
-        self,
-        layers: Layers,
-        process: AbstractProcess,
-        cos_incidence,
-        *,
-        cos_exit=None,
-        azimuth=None,
-        key=None,
-        rays=None,
-    ):
-        """Transport of light from direction `cos_incidence` (or `DIFFUSE`); see `Solution`.
-
-        The BRDF is the average over cells of the cosine bounded half-way between the exits asked
-        for.
-        """
-        counts = self.count(layers, process, cos_incidence, cos_exit=cos_exit, key=key, rays=rays)
-        return self.summarise(counts, layers, cos_exit)
+    def solve(self, layers: Layers, light: Light, *, key: PRNGKey | None = None) -> Solution:
+        """See `AbstractSolver.solve`."""
+        return self.summarise(self.count(layers, light, key=key), layers, light.exits)
 
     def count(
-        self,
-        layers,
-        process,
-        cos_incidence,
-        *,
-        cos_exit=None,
-        key=None,
-        rays=None,
-        first=0,
-        last=None,
-    ):
+        self, layers: Layers, light: Light, *, key: PRNGKey | None, first: Any = 0, last: Any = None
+    ) -> Counts:
         """Follow photons `first` to `last` (default all) and count their fates; blocks of them add.
 
-        `first` and `last` may be traced. Returns `Counts`.
+        `first` and `last` may be traced.
         """
-        checked_process(self, process, AbstractProcess)
         check_key(key)
-        if isinstance(process, Ilit):
-            checked_process(self, process, Ilit, layers)
-        layers, cos_exit = _constant((layers, cos_exit))
-        if not isinstance(cos_incidence, str):
-            cos_incidence = _constant(cos_incidence)
-        if cos_exit is not None and not isinstance(process, Ilit):
+        if isinstance(self.process, Ilit):
+            check_rayleigh(self, layers)
+        elif light.exits is not None:
             raise ValueError(
                 "MonteCarlo has no BRDF of radiative transfer; "
                 "use RadiativeExact, or PolarisedMonteCarlo to sample"
             )
-        cells = None if cos_exit is None else _cells(cos_exit)
+        layers, light = _constant((layers, light))
+        cells = None if light.exits is None else _cells(light.exits)
         share = (
             jnp.ones_like(layers.extinction)
-            if rays is None
-            else jnp.asarray(rays) / jnp.max(jnp.asarray(rays))
+            if light.power is None
+            else light.power / jnp.max(light.power)
         )
         wanted = jnp.maximum(
             jnp.ceil(self.n_photons * share.astype(jnp.result_type(float))), 1
         ).astype(jnp.int32)
         start = jnp.asarray(first, jnp.int32)
         end = wanted if last is None else jnp.minimum(jnp.asarray(last, jnp.int32), wanted)
-        mirrored = first_surface(cos_incidence, layers.indices, layers.extinction.dtype)[0]
-        incidence = -1.0 if isinstance(cos_incidence, str) else cos_incidence
+        mirrored = first_surface(light, layers.indices, layers.extinction.dtype)[0]
+        incidence = -1.0 if light.cosine is None else light.cosine
         return laid_out_as(
             layers.extinction,
             Counts._make((2, None if cells is None else 2, 1)),
-            lambda *x: _count(*x, process, self),
+            lambda *x: _count(*x, self),
             *(key, layers, mirrored, incidence, start, end, cells, scales()),
         )
 
-    def summarise(self, counts: Counts, layers: Layers, cos_exit=None) -> Solution:
-        """Shares and standard errors from counts; a count of none still has an error (Laplace's
-        rule).
+    def summarise(
+        self, counts: Counts, layers: Layers, exits: Directions | None = None
+    ) -> Solution:
+        """Compute shares and standard errors from counts.
+
+        A count of none still has an error, by Laplace's rule.
         """
         dtype = layers.extinction.dtype
         n = counts.photons.astype(dtype)
         fates = counts.fates.astype(dtype)
         share = fates / n[:, None]
         brdf = brdf_error = None
-        if counts.exits is not None:
-            cells = _cells(cos_exit).astype(dtype)
+        if counts.exits is not None and exits is not None:
+            cells = _cells(exits).astype(dtype)
             scale = jnp.pi * (cells[:, 1] ** 2 - cells[:, 0] ** 2)
             brdf = counts.exits.astype(dtype) / n[:, None] / scale[None]
             brdf_error = _binomial_error(counts.exits.astype(dtype), n[:, None]) / scale[None]
@@ -177,11 +159,11 @@ def _binomial_error(count, n):
     return jnp.sqrt(p * (1 - p) / n)
 
 
-def _cells(cos_exit):
+def _cells(exits: Directions):
     """Lower and upper cosine round each exit, half-way to the nearest different ones, (exits,
     2).
     """
-    c = jnp.asarray(cos_exit)
+    c = exits.cosine
     gap = c[None, :] - c[:, None]
     apart = jnp.abs(gap) > 1e-6
     lower = jnp.where(apart & (gap < 0), c[None, :], -jnp.inf).max(1)
@@ -191,7 +173,7 @@ def _cells(cos_exit):
     return jnp.stack([low, high], -1).astype(jnp.float32)
 
 
-@partial(jax.jit, static_argnums=(8, 9))
+@partial(jax.jit, static_argnums=8)
 def _count(
     key,
     layers: Layers,
@@ -201,11 +183,10 @@ def _count(
     last,
     cells,
     scale,
-    process: AbstractProcess,
     solver: MonteCarlo,
 ) -> Counts:
-    rules = ilit.analog if isinstance(process, Ilit) else radiative.analog
-    event = partial(rules.event, process=process)
+    process = solver.process
+    event = partial(ilit_event if isinstance(process, Ilit) else radiative_event, process=process)
     n_waves = layers.extinction.shape[0]
     devices = 1 if solver.mesh is None else solver.mesh.size
     # Multiples of 16: whole vectors, a lane's loop never falls back to scalars.

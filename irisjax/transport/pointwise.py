@@ -7,8 +7,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from irisjax._types import PRNGKey
 from irisjax.optics.mixture import PhaseMixture
+from irisjax.tissue.indices import Order
 from irisjax.tissue.layers import Layers
+from irisjax.transport.light import Light
+from irisjax.transport.process import AbstractProcess
+from irisjax.transport.solution import Solution
 from irisjax.transport.solver import AbstractSolver
 
 
@@ -20,52 +25,40 @@ class Pointwise(AbstractSolver):
     """
 
     solver: AbstractSolver
+    process: AbstractProcess
 
-    def prepare(self, layers, process) -> "Pointwise":
+    def __init__(self, solver: AbstractSolver):
+        self.solver, self.process = solver, solver.process
+
+    def prepare(self, layers: Layers, light: Light) -> "Pointwise":
         """Prepare the solver inside."""
-        return Pointwise(type(self.solver).prepare(self.solver, layers, process))
-
-    def along(self, layers, cos_incidence, cos_exit=None) -> "Pointwise":
-        """As the solver inside."""
-        return Pointwise(type(self.solver).along(self.solver, layers, cos_incidence, cos_exit))
+        return Pointwise(self.solver.prepare(layers, light))
 
     @property
     def numbers_per_wavelength(self) -> int:
         """Those of the solver inside."""
         return self.solver.numbers_per_wavelength
 
-    def solve(
-        self,
-        layers: Layers,
-        process,
-        cos_incidence,
-        *,
-        cos_exit=None,
-        azimuth=None,
-        key=None,
-        rays=None,
-    ):
+    def solve(self, layers: Layers, light: Light, *, key: PRNGKey | None = None) -> Solution:
         """See `AbstractSolver.solve`."""
-        if cos_exit is not None:
+        if light.exits is not None:
             raise ValueError("Pointwise solves for reflectances; a BRDF needs the solver itself")
-        diffuse = isinstance(cos_incidence, str)
-        run = partial(_solution, layers.order, process, cos_incidence if diffuse else None)
-        held = layers.stroma_scattering if self.solver.scattering_is_known else None
-        how = self.solver, layers.indices, None if diffuse else cos_incidence, key, rays, held
+        known = layers.stroma_scattering if self.solver.scattering_is_known else None
+        how = self.solver, layers.indices, light, key, known
         depths = layers.abl_absorption, layers.stroma_absorption
-        depths = depths if held is not None else (*depths, layers.stroma_scattering)
+        depths = depths if known is not None else (*depths, layers.stroma_scattering)
         if layers.phase is not None:
             depths = (*depths, layers.phase.rayleigh, layers.phase.anisotropy)
-        return _by_wavelength(run, how, depths)
+        return _by_wavelength(partial(_solution, layers.order), how, depths)
 
 
-def _solution(order, process, diffuse, how, depths):
-    solver, indices, cosine, key, rays, scattering = how
+def _solution(order: Order, how, depths) -> Solution:
+    solver, indices, light, key, scattering = how
     abl, stroma, *others = depths
     scattering = others.pop(0) if scattering is None else scattering
     phase = PhaseMixture(*others) if others else None
     layers = Layers(abl, stroma, scattering, indices, order, phase)
-    return solver.solve(layers, process, diffuse or cosine, key=key, rays=rays)
+    return solver.solve(layers, light, key=key)
 
 
 @eqx.filter_custom_jvp

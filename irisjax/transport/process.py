@@ -106,6 +106,11 @@ PROCESSES: dict[str, AbstractProcess] = {
 """Processes by the name the command line gives them."""
 
 
+def is_polarised(process: AbstractProcess) -> bool:
+    """Whether a process follows light by its Stokes vector."""
+    return isinstance(process, RadiativeTransfer) and process.polarised
+
+
 def option_of(process: AbstractProcess) -> str:
     """The name that the command line gives a process; what outputs call it where it has none."""
     names = (name for name, known in PROCESSES.items() if known == process)

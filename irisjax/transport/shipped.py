@@ -3,11 +3,11 @@
 from irisjax.tissue.indices import RefractiveIndices
 from irisjax.tissue.iris import Iris
 from irisjax.transport.ilit import shipped as ilit
-from irisjax.transport.process import AbstractProcess, Ilit
+from irisjax.transport.process import POLARISED, AbstractProcess, Ilit, is_polarised
 from irisjax.transport.radiative import shipped as radiative
 from irisjax.transport.radiative.adding import AddingDoubling
 from irisjax.transport.radiative.exact import RadiativeExact
-from irisjax.transport.solver import AbstractSolver, is_polarised
+from irisjax.transport.solver import AbstractSolver
 
 
 def table(indices: RefractiveIndices, process: AbstractProcess) -> AbstractSolver:
@@ -18,7 +18,7 @@ def table(indices: RefractiveIndices, process: AbstractProcess) -> AbstractSolve
     if isinstance(process, Ilit):
         return ilit.table(indices, process)
     if is_polarised(process):
-        return RadiativeExact(16, 8)
+        return RadiativeExact(16, 8, process=POLARISED)
     try:
         return radiative.table(indices)
     except ValueError:

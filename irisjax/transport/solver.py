@@ -1,102 +1,74 @@
-"""What instruments and the inversion ask of a solver."""
+"""What instruments and the inversion require of a solver."""
 
 import abc
-from collections.abc import Callable
-from typing import ClassVar, TypeVar
+from typing import ClassVar
 
 import equinox as eqx
 
+from irisjax._types import PRNGKey
 from irisjax.tissue.layers import Layers
-from irisjax.transport.process import AbstractProcess, RadiativeTransfer
+from irisjax.transport.light import Light
+from irisjax.transport.process import AbstractProcess
 from irisjax.transport.solution import Solution
-
-P = TypeVar("P", bound=AbstractProcess)
 
 
 class AbstractSolver(eqx.Module):
-    """A solver is an immutable value: a method and its settings.
+    """A solver is an immutable value: a process, a method for it, and the method's settings.
 
-    A new one is a subclass with these two methods; no instrument needs to know of it.
+    A new one is a subclass with a `process` and a method `solve`; no instrument needs to know it.
 
-    - `scattering_is_known`: whether it is made for layers that scatter alike, without derivatives
-        by their scattering.
+    Attributes:
+        process: The rules that the light follows.
+        scattering_is_known: Whether the solver is made for layers that scatter alike, and has no
+            derivatives with respect to their scattering.
     """
 
+    process: eqx.AbstractVar[AbstractProcess]
     scattering_is_known: ClassVar[bool] = False
 
-    @abc.abstractmethod
-    def prepare(self, layers: Callable[[], Layers], process: AbstractProcess) -> "AbstractSolver":
-        """The solver with all fixed that must be known before tracing.
+    def prepare(self, layers: Layers, light: Light) -> "AbstractSolver":
+        """Return the solver with all settings fixed that must be known before tracing.
 
-        `layers` gives the layers (concrete ones, if the caller has them) when called. **Raises:**
-        `ValueError` for a process that the solver does not treat.
-        """
-
-    def along(self, layers: Callable[[], Layers], cos_incidence, cos_exit=None) -> "AbstractSolver":
-        """The solver with what light from and into these directions takes; called before `prepare`
-        where they are known. Most solvers need nothing.
+        Args:
+            layers: The layers, with concrete values where the caller has them.
+            light: The light, likewise.
         """
         return self
 
     @abc.abstractmethod
-    def solve(
-        self,
-        layers: Layers,
-        process: AbstractProcess,
-        cos_incidence,
-        *,
-        cos_exit=None,
-        azimuth=None,
-        key=None,
-        rays=None,
-    ) -> Solution:
-        """Transport of light from direction `cos_incidence` in the aqueous humour, or `DIFFUSE`.
+    def solve(self, layers: Layers, light: Light, *, key: PRNGKey | None = None) -> Solution:
+        """Compute where the light goes.
 
-        **Arguments:** `cos_exit`, `azimuth`: exit directions, shape (exits,), for the BRDF, or
-        `None`; `key`: for solvers that sample; `rays`: relative number of rays a wavelength for
-        those.
+        Args:
+            layers: The iris at the wavelengths of interest.
+            light: The light on it, and the directions it is observed from.
+            key: For solvers that sample.
         """
 
     @property
     def numbers_per_wavelength(self) -> int:
-        """Those in the largest array on the way to a solution: many spectra are solved in portions
-        that stay in the processor's cache.
+        """Size, per wavelength, of the largest array on the way to a solution.
+
+        Many spectra are solved in chunks that stay in the processor's cache.
         """
         return 1
 
 
-def checked_process(
-    solver,
-    process: AbstractProcess,
-    kind: type[P],
-    layers: Layers | None = None,
-    *,
-    polarised: bool = False,
-) -> P:
-    """The process, of the kind that a solver treats; `ValueError` if it is of another, if it is of
-    polarised light where the solver is of scalar theory, or if `layers` scatter otherwise than by
-    Rayleigh's law, the only one that most solvers know.
-    """
-    if not isinstance(process, kind):
-        name = _name(solver)
-        raise ValueError(f"{name} treats {kind.__name__} processes, not {type(process).__name__}")
-    if is_polarised(process) and not polarised:
+def check_process(solver: AbstractSolver, kind: type[AbstractProcess]) -> None:
+    """Raise `ValueError` unless the solver's process is of the kind that it treats."""
+    if not isinstance(solver.process, kind):
         raise ValueError(
-            f"{_name(solver)} does not treat polarised light; use RadiativeExact, or "
-            "PolarisedMonteCarlo to sample"
+            f"{type(solver).__name__} treats {kind.__name__} processes, not "
+            f"{type(solver.process).__name__}"
         )
-    if layers is not None and layers.phase is not None:
+
+
+def check_rayleigh(solver: AbstractSolver, layers: Layers) -> None:
+    """Raise `ValueError` if the layers scatter otherwise than by Rayleigh's law, the only one that
+    most solvers treat.
+    """
+    if layers.phase is not None:
         raise ValueError(
             "a power law of scattering takes radiative transfer (depth-resolved) by AddingDoubling "
-            f"or MonteCarlo, not {type(process).__name__} by {_name(solver)}"
+            f"or MonteCarlo, not {solver.process.transport} transport by {type(solver).__name__}"
         )
-    return process
-
-
-def is_polarised(process: AbstractProcess) -> bool:
-    """Whether a process follows light by its Stokes vector."""
-    return isinstance(process, RadiativeTransfer) and process.polarised
-
-
-def _name(solver) -> str:
-    return getattr(solver, "__name__", type(solver).__name__)

@@ -20,6 +20,7 @@ from irisjax.render.scene import Scene
 from irisjax.render.stages import Memory
 from irisjax.tissue.iris import Iris
 from irisjax.tissue.maps import IrisMaps
+from irisjax.transport.defaults import exact_solver
 from irisjax.transport.process import AbstractProcess
 from irisjax.view.settings import CAMERA, GIVEN, LIGHT, PIGMENTS, Settings, values_of
 from irisjax.view.staging import Staging, encoded, environments
@@ -121,7 +122,7 @@ class Studio:
 
     def spectrum(self) -> tuple[np.ndarray, Colour]:
         """Reflectance of the uniform iris, without an eye round it, on `GRID`; and its colour."""
-        found = reflectance(self.iris, GRID, process=self._process(self.settings))
+        found = reflectance(self.iris, GRID, solver=exact_solver(self._process(self.settings)))
         colour = colour_of(GRID, found.values, illuminant=self._base.illuminant)
         return np.asarray(found.values), colour
 

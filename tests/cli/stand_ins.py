@@ -15,6 +15,7 @@ from irisjax.infer.identifiability import Direction, Information
 from irisjax.infer.other_process import PIGMENTS, Interval, Moved, ProcessComparison
 from irisjax.infer.parameters import kind
 from irisjax.infer.posterior import Chains, ChainStatus
+from irisjax.transport.process import AbstractProcess
 from irisjax.transport.solution import RESULTS, Absorbed
 from irisjax.transport.solver import AbstractSolver
 
@@ -25,30 +26,27 @@ class Quick(AbstractSolver):
     """No light transport: a formula that tells all layers, switches and directions apart."""
 
     name: str = eqx.field(static=True, default="quick")
+    process: AbstractProcess = eqx.field(default=ij.ILIT_2006, kw_only=True)
 
-    def prepare(self, layers, process):
-        return self
-
-    def solve(
-        self, layers, process, cos_incidence, *, cos_exit=None, azimuth=None, key=None, rays=None
-    ):
+    def solve(self, layers, light, *, key=None):
         n = layers.indices
-        said = process.describe()
+        said = self.process.describe()
         switches = (
             said.get("phase") == "rayleigh",
             said.get("rescatter") == "retest",
             said.get("perturb_on_reflection", False),
             not said,
         )
-        cosine = 0.3 if isinstance(cos_incidence, str) else cos_incidence
+        cosine = 0.3 if light.cosine is None else light.cosine
         bent = cosine * n.aqueous / (n.abl * n.stroma * n.ipe)
         factor = 1 + 0.01 * sum(on / 2**i for i, on in enumerate(switches)) + 0.1 * bent
         back = 0.3 * factor * layers.albedo * jnp.exp(-2 * layers.abl_absorption)
         back = back * -jnp.expm1(-layers.extinction)
         mirrored = 0.01 * cosine * jnp.ones_like(back)
         brdf = None
-        if cos_exit is not None:
-            brdf = back[:, None] * cos_exit * (1 + 0.1 * jnp.cos(azimuth)) / jnp.pi
+        if light.exits is not None:
+            cosine, azimuth = light.exits.cosine, light.exits.azimuth
+            brdf = back[:, None] * cosine * (1 + 0.1 * jnp.cos(azimuth)) / jnp.pi
         return ij.Solution(
             reflectance=back,
             mirrored=mirrored,
@@ -64,10 +62,13 @@ class Quick(AbstractSolver):
 def with_quick(monkeypatch):
     true = ij.problem
     for module in (model, simulate):
-        monkeypatch.setattr(module, "exact_solver", lambda process, iris=None, **how: Quick())
-    monkeypatch.setattr(
-        ij, "problem", lambda *given, **stated: true(*given, **{**stated, "solver": Quick()})
-    )
+        monkeypatch.setattr(module, "exact_solver", lambda p, iris=None, **how: Quick(process=p))
+
+    def problem(*given, process=ij.ILIT_2006, solver=None, **stated):
+        process = process if solver is None else solver.process
+        return true(*given, **stated, solver=Quick(process=process))
+
+    monkeypatch.setattr(ij, "problem", problem)
 
 
 class Sampled(NamedTuple):

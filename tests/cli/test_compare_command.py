@@ -29,7 +29,7 @@ def compared(quick, monkeypatch):
         calls.append(problem)
         out = []
         for i, process in enumerate((ij.ILIT_2006, ij.DEPTH_RESOLVED)):
-            mine = ij.problem(problem.observations, process=process, solver=Quick())
+            mine = ij.problem(problem.observations, solver=Quick(process=process))
             names = ("melanin_load", "abl_fraction", "noise")
             values = {n: Interval(0.1 * (i + 1), 0.05, 0.4) for n in names}
             ratios = {n: Interval(1.0 + i, 0.5, 4.0) for n in values}

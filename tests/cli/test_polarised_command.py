@@ -41,7 +41,7 @@ def test_instruments_are_the_librarys(irisjax, coarse, printed):
         header, columns = printed(out)
         assert (header["process"], header["polarised"]) == ("depth-resolved", "yes")
         assert "photographs" in header["approximation"]
-        expected = ij.observe(iris, instrument, ij.POLARISED, SOLVER).values
+        expected = ij.observe(iris, instrument, SOLVER).values
         np.testing.assert_allclose(columns[column], expected, rtol=1e-9)
 
 

@@ -45,7 +45,7 @@ CASES = {
             cos_incidence=0.5,
             cos_exit=ij.principal_plane(6)[1],
             azimuth=ij.principal_plane(6)[2],
-            process=ij.ILIT_CORRECTED,
+            solver=ij.IlitExact(process=ij.ILIT_CORRECTED),
             **how,
         ),
     ),
@@ -88,7 +88,7 @@ def test_a_power_law_of_scattering_is_measured_from_the_shell(irisjax, printed, 
     header, columns = printed(out)
     assert "not known under a power law" in header["approximation"]
     iris = ij.Iris().replace(reduced_scattering=1.2, anisotropy=float(g))
-    expected = ij.reflectance(iris, ij.wavelengths(400, 700, 100), process=ij.DEPTH_RESOLVED)
+    expected = ij.reflectance(iris, ij.wavelengths(400, 700, 100), solver=ij.RadiativeExact())
     np.testing.assert_allclose(columns["reflectance"], expected.values, rtol=1e-9)
 
 

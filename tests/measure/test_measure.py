@@ -88,7 +88,7 @@ def test_jit_vmap_and_grad():
     _, irides = all_irides()
 
     def measured(iris):
-        return ij.reflectance(iris, GRID, process=ij.ILIT_CORRECTED, solver=FEW)
+        return ij.reflectance(iris, GRID, solver=ij.IlitExact(12, process=ij.ILIT_CORRECTED))
 
     batch = quick_jit(jax.vmap(measured))(irides)
     assert batch.values.shape == (9, 31)

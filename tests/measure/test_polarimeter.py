@@ -9,11 +9,11 @@ from common import slowly
 
 GRID = [450.0, 620.0]
 IRIS = ij.Iris.of_level("low")
-SOLVER = ij.RadiativeExact(24, 8, 1)
+SOLVER = ij.RadiativeExact(24, 8, 1, process=ij.POLARISED)
 
 
 def read(instrument, solver=SOLVER, iris=IRIS, **options):
-    return ij.observe(iris, instrument, ij.POLARISED, solver, **options)
+    return ij.observe(iris, instrument, solver, **options)
 
 
 @pytest.mark.parametrize("where", [slowly(1.0), slowly(0.6), "hemisphere"])
@@ -72,7 +72,7 @@ def test_errors_of_sampled_values():
     for instrument in instruments:
         photons = ij.PolarisedMonteCarlo(65_536, 0.1)
         sampled = read(instrument, photons, bright, key=jax.random.key(2))
-        exact = read(instrument, ij.RadiativeExact(24, 8), bright)
+        exact = read(instrument, ij.RadiativeExact(24, 8, process=ij.POLARISED), bright)
         z = (sampled.values - exact.values) / sampled.standard_error
         assert np.abs(z).max() < 4
         assert (np.asarray(sampled.standard_error) < exact.values).all()
@@ -80,10 +80,8 @@ def test_errors_of_sampled_values():
 
 def test_refusals():
     analyser = ij.Analyser(GRID)
-    with pytest.raises(ValueError, match=r"Analyser sees polarisation; give process=Radiative"):
-        ij.observe(IRIS, analyser, ij.DEPTH_RESOLVED)
-    with pytest.raises(ValueError, match="does not treat polarised light"):
-        ij.observe(IRIS, analyser, ij.POLARISED, ij.MonteCarlo(10), key=jax.random.key(0))
+    with pytest.raises(ValueError, match="Analyser sees polarisation; give solver=Radiative"):
+        ij.observe(IRIS, analyser, ij.RadiativeExact())
     for settings, said in (
         ({"polariser": None}, "give its angle"),
         ({"polariser": 30.0}, r"polariser = 30 rad is outside"),

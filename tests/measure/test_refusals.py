@@ -53,8 +53,8 @@ def test_analogue_monte_carlo_has_no_derivatives(what, derivative):
 def test_depth_resolved_monte_carlo_has_no_derivatives():
     def value(x):
         iris = ij.Iris.of_level("low").replace(eumelanin=x)
-        solver = ij.MonteCarlo(100, lanes=16)
-        m = ij.reflectance(iris, SHORT, process=ij.DEPTH_RESOLVED, solver=solver, key=KEY)
+        solver = ij.MonteCarlo(100, lanes=16, process=ij.DEPTH_RESOLVED)
+        m = ij.reflectance(iris, SHORT, solver=solver, key=KEY)
         return m.values.sum()
 
     with pytest.raises(NotImplementedError, match="MonteCarlo has no derivatives"):
@@ -194,7 +194,7 @@ def test_one_program_for_every_kind_of_number():
 @pytest.mark.parametrize("measure", [ij.reflectance, *map(slowly, (ij.radiance, ij.colour))])
 def test_failures_are_told_one_way(measure):
     iris = ij.Iris().replace(eumelanin=1e3, scattering_scale=1e6)
-    settings = {"process": ij.DEPTH_RESOLVED, "solver": ij.RadiativeExact(8, 4, n_panels=1)}
+    settings = {"solver": ij.RadiativeExact(8, 4, n_panels=1)}
     with pytest.raises(ValueError, match="for the number of depth panels"):
         measure(iris, SHORT, **settings)
     told = measure(iris, SHORT, **settings, throw=False)
@@ -203,11 +203,12 @@ def test_failures_are_told_one_way(measure):
 
 @pytest.mark.slow  # 15 s of compiling
 def test_diffuse_light_by_monte_carlo():
-    settings = {"cos_incidence": "diffuse", "solver": ij.MonteCarlo(2_000, lanes=64), "key": KEY}
-    for process in (ij.ILIT_2006, ij.DEPTH_RESOLVED):
-        found = ij.reflectance(ij.Iris.of_level("low"), SHORT, process=process, **settings)
-        exact = ij.reflectance(
-            ij.Iris.of_level("low"), SHORT, process=process, cos_incidence="diffuse"
+    iris = ij.Iris.of_level("low")
+    for solver in (ij.IlitExact(), ij.RadiativeExact()):
+        photons = ij.MonteCarlo(2_000, lanes=64, process=solver.process)
+        found, exact = (
+            ij.reflectance(iris, SHORT, cos_incidence="diffuse", solver=s, key=KEY)
+            for s in (photons, solver)
         )
         z = (found.values - exact.values) / found.standard_error
         assert np.abs(z).max() < 4

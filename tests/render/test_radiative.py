@@ -31,7 +31,7 @@ EXACT = ij.RadiativeExact(24, 8, 1)
 
 @jax.jit
 def solved(layers, incidence, exits, azimuths):
-    return EXACT.solve(layers, ij.DEPTH_RESOLVED, incidence, cos_exit=exits, azimuth=azimuths)
+    return EXACT.solve(layers, ij.Light(incidence, ij.Directions(exits, azimuths)))
 
 
 def scaled(iris, abl=1.0, stroma=1.0, scattering=1.0):

@@ -159,9 +159,7 @@ def test_radiative_transfer_where_little_is_scattered_twice():
                 eumelanin=0.0, pheomelanin=0.0, oxyhemoglobin=0.0, deoxyhemoglobin=0.0, **thin
             )
         made = iris.layers(ij.extinction(np.asarray(WAVES)), 1.0)
-        solved = solve(
-            ij.DEPTH_RESOLVED, made, -towards[2], ij.RadiativeExact(24), direction[pick, 2], azimuth
-        )
+        solved = solve(ij.RadiativeExact(24), made, -towards[2], direction[pick, 2], azimuth)
         true = np.asarray(solved.brdf).T * -towards[2]
         air = bare().replace(aqueous_index=1.0)
         found = shown(scene(iris, lights=lights).replace(eye=air))[pick]

@@ -22,7 +22,7 @@ def mixed(abl, absorption, scattering, rayleigh, g, indices):
 
 
 def _solve(seen, cosine, solver):
-    return solver.solve(seen, ij.DEPTH_RESOLVED, cosine)
+    return solver.solve(seen, ij.Light(cosine))
 
 
 solve = quick_jit(_solve)

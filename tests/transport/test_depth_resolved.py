@@ -16,9 +16,9 @@ from irisjax.optics.fresnel import fresnel_at
 IRIS = (1.336, 1.4733333333, 1.4727930095, 1.5)
 
 
-def solve(made, *args, **kwargs):
+def solve(made, cosine=1.0, solver=None, **exits):
     """One program for every order of media."""
-    return common.solve(ij.DEPTH_RESOLVED, any_order(made), *args, **kwargs)
+    return common.solve(solver or ij.RadiativeExact(), any_order(made), cosine, **exits)
 
 
 def test_reference_table():
@@ -28,11 +28,7 @@ def test_reference_table():
     solver = ij.RadiativeExact(n_panels=2)
     run = quick_jit(
         jax.vmap(
-            lambda iris, mu: (
-                ij.reflectance(
-                    iris, GRID, process=ij.DEPTH_RESOLVED, cos_incidence=mu, solver=solver
-                ).values
-            ),
+            lambda iris, mu: ij.reflectance(iris, GRID, cos_incidence=mu, solver=solver).values,
             in_axes=(0, None),
         )
     )
@@ -192,7 +188,7 @@ def test_brdf_integrates_to_reflectance():
 )
 def test_deep_layers_ask_for_panels(depths):
     made = layers(0.0, np.array(depths), 0.5, IRIS)
-    assert ij.RadiativeExact().prepare(lambda: made, ij.DEPTH_RESOLVED).n_panels > 1
+    assert ij.RadiativeExact().prepare(made, ij.Light(1.0)).n_panels > 1
     one = solve(made, solver=ij.RadiativeExact(n_panels=1))
     assert bool(one.status == ij.RESULTS.under_resolved)
     assert bool(solve(made).status == ij.RESULTS.successful)
@@ -207,9 +203,7 @@ def test_depths_and_albedos_converge(thickest):
     rng = np.random.default_rng(5)
     depth, albedo = 10 ** rng.uniform(-2, thickest, 60), 1 - 10 ** rng.uniform(-3, 0, 60)
     made = [layers(0.01, t * (1 - w), t * w, IRIS) for t, w in zip(depth, albedo, strict=True)]
-    panels = np.array(
-        [ij.RadiativeExact().prepare(lambda m=m: m, ij.DEPTH_RESOLVED).n_panels for m in made]
-    )
+    panels = np.array([ij.RadiativeExact().prepare(m, ij.Light(1.0)).n_panels for m in made])
     assert set(panels) >= {1, 2, 3}
     together = layers(0.01, depth * (1 - albedo), depth * albedo, IRIS)
     finest = solve(
@@ -254,7 +248,7 @@ def test_darker_than_ilit():
     iris = ij.Iris.of_level("low")
     at = int(np.flatnonzero(GRID == 450)[0])
     whole = ij.reflectance(iris, GRID).values[at]
-    spectrum = ij.reflectance(iris, GRID, process=ij.DEPTH_RESOLVED).values
+    spectrum = ij.reflectance(iris, GRID, solver=ij.RadiativeExact()).values
     resolved = spectrum[at]
     assert whole == pytest.approx(0.0405, abs=5e-5)
     assert resolved == pytest.approx(0.0202, abs=5e-5)
@@ -284,25 +278,23 @@ def test_grazing_light_has_the_panels_that_it_takes(polarised):
     colourless = dict.fromkeys(pigments, 0.0)
     matched = dict.fromkeys(("abl_index", "stroma_index", "ipe_index"), 1.336)
     process = ij.RadiativeTransfer(polarised=polarised)
-    fine = ij.RadiativeExact(n_panels=12)
+    own, fine = (ij.RadiativeExact(n_panels=n, process=process) for n in (None, 12))
     for scale, independent in ((1.0, 0.57602924), (4.0, None)):
         iris = ij.Iris(**colourless, **matched, scattering_scale=scale)
         found, expected = (
-            ij.reflectance(iris, [450.0], process=process, cos_incidence=0.003, solver=s).values
-            for s in (None, fine)
+            ij.reflectance(iris, [450.0], cos_incidence=0.003, solver=s).values for s in (own, fine)
         )
         np.testing.assert_allclose(found, expected, rtol=1e-7)
         if independent is not None and not polarised:
             np.testing.assert_allclose(found, independent, rtol=3e-8)
     if not polarised:
         found, expected = (
-            ij.brdf(iris, [450.0], cos_incidence=0.03, cos_exit=[1.0, 0.003], solver=s,
-                    process=process).values
-            for s in (None, fine)
+            ij.brdf(iris, [450.0], cos_incidence=0.03, cos_exit=[1.0, 0.003], solver=s).values
+            for s in (own, fine)
         )  # fmt: skip
         np.testing.assert_allclose(found, expected, rtol=1e-6)
         coarse = ij.reflectance(
-            iris, [450.0], process=process, cos_incidence=0.003, throw=False,
+            iris, [450.0], cos_incidence=0.003, throw=False,
             solver=ij.RadiativeExact(n_panels=1),
         )  # fmt: skip
         assert coarse.status == ij.RESULTS.under_resolved

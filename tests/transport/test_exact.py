@@ -22,6 +22,7 @@ def mostly_slow(names, fast):
 SINGLE = ("lb06", "rayleigh-retest", "depth-resolved")
 
 STANDARD = ij.IlitExact()
+CORRECTED = ij.IlitExact(process=ij.ILIT_CORRECTED)
 
 
 @functools.cache
@@ -34,7 +35,6 @@ def spectra(process, n_angles=40, bits=64):
         return ij.reflectance(
             iris,
             GRID,
-            process=process,
             solver=common.exact(process, n_angles),
             first_surface=False,
             throw=False,
@@ -81,7 +81,7 @@ def test_multiprecision(level, fraction, wavelength):
         float(depths.stroma_absorption[0]),
         float(depths.stroma_scattering[0]),
     )
-    found = ij.reflectance(iris, grid, process=ij.ILIT_CORRECTED, first_surface=False).values[0]
+    found = ij.reflectance(iris, grid, solver=CORRECTED, first_surface=False).values[0]
     assert found == pytest.approx(expected, rel=1e-10)
     if (level, fraction, wavelength) == ("low", 0.2, 690.0):
         row = next(

@@ -84,16 +84,16 @@ def test_single_precision_says_where_it_loses_count():
     """Scattered 10¹² times before it is absorbed, light would leave with up to 0.3 % too little."""
     with jax.enable_x64(False):
         seen = mixed(0.1, 0.0, np.full(8, 1e6), 0.0, 0.9, LB06)
-        status = ij.AddingDoubling(16, 23).solve(seen, ij.DEPTH_RESOLVED, 1.0).status
+        status = ij.AddingDoubling(16, 23).solve(seen, ij.Light(1.0)).status
     assert bool(status == ij.RESULTS.ill_conditioned)
 
 
 def test_too_few_doublings_are_said():
     seen = mixed(0.1, 10.0, np.full(8, 990.0), 0.0, 0.9, LB06)
     assert bool(solve(seen, 1.0, SOLVER).status == ij.RESULTS.under_resolved)
-    prepared = SOLVER.prepare(lambda: seen, ij.DEPTH_RESOLVED)
+    prepared = SOLVER.prepare(seen, ij.Light(1.0))
     assert prepared.n_doublings == 8  # stated is stated
-    assert ij.AddingDoubling(16).prepare(lambda: seen, ij.DEPTH_RESOLVED).n_doublings == 16
+    assert ij.AddingDoubling(16).prepare(seen, ij.Light(1.0)).n_doublings == 16
 
 
 @pytest.mark.heavy
@@ -101,8 +101,8 @@ def test_photons_agree():
     """Of 4 million photons, within four standard errors, with mismatched indices."""
     absorption, scattering = np.array([0.05, 0.5, 0.02]), np.array([3.0, 5.0, 0.4])
     seen = mixed(0.1, absorption, scattering, np.array([0.1, 0.0, 0.5]), [0.85, 0.7, -0.4], LB06)
-    photons = jax.jit(lambda s: ij.MonteCarlo(4_000_000).solve(
-        s, ij.DEPTH_RESOLVED, 1.0, key=jax.random.key(3)))(seen)  # fmt: skip
+    solver = ij.MonteCarlo(4_000_000, process=ij.DEPTH_RESOLVED)
+    photons = jax.jit(lambda s: solver.solve(s, ij.Light(1.0), key=jax.random.key(3)))(seen)
     found = solve(seen, 1.0, ij.AddingDoubling(32, 8))
     apart = np.asarray((photons.reflectance - found.reflectance) / photons.standard_error)
     assert np.abs(apart).max() < 4
@@ -162,10 +162,7 @@ def test_thick_tissue_obeys_the_similarity_relation():
 @pytest.mark.heavy
 def test_brdf_is_reciprocal_and_rayleighs_is_the_exact_solvers():
     def brdf(seen, mu_in, mu_out, solver):
-        seen = solver.solve(
-            seen, ij.DEPTH_RESOLVED, mu_in, cos_exit=mu_out[None], azimuth=jnp.array([0.7])
-        )
-        return seen.brdf[:, 0]
+        return solver.solve(seen, ij.Light(mu_in, ij.Directions(mu_out, 0.7))).brdf[:, 0]
 
     run = quick_jit(brdf)
     a, b = jnp.asarray(0.9), jnp.asarray(0.4)
@@ -179,17 +176,12 @@ def test_brdf_is_reciprocal_and_rayleighs_is_the_exact_solvers():
 
 
 @pytest.mark.parametrize(
-    ("process", "solver"),
-    [
-        (ij.ILIT_2006, None),
-        (ij.DEPTH_RESOLVED, ij.RadiativeExact()),
-        (ij.ILIT_2006, ij.MonteCarlo(1000)),
-    ],
+    "solver", [None, ij.RadiativeExact(), ij.MonteCarlo(1000), ij.PolarisedMonteCarlo(1000)]
 )
-def test_solvers_of_rayleighs_law_refuse(process, solver):
+def test_solvers_of_rayleighs_law_refuse(solver):
     iris = ij.Iris(power_law=ij.PowerLaw())
     with pytest.raises(ValueError, match="a power law of scattering takes radiative transfer"):
-        ij.reflectance(iris, [500.0], process=process, solver=solver, key=jax.random.key(0))
+        ij.reflectance(iris, [500.0], solver=solver, key=jax.random.key(0))
 
 
 def test_a_picture_refuses():

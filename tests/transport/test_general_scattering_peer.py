@@ -69,7 +69,7 @@ def _iadpython(iad, g, indices, glass, points):
     return np.stack(made.rt(), -1)
 
 
-BARE, GLAZED = (MATCHED, 0.0, (ij.DIFFUSE,)), (UNDER_GLASS, 0.05, (1.0, ij.DIFFUSE))
+BARE, GLAZED = (MATCHED, 0.0, (None,)), (UNDER_GLASS, 0.05, (1.0, None))
 
 
 @pytest.mark.parametrize(("indices", "glass", "lights"), [BARE, GLAZED], ids=["bare", "glazed"])
@@ -80,7 +80,7 @@ def test_shares_of_light(indices, glass, lights):
     seen = _layers([(*slab, 0.0, g) for g in peaks for slab in SLABS], indices, glass)
 
     def run(made, solver):
-        found = [solver.solve(made, ij.DEPTH_RESOLVED, light) for light in lights]
+        found = [solver.solve(made, ij.Light(light)) for light in lights]
         shares = [x for y in found for x in (y.reflectance + y.mirrored, y.absorbed.ipe)]
         return jnp.stack(shares, -1)
 
@@ -126,10 +126,8 @@ def test_radiance_of_oblique_light():
     exits, azimuth = np.meshgrid(EXITS, np.radians(AZIMUTH), indexing="ij")
 
     def run(made, solver):
-        found = solver.solve(
-            made, ij.DEPTH_RESOLVED, jnp.asarray(cosine), cos_exit=jnp.asarray(exits.ravel()),
-            azimuth=jnp.asarray(azimuth.ravel()),
-        )  # fmt: skip
+        directions = ij.Directions(exits.ravel(), azimuth.ravel())
+        found = solver.solve(made, ij.Light(cosine, directions))
         shares = jnp.stack([found.reflectance, found.absorbed.ipe], -1)
         return jnp.concatenate([shares, found.brdf], -1)
 

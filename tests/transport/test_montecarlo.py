@@ -1,3 +1,4 @@
+import dataclasses
 import functools
 import os
 import subprocess
@@ -10,6 +11,7 @@ import jaxtyping
 import numpy as np
 import pytest
 
+import common
 import irisjax as ij
 from common import heavily, quick_jit
 
@@ -41,11 +43,10 @@ def exactly(**settings):
 def test_analog_agrees_with_exact(name, level, n):
     spheres = "rayleigh-spheres" if name == "retest" else "lb06"
     iris = ij.Iris.of_level(level).replace(scattering=spheres)
-    settings = {"process": ANALOG[name], "cos_incidence": 0.7, "first_surface": False}
-    exact = shares(exactly(**settings)(iris))
-    found = shares(
-        ij.reflectance(iris, GRID, **settings, solver=ij.MonteCarlo(n), key=jax.random.key(11))
-    )
+    settings = {"cos_incidence": 0.7, "first_surface": False}
+    exact = shares(exactly(solver=common.exact(ANALOG[name]), **settings)(iris))
+    photons = ij.MonteCarlo(n, process=ANALOG[name])
+    found = shares(ij.reflectance(iris, GRID, **settings, solver=photons, key=jax.random.key(11)))
     z = (found - exact) / np.sqrt(exact * (1 - exact) / n)
     # 20 comparisons a case, 200 in all: |z| < 4 fails by chance once in 80 runs of other seeds.
     assert np.abs(z).max() < 4
@@ -76,13 +77,13 @@ def test_equal_keys_give_equal_bytes():
     "name", ["printed", pytest.param("depth-resolved", marks=pytest.mark.slow)]
 )
 def test_lanes_and_blocks_do_not_change_a_photon(name):
-    iris, key, process = ij.Iris.of_level("low"), jax.random.key(3), ANALOG[name]
+    iris, key, light = ij.Iris.of_level("low"), jax.random.key(3), ij.Light(1.0)
     layers = iris.layers(ij.extinction(np.array(GRID)))
-    solver = ij.MonteCarlo(5_000)
-    whole = solver.count(layers, process, 1.0, key=key)
-    narrow = ij.MonteCarlo(5_000, lanes=64).count(layers, process, 1.0, key=key)
+    solver = ij.MonteCarlo(5_000, process=ANALOG[name])
+    whole = solver.count(layers, light, key=key)
+    narrow = dataclasses.replace(solver, lanes=64).count(layers, light, key=key)
     blocks = [
-        solver.count(layers, process, 1.0, key=key, first=a, last=b)
+        solver.count(layers, light, key=key, first=a, last=b)
         for a, b in ((0, 1), (1, 3_000), (3_000, 9_000))
     ]
     np.testing.assert_array_equal(whole.fates, narrow.fates)
@@ -97,9 +98,8 @@ def test_rays_follow_the_illuminant():
     found = ij.radiance(iris, GRID, illuminant="A", solver=solver, key=key)
     assert np.abs((found.values - exact.values) / found.standard_error).max() < 4
     layers = iris.layers(ij.extinction(np.array(GRID)))
-    photons = solver.count(
-        layers, ij.ILIT_2006, 1.0, key=key, rays=jnp.asarray([0.2, 0.4, 0.8, 0.1])
-    ).photons
+    light = ij.Light(1.0, power=jnp.asarray([0.2, 0.4, 0.8, 0.1]))
+    photons = solver.count(layers, light, key=key).photons
     np.testing.assert_array_equal(photons, [5_000, 10_000, 20_000, 2_500])
 
 
@@ -163,10 +163,9 @@ def test_what_is_not_offered_is_said():
     iris, key = ij.Iris.of_level("low"), jax.random.key(0)
     with pytest.raises(ValueError, match="needs a key"):
         ij.reflectance(iris, GRID, solver=ij.MonteCarlo(10))
+    deep = ij.MonteCarlo(10, process=ij.DEPTH_RESOLVED)
     with pytest.raises(ValueError, match="use RadiativeExact"):
-        ij.brdf(
-            iris, GRID, cos_exit=0.5, solver=ij.MonteCarlo(10), process=ij.DEPTH_RESOLVED, key=key
-        )
+        ij.brdf(iris, GRID, cos_exit=0.5, solver=deep, key=key)
 
 
 _PROGRAM = """
@@ -176,8 +175,8 @@ if sys.argv[1] != "-":
 import numpy as np, irisjax as ij
 layers = ij.Iris.of_level("low").layers(ij.extinction(np.array([450.0, 550.0])))
 for process in (ij.ILIT_2006, ij.DEPTH_RESOLVED):
-    solver = ij.MonteCarlo(20_000, mesh=ij.photon_mesh())
-    counts = solver.count(layers, process, 1.0, key=jax.random.key(3))
+    solver = ij.MonteCarlo(20_000, mesh=ij.photon_mesh(), process=process)
+    counts = solver.count(layers, ij.Light(1.0), key=jax.random.key(3))
     print("counts", len(jax.devices()), np.asarray(counts.fates).ravel().tolist())
 """
 

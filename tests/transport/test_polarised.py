@@ -9,7 +9,6 @@ import common
 import irisjax as ij
 from common import any_order, heavily, layers, quick_jit, reference
 from irisjax.optics.mueller import rotation
-from irisjax.transport.radiative import shipped
 
 IRIS = (1.336, 1.4733333333, 1.4727930095, 1.5)
 TURNING = (1.0, 1.3, 1.6, 1.2)  # total reflection at every interface
@@ -17,12 +16,12 @@ EXITS = np.array([1.0, 0.8, 0.8, 0.6, 0.4, 0.15])
 AZIMUTH = np.array([0.0, 0.3, 2.0, np.pi / 2, np.pi - 0.2, 1.0])
 
 
-SOLVER = ij.RadiativeExact(n_panels=2)
+SOLVER = ij.RadiativeExact(n_panels=2, process=ij.POLARISED)
 
 
 def solve(made, cosine=1.0, exits=EXITS, azimuth=AZIMUTH):
     """One program for everything here."""
-    return common.solve(ij.POLARISED, any_order(made), cosine, SOLVER, exits, azimuth)
+    return common.solve(SOLVER, any_order(made), cosine, exits, azimuth)
 
 
 @pytest.mark.heavy
@@ -96,7 +95,7 @@ def test_energy(media, cosine):
 def test_diffuse_light():
     """The mean over directions, energy and all; matrices are of light from one direction."""
     made = layers(*HARD, IRIS)
-    found = common.solve(ij.POLARISED, any_order(made), "diffuse", SOLVER)
+    found = common.solve(SOLVER, any_order(made), "diffuse")
     np.testing.assert_allclose(found.energy, 1, rtol=0, atol=1e-12)
     assert found.polarisation is None  # no one asked for it
     x, w = np.polynomial.legendre.leggauss(12)
@@ -191,9 +190,9 @@ def test_gradients(media):
         made = layers(0.0, 0.0, 0.0, media)
         indices = ij.RefractiveIndices(*x[3:7])
         made = type(made)(x[:1], x[1:2], x[2:3], indices, type(made.order)())
-        found = ij.RadiativeExact(24, 8, 1).solve(
-            made, ij.POLARISED, x[7], cos_exit=jnp.asarray(EXITS[:5]), azimuth=jnp.asarray(AZIMUTH[:5])
-        )  # fmt: skip
+        found = ij.RadiativeExact(24, 8, 1, process=ij.POLARISED).solve(
+            made, ij.Light(x[7], ij.Directions(EXITS[:5], AZIMUTH[:5]))
+        )
         weight = np.cos(np.arange(80.0)).reshape(5, 4, 4)
         light = found.polarisation
         return (light.brdf[0] * weight).sum() + (light.reflected[0] * weight[0]).sum()
@@ -210,15 +209,11 @@ def test_gradients(media):
 
 
 def test_refusals():
-    made, one = layers(0.1, 0.1, 0.1, IRIS), jnp.asarray([0.5])
-    table = shipped.table(ij.Iris().indices())
-    with pytest.raises(ValueError, match="RadiativeTabulated does not treat polarised light"):
-        table.solve(made, ij.POLARISED, 1.0)
     with pytest.raises(ValueError, match="MonteCarlo does not treat polarised light"):
-        ij.MonteCarlo(10).solve(made, ij.POLARISED, 1.0, key=jax.random.key(0))
-    with pytest.raises(ValueError, match="IlitExact treats Ilit processes"):
-        ij.IlitExact().solve(made, ij.POLARISED, 1.0)
-    with pytest.raises(ValueError, match="not diffuse"):
-        ij.RadiativeExact().solve(made, ij.POLARISED, ij.DIFFUSE, cos_exit=one)
+        ij.MonteCarlo(10, process=ij.POLARISED)
+    with pytest.raises(ValueError, match="not of diffuse light"):
+        ij.Light(None, ij.Directions(0.5))
+    with pytest.raises(ValueError, match="not of diffuse light"):
+        ij.Light(None, matrices=True)
     assert ij.RadiativeTransfer() == ij.DEPTH_RESOLVED != ij.POLARISED
     assert hash(ij.RadiativeTransfer(polarised=False)) == hash(ij.DEPTH_RESOLVED)

@@ -1,5 +1,6 @@
 """Polarised radiative transfer where something is absent, equal, or at the end of its range."""
 
+import dataclasses
 import functools
 
 import jax
@@ -22,7 +23,8 @@ HARD = (np.array([0.02, 0.3, 1.0]), np.array([0.05, 0.0, 1.5]), np.array([0.2, 2
 
 
 def solve(made, cosine, solver, exits=EXITS, azimuth=AZIMUTH):
-    return common.solve(ij.POLARISED, any_order(made), cosine, solver, exits, azimuth)
+    solver = dataclasses.replace(solver, process=ij.POLARISED)
+    return common.solve(solver, any_order(made), cosine, exits, azimuth)
 
 
 def _by_intensity_alone():
@@ -54,13 +56,13 @@ def test_scalar_limit():
     made = layers(*HARD, (1.4, 1.4, 1.4, 1.4))
     run = quick_jit(
         lambda x: exact.solve(
-            x, jnp.asarray(0.6), jnp.asarray(EXITS), jnp.asarray(AZIMUTH),
+            x, ij.Light(0.6, ij.Directions(EXITS, AZIMUTH)),
             n_angles=40, n_depths=8, n_panels=2, modes=_by_intensity_alone(),
         )
     )  # fmt: skip
     found, scalar = (
         run(made),
-        common.solve(ij.DEPTH_RESOLVED, made, 0.6, ij.RadiativeExact(n_panels=2), EXITS, AZIMUTH),
+        common.solve(ij.RadiativeExact(n_panels=2), made, 0.6, EXITS, AZIMUTH),
     )
     for name in ("reflectance", "brdf"):
         np.testing.assert_allclose(getattr(found, name), getattr(scalar, name), rtol=1e-12)

@@ -1,7 +1,6 @@
 """Photons followed as fields in space against the deterministic solver of Stokes vectors."""
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 import pytest
 
@@ -22,14 +21,10 @@ MEDIA = {
 def _scores(media, cosine, n, seed=3):
     """Differences over their standard errors: shares of light, matrices of all and of exits."""
     made = layers(0.05, 0.05, 1.0, media)
-    exact = common.solve(
-        ij.POLARISED, any_order(made), cosine, ij.RadiativeExact(n_panels=2), EXITS, AZIMUTH
-    )
-    solver = ij.PolarisedMonteCarlo(n, APERTURE)
-    found = solver.solve(
-        made, ij.POLARISED, cosine,
-        cos_exit=jnp.asarray(EXITS), azimuth=jnp.asarray(AZIMUTH), key=jax.random.key(seed),
-    )  # fmt: skip
+    solver = ij.RadiativeExact(n_panels=2, process=ij.POLARISED)
+    exact = common.solve(solver, any_order(made), cosine, EXITS, AZIMUTH)
+    lit = ij.Light(cosine, ij.Directions(EXITS, AZIMUTH))
+    found = ij.PolarisedMonteCarlo(n, APERTURE).solve(made, lit, key=jax.random.key(seed))
     pairs = [(found.reflectance, exact.reflectance, found.standard_error)]
     for name in ("abl", "stroma", "ipe"):
         p, q = (float(getattr(x.absorbed, name)[0]) for x in (found, exact))
@@ -84,7 +79,7 @@ def test_against_the_deterministic_solver_with_many_photons(media, cosine):
 def test_equal_keys_give_equal_bytes():
     made = layers(0.05, 0.05, 1.0, MEDIA["iris"])
     one, two = (
-        ij.PolarisedMonteCarlo(2048).solve(made, ij.POLARISED, 0.7, key=jax.random.key(k))
+        ij.PolarisedMonteCarlo(2048).solve(made, ij.Light(0.7), key=jax.random.key(k))
         for k in (5, 5)
     )
     assert one.reflectance.tobytes() == two.reflectance.tobytes()
@@ -95,14 +90,10 @@ def test_equal_keys_give_equal_bytes():
 def test_refusals():
     made = layers(0.05, 0.05, 1.0, MEDIA["iris"])
     solver, key = ij.PolarisedMonteCarlo(10), jax.random.key(0)
-    with pytest.raises(ValueError, match="is of polarised light; use MonteCarlo"):
-        solver.solve(made, ij.DEPTH_RESOLVED, 1.0, key=key)
     with pytest.raises(ValueError, match="needs a key"):
-        solver.solve(made, ij.POLARISED, 1.0)
+        solver.solve(made, ij.Light(1.0))
     with pytest.raises(ValueError, match="reaches below the surface"):
-        solver.solve(made, ij.POLARISED, 1.0, cos_exit=jnp.asarray([0.05]), key=key)
-    with pytest.raises(ValueError, match="not diffuse"):
-        solver.solve(made, ij.POLARISED, ij.DIFFUSE, cos_exit=jnp.asarray([0.5]), key=key)
+        solver.solve(made, ij.Light(1.0, ij.Directions(0.05)), key=key)
     with pytest.raises(ValueError, match="aperture = 2"):
         ij.PolarisedMonteCarlo(10, 2.0)
 
@@ -116,9 +107,9 @@ def test_total_reflection_turns_both_ways_alike():
     media = {"abl_index": 1.6, "stroma_index": 1.6, "ipe_index": 1.336, "scattering_scale": 8.9}
     iris = ij.Iris(**colourless, **media)
     seen = ij.Polarimeter([450.0], polariser=0.4, cos_incidence=0.5, cos_exit=0.5, azimuth=2.0)
-    exact = ij.observe(iris, seen, ij.POLARISED)
+    exact = ij.observe(iris, seen, ij.RadiativeExact(process=ij.POLARISED))
     photons = ij.PolarisedMonteCarlo(100_000, 0.3)
-    sampled = ij.observe(iris, seen, ij.POLARISED, photons, key=jax.random.key(0))
+    sampled = ij.observe(iris, seen, photons, key=jax.random.key(0))
     # Seen within a cone of 0.3, the light is a tenth less than along its axis.
     np.testing.assert_allclose(sampled.stokes[0, 3], exact.stokes[0, 3], rtol=0.25)
     assert abs(exact.stokes[0, 3]) > 0.01

@@ -1,6 +1,5 @@
 """sasktran2, polarised discrete ordinates without interfaces, on a conservative and a dark slab."""
 
-import jax.numpy as jnp
 import numpy as np
 import pytest
 
@@ -39,11 +38,10 @@ def test_stokes_vectors(albedo):
 
     made = layers(0.0, depth * (1 - albedo), depth * albedo, (1.0,) * 4)
     run = quick_jit(
-        lambda x: ij.RadiativeExact(60, 10, 2).solve(
-            x, ij.POLARISED, jnp.asarray(cosine), cos_exit=jnp.asarray(EXITS),
-            azimuth=jnp.asarray(AZIMUTH),
+        lambda x: ij.RadiativeExact(60, 10, 2, process=ij.POLARISED).solve(
+            x, ij.Light(cosine, ij.Directions(EXITS, AZIMUTH))
         )
-    )  # fmt: skip
+    )
     ours = cosine * np.asarray(run(made).polarisation.brdf)[0, :, :3, 0]
     np.testing.assert_allclose(ours[:, 0], theirs[:, 0], rtol=1e-5)
     for k in (1, 2):

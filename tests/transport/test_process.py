@@ -1,4 +1,3 @@
-import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -41,15 +40,15 @@ def test_unknown_switch(switch, value, message):
 
 @pytest.mark.parametrize(
     ("solver", "process"),
-    [
-        (ij.IlitExact(8), ij.DEPTH_RESOLVED),
-        (ij.RadiativeExact(8), ij.ILIT_2006),
-    ],
+    [(ij.IlitExact, ij.DEPTH_RESOLVED), (ij.RadiativeExact, ij.ILIT_2006)],
 )
 def test_a_solver_names_the_processes_it_treats(solver, process):
-    name = type(solver).__name__
-    with pytest.raises(ValueError, match=rf"{name} treats \w+ processes, not \w+"):
-        ij.reflectance(ij.Iris(), [450.0], solver=solver, process=process, key=jax.random.key(0))
+    # The runtime types of the test suite are stricter than the check itself: look below them.
+    made = object.__new__(solver)
+    for name, value in vars(solver()).items():
+        object.__setattr__(made, name, process if name == "process" else value)
+    with pytest.raises(ValueError, match=rf"{solver.__name__} treats \w+ processes, not \w+"):
+        solver.__check_init__(made)
 
 
 def test_entry_is_cosine_distributed():

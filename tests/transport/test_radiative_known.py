@@ -29,7 +29,7 @@ def solver_at(cosine):
 
 @jax.jit
 def solved(solver, layers, cosine):
-    return solver.solve(layers, ij.DEPTH_RESOLVED, cosine)
+    return solver.solve(layers, ij.Light(cosine))
 
 
 @pytest.mark.parametrize("cosine", [1.0, heavily(0.4), heavily(0.02)])
@@ -73,11 +73,11 @@ def test_other_scattering_incidence_or_media_are_outside():
 def test_what_it_does_not_do_is_refused():
     solver, layers = solver_at(1.0), layers_of(0.1, 0.1)
     with pytest.raises(ValueError, match="one direction"):
-        solver.solve(layers, ij.DEPTH_RESOLVED, ij.DIFFUSE)
+        solver.solve(layers, ij.Light(None))
     with pytest.raises(ValueError, match="one direction"):
-        solver.solve(layers, ij.DEPTH_RESOLVED, 1.0, cos_exit=jnp.ones(1))
+        solver.solve(layers, ij.Light(1.0, ij.Directions(1.0)))
     with pytest.raises(ValueError, match="5 wavelengths"):
-        solver.solve(jax.tree.map(lambda x: x[:2] if x.ndim else x, layers), ij.DEPTH_RESOLVED, 1.0)
+        solver.solve(jax.tree.map(lambda x: x[:2] if x.ndim else x, layers), ij.Light(1.0))
     for factor in (0.1, 1.1):
         with pytest.raises(ValueError, match="not between"):
             of_known_scattering(shipped.table(ij.Iris().indices()), SCATTERING * factor, 1.0)
@@ -88,7 +88,7 @@ def test_derivatives_are_those_of_the_exact_solver_and_none_by_scattering():
 
     def slopes(solver):
         def of(x):
-            return solver.solve(layers_of(x[0], x[1]), ij.DEPTH_RESOLVED, 1.0).reflectance
+            return solver.solve(layers_of(x[0], x[1]), ij.Light(1.0)).reflectance
 
         return jax.jit(jax.jacfwd(of))(jnp.asarray([0.3, 0.2]))
 
@@ -96,7 +96,7 @@ def test_derivatives_are_those_of_the_exact_solver_and_none_by_scattering():
 
     def by_scattering(factor):
         layers = layers_of(0.3, 0.2, jnp.asarray(SCATTERING) * factor)
-        return quick.solve(layers, ij.DEPTH_RESOLVED, 1.0).reflectance
+        return quick.solve(layers, ij.Light(1.0)).reflectance
 
     with pytest.raises(NotImplementedError, match="scattering that is known"):
         jax.jvp(by_scattering, (1.0,), (1.0,))

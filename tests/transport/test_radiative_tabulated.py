@@ -34,9 +34,7 @@ def table():
 @jax.jit
 def both(iris, cosine, table):
     with_table, exact = (
-        ij.reflectance(
-            iris, GRID, process=ij.DEPTH_RESOLVED, solver=s, cos_incidence=cosine, throw=False
-        )
+        ij.reflectance(iris, GRID, solver=s, cos_incidence=cosine, throw=False)
         for s in (table, EXACT)
     )
     return (with_table.values, with_table.absorbed), (exact.values, exact.absorbed)
@@ -60,8 +58,7 @@ def test_diffuse_light_and_energy(table):
     iris = ij.Iris.of_level("low")
     for cosine in (ij.DIFFUSE, 0.7):
         found, exact = (
-            ij.reflectance(iris, GRID, process=ij.DEPTH_RESOLVED, solver=s, cos_incidence=cosine)
-            for s in (table, EXACT)
+            ij.reflectance(iris, GRID, solver=s, cos_incidence=cosine) for s in (table, EXACT)
         )
         np.testing.assert_allclose(found.values, exact.values, rtol=3 * table.error)
         np.testing.assert_allclose(found.values + found.absorbed.total(), 1, rtol=1e-12)
@@ -75,7 +72,7 @@ def test_slopes_are_those_of_the_exact_solver(table):
             melanin_load=load, abl_fraction=fraction, scattering_scale=scale
         )
         return ij.reflectance(
-            iris, GRID, process=ij.DEPTH_RESOLVED, solver=solver, cos_incidence=cosine, throw=False
+            iris, GRID, solver=solver, cos_incidence=cosine, throw=False
         ).values.sum()
 
     at = jnp.asarray([0.1, 0.3, 1.1, 0.8])
@@ -85,7 +82,7 @@ def test_slopes_are_those_of_the_exact_solver(table):
 
 @jax.jit
 def solve(table, layers):
-    return table.solve(layers, ij.DEPTH_RESOLVED, 0.9)
+    return table.solve(layers, ij.Light(0.9))
 
 
 def solved(table, abl, absorption, scattering, indices=None):
@@ -127,8 +124,6 @@ def test_what_the_table_does_not_hold_is_said(table):
     assert bool(outside == ij.RESULTS.outside_table)
     other = ij.Iris(ipe_index=1.51).indices()
     assert bool(solved(table, 0.1, 0.1, 0.1, other).status == ij.RESULTS.outside_table)
-    with pytest.raises(ValueError, match="RadiativeTabulated treats RadiativeTransfer processes"):
-        ij.reflectance(ij.Iris(), GRID, solver=table)
 
 
 @pytest.mark.parametrize("cosine", [1.0, 0.5, 0.2])
@@ -143,7 +138,6 @@ def test_brdf_agrees_with_the_exact_solver(table, cosine):
                 cos_incidence=cosine,
                 cos_exit=exits,
                 azimuth=azimuth,
-                process=ij.DEPTH_RESOLVED,
                 solver=s,
             ).values
             for s in (table, EXACT)
@@ -156,16 +150,9 @@ def test_brdf_of_empty_layers_is_none(table):
         ij.Iris.of_level("low").replace(stroma_thickness=0.0),
         GRID,
         cos_exit=[0.3, 1.0],
-        process=ij.DEPTH_RESOLVED,
         solver=table,
     ).values
     np.testing.assert_array_equal(found, 0)
-
-
-def test_brdf_of_diffuse_light_is_refused(table):
-    layers = ij.Iris().layers(ij.extinction(GRID), 1.336)
-    with pytest.raises(ValueError, match="of light from one direction, not diffuse"):
-        table.solve(layers, ij.DEPTH_RESOLVED, ij.DIFFUSE, cos_exit=jnp.asarray([0.5]))
 
 
 @pytest.mark.heavy
@@ -173,10 +160,10 @@ def test_single_precision(table):
     with jax.enable_x64(False):
         narrow = shipped.table(ij.Iris().indices())
         iris = ij.Iris.of_level("low")
-        found = ij.reflectance(iris, GRID, process=ij.DEPTH_RESOLVED, solver=narrow).values
+        found = ij.reflectance(iris, GRID, solver=narrow).values
         assert found.dtype == jnp.float32
     iris = ij.Iris.of_level("low")
-    exact = ij.reflectance(iris, GRID, process=ij.DEPTH_RESOLVED, solver=EXACT).values
+    exact = ij.reflectance(iris, GRID, solver=EXACT).values
     np.testing.assert_allclose(found, exact, rtol=3 * narrow.error)
 
 

@@ -7,7 +7,7 @@ import pytest
 from mixed_layers import LB06, MATCHED, mixed, solve
 
 import irisjax as ij
-from common import layers, quick_jit
+from common import layers, light, quick_jit
 
 
 @pytest.mark.parametrize("bits", [64, pytest.param(32, marks=pytest.mark.heavy)])
@@ -98,7 +98,7 @@ def test_grazing_light_is_cdisorts(cosine):
     """
     depth, g, albedo, wanted = np.array([x.split() for x in GRAZED[cosine].splitlines()], float).T
     seen = mixed(0.0, depth * (1 - albedo), depth * albedo, 0.0, g, MATCHED)
-    solver = ij.AddingDoubling(16).prepare(lambda: seen, ij.DEPTH_RESOLVED)
+    solver = ij.AddingDoubling(16).prepare(seen, ij.Light(cosine))
     found = solve(seen, cosine, solver)
     assert bool(found.status == ij.RESULTS.successful)
     np.testing.assert_allclose(found.reflectance, wanted, rtol=2e-4)
@@ -139,8 +139,8 @@ def test_a_brdf_whose_moments_are_missing_says_so(g, angles, said):
     """
     depth, cosine = 1e-6, np.array([0.1, 0.3, 0.7, 1.0])
     seen = mixed(0.0, 0.0, np.array([depth]), 0.0, g, MATCHED)
-    solver, there = ij.AddingDoubling(angles, 0), {"cos_exit": cosine, "azimuth": np.zeros(4)}
-    found = solver.solve(seen, ij.DEPTH_RESOLVED, 0.9, **there)
+    solver = ij.AddingDoubling(angles, 0)
+    found = solver.solve(seen, ij.Light(0.9, ij.Directions(cosine)))
     turned = -0.9 * cosine + np.sqrt(1 - 0.9**2) * np.sqrt(1 - cosine**2)
     phase = (1 - g * g) / (1 + g * g - 2 * g * turned) ** 1.5
     off = np.abs(found.brdf[0] / (depth * phase / (4 * np.pi * cosine * 0.9)) - 1).max()
@@ -151,7 +151,7 @@ def test_a_brdf_whose_moments_are_missing_says_so(g, angles, said):
 
 
 def jitted(incidence):
-    return quick_jit(lambda seen, solver: solver.solve(seen, ij.DEPTH_RESOLVED, incidence))
+    return quick_jit(lambda seen, solver: solver.solve(seen, light(incidence)))
 
 
 @pytest.mark.heavy

@@ -4,12 +4,10 @@ Because a ray's direction is redrawn on entering a layer, the layers' responses 
 wavelength (`ilit.layers`), and light that bounces between them is a geometric series.
 """
 
-from collections.abc import Callable
-
 import equinox as eqx
 import jax.numpy as jnp
 
-from irisjax._types import Spectrum
+from irisjax._types import PRNGKey, Spectrum
 from irisjax.numerics.checks import check_whole
 from irisjax.numerics.quadrature import cosine_rule
 from irisjax.optics.fresnel import critical_cosine_squared, fresnel, fresnel_at, refract, refracted
@@ -20,65 +18,51 @@ from irisjax.transport.ilit.layers import (
     entry_weights,
     stroma_response,
 )
-from irisjax.transport.incidence import first_surface
-from irisjax.transport.process import Ilit, attenuation, survival
+from irisjax.transport.light import Light, first_surface
+from irisjax.transport.process import ILIT_2006, Ilit, attenuation, survival
 from irisjax.transport.series import reflections
 from irisjax.transport.solution import RESULTS, Absorbed, Solution
-from irisjax.transport.solver import AbstractSolver, checked_process
+from irisjax.transport.solver import AbstractSolver, check_process, check_rayleigh
 
 
 class IlitExact(AbstractSolver):
     """Deterministic solver of ILIT, accurate to rounding for the default irides.
 
-    - `n_angles`: quadrature nodes a layer. 40: below 1e-10 relative; 28: 1e-8; 24: 3e-8; 16: 1e-5.
+    Attributes:
+        n_angles: Quadrature nodes a layer. 40: below 1e-10 relative; 28: 1e-8; 24: 3e-8; 16: 1e-5.
+        process: `ILIT_2006`, `ILIT_CORRECTED` or an `Ilit` of your own.
     """
 
     n_angles: int = eqx.field(static=True, default=40)
+    process: Ilit = eqx.field(default=ILIT_2006, kw_only=True)
 
     def __check_init__(self):
         check_whole("n_angles", self.n_angles, 4)
+        check_process(self, Ilit)
 
-    def prepare(self, layers: Callable[[], Layers], process) -> "IlitExact":
-        """Check that the process is ILIT."""
-        checked_process(self, process, Ilit)
-        return self
-
-    def solve(
-        self,
-        layers: Layers,
-        process,
-        cos_incidence,
-        *,
-        cos_exit=None,
-        azimuth=None,
-        key=None,
-        rays=None,
-    ):
-        """See `AbstractSolver.solve`; no `key` and no `rays` are used."""
-        process = checked_process(self, process, Ilit, layers)
+    def solve(self, layers: Layers, light: Light, *, key: PRNGKey | None = None) -> Solution:
+        """See `AbstractSolver.solve`."""
+        check_rayleigh(self, layers)
         from_above, from_below = abl_responses(
-            layers.abl_absorption, layers.indices, layers.order, process, self.n_angles
+            layers.abl_absorption, layers.indices, layers.order, self.process, self.n_angles
         )
-        stroma, converged = stroma_response(layers, process, self.n_angles)
-        return combine(
-            layers, from_above, from_below, stroma, converged, process, cos_incidence, cos_exit
-        )
+        stroma, converged = stroma_response(layers, self.process, self.n_angles)
+        return combine(layers, light, self.process, from_above, from_below, stroma, converged)
 
 
 def combine(
     layers: Layers,
+    light: Light,
+    process: Ilit,
     from_above: LayerFates,
     from_below: LayerFates,
     stroma: LayerFates,
     converged,
-    process: Ilit,
-    cos_incidence,
-    cos_exit,
 ) -> Solution:
     """Put the layers together: light bounces between ABL and stroma until it leaves or is
     absorbed.
     """
-    mirrored, entered = first_surface(cos_incidence, layers.indices, layers.extinction.dtype)
+    mirrored, entered = first_surface(light, layers.indices, layers.extinction.dtype)
     # 1 − R_below R_stroma as a sum of losses, which does not cancel when little is lost.
     lost = (stroma.passed + stroma.absorbed) + stroma.reflected * (
         from_below.passed + from_below.absorbed
@@ -87,8 +71,8 @@ def combine(
     into_stroma = entered * from_above.passed / jnp.where(sealed, 1.0, lost)
     up = into_stroma * stroma.reflected
     brdf = None
-    if cos_exit is not None:
-        brdf = _exit_brdf(layers, process, cos_exit, entered, up, from_above, from_below)
+    if light.exits is not None:
+        brdf = _exit_brdf(layers, process, light.exits.cosine, entered, up, from_above, from_below)
     ones = jnp.ones_like(layers.extinction)
     valid = layers.valid()
     status = RESULTS.where(

@@ -7,14 +7,13 @@ polynomials in the albedo hold them over every depth and albedo there is; the er
 points the tables were not made from, and reported.
 """
 
-from collections.abc import Callable
-
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from irisjax._types import PRNGKey
 from irisjax.numerics.interpolation import chebyshev_nodes
 from irisjax.numerics.piecewise import piecewise, piecewise_chebyshev
 from irisjax.numerics.sharding import laid_out_as
@@ -24,9 +23,10 @@ from irisjax.tissue.iris import Iris
 from irisjax.tissue.layers import Layers
 from irisjax.transport.ilit.exact import combine
 from irisjax.transport.ilit.layers import LayerFates, abl_responses, stroma_response
+from irisjax.transport.light import Light
 from irisjax.transport.process import ILIT_2006, AbstractProcess, Ilit
-from irisjax.transport.solution import RESULTS
-from irisjax.transport.solver import AbstractSolver, checked_process
+from irisjax.transport.solution import RESULTS, Solution
+from irisjax.transport.solver import AbstractSolver, check_rayleigh
 
 _DEGREE = 5
 _SMALLEST = 1e-7  # τ₀: below it the functions, which go as τ ln τ, are straight lines to 2e-12
@@ -46,7 +46,7 @@ class IlitTabulated(AbstractSolver):
     abl: Float[Array, "intervals powers 4"]
     stroma: Float[Array, "intervals powers albedos 2"]
     indices: RefractiveIndices
-    process: Ilit
+    process: Ilit = eqx.field(kw_only=True)
     error: float = eqx.field(static=True)
 
     @classmethod
@@ -65,7 +65,8 @@ class IlitTabulated(AbstractSolver):
         **Raises:** `ValueError` if the process is depth-resolved, or if the error found exceeds
         `tolerance` (in float32 the tolerance is at least 1e-6).
         """
-        process = checked_process(cls, process, Ilit)
+        if not isinstance(process, Ilit):
+            raise ValueError(f"IlitTabulated treats Ilit processes, not {type(process).__name__}")
         indices = Iris().indices() if indices is None else indices
         order = indices.order()
         dtype = jnp.result_type(float)
@@ -95,49 +96,19 @@ class IlitTabulated(AbstractSolver):
                 f"the layer functions are tabulated to {error:.1e} only, not to {tolerance:.1e}; "
                 "use IlitExact, or a larger tolerance, n_intervals or n_albedos"
             )
-        return cls(table.abl, table.stroma, indices, process, float(error))
+        return cls(table.abl, table.stroma, indices, float(error), process=process)
 
-    def prepare(self, layers: Callable[[], Layers], process: AbstractProcess) -> "IlitTabulated":
-        """Check that the tables belong to this process."""
-        checked_process(self, process, Ilit)
-        for name, value in process.describe().items():
-            ours = getattr(self.process, name)
-            if value != ours:
-                raise ValueError(
-                    f"the tables were built for {name}={ours!r}, not {value!r}; "
-                    f"build others with IlitTabulated.build(indices, process)"
-                )
-        return self
-
-    def solve(
-        self,
-        layers: Layers,
-        process: AbstractProcess,
-        cos_incidence,
-        *,
-        cos_exit=None,
-        azimuth=None,
-        key=None,
-        rays=None,
-    ):
-        """See `AbstractSolver.solve`; no `key` and no `rays` are used."""
-        process = checked_process(self, process, Ilit, layers)
+    def solve(self, layers: Layers, light: Light, *, key: PRNGKey | None = None) -> Solution:
+        """See `AbstractSolver.solve`."""
+        check_rayleigh(self, layers)
         from_above, from_below, stroma = laid_out_as(
             layers.extinction,
             (LayerFates._make((1, 1, 1)),) * 3,
             IlitTabulated._responses,
             *(self, layers.abl_absorption, layers.extinction, layers.albedo),
         )
-        solution = combine(
-            layers,
-            from_above,
-            from_below,
-            stroma,
-            jnp.asarray(True),
-            process,
-            cos_incidence,
-            cos_exit,
-        )
+        converged = jnp.asarray(True)
+        solution = combine(layers, light, self.process, from_above, from_below, stroma, converged)
         same = self.indices.same(layers.indices)
         status = RESULTS.where(same, solution.status, RESULTS.outside_table)
         return eqx.tree_at(lambda s: s.status, solution, status)

@@ -6,7 +6,6 @@ exact (TMS).  [Wiscombe 1977; Nakajima & Tanaka 1988; de Haan, Bosma & Hovenier 
 Gemert & Welch 1993]
 """
 
-from collections.abc import Callable
 from functools import partial
 from typing import NamedTuple
 
@@ -16,13 +15,14 @@ import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
 
+from irisjax._types import PRNGKey
 from irisjax.numerics import linear
 from irisjax.numerics.checks import check_whole
 from irisjax.numerics.sharding import laid_out_as
 from irisjax.optics.mixture import PhaseMixture
 from irisjax.tissue.layers import Layers
-from irisjax.transport.incidence import beams_of, exits_of
-from irisjax.transport.process import RadiativeTransfer, survival
+from irisjax.transport.light import Light, beams_of
+from irisjax.transport.process import DEPTH_RESOLVED, RadiativeTransfer, survival
 from irisjax.transport.radiative.directions import (
     Directions,
     from_outside,
@@ -41,7 +41,7 @@ from irisjax.transport.radiative.resolution import (
     outcome,
 )
 from irisjax.transport.solution import Absorbed, Solution
-from irisjax.transport.solver import AbstractSolver, checked_process
+from irisjax.transport.solver import AbstractSolver
 
 _FIRST = 0.025  # optical depth of the first layer that is chosen: 2e-5 of reflectance, grazing 2e-4
 _COARSEST = 0.125  # of one that is allowed: 5e-4 under LB06's indices, grazing 2e-3
@@ -51,15 +51,19 @@ _TRACED = 10  # doublings where the depth is not known: 128 deep
 class AddingDoubling(AbstractSolver):
     """Deterministic solver of scalar radiative transfer with any phase function of the stroma.
 
-    - `n_angles`: quadrature nodes over the cosine; as many moments of the phase function are kept.
-        Where reflectance, or the BRDF if exits are asked for, is estimated to miss 5e-3 or more by
-        them, since the slab scatters too sharply, the status is `too_few_angles`.
-    - `n_doublings`: the slab is doubled so often from its first layer; `None` takes as many as the
-        optical depth asks for where it is known, and 10 while tracing: enough for depths of 128.
-        Where the first layer is deeper than 0.125, known or traced, the status is
-        `under_resolved`.
+    Attributes:
+        n_angles: Quadrature nodes over the cosine; as many moments of the phase function are kept.
+            Where they leave an estimated error of 5e-3 or more in the reflectance, or in the BRDF
+            if exits are requested, since the slab scatters too sharply, the status is
+            `too_few_angles`.
+        n_doublings: How often the slab is doubled from its first layer; `None` takes as many as the
+            optical depth requires where it is known, and 10 while tracing: enough for depths of
+            128. Where the first layer is deeper than 0.125, known or traced, the status is
+            `under_resolved`.
+        process: `DEPTH_RESOLVED`.
     """
 
+    process: RadiativeTransfer = eqx.field(default=DEPTH_RESOLVED, init=False)
     n_angles: int = eqx.field(static=True, default=32)
     n_doublings: int | None = eqx.field(static=True, default=None)
 
@@ -77,37 +81,26 @@ class AddingDoubling(AbstractSolver):
             return cls()
         return cls(max(cls.n_angles, moments_for(float(anisotropy))))
 
-    def prepare(self, layers: Callable[[], Layers], process) -> "AddingDoubling":
-        """The solver with its number of doublings fixed."""
-        checked_process(self, process, RadiativeTransfer)
+    def prepare(self, layers: Layers, light: Light) -> "AddingDoubling":
+        """Return the solver with its number of doublings fixed."""
         if self.n_doublings is not None:
             return self
-        return AddingDoubling(self.n_angles, doublings_for(layers()))
+        return AddingDoubling(self.n_angles, doublings_for(layers))
 
     @property
     def numbers_per_wavelength(self) -> int:
         """Of a matrix between directions."""
         return self.n_angles**2
 
-    def solve(
-        self,
-        layers: Layers,
-        process,
-        cos_incidence,
-        *,
-        cos_exit=None,
-        azimuth=None,
-        key=None,
-        rays=None,
-    ):
-        """See `AbstractSolver.solve`; no `key` and no `rays` are used."""
-        checked_process(self, process, RadiativeTransfer)
+    def solve(self, layers: Layers, light: Light, *, key: PRNGKey | None = None) -> Solution:
+        """See `AbstractSolver.solve`."""
         n, dtype = layers.indices, layers.extinction.dtype
         nodes = gauss_nodes(layers, self.n_angles)
-        outside, power = beams_of(cos_incidence, max(48, self.n_angles), n, dtype)
+        outside, power = beams_of(light, max(48, self.n_angles), n, dtype)
         beams = from_outside(layers, outside)
-        cosine, azimuth = exits_of(cos_incidence, cos_exit, azimuth, dtype)
-        exits = None if cosine is None else from_outside(layers, cosine)
+        exits = azimuth = None
+        if light.exits is not None:
+            exits, azimuth = from_outside(layers, light.exits.cosine), light.exits.azimuth
         doublings = _TRACED if self.n_doublings is None else self.n_doublings
         phase = layers.phase
         if phase is None:

@@ -8,7 +8,6 @@ invariant: all mirror images are one geometric series. The cost is linear in ang
 1960, Sections 10, 16]
 """
 
-from collections.abc import Callable
 from functools import partial
 from typing import NamedTuple
 
@@ -17,13 +16,13 @@ import jax
 import jax.numpy as jnp
 from jax.core import Tracer
 
+from irisjax._types import PRNGKey
 from irisjax.numerics import linear
 from irisjax.numerics.checks import check_whole
 from irisjax.numerics.sharding import laid_out_as
 from irisjax.tissue.layers import Layers
-from irisjax.transport.incidence import beams_of, exits_of
-from irisjax.transport.process import RadiativeTransfer
-from irisjax.transport.radiative import polarised
+from irisjax.transport.light import Light, beams_of
+from irisjax.transport.process import DEPTH_RESOLVED, RadiativeTransfer
 from irisjax.transport.radiative.balance import energy_balance, solve_balanced
 from irisjax.transport.radiative.directions import (
     MODES,
@@ -33,10 +32,11 @@ from irisjax.transport.radiative.directions import (
     split,
 )
 from irisjax.transport.radiative.fates import before
+from irisjax.transport.radiative.polarised import exact as polarised
 from irisjax.transport.radiative.resolution import panels_for, status_of, steepness
 from irisjax.transport.radiative.slab import Ends, Slab
 from irisjax.transport.solution import Absorbed, Solution
-from irisjax.transport.solver import AbstractSolver, checked_process
+from irisjax.transport.solver import AbstractSolver, check_process, check_rayleigh
 
 
 class Flux(NamedTuple):
@@ -53,64 +53,46 @@ class Flux(NamedTuple):
 class RadiativeExact(AbstractSolver):
     """Deterministic solver of radiative transfer in the iris to 1e-7 relative, scalar or polarised.
 
-    - `n_angles`: quadrature nodes over the cosine.
-    - `n_depths`: polynomials in depth, per panel.
-    - `n_panels`: panels in depth; `None` takes as many as the optical depth asks for where it is
-        known, and one while tracing: enough for every iris of LB06. Where it is not, known or
-        traced, the status is `under_resolved`.
-
     The part of `reflectance` that is mirrored by the inner interfaces without scattering is not in
     the BRDF.
+
+    Attributes:
+        n_angles: Quadrature nodes over the cosine.
+        n_depths: Polynomials in depth, per panel.
+        n_panels: Panels in depth; `None` takes as many as the optical depth requires where it is
+            known, and one while tracing: enough for every iris of LB06. Where the panels are too
+            few, known or traced, the status is `under_resolved`.
+        process: `DEPTH_RESOLVED` or `POLARISED`.
     """
 
     n_angles: int = eqx.field(static=True, default=40)
     n_depths: int = eqx.field(static=True, default=8)
     n_panels: int | None = eqx.field(static=True, default=None)
+    process: RadiativeTransfer = eqx.field(default=DEPTH_RESOLVED, kw_only=True)
 
     def __check_init__(self):
+        check_process(self, RadiativeTransfer)
         for name, low in (("n_angles", 4), ("n_depths", 2), ("n_panels", 1)):
             value = getattr(self, name)
             if value is not None:
                 check_whole(name, value, low)
 
-    def along(self, layers: Callable[[], Layers], cos_incidence, cos_exit=None) -> "RadiativeExact":
-        """The solver with as many panels as grazing light of a stroma takes that is not denser than
-        what lies before it.
-        """
-        traced = any(isinstance(x, Tracer) for x in (cos_incidence, cos_exit))
-        if self.n_panels is not None or traced:
-            return self
-        made = layers()
-        known = (None if isinstance(x, str) else x for x in (cos_incidence, cos_exit))
-        slant = _steepness(made, *known)
-        return RadiativeExact(self.n_angles, self.n_depths, panels_for(made, self.n_depths, slant))
-
-    def prepare(self, layers: Callable[[], Layers], process) -> "RadiativeExact":
-        """The solver with its number of panels fixed."""
-        checked_process(self, process, RadiativeTransfer, polarised=True)
+    def prepare(self, layers: Layers, light: Light) -> "RadiativeExact":
+        """Return the solver with its number of panels fixed."""
         if self.n_panels is not None:
             return self
-        return RadiativeExact(self.n_angles, self.n_depths, panels_for(layers(), self.n_depths))
+        known = not any(isinstance(x, Tracer) for x in jax.tree.leaves(light))
+        slant = _steepness(layers, light) if known else 1.0
+        panels = panels_for(layers, self.n_depths, slant)
+        return RadiativeExact(self.n_angles, self.n_depths, panels, process=self.process)
 
-    def solve(
-        self,
-        layers: Layers,
-        process,
-        cos_incidence,
-        *,
-        cos_exit=None,
-        azimuth=None,
-        key=None,
-        rays=None,
-    ):
-        """See `AbstractSolver.solve`; no `key` and no `rays` are used."""
-        process = checked_process(self, process, RadiativeTransfer, layers, polarised=True)
-        solve = polarised.exact.solve if process.polarised else _solve
+    def solve(self, layers: Layers, light: Light, *, key: PRNGKey | None = None) -> Solution:
+        """See `AbstractSolver.solve`."""
+        check_rayleigh(self, layers)
+        solve = polarised.solve if self.process.polarised else _solve
         return solve(
             layers,
-            cos_incidence,
-            cos_exit,
-            azimuth,
+            light,
             n_angles=self.n_angles,
             n_depths=self.n_depths,
             n_panels=self.n_panels or 1,
@@ -122,14 +104,15 @@ _steepness = jax.jit(steepness)
 
 
 def _solve(
-    layers: Layers, cos_incidence, cos_exit, azimuth, *, n_angles: int, n_depths: int, n_panels: int
-):
+    layers: Layers, light: Light, *, n_angles: int, n_depths: int, n_panels: int
+) -> Solution:
     n, dtype = layers.indices, layers.extinction.dtype
     nodes = quadrature_nodes(layers, n_angles)
-    outside, power = beams_of(cos_incidence, 2 * n_angles, n, dtype)
+    outside, power = beams_of(light, 2 * n_angles, n, dtype)
     beams = from_outside(layers, outside)
-    cosine, azimuth = exits_of(cos_incidence, cos_exit, azimuth, dtype)
-    exits = None if cosine is None else from_outside(layers, cosine)
+    exits = azimuth = None
+    if light.exits is not None:
+        exits, azimuth = from_outside(layers, light.exits.cosine), light.exits.azimuth
 
     one = partial(_one_wavelength, n_depths=n_depths, n_panels=n_panels)
     flux = laid_out_as(
@@ -147,7 +130,7 @@ def _solve(
         total_error=None,
         brdf=flux.brdf,
         brdf_error=None,
-        status=status_of(layers, n_depths, n_panels, steepness(layers, cos_incidence, cos_exit)),
+        status=status_of(layers, n_depths, n_panels, steepness(layers, light)),
     )
 
 

@@ -14,16 +14,17 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from irisjax._types import PRNGKey
 from irisjax.numerics.interpolation import chebyshev, chebyshev_nodes
 from irisjax.numerics.tucker import coefficients
 from irisjax.tissue.layers import Layers
-from irisjax.transport.incidence import beams_of
-from irisjax.transport.process import AbstractProcess, RadiativeTransfer
+from irisjax.transport.light import Light, beams_of
+from irisjax.transport.process import DEPTH_RESOLVED, RadiativeTransfer
 from irisjax.transport.radiative.axes import DEEPEST, DEEPEST_ABL
 from irisjax.transport.radiative.directions import from_outside
 from irisjax.transport.radiative.tabulated import RadiativeTabulated
 from irisjax.transport.solution import Solution
-from irisjax.transport.solver import AbstractSolver, checked_process
+from irisjax.transport.solver import AbstractSolver, check_rayleigh
 
 SCATTERING_DEPTHS = 4e-3, 0.6
 """Scattering depths between which few polynomials follow every absorption."""
@@ -47,37 +48,24 @@ class RadiativeOfKnownScattering(AbstractSolver):
     scattering: Float[Array, " wavelengths"]
     cos_incidence: Float[Array, ""]
 
+    process: RadiativeTransfer = eqx.field(default=DEPTH_RESOLVED, init=False)
     scattering_is_known: ClassVar[bool] = True
 
-    def prepare(self, layers, process: AbstractProcess) -> "RadiativeOfKnownScattering":
-        """Check that the process is radiative transfer."""
-        checked_process(self, process, RadiativeTransfer)
-        return self
+    def solve(self, layers: Layers, light: Light, *, key: PRNGKey | None = None) -> Solution:
+        """See `AbstractSolver.solve`.
 
-    def solve(
-        self,
-        layers: Layers,
-        process: AbstractProcess,
-        cos_incidence,
-        *,
-        cos_exit=None,
-        azimuth=None,
-        key=None,
-        rays=None,
-    ) -> Solution:
-        """See `AbstractSolver.solve`; no `key` and no `rays` are used.
-
-        **Raises:** `ValueError` for exits, diffuse light, or another number of wavelengths.
+        Raises:
+            ValueError: For exits, diffuse light, or another number of wavelengths.
         """
-        checked_process(self, process, RadiativeTransfer, layers)
-        if cos_exit is not None or isinstance(cos_incidence, str):
+        check_rayleigh(self, layers)
+        if light.exits is not None or light.cosine is None:
             raise ValueError("known scattering is of reflectances of light from one direction")
         if layers.extinction.shape != self.scattering.shape:
             raise ValueError(
                 f"made for {self.scattering.size} wavelengths, not {layers.extinction.shape}"
             )
-        outside, power = beams_of(cos_incidence, 1, layers.indices, layers.extinction.dtype)
-        held = _alike(cos_incidence, self.cos_incidence) & _alike(
+        outside, power = beams_of(light, 1, layers.indices, layers.extinction.dtype)
+        held = _alike(light.cosine, self.cos_incidence) & _alike(
             layers.stroma_scattering, self.scattering
         )
         return self.table.solution(

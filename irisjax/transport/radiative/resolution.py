@@ -9,6 +9,7 @@ from jax.core import Tracer
 from irisjax.optics.fresnel import refract
 from irisjax.optics.mixture import PhaseMixture
 from irisjax.tissue.layers import Layers
+from irisjax.transport.light import Light
 from irisjax.transport.radiative.slab import fractions
 from irisjax.transport.solution import RESULTS
 
@@ -33,7 +34,7 @@ def panels_for(layers: Layers, n_depths: int, slant: Any = 1.0) -> int | None:
     return panels
 
 
-def steepness(layers: Layers, cos_incidence, cos_exit=None):
+def steepness(layers: Layers, light: Light):
     """By how much sources change faster in depth than those of light at a cosine of 0.25 in the
     stroma, because of light from or into a single direction nearer to grazing; 1 at least. LB06's
     stroma, denser than the aqueous humour, has no such direction.
@@ -41,8 +42,8 @@ def steepness(layers: Layers, cos_incidence, cos_exit=None):
     Diffuse light has 1: what grazes is little of it.
     """
     n, steep = layers.indices, jnp.ones((), layers.extinction.dtype)
-    for outside in (cos_incidence, cos_exit):
-        if outside is None or isinstance(outside, str):
+    for outside in (light.cosine, None if light.exits is None else light.exits.cosine):
+        if outside is None:
             continue
         inside = refract(jnp.asarray(outside, steep.dtype), n.aqueous, n.stroma)
         # What is mirrored totally does not come in.

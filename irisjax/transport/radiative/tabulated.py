@@ -8,7 +8,6 @@ Of a BRDF light scattered once is exact too, and the rest a table (`brdf`).
 """
 
 import dataclasses
-from collections.abc import Callable
 from functools import partial
 
 import equinox as eqx
@@ -17,13 +16,14 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
+from irisjax._types import PRNGKey
 from irisjax.numerics.sharding import laid_out_as
 from irisjax.numerics.tucker import Tucker, coefficients
 from irisjax.tissue.indices import RefractiveIndices
 from irisjax.tissue.iris import Iris
 from irisjax.tissue.layers import Layers
-from irisjax.transport.incidence import beams_of, exits_of
-from irisjax.transport.process import DEPTH_RESOLVED, AbstractProcess, RadiativeTransfer
+from irisjax.transport.light import Light, beams_of
+from irisjax.transport.process import DEPTH_RESOLVED, RadiativeTransfer
 from irisjax.transport.radiative import brdf
 from irisjax.transport.radiative.axes import (
     CHUNK,
@@ -42,7 +42,7 @@ from irisjax.transport.radiative.axes import (
 from irisjax.transport.radiative.directions import Directions, from_outside, quadrature_nodes
 from irisjax.transport.radiative.fates import Beam, ScatteredFates, after, before
 from irisjax.transport.solution import RESULTS, Absorbed, Solution
-from irisjax.transport.solver import AbstractSolver, checked_process
+from irisjax.transport.solver import AbstractSolver, check_rayleigh
 
 _NODES = 24, 48, 10, 8  # along τ_A, τ, ω and the cosine
 _LEFT_OUT = 1e-6  # of the polynomials' weights, where they are compressed
@@ -63,6 +63,7 @@ class RadiativeTabulated(AbstractSolver):
     - `dense_outside`: whether the aqueous humour is denser than a layer.
     """
 
+    process: RadiativeTransfer = eqx.field(default=DEPTH_RESOLVED, init=False)
     out: Tucker
     ends: Tucker
     multiple: Tucker
@@ -96,35 +97,17 @@ class RadiativeTabulated(AbstractSolver):
             )
         return dataclasses.replace(table, error=error)
 
-    def prepare(
-        self, layers: Callable[[], Layers], process: AbstractProcess
-    ) -> "RadiativeTabulated":
-        """Check that the process is radiative transfer."""
-        checked_process(self, process, RadiativeTransfer)
-        return self
-
-    def solve(
-        self,
-        layers: Layers,
-        process: AbstractProcess,
-        cos_incidence,
-        *,
-        cos_exit=None,
-        azimuth=None,
-        key=None,
-        rays=None,
-    ):
-        """See `AbstractSolver.solve`; no `key` and no `rays` are used."""
-        checked_process(self, process, RadiativeTransfer, layers)
+    def solve(self, layers: Layers, light: Light, *, key: PRNGKey | None = None) -> Solution:
+        """See `AbstractSolver.solve`."""
+        check_rayleigh(self, layers)
         dtype = layers.extinction.dtype
-        cosine, azimuth = exits_of(cos_incidence, cos_exit, azimuth, dtype)
         # More than 16 take XLA at least four times as long.
         nodes, interfaces = (60, 3) if self.dense_outside else (16, 0)
-        outside, power = beams_of(cos_incidence, nodes, layers.indices, dtype, interfaces)
+        outside, power = beams_of(light, nodes, layers.indices, dtype, interfaces)
         beams = from_outside(layers, outside)
         values = None
-        if cosine is not None:
-            exits = from_outside(layers, cosine)
+        if light.exits is not None:
+            exits = from_outside(layers, light.exits.cosine)
             values = laid_out_as(
                 layers.extinction,
                 2,
@@ -136,7 +119,7 @@ class RadiativeTabulated(AbstractSolver):
                     layers.extinction,
                     layers.albedo,
                 ),
-                *(beams, exits, azimuth, self.indices),
+                *(beams, exits, light.exits.azimuth, self.indices),
             )
         return dataclasses.replace(self.solution(layers, beams, power), brdf=values)
 
@@ -269,11 +252,11 @@ def _first(points, outside, indices: RefractiveIndices) -> Beam:
 
 
 def _reflectance(points, outside, indices: RefractiveIndices):
-    beam, found = (f(points, outside, indices) for f in (_first, _fates))
+    beam, found = _first(points, outside, indices), _fates(points, outside, indices)
     return beam.reflected + beam.lost * points[:, 2:] * found.out
 
 
 @eqx.filter_jit
 def _looked_up(table: RadiativeTabulated, points, outside):
     layers = layers_at(points, table.indices)
-    return jax.vmap(lambda mu: table.solve(layers, DEPTH_RESOLVED, mu).reflectance)(outside).T
+    return jax.vmap(lambda mu: table.solve(layers, Light(mu)).reflectance)(outside).T

@@ -16,7 +16,7 @@ from irisjax.numerics import linear
 from irisjax.numerics.sharding import laid_out_as
 from irisjax.optics.mueller import stokes
 from irisjax.tissue.layers import Layers
-from irisjax.transport.incidence import beams_of
+from irisjax.transport.light import Light, beams_of
 from irisjax.transport.radiative.balance import energy_balance, solve_balanced
 from irisjax.transport.radiative.directions import from_outside, quadrature_nodes, roof_of, split
 from irisjax.transport.radiative.fates import before
@@ -72,9 +72,7 @@ class Looked(NamedTuple):
 
 def solve(
     layers: Layers,
-    cos_incidence,
-    cos_exit,
-    azimuth,
+    light: Light,
     *,
     n_angles: int,
     n_depths: int,
@@ -85,16 +83,14 @@ def solve(
     that of the whole intensity.
     """
     dtype = layers.extinction.dtype
-    if isinstance(cos_incidence, str) and cos_exit is not None:
-        raise ValueError("a Mueller matrix is of light from one direction, not diffuse")
     nodes = rays(quadrature_nodes, layers, n_angles)
-    outside, power = beams_of(cos_incidence, 2 * n_angles, layers.indices, dtype)
+    outside, power = beams_of(light, 2 * n_angles, layers.indices, dtype)
     lit = Lit(rays(from_outside, layers, outside), outside, power)
     looked = None
-    if cos_exit is not None and not isinstance(cos_exit, str):
-        exits = rays(from_outside, layers, jnp.asarray(cos_exit, dtype))
-        looked = Looked(exits, jnp.zeros_like(exits.p.cosine) if azimuth is None else azimuth)
-    wanted = cos_exit is not None
+    if light.exits is not None:
+        exits = rays(from_outside, layers, light.exits.cosine)
+        looked = Looked(exits, light.exits.azimuth)
+    wanted = light.matrices or looked is not None
     one = partial(_one_wavelength, how=(n_depths, n_panels), modes=modes, matrices=wanted)
     ranks = Matrices._make((3, 3, None if looked is None else 4)) if wanted else None
     shares, matrices = laid_out_as(
@@ -112,7 +108,7 @@ def solve(
         total_error=None,
         brdf=None if looked is None else matrices.brdf[..., 0, 0],
         brdf_error=None,
-        status=status_of(layers, n_depths, n_panels, steepness(layers, cos_incidence, cos_exit)),
+        status=status_of(layers, n_depths, n_panels, steepness(layers, light)),
         polarisation=Polarisation(*matrices) if wanted else None,
     )
 

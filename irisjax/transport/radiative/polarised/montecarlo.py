@@ -1,7 +1,6 @@
 """Analogue Monte Carlo of polarised light: photons as fields, Mueller matrices and their errors."""
 
 import math
-from collections.abc import Callable
 from functools import partial
 from typing import NamedTuple
 
@@ -11,15 +10,17 @@ import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
 
+from irisjax._types import PRNGKey
 from irisjax.numerics.checks import Range, check_range, check_whole
 from irisjax.numerics.streams import checked_key
 from irisjax.optics.mueller import reflection
 from irisjax.tissue.layers import Layers
-from irisjax.transport.process import AbstractProcess, RadiativeTransfer, sample_entry
+from irisjax.transport.light import Directions, Light
+from irisjax.transport.process import POLARISED, RadiativeTransfer, sample_entry
 from irisjax.transport.radiative.polarised import photon
 from irisjax.transport.radiative.polarised.photon import Medium
 from irisjax.transport.solution import RESULTS, Absorbed, Polarisation, Solution
-from irisjax.transport.solver import AbstractSolver, checked_process, is_polarised
+from irisjax.transport.solver import AbstractSolver, check_rayleigh
 
 _BATCH = 4096  # photons under way at once; results depend on it by rounding
 APERTURE = Range(1e-3, 0.5, "rad", above=False)
@@ -39,13 +40,17 @@ class Tally(NamedTuple):
 class PolarisedMonteCarlo(AbstractSolver):
     """Analogue sampling of polarised radiative transfer; needs a `key`, and has no derivatives.
 
-    - `n_photons`: photons a wavelength.
-    - `aperture`: half-angle (radians) of the cone about each exit over which its BRDF is averaged.
+    Photons are followed by their fields, in the precision of the iris; their paths are those of
+    unpolarised light, whatever the polarisation of interest. Every wavelength has the same number
+    of photons. The first surface's own matrix is Fresnel's.
 
-    Photons are followed by their fields, in the precision of the iris; whatever light is asked for
-    afterwards, paths are those of unpolarised light. The first surface's own matrix is Fresnel's.
+    Attributes:
+        n_photons: Photons a wavelength.
+        aperture: Half-angle (radians) of the cone about each exit over which its BRDF is averaged.
+        process: `POLARISED`.
     """
 
+    process: RadiativeTransfer = eqx.field(default=POLARISED, init=False)
     n_photons: int = eqx.field(static=True)
     aperture: float = eqx.field(static=True, default=0.1)
 
@@ -53,35 +58,17 @@ class PolarisedMonteCarlo(AbstractSolver):
         check_whole("n_photons", self.n_photons, 1, 2**31 - 2**20)
         check_range("aperture", self.aperture, APERTURE)
 
-    def prepare(self, layers: Callable[[], Layers], process) -> "PolarisedMonteCarlo":
-        """Check that the process is of polarised light."""
-        _checked(self, process)
-        return self
-
-    def solve(
-        self,
-        layers: Layers,
-        process: AbstractProcess,
-        cos_incidence,
-        *,
-        cos_exit=None,
-        azimuth=None,
-        key=None,
-        rays=None,
-    ) -> Solution:
-        """See `AbstractSolver.solve`; every wavelength has the same number of photons."""
-        _checked(self, process)
+    def solve(self, layers: Layers, light: Light, *, key: PRNGKey | None = None) -> Solution:
+        """See `AbstractSolver.solve`."""
+        check_rayleigh(self, layers)
         key = checked_key(key)
-        diffuse, dtype = isinstance(cos_incidence, str), layers.extinction.dtype
-        if diffuse and cos_exit is not None:
-            raise ValueError("a Mueller matrix is of light from one direction, not diffuse")
-        exits = None
-        if cos_exit is not None and not isinstance(cos_exit, str):
-            exits = _exits(cos_exit, azimuth, self.aperture, dtype)
+        diffuse, dtype = light.cosine is None, layers.extinction.dtype
+        exits = None if light.exits is None else _exits(light.exits, self.aperture)
         waves = jnp.arange(layers.extinction.size)
         keys = jax.vmap(partial(jax.random.fold_in, key))(waves)
-        one = partial(_one_wavelength, solver=self, diffuse=diffuse, whole=cos_exit is not None)
-        incidence = jnp.ones((), dtype) if diffuse else jnp.asarray(cos_incidence, dtype)
+        whole = light.matrices or exits is not None
+        one = partial(_one_wavelength, solver=self, diffuse=diffuse, whole=whole)
+        incidence = jnp.ones((), dtype) if light.cosine is None else light.cosine
         # Photons in invalid layers would never end: none are sent.
         ok = layers.valid()
         depths = (layers.abl_absorption, layers.extinction, layers.albedo)
@@ -93,15 +80,15 @@ class PolarisedMonteCarlo(AbstractSolver):
             return one(key, Medium(abl, depth, albedo, layers.indices), incidence, exits, ok)
 
         tally = jax.lax.map(at, (keys, abl, depth, albedo))
-        return self._summarise(tally, layers, cos_incidence, exits, ok)
+        return self._summarise(tally, layers, light, exits, ok)
 
-    def _summarise(self, tally: Tally, layers: Layers, cos_incidence, exits, ok) -> Solution:
+    def _summarise(self, tally: Tally, layers: Layers, light: Light, exits, ok) -> Solution:
         n, dtype = self.n_photons, layers.extinction.dtype
         share = tally.fates.astype(dtype) / n
         mirrored, reflected, abl, stroma, ipe = (share[:, k] for k in range(5))
         polarisation = brdf = brdf_error = None
         if tally.whole is not None:
-            polarisation = self._matrices(tally, layers, cos_incidence, exits)
+            polarisation = self._matrices(tally, layers, light, exits)
             if polarisation.brdf is not None and polarisation.brdf_covariance is not None:
                 brdf = polarisation.brdf[..., 0, 0]
                 brdf_error = jnp.sqrt(polarisation.brdf_covariance[..., 0, 0])
@@ -117,11 +104,11 @@ class PolarisedMonteCarlo(AbstractSolver):
             polarisation=polarisation,
         )
 
-    def _matrices(self, tally: Tally, layers: Layers, cos_incidence, exits) -> Polarisation:
+    def _matrices(self, tally: Tally, layers: Layers, light: Light, exits) -> Polarisation:
         n, indices = self.n_photons, layers.indices
-        cosine = jnp.asarray(cos_incidence, layers.extinction.dtype)
+        assert light.cosine is not None
         shape = (layers.extinction.size, 4, 4)
-        of_first = reflection(cosine, indices.aqueous, indices.abl)
+        of_first = reflection(light.cosine, indices.aqueous, indices.abl)
         whole, covariance = _estimate(tally.whole, n)
         cones = of_cones = None
         if tally.cones is not None:
@@ -138,21 +125,14 @@ class PolarisedMonteCarlo(AbstractSolver):
         )
 
 
-def _checked(solver, process):
-    checked_process(solver, process, RadiativeTransfer, polarised=True)
-    if not is_polarised(process):
-        raise ValueError("PolarisedMonteCarlo is of polarised light; use MonteCarlo")
-
-
-def _exits(cos_exit, azimuth, aperture: float, dtype):
+def _exits(exits: Directions, aperture: float):
     """Directions (exits, 3); their cones must lie above the surface."""
-    cosine = jnp.atleast_1d(jnp.asarray(cos_exit, dtype))
+    cosine, azimuth = exits.cosine, exits.azimuth
     if not isinstance(cosine, Tracer) and (np.asarray(cosine) < np.sin(aperture)).any():
         raise ValueError(
             f"a cone of half-angle {aperture:g} rad about cos_exit = "
             f"{float(np.asarray(cosine).min()):g} reaches below the surface"
         )
-    azimuth = jnp.zeros_like(cosine) if azimuth is None else jnp.asarray(azimuth, dtype)
     sine = jnp.sqrt(jnp.maximum(1 - cosine * cosine, 0))
     return jnp.stack([sine * jnp.cos(azimuth), sine * jnp.sin(azimuth), cosine], -1)
 
