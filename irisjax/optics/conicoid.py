@@ -1,14 +1,13 @@
-"""Rays at surfaces of revolution of second order: where they meet, the normal there, and how they
-go on.
+"""Rays at conicoids: their intersections, the normals there, refraction and reflection.
 
 A surface is p z² − 2 R z + x² + y² = 0 with z counted from its apex along the axis [F09 Eq. 3]; p =
 1 is a sphere, 0 < p < 1 a prolate ellipsoid, p = 0 a paraboloid. Vectors are arrays of shape (…,
 3).
 
-Most is written in components: XLA then joins a chain of such functions into loops over rays and
-never makes the vectors between them, which halves the time. Scalar products stay sums over the last
-axis: there XLA keeps what it has, where otherwise it would work out the same again for every result
-(tables of an eye: 15 times as long).
+Most functions are written in components: XLA then fuses a chain of them into loops over rays and
+never materialises the vectors between them, which halves the time. Scalar products are sums over
+the last axis, at which XLA stores intermediate results; otherwise it would recompute them for every
+output (the tables of an eye would take 15 times as long).
 """
 
 from collections.abc import Sequence
@@ -23,14 +22,16 @@ from irisjax.optics.fresnel import fresnel
 
 Vector = Float[Array, "*s 3"]
 Parts = tuple[Float[Array, "*s"], ...]
-"""Vectors, each component by itself."""
+"""Vectors as separate components."""
 
 
 class Conicoid(eqx.Module):
     """A conicoid about the z axis.
 
-    - `radius`: radius of curvature at the apex, mm.
-    - `shape`: p of the equation; `apex`: z of the apex, mm.
+    Attributes:
+        radius: Radius of curvature at the apex, mm.
+        shape: p of the equation.
+        apex: z of the apex, mm.
     """
 
     radius: Scalar = eqx.field(converter=as_float)
@@ -38,24 +39,30 @@ class Conicoid(eqx.Module):
     apex: Scalar = eqx.field(default=0.0, converter=as_float)
 
     def sagitta(self, r: Float[Array, "*s"]) -> Float[Array, "*s"]:
-        """Depth behind the apex at distance `r` from the axis, mm; it ends at the equator, r =
-        R/√p.
+        """Compute the depth behind the apex at distance `r` from the axis, mm.
+
+        The surface ends at the equator, r = R/√p.
         """
         # The form without cancellation also holds for the paraboloid.
         return r * r / (self.radius + safe_sqrt(self.radius**2 - self.shape * r * r))
 
     def normal(self, point: Vector) -> Vector:
-        """Unit normal that points out of the eye (to negative z at the apex)."""
+        """Compute the unit normal that points out of the eye (to negative z at the apex)."""
         x, y, z = parts(point)
         n = jnp.stack([x, y, self.shape * (z - self.apex) - self.radius], axis=-1)
         return n / norm(n)[..., None]
 
     def intersect(self, origin: Vector, direction: Vector, far: bool = False):
-        """Distance along a ray to its first (or `far`: second) crossing, and whether it meets the
-        surface.
+        """Intersect rays with the surface.
 
-        Directions are unit vectors. The distance is that of the nearest approach where nothing is
-        met.
+        Args:
+            origin: Origins of the rays.
+            direction: Unit vectors along the rays.
+            far: Whether to return the second intersection in place of the first.
+
+        Returns:
+            The distance along each ray, that of the nearest approach for a ray that misses, and
+            whether it meets the surface.
         """
         (x, y, z), (u, v, w) = parts(origin), parts(direction)
         z = z - self.apex
@@ -80,51 +87,59 @@ class Conicoid(eqx.Module):
 
 
 def parts(a: Float[Array, "*s n"]) -> Parts:
-    """Components along the last axis. Kept apart they are faster to make than as one array."""
+    """Split into components along the last axis, which are faster to compute than one array."""
     return tuple(a[..., i] for i in range(a.shape[-1]))
 
 
 def joined(a: Sequence[Float[Array, "*s"]]) -> Vector:
-    """`parts` as vectors again."""
+    """Join components to vectors: the inverse of `parts`."""
     return jnp.stack(list(a), axis=-1)
 
 
 def along(origin: Vector, t: Float[Array, "*s"], direction: Vector) -> Vector:
-    """Points origin + t direction."""
+    """Compute the points origin + t direction."""
     return jnp.stack(
         [o + t * d for o, d in zip(parts(origin), parts(direction), strict=True)], axis=-1
     )
 
 
 def choose(mask: Bool[Array, "*s"], a: Vector, b: Float[Array, "*#s 3"]) -> Vector:
-    """Vectors of `a` where `mask`, else of `b`."""
+    """Select vectors of `a` where `mask` is true, otherwise of `b`."""
     return jnp.stack(
         [jnp.where(mask, x, y) for x, y in zip(parts(a), parts(b), strict=True)], axis=-1
     )
 
 
 def from_axis(point: Vector) -> Float[Array, "*s"]:
-    """Distance of points from the z axis, with gradient 0 on it."""
+    """Compute the distance of points from the z axis, with gradient 0 on it."""
     return safe_sqrt(point[..., 0] ** 2 + point[..., 1] ** 2)
 
 
 def dot(a: Float[Array, "*#s n"], b: Float[Array, "*#s n"]) -> Float[Array, "*#s"]:
-    """Scalar product over the last axis."""
+    """Compute the scalar product over the last axis."""
     return (a * b).sum(-1)
 
 
 def norm(a: Float[Array, "*s n"]) -> Float[Array, "*s"]:
-    """Length over the last axis, with gradient 0 at 0."""
+    """Compute the length over the last axis, with gradient 0 at 0."""
     return safe_sqrt(dot(a, a))
 
 
 def refract_vector(direction: Vector, normal: Vector, n_in, n_out):
-    """Direction behind an interface, and the share that passes it, 1 − F (0 under total
-    reflection).
+    """Refract rays at an interface.
 
-    Unit vectors; `normal` points to the side the ray comes from. Rays from the wrong side pass with
-    a share of 0 and a direction that is the smooth continuation, so that a search may cross grazing
-    incidence.
+    Rays from the wrong side get a share of 0 and the smooth continuation of the direction, so that
+    a search may cross grazing incidence.
+
+    Args:
+        direction: Unit vectors along the rays.
+        normal: Unit normals towards the side that the rays come from.
+        n_in: Refractive index in front of the interface.
+        n_out: Refractive index behind it.
+
+    Returns:
+        The directions behind the interface, and the shares that pass, 1 − F (0 under total
+        reflection).
     """
     cosine = -dot(direction, normal)
     ratio = n_in / n_out
@@ -138,7 +153,8 @@ def refract_vector(direction: Vector, normal: Vector, n_in, n_out):
 
 
 def reflect_vector(direction: Vector, normal: Vector) -> Vector:
-    """Mirror direction of a unit vector at a unit normal of either sign; its share is 1 −
-    `refract_vector`'s.
+    """Reflect unit vectors at unit normals of either sign.
+
+    The reflected share is 1 minus that of `refract_vector`.
     """
     return along(direction, -2 * dot(direction, normal), normal)

@@ -15,49 +15,50 @@ from irisjax.numerics.roots import safe_sqrt
 
 
 def critical_cosine_squared(n_in, n_out):
-    """Square of the cosine below which the interface reflects totally; negative where it never
-    does.
+    """Compute the square of the critical cosine, below which the interface reflects totally.
 
-    Snell's law reads μ_out² = (n_in/n_out)² (μ_in² − c²) with this c², an identity that survives
-    rounding when the indices nearly agree.
+    It is negative if the interface never does. With this c² Snell's law is μ_out² = (n_in/n_out)²
+    (μ_in² − c²), an identity that is robust to rounding when the indices nearly agree.
     """
     return (n_in - n_out) * (n_in + n_out) / (n_in * n_in)
 
 
 def refract(cos_in: Float[Array, "*s"], n_in, n_out) -> Float[Array, "*s"]:
-    """Cosine after refraction from `n_in` into `n_out`; 0 under total internal reflection.
+    """Compute the cosine after refraction by Snell's law; 0 under total internal reflection.
 
-    Snell's law; works on arrays that broadcast together.
+    Works on arrays that broadcast together.
     """
     return n_in / n_out * safe_sqrt(cos_in * cos_in - critical_cosine_squared(n_in, n_out))
 
 
 def fresnel(cos_in: Float[Array, "*s"], cos_out: Float[Array, "*s"], n_in, n_out):
-    """Unpolarised reflectance F and transmittance 1 − F for a ray from `n_in` into `n_out`.
+    """Compute reflectance F and transmittance 1 − F of unpolarised light from `n_in` into `n_out`.
 
     `cos_out` is the refracted cosine, 0 under total internal reflection. The transmittance has its
-    own formula, so that it keeps its relative precision where F is close to 1. Returns `(F, 1 -
-    F)`.
+    own formula, so that its relative precision is kept where F is close to 1.
     """
     s, p = (law(cos_in, cos_out, n_in, n_out) for law in (fresnel_s, fresnel_p))
     return 0.5 * (s[0] + p[0]), 0.5 * (s[1] + p[1])
 
 
 def fresnel_s(cos_in: Float[Array, "*s"], cos_out: Float[Array, "*s"], n_in, n_out):
-    """`fresnel` of light whose field is perpendicular to the plane of incidence."""
+    """Compute `fresnel` for a field perpendicular to the plane of incidence."""
     return _shares(cos_in, cos_out, n_in, n_out, n_in, n_out)
 
 
 def fresnel_p(cos_in: Float[Array, "*s"], cos_out: Float[Array, "*s"], n_in, n_out):
-    """`fresnel` of light whose field lies in the plane of incidence."""
+    """Compute `fresnel` for a field in the plane of incidence."""
     return _shares(cos_in, cos_out, n_in, n_out, n_out, n_in)
 
 
 class Coherence(NamedTuple):
-    """What an interface makes of U + iV = 2 E_p E_s*, of which the flux is a share as of I.
+    """Effect of an interface on U + iV = 2 E_p E_s*, whose flux is treated as that of I.
 
-    - `reflected`: r_p r_s*, complex; `lost`: 1 less that, without cancellation.
-    - `passed`: √(T_p T_s), real; `contrast`: r_s − r_p, 0 under total reflection.
+    Attributes:
+        reflected: r_p r_s*, complex.
+        lost: 1 − r_p r_s*, without cancellation.
+        passed: √(T_p T_s), real.
+        contrast: r_s − r_p, 0 under total reflection.
     """
 
     reflected: Complex[Array, "*s"]
@@ -93,19 +94,17 @@ def coherence(cos_in: Float[Array, "*s"], cos_out: Float[Array, "*s"], n_in, n_o
 
 
 def fresnel_at(cos_in: Float[Array, "*s"], n_in, n_out):
-    """`fresnel` with the refracted cosine worked out by Snell's law; returns `(F, 1 - F)`."""
+    """Compute `fresnel` with the refracted cosine by Snell's law."""
     return fresnel(cos_in, refract(cos_in, n_in, n_out), n_in, n_out)
 
 
 def refracted(rule: CosineRule, k: int, n_in, n_out) -> Float[Array, " n"]:
-    """Cosines of the rule's nodes after refraction at interface `k`,
-    0 where it reflects totally.
-    """
+    """Compute the cosines of a rule's nodes behind interface `k`; 0 under total reflection."""
     return n_in / n_out * safe_sqrt(rule.excess[k])
 
 
 def _shares(cos_in, cos_out, n_in, n_out, along, across):
-    """Reflectance ((x − y)/(x + y))², x = `along` μ_in, y = `across` μ_out, and 1 less that."""
+    """Compute ((x − y)/(x + y))², x = `along` μ_in, y = `across` μ_out, and 1 minus that."""
     matched_grazing = (cos_in == 0) & (cos_out == 0)
     # Two equal media at exact grazing are 0/0: a ray there meets no interface, so it is
     # transmitted.

@@ -31,7 +31,7 @@ class Redistribution(eqx.Module):
     scatter: Float[Array, "rank n"]
 
     def anisotropic(self, f: Float[Array, "*s n"]) -> Float[Array, "*s n"]:
-        """The operator on densities on the nodes."""
+        """Apply the operator to densities on the nodes."""
         return (f if self.collect is None else f @ self.collect.T) @ self.scatter
 
 
@@ -40,19 +40,18 @@ class AbstractPhase(eqx.Module):
 
     @abc.abstractmethod
     def angle_density(self, alpha: Float[Array, "*s"]) -> Float[Array, "*s"]:
-        """Probability density of the deflection angle per radian on [0, π]."""
+        """Compute the probability density of the deflection angle per radian on [0, π]."""
 
     @abc.abstractmethod
     def sample_cosine(self, u: Float[Array, "*s"]) -> Float[Array, "*s"]:
-        """Cosine of the deflection angle from a uniform in [0, 1]: the inverse distribution
-        function.
+        """Compute the cosine of the deflection angle at a quantile in [0, 1].
 
         A rational function of 2u − 1, so that a Monte Carlo step has no loop and no trigonometry.
         """
 
     @abc.abstractmethod
     def redistribution(self, rule: CosineRule) -> Redistribution:
-        """The azimuth-averaged scattering operator on the nodes of `rule`."""
+        """Compute the azimuth-averaged scattering operator on the nodes of `rule`."""
 
 
 # Minimax-like fits of the inverse distribution functions: odd numerator and even denominator in 2u
@@ -70,7 +69,7 @@ _PER_ANGLE_INVERSE = (
 class Rayleigh(AbstractPhase):
     """Rayleigh's phase function ¾(1 + cos²α) per solid angle over 4π.
 
-    Its azimuth average is ½(1 + ½ P₂(μ) P₂(μ')): two moments carry it exactly.
+    Its azimuth average is ½(1 + ½ P₂(μ) P₂(μ')), which two moments represent exactly.
     """
 
     def angle_density(self, alpha):
@@ -78,7 +77,7 @@ class Rayleigh(AbstractPhase):
         return 0.5 * rayleigh(jnp.cos(alpha)) * jnp.sin(alpha)
 
     def sample_cosine(self, u):
-        """The root of c³ + 3c = 4(2u − 1), to 8e-8."""
+        """Compute the root of c³ + 3c = 4(2u − 1), to 8e-8."""
         return _odd_rational(u, _RAYLEIGH_INVERSE)
 
     def redistribution(self, rule):
@@ -99,26 +98,25 @@ class RayleighPerAngle(AbstractPhase):
         return (1 + jnp.cos(alpha) ** 2) / (1.5 * jnp.pi)
 
     def sample_cosine(self, u):
-        """The cosine of the angle at which (α + (α + sin α cos α)/2)/(3π/2) reaches 1 − u,
-        to 4e-7.
-        """
+        """Compute the cosine at which (α + (α + sin α cos α)/2)/(3π/2) = 1 − u, to 4e-7."""
         return _odd_rational(u, _PER_ANGLE_INVERSE)
 
     def redistribution(self, rule):
-        """Product integration: exact for polynomials in the rule's own variable, singularity
-        included.
+        """Compute the operator by product integration over the singularity.
+
+        It is exact for polynomials in the rule's own variable.
         """
         operator = _conserving(scattering_operator(rule), rule.weight)
         return Redistribution(collect=None, scatter=operator.T - 0.5 * rule.weight[:, None])
 
 
 def rayleigh(cosine):
-    """Rayleigh's law, ¾(1 + cos²α), whose mean over all directions is 1."""
+    """Compute Rayleigh's law, ¾(1 + cos²α), whose mean over all directions is 1."""
     return 0.75 * (1 + cosine * cosine)
 
 
 PHASES: dict[str, AbstractPhase] = {"rayleigh": Rayleigh(), "lb06": RayleighPerAngle()}
-"""Phase functions by the name a process gives them."""
+"""Phase functions by their names in a process."""
 
 
 def _odd_rational(u, coefficients):
@@ -128,7 +126,5 @@ def _odd_rational(u, coefficients):
 
 
 def _conserving(operator, weight):
-    """The operator with its error in energy, a quadrature error, given back to all directions
-    alike.
-    """
+    """Distribute the operator's error in energy, a quadrature error, evenly over directions."""
     return operator + ((0.5 * weight - weight @ operator) / weight.sum())[None, :]
