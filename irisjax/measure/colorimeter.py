@@ -16,9 +16,12 @@ from irisjax.transport.solver import AbstractSolver
 
 
 class Colorimeter(AbstractInstrument):
-    """Reads the colour of the iris's reflectance, for an `observer` under an illuminant.
+    """An instrument that reads the colour of the iris's reflectance under an illuminant.
 
-    `wavelengths` default to 380–780 nm in steps of 5 nm.
+    Its wavelengths are 380–780 nm in steps of 5 nm by default.
+
+    Attributes:
+        observer: The illuminant and the standard observer on the wavelengths.
     """
 
     observer: Observer
@@ -55,10 +58,26 @@ def colour(
     key: PRNGKey | None = None,
     throw: bool = True,
 ) -> Colour:
-    """Colour of the iris's reflectance under an illuminant; see `Colorimeter` and `reflectance`.
+    """Compute the colour of the iris's reflectance under an illuminant.
 
-    Light mirrored by the first surface counts by default; against a dark iris it adds a little
-    grey.
+    Light reflected by the first surface is included by default; it adds a little grey to a dark
+    iris.
+
+    Args:
+        iris: The iris.
+        wavelengths: In nm, by default 380–780 nm in steps of 5 nm.
+        illuminant: Name of the light source in colour-science.
+        observer: Name of the standard observer in colour-science.
+        solver: See `observe`.
+        cos_incidence: See `AbstractInstrument`.
+        first_surface: See `AbstractInstrument`.
+        cornea: See `AbstractInstrument`.
+        media: See `AbstractInstrument`.
+        key: See `observe`.
+        throw: See `observe`.
+
+    Raises:
+        ValueError: As `observe` does.
     """
     instrument = Colorimeter(
         wavelengths,

@@ -42,11 +42,12 @@ XYZ_TO_SRGB = np.linalg.inv(
 class Colour(eqx.Module):
     """A colour under an illuminant for an observer.
 
-    - `xyz`: tristimulus values, white at Y = 1, shape (3,).
-    - `lab`: CIE 1976 `L*a*b*` relative to that white.
-    - `srgb_linear`: linear sRGB, adapted to D65 (Bradford); *not* clipped.
-    - `srgb`: the same with sRGB's transfer function, continued by its linear foot below 0.
-    - `in_gamut`: whether all three linear components lie in [0, 1].
+    Attributes:
+        xyz: Tristimulus values, white at Y = 1, shape (3,).
+        lab: CIE 1976 `L*a*b*` relative to that white.
+        srgb_linear: Linear sRGB, adapted to D65 (Bradford), not clipped.
+        srgb: The same with sRGB's transfer function, whose linear part is continued below 0.
+        in_gamut: Whether all three linear components lie in [0, 1].
     """
 
     xyz: Float[Array, "3"]
@@ -100,7 +101,7 @@ class Observer(eqx.Module):
         return _observer(grid.tobytes(), illuminant, observer, str(jnp.result_type(float)))
 
     def colour(self, values: Spectrum, status: RESULTS = RESULTS.successful) -> Colour:
-        """The colour of a spectral reflectance.
+        """Compute the colour of a spectral reflectance.
 
         The status is `invalid_input` where a traced wavelength lies outside the illuminant's table.
         """
@@ -120,10 +121,17 @@ class Observer(eqx.Module):
 
 
 def colour_of(wavelengths, values, *, illuminant: str = "D65", observer: str = OBSERVER) -> Colour:
-    """Colour of a spectral reflectance `values` on `wavelengths` (nm; `VISIBLE` at least).
+    """Compute the colour of a spectral reflectance; it is differentiable in the values.
 
-    Differentiable in `values`. **Raises:** `ValueError` for an unknown illuminant or observer, or
-    values that are not one a wavelength.
+    Args:
+        wavelengths: In nm; they must include `VISIBLE`.
+        values: Reflectances, one a wavelength.
+        illuminant: Name of the light source in colour-science.
+        observer: Name of the standard observer in colour-science.
+
+    Raises:
+        ValueError: For an unknown illuminant or observer, or a number of values other than that of
+            the wavelengths.
     """
     if np.shape(values) != np.shape(wavelengths):
         raise ValueError(f"{np.shape(values)} values for {np.shape(wavelengths)} wavelengths")

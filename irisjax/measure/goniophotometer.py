@@ -22,11 +22,17 @@ from irisjax.transport.solver import AbstractSolver
 class Brdf(eqx.Module):
     """Bidirectional reflectance distribution function, 1/sr, without the mirrored part.
 
-    - `values`: shape (wavelengths, exits); `standard_error` likewise, or `None`.
-    - `cos_exit`, `azimuth`: exit directions, shape (exits,), azimuth in radians from the plane of
-        incidence (0 is forward scattering, where a mirror would send the light).
-    - `mirrored`: share of the light mirrored by the first surface into the mirror direction, shape
-        (wavelengths,): a delta that `values` leave out.
+    Attributes:
+        wavelengths: In nm.
+        cos_incidence: Cosine of the angle of incidence.
+        cos_exit: Cosines of the exit angles, shape (exits,).
+        azimuth: Azimuths of the exits from the plane of incidence, radians, shape (exits,); 0 is
+            where a mirror would send the light.
+        values: The BRDF, shape (wavelengths, exits).
+        standard_error: Its standard error where it is sampled, otherwise `None`.
+        mirrored: Share of the light that the first surface reflects into the mirror direction,
+            shape (wavelengths,); `values` do not include this delta function.
+        status: A `RESULTS` item.
     """
 
     wavelengths: Spectrum
@@ -43,11 +49,13 @@ class Brdf(eqx.Module):
 
 
 class Goniophotometer(AbstractInstrument):
-    """Reads the BRDF of the iris in the aqueous humour, at given exit directions.
+    """An instrument that reads the BRDF of the bare iris in the aqueous humour.
 
-    - `cos_exit`, `azimuth` (radians from the plane of incidence): shape (exits,).
+    Light reflected by the first surface is not included, because it is a delta function.
 
-    The cornea is left out, and so is light mirrored by the first surface: a delta of its own.
+    Attributes:
+        cos_exit: Cosines of the exit angles, shape (exits,).
+        azimuth: Azimuths of the exits from the plane of incidence, radians, shape (exits,).
     """
 
     cos_exit: Float[Array, " exits"]
@@ -76,7 +84,7 @@ class Goniophotometer(AbstractInstrument):
 
     @property
     def exits(self) -> Directions:
-        """The directions it looks from."""
+        """The exit directions."""
         return Directions(self.cos_exit, self.azimuth)
 
     def reading(self, light: Solution, factor) -> Brdf:
@@ -108,15 +116,26 @@ def brdf(
     key: PRNGKey | None = None,
     throw: bool = True,
 ) -> Brdf:
-    """BRDF of the iris in the aqueous humour, at given exit directions.
+    """Compute the BRDF of the iris in the aqueous humour, at given exit directions.
 
-    ILIT redraws directions on entry, so its BRDF does not depend on the azimuth and on the
+    ILIT redraws directions on entry, so its BRDF is independent of the azimuth and depends on the
     incidence only through the first surface's transmittance; radiative transfer depends on all
-    three.
+    three. `MonteCarlo` returns averages over cells of the cosine, bounded half-way between the
+    exits.
 
-    `cos_exit` and `azimuth` broadcast together to shape (exits,); cosines in [0, 1]. `MonteCarlo`
-    returns averages over cells of the cosine bounded half-way between the exits given. For the rest
-    see `reflectance`. **Raises:** `ValueError` for concrete input out of range.
+    Args:
+        iris: The iris.
+        wavelengths: In nm, increasing, within the pigment tables.
+        cos_incidence: Cosine of the angle of incidence.
+        cos_exit: Cosines of the exit angles, in [0, 1].
+        azimuth: Azimuths of the exits, radians; it broadcasts with `cos_exit` to shape (exits,).
+        solver: See `observe`.
+        media: See `AbstractInstrument`.
+        key: See `observe`.
+        throw: See `observe`.
+
+    Raises:
+        ValueError: As `observe` does.
     """
     instrument = Goniophotometer(
         wavelengths, cos_incidence=cos_incidence, cos_exit=cos_exit, azimuth=azimuth, media=media
@@ -125,10 +144,14 @@ def brdf(
 
 
 def principal_plane(n: int = 181):
-    """Signed exit angles (radians), their cosines and azimuths across the principal plane, grazing
-    left out.
+    """Return exit directions across the principal plane, without grazing ones.
 
-    Negative angles lie on the light's side (azimuth π).
+    Args:
+        n: Number of directions.
+
+    Returns:
+        Signed exit angles (radians; negative on the light's side), their cosines, and azimuths (π
+        on the light's side).
     """
     angle = (jnp.arange(n) - (n - 1) / 2) / n * jnp.pi
     return angle, jnp.cos(angle), jnp.where(angle < 0, jnp.pi, 0.0)

@@ -24,19 +24,21 @@ GAIN = Range(0, 1e6, meaning="factor of the instrument on every value", above=Tr
 
 
 class AbstractInstrument(eqx.Module):
-    """An instrument is an immutable value: a new one is a subclass that says what it reads.
+    """An instrument, an immutable value; a new one is a subclass with its own `reading`.
 
-    - `pigments`: the pigments' tables at its wavelengths, which are given in nm.
-    - `cos_incidence`: cosine of the light's angle to the iris's normal, in the aqueous humour (in
-        air, where the light crosses the cornea); `None` for light from all directions alike, given
-        as `"diffuse"`.
-    - `media`: refractive indices before the iris (`Eye.media` has an eye's).
-    - `cornea`: whether light crosses tear film and cornea on its way in (`"inward"`), both ways
-        (`"round-trip"`, out along the normal, as to a camera before the eye), or not (`"none"`).
-    - `first_surface`: whether light mirrored by the iris's own surface counts.
-    - `gain`: factor of the instrument on every value.
+    Attributes:
+        pigments: Extinction of the pigments at the wavelengths, which are given in nm.
+        cos_incidence: Cosine of the light's angle to the iris's normal, in the aqueous humour (in
+            air if the light crosses the cornea); `None` for diffuse light, given as `"diffuse"`.
+        media: Refractive indices in front of the iris (those of an eye are `Eye.media`).
+        gain: Factor of the instrument on every value.
+        cornea: Whether light crosses tear film and cornea on its way in (`"inward"`), both ways
+            (`"round-trip"`, out along the normal, as to a camera in front of the eye), or not
+            (`"none"`).
+        first_surface: Whether light reflected by the iris's own surface is included.
 
-    **Raises:** `ValueError` naming a setting, its value and what is allowed.
+    Raises:
+        ValueError: For a setting out of range, with its value and what is allowed.
     """
 
     pigments: Extinction
@@ -64,7 +66,7 @@ class AbstractInstrument(eqx.Module):
         if diffuse and cornea != "none":
             raise ValueError(
                 'cos_incidence = "diffuse" needs cornea="none": '
-                "the cornea sends light on one course"
+                "through the cornea light comes from one direction"
             )
         self.pigments = extinction(wavelengths)
         if np.shape(gain):
@@ -79,11 +81,11 @@ class AbstractInstrument(eqx.Module):
 
     @property
     def wavelengths(self) -> Spectrum:
-        """Where it measures, nm."""
+        """Wavelengths of the reading, nm."""
         return self.pigments.wavelengths
 
     def incident(self) -> tuple[Scalar, Light]:
-        """Factor on the light on its way to the iris and back, and the light there."""
+        """Compute the factor on light on its way to the iris and back, and the light there."""
         factor, cosine = jnp.ones_like(self.gain), self.cos_incidence
         if cosine is not None and self.cornea != "none":
             factor, cosine = self.media.inward(cosine)
@@ -92,34 +94,35 @@ class AbstractInstrument(eqx.Module):
         return factor, Light(cosine, self.exits, self.rays, self.polarised)
 
     def counted(self, light: Solution) -> tuple[Spectrum, Spectrum | None]:
-        """What comes back of the light, one value a wavelength, and its standard error."""
+        """Return the share of the light that comes back, one value a wavelength, and its error."""
         if self.first_surface:
             return light.reflectance + light.mirrored, light.total_error
         return light.reflectance, light.standard_error
 
     @property
     def rays(self) -> Spectrum | None:
-        """Relative number of rays a wavelength for solvers that sample; `None`: equally many."""
+        """Relative number of rays a wavelength for solvers that sample; `None` for equally many."""
         return None
 
     @property
     def exits(self) -> Directions | None:
-        """Directions it looks from, for a BRDF, or `None`."""
+        """Exit directions of a BRDF, or `None`."""
         return None
 
     @property
     def polarised(self) -> bool:
-        """Whether it needs a process that follows polarisation."""
+        """Whether the instrument needs a polarised process."""
         return False
 
     @abc.abstractmethod
     def reading(self, light: Solution, factor) -> Any:
-        """What it reads of light that was dimmed by `factor` on its way."""
+        """Compute the reading from a solution; `factor` dims the light on its way."""
 
 
 def _number(value, dtype) -> jax.Array:
-    """A setting as an array, strongly typed: 1, 1.0 and an array are one program. Plain numbers are
-    kept: making an array takes as long as a tenth of a spectrum.
+    """Return a setting as a strongly typed array, so that 1, 1.0 and an array share one program.
+
+    Arrays of plain numbers are cached: making one takes as long as a tenth of a spectrum.
     """
     if isinstance(value, (int, float)):
         return _constant(float(value), dtype)

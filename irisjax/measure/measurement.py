@@ -1,4 +1,4 @@
-"""What an instrument reads, and the checks every instrument makes of its settings."""
+"""Readings of instruments, and the checks of their settings."""
 
 import equinox as eqx
 import jax
@@ -11,21 +11,24 @@ from irisjax.numerics.checks import Range, check_range
 from irisjax.transport.solution import RESULTS, Absorbed
 
 DIFFUSE = "diffuse"
-"""Incidence from every direction alike (cosine-weighted hemisphere)."""
+"""Diffuse incidence (a cosine-weighted hemisphere)."""
 
 HEMISPHERE = "hemisphere"
-"""Exits into every direction, collected by a lens."""
+"""Exits into the whole hemisphere, collected by a lens."""
 
 
 class Reading(eqx.Module):
-    """One value a wavelength, and what is known about it.
+    """The reading of an instrument, one value a wavelength.
 
-    - `wavelengths` (nm) and `values`, shape (wavelengths,); `unit` and `quantity` say what they
-        are.
-    - `standard_error`: of `values` where they are sampled, `None` where they are integrated.
-    - `status`: a `RESULTS` item; compare with `RESULTS.successful`.
-    - `absorbed`: share of the light falling on the eye absorbed in `.abl`, `.stroma`, `.ipe`.
-    - `mirrored`: share mirrored by the iris's first surface, whether or not `values` count it.
+    Attributes:
+        wavelengths: In nm, shape (wavelengths,).
+        values: The values, shape (wavelengths,).
+        standard_error: Their standard errors where they are sampled, otherwise `None`.
+        status: A `RESULTS` item; compare it with `RESULTS.successful`.
+        absorbed: Shares of the incident light absorbed in `.abl`, `.stroma` and `.ipe`.
+        mirrored: Share reflected by the iris's first surface, whether or not `values` include it.
+        quantity: Name of the quantity.
+        unit: Its unit.
     """
 
     wavelengths: Spectrum
@@ -45,10 +48,10 @@ class Reading(eqx.Module):
 
 
 def wavelengths(start: float, stop: float, step: float) -> np.ndarray:
-    """Grid from `start` to `stop` inclusive in nm, built from whole steps so that all steps are
-    equal.
+    """Return a grid from `start` to `stop` inclusive, in equal steps, nm.
 
-    **Raises:** `ValueError` unless start ≤ stop and the step is positive and divides the range.
+    Raises:
+        ValueError: Unless start ≤ stop and the step is positive and divides the range.
     """
     if not all(np.isfinite(v) for v in (start, stop, step)) or step <= 0 or stop < start:
         raise ValueError(
@@ -63,8 +66,11 @@ def wavelengths(start: float, stop: float, step: float) -> np.ndarray:
 
 
 def check_wavelengths(grid) -> None:
-    """Raise `ValueError` unless a grid is one-dimensional and not empty and, where it is concrete,
-    finite and increasing.
+    """Check a grid of wavelengths.
+
+    Raises:
+        ValueError: Unless it is one-dimensional and not empty and, if concrete, finite and
+            increasing.
     """
     shape = np.shape(grid)
     if len(shape) != 1 or shape[0] == 0:
@@ -82,8 +88,10 @@ def check_wavelengths(grid) -> None:
 
 
 def check_cosine(name: str, cosine) -> None:
-    """Raise `ValueError` unless a cosine is one number in [0, 1], or `DIFFUSE`; a traced number
-    passes.
+    """Check a cosine; a traced number passes.
+
+    Raises:
+        ValueError: Unless it is one number in [0, 1], or `DIFFUSE`.
     """
     if isinstance(cosine, str):
         if cosine != DIFFUSE:

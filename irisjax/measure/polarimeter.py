@@ -133,12 +133,14 @@ class PolarisedInstrument(AbstractInstrument):
 
 
 class Analyser(PolarisedInstrument):
-    """Reads the share of linearly polarised light that comes back through an analyser, crossed with
-    the polariser or parallel to it.
+    """An instrument that reads the share of linearly polarised light that passes an analyser.
 
-    Into one direction it is a reflectance factor, π L/E: 1 for a white diffuser that keeps the
-    polarisation, ½ through either analyser for one that does not. Both settings together make the
-    reflectance.
+    Into one direction the reading is a reflectance factor, π L/E: 1 for a white diffuser that keeps
+    the polarisation, ½ through either analyser for one that does not. The readings of both settings
+    add up to the reflectance.
+
+    Attributes:
+        setting: Whether the analyser is `"crossed"` with the polariser or `"parallel"` to it.
     """
 
     setting: AnalyserSetting = eqx.field(static=True)
@@ -156,7 +158,7 @@ class Analyser(PolarisedInstrument):
                 f"setting = {setting!r}; known: {', '.join(get_args(AnalyserSetting))}"
             )
         if polariser is None:
-            raise ValueError("an analyser stands behind a polariser: give its angle")
+            raise ValueError("an analyser needs a polariser: give its angle")
         super().__init__(wavelengths, polariser=polariser, **settings)
         self.setting = setting
 
@@ -183,9 +185,10 @@ class Analyser(PolarisedInstrument):
 class PolarisedReading(Reading):
     """A `Reading` of the degree of linear polarisation, from 0 to 1.
 
-    - `angle`: of the polarisation, radians in (−π/2, π/2], shape (wavelengths,).
-    - `stokes`: reflectance factors I, Q, U, V, shape (wavelengths, 4); Q is 0°'s less 90°'s, U
-        45°'s less 135°'s.
+    Attributes:
+        angle: Angle of the polarisation, radians in (−π/2, π/2], shape (wavelengths,).
+        stokes: Reflectance factors I, Q, U, V, shape (wavelengths, 4); Q is the intensity at 0°
+            less that at 90°, U that at 45° less that at 135°.
     """
 
     angle: Spectrum
@@ -193,8 +196,9 @@ class PolarisedReading(Reading):
 
 
 class Polarimeter(PolarisedInstrument):
-    """Reads the degree and the angle of linear polarisation of what comes back, of unpolarised
-    light or, given a `polariser`, of polarised light.
+    """An instrument that reads the degree and the angle of linear polarisation.
+
+    The incident light is unpolarised or, with a `polariser`, linearly polarised.
     """
 
     def __init__(self, wavelengths, **settings: Any):

@@ -1,4 +1,4 @@
-"""Virtual radiometer: what an eye sends back of an illuminant, as measured in vivo."""
+"""Virtual radiometer: the radiance of an eye under an illuminant, as measured in vivo."""
 
 from typing import Any
 
@@ -17,14 +17,16 @@ from irisjax.transport.solver import AbstractSolver
 
 
 class Radiometer(AbstractInstrument):
-    """Reads the reflected spectral radiance under an illuminant  [LB06 Section 4].
+    """An instrument that reads the spectral radiance under an illuminant  [LB06 Section 4].
 
-    The illuminant's relative spectral power E (1 at 560 nm) falls on the eye; light is dimmed on
-    its way through tear film and cornea (by default inward only; light mirrored by the tear film is
-    dropped), and what comes back is shared over the hemisphere, L = R·E/π. A perfect white diffuser
-    in the eye's place reads E/π.
+    The illuminant's relative spectral power E (1 at 560 nm) falls on the eye. Light is dimmed on
+    its way through tear film and cornea (by default inward only; light reflected by the tear film
+    is not included) and returns evenly over the hemisphere, L = R·E/π. The reading of a perfect
+    white diffuser in place of the eye is E/π.
 
-    - `illuminant`: a name known to colour-science; `power` its E at the wavelengths.
+    Attributes:
+        power: E at the wavelengths.
+        illuminant: Name of the light source in colour-science.
     """
 
     power: Spectrum
@@ -45,7 +47,7 @@ class Radiometer(AbstractInstrument):
 
     @property
     def rays(self) -> Spectrum:
-        """As in LB06: the number of rays at each wavelength follows the illuminant."""
+        """Relative number of rays at each wavelength: the illuminant's power, as in LB06."""
         return self.power
 
     def reading(self, light: Solution, factor) -> Reading:
@@ -79,10 +81,22 @@ def radiance(
     key: PRNGKey | None = None,
     throw: bool = True,
 ) -> Reading:
-    """Reflected spectral radiance of an iris under an illuminant; see `Radiometer`.
+    """Compute the spectral radiance of an iris under an illuminant; see `Radiometer`.
 
-    `cos_incidence` is measured in air, where the light crosses the cornea. For the other arguments
-    see `reflectance`.
+    Args:
+        iris: The iris.
+        wavelengths: In nm, increasing, within the pigment tables.
+        illuminant: Name of the light source in colour-science.
+        solver: See `observe`.
+        cos_incidence: Cosine of the angle of incidence, in air if the light crosses the cornea.
+        first_surface: See `AbstractInstrument`.
+        cornea: See `AbstractInstrument`.
+        media: See `AbstractInstrument`.
+        key: See `observe`.
+        throw: See `observe`.
+
+    Raises:
+        ValueError: As `observe` does.
     """
     instrument = Radiometer(
         wavelengths,

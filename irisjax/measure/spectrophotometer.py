@@ -13,7 +13,7 @@ from irisjax.transport.solver import AbstractSolver
 
 
 class Spectrophotometer(AbstractInstrument):
-    """Reads the share of the light falling on the iris that it sends back, at each wavelength."""
+    """An instrument that reads the share of the incident light that the iris sends back."""
 
     def __init__(self, wavelengths, **settings: Any):
         super().__init__(wavelengths, **settings)
@@ -46,15 +46,21 @@ def reflectance(
     key: PRNGKey | None = None,
     throw: bool = True,
 ) -> Reading:
-    """Spectral reflectance of an iris: the share of the light falling on it that it sends back.
+    """Compute the spectral reflectance of an iris, the share of incident light it sends back.
 
-    **Arguments:**
+    Args:
+        iris: The iris.
+        wavelengths: In nm, increasing, within the pigment tables; see `wavelengths`.
+        solver: See `observe`.
+        cos_incidence: See `AbstractInstrument`.
+        first_surface: See `AbstractInstrument`.
+        cornea: See `AbstractInstrument`.
+        media: See `AbstractInstrument`.
+        key: See `observe`.
+        throw: See `observe`.
 
-    - `wavelengths`: nm, increasing, shape (n,), within the pigment tables; see `wavelengths`.
-    - `cos_incidence`, `first_surface`, `cornea`, `media`: see `Spectrophotometer`.
-    - `iris`, `solver`, `key`, `throw`: see `observe`.
-
-    **Returns:** a `Reading`. **Raises:** as `observe`.
+    Raises:
+        ValueError: As `observe` does.
     """
     instrument = Spectrophotometer(
         wavelengths,

@@ -116,7 +116,7 @@ def test_radiance_factor():
     assert illuminant_power("A", np.array([560.0]))[0] == 1
     with pytest.raises(ValueError, match="unknown illuminant 'Z'"):
         ij.radiance(IRIS, GRID, illuminant="Z")
-    with pytest.raises(ValueError, match="on one course"):
+    with pytest.raises(ValueError, match="from one direction"):
         ij.radiance(IRIS, GRID, cos_incidence="diffuse")
 
 
