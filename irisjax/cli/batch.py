@@ -18,7 +18,7 @@ from irisjax.cli.sentences import preference
 from irisjax.infer.fit import Fit, FitStatus, fit, words_for
 from irisjax.infer.least_squares import levenberg_marquardt
 from irisjax.infer.observation import with_values
-from irisjax.infer.other_process import PIGMENTS, compare_processes, other_of
+from irisjax.infer.other_process import COMPARED, compare_processes, other_of
 from irisjax.infer.problem import Problem
 from irisjax.transport.process import option_of
 
@@ -32,7 +32,7 @@ _SUFFIXES = (".csv", ".tsv", ".txt", ".dx", ".jdx")
 _FAR = 4.0  # standard deviations of a prior
 
 
-class Eye(NamedTuple):
+class _Eye(NamedTuple):
     """A spectrum of a batch.
 
     Attributes:
@@ -121,24 +121,24 @@ def many(
     return 3 if any(rows[e.name][1] == FAILED for e in eyes) else 0
 
 
-def _eyes(source: Path, reading: io.ReadOptions) -> Iterator[Eye]:
+def _eyes(source: Path, reading: io.ReadOptions) -> Iterator[_Eye]:
     if source.is_dir():
         for path in sorted(p for p in source.iterdir() if p.suffix.lower() in _SUFFIXES):
             try:
-                yield Eye(path.stem, io.read_measured(path, **reading._asdict()), "")
+                yield _Eye(path.stem, io.read_measured(path, **reading._asdict()), "")
             except ValueError as error:
-                yield Eye(path.stem, None, str(error))
+                yield _Eye(path.stem, None, str(error))
         return
     for name, found in io.read_eyes(source, reading).items():
         if isinstance(found, ValueError):
-            yield Eye(name, None, f"{source}: {found}")
+            yield _Eye(name, None, f"{source}: {found}")
         else:
-            yield Eye(name, found, "")
+            yield _Eye(name, found, "")
 
 
-def _chunks(eyes: list[Eye]) -> Iterator[list[Eye]]:
+def _chunks(eyes: list[_Eye]) -> Iterator[list[_Eye]]:
     """Eyes on one grid together, so that they share one program."""
-    groups: dict[Any, list[Eye]] = {}
+    groups: dict[Any, list[_Eye]] = {}
     for eye in eyes:
         m = eye.measured
         groups.setdefault(
@@ -151,7 +151,7 @@ def _chunks(eyes: list[Eye]) -> Iterator[list[Eye]]:
 
 
 def _fitted(
-    chunk: list[Eye], seen: Mapping[str, Any], options: Mapping[str, Any], seed: int
+    chunk: list[_Eye], seen: Mapping[str, Any], options: Mapping[str, Any], seed: int
 ) -> tuple[list[str], list[list[str]]]:
     """Columns and rows of a chunk."""
     if chunk[0].measured is None:
@@ -181,7 +181,7 @@ def _fitted(
     columns = ["warnings", *(c for n in names for c in (n, f"{n}_sd"))]
     columns += ["chi_square", "degrees", "p_value", "process"]
     columns += ["other_process", "log_odds_other", "differs"]
-    columns += [*(f"other_{n}" for n in names if n in PIGMENTS), "notes"]
+    columns += [*(f"other_{n}" for n in names if n in COMPARED), "notes"]
     rows = []
     for i, eye in enumerate(chunk):
         assert eye.measured is not None
@@ -207,7 +207,7 @@ def _fitted(
     return columns, rows
 
 
-def _failed(eye: Eye, fault: str) -> list[str]:
+def _failed(eye: _Eye, fault: str) -> list[str]:
     return [eye.name, FAILED, "", fault]
 
 
@@ -243,7 +243,7 @@ def _judged(problem: Problem, found, i: int) -> tuple[str, list[str]]:
 
 def _sampled(
     row: list[str],
-    eye: Eye,
+    eye: _Eye,
     output: Path | None,
     seen: Mapping[str, Any],
     options: Mapping[str, Any],
@@ -282,5 +282,5 @@ def _rows(path: Path, posteriors: bool) -> dict[str, list[str]]:
     }
 
 
-def _table(columns: list[str], rows: Mapping[str, list[str]], eyes: list[Eye]) -> str:
+def _table(columns: list[str], rows: Mapping[str, list[str]], eyes: list[_Eye]) -> str:
     return report.csv_of([[*_FIRST, *columns], *(rows[e.name] for e in eyes if e.name in rows)])

@@ -6,10 +6,10 @@ from typing import Any
 
 import irisjax as ij
 from irisjax import io
-from irisjax.cli.report import console, counting, csv_of, key_of, labelled, shape_of
+from irisjax.cli.report import console, counting, csv_of, labelled, sampler_key, shape_of
 from irisjax.cli.sentences import models_sentence, with_error
 from irisjax.infer.model_comparison import Assessment, compare_models
-from irisjax.infer.other_process import PIGMENTS
+from irisjax.infer.other_process import COMPARED
 from irisjax.infer.parameters import kind
 from irisjax.infer.problem import Problem
 from irisjax.plot.beside import Later, here
@@ -33,7 +33,7 @@ def models(
         if rounds:
             count(rounds, f"{name}: evidence")
 
-    found = compare_models(problem, progress=progress, key=key_of(sampler))
+    found = compare_models(problem, progress=progress, key=sampler_key(sampler))
     sentence = models_sentence(found)
     if folder is not None:
         bar.set_description_str("files")
@@ -68,7 +68,7 @@ def _table(found: Sequence[Assessment], sentence: str, seed: int) -> str:
 def _drawing(found: Sequence[Assessment], sentence: str, draw: Callable[..., Later]) -> Later:
     shapes = [shape_of(o) for o in found[0].candidate.problem.observations]
     fits = {a.name: (list(a.models), list(a.residuals)) for a in found}
-    names = [n for n in found[0].values if kind(n) in PIGMENTS]
+    names = [n for n in found[0].values if kind(n) in COMPARED]
     pigments = {labelled(n): {a.name: tuple(a.values[n]) for a in found} for n in names}
     return draw("models_figure", shapes, fits, pigments, sentence)
 

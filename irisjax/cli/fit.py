@@ -9,7 +9,7 @@ import typer
 import irisjax as ij
 from irisjax import io
 from irisjax.cli.files import check_is_folder
-from irisjax.cli.fit_options import Measured, Model, Results, Sampler
+from irisjax.cli.fit_options import FitResults, Measurements, Model, Sampler
 from irisjax.cli.options import dashed, grouped
 from irisjax.infer.parameters import DEFAULT_FREE, PARAMETERS
 from irisjax.plot.beside import beside, here
@@ -39,7 +39,7 @@ EPILOG = "\n".join(
 
 
 @grouped
-def fit(measured: Measured, model: Model, sampler: Sampler, results: Results) -> None:
+def fit(measured: Measurements, model: Model, sampler: Sampler, results: FitResults) -> None:
     """Find the pigments of an iris from its measured spectrum, and what the data cannot tell.
 
     For example: irisjax fit eye.csv -o fit_eye
@@ -96,13 +96,13 @@ def fit(measured: Measured, model: Model, sampler: Sampler, results: Results) ->
         if folder is not None:
             # Before an old chain is removed.
             _check_folder(folder, resume, results.overwrite)
-            check_run(problem, None, walkers=sampler.walkers, key=report.key_of(sampling))
+            check_run(problem, None, walkers=sampler.walkers, key=report.sampler_key(sampling))
             _prepare(folder, resume)
         converged = report.one(problem, folder, sampling, bar, resume=resume, draw=draw)
     raise typer.Exit(0 if converged else _NOT_CONVERGED)
 
 
-def _check_comparison(sampler: Sampler, results: Results) -> None:
+def _check_comparison(sampler: Sampler, results: FitResults) -> None:
     """Refuse options without meaning beside `--compare`, and results that would be lost."""
     from irisjax.cli.compare import FILES
 

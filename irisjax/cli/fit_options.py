@@ -35,7 +35,7 @@ def _span(text: str) -> tuple[float, float]:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Measured(Group):
+class Measurements(Group):
     """What was measured, of which eye, and how well."""
 
     PANEL = "Measurement"
@@ -222,7 +222,7 @@ class Sampler(Group):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Results(Group):
+class FitResults(Group):
     """Where what is found goes; many eyes at once."""
 
     PANEL = "Files"

@@ -66,7 +66,7 @@ def counting(bar: Any, leave: bool) -> Callable[[int, str], None]:
     return progress
 
 
-def key_of(sampler: Mapping[str, Any]) -> jax.Array:
+def sampler_key(sampler: Mapping[str, Any]) -> jax.Array:
     """Return the key of a run."""
     return jax.random.key(sampler["seed"], impl="threefry2x32")
 
@@ -95,7 +95,7 @@ def one(
     Returns:
         Whether the chain is long enough.
     """
-    key = key_of(sampler)
+    key = sampler_key(sampler)
     found = analyse(
         problem, store=None if folder is None else folder / "chain.h5", resume=resume,
         walkers=sampler["walkers"], max_steps=sampler["max_steps"],
@@ -163,7 +163,7 @@ def _write(
     problem, chains = found.problem, found.chains
     seen = problem.observations
     simulated, models = predictive(problem, chains, key=jax.random.fold_in(key, 3))
-    by = sentences.name_of(problem.process)
+    by = sentences.process_name(problem.process)
     shapes = [(f"{name}, by {by}", *rest) for name, *rest in map(shape_of, seen)]
     # They are drawn while the rest is computed.
     pictures = {"fit.png": draw("fit_figure", shapes, list(simulated), list(models))}
@@ -231,7 +231,7 @@ def _print(found: Analysis, first: list[str], lines: list[str]) -> None:
     from rich.table import Table
 
     out, rows, chains = console(), found.rows, found.chains
-    seen, by = found.problem.observations, sentences.name_of(found.problem.process)
+    seen, by = found.problem.observations, sentences.process_name(found.problem.process)
     names = ", ".join(o.name for o in seen)
     title = f"{names}: posterior{' of one eye' if len(seen) > 1 else ''} by {by}"
     table = Table(title=title, title_justify="left", box=None, pad_edge=False, padding=(0, 2, 0, 0))

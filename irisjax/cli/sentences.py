@@ -32,7 +32,7 @@ def process_lines(found: ProcessComparison) -> list[str]:
         parts = ", ".join(_shift(n, found.moved[n]) for n in names)
         warning = "WARNING: the pigments depend on the model by more than their intervals: "
         differ = any(moved.differs for moved in found.moved.values())
-        lines.append(f"{warning if differ else ''}by {name_of(found.process)} {parts}")
+        lines.append(f"{warning if differ else ''}by {process_name(found.process)} {parts}")
     if found.preferred:
         lines.append(f"WARNING: {preference(found)}")
     return lines
@@ -41,12 +41,12 @@ def process_lines(found: ProcessComparison) -> list[str]:
 def preference(found: ProcessComparison) -> str:
     """By what odds the data prefer the other process."""
     return (
-        f"the data prefer {name_of(found.process)}, by odds of {odds(found.log_odds)} to 1 (least "
-        f"squares, Laplace's approximation)"
+        f"the data prefer {process_name(found.process)}, by odds of {odds(found.log_odds)} to 1 "
+        f"(least squares, Laplace's approximation)"
     )
 
 
-def name_of(process: AbstractProcess) -> str:
+def process_name(process: AbstractProcess) -> str:
     """Name of a process in a sentence."""
     return "ILIT" if isinstance(process, Ilit) else "radiative transfer"
 

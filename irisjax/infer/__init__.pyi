@@ -1,6 +1,6 @@
 """Public names of `irisjax.infer`; each loads from its module when it is first used."""
 
-from .analysis import Check as Check
+from .analysis import PredictiveCheck as PredictiveCheck
 from .analysis import Row as Row
 from .analysis import predictive as predictive
 from .analysis import predictive_check as predictive_check
@@ -18,7 +18,7 @@ from .parameters import Parameter as Parameter
 from .parameters import of_iris as of_iris
 from .posterior import Chains as Chains
 from .posterior import ChainStatus as ChainStatus
-from .posterior import Target as Target
+from .posterior import Density as Density
 from .priors import AbstractPrior as AbstractPrior
 from .priors import LogitNormal as LogitNormal
 from .priors import LogNormal as LogNormal

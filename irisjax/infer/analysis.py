@@ -66,7 +66,7 @@ class Row(NamedTuple):
     contraction: float
 
 
-class Check(NamedTuple):
+class PredictiveCheck(NamedTuple):
     """Posterior predictive checks: the share of simulated data that lie further from the model than
     the measured ones.
 
@@ -118,7 +118,7 @@ class Analysis(NamedTuple):
     fit: Fit
     chains: Chains
     rows: list[Row]
-    check: Check
+    check: PredictiveCheck
     information: Information
     other: ProcessComparison
 
@@ -226,8 +226,8 @@ def predictive(
     return _drawn(problem, chains, count, key)[:2]
 
 
-def predictive_check(problem: Problem, chains: Chains, *, key: PRNGKey) -> Check:
-    """Check residuals by their size and by their pattern."""
+def predictive_check(problem: Problem, chains: Chains, *, key: PRNGKey) -> PredictiveCheck:
+    """PredictiveCheck residuals by their size and by their pattern."""
     simulated, models, sds = _drawn(problem, chains, DRAWS, key)
     size, pattern = [], []
     for values in (tuple(np.asarray(o.values) for o in problem.observations), simulated):
@@ -239,7 +239,7 @@ def predictive_check(problem: Problem, chains: Chains, *, key: PRNGKey) -> Check
         size.append(total)
         pattern.append(alike)
     noise = reported(problem, chains.z).get("noise")
-    return Check(
+    return PredictiveCheck(
         float((size[1] >= size[0]).mean()),
         float((pattern[1] >= pattern[0]).mean()),
         1.0 if noise is None else float(np.median(noise)),

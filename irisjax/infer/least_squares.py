@@ -163,11 +163,11 @@ def least_squares(
 
 
 def levenberg_marquardt(rtol: float = 1e-8, atol: float = 1e-8) -> optx.LevenbergMarquardt:
-    """Return optimistix's Levenberg–Marquardt with the linear solver `Normal`."""
-    return optx.LevenbergMarquardt(rtol, atol, linear_solver=Normal())
+    """Return optimistix's Levenberg–Marquardt with the linear solver `NormalEquations`."""
+    return optx.LevenbergMarquardt(rtol, atol, linear_solver=NormalEquations())
 
 
-class Normal(lx.AbstractLinearSolver):
+class NormalEquations(lx.AbstractLinearSolver):
     """Linear least squares by the normal equations, for batches (see `numerics.linear`).
 
     With priors among the residuals the equations are well conditioned; without them rounding may

@@ -13,7 +13,7 @@ from irisjax.infer.analysis import DRAWS, predictive_score, reported
 from irisjax.infer.fit import fit
 from irisjax.infer.importance import EFFECTIVE, ImportanceSample, importance_sample
 from irisjax.infer.models import solvers_of
-from irisjax.infer.other_process import PIGMENTS, Interval, other_of
+from irisjax.infer.other_process import COMPARED, Interval, other_of
 from irisjax.infer.parameters import OF_POWER_LAW, kind
 from irisjax.infer.pieces import pointwise, predicted
 from irisjax.infer.posterior import words_of
@@ -40,7 +40,7 @@ class Assessment(NamedTuple):
         score: Predictive score (PSIS-LOO). Neighbouring wavelengths are not independent, so it is
             no evidence of its own.
         score_error: Its standard error.
-        values: Median and 95 % interval of each of `PIGMENTS` that is free, of a power law's
+        values: Median and 95 % interval of each of `COMPARED` that is free, of a power law's
             parameters, and of the noise.
         ratios: Ratios of these to the first model's where it has them, the draws of the two
             posteriors being independent.
@@ -72,10 +72,10 @@ def candidates_of(problem: Problem) -> tuple[Candidate, ...]:
         problems = problem, plain, plain.by(other_of(plain.process))
     else:
         problems = problem, problem.by(other_of(problem.process)), _general(problem)
-    return tuple(Candidate(name_of(p), p) for p in problems)
+    return tuple(Candidate(_name_of(p), p) for p in problems)
 
 
-def name_of(problem: Problem) -> str:
+def _name_of(problem: Problem) -> str:
     """Return the name of a problem's model of light."""
     if problem.base.power_law is not None:
         return "general radiative transfer"
@@ -146,7 +146,7 @@ def _assessed(
 ) -> Assessment:
     problem, z = candidate.problem, found.samples
     draws = reported(problem, z)
-    names = [n for n in problem.free if kind(n) in (*PIGMENTS, *OF_POWER_LAW, "noise")]
+    names = [n for n in problem.free if kind(n) in (*COMPARED, *OF_POWER_LAW, "noise")]
     beside = draws if first is None else reported(first.candidate.problem, first.evidence.samples)
     score, error = predictive_score(pointwise(problem, z)[None], found.effective / len(z))
     _, models, sds = predicted(problem.unnamed(), jnp.asarray(z[:DRAWS]), key)

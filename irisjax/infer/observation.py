@@ -19,7 +19,7 @@ from irisjax.measure.spectrophotometer import Spectrophotometer
 from irisjax.tissue.pigments import check_covered
 
 REFLECTANCE, RADIANCE = "reflectance", "radiance"
-COLOURS = {"XYZ": "xyz", "Lab": "lab", "linear sRGB": "srgb_linear"}
+COLOUR_QUANTITIES = {"XYZ": "xyz", "Lab": "lab", "linear sRGB": "srgb_linear"}
 """Quantities of colours, and the fields of `Colour` that hold them."""
 
 
@@ -50,11 +50,11 @@ class Observation(eqx.Module):
     @property
     def is_colour(self) -> bool:
         """Whether the data are tristimulus values."""
-        return self.quantity in COLOURS
+        return self.quantity in COLOUR_QUANTITIES
 
     def of(self, reading: Any) -> Float[Array, " data"]:
         """Return the part of an instrument's reading that is compared with the data."""
-        return getattr(reading, COLOURS.get(self.quantity, "values"))
+        return getattr(reading, COLOUR_QUANTITIES.get(self.quantity, "values"))
 
 
 def spectrum(
@@ -188,8 +188,10 @@ def colour_data(
     Raises:
         ValueError: Unless the covariance is symmetric and positive definite.
     """
-    if quantity not in COLOURS:
-        raise ValueError(f"quantity must be one of {', '.join(COLOURS)}, got {quantity!r}")
+    if quantity not in COLOUR_QUANTITIES:
+        raise ValueError(
+            f"quantity must be one of {', '.join(COLOUR_QUANTITIES)}, got {quantity!r}"
+        )
     y, c = np.asarray(values, np.float64), np.asarray(covariance, np.float64)
     if y.shape != (3,) or not np.isfinite(y).all():
         raise ValueError(f"{name}: a colour is three finite numbers")

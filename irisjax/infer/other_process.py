@@ -18,7 +18,7 @@ from irisjax.infer.parameters import kind
 from irisjax.infer.problem import Problem
 from irisjax.transport.process import DEPTH_RESOLVED, ILIT_2006, AbstractProcess, Ilit
 
-PIGMENTS = ("melanin_load", "abl_fraction", "pheomelanin_share", "hemoglobin", "saturation")
+COMPARED = ("melanin_load", "abl_fraction", "pheomelanin_share", "hemoglobin", "saturation")
 """Parameters that are compared."""
 PREFERRED = math.log(20.0)
 """Log odds from which on the data prefer another process. Data of the process itself, of irides as
@@ -52,7 +52,7 @@ class ProcessComparison(NamedTuple):
 
     Attributes:
         process: The other process.
-        moved: Each of `PIGMENTS` that is free, by both.
+        moved: Each of `COMPARED` that is free, by both.
         log_odds: Logarithm of how much more probable the data are by the other process [Laplace's
             approximation of both evidences; noise as stated, or as the better fit leaves it].
     """
@@ -87,7 +87,7 @@ def compare_processes(
     spread = noise_left(own, other)
     mine = intervals_of(problem, own, spread) | dict(intervals or {})
     theirs = intervals_of(other_problem, other, spread)
-    names = [n for n in problem.free if kind(n) in PIGMENTS]
+    names = [n for n in problem.free if kind(n) in COMPARED]
     log_odds = _log_evidence(other_problem, other, spread) - _log_evidence(problem, own, spread)
     moved = {n: Moved(mine[n], theirs[n]) for n in names}
     return ProcessComparison(other_problem.process, moved, log_odds)

@@ -15,7 +15,7 @@ from jaxtyping import Float
 from irisjax._types import PRNGKey
 from irisjax.infer.importance import DRAWS, Approximation, importance_sample
 from irisjax.infer.moves import mixture
-from irisjax.infer.store import FileStore, Stage, Store
+from irisjax.infer.store import ChainStart, FileStore, Store
 
 TAUS, ESS, RHAT = 50, 1000, 1.03
 """A chain is long enough with 50 autocorrelation times, 1,000 effective samples of every parameter,
@@ -30,7 +30,7 @@ _MOST_KEPT = 1000  # steps that a diagnosis reads
 
 
 @runtime_checkable
-class Target(Protocol):
+class Density(Protocol):
     """What can be sampled: the unnormalised log density of a vector z (free,).
 
     Coordinates should be such that the priors are standard normal: importance sampling draws from
@@ -99,7 +99,7 @@ class Chains(NamedTuple):
 
 
 def sample(
-    target: Target,
+    target: Density,
     start: Approximation,
     *,
     store: str | Path | None = None,
@@ -177,7 +177,7 @@ def sample(
 
 
 def check_run(
-    target: Target,
+    target: Density,
     store: str | Path | None,
     *,
     walkers: int = 64,
@@ -285,12 +285,12 @@ def mixing(draws: Float[np.ndarray, "chains draws"]) -> Mixing:
 
 
 def _first(
-    target: Target,
+    target: Density,
     start: Approximation,
     walkers: int,
     key: PRNGKey,
     tell: Callable[[int, str], Any],
-) -> Stage:
+) -> ChainStart:
     """The walkers' first places, and the samples that their jumps are adapted to."""
     random = np.random.RandomState([*words_of(key), 1 << 31])
     found = importance_sample(
@@ -300,7 +300,7 @@ def _first(
     # Differences of walkers on one spot would be zero.
     apart = random.standard_normal(places.shape)
     places = places + 1e-3 * found.samples.std(axis=0) * apart
-    return Stage(
+    return ChainStart(
         owner=_owner(target, key),
         number=len(_BURN_IN) if found.enough else 0,
         steps_before=0,
@@ -310,7 +310,7 @@ def _first(
     )
 
 
-def _owner(target: Target, key: PRNGKey) -> str:
+def _owner(target: Density, key: PRNGKey) -> str:
     return f"{', '.join(target.names)}; key {words_of(key)}"
 
 
@@ -321,7 +321,7 @@ def _equal(one: np.ndarray, other: np.ndarray) -> bool:
 class _Run:
     """An ensemble, and the store that its steps go to."""
 
-    def __init__(self, store: Store, stage: Stage, log_density, key: PRNGKey):
+    def __init__(self, store: Store, stage: ChainStart, log_density, key: PRNGKey):
         self._store, self._stage = store, stage
         self._remove_half_written(log_density)
         walkers, free = stage.places.shape
@@ -349,11 +349,11 @@ class _Run:
                 self._reseed(done)
                 progress(done)
 
-    def next_stage(self, samples: Float[np.ndarray, "steps walkers free"]) -> Stage:
+    def next_stage(self, samples: Float[np.ndarray, "steps walkers free"]) -> ChainStart:
         """Start again from the walkers' places, with proposals adapted to samples."""
         stage = self._stage
         places, log_density = self._last()
-        return Stage(
+        return ChainStart(
             owner=stage.owner,
             number=stage.number + 1,
             steps_before=stage.steps_before + self._store.steps,

@@ -18,7 +18,7 @@ Append = Callable[[np.ndarray, np.ndarray], None]
 _CHUNK = 16  # steps of a chunk of the file, which is what writing one step rewrites
 
 
-class Stage(NamedTuple):
+class ChainStart(NamedTuple):
     """What a chain starts from.
 
     Attributes:
@@ -39,16 +39,16 @@ class Stage(NamedTuple):
 
 
 class Store:
-    """One chain in memory; a new `Stage` replaces it."""
+    """One chain in memory; a new `ChainStart` replaces it."""
 
     def __init__(self):
         """Start empty."""
-        self._stage: Stage | None = None
+        self._stage: ChainStart | None = None
         self._planned = 0
         self._steps: list[tuple[np.ndarray, np.ndarray]] = []
 
     @property
-    def stage(self) -> Stage | None:
+    def stage(self) -> ChainStart | None:
         """What the chain started from, or `None` in an empty store."""
         return self._stage
 
@@ -66,7 +66,7 @@ class Store:
         """Set `planned`."""
         self._planned = steps
 
-    def begin(self, stage: Stage) -> None:
+    def begin(self, stage: ChainStart) -> None:
         """Replace the chain by one without steps."""
         self._stage, self._steps, self._planned = stage, [], 0
 
@@ -106,13 +106,13 @@ class FileStore(Store):
             self._repair()
 
     @property
-    def stage(self) -> Stage | None:
+    def stage(self) -> ChainStart | None:
         if not self.path.exists():
             return None
         with self._read() as file:
             attributes: Any = file.attrs
             adapted_to = np.asarray(file["adapted_to"]) if "adapted_to" in file else None
-            return Stage(
+            return ChainStart(
                 str(attributes["owner"]),
                 int(attributes["stage"]),
                 int(attributes["steps_before"]),
@@ -136,7 +136,7 @@ class FileStore(Store):
         with self._read() as file:
             return _complete(file)
 
-    def begin(self, stage: Stage) -> None:
+    def begin(self, stage: ChainStart) -> None:
         with unfinished(self._temporary()) as temporary:
             try:
                 with h5py.File(temporary, "w") as file:
@@ -217,7 +217,7 @@ def copy_of(path: Path) -> Path:
     return path.with_name(f"{path.name}.bak")
 
 
-def _shapes(stage: Stage) -> tuple[tuple[str, tuple[int, ...]], ...]:
+def _shapes(stage: ChainStart) -> tuple[tuple[str, tuple[int, ...]], ...]:
     return ("chain", stage.places.shape), ("log_density", stage.places.shape[:1])
 
 

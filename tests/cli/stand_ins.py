@@ -10,9 +10,9 @@ import numpy as np
 
 import irisjax as ij
 from irisjax.cli import model, report, simulate
-from irisjax.infer.analysis import Analysis, Check, summarise
+from irisjax.infer.analysis import Analysis, PredictiveCheck, summarise
 from irisjax.infer.identifiability import Direction, Information
-from irisjax.infer.other_process import PIGMENTS, Interval, Moved, ProcessComparison
+from irisjax.infer.other_process import COMPARED, Interval, Moved, ProcessComparison
 from irisjax.infer.parameters import kind
 from irisjax.infer.posterior import Chains, ChainStatus
 from irisjax.transport.process import AbstractProcess
@@ -109,7 +109,7 @@ def without_search(monkeypatch):
                 Interval(r.median, r.q2_5, r.q97_5), Interval(r.median / 2, r.median / 3, r.median)
             )
             for r in rows
-            if r.parameter in problem.free and kind(r.parameter) in PIGMENTS
+            if r.parameter in problem.free and kind(r.parameter) in COMPARED
         }
         known = [Direction({"melanin_load": 1.0}, 0.1)]
         return Analysis(
@@ -117,7 +117,7 @@ def without_search(monkeypatch):
             fit=SimpleNamespace(converged=True),
             chains=chains,
             rows=rows,
-            check=Check(0.5, 0.5, 1.0),
+            check=PredictiveCheck(0.5, 0.5, 1.0),
             information=Information(("melanin_load",), np.eye(1), known, {}, np.nan, {}),
             other=ProcessComparison(ij.DEPTH_RESOLVED, moved, -1.0),
         )

@@ -6,7 +6,7 @@ import pytest
 
 import irisjax as ij
 from irisjax.cli import report, sentences
-from irisjax.infer.analysis import Check, analyse, predictive_check, predictive_score
+from irisjax.infer.analysis import PredictiveCheck, analyse, predictive_check, predictive_score
 from irisjax.infer.analytic import BeerLambert
 from irisjax.infer.fit import fit
 from irisjax.infer.noise import Noise
@@ -53,9 +53,9 @@ def test_an_analysis_of_data_of_the_model_and_of_others():
 
 
 def test_checks_are_said():
-    assert Check(0.02, 0.02, 2.0).passed
-    assert Check(0.0, 0.5, 1.0).large and Check(0.5, 0.5, 3.0).noisy
-    assert not Check(0.5, 0.5, 3.0).passed
+    assert PredictiveCheck(0.02, 0.02, 2.0).passed
+    assert PredictiveCheck(0.0, 0.5, 1.0).large and PredictiveCheck(0.5, 0.5, 3.0).noisy
+    assert not PredictiveCheck(0.5, 0.5, 3.0).passed
 
 
 @pytest.mark.usefixtures("float32")
