@@ -21,8 +21,8 @@ def mixed(abl, absorption, scattering, rayleigh, g, indices):
     return dataclasses.replace(made, phase=PhaseMixture(*spread))
 
 
-def _solve(seen, cosine, solver):
-    return solver.solve(seen, ij.Light(cosine))
+def _solve(seen, cosine, solver, exits=None):
+    return solver.solve(seen, ij.Light(cosine, exits))
 
 
 solve = quick_jit(_solve)

@@ -79,12 +79,11 @@ def test_no_wrong_number_at_any_depth(indices, g, bits):
             )
 
 
-@pytest.mark.heavy
 def test_single_precision_says_where_it_loses_count():
     """Scattered 10¹² times before it is absorbed, light would leave with up to 0.3 % too little."""
     with jax.enable_x64(False):
         seen = mixed(0.1, 0.0, np.full(8, 1e6), 0.0, 0.9, LB06)
-        status = ij.AddingDoubling(16, 23).solve(seen, ij.Light(1.0)).status
+        status = solve(seen, 1.0, ij.AddingDoubling(16, 23)).status
     assert bool(status == ij.RESULTS.ill_conditioned)
 
 
@@ -96,21 +95,19 @@ def test_too_few_doublings_are_said():
     assert ij.AddingDoubling(16).prepare(seen, ij.Light(1.0)).n_doublings == 16
 
 
-@pytest.mark.heavy
 def test_photons_agree():
-    """Of 4 million photons, within four standard errors, with mismatched indices."""
+    """Of 50,000 photons, within four standard errors, with mismatched indices."""
     absorption, scattering = np.array([0.05, 0.5, 0.02]), np.array([3.0, 5.0, 0.4])
     seen = mixed(0.1, absorption, scattering, np.array([0.1, 0.0, 0.5]), [0.85, 0.7, -0.4], LB06)
-    solver = ij.MonteCarlo(4_000_000, process=ij.DEPTH_RESOLVED)
+    solver = ij.MonteCarlo(50_000, process=ij.DEPTH_RESOLVED)
     photons = jax.jit(lambda s: solver.solve(s, ij.Light(1.0), key=jax.random.key(3)))(seen)
     found = solve(seen, 1.0, ij.AddingDoubling(32, 8))
     apart = np.asarray((photons.reflectance - found.reflectance) / photons.standard_error)
     assert np.abs(apart).max() < 4
-    in_stroma = np.asarray(photons.absorbed.stroma)
-    np.testing.assert_allclose(found.absorbed.stroma, in_stroma, rtol=4e-3)
+    p, q = (np.asarray(x.absorbed.stroma) for x in (photons, found))
+    assert np.abs((p - q) / np.sqrt(q * (1 - q) / 50_000)).max() < 4
 
 
-@pytest.mark.heavy
 @pytest.mark.parametrize("cosine", [1.0, 0.5, 0.03])
 def test_light_scattered_once(cosine):
     """Where it is absorbed at its second collision, at any depth: the integral over directions.
@@ -146,7 +143,6 @@ def test_gradients_are_those_of_differences():
     np.testing.assert_allclose(quick_jit(jax.grad(value))(x), wanted, rtol=1e-6)
 
 
-@pytest.mark.heavy
 def test_thick_tissue_obeys_the_similarity_relation():
     """Equal μ_a and μ_s(1 − g) give about the same reflectance [van de Hulst 1980, Section 14.1]."""
     absorption, reduced, g = (
@@ -159,7 +155,6 @@ def test_thick_tissue_obeys_the_similarity_relation():
     np.testing.assert_allclose(found, found[0], rtol=0.02)
 
 
-@pytest.mark.heavy
 def test_brdf_is_reciprocal_and_rayleighs_is_the_exact_solvers():
     def brdf(seen, mu_in, mu_out, solver):
         return solver.solve(seen, ij.Light(mu_in, ij.Directions(mu_out, 0.7))).brdf[:, 0]

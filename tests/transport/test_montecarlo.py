@@ -13,7 +13,7 @@ import pytest
 
 import common
 import irisjax as ij
-from common import heavily, quick_jit
+from common import quick_jit
 
 GRID = (420.0, 450.0, 550.0, 700.0)
 ANALOG = {
@@ -37,9 +37,7 @@ def exactly(**settings):
 
 @pytest.mark.parametrize("n", [40_000, pytest.param(400_000, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("level", ["low", "high"])
-@pytest.mark.parametrize(
-    "name", ["printed", "depth-resolved", heavily("retest"), heavily("redrawn")]
-)
+@pytest.mark.parametrize("name", ["printed", "depth-resolved", "retest", "redrawn"])
 def test_analog_agrees_with_exact(name, level, n):
     spheres = "rayleigh-spheres" if name == "retest" else "lb06"
     iris = ij.Iris.of_level(level).replace(scattering=spheres)
@@ -91,7 +89,6 @@ def test_lanes_and_blocks_do_not_change_a_photon(name):
     assert int(whole.fates.sum()) == 5_000 * len(GRID)
 
 
-@pytest.mark.heavy
 def test_rays_follow_the_illuminant():
     iris, solver, key = ij.Iris.of_level("low"), ij.MonteCarlo(20_000), jax.random.key(0)
     exact = quick_jit(lambda x: ij.radiance(x, GRID, illuminant="A"))(iris)
@@ -116,7 +113,6 @@ def test_brdf_counts_cells(n):
     assert np.abs((found.values[0] - cell) / found.standard_error[0]).max() < 4
 
 
-@pytest.mark.heavy
 def test_works_under_jit_and_vmap():
     solver, key = ij.MonteCarlo(1_000), jax.random.key(0)
 

@@ -7,7 +7,7 @@ import pytest
 
 import common
 import irisjax as ij
-from common import any_order, heavily, layers, quick_jit, reference
+from common import any_order, layers, quick_jit, reference
 from irisjax.optics.mueller import rotation
 
 IRIS = (1.336, 1.4733333333, 1.4727930095, 1.5)
@@ -24,7 +24,6 @@ def solve(made, cosine=1.0, exits=EXITS, azimuth=AZIMUTH):
     return common.solve(SOLVER, any_order(made), cosine, exits, azimuth)
 
 
-@pytest.mark.heavy
 def test_reference_table():
     """Natraj, Li and Yung 2009: the Stokes vector at every direction, to 1e-5 (2e-6 found)."""
     rows = reference("rayleigh_polarised_tau05_mu02.csv")
@@ -80,7 +79,7 @@ def test_irides(row):
 HARD = (np.array([0.02, 0.3, 1.0]), np.array([0.05, 0.0, 0.8]), np.array([0.2, 0.8, 0.3]))
 
 
-@pytest.mark.parametrize("media", [IRIS, heavily(TURNING), heavily((1.5, 1.45, 1.4, 1.336))])
+@pytest.mark.parametrize("media", [IRIS, TURNING, (1.5, 1.45, 1.4, 1.336)])
 @pytest.mark.parametrize("cosine", [1.0, 0.2])
 def test_energy(media, cosine):
     # Panels are for exits that do not graze, which media without a denser stroma have.
@@ -91,7 +90,6 @@ def test_energy(media, cosine):
     np.testing.assert_allclose(whole, found.reflectance, rtol=1e-12)
 
 
-@pytest.mark.heavy
 def test_diffuse_light():
     """The mean over directions, energy and all; matrices are of light from one direction."""
     made = layers(*HARD, IRIS)
@@ -142,7 +140,7 @@ def test_single_scattering_is_the_rotated_phase_matrix():
     np.testing.assert_allclose(found, wanted, rtol=0, atol=3e-7 * np.abs(wanted).max())
 
 
-@pytest.mark.parametrize("media", [IRIS, heavily(TURNING)])
+@pytest.mark.parametrize("media", [IRIS, TURNING])
 def test_reciprocity(media):
     """Light sent back the way it came: the matrix transposed, U and V by a mirror."""
     made, pair = layers(*HARD, media), np.array([0.9, 0.35])

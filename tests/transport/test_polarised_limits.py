@@ -10,7 +10,7 @@ import pytest
 
 import common
 import irisjax as ij
-from common import any_order, heavily, layers, quick_jit, slowly
+from common import any_order, layers, quick_jit, slowly
 from edges import grazes
 from irisjax.transport.radiative.polarised import exact
 from irisjax.transport.radiative.polarised.modes import PolarisedMode
@@ -50,7 +50,6 @@ def _by_intensity_alone():
     )
 
 
-@pytest.mark.heavy
 def test_scalar_limit():
     """With the phase matrix's first element in its place, between equal media: scalar theory."""
     made = layers(*HARD, (1.4, 1.4, 1.4, 1.4))
@@ -69,8 +68,8 @@ def test_scalar_limit():
     np.testing.assert_allclose(found.absorbed.ipe, scalar.absorbed.ipe, rtol=1e-12)
 
 
-@pytest.mark.parametrize("media", [IRIS, heavily((1.2, 1.5, 1.3, 1.6)), heavily(TURNING)])
-@pytest.mark.parametrize("cosine", [0.7, heavily(1.0), heavily(0.1)])
+@pytest.mark.parametrize("media", [IRIS, (1.2, 1.5, 1.3, 1.6), TURNING])
+@pytest.mark.parametrize("cosine", [0.7, 1.0, 0.1])
 def test_without_scattering_fresnel_alone(media, cosine):
     """Waves bounced to and fro one by one, their complex amplitudes multiplied."""
     abl, stroma = 0.3, 0.2
@@ -121,24 +120,31 @@ def test_without_scattering_fresnel_alone(media, cosine):
     assert float(found.reflectance[0]) == pytest.approx(wanted[0, 0], rel=1e-12, abs=1e-15)
 
 
+MEDIA = ((1.4,) * 4, IRIS, TURNING, (1.6, 1.3, 1.2, 1.5))
 DEPTHS = (0.0, 1e-12, 1e-3, 1.0, 1e3, 1e6)
 
 
 @functools.cache
-def _extreme(media):
+def _extreme(media, deepest):
     """Depths of absorption and scattering at the ends of their ranges, all pairs."""
-    a, s = (x.ravel() for x in np.meshgrid(DEPTHS, DEPTHS))
+    depths = [x for x in DEPTHS if x <= deepest]
+    a, s = (x.ravel() for x in np.meshgrid(depths, depths))
     return layers(np.resize([0.0, 1e-12, 0.3, 1e6], a.size), a, s, media)
 
 
-@pytest.mark.heavy
 @pytest.mark.parametrize(
-    "media", [slowly((1.4,) * 4), IRIS, slowly(TURNING), slowly((1.6, 1.3, 1.2, 1.5))]
+    ("media", "deepest", "bits"),
+    [
+        (IRIS, 1.0, 64),
+        *(slowly(m, 1e6, bits) for m in MEDIA for bits in (64, 32)),
+    ],
 )
-@pytest.mark.parametrize("bits", [64, slowly(32)], ids=["f64", "f32"])
-def test_extremes(media, bits):
-    """Finite and physical, or a status that says why not; at grazing incidence and exits too."""
-    made, exits = _extreme(media), np.array([1.0, 0.5, 0.1, 1e-3, 1e-6, 0.0])
+def test_extremes(media, deepest, bits):
+    """Finite and physical, or a status that says why not; at grazing incidence and exits too.
+
+    Layers of an optical depth of a million take 24 panels, each of which is compiled.
+    """
+    made, exits = _extreme(media, deepest), np.array([1.0, 0.5, 0.1, 1e-3, 1e-6, 0.0])
     if bits == 32:
         # Scattered more often than single precision can count: refused as ill-conditioned.
         depths = made.abl_absorption, made.stroma_absorption, made.stroma_scattering
@@ -148,7 +154,7 @@ def test_extremes(media, bits):
         some = (jnp.asarray(x[kept], float) for x in (abl, absorbed, scattered))
         made = type(made)(*some, made.indices, made.order)
     made = jax.tree.map(lambda x: jnp.asarray(np.asarray(x), float), made)
-    solver = ij.RadiativeExact(16, 8, 24)
+    solver = ij.RadiativeExact(16, 8, 24 if deepest > 1 else 3)
     slack = 1e-9 if bits == 64 else 2e-3
     for cosine in (1.0, 1e-3, 0.0):
         found = solve(made, cosine, solver, exits)

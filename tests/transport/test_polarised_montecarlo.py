@@ -55,7 +55,6 @@ def _scores(media, cosine, n, seed=3):
     return np.concatenate(scores)
 
 
-@pytest.mark.heavy
 @pytest.mark.parametrize(
     ("media", "cosine"),
     [("iris", 0.85), ("turning", 0.85), ("turning", 1.0), ("reversed", 0.85)],
@@ -75,7 +74,6 @@ def test_against_the_deterministic_solver_with_many_photons(media, cosine):
     assert np.sqrt((scores**2).mean()) < 1.25
 
 
-@pytest.mark.heavy
 def test_equal_keys_give_equal_bytes():
     made = layers(0.05, 0.05, 1.0, MEDIA["iris"])
     one, two = (
@@ -98,7 +96,6 @@ def test_refusals():
         ij.PolarisedMonteCarlo(10, 2.0)
 
 
-@pytest.mark.heavy
 def test_total_reflection_turns_both_ways_alike():
     """Light that a stroma in a thinner medium traps becomes elliptical, of the same hand by the
     deterministic solver as by photons, whose amplitudes are worked out otherwise.

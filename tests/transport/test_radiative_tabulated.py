@@ -53,7 +53,6 @@ def test_agrees_with_the_exact_solver(table, name):
             )
 
 
-@pytest.mark.heavy  # sixteen beams
 def test_diffuse_light_and_energy(table):
     iris = ij.Iris.of_level("low")
     for cosine in (ij.DIFFUSE, 0.7):
@@ -64,7 +63,6 @@ def test_diffuse_light_and_energy(table):
         np.testing.assert_allclose(found.values + found.absorbed.total(), 1, rtol=1e-12)
 
 
-@pytest.mark.heavy  # derivatives of the exact solver
 def test_slopes_are_those_of_the_exact_solver(table):
     def brightness(values, solver):
         load, fraction, scale, cosine = values
@@ -155,7 +153,6 @@ def test_brdf_of_empty_layers_is_none(table):
     np.testing.assert_array_equal(found, 0)
 
 
-@pytest.mark.heavy
 def test_single_precision(table):
     with jax.enable_x64(False):
         narrow = shipped.table(ij.Iris().indices())

@@ -10,7 +10,7 @@ import irisjax as ij
 from common import layers, light, quick_jit
 
 
-@pytest.mark.parametrize("bits", [64, pytest.param(32, marks=pytest.mark.heavy)])
+@pytest.mark.parametrize("bits", [64, 32])
 def test_thin_forward_slabs_keep_their_digits(bits):
     """16 angles beside 32, light along the normal, nothing mirrored; 0.08 wrong with the series."""
     depth, g = (x.ravel() for x in np.meshgrid([1e-3, 1e-2, 0.1, 1.0], [0.9, -0.9]))
@@ -38,7 +38,7 @@ def test_light_scattered_once_and_back():
     (0.03, 32, 0.8, False), (1.0, 16, 0.95, False), (0.03, 16, -0.9, False), (1.0, 6, -0.9, True),
 ])  # fmt: skip
 def test_too_few_angles_are_said(cosine, angles, g, said):
-    """As wrong as 1 to 5 % without it, at worst; traced too."""
+    """As wrong as 1 to 5 % without it, at worst."""
     from irisjax.transport.radiative.directions import from_outside
     from irisjax.transport.radiative.resolution import angles_resolved
 
@@ -48,7 +48,6 @@ def test_too_few_angles_are_said(cosine, angles, g, said):
         beam = from_outside(made, jnp.array([cosine])).cosine
         return angles_resolved(made, made.phase, angles, beam, jnp.ones(1))
 
-    assert bool(resolved(seen)) != said
     assert bool(jax.jit(resolved)(seen)) != said
 
 
@@ -117,7 +116,6 @@ def test_a_thin_layers_first_scattering_is_exact():
     np.testing.assert_allclose(found / 1e-9, once, rtol=1e-5)
 
 
-@pytest.mark.heavy
 def test_single_precision_keeps_a_peaks_moments():
     """4e-3 wrong at g = 0.9 by normal equations, 6e-3 at 0.95."""
     depth, g = (x.ravel() for x in np.meshgrid([0.01, 0.1, 1.0, 10.0], [0.5, 0.8, 0.9, 0.95]))
@@ -131,7 +129,6 @@ def test_single_precision_keeps_a_peaks_moments():
 
 @pytest.mark.parametrize(("g", "angles", "said"), [
     (0.8, 32, False), (0.9, 32, True), (-0.9, 32, True),
-    pytest.param(0.9, 64, False, marks=pytest.mark.heavy),
 ])  # fmt: skip
 def test_a_brdf_whose_moments_are_missing_says_so(g, angles, said):
     """Light scattered once in the thin limit is τ p(Θ)/(4π μ μ₀) in every direction; a BRDF is that
@@ -140,7 +137,7 @@ def test_a_brdf_whose_moments_are_missing_says_so(g, angles, said):
     depth, cosine = 1e-6, np.array([0.1, 0.3, 0.7, 1.0])
     seen = mixed(0.0, 0.0, np.array([depth]), 0.0, g, MATCHED)
     solver = ij.AddingDoubling(angles, 0)
-    found = solver.solve(seen, ij.Light(0.9, ij.Directions(cosine)))
+    found = solve(seen, 0.9, solver, ij.Directions(cosine))
     turned = -0.9 * cosine + np.sqrt(1 - 0.9**2) * np.sqrt(1 - cosine**2)
     phase = (1 - g * g) / (1 + g * g - 2 * g * turned) ** 1.5
     off = np.abs(found.brdf[0] / (depth * phase / (4 * np.pi * cosine * 0.9)) - 1).max()
@@ -154,7 +151,6 @@ def jitted(incidence):
     return quick_jit(lambda seen, solver: solver.solve(seen, light(incidence)))
 
 
-@pytest.mark.heavy
 @pytest.mark.parametrize("media", [MATCHED, LB06], ids=["matched", "lb06"])
 @pytest.mark.parametrize("incidence", ["diffuse", 0.1, 0.003])
 def test_nothing_sharp_is_wrong_unsaid(media, incidence):

@@ -9,7 +9,6 @@ import irisjax as ij
 from irisjax.transport.ilit import shipped
 
 
-@pytest.mark.heavy  # makes a table: 8 s of compiling
 def test_the_table_that_is_shipped_is_the_one_that_is_built():
     read, built = shipped.table(ij.Iris().indices()), ij.IlitTabulated.build(ij.Iris().indices())
     np.testing.assert_allclose(read.abl, built.abl, rtol=1e-12, atol=1e-14)
@@ -26,7 +25,6 @@ def test_the_table_that_is_shipped_agrees_with_the_exact_solver():
     np.testing.assert_allclose(by_table.values, exact.values, rtol=1e-9)
 
 
-@pytest.mark.heavy
 def test_another_iris_gets_its_own_table():
     indices = ij.Iris().indices(jnp.asarray(1.34))
     assert float(shipped.table(indices).indices.aqueous) == 1.34

@@ -64,7 +64,6 @@ def test_depth_resolved_cannot_be_tabulated():
         ij.IlitTabulated.build(process=ij.DEPTH_RESOLVED)
 
 
-@pytest.mark.heavy
 def test_too_small_tables_are_refused():
     with pytest.raises(ValueError, match=r"are tabulated to .* only, not to 1.0e-11"):
         ij.IlitTabulated.build(process=ij.ILIT_CORRECTED, n_intervals=8)
@@ -80,7 +79,6 @@ def test_other_indices(tabulated):
         ij.reflectance(other, GRID, solver=tabulated)
 
 
-@pytest.mark.heavy
 def test_gradients_match_exact(tabulated):
     iris = ij.Iris.of_level("low")
 
@@ -100,7 +98,6 @@ def test_gradients_match_exact(tabulated):
     )
 
 
-@pytest.mark.heavy
 def test_incidence_and_brdf(tabulated):
     iris, exits = ij.Iris.of_level("moderate"), np.array([0.2, 0.6, 1.0])
     for cosine in (1.0, 0.2):
