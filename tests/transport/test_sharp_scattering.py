@@ -151,6 +151,7 @@ def jitted(incidence):
     return quick_jit(lambda seen, solver: solver.solve(seen, light(incidence)))
 
 
+@pytest.mark.slow  # 96 angles
 @pytest.mark.parametrize("media", [MATCHED, LB06], ids=["matched", "lb06"])
 @pytest.mark.parametrize("incidence", ["diffuse", 0.1, 0.003])
 def test_nothing_sharp_is_wrong_unsaid(media, incidence):
