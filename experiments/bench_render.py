@@ -20,10 +20,19 @@ from irisjax.grow.vessels import veins
 from irisjax.render.environment import Environment
 from irisjax.render.illumination import Illumination
 from irisjax.render.lights import Lights
+from irisjax.render.picture import (
+    Texels,
+    illuminate,
+    iris_texels,
+    prepared,
+    respond,
+    shade,
+    texture,
+)
+from irisjax.render.project import look
 from irisjax.render.radiative import RadiativeIntegrator
 from irisjax.render.scene import Scene
 from irisjax.render.single_scattering import SingleScattering
-from irisjax.render.stages import Memory
 from irisjax.transport.process import DEPTH_RESOLVED
 
 TARGETS = {"pigments": 30, "thickness": 30, "2 lights": 10, "25 lights": 3, "camera, 2 lights": 10}
@@ -73,43 +82,53 @@ def _table(key, size, repeats):
 
     def of(change, name, scene, tables):
         """A row for the changes of one scene."""
-        memory = Memory(os.cpu_count())
-        view = memory.look(scene.eye, scene.camera)
-        stage = memory.prepare(scene, tables, view)
-
-        def shown(stage, iris):
-            return memory.shown(stage, stage.response(iris))
+        scene = prepared(scene)
+        view = look(scene.eye, scene.camera)
+        texels = texture(view, scene)
+        light = illuminate(view, texels, scene, tables)
+        response = respond(scene)
 
         iris = scene.iris
         if change == "pigments":
-            row(change, name, lambda i: shown(stage, iris.replace(eumelanin=0.4 + 1e-3 * i)))
+
+            def pigmented(i):
+                changed = scene.replace(iris=iris.replace(eumelanin=0.4 + 1e-3 * i))
+                return shade(view, texels, light, respond(changed))
+
+            row(change, name, pigmented)
         elif change == "thickness":
 
             def thicker(i):
                 thick = scene.maps.stroma_depth * (1 + 1e-3 * i)
                 changed = scene.replace(maps=scene.maps.replace(stroma_depth=thick))
-                return shown(memory.prepare(changed, tables, view), iris)
+                mapped = Texels(iris_texels(view, changed), texels.white, texels.room)
+                return shade(view, mapped, light, respond(changed))
+
+            def uniformly_thicker(i):
+                thick = iris.stroma_thickness * (1 + 1e-3 * i)
+                maps = scene.maps.replace(stroma_depth=scene.maps.stroma_depth * (1 + 1e-3 * i))
+                changed = scene.replace(iris=iris.replace(stroma_thickness=thick), maps=maps)
+                return shade(view, texels, light, respond(changed))
 
             row(change, f"{name}, another map", thicker)
-            row(
-                change,
-                name,
-                lambda i: shown(
-                    stage, iris.replace(stroma_thickness=iris.stroma_thickness * (1 + 1e-3 * i))
-                ),
-            )
+            row(change, name, uniformly_thicker)
         elif change.startswith("camera"):
 
             def moved(i):
                 turned = dataclasses.replace(scene.camera, polar=0.01 * i)
-                return memory.render(scene.replace(camera=turned), tables)
+                changed = scene.replace(camera=turned)
+                seen = look(changed.eye, turned)
+                there = texture(seen, changed)
+                return shade(seen, there, illuminate(seen, there, changed, tables), response)
 
             row(change, name, moved)
         else:
             number = int(change.split()[0])
 
             def lit(i):
-                return memory.render(scene.replace(lights=_lamps(number, 0.01 * i)), tables)
+                changed = scene.replace(lights=_lamps(number, 0.01 * i))
+                lit = illuminate(view, texels, changed, tables)
+                return shade(view, texels, lit, response)
 
             row(change, name, lit)
 

@@ -12,9 +12,9 @@ from irisjax.io import write_png
 from irisjax.measure.colour import OBSERVER, lab_of, srgb_encode, tristimulus_matrix
 from irisjax.render.bands import GRID
 from irisjax.render.camera import Camera
-from irisjax.render.compose import prepare
 from irisjax.render.environment import Environment
 from irisjax.render.integrators import INTEGRATORS
+from irisjax.render.picture import illuminate, respond, shade, texture
 from irisjax.render.project import project
 from irisjax.render.scene import Scene
 
@@ -27,7 +27,8 @@ def main(key, quick=False, out=RESULTS):
     """Write pictures (a row a model, a column a colour) and mean colours (quick: small)."""
     side, shape = (24, (96, 32)) if quick else (240, (768, 256))
     eye, camera = Eye(), Camera(size=(side, side), width=12.6)
-    tables, seen = Scene(ij.Iris(), eye=eye).tables(), project(eye, camera).iris
+    tables, view = Scene(ij.Iris(), eye=eye).tables(), project(eye, camera)
+    seen = view.iris
     radius = np.hypot(*(np.asarray(x) for x in seen.point[:2]))
     place = np.asarray(eye.relative_radius(radius))
     zone = (place > CILIARY[0]) & (place < CILIARY[1]) & (np.asarray(seen.share) > 0)
@@ -43,11 +44,12 @@ def main(key, quick=False, out=RESULTS):
             iris, maps = grow(eye, process=integrator.process, shape=shape, key=key)
             parts = {"eye": eye, "camera": camera, "integrator": integrator, "lights": None}
             scene = Scene(iris, maps, environment=Environment.studio(), **parts)
-            stage = prepare(scene, tables)
-            picture = np.asarray(stage(iris))
+            texels = texture(view, scene)
+            lit = illuminate(view, texels, scene, tables)
+            picture = np.asarray(shade(view, texels, lit, respond(scene)))
             row.append(picture)
             # Without what the tear film mirrors.
-            own = picture.reshape(-1, 3) - np.asarray(stage.base).T
+            own = picture.reshape(-1, 3) - np.asarray(lit.surroundings).T
             mean = own[zone].mean(0)
             lab = np.asarray(lab_of(to_xyz @ mean / (to_xyz @ np.ones(3))))
             rows.append((colour, model, *map(float, lab)))

@@ -14,8 +14,7 @@ from experiments.common import RESULTS, start, write
 from irisjax.anatomy.eye import Eye
 from irisjax.measure.colour import OBSERVER, tristimulus_matrix
 from irisjax.render.bands import Bands
-from irisjax.render.ground import Ground, Local
-from irisjax.render.single_scattering import Rays, SingleScattering
+from irisjax.render.single_scattering import Local, Rays, SceneData, SingleScattering
 from irisjax.tissue.maps import Scales, texel_layers
 from irisjax.transport.solution import raise_failure
 
@@ -125,13 +124,13 @@ def _models(iris, thickness, mu, exits):
         [jnp.sqrt(1 - exits**2), jnp.zeros(n), -exits]
     )  # against light that goes on along x
     here, up = (jnp.zeros((3, n)).at[i].set(x) for i, x in ((0, 3.0), (2, -1.0)))
-    rays = Rays(jnp.arange(n), here, sight, up, jnp.ones(n))
+    rays = Rays(here, sight, up, jnp.ones(n))
 
     def marched(scale):
         map_ = Local(stroma_thickness=jnp.full((2, 2), scale))
         light = jnp.broadcast_to(towards[:, None, None], (1, 3, 2, 2))
-        ground = Ground(map_, light, None, Eye(cornea=None, sclera=None))
-        return response.shade(rays, ground) / mu
+        data = SceneData(map_, light, None, Eye(cornea=None, sclera=None))
+        return response.radiance(rays, data) / mu
 
     ilit, _ = solved(ij.IlitExact(24))
     deep, status = solved(ij.RadiativeExact(24, n_panels=2))

@@ -23,7 +23,8 @@ from irisjax.ocularist.palette import PAINTS
 from irisjax.ocularist.recipes import coats
 from irisjax.render.camera import Camera
 from irisjax.render.environment import ENVIRONMENTS
-from irisjax.render.stages import Memory
+from irisjax.render.picture import LitView, draw, respond, shade, surroundings, texture
+from irisjax.render.project import look
 
 ABOUT = "painted and simulated by irisjax"
 BASES = (("detail", "blue", 0), ("detail", "blue", 1), ("dit-dot", "blue", 2))
@@ -41,7 +42,7 @@ def main(key, quick=False, out=RESULTS):
     def picture(painting, polar=0.0):
         camera = Camera(polar=jnp.asarray(polar), width=jnp.asarray(12.6), size=(side, side))
         scene = studio(painting, eye, camera=camera, seed=seed)
-        return np.asarray(Memory(2).render(scene, tables))
+        return np.asarray(draw(scene, tables))
 
     def save(name, panels):
         encoded = np.asarray(srgb_encode(jnp.clip(np.concatenate(panels, axis=1), 0, 1)))
@@ -104,9 +105,9 @@ def _environments(blue: Painting, eye, out) -> None:
         around = ENVIRONMENTS[kind](rows=256)
         camera = Camera(width=jnp.asarray(16.5), size=(width, height))
         scene = studio(blue, eye, lights=None, environment=around, camera=camera)
-        tables, memory, pictures = scene.tables(), Memory(2), {}
+        tables, pictures = scene.tables(), {}
         for count in (64, 25, 16, 9, 4):
-            drawn = memory.render(scene.replace(environment_lights=count), tables)
+            drawn = draw(scene.replace(environment_lights=count), tables)
             pictures[count] = 255 * np.clip(np.asarray(srgb_encode(drawn)), 0, 1)
         x, y = (16.5 * ((np.arange(n) + 0.5) - n / 2) / width for n in (width, height))
         away = np.hypot(x, y[:, None])
@@ -122,31 +123,37 @@ def _environments(blue: Painting, eye, out) -> None:
     )
 
 
+def _timed(painted, parts, known, base=None, before=()):
+    """Seconds of a picture, and what is kept of its paint."""
+    view, texels, around, response = known
+    begin = time.perf_counter()
+    base = painted.base(*parts) if base is None else base
+    layers = tuple(painted.layers(base, before))
+    light = LitView(around, layers[-1].state.radiance)
+    shade(view, texels, light, response).block_until_ready()
+    return time.perf_counter() - begin, base, layers
+
+
 def _times(blue: Painting, eye, tables, out) -> None:
     """Seconds of pictures of 800 × 600 pixels with two lamps, two threads, warm."""
     rows, other = [], jnp.asarray([0.4, 0.2, 0.1])
     for count in (10, 20, 30, 40, 50, 70):
         scene = studio(_first(_doubled(blue), count), eye)
 
-        def timed(memory, scene):
-            begin = time.perf_counter()
-            memory.render(scene, tables).block_until_ready()
-            return time.perf_counter() - begin
+        view = look(scene.eye, scene.camera)
+        texels, response = texture(view, scene), respond(scene)
+        around = surroundings(view, texels, scene)
+        parts = view.iris, scene.all_lights(), scene.eye, tables
+
+        known = view, texels, around, response
 
         painting = scene.integrator.painting
         changed = [painting.coats[i].name for i in (-1, count // 2, 0)]
-        scenes = [
-            scene.replace(integrator=Painted(painting=painting.replace(name, colour=other)))
-            for name in changed
-        ]
+        others = [Painted(painting=painting.replace(name, colour=other)) for name in changed]
         found = []
         for _ in range(4):
-            memory = Memory(2)
-            whole = timed(memory, scene)
-            again = []
-            for s in scenes:
-                again.append(timed(memory, s))
-                memory.render(scene, tables).block_until_ready()
+            whole, base, layers = _timed(scene.integrator, parts, known)
+            again = (_timed(painted, parts, known, base, layers)[0] for painted in others)
             found.append((whole, *again))
         rows.append((count, *(float(v) for v in np.median(found[1:], axis=0))))
     write(

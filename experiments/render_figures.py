@@ -19,11 +19,11 @@ from irisjax.grow.vessels import veins
 from irisjax.io import write_atomically, write_png
 from irisjax.measure.colour import srgb_encode
 from irisjax.render.camera import Camera
-from irisjax.render.compose import prepare
 from irisjax.render.illumination import Illumination
 from irisjax.render.lights import Lights
+from irisjax.render.picture import draw, illuminate, respond, shade, texture
+from irisjax.render.project import project
 from irisjax.render.scene import Scene
-from irisjax.render.stages import look
 
 MELANIN = (("high", 1.008, 0.2674), ("moderate", 0.8138, 0.2054), ("low", 0.1201, 0.0194))
 EXPOSURE = 6.0
@@ -55,13 +55,17 @@ def main(key, quick=False, out=RESULTS):
     # LB06 Fig. 9: rows 20, 50 and 80 % of the melanin in the ABL, columns from high to low.
     base = ij.Iris.of_level("moderate")
     scene = Scene(base, procedural(base, shape=shape, key=seed(0)), close, lights, camera=camera)
-    stage = prepare(scene, smooth)
+    view = project(scene.eye, scene.camera)
+    texels = texture(view, scene)
+    lit = illuminate(view, texels, scene, smooth)
+
+    def pigmented(eu, pheo, fraction):
+        iris = base.replace(eumelanin=eu, pheomelanin=pheo, abl_fraction=fraction)
+        return shade(view, texels, lit, respond(scene.replace(iris=iris)))
+
     rows = [
         np.concatenate(
-            [
-                stage(base.replace(eumelanin=eu, pheomelanin=pheo, abl_fraction=f))
-                for _, eu, pheo in MELANIN
-            ],
+            [pigmented(eu, pheo, f) for _, eu, pheo in MELANIN],
             axis=1,
         )
         for f in (0.2, 0.5, 0.8)
@@ -73,7 +77,7 @@ def main(key, quick=False, out=RESULTS):
     side_on = dataclasses.replace(camera, polar=jnp.asarray(math.radians(60)))
     bare = close.replace(cornea=None)
     views = [
-        prepare(Scene(iris, maps, eye, lights, camera=side_on), t)(iris)
+        draw(Scene(iris, maps, eye, lights, camera=side_on), t)
         for eye, t in ((close, smooth), (bare, None))
     ]
     save("render_f09_fig14", views, 2.0)
@@ -95,14 +99,14 @@ def main(key, quick=False, out=RESULTS):
     caustic = []
     for i, colour in enumerate(("brown", "blue")):
         iris, maps = preset(colour, shape=shape, key=seed(2 + i))
-        caustic.append(prepare(Scene(iris, maps, close, lamp, camera=camera), full)(iris))
+        caustic.append(draw(Scene(iris, maps, close, lamp, camera=camera), full))
     save("render_f09_fig16", caustic, 3.0)
 
     # Fig. 17: the same iris without and with freckles.
     freckled = []
     for number in (0, 60):
         iris, maps = preset("green", shape=shape, features={"freckles": number}, key=seed(4))
-        freckled.append(prepare(Scene(iris, maps, close, lights, camera=camera), smooth)(iris))
+        freckled.append(draw(Scene(iris, maps, close, lights, camera=camera), smooth))
     save("render_f09_fig17", freckled, 2.0)
 
     # Fig. 18: the white, turned aside.
@@ -113,11 +117,7 @@ def main(key, quick=False, out=RESULTS):
         eye = Eye(sclera=Sclera(veins=jnp.asarray(density)))
         drawn = veins(eye, shape=(256, 128) if quick else (1024, 512), key=seed(6))
         lit = Lights.distant([0.5, 0.9], [0.8, 2.4], [1.8, 0.9])
-        white.append(
-            prepare(
-                Scene(iris, maps, eye, lit, camera=aside, veins=drawn), smooth, look(eye, aside)
-            )(iris)
-        )
+        white.append(draw(Scene(iris, maps, eye, lit, camera=aside, veins=drawn), smooth))
     save("render_f09_fig18", white, 1.0)
 
 

@@ -26,8 +26,8 @@ from irisjax.render.camera import Camera
 from irisjax.render.environment import Environment
 from irisjax.render.illumination import Illumination
 from irisjax.render.lights import Lights
+from irisjax.render.picture import draw
 from irisjax.render.scene import Scene
-from irisjax.render.stages import Memory
 from irisjax.tissue.iris import Iris
 
 WHITE = 0.3, 0.97
@@ -63,7 +63,7 @@ def photographed(
     while True:
         values = {n: float(PRIORS[n].value(random.standard_normal())) for n in FREE_NAMES}
         scene = _scene(values, random)
-        light = np.maximum(np.asarray(Memory().render(scene, tables(scene)), np.float64), 0)
+        light = np.maximum(np.asarray(draw(scene, tables(scene)), np.float64), 0)
         gains = np.array([values["red_gain"], 1.0, values["blue_gain"]])
         linear = values["exposure"] * gains * light ** values["contrast"]
         encoded = srgb_encode(jnp.asarray(np.clip(sensed(linear, random), 0, 1)))

@@ -59,13 +59,12 @@ from .measure.radiometer import radiance as radiance
 from .measure.spectrophotometer import Spectrophotometer as Spectrophotometer
 from .measure.spectrophotometer import reflectance as reflectance
 from .render.camera import Camera as Camera
-from .render.compose import prepare as prepare
 from .render.environment import Environment as Environment
 from .render.lights import Lights as Lights
+from .render.picture import draw as draw
 from .render.radiative import RadiativeIntegrator as RadiativeIntegrator
 from .render.scene import Scene as Scene
 from .render.separable import Separable as Separable
-from .render.stages import Memory as Memory
 from .tissue.indices import RefractiveIndices as RefractiveIndices
 from .tissue.iris import Iris as Iris
 from .tissue.layers import Layers as Layers

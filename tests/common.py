@@ -140,3 +140,19 @@ def operations(f, *args, name=None):
 
 def _is_jaxpr(x):
     return hasattr(x, "eqns") or hasattr(getattr(x, "jaxpr", None), "eqns")
+
+
+def counting(monkeypatch, **places):
+    """How often functions of these names are called; `places` are their modules."""
+    counts = dict.fromkeys(places, 0)
+
+    def counted(name, function):
+        def call(*given, **named):
+            counts[name] += 1
+            return function(*given, **named)
+
+        return call
+
+    for name, module in places.items():
+        monkeypatch.setattr(module, name, counted(name, getattr(module, name)))
+    return counts

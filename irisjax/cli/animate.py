@@ -6,11 +6,11 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 
-from irisjax.cli.compiled import cores
 from irisjax.render.illumination import Illumination
 from irisjax.render.lights import Lights
+from irisjax.render.picture import illuminate, prepared, respond, shade, texture
+from irisjax.render.project import look
 from irisjax.render.scene import Scene
-from irisjax.render.stages import Memory
 
 CHANGES = ("pupil", "light", "pigment")
 NARROW, WIDE = 1.0, 3.5
@@ -39,28 +39,30 @@ def frames(
             lights=Lights.distant(TURN, 0.0, illuminant=scene.illuminant), environment=None
         )
     # Neither tables nor view depend on what changes: the lamp stays below grazing.
-    memory = Memory(cores())
-    tables, view = tables_of(scene), memory.look(scene.eye, scene.camera)
-    stage = memory.prepare(scene, tables, view) if change == "pigment" else None
+    scene, tables, view = prepared(scene), tables_of(scene), look(scene.eye, scene.camera)
+    texels = texture(view, scene)
+    light = illuminate(view, texels, scene, tables)
+    response = respond(scene)
     melanin = float(scene.tissue.eumelanin + scene.tissue.pheomelanin)
     darkest = max(FACTOR, DARK / melanin) if melanin > 0 else FACTOR
     for s in swing:
-        if stage is not None:
+        if change == "pigment":
             iris, factor = scene.tissue, (darkest * FACTOR) ** ((1 - s) / 2) / FACTOR
             iris = iris.replace(
                 eumelanin=iris.eumelanin * factor, pheomelanin=iris.pheomelanin * factor
             )
-            yield np.asarray(memory.shown(stage, stage.response(iris)))
+            response = respond(scene.replace(iris=iris))
         elif change == "light":
             lamp = Lights.distant(
                 TURN * abs(s), 0.0 if s >= 0 else math.pi, illuminant=scene.illuminant
             )
-            yield np.asarray(memory.render(scene.replace(lights=lamp), tables))
+            light = illuminate(view, texels, scene.replace(lights=lamp), tables)
         else:
             radius = (NARROW + WIDE) / 2 - (WIDE - NARROW) / 2 * s
-            eye = dataclasses.replace(scene.eye, pupil_radius=radius)
-            lit = memory.prepare(scene.replace(eye=eye), tables, view)
-            yield np.asarray(memory.shown(lit, lit.response(scene.tissue)))
+            wider = scene.replace(eye=dataclasses.replace(scene.eye, pupil_radius=radius))
+            texels = texture(view, wider)
+            light = illuminate(view, texels, wider, tables)
+        yield np.asarray(shade(view, texels, light, response))
 
 
 def sheet(pictures: list[np.ndarray]) -> np.ndarray:

@@ -14,7 +14,7 @@ from tqdm import tqdm
 from irisjax import io
 from irisjax.cli.clone_options import CloneModel, ClonePicture, CloneResults, settings_of
 from irisjax.cli.clone_report import report, tell
-from irisjax.cli.compiled import cores, kept_tables
+from irisjax.cli.compiled import kept_tables
 from irisjax.cli.files import check_folder
 from irisjax.cli.options import Group, grouped
 from irisjax.io.clone_folders import PHOTOGRAPH, encode_photograph
@@ -64,7 +64,7 @@ def clone(picture: ClonePicture, model: CloneModel, results: CloneResults) -> No
                 for known in () if doubtful_outlines(found) else run:
                     found = known
                     if both is None and isinstance(known, cloning.Fitted):  # before the posterior
-                        both = compare_with_photograph(known, cores())
+                        both = compare_with_photograph(known)
                         drawn = _begun(known, both, draw)
             except ValueError as error:
                 if not isinstance(found, cloning.Shaped):

@@ -68,20 +68,11 @@ PROGRAMS: dict[str, tuple[str, ...]] = {
     "render.albedo": ("_albedo", "_pairs", "_entering", "_exits_of_all", "_power"),
     "render.angular": ("light_of", "mixed"),
     "render.bands": ("_haze",),
-    "render.compose": ("shade", "_respond", "_sclera_colours", "_add", "_picture"),
-    "render.ground": ("local_textures",),
     "render.illumination": ("_build",),
+    "render.integrator": ("_response",),
     "render.lights": ("_polar",),
-    "render.outside": (
-        "_vein_place",
-        "_blood",
-        "_vein_node",
-        "_white_colour",
-        "white",
-        "mirrored",
-        "room_at",
-    ),
-    "render.products": ("scaled",),
+    "render.outside": ("white_colour", "white", "mirrored", "room_at"),
+    "render.picture": ("_bands", "_lamp_of", "_sclera_colours", "_together", "_composed"),
     "render.project": (
         "seen_parts",
         "iris_pixels",
@@ -90,20 +81,18 @@ PROGRAMS: dict[str, tuple[str, ...]] = {
         "mirror_pixels",
         "mirror_points",
     ),
-    "render.radiative": ("_holds",),
+    "render.radiative": ("_holds", "_terms", "_shaded"),
     "render.refraction": ("_searched",),
-    "render.separable": ("_angular",),
+    "render.separable": ("_terms", "_shaded"),
     "render.shading": (
-        "illuminate",
+        "textures_of",
+        "ranges_of",
+        "field_of",
         "fluxes_of",
-        "irradiance_at",
         "slopes_of",
-        "_scale",
-        "_fetched",
-        "_range",
-        "_polar",
+        "irradiance_at",
     ),
-    "render.single_scattering": ("_placed",),
+    "render.single_scattering": ("local_textures", "_rays", "_marched"),
     "transport.ilit.tabulated": ("_nodes", "_largest_error"),
     "transport.radiative.brdf": ("_multiple",),
     "transport.radiative.known": ("_looked_up",),
@@ -130,11 +119,6 @@ def folder() -> Path | None:
     if (given := os.environ.get("JAX_COMPILATION_CACHE_DIR")) is not None:
         return Path(given) if given else None
     return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "irisjax"
-
-
-def cores() -> int:
-    """Threads that a command shares pixels among: a power of two, so that no share is padded."""
-    return 1 << (min(os.cpu_count() or 1, 8).bit_length() - 1)
 
 
 def keep_compiled() -> None:
@@ -211,7 +195,7 @@ def kept(function: Callable[..., Any], name: str) -> Callable[..., Any]:
         name: The name, of its own for each function.
     """
     form: Any = type(function)
-    if hasattr(function, "on_threads"):
+    if hasattr(function, "compiled"):
         return form(function.__wrapped__, lambda part: Kept(part, f"{name} {part.__name__}"))
     return Kept(function, name)
 

@@ -12,7 +12,7 @@ from tqdm import tqdm
 
 from irisjax import io
 from irisjax.cli.animate import sheet
-from irisjax.cli.compiled import cores, kept_tables
+from irisjax.cli.compiled import kept_tables
 from irisjax.cli.files import check_folder, check_is_folder, png_of
 from irisjax.cli.matching import RETOUCHES, Matched, matched, nearest_colour
 from irisjax.cli.options import SEED_HELP, Group, grouped, name_of, option, read_seed, whole
@@ -35,9 +35,8 @@ from irisjax.ocularist.coats import LIMBUS, Coat, Painting, over
 from irisjax.ocularist.easel import SIZE, painted, studio
 from irisjax.ocularist.integrator import Painted
 from irisjax.render.environment import ENVIRONMENTS
+from irisjax.render.picture import draw, draw_bands
 from irisjax.render.scene import Scene
-from irisjax.render.stages import Memory
-from irisjax.render.tiles import bands
 
 _STEPS = 12  # pictures of the progression at most
 _SMALL = 320, 240
@@ -235,16 +234,15 @@ def _drawn(scene: Scene, painting: Painting, picture: Picture) -> tuple[np.ndarr
     shown = _shown(painting)
     with tqdm(total=1 + len(shown), unit="picture", disable=not sys.stderr.isatty()) as bar:
         tables = kept_tables(scene)
-        parts = bands(scene, tables, samples=picture.samples, threads=cores())
+        parts = draw_bands(scene, tables, samples=picture.samples)
         whole_eye = np.concatenate([band.pixels for band in parts])
         bar.update()
         steps = []
         small = scene.replace(camera=replace(scene.camera, size=_SMALL))
-        memory = Memory(cores())
         for count in shown:
             part = Painting(painting.coats[:count], painting.profile)
             part = _with(small, part, picture.shadow)
-            steps.append(np.asarray(memory.render(part, tables)))
+            steps.append(np.asarray(draw(part, tables)))
             bar.update()
     return whole_eye, sheet(steps)
 

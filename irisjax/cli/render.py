@@ -13,14 +13,14 @@ from tqdm import tqdm
 from irisjax import io
 from irisjax.cli.animate import CHANGES, sheet
 from irisjax.cli.animate import frames as _frames
-from irisjax.cli.compiled import cores, kept_tables
+from irisjax.cli.compiled import kept_tables
 from irisjax.cli.options import Grid, Group, grid, grouped, option, whole
 from irisjax.cli.scenes import EyeWithPupil, changed
 from irisjax.measure.colour import srgb_encode
 from irisjax.numerics.checks import Range, check_range
 from irisjax.render import scene as staging
 from irisjax.render.integrators import INTEGRATORS, integrator_name
-from irisjax.render.tiles import bands
+from irisjax.render.picture import draw_bands
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -170,20 +170,15 @@ def render(view: View, picture: Picture, files: PictureFile) -> None:
 
 
 def _still(scene: staging.Scene, picture: Picture, exposure: float, output: Path) -> None:
-    wavelengths = None if picture.spectral is None else picture.spectral.values
+    wavelengths = None if picture.spectral is None else tuple(map(float, picture.spectral.values))
+    scene = scene.replace(wavelengths=wavelengths)
     width, height = scene.camera.size
     remark = f"simulated by irisjax; integrator {integrator_name(scene.integrator)}"
     names = ("R", "G", "B") if wavelengths is None else io.spectral_channels(wavelengths)
     with tqdm(
         desc="preparing", total=height, unit="row", disable=not sys.stderr.isatty()
     ) as progress:
-        parts = bands(
-            scene,
-            kept_tables(scene),
-            samples=picture.samples,
-            wavelengths=wavelengths,
-            threads=cores(),
-        )
+        parts = draw_bands(scene, kept_tables(scene), samples=picture.samples)
         first = next(parts)
         if first.error is not None:
             remark += f", response within {100 * first.error:.2g} %"

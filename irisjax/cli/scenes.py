@@ -86,7 +86,11 @@ def scene_file(path: Path | None, name: str | None, seed: int) -> SceneFile:
 
 
 def changed(
-    scene: staging.Scene, light=None, pupil_radius=None, size=None, camera=None
+    scene: staging.Scene,
+    light: list[str] | None = None,
+    pupil_radius: float | None = None,
+    size: str | None = None,
+    camera: str | None = None,
 ) -> staging.Scene:
     """A scene with lamps, pupil (mm), picture size or camera as the options write them."""
     if light:

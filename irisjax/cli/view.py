@@ -9,7 +9,7 @@ import jax
 import typer
 
 from irisjax import _interrupt
-from irisjax.cli.compiled import cores, kept_tables
+from irisjax.cli.compiled import kept_tables
 from irisjax.cli.options import SEED_HELP, Group, grouped, option, read_seed, whole
 from irisjax.cli.paints import Paints, check_no_seed, of_file
 from irisjax.cli.scenes import Subject, changed
@@ -107,10 +107,10 @@ def _studio(subject: Shown, size: str | None) -> Studio:
     if subject.preset is not None:
         given |= {"preset": subject.preset, "seed": subject.seed, "environment": "studio"}
     scene = changed(file.scene(), size=size)
-    return Studio(scene, kept_tables, threads=cores(), photograph=photograph, **given)
+    return Studio(scene, kept_tables, photograph=photograph, **given)
 
 
 def _bench(coats: Coats, seed: int, size: str | None) -> Bench:
     recipe = coats.read(coats.recipe, seed)
     with of_file(coats.recipe):
-        return Bench(recipe, lambda scene: changed(scene, size=size), kept_tables, threads=cores())
+        return Bench(recipe, lambda scene: changed(scene, size=size), kept_tables)

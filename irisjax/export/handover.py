@@ -19,10 +19,9 @@ from irisjax.io.images import encode_exr, encode_png, spectral_channels
 from irisjax.io.maps import encode_maps
 from irisjax.io.tables import format_table, write_together
 from irisjax.measure.colour import srgb_encode
-from irisjax.render.albedo import Matt
+from irisjax.render.albedo import LambertError, Matt
 from irisjax.render.bands import Bands, all_bands, colour_bands
 from irisjax.render.integrator import AbstractIntegrator
-from irisjax.render.lambert import LambertError
 from irisjax.render.radiative import RadiativeIntegrator
 from irisjax.render.scene import Scene
 from irisjax.render.sclera import Blood, colour_table

@@ -6,8 +6,7 @@ import numpy as np
 
 from irisjax.anatomy.media import TEAR
 from irisjax.export.mitsuba import WIDEST
-from irisjax.render.albedo import CONE
-from irisjax.render.lambert import LambertError
+from irisjax.render.albedo import CONE, LambertError
 from irisjax.render.scene import Scene
 from irisjax.transport.process import AbstractProcess
 

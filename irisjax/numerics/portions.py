@@ -1,14 +1,14 @@
-"""Pixels in portions whose intermediates stay in the processor's cache, and in shares, one for each
-thread that a caller hands over.
+"""Pixels in chunks whose intermediates stay in the processor's cache, shared among its cores.
 
-Portions are two to three times as fast as everything at once. XLA runs a loop of them on one core
-and lets the others steal its small operations, which costs more than it brings; threads with a
-share of the portions each do not.
+Chunks are two to three times as fast as all pixels at once. XLA runs a loop of them on one core
+and lets the others steal its small operations, which costs more than it saves, so that pictures
+are shared among threads, each of which runs a loop over its own chunks.
 """
 
 import functools
+import os
 from collections.abc import Callable
-from concurrent.futures import Executor
+from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import equinox as eqx
@@ -16,8 +16,9 @@ import jax
 import jax.numpy as jnp
 from jax.core import Tracer
 
-# On a processor: from 512 on XLA shares out small operations among threads, which takes longer.
+# On a processor: from 512 on XLA shares small operations among threads, which takes longer.
 _SIZE = 256
+_FEW = 1 << 14  # pixels for which a second thread is not worth its start
 _SETTINGS = (
     "jax_enable_x64",
     "jax_default_device",
@@ -27,47 +28,101 @@ _SETTINGS = (
     "jax_debug_nans",
     "jax_debug_infs",
 )
-_FEW = 1 << 14  # pixels for which a second thread is not worth its start
 
 
 def in_portions(f: Callable[[Any], Any], pixels: Any) -> Any:
-    """`f` of a tree of arrays, one portion of their last axis after the other; it is that of the
-    results too.
+    """Apply `f` to a tree of arrays, one chunk of their last axis after the other.
 
-    An accelerator gets all at once: a loop of small portions would leave it idle. Which it is the
-    program learns where it is compiled for.
+    The last axis of the results is that of the pixels too. An accelerator gets all pixels at once:
+    a loop of small chunks would leave it idle. The program learns which it is where it is compiled.
     """
     if _count(pixels) <= _SIZE:
         return f(pixels)
     return jax.lax.platform_dependent(
-        pixels, cpu=lambda some: share_of(f, some), default=lambda some: f(some)
+        pixels, cpu=lambda some: _share_of(f, some, 0, 1), default=lambda some: f(some)
     )
 
 
-def share_of(f: Callable[[Any], Any], pixels: Any, share: Any = 0, shares: int = 1) -> Any:
-    """`f` of the portions that belong to number `share` of several; of all pixels where there is
-    one.
+class Pixelwise:
+    """A compiled function `f(pixels, *others)` that is applied in chunks.
+
+    The last axis of all arrays in `pixels` and in the results is that of the pixels; each chunk
+    gets all of `others`. The chunks of a large picture are shared among the processor's cores; the
+    threads end with the call.
+
+    Attributes:
+        compiled: The program, of pixels, others, the number of a share and the count of shares.
     """
+
+    def __init__(self, f: Callable[..., Any], jit: Callable[..., Any] = eqx.filter_jit):
+        """Compile a function with `jit`."""
+        functools.update_wrapper(self, f)
+
+        def chunked(pixels: Any, others: Any, share: Any, shares: int) -> Any:
+            def one(some: Any) -> Any:
+                return f(some, *others)
+
+            if shares == 1:
+                return in_portions(one, pixels)
+            return _share_of(one, pixels, share, shares)
+
+        chunked.__name__ = chunked.__qualname__ = f.__name__
+        self.compiled = jit(chunked)
+
+    def __call__(self, pixels: Any, *others: Any) -> Any:
+        """Apply the function to all pixels."""
+        shares = _threads(pixels, others)
+        if shares == 1:
+            return self.compiled(pixels, others, None, 1)
+        with ThreadPoolExecutor(shares) as pool:
+            # A thread has not the settings, float64 say, that a `with` made for its caller.
+            if pool.submit(_settings).result() != _settings():
+                return self.compiled(pixels, others, None, 1)
+
+            def part(i: int) -> Any:
+                return jax.block_until_ready(self.compiled(pixels, others, jnp.asarray(i), shares))
+
+            return _joined(list(pool.map(part, range(shares))), _count(pixels))
+
+
+def pixelwise(f: Callable[..., Any]) -> Pixelwise:
+    """Make a `Pixelwise` of a function; use as a decorator."""
+    return Pixelwise(f)
+
+
+def _threads(pixels: Any, others: Any) -> int:
+    """Number of threads: a power of two, so that no share is padded; one in a trace."""
+    if _count(pixels) < _FEW or jax.default_backend() != "cpu":
+        return 1
+    if any(isinstance(x, Tracer) for x in jax.tree.leaves((pixels, others))):
+        return 1
+    of_process = getattr(os, "sched_getaffinity", None)  # not on every system
+    cores = len(of_process(0)) if of_process else os.cpu_count() or 1
+    return 1 << (min(cores, 8).bit_length() - 1)
+
+
+def _share_of(f: Callable[[Any], Any], pixels: Any, share: Any, shares: int) -> Any:
+    """Apply `f` to the chunks that belong to number `share` of several."""
     count = _count(pixels)
     size = min(_SIZE, count)
     pad = -count % (size * shares)
 
-    def cut(x):
-        # Copies of the last pixel: whatever is finite there has finite derivatives.
+    def cut(x: Any) -> Any:
+        # Copies of the last pixel: what is finite there has finite derivatives.
         x = jnp.pad(x, [(0, 0)] * (x.ndim - 1) + [(0, pad)], mode="edge") if pad else x
         return x.reshape(*x.shape[:-1], -1, size)
 
-    portions = jax.tree.map(cut, pixels)
+    chunks = jax.tree.map(cut, pixels)
 
-    def part(k):
+    def part(k: Any) -> Any:
         return f(
-            jax.tree.map(lambda x: jax.lax.dynamic_index_in_dim(x, k, x.ndim - 2, False), portions)
+            jax.tree.map(lambda x: jax.lax.dynamic_index_in_dim(x, k, x.ndim - 2, False), chunks)
         )
 
     each = (count + pad) // size // shares
     done = jax.lax.map(part, share * each + jnp.arange(each))
 
-    def joined(x):
+    def joined(x: Any) -> Any:
         x = jnp.moveaxis(x, 0, -2)
         x = x.reshape(*x.shape[:-2], -1)
         return x[..., :count] if shares == 1 else x
@@ -75,59 +130,12 @@ def share_of(f: Callable[[Any], Any], pixels: Any, share: Any = 0, shares: int =
     return jax.tree.map(joined, done)
 
 
-class Pixelwise:
-    """A function `f(pixels, *others)` in portions; use as a decorator.
-
-    The last axis of all arrays in `pixels` and in what `f` gives is that of pixels; of `others`
-    each portion has all. `jit` compiles.
-    """
-
-    def __init__(self, f: Callable[..., Any], jit: Callable[..., Any] = eqx.filter_jit):
-        functools.update_wrapper(self, f)
-
-        def whole(pixels, others):
-            return in_portions(lambda some: f(some, *others), pixels)
-
-        def shared(pixels, others, share, shares: int):
-            return share_of(lambda some: f(some, *others), pixels, share, shares)
-
-        self._whole, self._shared = jit(whole), jit(shared)
-
-    def __call__(self, pixels, *others):
-        """One program for all pixels."""
-        return self._whole(pixels, others)
-
-    def on_threads(self, executor: Executor, threads: int, pixels, *others):
-        """As a call, with an equal share of the pixels for each thread of an executor.
-
-        One program where threads bring nothing: for few pixels, while something is traced, and
-        under settings (float64, say) that a `with` made for the caller's thread alone.
-        """
-        count = _count(pixels)
-        traced = any(isinstance(x, Tracer) for x in jax.tree.leaves((pixels, others)))
-        if threads == 1 or count < _FEW or traced:
-            return self(pixels, *others)
-        if executor.submit(_settings).result() != _settings():
-            return self(pixels, *others)
-
-        def part(i):
-            return jax.block_until_ready(self._shared(pixels, others, jnp.asarray(i), threads))
-
-        work = [executor.submit(part, i) for i in range(threads)]
-        return _joined([w.result() for w in work], count)
-
-
-def pixelwise(f: Callable[..., Any]) -> Pixelwise:
-    """`Pixelwise`, as a decorator."""
-    return Pixelwise(f)
-
-
-def _count(pixels) -> int:
+def _count(pixels: Any) -> int:
     return jax.tree.leaves(pixels)[0].shape[-1]
 
 
 @eqx.filter_jit
-def _joined(done, count: int):
+def _joined(done: list[Any], count: int) -> Any:
     return jax.tree.map(lambda *x: jnp.concatenate(x, axis=-1)[..., :count], *done)
 
 
@@ -135,8 +143,10 @@ def _settings() -> list[Any]:
     return [getattr(jax.config, name) for name in _SETTINGS]
 
 
-def in_pieces(function, arguments, elements: int):
-    """`jax.vmap(function)(arguments)`, so many at a time as make arrays of `_ELEMENTS` numbers."""
+def in_pieces(function: Callable[[Any], Any], arguments: Any, elements: int) -> Any:
+    """Apply `jax.vmap(function)`, to as many arguments at a time as make arrays of `_ELEMENTS`
+    numbers, where each takes `elements`.
+    """
     count = jax.tree.leaves(arguments)[0].shape[0]
     size = max(1, _ELEMENTS // elements)
     if size >= count:

@@ -2,21 +2,25 @@
 Section 3.3].
 """
 
+from collections.abc import Iterator, Sequence
+from typing import NamedTuple
+
 import equinox as eqx
+import jax
 from jax.core import Tracer
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Float
 
 from irisjax._types import Scalar
 from irisjax.anatomy.eye import Eye
 from irisjax.ocularist import composite
 from irisjax.ocularist.coats import Coat, Painting
+from irisjax.ocularist.cones import Cones
 from irisjax.render.bands import Bands
 from irisjax.render.illumination import Illumination
 from irisjax.render.integrator import AbstractIntegrator, AbstractResponse
 from irisjax.render.lights import Lights
 from irisjax.render.project import IrisPixels
 from irisjax.render.shading import fluxes_of
-from irisjax.render.steps import Once, simply
 from irisjax.tissue.iris import Iris
 from irisjax.tissue.maps import IrisMaps, Scales
 
@@ -36,7 +40,7 @@ class Painted(AbstractIntegrator):
     as_printed: bool = eqx.field(static=True, default=False)
     process: None = None
 
-    def place(
+    def illuminate(
         self,
         pixels: IrisPixels,
         lights: Lights,
@@ -44,41 +48,63 @@ class Painted(AbstractIntegrator):
         iris: Iris | None,
         maps: IrisMaps | None,
         tables: Illumination | None,
-        ranges: Scales,
-        once: Once = simply,
-    ) -> tuple["Texels", None]:
-        """See `AbstractIntegrator`. With a memory for `once`, a coat that changes is done anew with
-        those below it, whose light it tints, and no other.
-        """
+    ) -> Float[Array, "3 pixels"]:
+        """Radiance of each pixel in white light; see `AbstractIntegrator`."""
+        base = self.base(pixels, lights, eye, tables)
+        state = base.state
+        for layer in self.layers(base):
+            state = layer.state
+        return state.radiance
+
+    def base(
+        self, pixels: IrisPixels, lights: Lights, eye: Eye, tables: Illumination | None
+    ) -> "Base":
+        """Compute everything that does not depend on the coats."""
         profile, reach = self.painting.profile, eye.iris_radius
-        flux = once("fluxes", fluxes_of, lights, eye, tables)
-        seen = once("painted ground", composite.ground, pixels, profile, eye, flux)
-        rays = once("rays to paint", composite.rays, flux, profile, reach)
+        flux = fluxes_of(lights, eye, tables)
+        seen = composite.ground(pixels, profile, eye, flux)
         shape = len(lights), composite.SHADOW, composite.SHADOW, composite.CHANNELS
-        light = once("light on paint", composite.full_light, flux, shape)
-        state = once("bare ground", composite.nothing, seen)
-        groups = _groups(self.painting)
+        return Base(
+            seen=seen,
+            rays=composite.rays(flux, profile, reach),
+            light=composite.full_light(flux, shape),
+            state=composite.nothing(seen),
+            tint=lights.tint,
+            rim=(profile, reach, eye.pupil_margin),
+        )
+
+    def layers(self, base: "Base", before: Sequence["Layer"] = ()) -> Iterator["Layer"]:
+        """Paint the groups of coats, from the uppermost down.
+
+        Args:
+            base: Result of `base`.
+            before: Layers of a painting on the same base. A layer whose coats, and those above it,
+                are the same objects is not painted again; a coat's opacity is looked up again only
+                where it has changed.
+        """
+        known = {part.coat.name: part for layer in before for part in layer.parts}
+        groups, state, light, same = _groups(self.painting), base.state, base.light, True
         for nth, group in enumerate(groups):
-            height, colours = group[0].height, tuple(coat.colour for coat in group)
-            rim = profile, reach, eye.pupil_margin
-            wheres = [(coat.opacity, coat.height, *rim) for coat in group]
-            names = [coat.name for coat in group]
-            covered = tuple(
-                once(f"opacity of {name}", composite.opacity_at, seen, *where)
-                for name, where in zip(names, wheres, strict=True)
-            )
-            known = state, covered, seen
-            more = colours, height, lights.tint, reach, self.as_printed
-            state = once(f"paint of group {nth}", composite.paint_over, known, light, *more)
-            if group is groups[-1]:
-                break
-            crossed = tuple(
-                once(f"shadow of {name}", composite.crossed, rays, *where)
-                for name, where in zip(names, wheres, strict=True)
-            )
-            known = crossed, colours, self.as_printed
-            light = once(f"light under group {nth}", composite.light_under, light, *known)
-        return Texels(pixels.index, state.radiance), None
+            last = group is groups[-1]
+            same = same and nth < len(before) and _same(group, before[nth])
+            if same and (last or before[nth].light is not None):
+                layer = before[nth]
+            else:
+                parts = tuple(_part(coat, base, known.get(coat.name), last) for coat in group)
+                layer = self._painted(base, state, light, parts, last)
+            yield layer
+            state, light = layer.state, layer.light
+
+    def _painted(self, base: "Base", state, light, parts: "tuple[Part, ...]", last: bool):
+        height, colours = parts[0].coat.height, tuple(part.coat.colour for part in parts)
+        covered = state, tuple(part.covered for part in parts), base.seen
+        reach = base.rim[1]
+        state = composite.paint_over(
+            covered, light, colours, height, base.tint, reach, self.as_printed
+        )
+        crossed = tuple(part.crossed for part in parts)
+        below = None if last else composite.light_under(light, crossed, colours, self.as_printed)
+        return Layer(parts, state, below)
 
     def response(
         self, iris: Iris | None, aqueous_index: Scalar, bands: Bands, ranges: Scales
@@ -92,11 +118,40 @@ class Painted(AbstractIntegrator):
         return PaintedResponse(white=bands.white)
 
 
-class Texels(eqx.Module):
-    """Of each pixel the radiance in white light, (channels, pixels)."""
+class Base(NamedTuple):
+    """What all coats are painted on.
 
-    index: Int[Array, " pixels"] | None
-    radiance: Float[Array, "3 pixels"]
+    Attributes:
+        seen: Where pixels see the base.
+        rays: Directions of the lights at its texels.
+        light: Maps of light above all coats.
+        state: Radiance before any coat.
+        tint: Tint of each light.
+        rim: Profile of the base, its radius and the width over which coats fade into the pupil, mm.
+    """
+
+    seen: composite.Ground
+    rays: Array
+    light: Array
+    state: composite.State
+    tint: Array | None
+    rim: tuple[Cones, Array, Array]
+
+
+class Part(NamedTuple):
+    """A coat, its opacity at the pixels and where rays cross it (`None` of the lowest group)."""
+
+    coat: Coat
+    covered: Array
+    crossed: Array | None
+
+
+class Layer(NamedTuple):
+    """A group of coats, what they and those above send back, and the light below them."""
+
+    parts: tuple[Part, ...]
+    state: composite.State
+    light: Array | None
 
 
 class PaintedResponse(AbstractResponse):
@@ -106,10 +161,35 @@ class PaintedResponse(AbstractResponse):
     error: None = None
     status: None = None
 
-    def shade(self, texels: Texels, ground: None) -> Float[Array, "channels pixels"]:
+    def shade(
+        self, pixels: IrisPixels, texels: None, light: Float[Array, "3 pixels"]
+    ) -> Float[Array, "channels pixels"]:
         """See `AbstractResponse`."""
-        del ground
-        return self.white[:, None] * texels.radiance
+        return self.white[:, None] * light
+
+
+def _part(coat: Coat, base: Base, before: Part | None, last: bool) -> Part:
+    """A coat where pixels and rays meet it; what was looked up of the same opacity is kept."""
+    where = coat.opacity, coat.height, *base.rim
+    covered, crossed = None, None
+    pairs = (
+        ()
+        if before is None
+        else ((before.coat.opacity, coat.opacity), (before.coat.height, coat.height))
+    )
+    if before is not None and all(a is b for a, b in pairs):
+        covered, crossed = before.covered, before.crossed
+    if covered is None:
+        covered = composite.opacity_at(base.seen, *where)
+    if crossed is None and not last:
+        crossed = composite.crossed(base.rays, *where)
+    return Part(coat, covered, crossed)
+
+
+def _same(group: list[Coat], layer: Layer) -> bool:
+    before = [part.coat for part in layer.parts]
+    leaves = [jax.tree.leaves(coats) for coats in (group, before)]
+    return len(group) == len(before) and all(a is b for a, b in zip(*leaves, strict=True))
 
 
 def _groups(painting: Painting) -> list[list[Coat]]:

@@ -59,11 +59,11 @@ from irisjax.photo.windows import (
 from irisjax.render.environment import Environment
 from irisjax.render.illumination import Illumination
 from irisjax.render.lights import Lights
-from irisjax.render.project import View, onto_picture
+from irisjax.render.picture import illuminate, respond, shade, texture
+from irisjax.render.project import View, look, onto_picture
 from irisjax.render.radiative import RadiativeIntegrator
 from irisjax.render.scene import Scene
 from irisjax.render.separable import Separable
-from irisjax.render.stages import Memory, look
 from irisjax.tissue.iris import Iris
 from irisjax.tissue.maps import IrisMaps
 from irisjax.transport.ilit.exact import IlitExact
@@ -539,12 +539,12 @@ def eye_model(settings: CloneSettings) -> Eye:
     return Eye(iris_depth=depth)
 
 
-def compare_with_photograph(clone: Fitted, threads: int = 1) -> PictureDifference:
+def compare_with_photograph(clone: Fitted) -> PictureDifference:
     """Render a clone with its photograph's camera and compare the two."""
-    scene = clone.scene()
-    stage = (memory := Memory(threads)).prepare(scene, clone.tables, clone.view)
-    exposure = clone.exposure
-    rendered = exposure[1] * np.asarray(memory.shown(stage, stage.response(scene.tissue)))
+    scene, view, exposure = clone.scene(), clone.view, clone.exposure
+    texels = texture(view, scene)
+    light = illuminate(view, texels, scene, clone.tables)
+    rendered = exposure[1] * np.asarray(shade(view, texels, light, respond(scene)))
     # The model's camera records exposure × radiance^contrast.
     radiance = np.maximum(clone.part / exposure, 0)
     photograph = exposure[1] * radiance ** (1 / clone.fit.values["contrast"])

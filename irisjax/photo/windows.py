@@ -17,9 +17,9 @@ from irisjax.photo.pose import Pose
 from irisjax.photo.texture import LUMINANCE_WEIGHTS
 from irisjax.photo.thickness import generic_thickness
 from irisjax.render.bands import Bands, colour_bands
-from irisjax.render.compose import respond
 from irisjax.render.environment import Environment
 from irisjax.render.illumination import Illumination
+from irisjax.render.integrator import checked_response
 from irisjax.render.lights import Lights
 from irisjax.render.outside import room_at
 from irisjax.render.project import (
@@ -167,7 +167,7 @@ class Windows(eqx.Module):
 
     def _from_the_front(self, iris: Iris, ranges: Scales, scales: Scales) -> np.ndarray:
         """Luminance of uniform irides."""
-        found: Any = respond(self.integrator, iris, self.aqueous_index, self.bands, ranges)
+        found: Any = checked_response(self.integrator, iris, self.aqueous_index, self.bands, ranges)
         one = jnp.ones_like(scales.stroma)
         return np.asarray(LUMINANCE_WEIGHTS @ np.asarray(found.brdf(scales, one, one, 0 * one)))
 
@@ -330,15 +330,16 @@ def _matrix(seen, window, lights, eye, iris, maps, tables, ranges, bands, integr
 
     def placed(log_scale):
         thicker = maps.replace(stroma_depth=maps.stroma_depth * jnp.exp(log_scale))
-        places = integrator.place(seen, lights, eye, iris, thicker, tables, ranges)
-        return eqx.partition(places, eqx.is_inexact_array)
+        texels = integrator.texels(seen, eye, iris, thicker, ranges)
+        light = integrator.illuminate(seen, lights, eye, iris, thicker, tables)
+        return eqx.partition((texels, light), eqx.is_inexact_array)
 
     none = jnp.zeros((), one.dtype)
     numbers, moved, rest = jax.jvp(placed, (none,), (jnp.ones_like(none),), has_aux=True)
 
     def means(numbers, coefficients):
         held = eqx.tree_at(lambda r: r.coefficients, response, coefficients.reshape(one.shape))
-        shaded = held.shade(*eqx.combine(numbers, rest))
+        shaded = held.shade(seen, *eqx.combine(numbers, rest))
         added = jnp.zeros((COUNT, shaded.shape[0])).at[window].add(shaded.T, mode="drop")
         return added / share[:, None]
 

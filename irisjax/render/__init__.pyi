@@ -1,7 +1,12 @@
 """Public names of `irisjax.render`; each loads from its module when it is first used."""
 
-from .compose import Stage as Stage
 from .illumination import Illumination as Illumination
 from .integrator import AbstractIntegrator as AbstractIntegrator
 from .integrator import AbstractResponse as AbstractResponse
+from .picture import draw_bands as draw_bands
+from .picture import illuminate as illuminate
+from .picture import respond as respond
+from .picture import shade as shade
+from .picture import texture as texture
+from .project import look as look
 from .single_scattering import SingleScattering as SingleScattering

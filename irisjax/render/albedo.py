@@ -1,25 +1,26 @@
-"""The iris as a matt surface, for renderers that know no other: the albedo of each texel, and how
-wrong it is.
+"""The iris as a matt surface, for renderers that have no other: the albedo of each texel, and its
+error.
 
-ILIT's BRDF is (1 − F(μ_i)) g(μ_o): it does not ask whence light comes but for the first surface,
-and falls towards grazing exits, the more the more the ABL absorbs. Radiative transfer's leans
+ILIT's BRDF is (1 − F(μ_i)) g(μ_o): it depends on the direction of the light at the first surface
+alone, and falls towards grazing exits, the more the ABL absorbs. Radiative transfer's is larger
 towards the light. A Lambertian surface of the same power is the nearest relative of either.
 """
+
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
 from irisjax.anatomy.eye import Eye
 from irisjax.numerics.portions import in_portions
 from irisjax.optics.fresnel import fresnel_at
 from irisjax.render.bands import Bands
-from irisjax.render.compose import respond
-from irisjax.render.lambert import LambertError, of_pairs
-from irisjax.render.radiative import RadiativeIntegrator
-from irisjax.render.radiative_response import RadiativeResponse
+from irisjax.render.integrator import checked_response
+from irisjax.render.radiative import RadiativeIntegrator, RadiativeResponse
 from irisjax.render.separable import Separable, SeparableResponse
 from irisjax.tissue.iris import Iris
 from irisjax.tissue.maps import IrisMaps, Scales, cell_centres
@@ -29,12 +30,29 @@ CONE = 50.0
 cornea.
 """
 _TEXELS = 2048
-_TURNS = np.pi * (np.arange(6) + 0.5) / 6  # azimuths that are told apart, each once
+_TURNS = np.pi * (np.arange(6) + 0.5) / 6  # azimuths, each once
+
+
+class LambertError(NamedTuple):
+    """Relative error of a Lambertian iris of the albedo against the model, in each channel.
+
+    Attributes:
+        rms: Of the whole iris's mean radiance, over pairs of directions within `CONE` of the normal
+            in proportion to their cosines.
+        most: The largest there, with its sign (negative: the Lambertian iris is darker).
+        texels: As `rms`, over texels too, relative to the mean radiance of the iris.
+        hemisphere: As `rms`, over all directions, relative to the mean BRDF.
+    """
+
+    rms: np.ndarray
+    most: np.ndarray
+    texels: np.ndarray
+    hemisphere: np.ndarray
 
 
 class Matt(eqx.Module):
-    """An iris ready to be asked for its albedo; make one with `of`. Without what the first surface
-    mirrors.
+    """An iris whose albedo can be computed, without the mirror of the first surface; made with
+    `of`.
     """
 
     response: SeparableResponse | RadiativeResponse
@@ -66,7 +84,7 @@ class Matt(eqx.Module):
 
         ranges = Scales(*map(with_one, scales.ranges()))
         made = integrator.prepare(iris, eye.aqueous_index, bands, ranges)
-        response = respond(made, iris, eye.aqueous_index, bands, ranges)
+        response = checked_response(made, iris, eye.aqueous_index, bands, ranges)
         assert isinstance(response, SeparableResponse | RadiativeResponse)
         return cls(response, scales, iris, eye, (2, 2) if maps is None else maps.shape)
 
@@ -83,7 +101,7 @@ class Matt(eqx.Module):
         """
         return _albedo(self.response, self.scales, self._given(1.0), self.shape)
 
-    def entering(self, cosine) -> Array:
+    def entering(self, cosine: ArrayLike) -> Array:
         """Share of light that enters the tissue, 1 − F."""
         x = jnp.asarray(cosine, self.response.error.dtype)
         return _entering(self.iris, self.eye.aqueous_index, x)
@@ -99,7 +117,7 @@ class Matt(eqx.Module):
         return _pairs(self.response, one, cos_incidence, cos_exit, azimuth)[..., 0]
 
     def _given(self, cosine):
-        """What `hemispherical` of the response is to be told of the incidence."""
+        """The argument of the response's `hemispherical` for an incidence."""
         if isinstance(self.response, SeparableResponse):
             return self.entering(cosine)
         return jnp.asarray(cosine, self.response.error.dtype)
@@ -117,15 +135,16 @@ class Matt(eqx.Module):
                 for v in ((near[0], near[0], _TURNS), (far[0], far[0], _TURNS))
             )
             return of_pairs(np.asarray(flat), weight, within, near[1], whole, far[1])
+        response = self.response
         texels, weight = self._some(_TEXELS)
-        power = _power(self.response, texels, self.entering(1.0))
+        power = _power(response, texels, self.entering(1.0))
         flat = np.asarray(power, np.float64) / np.pi  # (channels, texels)
         mean = flat @ weight
 
         def factors(cosine):  # of BRDF over mean Lambertian one: t(μ_i) and s(μ_o), of all texels
             t = np.asarray(self.entering(cosine), np.float64)
-            x = jnp.asarray(cosine, self.response.error.dtype)
-            s = np.asarray(_exits_of_all(self.response, texels, x), np.float64)
+            x = jnp.asarray(cosine, response.error.dtype)
+            s = np.asarray(_exits_of_all(response, texels, x), np.float64)
             return t, np.swapaxes(s, 0, 1) / mean[:, None, None]
 
         cosine, w = _nodes(np.cos(np.radians(CONE)), 24)
@@ -160,6 +179,43 @@ class Matt(eqx.Module):
         return Scales(
             *(None if s is None else s[::step, ::step].ravel() for s in self.scales)
         ), weight / weight.sum()
+
+
+def of_pairs(
+    flat: np.ndarray,
+    weight: np.ndarray,
+    within: np.ndarray,
+    within_weight: np.ndarray,
+    whole: np.ndarray,
+    whole_weight: np.ndarray,
+) -> LambertError:
+    """`LambertError` of an iris whose BRDF is known for pairs of directions.
+
+    Args:
+        flat: BRDF of the Lambertian texels, (channels, texels); `weight` of each texel.
+        within: BRDFs for cosines near the normal, (in, out, azimuths, channels, texels), with
+            the cosines' weights; `whole`: the same over the hemisphere.
+    """
+    mean = flat @ weight
+
+    def pairs(cosines):
+        return (cosines[:, None] * cosines[None])[..., None, None]
+
+    seen = within @ weight
+    near = pairs(within_weight) / within.shape[2]
+    off = mean / seen - 1
+    by_texel = (flat - within) / seen[..., None]
+    rows = off.reshape(-1, mean.size)
+    most = rows[np.abs(rows).argmax(0), np.arange(mean.size)]
+    ratio = (whole @ weight) / mean
+    far = pairs(whole_weight) / whole.shape[2]
+    average = (far * ratio).sum((0, 1, 2))
+    return LambertError(
+        rms=np.sqrt((near * off**2).sum((0, 1, 2))),
+        most=most,
+        texels=np.sqrt((near * (by_texel**2 @ weight)).sum((0, 1, 2))),
+        hemisphere=np.sqrt((far * (ratio - 1) ** 2).sum((0, 1, 2))) / average,
+    )
 
 
 def _nodes(lowest: float, count: int):

@@ -6,6 +6,8 @@ the ABL, t the share that crosses the first surface and s_m = 1, v √(1 − v²
 c is symmetric in a and b.  [Chandrasekhar 1960, Sections 13, 16]
 """
 
+from typing import Any
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -18,9 +20,10 @@ from irisjax.numerics.linear import leading_subspace
 from irisjax.numerics.portions import pixelwise
 from irisjax.optics.conicoid import dot, joined, norm
 from irisjax.optics.fresnel import fresnel, refract
-from irisjax.render.products import polynomials
+from irisjax.render.polynomials import along, polynomials
+from irisjax.render.project import IrisPixels
 from irisjax.render.shading import Field, normals, shares
-from irisjax.render.texels import along
+from irisjax.tissue.iris import Iris
 
 AZIMUTHS = 0.0, np.pi / 2, np.pi
 """Three values tell the orders 0, 1 and 2."""
@@ -39,7 +42,7 @@ class AngularFunctions(eqx.Module):
         """How many functions the first azimuthal orders have."""
         return sum(len(_pairs(degree)) for degree in self.degrees[:orders])
 
-    def nodes(self, indices, dtype):
+    def nodes(self, indices: tuple[Array, Array], dtype: Any) -> Float[Array, " nodes"]:
         """Cosines in the ABL at which a BRDF is asked for, those of directions that leave the
         eye's tissue.
         """
@@ -47,7 +50,13 @@ class AngularFunctions(eqx.Module):
         lowest = refract(jnp.zeros((), dtype), *indices)
         return lowest + (1 - lowest) * unit
 
-    def functions(self, cos_incidence, cos_exit, across, indices):
+    def functions(
+        self,
+        cos_incidence: Float[Array, " pixels"],
+        cos_exit: Float[Array, " pixels"],
+        across: Float[Array, " pixels"],
+        indices: tuple[Array, Array],
+    ) -> Float[Array, "functions pixels"]:
         """At directions in the aqueous humour, (functions, pixels); `across`: the scalar product of
         their parts along the iris.
         """
@@ -75,7 +84,11 @@ class AngularFunctions(eqx.Module):
                 found.append(weight * product)
         return jnp.stack(found)
 
-    def coefficients(self, found, inside):
+    def coefficients(
+        self,
+        found: Float[Array, "texels in azimuths out channels"],
+        inside: Float[Array, " nodes"],
+    ) -> Float[Array, "texels functions channels"]:
         """Of values (texels, in, azimuths, out, channels) at the nodes: (texels, functions,
         channels).
         """
@@ -98,20 +111,36 @@ class AngularFunctions(eqx.Module):
         return np.array([_FALLS ** (a + b) for degree in self.degrees for a, b in _pairs(degree)])
 
 
-class Mixtures(eqx.Module):
-    """The `weights` that each of some mixtures has of the functions of directions."""
+class AngularLight(eqx.Module):
+    """Light of all lamps at the pixels, in functions of directions or in mixtures of these.
 
-    weights: Float[Array, "functions mixtures"]
+    Attributes:
+        light: Irradiance of all lights together times each function, or mixture, and all shares on
+            the way out.
+        mixtures: The share of each function in each mixture; `None` where there are none.
+    """
+
+    light: Float[Array, "tints functions pixels"]
+    mixtures: Float[Array, "functions mixtures"] | None = None
 
 
 @pixelwise
-def light_of(pixels, flux, tint, eye: Eye, slopes, indices, angles: AngularFunctions):
+def light_of(
+    seen: IrisPixels,
+    flux: Float[Array, "lights 3 rows columns"],
+    tint: Float[Array, "lights 3"] | None,
+    eye: Eye,
+    slopes: Float[Array, "2 angles radii"] | None,
+    iris: Iris,
+    angles: AngularFunctions,
+) -> Float[Array, "tints functions pixels"]:
     """Sum over the lights of irradiance times the functions of directions and the share that
-    reaches the camera, (tints, functions, pixels).
+    reaches the camera.
     """
-    seen, place = pixels
+    n = iris.indices(eye.aqueous_index)
+    indices = n.aqueous, n.abl
     flat = eye.iris_normal(joined(seen.point))
-    tilted = joined(normals(seen.point, place, eye, slopes))
+    tilted = joined(normals(seen, eye, slopes))
     view = joined(seen.direction)
 
     def add(total, light):
@@ -135,7 +164,9 @@ def light_of(pixels, flux, tint, eye: Eye, slopes, indices, angles: AngularFunct
 
 
 @eqx.filter_jit
-def mixed(light, angles: AngularFunctions):
+def mixed(
+    light: Float[Array, "tints functions pixels"], angles: AngularFunctions
+) -> tuple[Float[Array, "tints mixtures pixels"], Float[Array, "functions mixtures"]]:
     """Light in the mixtures of functions that it has most of, as coefficients weigh them, and what
     of each function is in a mixture.
     """

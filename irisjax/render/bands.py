@@ -6,6 +6,7 @@ Their colours differ by less than 0.5 ΔE2000 from those of all 81 (`experiments
 vessels above all, has `all_bands`.
 """
 
+from collections.abc import Sequence
 from functools import lru_cache
 from importlib import resources
 
@@ -22,12 +23,15 @@ GRID = 380 + 5.0 * np.arange(81)
 
 
 class Bands(eqx.Module):
-    """Wavelengths (nm) and the matrix (channels, bands) from reflectance to the picture's channels.
+    """Wavelengths at which a picture is computed, and their weights towards its channels.
 
-    - `channels`: their names; `("R", "G", "B")` is linear sRGB, a white sheet under irradiance π is
-        (1, 1, 1).
-    - `white`: a white sheet in the picture's channels, exactly: bands are fitted to tissue, their
-        weights make it 3 % too dark in blue.
+    Attributes:
+        wavelengths: Wavelengths, nm.
+        weights: Matrix from reflectance to the picture's channels.
+        white: A white sheet in the picture's channels, exactly: bands are fitted to tissue, and
+            their weights make it 3 % too dark in blue.
+        channels: Names of the channels; `("R", "G", "B")` is linear sRGB, in which a white sheet
+            under irradiance π is (1, 1, 1).
     """
 
     wavelengths: tuple[float, ...] = eqx.field(static=True)
@@ -39,8 +43,8 @@ class Bands(eqx.Module):
 def colour_bands(
     illuminant: str = "D65", observer: str = OBSERVER, cornea: Cornea | None = None
 ) -> Bands:
-    """Bands to linear sRGB under an illuminant, adapted to D65;
-    twice through the haze of `cornea`.
+    """Bands to linear sRGB under an illuminant, adapted to D65, and twice through the haze of
+    `cornea`.
     """
     nodes, fill = _table()
     matrix = np.asarray(tristimulus_matrix(GRID, "linear sRGB", illuminant, observer)[0])
@@ -62,7 +66,11 @@ def all_bands(illuminant: str = "D65", observer: str = OBSERVER) -> Bands:
     return Bands(tuple(GRID.tolist()), weights, weights.sum(1), ("R", "G", "B"))
 
 
-def spectral_bands(wavelengths, illuminant: str = "D65", cornea: Cornea | None = None) -> Bands:
+def spectral_bands(
+    wavelengths: Sequence[float] | np.ndarray,
+    illuminant: str = "D65",
+    cornea: Cornea | None = None,
+) -> Bands:
     """A channel for each wavelength: radiance (1/sr) relative to the illuminant's irradiance at 560
     nm, times π.
     """

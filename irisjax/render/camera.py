@@ -33,9 +33,17 @@ class Camera(eqx.Module):
     """A pinhole camera in the eye's frame (mm; +z into the eye, x right and y up as the viewer
     sees).
 
-    - `polar`, `azimuth`: of its place as seen from the eye, radians; 0 is straight ahead.
-    - `distance`: to the centre of the pupil. `width`: of the field there, mm.
-    - `size`: (width, height) in pixels. `first`, `rows`: the part of them it takes, see `taking`.
+    Attributes:
+        polar: Polar angle of its place as seen from the eye, radians; 0 is straight ahead.
+        azimuth: Azimuth of its place, radians.
+        distance: Distance to the centre of the pupil, mm.
+        width: Width of the field there, mm.
+        size: Width and height, pixels.
+        first: First row that it takes, see `taking`.
+        rows: Number of rows that it takes; `None` for all.
+
+    Raises:
+        ValueError: A number is out of range.
     """
 
     polar: Scalar = _number(0.0)
@@ -58,8 +66,12 @@ class Camera(eqx.Module):
             check_range(f"camera {name}", getattr(self, name), allowed)
 
     def taking(self, first: int, rows: int, samples: int = 1) -> "Camera":
-        """The same camera that takes only some rows of its picture, 0 being the top, and instead of
-        each pixel samples × samples smaller ones."""
+        """The same camera that takes only some rows of its picture, counted from 0 at the top, and
+        in place of each pixel samples × samples smaller ones.
+
+        Raises:
+            ValueError: The picture has no such rows.
+        """
         if not (rows > 0 and 0 <= first <= self.size[1] - rows):
             raise ValueError(
                 f"rows {first} to {first + rows - 1} are not in a picture of {self.size[1]}"
@@ -70,11 +82,11 @@ class Camera(eqx.Module):
 
     @property
     def shape(self) -> tuple[int, int]:
-        """Rows and columns that it takes."""
+        """Numbers of rows and columns that it takes."""
         return (self.size[1] if self.rows is None else self.rows), self.size[0]
 
     def rays(self, eye: Eye) -> tuple[Float[Array, "3"], Float[Array, "height width 3"]]:
-        """The camera's place (3,) and unit directions (rows, columns, 3) from the top."""
+        """The camera's place and unit directions of its lines of sight, from the top row down."""
         rows, columns = self.shape
         _, direction = self.towards(jnp.arange(rows * columns), eye)
         back, _, _ = self.axes()
@@ -96,11 +108,11 @@ class Camera(eqx.Module):
         return back, jnp.cross(up, -back), up
 
     def towards(self, index: Int[Array, " pixels"], eye: Eye) -> tuple[Vector, Vector]:
-        """Where the lines of sight of some pixels, counted along its rows, begin near the eye
-        (pixels, 3), and their unit directions (pixels, 3).
+        """Points near the eye at which lines of sight begin, (pixels, 3), and their unit
+        directions, (pixels, 3), for pixels counted along the rows.
 
-        They begin in front of all of the eye, or at the camera where that is nearer: counted from a
-        camera metres away, single precision would lose the eye.
+        The points lie in front of all of the eye, or at the camera where that is nearer: counted
+        from a camera metres away, single precision would lose the eye.
         """
         back, right, up = self.axes()
         w, h = self.size

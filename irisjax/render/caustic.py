@@ -35,7 +35,7 @@ class Grid(NamedTuple):
         return (2 * self.extent / (self.size - 1)) ** 2
 
 
-def gathered(eye: Eye, polar, grid: Grid, n_rays: int) -> Float[Array, "size size 3"]:
+def gathered(eye: Eye, polar: Array, grid: Grid, n_rays: int) -> Float[Array, "size size 3"]:
     """Flux vectors on the grid (rows y, columns x) of unit light from azimuth 0 and the given polar
     angle.
 

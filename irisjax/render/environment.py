@@ -3,12 +3,14 @@ for it.
 """
 
 import heapq
+from typing import Any
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
+from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
 from irisjax._types import as_float
@@ -29,7 +31,11 @@ class Environment(eqx.Module):
     side of −x, since +x is the right of a viewer who faces the eye. A value holds at the centre of
     its texel.
 
-    **Raises:** `ValueError` for another shape and for values that are negative or not finite.
+    Attributes:
+        radiance: Linear sRGB of each texel.
+
+    Raises:
+        ValueError: The shape is another, or a value is negative or not finite.
     """
 
     radiance: Float[Array, "rows columns 3"] = eqx.field(converter=as_float)
@@ -69,9 +75,15 @@ class Environment(eqx.Module):
 
     @classmethod
     def sky(
-        cls, sun_polar=1.0, sun_azimuth=2.0, *, sun=4.0, sky=1.0, rows: int = 128
+        cls,
+        sun_polar: float = 1.0,
+        sun_azimuth: float = 2.0,
+        *,
+        sun: float = 4.0,
+        sky: float = 1.0,
+        rows: int = 128,
     ) -> "Environment":
-        """An invented clear day: a blue gradient, a white horizon, grey-green ground and a blurred
+        """An invented clear day: a blue gradient, a white horizon, a grey-green floor and a blurred
         sun.
 
         `sun_polar`, `sun_azimuth`: as of `Lights.distant`, from −z and from +x to +y, radians;
@@ -97,7 +109,7 @@ class Environment(eqx.Module):
         return cls(sky * gradient + sun * glare[..., None] * (warm / (warm @ LUMINANCE)))
 
     @classmethod
-    def uniform(cls, radiance=1.0, *, rows: int = 32) -> "Environment":
+    def uniform(cls, radiance: ArrayLike = 1.0, *, rows: int = 32) -> "Environment":
         """The same white light from everywhere, which a white sheet in it returns."""
         return cls(jnp.full((rows, 2 * rows, 3), radiance, jnp.result_type(float)))
 
@@ -110,7 +122,7 @@ class Environment(eqx.Module):
         columns = self.radiance.shape[1]
         return Environment(jnp.roll(self.radiance, round(angle / (2 * np.pi) * columns), axis=1))
 
-    def lookup(self, direction) -> Float[Array, "*s 3"]:
+    def lookup(self, direction: ArrayLike) -> Float[Array, "*s 3"]:
         """Radiance (..., 3) from directions (..., 3) out of the eye, of any length; linear between
         texels.
 
@@ -148,7 +160,7 @@ class Environment(eqx.Module):
         )
         return above * (1 - fr) + below * fr
 
-    def irradiance(self, normal=(0.0, 0.0, -1.0)) -> Float[Array, "3"]:
+    def irradiance(self, normal: Any = (0.0, 0.0, -1.0)) -> Float[Array, "3"]:
         """Irradiance, linear sRGB, on a surface with this unit `normal` at the eye; by default it
         faces straight out.
 
@@ -170,7 +182,12 @@ class Environment(eqx.Module):
         Texels whose centre is farther than `largest_polar` (radians) from −z are left out, as no
         light from there reaches the iris; `None` keeps all. Not to be traced by JAX.
 
-        **Raises:** `ValueError` for no positive `n` and for a map without light.
+        Args:
+            n: Largest number of lights.
+            largest_polar: Largest angle from −z, radians; `None` for all directions.
+
+        Raises:
+            ValueError: `n` is not positive, or no light reaches the cornea.
         """
         if isinstance(self.radiance, Tracer):
             raise ValueError("to_lights needs concrete radiances; call it outside jit and grad")

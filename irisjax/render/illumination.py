@@ -1,5 +1,5 @@
-"""What any light does to the iris, tabulated: refraction and caustics together, ready to be summed
-over lights.
+"""Tables of the light that reaches the iris from any direction: refraction and caustics together,
+ready to be summed over lights.
 """
 
 import dataclasses
@@ -34,14 +34,18 @@ _UNIQUE = round(UNIQUE_POLAR / _SPACING)
 
 class Illumination(eqx.Module):
     """Flux vectors on the iris of unit light, over its polar angle and a square grid turned to its
-    azimuth.
+    azimuth; made with `build`.
 
-    Make one with `build`. `flux` has shape (polars, rows y, columns x, 3); lengths mm. `largest`:
-    the polar angle (radians) the tables reach; light from beyond fades out over one step of them.
     Light within the soft edge of the limbus is dimmed. Where rays are counted (beyond
     `UNIQUE_POLAR`) the grid's cell, 2 × extent / (size − 1), is the resolution; the grid reaches
     one cell beyond the iris. A caustic moves by up to 0.15 mm per degree: half-way between two
     angles up to 4 % of its power is misplaced by that much.
+
+    Attributes:
+        flux: Flux vectors over polar angle, rows y and columns x.
+        extent: Half the side of the grid, mm.
+        largest: Polar angle that the tables reach, radians; light from beyond fades out over one
+            step of them.
     """
 
     flux: Float[Array, "polars size size 3"]
@@ -96,10 +100,11 @@ def _searched(size: int) -> tuple[int, int, int]:
 
 
 def deciding(eye: Eye) -> Eye:
-    """An eye with everything removed that its tables do not depend on: pupil, sclera, the cornea's
+    """The eye without everything that its tables do not depend on: pupil, sclera and the cornea's
     haze.
 
-    **Raises:** `ValueError` without a cornea.
+    Raises:
+        ValueError: The eye has no cornea.
     """
     cornea = eye.cornea
     if cornea is None:

@@ -1,4 +1,4 @@
-"""What a scene asks of an integrator: how the iris sends back the light that reaches it."""
+"""What a scene requires of an integrator: how the iris sends back the light that reaches it."""
 
 import abc
 from typing import Any
@@ -12,33 +12,36 @@ from irisjax.render.bands import Bands
 from irisjax.render.illumination import Illumination
 from irisjax.render.lights import Lights
 from irisjax.render.project import IrisPixels
-from irisjax.render.steps import Once, simply
 from irisjax.tissue.iris import Iris
 from irisjax.tissue.maps import IrisMaps, Scales
 from irisjax.transport.process import AbstractProcess
-from irisjax.transport.solution import RESULTS
+from irisjax.transport.solution import RESULTS, raise_failure
 
 
 class AbstractResponse(eqx.Module):
     """An iris of given pigments, ready to shade pixels.
 
-    - `error`: of a table, relative to the brightest texel; `None` where nothing is tabulated.
-    - `status`: of the solver, `None` where nothing can fail.
+    Attributes:
+        error: Error of a table, relative to the brightest texel; `None` where nothing is
+            tabulated.
+        status: Status of the solver; `None` where nothing can fail.
     """
 
     error: eqx.AbstractVar[Float[Array, ""] | None]
     status: eqx.AbstractVar[RESULTS | None]
 
     @abc.abstractmethod
-    def shade(self, texels: Any, ground: Any) -> Float[Array, "channels pixels"]:
-        """Radiance of pixels in the channels of the picture; `texels` and `ground` from
-        `AbstractIntegrator.place`.
+    def shade(self, pixels: IrisPixels, texels: Any, light: Any) -> Float[Array, "channels pixels"]:
+        """Radiance of pixels in the channels of the picture, from `AbstractIntegrator.texels` and
+        `AbstractIntegrator.illuminate`.
         """
 
 
 class AbstractIntegrator(eqx.Module):
-    """An integrator is an immutable value: a method and its settings, the `process` of light in
-    tissue among them; `None` where there is no tissue, but paint.
+    """An integrator is an immutable value: a method and its settings.
+
+    Attributes:
+        process: Process of light in tissue; `None` where there is no tissue, but paint.
     """
 
     process: eqx.AbstractVar[AbstractProcess | None]
@@ -46,12 +49,25 @@ class AbstractIntegrator(eqx.Module):
     def prepare(
         self, iris: Iris | None, aqueous_index: Scalar, bands: Bands, ranges: Scales
     ) -> "AbstractIntegrator":
-        """The integrator with all fixed that must be known before tracing."""
+        """Fix everything that must be known before tracing."""
         del iris, aqueous_index, bands, ranges
         return self
 
+    def texels(
+        self,
+        pixels: IrisPixels,
+        eye: Eye,
+        iris: Iris | None,
+        maps: IrisMaps | None,
+        ranges: Scales,
+    ) -> Any:
+        """Look up what the iris is made of at each pixel; nothing of it depends on light or on
+        pigments. `ranges` are those of the response.
+        """
+        del pixels, eye, iris, maps, ranges
+
     @abc.abstractmethod
-    def place(
+    def illuminate(
         self,
         pixels: IrisPixels,
         lights: Lights,
@@ -59,21 +75,44 @@ class AbstractIntegrator(eqx.Module):
         iris: Iris | None,
         maps: IrisMaps | None,
         tables: Illumination | None,
-        ranges: Scales,
-        once: Once = simply,
-    ) -> tuple[Any, Any]:
-        """Everything that a change of pigments leaves alone: of each pixel, and what all of them
-        share.
-
-        The first is a module of arrays whose last axis is that of the pixels, `index` among them:
-        it is shaded a chunk of pixels at a time. `tables` are `None` for a bare iris; `ranges` are
-        those of the response; `once` does the steps (`steps.simply`).
+    ) -> Any:
+        """Compute the light that the response needs at each pixel; nothing of it depends on
+        pigments. `tables` are `None` for a bare iris.
         """
 
     @abc.abstractmethod
     def response(
         self, iris: Iris | None, aqueous_index: Scalar, bands: Bands, ranges: Scales
     ) -> AbstractResponse:
-        """The iris behind a chamber for the channels of `bands`; `ranges` of its texels from
-        `Scales.ranges`.
+        """Compute how the iris behind a chamber sends light back, for the channels of `bands` and
+        texels within `ranges` (`Scales.ranges`).
         """
+
+
+def checked_response(
+    integrator: AbstractIntegrator,
+    iris: Iris | None,
+    aqueous_index: Scalar,
+    bands: Bands,
+    ranges: Scales,
+) -> AbstractResponse:
+    """Compute the response of an integrator in one compiled program.
+
+    Raises:
+        ValueError: The integrator's solver does not hold the layers of a texel.
+    """
+    found = _response(integrator, iris, aqueous_index, bands, ranges)
+    if found.status is not None:
+        raise_failure(found.status)
+    return found
+
+
+@eqx.filter_jit
+def _response(
+    integrator: AbstractIntegrator,
+    iris: Iris | None,
+    aqueous_index: Scalar,
+    bands: Bands,
+    ranges: Scales,
+) -> AbstractResponse:
+    return integrator.response(iris, aqueous_index, bands, ranges)

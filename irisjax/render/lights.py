@@ -1,5 +1,7 @@
 """Lights: distant or at a place, any number, of one spectrum."""
 
+from typing import Any
+
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
@@ -21,20 +23,22 @@ _UNIT = 1e-4  # by which the length of a direction may differ from one
 
 
 class Lights(eqx.Module):
-    """Any number of lights; make them with `distant` or `points`, join them with `+`.
+    """Any number of lights, made with `distant` or `points` and joined with `+`. One number
+    describes all lights.
 
-    - `towards`: unit vectors from the eye to each light, shape (lights, 3) in the eye's frame (+z
-        into the eye).
-    - `irradiance`: on a surface at the eye that faces the light, outside the cornea; π lights a
-        white sheet to radiance 1.
-    - `tint`: factors on linear sRGB, shape (lights, 3), or `None` for the illuminant's own colour.
-    - `distance`: from the corneal apex, mm, or `None` for lights at infinity.
-    - `radius`: half the angle under which the eye sees each light, radians; it makes the mirror
-        image. That of a lamp is at most π/2.
-    - `illuminant`: the spectrum of all of them, by colour-science's name.
+    Attributes:
+        towards: Unit vectors from the eye to each light, in the eye's frame (+z into the eye).
+        irradiance: On a surface at the eye that faces the light, outside the cornea; π lights a
+            white sheet to radiance 1.
+        tint: Factors on linear sRGB; `None` for the illuminant's own colour.
+        distance: Distance from the corneal apex, mm; `None` for lights at infinity.
+        radius: Half the angle under which the eye sees each light, radians, which decides the
+            mirror image. That of a lamp is at most π/2.
+        illuminant: Spectrum of all of them, by colour-science's name.
 
-    One number stands for all lights. **Raises:** `ValueError` naming value and range for directions
-    that are not unit vectors and for numbers that are negative, not finite or out of range.
+    Raises:
+        ValueError: A direction is not a unit vector, or a number is negative, not finite or out of
+            range.
     """
 
     towards: Float[Array, "lights 3"] = eqx.field(converter=as_float)
@@ -46,7 +50,13 @@ class Lights(eqx.Module):
 
     @classmethod
     def distant(
-        cls, polar, azimuth, irradiance=jnp.pi, *, radius=0.03, illuminant: str = "D65"
+        cls,
+        polar: Any,
+        azimuth: Any,
+        irradiance: Any = jnp.pi,
+        *,
+        radius: Any = 0.03,
+        illuminant: str = "D65",
     ) -> "Lights":
         """Lights at infinity: `polar` angles from the eye's axis and `azimuth` from +x to +y,
         radians.
@@ -62,7 +72,12 @@ class Lights(eqx.Module):
 
     @classmethod
     def points(
-        cls, position, irradiance=jnp.pi, *, radius=0.03, illuminant: str = "D65"
+        cls,
+        position: Any,
+        irradiance: Any = jnp.pi,
+        *,
+        radius: Any = 0.03,
+        illuminant: str = "D65",
     ) -> "Lights":
         """Lights at places (lights, 3), mm in the eye's frame, 20 or more from the apex, where
         `irradiance` is theirs.
@@ -137,7 +152,7 @@ class Lights(eqx.Module):
         )
 
     def polar(self) -> Float[Array, " lights"]:
-        """Angle of each light from the eye's axis, radians."""
+        """Angle of each light from the axis of the eye, radians."""
         return _polar(self.towards)
 
     def around(
@@ -153,7 +168,7 @@ class Lights(eqx.Module):
         return tuple(o / length for o in offset), self.irradiance[:, None] / square
 
     def seen_from(
-        self, point: Float[Array, "*s 3"], i
+        self, point: Float[Array, "*s 3"], i: int | Array
     ) -> tuple[Float[Array, "*s 3"], Scalar | Float[Array, "*s"]]:
         """Unit vectors from points (mm) to light `i`, and its irradiance there on a surface that
         faces it.

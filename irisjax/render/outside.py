@@ -1,7 +1,8 @@
-"""What the outer surface of the eye sends back: the white under its vessels, and images in the tear
+"""Radiance of the outer surface of the eye: the sclera under its vessels, and images in the tear
 film.
 """
 
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
@@ -13,49 +14,27 @@ from irisjax.optics.conicoid import Parts, joined
 from irisjax.render.environment import Environment
 from irisjax.render.lights import Lights
 from irisjax.render.project import MirrorPixels, ScleraPixels
-from irisjax.render.sclera import Blood, ColourTable, vein_depth_at
-from irisjax.render.steps import Once, simply
-from irisjax.render.surfaces import GlobeSurface, Place
+from irisjax.render.sclera import ColourTable, vein_depth_at
+from irisjax.render.surfaces import GlobeSurface
 
 _BLEED = 0.3
 """Cosine by which light reaches past the terminator of the white."""
 
 
+@pixelwise
 def white_colour(
-    pixels: ScleraPixels, eye: Eye, table: ColourTable, veins: VeinMap | None, once: Once = simply
+    pixels: ScleraPixels, eye: Eye, table: ColourTable, veins: VeinMap | None
 ) -> Float[Array, "channels pixels"]:
     """Channels of the sclera under an irradiance of one, all shares on the way out included."""
     if veins is None:
-        return once("white", _white_colour, (pixels, None, None), table)
-    # Programs of their own: in one, XLA works out the place anew for each texture, and the blood
-    # for each channel.
-    place = once("place on the white", _vein_place, pixels.point, eye)
-    blood = once("blood", _blood, place, veins)
-    node = once("node of blood", _vein_node, blood.depth, table)
-    return once("white", _white_colour, (pixels, blood, node), table)
-
-
-@pixelwise
-def _vein_place(point: Parts, eye: Eye) -> Place:
-    return GlobeSurface(eye).place(joined(point))
-
-
-@pixelwise
-def _blood(place: Place, veins: VeinMap) -> Blood:
-    return vein_depth_at(veins, *place)
-
-
-@pixelwise
-def _vein_node(depth, table: ColourTable):
-    return table.node(depth)
-
-
-@pixelwise
-def _white_colour(pixels, table: ColourTable):
-    sclera, blood, node = pixels
-    plain = jnp.zeros(1, sclera.share.dtype)
-    colour = table.channels(plain) if blood is None else table.at_node(node, blood)
-    return jnp.stack(colour) * ((1 - sclera.reflectance) * sclera.share / jnp.pi)
+        colour = table.channels(jnp.zeros(1, pixels.share.dtype))
+    else:
+        # Each computed once: XLA would work out the place anew for each texture, and the blood for
+        # each channel.
+        place = jax.lax.optimization_barrier(GlobeSurface(eye).place(joined(pixels.point)))
+        blood = jax.lax.optimization_barrier(vein_depth_at(veins, *place))
+        colour = table.at_node(jax.lax.optimization_barrier(table.node(blood.depth)), blood)
+    return jnp.stack(colour) * ((1 - pixels.reflectance) * pixels.share / jnp.pi)
 
 
 @pixelwise
@@ -108,5 +87,5 @@ def mirrored(
 
 @pixelwise
 def room_at(pixels: MirrorPixels, environment: Environment) -> Float[Array, "3 pixels"]:
-    """What the tear film would mirror of the environment, were it silver."""
+    """Radiance of the environment in the direction that the tear film mirrors."""
     return environment.lookup(joined(pixels.mirror)).T

@@ -1,10 +1,10 @@
-"""`project`: which point of which surface each pixel sees, and what each of its points sends there.
-
-Fixed shapes: every surface has an entry for every pixel, and a share of 0 where it is not seen.
+"""`project`: the point of each surface that a pixel sees, and the share of its light that reaches
+the pixel.
 """
 
 import dataclasses
-from typing import NamedTuple
+from collections.abc import Callable
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -32,16 +32,21 @@ from irisjax.render.surfaces import CorneaSurface, GlobeSurface, IrisSurface
 
 IRIS, SCLERA, MIRROR = 1, 2, 4
 """What a pixel may see, to be added up."""
+_PAD = 2048  # least block of pixels to which `look` pads a part; else an eighth of them at most
 
 
 class IrisPixels(eqx.Module):
-    """Pixels that may see the iris, as flat arrays; `index` is −1 for padding, `None` where they
-    are all of the picture's.
+    """Pixels that may see the iris.
 
-    - `point`: on the iris, mm; `direction`: of the line of sight in the chamber, into the eye.
-    - `cosine`: of the exit angle to the flat iris; `share`: transmitted on the way out, over n² of
-        the chamber, times the blend at the limbus; 0 where the iris is not seen.
-    - `turn`: by which each pixel sees the maps turned, radians; `None` where they stand still.
+    Attributes:
+        index: Number of each pixel in the picture; −1 for padding, `None` where they are all
+            pixels.
+        point: Point of the iris, mm.
+        direction: Direction of the line of sight in the chamber, into the eye.
+        cosine: Cosine of the exit angle to the flat iris.
+        share: Share transmitted on the way out, over n² of the chamber, times the blend at the
+            limbus; 0 where the iris is not seen.
+        turn: Angle by which the maps are turned for each pixel, radians; `None` for none.
     """
 
     index: Int[Array, " pixels"] | None
@@ -53,9 +58,15 @@ class IrisPixels(eqx.Module):
 
 
 class ScleraPixels(eqx.Module):
-    """Pixels that see the white: `point` (3, pixels) on the tear film, `normal` of the globe there,
-    the `reflectance` of the film, and the `share` of sclera, which blends with the iris at the
-    limbus and is 0 where it is not seen."""
+    """Pixels that may see the sclera.
+
+    Attributes:
+        index: As of `IrisPixels`.
+        point: Point of the tear film, mm.
+        normal: Normal of the globe there.
+        reflectance: Reflectance of the film.
+        share: Share of sclera, which blends with the iris at the limbus; 0 where it is not seen.
+    """
 
     index: Int[Array, " pixels"] | None
     point: Parts
@@ -65,8 +76,12 @@ class ScleraPixels(eqx.Module):
 
 
 class MirrorPixels(eqx.Module):
-    """Pixels that see the tear film, on cornea and white: its `mirror` direction and
-    `reflectance`, 0 beside it.
+    """Pixels that may see the tear film, on the cornea and on the sclera.
+
+    Attributes:
+        index: As of `IrisPixels`.
+        mirror: Direction of the mirrored line of sight.
+        reflectance: Reflectance of the film; 0 beside it.
     """
 
     index: Int[Array, " pixels"] | None
@@ -102,12 +117,12 @@ def onto_picture(
 
 
 def project(eye: Eye, camera: Camera) -> View:
-    """What each pixel of a camera sees of an eye: all pixels for each part, in the order of the
-    picture.
+    """Find what each pixel of a camera sees of an eye: all pixels for each part, in the order of
+    the picture.
 
-    Pure, of fixed shapes: works under `jit`, `vmap` and `grad`. What a pixel does not see has a
-    share of 0 and finite values. Edges of the globe against nothing are sharp: derivatives do not
-    know of them.
+    Pure, of fixed shapes: works under `jit`, `vmap` and `grad`. A part that a pixel does not see
+    has a share of 0 and finite values. Edges of the globe against nothing are sharp, and have no
+    derivatives.
     """
     rows, columns = camera.shape
     index = jnp.arange(rows * columns, dtype=jnp.int32)
@@ -119,8 +134,41 @@ def project(eye: Eye, camera: Camera) -> View:
     return View(*every, size=(columns, rows))
 
 
+def look(eye: Eye, camera: Camera) -> View:
+    """Compute `project` with only those pixels of each part that see it.
+
+    Runs on the host, for speed: the number of pixels decides the shapes.
+    """
+    rows, columns = camera.shape
+    count = rows * columns
+    every = np.arange(count, dtype=np.int32)
+    sees = np.asarray(seen_parts(every, eye, camera))
+
+    def of(part: int, pixels: Callable[..., Any]) -> Any:
+        index = np.flatnonzero(sees & part)
+        if not index.size:
+            return None
+        if index.size == count and camera.rows is None:
+            return dataclasses.replace(pixels(every, eye, camera), index=None)
+        # Few different lengths, few compiled programs: a camera that turns must not wait for XLA.
+        # Parts of a picture see anything from nothing to iris all over: programs for one length
+        # cost less than padding.
+        length = count if camera.rows is not None else index.size
+        block = max(_PAD, 1 << max(length.bit_length() - 4, 0)) if count >= _PAD else count
+        padded = np.pad(
+            index.astype(np.int32), (0, -(-length // block) * block - index.size), mode="edge"
+        )
+        found = pixels(padded, eye, camera)
+        padded = padded.copy()
+        padded[index.size :] = -1
+        return dataclasses.replace(found, index=jnp.asarray(padded))
+
+    parts = (IRIS, iris_pixels), (SCLERA, sclera_pixels), (MIRROR, mirror_pixels)
+    return View(*(of(*part) for part in parts), size=(columns, rows))
+
+
 @pixelwise
-def seen_parts(index, eye: Eye, camera: Camera) -> Int8[Array, " pixels"]:
+def seen_parts(index: Any, eye: Eye, camera: Camera) -> Int8[Array, " pixels"]:
     """What each pixel sees: a sum of `IRIS`, `SCLERA` and `MIRROR`."""
     origin, direction = camera.towards(index, eye)
     if eye.cornea is None:
@@ -134,7 +182,7 @@ def seen_parts(index, eye: Eye, camera: Camera) -> Int8[Array, " pixels"]:
 
 
 @pixelwise
-def iris_pixels(index, eye: Eye, camera: Camera) -> IrisPixels:
+def iris_pixels(index: Any, eye: Eye, camera: Camera) -> IrisPixels:
     """Pixels of these numbers, all of which see the iris."""
     origin, direction = camera.towards(index, eye)
     if eye.cornea is None:
@@ -147,7 +195,7 @@ def iris_pixels(index, eye: Eye, camera: Camera) -> IrisPixels:
 
 
 @pixelwise
-def any_pixels(index, eye: Eye, camera: Camera) -> IrisPixels:
+def any_pixels(index: Any, eye: Eye, camera: Camera) -> IrisPixels:
     """As `iris_pixels`, of pixels that may not see the iris: they get a share of 0."""
     origin, direction = camera.towards(index, eye)
     # Any line of sight to a point that is no edge instead: derivatives are finite there.
@@ -173,7 +221,7 @@ def _landed(index, eye: Eye, point: Vector, direction: Vector, share) -> IrisPix
 
 
 @pixelwise
-def sclera_pixels(index, eye: Eye, camera: Camera) -> ScleraPixels:
+def sclera_pixels(index: Any, eye: Eye, camera: Camera) -> ScleraPixels:
     """Pixels of these numbers as those that see the white."""
     origin, direction = camera.towards(index, eye)
     outside = _Outside.met(eye, origin, direction)
@@ -186,7 +234,7 @@ def sclera_pixels(index, eye: Eye, camera: Camera) -> ScleraPixels:
 
 
 @pixelwise
-def mirror_pixels(index, eye: Eye, camera: Camera) -> MirrorPixels:
+def mirror_pixels(index: Any, eye: Eye, camera: Camera) -> MirrorPixels:
     """Pixels of these numbers as those that see the tear film."""
     origin, direction = camera.towards(index, eye)
     outside = _Outside.met(eye, origin, direction)
@@ -196,7 +244,7 @@ def mirror_pixels(index, eye: Eye, camera: Camera) -> MirrorPixels:
 
 
 @pixelwise
-def mirror_points(index, eye: Eye, camera: Camera) -> Parts:
+def mirror_points(index: Any, eye: Eye, camera: Camera) -> Parts:
     """Where pixels of these numbers meet the tear film, mm: needed for lamps that are near, and for
     them alone.
     """

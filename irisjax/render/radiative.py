@@ -12,28 +12,30 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
+from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
 from irisjax._types import Scalar
 from irisjax.anatomy.eye import Eye
+from irisjax.numerics.portions import pixelwise
 from irisjax.optics.fresnel import fresnel, refract
-from irisjax.render.angular import AZIMUTHS, AngularFunctions, Mixtures, light_of, mixed
+from irisjax.render.angular import AZIMUTHS, AngularFunctions, AngularLight, light_of, mixed
 from irisjax.render.bands import Bands
 from irisjax.render.illumination import Illumination
-from irisjax.render.integrator import AbstractIntegrator
+from irisjax.render.integrator import AbstractIntegrator, AbstractResponse
 from irisjax.render.lights import Lights
-from irisjax.render.project import IrisPixels
-from irisjax.render.radiative_response import RadiativeResponse, Texels
-from irisjax.render.shading import fluxes_of, relief_at, scales_at
-from irisjax.render.steps import Once, simply
-from irisjax.render.texels import (
+from irisjax.render.polynomials import (
+    basis,
     between,
     degrees_of,
     grid,
     of_products,
     polynomials_of,
     scales_at_unit,
+    summed,
 )
+from irisjax.render.project import IrisPixels
+from irisjax.render.shading import fluxes_of, scales_at, slopes_of, textures_of
 from irisjax.tissue.iris import Iris
 from irisjax.tissue.layers import Layers
 from irisjax.tissue.maps import IrisMaps, Scales, texel_layers
@@ -46,6 +48,7 @@ from irisjax.transport.radiative.tabulated import RadiativeTabulated
 from irisjax.transport.solution import RESULTS, worst
 from irisjax.transport.solver import AbstractSolver
 
+_COSINES = 48
 _OFF = 0.4, 1.9, 2.8
 _PORTION = 24  # texels solved at a time
 
@@ -57,10 +60,12 @@ class RadiativeIntegrator(AbstractIntegrator):
     As with `Separable` a relief tilts the surface towards the light, and directions within the
     layers are those of the iris without it.
 
-    - `degrees`: of the polynomials in ABL pigment, stroma thickness, eumelanin and pheomelanin.
-    - `angular`: of those in each cosine, for the azimuthal orders 0, 1 and 2.
-    - `solver`: of the texels; `None` takes the table that comes with the package, or for other
-        refractive indices `RadiativeExact`.
+    Attributes:
+        degrees: Degrees of the polynomials in ABL pigment, stroma thickness, eumelanin and
+            pheomelanin.
+        angular: Degrees of those in each cosine, for the azimuthal orders 0, 1 and 2.
+        solver: Solver of the texels; `None` takes the table that comes with the package, or for
+            other refractive indices `RadiativeExact`.
     """
 
     degrees: tuple[int, int, int, int] = eqx.field(static=True, default=(6, 4, 4, 4))
@@ -92,7 +97,19 @@ class RadiativeIntegrator(AbstractIntegrator):
         solver = solver.prepare(_deepest(*parts), Light(1.0))
         return dataclasses.replace(self, solver=solver)
 
-    def place(
+    def texels(
+        self,
+        pixels: IrisPixels,
+        eye: Eye,
+        iris: Iris,
+        maps: IrisMaps | None,
+        ranges: Scales,
+    ) -> tuple[Float[Array, "_ pixels"], ...]:
+        """Polynomials of the scales that vary; see `AbstractIntegrator`."""
+        degrees = degrees_of(ranges, self.degrees)
+        return _terms(pixels, textures_of(maps, iris), eye, ranges, degrees)
+
+    def illuminate(
         self,
         pixels: IrisPixels,
         lights: Lights,
@@ -100,31 +117,22 @@ class RadiativeIntegrator(AbstractIntegrator):
         iris: Iris,
         maps: IrisMaps | None,
         tables: Illumination | None,
-        ranges: Scales,
-        once: Once = simply,
-    ) -> tuple[Texels, Mixtures | None]:
-        """See `AbstractIntegrator`. The directions of one scene ask for a few mixtures of the
-        functions of directions; all of them are kept where something is traced, for derivatives.
+    ) -> AngularLight:
+        """Sum the lights in the functions of directions. The directions of one scene need a few
+        mixtures of these functions; all of them are kept where something is traced, for
+        derivatives.
         """
-        flux = once("fluxes", fluxes_of, lights, eye, tables)
-        slopes, place = relief_at(pixels, eye, maps, once)
-        n = once("indices", Iris.indices, iris, eye.aqueous_index)
-        light = once(
-            "angular light",
-            light_of,
-            (pixels, place),
-            *(flux, lights.tint, eye, slopes, (n.aqueous, n.abl), AngularFunctions(self.angular)),
-        )
-        scales = scales_at(pixels, eye, iris, maps, once)
-        terms = polynomials_of(scales, ranges, degrees_of(ranges, self.degrees), once)
+        angles = AngularFunctions(self.angular)
+        flux = fluxes_of(lights, eye, tables)
+        slopes = slopes_of(None if maps is None else maps.relief, eye)
+        light = light_of(pixels, flux, lights.tint, eye, slopes, iris, angles)
         if isinstance(light, Tracer):
-            return Texels(pixels.index, terms, light), None
-        light, mixtures = once("mixed light", mixed, light, AngularFunctions(self.angular))
-        return Texels(pixels.index, terms, light), Mixtures(mixtures)
+            return AngularLight(light)
+        return AngularLight(*mixed(light, angles))
 
     def response(
         self, iris: Iris, aqueous_index: Scalar, bands: Bands, ranges: Scales
-    ) -> RadiativeResponse:
+    ) -> "RadiativeResponse":
         """Tabulate `iris` for the channels of `bands`; `ranges` from `Scales.ranges`."""
         dtype, angles = bands.weights.dtype, AngularFunctions(self.angular)
         most = degrees_of(ranges, self.degrees)
@@ -196,6 +204,93 @@ class RadiativeIntegrator(AbstractIntegrator):
             return jax.vmap(texel)(unit)
 
         return radiance
+
+
+class RadiativeResponse(AbstractResponse):
+    """The BRDF of every texel of an iris: coefficients of the products of scales (`texels`), of the
+    functions of directions, and of the channels.
+
+    Attributes:
+        coefficients: The coefficients.
+        indices: Refractive indices before and behind the surface of the iris.
+        ranges: Smallest and largest value of each scale that varies.
+        error: Largest difference from the solver at points off the nodes, relative to the
+            brightest of them.
+        status: Status of the solver.
+        degrees: Degree of the polynomials of each scale that varies.
+        angular: Degrees of the polynomials of the cosines.
+    """
+
+    coefficients: Float[Array, "products functions channels"]
+    indices: tuple[Float[Array, ""], Float[Array, ""]]
+    ranges: Scales
+    error: Float[Array, ""]
+    status: RESULTS
+    degrees: tuple[int, ...] = eqx.field(static=True)
+    angular: tuple[int, int, int] = eqx.field(static=True)
+
+    def brdf(
+        self, scales: Scales, cos_incidence: Array, cos_exit: Array, azimuth: Array
+    ) -> Float[Array, "channels pixels"]:
+        """BRDF (1/sr, times the picture's white) of pixels, each for a pair of directions in the
+        aqueous humour; `azimuth` 0 is straight on.
+        """
+        angles = AngularFunctions(self.angular)
+        sines = [jnp.sqrt(jnp.maximum(1 - c * c, 0.0)) for c in (cos_incidence, cos_exit)]
+        across = sines[0] * sines[1] * jnp.cos(azimuth)
+        light = angles.functions(cos_incidence, cos_exit, across, self.indices)
+        return summed(self.coefficients, self._polynomials(scales), light[None])
+
+    def hemispherical(
+        self, scales: Scales, cos_incidence: ArrayLike
+    ) -> Float[Array, "channels pixels"]:
+        """Directional–hemispherical reflectance of pixels for one incidence, without the first
+        surface's mirror and without light that is never scattered. Where nothing varies there is
+        one pixel.
+        """
+        x, w = (jnp.asarray(v, self.error.dtype) for v in np.polynomial.legendre.leggauss(_COSINES))
+        cosine = (x + 1) / 2
+        angles = AngularFunctions(self.angular)
+        into = jnp.full_like(cosine, cos_incidence)
+        # Of the azimuthal orders the mean over azimuth has the first alone.
+        functions = angles.functions(into, cosine, jnp.zeros_like(cosine), self.indices)
+        first = angles.count(1)
+        moments = functions[:first] @ (jnp.pi * w * cosine)
+        whole = jnp.tensordot(self.coefficients[:, :first], moments, (1, 0))
+        terms = self._polynomials(scales)
+        one = terms[0][0] if terms else jnp.ones(1, self.error.dtype)
+        return whole.T @ basis(terms, one)
+
+    def _polynomials(self, scales: Scales):
+        return polynomials_of(scales, self.ranges, self.degrees)
+
+    def shade(
+        self,
+        pixels: IrisPixels,
+        texels: tuple[Float[Array, "_ pixels"], ...],
+        light: AngularLight,
+    ) -> Float[Array, "channels pixels"]:
+        """See `AbstractResponse`."""
+        return _shaded((texels, light.light), self.coefficients, light.mixtures)
+
+
+@pixelwise
+def _terms(
+    pixels: IrisPixels, textures: Scales, eye: Eye, ranges: Scales, degrees: tuple[int, ...]
+) -> tuple[Float[Array, "_ pixels"], ...]:
+    return polynomials_of(scales_at(pixels, eye, textures), ranges, degrees)
+
+
+@pixelwise
+def _shaded(
+    pixels: tuple[tuple[Float[Array, "_ pixels"], ...], Float[Array, "tints functions pixels"]],
+    coefficients: Float[Array, "products functions channels"],
+    mixtures: Float[Array, "functions mixtures"] | None,
+) -> Float[Array, "channels pixels"]:
+    terms, light = pixels
+    if mixtures is not None:
+        coefficients = jnp.einsum("pkc,kr->prc", coefficients, mixtures)
+    return summed(coefficients, terms, light)
 
 
 def _front(iris: Iris, aqueous_index, dtype):

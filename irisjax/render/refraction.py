@@ -48,7 +48,9 @@ def enter(eye: Eye, entry: Vector, direction: Vector) -> Landing:
     return cross(eye, *into_chamber(eye, entry, direction))
 
 
-def into_chamber(eye: Eye, entry: Vector, direction: Vector):
+def into_chamber(
+    eye: Eye, entry: Vector, direction: Vector
+) -> tuple[Vector, Vector, Float[Array, "*s"]]:
     """Where rays from points on the anterior cornea begin in the chamber, their direction there,
     the share let in.
     """
@@ -67,7 +69,7 @@ def into_chamber(eye: Eye, entry: Vector, direction: Vector):
     return start, inside, first * second
 
 
-def cross(eye: Eye, start: Vector, direction: Vector, share) -> Landing:
+def cross(eye: Eye, start: Vector, direction: Vector, share: Array) -> Landing:
     """Straight on through the chamber to the iris."""
     path = eye.meet_iris(start, direction)
     if eye.attenuation is not None:
@@ -99,7 +101,7 @@ def arrive(
     towards_light: Vector,
     start: Float[Array, "2"],
     steps: int = 12,
-):
+) -> Arrival:
     """Newton's search for the entry point whose ray lands at `target` (x, y), from `start`; an
     `Arrival`.
 

@@ -7,7 +7,6 @@ import equinox as eqx
 import jax
 import numpy as np
 from jax.core import Tracer
-from jaxtyping import Array, Float
 
 from irisjax.anatomy.eye import Eye
 from irisjax.anatomy.sclera import VeinMap
@@ -27,17 +26,30 @@ ENVIRONMENT_LIGHTS = 25
 
 
 class Scene(eqx.Module):
-    """Everything a picture shows. Parts that are `None` are not computed.
+    """Everything that a picture shows. Parts that are `None` are not computed.
 
-    - `iris`: its tissue, `None` for a painted one, whose integrator has all there is. `maps`: of
-        the iris, or `None` for a uniform one. `veins`: of the sclera
-        (`grow.vessels.veins`).
-    - `lights`: lamps, mirrored as discs. `environment`: lights iris and white as
-        `environment_lights` lamps each (those of the white from all round), and is mirrored itself.
-        `illuminant`: the spectrum of all of them.
-    - `integrator`: how the iris sends light back; `Separable()` is ILIT and `RadiativeIntegrator()`
-        radiative transfer, with all orders of scattering; `SingleScattering()` marches through the
-        maps and holds the first.
+    Attributes:
+        iris: Tissue of the iris; `None` for a painted one, whose integrator holds its paint.
+        maps: Maps of the iris; `None` for a uniform one.
+        eye: The eye.
+        lights: Lamps, mirrored as discs.
+        environment: Light from all round. It lights iris and sclera as `environment_lights` lamps
+            each, those of the sclera from all directions, and is mirrored itself.
+        camera: The camera.
+        veins: Vessels of the sclera (`grow.vessels.veins`).
+        integrator: How the iris sends light back. `Separable()` is ILIT, `RadiativeIntegrator()`
+            radiative transfer, both with all orders of scattering; `SingleScattering()` marches
+            through the maps and holds the first order.
+        environment_lights: Largest number of lamps that stand for the environment.
+        illuminant: Spectrum of all lights.
+        observer: Standard observer of the colours.
+        wavelengths: A channel of the picture for each, nm, in place of linear sRGB: radiance, 1/sr
+            times π, under the illuminant scaled to 1 at 560 nm.
+
+    Raises:
+        ValueError: No light at all; maps without tissue, or tissue without a process; lights of
+            two spectra; a lamp wider than a half space; wavelengths and a light that has a colour
+            but no spectrum.
     """
 
     iris: Iris | None
@@ -51,6 +63,7 @@ class Scene(eqx.Module):
     environment_lights: int = eqx.field(static=True, default=ENVIRONMENT_LIGHTS)
     illuminant: str = eqx.field(static=True, default="D65")
     observer: str = eqx.field(static=True, default=OBSERVER)
+    wavelengths: tuple[float, ...] | None = eqx.field(static=True, default=None)
 
     def __check_init__(self):
         if self.lights is None and self.environment is None:
@@ -66,6 +79,12 @@ class Scene(eqx.Module):
             raise ValueError(
                 f"the lights are {self.lights.illuminant}, the scene is {self.illuminant}"
             )
+        tinted = self.lights is not None and self.lights.tint is not None
+        if self.wavelengths is not None and (self.environment is not None or tinted):
+            raise ValueError(
+                "spectral pictures need plain lamps: environments and tints have colours, not "
+                "spectra"
+            )
         if self.lights is not None and not isinstance(self.lights.radius, Tracer):
             widest = float(np.max(np.asarray(self.lights.radius)))
             # Wider ones stand for regions of an environment, which is mirrored itself.
@@ -79,7 +98,8 @@ class Scene(eqx.Module):
     def tissue(self) -> Iris:
         """The iris, where it is of tissue.
 
-        **Raises:** `ValueError` where it is painted.
+        Raises:
+            ValueError: The iris is painted.
         """
         if self.iris is None:
             raise ValueError("the iris is painted: it has no tissue and no pigments")
@@ -89,19 +109,12 @@ class Scene(eqx.Module):
         """A copy with some parts changed."""
         return dataclasses.replace(self, **parts)
 
-    def render(
-        self, tables: Illumination | None = None, *, caustics: bool | None = None
-    ) -> Float[Array, "height width 3"]:
-        """See `compose.render`."""
-        from irisjax.render.compose import render
-
-        return render(self, tables, caustics=caustics)
-
     def tables(self, caustics: bool | None = None) -> Illumination | None:
-        """Illumination tables of this eye, `None` without a cornea.
+        """Compute illumination tables of this eye; `None` without a cornea.
 
-        `caustics`: whether light may stand so low that the cornea folds it (beyond 80°); by default
-        as the lights stand, and with caustics where they are traced.
+        Args:
+            caustics: Whether light may come from so far aside (beyond 80°) that the cornea folds
+                it. By default this follows from the lights; it is true where they are traced.
         """
         if self.eye.cornea is None:
             return None
@@ -109,16 +122,16 @@ class Scene(eqx.Module):
         return Illumination.build(self.eye, caustics=caustics)
 
     def grazing(self) -> bool:
-        """Whether a light stands, or for all that is known may stand, so low that the cornea folds
-        it into caustics.
+        """Whether a light comes from so far aside that the cornea folds it into caustics; true
+        where the lights are traced.
         """
         if any(isinstance(x, Tracer) for x in jax.tree.leaves((self.lights, self.environment))):
             return True
         return bool((np.asarray(self.all_lights().polar()) > UNIQUE_POLAR).any())
 
     def all_lights(self, largest_polar: float | None = LARGEST_POLAR) -> Lights:
-        """Lamps and what stands for the environment, up to a polar angle (radians), `None` for all
-        round.
+        """Lamps, and those that stand for the environment up to a polar angle (radians); `None`
+        for all directions.
         """
         return all_lights(
             self.lights, self.environment, self.environment_lights, self.illuminant, largest_polar

@@ -46,7 +46,7 @@ class Blood(NamedTuple):
     deep: Float[Array, "*s"] | None = None
 
 
-def bulk_reflectance(wavelengths) -> Spectrum:
+def bulk_reflectance(wavelengths: ArrayLike) -> Spectrum:
     """Diffuse reflectance of the white without vessels, wavelengths in nm.
 
     An approximation: a straight line from 0.54 at 400 nm to 0.66 at 700 nm, held beyond. Its size
@@ -58,7 +58,7 @@ def bulk_reflectance(wavelengths) -> Spectrum:
     return 0.54 + 0.12 * jnp.clip((x - 400.0) / 300.0, 0.0, 1.0)
 
 
-def veil(wavelengths, thickness: float) -> Spectrum:
+def veil(wavelengths: ArrayLike, thickness: float) -> Spectrum:
     """Share of light that `thickness` mm of clear tissue above a vessel sends back, wavelengths in
     nm.
 
@@ -70,7 +70,7 @@ def veil(wavelengths, thickness: float) -> Spectrum:
     return turned / (1 + turned)
 
 
-def absorption(sclera: Sclera, wavelengths) -> Spectrum:
+def absorption(sclera: Sclera, wavelengths: ArrayLike) -> Spectrum:
     """Napierian absorption of the vessels' blood, 1/mm, at `wavelengths` (nm)."""
     table = extinction(wavelengths)
     share = sclera.saturation
@@ -78,7 +78,7 @@ def absorption(sclera: Sclera, wavelengths) -> Spectrum:
 
 
 def reflectance(
-    sclera: Sclera, wavelengths, blood: Blood | ArrayLike
+    sclera: Sclera, wavelengths: ArrayLike, blood: Blood | ArrayLike
 ) -> Float[Array, "... wavelengths"]:
     """Diffuse reflectance of the white under vessels, shape (…, wavelengths); `blood` or its depth
     alone, mm.
@@ -88,7 +88,9 @@ def reflectance(
     Approximations: light that wanders sideways below a vessel narrower than its 0.5 mm path passes
     the blood once rather than twice, so real capillaries are up to half as dark; back-scatter of
     the blood itself (some 0.05 in the red) is left out.
-    **Raises:** `ValueError` where a wavelength lies outside the haemoglobin tables.
+
+    Raises:
+        ValueError: A wavelength lies outside the tables of haemoglobin.
     """
     depth, cover, deep = _fields(blood)
     mu = absorption(sclera, wavelengths)
@@ -155,7 +157,9 @@ class ColourTable(eqx.Module):
         return [of(column) - deep * of(under) for column, under in zip(light, taken, strict=True)]
 
 
-def colour_table(sclera: Sclera, wavelengths, weights, *, nodes: int = 64) -> ColourTable:
+def colour_table(
+    sclera: Sclera, wavelengths: ArrayLike, weights: ArrayLike, *, nodes: int = 64
+) -> ColourTable:
     """Table from blood to channels; `weights` (channels, wavelengths) take a reflectance there.
 
     With 64 nodes linear interpolation errs by 1.2e-4 of white at most in XYZ and in linear sRGB.

@@ -14,29 +14,31 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Float
 
 from irisjax._types import Scalar
 from irisjax.anatomy.eye import Eye
 from irisjax.numerics.interpolation import chebyshev_nodes
+from irisjax.numerics.portions import pixelwise
 from irisjax.optics.fresnel import fresnel, fresnel_at, refract
 from irisjax.render.bands import Bands
 from irisjax.render.illumination import Illumination
 from irisjax.render.integrator import AbstractIntegrator, AbstractResponse
 from irisjax.render.lights import Lights
-from irisjax.render.products import basis, polynomials, summed
-from irisjax.render.project import IrisPixels
-from irisjax.render.shading import illuminate, irradiance_at, relief_at, scales_at
-from irisjax.render.steps import Once, simply
-from irisjax.render.texels import (
+from irisjax.render.polynomials import (
     along,
+    basis,
     between,
     degrees_of,
     grid,
     of_products,
+    polynomials,
     polynomials_of,
     scales_at_unit,
+    summed,
 )
+from irisjax.render.project import IrisPixels
+from irisjax.render.shading import field_of, irradiance_at, scales_at, slopes_of, textures_of
 from irisjax.tissue.iris import Iris
 from irisjax.tissue.maps import IrisMaps, Scales, texel_layers
 from irisjax.tissue.pigments import extinction
@@ -51,9 +53,10 @@ _COSINES = 48
 class Separable(AbstractIntegrator):
     """Integrator: ILIT's separable response, tabulated in pigment and thickness  [LB06].
 
-    - `degrees`: of the polynomials in ABL pigment, stroma thickness, eumelanin, pheomelanin and
-        exit cosine.
-    - `solver`: of the texels; of ILIT.
+    Attributes:
+        degrees: Degrees of the polynomials in ABL pigment, stroma thickness, eumelanin,
+            pheomelanin and exit cosine.
+        solver: Solver of the texels, of ILIT.
     """
 
     degrees: tuple[int, int, int, int, int] = eqx.field(static=True, default=(8, 5, 4, 4, 3))
@@ -68,7 +71,19 @@ class Separable(AbstractIntegrator):
         if not isinstance(self.process, Ilit):
             raise ValueError("the separable integrator needs ILIT: no other process is separable")
 
-    def place(
+    def texels(
+        self,
+        pixels: IrisPixels,
+        eye: Eye,
+        iris: Iris,
+        maps: IrisMaps | None,
+        ranges: Scales,
+    ) -> "Terms":
+        """See `AbstractIntegrator`."""
+        textures, degrees = textures_of(maps, iris), degrees_of(ranges, self.degrees)
+        return _terms(pixels, textures, eye, iris, ranges, degrees, self.degrees[4])
+
+    def illuminate(
         self,
         pixels: IrisPixels,
         lights: Lights,
@@ -76,21 +91,13 @@ class Separable(AbstractIntegrator):
         iris: Iris,
         maps: IrisMaps | None,
         tables: Illumination | None,
-        ranges: Scales,
-        once: Once = simply,
-    ) -> tuple["Texels", None]:
-        """See `AbstractIntegrator`: the lights are summed, for the response does not ask where
-        light comes from.
+    ) -> Float[Array, "tints pixels"]:
+        """Irradiance times all shares on the way out: the lights are summed, for the response does
+        not depend on where light comes from.
         """
-        field = once("field", illuminate, lights, eye, iris, tables)
-        slopes, place = relief_at(pixels, eye, maps, once)
-        light = once("irradiance", irradiance_at, (pixels, place), field, eye, slopes)
-        scales = scales_at(pixels, eye, iris, maps, once)
-        terms = Terms(
-            polynomials_of(scales, ranges, degrees_of(ranges, self.degrees), once),
-            once("angular", _angular, pixels.cosine, iris, eye.aqueous_index, self.degrees[4]),
-        )
-        return Texels(pixels.index, terms, light), None
+        field = field_of(lights, eye, iris, tables)
+        slopes = slopes_of(None if maps is None else maps.relief, eye)
+        return irradiance_at(pixels, field, eye, slopes)
 
     def response(
         self, iris: Iris, aqueous_index: Scalar, bands: Bands, ranges: Scales
@@ -151,22 +158,17 @@ class Terms(eqx.Module):
     angular: Float[Array, "cosine pixels"]
 
 
-class Texels(eqx.Module):
-    """What a pigment change leaves alone: of each pixel its `terms`, and `light`, irradiance times
-    all shares on the way out, (tints, pixels)."""
-
-    index: Int[Array, " pixels"] | None
-    terms: Terms
-    light: Float[Array, "tints pixels"]
-
-
 class SeparableResponse(AbstractResponse):
     """g of every texel of an iris: Chebyshev coefficients of the products of the scales that vary,
     of the cosine and of the channels.
 
-    - `error`: largest difference from the solver at points off the nodes, relative to the brightest
-        of them.
-    - `degrees`: the most of each scale that varies.
+    Attributes:
+        coefficients: The coefficients.
+        indices: Refractive indices before and behind the surface of the iris.
+        ranges: Smallest and largest value of each scale that varies.
+        error: Largest difference from the solver at points off the nodes, relative to the
+            brightest of them.
+        degrees: Degree of the polynomials of each scale that varies.
     """
 
     coefficients: Float[Array, "products cosine channels"]
@@ -181,19 +183,19 @@ class SeparableResponse(AbstractResponse):
     ) -> Float[Array, "channels pixels"]:
         """Radiance per irradiance (1/sr, times the picture's white) of pixels."""
         exits = _exits(cosine, self.indices, self.coefficients.shape[1] - 1)
-        return self._at(Terms(self._polynomials(scales), exits))
+        return self.at(Terms(self._polynomials(scales), exits))
 
     def _polynomials(self, scales: Scales):
         return polynomials_of(scales, self.ranges, self.degrees)
 
     def brdf(
-        self, scales: Scales, cos_incidence, cos_exit, azimuth
+        self, scales: Scales, cos_incidence: Array, cos_exit: Array, azimuth: Array
     ) -> Float[Array, "channels pixels"]:
         """BRDF (1/sr, times the picture's white) of pixels, each for a pair of directions."""
         del azimuth
         return fresnel_at(cos_incidence, *self.indices)[1] * self(scales, cos_exit)
 
-    def hemispherical(self, scales: Scales, entering) -> Float[Array, "channels pixels"]:
+    def hemispherical(self, scales: Scales, entering: Array) -> Float[Array, "channels pixels"]:
         """Directional–hemispherical reflectance without the first surface's mirror, 2π (1 − F) ∫ g
         μ dμ, of pixels; `entering`: 1 − F of the incidence. Where nothing varies there is one
         pixel.
@@ -213,19 +215,44 @@ class SeparableResponse(AbstractResponse):
         whole = jnp.tensordot(self.coefficients, moments, (1, 0))
         return entering * (whole.T @ basis(self._polynomials(scales), one))
 
-    def _at(self, terms: Terms) -> Float[Array, "channels pixels"]:
+    def shade(
+        self,
+        pixels: IrisPixels,
+        texels: Terms,
+        light: Float[Array, "tints pixels"],
+    ) -> Float[Array, "channels pixels"]:
+        """See `AbstractResponse`."""
+        return _shaded((texels, light), self)
+
+    def at(self, terms: Terms) -> Float[Array, "channels pixels"]:
+        """Radiance per irradiance of pixels, from their polynomials."""
         return summed(self.coefficients, terms.scales, terms.angular[None])
 
-    def shade(self, texels: Texels, ground: None) -> Float[Array, "channels pixels"]:
-        """See `AbstractResponse`."""
-        del ground
-        return self._at(texels.terms) * texels.light
+
+@pixelwise
+def _terms(
+    pixels: IrisPixels,
+    textures: Scales,
+    eye: Eye,
+    iris: Iris,
+    ranges: Scales,
+    degrees: tuple[int, ...],
+    degree: int,
+) -> Terms:
+    n = iris.indices(eye.aqueous_index)
+    return Terms(
+        polynomials_of(scales_at(pixels, eye, textures), ranges, degrees),
+        _exits(pixels.cosine, (n.aqueous, n.abl), degree),
+    )
 
 
-@eqx.filter_jit
-def _angular(cosine, iris: Iris, aqueous_index, degree: int):
-    n = iris.indices(aqueous_index)
-    return _exits(cosine, (n.aqueous, n.abl), degree)
+@pixelwise
+def _shaded(
+    pixels: tuple[Terms, Float[Array, "tints pixels"]], response: SeparableResponse
+) -> Float[Array, "channels pixels"]:
+    # Channels apart within a chunk: three numbers a pixel leave the processor's vectors half empty.
+    terms, light = pixels
+    return response.at(terms) * light
 
 
 def _exits(cosine, indices, degree: int):

@@ -16,7 +16,6 @@ from irisjax.optics.fresnel import fresnel_at
 from irisjax.render.illumination import Illumination, bare, near_light
 from irisjax.render.lights import Lights
 from irisjax.render.project import IrisPixels
-from irisjax.render.steps import Once, simply
 from irisjax.render.surfaces import IrisSurface, Place
 from irisjax.tissue.iris import Iris
 from irisjax.tissue.maps import IrisMaps, Scales
@@ -40,7 +39,7 @@ class Field(eqx.Module):
 
 
 @eqx.filter_jit
-def illuminate(
+def field_of(
     lights: Lights, eye: Eye, iris: Iris, tables: Illumination | None, size: int = 161
 ) -> Field:
     """Sum the lights on a grid over the iris, one after the other. `tables` are `None` for a bare
@@ -103,105 +102,57 @@ def _flux(lights: Lights, i, place, eye: Eye, tables: Illumination | None):
     return flux * jnp.broadcast_to(power * spread, place.shape[:-1])[..., None]
 
 
-def scales_at(
-    pixels: IrisPixels, eye: Eye, iris: Iris, maps: IrisMaps | None, once: Once = simply
-) -> Scales:
-    """How the texels differ from the uniform iris, at the pixels; a map that has not changed is not
-    fetched again.
-    """
-
-    def one(name, part):
-        texture = once(f"map of {name}", _scale, part, iris)
-        return once(name, _fetched, place_of(pixels, eye, once), texture)
-
-    return _each(one, maps)
-
-
-def place_of(pixels: IrisPixels, eye: Eye, once: Once = simply) -> Place:
-    """Where the pixels lie in the maps."""
-    return once("place", _polar, (pixels.point, pixels.turn), eye)
-
-
-def relief_at(pixels: IrisPixels, eye: Eye, maps: IrisMaps | None, once: Once = simply):
-    """Slopes of the relief and the pixels' `place_of`, as `normals` wants them; `None` twice
-    without a relief.
-    """
-    if maps is None or maps.relief is None:
-        return None, None
-    return once("slopes", slopes_of, maps.relief, eye), place_of(pixels, eye, once)
-
-
-def ranges_of(iris: Iris | None, maps: IrisMaps | None, once: Once = simply) -> Scales:
-    """`Scales.ranges` of the maps; a map that has not changed is not searched again."""
-    return _each(lambda name, part: once(f"range of {name}", _range, part, iris), maps)
-
-
-def _each(f, maps: IrisMaps | None) -> Scales:
-    """`f` of each scale's name and the maps that it depends on; `None` where there are none."""
-    maps = IrisMaps() if maps is None else maps
-    maps_of = {
-        "abl": IrisMaps(abl_depth=maps.abl_depth, freckles=maps.freckles),
-        "stroma": IrisMaps(stroma_depth=maps.stroma_depth),
-        "eumelanin": IrisMaps(eumelanin=maps.eumelanin),
-        "pheomelanin": IrisMaps(pheomelanin=maps.pheomelanin),
-    }
-    return Scales(*(f(name, part) if part.present() else None for name, part in maps_of.items()))
-
-
-def _only(scales: Scales):
-    return next(s for s in scales if s is not None)
+@eqx.filter_jit
+def textures_of(maps: IrisMaps | None, iris: Iris) -> Scales:
+    """How the texels differ from the uniform iris, as textures."""
+    return Scales.of(maps, iris)
 
 
 @eqx.filter_jit
-def _scale(part: IrisMaps, iris: Iris):
-    return _only(Scales.of(part, iris))
+def ranges_of(iris: Iris | None, maps: IrisMaps | None) -> Scales:
+    """`Scales.ranges` of the maps."""
+    return Scales() if iris is None else Scales.of(maps, iris).ranges()
 
 
-@pixelwise
-def _fetched(place: Place, texture):
-    return polar_bilinear(texture, *place)
+def scales_at(pixels: IrisPixels, eye: Eye, textures: Scales) -> Scales:
+    """How the texels that pixels see differ from the uniform iris."""
+    if all(t is None for t in textures):
+        return textures
+    place = place_of(pixels, eye)
+    return Scales(*(None if t is None else polar_bilinear(t, *place) for t in textures))
 
 
-@eqx.filter_jit
-def _range(part: IrisMaps, iris: Iris):
-    return _only(Scales.of(part, iris).ranges())
+def place_of(pixels: IrisPixels, eye: Eye) -> Place:
+    """Angle (radians) and relative radius at which the pixels see maps that may stand turned."""
+    angle, radius = IrisSurface(eye).place(joined(pixels.point))
+    angle = angle if pixels.turn is None else angle + pixels.turn
+    # Computed once: XLA would otherwise work both out again for each texture.
+    return jax.lax.optimization_barrier((angle, radius))
 
 
 @pixelwise
 def irradiance_at(
-    pixels: tuple[IrisPixels, Place | None],
+    pixels: IrisPixels,
     field: Field,
     eye: Eye,
     slopes: Float[Array, "2 angles radii"] | None,
 ) -> Float[Array, "tints pixels"]:
-    """Irradiance on the iris at pixels (and their `place_of`) times all shares on the way out to
-    the camera.
-    """
-    iris, place = pixels
-    normal = normals(iris.point, place, eye, slopes)
-    flux = field.at(iris.point)
+    """Irradiance on the iris at pixels times all shares on the way out to the camera."""
+    normal = normals(pixels, eye, slopes)
+    flux = field.at(pixels.point)
     towards = [-sum(f * n for f, n in zip(tint, normal, strict=True)) for tint in flux]
-    return jnp.maximum(jnp.stack(towards), 0.0) * shares(iris, eye)
+    return jnp.maximum(jnp.stack(towards), 0.0) * shares(pixels, eye)
 
 
-@pixelwise
-def _polar(seen: tuple[Parts, Float[Array, " pixels"] | None], eye: Eye) -> Place:
-    """Angle (radians) and relative radius of points of the iris in maps that stand turned."""
-    point, turn = seen
-    angle, radius = IrisSurface(eye).place(joined(point))
-    return angle if turn is None else angle + turn, radius
-
-
-def normals(
-    point: Parts, place: Place | None, eye: Eye, slopes: Float[Array, "2 angles radii"] | None
-) -> Parts:
-    """Components of the iris's unit normals towards the cornea, tilted by the `slopes_of` a relief
-    at their place.
+def normals(pixels: IrisPixels, eye: Eye, slopes: Float[Array, "2 angles radii"] | None) -> Parts:
+    """Components of the iris's unit normals towards the cornea, tilted by the `slopes_of` a
+    relief.
     """
-    u, v, w = parts(eye.iris_normal(joined(point)))
-    if slopes is None or place is None:
+    u, v, w = parts(eye.iris_normal(joined(pixels.point)))
+    if slopes is None:
         return u, v, w
-    x, y, _ = point
+    place = place_of(pixels, eye)
+    x, y, _ = pixels.point
     r = safe_sqrt(x * x + y * y)
     r = jnp.where(r > 0, r, 1.0)  # a pixel that looks straight at the middle of the pupil
     along, across = (
@@ -220,7 +171,9 @@ def shares(pixels: IrisPixels, eye: Eye) -> Float[Array, " pixels"]:
 
 
 @eqx.filter_jit
-def slopes_of(relief: Float[Array, "angles radii"], eye: Eye) -> Float[Array, "2 2*angles 2*radii"]:
+def slopes_of(
+    relief: Float[Array, "angles radii"] | None, eye: Eye
+) -> Float[Array, "2 2*angles 2*radii"] | None:
     """∂h/∂r and ∂h/(r ∂angle) of a relief, on a grid twice as fine: of Catmull and Rom's cubics
     through its texels.
 
@@ -228,6 +181,8 @@ def slopes_of(relief: Float[Array, "angles radii"], eye: Eye) -> Float[Array, "2
     these heights: by a third for the finest fibres, four texels wide, and irides were 10 % too
     bright round the pupil.
     """
+    if relief is None:
+        return None
     rows, columns = relief.shape
     span = eye.iris_radius - eye.pupil_radius
     radius = eye.from_axis((jnp.arange(2 * columns) + 0.5) / (2 * columns))

@@ -17,23 +17,22 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Float
 
 from irisjax._types import Scalar
 from irisjax.anatomy.eye import Eye
+from irisjax.numerics.interpolation import polar_bilinear
 from irisjax.numerics.portions import pixelwise
 from irisjax.optics.conicoid import norm
 from irisjax.optics.phase import rayleigh
 from irisjax.render.bands import Bands
-from irisjax.render.ground import Ground, Local, local_textures
 from irisjax.render.illumination import Illumination
 from irisjax.render.integrator import AbstractIntegrator, AbstractResponse
 from irisjax.render.lights import Lights
 from irisjax.render.project import IrisPixels
-from irisjax.render.shading import Field, fluxes_of, normals, relief_at, shares
-from irisjax.render.steps import Once, simply
+from irisjax.render.shading import Field, fluxes_of, normals, shares, slopes_of
 from irisjax.tissue.iris import Iris
-from irisjax.tissue.maps import IrisMaps, Scales, texel_layers
+from irisjax.tissue.maps import FRECKLE, IrisMaps, Scales, texel_layers
 from irisjax.tissue.pigments import extinction
 from irisjax.transport.process import ILIT_2006, AbstractProcess
 
@@ -41,10 +40,11 @@ from irisjax.transport.process import ILIT_2006, AbstractProcess
 class SingleScattering(AbstractIntegrator):
     """Integrator: ray marching, one scattering with Rayleigh's phase function  [F09 Section 6.1].
 
-    - `n_steps`: equal steps in depth down to the thickest place of the maps. Within a step the
-        layers are taken from its middle and integrated in closed form, so a uniform iris is exact
-        with one.
-    - `process`: what outputs name; its switches mean nothing here.
+    Attributes:
+        n_steps: Number of equal steps in depth down to the thickest place of the maps. Within a
+            step the layers are taken from its middle and integrated in closed form, so that a
+            uniform iris is exact with one.
+        process: Process that outputs name; its switches make no difference here.
     """
 
     n_steps: int = eqx.field(static=True, default=12)
@@ -56,7 +56,7 @@ class SingleScattering(AbstractIntegrator):
                 f"SingleScattering(n_steps={self.n_steps!r}): must be a whole number of at least 1"
             )
 
-    def place(
+    def illuminate(
         self,
         pixels: IrisPixels,
         lights: Lights,
@@ -64,18 +64,13 @@ class SingleScattering(AbstractIntegrator):
         iris: Iris,
         maps: IrisMaps | None,
         tables: Illumination | None,
-        ranges: Scales,
-        once: Once = simply,
-    ) -> tuple["Rays", "Ground"]:
+    ) -> tuple["Rays", "SceneData"]:
         """See `AbstractIntegrator`. The relief tilts the surface towards the light; its parallax is
         left out.
         """
-        slopes, place = relief_at(pixels, eye, maps, once)
-        rays = once("rays", _placed, (pixels, place), eye, slopes)
-        textures = once("textures", local_textures, maps, iris)
-        return rays, Ground(
-            textures, once("fluxes", fluxes_of, lights, eye, tables), lights.tint, eye
-        )
+        slopes = slopes_of(None if maps is None else maps.relief, eye)
+        flux, textures = fluxes_of(lights, eye, tables), local_textures(maps, iris)
+        return _rays(pixels, eye, slopes), SceneData(textures, flux, lights.tint, eye)
 
     def response(self, iris: Iris, aqueous_index: Scalar, bands: Bands, ranges: Scales) -> "March":
         """The layers' optical depths at the wavelengths of `bands`."""
@@ -104,14 +99,66 @@ class SingleScattering(AbstractIntegrator):
 
 
 class Rays(eqx.Module):
-    """Of each pixel: where its line of sight meets the iris (mm), its direction in the chamber, the
-    normal there with the relief's tilt, and the share of light that reaches the camera."""
+    """Lines of sight of pixels.
 
-    index: Int[Array, " pixels"] | None
+    Attributes:
+        point: Where each meets the iris, mm.
+        direction: Its direction in the chamber.
+        normal: Normal of the iris there, with the relief's tilt.
+        share: Share of light that reaches the camera.
+    """
+
     point: Float[Array, "3 pixels"]
     direction: Float[Array, "3 pixels"]
     normal: Float[Array, "3 pixels"]
     share: Float[Array, " pixels"]
+
+
+class Local(NamedTuple):
+    """The subsurface map  [F09 Section 6.1], each relative to the uniform iris; `None`: one
+    everywhere.
+    """
+
+    abl_thickness: Any = None
+    stroma_thickness: Any = None
+    freckles: Any = None
+    eumelanin: Any = None
+    pheomelanin: Any = None
+
+
+class SceneData(eqx.Module):
+    """What all pixels share.
+
+    Attributes:
+        textures: The subsurface map.
+        flux: Flux vectors of each light on the grid of a `Field`.
+        tint: Tint of each light.
+        eye: The eye.
+    """
+
+    textures: Local
+    flux: Float[Array, "lights 3 rows columns"]
+    tint: Float[Array, "lights 3"] | None
+    eye: Eye
+
+    def at(self, point: Float[Array, "3 pixels"]) -> Local:
+        """The map at points of the iris."""
+        present = [t for t in self.textures if t is not None]
+        if not present:
+            return self.textures
+        radius = self.eye.relative_radius(jnp.sqrt(point[0] ** 2 + point[1] ** 2))
+        found = iter(polar_bilinear(jnp.stack(present), jnp.arctan2(point[1], point[0]), radius))
+        return Local(*(None if t is None else next(found) for t in self.textures))
+
+
+@eqx.filter_jit
+def local_textures(maps: IrisMaps | None, iris: Iris) -> Local:
+    """The subsurface map of an iris with maps."""
+    if maps is None:
+        return Local()
+    dark = None if maps.freckles is None else 1 + (FRECKLE - 1) * maps.freckles
+    abl = None if maps.abl_depth is None else maps.abl_depth / iris.abl_thickness
+    return Local(abl, maps.stroma_scale(iris), dark, maps.eumelanin, maps.pheomelanin)
 
 
 class Depths(NamedTuple):
@@ -136,24 +183,29 @@ class March(AbstractResponse):
     error: None = None
     status: None = None
 
-    def shade(self, texels: Rays, ground: Ground) -> Float[Array, "channels pixels"]:
-        """See `AbstractResponse`: ∫ E p(α) μ_s e^(−τ_light/μ_i − τ_view/μ_o) dz/μ_o, light by
+    def shade(
+        self, pixels: IrisPixels, texels: None, light: tuple[Rays, SceneData]
+    ) -> Float[Array, "channels pixels"]:
+        """See `AbstractResponse`."""
+        rays, data = light
+        return _marched(rays, self, data)
+
+    def radiance(self, rays: Rays, data: SceneData) -> Float[Array, "channels pixels"]:
+        """Radiance of pixels: ∫ E p(α) μ_s e^(−τ_light/μ_i − τ_view/μ_o) dz/μ_o, light by
         light.
         """
-        uniform = all(t is None for t in ground.textures)
+        uniform = all(t is None for t in data.textures)
         n_steps = 1 if uniform else self.n_steps
-        step = self._deepest(ground.textures) / n_steps
-        flat = ground.eye.iris_normal(texels.point.T).T
-        slant = 1 / jnp.maximum(-(texels.direction * flat).sum(0), 1e-3)
-        along = texels.direction * slant + flat  # the iris, per depth
-        sources = _sources(texels, ground)
-        tints = (
-            jnp.ones((ground.flux.shape[0], 1), slant.dtype) if ground.tint is None else ground.tint
-        )
+        step = self._deepest(data.textures) / n_steps
+        flat = data.eye.iris_normal(rays.point.T).T
+        slant = 1 / jnp.maximum(-(rays.direction * flat).sum(0), 1e-3)
+        along = rays.direction * slant + flat  # the iris, per depth
+        sources = _sources(rays, data)
+        tints = jnp.ones((data.flux.shape[0], 1), slant.dtype) if data.tint is None else data.tint
 
         def march(carry, k):
             clear, radiance = carry
-            local = ground.at(texels.point + along * ((k + 0.5) * step))
+            local = data.at(rays.point + along * ((k + 0.5) * step))
             abl_end, end = self._ends(local)
             top, bottom = k * step, (k + 1) * step
             depth, scattering = self._depths(local)
@@ -180,9 +232,9 @@ class March(AbstractResponse):
         clear = jnp.ones((self.scattering.size, slant.size), slant.dtype)
         start = (clear, jnp.zeros((tints.shape[1], *clear.shape), clear.dtype))
         radiance = jax.lax.scan(march, start, jnp.arange(n_steps, dtype=slant.dtype))[0][1]
-        if ground.tint is None:
-            return (self.weights @ radiance[0]) * texels.share
-        return jnp.einsum("cb,cbp->cp", self.weights, radiance) * texels.share
+        if data.tint is None:
+            return (self.weights @ radiance[0]) * rays.share
+        return jnp.einsum("cb,cbp->cp", self.weights, radiance) * rays.share
 
     def _deepest(self, textures: Local):
         """Thickness of both layers where it is largest, mm."""
@@ -226,20 +278,24 @@ class March(AbstractResponse):
 
 
 @pixelwise
-def _placed(pixels, eye: Eye, slopes) -> Rays:
-    iris, place = pixels
+def _rays(pixels: IrisPixels, eye: Eye, slopes: Float[Array, "2 angles radii"] | None) -> Rays:
     point, direction, normal = map(
-        jnp.stack, (iris.point, iris.direction, normals(iris.point, place, eye, slopes))
+        jnp.stack, (pixels.point, pixels.direction, normals(pixels, eye, slopes))
     )
-    return Rays(iris.index, point, direction, normal, shares(iris, eye))
+    return Rays(point, direction, normal, shares(pixels, eye))
 
 
-def _sources(rays: Rays, ground: Ground):
+@pixelwise
+def _marched(rays: Rays, march: March, data: SceneData) -> Float[Array, "channels pixels"]:
+    return march.radiance(rays, data)
+
+
+def _sources(rays: Rays, data: SceneData):
     """Of each light at each pixel, shapes (lights, pixels): irradiance across the light times the
     phase function (1/sr), and the slant 1/μ_i."""
 
     def one(flux):
-        found = Field(flux[None], ground.eye.iris_radius).at(tuple(rays.point))[0]
+        found = Field(flux[None], data.eye.iris_radius).at(tuple(rays.point))[0]
         power = norm(found.T)
         towards = found / jnp.where(power > 0, power, 1.0)
         cosine = -(towards * rays.normal).sum(0)
@@ -248,7 +304,7 @@ def _sources(rays: Rays, ground: Ground):
         phase = rayleigh(bend) / (4 * jnp.pi)
         return jnp.where(lit, power * phase, 0.0), 1 / jnp.where(lit, cosine, 1.0)
 
-    return jax.lax.map(one, ground.flux)
+    return jax.lax.map(one, data.flux)
 
 
 def _passed(depth, start, end):

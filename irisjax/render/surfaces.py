@@ -1,7 +1,6 @@
 """Surfaces of the eye: where a ray meets them, their normal there, and its place in their maps.
 
-A surface says nothing of what it sends back; that is its material's to say (`outside`,
-`integrator`).
+How a surface sends light back is a property of its material (`outside`, `integrator`).
 """
 
 import abc
@@ -71,7 +70,9 @@ class CorneaSurface(AbstractSurface):
         point, _, met = self.split(origin, direction)
         return point, met
 
-    def split(self, origin: Vector, direction: Vector):
+    def split(
+        self, origin: Vector, direction: Vector
+    ) -> tuple[Vector, Bool[Array, "*s"], Bool[Array, "*s"]]:
         """Where rays meet the whole conicoid, whether they do, and whether within the limbus:
         through the blend there the iris shows on.
         """

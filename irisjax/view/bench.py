@@ -9,42 +9,55 @@ from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array
 
 from irisjax.io.recipes import Recipe, recipe_text
 from irisjax.io.tables import write_atomically
 from irisjax.measure.colour import srgb_encode
 from irisjax.ocularist.coats import Coat, Painting
 from irisjax.ocularist.easel import SIZE, painted, studio
-from irisjax.ocularist.integrator import Painted
+from irisjax.ocularist.integrator import Base, Painted
+from irisjax.ocularist.integrator import Layer as PaintLayer
 from irisjax.ocularist.palette import linear_colour
 from irisjax.ocularist.recipes import CoatRecipe
 from irisjax.render.illumination import Illumination
+from irisjax.render.integrator import AbstractResponse
+from irisjax.render.picture import LitView, respond, shade, surroundings, texture
+from irisjax.render.project import IrisPixels
 from irisjax.render.scene import Scene
-from irisjax.render.stages import Memory
 from irisjax.view.layers import Layer, Layers, place_of
-from irisjax.view.settings import LIGHT, Shown, values_of
-from irisjax.view.staging import Staging, encoded, environments
+from irisjax.view.session import Kept, Session, Values, encoded
+from irisjax.view.settings import CAMERA, LIGHT, CommonSettings, values_of
 
 NAME = "recipe"
 """Of files that keep recipes, before a number and `.toml`."""
 
 
 @dataclasses.dataclass(frozen=True)
-class BenchSettings(Shown):
-    """What can be changed of a painted eye. `layers`: its coats, the bottom one first."""
+class BenchSettings(CommonSettings):
+    """What can be changed of a painted eye.
+
+    Attributes:
+        layers: Its coats, the bottom one first.
+    """
 
     layers: Layers = ()
 
 
-class Bench:
+class _PaintedValues(Values):
+    """Values of pictures of one size, and the layers of paint on one base."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.surroundings = Kept[Array]()
+        self.base = Kept[tuple[Base, list[PaintLayer]]]()
+
+
+class Bench(Session[BenchSettings]):
     """A recipe, its settings, and what is already painted of them.
 
-    - `scene`: what stands round the painted iris, as `easel.studio` by default; its own painting
-        does not matter. `texels`: along a side of opacity maps.
-    - `tables_of`: makes the illumination tables of a scene, or finds them. `threads`: that share
-        the pixels of a picture.
-
-    **Raises:** `ValueError` naming the coat that cannot be painted.
+    Attributes:
+        settings: Current settings.
     """
 
     def __init__(
@@ -52,10 +65,21 @@ class Bench:
         recipe: Recipe,
         scene: Callable[[Scene], Scene] = lambda scene: scene,
         tables_of: Callable[[Scene], Illumination | None] = Scene.tables,
-        threads: int = 1,
         texels: int = SIZE,
     ):
-        self._given, self._tables_of = recipe, tables_of
+        """Paint a recipe.
+
+        Args:
+            recipe: The recipe.
+            scene: Changes the scene in which the iris stands, by default `easel.studio`; its own
+                painting makes no difference.
+            tables_of: Computes the illumination tables of a scene, or reads them.
+            texels: Along a side of opacity maps.
+
+        Raises:
+            ValueError: A coat cannot be painted; the message names it.
+        """
+        self._given = recipe
         eye = recipe.eye()
         whole = [coat._replace(opacity=1.0) for coat in recipe.coats]
         painting = painted(whole, recipe.mixer(), eye, size=texels, scans=recipe.scans())
@@ -66,29 +90,19 @@ class Bench:
         self._recipes: dict[str, CoatRecipe] = {n: recipe.coats[i] for n, i in places.items()}
         self._coats: dict[str, tuple[Layer, Coat]] = {}
         self._heights = {r.height: self._full[n].height for n, r in self._recipes.items()}
-        self._base = scene(studio(painting, eye))
-        self._staging = Staging(self._base)
-        self._memory = {draft: Memory(threads) for draft in (False, True)}
+        super().__init__(scene(studio(painting, eye)), tables_of)
+        self._values = {draft: _PaintedValues() for draft in (False, True)}
+        self._response = Kept[AbstractResponse]()
         self._file: Path | None = None
         layers = tuple(
             Layer(name, True, None, r.opacity, r.height) for name, r in self._recipes.items()
         )
-        self.settings = BenchSettings(**self._staging.start(), layers=layers)
-
-    def environments(self) -> tuple[str, ...]:
-        """Environments to choose from."""
-        return environments(self.settings)
+        self.settings = BenchSettings(**self._start(), layers=layers)
 
     def update(self, *, draft: bool = False, **changes: Any) -> np.ndarray:
-        """The picture after some changes: sRGB, 8 bits, (height, width, 3); a `draft` has half of
-        either side. **Raises:** `ValueError` and keeps the old settings.
-        """
-        if unknown := changes.keys() - {f.name for f in dataclasses.fields(BenchSettings)}:
-            raise ValueError(f"no such setting: {', '.join(sorted(unknown))}")
-        settings = dataclasses.replace(self.settings, **changes)
-        picture = self._staging.once(
-            ("picture", draft), settings, lambda: self._rendered(settings, draft)
-        )
+        """See `Session.update`."""
+        settings, kept = self._changed(changes), self._values[draft]
+        picture = kept.picture.of(settings, lambda: self._drawn(kept, settings, draft))
         self.settings = settings
         return picture
 
@@ -143,15 +157,40 @@ class Bench:
         self._file = path
         return path
 
-    def _rendered(self, s: BenchSettings, draft: bool) -> np.ndarray:
-        scene, memory = self._set(s, draft), self._memory[draft]
-        grazing = self._staging.once("grazing", values_of(s, LIGHT), scene.grazing)
-        tables = self._staging.once(("tables", grazing), None, lambda: self._tables_of(scene))
-        return encoded(memory.render(scene, tables), s.exposure)
+    def _drawn(self, kept: _PaintedValues, s: BenchSettings, draft: bool) -> np.ndarray:
+        scene = self._set(s, draft)
+        view = self._view(kept, s, scene)
+        surfaces = *values_of(s, CAMERA), s.environment, s.strength
+        texels = kept.texels.of(surfaces, lambda: texture(view, scene))
+        tables = self._tables_for(s, scene)
+        lit = surfaces, values_of(s, LIGHT)
+        around = kept.surroundings.of(lit, lambda: surroundings(view, texels, scene))
+        response = self._response.of(None, lambda: respond(scene))
+        radiance = None
+        if view.iris is not None:
+            radiance = self._radiance(kept, lit, view.iris, scene, tables)
+        light = LitView(around, radiance)
+        return encoded(shade(view, texels, light, response), s.exposure)
+
+    def _radiance(
+        self,
+        kept: _PaintedValues,
+        lit: Any,
+        pixels: IrisPixels,
+        scene: Scene,
+        tables: Illumination | None,
+    ) -> Array:
+        """Radiance of the paint: only coats that have changed and those below are painted."""
+        painted = scene.integrator
+        assert isinstance(painted, Painted)
+        parts = pixels, scene.all_lights(), scene.eye, tables
+        base, layers = kept.base.of(lit, lambda: (painted.base(*parts), []))
+        layers[:] = painted.layers(base, tuple(layers))
+        return (layers[-1].state if layers else base.state).radiance
 
     def _set(self, s: BenchSettings, draft: bool) -> Scene:
         integrator = Painted(painting=self._painting(s.layers))
-        parts = self._staging.parts(s, self._staging.size(draft))
+        parts = self._parts(s, self._size(draft))
         return self._base.replace(integrator=integrator, **parts)
 
     def _painting(self, layers: Layers) -> Painting:
@@ -159,7 +198,7 @@ class Bench:
         return Painting(on, self._profile)
 
     def _coat(self, layer: Layer) -> Coat:
-        """The same arrays for what has not changed: by them `Memory` knows it."""
+        """A coat, with the same arrays where nothing has changed: by these it is recognised."""
         last = self._coats.get(layer.name)
         if last is not None and last[0] == layer:
             return last[1]

@@ -5,7 +5,8 @@ from typing import Any
 
 import numpy as np
 
-from irisjax.view.settings import Shown
+from irisjax.measure.colour import Colour
+from irisjax.view.settings import CommonSettings
 from irisjax.view.sliders import SLIDERS
 
 DISTANCE = 2.5  # of viser's camera, in units of its own
@@ -22,7 +23,7 @@ def framed(picture: np.ndarray, aspect: float) -> np.ndarray:
     return framed
 
 
-def swatch(colour) -> str:
+def swatch(colour: Colour) -> str:
     """A `Colour` as the page shows it: a patch beside its numbers."""
     red, green, blue = (int(v) for v in np.rint(255 * np.clip(np.asarray(colour.srgb), 0, 1)))
     lab = ", ".join(f"{v:.1f}" for v in np.asarray(colour.lab))
@@ -38,7 +39,7 @@ def swatch(colour) -> str:
     )
 
 
-def sliders(gui, folder: str, settings: Shown) -> dict[str, Any]:
+def sliders(gui: Any, folder: str, settings: CommonSettings) -> dict[str, Any]:
     """Sliders of a folder of `SLIDERS`, by the names of settings; values widen their ranges."""
     made = {}
     for name, (label, low, high, step, hint) in SLIDERS[folder].items():

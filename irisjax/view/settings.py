@@ -15,12 +15,19 @@ ENVIRONMENTS: dict[str, Callable[[], Environment] | None] = {
 
 
 @dataclasses.dataclass(frozen=True)
-class Shown:
+class CommonSettings:
     """What can be changed whatever the iris is made of; a scene's own values are where it starts.
 
-    - `light_*`: of the first lamp, degrees; `environment`: a name, or `GIVEN` for the scene's own;
-        `strength`: factor on the environment; `exposure`: on the picture.
-    - `camera_*`: degrees; `width` of the field, mm.
+    Attributes:
+        light_polar: Angle of the first lamp from the axis, degrees.
+        light_azimuth: Its azimuth, degrees.
+        irradiance: Its irradiance.
+        environment: A name, or `GIVEN` for the scene's own.
+        strength: Factor on the environment.
+        exposure: Factor on the picture.
+        camera_polar: Angle of the camera from the axis, degrees.
+        camera_azimuth: Its azimuth, degrees.
+        width: Width of the field, mm.
     """
 
     light_polar: float = 35.0
@@ -35,15 +42,22 @@ class Shown:
 
 
 @dataclasses.dataclass(frozen=True)
-class Settings(Shown):
-    """What can be changed of an eye of tissue.
+class Settings(CommonSettings):
+    """What can be changed of an eye of tissue; concentrations are those of `Iris`.
 
-    - `preset`: a name, or `GIVEN` for the scene's own iris. `seed`: of a preset's maps.
-        `integrator`: a name of `INTEGRATORS`.
-    - Concentrations as in `Iris`; `hemoglobin`: both forms together, mmol/l; `stroma`: thickness
-        relative to the iris's own, at equal concentrations. `pupil_radius`: mm.
-    - `photograph`: share of the picture's width that shows the photograph, from the left; `None`
-        where there is none.
+    Attributes:
+        preset: A name, or `GIVEN` for the scene's own iris.
+        seed: Seed of a preset's maps.
+        integrator: A name of `INTEGRATORS`.
+        eumelanin: Concentration, mg/ml.
+        pheomelanin: Concentration, mg/ml.
+        abl_fraction: Share of the melanin in the anterior border layer.
+        stroma: Thickness relative to the iris's own, at equal concentrations.
+        hemoglobin: Both forms together, mmol/l.
+        saturation: Share of oxyhaemoglobin in them.
+        pupil_radius: Radius, mm.
+        photograph: Share of the picture's width that shows the photograph, from the left; `None`
+            where there is none.
     """
 
     preset: str = GIVEN
@@ -64,9 +78,9 @@ CAMERA = ("camera_polar", "camera_azimuth", "width")
 LAMP = ("light_polar", "light_azimuth", "irradiance")
 LIGHT = (*LAMP, "environment", "strength")
 QUICK = frozenset({*PIGMENTS, "stroma", "exposure", "layers"})
-"""Settings that leave tables and view alone, and whatever else takes long."""
+"""Settings that change neither the tables nor the view nor anything else that takes long."""
 
 
-def values_of(settings: Shown, names: tuple[str, ...]) -> tuple[Any, ...]:
+def values_of(settings: CommonSettings, names: tuple[str, ...]) -> tuple[Any, ...]:
     """Some of the settings, in this order."""
     return tuple(getattr(settings, name) for name in names)

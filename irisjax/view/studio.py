@@ -1,5 +1,5 @@
-"""`Studio`: a scene under sliders. A change recomputes the stages whose inputs it touches, and no
-others.
+"""`Studio`: a scene of tissue under sliders. A change computes those values again whose inputs it
+touches, and no others.
 """
 
 import dataclasses
@@ -12,18 +12,17 @@ from irisjax.grow.presets import PRESETS
 from irisjax.io.scenes import stream
 from irisjax.measure.colour import Colour, colour_of
 from irisjax.measure.spectrophotometer import reflectance
-from irisjax.render.compose import Stage
 from irisjax.render.illumination import Illumination
-from irisjax.render.integrator import AbstractIntegrator
+from irisjax.render.integrator import AbstractIntegrator, AbstractResponse
 from irisjax.render.integrators import INTEGRATORS, integrator_name
+from irisjax.render.picture import illuminate, prepared, respond, shade, texture
 from irisjax.render.scene import Scene
-from irisjax.render.stages import Memory
 from irisjax.tissue.iris import Iris
 from irisjax.tissue.maps import IrisMaps
 from irisjax.transport.defaults import exact_solver
 from irisjax.transport.process import AbstractProcess
+from irisjax.view.session import Kept, Session, Values, encoded
 from irisjax.view.settings import CAMERA, GIVEN, LIGHT, PIGMENTS, Settings, values_of
-from irisjax.view.staging import Staging, encoded, environments
 from irisjax.view.wipe import Picture, resized, wiped
 
 GRID = np.arange(400.0, 701.0, 5.0)
@@ -31,32 +30,40 @@ GRID = np.arange(400.0, 701.0, 5.0)
 _GROWN = ("preset", "seed", "integrator")
 
 
-class Studio:
-    """A scene, its settings, and what is already computed for them.
+class Studio(Session[Settings]):
+    """A scene of tissue, its settings, and what is already computed for them.
 
-    - `tables_of`: makes the illumination tables of a scene, or finds them. `threads`: that share
-        the pixels of a picture.
-    - `photograph`: what the scene's camera saw, sRGB, 8 bits, sides in proportion to the picture's;
-        the left half of the first picture shows it.
-    - `given`: settings that the scene does not tell, such as the name of its `preset`.
-    - `error`: of the last picture's response, see `AbstractResponse`.
+    Attributes:
+        settings: Current settings.
+        error: Error of the last picture's response, see `AbstractResponse`.
     """
 
     def __init__(
         self,
         scene: Scene,
         tables_of: Callable[[Scene], Illumination | None] = Scene.tables,
-        threads: int = 1,
         photograph: Picture | None = None,
         **given: Any,
     ):
-        self._base, self._tables_of = scene, tables_of
-        self._staging = Staging(scene)
+        """Begin with the settings of a scene.
+
+        Args:
+            scene: The scene.
+            tables_of: Computes the illumination tables of a scene, or reads them.
+            photograph: What the scene's camera saw, sRGB, 8 bits, sides in proportion to the
+                picture's; the left half of the first picture shows it.
+            given: Settings that the scene does not hold, such as the name of its `preset`.
+        """
+        super().__init__(scene, tables_of)
         self._photograph = None if photograph is None else resized(photograph, scene.camera.size)
-        self._memory = {draft: Memory(threads) for draft in (False, True)}
-        self.error = 0.0
+        self._values = {draft: Values() for draft in (False, True)}
+        self._response = Kept[AbstractResponse]()
+        self._growth = Kept[tuple[Iris, IrisMaps | None]]()
+        self._made = Kept[AbstractIntegrator]()
+        self._ready = Kept[AbstractIntegrator]()
+        self.error: float | None = 0.0
         start = {
-            **self._staging.start(),
+            **self._start(),
             "pupil_radius": round(float(scene.eye.pupil_radius), 6),
             "integrator": integrator_name(scene.integrator),
             **_pigments(scene.tissue),
@@ -75,21 +82,13 @@ class Studio:
         """Eye colours to choose from."""
         return ((GIVEN,) if self.settings.preset == GIVEN else ()) + tuple(PRESETS)
 
-    def environments(self) -> tuple[str, ...]:
-        """Environments to choose from."""
-        return environments(self.settings)
-
     def update(self, *, draft: bool = False, **changes: Any) -> np.ndarray:
-        """The picture after some changes: sRGB, 8 bits, (height, width, 3); a `draft` has half of
-        either side.
+        """See `Session.update`.
 
         Another preset brings its own pigments, and so does a preset under another integrator. Any
-        camera but the photograph's hides the photograph. **Raises:** `ValueError` and keeps the old
-        settings.
+        camera but the photograph's hides the photograph.
         """
-        if unknown := changes.keys() - {f.name for f in dataclasses.fields(Settings)}:
-            raise ValueError(f"no such setting: {', '.join(sorted(unknown))}")
-        settings = dataclasses.replace(self.settings, **changes)
+        settings = self._changed(changes)
         if self._look(settings) != self._look(self.settings):
             own = _pigments(self._grown(settings)[0]) | {"stroma": 1.0}
             settings = dataclasses.replace(settings, **{**own, **changes})
@@ -98,11 +97,11 @@ class Studio:
         if settings.photograph and values_of(settings, CAMERA) != self._cameras:
             settings = dataclasses.replace(settings, photograph=0.0)
         drawn = dataclasses.replace(settings, photograph=None)
-        picture, error = self._staging.once(
-            ("picture", draft), drawn, lambda: self._rendered(drawn, draft)
-        )
-        if settings.photograph:
-            picture = wiped(self._seen(draft), picture, settings.photograph)
+        kept = self._values[draft]
+        picture, error = kept.picture.of(drawn, lambda: self._drawn(kept, drawn, draft))
+        if settings.photograph and self._photograph is not None:
+            photograph = resized(self._photograph, self._size(draft))
+            picture = wiped(photograph, picture, settings.photograph)
         self.settings, self.error = settings, error
         return picture
 
@@ -113,12 +112,7 @@ class Studio:
 
     def scene(self) -> Scene:
         """The scene as it is set; `exposure` is no part of it."""
-        s = self.settings
-        scene = self._set(s, self._base.camera.size)
-        maps = scene.maps
-        if maps is not None and maps.stroma_depth is not None:
-            maps = maps.replace(stroma_depth=maps.stroma_depth * s.stroma)
-        return scene.replace(iris=self._iris(s), maps=maps)
+        return self._set(self.settings, self._base.camera.size)
 
     def spectrum(self) -> tuple[np.ndarray, Colour]:
         """Reflectance of the uniform iris, without an eye round it, on `GRID`; and its colour."""
@@ -126,44 +120,25 @@ class Studio:
         colour = colour_of(GRID, found.values, illuminant=self._base.illuminant)
         return np.asarray(found.values), colour
 
-    def _rendered(self, s: Settings, draft: bool) -> tuple[np.ndarray, float | None]:
+    def _drawn(self, kept: Values, s: Settings, draft: bool) -> tuple[np.ndarray, float | None]:
         """Picture, and the error of its response."""
-        stage = self._stage(s, draft)
+        scene = self._set(s, self._size(draft))
+        grown = values_of(s, _GROWN)
+        # Maps are relative to the iris: pigments and thickness change the response alone.
+        scene = scene.replace(integrator=self._ready.of(grown, lambda: prepared(scene).integrator))
+        view = self._view(kept, s, scene)
+        surfaces = *values_of(s, CAMERA), grown, s.pupil_radius, s.environment, s.strength
+        texels = kept.texels.of(surfaces, lambda: texture(view, scene))
+        tables = self._tables_for(s, scene)
+        lit = surfaces, values_of(s, LIGHT)
+        light = kept.light.of(lit, lambda: illuminate(view, texels, scene, tables))
         asked = values_of(s, (*PIGMENTS, "stroma", *_GROWN))
-        response = self._staging.once("response", asked, lambda: stage.response(self._iris(s)))
-        shown = self._memory[draft].shown(stage, response)
-        picture = encoded(shown, s.exposure)
+        response = self._response.of(asked, lambda: respond(scene))
+        picture = encoded(shade(view, texels, light, response), s.exposure)
         return picture, None if response.error is None else float(response.error)
 
-    def _seen(self, draft: bool) -> Picture:
-        """The photograph at the picture's size."""
-        photograph = self._photograph
-        assert photograph is not None
-        size = self._staging.size(draft)
-        return self._staging.once(("photograph", draft), None, lambda: resized(photograph, size))
-
-    def _stage(self, s: Settings, draft: bool) -> Stage:
-        size = self._staging.size(draft)
-        seen, lit = values_of(s, CAMERA), values_of(s, LIGHT)
-        memory = self._memory[draft]
-
-        def make():
-            scene = self._set(s, size)
-            # Neither what a camera sees of the iris plane nor what light does there depends on the
-            # pupil.
-            view = self._staging.once(
-                ("view", draft), seen, lambda: memory.look(scene.eye, scene.camera)
-            )
-            grazing = self._staging.once("grazing", lit, scene.grazing)
-            tables = self._staging.once(("tables", grazing), None, lambda: self._tables_of(scene))
-            return memory.prepare(scene, tables, view)
-
-        return self._staging.once(
-            ("stage", draft), (seen, lit, values_of(s, _GROWN), s.pupil_radius), make
-        )
-
     def _look(self, s: Settings):
-        """What an iris's own pigments depend on."""
+        """What the pigments of a preset depend on."""
         return s.preset, s.preset != GIVEN and type(self._integrator(s).process)
 
     def _integrator(self, s: Settings) -> AbstractIntegrator:
@@ -174,7 +149,7 @@ class Studio:
             )
         if integrator_name(self._base.integrator) == s.integrator:
             return self._base.integrator
-        return self._staging.once("integrator", s.integrator, INTEGRATORS[s.integrator])
+        return self._made.of(s.integrator, INTEGRATORS[s.integrator])
 
     def _process(self, s: Settings) -> AbstractProcess:
         process = self._integrator(s).process
@@ -192,7 +167,7 @@ class Studio:
             process = self._process(s)
             return PRESETS[s.preset](self._base.eye, process=process, key=stream(s.seed, "maps"))
 
-        return self._staging.once("grown", values_of(s, _GROWN), grow)
+        return self._growth.of(values_of(s, _GROWN), grow)
 
     def _iris(self, s: Settings) -> Iris:
         iris = self._grown(s)[0]
@@ -206,20 +181,16 @@ class Studio:
         )
 
     def _set(self, s: Settings, size: tuple[int, int]) -> Scene:
-        """The scene but for the pigments: maps are relative to its iris, whatever its thickness."""
-        iris, maps = self._grown(s)
-        base = self._base
-        # The same objects for the same settings: by them `Memory` knows what has not changed.
-        return base.replace(
-            iris=iris,
+        maps = self._grown(s)[1]
+        if maps is not None and maps.stroma_depth is not None:
+            maps = maps.replace(stroma_depth=maps.stroma_depth * s.stroma)
+        return self._base.replace(
+            iris=self._iris(s),
             maps=maps,
             integrator=self._integrator(s),
-            eye=self._staging.once("eye", s.pupil_radius, lambda: self._eye(s)),
-            **self._staging.parts(s, size),
+            eye=self._base.eye.replace(pupil_radius=s.pupil_radius),
+            **self._parts(s, size),
         )
-
-    def _eye(self, s: Settings):
-        return self._base.eye.replace(pupil_radius=s.pupil_radius)
 
 
 def _pigments(iris: Iris) -> dict[str, float]:

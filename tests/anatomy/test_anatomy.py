@@ -11,9 +11,10 @@ import pytest
 from irisjax.anatomy.eye import Cornea, Eye
 from irisjax.optics.conicoid import Conicoid
 from irisjax.render.camera import Camera
+from irisjax.render.picture import draw
+from irisjax.render.project import look
 from irisjax.render.refraction import enter, on_cornea
 from irisjax.render.scene import Scene
-from irisjax.render.stages import look
 from irisjax.tissue.iris import Iris
 
 CORNEAS = {
@@ -73,7 +74,7 @@ def test_an_eye_just_allowed_is_drawn():
     assert (landing.point[:, 2] > entry[:, 2]).all() and np.isfinite(landing.share).all()
     view = look(eye, Camera(width=12.0, size=(24, 18)))
     assert view.iris is not None and view.iris.index.size > 100
-    picture = np.asarray(Scene(Iris(), eye=eye, camera=Camera(width=12.0, size=(24, 18))).render())
+    picture = np.asarray(draw(Scene(Iris(), eye=eye, camera=Camera(width=12.0, size=(24, 18)))))
     assert np.isfinite(picture).all() and (picture >= 0).all() and picture.max() > 0
 
 

@@ -76,7 +76,7 @@ def test_each_kept_name_is_a_jitted_function_of_its_module(module, name):
     found = getattr(importlib.import_module(f"irisjax.{module}"), name)
     assert callable(found)
     jitted = hasattr(found, "lower") and hasattr(found, "__wrapped__")
-    assert jitted or hasattr(found, "on_threads")
+    assert jitted or hasattr(found, "compiled")
 
 
 def test_a_kept_program_gives_what_it_gave_without_tracing(folder):

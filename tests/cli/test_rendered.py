@@ -10,7 +10,7 @@ from irisjax.cli.animate import frames
 from irisjax.io.scenes import parse_scene, read_scene
 from irisjax.measure.colour import srgb_encode
 from irisjax.render.camera import Camera
-from irisjax.render.compose import render
+from irisjax.render.picture import draw
 from scene_files import BARE
 
 
@@ -23,7 +23,7 @@ def test_command_makes_the_librarys_picture(irisjax, tmp_path):
     (tmp_path / "scene.toml").write_text(BARE + "[picture]\nexposure = 3")
     assert irisjax("render", "scene.toml", "-o", "eye.exr") == (0, "", "")
     jax.config.update("jax_enable_x64", True)
-    expected = 3 * np.asarray(render(read_scene(tmp_path / "scene.toml").scene()))
+    expected = 3 * np.asarray(draw(read_scene(tmp_path / "scene.toml").scene()))
     found = io.read_image(tmp_path / "eye.exr")
     np.testing.assert_allclose(found.pixels, expected, atol=1e-6)
     assert "simulated" in str(found.metadata)
@@ -80,7 +80,7 @@ def test_nothing_half_written(irisjax, tmp_path, monkeypatch):
 
     (tmp_path / "scene.toml").write_text(BARE)
     (tmp_path / "eye.png").write_bytes(b"older")
-    monkeypatch.setattr("irisjax.render.stages.prepare", broken)
+    monkeypatch.setattr("irisjax.render.picture.illuminate", broken)
     status, out, err = irisjax("render", "scene.toml")
     assert (status, out) == (2, "")
     assert err == "irisjax: eye.png: exists; --overwrite replaces it\n"

@@ -12,8 +12,9 @@ from irisjax.export import export
 from irisjax.export.mesh import encode_ply, eye_meshes, right_handed
 from irisjax.numerics.interpolation import polar_bilinear
 from irisjax.render.environment import Environment
+from irisjax.render.picture import draw
+from irisjax.render.project import look
 from irisjax.render.shading import slopes_of
-from irisjax.render.stages import look
 from irisjax.tissue.maps import IrisMaps, cell_centres
 
 
@@ -65,7 +66,7 @@ def test_mitsuba_renders_the_matt_iris_and_it_is_as_far_off_as_we_say(bare, mi):
     scene, folder, made = bare
     theirs = np.array(mi.render(mi.load_file(str(folder / "scene.xml"), spp=16)))
     assert theirs.shape == (48, 64, 3) and np.isfinite(theirs).all()
-    ours = np.asarray(scene.render()).reshape(-1, 3)
+    ours = np.asarray(draw(scene)).reshape(-1, 3)
     index, point = on_the_iris(scene)
     theirs = theirs.reshape(-1, 3)
     # Radiance, units, lamps, camera: the mean to 0.3 % (only edges of the sector, blurred within
@@ -101,7 +102,7 @@ def test_relief_tilts_their_shading_as_ours(tmp_path, mi):
         -1, 3
     )
     index, _ = on_the_iris(scene)
-    ours = np.asarray(scene.render()).reshape(-1, 3)[index]
+    ours = np.asarray(draw(scene)).reshape(-1, 3)[index]
     theirs = theirs[index] * (ours.mean(0) / theirs[index].mean(0))
     assert ours[:, 1].std() > 0.1 * ours[:, 1].mean()  # there is something to see
     assert (theirs - ours).std() < 0.15 * ours.std() and np.corrcoef(theirs[:, 1], ours[:, 1])[
@@ -126,8 +127,8 @@ def test_fine_relief_is_as_steep_as_a_mesh_of_it(tmp_path, mi):
     scene = ij.Scene(ij.Iris.of_level("low"), maps, EYE, ij.Lights.distant(0.1, 0.4), camera=CAMERA)
     made = export(tmp_path / "eye", scene, spacing=0.2)
     index, point = on_the_iris(scene)
-    ours = np.asarray(scene.render()).reshape(-1, 3)[index].mean(0)
-    shaded = ours / np.asarray(scene.replace(maps=None).render()).reshape(-1, 3)[index].mean(0)
+    ours = np.asarray(draw(scene)).reshape(-1, 3)[index].mean(0)
+    shaded = ours / np.asarray(draw(scene.replace(maps=None))).reshape(-1, 3)[index].mean(0)
 
     def theirs(name):
         return (
@@ -220,7 +221,7 @@ def test_eye_behind_its_cornea(tmp_path, mi):
     theirs = np.array(
         mi.render(mi.load_file(str(tmp_path / "eye" / "scene.xml"), spp=256))
     ).reshape(-1, 3)
-    ours = np.asarray(scene.render()).reshape(-1, 3)
+    ours = np.asarray(draw(scene)).reshape(-1, 3)
     assert np.isfinite(theirs).all()
     index, _ = on_the_iris(scene, 0.5)
     row, column = np.unravel_index(index, (36, 48))

@@ -11,8 +11,8 @@ import pytest
 from irisjax import io
 from irisjax.io.entries import SECTIONS
 from irisjax.io.scenes import parse_scene, read_scene
-from irisjax.render.compose import render
 from irisjax.render.environment import Environment
+from irisjax.render.picture import draw
 from scene_files import BARE
 
 
@@ -96,10 +96,10 @@ def test_coloured_lamps():
         parse_scene(f"{text}[[light]]\n{colour}").scene()
         for colour in ("", "colour = [1, 0, 0]", "colour = [0, 0, 2]")
     )
-    picture = np.asarray(render(plain))
-    np.testing.assert_allclose(render(red), picture * [1, 0, 0], atol=1e-12)
+    picture = np.asarray(draw(plain))
+    np.testing.assert_allclose(draw(red), picture * [1, 0, 0], atol=1e-12)
     np.testing.assert_allclose(
-        render(red.replace(lights=red.lights + blue.lights)), picture * [1, 0, 2], atol=1e-12
+        draw(red.replace(lights=red.lights + blue.lights)), picture * [1, 0, 2], atol=1e-12
     )
 
 

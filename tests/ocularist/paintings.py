@@ -10,6 +10,7 @@ from irisjax.ocularist.integrator import Painted
 from irisjax.render.camera import Camera
 from irisjax.render.illumination import Illumination
 from irisjax.render.lights import Lights
+from irisjax.render.picture import draw
 from irisjax.render.scene import Scene
 
 EYE = prosthesis().replace(sclera=None)
@@ -38,7 +39,7 @@ def scene(*coats, lights=LAMP, camera=CAMERA, as_printed=False):
 
 def picture(*coats, **parts):
     """What paint sends back: less the cornea's mirror images, which a black iris has too."""
-    drawn, mirrored = (scene(*c, **parts).render(tables()) for c in (coats, [bare()]))
+    drawn, mirrored = (draw(scene(*c, **parts), tables()) for c in (coats, [bare()]))
     return np.asarray(drawn - mirrored)
 
 

@@ -21,15 +21,18 @@ from paintings import (
     tables,
 )
 
+from common import counting
+from irisjax.ocularist import composite
 from irisjax.ocularist.coats import Painting, profile_of, prosthesis
 from irisjax.ocularist.integrator import Painted
 from irisjax.render.camera import Camera
 from irisjax.render.environment import Environment
 from irisjax.render.illumination import Illumination
 from irisjax.render.lights import Lights
+from irisjax.render.picture import draw
+from irisjax.render.project import look
 from irisjax.render.scene import Scene
 from irisjax.render.separable import Separable
-from irisjax.render.stages import Memory
 
 
 def test_a_clear_coat_changes_no_pixel():
@@ -64,7 +67,7 @@ def test_single_precision(float32):
     def drawn(*coats):
         painted = Painted(Painting(coats, profile_of(eye)))
         camera, lamp = Camera(size=(48, 36), width=13.0), Lights.distant(0.6, 2.2)
-        return Scene(None, eye=eye, lights=lamp, camera=camera, integrator=painted).render(tables)
+        return draw(Scene(None, eye=eye, lights=lamp, camera=camera, integrator=painted), tables)
 
     stack = (1.0, RED), (0.6, GREEN), (0.3, BLUE)
     coats = [coat(str(i), 0.1 * i, *k) for i, k in enumerate(stack)]
@@ -101,64 +104,41 @@ def test_no_pixel_is_brighter_than_white_paint(seed):
     assert drawn.min() >= -1e-12
 
 
-class Counting(Memory):
-    """A memory that tells which steps were done."""
-
-    def __init__(self):
-        super().__init__(threads=1)
-        self.done = []
-
-    def once(self, name, make, *inputs):
-        def counted(*given):
-            self.done.append(name)
-            return make(*given)
-
-        return super().once(name, counted, *inputs)
+STEPS = "opacity_at", "crossed", "paint_over", "light_under"
 
 
-def test_a_memory_redoes_a_coat_and_those_below_alone():
-    memory = Counting()
+def test_a_coat_that_changes_is_painted_with_those_below_alone(monkeypatch):
     names = "base", "low", "middle", "top"
-    coats = [coat(n, 0.1 * i, spots(i), RED) for i, n in enumerate(names)]
-    before = scene(*coats)
-    first = memory.render(before, tables())
-    np.testing.assert_allclose(first, before.render(tables()), atol=1e-12)
+    made = scene(*(coat(n, 0.1 * i, spots(i), RED) for i, n in enumerate(names)))
+    pixels = look(made.eye, made.camera).iris
+    painting, parts = made.integrator.painting, (pixels, made.lights, made.eye)
+    base = made.integrator.base(*parts, tables())
+    layers = tuple(made.integrator.layers(base))
+    done = counting(monkeypatch, **dict.fromkeys(STEPS, composite))
 
     def again(**changes):
-        painting = before.integrator.painting.replace("middle", **changes)
-        changed, memory.done = before.replace(integrator=Painted(painting)), []
-        drawn = memory.render(changed, tables())
-        np.testing.assert_allclose(drawn, changed.render(tables()), atol=1e-12)
-        assert np.abs(np.asarray(drawn - first)).max() > 1e-3
-        return painted_steps()
+        """Steps that a change of the middle coat takes."""
+        painted = Painted(painting.replace("middle", **changes))
+        done.update(dict.fromkeys(STEPS, 0))
+        found = list(painted.layers(base, layers))[-1].state.radiance
+        steps = tuple(done.values())
+        whole = painted.illuminate(*parts, None, None, tables())
+        np.testing.assert_allclose(found, whole, atol=1e-12)
+        assert np.abs(np.asarray(found - layers[-1].state.radiance)).max() > 1e-3
+        return steps
 
-    def painted_steps():
-        steps = "opacity of", "shadow of", "paint of", "light under"
-        return {name for name in memory.done if name.startswith(steps)}
-
-    def of(step, *which):
-        return {f"{step} {name}" for name in which}
-
-    # What lights the middle coat has not changed; what lies above has not been touched.
-    below = "group 1", "group 2", "group 3"  # the topmost is group 0
-    redone = of("paint of", *below) | of("light under", *below[:2])
-    assert again(colour=jnp.asarray(BLUE)) == redone
-    # The colour is the old one again, and the opacity another.
-    shape = coat("other", 0.0, spots(9)).opacity
-    own = of("opacity of", "middle") | of("shadow of", "middle")
-    assert again(opacity=shape) == redone | own
-    memory.render(before, tables())
-    memory.done = []
-    np.testing.assert_array_equal(memory.render(before, tables()), first)
-    assert not painted_steps()
-    assert "painted ground" not in memory.done
+    # The light on the middle coat has not changed; what lies above is not painted again.
+    assert again(colour=jnp.asarray(BLUE)) == (0, 0, 3, 2)
+    assert again(opacity=coat("other", 0.0, spots(9)).opacity) == (1, 1, 3, 2)
+    done.update(dict.fromkeys(STEPS, 0))
+    assert list(made.integrator.layers(base, layers))[-1] is layers[-1]
+    assert not any(done.values())
 
 
 def test_painted_scenes_have_colours_and_no_spectra():
     painted = scene(coat("base", colour=RED))
-    stage = Memory().prepare(painted, tables(), wavelengths=jnp.asarray([500.0, 600.0]))
     with pytest.raises(ValueError, match="ask for no wavelengths"):
-        stage(painted.iris)
+        draw(painted.replace(wavelengths=(500.0, 600.0)), tables())
     with pytest.raises(ValueError, match="the iris is painted"):
         _ = painted.tissue
 
@@ -177,7 +157,7 @@ def test_derivatives_by_colour_and_opacity_are_those_of_finite_differences():
     def mean(given):
         colour, thickness, height = given
         changed = painting.replace("spots", colour=colour, opacity=thickness * shape, height=height)
-        return scene(*changed.coats).render(tables()).mean()
+        return draw(scene(*changed.coats), tables()).mean()
 
     at = jnp.asarray(GREEN), jnp.asarray(0.7), jnp.asarray(0.1)
     slopes, step = jax.grad(mean)(at), 1e-5
@@ -199,7 +179,7 @@ def test_white_paint_is_a_white_sheet():
     for polar, irradiance in ((0.0, np.pi), (0.7, np.pi), (0.0, np.pi / 2)):
         sheet = Painted(Painting((coat("white"),), profile_of(bare_eye)))
         lamp = Lights.distant(polar, 0.4, irradiance)
-        drawn = Scene(None, eye=bare_eye, lights=lamp, camera=CAMERA, integrator=sheet).render()
+        drawn = draw(Scene(None, eye=bare_eye, lights=lamp, camera=CAMERA, integrator=sheet))
         seen = in_the_middle(np.asarray(drawn)) / (irradiance / np.pi * np.cos(polar))
         np.testing.assert_allclose(seen, 1, rtol=1e-3)
 
@@ -225,7 +205,7 @@ def test_white_paint_in_light_from_all_round_is_no_brighter_than_that():
             integrator=painted,
             environment_lights=LAMPS,
         )
-        return in_the_middle(np.asarray(lit.render(tables)))
+        return in_the_middle(np.asarray(draw(lit, tables)))
 
     # A lamp stands for 1/64 of the hemisphere, the outermost for cells that a tilted iris halves.
     np.testing.assert_allclose(drawn(EYE.replace(cornea=None), None), 1, rtol=1 / LAMPS)

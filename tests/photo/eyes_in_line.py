@@ -10,7 +10,7 @@ from irisjax.anatomy.eye import Eye
 from irisjax.photo.photograph import Ellipse, ellipse_through
 from irisjax.render.camera import Camera
 from irisjax.render.points import project_points
-from irisjax.render.stages import look
+from irisjax.render.project import look
 from irisjax.render.surfaces import IrisSurface
 
 _AROUND = np.linspace(0, 2 * np.pi, 64, endpoint=False)

@@ -12,6 +12,7 @@ from irisjax.grow.presets import preset
 from irisjax.photo.photograph import Ellipse, Photograph, ellipse_through
 from irisjax.render.camera import Camera
 from irisjax.render.environment import Environment
+from irisjax.render.picture import draw
 from irisjax.render.points import project_points
 from irisjax.render.scene import Scene
 from irisjax.render.surfaces import IrisSurface
@@ -42,7 +43,7 @@ def rendered(colour="green", polar=0.0, size=(600, 460), seed=0, **eye) -> Simul
     camera = Camera(polar=polar, azimuth=0.6, width=15.0, size=size)
     iris, maps = preset(colour, shape, key=jax.random.key(seed))
     scene = Scene(iris, maps, shape, lights=None, environment=Environment.studio(), camera=camera)
-    picture = np.asarray(scene.render(caustics=False), float)
+    picture = np.asarray(draw(scene, caustics=False), float)
     cos, sin = np.cos(_AROUND), np.sin(_AROUND)
     assert shape.cornea is not None
     radius, front = float(shape.limbus_radius), shape.cornea.anterior

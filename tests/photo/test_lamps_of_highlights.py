@@ -12,7 +12,7 @@ from irisjax.photo.texture import Unrefracted
 from irisjax.render.camera import Camera
 from irisjax.render.illumination import Illumination
 from irisjax.render.lights import Lights
-from irisjax.render.stages import look
+from irisjax.render.project import look
 
 
 @pytest.fixture(scope="module")

@@ -20,9 +20,10 @@ from irisjax.photo.windows import (
     windows_of,
 )
 from irisjax.render.environment import Environment
+from irisjax.render.picture import draw
+from irisjax.render.project import look
 from irisjax.render.radiative import RadiativeIntegrator
 from irisjax.render.scene import Scene
-from irisjax.render.stages import look
 
 OTHER = BASE.replace(
     eumelanin=jnp.asarray(1.0), pheomelanin=jnp.asarray(0.3), abl_fraction=jnp.asarray(0.7)
@@ -42,7 +43,7 @@ def _means_are_the_renderers(integrator, around, room, rtol, eye=EYE, view=VIEW,
     lamps = LIGHTS if room else None
     scene = Scene(OTHER, maps(), eye, lamps, around, CAMERA, integrator=integrator)
     tables = scene.tables()
-    picture = np.asarray(scene.render(tables))
+    picture = np.asarray(draw(scene, tables))
     pixels = choose_pixels(picture, clear, view, eye, None if room else around)
     lights = Lighting(lamps, None if room else around).lights()
     found = windows_of(pixels, eye, BASE, maps(), lights, integrator, tables, room)

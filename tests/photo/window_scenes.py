@@ -8,8 +8,8 @@ from irisjax.anatomy.eye import Cornea, Eye
 from irisjax.photo.pose import Pose
 from irisjax.render.camera import Camera
 from irisjax.render.lights import Lights
+from irisjax.render.project import look
 from irisjax.render.separable import Separable
-from irisjax.render.stages import look
 from irisjax.tissue.iris import Iris
 from irisjax.tissue.maps import IrisMaps
 

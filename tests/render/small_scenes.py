@@ -7,6 +7,8 @@ import irisjax as ij
 from irisjax.anatomy.eye import Cornea, Eye
 from irisjax.render.camera import Camera
 from irisjax.render.lights import Lights
+from irisjax.render.picture import illuminate, respond, shade, surroundings, texture
+from irisjax.render.project import project
 from irisjax.render.scene import Scene
 from irisjax.render.separable import Separable
 from irisjax.tissue.maps import cell_centres
@@ -37,3 +39,15 @@ def ring(height, radii=24, angles=48):
     angle, radius = cell_centres((angles, radii))
     r = 0.25 + 5.25 * radius
     return height(r * jnp.cos(angle)[:, None], r * jnp.sin(angle)[:, None])
+
+
+def pictured(made, tables, view):
+    """The picture from a view that is given."""
+    texels = texture(view, made)
+    return shade(view, texels, illuminate(view, texels, made, tables), respond(made))
+
+
+def around(made, view=None):
+    """Radiance of everything but the iris, (channels, pixels)."""
+    view = project(made.eye, made.camera) if view is None else view
+    return np.asarray(surroundings(view, texture(view, made), made))

@@ -11,21 +11,23 @@ from common import quick_jit
 from irisjax.anatomy.eye import Cornea, Eye
 from irisjax.render.bands import colour_bands
 from irisjax.render.camera import Camera
-from irisjax.render.compose import prepare, render
 from irisjax.render.lights import Lights
+from irisjax.render.picture import draw
+from irisjax.render.project import look
 from irisjax.render.scene import Scene
 from irisjax.render.separable import Scales, Separable
-from irisjax.render.stages import look
 from irisjax.tissue.maps import IrisMaps
-from render.small_scenes import CLOSE, LIGHT, QUICK, SMALL, ring, scene
+from render.small_scenes import CLOSE, LIGHT, QUICK, SMALL, ring
 
 
 def brightness(tables, view, bands, ranges):
     """Mean of a picture as a function of all that one may want derivatives in."""
 
     def of(iris, lights, maps):
-        texels, _ = QUICK.place(view.iris, lights, CLOSE, iris, maps, tables, ranges)
-        found = QUICK.response(iris, CLOSE.aqueous_index, bands, ranges).shade(texels, None)
+        texels = QUICK.texels(view.iris, CLOSE, iris, maps, ranges)
+        light = QUICK.illuminate(view.iris, lights, CLOSE, iris, maps, tables)
+        response = QUICK.response(iris, CLOSE.aqueous_index, bands, ranges)
+        found = response.shade(view.iris, texels, light)
         weight = jnp.cos(jnp.arange(found.size)).reshape(
             found.shape
         )  # no symmetry hides a derivative
@@ -58,19 +60,6 @@ def test_derivatives_are_finite_differences(tables):
     np.testing.assert_allclose(found, true, rtol=1e-5)
 
 
-def test_gradient_of_a_stage():
-    """What a fit does: the picture's derivative by pigments, through the public stage."""
-    stage = prepare(scene())
-
-    def mean(eumelanin):
-        return stage(eqx.tree_at(lambda i: i.eumelanin, LIGHT, eumelanin)).mean()
-
-    slope, value = quick_jit(jax.grad(mean))(LIGHT.eumelanin), quick_jit(mean)
-    assert slope < 0
-    difference = value(LIGHT.eumelanin + 1e-5) - value(LIGHT.eumelanin - 1e-5)
-    assert float(slope) == pytest.approx(float(difference) / 2e-5, rel=1e-5)
-
-
 @pytest.mark.slow  # half a minute of compiling
 def test_single_precision(tables):
     def picture(x64):
@@ -82,7 +71,7 @@ def test_single_precision(tables):
                 ij.Iris.of_level("low"), maps, eye, Lights.distant(0.6, 2.0), camera=Camera(size=(24, 18)),
                 integrator=Separable(degrees=(5, 4, 2, 2, 3), solver=ij.IlitExact(8)),
             )  # fmt: skip
-            return np.asarray(render(made, cast))
+            return np.asarray(draw(made, cast))
 
     coarse, fine = picture(False), picture(True)
     assert (fine.dtype, coarse.dtype) == (np.float64, np.float32)

@@ -18,15 +18,14 @@ from irisjax.render import outside, shading
 from irisjax.render.bands import GRID
 from irisjax.render.camera import Camera
 from irisjax.render.caustic import Grid, gathered
-from irisjax.render.compose import prepare
 from irisjax.render.environment import Environment
 from irisjax.render.lights import Lights
-from irisjax.render.project import ScleraPixels, sclera_pixels
+from irisjax.render.project import ScleraPixels, look, sclera_pixels
 from irisjax.render.refraction import UNIQUE_POLAR, RefractionFunction, window
 from irisjax.render.scene import Scene
 from irisjax.render.sclera import bulk_reflectance
-from irisjax.render.stages import look
 from irisjax.tissue.maps import IrisMaps
+from render.small_scenes import around
 from render.tracing import disc, soft_edge, trace
 
 CLEAR = Cornea(scatter=None)
@@ -154,9 +153,7 @@ def test_near_lamp_is_mirrored_where_it_stands(tables):
     )
     expected = np.array(np.unravel_index(np.nanargmin(off), off.shape))
     lights = Lights.points(lamp, 1.0, radius=0.05)
-    picture = np.asarray(
-        prepare(Scene(IRIS, eye=WHITE, lights=lights, camera=camera), tables).base
-    )[1].reshape(180, 240)
+    picture = around(Scene(IRIS, eye=WHITE, lights=lights, camera=camera))[1].reshape(180, 240)
     bright = np.argwhere(picture > 0.5 * picture.max())
     np.testing.assert_allclose(bright.mean(0), expected, atol=0.6)
     assert picture.max() == pytest.approx(
@@ -173,7 +170,7 @@ def test_white_in_an_even_room(tables):
     made = Scene(IRIS, eye=WHITE, lights=None, environment=room, environment_lights=200)
     made = made.replace(camera=Camera(polar=1.4, size=(24, 18), width=20.0))
     view = look(made.eye, made.camera)
-    picture = np.asarray(prepare(made, tables, view).base)
+    picture = around(made, view)
     index = np.asarray(view.sclera.index)
     share, reflectance = (
         np.asarray(v)[index >= 0] for v in (view.sclera.share, view.sclera.reflectance)
@@ -196,19 +193,17 @@ def test_white_in_an_even_room(tables):
 
 
 @pytest.mark.slow  # 10 s of compiling
-def test_vessels_have_their_colours_of_81_wavelengths(tables):
+def test_vessels_have_their_colours_of_81_wavelengths():
     """The picture in RGB and the one of all wavelengths, weighed."""
     drawn = VeinMap(*(jnp.full((4, 4), v) for v in (0.035, 0.9, 0.3)))
     made = Scene(IRIS, eye=WHITE, veins=drawn, camera=Camera(polar=1.4, azimuth=0.3, size=(16, 12)))
     made = made.replace(integrator=ij.Separable(solver=ij.IlitExact(4), degrees=(2, 2, 2, 2, 2)))
     index = np.asarray(look(made.eye, made.camera).sclera.index)
     index = index[index >= 0]
-    spectral = np.asarray(prepare(made, tables, wavelengths=GRID).base)[:, index]
+    spectral = around(made.replace(wavelengths=tuple(map(float, GRID))))[:, index]
     power = np.asarray(ij.measure.illuminant_power("D65", GRID))
     weights = np.asarray(tristimulus_matrix(GRID, "linear sRGB", "D65")[0])
-    np.testing.assert_allclose(
-        np.asarray(prepare(made, tables).base)[:, index], weights / power @ spectral, atol=2e-4
-    )
+    np.testing.assert_allclose(around(made)[:, index], weights / power @ spectral, atol=2e-4)
 
 
 @pytest.mark.slow  # 15 s of searching another eye's table

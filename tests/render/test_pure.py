@@ -7,6 +7,7 @@ import pytest
 
 import irisjax as ij
 from common import quick_jit
+from irisjax.render.picture import draw
 from irisjax.tissue.maps import IrisMaps
 from render.small_scenes import QUICK
 
@@ -24,15 +25,15 @@ SCENE = ij.Scene(
 
 
 def test_a_scene_is_a_pytree_for_jit():
-    np.testing.assert_allclose(quick_jit(ij.Scene.render)(SCENE), SCENE.render(), atol=1e-12)
+    np.testing.assert_allclose(quick_jit(draw)(SCENE), draw(SCENE), atol=1e-12)
 
 
 def test_a_batch_of_irides():
     irides = [ij.Iris.of_level(level) for level in ("low", "high")]
     batch = jax.tree.map(lambda *x: jnp.stack(x), *irides)
-    pictures = quick_jit(jax.vmap(lambda iris: SCENE.replace(iris=iris).render()))(batch)
+    pictures = quick_jit(jax.vmap(lambda iris: draw(SCENE.replace(iris=iris))))(batch)
     for iris, picture in zip(irides, pictures, strict=True):
-        np.testing.assert_allclose(picture, SCENE.replace(iris=iris).render(), atol=1e-12)
+        np.testing.assert_allclose(picture, draw(SCENE.replace(iris=iris)), atol=1e-12)
 
 
 def changed(scene, p):
@@ -49,7 +50,7 @@ def slopes(scene, tables=None):
     """Derivatives, and finite differences."""
 
     def mean(p):
-        picture = changed(scene, p).render(tables)
+        picture = draw(changed(scene, p), tables)
         weight = 1 + jnp.cos(jnp.arange(picture.size)).reshape(picture.shape)
         return (picture * weight).sum()
 

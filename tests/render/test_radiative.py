@@ -9,14 +9,13 @@ import pytest
 import irisjax as ij
 from common import slowly
 from irisjax.measure.colour import illuminant_power
-from irisjax.render.albedo import Matt
+from irisjax.render.albedo import Matt, of_pairs
 from irisjax.render.bands import spectral_bands
 from irisjax.render.camera import Camera
-from irisjax.render.compose import prepare
 from irisjax.render.illumination import Illumination
 from irisjax.render.integrators import INTEGRATORS, integrator_name
-from irisjax.render.lambert import of_pairs
 from irisjax.render.lights import Lights
+from irisjax.render.picture import draw
 from irisjax.render.project import project
 from irisjax.render.radiative import RadiativeIntegrator
 from irisjax.render.shading import Field, fluxes_of, shares
@@ -104,7 +103,7 @@ def test_each_pixel_is_its_brdf_times_its_light(eye):
     lights = Lights.distant(0.4, 1.0, 2.0) + Lights.distant(0.9, -2.0, 3.0)
     camera = Camera(polar=0.5, azimuth=0.3, size=(6, 4), width=10.0)
     parts = {"eye": eye, "camera": camera, "integrator": RadiativeIntegrator()}
-    given = prepare(scene(lights=lights, **parts), wavelengths=tuple(X))(LIGHT)
+    given = draw(scene(lights=lights, wavelengths=tuple(map(float, X)), **parts))
     seen = project(eye, camera).iris
     normal = np.asarray(eye.iris_normal(jnp.stack(seen.point, -1)))
     view = -np.stack(seen.direction, -1)
@@ -150,9 +149,12 @@ def test_traced_pictures_are_the_others():
 
     def picture(polar):
         lights = Lights.distant(polar, 0.7, 2.0)
-        return scene(
-            lights=lights, integrator=RadiativeIntegrator(degrees=(2, 2, 2, 2), angular=(2, 1, 1))
-        ).render()
+        return draw(
+            scene(
+                lights=lights,
+                integrator=RadiativeIntegrator(degrees=(2, 2, 2, 2), angular=(2, 1, 1)),
+            )
+        )
 
     plain, traced = picture(0.6), jax.jit(picture)(0.6)
     np.testing.assert_allclose(plain, traced, atol=5e-4 * float(traced.max()))
@@ -174,7 +176,7 @@ def test_layers_beyond_the_table_are_solved_exactly_or_refused():
     other = RadiativeIntegrator().prepare(LIGHT, jnp.asarray(1.376), bands, Scales()).solver
     assert isinstance(other, ij.RadiativeExact)
     with pytest.raises(ValueError, match="outside the range"):
-        scene(iris=thick, integrator=RadiativeIntegrator(solver=table, angular=(2, 1, 1))).render()
+        draw(scene(iris=thick, integrator=RadiativeIntegrator(solver=table, angular=(2, 1, 1))))
 
 
 @pytest.mark.heavy
@@ -182,7 +184,7 @@ def test_maps_reach_the_picture():
     """A stroma that is thicker to the right sends back more there."""
     maps = IrisMaps(stroma_depth=ring(lambda x, y: 0.28 + 0.02 * x, 6, 12))
     parts = {"integrator": RadiativeIntegrator(degrees=(2, 2, 2, 2), angular=(2, 1, 1))}
-    found = np.asarray(scene(maps=maps, **parts).render()).sum(-1)
+    found = np.asarray(draw(scene(maps=maps, **parts))).sum(-1)
     assert found[:, 8:].sum() > 1.05 * found[:, :4].sum()
 
 

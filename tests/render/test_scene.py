@@ -10,14 +10,13 @@ from common import heavily
 from irisjax.anatomy.eye import Cornea, Eye
 from irisjax.render.bands import colour_bands
 from irisjax.render.camera import Camera
-from irisjax.render.compose import prepare, render
 from irisjax.render.illumination import Illumination
 from irisjax.render.lights import Lights
-from irisjax.render.project import project
+from irisjax.render.picture import draw, respond
+from irisjax.render.project import look, project
 from irisjax.render.scene import Scene
-from irisjax.render.stages import look
 from irisjax.tissue.maps import IrisMaps
-from render.small_scenes import BARE, CLEAR, CLOSE, LIGHT, QUICK, SMALL, ring, scene
+from render.small_scenes import BARE, CLEAR, CLOSE, LIGHT, QUICK, SMALL, pictured, ring, scene
 from render.tracing import trace
 
 
@@ -40,7 +39,7 @@ def test_bare_uniform_iris_is_the_brdf(polar):
     from colour.difference import delta_E_CIE2000
 
     made = scene(polar=polar, azimuth=2.0, irradiance=2.0)
-    picture = np.asarray(render(made))
+    picture = np.asarray(draw(made))
     r = np.hypot(*places(SMALL))
     seen = (r > 0.25 + float(made.eye.pupil_margin)) & (r < 5.5)
     assert not picture[r > 5.5].any()
@@ -51,7 +50,7 @@ def test_bare_uniform_iris_is_the_brdf(polar):
     grid, where = np.unique(both, return_inverse=True)
     brdf = ij.brdf(LIGHT, grid, cos_incidence=np.cos(polar), cos_exit=exits, solver=QUICK.solver)
     found, at_bands = np.split(np.asarray(brdf.values)[where], [x.size])
-    error = float(prepare(made).response(LIGHT).error)
+    error = float(respond(made).error)
     true = np.asarray(irradiance * bands.weights @ at_bands).T
     np.testing.assert_allclose(picture[seen], true, atol=2 * error * true.max())
     linear = jax.vmap(lambda s: ij.colour_of(x, s).srgb_linear)(irradiance * found.T)
@@ -69,7 +68,7 @@ def test_bare_uniform_iris_is_the_brdf(polar):
 def test_through_a_cornea(tables):
     """Light and camera on the axis: numpy's rays say what arrives, what leaves and where."""
     camera = Camera(size=(24, 18), width=11.0, distance=1e5)
-    picture = np.asarray(render(scene(CLOSE, irradiance=2.0, camera=camera), tables))
+    picture = np.asarray(draw(scene(CLOSE, irradiance=2.0, camera=camera), tables))
     row, column = 7, 13  # near the axis, outside the pupil
     x, y = (float(c[row, column]) for c in places(camera))
     # Rays from far away run parallel to the axis: the same way for light and for sight.
@@ -87,7 +86,7 @@ def test_through_a_cornea(tables):
     ]
     expected = at.share[1] / n**2 * irradiance * np.asarray(colour_bands().weights @ brdf)
     mirrored = np.asarray(
-        render(scene(CLOSE, irradiance=2.0, camera=camera, maps=NO_LIGHT_BACK), tables)
+        draw(scene(CLOSE, irradiance=2.0, camera=camera, maps=NO_LIGHT_BACK), tables)
     )
     np.testing.assert_allclose((picture - mirrored)[row, column], expected, rtol=5e-3)
 
@@ -100,9 +99,7 @@ NO_LIGHT_BACK = IrisMaps(abl_depth=np.full((4, 4), 50.0))
 @pytest.mark.parametrize("eye", [BARE, heavily(CLOSE)], ids=["bare", "cornea"])
 def test_mirrored_light_mirrored_picture(eye, request):
     used = tables_of(eye, request)
-    right, left, up = (
-        np.asarray(render(scene(eye, 0.7, a), used)) for a in (0.4, np.pi - 0.4, -0.4)
-    )
+    right, left, up = (np.asarray(draw(scene(eye, 0.7, a), used)) for a in (0.4, np.pi - 0.4, -0.4))
     assert right.max() > 0
     np.testing.assert_allclose(left, right[:, ::-1], atol=1e-9)
     np.testing.assert_allclose(up, right[::-1], atol=1e-9)
@@ -116,9 +113,9 @@ def test_rows_run_down_and_columns_right():
     dome = IrisMaps(relief=ring(lambda x, y: 1 - slope * jnp.hypot(x, y)) - 0.5)
     x, y = places(SMALL)
     inside = (np.hypot(x, y) > 1.0) & (np.hypot(x, y) < 5.0)
-    flat = np.asarray(render(scene(polar=polar)))
+    flat = np.asarray(draw(scene(polar=polar)))
     for azimuth, along in ((0.0, x), (np.pi / 2, y), (np.pi, -x)):
-        picture = np.asarray(render(scene(polar=polar, azimuth=azimuth, maps=dome)))[inside]
+        picture = np.asarray(draw(scene(polar=polar, azimuth=azimuth, maps=dome)))[inside]
         tilt = slope * along / np.hypot(x, y)
         expected = (np.cos(polar) + tilt * np.sin(polar)) / np.cos(polar) / np.hypot(1, slope)
         np.testing.assert_allclose((picture / flat[inside])[:, 1], expected[inside], rtol=2e-3)
@@ -128,9 +125,9 @@ def test_rows_run_down_and_columns_right():
 def test_maps_lie_where_they_are_drawn():
     """Dark above and right, in the eye's frame: the viewer sees it above and right."""
     corner = IrisMaps(eumelanin=ring(lambda x, y: 1 + 5.0 * ((x > 0) & (y > 0))))
-    picture = np.asarray(render(scene(maps=corner)))[..., 1]
+    picture = np.asarray(draw(scene(maps=corner)))[..., 1]
     six = ij.Iris.of_level("low").replace(eumelanin=6 * float(LIGHT.eumelanin))
-    light, dark = (np.asarray(render(scene(iris=i)))[..., 1] for i in (LIGHT, six))
+    light, dark = (np.asarray(draw(scene(iris=i)))[..., 1] for i in (LIGHT, six))
     x, y = places(SMALL)
     seen = (np.hypot(x, y) < 5) & (np.hypot(x, y) > 1) & (np.minimum(abs(x), abs(y)) > 0.3)
     np.testing.assert_allclose(
@@ -139,7 +136,7 @@ def test_maps_lie_where_they_are_drawn():
     assert (dark[seen] < 0.8 * light[seen]).all()
     # From the right the camera sees the right half wider, its own left and right as they were.
     turned = np.asarray(
-        render(scene(maps=corner, camera=Camera(polar=0.6, size=(12, 9), width=11.0)))
+        draw(scene(maps=corner, camera=Camera(polar=0.6, size=(12, 9), width=11.0)))
     )[..., 1]
     assert turned[1:4, 7:9].mean() < 0.8 * turned[1:4, 3:5].mean()
 
@@ -151,7 +148,7 @@ def test_cornea_of_air_is_no_cornea():
     x, y = places(SMALL)
     inside = np.hypot(x, y) < 4.5  # slanting light reaches the rest from beyond the limbus
     pictures = [
-        np.asarray(render(scene(eye, 0.3, 1.0), t))[inside]
+        np.asarray(draw(scene(eye, 0.3, 1.0), t))[inside]
         for eye, t in ((air, made), (BARE.replace(aqueous_index=1.0), None))
     ]
     np.testing.assert_allclose(*pictures, rtol=2e-3, atol=1e-6)
@@ -178,7 +175,7 @@ EXTREMES = {
 def test_extremes_are_finite_and_no_darker_than_black(name, request):
     eye, options = EXTREMES[name]
     made = scene(eye, **options)
-    picture = np.asarray(render(made, tables_of(eye, request)))
+    picture = np.asarray(draw(made, tables_of(eye, request)))
     width, height = made.camera.size
     assert picture.shape == (height, width, 3)
     assert np.isfinite(picture).all()
@@ -199,14 +196,13 @@ def test_no_pigment_at_all():
     }
     holes = IrisMaps(abl_depth=np.zeros((4, 4)), stroma_depth=np.zeros((4, 4)))
     for maps in (None, holes):
-        stage = prepare(scene(maps=maps))
-        picture = np.asarray(stage(LIGHT.replace(**clear, zeaxanthin=0.0)))
+        picture = np.asarray(draw(scene(maps=maps, iris=LIGHT.replace(**clear, zeaxanthin=0.0))))
         assert np.isfinite(picture).all() and (picture > -1e-3).all()
 
 
 def test_lights_add_up():
     one, two = Lights.distant(0.6, 2.0, 1.5), Lights.points([20.0, -10.0, -60.0], 2.5)
-    pictures = [np.asarray(render(scene(BARE, lights=which))) for which in (one + two, one, two)]
+    pictures = [np.asarray(draw(scene(BARE, lights=which))) for which in (one + two, one, two)]
     np.testing.assert_allclose(pictures[0], pictures[1] + pictures[2], atol=1e-9)
 
 
@@ -225,7 +221,7 @@ def test_a_pixel_that_looks_at_the_middle(tables):
     """Odd sizes have one; a relief has no slope there, and the pupil no light."""
     maps = IrisMaps(relief=ring(lambda x, y: 0.01 * y))
     picture = np.asarray(
-        render(scene(maps=maps, eye=CLOSE, camera=Camera(size=(13, 9), width=11.0)), tables)
+        draw(scene(maps=maps, eye=CLOSE, camera=Camera(size=(13, 9), width=11.0)), tables)
     )
     assert np.isfinite(picture).all()
 
@@ -240,5 +236,5 @@ def test_all_pixels_or_those_that_see(tables):
     assert some.iris.index is not None and all(
         map(np.isfinite, map(np.sum, jax.tree.leaves(every)))
     )
-    pictures = (prepare(made, tables, view)(LIGHT) for view in (every, some))
+    pictures = (pictured(made, tables, view) for view in (every, some))
     np.testing.assert_allclose(*pictures, atol=1e-12)

@@ -14,11 +14,13 @@ from irisjax import cli
 from irisjax.anatomy.eye import Eye
 from irisjax.render.bands import Bands
 from irisjax.render.camera import Camera
-from irisjax.render.compose import prepare, render
+from irisjax.render.integrator import checked_response
 from irisjax.render.lights import Lights
+from irisjax.render.picture import draw, illuminate, shade, texture
+from irisjax.render.project import project
 from irisjax.render.scene import Scene
 from irisjax.render.single_scattering import SingleScattering
-from irisjax.tissue.maps import IrisMaps
+from irisjax.tissue.maps import IrisMaps, Scales
 
 WAVES = (450.0, 550.0, 650.0)
 
@@ -49,10 +51,17 @@ def scene(iris, maps=None, lights=None, n_steps=12, size=24):
 
 
 def spectral(made):
-    """The scene's stage with a channel for each of `WAVES`."""
-    stage = prepare(made)
-    bands = Bands(WAVES, jnp.eye(3, dtype=stage.base.dtype), jnp.ones(3), tuple(map(str, WAVES)))
-    return dataclasses.replace(stage, bands=bands)
+    """The picture of an iris in the scene, with a channel for each of `WAVES`."""
+    bands = Bands(WAVES, jnp.eye(3), jnp.ones(3), tuple(map(str, WAVES)))
+    view, index = project(made.eye, made.camera), made.eye.aqueous_index
+    texels = texture(view, made)
+    light = illuminate(view, texels, made)
+
+    def picture(iris):
+        response = checked_response(made.integrator, iris, index, bands, Scales())
+        return shade(view, texels, light, response)
+
+    return picture
 
 
 def rays():
@@ -241,11 +250,11 @@ def test_lights_add(tint):
     """Each light keeps its own direction; tints colour what each sends."""
     iris = ij.Iris.of_level("low")
     tint = None if tint is None else jnp.asarray(tint)
-    both = render(scene(iris, lights=dataclasses.replace(lamps(), tint=tint)))
+    both = draw(scene(iris, lights=dataclasses.replace(lamps(), tint=tint)))
     total = 0.0
     for i in range(2):
         one = dataclasses.replace(lamps(), irradiance=lamps().irradiance * (jnp.arange(2) == i))
-        total = total + render(scene(iris, lights=one)) * (1.0 if tint is None else tint[i])
+        total = total + draw(scene(iris, lights=one)) * (1.0 if tint is None else tint[i])
     np.testing.assert_allclose(both, total, rtol=1e-10)
 
 

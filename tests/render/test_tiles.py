@@ -8,15 +8,14 @@ import pytest
 import irisjax as ij
 from common import slowly
 from irisjax.anatomy.eye import Eye
+from irisjax.render import picture
 from irisjax.render.camera import Camera
-from irisjax.render.compose import render
 from irisjax.render.environment import Environment
 from irisjax.render.illumination import Illumination
 from irisjax.render.lights import Lights
+from irisjax.render.picture import draw, draw_bands
 from irisjax.render.scene import Scene
 from irisjax.render.single_scattering import SingleScattering
-from irisjax.render.stages import Memory
-from irisjax.render.tiles import bands
 from irisjax.tissue.maps import IrisMaps
 from render.small_scenes import QUICK
 
@@ -40,7 +39,7 @@ def memory(rows, width, channels=3, samples=1):
 
 
 def joined(made, **options):
-    found = list(bands(made, **options))
+    found = list(draw_bands(made, **options))
     return (
         np.concatenate([band.pixels for band in found]),
         [len(band.pixels) for band in found],
@@ -61,7 +60,7 @@ def joined(made, **options):
 )
 def test_no_seams(rows, heights, bits):
     made = scene()
-    whole = render(made)
+    whole = draw(made)
     found, found_heights, error = joined(made, memory=memory(rows, 21))
     assert found.dtype == f"float{bits}" and found_heights == heights and 0 <= error < 0.1
     np.testing.assert_allclose(found, whole, atol=1e-12 if bits == 64 else 2e-6, rtol=0)
@@ -79,13 +78,13 @@ def test_no_seams_through_a_cornea():
     )
     tables = Illumination.build(made.eye, size=17, n_rays=512)
     found = joined(made, tables=tables, memory=memory(2, 12))[0]
-    np.testing.assert_allclose(found, render(made, tables), atol=1e-12, rtol=0)
+    np.testing.assert_allclose(found, draw(made, tables), atol=1e-12, rtol=0)
 
 
 @pytest.mark.heavy
 def test_samples_are_averaged_band_by_band():
     made = scene()
-    fine = render(made.replace(camera=Camera(size=(63, 48))))
+    fine = draw(made.replace(camera=Camera(size=(63, 48))))
     expected = np.asarray(fine).reshape(16, 3, 21, 3, 3).mean((1, 3))
     found, heights, _ = joined(made, samples=3, memory=memory(2, 21, samples=3))
     assert heights == [2] * 8
@@ -94,24 +93,24 @@ def test_samples_are_averaged_band_by_band():
 
 @pytest.mark.slow  # 20 s of compiling
 def test_spectral_and_single_scattering():
-    grid = [450.0, 550.0, 650.0, 700.0]
-    whole = joined(scene(), wavelengths=grid)[0]
+    grid = (450.0, 550.0, 650.0, 700.0)
+    whole = joined(scene(wavelengths=grid))[0]
     assert whole.shape == (16, 21, 4)
-    found, heights, _ = joined(scene(), wavelengths=grid, memory=memory(4, 21, 4))
+    found, heights, _ = joined(scene(wavelengths=grid), memory=memory(4, 21, 4))
     assert heights == [4] * 4
     np.testing.assert_allclose(found, whole, atol=1e-12, rtol=0)
     marched = scene(integrator=SingleScattering())
     found, _, error = joined(marched, memory=memory(4, 21))
     assert error is None
-    np.testing.assert_allclose(found, render(marched), atol=1e-12, rtol=0)
+    np.testing.assert_allclose(found, draw(marched), atol=1e-12, rtol=0)
 
 
 @pytest.mark.heavy
-def test_one_program_for_all_bands(monkeypatch):
+def test_one_program_for_all_draw_bands(monkeypatch):
     traced, towards = [], Camera.towards
     monkeypatch.setattr(Camera, "towards", lambda *args: traced.append(1) or towards(*args))
     made = scene(camera=Camera(size=(20, 64)))
-    iterator = bands(made, memory=memory(4, 20))
+    iterator = draw_bands(made, memory=memory(4, 20))
     for _ in range(8):  # the first see no iris
         next(iterator)
     before = len(traced)
@@ -120,9 +119,9 @@ def test_one_program_for_all_bands(monkeypatch):
 
 
 def test_a_band_is_drawn_only_when_asked_for(monkeypatch):
-    made, prepare = [], Memory.prepare
-    monkeypatch.setattr(Memory, "prepare", lambda *a, **k: made.append(1) or prepare(*a, **k))
-    iterator = bands(scene(), memory=memory(4, 21))
+    made, illuminate = [], picture.illuminate
+    monkeypatch.setattr(picture, "illuminate", lambda *a: made.append(1) or illuminate(*a))
+    iterator = draw_bands(scene(), memory=memory(4, 21))
     assert next(iterator).pixels.shape == (4, 21, 3) and len(made) == 1
 
 

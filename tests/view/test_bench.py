@@ -7,13 +7,15 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from common import counting
 from irisjax.io.recipes import Recipe, read_recipe
 from irisjax.measure.colour import srgb_decode, srgb_encode
+from irisjax.ocularist import composite
 from irisjax.ocularist.coats import over, through
 from irisjax.ocularist.easel import painted
 from irisjax.ocularist.integrator import Painted
 from irisjax.ocularist.recipes import CoatRecipe
-from irisjax.render.compose import render
+from irisjax.render.picture import draw
 from irisjax.view import Bench
 from irisjax.view.layers import Layer, covering, moved, recoloured, switched
 
@@ -48,7 +50,7 @@ def as_painted(found: Bench, coats) -> np.ndarray:
 
 
 def shown(scene) -> np.ndarray:
-    return np.rint(255 * np.clip(np.asarray(srgb_encode(render(scene))), 0, 1))
+    return np.rint(255 * np.clip(np.asarray(srgb_encode(draw(scene))), 0, 1))
 
 
 def near(picture, expected, levels=1):
@@ -186,28 +188,14 @@ def test_saves_over_its_own_file_and_no_other(tmp_path):
         found.save(every)
 
 
-@pytest.mark.heavy
 def test_a_coat_that_changes_is_done_with_those_below_it(monkeypatch):
-    from irisjax.render.stages import Memory
-
-    done = []
-    once = Memory.once
-
-    def counted(self, name, make, *inputs):
-        def made(*given):
-            done.append(name)
-            return make(*given)
-
-        return once(self, name, made, *inputs)
-
     found = bench()
-    monkeypatch.setattr(Memory, "once", counted)
     found.update()
-    done.clear()
+    steps = "opacity_at", "crossed", "paint_over"
+    done = counting(monkeypatch, **dict.fromkeys(steps, composite))
     found.update(layers=recoloured(found.settings.layers, SMEARS, "#20a060"))
-    assert [n for n in done if n.startswith(("opacity", "shadow"))] == []
     # Each of the three coats is a group by itself, the uppermost the first.
-    assert [n for n in done if n.startswith("paint of")] == ["paint of group 1", "paint of group 2"]
+    assert tuple(done.values()) == (0, 0, 2)
 
 
 @pytest.mark.heavy

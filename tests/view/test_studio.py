@@ -8,37 +8,24 @@ import numpy as np
 import pytest
 from small import grown
 
+from common import counting
 from irisjax.anatomy.eye import Cornea
 from irisjax.grow.presets import PRESETS
 from irisjax.io.scenes import parse_scene, stream
 from irisjax.measure.colour import srgb_encode
-from irisjax.render.compose import render
-from irisjax.render.stages import Memory
-from irisjax.view import Studio, studio
+from irisjax.render.picture import draw
+from irisjax.view import Studio, session, studio
 from irisjax.view.worker import Newest
 
 
 @pytest.fixture
 def counted(monkeypatch):
-    """How often pixels were sorted and stages made."""
-    counts = {"look": 0, "prepare": 0}
-
-    def count(name):
-        function = getattr(Memory, name)
-
-        def called(*arguments, **named):
-            counts[name] += 1
-            return function(*arguments, **named)
-
-        monkeypatch.setattr(Memory, name, called)
-
-    count("look")
-    count("prepare")
-    return counts
+    """How often each function of a picture was computed."""
+    return counting(monkeypatch, look=session, texture=studio, illuminate=studio, respond=studio)
 
 
 def fresh(found: Studio) -> np.ndarray:
-    linear = found.settings.exposure * render(found.scene())
+    linear = found.settings.exposure * draw(found.scene())
     return np.rint(255 * np.clip(srgb_encode(linear), 0, 1))
 
 
@@ -49,21 +36,20 @@ def test_a_change_costs_what_it_must(bare, counted):
     assert before.shape == (30, 40, 3)
     assert before.dtype == np.uint8
     last = {}
-    # (pixels sorted, stages made)
     for change, cost in (
-        ({"eumelanin": 0.3}, (0, 0)),
-        ({"hemoglobin": 0.5, "saturation": 0.9, "abl_fraction": 0.2}, (0, 0)),
-        ({"stroma": 1.3}, (0, 0)),
-        ({"exposure": 1.5}, (0, 0)),
-        ({"light_polar": 50.0}, (0, 1)),
-        ({"light_polar": 50.0}, (0, 0)),
-        ({"pupil_radius": 2.5}, (0, 1)),
-        ({"environment": "studio", "strength": 0.5}, (0, 1)),
-        ({"camera_polar": 30.0, "camera_azimuth": 120.0}, (1, 1)),
-        ({"width": 9.0}, (1, 1)),
-        ({}, (0, 0)),
+        ({"eumelanin": 0.3}, (0, 0, 0, 1)),
+        ({"hemoglobin": 0.5, "saturation": 0.9, "abl_fraction": 0.2}, (0, 0, 0, 1)),
+        ({"stroma": 1.3}, (0, 0, 0, 1)),
+        ({"exposure": 1.5}, (0, 0, 0, 0)),
+        ({"light_polar": 50.0}, (0, 0, 1, 0)),
+        ({"light_polar": 50.0}, (0, 0, 0, 0)),
+        ({"pupil_radius": 2.5}, (0, 1, 1, 0)),
+        ({"environment": "studio", "strength": 0.5}, (0, 1, 1, 0)),
+        ({"camera_polar": 30.0, "camera_azimuth": 120.0}, (1, 1, 1, 0)),
+        ({"width": 9.0}, (1, 1, 1, 0)),
+        ({}, (0, 0, 0, 0)),
     ):
-        counted.update(look=0, prepare=0)
+        counted.update(dict.fromkeys(counted, 0))
         after = found.update(**change)
         assert tuple(counted.values()) == cost, change
         assert (after != before).any() == (change != {} and change != last), change
@@ -77,7 +63,7 @@ def test_drafts_are_kept_apart(bare, counted):
     fine = found.update()
     assert found.update(draft=True).shape == (15, 20, 3)
     np.testing.assert_array_equal(found.update(), fine)
-    assert counted == {"look": 2, "prepare": 2}
+    assert counted == {"look": 2, "texture": 2, "illuminate": 2, "respond": 1}
 
 
 def test_a_preset_brings_its_pigments(bare, monkeypatch):

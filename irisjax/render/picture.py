@@ -1,0 +1,310 @@
+"""A picture is a composition of five functions of a scene.
+
+`project` finds the point of each surface that a pixel sees, `texture` what these surfaces are made
+of there, `illuminate` the light that arrives, `respond` how the iris sends light back, and `shade`
+makes the picture of them. Each is pure and works under `jit`, `vmap` and `grad`. Whoever draws
+many pictures of one scene keeps the values that a change leaves alone: another camera changes
+`view`, `texels` and `light`, a moved lamp only `light`, other pigments only `response`.
+"""
+
+from collections.abc import Iterator
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from irisjax.anatomy.eye import Cornea, Sclera
+from irisjax.render import outside
+from irisjax.render.bands import Bands, all_bands, colour_bands, spectral_bands
+from irisjax.render.illumination import Illumination
+from irisjax.render.integrator import AbstractResponse, checked_response
+from irisjax.render.project import MirrorPixels, View, look, mirror_points, project
+from irisjax.render.scene import Scene
+from irisjax.render.sclera import ColourTable, colour_table
+from irisjax.render.shading import ranges_of
+
+# Bytes for the pixels of a band; the programs and tables beside them take three times that.
+_MEMORY = 1 << 28
+_PIXEL, _CHANNEL = 1200, 24  # bytes for each of a band's, measured
+
+
+class Texels(eqx.Module):
+    """What the surfaces are made of where pixels see them; absent parts are `None`.
+
+    Attributes:
+        iris: What the integrator needs, see `AbstractIntegrator.texels`.
+        white: Radiance of the sclera under an irradiance of one, (channels, pixels).
+        room: Radiance of the environment that the tear film mirrors, (channels, pixels).
+    """
+
+    iris: Any
+    white: Float[Array, "channels white_pixels"] | None
+    room: Float[Array, "channels mirror_pixels"] | None
+
+
+class LitView(eqx.Module):
+    """Light of a scene where pixels see its surfaces.
+
+    Attributes:
+        surroundings: Radiance of everything but the iris: the sclera and the images in the tear
+            film, (channels, pixels of the picture).
+        iris: Light on the iris, see `AbstractIntegrator.illuminate`.
+    """
+
+    surroundings: Float[Array, "channels pixels"]
+    iris: Any
+
+
+class Band(NamedTuple):
+    """Rows of a picture.
+
+    Attributes:
+        pixels: Their channels, (rows, width, channels).
+        error: Error of a response that is a table; `None` of another.
+    """
+
+    pixels: np.ndarray
+    error: float | None
+
+
+def draw(
+    scene: Scene, tables: Illumination | None = None, *, caustics: bool | None = None
+) -> Float[Array, "height width channels"]:
+    """Draw a scene.
+
+    The channels are linear sRGB, unbounded: 1 is a white sheet facing an irradiance of π. Pure: may
+    be traced by JAX for pigments, maps, lights, eye and camera; only the lights that stand for an
+    environment are chosen from concrete radiances.
+
+    Args:
+        scene: The scene; its `wavelengths` decide the channels.
+        tables: `scene.tables()`, which are computed where they are not given.
+        caustics: Whether the computed tables hold caustics, see `Scene.tables`.
+
+    Returns:
+        The picture.
+    """
+    tables = scene.tables(caustics) if tables is None else tables
+    view = project(scene.eye, scene.camera)
+    texels = texture(view, scene)
+    return shade(view, texels, illuminate(view, texels, scene, tables), respond(scene))
+
+
+def texture(view: View, scene: Scene) -> Texels:
+    """Look up what the surfaces are made of where pixels see them, before any lamp.
+
+    Args:
+        view: Result of `project` or `look` for the eye and the camera of the scene.
+        scene: The scene; its lamps and pigments make no difference.
+    """
+    return Texels(iris_texels(view, scene), _white(view, scene), _room(view, scene))
+
+
+def iris_texels(view: View, scene: Scene) -> Any:
+    """Look up what the iris is made of where pixels see it; the part of `texture` that depends on
+    maps.
+    """
+    if view.iris is None:
+        return None
+    iris: Any = scene.iris  # None for an integrator of paint, which needs none
+    ranges = ranges_of(iris, scene.maps)
+    return scene.integrator.texels(view.iris, scene.eye, iris, scene.maps, ranges)
+
+
+def illuminate(
+    view: View, texels: Texels, scene: Scene, tables: Illumination | None = None
+) -> LitView:
+    """Compute the light that arrives where pixels see the surfaces.
+
+    Args:
+        view: Result of `project` or `look` for the eye and the camera of the scene.
+        texels: Result of `texture`.
+        scene: The scene; its pigments make no difference.
+        tables: `scene.tables()`, which are computed where they are not given.
+    """
+    tables = scene.tables() if tables is None else tables
+    iris: Any = scene.iris
+    light = None
+    if view.iris is not None:
+        parts = scene.all_lights(), scene.eye, iris, scene.maps, tables
+        light = scene.integrator.illuminate(view.iris, *parts)
+    return LitView(surroundings(view, texels, scene), light)
+
+
+def surroundings(view: View, texels: Texels, scene: Scene) -> Float[Array, "channels pixels"]:
+    """Radiance of everything but the iris: the sclera and the images in the tear film."""
+    white, images, points = None, None, None
+    lamps = scene.lights
+    if view.sclera is not None and texels.white is not None:
+        all_round = scene.all_lights(largest_polar=None)
+        white = outside.white((view.sclera, texels.white), all_round)
+    if view.mirror is not None:
+        if lamps is not None and lamps.distance is not None:
+            points = mirror_points(_numbers(view.mirror), scene.eye, scene.camera)
+        images = outside.mirrored((view.mirror, points, texels.room), lamps, _lamp(scene))
+    parts = (_index(view.sclera), white), (_index(view.mirror), images)
+    count = view.size[0] * view.size[1]
+    return _together(parts, _lamp(scene), count)
+
+
+def respond(scene: Scene) -> AbstractResponse:
+    """Compute how the iris of a scene sends light back, in the channels of the picture.
+
+    Raises:
+        ValueError: The integrator's solver does not hold the layers of a texel.
+    """
+    eye, iris = scene.eye, scene.iris
+    bands, ranges = bands_of(scene), ranges_of(iris, scene.maps)
+    integrator = scene.integrator.prepare(iris, eye.aqueous_index, bands, ranges)
+    return checked_response(integrator, iris, eye.aqueous_index, bands, ranges)
+
+
+def prepared(scene: Scene) -> Scene:
+    """Fix everything of the integrator that must be known before tracing, for many pictures."""
+    eye, iris = scene.eye, scene.iris
+    parts = iris, eye.aqueous_index, bands_of(scene), ranges_of(iris, scene.maps)
+    return scene.replace(integrator=scene.integrator.prepare(*parts))
+
+
+def shade(
+    view: View, texels: Texels, light: LitView, response: AbstractResponse
+) -> Float[Array, "height width channels"]:
+    """Make the picture from the results of the other functions."""
+    if view.iris is None:
+        return _composed(light.surroundings, None, None, view.size)
+    colour = response.shade(view.iris, texels.iris, light.iris)
+    return _composed(light.surroundings, view.iris.index, colour, view.size)
+
+
+def draw_bands(
+    scene: Scene,
+    tables: Illumination | None = None,
+    *,
+    samples: int = 1,
+    memory: int = _MEMORY,
+) -> Iterator[Band]:
+    """Draw a scene from the top to the bottom in bands of rows, so that memory is bounded whatever
+    the picture's size.
+
+    Args:
+        scene: The scene.
+        tables: `scene.tables()`, which are computed where they are not given.
+        samples: Each pixel is the mean of samples × samples points.
+        memory: Bytes that a band may need, beyond what any picture does.
+
+    Yields:
+        The bands.
+    """
+    tables = scene.tables() if tables is None else tables
+    width, height = scene.camera.size
+    channels = 3 if scene.wavelengths is None else len(scene.wavelengths)
+    most = memory // (_PIXEL + _CHANNEL * channels)
+    count = min(-(-(width * height * samples**2) // most), height)
+    rows = -(-height // count)
+    response = None
+    for start in range(0, height, rows):
+        # The last band begins earlier, so that all have one shape: another would be compiled for.
+        first = min(start, height - rows)
+        part = scene
+        if count > 1 or samples > 1:
+            part = scene.replace(camera=scene.camera.taking(first, rows, samples))
+        view = look(part.eye, part.camera)
+        texels = texture(view, part)
+        light = illuminate(view, texels, part, tables)
+        response = respond(scene) if response is None else response
+        error = None if response.error is None else float(response.error)
+        picture = np.asarray(shade(view, texels, light, response))
+        picture = picture.reshape(rows, samples, width, samples, -1).mean((1, 3))
+        yield Band(picture[start - first :], error)
+
+
+def bands_of(scene: Scene) -> Bands:
+    """Wavelengths of the iris's response and their weights towards the channels of the picture."""
+    return _bands(scene.eye.cornea, *_spectrum(scene))
+
+
+def _spectrum(scene: Scene) -> tuple[str, str, tuple[float, ...] | None]:
+    return scene.illuminant, scene.observer, scene.wavelengths
+
+
+@eqx.filter_jit
+def _bands(
+    cornea: Cornea | None, illuminant: str, observer: str, wavelengths: tuple[float, ...] | None
+) -> Bands:
+    if wavelengths is None:
+        return colour_bands(illuminant, observer, cornea)
+    return spectral_bands(wavelengths, illuminant, cornea)
+
+
+def _bands_outside(illuminant: str, observer: str, wavelengths: tuple[float, ...] | None) -> Bands:
+    """Those of what lies outside the cornea."""
+    if wavelengths is None:
+        return all_bands(illuminant, observer)
+    return spectral_bands(wavelengths, illuminant)
+
+
+def _lamp(scene: Scene) -> Float[Array, " channels"]:
+    """A lamp of radiance 1 in the channels of the picture."""
+    return _lamp_of(*_spectrum(scene))
+
+
+@eqx.filter_jit
+def _lamp_of(
+    illuminant: str, observer: str, wavelengths: tuple[float, ...] | None
+) -> Float[Array, " channels"]:
+    weights = _bands_outside(illuminant, observer, wavelengths).weights
+    return jnp.ones_like(weights[:, 0]) if wavelengths is None else weights.sum(axis=1)
+
+
+def _white(view: View, scene: Scene) -> Float[Array, "channels pixels"] | None:
+    eye = scene.eye
+    if view.sclera is None or eye.sclera is None:
+        return None
+    table = _sclera_colours(eye.sclera, *_spectrum(scene))
+    return outside.white_colour(view.sclera, eye, table, scene.veins)
+
+
+@eqx.filter_jit
+def _sclera_colours(
+    sclera: Sclera, illuminant: str, observer: str, wavelengths: tuple[float, ...] | None
+) -> ColourTable:
+    clear = _bands_outside(illuminant, observer, wavelengths)
+    return colour_table(sclera, np.asarray(clear.wavelengths), clear.weights)
+
+
+def _room(view: View, scene: Scene) -> Float[Array, "channels pixels"] | None:
+    if view.mirror is None or scene.environment is None:
+        return None
+    return outside.room_at(view.mirror, scene.environment)
+
+
+def _index(pixels: Any) -> Any:
+    return None if pixels is None else pixels.index
+
+
+def _numbers(pixels: MirrorPixels) -> Array:
+    every = jnp.arange(pixels.reflectance.size, dtype=jnp.int32)
+    return every if pixels.index is None else jnp.maximum(pixels.index, 0)
+
+
+@eqx.filter_jit
+def _together(parts: Any, lamp: Float[Array, " channels"], count: int) -> Array:
+    base = jnp.zeros((lamp.size, count), lamp.dtype)
+    for index, colour in parts:
+        base = base if colour is None else _added(base, index, colour)
+    return base
+
+
+@eqx.filter_jit
+def _composed(base: Array, index: Array | None, colour: Array | None, size: tuple[int, int]):
+    whole = base if colour is None else _added(base, index, colour)
+    return whole.T.reshape(size[1], size[0], -1)
+
+
+def _added(base: Array, index: Array | None, colour: Array) -> Array:
+    if index is None:
+        return base + colour
+    # Channel by channel: twice as fast as pixels of three numbers.
+    return base.at[:, index].add(colour, mode="drop", wrap_negative_indices=False)
