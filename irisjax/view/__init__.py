@@ -2,9 +2,8 @@
 eye), and the page that shows it (`serve`).
 """
 
-from irisjax.view.address import check
 from irisjax.view.bench import Bench
-from irisjax.view.server import serve
+from irisjax.view.server import check, serve
 from irisjax.view.settings import Settings
 from irisjax.view.studio import Studio
 

@@ -1,5 +1,5 @@
 """`Bench`: a painted eye whose coats are switched, recoloured and reordered. A coat that changes is
-painted anew with those below it, and no other.
+painted again with those below it, and no other.
 """
 
 import dataclasses
@@ -115,8 +115,10 @@ class Bench(Session[BenchSettings]):
         return self._painting(self.settings.layers)
 
     def colour(self, name: str) -> tuple[int, int, int]:
-        """A coat's colour as it is set, sRGB, 8 bits. **Raises:** `ValueError` for an unknown
-        coat.
+        """A coat's colour as it is set, sRGB, 8 bits.
+
+        Raises:
+            ValueError: There is no such coat.
         """
         layer = self.settings.layers[place_of(self.settings.layers, name)]
         return _shown(self._coat(layer))
@@ -127,9 +129,10 @@ class Bench(Session[BenchSettings]):
 
     def recipe(self, layers: Layers | None = None) -> Recipe:
         """The recipe of the coats that are on, by default those set, as `irisjax paint` takes it. A
-        colour picked by hand is a paint of the palette by itself.
+        colour picked by hand becomes a paint of the palette.
 
-        **Raises:** `ValueError` where every coat is off.
+        Raises:
+            ValueError: Every coat is off.
         """
         palette, coats = dict(self._given.palette), []
         for layer in self.settings.layers if layers is None else layers:
@@ -146,10 +149,12 @@ class Bench(Session[BenchSettings]):
         return self._given._replace(coats=tuple(coats), palette=palette)
 
     def save(self, layers: Layers | None = None) -> Path:
-        """Write `recipe` beside the recipe that was given, where files it names are found; at first
-        as a new file, then over that.
+        """Write `recipe` beside the recipe that was given, where the files it names are found:
+        first as a new file, then over that file.
 
-        **Raises:** `ValueError` where every coat is off, `OSError` where it cannot be written.
+        Raises:
+            ValueError: Every coat is off.
+            OSError: The file cannot be written.
         """
         text = recipe_text(self.recipe(layers))
         path = self._file or _new(self._given.folder)

@@ -3,8 +3,10 @@ to the left.
 """
 
 import contextlib
+import importlib.util
 import io
 import math
+import socket
 import threading
 import time
 import warnings
@@ -13,13 +15,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from irisjax.view.address import check
 from irisjax.view.bench import Bench
-from irisjax.view.coats_panel import CoatsPanel
 from irisjax.view.page import BLACK, DISTANCE, framed, orbit, sliders
+from irisjax.view.panels import CoatsPanel, TissuePanel
 from irisjax.view.settings import QUICK
 from irisjax.view.studio import Studio
-from irisjax.view.tissue_panel import TissuePanel
 from irisjax.view.worker import Newest
 
 if TYPE_CHECKING:
@@ -38,10 +38,17 @@ def serve(
     ready: Callable[[str], None] = lambda address: None,
     until: threading.Event | None = None,
 ) -> None:
-    """Serve the viewer until `until` is set, or Ctrl-C. `ready` is told the address; port 0 takes a
-    free one.
+    """Serve the viewer until Ctrl-C.
 
-    **Raises:** `ValueError` without viser, and for a port in use.
+    Args:
+        studio: The scene that is shown.
+        host: The address.
+        port: The port; 0 takes a free one.
+        ready: Is called with the page's address.
+        until: Ends the viewer when it is set.
+
+    Raises:
+        ValueError: As `check`.
     """
     check(host, port)
     import viser
@@ -65,6 +72,24 @@ def serve(
             with _silence():
                 server.stop()
             page.worker.join(timeout=10)
+
+
+def check(host: str, port: int) -> None:
+    """Check that the viewer's page can be served.
+
+    Raises:
+        ValueError: viser is not installed, or the address cannot be used.
+    """
+    if importlib.util.find_spec("viser") is None:
+        raise ValueError("the viewer needs viser: pip install 'irisjax[view]'")
+    # viser would move on to the next free port without a word.
+    try:
+        with socket.create_server((host, port)):
+            pass
+    except OSError as error:
+        raise ValueError(
+            f"cannot listen on port {port} of {host}: {error.strerror or error}"
+        ) from None
 
 
 def _silence():

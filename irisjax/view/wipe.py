@@ -15,7 +15,8 @@ def wiped(photograph: Picture, rendered: Picture, share: float) -> Picture:
     """Columns of the photograph on the left up to `share` of the width, the rendering on the right,
     a thin white line between them; 0 and 1 show one of them alone.
 
-    **Raises:** `ValueError` for pictures of two sizes and a share outside 0 to 1.
+    Raises:
+        ValueError: The pictures have different sizes, or the share is not in 0 to 1.
     """
     if photograph.shape != rendered.shape:
         raise ValueError(
@@ -37,7 +38,8 @@ def resized(picture: Picture, size: tuple[int, int]) -> Picture:
     """The picture at another (width, height), each pixel the mean of what it covers, to one
     level; the same picture for its own size.
 
-    **Raises:** `ValueError` for sides in another proportion, by more than rounding.
+    Raises:
+        ValueError: The sides are in another proportion, by more than rounding.
     """
     height, width = picture.shape[:2]
     if size == (width, height):

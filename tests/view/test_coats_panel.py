@@ -12,7 +12,7 @@ from irisjax import cli
 from irisjax.io.recipes import Recipe
 from irisjax.ocularist.recipes import CoatRecipe
 from irisjax.view import Bench
-from irisjax.view.coats_panel import CoatsPanel
+from irisjax.view.panels import CoatsPanel
 
 BASE = CoatRecipe("base", {}, "burnt umber", "burnt umber", 0.0, 1.0, 0, 0.0)
 LIMBUS = CoatRecipe("limbus", {}, "ivory black", "ivory black", 0.0, 0.6, 2, 0.2)
