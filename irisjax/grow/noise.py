@@ -1,5 +1,7 @@
 """Noise round a circle: value noise on hashed lattices, one program for all its uses."""
 
+from typing import Any
+
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int, UInt32
@@ -58,6 +60,6 @@ def _hashed(seed: Seed, i: Field, j: Field) -> Field:
     return _mixed(x + seed).astype(i.dtype) * 2.0**-31 - 1
 
 
-def drawn(seed: Seed, n: int, k: Whole, dtype) -> Field:
+def drawn(seed: Seed, n: int, k: Whole, dtype: Any) -> Field:
     """The k-th of n-tuples uniform on 0 to 1, shape (n,)."""
     return 0.5 + 0.5 * _hashed(seed, jnp.arange(n).astype(dtype), jnp.full(n, k, dtype))

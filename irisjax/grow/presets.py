@@ -47,7 +47,7 @@ def preset(
     features: Mapping[str, Any] | None = None,
     key: PRNGKey,
 ) -> tuple[Iris, IrisMaps]:
-    """A made-up eye of a colour: `"brown"`, `"hazel"`, `"green"`, `"blue"` or `"grey"`.
+    """Grow an invented eye of a colour: `"brown"`, `"hazel"`, `"green"`, `"blue"` or `"grey"`.
 
     The pigments are chosen by eye, not measured, for ILIT or, where `process` is radiative
     transfer, for that. So is the fibrils' radius: at LB06's 30 nm the stroma sends back too little
@@ -55,13 +55,24 @@ def preset(
     `colour(iris)`, 8-bit sRGB under D65 against a perfect white, by ILIT: brown (57, 36, 12), hazel
     (80, 77, 59), green (76, 78, 65), blue (65, 87, 99), grey (99, 112, 112); by radiative transfer:
     brown (62, 49, 27), hazel (82, 74, 51), green (83, 82, 63), blue (65, 89, 99), grey (84,
-    99, 101). Brown takes 2.4 times the eumelanin of LB06's high level under ILIT, and the model
-    knows no neutral grey: a* stays near −5. Hazel and green eyes are browner than that near the
-    pupil, where their maps add eumelanin. `pigments` changes fields of the iris, `features`
-    arguments of `procedural`.
+    99, 101). Brown takes 2.4 times the eumelanin of LB06's high level under ILIT, and no pigments
+    give a neutral grey: a* stays near −5. Hazel and green eyes are browner than that near the
+    pupil, where their maps add eumelanin.
 
-    **Returns:** the iris and maps of `shape` (angles, radii). **Raises:** `ValueError` for an
-    unknown colour.
+    Args:
+        colour: Name of the colour.
+        eye: Gives the ring from pupil to root (default: `Eye()`).
+        process: Process that the pigments are chosen for.
+        shape: Numbers of angles and radii of the maps.
+        pigments: Fields of the iris that differ.
+        features: Arguments of `procedural` that differ.
+        key: Random key.
+
+    Returns:
+        The iris and its maps.
+
+    Raises:
+        ValueError: The colour is unknown.
     """
     if colour not in _FEATURES:
         raise ValueError(f"unknown eye colour {colour!r}; known: {', '.join(sorted(_FEATURES))}")

@@ -1,5 +1,4 @@
-"""Procedural irides: maps grown from a seed, and eye colours, so that nobody needs a photograph to
-start.
+"""Procedural irides: maps grown from a seed.
 
 The stroma follows the ultrasound profile of [F09 Section 3] and is a meshwork of radial strands:
 bundled, wavy, fine between pupil and collarette, coarse outside, parting round Fuchs's crypts.
@@ -52,29 +51,32 @@ def procedural(
     relief: float = RELIEF,
     key: PRNGKey,
 ) -> IrisMaps:
-    """Maps of a made-up iris; a map that no feature needs is absent.
+    """Grow the maps of an invented iris; a map that no feature needs is absent.
 
-    **Arguments:**
+    Args:
+        iris: Gives mean thicknesses, kept as area means over the ring from pupil to root.
+        eye: Gives that ring (default: `Eye()`).
+        shape: Numbers of angles and radii; fewer than 768 angles coarsen the finest fibres.
+        profile: Whether the stroma thins towards the root as in ultrasound.
+        fibres: Contrast of the radial strands, 1 as in a light iris.
+        collarette: Height of the zig-zag ring.
+        crypts: Number of lens-shaped holes near the collarette, each with a small one nearer the
+            root.
+        furrows: Number of concentric contraction furrows, partial arcs in the ciliary zone.
+        freckles: Number of spots.
+        abl: How far the anterior border layer is thinned over crypts, gathered on the crests of
+            furrows and mottled, 1 as in a brown iris.
+        heterochromia: Eumelanin added round the pupil, relative to the rest's.
+        relief: Share of the unevenness that rises towards the cornea; the rest lies within. 0: no
+            relief, nor furrows.
+        key: Random key; equal keys give equal maps.
 
-    - `iris`: gives mean thicknesses, kept as area means over the ring from pupil to root.
-    - `eye`: gives that ring (default: `Eye()`).
-    - `shape`: (angles, radii); fewer than 768 angles coarsen the finest fibres.
-    - `profile`: whether the stroma thins towards the root as in ultrasound.
-    - `fibres`: contrast of the radial strands, 1 as in a light iris; `collarette`: height of the
-        zig-zag ring.
-    - `crypts`: number of lens-shaped holes near the collarette, each with a small one nearer the
-        root.
-    - `furrows`: number of concentric contraction furrows, partial arcs in the ciliary zone;
-        `freckles`: of spots.
-    - `abl`: how far the anterior border layer is thinned over crypts, gathered on the crests of
-        furrows and mottled, 1 as in a brown iris; `heterochromia`: eumelanin added round the pupil,
-        relative to the rest's.
-    - `relief`: share of the unevenness that stands out towards the cornea; the rest lies within.
-        0: no relief, nor furrows.
+    Returns:
+        Maps with `stroma_depth` unless the stroma is uniform, and at need `relief`, `abl_depth`,
+        `freckles` and `eumelanin`.
 
-    **Returns:** `IrisMaps` with `stroma_depth` unless the stroma is uniform, and at need
-    `relief`, `abl_depth`, `freckles` and `eumelanin`. Equal keys give equal maps. **Raises:**
-    `ValueError` for negative features and shapes below (16, 8).
+    Raises:
+        ValueError: A feature is negative, or the shape is below (16, 8).
     """
     wanted = {
         k: v for k, v in locals().items() if k not in ("iris", "eye", "shape", "profile", "key")

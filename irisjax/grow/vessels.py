@@ -43,25 +43,28 @@ class _Globe(NamedTuple):
         """Arc from the limbus to the equator, mm."""
         return self.radius * (np.pi / 2 - self.limbus)
 
-    def girth(self, arc):
-        """Distance from the axis, mm: a turn in azimuth covers 2π of it."""
+    def girth(self, arc: np.ndarray) -> np.ndarray:
+        """Distance from the axis at an arc, mm."""
         return self.radius * np.sin(self.limbus + np.clip(arc, 0, self.end) / self.radius)
 
 
 def veins(eye: Eye, *, shape: tuple[int, int] = (1024, 512), key: PRNGKey) -> VeinMap | None:
-    """Random vessels over the white of `eye`; `None` where its `veins` are 0. `shape`: (azimuths,
-    polars).
+    """Grow random vessels over the sclera of an eye; `None` where its `veins` are 0.
 
     Conjunctival trees come from the periphery, many from the corners of the lids, share r³ with
     their daughters [Murray 1926] and end in arcades along the limbus, with hairpin loops between
     them; trunks have radii of 20 to 50 µm, loops 6 µm, as wide as the conjunctival vessels that OCT
     finds there. Episcleral vessels are fewer, straighter and wider (40 to 90 µm). Their number
-    grows with `eye.sclera.veins`; at 1 they cover 9 % of the white. Equal keys give equal maps.
-    Concrete eyes only.
+    grows with `eye.sclera.veins`; at 1 they cover 9 % of the sclera. Approximation: at crossings
+    the vessel of larger cover counts alone, and so does the thicker one.
 
-    Approximation: at crossings the vessel of larger cover counts alone, and so does the thicker
-    one.
-    **Raises:** `ValueError` for an eye without sclera.
+    Args:
+        eye: The eye, not traced.
+        shape: Numbers of azimuths and polar angles.
+        key: Random key; equal keys give equal maps.
+
+    Raises:
+        ValueError: The eye has no sclera.
     """
     globe = _Globe(float(sclera_of(eye).radius), float(limbus_angle(eye)))
     density = float(sclera_of(eye).veins)

@@ -1,8 +1,9 @@
-"""Illumination tables kept in files, so that an eye's are made once a machine and not once a run.
+"""Illumination tables kept in files, so that those of an eye are computed once per machine and not
+once per run.
 
-A file is named by a SHA-256 of everything its tables depend on, the code that makes them included.
-Files are written whole or not at all, so that runs may share a folder; the zip's checksums tell a
-damaged one.
+A file is named by a SHA-256 of everything that its tables depend on, including the code that
+computes them. Files are written whole or not at all, so that runs may share a folder; the zip's
+checksums reveal a damaged one.
 """
 
 import contextlib
@@ -32,10 +33,11 @@ _BROKEN = (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile, zipfile.
 
 
 def tables_of(scene: Scene, folder: str | Path | None = None) -> Illumination | None:
-    """`scene.tables()`, from a file in `folder` if there is one and else written there; `None`
-    keeps nothing.
+    """Return `scene.tables()`, read from a file in `folder` where there is one, and else written
+    there; nothing is kept where `folder` is `None`.
 
-    A file that is damaged, or cannot be written, costs a line on standard error and no more.
+    A file that is damaged or cannot be written is reported on standard error, and the tables are
+    computed.
     """
     if folder is None or scene.eye.cornea is None:
         return scene.tables()
@@ -75,9 +77,7 @@ def key(eye: Eye, caustics: bool) -> str:
 
 @lru_cache(maxsize=1)
 def _code() -> str:
-    """Of the floors that tables are made on: nobody has to remember to raise a number when these
-    change.
-    """
+    """Hash of the code that tables are computed with: a change of it needs no new number."""
     digest = hashlib.sha256()
     for place in ("numerics", "optics", "tissue", "anatomy", "render"):
         for path in sorted(Path(__file__).parent.parent.joinpath(place).glob("*.py")):

@@ -1,8 +1,8 @@
 """Pictures that move: GIF, MP4, or numbered PNGs for other programs. Every frame is encoded sRGB in
 [0, 1].
 
-GIF is Pillow's work and MP4 is PyAV's, an extra: VP9, which browsers play and no patent pool asks
-money for, in BT.709 with half the resolution for colours.
+GIF is written by Pillow and MP4 by PyAV, an extra: VP9, which browsers play and which is free of
+royalties, in BT.709 with half the resolution for colours.
 """
 
 import importlib.util
@@ -23,10 +23,11 @@ _NUMBER = re.compile(r"%(0\d+)?d")
 
 
 def check_movie(path: str | Path) -> None:
-    """Find out before the frames are made whether they can be kept.
+    """Check before the frames are computed that they can be written.
 
-    **Raises:** `ValueError` for a suffix that is none of `write_movie`'s, and for MP4 without the
-    extra `video`; `OSError` for a place that cannot be written.
+    Raises:
+        ValueError: The suffix is none of `write_movie`'s, or MP4 lacks the extra `video`.
+        OSError: The place cannot be written.
     """
     check_suffix(path, (".gif", ".mp4", ".png"))
     if Path(path).suffix.lower() == ".png":
@@ -46,16 +47,21 @@ def first_file(path: str | Path) -> Path:
 def write_movie(
     path: str | Path, frames: Iterable[Any], *, rate: int = 12, remark: str = ""
 ) -> int:
-    """Write frames (rows, columns, 3), all of one size, `rate` of them a second, by the suffix of
-    `path`.
+    """Write a movie in the form that its suffix names; all of it is written or nothing.
 
-    `.gif` goes round endlessly; `.mp4` may have any size, odd ones too; `.png` has a number in its
-    name, such as `frame_%03d.png`, counted from 0, as ffmpeg wants it. All of it is written or
-    nothing. `remark` goes into the files' descriptions. Returns how many pixels were clipped, as
-    `write_png`.
+    Args:
+        path: `.gif` repeats endlessly; `.mp4` may have any size, odd ones too; `.png` has a number
+            in its name, such as `frame_%03d.png`, counted from 0, as ffmpeg expects it.
+        frames: Pictures (rows, columns, 3), all of one size.
+        rate: Frames per second.
+        remark: Goes into the files' descriptions.
 
-    **Raises:** as `check_movie`, and `ValueError` for frames of another shape or that are not
-    finite.
+    Returns:
+        The number of pixels that were clipped, as by `write_png`.
+
+    Raises:
+        ValueError: As `check_movie`, or a frame has another shape or is not finite.
+        OSError: As `check_movie`.
     """
     check_movie(path)
     writer = {".gif": _gif, ".mp4": _mp4, ".png": _numbered_pngs}[Path(path).suffix.lower()]

@@ -16,7 +16,8 @@ SUFFIXES = (".png", ".pdf", ".svg")
 def picture(figure: "Figure", suffix: str) -> bytes:
     """The figure as the bytes of a file; equal figures give equal bytes.
 
-    **Raises:** `ValueError` for a suffix not in `SUFFIXES`.
+    Raises:
+        ValueError: The suffix is not in `SUFFIXES`.
     """
     check_suffix(f"picture{suffix}")
     from matplotlib import rc_context
@@ -40,6 +41,6 @@ def swatch(srgb8: tuple[int, int, int], remark: str = "", size: int = 256) -> by
 
 
 def check_suffix(path: str | Path, suffixes: tuple[str, ...] = SUFFIXES) -> None:
-    """Raise `ValueError` unless the name says what kind of picture it is."""
+    """Raise `ValueError` unless the suffix is that of a picture."""
     if Path(path).suffix.lower() not in suffixes:
         raise ValueError(f"{path}: a picture's name must end in {' or '.join(suffixes)}")
