@@ -97,6 +97,8 @@ def _flux(lights: Lights, i, place, eye: Eye, tables: Illumination | None):
     spread, point = 1.0, place[..., :2]
     if tables is not None and lights.distance is not None:
         place, spread = near_light(eye, lights.towards[i], 1.0 / lights.distance[i], point)
+    if tables is not None and lights.distance is None:
+        return tables.at(point, lights.towards[i]) * lights.irradiance[i]
     towards, power = lights.seen_from(place, i)
     flux = bare(place, towards) if tables is None else tables.at(point, towards)
     return flux * jnp.broadcast_to(power * spread, place.shape[:-1])[..., None]
@@ -206,10 +208,14 @@ _SLOPE = (-3 / 32, -31 / 32, 39 / 32, -5 / 32), -1
 def _quarters(texture, axis: int, kind: tuple[tuple[float, ...], int]):
     """A texture or its slope, a texel's size one, at a quarter of a texel to either side of each
     along an axis that closes on itself."""
-    weights, sign = kind
+    (weights, sign), n = kind, texture.shape[axis]
+    wide = jnp.pad(texture, [(2, 2) if i == axis else (0, 0) for i in (0, 1)], mode="wrap")
+
+    def shifted(by: int) -> Array:
+        return jax.lax.slice_in_dim(wide, 2 + by, 2 + by + n, axis=axis)
+
     low, high = (
-        sum(w * jnp.roll(texture, side * (1 - k), axis) for k, w in enumerate(weights))
-        * (1 if side > 0 else sign)
+        sum(w * shifted(side * (k - 1)) for k, w in enumerate(weights)) * (1 if side > 0 else sign)
         for side in (-1, 1)
     )
     both = jnp.stack([low, high], axis + 1)
