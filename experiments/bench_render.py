@@ -24,7 +24,7 @@ from irisjax.render.picture import (
     Texels,
     illuminate,
     iris_texels,
-    prepared,
+    prepared_scene,
     respond,
     shade,
     texture,
@@ -82,7 +82,7 @@ def _table(key, size, repeats):
 
     def of(change, name, scene, tables):
         """A row for the changes of one scene."""
-        scene = prepared(scene)
+        scene = prepared_scene(scene)
         view = look(scene.eye, scene.camera)
         texels = texture(view, scene)
         light = illuminate(view, texels, scene, tables)

@@ -8,7 +8,7 @@ import numpy as np
 
 from irisjax.render.illumination import Illumination
 from irisjax.render.lights import Lights
-from irisjax.render.picture import illuminate, prepared, respond, shade, texture
+from irisjax.render.picture import illuminate, prepared_scene, respond, shade, texture
 from irisjax.render.project import look
 from irisjax.render.scene import Scene
 
@@ -39,7 +39,7 @@ def frames(
             lights=Lights.distant(TURN, 0.0, illuminant=scene.illuminant), environment=None
         )
     # Neither tables nor view depend on what changes: the lamp stays below grazing.
-    scene, tables, view = prepared(scene), tables_of(scene), look(scene.eye, scene.camera)
+    scene, tables, view = prepared_scene(scene), tables_of(scene), look(scene.eye, scene.camera)
     texels = texture(view, scene)
     light = illuminate(view, texels, scene, tables)
     response = respond(scene)

@@ -14,7 +14,7 @@ from irisjax.cli.options import SEED_HELP, Group, grouped, option, read_seed, wh
 from irisjax.cli.paints import Paints, check_no_seed, of_file
 from irisjax.cli.scenes import Subject, changed
 from irisjax.io.clone_folders import read_clone
-from irisjax.view import Bench, Studio, check, serve
+from irisjax.view import Bench, Studio, check_address, serve
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -77,7 +77,7 @@ def view(subject: Shown, coats: Coats, window: Window) -> None:
     coats to be switched, recoloured, reordered and saved instead. Ctrl-C ends it.
     Needs the extra: pip install 'irisjax\[view]'. Simulated.
     """
-    check(window.host, window.port)
+    check_address(window.host, window.port)
     painted = coats.painted(coats.recipe)
     if painted and (subject.scene is not None or subject.preset is not None):
         raise ValueError("give one eye: SCENE, --preset, --recipe or --type")

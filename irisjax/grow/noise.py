@@ -8,14 +8,18 @@ from jaxtyping import Array, Float, Int, UInt32
 
 from irisjax.numerics.interpolation import smoothstep
 
-Field = Float[Array, "..."]
+NoiseField = Float[Array, "..."]
 Seed = UInt32[Array, ""]
 Whole = int | Int[Array, ""]
 
 
 def noise(
-    seed: Seed, turns: Field, radius: Field, cells: tuple[Whole, Whole], octaves: Whole = 1
-) -> Field:
+    seed: Seed,
+    turns: NoiseField,
+    radius: NoiseField,
+    cells: tuple[Whole, Whole],
+    octaves: Whole = 1,
+) -> NoiseField:
     """Fractal value noise, −1 to 1, of period 1 in `turns`, on `cells` over the period and over
     `radius` 0 to 1.
 
@@ -50,7 +54,7 @@ def split(seed: Seed, n: int) -> list[Seed]:
     return [_mixed(seed + jnp.uint32(0x632BE5AB * (i + 1) % 2**32)) for i in range(n)]
 
 
-def _hashed(seed: Seed, i: Field, j: Field) -> Field:
+def _hashed(seed: Seed, i: NoiseField, j: NoiseField) -> NoiseField:
     """Uniform on −1 to 1 at whole numbers i, j ≥ 0. XLA takes half a minute to compile as many
     draws of its own.
     """
@@ -60,6 +64,6 @@ def _hashed(seed: Seed, i: Field, j: Field) -> Field:
     return _mixed(x + seed).astype(i.dtype) * 2.0**-31 - 1
 
 
-def drawn(seed: Seed, n: int, k: Whole, dtype: Any) -> Field:
+def drawn(seed: Seed, n: int, k: Whole, dtype: Any) -> NoiseField:
     """The k-th of n-tuples uniform on 0 to 1, shape (n,)."""
     return 0.5 + 0.5 * _hashed(seed, jnp.arange(n).astype(dtype), jnp.full(n, k, dtype))

@@ -15,7 +15,7 @@ from jaxtyping import Array, Float
 
 from irisjax._types import PRNGKey
 from irisjax.anatomy.eye import Eye
-from irisjax.grow.noise import Field, Seed, Whole, drawn, noise, split
+from irisjax.grow.noise import NoiseField, Seed, Whole, drawn, noise, split
 from irisjax.numerics.checks import Range, check_range
 from irisjax.numerics.interpolation import smoothstep
 from irisjax.tissue.iris import Iris
@@ -98,7 +98,7 @@ def _grow(
     profile: bool,
     has: dict[str, Array | None],
     key: PRNGKey,
-) -> dict[str, Field]:
+) -> dict[str, NoiseField]:
     angles, radii = cell_centres(shape)
     turns, radius = jnp.broadcast_arrays(angles[:, None] / (2 * jnp.pi), radii)
     place = eye.from_axis(radius)
@@ -140,7 +140,7 @@ def _grow(
     return maps
 
 
-def stroma_profile(radius: Field) -> Field:
+def stroma_profile(radius: NoiseField) -> NoiseField:
     """Thickness of a generic stroma (mm) at relative radii from 0, 2 mm from the axis, to 1, the
     root at 5.5 mm.
 
@@ -153,20 +153,20 @@ def stroma_profile(radius: Field) -> Field:
     return whole - IPE_THICKNESS - 0.05675
 
 
-def _scaled(thickness: Field, place: Field, mean) -> Field:
+def _scaled(thickness: NoiseField, place: NoiseField, mean) -> NoiseField:
     """Scaled to an area mean: texels cover areas in proportion to their distance from the axis."""
     return thickness * (mean * jnp.sum(place) / jnp.sum(thickness * place))
 
 
-def _bounded(thickness: Field, place: Field, mean) -> Field:
+def _bounded(thickness: NoiseField, place: NoiseField, mean) -> NoiseField:
     """The same within `RANGE`, but for what the clipped tails shift the mean."""
     low, high = RANGE
     return _scaled(jnp.clip(_scaled(thickness, place, mean), low * mean, high * mean), place, mean)
 
 
 def _strands(
-    seed: Seed, turns: Field, radius: Field, count: Whole, width: Number, sway: Number
-) -> Field:
+    seed: Seed, turns: NoiseField, radius: NoiseField, count: Whole, width: Number, sway: Number
+) -> NoiseField:
     """Height, 0 to 1, of `count` wavy strands; where two meet, the higher one lies on top: they
     join and branch.
     """
@@ -184,7 +184,9 @@ def _strands(
     return jax.lax.scan(over, jnp.zeros_like(x), jnp.arange(-2, 3).astype(x.dtype))[0]
 
 
-def _fibres(seed: Seed, turns: Field, radius: Field, ring: Field, finest: int) -> Field:
+def _fibres(
+    seed: Seed, turns: NoiseField, radius: NoiseField, ring: NoiseField, finest: int
+) -> NoiseField:
     """Relative thickness of the meshwork about its mean, roughly ±0.6."""
     bent, bundles, coarse, middle, fine = split(seed, 5)
     turns = turns + 0.008 * noise(bent, turns, radius, (10, 2), 2)
@@ -198,14 +200,14 @@ def _fibres(seed: Seed, turns: Field, radius: Field, ring: Field, finest: int) -
     return inner - inner.mean() + outside * (outer - outer.mean() - (inner - inner.mean()))
 
 
-def _zigzag(seed: Seed, turns: Field) -> Field:
+def _zigzag(seed: Seed, turns: NoiseField) -> NoiseField:
     """Deviation of the collarette from its mean radius: teeth on a slow wander."""
     slow, teeth, *_ = split(seed, 4)
     tooth = jnp.abs(noise(teeth, turns, 0 * turns, (44, 1)))
     return 0.035 * noise(slow, turns, 0 * turns, (5, 1), 2) + 0.07 * (tooth - 0.4)
 
 
-def _ring(seed: Seed, turns: Field, radius: Field, ring: Field) -> Field:
+def _ring(seed: Seed, turns: NoiseField, radius: NoiseField, ring: NoiseField) -> NoiseField:
     """Relative thickness that the collarette adds: steep towards the pupil, gentle outwards, uneven
     along.
     """
@@ -216,7 +218,9 @@ def _ring(seed: Seed, turns: Field, radius: Field, ring: Field) -> Field:
     ) - 0.12 * smoothstep(-off / 0.05)
 
 
-def _crypts(seed: Seed, turns: Field, radius: Field, count: Whole) -> tuple[Field, Field]:
+def _crypts(
+    seed: Seed, turns: NoiseField, radius: NoiseField, count: Whole
+) -> tuple[NoiseField, NoiseField]:
     """Depth of crypts, 0 to 1, and `turns` as the strands see it that part round them."""
 
     def dig(k, carry):
@@ -241,7 +245,7 @@ def _crypts(seed: Seed, turns: Field, radius: Field, count: Whole) -> tuple[Fiel
     return jax.lax.fori_loop(0, 2 * count, dig, (jnp.zeros_like(radius), turns))
 
 
-def _furrows(seed: Seed, turns: Field, radius: Field, count: Whole) -> Field:
+def _furrows(seed: Seed, turns: NoiseField, radius: NoiseField, count: Whole) -> NoiseField:
     """Crests (to about +0.5) and furrows (to −1) of the folds of contraction."""
 
     def fold(k, height):
@@ -256,7 +260,9 @@ def _furrows(seed: Seed, turns: Field, radius: Field, count: Whole) -> Field:
     return jax.lax.fori_loop(0, count, fold, jnp.zeros_like(radius))
 
 
-def _freckles(seed: Seed, turns: Field, place: Field, eye: Eye, count: Whole) -> Field:
+def _freckles(
+    seed: Seed, turns: NoiseField, place: NoiseField, eye: Eye, count: Whole
+) -> NoiseField:
     """Soft irregular spots, 0 to 1, of 0.05 to 0.25 mm radius."""
     spots, edges = split(seed, 2)
     ragged = 1 + 0.6 * noise(edges, turns, place / eye.iris_radius, (90, 24), 3)
@@ -271,7 +277,7 @@ def _freckles(seed: Seed, turns: Field, place: Field, eye: Eye, count: Whole) ->
     return jax.lax.fori_loop(0, count, spot, jnp.zeros_like(place))
 
 
-def _rays(seed: Seed, turns: Field, radius: Field, ring: Field) -> Field:
+def _rays(seed: Seed, turns: NoiseField, radius: NoiseField, ring: NoiseField) -> NoiseField:
     """Share of the pigment round the pupil, 1 at its edge, frayed into rays beyond the
     collarette.
     """

@@ -58,13 +58,13 @@ class Painted(AbstractIntegrator):
 
     def base(
         self, pixels: IrisPixels, lights: Lights, eye: Eye, tables: Illumination | None
-    ) -> "Base":
+    ) -> "PaintBase":
         """Compute everything that does not depend on the coats."""
         profile, reach = self.painting.profile, eye.iris_radius
         flux = fluxes_of(lights, eye, tables)
         seen = composite.ground(pixels, profile, eye, flux)
         shape = len(lights), composite.SHADOW, composite.SHADOW, composite.CHANNELS
-        return Base(
+        return PaintBase(
             seen=seen,
             rays=composite.rays(flux, profile, reach),
             light=composite.full_light(flux, shape),
@@ -73,7 +73,9 @@ class Painted(AbstractIntegrator):
             rim=(profile, reach, eye.pupil_margin),
         )
 
-    def layers(self, base: "Base", before: Sequence["Layer"] = ()) -> Iterator["Layer"]:
+    def layers(
+        self, base: "PaintBase", before: Sequence["PaintedLayer"] = ()
+    ) -> Iterator["PaintedLayer"]:
         """Paint the groups of coats, from the uppermost down.
 
         Args:
@@ -90,12 +92,16 @@ class Painted(AbstractIntegrator):
             if same and (last or before[nth].light is not None):
                 layer = before[nth]
             else:
-                parts = tuple(_part(coat, base, known.get(coat.name), last) for coat in group)
+                parts = tuple(
+                    _painted_coat(coat, base, known.get(coat.name), last) for coat in group
+                )
                 layer = self._painted(base, state, light, parts, last)
             yield layer
             state, light = layer.state, layer.light
 
-    def _painted(self, base: "Base", state, light, parts: "tuple[Part, ...]", last: bool):
+    def _painted(
+        self, base: "PaintBase", state, light, parts: "tuple[PaintedCoat, ...]", last: bool
+    ):
         height, colours = parts[0].coat.height, tuple(part.coat.colour for part in parts)
         covered = state, tuple(part.covered for part in parts), base.seen
         reach = base.rim[1]
@@ -104,7 +110,7 @@ class Painted(AbstractIntegrator):
         )
         crossed = tuple(part.crossed for part in parts)
         below = None if last else composite.light_under(light, crossed, colours, self.as_printed)
-        return Layer(parts, state, below)
+        return PaintedLayer(parts, state, below)
 
     def response(
         self, iris: Iris | None, aqueous_index: Scalar, bands: Bands, ranges: Scales
@@ -118,7 +124,7 @@ class Painted(AbstractIntegrator):
         return PaintedResponse(white=bands.white)
 
 
-class Base(NamedTuple):
+class PaintBase(NamedTuple):
     """What all coats are painted on.
 
     Attributes:
@@ -138,7 +144,7 @@ class Base(NamedTuple):
     rim: tuple[Cones, Array, Array]
 
 
-class Part(NamedTuple):
+class PaintedCoat(NamedTuple):
     """A coat, its opacity at the pixels and where rays cross it (`None` of the lowest group)."""
 
     coat: Coat
@@ -146,10 +152,10 @@ class Part(NamedTuple):
     crossed: Array | None
 
 
-class Layer(NamedTuple):
+class PaintedLayer(NamedTuple):
     """A group of coats, what they and those above send back, and the light below them."""
 
-    parts: tuple[Part, ...]
+    parts: tuple[PaintedCoat, ...]
     state: composite.State
     light: Array | None
 
@@ -168,7 +174,9 @@ class PaintedResponse(AbstractResponse):
         return self.white[:, None] * light
 
 
-def _part(coat: Coat, base: Base, before: Part | None, last: bool) -> Part:
+def _painted_coat(
+    coat: Coat, base: PaintBase, before: PaintedCoat | None, last: bool
+) -> PaintedCoat:
     """A coat where pixels and rays meet it; what was looked up of the same opacity is kept."""
     where = coat.opacity, coat.height, *base.rim
     covered, crossed = None, None
@@ -183,10 +191,10 @@ def _part(coat: Coat, base: Base, before: Part | None, last: bool) -> Part:
         covered = composite.opacity_at(base.seen, *where)
     if crossed is None and not last:
         crossed = composite.crossed(base.rays, *where)
-    return Part(coat, covered, crossed)
+    return PaintedCoat(coat, covered, crossed)
 
 
-def _same(group: list[Coat], layer: Layer) -> bool:
+def _same(group: list[Coat], layer: PaintedLayer) -> bool:
     before = [part.coat for part in layer.parts]
     leaves = [jax.tree.leaves(coats) for coats in (group, before)]
     return len(group) == len(before) and all(a is b for a, b in zip(*leaves, strict=True))

@@ -20,7 +20,7 @@ from irisjax.numerics.linear import leading_subspace
 from irisjax.numerics.portions import pixelwise
 from irisjax.optics.conicoid import dot, joined, norm
 from irisjax.optics.fresnel import fresnel, refract
-from irisjax.render.polynomials import along, polynomials
+from irisjax.render.polynomials import along_nodes, polynomials
 from irisjax.render.project import IrisPixels
 from irisjax.render.shading import Field, normals, shares
 from irisjax.tissue.iris import Iris
@@ -101,7 +101,7 @@ class AngularFunctions(eqx.Module):
             orders, (jnp.ones_like(sine), sine * inside, sine * sine), self.degrees, strict=True
         ):
             scaled_values = values / (factor[:, None, None] * factor[:, None])
-            whole = along(along(scaled_values, 1), 2)
+            whole = along_nodes(along_nodes(scaled_values, 1), 2)
             # Reciprocal but for rounding and the table's error.
             rows += [(whole[:, a, b] + whole[:, b, a]) / 2 for a, b in _pairs(degree)]
         return jnp.stack(rows, 1)

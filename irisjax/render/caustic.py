@@ -23,7 +23,7 @@ from irisjax.render.refraction import Landing, cross, into_chamber, on_cornea, w
 _CHUNK = 1 << 14  # rays traced together: their intermediates stay in the cache
 
 
-class Grid(NamedTuple):
+class SquareGrid(NamedTuple):
     """A square grid over the iris: `size` points a side from −`extent` to +`extent` mm."""
 
     size: int
@@ -35,7 +35,7 @@ class Grid(NamedTuple):
         return (2 * self.extent / (self.size - 1)) ** 2
 
 
-def gathered(eye: Eye, polar: Array, grid: Grid, n_rays: int) -> Float[Array, "size size 3"]:
+def gathered(eye: Eye, polar: Array, grid: SquareGrid, n_rays: int) -> Float[Array, "size size 3"]:
     """Flux vectors on the grid (rows y, columns x) of unit light from azimuth 0 and the given polar
     angle.
 
@@ -66,7 +66,7 @@ def gathered(eye: Eye, polar: Array, grid: Grid, n_rays: int) -> Float[Array, "s
     return half + half[::-1] * jnp.asarray([1.0, -1.0, 1.0], half.dtype)
 
 
-def _share_out(total, grid: Grid, eye: Eye, landing: Landing):
+def _share_out(total, grid: SquareGrid, eye: Eye, landing: Landing):
     """Add the power of landings to their four grid points, as flux vectors (per cell, not yet per
     area).
     """

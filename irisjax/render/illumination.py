@@ -14,7 +14,7 @@ from irisjax.anatomy.eye import Eye
 from irisjax.numerics.interpolation import bilinear, bilinear_rows, trilinear
 from irisjax.numerics.roots import safe_sqrt
 from irisjax.optics.conicoid import Vector, norm
-from irisjax.render.caustic import Grid, gathered
+from irisjax.render.caustic import SquareGrid, gathered
 from irisjax.render.refraction import (
     LARGEST_POLAR,
     UNIQUE_POLAR,
@@ -167,7 +167,7 @@ def _build(
     # One cell beyond the iris: cells that its edge cuts would lose the power landing outside and
     # darken the rim.
     extent = eye.iris_radius * (size - 1) / (size - 3)
-    grid = Grid(size, extent)
+    grid = SquareGrid(size, extent)
     line = jnp.linspace(-1, 1, size) * extent
     x, y = jnp.meshgrid(line, line)
     points = jnp.stack([x, y], axis=-1)

@@ -161,7 +161,7 @@ def respond(scene: Scene) -> AbstractResponse:
     return checked_response(integrator, iris, eye.aqueous_index, bands, ranges)
 
 
-def prepared(scene: Scene) -> Scene:
+def prepared_scene(scene: Scene) -> Scene:
     """Fix everything of the integrator that must be known before tracing, for many pictures."""
     eye, iris = scene.eye, scene.iris
     parts = iris, eye.aqueous_index, bands_of(scene), ranges_of(iris, scene.maps)

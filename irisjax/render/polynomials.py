@@ -79,7 +79,7 @@ def polynomials_of(
     )
 
 
-def along(values: Float[Array, "..."], axis: int) -> Float[Array, "..."]:
+def along_nodes(values: Float[Array, "..."], axis: int) -> Float[Array, "..."]:
     """Chebyshev coefficients of values at nodes along an axis."""
     inverse = jnp.asarray(coefficients(values.shape[axis]), values.dtype)
     return jnp.moveaxis(jnp.tensordot(inverse, values, (1, axis)), 0, axis)

@@ -77,7 +77,7 @@ def absorption(sclera: Sclera, wavelengths: ArrayLike) -> Spectrum:
     return sclera.hemoglobin * (share * table.oxyhemoglobin + (1 - share) * table.deoxyhemoglobin)
 
 
-def reflectance(
+def sclera_reflectance(
     sclera: Sclera, wavelengths: ArrayLike, blood: Blood | ArrayLike
 ) -> Float[Array, "... wavelengths"]:
     """Diffuse reflectance of the white under vessels, shape (…, wavelengths); `blood` or its depth
@@ -165,7 +165,7 @@ def colour_table(
     With 64 nodes linear interpolation errs by 1.2e-4 of white at most in XYZ and in linear sRGB.
     """
     depth = _KNEE * jnp.expm1(jnp.linspace(0.0, np.log1p(DEEPEST / _KNEE), nodes))
-    light = reflectance(sclera, wavelengths, depth)
+    light = sclera_reflectance(sclera, wavelengths, depth)
     taken = light * _dimming(absorption(sclera, wavelengths), wavelengths)
     return ColourTable(jnp.stack([light, taken], axis=1) @ jnp.asarray(weights, light.dtype).T)
 

@@ -26,7 +26,7 @@ from irisjax.render.illumination import Illumination
 from irisjax.render.integrator import AbstractIntegrator, AbstractResponse
 from irisjax.render.lights import Lights
 from irisjax.render.polynomials import (
-    along,
+    along_nodes,
     basis,
     between,
     degrees_of,
@@ -127,7 +127,7 @@ class Separable(AbstractIntegrator):
         values = radiance(jnp.asarray(grid(most), dtype), cosines)
         values = values / fresnel(cosines, inside, *indices)[1][:, None]
         out = SeparableResponse(
-            coefficients=of_products(along(values, 1), most),
+            coefficients=of_products(along_nodes(values, 1), most),
             indices=indices,
             ranges=ranges,
             error=jnp.zeros((), dtype),

@@ -3,8 +3,8 @@ eye), and the page that shows it (`serve`).
 """
 
 from irisjax.view.bench import Bench
-from irisjax.view.server import check, serve
+from irisjax.view.server import check_address, serve
 from irisjax.view.settings import Settings
 from irisjax.view.studio import Studio
 
-__all__ = ["Bench", "Settings", "Studio", "check", "serve"]
+__all__ = ["Bench", "Settings", "Studio", "check_address", "serve"]

@@ -16,8 +16,7 @@ from irisjax.io.tables import write_atomically
 from irisjax.measure.colour import srgb_encode
 from irisjax.ocularist.coats import Coat, Painting
 from irisjax.ocularist.easel import SIZE, painted, studio
-from irisjax.ocularist.integrator import Base, Painted
-from irisjax.ocularist.integrator import Layer as PaintLayer
+from irisjax.ocularist.integrator import PaintBase, Painted, PaintedLayer
 from irisjax.ocularist.palette import linear_colour
 from irisjax.ocularist.recipes import CoatRecipe
 from irisjax.render.illumination import Illumination
@@ -26,7 +25,7 @@ from irisjax.render.picture import LitView, respond, shade, surroundings, textur
 from irisjax.render.project import IrisPixels
 from irisjax.render.scene import Scene
 from irisjax.view.layers import Layer, Layers, place_of
-from irisjax.view.session import Kept, Session, Values, encoded
+from irisjax.view.session import KeptValue, Session, Values, encoded
 from irisjax.view.settings import CAMERA, LIGHT, CommonSettings, values_of
 
 NAME = "recipe"
@@ -49,8 +48,8 @@ class _PaintedValues(Values):
 
     def __init__(self) -> None:
         super().__init__()
-        self.surroundings = Kept[Array]()
-        self.base = Kept[tuple[Base, list[PaintLayer]]]()
+        self.surroundings = KeptValue[Array]()
+        self.base = KeptValue[tuple[PaintBase, list[PaintedLayer]]]()
 
 
 class Bench(Session[BenchSettings]):
@@ -92,7 +91,7 @@ class Bench(Session[BenchSettings]):
         self._heights = {r.height: self._full[n].height for n, r in self._recipes.items()}
         super().__init__(scene(studio(painting, eye)), tables_of)
         self._values = {draft: _PaintedValues() for draft in (False, True)}
-        self._response = Kept[AbstractResponse]()
+        self._response = KeptValue[AbstractResponse]()
         self._file: Path | None = None
         layers = tuple(
             Layer(name, True, None, r.opacity, r.height) for name, r in self._recipes.items()

@@ -53,7 +53,7 @@ def framed(picture: np.ndarray, aspect: float) -> np.ndarray:
     return framed
 
 
-def swatch(colour: Colour) -> str:
+def colour_patch(colour: Colour) -> str:
     """A `Colour` as the page shows it: a patch beside its numbers."""
     red, green, blue = (int(v) for v in np.rint(255 * np.clip(np.asarray(colour.srgb), 0, 1)))
     lab = ", ".join(f"{v:.1f}" for v in np.asarray(colour.lab))

@@ -10,7 +10,7 @@ import numpy as np
 from irisjax.render.integrators import INTEGRATORS
 from irisjax.view.bench import Bench
 from irisjax.view.layers import Layer, Layers, covering, moved, recoloured, switched
-from irisjax.view.page import plot_scales, sliders, swatch
+from irisjax.view.page import colour_patch, plot_scales, sliders
 from irisjax.view.studio import GRID, Studio
 
 if TYPE_CHECKING:
@@ -103,7 +103,7 @@ class TissuePanel:
         before = values if first else self.plot.data[1]
         self.plot.data = (GRID, before, values)
         self.plot.scales = plot_scales(max(before.max(), values.max()))
-        self.colour.content = swatch(colour)
+        self.colour.content = colour_patch(colour)
 
     def remarks(self) -> tuple[str, ...]:
         """Of the last picture."""

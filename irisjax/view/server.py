@@ -48,9 +48,9 @@ def serve(
         until: Ends the viewer when it is set.
 
     Raises:
-        ValueError: As `check`.
+        ValueError: As `check_address`.
     """
-    check(host, port)
+    check_address(host, port)
     import viser
 
     with _silence():
@@ -74,7 +74,7 @@ def serve(
             page.worker.join(timeout=10)
 
 
-def check(host: str, port: int) -> None:
+def check_address(host: str, port: int) -> None:
     """Check that the viewer's page can be served.
 
     Raises:

@@ -31,7 +31,7 @@ T = TypeVar("T")
 S = TypeVar("S", bound=CommonSettings)
 
 
-class Kept(Generic[T]):
+class KeptValue(Generic[T]):
     """A value that is computed again only where its inputs have changed."""
 
     def __init__(self) -> None:
@@ -48,10 +48,10 @@ class Values:
     """Values of the functions that make pictures of one size."""
 
     def __init__(self) -> None:
-        self.view = Kept[View]()
-        self.texels = Kept[Texels]()
-        self.light = Kept[LitView]()
-        self.picture = Kept[Any]()
+        self.view = KeptValue[View]()
+        self.texels = KeptValue[Texels]()
+        self.light = KeptValue[LitView]()
+        self.picture = KeptValue[Any]()
 
 
 class Session(abc.ABC, Generic[S]):
@@ -65,8 +65,8 @@ class Session(abc.ABC, Generic[S]):
 
     def __init__(self, scene: Scene, tables_of: Callable[[Scene], Illumination | None]) -> None:
         self._base, self._tables_of = scene, tables_of
-        self._tables = {grazing: Kept[Illumination | None]() for grazing in (False, True)}
-        self._grazing, self._environment = Kept[bool](), Kept[Environment | None]()
+        self._tables = {grazing: KeptValue[Illumination | None]() for grazing in (False, True)}
+        self._grazing, self._environment = KeptValue[bool](), KeptValue[Environment | None]()
 
     @abc.abstractmethod
     def update(self, *, draft: bool = False, **changes: Any) -> np.ndarray:

@@ -15,13 +15,13 @@ from irisjax.measure.spectrophotometer import reflectance
 from irisjax.render.illumination import Illumination
 from irisjax.render.integrator import AbstractIntegrator, AbstractResponse
 from irisjax.render.integrators import INTEGRATORS, integrator_name
-from irisjax.render.picture import illuminate, prepared, respond, shade, texture
+from irisjax.render.picture import illuminate, prepared_scene, respond, shade, texture
 from irisjax.render.scene import Scene
 from irisjax.tissue.iris import Iris
 from irisjax.tissue.maps import IrisMaps
 from irisjax.transport.defaults import exact_solver
 from irisjax.transport.process import AbstractProcess
-from irisjax.view.session import Kept, Session, Values, encoded
+from irisjax.view.session import KeptValue, Session, Values, encoded
 from irisjax.view.settings import CAMERA, GIVEN, LIGHT, PIGMENTS, Settings, values_of
 from irisjax.view.wipe import Picture, resized, wiped
 
@@ -57,10 +57,10 @@ class Studio(Session[Settings]):
         super().__init__(scene, tables_of)
         self._photograph = None if photograph is None else resized(photograph, scene.camera.size)
         self._values = {draft: Values() for draft in (False, True)}
-        self._response = Kept[AbstractResponse]()
-        self._growth = Kept[tuple[Iris, IrisMaps | None]]()
-        self._made = Kept[AbstractIntegrator]()
-        self._ready = Kept[AbstractIntegrator]()
+        self._response = KeptValue[AbstractResponse]()
+        self._growth = KeptValue[tuple[Iris, IrisMaps | None]]()
+        self._made = KeptValue[AbstractIntegrator]()
+        self._ready = KeptValue[AbstractIntegrator]()
         self.error: float | None = 0.0
         start = {
             **self._start(),
@@ -125,7 +125,9 @@ class Studio(Session[Settings]):
         scene = self._set(s, self._size(draft))
         grown = values_of(s, _GROWN)
         # Maps are relative to the iris: pigments and thickness change the response alone.
-        scene = scene.replace(integrator=self._ready.of(grown, lambda: prepared(scene).integrator))
+        scene = scene.replace(
+            integrator=self._ready.of(grown, lambda: prepared_scene(scene).integrator)
+        )
         view = self._view(kept, s, scene)
         surfaces = *values_of(s, CAMERA), grown, s.pupil_radius, s.environment, s.strength
         texels = kept.texels.of(surfaces, lambda: texture(view, scene))

@@ -8,7 +8,7 @@ import pytest
 from irisjax.anatomy.eye import Eye
 from irisjax.export.mesh import write_eye
 from irisjax.optics.conicoid import norm
-from irisjax.render.caustic import Grid, gathered
+from irisjax.render.caustic import SquareGrid, gathered
 from irisjax.render.refraction import arrive, enter
 from render.tracing import towards
 
@@ -198,7 +198,7 @@ def test_caustic(cornea, degrees, request):
     # Our grid's points are the centres of their cells.
     extent = jnp.asarray(ROOT - cell / 2)
     ours = np.asarray(
-        jax.jit(lambda a: gathered(EYE, a, Grid(size, extent), 400_000))(
+        jax.jit(lambda a: gathered(EYE, a, SquareGrid(size, extent), 400_000))(
             jnp.radians(float(degrees))
         )
     )[..., 2]

@@ -17,7 +17,7 @@ from irisjax.measure.colour import tristimulus_matrix
 from irisjax.render import outside, shading
 from irisjax.render.bands import GRID
 from irisjax.render.camera import Camera
-from irisjax.render.caustic import Grid, gathered
+from irisjax.render.caustic import SquareGrid, gathered
 from irisjax.render.environment import Environment
 from irisjax.render.lights import Lights
 from irisjax.render.project import ScleraPixels, look, sclera_pixels
@@ -213,7 +213,9 @@ def test_cone_is_lit_alike_by_both_tables():
     """
     eye = EYE.replace(iris_slope=0.3, iris_depth=3.8)
     size, extent = 65, 5.5
-    counted = gathered(eye, jnp.asarray(UNIQUE_POLAR), Grid(size, jnp.asarray(extent)), 100_000)
+    counted = gathered(
+        eye, jnp.asarray(UNIQUE_POLAR), SquareGrid(size, jnp.asarray(extent)), 100_000
+    )
     line = jnp.linspace(-1, 1, size) * extent
     points = jnp.stack(jnp.meshgrid(line, line), axis=-1)
     towards = jnp.array([np.sin(UNIQUE_POLAR), 0.0, -np.cos(UNIQUE_POLAR)])

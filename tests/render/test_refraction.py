@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from irisjax.anatomy.eye import Cornea, Eye
-from irisjax.render.caustic import Grid, gathered
+from irisjax.render.caustic import SquareGrid, gathered
 from irisjax.render.illumination import Illumination
 from irisjax.render.refraction import (
     UNIQUE_POLAR,
@@ -141,7 +141,7 @@ def test_flux_vectors_keep_the_power(tables, polar):
     assert (irradiance * _AREAS).sum() + beyond == pytest.approx(power.sum(), rel=1e-3)
 
 
-WIDE = Grid(65, jnp.asarray(9.0))  # holds all that enters
+WIDE = SquareGrid(65, jnp.asarray(9.0))  # holds all that enters
 _gathered = jax.jit(lambda eye, polar: gathered(eye, polar, WIDE, 60_000))
 
 
