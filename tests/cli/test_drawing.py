@@ -13,7 +13,6 @@ UNEVEN = {"load": np.zeros(3), "share": np.zeros(4)}
 SAMPLES = {"load": np.random.default_rng(0).normal(size=40_000), "share": np.linspace(0, 1, 40_000)}
 
 
-@pytest.mark.heavy  # a process that imports matplotlib
 def test_another_process_draws_the_same_picture():
     """Samples and pictures that fill pipes, one after another."""
     with beside() as draw:
@@ -22,7 +21,6 @@ def test_another_process_draws_the_same_picture():
     assert pictures == [here("corner_figure", SAMPLES)()] * 3
 
 
-@pytest.mark.heavy
 @pytest.mark.skipif(os.name == "nt", reason="signals of POSIX")
 def test_a_process_that_died_is_done_without(monkeypatch):
     begun = []
@@ -40,7 +38,6 @@ def test_a_figure_that_cannot_be_drawn_says_so():
         here("corner_figure", UNEVEN)()
 
 
-@pytest.mark.heavy
 def test_a_figure_that_cannot_be_drawn_there_says_so_here():
     with beside() as draw, pytest.raises(ValueError, match="same shape"):
         draw("corner_figure", UNEVEN)()

@@ -62,7 +62,6 @@ def test_camera_of_the_options(irisjax, tmp_path):
     assert abs(width - 48 * 11 / 12 / 2) <= 1.5 and abs(height - 48 * 11 / 12) <= 1.5
 
 
-@pytest.mark.heavy
 def test_samples_average_and_clipping_is_said(irisjax, tmp_path):
     (tmp_path / "scene.toml").write_text(BARE)
     irisjax("render", "scene.toml", "--size", "16x12", "-o", "fine.exr")
@@ -144,7 +143,6 @@ def test_a_lamp_goes_round_a_preset(irisjax):
     )
 
 
-@pytest.mark.heavy
 def test_pigment_reaches_brown_from_any_eye():
     scene = parse_scene(
         '[iris]\npreset = "blue"\n[maps]\nuniform = true\n[eye]\ncornea = "none"'

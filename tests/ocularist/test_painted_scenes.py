@@ -59,7 +59,6 @@ def test_uniform_coats_are_composed_as_the_equations_say(heights, order):
     np.testing.assert_allclose(ratio, np.tile(by_hand(*stack[::-1]), (len(ratio), 1)), rtol=1e-9)
 
 
-@pytest.mark.heavy
 def test_single_precision(float32):
     eye = prosthesis().replace(sclera=None)
     tables = Illumination.build(eye, caustics=False, size=33)
@@ -148,7 +147,6 @@ def test_a_scene_without_an_iris_needs_paint():
         Scene(None, eye=EYE, lights=LAMP, camera=CAMERA, integrator=Separable())
 
 
-@pytest.mark.heavy
 def test_derivatives_by_colour_and_opacity_are_those_of_finite_differences():
     shape = jnp.asarray(spots(3))
     base, haze = coat("base", colour=RED), coat("haze", 0.2, spots(4), BLUE)
@@ -187,7 +185,6 @@ def test_white_paint_is_a_white_sheet():
 LAMPS = 64
 
 
-@pytest.mark.heavy
 def test_white_paint_in_light_from_all_round_is_no_brighter_than_that():
     """As bright without a cornea; behind one that mirrors some of it, and lets none in beyond the
     limbus, darker.

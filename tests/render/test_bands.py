@@ -29,7 +29,6 @@ def lab(linear):
     return np.asarray(lab_of(jnp.asarray(to_xyz @ linear / to_xyz.sum(1))))
 
 
-@pytest.mark.heavy
 @pytest.mark.parametrize("illuminant", ["D65", "A"])
 def test_colours_as_of_81_wavelengths(illuminant):
     from colour.difference import delta_E_CIE2000

@@ -34,7 +34,6 @@ def seen():
     return {x64: of(x64) for x64 in (True, False)}
 
 
-@pytest.mark.heavy
 @pytest.mark.parametrize("distance", DISTANCES)
 def test_single_precision_sees_what_double_does(seen, distance):
     for polar in (0.0, 0.5, 1.05, 1.5):
@@ -53,7 +52,6 @@ def test_single_precision_sees_what_double_does(seen, distance):
                 np.testing.assert_allclose(b, a, atol=2e-2)
 
 
-@pytest.mark.heavy
 def test_a_far_camera_is_an_orthographic_one(seen):
     """At 100 m lines of sight are parallel: a pixel's place is where it aims."""
     _, iris, _, mirror = seen[True][1e5, 0.0]

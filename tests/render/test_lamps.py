@@ -34,7 +34,6 @@ WHITE = Eye(cornea=CLEAR)
 IRIS = ij.Iris.of_level("low")
 
 
-@pytest.mark.heavy
 @pytest.mark.parametrize(
     ("polar", "distance"),
     [(0.5, 50.0)] + [slowly(*x) for x in ((0.0, 25.0), (0.0, 100.0), (1.0, 50.0))],
@@ -65,7 +64,6 @@ def test_near_lamp_on_the_iris(tables, polar, distance):
         assert found == pytest.approx(true, rel=0.015), place
 
 
-@pytest.mark.heavy
 def test_far_points_are_distant(tables):
     near, far = (
         Lights.points([3e6, 2e6, -5e6], 1.0),

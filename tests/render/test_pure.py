@@ -59,7 +59,6 @@ def slopes(scene, tables=None):
     return found, [float(value(step * e) - value(-step * e)) / (2 * step) for e in np.eye(6)]
 
 
-@pytest.mark.heavy
 def test_derivatives_are_finite_differences():
     found, true = slopes(SCENE)
     assert (np.abs(found) > 1e-6).all()

@@ -54,7 +54,6 @@ def response():
     return eqx.filter_jit(lambda iris: made.response(iris, INDEX, bands, ranges))
 
 
-@pytest.mark.heavy
 @pytest.mark.parametrize("level", ["low", "moderate", "high"])
 def test_brdf_of_texels_is_the_exact_solver_s(response, level):
     """To 1 % out to 75°, at three incidences; of texels much darker than others the error is one of
@@ -77,7 +76,6 @@ def test_brdf_of_texels_is_the_exact_solver_s(response, level):
                 np.testing.assert_allclose(given, true, rtol=1e-2)
 
 
-@pytest.mark.heavy
 def test_energy_is_closed(response):
     """What leaves in all directions is the reflectance, but for light that is never scattered."""
     x, w = np.polynomial.legendre.leggauss(24)
@@ -96,7 +94,6 @@ def test_energy_is_closed(response):
         np.testing.assert_allclose(np.asarray(given) @ area, scattered, rtol=3e-3)
 
 
-@pytest.mark.heavy
 @pytest.mark.parametrize("eye", [BARE, slowly(CLOSE)], ids=["bare", "cornea"])
 def test_each_pixel_is_its_brdf_times_its_light(eye):
     """Two lights, a camera off the axis: every pixel's directions by themselves."""
@@ -165,7 +162,6 @@ def test_traced_pictures_are_the_others():
     assert float(slope) == pytest.approx(float(difference), rel=1e-4)
 
 
-@pytest.mark.heavy
 def test_layers_beyond_the_table_are_solved_exactly_or_refused():
     bands, deep = spectral_bands(X, "E"), Scales(stroma=(0.5, 40.0))
     thick = LIGHT.replace(scattering_scale=30.0)
@@ -179,7 +175,6 @@ def test_layers_beyond_the_table_are_solved_exactly_or_refused():
         draw(scene(iris=thick, integrator=RadiativeIntegrator(solver=table, angular=(2, 1, 1))))
 
 
-@pytest.mark.heavy
 def test_maps_reach_the_picture():
     """A stroma that is thicker to the right sends back more there."""
     maps = IrisMaps(stroma_depth=ring(lambda x, y: 0.28 + 0.02 * x, 6, 12))
@@ -188,7 +183,6 @@ def test_maps_reach_the_picture():
     assert found[:, 8:].sum() > 1.05 * found[:, :4].sum()
 
 
-@pytest.mark.heavy
 def test_the_matt_iris_of_the_hand_over():
     """Albedo, BRDF and its distance from Lambert's law, as the exact solver has them."""
     bands, model = spectral_bands(X, "E"), RadiativeIntegrator()

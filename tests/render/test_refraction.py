@@ -64,7 +64,6 @@ def test_table_finds_the_entry_points(tables):
     assert max(worst) < 0.008
 
 
-@pytest.mark.heavy
 @EYES
 def test_snells_law_at_the_entry_found(eye):
     """The ray that Newton's search finds obeys n sin θ = n' sin θ': numpy's up to the last surface
@@ -175,7 +174,6 @@ def test_illumination_keeps_the_power(illumination, polar):
     assert (found * _AREAS).sum() + power[r > 5.5].sum() == pytest.approx(power.sum(), rel=1e-3)
 
 
-@pytest.mark.heavy
 def test_the_rim_is_as_bright_as_its_surroundings(illumination):
     """The grid's edge cells reach beyond the iris: they must hold all the light there."""
     light = jnp.asarray(towards(0.7))
@@ -224,7 +222,6 @@ def test_no_light_meets_the_cornea_from_inside(eye):
     assert (z + t * d[..., 2]).min() > limbus + 0.3
 
 
-@pytest.mark.heavy
 def test_single_precision(float32):
     k, _ = disc(5.4, 40)
     eye = Eye()

@@ -191,7 +191,6 @@ def test_meet_sclera_exactly():
     np.testing.assert_allclose(from_centre[:2], 11.5, rtol=1e-13)
 
 
-@pytest.mark.heavy
 def test_gradients_are_finite(drawn):
     weights, _ = tristimulus_matrix(GRID)
     across = [[x, 1.0, -30.0] for x in np.linspace(6, 11, 40)]

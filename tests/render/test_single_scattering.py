@@ -143,7 +143,6 @@ def test_marching_through_uniform_maps_is_the_closed_form(bits):
     np.testing.assert_allclose(found[inside], true, rtol={32: 1e-4, 64: 1e-10}[bits])
 
 
-@pytest.mark.heavy
 def test_radiative_transfer_where_little_is_scattered_twice():
     """Light scattered again is a share of about the albedo, or the depth,
     of that scattered once.
@@ -222,7 +221,6 @@ def brute(iris, maps, point, direction, n=20_000):
     return total
 
 
-@pytest.mark.heavy
 def test_marching_converges_to_thin_slices():
     maps = maps_of(abl=0.03, stroma=0.2, freckles=0.2)
     iris = ij.Iris.of_level("low")
@@ -258,7 +256,6 @@ def test_lights_add(tint):
     np.testing.assert_allclose(both, total, rtol=1e-10)
 
 
-@pytest.mark.heavy
 @DOUBLE_FIRST
 def test_gradients(bits):
     maps = maps_of(abl=0.06, stroma=0.35, freckles=0.2)  # down to nothing
@@ -285,7 +282,6 @@ def test_steps_are_checked():
         SingleScattering(0)
 
 
-@pytest.mark.heavy
 def test_command(tmp_path):
     file, out = tmp_path / "scene.toml", tmp_path / "eye.exr"
     file.write_text('[iris]\nlevel = "low"\n[maps]\nuniform = true\n[eye]\ncornea = "none"\n')

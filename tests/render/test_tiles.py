@@ -48,7 +48,6 @@ def joined(made, **options):
 
 
 # 16 rows: even bands, a last one that is smaller (its rows are drawn twice), single rows.
-@pytest.mark.heavy
 @pytest.mark.parametrize("bits", [64, slowly(32)])
 @pytest.mark.parametrize(
     ("rows", "heights"),
@@ -81,7 +80,6 @@ def test_no_seams_through_a_cornea():
     np.testing.assert_allclose(found, draw(made, tables), atol=1e-12, rtol=0)
 
 
-@pytest.mark.heavy
 def test_samples_are_averaged_band_by_band():
     made = scene()
     fine = draw(made.replace(camera=Camera(size=(63, 48))))
@@ -105,7 +103,6 @@ def test_spectral_and_single_scattering():
     np.testing.assert_allclose(found, draw(marched), atol=1e-12, rtol=0)
 
 
-@pytest.mark.heavy
 def test_one_program_for_all_draw_bands(monkeypatch):
     traced, towards = [], Camera.towards
     monkeypatch.setattr(Camera, "towards", lambda *args: traced.append(1) or towards(*args))

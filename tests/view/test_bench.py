@@ -89,7 +89,6 @@ def test_refuses_what_is_no_colour_and_no_opacity():
         bench().update(eumelanin=1.0)
 
 
-@pytest.mark.heavy  # compiles pictures
 def test_every_change_is_the_picture_of_a_painting_made_anew():
     found = bench()
     near(found.update(), as_painted(found, COATS))
@@ -121,7 +120,6 @@ def linear(colour):
     return srgb_decode(np.array([int(colour[i : i + 2], 16) for i in (1, 3, 5)]) / 255)
 
 
-@pytest.mark.heavy
 def test_coats_that_change_places_follow_the_equation():
     """Two glazes all over on a white base: their light by hand, whichever is upper."""
     glaze = CoatRecipe("base", {}, "cadmium red", "cadmium red", 0.0, 0.5, 0, 0.0)
@@ -157,7 +155,6 @@ def linear_of(pixel):
     return np.asarray(srgb_decode(pixel / 255.0))
 
 
-@pytest.mark.heavy
 @pytest.mark.parametrize("mixing", ["hsl", "kubelka-munk"])
 def test_the_saved_recipe_makes_the_same_picture(tmp_path, mixing):
     taken = {"picked 02": "#5a6b2c"}
@@ -198,7 +195,6 @@ def test_a_coat_that_changes_is_done_with_those_below_it(monkeypatch):
     assert tuple(done.values()) == (0, 0, 2)
 
 
-@pytest.mark.heavy
 def test_without_coats_there_is_a_picture_still():
     found = bench()
     every = found.settings.layers
