@@ -37,11 +37,19 @@ _MOST_CORRELATED = 1000  # hours of sampling as it is
 
 
 class Problem(eqx.Module):
-    """Everything that fits and posteriors need; make one with `problem`.
+    """An inverse problem: data, model, noise and priors; make one with `problem`.
 
-    Vectors `z`, shape (free,), hold the free parameters in the coordinates in which each prior is
-    the standard normal. With several observations a name in `separate` is free once for each, as
-    `name@1`, … Each observation has its solver.
+    Vectors `z`, shape (free,), contain the free parameters in coordinates in which each prior is
+    the standard normal. A parameter that differs between observations is `name@1`, `name@2`, …
+
+    Attributes:
+        observations: The data and their instruments.
+        noise: The noise model.
+        base: The iris, for all that is neither free nor fixed.
+        fixed: Values of parameters that are known.
+        solvers: A solver for each observation.
+        free: Names of the free parameters.
+        priors: Their priors.
     """
 
     observations: tuple[Observation, ...]
@@ -59,7 +67,7 @@ class Problem(eqx.Module):
 
     @property
     def log_density(self) -> Callable[[np.ndarray], np.ndarray]:
-        """Function of many vectors z, (n, free) → (n,): their log posterior densities."""
+        """Function that maps vectors z, (n, free), to their log posterior densities, (n,)."""
         from irisjax.infer.pieces import density
 
         return density(self)
@@ -70,7 +78,7 @@ class Problem(eqx.Module):
         return self.solvers[0].process
 
     def values(self, z: Float[Array, " free"]) -> dict[str, Any]:
-        """Parameters by name, those fixed included."""
+        """Return all parameters by name, including fixed ones."""
         return {
             **self.fixed,
             **{
@@ -80,7 +88,7 @@ class Problem(eqx.Module):
         }
 
     def standard(self, values: Mapping[str, Any]) -> Float[Array, " free"]:
-        """The vector z of these values of the free parameters."""
+        """Return the vector z of some values of the free parameters."""
         return jnp.stack(
             [
                 p.standard(jnp.asarray(values[n], float))
@@ -89,11 +97,11 @@ class Problem(eqx.Module):
         )
 
     def natural(self, z: Float[Array, " free"]) -> Float[Array, " free"]:
-        """Values of the free parameters as a vector."""
+        """Return the values of the free parameters as a vector."""
         return jnp.stack([p.value(z[i]) for i, p in enumerate(self.priors)])
 
     def reported(self, z: Float[Array, " free"]) -> dict[str, Any]:
-        """Free parameters and what follows from them, for every observation that has its own."""
+        """Return free and derived parameters by name, for each observation that has its own."""
         values = self.values(z)
         out = {name: values[name] for name in self.free}
         for i in range(len(self.observations)):
@@ -103,7 +111,7 @@ class Problem(eqx.Module):
         return out
 
     def predict(self, z: Float[Array, " free"]) -> tuple[Float[Array, " _"], ...]:
-        """What each instrument would read without noise."""
+        """Compute the reading of each instrument without noise."""
         return self._models(self._readings(self.values(z)))
 
     def status(self, z: Float[Array, " free"]):
@@ -111,7 +119,7 @@ class Problem(eqx.Module):
         return _worst(self._readings(self.values(z)))
 
     def pointwise(self, z: Float[Array, " free"]) -> Float[Array, " all_data"]:
-        """Log likelihood of every value, all observations one after another."""
+        """Compute the log likelihood of every value, observations concatenated."""
         values = self.values(z)
         return jnp.concatenate(
             [
@@ -123,24 +131,24 @@ class Problem(eqx.Module):
         )
 
     def log_likelihood(self, z: Float[Array, " free"]) -> Float[Array, ""]:
-        """Log likelihood."""
+        """Compute the log likelihood."""
         return self.pointwise(z).sum()
 
     def log_prior(self, z: Float[Array, " free"]) -> Float[Array, ""]:
-        """Log prior density of z."""
+        """Compute the log prior density of z."""
         return -0.5 * (z * z + np.log(2 * np.pi)).sum()
 
     def log_posterior(self, z: Float[Array, " free"]) -> Float[Array, ""]:
-        """Log posterior density of z up to a constant; −∞ where the solver has no answer."""
+        """Compute the log posterior density of z up to a constant; −∞ if the solver fails."""
         return self.with_prior(self.log_likelihood(z), z)
 
     def with_prior(self, log_likelihood, z: Float[Array, " free"]) -> Float[Array, ""]:
-        """`log_posterior` of a log likelihood that is known."""
+        """Compute `log_posterior` from a known log likelihood."""
         total = log_likelihood + self.log_prior(z)
         return jnp.where(jnp.isfinite(total), total, -jnp.inf)
 
     def residuals(self, z: Float[Array, " free"], factor=1.0) -> Float[Array, " all_data"]:
-        """Residuals in units of the noise, which is taken at `factor` times what is stated."""
+        """Compute residuals in units of the noise, which is `factor` times the stated one."""
         return self.evaluated(z, factor)[0]
 
     def evaluated(
@@ -155,11 +163,11 @@ class Problem(eqx.Module):
         return jnp.concatenate(whitened), models, _worst(readings)
 
     def simulate(self, z: Float[Array, " free"], key) -> tuple[Float[Array, " _"], ...]:
-        """One noisy measurement of each kind, were z the truth."""
+        """Simulate one noisy measurement for each observation, with z as the truth."""
         return self.simulated_and_models(z, key)[0]
 
     def simulated_and_models(self, z: Float[Array, " free"], key):
-        """`simulate` and `predict` at once."""
+        """Return `simulate` and `predict` at once."""
         values, out = self.values(z), []
         models, nu = self._models(self._readings(values)), self.noise.degrees_of_freedom
         for i, (o, m) in enumerate(zip(self.observations, models, strict=True)):
@@ -170,7 +178,7 @@ class Problem(eqx.Module):
         return tuple(out), models
 
     def stated_sds(self, z: Float[Array, " free"], models) -> tuple[Float[Array, " _"], ...]:
-        """Standard deviations of the values of each observation about these models."""
+        """Return the standard deviations of the values of each observation."""
         values, noise, out = self.values(z), self.noise, []
         for i, (o, m) in enumerate(zip(self.observations, models, strict=True)):
             if o.covariance_root is not None:
@@ -182,23 +190,25 @@ class Problem(eqx.Module):
         return tuple(out)
 
     def unnamed(self) -> "Problem":
-        """The same problem without its observations' names: one program serves every file."""
+        """Return the problem without names of observations, so that files share one program."""
         seen = tuple(dataclasses.replace(o, name="") for o in self.observations)
         return dataclasses.replace(self, observations=seen)
 
     def with_observations(self, *observations: Observation) -> "Problem":
-        """The same problem for other values on the same wavelengths (they may be traced)."""
+        """Return the problem for other values, possibly traced, on the same wavelengths."""
         return eqx.tree_at(lambda p: p.observations, self, tuple(observations))
 
     def by(self, process: AbstractProcess) -> "Problem":
-        """The same problem by another process, with that one's table."""
+        """Return the problem for another process, with the table of that process."""
         base = self.base.replace(power_law=None) if isinstance(process, Ilit) else self.base
         return restated(self, base, process)
 
     def under(self, law: PowerLaw | None) -> "Problem":
-        """The same problem by radiative transfer with a power law of scattering, its four numbers
-        free with their default priors in place of `scattering_scale`; `None`: the formula of the
-        iris, and these no parameters.
+        """Return the problem by radiative transfer with another scattering of the stroma.
+
+        Args:
+            law: Power law, whose four numbers become free with their default priors in place of
+                `scattering_scale`; `None` for the formula of the iris without these parameters.
         """
         base = self.base.replace(power_law=law, scattering_scale=1.0)
         return restated(self, base, DEPTH_RESOLVED, () if law is None else OF_POWER_LAW)
@@ -210,7 +220,7 @@ class Problem(eqx.Module):
         return [self._reading(values, i) for i in range(len(self.observations))]
 
     def _reading(self, values, i: int):
-        """What the i-th instrument reads."""
+        """Compute the reading of the i-th instrument."""
         mine, instrument = seen_by(values, i), self.observations[i].instrument
         gain = jnp.asarray(mine["gain"], instrument.gain.dtype)
         instrument = eqx.tree_at(lambda x: x.gain, instrument, gain)
@@ -231,23 +241,25 @@ def problem(
 ) -> Problem:
     """State an inverse problem.
 
-    **Arguments:**
+    Naming one of a `PowerLaw`'s numbers, free or fixed, adds a power law to `base`.
 
-    - `observations`: one, or several of the same eye.
-    - `free`: names from `PARAMETERS`; default `DEFAULT_FREE`.
-    - `fixed`: values of others, taken out of `free`; what is neither stands as in `base`.
-    - `priors`: in place of those of `PARAMETERS`.
-    - `separate`: names that each observation has for itself (two spots share blood, not melanin).
-    - `base`: the iris for all that is neither free nor fixed; default LB06's, moderate.
-    - `process`: default `ILIT_2006`. It is solved by its quickest solver: `IlitTabulated` for ILIT,
-        `RadiativeTabulated` for radiative transfer and `AddingDoubling` under a power law of
-        scattering.
-    - `solver`: in place of `process`; a solver has a process.
+    Args:
+        observations: One observation, or several of the same eye.
+        free: Names from `PARAMETERS`; default `DEFAULT_FREE`.
+        fixed: Values of known parameters, which are removed from `free`.
+        priors: Priors that replace those of `PARAMETERS`.
+        separate: Names of parameters that differ between the observations (two spots share blood,
+            not melanin).
+        noise: The noise model; default `Noise()`.
+        base: The iris, for all that is neither free nor fixed; default LB06's, moderate.
+        process: Default `ILIT_2006`. Its quickest solver is used: `IlitTabulated` for ILIT,
+            `RadiativeTabulated` for radiative transfer and `AddingDoubling` for a power law of
+            scattering.
+        solver: A solver in place of `process`; it has a process.
 
-    To state one of a `PowerLaw`'s numbers, free or fixed, puts a power law into `base`.
-
-    **Raises:** `ValueError` for unknown names, values out of range, nothing free, a process beside
-    a solver, or more than 1,000 values with a correlated discrepancy.
+    Raises:
+        ValueError: For unknown names, values out of range, nothing free, a process beside a solver,
+            or more than 1,000 values with a correlated discrepancy.
     """
     seen = (observations,) if isinstance(observations, Observation) else tuple(observations)
     fixed, priors, separate = dict(fixed or {}), dict(priors or {}), tuple(separate)

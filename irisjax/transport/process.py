@@ -1,6 +1,6 @@
-"""The random rules of ILIT and of radiative transfer: which light follows, as values.
+"""The rules that light follows, of ILIT and of radiative transfer, as values.
 
-Solvers integrate or sample these. Directions are cosines μ to the layer normal, depths are optical.
+Solvers integrate or sample them. Directions are cosines μ to the layer normal, depths are optical.
 [LB06 Section 3]
 """
 
@@ -18,31 +18,32 @@ Rescatter = Literal["to-interface", "retest"]
 
 
 class AbstractProcess(eqx.Module):
-    """Which rules a ray follows. All static: a process is compiled in, not computed with."""
+    """The rules that light follows; all fields are static and compiled into programs."""
 
     @property
     def phase_function(self) -> AbstractPhase:
-        """The law by which the stroma deflects light."""
+        """Phase function of the stroma."""
         return PHASES["rayleigh"]
 
     @property
     def transport(self) -> str:
-        """What outputs call it."""
+        """Name of the kind of transport in outputs."""
         raise NotImplementedError
 
     def describe(self) -> dict[str, str | bool]:
-        """The switches by name, for headers."""
+        """Return the switches by name, for headers."""
         return {f.name: getattr(self, f.name) for f in dataclasses.fields(self)}
 
 
 class Ilit(AbstractProcess):
     """ILIT: tests over whole layers, directions redrawn on entering them  [LB06 Section 3].
 
-    - `phase`: `"lb06"` samples the deflection as printed (no sin α); `"rayleigh"` samples
-        Rayleigh's law.
-    - `rescatter`: after a scatter the ray goes straight `"to-interface"`, or is tested again over
-        the whole thickness (`"retest"`); a factor of two in the blue lies between them.
-    - `perturb_on_reflection`: whether a ray reflected inside a layer is redrawn as on entry.
+    Attributes:
+        phase: `"lb06"` samples the deflection as printed (no sin α), `"rayleigh"` Rayleigh's law.
+        rescatter: Whether a scattered ray goes straight `"to-interface"`, or is tested again over
+            the whole thickness (`"retest"`); they differ by a factor of two in the blue.
+        perturb_on_reflection: Whether a ray reflected inside a layer gets a new direction, as on
+            entry.
     """
 
     phase: Phase = eqx.field(static=True, default="lb06")
@@ -62,38 +63,41 @@ class Ilit(AbstractProcess):
 
     @property
     def transport(self) -> str:
-        """What outputs call it."""
+        """Name of the kind of transport in outputs."""
         return "whole-layer"
 
 
 class RadiativeTransfer(AbstractProcess):
-    """Radiative transfer in the same layers: free paths in depth, Rayleigh's law, Fresnel's
-    and Snell's at every interface; nothing is redrawn.
+    """Radiative transfer in the same layers.
 
-    - `polarised`: whether light is followed by its Stokes vector, with Rayleigh's phase matrix and
-        Fresnel's Mueller matrices, or by its intensity alone (scalar theory).
+    Light has free paths in depth, scatters by Rayleigh's law, and follows Fresnel's and Snell's laws
+    at every interface; no direction is redrawn.
+
+    Attributes:
+        polarised: Whether light is followed by its Stokes vector, with Rayleigh's phase matrix and
+            Fresnel's Mueller matrices, or by its intensity alone (scalar theory).
     """
 
     polarised: bool = eqx.field(static=True, default=False)
 
     @property
     def transport(self) -> str:
-        """What outputs call it."""
+        """Name of the kind of transport in outputs."""
         return "depth-resolved, polarised" if self.polarised else "depth-resolved"
 
     def describe(self) -> dict[str, str | bool]:
-        """The switch, where it is on."""
+        """Return the switch if it is on."""
         return {"polarised": True} if self.polarised else {}
 
 
 ILIT_2006 = Ilit()
-"""LB06 as printed, with the decisions where it is silent."""
+"""ILIT as printed in LB06, with decisions where the paper leaves rules open."""
 
 ILIT_CORRECTED = Ilit(phase="rayleigh")
 """ILIT with Rayleigh's phase function sampled exactly."""
 
 DEPTH_RESOLVED = RadiativeTransfer()
-"""Scalar radiative transfer in the same layers, Fresnel at every interface."""
+"""Scalar radiative transfer in the same layers."""
 
 POLARISED = RadiativeTransfer(polarised=True)
 """Radiative transfer of Stokes vectors in the same layers."""
@@ -103,11 +107,11 @@ PROCESSES: dict[str, AbstractProcess] = {
     "ilit-corrected": ILIT_CORRECTED,
     "depth-resolved": DEPTH_RESOLVED,
 }
-"""Processes by the name the command line gives them."""
+"""Processes by their names on the command line."""
 
 
 def is_polarised(process: AbstractProcess) -> bool:
-    """Whether a process follows light by its Stokes vector."""
+    """Check whether a process follows light by its Stokes vector."""
     return isinstance(process, RadiativeTransfer) and process.polarised
 
 
