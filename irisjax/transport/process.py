@@ -70,8 +70,8 @@ class Ilit(AbstractProcess):
 class RadiativeTransfer(AbstractProcess):
     """Radiative transfer in the same layers.
 
-    Light has free paths in depth, scatters by Rayleigh's law, and follows Fresnel's and Snell's laws
-    at every interface; no direction is redrawn.
+    Light has free paths in depth, scatters by Rayleigh's law, and follows Fresnel's and Snell's
+    laws at every interface; no direction is redrawn.
 
     Attributes:
         polarised: Whether light is followed by its Stokes vector, with Rayleigh's phase matrix and
