@@ -70,7 +70,7 @@ def _drawn(picture: Future[bytes], name: str, args: Any) -> Later:
     return lambda: picture.result() or here(name, *args)()
 
 
-def main() -> None:
+def _draw_from_input() -> None:
     """Draw the figures that arrive on standard input until it ends."""
     # corner would load ArviZ where it is installed, for two seconds, and not need it for arrays.
     sys.modules.setdefault("arviz", None)  # pyright: ignore[reportArgumentType]
@@ -91,4 +91,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    _draw_from_input()
