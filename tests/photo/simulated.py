@@ -1,24 +1,18 @@
-"""Photographs of rendered eyes with lids, lashes, a highlight and noise, and their true outlines."""
+"""Simulated photographs with lids, lashes, a highlight and noise, and their true outlines."""
 
+import json
+from pathlib import Path
 from typing import NamedTuple
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 from scipy import ndimage
 
-from irisjax.anatomy.eye import Eye
-from irisjax.grow.presets import preset
-from irisjax.photo.photograph import Ellipse, Photograph, ellipse_through
-from irisjax.render.camera import Camera
-from irisjax.render.environment import Environment
-from irisjax.render.picture import draw
-from irisjax.render.points import project_points
-from irisjax.render.scene import Scene
-from irisjax.render.surfaces import IrisSurface
+from irisjax.io.photographs import read_photograph
+from irisjax.photo.edges import reduce_picture
+from irisjax.photo.photograph import Ellipse, Photograph
 
+FOLDER = Path(__file__).parent.parent.parent / "data" / "photographs"
 SKIN = np.array([0.45, 0.26, 0.18])
-_AROUND = np.linspace(0, 2 * np.pi, 90, endpoint=False)
 
 
 class Simulated(NamedTuple):
@@ -37,27 +31,16 @@ def as_photograph(pixels, name="made.png") -> Photograph:
     return Photograph(pixels.astype(float), (pixels > 0.99).any(-1), name=name)
 
 
-def rendered(colour="green", polar=0.0, size=(600, 460), seed=0, **eye) -> Simulated:
-    """An eye in a studio, nothing in front of it."""
-    shape = Eye(**eye)
-    camera = Camera(polar=polar, azimuth=0.6, width=15.0, size=size)
-    iris, maps = preset(colour, shape, key=jax.random.key(seed))
-    scene = Scene(iris, maps, shape, lights=None, environment=Environment.studio(), camera=camera)
-    picture = np.asarray(draw(scene, caustics=False), float)
-    cos, sin = np.cos(_AROUND), np.sin(_AROUND)
-    assert shape.cornea is not None
-    radius, front = float(shape.limbus_radius), shape.cornea.anterior
-    depth = float(front.apex + front.sagitta(shape.limbus_radius))
-    limbus = np.stack([radius * cos, radius * sin, np.full_like(cos, depth)], -1)
-    radius = float(shape.pupil_radius)
-    pupil = np.stack([radius * cos, radius * sin, np.full_like(cos, float(shape.iris_depth))], -1)
-    shown = project_points(IrisSurface(shape), camera, jnp.asarray(pupil))
-    return Simulated(picture, fitted(*camera.pixel(jnp.asarray(limbus), shape)), fitted(*shown[:2]))
-
-
-def fitted(column, row) -> Ellipse:
-    """The ellipse through points."""
-    return ellipse_through(np.stack([np.asarray(column), np.asarray(row)], -1))
+def photographed(name: str, scale: float) -> Simulated:
+    """A simulated photograph of the project without lids, reduced."""
+    pixels = reduce_picture(read_photograph(FOLDER / name).pixels, scale).astype(float)
+    entries = json.loads((FOLDER / "truth.json").read_text(encoding="utf-8"))["photographs"]
+    truth = next(entry for entry in entries if entry["file"] == name)
+    outlines = (
+        Ellipse(tuple(e["centre_px"]), tuple(e["semi_axes_px"]), e["angle"]).scaled(scale)
+        for e in (truth["limbus"], truth["pupil"])
+    )
+    return Simulated(pixels, *outlines)
 
 
 def with_lids(eye: Simulated, upper=0.62, lower=0.8) -> Simulated:
