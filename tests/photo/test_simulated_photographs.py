@@ -13,6 +13,7 @@ from irisjax.anatomy.eye import Eye
 from irisjax.io.photographs import read_photograph
 from irisjax.io.scenes import read_scene
 from irisjax.photo.clone import CloneSettings, Given, outline_eye, pose_eye
+from irisjax.photo.edges import reduce_picture
 from irisjax.photo.masks import find_mirrored_face, part_of
 from irisjax.photo.outlines import MIN_CONFIDENCE, find_boundaries
 from irisjax.photo.photograph import Ellipse
@@ -22,7 +23,7 @@ from irisjax.photo.texture import LUMINANCE_WEIGHTS, masked_mean
 FOLDER = Path(__file__).parent.parent.parent / "data" / "photographs"
 TRUTH = json.loads((FOLDER / "truth.json").read_text(encoding="utf-8"))["photographs"]
 CLEAN = [t for t in TRUTH if not t["dirty"]]
-SEARCHED = "brown.jpg", "blue_tilted_dirty.jpg", "green_tilted.jpg"
+SEARCHED = "brown.jpg", "blue_tilted_dirty.jpg"
 MASKED = "blue_tilted_dirty.jpg", "brown_dirty.jpg", "green_tilted_dirty.jpg"
 
 
@@ -33,6 +34,14 @@ def by_file(truths):
 def outline(truth, name):
     of = truth[name]
     return Ellipse(tuple(of["centre_px"]), tuple(of["semi_axes_px"]), of["angle"])
+
+
+def halved(name):
+    photo = read_photograph(FOLDER / name)
+    cut_off = reduce_picture(photo.saturated[..., None].astype(float), 0.5)[..., 0] > 0
+    focal = None if photo.focal_px is None else photo.focal_px / 2
+    pixels = reduce_picture(photo.pixels, 0.5)
+    return photo._replace(pixels=pixels, saturated=cut_off, focal_px=focal)
 
 
 def luminance(truth):
@@ -163,27 +172,29 @@ def test_what_lids_lashes_and_a_lamp_hide_is_masked(truth):
 
 @by_file([t for t in TRUTH if t["file"] in MASKED[1:]])
 def test_the_mirrored_face_is_masked(truth):
-    """Of an eye that is turned: where it makes the rim brighter by a third than without a face."""
-    given = Given(*(outline(truth, n) for n in ("limbus", "pupil")))
-    photo = read_photograph(FOLDER / truth["file"])
-    found = pose_eye(outline_eye(photo, given), CloneSettings())
+    """Of an eye that is turned: where it makes the rim brighter by a third than without a face; at
+    half the size.
+    """
+    limbus, pupil = (outline(truth, n).scaled(0.5) for n in ("limbus", "pupil"))
+    photo = halved(truth["file"])
+    found = pose_eye(outline_eye(photo, Given(limbus, pupil)), CloneSettings())
     mirror = found.view.mirror
     (x, y), part = found.corner, found.part
-    limbus, pupil = (outline(truth, n).moved(-x, -y) for n in ("limbus", "pupil"))
+    limbus, pupil = (e.moved(-x, -y) for e in (limbus, pupil))
     masked = find_mirrored_face(part, np.zeros(part.shape[:2], bool), limbus, mirror)
     if not truth["camera"]["polar"]:
         assert not masked.any()
         return
-    clean = read_photograph(FOLDER / truth["file"].replace("_dirty", ""))
+    clean = halved(truth["file"].replace("_dirty", ""))
     whole, (rows, columns) = part_of(clean, found.boundaries.limbus), part.shape[:2]
     x, y = x - whole.corner[0], y - whole.corner[1]
     bare = 1.2 * whole.pixels[y : y + rows, x : x + columns]
     row, column = np.ogrid[:rows, :columns]
     iris = limbus.relative_radius(column, row) < 0.97
     iris &= pupil.relative_radius(column, row) > 1.1
-    excess = ndimage.gaussian_filter((part - bare)[..., 0], 2.0)
+    excess = ndimage.gaussian_filter((part - bare)[..., 0], 1.0)
     changed = iris & (excess > 0.33 * bare[..., 0]) & (np.abs(row - rows / 2) < 0.2 * rows)
-    assert changed.sum() > 1000
+    assert changed.sum() > 250
     assert masked[changed].mean() > 0.95
     assert masked[iris].mean() < 0.1
     assert not found.clear[masked].any()
