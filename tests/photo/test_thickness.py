@@ -1,12 +1,16 @@
-"""Thickness from brightness."""
+"""Freckles and thickness from a texture."""
 
 import numpy as np
 import pytest
 from scipy import ndimage
 
+from irisjax.photo.texture import Unrefracted
 from irisjax.photo.thickness import (
+    ARC_LIGHT,
     SHADE_SHARE,
     THINNEST,
+    Darkness,
+    along_fibres,
     deconvolve,
     encoded_intensity,
     f09_thickness,
@@ -15,6 +19,7 @@ from irisjax.photo.thickness import (
     local_normalisation,
     relative_luminance,
     relative_thickness,
+    shape_maps,
     unshade,
 )
 
@@ -181,3 +186,135 @@ def test_the_edge_of_a_shadow_is_no_thickness():
     assert (told[~RING] == 0).all()
     even = local_contrast(1 + pattern, RING, RING & (Y > 0), TEXEL)
     assert even[RING & (Y > 0)].std() < 1.2 * SHADE_SHARE * even[RING & (Y < 0)].std()
+
+
+SIZE = 192
+
+
+def _texture():
+    bare = Unrefracted(np.zeros((SIZE, SIZE, 3)), np.ones((SIZE, SIZE), bool), 1.9, 5.5)
+    radius, angle = bare.radius(), bare.angle()
+    streaks = 1 + 0.3 * np.sin(24 * angle)
+    pixels = np.array([0.1, 0.14, 0.2]) * streaks[..., None]
+    return bare._replace(pixels=pixels, valid=(radius > 1.9) & (radius < 5.5))
+
+
+def test_bright_streaks_are_thick_and_the_iris_thins_outwards():
+    texture = _texture()
+    found = shape_maps(texture, shape=(192, 32))
+    depth = np.asarray(found.maps.stroma_depth)
+    assert depth.shape == (192, 32)
+    angle = (np.arange(192) + 0.5) * 2 * np.pi / 192
+    assert np.corrcoef(depth[:, 20], np.sin(24 * angle))[0, 1] > 0.95
+    assert depth[:, 2].mean() > depth[:, 16].mean() > depth[:, 30].mean()
+    assert found.maps.freckles is None and found.maps.abl_depth is None and found.clamped == 0
+
+
+def test_freckles_of_the_user_are_filled_and_handed_on():
+    texture = _texture()
+    spot = np.hypot(texture.radius() * np.cos(texture.angle()) - 3.5, 0) < 0.3
+    spot &= np.abs(texture.radius() * np.sin(texture.angle())) < 0.3
+    spoilt = texture._replace(pixels=np.where(spot[..., None], 1e-3, texture.pixels))
+    found = shape_maps(spoilt, spot, shape=(192, 32))
+    clean = shape_maps(texture, np.zeros_like(spot), shape=(192, 32))
+    assert np.asarray(found.maps.freckles).max() > 0.9
+    difference = np.abs(np.asarray(found.maps.stroma_depth) - clean.maps.stroma_depth)
+    assert difference.max() < 0.05 and np.median(difference) < 1e-4
+
+
+def test_a_freckle_is_as_dark_as_in_the_photograph():
+    """Where the model's are darker; the darkest there is where they are not."""
+    texture = _texture()
+    radius, angle = texture.radius(), texture.angle()
+    middle = np.hypot(radius * np.cos(angle) - 3.5, radius * np.sin(angle))
+    spot, darkness = middle < 0.5, Darkness(np.array([0, 0.5, 1.0]), np.array([1, 0.5, 0.4]))
+    for seen, share in ((0.75, 0.25), (0.45, 0.75), (0.2, 1.0)):
+        dark = np.where(spot, seen, 1.0)[..., None] * texture.pixels
+        known = {"response": 0.5, "darkness": darkness, "shape": (192, 32)}
+        # About a spot as large the surroundings are filled in: the streaks are lost there.
+        flat = texture._replace(pixels=np.where(middle[..., None] < 1, [0.1, 0.14, 0.2], dark))
+        flat = flat._replace(pixels=np.where(spot[..., None], seen, 1.0) * flat.pixels)
+        found = np.asarray(shape_maps(flat, spot, **known).maps.freckles)
+        assert found.max() == pytest.approx(share, abs=0.02)
+        assert found.min() == 0
+
+
+def test_hidden_texels_do_not_tell():
+    texture = _texture()
+    valid = texture.valid & ~(texture.radius() * np.sin(texture.angle()) > 4)
+    spoilt = np.where(valid[..., None], texture.pixels, np.nan)
+    found = shape_maps(texture._replace(valid=valid, pixels=spoilt))
+    again = shape_maps(texture._replace(valid=valid))
+    np.testing.assert_array_equal(found.thickness, again.thickness)
+
+
+def test_what_cannot_be():
+    texture = _texture()
+    with pytest.raises(ValueError, match="no texel that shows the iris"):
+        shape_maps(texture._replace(valid=np.zeros_like(texture.valid)))
+    with pytest.raises(ValueError, match="the freckle mask is"):
+        shape_maps(texture, np.zeros((2, 2), bool))
+    with pytest.raises(ValueError, match="need a response"):
+        shape_maps(texture, slopes=(0.1, 0.0))
+
+
+RING_SIZE = 600
+
+
+def ring(hidden=False) -> Unrefracted:
+    """Of an eye without lids, or with its upper third hidden."""
+    empty = Unrefracted(
+        np.zeros((RING_SIZE, RING_SIZE, 3), np.float32),
+        np.zeros((RING_SIZE, RING_SIZE), bool),
+        2.0,
+        5.5,
+    )
+    radius, y = empty.radius(), empty.radius() * np.sin(empty.angle())
+    return empty._replace(valid=(radius > 2) & (radius < 5.5) & ~(hidden & (y > 2)))
+
+
+def away_from_edges(texture: Unrefracted):
+    """Texels at which no neighbourhood reaches an edge."""
+    radius, y = texture.radius(), texture.radius() * np.sin(texture.angle())
+    return texture.valid & (radius > 2.3) & (radius < 5.2) & (y < 0)
+
+
+@pytest.mark.parametrize("hidden", [False, True])
+@pytest.mark.parametrize("response", [0.2, 0.6])
+def test_fibres_and_rings_stay(response, hidden):
+    """What varies with the angle alone, or with the distance alone, is tissue."""
+    texture = ring(hidden)
+    where, angle, radius = away_from_edges(texture), texture.angle(), texture.radius()
+    for tissue in (0.1 * np.cos(40 * angle), 0.1 * np.sin(2 * np.pi * radius / 1.0)):
+        seen = np.where(texture.valid, tissue, np.nan).astype(np.float32)
+        found = along_fibres(seen, texture.valid, texture, response)
+        # A wave 1 mm long loses 1 − exp(−2π²·0.05²) = 0.048 of its height to the smoothing.
+        np.testing.assert_allclose(found[where], tissue[where], atol=0.008)
+        assert not found[~texture.valid].any()
+
+
+@pytest.mark.parametrize("response", [0.2, 0.6])
+def test_light_along_an_arc_is_taken_off(response):
+    """A shadow along the limbus on one side: the share of it that the estimate believes."""
+    texture = ring()
+    middle = np.exp(-0.5 * (np.angle(np.exp(1j * (texture.angle() + np.pi / 2))) / 0.5) ** 2)
+    shadow = -0.2 * middle / (1 + np.exp(-(texture.radius() - 4.5) / 0.15))
+    found = along_fibres(shadow.astype(np.float32), texture.valid, texture, response)
+    where = away_from_edges(texture) & (middle > 0.9) & (texture.radius() > 4.8)
+    left = found[where].mean() / shadow[where].mean()
+    kept = response**2 / (ARC_LIGHT**2 + response**2)
+    # The ring's mean, a fifth of the shadow, stays; the arc is blurred by 0.7 mm.
+    share = 1.2533 * 0.5 / np.pi
+    assert left == pytest.approx(kept + (1 - kept) * share, abs=0.08)
+
+
+def test_noise_is_averaged_along_the_radius():
+    """Of white noise a Gaussian of s texels along a line leaves 1 / (2 √π s) of the variance; two
+    interpolations average some more.
+    """
+    texture = ring()
+    noise = np.random.default_rng(1).normal(size=(RING_SIZE, RING_SIZE)).astype(np.float32)
+    found = along_fibres(noise, texture.valid, texture, 0.6)
+    left = found[away_from_edges(texture)].var()
+    expected = 1 / (2 * np.sqrt(np.pi) * 0.05 / texture.millimetres_per_texel)
+    assert 0.3 * expected < left < 1.05 * expected

@@ -1,10 +1,16 @@
-"""What hides the iris: highlights, lashes, lids."""
+"""What hides the iris: highlights, lashes, lids, and shadows of lashes."""
 
 import numpy as np
 import pytest
 from scipy import ndimage
 
-from irisjax.photo.masks import find_highlights, find_lashes, find_lids
+from irisjax.photo.masks import (
+    find_highlights,
+    find_lash_shadows,
+    find_lashes,
+    find_lids,
+    without_islands,
+)
 from irisjax.photo.photograph import Ellipse
 
 SHAPE = (360, 480)
@@ -87,3 +93,40 @@ def test_an_open_eye_has_neither_lids_nor_lashes_over_it(grey):
     assert not find_lids(pixels, LIMBUS, PUPIL).any()
     beyond = Ellipse((-900.0, 20.0), (50.0, 50.0))
     assert not find_lashes(pixels, beyond).any() and not find_lids(pixels, beyond, beyond).any()
+
+
+SIDE, RADIUS = 400, 180.0
+ROUND_LIMBUS = Ellipse((200.0, 200.0), (RADIUS, RADIUS), 0.0)
+SQUARE_ROW, SQUARE_COLUMN = np.indices((SIDE, SIDE))
+IRIS = ROUND_LIMBUS.mask((SIDE, SIDE))
+LID = IRIS & (SQUARE_ROW < 100)
+
+
+def _shaded_eye():
+    """Noise of 1 %, a faint streak below the lid and one far from it, and a round crypt."""
+    light = 0.2 * (1 + 0.01 * np.random.default_rng(3).normal(size=(SIDE, SIDE)))
+    lean = SQUARE_COLUMN - 150 - 0.3 * (SQUARE_ROW - 100)
+    below = (np.abs(lean) < 1.5) & (SQUARE_ROW >= 105) & (SQUARE_ROW < 160)
+    far = (np.abs(lean) < 1.5) & (SQUARE_ROW >= 260) & (SQUARE_ROW < 315)
+    crypt = np.hypot(SQUARE_ROW - 140, SQUARE_COLUMN - 260) < 10
+    light = np.where(below | far | crypt, 0.7 * light, light)
+    return np.repeat(light[..., None], 3, -1).astype(np.float32), below, far, crypt
+
+
+def test_a_faint_streak_below_a_lid_is_found_and_nothing_else():
+    pixels, below, far, crypt = _shaded_eye()
+    found = find_lash_shadows(pixels, ROUND_LIMBUS, LID, IRIS & ~LID)
+    assert found[below].mean() > 0.9
+    assert not found[far | crypt].any()
+    assert found.sum() < 4 * below.sum()
+
+
+def test_without_a_lid_nothing_is_taken():
+    pixels, *_ = _shaded_eye()
+    assert not find_lash_shadows(pixels, ROUND_LIMBUS, np.zeros_like(LID), IRIS).any()
+
+
+def test_slivers_along_a_lid_are_no_iris():
+    clear = IRIS & ~LID
+    sliver = IRIS & (SQUARE_ROW > 60) & (SQUARE_ROW < 64)
+    np.testing.assert_array_equal(without_islands(clear | sliver), clear)

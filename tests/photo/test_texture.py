@@ -1,4 +1,4 @@
-"""Refraction undone: texels where the camera sees them, and a painted iris laid flat."""
+"""The iris laid flat: refraction undone, holes filled, polar cells."""
 
 import numpy as np
 import pytest
@@ -7,8 +7,87 @@ from scipy import ndimage
 
 from irisjax.anatomy.eye import Eye
 from irisjax.photo.pose import find_pose, iris_points
-from irisjax.photo.texture import Unrefracted, follow_refraction, unrefract
+from irisjax.photo.texture import (
+    Unrefracted,
+    fill_holes,
+    follow_refraction,
+    masked_mean,
+    to_polar,
+    unrefract,
+)
 from irisjax.render.camera import Camera
+from irisjax.tissue.maps import cell_centres
+
+
+def _disc(size, radius):
+    y, x = np.mgrid[:size, :size] - (size - 1) / 2
+    return np.hypot(x, y) < radius
+
+
+@pytest.mark.parametrize("shape", [(96, 96), (65, 90)])
+def test_known_pixels_stay_to_the_bit_and_holes_lie_between_them(shape):
+    pixels = np.random.default_rng(0).uniform(0.2, 0.7, (*shape, 3))
+    holes = np.zeros(shape, bool)
+    holes[20:50, 30:70] = holes[:4] = True
+    filled = fill_holes(np.where(holes[..., None], np.nan, pixels), holes)
+    np.testing.assert_array_equal(filled[~holes], pixels[~holes])
+    assert filled.min() >= 0.2 and filled.max() <= 0.7
+
+
+def test_a_hole_in_a_ramp_is_bridged():
+    ramp = np.broadcast_to(np.linspace(0, 1, 128), (128, 128))
+    holes = _disc(128, 12)
+    assert (
+        np.abs(fill_holes(ramp, holes) - ramp).max() < 0.06
+    )  # the ramp rises by 0.19 across the hole
+
+
+def test_nothing_to_fill_from():
+    with pytest.raises(ValueError, match="all 16 pixels are holes"):
+        fill_holes(np.ones((4, 4)), np.ones((4, 4), bool))
+
+
+def test_means_leave_holes_out():
+    valid = ~_disc(64, 8)
+    values = np.where(valid, 0.3, 1e4)
+    np.testing.assert_allclose(masked_mean(values, valid, 5.0)[valid], 0.3, rtol=1e-5)
+    with pytest.raises(ValueError, match="no texel is valid"):
+        masked_mean(values, np.zeros_like(valid), 5.0)
+
+
+def _flat_texture(size):
+    return Unrefracted(np.zeros((size, size, 3)), np.ones((size, size), bool), 2.0, 5.5)
+
+
+@pytest.mark.parametrize("shape", [(48, 16), (768, 256)])
+def test_angles_run_from_right_to_up_and_radii_outwards(shape):
+    texture = _flat_texture(256)
+    picture = np.cos(texture.angle() - 0.4) + 0.2 * texture.radius()
+    polar = to_polar(picture, 2.0, 5.5, shape)
+    angle, radius = (np.asarray(x) for x in cell_centres(shape))
+    expected = np.cos(angle[:, None] - 0.4) + 0.2 * (2.0 + 3.5 * radius)
+    assert np.abs(polar - expected).max() < 0.01
+
+
+def test_texture_axes():
+    texture = _flat_texture(64)
+    assert texture.angle()[0, 32] == pytest.approx(np.pi / 2, abs=0.02)  # row 0 is the top
+    assert abs(texture.angle()[32, 63]) < 0.02
+    assert texture.radius()[32, 63] == pytest.approx(
+        6 - texture.millimetres_per_texel / 2, rel=1e-2
+    )
+
+
+def test_coarse_cells_are_means():
+    checks = np.indices((256, 256)).sum(0) % 2.0
+    polar = to_polar(checks, 2.0, 5.5, (32, 8))
+    assert np.abs(polar - 0.5).max() < 0.1
+
+
+def test_radii_that_are_no_iris():
+    with pytest.raises(ValueError, match="pupil_radius = 6 mm"):
+        to_polar(np.zeros((8, 8)), 6.0, 5.5)
+
 
 SPACING, WIDTH = 0.8, 0.12  # mm, of the dots
 
