@@ -106,7 +106,7 @@ def test_the_limbus_shades_the_side_of_the_lamp():
     )
     radius = texture.radius()
     texture = texture._replace(valid=(radius > 2.0) & (radius < 5.2))
-    tables = Illumination.build(eye, caustics=False)
+    tables = Illumination.build(eye, caustics=False, size=65)
     lamp = Lights.distant([0.9], [0.0], [np.pi])
     shade = shade_on(texture, lamp, 0.0, eye, tables) & texture.valid
     right = np.cos(texture.angle()) > 0.9
