@@ -20,6 +20,7 @@ from irisjax.photo.clone import (
     shape_iris,
     width_by_rendering,
 )
+from irisjax.photo.masks import find_mirrored_face
 from irisjax.photo.photograph import Photograph
 from irisjax.photo.thickness import shape_maps
 
@@ -68,6 +69,13 @@ def test_thickness_of_a_photographed_iris_comes_back(alone):
     paper, ours = score(), score(response=0.6, sigma_mm=0.0)
     assert 0 < paper < ours
     assert ours > 0.8
+
+
+def test_a_frontal_eye_mirrors_no_face(alone):
+    limbus = alone.boundaries.limbus.moved(-alone.corner[0], -alone.corner[1])
+    outside = np.zeros(alone.clear.shape, bool)
+    assert alone.reduction == 1
+    assert not find_mirrored_face(alone.part, outside, limbus, alone.view.mirror).any()
 
 
 def test_texture_under_a_highlight_is_the_seconds(first, alone):
