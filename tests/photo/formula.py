@@ -38,7 +38,7 @@ class FormulaWindows(Windows):
             melanin = stroma * whole * jnp.exp(log_thickness)
             back = scattering / (scattering + 0.3 + melanin @ _ABSORPTION)
             seen = back * jnp.exp(-2 * abl @ _ABSORPTION)
-            return (self.light + room)[:, None] * seen
+            return self.light[:, None] * seen
 
         zero = jnp.zeros(())
         return jax.jvp(radiance, (zero,), (jnp.ones_like(zero),))
