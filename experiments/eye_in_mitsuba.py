@@ -18,7 +18,7 @@ import mitsuba as mi
 import numpy as np
 from scipy import ndimage
 
-from irisjax.export.mesh import encode_ply, eye_meshes, right_handed
+from irisjax.export.mesh import eye_meshes, mesh_files, right_handed
 from irisjax.render.scene import Scene
 
 FAR = 1e4
@@ -67,8 +67,8 @@ def photograph(
         from the iris. `folder`: for meshes.
     """
     meshes = {n: right_handed(m) for n, m in eye_meshes(scene.eye, SPACING).items()}
-    for name, mesh in meshes.items():
-        (folder / f"{name}.ply").write_bytes(encode_ply(mesh))
+    for name, data in mesh_files(meshes).items():
+        (folder / name).write_bytes(data)
 
     def ply(name, **more):
         return {"type": "ply", "filename": str(folder / f"{name}.ply"), **more}

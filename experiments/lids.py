@@ -11,7 +11,7 @@ import numpy as np
 import trimesh
 
 from irisjax.anatomy.eye import Eye
-from irisjax.export.mesh import Mesh, encode_ply
+from irisjax.export.mesh import mesh_files
 
 SKIN = 0.55, 0.36, 0.27
 """Albedo, linear sRGB."""
@@ -42,7 +42,7 @@ def lids(eye: Eye, folder: Path, seed: int) -> dict[str, Any]:
     shapes = {}
     for name, up in (("upper", 1), ("lower", -1)):
         path = folder / f"{name}_lid.ply"
-        path.write_bytes(encode_ply(_lid(centre, up)))
+        path.write_bytes(mesh_files({name: _lid(centre, up)})[f"{name}.ply"])
         shapes[name] = {"type": "ply", "filename": str(path), "bsdf": _matt(SKIN)}
     lashes = folder / "lashes.txt"
     lashes.write_text("\n\n".join(_lashes(centre, np.random.default_rng(seed))) + "\n")
@@ -59,7 +59,7 @@ def _on_sphere(x, y, centre: float, radius):
     return centre + np.sqrt(np.maximum(radius**2 - x**2 - y**2, 4.0))
 
 
-def _lid(centre: float, up: int) -> Mesh:
+def _lid(centre: float, up: int) -> trimesh.Trimesh:
     """From the inner side over a rounded edge and away from the eye."""
     x = np.linspace(-WIDEST, WIDEST, 161)
     turn = np.linspace(-math.pi / 2, math.pi / 2, 13)
@@ -75,8 +75,7 @@ def _lid(centre: float, up: int) -> Mesh:
         i.ravel() for i in (index[:-1, :-1], index[:-1, 1:], index[1:, :-1], index[1:, 1:])
     )
     faces = np.concatenate([np.stack([a, b, c], -1), np.stack([b, d, c], -1)])
-    made = trimesh.Trimesh(points.reshape(-1, 3), faces, process=False)
-    return Mesh(points.reshape(-1, 3), np.array(made.vertex_normals), None, faces)
+    return trimesh.Trimesh(points.reshape(-1, 3), faces, process=False)
 
 
 def _lashes(centre: float, random: np.random.Generator) -> list[str]:

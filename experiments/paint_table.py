@@ -10,8 +10,8 @@ import numpy as np
 
 import irisjax as ij
 from irisjax.io.tables import format_table
-from irisjax.ocularist.kubelka_munk import SCATTERING, constructed
-from irisjax.ocularist.palette import FURTHER_PAINTS, PAINTS, linear_colour
+from irisjax.ocularist.kubelka_munk import PAINT_SCATTERING, constructed_absorption
+from irisjax.ocularist.mixing import FURTHER_PAINTS, PAINTS, linear_colour
 
 WAVELENGTHS = np.arange(400.0, 701.0, 10.0)
 HEADER = {
@@ -26,8 +26,10 @@ def main() -> None:
     """Construct each paint's K to six digits."""
     columns = {"wavelength_nm": WAVELENGTHS}
     for name, paint in {**PAINTS, **FURTHER_PAINTS}.items():
-        scattering = np.full_like(WAVELENGTHS, SCATTERING[name])
-        absorption = constructed(linear_colour(name, paint.srgb), WAVELENGTHS, scattering)
+        scattering = np.full_like(WAVELENGTHS, PAINT_SCATTERING[name])
+        absorption = constructed_absorption(
+            linear_colour(name, paint.srgb), WAVELENGTHS, scattering
+        )
         columns[f"{name}_K"] = np.array([float(f"{k:.6g}") for k in absorption])
         columns[f"{name}_S"] = scattering
     path = Path(ij.__file__).parent / "ocularist" / "tables" / "paints.csv"

@@ -15,11 +15,10 @@ from irisjax.io import write_atomically
 from irisjax.measure.colour import srgb_encode
 from irisjax.ocularist.coats import Coat, Painting, prosthesis
 from irisjax.ocularist.components import COMPONENTS, component
-from irisjax.ocularist.easel import painted, studio
 from irisjax.ocularist.integrator import Painted
 from irisjax.ocularist.kubelka_munk import KubelkaMunkMixer
-from irisjax.ocularist.mixing import HslMixer
-from irisjax.ocularist.palette import PAINTS
+from irisjax.ocularist.mixing import PAINTS, HslMixer
+from irisjax.ocularist.painting import painted, studio
 from irisjax.ocularist.recipes import coats
 from irisjax.render.camera import Camera
 from irisjax.render.environment import ENVIRONMENTS
@@ -80,7 +79,7 @@ def main(key, quick=False, out=RESULTS):
 
 
 def _painting(kind: str, colour: str, seed: int, eye, size: int) -> Painting:
-    return painted(coats(kind, colour, seed=seed), HslMixer(), eye, size=size)
+    return painted(coats(kind, colour, seed=seed), HslMixer.default(), eye, size=size)
 
 
 def _first(painting: Painting, count: int) -> Painting:
@@ -90,7 +89,7 @@ def _first(painting: Painting, count: int) -> Painting:
 def _mixtures(out) -> None:
     """Equal parts of each pair of paints, both ways."""
     rows = []
-    for way, mixer in (("hsl", HslMixer()), ("kubelka-munk", KubelkaMunkMixer.default())):
+    for way, mixer in (("hsl", HslMixer.default()), ("kubelka-munk", KubelkaMunkMixer.default())):
         for first in PAINTS:
             for second in PAINTS:
                 rows.append((way, first, second, *map(float, mixer.mix(first, second, 0.5))))

@@ -8,55 +8,46 @@ from typing import Annotated
 import numpy as np
 import typer
 
-from irisjax.cli.options import Group, grouped, option
+from irisjax.cli.options import Group, grouped, name_of, option, within
 from irisjax.cli.scenes import EyeWithPupil, changed
-from irisjax.export.handover import check_folder
-from irisjax.export.handover import export as write
-from irisjax.numerics.checks import Range, check_range
+from irisjax.export.handover import check_new_folder, export_scene
+from irisjax.numerics.checks import Range
 from irisjax.render.albedo import CONE
 
 _MODELS = "separable", "radiative-transfer"
+_SPACING = Range(0.02, 2, "mm")
 
 
 @dataclass(frozen=True, kw_only=True)
 class Handover(Group):
-    """How fine the eye is handed over, and where to."""
+    """How finely the eye is meshed, and where it is written."""
 
     PANEL = "Files"
 
     integrator: Annotated[
         str | None,
-        option(
-            metavar="name",
-            help=f"whose albedo and BRDF: {', '.join(_MODELS)}; default: the scene's, separable",
-        ),
+        name_of("whose albedo and BRDF; default: the scene's, separable", *_MODELS),
     ] = None
-    spacing: Annotated[float, option(metavar="MM", help="size of the triangles, 0.02 to 2")] = 0.1
+    spacing: Annotated[
+        float, option(parse=within(_SPACING), metavar="MM", help="size of the triangles, 0.02 to 2")
+    ] = 0.1
     output: Annotated[
         Path, option("-o", "--output", metavar="FOLDER", help="a new or empty folder")
     ] = Path("eye")
-
-    def __post_init__(self):
-        super().__post_init__()
-        if self.integrator is not None and self.integrator not in _MODELS:
-            raise ValueError(
-                f"--integrator: unknown {self.integrator!r}; known: {', '.join(_MODELS)}"
-            )
-        check_range("--spacing", self.spacing, Range(0.02, 2, "mm"))
 
 
 @grouped
 def export(subject: EyeWithPupil, handover: Handover) -> None:
     """An eye for other renderers: meshes, textures, a BRDF table, a scene for Mitsuba 3.
 
-    README.txt in the folder says what each file is, and how far a matt iris is
+    README.txt in the folder describes each file and states how far a matt iris is
     from the model. Simulated.
     """
     output = handover.output
-    check_folder(output)
+    check_new_folder(output)
     scene = subject.read().scene(handover.integrator)
     scene = changed(scene, pupil_radius=subject.pupil_radius)
-    made = write(output, scene, spacing=handover.spacing)
+    made = export_scene(output, scene, spacing=handover.spacing)
     off = ", ".join(f"{100 * v:.2g} %" for v in np.asarray(made.error.rms))
     typer.echo(
         f"{output}: {len(made.files)} files; a matt iris is off by {off} (R, G, B) within "

@@ -19,9 +19,10 @@ from irisjax.cli.options import (
     whole,
     within,
 )
+from irisjax.infer.observation import RADIANCE, REFLECTANCE
 from irisjax.infer.parameters import PARAMETERS
-from irisjax.io.measured import UNITS, WAVELENGTH_UNITS, ReadOptions
-from irisjax.io.quantities import QUANTITIES, RADIANCE, REFLECTANCE
+from irisjax.io.columns import QUANTITIES
+from irisjax.io.measured import REFLECTANCE_UNITS, WAVELENGTH_UNITS, ReadOptions
 from irisjax.numerics.checks import Range
 from irisjax.transport.process import PROCESSES
 
@@ -84,9 +85,9 @@ class Measurements(Group):
             *QUANTITIES,
         ),
     ] = None
-    unit: Annotated[str | None, name_of("of reflectances, where the file does not say", *UNITS)] = (
-        None
-    )
+    unit: Annotated[
+        str | None, name_of("of reflectances, where the file does not say", *REFLECTANCE_UNITS)
+    ] = None
     wavelength_unit: Annotated[
         str | None, name_of("where the file does not say", *WAVELENGTH_UNITS)
     ] = None

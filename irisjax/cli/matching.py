@@ -1,4 +1,4 @@
-"""`irisjax paint --match`: a recipe brought close to a given eye, further coats painted on top."""
+"""`irisjax paint --match`: a recipe fitted to a given eye, and further coats painted on top."""
 
 import json
 import os
@@ -9,41 +9,45 @@ from typing import NamedTuple
 
 import jax
 import numpy as np
-from tqdm import tqdm
 
 from irisjax.cli.files import png_of
-from irisjax.cli.painted_files import DIFFERENCES, MATCH, RETOUCH
 from irisjax.io.recipes import Recipe
 from irisjax.io.targets import Target
 from irisjax.measure.colour import srgb_encode
 from irisjax.ocularist.coats import LIMBUS
-from irisjax.ocularist.easel import painted
-from irisjax.ocularist.matching import Match, match
-from irisjax.ocularist.plan import Difference, difference, rolled, texture_of
-from irisjax.ocularist.recipes import COLOURS, coats
-from irisjax.ocularist.retouching import retouched
+from irisjax.ocularist.matching import match, retouch
+from irisjax.ocularist.painting import painted
+from irisjax.ocularist.plan import difference, rolled, texture_of
+from irisjax.ocularist.recipes import EYE_COLOURS, coats
 
 RETOUCHES = 6
 """Coats that follow a target's pattern, by default."""
-_STEPS = 300  # of the search at most
+MATCH, DIFFERENCES, RETOUCH = "match.png", "match.json", "retouch-"
+"""Files of a match, and the beginning of the names of its coats' scans."""
+_STEPS = 300  # evaluations of the search at most
 _TYPE = "detail"
 
 
 class Matched(NamedTuple):
-    """A recipe that was matched: `scans` of its retouching coats by their files, the `files` to
-    write beside it, and what to say of it.
+    """A matched recipe.
+
+    Attributes:
+        recipe: The recipe.
+        scans: Pictures of its coats that are scans, by their files.
+        files: Contents of the files to write beside it.
+        messages: Lines to print.
     """
 
     recipe: Recipe
     scans: dict[str, np.ndarray]
     files: dict[str, bytes]
-    said: list[str]
+    messages: list[str]
 
 
 def nearest_colour(target: Target, seed: int) -> Recipe:
-    """The default coats of the colour of eye that differs least as it is."""
+    """The default coats of the colour of eye that differs least from the target, unfitted."""
     left = {}
-    for colour in COLOURS:
+    for colour in EYE_COLOURS:
         recipe = Recipe(coats(_TYPE, colour, seed=seed), pupil_radius=target.pupil * LIMBUS)
         eye = recipe.eye()
         painting = painted(recipe.coats, recipe.mixer(), eye, size=128)
@@ -55,83 +59,56 @@ def nearest_colour(target: Target, seed: int) -> Recipe:
 def matched(
     target: Target, recipe: Recipe, folder: Path, *, count: int, size: int, seed: int
 ) -> Matched:
-    """A recipe matched, and `count` coats on top whose scans go to `folder`."""
+    """Match a recipe to a target, with `count` coats on top whose scans go to `folder`."""
     recipe = recipe._replace(pupil_radius=target.pupil * LIMBUS)
-    eye, mixer, scans = recipe.eye(), recipe.mixer(), recipe.scans()
-    known = target.known
-    with tqdm(total=2, desc="matching", disable=not sys.stderr.isatty()) as bar:
-        fitted = match(
-            recipe.coats,
-            mixer,
-            eye,
-            target.texture,
-            known,
-            scans=scans,
-            size=size,
-            max_steps=_STEPS,
-            key=jax.random.key(seed),
-        )
-        bar.update()
-        there = os.path.relpath(folder, recipe.folder)
-        prefix = posixpath.normpath(posixpath.join(Path(there).as_posix(), RETOUCH))
-        # What is hidden holds its radius's mean, and is painted so.
-        more = retouched(
-            fitted.recipes,
-            mixer,
-            eye,
-            target.texture,
-            count=count,
-            prefix=prefix,
-            scans=scans,
-            size=size,
-        )
-        bar.update()
+    eye, mixer, scans, known = recipe.eye(), recipe.mixer(), recipe.scans(), target.known
+    key, there = jax.random.key(seed), os.path.relpath(folder, recipe.folder)
+    given = mixer, eye, target.texture
+    same = {"scans": scans, "size": size}
+    fitted = match(recipe.coats, *given, known, **same, max_steps=_STEPS, key=key)
     if not fitted.converged:
         print(f"irisjax: the match was stopped after {fitted.steps} steps", file=sys.stderr)
+    prefix = posixpath.normpath(posixpath.join(Path(there).as_posix(), RETOUCH))
+    # Hidden texels have the mean of their radius, and are painted so.
+    more = retouch(fitted.recipes, *given, count=count, prefix=prefix, **same)
     whole = recipe._replace(coats=(*fitted.recipes, *more.recipes))
     seen = [
         texture_of(painted(some, mixer, eye, size=size, scans=more.scans), eye, known.shape)
         for some in (fitted.recipes, whole.coats)
     ]
-    last = difference(seen[1], target.texture, known)
-    remark = "painted by irisjax to match a target"
-    flat = [_flat(texture, eye, size) for texture in (target.texture, *seen)]
-    files = {
-        posixpath.basename(name): png_of(folder / name, np.repeat(grey[..., None], 3, 2), remark)
-        for name, grey in more.scans.items()
-        if name not in scans
+    steps = {
+        "before": ("as it was", fitted.before),
+        "matched": ("matched", fitted.after),
+        "retouched": (
+            f"with {len(more.recipes)} coats on top",
+            difference(seen[1], target.texture, known),
+        ),
     }
-    files[MATCH] = png_of(folder / MATCH, np.concatenate(flat, 1), remark)
-    files[DIFFERENCES] = _summary(target, fitted, last)
-    steps = (
-        ("as it was", fitted.before),
-        ("matched", fitted.after),
-        (f"with {len(more.recipes)} coats on top", last),
-    )
-    said = "; ".join(f"{name} {d.mean:.1f} ({d.most:.1f})" for name, d in steps)
-    return Matched(
-        whole,
-        more.scans,
-        files,
-        [f"mean colour difference (95 % below), CIE 1976, flat and in plain light: {said}"],
-    )
-
-
-def _summary(target: Target, fitted: Match, last: Difference) -> bytes:
-    steps = {"before": fitted.before, "matched": fitted.after, "retouched": last}
-    found = {
+    summary = {
         "target": target.name,
         "colour_difference": {
-            name: {"mean": d.mean, "q95": d.most, "measure": "CIE 1976 dE*ab, D65"}
-            for name, d in steps.items()
+            name: {**d._asdict(), "measure": "CIE 1976 dE*ab, D65"}
+            for name, (_, d) in steps.items()
         },
         "steps": fitted.steps,
         "converged": fitted.converged,
     }
-    return (json.dumps(found, indent=1) + "\n").encode()
+    remark = "painted by irisjax to match a target"
+    pictures = {
+        posixpath.basename(name): np.repeat(grey[..., None], 3, 2)
+        for name, grey in more.scans.items()
+        if name not in scans
+    }
+    flat = [_flat(texture, eye, size) for texture in (target.texture, *seen)]
+    pictures[MATCH] = np.concatenate(flat, 1)
+    files = {name: png_of(folder / name, pixels, remark) for name, pixels in pictures.items()}
+    files[DIFFERENCES] = (json.dumps(summary, indent=1) + "\n").encode()
+    said = "; ".join(f"{words} {d.mean:.1f} ({d.q95:.1f})" for words, d in steps.values())
+    message = f"mean colour difference (95 % below), CIE 1976, flat and in plain light: {said}"
+    return Matched(whole, more.scans, files, [message])
 
 
 def _flat(texture, eye, size: int) -> np.ndarray:
     """A polar texture as the iris laid flat, encoded."""
-    row, column, on = rolled(texture, eye, size)
+    row, column, on = rolled(texture.shape[:2], eye, size)
     return np.where(on[..., None], np.asarray(srgb_encode(texture))[row, column], 0)

@@ -1,6 +1,9 @@
 """`irisjax paint`: a recipe of coats in, the painted eye and every coat out."""
 
+import itertools
+import os
 import sys
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated
@@ -14,26 +17,27 @@ from irisjax import io
 from irisjax.cli.animate import sheet
 from irisjax.cli.compiled import kept_tables
 from irisjax.cli.files import check_folder, check_is_folder, png_of
-from irisjax.cli.matching import RETOUCHES, Matched, matched, nearest_colour
-from irisjax.cli.options import SEED_HELP, Group, grouped, name_of, option, read_seed, whole
-from irisjax.cli.painted_files import (
-    COATS,
-    MESHES,
-    TISSUE,
-    check_spared,
-    remove_left_over,
+from irisjax.cli.matching import (
+    DIFFERENCES,
+    MATCH,
+    RETOUCH,
+    RETOUCHES,
+    Matched,
+    matched,
+    nearest_colour,
 )
-from irisjax.cli.paints import Paints, check_no_seed, of_file
+from irisjax.cli.options import SEED_HELP, Group, grouped, name_of, option, read_seed, whole
+from irisjax.cli.paints import PaintOptions, check_no_seed, of_file
 from irisjax.cli.scenes import changed, environment_of
-from irisjax.export.coats import FORMATS, painting_files
-from irisjax.io.recipes import PUPIL, recipe_text
-from irisjax.io.targets import read_target
-from irisjax.io.tissue_of_paint import tissue_files
+from irisjax.export.mesh import FORMATS, painting_files
+from irisjax.io.recipes import Recipe, recipe_text
+from irisjax.io.targets import TISSUE_MAPS, TISSUE_SCENE, read_target, tissue_files
 from irisjax.measure.colour import srgb_encode
-from irisjax.ocularist.bridge import maps_of
-from irisjax.ocularist.coats import LIMBUS, Coat, Painting, over
-from irisjax.ocularist.easel import SIZE, painted, studio
+from irisjax.ocularist.coats import LIMBUS, PUPIL_RADIUS, Coat, Painting, over
+from irisjax.ocularist.components import COMPONENTS
 from irisjax.ocularist.integrator import Painted
+from irisjax.ocularist.painting import OPACITY_SIZE, SCAN, painted, studio
+from irisjax.ocularist.tissue import nearest_tissue
 from irisjax.render.environment import ENVIRONMENTS
 from irisjax.render.picture import draw, draw_bands
 from irisjax.render.scene import Scene
@@ -41,10 +45,23 @@ from irisjax.render.scene import Scene
 _STEPS = 12  # pictures of the progression at most
 _SMALL = 320, 240
 _SHADOWS = "tinted", "as-printed"
+_COATS, _MESHES, _TISSUE = "coats", "meshes", "tissue"  # folders of a painted eye
+# Files of a painted eye that only some eyes have, in its folder.
+_NAMES = [f"[0-9]*_{component}" for component in (*COMPONENTS, SCAN)]
+_BODIES = itertools.product((*_NAMES, "cornea", "white"), (*FORMATS, "mtl", "png"))
+_OF_AN_EYE = (
+    MATCH,
+    DIFFERENCES,
+    f"{RETOUCH}[0-9]*.png",
+    *(f"{_COATS}/{name}.png" for name in _NAMES),
+    f"{_TISSUE}/{TISSUE_MAPS}",
+    f"{_TISSUE}/{TISSUE_SCENE}",
+    *(f"{_MESHES}/{name}.{suffix}" for name, suffix in _BODIES),
+)
 
 
 @dataclass(frozen=True, kw_only=True)
-class Subject(Paints):
+class PaintedEye(PaintOptions):
     """Which eye."""
 
     recipe: Annotated[
@@ -83,7 +100,7 @@ class Subject(Paints):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Picture(Group):
+class PaintedPicture(Group):
     """How it is drawn."""
 
     PANEL = "Picture"
@@ -114,7 +131,7 @@ class Picture(Group):
     ] = 1
     texels: Annotated[
         int, option(parse=whole(64, 4096), metavar="count", help="along a side of opacity maps")
-    ] = SIZE
+    ] = OPACITY_SIZE
     shadow: Annotated[
         str,
         name_of("shadows; as-printed: by the paper's Eq. 2 as it stands there", *_SHADOWS),
@@ -122,7 +139,7 @@ class Picture(Group):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Results(Group):
+class PaintedFiles(Group):
     """Where it goes."""
 
     PANEL = "Files"
@@ -130,10 +147,7 @@ class Results(Group):
     output: Annotated[Path, option("-o", "--output", metavar="DIR", help="folder for the eye")]
     meshes: Annotated[
         str | None,
-        option(
-            metavar="name",
-            help=f"{', '.join(FORMATS)}: a mesh of every coat, of cornea and white, in meshes/",
-        ),
+        name_of("a mesh of every coat, of cornea and white, in meshes/", *FORMATS),
     ] = None
     tissue: Annotated[
         bool,
@@ -145,14 +159,9 @@ class Results(Group):
         bool, option("--overwrite", metavar="", help="replace a painted eye in that folder")
     ] = False
 
-    def __post_init__(self):
-        super().__post_init__()
-        if self.meshes is not None and self.meshes not in FORMATS:
-            raise ValueError(f"--meshes: unknown {self.meshes!r}; known: {', '.join(FORMATS)}")
-
 
 @grouped
-def paint(subject: Subject, picture: Picture, results: Results) -> None:
+def paint(subject: PaintedEye, picture: PaintedPicture, results: PaintedFiles) -> None:
     """An eye painted in semi-transparent coats, as ocularists make them.
 
     For example: irisjax paint --type detail --colour blue -o blue_eye
@@ -164,10 +173,10 @@ def paint(subject: Subject, picture: Picture, results: Results) -> None:
     """
     folder = results.output
     check_folder(folder, "recipe.toml", "a painted eye", results.overwrite)
-    asked = (COATS, True), (MESHES, results.meshes is not None), (TISSUE, results.tissue)
+    asked = (_COATS, True), (_MESHES, results.meshes is not None), (_TISSUE, results.tissue)
     for name in (name for name, wanted in asked if wanted):
         check_is_folder(folder / name)
-    recipe, scans, more, said = _prepared(subject, picture.texels, folder)
+    recipe, scans, more, messages = _prepared(subject, picture.texels, folder)
     # Half the memory of double precision, and the same picture to a few levels of 255.
     jax.config.update("jax_enable_x64", False)
     eye = recipe.eye()
@@ -181,11 +190,11 @@ def paint(subject: Subject, picture: Picture, results: Results) -> None:
     scene = _with(scene, painting, picture.shadow)
     files = {folder / name: data for name, data in more.items()}
     names = [coat.name for coat in painting.coats]
-    pictures = [folder / COATS / f"{name.replace(' ', '_')}.png" for name in names]
+    pictures = [folder / _COATS / f"{name.replace(' ', '_')}.png" for name in names]
     made = {} if results.meshes is None else painting_files(painting, results.meshes, eye=eye)
-    bodies = {folder / MESHES / name: data for name, data in made.items()}
+    bodies = {folder / _MESHES / name: data for name, data in made.items()}
     own = [folder / name for name in ("recipe.toml", "eye.png", "progression.png")]
-    check_spared(recipe, {*own, *pictures, *bodies})
+    _check_spared(recipe, {*own, *pictures, *bodies})
     files |= bodies
     files[folder / "recipe.toml"] = recipe_text(recipe.moved(folder)).encode()
     drawn = _drawn(scene, painting, picture)
@@ -195,20 +204,20 @@ def paint(subject: Subject, picture: Picture, results: Results) -> None:
     for path, coat in zip(pictures, painting.coats, strict=True):
         files[path] = png_of(path, _on_white(coat), remark)
     if results.tissue:
-        alike = maps_of(painting, eye)
-        files |= {folder / TISSUE / n: data for n, data in tissue_files(alike, eye).items()}
-        said.append(
+        alike = nearest_tissue(painting, eye)
+        files |= {folder / _TISSUE / n: data for n, data in tissue_files(alike, eye).items()}
+        messages.append(
             f"mean colour difference (95 % below) of the nearest tissue: {alike.left.mean:.1f} "
-            f"({alike.left.most:.1f})"
+            f"({alike.left.q95:.1f})"
         )
     for path in {path.parent for path in files}:
         path.mkdir(parents=True, exist_ok=True)
     io.write_together(files)
-    remove_left_over(folder, recipe, files)
-    print(*said, f"{len(painting.coats)} coats; written: {folder}", sep="\n")
+    _remove_left_over(folder, recipe, files)
+    print(*messages, f"{len(painting.coats)} coats; written: {folder}", sep="\n")
 
 
-def _prepared(subject: Subject, size: int, folder: Path) -> Matched:
+def _prepared(subject: PaintedEye, size: int, folder: Path) -> Matched:
     """The recipe, matched if that is asked for."""
     given = subject.recipe is not None or subject.type is not None
     recipe = subject.read(subject.recipe, subject.seed) if given else None
@@ -216,7 +225,7 @@ def _prepared(subject: Subject, size: int, folder: Path) -> Matched:
         assert recipe is not None
         with of_file(subject.recipe):
             return Matched(recipe, recipe.scans(), {}, [])
-    asked = subject.pupil_radius or (PUPIL if recipe is None else recipe.pupil_radius)
+    asked = subject.pupil_radius or (PUPIL_RADIUS if recipe is None else recipe.pupil_radius)
     target = read_target(subject.match, asked / LIMBUS)
     if subject.pupil_radius is not None and not np.isclose(target.pupil * LIMBUS, asked):
         raise ValueError(f"--pupil-radius: {subject.match} has a pupil of its own")
@@ -227,11 +236,13 @@ def _prepared(subject: Subject, size: int, folder: Path) -> Matched:
         return matched(target, recipe, folder, count=count, size=size, seed=subject.seed)
 
 
-def _drawn(scene: Scene, painting: Painting, picture: Picture) -> tuple[np.ndarray, np.ndarray]:
-    """The picture and the sheet of its progress, linear. What they kept of every coat goes with
-    them: it is the most memory of all.
+def _drawn(
+    scene: Scene, painting: Painting, picture: PaintedPicture
+) -> tuple[np.ndarray, np.ndarray]:
+    """The picture and the sheet of its progress, linear. The cached steps, most of the command's
+    memory, are freed on return.
     """
-    shown = _shown(painting)
+    shown = _shown(len(painting.coats))
     with tqdm(total=1 + len(shown), unit="picture", disable=not sys.stderr.isatty()) as bar:
         tables = kept_tables(scene)
         parts = draw_bands(scene, tables, samples=picture.samples)
@@ -251,12 +262,41 @@ def _with(scene: Scene, painting: Painting, shadow: str) -> Scene:
     return scene.replace(integrator=Painted(painting=painting, as_printed=shadow == "as-printed"))
 
 
-def _shown(painting: Painting) -> list[int]:
-    """Numbers of coats after which the progress is shown."""
-    count = len(painting.coats)
+def _shown(count: int) -> list[int]:
+    """Numbers of coats, up to `count`, after which the progress is shown."""
     return sorted({round(1 + i * (count - 1) / (_STEPS - 1)) for i in range(_STEPS)})
 
 
 def _on_white(coat: Coat) -> np.ndarray:
     """A coat as it lies on white paper, encoded."""
     return np.asarray(srgb_encode(over(1.0, coat.opacity[..., None], coat.colour, 1.0)))
+
+
+def _check_spared(recipe: Recipe, written: Iterable[Path]) -> None:
+    """Raise `ValueError` where files to be `written` are pictures or paints that the recipe uses:
+    the recipe as used could not be painted again, and an artist's scan would be lost.
+    """
+    places = {os.path.realpath(path): path for path in written}
+    for path in _needed(recipe) & places.keys():
+        raise ValueError(
+            f"{places[path]}: the recipe paints with this file, which would be overwritten; "
+            "give another folder"
+        )
+
+
+def _remove_left_over(folder: Path, recipe: Recipe, written: Iterable[Path]) -> None:
+    """Remove the files of a replaced eye, recognised by their names, that are neither `written` now
+    nor used by the recipe.
+    """
+    kept = {os.path.realpath(path) for path in written} | _needed(recipe)
+    for path in itertools.chain(*(folder.glob(pattern) for pattern in _OF_AN_EYE)):
+        if os.path.realpath(path) not in kept:
+            path.unlink()
+    for name in (_COATS, _MESHES, _TISSUE):
+        if (folder / name).is_dir() and not any((folder / name).iterdir()):
+            (folder / name).rmdir()
+
+
+def _needed(recipe: Recipe) -> set[str]:
+    names = recipe.scan_files() | ({recipe.paints} if recipe.paints is not None else set())
+    return {os.path.realpath(recipe.folder / name) for name in names}

@@ -11,7 +11,7 @@ import typer
 from irisjax import _interrupt
 from irisjax.cli.compiled import kept_tables
 from irisjax.cli.options import SEED_HELP, Group, grouped, option, read_seed, whole
-from irisjax.cli.paints import Paints, check_no_seed, of_file
+from irisjax.cli.paints import PaintOptions, check_no_seed, of_file
 from irisjax.cli.scenes import Subject, changed
 from irisjax.io.clone_folders import read_clone
 from irisjax.view import Bench, Studio, check_address, serve
@@ -41,7 +41,7 @@ class Shown(Subject):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Coats(Paints):
+class Coats(PaintOptions):
     """A painted eye instead."""
 
     PANEL = "A painted eye"

@@ -1,9 +1,9 @@
 """Public names of `irisjax.export`; each loads from its module when it is first used."""
 
-from .coats import painting_files as painting_files
-from .coats import write_painting as write_painting
 from .handover import Exported as Exported
-from .handover import export as export
-from .mesh import Mesh as Mesh
+from .handover import export_scene as export_scene
+from .mesh import cone_mesh as cone_mesh
 from .mesh import eye_meshes as eye_meshes
-from .mesh import write_eye as write_eye
+from .mesh import mesh_files as mesh_files
+from .mesh import painting_files as painting_files
+from .mesh import right_handed as right_handed

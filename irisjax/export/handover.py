@@ -1,25 +1,28 @@
-"""A scene for other renderers: meshes, textures, a BRDF table, and a scene that Mitsuba 3 renders.
+"""A scene for other renderers: meshes, textures, a BRDF table, and a scene file for Mitsuba 3.
 
-Everything stands in one folder, in mm, x right and y up as the viewer sees them, +z out of the eye.
+All files are in one folder, in mm, x right and y up as the viewer sees them, +z out of the eye.
 Textures of the iris are pictures in the uv of its mesh: columns run with u = angle / 2π, and the
 pupil's edge is the bottom row.
 """
 
 import errno
+from collections.abc import Mapping
+from importlib import resources
 from pathlib import Path
+from string import Template
 from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
 
-from irisjax.export.mesh import encode_obj, encode_ply, eye_meshes, right_handed
-from irisjax.export.mitsuba import mitsuba_scene
-from irisjax.export.readme import readme
+from irisjax.anatomy.media import TEAR
+from irisjax.export.mesh import eye_meshes, mesh_files, right_handed
+from irisjax.export.mitsuba import WIDEST, mitsuba_scene
 from irisjax.io.images import encode_exr, encode_png, spectral_channels
 from irisjax.io.maps import encode_maps
 from irisjax.io.tables import format_table, write_together
 from irisjax.measure.colour import srgb_encode
-from irisjax.render.albedo import LambertError, Matt
+from irisjax.render.albedo import CONE, LambertError, Matt
 from irisjax.render.bands import Bands, all_bands, colour_bands
 from irisjax.render.integrator import AbstractIntegrator
 from irisjax.render.radiative import RadiativeIntegrator
@@ -27,13 +30,17 @@ from irisjax.render.scene import Scene
 from irisjax.render.sclera import Blood, colour_table
 from irisjax.render.separable import Separable
 
-WAVELENGTHS = tuple(400.0 + 20.0 * i for i in range(16))
+REFLECTANCE_WAVELENGTHS = tuple(400.0 + 20.0 * i for i in range(16))
 """Of the layers of reflectance.exr, nm."""
 
 
 class Exported(NamedTuple):
-    """What `export` wrote: `files` by name, how many texels were `clipped`, the matt iris's
-    `error`.
+    """The result of `export_scene`.
+
+    Attributes:
+        files: Paths by the files' names.
+        clipped: Number of texels that were clipped.
+        error: Of the matt iris against the model.
     """
 
     files: dict[str, Path]
@@ -41,27 +48,33 @@ class Exported(NamedTuple):
     error: LambertError
 
 
-def export(folder: str | Path, scene: Scene, *, spacing: float = 0.1) -> Exported:
-    """Write a scene for other renderers into a new or empty folder, everything or nothing.
+def export_scene(folder: str | Path, scene: Scene, *, spacing: float = 0.1) -> Exported:
+    """Write a scene for other renderers into a new or empty folder: all files or none.
 
-    - Meshes of what the eye has (anterior, posterior, iris, sclera) as .ply and .obj, triangles of
-        about `spacing` mm.
+    - Meshes of the eye's surfaces (anterior, posterior, iris, sclera) as .ply and .obj, with
+        triangles of about `spacing` mm.
     - albedo.exr: linear sRGB under the scene's illuminant of each texel, its
         directional–hemispherical reflectance at normal incidence (`render.albedo`), by radiative
         transfer where that is the scene's integrator, else by ILIT;
-        albedo.png: the same, 8-bit sRGB. Texels out of sRGB's range are clipped in both: renderers
+        albedo.png: the same, 8-bit sRGB. Texels outside sRGB are clipped in both: renderers
         drop light paths that meet a negative albedo. reflectance.exr: the spectral albedo, a layer
-        for each of `WAVELENGTHS`, never clipped; relief.exr: height towards the viewer, mm, if
-        there is any.
-    - maps.exr: the maps themselves (`read_maps`), if it has any. brdf.csv: the uniform iris's.
-    - environment.exr, where the scene has one; scene.xml for Mitsuba 3; README.txt: what all this
-        is, and how far a matt iris is from the model.
+        for each of `REFLECTANCE_WAVELENGTHS`, never clipped; relief.exr: height towards the viewer,
+        mm, where the iris has a relief.
+    - maps.exr: the maps themselves (`read_maps`), if there are any. brdf.csv: the uniform iris's.
+    - environment.exr, where the scene has one; scene.xml for Mitsuba 3; README.txt, which describes
+        the files and states the error of a matt iris.
 
-    **Raises:** `OSError` naming the file, also for a folder that holds something; `ValueError` for
-    a bad `spacing`.
+    Args:
+        folder: New or empty.
+        scene: The scene.
+        spacing: Size of the triangles, mm.
+
+    Raises:
+        OSError: naming the file, also for a folder that is not empty.
+        ValueError: for a bad `spacing`.
     """
     folder = Path(folder)
-    check_folder(folder)
+    check_new_folder(folder)
     data, clipped, error = _contents(scene, spacing)
     made = not folder.exists()
     folder.mkdir(exist_ok=True)
@@ -74,8 +87,8 @@ def export(folder: str | Path, scene: Scene, *, spacing: float = 0.1) -> Exporte
     return Exported({name: folder / name for name in data}, clipped, error)
 
 
-def check_folder(folder: str | Path) -> None:
-    """Raise `OSError` unless the folder is empty, or could be made."""
+def check_new_folder(folder: str | Path) -> None:
+    """Raise `OSError` unless the folder is empty, or can be made."""
     folder = Path(folder)
     if folder.is_dir():
         if any(folder.iterdir()):
@@ -92,9 +105,7 @@ def _contents(scene: Scene, spacing: float) -> tuple[dict[str, bytes], int, Lamb
         integrator = Separable()
     iris, maps, cornea = scene.tissue, scene.maps, scene.eye.cornea
     meshes = {name: right_handed(mesh) for name, mesh in eye_meshes(scene.eye, spacing).items()}
-    data = {f"{name}.ply": encode_ply(mesh) for name, mesh in meshes.items()}
-    for name, mesh in meshes.items():
-        data |= encode_obj(mesh, name, "albedo.png" if name == "iris" else None)
+    data = mesh_files(meshes) | mesh_files(meshes, "obj", {"iris": "albedo.png"})
 
     remark = {
         "comments": f"simulated by irisjax; {integrator.process}; a texel's albedo at "
@@ -103,7 +114,7 @@ def _contents(scene: Scene, spacing: float) -> tuple[dict[str, bytes], int, Lamb
     bands = colour_bands(scene.illuminant, scene.observer)
     hazy = bands if cornea is None else colour_bands(scene.illuminant, scene.observer, cornea)
     matt = Matt.of(iris, maps, scene.eye, _joined(bands, hazy), integrator)
-    found = in_uv(matt.albedo())
+    found = _in_uv(matt.albedo())
     colour, through, spectral = found[..., :3], found[..., 3:6], found[..., 6:]
     haze = None if cornea is None or cornea.scatter is None else _haze(colour, through, bands, hazy)
     clipped = int(((colour < 0) | (colour > 1)).any(-1).sum())
@@ -112,12 +123,12 @@ def _contents(scene: Scene, spacing: float) -> tuple[dict[str, bytes], int, Lamb
     data["albedo.png"] = encode_png(
         "albedo.png", np.asarray(srgb_encode(colour)), remark="simulated by irisjax"
     )[0]
-    layers = spectral_channels(WAVELENGTHS, layer="T")
+    layers = spectral_channels(REFLECTANCE_WAVELENGTHS, layer="T")
     data["reflectance.exr"] = encode_exr("reflectance.exr", spectral, layers, remark)
     relief = None if maps is None else maps.relief
     if relief is not None:
         data["relief.exr"] = encode_exr(
-            "relief.exr", in_uv(relief[..., None]), ("Y",), {"comments": "height, mm"}
+            "relief.exr", _in_uv(relief[..., None]), ("Y",), {"comments": "height, mm"}
         )
     if maps is not None and maps.present():
         data["maps.exr"] = encode_maps("maps.exr", maps)
@@ -135,13 +146,57 @@ def _contents(scene: Scene, spacing: float) -> tuple[dict[str, bytes], int, Lamb
         haze=haze,
         environment=None if scene.environment is None else "environment.exr",
     ).encode()
-    data["README.txt"] = readme(
-        scene, list(data), error, float(matt.response.error), clipped, integrator.process
-    ).encode()
+    table = float(matt.response.error)
+    data["README.txt"] = _readme(scene, data, error, table, clipped, integrator).encode()
     return data, clipped, error
 
 
-def in_uv(texture) -> np.ndarray:
+def _readme(
+    scene: Scene,
+    files: Mapping[str, bytes],
+    error: LambertError,
+    table: float,
+    clipped: int,
+    integrator: AbstractIntegrator,
+) -> str:
+    """README.txt from its template, readme.txt: a line that begins with `?NAME` belongs to a file
+    or a feature of the scene and is left out without it.
+    """
+    eye = scene.eye
+    present = {*files} | ({"clipped"} if clipped else set())
+    present |= set() if eye.attenuation is None else {"attenuation"}
+    aqueous = float(eye.aqueous_index)
+    solid = eye.cornea is None or eye.cornea.posterior is None
+    cornea = aqueous if eye.cornea is None or solid else float(eye.cornea.index)
+    mirrored = [((index - 1) / (index + 1)) ** 2 for index in (cornea, TEAR)]
+    shares = error._asdict().items()
+    values = {name: ", ".join(f"{100 * v:.2g}" for v in share) + " %" for name, share in shares}
+    values |= {
+        "process": str(integrator.process),
+        "cone": f"{CONE:g}",
+        "table": f"{100 * table:.1g}",
+        "clipped": str(clipped),
+        "limbus": f"{float(eye.limbus_width):.2g}",
+        "margin": f"{float(eye.pupil_margin):.2g}",
+        "glass": f"{cornea:.5g}",
+        "inner": f"{aqueous / cornea:.5g}",
+        "cornea": f"{cornea:g}",
+        "aqueous": f"{aqueous:g}",
+        "tear": f"{TEAR:g}",
+        "mirrored": f"{100 * (mirrored[0] / mirrored[1] - 1):+.2g}",
+        "widest": f"{np.degrees(WIDEST):g}",
+    }
+    lines = []
+    for line in resources.files("irisjax.export").joinpath("readme.txt").read_text().splitlines():
+        if line.startswith("?"):
+            needed, _, line = line[1:].partition(" ")
+            if needed not in present:
+                continue
+        lines.append(line)
+    return Template("\n".join(lines) + "\n").substitute(values)
+
+
+def _in_uv(texture) -> np.ndarray:
     """A texture (angles, radii, channels) as a picture (rows, columns, channels) in the uv of the
     iris's mesh.
     """
@@ -149,26 +204,31 @@ def in_uv(texture) -> np.ndarray:
 
 
 def _joined(bands: Bands, hazy: Bands) -> Bands:
-    """The channels of `bands`, those of `hazy`, and the reflectance at each of `WAVELENGTHS`: one
-    table for all.
+    """The channels of `bands`, those of `hazy`, and the reflectance at each of
+    `REFLECTANCE_WAVELENGTHS`, so that one table serves all.
     """
     nodes = len(bands.wavelengths)
-    weights = np.zeros((6 + len(WAVELENGTHS), nodes + len(WAVELENGTHS)))
+    weights = np.zeros((6 + len(REFLECTANCE_WAVELENGTHS), nodes + len(REFLECTANCE_WAVELENGTHS)))
     weights[:6, :nodes] = np.concatenate([np.asarray(bands.weights), np.asarray(hazy.weights)])
-    weights[6:, nodes:] = np.eye(len(WAVELENGTHS))
-    names = (*bands.channels, *hazy.channels, *spectral_channels(WAVELENGTHS, layer="T"))
+    weights[6:, nodes:] = np.eye(len(REFLECTANCE_WAVELENGTHS))
+    names = (
+        *bands.channels,
+        *hazy.channels,
+        *spectral_channels(REFLECTANCE_WAVELENGTHS, layer="T"),
+    )
     white = jnp.concatenate(
-        [bands.white, hazy.white, jnp.ones_like(bands.white, shape=len(WAVELENGTHS))]
+        [bands.white, hazy.white, jnp.ones_like(bands.white, shape=len(REFLECTANCE_WAVELENGTHS))]
     )
     weights = jnp.asarray(weights, bands.weights.dtype)
-    return Bands(bands.wavelengths + WAVELENGTHS, weights, white, names)
+    return Bands(bands.wavelengths + REFLECTANCE_WAVELENGTHS, weights, white, names)
 
 
 def _haze(colour: np.ndarray, through: np.ndarray, bands: Bands, hazy: Bands) -> np.ndarray:
-    """Linear sRGB of one passage of the cornea: what dims this iris as its spectrum is dimmed.
+    """Linear sRGB transmittance of one passage of the cornea that dims this iris as its spectrum
+    is dimmed.
 
-    A white's, which errs by 3 % for a blue iris, stands in for channels that the iris has hardly
-    any light in.
+    Channels in which the iris reflects hardly any light take the transmittance for white, which
+    errs by 3 % for a blue iris.
     """
     white = np.asarray(hazy.weights.sum(axis=1) / bands.weights.sum(axis=1))
     before, after = colour.mean((0, 1)), through.mean((0, 1))

@@ -1,102 +1,39 @@
-"""The eye as triangles, for other renderers: cornea, iris and sclera as PLY files.
+"""The eye and painted coats as triangles, for other renderers.
 
-Eye frame and mm, as in `irisjax.anatomy.eye`; `right_handed` turns meshes for others. All meshes
-are surfaces of revolution with the same number of points round the axis, so that cornea and sclera
-share the points of the limbus.
+Meshes are in the eye frame and in mm, as in `irisjax.anatomy.eye`; `right_handed` converts them.
+All are surfaces of revolution. Those of one eye have the same number of points round the axis, so
+that cornea and sclera share the points of the limbus.
 """
 
+import io
 import math
-from pathlib import Path
-from typing import NamedTuple
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
 
 import jax.numpy as jnp
 import numpy as np
+from scipy import optimize
 
 from irisjax.anatomy.eye import Eye
-from irisjax.io.tables import write_together
-from irisjax.numerics.checks import Range, check_range
+from irisjax.measure.colour import srgb_encode
+from irisjax.numerics.checks import Range, check_known, check_range, check_whole
+from irisjax.ocularist.coats import Coat, Painting
+from irisjax.ocularist.cones import Cones, shell
 from irisjax.optics.conicoid import Conicoid
 
+if TYPE_CHECKING:
+    from trimesh import Trimesh
 
-class Mesh(NamedTuple):
-    """Triangles whose corners run counter-clockwise as seen from the side of the normals.
+AROUND = 256
+"""Points of painted coats round the axis."""
+FORMATS = "obj", "ply"
+"""Kinds of file that hold meshes."""
 
-    - `vertices` (vertices, 3), mm; `normals` (vertices, 3), unit, of the smooth surface and out of
-        the eye.
-    - `uv` (vertices, 2) or `None`; `faces` (triangles, 3).
-    """
-
-    vertices: np.ndarray
-    normals: np.ndarray
-    uv: np.ndarray | None
-    faces: np.ndarray
+_SPACING = Range(0, math.inf, "mm", above=True)
 
 
-def write_eye(folder: str | Path, eye: Eye, spacing: float = 0.1) -> dict[str, Path]:
-    """Write the meshes of an eye into an existing folder, all or none; returns the files by name.
-
-    Binary PLY with normals, and u, v for the iris; see `eye_meshes`.
-
-    **Raises:** `OSError` naming the file; `ValueError` for a spacing that is no positive number.
-    """
-    meshes = eye_meshes(eye, spacing)
-    files = {name: Path(folder) / f"{name}.ply" for name in meshes}
-    write_together({files[name]: encode_ply(mesh) for name, mesh in meshes.items()})
-    return files
-
-
-def encode_ply(mesh: Mesh) -> bytes:
-    """Binary PLY with normals, and u, v where the mesh has them."""
-    import trimesh
-    from trimesh.exchange.ply import export_ply
-
-    made = trimesh.Trimesh(mesh.vertices, mesh.faces, vertex_normals=mesh.normals, process=False)
-    if mesh.uv is not None:
-        made.vertex_attributes.update(
-            u=mesh.uv[:, 0].astype(np.float32), v=mesh.uv[:, 1].astype(np.float32)
-        )
-    return export_ply(made, vertex_normal=True)
-
-
-def encode_obj(mesh: Mesh, name: str, texture: str | None = None) -> dict[str, bytes]:
-    """The files `name`.obj and, where the mesh has uv, `name`.mtl, whose base colour is the file
-    `texture`.
-    """
-    import trimesh
-    from trimesh.exchange.obj import export_obj
-    from trimesh.visual import TextureVisuals
-    from trimesh.visual.material import SimpleMaterial
-
-    made = trimesh.Trimesh(mesh.vertices, mesh.faces, vertex_normals=mesh.normals, process=False)
-    if mesh.uv is not None:
-        white = SimpleMaterial(name=name, ambient=[255] * 3, diffuse=[255] * 3, specular=[0] * 3)
-        made.visual = TextureVisuals(uv=mesh.uv, material=white)
-    text, more = export_obj(
-        made,
-        include_normals=True,
-        return_texture=True,
-        mtl_name=f"{name}.mtl",
-        header="simulated by irisjax",
-    )
-    files = {f"{name}.obj": text.encode()}
-    for other, data in more.items():
-        files[other] = data + (b"" if texture is None else f"\nmap_Kd {texture}\n".encode())
-    return files
-
-
-def right_handed(mesh: Mesh) -> Mesh:
-    """The same mesh in the frame of other renderers: x right, y up, +z out of the eye towards the
-    viewer.
-
-    The eye's own frame (+z into the eye) is left-handed: read as it stands, its meshes show a
-    mirrored iris.
-    """
-    turn = np.array([1.0, 1.0, -1.0])
-    return Mesh(mesh.vertices * turn, mesh.normals * turn, mesh.uv, mesh.faces[:, ::-1])
-
-
-def eye_meshes(eye: Eye, spacing: float = 0.1) -> dict[str, Mesh]:
-    """Meshes of what the eye has, with triangles of about `spacing` mm.
+def eye_meshes(eye: Eye, spacing: float = 0.1) -> "dict[str, Trimesh]":
+    """Meshes of an eye's surfaces, by name, with triangles of about `spacing` mm.
 
     - `anterior`: cap of the cornea from the apex to the limbus: air outside, `cornea.index` inside
         (with one surface: `aqueous_index`).
@@ -107,109 +44,236 @@ def eye_meshes(eye: Eye, spacing: float = 0.1) -> dict[str, Mesh]:
         `IrisMaps`.
     - `sclera`: sphere through the limbus, without the part that the cornea replaces.
 
-    Caps are open: an interface acts by the side of its normal a ray comes from. Anterior cornea and
-    sclera share the points of the limbus and close the eye together.
+    Caps are open: an interface acts by the side of its normal from which a ray comes. Anterior
+    cornea and sclera share the points of the limbus and close the eye together.
+
+    Raises:
+        ValueError: for a spacing that is no positive number.
     """
-    check_range("spacing", spacing, Range(0, math.inf, "mm", above=True))
+    check_range("spacing", spacing, _SPACING)
     limbus, root, pupil = float(eye.limbus_radius), float(eye.iris_radius), float(eye.pupil_radius)
     around = max(12, math.ceil(2 * math.pi * limbus / spacing))
-    meshes = {}
+    slope = 0.0 if eye.iris_slope is None else float(eye.iris_slope)
+    depth = float(eye.iris_depth)
+    meshes, edge = {}, 0.0
     if eye.cornea is not None:
+        edge = float(_depth(eye.cornea.anterior, limbus))
         meshes["anterior"] = _cap(eye.cornea.anterior, limbus, spacing, around)
-        if eye.cornea.posterior is not None:
-            meshes["posterior"] = _cap(
-                eye.cornea.posterior, _reach(eye, eye.cornea.posterior), spacing, around
-            )
+        behind = eye.cornea.posterior
+        if behind is not None:
+            meshes["posterior"] = _cap(behind, _meeting(behind, depth, slope), spacing, around)
 
     r = np.linspace(pupil, root, _steps(root - pupil, spacing))
-    slope = 0.0 if eye.iris_slope is None else float(eye.iris_slope)
     # A seam: the points at u = 1 are those at u = 0 once more.
-    points, faces = revolved(r, float(eye.iris_depth) + slope * r, around, seam=True)
+    iris = _revolved(r, depth + slope * r, np.full_like(r, slope), -np.ones_like(r), around, True)
     u, v = np.meshgrid(np.arange(around + 1) / around, (r - pupil) / (root - pupil))
-    meshes["iris"] = Mesh(
-        points,
-        _double(eye.iris_normal(jnp.asarray(points, float))),
-        np.stack([u.ravel(), v.ravel()], -1),
-        faces,
-    )
+    meshes["iris"] = _mesh(*iris, np.stack([u.ravel(), v.ravel()], -1))
 
     if eye.sclera is not None:
         radius = float(eye.sclera.radius)
-        edge = 0.0 if eye.cornea is None else float(_depth(eye.cornea.anterior, limbus))
         centre = edge + math.sqrt(radius**2 - limbus**2)
         start = math.asin(limbus / radius)
         angle = np.linspace(start, math.pi, _steps(radius * (math.pi - start), spacing))
         r, z = radius * np.sin(angle), centre - radius * np.cos(angle)
         r[0], z[0], r[-1] = limbus, edge, 0.0
-        points, faces = revolved(r, z, around)
-        meshes["sclera"] = Mesh(points, (points - [0, 0, centre]) / radius, None, faces)
+        meshes["sclera"] = _mesh(*_revolved(r, z, r, z - centre, around))
     return meshes
+
+
+def cone_mesh(cones: Cones, around: int = AROUND) -> "Trimesh":
+    """Triangles of a stack of cones; each cone has its own corners, so that seams stay sharp.
+
+    u and v are those of a picture seen from ahead whose sides touch the widest circle: u = 0 at its
+    left, v = 0 at its foot.
+
+    Raises:
+        ValueError: for fewer than 3 points round the axis.
+    """
+    check_whole("around", around, 3)
+    z, radius = (np.asarray(v, np.float64) for v in (cones.z, cones.radius))
+    every, count = [], 0
+    for i in range(len(z) - 1):
+        rise, out = np.full(2, z[i + 1] - z[i]), np.full(2, radius[i + 1] - radius[i])
+        cone = _revolved(radius[i : i + 2], z[i : i + 2], rise, -out, around)
+        every.append((*cone[:2], cone[2] + count))
+        count += len(cone[0])
+    points, normals, faces = (np.concatenate(arrays) for arrays in zip(*every, strict=True))
+    return _mesh(points, normals, faces, (points[:, :2] / radius.max() + 1) / 2)
+
+
+def painting_files(
+    painting: Painting, form: str = "obj", around: int = AROUND, eye: Eye | None = None
+) -> dict[str, bytes]:
+    """Files, by their names, of a mesh of every coat and its picture with opacity.
+
+    Meshes are those of `right_handed`. Files bear the coats' names, with underscores for spaces.
+
+    Args:
+        painting: The coats.
+        form: One of `FORMATS`.
+        around: Points round the axis.
+        eye: Adds meshes of its `cornea` and `white`, without pictures.
+
+    Raises:
+        ValueError: for an unknown form.
+    """
+    profile, meshes, files = painting.profile, {}, {}
+    for coat in painting.coats:
+        stem = coat.name.replace(" ", "_")
+        meshes[stem] = cone_mesh(Cones(profile.z - float(coat.height), profile.radius), around)
+        files[f"{stem}.png"] = _picture(coat)
+    if eye is not None:
+        outside = shell(eye)._asdict()
+        meshes |= {name: cone_mesh(cones, around) for name, cones in outside.items()}
+    meshes = {name: right_handed(mesh) for name, mesh in meshes.items()}
+    textures = {stem: f"{stem}.png" for stem in meshes if f"{stem}.png" in files}
+    return files | mesh_files(meshes, form, textures)
+
+
+def mesh_files(
+    meshes: "Mapping[str, Trimesh]", form: str = "ply", textures: Mapping[str, str] | None = None
+) -> dict[str, bytes]:
+    """Files of meshes, by their names: binary PLY with normals (and u, v where a mesh has them), or
+    OBJ with its material, whose base colour is a file of `textures`, by the mesh's name.
+
+    Raises:
+        ValueError: for an unknown form.
+    """
+    check_known("kind of mesh", form, FORMATS)
+    files = {}
+    for name, mesh in meshes.items():
+        if form == "ply":
+            single = mesh.copy(include_cache=True)
+            for axis, values in mesh.vertex_attributes.items():
+                single.vertex_attributes[axis] = values.astype(np.float32)
+            files[f"{name}.ply"] = single.export(file_type="ply", vertex_normal=True)
+        else:
+            files |= _obj(mesh, name, (textures or {}).get(name))
+    return files
+
+
+def right_handed(mesh: "Trimesh") -> "Trimesh":
+    """A mesh in the frame of other renderers: x right, y up, +z out of the eye towards the viewer.
+
+    The eye's own frame (+z into the eye) is left-handed: read without conversion, its meshes show
+    a mirrored iris.
+    """
+    return mesh.copy(include_cache=True).apply_transform(np.diag([1.0, 1.0, -1.0, 1.0]))
+
+
+def _mesh(
+    points: np.ndarray, normals: np.ndarray, faces: np.ndarray, uv: np.ndarray | None = None
+) -> "Trimesh":
+    import trimesh
+
+    made = trimesh.Trimesh(points, faces, vertex_normals=normals, process=False)
+    if uv is not None:
+        made.vertex_attributes.update(u=uv[:, 0], v=uv[:, 1])
+    return made
+
+
+def _obj(mesh: "Trimesh", name: str, texture: str | None) -> dict[str, bytes]:
+    from trimesh.exchange.obj import export_obj
+    from trimesh.visual import TextureVisuals
+    from trimesh.visual.material import SimpleMaterial
+
+    if "u" in mesh.vertex_attributes:
+        uv = np.stack([mesh.vertex_attributes[axis] for axis in "uv"], -1)
+        white = {"ambient": [255] * 3, "diffuse": [255] * 3, "specular": [0] * 3}
+        material = SimpleMaterial(name=name, **white)
+        mesh = mesh.copy(include_cache=True)
+        mesh.visual = TextureVisuals(uv=uv, material=material)
+    text, more = export_obj(
+        mesh,
+        include_normals=True,
+        return_texture=True,
+        mtl_name=f"{name}.mtl",
+        header="simulated by irisjax",
+    )
+    colour = b"" if texture is None else f"\nmap_Kd {texture}\n".encode()
+    return {f"{name}.obj": text.encode(), **{file: data + colour for file, data in more.items()}}
 
 
 def _steps(length: float, spacing: float) -> int:
     return max(3, math.ceil(length / spacing) + 1)
 
 
-def _cap(surface: Conicoid, edge: float, spacing: float, around: int) -> Mesh:
-    r = np.linspace(
-        0,
-        edge,
-        _steps(math.hypot(edge, float(_depth(surface, edge) - _depth(surface, 0))), spacing),
-    )
-    points, faces = revolved(r, _depth(surface, r), around)
-    return Mesh(points, _double(surface.normal(jnp.asarray(points, float))), None, faces)
+def _cap(surface: Conicoid, edge: float, spacing: float, around: int) -> "Trimesh":
+    length = math.hypot(edge, float(_depth(surface, edge) - _depth(surface, 0)))
+    r = np.linspace(0, edge, _steps(length, spacing))
+    z = _depth(surface, r)
+    # The gradient of the surface's equation [F09 Eq. 3].
+    inwards = float(surface.radius) - float(surface.shape) * (z - float(surface.apex))
+    return _mesh(*_revolved(r, z, r, -inwards, around))
 
 
-def _depth(surface: Conicoid, r) -> np.ndarray:
-    return _double(surface.apex + surface.sagitta(jnp.asarray(r, float)))
+def _depth(surface: Conicoid, r: Any) -> np.ndarray:
+    return np.asarray(surface.apex + surface.sagitta(jnp.asarray(r, float)), np.float64)
 
 
-def _double(x) -> np.ndarray:
-    return np.asarray(x, np.float64)
-
-
-def _reach(eye: Eye, surface: Conicoid) -> float:
+def _meeting(surface: Conicoid, depth: float, slope: float) -> float:
     """Radius at which a surface meets that of the iris; its equator, if it ends before."""
     radius, p = float(surface.radius), float(surface.shape)
-    slope = 0.0 if eye.iris_slope is None else float(eye.iris_slope)
-    low, high = 0.0, radius / math.sqrt(p) if p > 0 else 4 * radius
-    for _ in range(60):
-        middle = (low + high) / 2
-        above = _depth(surface, middle) < float(eye.iris_depth) + slope * middle
-        low, high = (middle, high) if above else (low, middle)
-    return low
+    widest = radius / math.sqrt(p) if p > 0 else 4 * radius
+
+    def below(r):
+        return float(_depth(surface, r)) - depth - slope * r
+
+    if below(widest) < 0:
+        return widest
+    return float(optimize.root_scalar(below, bracket=(0.0, widest), xtol=1e-14).root)
 
 
-def revolved(
-    r: np.ndarray, z: np.ndarray, around: int, seam: bool = False
-) -> tuple[np.ndarray, np.ndarray]:
-    """Points and triangles of a profile turned about z; rings of radius 0 are single points at
-    either end.
+def _revolved(
+    r: np.ndarray,
+    z: np.ndarray,
+    out: np.ndarray,
+    along: np.ndarray,
+    around: int,
+    seam: bool = False,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Points, unit normals and triangles of a profile turned about z; rings of radius 0 are single
+    points.
 
-    Normals lie to the left of the profile's course (to −z where r grows).
+    Triangles face to the left of the profile's direction (to −z where r grows).
+
+    Args:
+        r: Radius of each ring.
+        z: Its place.
+        out: Component of its normals away from the axis, of any length.
+        along: Their component along z.
+        around: Points on a ring.
+        seam: Whether the first point of a ring is repeated as its last.
     """
     angle = np.arange(around + seam) * (2 * math.pi / around)
     cos, sin = np.cos(angle), np.sin(angle)
     cos[around:], sin[around:] = 1.0, 0.0
-    tip_first, tip_last = r[0] == 0, r[-1] == 0
-    rings = slice(int(tip_first), len(r) - int(tip_last))
-    ring_r, ring_z = r[rings, None], np.broadcast_to(z[rings, None], (len(r[rings]), len(cos)))
-    body = np.stack([ring_r * cos, ring_r * sin, ring_z], -1).reshape(-1, 3)
-    width = len(cos)
-    index = np.arange(len(body)).reshape(-1, width)
+    index = np.arange(len(r) * len(cos)).reshape(len(r), len(cos))
+    index[r == 0] = index[r == 0][:, :1]
     after = index[:, 1:] if seam else np.roll(index, -1, axis=1)
     here = index[:, :-1] if seam else index
-    a, b, c, d = (x.ravel() for x in (here[:-1], after[:-1], here[1:], after[1:]))
-    faces = [np.stack([a, b, c], -1), np.stack([b, d, c], -1)]
-    points = [body]
-    for tip, place, at in ((tip_first, 0, 0), (tip_last, -1, -1)):
-        if tip:
-            point = np.full(here.shape[1], sum(map(len, points)))
-            points.append(np.array([[0.0, 0.0, z[at]]]))
-            corners = (
-                (point, after[place], here[place])
-                if place == 0
-                else (point, here[place], after[place])
-            )
-            faces.append(np.stack(corners, -1))
-    return np.concatenate(points), np.concatenate(faces)
+    a, b, c, d = (corner.ravel() for corner in (here[:-1], after[:-1], here[1:], after[1:]))
+    faces = np.concatenate([np.stack([a, b, c], -1), np.stack([b, d, c], -1)])
+    faces = faces[(faces != np.roll(faces, 1, axis=1)).all(1)]
+    used, faces = np.unique(faces, return_inverse=True)
+    length = np.hypot(np.where(r > 0, out, 0.0), along)
+    length = np.where(length > 0, length, 1.0)
+
+    def turned(radial, axial):
+        rows = np.outer(radial, cos), np.outer(radial, sin), np.outer(axial, np.ones_like(cos))
+        return np.stack(rows, -1).reshape(-1, 3)[used]
+
+    normals = turned(np.where(r > 0, out, 0.0) / length, along / length)
+    return turned(r, z), normals, faces.reshape(-1, 3)
+
+
+def _picture(coat: Coat) -> bytes:
+    """A PNG of colour and opacity."""
+    from PIL import Image
+
+    opacity = np.asarray(coat.opacity)[..., None]
+    colour = np.asarray(srgb_encode(np.asarray(coat.colour)))
+    both = np.concatenate([np.broadcast_to(colour, (*opacity.shape[:2], 3)), opacity], -1)
+    data = io.BytesIO()
+    Image.fromarray(np.rint(255 * both).astype(np.uint8)).save(data, "png")
+    return data.getvalue()

@@ -5,7 +5,7 @@ Mitsuba's frame is right-handed: x right, y up, +z out of the eye, so every z ch
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from xml.etree import ElementTree as Xml
 
 import numpy as np
@@ -13,31 +13,32 @@ import numpy as np
 from irisjax.render.scene import Scene
 
 WIDEST = math.radians(20.0)
-"""Least angular radius of a lamp in front of a cornea: paths meet it by chance alone, and smaller
-ones too seldom.
+"""Least angular radius of a lamp in front of a cornea. Paths meet a lamp by chance alone, and a
+smaller one too seldom.
 """
-_FAR = 1e4  # mm, where distant lamps stand as discs
+_FAR = 1e4  # mm, distance of the discs that represent distant lamps
 
-Rgb = Sequence[float] | np.ndarray
+_Rgb = Sequence[float] | np.ndarray
 
 
 def mitsuba_scene(
     scene: Scene,
     *,
     relief: bool,
-    white: Rgb | None,
-    haze: Rgb | None,
+    white: _Rgb | None,
+    haze: _Rgb | None,
     environment: str | None,
     samples: int = 512,
 ) -> str:
-    """The XML of `scene`; its meshes and textures stand beside it under the names of
-    `irisjax.export.handover`.
+    """The XML of a scene, for a folder with the files of `irisjax.export.handover`.
 
-    - `relief`: whether relief.exr tilts the surface. `white`: albedo of the sclera, or `None`.
-    - `haze`: share of light that one passage of the cornea lets through, linear sRGB; `None` is a
-        clear one.
-    - `environment`: file of the panorama. `samples`: a pixel; `-D spp=...` of Mitsuba's command
-        changes them.
+    Args:
+        scene: The scene.
+        relief: Whether relief.exr tilts the surface.
+        white: Albedo of the sclera, linear sRGB, or `None`.
+        haze: Transmittance of one passage of the cornea, linear sRGB; `None` for a clear one.
+        environment: File of the panorama.
+        samples: Per pixel; Mitsuba's option `-D spp=...` overrides them.
     """
     root = Xml.Element("scene", version="3.0.0")
     root.append(
@@ -74,7 +75,7 @@ def _sensor(root: Xml.Element, scene: Scene) -> None:
     camera = scene.camera
     origin = np.asarray(camera.rays(scene.eye)[0], np.float64)
     target = np.array([0.0, 0.0, float(scene.eye.iris_depth)])
-    # As the camera itself: upright by the eye's y, or by its z where it looks along y.
+    # Like the camera itself: upright along the eye's y, or along z where it looks along y.
     sideways = np.hypot(*(target - origin)[[0, 2]]) < 1e-6 * float(camera.distance)
     sensor = _add(root, "sensor", type="perspective")
     _look(sensor, origin, target, [0, 0, 1] if sideways else [0, 1, 0])
@@ -98,7 +99,7 @@ def _sensor(root: Xml.Element, scene: Scene) -> None:
 
 def _iris(root: Xml.Element, relief: bool) -> None:
     shape = _mesh(root, "iris")
-    # Textures have v upwards, as everywhere but in Mitsuba.
+    # Mitsuba alone has v downwards.
     _add(shape, "boolean", "flip_tex_coords", "true")
     if relief:
         bump = _add(shape, "bsdf", type="bumpmap")
@@ -115,7 +116,7 @@ def _texture(parent: Xml.Element, file: str, name: str | None) -> None:
 
 
 def _interface(
-    root: Xml.Element, name: str, inside: float, outside: float, through: Rgb | None
+    root: Xml.Element, name: str, inside: float, outside: float, through: _Rgb | None
 ) -> None:
     glass = _add(_mesh(root, name), "bsdf", type="dielectric")
     _add(glass, "float", "int_ior", f"{inside:g}")
@@ -152,9 +153,15 @@ def _lamps(root: Xml.Element, scene: Scene, wide: bool) -> None:
             _add(emitter, "rgb", "irradiance", _numbers(colour))
 
 
-def _look(parent: Xml.Element, origin, target, up, scale: float | None = None) -> None:
+def _look(
+    parent: Xml.Element,
+    origin: np.ndarray,
+    target: np.ndarray,
+    up: Sequence[float],
+    scale: float | None = None,
+) -> None:
     if abs(np.dot(up, target - origin)) > (1 - 1e-9) * np.linalg.norm(target - origin):
-        up = [1, 0, 0]  # a disc does not mind which way is up
+        up = [1, 0, 0]  # only for discs, which have no upper side
     transform = _add(parent, "transform", "to_world")
     if scale is not None:
         _add(transform, "scale", x=f"{scale:.9g}", y=f"{scale:.9g}")
@@ -162,7 +169,7 @@ def _look(parent: Xml.Element, origin, target, up, scale: float | None = None) -
     _add(transform, "lookat", **{name: ", ".join(_turned(place)) for name, place in places.items()})
 
 
-def _turned(point) -> tuple[str, str, str]:
+def _turned(point: Iterable[float]) -> tuple[str, str, str]:
     x, y, z = (float(v) for v in point)
     return f"{x:.12g}", f"{y:.12g}", f"{0.0 - z:.12g}"
 
@@ -173,12 +180,12 @@ def _mesh(root: Xml.Element, name: str) -> Xml.Element:
     return shape
 
 
-def _numbers(rgb: Rgb) -> str:
+def _numbers(rgb: _Rgb) -> str:
     return ", ".join(f"{float(v):.9g}" for v in rgb)
 
 
 def _add(
-    parent: Xml.Element, tag: str, name: str | None = None, value=None, **attributes: str
+    parent: Xml.Element, tag: str, name: str | None = None, value: object = None, **attributes: str
 ) -> Xml.Element:
     given = {"name": name, "value": None if value is None else str(value), **attributes}
     return Xml.SubElement(parent, tag, {k: v for k, v in given.items() if v is not None})

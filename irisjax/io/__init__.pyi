@@ -18,10 +18,10 @@ from .measured import read_measured as read_measured
 from .movies import check_movie as check_movie
 from .movies import first_file as first_file
 from .movies import write_movie as write_movie
-from .paints import read_paints as read_paints
 from .photographs import read_photograph as read_photograph
 from .posterior import write_posterior as write_posterior
 from .recipes import Recipe as Recipe
+from .recipes import read_paints as read_paints
 from .recipes import read_recipe as read_recipe
 from .scenes import SceneFile as SceneFile
 from .scenes import parse_scene as parse_scene

@@ -1,41 +1,40 @@
 """Pictures in and out: OpenEXR and Radiance for linear values, PNG and JPEG for encoded ones.
 
-The formats are OpenImageIO's work; it is imported when a picture is first asked for.
+OpenImageIO reads and writes the formats; it is imported when a picture is first read or written.
 """
 
 import itertools
 import re
 import tempfile
+import zlib
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import NamedTuple, TypeVar
+from typing import Any, BinaryIO, NamedTuple
 
 import numpy as np
 
-from irisjax.io.decoding import check_suffix, decode_file, first_line
 from irisjax.io.tables import check_writable, replacing
 from irisjax.measure.colour import srgb_decode
 from irisjax.render.environment import Environment
 
-T = TypeVar("T")
-
 READABLE = (".exr", ".hdr", ".png", ".jpg", ".jpeg")
 """Kinds of picture that can be read."""
 
-_TYPES = {
-    "uint8": "uint8",
-    "uint16": "uint16",
-    "float32": "float",
-}  # OpenImageIO makes halves of "float32"
+# OpenImageIO makes half-precision values of "float32".
+_TYPES = {"uint8": "uint8", "uint16": "uint16", "float32": "float"}
+_PNG = b"\x89PNG\r\n\x1a\n"
 _SPECTRAL = re.compile(r"(S[0-3]|T)\.\d+(,\d+)?nm")
 
 
 class Image(NamedTuple):
-    """A picture from a file, top row first.
+    """A picture from a file.
 
-    `pixels` (rows, columns, channels) float32; `linear`: whether they are proportional to light, or
-    encoded with a transfer function (sRGB's) and in [0, 1]; `channels`: their names; `metadata`:
-    what the file says in words.
+    Attributes:
+        pixels: Top row first, float32 (rows, columns, channels).
+        linear: Whether they are proportional to light, or encoded with sRGB's transfer function and
+            in [0, 1].
+        channels: Their names.
+        metadata: Texts of the file's header.
     """
 
     pixels: np.ndarray
@@ -45,14 +44,18 @@ class Image(NamedTuple):
 
 
 def read_image(path: str | Path, *, decode: bool = False) -> Image:
-    """Read a picture; `decode` takes sRGB's transfer function off PNG and JPEG (their alpha stays
-    as it is).
+    """Read a picture, the first one of a file of several.
 
-    Cameras' marks of how they were held are obeyed; embedded colour profiles are not. Of a file of
-    several pictures the first is read.
+    The orientation that a camera recorded is applied; embedded colour profiles are not.
 
-    **Raises:** `ValueError` for an unknown suffix or a broken file, `OSError` for one that cannot
-    be opened.
+    Args:
+        path: The file.
+        decode: Whether sRGB's transfer function is inverted for PNG and JPEG (alpha stays as it
+            is).
+
+    Raises:
+        ValueError: for an unknown suffix or a broken file.
+        OSError: for a file that cannot be opened.
     """
     pixels, spec, _ = decode_file(path, READABLE, integers=False)
     linear = Path(path).suffix.lower() in (".exr", ".hdr")
@@ -64,20 +67,26 @@ def read_image(path: str | Path, *, decode: bool = False) -> Image:
 
 
 def write_png(
-    path: str | Path, encoded, *, bits: int = 8, remark: str = "", rows: int | None = None
+    path: str | Path, encoded: Any, *, bits: int = 8, remark: str = "", rows: int | None = None
 ) -> int:
-    """Write sRGB-encoded values (rows, columns, 3) in [0, 1] as a PNG of 8 or 16 bits, rounded to
-    the nearest step.
+    """Write sRGB-encoded values in [0, 1] as a PNG, rounded to the nearest step. Equal values give
+    equal bytes.
 
-    Returns how many pixels were clipped: those with a component beyond [0, 1] by more than half a
-    step. `remark` goes into the file's description. Equal values give equal bytes. With `rows`,
-    their number in all, `encoded` is an iterator of bands from the top to the bottom, each written
-    as it comes.
+    Args:
+        path: The file.
+        encoded: Values (rows, columns, 3); with `rows`, an iterator of bands from the top to the
+            bottom, each written as it comes.
+        bits: 8 or 16.
+        remark: The file's description.
+        rows: Total number of rows of the bands.
 
-    **Raises:** `ValueError` for another shape, suffix or number of bits and for values that are not
-    finite.
+    Returns:
+        The number of clipped pixels: those with a component beyond [0, 1] by more than half a step.
+
+    Raises:
+        ValueError: for another shape, suffix or number of bits and for values that are not finite.
     """
-    check_suffix(path, (".png",))
+    check_image_suffix(path, (".png",))
     clipped = 0
 
     def steps():
@@ -96,23 +105,28 @@ def write_png(
 
 def write_exr(
     path: str | Path,
-    image,
+    image: Any,
     channels: Sequence[str] = ("R", "G", "B"),
     metadata: Mapping[str, str] | None = None,
     rows: int | None = None,
 ) -> None:
-    """Write linear values (rows, columns, channels) as OpenEXR, 32-bit floats, ZIP without loss.
+    """Write linear values as OpenEXR: 32-bit floats, lossless ZIP. Equal values give equal bytes.
 
-    Channels named by `spectral_channels` make it a spectral image [Fichet, Pacanowski & Wilkie
-    2021]. The file keeps its channels by name, so readers may find them in another order. Equal
-    values give equal bytes. `rows` as of `write_png`.
+    Args:
+        path: The file.
+        image: Values (rows, columns, channels), or bands as for `write_png`.
+        channels: Names of the channels; readers may find them in another order. Those of
+            `spectral_channels` make it a spectral image [Fichet, Pacanowski & Wilkie 2021].
+        metadata: Texts of the file's header.
+        rows: As for `write_png`.
 
-    **Raises:** `ValueError` for another shape or suffix, and for names that stand twice or not once
-    a channel.
+    Raises:
+        ValueError: for another shape or suffix, and unless there is one name per channel, each
+            once.
     """
-    check_suffix(path, (".exr",))
+    check_image_suffix(path, (".exr",))
     if len(set(channels)) != len(channels):
-        raise ValueError(f"{path}: a channel name stands twice")
+        raise ValueError(f"{path}: a channel name appears twice")
     attributes = {"Software": "irisjax", "compression": "zip"}
     if any(_SPECTRAL.fullmatch(name) for name in channels):
         attributes["spectralLayoutVersion"] = "1.0"
@@ -123,8 +137,10 @@ def write_exr(
     _write(path, bands, rows, channels, attributes | dict(metadata or {}))
 
 
-def encode_png(path: str | Path, encoded, *, bits: int = 8, remark: str = "") -> tuple[bytes, int]:
-    """The bytes that `write_png` writes, and how many pixels were clipped; `path` is only named in
+def encode_png(
+    path: str | Path, encoded: Any, *, bits: int = 8, remark: str = ""
+) -> tuple[bytes, int]:
+    """The bytes that `write_png` writes, and the number of clipped pixels; `path` is only named in
     errors.
     """
     return _bytes(path, lambda there: write_png(there, encoded, bits=bits, remark=remark))
@@ -132,7 +148,7 @@ def encode_png(path: str | Path, encoded, *, bits: int = 8, remark: str = "") ->
 
 def encode_exr(
     path: str | Path,
-    image,
+    image: Any,
     channels: Sequence[str] = ("R", "G", "B"),
     metadata: Mapping[str, str] | None = None,
 ) -> bytes:
@@ -140,7 +156,7 @@ def encode_exr(
     return _bytes(path, lambda there: write_exr(there, image, channels, metadata))[0]
 
 
-def _bytes(path: str | Path, write: Callable[[Path], T]) -> tuple[bytes, T]:
+def _bytes(path: str | Path, write: Callable[[Path], Any]) -> tuple[bytes, Any]:
     with tempfile.TemporaryDirectory() as folder:
         there = Path(folder, Path(path).name)
         try:
@@ -153,8 +169,9 @@ def _bytes(path: str | Path, write: Callable[[Path], T]) -> tuple[bytes, T]:
 def spectral_channels(wavelengths: Iterable[float], layer: str = "S0") -> tuple[str, ...]:
     """Channel names of a spectral image, such as S0.550,0nm [Fichet, Pacanowski & Wilkie 2021].
 
-    Layer `"S0"` (to `"S3"`, Stokes components) is for radiance, `"T"` for reflectance; wavelengths
-    in nm.
+    Args:
+        wavelengths: nm.
+        layer: `"S0"` (to `"S3"`, Stokes components) for radiance, `"T"` for reflectance.
     """
     if layer not in ("S0", "S1", "S2", "S3", "T"):
         raise ValueError(f"unknown layer {layer!r}; known: S0, S1, S2, S3, T")
@@ -163,11 +180,12 @@ def spectral_channels(wavelengths: Iterable[float], layer: str = "S0") -> tuple[
 
 
 def read_environment(path: str | Path) -> Environment:
-    """A latitude-longitude panorama, twice as wide as high, as an `Environment`; PNG and JPEG are
+    """Read a latitude-longitude panorama, twice as wide as high, of linear sRGB; PNG and JPEG are
     decoded.
 
-    Values are taken as linear sRGB. **Raises:** as `read_image`, and `ValueError` for other
-    pictures.
+    Raises:
+        ValueError: as `read_image`, and for other pictures.
+        OSError: as `read_image`.
     """
     image = read_image(path, decode=True)
     rows, columns = image.pixels.shape[:2]
@@ -186,11 +204,12 @@ def read_environment(path: str | Path) -> Environment:
         raise ValueError(f"{path}: {error}") from None
 
 
-def to_steps(path: str | Path, encoded, bits: int) -> tuple[np.ndarray, int]:
-    """Encoded values (rows, columns, 3) as whole numbers of 8 or 16 bits, and how many pixels were
-    clipped.
+def to_steps(path: str | Path, encoded: Any, bits: int) -> tuple[np.ndarray, int]:
+    """Encoded values (rows, columns, 3) as whole numbers of 8 or 16 bits, and the number of clipped
+    pixels.
 
-    **Raises:** as `write_png`.
+    Raises:
+        ValueError: as `write_png`.
     """
     values = _pixels(encoded, 3)
     if bits not in (8, 16):
@@ -203,6 +222,69 @@ def to_steps(path: str | Path, encoded, bits: int) -> tuple[np.ndarray, int]:
     steps = np.rint(values.astype(np.float64) * most)
     clipped = int(((steps < 0) | (steps > most)).any(-1).sum())
     return np.clip(steps, 0, most).astype(np.uint8 if bits == 8 else np.uint16), clipped
+
+
+def decode_file(
+    path: str | Path,
+    suffixes: tuple[str, ...],
+    *,
+    integers: bool,
+    check: Callable[[Any], None] | None = None,
+) -> tuple[np.ndarray, Any, bool]:
+    """Decode the first picture of a file, turned upright.
+
+    Args:
+        path: The file.
+        suffixes: The allowed ones.
+        integers: Whether files of 8 and 16 bits give uint8 and uint16; all others give float32,
+            whole numbers scaled to [0, 1].
+        check: Raises `ValueError` for a file that is refused by its header, OpenImageIO's
+            `ImageSpec`.
+
+    Returns:
+        Values (rows, columns, channels), the `ImageSpec` (of the picture before it was turned),
+        and whether the file has more pictures.
+
+    Raises:
+        ValueError: for an unknown suffix or a broken file.
+        OSError: for a file that cannot be opened.
+    """
+    check_image_suffix(path, suffixes)
+    with open(path, "rb") as opened:  # raises for files that are missing or forbidden
+        wrong = _png_fault(opened)
+    if wrong:
+        raise ValueError(f"{path}: the picture is broken ({wrong})")
+    import OpenImageIO as oiio
+
+    wishes = oiio.ImageSpec()
+    wishes.attribute("oiio:UnassociatedAlpha", 1)  # else colours come multiplied by alpha
+    file = oiio.ImageInput.open(str(path), wishes)
+    if file is None:
+        raise ValueError(f"{path}: not a picture that can be read ({_first_line(oiio.geterror())})")
+    try:
+        spec = file.spec()
+        if check is not None:
+            check(spec)
+        kind = str(spec.format) if integers and str(spec.format) in ("uint8", "uint16") else "float"
+        values = file.read_image(kind)
+        complaint = file.geterror()  # a truncated JPEG has values as well as an error
+        if values is None or complaint:
+            raise ValueError(f"{path}: the picture is broken ({_first_line(complaint)})")
+        several = file.seek_subimage(1, 0)
+    finally:
+        file.close()
+    pixels = np.asarray(values).reshape(spec.height, spec.width, spec.nchannels)
+    held = spec.get_int_attribute("Orientation", 1)
+    pixels = pixels.swapaxes(0, 1) if held in (5, 6, 7, 8) else pixels
+    pixels = pixels[::-1] if held in (3, 4, 7, 8) else pixels
+    pixels = pixels[:, ::-1] if held in (2, 3, 6, 7) else pixels
+    return np.ascontiguousarray(pixels), spec, several
+
+
+def check_image_suffix(path: str | Path, suffixes: tuple[str, ...]) -> None:
+    """Raise `ValueError` for a name that ends in none of `suffixes`."""
+    if Path(path).suffix.lower() not in suffixes:
+        raise ValueError(f"{path}: a picture's name must end in {' or '.join(suffixes)}")
 
 
 def _write(
@@ -219,34 +301,58 @@ def _write(
     rows = len(first) if rows is None else rows
     spec = oiio.ImageSpec(first.shape[1], rows, len(channels), _TYPES[first.dtype.name])
     spec.channelnames = tuple(channels)
-    spec.attribute("DateTime", "")  # left to itself, OpenEXR's writer stamps the hour
+    spec.attribute("DateTime", "")  # otherwise OpenEXR's writer adds the time
     for name, value in attributes.items():
         spec.attribute(name, value)
     with replacing(path) as temporary:
-        file = oiio.ImageOutput.create(
-            Path(path).suffix[1:].lower()
-        )  # by kind: the temporary name says nothing
+        # By kind, which the temporary name does not show.
+        file = oiio.ImageOutput.create(Path(path).suffix[1:].lower())
         if not (file and file.open(str(temporary), spec)):
-            raise ValueError(f"{path}: {first_line(file.geterror() if file else oiio.geterror())}")
+            raise ValueError(f"{path}: {_first_line(file.geterror() if file else oiio.geterror())}")
         done = 0
         try:
             for band in itertools.chain([first], bands):
                 if done + band.shape[0] > rows or band.shape[1:] != first.shape[1:]:
                     raise ValueError(f"{path}: a band of {band.shape} after {done} of {rows} rows")
                 if not file.write_scanlines(done, done + band.shape[0], 0, band):
-                    raise ValueError(f"{path}: {first_line(file.geterror())}")
+                    raise ValueError(f"{path}: {_first_line(file.geterror())}")
                 done += band.shape[0]
         finally:
             closed = file.close()
-        if done != rows or not closed:
-            raise ValueError(
-                f"{path}: "
-                f"{first_line(file.geterror()) if done == rows else f'{done} of {rows} rows'}"
-            )
+        if done != rows:
+            raise ValueError(f"{path}: {done} of {rows} rows")
+        if not closed:
+            raise ValueError(f"{path}: {_first_line(file.geterror())}")
 
 
-def _pixels(image, channels: int) -> np.ndarray:
+def _pixels(image: Any, channels: int) -> np.ndarray:
     values = np.ascontiguousarray(image)
     if values.ndim != 3 or values.shape[2] != channels or 0 in values.shape:
         raise ValueError(f"a picture has the shape (rows, columns, {channels}), got {values.shape}")
     return values
+
+
+def _png_fault(file: BinaryIO) -> str:
+    """The fault in the chunks of a PNG; empty for an intact one and for any other file.
+
+    libpng would find it too, but prints a line of its own.
+    """
+    if file.read(len(_PNG)) != _PNG:
+        return ""
+    while True:
+        head = file.read(8)
+        count = int.from_bytes(head[:4])
+        body, sum_ = file.read(count), file.read(4)
+        if len(head) < 8 or len(body) < count or len(sum_) < 4:
+            return "the file ends in the middle"
+        kind = head[4:]
+        # A capital marks a critical chunk; libpng ignores faults of the others as well.
+        if kind[:1].isupper() and zlib.crc32(kind + body) != int.from_bytes(sum_):
+            return f"its part {kind.decode('latin-1')!r} is damaged"
+        if kind == b"IEND":
+            return ""
+
+
+def _first_line(text: str) -> str:
+    """The first line of an error's text."""
+    return text.strip().split("\n")[0] or "no reason given"

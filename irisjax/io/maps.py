@@ -1,7 +1,7 @@
 """`IrisMaps` in files: one OpenEXR, a channel for each map.
 
 Rows are angles, from +x towards +y, columns radii from the pupil's edge to the root, as in
-`IrisMaps`. Maps are measures (mm, shares), not colours: pictures of 8 or 16 bits cannot hold them.
+`IrisMaps`. Maps are quantities (mm, shares), not colours, and need more than 8 or 16 bits.
 """
 
 import dataclasses
@@ -14,7 +14,7 @@ from irisjax.io.images import encode_exr, read_image
 from irisjax.io.tables import check_writable, write_atomically
 from irisjax.tissue.maps import IrisMaps
 
-NAMES = tuple(f.name for f in dataclasses.fields(IrisMaps))
+MAP_NAMES = tuple(f.name for f in dataclasses.fields(IrisMaps))
 """Channel names of a file of maps."""
 
 _PACKED: Mapping[str, str] = {
@@ -26,14 +26,15 @@ _PACKED: Mapping[str, str] = {
 
 
 def read_maps(path: str | Path) -> IrisMaps:
-    """Read maps from an EXR whose channels are named as the fields of `IrisMaps`, any of them.
+    """Read maps from an EXR whose channels are named as fields of `IrisMaps` (see `write_maps`).
 
-    Or from an RGB or RGBA file in F09's packing [F09 Section 6]: R relief, G depth of the ABL, B
-    of the stroma (all mm), A freckles (0 to 1). Values are taken as they stand; files written by
-    `write_maps` come back to the last bit.
+    An RGB or RGBA file is read in F09's packing [F09 Section 6]: R relief, G depth of the ABL, B of
+    the stroma (all mm), A freckles (0 to 1).
 
-    **Raises:** `OSError` for a file that cannot be opened; `ValueError` naming the file for other
-    channels, for values that no iris has and for a broken file.
+    Raises:
+        OSError: for a file that cannot be opened.
+        ValueError: naming the file, for other channels, for values that no iris has and for a
+            broken file.
     """
     if Path(path).suffix.lower() != ".exr":
         raise ValueError(f"{path}: a file of maps must end in .exr")
@@ -41,10 +42,10 @@ def read_maps(path: str | Path) -> IrisMaps:
     channels = dict(zip(image.channels, np.moveaxis(image.pixels, -1, 0), strict=True))
     if set(channels) in ({"R", "G", "B"}, {"R", "G", "B", "A"}):
         channels = {_PACKED[name]: values for name, values in channels.items()}
-    if unknown := [name for name in channels if name not in NAMES]:
+    if unknown := [name for name in channels if name not in MAP_NAMES]:
         raise ValueError(
             f"{path}: unknown channel {', '.join(map(repr, unknown))}; "
-            f"maps have channels among {', '.join(NAMES)}, or exactly R, G, B or R, G, B, A"
+            f"maps have channels among {', '.join(MAP_NAMES)}, or exactly R, G, B or R, G, B, A"
         )
     try:
         return IrisMaps(**channels)
@@ -53,15 +54,20 @@ def read_maps(path: str | Path) -> IrisMaps:
 
 
 def write_maps(path: str | Path, maps: IrisMaps) -> None:
-    """Write maps as an EXR of 32-bit floats, the absent ones left out; see `encode_maps`."""
+    """Write the maps that are present as an EXR of 32-bit floats.
+
+    Raises:
+        ValueError: as `encode_maps`.
+    """
     check_writable(path)
     write_atomically(path, encode_maps(path, maps))
 
 
 def encode_maps(path: str | Path, maps: IrisMaps) -> bytes:
-    """The bytes of that file; `path` is only named in errors.
+    """The bytes that `write_maps` writes; `path` is only named in errors.
 
-    **Raises:** `ValueError` for another suffix, and where there is no map.
+    Raises:
+        ValueError: for another suffix, and where there is no map.
     """
     present = maps.present()
     if not present:

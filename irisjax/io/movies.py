@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from irisjax.io.images import check_suffix, encode_png, to_steps
+from irisjax.io.images import check_image_suffix, encode_png, to_steps
 from irisjax.io.tables import check_writable, write_atomically, write_together
 
 _NUMBER = re.compile(r"%(0\d+)?d")
@@ -29,7 +29,7 @@ def check_movie(path: str | Path) -> None:
         ValueError: The suffix is none of `write_movie`'s, or MP4 lacks the extra `video`.
         OSError: The place cannot be written.
     """
-    check_suffix(path, (".gif", ".mp4", ".png"))
+    check_image_suffix(path, (".gif", ".mp4", ".png"))
     if Path(path).suffix.lower() == ".png":
         _numbered(path, 0)
     if Path(path).suffix.lower() == ".mp4" and importlib.util.find_spec("av") is None:

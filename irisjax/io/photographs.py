@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from irisjax.io.camera import RAW, develop, focal_px
-from irisjax.io.decoding import decode_file
+from irisjax.io.images import decode_file
 from irisjax.io.profiles import profile_to_linear, srgb_to_linear
 from irisjax.measure.colour import srgb_encode
 from irisjax.photo.photograph import Photograph

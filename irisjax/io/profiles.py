@@ -1,7 +1,7 @@
-"""Embedded ICC profiles: from values as a file holds them to linear sRGB.
+"""Embedded ICC profiles: from the values of a file to linear sRGB.
 
-Profiles of three curves and a matrix are OpenColorIO's work, by way of OpenImageIO, and lose
-nothing; those of other kinds are Little CMS's, by way of Pillow, which computes with 8 bits.
+Profiles of three curves and a matrix are applied by OpenColorIO, by way of OpenImageIO, without
+loss; those of other kinds by Little CMS, by way of Pillow, which computes with 8 bits.
 """
 
 import tempfile
@@ -17,22 +17,33 @@ _ROWS = 256  # decoded at once: indices take eight bytes a value
 
 
 def srgb_to_linear(steps: np.ndarray) -> np.ndarray:
-    """Linear float32 values of uint8 or uint16 ones that are sRGB-encoded, of any shape with rows
-    first.
-    """
-    return _look_up(steps, _srgb_table(steps.dtype))
+    """Linear float32 values of sRGB-encoded uint8 or uint16 ones, of any shape with rows first."""
+    most = np.iinfo(steps.dtype).max
+    table = np.asarray(srgb_decode(np.arange(most + 1) / most), np.float32)
+    found = np.empty(steps.shape, np.float32)
+    for i in range(0, len(steps), _ROWS):
+        found[i : i + _ROWS] = table[steps[i : i + _ROWS]]
+    return found
 
 
 def profile_to_linear(
     values: np.ndarray, profile: bytes, path: str | Path
 ) -> tuple[np.ndarray, str]:
-    """Linear sRGB, float32 (rows, columns, 3), of uint8, uint16 or float values (rows, columns, 1
-    or 3) under an ICC profile, and the profile's name with what had to be given up, if anything.
+    """Convert values under an ICC profile to linear sRGB.
 
-    Colours outside sRGB have negative components. White is white: the profile's goes to (1, 1, 1).
-    `path` is only named in errors.
+    Colours outside sRGB have negative components; the profile's white becomes (1, 1, 1).
 
-    **Raises:** `ValueError` for a profile that is broken or of another number of channels.
+    Args:
+        values: uint8, uint16 or float, (rows, columns, 1 or 3).
+        profile: The embedded profile.
+        path: Only named in errors.
+
+    Returns:
+        float32 values (rows, columns, 3), and the profile's name with a remark on a loss of
+        precision, if any.
+
+    Raises:
+        ValueError: for a profile that is broken or of another number of channels.
     """
     from PIL import ImageCms
 
@@ -85,8 +96,8 @@ def _matrix_to_linear(values: np.ndarray, profile: bytes) -> np.ndarray | None:
 
 
 def _device_to_xyz(values: np.ndarray, profile: bytes) -> np.ndarray | None:
-    """XYZ, adapted from the profile's D50 to D65 (white at Y = 1); `None` where OpenColorIO does
-    not take the profile.
+    """XYZ, adapted from the profile's D50 to D65 (white at Y = 1); `None` where OpenColorIO refuses
+    the profile.
     """
     import OpenImageIO as oiio
 
@@ -94,13 +105,13 @@ def _device_to_xyz(values: np.ndarray, profile: bytes) -> np.ndarray | None:
     with tempfile.TemporaryDirectory() as folder:
         there = Path(folder, "embedded.icc")
         there.write_bytes(profile)
-        # OpenColorIO's own direction is to the device.
+        # OpenColorIO's forward direction is to the device.
         if not oiio.ImageBufAlgo.ociofiletransform(image, image, str(there), inverse=True):
             return None
     return np.asarray(image.get_pixels("float")).reshape(values.shape)
 
 
-def _managed_in_8_bits(values: np.ndarray, profile, path) -> np.ndarray:
+def _managed_in_8_bits(values: np.ndarray, profile: Any, path: str | Path) -> np.ndarray:
     from PIL import Image, ImageCms
 
     if values.dtype.kind == "f":
@@ -116,15 +127,3 @@ def _managed_in_8_bits(values: np.ndarray, profile, path) -> np.ndarray:
     except (ImageCms.PyCMSError, ValueError) as error:
         raise ValueError(f"{path}: the embedded colour profile is broken ({error})") from None
     return np.asarray(image)
-
-
-def _srgb_table(dtype: np.dtype) -> np.ndarray:
-    most = np.iinfo(dtype).max
-    return np.asarray(srgb_decode(np.arange(most + 1) / most), np.float32)
-
-
-def _look_up(steps: np.ndarray, table: np.ndarray) -> np.ndarray:
-    found = np.empty(steps.shape, table.dtype)
-    for i in range(0, len(steps), _ROWS):
-        found[i : i + _ROWS] = table[steps[i : i + _ROWS]]
-    return found

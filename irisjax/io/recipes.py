@@ -1,4 +1,6 @@
-"""Recipes of painted eyes: TOML files that list coats in order, the bottom one first."""
+"""Recipes of painted eyes, TOML files that list coats in order, the bottom one first, and tables of
+a user's paints.
+"""
 
 import os
 from collections.abc import Mapping, Sequence
@@ -10,53 +12,59 @@ import tomlkit
 
 from irisjax.anatomy.eye import LIMITS, Eye
 from irisjax.io.images import read_image
-from irisjax.io.paints import read_paints
 from irisjax.io.sections import Check, Keys, checked, one_of, text, whole, within
-from irisjax.io.text import read_text
+from irisjax.io.text import read_columns, read_text
 from irisjax.numerics.checks import Range
-from irisjax.ocularist.coats import HEIGHT, prosthesis
+from irisjax.ocularist.coats import HEIGHT, PUPIL_RADIUS, prosthesis
 from irisjax.ocularist.components import COMPONENTS
-from irisjax.ocularist.easel import SCAN
-from irisjax.ocularist.kubelka_munk import KubelkaMunkMixer
-from irisjax.ocularist.mixing import AbstractMixer, HslMixer
-from irisjax.ocularist.palette import linear_colour
+from irisjax.ocularist.kubelka_munk import COEFFICIENT, KubelkaMunkMixer, paired_columns
+from irisjax.ocularist.mixing import AbstractMixer, HslMixer, linear_colour
+from irisjax.ocularist.painting import SCAN
 from irisjax.ocularist.recipes import CoatRecipe
 
 MIXING = ("hsl", "kubelka-munk")
 """Ways to mix paints."""
-PUPIL = 1.9
-"""Radius of a painted eye's pupil by default, mm."""
+
 _HSL, _KUBELKA_MUNK = MIXING
+_WAVELENGTH = "wavelength_nm"  # name of the first column of a table of paints
+_SURFACE = "saunderson"  # key of the header's line that gives k₁ and k₂
 
 
 class Recipe(NamedTuple):
-    """A painted eye as its file has it.
+    """A painted eye as its file describes it.
 
-    - `coats`: the bottom one first. `mixing`: one of `MIXING`; `paints`: a file of absorption and
-        scattering, for Kubelka and Munk's mixing and no other. `palette`: paints added or replaced,
-        `#rrggbb` by name. `pupil_radius`: mm. `folder`: against which files are named.
+    Attributes:
+        coats: The bottom one first.
+        mixing: One of `MIXING`.
+        paints: File of absorption and scattering, for Kubelka and Munk's mixing only.
+        palette: Paints added or replaced, `#rrggbb` by name.
+        pupil_radius: mm.
+        folder: That files are named relative to.
     """
 
     coats: tuple[CoatRecipe, ...]
     mixing: str = _HSL
     paints: str | None = None
     palette: Mapping[str, str] = {}
-    pupil_radius: float = PUPIL
+    pupil_radius: float = PUPIL_RADIUS
     folder: Path = Path()
 
     def eye(self) -> Eye:
-        """The paper's eye with this pupil."""
+        """The paper's eye with the recipe's pupil."""
         return prosthesis(self.pupil_radius)
 
     def mixer(self) -> AbstractMixer:
-        """Of the paints; **raises** `ValueError` or `OSError` for a file that cannot be read, and
-        `ValueError` for one that this mixing has no use for.
+        """The mixer of the paints.
+
+        Raises:
+            ValueError: for a file of paints that is broken, or that the mixing does not use.
+            OSError: for one that cannot be opened.
         """
         mixer: AbstractMixer
         if self.mixing == _HSL:
             if self.paints is not None:
                 raise ValueError(_NO_USE)
-            mixer = HslMixer()
+            mixer = HslMixer.default()
         elif self.paints is not None:
             mixer = read_paints(self.folder / self.paints)
         else:
@@ -68,14 +76,14 @@ class Recipe(NamedTuple):
         return {f: read_image(self.folder / f).pixels for f in sorted(self.scan_files())}
 
     def scan_files(self) -> set[str]:
-        """Names of these files, as the recipe has them; what is no name is left to `painted`."""
+        """Names of these files as in the recipe, without entries that are no names."""
         files = (c.parameters.get("file") for c in self.coats if c.component == SCAN)
         return {f for f in files if isinstance(f, str) and f}
 
     def moved(self, folder: Path) -> "Recipe":
-        """The same with its files named as they are found from another folder."""
+        """The recipe with its files named relative to another folder."""
 
-        def seen(file):
+        def seen(file: Any) -> Any:
             if not isinstance(file, str) or Path(file).is_absolute():
                 return file
             return Path(os.path.relpath(self.folder / file, folder)).as_posix()
@@ -113,7 +121,7 @@ def read_recipe(path: str | Path) -> Recipe:
 
 
 def recipe_text(recipe: Recipe) -> str:
-    """A recipe as `read_recipe` reads it, every number to its last digit."""
+    """A recipe as the text of its file, every number to its last digit."""
     document = tomlkit.document()
     document.add(
         tomlkit.comment("A painted eye for `irisjax paint`: coats in order, the bottom one first.")
@@ -138,6 +146,49 @@ def recipe_text(recipe: Recipe) -> str:
     return tomlkit.dumps(document)
 
 
+def read_paints(path: str | Path) -> KubelkaMunkMixer:
+    """Read a mixer from a text table like the package's own `ocularist/tables/paints.csv`.
+
+    The first column is `wavelength_nm`, increasing. Each paint has a column `PAINT_K` and one
+    `PAINT_S`, absorption and scattering, in one unit for all paints. Separators and encodings are
+    those of `irisjax.io.text`. A line `# saunderson: 0.04 0.6` gives k₁ and k₂ of the paints'
+    surface where K and S exclude it.
+
+    Raises:
+        ValueError: naming the file, the line where there is one, and the problem.
+    """
+    try:
+        table = read_columns(path, read_text(path))
+        if table.names[0] != _WAVELENGTH:
+            raise ValueError(f"the first column must be {_WAVELENGTH}, not {table.names[0]!r}")
+        pairs = paired_columns(table.names[1:])
+        if not pairs:
+            raise ValueError("no paint beside the wavelengths")
+        for row, where in zip(table.values, table.where, strict=True):
+            for name, value in zip(table.names, row, strict=True):
+                if not COEFFICIENT.holds(value):
+                    raise ValueError(f"{where}: {name} = {value:g} is outside {COEFFICIENT}")
+        coefficients = table.values[:, 1:].T
+        k, s = (coefficients[[pair[i] for pair in pairs.values()]] for i in (0, 1))
+        for p, i in np.argwhere(k + s == 0)[:1]:
+            raise ValueError(f"{table.where[i]}: K and S of {list(pairs)[p]} are both 0")
+        surface = _surface(table.header.get(_SURFACE))
+        return KubelkaMunkMixer(tuple(pairs), tuple(table.values[:, 0].tolist()), k, s, surface)
+    except ValueError as error:
+        said = str(error)
+        raise ValueError(said if said.startswith(str(path)) else f"{path}: {said}") from None
+
+
+def _surface(text: str | None) -> tuple[float, float] | None:
+    if text is None:
+        return None
+    try:
+        outside, inside = (float(part) for part in text.replace(",", " ").split())
+    except ValueError:
+        raise ValueError(f"{_SURFACE}: {text!r} is not two numbers") from None
+    return outside, inside
+
+
 def _coats(tables: Sequence[Mapping[str, Any]]) -> tuple[CoatRecipe, ...]:
     usual = {"parameters": {}, "share": 0.0, "opacity": 1.0, "seed": 0, "height": 0.0}
     coats: list[CoatRecipe] = []
@@ -145,27 +196,27 @@ def _coats(tables: Sequence[Mapping[str, Any]]) -> tuple[CoatRecipe, ...]:
         first, second = table["paints"]
         given = {key: value for key, value in table.items() if key != "paints"}
         coats.append(CoatRecipe(**(usual | given), first=first, second=second))
-        # On the coat before it: at the base's height one that is added at the end of a recipe
-        # would lie below all others and not be seen.
+        # That of the coat before: at the base's height, a coat added at the end of a recipe would
+        # lie below all others and not be seen.
         usual["height"] = coats[-1].height
     return tuple(coats)
 
 
 def _colour(name: str) -> Check:
-    def check(value):
+    def check(value: Any) -> Any:
         linear_colour(name, value)
         return value
 
     return check
 
 
-def _parameters(value):
+def _parameters(value: Any) -> dict:
     if not isinstance(value, dict):
         raise ValueError("must be a table, { name = value }")
     return value
 
 
-def _pair(value):
+def _pair(value: Any) -> tuple[str, str]:
     names = [value] if isinstance(value, str) else value
     known = isinstance(names, Sequence) and all(isinstance(n, str) for n in names)
     if not known or len(names) not in (1, 2):

@@ -1,7 +1,7 @@
-"""Spectra and BRDFs in files: CSV with a header of settings, written whole or not at all.
+"""Tables as CSV with a header of settings, and files that are written whole or not at all.
 
 A header is made of comment lines `# key: value [remark]`; the bracketed remark (a unit, a gloss) is
-for people and dropped on reading. The first line without `#` names the columns.
+dropped on reading. The first line without `#` names the columns.
 """
 
 import contextlib
@@ -25,7 +25,12 @@ _REMARK = re.compile(r"\s*\[[^\[\]]*\]$")
 
 
 class Table(NamedTuple):
-    """Contents of a CSV file: header values as text, and columns by name, each of shape (rows,)."""
+    """Contents of a CSV file.
+
+    Attributes:
+        header: Values as text.
+        columns: Arrays by name, each of shape (rows,).
+    """
 
     header: dict[str, str]
     columns: dict[str, np.ndarray]
@@ -34,8 +39,10 @@ class Table(NamedTuple):
 def format_table(header: Mapping[str, str], columns: Mapping[str, np.ndarray]) -> str:
     """Text of a CSV file: the header as comments, then the columns with 12 significant digits.
 
-    Twelve digits are what the solvers are good for; they leave out the last bits, in which machines
-    differ.
+    Twelve digits are the solvers' precision; the last bits, in which machines differ, are left out.
+
+    Raises:
+        ValueError: for a header entry that cannot be read again.
     """
     out = io.StringIO()
     for key, value in header.items():
@@ -52,21 +59,23 @@ def format_table(header: Mapping[str, str], columns: Mapping[str, np.ndarray]) -
 
 
 def read_header(path: str | Path) -> dict[str, str]:
-    """Header of a CSV file, remarks dropped.
+    """Read the header of a CSV file, without remarks.
 
-    **Raises:** `ValueError` naming the file, and the line where there is one.
+    Raises:
+        ValueError: naming the file, and the line where there is one.
     """
     return _header(path, _lines(path))
 
 
 def read_table(path: str | Path) -> Table:
-    """Header and columns of a CSV file as `format_table` writes it.
+    """Read the header and columns of a CSV file as `format_table` writes it.
 
-    **Raises:** `ValueError` naming file and line for what cannot be read.
+    Raises:
+        ValueError: naming file and line, for a file of another form.
     """
     lines = _lines(path)
     header = _header(path, lines)
-    # Comments may stand anywhere; keep the true line numbers for the messages.
+    # Comments may be anywhere; messages need the true line numbers.
     body = [
         (number, line)
         for number, line in enumerate(lines, 1)
@@ -77,7 +86,7 @@ def read_table(path: str | Path) -> Table:
     rows = list(csv.reader(line for _, line in body))
     names = [name.strip() for name in rows[0]]
     if len(set(names)) != len(names):
-        raise ValueError(f"{path}, line {body[0][0]}: a column name stands twice")
+        raise ValueError(f"{path}, line {body[0][0]}: a column name appears twice")
     values = np.empty((len(rows) - 1, len(names)))
     for i, ((number, _), row) in enumerate(zip(body[1:], rows[1:], strict=True)):
         if len(row) != len(names):
@@ -109,57 +118,29 @@ def check_writable(path: str | Path) -> None:
 
 
 def write_atomically(path: str | Path, data: bytes) -> None:
-    """Write a file so that its name never stands for half of it; see `write_together`."""
+    """Write a file whole or not at all; see `write_together`."""
     write_together({Path(path): data})
 
 
 def write_together(files: Mapping[Path, bytes]) -> None:
-    """Write all of several files or none, and none by halves.
+    """Write several files: all or none, and none in part.
 
-    The bytes go to new files in the same folders, which take the names once all are written. Pipes
-    and devices, such as /dev/stdout, are written to directly.
+    The bytes go to new files in the same folders, which take the names once all are written.
 
-    **Raises:** `OSError` naming the file; what stood there before is then untouched.
+    Raises:
+        OSError: naming the file; files of these names are then unchanged.
     """
     for path in files:
         check_writable(path)
-    written: list[tuple[Path, Path]] = []
-    path, temporaries = Path(), contextlib.ExitStack()
-    try:
+    with contextlib.ExitStack() as stack:
         for path, data in files.items():
-            if is_device(path):
-                with path.open("wb") as device:
-                    device.write(data)
-                continue
-            target = Path(os.path.realpath(path))  # through links, so that a link stays one
-            temporary = temporaries.enter_context(unfinished(_beside(target)))
-            written.append((temporary, target))
-            # os.open, not tempfile: the file then has the permissions the user's umask asks for.
-            with open(
-                os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o666), "wb"
-            ) as file:
-                file.write(data)
-                file.flush()
-                os.fsync(file.fileno())
-        for temporary, target in written:
-            os.replace(temporary, target)
-    except BaseException as error:
-        for temporary, _ in written:
-            with contextlib.suppress(OSError):
-                temporary.unlink(missing_ok=True)
-        if isinstance(error, OSError):  # name the file asked for, not the temporary one
-            raise OSError(error.errno, error.strerror, str(path)) from error
-        raise
-    finally:
-        temporaries.close()
+            stack.enter_context(replacing(path)).write_bytes(data)
 
 
 @contextlib.contextmanager
 def replacing(path: str | Path) -> Iterator[Path]:
-    """The name of a new file to fill, which takes `path`'s place if nothing is raised, and else is
-    removed.
-
-    For what is too large to hold as bytes; pipes and devices get a copy.
+    """Give the name of a new file to fill. It replaces `path` if nothing is raised, and is removed
+    otherwise; pipes and devices get a copy.
     """
     path = Path(path)
     check_writable(path)
@@ -174,6 +155,7 @@ def replacing(path: str | Path) -> Iterator[Path]:
     temporary = _beside(target)
     try:
         with unfinished(temporary):
+            # os.open, not tempfile: the file gets the permissions of the user's umask.
             os.close(os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o666))
             yield temporary
             with temporary.open("rb+") as file:
@@ -192,7 +174,7 @@ def _beside(target: Path) -> Path:
 
 
 def is_device(path: Path) -> bool:
-    """Whether a name stands for a pipe or a device."""
+    """Whether a path is a pipe or a device."""
     return path.exists() and not path.is_file() and not path.is_dir()
 
 
@@ -213,6 +195,6 @@ def _header(path: str | Path, lines: list[str]) -> dict[str, str]:
         if not colon:
             continue  # a plain comment
         if key in header:
-            raise ValueError(f"{path}, line {number}: {key} stands twice in the header")
+            raise ValueError(f"{path}, line {number}: {key} appears twice in the header")
         header[key] = _REMARK.sub("", value.strip())
     return header

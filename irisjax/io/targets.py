@@ -1,31 +1,44 @@
-"""Irides for paint to be matched to: clones of photographs, scenes of tissue, flat pictures."""
+"""Paint and other kinds of eye in files: targets that paint is matched to (clones of photographs,
+scenes of tissue, flat pictures), and a painted eye as tissue.
+"""
 
+from collections.abc import Mapping
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
+import tomlkit
 from jaxtyping import Bool, Float
 
+from irisjax.anatomy.eye import Eye
 from irisjax.io.clone_folders import check_summary
 from irisjax.io.clones import UNREFRACTED_PICTURE, VISIBLE_MASK
 from irisjax.io.images import READABLE, read_image
+from irisjax.io.maps import encode_maps
 from irisjax.io.scenes import read_scene
-from irisjax.ocularist.bridge import reflectance_of
-from irisjax.photo.texture import HALF_WIDTH, MAP_SHAPE, to_polar
+from irisjax.ocularist.plan import TEXTURE_SHAPE
+from irisjax.ocularist.tissue import Tissue, reflectance_of
+from irisjax.photo.texture import HALF_WIDTH, to_polar
 from irisjax.render.integrators import integrator_name
 from irisjax.render.radiative import RadiativeIntegrator
 from irisjax.render.separable import Separable
+from irisjax.tissue.iris import LIMITS
 
-_WHOLE = 0.999  # share of a cell that has to be known
+TISSUE_MAPS, TISSUE_SCENE = "maps.exr", "scene.toml"
+"""Names of the files of a painted eye as tissue."""
+
+_WHOLE = 0.999  # least share of a cell that has to be visible
 
 
 class Target(NamedTuple):
     """What paint is matched to.
 
-    - `name`: of its file or folder. `texture`: linear reflectance, polar as in `IrisMaps`.
-        `known`: texels that show the iris; the others hold the mean of those of their radius, or of
-        the nearest radius that has some.
-    - `pupil`: radius of the pupil over the iris's.
+    Attributes:
+        name: Of its file or folder.
+        texture: Linear reflectance, polar as in `IrisMaps`.
+        known: Texels that show the iris; the others have the mean of the known ones of their
+            radius, or of the nearest radius with known ones.
+        pupil: Radius of the pupil over the iris's.
     """
 
     name: str
@@ -40,14 +53,14 @@ def read_target(path: str | Path, pupil: float) -> Target:
     Args:
         path: The folder of `irisjax clone` (the iris laid flat, as photographed); a scene file (the
             reflectance of its tissue without the cornea, times the scene's exposure); or a square
-            picture of an iris laid flat whose outer edge touches the four sides, what its alpha
-            leaves clear not being known.
-        pupil: Radius of a picture's pupil over the iris's; the others have their own.
+            picture of an iris laid flat whose outer edge touches the four sides, unknown where its
+            alpha is 0.
+        pupil: Radius of a picture's pupil over the iris's; not used for other targets.
 
     Raises:
         ValueError: for a file of another kind, a clone without its texture, a picture that is not
-            square, a scene of an integrator without a reflectance. OSError: for one that cannot be
-            opened.
+            square, a scene of an integrator without a reflectance.
+        OSError: for a file that cannot be opened.
     """
     path = Path(path)
     if path.is_dir():
@@ -60,6 +73,31 @@ def read_target(path: str | Path, pupil: float) -> Target:
         f"{path}: neither the folder of a clone, nor a scene file (.toml), nor a picture "
         f"({', '.join(READABLE)})"
     )
+
+
+def tissue_files(tissue: Tissue, eye: Eye) -> dict[str, bytes]:
+    """The files, by name, of a painting's `nearest_tissue`: maps, and a scene of the painted eye
+    with that iris, behind F09's cornea, at an exposure at which it is as bright as the paint;
+    without the white, which would be overexposed.
+    """
+    document = tomlkit.document()
+    for line in (
+        "A painted eye as tissue, by irisjax. Its colours differ from the paint's by a mean dE*ab",
+        f"of {tissue.left.mean:.1f} at this exposure; the white (sclera = true) is overexposed.",
+    ):
+        document.add(tomlkit.comment(line))
+    iris = {name: getattr(tissue.iris, name) for name in LIMITS}
+    places = "iris_depth", "iris_slope", "limbus_radius", "limbus_width"
+    places += "iris_radius", "pupil_radius", "pupil_margin"
+    anatomy = {name: getattr(eye, name) for name in places}
+    document["iris"] = _numbers(iris)
+    document["maps"] = {"file": TISSUE_MAPS}
+    document["eye"] = {"cornea": "f09", "sclera": False, **_numbers(anatomy)}
+    document["picture"] = _numbers({"exposure": tissue.exposure})
+    return {
+        TISSUE_MAPS: encode_maps(TISSUE_MAPS, tissue.maps),
+        TISSUE_SCENE: tomlkit.dumps(document).encode(),
+    }
 
 
 def _of_clone(folder: Path) -> Target:
@@ -89,7 +127,7 @@ def _of_scene(path: Path) -> Target:
     chosen = None if isinstance(integrator, Separable) else integrator
     found = np.asarray(reflectance_of(scene.tissue, scene.maps, scene.eye, chosen))
     if scene.maps is None:
-        found = np.broadcast_to(found[:1, :1], (*MAP_SHAPE, 3))
+        found = np.broadcast_to(found[:1, :1], (*TEXTURE_SHAPE, 3))
     eye = scene.eye
     pupil = float(eye.pupil_radius / eye.iris_radius)
     return Target(path.name, file.exposure * found, np.ones(found.shape[:2], bool), pupil)
@@ -110,14 +148,17 @@ def _of_picture(path: Path, pupil: float) -> Target:
     return _unrolled(path.name, pixels, shown, HALF_WIDTH * pupil, HALF_WIDTH)
 
 
-def _unrolled(name: str, pixels, shown, inner: float, outer: float) -> Target:
-    """Means of what is shown over polar cells; radii in mm, the picture 2 `HALF_WIDTH` wide."""
-    share = to_polar(shown.astype(float), inner, outer, MAP_SHAPE)
+def _unrolled(
+    name: str, pixels: np.ndarray, shown: np.ndarray, inner: float, outer: float
+) -> Target:
+    """Mean visible colours of polar cells; radii in mm, the picture 2 `HALF_WIDTH` wide."""
+    share = to_polar(shown.astype(float), inner, outer, TEXTURE_SHAPE)
     known = share > _WHOLE
     if not known.any():
         raise ValueError(f"{name}: nothing of the iris is visible")
     cells = [
-        to_polar(np.where(shown, c, 0), inner, outer, MAP_SHAPE) for c in np.moveaxis(pixels, 2, 0)
+        to_polar(np.where(shown, c, 0), inner, outer, TEXTURE_SHAPE)
+        for c in np.moveaxis(pixels, 2, 0)
     ]
     texture = np.stack(cells, -1) / np.where(known, share, 1)[..., None]
     count = known.sum(0)
@@ -125,3 +166,8 @@ def _unrolled(name: str, pixels, shown, inner: float, outer: float) -> Target:
     sums = np.where(known[..., None], texture, 0).sum(0)[radii] / count[radii, None]
     mean = np.stack([np.interp(np.arange(len(count)), radii, channel) for channel in sums.T], -1)
     return Target(name, np.where(known[..., None], texture, mean), known, inner / outer)
+
+
+def _numbers(values: Mapping[str, Any]) -> dict[str, float]:
+    """The numbers that are given, to the digits of single precision."""
+    return {name: float(f"{float(v):.7g}") for name, v in values.items() if v is not None}

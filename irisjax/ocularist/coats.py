@@ -1,4 +1,4 @@
-"""Coats of paint on cones, and what light makes of them  [L03 Section 3.3]."""
+"""Coats of paint on cones, and their effect on light  [L03 Section 3.3]."""
 
 from typing import Any
 
@@ -15,26 +15,33 @@ from irisjax.ocularist.cones import Cones
 from irisjax.optics.conicoid import Conicoid
 
 OPACITY = Range(0.0, 1.0)
-COLOUR = Range(0.0, 1.0, meaning="linear reflectance of a paint")
 HEIGHT = Range(0.0, 1.0, "mm", meaning="of a coat above the base")
+_COLOUR = Range(0.0, 1.0, meaning="linear reflectance of a paint")
 LIMBUS = 5.77
 """Distance from the axis (mm) at which the paper's spheres meet: of 11.5 and 7.8 mm, their centres
 4.7 mm apart  [L03 Fig. 6, which prints 5.8].
 """
+PUPIL_RADIUS = 1.9
+"""Radius of a painted eye's pupil by default, mm."""
 DEPTH = 2.9
 """Depth (mm) of the cone of the iris behind the cornea, at the axis."""
 SLOPE = 0.12
-"""Fall of that cone towards the root, mm a mm. The pupil's margin stands further forward
-[L03 Section 2.2]; how far is this package's choice.
+"""Slope of that cone, mm in depth per mm of radius. The pupil's margin lies further forward than
+the root [L03 Section 2.2]; by how much is this package's choice.
 """
+
+_Values = Float[Array, "..."] | float
 
 
 class Coat(eqx.Module):
     """One coat of paint.
 
-    - `name`: unique in a painting. `opacity`: (rows, columns) from 0, clear, to 1; a picture of the
-        iris as seen from ahead, whose sides touch the root. `colour`: linear sRGB. `height`: above
-        the base, towards the cornea, mm.
+    Attributes:
+        name: Unique in a painting.
+        opacity: From 0, clear, to 1: a picture of the iris as seen from ahead, whose sides touch
+            the root.
+        colour: Linear sRGB.
+        height: Above the base, towards the cornea, mm.
     """
 
     name: str = eqx.field(static=True)
@@ -45,18 +52,21 @@ class Coat(eqx.Module):
     def __check_init__(self):
         where = f"coat {self.name!r}: "
         check_range(f"{where}opacity", self.opacity, OPACITY)
-        check_range(f"{where}colour", self.colour, COLOUR)
+        check_range(f"{where}colour", self.colour, _COLOUR)
         check_range(f"{where}height", self.height, HEIGHT)
 
 
 class Painting(eqx.Module):
     """Coats from the bottom up, on cones that differ in height alone.
 
-    **Fields:** `coats`, of which those of equal height lie in their order; and `profile`, the
-    cross-section of the lowest surface from the pupil's margin to the root, radii rising.
+    Attributes:
+        coats: Those of equal height lie in their order.
+        profile: Cross-section of the lowest surface from the pupil's margin to the root; its radii
+            rise.
 
-    **Raises:** `ValueError` where two coats have one name, or one lies below another that was
-    painted before it.
+    Raises:
+        ValueError: where two coats have one name, or one lies below another that was painted before
+            it.
     """
 
     coats: tuple[Coat, ...]
@@ -82,14 +92,18 @@ class Painting(eqx.Module):
                 )
 
     def coat(self, name: str) -> Coat:
-        """The coat of that name; **raises** `ValueError` where there is none."""
+        """The coat of a name.
+
+        Raises:
+            ValueError: naming the coats, where there is none of that name.
+        """
         found = {coat.name: coat for coat in self.coats}
         if name not in found:
             raise ValueError(f"no coat {name!r}; there are {', '.join(found)}")
         return found[name]
 
     def replace(self, name: str, **fields: Any) -> "Painting":
-        """With some fields of a coat changed; the others keep their arrays."""
+        """The painting with some fields of a coat changed; all else keeps its arrays."""
         self.coat(name)
         changed = tuple(
             Coat(**(vars(coat) | fields)) if coat.name == name else coat for coat in self.coats
@@ -97,9 +111,9 @@ class Painting(eqx.Module):
         return Painting(changed, self.profile)
 
 
-def prosthesis(pupil_radius: float = 1.9) -> Eye:
-    """The paper's eye: two spheres, a cornea of index 1.376 that fills the chamber, a conical iris
-    up to the limbus  [L03 Section 3.1, Fig. 6].
+def prosthesis(pupil_radius: float = PUPIL_RADIUS) -> Eye:
+    """The paper's eye: two spheres, a cornea of index 1.376 that fills the chamber, and a conical
+    iris up to the limbus  [L03 Section 3.1, Fig. 6].
     """
     cornea = Cornea(Conicoid(7.8, 1.0), posterior=None, index=jnp.asarray(1.376), scatter=None)
     return Eye(
@@ -120,16 +134,16 @@ def profile_of(eye: Eye) -> Cones:
     return Cones(eye.iris_depth + slope * radius, radius)
 
 
-def over(behind, opacity, paint, light):
+def over(behind: _Values, opacity: _Values, paint: _Values, light: _Values) -> Any:
     """Radiance of a coat over what lies behind it: R = (1 − a) T + a C L  [L03 Eq. 1]."""
     return (1 - opacity) * behind + opacity * paint * light
 
 
-def through(light, opacity, paint, as_printed: bool = False):
-    """Light below a coat: what misses the paint, and what the paint tints  [L03 Eq. 2].
+def through(light: _Values, opacity: _Values, paint: _Values, as_printed: bool = False) -> Any:
+    """Light below a coat: the part that misses the paint, and the part that it tints  [L03 Eq. 2].
 
     The paper prints L' = (1 − a) a C L, by which clear varnish is black; here it is
-    ((1 − a) + a C) L. `as_printed` keeps the other for comparison.
+    ((1 − a) + a C) L. `as_printed` selects the printed form, for comparison.
     """
     if as_printed:
         return (1 - opacity) * opacity * paint * light

@@ -1,8 +1,9 @@
-"""Surfaces of revolution as stacks of truncated cones, traced from a cross-section  [L03 Section
-3.1, Fig. 7].
+"""Surfaces of revolution as stacks of truncated cones, traced from a cross-section, and the outside
+of an eye as two of them  [L03 Section 3.1, Figs. 6, 7].
 """
 
-from typing import NamedTuple
+from collections.abc import Sequence
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -10,6 +11,8 @@ import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Bool, Float, Int
 
+from irisjax.anatomy.eye import Eye
+from irisjax.numerics.checks import check_whole
 from irisjax.numerics.roots import safe_sqrt
 from irisjax.optics.conicoid import Vector, from_axis, parts
 
@@ -17,8 +20,12 @@ _ROUNDING = 16  # units in the last place by which cones reach beyond their seam
 
 
 class Hit(NamedTuple):
-    """Where rays meet a stack: `distance` along them (mm; finite where they miss), number of the
-    `cone`, and whether they are `met` at all.
+    """Where rays meet a stack of cones.
+
+    Attributes:
+        distance: Along the ray, mm; 0 where it misses.
+        cone: Index of the cone.
+        met: Whether the ray meets any cone.
     """
 
     distance: Float[Array, "*s"]
@@ -27,13 +34,16 @@ class Hit(NamedTuple):
 
 
 class Cones(eqx.Module):
-    """Truncated cones one after the other round the z-axis; a flat one is a ring, one of even
-    radius a cylinder.
+    """A stack of truncated cones round the z-axis; a flat one is a ring, one of constant radius a
+    cylinder.
 
-    **Fields:** `z` and `radius` of the circles where they join, mm, shape (circles,).
+    Attributes:
+        z: Of the circles where cones join, mm, shape (circles,).
+        radius: Of these circles, mm.
 
-    **Raises:** `ValueError` for fewer than two circles, for numbers that are not finite, radii
-    below 0, and for neighbours that are the same circle.
+    Raises:
+        ValueError: for fewer than two circles, for numbers that are not finite, radii below 0, and
+            for neighbours that are the same circle.
     """
 
     z: Float[Array, " circles"]
@@ -59,8 +69,8 @@ class Cones(eqx.Module):
             raise ValueError(f"circles {same[0]} and {same[0] + 1} of the cones are the same")
 
     @classmethod
-    def of(cls, profile) -> "Cones":
-        """From a cross-section: pairs (z, radius), mm."""
+    def of(cls, profile: Sequence[Any] | np.ndarray) -> "Cones":
+        """Make cones of a cross-section: pairs (z, radius), mm."""
         points = np.asarray(profile, float)
         if points.ndim != 2 or points.shape[1] != 2:
             raise ValueError(f"a profile is pairs (z, radius), got shape {points.shape}")
@@ -68,10 +78,10 @@ class Cones(eqx.Module):
         return cls(jnp.asarray(points[:, 0], dtype), jnp.asarray(points[:, 1], dtype))
 
     def meet(self, origin: Vector, direction: Vector, least: float = 0.0) -> Hit:
-        """First meeting of rays, at a distance above `least` (mm), from either side.
+        """First intersection of rays from either side, at a distance above `least` (mm).
 
-        Origins and unit directions (…, 3), mm. Cones reach a few roundings beyond their seams:
-        no ray slips through.
+        Origins (mm) and unit directions have shape (…, 3). Cones extend a few roundings beyond
+        their seams, so that no ray slips through.
         """
         distance, inside = self._all(origin, direction)
         held = inside & (distance > least)
@@ -82,8 +92,8 @@ class Cones(eqx.Module):
         return Hit(jnp.where(met, found, 0.0), first % (len(self.z) - 1), met)
 
     def normal(self, point: Vector, cone: Int[Array, "*s"]) -> Vector:
-        """Unit normals of numbered cones at points (…, 3) on them: towards −z, out of the eye; of
-        cylinders away from the axis.
+        """Unit normals of cones, by index, at points (…, 3) on them: towards −z, out of the eye;
+        of cylinders away from the axis.
         """
         x, y, _ = parts(point)
         r = from_axis(point)
@@ -94,20 +104,20 @@ class Cones(eqx.Module):
         return jnp.stack([side * rise * x / r, side * rise * y / r, -side * out], -1)
 
     def height(self, radius: Float[Array, "*s"]) -> Float[Array, "*s"]:
-        """z at distances from the axis, of a stack whose radii rise; straight on beyond its ends,
-        mm.
+        """z (mm) at distances from the axis, for a stack whose radii rise; extrapolated linearly
+        beyond its ends.
         """
         slope = jnp.diff(self.z) / jnp.diff(self.radius)
         i = jnp.clip(jnp.searchsorted(self.radius, radius) - 1, 0, len(self.z) - 2)
         return self.z[i] + slope[i] * (radius - self.radius[i])
 
     def _all(self, origin: Vector, direction: Vector):
-        """Distances to both meetings with every cone's whole cone, (2 × cones, …), and whether
+        """Distances to both intersections with every untruncated cone, (2 × cones, …), and whether
         they lie between its circles.
 
         On a cone Δz r = w with w = Δr z + r₀ Δz − Δr z₀, squared a quadratic in the distance. Its
-        discriminant is Δz² times a sum of squares less a square: what cancels is left out, and
-        flat cones lose nothing.
+        discriminant is Δz² times a sum of squares less a square; written so, nothing cancels, and
+        flat cones lose no precision.
         """
         (ox, oy, oz), (dx, dy, dz) = (parts(v[None]) for v in (origin, direction))
         shape = (-1, *(1,) * (ox.ndim - 1))
@@ -128,15 +138,17 @@ class Cones(eqx.Module):
         second = q / jnp.where(a != 0, a, 1.0)
         t = jnp.concatenate([first, second])
         real = jnp.concatenate([(inner >= 0) & (q != 0), (inner >= 0) & (a != 0)])
-        # Rays steeper than a cone meet it once and its mirror image once; w tells which is which.
-        # Of flat cones the two are one point, and their derivatives two.
+        # Rays steeper than a cone meet it once and its mirror image once; the sign of w decides.
+        # On flat cones the two are one point with two derivatives.
         one = (b >= 0) == ((w1 >= 0) != opens)
         known, right = jnp.concatenate([a < 0, a < 0]), jnp.concatenate([one, ~one])
         on, inside = self._between(t, (ox, oy, oz), (dx, dy, dz), shape)
         return t, real & inside & jnp.where(known, right, on)
 
     def _between(self, t, origin, direction, shape):
-        """Whether points lie on their cone, not on its mirror image, and between its circles."""
+        """Whether points lie on their cone rather than on its mirror image, and between its
+        circles.
+        """
         x, y, z = (o + t * d for o, d in zip(origin, direction, strict=True))
         r = jnp.sqrt(x * x + y * y)
         ends = [jnp.concatenate([v, v]).reshape(shape) for v in (self.z[:-1], self.radius[:-1])]
@@ -153,3 +165,44 @@ class Cones(eqx.Module):
         on = sheet >= -slack * jnp.abs(out * rise)
         slack = slack / jnp.sqrt(square)
         return on, (share >= -slack) & (share <= 1 + slack)
+
+
+class Shell(NamedTuple):
+    """The outside of an eye.
+
+    Between circles the cones lie within the surface, by R (1 − cos(δ/2)) at most for circles that
+    are δ apart as seen from its centre.
+
+    Attributes:
+        cornea: Its front, from the apex to the limbus.
+        white: From the limbus to the back of the eye.
+    """
+
+    cornea: Cones
+    white: Cones
+
+
+def shell(eye: Eye, circles: int = 64) -> Shell:
+    """The cross-section of an eye's outside, as the paper draws it.
+
+    For `prosthesis` these are spheres of 7.8 and 11.5 mm, their centres 4.7 mm apart
+    [L03 Fig. 6].
+
+    Args:
+        eye: With a cornea and a white.
+        circles: Number of circles of each part.
+
+    Raises:
+        ValueError: for an eye without cornea or white, and for fewer than two circles.
+    """
+    if eye.cornea is None or eye.sclera is None:
+        raise ValueError("an eye without cornea or white has no shell")
+    check_whole("circles", circles, 2)
+    rim, wide = eye.limbus_radius, eye.sclera.radius
+    front = rim * jnp.linspace(0, 1, circles)
+    cornea = Cones(eye.cornea.anterior.sagitta(front), front)
+    begin = jnp.arcsin(rim / wide)
+    turn = begin + (jnp.pi - begin) * jnp.linspace(0, 1, circles)
+    middle = cornea.z[-1] + wide * jnp.cos(begin)
+    behind = jnp.maximum(wide * jnp.sin(turn), 0.0)  # rounding may give less at the back pole
+    return Shell(cornea, Cones(middle - wide * jnp.cos(turn), behind))

@@ -1,11 +1,11 @@
 """Paints mixed as pigments mix: absorption and scattering add, after Kubelka and Munk.
 
-The K and S that come with the package are constructed, not measured: of a paint only the colour is
-known (`palette`), so its masstone gets the smoothest reflectance of that colour, its S is grey, and
-K follows. Who has measured K and S reads them by `irisjax.io.paints.read_paints`.
+The K and S that come with the package are constructed, not measured. Only the colour of a paint is
+known (`mixing`), so its masstone gets the smoothest reflectance of that colour, its S is grey, and
+K follows. Measured K and S are read by `irisjax.io.recipes.read_paints`.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from functools import lru_cache
 from importlib import resources
 from typing import Any
@@ -13,14 +13,13 @@ from typing import Any
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
+from scipy import optimize
 
 from irisjax._types import as_float
-from irisjax.measure.colour import Observer
+from irisjax.measure.colour import Observer, tristimulus_matrix
 from irisjax.numerics.checks import Range, check_range
-from irisjax.ocularist.mixing import AbstractMixer
-from irisjax.ocularist.palette import linear_colour
-from irisjax.ocularist.reflectance import smoothest_reflectance
+from irisjax.ocularist.mixing import AbstractMixer, linear_colour
 from irisjax.optics.kubelka_munk import (
     absorption_of,
     thick_layer,
@@ -30,7 +29,7 @@ from irisjax.optics.kubelka_munk import (
 
 # Round numbers of the order of artists' oils [Okumura 2005]: earths and blacks scatter little, so
 # that a white takes much of them; a blue with the scattering of a white would swallow any yellow.
-SCATTERING = {
+PAINT_SCATTERING = {
     "ivory black": 0.005,
     "titanium white": 1.0,
     "yellow ochre": 0.1,
@@ -45,28 +44,31 @@ SCATTERING = {
 }
 """S of the paints that come with the package, relative to titanium white's."""
 USUAL_SCATTERING = 0.1
-"""S of a paint of which the colour alone is given."""
-
+"""S of a paint of which only the colour is given."""
 COEFFICIENT = Range(0.0, np.inf)
-SURFACE = Range(0.0, 0.99)
-_WHITEST = 1 - 1e-5
+"""Allowed values of K and of S."""
+
+_SURFACE = Range(0.0, 0.99)
+_ENDS = 1e-5  # least reflectance that is constructed, and least of 1 − R: z is infinite at the ends
+_EXACT = 1e-10  # residual of the equations for the smoothest reflectance
 
 
 class KubelkaMunkMixer(AbstractMixer):
-    """Mixtures whose K and S are the paints' at their shares, in coats that hide what lies below
+    """Mixtures whose K and S are the weighted sums of the paints', in opaque coats
     [Kubelka & Munk 1931; Duncan 1940].
 
-    **Fields:**
+    Attributes:
+        paints: Names of the paints.
+        wavelengths: Bands of K and S, nm. Colours need all from 420 to 680 nm, in steps of at most
+            25 nm.
+        absorption: K, shape (paints, bands), in one unit for all.
+        scattering: S, likewise.
+        surface: k₁ and k₂ of Saunderson's correction for the surface of the paint, which K and S
+            then exclude (`optics.kubelka_munk.under_surface`); `None` for no correction.
 
-    - `paints`: their names.
-    - `wavelengths`: nm; the bands of K and S. Colours need all from 420 to 680 nm, in steps of at
-      most 25 nm.
-    - `absorption`, `scattering`: K and S, each of shape (paints, bands), in one unit for all.
-    - `surface`: k₁ and k₂ of Saunderson's correction for the surface of the paint, which K and S
-      are then without (`optics.kubelka_munk.under_surface`); `None` leaves it out.
-
-    **Raises:** `ValueError` for wavelengths that make no colour, for shapes that do not go
-    together, for negative K or S, and where both are 0.
+    Raises:
+        ValueError: for wavelengths that make no colour, for shapes that do not go together, for
+            negative K or S, and where both are 0.
     """
 
     paints: tuple[str, ...] = eqx.field(static=True)
@@ -87,7 +89,7 @@ class KubelkaMunkMixer(AbstractMixer):
             check_range(f"K of paint {name!r}", k, COEFFICIENT)
             check_range(f"S of paint {name!r}", s, COEFFICIENT)
             check_range(f"K + S of paint {name!r}", k + s, COEFFICIENT._replace(above=True))
-        check_range("surface", self.surface, SURFACE)
+        check_range("surface", self.surface, _SURFACE)
 
     @classmethod
     def default(cls) -> "KubelkaMunkMixer":
@@ -95,14 +97,9 @@ class KubelkaMunkMixer(AbstractMixer):
         names, wavelengths, absorption, scattering = _shipped()
         return cls(names, wavelengths, as_float(absorption), as_float(scattering))
 
-    @property
-    def names(self):
-        """See `AbstractMixer`."""
-        return self.paints
-
-    def with_paints(self, colours):
-        """See `AbstractMixer`. The added paints' K is constructed (`constructed`); S is that of the
-        paint they replace, or `USUAL_SCATTERING`.
+    def with_paints(self, colours: Mapping[str, Any]) -> "KubelkaMunkMixer":
+        """See `AbstractMixer`. K of the added paints is constructed (`constructed_absorption`); S
+        is that of the paint they replace, or `USUAL_SCATTERING`.
         """
         k = dict(zip(self.paints, self.absorption, strict=True))
         s = dict(zip(self.paints, self.scattering, strict=True))
@@ -110,12 +107,17 @@ class KubelkaMunkMixer(AbstractMixer):
         for name, colour in colours.items():
             s.setdefault(name, usual)
             linear = linear_colour(name, colour)
-            found = constructed(linear, self.wavelengths, s[name], self.surface)
+            found = constructed_absorption(linear, self.wavelengths, s[name], self.surface)
             k[name] = jnp.asarray(found, usual.dtype)
         absorption, scattering = (jnp.stack([table[name] for name in k]) for table in (k, s))
         return KubelkaMunkMixer(tuple(k), self.wavelengths, absorption, scattering, self.surface)
 
-    def blend(self, first, second, share):
+    def blend(
+        self,
+        first: Int[Array, "*coats"],
+        second: Int[Array, "*coats"],
+        share: Float[Array, "*coats"],
+    ) -> Float[Array, "*coats 3"]:
         """See `AbstractMixer`; colours outside sRGB are clipped to it."""
         to_second = share.astype(self.absorption.dtype)[..., None]
         to_first = 1 - to_second
@@ -131,7 +133,7 @@ class KubelkaMunkMixer(AbstractMixer):
         return jnp.clip(found @ to_linear.T, 0.0, 1.0)
 
 
-def constructed(
+def constructed_absorption(
     colour: np.ndarray,
     wavelengths: Sequence[float] | np.ndarray,
     scattering: Any,
@@ -139,20 +141,62 @@ def constructed(
 ) -> np.ndarray:
     """K, shape (bands,), of a paint whose masstone has a linear sRGB `colour`, given its S.
 
-    A colour brighter than the surface lets through becomes as bright as it lets.
+    A colour brighter than a paint can be under its `surface` becomes the brightest possible.
 
-    **Raises:** `ValueError` where there is no smooth reflectance of the colour.
+    Raises:
+        ValueError: where there is no smooth reflectance of the colour.
     """
     masstone = smoothest_reflectance(colour, wavelengths)
     if surface is not None:
-        masstone = np.minimum(without_surface(masstone, *surface), _WHITEST)
+        masstone = np.minimum(without_surface(masstone, *surface), 1 - _ENDS)
     return absorption_of(masstone, np.asarray(scattering, np.float64))
 
 
-def paired(columns: Sequence[str]) -> dict[str, tuple[int, int]]:
-    """Places of the columns `PAINT_K` and `PAINT_S` of each paint, in the order of the K.
+def smoothest_reflectance(
+    colour: np.ndarray, wavelengths: Sequence[float] | np.ndarray
+) -> np.ndarray:
+    """The smoothest reflectance of a linear sRGB colour under D65, shape (bands,).
 
-    **Raises:** `ValueError` naming a column that is neither, stands twice or has no partner.
+    Smooth is least ∫ (dz/dλ)² dλ, where R = (1 + tanh z)/2. This is one of the many spectra of the
+    colour and not that of a particular pigment; on average it is close to those of commercial
+    paints. [Burns 2020, least hyperbolic tangent slope squared]
+
+    Args:
+        colour: Linear sRGB, shape (3,).
+        wavelengths: Bands, nm.
+
+    Raises:
+        ValueError: for a colour that no such reflectance was found for.
+    """
+    to_colour, _ = tristimulus_matrix(wavelengths, "linear sRGB")
+    wanted = np.clip(np.asarray(colour, np.float64), _ENDS, 1 - _ENDS)
+    n = to_colour.shape[1]
+    widths = np.diff(np.asarray(wavelengths, np.float64))
+    slopes = np.diff(np.eye(n), axis=0) * np.sqrt(widths.mean() / widths)[:, None]
+    roughness = 2 * slopes.T @ slopes
+
+    def stationarity(x):
+        """Derivatives of roughness + multipliers · (colour − wanted), and their Jacobian."""
+        t, pull = np.tanh(x[:n]), to_colour.T @ x[n:]
+        slope = (1 - t * t) / 2
+        towards = to_colour * slope
+        left = [roughness @ x[:n] + slope * pull, to_colour @ (1 + t) / 2 - wanted]
+        curvature = roughness - np.diag(2 * slope * t * pull)
+        return np.concatenate(left), np.block([[curvature, towards.T], [towards, np.zeros((3, 3))]])
+
+    found = optimize.root(stationarity, np.zeros(n + 3), jac=True, method="lm", tol=1e-12)
+    if not np.abs(found.fun).max() < _EXACT:
+        raise ValueError(
+            f"found no smooth reflectance of linear sRGB {np.round(colour, 4).tolist()}"
+        )
+    return (1 + np.tanh(found.x[:n])) / 2
+
+
+def paired_columns(columns: Sequence[str]) -> dict[str, tuple[int, int]]:
+    """Indices of the columns `PAINT_K` and `PAINT_S` of each paint, in the order of the K.
+
+    Raises:
+        ValueError: naming a column that is neither, appears twice or has no partner.
     """
     places: dict[tuple[str, str], int] = {}
     for j, column in enumerate(columns):
@@ -160,7 +204,7 @@ def paired(columns: Sequence[str]) -> dict[str, tuple[int, int]]:
         if not paint or letter not in ("K", "S"):
             raise ValueError(f"column {column!r} is neither PAINT_K nor PAINT_S")
         if (paint, letter) in places:
-            raise ValueError(f"column {column!r} stands twice")
+            raise ValueError(f"column {column!r} appears twice")
         places[paint, letter] = j
     for paint, letter in places:
         other = "S" if letter == "K" else "K"
@@ -175,6 +219,6 @@ def _shipped():
     with file.open(encoding="utf-8") as opened:
         lines = [line for line in opened if not line.startswith("#")]
     table = np.loadtxt(lines[1:], delimiter=",").T
-    pairs = paired(lines[0].strip().split(",")[1:])
+    pairs = paired_columns(lines[0].strip().split(",")[1:])
     k, s = np.moveaxis(np.stack([table[1:][list(pair)] for pair in pairs.values()]), 1, 0)
     return tuple(pairs), tuple(table[0].tolist()), k, s

@@ -1,50 +1,67 @@
-"""Coats matched to a given eye: shares of paints and opacities by least squares through the
-compositor, beyond the paper.
+"""Coats matched to a given eye, beyond the paper: shares of paints and opacities by least squares
+in plan view, and further coats on top.
 
-Maps, order and heights stay as they are. What fixed strokes cannot follow, the target's own
-pattern, `retouched` paints on top.
+`match` keeps maps, order and heights as they are. The target's own pattern, which fixed strokes
+cannot follow, is painted on top by `retouch`.
 """
 
 from collections.abc import Mapping, Sequence
+from itertools import combinations
 from typing import NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-import optimistix as optx
 from jaxtyping import Array, Bool, Float
+from scipy.ndimage import gaussian_filter
+from scipy.optimize import least_squares
 
 from irisjax._types import PRNGKey, as_float
 from irisjax.anatomy.eye import Eye
-from irisjax.infer.least_squares import Found, least_squares, levenberg_marquardt
 from irisjax.numerics.checks import Range, check_range, check_whole
-from irisjax.ocularist.easel import painted
+from irisjax.ocularist.coats import over, through
 from irisjax.ocularist.mixing import AbstractMixer
-from irisjax.ocularist.palette import places
-from irisjax.ocularist.plan import Difference, difference, lab, plan_view, texture_of, unrolled
-from irisjax.ocularist.recipes import CoatRecipe
+from irisjax.ocularist.painting import SCAN, painted
+from irisjax.ocularist.plan import (
+    Difference,
+    difference,
+    lab,
+    plan_view,
+    rolled,
+    texture_of,
+    unrolled,
+)
+from irisjax.ocularist.recipes import HEIGHT_STEP, CoatRecipe
 
 TARGET = Range(0.0, 100.0, meaning="linear reflectance; an exposure may take it beyond 1")
 PULL = 0.03
-"""ΔE*ab that each unit costs by which the logit of a share or an opacity leaves where it began: a
-coat that no texel shows keeps its place.
+"""ΔE*ab that a unit of change in the logit of a share or an opacity costs. It fixes the coats that
+no texel shows.
 """
-_EDGE = 0.02  # from 0 and 1, at which shares and opacities begin: a logit has to move there
-_CLOSE = 1e-4
+
+_Target = Float[Array, "angles radii 3"] | np.ndarray
+_Known = Bool[np.ndarray, "angles radii"]
+_EDGE = 0.02  # least distance of first shares and opacities from 0 and 1, where logits are infinite
+_CLOSE = 1e-4  # relative change of cost and parameters at which the search ends
+_SHARES = np.linspace(0.0, 1.0, 7)
+_LEVELS = 33  # trial opacities
+_TEXELS = 1500  # that a mixture is chosen by
+_BLUR = 0.5  # standard deviation of the retouching brush, texels
 
 
 class Match(NamedTuple):
     """Coats that were matched.
 
-    - `recipes`: from the bottom up, with new shares and opacities. `exposure`: factor on their
-        colours that was fitted, or 1.
-    - `before`, `after`: what was and what is left, over all known texels.
-    - `steps`: of the search; `converged`: whether it ended of itself.
+    Attributes:
+        recipes: From the bottom up, with new shares and opacities.
+        before: Colour difference over all known texels before the match.
+        after: The same after it.
+        steps: Evaluations of the search.
+        converged: Whether the search converged within its steps.
     """
 
     recipes: tuple[CoatRecipe, ...]
-    exposure: float
     before: Difference
     after: Difference
     steps: int
@@ -55,33 +72,31 @@ def match(
     recipes: Sequence[CoatRecipe],
     mixer: AbstractMixer,
     eye: Eye,
-    target: Float[Array, "angles radii 3"] | np.ndarray,
-    known: Bool[np.ndarray, "angles radii"] | None = None,
+    target: _Target,
+    known: _Known | None = None,
     *,
-    exposure: bool = False,
     scans: Mapping[str, np.ndarray] | None = None,
     size: int = 256,
     texels: int = 2000,
     max_steps: int = 60,
     key: PRNGKey,
 ) -> Match:
-    """Shares of paints and opacities with which coats look most like a target, in plan view.
+    """Fit shares of paints and opacities so that coats look most like a target in plan view.
 
-    Levenberg–Marquardt on CIE L*a*b* of texels drawn evenly over the iris. It finds a minimum near
-    the recipe's own: begin with one of the eye's colour. The opacity of a `base` stays.
+    Least squares of CIE L*a*b* at texels drawn evenly over the iris. The search finds a minimum
+    near the recipe's own values: begin with a recipe of the eye's colour. The opacity of a `base`
+    is not fitted.
 
     Args:
         recipes: The coats to begin with.
         mixer: Of their paints.
         eye: With the target's pupil.
-        target: Linear reflectance, polar as in `IrisMaps` (`unrolled` makes it of a photograph).
+        target: Linear reflectance, polar as in `IrisMaps`.
         known: Texels that count; all by default.
-        exposure: Whether one factor on the colours of all coats is fitted too, for photographs of
-            unknown exposure.
         scans: As for `painted`.
         size: Texels along a side of opacity maps.
-        texels: Most texels that the search looks at.
-        max_steps: Most steps of the search.
+        texels: Largest number of texels that are compared.
+        max_steps: Largest number of evaluations.
         key: For the draw of texels.
 
     Raises:
@@ -92,7 +107,7 @@ def match(
     check_whole("max_steps", max_steps, 1)
     if not recipes:
         raise ValueError("a match needs at least one coat")
-    target, known = checked(target, known)
+    target, known = _checked_target(target, known)
     shape = known.shape
     ordered = sorted(recipes, key=lambda recipe: recipe.height)
     before = texture_of(painted(ordered, mixer, eye, size=size, scans=scans), eye, shape)
@@ -100,50 +115,121 @@ def match(
     maps = painted(whole, mixer, eye, size=size, scans=scans).coats
     opacity = jnp.stack([unrolled(coat.opacity, eye, shape) for coat in maps])
     taken = _drawn(known, eye, texels, key)
-    bright = _exposure_to_begin(before, target, known) if exposure else 0.0
-    start = jnp.concatenate(
-        [
-            _logit([recipe.share for recipe in ordered]),
-            _logit([recipe.opacity for recipe in ordered]),
-            as_float(bright)[None],
-        ]
-    )
+    values = np.array([[recipe.share, recipe.opacity] for recipe in ordered]).T
+    inside = np.clip(values, _EDGE, 1 - _EDGE)
+    start = np.log(inside / (1 - inside)).ravel()
     problem = _Problem(
         mixer,
-        jnp.asarray(places([recipe.first for recipe in ordered], mixer.names)),
-        jnp.asarray(places([recipe.second for recipe in ordered], mixer.names)),
+        jnp.asarray(mixer.indices([recipe.first for recipe in ordered])),
+        jnp.asarray(mixer.indices([recipe.second for recipe in ordered])),
         opacity.reshape(len(ordered), -1)[:, taken],
         lab(target.reshape(-1, 3)[taken]),
-        as_float([recipe.opacity for recipe in ordered]),
+        as_float(values[1]),
         jnp.asarray([recipe.component == "base" for recipe in ordered]),
-        jnp.asarray(exposure),
-        start,
+        as_float(start),
     )
-    found = _searched(problem, max_steps)
-    shares, strengths, factor = (np.asarray(v, np.float64) for v in _values(found.x, problem))
+    found = least_squares(
+        lambda x: np.asarray(_residuals(as_float(x), problem), np.float64),
+        start,
+        # SciPy has no annotations; pyright infers a type from the default.
+        lambda x: np.asarray(_jacobian(as_float(x), problem), np.float64),  # pyright: ignore[reportArgumentType]
+        method="lm",
+        ftol=_CLOSE,
+        xtol=_CLOSE,
+        max_nfev=max_steps,
+    )
+    shares, strengths = (np.asarray(v, np.float64) for v in _values(as_float(found.x), problem))
     new = tuple(
         recipe._replace(share=float(share), opacity=float(strength))
         for recipe, share, strength in zip(ordered, shares, strengths, strict=True)
     )
     after = texture_of(painted(new, mixer, eye, size=size, scans=scans), eye, shape)
-    after = after * as_float(factor)
     return Match(
         new,
-        float(factor),
         difference(before, target, known),
         difference(after, target, known),
-        int(found.steps),
-        bool(found.result == optx.RESULTS.successful),
+        found.nfev,
+        found.status > 0,
     )
 
 
-def checked(
-    target, known
-) -> tuple[Float[Array, "angles radii 3"], Bool[np.ndarray, "angles radii"]]:
-    """A target and its mask as arrays.
+class Retouch(NamedTuple):
+    """Coats to paint on top.
 
-    **Raises:** `ValueError` as for `match`.
+    Attributes:
+        recipes: From the bottom up.
+        scans: The pictures of all scanned coats by the names of their files; those of the new coats
+            are grey values from 0, opaque, to 1, of shape (size, size).
     """
+
+    recipes: tuple[CoatRecipe, ...]
+    scans: dict[str, np.ndarray]
+
+
+def retouch(
+    recipes: Sequence[CoatRecipe],
+    mixer: AbstractMixer,
+    eye: Eye,
+    target: _Target,
+    known: _Known | None = None,
+    *,
+    count: int = 6,
+    prefix: str = "retouch-",
+    scans: Mapping[str, np.ndarray] | None = None,
+    size: int = 256,
+) -> Retouch:
+    """Add coats, each of that mixture of two paints that leaves the least mean ΔE² in plan view,
+    with the best opacity at each texel.
+
+    Args:
+        recipes: The coats below, such as those of a `Match`.
+        mixer: Of their paints; every pair of its paints is tried.
+        eye: With the target's pupil.
+        target: As for `match`.
+        known: As for `match`; other texels are left as they are.
+        count: Number of coats to add.
+        prefix: Of the names of the files, before a number and `.png`.
+        scans: As for `painted`.
+        size: Texels along a side of opacity maps; paint the new coats at this size.
+
+    Raises:
+        ValueError: as for `match`.
+    """
+    check_whole("count", count, 0)
+    target, mask = _checked_target(target, known)
+    row, column, on = rolled(target.shape[:2], eye, size)
+    there = on & mask[row, column]
+    wanted = lab(target[row, column][there])
+    coats = painted(recipes, mixer, eye, size=size, scans=scans).coats
+    state = plan_view(
+        jnp.stack([coat.opacity[there] for coat in coats]),
+        jnp.stack([coat.colour for coat in coats]),
+    )
+    mixtures, colours = _mixtures(mixer)
+    levels = jnp.linspace(0.0, 1.0, _LEVELS).astype(state.dtype)
+    some = np.linspace(0, len(wanted) - 1, min(_TEXELS, len(wanted))).astype(int)
+    height = max(recipe.height for recipe in recipes)
+    taken = {recipe.parameters.get("file") for recipe in recipes}
+    names = (f"{prefix}{n}.png" for n in range(1, len(recipes) + count + 1))
+    free = [name for name in names if name not in taken]
+    new: list[CoatRecipe] = []
+    pictures: dict[str, np.ndarray] = dict(scans or {})
+    for name in free[:count]:
+        best = int(np.argmin(_costs(state[some], wanted[some], colours, levels)))
+        opacity = np.zeros((size, size))
+        opacity[there] = _best(state, wanted, colours[best], levels)[1]
+        # Rounded as a file of 8 bits keeps it, so that later coats correct for the rounding.
+        opacity = np.rint(255 * _brushed(opacity, there)) / 255
+        alpha = jnp.asarray(opacity[there], state.dtype)[:, None]
+        state = _above(state, alpha, colours[best][None])
+        height += HEIGHT_STEP
+        new.append(CoatRecipe(SCAN, {"file": name}, *mixtures[best], 1.0, 0, round(height, 6)))
+        pictures[name] = 1 - opacity
+    return Retouch(tuple(new), pictures)
+
+
+def _checked_target(target, known) -> tuple[Float[Array, "angles radii 3"], _Known]:
+    """A target, 0 where it is unknown, and its mask."""
     shape = np.shape(target)
     if len(shape) != 3 or shape[2] != 3 or min(shape[:2]) < 2:
         raise ValueError(
@@ -163,8 +249,9 @@ def checked(
 
 
 class _Problem(NamedTuple):
-    """`opacity`: of whole coats at texels; `target`: L*a*b* there; `given`: opacities of recipes;
-    `start`: logits of shares and of opacities, logarithm of the exposure.
+    """What residuals depend on; arrays have one entry per coat but for `opacity`, of coats painted
+    whole (coats, texels), `target`, L*a*b* (texels, 3), and `start`, logits of shares and then of
+    opacities.
     """
 
     mixer: AbstractMixer
@@ -173,57 +260,76 @@ class _Problem(NamedTuple):
     opacity: Array
     target: Array
     given: Array
-    held: Array
-    exposed: Array
+    fixed: Array
     start: Array
 
 
 def _values(x, problem: _Problem):
-    """Shares, opacities and exposure."""
-    coats = len(problem.held)
-    shares, strengths = jax.nn.sigmoid(x[:coats]), jax.nn.sigmoid(x[coats : 2 * coats])
-    exposure = jnp.where(problem.exposed, jnp.exp(x[-1]), 1.0)
-    return shares, jnp.where(problem.held, problem.given, strengths), exposure
-
-
-def _residuals(x, pull, problem: _Problem):
-    """Of L*a*b*, and of what is drawn back to its start; the sum of squares is mean ΔE² and the
-    price of the moves.
-    """
-    shares, strengths, exposure = _values(x, problem)
-    colours = problem.mixer.blend(problem.first, problem.second, shares)
-    seen = exposure * plan_view(strengths[:, None] * problem.opacity, colours)
-    off = (lab(seen) - problem.target).ravel() / np.sqrt(len(problem.target))
-    return jnp.concatenate([off, pull * (x - problem.start)])
+    """Shares and opacities."""
+    shares, strengths = jax.nn.sigmoid(x.reshape(2, -1))
+    return shares, jnp.where(problem.fixed, problem.given, strengths)
 
 
 @eqx.filter_jit
-def _searched(problem: _Problem, max_steps: int) -> Found:
-    return least_squares(
-        _residuals,
-        problem,
-        problem.start,
-        weights=jnp.full(1, PULL, problem.start.dtype),
-        solver=levenberg_marquardt(_CLOSE, _CLOSE),
-        max_steps=max_steps,
-    )
+def _residuals(x, problem: _Problem):
+    """Residuals of L*a*b* and of the pull to the start; the sum of squares is mean ΔE² and the cost
+    of the changes.
+    """
+    shares, strengths = _values(x, problem)
+    colours = problem.mixer.blend(problem.first, problem.second, shares)
+    seen = plan_view(strengths[:, None] * problem.opacity, colours)
+    off = (lab(seen) - problem.target).ravel() / np.sqrt(len(problem.target))
+    return jnp.concatenate([off, PULL * (x - problem.start)])
 
 
-def _logit(values) -> Float[Array, " coats"]:
-    inside = np.clip(np.asarray(values, np.float64), _EDGE, 1 - _EDGE)
-    return as_float(np.log(inside / (1 - inside)))
+@eqx.filter_jit
+def _jacobian(x, problem: _Problem):
+    return jax.jacfwd(_residuals)(x, problem)
 
 
-def _exposure_to_begin(seen, target, known) -> float:
-    """Logarithm by which the target's mean is brighter."""
-    one, other = (float(np.asarray(v)[known].mean()) for v in (seen, target))
-    return float(np.log(max(other, 1e-4) / max(one, 1e-4)))
-
-
-def _drawn(known, eye: Eye, most: int, key: PRNGKey) -> np.ndarray:
-    """Places of some known texels, as many as their area counts."""
+def _drawn(known: _Known, eye: Eye, most: int, key: PRNGKey) -> np.ndarray:
+    """Indices of some known texels, with probabilities proportional to their area."""
     radius = (np.arange(known.shape[1]) + 0.5) / known.shape[1]
     area = np.where(known, np.asarray(eye.from_axis(radius)), 0.0).ravel()
     count = min(most, int(known.sum()))
     rng = np.random.default_rng(np.asarray(jax.random.key_data(key)).ravel())
     return np.sort(rng.choice(area.size, count, replace=False, p=area / area.sum()))
+
+
+def _mixtures(mixer: AbstractMixer):
+    """Names and shares of mixtures, and their colours (mixtures, 3)."""
+    pairs = [
+        (first, second, float(share))
+        for first, second in combinations(mixer.paints, 2)
+        for share in _SHARES
+    ] or [(mixer.paints[0], mixer.paints[0], 0.0)]
+    first, second, share = zip(*pairs, strict=True)
+    return pairs, mixer.mix(first, second, np.asarray(share))
+
+
+def _brushed(opacity: np.ndarray, there: np.ndarray) -> np.ndarray:
+    """Opacity blurred by the brush, with none where the target is unknown."""
+    paint = gaussian_filter(opacity, _BLUR)
+    cover = np.maximum(gaussian_filter(there.astype(float), _BLUR), 1e-6)
+    return np.where(there, paint / cover, 0)
+
+
+def _above(state, opacity, paint):
+    """A coat on top, which tints the light of all below."""
+    return over(through(state, opacity, paint), opacity, paint, 1.0)
+
+
+@eqx.filter_jit
+def _costs(state, wanted, colours, levels):
+    return jax.lax.map(lambda c: _best(state, wanted, c, levels)[0].mean(), colours)
+
+
+@eqx.filter_jit
+def _best(state, wanted, colour, levels):
+    """Least ΔE² of each texel, and the opacity at which it is reached."""
+
+    def at(level):
+        return ((lab(_above(state, level, colour[None])) - wanted) ** 2).sum(-1)
+
+    left = jax.lax.map(at, levels)
+    return left.min(0), levels[left.argmin(0)]

@@ -1,12 +1,19 @@
-"""Two paints mixed at a share: what a mixer is, and the paper's way, in HSL  [L03 Section 3.2].
+"""Paints and mixtures of two of them: the interface of mixers, and the paper's own in HSL
+[L03 Section 3.2].
+
+The paper paints with fewer than ten paints; it prints them as a picture, without numbers. The
+colours here are of artists' oil paints as they come from the tube (masstones), by
+spectrophotometer, in sRGB: Sensual Logic, Artist Color Data (sensuallogic.com/artistcolordata),
+taken to 8 bits from the copy with three decimals in the LYGIA shader library (`color/palette`).
 
 Hue, saturation and lightness are those of paint programs, of sRGB's encoded values
 [Joblove & Greenberg 1978; CSS Color 3, Section 4.2.4].
 """
 
 import abc
-from collections.abc import Mapping
-from typing import Any
+import re
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -15,24 +22,62 @@ from jaxtyping import Array, Float, Int
 
 from irisjax._types import as_float
 from irisjax.measure.colour import srgb_decode, srgb_encode
-from irisjax.numerics.checks import Range, check_range
-from irisjax.ocularist.palette import Paints, Palette, places
+from irisjax.numerics.checks import Range, check_known, check_range
 
-SHARE = Range(0.0, 1.0, meaning="share of the second paint in a mixture")
+PaintNames = str | Sequence[str]
+"""The name of a paint, or one name per coat."""
+
+
+class Published(NamedTuple):
+    """A paint's published colour.
+
+    Attributes:
+        srgb: `#rrggbb` in sRGB.
+        source: The maker.
+    """
+
+    srgb: str
+    source: str
+
+
+_REMBRANDT = "Rembrandt (Royal Talens)"
+PAINTS = {
+    # In HSL the faint tint of a black or a white would count as its hue: both are made neutral.
+    "ivory black": Published("#101010", "Winsor & Newton; (16, 15, 17) made neutral"),
+    "titanium white": Published("#fdfdfd", f"{_REMBRANDT}; (253, 254, 249) made neutral"),
+    "yellow ochre": Published("#ac7726", _REMBRANDT),
+    "burnt sienna": Published("#65382f", _REMBRANDT),
+    "burnt umber": Published("#3c2823", _REMBRANDT),
+    "ultramarine": Published("#1e1da0", f"{_REMBRANDT}, ultramarine deep"),
+    "phthalo blue": Published("#072b73", f"{_REMBRANDT}, phthalo blue red"),
+    "cadmium yellow": Published("#ffc000", f"{_REMBRANDT}, cadmium yellow medium"),
+    "cadmium red": Published("#cd261e", f"{_REMBRANDT}, cadmium red medium"),
+}
+"""The default paints."""
+FURTHER_PAINTS = {
+    "raw sienna": Published("#8b5f2f", _REMBRANDT),
+    "raw umber": Published("#322b26", _REMBRANDT),
+}
+"""Paints that can be added by name."""
+
+_SHARE = Range(0.0, 1.0, meaning="share of the second paint in a mixture")
+_REFLECTANCE = Range(0.0, 1.0)
+_STEP = Range(0.0, 255.0)
 _ROUNDING = 1e-6  # of encoded values and of hues in single precision
 
 
 class AbstractMixer(eqx.Module):
-    """A way to mix two paints of those it knows by name."""
+    """A rule that mixes any two of a set of named paints.
 
-    @property
-    @abc.abstractmethod
-    def names(self) -> tuple[str, ...]:
-        """The known paints."""
+    Attributes:
+        paints: Their names, each once.
+    """
+
+    paints: eqx.AbstractVar[tuple[str, ...]]
 
     @abc.abstractmethod
     def with_paints(self, colours: Mapping[str, Any]) -> "AbstractMixer":
-        """The same with paints added or replaced; colours as for `Palette.of`."""
+        """The mixer with paints added or replaced; colours as for `linear_colour`."""
 
     @abc.abstractmethod
     def blend(
@@ -41,23 +86,38 @@ class AbstractMixer(eqx.Module):
         second: Int[Array, "*coats"],
         share: Float[Array, "*coats"],
     ) -> Float[Array, "*coats 3"]:
-        """`mix` of paints by their places among `names`; pure and traced."""
+        """`mix` of paints by their indices in `paints`; pure, for traced arrays."""
 
-    def mix(self, first: Paints, second: Paints, share) -> Float[Array, "*coats 3"]:
-        """Linear sRGB reflectances of mixtures, in [0, 1]; differentiable in `share` and in what
-        the mixer holds.
+    def indices(self, names: PaintNames) -> Int[np.ndarray, "*coats"]:
+        """Indices of paints in `paints`: shape () for one name, (coats,) for one per coat.
 
-        **Arguments:**
-
-        - `first`, `second`: a name, or one a coat.
-        - `share`: of the second paint, 0 to 1; a number, one a coat, or of any shape where both
-          paints are one name.
-
-        **Raises:** `ValueError` for an unknown paint, a share out of range, and shapes that do not
-        go together.
+        Raises:
+            ValueError: naming the known paints, and the nearest, for an unknown one.
         """
-        check_range("share", share, SHARE)
-        i, j, share = places(first, self.names), places(second, self.names), as_float(share)
+        one = isinstance(names, str)
+        for name in [names] if one else names:
+            check_known("paint", name, self.paints)
+        where = self.paints.index
+        return np.asarray(where(names) if one else [where(name) for name in names], int)
+
+    def mix(
+        self, first: PaintNames, second: PaintNames, share: Float[Array, "..."] | np.ndarray | float
+    ) -> Float[Array, "*coats 3"]:
+        """Linear sRGB reflectances of mixtures, in [0, 1]; differentiable in `share` and in the
+        mixer's arrays.
+
+        Args:
+            first: A name, or one per coat.
+            second: Likewise.
+            share: Of the second paint, 0 to 1; a number, one per coat, or an array of any shape
+                where both paints are one name.
+
+        Raises:
+            ValueError: for an unknown paint, a share out of range, and shapes that do not go
+                together.
+        """
+        check_range("share", share, _SHARE)
+        i, j, share = self.indices(first), self.indices(second), as_float(share)
         try:
             shape = np.broadcast_shapes(i.shape, j.shape, share.shape)
         except ValueError:
@@ -75,26 +135,80 @@ def _blended(mixer: AbstractMixer, first, second, share):
 
 
 class HslMixer(AbstractMixer):
-    """The paper's: hue, saturation and lightness each at the share; see `mixed_in_hsl`.
+    """The paper's mixtures: hue, saturation and lightness are interpolated; see `mixed_in_hsl`.
 
-    Ultramarine and cadmium yellow make a pink in it: between their hues the short way lies red.
+    Ultramarine and cadmium yellow make a pink: the short way between their hues passes red.
+
+    Attributes:
+        paints: Their names, each once.
+        colours: Linear sRGB reflectances in [0, 1], shape (paints, 3).
+
+    Raises:
+        ValueError: unless there is one name per colour, and for reflectances out of range.
     """
 
-    palette: Palette = eqx.field(default_factory=Palette.default)
+    paints: tuple[str, ...] = eqx.field(static=True)
+    colours: Float[Array, "paints 3"]
 
-    @property
-    def names(self):
-        """See `AbstractMixer`."""
-        return self.palette.names
+    def __post_init__(self):
+        if len(set(self.paints)) != len(self.paints) or len(self.paints) != self.colours.shape[0]:
+            raise ValueError(
+                f"a palette needs one name a colour, each once; got {len(self.paints)} names for "
+                f"{self.colours.shape[0]} colours: {', '.join(self.paints)}"
+            )
+        for name, colour in zip(self.paints, self.colours, strict=True):
+            check_range(f"reflectance of paint {name!r}", colour, _REFLECTANCE)
 
-    def with_paints(self, colours):
-        """See `AbstractMixer`."""
-        return HslMixer(self.palette.with_paints(colours))
+    @classmethod
+    def default(cls) -> "HslMixer":
+        """A mixer of `PAINTS`."""
+        return cls.of({name: paint.srgb for name, paint in PAINTS.items()})
 
-    def blend(self, first, second, share):
+    @classmethod
+    def of(cls, colours: Mapping[str, Any]) -> "HslMixer":
+        """A mixer of paints given by name; colours as for `linear_colour`.
+
+        Raises:
+            ValueError: for a value that is no colour, and for an empty mapping.
+        """
+        if not colours:
+            raise ValueError("a palette needs at least one paint")
+        linear = [linear_colour(name, colour) for name, colour in colours.items()]
+        return cls(tuple(colours), jnp.asarray(np.stack(linear), jnp.result_type(float)))
+
+    def with_paints(self, colours: Mapping[str, Any]) -> "HslMixer":
         """See `AbstractMixer`."""
-        colours = self.palette.colours
-        return mixed_in_hsl(colours[first], colours[second], share.astype(colours.dtype))
+        paints = dict(zip(self.paints, self.colours, strict=True))
+        dtype = self.colours.dtype
+        paints |= {n: jnp.asarray(linear_colour(n, c), dtype) for n, c in colours.items()}
+        return HslMixer(tuple(paints), jnp.stack(list(paints.values())))
+
+    def blend(
+        self,
+        first: Int[Array, "*coats"],
+        second: Int[Array, "*coats"],
+        share: Float[Array, "*coats"],
+    ) -> Float[Array, "*coats 3"]:
+        """See `AbstractMixer`."""
+        share = share.astype(self.colours.dtype)
+        return mixed_in_hsl(self.colours[first], self.colours[second], share)
+
+
+def linear_colour(name: str, colour: Any) -> np.ndarray:
+    """Linear sRGB, shape (3,), of `#rrggbb` or three numbers from 0 to 255.
+
+    Raises:
+        ValueError: naming the paint for anything else.
+    """
+    if isinstance(colour, str) and re.fullmatch("#[0-9a-fA-F]{6}", colour):
+        steps = [int(colour[i : i + 2], 16) for i in (1, 3, 5)]
+    elif isinstance(colour, Sequence | np.ndarray) and _three_steps(colour):
+        steps = list(colour)
+    else:
+        raise ValueError(
+            f"paint {name!r}: {colour!r} is no colour; need '#rrggbb' or three numbers in {_STEP}"
+        )
+    return np.asarray(srgb_decode(np.asarray(steps, np.float64) / 255), np.float64)
 
 
 def mixed_in_hsl(
@@ -112,7 +226,7 @@ def mixed_in_hsl(
         jnp.where(other_saturation > 0, other_hue, hue),
     )
     gap = other_hue - hue
-    # Opposite hues are no more than half a turn apart though rounding may say so.
+    # Rounding may put opposite hues more than half a turn apart.
     half = 0.5 + _ROUNDING
     gap = gap - jnp.where(gap > half, 1.0, 0.0) + jnp.where(gap < -half, 1.0, 0.0)
     return srgb_decode(
@@ -136,10 +250,12 @@ def hsl_of(
     chroma = high - low
     grey = chroma <= _ROUNDING
     by = jnp.where(grey, 1.0, chroma)
+    # Not by equality with `high`: XLA may round a value differently each time it recomputes it.
+    largest = jnp.argmax(encoded, -1)
     sextant = jnp.where(
-        high == red,
+        largest == 0,
         (green - blue) / by,
-        jnp.where(high == green, 2 + (blue - red) / by, 4 + (red - green) / by),
+        jnp.where(largest == 1, 2 + (blue - red) / by, 4 + (red - green) / by),
     )
     hue = jnp.where(grey, 0.0, sextant / 6)
     room = jnp.where(grey, 1.0, 1 - jnp.abs(high + low - 1))
@@ -160,3 +276,10 @@ def srgb_of(
         return lightness - reach * wave
 
     return jnp.stack([channel(0.0), channel(8.0), channel(4.0)], -1)
+
+
+def _three_steps(colour) -> bool:
+    return len(colour) == 3 and all(
+        isinstance(s, int | float | np.number) and not isinstance(s, bool) and _STEP.holds(s)
+        for s in colour
+    )

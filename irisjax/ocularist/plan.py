@@ -1,7 +1,7 @@
-"""A painting in plan: seen from straight ahead, in light from there, without cornea and parallax.
+"""A painting in plan view: from straight ahead, lit from there, without cornea and parallax.
 
-Textures of an iris are polar as in `IrisMaps`: rows angles from +x towards +y, columns radii from
-the pupil's edge to the root.
+Textures of an iris are polar as in `IrisMaps`: rows are angles from +x towards +y, columns radii
+from the pupil's edge to the root.
 """
 
 from typing import NamedTuple
@@ -10,7 +10,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Bool, Float, Int
 
 from irisjax.anatomy.eye import Eye
 from irisjax.measure.colour import XYZ_TO_SRGB, lab_of
@@ -19,24 +19,27 @@ from irisjax.ocularist.coats import Painting, over, through
 from irisjax.ocularist.composite import look_up
 from irisjax.tissue.maps import cell_centres
 
-SHAPE = (256, 64)
-"""Angles and radii of textures, unless something else is asked for."""
+TEXTURE_SHAPE = (256, 64)
+"""Angles and radii of textures by default."""
 
 
 class Difference(NamedTuple):
-    """Colour difference of two textures, CIE 1976 ΔE*ab under D65, a reflectance of 1 being white:
-    `mean` over their texels, and what 95 % of them stay below.
+    """Colour difference of two textures, CIE 1976 ΔE*ab under D65; a reflectance of 1 is white.
+
+    Attributes:
+        mean: Over the texels.
+        q95: The value that 95 % of the texels stay below.
     """
 
     mean: float
-    most: float
+    q95: float
 
 
 def plan_view(
     opacity: Float[Array, "coats *texels"], colour: Float[Array, "coats 3"]
 ) -> Float[Array, "*texels 3"]:
-    """Linear reflectance of coats, the bottom one first, each in the light that those above it let
-    through; black where all are clear. Differentiable.
+    """Linear reflectance of coats, the bottom one first, each lit through those above it; black
+    where all are clear. Differentiable.
     """
     flat = opacity.reshape(len(opacity), -1, 1)
     paint = colour[:, None, :]
@@ -54,11 +57,12 @@ def plan_view(
 
 
 def texture_of(
-    painting: Painting, eye: Eye, shape: tuple[int, int] = SHAPE
+    painting: Painting, eye: Eye, shape: tuple[int, int] = TEXTURE_SHAPE
 ) -> Float[Array, "angles radii 3"]:
     """A painting's plan view on the iris of an eye, linear reflectance.
 
-    **Raises:** `ValueError` for a painting without coats and for a shape below 2 × 2.
+    Raises:
+        ValueError: for a painting without coats and for a shape below 2 × 2.
     """
     if not painting.coats:
         raise ValueError("a painting without coats has no colours")
@@ -67,37 +71,30 @@ def texture_of(
 
 
 def unrolled(
-    picture: Float[Array, "rows columns *channels"] | np.ndarray,
-    eye: Eye,
-    shape: tuple[int, int] = SHAPE,
-    reach: float | None = None,
-) -> Float[Array, "angles radii *channels"]:
-    """A square picture of an iris seen from ahead, row 0 at the top, as a polar texture.
-
-    Args:
-        picture: One channel, or several last.
-        eye: Whose pupil and root the texture runs between.
-        shape: (angles, radii).
-        reach: Distance of the picture's sides from the axis, mm; by default the root's, as opacity
-            maps have it. A photograph's unrefracted texture has 6.
+    picture: Float[Array, "rows columns"], eye: Eye, shape: tuple[int, int] = TEXTURE_SHAPE
+) -> Float[Array, "angles radii"]:
+    """A square picture of an iris seen from ahead, whose sides touch the root, as a polar texture
+    between pupil and root; row 0 of the picture is at the top.
 
     Raises:
         ValueError: for a picture that is not square, and for a shape below 2 × 2.
     """
     for name, number in zip(("angles", "radii"), shape, strict=True):
         check_whole(name, number, 2)
-    given = jnp.asarray(picture, jnp.result_type(float))
-    if given.ndim not in (2, 3) or given.shape[0] != given.shape[1] or len(given) < 2:
-        raise ValueError(f"a picture of an iris has shape {given.shape}; it must be square")
-    side = eye.iris_radius if reach is None else jnp.asarray(reach, given.dtype)
-    return _unrolled(given, eye, side, (int(shape[0]), int(shape[1])))
+    if picture.shape[0] != picture.shape[1] or len(picture) < 2:
+        raise ValueError(f"a picture of an iris has shape {picture.shape}; it must be square")
+    return _unrolled(picture, eye, (int(shape[0]), int(shape[1])))
 
 
-def rolled(texture, eye: Eye, size: int):
-    """Indices (rows, columns) into a polar texture's nearest texels of a square picture's, and
-    which of these lie on the iris.
+def rolled(
+    shape: tuple[int, ...], eye: Eye, size: int
+) -> tuple[
+    Int[np.ndarray, "size size"], Int[np.ndarray, "size size"], Bool[np.ndarray, "size size"]
+]:
+    """The inverse of `unrolled`: for each texel of a square picture the row and column of the
+    nearest texel of a polar texture of this shape, and whether it lies on the iris.
     """
-    rows, columns = np.shape(texture)[:2]
+    rows, columns = shape
     along = ((2 * np.arange(size) + 1) / size - 1) * float(eye.iris_radius)
     x, y = along[None, :], -along[:, None]
     place = np.asarray(eye.relative_radius(np.hypot(x, y)))
@@ -118,7 +115,7 @@ def difference(
     other: Float[Array | np.ndarray, "*s 3"],
     known: Bool[np.ndarray, "*s"] | None = None,
 ) -> Difference:
-    """Of two textures of linear reflectance, over the texels that are `known`."""
+    """Colour difference of two textures of linear reflectance, over the texels that are `known`."""
     off = np.asarray(_delta(one, other))
     off = off.ravel() if known is None else off[np.asarray(known)]
     return Difference(float(off.mean()), float(np.quantile(off, 0.95)))
@@ -130,10 +127,8 @@ def _delta(one, other):
 
 
 @eqx.filter_jit
-def _unrolled(picture, eye: Eye, reach, shape: tuple[int, int]):
+def _unrolled(picture, eye: Eye, shape: tuple[int, int]):
     angle, radius = (c.astype(picture.dtype) for c in cell_centres(shape))
     away = eye.from_axis(radius).astype(picture.dtype)[None, :]
     x, y = jnp.cos(angle)[:, None] * away, jnp.sin(angle)[:, None] * away
-    if picture.ndim == 2:
-        return look_up(picture, x, y, reach)
-    return jnp.moveaxis(look_up(jnp.moveaxis(picture, -1, 0), x, y, reach), 0, -1)
+    return look_up(picture, x, y, eye.iris_radius)

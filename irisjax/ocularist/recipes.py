@@ -12,7 +12,7 @@ import numpy as np
 
 from irisjax.numerics.checks import check_whole
 
-TYPES = ("smeared", "dit-dot", "detail")
+EYE_TYPES = ("smeared", "dit-dot", "detail")
 """Types of eye, from the least to the most detail."""
 HEIGHT_STEP = 0.006
 """From one coat to the next, mm."""
@@ -45,11 +45,14 @@ def coats(kind: str, colour: str, *, seed: int) -> tuple[CoatRecipe, ...]:
     one. Equal seeds give equal coats. **Raises:** `ValueError` for an unknown type or colour and
     for a seed that is negative or not whole.
     """
-    for what, given, known in (("type of eye", kind, TYPES), ("colour of eye", colour, COLOURS)):
+    for what, given, known in (
+        ("type of eye", kind, EYE_TYPES),
+        ("colour of eye", colour, EYE_COLOURS),
+    ):
         if given not in known:
             raise ValueError(f"unknown {what} {given!r}; known: {', '.join(known)}")
     check_whole("seed", seed, 0)
-    rng = np.random.default_rng([seed, TYPES.index(kind), COLOURS.index(colour)])
+    rng = np.random.default_rng([seed, EYE_TYPES.index(kind), EYE_COLOURS.index(colour)])
     paints = _PAINTS[colour]
     rounds = paints.count - 1 - len(_CLOSING)
     parts = [_ROUND[i % len(_ROUND)] for i in range(rounds)] + list(_CLOSING)
@@ -147,7 +150,7 @@ _PAINTS = {
         border=(_Mixture(_BLACK, _UMBER, 0.4), _Mixture(_BLACK, _BLUE, 0.25)),
     ),
 }
-COLOURS = tuple(_PAINTS)
+EYE_COLOURS = tuple(_PAINTS)
 """Colours of eye."""
 
 _ROUND = (

@@ -1,58 +1,64 @@
-"""Brush strokes and dots: drops of paint along wavy hairs, gathered on a square of texels.
+"""Brush strokes and dots: drops of paint along wavy hairs, summed on a square of texels.
 
-Drops lie where they lie at any size of the picture; a Gaussian gives the brush its soft edge. Paint
-on paint covers as coat on coat does: opacity = 1 − exp(−paint per area).
+The positions of drops do not depend on the size of the picture; a Gaussian gives the brush its soft
+edge. Paint on paint covers as coat on coat does: opacity = 1 − exp(−paint per area).
 """
 
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Float32
-from PIL import Image
 from scipy import ndimage
 
 Opacity = Float32[np.ndarray, "size size"]
 """An opacity map, 0 (clear) to 1 (opaque), row 0 at the top."""
-Each = Float[np.ndarray, " strokes"]
-Drops = Float32[np.ndarray, " drops"]
+_Each = Float[np.ndarray, " strokes"]
+_Drops = Float32[np.ndarray, " drops"]
 
 _SPACING = 1.6  # standard deviations between drops and between hairs: a ripple of 0.1 %
 _MOST_HAIRS = 8
 _MOST_DROPS = 600  # of a dot
-_LEAST = 0.65  # texels to a standard deviation, or edges would be those of texels
-_ENOUGH = 2.5  # texels to a standard deviation: more of them show nothing more
-_REACH = 4.5  # standard deviations, of a drop
+_LEAST = 0.65  # texels in a standard deviation; with fewer, edges would be those of texels
+_ENOUGH = 2.5  # texels in a standard deviation above which more resolution shows nothing
+_REACH = 4.5  # radius of a drop, standard deviations
 
 
-class Ring(NamedTuple):
-    """The iris, its outer radius 1; `pupil`: the inner one."""
+class Annulus(NamedTuple):
+    """The iris, with an outer radius of 1.
+
+    Attributes:
+        pupil: The inner radius.
+    """
 
     pupil: float
 
-    def place(self, relative):
+    def place(self, relative: Any) -> Any:
         """Distance from the axis of relative radii from 0, the pupil's edge, to 1, the root."""
         return self.pupil + (1 - self.pupil) * relative
 
-    def relative(self, place):
-        """The other way round."""
+    def relative(self, place: Any) -> Any:
+        """The inverse of `place`."""
         return (place - self.pupil) / (1 - self.pupil)
 
 
 class Paint(NamedTuple):
-    """Drops at (x, y), y up, in outer radii; `amount`: optical depth × area of each."""
+    """_Drops at (x, y), y up, in outer radii; `amount`: optical depth × area of each."""
 
-    x: Drops
-    y: Drops
-    amount: Drops
+    x: _Drops
+    y: _Drops
+    amount: _Drops
 
     def __or__(self, other: "Paint") -> "Paint":
-        """Both."""
+        """The drops of both."""
         return Paint(*(np.concatenate(pair) for pair in zip(self, other, strict=True)))
 
     def opacity(self, size: int, softness: float) -> Opacity:
-        """Mean opacity of each texel of the square; `softness`: standard deviation of a drop, outer
-        radii.
+        """Mean opacity of each texel of the square.
+
+        Args:
+            size: Texels along a side.
+            softness: Standard deviation of a drop, outer radii.
         """
         parts = 1
         while softness * size * parts / 2 < _LEAST:
@@ -62,6 +68,8 @@ class Paint(NamedTuple):
 
     def _depth(self, size: int, softness: float) -> Float32[np.ndarray, "size size"]:
         """Mean optical depth of each texel."""
+        from PIL import Image
+
         coarse = min(size, int(np.ceil(2 * _ENOUGH / softness)))
         margin = int(np.ceil(_REACH * softness * coarse / 2)) + 2
         depth = self._gathered(coarse, margin)
@@ -75,7 +83,7 @@ class Paint(NamedTuple):
         return np.maximum(np.asarray(fine), np.float32(0))
 
     def _gathered(self, size: int, margin: int) -> Float32[np.ndarray, "all all"]:
-        """Each drop shared out to the nearest four texels, `margin` of them beyond each side."""
+        """_Each drop shared out to the nearest four texels, `margin` of them beyond each side."""
         wide = size + 2 * margin
         # What lies further out ends at the margin's rim, where no drop reaches the square.
         column = np.clip(size / 2 * (1 + self.x) + (margin - 0.5), 0, wide - 1.001)
@@ -98,21 +106,30 @@ class Paint(NamedTuple):
 class Strokes(NamedTuple):
     """Radial strokes, each field of shape (strokes,).
 
-    `angle`, radians; `start` and `length`, relative radii; `width` and `wave`, how far they sway to
-    each side, in outer radii; `depth`: optical depth of their paint.
+    Attributes:
+        angle: Radians.
+        start: Relative radius of the inner end.
+        length: Relative radii.
+        width: Outer radii.
+        wave: How far strokes sway to each side, outer radii.
+        depth: Optical depth of the paint.
     """
 
-    angle: Each
-    start: Each
-    length: Each
-    width: Each
-    wave: Each
-    depth: Each
+    angle: _Each
+    start: _Each
+    length: _Each
+    width: _Each
+    wave: _Each
+    depth: _Each
 
-    def paint(self, rng: np.random.Generator, ring: Ring, softness: float, head: float) -> Paint:
-        """Strokes of several hairs, each hair with its own beginning, end and load.
+    def paint(self, rng: np.random.Generator, ring: Annulus, softness: float, head: float) -> Paint:
+        """Draw strokes of several hairs, each hair with its own beginning, end and load.
 
-        `head`: where along it a stroke is widest, 0 at its inner and 1 at its outer end.
+        Args:
+            rng: Source of the irregularities.
+            ring: The iris.
+            softness: Standard deviation of a drop, outer radii.
+            head: Where along it a stroke is widest, 0 at its inner and 1 at its outer end.
         """
         if len(self.angle) == 0:
             return Paint(*(np.zeros(0, np.float32) for _ in Paint._fields))
@@ -136,8 +153,8 @@ class Strokes(NamedTuple):
         return Paint(x.ravel(), y.ravel(), load.ravel())
 
     def _sway(self, rng, t, r):
-        """Way to the side, outer radii, shape (strokes, drops): each by itself, and as its
-        neighbours do.
+        """Displacement to the side, outer radii, shape (strokes, drops): an independent part and
+        one shared with the neighbours.
         """
         harmonics = np.arange(1, 4)
         own = rng.normal(size=(len(self.angle), 3)) / harmonics**1.5
@@ -152,7 +169,7 @@ class Strokes(NamedTuple):
 
 
 def _hairs(rng, n: int, hairs: int, t, head: float):
-    """Place across the brush, about −1 to 1, and load of each hair, about 1; both of shape
+    """Positions across the brush, about −1 to 1, and loads of hairs, about 1; both of shape
     (strokes, hairs, drops).
     """
 
@@ -165,23 +182,28 @@ def _hairs(rng, n: int, hairs: int, t, head: float):
     lens = np.where(t < head, t / head, (1 - t) / (1 - head)) ** 0.4
     across = at * lens + uniform(-0.3, 0.3) * (t - head)
     begin, end = 0.25 * uniform() ** 2, 1 - 0.4 * uniform() ** 2
-    load = _smooth((t - begin) / 0.08) * _smooth((end - t) / (0.1 + 0.3 * uniform()))
+    load = smooth_step((t - begin) / 0.08) * smooth_step((end - t) / (0.1 + 0.3 * uniform()))
     load *= 1 + 0.35 * np.sin(9 * t + uniform(0, 2 * np.pi))
     return across, load * rng.gamma(2, 0.5, (n, hairs, 1)).astype(np.float32)
 
 
 class Dots(NamedTuple):
-    """Round dots, each field of shape (dots,): `angle`, radians, `relative` radius, `width`, the
-    diameter in outer radii, and `depth`, optical depth of the paint.
+    """Round dots, each field of shape (dots,).
+
+    Attributes:
+        angle: Radians.
+        relative: Relative radius.
+        width: Diameter, outer radii.
+        depth: Optical depth of the paint.
     """
 
-    angle: Each
-    relative: Each
-    width: Each
-    depth: Each
+    angle: _Each
+    relative: _Each
+    width: _Each
+    depth: _Each
 
-    def paint(self, rng: np.random.Generator, ring: Ring, softness: float) -> Paint:
-        """Dots a little out of shape, their drops on Vogel's spiral."""
+    def paint(self, rng: np.random.Generator, ring: Annulus, softness: float) -> Paint:
+        """Draw dots a little out of round, their drops on Vogel's spiral."""
         n = len(self.angle)
         drops = np.pi * (self.width.max(initial=0) / (2 * _SPACING * softness)) ** 2
         drops = int(np.clip(np.ceil(drops), 12, _MOST_DROPS))
@@ -200,31 +222,32 @@ class Dots(NamedTuple):
         return Paint(*(v.astype(np.float32).ravel() for v in (x, y, amount)))
 
 
-def around(rng: np.random.Generator, count: int, irregularity: float) -> Each:
-    """Angles, radians: evenly shared out at irregularity 0, in clumps and gaps at 1."""
+def angles_round(rng: np.random.Generator, count: int, irregularity: float) -> _Each:
+    """Angles in radians: evenly spaced at irregularity 0, with clumps and gaps at 1."""
     jitter = irregularity * rng.uniform(-0.9, 0.9, count)
     angle = 2 * np.pi * (rng.uniform() + (np.arange(count) + jitter) / max(count, 1))
-    return angle + 0.06 * irregularity * wander(rng, 15)(angle)
+    return angle + 0.06 * irregularity * smooth_noise(rng, 15)(angle)
 
 
-def wander(rng: np.random.Generator, harmonics: int) -> Callable[[np.ndarray], np.ndarray]:
+def smooth_noise(rng: np.random.Generator, harmonics: int) -> Callable[[np.ndarray], np.ndarray]:
     """A smooth random function of angles (radians), of period 2π, mean 0 and variance 1."""
     m = np.arange(1, harmonics + 1)
     weight = rng.normal(size=(2, harmonics)) / np.sqrt(m)
     weight /= np.sqrt((weight**2).sum() / 2)
 
-    def at(angle):
+    def at(angle: np.ndarray) -> np.ndarray:
         turns = np.asarray(angle)[..., None] * m
         return np.cos(turns) @ weight[0] + np.sin(turns) @ weight[1]
 
     return at
 
 
-def varied(rng: np.random.Generator, count: int, spread: float) -> Each:
+def log_normal(rng: np.random.Generator, count: int, spread: float) -> _Each:
     """Factors of median 1, log-normal with standard deviation `spread`, none above 3."""
     return np.minimum(np.exp(spread * rng.normal(size=count)), 3)
 
 
-def _smooth(x):
+def smooth_step(x: np.ndarray) -> np.ndarray:
+    """A smooth rise from 0 at 0 and below to 1 at 1 and above."""
     x = np.clip(x, 0, 1)
     return x * x * (3 - 2 * x)

@@ -1,20 +1,24 @@
-"""Kubelka and Munk's diffuse light in a layer so thick that nothing behind it is seen, and the
-mirror on top of it.
+"""Kubelka and Munk's diffuse light in an opaque layer, and the reflection of its surface.
 
-K and S are absorption and scattering per length of the same unit; only their ratio counts here.
+K and S are absorption and scattering per unit length; only their ratio matters here.
 """
+
+from typing import Any
 
 import jax.numpy as jnp
 
 
-def thick_layer(absorption, scattering, xp=jnp):
+def thick_layer(absorption: Any, scattering: Any, xp: Any = jnp) -> Any:
     """Reflectance R∞ = 1 + K/S − √((K/S)² + 2K/S)  [Kubelka & Munk 1931].
 
-    Written as S/(K + S + √(K(K + 2S))), in which nothing cancels and S may be 0: black, and so is
-    what neither absorbs nor scatters. At K = 0, where the slope in K is infinite, the derivative is
-    taken without the root.
+    Written as S/(K + S + √(K(K + 2S))), in which nothing cancels and S may be 0: black, and so is a
+    layer that neither absorbs nor scatters. At K = 0, where the slope in K is infinite, the
+    derivative is that without the root.
 
-    **Arguments:** K and S, shapes that broadcast; `xp`: `numpy` to compute on the host.
+    Args:
+        absorption: K.
+        scattering: S, of a shape that broadcasts with K's.
+        xp: `numpy` to compute on the host.
     """
     product = absorption * (absorption + 2 * scattering)
     some = product > 0
@@ -23,22 +27,23 @@ def thick_layer(absorption, scattering, xp=jnp):
     return scattering / xp.where(total != 0, total, 1.0)
 
 
-def absorption_of(reflectance, scattering):
+def absorption_of(reflectance: Any, scattering: Any) -> Any:
     """K of a thick layer: S (1 − R∞)²/2R∞  [Kubelka & Munk 1931]."""
     return scattering * (1 - reflectance) ** 2 / (2 * reflectance)
 
 
-def under_surface(inner, outside, inside):
+def under_surface(inner: Any, outside: Any, inside: Any) -> Any:
     """Reflectance of a layer under a smooth surface, without the light that the surface mirrors:
     (1 − k₁)(1 − k₂) R/(1 − k₂ R)  [Saunderson 1942].
 
-    **Arguments:** `inner`: R, of the layer alone; `outside`, `inside`: k₁ and k₂, shares that the
-    surface sends back of light from outside (0.04 at index 1.5) and of diffuse light from inside
-    (0.6).
+    Args:
+        inner: R, of the layer alone.
+        outside: k₁, reflectance of the surface for light from outside (0.04 at index 1.5).
+        inside: k₂, reflectance of the surface for diffuse light from inside (0.6).
     """
     return (1 - outside) * (1 - inside) * inner / (1 - inside * inner)
 
 
-def without_surface(reflectance, outside, inside):
-    """The `inner` that `under_surface` makes `reflectance` of."""
+def without_surface(reflectance: Any, outside: Any, inside: Any) -> Any:
+    """The inverse of `under_surface`: R of the layer alone."""
     return reflectance / ((1 - outside) * (1 - inside) + inside * reflectance)

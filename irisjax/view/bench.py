@@ -15,9 +15,9 @@ from irisjax.io.recipes import Recipe, recipe_text
 from irisjax.io.tables import write_atomically
 from irisjax.measure.colour import srgb_encode
 from irisjax.ocularist.coats import Coat, Painting
-from irisjax.ocularist.easel import SIZE, painted, studio
 from irisjax.ocularist.integrator import PaintBase, Painted, PaintedLayer
-from irisjax.ocularist.palette import linear_colour
+from irisjax.ocularist.mixing import linear_colour
+from irisjax.ocularist.painting import OPACITY_SIZE, painted, studio
 from irisjax.ocularist.recipes import CoatRecipe
 from irisjax.render.illumination import Illumination
 from irisjax.render.integrator import AbstractResponse
@@ -64,13 +64,13 @@ class Bench(Session[BenchSettings]):
         recipe: Recipe,
         scene: Callable[[Scene], Scene] = lambda scene: scene,
         tables_of: Callable[[Scene], Illumination | None] = Scene.tables,
-        texels: int = SIZE,
+        texels: int = OPACITY_SIZE,
     ):
         """Paint a recipe.
 
         Args:
             recipe: The recipe.
-            scene: Changes the scene in which the iris stands, by default `easel.studio`; its own
+            scene: Changes the scene in which the iris stands, by default `painting.studio`; its own
                 painting makes no difference.
             tables_of: Computes the illumination tables of a scene, or reads them.
             texels: Along a side of opacity maps.

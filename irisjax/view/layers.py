@@ -4,7 +4,7 @@ from typing import Any, NamedTuple
 
 from irisjax.numerics.checks import check_range
 from irisjax.ocularist.coats import OPACITY
-from irisjax.ocularist.palette import linear_colour
+from irisjax.ocularist.mixing import linear_colour
 
 
 class Layer(NamedTuple):

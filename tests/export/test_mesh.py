@@ -1,13 +1,20 @@
 """Meshes of the eye: where their points lie, which way they face, how they close."""
 
+import functools
+
 import numpy as np
 import pytest
 import trimesh
 
 from irisjax.anatomy.eye import Cornea, Eye
-from irisjax.export.mesh import eye_meshes, write_eye
+from irisjax.export.mesh import eye_meshes, mesh_files
 
 EYE = Eye()
+
+
+@functools.cache
+def meshes(slope=None):
+    return eye_meshes(EYE.replace(iris_slope=slope), 0.2)
 
 
 def _facing(mesh):
@@ -17,36 +24,36 @@ def _facing(mesh):
     a, b, c = (mesh.vertices[mesh.faces[:, i]] for i in range(3))
     own = np.cross(b - a, c - a)
     own /= np.linalg.norm(own, axis=1, keepdims=True)
-    return min((own * mesh.normals[mesh.faces[:, i]]).sum(1).min() for i in range(3))
+    return min((own * mesh.vertex_normals[mesh.faces[:, i]]).sum(1).min() for i in range(3))
 
 
 @pytest.mark.parametrize("name", ["anterior", "posterior"])
 def test_cornea_lies_on_its_conicoid(name):
     surface = getattr(EYE.cornea, name)
-    mesh = eye_meshes(EYE, 0.2)[name]
+    mesh = meshes()[name]
     x, y, z = mesh.vertices.T
     radius, p, z = float(surface.radius), float(surface.shape), z - float(surface.apex)
     np.testing.assert_allclose(p * z**2 - 2 * radius * z + x**2 + y**2, 0, atol=1e-12)
     # The gradient of the equation, outwards.
     gradient = np.stack([x, y, p * z - radius], -1)
     np.testing.assert_allclose(
-        mesh.normals, gradient / np.linalg.norm(gradient, axis=1)[:, None], atol=1e-12
+        mesh.vertex_normals, gradient / np.linalg.norm(gradient, axis=1)[:, None], atol=1e-12
     )
-    assert (mesh.normals[:, 2] < 0).all()
+    assert (mesh.vertex_normals[:, 2] < 0).all()
 
 
 @pytest.mark.parametrize("slope", [None, 0.1])
 def test_all_face_outwards_with_unit_normals(slope):
-    for name, mesh in eye_meshes(EYE.replace(iris_slope=slope), 0.2).items():
-        np.testing.assert_allclose(np.linalg.norm(mesh.normals, axis=1), 1, atol=1e-12)
+    for name, mesh in meshes(slope).items():
+        np.testing.assert_allclose(np.linalg.norm(mesh.vertex_normals, axis=1), 1, atol=1e-12)
         assert _facing(mesh) > 0.99, name
         assert np.unique(mesh.faces).size == len(mesh.vertices)
 
 
 @pytest.mark.parametrize("slope", [None, 0.1])
 def test_iris_carries_the_coordinates_of_the_maps(slope):
-    mesh = eye_meshes(EYE.replace(iris_slope=slope), 0.3)["iris"]
-    (u, v), (x, y, z) = mesh.uv.T, mesh.vertices.T
+    mesh = meshes(slope)["iris"]
+    (u, v), (x, y, z) = (mesh.vertex_attributes[axis] for axis in "uv"), mesh.vertices.T
     assert u.min() == v.min() == 0 and u.max() == v.max() == 1
     r = 1.9 + v * (5.5 - 1.9)
     np.testing.assert_allclose(
@@ -60,10 +67,9 @@ def test_iris_carries_the_coordinates_of_the_maps(slope):
 
 
 def test_cornea_and_sclera_close_the_eye():
-    meshes = eye_meshes(EYE, 0.3)
     parts = [
-        trimesh.Trimesh(m.vertices, m.faces, process=False)
-        for m in (meshes["anterior"], meshes["sclera"])
+        trimesh.Trimesh(mesh.vertices, mesh.faces, process=False)
+        for mesh in (meshes()["anterior"], meshes()["sclera"])
     ]
     rims = [np.linalg.norm(p.vertices[:, :2], axis=1) for p in parts]
     assert all(np.isclose(r, 5.5, rtol=0, atol=1e-12).sum() >= 12 for r in rims)
@@ -74,7 +80,7 @@ def test_cornea_and_sclera_close_the_eye():
 
 @pytest.mark.parametrize("slope", [None, 0.1])
 def test_posterior_cornea_ends_on_the_iris(slope):
-    mesh = eye_meshes(EYE.replace(iris_slope=slope), 0.3)["posterior"]
+    mesh = meshes(slope)["posterior"]
     r = np.linalg.norm(mesh.vertices[:, :2], axis=1)
     at = r.argmax()
     assert (
@@ -82,18 +88,18 @@ def test_posterior_cornea_ends_on_the_iris(slope):
     )
 
 
-def test_what_the_eye_lacks_is_not_written(tmp_path):
-    assert set(write_eye(tmp_path, Eye(cornea=None, sclera=None), 0.5)) == {"iris"}
-    assert set(eye_meshes(Eye(cornea=Cornea.f09(), aqueous_index=1.376), 0.5)) == {
+def test_what_the_eye_lacks_has_no_mesh():
+    assert set(eye_meshes(Eye(cornea=None, sclera=None), 0.2)) == {"iris"}
+    assert set(eye_meshes(Eye(cornea=Cornea.f09(), aqueous_index=1.376), 0.2)) == {
         "anterior",
         "iris",
         "sclera",
     }
 
 
-def _read_ply(path):
+def _read_ply(data):
     """Vertices (properties in order) and triangles of a binary PLY, by its specification."""
-    header, _, body = path.read_bytes().partition(b"end_header\n")
+    header, _, body = data.partition(b"end_header\n")
     assert header.startswith(b"ply\nformat binary_little_endian 1.0\n")
     lines = header.decode().split("\n")
     number = {
@@ -108,37 +114,24 @@ def _read_ply(path):
     return dict(zip(names, points.T, strict=True)), faces["index"]
 
 
-def test_files_hold_the_meshes(tmp_path):
-    files = write_eye(tmp_path, EYE, 0.3)
-    assert sorted(tmp_path.iterdir()) == sorted(files.values())
-    for name, mesh in eye_meshes(EYE, 0.3).items():
-        found, faces = _read_ply(files[name])
-        columns = [*mesh.vertices.T, *mesh.normals.T, *(() if mesh.uv is None else mesh.uv.T)]
-        assert list(found) == [
-            "x",
-            "y",
-            "z",
-            "nx",
-            "ny",
-            "nz",
-            *([] if mesh.uv is None else ["u", "v"]),
-        ]
+def test_files_hold_the_meshes():
+    files = mesh_files(meshes())
+    assert set(files) == {f"{name}.ply" for name in meshes()}
+    for name, mesh in meshes().items():
+        found, faces = _read_ply(files[f"{name}.ply"])
+        uv = mesh.vertex_attributes
+        assert list(found) == ["x", "y", "z", "nx", "ny", "nz", *uv]
+        columns = [*mesh.vertices.T, *mesh.vertex_normals.T, *uv.values()]
         np.testing.assert_allclose(list(found.values()), columns, rtol=1e-6, atol=1e-7)
         np.testing.assert_array_equal(faces, mesh.faces)
 
 
 def test_finer_where_asked():
-    assert len(eye_meshes(EYE, 0.1)["anterior"].faces) > 3 * len(
-        eye_meshes(EYE, 0.2)["anterior"].faces
-    )
+    coarse = eye_meshes(EYE, 0.4)["anterior"]
+    assert len(meshes()["anterior"].faces) > 3 * len(coarse.faces)
 
 
 @pytest.mark.parametrize("spacing", [0.0, -1.0, np.nan, np.inf])
 def test_impossible_spacing_is_refused(spacing):
     with pytest.raises(ValueError, match="spacing"):
         eye_meshes(EYE, spacing)
-
-
-def test_missing_folder_is_named(tmp_path):
-    with pytest.raises(FileNotFoundError, match="nowhere"):
-        write_eye(tmp_path / "nowhere", EYE, 0.5)

@@ -2,14 +2,15 @@
 
 import re
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 from handed_over import CAMERA, EYE, pixels, rgb
 
 import irisjax as ij
-from irisjax.export import export
-from irisjax.export.mesh import encode_ply, eye_meshes, right_handed
+from irisjax.export import export_scene
+from irisjax.export.mesh import eye_meshes, mesh_files, right_handed
 from irisjax.numerics.interpolation import polar_bilinear
 from irisjax.render.environment import Environment
 from irisjax.render.picture import draw
@@ -97,7 +98,7 @@ def test_relief_tilts_their_shading_as_ours(tmp_path, mi):
         ij.Lights.distant(0.9, 0.4),
         camera=CAMERA,
     )
-    made = export(tmp_path / "eye", scene, spacing=0.2)
+    made = export_scene(tmp_path / "eye", scene, spacing=0.2)
     theirs = np.array(mi.render(mi.load_file(str(tmp_path / "eye" / "scene.xml"), spp=16))).reshape(
         -1, 3
     )
@@ -125,7 +126,7 @@ def test_fine_relief_is_as_steep_as_a_mesh_of_it(tmp_path, mi):
 
     maps = IrisMaps(relief=relief(*cell_centres(shape)))
     scene = ij.Scene(ij.Iris.of_level("low"), maps, EYE, ij.Lights.distant(0.1, 0.4), camera=CAMERA)
-    made = export(tmp_path / "eye", scene, spacing=0.2)
+    made = export_scene(tmp_path / "eye", scene, spacing=0.2)
     index, point = on_the_iris(scene)
     ours = np.asarray(draw(scene)).reshape(-1, 3)[index].mean(0)
     shaded = ours / np.asarray(draw(scene.replace(maps=None))).reshape(-1, 3)[index].mean(0)
@@ -144,7 +145,7 @@ def test_fine_relief_is_as_steep_as_a_mesh_of_it(tmp_path, mi):
     mesh = right_handed(eye_meshes(EYE, 0.025)["iris"])
     angle = np.arctan2(mesh.vertices[:, 1], mesh.vertices[:, 0])
     mesh.vertices[:, 2] += height * np.cos(lobes * angle)
-    (tmp_path / "eye" / "fine.ply").write_bytes(encode_ply(mesh))
+    (tmp_path / "eye" / "fine.ply").write_bytes(mesh_files({"fine": mesh})["fine.ply"])
     text = made.files["scene.xml"].read_text().replace("iris.ply", "fine.ply")
     text = text.replace('name="max_depth" value="10"', 'name="max_depth" value="2"')
     text = re.sub(
@@ -177,23 +178,20 @@ def test_slopes_of_a_relief():
     """Exact for a plane up to the edges; of waves of four texels steeper than a polygon through
     them (0.9), not half.
     """
-    eye = EYE
-    pupil, span = float(eye.pupil_radius), float(eye.iris_radius - eye.pupil_radius)
-    for shape in ((2, 2), (24, 8)):
-        plane = jnp.broadcast_to(0.1 * cell_centres(shape)[1], shape)
-        along, across = slopes_of(plane, eye)
-        np.testing.assert_allclose(along, 0.1 / span, rtol=1e-5)
-        np.testing.assert_allclose(across, 0, atol=1e-6)
+    pupil, span = float(EYE.pupil_radius), float(EYE.iris_radius - EYE.pupil_radius)
     place = np.random.default_rng(0).uniform(size=(2, 4000))
     angle, radius = 2 * np.pi * place[0], 0.05 + 0.9 * place[1]
+
+    slopes = jax.jit(lambda relief: slopes_of(relief, EYE))
+    at = jax.jit(lambda found: polar_bilinear(found, jnp.asarray(angle), jnp.asarray(radius)))
+    for shape in ((2, 2), (24, 8)):
+        along, across = slopes(jnp.broadcast_to(0.1 * cell_centres(shape)[1], shape))
+        np.testing.assert_allclose(along, 0.1 / span, rtol=1e-5)
+        np.testing.assert_allclose(across, 0, atol=1e-6)
     for lobes, cycles, most in ((24, 0, 0.08), (12, 0, 0.01), (0, 8, 0.08), (0, 4, 0.01)):
-        a, r = cell_centres((96, 32))
+        a, r = (np.asarray(c) for c in cell_centres((96, 32)))
         phase = lobes * a[:, None] + 2 * np.pi * cycles * r + 0.7
-        found = np.stack(
-            polar_bilinear(
-                slopes_of(0.02 * jnp.cos(phase), eye), jnp.asarray(angle), jnp.asarray(radius)
-            )
-        )
+        found = np.stack(at(slopes(jnp.asarray(0.02 * np.cos(phase)))))
         slope = -0.02 * np.sin(lobes * angle + 2 * np.pi * cycles * radius + 0.7)
         true = slope * np.stack(
             [0 * angle + 2 * np.pi * cycles / span, lobes / (pupil + span * radius)]
@@ -214,7 +212,7 @@ def test_eye_behind_its_cornea(tmp_path, mi):
     iris = ij.Iris.of_level("low").replace(fibril_radius=60.0)  # bright, that noise may be little
     camera = ij.Camera(0.1, 0.3, size=(48, 36))
     scene = ij.Scene(iris, None, lights=None, environment=Environment(around), camera=camera)
-    made = export(tmp_path / "eye", scene, spacing=0.2)
+    made = export_scene(tmp_path / "eye", scene, spacing=0.2)
     assert set(made.files) >= {
         f"{n}.{k}" for n in ("anterior", "posterior", "iris", "sclera") for k in ("ply", "obj")
     }
@@ -240,7 +238,9 @@ def test_eye_behind_its_cornea(tmp_path, mi):
 @pytest.mark.slow  # 20 s of tables
 def test_lamps_before_a_cornea_keep_their_irradiance(tmp_path):
     lamps = ij.Lights.points([0.0, 0.0, -400.0], 2.0) + ij.Lights.distant(0.5, 0.0, radius=0.4)
-    export(tmp_path / "eye", ij.Scene(ij.Iris.of_level("low"), None, lights=lamps), spacing=1.0)
+    export_scene(
+        tmp_path / "eye", ij.Scene(ij.Iris.of_level("low"), None, lights=lamps), spacing=1.0
+    )
     text = (tmp_path / "eye" / "scene.xml").read_text()
     radiances = [float(r) for r in re.findall(r'name="radiance" value="([\d.e+-]+),', text)]
     angles = [np.radians(20), 0.4]

@@ -151,7 +151,7 @@ def test_errors(tmp_path):
         io.write_png(tmp_path / "p.png", np.zeros((2, 2, 3)), bits=12)
     with pytest.raises(ValueError, match="1 pixels are not finite"):
         io.write_png(tmp_path / "p.png", np.where(np.arange(12).reshape(2, 2, 3) == 4, np.nan, 0))
-    with pytest.raises(ValueError, match="stands twice"):
+    with pytest.raises(ValueError, match="appears twice"):
         io.write_exr(tmp_path / "p.exr", np.zeros((2, 2, 2)), ("R", "R"))
     with pytest.raises(ValueError, match="unknown layer"):
         io.spectral_channels([500], "X")

@@ -154,6 +154,7 @@ def test_standard_deviations_are_converted_too(tmp_path, quantity, y):
         return io.read_measured(written(tmp_path, text), quantity=quantity)
 
     slope = (read(y - 1e-4).values[0] - read(y + 1e-4).values[0]) / 2e-4
+    assert read(y).sd.shape == (2,)
     np.testing.assert_allclose(read(y).sd, 0.01 * slope, rtol=1e-4)
 
 

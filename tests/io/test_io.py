@@ -32,10 +32,10 @@ def test_header_takes_no_new_line():
     ("text", "message"),
     [
         ("", "no columns"),
-        ("# a: 1\n# a: 2\nx\n", "line 2: a stands twice"),
+        ("# a: 1\n# a: 2\nx\n", "line 2: a appears twice"),
         ("# c\nx,y\n1\n", "line 3: 1 values for 2 columns"),
         ("x,y\n1,2\n\n3,four\n", "line 4: y = 'four' is not a number"),
-        ("x,x\n1,2\n", "line 1: a column name stands twice"),
+        ("x,x\n1,2\n", "line 1: a column name appears twice"),
     ],
 )
 def test_unreadable_tables_are_named(tmp_path, text, message):

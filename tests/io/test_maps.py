@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from irisjax import cli, io
-from irisjax.io.maps import NAMES
+from irisjax.io.maps import MAP_NAMES
 from irisjax.io.scenes import read_scene
 from irisjax.tissue.maps import IrisMaps
 
@@ -19,7 +19,7 @@ def drawn(*names):
 
 
 @pytest.mark.parametrize(
-    "names", [NAMES, ("eumelanin",), ("freckles", "relief"), NAMES[:3], NAMES[:4]]
+    "names", [MAP_NAMES, ("eumelanin",), ("freckles", "relief"), MAP_NAMES[:3], MAP_NAMES[:4]]
 )
 def test_round_trip_to_the_last_bit(tmp_path, bits, names):
     maps = drawn(*names)

@@ -79,7 +79,7 @@ def test_standard_deviations_and_repeated_scans(tmp_path):
         ("nm,R\n400,0.1\n410,inf\n", "line 3: inf is not a finite number"),
         ("nm,R\n400,\n410,nan\n", "no wavelength has a value"),
         ("nm,R\n200,0.1\n210,0.1\n", "none is within 350 to 800 nm"),
-        ("nm,R\n400,0.1\n400,0.2\n", "line 3: 400 nm stands twice"),
+        ("nm,R\n400,0.1\n400,0.2\n", "line 3: 400 nm appears twice"),
         ("nm,R,sd\n400,0.1,0.01\n410,0.1,0\n", "line 3: standard deviation 0"),
         ("nm,R,sd,sigma\n400,0.1,0.01,1\n", "need one spectrum"),
     ],

@@ -58,7 +58,7 @@ def test_a_recipe_in_another_folder_finds_its_files(tmp_path):
     away = tmp_path / "a" / "b"
     moved = _written(away / "recipe.toml", recipe.moved(away))
     assert moved.folder == away
-    assert moved.mixer().names == ("mud",)
+    assert moved.mixer().paints == ("mud",)
     (home / 'my "scan".png').write_text("not a picture")
     near, far = (coat.parameters["file"] for coat in moved.coats)
     assert (away / near).resolve() == (home / 'my "scan".png').resolve()

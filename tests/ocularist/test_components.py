@@ -7,9 +7,13 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from irisjax.ocularist.component import LIMITS, AbstractComponent
-from irisjax.ocularist.components import COMPONENTS, component
-from irisjax.ocularist.scans import scan
+from irisjax.ocularist.components import (
+    COMPONENTS,
+    PARAMETER_RANGES,
+    AbstractComponent,
+    component,
+    scan,
+)
 
 PUPIL, SIZE = 0.3, 256
 DRAWN = [name for name in COMPONENTS if name != "base"]
@@ -179,9 +183,9 @@ def test_softer_brushes_leave_softer_edges():
 def test_every_limit_can_be_drawn(name):
     for end in ("low", "high"):
         given = {
-            p: getattr(LIMITS[p], end)
+            p: getattr(PARAMETER_RANGES[p], end)
             for p in COMPONENTS[name].__dataclass_fields__
-            if p in LIMITS and p not in ("inner", "outer")
+            if p in PARAMETER_RANGES and p not in ("inner", "outer")
         }
         assert np.isfinite(drawn(name, 32, **given)).all()
 

@@ -1,4 +1,4 @@
-"""Mixtures in HSL, against Python's colorsys and by hand."""
+"""Paints by name, and their mixtures in HSL, against Python's colorsys and by hand."""
 
 import colorsys
 
@@ -8,8 +8,15 @@ import numpy as np
 import pytest
 
 from irisjax.measure.colour import srgb_decode, srgb_encode
-from irisjax.ocularist.mixing import HslMixer, hsl_of, mixed_in_hsl, srgb_of
-from irisjax.ocularist.palette import Palette
+from irisjax.ocularist.mixing import (
+    FURTHER_PAINTS,
+    PAINTS,
+    HslMixer,
+    hsl_of,
+    linear_colour,
+    mixed_in_hsl,
+    srgb_of,
+)
 
 GRID = np.stack(np.meshgrid(*[np.linspace(0, 1, 6)] * 3), -1).reshape(-1, 3)
 TONES = {
@@ -19,7 +26,7 @@ TONES = {
 
 
 def mixer():
-    return HslMixer(Palette.of(TONES))
+    return HslMixer.of(TONES)
 
 
 def encoded(linear):
@@ -90,24 +97,24 @@ def pairs(names):
 
 
 def test_the_ends_are_the_paints(bits):
-    m = HslMixer()
-    first, second = pairs(m.names)
+    m = HslMixer.default()
+    first, second = pairs(m.paints)
     for share, paints in ((0.0, first), (1.0, second)):
         found = m.mix(first, second, share)
-        np.testing.assert_allclose(found, m.palette.colour(paints), atol=1e-5)
-        assert found.dtype == m.palette.colours.dtype
+        np.testing.assert_allclose(found, m.colours[m.indices(paints)], atol=1e-5)
+        assert found.dtype == m.colours.dtype
 
 
 @pytest.mark.parametrize("share", [0.2, 0.5, 0.7])
 def test_a_mixture_and_its_mirror_image(share):
-    m = HslMixer()
-    first, second = pairs(m.names)
+    m = HslMixer.default()
+    first, second = pairs(m.paints)
     there, back = m.mix(first, second, share), m.mix(second, first, 1 - share)
     np.testing.assert_allclose(there, back, atol=1e-12)
 
 
 def test_many_coats_at_once():
-    m = HslMixer()
+    m = HslMixer.default()
     first, second = ["ultramarine", "burnt umber", "cadmium red"], "titanium white"
     shares = jnp.asarray([0.1, 0.5, 0.9])
     found = jax.jit(lambda m, s: m.mix(first, second, s))(m, shares)
@@ -144,7 +151,7 @@ def test_no_gradient_is_lost_at_greys_and_ends():
 
 
 def test_refusals():
-    m = HslMixer()
+    m = HslMixer.default()
     with pytest.raises(ValueError, match=r"^share = 1\.2 is outside \[0, 1\]$"):
         m.mix("burnt umber", "ultramarine", 1.2)
     with pytest.raises(ValueError, match="share = nan is outside"):
@@ -155,8 +162,72 @@ def test_refusals():
         m.mix(["burnt umber", "burnt umber"], "ultramarine", jnp.zeros(3))
 
 
-def test_paints_are_added():
-    edited = HslMixer().with_paints({"raw umber": "#322b26"})
-    assert edited.names[-1] == "raw umber"
+def colour(mixer, paint):
+    return mixer.colours[mixer.indices(paint)]
+
+
+def test_fewer_than_ten_paints_with_their_sources():
+    """[L03 Section 3.2]"""
+    assert len(PAINTS) == 9
+    assert all(paint.source for paint in {**PAINTS, **FURTHER_PAINTS}.values())
+    m = HslMixer.default()
+    assert m.paints == tuple(PAINTS)
+    steps = np.rint(255 * encoded(m.colours)).astype(int)
+    assert ["#" + bytes(s.tolist()).hex() for s in steps] == [p.srgb for p in PAINTS.values()]
+
+
+def test_colours_are_linear():
+    """#cd261e by hand: ((205/255 + 0.055)/1.055)^2.4 and so on [IEC 61966-2-1]."""
+    by_hand = [((v / 255 + 0.055) / 1.055) ** 2.4 for v in (205, 38, 30)]
+    np.testing.assert_allclose(colour(HslMixer.default(), "cadmium red"), by_hand, rtol=1e-12)
+
+
+@pytest.mark.parametrize(
+    "same", ["#322B26", (50, 43, 38), [50.0, 43.0, 38.0], np.array([50, 43, 38])]
+)
+def test_paints_are_added_and_replaced(same):
+    default = HslMixer.default()
+    edited = default.with_paints({"raw umber": same, "burnt umber": "#402010"})
+    assert edited.paints == (*default.paints, "raw umber")
+    for name, steps in (("raw umber", (50, 43, 38)), ("burnt umber", (64, 32, 16))):
+        np.testing.assert_allclose(255 * encoded(colour(edited, name)), steps, atol=1e-9)
     found = 255 * encoded(edited.mix("raw umber", "burnt umber", 0.0))
     np.testing.assert_allclose(found, (50, 43, 38), atol=1e-9)
+    others = [name for name in default.paints if name != "burnt umber"]
+    np.testing.assert_array_equal(colour(edited, others), colour(default, others))
+
+
+@pytest.mark.parametrize(
+    "colour",
+    ["", "moss", "#12345", "#1234567", "#12345g", "123456", (1, 2), (1, 2, 3, 4), (0, 0, 256),
+     (-1, 0, 0), (0, float("nan"), 0), (True, 0, 0), ("1", "2", "3"), 7, None, {"r": 1}],
+)  # fmt: skip
+def test_what_is_no_colour(colour):
+    with pytest.raises(
+        ValueError,
+        match=r"^paint 'moss': .* is no colour; need '#rrggbb' or three numbers in \[0, 255\]$",
+    ):
+        linear_colour("moss", colour)
+
+
+def test_unknown_paints_are_named_with_the_known():
+    m = HslMixer.default()
+    with pytest.raises(
+        ValueError,
+        match=r"^unknown paint 'ultramarin'; did you mean 'ultramarine'\? known: ivory black, .*, cadmium red$",
+    ):
+        m.indices("ultramarin")
+    with pytest.raises(ValueError, match=r"^unknown paint 'xyz'; known: ivory black, "):
+        m.indices(["burnt umber", "xyz"])
+
+
+def test_broken_palettes():
+    colours = HslMixer.default().colours
+    with pytest.raises(ValueError, match="at least one paint"):
+        HslMixer.of({})
+    with pytest.raises(ValueError, match="one name a colour, each once; got 2 names for 2"):
+        HslMixer(("a", "a"), colours[:2])
+    with pytest.raises(ValueError, match="got 1 names for 2"):
+        HslMixer(("a",), colours[:2])
+    with pytest.raises(ValueError, match=r"reflectance of paint 'a' = 1\.9\d* is outside \[0, 1\]"):
+        HslMixer(("a",), colours[1:2] * 2)

@@ -6,15 +6,15 @@ import numpy as np
 import pytest
 
 from irisjax.ocularist.components import component
-from irisjax.ocularist.recipes import COLOURS, HEIGHT_STEP, TYPES, coats
+from irisjax.ocularist.recipes import EYE_COLOURS, EYE_TYPES, HEIGHT_STEP, coats
 
 COUNTS = {"brown": 12, "blue": 50, "green": 30}  # [L03 Fig. 10] and our own for green
-EYES = [(kind, colour) for kind in TYPES for colour in COLOURS]
+EYES = [(kind, colour) for kind in EYE_TYPES for colour in EYE_COLOURS]
 
 
 def test_types_and_colours_are_the_papers():
-    assert TYPES == ("smeared", "dit-dot", "detail")
-    assert set(COLOURS) == set(COUNTS)
+    assert EYE_TYPES == ("smeared", "dit-dot", "detail")
+    assert set(EYE_COLOURS) == set(COUNTS)
 
 
 @pytest.mark.parametrize(("kind", "colour"), EYES)
@@ -49,9 +49,9 @@ def test_back_and_forth_between_all_parts(kind, colour):
 
 
 def test_smeared_eyes_have_the_softest_brushes_and_dit_dot_ones_the_most_dots():
-    for colour in COLOURS:
+    for colour in EYE_COLOURS:
         soft, dots = {}, {}
-        for kind in TYPES:
+        for kind in EYE_TYPES:
             stroma = [
                 c for s in range(3) for c in coats(kind, colour, seed=s) if "stroma" in c.component
             ]

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from irisjax.ocularist.strokes import Dots, Paint, Ring, Strokes, around, wander
+from irisjax.ocularist.strokes import Annulus, Dots, Paint, Strokes, angles_round, smooth_noise
 
 RNG = np.random.default_rng(5)
 FAINT = 1e-7  # optical depth × area: opacity is proportional to it
@@ -53,7 +53,7 @@ def test_paint_beyond_the_square_does_not_come_back():
 
 
 def test_a_dot_is_as_wide_and_as_thick_as_it_says():
-    ring, n = Ring(0.3), 40
+    ring, n = Annulus(0.3), 40
     angle = 2 * np.pi * np.arange(n) / n
     dots = Dots(angle, np.full(n, 0.5), np.full(n, 0.06), np.full(n, 1.5))
     opacity = dots.paint(RNG, ring, 0.004).opacity(1024, 0.004)
@@ -66,7 +66,7 @@ def test_a_dot_is_as_wide_and_as_thick_as_it_says():
 
 
 def test_strokes_run_where_they_are_put():
-    ring, n = Ring(0.3), 60
+    ring, n = Annulus(0.3), 60
     path = Strokes(
         *(np.full(n, v) for v in (np.pi / 2, 0.2, 0.5, 0.02)), np.zeros(n), np.full(n, 0.01)
     )
@@ -80,13 +80,13 @@ def test_strokes_run_where_they_are_put():
 
 def test_no_strokes_are_no_paint():
     none = np.zeros(0)
-    assert len(Strokes(*[none] * 6).paint(RNG, Ring(0.3), 0.01, 0.5).x) == 0
-    assert Dots(*[none] * 4).paint(RNG, Ring(0.3), 0.01).opacity(16, 0.01).max() == 0
+    assert len(Strokes(*[none] * 6).paint(RNG, Annulus(0.3), 0.01, 0.5).x) == 0
+    assert Dots(*[none] * 4).paint(RNG, Annulus(0.3), 0.01).opacity(16, 0.01).max() == 0
 
 
 def test_angles_are_even_or_not_as_asked():
     def gaps(irregularity):
-        angle = np.sort(around(np.random.default_rng(3), 200, irregularity) % (2 * np.pi))
+        angle = np.sort(angles_round(np.random.default_rng(3), 200, irregularity) % (2 * np.pi))
         return np.diff(np.append(angle, angle[0] + 2 * np.pi)) * 200 / (2 * np.pi)
 
     np.testing.assert_allclose(gaps(0.0), 1, atol=1e-9)
@@ -95,7 +95,7 @@ def test_angles_are_even_or_not_as_asked():
 
 
 def test_a_wandering_edge_closes():
-    at = wander(np.random.default_rng(1), 14)
+    at = smooth_noise(np.random.default_rng(1), 14)
     angle = np.linspace(0, 2 * np.pi, 4097)
     values = at(angle)
     np.testing.assert_allclose(values[0], values[-1], atol=1e-9)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from irisjax.anatomy.eye import Eye
-from irisjax.export.mesh import write_eye
+from irisjax.export.mesh import eye_meshes, mesh_files
 from irisjax.optics.conicoid import norm
 from irisjax.render.caustic import SquareGrid, gathered
 from irisjax.render.refraction import arrive, enter
@@ -28,17 +28,19 @@ def _variant():
 @pytest.fixture(scope="module")
 def cornea(tmp_path_factory):
     """Both surfaces at 0.1 mm, as shapes of a scene, and the iris's file."""
-    files = write_eye(tmp_path_factory.mktemp("eye"), EYE.replace(sclera=None), 0.1)
+    folder = tmp_path_factory.mktemp("eye")
+    for name, data in mesh_files(eye_meshes(EYE.replace(sclera=None), 0.1)).items():
+        (folder / name).write_bytes(data)
     media = {"anterior": (1.3771, 1.0), "posterior": (1.336, 1.3771)}
     shapes = {
         name: {
             "type": "ply",
-            "filename": str(files[name]),
+            "filename": str(folder / f"{name}.ply"),
             "bsdf": {"type": "dielectric", "int_ior": inside, "ext_ior": outside},
         }
         for name, (inside, outside) in media.items()
     }
-    return shapes, str(files["iris"])
+    return shapes, str(folder / "iris.ply")
 
 
 def _colour(value):

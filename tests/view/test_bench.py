@@ -12,8 +12,8 @@ from irisjax.io.recipes import Recipe, read_recipe
 from irisjax.measure.colour import srgb_decode, srgb_encode
 from irisjax.ocularist import composite
 from irisjax.ocularist.coats import over, through
-from irisjax.ocularist.easel import painted
 from irisjax.ocularist.integrator import Painted
+from irisjax.ocularist.painting import painted
 from irisjax.ocularist.recipes import CoatRecipe
 from irisjax.render.picture import draw
 from irisjax.view import Bench

@@ -1,4 +1,4 @@
-"""From a recipe to a painting: maps drawn, paints mixed, the scene to look at it."""
+"""From a recipe to a painting and its scene: opacity maps are drawn and paints mixed."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -11,26 +11,24 @@ from irisjax.anatomy.eye import Eye
 from irisjax.grow.vessels import veins
 from irisjax.numerics.checks import check_known
 from irisjax.ocularist.coats import Coat, Painting, profile_of
-from irisjax.ocularist.components import component
+from irisjax.ocularist.components import component, scan
 from irisjax.ocularist.cones import Cones
 from irisjax.ocularist.integrator import Painted
 from irisjax.ocularist.mixing import AbstractMixer
 from irisjax.ocularist.recipes import CoatRecipe
-from irisjax.ocularist.scans import scan
 from irisjax.render.camera import Camera
 from irisjax.render.lights import Lights
 from irisjax.render.scene import Scene
 
 SCAN = "scan"
-"""Component of a coat whose opacity is a picture of the user's, `parameters["file"]`."""
-_FILE = "file"  # its only parameter
-SIZE = 512
+"""Component of a coat whose opacity is the user's picture, `parameters["file"]`."""
+OPACITY_SIZE = 512
 """Texels along a side of opacity maps."""
 
-ENVIRONMENT_LIGHTS = 16
-"""Lamps that stand for an environment: each has shadows of every coat. Of a blue eye of 50 coats
-they leave 0.6 levels of 255 in the mean to 64 lamps in the studio, and 1.1 under the sky.
-"""
+_FILE = "file"  # the only parameter of a scan
+# Lamps that represent an environment; each has shadows of every coat. For a blue eye of 50 coats
+# 16 differ from 64 by 0.6 levels of 255 in the mean in the studio, and by 1.1 under the sky.
+_ENVIRONMENT_LIGHTS = 16
 
 
 def painted(
@@ -38,11 +36,11 @@ def painted(
     mixer: AbstractMixer,
     eye: Eye,
     *,
-    size: int = SIZE,
+    size: int = OPACITY_SIZE,
     scans: Mapping[str, np.ndarray] | None = None,
     profile: Cones | None = None,
 ) -> Painting:
-    """Paint the coats of a recipe; those that lie higher come later, whatever their order.
+    """Paint the coats of a recipe, sorted by height.
 
     Args:
         recipes: The coats; those of equal height in their order, the bottom one first.
@@ -55,22 +53,18 @@ def painted(
     Raises:
         ValueError: naming the coat, for what cannot be painted.
     """
-    coats = []
+    coats, dtype = [], jnp.result_type(float)
     for number, recipe in enumerate(recipes, 1):
         name = f"{number:02d} {recipe.component}"
         try:
             opacity = _opacity(recipe, eye, size, scans or {})
             colour = mixer.mix(recipe.first, recipe.second, recipe.share)
-            coats.append(_coat(name, recipe.opacity * opacity, colour, recipe.height))
+            values = recipe.opacity * opacity, colour, recipe.height
+            coats.append(Coat(name, *(jnp.asarray(v, dtype) for v in values)))
         except ValueError as error:
             raise ValueError(f"coat {number} ({recipe.component}): {error}") from None
     coats.sort(key=lambda coat: float(coat.height))  # stable: equal heights keep their order
     return Painting(tuple(coats), profile_of(eye) if profile is None else profile)
-
-
-def _coat(name: str, opacity, colour, height) -> Coat:
-    dtype = jnp.result_type(float)
-    return Coat(name, *(jnp.asarray(v, dtype) for v in (opacity, colour, height)))
 
 
 def _opacity(recipe: CoatRecipe, eye: Eye, size: int, scans: Mapping[str, np.ndarray]):
@@ -90,16 +84,19 @@ def _opacity(recipe: CoatRecipe, eye: Eye, size: int, scans: Mapping[str, np.nda
 
 
 def studio(painting: Painting, eye: Eye, *, seed: int = 0, **parts: Any) -> Scene:
-    """A scene of a painted eye in the light of two lamps, vessels on its white.
+    """A scene of a painted eye in the light of two lamps, with vessels on its white.
 
-    `seed`: of the vessels. `parts`: of the `Scene`, in place of these; an environment is
-    `ENVIRONMENT_LIGHTS` lamps.
+    Args:
+        painting: Of the eye's iris.
+        eye: The eye.
+        seed: Of the vessels.
+        parts: Of the `Scene`, in place of the defaults; an environment is represented by 16 lamps.
     """
     usual: dict[str, Any] = {
         "lights": Lights.distant(0.6, 2.2, 2.4) + Lights.distant(0.5, -0.6, 0.9),
         "camera": Camera(width=jnp.asarray(16.5), size=(800, 600)),
         "integrator": Painted(painting=painting),
-        "environment_lights": ENVIRONMENT_LIGHTS,
+        "environment_lights": _ENVIRONMENT_LIGHTS,
     }
     if eye.sclera is not None:
         usual["veins"] = veins(eye, key=jax.random.key(seed))

@@ -1,5 +1,5 @@
-"""Between paint and tissue: an iris of pigments as a target for paint, and a painted iris as maps
-of pigments, so that either kind of eye goes wherever the other does.
+"""Paint and tissue: an iris of pigments as a target for paint, and a painted iris as maps of
+pigments.
 """
 
 from typing import NamedTuple
@@ -13,7 +13,7 @@ from irisjax._types import as_float
 from irisjax.anatomy.eye import Eye
 from irisjax.numerics.checks import Range, check_range
 from irisjax.ocularist.coats import Painting
-from irisjax.ocularist.plan import SHAPE, Difference, difference, lab, texture_of
+from irisjax.ocularist.plan import TEXTURE_SHAPE, Difference, difference, lab, texture_of
 from irisjax.render.albedo import Matt
 from irisjax.render.bands import colour_bands
 from irisjax.render.radiative import RadiativeIntegrator
@@ -21,19 +21,19 @@ from irisjax.render.separable import Separable
 from irisjax.tissue.iris import Iris
 from irisjax.tissue.maps import IrisMaps
 
-EXPOSURE = Range(0.0, 1000.0, meaning="of tissue against paint", above=True)
 EUMELANIN = np.geomspace(0.05, 4.0, 32)
-"""Concentrations of eumelanin that are tried, relative to the iris's."""
+"""Trial concentrations of eumelanin, relative to the iris's."""
 PHEOMELANIN = np.geomspace(0.1, 6.0, 16)
-"""The same of pheomelanin."""
+"""Trial concentrations of pheomelanin, likewise."""
 STROMA = np.geomspace(0.25, 1.5, 12)
-"""Thicknesses of the stroma that are tried, relative to the iris's."""
-USUAL = 0.3
-"""ΔE*ab that a texel leaves for pigments and a thickness e times nearer to the iris's own: colours
-alone do not tell neighbours' pigments apart, and between texels maps are interpolated.
-"""
-# Over so wide a range of concentrations the usual degrees are off by 3 % of the brightest texel, as
-# much as 2 ΔE*ab of dark ones; these by 0.3 %.
+"""Trial thicknesses of the stroma, likewise."""
+
+_EXPOSURE = Range(0.0, 1000.0, meaning="of tissue against paint", above=True)
+# ΔE*ab that a factor of e from the iris's own pigments and thickness costs. Colours alone leave the
+# pigments of neighbouring texels undetermined, and maps are interpolated between texels.
+_PULL = 0.3
+# Over this range of concentrations the default degrees err by 3 % of the brightest texel, up to
+# 2 ΔE*ab for dark ones; these by 0.3 %.
 _DEGREES = (8, 7, 6, 6, 3)
 _EXPOSURES = np.geomspace(1.0, 64.0, 37)
 _TEXELS = 1000  # that choose the exposure
@@ -42,8 +42,11 @@ _TEXELS = 1000  # that choose the exposure
 class Tissue(NamedTuple):
     """An iris of pigments that looks like a painted one.
 
-    - `exposure`: factor by which its reflectance looks like the paint's. `left`: what remains of
-        the colour difference, the albedo of the maps computed anew.
+    Attributes:
+        iris: What the maps are relative to.
+        maps: Of the pigments and of the stroma's thickness.
+        exposure: Factor on the tissue's reflectance that makes it look like the paint.
+        left: The remaining colour difference, of the albedo that the maps themselves give.
     """
 
     iris: Iris
@@ -58,44 +61,45 @@ def reflectance_of(
     eye: Eye,
     integrator: Separable | RadiativeIntegrator | None = None,
 ) -> Float[Array, "angles radii 3"]:
-    """Linear sRGB reflectance of an iris of pigments without its cornea, as `match` takes targets.
+    """Linear sRGB reflectance of an iris of pigments without its cornea, a target for `match`.
 
-    Tissue sends back a few per cent of the light, paint far more: a factor on the result makes them
-    alike. `integrator`: ILIT's by default. Without maps all texels of (2, 2) are alike.
+    Tissue reflects a few per cent of the light, paint far more: multiply the result by a factor.
+    Without maps the result has equal texels, of shape (2, 2, 3). The default integrator is ILIT's.
     """
     asked = Separable(degrees=_DEGREES) if integrator is None else integrator
     matt = Matt.of(iris, maps, eye, colour_bands(), asked)
     return jnp.maximum(matt.albedo(), 0.0)
 
 
-def maps_of(
+def nearest_tissue(
     painting: Painting,
     eye: Eye,
     iris: Iris | None = None,
     *,
-    shape: tuple[int, int] = SHAPE,
+    shape: tuple[int, int] = TEXTURE_SHAPE,
     exposure: float | None = None,
     integrator: Separable | RadiativeIntegrator | None = None,
 ) -> Tissue:
-    """Maps of both melanins and of the stroma's thickness that look most like paint in plan view.
+    """Find maps of both melanins and of the stroma's thickness that look most like paint in plan
+    view.
 
     Each texel takes the nearest in L*a*b* of a table over `EUMELANIN`, `PHEOMELANIN` and `STROMA`.
-    Paint has colours that tissue has not (greens, violets, anything light and saturated): `left`
-    tells how far off they are. The maps hold no heights of coats.
+    Some colours of paint (greens, violets, anything light and saturated) are none of tissue; `left`
+    of the result is the remaining difference. The heights of coats are not used.
 
     Args:
-        painting: Seen as by `texture_of`.
+        painting: The painted iris.
         eye: Whose iris was painted.
-        iris: What the maps are relative to; the default iris.
+        iris: What the maps are relative to; by default `Iris()`.
         shape: (angles, radii) of the maps.
-        exposure: Factor on the tissue's reflectance before the two are compared; by default that,
-            from 1 to 64, which leaves the least mean difference.
-        integrator: What the tissue's colours are computed with, ILIT's by default.
+        exposure: Factor on the tissue's reflectance before the two are compared; by default the
+            one, from 1 to 64, that leaves the least mean difference.
+        integrator: For the tissue's colours; ILIT's by default.
 
     Raises:
-        ValueError: as `texture_of` does, and for an exposure out of range.
+        ValueError: as for `texture_of`, and for an exposure out of range.
     """
-    check_range("exposure", exposure, EXPOSURE)
+    check_range("exposure", exposure, _EXPOSURE)
     iris = Iris() if iris is None else iris
     paint = texture_of(painting, eye, shape)
     wanted = np.asarray(lab(paint), np.float64).reshape(-1, 3)
@@ -123,8 +127,8 @@ def _maps(scales: np.ndarray, iris: Iris) -> IrisMaps:
 
 
 def _nearest(wanted: np.ndarray, colours, scales: np.ndarray, exposure: float):
-    """Distances and places in the table of the tissue nearest to each colour."""
+    """Distances to the nearest tissue of the table, and its indices."""
     shown = np.asarray(lab(as_float(exposure) * colours), np.float64)
-    table = KDTree(np.concatenate([shown, USUAL * np.log(scales)], 1))
+    table = KDTree(np.concatenate([shown, _PULL * np.log(scales)], 1))
     distance, place = table.query(np.concatenate([wanted, np.zeros_like(wanted)], 1))
     return np.asarray(distance), np.asarray(place)
