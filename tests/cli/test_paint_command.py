@@ -14,6 +14,7 @@ from irisjax.cli import paint as command
 from irisjax.io.images import read_image
 from irisjax.io.recipes import read_recipe
 from irisjax.io.scenes import read_scene
+from irisjax.ocularist import composite, painting
 from irisjax.ocularist.plan import Difference
 from irisjax.ocularist.tissue import Tissue
 from irisjax.tissue.maps import IrisMaps
@@ -168,6 +169,8 @@ def test_a_type_of_eye_has_the_papers_number_of_coats(irisjax, tmp_path, undrawn
 def test_an_environment_lights_and_is_mirrored(irisjax, tmp_path, monkeypatch):
     """Of equal radiance all round: the pupil mirrors 2 to 3 % of it, and a lamp adds to it."""
     monkeypatch.setattr(command, "_SMALL", (120, 90))
+    monkeypatch.setattr(painting, "_ENVIRONMENT_LIGHTS", 4)
+    monkeypatch.setattr(composite, "SHADOW", 64)  # one coat casts no shadow
     recipe = tmp_path / "recipe.toml"
     recipe.write_text('[[coat]]\ncomponent = "base"\npaints = "burnt sienna"\n')
     eyes = {}
