@@ -16,7 +16,6 @@ from paintings import (
     coat,
     in_the_middle,
     picture,
-    picture_through_cornea,
     scene,
     spots,
     tables,
@@ -97,8 +96,8 @@ def test_no_pixel_is_brighter_than_white_paint(seed):
     rng, heights = np.random.default_rng(seed), (0.0, 0.12, 0.3)
     coats = [coat(str(i), h, spots(10 * seed + i), rng.random(3)) for i, h in enumerate(heights)]
     # Paint stands out over the root as its height lets it: white at each of them.
-    white = np.max([picture_through_cornea(coat("white", h)) for h in heights], 0)
-    drawn = picture_through_cornea(*coats)
+    white = np.max([picture(coat("white", h)) for h in heights], 0)
+    drawn = picture(*coats)
     assert drawn.max() > 0.1 * white.max()
     assert (drawn <= white + 1e-12).all()
     assert drawn.min() >= -1e-12
