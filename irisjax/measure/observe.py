@@ -44,17 +44,17 @@ def observe(
 
     **Returns:** what the instrument's `reading` gives: a `Reading`, `Brdf` or `Colour`.
     **Raises:** `ValueError` for concrete input out of range, for an instrument that sees more than
-    the process has or, unless `throw=False`, for a solve
-    that failed; while tracing, look at `.status`.
+    the process has or, unless `throw=False`, for a solve that failed. Under `jit`, `vmap` and
+    `grad` the failure of a solve raises when the program runs, with the same words; give
+    `throw=False` in programs that are exported, mapped over shards or kept on disk, which cannot
+    call back, and look at `.status`.
     """
     solver = prepared(iris, instrument, IlitExact() if solver is None else solver)
     if progress is not None and isinstance(solver, MonteCarlo):
         reading = _in_blocks(iris, instrument, solver, key, progress)
     else:
         reading = _observe(iris, instrument, solver, key)
-    if throw:
-        raise_failure(reading.status)
-    return reading
+    return raise_failure(reading, reading.status) if throw else reading
 
 
 def observed(

@@ -103,7 +103,7 @@ def checked_response(
     """
     found = _response(integrator, iris, aqueous_index, bands, ranges)
     if found.status is not None:
-        raise_failure(found.status)
+        found = raise_failure(found, found.status)
     return found
 
 

@@ -1,5 +1,7 @@
 """What every solver returns, and how it says that something is wrong."""
 
+from typing import TypeVar
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -114,15 +116,36 @@ def worst(status: RESULTS) -> RESULTS:
     return jax.tree.map(jnp.max, status)
 
 
-def raise_failure(status: RESULTS) -> None:
-    """Raise `ValueError` with the reason if a concrete `status` is not successful; ignore a traced
-    one.
+T = TypeVar("T")
+
+
+def raise_failure(result: T, status: RESULTS) -> T:
+    """Return the result, or raise with the reason if `status` is not successful.
+
+    A concrete status raises `ValueError` at once. A traced one raises an error of Equinox when the
+    program runs (`equinox.error_if`), which takes no time otherwise, provided that the program uses
+    what is returned here.
     """
     if isinstance(status._value, Tracer):
-        return
+        return _guarded(result, status=status)
     # Read the code itself: comparing enumerations would dispatch a computation for every call.
     codes = np.asarray(status._value)
     if codes.any():
         raise ValueError(
             RESULTS[status] if codes.ndim == 0 else "some of the batch failed; see status"
         )
+    return result
+
+
+@eqx.filter_custom_jvp
+def _guarded(result, *, status: RESULTS):
+    return status.error_if(result, status != RESULTS.successful)
+
+
+@_guarded.def_jvp
+def _guarded_jvp(primals, tangents, *, status: RESULTS):
+    # A gradient does not use the value: the factor 1 brings the check into the derivative.
+    (result,), (slopes,) = primals, tangents
+    one = status.error_if(jnp.ones(()), status != RESULTS.successful)
+    slopes = jax.tree.map(lambda t: one.astype(t.dtype) * t, slopes)
+    return _guarded(result, status=status), slopes

@@ -1,5 +1,6 @@
 """Derivatives that do not exist, and arrays where one number is meant: refused by name."""
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import jaxtyping
@@ -141,9 +142,37 @@ def test_a_colour_needs_its_whole_grid():
         jax.vmap(value)(jnp.asarray(GRID))
 
 
+HOW = {
+    "jit": jax.jit,
+    "vmap": lambda f: lambda x: jax.vmap(f)(jnp.stack([x, x])),
+    "jitted gradient": lambda f: jax.jit(jax.grad(f)),
+}
+WRONG = {
+    "pigment": (-1.0, lambda iris, x: (iris.replace(eumelanin=x), SHORT)),
+    "order of indices": (1.3, lambda iris, x: (eqx.tree_at(lambda i: i.ipe_index, iris, x), SHORT)),
+    "wavelength": (np.nan, lambda iris, x: (iris, 500 + x[None])),
+}
+
+
+@pytest.mark.parametrize(
+    ("what", "how"),
+    [*(("pigment", how) for how in HOW), ("order of indices", "jit"), ("wavelength", "jit")],
+)
+def test_wrong_values_raise_in_a_trace_too(what, how):
+    bad, made = WRONG[what]
+    run = HOW[how](
+        lambda x: ij.reflectance(*made(ij.Iris.of_level("low"), x), solver=FEW).values.sum()
+    )
+    # An error of XLA or of Equinox: both are RuntimeErrors.
+    with pytest.raises(RuntimeError, match="optical depth is negative or not finite"):
+        jax.block_until_ready(run(jnp.asarray(bad)))
+
+
 @pytest.mark.parametrize("measure", [ij.radiance, ij.colour], ids=["radiance", "colour"])
 def test_traced_wavelengths_beyond_a_table_say_so(measure):
-    run = quick_jit(lambda w: measure(ij.Iris(), w, illuminant="FL2", solver=FEW).status._value)
+    run = quick_jit(
+        lambda w: measure(ij.Iris(), w, illuminant="FL2", solver=FEW, throw=False).status._value
+    )
     good, bad = jnp.asarray([400.0, 500.0]), jnp.asarray([370.0, 500.0])
     assert int(run(good)) == int(ij.RESULTS.successful._value)
     assert int(run(bad)) == int(ij.RESULTS.invalid_input._value)
