@@ -55,10 +55,10 @@ def test_refusals(options, said):
 def test_prediction_is_that_of_the_iris():
     law = ij.PowerLaw(1.4, 0.2, 1.1, 0.8)
     iris = ij.Iris(power_law=law)
-    stated = ij.problem(SEEN, free=OF_POWER_LAW, base=iris, solver=ij.AddingDoubling(8))
+    stated = ij.problem(SEEN, free=OF_POWER_LAW, base=iris, solver=ij.AddingDoubling(16))
     z = stated.standard({n: float(v) for n, v in law.parameters().items()})
     found = quick_jit(lambda x: stated.predict(x)[0])(z)
-    wanted = ij.reflectance(iris, GRID, solver=ij.AddingDoubling(8))
+    wanted = ij.reflectance(iris, GRID, solver=ij.AddingDoubling(16))
     np.testing.assert_allclose(found, wanted.values, rtol=1e-9)
 
 
