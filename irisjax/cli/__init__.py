@@ -156,7 +156,7 @@ def parser(arguments: list[str]):
                 app.command(name, help=f"Not installed: {_of_extra(error)}")(lambda: None)
                 continue
             epilog = getattr(found, "EPILOG", None)
-            app.command(name, epilog=epilog)(getattr(found, name.replace("-", "_")))
+            app.command(name, epilog=epilog)(getattr(found, f"{name.replace('-', '_')}_command"))
     return get_command(app)
 
 

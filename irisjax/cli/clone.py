@@ -30,7 +30,7 @@ _FIGURES = "side_by_side.png", "differences.png", "luminance.png"
 
 
 @grouped
-def clone(picture: ClonePicture, model: CloneModel, results: CloneResults) -> None:
+def clone_command(picture: ClonePicture, model: CloneModel, results: CloneResults) -> None:
     """Clone an iris from a photograph: outlines, the iris laid flat, thickness, pigments.
 
     For example: irisjax clone eye.jpg -o clone_eye

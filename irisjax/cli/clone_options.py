@@ -11,12 +11,12 @@ from irisjax import io
 from irisjax.cli.options import (
     SEED_HELP,
     Group,
-    name_of,
-    number,
+    named_option,
     number_or,
+    number_parser,
     option,
     read_seed,
-    whole,
+    whole_parser,
 )
 from irisjax.cli.scenes import lamps
 from irisjax.io.photographs import read_photograph
@@ -44,7 +44,9 @@ class ClonePicture(Group):
     focal_px: Annotated[
         float | None,
         option(
-            parse=number(10, 1e6), metavar="pixels", help="focal length; default: the file's own"
+            parse=number_parser(10, 1e6),
+            metavar="pixels",
+            help="focal length; default: the file's own",
         ),
     ] = None
     limbus: Annotated[
@@ -61,7 +63,7 @@ class ClonePicture(Group):
     tilt_azimuth: Annotated[
         float | None,
         option(
-            parse=number(-360, 360),
+            parse=number_parser(-360, 360),
             metavar="degrees",
             help="azimuth of the camera around the eye, from the picture's right to its top; "
             "default: inferred from the pupil",
@@ -137,19 +139,21 @@ class CloneModel(Group):
 
     PANEL = "Model"
 
-    media: Annotated[str, name_of("what light crosses before the iris", *cloning.MEDIA)] = (
+    media: Annotated[str, named_option("what light crosses before the iris", *cloning.MEDIA)] = (
         "cornea-aqueous"
     )
     iris_depth: Annotated[
         float,
         option(
-            parse=number(2.5, 8), metavar="mm", help="depth of the iris behind the cornea, 2.5 to 8"
+            parse=number_parser(2.5, 8),
+            metavar="mm",
+            help="depth of the iris behind the cornea, 2.5 to 8",
         ),
     ] = 3.6
     beta: Annotated[
         float | None,
         option(
-            parse=number(0, 5),
+            parse=number_parser(0, 5),
             metavar="mm",
             help="thickness by F09's Eq. 7, where it is 0.35; default: by the model's response",
         ),
@@ -165,20 +169,22 @@ class CloneModel(Group):
     relief: Annotated[
         float,
         option(
-            parse=number(0, 1),
+            parse=number_parser(0, 1),
             metavar="share",
             help="share of the stroma's unevenness that stands out towards the cornea, 0 to 1; in "
             "light eyes its shading is removed",
         ),
     ] = 0.0
     method: Annotated[
-        str, name_of("search for the pigments; simplex is F09's", *cloning.METHODS)
+        str, named_option("search for the pigments; simplex is F09's", *cloning.METHODS)
     ] = "least-squares"
-    process: Annotated[str, name_of("light in the iris", *_PROCESSES)] = "ilit-2006"
+    process: Annotated[str, named_option("light in the iris", *_PROCESSES)] = "ilit-2006"
     max_steps: Annotated[
         int,
         option(
-            parse=whole(150, 100_000), metavar="count", help="most steps of the posterior's chain"
+            parse=whole_parser(150, 100_000),
+            metavar="count",
+            help="most steps of the posterior's chain",
         ),
     ] = 8000
     seed: Annotated[
@@ -203,7 +209,7 @@ class CloneResults(Group):
     PANEL = "Files"
 
     output: Annotated[Path, option("-o", "--output", metavar="DIR", help="folder for the clone")]
-    stop_after: Annotated[str, name_of("last stage", *cloning.STAGES)] = "posterior"
+    stop_after: Annotated[str, named_option("last stage", *cloning.STAGES)] = "posterior"
     overwrite: Annotated[
         bool, option("--overwrite", metavar="", help="replace a clone in that folder")
     ] = False

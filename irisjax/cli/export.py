@@ -8,7 +8,7 @@ from typing import Annotated
 import numpy as np
 import typer
 
-from irisjax.cli.options import Group, grouped, name_of, option, within
+from irisjax.cli.options import Group, grouped, named_option, option, range_parser
 from irisjax.cli.scenes import EyeWithPupil, changed
 from irisjax.export.handover import check_new_folder, export_scene
 from irisjax.numerics.checks import Range
@@ -26,10 +26,10 @@ class Handover(Group):
 
     integrator: Annotated[
         str | None,
-        name_of("whose albedo and BRDF; default: the scene's, separable", *_MODELS),
+        named_option("whose albedo and BRDF; default: the scene's, separable", *_MODELS),
     ] = None
     spacing: Annotated[
-        float, option(parse=within(_SPACING), metavar="MM", help="size of the triangles, 0.02 to 2")
+        float, option(parse=range_parser(_SPACING), metavar="MM", help="size of the triangles, 0.02 to 2")
     ] = 0.1
     output: Annotated[
         Path, option("-o", "--output", metavar="FOLDER", help="a new or empty folder")
@@ -37,7 +37,7 @@ class Handover(Group):
 
 
 @grouped
-def export(subject: EyeWithPupil, handover: Handover) -> None:
+def export_command(subject: EyeWithPupil, handover: Handover) -> None:
     """An eye for other renderers: meshes, textures, a BRDF table, a scene for Mitsuba 3.
 
     README.txt in the folder describes each file and states how far a matt iris is

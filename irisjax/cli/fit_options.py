@@ -11,13 +11,13 @@ from irisjax.cli.options import (
     SEED_HELP,
     Group,
     cosine,
-    name_of,
-    number,
-    one_of,
+    name_parser,
+    named_option,
+    number_parser,
     option,
+    range_parser,
     read_seed,
-    whole,
-    within,
+    whole_parser,
 )
 from irisjax.infer.observation import RADIANCE, REFLECTANCE
 from irisjax.infer.parameters import PARAMETERS
@@ -29,7 +29,7 @@ from irisjax.transport.process import PROCESSES
 
 def _span(text: str) -> tuple[float, float]:
     low, colon, high = text.partition(":")
-    found = number(1, 1e5)(low), number(1, 1e5)(high) if colon else 0.0
+    found = number_parser(1, 1e5)(low), number_parser(1, 1e5)(high) if colon else 0.0
     if not found[0] < found[1]:
         raise ValueError(f"{text!r}: write two wavelengths in nm, such as 400:700")
     return found
@@ -53,7 +53,7 @@ class Measurements(Group):
     relative_noise: Annotated[
         float,
         option(
-            parse=number(0, 10),
+            parse=number_parser(0, 10),
             metavar="SHARE",
             help="noise, a share of the reflectance, of files with neither sd nor repeated scans",
         ),
@@ -61,7 +61,7 @@ class Measurements(Group):
     absolute_noise: Annotated[
         float,
         option(
-            parse=number(1e-12, 1e3),
+            parse=number_parser(1e-12, 1e3),
             metavar="REFLECTANCE",
             help="noise beside it that does not depend on the reflectance",
         ),
@@ -79,17 +79,21 @@ class Measurements(Group):
     ] = None
     quantity: Annotated[
         str | None,
-        name_of(
+        named_option(
             "what the file holds; default what it says, or a reflectance. Of a radiance the "
             "illuminant is 1 at 560 nm",
             *QUANTITIES,
         ),
     ] = None
     unit: Annotated[
+<<<<<<< HEAD
         str | None, name_of("of reflectances, where the file does not say", *REFLECTANCE_UNITS)
+=======
+        str | None, named_option("of reflectances, where the file does not say", *UNITS)
+>>>>>>> 8331598 (Give helpers of the command and of TOML sections names of their own)
     ] = None
     wavelength_unit: Annotated[
-        str | None, name_of("where the file does not say", *WAVELENGTH_UNITS)
+        str | None, named_option("where the file does not say", *WAVELENGTH_UNITS)
     ] = None
     wavelengths: Annotated[
         Any,  # typer takes a pair for two words
@@ -176,7 +180,7 @@ class Model(Group):
     process: Annotated[
         str,
         option(
-            parse=one_of(*PROCESSES),
+            parse=name_parser(*PROCESSES),
             metavar="NAME",
             help=f"rules of light transport: {', '.join(PROCESSES)}",
         ),
@@ -209,12 +213,12 @@ class Sampler(Group):
 
     walkers: Annotated[
         int,
-        option(parse=whole(4, 4096), metavar="count", help="chains side by side, 4 to 4096"),
+        option(parse=whole_parser(4, 4096), metavar="count", help="chains side by side, 4 to 4096"),
     ] = 64
     max_steps: Annotated[
         int,
         option(
-            parse=whole(1, 10_000_000),
+            parse=whole_parser(1, 10_000_000),
             metavar="count",
             help="stop there if not long enough before, 1 to 10000000",
         ),
@@ -276,14 +280,14 @@ def _pair(option: str, text: str) -> tuple[str, str]:
 
 def _one(option: str, text: str, names) -> str:
     try:
-        return one_of(*names)(text)
+        return name_parser(*names)(text)
     except ValueError as error:
         raise ValueError(f"{option}: {error}") from None
 
 
 def _value(option: str, text: str, allowed: Range) -> float:
     try:
-        return within(allowed)(text)
+        return range_parser(allowed)(text)
     except ValueError as error:
         raise ValueError(f"{option}: {error}") from None
 

@@ -9,18 +9,18 @@ import jax.numpy as jnp
 from irisjax.anatomy import media
 from irisjax.cli.options import (
     SEED_HELP,
-    Grid,
     Group,
+    WavelengthGrid,
     cosine,
     exit_angle,
-    grid,
-    name_of,
-    number,
+    grid_parser,
+    named_option,
+    number_parser,
     option,
     overrules,
+    range_parser,
     read_seed,
-    whole,
-    within,
+    whole_parser,
 )
 from irisjax.measure.colour import OBSERVER
 from irisjax.measure.instrument import GAIN, Cornea
@@ -29,14 +29,18 @@ from irisjax.tissue.pigments import check_covered, common_range
 POLARIMETERS = ("cross-polarised", "co-polarised", "degree-of-polarisation")
 """Instruments that see polarisation."""
 
-_VISIBLE, _GREEN, _WHOLE = Grid("400:700:10"), Grid("550"), Grid("380:780:5")
+_VISIBLE, _GREEN, _WHOLE = (
+    WavelengthGrid("400:700:10"),
+    WavelengthGrid("550"),
+    WavelengthGrid("380:780:5"),
+)
 _ILLUMINANT = option(metavar="name", help="light source by its name in colour-science")
 
 
 def _index(of: str) -> Any:
     low, high = media.INDEX.low, media.INDEX.high
     return option(
-        parse=number(low, high),
+        parse=number_parser(low, high),
         metavar="number",
         help=f"refractive index of the {of}, {low:g} to {high:g}",
     )
@@ -46,7 +50,7 @@ def _wavelengths(*names: str) -> Any:
     low, high = common_range()
     return option(
         *names,
-        parse=grid(check_covered),
+        parse=grid_parser(check_covered),
         metavar="nm",
         help=f"start:stop:step or a list like 450,550; within {low:g} to {high:g}",
     )
@@ -58,7 +62,7 @@ class Light(Group):
 
     PANEL = "Measurement"
 
-    wavelengths: Annotated[Grid, _wavelengths()] = _VISIBLE
+    wavelengths: Annotated[WavelengthGrid, _wavelengths()] = _VISIBLE
     cos_incidence: Annotated[
         Any,  # a number or the word
         option(
@@ -71,7 +75,7 @@ class Light(Group):
     incidence_deg: Annotated[
         float | None,
         option(
-            parse=number(0, 90),
+            parse=number_parser(0, 90),
             metavar="degrees",
             help="the same as an angle, 0 to 90",
             callback=overrules("cos_incidence"),
@@ -110,7 +114,7 @@ class EyeLight(Light):
 
     cornea: Annotated[
         str,
-        name_of(
+        named_option(
             "whether light crosses tear film and cornea; auto is inward for radiance, else none",
             "auto",
             *get_args(Cornea),
@@ -151,7 +155,7 @@ class SpectrumLight(EyeLight):
 
     instrument: Annotated[
         str,
-        name_of(
+        named_option(
             "share of the light sent back; radiance under an illuminant; share sent back through "
             "an analyser, of polarised light; degree of linear polarisation",
             "reflectance",
@@ -163,7 +167,7 @@ class SpectrumLight(EyeLight):
     polariser_deg: Annotated[
         float | None,
         option(
-            parse=number(-180, 180),
+            parse=number_parser(-180, 180),
             metavar="degrees",
             help="polarisation of the light, from the plane of incidence; default 0, "
             "unpolarised for degree-of-polarisation",
@@ -181,7 +185,7 @@ class SpectrumLight(EyeLight):
     exit_azimuth_deg: Annotated[
         float,
         option(
-            parse=number(-360, 360),
+            parse=number_parser(-360, 360),
             metavar="degrees",
             help="azimuth of that direction, 0 where a mirror would send the light",
         ),
@@ -215,12 +219,12 @@ class SpectrumLight(EyeLight):
 class BrdfLight(Light):
     """What a goniophotometer measures."""
 
-    wavelengths: Annotated[Grid, _wavelengths("--wavelength", "--wavelengths")] = _GREEN
-    plane: Annotated[str, name_of("exit directions", "principal", "hemisphere")] = "principal"
+    wavelengths: Annotated[WavelengthGrid, _wavelengths("--wavelength", "--wavelengths")] = _GREEN
+    plane: Annotated[str, named_option("exit directions", "principal", "hemisphere")] = "principal"
     angles: Annotated[
         int,
         option(
-            parse=whole(2, 3600),
+            parse=whole_parser(2, 3600),
             metavar="count",
             help="exit directions over 180 degrees, 2 to 3600",
         ),
@@ -231,7 +235,7 @@ class BrdfLight(Light):
 class ColourLight(EyeLight):
     """What a colorimeter measures."""
 
-    wavelengths: Annotated[Grid, _wavelengths()] = _WHOLE
+    wavelengths: Annotated[WavelengthGrid, _wavelengths()] = _WHOLE
     illuminant: Annotated[str, _ILLUMINANT] = "D65"
     observer: Annotated[
         str, option(metavar="name", help="standard observer by its name in colour-science")
@@ -244,17 +248,24 @@ class NoisyLight(EyeLight):
 
     gain: Annotated[
         float,
-        option(parse=within(GAIN), metavar="number", help=GAIN.meaning),
+        option(parse=range_parser(GAIN), metavar="number", help=GAIN.meaning),
     ] = 1.0
     relative_noise: Annotated[
         float,
-        option(parse=number(0, 10), metavar="share", help="standard deviation, share of the value"),
+        option(
+            parse=number_parser(0, 10),
+            metavar="share",
+            help="standard deviation, share of the value",
+        ),
     ] = 0.02
     absolute_noise: Annotated[
         float,
-        option(parse=number(0, 10), metavar="reflectance", help="the same, of every value alike"),
+        option(
+            parse=number_parser(0, 10), metavar="reflectance", help="the same, of every value alike"
+        ),
     ] = 2e-4
     scans: Annotated[
-        int, option(parse=whole(1, 1000), metavar="count", help="repeated scans, a column each")
+        int,
+        option(parse=whole_parser(1, 1000), metavar="count", help="repeated scans, a column each"),
     ] = 1
     seed: Annotated[int, option(parse=read_seed, metavar="number", help=SEED_HELP + "bytes")] = 0

@@ -21,9 +21,9 @@ from irisjax.cli.model import (
     ProcessOptions,
     SolverOptions,
     check_scattering,
-    iris_of,
-    key_of,
+    modelled_iris,
     process_of,
+    sampling_key,
     solver_of,
 )
 from irisjax.cli.options import grouped
@@ -49,7 +49,7 @@ _SETTINGS: dict[str, AnalyserSetting] = {"cross-polarised": "crossed", "co-polar
 
 
 @grouped
-def spectrum(
+def spectrum_command(
     iris: IrisOptions,
     process: ProcessOptions,
     solver: SolverOptions,
@@ -78,7 +78,7 @@ def spectrum(
 
 
 @grouped
-def brdf(
+def brdf_command(
     iris: IrisOptions,
     process: ProcessOptions,
     solver: SolverOptions,
@@ -108,7 +108,7 @@ def brdf(
 
 
 @grouped
-def colour(
+def colour_command(
     iris: IrisOptions,
     process: ProcessOptions,
     solver: SolverOptions,
@@ -163,12 +163,12 @@ def _read(
     light: Light,
 ) -> tuple[Any, dict[str, str]]:
     """What the instrument that is made for the wavelengths reads, and the header that says how."""
-    modelled, rules = iris_of(iris), process_of(process)
+    modelled, rules = modelled_iris(iris), process_of(process)
     check_scattering(modelled, rules)
     grid = light.wavelengths.values
     instrument = make(grid)
     method = solver_of(solver, rules, modelled, exits=instrument.exits is not None)
-    result = measured(modelled, instrument, method, key_of(solver))
+    result = measured(modelled, instrument, method, sampling_key(solver))
     if (doubt := few_photons(result)) is not None:
         print(f"irisjax: WARNING: {doubt}", file=sys.stderr)
     left_out = None

@@ -12,12 +12,12 @@ from irisjax.cli.options import (
     SEED_HELP,
     Group,
     dashed,
-    name_of,
-    number,
+    named_option,
+    number_parser,
     option,
     overrules,
     read_seed,
-    whole,
+    whole_parser,
 )
 from irisjax.tissue.indices import Scattering
 from irisjax.tissue.iris import LIMITS
@@ -55,7 +55,7 @@ def _field(name: str) -> Any:
         meaning = f"{meaning}; makes scattering a power law, for --process {_DEEP} alone"
     shown = isinstance(default, float) and not name.endswith("melanin")  # those are the level's
     return option(
-        parse=number(),
+        parse=number_parser(),
         metavar=unit or "number",
         help=f"{meaning}, {allowed}{f'; default {default:g}' if shown else ''}",
     )
@@ -69,7 +69,7 @@ class IrisOptions(Group):
 
     level: Annotated[
         str,
-        name_of(
+        named_option(
             "pigmentation of the paper; sets both melanins",
             *_LEVELS,
             callback=overrules("eumelanin", "pheomelanin"),
@@ -98,7 +98,7 @@ class IrisOptions(Group):
     melanin_load: Annotated[
         float | None,
         option(
-            parse=number(),
+            parse=number_parser(),
             metavar="ug/mm2",
             help="melanin mass per iris area, at least 0: rescales both melanins, keeping their "
             "ratio",
@@ -107,7 +107,7 @@ class IrisOptions(Group):
     scattering_scale: Annotated[float | None, _field("scattering_scale")] = None
     scattering: Annotated[
         str,
-        name_of(
+        named_option(
             "scattering coefficient of the stroma",
             *get_args(Scattering),
             callback=overrules(*POWER_LAW_LIMITS),
@@ -138,7 +138,7 @@ class ProcessOptions(Group):
 
     process: Annotated[
         str,
-        name_of(
+        named_option(
             "rules of light transport; by ilit, light eyes are twice as bright in the blue as "
             "depth-resolved",
             *PROCESSES,
@@ -147,11 +147,11 @@ class ProcessOptions(Group):
     ] = "ilit-2006"
     phase: Annotated[
         str | None,
-        name_of("phase function, the paper's sampling or Rayleigh's law", *get_args(Phase)),
+        named_option("phase function, the paper's sampling or Rayleigh's law", *get_args(Phase)),
     ] = None
     rescatter: Annotated[
         str | None,
-        name_of(
+        named_option(
             "after a scatter straight out, or tested over the layer again", *get_args(Rescatter)
         ),
     ] = None
@@ -196,16 +196,18 @@ class SolverOptions(Group):
     }
 
     solver: Annotated[
-        str, name_of("integrate the process, or sample it", "exact", "monte-carlo")
+        str, named_option("integrate the process, or sample it", "exact", "monte-carlo")
     ] = "exact"
     photons: Annotated[
         int,
-        option(parse=whole(1, 2**31 - 2**20), metavar="count", help="photons at each wavelength"),
+        option(
+            parse=whole_parser(1, 2**31 - 2**20), metavar="count", help="photons at each wavelength"
+        ),
     ] = 1_000_000
     seed: Annotated[int, option(parse=read_seed, metavar="number", help=SEED_HELP + "bytes")] = 0
 
 
-def iris_of(options: IrisOptions) -> ij.Iris:
+def modelled_iris(options: IrisOptions) -> ij.Iris:
     """The iris that the options describe."""
     names = (*LIMITS, *POWER_LAW_LIMITS, "melanin_load")
     fields = {n: v for n in names if (v := getattr(options, n)) is not None}
@@ -250,7 +252,7 @@ def solver_of(
     return MonteCarlo(options.photons, process=process)
 
 
-def key_of(options: SolverOptions) -> jax.Array | None:
+def sampling_key(options: SolverOptions) -> jax.Array | None:
     """The key of a solver that samples; its kind is fixed, whatever the environment prefers."""
     if options.solver == "exact":
         return None

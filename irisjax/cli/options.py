@@ -99,9 +99,11 @@ def option(*names: str, parse: Callable[[str], Any] | None = None, **shown: Any)
     return typer.Option(*names, parser=None if parse is None else read, **shown)
 
 
-def name_of(help: str, *names: str, **more: Any) -> Any:
+def named_option(help: str, *names: str, **more: Any) -> Any:
     """An option that takes one of these names."""
-    return option(parse=one_of(*names), metavar="name", help=f"{', '.join(names)}: {help}", **more)
+    return option(
+        parse=name_parser(*names), metavar="name", help=f"{', '.join(names)}: {help}", **more
+    )
 
 
 def overrules(*names: str) -> Callable[..., Any]:
@@ -167,7 +169,7 @@ def _path(text: str | Path) -> Path:
 
 
 @dataclasses.dataclass(frozen=True)
-class Grid:
+class WavelengthGrid:
     """Wavelengths as they are written, and their values (nm)."""
 
     text: str
@@ -194,11 +196,13 @@ class Grid:
         return self.text
 
 
-def grid(check: Callable[[np.ndarray], None] | None = None) -> Callable[[str], Grid]:
+def grid_parser(
+    check: Callable[[np.ndarray], None] | None = None,
+) -> Callable[[str], WavelengthGrid]:
     """Parser of wavelengths, nm; `check` raises `ValueError` where they are not allowed."""
 
-    def parse(text: str) -> Grid:
-        found = Grid("".join(text.split()))
+    def parse(text: str) -> WavelengthGrid:
+        found = WavelengthGrid("".join(text.split()))
         values = found.values  # or the error that it is no grid
         if check is not None:
             check(values)
@@ -207,12 +211,12 @@ def grid(check: Callable[[np.ndarray], None] | None = None) -> Callable[[str], G
     return parse
 
 
-def number(low: float = -math.inf, high: float = math.inf) -> Callable[[str], float]:
+def number_parser(low: float = -math.inf, high: float = math.inf) -> Callable[[str], float]:
     """Parser of numbers, in [low, high] if either is given."""
-    return within(Range(low, high))
+    return range_parser(Range(low, high))
 
 
-def within(allowed: Range) -> Callable[[str], float]:
+def range_parser(allowed: Range) -> Callable[[str], float]:
     """Parser of numbers in a range."""
     bounded = allowed.low > -math.inf or allowed.high < math.inf
 
@@ -228,7 +232,7 @@ def within(allowed: Range) -> Callable[[str], float]:
     return parse
 
 
-def whole(low: int, high: int) -> Callable[[str], int]:
+def whole_parser(low: int, high: int) -> Callable[[str], int]:
     """Parser of whole numbers in [low, high]; 1e6 is one."""
     allowed = Range(low, high)
 
@@ -236,7 +240,7 @@ def whole(low: int, high: int) -> Callable[[str], int]:
         try:
             value = int(text)
         except ValueError:
-            real = number()(text)
+            real = number_parser()(text)
             if not real.is_integer():
                 raise ValueError(f"{text} is not a whole number") from None
             value = int(real)
@@ -247,7 +251,7 @@ def whole(low: int, high: int) -> Callable[[str], int]:
     return parse
 
 
-def one_of(*names: str) -> Callable[[str], str]:
+def name_parser(*names: str) -> Callable[[str], str]:
     """Parser of names."""
 
     def parse(text: str) -> str:
@@ -260,7 +264,7 @@ def one_of(*names: str) -> Callable[[str], str]:
 
 def number_or(word: str, low: float, high: float) -> Callable[[str], float | str]:
     """Parser of numbers in [low, high], and of a word in place of one."""
-    parse_number = number(low, high)
+    parse_number = number_parser(low, high)
 
     def parse(text: str) -> float | str:
         if text == word:
@@ -283,4 +287,4 @@ SEED_HELP = "0 to 4294967295; equal seeds give equal "
 
 def read_seed(text: str) -> int:
     """Parse a seed, 32 bits: larger ones would start other streams in a float32 Python session."""
-    return whole(0, 2**32 - 1)(text)
+    return whole_parser(0, 2**32 - 1)(text)

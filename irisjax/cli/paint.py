@@ -17,6 +17,7 @@ from irisjax import io
 from irisjax.cli.animate import sheet
 from irisjax.cli.compiled import kept_tables
 from irisjax.cli.files import check_folder, check_is_folder, png_of
+<<<<<<< HEAD
 from irisjax.cli.matching import (
     DIFFERENCES,
     MATCH,
@@ -25,6 +26,24 @@ from irisjax.cli.matching import (
     Matched,
     matched,
     nearest_colour,
+=======
+from irisjax.cli.matching import RETOUCHES, Matched, matched, nearest_colour
+from irisjax.cli.options import (
+    SEED_HELP,
+    Group,
+    grouped,
+    named_option,
+    option,
+    read_seed,
+    whole_parser,
+)
+from irisjax.cli.painted_files import (
+    COATS,
+    MESHES,
+    TISSUE,
+    check_spared,
+    remove_left_over,
+>>>>>>> 8331598 (Give helpers of the command and of TOML sections names of their own)
 )
 from irisjax.cli.options import SEED_HELP, Group, grouped, name_of, option, read_seed, whole
 from irisjax.cli.paints import PaintOptions, check_no_seed, of_file
@@ -83,7 +102,7 @@ class PaintedEye(PaintOptions):
     retouch: Annotated[
         int | None,
         option(
-            parse=whole(0, 30),
+            parse=whole_parser(0, 30),
             metavar="count",
             help=f"with --match: coats on top that follow its pattern; default {RETOUCHES}",
         ),
@@ -127,14 +146,23 @@ class PaintedPicture(Group):
         None
     )
     samples: Annotated[
-        int, option(parse=whole(1, 8), metavar="count", help="along each side of a pixel, 1 to 8")
+        int,
+        option(
+            parse=whole_parser(1, 8), metavar="count", help="along each side of a pixel, 1 to 8"
+        ),
     ] = 1
     texels: Annotated[
+<<<<<<< HEAD
         int, option(parse=whole(64, 4096), metavar="count", help="along a side of opacity maps")
     ] = OPACITY_SIZE
+=======
+        int,
+        option(parse=whole_parser(64, 4096), metavar="count", help="along a side of opacity maps"),
+    ] = SIZE
+>>>>>>> 8331598 (Give helpers of the command and of TOML sections names of their own)
     shadow: Annotated[
         str,
-        name_of("shadows; as-printed: by the paper's Eq. 2 as it stands there", *_SHADOWS),
+        named_option("shadows; as-printed: by the paper's Eq. 2 as it stands there", *_SHADOWS),
     ] = "tinted"
 
 
@@ -161,7 +189,11 @@ class PaintedFiles(Group):
 
 
 @grouped
-def paint(subject: PaintedEye, picture: PaintedPicture, results: PaintedFiles) -> None:
+<<<<<<< HEAD
+def paint_command(subject: PaintedEye, picture: PaintedPicture, results: PaintedFiles) -> None:
+=======
+def paint_command(subject: Subject, picture: Picture, results: Results) -> None:
+>>>>>>> 8331598 (Give helpers of the command and of TOML sections names of their own)
     """An eye painted in semi-transparent coats, as ocularists make them.
 
     For example: irisjax paint --type detail --colour blue -o blue_eye

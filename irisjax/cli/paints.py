@@ -7,7 +7,11 @@ from pathlib import Path
 from typing import Annotated
 
 from irisjax.anatomy.eye import LIMITS
-from irisjax.cli.options import Group, name_of, option, within
+<<<<<<< HEAD
+from irisjax.cli.options import Group, named_option, option, range_parser
+=======
+from irisjax.cli.options import Group, option, range_parser
+>>>>>>> 8331598 (Give helpers of the command and of TOML sections names of their own)
 from irisjax.io.recipes import MIXING, Recipe, read_recipe
 from irisjax.ocularist.recipes import EYE_COLOURS, EYE_TYPES, coats
 
@@ -20,12 +24,12 @@ class PaintOptions(Group):
 
     PANEL = "What"
 
-    type: Annotated[str | None, name_of("in place of a recipe", *EYE_TYPES)] = None
-    colour: Annotated[str | None, name_of("with --type", *EYE_COLOURS)] = None
-    mixing: Annotated[str | None, name_of("of the paints", *MIXING)] = None
+    type: Annotated[str | None, named_option("in place of a recipe", *EYE_TYPES)] = None
+    colour: Annotated[str | None, named_option("with --type", *EYE_COLOURS)] = None
+    mixing: Annotated[str | None, named_option("of the paints", *MIXING)] = None
     pupil_radius: Annotated[
         float | None,
-        option(parse=within(_PUPIL), metavar="MM", help=f"{_PUPIL.low:g} to {_PUPIL.high:g}"),
+        option(parse=range_parser(_PUPIL), metavar="MM", help=f"{_PUPIL.low:g} to {_PUPIL.high:g}"),
     ] = None
 
     def painted(self, recipe: Path | None, matched: bool = False) -> bool:

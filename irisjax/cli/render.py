@@ -14,7 +14,7 @@ from irisjax import io
 from irisjax.cli.animate import CHANGES, sheet
 from irisjax.cli.animate import frames as _frames
 from irisjax.cli.compiled import kept_tables
-from irisjax.cli.options import Grid, Group, grid, grouped, option, whole
+from irisjax.cli.options import WavelengthGrid, Group, grid_parser, grouped, option, whole_parser
 from irisjax.cli.scenes import EyeWithPupil, changed
 from irisjax.measure.colour import srgb_encode
 from irisjax.numerics.checks import Range, check_range
@@ -60,7 +60,7 @@ class Picture(Group):
     ] = None
     samples: Annotated[
         int,
-        option(parse=whole(1, 8), metavar="count", help="along each side of a pixel, 1 to 8"),
+        option(parse=whole_parser(1, 8), metavar="count", help="along each side of a pixel, 1 to 8"),
     ] = 1
     integrator: Annotated[
         str | None,
@@ -73,9 +73,9 @@ class Picture(Group):
     ] = None
     bits: Annotated[int, option(metavar="count", help="8 or 16, of a PNG")] = 8
     spectral: Annotated[
-        Grid | None,
+        WavelengthGrid | None,
         option(
-            parse=grid(),
+            parse=grid_parser(),
             metavar="START:STOP:STEP",
             help="nm: a layer each in place of RGB, .exr",
         ),
@@ -90,7 +90,7 @@ class Picture(Group):
     ] = None
     frames: Annotated[
         int | None,
-        option(parse=whole(2, 1000), metavar="count", help="of --animate, 2 to 1000; default 24"),
+        option(parse=whole_parser(2, 1000), metavar="count", help="of --animate, 2 to 1000; default 24"),
     ] = None
 
     def __post_init__(self):
@@ -133,7 +133,7 @@ class PictureFile(Group):
 
 
 @grouped
-def render(view: View, picture: Picture, files: PictureFile) -> None:
+def render_command(view: View, picture: Picture, files: PictureFile) -> None:
     """A picture of an eye from its pigments: refraction, caustics, scattering in the iris.
 
     Simulated. PNG is sRGB without any tone adjustment; what is out of its

@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from irisjax.anatomy import eye
-from irisjax.cli.options import SEED_HELP, Group, option, read_seed, within
+from irisjax.cli.options import SEED_HELP, Group, option, range_parser, read_seed
 from irisjax.grow.presets import PRESETS
 from irisjax.io.images import read_environment
 from irisjax.io.scenes import SceneFile, parse_scene, read_scene
@@ -58,7 +58,7 @@ class EyeWithPupil(Subject):
 
     pupil_radius: Annotated[
         float | None,
-        option(parse=within(_PUPIL), metavar="MM", help=f"{_PUPIL.low:g} to {_PUPIL.high:g}"),
+        option(parse=range_parser(_PUPIL), metavar="MM", help=f"{_PUPIL.low:g} to {_PUPIL.high:g}"),
     ] = None
 
 

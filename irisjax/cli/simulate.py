@@ -14,7 +14,7 @@ from irisjax.cli.model import (
     IrisOptions,
     ProcessOptions,
     check_scattering,
-    iris_of,
+    modelled_iris,
     process_of,
 )
 from irisjax.cli.options import grouped
@@ -24,12 +24,12 @@ from irisjax.transport.process import AbstractProcess
 
 
 @grouped
-def simulate_measurement(
+def simulate_measurement_command(
     iris: IrisOptions, process: ProcessOptions, light: NoisyLight, files: TableFile
 ) -> None:
     """A noisy spectrum of a modelled iris with its truth in the header, to try `irisjax fit` on."""
     check_files(files.output)
-    modelled, followed = iris_of(iris), process_of(process)
+    modelled, followed = modelled_iris(iris), process_of(process)
     check_scattering(modelled, followed)
     truth = {n: float(v) for n, v in of_iris(modelled).items() if n != "noise"}
     truth["gain"] = light.gain

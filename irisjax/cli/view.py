@@ -10,8 +10,13 @@ import typer
 
 from irisjax import _interrupt
 from irisjax.cli.compiled import kept_tables
-from irisjax.cli.options import SEED_HELP, Group, grouped, option, read_seed, whole
+<<<<<<< HEAD
+from irisjax.cli.options import SEED_HELP, Group, grouped, option, read_seed, whole_parser
 from irisjax.cli.paints import PaintOptions, check_no_seed, of_file
+=======
+from irisjax.cli.options import SEED_HELP, Group, grouped, option, read_seed, whole_parser
+from irisjax.cli.paints import Paints, check_no_seed, of_file
+>>>>>>> 8331598 (Give helpers of the command and of TOML sections names of their own)
 from irisjax.cli.scenes import Subject, changed
 from irisjax.io.clone_folders import read_clone
 from irisjax.view import Bench, Studio, check_address, serve
@@ -64,12 +69,12 @@ class Window(Group):
         "127.0.0.1"
     )
     port: Annotated[
-        int, option(parse=whole(0, 65535), metavar="number", help="0 to 65535; 0 takes a free one")
+        int, option(parse=whole_parser(0, 65535), metavar="number", help="0 to 65535; 0 takes a free one")
     ] = 8080
 
 
 @grouped
-def view(subject: Shown, coats: Coats, window: Window) -> None:
+def view_command(subject: Shown, coats: Coats, window: Window) -> None:
     r"""An eye in the browser, with sliders, its spectrum and its colour; or a painted one.
 
     Sliders for pigments, layers, pupil and light; drag to orbit, scroll to zoom.

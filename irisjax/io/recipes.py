@@ -12,8 +12,22 @@ import tomlkit
 
 from irisjax.anatomy.eye import LIMITS, Eye
 from irisjax.io.images import read_image
-from irisjax.io.sections import Check, Keys, checked, one_of, text, whole, within
+<<<<<<< HEAD
+from irisjax.io.sections import Check, Keys, check_sections, one_name, text, whole_number, number_within
 from irisjax.io.text import read_columns, read_text
+=======
+from irisjax.io.paints import read_paints
+from irisjax.io.sections import (
+    Check,
+    Keys,
+    check_sections,
+    number_within,
+    one_name,
+    text,
+    whole_number,
+)
+from irisjax.io.text import read_text
+>>>>>>> 8331598 (Give helpers of the command and of TOML sections names of their own)
 from irisjax.numerics.checks import Range
 from irisjax.ocularist.coats import HEIGHT, PUPIL_RADIUS, prosthesis
 from irisjax.ocularist.components import COMPONENTS
@@ -106,7 +120,7 @@ def read_recipe(path: str | Path) -> Recipe:
         OSError: for a file that cannot be opened.
     """
     path = Path(path)
-    sections, where = checked(read_text(path), str(path), _SECTIONS, "coat")
+    sections, where = check_sections(read_text(path), str(path), _SECTIONS, "coat")
     given = sections.get("coat")
     if not given:
         raise ValueError(f"{path}: no coats; write [[coat]] for each, the bottom one first")
@@ -228,18 +242,18 @@ _NO_USE = f'a file of paints is for mixing = "{_KUBELKA_MUNK}"; {_HSL} mixes col
 _SHARE = Range(0.0, 1.0)
 _SECTIONS: dict[str, Keys] = {
     "painting": {
-        "mixing": one_of(*MIXING),
+        "mixing": one_name(*MIXING),
         "paints": text,
-        "pupil_radius": within(LIMITS["pupil_radius"]),
+        "pupil_radius": number_within(LIMITS["pupil_radius"]),
     },
     "palette": _colour,
     "coat": {
-        "component": one_of(*COMPONENTS, SCAN),
+        "component": one_name(*COMPONENTS, SCAN),
         "parameters": _parameters,
         "paints": _pair,
-        "share": within(_SHARE),
-        "opacity": within(_SHARE),
-        "seed": whole(0, 2**32 - 1),
-        "height": within(HEIGHT),
+        "share": number_within(_SHARE),
+        "opacity": number_within(_SHARE),
+        "seed": whole_number(0, 2**32 - 1),
+        "height": number_within(HEIGHT),
     },
 }

@@ -10,20 +10,34 @@ import jax
 import jax.numpy as jnp
 
 from irisjax._types import PRNGKey
+from irisjax.anatomy.eye import LIMITS as EYE_LIMITS
 from irisjax.anatomy.eye import Cornea, Eye, Sclera
-from irisjax.grow.presets import preset
+from irisjax.anatomy.media import INDEX
+from irisjax.grow.presets import PRESETS, preset
 from irisjax.grow.procedural import procedural
 from irisjax.grow.vessels import veins
-from irisjax.io.entries import FEATURES, SECTIONS
 from irisjax.io.images import read_environment
 from irisjax.io.maps import read_maps
-from irisjax.io.sections import Where, checked
-from irisjax.render.camera import Camera
+from irisjax.io.sections import (
+    Check,
+    Where,
+    boolean,
+    check_sections,
+    number_within,
+    one_name,
+    text,
+    whole_number,
+)
+from irisjax.measure.colour import illuminant_power
+from irisjax.numerics.checks import Range
+from irisjax.render.camera import LARGEST, Camera
+from irisjax.render.camera import LIMITS as CAMERA_LIMITS
 from irisjax.render.environment import ENVIRONMENTS
 from irisjax.render.integrators import INTEGRATORS
+from irisjax.render.lights import LIMITS as LIGHT_LIMITS
 from irisjax.render.lights import Lights
 from irisjax.render.scene import ENVIRONMENT_LIGHTS, Scene
-from irisjax.tissue.iris import Iris
+from irisjax.tissue.iris import LIMITS, MELANIN_LOAD, Iris
 from irisjax.tissue.maps import IrisMaps
 from irisjax.transport.process import AbstractProcess
 
@@ -218,7 +232,7 @@ def read_scene(path: str | Path) -> SceneFile:
 
 def parse_scene(text: str, name: str = "scene", folder: Path = Path()) -> SceneFile:
     """A scene from TOML text."""
-    sections, where = checked(text, name, SECTIONS, "light")
+    sections, where = check_sections(text, name, SECTIONS, "light")
     maps = sections.get("maps", {})
     if "file" in maps and (grown := [key for key in maps if key not in ("file", "seed")]):
         raise ValueError(
@@ -227,3 +241,95 @@ def parse_scene(text: str, name: str = "scene", folder: Path = Path()) -> SceneF
             "give one or the other (seed still draws the veins)"
         )
     return SceneFile(sections, where, folder)
+
+
+_LEVELS = ("low", "moderate", "high")
+_OF_EYES = (
+    "veins",
+    "iris_depth",
+    "iris_slope",
+    "limbus_radius",
+    "limbus_width",
+    "iris_radius",
+    "pupil_radius",
+    "pupil_margin",
+    "attenuation",
+)
+
+
+def _number(low: float = -math.inf, high: float = math.inf, unit="") -> Callable[[Any], float]:
+    return number_within(Range(low, high, unit))
+
+
+def _illuminant(value):
+    illuminant_power(text(value), [560.0])
+    return value
+
+
+def _size(value):
+    if not (isinstance(value, list) and len(value) == 2):
+        raise ValueError("must be [width, height]")
+    return tuple(whole_number(1, LARGEST)(v) for v in value)
+
+
+def _three(form: str, allowed: Range) -> Callable[[Any], list[float]]:
+    def check(value):
+        if not (isinstance(value, list) and len(value) == 3):
+            raise ValueError(f"must be {form}")
+        return [number_within(allowed)(v) for v in value]
+
+    return check
+
+
+FEATURES: dict[str, Check] = {
+    "fibres": _number(0, 4),
+    "collarette": _number(0, 4),
+    "crypts": whole_number(0, 200),
+    "furrows": whole_number(0, 50),
+    "freckles": whole_number(0, 200),
+    "abl": _number(0, 2),
+    "heterochromia": _number(0, 20),
+    "relief": _number(0, 1),
+}
+_DEGREES = _number(-360, 360)
+SECTIONS: dict[str, dict[str, Check]] = {
+    "iris": {
+        "preset": one_name(*PRESETS),
+        "level": one_name(*_LEVELS),
+        "melanin_load": number_within(MELANIN_LOAD),
+        **{name: number_within(limits) for name, limits in LIMITS.items()},
+    },
+    "maps": {"seed": whole_number(0, 2**32 - 1), "file": text, "uniform": boolean, **FEATURES},
+    "eye": {
+        "cornea": one_name("two-surfaces", "f09", "none"),
+        "sclera": boolean,
+        **{name: number_within(limits) for name, limits in EYE_LIMITS.items() if name in _OF_EYES},
+        "aqueous_index": number_within(INDEX),
+    },
+    "camera": {
+        "polar_deg": _number(0, 180),
+        "azimuth_deg": _DEGREES,
+        "distance": number_within(CAMERA_LIMITS["distance"]),
+        "width": number_within(CAMERA_LIMITS["width"]),
+        "size": _size,
+    },
+    "light": {
+        "polar_deg": _number(0, 180),
+        "azimuth_deg": _DEGREES,
+        "position": _three("[x, y, z] in mm", Range(-math.inf, math.inf)),
+        "irradiance": number_within(LIGHT_LIMITS["irradiance"]),
+        "radius_deg": _number(0.01, 60),
+        "colour": _three("[red, green, blue]", LIGHT_LIMITS["tint"]),
+    },
+    "environment": {
+        "file": text,
+        "kind": one_name(*ENVIRONMENTS),
+        "lights": whole_number(1, 1000),
+        "strength": _number(0, 1e6),
+    },
+    "picture": {
+        "exposure": _number(1e-6, 1e6),
+        "illuminant": _illuminant,
+        "integrator": one_name(*INTEGRATORS),
+    },
+}

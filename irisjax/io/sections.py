@@ -17,7 +17,7 @@ Where = Callable[..., str]
 line can be found."""
 
 
-def checked(
+def check_sections(
     written: str, name: str, keys: Mapping[str, Keys], repeated: str
 ) -> tuple[dict[str, Any], Where]:
     """Sections of a TOML text with their entries as their checks give them, and where they are
@@ -79,7 +79,7 @@ def _table(
     return done
 
 
-def within(allowed: Range) -> Callable[[Any], float]:
+def number_within(allowed: Range) -> Callable[[Any], float]:
     """A check that gives numbers within a range, and else raises `ValueError`."""
 
     def check(value):
@@ -95,7 +95,7 @@ def within(allowed: Range) -> Callable[[Any], float]:
     return check
 
 
-def whole(low: int, high: int) -> Callable[[Any], int]:
+def whole_number(low: int, high: int) -> Callable[[Any], int]:
     """The same for whole numbers."""
     allowed = Range(low, high)
 
@@ -107,7 +107,7 @@ def whole(low: int, high: int) -> Callable[[Any], int]:
     return check
 
 
-def one_of(*names: str) -> Callable[[Any], str]:
+def one_name(*names: str) -> Callable[[Any], str]:
     """The same for one of some names."""
 
     def check(value):

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from irisjax import io
-from irisjax.io.entries import SECTIONS
-from irisjax.io.scenes import parse_scene, read_scene
+
+from irisjax.io.scenes import SECTIONS, parse_scene, read_scene
 from irisjax.render.environment import Environment
 from irisjax.render.picture import draw
 from scene_files import BARE
