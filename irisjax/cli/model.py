@@ -40,13 +40,14 @@ from irisjax.transport.solver import AbstractSolver
 _DEFAULTS = {
     field.name: field.default for kind in (ij.Iris, PowerLaw) for field in dataclasses.fields(kind)
 }
+_RANGES = LIMITS | POWER_LAW_LIMITS
 _LEVELS = ("low", "moderate", "high")
 _DEEP = "depth-resolved"
 
 
 def _field(name: str) -> Any:
     """Option of a field of `Iris`; the iris checks the range and holds the default."""
-    low, high, unit, meaning, above = (LIMITS | POWER_LAW_LIMITS)[name]
+    low, high, unit, meaning, above = _RANGES[name]
     allowed = f"{low:g} to {high:g}" if math.isfinite(high) else f"at least {low:g}"
     if above:
         allowed = f"above {low:g}, at most {high:g}" if math.isfinite(high) else f"above {low:g}"
@@ -61,8 +62,21 @@ def _field(name: str) -> Any:
     )
 
 
+# An option for each number of an iris, in the order of its fields; the class below defines three.
+_Numbers: Any = dataclasses.make_dataclass(
+    "_Numbers",
+    [
+        (name, Annotated[float | None, _field(name) if name in _RANGES else None], None)
+        for name in ("level", *LIMITS, "melanin_load", "scattering", *POWER_LAW_LIMITS)
+    ],
+    bases=(Group,),
+    frozen=True,
+    kw_only=True,
+)
+
+
 @dataclass(frozen=True, kw_only=True)
-class IrisOptions(Group):
+class IrisOptions(_Numbers):
     """What the iris is made of; `None` stands for the level's value or LB06's."""
 
     PANEL = "Iris"
@@ -75,26 +89,6 @@ class IrisOptions(Group):
             callback=overrules("eumelanin", "pheomelanin"),
         ),
     ] = "moderate"
-    eumelanin: Annotated[float | None, _field("eumelanin")] = None
-    pheomelanin: Annotated[float | None, _field("pheomelanin")] = None
-    abl_fraction: Annotated[float | None, _field("abl_fraction")] = None
-    pheomelanin_abl_fraction: Annotated[float | None, _field("pheomelanin_abl_fraction")] = None
-    oxyhemoglobin: Annotated[float | None, _field("oxyhemoglobin")] = None
-    deoxyhemoglobin: Annotated[float | None, _field("deoxyhemoglobin")] = None
-    lutein: Annotated[float | None, _field("lutein")] = None
-    zeaxanthin: Annotated[float | None, _field("zeaxanthin")] = None
-    abl_thickness: Annotated[float | None, _field("abl_thickness")] = None
-    stroma_thickness: Annotated[float | None, _field("stroma_thickness")] = None
-    intensification: Annotated[float | None, _field("intensification")] = None
-    fibril_radius: Annotated[float | None, _field("fibril_radius")] = None
-    fibroblast_index: Annotated[float | None, _field("fibroblast_index")] = None
-    collagen_index: Annotated[float | None, _field("collagen_index")] = None
-    base_index: Annotated[float | None, _field("base_index")] = None
-    ipe_index: Annotated[float | None, _field("ipe_index")] = None
-    fibroblast_fraction: Annotated[float | None, _field("fibroblast_fraction")] = None
-    collagen_fraction: Annotated[float | None, _field("collagen_fraction")] = None
-    abl_index: Annotated[float | None, _field("abl_index")] = None
-    stroma_index: Annotated[float | None, _field("stroma_index")] = None
     melanin_load: Annotated[
         float | None,
         option(
@@ -104,7 +98,6 @@ class IrisOptions(Group):
             "ratio",
         ),
     ] = None
-    scattering_scale: Annotated[float | None, _field("scattering_scale")] = None
     scattering: Annotated[
         str,
         named_option(
@@ -113,10 +106,6 @@ class IrisOptions(Group):
             callback=overrules(*POWER_LAW_LIMITS),
         ),
     ] = "lb06"
-    reduced_scattering: Annotated[float | None, _field("reduced_scattering")] = None
-    rayleigh_share: Annotated[float | None, _field("rayleigh_share")] = None
-    scattering_power: Annotated[float | None, _field("scattering_power")] = None
-    anisotropy: Annotated[float | None, _field("anisotropy")] = None
 
 
 def _polarising(context, param, value):
