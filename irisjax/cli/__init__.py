@@ -5,6 +5,7 @@ import importlib.util
 import os
 import sys
 from contextlib import nullcontext
+from typing import Any
 
 import jax
 import typer
@@ -131,7 +132,7 @@ def _complain(message: str, status: int) -> int:
     return status
 
 
-def parser(arguments: list[str]):
+def parser(arguments: list[str]) -> Any:
     """What understands these arguments: a spectrum does not wait for the renderer's import."""
     app = typer.Typer(
         add_completion=False,

@@ -39,7 +39,9 @@ EPILOG = "\n".join(
 
 
 @grouped
-def fit_command(measured: Measurements, model: Model, sampler: Sampler, results: FitResults) -> None:
+def fit_command(
+    measured: Measurements, model: Model, sampler: Sampler, results: FitResults
+) -> None:
     """Find the pigments of an iris from its measured spectrum, and what the data cannot tell.
 
     For example: irisjax fit eye.csv -o fit_eye

@@ -23,10 +23,11 @@ _MOST_WAVELENGTHS = 1_000_000
 class Group:
     """Options that belong together: a frozen dataclass whose fields are `Annotated` for typer.
 
-    - `PANEL`: heading of the options in the help.
-    - `ONLY_WITH`: an option that means nothing unless another of the group has one of these values;
-        to type it then is an error.
-    - `typed`: the options that stand on the command line, as against defaults and a file's values.
+    Attributes:
+        PANEL: Heading of the options in the help.
+        ONLY_WITH: An option that means nothing unless another of the group has one of these values;
+            to type it then is an error.
+        typed: The options that stand on the command line, as against defaults and a file's values.
     """
 
     PANEL: ClassVar[str] = ""
@@ -119,7 +120,7 @@ def overrules(*names: str) -> Callable[..., Any]:
     return callback
 
 
-def stands_on_command_line(context, name: str) -> bool:
+def stands_on_command_line(context: typer.Context, name: str) -> bool:
     """Whether an option was typed."""
     source = context.get_parameter_source(name)
     return source is not None and source.name == "COMMANDLINE"
@@ -176,7 +177,11 @@ class WavelengthGrid:
 
     @functools.cached_property
     def values(self) -> np.ndarray:
-        """Wavelengths, nm. **Raises:** `ValueError` for a text that is no grid."""
+        """Wavelengths, nm.
+
+        Raises:
+            ValueError: For a text that is no grid.
+        """
         text = "".join(self.text.split())
         form = "give start:stop:step or a list 450,550,650, in nm"
         try:

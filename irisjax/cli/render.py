@@ -14,7 +14,7 @@ from irisjax import io
 from irisjax.cli.animate import CHANGES, sheet
 from irisjax.cli.animate import frames as _frames
 from irisjax.cli.compiled import kept_tables
-from irisjax.cli.options import WavelengthGrid, Group, grid_parser, grouped, option, whole_parser
+from irisjax.cli.options import Group, WavelengthGrid, grid_parser, grouped, option, whole_parser
 from irisjax.cli.scenes import EyeWithPupil, changed
 from irisjax.measure.colour import srgb_encode
 from irisjax.numerics.checks import Range, check_range
@@ -60,7 +60,9 @@ class Picture(Group):
     ] = None
     samples: Annotated[
         int,
-        option(parse=whole_parser(1, 8), metavar="count", help="along each side of a pixel, 1 to 8"),
+        option(
+            parse=whole_parser(1, 8), metavar="count", help="along each side of a pixel, 1 to 8"
+        ),
     ] = 1
     integrator: Annotated[
         str | None,
@@ -90,7 +92,9 @@ class Picture(Group):
     ] = None
     frames: Annotated[
         int | None,
-        option(parse=whole_parser(2, 1000), metavar="count", help="of --animate, 2 to 1000; default 24"),
+        option(
+            parse=whole_parser(2, 1000), metavar="count", help="of --animate, 2 to 1000; default 24"
+        ),
     ] = None
 
     def __post_init__(self):

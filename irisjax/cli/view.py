@@ -69,7 +69,10 @@ class Window(Group):
         "127.0.0.1"
     )
     port: Annotated[
-        int, option(parse=whole_parser(0, 65535), metavar="number", help="0 to 65535; 0 takes a free one")
+        int,
+        option(
+            parse=whole_parser(0, 65535), metavar="number", help="0 to 65535; 0 takes a free one"
+        ),
     ] = 8080
 
 

@@ -26,9 +26,11 @@ _PER_MM = {2: 1 / 25.4, 3: 0.1, 4: 1.0, 5: 1000.0}  # Exif's units of the focal 
 class Developed(NamedTuple):
     """A raw file after its colours were filled in.
 
-    - `pixels`: linear, sRGB's primaries, 1 is the sensor's white level; upright.
-    - `saturated`: pixels that a photosite at its white level takes part in.
-    - `exif`: numbers by their names in Exif. `notes`: a sentence each.
+    Attributes:
+        pixels: Linear, sRGB's primaries, 1 is the sensor's white level; upright.
+        saturated: Pixels that a photosite at its white level takes part in.
+        exif: Numbers by their names in Exif.
+        notes: A sentence each.
     """
 
     pixels: np.ndarray
@@ -90,8 +92,9 @@ def develop(path: str | Path, check) -> Developed:
 
     `check(rows, columns)` may refuse the size before colours are filled in.
 
-    **Raises:** `ValueError` without `rawpy` and for a file that LibRaw cannot read, `OSError` for
-    one that cannot be opened.
+    Raises:
+        ValueError: Without `rawpy` and for a file that LibRaw cannot read.
+        OSError: For one that cannot be opened.
     """
     with open(path, "rb"):  # the system's word on files that are missing or forbidden
         pass

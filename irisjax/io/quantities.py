@@ -55,7 +55,8 @@ def choose_columns(names: list[str], wanted: str | None) -> Chosen:
 
     Beside a reflectance (or what becomes one) counts and references are left out.
 
-    **Raises:** `ValueError` where none is what is wanted, or more than one kind is.
+    Raises:
+        ValueError: Where none is what is wanted, or more than one kind is.
     """
     kinds = {j: kind_of(name) for j, name in enumerate(names) if j}
     stated = [j for j, kind in kinds.items() if kind == _SD]
@@ -109,7 +110,8 @@ def percent(y: np.ndarray, unit: str | None, label: str, said: str = "") -> tupl
 
     `unit`: "percent" or "fraction" if it is known; `said`: a unit that the file's header gives.
 
-    **Raises:** `ValueError` where numbers are no reflectances, or could be either.
+    Raises:
+        ValueError: Where numbers are no reflectances, or could be either.
     """
     top = float(np.max(y))
     if unit is None and _PERCENT.search(f"{label} {said}"):

@@ -69,8 +69,10 @@ class SceneFile(Mapping[str, Any]):
     def scene(self, integrator: str | None = None) -> Scene:
         """Build it, with an integrator of `INTEGRATORS` other than its own if one is named.
 
-        A preset has pigments of its own under radiative transfer. **Raises:** `ValueError` that
-        names file and line.
+        A preset has pigments of its own under radiative transfer.
+
+        Raises:
+            ValueError: For parts that do not go together; it names file and line.
         """
         own = self._sections.get("picture", {}).get("integrator", "separable")
         chosen = INTEGRATORS[own if integrator is None else integrator]()
@@ -219,8 +221,10 @@ def stream(seed: int, name: str) -> PRNGKey:
 
 
 def read_scene(path: str | Path) -> SceneFile:
-    """Read and check a scene file. **Raises:** `ValueError`: file, line, what is wrong, what is
-    allowed.
+    """Read and check a scene file.
+
+    Raises:
+        ValueError: For a wrong entry; it names the file, the line and what is allowed.
     """
     path = Path(path)
     try:

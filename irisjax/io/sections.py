@@ -118,14 +118,14 @@ def one_name(*names: str) -> Callable[[Any], str]:
     return check
 
 
-def boolean(value):
+def boolean(value: Any) -> bool:
     """True or false as they are; `ValueError` for anything else."""
     if not isinstance(value, bool):
         raise ValueError("must be true or false")
     return value
 
 
-def text(value):
+def text(value: Any) -> str:
     """Text as it is; `ValueError` for anything else."""
     if not isinstance(value, str):
         raise ValueError("must be text")

@@ -38,7 +38,8 @@ class Columns(NamedTuple):
 def read_text(path: str | Path) -> str:
     """Text in UTF-8, UTF-16 (with its mark) or Windows' western code page.
 
-    **Raises:** `ValueError` naming a file that is none.
+    Raises:
+        ValueError: For a file that is no text, which it names.
     """
     data = Path(path).read_bytes()
     wide = data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))
@@ -53,7 +54,11 @@ def read_text(path: str | Path) -> str:
 
 
 def read_columns(path: str | Path, text: str) -> Columns:
-    """The table in a text. **Raises:** `ValueError` naming the file, the line and the problem."""
+    """Read the table in a text.
+
+    Raises:
+        ValueError: For a broken table; it names the file, the line and the problem.
+    """
     header = dict(
         re.findall(r"^#\s*([^:\n]+?)\s*:[ \t]*(.*?)(?:\s*\[[^\[\]\n]*\])?\s*$", text, flags=re.M)
     )

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 from irisjax import io
-
 from irisjax.io.scenes import SECTIONS, parse_scene, read_scene
 from irisjax.render.environment import Environment
 from irisjax.render.picture import draw
