@@ -1,10 +1,10 @@
 """Shape and key aliases shared by every floor (jaxtyping)."""
 
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 import jax.numpy as jnp
 from jax import Array
-from jaxtyping import ArrayLike, Float, Key
+from jaxtyping import Float, Key
 
 Scalar: TypeAlias = Float[Array, ""]
 """A traced number."""
@@ -19,13 +19,13 @@ PRNGKey: TypeAlias = Key[Array, ""]
 """A new-style key, `jax.random.key(seed)`."""
 
 
-def as_float(x: ArrayLike) -> Array:
+def as_float(x: Any) -> Array:
     """A float array of the default precision, or of its own if it is a JAX float array already."""
     if isinstance(x, Array) and jnp.issubdtype(x.dtype, jnp.floating):
         return x
     return jnp.asarray(x, jnp.result_type(float))
 
 
-def as_float_or_none(x: ArrayLike | None) -> Array | None:
+def as_float_or_none(x: Any) -> Array | None:
     """`as_float`, with `None` for what is absent."""
     return None if x is None else as_float(x)

@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
-from jaxtyping import ArrayLike
 
 from irisjax import io, plot
 from irisjax.cli.light import Light
@@ -51,7 +50,7 @@ def check_is_folder(folder: Path) -> None:
         raise PermissionError(errno.EACCES, "no permission to write in this folder", str(first))
 
 
-def png_of(path: Path, encoded: ArrayLike, remark: str) -> bytes:
+def png_of(path: Path, encoded: Any, remark: str) -> bytes:
     """The bytes of a PNG of encoded values; what is out of range is clipped, and said so."""
     data, clipped = encode_png(path, encoded, remark=remark)
     if clipped:

@@ -120,7 +120,7 @@ def overrules(*names: str) -> Callable[..., Any]:
     return callback
 
 
-def stands_on_command_line(context: typer.Context, name: str) -> bool:
+def stands_on_command_line(context: Any, name: str) -> bool:
     """Whether an option was typed."""
     source = context.get_parameter_source(name)
     return source is not None and source.name == "COMMANDLINE"

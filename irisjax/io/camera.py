@@ -3,10 +3,10 @@
 import contextlib
 import math
 import warnings
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from io import BytesIO
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -87,7 +87,7 @@ def _taken(given: Mapping[str, float], shape: tuple[int, int]):
     return now, 1.0, [f"Exif's size does not fit the picture ({sizes}) and is ignored."]
 
 
-def develop(path: str | Path, check) -> Developed:
+def develop(path: str | Path, check: Callable[[int, int], Any]) -> Developed:
     """Read a raw file by LibRaw: camera's white balance, 16 bits, no brightening, held upright.
 
     `check(rows, columns)` may refuse the size before colours are filled in.

@@ -1,7 +1,7 @@
 """What the columns of a spectrometer's file hold, and their way to reflectances."""
 
 import re
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -90,7 +90,7 @@ def _refusal(name: str, kind: str) -> str:
     )
 
 
-def as_reflectance(y: np.ndarray, sd, quantity: str) -> tuple[np.ndarray, np.ndarray | None]:
+def as_reflectance(y: np.ndarray, sd: Any, quantity: str) -> tuple[np.ndarray, np.ndarray | None]:
     """Reflectances (and their standard deviations) of absorbances log₁₀(1/R) or of Kubelka and
     Munk's K/S = (1 − R)²/2R  [Kubelka & Munk 1931].
     """

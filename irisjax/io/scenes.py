@@ -19,7 +19,7 @@ from irisjax.grow.vessels import veins
 from irisjax.io.images import read_environment
 from irisjax.io.maps import read_maps
 from irisjax.io.sections import (
-    Check,
+    EntryCheck,
     Where,
     boolean,
     check_sections,
@@ -285,7 +285,7 @@ def _three(form: str, allowed: Range) -> Callable[[Any], list[float]]:
     return check
 
 
-FEATURES: dict[str, Check] = {
+FEATURES: dict[str, EntryCheck] = {
     "fibres": _number(0, 4),
     "collarette": _number(0, 4),
     "crypts": whole_number(0, 200),
@@ -296,7 +296,7 @@ FEATURES: dict[str, Check] = {
     "relief": _number(0, 1),
 }
 _DEGREES = _number(-360, 360)
-SECTIONS: dict[str, dict[str, Check]] = {
+SECTIONS: dict[str, dict[str, EntryCheck]] = {
     "iris": {
         "preset": one_name(*PRESETS),
         "level": one_name(*_LEVELS),

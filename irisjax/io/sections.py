@@ -8,9 +8,9 @@ from typing import Any
 
 from irisjax.numerics.checks import Range
 
-Check = Callable[[Any], Any]
+EntryCheck = Callable[[Any], Any]
 """Gives an entry's value as it is used; raises `ValueError` that tells what it must be."""
-Keys = Mapping[str, Check] | Callable[[str], Check]
+Keys = Mapping[str, EntryCheck] | Callable[[str], EntryCheck]
 """Checks of a section's entries: by their names, or made for any name."""
 Where = Callable[..., str]
 """`where(section, key, nth)`: file and line of an entry of a section's nth table, as far as the
