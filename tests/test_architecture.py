@@ -68,7 +68,7 @@ _TWICE = {
     "Normal", "PIGMENTS", "PUPIL", "Paints", "Photon", "Picture", "Rays", "Results",
     "SCATTERING", "SURFACE", "Shown", "Stage", "Subject", "Target", "Texels", "View", "along",
     "check_folder", "check_suffix", "event", "grid", "main", "name_of", "place_of", "places",
-    "rayleigh", "rays", "reflectance", "respond", "solve", "split", "swatch", "table",
+    "rayleigh", "rays", "T", "Values", "reflectance", "respond", "solve", "split", "swatch", "table",
 }  # fmt: skip
 
 
