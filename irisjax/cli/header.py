@@ -31,7 +31,8 @@ def head(
         "solver settings": ", ".join(
             f"{field.name} = {value}"
             for field in dataclasses.fields(solver)
-            if (value := getattr(solver, field.name)) is not None
+            # The process has lines of its own.
+            if field.name != "process" and (value := getattr(solver, field.name)) is not None
         ),
     }
 
