@@ -29,7 +29,8 @@ class Handover(Group):
         named_option("whose albedo and BRDF; default: the scene's, separable", *_MODELS),
     ] = None
     spacing: Annotated[
-        float, option(parse=range_parser(_SPACING), metavar="MM", help="size of the triangles, 0.02 to 2")
+        float,
+        option(parse=range_parser(_SPACING), metavar="MM", help="size of the triangles, 0.02 to 2"),
     ] = 0.1
     output: Annotated[
         Path, option("-o", "--output", metavar="FOLDER", help="a new or empty folder")

@@ -86,11 +86,7 @@ class Measurements(Group):
         ),
     ] = None
     unit: Annotated[
-<<<<<<< HEAD
-        str | None, name_of("of reflectances, where the file does not say", *REFLECTANCE_UNITS)
-=======
-        str | None, named_option("of reflectances, where the file does not say", *UNITS)
->>>>>>> 8331598 (Give helpers of the command and of TOML sections names of their own)
+        str | None, named_option("of reflectances, where the file does not say", *REFLECTANCE_UNITS)
     ] = None
     wavelength_unit: Annotated[
         str | None, named_option("where the file does not say", *WAVELENGTH_UNITS)

@@ -17,7 +17,6 @@ from irisjax import io
 from irisjax.cli.animate import sheet
 from irisjax.cli.compiled import kept_tables
 from irisjax.cli.files import check_folder, check_is_folder, png_of
-<<<<<<< HEAD
 from irisjax.cli.matching import (
     DIFFERENCES,
     MATCH,
@@ -26,8 +25,7 @@ from irisjax.cli.matching import (
     Matched,
     matched,
     nearest_colour,
-=======
-from irisjax.cli.matching import RETOUCHES, Matched, matched, nearest_colour
+)
 from irisjax.cli.options import (
     SEED_HELP,
     Group,
@@ -37,15 +35,6 @@ from irisjax.cli.options import (
     read_seed,
     whole_parser,
 )
-from irisjax.cli.painted_files import (
-    COATS,
-    MESHES,
-    TISSUE,
-    check_spared,
-    remove_left_over,
->>>>>>> 8331598 (Give helpers of the command and of TOML sections names of their own)
-)
-from irisjax.cli.options import SEED_HELP, Group, grouped, name_of, option, read_seed, whole
 from irisjax.cli.paints import PaintOptions, check_no_seed, of_file
 from irisjax.cli.scenes import changed, environment_of
 from irisjax.export.mesh import FORMATS, painting_files
@@ -152,14 +141,9 @@ class PaintedPicture(Group):
         ),
     ] = 1
     texels: Annotated[
-<<<<<<< HEAD
-        int, option(parse=whole(64, 4096), metavar="count", help="along a side of opacity maps")
-    ] = OPACITY_SIZE
-=======
         int,
         option(parse=whole_parser(64, 4096), metavar="count", help="along a side of opacity maps"),
-    ] = SIZE
->>>>>>> 8331598 (Give helpers of the command and of TOML sections names of their own)
+    ] = OPACITY_SIZE
     shadow: Annotated[
         str,
         named_option("shadows; as-printed: by the paper's Eq. 2 as it stands there", *_SHADOWS),
@@ -175,7 +159,7 @@ class PaintedFiles(Group):
     output: Annotated[Path, option("-o", "--output", metavar="DIR", help="folder for the eye")]
     meshes: Annotated[
         str | None,
-        name_of("a mesh of every coat, of cornea and white, in meshes/", *FORMATS),
+        named_option("a mesh of every coat, of cornea and white, in meshes/", *FORMATS),
     ] = None
     tissue: Annotated[
         bool,
@@ -189,11 +173,7 @@ class PaintedFiles(Group):
 
 
 @grouped
-<<<<<<< HEAD
 def paint_command(subject: PaintedEye, picture: PaintedPicture, results: PaintedFiles) -> None:
-=======
-def paint_command(subject: Subject, picture: Picture, results: Results) -> None:
->>>>>>> 8331598 (Give helpers of the command and of TOML sections names of their own)
     """An eye painted in semi-transparent coats, as ocularists make them.
 
     For example: irisjax paint --type detail --colour blue -o blue_eye

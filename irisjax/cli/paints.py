@@ -7,11 +7,7 @@ from pathlib import Path
 from typing import Annotated
 
 from irisjax.anatomy.eye import LIMITS
-<<<<<<< HEAD
 from irisjax.cli.options import Group, named_option, option, range_parser
-=======
-from irisjax.cli.options import Group, option, range_parser
->>>>>>> 8331598 (Give helpers of the command and of TOML sections names of their own)
 from irisjax.io.recipes import MIXING, Recipe, read_recipe
 from irisjax.ocularist.recipes import EYE_COLOURS, EYE_TYPES, coats
 

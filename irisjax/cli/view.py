@@ -10,13 +10,8 @@ import typer
 
 from irisjax import _interrupt
 from irisjax.cli.compiled import kept_tables
-<<<<<<< HEAD
 from irisjax.cli.options import SEED_HELP, Group, grouped, option, read_seed, whole_parser
 from irisjax.cli.paints import PaintOptions, check_no_seed, of_file
-=======
-from irisjax.cli.options import SEED_HELP, Group, grouped, option, read_seed, whole_parser
-from irisjax.cli.paints import Paints, check_no_seed, of_file
->>>>>>> 8331598 (Give helpers of the command and of TOML sections names of their own)
 from irisjax.cli.scenes import Subject, changed
 from irisjax.io.clone_folders import read_clone
 from irisjax.view import Bench, Studio, check_address, serve

@@ -106,13 +106,8 @@ def read_measured(
     """
     how = ReadOptions(quantity, unit, wavelength_unit, wavelengths)
     try:
-<<<<<<< HEAD
         table = read_spectral_table(path)
         return _spectrum(table, how, select(table, how.quantity))
-=======
-        table = _read(path)
-        return _finished(table, how, quantities.choose_columns(table.names, how.quantity))
->>>>>>> 8331598 (Give helpers of the command and of TOML sections names of their own)
     except ValueError as error:
         raise ValueError(_naming(path, error)) from None
 
@@ -137,12 +132,7 @@ def read_eyes(path: str | Path, how: ReadOptions | None = None) -> dict[str, Mea
         if name in found:
             raise ValueError(f"{path}: column {name!r} appears twice")
         try:
-<<<<<<< HEAD
             found[name] = _spectrum(table, how, select(table, how.quantity, [j]))
-=======
-            chosen = quantities.choose_columns([table.names[0], name], how.quantity)
-            found[name] = _finished(table, how, chosen._replace(spectra=[j]))
->>>>>>> 8331598 (Give helpers of the command and of TOML sections names of their own)
         except ValueError as error:
             found[name] = error
     return found

@@ -12,13 +12,8 @@ import tomlkit
 
 from irisjax.anatomy.eye import LIMITS, Eye
 from irisjax.io.images import read_image
-<<<<<<< HEAD
-from irisjax.io.sections import Check, Keys, check_sections, one_name, text, whole_number, number_within
-from irisjax.io.text import read_columns, read_text
-=======
-from irisjax.io.paints import read_paints
 from irisjax.io.sections import (
-    Check,
+    EntryCheck,
     Keys,
     check_sections,
     number_within,
@@ -26,8 +21,7 @@ from irisjax.io.sections import (
     text,
     whole_number,
 )
-from irisjax.io.text import read_text
->>>>>>> 8331598 (Give helpers of the command and of TOML sections names of their own)
+from irisjax.io.text import read_columns, read_text
 from irisjax.numerics.checks import Range
 from irisjax.ocularist.coats import HEIGHT, PUPIL_RADIUS, prosthesis
 from irisjax.ocularist.components import COMPONENTS
@@ -216,7 +210,7 @@ def _coats(tables: Sequence[Mapping[str, Any]]) -> tuple[CoatRecipe, ...]:
     return tuple(coats)
 
 
-def _colour(name: str) -> Check:
+def _colour(name: str) -> EntryCheck:
     def check(value: Any) -> Any:
         linear_colour(name, value)
         return value
