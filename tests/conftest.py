@@ -220,7 +220,8 @@ def float32():
 
 @pytest.fixture(scope="session")
 def tabulated():
-    """Tables of the default process, made once a worker."""
+    """The table of the default process that comes with the package."""
     import irisjax as ij
+    from irisjax.transport.ilit import shipped
 
-    return ij.IlitTabulated.build()
+    return shipped.table(ij.Iris().indices())
