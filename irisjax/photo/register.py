@@ -254,8 +254,9 @@ def _refined(affine, one, other, points, centre, radius, blur) -> np.ndarray:
         along, down = (sampled(s, parameters)[:, None] for s in slopes)
         return keep[:, None] * np.concatenate([along * about, down * about], 1)
 
-    robust: Any = {"loss": "cauchy", "f_scale": _OUTLYING, "max_nfev": _STEPS, "xtol": _STILL}
-    parameters = optimize.least_squares(residuals, start, jacobian, **robust).x
+    solve: Any = optimize.least_squares  # its annotations know no function for the Jacobian
+    settings = {"loss": "cauchy", "f_scale": _OUTLYING, "max_nfev": _STEPS, "xtol": _STILL}
+    parameters = solve(residuals, start, jacobian, **settings).x
     found = parameters.reshape(2, 3) / sizes
     change = np.linalg.det(found[:, :2]) / np.linalg.det(affine[:, :2])
     return found if 0.7 < change < 1.4 else affine  # textures that have nothing in common

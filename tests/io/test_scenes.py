@@ -87,7 +87,6 @@ def test_seeds_grow_other_maps():
     assert np.abs(first - relief(2)).max() > 0.01
 
 
-@pytest.mark.heavy
 def test_coloured_lamps():
     """A red lamp, a blue one and both: the picture of a plain one, channel by channel."""
     text = BARE[: BARE.index("[[light]]")]

@@ -36,8 +36,7 @@ def pixel(x, y, height, camera):
     )
 
 
-@pytest.mark.heavy
-@pytest.mark.parametrize(("polar", "azimuth"), [(0.0, 0.0), (0.5, 0.0), (0.5, np.pi / 2)])
+@pytest.mark.parametrize(("polar", "azimuth"), [(0.0, 0.0), (0.5, 1.0)])
 def test_dots_on_high_coats_move_against_the_base(polar, azimuth):
     camera = Camera(size=FINE.size, width=9.0, distance=1e4, polar=polar, azimuth=azimuth)
     x, y, height = 2.8, -0.7, 0.3
@@ -68,7 +67,6 @@ def direction_in_chamber(polar, place):
     return bent
 
 
-@pytest.mark.heavy
 def test_shadows_fall_aside_from_the_lamp():
     x, y, height = 0.5, 3.0, 0.3
     base, faint = coat("base"), coat("dot", height, dot(x, y, 0.2, 0.02), BLACK)
