@@ -96,7 +96,7 @@ def run(arguments: list[str] | None = None) -> int:
         if isinstance(error, MemoryError):
             return _complain("not enough memory for so many wavelengths, directions or photons", 2)
         return _complain(
-            f"internal error: {type(error).__name__}: {error} (IRISJAX_DEBUG=1 tells more)", 1
+            f"internal error: {type(error).__name__}: {error} (IRISJAX_DEBUG=1 shows where)", 1
         )
 
 
@@ -162,7 +162,7 @@ def parser(arguments: list[str]) -> Any:
 
 
 def _irisjax(
-    version: bool = typer.Option(False, "--version", help="Print the version and leave."),
+    version: bool = typer.Option(False, "--version", help="Print the version and exit."),
 ) -> None:
     """Predictive spectra, BRDF and colour of the human iris from its pigments.
 

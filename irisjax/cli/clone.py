@@ -69,7 +69,8 @@ def clone_command(picture: ClonePicture, model: CloneModel, results: CloneResult
             except ValueError as error:
                 if not isinstance(found, cloning.Shaped):
                     raise
-                failed = (f"{wanted[len(timings)]}: {error}; what is before it is written",)
+                stage_name = wanted[len(timings)]
+                failed = (f"{stage_name}: {error}; the stages before it are written",)
         for note in photograph.notes:
             tell(f"{picture.photograph}: {note}")
         words = {**_words(picture), **_words(model)}

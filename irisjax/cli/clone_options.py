@@ -79,7 +79,7 @@ class ClonePicture(Group):
     ] = None
     environment: Annotated[
         str | None,
-        option(metavar="FILE|uniform", help="latitude-longitude panorama, or light from all round"),
+        option(metavar="FILE|uniform", help="latitude-longitude panorama, or uniform light"),
     ] = None
     cross_polarised: Annotated[
         bool,

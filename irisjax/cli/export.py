@@ -39,7 +39,7 @@ class Handover(Group):
 
 @grouped
 def export_command(subject: EyeWithPupil, handover: Handover) -> None:
-    """An eye for other renderers: meshes, textures, a BRDF table, a scene for Mitsuba 3.
+    """Write an eye for other renderers: meshes, textures, a BRDF table, a scene for Mitsuba 3.
 
     README.txt in the folder describes each file and states how far a matt iris is
     from the model. Simulated.

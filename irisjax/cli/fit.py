@@ -42,12 +42,12 @@ EPILOG = "\n".join(
 def fit_command(
     measured: Measurements, model: Model, sampler: Sampler, results: FitResults
 ) -> None:
-    """Find the pigments of an iris from its measured spectrum, and what the data cannot tell.
+    """Infer the pigments of an iris from its measured spectrum, with credible intervals.
 
     For example: irisjax fit eye.csv -o fit_eye
 
     Columns of the file: wavelength (nm or µm), reflectance (fraction or %), and
-    its standard deviation (named sd) or further scans. What is assumed is said.
+    its standard deviation (named sd) or further scans. Assumptions are printed.
 
     Exit status: 0; 3 where the chain is not long enough (raise --max-steps and
     --resume), or an eye of a --batch failed (doubtful ones are counted, and

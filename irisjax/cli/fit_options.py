@@ -93,7 +93,9 @@ class Measurements(Group):
     ] = None
     wavelengths: Annotated[
         Any,  # typer takes a pair for two words
-        option(parse=_span, metavar="LOW:HIGH", help="leave out what is measured outside these nm"),
+        option(
+            parse=_span, metavar="LOW:HIGH", help="leave out wavelengths outside this range, nm"
+        ),
     ] = None
     illuminant: Annotated[
         str, option(metavar="NAME", help="of a radiance, by its name in colour-science")
@@ -151,7 +153,7 @@ class Model(Group):
         str | None,
         option(
             metavar="NAMES",
-            help="parameters to find, by commas; default those marked * below",
+            help="parameters to infer, separated by commas; default: those marked * below",
         ),
     ] = None
     fix: Annotated[
@@ -209,14 +211,14 @@ class Sampler(Group):
 
     walkers: Annotated[
         int,
-        option(parse=whole_parser(4, 4096), metavar="count", help="chains side by side, 4 to 4096"),
+        option(parse=whole_parser(4, 4096), metavar="count", help="number of chains, 4 to 4096"),
     ] = 64
     max_steps: Annotated[
         int,
         option(
             parse=whole_parser(1, 10_000_000),
             metavar="count",
-            help="stop there if not long enough before, 1 to 10000000",
+            help="largest number of steps, 1 to 10000000",
         ),
     ] = 20_000
     seed: Annotated[int, option(parse=read_seed, metavar="number", help=f"{SEED_HELP}results")] = 0
@@ -247,19 +249,21 @@ class FitResults(Group):
     ] = None
     compare: Annotated[
         bool,
-        option("--compare", metavar="", help="models of light side by side, with evidences"),
+        option("--compare", metavar="", help="compare models of light by their evidences"),
     ] = False
     posteriors: Annotated[
         bool,
-        option("--posteriors", metavar="", help="with --batch: sample every eye, not only fit it"),
+        option(
+            "--posteriors", metavar="", help="with --batch: sample the posterior of every eye too"
+        ),
     ] = False
     resume: Annotated[
         bool,
-        option("--resume", metavar="", help="go on where a run into the same FOLDER stopped"),
+        option("--resume", metavar="", help="continue a stopped run into the same FOLDER"),
     ] = False
     overwrite: Annotated[
         bool,
-        option("--overwrite", metavar="", help="begin anew in a FOLDER that has results"),
+        option("--overwrite", metavar="", help="replace the results in FOLDER"),
     ] = False
 
 

@@ -127,7 +127,7 @@ class EyeLight(Light):
         option(
             "--first-surface/--no-first-surface",
             metavar="",
-            help="count light mirrored by the iris's own surface",
+            help="include light reflected by the iris's own surface",
         ),
     ] = True
 
@@ -178,7 +178,7 @@ class SpectrumLight(EyeLight):
         option(
             parse=exit_angle,
             metavar="degrees",
-            help="angle from the normal that it looks from, 0 to 90, or hemisphere; default 0, "
+            help="viewing angle from the normal, 0 to 90, or hemisphere; default 0, "
             "45 for degree-of-polarisation",
         ),
     ] = None
@@ -187,7 +187,7 @@ class SpectrumLight(EyeLight):
         option(
             parse=number_parser(-360, 360),
             metavar="degrees",
-            help="azimuth of that direction, 0 where a mirror would send the light",
+            help="azimuth of the viewing direction, 0 where a mirror would send the light",
         ),
     ] = 0.0
 
@@ -255,13 +255,15 @@ class NoisyLight(EyeLight):
         option(
             parse=number_parser(0, 10),
             metavar="share",
-            help="standard deviation, share of the value",
+            help="standard deviation as a share of the value",
         ),
     ] = 0.02
     absolute_noise: Annotated[
         float,
         option(
-            parse=number_parser(0, 10), metavar="reflectance", help="the same, of every value alike"
+            parse=number_parser(0, 10),
+            metavar="reflectance",
+            help="a constant standard deviation beside it",
         ),
     ] = 2e-4
     scans: Annotated[

@@ -56,7 +56,7 @@ def spectrum_command(
     light: SpectrumLight,
     files: TableFiles,
 ) -> None:
-    """Spectral reflectance of an iris, or its radiance under an illuminant, as CSV."""
+    """Compute the reflectance of an iris, or its radiance under an illuminant, as CSV."""
     check_files(files.output, files.plot)
     if light.instrument in POLARIMETERS:
         process = process.seeing_polarisation(light.instrument)
@@ -85,7 +85,7 @@ def brdf_command(
     light: BrdfLight,
     files: TableFiles,
 ) -> None:
-    """BRDF of an iris in the aqueous humour, without the light mirrored by its surface, as CSV."""
+    """Compute the BRDF of an iris in the aqueous humour, without its surface's reflection."""
     check_files(files.output, files.plot)
     angle, azimuth = _exits(light.plane, light.angles)
     grid, told = light.wavelengths.values, light.before_the_iris()
@@ -115,7 +115,7 @@ def colour_command(
     light: ColourLight,
     files: SwatchFile,
 ) -> None:
-    """Colour of an iris under an illuminant: XYZ, CIE L*a*b*, sRGB, and a swatch."""
+    """Compute the colour of an iris under an illuminant: XYZ, CIE L*a*b*, sRGB, and a swatch."""
     check_files(None, files.swatch, ".png")
     make = partial(
         Colorimeter,

@@ -202,7 +202,9 @@ def modelled_iris(options: IrisOptions) -> ij.Iris:
     fields = {n: v for n in names if (v := getattr(options, n)) is not None}
     law = [n for n in POWER_LAW_LIMITS if n in fields]
     if law and "scattering" in options.typed:
-        raise ValueError(f"{dashed(law[0])} stands in place of the formula that --scattering names")
+        raise ValueError(
+            f"{dashed(law[0])} replaces the formula that --scattering names; give one of the two"
+        )
     return ij.Iris.of_level(options.level).replace(**fields, scattering=options.scattering)
 
 
@@ -223,7 +225,9 @@ def check_scattering(iris: ij.Iris, process: AbstractProcess) -> None:
     if not isinstance(process, RadiativeTransfer):
         raise ValueError(f"{law} needs --process {_DEEP}")
     if process.polarised:
-        raise ValueError(f"{law} does not go with polarised light, which knows Rayleigh's law only")
+        raise ValueError(
+            f"{law} cannot be combined with polarised light, which scatters by Rayleigh's law only"
+        )
 
 
 def solver_of(

@@ -174,7 +174,7 @@ class PaintedFiles(Group):
 
 @grouped
 def paint_command(subject: PaintedEye, picture: PaintedPicture, results: PaintedFiles) -> None:
-    """An eye painted in semi-transparent coats, as ocularists make them.
+    """Paint an eye in semi-transparent coats, as ocularists do.
 
     For example: irisjax paint --type detail --colour blue -o blue_eye
 

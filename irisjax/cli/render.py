@@ -138,7 +138,7 @@ class PictureFile(Group):
 
 @grouped
 def render_command(view: View, picture: Picture, files: PictureFile) -> None:
-    """A picture of an eye from its pigments: refraction, caustics, scattering in the iris.
+    """Draw an eye from its pigments: refraction, caustics, scattering in the iris.
 
     Simulated. PNG is sRGB without any tone adjustment; what is out of its
     range is clipped, and counted on standard error. EXR is linear and unbounded.

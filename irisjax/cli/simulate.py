@@ -27,7 +27,7 @@ from irisjax.transport.process import AbstractProcess
 def simulate_measurement_command(
     iris: IrisOptions, process: ProcessOptions, light: NoisyLight, files: TableFile
 ) -> None:
-    """A noisy spectrum of a modelled iris with its truth in the header, to try `irisjax fit` on."""
+    """Simulate a noisy spectrum of an iris, with its truth in the header, to try `irisjax fit`."""
     check_files(files.output)
     modelled, followed = modelled_iris(iris), process_of(process)
     check_scattering(modelled, followed)

@@ -73,7 +73,7 @@ class Window(Group):
 
 @grouped
 def view_command(subject: Shown, coats: Coats, window: Window) -> None:
-    r"""An eye in the browser, with sliders, its spectrum and its colour; or a painted one.
+    r"""Show an eye in the browser, with sliders, its spectrum and its colour; or a painted one.
 
     Sliders for pigments, layers, pupil and light; drag to orbit, scroll to zoom.
     Without a scene the eye is blue. A painted eye (--recipe, or --type and --colour) has

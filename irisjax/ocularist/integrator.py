@@ -120,7 +120,7 @@ class Painted(AbstractIntegrator):
         **Raises:** `ValueError` for a picture of other channels.
         """
         if bands.channels != ("R", "G", "B"):
-            raise ValueError("a painted iris has colours, not spectra: ask for no wavelengths")
+            raise ValueError("a painted iris has colours, not spectra: leave out the wavelengths")
         return PaintedResponse(white=bands.white)
 
 

@@ -119,7 +119,7 @@ def test_what_is_before_a_failed_stage_is_written(
     asked = "clone", photo, "-o", folder, *outlined, "--focal-px", f"{focal:.3f}", "--visible"
     status, out, err = irisjax(*asked, tmp_path / "seen.png")
     assert status == 3
-    assert "WARNING: pigments: only 3 windows" in err and "what is before it is written" in err
+    assert "WARNING: pigments: only 3 windows" in err and "the stages before it are written" in err
     assert "degrees off the eye's axis" in out
     files = "clone.json", "unrefracted.png", "visible.png", "freckles.png", "deconvolved.png"
     assert _files(folder) == {*files, "maps.exr"}

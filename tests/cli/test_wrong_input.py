@@ -120,7 +120,7 @@ def test_a_fault_of_our_own_is_one_line(irisjax, monkeypatch):
     monkeypatch.setattr(jobs, "observe", broken)
     status, out, err = irisjax("spectrum")
     assert (status, out) == (1, "")
-    assert err == "irisjax: internal error: TypeError: two lines (IRISJAX_DEBUG=1 tells more)\n"
+    assert err == "irisjax: internal error: TypeError: two lines (IRISJAX_DEBUG=1 shows where)\n"
 
 
 def test_interrupt_is_one_line(irisjax, monkeypatch, tmp_path):

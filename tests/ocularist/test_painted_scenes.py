@@ -136,7 +136,7 @@ def test_a_coat_that_changes_is_painted_with_those_below_alone(monkeypatch):
 
 def test_painted_scenes_have_colours_and_no_spectra():
     painted = scene(coat("base", colour=RED))
-    with pytest.raises(ValueError, match="ask for no wavelengths"):
+    with pytest.raises(ValueError, match="leave out the wavelengths"):
         draw(painted.replace(wavelengths=(500.0, 600.0)), tables())
     with pytest.raises(ValueError, match="the iris is painted"):
         _ = painted.tissue
