@@ -302,3 +302,42 @@ def test_grazing_light_is_refused_with_one_panel():
     iris, one = ij.Iris(**UNDENSE, scattering_scale=4.0), ij.RadiativeExact(n_panels=1)
     coarse = ij.reflectance(iris, [450.0], cos_incidence=0.003, throw=False, solver=one)
     assert coarse.status == ij.RESULTS.under_resolved
+
+
+OPAQUE = {
+    "anterior border layer": ij.Iris(eumelanin=2000.0, abl_fraction=1.0),
+    "both layers": ij.Iris(eumelanin=2000.0),
+    "stroma": ij.Iris(eumelanin=2000.0, abl_fraction=0.0),
+    "3 mm": ij.Iris(stroma_thickness=3.0),
+}
+
+
+@pytest.fixture(scope="module")
+def opaque_traced():
+    """Readings of a traced iris and their gradients, with one panel and with five."""
+
+    def made(panels):
+        def reading(iris):
+            solver = ij.RadiativeExact(20, 8, panels)
+            found = ij.reflectance(iris, [400.0, 550.0], solver=solver, throw=False)
+            return found.values.sum(), found
+
+        return quick_jit(jax.grad(reading, has_aux=True))
+
+    return {None: made(None), 5: made(5)}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("name", "panels"),
+    [("anterior border layer", None), ("both layers", None), ("stroma", 5), ("3 mm", 5)],
+)
+def test_opaque_layers_in_a_trace(opaque_traced, name, panels):
+    """By another method; behind an opaque ABL one panel serves, elsewhere five."""
+    iris = OPAQUE[name]
+    gradient, found = opaque_traced[panels](iris)
+    assert bool(found.status == ij.RESULTS.successful)
+    doubled = ij.reflectance(iris, [400.0, 550.0], solver=ij.AddingDoubling())
+    np.testing.assert_allclose(found.values, doubled.values, rtol=1e-6)
+    np.testing.assert_allclose(found.absorbed.total() + found.values, 1, rtol=1e-9)
+    assert all(np.isfinite(x).all() for x in jax.tree.leaves(gradient))

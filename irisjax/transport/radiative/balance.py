@@ -34,5 +34,6 @@ def solve_balanced(slab, system, right, balance, lost_beam):
     order = np.append(np.delete(np.arange(right.shape[0]), which), which)
     x = linear.solve(system[order][:, order], right[order])[np.argsort(order)]
     spent = balance @ x
-    dark = spent <= 0
+    # Of less light the quotient's derivative would underflow.
+    dark = spent <= jnp.finfo(spent.dtype).tiny ** 0.5
     return x * jnp.where(dark, 1.0, lost_beam / jnp.where(dark, 1.0, spent))[None, :]

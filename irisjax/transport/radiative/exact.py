@@ -33,7 +33,7 @@ from irisjax.transport.radiative.directions import (
 )
 from irisjax.transport.radiative.fates import before
 from irisjax.transport.radiative.polarised import exact as polarised
-from irisjax.transport.radiative.resolution import panels_for, status_of, steepness
+from irisjax.transport.radiative.resolution import panels_for, seen_depth, status_of, steepness
 from irisjax.transport.radiative.slab import Ends, Slab
 from irisjax.transport.solution import Absorbed, Solution
 from irisjax.transport.solver import AbstractSolver, check_process, check_rayleigh
@@ -60,8 +60,9 @@ class RadiativeExact(AbstractSolver):
         n_angles: Quadrature nodes over the cosine.
         n_depths: Polynomials in depth, per panel.
         n_panels: Panels in depth; `None` takes as many as the optical depth requires where it is
-            known, and one while tracing: enough for every iris of LB06. Where the panels are too
-            few, known or traced, the status is `under_resolved`.
+            known, and one while tracing: enough for every iris of LB06. Opaque slabs and a stroma
+            3 mm thick take 5. Where the panels are too few, known or traced, the status is
+            `under_resolved`.
         process: `DEPTH_RESOLVED` or `POLARISED`.
     """
 
@@ -137,6 +138,7 @@ def _solve(
 def _one_wavelength(
     abl, depth, albedo, coalbedo, n, nodes, beams, power, exits, azimuth, n_depths, n_panels
 ):
+    depth = seen_depth(depth, coalbedo)
     slab = Slab(depth, n_depths, n_panels)
     roof_in = roof_of(abl, beams, from_stroma=False)
     entering = power * roof_in.passed

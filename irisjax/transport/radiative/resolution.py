@@ -2,6 +2,7 @@
 
 from typing import Any
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
@@ -18,6 +19,8 @@ _RESOLVED = 0.47
 _STEEP = 0.25  # cosine up to which directions need no panels of their own
 _SHARP = 5e-3  # `_angular_error` up to which there are enough angles
 _MOST_PANELS = 32  # optical depths of 1e9
+_DARK = 36.0  # optical depth behind which less than rounding is left
+_OPAQUE = 18.5  # optical depth of an ABL behind which less than 1e-8 is left
 
 
 def panels_for(layers: Layers, n_depths: int, slant: Any = 1.0) -> int | None:
@@ -32,6 +35,14 @@ def panels_for(layers: Layers, n_depths: int, slant: Any = 1.0) -> int | None:
         panels += 1
         coarseness = np.asarray(_coarseness(layers, n_depths, panels, slant))
     return panels
+
+
+def seen_depth(extinction, coalbedo):
+    """Return the optical depth of a slab down to where it is dark: all of it, unless it is opaque.
+
+    Light deep in a slab decays faster than e^{−τ√(1 − ω)}.
+    """
+    return jnp.minimum(extinction, jax.lax.stop_gradient(_DARK / jnp.sqrt(coalbedo)))
 
 
 def steepness(layers: Layers, light: Light):
@@ -61,11 +72,14 @@ def _coarseness(layers: Layers, n_depths: int, n_panels: int, slant: Any = 1.0):
     (test_depth_resolved.py checks it at other points). Light scattered twice makes the error, hence
     the albedo's square.
     """
-    outer = layers.extinction * (fractions(n_panels)[0] * 8 / n_depths)
+    depth = seen_depth(layers.extinction, layers.coalbedo)
+    outer = depth * (fractions(n_panels)[0] * 8 / n_depths)
     # The second is what it takes to follow the beam itself where next to nothing scatters.
-    return slant * jnp.maximum(
+    coarse = slant * jnp.maximum(
         jnp.cbrt(layers.albedo) ** 2 * outer * (8 / n_depths) ** (4 / 3), outer**4 / 406
     )
+    # No light comes to a slab under an opaque ABL. (Depths that are not numbers stay so.)
+    return jnp.where(layers.abl_absorption > _OPAQUE, 0.0 * coarse, coarse)
 
 
 def status_of(layers: Layers, n_depths: int, n_panels: int, slant) -> RESULTS:

@@ -30,7 +30,7 @@ from irisjax.transport.radiative.polarised.interfaces import (
     unscattered,
 )
 from irisjax.transport.radiative.polarised.modes import RAYLEIGH, PolarisedMode
-from irisjax.transport.radiative.resolution import status_of, steepness
+from irisjax.transport.radiative.resolution import seen_depth, status_of, steepness
 from irisjax.transport.radiative.slab import Slab
 from irisjax.transport.solution import Absorbed, Polarisation, Solution
 
@@ -114,6 +114,7 @@ def solve(
 
 
 def _one_wavelength(abl, depth, albedo, coalbedo, n, nodes, lit, looked, *, how, modes, matrices):
+    depth = seen_depth(depth, coalbedo)
     slab, beams = Slab(depth, *how), lit.beams
     sets = [nodes, beams] if looked is None else [nodes, beams, looked.exits]
     everywhere = jax.tree.map(lambda *x: jnp.concatenate(x, axis=-1), *sets)
