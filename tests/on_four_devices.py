@@ -26,6 +26,7 @@ SOLVERS = {
     "retest": ij.IlitExact(8, process=ij.Ilit(rescatter="retest")),
     "tabulated": ij.IlitTabulated.build(tolerance=1e-2, n_intervals=16, n_albedos=4),
     "radiative": ij.RadiativeExact(8, 4),
+    "polarised": ij.RadiativeExact(8, 4, process=ij.POLARISED),
     "monte carlo": ij.MonteCarlo(200, lanes=16),
 }
 
@@ -63,7 +64,7 @@ def explicit(run):
 
 def derivatives():
     def loss(x):
-        return sum(values(SOLVERS[name], x).sum() for name in ("exact", "tabulated"))
+        return sum(values(SOLVERS[name], x).sum() for name in ("exact", "tabulated", "radiative"))
 
     f = jax.vmap(jax.grad(loss))
     expected = jax.jit(f)(BATCH)

@@ -225,6 +225,7 @@ def on_four_devices():
         "retest",
         "tabulated",
         "radiative",
+        "polarised",
         "monte carlo",
     ],
 )

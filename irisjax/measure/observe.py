@@ -10,6 +10,7 @@ import jax
 
 from irisjax._types import PRNGKey
 from irisjax.measure.instrument import AbstractInstrument
+from irisjax.numerics.sharding import compiler_laid_out
 from irisjax.tissue.iris import Iris
 from irisjax.tissue.layers import Layers
 from irisjax.transport.ilit.exact import IlitExact
@@ -64,6 +65,10 @@ def observed(
     key: PRNGKey | None = None,
 ):
     """`observe` as a traced function: no checks, no preparation, the status tells."""
+    return compiler_laid_out(_traced, instrument.wavelengths, iris, instrument, solver, key)
+
+
+def _traced(iris, instrument, solver, key):
     factor, light = instrument.incident()
     layers = iris.layers(instrument.pigments, instrument.media.aqueous)
     return instrument.reading(solver.solve(layers, light, key=key), factor)
@@ -83,7 +88,8 @@ def prepared(iris: Iris, instrument: AbstractInstrument, solver: AbstractSolver)
 
 @jax.jit
 def _layers(iris: Iris, instrument: AbstractInstrument) -> Layers:
-    return iris.layers(instrument.pigments, instrument.media.aqueous)
+    pigments, aqueous = instrument.pigments, instrument.media.aqueous
+    return compiler_laid_out(Iris.layers, instrument.wavelengths, iris, pigments, aqueous)
 
 
 _observe = jax.jit(observed)

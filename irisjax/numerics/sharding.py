@@ -42,6 +42,25 @@ def laid_out_as(like, ranks, function, *arguments) -> Any:
     return jax.sharding.auto_axes(function, out_sharding=specs)(*arguments)
 
 
+def compiler_laid_out(function, like, *arguments) -> Any:
+    """`function(*arguments)` where a mesh of explicit axes has the layouts inside left to the
+    compiler, for a function of whatever it returns.
+
+    What has the length of the vector `like` along its first axis is laid out as that. All traced
+    arrays must be among `arguments`. Without such a mesh it is a call.
+    """
+    if AxisType.Explicit not in jax.sharding.get_abstract_mesh().axis_types:
+        return function(*arguments)
+    specs, first = PartitionSpec(), tuple(jax.typeof(like).sharding.spec)[:1]
+    if first not in ((), (None,)):
+        whole = jax.sharding.auto_axes(function, out_sharding=specs)
+        specs = jax.tree.map(
+            lambda x: PartitionSpec(*first) if x.shape[:1] == like.shape else PartitionSpec(),
+            jax.eval_shape(whole, *arguments),
+        )
+    return jax.sharding.auto_axes(function, out_sharding=specs)(*arguments)
+
+
 def _axes(x) -> frozenset:
     kind = jax.typeof(x)
     # Since JAX 0.10 in a field of its own.
