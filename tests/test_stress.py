@@ -47,7 +47,7 @@ FEW = np.flatnonzero(
 """Depths that stand for all: none, hardly any, one, a million."""
 
 
-def run_grid(process, solver, chosen):
+def run_grid(solver, chosen):
     """All chosen depths as one spectrum, all media and cosines as a batch: one program."""
     sets = [layers(ABL[chosen], ABSORPTION[chosen], SCATTERING[chosen], m) for m in MEDIA.values()]
     # One static order for all: every critical angle possible.

@@ -30,7 +30,7 @@ SLOPE = 0.12
 the root [L03 Section 2.2]; by how much is this package's choice.
 """
 
-_Values = Float[Array, "..."] | float
+_Values = Float[Array | np.ndarray, "..."] | float
 
 
 class Coat(eqx.Module):

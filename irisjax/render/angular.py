@@ -120,7 +120,7 @@ class AngularLight(eqx.Module):
         mixtures: The share of each function in each mixture; `None` where there are none.
     """
 
-    light: Float[Array, "tints functions pixels"]
+    light: Float[Array, "tints parts pixels"]
     mixtures: Float[Array, "functions mixtures"] | None = None
 
 

@@ -53,12 +53,12 @@ def still(bare, monkeypatch):
     """A studio with a photograph, and how often it drew; drawing itself is left out."""
     drawn = []
 
-    def rendered(self, settings, draft):
+    def rendered(self, kept, settings, draft):
         drawn.append((settings, draft))
-        width, height = self._staging.size(draft)
+        width, height = self._size(draft)
         return flat(200, height, width), 0.0
 
-    monkeypatch.setattr(Studio, "_rendered", rendered)
+    monkeypatch.setattr(Studio, "_drawn", rendered)
     return Studio(bare, photograph=flat(10, 30, 40)), drawn
 
 
