@@ -108,9 +108,18 @@ def hemisphere(media):
     return np.sqrt(squares).ravel(), ((above - below) * 2 * X * W).ravel()
 
 
-@pytest.mark.parametrize("name", ["lb06", "depth-resolved"])
+_AT_THE_ABL, _AT_THE_STROMA = (1.45, 1.35, 1.4, 1.42), (1.5, 1.6, 1.4, 1.3)
+
+
 @pytest.mark.parametrize(
-    "media", [IRIS, (1.45, 1.35, 1.4, 1.42), (1.5, 1.6, 1.4, 1.3)], ids=["iris", "abl", "stroma"]
+    ("name", "media"),
+    [
+        ("lb06", IRIS),
+        ("lb06", _AT_THE_ABL),
+        ("lb06", _AT_THE_STROMA),
+        ("depth-resolved", IRIS),
+        ("depth-resolved", _AT_THE_STROMA),
+    ],
 )
 def test_diffuse_incidence_is_the_mean_over_the_hemisphere(name, media):
     """Interfaces that light comes to from the denser side mirror a part of it totally."""
