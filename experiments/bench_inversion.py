@@ -19,8 +19,8 @@ from irisjax.infer.fit import fit
 from irisjax.infer.least_squares import levenberg_marquardt
 from irisjax.infer.moves import IndependentMove, Straightening, mixture
 from irisjax.infer.observation import with_values
-from irisjax.infer.pieces import density
 from irisjax.infer.posterior import sample
+from irisjax.infer.problem import density
 
 LEVELS = ("low", "moderate", "high")
 

@@ -44,7 +44,7 @@ PROGRAMS: dict[str, tuple[str, ...]] = {
     "infer.analysis": ("_reported",),
     "infer.fit": ("_fit",),
     "infer.identifiability": ("_slopes",),
-    "infer.pieces": ("_densities", "predicted"),
+    "infer.problem": ("_densities", "predicted"),
     "measure.colour": ("srgb_encode",),
     "numerics.portions": ("_joined",),
     "ocularist.composite": (

@@ -17,9 +17,8 @@ from irisjax.infer.analysis import Analysis, analyse, predictive, predictive_sco
 from irisjax.infer.fit import words_for
 from irisjax.infer.observation import Observation
 from irisjax.infer.parameters import kind, unit_of
-from irisjax.infer.pieces import pointwise
 from irisjax.infer.posterior import words_of
-from irisjax.infer.problem import Problem
+from irisjax.infer.problem import Problem, pointwise
 from irisjax.infer.store import copy_of
 from irisjax.plot.beside import Later, here
 from irisjax.transport.process import option_of

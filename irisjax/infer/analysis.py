@@ -22,9 +22,8 @@ from irisjax.infer.other_process import (
     other_of,
 )
 from irisjax.infer.parameters import kind, unit_of
-from irisjax.infer.pieces import Form, in_rows, predicted
 from irisjax.infer.posterior import Chains, check_run, mixing, sample
-from irisjax.infer.problem import Problem
+from irisjax.infer.problem import Form, Problem, in_rows, predicted
 
 QUANTILES = (2.5, 16, 50, 84, 97.5)
 DRAWS = 500

@@ -14,8 +14,7 @@ from scipy.special import chdtri
 
 from irisjax._types import PRNGKey
 from irisjax.infer.least_squares import Found, least_squares, levenberg_marquardt
-from irisjax.infer.pieces import elements
-from irisjax.infer.problem import Problem
+from irisjax.infer.problem import Problem, elements
 from irisjax.numerics.checks import check_whole
 from irisjax.transport.solution import RESULTS
 

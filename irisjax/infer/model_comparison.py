@@ -15,9 +15,8 @@ from irisjax.infer.importance import EFFECTIVE, ImportanceSample, importance_sam
 from irisjax.infer.models import solvers_of
 from irisjax.infer.other_process import COMPARED, Interval, other_of
 from irisjax.infer.parameters import OF_POWER_LAW, kind
-from irisjax.infer.pieces import pointwise, predicted
 from irisjax.infer.posterior import words_of
-from irisjax.infer.problem import Problem
+from irisjax.infer.problem import Problem, pointwise, predicted
 from irisjax.tissue.scattering import PowerLaw
 from irisjax.transport.process import Ilit
 from irisjax.transport.radiative.adding import AddingDoubling

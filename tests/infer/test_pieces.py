@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 import irisjax as ij
-from irisjax.infer import pieces
 from irisjax.infer.analytic import BeerLambert
 from irisjax.infer.fit import fit
+from irisjax.infer.problem import density, pointwise
 from irisjax.numerics import portions
 
 GRID = ij.wavelengths(400, 700, 10)
@@ -28,11 +28,9 @@ def test_densities_and_fits_do_not_depend_on_the_pieces(problem, monkeypatch):
     monkeypatch.setattr(portions, "_ELEMENTS", 2 * GRID.size)  # of seven walkers one remains
     z = jnp.asarray(np.random.default_rng(0).normal(size=(7, 2)))
     np.testing.assert_allclose(
-        pieces.density(problem)(z), [problem.log_posterior(x) for x in z], rtol=1e-12
+        density(problem)(z), [problem.log_posterior(x) for x in z], rtol=1e-12
     )
-    np.testing.assert_allclose(
-        pieces.pointwise(problem, z), [problem.pointwise(x) for x in z], rtol=1e-12
-    )
+    np.testing.assert_allclose(pointwise(problem, z), [problem.pointwise(x) for x in z], rtol=1e-12)
     found = fit(problem, use_priors=False, key=jax.random.key(0))
     truth = ij.infer.of_iris(ij.Iris())
     assert int(found.agreeing) == 4
