@@ -384,7 +384,7 @@ def in_rows(
     problem = problem.unnamed()
     arrays, form = [x for x in jax.tree.leaves(problem) if eqx.is_array(x)], Form(problem)
 
-    def each(z: np.ndarray) -> Any:
+    def each(z: Array | np.ndarray) -> Any:
         z = np.asarray(z)
         count = len(z)
         # Copies of the last: whatever is finite there has finite copies.
