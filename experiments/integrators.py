@@ -41,7 +41,7 @@ def main(key, quick=False, out=RESULTS):
             models, status = _models(
                 iris, jnp.asarray(thickness), jnp.cos(jnp.radians(float(degrees))), exits
             )
-            raise_failure(status)
+            models = raise_failure(models, status)
             models = [np.asarray(m) for m in models]
             for t, mm in enumerate(thickness):
                 for e, cosine in enumerate(exits):
