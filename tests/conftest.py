@@ -112,6 +112,7 @@ _PROGRAMS_OF_FILE = {
     "numerics/test_quadrature.py": 190,
     "numerics/test_streams.py": 30,
     "numerics/test_tucker.py": 30,
+    "ocularist/test_cones.py": 420,
     "optics/test_fresnel.py": 150,
     "optics/test_kubelka_munk.py": 80,
     "optics/test_mixture.py": 140,

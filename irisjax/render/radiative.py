@@ -283,7 +283,7 @@ def _terms(
 
 @pixelwise
 def _shaded(
-    pixels: tuple[tuple[Float[Array, "_ pixels"], ...], Float[Array, "tints functions pixels"]],
+    pixels: tuple[tuple[Float[Array, "_ pixels"], ...], Float[Array, "tints parts pixels"]],
     coefficients: Float[Array, "products functions channels"],
     mixtures: Float[Array, "functions mixtures"] | None,
 ) -> Float[Array, "channels pixels"]:

@@ -11,7 +11,7 @@ GRID = ("--wavelengths", "450,620", "--level", "low")
 
 
 def solver(process, iris=None, **how):
-    return ij.RadiativeExact(12, 4, 1, process=process)
+    return ij.RadiativeExact(12, 6, 2, process=process)
 
 
 @pytest.fixture

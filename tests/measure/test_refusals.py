@@ -222,7 +222,7 @@ def test_one_program_for_every_kind_of_number():
 
 @pytest.mark.parametrize("measure", [ij.reflectance, *map(slowly, (ij.radiance, ij.colour))])
 def test_failures_are_told_one_way(measure):
-    iris = ij.Iris().replace(eumelanin=1e3, scattering_scale=1e6)
+    iris = ij.Iris().replace(eumelanin=1e3, abl_fraction=0.0, scattering_scale=1e6)
     settings = {"solver": ij.RadiativeExact(8, 4, n_panels=1)}
     with pytest.raises(ValueError, match="for the number of depth panels"):
         measure(iris, SHORT, **settings)
