@@ -371,7 +371,7 @@ def pointwise(
 
 def in_rows(
     function: Callable[[list[Array], Form, Any], Any], problem: Problem, rows: int = _ROWS
-) -> Callable[[np.ndarray], Any]:
+) -> Callable[[Array | np.ndarray], Any]:
     """Return `function` of any number of vectors z, so many at a time.
 
     To compile a program for each number would take longer than to run all of them.
