@@ -1,4 +1,4 @@
-"""What `irisjax clone` prints about its result."""
+"""Report of `irisjax clone` about its result."""
 
 import sys
 from pathlib import Path

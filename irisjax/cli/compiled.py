@@ -1,4 +1,4 @@
-"""What a command makes once a machine and not once a run: compiled programs, illumination tables.
+"""Results that commands keep on disk between runs: compiled programs and illumination tables.
 
 Tracing and lowering the program of a spectrum or of a picture takes longer than running it, and
 JAX's compilation cache saves only what comes after (without this module the second run of `fit`
@@ -282,7 +282,7 @@ def _compiled(
         results.append(result)
         return out
 
-    # Under a name of its own JAX's cache does not have it: what comes from there cannot be
+    # A unique name keeps the program out of JAX's cache: what comes from there cannot be
     # serialised a second time (jaxlib 0.10).
     flat.__name__ = f"kept_{secrets.token_hex(8)}"
     shapes = [jax.ShapeDtypeStruct(shape, dtype, weak_type=weak) for shape, dtype, weak in types]
@@ -317,7 +317,7 @@ def _compiler_options() -> dict[str, Any] | None:
 
 
 def _constants(leaves: list[Any]) -> tuple[Any, ...]:
-    """What stands between the arrays, with its types: 1 is not 1.0 here."""
+    """Return all leaves that are no arrays, with their types, as 1 and 1.0 differ here."""
     return tuple(None if _is_array(x) else (type(x), x) for x in leaves)
 
 

@@ -1,4 +1,4 @@
-"""What `irisjax fit` prints and writes about one eye: table, summary, posterior, figures."""
+"""Report of `irisjax fit` on one eye: table, summary, posterior and figures."""
 
 import csv
 import io as text_io

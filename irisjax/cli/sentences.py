@@ -1,4 +1,4 @@
-"""What `irisjax fit` says about its numbers."""
+"""Sentences of `irisjax fit` about its numbers."""
 
 import math
 from collections.abc import Sequence
@@ -39,7 +39,7 @@ def process_lines(found: ProcessComparison) -> list[str]:
 
 
 def preference(found: ProcessComparison) -> str:
-    """By what odds the data prefer the other process."""
+    """State the odds by which the data prefer the other process."""
     return (
         f"the data prefer {process_name(found.process)}, by odds of {odds(found.log_odds)} to 1 "
         f"(least squares, Laplace's approximation)"
@@ -83,7 +83,7 @@ def product(direction: Direction) -> str:
 
 
 def cautions(found: Analysis) -> list[str]:
-    """What to be careful about."""
+    """Return warnings about the result."""
     lines = []
     if found.unmoved:
         lines.append(

@@ -1,4 +1,4 @@
-"""What a posterior says: medians and intervals, checks of the model, and all of it at once."""
+"""Summary of a posterior: medians and intervals, checks of the model, and both in one call."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -195,7 +195,7 @@ def summarise(problem: Problem, chains: Chains) -> list[Row]:
             # A chain that is too short to be judged has no R-hat.
             judged = np.isfinite(chains.rhat).all()
             rhat, bulk, tail = mixing(values.T) if judged else (np.nan,) * 3
-            # Of derived parameters the logarithm has a nearly normal prior.
+            # The logarithm of a derived parameter has a nearly normal prior.
             contraction = 1 - np.log(values).var() / np.log(before[name]).var()
         low, less, median, more, high = np.percentile(values, QUANTILES)
         rows.append(
