@@ -3,10 +3,9 @@
 import contextlib
 import math
 import warnings
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from io import BytesIO
 from pathlib import Path
-from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -21,22 +20,6 @@ FOCAL_LIMITS = (0.0, 1e5)
 
 _DIAGONAL = math.hypot(36, 24)  # mm, of 35 mm film [CIPA DCG-001]
 _PER_MM = {2: 1 / 25.4, 3: 0.1, 4: 1.0, 5: 1000.0}  # Exif's units of the focal plane's resolution
-
-
-class Developed(NamedTuple):
-    """A raw file after its colours were filled in.
-
-    Attributes:
-        pixels: Linear, sRGB's primaries, 1 is the sensor's white level; upright.
-        saturated: Pixels that a photosite at its white level takes part in.
-        exif: Numbers by their names in Exif.
-        notes: A sentence each.
-    """
-
-    pixels: np.ndarray
-    saturated: np.ndarray
-    exif: dict[str, float]
-    notes: tuple[str, ...]
 
 
 def focal_px(exif: Mapping[str, float], shape: tuple[int, int]) -> tuple[float | None, list[str]]:
@@ -87,10 +70,16 @@ def _taken(given: Mapping[str, float], shape: tuple[int, int]):
     return now, 1.0, [f"Exif's size does not fit the picture ({sizes}) and is ignored."]
 
 
-def develop(path: str | Path, check: Callable[[int, int], Any]) -> Developed:
+def develop(
+    path: str | Path, check: Callable[[int, int], None]
+) -> tuple[np.ndarray, np.ndarray, dict[str, float], list[str]]:
     """Read a raw file by LibRaw: camera's white balance, 16 bits, no brightening, held upright.
 
     `check(rows, columns)` may refuse the size before colours are filled in.
+
+    Returns:
+        Linear values on sRGB's primaries, 1 being the sensor's white level; the pixels that a
+        photosite at its white level takes part in; numbers by their names in Exif; notes.
 
     Raises:
         ValueError: Without `rawpy` and for a file that LibRaw cannot read.
@@ -101,9 +90,8 @@ def develop(path: str | Path, check: Callable[[int, int], Any]) -> Developed:
     try:
         import rawpy
     except ImportError:
-        raise ValueError(
-            f"{path}: camera raw files need rawpy: install irisjax[raw] (pip install rawpy)"
-        ) from None
+        need = "camera raw files need rawpy: install irisjax[raw] (pip install rawpy)"
+        raise ValueError(need) from None
     try:
         with rawpy.imread(str(path)) as raw:
             check(raw.sizes.height, raw.sizes.width)
@@ -116,23 +104,22 @@ def develop(path: str | Path, check: Callable[[int, int], Any]) -> Developed:
                 output_color=rawpy.ColorSpace.sRGB,
                 highlight_mode=rawpy.HighlightMode.Clip,
             )
-            notes, sizes, exif = [], raw.sizes, _exif_of(path, raw)
+            notes, flip, exif = [], raw.sizes.flip, _exif_of(path, raw)
             if not any(raw.camera_whitebalance):
                 notes.append("The file has no white balance of the camera: LibRaw's own is taken.")
     except rawpy.LibRawError as error:
-        reason = (
-            error.args[0].decode() if error.args and isinstance(error.args[0], bytes) else error
-        )
-        raise ValueError(f"{path}: not a raw file that can be read ({reason})") from None
-    turns = {3: 2, 5: 1, 6: 3}.get(sizes.flip, 0)  # LibRaw's codes, in quarter turns to the left
-    sensor = np.rot90(sensor, turns)
+        said = error.args[0] if error.args else ""
+        reason = said.decode() if isinstance(said, bytes) else error
+        raise ValueError(f"not a raw file that can be read ({reason})") from None
+    # LibRaw's codes, in quarter turns to the left.
+    sensor = np.rot90(sensor, {3: 2, 5: 1, 6: 3}.get(flip, 0))
     linear = pixels.astype(np.float32) / np.float32(65535)
     if linear.shape[2] == 1:
         linear = np.repeat(linear, 3, 2)
     saturated: np.ndarray = np.asarray((pixels >= 0.995 * 65535).any(2))
     if sensor.shape == saturated.shape:  # it is not on sensors set askew
         saturated = np.logical_or(saturated, sensor)
-    return Developed(linear, saturated, exif, tuple(notes))
+    return linear, saturated, exif, notes
 
 
 def _at_white_level(raw) -> np.ndarray:
@@ -160,15 +147,13 @@ def _exif_of(path, raw) -> dict[str, float]:
     from PIL import Image
 
     found: dict[str, float] = {}
-    with warnings.catch_warnings(), contextlib.suppress(Exception):  # only the focal length is lost
-        warnings.simplefilter("ignore")
+    with _quietly():
         exif = Image.Exif()
         with open(path, "rb") as file:
             exif.load_from_fp(file)
             found = _numbers(exif)
     if "FocalLength" not in found:
-        with warnings.catch_warnings(), contextlib.suppress(Exception):
-            warnings.simplefilter("ignore")
+        with _quietly():
             preview = raw.extract_thumb()
             if preview.format == rawpy.ThumbFormat.JPEG:
                 found = _numbers(Image.open(BytesIO(preview.data)).getexif())
@@ -177,6 +162,14 @@ def _exif_of(path, raw) -> dict[str, float]:
     if raw.other.focal_length:
         found.setdefault("FocalLength", float(raw.other.focal_length))
     return found
+
+
+@contextlib.contextmanager
+def _quietly() -> Iterator[None]:
+    """Let any failure pass: only the focal length is lost."""
+    with warnings.catch_warnings(), contextlib.suppress(Exception):
+        warnings.simplefilter("ignore")
+        yield
 
 
 def _numbers(exif) -> dict[str, float]:

@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float
 
 from irisjax.infer.observation import RADIANCE, REFLECTANCE
 from irisjax.io.text import Columns, read_columns, read_text
@@ -17,12 +16,11 @@ from irisjax.io.text import Columns, read_columns, read_text
 ABSORBANCE, KUBELKA_MUNK = "absorbance", "kubelka-munk"
 QUANTITIES = (REFLECTANCE, RADIANCE, ABSORBANCE, KUBELKA_MUNK)
 """Roles whose columns can become a spectrum."""
-STANDARD_DEVIATION = "standard deviation"
-"""Role of a column of standard deviations."""
 
+_STANDARD_DEVIATION = "standard deviation"
 # The first form that a header matches gives its role.
 _FORMS = {
-    STANDARD_DEVIATION: r"^(sd|std|stdev|sigma|standard[ _](deviation|error)|uncertainty)\b",
+    _STANDARD_DEVIATION: r"^(sd|std|stdev|sigma|standard[ _](deviation|error)|uncertainty)\b",
     ABSORBANCE: r"absorb|extinction|optical density|\bOD\b|\bA\.?U\b|log\W*1\s*/\s*[RT]\b",
     KUBELKA_MUNK: r"kubelka|munk|\bk\s*/\s*s\b|\bf\(r",
     "transmittance": r"transmi|%\s*T\b|\bT\s*\(?%",
@@ -32,35 +30,12 @@ _FORMS = {
     "counts": r"count|scope|intensity|\braw\b|\badu\b|\bdn\b|\bdark\b|\bwhite\b|^ref(erence)?\b",
     "arbitrary units": r"arbitrary",
 }
-_ROLES = {role: re.compile(form, re.I) for role, form in _FORMS.items()}
 _WAVELENGTH = re.compile(r"wave|wellenl|λ|lambda|^\W*nm\W*$", re.I)
 _JCAMP_UNITS = {
-    "NANOMETERS": "nm",
-    "NANOMETRES": "nm",
-    "NM": "nm",
-    "MICROMETERS": "um",
-    "MICROMETRES": "um",
+    **dict.fromkeys(("NANOMETERS", "NANOMETRES", "NM"), "nm"),
+    **dict.fromkeys(("MICROMETERS", "MICROMETRES"), "um"),
     "1/CM": "1/cm",
 }
-
-
-class SpectralTable(NamedTuple):
-    """The table of a file.
-
-    Attributes:
-        values: Numbers (rows, columns), NaN where a cell is empty. The first column is the
-            wavelength or the wavenumber.
-        names: Headers of the columns, empty where the file has none.
-        roles: Of the columns behind the first, by their headers; empty where a header gives none.
-        where: Line or point of each row, for messages.
-        header: Lines `# key: value` of the file.
-    """
-
-    values: Float[np.ndarray, "rows columns"]
-    names: list[str]
-    roles: list[str]
-    where: list[str]
-    header: dict[str, str]
 
 
 class Selection(NamedTuple):
@@ -79,29 +54,23 @@ class Selection(NamedTuple):
     label: str
 
 
-def read_spectral_table(path: str | Path) -> SpectralTable:
+def read_spectral_table(path: str | Path) -> Columns:
     """Read the table of a text file or of JCAMP-DX, which begins with `##TITLE`.
 
-    The first column is the wavelength unless the header of another says that it is.
+    The first column becomes the wavelength or wavenumber: that of the file, unless the header of
+    another says that it is.
 
     Raises:
         ValueError: naming the problem, and the line where there is one.
     """
     text = read_text(path)
-    table = _jcamp(path) if text.lstrip().startswith("##") else read_columns(path, text)
+    table = _jcamp(path) if text.lstrip().startswith("##") else read_columns(text)
     first = next((j for j, name in enumerate(table.names) if _WAVELENGTH.search(name)), 0)
     order = [first, *(j for j in range(len(table.names)) if j != first)]
-    names = [table.names[j] for j in order]
-    roles = ["", *(role_of(name) for name in names[1:])]
-    return SpectralTable(table.values[:, order], names, roles, table.where, table.header)
+    return table._replace(values=table.values[:, order], names=[table.names[j] for j in order])
 
 
-def role_of(header: str) -> str:
-    """The role that a column's header gives it, or an empty text."""
-    return next((role for role, form in _ROLES.items() if form.search(header)), "")
-
-
-def select(table: SpectralTable, wanted: str | None, among: list[int] | None = None) -> Selection:
+def select(table: Columns, wanted: str | None, among: list[int] | None = None) -> Selection:
     """Choose the columns of one spectrum.
 
     Columns of reflectance come first, then those of absorbance and of K/S, then those without a
@@ -116,25 +85,23 @@ def select(table: SpectralTable, wanted: str | None, among: list[int] | None = N
         ValueError: where there is no spectrum of the wanted role, or several that are no scans of
             one thing.
     """
-    among = list(range(1, len(table.names))) if among is None else among
-    stated = [j for j in among if table.roles[j] == STANDARD_DEVIATION]
-    others = [j for j in among if j not in stated]
+    roles = {j: _role_of(table.names[j]) for j in among or range(1, len(table.names))}
+    stated = [j for j, role in roles.items() if role == _STANDARD_DEVIATION]
+    others = {j: role for j, role in roles.items() if j not in stated}
     first = (wanted,) if wanted else (REFLECTANCE, ABSORBANCE, KUBELKA_MUNK)
-    spectra, role = others, ""
-    for role in (*first, ""):
-        spectra = [j for j in others if table.roles[j] == role]
-        if spectra:
-            break
-    else:
-        spectra = others
-        if spectra:
-            role = table.roles[spectra[0]]
-            if not wanted:
-                raise ValueError(_refusal(table.names[spectra[0]], role))
+    role = next((role for role in (*first, "") if role in others.values()), None)
+    spectra = [j for j in others if role is None or others[j] == role]
+    if spectra and role is None and not wanted:
+        raise ValueError(_refusal(table.names[spectra[0]], others[spectra[0]]))
     if not spectra or len(stated) > 1 or (stated and len(spectra) > 1):
-        names = [table.names[j] for j in among]
+        names = [table.names[j] for j in roles]
         raise ValueError(f"columns {names}: need one spectrum (with its sd) or repeated scans")
-    return Selection(spectra, stated[0] if stated else None, role, table.names[spectra[0]])
+    return Selection(spectra, stated[0] if stated else None, role or "", table.names[spectra[0]])
+
+
+def _role_of(header: str) -> str:
+    """The role that a column's header gives it, or an empty text."""
+    return next((role for role, form in _FORMS.items() if re.search(form, header, re.I)), "")
 
 
 def _refusal(name: str, role: str) -> str:
@@ -143,11 +110,11 @@ def _refusal(name: str, role: str) -> str:
     if role == "transmittance":
         return (
             f"column {name!r} holds a transmittance; where it is the light sent back, give "
-            f"--quantity reflectance"
+            "--quantity reflectance"
         )
     return (
         f"column {name!r} holds {role}, not a reflectance: divide the light of the eye by that of "
-        f"a white reference, both less the dark signal"
+        "a white reference, both less the dark signal"
     )
 
 
@@ -165,5 +132,4 @@ def _jcamp(path: str | Path) -> Columns:
     if given not in _JCAMP_UNITS:
         raise ValueError(f"XUNITS = {given or 'nothing'}; need nanometers, micrometers or 1/cm")
     names = [f"wavelength ({_JCAMP_UNITS[given]})", str(found.get("yunits", "")).strip()]
-    where = [f"point {i + 1}" for i in range(x.size)]
-    return Columns(np.stack([x, y], 1), names, where, {})
+    return Columns(np.stack([x, y], 1), names, [f"point {i + 1}" for i in range(x.size)], {})

@@ -1,5 +1,4 @@
-"""Illumination tables kept in files, so that those of an eye are computed once per machine and not
-once per run.
+"""Illumination tables kept in files, so that those of an eye are computed once per machine.
 
 A file is named by a SHA-256 of everything that its tables depend on, including the code that
 computes them. Files are written whole or not at all, so that runs may share a folder; the zip's
@@ -15,6 +14,7 @@ import zipfile
 from functools import lru_cache
 from io import BytesIO
 from pathlib import Path
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -29,6 +29,7 @@ MOST = 8
 """Files a folder keeps (up to 39 MB each); those not used for longest go first."""
 
 _FORMAT = 1
+_FIELDS = "flux", "extent", "largest"
 _BROKEN = (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile, zipfile.LargeZipFile)
 
 
@@ -51,11 +52,14 @@ def tables_of(scene: Scene, folder: str | Path | None = None) -> Illumination | 
                 os.utime(path)  # when it was last of use
             return found
         except _BROKEN as error:
-            _say(f"{path}: not usable ({_first_line(error)}); made again")
+            said = (str(error).strip() or type(error).__name__).split("\n")[0]
+            _say(f"{path}: not usable ({said}); made again")
     made = Illumination.build(scene.eye, caustics=caustics)
+    contents: dict[str, Any] = {field: np.asarray(getattr(made, field)) for field in _FIELDS}
+    np.savez(buffer := BytesIO(), key=np.asarray(name), **contents)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        _write(path, made, name)
+        write_atomically(path, buffer.getvalue())
         _drop_oldest(path.parent)
     except OSError as error:
         _say(f"{path}: the tables could not be kept ({error.strerror})")
@@ -85,30 +89,14 @@ def _code() -> str:
     return digest.hexdigest()
 
 
-def _write(path: Path, tables: Illumination, name: str) -> None:
-    buffer = BytesIO()
-    np.savez(
-        buffer,
-        key=np.asarray(name),
-        flux=np.asarray(tables.flux),
-        extent=np.asarray(tables.extent),
-        largest=np.asarray(tables.largest),
-    )
-    write_atomically(path, buffer.getvalue())
-
-
 def _read(path: Path, name: str) -> Illumination:
     # Opened here: of a broken zip numpy would leave the file open.
     with path.open("rb") as stream, np.load(stream, allow_pickle=False) as file:
         if str(file["key"]) != name:
             raise ValueError("tables of another eye")
-        flux, extent, largest = (file[field] for field in ("flux", "extent", "largest"))
-    if (
-        flux.dtype != jnp.result_type(float)
-        or flux.ndim != 4
-        or extent.shape != ()
-        or largest.shape != ()
-    ):
+        flux, extent, largest = (file[field] for field in _FIELDS)
+    kinds = flux.dtype, flux.ndim, extent.shape, largest.shape
+    if kinds != (jnp.result_type(float), 4, (), ()):
         raise ValueError("tables of another kind")
     return Illumination(jnp.asarray(flux), jnp.asarray(extent), float(largest))
 
@@ -124,10 +112,6 @@ def _drop_oldest(folder: Path) -> None:
     for path in folder.glob(".*.npz.*.tmp"):  # of runs that were killed
         if -age(path) < time.time() - 3600:
             path.unlink(missing_ok=True)
-
-
-def _first_line(error: Exception) -> str:
-    return (str(error).strip() or type(error).__name__).split("\n")[0]
 
 
 def _say(message: str) -> None:

@@ -13,16 +13,14 @@ from typing import Any, BinaryIO, NamedTuple
 
 import numpy as np
 
-from irisjax.io.tables import check_writable, replacing
+from irisjax.io.tables import naming, replacing
 from irisjax.measure.colour import srgb_decode
 from irisjax.render.environment import Environment
 
 READABLE = (".exr", ".hdr", ".png", ".jpg", ".jpeg")
 """Kinds of picture that can be read."""
 
-# OpenImageIO makes half-precision values of "float32".
-_TYPES = {"uint8": "uint8", "uint16": "uint16", "float32": "float"}
-_PNG = b"\x89PNG\r\n\x1a\n"
+_PNG, _LAST = b"\x89PNG\r\n\x1a\n", b"IEND"  # signature and last chunk
 _SPECTRAL = re.compile(r"(S[0-3]|T)\.\d+(,\d+)?nm")
 
 
@@ -86,20 +84,19 @@ def write_png(
     Raises:
         ValueError: for another shape, suffix or number of bits and for values that are not finite.
     """
-    check_image_suffix(path, (".png",))
     clipped = 0
 
-    def steps():
+    def steps() -> Iterator[np.ndarray]:
         nonlocal clipped
         for band in [encoded] if rows is None else encoded:
-            values, out = to_steps(path, band, bits)
+            values, out = to_steps(band, bits)
             clipped += out
             yield values
 
     attributes = {"Software": "irisjax", "oiio:ColorSpace": "srgb_rec709_scene"}
     if remark:
         attributes["ImageDescription"] = remark
-    _write(path, steps(), rows, ("R", "G", "B"), attributes)
+    _write(path, ".png", steps(), rows, ("R", "G", "B"), attributes)
     return clipped
 
 
@@ -124,45 +121,40 @@ def write_exr(
         ValueError: for another shape or suffix, and unless there is one name per channel, each
             once.
     """
-    check_image_suffix(path, (".exr",))
     if len(set(channels)) != len(channels):
         raise ValueError(f"{path}: a channel name appears twice")
     attributes = {"Software": "irisjax", "compression": "zip"}
     if any(_SPECTRAL.fullmatch(name) for name in channels):
         attributes["spectralLayoutVersion"] = "1.0"
-    bands = (
-        _pixels(band, len(channels)).astype(np.float32)
-        for band in ([image] if rows is None else image)
-    )
-    _write(path, bands, rows, channels, attributes | dict(metadata or {}))
+    whole = [image] if rows is None else image
+    bands = (_pixels(band, len(channels)).astype(np.float32) for band in whole)
+    _write(path, ".exr", bands, rows, channels, attributes | dict(metadata or {}))
 
 
-def encode_png(
-    path: str | Path, encoded: Any, *, bits: int = 8, remark: str = ""
-) -> tuple[bytes, int]:
-    """The bytes that `write_png` writes, and the number of clipped pixels; `path` is only named in
-    errors.
+def encode_png(name: str | Path, encoded: Any, **options: Any) -> tuple[bytes, int]:
+    """The bytes that `write_png` writes with these options, and the number of clipped pixels;
+    `name` is only named in errors.
     """
-    return _bytes(path, lambda there: write_png(there, encoded, bits=bits, remark=remark))
+    return _bytes(name, lambda there: write_png(there, encoded, **options))
 
 
 def encode_exr(
-    path: str | Path,
+    name: str | Path,
     image: Any,
     channels: Sequence[str] = ("R", "G", "B"),
     metadata: Mapping[str, str] | None = None,
 ) -> bytes:
-    """The bytes that `write_exr` writes; `path` is only named in errors."""
-    return _bytes(path, lambda there: write_exr(there, image, channels, metadata))[0]
+    """The bytes that `write_exr` writes; `name` is only named in errors."""
+    return _bytes(name, lambda there: write_exr(there, image, channels, metadata))[0]
 
 
-def _bytes(path: str | Path, write: Callable[[Path], Any]) -> tuple[bytes, Any]:
+def _bytes(name: str | Path, write: Callable[[Path], Any]) -> tuple[bytes, Any]:
     with tempfile.TemporaryDirectory() as folder:
-        there = Path(folder, Path(path).name)
+        there = Path(folder, Path(name).name)
         try:
             found = write(there)
         except ValueError as error:
-            raise ValueError(str(error).replace(str(there), str(path))) from None
+            raise ValueError(str(error).replace(str(there), str(name))) from None
         return there.read_bytes(), found
 
 
@@ -189,35 +181,26 @@ def read_environment(path: str | Path) -> Environment:
     """
     image = read_image(path, decode=True)
     rows, columns = image.pixels.shape[:2]
-    if columns != 2 * rows:
-        raise ValueError(
-            f"{path}: a latitude-longitude map is twice as wide as high, this is {columns} × {rows}"
-        )
-    if not {"R", "G", "B"} <= set(image.channels):
-        raise ValueError(
-            f"{path}: an environment needs the channels R, G, B, found {', '.join(image.channels)}"
-        )
-    rgb = image.pixels[..., [image.channels.index(c) for c in "RGB"]]
-    try:
-        return Environment(rgb)
-    except ValueError as error:
-        raise ValueError(f"{path}: {error}") from None
+    with naming(path):
+        if columns != 2 * rows:
+            raise ValueError(
+                f"a latitude-longitude map is twice as wide as high, this is {columns} × {rows}"
+            )
+        if not {"R", "G", "B"} <= set(image.channels):
+            found = ", ".join(image.channels)
+            raise ValueError(f"an environment needs the channels R, G, B, found {found}")
+        return Environment(image.pixels[..., [image.channels.index(c) for c in "RGB"]])
 
 
-def to_steps(path: str | Path, encoded: Any, bits: int) -> tuple[np.ndarray, int]:
+def to_steps(encoded: Any, bits: int) -> tuple[np.ndarray, int]:
     """Encoded values (rows, columns, 3) as whole numbers of 8 or 16 bits, and the number of clipped
     pixels.
-
-    Raises:
-        ValueError: as `write_png`.
     """
     values = _pixels(encoded, 3)
     if bits not in (8, 16):
         raise ValueError(f"a PNG has 8 or 16 bits, got {bits}")
     if not np.isfinite(values).all():
-        raise ValueError(
-            f"{path}: {int((~np.isfinite(values)).any(-1).sum())} pixels are not finite"
-        )
+        raise ValueError(f"{(~np.isfinite(values)).any(-1).sum()} pixels are not finite")
     most = 2**bits - 1
     steps = np.rint(values.astype(np.float64) * most)
     clipped = int(((steps < 0) | (steps > most)).any(-1).sum())
@@ -238,41 +221,36 @@ def decode_file(
         suffixes: The allowed ones.
         integers: Whether files of 8 and 16 bits give uint8 and uint16; all others give float32,
             whole numbers scaled to [0, 1].
-        check: Raises `ValueError` for a file that is refused by its header, OpenImageIO's
-            `ImageSpec`.
+        check: Raises `ValueError` for a header (OpenImageIO's `ImageSpec`) that is refused.
 
     Returns:
-        Values (rows, columns, channels), the `ImageSpec` (of the picture before it was turned),
-        and whether the file has more pictures.
-
-    Raises:
-        ValueError: for an unknown suffix or a broken file.
-        OSError: for a file that cannot be opened.
+        Values (rows, columns, channels), the header (of the picture before it was turned), and
+        whether the file has more pictures.
     """
-    check_image_suffix(path, suffixes)
-    with open(path, "rb") as opened:  # raises for files that are missing or forbidden
-        wrong = _png_fault(opened)
-    if wrong:
-        raise ValueError(f"{path}: the picture is broken ({wrong})")
-    import OpenImageIO as oiio
+    with naming(path):
+        check_image_suffix(path, suffixes)
+        with open(path, "rb") as opened:  # raises for files that are missing or forbidden
+            _check_png(opened)
+        import OpenImageIO as oiio
 
-    wishes = oiio.ImageSpec()
-    wishes.attribute("oiio:UnassociatedAlpha", 1)  # else colours come multiplied by alpha
-    file = oiio.ImageInput.open(str(path), wishes)
-    if file is None:
-        raise ValueError(f"{path}: not a picture that can be read ({_first_line(oiio.geterror())})")
-    try:
-        spec = file.spec()
-        if check is not None:
-            check(spec)
-        kind = str(spec.format) if integers and str(spec.format) in ("uint8", "uint16") else "float"
-        values = file.read_image(kind)
-        complaint = file.geterror()  # a truncated JPEG has values as well as an error
-        if values is None or complaint:
-            raise ValueError(f"{path}: the picture is broken ({_first_line(complaint)})")
-        several = file.seek_subimage(1, 0)
-    finally:
-        file.close()
+        wishes = oiio.ImageSpec()
+        wishes.attribute("oiio:UnassociatedAlpha", 1)  # else colours come multiplied by alpha
+        file = oiio.ImageInput.open(str(path), wishes)
+        if file is None:
+            raise ValueError(f"not a picture that can be read ({_first_line(oiio.geterror())})")
+        try:
+            spec = file.spec()
+            if check is not None:
+                check(spec)
+            kind = str(spec.format)
+            kind = kind if integers and kind in ("uint8", "uint16") else "float"
+            values = file.read_image(kind)
+            complaint = file.geterror()  # a truncated JPEG has values as well as an error
+            if values is None or complaint:
+                raise ValueError(f"the picture is broken ({_first_line(complaint)})")
+            several = file.seek_subimage(1, 0)
+        finally:
+            file.close()
     pixels = np.asarray(values).reshape(spec.height, spec.width, spec.nchannels)
     held = spec.get_int_attribute("Orientation", 1)
     pixels = pixels.swapaxes(0, 1) if held in (5, 6, 7, 8) else pixels
@@ -284,45 +262,48 @@ def decode_file(
 def check_image_suffix(path: str | Path, suffixes: tuple[str, ...]) -> None:
     """Raise `ValueError` for a name that ends in none of `suffixes`."""
     if Path(path).suffix.lower() not in suffixes:
-        raise ValueError(f"{path}: a picture's name must end in {' or '.join(suffixes)}")
+        raise ValueError(f"a picture's name must end in {' or '.join(suffixes)}")
 
 
 def _write(
     path: str | Path,
+    suffix: str,
     bands: Iterator[np.ndarray],
     rows: int | None,
     channels: Sequence[str],
     attributes: Mapping[str, str],
 ) -> None:
-    check_writable(path)
-    import OpenImageIO as oiio
+    with naming(path):
+        check_image_suffix(path, (suffix,))
+        import OpenImageIO as oiio
 
-    first = next(bands)
-    rows = len(first) if rows is None else rows
-    spec = oiio.ImageSpec(first.shape[1], rows, len(channels), _TYPES[first.dtype.name])
-    spec.channelnames = tuple(channels)
-    spec.attribute("DateTime", "")  # otherwise OpenEXR's writer adds the time
-    for name, value in attributes.items():
-        spec.attribute(name, value)
-    with replacing(path) as temporary:
-        # By kind, which the temporary name does not show.
-        file = oiio.ImageOutput.create(Path(path).suffix[1:].lower())
-        if not (file and file.open(str(temporary), spec)):
-            raise ValueError(f"{path}: {_first_line(file.geterror() if file else oiio.geterror())}")
-        done = 0
-        try:
-            for band in itertools.chain([first], bands):
-                if done + band.shape[0] > rows or band.shape[1:] != first.shape[1:]:
-                    raise ValueError(f"{path}: a band of {band.shape} after {done} of {rows} rows")
-                if not file.write_scanlines(done, done + band.shape[0], 0, band):
-                    raise ValueError(f"{path}: {_first_line(file.geterror())}")
-                done += band.shape[0]
-        finally:
-            closed = file.close()
-        if done != rows:
-            raise ValueError(f"{path}: {done} of {rows} rows")
-        if not closed:
-            raise ValueError(f"{path}: {_first_line(file.geterror())}")
+        first = next(bands)
+        rows = len(first) if rows is None else rows
+        # OpenImageIO makes half-precision values of "float32".
+        kind = "float" if suffix == ".exr" else first.dtype.name
+        spec = oiio.ImageSpec(first.shape[1], rows, len(channels), kind)
+        spec.channelnames = tuple(channels)
+        spec.attribute("DateTime", "")  # otherwise OpenEXR's writer adds the time
+        for name, value in attributes.items():
+            spec.attribute(name, value)
+        with replacing(path) as temporary:
+            # By kind, which the temporary name does not show.
+            file, done = oiio.ImageOutput.create(suffix[1:]), 0
+            if not (file and file.open(str(temporary), spec)):
+                raise ValueError(_first_line(file.geterror() if file else oiio.geterror()))
+            try:
+                for band in itertools.chain([first], bands):
+                    if done + len(band) > rows or band.shape[1:] != first.shape[1:]:
+                        raise ValueError(f"a band of {band.shape} after {done} of {rows} rows")
+                    if not file.write_scanlines(done, done + len(band), 0, band):
+                        raise ValueError(_first_line(file.geterror()))
+                    done += len(band)
+            finally:
+                closed = file.close()
+            if done != rows:
+                raise ValueError(f"{done} of {rows} rows")
+            if not closed:
+                raise ValueError(_first_line(file.geterror()))
 
 
 def _pixels(image: Any, channels: int) -> np.ndarray:
@@ -332,25 +313,22 @@ def _pixels(image: Any, channels: int) -> np.ndarray:
     return values
 
 
-def _png_fault(file: BinaryIO) -> str:
-    """The fault in the chunks of a PNG; empty for an intact one and for any other file.
+def _check_png(file: BinaryIO) -> None:
+    """Raise `ValueError` for a fault in the chunks of a PNG; any other file passes.
 
     libpng would find it too, but prints a line of its own.
     """
-    if file.read(len(_PNG)) != _PNG:
-        return ""
-    while True:
+    kind = b"" if file.read(len(_PNG)) == _PNG else _LAST
+    while kind != _LAST:
         head = file.read(8)
-        count = int.from_bytes(head[:4])
+        count, kind = int.from_bytes(head[:4]), head[4:]
         body, sum_ = file.read(count), file.read(4)
-        if len(head) < 8 or len(body) < count or len(sum_) < 4:
-            return "the file ends in the middle"
-        kind = head[4:]
+        if len(head + body + sum_) < count + 12:
+            raise ValueError("the picture is broken (the file ends in the middle)")
         # A capital marks a critical chunk; libpng ignores faults of the others as well.
         if kind[:1].isupper() and zlib.crc32(kind + body) != int.from_bytes(sum_):
-            return f"its part {kind.decode('latin-1')!r} is damaged"
-        if kind == b"IEND":
-            return ""
+            part = kind.decode("latin-1")
+            raise ValueError(f"the picture is broken (its part {part!r} is damaged)")
 
 
 def _first_line(text: str) -> str:

@@ -5,24 +5,18 @@ Rows are angles, from +x towards +y, columns radii from the pupil's edge to the 
 """
 
 import dataclasses
-from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
 
 from irisjax.io.images import encode_exr, read_image
-from irisjax.io.tables import check_writable, write_atomically
+from irisjax.io.tables import naming, write_atomically
 from irisjax.tissue.maps import IrisMaps
 
 MAP_NAMES = tuple(f.name for f in dataclasses.fields(IrisMaps))
 """Channel names of a file of maps."""
 
-_PACKED: Mapping[str, str] = {
-    "R": "relief",
-    "G": "abl_depth",
-    "B": "stroma_depth",
-    "A": "freckles",
-}
+_PACKED = {"R": "relief", "G": "abl_depth", "B": "stroma_depth", "A": "freckles"}
 
 
 def read_maps(path: str | Path) -> IrisMaps:
@@ -36,46 +30,36 @@ def read_maps(path: str | Path) -> IrisMaps:
         ValueError: naming the file, for other channels, for values that no iris has and for a
             broken file.
     """
-    if Path(path).suffix.lower() != ".exr":
-        raise ValueError(f"{path}: a file of maps must end in .exr")
-    image = read_image(path)
-    channels = dict(zip(image.channels, np.moveaxis(image.pixels, -1, 0), strict=True))
-    if set(channels) in ({"R", "G", "B"}, {"R", "G", "B", "A"}):
-        channels = {_PACKED[name]: values for name, values in channels.items()}
-    if unknown := [name for name in channels if name not in MAP_NAMES]:
-        raise ValueError(
-            f"{path}: unknown channel {', '.join(map(repr, unknown))}; "
-            f"maps have channels among {', '.join(MAP_NAMES)}, or exactly R, G, B or R, G, B, A"
-        )
-    try:
+    with naming(path):
+        if Path(path).suffix.lower() != ".exr":
+            raise ValueError("a file of maps must end in .exr")
+        image = read_image(path)
+        channels = dict(zip(image.channels, np.moveaxis(image.pixels, -1, 0), strict=True))
+        if set(channels) in ({"R", "G", "B"}, {"R", "G", "B", "A"}):
+            channels = {_PACKED[name]: values for name, values in channels.items()}
+        if unknown := [name for name in channels if name not in MAP_NAMES]:
+            raise ValueError(
+                f"unknown channel {', '.join(map(repr, unknown))}; maps have channels among "
+                f"{', '.join(MAP_NAMES)}, or exactly R, G, B or R, G, B, A"
+            )
         return IrisMaps(**channels)
-    except ValueError as error:
-        raise ValueError(f"{path}: {error}") from None
 
 
 def write_maps(path: str | Path, maps: IrisMaps) -> None:
     """Write the maps that are present as an EXR of 32-bit floats.
 
     Raises:
-        ValueError: as `encode_maps`.
+        ValueError: for another suffix, and where there is no map.
     """
-    check_writable(path)
     write_atomically(path, encode_maps(path, maps))
 
 
 def encode_maps(path: str | Path, maps: IrisMaps) -> bytes:
-    """The bytes that `write_maps` writes; `path` is only named in errors.
-
-    Raises:
-        ValueError: for another suffix, and where there is no map.
-    """
+    """The bytes that `write_maps` writes; `path` is only named in errors."""
     present = maps.present()
     if not present:
         raise ValueError(f"{path}: there are no maps to write")
-    remark = (
-        "maps of an iris: rows angles, columns radii from the pupil; mm, "
-        "freckles 0 to 1, melanins relative"
-    )
-    return encode_exr(
-        path, np.stack(list(present.values()), axis=-1), tuple(present), {"comments": remark}
-    )
+    remark = "maps of an iris: rows angles, columns radii from the pupil; mm, "
+    remark += "freckles 0 to 1, melanins relative"
+    image = np.stack(list(present.values()), axis=-1)
+    return encode_exr(path, image, tuple(present), {"comments": remark})

@@ -1,7 +1,5 @@
-"""Measured spectra from files of instruments: a table with roles, its quantity, a spectrum.
-
-`irisjax.io.columns` reads the table and chooses the columns; here their numbers become wavelengths
-in nm and reflectances as fractions (or radiances).
+"""Measured spectra from files of instruments: the columns that `irisjax.io.columns` chooses become
+wavelengths in nm and reflectances as fractions (or radiances).
 """
 
 import re
@@ -17,11 +15,11 @@ from irisjax.io.columns import (
     ABSORBANCE,
     KUBELKA_MUNK,
     QUANTITIES,
-    Selection,
-    SpectralTable,
     read_spectral_table,
     select,
 )
+from irisjax.io.tables import naming
+from irisjax.io.text import Columns
 from irisjax.optics.kubelka_munk import thick_layer
 from irisjax.tissue.pigments import common_range
 
@@ -105,11 +103,8 @@ def read_measured(
             reflectances, or could be fractions as well as per cent.
     """
     how = ReadOptions(quantity, unit, wavelength_unit, wavelengths)
-    try:
-        table = read_spectral_table(path)
-        return _spectrum(table, how, select(table, how.quantity))
-    except ValueError as error:
-        raise ValueError(_naming(path, error)) from None
+    with naming(path):
+        return _spectrum(read_spectral_table(path), how)
 
 
 def read_eyes(path: str | Path, how: ReadOptions | None = None) -> dict[str, Measured | ValueError]:
@@ -121,82 +116,73 @@ def read_eyes(path: str | Path, how: ReadOptions | None = None) -> dict[str, Mea
     Raises:
         ValueError: naming the file and a problem of the whole table.
     """
-    try:
+    with naming(path):
         table = read_spectral_table(path)
-    except ValueError as error:
-        raise ValueError(_naming(path, error)) from None
-    how = ReadOptions() if how is None else how
     found: dict[str, Measured | ValueError] = {}
     for j, name in enumerate(table.names[1:], 1):
         name = name or f"column {j + 1}"
         if name in found:
             raise ValueError(f"{path}: column {name!r} appears twice")
         try:
-            found[name] = _spectrum(table, how, select(table, how.quantity, [j]))
+            found[name] = _spectrum(table, how or ReadOptions(), [j])
         except ValueError as error:
             found[name] = error
     return found
 
 
-def _naming(path: str | Path, error: ValueError) -> str:
-    return str(error) if str(error).startswith(str(path)) else f"{path}: {error}"
-
-
-def _spectrum(table: SpectralTable, how: ReadOptions, chosen: Selection) -> Measured:
+def _spectrum(table: Columns, how: ReadOptions, among: list[int] | None = None) -> Measured:
     for name, allowed in (
         ("quantity", QUANTITIES),
         ("unit", REFLECTANCE_UNITS),
         ("wavelength_unit", WAVELENGTH_UNITS),
     ):
-        if getattr(how, name) not in (None, *allowed):
-            raise ValueError(
-                f"{name} must be one of {', '.join(allowed)}, got {getattr(how, name)!r}"
-            )
+        if (given := getattr(how, name)) not in (None, *allowed):
+            raise ValueError(f"{name} must be one of {', '.join(allowed)}, got {given!r}")
+    chosen = select(table, how.quantity, among)
     notes: list[str] = []
-    table = _with_values(table, chosen, notes)
-    table = _in_range(_in_nm(table, how, notes), how, notes)
-    x = table.values[:, 0]
-    order = np.argsort(x, kind="stable")
-    for i in np.flatnonzero(np.diff(x[order]) == 0)[:1]:
-        raise ValueError(f"{table.where[order[i + 1]]}: {x[order[i]]:g} nm appears twice")
+    used = [0, *chosen.spectra, *([] if chosen.sd is None else [chosen.sd])]
+    values, where = table.values[:, used], np.array(table.where)
+    for i, j in np.argwhere(np.isinf(values))[:1]:
+        raise ValueError(f"{where[i]}: {values[i, j]} is not a finite number")
+    kept = ~np.isnan(values).any(axis=1)
+    if not kept.any():
+        raise ValueError("no wavelength has a value")
+    if not kept.all():
+        notes.append(f"{(~kept).sum()} of {kept.size} wavelengths without a value skipped")
+    values, where = values[kept], where[kept]
+    x = _in_nm(values[:, 0], where, table.names[0], how.wavelength_unit, notes)
+    kept = _in_range(x, how.wavelengths, notes)
+    order = np.flatnonzero(kept)[np.argsort(x[kept], kind="stable")]
+    x, where = x[order], where[order]
+    for i in np.flatnonzero(np.diff(x) == 0)[:1]:
+        raise ValueError(f"{where[i + 1]}: {x[i]:g} nm appears twice")
+    count = len(chosen.spectra)
+    scans, sd = values[order, 1 : count + 1], values[order, count + 1 :]
     quantity = how.quantity or chosen.role or REFLECTANCE
-    scans, sd = _as_fractions(table, how, chosen, quantity, notes)
+    if quantity in (ABSORBANCE, KUBELKA_MUNK):
+        form = "log10(1/R)" if quantity == ABSORBANCE else "(1 - R)²/2R"
+        notes.append(f"{quantity} {form} converted to reflectance")
+        scans, slope = _reflectance_of(scans, quantity)
+        sd = slope[:, :1] * sd
+    elif quantity == REFLECTANCE:
+        scale = 100 if _unit(scans, how.unit, chosen.label, table.header, notes) == "percent" else 1
+        scans, sd = scans / scale, sd / scale
     doubts = () if quantity == RADIANCE else _doubts(scans)
     y, scatter = mean_of_scans(scans)
-    if len(chosen.spectra) > 1:
-        notes.append(f"mean of {len(chosen.spectra)} scans; their scatter is the noise")
+    if count > 1:
+        notes.append(f"mean of {count} scans; their scatter is the noise")
         if scatter is None:
             notes.append("the scans are equal: their scatter says nothing about the noise")
-    sd = scatter if sd is None else sd
-    if sd is not None:
-        for i in np.flatnonzero(~(sd > 0))[:1]:
-            raise ValueError(f"{table.where[i]}: standard deviation {sd[i]:g}; it must be > 0")
-        sd = sd[order]
-    return Measured(x[order], y[order], sd, tuple(notes), table.header, doubts)
+    noise = scatter if chosen.sd is None else sd[:, 0]
+    if noise is not None:
+        for i in np.flatnonzero(~(noise > 0))[:1]:
+            raise ValueError(f"{where[i]}: standard deviation {noise[i]:g}; it must be > 0")
+    return Measured(x, y, noise, tuple(notes), table.header, doubts)
 
 
-def _rows(table: SpectralTable, kept: np.ndarray) -> SpectralTable:
-    where = [w for w, keep in zip(table.where, kept, strict=True) if keep]
-    return table._replace(values=table.values[kept], where=where)
-
-
-def _with_values(table: SpectralTable, chosen: Selection, notes: list[str]) -> SpectralTable:
-    """Rows in which every chosen column has a number."""
-    used = [0, *chosen.spectra, *([] if chosen.sd is None else [chosen.sd])]
-    values = table.values[:, used]
-    for i, j in np.argwhere(np.isinf(values))[:1]:
-        raise ValueError(f"{table.where[i]}: {values[i, j]} is not a finite number")
-    missing = np.asarray(np.isnan(values).any(axis=1))
-    if missing.all():
-        raise ValueError("no wavelength has a value")
-    if missing.any():
-        notes.append(f"{missing.sum()} of {missing.size} wavelengths without a value skipped")
-    return _rows(table, ~missing)
-
-
-def _in_nm(table: SpectralTable, how: ReadOptions, notes: list[str]) -> SpectralTable:
-    """The table with its first column in nm."""
-    x, name, unit = table.values[:, 0], table.names[0], how.wavelength_unit
+def _in_nm(
+    x: np.ndarray, where: np.ndarray, name: str, unit: str | None, notes: list[str]
+) -> np.ndarray:
     if unit is None and _PER_CM.search(name):
         unit = "1/cm"
     elif unit is None and _MICRO.search(name):
@@ -205,63 +191,61 @@ def _in_nm(table: SpectralTable, how: ReadOptions, notes: list[str]) -> Spectral
         unit = "um"
         notes.append("wavelengths read as µm (the file does not say; --wavelength-unit otherwise)")
     if unit == "1/cm" and not (x > 0).all():
-        raise ValueError(f"{table.where[int(np.argmin(x))]}: a wavenumber of {x.min():g} 1/cm")
-    first = WAVELENGTH_UNITS[unit or "nm"](x)
-    return table._replace(values=np.column_stack([first, table.values[:, 1:]]))
+        raise ValueError(f"{where[np.argmin(x)]}: a wavenumber of {x.min():g} 1/cm")
+    return WAVELENGTH_UNITS[unit or "nm"](x)
 
 
-def _in_range(table: SpectralTable, how: ReadOptions, notes: list[str]) -> SpectralTable:
-    """Rows whose wavelengths are asked for and covered by the pigment tables."""
-    x, (low, high) = table.values[:, 0], common_range()
-    why = "which the pigment tables cover"
-    if how.wavelengths is not None:
-        asked, why = how.wavelengths, "as asked"
+def _in_range(x: np.ndarray, asked: tuple[float, float] | None, notes: list[str]) -> np.ndarray:
+    """Which wavelengths are asked for and covered by the pigment tables."""
+    (low, high), why = common_range(), "which the pigment tables cover"
+    if asked is not None:
         if max(low, asked[0]) > min(high, asked[1]):
             raise ValueError(
                 f"{asked[0]:g} to {asked[1]:g} nm are asked for; the pigment tables have "
                 f"{low:g} to {high:g} nm"
             )
-        low, high = max(low, asked[0]), min(high, asked[1])
+        low, high, why = max(low, asked[0]), min(high, asked[1]), "as asked"
     inside = (x >= low) & (x <= high)
     if not inside.any():
         raise ValueError(
             f"wavelengths {x.min():g} to {x.max():g} nm; none is within {low:g} to {high:g} nm"
         )
     if not inside.all():
-        notes.append(
-            f"{(~inside).sum()} of {inside.size} wavelengths left out: only {low:g} to {high:g} nm,"
-            f" {why}"
-        )
-    return _rows(table, inside)
+        left = f"{(~inside).sum()} of {inside.size} wavelengths left out"
+        notes.append(f"{left}: only {low:g} to {high:g} nm, {why}")
+    return inside
 
 
-def _as_fractions(
-    table: SpectralTable, how: ReadOptions, chosen: Selection, quantity: str, notes: list[str]
-) -> tuple[np.ndarray, np.ndarray | None]:
-    """Scans (rows, scans) and standard deviations, as fractions where they are reflectances."""
-    scans = table.values[:, chosen.spectra]
-    sd = None if chosen.sd is None else table.values[:, chosen.sd]
-    if quantity == RADIANCE:
-        return scans, sd
-    if quantity in (ABSORBANCE, KUBELKA_MUNK):
-        form = "log10(1/R)" if quantity == ABSORBANCE else "(1 - R)²/2R"
-        notes.append(f"{quantity} {form} converted to reflectance")
-        reflectance, slope = _reflectance_of(scans, quantity)
-        return reflectance, None if sd is None else slope[:, 0] * sd
+def _unit(
+    scans: np.ndarray, unit: str | None, label: str, header: dict[str, str], notes: list[str]
+) -> str:
+    """The unit of reflectances, which the caller or the file states, or else their size implies."""
     if not np.median(scans) > 0:
         raise ValueError("half of the values or more are zero or negative: no reflectance")
-    unit = how.unit
-    if unit is None:
-        # Files that irisjax wrote hold fractions.
-        said = "fraction" if "irisjax" in table.header else table.header.get("unit", "")
-        if _PERCENT.search(f"{chosen.label} {said}"):
-            unit = "percent"
-        elif re.search("fraction|^1$", said):
-            unit = "fraction"
-        else:
-            unit = _unit_by_size(float(np.max(scans)), notes)
-    scale = 100 if unit == "percent" else 1
-    return scans / scale, None if sd is None else sd / scale
+    if unit is not None:
+        return unit
+    # Files that irisjax wrote hold fractions.
+    said = "fraction" if "irisjax" in header else header.get("unit", "")
+    if _PERCENT.search(f"{label} {said}"):
+        return "percent"
+    if re.search("fraction|^1$", said):
+        return "fraction"
+    top = float(np.max(scans))
+    if top > 100:
+        raise ValueError(
+            f"values up to {top:,.6g} are no reflectances, neither fractions nor per cent; are "
+            "they counts?"
+        )
+    if top > 2:
+        notes.append("values read as per cent (the file does not say; --unit fraction otherwise)")
+        return "percent"
+    if top > _BRIGHT:
+        raise ValueError(
+            f"values up to {top:.3g} may be fractions (brighter than any iris) or per cent (a dark "
+            "iris): give --unit percent or --unit fraction"
+        )
+    notes.append("values read as fractions (the file does not say; --unit percent otherwise)")
+    return "fraction"
 
 
 def _reflectance_of(values: np.ndarray, quantity: str) -> tuple[np.ndarray, np.ndarray]:
@@ -275,25 +259,6 @@ def _reflectance_of(values: np.ndarray, quantity: str) -> tuple[np.ndarray, np.n
     found = thick_layer(values, 1.0, xp=np)
     root = np.sqrt(np.maximum(values * (values + 2), 0))
     return found, found / np.where(root > 0, root, np.inf)
-
-
-def _unit_by_size(top: float, notes: list[str]) -> str:
-    """The unit that the largest value of a file implies, where the file does not say it."""
-    if top > 100:
-        raise ValueError(
-            f"values up to {top:,.6g} are no reflectances, neither fractions nor per cent; are "
-            f"they counts?"
-        )
-    if top > 2:
-        notes.append("values read as per cent (the file does not say; --unit fraction otherwise)")
-        return "percent"
-    if top > _BRIGHT:
-        raise ValueError(
-            f"values up to {top:.3g} may be fractions (brighter than any iris) or per cent (a dark "
-            f"iris): give --unit percent or --unit fraction"
-        )
-    notes.append("values read as fractions (the file does not say; --unit percent otherwise)")
-    return "fraction"
 
 
 def _doubts(reflectance: np.ndarray) -> tuple[str, ...]:

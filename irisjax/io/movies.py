@@ -6,7 +6,6 @@ royalties, in BT.709 with half the resolution for colours.
 """
 
 import importlib.util
-import itertools
 import re
 from collections.abc import Iterable, Iterator
 from fractions import Fraction
@@ -17,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from irisjax.io.images import check_image_suffix, encode_png, to_steps
-from irisjax.io.tables import check_writable, write_atomically, write_together
+from irisjax.io.tables import check_writable, naming, write_together
 
 _NUMBER = re.compile(r"%(0\d+)?d")
 
@@ -29,11 +28,13 @@ def check_movie(path: str | Path) -> None:
         ValueError: The suffix is none of `write_movie`'s, or MP4 lacks the extra `video`.
         OSError: The place cannot be written.
     """
-    check_image_suffix(path, (".gif", ".mp4", ".png"))
-    if Path(path).suffix.lower() == ".png":
-        _numbered(path, 0)
-    if Path(path).suffix.lower() == ".mp4" and importlib.util.find_spec("av") is None:
-        raise ValueError(f"{path}: MP4 needs PyAV: pip install 'irisjax[video]'")
+    suffix = Path(path).suffix.lower()
+    with naming(path):
+        check_image_suffix(path, tuple(_WRITERS))
+        if suffix == ".mp4" and importlib.util.find_spec("av") is None:
+            raise ValueError("MP4 needs PyAV: pip install 'irisjax[video]'")
+        if suffix == ".png":
+            _numbered(Path(path), 0)
     check_writable(path)
 
 
@@ -64,48 +65,45 @@ def write_movie(
         OSError: As `check_movie`.
     """
     check_movie(path)
-    writer = {".gif": _gif, ".mp4": _mp4, ".png": _numbered_pngs}[Path(path).suffix.lower()]
-    return writer(Path(path), iter(frames), rate, remark)
+    clipped, shape = 0, None
 
-
-def _gif(path: Path, frames: Iterator[Any], rate: int, remark: str) -> int:
-    from PIL import Image as Pillow
-
-    clipped = 0
-
-    def pictures():
-        nonlocal clipped
-        for steps, out in _steps(path, frames):
+    def steps() -> Iterator[np.ndarray]:
+        nonlocal clipped, shape
+        for frame in frames:
+            shape = shape or np.shape(frame)
+            if np.shape(frame) != shape:
+                raise ValueError(f"frames of {shape} and of {np.shape(frame)}")
+            values, out = to_steps(frame, 8)
             clipped += out
-            yield Pillow.fromarray(steps)
+            yield values
+        if shape is None:
+            raise ValueError("no frames")
 
-    found = pictures()
-    buffer = BytesIO()
-    more = {"comment": remark.encode()} if remark else {}
-    next(found).save(
-        buffer,
-        "gif",
-        save_all=True,
-        append_images=found,
-        duration=round(100 / rate) * 10,
-        loop=0,
-        **more,
-    )
-    write_atomically(path, buffer.getvalue())
+    with naming(path):
+        write_together(_WRITERS[Path(path).suffix.lower()](Path(path), steps(), rate, remark))
     return clipped
 
 
-def _mp4(path: Path, frames: Iterator[Any], rate: int, remark: str) -> int:
+def _gif(path: Path, frames: Iterator[np.ndarray], rate: int, remark: str) -> dict[Path, bytes]:
+    from PIL import Image as Pillow
+
+    pictures = map(Pillow.fromarray, frames)
+    buffer = BytesIO()
+    more: dict[str, Any] = {"comment": remark.encode()} if remark else {}
+    more |= {"append_images": pictures, "duration": round(100 / rate) * 10}
+    next(pictures).save(buffer, "gif", save_all=True, loop=0, **more)
+    return {path: buffer.getvalue()}
+
+
+def _mp4(path: Path, frames: Iterator[np.ndarray], rate: int, remark: str) -> dict[Path, bytes]:
     import av
 
-    clipped = 0
     buffer = BytesIO()
     with av.open(buffer, "w", format="mp4") as container:
         if remark:
             container.metadata["comment"] = remark
         stream: Any = None
-        for number, (steps, out) in enumerate(_steps(path, frames)):
-            clipped += out
+        for number, steps in enumerate(frames):
             if stream is None:
                 # Constant quality, far above what is seen: 1 of 255 levels on average where colours
                 # do not jump.
@@ -113,15 +111,10 @@ def _mp4(path: Path, frames: Iterator[Any], rate: int, remark: str) -> int:
                     "libvpx-vp9", rate=rate, options={"crf": "8", "b": "0"}
                 )
                 stream.height, stream.width = steps.shape[:2]
-                stream.pix_fmt = "yuv420p"
-                stream.time_base = Fraction(1, rate)
+                stream.pix_fmt, stream.time_base = "yuv420p", Fraction(1, rate)
                 context = stream.codec_context  # BT.709 with sRGB's transfer function, in [16, 235]
-                (
-                    context.colorspace,
-                    context.color_primaries,
-                    context.color_trc,
-                    context.color_range,
-                ) = 1, 1, 13, 1
+                context.colorspace, context.color_primaries = 1, 1
+                context.color_trc, context.color_range = 13, 1
             frame = av.VideoFrame.from_ndarray(steps, format="rgb24")
             frame = frame.reformat(
                 format="yuv420p", dst_colorspace="ITU709", dst_color_range="MPEG"
@@ -129,38 +122,25 @@ def _mp4(path: Path, frames: Iterator[Any], rate: int, remark: str) -> int:
             frame.pts = number
             container.mux(stream.encode(frame))
         container.mux(stream.encode(None))
-    write_atomically(path, buffer.getvalue())
-    return clipped
+    return {path: buffer.getvalue()}
 
 
-def _numbered_pngs(path: Path, frames: Iterator[Any], rate: int, remark: str) -> int:
+def _pngs(path: Path, frames: Iterator[np.ndarray], rate: int, remark: str) -> dict[Path, bytes]:
     del rate
-    clipped, files = 0, {}
-    for number, frame in enumerate(frames):
-        name = _numbered(path, number)
-        files[name], out = encode_png(name, frame, remark=remark)
-        clipped += out
-    write_together(files)
-    return clipped
+    # Values of 8 bits pass a PNG unchanged.
+    return {
+        _numbered(path, number): encode_png(path, steps / 255, remark=remark)[0]
+        for number, steps in enumerate(frames)
+    }
 
 
-def _numbered(path: str | Path, number: int) -> Path:
-    name = Path(path).name
-    found = _NUMBER.findall(name)
-    if len(found) != 1 or name.count("%") != 1:
+_WRITERS = {".gif": _gif, ".mp4": _mp4, ".png": _pngs}
+
+
+def _numbered(path: Path, number: int) -> Path:
+    name = path.name
+    if len(_NUMBER.findall(name)) != 1 or name.count("%") != 1:
         raise ValueError(
             f"{path}: the name of numbered frames holds one number, such as frame_%03d.png"
         )
-    return Path(path).with_name(name % number)
-
-
-def _steps(path: Path, frames: Iterator[Any]) -> Iterator[tuple[np.ndarray, int]]:
-    """Frames in 8 bits, and how many of their pixels were clipped."""
-    first = next(frames, None)
-    if first is None:
-        raise ValueError(f"{path}: no frames")
-    shape = np.shape(first)
-    for frame in itertools.chain([first], frames):
-        if np.shape(frame) != shape:
-            raise ValueError(f"{path}: frames of {shape} and of {np.shape(frame)}")
-        yield to_steps(path, frame, 8)
+    return path.with_name(name % number)

@@ -1,6 +1,4 @@
-"""Read photographs: JPEG, PNG, TIFF, OpenEXR and cameras' raw files, as pixels in proportion to
-light.
-"""
+"""Photographs of all kinds, cameras' raw files too, as pixels in proportion to light."""
 
 import contextlib
 import warnings
@@ -13,6 +11,7 @@ import numpy as np
 from irisjax.io.camera import RAW, develop, focal_px
 from irisjax.io.images import decode_file
 from irisjax.io.profiles import profile_to_linear, srgb_to_linear
+from irisjax.io.tables import naming
 from irisjax.measure.colour import srgb_encode
 from irisjax.photo.photograph import Photograph
 
@@ -53,66 +52,51 @@ def read_photograph(path: str | Path) -> Photograph:
         OSError: If the file cannot be opened.
     """
     suffix, name = Path(path).suffix.lower(), Path(path).name
-    if suffix in RAW:
-        raw = develop(path, lambda rows, columns: _check_size(path, rows, columns))
-        pixels, saturated, notes = raw.pixels, np.asarray(raw.saturated), list(raw.notes)
-        focal, added = focal_px(raw.exif, saturated.shape)
-        grey = _is_grey(pixels)
-    elif suffix in PHOTOGRAPHS:
-        values, spec, several = decode_file(
-            path, PHOTOGRAPHS, integers=True, check=lambda spec: _check(path, spec)
-        )
-        notes = ["The file holds several pictures: the first is read."] * (
-            several or _several(path, suffix)
-        )
-        values = _colours(values, spec, notes)
-        pixels, added = _linear(path, values, spec)
-        notes += added
-        if values.dtype.kind == "f":
-            pixels = values = _to_unit(path, pixels, notes)
-        grey, saturated = _is_grey(values), np.zeros(pixels.shape[:2], bool)
-        if values.dtype.kind == "u":
-            saturated = _any(values >= _SATURATED * np.iinfo(values.dtype).max)
-        focal, added = focal_px(_exif(spec), (spec.height, spec.width))
-    else:
-        kinds = ", ".join(PHOTOGRAPHS)
-        raw = " ".join(RAW)
-        raise ValueError(
-            f"{path}: a photograph's name must end in {kinds}, or of camera raw in {raw}"
-        )
+    if suffix not in (*RAW, *PHOTOGRAPHS):
+        kinds = f"{', '.join(PHOTOGRAPHS)}, or of camera raw in {' '.join(RAW)}"
+        raise ValueError(f"{path}: a photograph's name must end in {kinds}")
+    with naming(path):
+        if suffix in RAW:
+            pixels, saturated, exif, notes = develop(path, _check_size)
+            size, grey = saturated.shape, _is_grey(pixels)
+        else:
+            values, spec, several = decode_file(path, PHOTOGRAPHS, integers=True, check=_check)
+            size, exif, notes = (spec.height, spec.width), _exif(spec), []
+            if several or _several(path, suffix):
+                notes.append("The file holds several pictures: the first is read.")
+            values = _colours(values, spec, notes)
+            pixels = _linear(values, spec, notes)
+            if values.dtype.kind == "f":
+                pixels = values = _to_unit(pixels, notes)
+            grey, saturated = _is_grey(values), np.zeros(pixels.shape[:2], bool)
+            if values.dtype.kind == "u":
+                saturated = _any(values >= _SATURATED * np.iinfo(values.dtype).max)
+    focal, added = focal_px(exif, size)
     notes += added
-    _settle_negatives(path, pixels, notes)
+    _settle_negatives(pixels, notes)
     return Photograph(pixels, saturated, grey, focal, name, tuple(notes))
 
 
-def _check(path: str | Path, spec: "OpenImageIO.ImageSpec") -> None:
-    _check_size(path, spec.height, spec.width)
-    space = spec.get_string_attribute("tiff:ColorSpace") or spec.get_string_attribute(
-        "jpeg:ColorSpace"
-    )
-    if space in ("CMYK", "YCCK"):
-        raise ValueError(f"{path}: a {space} picture for printing; convert it to RGB first")
+def _check(spec: "OpenImageIO.ImageSpec") -> None:
+    _check_size(spec.height, spec.width)
+    spaces = (spec.get_string_attribute(f"{kind}:ColorSpace") for kind in ("tiff", "jpeg"))
+    if space := next((space for space in spaces if space in ("CMYK", "YCCK")), None):
+        raise ValueError(f"a {space} picture for printing; convert it to RGB first")
     if spec.deep or spec.depth > 1:
-        raise ValueError(f"{path}: a picture with values in depth; a photograph has one a pixel")
+        raise ValueError("a picture with values in depth; a photograph has one a pixel")
     if str(spec.format) not in ("uint8", "uint16", "half", "float", "double"):
-        raise ValueError(f"{path}: values are {spec.format}; read are 8 and 16 bits and floats")
+        raise ValueError(f"values are {spec.format}; read are 8 and 16 bits and floats")
     if _colour_channels(spec) is None:
-        raise ValueError(
-            f"{path}: a photograph has the channels R, G, B or one of grey, this has "
-            f"{', '.join(spec.channelnames)}"
-        )
+        found = ", ".join(spec.channelnames)
+        raise ValueError(f"a photograph has the channels R, G, B or one of grey, this has {found}")
 
 
-def _check_size(path: str | Path, rows: int, columns: int) -> None:
+def _check_size(rows: int, columns: int) -> None:
+    size = f"{columns} × {rows} pixels"
     if rows * columns > MOST_PIXELS:
-        raise ValueError(
-            f"{path}: {columns} × {rows} pixels are more than {MOST_PIXELS / 1e6:.0f} million"
-        )
+        raise ValueError(f"{size} are more than {MOST_PIXELS / 1e6:.0f} million")
     if min(rows, columns) < LEAST_SIDE:
-        raise ValueError(
-            f"{path}: {columns} × {rows} pixels; a photograph has at least {LEAST_SIDE} along each "
-            "side"
-        )
+        raise ValueError(f"{size}; a photograph has at least {LEAST_SIDE} along each side")
 
 
 def _colour_channels(spec: "OpenImageIO.ImageSpec") -> list[int] | None:
@@ -136,37 +120,38 @@ def _colours(values: np.ndarray, spec: "OpenImageIO.ImageSpec", notes: list[str]
     return np.ascontiguousarray(values[..., chosen])
 
 
-def _linear(
-    path: str | Path, values: np.ndarray, spec: "OpenImageIO.ImageSpec"
-) -> tuple[np.ndarray, list[str]]:
+def _linear(values: np.ndarray, spec: "OpenImageIO.ImageSpec", notes: list[str]) -> np.ndarray:
     profile = spec.getattribute("ICCProfile")
     if values.dtype.kind == "f" and not np.isfinite(values).all():
         count = int(_any(~np.isfinite(values)).sum())
-        raise ValueError(f"{path}: {count} pixels are not finite (infinite or not a number)")
+        raise ValueError(f"{count} pixels are not finite (infinite or not a number)")
     if profile is not None and len(profile):
-        pixels, name = profile_to_linear(values, np.asarray(profile, np.uint8).tobytes(), path)
-        return pixels, [f"Colours by the embedded profile: {name}."]
+        pixels, name = profile_to_linear(values, np.asarray(profile, np.uint8).tobytes())
+        notes.append(f"Colours by the embedded profile: {name}.")
+        return pixels
     if values.dtype.kind == "f":
-        pixels, notes = values, ["Linear values on sRGB's primaries are assumed."]
+        pixels, said = values, "Linear values on sRGB's primaries are assumed"
         if spec.getattribute("chromaticities") is not None:
-            notes = ["Linear values on sRGB's primaries are assumed; the file's own are not used."]
+            said += "; the file's own are not used"
     else:
-        pixels, notes = srgb_to_linear(values), ["Encoded as sRGB: the file has no colour profile."]
+        pixels, said = srgb_to_linear(values), "Encoded as sRGB: the file has no colour profile"
+        encoding = spec.get_string_attribute("oiio:ColorSpace")
         if spec.get_int_attribute("Exif:ColorSpace", 1) != 1:
-            notes = [
+            said = (
                 "Read as sRGB, for want of a colour profile; Exif says that the colour space is "
-                "another (Adobe RGB in most cameras), so colours may be too dull."
-            ]
-        elif (said := spec.get_string_attribute("oiio:ColorSpace")) not in _ENCODINGS:
-            notes = [f"Read as sRGB; the file says {said}."]
-    return (np.repeat(pixels, 3, 2) if pixels.shape[2] == 1 else pixels), notes
+                "another (Adobe RGB in most cameras), so colours may be too dull"
+            )
+        elif encoding not in _ENCODINGS:
+            said = f"Read as sRGB; the file says {encoding}"
+    notes.append(f"{said}.")
+    return np.repeat(pixels, 3, 2) if pixels.shape[2] == 1 else pixels
 
 
-def _to_unit(path: str | Path, pixels: np.ndarray, notes: list[str]) -> np.ndarray:
+def _to_unit(pixels: np.ndarray, notes: list[str]) -> np.ndarray:
     """Linear values near 1, whatever their unit was."""
     brightest = pixels.max(-1)
     if brightest.max() <= 0:
-        raise ValueError(f"{path}: no pixel is brighter than 0")
+        raise ValueError("no pixel is brighter than 0")
     bright = float(np.quantile(brightest, _BRIGHT))
     if bright > 0 and not _UNITS[0] <= bright <= _UNITS[1]:
         notes.append(f"All values are divided by {bright:.4g}, so that the brightest are about 1.")
@@ -177,7 +162,7 @@ def _to_unit(path: str | Path, pixels: np.ndarray, notes: list[str]) -> np.ndarr
     return pixels
 
 
-def _settle_negatives(path: str | Path, pixels: np.ndarray, notes: list[str]) -> None:
+def _settle_negatives(pixels: np.ndarray, notes: list[str]) -> None:
     """Set small negative values to 0, in place; larger ones are colours outside sRGB and stay."""
     if pixels.min() >= 0:
         return
@@ -223,9 +208,9 @@ def _several(path: str | Path, suffix: str) -> bool:
 
 
 def _exif(spec: "OpenImageIO.ImageSpec") -> dict[str, float]:
-    found = {}
-    for attribute in spec.extra_attribs:
-        if attribute.name.startswith("Exif:") and not isinstance(attribute.value, str):
-            # OpenImageIO turns rational numbers into one.
-            found[attribute.name[5:]] = spec.get_float_attribute(attribute.name, 0.0)
-    return found
+    # OpenImageIO turns rational numbers into one.
+    return {
+        attribute.name[5:]: spec.get_float_attribute(attribute.name, 0.0)
+        for attribute in spec.extra_attribs
+        if attribute.name.startswith("Exif:") and not isinstance(attribute.value, str)
+    }

@@ -1,10 +1,11 @@
 """Posteriors as NetCDF in arviz's layout: `arviz.from_netcdf` opens them, whichever its version."""
 
-import os
 from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
+
+from irisjax.io.tables import replacing
 
 
 def write_posterior(
@@ -23,16 +24,10 @@ def write_posterior(
     """
     import h5netcdf
 
-    path = Path(path)
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
-    try:
-        with h5netcdf.File(temporary, "w") as file:
-            for name, arrays in groups.items():
-                _write_group(file.create_group(name), arrays, attributes, ("chain", "draw"))
-            _write_group(file.create_group("observed_data"), observed, attributes, ())
-        os.replace(temporary, path)
-    finally:
-        temporary.unlink(missing_ok=True)
+    with replacing(path) as temporary, h5netcdf.File(temporary, "w") as file:
+        for name, arrays in groups.items():
+            _write_group(file.create_group(name), arrays, attributes, ("chain", "draw"))
+        _write_group(file.create_group("observed_data"), observed, attributes, ())
 
 
 def _write_group(

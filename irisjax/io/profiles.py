@@ -26,9 +26,7 @@ def srgb_to_linear(steps: np.ndarray) -> np.ndarray:
     return found
 
 
-def profile_to_linear(
-    values: np.ndarray, profile: bytes, path: str | Path
-) -> tuple[np.ndarray, str]:
+def profile_to_linear(values: np.ndarray, profile: bytes) -> tuple[np.ndarray, str]:
     """Convert values under an ICC profile to linear sRGB.
 
     Colours outside sRGB have negative components; the profile's white becomes (1, 1, 1).
@@ -36,7 +34,6 @@ def profile_to_linear(
     Args:
         values: uint8, uint16 or float, (rows, columns, 1 or 3).
         profile: The embedded profile.
-        path: Only named in errors.
 
     Returns:
         float32 values (rows, columns, 3), and the profile's name with a remark on a loss of
@@ -50,22 +47,21 @@ def profile_to_linear(
     try:
         found = ImageCms.ImageCmsProfile(BytesIO(profile))
         name = ImageCms.getProfileName(found).strip().split("\n")[0] or "without a name"
+        about: Any = found.profile
+        space = about.xcolor_space.strip()
+        if space not in ("RGB", "GRAY"):
+            raise ValueError(f"embedded colour profile of {space}, read are RGB and grey ones")
+        if space == "GRAY" and values.shape[-1] != 1:
+            raise ValueError("a grey colour profile in a picture of colours")
+        if space == "RGB" and values.shape[-1] == 1:
+            values = np.repeat(values, 3, -1)
+        if space == "RGB" and about.is_matrix_shaper:
+            linear = _matrix_to_linear(values, profile)
+            if linear is not None:
+                return linear, name
+        steps = _managed_in_8_bits(values, found)
     except (ImageCms.PyCMSError, OSError) as error:
-        raise ValueError(f"{path}: the embedded colour profile is broken ({error})") from None
-    about: Any = found.profile
-    space = about.xcolor_space.strip()
-    channels = {"RGB": 3, "GRAY": 1}.get(space)
-    if channels is None:
-        raise ValueError(f"{path}: embedded colour profile of {space}, read are RGB and grey ones")
-    if channels != values.shape[-1]:
-        if channels == 1:
-            raise ValueError(f"{path}: a grey colour profile in a picture of colours")
-        values = np.repeat(values, 3, -1)
-    if channels == 3 and about.is_matrix_shaper:
-        linear = _matrix_to_linear(values, profile)
-        if linear is not None:
-            return linear, name
-    steps = _managed_in_8_bits(values, found, path)
+        raise ValueError(f"the embedded colour profile is broken ({error})") from None
     lossy = "" if values.dtype == np.uint8 else f", {values.dtype} before"
     return srgb_to_linear(steps), f"{name} (no matrix profile: converted with 8 bits{lossy})"
 
@@ -75,10 +71,7 @@ def _matrix_to_linear(values: np.ndarray, profile: bytes) -> np.ndarray | None:
         xyz = _device_to_xyz(values, profile)
         return None if xyz is None else (xyz @ XYZ_TO_SRGB.T).astype(np.float32)
     most = np.iinfo(values.dtype).max
-    ramp = np.zeros((3, most + 1, 3), np.float32)
-    for i in range(3):
-        ramp[i, :, i] = np.linspace(0, 1, most + 1)
-    xyz = _device_to_xyz(ramp, profile)
+    xyz = _device_to_xyz(np.linspace(0, 1, most + 1)[:, None] * np.eye(3)[:, None], profile)
     if xyz is None:
         return None
     xyz = xyz.astype(np.float64)
@@ -111,19 +104,13 @@ def _device_to_xyz(values: np.ndarray, profile: bytes) -> np.ndarray | None:
     return np.asarray(image.get_pixels("float")).reshape(values.shape)
 
 
-def _managed_in_8_bits(values: np.ndarray, profile: Any, path: str | Path) -> np.ndarray:
+def _managed_in_8_bits(values: np.ndarray, profile: Any) -> np.ndarray:
     from PIL import Image, ImageCms
 
     if values.dtype.kind == "f":
         values = np.clip(values, 0, 1)
     most = np.iinfo(values.dtype).max if values.dtype.kind == "u" else 1
     steps = np.rint(values * np.float32(255 / most)).astype(np.uint8)
-    if steps.shape[-1] == 1:
-        steps = steps[..., 0]
-    try:
-        image = ImageCms.profileToProfile(
-            Image.fromarray(steps), profile, ImageCms.createProfile("sRGB"), outputMode="RGB"
-        )
-    except (ImageCms.PyCMSError, ValueError) as error:
-        raise ValueError(f"{path}: the embedded colour profile is broken ({error})") from None
-    return np.asarray(image)
+    image = Image.fromarray(steps[..., 0] if steps.shape[-1] == 1 else steps)
+    srgb = ImageCms.createProfile("sRGB")
+    return np.asarray(ImageCms.profileToProfile(image, profile, srgb, outputMode="RGB"))

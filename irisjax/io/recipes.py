@@ -21,6 +21,7 @@ from irisjax.io.sections import (
     text,
     whole_number,
 )
+from irisjax.io.tables import naming
 from irisjax.io.text import read_columns, read_text
 from irisjax.numerics.checks import Range
 from irisjax.ocularist.coats import HEIGHT, PUPIL_RADIUS, prosthesis
@@ -165,26 +166,22 @@ def read_paints(path: str | Path) -> KubelkaMunkMixer:
     Raises:
         ValueError: naming the file, the line where there is one, and the problem.
     """
-    try:
-        table = read_columns(path, read_text(path))
+    with naming(path):
+        table = read_columns(read_text(path))
         if table.names[0] != _WAVELENGTH:
             raise ValueError(f"the first column must be {_WAVELENGTH}, not {table.names[0]!r}")
         pairs = paired_columns(table.names[1:])
         if not pairs:
             raise ValueError("no paint beside the wavelengths")
-        for row, where in zip(table.values, table.where, strict=True):
-            for name, value in zip(table.names, row, strict=True):
-                if not COEFFICIENT.holds(value):
-                    raise ValueError(f"{where}: {name} = {value:g} is outside {COEFFICIENT}")
+        for i, j in np.argwhere(~COEFFICIENT.holds(table.values))[:1]:
+            said = f"{table.names[j]} = {table.values[i, j]:g} is outside {COEFFICIENT}"
+            raise ValueError(f"{table.where[i]}: {said}")
         coefficients = table.values[:, 1:].T
         k, s = (coefficients[[pair[i] for pair in pairs.values()]] for i in (0, 1))
         for p, i in np.argwhere(k + s == 0)[:1]:
             raise ValueError(f"{table.where[i]}: K and S of {list(pairs)[p]} are both 0")
         surface = _surface(table.header.get(_SURFACE))
         return KubelkaMunkMixer(tuple(pairs), tuple(table.values[:, 0].tolist()), k, s, surface)
-    except ValueError as error:
-        said = str(error)
-        raise ValueError(said if said.startswith(str(path)) else f"{path}: {said}") from None
 
 
 def _surface(text: str | None) -> tuple[float, float] | None:

@@ -20,6 +20,7 @@ from typing import NamedTuple
 import numpy as np
 
 from irisjax._interrupt import unfinished
+from irisjax.io.text import read_text
 
 _REMARK = re.compile(r"\s*\[[^\[\]]*\]$")
 
@@ -64,7 +65,16 @@ def read_header(path: str | Path) -> dict[str, str]:
     Raises:
         ValueError: naming the file, and the line where there is one.
     """
-    return _header(path, _lines(path))
+    header: dict[str, str] = {}
+    for number, line in enumerate(read_text(path).splitlines(), 1):
+        key, colon, value = line[1:].partition(":")
+        key = key.strip()
+        if not (line.startswith("#") and colon):
+            continue
+        if key in header:
+            raise ValueError(f"{path}, line {number}: {key} appears twice in the header")
+        header[key] = _REMARK.sub("", value.strip())
+    return header
 
 
 def read_table(path: str | Path) -> Table:
@@ -73,32 +83,43 @@ def read_table(path: str | Path) -> Table:
     Raises:
         ValueError: naming file and line, for a file of another form.
     """
-    lines = _lines(path)
-    header = _header(path, lines)
+    header = read_header(path)
     # Comments may be anywhere; messages need the true line numbers.
-    body = [
-        (number, line)
-        for number, line in enumerate(lines, 1)
-        if line.strip() and not line.startswith("#")
-    ]
-    if not body:
-        raise ValueError(f"{path}: no columns")
-    rows = list(csv.reader(line for _, line in body))
-    names = [name.strip() for name in rows[0]]
-    if len(set(names)) != len(names):
-        raise ValueError(f"{path}, line {body[0][0]}: a column name appears twice")
-    values = np.empty((len(rows) - 1, len(names)))
-    for i, ((number, _), row) in enumerate(zip(body[1:], rows[1:], strict=True)):
-        if len(row) != len(names):
-            raise ValueError(f"{path}, line {number}: {len(row)} values for {len(names)} columns")
-        for j, text in enumerate(row):
-            try:
-                values[i, j] = float(text)
-            except ValueError:
-                raise ValueError(
-                    f"{path}, line {number}: {names[j]} = {text!r} is not a number"
-                ) from None
-    return Table(header, {name: values[:, j] for j, name in enumerate(names)})
+    lines = enumerate(read_text(path).splitlines(), 1)
+    body = {n: line for n, line in lines if line.strip() and not line.startswith("#")}
+    rows = dict(zip(body, csv.reader(body.values()), strict=True))
+    with naming(path):
+        if not rows:
+            raise ValueError("no columns")
+        first, *numbers = rows
+        names = [name.strip() for name in rows[first]]
+        if len(set(names)) != len(names):
+            raise ValueError(f"line {first}: a column name appears twice")
+        values = np.empty((len(numbers), len(names)))
+        for i, number in enumerate(numbers):
+            row = rows[number]
+            if len(row) != len(names):
+                raise ValueError(f"line {number}: {len(row)} values for {len(names)} columns")
+            for j, text in enumerate(row):
+                try:
+                    values[i, j] = float(text)
+                except ValueError:
+                    raise ValueError(
+                        f"line {number}: {names[j]} = {text!r} is not a number"
+                    ) from None
+    return Table(header, dict(zip(names, values.T, strict=True)))
+
+
+@contextlib.contextmanager
+def naming(path: str | Path) -> Iterator[None]:
+    """Begin the text of a `ValueError` with the name of the file that it is about."""
+    try:
+        yield
+    except ValueError as error:
+        said = str(error)
+        if not said.startswith(str(path)):
+            said = f"{path}{', ' if said.startswith('line ') else ': '}{said}"
+        raise ValueError(said) from None
 
 
 def check_writable(path: str | Path) -> None:
@@ -152,7 +173,8 @@ def replacing(path: str | Path) -> Iterator[Path]:
                 shutil.copyfileobj(made, device)
         return
     target = Path(os.path.realpath(path))
-    temporary = _beside(target)
+    own = f"{os.getpid()}-{threading.get_ident()}"
+    temporary = target.with_name(f".{target.name}.{own}.tmp")
     try:
         with unfinished(temporary):
             # os.open, not tempfile: the file gets the permissions of the user's umask.
@@ -169,32 +191,6 @@ def replacing(path: str | Path) -> Iterator[Path]:
         raise
 
 
-def _beside(target: Path) -> Path:
-    return target.with_name(f".{target.name}.{os.getpid()}-{threading.get_ident()}.tmp")
-
-
 def is_device(path: Path) -> bool:
     """Whether a path is a pipe or a device."""
     return path.exists() and not path.is_file() and not path.is_dir()
-
-
-def _lines(path: str | Path) -> list[str]:
-    try:
-        return Path(path).read_text(encoding="utf-8").splitlines()
-    except UnicodeDecodeError:
-        raise ValueError(f"{path}: not a text file (UTF-8)") from None
-
-
-def _header(path: str | Path, lines: list[str]) -> dict[str, str]:
-    header: dict[str, str] = {}
-    for number, line in enumerate(lines, 1):
-        if not line.startswith("#"):
-            continue
-        key, colon, value = line[1:].partition(":")
-        key = key.strip()
-        if not colon:
-            continue  # a plain comment
-        if key in header:
-            raise ValueError(f"{path}, line {number}: {key} appears twice in the header")
-        header[key] = _REMARK.sub("", value.strip())
-    return header

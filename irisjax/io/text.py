@@ -8,19 +8,23 @@ write; SpectraMagic (Konica Minolta) has a spectrum a row.
 import codecs
 import csv
 import re
-from collections.abc import Iterator
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
 _MISSING = {"", "nan", "na", "n/a", "#n/a", "null", "none", "-", "--", "---"}
-_SEPARATORS = (("\t", False), ("\t", True), (";", False), (";", True), (",", False))
-_BLANKS = ((None, False), (None, True))
+# Separators (`None`: blanks), and whether a comma is the decimal sign.
+_LAYOUTS = (
+    *(("\t", False), ("\t", True), (";", False), (";", True), (",", False)),
+    *((None, False), (None, True)),
+)
 # Ocean Insight: what stands between these lines is the spectrum.
 _BEGIN, _END = re.compile(r"^>+\s*Begin\b", re.I), re.compile(r"^>+\s*End\b", re.I)
 _WAVELENGTH = re.compile(r"^(?P<of>.*?)\s*[\[(]?(?P<nm>\d{3,4}(?:\.\d+)?)\s*(?:nm)?[\])]*$", re.I)
 _FEWEST = 5  # wavelengths in a line that names columns by them
+
+_Lines = list[tuple[int, str]]  # with their numbers
 
 
 class Columns(NamedTuple):
@@ -53,11 +57,11 @@ def read_text(path: str | Path) -> str:
     raise ValueError(f"{path}: not a text file")
 
 
-def read_columns(path: str | Path, text: str) -> Columns:
+def read_columns(text: str) -> Columns:
     """Read the table in a text.
 
     Raises:
-        ValueError: For a broken table; it names the file, the line and the problem.
+        ValueError: For a broken table; it names the line and the problem.
     """
     header = dict(
         re.findall(r"^#\s*([^:\n]+?)\s*:[ \t]*(.*?)(?:\s*\[[^\[\]\n]*\])?\s*$", text, flags=re.M)
@@ -67,57 +71,46 @@ def read_columns(path: str | Path, text: str) -> Columns:
         for number, line in enumerate(text.splitlines(), 1)
         if line.strip() and not line.lstrip().startswith("#")
     ]
-    for i, (_, line) in enumerate(lines):
-        if _BEGIN.match(line):
-            lines = lines[i + 1 :]
-            break
-    ends = [i for i, (_, line) in enumerate(lines) if _END.match(line)]
-    lines = lines[: ends[0]] if ends else lines
-    wide = _rows_of_spectra(path, lines)
-    if wide is not None:
-        return Columns(*wide, header)
-    return Columns(*_rows_of_numbers(path, lines), header)
+    lines = lines[next((i + 1 for i, (_, line) in enumerate(lines) if _BEGIN.match(line)), 0) :]
+    lines = lines[: next((i for i, (_, line) in enumerate(lines) if _END.match(line)), None)]
+    return Columns(*(_rows_of_spectra(lines) or _rows_of_numbers(lines)), header)
 
 
-def _rows_of_numbers(path, lines) -> tuple[np.ndarray, list[str], list[str]]:
-    best: list[tuple[int, list[float]]] = []
-    cells_of, comma = None, False
-    for separator, decimal_comma in (*_SEPARATORS, *_BLANKS):
-        split = _splitter(separator)
-        rows = [(i, _numbers(split(line), decimal_comma)) for i, (_, line) in enumerate(lines)]
-        found = [(i, row) for i, row in rows if row is not None and len(row) > 1]
-        if len(found) > len(best):
-            best, cells_of, comma = found, split, decimal_comma
-    if cells_of is None:
-        raise ValueError(_without_numbers(path, lines))
-    first, width = best[0][0], len(best[0][1])
+def _rows_of_numbers(lines: _Lines) -> tuple[np.ndarray, list[str], list[str]]:
+    def widths(separator: str | None, comma: bool) -> dict[int, int]:
+        rows = (_numbers(_cells(line, separator), comma) for _, line in lines)
+        return {i: len(row) for i, row in enumerate(rows) if row is not None and len(row) > 1}
+
+    separator, comma = max(_LAYOUTS, key=lambda layout: len(widths(*layout)))
+    found = widths(separator, comma)
+    if not found:
+        raise ValueError(_without_numbers(lines))
+    first, width = next(iter(found.items()))
     values, where = [], []
     for number, line in lines[first:]:
-        cells = cells_of(line)
+        cells = _cells(line, separator)
         row = _numbers(cells, comma)
         if row is None:
-            wrong = next((c for c in cells if not _is_number(c, comma, missing=True)), cells[0])
-            raise ValueError(f"{path}, line {number}: {wrong!r} is not a number")
+            wrong = next((c for c in cells if _number(c, comma) is None), cells[0])
+            raise ValueError(f"line {number}: {wrong!r} is not a number")
         if len(row) != width:
-            raise ValueError(
-                f"{path}, line {number}: {len(row)} values, {width} in the lines before"
-            )
+            raise ValueError(f"line {number}: {len(row)} values, {width} in the lines before")
         values.append(row)
         where.append(f"line {number}")
-    names = _names([cells_of(line) for _, line in lines[:first]], width)
+    names = _names([_cells(line, separator) for _, line in lines[:first]], width)
     table = np.array(values)
     kept = [j for j in range(width) if names[j] or np.isfinite(table[:, j]).any()]
     return table[:, kept], [names[j] for j in kept], where
 
 
-def _without_numbers(path, lines) -> str:
+def _without_numbers(lines: _Lines) -> str:
     for number, line in lines:
         if _numbers([line.strip()], True) is not None:
-            return f"{path}, line {number}: one column; need wavelength and reflectance"
+            return f"line {number}: one column; need wavelength and reflectance"
         first, *others = re.split(r"[\t;, ]+", line.strip())
-        if others and _is_number(first, False, missing=False):
-            return f"{path}, line {number}: {others[0]!r} is not a number"
-    return f"{path}: no numbers in it"
+        if others and _numbers([first], False) is not None:
+            return f"line {number}: {others[0]!r} is not a number"
+    return "no numbers in it"
 
 
 def _names(above: list[list[str]], width: int) -> list[str]:
@@ -130,37 +123,34 @@ def _names(above: list[list[str]], width: int) -> list[str]:
     # Of a preamble that is as wide as the table the nearer line is the names.
     if len(rows) == 2 and not any(c.startswith(("[", "(")) for c in rows[1]):
         rows = rows[1:]
-    return [" ".join(part for part in column if part) for column in zip(*rows, strict=True)] or [
-        ""
-    ] * width
+    rows = rows or [[""] * width]
+    return [" ".join(part for part in column if part) for column in zip(*rows, strict=True)]
 
 
-def _rows_of_spectra(path, lines) -> tuple[np.ndarray, list[str], list[str]] | None:
+def _rows_of_spectra(lines: _Lines) -> tuple[np.ndarray, list[str], list[str]] | None:
     """A spectrum a row, its columns named by wavelengths; `None` if no line names such columns."""
     for i, (_, line) in enumerate(lines[:60]):
         for separator in ("\t", ";", ","):
-            split = _splitter(separator)
-            groups = _by_wavelength(split(line))
+            groups = _by_wavelength(_cells(line, separator))
             if not groups:
                 continue
             if len(groups) > 1:
                 kinds = ", ".join(repr(name) for name in groups)
-                raise ValueError(f"{path}: spectra of several kinds ({kinds}); keep one of them")
+                raise ValueError(f"spectra of several kinds ({kinds}); keep one of them")
             ((name, places),) = groups.items()
-            rows, titles = [], []
+            rows = []
             for number, later in lines[i + 1 :]:
-                cells = split(later)
+                cells = _cells(later, separator)
                 found = _numbers([cells[j] for j in places.values() if j < len(cells)], True)
                 if found is None or len(found) != len(places):
                     if not rows:
                         break
-                    raise ValueError(f"{path}, line {number}: not a number for each wavelength")
+                    raise ValueError(f"line {number}: not a number for each wavelength")
                 rows.append(found)
-                titles.append(name)
             if rows:
                 values = np.column_stack([list(places), np.array(rows).T])
                 where = [f"column {w:g} nm" for w in places]
-                return values, ["wavelength_nm", *titles], where
+                return values, ["wavelength_nm", *[name] * len(rows)], where
     return None
 
 
@@ -178,38 +168,23 @@ def _by_wavelength(cells: list[str]) -> dict[str, dict[float, int]]:
     }
 
 
-def _splitter(separator: str | None):
-    def split(line: str) -> list[str]:
-        cells = line.split() if separator is None else next(_csv([line], separator))
-        return [cell.strip() for cell in cells]
-
-    return split
+def _cells(line: str, separator: str | None) -> list[str]:
+    cells = line.split() if separator is None else next(csv.reader([line], delimiter=separator))
+    return [cell.strip() for cell in cells]
 
 
-def _csv(lines: list[str], separator: str) -> Iterator[list[str]]:
-    return csv.reader(lines, delimiter=separator)
-
-
-def _numbers(cells: list[str], decimal_comma: bool) -> list[float] | None:
+def _numbers(cells: list[str], comma: bool) -> list[float] | None:
     """Numbers of a row, NaN for what is missing beside the first; `None` if it is no such row."""
-    if not cells or not _is_number(cells[0], decimal_comma, missing=False):
-        return None
-    if not all(_is_number(cell, decimal_comma, missing=True) for cell in cells[1:]):
-        return None
-    return [_number(cell, decimal_comma) for cell in cells]
+    found = [_number(cell, comma) for cell in cells]
+    row = [value for value in found if value is not None]
+    return row if row and len(row) == len(found) and not np.isnan(row[0]) else None
 
 
-def _number(cell: str, decimal_comma: bool) -> float:
+def _number(cell: str, comma: bool) -> float | None:
+    """NaN for a missing number, `None` for what is none."""
     if cell.lower() in _MISSING:
         return np.nan
-    return float(cell.replace(",", ".") if decimal_comma else cell)
-
-
-def _is_number(cell: str, decimal_comma: bool, *, missing: bool) -> bool:
-    if cell.lower() in _MISSING:
-        return missing
     try:
-        _number(cell, decimal_comma)
+        return float(cell.replace(",", ".") if comma else cell)
     except ValueError:
-        return False
-    return True
+        return None
