@@ -155,7 +155,7 @@ def render_command(view: View, picture: Picture, files: PictureFile) -> None:
     if first.exists() and not files.overwrite and not io.is_device(first):
         raise ValueError(f"{first}: exists; --overwrite replaces it")
     file = view.read()
-    if picture.spectral is not None and not view.light and "environment" in file:
+    if picture.spectral is not None and not view.light and "environment" in file.sections:
         raise ValueError(
             "--spectral needs lamps: an environment has colours, not spectra; give --light"
         )

@@ -41,15 +41,14 @@ def read_clone(folder: str | Path) -> CloneFolder:
     """
     folder = Path(folder)
     check_summary(folder)
-    if not (folder / "scene.toml").exists():
-        raise ValueError(
-            f"{folder}: the clone has no scene.toml, it was stopped before its pigments; "
-            "run irisjax clone to the end"
-        )
-    scene = read_scene(folder / "scene.toml")
     path = folder / PHOTOGRAPH
-    if not path.exists():
-        raise ValueError(f"{folder}: the clone has no {PHOTOGRAPH}; run irisjax clone again")
+    for file, why in (
+        ("scene.toml", "it was stopped before its pigments; run irisjax clone to the end"),
+        (PHOTOGRAPH, "run irisjax clone again"),
+    ):
+        if not (folder / file).exists():
+            raise ValueError(f"{folder}: the clone has no {file}: {why}")
+    scene = read_scene(folder / "scene.toml")
     pixels = read_image(path).pixels
     width, height = scene.scene().camera.size
     if pixels.shape != (height, width, 3):

@@ -9,6 +9,7 @@ import numpy as np
 
 from irisjax.io.images import encode_exr, encode_png
 from irisjax.io.maps import encode_maps
+from irisjax.io.sections import plain, toml_of
 from irisjax.measure.colour import srgb_encode
 from irisjax.photo.clone import Fitted, Flat, Outlined, PictureDifference, Posed, Sampled, Shaped
 from irisjax.photo.photograph import Ellipse
@@ -32,7 +33,7 @@ CLONE_FILES = (
     "convergence.csv",
 )
 """Names of all files that `files_of` may write."""
-_SHORT = 6  # digits
+_REMARK = "estimated by irisjax from a photograph"
 
 
 def files_of(
@@ -51,19 +52,20 @@ def files_of(
         pictures: The clone's picture compared with the photograph.
         doubts: Sentences on what is doubtful.
     """
-    summary = _summary(clone, settings, timings) | {"doubts": list(doubts)}
-    if pictures is not None:
-        summary["picture_rms"] = pictures.rms.tolist()
-    found = {"clone.json": _json(summary)}
+    summary = _summary(clone, settings, timings) | {"doubts": doubts}
+    summary |= {} if pictures is None else {"picture_rms": pictures.rms}
+    text = json.dumps(plain(summary, 8), indent=1, allow_nan=False) + "\n"
+    found = {"clone.json": text.encode()}
     if isinstance(clone, Flat):
-        found[UNREFRACTED_PICTURE] = _texture(UNREFRACTED_PICTURE, clone.texture.pixels)
-        found[VISIBLE_MASK] = _mask(VISIBLE_MASK, clone.texture.valid)
+        encoded = np.clip(np.asarray(srgb_encode(clone.texture.pixels)), 0, 1)
+        sides = f"; x, y from -{HALF_WIDTH:g} to {HALF_WIDTH:g} mm, row 0 at the top"
+        found[UNREFRACTED_PICTURE] = _png(encoded, sides)
+        found[VISIBLE_MASK] = _png(clone.texture.valid)
     if isinstance(clone, Shaped):
         shape = clone.morphology
-        found["freckles.png"] = _mask("freckles.png", shape.freckles)
         span = max(float(np.abs(shape.deconvolved).max()), 1e-6)
-        grey = np.repeat(0.5 + 0.5 * shape.deconvolved[..., None] / span, 3, -1)
-        found["deconvolved.png"] = encode_png("deconvolved.png", grey, remark=_REMARK)[0]
+        found["freckles.png"] = _png(shape.freckles)
+        found["deconvolved.png"] = _png(0.5 + 0.5 * shape.deconvolved / span)
         found["maps.exr"] = encode_maps("maps.exr", shape.maps)
     if isinstance(clone, Fitted):
         found["scene.toml"] = scene_text(clone).encode()
@@ -76,9 +78,6 @@ def files_of(
     return found
 
 
-_REMARK = "estimated by irisjax from a photograph"
-
-
 def _summary(
     clone: Outlined, settings: Mapping[str, Any], timings: Mapping[str, float]
 ) -> dict[str, Any]:
@@ -86,8 +85,8 @@ def _summary(
     outlines = clone.boundaries
     found: dict[str, Any] = {
         "photograph": clone.photograph.name,
-        "notes": list(clone.photograph.notes),
-        "settings": dict(settings),
+        "notes": clone.photograph.notes,
+        "settings": settings,
         "limbus": _ellipse(outlines.limbus) | {"confidence": outlines.limbus_confidence},
         "pupil": _ellipse(outlines.pupil) | {"confidence": outlines.pupil_confidence},
     }
@@ -108,11 +107,11 @@ def _summary(
         quantiles = np.quantile(shape.thickness[texture.valid], [0.025, 0.5, 0.975])
         names = "q2.5", "median", "q97.5"
         found |= {
-            "visible_share": float(texture.valid.sum() / ring.sum()),
-            "freckles_share": float(shape.freckles.sum() / ring.sum()),
+            "visible_share": texture.valid.sum() / ring.sum(),
+            "freckles_share": shape.freckles.sum() / ring.sum(),
             "clamped_texels": shape.clamped,
             "deconvolution_mm": shape.sigma_mm,
-            "stroma_thickness_mm": dict(zip(names, quantiles.tolist(), strict=True)),
+            "stroma_thickness_mm": dict(zip(names, quantiles, strict=True)),
         }
     if isinstance(clone, Fitted):
         found |= {
@@ -121,7 +120,7 @@ def _summary(
             "estimate": clone.fit.values
             | concentrations_of(iris_of_concentrations(clone.fit.values, clone.base)),
             "units": PIGMENT_UNITS,
-            "windows_rms": clone.fit.rms.tolist(),
+            "windows_rms": clone.fit.rms,
             "steps": clone.fit.steps,
             "converged": clone.fit.converged,
         }
@@ -143,12 +142,12 @@ def _summary(
                 "converged": chains.converged,
                 "reason": chains.reason,
                 "steps": chains.steps,
-                "autocorrelation_steps": float(np.max(chains.tau)),
-                "r_hat": float(np.max(chains.rhat)),
+                "autocorrelation_steps": np.max(chains.tau),
+                "r_hat": np.max(chains.rhat),
                 "effective_samples": min(chains.ess_bulk.min(), chains.ess_tail.min()),
             },
         }
-    return found | {"seconds": dict(timings)}
+    return found | {"seconds": timings}
 
 
 def _pose(pose: Pose) -> dict[str, Any]:
@@ -163,118 +162,83 @@ def _pose(pose: Pose) -> dict[str, Any]:
         "distance_mm": pose.distance,
         "distance_sd_mm": None if pose.distance is None else pose.distance * spread / mean,
         "lengths": {
-            "limbus_radius_mm": float(eye.limbus_radius),
-            "limbus_width_mm": float(eye.limbus_width),
+            "limbus_radius_mm": eye.limbus_radius,
+            "limbus_width_mm": eye.limbus_width,
             "mean_of_461_people_mm": mean,
             "relative_sd": spread / mean,
             "meaning": "every length is in proportion to the limbus's radius, which is assumed",
         },
-        "pupil_radius_mm": float(eye.pupil_radius),
-        "pupil_margin_mm": float(eye.pupil_margin),
-        "iris_radius_mm": float(eye.iris_radius),
-        "pupil_centre_mm": list(pose.pupil_centre),
-        "iris_depth_mm": float(eye.iris_depth),
+        "pupil_radius_mm": eye.pupil_radius,
+        "pupil_margin_mm": eye.pupil_margin,
+        "iris_radius_mm": eye.iris_radius,
+        "pupil_centre_mm": pose.pupil_centre,
+        "iris_depth_mm": eye.iris_depth,
     }
 
 
 def scene_text(clone: Fitted) -> str:
     """Return a scene file of the eye as it was photographed."""
     scene = clone.scene()
-    eye, camera, iris, lights = scene.eye, scene.camera, scene.tissue, scene.lights
-    cornea = eye.cornea
-    assert cornea is not None
-    exposure = float(np.clip(clone.exposure[1], 1e-6, 1e6))
-    rows = [
-        f"# {_REMARK}: {clone.photograph.name}",
-        "[iris]",
-        *(
-            f"{name} = {_number(getattr(iris, name))}"
-            for name in (
-                "eumelanin",
-                "pheomelanin",
-                "abl_fraction",
-                "pheomelanin_abl_fraction",
-                "stroma_thickness",
-                "fibril_radius",
-                "scattering_scale",
-            )
-        ),
-        "",
-        "[maps]",
-        'file = "maps.exr"',
-        "",
-        "[eye]",
-        f"cornea = {json.dumps('f09' if cornea.posterior is None else 'two-surfaces')}",
-        f"pupil_radius = {_number(eye.pupil_radius)}",
-        f"pupil_margin = {_number(eye.pupil_margin)}",
-        f"limbus_width = {_number(eye.limbus_width)}",
-        f"iris_depth = {_number(eye.iris_depth)}",
-        "",
-        "[camera]",
-        f"size = [{camera.size[0]}, {camera.size[1]}]",
-        f"polar_deg = {_number(np.degrees(camera.polar))}",
-        f"azimuth_deg = {_number(np.degrees(camera.azimuth))}",
-        f"distance = {_number(camera.distance)}",
-        f"width = {_number(camera.width)}",
-        "",
-        "[picture]",
-        f"exposure = {_number(exposure)}",
-        f'integrator = "{integrator_name(clone.integrator)}"',
-    ]
-    if (around := scene.environment) is not None:
-        kind = 'kind = "uniform"', f"strength = {_number(around.radiance[0, 0, 0])}"
-        rows += ["", "[environment]"]
-        rows += kind if _is_uniform(around) else ['file = "environment.exr"']
+    eye, camera, around, lights = scene.eye, scene.camera, scene.environment, scene.lights
+    assert eye.cornea is not None
+    pigments = "eumelanin", "pheomelanin", "abl_fraction", "pheomelanin_abl_fraction"
+    structure = "stroma_thickness", "fibril_radius", "scattering_scale"
+    places = "pupil_radius", "pupil_margin", "limbus_width", "iris_depth"
+    sections: dict[str, Any] = {
+        "iris": {name: getattr(scene.tissue, name) for name in (*pigments, *structure)},
+        "maps": {"file": "maps.exr"},
+        "eye": {
+            "cornea": "f09" if eye.cornea.posterior is None else "two-surfaces",
+            **{name: getattr(eye, name) for name in places},
+        },
+        "camera": {
+            "size": camera.size,
+            "polar_deg": np.degrees(camera.polar),
+            "azimuth_deg": np.degrees(camera.azimuth),
+            "distance": camera.distance,
+            "width": camera.width,
+        },
+        "picture": {
+            "exposure": np.clip(clone.exposure[1], 1e-6, 1e6),
+            "integrator": integrator_name(clone.integrator),
+        },
+    }
+    if around is not None and _is_uniform(around):
+        sections["environment"] = {"kind": "uniform", "strength": around.radiance[0, 0, 0]}
+    elif around is not None:
+        sections["environment"] = {"file": "environment.exr"}
     if lights is not None:
-        towards = np.asarray(lights.towards, np.float64)
-        for i, (x, y, z) in enumerate(towards):
-            rows += [
-                "",
-                "[[light]]",
-                f"polar_deg = {_number(np.degrees(np.arccos(np.clip(-z, -1, 1))))}",
-                f"azimuth_deg = {_number(np.degrees(np.arctan2(y, x)))}",
-                f"irradiance = {_number(lights.irradiance[i])}",
-                f"radius_deg = {_number(np.degrees(lights.radius[i]))}",
-            ]
-    return "\n".join(rows) + "\n"
+        sections["light"] = [
+            {
+                "polar_deg": np.degrees(np.arccos(np.clip(-z, -1, 1))),
+                "azimuth_deg": np.degrees(np.arctan2(y, x)),
+                "irradiance": irradiance,
+                "radius_deg": np.degrees(radius),
+            }
+            for (x, y, z), irradiance, radius in zip(
+                np.asarray(lights.towards, np.float64),
+                lights.irradiance,
+                lights.radius,
+                strict=True,
+            )
+        ]
+    return f"# {_REMARK}: {clone.photograph.name}\n{toml_of(plain(sections, 6))}"
 
 
 def _is_uniform(around: Environment) -> bool:
     return float(np.ptp(np.asarray(around.radiance))) == 0
 
 
-def _number(value) -> str:
-    return repr(float(f"{float(value):.{_SHORT}g}"))
-
-
 def _ellipse(outline: Ellipse) -> dict[str, Any]:
     return {
-        "centre_px": list(outline.centre),
-        "semi_axes_px": list(outline.semi_axes),
+        "centre_px": outline.centre,
+        "semi_axes_px": outline.semi_axes,
         "angle_deg": math.degrees(outline.angle),
     }
 
 
-def _texture(name: str, pixels: np.ndarray) -> bytes:
-    encoded = np.clip(np.asarray(srgb_encode(pixels)), 0, 1)
-    remark = f"{_REMARK}; x, y from -{HALF_WIDTH:g} to {HALF_WIDTH:g} mm, row 0 at the top"
-    return encode_png(name, encoded, remark=remark)[0]
-
-
-def _mask(name: str, mask: np.ndarray) -> bytes:
-    return encode_png(name, np.repeat(mask[..., None].astype(float), 3, -1), remark=_REMARK)[0]
-
-
-def _json(values: Mapping[str, Any]) -> bytes:
-    return (json.dumps(_plain(values), indent=1, allow_nan=False) + "\n").encode()
-
-
-def _plain(value):
-    """Numbers of few digits, and `null` for infinite and undefined ones."""
-    if isinstance(value, Mapping):
-        return {str(k): _plain(v) for k, v in value.items()}
-    if isinstance(value, list | tuple):
-        return [_plain(v) for v in value]
-    if isinstance(value, float | np.floating):
-        return float(f"{float(value):.8g}") if math.isfinite(value) else None
-    return _plain(value.item()) if hasattr(value, "item") else value
+def _png(values: np.ndarray, remark: str = "") -> bytes:
+    """A PNG of encoded colours, or of grey values or a mask."""
+    grey = values.ndim == 2
+    pixels = np.repeat(values[..., None].astype(float), 3, -1) if grey else values
+    return encode_png("clone.png", pixels, remark=_REMARK + remark)[0]

@@ -12,15 +12,7 @@ import tomlkit
 
 from irisjax.anatomy.eye import LIMITS, Eye
 from irisjax.io.images import read_image
-from irisjax.io.sections import (
-    EntryCheck,
-    Keys,
-    check_sections,
-    number_within,
-    one_name,
-    text,
-    whole_number,
-)
+from irisjax.io.sections import EntryCheck, Keys, check_sections, toml_of
 from irisjax.io.tables import naming
 from irisjax.io.text import read_columns, read_text
 from irisjax.numerics.checks import Range
@@ -69,15 +61,12 @@ class Recipe(NamedTuple):
             ValueError: for a file of paints that is broken, or that the mixing does not use.
             OSError: for one that cannot be opened.
         """
-        mixer: AbstractMixer
-        if self.mixing == _HSL:
-            if self.paints is not None:
-                raise ValueError(_NO_USE)
-            mixer = HslMixer.default()
-        elif self.paints is not None:
+        if self.mixing == _HSL and self.paints is not None:
+            raise ValueError(_NO_USE)
+        if self.paints is not None:
             mixer = read_paints(self.folder / self.paints)
         else:
-            mixer = KubelkaMunkMixer.default()
+            mixer = (HslMixer if self.mixing == _HSL else KubelkaMunkMixer).default()
         return mixer.with_paints(self.palette) if self.palette else mixer
 
     def scans(self) -> dict[str, np.ndarray]:
@@ -131,15 +120,8 @@ def read_recipe(path: str | Path) -> Recipe:
 
 def recipe_text(recipe: Recipe) -> str:
     """A recipe as the text of its file, every number to its last digit."""
-    document = tomlkit.document()
-    document.add(
-        tomlkit.comment("A painted eye for `irisjax paint`: coats in order, the bottom one first.")
-    )
-    document["painting"] = {"mixing": recipe.mixing, "pupil_radius": recipe.pupil_radius}
-    if recipe.paints is not None:
-        document["painting"]["paints"] = recipe.paints
-    if recipe.palette:
-        document["palette"] = dict(recipe.palette)
+    painting = {"mixing": recipe.mixing, "pupil_radius": recipe.pupil_radius}
+    painting |= {} if recipe.paints is None else {"paints": recipe.paints}
     coats = tomlkit.aot()
     for coat in recipe.coats:
         table = tomlkit.table()
@@ -148,11 +130,11 @@ def recipe_text(recipe: Recipe) -> str:
             table["parameters"] = tomlkit.inline_table()
             table["parameters"].update(coat.parameters)
         table["paints"] = [coat.first, coat.second]
-        for name in ("share", "opacity", "seed", "height"):
-            table[name] = getattr(coat, name)
+        table.update({n: getattr(coat, n) for n in ("share", "opacity", "seed", "height")})
         coats.append(table)
-    document["coat"] = coats
-    return tomlkit.dumps(document)
+    palette = {"palette": dict(recipe.palette)} if recipe.palette else {}
+    text = toml_of({"painting": painting, **palette, "coat": coats})
+    return f"# A painted eye for `irisjax paint`: coats in order, the bottom one first.\n\n{text}"
 
 
 def read_paints(path: str | Path) -> KubelkaMunkMixer:
@@ -215,12 +197,6 @@ def _colour(name: str) -> EntryCheck:
     return check
 
 
-def _parameters(value: Any) -> dict:
-    if not isinstance(value, dict):
-        raise ValueError("must be a table, { name = value }")
-    return value
-
-
 def _pair(value: Any) -> tuple[str, str]:
     names = [value] if isinstance(value, str) else value
     known = isinstance(names, Sequence) and all(isinstance(n, str) for n in names)
@@ -230,21 +206,16 @@ def _pair(value: Any) -> tuple[str, str]:
 
 
 _NO_USE = f'a file of paints is for mixing = "{_KUBELKA_MUNK}"; {_HSL} mixes colours alone'
-_SHARE = Range(0.0, 1.0)
 _SECTIONS: dict[str, Keys] = {
-    "painting": {
-        "mixing": one_name(*MIXING),
-        "paints": text,
-        "pupil_radius": number_within(LIMITS["pupil_radius"]),
-    },
+    "painting": {"mixing": MIXING, "paints": str, "pupil_radius": LIMITS["pupil_radius"]},
     "palette": _colour,
     "coat": {
-        "component": one_name(*COMPONENTS, SCAN),
-        "parameters": _parameters,
+        "component": (*COMPONENTS, SCAN),
+        "parameters": dict,
         "paints": _pair,
-        "share": number_within(_SHARE),
-        "opacity": number_within(_SHARE),
-        "seed": whole_number(0, 2**32 - 1),
-        "height": number_within(HEIGHT),
+        "share": Range(0.0, 1.0),
+        "opacity": Range(0.0, 1.0),
+        "seed": range(2**32),
+        "height": HEIGHT,
     },
 }

@@ -12,22 +12,13 @@ import jax.numpy as jnp
 from irisjax._types import PRNGKey
 from irisjax.anatomy.eye import LIMITS as EYE_LIMITS
 from irisjax.anatomy.eye import Cornea, Eye, Sclera
-from irisjax.anatomy.media import INDEX
 from irisjax.grow.presets import PRESETS, preset
 from irisjax.grow.procedural import procedural
 from irisjax.grow.vessels import veins
 from irisjax.io.images import read_environment
 from irisjax.io.maps import read_maps
-from irisjax.io.sections import (
-    EntryCheck,
-    Where,
-    boolean,
-    check_sections,
-    number_within,
-    one_name,
-    text,
-    whole_number,
-)
+from irisjax.io.sections import EntryCheck, Where, check_sections, checked, listed
+from irisjax.io.text import read_text
 from irisjax.measure.colour import illuminant_power
 from irisjax.numerics.checks import Range
 from irisjax.render.camera import LARGEST, Camera
@@ -38,33 +29,27 @@ from irisjax.render.lights import LIMITS as LIGHT_LIMITS
 from irisjax.render.lights import Lights
 from irisjax.render.scene import ENVIRONMENT_LIGHTS, Scene
 from irisjax.tissue.iris import LIMITS, MELANIN_LOAD, Iris
-from irisjax.tissue.maps import IrisMaps
 from irisjax.transport.process import AbstractProcess
 
 
-class SceneError(ValueError):
-    """What is wrong in a scene file, its line told."""
+@dataclasses.dataclass(frozen=True)
+class SceneFile:
+    """A checked scene file.
 
+    Attributes:
+        sections: Its entries, by the names of sections.
+        where: File and line of an entry.
+        folder: That files are named relative to.
+    """
 
-class SceneFile(Mapping[str, Any]):
-    """A checked scene file: sections by name, and the scene they make."""
-
-    def __init__(self, sections: Mapping[str, Any], where: Where, folder: Path):
-        self._sections, self._where, self._folder = sections, where, folder
-
-    def __getitem__(self, name):
-        return self._sections[name]
-
-    def __iter__(self):
-        return iter(self._sections)
-
-    def __len__(self):
-        return len(self._sections)
+    sections: Mapping[str, Any]
+    where: Where
+    folder: Path
 
     @property
     def exposure(self) -> float:
         """Factor on the picture."""
-        return self._sections.get("picture", {}).get("exposure", 1.0)
+        return self._of("picture").get("exposure", 1.0)
 
     def scene(self, integrator: str | None = None) -> Scene:
         """Build it, with an integrator of `INTEGRATORS` other than its own if one is named.
@@ -74,10 +59,10 @@ class SceneFile(Mapping[str, Any]):
         Raises:
             ValueError: For parts that do not go together; it names file and line.
         """
-        own = self._sections.get("picture", {}).get("integrator", "separable")
-        chosen = INTEGRATORS[own if integrator is None else integrator]()
+        chosen = INTEGRATORS[integrator or self._of("picture").get("integrator", "separable")]()
         parts: dict[str, Any] = {"integrator": chosen}
-        drawn = self._maps_of_file()
+        file = self._of("maps").get("file")
+        drawn = {} if file is None else {"maps": self._read(read_maps, "maps", file)}
         makers = {
             "eye": self._eye,
             "iris": lambda: self._iris(parts["eye"], chosen.process),
@@ -88,69 +73,54 @@ class SceneFile(Mapping[str, Any]):
         for name, make in makers.items():
             try:
                 parts |= make()
-            except SceneError:
+            except _SceneError:
                 raise
             except ValueError as error:
-                key = next(
-                    (k for k in self._sections.get(name, {}) if str(error).startswith(f"{k} ")),
-                    None,
-                )
-                raise SceneError(f"{self._where(name, key)}: {name}: {error}") from None
-        parts |= drawn
-        return Scene(**parts)
+                keys = self.sections.get(name, {})
+                key = next((k for k in keys if str(error).startswith(f"{k} ")), None)
+                raise _SceneError(f"{self.where(name, key)}: {name}: {error}") from None
+        return Scene(**parts | drawn)
 
-    def _key(self, name: str):
-        return stream(self._sections.get("maps", {}).get("seed", 0), name)
+    def _of(self, section: str) -> dict[str, Any]:
+        return dict(self.sections.get(section, {}))
 
-    def _maps_of_file(self) -> dict[str, IrisMaps]:
-        name = self._sections.get("maps", {}).get("file")
-        if name is None:
-            return {}
-        return {"maps": self._read(read_maps, "maps", name)}
+    def _key(self, name: str) -> PRNGKey:
+        return stream(self._of("maps").get("seed", 0), name)
 
     def _read(self, read: Callable[[Path], Any], section: str, name: str) -> Any:
-        path = self._folder / name
+        path = self.folder / name
         try:
             return read(path)
-        except OSError as error:
-            raise SceneError(f"{self._where(section, 'file')}: {path}: {error.strerror}") from None
-        except ValueError as error:
-            raise SceneError(f"{self._where(section, 'file')}: {error}") from None
+        except (OSError, ValueError) as error:
+            said = f"{path}: {error.strerror}" if isinstance(error, OSError) else error
+            raise _SceneError(f"{self.where(section, 'file')}: {said}") from None
 
-    def _iris(self, eye: Eye, process: AbstractProcess):
-        given = dict(self._sections.get("iris", {}))
-        features = {k: v for k, v in self._sections.get("maps", {}).items() if k in FEATURES}
+    def _iris(self, eye: Eye, process: AbstractProcess) -> dict[str, Any]:
+        given, maps = self._of("iris"), self._of("maps")
+        features = {k: v for k, v in maps.items() if k in FEATURES}
         # Maps from a file take the place of grown ones.
-        uniform = self._sections.get("maps", {}).get(
-            "uniform", False
-        ) or "file" in self._sections.get("maps", {})
-        if "preset" in given:
-            if "level" in given:
-                raise ValueError("give preset or level, not both")
-            colour = given.pop("preset")
-            shape = (16, 8) if uniform else (768, 256)  # maps that nobody asked for are grown small
-            iris, maps = preset(
-                colour,
+        grown = not maps.get("uniform", False) and "file" not in maps
+        if "preset" not in given:
+            iris = Iris.of_level(given.pop("level", "moderate")).replace(**given)
+            drawn = procedural(iris, eye, **features, key=self._key("maps")) if grown else None
+        elif "level" in given:
+            raise ValueError("give preset or level, not both")
+        else:
+            iris, drawn = preset(
+                given.pop("preset"),
                 eye,
                 process=process,
-                shape=shape,
+                shape=(768, 256) if grown else (16, 8),  # small where nobody asked for maps
                 pigments=given,
                 features=features,
                 key=self._key("maps"),
             )
-        else:
-            iris = Iris.of_level(given.pop("level", "moderate"))
-            iris = iris.replace(**given) if given else iris
-            maps = None if uniform else procedural(iris, eye, **features, key=self._key("maps"))
-        return {"iris": iris, "maps": None if uniform else maps}
+        return {"iris": iris, "maps": drawn if grown else None}
 
-    def _eye(self):
-        given = dict(self._sections.get("eye", {}))
-        kind, white, density = (
-            given.pop("cornea", "two-surfaces"),
-            given.pop("sclera", True),
-            given.pop("veins", 1.0),
-        )
+    def _eye(self) -> dict[str, Any]:
+        given = self._of("eye")
+        kind, white = given.pop("cornea", "two-surfaces"), given.pop("sclera", True)
+        density = given.pop("veins", 1.0)
         if kind == "f09":
             given = {"aqueous_index": 1.376, **given}
         eye = Eye(
@@ -161,43 +131,38 @@ class SceneFile(Mapping[str, Any]):
         drawn = None if eye.sclera is None else veins(eye, key=self._key("veins"))
         return {"eye": eye, "veins": drawn}
 
-    def _camera(self):
-        given = dict(self._sections.get("camera", {}))
-        for name in ("polar", "azimuth"):
-            if f"{name}_deg" in given:
-                given[name] = math.radians(given.pop(f"{name}_deg"))
+    def _camera(self) -> dict[str, Any]:
+        given = self._of("camera")
+        angles = {n: f"{n}_deg" for n in ("polar", "azimuth") if f"{n}_deg" in given}
+        given |= {name: math.radians(given.pop(key)) for name, key in angles.items()}
         return {"camera": Camera(**given)}
 
-    def _lights(self):
-        illuminant = self._sections.get("picture", {}).get("illuminant", "D65")
+    def _lights(self) -> dict[str, Any]:
+        illuminant = self._of("picture").get("illuminant", "D65")
         lights = None
-        for lamp in self._sections.get("light", []):
+        for lamp in self.sections.get("light", []):
             options = {
                 "irradiance": lamp.get("irradiance", math.pi),
                 "illuminant": illuminant,
                 "radius": math.radians(lamp.get("radius_deg", 1.7)),
             }
-            if "position" in lamp:
-                if "polar_deg" in lamp or "azimuth_deg" in lamp:
-                    raise ValueError("give a light a position or angles, not both")
-                one = Lights.points(lamp["position"], **options)
+            if "position" not in lamp:
+                angles = lamp.get("polar_deg", 35), lamp.get("azimuth_deg", 120)
+                one = Lights.distant(*map(math.radians, angles), **options)
+            elif lamp.keys() & {"polar_deg", "azimuth_deg"}:
+                raise ValueError("give a light a position or angles, not both")
             else:
-                polar, azimuth = (
-                    math.radians(lamp.get(f"{n}_deg", d))
-                    for n, d in (("polar", 35), ("azimuth", 120))
-                )
-                one = Lights.distant(polar, azimuth, **options)
+                one = Lights.points(lamp["position"], **options)
             if "colour" in lamp:
-                one = dataclasses.replace(
-                    one, tint=jnp.asarray([lamp["colour"]], one.towards.dtype)
-                )
+                tint = jnp.asarray([lamp["colour"]], one.towards.dtype)
+                one = dataclasses.replace(one, tint=tint)
             lights = one if lights is None else lights + one
-        if lights is None and "environment" not in self._sections:
+        if lights is None and "environment" not in self.sections:
             lights = Lights.distant(0.6, 2.1, illuminant=illuminant)
         return {"lights": lights, "illuminant": illuminant}
 
-    def _environment(self):
-        given = self._sections.get("environment")
+    def _environment(self) -> dict[str, Any]:
+        given = self.sections.get("environment")
         if given is None:
             return {}
         if ("file" in given) == ("kind" in given):
@@ -207,17 +172,14 @@ class SceneFile(Mapping[str, Any]):
         else:
             around = ENVIRONMENTS[given["kind"]](rows=512)
         around = dataclasses.replace(around, radiance=around.radiance * given.get("strength", 1.0))
-        return {
-            "environment": around,
-            "environment_lights": given.get("lights", ENVIRONMENT_LIGHTS),
-        }
+        lights = given.get("lights", ENVIRONMENT_LIGHTS)
+        return {"environment": around, "environment_lights": lights}
 
 
 def stream(seed: int, name: str) -> PRNGKey:
     """The random key of a scene's `"maps"` or `"veins"`."""
-    return jax.random.fold_in(
-        jax.random.key(seed, impl="threefry2x32"), {"maps": 0, "veins": 1}[name]
-    )
+    key = jax.random.key(seed, impl="threefry2x32")
+    return jax.random.fold_in(key, {"maps": 0, "veins": 1}[name])
 
 
 def read_scene(path: str | Path) -> SceneFile:
@@ -226,12 +188,7 @@ def read_scene(path: str | Path) -> SceneFile:
     Raises:
         ValueError: For a wrong entry; it names the file, the line and what is allowed.
     """
-    path = Path(path)
-    try:
-        text = path.read_text(encoding="utf-8")
-    except UnicodeDecodeError:
-        raise ValueError(f"{path}: not a text file (UTF-8)") from None
-    return parse_scene(text, str(path), path.parent)
+    return parse_scene(read_text(path), str(path), Path(path).parent)
 
 
 def parse_scene(text: str, name: str = "scene", folder: Path = Path()) -> SceneFile:
@@ -241,99 +198,72 @@ def parse_scene(text: str, name: str = "scene", folder: Path = Path()) -> SceneF
     if "file" in maps and (grown := [key for key in maps if key not in ("file", "seed")]):
         raise ValueError(
             f"{where('maps', grown[0])}: maps.{grown[0]} is for grown maps, and maps.file gives "
-            f"all of them; "
-            "give one or the other (seed still draws the veins)"
+            "all of them; give one or the other (seed still draws the veins)"
         )
     return SceneFile(sections, where, folder)
 
 
-_LEVELS = ("low", "moderate", "high")
-_OF_EYES = (
-    "veins",
-    "iris_depth",
-    "iris_slope",
-    "limbus_radius",
-    "limbus_width",
-    "iris_radius",
-    "pupil_radius",
-    "pupil_margin",
-    "attenuation",
-)
+class _SceneError(ValueError):
+    """What is wrong in a scene file, its line told."""
 
 
-def _number(low: float = -math.inf, high: float = math.inf, unit="") -> Callable[[Any], float]:
-    return number_within(Range(low, high, unit))
-
-
-def _illuminant(value):
-    illuminant_power(text(value), [560.0])
+def _illuminant(value: Any) -> str:
+    illuminant_power(checked(value, str), [560.0])
     return value
 
 
-def _size(value):
-    if not (isinstance(value, list) and len(value) == 2):
-        raise ValueError("must be [width, height]")
-    return tuple(whole_number(1, LARGEST)(v) for v in value)
-
-
-def _three(form: str, allowed: Range) -> Callable[[Any], list[float]]:
-    def check(value):
-        if not (isinstance(value, list) and len(value) == 3):
-            raise ValueError(f"must be {form}")
-        return [number_within(allowed)(v) for v in value]
-
-    return check
-
-
+PLACES = (
+    *("iris_depth", "iris_slope", "limbus_radius", "limbus_width", "iris_radius"),
+    *("pupil_radius", "pupil_margin"),
+)
+"""Where the parts of an eye are, in the section `[eye]`."""
 FEATURES: dict[str, EntryCheck] = {
-    "fibres": _number(0, 4),
-    "collarette": _number(0, 4),
-    "crypts": whole_number(0, 200),
-    "furrows": whole_number(0, 50),
-    "freckles": whole_number(0, 200),
-    "abl": _number(0, 2),
-    "heterochromia": _number(0, 20),
-    "relief": _number(0, 1),
+    "fibres": Range(0, 4),
+    "collarette": Range(0, 4),
+    "crypts": range(201),
+    "furrows": range(51),
+    "freckles": range(201),
+    "abl": Range(0, 2),
+    "heterochromia": Range(0, 20),
+    "relief": Range(0, 1),
 }
-_DEGREES = _number(-360, 360)
 SECTIONS: dict[str, dict[str, EntryCheck]] = {
     "iris": {
-        "preset": one_name(*PRESETS),
-        "level": one_name(*_LEVELS),
-        "melanin_load": number_within(MELANIN_LOAD),
-        **{name: number_within(limits) for name, limits in LIMITS.items()},
+        "preset": tuple(PRESETS),
+        "level": ("low", "moderate", "high"),
+        "melanin_load": MELANIN_LOAD,
+        **LIMITS,
     },
-    "maps": {"seed": whole_number(0, 2**32 - 1), "file": text, "uniform": boolean, **FEATURES},
+    "maps": {"seed": range(2**32), "file": str, "uniform": bool, **FEATURES},
     "eye": {
-        "cornea": one_name("two-surfaces", "f09", "none"),
-        "sclera": boolean,
-        **{name: number_within(limits) for name, limits in EYE_LIMITS.items() if name in _OF_EYES},
-        "aqueous_index": number_within(INDEX),
+        "cornea": ("two-surfaces", "f09", "none"),
+        "sclera": bool,
+        **{name: EYE_LIMITS[name] for name in (*PLACES, "veins", "attenuation", "aqueous_index")},
     },
     "camera": {
-        "polar_deg": _number(0, 180),
-        "azimuth_deg": _DEGREES,
-        "distance": number_within(CAMERA_LIMITS["distance"]),
-        "width": number_within(CAMERA_LIMITS["width"]),
-        "size": _size,
+        "polar_deg": Range(0, 180),
+        "azimuth_deg": Range(-360, 360),
+        "distance": CAMERA_LIMITS["distance"],
+        "width": CAMERA_LIMITS["width"],
+        "size": listed("[width, height]", range(1, LARGEST + 1)),
     },
     "light": {
-        "polar_deg": _number(0, 180),
-        "azimuth_deg": _DEGREES,
-        "position": _three("[x, y, z] in mm", Range(-math.inf, math.inf)),
-        "irradiance": number_within(LIGHT_LIMITS["irradiance"]),
-        "radius_deg": _number(0.01, 60),
-        "colour": _three("[red, green, blue]", LIGHT_LIMITS["tint"]),
+        "polar_deg": Range(0, 180),
+        "azimuth_deg": Range(-360, 360),
+        "position": listed("[x, y, z] in mm", Range(-math.inf, math.inf)),
+        "irradiance": LIGHT_LIMITS["irradiance"],
+        "radius_deg": Range(0.01, 60),
+        "colour": listed("[red, green, blue]", LIGHT_LIMITS["tint"]),
     },
     "environment": {
-        "file": text,
-        "kind": one_name(*ENVIRONMENTS),
-        "lights": whole_number(1, 1000),
-        "strength": _number(0, 1e6),
+        "file": str,
+        "kind": tuple(ENVIRONMENTS),
+        "lights": range(1, 1001),
+        "strength": Range(0, 1e6),
     },
     "picture": {
-        "exposure": _number(1e-6, 1e6),
+        "exposure": Range(1e-6, 1e6),
         "illuminant": _illuminant,
-        "integrator": one_name(*INTEGRATORS),
+        "integrator": tuple(INTEGRATORS),
     },
 }

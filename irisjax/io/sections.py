@@ -6,15 +6,22 @@ import tomllib
 from collections.abc import Callable, Mapping
 from typing import Any
 
+import tomlkit
+
 from irisjax.numerics.checks import Range
 
-EntryCheck = Callable[[Any], Any]
-"""Gives an entry's value as it is used; raises `ValueError` that tells what it must be."""
+EntryCheck = Range | range | tuple[str, ...] | type | Callable[[Any], Any]
+"""What an entry may be: a number in a `Range`, a whole number in a `range`, one of some names, of
+one of the types `bool`, `str` and `dict`, or what a function takes, which returns the entry as it
+is used and raises `ValueError` that tells what it must be.
+"""
 Keys = Mapping[str, EntryCheck] | Callable[[str], EntryCheck]
 """Checks of a section's entries: by their names, or made for any name."""
 Where = Callable[..., str]
 """`where(section, key, nth)`: file and line of an entry of a section's nth table, as far as the
 line can be found."""
+
+_TYPES = {bool: "true or false", str: "text", dict: "a table, { name = value }"}
 
 
 def check_sections(
@@ -43,6 +50,20 @@ def check_sections(
         line = _line_of(written, section, key, nth)
         return f"{name}, line {line}" if line else name
 
+    def checked_table(section: str, nth: int, table: Mapping[str, Any]) -> dict[str, Any]:
+        checks, done = keys[section], {}
+        for key, value in table.items():
+            at = where(section, key, nth)
+            if isinstance(checks, Mapping) and key not in checks:
+                known = ", ".join(checks)
+                raise ValueError(f"{at}: unknown {key!r} in {section}; known: {known}")
+            try:
+                check = checks[key] if isinstance(checks, Mapping) else checks(key)
+                done[key] = checked(value, check)
+            except ValueError as error:
+                raise ValueError(f"{at}: {section}.{key} = {value!r} {error}") from None
+        return done
+
     out: dict[str, Any] = {}
     for section, given in sections.items():
         if section not in keys:
@@ -52,83 +73,62 @@ def check_sections(
         if not isinstance(tables, list) or not all(isinstance(t, dict) for t in tables):
             form = f"[[{section}]]" if section == repeated else f"[{section}]"
             raise ValueError(f"{where(section)}: {section} must be written {form}")
-        done = [
-            _table(table, keys[section], where, section, nth) for nth, table in enumerate(tables)
-        ]
+        done = [checked_table(section, nth, table) for nth, table in enumerate(tables)]
         out[section] = done if section == repeated else done[0]
     return out, where
 
 
-def _table(
-    table: Mapping[str, Any], keys: Keys, where: Where, section: str, nth: int
-) -> dict[str, Any]:
-    done = {}
-    for key, value in table.items():
-        at = where(section, key, nth)
-        if isinstance(keys, Mapping):
-            if key not in keys:
-                known = ", ".join(keys)
-                raise ValueError(f"{at}: unknown {key!r} in {section}; known: {known}")
-            check = keys[key]
-        else:
-            check = keys(key)
-        try:
-            done[key] = check(value)
-        except ValueError as error:
-            raise ValueError(f"{at}: {section}.{key} = {value!r} {error}") from None
-    return done
-
-
-def number_within(allowed: Range) -> Callable[[Any], float]:
-    """A check that gives numbers within a range, and else raises `ValueError`."""
-
-    def check(value):
-        if (
-            isinstance(value, bool)
-            or not isinstance(value, int | float)
-            or not allowed.holds(value)
-        ):
+def checked(value: Any, allowed: EntryCheck) -> Any:
+    """An entry as it is used, or `ValueError` that tells what it must be."""
+    if isinstance(allowed, Range):
+        if type(value) not in (int, float) or not allowed.holds(value):
             span = "" if allowed.low == -math.inf else f" in {allowed}"
             raise ValueError(f"must be a number{span}")
         return float(value)
-
-    return check
-
-
-def whole_number(low: int, high: int) -> Callable[[Any], int]:
-    """The same for whole numbers."""
-    allowed = Range(low, high)
-
-    def check(value):
-        if isinstance(value, bool) or not isinstance(value, int) or not allowed.holds(value):
-            raise ValueError(f"must be a whole number in {allowed}")
-        return value
-
-    return check
-
-
-def one_name(*names: str) -> Callable[[Any], str]:
-    """The same for one of some names."""
-
-    def check(value):
-        if value not in names:
-            raise ValueError(f"must be one of {', '.join(names)}")
-        return value
-
-    return check
-
-
-def boolean(value: Any) -> bool:
-    """True or false as they are; `ValueError` for anything else."""
-    if not isinstance(value, bool):
-        raise ValueError("must be true or false")
+    if isinstance(allowed, range):
+        if type(value) is not int or value not in allowed:
+            raise ValueError(f"must be a whole number in [{allowed[0]}, {allowed[-1]}]")
+    elif isinstance(allowed, tuple):
+        if value not in allowed:
+            raise ValueError(f"must be one of {', '.join(allowed)}")
+    elif isinstance(allowed, type):
+        if not isinstance(value, allowed):
+            raise ValueError(f"must be {_TYPES[allowed]}")
+    else:
+        return allowed(value)
     return value
 
 
-def text(value: Any) -> str:
-    """Text as it is; `ValueError` for anything else."""
-    if not isinstance(value, str):
-        raise ValueError("must be text")
+def listed(form: str, allowed: EntryCheck) -> Callable[[Any], tuple]:
+    """A check of lists that are written as `form`, such as `[x, y, z]`, of as many entries."""
+
+    def check(value: Any) -> tuple:
+        if not (isinstance(value, list) and len(value) == form.count(",") + 1):
+            raise ValueError(f"must be {form}")
+        return tuple(checked(entry, allowed) for entry in value)
+
+    return check
+
+
+def toml_of(sections: Mapping[str, Any]) -> str:
+    """TOML of sections: tables, and lists of tables."""
+    document = tomlkit.document()
+    document.update(sections)
+    return tomlkit.dumps(document)
+
+
+def plain(value: Any, digits: int) -> Any:
+    """Dictionaries, lists and arrays as Python's own, their numbers with so many digits, `None` for
+    infinite and undefined ones.
+    """
+    if isinstance(value, Mapping):
+        return {str(k): plain(v, digits) for k, v in value.items()}
+    if isinstance(value, list | tuple):
+        return [plain(v, digits) for v in value]
+    if hasattr(value, "tolist"):
+        return plain(value.tolist(), digits)
+    if isinstance(value, float):
+        return float(f"{value:.{digits}g}") if math.isfinite(value) else None
     return value
 
 

@@ -2,12 +2,10 @@
 scenes of tissue, flat pictures), and a painted eye as tissue.
 """
 
-from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
-import tomlkit
 from jaxtyping import Bool, Float
 
 from irisjax.anatomy.eye import Eye
@@ -15,7 +13,8 @@ from irisjax.io.clone_folders import check_summary
 from irisjax.io.clones import UNREFRACTED_PICTURE, VISIBLE_MASK
 from irisjax.io.images import READABLE, read_image
 from irisjax.io.maps import encode_maps
-from irisjax.io.scenes import read_scene
+from irisjax.io.scenes import PLACES, read_scene
+from irisjax.io.sections import plain, toml_of
 from irisjax.ocularist.plan import TEXTURE_SHAPE
 from irisjax.ocularist.tissue import Tissue, reflectance_of
 from irisjax.photo.texture import HALF_WIDTH, to_polar
@@ -80,24 +79,24 @@ def tissue_files(tissue: Tissue, eye: Eye) -> dict[str, bytes]:
     with that iris, behind F09's cornea, at an exposure at which it is as bright as the paint;
     without the white, which would be overexposed.
     """
-    document = tomlkit.document()
-    for line in (
-        "A painted eye as tissue, by irisjax. Its colours differ from the paint's by a mean dE*ab",
-        f"of {tissue.left.mean:.1f} at this exposure; the white (sclera = true) is overexposed.",
-    ):
-        document.add(tomlkit.comment(line))
-    iris = {name: getattr(tissue.iris, name) for name in LIMITS}
-    places = "iris_depth", "iris_slope", "limbus_radius", "limbus_width"
-    places += "iris_radius", "pupil_radius", "pupil_margin"
-    anatomy = {name: getattr(eye, name) for name in places}
-    document["iris"] = _numbers(iris)
-    document["maps"] = {"file": TISSUE_MAPS}
-    document["eye"] = {"cornea": "f09", "sclera": False, **_numbers(anatomy)}
-    document["picture"] = _numbers({"exposure": tissue.exposure})
-    return {
-        TISSUE_MAPS: encode_maps(TISSUE_MAPS, tissue.maps),
-        TISSUE_SCENE: tomlkit.dumps(document).encode(),
+    given = {name: getattr(tissue.iris, name) for name in LIMITS}
+    places = {name: getattr(eye, name) for name in PLACES}
+    sections = {
+        "iris": {name: value for name, value in given.items() if value is not None},
+        "maps": {"file": TISSUE_MAPS},
+        "eye": {
+            "cornea": "f09",
+            "sclera": False,
+            **{name: value for name, value in places.items() if value is not None},
+        },
+        "picture": {"exposure": tissue.exposure},
     }
+    text = (
+        "# A painted eye as tissue, by irisjax. Its colours differ from the paint's by a mean dE*ab"
+        f"\n# of {tissue.left.mean:.1f} at this exposure; the white (sclera = true) is overexposed."
+        f"\n\n{toml_of(plain(sections, 7))}"
+    )
+    return {TISSUE_MAPS: encode_maps(TISSUE_MAPS, tissue.maps), TISSUE_SCENE: text.encode()}
 
 
 def _of_clone(folder: Path) -> Target:
@@ -117,7 +116,7 @@ def _of_clone(folder: Path) -> Target:
 def _of_scene(path: Path) -> Target:
     file = read_scene(path)
     scene = file.scene()
-    integrator = scene.integrator
+    eye, integrator = scene.eye, scene.integrator
     if not isinstance(integrator, Separable | RadiativeIntegrator):
         raise ValueError(
             f"{path}: an iris of the integrator {integrator_name(integrator)} has no reflectance; "
@@ -125,10 +124,9 @@ def _of_scene(path: Path) -> Target:
         )
     # Separable: with degrees for the wide ranges of maps, by default.
     chosen = None if isinstance(integrator, Separable) else integrator
-    found = np.asarray(reflectance_of(scene.tissue, scene.maps, scene.eye, chosen))
+    found = np.asarray(reflectance_of(scene.tissue, scene.maps, eye, chosen))
     if scene.maps is None:
         found = np.broadcast_to(found[:1, :1], (*TEXTURE_SHAPE, 3))
-    eye = scene.eye
     pupil = float(eye.pupil_radius / eye.iris_radius)
     return Target(path.name, file.exposure * found, np.ones(found.shape[:2], bool), pupil)
 
@@ -156,18 +154,11 @@ def _unrolled(
     known = share > _WHOLE
     if not known.any():
         raise ValueError(f"{name}: nothing of the iris is visible")
-    cells = [
-        to_polar(np.where(shown, c, 0), inner, outer, TEXTURE_SHAPE)
-        for c in np.moveaxis(pixels, 2, 0)
-    ]
+    colours = np.moveaxis(np.where(shown[..., None], pixels, 0), 2, 0)
+    cells = [to_polar(colour, inner, outer, TEXTURE_SHAPE) for colour in colours]
     texture = np.stack(cells, -1) / np.where(known, share, 1)[..., None]
     count = known.sum(0)
     radii = np.flatnonzero(count)
     sums = np.where(known[..., None], texture, 0).sum(0)[radii] / count[radii, None]
     mean = np.stack([np.interp(np.arange(len(count)), radii, channel) for channel in sums.T], -1)
     return Target(name, np.where(known[..., None], texture, mean), known, inner / outer)
-
-
-def _numbers(values: Mapping[str, Any]) -> dict[str, float]:
-    """The numbers that are given, to the digits of single precision."""
-    return {name: float(f"{float(v):.7g}") for name, v in values.items() if v is not None}

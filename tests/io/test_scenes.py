@@ -10,6 +10,7 @@ import pytest
 
 from irisjax import io
 from irisjax.io.scenes import SECTIONS, parse_scene, read_scene
+from irisjax.io.sections import checked
 from irisjax.render.environment import Environment
 from irisjax.render.picture import draw
 from scene_files import BARE
@@ -69,7 +70,7 @@ def test_the_file_that_explains_everything_names_every_entry():
             section = header[1]
         elif entry := re.match(r"(?:# )?(\w+ = .*)", line):
             ((key, value),) = tomllib.loads(entry[1]).items()
-            SECTIONS[section][key](value)
+            checked(value, SECTIONS[section][key])
             found.setdefault(section, set()).add(key)
     assert found == {name: set(checks) for name, checks in SECTIONS.items()}
 
