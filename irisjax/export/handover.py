@@ -7,17 +7,18 @@ pupil's edge is the bottom row.
 
 import errno
 from collections.abc import Mapping
-from importlib import resources
 from pathlib import Path
-from string import Template
 from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
+from scipy.linalg import block_diag
 
+from irisjax.anatomy.eye import Eye
 from irisjax.anatomy.media import TEAR
 from irisjax.export.mesh import eye_meshes, mesh_files, right_handed
 from irisjax.export.mitsuba import WIDEST, mitsuba_scene
+from irisjax.export.templates import filled
 from irisjax.io.images import encode_exr, encode_png, spectral_channels
 from irisjax.io.maps import encode_maps
 from irisjax.io.tables import format_table, write_together
@@ -32,6 +33,7 @@ from irisjax.render.separable import Separable
 
 REFLECTANCE_WAVELENGTHS = tuple(400.0 + 20.0 * i for i in range(16))
 """Of the layers of reflectance.exr, nm."""
+_LAYERS = spectral_channels(REFLECTANCE_WAVELENGTHS, layer="T")
 
 
 class Exported(NamedTuple):
@@ -100,82 +102,61 @@ def check_new_folder(folder: str | Path) -> None:
 
 
 def _contents(scene: Scene, spacing: float) -> tuple[dict[str, bytes], int, LambertError]:
-    integrator = scene.integrator
+    eye, maps, around, integrator = scene.eye, scene.maps, scene.environment, scene.integrator
     if not isinstance(integrator, Separable | RadiativeIntegrator):
         integrator = Separable()
-    iris, maps, cornea = scene.tissue, scene.maps, scene.eye.cornea
-    meshes = {name: right_handed(mesh) for name, mesh in eye_meshes(scene.eye, spacing).items()}
+    meshes = {name: right_handed(mesh) for name, mesh in eye_meshes(eye, spacing).items()}
     data = mesh_files(meshes) | mesh_files(meshes, "obj", {"iris": "albedo.png"})
 
-    remark = {
-        "comments": f"simulated by irisjax; {integrator.process}; a texel's albedo at "
-        f"normal incidence"
-    }
+    said = f"simulated by irisjax; {integrator.process}; a texel's albedo at normal incidence"
+    remark = {"comments": said}
     bands = colour_bands(scene.illuminant, scene.observer)
-    hazy = bands if cornea is None else colour_bands(scene.illuminant, scene.observer, cornea)
-    matt = Matt.of(iris, maps, scene.eye, _joined(bands, hazy), integrator)
-    found = _in_uv(matt.albedo())
-    colour, through, spectral = found[..., :3], found[..., 3:6], found[..., 6:]
-    haze = None if cornea is None or cornea.scatter is None else _haze(colour, through, bands, hazy)
+    hazy = bands
+    if eye.cornea is not None:
+        hazy = colour_bands(scene.illuminant, scene.observer, eye.cornea)
+    matt = Matt.of(scene.tissue, maps, eye, _joined(bands, hazy), integrator)
+    colour, through, spectral = np.split(_in_uv(matt.albedo()), [3, 6], axis=-1)
+    clear = eye.cornea is None or eye.cornea.scatter is None
+    haze = None if clear else _haze(colour, through, bands, hazy)
     clipped = int(((colour < 0) | (colour > 1)).any(-1).sum())
     colour = np.clip(colour, 0, 1)
+    encoded = np.asarray(srgb_encode(colour))
     data["albedo.exr"] = encode_exr("albedo.exr", colour, metadata=remark)
-    data["albedo.png"] = encode_png(
-        "albedo.png", np.asarray(srgb_encode(colour)), remark="simulated by irisjax"
-    )[0]
-    layers = spectral_channels(REFLECTANCE_WAVELENGTHS, layer="T")
-    data["reflectance.exr"] = encode_exr("reflectance.exr", spectral, layers, remark)
+    data["albedo.png"] = encode_png("albedo.png", encoded, remark="simulated by irisjax")[0]
+    data["reflectance.exr"] = encode_exr("reflectance.exr", spectral, _LAYERS, remark)
     relief = None if maps is None else maps.relief
     if relief is not None:
-        data["relief.exr"] = encode_exr(
-            "relief.exr", _in_uv(relief[..., None]), ("Y",), {"comments": "height, mm"}
-        )
+        remark, height = {"comments": "height, mm"}, _in_uv(relief[..., None])
+        data["relief.exr"] = encode_exr("relief.exr", height, ("Y",), remark)
     if maps is not None and maps.present():
         data["maps.exr"] = encode_maps("maps.exr", maps)
-    seen = matt.first(3)
-    error = seen.error()
-    data["brdf.csv"] = _brdf(seen, scene.illuminant, integrator).encode()
-    if scene.environment is not None:
-        data["environment.exr"] = encode_exr(
-            "environment.exr", np.asarray(scene.environment.radiance)
-        )
-    data["scene.xml"] = mitsuba_scene(
-        scene,
-        relief=relief is not None,
-        white=_white(scene),
-        haze=haze,
-        environment=None if scene.environment is None else "environment.exr",
-    ).encode()
-    table = float(matt.response.error)
-    data["README.txt"] = _readme(scene, data, error, table, clipped, integrator).encode()
-    return data, clipped, error
-
-
-def _readme(
-    scene: Scene,
-    files: Mapping[str, bytes],
-    error: LambertError,
-    table: float,
-    clipped: int,
-    integrator: AbstractIntegrator,
-) -> str:
-    """README.txt from its template, readme.txt: a line that begins with `?NAME` belongs to a file
-    or a feature of the scene and is left out without it.
-    """
-    eye = scene.eye
-    present = {*files} | ({"clipped"} if clipped else set())
-    present |= set() if eye.attenuation is None else {"attenuation"}
-    aqueous = float(eye.aqueous_index)
-    solid = eye.cornea is None or eye.cornea.posterior is None
-    cornea = aqueous if eye.cornea is None or solid else float(eye.cornea.index)
-    mirrored = [((index - 1) / (index + 1)) ** 2 for index in (cornea, TEAR)]
+    data["brdf.csv"] = _brdf(matt.first(3), scene.illuminant, integrator).encode()
+    if around is not None:
+        data["environment.exr"] = encode_exr("environment.exr", np.asarray(around.radiance))
+    xml = mitsuba_scene(scene, relief=relief is not None, white=_white(scene), haze=haze)
+    data["scene.xml"] = xml.encode()
+    error = matt.first(3).error()
     shares = error._asdict().items()
     values = {name: ", ".join(f"{100 * v:.2g}" for v in share) + " %" for name, share in shares}
     values |= {
         "process": str(integrator.process),
-        "cone": f"{CONE:g}",
-        "table": f"{100 * table:.1g}",
+        "table": f"{100 * float(matt.response.error):.1g}",
         "clipped": str(clipped),
+    }
+    present = {*data} | ({"clipped"} if clipped else set())
+    data["README.txt"] = _readme(eye, present, values).encode()
+    return data, clipped, error
+
+
+def _readme(eye: Eye, present: set[str], values: Mapping[str, str]) -> str:
+    """README.txt from its template, whose lines may belong to a file or a feature of the scene."""
+    present = present | (set() if eye.attenuation is None else {"attenuation"})
+    aqueous = float(eye.aqueous_index)
+    solid = eye.cornea is None or eye.cornea.posterior is None
+    cornea = aqueous if eye.cornea is None or solid else float(eye.cornea.index)
+    mirrored = [((index - 1) / (index + 1)) ** 2 for index in (cornea, TEAR)]
+    more = {
+        "cone": f"{CONE:g}",
         "limbus": f"{float(eye.limbus_width):.2g}",
         "margin": f"{float(eye.pupil_margin):.2g}",
         "glass": f"{cornea:.5g}",
@@ -186,14 +167,7 @@ def _readme(
         "mirrored": f"{100 * (mirrored[0] / mirrored[1] - 1):+.2g}",
         "widest": f"{np.degrees(WIDEST):g}",
     }
-    lines = []
-    for line in resources.files("irisjax.export").joinpath("readme.txt").read_text().splitlines():
-        if line.startswith("?"):
-            needed, _, line = line[1:].partition(" ")
-            if needed not in present:
-                continue
-        lines.append(line)
-    return Template("\n".join(lines) + "\n").substitute(values)
+    return filled("readme.txt", present, {**values, **more})
 
 
 def _in_uv(texture) -> np.ndarray:
@@ -207,20 +181,15 @@ def _joined(bands: Bands, hazy: Bands) -> Bands:
     """The channels of `bands`, those of `hazy`, and the reflectance at each of
     `REFLECTANCE_WAVELENGTHS`, so that one table serves all.
     """
-    nodes = len(bands.wavelengths)
-    weights = np.zeros((6 + len(REFLECTANCE_WAVELENGTHS), nodes + len(REFLECTANCE_WAVELENGTHS)))
-    weights[:6, :nodes] = np.concatenate([np.asarray(bands.weights), np.asarray(hazy.weights)])
-    weights[6:, nodes:] = np.eye(len(REFLECTANCE_WAVELENGTHS))
-    names = (
-        *bands.channels,
-        *hazy.channels,
-        *spectral_channels(REFLECTANCE_WAVELENGTHS, layer="T"),
+    colours = np.concatenate([np.asarray(bands.weights), np.asarray(hazy.weights)])
+    weights = block_diag(colours, np.eye(len(_LAYERS)))
+    ones = jnp.ones_like(bands.white, shape=len(_LAYERS))
+    return Bands(
+        bands.wavelengths + REFLECTANCE_WAVELENGTHS,
+        jnp.asarray(weights, bands.weights.dtype),
+        jnp.concatenate([bands.white, hazy.white, ones]),
+        (*bands.channels, *hazy.channels, *_LAYERS),
     )
-    white = jnp.concatenate(
-        [bands.white, hazy.white, jnp.ones_like(bands.white, shape=len(REFLECTANCE_WAVELENGTHS))]
-    )
-    weights = jnp.asarray(weights, bands.weights.dtype)
-    return Bands(bands.wavelengths + REFLECTANCE_WAVELENGTHS, weights, white, names)
 
 
 def _haze(colour: np.ndarray, through: np.ndarray, bands: Bands, hazy: Bands) -> np.ndarray:
@@ -248,12 +217,10 @@ def _white(scene: Scene) -> np.ndarray | None:
 
 
 def _brdf(matt: Matt, illuminant: str, integrator: AbstractIntegrator) -> str:
-    angle = np.arange(0.0, 90.0, 5.0)
-    azimuth = np.array([0.0, 90.0, 180.0])
+    angle, azimuth = np.arange(0.0, 90.0, 5.0), np.array([0.0, 90.0, 180.0])
     cosine = jnp.cos(jnp.radians(jnp.asarray(angle)))
     values = matt.brdf(cosine, cosine, jnp.radians(jnp.asarray(azimuth)))
-    values = np.asarray(values).reshape(-1, 3)
-    place = np.stack(np.meshgrid(angle, angle, azimuth, indexing="ij"), axis=-1).reshape(-1, 3)
+    place = np.stack(np.meshgrid(angle, angle, azimuth, indexing="ij"), axis=-1)
     header = {
         "simulated": "BRDF of the uniform iris in the aqueous humour, without the light "
         "mirrored by its surface",
@@ -262,7 +229,6 @@ def _brdf(matt: Matt, illuminant: str, integrator: AbstractIntegrator) -> str:
         "directions": "degrees from the normal; dphi 0 is forward scattering, where a mirror "
         "would send the light",
     }
-    names = ("theta_i_deg", "theta_o_deg", "dphi_deg")
-    columns: dict[str, np.ndarray] = dict(zip(names, place.T, strict=True))
-    columns |= dict(zip(("red", "green", "blue"), values.T, strict=True))
-    return format_table(header, columns)
+    names = "theta_i_deg", "theta_o_deg", "dphi_deg", "red", "green", "blue"
+    columns = np.concatenate([place.reshape(-1, 3), np.asarray(values).reshape(-1, 3)], axis=1)
+    return format_table(header, dict(zip(names, columns.T, strict=True)))

@@ -232,18 +232,11 @@ def _revolved(
     around: int,
     seam: bool = False,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Points, unit normals and triangles of a profile turned about z; rings of radius 0 are single
-    points.
+    """Points, unit normals and triangles of a profile of radii `r` and places `z` turned about z;
+    rings of radius 0 are single points; with a `seam` a ring's first point is repeated as its last.
 
+    `out` and `along` are the normals' components, of any length, away from the axis and along z.
     Triangles face to the left of the profile's direction (to −z where r grows).
-
-    Args:
-        r: Radius of each ring.
-        z: Its place.
-        out: Component of its normals away from the axis, of any length.
-        along: Their component along z.
-        around: Points on a ring.
-        seam: Whether the first point of a ring is repeated as its last.
     """
     angle = np.arange(around + seam) * (2 * math.pi / around)
     cos, sin = np.cos(angle), np.sin(angle)
