@@ -5,6 +5,7 @@ and what a BRDF integrates to.
 import dataclasses
 import math
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -112,22 +113,20 @@ _AT_THE_ABL, _AT_THE_STROMA = (1.45, 1.35, 1.4, 1.42), (1.5, 1.6, 1.4, 1.3)
 
 
 @pytest.mark.parametrize(
-    ("name", "media"),
+    ("solver", "media"),
     [
-        ("lb06", IRIS),
-        ("lb06", _AT_THE_ABL),
-        ("lb06", _AT_THE_STROMA),
-        ("depth-resolved", IRIS),
-        ("depth-resolved", _AT_THE_STROMA),
+        (ij.IlitExact(), IRIS),
+        (ij.IlitExact(), _AT_THE_ABL),
+        (ij.RadiativeExact(n_panels=4), _AT_THE_STROMA),
     ],
+    ids=["ilit", "ilit-abl", "depth-resolved"],
 )
-def test_diffuse_incidence_is_the_mean_over_the_hemisphere(name, media):
+def test_diffuse_incidence_is_the_mean_over_the_hemisphere(solver, media):
     """Interfaces that light comes to from the denser side mirror a part of it totally."""
     depth = np.array([1e-3, 1e-2, 0.1, 1.0])
     made = layers(depth, depth, 2 * depth, media)
     cosines, shares = hemisphere(media)
-    solver = common.exact(PROCESSES[name])
-    one = [common.solve(solver, made, c).reflectance for c in jnp.asarray(cosines)]
+    one = quick_jit(jax.vmap(lambda c: solver.solve(made, ij.Light(c)).reflectance))(cosines)
     diffuse = common.solve(solver, made, ij.DIFFUSE).reflectance
     np.testing.assert_allclose(diffuse, shares @ np.array(one), rtol=1e-7)
 
