@@ -12,10 +12,7 @@ from irisjax.tissue.maps import IrisMaps
 @pytest.fixture(scope="session")
 def bare(tmp_path_factory):
     """A bare iris with a dark sector under two lamps: scene, folder, and what `export_scene` said."""
-    iris, maps = (
-        ij.Iris.of_level("low"),
-        IrisMaps(eumelanin=sector(), freckles=0.02 * jnp.ones((72, 16))),
-    )
-    scene = ij.Scene(iris, maps, EYE, LAMPS, camera=CAMERA)
+    maps = IrisMaps(eumelanin=sector(), freckles=0.02 * jnp.ones((72, 16)))
+    scene = ij.Scene(ij.Iris.of_level("low"), maps, EYE, LAMPS, camera=CAMERA)
     folder = tmp_path_factory.mktemp("bare") / "eye"
     return scene, folder, export_scene(folder, scene, spacing=0.3)

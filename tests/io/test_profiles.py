@@ -28,11 +28,8 @@ def test_matrix_profile_is_obeyed_in_full_depth(tmp_path, dtype, primaries, gamm
     # The primaries stand in the profile, and sRGB's in IEC's matrix, with four decimals.
     kept = (expected > 0).all(2)
     np.testing.assert_allclose(found.pixels[kept], expected[kept], atol=6e-4)
-    white = write(
-        tmp_path / "w.tif",
-        np.full((*SHAPE, 3), most, dtype),
-        ICCProfile=matrix_profile(primaries, gamma),
-    )
+    white, profile = np.full((*SHAPE, 3), most, dtype), matrix_profile(primaries, gamma)
+    white = write(tmp_path / "w.tif", white, ICCProfile=profile)
     np.testing.assert_allclose(io.read_photograph(white).pixels, 1, atol=1e-6)
     assert any("profile" in note for note in found.notes)
 

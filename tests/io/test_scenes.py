@@ -17,27 +17,16 @@ from scene_files import BARE
 
 
 def test_file_becomes_the_scene_it_says():
-    text = (
-        BARE.replace('cornea = "none"', "pupil_radius = 1.5\nsclera = false\niris_slope = 0.1")
-        + "[picture]\nexposure = 2"
-    )
+    text = BARE.replace('cornea = "none"', "pupil_radius = 1.5\nsclera = false\niris_slope = 0.1")
     text = text.replace("[camera]", "[camera]\npolar_deg = 45\ndistance = 300")
-    file = parse_scene(text)
+    file = parse_scene(text + "[picture]\nexposure = 2")
     scene = file.scene()
-    assert (
-        file.exposure == 2
-        and scene.maps is None
-        and scene.veins is None
-        and scene.eye.sclera is None
-    )
-    assert (float(scene.iris.eumelanin), float(scene.iris.pheomelanin)) == pytest.approx(
-        (0.05, 0.0194)
-    )
-    assert (float(scene.eye.pupil_radius), float(scene.eye.iris_slope)) == (1.5, 0.1)
-    assert (float(scene.camera.polar), float(scene.camera.distance)) == pytest.approx(
-        (math.pi / 4, 300)
-    )
-    assert scene.camera.size == (8, 6)
+    assert file.exposure == 2 and scene.maps is scene.veins is scene.eye.sclera is None
+    iris, eye, camera = scene.iris, scene.eye, scene.camera
+    assert (float(iris.eumelanin), float(iris.pheomelanin)) == pytest.approx((0.05, 0.0194))
+    assert (float(eye.pupil_radius), float(eye.iris_slope)) == (1.5, 0.1)
+    assert (float(camera.polar), float(camera.distance)) == pytest.approx((math.pi / 4, 300))
+    assert camera.size == (8, 6)
     away = np.linalg.norm([10, 20, 40])
     expected = [
         [0.5 * np.cos(np.pi / 18), 0.5 * np.sin(np.pi / 18), -np.sqrt(0.75)],
@@ -77,11 +66,8 @@ def test_the_file_that_explains_everything_names_every_entry():
 
 def test_seeds_grow_other_maps():
     def relief(seed):
-        return np.asarray(
-            parse_scene(f'[iris]\npreset = "blue"\n[maps]\nseed = {seed}\n[eye]\nsclera = false')
-            .scene()
-            .maps.relief
-        )
+        text = f'[iris]\npreset = "blue"\n[maps]\nseed = {seed}\n[eye]\nsclera = false'
+        return np.asarray(parse_scene(text).scene().maps.relief)
 
     first = relief(1)
     np.testing.assert_array_equal(first, relief(1))
@@ -97,19 +83,14 @@ def test_coloured_lamps():
     )
     picture = np.asarray(draw(plain))
     np.testing.assert_allclose(draw(red), picture * [1, 0, 0], atol=1e-12)
-    np.testing.assert_allclose(
-        draw(red.replace(lights=red.lights + blue.lights)), picture * [1, 0, 2], atol=1e-12
-    )
+    both = red.replace(lights=red.lights + blue.lights)
+    np.testing.assert_allclose(draw(both), picture * [1, 0, 2], atol=1e-12)
 
 
 def test_environment_from_a_file(tmp_path):
-    io.write_exr(tmp_path / "room.exr", np.asarray(Environment.studio(16).radiance))
-    text = (
-        BARE[: BARE.index("[[light]]")]
-        + '[environment]\nfile = "room.exr"\nlights = 5\nstrength = 2'
-    )
-    scene = parse_scene(text, folder=tmp_path).scene()
+    radiance = np.asarray(Environment.studio(16).radiance)
+    io.write_exr(tmp_path / "room.exr", radiance)
+    text = '[environment]\nfile = "room.exr"\nlights = 5\nstrength = 2'
+    scene = parse_scene(BARE[: BARE.index("[[light]]")] + text, folder=tmp_path).scene()
     assert scene.lights is None and len(scene.all_lights()) == 5
-    np.testing.assert_allclose(
-        scene.environment.radiance, 2 * Environment.studio(16).radiance, rtol=1e-5
-    )
+    np.testing.assert_allclose(scene.environment.radiance, 2 * radiance, rtol=1e-5)
