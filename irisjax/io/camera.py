@@ -3,6 +3,7 @@
 import contextlib
 import math
 import warnings
+from collections import defaultdict
 from collections.abc import Callable, Iterator, Mapping
 from io import BytesIO
 from pathlib import Path
@@ -15,9 +16,7 @@ RAW = (
 )
 """Kinds of raw file that LibRaw reads."""
 
-FOCAL_LIMITS = (0.0, 1e5)
-"""Focal lengths in pixels between which Exif is believed."""
-
+_LONGEST = 1e5  # focal length in pixels that Exif is believed
 _DIAGONAL = math.hypot(36, 24)  # mm, of 35 mm film [CIPA DCG-001]
 _PER_MM = {2: 1 / 25.4, 3: 0.1, 4: 1.0, 5: 1000.0}  # Exif's units of the focal plane's resolution
 
@@ -29,19 +28,15 @@ def focal_px(exif: Mapping[str, float], shape: tuple[int, int]) -> tuple[float |
     From `FocalLengthIn35mmFilm` by the diagonals of picture and film; else `FocalLength` (mm) and
     `FocalPlaneXResolution`. Both are scaled from `PixelXDimension` to the picture's pixels.
     """
-    given = {k: v for k, v in exif.items() if math.isfinite(v)}
+    given = defaultdict(float, {k: v for k, v in exif.items() if math.isfinite(v)})
     taken, scale, notes = _taken(given, shape)
-    by_film = given.get("FocalLengthIn35mmFilm", 0.0) / _DIAGONAL * math.hypot(*taken) * scale
-    per_mm = given.get("FocalPlaneXResolution", 0.0) * _PER_MM.get(
-        int(given.get("FocalPlaneResolutionUnit", 2)), 0.0
-    )
-    by_plane = given.get("FocalLength", 0.0) * per_mm * scale
+    by_film = given["FocalLengthIn35mmFilm"] / _DIAGONAL * math.hypot(*taken) * scale
+    per_mm = _PER_MM.get(int(given.get("FocalPlaneResolutionUnit", 2)), 0.0)
+    by_plane = given["FocalLength"] * given["FocalPlaneXResolution"] * per_mm * scale
     told = {"the 35 mm equivalent": by_film, "the focal plane's resolution": by_plane}
-    for source, value in list(told.items()):
-        if not FOCAL_LIMITS[0] < value <= FOCAL_LIMITS[1]:
-            if value:
-                notes.append(f"A focal length of {value:.3g} pixels from {source} is ignored.")
-            del told[source]
+    for source in [s for s, value in told.items() if not 0 < value <= _LONGEST]:
+        if value := told.pop(source):
+            notes.append(f"A focal length of {value:.3g} pixels from {source} is ignored.")
     if not told:
         return None, notes
     if len(told) == 2 and not 0.9 < by_plane / by_film < 1.1:
@@ -54,9 +49,7 @@ def focal_px(exif: Mapping[str, float], shape: tuple[int, int]) -> tuple[float |
 
 
 def _taken(given: Mapping[str, float], shape: tuple[int, int]):
-    """Pixels along the sides as the camera took them, what the picture was resized by since, and
-    notes.
-    """
+    """Sides as the camera took them, pixels, what the picture was resized by since, and notes."""
     now = sorted(shape)
     then = sorted(int(given.get(f"Pixel{axis}Dimension", 0)) for axis in "XY")
     if then[0] < 1 or then == now:
@@ -123,8 +116,8 @@ def develop(
 
 
 def _at_white_level(raw) -> np.ndarray:
-    """Pixels with a photosite at 0.995 of the way from black to white among them and their eight
-    neighbours, which their colours are filled in from.
+    """Pixels whose colours are filled in from a photosite at 0.995 of the way to white, of the nine
+    around them.
     """
     from scipy.ndimage import maximum_filter
 

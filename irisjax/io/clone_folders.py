@@ -9,6 +9,7 @@ from jaxtyping import Float, UInt8
 
 from irisjax.io.images import encode_png, read_image
 from irisjax.io.scenes import SceneFile, read_scene
+from irisjax.io.tables import naming
 
 PHOTOGRAPH = "photograph.png"
 """The part of the photograph that the clone's camera shows."""
@@ -61,18 +62,12 @@ def read_clone(folder: str | Path) -> CloneFolder:
 
 
 def check_summary(folder: Path) -> dict[str, Any]:
-    """Return the contents of a clone's `clone.json`.
-
-    Raises:
-        ValueError: If there is no readable one.
-    """
+    """Return the contents of a clone's `clone.json`; `ValueError` without a readable one."""
     path = folder / "clone.json"
     if not path.exists():
         raise ValueError(f"{folder}: has no clone.json, it is not the folder of a clone")
-    try:
+    with naming(f"{path}: broken"):
         found = json.loads(path.read_text(encoding="utf-8"))
-    except ValueError as error:
-        raise ValueError(f"{path}: broken: {error}") from None
-    if not (isinstance(found, dict) and {"photograph", "limbus", "pupil"} <= found.keys()):
-        raise ValueError(f"{path}: broken: photograph, limbus and pupil must be in it")
+        if not (isinstance(found, dict) and {"photograph", "limbus", "pupil"} <= found.keys()):
+            raise ValueError("photograph, limbus and pupil must be in it")
     return found

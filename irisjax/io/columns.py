@@ -1,8 +1,4 @@
-"""Files of spectrometers as tables whose columns have roles: wavelength, reflectance, counts, ...
-
-Text tables are read by `irisjax.io.text`, JCAMP-DX by the package `jcamp`. The role of a column
-comes from its header; `select` chooses by roles which columns are one spectrum.
-"""
+"""Files of spectrometers as tables whose columns have roles by their headers."""
 
 import re
 from pathlib import Path
@@ -31,6 +27,12 @@ _FORMS = {
     "arbitrary units": r"arbitrary",
 }
 _WAVELENGTH = re.compile(r"wave|wellenl|λ|lambda|^\W*nm\W*$", re.I)
+_REFUSALS = {
+    RADIANCE: "a radiance; give --quantity radiance",
+    "transmittance": "a transmittance; where it is the light sent back, give "
+    "--quantity reflectance",
+}
+_TO_DO = "divide the light of the eye by that of a white reference, both less the dark signal"
 _JCAMP_UNITS = {
     **dict.fromkeys(("NANOMETERS", "NANOMETRES", "NM"), "nm"),
     **dict.fromkeys(("MICROMETERS", "MICROMETRES"), "um"),
@@ -59,9 +61,6 @@ def read_spectral_table(path: str | Path) -> Columns:
 
     The first column becomes the wavelength or wavenumber: that of the file, unless the header of
     another says that it is.
-
-    Raises:
-        ValueError: naming the problem, and the line where there is one.
     """
     text = read_text(path)
     table = _jcamp(path) if text.lstrip().startswith("##") else read_columns(text)
@@ -80,10 +79,6 @@ def select(table: Columns, wanted: str | None, among: list[int] | None = None) -
         table: The table.
         wanted: The role to take; by default the first one there is.
         among: Columns to choose from, by their index; by default all but the first.
-
-    Raises:
-        ValueError: where there is no spectrum of the wanted role, or several that are no scans of
-            one thing.
     """
     roles = {j: _role_of(table.names[j]) for j in among or range(1, len(table.names))}
     stated = [j for j, role in roles.items() if role == _STANDARD_DEVIATION]
@@ -92,7 +87,9 @@ def select(table: Columns, wanted: str | None, among: list[int] | None = None) -
     role = next((role for role in (*first, "") if role in others.values()), None)
     spectra = [j for j in others if role is None or others[j] == role]
     if spectra and role is None and not wanted:
-        raise ValueError(_refusal(table.names[spectra[0]], others[spectra[0]]))
+        refused = others[spectra[0]]
+        said = _REFUSALS.get(refused, f"{refused}, not a reflectance: {_TO_DO}")
+        raise ValueError(f"column {table.names[spectra[0]]!r} holds {said}")
     if not spectra or len(stated) > 1 or (stated and len(spectra) > 1):
         names = [table.names[j] for j in roles]
         raise ValueError(f"columns {names}: need one spectrum (with its sd) or repeated scans")
@@ -102,20 +99,6 @@ def select(table: Columns, wanted: str | None, among: list[int] | None = None) -
 def _role_of(header: str) -> str:
     """The role that a column's header gives it, or an empty text."""
     return next((role for role, form in _FORMS.items() if re.search(form, header, re.I)), "")
-
-
-def _refusal(name: str, role: str) -> str:
-    if role == RADIANCE:
-        return f"column {name!r} holds a radiance; give --quantity radiance"
-    if role == "transmittance":
-        return (
-            f"column {name!r} holds a transmittance; where it is the light sent back, give "
-            "--quantity reflectance"
-        )
-    return (
-        f"column {name!r} holds {role}, not a reflectance: divide the light of the eye by that of "
-        "a white reference, both less the dark signal"
-    )
 
 
 def _jcamp(path: str | Path) -> Columns:

@@ -1,8 +1,7 @@
 """Illumination tables kept in files, so that those of an eye are computed once per machine.
 
-A file is named by a SHA-256 of everything that its tables depend on, including the code that
-computes them. Files are written whole or not at all, so that runs may share a folder; the zip's
-checksums reveal a damaged one.
+A file is named by a hash of all that its tables depend on, including the code that computes them.
+Files are written whole or not at all, so that runs may share a folder.
 """
 
 import contextlib
@@ -67,9 +66,7 @@ def tables_of(scene: Scene, folder: str | Path | None = None) -> Illumination | 
 
 
 def key(eye: Eye, caustics: bool) -> str:
-    """Name of an eye's tables: hexadecimal SHA-256 of what decides them, precision and code
-    included.
-    """
+    """Name of an eye's tables: SHA-256 of what decides them, precision and code included."""
     digest = hashlib.sha256(f"{_FORMAT} {caustics} {jnp.result_type(float)} {_code()}".encode())
     leaves, structure = jax.tree.flatten(deciding(eye))
     digest.update(str(structure).encode())

@@ -132,9 +132,7 @@ def write_exr(
 
 
 def encode_png(name: str | Path, encoded: Any, **options: Any) -> tuple[bytes, int]:
-    """The bytes that `write_png` writes with these options, and the number of clipped pixels;
-    `name` is only named in errors.
-    """
+    """The bytes that `write_png` writes with these options, and the number of clipped pixels."""
     return _bytes(name, lambda there: write_png(there, encoded, **options))
 
 
@@ -144,7 +142,7 @@ def encode_exr(
     channels: Sequence[str] = ("R", "G", "B"),
     metadata: Mapping[str, str] | None = None,
 ) -> bytes:
-    """The bytes that `write_exr` writes; `name` is only named in errors."""
+    """The bytes that `write_exr` writes."""
     return _bytes(name, lambda there: write_exr(there, image, channels, metadata))[0]
 
 
@@ -177,7 +175,6 @@ def read_environment(path: str | Path) -> Environment:
 
     Raises:
         ValueError: as `read_image`, and for other pictures.
-        OSError: as `read_image`.
     """
     image = read_image(path, decode=True)
     rows, columns = image.pixels.shape[:2]
@@ -216,12 +213,8 @@ def decode_file(
 ) -> tuple[np.ndarray, Any, bool]:
     """Decode the first picture of a file, turned upright.
 
-    Args:
-        path: The file.
-        suffixes: The allowed ones.
-        integers: Whether files of 8 and 16 bits give uint8 and uint16; all others give float32,
-            whole numbers scaled to [0, 1].
-        check: Raises `ValueError` for a header (OpenImageIO's `ImageSpec`) that is refused.
+    With `integers`, files of 8 and 16 bits give uint8 and uint16; all others give float32, whole
+    numbers scaled to [0, 1]. `check` may refuse a header, OpenImageIO's `ImageSpec`.
 
     Returns:
         Values (rows, columns, channels), the header (of the picture before it was turned), and

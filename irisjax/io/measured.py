@@ -11,13 +11,7 @@ import numpy as np
 from jaxtyping import Float
 
 from irisjax.infer.observation import RADIANCE, REFLECTANCE, mean_of_scans
-from irisjax.io.columns import (
-    ABSORBANCE,
-    KUBELKA_MUNK,
-    QUANTITIES,
-    read_spectral_table,
-    select,
-)
+from irisjax.io.columns import ABSORBANCE, KUBELKA_MUNK, QUANTITIES, read_spectral_table, select
 from irisjax.io.tables import naming
 from irisjax.io.text import Columns
 from irisjax.optics.kubelka_munk import thick_layer
@@ -31,9 +25,12 @@ WAVELENGTH_UNITS: dict[str, Callable[[np.ndarray], np.ndarray]] = {
 }
 """Units of a first column, and its conversion to nm."""
 
-_MICRO = re.compile(r"µm|μm|\bum\b|micro|_um\b", re.I)
-_PER_CM = re.compile(r"1/cm\b|\bcm\s*\^?\s*[-−–]\s*1|cm⁻¹|wave\s?number", re.I)
-_NANO = re.compile(r"nm\b|nano", re.I)
+# Units that headers name, the first that matches.
+_UNITS = {
+    "1/cm": re.compile(r"1/cm\b|\bcm\s*\^?\s*[-−–]\s*1|cm⁻¹|wave\s?number", re.I),
+    "um": re.compile(r"µm|μm|\bum\b|micro|_um\b", re.I),
+    "nm": re.compile(r"nm\b|nano", re.I),
+}
 _PERCENT = re.compile(r"%|per\s?cent", re.I)
 # The largest reflectance of any iris lies between these: ILIT gives 0.12 without any pigment, and
 # 0.0024, the first surface's alone, under 8 µg/mm² of melanin.
@@ -131,12 +128,9 @@ def read_eyes(path: str | Path, how: ReadOptions | None = None) -> dict[str, Mea
 
 
 def _spectrum(table: Columns, how: ReadOptions, among: list[int] | None = None) -> Measured:
-    for name, allowed in (
-        ("quantity", QUANTITIES),
-        ("unit", REFLECTANCE_UNITS),
-        ("wavelength_unit", WAVELENGTH_UNITS),
-    ):
-        if (given := getattr(how, name)) not in (None, *allowed):
+    known = QUANTITIES, REFLECTANCE_UNITS, tuple(WAVELENGTH_UNITS)
+    for name, given, allowed in zip(how._fields, how, known, strict=False):
+        if given not in (None, *allowed):
             raise ValueError(f"{name} must be one of {', '.join(allowed)}, got {given!r}")
     chosen = select(table, how.quantity, among)
     notes: list[str] = []
@@ -183,11 +177,9 @@ def _spectrum(table: Columns, how: ReadOptions, among: list[int] | None = None) 
 def _in_nm(
     x: np.ndarray, where: np.ndarray, name: str, unit: str | None, notes: list[str]
 ) -> np.ndarray:
-    if unit is None and _PER_CM.search(name):
-        unit = "1/cm"
-    elif unit is None and _MICRO.search(name):
-        unit = "um"
-    elif unit is None and not _NANO.search(name) and x.min() > 0.1 and x.max() < 10:
+    for unit_named, form in _UNITS.items():
+        unit = unit or (unit_named if form.search(name) else None)
+    if unit is None and x.min() > 0.1 and x.max() < 10:
         unit = "um"
         notes.append("wavelengths read as µm (the file does not say; --wavelength-unit otherwise)")
     if unit == "1/cm" and not (x > 0).all():
@@ -199,20 +191,16 @@ def _in_range(x: np.ndarray, asked: tuple[float, float] | None, notes: list[str]
     """Which wavelengths are asked for and covered by the pigment tables."""
     (low, high), why = common_range(), "which the pigment tables cover"
     if asked is not None:
+        given = f"{asked[0]:g} to {asked[1]:g} nm are asked for"
         if max(low, asked[0]) > min(high, asked[1]):
-            raise ValueError(
-                f"{asked[0]:g} to {asked[1]:g} nm are asked for; the pigment tables have "
-                f"{low:g} to {high:g} nm"
-            )
+            raise ValueError(f"{given}; the pigment tables have {low:g} to {high:g} nm")
         low, high, why = max(low, asked[0]), min(high, asked[1]), "as asked"
-    inside = (x >= low) & (x <= high)
+    inside, span = (x >= low) & (x <= high), f"{low:g} to {high:g} nm"
     if not inside.any():
-        raise ValueError(
-            f"wavelengths {x.min():g} to {x.max():g} nm; none is within {low:g} to {high:g} nm"
-        )
+        raise ValueError(f"wavelengths {x.min():g} to {x.max():g} nm; none is within {span}")
     if not inside.all():
         left = f"{(~inside).sum()} of {inside.size} wavelengths left out"
-        notes.append(f"{left}: only {low:g} to {high:g} nm, {why}")
+        notes.append(f"{left}: only {span}, {why}")
     return inside
 
 
@@ -232,10 +220,8 @@ def _unit(
         return "fraction"
     top = float(np.max(scans))
     if top > 100:
-        raise ValueError(
-            f"values up to {top:,.6g} are no reflectances, neither fractions nor per cent; are "
-            "they counts?"
-        )
+        said = "are no reflectances, neither fractions nor per cent; are they counts?"
+        raise ValueError(f"values up to {top:,.6g} {said}")
     if top > 2:
         notes.append("values read as per cent (the file does not say; --unit fraction otherwise)")
         return "percent"
@@ -254,10 +240,8 @@ def _reflectance_of(values: np.ndarray, quantity: str) -> tuple[np.ndarray, np.n
     """
     if quantity == ABSORBANCE:
         with np.errstate(over="ignore"):
-            found = 10.0**-values
-        return found, np.log(10) * found
-    found = thick_layer(values, 1.0, xp=np)
-    root = np.sqrt(np.maximum(values * (values + 2), 0))
+            return 10.0**-values, np.log(10) * 10.0**-values
+    found, root = thick_layer(values, 1.0, xp=np), np.sqrt(np.maximum(values * (values + 2), 0))
     return found, found / np.where(root > 0, root, np.inf)
 
 
@@ -266,6 +250,5 @@ def _doubts(reflectance: np.ndarray) -> tuple[str, ...]:
     top = float(np.max(reflectance))
     if top > _BRIGHT:
         return (f"reflectances up to {100 * top:.3g} %: brighter than any iris",)
-    if top < _DARK:
-        return (f"reflectances of at most {100 * top:.2g} %: darker than any iris",)
-    return ()
+    darker = f"reflectances of at most {100 * top:.2g} %: darker than any iris"
+    return (darker,) if top < _DARK else ()

@@ -20,11 +20,8 @@ if TYPE_CHECKING:
 
 PHOTOGRAPHS = (".jpg", ".jpeg", ".png", ".tif", ".tiff", ".exr")
 """Suffixes of photographs that can be read besides `camera.RAW`."""
-
-MOST_PIXELS = 100_000_000
-"""Number of pixels above which a picture is refused before it is decoded."""
-LEAST_SIDE = 64
-"""Least number of pixels along the shorter side."""
+MOST_PIXELS, LEAST_SIDE = 100_000_000, 64
+"""Most pixels of a picture, and least number along its shorter side."""
 
 _SATURATED = 0.995  # of the largest value a file can hold
 _SMALL = 1e-3  # negative values of this size are a resampling filter's or a sensor's noise
@@ -86,7 +83,7 @@ def _check(spec: "OpenImageIO.ImageSpec") -> None:
         raise ValueError("a picture with values in depth; a photograph has one a pixel")
     if str(spec.format) not in ("uint8", "uint16", "half", "float", "double"):
         raise ValueError(f"values are {spec.format}; read are 8 and 16 bits and floats")
-    if _colour_channels(spec) is None:
+    if (colours := _colour_channels(spec)) != ["R", "G", "B"] and len(colours) != 1:
         found = ", ".join(spec.channelnames)
         raise ValueError(f"a photograph has the channels R, G, B or one of grey, this has {found}")
 
@@ -99,25 +96,21 @@ def _check_size(rows: int, columns: int) -> None:
         raise ValueError(f"{size}; a photograph has at least {LEAST_SIDE} along each side")
 
 
-def _colour_channels(spec: "OpenImageIO.ImageSpec") -> list[int] | None:
+def _colour_channels(spec: "OpenImageIO.ImageSpec") -> list[str]:
     names = list(spec.channelnames)
-    if {"R", "G", "B"} <= set(names):
-        return [names.index(c) for c in "RGB"]
-    rest = [i for i, name in enumerate(names) if name != "A"]
-    return rest if len(rest) == 1 else None
+    return ["R", "G", "B"] if {"R", "G", "B"} <= set(names) else [n for n in names if n != "A"]
 
 
 def _colours(values: np.ndarray, spec: "OpenImageIO.ImageSpec", notes: list[str]) -> np.ndarray:
     """Values without alpha; a note is added if there was some."""
-    chosen = _colour_channels(spec)
-    assert chosen is not None, "checked with the header"
-    if "A" in spec.channelnames:
+    names = list(spec.channelnames)
+    if "A" in names:
         most = np.iinfo(values.dtype).max if values.dtype.kind == "u" else 1
-        if (values[..., list(spec.channelnames).index("A")] < most).any():
+        if (values[..., names.index("A")] < most).any():
             notes.append("Transparency is left out: colours are as opaque pixels would have them.")
-    if chosen == list(range(values.shape[2])):
-        return values
-    return np.ascontiguousarray(values[..., chosen])
+    chosen = [names.index(name) for name in _colour_channels(spec)]
+    whole = chosen == list(range(len(names)))
+    return values if whole else np.ascontiguousarray(values[..., chosen])
 
 
 def _linear(values: np.ndarray, spec: "OpenImageIO.ImageSpec", notes: list[str]) -> np.ndarray:
@@ -196,10 +189,10 @@ def _is_grey(values: np.ndarray) -> bool:
 
 def _several(path: str | Path, suffix: str) -> bool:
     """Whether a PNG is animated or a JPEG has more pictures, which OpenImageIO does not report."""
-    from PIL import Image
-
     if suffix in (".exr", ".tif", ".tiff"):
         return False
+    from PIL import Image
+
     with warnings.catch_warnings(), contextlib.suppress(OSError, SyntaxError, ValueError):
         warnings.simplefilter("ignore")  # the size is checked already
         with Image.open(path) as image:

@@ -14,7 +14,7 @@ def write_posterior(
     attributes: Mapping[str, str],
     observed: Mapping[str, np.ndarray],
 ) -> None:
-    """Write a posterior completely or not at all. Groups are plain datasets, as xarray writes them.
+    """Write a posterior whole or not at all, in groups of plain datasets, as xarray writes them.
 
     Args:
         path: The file.

@@ -1,6 +1,4 @@
-"""Recipes of painted eyes, TOML files that list coats in order, the bottom one first, and tables of
-a user's paints.
-"""
+"""Recipes of painted eyes, TOML files of coats, and tables of a user's paints."""
 
 import os
 from collections.abc import Mapping, Sequence
@@ -55,12 +53,7 @@ class Recipe(NamedTuple):
         return prosthesis(self.pupil_radius)
 
     def mixer(self) -> AbstractMixer:
-        """The mixer of the paints.
-
-        Raises:
-            ValueError: for a file of paints that is broken, or that the mixing does not use.
-            OSError: for one that cannot be opened.
-        """
+        """The mixer of the paints, or `ValueError` for a file of paints that it does not use."""
         if self.mixing == _HSL and self.paints is not None:
             raise ValueError(_NO_USE)
         if self.paints is not None:
@@ -86,13 +79,13 @@ class Recipe(NamedTuple):
                 return file
             return Path(os.path.relpath(self.folder / file, folder)).as_posix()
 
-        coats = tuple(
-            c._replace(parameters={**c.parameters, "file": seen(c.parameters["file"])})
-            if c.component == SCAN and "file" in c.parameters
-            else c
-            for c in self.coats
-        )
-        return self._replace(coats=coats, paints=seen(self.paints), folder=folder)
+        coats = []
+        for coat in self.coats:
+            if coat.component == SCAN and "file" in coat.parameters:
+                file = {"file": seen(coat.parameters["file"])}
+                coat = coat._replace(parameters={**coat.parameters, **file})
+            coats.append(coat)
+        return self._replace(coats=tuple(coats), paints=seen(self.paints), folder=folder)
 
 
 def read_recipe(path: str | Path) -> Recipe:
@@ -115,7 +108,22 @@ def read_recipe(path: str | Path) -> Recipe:
     head = sections.get("painting", {})
     if "paints" in head and head.setdefault("mixing", _KUBELKA_MUNK) == _HSL:
         raise ValueError(f"{where('painting', 'mixing')}: {_NO_USE}")
-    return Recipe(_coats(given), **head, palette=sections.get("palette", {}), folder=path.parent)
+    usual: dict[str, Any] = {
+        "parameters": {},
+        "share": 0.0,
+        "opacity": 1.0,
+        "seed": 0,
+        "height": 0.0,
+    }
+    coats = []
+    for table in given:
+        first, second = table.pop("paints")
+        coats.append(CoatRecipe(**(usual | table), first=first, second=second))
+        # That of the coat before: at the base's height, a coat added at the end of a recipe would
+        # lie below all others and not be seen.
+        usual["height"] = coats[-1].height
+    palette = sections.get("palette", {})
+    return Recipe(tuple(coats), **head, palette=palette, folder=path.parent)
 
 
 def recipe_text(recipe: Recipe) -> str:
@@ -162,31 +170,14 @@ def read_paints(path: str | Path) -> KubelkaMunkMixer:
         k, s = (coefficients[[pair[i] for pair in pairs.values()]] for i in (0, 1))
         for p, i in np.argwhere(k + s == 0)[:1]:
             raise ValueError(f"{table.where[i]}: K and S of {list(pairs)[p]} are both 0")
-        surface = _surface(table.header.get(_SURFACE))
+        surface, said = None, table.header.get(_SURFACE)
+        if said is not None:
+            try:
+                outside, inside = map(float, said.replace(",", " ").split())
+            except ValueError:
+                raise ValueError(f"{_SURFACE}: {said!r} is not two numbers") from None
+            surface = outside, inside
         return KubelkaMunkMixer(tuple(pairs), tuple(table.values[:, 0].tolist()), k, s, surface)
-
-
-def _surface(text: str | None) -> tuple[float, float] | None:
-    if text is None:
-        return None
-    try:
-        outside, inside = (float(part) for part in text.replace(",", " ").split())
-    except ValueError:
-        raise ValueError(f"{_SURFACE}: {text!r} is not two numbers") from None
-    return outside, inside
-
-
-def _coats(tables: Sequence[Mapping[str, Any]]) -> tuple[CoatRecipe, ...]:
-    usual = {"parameters": {}, "share": 0.0, "opacity": 1.0, "seed": 0, "height": 0.0}
-    coats: list[CoatRecipe] = []
-    for table in tables:
-        first, second = table["paints"]
-        given = {key: value for key, value in table.items() if key != "paints"}
-        coats.append(CoatRecipe(**(usual | given), first=first, second=second))
-        # That of the coat before: at the base's height, a coat added at the end of a recipe would
-        # lie below all others and not be seen.
-        usual["height"] = coats[-1].height
-    return tuple(coats)
 
 
 def _colour(name: str) -> EntryCheck:

@@ -28,23 +28,19 @@ def check_sections(
     written: str, name: str, keys: Mapping[str, Keys], repeated: str
 ) -> tuple[dict[str, Any], Where]:
     """Sections of a TOML text with their entries as their checks give them, and where they are
-    written.
+    written; `ValueError` names file, line, what is wrong and what is allowed.
 
     Args:
         written: The text.
         name: Of the file, for what is said of it.
         keys: Checks of each section's entries.
         repeated: The section that is written `[[section]]`, once for each of its tables.
-
-    Raises:
-        ValueError: naming file, line, what is wrong and what is allowed.
     """
     try:
         sections = tomllib.loads(written)
-    except tomllib.TOMLDecodeError as error:
-        raise ValueError(f"{name}: {error}") from None
-    except RecursionError:
-        raise ValueError(f"{name}: nested too deeply") from None
+    except (tomllib.TOMLDecodeError, RecursionError) as error:
+        said = "nested too deeply" if isinstance(error, RecursionError) else error
+        raise ValueError(f"{name}: {said}") from None
 
     def where(section: str, key: str | None = None, nth: int = 0) -> str:
         line = _line_of(written, section, key, nth)

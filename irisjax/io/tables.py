@@ -1,7 +1,5 @@
-"""Tables as CSV with a header of settings, and files that are written whole or not at all.
-
-A header is made of comment lines `# key: value [remark]`; the bracketed remark (a unit, a gloss) is
-dropped on reading. The first line without `#` names the columns.
+"""Tables as CSV below a header of lines `# key: value [remark]`, read without the remark, and files
+that are written whole or not at all.
 """
 
 import contextlib
@@ -48,9 +46,8 @@ def format_table(header: Mapping[str, str], columns: Mapping[str, np.ndarray]) -
     out = io.StringIO()
     for key, value in header.items():
         if "\n" in f"{key}{value}" or ":" in key:
-            raise ValueError(
-                f"header entry {key!r}: keys take no colon, and neither keys nor values a new line"
-            )
+            said = "keys take no colon, and neither keys nor values a new line"
+            raise ValueError(f"header entry {key!r}: {said}")
         out.write(f"# {key}: {value}\n")
     writer = csv.writer(out, lineterminator="\n")
     writer.writerow(columns)
@@ -104,9 +101,8 @@ def read_table(path: str | Path) -> Table:
                 try:
                     values[i, j] = float(text)
                 except ValueError:
-                    raise ValueError(
-                        f"line {number}: {names[j]} = {text!r} is not a number"
-                    ) from None
+                    said = f"{names[j]} = {text!r} is not a number"
+                    raise ValueError(f"line {number}: {said}") from None
     return Table(header, dict(zip(names, values.T, strict=True)))
 
 
@@ -129,13 +125,11 @@ def check_writable(path: str | Path) -> None:
         raise IsADirectoryError(errno.EISDIR, "is a folder, not a file", str(path))
     if is_device(target):
         return
-    folder = Path(os.path.realpath(target)).parent
+    folder, named = Path(os.path.realpath(target)).parent, str(target.parent)
     if not folder.is_dir():
-        raise FileNotFoundError(errno.ENOENT, "no such folder", str(target.parent))
+        raise FileNotFoundError(errno.ENOENT, "no such folder", named)
     if not os.access(folder, os.W_OK | os.X_OK):
-        raise PermissionError(
-            errno.EACCES, "no permission to write in this folder", str(target.parent)
-        )
+        raise PermissionError(errno.EACCES, "no permission to write in this folder", named)
 
 
 def write_atomically(path: str | Path, data: bytes) -> None:

@@ -1,6 +1,4 @@
-"""Paint and other kinds of eye in files: targets that paint is matched to (clones of photographs,
-scenes of tissue, flat pictures), and a painted eye as tissue.
-"""
+"""Paint and other kinds of eye in files: targets that paint is matched to, and paint as tissue."""
 
 from pathlib import Path
 from typing import NamedTuple
@@ -59,7 +57,6 @@ def read_target(path: str | Path, pupil: float) -> Target:
     Raises:
         ValueError: for a file of another kind, a clone without its texture, a picture that is not
             square, a scene of an integrator without a reflectance.
-        OSError: for a file that cannot be opened.
     """
     path = Path(path)
     if path.is_dir():
@@ -79,16 +76,14 @@ def tissue_files(tissue: Tissue, eye: Eye) -> dict[str, bytes]:
     with that iris, behind F09's cornea, at an exposure at which it is as bright as the paint;
     without the white, which would be overexposed.
     """
-    given = {name: getattr(tissue.iris, name) for name in LIMITS}
-    places = {name: getattr(eye, name) for name in PLACES}
+    iris, places = (
+        {name: value for name in names if (value := getattr(of, name)) is not None}
+        for of, names in ((tissue.iris, LIMITS), (eye, PLACES))
+    )
     sections = {
-        "iris": {name: value for name, value in given.items() if value is not None},
+        "iris": iris,
         "maps": {"file": TISSUE_MAPS},
-        "eye": {
-            "cornea": "f09",
-            "sclera": False,
-            **{name: value for name, value in places.items() if value is not None},
-        },
+        "eye": {"cornea": "f09", "sclera": False, **places},
         "picture": {"exposure": tissue.exposure},
     }
     text = (
@@ -133,16 +128,17 @@ def _of_scene(path: Path) -> Target:
 
 def _of_picture(path: Path, pupil: float) -> Target:
     image = read_image(path, decode=True)
-    rows, columns, channels = image.pixels.shape
+    rows, columns, _ = image.pixels.shape
     if rows != columns:
         raise ValueError(
             f"{path}: is {columns} x {rows} pixels; it must be square, the outer edge of the iris "
             "touching its four sides"
         )
-    clear = [i for i, name in enumerate(image.channels) if name == "A"]
-    colours = [i for i in range(channels) if i not in clear][:3]
+    colours = [i for i, name in enumerate(image.channels) if name != "A"][:3]
     pixels = image.pixels[..., colours if len(colours) == 3 else colours[:1] * 3]
-    shown = image.pixels[..., clear[0]] > 0.5 if clear else np.ones((rows, columns), bool)
+    shown = np.ones((rows, columns), bool)
+    if "A" in image.channels:
+        shown = image.pixels[..., image.channels.index("A")] > 0.5
     return _unrolled(path.name, pixels, shown, HALF_WIDTH * pupil, HALF_WIDTH)
 
 

@@ -1,12 +1,10 @@
-"""Text tables in any of the encodings, separators and layouts that instruments and offices write.
-
-Read are rows of numbers below any preamble, with the one or two lines above them as the names of
-their columns. Tried by hand on what OceanView and SpectraSuite, AvaSoft, ViewSpec (ASD) and Excel
-write; SpectraMagic (Konica Minolta) has a spectrum a row.
+"""Text tables in any of the encodings, separators and layouts that instruments and offices write:
+rows of numbers below any preamble, and the one or two lines above them as the names of columns.
 """
 
 import codecs
 import csv
+import itertools
 import re
 from pathlib import Path
 from typing import NamedTuple
@@ -40,11 +38,7 @@ class Columns(NamedTuple):
 
 
 def read_text(path: str | Path) -> str:
-    """Text in UTF-8, UTF-16 (with its mark) or Windows' western code page.
-
-    Raises:
-        ValueError: For a file that is no text, which it names.
-    """
+    """Text in UTF-8, UTF-16 (with its mark) or Windows' western code page."""
     data = Path(path).read_bytes()
     wide = data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))
     for encoding in ("utf-16",) if wide else ("utf-8-sig", "cp1252"):
@@ -58,11 +52,7 @@ def read_text(path: str | Path) -> str:
 
 
 def read_columns(text: str) -> Columns:
-    """Read the table in a text.
-
-    Raises:
-        ValueError: For a broken table; it names the line and the problem.
-    """
+    """Read the table in a text, or raise `ValueError` that names the line and the problem."""
     header = dict(
         re.findall(r"^#\s*([^:\n]+?)\s*:[ \t]*(.*?)(?:\s*\[[^\[\]\n]*\])?\s*$", text, flags=re.M)
     )
@@ -129,24 +119,21 @@ def _names(above: list[list[str]], width: int) -> list[str]:
 
 def _rows_of_spectra(lines: _Lines) -> tuple[np.ndarray, list[str], list[str]] | None:
     """A spectrum a row, its columns named by wavelengths; `None` if no line names such columns."""
-    for i, (_, line) in enumerate(lines[:60]):
-        for separator in ("\t", ";", ","):
-            groups = _by_wavelength(_cells(line, separator))
-            if not groups:
-                continue
-            if len(groups) > 1:
-                kinds = ", ".join(repr(name) for name in groups)
-                raise ValueError(f"spectra of several kinds ({kinds}); keep one of them")
-            ((name, places),) = groups.items()
+    for i, separator in itertools.product(range(min(len(lines), 60)), ("\t", ";", ",")):
+        groups = _by_wavelength(_cells(lines[i][1], separator))
+        if len(groups) > 1:
+            kinds = ", ".join(repr(name) for name in groups)
+            raise ValueError(f"spectra of several kinds ({kinds}); keep one of them")
+        for name, places in groups.items():
             rows = []
             for number, later in lines[i + 1 :]:
                 cells = _cells(later, separator)
-                found = _numbers([cells[j] for j in places.values() if j < len(cells)], True)
-                if found is None or len(found) != len(places):
+                row = _numbers([cells[j] for j in places.values() if j < len(cells)], True)
+                if row is None or len(row) != len(places):
                     if not rows:
                         break
                     raise ValueError(f"line {number}: not a number for each wavelength")
-                rows.append(found)
+                rows.append(row)
             if rows:
                 values = np.column_stack([list(places), np.array(rows).T])
                 where = [f"column {w:g} nm" for w in places]
