@@ -9,11 +9,12 @@ from jaxtyping import Float
 from PIL import Image
 from scipy import fft, ndimage, optimize
 
-from irisjax.photo.photograph import Ellipse
+from irisjax.photo.photograph import Brightness, Ellipse
 
 FINE, ROUGH = 250.0, 100.0
 """Radii in pixels at which outlines are measured, and at which candidates are compared."""
-_RAYS = 180
+RAYS = np.arange(180) * (2 * np.pi / 180)
+"""Parameters (radians) of the points at which the rays cross their ellipse."""
 _FLANK = 0.04  # distance from the best score within which the best fit is sought
 _PRECISION = 0.005  # of an edge, relative to the radius
 _RATIOS = (1.0, 0.93, 0.86)  # trial ratios of the semi-axes, for tilts up to about 30 degrees
@@ -21,22 +22,24 @@ _RINGS = np.geomspace(20, 40, 9)[:-1]  # px: radii of one octave
 _WEAK = 0.05  # change of log brightness per pixel that has half the weight
 
 _Picture = Float[np.ndarray, "rows columns channels"]
+_Rays = Float[np.ndarray, " rays"]
+_Profiles = Float[np.ndarray, "rays places"]
 
 
 class DarkRing(NamedTuple):
-    """A circle in pixels that is darker inside than outside, and the mean of its votes, at most 1.
+    """A circle that is darker inside than outside, and its mean vote of `find_rings`, at most 1."""
 
-    The votes are those of `find_rings`.
-    """
-
-    column: float
-    row: float
-    radius: float
+    circle: Ellipse
     votes: float
 
-    def circle(self) -> Ellipse:
-        """Return the circle as an ellipse."""
-        return Ellipse((self.column, self.row), (self.radius, self.radius))
+    @property
+    def radius(self) -> float:
+        """Radius of the circle, px."""
+        return self.circle.semi_axes[0]
+
+    def away(self, other: "DarkRing") -> float:
+        """Return the distance between the middles of two circles, px."""
+        return float(np.hypot(*np.subtract(self.circle.centre, other.circle.centre)))
 
 
 class Edges(NamedTuple):
@@ -49,18 +52,16 @@ class Edges(NamedTuple):
     """
 
     place: Float[np.ndarray, " places"]
-    fit: Float[np.ndarray, "rays places"]
-    rise: Float[np.ndarray, "rays places"]
+    fit: _Profiles
+    rise: _Profiles
 
-    def score(self) -> Float[np.ndarray, "rays places"]:
+    def score(self) -> _Profiles:
         """Return how well a step fits and how strong it is among those of its ray, 0 to 1."""
         rise = np.maximum(self.rise, 0) * self.fit
         most = rise.max(1, keepdims=True)
         return self.fit**2 * np.sqrt(rise / (most + 0.1 * np.median(most) + 1e-9))
 
-    def strongest(
-        self, near: float
-    ) -> tuple[Float[np.ndarray, " rays"], Float[np.ndarray, " rays"]]:
+    def strongest(self, near: float) -> tuple[_Rays, _Rays]:
         """Return the score and the place of each ray's best edge within `near` of the ellipse.
 
         The score selects the edge. Its place is where the fit alone is best, for a step too far out
@@ -81,27 +82,20 @@ class Edges(NamedTuple):
 
 
 def find_rings(
-    brightness: Float[np.ndarray, "rows columns"],
-    radii: tuple[float, float],
-    number: int,
-    sideways: float = 0.0,
+    brightness: Brightness, radii: tuple[float, float], number: int, sideways: float
 ) -> list[DarkRing]:
     """Find circles that are dark inside and bright outside, by voting.
 
     Daugman's integro-differential operator searches circles of the strongest radial change of
     brightness. Here each pixel votes by the direction of its gradient alone, so that a highlight or
-    a burnt-out white counts no more than any other edge.
+    a burnt-out white counts no more than any other edge. Each octave of radii is searched in a copy
+    of the picture in which they are 20 to 40 px.
 
     Args:
-        brightness: The picture; each octave of radii is searched in a copy in which they are 20 to
-            40 px.
+        brightness: The picture.
         radii: Smallest and largest radius, px.
-        number: Most rings of an octave.
-        sideways: By how much less the top and the bottom of a ring count, 0 to 1, because lids hide
-            them.
-
-    Returns:
-        The rings with the most votes, best first.
+        number: Most rings of an octave; those with the most votes are returned, best first.
+        sideways: By how much less top and bottom of a ring count, 0 to 1, because lids hide them.
     """
     kept: list[DarkRing] = []
     low, high = radii
@@ -118,7 +112,8 @@ def find_rings(
                 peak = ndimage.maximum_filter(votes, max(3, int(radius / 3)))
                 for row, column in np.argwhere((votes == peak) & (votes > 0.15)):
                     at = (column + 0.5) / scale - 0.5, (row + 0.5) / scale - 0.5
-                    found.append(DarkRing(*at, radius / scale, float(votes[row, column])))
+                    circle = Ellipse(at, (radius / scale, radius / scale))
+                    found.append(DarkRing(circle, float(votes[row, column])))
         fresh: list[DarkRing] = []
         for ring in sorted(found, key=lambda r: -r.votes):
             if len(fresh) < number and not any(_alike(ring, other) for other in kept + fresh):
@@ -141,10 +136,7 @@ def reduce_picture(
 def by_channel(
     picture: _Picture, change: Callable[[Image.Image], Image.Image]
 ) -> Float[np.ndarray, "rows_1 columns_1 channels"]:
-    """Apply a function of Pillow to each channel.
-
-    Pillow reduces 12 megapixels in a third to a sixth of the time that scikit-image takes.
-    """
+    """Apply a function of Pillow, three to six times as fast as scikit-image, to each channel."""
     channels = np.ascontiguousarray(np.moveaxis(picture, -1, 0), np.float32)
     return np.stack([np.asarray(change(Image.fromarray(c))) for c in channels], axis=-1)
 
@@ -152,13 +144,8 @@ def by_channel(
 def cut_around(
     picture: _Picture, outline: Ellipse, margin: float, radius: float
 ) -> tuple[Float[np.ndarray, "rows_1 columns_1 channels"], Ellipse, Callable[[Ellipse], Ellipse]]:
-    """Cut out the part of a picture around an outline, and reduce it.
-
-    Args:
-        picture: The picture.
-        outline: An outline in it.
-        margin: Half the side of the part, in radii of the outline.
-        radius: Radius of the outline in the reduced part, px; a smaller one stays as it is.
+    """Cut out the part of a picture around an outline, `margin` radii to each side, and reduce it
+    until the outline's radius is at most `radius` (px).
 
     Returns:
         The part, the outline in it, and a function from ellipses in it to those in the picture.
@@ -168,30 +155,22 @@ def cut_around(
     left, right = (int(np.clip(v, 0, shape[1])) for v in (x - reach, x + reach + 1))
     top, bottom = (int(np.clip(v, 0, shape[0])) for v in (y - reach, y + reach + 1))
     scale = min(1.0, radius / outline.semi_axes[0])
-    small = reduce_picture(picture[top:bottom, left:right], scale)
+    part, moved = picture[top:bottom, left:right], outline.moved(-left, -top)
     return (
-        small,
-        outline.moved(-left, -top).scaled(scale),
+        reduce_picture(part, scale),
+        moved.scaled(scale),
         lambda e: e.scaled(1 / scale).moved(left, top),
     )
 
 
-def ray_angles() -> Float[np.ndarray, " rays"]:
-    """Return the parameters (radians) of the points at which the rays cross their ellipse."""
-    return np.arange(_RAYS) * (2 * np.pi / _RAYS)
-
-
 def along_rays(
-    brightness: Float[np.ndarray, "rows columns"],
-    outline: Ellipse,
-    span: tuple[float, float],
-    steps: int,
-) -> Float[np.ndarray, "rays steps"]:
+    brightness: Brightness, outline: Ellipse, span: tuple[float, float], steps: int
+) -> _Profiles:
     """Return the brightness at `steps` distances over `span`, relative to an ellipse, along 180
     rays; NaN outside the picture.
     """
     middle = np.asarray(outline.centre)
-    edge = outline.points(ray_angles()) - middle
+    edge = outline.points(RAYS) - middle
     at = middle + np.linspace(*span, steps)[:, None] * edge[:, None, :]
     row, column = at[..., 1], at[..., 0]
     values = ndimage.map_coordinates(brightness, [row, column], order=1, mode="nearest")
@@ -201,10 +180,7 @@ def along_rays(
 
 
 def steps_along(
-    profile: Float[np.ndarray, "rays steps"],
-    span: tuple[float, float],
-    widths: tuple[float, ...],
-    reach: float,
+    profile: _Profiles, span: tuple[float, float], widths: tuple[float, ...], reach: float
 ) -> Edges:
     """Fit a soft step at each place of profiles over `span`.
 
@@ -240,16 +216,14 @@ def steps_along(
 
 
 def best_outline(
-    outline: Ellipse, place: Float[np.ndarray, " places"], score: Float[np.ndarray, "rays places"]
+    outline: Ellipse, place: Float[np.ndarray, " places"], score: _Profiles
 ) -> Ellipse:
-    """Return, of ellipses about a circle, the one along which the mean score is largest.
-
-    All centres up to 0.15 radii off, radii and ratios of the axes are tried in steps of a few per
-    cent.
+    """Return the ellipse about a circle along which the mean score is largest: all centres up to
+    0.15 radii off, radii and ratios of the axes are tried in steps of a few per cent.
     """
     radius = outline.semi_axes[0]
     score = score[::2]
-    direction = (outline.points(ray_angles()[::2]) - np.asarray(outline.centre)) / radius
+    direction = (outline.points(RAYS[::2]) - np.asarray(outline.centre)) / radius
     best, found = -np.inf, outline
     dx, dy = (c.ravel() for c in np.meshgrid(*[np.linspace(-0.15, 0.15, 7)] * 2))
     shapes = [(1.0, 0.0), *product(_RATIOS[1:], np.arange(6) * np.pi / 6)]
@@ -262,34 +236,24 @@ def best_outline(
         mean = np.where(within, score[rays, index], 0.0).mean(-1)
         k = int(np.argmax(mean))
         if mean[k] > best:
-            best = float(mean[k])
-            centre = np.asarray(outline.centre) + radius * np.array([dx[k], dy[k]])
-            axes = (float(radius * a), float(radius * b))
-            found = Ellipse((float(centre[0]), float(centre[1])), axes, float(angle))
+            best = mean[k]
+            found = outline.moved(radius * dx[k], radius * dy[k])
+            found = found._replace(semi_axes=(radius * a, radius * b), angle=float(angle))
     return found
 
 
 def refine_outline(
     outline: Ellipse,
-    value: Float[np.ndarray, " rays"],
-    place: Float[np.ndarray, " rays"],
-    weight: Float[np.ndarray, " rays"],
+    value: _Rays,
+    place: _Rays,
+    weight: _Rays,
     flattening: tuple[float, float, float] = (0.0, 0.0, 0.1),
 ) -> tuple[Ellipse, float]:
-    """Fit an ellipse through one edge a ray.
-
-    Args:
-        outline: The ellipse so far.
-        value: Scores of the edges, see `Edges.score`.
-        place: Their places relative to the outline.
-        weight: Weight of each ray in the share.
-        flattening: See `fit_ellipse`.
-
-    Returns:
-        The ellipse, and the share of the outline that such edges support.
+    """Fit an ellipse through the edges of `Edges.strongest`; return it with the share that such
+    edges support, in which each ray has a `weight`.
     """
     middle = np.asarray(outline.centre)
-    points = middle + place[:, None] * (outline.points(ray_angles()) - middle)
+    points = middle + place[:, None] * (outline.points(RAYS) - middle)
     if (value > 0.3).sum() < 12:
         return outline, 0.0
     better = fit_ellipse(outline, points, value * (value > 0.3), flattening)
@@ -305,16 +269,11 @@ def fit_ellipse(
     weights: Float[np.ndarray, " n"],
     flattening: tuple[float, float, float] = (0.0, 0.0, 0.1),
 ) -> Ellipse:
-    """Fit an ellipse to points (column, row) by robust least squares.
+    """Fit an ellipse to points (column, row) by robust least squares: points further off than about
+    1 % of the radius have little weight.
 
-    Points further off than about 1 % of the radius have little weight.
-
-    Args:
-        start: The ellipse to start from.
-        points: Columns and rows.
-        weights: Of the points.
-        flattening: Expected `Ellipse.flattening`, two components, and the standard deviation of
-            both; where the points lie at the sides alone, it decides.
+    `flattening` has the two components that are expected of `Ellipse.flattening`, and the standard
+    deviation of both; where the points lie at the sides alone, it decides.
     """
     size = np.sqrt(start.semi_axes[0] * start.semi_axes[1])
     middle = np.asarray(start.centre)
@@ -340,7 +299,7 @@ def fit_ellipse(
         at = optimize.least_squares(miss, at, method="lm", xtol=1e-6).x
     e = ellipse(at)
     (x, y), (a, b) = middle + size * np.asarray(e.centre), size * np.asarray(e.semi_axes)
-    return Ellipse((float(x), float(y)), (float(a), float(b)), float(e.angle % np.pi))
+    return Ellipse((x, y), (a, b), e.angle % np.pi)
 
 
 def _distance(dx, dy, a, b, angle, direction):
@@ -357,15 +316,11 @@ def _distance(dx, dy, a, b, angle, direction):
 
 
 def _alike(a: DarkRing, b: DarkRing) -> bool:
-    near = np.hypot(a.column - b.column, a.row - b.row) < 0.3 * b.radius
-    return bool(near and 0.75 < a.radius / b.radius < 1.33)
+    return a.away(b) < 0.3 * b.radius and 0.75 < a.radius / b.radius < 1.33
 
 
 def _directions(brightness):
-    """Direction of the gradient of log brightness as cosine minus i sine, shrunk where it is weak.
-
-    The gradient is that of a smoothed picture.
-    """
+    """Direction of the gradient of smoothed log brightness, cosine minus i sine; less if weak."""
     floor = 0.02 * np.quantile(brightness, 0.98) + 1e-6
     smooth = ndimage.gaussian_filter(np.log(np.maximum(brightness, 0) + floor), 1.5)
     down, right = np.gradient(smooth)

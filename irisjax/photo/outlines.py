@@ -5,20 +5,8 @@ from typing import NamedTuple
 import numpy as np
 from scipy import ndimage, optimize, special
 
-from irisjax.photo.edges import (
-    FINE,
-    ROUGH,
-    DarkRing,
-    Edges,
-    along_rays,
-    best_outline,
-    cut_around,
-    find_rings,
-    ray_angles,
-    reduce_picture,
-    refine_outline,
-    steps_along,
-)
+from irisjax.photo import edges
+from irisjax.photo.edges import FINE, RAYS, ROUGH, DarkRing, along_rays, cut_around, refine_outline
 from irisjax.photo.photograph import Ellipse, Photograph
 from irisjax.photo.pose import FLATTER, PUPIL_OVAL
 
@@ -33,6 +21,7 @@ _QUARTILES_OF_GAUSSIAN = 1.349  # distance between quartiles over the standard d
 _QUARTILES_OF_SMOOTHSTEP = 0.3473  # distance between 1/4 and 3/4 of the rise, over its width
 _PUPIL_WIDTHS = (0.02, 0.05, 0.1)  # half widths of the rise, relative to the radius
 _PUPIL_SPAN = (0.8, 1.15)
+_EVEN = np.ones(RAYS.size)  # weights of the rays
 _MISFIT = 0.02  # difference of irides from the fitted rise, relative to the rise
 _LONG = 800  # px along the long side of the copy in which eyes are searched
 _SMALLEST = 40  # long side over the radius of the smallest iris
@@ -66,8 +55,7 @@ class Boundaries(NamedTuple):
         limbus: Middle of the soft rise from iris to white.
         pupil: Outline at which the iris begins.
         limbus_confidence: 0 to 1, from the share of the outline that edges support, their distance
-            from it and their strength; 1 for a given outline. An outline below `MIN_CONFIDENCE`
-            must not be trusted.
+            from it and their strength; 1 if given, not to be trusted below `MIN_CONFIDENCE`.
         pupil_confidence: The same for the pupil.
         pupil_margin: See `PupilEdge.margin`.
         limbus_width: Width over which iris and white blend, relative to the limbus's radius; `None`
@@ -124,34 +112,29 @@ def pupil_within(photo: Photograph, limbus: Ellipse, coarse: bool = True) -> Pup
     """
     picture, cut_off, outline, back = _part_about(photo, limbus, 1.1, ROUGH)
     radius = outline.semi_axes[0]
-    row, column = np.ogrid[: picture.shape[0], : picture.shape[1]]
-    relative = outline.relative_radius(column, row)
-    if not (relative < 0.9).any():
+    relative, ceiling = _within_limbus(picture, outline)
+    if ceiling is None:
         return _middle_of(limbus)
-    picture = np.minimum(picture, _ceiling(picture, relative))
-    found = find_rings(picture, (0.13 * radius, 0.8 * radius), 6, sideways=0.2)
-    best: tuple[float, Ellipse] | None = None
-    for ring in found:
-        circle = ring.circle()
-        share = circle.semi_axes[0] / radius
-        off = outline.relative_radius(*circle.centre)
-        if not (PUPIL_SHARE[0] < share < PUPIL_SHARE[1] and off < 0.3 and off + share < 1.05):
-            continue
-        worth = ring.votes * _darkness(picture, relative, circle)
-        if best is None or worth > best[0]:
-            best = worth, circle
-    if best is None:
+    picture = np.minimum(picture, ceiling)
+
+    def possible(circle: Ellipse) -> bool:
+        share, off = circle.semi_axes[0] / radius, float(outline.relative_radius(*circle.centre))
+        return PUPIL_SHARE[0] < share < PUPIL_SHARE[1] and off < 0.3 and off + share < 1.05
+
+    rings = edges.find_rings(picture, (0.13 * radius, 0.8 * radius), 6, sideways=0.2)
+    rings = [ring for ring in rings if possible(ring.circle)]
+    if not rings:
         return _middle_of(limbus)
-    circle, span = best[1], (0.5, 1.65)
-    even = np.ones(ray_angles().size)
-    edges = steps_along(_profile(picture, cut_off, circle, span, 93), span, _PUPIL_WIDTHS[1:], 0.2)
-    circle = best_outline(circle, edges.place, edges.score())
+    best = max(rings, key=lambda ring: ring.votes * _darkness(picture, relative, ring.circle))
+    circle, span = best.circle, (0.5, 1.65)
+    profile = _profile(picture, cut_off, circle, span, 93)
+    steps = edges.steps_along(profile, span, _PUPIL_WIDTHS[1:], 0.2)
+    circle = edges.best_outline(circle, steps.place, steps.score())
     support, span = 0.0, (0.7, 1.3)
     for near in (0.12, 0.08):
-        edges = steps_along(
-            _profile(picture, cut_off, circle, span, 121), span, _PUPIL_WIDTHS, 0.15
-        )
-        circle, support = refine_outline(circle, *edges.strongest(near), even)
+        profile = _profile(picture, cut_off, circle, span, 121)
+        steps = edges.steps_along(profile, span, _PUPIL_WIDTHS, 0.15)
+        circle, support = refine_outline(circle, *steps.strongest(near), _EVEN)
     sure = support * float(np.sqrt(_darkness(picture, relative, circle)))
     if coarse or not support:
         return PupilEdge(back(circle), sure)
@@ -163,17 +146,16 @@ def beginning_of(photo: Photograph, limbus: Ellipse, near: PupilEdge) -> PupilEd
     it is seen.
     """
     picture, _, outline, _ = _part_about(photo, limbus, 1.1, ROUGH)
-    row, column = np.ogrid[: picture.shape[0], : picture.shape[1]]
-    ceiling = _ceiling(picture, outline.relative_radius(column, row))
+    _, ceiling = _within_limbus(picture, outline)
     picture, cut_off, circle, back = _part_about(photo, near.outline, 1.5, FINE)
     picture, span = np.clip(picture, 0, ceiling), (0.7, 1.3)
     smooth = ndimage.gaussian_filter(picture, 0.01 * circle.semi_axes[0])  # against noise
-    held = np.zeros(ray_angles().size)
+    held = 0 * _EVEN
     for reach in (0.1, 0.08):
         # The root shows the first rise.
         profile = np.sqrt(_profile(smooth, cut_off, circle, span, 241))
-        held, place = steps_along(profile, span, _PUPIL_WIDTHS, 0.15).strongest(reach)
-        circle, _ = refine_outline(circle, held, place, np.ones(held.size))
+        held, place = edges.steps_along(profile, span, _PUPIL_WIDTHS, 0.15).strongest(reach)
+        circle, _ = refine_outline(circle, held, place, _EVEN)
     good = _profile(picture, cut_off, circle, _PUPIL_SPAN, 241)[held > 0.3]
     if len(good) < 12 or not np.isfinite(good).any(0).all():
         return near._replace(outline=back(circle))
@@ -188,40 +170,24 @@ def beginning_of(photo: Photograph, limbus: Ellipse, near: PupilEdge) -> PupilEd
 def limbus_near(
     photo: Photograph, start: Ellipse, pupil: Ellipse | None = None, coarse: bool = True
 ) -> tuple[Ellipse, float]:
-    """Refine a limbus near a circle (`coarse`) or near an ellipse.
-
-    Args:
-        photo: The photograph.
-        start: The circle or ellipse.
-        pupil: A reliable pupil, which determines how flat the limbus is.
-        coarse: Whether `start` is only a circle.
-
-    Returns:
-        The outline, and the share of its part outside the lids that edges support.
+    """Refine a limbus near a circle (`coarse`) or near an ellipse; a reliable pupil determines how
+    flat it is. Return it with the share of its part outside the lids that edges support.
     """
-    size = ROUGH if coarse else FINE
-    pixels, outline, back = cut_around(photo.pixels, start, 2.0, size)
-    picture = pixels.mean(-1)
-    colour = None if photo.grey else _redness(pixels[..., 0], pixels[..., 2])
-    lateral = 0.5 + 0.5 * np.cos(ray_angles()) ** 2
+    seen, outline, back = _limbus_part(photo, start, ROUGH if coarse else FINE)
+    lateral = 0.5 + 0.5 * np.cos(RAYS) ** 2
     flattening = (0.0, 0.0, 0.1)
     if pupil is not None:
-        right, aslant = FLATTER * pupil.flattening
-        flattening = (right, aslant, FLATTER * PUPIL_OVAL)
+        flattening = (*(FLATTER * pupil.flattening), FLATTER * PUPIL_OVAL)
     if coarse:
-        edges, white, _ = _limbus_edges(
-            picture, colour, outline, (0.5, 1.65), 93, _LIMBUS_WIDTHS[1:]
-        )
-        score = edges.score() * white * lateral[:, None]
-        outline = best_outline(outline, edges.place, score)
+        steps, white, _ = _limbus_edges(*seen, outline, (0.5, 1.65), 93, _LIMBUS_WIDTHS[1:])
+        score = steps.score() * white * lateral[:, None]
+        outline = edges.best_outline(outline, steps.place, score)
     support = 0.0
     for near in (0.1, 0.06) if coarse else (0.06, 0.04, 0.04):
-        edges, white, profile = _limbus_edges(
-            picture, colour, outline, _LIMBUS_SPAN, 161, _LIMBUS_WIDTHS
-        )
-        value, place = _half_way(profile, edges, edges.score() * white, near)
+        steps, white, profile = _limbus_edges(*seen, outline)
+        value, place = _half_way(profile, steps, white, near)
         # A lid hides the limbus; outside the picture it is just missing.
-        covered = 1 - white[:, int(np.argmin(abs(edges.place - 1)))]
+        covered = 1 - white[:, int(np.argmin(abs(steps.place - 1)))]
         shown = 1 - 0.8 * np.where(np.isnan(profile[:, : profile.shape[1] // 2]).any(1), 0, covered)
         outline, support = refine_outline(outline, value, place, lateral * shown, flattening)
     return back(outline), support
@@ -233,13 +199,9 @@ def limbus_width_of(photo: Photograph, limbus: Ellipse) -> float | None:
 
     It is the width of the smoothstep that is as steep between a quarter and three quarters.
     """
-    pixels, outline, _ = cut_around(photo.pixels, limbus, 2.0, FINE)
-    picture = pixels.mean(-1)
-    colour = None if photo.grey else _redness(pixels[..., 0], pixels[..., 2])
-    edges, white, profile = _limbus_edges(
-        picture, colour, outline, _LIMBUS_SPAN, 161, _LIMBUS_WIDTHS
-    )
-    held, place = _half_way(profile, edges, edges.score() * white, 0.04)
+    seen, outline, _ = _limbus_part(photo, limbus, FINE)
+    steps, white, profile = _limbus_edges(*seen, outline)
+    held, place = _half_way(profile, steps, white, 0.04)
     good = held > 0.3
     if good.sum() < 12:
         return None
@@ -267,8 +229,9 @@ def _searched(photo: Photograph, pupil: Ellipse | None) -> tuple[Ellipse, Ellips
     scale = min(1.0, _LONG / max(photo.shape))
     small = photo
     if scale < 1:
-        cut_off = reduce_picture(photo.saturated[..., None].astype(float), scale)[..., 0] > 0.1
-        small = photo._replace(pixels=reduce_picture(photo.pixels, scale), saturated=cut_off)
+        cut_off = edges.reduce_picture(photo.saturated[..., None].astype(float), scale)
+        pixels = edges.reduce_picture(photo.pixels, scale)
+        small = photo._replace(pixels=pixels, saturated=cut_off[..., 0] > 0.1)
     known = None if pupil is None else pupil.scaled(scale)
     best, found = -1.0, None
     seen: list[Ellipse] = []
@@ -293,13 +256,9 @@ def _searched(photo: Photograph, pupil: Ellipse | None) -> tuple[Ellipse, Ellips
 
 
 def _judged(
-    photo: Photograph,
-    limbus: Ellipse,
-    pupil: Ellipse,
-    limbus_support: float | None,
-    pupil_support: float | None,
+    photo: Photograph, limbus: Ellipse, pupil: Ellipse, held: float | None, inner: float | None
 ) -> Boundaries:
-    """Confidences from the shares of the outlines that edges support; `None` for a given outline.
+    """Confidences from the shares of limbus and pupil that edges support; `None` for given ones.
 
     In pictures without an eye, chance edges support up to 0.8 of a dark disc's outline and 0.35 of
     others, most of tiny ones, but hardly 0.3 of a pupil within. Lids and lashes leave 0.4 of the
@@ -309,12 +268,12 @@ def _judged(
     for outline in (limbus, pupil):  # half an eye does not count
         likely *= float(np.clip((_shown(outline, photo.shape) - 0.5) / 0.15, 0, 1))
     limbus_sure = pupil_sure = 1.0
-    if limbus_support is not None:
-        limbus_sure = likely * min(limbus_support / 0.75, 1.0) * min(1.0, limbus.semi_axes[1] / 30)
-        if pupil_support is not None:
-            limbus_sure *= float(np.clip((pupil_support - 0.2) / 0.2, 0, 1))
-    if pupil_support is not None:
-        pupil_sure = likely * float(np.clip((pupil_support - 0.2) / 0.5, 0, 1))
+    if held is not None:
+        limbus_sure = likely * min(held / 0.75, 1.0) * min(1.0, limbus.semi_axes[1] / 30)
+        if inner is not None:
+            limbus_sure *= float(np.clip((inner - 0.2) / 0.2, 0, 1))
+    if inner is not None:
+        pupil_sure = likely * float(np.clip((inner - 0.2) / 0.5, 0, 1))
         pupil_sure *= min(1.0, limbus_sure / MIN_CONFIDENCE)
     return Boundaries(limbus, pupil, float(limbus_sure), float(pupil_sure))
 
@@ -323,27 +282,19 @@ def _starts(brightness, pupil: Ellipse | None) -> list[Ellipse]:
     """Circles near which a limbus may lie, best first."""
     shape = brightness.shape
     least = max(max(shape) / _SMALLEST, 8.0)
-    found = find_rings(brightness, (0.4 * least, 0.58 * min(shape)), 8, sideways=0.6)
-
-    def partner(ring: DarkRing) -> float:
-        """Votes of the best pupil within."""
-        inside = (
-            other.votes
-            for other in found
-            if PUPIL_SHARE[0] < other.radius / ring.radius < PUPIL_SHARE[1]
-            and np.hypot(other.column - ring.column, other.row - ring.row) < 0.25 * ring.radius
-        )
-        return max(inside, default=0.0)
+    found = edges.find_rings(brightness, (0.4 * least, 0.58 * min(shape)), 8, sideways=0.6)
 
     def worth(ring: DarkRing) -> float:
-        return ring.votes * (0.5 + partner(ring))
+        """Its votes, and those of the best pupil within."""
+        low, high = (share * ring.radius for share in PUPIL_SHARE)
+        inside = (r for r in found if low < r.radius < high and r.away(ring) < 0.25 * ring.radius)
+        return ring.votes * (0.5 + max((r.votes for r in inside), default=0.0))
 
-    limbi = [ring for ring in found if ring.radius >= least]
-    circles = [r.circle() for r in sorted(limbi, key=worth, reverse=True)]
+    limbi = sorted((r for r in found if r.radius >= least), key=worth, reverse=True)
+    circles = [ring.circle for ring in limbi if _within(ring.circle, shape)]
     if pupil is not None:
         circles = [c for c in circles if _plausible(c, pupil) > 0.5]
-    inside = [c for c in circles if _within(c, shape)]
-    return inside[:_CANDIDATES]
+    return circles[:_CANDIDATES]
 
 
 def _same(a: Ellipse, b: Ellipse) -> bool:
@@ -359,11 +310,8 @@ def _within(outline: Ellipse, shape) -> bool:
 
 def _shown(outline: Ellipse, shape) -> float:
     """The share of an outline that lies in the picture."""
-    column, row = outline.points(ray_angles()).T
-    inside = (abs(column + 0.5 - shape[1] / 2) < shape[1] / 2) & (
-        abs(row + 0.5 - shape[0] / 2) < shape[0] / 2
-    )
-    return float(inside.mean())
+    half = np.array(shape[1::-1]) / 2
+    return float((abs(outline.points(RAYS) + 0.5 - half) < half).all(1).mean())
 
 
 def _plausible(limbus: Ellipse, pupil: Ellipse) -> float:
@@ -400,14 +348,26 @@ def _profile(picture, cut_off, circle: Ellipse, span, steps: int):
     return np.where(hidden, np.nan, along_rays(picture, circle, span, steps))
 
 
-def _ceiling(picture, relative) -> float:
-    """Brightness within a limbus that only highlights exceed."""
-    return float(1.5 * np.quantile(picture[relative < 0.9], 0.75) + 1e-9)
+def _within_limbus(picture, limbus: Ellipse) -> tuple[np.ndarray, float | None]:
+    """Relative radii, and the brightness within a limbus that only highlights exceed; `None` for a
+    limbus beside the picture.
+    """
+    relative = limbus.radii(picture.shape)
+    within = picture[relative < 0.9]
+    return relative, float(1.5 * np.quantile(within, 0.75) + 1e-9) if within.size else None
+
+
+def _limbus_part(photo: Photograph, outline: Ellipse, radius: float):
+    """Brightness and redness around a limbus (`None` without colours), the outline there, and the
+    function back to the photograph.
+    """
+    pixels, moved, back = cut_around(photo.pixels, outline, 2.0, radius)
+    colour = None if photo.grey else _redness(pixels[..., 0], pixels[..., 2])
+    return (pixels.mean(-1), colour), moved, back
 
 
 def _beginning(x, brightness, pixel: float) -> tuple[float, float]:
-    """Where the brightness rises from a constant, before a Gaussian blurred it, and the width of
-    the rise.
+    """Where the brightness rises from a constant, before it was blurred, and the width of the rise.
 
     Fitted are a step, the beginning of a smoothstep, or both at one place, and a line behind; the
     width of the Gaussian is known to a factor. Both at once are accepted only if they are better by
@@ -455,8 +415,7 @@ def _beginning(x, brightness, pixel: float) -> tuple[float, float]:
 
 def _darkness(picture, relative, circle: Ellipse) -> float:
     """How much darker a circle is inside than the iris around it, 0 to 1."""
-    row, column = np.ogrid[: picture.shape[0], : picture.shape[1]]
-    own = circle.relative_radius(column, row)
+    own = circle.radii(picture.shape)
     within, beside = own < 0.9, (own > 1.1) & (own < 1.6) & (relative < 0.95)
     if not within.any() or not beside.any():
         return 0.0
@@ -480,7 +439,7 @@ def _redness(red, blue):
     return np.log((np.maximum(red, 0) + floor) / (np.maximum(blue, 0) + floor))
 
 
-def _half_way(profile, edges: Edges, score, near: float):
+def _half_way(profile, steps: edges.Edges, white, near: float):
     """For each ray, the score and the place at which the brightness is half-way from iris to white,
     nearest to the outline so far.
     """
@@ -488,36 +447,36 @@ def _half_way(profile, edges: Edges, score, near: float):
     # Beyond the picture's edge there is no edge.
     smooth = ndimage.gaussian_filter1d(np.nan_to_num(profile), 1.0, axis=1)
     dark = np.quantile(smooth[:, (x > 0.82) & (x < 0.95)], 0.2, axis=1)
-    white = np.median(smooth[:, (x > 1.06) & (x < 1.13)], axis=1)
-    level = smooth - 0.5 * (dark + white)[:, None]
+    bright = np.median(smooth[:, (x > 1.06) & (x < 1.13)], axis=1)
+    level = smooth - 0.5 * (dark + bright)[:, None]
     rising = (level[:, :-1] < 0) & (level[:, 1:] >= 0)
     crossing = x[:-1] + (x[1] - x[0]) * level[:, :-1] / (level[:, :-1] - level[:, 1:] - 1e-12)
     away = np.where(rising, abs(crossing - 1), np.inf)
     at = away.argmin(1)
     rays = np.arange(at.size)
     place = np.where(rising[rays, at], crossing[rays, at], 1.0)
-    column = np.searchsorted(edges.place, place).clip(0, edges.place.size - 1)
-    good = (away[rays, at] < near) & (white > dark)
-    return np.where(good, score[rays, column], 0.0), place
+    column = np.searchsorted(steps.place, place).clip(0, steps.place.size - 1)
+    good = (away[rays, at] < near) & (bright > dark)
+    return np.where(good, (steps.score() * white)[rays, column], 0.0), place
 
 
-def _limbus_edges(picture, colour, outline, span, steps, widths):
+def _limbus_edges(picture, colour, outline, span=_LIMBUS_SPAN, count=161, widths=_LIMBUS_WIDTHS):
     """Edges across the limbus, how white it is beyond each of them (0 to 1), and the brightness."""
-    profile = along_rays(picture, outline, span, steps)
-    edges = steps_along(profile, span, widths, 0.2)
+    profile = along_rays(picture, outline, span, count)
+    steps = edges.steps_along(profile, span, widths, 0.2)
     if colour is None:
-        return edges, np.ones(edges.fit.shape), profile
+        return steps, np.ones(steps.fit.shape), profile
     # Nothing beyond the picture's edge is white.
-    tint = np.nan_to_num(along_rays(colour, outline, span, steps), nan=9.0)
-    pitch = edges.place[1] - edges.place[0]
+    tint = np.nan_to_num(along_rays(colour, outline, span, count), nan=9.0)
+    pitch = steps.place[1] - steps.place[0]
     smooth = ndimage.uniform_filter1d(tint, max(1, round(0.05 / pitch)), axis=1)
     # The reddest from just beyond the middle of the rise to where the white is measured.
     width = max(1, round(0.13 / pitch))
     reddest = ndimage.maximum_filter1d(smooth, width, axis=1)
-    skip = (steps - edges.place.size) // 2 + round(0.12 / pitch)
-    outside = reddest[:, skip : skip + edges.place.size]
+    skip = (count - steps.place.size) // 2 + round(0.12 / pitch)
+    outside = reddest[:, skip : skip + steps.place.size]
     # The white is what is least red just outside: the sides of an eye show it.
-    at = int(np.argmin(abs(edges.place - 1)))
+    at = int(np.argmin(abs(steps.place - 1)))
     least = np.quantile(outside[:, at], 0.15)
     white = 1 / (1 + np.exp(np.clip((outside - least - 0.4) / 0.08, -50, 50)))
-    return edges, white, profile
+    return steps, white, profile

@@ -6,6 +6,13 @@ import numpy as np
 from jaxtyping import Bool, Float
 from numpy.typing import ArrayLike
 
+Colours = Float[np.ndarray, "rows columns 3"]
+"""A picture on sRGB's primaries, linear unless stated otherwise."""
+Brightness = Float[np.ndarray, "rows columns"]
+"""One number for each pixel or texel."""
+Mask = Bool[np.ndarray, "rows columns"]
+"""Pixels or texels that are meant."""
+
 
 class Photograph(NamedTuple):
     """A colour photograph, top row first, held upright.
@@ -19,8 +26,8 @@ class Photograph(NamedTuple):
         notes: Sentences on what was assumed in reading it.
     """
 
-    pixels: Float[np.ndarray, "rows columns 3"]
-    saturated: Bool[np.ndarray, "rows columns"]
+    pixels: Colours
+    saturated: Mask
     grey: bool = False
     focal_px: float | None = None
     name: str = "photograph"
@@ -47,11 +54,7 @@ class Ellipse(NamedTuple):
     angle: float = 0.0
 
     def points(self, along: Float[np.ndarray, " n"]) -> Float[np.ndarray, "n 2"]:
-        """Return columns and rows of points on the ellipse.
-
-        Args:
-            along: The ellipse's parameter, radians from its larger axis.
-        """
+        """Return columns and rows at parameters of the ellipse, radians from its larger axis."""
         (x, y), (a, b) = self.centre, self.semi_axes
         cos, sin = np.cos(self.angle), np.sin(self.angle)
         u, v = a * np.cos(along), b * np.sin(along)
@@ -64,10 +67,14 @@ class Ellipse(NamedTuple):
         right, up = np.asarray(column) - x, y - np.asarray(row)
         return np.asarray(np.hypot((right * cos + up * sin) / a, (up * cos - right * sin) / b))
 
-    def mask(self, shape: tuple[int, int]) -> Bool[np.ndarray, "rows columns"]:
-        """Return which pixels of a picture lie within the ellipse."""
+    def radii(self, shape: tuple[int, ...]) -> Brightness:
+        """Return the relative radius of every pixel of a picture."""
         row, column = np.ogrid[: shape[0], : shape[1]]
-        return self.relative_radius(column, row) < 1
+        return self.relative_radius(column, row)
+
+    def mask(self, shape: tuple[int, int]) -> Mask:
+        """Return which pixels of a picture lie within the ellipse."""
+        return self.radii(shape) < 1
 
     @property
     def flattening(self) -> Float[np.ndarray, "2"]:
@@ -101,6 +108,5 @@ def ellipse_through(points: Float[np.ndarray, "n 2"]) -> Ellipse:
     u, v = -0.5 * np.linalg.solve([[1 + a, b], [b, 1 - a]], [c, d])
     level, uneven = -(e + 0.5 * (c * u + d * v)), np.hypot(a, b)
     axes = size * np.sqrt(level / (1 - uneven)), size * np.sqrt(level / (1 + uneven))
-    angle = 0.5 * np.arctan2(-b, -a) % np.pi
     centre = middle[0] + size * u, middle[1] - size * v
-    return Ellipse((float(centre[0]), float(centre[1])), (float(axes[0]), float(axes[1])), angle)
+    return Ellipse(centre, axes, 0.5 * np.arctan2(-b, -a) % np.pi)
