@@ -3,13 +3,12 @@
 from typing import Any, NamedTuple, cast
 
 import numpy as np
-import skimage.measure
-from jaxtyping import Bool, Float
-from scipy import ndimage
+from skimage import measure
 
 from irisjax.anatomy.eye import Eye
+from irisjax.photo.photograph import Colours, Mask
 from irisjax.photo.pose import Pose
-from irisjax.photo.texture import Unrefracted
+from irisjax.photo.texture import Unrefracted, sampled
 from irisjax.render.environment import Environment
 from irisjax.render.illumination import Illumination
 from irisjax.render.lights import Lights
@@ -45,19 +44,14 @@ class Lighting(NamedTuple):
         return all_lights(self.lamps, self.environment, ENVIRONMENT_LIGHTS, "D65")
 
 
-def find_lighting(part: Float[np.ndarray, "rows columns 3"], pose: Pose, view: View) -> Lighting:
-    """Infer lamps at infinity, in a room, from the directions that highlights mirror.
+def find_lighting(part: Colours, pose: Pose, view: View) -> Lighting:
+    """Infer lamps at infinity, in a room, from the directions that highlights of the camera's
+    picture mirror.
 
     The lamps share an irradiance of π in proportion to the areas of their highlights, whose
     brightness is cut off. Without a highlight, uniform light from all round is assumed.
-
-    Args:
-        part: Linear pixels of the camera's picture.
-        pose: Result of `find_pose`.
-        view: What the camera sees of the eye.
     """
-    spots = _spots(part)
-    towards, area = _mirrored(spots, view.mirror, pose.camera.shape)
+    towards, area = _mirrored(_spots(part), view.mirror, pose.camera.shape)
     if not len(towards):
         return Lighting(None, Environment.uniform(), found=0)
     polar = np.arccos(np.clip(-towards[:, 2], -1, 1))
@@ -72,8 +66,8 @@ def find_lighting(part: Float[np.ndarray, "rows columns 3"], pose: Pose, view: V
 
 
 def light_tangent(lights: Lights, eye: Eye, tables: Illumination | None) -> tuple[float, float]:
-    """Return horizontal over vertical part, along x and y, of the light that falls on the iris in
-    the chamber: a mean weighted by irradiance.
+    """Return horizontal over vertical part, along x and y, of the light on the iris in the chamber,
+    a mean weighted by irradiance.
     """
     flux = np.asarray(fluxes_of(lights, eye, tables, 41)).sum(0)
     line = np.linspace(-1, 1, flux.shape[-1])
@@ -84,30 +78,21 @@ def light_tangent(lights: Lights, eye: Eye, tables: Illumination | None) -> tupl
 
 
 def light_at(
-    x: Float[np.ndarray, "*shape"],
-    y: Float[np.ndarray, "*shape"],
-    lights: Lights,
-    eye: Eye,
-    tables: Illumination | None,
-) -> Float[np.ndarray, "*shape"]:
+    x: np.ndarray, y: np.ndarray, lights: Lights, eye: Eye, tables: Illumination | None
+) -> np.ndarray:
     """Return the irradiance of the iris at places of its plane (mm), in the chamber."""
     flux = np.asarray(fluxes_of(lights, eye, tables))[:, 2].sum(0)
     middle, reach = (len(flux) - 1) / 2, float(eye.iris_radius)
-    place = [(c / reach + 1) * middle for c in (y, x)]  # rows of the grid run up, as y does
-    return ndimage.map_coordinates(flux.astype(np.float32), place, order=1, mode="nearest")
+    # Rows of the grid run up, as y does.
+    return sampled(flux.astype(np.float32), *((c / reach + 1) * middle for c in (y, x)))
 
 
 def shade_on(
     texture: Unrefracted, lights: Lights, room: float, eye: Eye, tables: Illumination | None
-) -> Bool[np.ndarray, "size size"]:
+) -> Mask:
     """Return the texels that get less than `SHADED` of the median light: the shadow of the limbus.
 
-    Args:
-        texture: The iris laid flat.
-        lights: Lamps and surroundings.
-        room: Radiance of light from all round beside them.
-        eye: The eye.
-        tables: Tables of light on the iris.
+    Beside the lights there may be a `room` of some radiance all round.
     """
     radius, angle = texture.radius(), texture.angle()
     lit = light_at(radius * np.cos(angle), radius * np.sin(angle), lights, eye, tables)
@@ -139,6 +124,6 @@ def _spots(part):
     middle = np.hypot(row - rows / 2, column - columns / 2) < 0.37 * min(rows, columns)
     typical = np.median(brightness[middle])
     bright = middle & (brightness > max(0.97, 4 * typical))
-    regions = skimage.measure.regionprops(skimage.measure.label(bright))
+    regions = measure.regionprops(measure.label(bright))
     large = sorted((r for r in regions if r.area >= _LEAST), key=lambda r: -r.area)
     return large[:_MOST]

@@ -1,19 +1,22 @@
 """The part of a photograph that shows the eye, and masks of what hides the iris in it."""
 
 import math
-from typing import NamedTuple
+from collections.abc import Callable
+from typing import Any, NamedTuple
 
 import numpy as np
-import skimage.filters
-import skimage.measure
-import skimage.morphology
-import skimage.transform
-from jaxtyping import Bool, Float
 from scipy import ndimage
+from skimage import filters, measure, morphology, transform
 
 from irisjax.photo.edges import by_channel
-from irisjax.photo.photograph import Ellipse, Photograph
-from irisjax.photo.texture import HALF_WIDTH, LUMINANCE_WEIGHTS, TEXTURE_SIZE, masked_mean
+from irisjax.photo.photograph import Colours, Ellipse, Mask, Photograph
+from irisjax.photo.texture import (
+    HALF_WIDTH,
+    LUMINANCE_WEIGHTS,
+    TEXTURE_SIZE,
+    Unrefracted,
+    masked_mean,
+)
 from irisjax.render.project import MirrorPixels, View, onto_picture
 
 MOST_ACROSS = 1100
@@ -23,8 +26,6 @@ _SEEN_AROUND = 1.35  # semi-axes of the limbus within which lashes begin
 # Contrast of lashes: 99 % of the textures of simulated irides stay below 0.29.
 _LASH_CLEAR = 0.15, 0.35
 _OF_A_LID = 0.3  # least share of a lid that looks like the skin beyond; shadow and lashes do not
-_Pixels = Float[np.ndarray, "rows columns 3"]
-_Mask = Bool[np.ndarray, "rows columns"]
 # Shadows of lashes, in units of the limbus's radius:
 _REACH = 0.4  # distance from a lid
 _STREAK, _STREAK_AROUND = 0.004, 0.03  # widths of a streak and of its surroundings
@@ -36,6 +37,13 @@ _FACE_ANGLE = 90.0  # degrees from the eye's axis beyond which a mirrored line e
 _FACE_SHARE = 0.1  # share of a pixel's light above which the mirror image hides the iris
 _AROUND = 1.03, 1.25  # of the limbus: white and skin, as bright as what is mirrored
 _SMOOTH = 0.01  # of the limbus's radius, against noise
+# Freckles:
+_SMALLEST, _LARGEST = 0.05, 1.5  # mm, diameters
+_SPOT_RING = 0.1  # mm, width of a ring with one median
+_SPOT_AROUND = 1.0  # mm, standard deviation of the neighbourhood
+_BROWNER, _DARKER = 0.2, 0.1  # least differences of the logarithms
+_STRONG, _WEAK = 5.0, 2.5  # differences in units of the usual scatter
+_COMPACT = 0.5  # least share of a spot in its convex hull
 
 
 class Part(NamedTuple):
@@ -50,9 +58,9 @@ class Part(NamedTuple):
         corner: Column and row in the photograph of the first pixel.
     """
 
-    pixels: Float[np.ndarray, "side side 3"]
-    saturated: Bool[np.ndarray, "side side"]
-    outside: Bool[np.ndarray, "side side"]
+    pixels: Colours
+    saturated: Mask
+    outside: Mask
     limbus: Ellipse
     reduction: int
     corner: tuple[int, int]
@@ -61,34 +69,21 @@ class Part(NamedTuple):
         """Return an outline of the photograph on these pixels."""
         return outline.moved(-self.corner[0], -self.corner[1]).scaled(1 / self.reduction)
 
-    def lids(self, pupil: Ellipse) -> Bool[np.ndarray, "side side"]:
-        """Return the pixels within the limbus that lids cover; `pupil` is an outline on these
-        pixels.
-        """
-        return find_lids(self.pixels, self.limbus, pupil)
-
-    def clear(
-        self, pupil: Ellipse, lids: Bool[np.ndarray, "side side"]
-    ) -> Bool[np.ndarray, "side side"]:
+    def clear(self, pupil: Ellipse) -> tuple[Mask, Mask]:
         """Return the pixels between a pupil (an outline on these pixels) and the limbus that show
-        the iris: no highlight, lash or lid.
+        the iris, no highlight, lash or lid, and the pixels within the limbus that lids cover.
         """
+        lids = find_lids(self.pixels, self.limbus, pupil)
         ring = self.limbus.mask(self.outside.shape) & ~pupil.mask(self.outside.shape)
         covered = find_highlights(self.pixels, self.saturated & ring, ring)
         covered |= lids | find_lashes(self.pixels, self.limbus, lids)
         clear = ring & ~covered & ~self.outside
         clear &= ~find_lash_shadows(self.pixels, self.limbus, lids, clear)
-        return without_islands(clear)
+        return without_islands(clear), lids
 
 
-def pixels_shown(
-    view: View, visible: Bool[np.ndarray, "size size"], shape: tuple[int, int]
-) -> Bool[np.ndarray, "rows columns"]:
-    """Return the pixels of the part that show what a mask of the flat iris marks as visible.
-
-    Raises:
-        ValueError: If the mask has another size than the texture.
-    """
+def pixels_shown(view: View, visible: Mask, shape: tuple[int, int]) -> np.ndarray:
+    """Return the pixels of the part that show what a mask of the flat iris marks as visible."""
     size = TEXTURE_SIZE
     if visible.shape != (size, size):
         raise ValueError(f"the mask of what is visible is {visible.shape}, not {(size, size)}")
@@ -102,27 +97,17 @@ def pixels_shown(
 
 
 def find_mirrored_face(
-    pixels: Float[np.ndarray, "rows columns 3"],
-    outside: _Mask,
-    limbus: Ellipse,
-    mirror: MirrorPixels | None,
-) -> _Mask:
+    pixels: Colours, outside: Mask, limbus: Ellipse, mirror: MirrorPixels | None
+) -> Mask:
     """Find pixels in which the mirror image of the face makes more than a tenth of the light.
 
     The tear film mirrors more the more grazing it is seen, up to a sixth of the light at the rim of
     an eye that is turned by 30 degrees. An eye that looks into the camera has no such pixel.
-
-    Args:
-        pixels: Linear pixels of the camera's picture.
-        outside: Pixels beyond the photograph.
-        limbus: Outline on these pixels.
-        mirror: Directions that the tear film mirrors.
     """
     shape = pixels.shape[:2]
     if mirror is None:
         return np.zeros(shape, bool)
-    row, column = np.ogrid[: shape[0], : shape[1]]
-    radius = limbus.relative_radius(column, row)
+    radius = limbus.radii(shape)
     inside, around = radius < 1, (radius > _AROUND[0]) & (radius < _AROUND[1]) & ~outside
     back = onto_picture(mirror, np.asarray(mirror.mirror[2]), shape)
     reflectance = onto_picture(mirror, np.asarray(mirror.reflectance), shape)
@@ -134,19 +119,10 @@ def find_mirrored_face(
     return face & (reflectance * np.median(luminance[around]) > _FACE_SHARE * seen)
 
 
-def find_lash_shadows(
-    pixels: Float[np.ndarray, "rows columns 3"], limbus: Ellipse, lids: _Mask, clear: _Mask
-) -> _Mask:
-    """Find thin dark streaks near a lid that are fainter than a lash in front of the iris; none
-    without a lid.
+def find_lash_shadows(pixels: Colours, limbus: Ellipse, lids: Mask, clear: Mask) -> Mask:
+    """Find thin dark streaks near a lid that are fainter than a lash in front of the iris.
 
     A furrow of the iris that looks like one is lost with them: the texture is filled there.
-
-    Args:
-        pixels: Linear pixels.
-        limbus: Outline in them.
-        lids: Result of `find_lids`.
-        clear: Pixels that show the iris as far as known.
     """
     if not lids.any() or not clear.any():
         return np.zeros_like(clear)
@@ -156,43 +132,46 @@ def find_lash_shadows(
     away = np.asarray(ndimage.distance_transform_edt(~lids), np.float32)
     near = away < _REACH * radius
     streak = np.where(clear & near, (around - there) / np.maximum(around, 1e-3), 0)
-    dark = skimage.filters.apply_hysteresis_threshold(streak, *_CLEAR)
-    found = np.zeros_like(clear)
-    for region in skimage.measure.regionprops(skimage.measure.label(dark)):
+    dark = filters.apply_hysteresis_threshold(streak, *_CLEAR)
+
+    def lash(region, at):
         long, wide = region.axis_major_length, region.axis_minor_length
-        branched = region.solidity < 0.4
         slender = long > 4 * max(wide, 1.0) and wide < _WIDEST * radius
-        if long > _SHORTEST * radius and (branched or (slender and _hangs(region, away))):
-            found[tuple(region.coords.T)] = True
-    margin = skimage.morphology.disk(max(1, round(0.008 * radius)))
-    return np.asarray(skimage.morphology.dilation(found, margin))
+        # It runs away from the lid, not along it as fibres beside a pupil do.
+        hangs = slender and np.ptp(away[at]) > 0.5 * long
+        return long > _SHORTEST * radius and (region.solidity < 0.4 or hangs)
+
+    return _grown(regions_that(lash, dark), max(1, round(0.008 * radius)))
 
 
-def without_islands(clear: _Mask) -> _Mask:
-    """Return the mask without parts that are cut off from the rest: slivers along the edge of a
-    lid.
-    """
-    label = np.asarray(skimage.measure.label(clear))
+def regions_that(hold: Callable[[Any, tuple[np.ndarray, ...]], Any], mask: Mask) -> Mask:
+    """Return the connected regions of a mask for which `hold(region, indices)` is true."""
+    found = np.zeros_like(mask)
+    for region in measure.regionprops(measure.label(mask)):
+        at = tuple(region.coords.T)
+        if hold(region, at):
+            found[at] = True
+    return found
+
+
+def without_islands(clear: Mask) -> Mask:
+    """Return the mask without small separate parts: slivers along the edge of a lid."""
+    label = np.asarray(measure.label(clear))
     size = np.bincount(label.ravel())
     size[0] = 0
     return clear & (size > _ISLAND * clear.sum())[label]
 
 
-def find_highlights(pixels: _Pixels, saturated: _Mask, iris: _Mask) -> _Mask:
+def find_highlights(pixels: Colours, saturated: Mask, iris: Mask) -> Mask:
     """Find pixels of the iris that show a mirror image of lamps, wet spots or the like.
 
     These are saturated pixels, and pixels that are brighter than the median around them by more
     than the iris's own scatter, if the excess has the colour of the light; both with the glow
-    around them. Nothing outside the iris is marked.
-
-    Args:
-        pixels: Linear pixels.
-        saturated: Pixels that may be cut off.
-        iris: The ring between limbus and pupil, as far as it is known.
+    around them. Nothing outside the iris, the ring between limbus and pupil, is marked.
     """
     if not iris.any():
         return np.zeros_like(iris)
-    part = _Reduced.around(iris)
+    part = _Reduced(iris.shape, ndimage.find_objects(iris.astype(np.uint8))[0])
     small, ring = part.reduced(pixels), part.reduced(iris) > 0.5
     cut_off = part.reduced(saturated & iris) > 0.1
     encoded = _encoded(small @ LUMINANCE_WEIGHTS)
@@ -207,59 +186,53 @@ def find_highlights(pixels: _Pixels, saturated: _Mask, iris: _Mask) -> _Mask:
     bright = (excess > max(5 * scatter, 0.15)) & white & ring
     glow = (excess > max(2.5 * scatter, 0.06)) & ring
     seeds = bright | cut_off
-    found = skimage.filters.apply_hysteresis_threshold(
-        (glow | seeds).astype(np.uint8) + seeds, 0.5, 1.5
-    )
+    found = filters.apply_hysteresis_threshold((glow | seeds).astype(np.uint8) + seeds, 0.5, 1.5)
     # Fibres that touch a highlight are as bright as its glow; the glow itself is near.
     away = np.asarray(ndimage.distance_transform_edt(~seeds))
     found &= away <= max(2.0, 0.03 * size)
-    found = skimage.morphology.dilation(found, skimage.morphology.disk(max(1, size // 200)))
+    found = _grown(found, max(1, size // 200))
     return (part.enlarged(found) | saturated) & iris
 
 
-def find_lashes(pixels: _Pixels, limbus: Ellipse, lids: _Mask | None = None) -> _Mask:
+def find_lashes(pixels: Colours, limbus: Ellipse, lids: Mask) -> Mask:
     """Find thin dark or bright streaks that cross the limbus, and clear dark ones that hang from
     lids.
 
     Fibres and furrows of the iris end at the limbus and vessels of the white are faint, so a streak
     that is as clear outside as inside lies in front.
-
-    Args:
-        pixels: Linear pixels of the whole picture.
-        limbus: Outline in it.
-        lids: Result of `find_lids`.
     """
-    part, radius, small = _around_limbus(pixels, limbus)
-    if part is None or small is None:
+    found = _around_limbus(pixels, limbus)
+    if found is None:
         return np.zeros(pixels.shape[:2], bool)
+    part, radius, small = found
     encoded = _encoded(small @ LUMINANCE_WEIGHTS)
-    width = max(2, round(0.02 * max(radius.shape)))
-    disk = skimage.morphology.disk(width)
+    disk = morphology.disk(max(2, round(0.02 * max(radius.shape))))
     found = np.zeros(radius.shape, bool)
-    near = radius < _SEEN_AROUND
-    for streak in (
-        np.asarray(ndimage.black_tophat(encoded, footprint=disk)),
-        np.asarray(ndimage.white_tophat(encoded, footprint=disk)),
-    ):
+    near, within = radius < _SEEN_AROUND, radius < 1
+    hidden = part.reduced(lids) > 0.5
+    reach = _grown(hidden, 4)
+
+    def crosses(region, at):
+        return radius[at].min() < 0.95 and radius[at].max() > 1.12 and _long(region)
+
+    def hangs(region, at):
+        return reach[at].any() and _long(region)
+
+    dark = np.asarray(ndimage.black_tophat(encoded, footprint=disk))
+    for streak in (dark, np.asarray(ndimage.white_tophat(encoded, footprint=disk))):
         # In units of what fibres, or vessels and skin, usually reach.
-        within, without = radius < 1, near & (radius >= 1)
-        usual = np.where(within, _usual(streak[within]), _usual(streak[without]))
-        clear = skimage.filters.apply_hysteresis_threshold(near * streak / usual, 1.0, 1.5)
-        label = np.asarray(skimage.measure.label(clear))
-        for region in skimage.measure.regionprops(label):
-            at = radius[tuple(region.coords.T)]
-            if (at.min() < 0.95 and at.max() > 1.12) and _long(region):
-                found[tuple(region.coords.T)] = True
-    hidden = np.zeros(radius.shape, bool) if lids is None else part.reduced(lids) > 0.5
-    iris = (radius > 0.6) & (radius < 1) & ~hidden
+        usual = np.where(within, _usual(streak[within]), _usual(streak[near & ~within]))
+        clear = filters.apply_hysteresis_threshold(near * streak / usual, 1.0, 1.5)
+        found |= regions_that(crosses, clear)
+    iris = (radius > 0.6) & within & ~hidden
     if hidden.any() and iris.any():
-        dark = np.asarray(ndimage.black_tophat(encoded, footprint=disk))
-        found |= near & _hanging(dark / max(float(np.median(encoded[iris])), 1e-3), hidden)
-    found = skimage.morphology.dilation(found, skimage.morphology.disk(1))
-    return part.enlarged(found)
+        contrast = dark / max(float(np.median(encoded[iris])), 1e-3)
+        clear = filters.apply_hysteresis_threshold(contrast, *_LASH_CLEAR) & ~hidden
+        found |= near & regions_that(hangs, clear)
+    return part.enlarged(_grown(found, 1))
 
 
-def find_lids(pixels: _Pixels, limbus: Ellipse, pupil: Ellipse) -> _Mask:
+def find_lids(pixels: Colours, limbus: Ellipse, pupil: Ellipse) -> Mask:
     """Find pixels within the limbus that lids cover.
 
     The sides of the iris, which lids never reach, give the usual brightness and colour at each
@@ -268,18 +241,18 @@ def find_lids(pixels: _Pixels, limbus: Ellipse, pupil: Ellipse) -> _Mask:
     beside a lid count as shadow, too. Lids are marked with a small margin. A lid of the iris's own
     colour is not found, nor is any if light and shadow divide the eye.
     """
-    part, radius, small = _around_limbus(pixels, limbus)
-    if part is None or small is None:
+    found = _around_limbus(pixels, limbus)
+    if found is None:
         return np.zeros(pixels.shape[:2], bool)
+    part, radius, small = found
     size = max(radius.shape)
     inside = part.reduced(pupil.mask(pixels.shape[:2])) < 0.5
     smooth = ndimage.gaussian_filter(small, (0.012 * size,) * 2 + (0,))
     light = np.log(np.maximum(smooth, 0) + 0.02 * max(float(np.median(smooth)), 1e-4))
-    seen = np.concatenate(
-        [light @ LUMINANCE_WEIGHTS[:, None], light[..., :1] - light[..., 2:]], -1
-    )  # brightness and colour
+    # Brightness and colour.
+    seen = np.stack([light @ LUMINANCE_WEIGHTS, light[..., 0] - light[..., 2]], -1)
     row, column = np.indices(radius.shape)
-    x, y = part.small(limbus.centre)
+    x, y = part.small(limbus)
     aside = np.abs(row - y) < 0.5 * np.abs(column - x)
     ring = np.minimum((radius * 20).astype(int), int(20 * _SEEN_AROUND))
     strange = np.zeros(radius.shape)
@@ -290,30 +263,65 @@ def find_lids(pixels: _Pixels, limbus: Ellipse, pupil: Ellipse) -> _Mask:
             continue
         middle = np.median(known, 0)
         scatter = np.maximum(1.4826 * np.median(np.abs(known - middle), 0), 0.12)
-        off = np.sqrt((((seen[at] - middle) / scatter) ** 2).sum(-1))
-        strange[at] = off
+        strange[at] = np.sqrt((((seen[at] - middle) / scatter) ** 2).sum(-1))
     strange *= (radius < 1) & ~aside
-    covered = skimage.filters.apply_hysteresis_threshold(strange, 2.5, 4.0)
-    covered = skimage.morphology.opening(
-        covered, skimage.morphology.disk(max(1, round(0.02 * size)))
-    )
-    label = np.asarray(skimage.measure.label(covered))
+    covered = filters.apply_hysteresis_threshold(strange, 2.5, 4.0)
+    covered = morphology.opening(covered, morphology.disk(max(1, round(0.02 * size))))
+    label = np.asarray(measure.label(covered))
     keep = np.zeros(label.max() + 1, bool)
     for k in range(1, label.max() + 1):
         at = label == k
         if not (radius[at] > 0.93).any():
             continue
-        beyond = skimage.morphology.dilation(at, skimage.morphology.disk(round(0.05 * size)))
-        beyond &= (radius > 1.03) & (radius < 1.2)
+        beyond = _grown(at, round(0.05 * size)) & (radius > 1.03) & (radius < 1.2)
         if beyond.any():
             step = np.abs(seen[at & (radius > 0.8)] - np.median(seen[beyond], 0)).max(-1)
             keep[k] = bool((step < 0.5).mean() > _OF_A_LID)
     found = keep[label]
     for k in np.flatnonzero(keep):
         found |= _beyond_edge(label == k, upper=bool(row[label == k].mean() < y))
-    beside = skimage.morphology.dilation(found, skimage.morphology.disk(round(0.02 * size)))
-    shadow = np.isin(label, np.setdiff1d(label[beside], 0))
+    beside = label[_grown(found, round(0.02 * size))]
+    shadow = np.isin(label, np.setdiff1d(beside, 0))
     return part.enlarged(found | shadow) & limbus.mask(pixels.shape[:2])
+
+
+def find_freckles(texture: Unrefracted) -> Mask:
+    """Find texels of spots that are darker and browner than their surroundings.
+
+    Browner means more red against blue, a ratio that does not fall in shadows and crypts. Each
+    texel is compared with the median at its radius, so that rings of pigment around the pupil are
+    no freckles, and with a neighbourhood of 1 mm; the scatter of the texture itself sets the scale.
+    Spots are 0.05 to 1.5 mm wide and compact. Without colours freckles cannot be distinguished from
+    crypts: none are found.
+    """
+    valid = texture.valid
+    none = np.zeros_like(valid)
+    pixels = texture.pixels.astype(np.float32)
+    if not valid.any() or _grey(pixels[valid]):
+        return none
+    texel = texture.millimetres_per_texel
+    smooth = ndimage.gaussian_filter(pixels, (0.3 * _SMALLEST / texel,) * 2 + (0,))
+    luminance = texture._replace(pixels=smooth).luminance()
+    dim = 0.02 * np.median(luminance[valid])
+    if not dim > 0:
+        return none
+    red, _, blue = np.moveaxis(np.log(np.maximum(smooth, 0) + dim), -1, 0)
+    dark = -np.log(np.maximum(luminance, 0) + dim)
+    browner, usual_brown = _deviation(red - blue, texture)
+    darker, usual_dark = _deviation(dark, texture)
+    high = (browner > max(_BROWNER, _STRONG * usual_brown)) & (darker > max(_DARKER, usual_dark))
+    low = (browner > max(_BROWNER / 2, _WEAK * usual_brown)) & (darker > 0)
+    steps = (low & valid).astype(np.uint8) + (high & valid)
+    spots = np.asarray(filters.apply_hysteresis_threshold(steps, 0.5, 1.5))
+
+    def freckle(region, _):
+        width = region.equivalent_diameter_area * texel
+        long = region.axis_major_length * texel
+        fits = width >= _SMALLEST and max(width, long) <= _LARGEST
+        return fits and region.solidity >= _COMPACT
+
+    found = regions_that(freckle, np.asarray(ndimage.binary_fill_holes(spots)))
+    return _grown(found, max(1, round(0.5 * _SMALLEST / texel)))
 
 
 def part_of(photograph: Photograph, limbus: Ellipse) -> Part:
@@ -324,22 +332,16 @@ def part_of(photograph: Photograph, limbus: Ellipse) -> Part:
     side = 2 * half
 
     def cut(values, fill):
-        rows, columns = (
-            slice(max(0, c), min(n, c + side)) for n, c in zip(values.shape, (y, x), strict=False)
-        )
-        whole = np.full((side, side, *values.shape[2:]), fill, values.dtype)
-        there = slice(rows.start - y, rows.stop - y), slice(columns.start - x, columns.stop - x)
-        whole[there] = values[rows, columns]
-        return whole
+        inside = values[max(0, y) : y + side, max(0, x) : x + side]
+        ends = zip(values.shape, (y, x), strict=False)
+        beyond = [(max(0, -c), max(0, c + side - n)) for n, c in ends]
+        return np.pad(inside, beyond + [(0, 0)] * (values.ndim - 2), constant_values=fill)
 
-    pixels = cut(photograph.pixels, np.float32(0))
-    masks = (
-        cut(photograph.saturated, True),
-        cut(np.zeros_like(photograph.saturated), True),
-    )
+    pixels, saturated = cut(photograph.pixels, np.float32(0)), photograph.saturated
+    masks = cut(saturated, True), cut(np.zeros_like(saturated), True)
     if reduction > 1:
         pixels = by_channel(pixels, lambda c: c.reduce(reduction))
-        masks = [skimage.measure.block_reduce(m, reduction, np.max) for m in masks]
+        masks = [measure.block_reduce(m, reduction, np.max) for m in masks]
     made = Part(np.asarray(pixels, np.float32), *masks, limbus, reduction, (x, y))
     return made._replace(limbus=made.moved(limbus))
 
@@ -347,56 +349,30 @@ def part_of(photograph: Photograph, limbus: Ellipse) -> Part:
 class _Reduced:
     """A rectangle of the photograph and a smaller picture of it."""
 
-    def __init__(self, shape: tuple[int, int], rows: slice, columns: slice):
-        self.shape, self.rows, self.columns = shape, rows, columns
-        self.size = rows.stop - rows.start, columns.stop - columns.start
+    def __init__(self, shape: tuple[int, int], box: tuple[slice, slice]):
+        self.shape, self.box = shape, box
+        self.size = tuple(b.stop - b.start for b in box)
         factor = min(1.0, _RESOLUTION / max(self.size))
         self.small_size = tuple(max(1, round(n * factor)) for n in self.size)
 
-    @classmethod
-    def around(cls, mask: np.ndarray) -> "_Reduced":
-        rows, columns = (np.flatnonzero(mask.any(axis)) for axis in (1, 0))
-        return cls(mask.shape, slice(rows[0], rows[-1] + 1), slice(columns[0], columns[-1] + 1))
-
-    def small(self, place: tuple[float, float]) -> tuple[float, float]:
-        """Column and row in the smaller picture."""
-        x, y = place[0] - self.columns.start, place[1] - self.rows.start
-        return (
-            (x + 0.5) * self.small_size[1] / self.size[1] - 0.5,
-            (y + 0.5) * self.small_size[0] / self.size[0] - 0.5,
-        )
+    def small(self, outline: Ellipse) -> np.ndarray:
+        """Column and row of an outline's middle in the smaller picture."""
+        place = np.subtract(outline.centre, [b.start for b in self.box[::-1]])
+        return (place + 0.5) * self.small_size[::-1] / self.size[::-1] - 0.5
 
     def reduced(self, picture: np.ndarray) -> np.ndarray:
-        part = picture[self.rows, self.columns].astype(np.float32)
-        whole = self.small_size + part.shape[2:]
-        return skimage.transform.resize_local_mean(part, whole)
+        part = picture[self.box].astype(np.float32)
+        return transform.resize_local_mean(part, self.small_size + part.shape[2:])
 
     def enlarged(self, mask: np.ndarray) -> np.ndarray:
-        row, column = (
-            np.arange(n) * m // n for n, m in zip(self.size, self.small_size, strict=True)
-        )
+        sizes = zip(self.size, self.small_size, strict=True)
         whole = np.zeros(self.shape, bool)
-        whole[self.rows, self.columns] = mask[row[:, None], column]
+        whole[self.box] = mask[np.ix_(*(np.arange(n) * m // n for n, m in sizes))]
         return whole
 
 
-def _hangs(region, away) -> bool:
-    """Whether a streak runs away from the lid, not along it as fibres beside a pupil do."""
-    rows, columns = region.coords.T
-    along = away[rows, columns]
-    return bool(np.ptp(along) > 0.5 * region.axis_major_length)
-
-
-def _hanging(streak: np.ndarray, lids: np.ndarray) -> np.ndarray:
-    """Long streaks that begin at a lid; `streak` is their encoded contrast over the iris's own."""
-    clear = skimage.filters.apply_hysteresis_threshold(streak, *_LASH_CLEAR) & ~lids
-    reach = skimage.morphology.dilation(lids, skimage.morphology.disk(4))
-    found = np.zeros(lids.shape, bool)
-    for region in skimage.measure.regionprops(skimage.measure.label(clear)):
-        at = tuple(region.coords.T)
-        if reach[at].any() and _long(region):
-            found[at] = True
-    return found
+def _grown(mask: np.ndarray, radius: int) -> np.ndarray:
+    return np.asarray(morphology.dilation(mask, morphology.disk(radius)))
 
 
 def _long(region) -> bool:
@@ -407,26 +383,21 @@ def _long(region) -> bool:
 
 def _around_limbus(pixels: np.ndarray, limbus: Ellipse):
     """The part of the photograph around the limbus, the relative radius there and its pixels."""
-    (x, y), reach = limbus.centre, _SEEN_AROUND * limbus.semi_axes[0]
-    rows, columns = pixels.shape[:2]
-    box = [
-        slice(max(0, int(c - reach)), min(n, int(c + reach) + 1))
-        for c, n in ((y, rows), (x, columns))
-    ]
+    shape, reach = pixels.shape[:2], _SEEN_AROUND * limbus.semi_axes[0]
+    ends = zip(limbus.centre[::-1], shape, strict=True)
+    box = tuple(slice(max(0, int(c - reach)), min(n, int(c + reach) + 1)) for c, n in ends)
     if any(b.stop - b.start < 16 for b in box):
-        return None, np.zeros((0, 0)), None
-    part = _Reduced((rows, columns), *box)
-    at = [
+        return None
+    part = _Reduced(shape, box)
+    row, column = (
         b.start + (np.arange(n) + 0.5) * (size / n) - 0.5
         for b, n, size in zip(box, part.small_size, part.size, strict=True)
-    ]
-    return part, limbus.relative_radius(at[1][None, :], at[0][:, None]), part.reduced(pixels)
+    )
+    return part, limbus.relative_radius(column, row[:, None]), part.reduced(pixels)
 
 
 def _beyond_edge(lid: np.ndarray, upper: bool) -> np.ndarray:
-    """All pixels beyond the edge of a lid, which is continued as a parabola: at its ends the
-    limbus's blur hides it.
-    """
+    """All pixels beyond a lid's edge, continued as a parabola: at its ends the blur hides it."""
     columns = np.flatnonzero(lid.any(0))
     if len(columns) < 0.15 * lid.shape[1]:  # too short to be continued
         return lid
@@ -449,11 +420,38 @@ def _encoded(luminance: np.ndarray) -> np.ndarray:
 def _median(values: np.ndarray, counted: np.ndarray, radius: int) -> np.ndarray:
     """Median of the counted pixels within a radius, to 1/255."""
     levels = np.round(255 * values).astype(np.uint8)
-    disk = skimage.morphology.disk(radius)
-    return skimage.filters.rank.median(levels, disk, mask=counted.astype(np.uint8)) / 255
+    disk = morphology.disk(radius)
+    return filters.rank.median(levels, disk, mask=counted.astype(np.uint8)) / 255
 
 
 def _colourless(excess: np.ndarray, pixels: np.ndarray) -> np.ndarray:
     """Whether the excess over the usual brightness is about white, or cut off."""
     top = excess.max(-1)
     return (np.ptp(excess, axis=-1) < 0.6 * np.maximum(top, 1e-6)) | (pixels.min(-1) > 0.8)
+
+
+def _grey(pixels: np.ndarray) -> bool:
+    """Whether the channels are in one proportion."""
+    usual = np.median(pixels, 0)
+    scale = np.maximum(pixels.max(-1, keepdims=True), 1e-6)
+    return bool(np.median(np.ptp(pixels / scale, axis=-1)) < 0.01 or not usual.max() > 0)
+
+
+def _deviation(values: np.ndarray, texture: Unrefracted) -> tuple[np.ndarray, float]:
+    """Difference from the median at each radius and from the neighbourhood, and its scatter."""
+    valid = texture.valid
+    ring = (texture.radius() / _SPOT_RING).astype(np.int32)[valid]
+    centre = np.unique(ring)
+    median = np.asarray(ndimage.median(values[valid], ring, centre), float)
+    profile = np.interp(texture.radius() / _SPOT_RING - 0.5, centre, median).astype(np.float32)
+    off = values - profile
+    scatter = _scatter(off[valid])
+    # Clipped: a spot must not raise what it is compared with.
+    width = _SPOT_AROUND / texture.millimetres_per_texel
+    off = off - masked_mean(np.clip(off, -2 * scatter, 2 * scatter), valid, width)
+    return off, _scatter(off[valid])
+
+
+def _scatter(values: np.ndarray) -> float:
+    """Standard deviation of the middle of a distribution, from its median absolute deviation."""
+    return float(1.4826 * np.median(np.abs(values - np.median(values))))

@@ -4,7 +4,7 @@ from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 from scipy import optimize
 from scipy.ndimage import binary_dilation, gaussian_filter, map_coordinates
 from skimage.registration import optical_flow_ilk, phase_cross_correlation
@@ -12,7 +12,7 @@ from skimage.transform import AffineTransform, downscale_local_mean, warp
 
 from irisjax.photo.masks import part_of
 from irisjax.photo.outlines import find_boundaries
-from irisjax.photo.photograph import Ellipse, Photograph
+from irisjax.photo.photograph import Colours, Ellipse, Mask, Photograph
 from irisjax.photo.texture import LUMINANCE_WEIGHTS
 
 MOST_SECOND_OFF = 0.015
@@ -43,8 +43,8 @@ class Registration(NamedTuple):
             little in common, and the transform is no better than the outlines.
     """
 
-    pixels: Float[np.ndarray, "rows columns 3"]
-    valid: Bool[np.ndarray, "rows columns"]
+    pixels: Colours
+    valid: Mask
     transform: Float[np.ndarray, "2 3"]
     residual: float
     correlation: float
@@ -52,7 +52,7 @@ class Registration(NamedTuple):
     @property
     def scale(self) -> float:
         """Pixels of the second per pixel of the first, geometric mean of both directions."""
-        return float(np.sqrt(np.linalg.det(self.transform[:, :2])))
+        return _scale(self.transform)
 
     @property
     def rotation(self) -> float:
@@ -62,30 +62,22 @@ class Registration(NamedTuple):
 
 
 class SecondPhotograph(NamedTuple):
-    """A second photograph on the pixels of the first one's part.
-
-    Attributes:
-        registration: How it was laid on the first.
-        part: Linear pixels of the part.
-        clear: Pixels that show the iris and nothing in front of it.
+    """A second photograph on the pixels of the first one's part; `clear` ones show the iris and
+    nothing in front of it.
     """
 
     registration: Registration
-    part: Float[np.ndarray, "rows columns 3"]
-    clear: Bool[np.ndarray, "rows columns"]
+    part: Colours
+    clear: Mask
 
 
 def lay_on_first(
     second: Photograph, first: Photograph, limbus: Ellipse, pupil: Ellipse, cut: tuple[slice, slice]
 ) -> SecondPhotograph:
-    """Lay a second photograph on a part of the first.
+    """Lay a second photograph of the same eye on a part of the first.
 
-    Args:
-        second: A photograph of the same eye.
-        first: The photograph whose part is meant.
-        limbus: Outline in the first.
-        pupil: Outline in the first.
-        cut: Rows and columns of the part, in what `part_of` cuts out for the limbus.
+    The outlines are those in the first, and `cut` has the rows and columns of the part in what
+    `part_of` cuts out for the limbus.
 
     Raises:
         ValueError: If the second photograph shows another eye.
@@ -100,8 +92,8 @@ def lay_on_first(
         )
     laid = Photograph(found.pixels.astype(np.float32), ~found.valid, second.grey)
     part = part_of(laid, limbus)
-    inner = part.moved(pupil)
-    return SecondPhotograph(found, part.pixels[cut], part.clear(inner, part.lids(inner))[cut])
+    clear, _ = part.clear(part.moved(pupil))
+    return SecondPhotograph(found, part.pixels[cut], clear[cut])
 
 
 def register_photographs(
@@ -111,9 +103,8 @@ def register_photographs(
 
     For pairs such as one through crossed polarisers and one without: highlights and shading differ,
     the iris's texture does not. Centres and sizes of the outlines come first, then the angle by
-    phase correlation of the unrolled irides, then all six numbers by robust least squares on the
-    textures, from coarse to fine. Parts that one of the two lacks (highlights, lashes) have little
-    weight.
+    phase correlation of the unrolled irides, then all six numbers by least squares on the textures,
+    from coarse to fine, in which parts that one of the two lacks have little weight.
 
     Raises:
         ValueError: If a limbus has its centre outside its photograph or a radius below 20 pixels.
@@ -168,10 +159,16 @@ def _radius(limbus: Ellipse) -> float:
     return float(np.sqrt(np.prod(limbus.semi_axes)))
 
 
+def _scale(transform: np.ndarray) -> float:
+    return float(np.sqrt(abs(np.linalg.det(transform[:, :2]))))
+
+
+def _sampled(picture: np.ndarray, column: np.ndarray, row: np.ndarray) -> np.ndarray:
+    return map_coordinates(picture, [row, column], order=1, mode="nearest")
+
+
 def _texture(photograph: Photograph, limbus: Ellipse) -> tuple[_Texture, Ellipse, int]:
-    """Texture at the resolution of the comparison, the limbus in it, and the reduction along a
-    side.
-    """
+    """Texture at the comparison's resolution, the limbus in it, and the reduction of a side."""
     fine = max(1, round(_radius(limbus) / _WORKING))
     limbus, radius = limbus.scaled(1 / fine), _radius(limbus) / fine
     luminance = photograph.pixels @ LUMINANCE_WEIGHTS
@@ -196,11 +193,8 @@ def _texture(photograph: Photograph, limbus: Ellipse) -> tuple[_Texture, Ellipse
 def _turn(one: _Texture, first: Ellipse, other: _Texture, second: Ellipse) -> float:
     """Radians by which the second shows the eye turned, from right towards the top."""
     unrolled = [_unrolled(t, limbus) for t, limbus in ((one, first), (other, second))]
-    shift, *_ = phase_cross_correlation(
-        *unrolled,
-        upsample_factor=10,
-        normalization=None,  # pyright: ignore[reportArgumentType] - as documented
-    )
+    settings: dict[str, Any] = {"upsample_factor": 10, "normalization": None}
+    shift, *_ = phase_cross_correlation(*unrolled, **settings)
     return float(-shift[1] * 2 * np.pi / _POLAR[1])
 
 
@@ -211,15 +205,12 @@ def _unrolled(texture: _Texture, limbus: Ellipse) -> np.ndarray:
     angle = np.linspace(0, 2 * np.pi, _POLAR[1], endpoint=False)
     share = np.linspace(*_ANNULUS, _POLAR[0])[:, None]
     (x, y), reach = limbus.centre, radius * share
-    return map_coordinates(
-        blurred, [y - reach * np.sin(angle), x + reach * np.cos(angle)], order=1, mode="nearest"
-    )
+    return _sampled(blurred, x + reach * np.cos(angle), y - reach * np.sin(angle))
 
 
 def _points(limbus: Ellipse, usable: np.ndarray, name: str) -> np.ndarray:
     """Pixels of the annulus, (n, 2), evenly thinned out."""
-    row, column = np.ogrid[: usable.shape[0], : usable.shape[1]]
-    share = limbus.relative_radius(column, row)
+    share = limbus.radii(usable.shape)
     rows, columns = np.nonzero((share > _ANNULUS[0]) & (share < _ANNULUS[1]) & usable)
     if not len(rows):
         raise ValueError(f"{name}: all pixels of the iris are burnt out")
@@ -229,9 +220,8 @@ def _points(limbus: Ellipse, usable: np.ndarray, name: str) -> np.ndarray:
 
 def _refined(affine, one, other, points, centre, radius, blur) -> np.ndarray:
     """The affine map (2, 3) about `centre` after robust least squares at one scale."""
-    scale = np.sqrt(abs(np.linalg.det(affine[:, :2])))
     target = gaussian_filter(one.values, blur)[points[:, 1].astype(int), points[:, 0].astype(int)]
-    image = gaussian_filter(other.values, blur * scale)
+    image = gaussian_filter(other.values, blur * _scale(affine))
     slopes = np.gradient(image)[::-1]  # along columns, along rows
     image, slopes = image / target.std(), [s / target.std() for s in slopes]
     target = target / target.std()
@@ -239,8 +229,7 @@ def _refined(affine, one, other, points, centre, radius, blur) -> np.ndarray:
     sizes = np.array([radius, radius, 1.0])
 
     def sampled(picture, parameters):
-        column, row = (parameters.reshape(2, 3) @ about.T).astype(np.float64)
-        return map_coordinates(picture, [row, column], order=1, mode="nearest")
+        return _sampled(picture, *(parameters.reshape(2, 3) @ about.T).astype(np.float64))
 
     start = (affine * sizes).ravel()
     keep = sampled(other.usable.astype(np.float32), start) > 0.99
@@ -263,18 +252,16 @@ def _refined(affine, one, other, points, centre, radius, blur) -> np.ndarray:
 
 
 def _resampled(second: Photograph, transform: np.ndarray, shape: tuple[int, int]):
-    scale = float(np.sqrt(abs(np.linalg.det(transform[:, :2]))))
     # Pixels of the second that are finer are averaged, as in skimage.transform.resize.
-    blur = max(0.0, (scale - 1) / 2)
+    blur = max(0.0, (_scale(transform) - 1) / 2)
     there = AffineTransform(np.vstack([transform, [0, 0, 1]]))
     brought = partial(warp, inverse_map=there, output_shape=shape, order=1, preserve_range=True)
-    pixels = np.empty((*shape, 3), np.float32)
-    for c in range(3):
-        channel = second.pixels[..., c]
-        pixels[..., c] = brought(gaussian_filter(channel, blur) if blur else channel)
+    channels = np.moveaxis(second.pixels, -1, 0)
+    pixels = [brought(gaussian_filter(c, blur) if blur else c) for c in channels]
     cut = binary_dilation(second.saturated, iterations=max(1, round(2 * blur)))
     # Beyond the second all is cut off.
-    return pixels, brought(cut.astype(np.float32), cval=1.0) <= 1e-4
+    valid = brought(cut.astype(np.float32), cval=1.0) <= 1e-4
+    return np.stack(pixels, -1).astype(np.float32), valid
 
 
 def _disagreement(
@@ -285,15 +272,13 @@ def _disagreement(
     step = max(1.0, a / 200)
     column, row = np.meshgrid(np.arange(x - a, x + a, step), np.arange(y - a, y + a, step))
     there = np.tensordot(transform, np.stack([column, row, np.ones_like(row)]), 1)
-    scale = float(np.sqrt(abs(np.linalg.det(transform[:, :2]))))
     blur = max(a / 150, step)
     pictures, usable = [], []
-    for texture, (at_column, at_row), size in ((one, (column, row), 1), (other, there, scale)):
+    for texture, at, size in ((one, (column, row), 1), (other, there, _scale(transform))):
         values = gaussian_filter(texture.values, blur * size)
-        at = [at_row, at_column]
-        pictures.append(map_coordinates(values, at, order=1, mode="nearest").astype(np.float32))
+        pictures.append(_sampled(values, *at).astype(np.float32))
         known = texture.usable.astype(np.float32)
-        usable.append(map_coordinates(known, at, order=1, cval=0.0) > 0.99)
+        usable.append(map_coordinates(known, at[::-1], order=1, cval=0.0) > 0.99)
     share = limbus.relative_radius(column, row)
     inside = usable[0] & usable[1] & (share > _ANNULUS[0]) & (share < _ANNULUS[1])
     if inside.sum() < 100:
