@@ -4,10 +4,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import scipy.fft
-from jaxtyping import Bool, Float, Shaped
+from jaxtyping import Float, Shaped
 from scipy import ndimage
 from scipy.interpolate import RectBivariateSpline
 
+from irisjax.photo.photograph import Brightness, Colours, Mask
 from irisjax.photo.pose import Pose, iris_points, project_iris_points
 from irisjax.render import environment
 
@@ -31,14 +32,12 @@ class Unrefracted(NamedTuple):
 
     Attributes:
         pixels: Linear values on sRGB's primaries.
-        valid: Texels that show the iris: not the pupil, and not hidden by lids, lashes or
-            highlights.
-        pupil_radius: In mm.
-        iris_radius: In mm.
+        valid: Texels that show the iris: neither pupil nor lids, lashes or highlights.
+        pupil_radius: In mm, as `iris_radius`.
     """
 
-    pixels: Float[np.ndarray, "size size 3"]
-    valid: Bool[np.ndarray, "size size"]
+    pixels: Colours
+    valid: Mask
     pupil_radius: float
     iris_radius: float
 
@@ -47,24 +46,36 @@ class Unrefracted(NamedTuple):
         """Width of a texel, mm."""
         return 2 * HALF_WIDTH / len(self.valid)
 
-    def radius(self) -> Float[np.ndarray, "size size"]:
+    def radius(self) -> Brightness:
         """Return the distance of the texels' middles from the axis, mm."""
-        x, y = self._places()
-        return np.hypot(x, y)
+        return texels_of(len(self.valid))[0]
 
-    def angle(self) -> Float[np.ndarray, "size size"]:
+    def angle(self) -> Brightness:
         """Return the angle of the texels' middles from +x towards +y, radians in (−π, π]."""
-        x, y = self._places()
-        return np.arctan2(y, x)
+        return texels_of(len(self.valid))[1]
 
-    def luminance(self) -> Float[np.ndarray, "size size"]:
+    def luminance(self) -> Brightness:
         """Return the linear luminance."""
         return self.pixels.astype(np.float32) @ LUMINANCE_WEIGHTS
 
-    def _places(self) -> tuple[np.ndarray, np.ndarray]:
-        size = len(self.valid)
-        along = ((np.arange(size) + 0.5) * (2 * HALF_WIDTH / size) - HALF_WIDTH).astype(np.float32)
-        return along[None, :], -along[:, None]
+    def to_polar(self, values: np.ndarray, shape: tuple[int, int] = MAP_SHAPE) -> np.ndarray:
+        """Return the means of values at the texels over polar cells, see `to_polar`."""
+        return to_polar(values, self.pupil_radius, self.iris_radius, shape)
+
+    def from_polar(self, values: Float[np.ndarray, "angles radii"]) -> Brightness:
+        """Return values of polar cells at the texels, linear between the middles of cells."""
+        angles, radii = values.shape
+        ring = np.concatenate([values[-1:], values, values[:1]]).astype(np.float32)
+        row = self.angle() % (2 * np.pi) * (angles / (2 * np.pi)) + 0.5
+        scale = radii / (self.iris_radius - self.pupil_radius)
+        return sampled(ring, row, (self.radius() - self.pupil_radius) * scale - 0.5)
+
+
+def texels_of(size: int) -> tuple[Brightness, Brightness]:
+    """Return radius (mm) and angle (radians) of the middles of the texels of a texture."""
+    along = ((np.arange(size) + 0.5) * (2 * HALF_WIDTH / size) - HALF_WIDTH).astype(np.float32)
+    x, y = along[None, :], -along[:, None]
+    return np.hypot(x, y), np.arctan2(y, x)
 
 
 class Gaussian:
@@ -92,20 +103,15 @@ class Gaussian:
 
 
 class Refraction(NamedTuple):
-    """Columns and rows at which texels appear in a part of a photograph, and whether they are
-    visible.
-    """
+    """Columns and rows at which texels appear in a part of a photograph, and which are visible."""
 
-    column: Float[np.ndarray, "size size"]
-    row: Float[np.ndarray, "size size"]
-    visible: Bool[np.ndarray, "size size"]
+    column: Brightness
+    row: Brightness
+    visible: Mask
 
     def pixels(self, texels: Any, shape: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
-        """Return rows and columns of the pixels in which texels appear.
-
-        Args:
-            texels: A mask, or indices of rows and columns.
-            shape: Rows and columns of the part.
+        """Return rows and columns of the pixels of a part of some `shape` in which texels appear,
+        given as a mask or as indices of rows and columns.
         """
         row, column = (
             np.clip(np.rint(v[texels]).astype(int), 0, n - 1)
@@ -114,75 +120,49 @@ class Refraction(NamedTuple):
         return row, column
 
 
-def follow_refraction(
-    pose: Pose, size: int = TEXTURE_SIZE, grid: tuple[int, int] = REFRACTION_GRID
-) -> Refraction:
+def follow_refraction(pose: Pose, size: int = TEXTURE_SIZE) -> Refraction:
     """Return where the texels of an iris appear in the picture of its camera  [F09 Eqs. 3, 4].
 
     The renderer finds where a point of the iris appears (`project_points`: Newton's method on the
-    path whose entry Fermat's principle selects). Here this is done on a polar grid of (angles,
-    radii) and interpolated by cubic splines.
+    path whose entry Fermat's principle selects). Here this is done on a polar grid and interpolated
+    by cubic splines.
     """
     eye = pose.eye
-    angles, radii = grid
+    angles, radii = REFRACTION_GRID
     reach = float(eye.iris_radius)
     turn = np.linspace(0, 2 * np.pi, angles, endpoint=False)
     # Closer together towards the root, where the cornea is steepest.
     radius = reach * np.sin(np.pi / 2 * np.linspace(0, 1, radii))
     points = iris_points(eye, np.outer(np.cos(turn), radius), np.outer(np.sin(turn), radius))
-    seen = project_iris_points(eye, pose.camera, points)
-    visible = seen.visible
+    column, row, visible = project_iris_points(eye, pose.camera, points)
     # Each line from the middle ends where the iris is no longer seen.
     last = np.where(visible, radius, 0).max(1)
-    nothing = np.zeros((size, size), bool)
-    texture = Unrefracted(np.zeros((size, size, 3), np.float32), nothing, 0.0, reach)
-    around, out = texture.angle() % (2 * np.pi), texture.radius()
-    pad = 4
-    wide = np.concatenate([turn[-pad:] - 2 * np.pi, turn, turn[:pad] + 2 * np.pi])
+    out, around = texels_of(size)
+    around = around % (2 * np.pi)
+    more = np.arange(-4, angles + 4)  # some lines twice: the splines are periodic
+    wide = turn[more % angles] + 2 * np.pi * (more // angles)
     where = []
-    for values in (seen.column, seen.row):
-        held = np.stack(
-            [_continued(v, radius, seen) for v, seen in zip(values, visible, strict=True)]
-        )
-        held = np.concatenate([held[-pad:], held, held[:pad]])
-        spline = RectBivariateSpline(wide, radius, held, kx=3, ky=3)
+    for values in (column, row):
+        lines = zip(values, visible, strict=True)
+        held = np.stack([_continued(line, radius, shown) for line, shown in lines])
+        spline = RectBivariateSpline(wide, radius, held[more % angles], kx=3, ky=3)
         where.append(spline.ev(around, np.minimum(out, reach)))
-    edge = np.interp(around, wide, np.concatenate([last[-pad:], last, last[:pad]]))
+    edge = np.interp(around, wide, last[more % angles])
     return Refraction(where[0], where[1], out < np.minimum(edge, reach))
 
 
-def unrefract(
-    pixels: Float[np.ndarray, "rows columns 3"],
-    clear: Bool[np.ndarray, "rows columns"],
-    pose: Pose,
-    where: Refraction,
-) -> Unrefracted:
-    """Return the texture of an iris from the part of a photograph that its camera shows.
+def unrefract(pixels: Colours, clear: Mask, pose: Pose, where: Refraction) -> Unrefracted:
+    """Return the texture of an iris from the part of a photograph that its camera shows, and from
+    the pixels there that are clear of highlights, lashes and lids.
 
     Values are interpolated linearly, so the photograph should not be finer than the texture.
-
-    Args:
-        pixels: Linear pixels of the camera's picture.
-        clear: Pixels that show the iris: no highlight, no lash, no lid.
-        pose: Result of `find_pose`.
-        where: Result of `follow_refraction`, which determines the texture's size.
     """
-    places = np.stack([where.row, where.column])
-    found = np.stack(
-        [
-            ndimage.map_coordinates(pixels[..., k], places, order=1, mode="nearest")
-            for k in range(3)
-        ],
-        -1,
-    ).astype(np.float32)
+    found = [sampled(c, where.row, where.column) for c in np.moveaxis(pixels, -1, 0)]
+    found = np.stack(found, -1).astype(np.float32)
     rows, columns = clear.shape
-    within = (
-        (where.row >= 0)
-        & (where.row <= rows - 1)
-        & (where.column >= 0)
-        & (where.column <= columns - 1)
-    )
-    sure = ndimage.map_coordinates(clear.astype(np.float32), places, order=1, mode="nearest")
+    within = (where.row >= 0) & (where.row <= rows - 1)
+    within &= (where.column >= 0) & (where.column <= columns - 1)
+    sure = sampled(clear.astype(np.float32), where.row, where.column)
     eye = pose.eye
     texture = Unrefracted(found, within, float(eye.pupil_radius), float(eye.iris_radius))
     radius, angle = texture.radius(), texture.angle()
@@ -193,11 +173,13 @@ def unrefract(
     return texture._replace(pixels=np.where(shown, found, np.float32(0)), valid=valid)
 
 
+def sampled(picture: Shaped[np.ndarray, "rows columns"], row: Any, column: Any) -> np.ndarray:
+    """Return a picture's values at rows and columns, interpolated linearly and constant beyond."""
+    return ndimage.map_coordinates(picture, np.stack([row, column]), order=1, mode="nearest")
+
+
 def to_polar(
-    values: Float[np.ndarray, "size size"],
-    pupil_radius: float,
-    iris_radius: float,
-    shape: tuple[int, int] = MAP_SHAPE,
+    values: Brightness, pupil_radius: float, iris_radius: float, shape: tuple[int, int] = MAP_SHAPE
 ) -> Float[np.ndarray, "angles radii"]:
     """Return means over polar cells of a texture without holes.
 
@@ -205,8 +187,7 @@ def to_polar(
     from +x towards +y, columns from the pupil's edge to the root; radii are in mm.
 
     Raises:
-        ValueError: If the radii are not those of an iris within the texture, or the shape is too
-            small.
+        ValueError: If radii or shape are not those of an iris within the texture.
     """
     if not 0 < pupil_radius < iris_radius <= HALF_WIDTH:
         raise ValueError(
@@ -227,68 +208,31 @@ def to_polar(
     weight = (weight / weight.sum(1, keepdims=True)).astype(np.float32)
     column = (np.cos(turn)[:, None] * place + HALF_WIDTH) / texel - 0.5
     row = (HALF_WIDTH - np.sin(turn)[:, None] * place) / texel - 0.5
-    samples = ndimage.map_coordinates(
-        values.astype(np.float32), np.stack([row, column]), order=1, mode="nearest"
-    )
+    samples = sampled(values.astype(np.float32), row, column)
     cells = samples.reshape(angles, fine[0], radii, fine[1]).mean(1)
     return np.einsum("arf,rf->ar", cells, weight)
 
 
-def from_polar(
-    values: Float[np.ndarray, "angles radii"],
-    radius: Float[np.ndarray, "*s"],
-    angle: Float[np.ndarray, "*s"],
-    pupil_radius: float,
-    iris_radius: float,
-) -> Float[np.ndarray, "*s"]:
-    """Return values of polar cells at distances from the axis (mm) and angles (radians), linear
-    between the cells' middles and constant beyond the first and last.
-    """
-    angles, radii = values.shape
-    ring = np.concatenate([values[-1:], values, values[:1]]).astype(np.float32)
-    row = np.asarray(angle) % (2 * np.pi) * (angles / (2 * np.pi)) + 0.5
-    column = (np.asarray(radius) - pupil_radius) * (radii / (iris_radius - pupil_radius)) - 0.5
-    return ndimage.map_coordinates(ring, np.stack([row, column]), order=1, mode="nearest")
-
-
 def fill_holes(
-    pixels: Float[np.ndarray, "rows columns ..."], holes: Bool[np.ndarray, "rows columns"]
+    pixels: Float[np.ndarray, "rows columns ..."], holes: Mask
 ) -> Float[np.ndarray, "rows columns ..."]:
     """Fill the holes of a picture smoothly from their surroundings; the rest stays exact.
 
     Means over ever larger squares, each without the holes, are interpolated linearly: a wide hole
-    takes the colours of a wide neighbourhood, in time proportional to the number of pixels. Values
-    lie between those outside.
-
-    Raises:
-        ValueError: If the picture has nothing but holes.
+    takes the colours of a wide neighbourhood. Values lie between those outside.
     """
     if holes.all():
         raise ValueError(f"all {holes.size} pixels are holes; there is nothing to fill them from")
     if not holes.any():
         return pixels.copy()
-    hole = holes[..., None]
-    layers = np.where(hole, 0, pixels.reshape(*holes.shape, -1)).astype(np.float32)
-    filled = _filled(layers, (~hole).astype(np.float32)).reshape(pixels.shape)
-    return np.where(holes.reshape(holes.shape + (1,) * (pixels.ndim - 2)), filled, pixels).astype(
-        pixels.dtype
-    )
+    hole, layers = holes[..., None], pixels.reshape(*holes.shape, -1)
+    filled = _filled(np.where(hole, 0, layers).astype(np.float32), (~hole).astype(np.float32))
+    return np.where(hole, filled, layers).astype(pixels.dtype).reshape(pixels.shape)
 
 
-def masked_mean(
-    values: Float[np.ndarray, "rows columns"], valid: Bool[np.ndarray, "rows columns"], sigma: float
-) -> Float[np.ndarray, "rows columns"]:
-    """Return the Gaussian-weighted mean of the valid texels around each texel.
-
-    It is the mean of all valid texels where every one of them is far.
-
-    Args:
-        values: The picture.
-        valid: Texels that count.
-        sigma: Standard deviation, in texels.
-
-    Raises:
-        ValueError: If no texel is valid.
+def masked_mean(values: Brightness, valid: Mask, sigma: float) -> Brightness:
+    """Return the mean of the valid texels around each texel, weighted by a Gaussian of standard
+    deviation `sigma` (texels); the mean of all valid ones where every one of them is far.
     """
     if not valid.any():
         raise ValueError("no texel is valid: there is nothing to take a mean of")
@@ -310,13 +254,9 @@ def _continued(values, radius, visible):
 
 
 def _filled(total: np.ndarray, known: np.ndarray) -> np.ndarray:
-    """Values whose sums over the known parts are `total`, filled where the known part is below
-    1.
-    """
-    if known.all():
-        return total / known
+    """Values whose sums over the known parts are `total`, filled where less than all is known."""
     rows, columns = known.shape[:2]
-    if rows == columns == 1:
+    if known.all() or rows == columns == 1:
         return total / known
     coarse = [_halved(x) for x in (total, known)]
     # A quarter known is enough for a square to count in full at the next level.

@@ -1,33 +1,22 @@
-"""Freckles, and thickness of the stroma from the brightness of a photograph: brighter is thicker
-[F09 Section 4.2].
-"""
+"""Freckles, and thickness of the stroma: what is brighter is thicker  [F09 Section 4.2]."""
 
 import math
 from typing import NamedTuple
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 import scipy.fft
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 from scipy import ndimage
 
 from irisjax.grow.procedural import stroma_profile
 from irisjax.measure.colour import srgb_encode
 from irisjax.numerics.checks import Range, check_range, check_whole
-from irisjax.photo.freckles import find_freckles
-from irisjax.photo.texture import (
-    MAP_SHAPE,
-    Gaussian,
-    Unrefracted,
-    fill_holes,
-    from_polar,
-    masked_mean,
-    to_polar,
-)
+from irisjax.photo.masks import find_freckles
+from irisjax.photo.photograph import Brightness, Mask
+from irisjax.photo.texture import MAP_SHAPE, Gaussian, Unrefracted, fill_holes, masked_mean
 from irisjax.tissue.maps import IrisMaps
 
-_Texels = Float[np.ndarray, "size size"]
 MEASURED = Range(2.25, 5.0, "mm")
 """Distances from the axis between which the iris's thickness was measured  [F09 Fig. 8]."""
 SIGMA = 0.5
@@ -77,8 +66,8 @@ class Darkness(NamedTuple):
     ratios: Float[np.ndarray, " shares"]
 
     def share(
-        self, seen: _Texels, around: _Texels, freckles: Bool[np.ndarray, "size size"], texel: float
-    ) -> _Texels:
+        self, seen: Brightness, around: Brightness, freckles: Mask, texel: float
+    ) -> Brightness:
         """Return the share of a freckle that makes luminance `around` as dark as the luminance
         `seen`, at most the greatest one.
         """
@@ -94,33 +83,30 @@ class Morphology(NamedTuple):
     Attributes:
         maps: `stroma_depth`, and `freckles` if there are any; the ABL is equally thick everywhere.
         freckles: Mask of texels.
-        filled: The texture without freckles, complete between pupil and root.
-        normalised: Pixel values less their mean [F09 Eq. 5]; 0 where the texture is not valid.
-        deconvolved: The same after deconvolution [F09 Eq. 6].
+        deconvolved: Pixel values less their mean [F09 Eq. 5] after deconvolution [F09 Eq. 6]; 0
+            where the texture is not valid.
         thickness: Thickness of the stroma, mm [F09 Eq. 7], complete.
         clamped: Number of valid texels whose thickness was outside the allowed range.
         sigma_mm: Width of the deconvolution.
     """
 
     maps: IrisMaps
-    freckles: Bool[np.ndarray, "size size"]
-    filled: Float[np.ndarray, "size size 3"]
-    normalised: Float[np.ndarray, "size size"]
-    deconvolved: Float[np.ndarray, "size size"]
-    thickness: Float[np.ndarray, "size size"]
+    freckles: Mask
+    deconvolved: Brightness
+    thickness: Brightness
     clamped: int
     sigma_mm: float
 
 
 def shape_maps(
     texture: Unrefracted,
-    freckles: Bool[np.ndarray, "size size"] | None = None,
+    freckles: Mask | None = None,
     *,
     sigma_mm: float = SIGMA,
     beta: float = BETA,
     response: float | None = None,
     slopes: tuple[float, float] = (0.0, 0.0),
-    shade: Bool[np.ndarray, "size size"] | None = None,
+    shade: Mask | None = None,
     darkness: Darkness | None = None,
     shape: tuple[int, int] = MAP_SHAPE,
 ) -> Morphology:
@@ -135,13 +121,8 @@ def shape_maps(
             the photograph is then taken as linear luminance.
         slopes: Shading by relief to be removed, see `unshade`; needs `response`.
         shade: Texels that lamps hardly reach; used with `response`.
-        darkness: Luminance of freckles, which gives their share; without it freckles are whole
-            ones.
+        darkness: Luminance of freckles, which gives their share; without it freckles are whole.
         shape: Angles and radii of the maps.
-
-    Raises:
-        ValueError: If the texture has no valid texel, the mask has another size, or a number is out
-            of range.
     """
     valid, texel = texture.valid, texture.millimetres_per_texel
     if freckles is None:
@@ -168,53 +149,45 @@ def shape_maps(
     normalised = np.maximum(normalised, np.float32(-0.99))
     deconvolved = deconvolve(normalised, shown, sigma_mm, texel)
     smooth = fill_holes(deconvolved, ~shown)
-    found, clamped = (
-        f09_thickness(radius, smooth, beta)
-        if response is None
-        else relative_thickness(radius, smooth, response)
-    )
-    rim = texture.pupil_radius, texture.iris_radius, shape
+    if response is None:
+        found, clamped = f09_thickness(radius, smooth, beta)
+    else:
+        found, clamped = relative_thickness(radius, smooth, response)
     spots = freckles.astype(np.float32)
     if darkness is not None:
         spots *= darkness.share(texture.luminance(), luminance, freckles, texel)
-    maps = IrisMaps(
-        stroma_depth=jnp.asarray(to_polar(found, *rim)),
-        freckles=_share(to_polar(spots, *rim)) if freckles.any() else None,
-    )
-    low = int((clamped & shown).sum())
-    return Morphology(maps, freckles, filled, normalised, deconvolved, found, low, sigma_mm)
+    maps = IrisMaps(stroma_depth=jnp.asarray(texture.to_polar(found, shape)))
+    if freckles.any():  # limited against the rounding of means
+        maps = maps.replace(freckles=jnp.asarray(np.clip(texture.to_polar(spots, shape), 0, 1)))
+    return Morphology(maps, freckles, deconvolved, found, int((clamped & shown).sum()), sigma_mm)
 
 
 def along_fibres(
-    contrast: Float[np.ndarray, "size size"],
-    valid: Bool[np.ndarray, "size size"],
-    texture: Unrefracted,
-    response: float,
-) -> Float[np.ndarray, "size size"]:
+    contrast: Brightness, valid: Mask, texture: Unrefracted, response: float
+) -> Brightness:
     """Return the contrast of luminance smoothed along the radius, less what an arc about the axis
     has in common beyond the whole ring; 0 where not valid.
 
     Fibres run along the radius, and the collarette all the way round. The shadows of lids and
     limbus and the caustics of the cornea run along the limbus on one side of it, and so does a
-    furrow, which is removed with the light; a round crypt 0.5 mm wide loses up to a quarter.
-
-    Args:
-        contrast: Contrast of linear luminance.
-        valid: Texels that count.
-        texture: The texture.
-        response: d ln luminance / d ln thickness. The share removed is the linear estimate of least
-            mean square error, `ARC_LIGHT`² / (`ARC_LIGHT`² + response²): 0.7 to 0.9 in a brown
-            iris, 0.6 in a blue one.
+    furrow, which is removed with the light; a round crypt 0.5 mm wide loses up to a quarter. The
+    share removed is the linear estimate of least mean square error, `ARC_LIGHT`² / (`ARC_LIGHT`² +
+    response²): 0.7 to 0.9 in a brown iris, 0.6 in a blue one.
     """
     inner, outer, texel = texture.pupil_radius, texture.iris_radius, texture.millimetres_per_texel
     angles = 64 * math.ceil(2 * math.pi * outer / texel / 64)  # Fourier transforms are fast
-    rim = inner, outer, (angles, max(2, math.ceil((outer - inner) / texel)))
-    cells = [to_polar(np.where(valid, v, np.float32(0)), *rim) for v in (contrast, valid)]
-    size = (outer - inner) / rim[2][1]
-    smooth = _ratio(*(_along(c, NOISE_WIDTH / size) for c in cells))
-    values, weights = (_along(c, ARC_WIDTH / size) for c in cells)
+    radii = max(2, math.ceil((outer - inner) / texel))
+    known = (np.where(valid, v, np.float32(0)) for v in (contrast, valid))
+    cells = [texture.to_polar(v, (angles, radii)) for v in known]
+    size = (outer - inner) / radii
+
+    def along_radius(width):
+        return [ndimage.gaussian_filter1d(c, width / size, mode="constant") for c in cells]
+
+    smooth = _ratio(*along_radius(NOISE_WIDTH))
+    values, weights = along_radius(ARC_WIDTH)
     ring = _ratio(values.sum(0), weights.sum(0))
-    radius = inner + size * (np.arange(rim[2][1]) + 0.5)
+    radius = inner + size * (np.arange(radii) + 0.5)
     frequency = np.arange(angles // 2 + 1, dtype=np.float32)[:, None]
     transfer = np.exp(-0.5 * (frequency * (ARC_LENGTH / radius).astype(np.float32)) ** 2)
 
@@ -225,11 +198,11 @@ def along_fibres(
     weight = over_arcs(weights)
     arc = np.where(weight < _LEAST_ARC_WEIGHT, 0, _ratio(over_arcs(values), weight) - ring)
     share = np.float32(ARC_LIGHT**2 / (ARC_LIGHT**2 + response**2))
-    found = from_polar(smooth - share * arc, texture.radius(), texture.angle(), inner, outer)
+    found = texture.from_polar(smooth - share * arc)
     return np.where(valid, found, np.float32(0)).astype(np.float32)
 
 
-def generic_thickness(radius: Float[np.ndarray, "..."]) -> Float[np.ndarray, "..."]:
+def generic_thickness(radius: np.ndarray) -> np.ndarray:
     """Return the stroma's thickness (mm) of an average iris at distances from the axis (mm)  [F09
     Section 4.2.1].
 
@@ -242,7 +215,7 @@ def generic_thickness(radius: Float[np.ndarray, "..."]) -> Float[np.ndarray, "..
     return np.asarray(stroma_profile(jnp.asarray((within - 2.0) / 3.5)))
 
 
-def encoded_intensity(relative: _Texels) -> _Texels:
+def encoded_intensity(relative: Brightness) -> Brightness:
     """Return the pixel values of a photograph whose surroundings are exposed to mid-grey; 0.46
     where `relative` luminance is 1.
 
@@ -254,26 +227,20 @@ def encoded_intensity(relative: _Texels) -> _Texels:
 
 
 def relative_luminance(
-    luminance: _Texels,
-    valid: Bool[np.ndarray, "size size"],
-    width_mm: float,
-    millimetres_per_texel: float,
-) -> _Texels:
+    luminance: Brightness, valid: Mask, width_mm: float, texel: float
+) -> Brightness:
     """Return linear luminance over its mean around each texel; 1 where not valid or black.
 
     So the thickness depends neither on the exposure nor on a shadow that falls across the eye.
     """
-    around = masked_mean(luminance, valid, width_mm / millimetres_per_texel)
+    around = masked_mean(luminance, valid, width_mm / texel)
     known = valid & (around > 1e-6)
     return np.where(known, luminance / np.where(known, around, 1), 1).astype(np.float32)
 
 
 def local_contrast(
-    luminance: _Texels,
-    valid: Bool[np.ndarray, "size size"],
-    shade: Bool[np.ndarray, "size size"] | None,
-    millimetres_per_texel: float,
-) -> _Texels:
+    luminance: Brightness, valid: Mask, shade: Mask | None, texel: float
+) -> Brightness:
     """Return the contrast of linear luminance to its mean around each texel; 0 where not valid.
 
     Texels in the `shade`, where lamps hardly reach, and those beside it are compared each with
@@ -283,47 +250,35 @@ def local_contrast(
     whole = np.zeros(valid.shape, np.float32)
     kinds = (valid & ~shade, WIDTH, 1.0), (shade, SHADE_WIDTH, SHADE_SHARE)
     for kind, width, share in kinds:
-        if not kind.any():
-            continue
-        relative = relative_luminance(luminance, kind, width, millimetres_per_texel)
-        found = local_normalisation(relative, kind, width, millimetres_per_texel)
-        whole[kind] = np.float32(share) * found[kind]
+        if kind.any():
+            relative = relative_luminance(luminance, kind, width, texel)
+            found = local_normalisation(relative, kind, width, texel)
+            whole[kind] = np.float32(share) * found[kind]
     return whole
 
 
 def local_normalisation(
-    values: _Texels,
-    valid: Bool[np.ndarray, "size size"],
-    width_mm: float,
-    millimetres_per_texel: float,
-) -> _Texels:
+    values: Brightness, valid: Mask, width_mm: float, texel: float
+) -> Brightness:
     """Return `values` less their mean around each texel; 0 where not valid  [F09 Eq. 5].
 
     The neighbourhood is a Gaussian of standard deviation `width_mm`; only valid texels count.
     """
     check_range("width_mm", width_mm, Range(0, np.inf, "mm", above=True))
-    mean = masked_mean(values, valid, width_mm / millimetres_per_texel)
+    mean = masked_mean(values, valid, width_mm / texel)
     return np.where(valid, values - mean, np.float32(0)).astype(np.float32)
 
 
 def deconvolve(
-    normalised: _Texels,
-    valid: Bool[np.ndarray, "size size"],
-    sigma_mm: float,
-    millimetres_per_texel: float,
-    iterations: int = ITERATIONS,
-) -> _Texels:
+    normalised: Brightness, valid: Mask, sigma_mm: float, texel: float, iterations: int = ITERATIONS
+) -> Brightness:
     """Sharpen a texture by Richardson's and Lucy's method with a Gaussian of `sigma_mm`  [F09 Eq.
     6].
 
     The method needs positive values: an offset of 1 is added and removed again. It starts from the
     texture itself, so details finer than the Gaussian are kept. Texels that are not valid are
     filled first and then left out of the comparison. The mean over the valid ones is kept; the
-    result is 0 elsewhere. `sigma_mm` 0 changes nothing. scikit-image's version has neither a mask
-    nor a start.
-
-    Raises:
-        ValueError: If values are −1 or below, or a width or count is out of range.
+    result is 0 elsewhere. scikit-image's version has neither a mask nor a start.
     """
     check_range("sigma_mm", sigma_mm, Range(0, 2, "mm"))
     check_whole("iterations", iterations, 0, 1000)
@@ -332,8 +287,8 @@ def deconvolve(
         raise ValueError("no texel is valid: there is nothing to deconvolve")
     if sigma_mm == 0 or iterations == 0:
         return np.where(valid, normalised, np.float32(0))
-    sigma = sigma_mm / millimetres_per_texel
-    box = tuple(_extent(np.any(valid, axis=axis)) for axis in (1, 0))
+    sigma = sigma_mm / texel
+    (box,) = ndimage.find_objects(valid.astype(np.uint8))
     shown, wide = valid[box], int(np.ceil(3 * sigma))
     around = np.pad(shown, wide)
     # The tissue continues beyond the visible part: without it the edges would seem dark.
@@ -354,33 +309,24 @@ def deconvolve(
 
 
 def f09_thickness(
-    radius: _Texels, deconvolved: _Texels, beta: float = BETA
-) -> tuple[_Texels, Bool[np.ndarray, "size size"]]:
-    """Return the stroma's thickness (mm), and which texels were clamped to `THINNEST`  [F09 Eq.
-    7].
-    """
+    radius: Brightness, deconvolved: Brightness, beta: float = BETA
+) -> tuple[Brightness, Mask]:
+    """Return the thickness (mm), and the texels that were clamped to `THINNEST`  [F09 Eq. 7]."""
     check_range("beta", beta, Range(0, 5, "mm"))
     found = generic_thickness(radius) + np.float32(beta) * deconvolved
     return np.maximum(found, np.float32(THINNEST)), found < THINNEST
 
 
 def relative_thickness(
-    radius: _Texels, contrast: _Texels, response: float
-) -> tuple[_Texels, Bool[np.ndarray, "size size"]]:
+    radius: Brightness, contrast: Brightness, response: float
+) -> tuple[Brightness, Mask]:
     """Return, in place of Eq. 7, the generic thickness times (1 + contrast)^g, g = response /
-    (response² + `OTHER`²).
+    (response² + `OTHER`²), and the texels that were clamped.
 
     If all contrast came from thickness, g would be 1 / response. This is the linear estimate of
-    least mean square error, which gives little where thickness hardly shows.
-
-    Args:
-        radius: Distance from the axis, mm.
-        contrast: Contrast of linear luminance to the surroundings.
-        response: d ln luminance / d ln thickness of the model (ILIT: 0.6 for a blue iris, 0.5 for a
-            green one, 0.2 to 0.3 for a brown one); F09's β corresponds to about 5.
-
-    Returns:
-        The thickness (mm), and which texels were clamped.
+    least mean square error, which gives little where thickness hardly shows. The response is d ln
+    luminance / d ln thickness of the model (ILIT: 0.6 for a blue iris, 0.5 for a green one, 0.2 to
+    0.3 for a brown one); F09's β corresponds to about 5.
     """
     check_range("response", response, _RESPONSES)
     power = response / (response**2 + OTHER**2)
@@ -391,27 +337,16 @@ def relative_thickness(
 
 
 def unshade(
-    contrast: _Texels,
-    valid: Bool[np.ndarray, "size size"],
-    slopes: tuple[float, float],
-    response: float,
-    millimetres_per_texel: float,
-) -> _Texels:
+    contrast: Brightness, valid: Mask, slopes: tuple[float, float], response: float, texel: float
+) -> Brightness:
     """Return the contrast of linear luminance without the shading by relief.
 
     Light from aside brightens what rises towards it, so a picture contains the thickness and its
     derivative. To first order contrast is `response` h / T + s · ∇h, h being the deviation from the
-    mean thickness T; in Fourier space that is one factor, which is divided out.
-
-    Args:
-        contrast: Contrast of linear luminance.
-        valid: Texels that count.
-        slopes: s along x and y, mm per mm: minus the share of the unevenness that stands out
-            towards the cornea (0.3 in `procedural`) times the lights' horizontal over their
-            vertical components, in the chamber, means weighted by irradiance. (0, 0) changes
-            nothing.
-        response: d ln luminance / d ln thickness.
-        millimetres_per_texel: Width of a texel.
+    mean thickness T; in Fourier space that is one factor, which is divided out. The slopes s along
+    x and y (mm per mm) are minus the share of the unevenness that stands out towards the cornea
+    (0.3 in `procedural`) times the lights' horizontal over their vertical components in the
+    chamber, means weighted by irradiance.
     """
     check_range("slopes", slopes, Range(-2, 2))
     check_range("response", response, _RESPONSES)
@@ -421,33 +356,17 @@ def unshade(
     response = math.copysign(max(abs(response), _LEAST_RESPONSE), response)
     known = np.where(valid, contrast, np.float32(0))
     shape = [scipy.fft.next_fast_len(n + n // 8, real=True) for n in valid.shape]
-    up = -scipy.fft.fftfreq(shape[0], millimetres_per_texel).astype(np.float32)[:, None]
-    right = scipy.fft.rfftfreq(shape[1], millimetres_per_texel).astype(np.float32)
+    up = -scipy.fft.fftfreq(shape[0], texel).astype(np.float32)[:, None]
+    right = scipy.fft.rfftfreq(shape[1], texel).astype(np.float32)
     of_height = np.float32(response / TYPICAL)
     along = np.float32(2 * np.pi) * (np.float32(slopes[0]) * right + np.float32(slopes[1]) * up)
     factor = of_height + np.complex64(1j) * along
-    flat = np.asarray(scipy.fft.rfft2(known, shape)) * (of_height / factor)
-    found = np.asarray(scipy.fft.irfft2(flat, shape))[: valid.shape[0], : valid.shape[1]]
+    spectrum = np.asarray(scipy.fft.rfft2(known, shape)) * (of_height / factor)
+    found = np.asarray(scipy.fft.irfft2(spectrum, shape))[: valid.shape[0], : valid.shape[1]]
     return np.where(valid, found, np.float32(0))
-
-
-def _share(values: np.ndarray) -> jax.Array:
-    """Values limited to [0, 1] against the rounding of means."""
-    return jnp.asarray(np.clip(values, 0, 1))
-
-
-def _along(cells: np.ndarray, sigma: float) -> np.ndarray:
-    """Convolve with a Gaussian along the radius; `sigma` is in cells."""
-    return ndimage.gaussian_filter1d(cells, sigma, axis=1, mode="constant")
 
 
 def _ratio(values: np.ndarray, weights: np.ndarray) -> np.ndarray:
     """Means by their weights; 0 where there is no weight."""
     none = weights < _LEAST_ARC_WEIGHT
     return np.where(none, 0, values / np.where(none, 1, weights))
-
-
-def _extent(line) -> slice:
-    """The range from the first to the last true element."""
-    where = np.flatnonzero(line)
-    return slice(int(where[0]), int(where[-1]) + 1)
