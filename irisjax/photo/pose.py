@@ -6,7 +6,7 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 import scipy.optimize
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 from numpy.typing import ArrayLike
 from scipy import special
 
@@ -36,14 +36,8 @@ together. The error of measured outlines hardly adds to it: 0.003 if lids hide h
 """
 _PEOPLE = [0, 2, 2, 0, 0, 4, 5, 12, 19, 23, 36, 44, 52, 41]
 _PEOPLE += [39, 37, 43, 30, 28, 12, 15, 10, 4, 1, 0, 2, 0]
-LIMBUS_RADII = tuple(
-    (d / 2, n)
-    for d, n in zip(
-        np.linspace(10.5, 13.1, 27).round(1).tolist(),
-        _PEOPLE,
-        strict=True,
-    )
-)
+_DIAMETERS = np.linspace(10.5, 13.1, len(_PEOPLE)).round(1).tolist()
+LIMBUS_RADII = tuple((d / 2, n) for d, n in zip(_DIAMETERS, _PEOPLE, strict=True))
 """Radii of the visible iris (mm) and how many of 461 people have them, as collected by gkaModelEye
 (MIT).
 """
@@ -60,6 +54,8 @@ USUAL_DISTANCE = 300.0
 """Distance of the camera, mm, if no focal length is known: perspective hardly depends on it."""
 _POINTS = 48
 _STEEPEST = 1.0  # of a tilt's components, radians
+_MARGIN = 1.15  # half the side of the part that is cut out, over the limbus's larger semi-axis
+_MOST_STEPS = 60  # of the fit; it takes 5 to 20 of outlines that an eye may have
 
 
 class Pose(NamedTuple):
@@ -75,7 +71,6 @@ class Pose(NamedTuple):
         tilt_interval: Interval that holds 95 % of the tilts.
         distance: Distance to the limbus, mm; `None` without a focal length.
         side: What determines to which side the eye is tilted, `"pupil"` or `"given"`.
-        residual: Root mean square distance from the limbus's outline, relative to its radius.
     """
 
     camera: Camera
@@ -87,15 +82,6 @@ class Pose(NamedTuple):
     tilt_interval: tuple[float, float]
     distance: float | None
     side: str
-    residual: float
-
-
-class PicturePlaces(NamedTuple):
-    """Where points appear in a camera's picture: columns, rows, and whether they are visible."""
-
-    column: Float[np.ndarray, "*s"]
-    row: Float[np.ndarray, "*s"]
-    visible: Bool[np.ndarray, "*s"]
 
 
 def limbus_spread() -> tuple[float, float]:
@@ -113,7 +99,6 @@ def find_pose(
     eye: Eye,
     *,
     focal_px: float | None = None,
-    margin: float = 1.15,
     azimuth: float | None = None,
 ) -> Pose:
     """Find the pose of an eye from its outlines  [F09 Eqs. 1, 2].
@@ -127,21 +112,18 @@ def find_pose(
         limbus: Outline of the cornea, in pixels of the photograph.
         pupil: Outline of the pupil as it appears through the cornea.
         eye: The eye apart from its pupil.
-        focal_px: Focal length in pixels; without one the camera is `USUAL_DISTANCE` away and the
-            distance is not known.
-        margin: Half the side of the part that is cut out, over the limbus's larger semi-axis.
+        focal_px: Focal length in pixels; without one the camera is `USUAL_DISTANCE` away.
         azimuth: Azimuth of the camera as seen from the eye (radians, from the picture's right to
             its top), if the side of the tilt is known.
-
-    Raises:
-        ValueError: If the pupil does not lie on the iris of such an eye, or the distance is
-            impossible.
     """
     ratio = min(limbus.semi_axes[1] / limbus.semi_axes[0], 1.0)
     radius_mm = float(eye.limbus_radius)
-    known = focal_px is not None
     distance = radius_mm * focal_px / limbus.semi_axes[0] if focal_px else USUAL_DISTANCE
-    _check_distance(distance)
+    if not 30 <= distance <= 1e5:
+        raise ValueError(
+            f"the focal length puts the camera {distance:g} mm from the eye; from 30 mm to 100 m "
+            "are possible"
+        )
     tilt = np.arccos(ratio)  # [F09 Eq. 1]
     # A camera's distance is measured from the pupil, the paper's from the limbus in front of it.
     behind = (float(eye.iris_depth) - float(_limbus_height(eye))) * ratio
@@ -153,61 +135,49 @@ def find_pose(
     pixels_per_mm = limbus.semi_axes[0] / radius_mm  # [F09 Eq. 2]
     x, y = limbus.centre
 
-    def parts(v):
-        return {"polar": np.hypot(*v[:2]), "azimuth": np.arctan2(v[1], v[0])}
+    def seen_from(v, width, size) -> Camera:
+        polar, azimuth, away = np.hypot(*v[:2]), np.arctan2(v[1], v[0]), distance + behind
+        return Camera(*cast(Any, (polar, azimuth, away, width)), size)
 
     def residuals(v):
         open_ = eye.replace(pupil_radius=jnp.asarray(np.clip(v[5], *PUPIL_RADII), float))
-        rim, hole = (np.asarray(p) for p in _outlines(open_, _square(parts(v), distance + behind)))
+        # With pixels of one millimetre.
+        rim, hole = (np.asarray(p) for p in _outlines(open_, seen_from(v, 2.0, (2, 2))))
         scale = np.exp(v[4]) * pixels_per_mm
         edge, inner = (ellipse_through(v[2:4] + scale * p) for p in (rim, hole))
-        larger = [
-            np.log(np.prod(own.semi_axes) / np.prod(seen.semi_axes)) / (2 * SHARP)
-            for own, seen in ((edge, limbus), (inner, pupil))
-        ]
+        pairs = (edge, limbus, LIMBUS_OVAL), (inner, pupil, PUPIL_OVAL)
+        flatter = [(own.flattening - seen.flattening) / sd for own, seen, sd in pairs]
+        sizes = [np.prod(own.semi_axes) / np.prod(seen.semi_axes) for own, seen, _ in pairs]
         middle = (np.array(edge.centre) - limbus.centre) / (SHARP * limbus.semi_axes[0])
         aside = (np.array(inner.centre) - pupil.centre) / (scale * DECENTRED)
-        flatter = (
-            (edge.flattening - limbus.flattening) / LIMBUS_OVAL,
-            (inner.flattening - pupil.flattening) / PUPIL_OVAL,
-        )
+        larger = np.log(sizes) / (2 * SHARP)
         return np.concatenate([*flatter, middle, larger, aside * (azimuth is None)])
 
     # The cornea magnifies the pupil by about 1.13.
     opening = np.clip(pupil.semi_axes[0] / pixels_per_mm / 1.13, *PUPIL_RADII)
     start = min(max(tilt, 0.05), 0.9 * _STEEPEST)
-    found = min(
-        (
-            scipy.optimize.least_squares(
-                residuals,
-                [start * np.cos(a), start * np.sin(a), x, y, 0.0, opening],
-                x_scale=[0.1, 0.1, 1.0, 1.0, 0.01, 0.1],
-                diff_step=1e-5,
-                bounds=([-_STEEPEST] * 2 + [-np.inf] * 4, [_STEEPEST] * 2 + [np.inf] * 4),
-            )
-            for a in sides
-        ),
-        key=lambda f: f.cost,
-    )
+    most = np.array([_STEEPEST] * 2 + [np.inf] * 4)
+
+    def fit(a):
+        return scipy.optimize.least_squares(
+            residuals,
+            [start * np.cos(a), start * np.sin(a), x, y, 0.0, opening],
+            x_scale=[0.1, 0.1, 1.0, 1.0, 0.01, 0.1],
+            diff_step=1e-5,
+            bounds=(-most, most),
+            max_nfev=_MOST_STEPS,
+        )
+
+    found = min(map(fit, sides), key=lambda f: f.cost)
     v, tilt = found.x, float(np.hypot(*found.x[:2]))
     tilt_sd, interval = tilts_allowed(tilt)
     scale = float(np.exp(v[4]) * pixels_per_mm)
-    rim = np.asarray(_outlines(eye, _square(parts(v), distance + behind))[0])
-    off = limbus.relative_radius(*(v[2:4] + scale * rim).T) - 1
-    half = int(np.ceil(margin * limbus.semi_axes[0]))
+    half = int(np.ceil(_MARGIN * limbus.semi_axes[0]))
     # Whole pixels: the middle of the camera's picture lies within half of one of the eye's.
     corner = int(np.round(v[2])) - half, int(np.round(v[3])) - half
     size = 2 * half + 1
-    camera = Camera(
-        distance=cast(Any, distance + behind),
-        width=cast(Any, size / scale),
-        size=(size, size),
-        **parts(v),
-    )
-    moved = pupil._replace(
-        centre=(pupil.centre[0] - (v[2] - half), pupil.centre[1] - (v[3] - half))
-    )
-    centre, radius = _pupil_on_iris(eye, camera, moved)
+    camera = seen_from(v, size / scale, (size, size))
+    centre, radius = _pupil_on_iris(eye, camera, pupil.moved(half - v[2], half - v[3]))
     return Pose(
         camera,
         corner,
@@ -216,32 +186,29 @@ def find_pose(
         tilt,
         tilt_sd,
         interval,
-        distance if known else None,
+        None if focal_px is None else distance,
         "pupil" if azimuth is None else "given",
-        float(np.sqrt((off**2).mean())),
     )
 
 
 def iris_points(eye: Eye, x: ArrayLike, y: ArrayLike) -> Float[np.ndarray, "*s 3"]:
     """Return points of the iris above places x, y (mm)."""
-    slope = 0.0 if eye.iris_slope is None else float(eye.iris_slope)
     x, y = np.asarray(x, np.float64), np.asarray(y, np.float64)
+    slope = 0.0 if eye.iris_slope is None else float(eye.iris_slope)
     return np.stack([x, y, float(eye.iris_depth) + slope * np.hypot(x, y)], -1)
 
 
 def project_iris_points(
     eye: Eye, camera: Camera, points: Float[np.ndarray, "*s 3"]
-) -> PicturePlaces:
-    """Project points of the iris (mm) into a camera's picture, by `project_points`."""
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return the columns and rows in which points of the iris (mm) appear, and whether they do."""
     # A camera of one size for all photographs, so that one compiled program serves them all.
     same = Camera(camera.polar, camera.azimuth, camera.distance, cast(Any, 2.0), (2, 2))
     found = _seen(eye, same, jnp.asarray(points))
     (columns, rows), pitch = camera.size, float(camera.width) / camera.size[0]
-    return PicturePlaces(
-        (np.asarray(found.column) - 0.5) / pitch + columns / 2 - 0.5,
-        (np.asarray(found.row) - 0.5) / pitch + rows / 2 - 0.5,
-        np.asarray(found.visible),
-    )
+    column = (np.asarray(found.column) - 0.5) / pitch + columns / 2 - 0.5
+    row = (np.asarray(found.row) - 0.5) / pitch + rows / 2 - 0.5
+    return column, row, np.asarray(found.visible)
 
 
 def tilts_allowed(
@@ -254,9 +221,8 @@ def tilts_allowed(
     whose direction is twice the axis's angle; each component has the standard deviation
     `flattening_sd`. The observed length of such a vector follows Rice's distribution. If every
     direction of the camera is equally likely, so is every q (nearly, below 40 degrees), and the
-    interval is the shortest one in q that holds 95 %. It is not linearised, because the slope of
-    the arc cosine has no bound at 0: an eye that looks into the camera has an interval from 0 to 17
-    degrees, one at 30 degrees of 4 to each side.
+    interval is the shortest one in q that holds 95 %: 0 to 17 degrees for an eye that looks into
+    the camera, 4 to each side at 30 degrees.
     """
     seen = -np.log(np.cos(tilt))
     q = np.linspace(max(seen - 6 * flattening_sd, 0.0), seen + 6 * flattening_sd, 4001)
@@ -274,19 +240,6 @@ def tilts_allowed(
     return float(sd), (low, high)
 
 
-def _check_distance(distance: float) -> None:
-    if not 30 <= distance <= 1e5:
-        raise ValueError(
-            f"the focal length puts the camera {distance:g} mm from the eye; from 30 mm to 100 m "
-            "are possible"
-        )
-
-
-def _square(parts, distance: float) -> Camera:
-    """A camera with pixels of one millimetre and the eye's middle in its corner."""
-    return Camera(distance=cast(Any, distance), width=cast(Any, 2.0), size=(2, 2), **parts)
-
-
 @eqx.filter_jit
 def _outlines(eye: Eye, camera: Camera):
     """Limbus and pupil in mm at the eye, as columns and rows from the middle of the pupil."""
@@ -302,10 +255,7 @@ def _outlines(eye: Eye, camera: Camera):
     points = joined((r * jnp.cos(some), r * jnp.sin(some), height))
     hole = project_points(IrisSurface(eye), camera, points)
     # The middle of a picture of two pixels lies between them.
-    return (
-        jnp.stack(rim, -1) - 0.5,
-        jnp.stack([hole.column, hole.row], -1) - 0.5,
-    )
+    return jnp.stack(rim, -1) - 0.5, jnp.stack([hole.column, hole.row], -1) - 0.5
 
 
 def _limbus_height(eye: Eye):
@@ -324,9 +274,8 @@ def _pupil_on_iris(eye: Eye, camera: Camera, pupil: Ellipse):
     centre, towards = np.zeros(2), (np.cos(turn), np.sin(turn))
     for _ in range(2):
         x, y = (c + np.outer(d, radius) for c, d in zip(centre, towards, strict=True))
-        seen = project_iris_points(eye, camera, iris_points(eye, x, y))
-        place = pupil.relative_radius(seen.column, seen.row)
-        place = np.where(seen.visible, place, np.inf)
+        column, row, visible = project_iris_points(eye, camera, iris_points(eye, x, y))
+        place = np.where(visible, pupil.relative_radius(column, row), np.inf)
         if not ((place[:, 0] < 1) & (place[:, -1] > 1)).all():
             raise ValueError(
                 "the pupil's outline is not within the iris of such an eye; check both outlines"
@@ -343,7 +292,7 @@ def _pupil_on_iris(eye: Eye, camera: Camera, pupil: Ellipse):
             f"the outlines make the pupil's radius {found:.2f} mm; it must be within "
             f"{low:g} to {high:g} mm"
         )
-    return (float(centre[0]), float(centre[1])), found
+    return tuple(centre), found
 
 
 @eqx.filter_jit
