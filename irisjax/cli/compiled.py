@@ -60,7 +60,7 @@ PROGRAMS: dict[str, tuple[str, ...]] = {
     "ocularist.matching": ("_residuals", "_jacobian", "_costs", "_best"),
     "ocularist.mixing": ("_blended",),
     "ocularist.plan": ("_delta", "_unrolled"),
-    "photo.pigments": ("_searched", "_matched", "_downhill", "_rms_of"),
+    "photo.pigments": ("_searched", "_matched", "_downhill", "_rms"),
     "photo.pose": ("_outlines", "_seen"),
     "photo.posterior": ("_totals_and_slope", "_drawn", "_density"),
     "photo.windows": ("_matrix",),

@@ -1,5 +1,4 @@
-"""Pigments from the colours of windows: least squares, and F09's simplex  [F09 Section 5.2, Eqs.
-13, 14].
+"""Pigments from the colours of windows: least squares, F09's simplex  [F09 Eqs. 13, 14].
 
 A photograph is light times an unknown exposure, through a camera of unknown white balance and
 contrast. These are free beside the four concentrations, which they make less certain. Other errors
@@ -72,8 +71,7 @@ class PigmentFit(NamedTuple):
         values: Values by name.
         z: The same as standard normal numbers of their priors.
         covariance: Covariance of `z` in normal approximation.
-        rms: Root mean square of the logarithms of photograph over model in the windows, per
-            channel.
+        rms: Root mean square of ln photograph over model in the windows, per channel.
         steps: Number of steps.
         converged: Whether the search ended by itself.
         log: Course of the search, a row of numbers by name for each turn.
@@ -87,16 +85,19 @@ class PigmentFit(NamedTuple):
     converged: bool
     log: tuple[dict[str, float], ...] = ()
 
+    def iris(self, base: Iris) -> Iris:
+        """Return the iris of these pigments."""
+        values = {name: jnp.asarray(value) for name, value in self.values.items()}
+        return iris_of_concentrations(values, base)
+
 
 def parameter_values(z: Float[Array | np.ndarray, " free"]) -> dict[str, Any]:
     """Return the parameters, by name, of standard normal numbers (free,)."""
     return {name: prior.value(z[i]) for i, (name, prior) in enumerate(PRIORS.items())}
 
 
-def predicted_colours(
-    values: dict[str, Any], windows: Windows, base: Iris
-) -> Float[Array, "windows 3"]:
-    """Return the linear values of a photograph of the iris in each window."""
+def predicted_colours(values: dict[str, Any], windows: Windows, base: Iris) -> Array:
+    """Return the linear values of a photograph of the iris, (windows, 3)."""
     return _taken(values, windows.radiance(iris_of_concentrations(values, base), values["room"]))
 
 
@@ -108,39 +109,32 @@ def log_posterior(z: Float[Array, " free"], windows: Windows, base: Iris) -> Sca
 
 
 def fit_pigments(windows: Windows, base: Iris, steps: int = 60) -> PigmentFit:
-    """Fit the pigments by least squares through the differentiable renderer; the best of a few
-    starts.
+    """Fit the pigments by least squares through the differentiable renderer, from a few starts.
 
     Steps of Levenberg and Marquardt alternate with estimates of the covariances of the errors.
     """
     free = [i for i, n in enumerate(FREE_NAMES) if n != "room" or windows.room is not None]
     starts = np.zeros((len(_STARTS), len(free)))
     starts[:, : len(CONCENTRATIONS)] = _STARTS
-    (found, log_density), (taken, ended), covariance = _searched(
-        jnp.asarray(starts), windows, base, tuple(free), steps
-    )
+    made = _searched(jnp.asarray(starts), windows, base, tuple(free), steps)
+    (found, log_density), (taken, ended), covariance = made
     best = int(np.nanargmax(np.asarray(log_density[:, -1])))
-    z = np.zeros(len(FREE_NAMES))
-    z[free] = np.asarray(found[best, -1])
+    z = np.zeros((len(starts), _TURNS, len(FREE_NAMES)))
+    z[..., free] = np.asarray(found)
     spread = np.eye(len(FREE_NAMES))
     spread[np.ix_(free, free)] = np.asarray(covariance[best])
     log = []
     for start, turn in np.ndindex(len(starts), _TURNS):
-        there = np.zeros(len(FREE_NAMES))
-        there[free] = np.asarray(found[start, turn])
-        counted = {"start": start + 1, "turn": turn + 1, "steps": taken[start, turn]}
-        row = (
-            counted
-            | {"log_density": log_density[start, turn]}
-            | parameter_values(jnp.asarray(there))
-        )
-        log.append({name: float(v) for name, v in row.items()})
-    return _fit(z, spread, windows, base, int(np.sum(taken)), bool(ended[best, -1]), log)
+        row = {"start": start + 1, "turn": turn + 1, "steps": taken[start, turn]}
+        row |= {"log_density": log_density[start, turn]}
+        log.append(_numbers(row | parameter_values(jnp.asarray(z[start, turn]))))
+    steps, ended = int(np.sum(taken)), bool(ended[best, -1])
+    return _fit(z[best, -1], spread, windows, base, steps, ended, log)
 
 
 def exposures_for(fit: PigmentFit, windows: Windows, base: Iris) -> Float[np.ndarray, "3"]:
-    """Return the exposures of the channels with which the model's windows are on average as bright
-    as the photograph's, for windows of other maps than those of the fit.
+    """Return the exposures of the channels with which windows, of other maps than those of the fit,
+    are on average as bright as the photograph's.
     """
     return np.asarray(_matched(jnp.asarray(fit.z), windows, base))
 
@@ -179,45 +173,31 @@ def simplex(windows: Windows, base: Iris, steps: int = 50) -> PigmentFit:
     """
     log: list[dict[str, float]] = []
     z = np.zeros(len(FREE_NAMES))
-    ratios = np.full(2, PHEOMELANIN_PER_EUMELANIN)
-    eumelanin = np.array(
-        [PRIORS["abl_eumelanin"].value(0.0), PRIORS["stroma_eumelanin"].value(0.0)]
-    )
+    medians = [PRIORS[name].value(0.0) for name in ("abl_eumelanin", "stroma_eumelanin")]
+    # Logarithms of the eumelanins, and of the ratios.
+    found = [jnp.log(jnp.asarray(v, float)) for v in (medians, [PHEOMELANIN_PER_EUMELANIN] * 2)]
     taken, ended = 0, True
-    for stage in ("eumelanin", "ratios"):
-        start = jnp.log(jnp.asarray(eumelanin if stage == "eumelanin" else ratios, float))
-        held = jnp.log(jnp.asarray(ratios if stage == "eumelanin" else eumelanin, float))
-        found, count, result = _downhill(start, held, windows, base, stage == "eumelanin", steps)
-        if stage == "eumelanin":
-            eumelanin = np.exp(np.asarray(found))
-        else:
-            ratios = np.exp(np.asarray(found))
+    for stage in (0, 1):
+        parts = found[stage], found[1 - stage]
+        found[stage], count, result = _downhill(*parts, windows, base, stage == 0, steps)
         taken, ended = taken + int(count), ended and bool(result)
-        values = _four(jnp.log(jnp.asarray(eumelanin)), jnp.log(jnp.asarray(ratios)))
+        values = _four(*found)
         for i, name in enumerate(CONCENTRATIONS):
             z[i] = float(PRIORS[name].standard(values[name]))
-        log.append(
-            {n: float(values[n]) for n in CONCENTRATIONS}
-            | {"steps": float(count), "rms": float(_rms(z, windows, base).mean())}
-        )
+        rms = _rms(jnp.asarray(z), windows, base).mean()
+        log.append(_numbers(values | {"steps": count, "rms": rms}))
     return _fit(z, np.eye(len(FREE_NAMES)), windows, base, taken, ended, log)
 
 
 def iris_of_concentrations(values: dict[str, Any], base: Iris) -> Iris:
-    """Return the iris of four concentrations (mg/ml of each layer) and a factor on the scattering
-    of `base`.
-    """
-    height = base.abl_thickness, base.stroma_thickness
-    whole = height[0] + height[1]
+    """Return the iris of four concentrations (mg/ml of each layer) and a factor on scattering."""
+    whole = base.abl_thickness + base.stroma_thickness
 
     def shared(kind):
-        masses = [
-            values[f"{layer}_{kind}"] * h
-            for layer, h in zip(("abl", "stroma"), height, strict=True)
-        ]
-        total = masses[0] + masses[1]
+        abl = values[f"abl_{kind}"] * base.abl_thickness
+        total = abl + values[f"stroma_{kind}"] * base.stroma_thickness
         none = total <= 0
-        return total / whole, jnp.where(none, 0.5, masses[0] / jnp.where(none, 1.0, total))
+        return total / whole, jnp.where(none, 0.5, abl / jnp.where(none, 1.0, total))
 
     (eumelanin, first), (pheomelanin, second) = shared("eumelanin"), shared("pheomelanin")
     return base.replace(
@@ -276,9 +256,8 @@ def _off(values, windows: Windows, base: Iris):
         off = jnp.log(seen / jnp.where(shown > least, shown, low))
         return jnp.where(windows.present[:, None], off, 0.0)
 
-    radiance, slope = windows.radiance_and_slope(
-        iris_of_concentrations(values, base), values["room"]
-    )
+    iris = iris_of_concentrations(values, base)
+    radiance, slope = windows.radiance_and_slope(iris, values["room"])
     off, change = jax.jvp(of, (radiance,), (slope,))
     return off, -change
 
@@ -337,16 +316,16 @@ def _downhill(start, held, windows, base, eumelanin: bool, steps: int):
 
 
 def _fit(z, covariance, windows, base, steps: int, ended: bool, log) -> PigmentFit:
-    values = {n: float(v) for n, v in parameter_values(jnp.asarray(z)).items()}
-    return PigmentFit(values, z, covariance, _rms(z, windows, base), steps, ended, tuple(log))
+    values, rms = _numbers(parameter_values(jnp.asarray(z))), _rms(jnp.asarray(z), windows, base)
+    return PigmentFit(values, z, covariance, np.asarray(rms), steps, ended, tuple(log))
 
 
-def _rms(z, windows: Windows, base: Iris) -> np.ndarray:
-    """Relative differences per channel."""
-    return np.asarray(_rms_of(jnp.asarray(z), windows, base))
+def _numbers(row: dict[str, Any]) -> dict[str, float]:
+    return {name: float(value) for name, value in row.items()}
 
 
 @eqx.filter_jit
-def _rms_of(z, windows, base):
+def _rms(z, windows, base):
+    """Relative differences per channel."""
     off, _ = _off(parameter_values(z), windows, base)
     return jnp.sqrt((off**2).mean(0, where=windows.present[:, None]))

@@ -3,7 +3,6 @@
 import math
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -16,14 +15,8 @@ from irisjax._types import PRNGKey
 from irisjax.infer import posterior
 from irisjax.infer.importance import Start
 from irisjax.infer.posterior import Chains
-from irisjax.photo.pigments import (
-    CONCENTRATIONS,
-    FREE_NAMES,
-    PRIORS,
-    PigmentFit,
-    log_posterior,
-    parameter_values,
-)
+from irisjax.photo import pigments
+from irisjax.photo.pigments import CONCENTRATIONS, FREE_NAMES, PRIORS, PigmentFit
 from irisjax.photo.windows import Windows
 from irisjax.tissue.iris import Iris
 
@@ -35,8 +28,6 @@ class Estimate(NamedTuple):
     """A parameter as estimated from its samples.
 
     Attributes:
-        median: The median.
-        sd: The standard deviation.
         low: The 2.5 % quantile.
         high: The 97.5 % quantile.
         contraction: One minus the variance over the prior's, in the coordinate in which the prior
@@ -69,18 +60,11 @@ class PigmentPosterior(NamedTuple):
 def sample_pigments(
     windows: Windows, base: Iris, best: PigmentFit, *, max_steps: int = 8000, key: PRNGKey
 ) -> PigmentPosterior:
-    """Sample the posterior of concentrations, light and camera by `infer.sample`.
-
-    Args:
-        windows: Windows of one photograph.
-        base: Iris that fixes everything but melanins and scattering.
-        best: The least-squares fit, from which the chain starts.
-        max_steps: Number of steps at which the chain ends in any case; `chains.status` says
-            whether it is long enough.
-        key: Key of all random numbers.
+    """Sample the posterior of concentrations, light and camera by `infer.sample`, from the best fit
+    on; the base fixes everything but melanins and scattering.
     """
     held = windows, base
-    middle, slope = (np.asarray(v) for v in _totals_and_slope(jnp.asarray(best.z)))
+    middle, slope = map(np.asarray, _totals_and_slope(jnp.asarray(best.z)))
     covariance = slope @ best.covariance @ slope.T + 1e-9 * np.eye(len(best.z))
     with ThreadPoolExecutor(2) as pool:  # one program is too small for two cores
 
@@ -89,13 +73,8 @@ def sample_pigments(
             found = pool.map(lambda row: np.asarray(_density(held, row)), rows)
             return np.concatenate(list(found))[: len(x)]
 
-        chains = posterior.sample(
-            _Target(FREE_NAMES, density),
-            Start(middle, covariance),
-            walkers=WALKERS,
-            max_steps=max_steps,
-            key=key,
-        )
+        target, start = _Target(FREE_NAMES, density), Start(middle, covariance)
+        chains = posterior.sample(target, start, walkers=WALKERS, max_steps=max_steps, key=key)
     x = chains.flat
     drawn = {k: np.asarray(v)[: len(x)] for k, v in _drawn(jnp.asarray(_padded(x, 4096))).items()}
     z = drawn.pop("z")
@@ -107,8 +86,7 @@ def sample_pigments(
     return PigmentPosterior({name: drawn[name] for name in FREE_NAMES}, estimates, z, chains)
 
 
-@dataclass(frozen=True)
-class _Target:
+class _Target(NamedTuple):
     """A density that `infer.sample` samples."""
 
     names: tuple[str, ...]
@@ -128,13 +106,13 @@ def _totals_and_slope(z):
 @eqx.filter_jit
 def _drawn(x):
     z = _parts(x)
-    return {"z": z, **jax.vmap(parameter_values)(z)}
+    return {"z": z, **jax.vmap(pigments.parameter_values)(z)}
 
 
 @eqx.filter_jit
 def _density(held, x):
     windows, base = held
-    return jax.vmap(lambda row: log_posterior(row, windows, base))(_parts(x))
+    return jax.vmap(lambda row: pigments.log_posterior(row, windows, base))(_parts(x))
 
 
 _PAIRS = tuple(

@@ -4,10 +4,9 @@ An iris is not as thick as the average one and its relief shades otherwise. Both
 iris, from ring to ring of one, and from window to window of a ring: normal errors of three levels,
 as in an analysis of variance with random effects. In the logarithms of the channels, an error of
 the thickness of the whole or of a ring is proportional to the model's own response to it, and one
-of light is equal in all channels. The scatter of the windows of a ring is estimated from the
-photograph itself, because irides contain more than pigments and thickness. So is the spread of the
-rings: an iris may have another colour around its pupil, and light may fall off as that of no lamp
-of the model does.
+of light is equal in all channels. The scatter of the windows of a ring and the spread of the rings
+are estimated from the photograph itself: irides contain more than pigments and thickness, may have
+another colour around the pupil, and light may fall off as that of no lamp of the model does.
 """
 
 from typing import NamedTuple
@@ -25,13 +24,7 @@ _Present = Bool[ArrayLike, " windows"]
 
 
 class Spreads(NamedTuple):
-    """Standard deviations of errors at one level, each of a logarithm.
-
-    Attributes:
-        thickness: Of the thickness.
-        light: Of the light.
-        channel: Of each channel by itself.
-    """
+    """Standard deviations of the logarithms of thickness, light, and each channel by itself."""
 
     thickness: float
     light: float
@@ -59,12 +52,7 @@ PRIOR_WINDOWS = 5.0
 
 
 class Covariances(NamedTuple):
-    """Covariances of the errors.
-
-    Attributes:
-        within: Of the channels of a window about the mean of its ring.
-        between: Of the means of all rings.
-    """
+    """Covariances of the channels of a window about its ring's mean, and of the rings' means."""
 
     within: Float[Array, "rings 3 3"]
     between: Float[Array, "means means"]
@@ -79,8 +67,7 @@ def log_likelihood(off: WindowColours, response: WindowColours, present: _Presen
 
     Args:
         off: Logarithms of photograph over model, ring after ring.
-        response: Derivatives of the model's logarithms by that of thickness; their means in rings
-            count.
+        response: Derivatives of the model's by that of thickness; their means in rings count.
         present: Windows that count.
     """
     within, between = _every(off, response, present)
@@ -128,9 +115,8 @@ def _every(off: WindowColours, response: WindowColours, present: _Present) -> Co
     """
     number, _, apart = _in_rings(off, present)
     along = _in_rings(response, present)[1]
-    scatter = PRIOR_WINDOWS * jnp.asarray(PRIOR_COVARIANCE) + jnp.einsum(
-        "rni,rnj->rij", apart, apart
-    )
+    scatter = PRIOR_WINDOWS * jnp.asarray(PRIOR_COVARIANCE)
+    scatter = scatter + jnp.einsum("rni,rnj->rij", apart, apart)
     within = scatter / _free(number)[:, None, None]
 
     def of(level: Spreads):
@@ -144,9 +130,8 @@ def _every(off: WindowColours, response: WindowColours, present: _Present) -> Co
     between = of(WHOLE) * (seen[:, None] & seen[None])
     between = jnp.broadcast_to(between, (len(SPREAD_FACTORS), *between.shape))
     between = between.at[:, every, every].add(jnp.where(seen, alone, jnp.eye(3)))
-    return Covariances(
-        within, between.transpose(0, 1, 3, 2, 4).reshape(len(SPREAD_FACTORS), 3 * RINGS, 3 * RINGS)
-    )
+    flat = len(SPREAD_FACTORS), 3 * RINGS, 3 * RINGS
+    return Covariances(within, between.transpose(0, 1, 3, 2, 4).reshape(flat))
 
 
 def _free(number):

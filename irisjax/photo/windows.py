@@ -13,24 +13,18 @@ from irisjax._types import Scalar
 from irisjax.anatomy.eye import Eye
 from irisjax.grow.procedural import procedural
 from irisjax.photo.light import SHADED
+from irisjax.photo.photograph import Brightness, Colours, Mask
 from irisjax.photo.pose import Pose
 from irisjax.photo.texture import LUMINANCE_WEIGHTS
 from irisjax.photo.thickness import generic_thickness
+from irisjax.render import project
 from irisjax.render.bands import Bands, colour_bands
 from irisjax.render.environment import Environment
 from irisjax.render.illumination import Illumination
 from irisjax.render.integrator import checked_response
 from irisjax.render.lights import Lights
 from irisjax.render.outside import room_at
-from irisjax.render.project import (
-    IRIS,
-    SCLERA,
-    IrisPixels,
-    View,
-    onto_picture,
-    pixel_numbers,
-    seen_parts,
-)
+from irisjax.render.project import IRIS, SCLERA, IrisPixels, View, onto_picture
 from irisjax.render.radiative import RadiativeIntegrator
 from irisjax.render.scene import ENVIRONMENT_LIGHTS
 from irisjax.render.separable import Separable
@@ -58,6 +52,9 @@ COUNT = ANGLES * RINGS
 """Number of windows."""
 _MOST, _LEAST = 96, 24  # most pixels taken of a window; least pixels of one that counts
 _COPIES = 4  # turns of the maps that one pixel sees
+_Integrator = Separable | RadiativeIntegrator
+_WindowColours = Float[np.ndarray, "windows 3"]
+_Modelled = Float[Array, "windows 3"]
 
 
 class WindowPixels(NamedTuple):
@@ -73,18 +70,14 @@ class WindowPixels(NamedTuple):
         colour: Mean linear values of all of a window's pixels in the photograph.
         veil: Share of a uniform room's radiance that the tear film mirrors.
         mirrored: Radiance that it mirrors of the environment.
-        angle: Angles of the windows' middles, radians.
-        radius: Their distances from the axis, mm.
     """
 
     seen: IrisPixels
     window: Int[np.ndarray, " pixels"]
     present: Bool[np.ndarray, " windows"]
-    colour: Float[np.ndarray, "windows 3"]
+    colour: _WindowColours
     veil: Float[np.ndarray, " windows"]
-    mirrored: Float[np.ndarray, "windows 3"]
-    angle: Float[np.ndarray, " windows"]
-    radius: Float[np.ndarray, " windows"]
+    mirrored: _WindowColours
 
 
 class Windows(eqx.Module):
@@ -95,43 +88,36 @@ class Windows(eqx.Module):
     small matrix.
 
     Attributes:
-        colour: As in `WindowPixels`.
-        present: As in `WindowPixels`.
+        colour: As in `WindowPixels`, as are `present`, `veil` and `mirrored`.
         matrix: Matrix from the coefficients of a response to radiance, and its derivative by the
             logarithm of the stroma's thickness, (2, windows, channels or 1, products × functions).
         room: The same for a uniform room of radiance 1 beside the lights; `None` without a room.
-        veil: As in `WindowPixels`.
-        mirrored: As in `WindowPixels`.
         bands: Wavelength bands of the response.
         ranges: Ranges of its thickness scales.
         integrator: Model of light in the iris.
         aqueous_index: Refractive index of the aqueous humour.
     """
 
-    colour: Float[np.ndarray, "windows 3"]
+    colour: _WindowColours
     present: Bool[np.ndarray, " windows"]
     matrix: Float[Array, "2 windows tints terms"]
     room: Float[Array, "2 windows shades terms"] | None
     veil: Float[np.ndarray, " windows"]
-    mirrored: Float[np.ndarray, "windows 3"]
+    mirrored: _WindowColours
     bands: Bands
     ranges: Scales
-    integrator: Separable | RadiativeIntegrator
-    aqueous_index: Float[Array, ""]
+    integrator: _Integrator
+    aqueous_index: Scalar
 
-    def radiance(self, iris: Iris, room: Scalar | float = 0.0) -> Float[Array, "windows 3"]:
+    def radiance(self, iris: Iris, room: Scalar | float = 0.0) -> _Modelled:
         """Return the mean linear sRGB of an iris in each window, where a white sheet that faces an
-        irradiance of π has 1; NaN for an iris that the solver cannot solve.
-
-        Args:
-            iris: The iris.
-            room: Radiance of the room beside the lights.
+        irradiance of π has 1, in a `room` of some radiance; NaN for an iris that cannot be solved.
         """
         return self.radiance_and_slope(iris, room)[0]
 
     def radiance_and_slope(
         self, iris: Iris, room: Scalar | float = 0.0
-    ) -> tuple[Float[Array, "windows 3"], Float[Array, "windows 3"]]:
+    ) -> tuple[_Modelled, _Modelled]:
         """Return `radiance`, and its derivative by the logarithm of the stroma's thickness."""
         parts = self.aqueous_index, self.bands, self.ranges
         found, status = self.integrator.coefficients(iris, *parts)
@@ -145,9 +131,7 @@ class Windows(eqx.Module):
         return shown if self.room is None else shown + room * self.veil[:, None], slope
 
     def thickness_response(self, iris: Iris) -> float:
-        """Return d ln luminance / d ln thickness of the stroma, about the mean thickness, seen and
-        lit from the front.
-        """
+        """Return d ln luminance / d ln thickness of a mean stroma, seen and lit from the front."""
         seen = self._from_the_front(iris, self.ranges, Scales(stroma=jnp.asarray([0.9, 1.1])))
         return float(np.log(seen[1] / seen[0]) / np.log(1.1 / 0.9))
 
@@ -178,24 +162,16 @@ def windows_of(
     iris: Iris,
     maps: IrisMaps,
     lights: Lights,
-    integrator: Separable | RadiativeIntegrator,
+    integrator: _Integrator,
     tables: Illumination | None,
     room: bool = False,
     turns: int = 1,
 ) -> Windows:
     """Compute the matrix of the windows.
 
-    Args:
-        chosen: Pixels of the windows.
-        eye: The eye.
-        iris: Iris that fixes everything but the melanins.
-        maps: Thickness of the stroma.
-        lights: All lights but a room.
-        integrator: Model of light in the iris.
-        tables: Tables of light on the iris, `None` without a cornea. Those of a room need caustics.
-        room: Whether there may be light from all round beside the lights.
-        turns: Places around the eye to which the maps are turned for the pixels of each window; a
-            window then shows what is usual at its distance from the pupil.
+    The iris fixes everything but the melanins. Beside the lights there may be a room, whose tables
+    need caustics. For the pixels of each window the maps are turned to some places around the eye:
+    the window then shows what is usual at its distance from the pupil.
     """
     ranges = ranges_of(iris, maps)
     bands = colour_bands(lights.illuminant, cornea=eye.cornea)
@@ -210,16 +186,15 @@ def windows_of(
     # Neighbours in a window have different turns.
     turn = 2 * np.pi / turns * (np.arange(len(window)) % turns)
     seen = dataclasses.replace(seen, turn=jnp.asarray(turn))
-
-    def of(lamps: Lights):
-        return _matrix(seen, window, lamps, *known)
-
-    around = Environment.uniform().to_lights(ENVIRONMENT_LIGHTS) if room else None
+    lamps = [lights]
+    if room:
+        lamps.append(Environment.uniform().to_lights(ENVIRONMENT_LIGHTS))
+    matrices = [_matrix(seen, window, each, *known) for each in lamps]
     return Windows(
         chosen.colour,
         chosen.present,
-        of(lights),
-        None if around is None else of(around),
+        matrices[0],
+        matrices[1] if room else None,
         chosen.veil,
         chosen.mirrored,
         bands,
@@ -230,50 +205,39 @@ def windows_of(
 
 
 def choose_pixels(
-    pixels: Float[np.ndarray, "rows columns 3"],
-    clear: Bool[np.ndarray, "rows columns"],
+    pixels: Colours,
+    clear: Mask,
     view: View,
     eye: Eye,
     environment: Environment | None = None,
-    light: Float[np.ndarray, "rows columns"] | None = None,
+    light: Brightness | None = None,
 ) -> WindowPixels:
-    """Choose the pixels of all windows.
+    """Choose the pixels of all windows, from the clear pixels of the camera's picture, which show
+    the iris without highlights, lashes, lids, freckles and white.
 
-    Args:
-        pixels: Linear pixels of the camera's picture.
-        clear: Pixels that show the iris alone: no highlight, lash, lid or freckle, and not the
-            white.
-        view: What the camera sees.
-        eye: The eye.
-        environment: Surroundings that the tear film mirrors.
-        light: The model's irradiance of the iris at each pixel, if only the eye itself casts
-            shadows on it. Without it, windows in the shade are recognised by the photograph's
-            brightness, which also drops windows that are dark themselves.
-
-    Raises:
-        ValueError: If fewer than 6 windows are free.
+    `light` is the model's irradiance of the iris at each pixel, if only the eye itself casts
+    shadows on it. Without it, windows in the shade are recognised by the photograph's brightness,
+    which also drops windows that are dark themselves. Six windows at least must be free.
     """
     seen = view.iris
     if seen is None:
         raise ValueError("the camera does not see the iris")
-    every, around, r = _windows_of_pixels(seen, clear, eye)
-    index, window = _sampled(every)
+    every = _windows_of_pixels(seen, clear, eye)
+    index, window = _some_of_each(every)
     some = dataclasses.replace(seen, index=None)
     some = jax.tree.map(lambda leaf: jnp.asarray(np.asarray(leaf)[index]), some)
     inside = every < COUNT
-    every, around, r = (v[inside] for v in (every, around, r))
-    at = pixel_numbers(seen)[inside]
+    every, at = every[inside], project.pixel_numbers(seen)[inside]
     number = np.bincount(every, minlength=COUNT)
 
-    def mean(values):
-        """Mean of values (pixels, channels) in each window."""
-        sums = [np.bincount(every, v, COUNT) for v in np.asarray(values, float).T]
+    def mean(values, channels: int):
+        """Mean of the values of a picture in each window."""
+        values = np.asarray(values.reshape(-1, channels)[at], float)
+        sums = [np.bincount(every, v, COUNT) for v in values.T]
         return np.stack(sums, -1) / np.maximum(number, 1)[:, None]
 
-    colour = mean(pixels.reshape(-1, 3)[at])
-    brightness = (
-        colour @ LUMINANCE_WEIGHTS if light is None else mean(light.reshape(-1, 1)[at])[:, 0]
-    )
+    colour = mean(pixels, 3)
+    brightness = colour @ LUMINANCE_WEIGHTS if light is None else mean(light, 1)[:, 0]
     present = (number > 0) & ~_shaded(brightness, number > 0)
     if present.sum() < 6:
         raise ValueError(
@@ -281,26 +245,17 @@ def choose_pixels(
             "their shadows; at least 6 are needed for the pigments"
         )
     veil, mirrored = _tear_film(view, clear.shape, environment)
-    cos, sin, radius = mean(np.stack([np.cos(around), np.sin(around), r], -1)).T
-    return WindowPixels(
-        some,
-        window,
-        present,
-        colour,
-        mean(veil[at][:, None])[:, 0],
-        mean(mirrored[at]),
-        np.arctan2(sin, cos),
-        radius,
-    )
+    means = mean(veil, 1)[:, 0], mean(mirrored, 3)
+    return WindowPixels(some, window, present, colour, *means)
 
 
-def iris_alone(pose: Pose) -> Bool[np.ndarray, "rows columns"]:
+def iris_alone(pose: Pose) -> np.ndarray:
     """Return the pixels of the camera's picture that see the iris and none of the white, which
     shines through at the limbus.
     """
     rows, columns = pose.camera.shape
     every = np.arange(rows * columns, dtype=np.int32)
-    seen = np.asarray(seen_parts(every, pose.eye, pose.camera))
+    seen = np.asarray(project.seen_parts(every, pose.eye, pose.camera))
     return (seen & (IRIS | SCLERA) == IRIS).reshape(rows, columns)
 
 
@@ -311,8 +266,7 @@ def average_thickness(eye: Eye) -> float:
 
 
 def average_maps(eye: Eye) -> IrisMaps:
-    """Return the average thickness by ultrasound with the fibres, crypts and relief of
-    `procedural`.
+    """Return the average thickness by ultrasound with fibres, crypts and relief of `procedural`.
 
     Pigments are fitted with this iris: the thickness map is estimated from the same photograph, so
     it must not be used as independent evidence for the pigments. Shade and uneven thickness make an
@@ -366,23 +320,19 @@ def _shaded(light, present) -> Bool[np.ndarray, " windows"]:
 
 def _tear_film(view: View, shape: tuple[int, int], environment: Environment | None):
     """Reflectance of every pixel of the picture, and the radiance mirrored of an environment."""
-    count = shape[0] * shape[1]
     mirror = view.mirror
     if mirror is None:
-        return np.zeros(count), np.zeros((count, 3))
+        return np.zeros(shape), np.zeros((*shape, 3))
     reflectance = np.asarray(mirror.reflectance)
     room = np.zeros((len(reflectance), 3))
     if environment is not None:
         room = reflectance[:, None] * np.asarray(room_at(mirror, environment)).T
-    return (
-        onto_picture(mirror, reflectance, shape).reshape(count),
-        onto_picture(mirror, room, shape).reshape(count, 3),
-    )
+    return onto_picture(mirror, reflectance, shape), onto_picture(mirror, room, shape)
 
 
 def _windows_of_pixels(seen: IrisPixels, clear, eye: Eye):
-    """The number of each pixel's window, `COUNT` for none; its angle and radius."""
-    number = pixel_numbers(seen)
+    """The number of each pixel's window, `COUNT` for none."""
+    number = project.pixel_numbers(seen)
     x, y = (np.asarray(c) for c in seen.point[:2])
     r, around = np.hypot(x, y), np.arctan2(y, x) % (2 * np.pi)
     inner = float(eye.pupil_radius) + MARGIN
@@ -392,17 +342,15 @@ def _windows_of_pixels(seen: IrisPixels, clear, eye: Eye):
     sector = np.minimum(around / (2 * np.pi) * ANGLES, ANGLES - 1).astype(int)
     window = np.where(usable, ring * ANGLES + sector, COUNT)
     enough = np.bincount(window, minlength=COUNT + 1) >= _LEAST
-    return np.where(enough[window], window, COUNT), around, r
+    return np.where(enough[window], window, COUNT)
 
 
-def _sampled(window):
+def _some_of_each(window):
     """Indices of some pixels of each window, and the numbers of their windows."""
     # Equally many of each, so that one compiled program serves all photographs.
     index, name = np.zeros((COUNT, _MOST), int), np.full((COUNT, _MOST), COUNT)
-    for w in range(COUNT):
+    for w in np.unique(window[window < COUNT]):
         of = np.flatnonzero(window == w)
-        if len(of) == 0:
-            continue
         taken = of[np.linspace(0, len(of) - 1, min(_MOST, len(of))).astype(int)]
         index[w, : len(taken)], name[w, : len(taken)] = taken, w
     # Padding repeats a visible pixel.
