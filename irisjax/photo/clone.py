@@ -12,44 +12,31 @@ from typing import Any, NamedTuple, cast
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 from scipy import optimize
 
 from irisjax._types import PRNGKey
 from irisjax.anatomy.eye import Cornea, Eye
 from irisjax.measure.colour import srgb_encode
 from irisjax.numerics.checks import Range
+from irisjax.photo import pigments
 from irisjax.photo.light import Lighting, find_lighting, light_at, light_tangent, shade_on
 from irisjax.photo.masks import find_mirrored_face, part_of, pixels_shown
 from irisjax.photo.outlines import Boundaries, find_boundaries
-from irisjax.photo.photograph import Ellipse, Photograph
-from irisjax.photo.pigments import (
-    FREE_NAMES,
-    PigmentFit,
-    exposures_for,
-    fit_pigments,
-    iris_of_concentrations,
-    misfits,
-    parameter_values,
-    simplex,
-)
+from irisjax.photo.photograph import Colours, Ellipse, Mask, Photograph
 from irisjax.photo.pose import Pose, find_pose
 from irisjax.photo.posterior import PigmentPosterior, sample_pigments
 from irisjax.photo.register import SecondPhotograph, lay_on_first
 from irisjax.photo.texture import (
     LUMINANCE_WEIGHTS,
-    TEXTURE_SIZE,
     Refraction,
     Unrefracted,
     follow_refraction,
-    from_polar,
-    to_polar,
     unrefract,
 )
 from irisjax.photo.thickness import BETA, SIGMA, Darkness, Morphology, generic_thickness, shape_maps
 from irisjax.photo.windows import (
     TURNS,
-    WindowPixels,
     Windows,
     average_maps,
     choose_pixels,
@@ -84,8 +71,7 @@ BLUR_WIDTHS = Range(0.05, 2.0, "mm")
 """Widths of the deconvolution among which the best one is searched."""
 _BLUR_STEPS, _BLUR_TOLERANCE = 7, 0.1  # number of first trials; tolerance of the logarithm
 
-_Pixels = Float[np.ndarray, "rows columns 3"]
-_Mask = Bool[np.ndarray, "rows columns"]
+_Arc = Float[np.ndarray, " count"]
 
 
 class CloneSettings(NamedTuple):
@@ -138,8 +124,8 @@ class Given(NamedTuple):
     pupil: Ellipse | None = None
     lights: Lights | None = None
     environment: Environment | None = None
-    freckles: Bool[np.ndarray, "size size"] | None = None
-    visible: Bool[np.ndarray, "size size"] | None = None
+    freckles: Mask | None = None
+    visible: Mask | None = None
     maps: IrisMaps | None = None
     second: Photograph | None = None
 
@@ -167,18 +153,14 @@ class Posed(Outlined):
         clear: Pixels of `part` that show the iris and nothing in front of it.
         lids: Whether lids hide some of the iris.
         second: The second photograph on the pixels of `part`.
-        reduction: Pixels of the photograph along each side of one pixel of `part`.
-        corner: Column and row in the photograph of the first pixel of `part`.
     """
 
     pose: Pose
     view: View
-    part: _Pixels
-    clear: _Mask
+    part: Colours
+    clear: Mask
     lids: bool
     second: SecondPhotograph | None
-    reduction: int
-    corner: tuple[int, int]
 
 
 @dataclass(frozen=True)
@@ -221,15 +203,14 @@ class Fitted(Lit):
 
     windows: Windows
     base: Iris
-    fit: PigmentFit
+    fit: pigments.PigmentFit
     integrator: Separable | RadiativeIntegrator
     response: float | None
     exposure: Float[np.ndarray, "3"]
 
     def iris(self) -> Iris:
         """Return the iris of the fitted pigments."""
-        values = {name: jnp.asarray(value) for name, value in self.fit.values.items()}
-        return iris_of_concentrations(values, self.base)
+        return self.fit.iris(self.base)
 
     def scene(self) -> Scene:
         """Return the eye as it was photographed: the same camera, light and pigments."""
@@ -265,26 +246,15 @@ class PictureDifference(NamedTuple):
         rms: Root mean square of the differences per channel, of the full range.
     """
 
-    photograph: _Pixels
-    rendered: _Pixels
-    clear: _Mask
+    photograph: Colours
+    rendered: Colours
+    clear: Mask
     rms: Float[np.ndarray, "3"]
 
-    def arc(
-        self, clone: Flat, radius: float, count: int = 720
-    ) -> tuple[
-        Float[np.ndarray, " count"], Float[np.ndarray, " count"], Float[np.ndarray, " count"]
-    ]:
-        """Return the encoded luminance of both pictures on an arc of the iris.
-
-        Args:
-            clone: The clone whose pictures these are.
-            radius: Distance of the arc from the eye's axis, mm.
-            count: Number of places along it.
-
-        Returns:
-            Angles (degrees), and the luminance in the photograph and in the rendering; NaN where a
-            pixel is not clear.
+    def arc(self, clone: Flat, radius: float, count: int = 720) -> tuple[_Arc, _Arc, _Arc]:
+        """Return the angles (degrees) of `count` places on a circle of the clone's iris, `radius`
+        in mm, and the encoded luminance there in photograph and rendering; NaN where a pixel is not
+        clear.
         """
         size, texel = len(clone.texture.valid), clone.texture.millimetres_per_texel
         angle, middle = np.arange(count) * (2 * np.pi / count), size / 2 - 0.5
@@ -323,35 +293,19 @@ def clone_eye(
         ValueError: If a stage finds nothing, with a message of one line, and for unknown names.
     """
     check_names(settings, last)
-    count = STAGES.index(last)
-    with stage("outlines"):
-        outlined = outline_eye(photograph, given)
-    yield outlined
-    if count < STAGES.index("pose"):
-        return
-    with stage("pose"):
-        posed = pose_eye(outlined, settings, given)
-    yield posed
-    if count < STAGES.index("texture"):
-        return
-    with stage("texture"):
-        flat = flatten_iris(posed, given)
-    yield flat
-    if count < STAGES.index("thickness"):
-        return
-    with stage("thickness"):
-        shaped = shape_iris(flat, settings, given)
-    yield shaped
-    if count < STAGES.index("pigments"):
-        return
-    with stage("pigments"):
-        fitted = fit_clone(light_eye(shaped, given, tables), settings, given)
-    yield fitted
-    if count < STAGES.index("posterior"):
-        return
-    with stage("posterior"):
-        sampled = sample_clone(fitted, settings, key=key)
-    yield sampled
+    made: dict[str, Callable[[Any], Outlined]] = {
+        "outlines": lambda found: outline_eye(found, given),
+        "pose": lambda found: pose_eye(found, settings, given),
+        "texture": lambda found: flatten_iris(found, given),
+        "thickness": lambda found: shape_iris(found, settings, given),
+        "pigments": lambda found: fit_clone(light_eye(found, given, tables), settings, given),
+        "posterior": lambda found: sample_clone(found, settings, key=key),
+    }
+    found = photograph
+    for name in STAGES[: STAGES.index(last) + 1]:
+        with stage(name):
+            found = made[name](found)
+        yield found
 
 
 def clone_to_pigments(
@@ -389,15 +343,10 @@ def pose_eye(outlined: Outlined, settings: CloneSettings, given: Given = NOTHING
     focal = photograph.focal_px if settings.focal_px is None else settings.focal_px
     part = part_of(photograph, boundaries.limbus)
     pupil = part.moved(boundaries.pupil)
-    lids = part.lids(pupil)
-    clear = part.clear(pupil, lids)
-    pose = find_pose(
-        part.limbus,
-        pupil,
-        eye_model(settings),
-        focal_px=None if focal is None else focal / part.reduction,
-        azimuth=settings.azimuth,
-    )
+    clear, lids = part.clear(pupil)
+    focal = None if focal is None else focal / part.reduction
+    eye = eye_model(settings)
+    pose = find_pose(part.limbus, pupil, eye, focal_px=focal, azimuth=settings.azimuth)
     pose = pose._replace(eye=_with_soft_edges(pose, boundaries))
     x, y = pose.corner
     rows, columns = pose.camera.shape
@@ -413,18 +362,8 @@ def pose_eye(outlined: Outlined, settings: CloneSettings, given: Given = NOTHING
     second = None
     if given.second is not None:
         second = lay_on_first(given.second, photograph, boundaries.limbus, boundaries.pupil, cut)
-    corner = part.corner[0] + x * part.reduction, part.corner[1] + y * part.reduction
-    return Posed(
-        **vars(outlined),
-        pose=pose,
-        view=view,
-        part=pixels,
-        clear=clear,
-        lids=bool(lids.any()),
-        second=second,
-        reduction=part.reduction,
-        corner=corner,
-    )
+    known: dict[str, Any] = {"pose": pose, "view": view, "part": pixels, "clear": clear}
+    return Posed(**vars(outlined), **known, lids=bool(lids.any()), second=second)
 
 
 def flatten_iris(posed: Posed, given: Given = NOTHING) -> Flat:
@@ -435,17 +374,13 @@ def flatten_iris(posed: Posed, given: Given = NOTHING) -> Flat:
     if given.visible is not None:
         clear = pixels_shown(posed.view, given.visible, clear.shape)
         posed = dataclasses.replace(posed, clear=clear)
-    refraction = follow_refraction(posed.pose, TEXTURE_SIZE)
+    refraction = follow_refraction(posed.pose)
     texture = unrefract(part, clear, posed.pose, refraction)
     return Flat(**vars(posed), refraction=refraction, texture=texture)
 
 
 def shape_iris(flat: Flat, settings: CloneSettings, given: Given = NOTHING) -> Shaped:
-    """Find freckles, and estimate the stroma's thickness by Eq. 7 or take that of the given maps.
-
-    Raises:
-        ValueError: If the given maps have no thickness of the stroma.
-    """
+    """Find freckles, and estimate the stroma's thickness by Eq. 7 or take that of given maps."""
     beta = BETA if settings.beta is None else settings.beta
     sigma = SIGMA if settings.sigma is None else settings.sigma
     texture = flat.texture
@@ -453,8 +388,7 @@ def shape_iris(flat: Flat, settings: CloneSettings, given: Given = NOTHING) -> S
     if given.maps is not None:
         if (depth := given.maps.stroma_depth) is None:
             raise ValueError("the maps that are given have no thickness of the stroma")
-        rim = texture.pupil_radius, texture.iris_radius
-        there = from_polar(np.asarray(depth), texture.radius(), texture.angle(), *rim)
+        there = texture.from_polar(np.asarray(depth))
         shape = shape._replace(maps=given.maps, thickness=there, clamped=0)
     return Shaped(**vars(flat), morphology=shape)
 
@@ -480,54 +414,56 @@ def fit_clone(lit: Lit, settings: CloneSettings, given: Given = NOTHING) -> Fitt
     """Fit the pigments of an average iris, or of the given maps; then estimate the thickness by the
     response of the model with these pigments  [F09 Fig. 10].
     """
-    integrator = settings.integrator
-    clear = lit.clear & iris_alone(lit.pose) & ~_freckled(lit)
-    eye, environment = lit.pose.eye, lit.lighting.environment
-    chosen = choose_pixels(lit.part, clear, lit.view, eye, environment, _light_on_part(lit))
+    eye, light, shape = lit.pose.eye, lit.lighting, lit.morphology
+    clear = lit.clear & iris_alone(lit.pose)
+    clear[lit.refraction.pixels(shape.freckles, clear.shape)] = False
+    chosen = choose_pixels(lit.part, clear, lit.view, eye, light.environment, _light_on_part(lit))
     maps, turns = (average_maps(eye), TURNS) if given.maps is None else (given.maps, 1)
-    base = Iris(
-        fibril_radius=jnp.asarray(FIBRILS),
-        stroma_thickness=jnp.mean(jnp.asarray(maps.stroma_depth)),
-    )
+    depth = jnp.mean(jnp.asarray(maps.stroma_depth))
+    base = Iris(fibril_radius=jnp.asarray(FIBRILS), stroma_thickness=depth)
+    integrator = settings.integrator
+    if isinstance(integrator, Separable):
+        integrator = dataclasses.replace(integrator, solver=IlitExact(SOLVER_ANGLES))
 
     def windows_with(maps: IrisMaps, turns: int = 1) -> Windows:
-        return _windows(lit, chosen, integrator, base, maps, turns)
+        known = light.lights(), integrator, lit.tables, light.room, turns
+        return windows_of(chosen, eye, base, maps.replace(freckles=None), *known)
 
     windows = windows_with(maps, turns)
-    fit = simplex(windows, base) if settings.method == "simplex" else fit_pigments(windows, base)
+    search = pigments.simplex if settings.method == "simplex" else pigments.fit_pigments
+    fit = search(windows, base)
 
-    def fitted(morphology: Morphology, shown: Windows, response: float | None = None) -> Fitted:
+    def fitted(shape: Morphology, shown: Windows | None = None, response=None) -> Fitted:
+        shown = windows_with(shape.maps) if shown is None else shown
         return Fitted(
-            **vars(dataclasses.replace(lit, morphology=morphology)),
+            **vars(dataclasses.replace(lit, morphology=shape)),
             windows=windows,
             base=base,
             fit=fit,
-            integrator=integrator,
+            integrator=settings.integrator,
             response=response,
-            exposure=exposures_for(fit, shown, base),
+            exposure=pigments.exposures_for(fit, shown, base),
         )
 
     if given.maps is not None:
-        return fitted(lit.morphology, windows)
+        return fitted(shape, windows)
     if settings.beta is None:
         shape, response = _thickness_by_model(lit, windows, base, fit, settings.relief)
-        return fitted(shape, windows_with(shape.maps), response)
+        return fitted(shape, response=response)
     if settings.sigma is not None:
-        return fitted(lit.morphology, windows_with(lit.morphology.maps))
-    beta, freckles = settings.beta, lit.morphology.freckles
+        return fitted(shape)
+    freckles, beta = shape.freckles, settings.beta
 
     def deconvolved(width: float) -> Fitted:
-        shape = shape_maps(lit.texture, freckles, sigma_mm=width, beta=beta)
-        return fitted(shape, windows_with(shape.maps))
+        return fitted(shape_maps(lit.texture, freckles, sigma_mm=width, beta=beta))
 
     return deconvolved(width_by_rendering(deconvolved))
 
 
 def sample_clone(fitted: Fitted, settings: CloneSettings, *, key: PRNGKey) -> Sampled:
     """Sample the posterior of the pigments."""
-    posterior = sample_pigments(
-        fitted.windows, fitted.base, fitted.fit, max_steps=settings.steps, key=key
-    )
+    known = fitted.windows, fitted.base, fitted.fit
+    posterior = sample_pigments(*known, max_steps=settings.steps, key=key)
     return Sampled(**vars(fitted), posterior=posterior)
 
 
@@ -555,14 +491,11 @@ def compare_with_photograph(clone: Fitted) -> PictureDifference:
 
 
 def width_by_rendering(with_width: Callable[[float], Fitted]) -> float:
-    """Return the width of the deconvolution (mm) with which the picture is nearest to the
-    photograph, in root mean square over all channels  [F09 Section 4.2.1].
+    """Return the width (mm) of the deconvolution with which the picture of the clone is nearest to
+    the photograph, in root mean square over all channels  [F09 Section 4.2.1].
 
     The best of seven widths is found first, then the best between its neighbours: where fibres are
     finer than the blur, the difference is flat over most widths and has several minima.
-
-    Args:
-        with_width: Makes the clone whose thickness was deconvolved with a width.
     """
 
     def difference(logarithm: Any) -> float:
@@ -572,33 +505,23 @@ def width_by_rendering(with_width: Callable[[float], Fitted]) -> float:
     low, high = np.log([BLUR_WIDTHS.low, BLUR_WIDTHS.high])
     trials = optimize.brute(difference, ((low, high),), Ns=_BLUR_STEPS, finish=None)
     best, step = float(np.squeeze(trials)), (high - low) / (_BLUR_STEPS - 1)
-    found = optimize.minimize_scalar(
-        difference,
-        bounds=(max(best - step, low), min(best + step, high)),
-        method="bounded",
-        options={"xatol": _BLUR_TOLERANCE},
-    )
+    bounds, options = (max(best - step, low), min(best + step, high)), {"xatol": _BLUR_TOLERANCE}
+    found = optimize.minimize_scalar(difference, bounds=bounds, method="bounded", options=options)
     return float(np.exp(found.x if found.fun < difference(best) else best))
 
 
 def _with_soft_edges(pose: Pose, outlines: Boundaries) -> Eye:
-    """The eye with edges as soft as the outlines, and at least a pixel of the camera wide: a pixel
-    of a rendering samples a single point.
-    """
+    """The eye with edges as soft as the outlines, at least a pixel wide: it samples one point."""
     eye, pixel = pose.eye, float(pose.camera.width) / pose.camera.size[0]
-    known = (
-        ("pupil_margin", outlines.pupil_margin, eye.pupil_radius),
-        ("limbus_width", outlines.limbus_width, eye.limbus_radius),
-    )
-    widths = {
-        name: jnp.asarray(max(relative * float(radius), pixel), float)
-        for name, relative, radius in known
-        if relative is not None
-    }
-    return eye.replace(**widths)
+    for name, radius in (("pupil_margin", eye.pupil_radius), ("limbus_width", eye.limbus_radius)):
+        relative = getattr(outlines, name)
+        if relative is not None:
+            width = max(relative * float(radius), pixel)
+            eye = eye.replace(**{name: jnp.asarray(width, float)})
+    return eye
 
 
-def _light_on_part(lit: Lit) -> Float[np.ndarray, "rows columns"] | None:
+def _light_on_part(lit: Lit) -> np.ndarray | None:
     """Irradiance of the iris by lamps at each pixel of the part; not known where lids shade it."""
     seen = lit.view.iris
     if lit.lids or seen is None:
@@ -608,38 +531,15 @@ def _light_on_part(lit: Lit) -> Float[np.ndarray, "rows columns"] | None:
     return onto_picture(seen, irradiance, lit.pose.camera.shape)
 
 
-def _windows(
-    lit: Lit,
-    chosen: WindowPixels,
-    integrator: Separable | RadiativeIntegrator,
-    base: Iris,
-    maps: IrisMaps,
-    turns: int,
-) -> Windows:
-    """Windows of an iris with these maps in the light that was found."""
-    if isinstance(integrator, Separable):
-        integrator = dataclasses.replace(integrator, solver=IlitExact(SOLVER_ANGLES))
-    light = lit.lighting
-    known = light.lights(), integrator, lit.tables, light.room, turns
-    return windows_of(chosen, lit.pose.eye, base, maps.replace(freckles=None), *known)
-
-
-def _freckled(flat: Shaped) -> _Mask:
-    """Pixels of the part that show a freckle."""
-    mask = np.zeros_like(flat.clear)
-    mask[flat.refraction.pixels(flat.morphology.freckles, mask.shape)] = True
-    return mask
-
-
 def _thickness_by_model(
-    lit: Lit, windows: Windows, base: Iris, fit: PigmentFit, relief: float
+    lit: Lit, windows: Windows, base: Iris, fit: pigments.PigmentFit, relief: float
 ) -> tuple[Morphology, float]:
     """Thickness by the model's response of luminance to thickness, and that response."""
     eye, texture, freckles = lit.pose.eye, lit.texture, lit.morphology.freckles
-    iris = iris_of_concentrations({k: jnp.asarray(v) for k, v in fit.values.items()}, base)
-    usual = iris
-    if misfits(fit, windows):  # the fitted iris is not one to estimate the thickness with
-        usual = iris_of_concentrations(parameter_values(np.zeros(len(FREE_NAMES))), base)
+    iris = usual = fit.iris(base)
+    if pigments.misfits(fit, windows):  # the fitted iris is not one to estimate the thickness with
+        medians = pigments.parameter_values(np.zeros(len(pigments.FREE_NAMES)))
+        usual = pigments.iris_of_concentrations(medians, base)
     response, lights = windows.thickness_response(usual), lit.lighting.lights()
     shade, slopes, darkness = None, (0.0, 0.0), None
     if lit.second is None:  # the light of a second photograph is not known
@@ -651,18 +551,10 @@ def _thickness_by_model(
     if freckles.any():
         shares = np.linspace(0, 1, 21) ** 2
         darkness = Darkness(shares, windows.freckle_response(iris, shares))
-    shape = shape_maps(
-        texture,
-        freckles,
-        sigma_mm=0.0,
-        response=response,
-        slopes=slopes,
-        shade=shade,
-        darkness=darkness,
-    )
+    known: dict[str, Any] = {"response": response, "slopes": slopes}
+    shape = shape_maps(texture, freckles, sigma_mm=0.0, shade=shade, darkness=darkness, **known)
     if relief > 0:
         height = relief * (shape.thickness - generic_thickness(texture.radius()))
-        heights = to_polar(height, texture.pupil_radius, texture.iris_radius)
-        maps = shape.maps.replace(relief=jnp.clip(jnp.asarray(heights), -1, 1))
-        shape = shape._replace(maps=maps)
+        limited = jnp.clip(jnp.asarray(texture.to_polar(height)), -1, 1)
+        shape = shape._replace(maps=shape.maps.replace(relief=limited))
     return shape, response
