@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from irisjax.photo.freckles import find_freckles
-from irisjax.photo.texture import Unrefracted
+from irisjax.photo.masks import find_freckles
+from irisjax.photo.texture import Unrefracted, texels_of
 
 BLUE = np.array([0.10, 0.14, 0.20])
 BROWN = np.array([0.06, 0.035, 0.012])
@@ -15,8 +15,7 @@ SIZE = 256
 def _iris(spots=(), colour=BLUE, noise=0.02, ring=False):
     """A streaky iris with spots ((x, y, diameter, colour), mm) and at need a brown ring."""
     draw = np.random.default_rng(1)
-    bare = Unrefracted(np.zeros((SIZE, SIZE, 3)), np.ones((SIZE, SIZE), bool), 2.0, 5.5)
-    radius, angle = bare.radius(), bare.angle()
+    radius, angle = texels_of(SIZE)
     streaks = 1 + 0.2 * np.sin(60 * angle + 3 * radius)
     pixels = colour * streaks[..., None]
     if ring:
@@ -26,7 +25,7 @@ def _iris(spots=(), colour=BLUE, noise=0.02, ring=False):
         at = np.hypot(radius * np.cos(angle) - x, radius * np.sin(angle) - y) < width / 2
         pixels[at] = paint * pixels[at].sum(-1, keepdims=True) / pixels[at].sum(-1).mean()
     pixels = pixels * np.exp(noise * draw.standard_normal(pixels.shape))
-    return bare._replace(pixels=pixels, valid=(radius > 2.05) & (radius < 5.45))
+    return Unrefracted(pixels, (radius > 2.05) & (radius < 5.45), 2.0, 5.5)
 
 
 def _at(mask, x, y):

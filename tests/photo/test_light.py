@@ -3,12 +3,11 @@
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from eyes_in_line import outlines
 
 from irisjax.anatomy.eye import Eye
 from irisjax.photo.light import find_lighting, light_tangent, shade_on
-from irisjax.photo.pose import find_pose
-from irisjax.photo.texture import Unrefracted
+from irisjax.photo.pose import Pose
+from irisjax.photo.texture import Unrefracted, texels_of
 from irisjax.render.camera import Camera
 from irisjax.render.illumination import Illumination
 from irisjax.render.lights import Lights
@@ -17,17 +16,8 @@ from irisjax.render.project import look
 
 @pytest.fixture(scope="module")
 def pose():
-    camera = Camera(polar=0.2, azimuth=0.35, distance=300.0, width=14.0, size=(1001, 901))
-    found = find_pose(*outlines(Eye(), camera), Eye())
-    size = 201, 201  # fewer pixels of the same field
-    shape = Camera(
-        found.camera.polar,
-        found.camera.azimuth,
-        found.camera.distance,
-        found.camera.width,
-        size,
-    )
-    return found._replace(camera=shape)
+    camera = Camera(polar=0.2, azimuth=0.35, distance=300.0, width=12.65, size=(201, 201))
+    return Pose(camera, (0, 0), Eye(), (0.0, 0.0), 0.2, 0.01, (0.18, 0.22), None, "given")
 
 
 def _mirrored(pose, towards, radius):
@@ -55,7 +45,7 @@ def _direction(polar, azimuth):
     return np.array([sin * np.cos(azimuth), sin * np.sin(azimuth), -np.cos(polar)])
 
 
-@pytest.mark.parametrize(("polar", "azimuth"), [(0.3, 2.0), (0.66, 2.18), (0.7, -1.0)])
+@pytest.mark.parametrize(("polar", "azimuth"), [(0.3, 2.0), (0.7, -1.0)])
 def test_a_highlight_tells_where_its_lamp_stands(pose, polar, azimuth):
     towards = _direction(polar, azimuth)
     light = _told(_mirrored(pose, towards, 0.08), pose)
@@ -101,12 +91,10 @@ def test_light_from_the_right_leans_to_the_right():
 def test_the_limbus_shades_the_side_of_the_lamp():
     """A lamp low on the right leaves the right rim dark; light from all round fills the shadow."""
     eye, size = Eye(), 128
-    texture = Unrefracted(
-        np.ones((size, size, 3), np.float32), np.ones((size, size), bool), 2.0, 5.5
-    )
-    radius = texture.radius()
-    texture = texture._replace(valid=(radius > 2.0) & (radius < 5.2))
-    tables = Illumination.build(eye, caustics=False, size=65)
+    radius, _ = texels_of(size)
+    valid = (radius > 2.0) & (radius < 5.2)
+    texture = Unrefracted(np.ones((size, size, 3), np.float32), valid, 2.0, 5.5)
+    tables = Illumination.build(eye, caustics=False, size=33)
     lamp = Lights.distant([0.9], [0.0], [np.pi])
     shade = shade_on(texture, lamp, 0.0, eye, tables) & texture.valid
     right = np.cos(texture.angle()) > 0.9

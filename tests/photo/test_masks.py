@@ -17,6 +17,7 @@ SHAPE = (360, 480)
 LIMBUS, PUPIL = Ellipse((240, 180), (110, 108)), Ellipse((240, 180), (40, 39))
 RING = LIMBUS.mask(SHAPE) & ~PUPIL.mask(SHAPE)
 ROW, COLUMN = np.indices(SHAPE)
+NONE = np.zeros(SHAPE, bool)
 SKIN = np.array([0.5, 0.3, 0.2])
 
 
@@ -50,8 +51,8 @@ def test_highlights_are_marked_with_their_glow_and_little_else(grey):
 
 def test_fibres_are_no_highlights():
     pixels = _eye()
-    assert not find_highlights(pixels, np.zeros(SHAPE, bool), RING).any()
-    assert not find_highlights(pixels, np.zeros(SHAPE, bool), np.zeros(SHAPE, bool)).any()
+    assert not find_highlights(pixels, NONE, RING).any()
+    assert not find_highlights(pixels, NONE, NONE).any()
 
 
 def _lashes():
@@ -70,7 +71,7 @@ def _lashes():
 def test_lashes_that_cross_the_limbus_are_found(grey):
     pixels, drawn = _eye(grey), _lashes()
     pixels[drawn] = 0.006
-    found = find_lashes(pixels, LIMBUS)
+    found = find_lashes(pixels, LIMBUS, NONE)
     assert found[drawn & RING & (ROW < 108)].mean() > 0.8
     assert (found & RING).sum() < 6 * (drawn & RING).sum()
 
@@ -89,10 +90,12 @@ def test_a_lid_over_the_iris_is_found(grey):
 @pytest.mark.parametrize("grey", [False, True])
 def test_an_open_eye_has_neither_lids_nor_lashes_over_it(grey):
     pixels = _eye(grey)
-    assert not find_lashes(pixels, LIMBUS).any()
+    assert not find_lashes(pixels, LIMBUS, NONE).any()
     assert not find_lids(pixels, LIMBUS, PUPIL).any()
     beyond = Ellipse((-900.0, 20.0), (50.0, 50.0))
-    assert not find_lashes(pixels, beyond).any() and not find_lids(pixels, beyond, beyond).any()
+    assert (
+        not find_lashes(pixels, beyond, NONE).any() and not find_lids(pixels, beyond, beyond).any()
+    )
 
 
 SIDE, RADIUS = 400, 180.0

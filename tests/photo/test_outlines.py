@@ -77,10 +77,6 @@ def green():
     return exposed(photographed("green_tilted.jpg", 1 / 3))
 
 
-def test_outlines_behind_lids_lashes_and_a_highlight_are_found():
-    check(occluded(drawn(radius=120.0)), 0.02)
-
-
 def test_outlines_of_a_simulated_eye_behind_lids_lashes_and_a_highlight(green):
     check(occluded(green), 0.015)
 
@@ -104,23 +100,18 @@ def test_one_side_of_the_white_burnt_out_and_the_other_in_shadow(green):
 @pytest.mark.parametrize(
     "eye",
     [
-        drawn(middle=(95.0, 190.0)),
+        drawn(middle=(95.0, 190.0), pupil=0.2),
         drawn(radius=41.0, middle=(330.0, 60.0)),
-        drawn(radius=140.0),
-        drawn(ratio=0.85),
-        drawn(pupil=0.2),
-        drawn(pupil=0.7),
+        drawn(radius=140.0, ratio=0.85),
     ],
-    ids=["aside", "small", "large", "tilted", "narrow pupil", "wide pupil"],
+    ids=["aside, narrow pupil", "small", "large, tilted"],
 )
 def test_anywhere_and_of_any_size(eye):
     check(with_noise(eye), 0.02)
 
 
 @pytest.mark.parametrize(
-    ("radius", "dark"),
-    [(100.0, 0.0), (200.0, 0.0), (200.0, 0.1)],
-    ids=["sharp, small", "sharp", "dark margin"],
+    ("radius", "dark"), [(100.0, 0.0), (200.0, 0.1)], ids=["sharp", "dark margin"]
 )
 def test_the_pupil_ends_where_the_iris_begins(radius, dark):
     """Sharp, or with a margin that rises slowly from black, some pixels wide."""
@@ -133,7 +124,7 @@ def test_the_pupil_ends_where_the_iris_begins(radius, dark):
         assert abs(found.pupil_margin - dark) < 1.5 / (0.4 * radius)
 
 
-@pytest.mark.parametrize("width", [0.02, 0.06, 0.18])
+@pytest.mark.parametrize("width", [0.02, 0.18])
 def test_the_width_of_the_limbus_is_found(width):
     eye = with_noise(drawn((320, 400), (200.0, 160.0), 110.0, width=width))
     found = find_boundaries(eye.photograph(), pupil=eye.pupil)
@@ -143,14 +134,10 @@ def test_the_width_of_the_limbus_is_found(width):
 
 
 def test_of_two_eyes_one_is_found_whole():
-    left, right = (
-        drawn(size=(300, 300), middle=(150, 150)),
-        drawn(size=(300, 300), middle=(150, 150)),
-    )
-    both = np.concatenate([left.pixels, right.pixels], 1)
-    found = find_boundaries(as_photograph(both))
+    eye = drawn(size=(200, 200), middle=(100, 100), radius=60.0)
+    found = find_boundaries(as_photograph(np.concatenate([eye.pixels, eye.pixels], 1)))
     assert found.limbus_confidence > MIN_CONFIDENCE
-    assert abs(found.limbus.centre[0] % 300 - 150) < 2
+    assert abs(found.limbus.centre[0] % 200 - 100) < 2
     assert abs(found.pupil.centre[0] - found.limbus.centre[0]) < 2
 
 
@@ -183,8 +170,8 @@ def half(eye: Simulated) -> np.ndarray:
     return eye.pixels[:, : eye.pixels.shape[1] // 2]
 
 
-def small(**kinds):
-    return drawn((150, 200), (100.0, 75.0), 40.0, **kinds)
+def small():
+    return drawn((150, 200), (100.0, 75.0), 40.0)
 
 
 def blobs(width: float) -> np.ndarray:
@@ -200,14 +187,13 @@ def disc() -> np.ndarray:
 @pytest.mark.parametrize(
     "pixels",
     [
-        np.random.default_rng(0).uniform(size=(150, 200, 3)),
         blobs(8),
         disc(),
         half(small()),
         with_noise(with_lids(small(), upper=-1.1, lower=1.1)).pixels,
         np.full((10, 12, 3), 0.5) + np.eye(10, 12)[..., None] * 0.3,
     ],
-    ids=["noise", "blobs", "disc", "half", "closed", "tiny"],
+    ids=["blobs", "disc", "half", "closed", "tiny"],
 )
 def test_pictures_without_a_whole_eye_get_low_confidence(pixels):
     with contextlib.suppress(ValueError):  # no iris found
@@ -216,14 +202,14 @@ def test_pictures_without_a_whole_eye_get_low_confidence(pixels):
         assert found.pupil_confidence < MIN_CONFIDENCE
 
 
-@pytest.mark.parametrize("level", [0.0, 0.5, 1.0])
+@pytest.mark.parametrize("level", [0.0, 1.0])
 def test_an_even_picture_is_refused_by_its_name(level):
     with pytest.raises(ValueError, match=r"^even\.png: no iris found; give --limbus"):
         find_boundaries(as_photograph(np.full((60, 80, 3), level), "even.png"))
 
 
 def test_a_pupil_of_eight_millimetres_is_right_or_doubted():
-    eye = with_noise(drawn((320, 400), (200.0, 160.0), 110.0, pupil=4.0 / 5.5))
+    eye = with_noise(drawn((190, 240), (120.0, 95.0), 66.0, pupil=4.0 / 5.5))
     found = find_boundaries(eye.photograph())
     off = found.pupil.relative_radius(*eye.pupil.points(np.linspace(0, 2 * np.pi, 60)).T) - 1
     assert abs(off).max() < 0.01 or found.pupil_confidence < MIN_CONFIDENCE

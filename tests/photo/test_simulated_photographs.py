@@ -23,8 +23,7 @@ from irisjax.photo.texture import LUMINANCE_WEIGHTS, masked_mean
 FOLDER = Path(__file__).parent.parent.parent / "data" / "photographs"
 TRUTH = json.loads((FOLDER / "truth.json").read_text(encoding="utf-8"))["photographs"]
 CLEAN = [t for t in TRUTH if not t["dirty"]]
-SEARCHED = "brown.jpg", "blue_tilted_dirty.jpg"
-MASKED = "blue_tilted_dirty.jpg", "brown_dirty.jpg", "green_tilted_dirty.jpg"
+MASKED = "brown_dirty.jpg", "green_tilted_dirty.jpg"
 
 
 def by_file(truths):
@@ -72,17 +71,6 @@ def test_file(truth):
     assert float(of_camera[0x920A]) * float(of_camera[0xA20E]) / 10 == pytest.approx(focal, 1e-4)
 
 
-@by_file(TRUTH)
-def test_outlines_lie_in_the_frame(truth):
-    along = np.linspace(0, 2 * math.pi, 90)
-    limbus, pupil = (outline(truth, n) for n in ("limbus", "pupil"))
-    points = limbus.points(along)
-    assert points.min() >= 0
-    assert (points < truth["size_px"]).all()
-    assert 480 < limbus.semi_axes[0] < 520
-    assert (limbus.relative_radius(*pupil.points(along).T) < 0.6).all()
-
-
 @by_file(CLEAN)
 @pytest.mark.parametrize("name", ["limbus", "pupil"])
 def test_edges_lie_on_the_outlines(truth, name):
@@ -94,11 +82,8 @@ def test_edges_lie_on_the_outlines(truth, name):
 
     def at(pixels):
         a, b = ellipse.semi_axes
-        column, row = (
-            np.round(ellipse._replace(semi_axes=(a + pixels, b + pixels)).points(along))
-            .astype(int)
-            .T
-        )
+        moved = ellipse._replace(semi_axes=(a + pixels, b + pixels))
+        column, row = np.round(moved.points(along)).astype(int).T
         return picture[row, column]
 
     inside, outside = at(-3), at(3)
@@ -108,7 +93,7 @@ def test_edges_lie_on_the_outlines(truth, name):
     assert (outside > middle).mean() > 0.97
 
 
-@by_file([t for t in TRUTH if t["file"] in SEARCHED])
+@by_file([t for t in TRUTH if t["file"] == "blue_tilted_dirty.jpg"])
 def test_outlines_are_found_to_a_hundredth_of_their_radius_and_the_tilt_to_2_degrees(truth):
     found = find_boundaries(read_photograph(FOLDER / truth["file"]))
     along = np.linspace(0, 2 * math.pi, 90)
@@ -162,7 +147,7 @@ def test_what_lids_lashes_and_a_lamp_hide_is_masked(truth):
     )
     change = seen - bare
     hidden = ring & (np.abs(change - np.median(change[ring])) > 0.35)
-    found = ring & ~dirty.clear(inner, dirty.lids(inner))
+    found = ring & ~dirty.clear(inner)[0]
     assert found[hidden].mean() > 0.8
     around = masked_mean(change, ring & ~hidden, 0.05 * dirty.limbus.semi_axes[0])
     touched = hidden | (np.abs(change - around) > 0.06)
@@ -170,21 +155,19 @@ def test_what_lids_lashes_and_a_lamp_hide_is_masked(truth):
     assert found[away].mean() < 0.03
 
 
-@by_file([t for t in TRUTH if t["file"] == MASKED[-1]])
-def test_the_mirrored_face_is_masked(truth):
+def test_the_mirrored_face_is_masked():
     """Of an eye that is turned: where it makes the rim brighter by a third than without a face; at
     half the size.
     """
+    truth = next(t for t in TRUTH if t["file"] == MASKED[-1])
     limbus, pupil = (outline(truth, n).scaled(0.5) for n in ("limbus", "pupil"))
-    photo = halved(truth["file"])
+    photo = halved(MASKED[-1])
     found = pose_eye(outline_eye(photo, Given(limbus, pupil)), CloneSettings())
     mirror = found.view.mirror
-    (x, y), part = found.corner, found.part
-    limbus, pupil = (e.moved(-x, -y) for e in (limbus, pupil))
+    (x, y), part, clean = found.pose.corner, found.part, halved(MASKED[-1].replace("_dirty", ""))
+    whole, (rows, columns) = part_of(clean, limbus), part.shape[:2]
+    limbus, pupil = (whole.moved(e).moved(-x, -y) for e in (limbus, pupil))
     masked = find_mirrored_face(part, np.zeros(part.shape[:2], bool), limbus, mirror)
-    clean = halved(truth["file"].replace("_dirty", ""))
-    whole, (rows, columns) = part_of(clean, found.boundaries.limbus), part.shape[:2]
-    x, y = x - whole.corner[0], y - whole.corner[1]
     bare = 1.2 * whole.pixels[y : y + rows, x : x + columns]
     row, column = np.ogrid[:rows, :columns]
     iris = limbus.relative_radius(column, row) < 0.97

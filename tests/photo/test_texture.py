@@ -12,6 +12,7 @@ from irisjax.photo.texture import (
     fill_holes,
     follow_refraction,
     masked_mean,
+    texels_of,
     to_polar,
     unrefract,
 )
@@ -55,13 +56,9 @@ def test_means_leave_holes_out():
         masked_mean(values, np.zeros_like(valid), 5.0)
 
 
-def _flat_texture(size):
-    return Unrefracted(np.zeros((size, size, 3)), np.ones((size, size), bool), 2.0, 5.5)
-
-
 @pytest.mark.parametrize("shape", [(48, 16), (768, 256)])
 def test_angles_run_from_right_to_up_and_radii_outwards(shape):
-    texture = _flat_texture(256)
+    texture = _texture(256)
     picture = np.cos(texture.angle() - 0.4) + 0.2 * texture.radius()
     polar = to_polar(picture, 2.0, 5.5, shape)
     angle, radius = (np.asarray(x) for x in cell_centres(shape))
@@ -70,7 +67,7 @@ def test_angles_run_from_right_to_up_and_radii_outwards(shape):
 
 
 def test_texture_axes():
-    texture = _flat_texture(64)
+    texture = _texture(64)
     assert texture.angle()[0, 32] == pytest.approx(np.pi / 2, abs=0.02)  # row 0 is the top
     assert abs(texture.angle()[32, 63]) < 0.02
     assert texture.radius()[32, 63] == pytest.approx(
@@ -94,18 +91,16 @@ SPACING, WIDTH = 0.8, 0.12  # mm, of the dots
 
 @pytest.fixture(scope="module")
 def pose():
-    camera = Camera(polar=0.5236, azimuth=0.35, distance=300.0, width=14.0, size=(1001, 901))
+    camera = Camera(polar=0.5236, azimuth=0.35, distance=300.0, width=14.0, size=(501, 451))
     return find_pose(*outlines(Eye(), camera), Eye())
 
 
 def _texture(size):
-    nothing = np.zeros((size, size), bool)
-    return Unrefracted(np.zeros((size, size, 3), np.float32), nothing, 0.0, 5.5)
+    return Unrefracted(np.zeros((size, size, 3)), np.ones((size, size), bool), 2.0, 5.5)
 
 
 def _places(size):
-    texture = _texture(size)
-    radius, angle = texture.radius().astype(float), texture.angle().astype(float)
+    radius, angle = (v.astype(float) for v in texels_of(size))
     return radius, radius * np.cos(angle), radius * np.sin(angle)
 
 
@@ -149,7 +144,7 @@ def dots(pose):
 
 def test_a_painted_iris_lies_flat_where_it_was_painted(pose, dots):
     places, picture = dots
-    size = 512
+    size = 384
     flat = unrefract(picture, np.ones(picture.shape[:2], bool), pose, follow_refraction(pose, size))
     texel = flat.millimetres_per_texel
     guess = np.stack([-places[:, 1], places[:, 0]], -1) / texel + size / 2 - 0.5
@@ -167,9 +162,9 @@ def test_what_a_mask_hides_is_not_valid(pose, dots):
     _, picture = dots
     clear = np.ones(picture.shape[:2], bool)
     clear[:, picture.shape[1] // 2 :] = False
-    flat = unrefract(picture, clear, pose, follow_refraction(pose, 256))
-    radius, x, _ = _places(256)
     where = follow_refraction(pose, 256)
+    flat = unrefract(picture, clear, pose, where)
+    radius, x, _ = _places(256)
     assert not flat.valid[where.column > picture.shape[1] / 2].any()
     ring = (radius > 2.2) & (radius < 4.8)
     assert flat.valid[ring & (where.column < picture.shape[1] / 2 - 2)].all()
@@ -183,8 +178,9 @@ def test_a_picture_that_ends_within_the_iris(pose, dots):
     _, picture = dots
     columns = picture.shape[1]
     cut = picture[:, : columns // 3]
-    flat = unrefract(cut, np.ones(cut.shape[:2], bool), pose, follow_refraction(pose, 256))
-    beyond = follow_refraction(pose, 256).column > columns // 3 - 1
+    where = follow_refraction(pose, 256)
+    flat = unrefract(cut, np.ones(cut.shape[:2], bool), pose, where)
+    beyond = where.column > columns // 3 - 1
     assert not flat.valid[beyond].any() and (flat.pixels[beyond] == 0).all()
     assert flat.valid.any()
 

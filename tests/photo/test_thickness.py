@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from irisjax.photo.texture import Unrefracted
+from irisjax.photo.texture import Unrefracted, texels_of
 from irisjax.photo.thickness import (
     ARC_LIGHT,
     SHADE_SHARE,
@@ -35,12 +35,9 @@ def _pattern(width=4.0, seed=0):
     return (noise / noise.std()).astype(np.float32)
 
 
-def test_generic_iris_has_the_measured_thicknesses():
+def test_generic_iris_has_the_measured_thicknesses_and_is_constant_beyond():
     whole = generic_thickness(np.array([2.25, 3.5, 5.0])) + 0.07 + 0.05675
     np.testing.assert_allclose(whole, [0.645, 0.457, 0.372], atol=1e-6)
-
-
-def test_generic_iris_is_constant_beyond_the_measurements_and_thins_between():
     r = np.linspace(0.25, 7, 200)
     t = generic_thickness(r)
     assert t.min() > 0.2 and (np.diff(t) <= 0).all()
@@ -192,11 +189,9 @@ SIZE = 192
 
 
 def _texture():
-    bare = Unrefracted(np.zeros((SIZE, SIZE, 3)), np.ones((SIZE, SIZE), bool), 1.9, 5.5)
-    radius, angle = bare.radius(), bare.angle()
-    streaks = 1 + 0.3 * np.sin(24 * angle)
-    pixels = np.array([0.1, 0.14, 0.2]) * streaks[..., None]
-    return bare._replace(pixels=pixels, valid=(radius > 1.9) & (radius < 5.5))
+    radius, angle = texels_of(SIZE)
+    pixels = np.array([0.1, 0.14, 0.2]) * (1 + 0.3 * np.sin(24 * angle))[..., None]
+    return Unrefracted(pixels, (radius > 1.9) & (radius < 5.5), 1.9, 5.5)
 
 
 def test_bright_streaks_are_thick_and_the_iris_thins_outwards():
@@ -212,8 +207,8 @@ def test_bright_streaks_are_thick_and_the_iris_thins_outwards():
 
 def test_freckles_of_the_user_are_filled_and_handed_on():
     texture = _texture()
-    spot = np.hypot(texture.radius() * np.cos(texture.angle()) - 3.5, 0) < 0.3
-    spot &= np.abs(texture.radius() * np.sin(texture.angle())) < 0.3
+    radius, angle = texels_of(SIZE)
+    spot = np.maximum(abs(radius * np.cos(angle) - 3.5), abs(radius * np.sin(angle))) < 0.3
     spoilt = texture._replace(pixels=np.where(spot[..., None], 1e-3, texture.pixels))
     found = shape_maps(spoilt, spot, shape=(192, 32))
     clean = shape_maps(texture, np.zeros_like(spot), shape=(192, 32))
@@ -263,14 +258,9 @@ RING_SIZE = 600
 
 def ring(hidden=False) -> Unrefracted:
     """Of an eye without lids, or with its upper third hidden."""
-    empty = Unrefracted(
-        np.zeros((RING_SIZE, RING_SIZE, 3), np.float32),
-        np.zeros((RING_SIZE, RING_SIZE), bool),
-        2.0,
-        5.5,
-    )
-    radius, y = empty.radius(), empty.radius() * np.sin(empty.angle())
-    return empty._replace(valid=(radius > 2) & (radius < 5.5) & ~(hidden & (y > 2)))
+    radius, angle = texels_of(RING_SIZE)
+    valid = (radius > 2) & (radius < 5.5) & ~(hidden & (radius * np.sin(angle) > 2))
+    return Unrefracted(np.zeros((*valid.shape, 3), np.float32), valid, 2.0, 5.5)
 
 
 def away_from_edges(texture: Unrefracted):

@@ -79,7 +79,8 @@ def test_what_the_tears_mirror_of_a_uniform_room_is_their_veil():
     np.testing.assert_allclose(pixels.mirrored, 0.4 * pixels.veil[:, None] * np.ones(3), rtol=1e-6)
     assert pixels.veil.min() > 0.01
     low, high = float(EYE.pupil_radius) + MARGIN, 5.5 - OUTER_MARGIN
-    assert low < pixels.radius.min() and pixels.radius.max() < high
+    away = np.hypot(*np.asarray(pixels.seen.point)[:2])[pixels.window < ANGLES * RINGS]
+    assert low < away.min() and away.max() < high
 
 
 def test_hidden_pixels_do_not_count():
