@@ -251,7 +251,7 @@ def find_lids(pixels: Colours, limbus: Ellipse, pupil: Ellipse) -> Mask:
     light = np.log(np.maximum(smooth, 0) + 0.02 * max(float(np.median(smooth)), 1e-4))
     # Brightness and colour.
     seen = np.stack([light @ LUMINANCE_WEIGHTS, light[..., 0] - light[..., 2]], -1)
-    row, column = np.indices(radius.shape)
+    row, column = np.mgrid[: radius.shape[0], : radius.shape[1]]
     x, y = part.small(limbus)
     aside = np.abs(row - y) < 0.5 * np.abs(column - x)
     ring = np.minimum((radius * 20).astype(int), int(20 * _SEEN_AROUND))
@@ -349,7 +349,7 @@ def part_of(photograph: Photograph, limbus: Ellipse) -> Part:
 class _Reduced:
     """A rectangle of the photograph and a smaller picture of it."""
 
-    def __init__(self, shape: tuple[int, int], box: tuple[slice, slice]):
+    def __init__(self, shape: tuple[int, int], box: tuple[slice, ...]):
         self.shape, self.box = shape, box
         self.size = tuple(b.stop - b.start for b in box)
         factor = min(1.0, _RESOLUTION / max(self.size))

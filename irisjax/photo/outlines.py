@@ -89,13 +89,10 @@ def find_boundaries(
                 f"{photo.name}: the middle of the {name} given, {given.centre}, is outside the "
                 f"picture of {columns} x {rows} pixels"
             )
-    if limbus is not None and pupil is not None:
-        return _with_widths(photo, Boundaries(limbus, pupil, 1.0, 1.0))
-    if limbus is None:
+    outline, held = limbus, None
+    if outline is None:
         outline, inner = _searched(photo, pupil)
         outline, held = limbus_near(photo, outline, inner, coarse=False)
-    else:
-        outline, held = limbus, None
     if pupil is not None:
         return _with_widths(photo, _judged(photo, outline, pupil, held, None))
     inner, support, margin = pupil_within(photo, outline, coarse=False)

@@ -136,8 +136,8 @@ def find_pose(
     x, y = limbus.centre
 
     def seen_from(v, width, size) -> Camera:
-        polar, azimuth, away = np.hypot(*v[:2]), np.arctan2(v[1], v[0]), distance + behind
-        return Camera(*cast(Any, (polar, azimuth, away, width)), size)
+        numbers: Any = np.hypot(*v[:2]), np.arctan2(v[1], v[0]), distance + behind, width
+        return Camera(*numbers, size=size)
 
     def residuals(v):
         open_ = eye.replace(pupil_radius=jnp.asarray(np.clip(v[5], *PUPIL_RADII), float))
@@ -292,7 +292,7 @@ def _pupil_on_iris(eye: Eye, camera: Camera, pupil: Ellipse):
             f"the outlines make the pupil's radius {found:.2f} mm; it must be within "
             f"{low:g} to {high:g} mm"
         )
-    return tuple(centre), found
+    return (centre[0], centre[1]), found
 
 
 @eqx.filter_jit

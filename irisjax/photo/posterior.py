@@ -3,6 +3,7 @@
 import math
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -86,7 +87,8 @@ def sample_pigments(
     return PigmentPosterior({name: drawn[name] for name in FREE_NAMES}, estimates, z, chains)
 
 
-class _Target(NamedTuple):
+@dataclass(frozen=True)
+class _Target:
     """A density that `infer.sample` samples."""
 
     names: tuple[str, ...]
