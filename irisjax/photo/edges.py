@@ -316,7 +316,7 @@ def _distance(dx, dy, a, b, angle, direction):
 
 
 def _alike(a: DarkRing, b: DarkRing) -> bool:
-    return a.away(b) < 0.3 * b.radius and 0.75 < a.radius / b.radius < 1.33
+    return bool(a.away(b) < 0.3 * b.radius and 0.75 < a.radius / b.radius < 1.33)
 
 
 def _directions(brightness):

@@ -115,8 +115,8 @@ def pupil_within(photo: Photograph, limbus: Ellipse, coarse: bool = True) -> Pup
     picture = np.minimum(picture, ceiling)
 
     def possible(circle: Ellipse) -> bool:
-        share, off = circle.semi_axes[0] / radius, float(outline.relative_radius(*circle.centre))
-        return PUPIL_SHARE[0] < share < PUPIL_SHARE[1] and off < 0.3 and off + share < 1.05
+        share, off = circle.semi_axes[0] / radius, outline.relative_radius(*circle.centre)
+        return bool(PUPIL_SHARE[0] < share < PUPIL_SHARE[1] and off < min(0.3, 1.05 - share))
 
     rings = edges.find_rings(picture, (0.13 * radius, 0.8 * radius), 6, sideways=0.2)
     rings = [ring for ring in rings if possible(ring.circle)]
