@@ -1,5 +1,4 @@
-"""Doubts about a clone, as sentences: outlines, the camera's place, and a model that cannot follow
-the photograph."""
+"""Doubts about a clone, as sentences."""
 
 from jaxtyping import Float
 from numpy import ndarray
@@ -21,19 +20,14 @@ LEAST_RESPONSE = 0.1
 
 def doubtful_outlines(found: Outlined) -> dict[str, float]:
     """Return the outlines that a clone must not be built on, and the confidence in each."""
-    both = {
-        "limbus": found.boundaries.limbus_confidence,
-        "pupil": found.boundaries.pupil_confidence,
-    }
-    return {name: c for name, c in both.items() if c < MIN_CONFIDENCE}
+    sure = found.boundaries.limbus_confidence, found.boundaries.pupil_confidence
+    both = zip(("limbus", "pupil"), sure, strict=True)
+    return {name: confidence for name, confidence in both if confidence < MIN_CONFIDENCE}
 
 
 def doubts_of(found: Outlined, rms: Float[ndarray, "3"] | None = None) -> tuple[str, ...]:
-    """Return a sentence for each doubt, none for a clone that may be trusted.
-
-    Args:
-        found: The last stage that was reached.
-        rms: Differences of its picture from the photograph per channel, of the full range.
+    """Return a sentence for each doubt about the last stage that was reached; `rms` is the difference
+    of its picture from the photograph per channel, of the full range.
     """
     doubts = [
         f"the {name} is doubtful (confidence {confidence:.2f}); give --{name}"

@@ -51,7 +51,7 @@ def find_lighting(part: Colours, pose: Pose, view: View) -> Lighting:
     The lamps share an irradiance of π in proportion to the areas of their highlights, whose
     brightness is cut off. Without a highlight, uniform light from all round is assumed.
     """
-    towards, area = _mirrored(_spots(part), view.mirror, pose.camera.shape)
+    towards, area = _mirrored(part, view.mirror, pose.camera.shape)
     if not len(towards):
         return Lighting(None, Environment.uniform(), found=0)
     polar = np.arccos(np.clip(-towards[:, 2], -1, 1))
@@ -101,12 +101,18 @@ def shade_on(
     return lit < SHADED * usual
 
 
-def _mirrored(spots, seen: MirrorPixels | None, shape: tuple[int, int]):
-    """Unit directions that spots on the cornea mirror, and the areas of these spots (pixels)."""
+def _mirrored(part, seen: MirrorPixels | None, shape: tuple[int, int]):
+    """Unit directions that the largest highlights of the cornea mirror; their areas, pixels."""
     towards, area = [], []
     if seen is not None:
         directions = onto_picture(seen, np.stack([np.asarray(c) for c in seen.mirror], -1), shape)
-        for spot in spots:
+        brightness = part.max(-1)
+        row, column = np.ogrid[: shape[0], : shape[1]]
+        middle = np.hypot(row - shape[0] / 2, column - shape[1] / 2) < 0.37 * min(shape)
+        bright = middle & (brightness > max(0.97, 4 * np.median(brightness[middle])))
+        spots = measure.regionprops(measure.label(bright))
+        large = sorted((s for s in spots if s.area >= _LEAST), key=lambda s: -s.area)
+        for spot in large[:_MOST]:
             at = directions[tuple(spot.coords.T)]
             on_cornea = at.any(-1)
             if on_cornea.mean() >= 0.5:
@@ -114,16 +120,3 @@ def _mirrored(spots, seen: MirrorPixels | None, shape: tuple[int, int]):
                 towards.append(mean / np.linalg.norm(mean))
                 area.append(spot.area)
     return np.array(towards), np.array(area, float)
-
-
-def _spots(part):
-    """Highlights within the cornea, the largest first."""
-    brightness = part.max(-1)
-    rows, columns = brightness.shape
-    row, column = np.ogrid[:rows, :columns]
-    middle = np.hypot(row - rows / 2, column - columns / 2) < 0.37 * min(rows, columns)
-    typical = np.median(brightness[middle])
-    bright = middle & (brightness > max(0.97, 4 * typical))
-    regions = measure.regionprops(measure.label(bright))
-    large = sorted((r for r in regions if r.area >= _LEAST), key=lambda r: -r.area)
-    return large[:_MOST]

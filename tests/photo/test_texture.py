@@ -2,11 +2,11 @@
 
 import numpy as np
 import pytest
-from eyes_in_line import outlines, painted, seen
+from eyes_in_line import painted, seen
 from scipy import ndimage
 
 from irisjax.anatomy.eye import Eye
-from irisjax.photo.pose import find_pose, iris_points
+from irisjax.photo.pose import Pose, iris_points
 from irisjax.photo.texture import (
     Unrefracted,
     fill_holes,
@@ -92,7 +92,7 @@ SPACING, WIDTH = 0.8, 0.12  # mm, of the dots
 @pytest.fixture(scope="module")
 def pose():
     camera = Camera(polar=0.5236, azimuth=0.35, distance=300.0, width=14.0, size=(501, 451))
-    return find_pose(*outlines(Eye(), camera), Eye())
+    return Pose(camera, (0, 0), Eye(), (0.0, 0.0), 0.5236, 0.01, (0.5, 0.55), None, "given")
 
 
 def _texture(size):
