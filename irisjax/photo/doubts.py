@@ -26,8 +26,8 @@ def doubtful_outlines(found: Outlined) -> dict[str, float]:
 
 
 def doubts_of(found: Outlined, rms: Float[ndarray, "3"] | None = None) -> tuple[str, ...]:
-    """Return a sentence for each doubt about the last stage that was reached; `rms` is the difference
-    of its picture from the photograph per channel, of the full range.
+    """Return a sentence for each doubt about the last stage that was reached; `rms` has the
+    differences of its picture from the photograph by channel, of the full range.
     """
     doubts = [
         f"the {name} is doubtful (confidence {confidence:.2f}); give --{name}"

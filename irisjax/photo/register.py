@@ -109,8 +109,6 @@ def register_photographs(
     Raises:
         ValueError: If a limbus has its centre outside its photograph or a radius below 20 pixels.
     """
-    for photograph, limbus in ((first, first_limbus), (second, second_limbus)):
-        _check(photograph, limbus)
     (one, near, fine), (other, far, fine_other) = (
         _texture(p, limbus) for p, limbus in ((first, first_limbus), (second, second_limbus))
     )
@@ -169,6 +167,7 @@ def _sampled(picture: np.ndarray, column: np.ndarray, row: np.ndarray) -> np.nda
 
 def _texture(photograph: Photograph, limbus: Ellipse) -> tuple[_Texture, Ellipse, int]:
     """Texture at the comparison's resolution, the limbus in it, and the reduction of a side."""
+    _check(photograph, limbus)
     fine = max(1, round(_radius(limbus) / _WORKING))
     limbus, radius = limbus.scaled(1 / fine), _radius(limbus) / fine
     luminance = photograph.pixels @ LUMINANCE_WEIGHTS
