@@ -6,6 +6,9 @@ import jax.numpy as jnp
 from jax import Array
 from jaxtyping import Float, Key
 
+Numbers: TypeAlias = Any
+"""A number, a list or an array of them, traced or not, or a word that a setting allows."""
+
 Scalar: TypeAlias = Float[Array, ""]
 """A traced number."""
 

@@ -12,7 +12,7 @@ from jaxtyping import Array, Float
 
 from irisjax._types import Scalar
 from irisjax.infer.observation import Observation
-from irisjax.numerics.cholesky import cholesky, whitened
+from irisjax.numerics.linear import cholesky, whitened
 
 Values: TypeAlias = Float[Array, " data"]
 """One number for each measured value."""

@@ -1,7 +1,4 @@
-"""What an instrument reads of an iris: the one way from pigments to data.
-
-The public calls, the inversion and the command all go through `observed`.
-"""
+"""What an instrument reads of an iris; all calls, inversion and command go through `observed`."""
 
 from collections.abc import Callable
 from typing import Any
@@ -10,7 +7,7 @@ import jax
 
 from irisjax._types import PRNGKey
 from irisjax.measure.instrument import AbstractInstrument
-from irisjax.numerics.sharding import compiler_laid_out
+from irisjax.numerics.sharding import laid_out
 from irisjax.tissue.iris import Iris
 from irisjax.tissue.layers import Layers
 from irisjax.transport.ilit.exact import IlitExact
@@ -30,25 +27,28 @@ def observe(
     key: PRNGKey | None = None,
     throw: bool = True,
     progress: Callable[[int], Any] | None = None,
-):
-    """What an instrument reads of an iris.
+) -> Any:
+    """Read an iris with an instrument.
 
-    **Arguments:**
+    Args:
+        iris: The iris; its fields may be traced; batch with `jax.vmap`.
+        instrument: The instrument.
+        solver: Which process the light follows, and how it is solved; `IlitExact()` by default.
+            `RadiativeExact()` is radiative transfer, `AddingDoubling()` that of an iris with a
+            power law of scattering.
+        key: For solvers that sample.
+        throw: Whether a failed solve raises. Under `jit`, `vmap` and `grad` it raises when the
+            program runs; programs that are exported, mapped over shards or kept on disk cannot call
+            back: they need `throw=False` and a look at `.status`.
+        progress: Called with the number of photons followed since the last call, of `MonteCarlo`
+            outside any trace. The result does not depend on it.
 
-    - `iris`: its fields may be traced; batch with `jax.vmap`.
-    - `solver`: which process the light follows, and how it is solved: default `IlitExact()`.
-        `RadiativeExact()` is radiative transfer, `AddingDoubling()` that of an iris with a power
-        law of scattering.
-    - `key`: for solvers that sample.
-    - `progress`: called with the number of photons followed since the last call, of `MonteCarlo`
-        outside any trace: photons are then followed in blocks. The result does not depend on it.
+    Returns:
+        What the instrument's `reading` gives: a `Reading`, `Brdf` or `Colour`.
 
-    **Returns:** what the instrument's `reading` gives: a `Reading`, `Brdf` or `Colour`.
-    **Raises:** `ValueError` for concrete input out of range, for an instrument that sees more than
-    the process has or, unless `throw=False`, for a solve that failed. Under `jit`, `vmap` and
-    `grad` the failure of a solve raises when the program runs, with the same words; give
-    `throw=False` in programs that are exported, mapped over shards or kept on disk, which cannot
-    call back, and look at `.status`.
+    Raises:
+        ValueError: For concrete input out of range, for an instrument that sees more than the
+            process has, and for a solve that failed.
     """
     solver = prepared(iris, instrument, IlitExact() if solver is None else solver)
     if progress is not None and isinstance(solver, MonteCarlo):
@@ -59,13 +59,10 @@ def observe(
 
 
 def observed(
-    iris: Iris,
-    instrument: AbstractInstrument,
-    solver: AbstractSolver,
-    key: PRNGKey | None = None,
-):
-    """`observe` as a traced function: no checks, no preparation, the status tells."""
-    return compiler_laid_out(_traced, instrument.wavelengths, iris, instrument, solver, key)
+    iris: Iris, instrument: AbstractInstrument, solver: AbstractSolver, key: PRNGKey | None = None
+) -> Any:
+    """Read an iris in a traced function: without checks, preparation and exceptions."""
+    return laid_out(_traced, instrument.wavelengths, iris, instrument, solver, key)
 
 
 def _traced(iris, instrument, solver, key):
@@ -75,7 +72,7 @@ def _traced(iris, instrument, solver, key):
 
 
 def prepared(iris: Iris, instrument: AbstractInstrument, solver: AbstractSolver) -> AbstractSolver:
-    """The solver, prepared for the problem while its values are known."""
+    """Return the solver prepared for the problem, while its values are known."""
     if instrument.polarised and not is_polarised(solver.process):
         raise ValueError(
             f"{type(instrument).__name__} sees polarisation; "
@@ -89,7 +86,7 @@ def prepared(iris: Iris, instrument: AbstractInstrument, solver: AbstractSolver)
 @jax.jit
 def _layers(iris: Iris, instrument: AbstractInstrument) -> Layers:
     pigments, aqueous = instrument.pigments, instrument.media.aqueous
-    return compiler_laid_out(Iris.layers, instrument.wavelengths, iris, pigments, aqueous)
+    return laid_out(Iris.layers, instrument.wavelengths, iris, pigments, aqueous)
 
 
 _observe = jax.jit(observed)

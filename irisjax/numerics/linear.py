@@ -1,22 +1,27 @@
-"""Small dense linear systems, many at a time.
+"""Small dense linear systems and roots of covariance matrices, many at a time.
 
-Why by hand: on a CPU `jnp.linalg.solve` hands each matrix of a batch to LAPACK, 2 µs for a 16×16.
-Worse, its kernel may wait for ever for the pool of threads that it runs on itself (jax 0.10.2, two
-cores; the same fault as in github.com/PyAutoLabs/PyAutoFit/issues/1530). So on a CPU all systems of
-a batch are eliminated together in plain JAX, the batch along the vector units; the same goes for
-`numerics.cholesky`. On any other platform a loop over rows would be a chain of tiny kernels: there
-the libraries' batched routines serve.
+On a CPU `jnp.linalg.solve` hands each matrix of a batch to LAPACK, 2 µs for a 16×16. Worse, its
+kernel may wait for ever for the pool of threads that it runs on itself (jax 0.10.2, two cores; the
+same fault as in github.com/PyAutoLabs/PyAutoFit/issues/1530). On a CPU all systems of a batch are
+therefore eliminated together in plain JAX, the batch along the vector units. On any other platform
+a loop over rows would be a chain of tiny kernels: there the libraries' batched routines serve.
 """
+
+from functools import partial
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.custom_batching import custom_vmap
+from jax.scipy.linalg import solve_triangular
 from jaxtyping import Array, Float
 
 from irisjax.numerics.sharding import vary_alike
 
-_LARGEST = 32
+_LARGEST = 32  # system that is eliminated as a whole
+# Cholesky's method goes in blocks, so that most of the work is products of matrices (a twentieth of
+# the time at 300 wavelengths); blocks in a loop, so that it compiles fast.
+_BLOCK = 16
 
 
 def solve(a: Float[Array, "n n"], b: Float[Array, "n *m"]) -> Float[Array, "n *m"]:
@@ -32,6 +37,45 @@ def solve(a: Float[Array, "n n"], b: Float[Array, "n *m"]) -> Float[Array, "n *m
         lambda _, y: _by_platform(a, y),
         transpose_solve=lambda _, y: _by_platform(a.T, y),
     )
+
+
+def cholesky(a: Float[Array, "n n"]) -> Float[Array, "n n"]:
+    """Lower root of a positive definite matrix."""
+    return jax.lax.platform_dependent(a, cpu=_cholesky, default=jnp.linalg.cholesky)
+
+
+def whitened(
+    root: Float[Array, "n n"], residual: Float[Array, " n"]
+) -> tuple[Float[Array, " n"], Float[Array, " n"]]:
+    """Root⁻¹ residual, and the logarithms of the diagonal."""
+    white = jax.lax.platform_dependent(root, residual, cpu=_whitened, default=_library_whitened)
+    return white, jnp.log(jnp.diag(root))
+
+
+def leading_subspace(matrix: Float[Array, "n n"], count: int) -> Float[Array, "n count"]:
+    """Orthonormal vectors that span what a symmetric, positive semidefinite matrix stretches most.
+
+    Sixteen turns of orthogonal iteration, each turn's vectors made orthogonal twice.
+    """
+    size = matrix.shape[0]
+    tiny = jnp.finfo(matrix.dtype).tiny ** 0.5
+
+    def orthonormal(vectors):
+        rows = []
+        for k in range(count):
+            v = vectors[:, k]
+            for _ in range(2):
+                for row in rows:
+                    v = v - row * (row @ v)
+            rows.append(v / jnp.maximum(jnp.sqrt(v @ v), tiny))
+        return jnp.stack(rows, 1)
+
+    # Every vector has a component along every coordinate.
+    start = np.cos(np.outer(np.arange(size) + 0.5, np.arange(count)) * np.pi / size)
+    # Where the matrix has a lower rank, the vectors beyond it are arbitrary.
+    lifted = matrix + jnp.finfo(matrix.dtype).eps * jnp.eye(size, dtype=matrix.dtype)
+    begun = orthonormal(jnp.asarray(start, matrix.dtype))
+    return jax.lax.fori_loop(0, 16, lambda _, v: orthonormal(lifted @ v), begun)
 
 
 def _by_platform(a, b):
@@ -80,33 +124,62 @@ def _gauss_jordan(m: Float[Array, "n width many"]) -> Float[Array, "n rest many"
     return jax.lax.fori_loop(0, n, step, m)[:, n:]
 
 
-def leading_subspace(
-    matrix: Float[Array, "n n"], count: int, turns: int = 16
-) -> Float[Array, "n count"]:
-    """Orthonormal vectors that span what a symmetric, positive semidefinite matrix stretches most.
+_library_whitened = partial(solve_triangular, lower=True)
 
-    Orthogonal iteration, each turn's vectors made orthogonal twice: small matrices, no LAPACK.
-    """
-    size = matrix.shape[0]
-    tiny = jnp.finfo(matrix.dtype).tiny ** 0.5
 
-    def orthonormal(vectors):
-        rows = []
-        for k in range(count):
-            v = vectors[:, k]
-            for _ in range(2):
-                for row in rows:
-                    v = v - row * (row @ v)
-            rows.append(v / jnp.maximum(jnp.sqrt(v @ v), tiny))
-        return jnp.stack(rows, 1)
+def _whitened(root, residual):
+    n = residual.shape[0]
+    padded = _padded(root)
+    right = jnp.zeros(padded.shape[0], residual.dtype).at[:n].set(residual)
 
-    # Never blind to a direction: every vector has something of every coordinate.
-    start = np.cos(np.outer(np.arange(size) + 0.5, np.arange(count)) * np.pi / size)
-    # Where the matrix has a lower rank the vectors beyond it are any others.
-    lifted = matrix + jnp.finfo(matrix.dtype).eps * jnp.eye(size, dtype=matrix.dtype)
-    return jax.lax.fori_loop(
-        0,
-        turns,
-        lambda _, v: orthonormal(lifted @ v),
-        orthonormal(jnp.asarray(start, matrix.dtype)),
-    )
+    def step(k, white):
+        rows = jax.lax.dynamic_slice_in_dim(padded, k * _BLOCK, _BLOCK)
+        corner = jax.lax.dynamic_slice_in_dim(rows, k * _BLOCK, _BLOCK, 1)
+        rest = jax.lax.dynamic_slice_in_dim(right, k * _BLOCK, _BLOCK) - rows @ white
+        return jax.lax.dynamic_update_slice_in_dim(white, _forward(corner, rest), k * _BLOCK, 0)
+
+    white = jax.lax.fori_loop(0, right.size // _BLOCK, step, jnp.zeros_like(right))
+    return white[:n]
+
+
+def _cholesky(a):
+    n = a.shape[0]
+    padded = _padded(a)
+    places = jnp.arange(padded.shape[0])[:, None]
+
+    def step(k, root):
+        rows = jax.lax.dynamic_slice_in_dim(root, k * _BLOCK, _BLOCK)
+        columns = jax.lax.dynamic_slice_in_dim(padded, k * _BLOCK, _BLOCK, 1) - root @ rows.T
+        corner = _small_cholesky(jax.lax.dynamic_slice_in_dim(columns, k * _BLOCK, _BLOCK))
+        columns = jnp.where(places < k * _BLOCK, 0.0, _forward(corner, columns.T).T)
+        return jax.lax.dynamic_update_slice_in_dim(root, columns, k * _BLOCK, 1)
+
+    root = jax.lax.fori_loop(0, places.size // _BLOCK, step, jnp.zeros_like(padded))
+    return jnp.tril(root)[:n, :n]
+
+
+def _padded(a):
+    """With ones added to the diagonal, to whole blocks."""
+    n = a.shape[0]
+    return jnp.eye(-(-n // _BLOCK) * _BLOCK, dtype=a.dtype).at[:n, :n].set(a)
+
+
+def _forward(root, b):
+    """Root⁻¹ b of a small root, row by row."""
+
+    def step(i, x):
+        return x.at[i].set((b[i] - root[i] @ x) / root[i, i])
+
+    return jax.lax.fori_loop(0, b.shape[0], step, jnp.zeros_like(b))
+
+
+def _small_cholesky(a):
+    """Column by column."""
+    rows = jnp.arange(a.shape[0])
+
+    def step(k, carry):
+        rest, root = carry
+        column = jnp.where(rows >= k, rest[:, k], 0.0) / jnp.sqrt(rest[k, k])
+        return rest - jnp.outer(column, column), root.at[:, k].set(column)
+
+    return jax.lax.fori_loop(0, a.shape[0], step, (a, jnp.zeros_like(a)))[1]

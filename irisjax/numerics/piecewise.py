@@ -12,62 +12,58 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array, Float, Int
 
 from irisjax.numerics.interpolation import chebyshev, horner
 
 
 @eqx.filter_custom_jvp
-def piecewise(table, interval, x):
-    """Polynomials in `x` on intervals.
+def piecewise(
+    table: Float[Array, "intervals powers *degrees functions"],
+    interval: Int[Array, "*places"],
+    x: Float[Array, "*places"],
+    s: Float[Array, "*places"] | None,
+) -> tuple[Float[Array, "*places"], ...]:
+    """Evaluate functions that are polynomials in `x` on each interval.
 
-    **Arguments:** `table`: shape (intervals, powers, functions), constants; `interval`: whole
-    numbers; `x`: in the coordinate of the interval, of the same shape.
+    Args:
+        table: Coefficients, constants; with an axis of degrees each is a Chebyshev series in `s`.
+        interval: Number of the interval.
+        x: Place, in the coordinate of the interval.
+        s: Second coordinate in [−1, 1], or `None`.
 
-    **Returns:** a tuple, one array a function.
+    Returns:
+        One array a function.
     """
     read = _reader(table, interval)
-    _, powers, functions = table.shape
-    return tuple(horner(x, [read(i, f) for i in range(powers)]) for f in range(functions))
+    _, powers, *degrees, functions = table.shape
+    along = None if s is None else chebyshev(s, *degrees)[0]
+
+    def coefficient(i, f):
+        if along is None:
+            return read(i, f)
+        return sum(c * read(i, k, f) for k, c in enumerate(along))
+
+    return tuple(horner(x, [coefficient(i, f) for i in range(powers)]) for f in range(functions))
 
 
 @piecewise.def_jvp
 def _piecewise_jvp(primals, tangents):
-    table, interval, x = primals
-    _check_constant(tangents[0])
-    rows = list(_rows(table, interval))
-    x, dx = x[None], tangents[2][None]
-    slope = horner(x, [i * row for i, row in enumerate(rows)][1:]) * dx
-    return tuple(horner(x, rows)), tuple(slope)
-
-
-@eqx.filter_custom_jvp
-def piecewise_chebyshev(table, interval, x, s):
-    """`piecewise` in two coordinates: each coefficient is a Chebyshev series in `s`.
-
-    **Arguments:** `table`: shape (intervals, powers, degrees, functions), constants.
-    """
-    along, _ = chebyshev(s, table.shape[2])
-    read = _reader(table, interval)
-    _, powers, _, functions = table.shape
-
-    def series(i, f):
-        return sum(c * read(i, k, f) for k, c in enumerate(along))
-
-    return tuple(horner(x, [series(i, f) for i in range(powers)]) for f in range(functions))
-
-
-@piecewise_chebyshev.def_jvp
-def _piecewise_chebyshev_jvp(primals, tangents):
     table, interval, x, s = primals
-    _check_constant(tangents[0])
-    along, across = (jnp.stack(c)[:, None] for c in chebyshev(s, table.shape[2]))
+    if tangents[0] is not None:
+        raise NotImplementedError(
+            "coefficients of tables are constants; derivatives by them do not exist"
+        )
     rows, x = _rows(table, interval), x[None]
-    inner = [(row * along).sum(0) for row in rows]
-    change = jnp.zeros((table.shape[3], *s.shape), s.dtype)
+    inner, change = list(rows), jnp.zeros((table.shape[-1], *interval.shape), x.dtype)
+    if s is not None:
+        along, across = (jnp.stack(c)[:, None] for c in chebyshev(s, table.shape[2]))
+        inner = [(row * along).sum(0) for row in rows]
+        if tangents[3] is not None:
+            slopes = [(row * across).sum(0) for row in rows]
+            change = change + horner(x, slopes) * tangents[3][None]
     if tangents[2] is not None:
         change = change + horner(x, [i * c for i, c in enumerate(inner)][1:]) * tangents[2][None]
-    if tangents[3] is not None:
-        change = change + horner(x, [(row * across).sum(0) for row in rows]) * tangents[3][None]
     return tuple(horner(x, inner)), tuple(change)
 
 
@@ -93,10 +89,3 @@ def _rows(table, interval):
     return jnp.moveaxis(table.reshape(table.shape[0], -1)[interval], -1, 0).reshape(
         *table.shape[1:], *interval.shape
     )
-
-
-def _check_constant(tangent) -> None:
-    if tangent is not None:
-        raise NotImplementedError(
-            "coefficients of tables are constants; derivatives by them do not exist"
-        )

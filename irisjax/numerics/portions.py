@@ -1,8 +1,8 @@
 """Pixels in chunks whose intermediates stay in the processor's cache, shared among its cores.
 
 Chunks are two to three times as fast as all pixels at once. XLA runs a loop of them on one core
-and lets the others steal its small operations, which costs more than it saves, so that pictures
-are shared among threads, each of which runs a loop over its own chunks.
+and lets the others steal its small operations, which costs more than it saves. Pictures are
+therefore shared among threads, each of which runs a loop over its own chunks.
 """
 
 import functools
@@ -19,6 +19,9 @@ from jax.core import Tracer
 # On a processor: from 512 on XLA shares small operations among threads, which takes longer.
 _SIZE = 256
 _FEW = 1 << 14  # pixels for which a second thread is not worth its start
+# Half a megabyte an array. With 10,000 wavelengths and 64 walkers twice as fast as everything at
+# once, with a hundredth of the memory; up to 1,000 wavelengths they are one piece.
+_ELEMENTS = 1 << 16
 _SETTINGS = (
     "jax_enable_x64",
     "jax_default_device",
@@ -34,7 +37,7 @@ def in_portions(f: Callable[[Any], Any], pixels: Any) -> Any:
     """Apply `f` to a tree of arrays, one chunk of their last axis after the other.
 
     The last axis of the results is that of the pixels too. An accelerator gets all pixels at once:
-    a loop of small chunks would leave it idle. The program learns which it is where it is compiled.
+    a loop of small chunks would leave it idle.
     """
     if _count(pixels) <= _SIZE:
         return f(pixels)
@@ -44,11 +47,10 @@ def in_portions(f: Callable[[Any], Any], pixels: Any) -> Any:
 
 
 class Pixelwise:
-    """A compiled function `f(pixels, *others)` that is applied in chunks.
+    """A compiled function `f(pixels, *others)` that is applied in chunks, each with all `others`.
 
-    The last axis of all arrays in `pixels` and in the results is that of the pixels; each chunk
-    gets all of `others`. The chunks of a large picture are shared among the processor's cores; the
-    threads end with the call.
+    The last axis of all arrays in `pixels` and in the results is that of the pixels. The chunks of
+    a large picture are shared among the processor's cores; the threads end with the call.
 
     Attributes:
         compiled: The program, of pixels, others, the number of a share and the count of shares.
@@ -71,23 +73,33 @@ class Pixelwise:
 
     def __call__(self, pixels: Any, *others: Any) -> Any:
         """Apply the function to all pixels."""
-        shares = _threads(pixels, others)
-        if shares == 1:
-            return self.compiled(pixels, others, None, 1)
-        with ThreadPoolExecutor(shares) as pool:
-            # A thread has not the settings, float64 say, that a `with` made for its caller.
-            if pool.submit(_settings).result() != _settings():
-                return self.compiled(pixels, others, None, 1)
+        if (shares := _threads(pixels, others)) > 1:
+            with ThreadPoolExecutor(shares) as pool:
+                # A thread lacks the settings, float64 say, that a `with` made for its caller.
+                if pool.submit(_settings).result() == _settings():
 
-            def part(i: int) -> Any:
-                return jax.block_until_ready(self.compiled(pixels, others, jnp.asarray(i), shares))
+                    def part(i: int) -> Any:
+                        done = self.compiled(pixels, others, jnp.asarray(i), shares)
+                        return jax.block_until_ready(done)
 
-            return _joined(list(pool.map(part, range(shares))), _count(pixels))
+                    return _joined(list(pool.map(part, range(shares))), _count(pixels))
+        return self.compiled(pixels, others, None, 1)
 
 
 def pixelwise(f: Callable[..., Any]) -> Pixelwise:
     """Make a `Pixelwise` of a function; use as a decorator."""
     return Pixelwise(f)
+
+
+def in_pieces(function: Callable[[Any], Any], arguments: Any, elements: int) -> Any:
+    """Apply `jax.vmap(function)`, to as many arguments at a time as make arrays of `_ELEMENTS`
+    numbers, where each takes `elements`.
+    """
+    size = max(1, _ELEMENTS // elements)
+    if size >= jax.tree.leaves(arguments)[0].shape[0]:
+        # A lambda, because JAX cannot hash bound methods of modules.
+        return jax.vmap(lambda x: function(x))(arguments)
+    return jax.lax.map(function, arguments, batch_size=size)
 
 
 def _threads(pixels: Any, others: Any) -> int:
@@ -115,9 +127,7 @@ def _share_of(f: Callable[[Any], Any], pixels: Any, share: Any, shares: int) -> 
     chunks = jax.tree.map(cut, pixels)
 
     def part(k: Any) -> Any:
-        return f(
-            jax.tree.map(lambda x: jax.lax.dynamic_index_in_dim(x, k, x.ndim - 2, False), chunks)
-        )
+        return f(jax.tree.map(lambda x: x[..., k, :], chunks))
 
     each = (count + pad) // size // shares
     done = jax.lax.map(part, share * each + jnp.arange(each))
@@ -141,21 +151,3 @@ def _joined(done: list[Any], count: int) -> Any:
 
 def _settings() -> list[Any]:
     return [getattr(jax.config, name) for name in _SETTINGS]
-
-
-def in_pieces(function: Callable[[Any], Any], arguments: Any, elements: int) -> Any:
-    """Apply `jax.vmap(function)`, to as many arguments at a time as make arrays of `_ELEMENTS`
-    numbers, where each takes `elements`.
-    """
-    count = jax.tree.leaves(arguments)[0].shape[0]
-    size = max(1, _ELEMENTS // elements)
-    if size >= count:
-        return jax.vmap(lambda x: function(x))(
-            arguments
-        )  # JAX cannot hash bound methods of modules
-    return jax.lax.map(function, arguments, batch_size=size)
-
-
-# Half a megabyte an array. With 10,000 wavelengths and 64 walkers twice as fast as everything at
-# once, with a hundredth of the memory; up to 1,000 wavelengths they are one piece.
-_ELEMENTS = 1 << 16

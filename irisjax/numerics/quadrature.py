@@ -8,7 +8,7 @@ starts near 0.
 
 import math
 from functools import lru_cache
-from typing import TYPE_CHECKING, TypeAlias
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -24,22 +24,23 @@ if TYPE_CHECKING:
     AnyArray: TypeAlias = Array
 else:
     AnyArray = Array | np.ndarray  # a rule of constants can be built on the host
+AnyReals: TypeAlias = Float[Array | np.ndarray, "..."] | float
 
 
 class CosineRule(eqx.Module):
     """Nodes and weights for ∫₀¹ f(μ) dμ.
 
-    The panels there are share the nodes evenly: a break point that does not exist costs no
+    The panels that exist share the nodes evenly: a break point that does not exist costs no
     accuracy.
 
-    **Fields:**
-
-    - `cosine`: nodes μ, shape (n,), increasing.
-    - `weight`: weights, shape (n,), summing to 1 (less the first panel where that is left out).
-    - `excess`: μ² − b_k² for each b_k² handed in, shape (k, n), free of cancellation.
-    - `omitted`: ∫ 2μ dμ over what was left out, 0 otherwise.
-    - `starts`, `widths`: μ² at each panel's start and its extent in μ², shape (most panels,).
-    - `panels`: how many panels there are; further ones have width 0 and no nodes.
+    Attributes:
+        cosine: Nodes μ, shape (n,), increasing.
+        weight: Weights, shape (n,), summing to 1 (less the first panel where that is left out).
+        excess: μ² − b_k² for each b_k² handed in, shape (k, n), free of cancellation.
+        omitted: ∫ 2μ dμ over what was left out, 0 otherwise.
+        starts: μ² at each panel's start, shape (most panels,).
+        widths: Extent of each panel in μ², shape (most panels,).
+        panels: Number of panels; further ones have width 0 and no nodes.
     """
 
     cosine: Float[AnyArray, " n"]
@@ -64,7 +65,7 @@ def gauss_legendre(n: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 def conserving(rule: CosineRule) -> CosineRule:
-    """The rule with weights corrected (by its own error) to integrate 1 and μ² exactly.
+    """Correct the weights of a rule, by its own error, to integrate 1 and μ² exactly.
 
     Rayleigh scattering then conserves energy to rounding, whatever the number of nodes.
     """
@@ -77,7 +78,7 @@ def conserving(rule: CosineRule) -> CosineRule:
     return eqx.tree_at(lambda r: r.weight, rule, w + w * (a + b * square))
 
 
-def graded(x, start_squared, xp=jnp):
+def graded(x: AnyReals, start_squared: AnyReals, xp: Any = jnp) -> tuple[Any, Any]:
     """Map [0, 1] onto itself, dense near 0 if the panel starts near 0; returns value and slope.
 
     g(x) = (e^{κy} − 1)/(e^κ − 1), y = (1−β)x² + βx, κ = 3(1−β) + β, β → 1 away from 0.
@@ -89,8 +90,10 @@ def graded(x, start_squared, xp=jnp):
     return xp.expm1(kappa * y) / xp.expm1(kappa), kappa * xp.exp(kappa * y) / xp.expm1(kappa) * dy
 
 
-def graded_rise(x, to, step, start_squared, xp=jnp):
-    """g(to) − g(x) of `graded` without cancellation; `step` is to − x, as exact as it is known."""
+def graded_rise(
+    x: AnyReals, to: AnyReals, step: AnyReals, start_squared: AnyReals, xp: Any = jnp
+) -> Any:
+    """Compute g(to) − g(x) of `graded` without cancellation; `step` is to − x without rounding."""
     beta, kappa = _grading(start_squared)
     y = ((1 - beta) * x + beta) * x
     dy = step * ((1 - beta) * (x + to) + beta)
@@ -112,17 +115,16 @@ def cosine_rule(
 ) -> CosineRule:
     """Quadrature over [0, 1] split at break points.
 
-    **Arguments:**
-
-    - `breaks_squared`: b_k² of each break point; there is none where it is not inside (0, 1).
-    - `possible`: which of them can exist, known before tracing; only those cost nodes.
-    - `n`: nodes of a rule of up to two panels. With more that are possible there are 3/4 n for each
-        (a few more where that makes the shares even).
-    - `leave_out_first`: leave out [0, min b_k] if all break points exist, and report its measure in
-        `omitted`.
-    - `entering`: of light from outside, which every panel begins with grazing the layer beyond a
-        break point: each is graded. There are `n` nodes in all, a few more where that makes the
-        shares even, for these break points hardly ever exist.
+    Args:
+        breaks_squared: b_k² of each break point; there is none where it is not inside (0, 1).
+        possible: Which of them can exist, known before tracing; only those cost nodes.
+        n: Nodes of a rule of up to two panels. With more that are possible there are 3/4 n for each
+            (a few more where that makes the shares even).
+        leave_out_first: Whether [0, min b_k] is left out if all break points exist, and its measure
+            reported in `omitted`.
+        entering: Whether the rule is for light from outside, which every panel begins with grazing
+            the layer beyond a break point: each is graded. There are `n` nodes in all, a few more
+            where that makes the shares even, for these break points hardly ever exist.
     """
     dtype = breaks_squared.dtype
     breaks = [b for b, p in zip(breaks_squared, possible, strict=True) if p]
@@ -136,11 +138,8 @@ def cosine_rule(
         # Unless all are there, one edge too many stands at 1.
         edges = jnp.where(all_there, edges[1:], edges[:-1])
     starts, widths = edges[:-1], edges[1:] - edges[:-1]
-    x64, w64, owner = _shared(_even(n, most) if entering else _nodes(n, most), most)
-    row = panels - 1
-    x, w = jnp.asarray(x64, dtype)[row], jnp.asarray(w64, dtype)[row]
-    of = jnp.asarray(owner)[row]
-    start, width = starts[of], widths[of]
+    total = _even(n, most) if entering else _nodes(n, most)
+    x, w, start, width = _on_panels(starts, widths, panels, total)
     g, dg = graded(x, jnp.zeros_like(start) if entering else start)
     nu_squared = width * g * g
     mu = jnp.sqrt(start + nu_squared)
@@ -158,20 +157,22 @@ def cosine_rule(
 def quadratic_rule(
     breaks: Float[Array, " k"], possible: tuple[bool, ...], n: int
 ) -> tuple[Float[Array, " n"], Float[Array, " n"]]:
-    """Nodes and weights for ∫₀¹ f(μ) dμ of polynomials with square roots above the break points b.
+    """Nodes and weights for ∫₀¹ f(μ) dμ of polynomials with square roots above break points b.
 
     The variable of a panel that starts at b is √(μ − b), which keeps polynomials what they are.
     Arguments as for `cosine_rule`; the break points themselves, not their squares.
     """
-    dtype = breaks.dtype
     there = [b for b, p in zip(breaks, possible, strict=True) if p]
-    edges, panels, _ = _edges(there, dtype)
-    most = len(there) + 1
-    x64, w64, owner = _shared(_nodes(n, most), most)
-    row = panels - 1
-    x, w, of = jnp.asarray(x64, dtype)[row], jnp.asarray(w64, dtype)[row], jnp.asarray(owner)[row]
-    start, width = edges[:-1][of], (edges[1:] - edges[:-1])[of]
+    edges, panels, _ = _edges(there, breaks.dtype)
+    starts, widths = edges[:-1], edges[1:] - edges[:-1]
+    x, w, start, width = _on_panels(starts, widths, panels, _nodes(n, len(there) + 1))
     return start + width * x * x, w * width * 2 * x
+
+
+def _on_panels(starts, widths, panels, n: int):
+    """Coordinates and weights of `n` nodes on their panels, and these panels' starts and widths."""
+    x, w, owner = (jnp.asarray(row)[panels - 1] for row in _shared(n, starts.size))
+    return x.astype(starts.dtype), w.astype(starts.dtype), starts[owner], widths[owner]
 
 
 def _nodes(n: int, most: int) -> int:
@@ -200,7 +201,7 @@ def _shared(n: int, most: int):
 
 
 def _edges(breaks: list[Array], dtype):
-    """0, break points in order, 1 as often as is left; number of panels; whether all are there."""
+    """0, the break points in order and 1s; the number of panels; whether all points exist."""
     distinct, all_there = [], jnp.asarray(True)
     for i, b in enumerate(breaks):
         there = (b > 0) & (b < 1)

@@ -15,7 +15,7 @@ from jaxtyping import Array, Float
 
 from irisjax._types import Scalar
 from irisjax.anatomy.eye import Eye
-from irisjax.numerics.interpolation import bilinear, bilinear_rows, smoothstep
+from irisjax.numerics.interpolation import bilinear, multilinear, smoothstep
 from irisjax.numerics.portions import pixelwise
 from irisjax.numerics.roots import safe_sqrt
 from irisjax.ocularist.coats import over, through
@@ -173,7 +173,8 @@ def paint_over(
     def lamp(lit, one):
         texture, falls, white, colour = one
         x, y = seen.place + height * falls
-        arriving = bilinear_rows(texture, *_texel(x, y, reach, texture.shape[:2]))[:3] * white
+        found = multilinear(texture, _texel(x, y, reach, texture.shape[:2]))
+        arriving = jnp.moveaxis(found, -1, 0)[:3] * white
         return lit + (arriving if colour is None else colour[:, None] * arriving), None
 
     # Two at a time: unrolled completely, 16 lamps take XLA minutes to compile.

@@ -11,7 +11,7 @@ from jaxtyping import Array, Float
 
 from irisjax._types import Scalar
 from irisjax.anatomy.eye import Eye
-from irisjax.numerics.interpolation import bilinear, bilinear_rows, trilinear
+from irisjax.numerics.interpolation import bilinear, multilinear
 from irisjax.numerics.roots import safe_sqrt
 from irisjax.optics.conicoid import Vector, norm
 from irisjax.render.caustic import SquareGrid, gathered
@@ -90,9 +90,9 @@ class Illumination(eqx.Module):
                 jax.lax.dynamic_index_in_dim(self.flux, below + k, keepdims=False) for k in (0, 1)
             )
             layer = low + jnp.clip(index - below, 0, 1) * (high - low)
-            f = jnp.moveaxis(bilinear_rows(layer, *position), 0, -1)
+            f = multilinear(layer, position)
         else:
-            f = trilinear(self.flux, (index, *position))
+            f = multilinear(self.flux, (index, *position))
         f = f * jnp.clip((self.largest - polar) / _SPACING + 1, 0, 1)[..., None]
         return jnp.stack(
             [cos * f[..., 0] - sin * f[..., 1], sin * f[..., 0] + cos * f[..., 1], f[..., 2]],

@@ -14,7 +14,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from irisjax.anatomy.eye import Cornea, Eye
-from irisjax.numerics.interpolation import smoothstep, trilinear
+from irisjax.numerics.interpolation import multilinear, smoothstep
 from irisjax.numerics.roots import solve_2x2
 from irisjax.optics.conicoid import Vector, along, dot, norm, refract_vector
 
@@ -204,7 +204,7 @@ class RefractionFunction(eqx.Module):
         turn = jnp.arctan2(point[..., 1], point[..., 0]) - light_azimuth
         turn = jnp.arctan2(jnp.sin(turn), jnp.cos(turn))  # −π to π
         n_polar, n_azimuth, n_radius, _ = self.entry.shape
-        found = trilinear(
+        found = multilinear(
             jnp.concatenate([self.entry, self.flux], axis=-1),
             (polar / UNIQUE_POLAR * (n_polar - 1), jnp.abs(turn) / jnp.pi * (n_azimuth - 1),
              r / self.radius * (n_radius - 1)),

@@ -15,8 +15,8 @@ from jaxtyping import Array, Int
 
 from irisjax._types import PRNGKey
 from irisjax.numerics.checks import check_whole
-from irisjax.numerics.sharding import laid_out_as
-from irisjax.numerics.streams import check_key, scales
+from irisjax.numerics.sharding import laid_out
+from irisjax.numerics.streams import checked_key, scales
 from irisjax.tissue.layers import Layers
 from irisjax.transport import lanes
 from irisjax.transport.ilit.analog import event as ilit_event
@@ -79,7 +79,7 @@ class MonteCarlo(AbstractSolver):
 
         `first` and `last` may be traced.
         """
-        check_key(key)
+        checked_key(key)
         if isinstance(self.process, Ilit):
             check_rayleigh(self, layers)
         elif light.exits is not None:
@@ -101,10 +101,9 @@ class MonteCarlo(AbstractSolver):
         end = wanted if last is None else jnp.minimum(jnp.asarray(last, jnp.int32), wanted)
         mirrored = first_surface(light, layers.indices, layers.extinction.dtype)[0]
         incidence = -1.0 if light.cosine is None else light.cosine
-        return laid_out_as(
-            layers.extinction,
-            Counts._make((2, None if cells is None else 2, 1)),
+        return laid_out(
             lambda *x: _count(*x, self),
+            layers.extinction,
             *(key, layers, mirrored, incidence, start, end, cells, scales()),
         )
 

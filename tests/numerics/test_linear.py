@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from jax import export
 
-from irisjax.numerics import cholesky, linear
+from irisjax.numerics import linear
 
 RNG = np.random.default_rng(0)
 
@@ -46,11 +46,11 @@ def test_roots_and_whitened_residuals_are_numpys(n):
 
     @jax.jit
     def both(a, root, residual):
-        rooted = (cholesky.cholesky, cholesky._cholesky, jnp.linalg.cholesky)
+        rooted = (linear.cholesky, linear._cholesky, jnp.linalg.cholesky)
         white = (
-            lambda r, x: cholesky.whitened(r, x)[0],
-            cholesky._whitened,
-            cholesky._solve_triangular,
+            lambda r, x: linear.whitened(r, x)[0],
+            linear._whitened,
+            linear._library_whitened,
         )
         return [jax.vmap(f)(a) for f in rooted], [jax.vmap(f)(root, residual) for f in white]
 
@@ -74,7 +74,7 @@ def test_slopes_of_a_solution():
 def test_each_platform_has_its_own():
     """Lowered for a GPU, which need not be there: the library's routine, and on a CPU none."""
     a, b = jnp.asarray(dominant(7, 4)), jnp.ones((4, 7))
-    calls = {"solve": jax.vmap(linear.solve), "root": jax.vmap(lambda a, _: cholesky.cholesky(a))}
+    calls = {"solve": jax.vmap(linear.solve), "root": jax.vmap(lambda a, _: linear.cholesky(a))}
     for run in calls.values():
         text = {
             platform: export.export(jax.jit(run), platforms=[platform])(a, b).mlir_module()

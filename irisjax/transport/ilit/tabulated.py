@@ -15,8 +15,8 @@ from jaxtyping import Array, Float
 
 from irisjax._types import PRNGKey
 from irisjax.numerics.interpolation import chebyshev_nodes
-from irisjax.numerics.piecewise import piecewise, piecewise_chebyshev
-from irisjax.numerics.sharding import laid_out_as
+from irisjax.numerics.piecewise import piecewise
+from irisjax.numerics.sharding import laid_out
 from irisjax.numerics.tucker import coefficients
 from irisjax.tissue.indices import Order, RefractiveIndices
 from irisjax.tissue.iris import Iris
@@ -101,10 +101,9 @@ class IlitTabulated(AbstractSolver):
     def solve(self, layers: Layers, light: Light, *, key: PRNGKey | None = None) -> Solution:
         """See `AbstractSolver.solve`."""
         check_rayleigh(self, layers)
-        from_above, from_below, stroma = laid_out_as(
-            layers.extinction,
-            (LayerFates._make((1, 1, 1)),) * 3,
+        from_above, from_below, stroma = laid_out(
             IlitTabulated._responses,
+            layers.extinction,
             *(self, layers.abl_absorption, layers.extinction, layers.albedo),
         )
         converged = jnp.asarray(True)
@@ -117,12 +116,12 @@ class IlitTabulated(AbstractSolver):
         return *self._abl_response(abl_depth), self._stroma_response(depth, albedo)
 
     def _abl_response(self, depth) -> tuple[LayerFates, LayerFates]:
-        up, down, out, back = piecewise(self.abl, *self._locate(depth))
+        up, down, out, back = piecewise(self.abl, *self._locate(depth), None)
         return LayerFates(up, down, 1 - up - down), LayerFates(back, out, 1 - back - out)
 
     def _stroma_response(self, depth, albedo) -> LayerFates:
         interval, x = self._locate(depth)
-        reflected, passed = piecewise_chebyshev(self.stroma, interval, x, 2 * albedo - 1)
+        reflected, passed = piecewise(self.stroma, interval, x, 2 * albedo - 1)
         return LayerFates(reflected, passed, 1 - reflected - passed)
 
     def _locate(self, depth):

@@ -19,7 +19,7 @@ from jax.core import Tracer
 from irisjax._types import PRNGKey
 from irisjax.numerics import linear
 from irisjax.numerics.checks import check_whole
-from irisjax.numerics.sharding import laid_out_as
+from irisjax.numerics.sharding import laid_out
 from irisjax.tissue.layers import Layers
 from irisjax.transport.light import Light, beams_of
 from irisjax.transport.process import DEPTH_RESOLVED, RadiativeTransfer
@@ -116,10 +116,9 @@ def _solve(
         exits, azimuth = from_outside(layers, light.exits.cosine), light.exits.azimuth
 
     one = partial(_one_wavelength, n_depths=n_depths, n_panels=n_panels)
-    flux = laid_out_as(
-        layers.extinction,
-        Flux._make((1, 1, 1, 1, 1, None if exits is None else 2)),
+    flux = laid_out(
         jax.vmap(one, in_axes=(0, 0, 0, 0, *(None,) * 6)),
+        layers.extinction,
         *(layers.abl_absorption, layers.extinction, layers.albedo, layers.coalbedo),
         *(n, nodes, beams, power, exits, azimuth),
     )

@@ -17,7 +17,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from irisjax._types import PRNGKey
-from irisjax.numerics.sharding import laid_out_as
+from irisjax.numerics.sharding import laid_out
 from irisjax.numerics.tucker import Tucker, coefficients
 from irisjax.tissue.indices import RefractiveIndices
 from irisjax.tissue.iris import Iris
@@ -108,10 +108,9 @@ class RadiativeTabulated(AbstractSolver):
         values = None
         if light.exits is not None:
             exits = from_outside(layers, light.exits.cosine)
-            values = laid_out_as(
-                layers.extinction,
-                2,
+            values = laid_out(
                 brdf.values,
+                layers.extinction,
                 *(
                     self.multiple,
                     self.pole,
@@ -136,10 +135,9 @@ class RadiativeTabulated(AbstractSolver):
         `out`: what of light scattered once leaves the iris, shape (wavelengths, beams), if it is
         known without the table; `held`: whether that is of these layers.
         """
-        light = laid_out_as(
-            layers.extinction,
-            (1, 1, 1, 1, 1),
+        light = laid_out(
             RadiativeTabulated._light,
+            layers.extinction,
             *(self, layers.abl_absorption, layers.extinction, layers.albedo, layers.coalbedo),
             *(beams, power, out),
         )

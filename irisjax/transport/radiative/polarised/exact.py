@@ -13,7 +13,7 @@ import jax
 import jax.numpy as jnp
 
 from irisjax.numerics import linear
-from irisjax.numerics.sharding import laid_out_as
+from irisjax.numerics.sharding import laid_out
 from irisjax.optics.mueller import stokes
 from irisjax.tissue.layers import Layers
 from irisjax.transport.light import Light, beams_of
@@ -92,11 +92,9 @@ def solve(
         looked = Looked(exits, light.exits.azimuth)
     wanted = light.matrices or looked is not None
     one = partial(_one_wavelength, how=(n_depths, n_panels), modes=modes, matrices=wanted)
-    ranks = Matrices._make((3, 3, None if looked is None else 4)) if wanted else None
-    shares, matrices = laid_out_as(
-        layers.extinction,
-        (Shares._make((1,) * 5), ranks),
+    shares, matrices = laid_out(
         jax.vmap(one, in_axes=(0, 0, 0, 0, *(None,) * 4)),
+        layers.extinction,
         *(layers.abl_absorption, layers.extinction, layers.albedo, layers.coalbedo),
         *(layers.indices, nodes, lit, looked),
     )
