@@ -27,17 +27,19 @@ from irisjax.cli.model import (
     solver_of,
 )
 from irisjax.cli.options import grouped
-from irisjax.measure.colorimeter import Colorimeter
-from irisjax.measure.goniophotometer import Goniophotometer
 from irisjax.measure.instrument import AbstractInstrument
+from irisjax.measure.photometers import (
+    Colorimeter,
+    Goniophotometer,
+    Radiometer,
+    Spectrophotometer,
+)
 from irisjax.measure.polarimeter import (
     Analyser,
     AnalyserSetting,
     Polarimeter,
     PolarisedReading,
 )
-from irisjax.measure.radiometer import Radiometer
-from irisjax.measure.spectrophotometer import Spectrophotometer
 from irisjax.transport.process import DEPTH_RESOLVED
 
 _QUANTITIES = {

@@ -10,12 +10,10 @@ import numpy as np
 from jaxtyping import Array, ArrayLike, Float
 
 from irisjax.anatomy.media import Media
-from irisjax.measure.colorimeter import Colorimeter
 from irisjax.measure.colour import OBSERVER
 from irisjax.measure.instrument import AbstractInstrument, Cornea
 from irisjax.measure.measurement import check_cosine, check_wavelengths
-from irisjax.measure.radiometer import Radiometer
-from irisjax.measure.spectrophotometer import Spectrophotometer
+from irisjax.measure.photometers import Colorimeter, Radiometer, Spectrophotometer
 from irisjax.tissue.pigments import check_covered
 
 REFLECTANCE, RADIANCE = "reflectance", "radiance"

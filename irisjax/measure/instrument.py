@@ -2,25 +2,37 @@
 
 import abc
 from functools import lru_cache
-from typing import Any, Literal, get_args
+from typing import Any, ClassVar, Literal, TypedDict, TypeVar, get_args
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from irisjax._types import Scalar, Spectrum
+from irisjax._types import Numbers, Scalar, Spectrum
 from irisjax.anatomy.media import Media
-from irisjax.measure.measurement import check_cosine, check_wavelengths
+from irisjax.measure.measurement import Reading, check_cosine, check_wavelengths
 from irisjax.numerics.checks import Range, check_range, check_scalars
 from irisjax.tissue.pigments import Extinction, extinction
 from irisjax.transport.light import Directions, Light
-from irisjax.transport.solution import Solution
+from irisjax.transport.solution import Solution, dimmed
 
 Cornea = Literal["none", "inward", "round-trip"]
 
+R = TypeVar("R", bound=Reading)
+
 GAIN = Range(0, 1e6, meaning="factor of the instrument on every value", above=True)
 """Allowed gains."""
+
+
+class Settings(TypedDict, total=False):
+    """Settings that every instrument has; `AbstractInstrument` says what they mean."""
+
+    cos_incidence: Numbers
+    first_surface: bool
+    cornea: Cornea
+    media: Media | None
+    gain: Numbers
 
 
 class AbstractInstrument(eqx.Module):
@@ -41,6 +53,9 @@ class AbstractInstrument(eqx.Module):
         ValueError: For a setting out of range, with its value and what is allowed.
     """
 
+    polarised: ClassVar[bool] = False
+    """Whether the instrument needs a polarised process."""
+
     pigments: Extinction
     cos_incidence: Scalar | None
     media: Media
@@ -50,13 +65,13 @@ class AbstractInstrument(eqx.Module):
 
     def __init__(
         self,
-        wavelengths,
+        wavelengths: Numbers,
         *,
-        cos_incidence: Any = 1.0,
+        cos_incidence: Numbers = 1.0,
         first_surface: bool = True,
         cornea: Cornea = "none",
         media: Media | None = None,
-        gain: Any = 1.0,
+        gain: Numbers = 1.0,
     ):
         check_wavelengths(wavelengths)
         check_cosine("cos_incidence", cos_incidence)
@@ -109,13 +124,36 @@ class AbstractInstrument(eqx.Module):
         """Exit directions of a BRDF, or `None`."""
         return None
 
-    @property
-    def polarised(self) -> bool:
-        """Whether the instrument needs a polarised process."""
-        return False
+    def spectrum(
+        self, light: Solution, factor: Scalar, scale: Numbers, quantity: str, *, unit: str = ""
+    ) -> Reading:
+        """Return what counts of a solution, times `scale`, as a `Reading`."""
+        values, error = self.counted(light)
+        error = None if error is None else scale * error
+        return self.result(light, factor, scale * values, error, quantity=quantity, unit=unit)
+
+    def result(
+        self,
+        light: Solution,
+        factor: Scalar,
+        values: Spectrum,
+        error: Spectrum | None,
+        kind: type[R] = Reading,
+        **more: Any,
+    ) -> R:
+        """Return values as a `Reading`, with what the solution says besides."""
+        return kind(
+            wavelengths=self.wavelengths,
+            values=values,
+            standard_error=error,
+            status=light.status,
+            absorbed=dimmed(light.absorbed, factor),
+            mirrored=factor * light.mirrored,
+            **more,
+        )
 
     @abc.abstractmethod
-    def reading(self, light: Solution, factor) -> Any:
+    def reading(self, light: Solution, factor: Scalar) -> Any:
         """Compute the reading from a solution; `factor` dims the light on its way."""
 
 

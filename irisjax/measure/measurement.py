@@ -4,9 +4,8 @@ import equinox as eqx
 import jax
 import numpy as np
 from jax.core import Tracer
-from jaxtyping import Array, Float
 
-from irisjax._types import Spectrum
+from irisjax._types import Numbers, Spectrum
 from irisjax.numerics.checks import Range, check_range
 from irisjax.transport.solution import RESULTS, Absorbed
 
@@ -15,6 +14,9 @@ DIFFUSE = "diffuse"
 
 HEMISPHERE = "hemisphere"
 """Exits into the whole hemisphere, collected by a lens."""
+
+
+COSINE = Range(0, 1)
 
 
 class Reading(eqx.Module):
@@ -41,7 +43,22 @@ class Reading(eqx.Module):
     unit: str = eqx.field(static=True)
 
     def __repr__(self):
-        return _table(self, {self.quantity: self.values, "standard_error": self.standard_error})
+        if any(isinstance(x, Tracer) for x in jax.tree.leaves(self)):
+            return f"{type(self).__name__}(traced)"
+        head = f"{self.quantity} ({self.unit})" if self.unit else self.quantity
+        grid = np.asarray(self.wavelengths)
+        if grid.ndim != 1 or np.shape(self.values) != grid.shape:
+            return f"{head}, batch of shape {np.shape(self.values)}"
+        columns = {self.quantity: self.values, "standard_error": self.standard_error}
+        columns = {name: np.asarray(c) for name, c in columns.items() if c is not None}
+        rows = [
+            "  ".join([f"{x:>13g}", *(f"{c[i]:>14.6g}" for c in columns.values())])
+            for i, x in enumerate(grid)
+        ]
+        if len(rows) > 12:
+            rows[6:-6] = ["..."]
+        names = "  ".join(["wavelength_nm", *(f"{name:>14}" for name in columns)])
+        return "\n".join([head, names, *rows])
 
     def __array__(self, dtype=None, copy=None):
         return np.asarray(self.values, dtype)
@@ -65,7 +82,7 @@ def wavelengths(start: float, stop: float, step: float) -> np.ndarray:
     return start + step * np.arange(n + 1)
 
 
-def check_wavelengths(grid) -> None:
+def check_wavelengths(grid: Numbers) -> None:
     """Check a grid of wavelengths.
 
     Raises:
@@ -87,7 +104,7 @@ def check_wavelengths(grid) -> None:
         )
 
 
-def check_cosine(name: str, cosine) -> None:
+def check_cosine(name: str, cosine: Numbers) -> None:
     """Check a cosine; a traced number passes.
 
     Raises:
@@ -102,31 +119,3 @@ def check_cosine(name: str, cosine) -> None:
             f"{name} has shape {np.shape(cosine)}; it must be one number: use jax.vmap for several"
         )
     check_range(name, cosine, COSINE)
-
-
-COSINE = Range(0, 1)
-
-
-def _table(measurement, columns: dict[str, Float[Array, "..."] | None]) -> str:
-    shown = {
-        name: np.asarray(c) for name, c in columns.items() if c is not None and eqx.is_array(c)
-    }
-    if any(isinstance(c, Tracer) for c in jax.tree.leaves(measurement)):
-        return f"{type(measurement).__name__}(traced)"
-    grid = np.asarray(measurement.wavelengths)
-    head = (
-        f"{measurement.quantity} ({measurement.unit})" if measurement.unit else measurement.quantity
-    )
-    if grid.ndim != 1 or any(c.shape != grid.shape for c in shown.values()):
-        return f"{head}, batch of shape {next(iter(shown.values())).shape}"
-    rows = [head, "  ".join(["wavelength_nm", *(f"{name:>14}" for name in shown)])]
-    index = (
-        range(grid.size) if grid.size <= 12 else [*range(6), -1, *range(grid.size - 6, grid.size)]
-    )
-    for i in index:
-        rows.append(
-            "..."
-            if i == -1
-            else "  ".join([f"{grid[i]:>13g}", *(f"{c[i]:>14.6g}" for c in shown.values())])
-        )
-    return "\n".join(rows)

@@ -5,22 +5,22 @@ Angles of polarisation are those of a filter that is turned before a camera whic
 hemisphere makes of them: the field along the polar angle goes along the radius in its plane.
 """
 
-from typing import Any, Literal, get_args
+from typing import Any, Literal, Unpack, get_args
 
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from irisjax._types import Scalar, Spectrum
-from irisjax.measure.instrument import AbstractInstrument
+from irisjax._types import Numbers, Scalar, Spectrum
+from irisjax.measure.instrument import AbstractInstrument, Settings
 from irisjax.measure.measurement import HEMISPHERE, Reading, check_cosine
 from irisjax.numerics.angle import arctan2
 from irisjax.numerics.checks import Range, check_range
 from irisjax.numerics.roots import safe_sqrt
 from irisjax.optics.mueller import polarised_at, rotation
 from irisjax.transport.light import Directions
-from irisjax.transport.solution import Polarisation, Solution, dimmed
+from irisjax.transport.solution import Polarisation, Solution
 
 ANGLE = Range(-2 * np.pi, 2 * np.pi, "rad")
 """Allowed angles of filters and azimuths."""
@@ -40,18 +40,20 @@ class PolarisedInstrument(AbstractInstrument):
     `first_surface=False`; a single direction never sees it.
     """
 
+    polarised = True
+
     polariser: Scalar | None
     cos_exit: Scalar | None
     azimuth: Scalar
 
     def __init__(
         self,
-        wavelengths,
+        wavelengths: Numbers,
         *,
-        polariser: Any = None,
-        cos_exit: Any = 1.0,
-        azimuth: Any = 0.0,
-        **settings: Any,
+        polariser: Numbers = None,
+        cos_exit: Numbers = 1.0,
+        azimuth: Numbers = 0.0,
+        **settings: Unpack[Settings],
     ):
         if isinstance(settings.get("cos_incidence"), str):
             raise ValueError(
@@ -75,11 +77,6 @@ class PolarisedInstrument(AbstractInstrument):
         self.azimuth = jnp.asarray(azimuth, dtype)
 
     @property
-    def polarised(self) -> bool:
-        """It needs Stokes vectors."""
-        return True
-
-    @property
     def exits(self) -> Directions | None:
         """The direction it looks from, `None` for all of them."""
         return None if self.cos_exit is None else Directions(self.cos_exit, self.azimuth)
@@ -91,7 +88,7 @@ class PolarisedInstrument(AbstractInstrument):
         # The polar angle's axis of light on its way down points back at the lamp's side.
         return polarised_at(-self.polariser)
 
-    def filtered(self, angle) -> Float[Array, "4"]:
+    def filtered(self, angle: Scalar) -> Float[Array, "4"]:
         """What an analyser at `angle` passes, as weights of a Stokes vector."""
         turned = angle if self.cos_exit is None else angle - self.azimuth
         return 0.5 * polarised_at(turned)
@@ -110,26 +107,12 @@ class PolarisedInstrument(AbstractInstrument):
         covariance = None if covariance is None else jnp.pi**2 * covariance[:, 0]
         return jnp.pi * found.brdf[:, 0], covariance
 
-    def measurement(self, light: Solution, factor, quantity: str, values, gradient, kind, **more):
-        """A result with the standard error that follows from `gradient` by the 16 numbers of
-        `matrix`.
-        """
+    def error(self, light: Solution, gradient: Float[Array, "n 16"]) -> Float[Array, " n"] | None:
+        """Standard error that follows from `gradient` by the 16 numbers of `matrix`."""
         covariance = self.matrix(light)[1]
-        error = None
-        if covariance is not None:
-            variance = jnp.einsum("wi,wij,wj->w", gradient, covariance, gradient)
-            error = safe_sqrt(variance)
-        return kind(
-            wavelengths=self.wavelengths,
-            values=values,
-            standard_error=error,
-            status=light.status,
-            absorbed=dimmed(light.absorbed, factor),
-            mirrored=factor * light.mirrored,
-            quantity=quantity,
-            unit="",
-            **more,
-        )
+        if covariance is None:
+            return None
+        return safe_sqrt(jnp.einsum("wi,wij,wj->w", gradient, covariance, gradient))
 
 
 class Analyser(PolarisedInstrument):
@@ -147,10 +130,10 @@ class Analyser(PolarisedInstrument):
 
     def __init__(
         self,
-        wavelengths,
+        wavelengths: Numbers,
         setting: AnalyserSetting = "crossed",
         *,
-        polariser: Any = 0.0,
+        polariser: Numbers = 0.0,
         **settings: Any,
     ):
         if setting not in get_args(AnalyserSetting):
@@ -162,7 +145,7 @@ class Analyser(PolarisedInstrument):
         super().__init__(wavelengths, polariser=polariser, **settings)
         self.setting = setting
 
-    def reading(self, light: Solution, factor) -> Reading:
+    def reading(self, light: Solution, factor: Scalar) -> Reading:
         """See `AbstractInstrument`."""
         assert self.polariser is not None
         crossed = self.setting == "crossed"
@@ -172,13 +155,13 @@ class Analyser(PolarisedInstrument):
         matrix, _ = self.matrix(light)
         weights = jnp.broadcast_to(weights[None], matrix.shape)
         name = f"{'cross' if crossed else 'co'}-polarised reflectance"
-        return self.measurement(
+        return self.result(
             light,
             factor,
-            name if self.cos_exit is None else f"{name} factor",
             (weights * matrix).sum((-2, -1)),
-            weights.reshape(-1, 16),
-            Reading,
+            self.error(light, weights.reshape(-1, 16)),
+            quantity=name if self.cos_exit is None else f"{name} factor",
+            unit="",
         )
 
 
@@ -201,10 +184,10 @@ class Polarimeter(PolarisedInstrument):
     The incident light is unpolarised or, with a `polariser`, linearly polarised.
     """
 
-    def __init__(self, wavelengths, **settings: Any):
+    def __init__(self, wavelengths: Numbers, **settings: Any):
         super().__init__(wavelengths, **settings)
 
-    def reading(self, light: Solution, factor) -> PolarisedReading:
+    def reading(self, light: Solution, factor: Scalar) -> PolarisedReading:
         """See `AbstractInstrument`."""
         matrix, _ = self.matrix(light)
         turn = rotation(jnp.zeros_like(self.azimuth) if self.cos_exit is None else -self.azimuth)
@@ -218,13 +201,14 @@ class Polarimeter(PolarisedInstrument):
         along = stokes[:, 1:3] / jnp.where(still, 1.0, linear)[:, None]
         by_stokes = jnp.concatenate([-degree[:, None], along, 0 * degree[:, None]], -1)
         gradient = (by_stokes @ turn / intensity[:, None])[:, :, None] * self.light()
-        return self.measurement(
+        return self.result(
             light,
             factor,
-            "degree of linear polarisation",
             degree,
-            gradient.reshape(-1, 16),
+            self.error(light, gradient.reshape(-1, 16)),
             PolarisedReading,
+            quantity="degree of linear polarisation",
+            unit="",
             angle=0.5 * arctan2(stokes[:, 2], stokes[:, 1]),
             stokes=factor * self.gain * stokes,
         )

@@ -10,7 +10,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from matplotlib.projections.polar import PolarAxes
 
-    from irisjax.measure.goniophotometer import Brdf
+    from irisjax.measure.photometers import Brdf
 
 _MOST_LINES, _MOST_DISCS = 8, 6
 

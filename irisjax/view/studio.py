@@ -11,7 +11,7 @@ import numpy as np
 from irisjax.grow.presets import PRESETS
 from irisjax.io.scenes import stream
 from irisjax.measure.colour import Colour, colour_of
-from irisjax.measure.spectrophotometer import reflectance
+from irisjax.measure.photometers import reflectance
 from irisjax.render.illumination import Illumination
 from irisjax.render.integrator import AbstractIntegrator, AbstractResponse
 from irisjax.render.integrators import INTEGRATORS, integrator_name

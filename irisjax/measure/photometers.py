@@ -1,0 +1,313 @@
+"""Virtual spectrophotometer, radiometer, colorimeter and goniophotometer."""
+
+import dataclasses
+from typing import Unpack
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from irisjax._types import Numbers, PRNGKey, Scalar, Spectrum
+from irisjax.measure.colour import OBSERVER, Colour, Observer, illuminant_power
+from irisjax.measure.instrument import AbstractInstrument, Settings
+from irisjax.measure.measurement import COSINE, Reading
+from irisjax.measure.measurement import wavelengths as grid
+from irisjax.measure.observe import observe
+from irisjax.numerics.checks import check_range
+from irisjax.tissue.iris import Iris
+from irisjax.transport.light import Directions
+from irisjax.transport.solution import RESULTS, Solution
+from irisjax.transport.solver import AbstractSolver
+
+
+class Spectrophotometer(AbstractInstrument):
+    """An instrument that reads the share of the incident light that the iris sends back."""
+
+    def __init__(self, wavelengths: Numbers, **settings: Unpack[Settings]):
+        super().__init__(wavelengths, **settings)
+
+    def reading(self, light: Solution, factor: Scalar) -> Reading:
+        """See `AbstractInstrument`."""
+        return self.spectrum(light, factor, factor * self.gain, "reflectance")
+
+
+class Radiometer(AbstractInstrument):
+    """An instrument that reads the spectral radiance under an illuminant  [LB06 Section 4].
+
+    The illuminant's relative spectral power E (1 at 560 nm) falls on the eye. Light is dimmed on
+    its way through tear film and cornea (by default inward only; light reflected by the tear film
+    is not included) and returns evenly over the hemisphere, L = R·E/π. The reading of a perfect
+    white diffuser in place of the eye is E/π.
+
+    Attributes:
+        power: E at the wavelengths.
+        illuminant: Name of the light source in colour-science.
+    """
+
+    power: Spectrum
+    illuminant: str = eqx.field(static=True)
+
+    def __init__(
+        self, wavelengths: Numbers, *, illuminant: str = "D65", **settings: Unpack[Settings]
+    ):
+        settings.setdefault("cornea", "inward")
+        super().__init__(wavelengths, **settings)
+        power = illuminant_power(illuminant, wavelengths)
+        self.power = jnp.asarray(power, self.wavelengths.dtype)
+        self.illuminant = illuminant
+
+    @property
+    def rays(self) -> Spectrum:
+        """Relative number of rays at each wavelength: the illuminant's power, as in LB06."""
+        return self.power
+
+    def reading(self, light: Solution, factor: Scalar) -> Reading:
+        """See `AbstractInstrument`."""
+        known = jnp.isfinite(self.power).all()
+        status = RESULTS.where(known, light.status, RESULTS.invalid_input)
+        light = dataclasses.replace(light, status=status)
+        scale = factor * self.gain * self.power / jnp.pi
+        return self.spectrum(light, factor, scale, "radiance", unit="relative/sr")
+
+
+class Colorimeter(AbstractInstrument):
+    """An instrument that reads the colour of the iris's reflectance under an illuminant.
+
+    Its wavelengths are 380–780 nm in steps of 5 nm by default.
+
+    Attributes:
+        observer: The illuminant and the standard observer on the wavelengths.
+    """
+
+    observer: Observer
+
+    def __init__(
+        self,
+        wavelengths: Numbers = None,
+        *,
+        illuminant: str = "D65",
+        observer: str = OBSERVER,
+        **settings: Unpack[Settings],
+    ):
+        wavelengths = grid(380, 780, 5) if wavelengths is None else wavelengths
+        super().__init__(wavelengths, **settings)
+        self.observer = Observer.of(wavelengths, illuminant, observer)
+
+    def reading(self, light: Solution, factor: Scalar) -> Colour:
+        """See `AbstractInstrument`."""
+        values, _ = self.counted(light)
+        return self.observer.colour(jnp.asarray(factor * self.gain * values), light.status)
+
+
+class Brdf(eqx.Module):
+    """Bidirectional reflectance distribution function, 1/sr, without the mirrored part.
+
+    Attributes:
+        wavelengths: In nm.
+        cos_incidence: Cosine of the angle of incidence.
+        cos_exit: Cosines of the exit angles, shape (exits,).
+        azimuth: Azimuths of the exits from the plane of incidence, radians, shape (exits,); 0 is
+            where a mirror would send the light.
+        values: The BRDF, shape (wavelengths, exits).
+        standard_error: Its standard error where it is sampled, otherwise `None`.
+        mirrored: Share of the light that the first surface reflects into the mirror direction,
+            shape (wavelengths,); `values` do not include this delta function.
+        status: A `RESULTS` item.
+    """
+
+    wavelengths: Spectrum
+    cos_incidence: Scalar
+    cos_exit: Float[Array, " exits"]
+    azimuth: Float[Array, " exits"]
+    values: Float[Array, "wavelengths exits"]
+    standard_error: Float[Array, "wavelengths exits"] | None
+    mirrored: Spectrum
+    status: RESULTS
+
+    def __repr__(self):
+        return f"Brdf of shape {self.values.shape} (wavelengths, exits), 1/sr"
+
+
+class Goniophotometer(AbstractInstrument):
+    """An instrument that reads the BRDF of the bare iris in the aqueous humour.
+
+    Light reflected by the first surface is not included, because it is a delta function.
+
+    Attributes:
+        cos_exit: Cosines of the exit angles, shape (exits,).
+        azimuth: Azimuths of the exits from the plane of incidence, radians, shape (exits,).
+    """
+
+    cos_exit: Float[Array, " exits"]
+    azimuth: Float[Array, " exits"]
+
+    def __init__(
+        self,
+        wavelengths: Numbers,
+        *,
+        cos_exit: Numbers,
+        azimuth: Numbers = 0.0,
+        **settings: Unpack[Settings],
+    ):
+        if isinstance(settings.get("cos_incidence"), str) or isinstance(cos_exit, str):
+            raise ValueError(
+                "a BRDF needs directions: cos_incidence and cos_exit must be numbers in [0, 1]"
+            )
+        super().__init__(wavelengths, **settings)
+        if self.cornea != "none":
+            raise ValueError(f"a BRDF is that of the bare iris: cornea = {self.cornea!r}")
+        check_range("cos_exit", cos_exit, COSINE)
+        dtype, shapes = self.wavelengths.dtype, (np.shape(cos_exit), np.shape(azimuth))
+        if max(map(len, shapes)) > 1:
+            raise ValueError(f"exits must be a list of directions, got shapes {shapes}")
+        sizes = {shape[0] for shape in shapes if shape} - {1}
+        if len(sizes) > 1:
+            raise ValueError(
+                "cos_exit and azimuth must be one number or one for each exit, "
+                f"got shapes {shapes[0]} and {shapes[1]}"
+            )
+        exits = (jnp.atleast_1d(jnp.asarray(x, dtype)) for x in (cos_exit, azimuth))
+        self.cos_exit, self.azimuth = jnp.broadcast_arrays(*exits)
+
+    @property
+    def exits(self) -> Directions:
+        """The exit directions."""
+        return Directions(self.cos_exit, self.azimuth)
+
+    def reading(self, light: Solution, factor: Scalar) -> Brdf:
+        """See `AbstractInstrument`."""
+        assert light.brdf is not None
+        assert self.cos_incidence is not None
+        scale, error = factor * self.gain, light.brdf_error
+        return Brdf(
+            wavelengths=self.wavelengths,
+            cos_incidence=self.cos_incidence,
+            cos_exit=self.cos_exit,
+            azimuth=self.azimuth,
+            values=scale * light.brdf,
+            standard_error=None if error is None else scale * error,
+            mirrored=factor * light.mirrored,
+            status=light.status,
+        )
+
+
+def reflectance(
+    iris: Iris,
+    wavelengths: Numbers,
+    *,
+    solver: AbstractSolver | None = None,
+    key: PRNGKey | None = None,
+    throw: bool = True,
+    **settings: Unpack[Settings],
+) -> Reading:
+    """Compute the spectral reflectance of an iris, the share of incident light it sends back.
+
+    Args:
+        iris: The iris.
+        wavelengths: In nm, increasing, within the pigment tables; see `wavelengths`.
+        solver: See `observe`.
+        key: See `observe`.
+        throw: See `observe`.
+        **settings: Of the instrument; see `AbstractInstrument`.
+
+    Raises:
+        ValueError: As `observe` does.
+    """
+    return observe(iris, Spectrophotometer(wavelengths, **settings), solver, key=key, throw=throw)
+
+
+def radiance(
+    iris: Iris,
+    wavelengths: Numbers,
+    *,
+    illuminant: str = "D65",
+    solver: AbstractSolver | None = None,
+    key: PRNGKey | None = None,
+    throw: bool = True,
+    **settings: Unpack[Settings],
+) -> Reading:
+    """Compute the spectral radiance of an iris under an illuminant; see `Radiometer`.
+
+    Its arguments are those of `reflectance`, but light crosses the cornea by default
+    (`cornea="inward"`); `illuminant` is a name in colour-science.
+    """
+    instrument = Radiometer(wavelengths, illuminant=illuminant, **settings)
+    return observe(iris, instrument, solver, key=key, throw=throw)
+
+
+def colour(
+    iris: Iris,
+    wavelengths: Numbers = None,
+    *,
+    illuminant: str = "D65",
+    observer: str = OBSERVER,
+    solver: AbstractSolver | None = None,
+    key: PRNGKey | None = None,
+    throw: bool = True,
+    **settings: Unpack[Settings],
+) -> Colour:
+    """Compute the colour of the iris's reflectance under an illuminant.
+
+    Light reflected by the first surface is included by default; it adds a little grey to a dark
+    iris.
+
+    Args:
+        iris: The iris.
+        wavelengths: In nm, by default 380–780 nm in steps of 5 nm.
+        illuminant: Name of the light source in colour-science.
+        observer: Name of the standard observer in colour-science.
+        solver: See `observe`.
+        key: See `observe`.
+        throw: See `observe`.
+        **settings: Of the instrument; see `AbstractInstrument`.
+    """
+    instrument = Colorimeter(wavelengths, illuminant=illuminant, observer=observer, **settings)
+    return observe(iris, instrument, solver, key=key, throw=throw)
+
+
+def brdf(
+    iris: Iris,
+    wavelengths: Numbers,
+    *,
+    cos_exit: Numbers,
+    azimuth: Numbers = 0.0,
+    solver: AbstractSolver | None = None,
+    key: PRNGKey | None = None,
+    throw: bool = True,
+    **settings: Unpack[Settings],
+) -> Brdf:
+    """Compute the BRDF of the iris in the aqueous humour, at given exit directions.
+
+    ILIT redraws directions on entry, so its BRDF is independent of the azimuth and depends on the
+    incidence only through the first surface's transmittance; radiative transfer depends on all
+    three. `MonteCarlo` returns averages over cells of the cosine, bounded half-way between the
+    exits.
+
+    Args:
+        iris: The iris.
+        wavelengths: In nm, increasing, within the pigment tables.
+        cos_exit: Cosines of the exit angles, in [0, 1].
+        azimuth: Azimuths of the exits, radians; it broadcasts with `cos_exit` to shape (exits,).
+        solver: See `observe`.
+        key: See `observe`.
+        throw: See `observe`.
+        **settings: Of the instrument; see `AbstractInstrument`.
+    """
+    instrument = Goniophotometer(wavelengths, cos_exit=cos_exit, azimuth=azimuth, **settings)
+    return observe(iris, instrument, solver, key=key, throw=throw)
+
+
+def principal_plane(n: int = 181) -> tuple[jax.Array, jax.Array, jax.Array]:
+    """Return exit directions across the principal plane, without grazing ones.
+
+    Args:
+        n: Number of directions.
+
+    Returns:
+        Signed exit angles (radians; negative on the light's side), their cosines, and azimuths (π
+        on the light's side).
+    """
+    angle = (jnp.arange(n) - (n - 1) / 2) / n * jnp.pi
+    return angle, jnp.cos(angle), jnp.where(angle < 0, jnp.pi, 0.0)
