@@ -1,6 +1,4 @@
-"""Refractive indices of the iridal layers and the scattering of the stroma's fibrils. [LB06 Section
-4]
-"""
+"""Refractive indices of the iridal layers, scattering of the stroma's fibrils [LB06 Section 4]."""
 
 from typing import Literal
 
@@ -10,7 +8,7 @@ import jax.numpy as jnp
 from jax.core import Tracer
 from jaxtyping import Array, Bool
 
-from irisjax._types import Scalar, Spectrum
+from irisjax._types import Numbers, Scalar, Spectrum
 
 FIBROBLAST_FRACTION = 1 / 3
 """Volume fraction of fibroblasts in the ABL [LB06 Section 4]."""
@@ -19,17 +17,19 @@ COLLAGEN_FRACTION = 0.9068996821171089
 """π/(4 sin(π/3)): fibrils of 30 nm radius in a hexagonal array of 60 nm pitch [LB06 Section 4]."""
 
 
-def gladstone_dale(n_component, fraction, n_base):
+def gladstone_dale(n_component: Numbers, fraction: Numbers, n_base: Numbers) -> Numbers:
     """Compute the index of a mixture, n_component·f + n_base·(1 − f)  [LB06 Eqs. 8, 9]."""
     return n_base + fraction * (n_component - n_base)
 
 
-def scatterer_density(radius, fraction):
+def scatterer_density(radius: Numbers, fraction: Numbers) -> Numbers:
     """Compute spheres per volume, N = f/(4πr³/3)  [LB06 Eq. 4]; a radius in mm gives mm⁻³."""
     return fraction / (4 / 3 * jnp.pi * radius**3)
 
 
-def scattering_lb06(wavelengths: Spectrum, radius, fraction, n_collagen, n_base) -> Spectrum:
+def scattering_lb06(
+    wavelengths: Spectrum, radius: Numbers, fraction: Numbers, n_collagen: Numbers, n_base: Numbers
+) -> Spectrum:
     """Compute the scattering coefficient (mm⁻¹) of LB06, 8π³/(3N)·(m² − 1)²·λ⁻⁴  [LB06 Eq. 5].
 
     N is in the denominator as in Strutt's formula of a gas of dipoles, where m² − 1 itself grows
@@ -43,7 +43,7 @@ def scattering_lb06(wavelengths: Spectrum, radius, fraction, n_collagen, n_base)
 
 
 def scattering_rayleigh_spheres(
-    wavelengths: Spectrum, radius, fraction, n_collagen, n_base
+    wavelengths: Spectrum, radius: Numbers, fraction: Numbers, n_collagen: Numbers, n_base: Numbers
 ) -> Spectrum:
     """Compute the scattering coefficient (mm⁻¹) of independent small spheres.
 
@@ -66,36 +66,15 @@ class Order(eqx.Module):
 
     It determines which critical angles can exist, hence how many quadrature panels are compiled. If
     an index is traced, all of them can; towards the aqueous humour they always can.
-
-    Attributes:
-        abl_over_stroma: Whether the ABL may be denser than the stroma.
-        stroma_over_abl: Whether the stroma may be denser than the ABL.
-        stroma_over_ipe: Whether the stroma may be denser than the pigment epithelium.
     """
 
     abl_over_stroma: bool = eqx.field(static=True, default=True)
     stroma_over_abl: bool = eqx.field(static=True, default=True)
     stroma_over_ipe: bool = eqx.field(static=True, default=True)
 
-    @classmethod
-    def of(cls, abl, stroma, ipe) -> "Order":
-        """Return the order of these indices; all is possible if any is traced or an array."""
-        values = (abl, stroma, ipe)
-        if any(isinstance(v, Tracer) or jnp.ndim(v) for v in values):
-            return cls()
-        abl, stroma, ipe = (float(v) for v in values)
-        return cls(abl > stroma, stroma > abl, stroma > ipe)
-
 
 class RefractiveIndices(eqx.Module):
-    """Refractive indices of the two layers and of the media around them.
-
-    Attributes:
-        aqueous: Index of the aqueous humour.
-        abl: Index of the anterior border layer.
-        stroma: Index of the stroma.
-        ipe: Index of the iris pigment epithelium.
-    """
+    """Refractive indices of aqueous humour, ABL, stroma and pigment epithelium."""
 
     aqueous: Scalar
     abl: Scalar
@@ -103,8 +82,12 @@ class RefractiveIndices(eqx.Module):
     ipe: Scalar
 
     def order(self) -> Order:
-        """Return the static `Order` of the layers."""
-        return Order.of(self.abl, self.stroma, self.ipe)
+        """Return the order of the layers; all is possible if an index is traced or an array."""
+        layers = (self.abl, self.stroma, self.ipe)
+        if any(isinstance(n, Tracer) or jnp.ndim(n) for n in layers):
+            return Order()
+        abl, stroma, ipe = map(float, layers)
+        return Order(abl > stroma, stroma > abl, stroma > ipe)
 
     def same(self, other: "RefractiveIndices") -> Bool[Array, ""]:
         """Check that another set equals this one up to rounding; either may be traced."""
@@ -117,10 +100,10 @@ class RefractiveIndices(eqx.Module):
     def agree(self, order: Order) -> Bool[Array, ""]:
         """Check that the (possibly traced) indices have no critical angle that `order` excludes."""
         result = jnp.asarray(True)
-        for allowed, actual in (
-            (order.abl_over_stroma, self.abl > self.stroma),
-            (order.stroma_over_abl, self.stroma > self.abl),
-            (order.stroma_over_ipe, self.stroma > self.ipe),
-        ):
-            result = result if allowed else result & ~actual
+        if not order.abl_over_stroma:
+            result = result & ~(self.abl > self.stroma)
+        if not order.stroma_over_abl:
+            result = result & ~(self.stroma > self.abl)
+        if not order.stroma_over_ipe:
+            result = result & ~(self.stroma > self.ipe)
         return result

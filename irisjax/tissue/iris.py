@@ -59,23 +59,19 @@ MELANIN_LOAD = Range(0, 12000, "ug/mm2", "melanin mass per iris area")
 """Allowed melanin loads: the most is what layers of the largest thicknesses could hold."""
 
 # Fields that decide the order of media.
-_OPTICAL = {n for n in LIMITS if n.endswith("_index")} | {
+_OPTICAL = {
+    *(n for n in LIMITS if n.endswith("_index")),
     "fibroblast_fraction",
     "collagen_fraction",
 }
-
 _CHOICES = ("scattering", "power_law")
+_ABSENT = {"pheomelanin_abl_fraction", "abl_index", "stroma_index"}  # may be `None`
 
 _LEVELS = {"high": (1.008, 0.2674), "moderate": (0.8138, 0.2054), "low": (0.1201, 0.0194)}
 
 
-def _parameter(name: str, default: float | None) -> Any:
-    """A field of `Iris`: whatever number it is given becomes a float array."""
-
-    def convert(value):
-        return None if value is None and default is None else _as_float(name, value)
-
-    return eqx.field(default=default, converter=convert)
+def _number(default: float | None) -> Any:
+    return eqx.field(default=default)
 
 
 class Iris(eqx.Module):
@@ -118,27 +114,27 @@ class Iris(eqx.Module):
         ValueError: For a concrete value out of range, with its field, value and range.
     """
 
-    eumelanin: Scalar = _parameter("eumelanin", _LEVELS["moderate"][0])
-    pheomelanin: Scalar = _parameter("pheomelanin", _LEVELS["moderate"][1])
-    abl_fraction: Scalar = _parameter("abl_fraction", 0.5)
-    pheomelanin_abl_fraction: Scalar | None = _parameter("pheomelanin_abl_fraction", None)
-    oxyhemoglobin: Scalar = _parameter("oxyhemoglobin", 0.042)
-    deoxyhemoglobin: Scalar = _parameter("deoxyhemoglobin", 0.042)
-    lutein: Scalar = _parameter("lutein", 1.562e-4)
-    zeaxanthin: Scalar = _parameter("zeaxanthin", 5.968e-5)
-    abl_thickness: Scalar = _parameter("abl_thickness", 0.05675)
-    stroma_thickness: Scalar = _parameter("stroma_thickness", 0.2855)
-    intensification: Scalar = _parameter("intensification", 2.2)
-    fibril_radius: Scalar = _parameter("fibril_radius", 30.0)
-    fibroblast_index: Scalar = _parameter("fibroblast_index", 1.42)
-    collagen_index: Scalar = _parameter("collagen_index", 1.47)
-    base_index: Scalar = _parameter("base_index", 1.5)
-    ipe_index: Scalar = _parameter("ipe_index", 1.5)
-    fibroblast_fraction: Scalar = _parameter("fibroblast_fraction", FIBROBLAST_FRACTION)
-    collagen_fraction: Scalar = _parameter("collagen_fraction", COLLAGEN_FRACTION)
-    abl_index: Scalar | None = _parameter("abl_index", None)
-    stroma_index: Scalar | None = _parameter("stroma_index", None)
-    scattering_scale: Scalar = _parameter("scattering_scale", 1.0)
+    eumelanin: Scalar = _number(_LEVELS["moderate"][0])
+    pheomelanin: Scalar = _number(_LEVELS["moderate"][1])
+    abl_fraction: Scalar = _number(0.5)
+    pheomelanin_abl_fraction: Scalar | None = _number(None)
+    oxyhemoglobin: Scalar = _number(0.042)
+    deoxyhemoglobin: Scalar = _number(0.042)
+    lutein: Scalar = _number(1.562e-4)
+    zeaxanthin: Scalar = _number(5.968e-5)
+    abl_thickness: Scalar = _number(0.05675)
+    stroma_thickness: Scalar = _number(0.2855)
+    intensification: Scalar = _number(2.2)
+    fibril_radius: Scalar = _number(30.0)
+    fibroblast_index: Scalar = _number(1.42)
+    collagen_index: Scalar = _number(1.47)
+    base_index: Scalar = _number(1.5)
+    ipe_index: Scalar = _number(1.5)
+    fibroblast_fraction: Scalar = _number(FIBROBLAST_FRACTION)
+    collagen_fraction: Scalar = _number(COLLAGEN_FRACTION)
+    abl_index: Scalar | None = _number(None)
+    stroma_index: Scalar | None = _number(None)
+    scattering_scale: Scalar = _number(1.0)
     scattering: Scattering = eqx.field(static=True, default="lb06")
     power_law: PowerLaw | None = None
     order: Order = eqx.field(init=False)
@@ -146,10 +142,9 @@ class Iris(eqx.Module):
     def __post_init__(self):
         # Plain numbers stay known inside a program: the order of media must be.
         with jax.ensure_compile_time_eval():
-            # Equinox's converters run after this method, and the checks want arrays.
             for name in LIMITS:
                 value = getattr(self, name)
-                if value is not None:
+                if value is not None or name not in _ABSENT:
                     object.__setattr__(self, name, _as_float(name, value))
             order = self.indices().order()
         check_fields(self, LIMITS)
@@ -209,12 +204,12 @@ class Iris(eqx.Module):
         )
 
     @property
-    def melanin_load(self):
+    def melanin_load(self) -> Scalar:
         """Melanin mass per iris area, (c_eu + c_pheo)(h_A + h_S), in µg/mm²."""
         return (self.eumelanin + self.pheomelanin) * (self.abl_thickness + self.stroma_thickness)
 
     @property
-    def abl_melanin(self):
+    def abl_melanin(self) -> Scalar:
         """Melanin mass of the ABL per iris area, µg/mm²."""
         if (fraction := self.pheomelanin_abl_fraction) is None:
             return self.melanin_load * self.abl_fraction
@@ -251,13 +246,8 @@ class Iris(eqx.Module):
         absorption = jnp.matmul(self._masses(), e.matrix, precision="highest")
         law = self.power_law
         if law is None:
-            mu_s = SCATTERING[self.scattering](
-                e.wavelengths,
-                self.fibril_radius,
-                self.collagen_fraction,
-                self.collagen_index,
-                self.base_index,
-            )
+            fibrils = self.fibril_radius, self.collagen_fraction, self.collagen_index
+            mu_s = SCATTERING[self.scattering](e.wavelengths, *fibrils, self.base_index)
         else:
             mu_s = law.coefficient(e.wavelengths)
         return Layers(
@@ -270,11 +260,7 @@ class Iris(eqx.Module):
         )
 
     def _masses(self):
-        """Compute the mass per area of each pigment in the ABL and in the stroma.
-
-        Returns:
-            Masses, shape (2, pigments), in the units of `Extinction` times mm.
-        """
+        """Masses per area in ABL and stroma, (2, pigments), in units of `Extinction` times mm."""
         height = self.intensification * (self.abl_thickness + self.stroma_thickness)
         melanin = jnp.stack([self.eumelanin, self.pheomelanin]) * height
         fraction, own = self.abl_fraction, self.pheomelanin_abl_fraction
@@ -285,10 +271,7 @@ class Iris(eqx.Module):
         return jnp.stack([abl, jnp.concatenate([melanin * (1 - fraction), others])])
 
     def parameters(self) -> dict[str, Any]:
-        """Return every number that is set, by name, for headers and tables.
-
-        Concrete scalars are returned as Python floats.
-        """
+        """Return every number that is set by its name, concrete scalars as Python floats."""
         out, law = {}, {} if self.power_law is None else self.power_law.parameters()
         for name, value in {**{n: getattr(self, n) for n in LIMITS}, **law}.items():
             if value is not None:
@@ -307,13 +290,8 @@ class Iris(eqx.Module):
 def _short(value) -> float:
     # float32 0.1201 is printed as it was written, not as its nearest float64.
     # (Not `str`: NumPy's print options are global, and colour-science sets them.)
-    return float(
-        np.format_float_positional(
-            np.asarray(value).item() if value.dtype == np.float64 else np.float32(value),
-            unique=True,
-            trim="0",
-        )
-    )
+    plain = value.item() if value.dtype == np.float64 else np.float32(value)
+    return float(np.format_float_positional(plain, unique=True, trim="0"))
 
 
 def _as_float(name: str, value) -> jax.Array:
@@ -323,10 +301,8 @@ def _as_float(name: str, value) -> jax.Array:
     if not jnp.issubdtype(dtype, jnp.floating) and not jnp.issubdtype(dtype, jnp.integer):
         raise ValueError(f"{name} must be a real number, got {value!r}")
     # Never weakly typed: an iris with fields replaced must not be compiled for again.
-    return jnp.asarray(
-        value,
-        dtype if isinstance(value, jax.Array) and dtype.kind == "f" else jnp.result_type(float),
-    )
+    own = isinstance(value, jax.Array) and dtype.kind == "f"
+    return jnp.asarray(value, dtype if own else jnp.result_type(float))
 
 
 assert {f.name for f in dataclasses.fields(Iris)} == {*LIMITS, *_CHOICES, "order"}

@@ -4,8 +4,9 @@ import math
 
 import equinox as eqx
 import jax.numpy as jnp
+from jaxtyping import Array, Bool
 
-from irisjax._types import Spectrum
+from irisjax._types import Numbers, Spectrum
 from irisjax.numerics.checks import Range, check_range
 from irisjax.optics.mixture import PhaseMixture
 from irisjax.tissue.indices import Order, RefractiveIndices
@@ -36,39 +37,36 @@ class Layers(eqx.Module):
     @classmethod
     def from_coefficients(
         cls,
-        mu_a_abl,
-        mu_a_stroma,
-        mu_s_stroma,
+        mu_a_abl: Numbers,
+        mu_a_stroma: Numbers,
+        mu_s_stroma: Numbers,
         *,
-        abl_thickness,
-        stroma_thickness,
+        abl_thickness: Numbers,
+        stroma_thickness: Numbers,
         indices: RefractiveIndices,
     ) -> "Layers":
         """Make layers from coefficients and thicknesses.
 
         Args:
-            mu_a_abl: Absorption coefficient of the ABL, mm⁻¹, a scalar or one value a wavelength.
+            mu_a_abl: Absorption coefficient of the ABL, mm⁻¹, a number or one a wavelength.
             mu_a_stroma: Absorption coefficient of the stroma, mm⁻¹.
             mu_s_stroma: Scattering coefficient of the stroma, mm⁻¹.
-            abl_thickness: Thickness of the ABL, mm.
-            stroma_thickness: Thickness of the stroma, mm.
+            abl_thickness: In mm.
+            stroma_thickness: In mm.
             indices: Refractive indices around the layers.
 
         Raises:
             ValueError: For negative or non-finite concrete values.
         """
-        depths = jnp.broadcast_arrays(
-            *(
-                jnp.atleast_1d(jnp.asarray(mu, jnp.result_type(float)) * h)
-                for mu, h in (
-                    (mu_a_abl, abl_thickness),
-                    (mu_a_stroma, stroma_thickness),
-                    (mu_s_stroma, stroma_thickness),
-                )
-            )
-        )
-        for name, depth in zip(("mu_a_abl", "mu_a_stroma", "mu_s_stroma"), depths, strict=True):
-            check_range(f"{name} times its thickness", depth, Range(0, math.inf))
+        depths = []
+        for name, mu, h in (
+            ("mu_a_abl", mu_a_abl, abl_thickness),
+            ("mu_a_stroma", mu_a_stroma, stroma_thickness),
+            ("mu_s_stroma", mu_s_stroma, stroma_thickness),
+        ):
+            depths.append(jnp.atleast_1d(jnp.asarray(mu, jnp.result_type(float)) * h))
+            check_range(f"{name} times its thickness", depths[-1], Range(0, math.inf))
+        depths = jnp.broadcast_arrays(*depths)
         return cls(*depths, indices=indices, order=indices.order())
 
     @property
@@ -90,11 +88,8 @@ class Layers(eqx.Module):
         empty = total <= 0
         return jnp.where(empty, 1.0, self.stroma_absorption / jnp.where(empty, 1.0, total))
 
-    def valid(self):
-        """Check that every depth is finite and not negative and that the indices obey `order`.
-
-        Works under tracing.
-        """
+    def valid(self) -> Bool[Array, ""]:
+        """Check, traced too, that depths are finite and not negative and indices obey `order`."""
         ok = self.indices.agree(self.order)
         for depth in (self.abl_absorption, self.stroma_absorption, self.stroma_scattering):
             ok = ok & (jnp.isfinite(depth) & (depth >= 0)).all()

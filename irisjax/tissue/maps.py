@@ -14,12 +14,17 @@ import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Float
 
-from irisjax._types import as_float_or_none
+from irisjax._types import Scalar, as_float_or_none
 from irisjax.tissue.iris import Iris
 from irisjax.tissue.layers import Layers
 from irisjax.tissue.pigments import Extinction
 
 Texture = Float[Array, "angles radii"]
+FRECKLE = 12.0
+"""Melanin of the ABL in a freckle relative to its surroundings: thicker and denser, after F09's
+hand-set maps.
+"""
+_RANGES = {"relief": (-1, 1), "freckles": (0, 1)}  # of the other maps: not negative
 
 
 def _texture() -> Any:
@@ -65,9 +70,7 @@ class IrisMaps(eqx.Module):
                 raise ValueError(
                     f"map {name} has shape {m.shape}; need (angles, radii), at least 2 of each"
                 )
-            low, high = (
-                (-1, 1) if name == "relief" else (0, 1) if name == "freckles" else (0, np.inf)
-            )
+            low, high = _RANGES.get(name, (0, np.inf))
             if not (m.min() >= low and m.max() <= high and m.max() < np.inf):  # false for NaN too
                 raise ValueError(f"map {name} has values outside [{low:g}, {high:g}] or not finite")
 
@@ -88,11 +91,7 @@ class IrisMaps(eqx.Module):
         return dataclasses.replace(self, **fields)
 
     def abl_scale(self, iris: Iris) -> Texture | None:
-        """Compute the melanin of the ABL relative to that of a uniform iris.
-
-        Returns:
-            The ratio, or `None` if it is one everywhere.
-        """
+        """Melanin of the ABL relative to that of a uniform iris; `None` if it is one everywhere."""
         scale = None if self.abl_depth is None else self.abl_depth / iris.abl_thickness
         if self.freckles is not None:
             dark = 1 + (FRECKLE - 1) * self.freckles
@@ -100,11 +99,7 @@ class IrisMaps(eqx.Module):
         return scale
 
     def stroma_scale(self, iris: Iris) -> Texture | None:
-        """Compute the thickness of the stroma relative to that of a uniform iris.
-
-        Returns:
-            The ratio, or `None` if it is one everywhere.
-        """
+        """Thickness of the stroma relative to a uniform iris; `None` if it is one everywhere."""
         return None if self.stroma_depth is None else self.stroma_depth / iris.stroma_thickness
 
     def check(self, iris: Iris) -> None:
@@ -123,20 +118,10 @@ class IrisMaps(eqx.Module):
                 )
 
 
-FRECKLE = 12.0
-"""Melanin of the ABL in a freckle relative to its surroundings: thicker and denser, after F09's
-hand-set maps.
-"""
-
-
 class Scales(NamedTuple):
     """Textures relative to the uniform iris; `None` is one everywhere.
 
-    Attributes:
-        abl: Melanin of the ABL.
-        stroma: Thickness of the stroma.
-        eumelanin: Concentration of eumelanin.
-        pheomelanin: Concentration of pheomelanin.
+    Melanin of the ABL, thickness of the stroma, and concentrations of eumelanin and pheomelanin.
     """
 
     abl: Any = None
@@ -152,10 +137,7 @@ class Scales(NamedTuple):
         return cls(maps.abl_scale(iris), maps.stroma_scale(iris), maps.eumelanin, maps.pheomelanin)
 
     def ranges(self) -> "Scales":
-        """Return a slightly widened range of each texture, without gradients.
-
-        The ranges place interpolation nodes.
-        """
+        """Return each texture's range for nodes, slightly widened and without gradients."""
 
         def span(t):
             return jax.lax.stop_gradient(jnp.stack([0.95 * jnp.min(t), 1.05 * jnp.max(t) + 1e-3]))
@@ -165,10 +147,8 @@ class Scales(NamedTuple):
 
 def cell_centres(shape: tuple[int, int]) -> tuple[jax.Array, jax.Array]:
     """Return angles (radians) and relative radii of a texture's cells, (angles,) and (radii,)."""
-    rows, columns = shape
-    return (jnp.arange(rows, dtype=float) + 0.5) * (2 * jnp.pi / rows), (
-        jnp.arange(columns, dtype=float) + 0.5
-    ) / columns
+    row, column = (jnp.arange(count, dtype=float) + 0.5 for count in shape)
+    return row * (2 * jnp.pi / shape[0]), column / shape[1]
 
 
 def check_pictured(iris: Iris) -> None:
@@ -184,7 +164,9 @@ def check_pictured(iris: Iris) -> None:
         )
 
 
-def texel_layers(iris: Iris, aqueous_index, table: Extinction, scales: Scales) -> Layers:
+def texel_layers(
+    iris: Iris, aqueous_index: Scalar | float, table: Extinction, scales: Scales
+) -> Layers:
     """Compute the layers of one texel, whose scales are numbers or `None`."""
     if scales.eumelanin is not None:
         iris = eqx.tree_at(lambda i: i.eumelanin, iris, iris.eumelanin * scales.eumelanin)
@@ -194,10 +176,9 @@ def texel_layers(iris: Iris, aqueous_index, table: Extinction, scales: Scales) -
     layers = iris.layers(table, aqueous_index)
     abl = 1.0 if scales.abl is None else scales.abl
     stroma = 1.0 if scales.stroma is None else scales.stroma
-    return Layers(
-        layers.abl_absorption * abl,
-        layers.stroma_absorption * stroma,
-        layers.stroma_scattering * stroma,
-        layers.indices,
-        layers.order,
+    return dataclasses.replace(
+        layers,
+        abl_absorption=layers.abl_absorption * abl,
+        stroma_absorption=layers.stroma_absorption * stroma,
+        stroma_scattering=layers.stroma_scattering * stroma,
     )

@@ -1,8 +1,4 @@
-"""Extinction of the iridal pigments, from tables shipped with the package.
-
-Wavelengths are in nm. The headers of the tables name their sources; values are interpolated
-linearly.
-"""
+"""Extinction of the iridal pigments, from tables whose headers name their sources."""
 
 import math
 from functools import lru_cache, partial
@@ -15,7 +11,7 @@ import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Float
 
-from irisjax._types import Spectrum, as_float
+from irisjax._types import Numbers, Spectrum, as_float
 from irisjax.numerics.interpolation import piecewise_linear
 
 _PER_CM = 0.1  # 1 cm⁻¹ in mm⁻¹
@@ -36,16 +32,9 @@ PIGMENTS = tuple(_SOURCES)
 
 
 class Extinction(eqx.Module):
-    """Napierian extinction of every pigment on one wavelength grid.
+    """Napierian extinction of every pigment at wavelengths in nm.
 
-    Attributes:
-        wavelengths: The grid, nm.
-        eumelanin: Extinction, mm⁻¹ per mg/ml.
-        pheomelanin: Extinction, mm⁻¹ per mg/ml.
-        oxyhemoglobin: Extinction, mm⁻¹ per mmol/l.
-        deoxyhemoglobin: Extinction, mm⁻¹ per mmol/l.
-        lutein: Extinction, mm⁻¹ per mg/ml.
-        zeaxanthin: Extinction, mm⁻¹ per mg/ml.
+    It is in mm⁻¹ per mg/ml, that of haemoglobin in mm⁻¹ per mmol/l.
     """
 
     wavelengths: Spectrum
@@ -68,8 +57,8 @@ def table_range(pigment: str) -> tuple[float, float]:
     return float(x[0]), float(x[-1])
 
 
-def extinction(wavelengths) -> Extinction:
-    """Interpolate the extinction of all pigments.
+def extinction(wavelengths: Numbers) -> Extinction:
+    """Interpolate the extinction of all pigments linearly.
 
     Concrete wavelengths are interpolated on the host and cached, traced ones inside the program. A
     traced wavelength outside a table has no extinction (NaN), and solutions for it have the status
@@ -95,36 +84,34 @@ def common_range() -> tuple[float, float]:
     return max(r[0] for r in ranges), min(r[1] for r in ranges)
 
 
-def check_covered(wavelengths) -> None:
+def check_covered(wavelengths: Numbers) -> None:
     """Check that every pigment's table covers some wavelengths (nm).
 
     Raises:
         ValueError: For the first wavelength that a table does not cover.
     """
     x = np.asarray(wavelengths, np.float64)
-    low, high = common_range()
-    # A NaN is neither below nor above, so the condition states what is allowed.
-    bad = ~((x >= low) & (x <= high))
-    if bad.any():
-        raise ValueError(f"{x[bad][0]:g} nm is outside the pigment tables ({low:g} to {high:g} nm)")
+    _check_inside(x, common_range(), "{:g} nm is outside the pigment tables")
 
 
 @lru_cache(maxsize=64)
 def _on_host(grid: bytes, double: bool) -> Extinction:
     x = np.frombuffer(grid, np.float64)
     for pigment in PIGMENTS:
-        low, high = table_range(pigment)
-        # A NaN is neither below nor above, so the condition states what is allowed.
-        bad = ~((x >= low) & (x <= high))
-        if bad.any():
-            raise ValueError(
-                f"wavelength {x[bad][0]:g} nm is outside the {pigment} table ({low:g} to {high:g} "
-                f"nm)"
-            )
+        message = f"wavelength {{:g}} nm is outside the {pigment} table"
+        _check_inside(x, table_range(pigment), message)
     dtype = np.float64 if double else np.float32
     with jax.ensure_compile_time_eval():
         curves = {"wavelengths": x, **_interpolate(partial(np.interp, x))}
         return Extinction(**{name: jnp.asarray(curve, dtype) for name, curve in curves.items()})
+
+
+def _check_inside(x: np.ndarray, span: tuple[float, float], message: str) -> None:
+    low, high = span
+    # A NaN is neither below nor above, so the condition states what is allowed.
+    bad = ~((x >= low) & (x <= high))
+    if bad.any():
+        raise ValueError(f"{message.format(x[bad][0])} ({low:g} to {high:g} nm)")
 
 
 def _interpolate(at) -> dict:

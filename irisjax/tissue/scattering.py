@@ -59,9 +59,9 @@ class PowerLaw(eqx.Module):
     def __check_init__(self):
         check_fields(self, POWER_LAW_LIMITS)
 
-    def parameters(self) -> dict[str, Any]:
+    def parameters(self) -> dict[str, Scalar]:
         """Return its numbers by name."""
-        return {name: getattr(self, name) for name in POWER_LAW_LIMITS}
+        return dict(vars(self))
 
     def reduced(self, wavelengths: Spectrum) -> Spectrum:
         """Compute μ_s′ in mm⁻¹ at wavelengths in nm  [Jacques 2013, Eq. 2]."""
