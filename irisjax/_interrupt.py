@@ -1,9 +1,9 @@
 """Ctrl-C of a command: one line, nothing half written, and gone within two seconds.
 
-Python tells nobody of an interrupt while XLA compiles, and JAX's callbacks may swallow the
-exception. So a thread waits for the signal itself: what runs gets a moment to end as it does for
-any exception; if it does not, unfinished files are removed and the process ends. Nothing here
-imports JAX: the first second of a command is spent on that.
+Python raises no KeyboardInterrupt while XLA compiles, and JAX's callbacks may swallow it. A thread
+therefore waits for the signal itself: the command gets a moment to end as for any exception; if it
+does not, unfinished files are removed and the process ends. Nothing here imports JAX, which takes
+the first second of a command.
 """
 
 import contextlib
@@ -20,15 +20,14 @@ from typing import NoReturn
 STATUS = 130
 _PATIENCE = 1.2  # seconds
 _UNFINISHED: set[Path] = set()
-_said = threading.Event()
 _signalled = threading.Event()
 _expected = threading.Event()
-_line = threading.Lock()
+_said = threading.Lock()  # held once the line is printed
 
 
 @contextlib.contextmanager
 def unfinished(path: Path) -> Iterator[Path]:
-    """A file or folder that is nothing by itself: an interrupt removes it, should it be there."""
+    """Have an interrupt remove a file or folder that is useless by itself, should it be there."""
     _UNFINISHED.add(path)
     try:
         yield path
@@ -37,28 +36,26 @@ def unfinished(path: Path) -> Iterator[Path]:
 
 
 def say() -> None:
-    """Say it once, whoever comes first."""
-    with _line:
-        if not (_said.is_set() or _expected.is_set()):
-            _said.set()
-            print("irisjax: interrupted", file=sys.stderr, flush=True)
+    """Print the line, once for all threads."""
+    if not _expected.is_set() and _said.acquire(blocking=False):
+        print("irisjax: interrupted", file=sys.stderr, flush=True)
 
 
 def begin() -> None:
-    """A command begins, and nothing has been said of it."""
+    """Start a command, of which nothing is printed yet."""
     if not _signalled.is_set():
-        _said.clear()
         _expected.clear()
+        if _said.locked():
+            _said.release()
 
 
 def expect() -> None:
-    """From here on Ctrl-C is the command's usual end: nothing is said of it, the status is 0."""
+    """Take Ctrl-C as the command's usual end from here on: no line, and the status 0."""
     _expected.set()
 
 
 def guarded(work: Callable[[], int]) -> NoReturn:
     """Do a command's work and leave the process with the status that it returns, or with 130."""
-    begin()
     with _watched():
         try:
             status = work()
@@ -71,8 +68,9 @@ def guarded(work: Callable[[], int]) -> NoReturn:
 
 
 def done(status: int) -> None:
-    """Leave at once with a command's status, all threads at their end: to take Python and XLA apart
-    would take another half second. After Ctrl-C it leaves that to `guarded`.
+    """Leave with a command's status once all threads have ended, half a second faster than Python.
+
+    After Ctrl-C it leaves that to `guarded`.
     """
     for thread in threading.enumerate():
         if not (thread.daemon or thread is threading.main_thread()):
@@ -104,18 +102,14 @@ def _watch(reader: int) -> None:
     while codes := os.read(reader, 64):
         if signal.SIGINT in codes:
             _signalled.set()
-            _quiet()
-            select.select([reader], [], [], _PATIENCE)  # or until somebody insists
+            if sys.stderr.isatty():
+                sys.stderr.write("\r\x1b[K")  # a progress bar's line
+            say()
+            # Then no more: what is torn down would print its traces.
+            with contextlib.suppress(OSError):
+                os.dup2(os.open(os.devnull, os.O_WRONLY), 2)
+            select.select([reader], [], [], _PATIENCE)  # or until the next Ctrl-C
             _leave()
-
-
-def _quiet() -> None:
-    """The line, and then no more: traces of what is torn down say nothing to anybody."""
-    if sys.stderr.isatty():
-        sys.stderr.write("\r\x1b[K")  # a progress bar's line
-    say()
-    with contextlib.suppress(OSError):
-        os.dup2(os.open(os.devnull, os.O_WRONLY), 2)
 
 
 def _leave() -> NoReturn:

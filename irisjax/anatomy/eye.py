@@ -11,10 +11,10 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax import Array
 from jax.core import Tracer
-from jaxtyping import Array, Float
 
-from irisjax._types import Scalar, as_float, as_float_or_none
+from irisjax._types import Numbers, Scalar, Spectrum, as_float, as_float_or_none
 from irisjax.anatomy.media import AQUEOUS, CORNEA, INDEX, Media
 from irisjax.numerics.checks import Range, check_fields
 from irisjax.numerics.roots import safe_sqrt
@@ -54,8 +54,7 @@ class Cornea(eqx.Module):
 
     Attributes:
         anterior: Conicoid of the front.
-        posterior: Conicoid of the back; `None` if everything behind the front is aqueous humour, as
-            in F09, which gives it the index 1.376 (`Cornea.f09()`).
+        posterior: Conicoid of the back; `None` if everything behind the front is aqueous humour.
         index: Refractive index of the corneal tissue.
         scatter: c of log₁₀ T = −0.016 − c λ⁻⁴ [F09 Eq. 16], nm⁴: 21e8 including light scattered
             forwards, 85e8 for the direct beam; `None` for a perfectly clear cornea. Fresnel's
@@ -70,18 +69,13 @@ class Cornea(eqx.Module):
 
     @classmethod
     def f09(cls) -> "Cornea":
-        """Make the single surface of F09, R = 7.8 mm and p = 0.75.
-
-        Use it with `aqueous_index=1.376` of `Eye`.
-        """
+        """Make F09's single surface, R = 7.8 mm, p = 0.75; for `Eye` with `aqueous_index=1.376`."""
         return cls(posterior=None, index=jnp.asarray(1.376))
 
-    def transmittance(
-        self, wavelengths: Float[Array, " wavelengths"]
-    ) -> Float[Array, " wavelengths"] | None:
-        """Compute the transmittance of one passage above 310 nm  [F09 Eq. 16].
+    def transmittance(self, wavelengths: Spectrum) -> Spectrum | None:
+        """Compute the transmittance of one passage above 310 nm, less reflection  [F09 Eq. 16].
 
-        Losses by reflection are not included; the result is `None` for a clear cornea.
+        It is `None` for a clear cornea.
         """
         return None if self.scatter is None else 10.0 ** (-0.016 - self.scatter * wavelengths**-4.0)
 
@@ -143,29 +137,20 @@ class Eye(eqx.Module):
 
     def __check_init__(self):
         check_fields(self, LIMITS)
-        known = not any(isinstance(r, Tracer) for r in (self.pupil_radius, self.iris_radius))
-        if known and float(self.pupil_radius) >= float(self.iris_radius):
+        radii = self.pupil_radius, self.iris_radius
+        if _known(radii) and float(radii[0]) >= float(radii[1]):
             raise ValueError(
-                f"pupil_radius = {float(self.pupil_radius):g} mm must be below "
-                f"iris_radius = {float(self.iris_radius):g} mm"
+                f"pupil_radius = {float(radii[0]):g} mm must be below "
+                f"iris_radius = {float(radii[1]):g} mm"
             )
-        decide = (
-            self.cornea,
-            self.iris_depth,
-            self.iris_slope,
-            self.iris_radius,
-            self.limbus_radius,
-        )
-        if self.cornea is not None and not any(
-            isinstance(x, Tracer) for x in jax.tree.leaves(decide)
-        ):
-            slope = 0.0 if self.iris_slope is None else self.iris_slope
-            least = float(_least_depth(self.cornea, self.iris_radius, self.limbus_radius, slope))
+        slope = 0.0 if self.iris_slope is None else self.iris_slope
+        ring = self.iris_radius, self.limbus_radius, slope
+        if self.cornea is not None and _known(self.cornea, ring, self.iris_depth):
+            least = float(_least_depth(self.cornea, *ring))
             if not float(self.iris_depth) > least:
                 raise ValueError(
                     f"iris_depth = {float(self.iris_depth):g} mm puts the iris into the cornea or "
-                    f"in front of the "
-                    f"limbus; for this eye it must be at least "
+                    "in front of the limbus; for this eye it must be at least "
                     f"{np.ceil(least * 1000 + 0.5) / 1000:g} mm"
                 )
 
@@ -179,29 +164,26 @@ class Eye(eqx.Module):
         """Return a copy with some fields changed."""
         return dataclasses.replace(self, **fields)
 
-    def relative_radius(self, distance):
+    def relative_radius(self, distance: Numbers) -> Array:
         """Map distances from the axis (mm) to 0 at the pupil's edge and 1 at the root."""
         return (distance - self.pupil_radius) / (self.iris_radius - self.pupil_radius)
 
-    def from_axis(self, relative_radius):
+    def from_axis(self, relative_radius: Numbers) -> Array:
         """Map relative radii to distances from the axis, mm: the inverse of `relative_radius`."""
         return self.pupil_radius + (self.iris_radius - self.pupil_radius) * relative_radius
 
-    def meet_iris(self, origin: Vector, direction: Vector):
+    def meet_iris(self, origin: Vector, direction: Vector) -> Array:
         """Compute the distance along rays to the plane or cone of the iris, mm."""
-        t = (self.iris_depth - origin[..., 2]) / direction[..., 2]
+        (x0, y0, z0), (dx, dy, dz) = parts(origin), parts(direction)
+        t = (self.iris_depth - z0) / dz
         if self.iris_slope is None:
             return t
         for _ in range(6):  # Newton from the plane: slopes up to 1/2 converge to rounding
-            x, y = origin[..., 0] + t * direction[..., 0], origin[..., 1] + t * direction[..., 1]
+            x, y = x0 + t * dx, y0 + t * dy
             r = safe_sqrt(x * x + y * y)
-            rise = (
-                self.iris_slope
-                * (x * direction[..., 0] + y * direction[..., 1])
-                / jnp.where(r > 0, r, 1.0)
-            )
-            miss = origin[..., 2] + t * direction[..., 2] - self.iris_depth - self.iris_slope * r
-            t = t - miss / (direction[..., 2] - rise)
+            rise = self.iris_slope * (x * dx + y * dy) / jnp.where(r > 0, r, 1.0)
+            miss = z0 + t * dz - self.iris_depth - self.iris_slope * r
+            t = t - miss / (dz - rise)
         return t
 
     def iris_normal(self, point: Vector) -> Vector:
@@ -215,12 +197,15 @@ class Eye(eqx.Module):
         return jnp.stack([rise * x, rise * y, -jnp.ones_like(x) / length], axis=-1)
 
 
+def _known(*values) -> bool:
+    return not any(isinstance(x, Tracer) for x in jax.tree.leaves(values))
+
+
 @eqx.filter_jit
 def _least_depth(cornea: Cornea, iris_radius, limbus_radius, slope) -> Scalar:
     """Compute the depth (mm) that the iris must exceed to lie behind the whole cornea.
 
-    The surfaces bulge forward, so the root of the iris meets them first, or its middle if the iris
-    rises towards the root.
+    The root of the iris meets it first, or its middle if the iris rises towards the root.
     """
     back = cornea.anterior if cornea.posterior is None else cornea.posterior
     r = jnp.minimum(iris_radius, limbus_radius)  # beyond the limbus there is no cornea

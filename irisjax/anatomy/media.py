@@ -5,8 +5,9 @@ from functools import lru_cache
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+from jax import Array
 
-from irisjax._types import Scalar, as_float
+from irisjax._types import Numbers, Scalar, as_float
 from irisjax.numerics.checks import Range, check_fields
 from irisjax.optics.fresnel import fresnel, refract
 
@@ -17,12 +18,7 @@ INDEX = Range(1, 3)
 
 
 class Media(eqx.Module):
-    """Refractive indices of the media in front of an iris, by default those of LB06 Table 1.
-
-    Attributes:
-        aqueous: Refractive index of the aqueous humour.
-        cornea: Refractive index of the cornea.
-        tear: Refractive index of the tear film.
+    """Refractive indices of aqueous humour, cornea and tear film, by default of LB06 Table 1.
 
     Raises:
         ValueError: For an index out of range, with its field, value and range.
@@ -37,13 +33,10 @@ class Media(eqx.Module):
 
     @classmethod
     def default(cls) -> "Media":
-        """Return the indices of LB06 Table 1, which are kept for either precision.
-
-        Making the arrays would take longer than computing a spectrum.
-        """
+        """Return the indices of LB06 Table 1, made once: that takes as long as a spectrum."""
         return _default(jnp.result_type(float))
 
-    def inward(self, cos_air):
+    def inward(self, cos_air: Numbers) -> tuple[Array, Array]:
         """Compute the share of light that reaches the iris, ∏(1 − F) over air→tear→cornea→aqueous.
 
         The interfaces are parallel and crossed once, without wavelength dependence and absorption,

@@ -2,7 +2,7 @@
 
 import equinox as eqx
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from irisjax._types import Scalar
 from irisjax.anatomy.eye import Eye, Sclera
@@ -31,19 +31,12 @@ class VeinMap(eqx.Module):
 
 
 def sclera_centre(eye: Eye) -> Scalar:
-    """Compute z of the centre, mm, of the sphere through the limbus, where the cornea ends.
-
-    Without a cornea the limbus lies in the plane of the iris.
-
-    Raises:
-        ValueError: For an eye without sclera.
-    """
-    sclera = sclera_of(eye)
-    return limbus_depth(eye) + jnp.sqrt(sclera.radius**2 - eye.limbus_radius**2)
+    """Compute z of the centre, mm, of the sphere through the limbus; see `sclera_of`."""
+    return limbus_depth(eye) + jnp.sqrt(sclera_of(eye).radius ** 2 - eye.limbus_radius**2)
 
 
 def limbus_depth(eye: Eye) -> Scalar:
-    """Compute z of the limbus, mm."""
+    """Compute z of the limbus, mm; without a cornea it lies in the plane of the iris."""
     return eye.iris_depth if eye.cornea is None else eye.cornea.anterior.sagitta(eye.limbus_radius)
 
 
@@ -58,11 +51,13 @@ def sphere(eye: Eye) -> Conicoid:
     return Conicoid(radius, jnp.ones_like(radius), sclera_centre(eye) - radius)
 
 
-def meet_sclera(eye: Eye, origin: Vector, direction: Vector):
+def meet_sclera(
+    eye: Eye, origin: Vector, direction: Vector
+) -> tuple[Float[Array, "*s"], Bool[Array, "*s"]]:
     """Compute the distance along rays (unit vectors) to the white, mm, and whether they meet it.
 
-    Only rays from outside that meet the sphere behind the limbus count; the caller decides whether
-    the cornea hides that point. A ray that misses has the distance of its nearest approach.
+    Only rays from outside that meet the sphere behind the limbus count; the cornea may hide that
+    point. A ray that misses has the distance of its nearest approach.
     """
     distance, met = sphere(eye).intersect(origin, direction)
     z = origin[..., 2] + distance * direction[..., 2]
@@ -70,7 +65,7 @@ def meet_sclera(eye: Eye, origin: Vector, direction: Vector):
 
 
 def vein_place(eye: Eye, point: Vector) -> tuple[Float[Array, "*s"], Float[Array, "*s"]]:
-    """Compute the coordinates in a `VeinMap` of points (…, 3) on the sphere, mm in the eye's frame.
+    """Compute where points on the sphere, mm in the eye's frame, lie in a `VeinMap`.
 
     Returns:
         The azimuth, radians, and the relative distance from the limbus (0) to the equator (1).
@@ -83,11 +78,7 @@ def vein_place(eye: Eye, point: Vector) -> tuple[Float[Array, "*s"], Float[Array
 
 
 def sclera_of(eye: Eye) -> Sclera:
-    """Return the sclera of an eye.
-
-    Raises:
-        ValueError: If the eye has none.
-    """
+    """Return the sclera of an eye; raise `ValueError` if it has none."""
     if eye.sclera is None:
         raise ValueError("this eye has no sclera (Eye.sclera is None)")
     return eye.sclera

@@ -20,10 +20,9 @@ def noise(
     cells: tuple[Whole, Whole],
     octaves: Whole = 1,
 ) -> NoiseField:
-    """Fractal value noise, −1 to 1, of period 1 in `turns`, on `cells` over the period and over
-    `radius` 0 to 1.
+    """Fractal value noise, −1 to 1, on `cells` over `turns` (of period 1) and `radius`, 0 to 1.
 
-    Every octave halves cells and height; both precisions see the same one.
+    Every octave halves cells and height; the noise is the same in both precisions.
     """
 
     def layer(octave, total):
@@ -55,12 +54,9 @@ def split(seed: Seed, n: int) -> list[Seed]:
 
 
 def _hashed(seed: Seed, i: NoiseField, j: NoiseField) -> NoiseField:
-    """Uniform on −1 to 1 at whole numbers i, j ≥ 0. XLA takes half a minute to compile as many
-    draws of its own.
-    """
-    x = i.astype(jnp.uint32) * jnp.uint32(0x9E3779B1) + j.astype(jnp.uint32) * jnp.uint32(
-        0x85EBCA77
-    )
+    """Uniform on −1 to 1 at whole i, j ≥ 0; XLA compiles as many draws of its own for 30 s."""
+    x, y = i.astype(jnp.uint32), j.astype(jnp.uint32)
+    x = x * jnp.uint32(0x9E3779B1) + y * jnp.uint32(0x85EBCA77)
     return _mixed(x + seed).astype(i.dtype) * 2.0**-31 - 1
 
 

@@ -4,8 +4,6 @@ from collections.abc import Mapping
 from functools import partial
 from typing import Any
 
-import jax.numpy as jnp
-
 from irisjax._types import PRNGKey
 from irisjax.anatomy.eye import Eye
 from irisjax.grow.procedural import procedural
@@ -13,15 +11,15 @@ from irisjax.tissue.iris import Iris
 from irisjax.tissue.maps import IrisMaps
 from irisjax.transport.process import ILIT_2006, AbstractProcess, Ilit
 
-# Eumelanin and pheomelanin (mg/ml), share in the ABL, fibril radius (nm).
-_ILIT: dict[str, tuple[float, float, float, float]] = {
+_FIELDS = "eumelanin", "pheomelanin", "abl_fraction", "fibril_radius"
+_ILIT = {
     "brown": (2.4, 0.5, 0.72, 72.0),
     "hazel": (0.4, 0.9, 0.5, 57.0),
     "green": (0.1, 0.8, 0.6, 51.5),
     "blue": (0.015, 0.01, 0.5, 45.0),
     "grey": (0.4, 0.05, 0.3, 65.0),
 }
-_RADIATIVE: dict[str, tuple[float, float, float, float]] = {
+_RADIATIVE = {
     "brown": (1.5, 0.6, 0.7, 71.0),
     "hazel": (0.12, 1.7, 0.5, 71.0),
     "green": (0.05, 0.95, 0.85, 69.0),
@@ -49,15 +47,13 @@ def preset(
 ) -> tuple[Iris, IrisMaps]:
     """Grow an invented eye of a colour: `"brown"`, `"hazel"`, `"green"`, `"blue"` or `"grey"`.
 
-    The pigments are chosen by eye, not measured, for ILIT or, where `process` is radiative
-    transfer, for that. So is the fibrils' radius: at LB06's 30 nm the stroma sends back too little
-    for any of these colours, and under radiative transfer about half of what ILIT says.
-    `colour(iris)`, 8-bit sRGB under D65 against a perfect white, by ILIT: brown (57, 36, 12), hazel
-    (80, 77, 59), green (76, 78, 65), blue (65, 87, 99), grey (99, 112, 112); by radiative transfer:
-    brown (62, 49, 27), hazel (82, 74, 51), green (83, 82, 63), blue (65, 89, 99), grey (84,
-    99, 101). Brown takes 2.4 times the eumelanin of LB06's high level under ILIT, and no pigments
-    give a neutral grey: a* stays near −5. Hazel and green eyes are browner than that near the
-    pupil, where their maps add eumelanin.
+    The pigments are chosen by eye, not measured, for the process; so is the fibrils' radius: at
+    LB06's 30 nm the stroma sends back too little for any of these colours. The 8-bit sRGB of
+    `colour(iris)` by ILIT is brown (57, 36, 12), hazel (80, 77, 59), green (76, 78, 65), blue (65,
+    87, 99), grey (99, 112, 112); by radiative transfer brown (62, 49, 27), hazel (82, 74, 51),
+    green (83, 82, 63), blue (65, 89, 99), grey (84, 99, 101). Brown takes 2.4 times the eumelanin
+    of LB06's high level under ILIT; no pigments give a neutral grey: a* stays near −5. Hazel and
+    green eyes are browner near the pupil, where their maps add eumelanin.
 
     Args:
         colour: Name of the colour.
@@ -77,16 +73,10 @@ def preset(
     if colour not in _FEATURES:
         raise ValueError(f"unknown eye colour {colour!r}; known: {', '.join(sorted(_FEATURES))}")
     made_for = _ILIT if isinstance(process, Ilit) else _RADIATIVE
-    eumelanin, pheomelanin, share, radius = made_for[colour]
-    iris = Iris(
-        eumelanin=jnp.asarray(eumelanin),
-        pheomelanin=jnp.asarray(pheomelanin),
-        abl_fraction=jnp.asarray(share),
-        fibril_radius=jnp.asarray(radius),
-    )
-    iris = iris.replace(**pigments) if pigments else iris
-    usual = _FEATURES[colour]
-    return iris, procedural(iris, eye, shape=shape, **{**usual, **(features or {})}, key=key)
+    chosen = dict(zip(_FIELDS, made_for[colour], strict=True))
+    iris = Iris().replace(**{**chosen, **(pigments or {})})
+    wanted = {**_FEATURES[colour], **(features or {})}
+    return iris, procedural(iris, eye, shape=shape, **wanted, key=key)
 
 
 PRESETS = {colour: partial(preset, colour) for colour in _FEATURES}

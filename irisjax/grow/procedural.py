@@ -11,7 +11,6 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jax.random import bits, fold_in
-from jaxtyping import Array, Float
 
 from irisjax._types import PRNGKey
 from irisjax.anatomy.eye import Eye
@@ -20,8 +19,6 @@ from irisjax.numerics.checks import Range, check_range
 from irisjax.numerics.interpolation import smoothstep
 from irisjax.tissue.iris import Iris
 from irisjax.tissue.maps import IrisMaps, cell_centres
-
-Number = float | Float[Array, ""]
 
 IPE_THICKNESS = 0.07
 """Iris pigment epithelium, mm, part of what ultrasound measures  [F09 Section 3]."""
@@ -78,9 +75,8 @@ def procedural(
     Raises:
         ValueError: A feature is negative, or the shape is below (16, 8).
     """
-    wanted = {
-        k: v for k, v in locals().items() if k not in ("iris", "eye", "shape", "profile", "key")
-    }
+    given, general = locals(), ("iris", "eye", "shape", "profile", "key")
+    wanted = {name: value for name, value in given.items() if name not in general}
     for name, value in wanted.items():
         check_range(name, value, Range(0, math.inf))
     # Absent features are not computed; how much there is of the others is no new program.
@@ -91,21 +87,15 @@ def procedural(
 
 
 @eqx.filter_jit
-def _grow(
-    iris: Iris,
-    eye: Eye,
-    shape: tuple[int, int],
-    profile: bool,
-    has: dict[str, Array | None],
-    key: PRNGKey,
-) -> dict[str, NoiseField]:
+def _grow(iris: Iris, eye: Eye, shape, profile: bool, has, key) -> dict[str, NoiseField]:
     angles, radii = cell_centres(shape)
     turns, radius = jnp.broadcast_arrays(angles[:, None] / (2 * jnp.pi), radii)
     place = eye.from_axis(radius)
     seeds = jax.vmap(lambda i: bits(fold_in(key, i), dtype=jnp.uint32))(jnp.arange(6))
     fibres, zigzag, crypts, furrows, freckles, mottles = seeds
     ring = COLLARETTE + _zigzag(zigzag, turns)
-    holes, parted, crest = jnp.zeros_like(radius), turns, jnp.zeros_like(radius)
+    holes = crest = jnp.zeros_like(radius)
+    parted = turns
     if has["crypts"] is not None:
         holes, parted = _crypts(crypts, turns, radius, has["crypts"])
     if has["furrows"] is not None:
@@ -141,8 +131,7 @@ def _grow(
 
 
 def stroma_profile(radius: NoiseField) -> NoiseField:
-    """Thickness of a generic stroma (mm) at relative radii from 0, 2 mm from the axis, to 1, the
-    root at 5.5 mm.
+    """Thickness of a generic stroma, mm, at relative radii from 0 (2 mm) to 1 (5.5 mm).
 
     Quadratic through 0.645, 0.457 and 0.372 mm at 2.25, 3.5 and 5 mm, less IPE and ABL  [F09
     Section 3].
@@ -153,23 +142,19 @@ def stroma_profile(radius: NoiseField) -> NoiseField:
     return whole - IPE_THICKNESS - 0.05675
 
 
-def _scaled(thickness: NoiseField, place: NoiseField, mean) -> NoiseField:
+def _scaled(thickness, place, mean) -> NoiseField:
     """Scaled to an area mean: texels cover areas in proportion to their distance from the axis."""
     return thickness * (mean * jnp.sum(place) / jnp.sum(thickness * place))
 
 
-def _bounded(thickness: NoiseField, place: NoiseField, mean) -> NoiseField:
+def _bounded(thickness, place, mean) -> NoiseField:
     """The same within `RANGE`, but for what the clipped tails shift the mean."""
     low, high = RANGE
     return _scaled(jnp.clip(_scaled(thickness, place, mean), low * mean, high * mean), place, mean)
 
 
-def _strands(
-    seed: Seed, turns: NoiseField, radius: NoiseField, count: Whole, width: Number, sway: Number
-) -> NoiseField:
-    """Height, 0 to 1, of `count` wavy strands; where two meet, the higher one lies on top: they
-    join and branch.
-    """
+def _strands(seed: Seed, turns, radius, count: int, width: float, sway: float) -> NoiseField:
+    """Height, 0 to 1, of `count` wavy strands that join and branch: the higher one lies on top."""
     where, wave, high = split(seed, 3)
     x = turns * count
 
@@ -184,43 +169,34 @@ def _strands(
     return jax.lax.scan(over, jnp.zeros_like(x), jnp.arange(-2, 3).astype(x.dtype))[0]
 
 
-def _fibres(
-    seed: Seed, turns: NoiseField, radius: NoiseField, ring: NoiseField, finest: int
-) -> NoiseField:
+def _fibres(seed: Seed, turns, radius, ring, finest: int) -> NoiseField:
     """Relative thickness of the meshwork about its mean, roughly ±0.6."""
     bent, bundles, coarse, middle, fine = split(seed, 5)
     turns = turns + 0.008 * noise(bent, turns, radius, (10, 2), 2)
     bundle = 0.7 + 0.6 * noise(bundles, turns, radius, (40, 2), 2)
-    outer = bundle * (
-        1.0 * _strands(coarse, turns, radius, min(80, finest), 0.35, 0.7)
-        + 0.8 * _strands(middle, turns, radius, min(160, finest), 0.35, 0.7)
-    )
+    wide = _strands(coarse, turns, radius, min(80, finest), 0.35, 0.7)
+    outer = bundle * (wide + 0.8 * _strands(middle, turns, radius, min(160, finest), 0.35, 0.7))
     inner = 0.45 * _strands(fine, turns, radius, min(192, finest), 0.4, 0.5)
     outside = smoothstep((radius - ring) / 0.06 + 0.5)
     return inner - inner.mean() + outside * (outer - outer.mean() - (inner - inner.mean()))
 
 
-def _zigzag(seed: Seed, turns: NoiseField) -> NoiseField:
+def _zigzag(seed: Seed, turns) -> NoiseField:
     """Deviation of the collarette from its mean radius: teeth on a slow wander."""
     slow, teeth, *_ = split(seed, 4)
     tooth = jnp.abs(noise(teeth, turns, 0 * turns, (44, 1)))
     return 0.035 * noise(slow, turns, 0 * turns, (5, 1), 2) + 0.07 * (tooth - 0.4)
 
 
-def _ring(seed: Seed, turns: NoiseField, radius: NoiseField, ring: NoiseField) -> NoiseField:
-    """Relative thickness that the collarette adds: steep towards the pupil, gentle outwards, uneven
-    along.
-    """
+def _ring(seed: Seed, turns, radius, ring) -> NoiseField:
+    """Relative thickness that the collarette adds: steep towards the pupil, uneven along."""
     along = 0.7 + 0.5 * noise(split(seed, 4)[2], turns, 0 * turns, (30, 1), 2)
     off = radius - ring
-    return 0.45 * along * jnp.exp(
-        -((off / jnp.where(off < 0, 0.022, 0.05)) ** 2)
-    ) - 0.12 * smoothstep(-off / 0.05)
+    crest = 0.45 * along * jnp.exp(-((off / jnp.where(off < 0, 0.022, 0.05)) ** 2))
+    return crest - 0.12 * smoothstep(-off / 0.05)
 
 
-def _crypts(
-    seed: Seed, turns: NoiseField, radius: NoiseField, count: Whole
-) -> tuple[NoiseField, NoiseField]:
+def _crypts(seed: Seed, turns, radius, count: Whole) -> tuple[NoiseField, NoiseField]:
     """Depth of crypts, 0 to 1, and `turns` as the strands see it that part round them."""
 
     def dig(k, carry):
@@ -235,24 +211,20 @@ def _crypts(
         lens = half_width * jnp.clip(1 - ((radius - middle) / half_length) ** 2, 0.0)
         hole = (0.5 + 0.5 * e) * smoothstep((lens - jnp.abs(off)) / 0.0025 + 0.2) * (lens > 0)
         # Inside the lens `pushed` is `off`: one strand fills it, the others crowd at its rim.
-        pushed = (
-            lens
-            * jnp.tanh(off / jnp.maximum(lens, 1e-6))
-            * jnp.exp(-((off / (3 * half_width)) ** 2))
-        )
+        pushed = lens * jnp.tanh(off / jnp.maximum(lens, 1e-6))
+        pushed = pushed * jnp.exp(-((off / (3 * half_width)) ** 2))
         return jnp.maximum(holes, hole), parted - 0.9 * pushed
 
     return jax.lax.fori_loop(0, 2 * count, dig, (jnp.zeros_like(radius), turns))
 
 
-def _furrows(seed: Seed, turns: NoiseField, radius: NoiseField, count: Whole) -> NoiseField:
+def _furrows(seed: Seed, turns, radius, count: Whole) -> NoiseField:
     """Crests (to about +0.5) and furrows (to −1) of the folds of contraction."""
 
     def fold(k, height):
         wander, extent = split(seed + k.astype(jnp.uint32), 2)
-        middle = (
-            0.55 + 0.38 * (k + 0.5) / count + 0.025 * noise(wander, turns, 0 * turns, (6, 1), 3)
-        )
+        middle = 0.55 + 0.38 * (k + 0.5) / count
+        middle = middle + 0.025 * noise(wander, turns, 0 * turns, (6, 1), 3)
         depth = smoothstep(0.4 + 1.6 * noise(extent, turns, 0 * turns, (7, 1)))
         off = (radius - middle) / 0.016
         return height + depth * (0.45 * off**2 - 1) * jnp.exp(-0.5 * off**2)
@@ -260,9 +232,7 @@ def _furrows(seed: Seed, turns: NoiseField, radius: NoiseField, count: Whole) ->
     return jax.lax.fori_loop(0, count, fold, jnp.zeros_like(radius))
 
 
-def _freckles(
-    seed: Seed, turns: NoiseField, place: NoiseField, eye: Eye, count: Whole
-) -> NoiseField:
+def _freckles(seed: Seed, turns, place, eye: Eye, count: Whole) -> NoiseField:
     """Soft irregular spots, 0 to 1, of 0.05 to 0.25 mm radius."""
     spots, edges = split(seed, 2)
     ragged = 1 + 0.6 * noise(edges, turns, place / eye.iris_radius, (90, 24), 3)
@@ -277,9 +247,7 @@ def _freckles(
     return jax.lax.fori_loop(0, count, spot, jnp.zeros_like(place))
 
 
-def _rays(seed: Seed, turns: NoiseField, radius: NoiseField, ring: NoiseField) -> NoiseField:
-    """Share of the pigment round the pupil, 1 at its edge, frayed into rays beyond the
-    collarette.
-    """
+def _rays(seed: Seed, turns, radius, ring) -> NoiseField:
+    """Share of the pigment round the pupil, 1 at its edge, in rays beyond the collarette."""
     reach = ring + 0.12 + 0.22 * noise(split(seed, 4)[3], turns, radius, (60, 2), 3)
     return 1 - smoothstep((radius - reach) / 0.4 + 0.5)

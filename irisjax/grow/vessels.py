@@ -1,8 +1,6 @@
-"""Vessels drawn on the white of the eye: random trees of tortuous curves, rasterised as chords of
-blood.
+"""Vessels on the white of the eye: random trees of tortuous curves, rasterised as chords of blood.
 
-A curve runs in (azimuth, arc), the arc in mm on the sphere from the limbus outwards. NumPy, once an
-eye.
+A curve runs in (azimuth, arc), the arc in mm on the sphere from the limbus outwards.
 """
 
 from typing import NamedTuple
@@ -22,9 +20,7 @@ _SPREAD = 0.09  # mm, how far the tissue above an episcleral vessel blurs its ed
 
 
 class _Curves(NamedTuple):
-    """Curves of equal numbers of points, each field (curves, points): azimuth, arc, heading, radius
-    (mm).
-    """
+    """Curves of equal numbers of points; each field has shape (curves, points)."""
 
     azimuth: np.ndarray
     arc: np.ndarray
@@ -66,33 +62,25 @@ def veins(eye: Eye, *, shape: tuple[int, int] = (1024, 512), key: PRNGKey) -> Ve
     Raises:
         ValueError: The eye has no sclera.
     """
-    globe = _Globe(float(sclera_of(eye).radius), float(limbus_angle(eye)))
-    density = float(sclera_of(eye).veins)
+    sclera = sclera_of(eye)
+    globe, density = _Globe(float(sclera.radius), float(limbus_angle(eye))), float(sclera.veins)
     if density == 0:
         return None
     rng = np.random.default_rng(np.asarray(jax.random.key_data(key)).ravel())
     depth, cover, deep = np.zeros(shape), np.zeros(shape), np.zeros(shape)
-    level = _trunks(rng, globe, round(40 * density), (0.02, 0.05), 0.5)
-    levels = [level]
+    levels = [_trunks(rng, globe, round(40 * density), (0.02, 0.05), 0.5)]
     for forks, reach in ((5, 4.0), (3, 2.2), (1, 1.2)):
-        level = _branches(rng, globe, level, forks, reach)
-        levels.append(level)
+        levels.append(_branches(rng, globe, levels[-1], forks, reach))
     for curves in (*levels, _loops(rng, globe, round(220 * density))):
         _stamp([(depth, _chord), (cover, _cover)], globe, curves, 0.03)
-    _stamp(
-        [(deep, _shade)],
-        globe,
-        _trunks(rng, globe, round(14 * density), (0.04, 0.09), 0.25),
-        3 * _SPREAD,
-    )
+    episcleral = _trunks(rng, globe, round(14 * density), (0.04, 0.09), 0.25)
+    _stamp([(deep, _shade)], globe, episcleral, 3 * _SPREAD)
     dtype = jnp.result_type(float)
     return VeinMap(*(jnp.asarray(texture, dtype) for texture in (depth, cover, deep)))
 
 
 def _trunks(rng, globe: _Globe, count: int, radii, wander: float) -> _Curves:
-    """Vessels from the periphery: half of them from the corners of the lids,
-    at azimuths 0 and π.
-    """
+    """Vessels from the periphery, many from the corners of the lids, at azimuths 0 and π."""
     corner = np.where(rng.random(count) < 0.5, 0.0, np.pi) + rng.normal(0, 0.5, count)
     azimuth = np.where(rng.random(count) < 0.4, corner, rng.uniform(0, 2 * np.pi, count))
     arc = globe.end * rng.uniform(0.6, 1.05, count)
@@ -113,24 +101,17 @@ def _branches(rng, globe: _Globe, parents: _Curves, forks: int, reach: float) ->
     alive = parents.radius[row, at] > 0
     side = np.where(rng.random(at.shape) < 0.5, -1.0, 1.0)
     heading = parents.heading[row, at] + side * rng.uniform(0.5, 1.3, at.shape)
-    start = (
-        parents.azimuth[row, at],
-        parents.arc[row, at],
-        heading,
-        parents.radius[:, :1] * share ** (1 / 3),
-    )
+    radius = parents.radius[:, :1] * share ** (1 / 3)
+    start = parents.azimuth[row, at], parents.arc[row, at], heading, radius
     azimuth, arc, heading, radius = (field[alive] for field in start)
-    return _walk(
-        rng, globe, azimuth, arc, heading, radius, reach * rng.uniform(0.4, 1.6, radius.size), 0.7
-    )
+    lengths = reach * rng.uniform(0.4, 1.6, radius.size)
+    return _walk(rng, globe, azimuth, arc, heading, radius, lengths, 0.7)
 
 
 def _walk(rng, globe: _Globe, azimuth, arc, heading, radius, reach, wander: float) -> _Curves:
-    """Curves of length `reach` (mm) that set out at `heading` from the inward direction and turn to
-    the limbus.
+    """Curves of length `reach` (mm) that set out at `heading` from the inward direction.
 
-    Radius 0 marks what lies past a curve's end. The heading wanders at two scales: bends and
-    tortuosity.
+    They turn to the limbus; the heading wanders at two scales. Radius 0 marks points past the end.
     """
     count = azimuth.size
     steps = max(int(np.ceil(reach.max(initial=_STEP) / _STEP)), 4)
@@ -142,12 +123,8 @@ def _walk(rng, globe: _Globe, azimuth, arc, heading, radius, reach, wander: floa
         # Near the limbus vessels turn along it and join arcades.
         free = np.clip(arc / 1.0, 0, 1)
         way = free * (heading + bend + curl) + side * (1 - free) * 1.5
-        out[:, k] = (
-            azimuth,
-            arc,
-            way,
-            np.where(shown, radius * np.cbrt(np.maximum(1 - _LOST * k * _STEP / reach, 0)), 0),
-        )
+        kept = np.cbrt(np.maximum(1 - _LOST * k * _STEP / reach, 0))
+        out[:, k] = azimuth, arc, way, np.where(shown, radius * kept, 0)
         azimuth = azimuth + _STEP * np.sin(way) / globe.girth(arc)
         arc = arc - _STEP * np.cos(way)
         heading = heading * (1 - _STEP / 6.0)
@@ -192,17 +169,12 @@ def _shade(distance, radius, width):
 
 
 def _stamp(layers, globe: _Globe, curves: _Curves, margin: float) -> None:
-    """Draw curves into textures, each with its profile, the largest value winning; profiles end
-    `margin` mm outside.
-    """
+    """Draw curves into textures by their profiles, which end `margin` mm outside; maxima count."""
     rows, columns = layers[0][0].shape
     along = globe.end / columns
     there = (curves.radius[:, :-1] > 0) & (curves.radius[:, 1:] > 0)
-    segments = [
-        (field[:, i:][:, : there.shape[1]][there])
-        for i in (0, 1)
-        for field in (curves.azimuth, curves.arc)
-    ]
+    ends = slice(None, -1), slice(1, None)
+    segments = [f[:, end][there] for end in ends for f in (curves.azimuth, curves.arc)]
     radius = 0.5 * (curves.radius[:, :-1] + curves.radius[:, 1:])[there]
     order = np.argsort(radius, kind="stable")
     for block in np.array_split(order, max(1, -(-order.size // _CHUNK))):
@@ -213,8 +185,8 @@ def _stamp(layers, globe: _Globe, curves: _Curves, margin: float) -> None:
         girth = globe.girth(0.5 * (s0 + s1))
         cell = (2 * np.pi / rows) * girth  # mm
         out = 0.5 * _STEP + float(r.max()) + margin
-        di = np.arange(-int(np.ceil(out / cell.min())) - 1, int(np.ceil(out / cell.min())) + 2)
-        dj = np.arange(-int(np.ceil(out / along)) - 1, int(np.ceil(out / along)) + 2)
+        reach = (int(np.ceil(out / size)) + 1 for size in (cell.min(), along))
+        di, dj = (np.arange(-n, n + 1) for n in reach)
         row = np.floor(0.5 * (a0 + a1) * rows / (2 * np.pi)).astype(int)[:, None] + di
         column = np.floor(0.5 * (s0 + s1) / along).astype(int)[:, None] + dj
         x = ((row + 0.5) * (2 * np.pi / rows) - a0[:, None])[:, :, None] * girth[:, None, None]
