@@ -20,7 +20,7 @@ from irisjax.numerics.checks import Range, check_fields
 from irisjax.numerics.roots import safe_sqrt
 from irisjax.optics.conicoid import Conicoid, Vector, parts
 
-LIMITS = {
+EYE_LIMITS = {
     "index": INDEX,
     "aqueous_index": INDEX,
     "iris_depth": Range(2.5, 8, "mm"),
@@ -96,7 +96,7 @@ class Sclera(eqx.Module):
     saturation: Scalar = _number(0.9)
 
     def __check_init__(self):
-        check_fields(self, LIMITS)
+        check_fields(self, EYE_LIMITS)
 
 
 class Eye(eqx.Module):
@@ -136,7 +136,7 @@ class Eye(eqx.Module):
     attenuation: Scalar | None = _optional()
 
     def __check_init__(self):
-        check_fields(self, LIMITS)
+        check_fields(self, EYE_LIMITS)
         radii = self.pupil_radius, self.iris_radius
         if _known(radii) and float(radii[0]) >= float(radii[1]):
             raise ValueError(

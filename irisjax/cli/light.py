@@ -23,7 +23,7 @@ from irisjax.cli.options import (
     whole_parser,
 )
 from irisjax.measure.colour import OBSERVER
-from irisjax.measure.instrument import GAIN, Cornea
+from irisjax.measure.instrument import GAIN, Crossing
 from irisjax.tissue.pigments import check_covered, common_range
 
 POLARIMETERS = ("cross-polarised", "co-polarised", "degree-of-polarisation")
@@ -117,7 +117,7 @@ class EyeLight(Light):
         named_option(
             "whether light crosses tear film and cornea; auto is inward for radiance, else none",
             "auto",
-            *get_args(Cornea),
+            *get_args(Crossing),
         ),
     ] = "auto"
     cornea_index: Annotated[float, _index("cornea")] = media.CORNEA

@@ -6,12 +6,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
-from irisjax.anatomy.eye import LIMITS
+from irisjax.anatomy.eye import EYE_LIMITS
 from irisjax.cli.options import Group, named_option, option, range_parser
 from irisjax.io.recipes import MIXING, Recipe, read_recipe
 from irisjax.ocularist.recipes import EYE_COLOURS, EYE_TYPES, coats
 
-_PUPIL = LIMITS["pupil_radius"]
+_PUPIL = EYE_LIMITS["pupil_radius"]
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -17,7 +17,7 @@ from irisjax.render import scene as staging
 from irisjax.render.environment import ENVIRONMENTS, Environment
 from irisjax.render.lights import Lights
 
-_PUPIL = eye.LIMITS["pupil_radius"]
+_PUPIL = eye.EYE_LIMITS["pupil_radius"]
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -48,7 +48,7 @@ def _mixed(x: UInt32[Array, "..."]) -> UInt32[Array, "..."]:
     return x ^ (x >> 16)
 
 
-def split(seed: Seed, n: int) -> list[Seed]:
+def split_seed(seed: Seed, n: int) -> list[Seed]:
     """Seeds of features from the seed of all."""
     return [_mixed(seed + jnp.uint32(0x632BE5AB * (i + 1) % 2**32)) for i in range(n)]
 

@@ -14,7 +14,7 @@ from jax.random import bits, fold_in
 
 from irisjax._types import PRNGKey
 from irisjax.anatomy.eye import Eye
-from irisjax.grow.noise import NoiseField, Seed, Whole, drawn, noise, split
+from irisjax.grow.noise import NoiseField, Seed, Whole, drawn, noise, split_seed
 from irisjax.numerics.checks import Range, check_range
 from irisjax.numerics.interpolation import smoothstep
 from irisjax.tissue.iris import Iris
@@ -155,7 +155,7 @@ def _bounded(thickness, place, mean) -> NoiseField:
 
 def _strands(seed: Seed, turns, radius, count: int, width: float, sway: float) -> NoiseField:
     """Height, 0 to 1, of `count` wavy strands that join and branch: the higher one lies on top."""
-    where, wave, high = split(seed, 3)
+    where, wave, high = split_seed(seed, 3)
     x = turns * count
 
     def over(top, offset):
@@ -171,7 +171,7 @@ def _strands(seed: Seed, turns, radius, count: int, width: float, sway: float) -
 
 def _fibres(seed: Seed, turns, radius, ring, finest: int) -> NoiseField:
     """Relative thickness of the meshwork about its mean, roughly ±0.6."""
-    bent, bundles, coarse, middle, fine = split(seed, 5)
+    bent, bundles, coarse, middle, fine = split_seed(seed, 5)
     turns = turns + 0.008 * noise(bent, turns, radius, (10, 2), 2)
     bundle = 0.7 + 0.6 * noise(bundles, turns, radius, (40, 2), 2)
     wide = _strands(coarse, turns, radius, min(80, finest), 0.35, 0.7)
@@ -183,14 +183,14 @@ def _fibres(seed: Seed, turns, radius, ring, finest: int) -> NoiseField:
 
 def _zigzag(seed: Seed, turns) -> NoiseField:
     """Deviation of the collarette from its mean radius: teeth on a slow wander."""
-    slow, teeth, *_ = split(seed, 4)
+    slow, teeth, *_ = split_seed(seed, 4)
     tooth = jnp.abs(noise(teeth, turns, 0 * turns, (44, 1)))
     return 0.035 * noise(slow, turns, 0 * turns, (5, 1), 2) + 0.07 * (tooth - 0.4)
 
 
 def _ring(seed: Seed, turns, radius, ring) -> NoiseField:
     """Relative thickness that the collarette adds: steep towards the pupil, uneven along."""
-    along = 0.7 + 0.5 * noise(split(seed, 4)[2], turns, 0 * turns, (30, 1), 2)
+    along = 0.7 + 0.5 * noise(split_seed(seed, 4)[2], turns, 0 * turns, (30, 1), 2)
     off = radius - ring
     crest = 0.45 * along * jnp.exp(-((off / jnp.where(off < 0, 0.022, 0.05)) ** 2))
     return crest - 0.12 * smoothstep(-off / 0.05)
@@ -222,7 +222,7 @@ def _furrows(seed: Seed, turns, radius, count: Whole) -> NoiseField:
     """Crests (to about +0.5) and furrows (to −1) of the folds of contraction."""
 
     def fold(k, height):
-        wander, extent = split(seed + k.astype(jnp.uint32), 2)
+        wander, extent = split_seed(seed + k.astype(jnp.uint32), 2)
         middle = 0.55 + 0.38 * (k + 0.5) / count
         middle = middle + 0.025 * noise(wander, turns, 0 * turns, (6, 1), 3)
         depth = smoothstep(0.4 + 1.6 * noise(extent, turns, 0 * turns, (7, 1)))
@@ -234,7 +234,7 @@ def _furrows(seed: Seed, turns, radius, count: Whole) -> NoiseField:
 
 def _freckles(seed: Seed, turns, place, eye: Eye, count: Whole) -> NoiseField:
     """Soft irregular spots, 0 to 1, of 0.05 to 0.25 mm radius."""
-    spots, edges = split(seed, 2)
+    spots, edges = split_seed(seed, 2)
     ragged = 1 + 0.6 * noise(edges, turns, place / eye.iris_radius, (90, 24), 3)
 
     def spot(k, painted):
@@ -249,5 +249,5 @@ def _freckles(seed: Seed, turns, place, eye: Eye, count: Whole) -> NoiseField:
 
 def _rays(seed: Seed, turns, radius, ring) -> NoiseField:
     """Share of the pigment round the pupil, 1 at its edge, in rays beyond the collarette."""
-    reach = ring + 0.12 + 0.22 * noise(split(seed, 4)[3], turns, radius, (60, 2), 3)
+    reach = ring + 0.12 + 0.22 * noise(split_seed(seed, 4)[3], turns, radius, (60, 2), 3)
     return 1 - smoothstep((radius - reach) / 0.4 + 0.5)

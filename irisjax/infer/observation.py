@@ -11,7 +11,7 @@ from jaxtyping import Array, ArrayLike, Float
 
 from irisjax.anatomy.media import Media
 from irisjax.measure.colour import OBSERVER
-from irisjax.measure.instrument import AbstractInstrument, Cornea
+from irisjax.measure.instrument import AbstractInstrument, Crossing
 from irisjax.measure.measurement import check_cosine, check_wavelengths
 from irisjax.measure.photometers import Colorimeter, Radiometer, Spectrophotometer
 from irisjax.tissue.pigments import check_covered
@@ -64,7 +64,7 @@ def spectrum(
     illuminant: str = "D65",
     cos_incidence: float | str = 1.0,
     first_surface: bool = True,
-    cornea: Cornea | None = None,
+    cornea: Crossing | None = None,
     media: Media | None = None,
     name: str = "spectrum",
 ) -> Observation:

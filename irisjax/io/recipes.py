@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import tomlkit
 
-from irisjax.anatomy.eye import LIMITS, Eye
+from irisjax.anatomy.eye import EYE_LIMITS, Eye
 from irisjax.io.images import read_image
 from irisjax.io.sections import EntryCheck, Keys, check_sections, toml_of
 from irisjax.io.tables import naming
@@ -198,7 +198,7 @@ def _pair(value: Any) -> tuple[str, str]:
 
 _NO_USE = f'a file of paints is for mixing = "{_KUBELKA_MUNK}"; {_HSL} mixes colours alone'
 _SECTIONS: dict[str, Keys] = {
-    "painting": {"mixing": MIXING, "paints": str, "pupil_radius": LIMITS["pupil_radius"]},
+    "painting": {"mixing": MIXING, "paints": str, "pupil_radius": EYE_LIMITS["pupil_radius"]},
     "palette": _colour,
     "coat": {
         "component": (*COMPONENTS, SCAN),

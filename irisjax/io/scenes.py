@@ -10,8 +10,7 @@ import jax
 import jax.numpy as jnp
 
 from irisjax._types import PRNGKey
-from irisjax.anatomy.eye import LIMITS as EYE_LIMITS
-from irisjax.anatomy.eye import Cornea, Eye, Sclera
+from irisjax.anatomy.eye import EYE_LIMITS, Cornea, Eye, Sclera
 from irisjax.grow.presets import PRESETS, preset
 from irisjax.grow.procedural import procedural
 from irisjax.grow.vessels import veins

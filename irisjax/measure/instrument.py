@@ -17,7 +17,7 @@ from irisjax.tissue.pigments import Extinction, extinction
 from irisjax.transport.light import Directions, Light
 from irisjax.transport.solution import Solution, dimmed
 
-Cornea = Literal["none", "inward", "round-trip"]
+Crossing = Literal["none", "inward", "round-trip"]
 
 R = TypeVar("R", bound=Reading)
 
@@ -25,12 +25,12 @@ GAIN = Range(0, 1e6, meaning="factor of the instrument on every value", above=Tr
 """Allowed gains."""
 
 
-class Settings(TypedDict, total=False):
-    """Settings that every instrument has; `AbstractInstrument` says what they mean."""
+class InstrumentSettings(TypedDict, total=False):
+    """InstrumentSettings that every instrument has; `AbstractInstrument` says what they mean."""
 
     cos_incidence: Numbers
     first_surface: bool
-    cornea: Cornea
+    cornea: Crossing
     media: Media | None
     gain: Numbers
 
@@ -60,7 +60,7 @@ class AbstractInstrument(eqx.Module):
     cos_incidence: Scalar | None
     media: Media
     gain: Scalar
-    cornea: Cornea = eqx.field(static=True)
+    cornea: Crossing = eqx.field(static=True)
     first_surface: bool = eqx.field(static=True)
 
     def __init__(
@@ -69,14 +69,14 @@ class AbstractInstrument(eqx.Module):
         *,
         cos_incidence: Numbers = 1.0,
         first_surface: bool = True,
-        cornea: Cornea = "none",
+        cornea: Crossing = "none",
         media: Media | None = None,
         gain: Numbers = 1.0,
     ):
         check_wavelengths(wavelengths)
         check_cosine("cos_incidence", cos_incidence)
-        if cornea not in get_args(Cornea):
-            raise ValueError(f"cornea = {cornea!r}; known: {', '.join(get_args(Cornea))}")
+        if cornea not in get_args(Crossing):
+            raise ValueError(f"cornea = {cornea!r}; known: {', '.join(get_args(Crossing))}")
         diffuse = isinstance(cos_incidence, str)
         if diffuse and cornea != "none":
             raise ValueError(

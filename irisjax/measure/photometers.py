@@ -11,7 +11,7 @@ from jaxtyping import Array, Float
 
 from irisjax._types import Numbers, PRNGKey, Scalar, Spectrum
 from irisjax.measure.colour import OBSERVER, Colour, Observer, illuminant_power
-from irisjax.measure.instrument import AbstractInstrument, Settings
+from irisjax.measure.instrument import AbstractInstrument, InstrumentSettings
 from irisjax.measure.measurement import COSINE, Reading
 from irisjax.measure.measurement import wavelengths as grid
 from irisjax.measure.observe import observe
@@ -25,7 +25,7 @@ from irisjax.transport.solver import AbstractSolver
 class Spectrophotometer(AbstractInstrument):
     """An instrument that reads the share of the incident light that the iris sends back."""
 
-    def __init__(self, wavelengths: Numbers, **settings: Unpack[Settings]):
+    def __init__(self, wavelengths: Numbers, **settings: Unpack[InstrumentSettings]):
         super().__init__(wavelengths, **settings)
 
     def reading(self, light: Solution, factor: Scalar) -> Reading:
@@ -50,7 +50,11 @@ class Radiometer(AbstractInstrument):
     illuminant: str = eqx.field(static=True)
 
     def __init__(
-        self, wavelengths: Numbers, *, illuminant: str = "D65", **settings: Unpack[Settings]
+        self,
+        wavelengths: Numbers,
+        *,
+        illuminant: str = "D65",
+        **settings: Unpack[InstrumentSettings],
     ):
         settings.setdefault("cornea", "inward")
         super().__init__(wavelengths, **settings)
@@ -89,7 +93,7 @@ class Colorimeter(AbstractInstrument):
         *,
         illuminant: str = "D65",
         observer: str = OBSERVER,
-        **settings: Unpack[Settings],
+        **settings: Unpack[InstrumentSettings],
     ):
         wavelengths = grid(380, 780, 5) if wavelengths is None else wavelengths
         super().__init__(wavelengths, **settings)
@@ -149,7 +153,7 @@ class Goniophotometer(AbstractInstrument):
         *,
         cos_exit: Numbers,
         azimuth: Numbers = 0.0,
-        **settings: Unpack[Settings],
+        **settings: Unpack[InstrumentSettings],
     ):
         if isinstance(settings.get("cos_incidence"), str) or isinstance(cos_exit, str):
             raise ValueError(
@@ -200,7 +204,7 @@ def reflectance(
     solver: AbstractSolver | None = None,
     key: PRNGKey | None = None,
     throw: bool = True,
-    **settings: Unpack[Settings],
+    **settings: Unpack[InstrumentSettings],
 ) -> Reading:
     """Compute the spectral reflectance of an iris, the share of incident light it sends back.
 
@@ -226,7 +230,7 @@ def radiance(
     solver: AbstractSolver | None = None,
     key: PRNGKey | None = None,
     throw: bool = True,
-    **settings: Unpack[Settings],
+    **settings: Unpack[InstrumentSettings],
 ) -> Reading:
     """Compute the spectral radiance of an iris under an illuminant; see `Radiometer`.
 
@@ -246,7 +250,7 @@ def colour(
     solver: AbstractSolver | None = None,
     key: PRNGKey | None = None,
     throw: bool = True,
-    **settings: Unpack[Settings],
+    **settings: Unpack[InstrumentSettings],
 ) -> Colour:
     """Compute the colour of the iris's reflectance under an illuminant.
 
@@ -258,9 +262,9 @@ def colour(
         wavelengths: In nm, by default 380–780 nm in steps of 5 nm.
         illuminant: Name of the light source in colour-science.
         observer: Name of the standard observer in colour-science.
-        solver: See `observe`.
-        key: See `observe`.
-        throw: See `observe`.
+        solver: See `observe`, also for `key` and `throw`.
+        key: Random key.
+        throw: Whether a failed solve raises.
         **settings: Of the instrument; see `AbstractInstrument`.
     """
     instrument = Colorimeter(wavelengths, illuminant=illuminant, observer=observer, **settings)
@@ -276,7 +280,7 @@ def brdf(
     solver: AbstractSolver | None = None,
     key: PRNGKey | None = None,
     throw: bool = True,
-    **settings: Unpack[Settings],
+    **settings: Unpack[InstrumentSettings],
 ) -> Brdf:
     """Compute the BRDF of the iris in the aqueous humour, at given exit directions.
 

@@ -1,8 +1,8 @@
 """Virtual instruments with a polariser before the lamp and an analyser before the eye.
 
-Angles of polarisation are those of a filter that is turned before a camera which looks at the iris:
-0 lies in the plane of incidence. Along oblique directions they are what a lens that collects the
-hemisphere makes of them: the field along the polar angle goes along the radius in its plane.
+Angles of polarisation are those of a filter before a camera that looks at the iris: 0 lies in the
+plane of incidence. A lens collects oblique directions: it turns the field along the polar angle
+into one along the radius in its plane.
 """
 
 from typing import Any, Literal, Unpack, get_args
@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from irisjax._types import Numbers, Scalar, Spectrum
-from irisjax.measure.instrument import AbstractInstrument, Settings
+from irisjax.measure.instrument import AbstractInstrument, InstrumentSettings
 from irisjax.measure.measurement import HEMISPHERE, Reading, check_cosine
 from irisjax.numerics.angle import arctan2
 from irisjax.numerics.checks import Range, check_range
@@ -22,22 +22,20 @@ from irisjax.optics.mueller import polarised_at, rotation
 from irisjax.transport.light import Directions
 from irisjax.transport.solution import Polarisation, Solution
 
-ANGLE = Range(-2 * np.pi, 2 * np.pi, "rad")
-"""Allowed angles of filters and azimuths."""
-
+_ANGLE = Range(-2 * np.pi, 2 * np.pi, "rad")
 AnalyserSetting = Literal["crossed", "parallel"]
 
 
 class PolarisedInstrument(AbstractInstrument):
-    """An instrument that sees polarisation, of a process that has it.
+    """An instrument that sees polarisation, of a process that has it; the cornea is left out.
 
-    - `polariser`: angle (radians) of the light's polarisation, or `None` for unpolarised light.
-    - `cos_exit`, `azimuth`: the direction it looks from (azimuth in radians from the plane of
-        incidence, 0 where a mirror would send the light), or `None` for all of them: given as
-        `"hemisphere"`.
+    Light mirrored by the first surface counts only with a hemisphere of exits.
 
-    The cornea is left out. What the first surface mirrors counts where all directions do, unless
-    `first_surface=False`; a single direction never sees it.
+    Attributes:
+        polariser: Angle (radians) of the light's polarisation, or `None` for unpolarised light.
+        cos_exit: Cosine of the exit angle, or `None` for all exits, given as `"hemisphere"`.
+        azimuth: Of the exit, radians from the plane of incidence, 0 where a mirror would send the
+            light.
     """
 
     polarised = True
@@ -53,7 +51,7 @@ class PolarisedInstrument(AbstractInstrument):
         polariser: Numbers = None,
         cos_exit: Numbers = 1.0,
         azimuth: Numbers = 0.0,
-        **settings: Unpack[Settings],
+        **settings: Unpack[InstrumentSettings],
     ):
         if isinstance(settings.get("cos_incidence"), str):
             raise ValueError(
@@ -70,7 +68,7 @@ class PolarisedInstrument(AbstractInstrument):
         for name, angle in (("polariser", polariser), ("azimuth", azimuth)):
             if np.shape(angle):
                 raise ValueError(f"{name} has shape {np.shape(angle)}; it must be one number")
-            check_range(name, angle, ANGLE)
+            check_range(name, angle, _ANGLE)
         dtype = self.wavelengths.dtype
         self.polariser = None if polariser is None else jnp.asarray(polariser, dtype)
         self.cos_exit = None if everywhere else jnp.asarray(cos_exit, dtype)
@@ -189,16 +187,14 @@ class Polarimeter(PolarisedInstrument):
 
     def reading(self, light: Solution, factor: Scalar) -> PolarisedReading:
         """See `AbstractInstrument`."""
-        matrix, _ = self.matrix(light)
+        matrix = self.matrix(light)[0]
         turn = rotation(jnp.zeros_like(self.azimuth) if self.cos_exit is None else -self.azimuth)
         sent = matrix @ self.light()
         stokes = sent @ turn.T
-        dark = stokes[:, 0] <= 0
-        intensity = jnp.where(dark, 1.0, stokes[:, 0])
+        intensity = jnp.where(stokes[:, 0] <= 0, 1.0, stokes[:, 0])
         linear = safe_sqrt(stokes[:, 1] ** 2 + stokes[:, 2] ** 2)
         degree = linear / intensity
-        still = linear <= 0
-        along = stokes[:, 1:3] / jnp.where(still, 1.0, linear)[:, None]
+        along = stokes[:, 1:3] / jnp.where(linear <= 0, 1.0, linear)[:, None]
         by_stokes = jnp.concatenate([-degree[:, None], along, 0 * degree[:, None]], -1)
         gradient = (by_stokes @ turn / intensity[:, None])[:, :, None] * self.light()
         return self.result(

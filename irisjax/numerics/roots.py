@@ -10,10 +10,8 @@ def safe_sqrt(x: Float[Array, "*s"]) -> Float[Array, "*s"]:
     return jnp.where(positive, jnp.sqrt(jnp.where(positive, x, 1.0)), 0.0)
 
 
-def solve_2x2(a, b):
-    """2×2 system, by hand: the batch of a LAPACK call costs more than the equations; singular gives
-    no move.
-    """
+def solve_2x2(a: Float[Array, "2 2 *s"], b: Float[Array, "2 *s"]) -> Float[Array, "2 *s"]:
+    """x with a x = b, cheaper than a batch of LAPACK's; 0 where `a` is singular."""
     det = a[0, 0] * a[1, 1] - a[0, 1] * a[1, 0]
     x = jnp.stack([a[1, 1] * b[0] - a[0, 1] * b[1], a[0, 0] * b[1] - a[1, 0] * b[0]])
     return jnp.where(det == 0, 0.0, x / jnp.where(det == 0, 1.0, det))

@@ -6,6 +6,7 @@ left is a small core tensor [Tucker 1966, Psychometrika 31, 279; De Lathauwer, D
 """
 
 from collections.abc import Sequence
+from typing import Any
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -26,7 +27,7 @@ class Tucker(eqx.Module):
     core: Float[Array, "..."]
 
     @classmethod
-    def of(cls, values: np.ndarray, tolerance: float, dtype) -> "Tucker":
+    def of(cls, values: np.ndarray, tolerance: float, dtype: Any) -> "Tucker":
         """Of values at `chebyshev_nodes` of every axis, shape (nodes of each axis …, functions).
 
         Each function is scaled by its largest value for the choice of ranks; what is left out of an
@@ -60,7 +61,7 @@ def coefficients(nodes: int) -> np.ndarray:
     return np.linalg.inv(np.polynomial.chebyshev.chebvander(chebyshev_nodes(nodes), nodes - 1))
 
 
-def grid(axes: Sequence[np.ndarray]) -> np.ndarray:
+def grid_points(axes: Sequence[np.ndarray]) -> np.ndarray:
     """All combinations of the axes' nodes, shape (points, axes), the last axis fastest."""
     return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, len(axes))
 

@@ -65,13 +65,17 @@ _OPTICAL = {
     "collagen_fraction",
 }
 _CHOICES = ("scattering", "power_law")
-_ABSENT = {"pheomelanin_abl_fraction", "abl_index", "stroma_index"}  # may be `None`
 
 _LEVELS = {"high": (1.008, 0.2674), "moderate": (0.8138, 0.2054), "low": (0.1201, 0.0194)}
 
 
-def _number(default: float | None) -> Any:
-    return eqx.field(default=default)
+def _parameter(name: str, default: float | None) -> Any:
+    """A field of `Iris`: whatever number it is given becomes a float array."""
+
+    def convert(value):
+        return None if value is None and default is None else _as_float(name, value)
+
+    return eqx.field(default=default, converter=convert)
 
 
 class Iris(eqx.Module):
@@ -114,27 +118,27 @@ class Iris(eqx.Module):
         ValueError: For a concrete value out of range, with its field, value and range.
     """
 
-    eumelanin: Scalar = _number(_LEVELS["moderate"][0])
-    pheomelanin: Scalar = _number(_LEVELS["moderate"][1])
-    abl_fraction: Scalar = _number(0.5)
-    pheomelanin_abl_fraction: Scalar | None = _number(None)
-    oxyhemoglobin: Scalar = _number(0.042)
-    deoxyhemoglobin: Scalar = _number(0.042)
-    lutein: Scalar = _number(1.562e-4)
-    zeaxanthin: Scalar = _number(5.968e-5)
-    abl_thickness: Scalar = _number(0.05675)
-    stroma_thickness: Scalar = _number(0.2855)
-    intensification: Scalar = _number(2.2)
-    fibril_radius: Scalar = _number(30.0)
-    fibroblast_index: Scalar = _number(1.42)
-    collagen_index: Scalar = _number(1.47)
-    base_index: Scalar = _number(1.5)
-    ipe_index: Scalar = _number(1.5)
-    fibroblast_fraction: Scalar = _number(FIBROBLAST_FRACTION)
-    collagen_fraction: Scalar = _number(COLLAGEN_FRACTION)
-    abl_index: Scalar | None = _number(None)
-    stroma_index: Scalar | None = _number(None)
-    scattering_scale: Scalar = _number(1.0)
+    eumelanin: Scalar = _parameter("eumelanin", _LEVELS["moderate"][0])
+    pheomelanin: Scalar = _parameter("pheomelanin", _LEVELS["moderate"][1])
+    abl_fraction: Scalar = _parameter("abl_fraction", 0.5)
+    pheomelanin_abl_fraction: Scalar | None = _parameter("pheomelanin_abl_fraction", None)
+    oxyhemoglobin: Scalar = _parameter("oxyhemoglobin", 0.042)
+    deoxyhemoglobin: Scalar = _parameter("deoxyhemoglobin", 0.042)
+    lutein: Scalar = _parameter("lutein", 1.562e-4)
+    zeaxanthin: Scalar = _parameter("zeaxanthin", 5.968e-5)
+    abl_thickness: Scalar = _parameter("abl_thickness", 0.05675)
+    stroma_thickness: Scalar = _parameter("stroma_thickness", 0.2855)
+    intensification: Scalar = _parameter("intensification", 2.2)
+    fibril_radius: Scalar = _parameter("fibril_radius", 30.0)
+    fibroblast_index: Scalar = _parameter("fibroblast_index", 1.42)
+    collagen_index: Scalar = _parameter("collagen_index", 1.47)
+    base_index: Scalar = _parameter("base_index", 1.5)
+    ipe_index: Scalar = _parameter("ipe_index", 1.5)
+    fibroblast_fraction: Scalar = _parameter("fibroblast_fraction", FIBROBLAST_FRACTION)
+    collagen_fraction: Scalar = _parameter("collagen_fraction", COLLAGEN_FRACTION)
+    abl_index: Scalar | None = _parameter("abl_index", None)
+    stroma_index: Scalar | None = _parameter("stroma_index", None)
+    scattering_scale: Scalar = _parameter("scattering_scale", 1.0)
     scattering: Scattering = eqx.field(static=True, default="lb06")
     power_law: PowerLaw | None = None
     order: Order = eqx.field(init=False)
@@ -142,9 +146,10 @@ class Iris(eqx.Module):
     def __post_init__(self):
         # Plain numbers stay known inside a program: the order of media must be.
         with jax.ensure_compile_time_eval():
+            # Equinox's converters run after this method, and the checks want arrays.
             for name in LIMITS:
                 value = getattr(self, name)
-                if value is not None or name not in _ABSENT:
+                if value is not None:
                     object.__setattr__(self, name, _as_float(name, value))
             order = self.indices().order()
         check_fields(self, LIMITS)

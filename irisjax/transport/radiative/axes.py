@@ -12,7 +12,7 @@ import numpy as np
 
 from irisjax.numerics.interpolation import chebyshev_nodes, chebyshev_series
 from irisjax.numerics.roots import safe_sqrt
-from irisjax.numerics.tucker import grid
+from irisjax.numerics.tucker import grid_points
 from irisjax.tissue.indices import RefractiveIndices
 from irisjax.tissue.layers import Layers
 
@@ -61,7 +61,7 @@ def cosine_place(cosine, indices: RefractiveIndices):
 def nodes(n_abl: int, n_depth: int, n_albedo: int) -> np.ndarray:
     """Chebyshev nodes as (τ_A, τ, ω), shape (points, 3), the albedo's fastest."""
     albedos = (chebyshev_nodes(n_albedo) + 1) / 2
-    points = grid([_depths(n_abl, DEEPEST_ABL), _depths(n_depth, DEEPEST), albedos])
+    points = grid_points([_depths(n_abl, DEEPEST_ABL), _depths(n_depth, DEEPEST), albedos])
     points[:, 2] *= most(points[:, 1])
     return points
 
