@@ -1,6 +1,6 @@
-"""The public surface: reflectance, radiance, BRDF and colour, their shapes, checks and
-transformations.
-"""
+"""Reflectance, radiance, BRDF and colour: their values, shapes, checks and transformations."""
+
+from functools import partial
 
 import jax
 import jax.numpy as jnp
@@ -23,14 +23,9 @@ def test_wavelength_grid():
     assert set(np.diff(ij.wavelengths(380, 780, 2.5))) == {2.5}
     assert ij.wavelengths(550, 550, 1).tolist() == [550]
 
-
-@pytest.mark.parametrize(
-    ("start", "stop", "step"),
-    [(700, 400, 10), (400, 700, 0), (400, 700, -5), (400, 700, 7), (400, np.nan, 5)],
-)
-def test_bad_grids(start, stop, step):
-    with pytest.raises(ValueError, match=r"^wavelengths\("):
-        ij.wavelengths(start, stop, step)
+    for bad in ((700, 400, 10), (400, 700, 0), (400, 700, -5), (400, 700, 7), (400, np.nan, 5)):
+        with pytest.raises(ValueError, match=r"^wavelengths\("):
+            ij.wavelengths(*bad)
 
 
 @pytest.mark.parametrize(
@@ -45,12 +40,8 @@ def test_bad_grids(start, stop, step):
     ],
 )
 def test_bad_wavelengths(grid, message):
-    for instrument in (
-        ij.reflectance,
-        ij.radiance,
-        lambda *a: ij.brdf(*a, cos_exit=1.0),
-        ij.colour,
-    ):
+    brdf = partial(ij.brdf, cos_exit=1.0)
+    for instrument in (ij.reflectance, ij.radiance, brdf, ij.colour):
         with pytest.raises(ValueError, match=message):
             instrument(IRIS, np.array(grid))
 
@@ -66,13 +57,13 @@ def test_bad_cosines(cosine):
 
 
 def test_result():
-    r = ij.reflectance(IRIS, GRID)
+    r = ij.reflectance(IRIS, GRID, solver=FEW)
     np.testing.assert_array_equal(r.wavelengths, GRID)
     assert r.values.shape == (31,)
     assert r.standard_error is None
     assert bool(r.status == ij.RESULTS.successful)
     np.testing.assert_allclose(np.asarray(r), r.values)
-    without = ij.reflectance(IRIS, GRID, first_surface=False)
+    without = ij.reflectance(IRIS, GRID, solver=FEW, first_surface=False)
     np.testing.assert_allclose(
         r.values - without.values, ((1.42 / 3 + 1 - 1.336) / (1.42 / 3 + 1 + 1.336)) ** 2, rtol=1e-9
     )
@@ -88,31 +79,27 @@ def test_jit_vmap_and_grad():
     _, irides = all_irides()
 
     def measured(iris):
-        return ij.reflectance(iris, GRID, solver=ij.IlitExact(12, process=ij.ILIT_CORRECTED))
+        found = ij.reflectance(iris, GRID, solver=ij.IlitExact(12, process=ij.ILIT_CORRECTED))
+        return found.values.sum(), found
 
-    batch = quick_jit(jax.vmap(measured))(irides)
+    run = quick_jit(jax.vmap(jax.value_and_grad(measured, has_aux=True)))
+    (_, batch), slope = run(irides)
     assert batch.values.shape == (9, 31)
     assert repr(batch) == "reflectance, batch of shape (9, 31)"
     for i in (0, 8):
         one = jax.tree.map(lambda x, i=i: x[i], irides)
-        np.testing.assert_allclose(batch.values[i], measured(one).values, rtol=1e-12)
-    slope = quick_jit(jax.grad(lambda iris: measured(iris).values.sum()))(ij.Iris.of_level("low"))
-    assert slope.eumelanin < 0
-    assert slope.base_index != 0
+        np.testing.assert_allclose(batch.values[i], measured(one)[1].values, rtol=1e-12)
+    assert (slope.eumelanin < 0).all()
+    assert (slope.base_index != 0).all()
 
 
 def test_radiance_factor():
-    """Over a white diffuser's E/π, what the eye sends back is its reflectance times the cornea's
-    0.979.
-    """
-    for illuminant in ("D65", "A"):
-        lit = ij.radiance(IRIS, GRID, illuminant=illuminant, solver=FEW)
-        factor = np.pi * lit.values / illuminant_power(illuminant, GRID)
-        bare = ij.reflectance(IRIS, GRID, solver=FEW).values
-        np.testing.assert_allclose(
-            factor / bare, float(ij.Media().inward(jnp.asarray(1.0))[0]), rtol=1e-12
-        )
-        assert lit.unit == "relative/sr"
+    """Radiance over a white diffuser's E/π is the reflectance times the cornea's 0.979."""
+    lit = ij.radiance(IRIS, GRID, illuminant="A", solver=FEW)
+    assert lit.unit == "relative/sr"
+    factor = np.pi * lit.values / illuminant_power("A", GRID)
+    bare = ij.reflectance(IRIS, GRID, solver=FEW).values
+    np.testing.assert_allclose(factor / bare, float(ij.Media().inward(1.0)[0]), rtol=1e-12)
     assert illuminant_power("A", np.array([560.0]))[0] == 1
     with pytest.raises(ValueError, match="unknown illuminant 'Z'"):
         ij.radiance(IRIS, GRID, illuminant="Z")
@@ -121,39 +108,36 @@ def test_radiance_factor():
 
 
 def test_cornea_settings():
-    def values(cornea, cosine=1.0):
-        settings = {"cornea": cornea, "cos_incidence": cosine, "solver": FEW}
-        return ij.reflectance(IRIS, GRID, **settings).values
+    def arriving(cornea, cosine):
+        made = ij.Spectrophotometer(GRID, cornea=cornea, cos_incidence=cosine)
+        factor, light = made.incident()
+        return float(factor), float(light.cosine)
 
-    through = float(ij.Media().inward(jnp.asarray(1.0))[0])
-    np.testing.assert_allclose(values("inward"), through * values("none"), rtol=1e-12)
-    np.testing.assert_allclose(values("round-trip"), through**2 * values("none"), rtol=1e-12)
-    factor, inside = ij.Media().inward(jnp.asarray(0.5))
-    np.testing.assert_allclose(
-        values("inward", 0.5), factor * values("none", float(inside)), rtol=1e-12
-    )
+    through = float(ij.Media().inward(1.0)[0])
+    factor, inside = map(float, ij.Media().inward(0.5))
+    assert arriving("none", 0.5) == (1, 0.5)
+    assert arriving("inward", 0.5) == pytest.approx((factor, inside), rel=1e-12)
+    assert arriving("round-trip", 0.5) == pytest.approx((factor * through, inside), rel=1e-12)
+    settings = {"cos_incidence": 0.5, "cornea": "inward", "solver": FEW}
+    found = ij.reflectance(IRIS, GRID, **settings).values
+    bare = ij.reflectance(IRIS, GRID, cos_incidence=inside, solver=FEW).values
+    np.testing.assert_allclose(found, factor * bare, rtol=1e-12)
 
 
 def test_brdf_shapes():
-    angle, cosine, azimuth = ij.principal_plane(19)
-    assert angle[9] == 0
+    angle, cosine, azimuth = ij.principal_plane(3)
+    assert angle[1] == 0
     assert (np.asarray(cosine) > 0).all()
     assert float(azimuth[0]) == pytest.approx(np.pi)
     f = ij.brdf(IRIS, GRID, cos_incidence=0.5, cos_exit=cosine, azimuth=azimuth, solver=FEW)
-    assert f.values.shape == (31, 19)
-    assert repr(f) == "Brdf of shape (31, 19) (wavelengths, exits), 1/sr"
+    assert f.values.shape == (31, 3)
+    assert repr(f) == "Brdf of shape (31, 3) (wavelengths, exits), 1/sr"
     np.testing.assert_allclose(f.values, f.values[:, ::-1], rtol=1e-12)
     one = ij.brdf(IRIS, GRID, cos_exit=0.5, azimuth=np.zeros(3), solver=FEW)
     assert one.values.shape == (31, 3)
-
-
-def test_ilit_brdf_is_separable():
-    exits = np.array([0.2, 0.6, 1.0])
-    a, b = (
-        ij.brdf(IRIS, GRID, cos_incidence=c, cos_exit=exits, azimuth=np.zeros(3), solver=FEW).values
-        for c in (1.0, 0.2)
-    )
-    ratio = np.asarray(a / b)
+    # ILIT's BRDF is a product of functions of the incidence and of the exit.
+    lit = ij.brdf(IRIS, GRID, cos_exit=cosine, azimuth=np.zeros(3), solver=FEW)
+    ratio = np.asarray(lit.values / f.values)
     np.testing.assert_allclose(ratio, ratio[0, 0], rtol=1e-12)
 
 
@@ -161,17 +145,14 @@ def test_colour_against_colour_science():
     import colour as cs
 
     grid = ij.wavelengths(380, 780, 5)
+    whole = ij.colour(ij.Iris.of_level("low"), solver=FEW)
     for level, illuminant in (("low", "D65"), ("high", "A"), ("moderate", "D50")):
-        iris = ij.Iris.of_level(level)
-        found = ij.colour(iris, illuminant=illuminant, solver=FEW)
+        read = ij.reflectance(ij.Iris.of_level(level), grid, solver=FEW).values
         # colour counts the end points whole, the trapezoidal rule by half: leave them out.
-        values = (
-            np.asarray(ij.reflectance(iris, grid, solver=FEW).values) * np.r_[0.0, np.ones(79), 0.0]
-        )
-        assert np.allclose(
-            found.xyz, ij.colour_of(grid, jnp.asarray(values), illuminant=illuminant).xyz, rtol=3e-4
-        )
-        found = ij.colour_of(grid, jnp.asarray(values), illuminant=illuminant)
+        values = np.asarray(read) * np.r_[0.0, np.ones(79), 0.0]
+        found = ij.colour_of(grid, values, illuminant=illuminant)
+        if illuminant == "D65":
+            np.testing.assert_allclose(whole.xyz, found.xyz, rtol=3e-4)
         sd = cs.SpectralDistribution(values, grid)
         cmfs = cs.MSDS_CMFS["CIE 1931 2 Degree Standard Observer"].copy().align(sd.shape)
         light = cs.SDS_ILLUMINANTS[illuminant].copy().align(sd.shape)
@@ -197,10 +178,8 @@ def test_white_and_grey():
 
 
 def test_srgb_transfer_function():
-    np.testing.assert_allclose(
-        srgb_encode(jnp.asarray([0.0, 0.0031308, 0.5, 1.0])), [0, 0.04045, 0.735357, 1], atol=1e-6
-    )
-    assert srgb_encode(jnp.asarray(-0.01)) == pytest.approx(-0.1292)
+    found = srgb_encode(jnp.asarray([0.0, 0.0031308, 0.5, 1.0, -0.01]))
+    np.testing.assert_allclose(found, [0, 0.04045, 0.735357, 1, -0.1292], atol=1e-6)
 
 
 def test_out_of_gamut_is_reported_not_clipped():
@@ -211,8 +190,9 @@ def test_out_of_gamut_is_reported_not_clipped():
 
 
 def test_colour_errors():
-    with pytest.raises(ValueError, match="unknown observer 'cat'"):
-        ij.colour(IRIS, observer="cat")
+    for name in ("cat", "Stockman & Sharpe 2 Degree Cone Fundamentals"):
+        with pytest.raises(ValueError, match=f"unknown observer '{name}'"):
+            ij.colour(IRIS, observer=name)
     with pytest.raises(ValueError, match="unknown illuminant 'Z'"):
         ij.colour(IRIS, illuminant="Z")
     with pytest.raises(ValueError, match="at least two wavelengths"):
@@ -256,8 +236,3 @@ def test_observers_and_illuminants_are_colour_sciences():
         np.testing.assert_array_equal(table[1:], theirs.values.T.reshape(len(table) - 1, -1))
     assert len(tables) == len(cs.SDS_ILLUMINANTS) + 4
     np.testing.assert_array_equal(colour._BRADFORD, cs.CHROMATIC_ADAPTATION_TRANSFORMS["Bradford"])
-
-
-def test_cone_fundamentals_are_no_observer():
-    with pytest.raises(ValueError, match="unknown observer"):
-        ij.colour(ij.Iris(), observer="Stockman & Sharpe 2 Degree Cone Fundamentals")

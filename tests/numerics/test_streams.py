@@ -23,9 +23,8 @@ def _words(key, counts):
 
 def test_words_are_spread_evenly():
     # Bytes of consecutive counts: 256 cells, χ² within 5 standard deviations of its mean.
-    words = np.asarray(
-        jax.jit(fold_in_words)(jnp.uint32(1), jnp.uint32(2), jnp.arange(2**18, dtype=jnp.uint32))
-    )
+    counts = jnp.arange(2**18, dtype=jnp.uint32)
+    words = np.asarray(jax.jit(fold_in_words)(jnp.uint32(1), jnp.uint32(2), counts))
     for byte in words.view(np.uint8).reshape(-1, 4).T:
         seen = np.bincount(byte, minlength=256)
         chi_square = ((seen - seen.mean()) ** 2 / seen.mean()).sum()

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from irisjax.numerics.interpolation import chebyshev_nodes, chebyshev_series
-from irisjax.numerics.tucker import Tucker, grid
+from irisjax.numerics.tucker import Tucker, grid_points
 
 NODES = 14, 12, 10
 
@@ -27,7 +27,7 @@ def read(table, points):
 
 
 def made(tolerance):
-    points = grid([chebyshev_nodes(n) for n in NODES])
+    points = grid_points([chebyshev_nodes(n) for n in NODES])
     return Tucker.of(function(points).reshape(*NODES, 2), tolerance, jnp.float64)
 
 

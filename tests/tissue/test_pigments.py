@@ -35,40 +35,28 @@ def test_rows_of_the_tables(pigment, wavelength, expected):
     assert found == pytest.approx(expected, rel=2e-9)
 
 
-@pytest.mark.parametrize("pigment", PIGMENTS)
-def test_tables_cover_the_visible(pigment):
-    low, high = table_range(pigment)
-    assert low <= 380
-    assert high >= 780
-    values = getattr(ij.extinction(ij.wavelengths(380, 780, 1)), pigment)
-    assert (np.asarray(values) > 0).all()
+def test_tables_cover_the_visible():
+    found = ij.extinction(ij.wavelengths(380, 780, 1))
+    for pigment in PIGMENTS:
+        low, high = table_range(pigment)
+        assert low <= 380 < 780 <= high
+        assert (np.asarray(getattr(found, pigment)) > 0).all()
 
 
 @pytest.mark.parametrize("pigment", PIGMENTS)
 def test_out_of_range_names_table_and_range(pigment):
-    """The first table that ends is named; the pigment's own message is asked for one by one."""
+    """The first table that ends is named."""
     low, high = table_range(pigment)
     for bad in (low - 1, high + 1, np.nan):
-        with pytest.raises(
-            ValueError, match=r"wavelength .* nm is outside the \w+ table \(.* to .* nm\)"
-        ):
+        with pytest.raises(ValueError, match=r"nm is outside the \w+ table \(.* to .* nm\)"):
             ij.extinction(np.array([bad]))
 
 
 def test_message():
-    with pytest.raises(
-        ValueError, match=r"^wavelength 345 nm is outside the lutein table \(350 to 800 nm\)$"
-    ):
+    wanted = r"^wavelength 345 nm is outside the lutein table \(350 to 800 nm\)$"
+    with pytest.raises(ValueError, match=wanted):
         ij.extinction(np.array([400.0, 345.0]))
-    with pytest.raises(
-        ValueError, match=r"^wavelength 821 nm is outside the (pheomelanin|lutein|eumelanin) table"
-    ):
-        ij.extinction(np.array([821.0]))
-
-
-def test_ends_of_the_range_are_inside():
-    low, high = common_range()
-    assert np.isfinite(ij.extinction(np.array([low, high])).eumelanin).all()
+    assert np.isfinite(ij.extinction(np.array(common_range())).eumelanin).all()
 
 
 def test_traced_wavelengths_agree_with_concrete_ones():
