@@ -26,7 +26,7 @@ GAIN = Range(0, 1e6, meaning="factor of the instrument on every value", above=Tr
 
 
 class InstrumentSettings(TypedDict, total=False):
-    """InstrumentSettings that every instrument has; `AbstractInstrument` says what they mean."""
+    """Settings that every instrument has; `AbstractInstrument` says what they mean."""
 
     cos_incidence: Numbers
     first_surface: bool

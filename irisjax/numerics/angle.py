@@ -16,10 +16,9 @@ _SERIES = (
 def arctan2(y: Float[Array, "*s"], x: Float[Array, "*s"]) -> Float[Array, "*s"]:
     """Angle of (x, y), −π to π radians, 0 at the origin, where its gradient is taken as zero.
 
-    In single precision within 3e-7: a polynomial of |error| ≤ 2e-8  [Abramowitz & Stegun 4.4.49]
-    and rounding. XLA calls the C library for each `jnp.arctan2` on a processor, which takes some
-    ten times as long. For programs whose result it is: XLA works a polynomial out anew for each
-    look-up that asks for it, the library's value it keeps.
+    In single precision it is a polynomial, within 3e-7 [Abramowitz & Stegun 4.4.49], ten times as
+    fast as the C library, which XLA calls on a processor. Use it for an angle that a program
+    returns: XLA evaluates a polynomial again for each look-up, but keeps the library's value.
     """
     y, x = jnp.broadcast_arrays(y, x)
     if jnp.result_type(y, x) != jnp.float32:

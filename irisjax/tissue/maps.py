@@ -76,9 +76,7 @@ class IrisMaps(eqx.Module):
 
     def present(self) -> dict[str, Any]:
         """Return the maps that are set, by name."""
-        return {
-            f.name: m for f in dataclasses.fields(self) if (m := getattr(self, f.name)) is not None
-        }
+        return {name: m for name, m in vars(self).items() if m is not None}
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -103,11 +101,7 @@ class IrisMaps(eqx.Module):
         return None if self.stroma_depth is None else self.stroma_depth / iris.stroma_thickness
 
     def check(self, iris: Iris) -> None:
-        """Check that each layer with a map of its thickness has a thickness in the iris.
-
-        Raises:
-            ValueError: If the layer has none, so that there are no concentrations to keep.
-        """
+        """Raise `ValueError` where a layer with a map of its thickness has none in the iris."""
         for layer in ("abl", "stroma"):
             thickness = getattr(iris, f"{layer}_thickness")
             given = getattr(self, f"{layer}_depth") is not None
