@@ -14,7 +14,7 @@ from irisjax.optics.fresnel import fresnel_at
 from irisjax.tissue.layers import Layers
 from irisjax.transport.light import Light
 from irisjax.transport.process import ILIT_2006, Ilit
-from irisjax.transport.solution import RESULTS, Absorbed, Solution
+from irisjax.transport.solution import Flux, Solution, outcome
 from irisjax.transport.solver import AbstractSolver, check_rayleigh
 
 
@@ -39,16 +39,8 @@ class AbstractAnalytic(AbstractSolver):
         reflected = passed * self.inner(layers)
         mirrored = jnp.broadcast_to(mirror, reflected.shape)
         none = jnp.zeros_like(reflected)
-        return Solution(
-            reflectance=reflected,
-            mirrored=mirrored,
-            absorbed=Absorbed(none, 1 - reflected - mirrored, none),
-            standard_error=None,
-            total_error=None,
-            brdf=None,
-            brdf_error=None,
-            status=RESULTS.where(layers.valid(), RESULTS.successful, RESULTS.invalid_input),
-        )
+        flux = Flux(reflected, mirrored, none, 1 - reflected - mirrored, none)
+        return flux.solution(outcome(layers.valid()))
 
 
 class BeerLambert(AbstractAnalytic):

@@ -1,13 +1,13 @@
 """What every solver returns, and how it says that something is wrong."""
 
-from typing import TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from irisjax._types import Spectrum
 
@@ -18,17 +18,16 @@ class RESULTS(eqx.Enumeration):
     successful = ""
     invalid_input = (
         "a layer's optical depth is negative or not finite, or an index does not keep to the order "
-        "of media "
-        "the iris was made with"
+        "of media the iris was made with"
     )
     ill_conditioned = (
-        "the stroma scatters so often before it absorbs that this precision "
-        "loses count; compute in float64"
+        "the stroma scatters so often before it absorbs that this precision loses count; compute "
+        "in float64"
     )
     under_resolved = (
         "the stroma is optically too thick, or light too near to grazing, for the number of depth "
-        "panels or doublings; "
-        "give RadiativeExact(n_panels=...) or AddingDoubling(n_doublings=...) a larger one"
+        "panels or doublings; give RadiativeExact(n_panels=...) or "
+        "AddingDoubling(n_doublings=...) a larger one"
     )
     not_converged = "the orders of scattering did not converge"
     outside_table = "an optical depth or index lies outside the range the table was built for"
@@ -85,12 +84,12 @@ class Solution(eqx.Module):
     Shares of the incident power, one value a wavelength: `reflectance` (what entered and came
     back), `mirrored` (at the first surface), `absorbed`; they sum to one.
 
+    - `status`: a `RESULTS` item.
     - `standard_error`: of `reflectance` where sampled, `None` where integrated; `total_error`:
         of `reflectance` plus `mirrored`.
     - `brdf`: bidirectional reflectance distribution function (1/sr) without the mirrored part at
         the requested exit directions, shape (wavelengths, exits), or `None`; `brdf_error` its
         standard error.
-    - `status`: a `RESULTS` item.
     - `polarisation`: Mueller matrices, of a polarised process where exits were asked for; the rest
         is then that of unpolarised light.
     """
@@ -98,11 +97,11 @@ class Solution(eqx.Module):
     reflectance: Spectrum
     mirrored: Spectrum
     absorbed: Absorbed
-    standard_error: Spectrum | None
-    total_error: Spectrum | None
-    brdf: Float[Array, "wavelengths exits"] | None
-    brdf_error: Float[Array, "wavelengths exits"] | None
     status: RESULTS
+    standard_error: Spectrum | None = None
+    total_error: Spectrum | None = None
+    brdf: Float[Array, "wavelengths exits"] | None = None
+    brdf_error: Float[Array, "wavelengths exits"] | None = None
     polarisation: Polarisation | None = None
 
     @property
@@ -111,15 +110,47 @@ class Solution(eqx.Module):
         return self.reflectance + self.mirrored + self.absorbed.total()
 
 
+class Flux(NamedTuple):
+    """Where the light goes, in shares of it, and the BRDF, if exits are requested."""
+
+    reflectance: Array
+    mirrored: Array
+    abl: Array
+    stroma: Array
+    ipe: Array
+    brdf: Array | None = None
+
+    def solution(self, status: RESULTS, **more: Any) -> Solution:
+        """The `Solution` of these shares, of a `status` and `more` fields."""
+        absorbed = Absorbed(self.abl, self.stroma, self.ipe)
+        return Solution(self.reflectance, self.mirrored, absorbed, status, brdf=self.brdf, **more)
+
+
+def outcome(valid: Bool[Array, ""], *checks: tuple[Bool[Array, ""], RESULTS]) -> RESULTS:
+    """The status of a solve: invalid input unless the layers are `valid`, else the result of the
+    first of `checks` that is not passed.
+    """
+    status = RESULTS.successful
+    for passed, failure in reversed(checks):
+        status = RESULTS.where(passed, status, failure)
+    return RESULTS.where(valid, status, RESULTS.invalid_input)
+
+
+def binomial_error(count: Array, n: Any) -> Array:
+    """Standard error of a share of `n` photons; by Laplace's rule, so that a count of 0 has one."""
+    p = (count + 1) / (n + 2)
+    return jnp.sqrt(p * (1 - p) / n)
+
+
 def worst(status: RESULTS) -> RESULTS:
     """Of a batch of outcomes one that is not successful, if there is any."""
     return jax.tree.map(jnp.max, status)
 
 
-T = TypeVar("T")
+_T = TypeVar("_T")
 
 
-def raise_failure(result: T, status: RESULTS) -> T:
+def raise_failure(result: _T, status: RESULTS) -> _T:
     """Return the result, or raise with the reason if `status` is not successful.
 
     A concrete status raises `ValueError` at once. A traced one raises an error of Equinox when the
@@ -131,9 +162,8 @@ def raise_failure(result: T, status: RESULTS) -> T:
     # Read the code itself: comparing enumerations would dispatch a computation for every call.
     codes = np.asarray(status._value)
     if codes.any():
-        raise ValueError(
-            RESULTS[status] if codes.ndim == 0 else "some of the batch failed; see status"
-        )
+        failure = RESULTS[status] if codes.ndim == 0 else "some of the batch failed; see status"
+        raise ValueError(failure)
     return result
 
 
