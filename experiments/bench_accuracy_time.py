@@ -26,7 +26,7 @@ import irisjax as ij
 from experiments import bench_peers
 from experiments.bench_job import GRID, LEVELS, errors, matched, median_us, reading, values
 from experiments.common import RESULTS, start, write
-from irisjax.transport.radiative import shipped
+from irisjax.transport.defaults import table_for
 
 COLUMNS = (
     "job",
@@ -175,7 +175,7 @@ def _depth_resolved(key, quick):
             found = _integrated(solver, irides, reference, loads, 8, (20, 20, 3))
             rows.append((job, "exact", f"{n}x{depths}", "float64", *found))
         if irides is full:
-            table = shipped.table(ij.Iris().indices())
+            table = table_for(ij.Iris().indices(), ij.DEPTH_RESOLVED)
             found = _integrated(table, irides, reference, loads, 32, (40, 40, 5))
             rows.append((job, "tabulated", "shipped", "float64", *found))
             for n in (1_000,) if quick else (1_000, 10_000, 100_000, 1_000_000):

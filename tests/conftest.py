@@ -129,7 +129,6 @@ _PROGRAMS_OF_FILE = {
     "transport/test_depth_resolved.py": 170,
     "transport/test_exact.py": 90,
     "transport/test_polarised.py": 110,
-    "transport/test_radiative_known.py": 170,
 }
 _compiled = collections.Counter()
 _counts = collections.Counter()
@@ -223,6 +222,6 @@ def float32():
 def tabulated():
     """The table of the default process that comes with the package."""
     import irisjax as ij
-    from irisjax.transport.ilit import shipped
+    from irisjax.transport.defaults import table_for
 
-    return shipped.table(ij.Iris().indices())
+    return table_for(ij.Iris().indices(), ij.ILIT_2006)

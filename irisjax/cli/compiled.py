@@ -93,9 +93,7 @@ PROGRAMS: dict[str, tuple[str, ...]] = {
     ),
     "render.single_scattering": ("local_textures", "_rays", "_marched"),
     "transport.ilit.tabulated": ("_nodes", "_largest_error"),
-    "transport.radiative.brdf": ("_multiple",),
-    "transport.radiative.known": ("_looked_up",),
-    "transport.radiative.tabulated": ("_fates", "_first", "_looked_up"),
+    "transport.radiative.tabulated": ("_fates", "_multiple", "_first", "_looked_up"),
 }
 """Modules of the package and the jitted functions of their top level whose programs are kept. They
 are pure, and called by these names.

@@ -136,7 +136,7 @@ def _general(problem: Problem) -> Problem:
     general = problem.under(PowerLaw())
     return dataclasses.replace(
         general,
-        solvers=solvers_of(general.base, general.observations, {}, AddingDoubling(12, 10)),
+        solvers=solvers_of(general.base, general.observations, AddingDoubling(12, 10)),
     )
 
 

@@ -5,7 +5,6 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import jax.numpy as jnp
-from jax.core import Tracer
 
 from irisjax.infer.observation import Observation
 from irisjax.infer.parameters import OF_POWER_LAW, PARAMETERS, kind, of_iris
@@ -13,14 +12,10 @@ from irisjax.measure.instrument import AbstractInstrument
 from irisjax.measure.observe import prepared
 from irisjax.tissue.iris import Iris
 from irisjax.tissue.scattering import PowerLaw
-from irisjax.transport import shipped
+from irisjax.transport import defaults
 from irisjax.transport.pointwise import Pointwise
 from irisjax.transport.process import AbstractProcess, Ilit
-from irisjax.transport.radiative.known import depths_held, of_known_scattering
-from irisjax.transport.radiative.tabulated import RadiativeTabulated
 from irisjax.transport.solver import AbstractSolver
-
-_OF_SCATTERING = {"stroma_thickness", "scattering_scale"}
 
 
 def restated(problem: Any, base: Iris, process: AbstractProcess, more: tuple[str, ...] = ()):
@@ -42,7 +37,7 @@ def restated(problem: Any, base: Iris, process: AbstractProcess, more: tuple[str
         fixed=fixed,
         free=tuple(free),
         priors=tuple(free.values()),
-        solvers=solvers_of(base, problem.observations, fixed, process),
+        solvers=solvers_of(base, problem.observations, process),
     )
 
 
@@ -63,39 +58,19 @@ def with_law(base: Iris, process: AbstractProcess, names: Iterable[str]) -> Iris
 
 
 def solvers_of(
-    base: Iris,
-    observations: Sequence[Observation],
-    fixed: Mapping[str, Any],
-    by: AbstractProcess | AbstractSolver,
+    base: Iris, observations: Sequence[Observation], by: AbstractProcess | AbstractSolver
 ) -> tuple[Pointwise, ...]:
     """For each observation a solver that is prepared for an inversion: the one given, or for a
-    process the quickest one for many spectra of irides with these `fixed` parameters.
+    process the quickest one for many spectra of irides such as `base`.
     """
 
     def one(instrument: AbstractInstrument):
         if isinstance(by, AbstractSolver):
             return Pointwise(prepared(base, instrument, by))
-        mine = shipped.quickest(base, instrument.media.aqueous, by)
-        if isinstance(mine, RadiativeTabulated):
-            mine = _of_what_scatters(base, instrument, fixed, mine)
-        return Pointwise(prepared(base, instrument, mine))
+        quickest = defaults.quickest(base, instrument.media.aqueous, by)
+        return Pointwise(prepared(base, instrument, quickest))
 
     return tuple(one(o.instrument) for o in observations)
-
-
-def _of_what_scatters(
-    base: Iris, instrument: AbstractInstrument, fixed: Mapping[str, Any], table: RadiativeTabulated
-) -> AbstractSolver:
-    """The table, or what is quicker where nothing that scatters is free."""
-    cosine = instrument.incident()[1].cosine
-    if cosine is None or not fixed.keys() >= _OF_SCATTERING:
-        return table
-    iris = base.replace(**{n: fixed[n] for n in _OF_SCATTERING})
-    scattering = iris.layers(instrument.pigments, instrument.media.aqueous).stroma_scattering
-    traced = any(isinstance(x, Tracer) for x in (scattering, cosine))
-    if traced or not depths_held(scattering):
-        return table
-    return of_known_scattering(table, scattering, cosine)
 
 
 def as_arrays(values: Mapping[str, Any]) -> dict[str, Any]:

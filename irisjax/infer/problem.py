@@ -309,7 +309,7 @@ def problem(
         noise=Noise() if noise is None else noise,
         base=base,
         fixed=known,
-        solvers=solvers_of(base, seen, known, by),
+        solvers=solvers_of(base, seen, by),
         free=tuple(expanded),
         priors=tuple(priors.get(kind(n), PARAMETERS[kind(n)].prior) for n in expanded),
     )

@@ -40,9 +40,9 @@ from irisjax.tissue.iris import Iris
 from irisjax.tissue.layers import Layers
 from irisjax.tissue.maps import IrisMaps, Scales, texel_layers
 from irisjax.tissue.pigments import extinction
+from irisjax.transport.defaults import shipped_table
 from irisjax.transport.light import Directions, Light
 from irisjax.transport.process import DEPTH_RESOLVED, AbstractProcess, RadiativeTransfer
-from irisjax.transport.radiative import shipped
 from irisjax.transport.radiative.exact import RadiativeExact
 from irisjax.transport.radiative.tabulated import RadiativeTabulated
 from irisjax.transport.solution import RESULTS, worst
@@ -88,7 +88,7 @@ class RadiativeIntegrator(AbstractIntegrator):
         the indices and the layers of all texels, else `RadiativeExact`.
         """
         parts = iris, aqueous_index, bands, ranges
-        table = shipped.ready(iris.indices(aqueous_index)) if self.solver is None else None
+        table = shipped_table(iris.indices(aqueous_index)) if self.solver is None else None
         if table is not None:
             held = _holds(table, *parts)
             if not isinstance(held, Tracer) and held:

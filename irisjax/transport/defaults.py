@@ -1,10 +1,35 @@
-"""The solver that is meant where none is named."""
+"""The solvers that are meant where none is named, and the tables that come with the package.
 
+`python -m experiments.ilit_table` and `python -m experiments.radiative_table` make the tables;
+tests of `tests/transport` make them again.
+"""
+
+import functools
+from importlib import resources
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.core import Tracer
+
+from irisjax.numerics.tucker import Tucker
+from irisjax.tissue.indices import RefractiveIndices
 from irisjax.tissue.iris import Iris
 from irisjax.transport.ilit.exact import IlitExact
-from irisjax.transport.process import DEPTH_RESOLVED, AbstractProcess, Ilit, RadiativeTransfer
+from irisjax.transport.ilit.tabulated import IlitTabulated
+from irisjax.transport.process import (
+    DEPTH_RESOLVED,
+    ILIT_2006,
+    POLARISED,
+    AbstractProcess,
+    Ilit,
+    RadiativeTransfer,
+    is_polarised,
+)
 from irisjax.transport.radiative.adding import AddingDoubling
 from irisjax.transport.radiative.exact import RadiativeExact
+from irisjax.transport.radiative.tabulated import RadiativeTabulated
 from irisjax.transport.solver import AbstractSolver
 
 
@@ -22,3 +47,80 @@ def exact_solver(
     if isinstance(process, RadiativeTransfer):
         return RadiativeExact(process=process)
     raise ValueError(f"no deterministic solver treats {type(process).__name__} processes")
+
+
+def quickest(iris: Iris, aqueous_index: Any, process: AbstractProcess) -> AbstractSolver:
+    """The solver for many spectra of irides such as this one: its table; `AddingDoubling` for a
+    power law of scattering; `RadiativeExact` for polarised light, and where media guide light so
+    that a table is not good to 1e-4.
+    """
+    if isinstance(process, Ilit):
+        return table_for(iris.indices(aqueous_index), process)
+    if iris.power_law is not None:
+        return AddingDoubling(16, 10)
+    if is_polarised(process):
+        return RadiativeExact(16, 8, process=POLARISED)
+    try:
+        return table_for(iris.indices(aqueous_index), process)
+    except ValueError:
+        return RadiativeExact(16, 8)
+
+
+def table_for(indices: RefractiveIndices, process: AbstractProcess) -> AbstractSolver:
+    """The table of a process for some refractive indices: read from the package for those of LB06's
+    iris, built for others.
+
+    Raises:
+        ValueError: If what is built is not accurate enough.
+    """
+    key = *_key(indices), process
+    found = _read(*key)
+    return _built(*key) if found is None else found
+
+
+def shipped_table(indices: RefractiveIndices) -> RadiativeTabulated | None:
+    """The table of radiative transfer in the package; `None` for other or traced indices."""
+    if any(isinstance(n, Tracer) for n in jax.tree.leaves(indices)):
+        return None
+    found = _read(*_key(indices), DEPTH_RESOLVED)
+    return found if isinstance(found, RadiativeTabulated) else None
+
+
+def _key(indices: RefractiveIndices) -> tuple[tuple[float, ...], str]:
+    return tuple(float(n) for n in jax.tree.leaves(indices)), str(jnp.result_type(float))
+
+
+@functools.lru_cache(maxsize=8)
+def _built(indices: tuple[float, ...], dtype: str, process: AbstractProcess) -> AbstractSolver:
+    media = RefractiveIndices(*(jnp.asarray(n, dtype) for n in indices))
+    if isinstance(process, Ilit):
+        return IlitTabulated.build(media, process)
+    return RadiativeTabulated.build(media)
+
+
+@functools.lru_cache(maxsize=8)
+def _read(indices: tuple[float, ...], dtype: str, process: AbstractProcess):
+    """The package's table, `None` unless it is of this process, its indices and its precision."""
+    ilit = isinstance(process, Ilit)
+    if ilit and (process != ILIT_2006 or dtype != "float64"):
+        return None
+    name = "ilit/tables/ilit_2006.npz" if ilit else "radiative/tables/radiative.npz"
+    with (resources.files("irisjax.transport") / name).open("rb") as file, np.load(file) as arrays:
+        stored = dict(arrays)
+    # Rounding of one library or another, or of single precision: not other tissue.
+    rounding = 1e-14 if dtype == "float64" else 4 * float(jnp.finfo(dtype).eps)
+    if not np.allclose(stored["indices"], indices, rtol=rounding, atol=0):
+        return None
+    # Kept for other callers: nothing of a trace that may be going on here.
+    with jax.ensure_compile_time_eval():
+        media = RefractiveIndices(*(jnp.asarray(n, dtype) for n in indices))
+        of = {name: jnp.asarray(x, dtype) for name, x in stored.items()}
+    if ilit:
+        error = float(stored["error"])
+        return IlitTabulated(of["abl"], of["stroma"], media, error, process=process)
+    out, ends, multiple = (
+        Tucker(tuple(of[f"{x}_{i}"] for i in range(of[f"{x}_core"].ndim - 1)), of[f"{x}_core"])
+        for x in ("out", "ends", "multiple")
+    )
+    error = float(stored[f"error_{dtype}"])
+    return RadiativeTabulated(out, ends, multiple, of["pole"], media, error)

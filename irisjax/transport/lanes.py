@@ -8,6 +8,7 @@ key `fold_in(fold_in(key, j), i)`, and its event k reads the bits of `fold_in(ph
 nothing else: counts do not depend on lanes, blocks or devices.
 """
 
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import jax
@@ -51,25 +52,40 @@ class Photon(NamedTuple):
     """
 
     direction: jax.Array  # signed cosine, positive into the eye
-    depth: (
-        Any  # optical depth below the stroma's top, for depth-resolved transport only, else `None`
-    )
+    depth: Any  # optical depth below the stroma's top; `None` in ILIT
     code: jax.Array
 
 
-def pack(fate, in_abl, mode, turned, events):
+def pack(fate: Any, in_abl: Any, mode: Any, turned: Any, events: Any) -> jax.Array:
     """`Photon.code`."""
     in_abl, turned = (flag.astype(jnp.int32) for flag in (in_abl, turned))
     return fate | in_abl << 3 | mode << 4 | turned << 31 | events << 6
 
 
-def run_lanes(event, wave_words, start, stride, last, layers: LaneLayers, scale, *, deep, cells):
+def fate_of(in_abl: Any, leaves: Any, absorbed: Any, mirrored: Any) -> jax.Array:
+    """Fate of photons that leave their layer, are absorbed in it, or mirrored before it."""
+    fate = jnp.where(absorbed, jnp.where(in_abl, ABL, STROMA), 0)
+    fate = jnp.where(leaves, jnp.where(in_abl, REFLECTED, IPE), fate)
+    return jnp.where(mirrored, MIRRORED, fate)
+
+
+def run_lanes(
+    event: Callable,
+    wave_words: tuple[jax.Array, jax.Array],
+    start: jax.Array,
+    stride: jax.Array,
+    last: jax.Array,
+    layers: LaneLayers,
+    scale: Any,
+    *,
+    deep: bool,
+    cells: jax.Array | None,
+) -> tuple[jax.Array, jax.Array | None]:
     """Run lanes to exhaustion; lane l owns photons start[l], start[l] + stride, ... below last[l].
 
-    **Arguments:** `wave_words`, two uint32 arrays with each lane's wavelength key; `cells`, lower
-    and upper cosines (exits, 2) in which to count photons leaving the eye, or `None`.
-
-    **Returns:** counts of each fate (lanes, 5), int32, and of each cell (lanes, exits) or `None`.
+    `wave_words` are two uint32 arrays with each lane's wavelength key; `cells` lower and upper
+    cosines (exits, 2) in which to count photons leaving the eye. Returns counts of each fate
+    (lanes, 5), int32, and of each cell (lanes, exits) or `None`.
     """
     newborn = jnp.int32(8 | FRESH << 4)
     nothing = jnp.zeros_like(start)
@@ -83,11 +99,9 @@ def run_lanes(event, wave_words, start, stride, last, layers: LaneLayers, scale,
         )
         if cells is not None:
             # A photon that left has no further use for its direction: it holds the cosine outside.
+            out, cosine = fate == REFLECTED, photon.direction
             cell_tally = tuple(
-                count
-                + (
-                    (fate == REFLECTED) & (photon.direction >= low) & (photon.direction < high)
-                ).astype(count.dtype)
+                count + (out & (cosine >= low) & (cosine < high)).astype(count.dtype)
                 for count, (low, high) in zip(cell_tally, cells, strict=True)
             )
         direction = jnp.where(photon.code < 0, -photon.direction, photon.direction)
@@ -105,14 +119,8 @@ def run_lanes(event, wave_words, start, stride, last, layers: LaneLayers, scale,
             left = after.code & 7 == REFLECTED
             outside = refract(jnp.abs(after.direction), layers.n_abl, layers.n_aqueous)
             after = after._replace(direction=jnp.where(left, outside, after.direction))
-        return (
-            k0,
-            k1,
-            i,
-            after._replace(code=jnp.where(alive, after.code, RESTING)),
-            tally,
-            cell_tally,
-        )
+        after = after._replace(code=jnp.where(alive, after.code, RESTING))
+        return k0, k1, i, after, tally, cell_tally
 
     def running(state):
         return jnp.any((state[3].code & 7 != RESTING) | (state[2] < last))
@@ -125,39 +133,31 @@ def run_lanes(event, wave_words, start, stride, last, layers: LaneLayers, scale,
     return jnp.stack(tally, -1), None if cell_tally is None else jnp.stack(cell_tally, -1)
 
 
-def draws(words, scale):
+def draws(words: Any, scale: Any) -> tuple[jax.Array, jax.Array, jax.Array]:
     """Two uniforms of 23 bits, and the cosine of a uniform azimuth from the 18 bits that are
     left.
     """
-    azimuth = uniform((words[0] & 511) << 9 | (words[1] & 511), scale[1])
-    return (
-        uniform(words[0] >> 9, scale[0]),
-        uniform(words[1] >> 9, scale[0]),
-        cosine_of_turn(azimuth),
-    )
+    # Cosine of π(1 − v), v in (0, 1): −sin(π/2·(2v − 1))'s odd polynomial up to sign, to 3e-9.
+    x = 2.0 * uniform((words[0] & 511) << 9 | (words[1] & 511), scale[1]) - 1.0
+    turn = x * horner(x * x, (1.57079629, -0.64596336, 0.07968847, -0.00467222, 0.00015082))
+    return uniform(words[0] >> 9, scale[0]), uniform(words[1] >> 9, scale[0]), turn
 
 
-def cosine_of_turn(v):
-    """Cosine of π(1 − v), v in (0, 1): −sin(π/2·(2v − 1))'s odd polynomial up to sign, to 3e-9."""
-    x = 2.0 * v - 1.0
-    return x * horner(x * x, (1.57079629, -0.64596336, 0.07968847, -0.00467222, 0.00015082))
-
-
-def deflect(direction, cosine, azimuth):
+def deflect(direction: jax.Array, cosine: jax.Array, azimuth: jax.Array) -> jax.Array:
     """Cosine to the normal after a turn by a polar angle and a cosine of azimuth."""
-    return direction * cosine + azimuth * jnp.sqrt(
-        (1.0 - direction * direction) * (1.0 - cosine * cosine)
-    )
+    across = (1.0 - direction * direction) * (1.0 - cosine * cosine)
+    return direction * cosine + azimuth * jnp.sqrt(across)
 
 
-def beyond(in_abl, down, layers: LaneLayers):
+def beyond(in_abl: jax.Array, down: jax.Array, layers: LaneLayers) -> jax.Array:
     """Index on the far side of the interface ahead."""
     above = jnp.where(in_abl, layers.n_aqueous, layers.n_abl)
     below = jnp.where(in_abl, layers.n_stroma, layers.n_ipe)
     return jnp.where(down, below, above)
 
 
-def guided(mu, n_here, n_ahead, n_behind):
+def guided(mu: jax.Array, n_here: Any, n_ahead: Any, n_behind: Any) -> jax.Array:
     """Total reflection at both faces. In a layer that cannot turn it, such a ray ends absorbed
-    after however many crossings, in the limit without absorption too: say so at once."""
+    after however many crossings, in the limit without absorption too: say so at once.
+    """
     return (1.0 - mu * mu) * jnp.square(n_here / jnp.maximum(n_ahead, n_behind)) >= 1.0

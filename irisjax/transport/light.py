@@ -52,12 +52,15 @@ class Light(eqx.Module):
 
     def __check_init__(self):
         if self.cosine is None and (self.exits is not None or self.matrices):
-            raise ValueError(
+            message = (
                 "a BRDF or Mueller matrix is of light from one direction, not of diffuse light"
             )
+            raise ValueError(message)
 
 
-def beams_of(light: Light, nodes: int, indices: RefractiveIndices, dtype, interfaces: int = 3):
+def beams_of(
+    light: Light, nodes: int, indices: RefractiveIndices, dtype: Any, interfaces: int = 3
+) -> tuple[Array, Array]:
     """Cosines of the light's directions and its shares along them: `nodes` for diffuse light, a few
     more where that makes the shares of their panels even.
 
@@ -73,7 +76,7 @@ def beams_of(light: Light, nodes: int, indices: RefractiveIndices, dtype, interf
     return jnp.atleast_1d(jnp.asarray(light.cosine, dtype)), jnp.ones(1, dtype)
 
 
-def first_surface(light: Light, indices: RefractiveIndices, dtype):
+def first_surface(light: Light, indices: RefractiveIndices, dtype: Any) -> tuple[Array, Array]:
     """Shares of the light mirrored by and passing the interface of aqueous humour and ABL."""
     if light.cosine is None:
         mu, w = beams_of(light, 48, indices, dtype, interfaces=1)

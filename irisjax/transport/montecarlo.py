@@ -4,6 +4,7 @@ Photons are dealt out by their index, over a mesh of devices where the caller gi
 counts do not depend on how.
 """
 
+from collections.abc import Sequence
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -19,11 +20,11 @@ from irisjax.numerics.sharding import laid_out
 from irisjax.numerics.streams import checked_key, scales
 from irisjax.tissue.layers import Layers
 from irisjax.transport import lanes
-from irisjax.transport.ilit.analog import event as ilit_event
+from irisjax.transport.ilit.analog import ilit_event
 from irisjax.transport.light import Directions, Light, first_surface
 from irisjax.transport.process import ILIT_2006, AbstractProcess, Ilit, is_polarised
-from irisjax.transport.radiative.analog import event as radiative_event
-from irisjax.transport.solution import RESULTS, Absorbed, Solution
+from irisjax.transport.radiative.analog import radiative_event
+from irisjax.transport.solution import Flux, Solution, binomial_error, outcome
 from irisjax.transport.solver import AbstractSolver, check_rayleigh
 
 _LIMIT = 2**31 - 2**20  # counts are int32; lanes look a stride ahead
@@ -69,7 +70,6 @@ class MonteCarlo(AbstractSolver):
             )
 
     def solve(self, layers: Layers, light: Light, *, key: PRNGKey | None = None) -> Solution:
-        """See `AbstractSolver.solve`."""
         return self.summarise(self.count(layers, light, key=key), layers, light.exits)
 
     def count(
@@ -89,14 +89,9 @@ class MonteCarlo(AbstractSolver):
             )
         layers, light = _constant((layers, light))
         cells = None if light.exits is None else _cells(light.exits)
-        share = (
-            jnp.ones_like(layers.extinction)
-            if light.power is None
-            else light.power / jnp.max(light.power)
-        )
-        wanted = jnp.maximum(
-            jnp.ceil(self.n_photons * share.astype(jnp.result_type(float))), 1
-        ).astype(jnp.int32)
+        power = jnp.ones_like(layers.extinction) if light.power is None else light.power
+        share = (power / jnp.max(power)).astype(jnp.result_type(float))
+        wanted = jnp.maximum(jnp.ceil(self.n_photons * share), 1).astype(jnp.int32)
         start = jnp.asarray(first, jnp.int32)
         end = wanted if last is None else jnp.minimum(jnp.asarray(last, jnp.int32), wanted)
         mirrored = first_surface(light, layers.indices, layers.extinction.dtype)[0]
@@ -115,24 +110,19 @@ class MonteCarlo(AbstractSolver):
         A count of none still has an error, by Laplace's rule.
         """
         dtype = layers.extinction.dtype
-        n = counts.photons.astype(dtype)
-        fates = counts.fates.astype(dtype)
-        share = fates / n[:, None]
+        n, fates = counts.photons.astype(dtype), counts.fates.astype(dtype)
+        mirrored, reflected, abl, stroma, ipe = (fates / n[:, None]).T
         brdf = brdf_error = None
         if counts.exits is not None and exits is not None:
-            cells = _cells(exits).astype(dtype)
+            cells, counted = _cells(exits).astype(dtype), counts.exits.astype(dtype)
             scale = jnp.pi * (cells[:, 1] ** 2 - cells[:, 0] ** 2)
-            brdf = counts.exits.astype(dtype) / n[:, None] / scale[None]
-            brdf_error = _binomial_error(counts.exits.astype(dtype), n[:, None]) / scale[None]
-        return Solution(
-            reflectance=share[:, 1],
-            mirrored=share[:, 0],
-            absorbed=Absorbed(abl=share[:, 2], stroma=share[:, 3], ipe=share[:, 4]),
-            standard_error=_binomial_error(fates[:, 1], n),
-            total_error=_binomial_error(fates[:, 0] + fates[:, 1], n),
-            brdf=brdf,
+            brdf = counted / n[:, None] / scale[None]
+            brdf_error = binomial_error(counted, n[:, None]) / scale[None]
+        return Flux(reflected, mirrored, abl, stroma, ipe, brdf).solution(
+            outcome(layers.valid()),
+            standard_error=binomial_error(fates[:, 1], n),
+            total_error=binomial_error(fates[:, 0] + fates[:, 1], n),
             brdf_error=brdf_error,
-            status=_status(layers),
         )
 
 
@@ -149,19 +139,8 @@ def _constant_jvp(primals, tangents):
     )
 
 
-def _status(layers: Layers):
-    return RESULTS.where(layers.valid(), RESULTS.successful, RESULTS.invalid_input)
-
-
-def _binomial_error(count, n):
-    p = (count + 1) / (n + 2)
-    return jnp.sqrt(p * (1 - p) / n)
-
-
 def _cells(exits: Directions):
-    """Lower and upper cosine round each exit, half-way to the nearest different ones, (exits,
-    2).
-    """
+    """Lower and upper cosine round each exit, half-way to the nearest other ones, (exits, 2)."""
     c = exits.cosine
     gap = c[None, :] - c[:, None]
     apart = jnp.abs(gap) > 1e-6
@@ -174,15 +153,7 @@ def _cells(exits: Directions):
 
 @partial(jax.jit, static_argnums=8)
 def _count(
-    key,
-    layers: Layers,
-    mirrored,
-    incidence,
-    first,
-    last,
-    cells,
-    scale,
-    solver: MonteCarlo,
+    key, layers: Layers, mirrored, incidence, first, last, cells, scale, solver: MonteCarlo
 ) -> Counts:
     process = solver.process
     event = partial(ilit_event if isinstance(process, Ilit) else radiative_event, process=process)
@@ -200,15 +171,8 @@ def _count(
 
     n = layers.indices
     lane_layers = lanes.LaneLayers(
-        abl=spread(layers.abl_absorption),
-        stroma=spread(layers.extinction),
-        albedo=spread(layers.albedo),
-        mirrored=jnp.asarray(mirrored, f),
-        incidence=jnp.asarray(incidence, f),
-        n_aqueous=n.aqueous.astype(f),
-        n_abl=n.abl.astype(f),
-        n_stroma=n.stroma.astype(f),
-        n_ipe=n.ipe.astype(f),
+        *(spread(x) for x in (layers.abl_absorption, layers.extinction, layers.albedo)),
+        *(jnp.asarray(x, f) for x in (mirrored, incidence, n.aqueous, n.abl, n.stroma, n.ipe)),
         phase=jax.tree.map(spread, layers.phase),
     )
     wave_words = (jnp.repeat(words[:, 0], a_wave), jnp.repeat(words[:, 1], a_wave))
@@ -219,13 +183,7 @@ def _count(
     def on_device(place):
         start = first + lane + place * a_wave
         tally = lanes.run_lanes(
-            event,
-            wave_words,
-            start,
-            stride,
-            jnp.repeat(last, a_wave),
-            lane_layers,
-            scale,
+            *(event, wave_words, start, stride, jnp.repeat(last, a_wave), lane_layers, scale),
             deep=not isinstance(process, Ilit),
             cells=cells,
         )
@@ -247,7 +205,7 @@ def _count(
     return Counts(*total, photons=jnp.maximum(last - first, 0))
 
 
-def photon_mesh(devices=None) -> Mesh:
+def photon_mesh(devices: Sequence[Any] | None = None) -> Mesh:
     """A mesh that deals photons to these devices (default: all of every process)."""
     devices = jax.devices() if devices is None else devices
     return jax.make_mesh((len(devices),), ("photons",), devices=devices)

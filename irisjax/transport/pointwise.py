@@ -18,8 +18,8 @@ from irisjax.transport.solver import AbstractSolver
 
 
 class Pointwise(AbstractSolver):
-    """A solver whose derivatives by any number of parameters cost three, by the layers' depths, two
-    where the scattering is known, and two more where a phase function has parameters.
+    """A solver whose derivatives by any number of parameters cost three, by the layers' depths, and
+    two more where a phase function has parameters.
 
     For inversions: derivatives by indices or incidence are refused, and so are BRDFs.
     """
@@ -31,32 +31,26 @@ class Pointwise(AbstractSolver):
         self.solver, self.process = solver, solver.process
 
     def prepare(self, layers: Layers, light: Light) -> "Pointwise":
-        """Prepare the solver inside."""
         return Pointwise(self.solver.prepare(layers, light))
 
     @property
     def numbers_per_wavelength(self) -> int:
-        """Those of the solver inside."""
         return self.solver.numbers_per_wavelength
 
     def solve(self, layers: Layers, light: Light, *, key: PRNGKey | None = None) -> Solution:
-        """See `AbstractSolver.solve`."""
         if light.exits is not None:
             raise ValueError("Pointwise solves for reflectances; a BRDF needs the solver itself")
-        known = layers.stroma_scattering if self.solver.scattering_is_known else None
-        how = self.solver, layers.indices, light, key, known
-        depths = layers.abl_absorption, layers.stroma_absorption
-        depths = depths if known is not None else (*depths, layers.stroma_scattering)
+        how = self.solver, layers.indices, light, key
+        depths = layers.abl_absorption, layers.stroma_absorption, layers.stroma_scattering
         if layers.phase is not None:
             depths = (*depths, layers.phase.rayleigh, layers.phase.anisotropy)
         return _by_wavelength(partial(_solution, layers.order), how, depths)
 
 
 def _solution(order: Order, how, depths) -> Solution:
-    solver, indices, light, key, scattering = how
-    abl, stroma, *others = depths
-    scattering = others.pop(0) if scattering is None else scattering
-    phase = PhaseMixture(*others) if others else None
+    solver, indices, light, key = how
+    abl, stroma, scattering, *mixture = depths
+    phase = PhaseMixture(*mixture) if mixture else None
     layers = Layers(abl, stroma, scattering, indices, order, phase)
     return solver.solve(layers, light, key=key)
 
@@ -78,8 +72,7 @@ def _by_wavelength_jvp(primals, tangents):
     _, moved, slopes = tangents
     if any(t is not None for t in jax.tree.leaves(moved)):
         raise NotImplementedError(
-            "derivatives by indices, incidence or a scattering that is known are not part of an "
-            "inversion"
+            "derivatives by indices or incidence are not part of an inversion"
         )
     active = [i for i, slope in enumerate(slopes) if slope is not None]
     # One program for all: compiling is what takes long here.

@@ -5,7 +5,7 @@ Solvers integrate or sample them. Directions are cosines μ to the layer normal,
 """
 
 import dataclasses
-from typing import Literal, get_args
+from typing import Any, Literal, get_args
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -58,12 +58,10 @@ class Ilit(AbstractProcess):
 
     @property
     def phase_function(self) -> AbstractPhase:
-        """The phase function that `phase` names."""
         return PHASES[self.phase]
 
     @property
     def transport(self) -> str:
-        """Name of the kind of transport in outputs."""
         return "whole-layer"
 
 
@@ -82,11 +80,9 @@ class RadiativeTransfer(AbstractProcess):
 
     @property
     def transport(self) -> str:
-        """Name of the kind of transport in outputs."""
         return "depth-resolved, polarised" if self.polarised else "depth-resolved"
 
     def describe(self) -> dict[str, str | bool]:
-        """Return the switch if it is on."""
         return {"polarised": True} if self.polarised else {}
 
 
@@ -131,15 +127,32 @@ def sample_entry(u: Float[Array, "*s"]) -> Float[Array, "*s"]:
     return jnp.sqrt(1 - u)
 
 
-def survival(depth, cosine):
+def survival(depth: Any, cosine: Any) -> Array:
     """Probability of crossing a whole layer untouched, exp(−τ/μ)  [LB06 Eqs. 2, 3, 6]."""
     return jnp.exp(-depth / cosine)
 
 
-def attenuation(depth, cosine):
+def attenuation(depth: Any, cosine: Any) -> Array:
     """Probability of an event in a layer, P = 1 − exp(−τ/μ)  [LB06 Eqs. 2, 3, 6].
 
     Absorption in the ABL (Eq. 3), absorption or scattering in the stroma (Eq. 6). The event happens
     where u ≤ P; the opposite sign printed after Eq. 3 would make the palest iris the darkest.
     """
     return -jnp.expm1(-depth / cosine)
+
+
+def reflections(t: Any, lost: Any, near: Any, far: Any) -> tuple[Array, Array]:
+    """Sum over all mirror reflections in a layer at one cosine, 1/(1 − t² F F'), and whether none
+    escapes, where the sum is 0.
+
+    It is computed from a sum of losses, so that nothing cancels where little is lost.
+
+    Args:
+        t: Survival of one crossing.
+        lost: 1 − t.
+        near: Reflectance and transmittance of one face.
+        far: Those of the other.
+    """
+    escape = lost * (1 + t) + t * t * (near[1] + near[0] * far[1])
+    sealed = escape <= 0
+    return jnp.where(sealed, 0.0, 1 / jnp.where(sealed, 1.0, escape)), sealed

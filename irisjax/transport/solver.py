@@ -1,7 +1,6 @@
 """What instruments and the inversion require of a solver."""
 
 import abc
-from typing import ClassVar
 
 import equinox as eqx
 
@@ -19,12 +18,9 @@ class AbstractSolver(eqx.Module):
 
     Attributes:
         process: The rules that the light follows.
-        scattering_is_known: Whether the solver is made for layers that scatter alike, and has no
-            derivatives with respect to their scattering.
     """
 
     process: eqx.AbstractVar[AbstractProcess]
-    scattering_is_known: ClassVar[bool] = False
 
     def prepare(self, layers: Layers, light: Light) -> "AbstractSolver":
         """Return the solver with all settings fixed that must be known before tracing.

@@ -13,7 +13,7 @@ from irisjax.infer.noise import Noise
 from irisjax.infer.parameters import PARAMETERS
 from irisjax.infer.priors import LogNormal
 from irisjax.tissue.scattering import POWER_LAW_LIMITS
-from irisjax.transport.radiative import shipped
+from irisjax.transport.defaults import table_for
 from irisjax.transport.solution import RESULTS
 
 GRID = ij.wavelengths(400, 700, 20)
@@ -165,19 +165,16 @@ def test_slopes_agree_with_differences():
     np.testing.assert_allclose(forward, difference, rtol=1e-4, atol=1e-5 * np.abs(forward).max())
 
 
-@pytest.mark.parametrize("free", [(), ("scattering_scale",)])
-def test_radiative_transfer_reads_as_its_table_does_whatever_is_free(free):
-    """Of several observations, each on its own wavelengths and in its own light; some scattering is
-    known before, some is not.
-    """
+def test_radiative_transfer_reads_as_its_table_does():
+    """Of several observations, each on its own wavelengths and in its own light."""
     iris = ij.Iris.of_level("low").replace(scattering_scale=1.3)
-    table = shipped.table(iris.indices())
+    table = table_for(iris.indices(), ij.DEPTH_RESOLVED)
     spots = [
         ij.spectrum(GRID, np.ones(GRID.size)),
         ij.spectrum(GRID[3:], np.ones(GRID.size - 3), cos_incidence=0.6),
         ij.spectrum(GRID, np.ones(GRID.size), cos_incidence="diffuse"),
     ]
-    options = {"free": ("melanin_load", "abl_fraction", "gain", *free), "base": iris}
+    options = {"free": ("melanin_load", "abl_fraction", "gain"), "base": iris}
     options |= {"fixed": {"hemoglobin": 0.1}}
     quick = ij.problem(spots, process=ij.DEPTH_RESOLVED, **options)
     whole = ij.problem(spots, solver=table, **options)

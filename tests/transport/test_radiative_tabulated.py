@@ -8,8 +8,7 @@ import pytest
 import irisjax as ij
 from common import filled
 from irisjax.tissue.layers import Layers
-from irisjax.transport.radiative import shipped
-from irisjax.transport.shipped import table as either
+from irisjax.transport.defaults import quickest, table_for
 
 GRID = np.array([400.0, 480.0, 560.0, 640.0, 700.0])
 EXACT = ij.RadiativeExact(32, 8, 1)
@@ -28,7 +27,7 @@ IRIDES = {
 @pytest.fixture(scope="module")
 def table():
     with jax.enable_x64(True):
-        return shipped.table(ij.Iris().indices())
+        return table_for(ij.Iris().indices(), ij.DEPTH_RESOLVED)
 
 
 @jax.jit
@@ -155,7 +154,7 @@ def test_brdf_of_empty_layers_is_none(table):
 
 def test_single_precision(table):
     with jax.enable_x64(False):
-        narrow = shipped.table(ij.Iris().indices())
+        narrow = table_for(ij.Iris().indices(), ij.DEPTH_RESOLVED)
         iris = ij.Iris.of_level("low")
         found = ij.reflectance(iris, GRID, solver=narrow).values
         assert found.dtype == jnp.float32
@@ -183,10 +182,10 @@ def test_other_media_have_tables_of_their_own():
 
 @pytest.mark.slow  # makes a table
 def test_media_that_guide_light_are_refused_and_solved_exactly():
-    indices = ij.Iris(ipe_index=1.3).indices()
+    iris = ij.Iris(ipe_index=1.3)
     with pytest.raises(ValueError, match=r"are tabulated to .* only, not to 1\.0e-04"):
-        ij.RadiativeTabulated.build(indices)
-    assert isinstance(either(indices, ij.DEPTH_RESOLVED), ij.RadiativeExact)
+        ij.RadiativeTabulated.build(iris.indices())
+    assert isinstance(quickest(iris, 1.336, ij.DEPTH_RESOLVED), ij.RadiativeExact)
 
 
 @pytest.mark.slow  # a table of its own is built

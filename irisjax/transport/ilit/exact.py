@@ -6,22 +6,17 @@ wavelength (`ilit.layers`), and light that bounces between them is a geometric s
 
 import equinox as eqx
 import jax.numpy as jnp
+from jaxtyping import Array, Bool
 
-from irisjax._types import PRNGKey, Spectrum
+from irisjax._types import PRNGKey
 from irisjax.numerics.checks import check_whole
 from irisjax.numerics.quadrature import cosine_rule
 from irisjax.optics.fresnel import critical_cosine_squared, fresnel, fresnel_at, refract, refracted
 from irisjax.tissue.layers import Layers
-from irisjax.transport.ilit.layers import (
-    LayerFates,
-    abl_responses,
-    entry_weights,
-    stroma_response,
-)
+from irisjax.transport.ilit.layers import LayerFates, abl_responses, entry_weights, stroma_response
 from irisjax.transport.light import Light, first_surface
-from irisjax.transport.process import ILIT_2006, Ilit, attenuation, survival
-from irisjax.transport.series import reflections
-from irisjax.transport.solution import RESULTS, Absorbed, Solution
+from irisjax.transport.process import ILIT_2006, Ilit, attenuation, reflections, survival
+from irisjax.transport.solution import RESULTS, Flux, Solution, outcome
 from irisjax.transport.solver import AbstractSolver, check_process, check_rayleigh
 
 
@@ -41,27 +36,29 @@ class IlitExact(AbstractSolver):
         check_process(self, Ilit)
 
     def solve(self, layers: Layers, light: Light, *, key: PRNGKey | None = None) -> Solution:
-        """See `AbstractSolver.solve`."""
         check_rayleigh(self, layers)
         from_above, from_below = abl_responses(
             layers.abl_absorption, layers.indices, layers.order, self.process, self.n_angles
         )
         stroma, converged = stroma_response(layers, self.process, self.n_angles)
-        return combine(layers, light, self.process, from_above, from_below, stroma, converged)
+        fates, check = (from_above, from_below, stroma), (converged, RESULTS.not_converged)
+        return combine(layers, light, self.process, fates, check)
 
 
 def combine(
     layers: Layers,
     light: Light,
     process: Ilit,
-    from_above: LayerFates,
-    from_below: LayerFates,
-    stroma: LayerFates,
-    converged,
+    fates: tuple[LayerFates, LayerFates, LayerFates],
+    check: tuple[Bool[Array, ""], RESULTS],
 ) -> Solution:
     """Put the layers together: light bounces between ABL and stroma until it leaves or is
     absorbed.
+
+    `fates` are of light from above and from below in the ABL, and of light in the stroma; `check`
+    as in `outcome`.
     """
+    from_above, from_below, stroma = fates
     mirrored, entered = first_surface(light, layers.indices, layers.extinction.dtype)
     # 1 − R_below R_stroma as a sum of losses, which does not cancel when little is lost.
     lost = (stroma.passed + stroma.absorbed) + stroma.reflected * (
@@ -73,27 +70,14 @@ def combine(
     brdf = None
     if light.exits is not None:
         brdf = _exit_brdf(layers, process, light.exits.cosine, entered, up, from_above, from_below)
-    ones = jnp.ones_like(layers.extinction)
-    valid = layers.valid()
-    status = RESULTS.where(
-        valid,
-        RESULTS.where(converged, RESULTS.successful, RESULTS.not_converged),
-        RESULTS.invalid_input,
-    )
-    return Solution(
+    return Flux(
         reflectance=entered * from_above.reflected + up * from_below.passed,
-        mirrored=mirrored * ones,
-        absorbed=Absorbed(
-            abl=entered * from_above.absorbed + up * from_below.absorbed,
-            stroma=into_stroma * stroma.absorbed,
-            ipe=into_stroma * stroma.passed,
-        ),
-        standard_error=None,
-        total_error=None,
+        mirrored=mirrored * jnp.ones_like(layers.extinction),
+        abl=entered * from_above.absorbed + up * from_below.absorbed,
+        stroma=into_stroma * stroma.absorbed,
+        ipe=into_stroma * stroma.passed,
         brdf=brdf,
-        brdf_error=None,
-        status=status,
-    )
+    ).solution(outcome(layers.valid(), check))
 
 
 def _exit_brdf(layers: Layers, process: Ilit, cos_exit, entered, up, from_above, from_below):
@@ -112,7 +96,7 @@ def _exit_brdf(layers: Layers, process: Ilit, cos_exit, entered, up, from_above,
     if process.perturb_on_reflection:
         # Every upward crossing starts cosine-distributed, so the exit is the same for all of them.
         rate = (entered * from_above.reflected + up * from_below.passed)[:, None]
-        everything = _transmitted_crossing(layers, process)
+        everything = _transmitted_crossing(layers)
         leaving = t * rate / jnp.where(everything > 0, everything, 1.0)[:, None]
     else:
         series, _ = reflections(t, lost, (f_top, t_top), bottom)
@@ -121,7 +105,7 @@ def _exit_brdf(layers: Layers, process: Ilit, cos_exit, entered, up, from_above,
     return leaving * t_top * ratio**2 / jnp.pi
 
 
-def _transmitted_crossing(layers: Layers, process: Ilit) -> Spectrum:
+def _transmitted_crossing(layers: Layers):
     """Share of cosine-distributed upward crossings of the ABL that leave it."""
     n = layers.indices
     critical = jnp.stack([critical_cosine_squared(n.abl, n.aqueous)])

@@ -18,8 +18,7 @@ from irisjax.numerics.sharding import vary_alike
 from irisjax.optics.fresnel import critical_cosine_squared, fresnel, refracted
 from irisjax.tissue.indices import Order, RefractiveIndices
 from irisjax.tissue.layers import Layers
-from irisjax.transport.process import Ilit, attenuation, entry_density, survival
-from irisjax.transport.series import reflections
+from irisjax.transport.process import Ilit, attenuation, entry_density, reflections, survival
 
 
 class LayerFates(NamedTuple):
@@ -34,39 +33,27 @@ class LayerFates(NamedTuple):
 
 def abl_responses(
     depth: Spectrum, n: RefractiveIndices, order: Order, process: Ilit, n_angles: int
-):
+) -> tuple[LayerFates, LayerFates]:
     """Responses of the ABL to entry from above and from below  [LB06 Section 3.3, Eq. 3]."""
-    critical = jnp.stack(
-        [critical_cosine_squared(n.abl, n.aqueous), critical_cosine_squared(n.abl, n.stroma)]
-    )
-    rule = cosine_rule(
-        critical,
-        (True, order.abl_over_stroma),
-        n_angles,
-        leave_out_first=not process.perturb_on_reflection,
-    )
+    critical = jnp.stack([critical_cosine_squared(n.abl, k) for k in (n.aqueous, n.stroma)])
+    redrawn, possible = process.perturb_on_reflection, (True, order.abl_over_stroma)
+    rule = cosine_rule(critical, possible, n_angles, leave_out_first=not redrawn)
     top = fresnel(rule.cosine, refracted(rule, 0, n.abl, n.aqueous), n.abl, n.aqueous)
     bottom = fresnel(rule.cosine, refracted(rule, 1, n.abl, n.stroma), n.abl, n.stroma)
-    entry = entry_weights(rule)
     along = depth[:, None], rule.cosine[None, :]
-    t, lost = survival(*along), attenuation(*along)
-    solve = _redrawn_layer if process.perturb_on_reflection else _specular_layer
-    return tuple(
-        LayerFates(
-            reflected=r,
-            passed=p,
-            # What is left out is guided: without pigment it never leaves, with the least it is
-            # absorbed.
-            absorbed=a + rule.omitted,
-        )
-        for r, p, a in (solve(entry, t, lost, top, bottom), solve(entry, t, lost, bottom, top))
-    )
+    light = entry_weights(rule), survival(*along), attenuation(*along)
+    solve = _redrawn_layer if redrawn else _specular_layer
+
+    def fates(near, far):
+        reflected, passed, absorbed = solve(*light, near, far)
+        # What is left out is guided: the least pigment absorbs it, without any it never leaves.
+        return LayerFates(reflected, passed, absorbed + rule.omitted)
+
+    return fates(top, bottom), fates(bottom, top)
 
 
 def _specular_layer(entry, t, lost, near, far):
-    """Entry through `near`; a reflected ray keeps its cosine,
-    so each node is a geometric series.
-    """
+    """Entry through `near`; a reflected ray keeps its cosine: a geometric series at each node."""
     t_near, (f_far, t_far) = near[1], far
     series, guided = reflections(t, lost, *_rows((near, far)))
     weight = entry[None, :] * series
@@ -94,16 +81,13 @@ def _redrawn_layer(entry, t, lost, near, far):
 def stroma_response(
     layers: Layers, process: Ilit, n_angles: int
 ) -> tuple[LayerFates, Bool[Array, ""]]:
-    """LayerFates of the stroma to entry from the ABL  [LB06 Section 3.4, Eqs. 6, 7], and whether it
+    """Response of the stroma to entry from the ABL  [LB06 Section 3.4, Eqs. 6, 7], and whether it
     converged.
     """
     n, order = layers.indices, layers.order
-    critical = jnp.stack(
-        [critical_cosine_squared(n.stroma, n.abl), critical_cosine_squared(n.stroma, n.ipe)]
-    )
-    rule = conserving(
-        cosine_rule(critical, (order.stroma_over_abl, order.stroma_over_ipe), n_angles)
-    )
+    critical = jnp.stack([critical_cosine_squared(n.stroma, k) for k in (n.abl, n.ipe)])
+    possible = (order.stroma_over_abl, order.stroma_over_ipe)
+    rule = conserving(cosine_rule(critical, possible, n_angles))
     f_top, t_top = fresnel(rule.cosine, refracted(rule, 0, n.stroma, n.abl), n.stroma, n.abl)
     f_bottom, t_bottom = fresnel(rule.cosine, refracted(rule, 1, n.stroma, n.ipe), n.stroma, n.ipe)
     along = layers.extinction[:, None], rule.cosine[None, :]

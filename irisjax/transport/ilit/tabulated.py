@@ -15,8 +15,8 @@ from jaxtyping import Array, Float
 
 from irisjax._types import PRNGKey
 from irisjax.numerics.interpolation import chebyshev_nodes
-from irisjax.numerics.piecewise import piecewise
-from irisjax.numerics.sharding import laid_out
+from irisjax.numerics.piecewise import piecewise, piecewise_chebyshev
+from irisjax.numerics.sharding import laid_out_as
 from irisjax.numerics.tucker import coefficients
 from irisjax.tissue.indices import Order, RefractiveIndices
 from irisjax.tissue.iris import Iris
@@ -83,46 +83,34 @@ class IlitTabulated(AbstractSolver):
         stroma = np.asarray(stroma, np.float64).reshape(n_albedos, n_intervals, _DEGREE + 1, -1)
         abl_table = np.einsum("ij,pjf->pif", to_local, abl)
         stroma_table = np.einsum("ij,ab,bpjf->piaf", to_local, to_albedo, stroma)
-        table = cls(
-            abl=jnp.asarray(abl_table, dtype),
-            stroma=jnp.asarray(stroma_table, dtype),
-            indices=indices,
-            process=process,
-            error=0.0,
-        )
-        error = table._measure(order)
+        abl_table, stroma_table = (jnp.asarray(x, dtype) for x in (abl_table, stroma_table))
+        error = cls(abl_table, stroma_table, indices, 0.0, process=process)._measure(order)
         if error > tolerance:
             raise ValueError(
                 f"the layer functions are tabulated to {error:.1e} only, not to {tolerance:.1e}; "
                 "use IlitExact, or a larger tolerance, n_intervals or n_albedos"
             )
-        return cls(table.abl, table.stroma, indices, float(error), process=process)
+        return cls(abl_table, stroma_table, indices, error, process=process)
 
     def solve(self, layers: Layers, light: Light, *, key: PRNGKey | None = None) -> Solution:
-        """See `AbstractSolver.solve`."""
         check_rayleigh(self, layers)
-        from_above, from_below, stroma = laid_out(
-            IlitTabulated._responses,
+        fates = laid_out_as(
             layers.extinction,
+            (LayerFates._make((1, 1, 1)),) * 3,
+            IlitTabulated._responses,
             *(self, layers.abl_absorption, layers.extinction, layers.albedo),
         )
-        converged = jnp.asarray(True)
-        solution = combine(layers, light, self.process, from_above, from_below, stroma, converged)
-        same = self.indices.same(layers.indices)
-        status = RESULTS.where(same, solution.status, RESULTS.outside_table)
-        return eqx.tree_at(lambda s: s.status, solution, status)
+        same = (self.indices.same(layers.indices), RESULTS.outside_table)
+        return combine(layers, light, self.process, fates, same)
 
-    def _responses(self, abl_depth, depth, albedo) -> tuple[LayerFates, LayerFates, LayerFates]:
-        return *self._abl_response(abl_depth), self._stroma_response(depth, albedo)
-
-    def _abl_response(self, depth) -> tuple[LayerFates, LayerFates]:
-        up, down, out, back = piecewise(self.abl, *self._locate(depth), None)
-        return LayerFates(up, down, 1 - up - down), LayerFates(back, out, 1 - back - out)
-
-    def _stroma_response(self, depth, albedo) -> LayerFates:
+    def _responses(self, abl, depth, albedo) -> tuple[LayerFates, LayerFates, LayerFates]:
+        """Responses of the ABL to light from above and from below, and of the stroma."""
         interval, x = self._locate(depth)
-        reflected, passed = piecewise(self.stroma, interval, x, 2 * albedo - 1)
-        return LayerFates(reflected, passed, 1 - reflected - passed)
+        up, down, out, back = piecewise(self.abl, *self._locate(abl))
+        reflected, passed = piecewise_chebyshev(self.stroma, interval, x, 2 * albedo - 1)
+        shares = (up, down), (back, out), (reflected, passed)
+        above, below, stroma = (LayerFates(a, b, 1 - a - b) for a, b in shares)
+        return above, below, stroma
 
     def _locate(self, depth):
         n = self.abl.shape[0]
@@ -137,11 +125,8 @@ class IlitTabulated(AbstractSolver):
         rng = np.random.default_rng(0)
         # The functions are least smooth beside zero depth: look there closely, and at zero itself.
         inside = (np.arange(n) + rng.random(n)) / n
-        depth = jnp.asarray(
-            np.r_[0.0, _depth(np.geomspace(1e-6, 1, 32) / n), _depth(inside), 2 * _LARGEST],
-            self.abl.dtype,
-        )
-
+        depth = np.r_[0.0, _depth(np.geomspace(1e-6, 1, 32) / n), _depth(inside), 2 * _LARGEST]
+        depth = jnp.asarray(depth, self.abl.dtype)
         albedos = jnp.asarray([0.0, 0.23, 0.71, 0.97, 1.0], self.abl.dtype)
         return float(_largest_error(self, depth, albedos, order))
 
@@ -161,12 +146,9 @@ def _nodes(depth, albedos, indices: RefractiveIndices, order: Order, process: Il
 def _largest_error(tables: IlitTabulated, depth, albedos, order: Order):
     def at(albedo):
         each = jnp.full_like(depth, albedo)
-        abl, stroma = _responses(depth, each, tables.indices, order, tables.process, 64)
-        above, below = tables._abl_response(depth)
-        found = jnp.stack([above.reflected, above.passed, below.passed, below.reflected], -1)
-        s = tables._stroma_response(depth, each)
-        between = jnp.stack([s.reflected, s.passed], -1) - stroma
-        return jnp.maximum(jnp.abs(found - abl).max(), jnp.abs(between).max())
+        exact = _responses(depth, each, tables.indices, order, tables.process, 64)
+        found = _as_stored(*tables._responses(depth, depth, each))
+        return jnp.stack([jnp.abs(f - e).max() for f, e in zip(found, exact, strict=True)]).max()
 
     return jax.lax.map(at, albedos).max()
 
@@ -177,15 +159,13 @@ def _depth(fraction):
 
 
 def _responses(
-    depth,
-    albedo,
-    indices: RefractiveIndices,
-    order: Order,
-    process: Ilit,
-    n_angles: int = 48,
+    depth, albedo, indices: RefractiveIndices, order: Order, process: Ilit, n_angles: int = 48
 ):
-    above, below = abl_responses(depth, indices, order, process, n_angles)
+    abl = abl_responses(depth, indices, order, process, n_angles)
     layers = Layers(jnp.zeros_like(depth), depth * (1 - albedo), depth * albedo, indices, order)
-    stroma, _ = stroma_response(layers, process, n_angles)
+    return _as_stored(*abl, stroma_response(layers, process, n_angles)[0])
+
+
+def _as_stored(above: LayerFates, below: LayerFates, stroma: LayerFates):
     abl = jnp.stack([above.reflected, above.passed, below.passed, below.reflected], -1)
     return abl, jnp.stack([stroma.reflected, stroma.passed], -1)

@@ -1,5 +1,6 @@
 """Directions in the stroma, what each meets at the interfaces, and Rayleigh's modes in azimuth."""
 
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import jax
@@ -11,8 +12,9 @@ from irisjax.numerics.roots import safe_sqrt
 from irisjax.optics.fresnel import critical_cosine_squared, fresnel, refract, refracted
 from irisjax.tissue.indices import RefractiveIndices
 from irisjax.tissue.layers import Layers
-from irisjax.transport.process import attenuation, survival
-from irisjax.transport.series import visit
+from irisjax.transport.light import Light, beams_of
+from irisjax.transport.process import attenuation, reflections, survival
+from irisjax.transport.radiative.slab import Ends
 
 
 class Mode(NamedTuple):
@@ -24,7 +26,7 @@ class Mode(NamedTuple):
     parity: int
     strength: tuple[float, ...]
 
-    def functions(self, mu):
+    def functions(self, mu: jax.Array) -> jax.Array:
         """f_k at cosines `mu` > 0, shape (rank, angles); at −μ they take the sign `parity`."""
         sine_squared = jnp.maximum(1 - mu * mu, 0.0)
         if self.order == 0:
@@ -37,7 +39,7 @@ class Mode(NamedTuple):
 MODES = (Mode(0, 1, (0.5, 0.25)), Mode(1, -1, (0.375,)), Mode(2, 1, (0.09375,)))
 
 
-class Directions(NamedTuple):
+class Ordinates(NamedTuple):
     """Directions in the stroma with what each meets at the interfaces, all of shape (angles,).
 
     At an interface: reflectance and transmittance, or what else the law of the interfaces gives.
@@ -51,9 +53,24 @@ class Directions(NamedTuple):
     bottom: Any  # stroma/IPE
 
 
+class Lighting(NamedTuple):
+    """The light on the iris, and the directions that it is observed from.
+
+    `outside` and `power` are the cosines of the beams in the aqueous humour and their shares of the
+    light; `exits` and `azimuth` may be `None`; `to_brdf` is the BRDF of radiance 1 that passes out.
+    """
+
+    beams: Any
+    outside: jax.Array
+    power: jax.Array
+    exits: Any
+    azimuth: Any
+    to_brdf: jax.Array
+
+
 class Roof(NamedTuple):
     """The ABL seen from the stroma, or from the aqueous humour: shares of the flux that falls on
-    it.
+    it, `reflected` beyond its first interface's own reflectance.
     """
 
     reflected: jax.Array
@@ -61,47 +78,98 @@ class Roof(NamedTuple):
     absorbed: jax.Array
 
 
-def quadrature_nodes(layers: Layers, n_angles: int, law=fresnel) -> Directions:
+def quadrature_nodes(layers: Layers, n_angles: int, law: Callable = fresnel) -> Ordinates:
     """Directions in the stroma that a quadrature takes, split at its critical angles; `law` of the
     interfaces as in `optics.fresnel`.
     """
-    n, order = layers.indices, layers.order
-    neighbours = (n.aqueous, n.abl, n.ipe)
-    rule = cosine_rule(
-        jnp.stack([critical_cosine_squared(n.stroma, k) for k in neighbours]),
-        (True, order.stroma_over_abl, order.stroma_over_ipe),
-        n_angles,
-    )
-    rule = conserving(rule)
+    n = layers.indices
+    neighbours, critical, possible = _critical(layers)
+    rule = conserving(cosine_rule(critical, possible, n_angles))
     cosines = [refracted(rule, i, n.stroma, k) for i, k in enumerate(neighbours)]
-    return _directions(n, law, rule.cosine, rule.weight, *cosines)
+    return _ordinates(n, law, rule.cosine, rule.weight, *cosines)
 
 
-def gauss_nodes(layers: Layers, n_angles: int) -> Directions:
+def gauss_nodes(layers: Layers, n_angles: int) -> Ordinates:
     """Directions in the stroma of a quadrature made for polynomials of the cosine, split at its
     critical angles.
     """
-    n, order = layers.indices, layers.order
-    neighbours = (n.aqueous, n.abl, n.ipe)
-    cosine, weight = quadratic_rule(
-        jnp.stack([safe_sqrt(critical_cosine_squared(n.stroma, k)) for k in neighbours]),
-        (True, order.stroma_over_abl, order.stroma_over_ipe),
-        n_angles,
-    )
-    abl, aqueous, ipe = (refract(cosine, n.stroma, k) for k in (n.abl, n.aqueous, n.ipe))
-    return _directions(n, fresnel, cosine, weight, aqueous, abl, ipe)
+    n = layers.indices
+    neighbours, critical, possible = _critical(layers)
+    cosine, weight = quadratic_rule(safe_sqrt(critical), possible, n_angles)
+    cosines = [refract(cosine, n.stroma, k) for k in neighbours]
+    return _ordinates(n, fresnel, cosine, weight, *cosines)
 
 
-def from_outside(layers: Layers, outside, law=fresnel) -> Directions:
+def from_outside(layers: Layers, outside: jax.Array, law: Callable = fresnel) -> Ordinates:
     """Directions with given cosines in the aqueous humour; they carry no quadrature weight."""
     n = layers.indices
-    abl, stroma = (refract(outside, n.aqueous, k) for k in (n.abl, n.stroma))
-    ipe = refract(outside, n.aqueous, n.ipe)
-    return _directions(n, law, stroma, jnp.zeros_like(outside), outside, abl, ipe)
+    abl, stroma, ipe = (refract(outside, n.aqueous, k) for k in (n.abl, n.stroma, n.ipe))
+    return _ordinates(n, law, stroma, jnp.zeros_like(outside), outside, abl, ipe)
 
 
-def _directions(n: RefractiveIndices, law, stroma, weight, aqueous, abl, ipe) -> Directions:
-    return Directions(
+def lighting(
+    layers: Layers,
+    light: Light,
+    n_beams: int,
+    interfaces: int = 3,
+    ordinates: Callable = from_outside,
+) -> Lighting:
+    """`Lighting` of layers, with `n_beams` beams for diffuse light as in `beams_of`; `ordinates`
+    makes directions of layers and of cosines in the aqueous humour.
+    """
+    n = layers.indices
+    outside, power = beams_of(light, n_beams, n, layers.extinction.dtype, interfaces)
+    exits = azimuth = None
+    if light.exits is not None:
+        exits, azimuth = ordinates(layers, light.exits.cosine), light.exits.azimuth
+    to_brdf = (n.aqueous / n.stroma) ** 2 / (2 * jnp.pi)
+    return Lighting(ordinates(layers, outside), outside, power, exits, azimuth, to_brdf)
+
+
+def roof_of(depth: jax.Array, d: Ordinates, *, from_stroma: bool = True) -> Roof:
+    """The ABL of optical depth `depth` along directions, seen from the stroma or the aqueous
+    humour.
+    """
+    near, far = (d.top, d.surface) if from_stroma else (d.surface, d.top)
+    t, lost = survival(depth, d.abl_cosine), attenuation(depth, d.abl_cosine)
+    series, sealed = reflections(t, lost, near, far)
+    # What can neither leave nor be absorbed counts as absorbed, the limit of least absorption.
+    absorbed = jnp.where(sealed, 1.0, lost * (1 + t * far[0]) * series)
+    back, out = t * t * far[0] * near[1] * series, t * far[1] * series
+    return Roof(near[1] * back, near[1] * out, near[1] * absorbed)
+
+
+def ends_of(roof: Roof, d: Ordinates) -> Ends:
+    """What directions in the stroma meet at its ends, under an ABL that is seen so from there."""
+    return Ends(d.top[0] + roof.reflected, roof.passed + roof.absorbed, *d.bottom)
+
+
+def joined_sets(*sets: Any) -> Any:
+    """All directions of several sets, for one fused loop; sets may be `None`."""
+    found = [d for d in sets if d is not None]
+    return jax.tree.map(lambda *x: jnp.concatenate(x, axis=-1), *found)
+
+
+def parted(tree: Any, *sets: Any) -> list[Any]:
+    """What belongs to each set of directions, of arrays over all of them: `joined_sets` undone."""
+    ends = np.cumsum([d.cosine.size for d in sets if d is not None])[:-1].tolist()
+    leaves, structure = jax.tree.flatten(tree)
+    parts = zip(*(jnp.split(x, ends, axis=-1) for x in leaves), strict=True)
+    return [jax.tree.unflatten(structure, x) for x in parts]
+
+
+def _critical(layers: Layers):
+    """Indices of the media beyond the stroma, squares of its critical cosines to them, and whether
+    there may be one.
+    """
+    n, order = layers.indices, layers.order
+    neighbours = (n.aqueous, n.abl, n.ipe)
+    critical = jnp.stack([critical_cosine_squared(n.stroma, k) for k in neighbours])
+    return neighbours, critical, (True, order.stroma_over_abl, order.stroma_over_ipe)
+
+
+def _ordinates(n: RefractiveIndices, law, stroma, weight, aqueous, abl, ipe) -> Ordinates:
+    return Ordinates(
         # A beam that cannot enter has cosine 0 and no power; keep the exponentials finite.
         cosine=jnp.where(stroma > 0, stroma, 1.0),
         weight=weight,
@@ -110,27 +178,3 @@ def _directions(n: RefractiveIndices, law, stroma, weight, aqueous, abl, ipe) ->
         surface=law(abl, aqueous, n.abl, n.aqueous),
         bottom=law(stroma, ipe, n.stroma, n.ipe),
     )
-
-
-def roof_of(depth, d: Directions, *, from_stroma: bool) -> Roof:
-    """The ABL of optical depth `depth` along directions, seen from the stroma or the aqueous
-    humour.
-    """
-    near, far = (d.top, d.surface) if from_stroma else (d.surface, d.top)
-    t, lost = survival(depth, d.abl_cosine), attenuation(depth, d.abl_cosine)
-    inside = visit(t, lost, near, far)
-    return Roof(
-        reflected=near[1] * inside.back,  # beyond the first interface's own reflectance
-        passed=near[1] * inside.out,
-        absorbed=near[1] * inside.absorbed,
-    )
-
-
-def split(tree, sets):
-    """What belongs to each set of directions, of arrays over all of them."""
-    ends = np.cumsum([d.cosine.size for d in sets])[:-1].tolist()
-    leaves, structure = jax.tree.flatten(tree)
-    return [
-        jax.tree.unflatten(structure, x)
-        for x in zip(*(jnp.split(x, ends, axis=-1) for x in leaves), strict=True)
-    ]

@@ -14,7 +14,7 @@ import jax.numpy as jnp
 
 from irisjax.numerics import linear
 from irisjax.transport.process import attenuation, survival
-from irisjax.transport.radiative.slab import mean_survival
+from irisjax.transport.radiative.slab import mean_absence, mean_survival
 
 
 class Response(NamedTuple):
@@ -50,7 +50,7 @@ class Medium(NamedTuple):
     opposite: jax.Array
 
 
-def respond(medium: Medium, lines: Lines, doublings: int) -> Response:
+def doubled_from(medium: Medium, lines: Lines, doublings: int) -> Response:
     """`Response` of a slab, doubled from 2^−doublings of its depth.
 
     The first layer's error goes as the square of its depth; two halves of it take it away to the
@@ -107,10 +107,8 @@ def thin(medium: Medium, lines: Lines) -> Response:
     )
 
 
-def doubled(layer: Response, depth, lines: Lines) -> Response:
-    """Two equal layers, each of optical depth `depth`  [de Haan, Bosma & Hovenier 1987, Eqs. 5 to
-    11].
-    """
+def doubled(layer: Response, depth: jax.Array, lines: Lines) -> Response:
+    """Two equal layers of optical depth `depth`  [de Haan, Bosma & Hovenier 1987, Eqs. 5 to 11]."""
     n, one = lines.nodes, jnp.eye(lines.nodes, dtype=depth.dtype)
     back, on, absorbed = layer
     passed = survival(depth, lines.columns)
@@ -125,13 +123,3 @@ def doubled(layer: Response, depth, lines: Lines) -> Response:
         on=on[:, :n] @ down + out * below + on * into,
         absorbed=absorbed * (1 + passed) + absorbed[:n] @ (down + up[:n]),
     )
-
-
-def mean_absence(x):
-    """1 − (1 − e^{−x})/x without cancellation."""
-    small = x < 0.1
-    y = jnp.where(small, x, 0.0)
-    series = (
-        y / 2 * (1 - y / 3 * (1 - y / 4 * (1 - y / 5 * (1 - y / 6 * (1 - y / 7 * (1 - y / 8))))))
-    )
-    return jnp.where(small, series, 1 - mean_survival(jnp.where(small, 1.0, x)))

@@ -9,7 +9,6 @@ invariant: all mirror images are one geometric series. The cost is linear in ang
 """
 
 from functools import partial
-from typing import NamedTuple
 
 import equinox as eqx
 import jax
@@ -19,35 +18,28 @@ from jax.core import Tracer
 from irisjax._types import PRNGKey
 from irisjax.numerics import linear
 from irisjax.numerics.checks import check_whole
-from irisjax.numerics.sharding import laid_out
+from irisjax.numerics.sharding import laid_out_as
 from irisjax.tissue.layers import Layers
-from irisjax.transport.light import Light, beams_of
+from irisjax.transport.light import Light
 from irisjax.transport.process import DEPTH_RESOLVED, RadiativeTransfer
-from irisjax.transport.radiative.balance import energy_balance, solve_balanced
+from irisjax.transport.radiative import resolution
 from irisjax.transport.radiative.directions import (
     MODES,
-    from_outside,
+    Lighting,
+    Mode,
+    Ordinates,
+    ends_of,
+    joined_sets,
+    lighting,
+    parted,
     quadrature_nodes,
     roof_of,
-    split,
 )
-from irisjax.transport.radiative.fates import before
-from irisjax.transport.radiative.polarised import exact as polarised
-from irisjax.transport.radiative.resolution import panels_for, seen_depth, status_of, steepness
-from irisjax.transport.radiative.slab import Ends, Slab
-from irisjax.transport.solution import Absorbed, Solution
+from irisjax.transport.radiative.orders import before, with_scattered
+from irisjax.transport.radiative.polarised.exact import solve_polarised
+from irisjax.transport.radiative.slab import Slab
+from irisjax.transport.solution import Flux, Solution
 from irisjax.transport.solver import AbstractSolver, check_process, check_rayleigh
-
-
-class Flux(NamedTuple):
-    """Where the light of one wavelength goes."""
-
-    reflectance: jax.Array
-    mirrored: jax.Array
-    abl: jax.Array
-    stroma: jax.Array
-    ipe: jax.Array
-    brdf: jax.Array | None
 
 
 class RadiativeExact(AbstractSolver):
@@ -79,116 +71,82 @@ class RadiativeExact(AbstractSolver):
                 check_whole(name, value, low)
 
     def prepare(self, layers: Layers, light: Light) -> "RadiativeExact":
-        """Return the solver with its number of panels fixed."""
         if self.n_panels is not None:
             return self
         known = not any(isinstance(x, Tracer) for x in jax.tree.leaves(light))
         slant = _steepness(layers, light) if known else 1.0
-        panels = panels_for(layers, self.n_depths, slant)
+        panels = resolution.panels_for(layers, self.n_depths, slant)
         return RadiativeExact(self.n_angles, self.n_depths, panels, process=self.process)
 
     def solve(self, layers: Layers, light: Light, *, key: PRNGKey | None = None) -> Solution:
-        """See `AbstractSolver.solve`."""
         check_rayleigh(self, layers)
-        solve = polarised.solve if self.process.polarised else _solve
-        return solve(
-            layers,
-            light,
-            n_angles=self.n_angles,
-            n_depths=self.n_depths,
-            n_panels=self.n_panels or 1,
-        )
+        how, polarisation = (self.n_depths, self.n_panels or 1), None
+        if self.process.polarised:
+            flux, polarisation = solve_polarised(layers, light, self.n_angles, how)
+        else:
+            flux = _solve(layers, light, self.n_angles, how)
+        resolved = resolution.depths_resolved(layers, *how, resolution.steepness(layers, light))
+        return flux.solution(resolution.status_of(layers, resolved), polarisation=polarisation)
 
 
 # One program: operation by operation it takes a tenth of a spectrum's time.
-_steepness = jax.jit(steepness)
+_steepness = jax.jit(resolution.steepness)
 
 
-def _solve(
-    layers: Layers, light: Light, *, n_angles: int, n_depths: int, n_panels: int
-) -> Solution:
-    n, dtype = layers.indices, layers.extinction.dtype
-    nodes = quadrature_nodes(layers, n_angles)
-    outside, power = beams_of(light, 2 * n_angles, n, dtype)
-    beams = from_outside(layers, outside)
-    exits = azimuth = None
-    if light.exits is not None:
-        exits, azimuth = from_outside(layers, light.exits.cosine), light.exits.azimuth
-
-    one = partial(_one_wavelength, n_depths=n_depths, n_panels=n_panels)
-    flux = laid_out(
-        jax.vmap(one, in_axes=(0, 0, 0, 0, *(None,) * 6)),
+def _solve(layers: Layers, light: Light, n_angles: int, how: tuple[int, int]) -> Flux:
+    lit = lighting(layers, light, 2 * n_angles)
+    return laid_out_as(
         layers.extinction,
+        Flux._make((1, 1, 1, 1, 1, None if lit.exits is None else 2)),
+        jax.vmap(partial(_one_wavelength, how=how), (0, 0, 0, 0, None, None)),
         *(layers.abl_absorption, layers.extinction, layers.albedo, layers.coalbedo),
-        *(n, nodes, beams, power, exits, azimuth),
-    )
-    return Solution(
-        reflectance=flux.reflectance,
-        mirrored=flux.mirrored,
-        absorbed=Absorbed(abl=flux.abl, stroma=flux.stroma, ipe=flux.ipe),
-        standard_error=None,
-        total_error=None,
-        brdf=flux.brdf,
-        brdf_error=None,
-        status=status_of(layers, n_depths, n_panels, steepness(layers, light)),
+        *(quadrature_nodes(layers, n_angles), lit),
     )
 
 
-def _one_wavelength(
-    abl, depth, albedo, coalbedo, n, nodes, beams, power, exits, azimuth, n_depths, n_panels
-):
-    depth = seen_depth(depth, coalbedo)
-    slab = Slab(depth, n_depths, n_panels)
-    roof_in = roof_of(abl, beams, from_stroma=False)
-    entering = power * roof_in.passed
+def _one_wavelength(abl, depth, albedo, coalbedo, nodes: Ordinates, lit: Lighting, *, how) -> Flux:
+    depth = resolution.seen_depth(depth, coalbedo)
+    slab, beams, exits = Slab(depth, *how), lit.beams, lit.exits
     # All directions together, so that one fused loop serves them.
-    sets = [d for d in (nodes, beams, exits) if d is not None]
-    everywhere = jax.tree.map(lambda *x: jnp.concatenate(x), *sets)
-    roof = roof_of(abl, everywhere, from_stroma=True)
-    meets = Ends(
-        everywhere.top[0] + roof.reflected, roof.passed + roof.absorbed, *everywhere.bottom
-    )
-    roofs = split(roof, sets)
-    angle, beam, *exit_ = split(slab.bounded(everywhere.cosine, meets), sets)
-    roof_out = roofs[0]
-
+    everywhere = joined_sets(nodes, beams, exits)
+    roof = roof_of(abl, everywhere)
+    bounded = slab.bounded(everywhere.cosine, ends_of(roof, everywhere))
+    angle, beam, *exit_ = parted(bounded, nodes, beams, exits)
+    roof, _, *roof_exit = parted(roof, nodes, beams, exits)
     unscattered = before(abl, depth, beams)
-    lost_beam = power @ unscattered.lost
-    moments = {}
-    leaving_exit = 0.0
-    for mode in MODES if exits is not None else MODES[:1]:
+    entering = lit.power * roof_of(abl, beams, from_stroma=False).passed / beams.cosine
+    lost = lit.power @ unscattered.lost
+
+    def equations(mode: Mode):
+        """Strengths of a mode, the system of its moments, and its right-hand side."""
         strength = albedo * jnp.asarray(mode.strength, depth.dtype)
-        f_nodes, f_beams = mode.functions(nodes.cosine), mode.functions(beams.cosine)
-        operator = slab.moments(angle, nodes.weight, f_nodes, mode.parity)
-        driving = slab.driving(beam, f_beams * (entering / beams.cosine)[None, :], mode.parity)
+        operator = slab.moments(angle, nodes.weight, mode.functions(nodes.cosine), mode.parity)
+        driving = mode.functions(beams.cosine) * entering[None, :]
         size = operator.shape[0]
         each = jnp.repeat(strength, size // strength.size)
         system = jnp.eye(size, dtype=depth.dtype) - operator * each[None, :]
-        right = driving.reshape(size)
-        if mode.order == 0:
-            balance = energy_balance(slab, strength, f_nodes, angle, nodes, roof_out, coalbedo)
-            solution = solve_balanced(slab, system, right[:, None], balance, lost_beam[None])
-        else:
-            solution = linear.solve(system, right)
-        moments[mode.order] = solution.reshape(driving.shape)
-        if exits is not None:
-            source = (strength[:, None] * mode.functions(exits.cosine)).T @ moments[mode.order]
-            up_top, _ = slab.leaving(exit_[0], source, mode.parity)
-            leaving_exit += up_top * jnp.cos(mode.order * azimuth) * (1 if mode.order == 0 else 2)
+        return strength, system, driving @ slab.driving_each(beam, mode.parity).T
+
+    def leaving(mode: Mode, strength, moments):
+        source = (strength[:, None] * mode.functions(exits.cosine)).T @ moments
+        up, _ = slab.leaving(exit_[0], source, mode.parity)
+        return up * jnp.cos(mode.order * lit.azimuth) * (1 if mode.order == 0 else 2)
 
     mode = MODES[0]
-    strength = albedo * jnp.asarray(mode.strength, depth.dtype)
-    source = (strength[:, None] * mode.functions(nodes.cosine)).T @ moments[0]
-    up_top, down_bottom = slab.leaving(angle, source, mode.parity)
-    flux = nodes.weight * nodes.cosine
+    strength, system, driving = equations(mode)
+    f, flux = mode.functions(nodes.cosine), nodes.weight * nodes.cosine
+    above = roof.passed + roof.absorbed
+    balance = slab.balance(strength, f, angle, flux, above, nodes.bottom[1], coalbedo)
+    right = driving.reshape(-1, 1)
+    moments = slab.solve(system, right, balance, lost[None]).reshape(driving.shape)
+    up, down = slab.leaving(angle, (strength[:, None] * f).T @ moments, mode.parity)
+    stroma = coalbedo * (slab.widths @ moments[0].reshape(slab.n_panels, slab.n_depths)[:, 0])
     brdf = None
     if exits is not None:
-        brdf = leaving_exit * roofs[2].passed * (n.aqueous / n.stroma) ** 2 / (2 * jnp.pi)
-    return Flux(
-        reflectance=power @ unscattered.reflected + flux @ (up_top * roof_out.passed),
-        mirrored=power @ unscattered.mirrored,
-        abl=power @ unscattered.abl + flux @ (up_top * roof_out.absorbed),
-        stroma=coalbedo * (slab.widths @ moments[0][0].reshape(n_panels, n_depths)[:, 0]),
-        ipe=flux @ (down_bottom * nodes.bottom[1]) + power @ unscattered.passed,
-        brdf=brdf,
-    )
+        total = leaving(mode, strength, moments)
+        for mode in MODES[1:]:
+            strength, system, driving = equations(mode)
+            moments = linear.solve(system, driving.reshape(-1)).reshape(driving.shape)
+            total += leaving(mode, strength, moments)
+        brdf = total * roof_exit[0].passed * lit.to_brdf
+    return with_scattered(unscattered, lit.power, nodes, roof, up, down, stroma, brdf)

@@ -1,8 +1,12 @@
-"""The BRDF by orders of scattering: once in closed form, oftener as a table may hold it.
+"""Light by orders of scattering in the stroma: not scattered, scattered once, and oftener.
 
-All directions are in the stroma; each carries its mirror images at the slab's ends.
+What a beam does before it is scattered has a closed form, and so has a BRDF of light scattered
+once; what follows is smooth in the depths, the albedo and the directions, and is what tables of
+radiative transfer hold. All directions are in the stroma; each carries its mirror images at the
+slab's ends.
 """
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import jax
@@ -10,36 +14,150 @@ import jax.numpy as jnp
 
 from irisjax.numerics import linear
 from irisjax.optics.phase import rayleigh
-from irisjax.transport.process import survival
-from irisjax.transport.radiative.directions import MODES, Directions, roof_of
-from irisjax.transport.radiative.fates import course, met
+from irisjax.transport.process import attenuation, reflections, survival
+from irisjax.transport.radiative.directions import (
+    MODES,
+    Mode,
+    Ordinates,
+    Roof,
+    ends_of,
+    roof_of,
+)
 from irisjax.transport.radiative.slab import Slab, mean_survival
+from irisjax.transport.solution import Flux
 
 
-class Ways(NamedTuple):
-    """Of light that leaves along exits, shape (exits,): what the slab would take of light that came
-    their way, times (1 + τ)/τ, and what of radiance at the slab's top is BRDF outside.
+class Beam(NamedTuple):
+    """Shares of light that falls on the iris, before any of it is scattered; shape (beams,).
+
+    `mirrored` at the first surface; `reflected` by the inner interfaces and out again; `abl`,
+    absorbed there; `lost` to the stroma, absorbed or scattered in it; `passed` into the IPE. They
+    sum to one.
     """
 
-    taken: jax.Array
-    outside: jax.Array
+    mirrored: jax.Array
+    reflected: jax.Array
+    abl: jax.Array
+    lost: jax.Array
+    passed: jax.Array
 
 
-def ways(abl, depth, exits: Directions, indices) -> Ways:
-    """`Ways` out of a stroma under an ABL of these optical depths."""
-    wider = (indices.aqueous / indices.stroma) ** 2 / (2 * jnp.pi)
-    return Ways(_taken(abl, depth, exits), course(abl, depth, exits).roof.passed * wider)
+class Course(NamedTuple):
+    """Of directions in the stroma, shape (angles,): the sum over all mirror images; the share that
+    comes back from the slab's floor; what of light that enters is lost to the slab; the share that
+    leaves through the ABL.
+    """
+
+    series: jax.Array
+    back: jax.Array
+    lost: jax.Array
+    roof: Roof
 
 
-def _taken(abl, depth, d: Directions):
-    way = course(abl, depth, d)
-    each = mean_survival(depth / d.cosine) / d.cosine
-    return way.series * (1 + way.back) * each * (1 + depth)
+class ScatteredFates(NamedTuple):
+    """Of light scattered once: shares that leave the iris and that end in the ABL and in the IPE,
+    and the mean number of times that it collides again; shape (beams,).
+    """
+
+    out: jax.Array
+    abl: jax.Array
+    ipe: jax.Array
+    collisions: jax.Array
+
+
+def before(abl: jax.Array, depth: jax.Array, beams: Ordinates) -> Beam:
+    """`Beam` through an ABL and a stroma of these optical depths.
+
+    The mirror images of both layers' faces are geometric series.
+    """
+    roof_in = roof_of(abl, beams, from_stroma=False)
+    through, way = survival(depth, beams.cosine), course(abl, depth, beams)
+    down = roof_in.passed * way.series
+    up = down * through * way.back
+    return Beam(
+        mirrored=beams.surface[0],
+        reflected=roof_in.reflected + up * way.roof.passed,
+        abl=roof_in.absorbed + up * way.roof.absorbed,
+        lost=roof_in.passed * way.lost,
+        passed=down * through * beams.bottom[1],
+    )
+
+
+def course(abl: jax.Array, depth: jax.Array, d: Ordinates) -> Course:
+    """`Course` of directions between the ends of a stroma under an ABL of these optical depths."""
+    roof = roof_of(abl, d)
+    through, gone = survival(depth, d.cosine), attenuation(depth, d.cosine)
+    ends = ends_of(roof, d)
+    series, _ = reflections(through, gone, ends[:2], ends[2:])
+    back = through * d.bottom[0]
+    return Course(series, back, series * gone * (1 + back), roof)
+
+
+def with_scattered(
+    beam: Beam,
+    power: jax.Array,
+    nodes: Ordinates,
+    roof: Roof,
+    up: jax.Array,
+    down: jax.Array,
+    stroma: jax.Array,
+    brdf: jax.Array | None = None,
+) -> Flux:
+    """Where light goes: unscattered light of beams with these shares of its `power`, and scattered
+    light with radiances `up` at the stroma's top and `down` at its bottom along the nodes.
+    """
+    flux = nodes.weight * nodes.cosine
+    return Flux(
+        reflectance=power @ beam.reflected + flux @ (up * roof.passed),
+        mirrored=power @ beam.mirrored,
+        abl=power @ beam.abl + flux @ (up * roof.absorbed),
+        stroma=stroma,
+        ipe=power @ beam.passed + flux @ (down * nodes.bottom[1]),
+        brdf=brdf,
+    )
+
+
+def after(
+    abl: jax.Array,
+    depth: jax.Array,
+    albedo: jax.Array,
+    nodes: Ordinates,
+    beams: Ordinates,
+    how: tuple[int, int],
+) -> ScatteredFates:
+    """`ScatteredFates` of the light that each of some beams has scattered once, of one wavelength.
+
+    `albedo` may exceed 1 by a little: the sum over orders of scattering goes on converging as long
+    as light leaves the slab faster; `how`: polynomials and panels in depth.
+    """
+    slab, mode = Slab(depth, *how), MODES[0]
+    first, again = _scattered(slab, mode, abl, albedo, nodes, beams, mode.functions(beams.cosine))
+    roof = roof_of(abl, nodes)
+    top, bottom = slab.leaving_each(slab.bounded(nodes.cosine, ends_of(roof, nodes)), mode.parity)
+    strength = jnp.asarray(mode.strength, depth.dtype)[:, None]
+    flux = strength * mode.functions(nodes.cosine) * (nodes.weight * nodes.cosine)[None, :]
+
+    def share(leaving, taken):
+        return ((flux * taken[None, :]) @ leaving.T).ravel() @ first
+
+    again = again.reshape(len(mode.strength), slab.n_panels, slab.n_depths, -1)
+    return ScatteredFates(
+        out=share(top, roof.passed),
+        abl=share(top, roof.absorbed),
+        ipe=share(bottom, nodes.bottom[1]),
+        collisions=slab.widths @ again[0, :, 0],
+    )
 
 
 def single_scattering(
-    abl, depth, albedo, beam: Directions, exits: Directions, azimuth, phase=rayleigh
-):
+    abl: jax.Array,
+    depth: jax.Array,
+    albedo: jax.Array,
+    beam: Ordinates,
+    exits: Ordinates,
+    azimuth: jax.Array,
+    phase: Callable = rayleigh,
+) -> jax.Array:
     """Radiance at the slab's top of light scattered once, shape (exits,), from a beam of flux 1 on
     the iris: ω p(α)/(2 μ_i μ_o) ∫ exp(−t/μ_i − t/μ_o) dt over its courses, up or down before, up or
     down after.
@@ -61,38 +179,33 @@ def single_scattering(
 
 
 def multiple_scattering(
-    abl, depth, albedo, nodes: Directions, beams: Directions, exits: Directions, how
-):
-    """Radiance at the slab's top of light scattered twice and oftener, by azimuthal order: shape
-    (beams, exits, orders), over ω², what of each beam is lost to the slab, and each exit's
-    `Ways.taken`.
+    abl: jax.Array,
+    depth: jax.Array,
+    albedo: jax.Array,
+    nodes: Ordinates,
+    d: Ordinates,
+    how: tuple[int, int],
+) -> jax.Array:
+    """Radiance at the slab's top of light scattered twice and oftener, by azimuthal order, from and
+    into directions `d`: shape (beams, exits, orders), over ω², what of each beam is lost to the
+    slab, and what it would `taken_of` each exit.
 
     Of the orders 1 and 2 the factors f(μ_i) f(μ_o) are left out; `how`: polynomials and panels.
     """
     slab, found = Slab(depth, *how), []
-    angle, beam, exit_ = (met(slab, abl, d) for d in (nodes, beams, exits))
-    given, taken = course(abl, depth, beams).lost, _taken(abl, depth, exits)
+    taken = taken_of(abl, depth, d)
     for mode in MODES:
-        strength = jnp.asarray(mode.strength, depth.dtype)
-        f_nodes = mode.functions(nodes.cosine)
-        f_in, f_out = (
-            mode.functions(d.cosine) if mode.order == 0 else jnp.ones_like(d.cosine)[None]
-            for d in (beams, exits)
-        )
-        operator = slab.moments(angle, nodes.weight, f_nodes, mode.parity)
-        operator = operator * jnp.repeat(strength, operator.shape[0] // strength.size)[None, :]
-        each = slab.driving_each(beam, mode.parity) / (beams.cosine * given)[None]
-        driving = (f_in[:, None] * each[None]).reshape(-1, beams.cosine.size)
-        one = jnp.eye(driving.shape[0], dtype=depth.dtype)
-        again = operator @ linear.solve(one - albedo * operator, driving)
-        again = again.reshape(strength.size, -1, beams.cosine.size)
-        top, _ = slab.leaving_each(exit_, mode.parity)
-        sent = (strength[:, None] * f_out)[:, None] * (top / taken[None])[None]
+        f = mode.functions(d.cosine) if mode.order == 0 else jnp.ones_like(d.cosine)[None]
+        _, again = _scattered(slab, mode, abl, albedo, nodes, d, f)
+        again = again.reshape(len(mode.strength), -1, d.cosine.size)
+        top, _ = slab.leaving_each(slab.bounded(d.cosine, ends_of(roof_of(abl, d), d)), mode.parity)
+        strength = jnp.asarray(mode.strength, depth.dtype)[:, None]
+        sent = (strength * f)[:, None] * (top / taken[None])[None]
         found.append(jnp.einsum("lko,lki->io", sent, again))
     return jnp.stack(found, axis=-1)
 
 
-def azimuthal(beam: Directions, exits: Directions, azimuth):
+def azimuthal(beam: Ordinates, exits: Ordinates, azimuth: jax.Array) -> jax.Array:
     """Factors of the orders of `multiple_scattering` in their sum, shape (orders, exits)."""
     rows = []
     for mode in MODES:
@@ -101,3 +214,26 @@ def azimuthal(beam: Directions, exits: Directions, azimuth):
             row = row * mode.functions(beam.cosine)[0][0] * mode.functions(exits.cosine)[0]
         rows.append(row)
     return jnp.stack(rows)
+
+
+def taken_of(abl: jax.Array, depth: jax.Array, d: Ordinates) -> jax.Array:
+    """What the slab takes of light along directions, times (1 + τ)/τ."""
+    way = course(abl, depth, d)
+    each = mean_survival(depth / d.cosine) / d.cosine
+    return way.series * (1 + way.back) * each * (1 + depth)
+
+
+def _scattered(slab: Slab, mode: Mode, abl, albedo, nodes: Ordinates, beams: Ordinates, f_beams):
+    """Moments of light scattered once and oftener, over the albedo and what of each beam is lost to
+    the slab, and the same of what scatters again: shape (moments, beams).
+    """
+    angle, beam = (slab.bounded(d.cosine, ends_of(roof_of(abl, d), d)) for d in (nodes, beams))
+    strength = jnp.asarray(mode.strength, slab.depth.dtype)
+    operator = slab.moments(angle, nodes.weight, mode.functions(nodes.cosine), mode.parity)
+    operator = operator * jnp.repeat(strength, operator.shape[0] // strength.size)[None, :]
+    lost = course(abl, slab.depth, beams).lost
+    each = slab.driving_each(beam, mode.parity) / (beams.cosine * lost)[None]
+    driving = (f_beams[:, None] * each[None]).reshape(-1, beams.cosine.size)
+    one = jnp.eye(driving.shape[0], dtype=slab.depth.dtype)
+    first = linear.solve(one - albedo * operator, driving)
+    return first, operator @ first

@@ -12,7 +12,7 @@ from irisjax.optics.mixture import PhaseMixture
 from irisjax.tissue.layers import Layers
 from irisjax.transport.light import Light
 from irisjax.transport.radiative.slab import fractions
-from irisjax.transport.solution import RESULTS
+from irisjax.transport.solution import RESULTS, outcome
 
 # `_coarseness` up to which reflectance is good to 1e-7.
 _RESOLVED = 0.47
@@ -82,10 +82,19 @@ def _coarseness(layers: Layers, n_depths: int, n_panels: int, slant: Any = 1.0):
     return jnp.where(layers.abl_absorption > _OPAQUE, 0.0 * coarse, coarse)
 
 
-def status_of(layers: Layers, n_depths: int, n_panels: int, slant) -> RESULTS:
-    """The status of a solve with so many polynomials in so many panels, of such a `steepness`."""
-    resolved = (_coarseness(layers, n_depths, n_panels, slant) <= _RESOLVED).all()
-    return outcome(layers, resolved)
+def depths_resolved(layers: Layers, n_depths: int, n_panels: int, slant: Any) -> jax.Array:
+    """Whether so many polynomials in so many panels follow light of such a `steepness` (traced)."""
+    return (_coarseness(layers, n_depths, n_panels, slant) <= _RESOLVED).all()
+
+
+def status_of(layers: Layers, resolved: jax.Array, angles: Any = True) -> RESULTS:
+    """The status of a deterministic solve, given whether its depths and `angles` are resolved."""
+    return outcome(
+        layers.valid(),
+        (resolved, RESULTS.under_resolved),
+        (_conditioned(layers), RESULTS.ill_conditioned),
+        (jnp.asarray(angles), RESULTS.too_few_angles),
+    )
 
 
 def angles_resolved(layers: Layers, phase: PhaseMixture, n_angles: int, cosine, power):
@@ -152,18 +161,6 @@ def _angular_error(layers: Layers, phase: PhaseMixture, n_angles: int, cosine, p
     critical = n.stroma > jnp.minimum(jnp.minimum(n.aqueous, n.abl), n.ipe)
     few = jnp.where(critical, 0.03 * (6 / n_angles) ** 8, 0.0)
     return jnp.where(depth > 0, jnp.maximum(sharp, few), 0.0)
-
-
-def outcome(layers: Layers, resolved, angles=None) -> RESULTS:
-    """The status of a deterministic solve, given whether its depths and `angles` are resolved."""
-    enough = jnp.asarray(True) if angles is None else angles
-    followed = RESULTS.where(enough, RESULTS.successful, RESULTS.too_few_angles)
-    conditioned = RESULTS.where(_conditioned(layers), followed, RESULTS.ill_conditioned)
-    return RESULTS.where(
-        layers.valid(),
-        RESULTS.where(resolved, conditioned, RESULTS.under_resolved),
-        RESULTS.invalid_input,
-    )
 
 
 def _conditioned(layers: Layers):

@@ -7,15 +7,15 @@ functions of x/2.
 """
 
 from functools import lru_cache
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
+from irisjax.numerics import linear
 from irisjax.numerics.quadrature import gauss_legendre
-from irisjax.transport.process import attenuation, survival
-from irisjax.transport.series import reflections
+from irisjax.transport.process import attenuation, reflections, survival
 
 # Light changes as τ ln τ beside both faces of a slab: panels grow from each face inwards.
 _GROWTH = 4.0
@@ -82,8 +82,7 @@ class Slab:
     def images(self, cosine, ends: Ends) -> Images:
         """Mirror images along directions (angles,)."""
         through, lost = survival(self.depth, cosine), attenuation(self.depth, cosine)
-        roof, floor = (ends.roof, ends.roof_lost), (ends.floor, ends.floor_lost)
-        series, _ = reflections(through, lost, roof, floor)
+        series, _ = reflections(through, lost, ends[:2], ends[2:])
         across = ends.roof * series * (ends.floor * through)
         return Images(series, ends.roof * series, across, ends.floor * series)
 
@@ -103,9 +102,7 @@ class Slab:
         )
 
     def _sources(self, b: Bounded, parity):
-        """Radiance that unit sources φ_j make: leaving at the slab's ends, and re-entering from
-        them.
-        """
+        """Radiance of unit sources φ_j: leaving at the slab's ends, and re-entering there."""
         emitted = b.emitted[:, : self.n_depths]
         up = (_signed(parity, emitted) * b.from_top[:, None]).reshape(-1, b.cosine.size)
         down = (emitted * self._signs * b.from_bottom[:, None]).reshape(-1, b.cosine.size)
@@ -113,9 +110,7 @@ class Slab:
         return up, down, top * up + across * down, across * up + bottom * down
 
     def _tests(self, b: Bounded):
-        """Depth moments of radiance entering at the top and at the bottom, (panels·orders,
-        angles).
-        """
+        """Moments of radiance entering at the top and at the bottom, (panels·orders, angles)."""
         start = b.start[:, : self.n_depths] * self._norms
         return (
             (start * b.from_top[:, None]).reshape(-1, b.cosine.size),
@@ -167,12 +162,6 @@ class Slab:
         sent = jnp.concatenate([downward, upward], axis=-1)
         return _between(jnp.tile(weight[None, :] * f, 2), entering, jnp.tile(f, 2), sent)
 
-    def driving(self, b: Bounded, weights, parity):
-        """Moments of beams of radiance `weights` (rank, beams) that enter at the top, (rank,
-        panels·orders).
-        """
-        return weights @ self.driving_each(b, parity).T
-
     def driving_each(self, b: Bounded, parity):
         """Moments of beams of radiance 1 that enter at the top, (panels·orders, beams)."""
         entering_top, entering_bottom = self._tests(b)
@@ -180,9 +169,7 @@ class Slab:
         return b.images.series[None, :] * entering_top + upward[None, :] * entering_bottom
 
     def leaving_each(self, b: Bounded, parity):
-        """Radiance that each unit source sends to the top and to the bottom, (panels·orders,
-        angles).
-        """
+        """Radiance of unit sources at the top and at the bottom, (panels·orders, angles)."""
         up, down, downward, upward = self._sources(b, parity)
         through = b.through[None, :]
         return up + through * upward, down + through * downward
@@ -193,11 +180,40 @@ class Slab:
         return b.through[None, :] * upward, b.through[None, :] * downward
 
     def leaving(self, b: Bounded, source, parity):
-        """Radiance that sources (angles, panels·orders) send to the top and to the bottom,
-        (angles,).
-        """
+        """Radiance of sources (angles, panels·orders) at the top and at the bottom, (angles,)."""
         top, bottom = self.leaving_each(b, parity)
         return (source.T * top).sum(0), (source.T * bottom).sum(0)
+
+    def balance(self, strength, f, b: Bounded, flux, above, below, coalbedo):
+        """What each unknown takes from the light in the slab: absorbed by it, or sent out of it.
+
+        `flux` is the weight of each direction's radiance, `above` and `below` are the shares of it
+        that do not come back from the slab's ends.
+        """
+        top, bottom = self.leaving_each(b, 1)
+        leaving = (flux[None] * f) @ (top * above[None] + bottom * below[None]).T
+        taken = strength[:, None] * leaving
+        return taken.at[0, :: self.n_depths].add(coalbedo * self.widths).ravel()
+
+    def solve(self, system, right, balance, lost_beam):
+        """Solve with the slab's balance of energy, balance·x = lost_beam, in place of one row.
+
+        `right` has a column, `lost_beam` a number for each beam. The balance is a sum of the rows,
+        so nothing changes mathematically; in a thick slab that hardly absorbs, the rows' own sum
+        would be lost in rounding. What rounding is left is scaled away.
+        """
+        empty = self.depth <= 0
+        scale = 1 / jnp.where(empty, 1.0, self.depth)
+        which = self.n_panels // 2 * self.n_depths  # the mean over the thickest panel
+        system = system.at[which].set(jnp.where(empty, system[which], balance * scale))
+        right = right.at[which].set(jnp.where(empty, right[which], lost_beam * scale))
+        # Eliminated last, where a small pivot is the small loss of light that it stands for.
+        order = np.append(np.delete(np.arange(right.shape[0]), which), which)
+        x = linear.solve(system[order][:, order], right[order])[np.argsort(order)]
+        spent = balance @ x
+        # Of less light the quotient's derivative would underflow.
+        dark = spent <= jnp.finfo(spent.dtype).tiny ** 0.5
+        return x * jnp.where(dark, 1.0, lost_beam / jnp.where(dark, 1.0, spent))[None, :]
 
 
 def _signed(parity, x):
@@ -249,37 +265,41 @@ def _legendre_moments(x, count: int):
     return jnp.stack(moments, axis=-2)
 
 
-def mean_survival(x):
+def mean_survival(x: Any) -> jax.Array:
     """(1 − e^{−x})/x, with a gradient that is right at small x too."""
-    small = x < 0.1
-    y = jnp.where(small, x, 0.0)
-    series = 1 - y / 2 * (
-        1 - y / 3 * (1 - y / 4 * (1 - y / 5 * (1 - y / 6 * (1 - y / 7 * (1 - y / 8)))))
-    )
+    small, series = _absence_of_small(x)
     z = jnp.where(small, 1.0, x)
-    return jnp.where(small, series, -jnp.expm1(-z) / z)
+    return jnp.where(small, 1 - series, -jnp.expm1(-z) / z)
+
+
+def mean_absence(x: Any) -> jax.Array:
+    """1 − (1 − e^{−x})/x without cancellation."""
+    small, series = _absence_of_small(x)
+    return jnp.where(small, series, 1 - mean_survival(jnp.where(small, 1.0, x)))
+
+
+def _absence_of_small(x):
+    """Whether x is small, and its `mean_absence` as a series if it is."""
+    small = x < 0.1
+    y, series = jnp.where(small, x, 0.0), 0.0
+    for k in range(8, 1, -1):
+        series = y / k * (1 - series)
+    return small, series
 
 
 @lru_cache(maxsize=16)
 def _overlap(n: int) -> np.ndarray:
     """½∫[φ_i(s+r)φ_j(s) + φ_i(s)φ_j(s+r)] ds over 0 ≤ s ≤ 1−r as Σ_k overlap[i, j, k] φ_k(r)."""
 
-    def shifted_legendre(count, s):
-        return np.stack(
-            [np.polynomial.legendre.legval(2 * s - 1, np.eye(count)[k]) for k in range(count)]
-        )
+    def legendre(count, s):
+        return np.polynomial.legendre.legvander(2 * s - 1, count - 1).T
 
     r, w_r = gauss_legendre(2 * n + 2)
     s, w_s = gauss_legendre(n + 2)
-    phi_r = shifted_legendre(2 * n, r) * (2 * np.arange(2 * n) + 1)[:, None]
+    phi_r = legendre(2 * n, r) * (2 * np.arange(2 * n) + 1)[:, None]
     out = np.zeros((n, n, 2 * n))
     for q in range(r.size):
-        inner = s * (1 - r[q])
-        product = np.einsum(
-            "ia,ja,a->ij",
-            shifted_legendre(n, inner + r[q]),
-            shifted_legendre(n, inner),
-            w_s * (1 - r[q]),
-        )
+        inner, weight = s * (1 - r[q]), w_s * (1 - r[q])
+        product = (legendre(n, inner + r[q]) * weight) @ legendre(n, inner).T
         out += 0.5 * (product + product.T)[..., None] * phi_r[:, q] * w_r[q]
     return out

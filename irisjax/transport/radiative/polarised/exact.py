@@ -7,123 +7,85 @@ is in scalar theory.
 
 import math
 from functools import partial
-from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 
 from irisjax.numerics import linear
-from irisjax.numerics.sharding import laid_out
+from irisjax.numerics.sharding import laid_out_as
 from irisjax.optics.mueller import stokes
 from irisjax.tissue.layers import Layers
-from irisjax.transport.light import Light, beams_of
-from irisjax.transport.radiative.balance import energy_balance, solve_balanced
-from irisjax.transport.radiative.directions import from_outside, quadrature_nodes, roof_of, split
-from irisjax.transport.radiative.fates import before
+from irisjax.transport.light import Light
+from irisjax.transport.radiative.directions import (
+    Lighting,
+    from_outside,
+    joined_sets,
+    lighting,
+    parted,
+    quadrature_nodes,
+    roof_of,
+)
+from irisjax.transport.radiative.orders import before, with_scattered
 from irisjax.transport.radiative.polarised.interfaces import (
     Met,
-    Rays,
-    both,
+    PolarisedOrdinates,
     meet,
-    rays,
+    polarised,
     turning_roof,
     unscattered,
 )
 from irisjax.transport.radiative.polarised.modes import RAYLEIGH, PolarisedMode
-from irisjax.transport.radiative.resolution import seen_depth, status_of, steepness
+from irisjax.transport.radiative.resolution import seen_depth
 from irisjax.transport.radiative.slab import Slab
-from irisjax.transport.solution import Absorbed, Polarisation, Solution
+from irisjax.transport.solution import Flux, Polarisation
 
 _ROOT_HALF = math.sqrt(0.5)
 
 
-class Shares(NamedTuple):
-    """Where the unpolarised light of one wavelength goes."""
-
-    reflectance: jax.Array
-    mirrored: jax.Array
-    abl: jax.Array
-    stroma: jax.Array
-    ipe: jax.Array
-
-
-class Matrices(NamedTuple):
-    """The fields of `Polarisation`, of one wavelength."""
-
-    reflected: jax.Array
-    mirrored: jax.Array
-    brdf: jax.Array | None
-
-
-class Lit(NamedTuple):
-    """The light on the iris: its directions, their cosines in the aqueous humour and shares."""
-
-    beams: Rays
-    outside: jax.Array
-    power: jax.Array
-
-
-class Looked(NamedTuple):
-    """Exits, and their azimuths."""
-
-    exits: Rays
-    azimuth: jax.Array
-
-
-def solve(
+def solve_polarised(
     layers: Layers,
     light: Light,
-    *,
     n_angles: int,
-    n_depths: int,
-    n_panels: int,
+    how: tuple[int, int],
     modes: tuple[PolarisedMode, ...] = RAYLEIGH,
-) -> Solution:
-    """`AbstractSolver.solve` of polarised light; `modes` are those of the phase matrix, the first
-    that of the whole intensity.
+) -> tuple[Flux, Polarisation | None]:
+    """Where unpolarised light goes, and Mueller matrices where they are requested.
+
+    Args:
+        layers: As in `AbstractSolver.solve`.
+        light: Likewise.
+        n_angles: Quadrature nodes over the cosine.
+        how: Polynomials and panels in depth.
+        modes: Those of the phase matrix, the first that of the whole intensity.
     """
-    dtype = layers.extinction.dtype
-    nodes = rays(quadrature_nodes, layers, n_angles)
-    outside, power = beams_of(light, 2 * n_angles, layers.indices, dtype)
-    lit = Lit(rays(from_outside, layers, outside), outside, power)
-    looked = None
-    if light.exits is not None:
-        exits = rays(from_outside, layers, light.exits.cosine)
-        looked = Looked(exits, light.exits.azimuth)
-    wanted = light.matrices or looked is not None
-    one = partial(_one_wavelength, how=(n_depths, n_panels), modes=modes, matrices=wanted)
-    shares, matrices = laid_out(
-        jax.vmap(one, in_axes=(0, 0, 0, 0, *(None,) * 4)),
+    lit = lighting(layers, light, 2 * n_angles, ordinates=partial(polarised, from_outside))
+    seen = lit.exits is not None
+    wanted = light.matrices or seen
+    one = partial(_one_wavelength, how=how, modes=modes, matrices=wanted)
+    ranks = Flux._make((1, 1, 1, 1, 1, 2 if seen else None))
+    flux, matrices = laid_out_as(
         layers.extinction,
+        (ranks, (3, 3, 4 if seen else None) if wanted else None),
+        jax.vmap(one, in_axes=(0, 0, 0, 0, *(None,) * 3)),
         *(layers.abl_absorption, layers.extinction, layers.albedo, layers.coalbedo),
-        *(layers.indices, nodes, lit, looked),
+        *(layers.indices, polarised(quadrature_nodes, layers, n_angles), lit),
     )
-    return Solution(
-        reflectance=shares.reflectance,
-        mirrored=shares.mirrored,
-        absorbed=Absorbed(abl=shares.abl, stroma=shares.stroma, ipe=shares.ipe),
-        standard_error=None,
-        total_error=None,
-        brdf=None if looked is None else matrices.brdf[..., 0, 0],
-        brdf_error=None,
-        status=status_of(layers, n_depths, n_panels, steepness(layers, light)),
-        polarisation=Polarisation(*matrices) if wanted else None,
-    )
+    return flux, None if matrices is None else Polarisation(*matrices)
 
 
-def _one_wavelength(abl, depth, albedo, coalbedo, n, nodes, lit, looked, *, how, modes, matrices):
+def _one_wavelength(
+    abl, depth, albedo, coalbedo, n, nodes, lit: Lighting, *, how, modes, matrices: bool
+):
     depth = seen_depth(depth, coalbedo)
-    slab, beams = Slab(depth, *how), lit.beams
-    sets = [nodes, beams] if looked is None else [nodes, beams, looked.exits]
-    everywhere = jax.tree.map(lambda *x: jnp.concatenate(x, axis=-1), *sets)
-    parts = split(meet(slab, abl, everywhere), [d.p for d in sets])
-    angle, beam, *exit_ = (Met(both(*x[:2]), *x[2:]) for x in parts)
+    slab, beams, exits = Slab(depth, *how), lit.beams, lit.exits
+    sets = [None if d is None else d.p for d in (nodes, beams, exits)]
+    parts = parted(meet(slab, abl, joined_sets(nodes, beams, exits)), *sets)
+    angle, beam, *exit_ = (Met(joined_sets(*x[:2]), *x[2:]) for x in parts)
     first = [before(abl, depth, d) for d in (beams.p, beams.s)]
     entering = _entering(abl, lit)
-    scattering = albedo, coalbedo
-    shares, moments = _shares(slab, abl, scattering, modes[0], nodes, lit, angle, beam, first)
+    flux, moments = _fluxes(slab, abl, (albedo, coalbedo), modes[0], nodes, lit, angle, beam, first)
     if not matrices:
-        return shares, None
+        return flux, None
 
     found = [(modes[0], jnp.pad(moments, ((0, 0), (0, 0), (0, 2))))]
     turned = turning_roof(abl, beams.w).passed
@@ -133,7 +95,7 @@ def _one_wavelength(abl, depth, albedo, coalbedo, n, nodes, lit, looked, *, how,
         solution = linear.solve(system, right.reshape(system.shape[0], 4))
         found.append((mode, solution.reshape(right.shape)))
 
-    at_surface, back = unscattered(abl, depth, beams, lit.outside, n)
+    at_surface, back = unscattered(abl, depth, beams.w, lit.outside, n)
     reflected = _mirror([b.reflected[0] for b in first], back[0])
     for mode, x in found:
         if mode.order != 1:
@@ -141,55 +103,48 @@ def _one_wavelength(abl, depth, albedo, coalbedo, n, nodes, lit, looked, *, how,
             reflected += _collected(mode, nodes.p.weight * nodes.p.cosine, leaving)
     mirrored = _mirror([b.mirrored[0] for b in first], at_surface[0])
     brdf = None
-    if looked is not None:
-        exits, total = looked.exits, jnp.zeros((looked.azimuth.size, 4, 4), depth.dtype)
+    if exits is not None:
+        total = jnp.zeros((lit.azimuth.size, 4, 4), depth.dtype)
         for mode, x in found:
             leaving = _leaving(slab, mode, _strength(mode, albedo), abl, exit_[0], exits, x)
-            total += leaving * _azimuthal(mode.order, looked.azimuth)
-        brdf = stokes(total) * ((n.aqueous / n.stroma) ** 2 / (2 * jnp.pi))
-    return shares, Matrices(stokes(reflected), stokes(mirrored), brdf)
+            total += leaving * _azimuthal(mode.order, lit.azimuth)
+        brdf = stokes(total) * lit.to_brdf
+        flux = flux._replace(brdf=brdf[:, 0, 0])
+    return flux, (stokes(reflected), stokes(mirrored), brdf)
 
 
-def _shares(slab, abl, scattering, mode: PolarisedMode, nodes: Rays, lit: Lit, angle, beam, first):
-    """`Shares`, and the moments of light that is all I_l, and all I_r: (terms, moments, 2)."""
+def _fluxes(slab, abl, scattering, mode: PolarisedMode, nodes, lit: Lighting, angle, beam, first):
+    """`Flux`, and the moments of light that is all I_l, and all I_r: (terms, moments, 2)."""
     albedo, coalbedo = scattering
     assert mode.linear is not None
-    of_nodes, strength = both(nodes.p, nodes.s), _strength(mode, albedo)
+    of_nodes, strength = joined_sets(nodes.p, nodes.s), _strength(mode, albedo)
     system = _system(slab, mode, strength, angle, nodes)
     right = _driving(slab, mode, beam, lit.beams, _entering(abl, lit), None)
-    roof = roof_of(abl, of_nodes, from_stroma=True)
+    roof = roof_of(abl, of_nodes)
     f = mode.linear(nodes.p.cosine).reshape(strength.size, -1)
-    balance = energy_balance(slab, strength, f, angle.linear, of_nodes, roof, coalbedo)
+    flux, above = of_nodes.weight * of_nodes.cosine, roof.passed + roof.absorbed
+    balance = slab.balance(strength, f, angle.linear, flux, above, of_nodes.bottom[1], coalbedo)
     lost = jnp.stack([lit.power @ b.lost for b in first])
-    moments = solve_balanced(slab, system, right.reshape(system.shape[0], 2), balance, lost)
+    moments = slab.solve(system, right.reshape(system.shape[0], 2), balance, lost)
     moments = moments.reshape(right.shape)
     # Of unpolarised light either is one half.
-    mean = moments.mean(-1)
-    up_top, down_bottom = slab.leaving(angle.linear, (strength[:, None] * f).T @ mean, 1)
-    flux = of_nodes.weight * of_nodes.cosine
-    straight = jax.tree.map(lambda *x: lit.power @ (0.5 * sum(x)), *first)
-    inside = mean[0].reshape(slab.n_panels, slab.n_depths)[:, 0]
-    shares = Shares(
-        reflectance=straight.reflected + flux @ (up_top * roof.passed),
-        mirrored=straight.mirrored,
-        abl=straight.abl + flux @ (up_top * roof.absorbed),
-        stroma=coalbedo * (slab.widths @ inside),
-        ipe=straight.passed + flux @ (down_bottom * of_nodes.bottom[1]),
-    )
-    return shares, moments
+    mean, straight = moments.mean(-1), jax.tree.map(lambda *x: 0.5 * sum(x), *first)
+    up, down = slab.leaving(angle.linear, (strength[:, None] * f).T @ mean, 1)
+    stroma = coalbedo * (slab.widths @ mean[0].reshape(slab.n_panels, slab.n_depths)[:, 0])
+    return with_scattered(straight, lit.power, of_nodes, roof, up, down, stroma), moments
 
 
 def _strength(mode: PolarisedMode, albedo):
     return albedo * jnp.asarray(mode.strength, albedo.dtype)
 
 
-def _entering(abl, lit: Lit):
+def _entering(abl, lit: Lighting):
     """Flux of I_l and of I_r at the stroma's top, (2, beams)."""
     passed = (roof_of(abl, d, from_stroma=False).passed for d in (lit.beams.p, lit.beams.s))
     return jnp.stack([lit.power * p for p in passed])
 
 
-def _system(slab, mode: PolarisedMode, strength, angle: Met, nodes: Rays):
+def _system(slab, mode: PolarisedMode, strength, angle: Met, nodes: PolarisedOrdinates):
     """I − K of the moments of every term, (terms·moments, terms·moments)."""
     terms, n = strength.size, slab.n_panels * slab.n_depths
     operator = jnp.zeros((terms, n, terms, n), strength.dtype)
@@ -215,7 +170,7 @@ def _system(slab, mode: PolarisedMode, strength, angle: Met, nodes: Rays):
     return jnp.eye(size, dtype=strength.dtype) - operator.reshape(size, size) * each[None, :]
 
 
-def _driving(slab, mode: PolarisedMode, beam: Met, beams: Rays, entering, turned):
+def _driving(slab, mode: PolarisedMode, beam: Met, beams: PolarisedOrdinates, entering, turned):
     """Moments that light of I_l, I_r, U and V on the iris drives, (terms, moments, 4); of the first
     two alone where `turned`, what passes of W, is not given.
     """
@@ -238,7 +193,7 @@ def _driving(slab, mode: PolarisedMode, beam: Met, beams: Rays, entering, turned
     return right
 
 
-def _leaving(slab, mode: PolarisedMode, strength, abl, met: Met, d: Rays, x):
+def _leaving(slab, mode: PolarisedMode, strength, abl, met: Met, d: PolarisedOrdinates, x):
     """I_l, I_r, U and V of radiance at the stroma's top, less what the ABL keeps of it, of light as
     in `_driving`, (directions, 4, 4).
     """
@@ -247,7 +202,7 @@ def _leaving(slab, mode: PolarisedMode, strength, abl, met: Met, d: Rays, x):
     if mode.linear is not None:
         f = mode.linear(mu)
         top = slab.leaving_each(met.linear, mode.signs(mu))[0].reshape(-1, 2, mu.size)
-        passed = jnp.stack([roof_of(abl, y, from_stroma=True).passed for y in (d.p, d.s)])
+        passed = jnp.stack([roof_of(abl, y).passed for y in (d.p, d.s)])
         radiance = jnp.einsum("rca,nca,rni->aci", f * passed[None], top, source[: f.shape[0]])
         out = out.at[:, :2].add(radiance)
     if mode.turning is not None:

@@ -3,26 +3,28 @@
 No interface couples these three; total reflection turns U into V, which is a phase of W.
 """
 
-from typing import NamedTuple
+from collections.abc import Callable
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 from jax import lax
 
 from irisjax.optics.fresnel import coherence, fresnel_p, fresnel_s, refract
+from irisjax.tissue.indices import RefractiveIndices
 from irisjax.transport.process import attenuation, survival
-from irisjax.transport.radiative.directions import Directions, roof_of
-from irisjax.transport.radiative.slab import Bounded, Ends, Images, Slab
+from irisjax.transport.radiative.directions import Ordinates, ends_of, roof_of
+from irisjax.transport.radiative.slab import Bounded, Images, Slab
 
 
-class Rays(NamedTuple):
+class PolarisedOrdinates(NamedTuple):
     """Directions in the stroma with the interfaces as I_l, polarised in the plane of incidence
     (`p`), as I_r, across it (`s`), and as W meet them (`w` has `Coherence`s for them).
     """
 
-    p: Directions
-    s: Directions
-    w: Directions
+    p: Ordinates
+    s: Ordinates
+    w: Ordinates
 
 
 class Met(NamedTuple):
@@ -35,19 +37,14 @@ class Met(NamedTuple):
     imaginary: Bounded
 
 
-def rays(make, *where) -> Rays:
-    """`Rays` of `quadrature_nodes` or `from_outside`."""
-    return Rays(*(make(*where, law) for law in (fresnel_p, fresnel_s, coherence)))
+def polarised(make: Callable, *where: Any) -> PolarisedOrdinates:
+    """`PolarisedOrdinates` of `quadrature_nodes` or `from_outside`."""
+    return PolarisedOrdinates(*(make(*where, law) for law in (fresnel_p, fresnel_s, coherence)))
 
 
-def both(p, s):
-    """What belongs to I_l, then what belongs to I_r, along the last axis."""
-    return jax.tree.map(lambda *x: jnp.concatenate(x, axis=-1), p, s)
-
-
-def meet(slab: Slab, abl, d: Rays) -> tuple[Bounded, Bounded, Bounded, Bounded]:
+def meet(slab: Slab, abl: jax.Array, d: PolarisedOrdinates) -> tuple[Bounded, ...]:
     """The slab along directions as I_l, I_r and W (real part, imaginary part) meet it."""
-    of_l, of_r = (slab.images(x.cosine, _ends(abl, x)) for x in (d.p, d.s))
+    of_l, of_r = (slab.images(x.cosine, ends_of(roof_of(abl, x), x)) for x in (d.p, d.s))
     of_w = _turning_images(slab.depth, abl, d.w)
     along = slab.imaged(d.p.cosine, of_l)
     return (
@@ -58,11 +55,6 @@ def meet(slab: Slab, abl, d: Rays) -> tuple[Bounded, Bounded, Bounded, Bounded]:
     )
 
 
-def _ends(abl, d: Directions) -> Ends:
-    roof = roof_of(abl, d, from_stroma=True)
-    return Ends(d.top[0] + roof.reflected, roof.passed + roof.absorbed, *d.bottom)
-
-
 class TurningRoof(NamedTuple):
     """The ABL seen from the stroma, for W: what it reflects, 1 less that, and what passes it."""
 
@@ -71,16 +63,14 @@ class TurningRoof(NamedTuple):
     passed: jax.Array
 
 
-def turning_roof(abl, d: Directions) -> TurningRoof:
-    """`TurningRoof` of an ABL of this optical depth along directions `Rays.w`."""
+def turning_roof(abl: jax.Array, d: Ordinates) -> TurningRoof:
+    """`TurningRoof` of an ABL of this optical depth along directions `PolarisedOrdinates.w`."""
     top, above = d.top, d.surface
-    through, twice = (
-        _complex(survival(abl, d.abl_cosine)),
-        _complex(survival(2 * abl, d.abl_cosine)),
-    )
-    series = _series(attenuation(2 * abl, d.abl_cosine), twice, top, above)
+    through, twice = (_complex(survival(x, d.abl_cosine)) for x in (abl, 2 * abl))
+    gone = attenuation(2 * abl, d.abl_cosine)
+    series = _series(gone, twice, top, above)
     passed, contrast = _complex(top.passed), _complex(top.contrast)
-    once = _complex(attenuation(2 * abl, d.abl_cosine)) + twice * above.lost
+    once = _complex(gone) + twice * above.lost
     reflected = top.reflected + passed * passed * twice * above.reflected * series
     lost = series * (top.lost * once + twice * above.reflected * contrast * contrast)
     # Where all is reflected, the ABL is not seen.
@@ -92,7 +82,7 @@ def turning_roof(abl, d: Directions) -> TurningRoof:
     )
 
 
-def _turning_images(depth, abl, d: Directions) -> Images:
+def _turning_images(depth, abl, d: Ordinates) -> Images:
     roof = turning_roof(abl, d)
     through, twice = survival(depth, d.cosine), survival(2 * depth, d.cosine)
     series = _series(attenuation(2 * depth, d.cosine), _complex(twice), roof, d.bottom)
@@ -101,11 +91,12 @@ def _turning_images(depth, abl, d: Directions) -> Images:
     return Images(series, roof.reflected * series, across, floor * series)
 
 
-def unscattered(abl, depth, beams: Rays, outside, indices) -> tuple[jax.Array, jax.Array]:
+def unscattered(
+    abl: jax.Array, depth: jax.Array, d: Ordinates, outside: jax.Array, n: RefractiveIndices
+) -> tuple[jax.Array, jax.Array]:
     """Of W of beams with cosines `outside` in the aqueous humour: what the first surface reflects,
     and what the inner interfaces do.
     """
-    n, d = indices, beams.w
     inside = refract(outside, n.aqueous, n.abl)
     first = coherence(outside, inside, n.aqueous, n.abl)
     under = coherence(inside, refract(outside, n.aqueous, n.stroma), n.abl, n.stroma)

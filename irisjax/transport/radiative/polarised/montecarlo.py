@@ -18,8 +18,7 @@ from irisjax.tissue.layers import Layers
 from irisjax.transport.light import Directions, Light
 from irisjax.transport.process import POLARISED, RadiativeTransfer, sample_entry
 from irisjax.transport.radiative.polarised import photon
-from irisjax.transport.radiative.polarised.photon import Medium
-from irisjax.transport.solution import RESULTS, Absorbed, Polarisation, Solution
+from irisjax.transport.solution import Flux, Polarisation, Solution, binomial_error, outcome
 from irisjax.transport.solver import AbstractSolver, check_rayleigh
 
 _BATCH = 4096  # photons under way at once; results depend on it by rounding
@@ -59,48 +58,41 @@ class PolarisedMonteCarlo(AbstractSolver):
         check_range("aperture", self.aperture, APERTURE)
 
     def solve(self, layers: Layers, light: Light, *, key: PRNGKey | None = None) -> Solution:
-        """See `AbstractSolver.solve`."""
         check_rayleigh(self, layers)
         key = checked_key(key)
-        diffuse, dtype = light.cosine is None, layers.extinction.dtype
+        dtype = layers.extinction.dtype
         exits = None if light.exits is None else _exits(light.exits, self.aperture)
         waves = jnp.arange(layers.extinction.size)
         keys = jax.vmap(partial(jax.random.fold_in, key))(waves)
-        whole = light.matrices or exits is not None
-        one = partial(_one_wavelength, solver=self, diffuse=diffuse, whole=whole)
+        one = partial(
+            _one_wavelength,
+            solver=self,
+            diffuse=light.cosine is None,
+            whole=light.matrices or exits is not None,
+        )
         incidence = jnp.ones((), dtype) if light.cosine is None else light.cosine
         # Photons in invalid layers would never end: none are sent.
         ok = layers.valid()
         depths = (layers.abl_absorption, layers.extinction, layers.albedo)
-        abl, depth, albedo = (jnp.where(ok, x, 0.0) for x in depths)
 
         def at(x):
-            key, *numbers = x
-            abl, depth, albedo = numbers
-            return one(key, Medium(abl, depth, albedo, layers.indices), incidence, exits, ok)
+            key, abl, depth, albedo = x
+            return one(key, photon.Tissue(abl, depth, albedo, layers.indices), incidence, exits, ok)
 
-        tally = jax.lax.map(at, (keys, abl, depth, albedo))
-        return self._summarise(tally, layers, light, exits, ok)
-
-    def _summarise(self, tally: Tally, layers: Layers, light: Light, exits, ok) -> Solution:
-        n, dtype = self.n_photons, layers.extinction.dtype
-        share = tally.fates.astype(dtype) / n
-        mirrored, reflected, abl, stroma, ipe = (share[:, k] for k in range(5))
+        tally = jax.lax.map(at, (keys, *(jnp.where(ok, x, 0.0) for x in depths)))
+        n, counts = self.n_photons, tally.fates.astype(dtype)
+        mirrored, reflected, abl, stroma, ipe = (counts / n).T
         polarisation = brdf = brdf_error = None
         if tally.whole is not None:
             polarisation = self._matrices(tally, layers, light, exits)
             if polarisation.brdf is not None and polarisation.brdf_covariance is not None:
                 brdf = polarisation.brdf[..., 0, 0]
                 brdf_error = jnp.sqrt(polarisation.brdf_covariance[..., 0, 0])
-        return Solution(
-            reflectance=reflected,
-            mirrored=mirrored,
-            absorbed=Absorbed(abl=abl, stroma=stroma, ipe=ipe),
-            standard_error=_binomial_error(reflected, n),
-            total_error=_binomial_error(reflected + mirrored, n),
-            brdf=brdf,
+        return Flux(reflected, mirrored, abl, stroma, ipe, brdf).solution(
+            outcome(ok),
+            standard_error=binomial_error(counts[:, 1], n),
+            total_error=binomial_error(counts[:, 0] + counts[:, 1], n),
             brdf_error=brdf_error,
-            status=RESULTS.where(ok, RESULTS.successful, RESULTS.invalid_input),
             polarisation=polarisation,
         )
 
@@ -160,9 +152,7 @@ def _one_wavelength(key, medium, incidence, exits, ok, *, solver, diffuse, whole
             matrix = photon.jones(p.field, p.ray)
             return photon.mueller(photon.seen_through_lens(matrix, p.ray))
 
-        lens = None
-        if whole:
-            lens = _sums(jax.vmap(matrices)(p), out)
+        lens = _sums(jax.vmap(matrices)(p), out) if whole else None
         cones = None
         if exits is not None:
             near = np.cos(solver.aperture)
@@ -189,8 +179,3 @@ def _estimate(sums, n: int):
     mean = total / n
     spread = products / n - mean[..., :, None] * mean[..., None, :]
     return mean, spread / n
-
-
-def _binomial_error(share, n: int):
-    p = (share * n + 1) / (n + 2)
-    return jnp.sqrt(p * (1 - p) / n)

@@ -13,13 +13,14 @@ import jax
 import jax.numpy as jnp
 from jax import lax
 
+from irisjax._types import PRNGKey
 from irisjax.tissue.indices import RefractiveIndices
+from irisjax.transport.lanes import ABL, IPE, MIRRORED, REFLECTED, STROMA
 
-MIRRORED, REFLECTED, ABL, STROMA, IPE = 1, 2, 3, 4, 5  # fates; 0 is alive
 _OUTSIDE, _IN_ABL, _IN_STROMA = 0, 1, 2
 
 
-class Medium(NamedTuple):
+class Tissue(NamedTuple):
     """Optical depths of ABL and stroma, the stroma's albedo, and indices, of one wavelength."""
 
     abl: jax.Array
@@ -28,7 +29,7 @@ class Medium(NamedTuple):
     indices: RefractiveIndices
 
 
-class Photon(NamedTuple):
+class PolarisedPhoton(NamedTuple):
     """Where a photon is and goes: `ray` (3,), upwards positive; `field` (3, 2), complex, of mean
     power 1; `depth` in the stroma; the layer that it is in; whether it has been scattered; its
     fate; its events so far.
@@ -43,13 +44,13 @@ class Photon(NamedTuple):
     events: jax.Array
 
 
-def follow(key, medium: Medium, cosine) -> Photon:
+def follow(key: PRNGKey, medium: Tissue, cosine: jax.Array) -> PolarisedPhoton:
     """A photon of a key to its end, from cosine `cosine` in the aqueous humour (azimuth 0 is where
     it goes).
     """
     sine, zero = jnp.sqrt(jnp.maximum(1 - cosine * cosine, 0)), jnp.zeros_like(cosine)
     waves = jnp.stack([jnp.stack([-cosine, zero, -sine]), jnp.stack([zero, zero + 1, zero])], -1)
-    start = Photon(
+    start = PolarisedPhoton(
         ray=jnp.stack([sine, zero, -cosine]),
         field=lax.complex(waves, jnp.zeros_like(waves)),
         depth=zero,
@@ -61,20 +62,17 @@ def follow(key, medium: Medium, cosine) -> Photon:
     return lax.while_loop(lambda p: p.fate == 0, lambda p: _event(p, key, medium), start)
 
 
-def jones(field, ray) -> jax.Array:
+def jones(field: jax.Array, ray: jax.Array) -> jax.Array:
     """Fields (3, 2) along the polar angle and the azimuth of a direction, (2, 2)."""
     across = jnp.hypot(ray[0], ray[1])
     vertical = across == 0
-    c, s = (
-        jnp.where(vertical, at_pole, x / jnp.where(vertical, 1, across))
-        for x, at_pole in ((ray[0], 1.0), (ray[1], 0.0))
-    )
+    c, s = (jnp.where(vertical, 1.0 - k, ray[k] / jnp.where(vertical, 1, across)) for k in (0, 1))
     polar = jnp.stack([ray[2] * c, ray[2] * s, -across])
     round_it = jnp.stack([-s, c, jnp.zeros_like(c)])
     return _real(jnp.stack([polar, round_it])) @ field
 
 
-def seen_through_lens(matrix, ray) -> jax.Array:
+def seen_through_lens(matrix: jax.Array, ray: jax.Array) -> jax.Array:
     """Fields of `jones`, (2, 2), after a lens that makes all directions parallel: along the plane
     of incidence, and across it.
     """
@@ -83,7 +81,7 @@ def seen_through_lens(matrix, ray) -> jax.Array:
     return _real(jnp.stack([jnp.stack([c, -s]), jnp.stack([s, c])])) @ matrix
 
 
-def mueller(matrix) -> jax.Array:
+def mueller(matrix: jax.Array) -> jax.Array:
     """Mueller matrix (16,) of a Jones matrix: ½ Tr(σ_i J σ_j J†)."""
     real = [[[1, 0], [0, 1]], [[1, 0], [0, -1]], [[0, 1], [1, 0]], [[0, 0], [0, 0]]]
     imaginary = [[[0, 0], [0, 0]]] * 3 + [[[0, 1], [-1, 0]]]
@@ -93,7 +91,7 @@ def mueller(matrix) -> jax.Array:
     return 0.5 * jnp.real(product).reshape(16)
 
 
-def _event(p: Photon, key, m: Medium) -> Photon:
+def _event(p: PolarisedPhoton, key, m: Tissue) -> PolarisedPhoton:
     """One flight: to an interface, or to where the photon is absorbed or scattered."""
     u = jax.random.uniform(jax.random.fold_in(key, p.events), (5,), p.depth.dtype)
     up, mu = p.ray[2] > 0, jnp.maximum(jnp.abs(p.ray[2]), 1e-12)
@@ -119,7 +117,7 @@ def _event(p: Photon, key, m: Medium) -> Photon:
     end = jnp.where(up, 0.0, m.stroma)
     entered = jnp.where(up, m.stroma, 0.0)
     moved = jnp.where(stopped, p.depth + jnp.where(up, -flown, flown), end)
-    return Photon(
+    return PolarisedPhoton(
         ray=jnp.where(scattered, dipole[0], ray),
         field=jnp.where(scattered, dipole[1], field),
         depth=jnp.where(in_stroma, moved, entered),
@@ -136,20 +134,14 @@ def _interface(ray, field, n_here, n_ahead, u):
     across = jnp.hypot(ray[0], ray[1])
     straight = across < 1e-12
     flat = jnp.where(straight, 1.0, across)
-    s_axis = jnp.stack(
-        [
-            jnp.where(straight, 0.0, ray[1] / flat),
-            jnp.where(straight, 1.0, -ray[0] / flat),
-            jnp.zeros_like(mu),
-        ]
-    )
+    s_axis = jnp.stack([ray[1] / flat, -ray[0] / flat, jnp.zeros_like(mu)])
+    s_axis = jnp.where(straight, jnp.asarray([0.0, 1.0, 0.0], ray.dtype), s_axis)
     ratio = n_here / n_ahead
     rest = 1 - (ratio * across) ** 2
     total = rest <= 0
     real = jnp.where(total, 0.0, jnp.sqrt(jnp.where(total, 1.0, rest)))
     beyond = lax.complex(real, jnp.where(total, jnp.sqrt(jnp.where(total, -rest, 1.0)), 0.0))
-    a, b = _real(mu), beyond
-    here, ahead = _real(n_here), _real(n_ahead)
+    a, b, here, ahead = _real(mu), beyond, _real(n_here), _real(n_ahead)
     r_s = (here * a - ahead * b) / (here * a + ahead * b)
     r_p = (ahead * a - here * b) / (ahead * a + here * b)
     share = jnp.sqrt(n_ahead * real * n_here * mu)
