@@ -11,6 +11,7 @@ output (the tables of an eye would take 15 times as long).
 """
 
 from collections.abc import Sequence
+from typing import Any
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -52,13 +53,10 @@ class Conicoid(eqx.Module):
         n = jnp.stack([x, y, self.shape * (z - self.apex) - self.radius], axis=-1)
         return n / norm(n)[..., None]
 
-    def intersect(self, origin: Vector, direction: Vector, far: bool = False):
-        """Intersect rays with the surface.
-
-        Args:
-            origin: Origins of the rays.
-            direction: Unit vectors along the rays.
-            far: Whether to return the second intersection in place of the first.
+    def intersect(
+        self, origin: Vector, direction: Vector, far: bool = False
+    ) -> tuple[Float[Array, "*s"], Bool[Array, "*s"]]:
+        """Intersect rays of unit direction with the surface, for the second time if `far`.
 
         Returns:
             The distance along each ray, that of the nearest approach for a ray that misses, and
@@ -98,16 +96,12 @@ def joined(a: Sequence[Float[Array, "*s"]]) -> Vector:
 
 def along(origin: Vector, t: Float[Array, "*s"], direction: Vector) -> Vector:
     """Compute the points origin + t direction."""
-    return jnp.stack(
-        [o + t * d for o, d in zip(parts(origin), parts(direction), strict=True)], axis=-1
-    )
+    return joined([o + t * d for o, d in zip(parts(origin), parts(direction), strict=True)])
 
 
 def choose(mask: Bool[Array, "*s"], a: Vector, b: Float[Array, "*#s 3"]) -> Vector:
     """Select vectors of `a` where `mask` is true, otherwise of `b`."""
-    return jnp.stack(
-        [jnp.where(mask, x, y) for x, y in zip(parts(a), parts(b), strict=True)], axis=-1
-    )
+    return joined([jnp.where(mask, x, y) for x, y in zip(parts(a), parts(b), strict=True)])
 
 
 def from_axis(point: Vector) -> Float[Array, "*s"]:
@@ -125,7 +119,9 @@ def norm(a: Float[Array, "*s n"]) -> Float[Array, "*s"]:
     return safe_sqrt(dot(a, a))
 
 
-def refract_vector(direction: Vector, normal: Vector, n_in, n_out):
+def refract_vector(
+    direction: Vector, normal: Vector, n_in: Any, n_out: Any
+) -> tuple[Vector, Float[Array, "*s"]]:
     """Refract rays at an interface.
 
     Rays from the wrong side get a share of 0 and the smooth continuation of the direction, so that
@@ -145,10 +141,8 @@ def refract_vector(direction: Vector, normal: Vector, n_in, n_out):
     ratio = n_in / n_out
     inside = safe_sqrt(1 - ratio * ratio * (1 - cosine * cosine))
     turn = ratio * cosine - inside
-    out = jnp.stack(
-        [ratio * d + turn * n for d, n in zip(parts(direction), parts(normal), strict=True)],
-        axis=-1,
-    )
+    pairs = zip(parts(direction), parts(normal), strict=True)
+    out = joined([ratio * d + turn * n for d, n in pairs])
     return out, fresnel(jnp.maximum(cosine, 0), inside, n_in, n_out)[1]
 
 

@@ -4,7 +4,7 @@ Conventions: cosines are those of the angle to the interface normal, in [0, 1]; 
 [LB06 Section 3.1; Shirley 1990]
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 from jax import lax
@@ -13,8 +13,11 @@ from jaxtyping import Array, Complex, Float
 from irisjax.numerics.quadrature import CosineRule
 from irisjax.numerics.roots import safe_sqrt
 
+Cosine = Float[Array, "*s"]
+Shares = tuple[Array, Array]
 
-def critical_cosine_squared(n_in, n_out):
+
+def critical_cosine_squared(n_in: Any, n_out: Any) -> Any:
     """Compute the square of the critical cosine, below which the interface reflects totally.
 
     It is negative if the interface never does. With this c² Snell's law is μ_out² = (n_in/n_out)²
@@ -23,15 +26,12 @@ def critical_cosine_squared(n_in, n_out):
     return (n_in - n_out) * (n_in + n_out) / (n_in * n_in)
 
 
-def refract(cos_in: Float[Array, "*s"], n_in, n_out) -> Float[Array, "*s"]:
-    """Compute the cosine after refraction by Snell's law; 0 under total internal reflection.
-
-    Works on arrays that broadcast together.
-    """
+def refract(cos_in: Float[Array, "*s"], n_in: Any, n_out: Any) -> Float[Array, "*s"]:
+    """Compute the cosine after refraction by Snell's law; 0 under total internal reflection."""
     return n_in / n_out * safe_sqrt(cos_in * cos_in - critical_cosine_squared(n_in, n_out))
 
 
-def fresnel(cos_in: Float[Array, "*s"], cos_out: Float[Array, "*s"], n_in, n_out):
+def fresnel(cos_in: Cosine, cos_out: Cosine, n_in: Any, n_out: Any) -> Shares:
     """Compute reflectance F and transmittance 1 − F of unpolarised light from `n_in` into `n_out`.
 
     `cos_out` is the refracted cosine, 0 under total internal reflection. The transmittance has its
@@ -41,12 +41,12 @@ def fresnel(cos_in: Float[Array, "*s"], cos_out: Float[Array, "*s"], n_in, n_out
     return 0.5 * (s[0] + p[0]), 0.5 * (s[1] + p[1])
 
 
-def fresnel_s(cos_in: Float[Array, "*s"], cos_out: Float[Array, "*s"], n_in, n_out):
+def fresnel_s(cos_in: Cosine, cos_out: Cosine, n_in: Any, n_out: Any) -> Shares:
     """Compute `fresnel` for a field perpendicular to the plane of incidence."""
     return _shares(cos_in, cos_out, n_in, n_out, n_in, n_out)
 
 
-def fresnel_p(cos_in: Float[Array, "*s"], cos_out: Float[Array, "*s"], n_in, n_out):
+def fresnel_p(cos_in: Cosine, cos_out: Cosine, n_in: Any, n_out: Any) -> Shares:
     """Compute `fresnel` for a field in the plane of incidence."""
     return _shares(cos_in, cos_out, n_in, n_out, n_out, n_in)
 
@@ -67,7 +67,7 @@ class Coherence(NamedTuple):
     contrast: Float[Array, "*s"]
 
 
-def coherence(cos_in: Float[Array, "*s"], cos_out: Float[Array, "*s"], n_in, n_out) -> Coherence:
+def coherence(cos_in: Cosine, cos_out: Cosine, n_in: Any, n_out: Any) -> Coherence:
     """`Coherence` at an interface from `n_in` into `n_out`; `cos_out` as in `fresnel`.
 
     Where all is reflected, p runs ahead of s by 2 arctan(μ √(c² − μ²)/(1 − μ²)), c the critical
@@ -93,28 +93,25 @@ def coherence(cos_in: Float[Array, "*s"], cos_out: Float[Array, "*s"], n_in, n_o
     )
 
 
-def fresnel_at(cos_in: Float[Array, "*s"], n_in, n_out):
+def fresnel_at(cos_in: Cosine, n_in: Any, n_out: Any) -> Shares:
     """Compute `fresnel` with the refracted cosine by Snell's law."""
     return fresnel(cos_in, refract(cos_in, n_in, n_out), n_in, n_out)
 
 
-def refracted(rule: CosineRule, k: int, n_in, n_out) -> Float[Array, " n"]:
+def refracted(rule: CosineRule, k: int, n_in: Any, n_out: Any) -> Float[Array, " n"]:
     """Compute the cosines of a rule's nodes behind interface `k`; 0 under total reflection."""
     return n_in / n_out * safe_sqrt(rule.excess[k])
 
 
 def _shares(cos_in, cos_out, n_in, n_out, along, across):
     """Compute ((x − y)/(x + y))², x = `along` μ_in, y = `across` μ_out, and 1 minus that."""
-    matched_grazing = (cos_in == 0) & (cos_out == 0)
     # Two equal media at exact grazing are 0/0: a ray there meets no interface, so it is
     # transmitted.
-    a = jnp.where(matched_grazing, 1.0, cos_in)
-    b = jnp.where(matched_grazing, 1.0, cos_out)
+    grazing = (cos_in == 0) & (cos_out == 0)
+    a, b = (jnp.where(grazing, 1.0, c) for c in (cos_in, cos_out))
     total = along * a + across * b
     amplitude = (along * a - across * b) / total
-    reflectance = amplitude * amplitude
     transmittance = 4.0 * n_in * n_out * a * b / (total * total)
-    matched = matched_grazing & (n_in == n_out)
-    reflectance = jnp.where(matched_grazing, jnp.where(matched, 0.0, 1.0), reflectance)
-    transmittance = jnp.where(matched_grazing, jnp.where(matched, 1.0, 0.0), transmittance)
-    return reflectance, transmittance
+    mirrors = jnp.where(n_in == n_out, 0.0, 1.0)
+    reflectance = jnp.where(grazing, mirrors, amplitude * amplitude)
+    return reflectance, jnp.where(grazing, 1.0 - mirrors, transmittance)

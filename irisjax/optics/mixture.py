@@ -1,8 +1,11 @@
 """A phase function for tissue: a share of Rayleigh's law, the rest Henyey and Greenstein's."""
 
+from typing import Any
+
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array, Bool
 
 from irisjax._types import Spectrum
 from irisjax.optics.phase import PHASES, rayleigh
@@ -25,17 +28,17 @@ class PhaseMixture(eqx.Module):
     rayleigh: Spectrum
     anisotropy: Spectrum
 
-    def valid(self):
+    def valid(self) -> Bool[Array, ""]:
         """Whether every share lies in [0, 1] and every g in (−1, 1) (traced)."""
         s, g = self.rayleigh, self.anisotropy
         return ((s >= 0) & (s <= 1) & (jnp.abs(g) < 1)).all()
 
-    def value(self, cosine):
+    def value(self, cosine: Any) -> Array:
         """p at cosines of the scattering angle."""
         s = self.rayleigh
         return s * rayleigh(cosine) + (1 - s) * henyey_greenstein(cosine, self.anisotropy)
 
-    def mean_over_azimuth(self, centre, reach):
+    def mean_over_azimuth(self, centre: Any, reach: Any) -> Array:
         """Mean of p over azimuth φ where the cosine of the scattering angle is `centre` + `reach`
         cos φ, `reach` ≥ 0.
         """
@@ -43,20 +46,17 @@ class PhaseMixture(eqx.Module):
         of_rayleigh = rayleigh(centre) + 0.375 * reach * reach
         return s * of_rayleigh + (1 - s) * mean_henyey_greenstein(centre, reach, self.anisotropy)
 
-    def moments(self, count: int):
+    def moments(self, count: int) -> Array:
         """Legendre moments χ_0 to χ_{count − 1} along a new last axis: p = Σ (2l + 1) χ_l P_l."""
         of_rayleigh = np.zeros(count)
         of_rayleigh[: min(count, 3)] = (1.0, 0.0, 0.1)[:count]
         powers = [jnp.ones_like(self.anisotropy)]
         for _ in range(count - 1):
             powers.append(powers[-1] * self.anisotropy)
-        s = self.rayleigh[..., None]
-        dtype = self.anisotropy.dtype
-        return jnp.multiply.outer(self.rayleigh, jnp.asarray(of_rayleigh, dtype)) + (
-            1 - s
-        ) * jnp.stack(powers, -1)
+        s, of_rayleigh = self.rayleigh[..., None], jnp.asarray(of_rayleigh, self.anisotropy.dtype)
+        return jnp.multiply.outer(self.rayleigh, of_rayleigh) + (1 - s) * jnp.stack(powers, -1)
 
-    def truncated(self, count: int):
+    def truncated(self, count: int) -> tuple[Array, Array]:
         """The first moments without the forward peak, and the peak's share f: δ-M.
 
         f is the first moment left out, and χ'_l = (χ_l − f)/(1 − f); a phase function that peaks
@@ -67,16 +67,15 @@ class PhaseMixture(eqx.Module):
         f = peak[..., None]
         return (self.moments(count) - f) / (1 - f), peak
 
-    def sample_cosine(self, u):
+    def sample_cosine(self, u: Any) -> Array:
         """Cosine of the scattering angle from a uniform number in [0, 1]."""
         s = self.rayleigh
-        rest = 1 - s
         of_rayleigh = PHASES["rayleigh"].sample_cosine(jnp.clip(u / jnp.maximum(s, 1e-30), 0, 1))
-        v = jnp.clip((u - s) / jnp.maximum(rest, 1e-30), 0.0, 1.0)
+        v = jnp.clip((u - s) / jnp.maximum(1 - s, 1e-30), 0.0, 1.0)
         return jnp.where(u < s, of_rayleigh, sample_henyey_greenstein(v, self.anisotropy))
 
 
-def henyey_greenstein(cosine, g):
+def henyey_greenstein(cosine: Any, g: Any) -> Array:
     """(1 − g²)/(1 + g² − 2g cos Θ)^{3/2}  [Henyey & Greenstein 1941, Eq. 2]."""
     base = _base(cosine, g)
     return (1 - g) * (1 + g) / (base * jnp.sqrt(base))
@@ -89,7 +88,7 @@ def _base(cosine, g):
     return (1 - size) ** 2 + 2 * size * towards
 
 
-def mean_henyey_greenstein(centre, reach, g):
+def mean_henyey_greenstein(centre: Any, reach: Any, g: Any) -> Array:
     """Over azimuth: ∫ (a − b cos φ)^{−3/2} dφ/2π = (2/π) E(m)/((a − b) √(a + b)), m = 2b/(a + b)
     [DLMF 19.2.8 with 19.4].
     """
@@ -109,7 +108,7 @@ def _elliptic_e(complement):
     return (1 - total) / a
 
 
-def sample_henyey_greenstein(u, g):
+def sample_henyey_greenstein(u: Any, g: Any) -> Array:
     """The inverse distribution function of the cosine, without the division by g of its usual form.
 
     [Henyey & Greenstein 1941, Eq. 2]

@@ -1,11 +1,12 @@
-"""Mueller matrices: of Rayleigh's scattering, of smooth interfaces, of turned frames and filters.
+"""Mueller matrices of smooth interfaces and turned frames, and Stokes vectors of filters.
 
 Stokes vectors are (I, Q, U, V): Q is the intensity of the field along a ray's first axis less that
 along its second, U that along the diagonal between them less that across it, V = 2 Im(E_1 E_2*)
-with fields ∝ e^{−iωt}; the axes and the ray are right-handed in this order. At an interface and in
-a scattering the first axis lies in the plane that is seen edge-on. [Chandrasekhar 1960, Sections
-15, 16]
+with fields ∝ e^{−iωt}; the axes and the ray are right-handed in this order. At an interface the
+first axis lies in the plane of incidence. [Chandrasekhar 1960, Section 15]
 """
+
+from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
@@ -17,30 +18,15 @@ _TO_STOKES = np.array([[1.0, 1, 0, 0], [1, -1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]
 _TO_INTENSITIES = np.linalg.inv(_TO_STOKES)
 
 
-def rayleigh(cosine: Float[Array, "*s"]) -> Float[Array, "*s 4 4"]:
-    """Rayleigh's phase matrix at the cosine of the scattering angle, of mean 1 over the sphere."""
-    square, zero = cosine * cosine, jnp.zeros_like(cosine)
-    even, odd, turn = 0.75 * (1 + square), 0.75 * (square - 1), 1.5 * cosine
-    return _matrix(
-        (even, odd, zero, zero), (odd, even, zero, zero), (zero, zero, turn, zero),
-        (zero, zero, zero, turn),
-    )  # fmt: skip
-
-
-def reflection(cos_in: Float[Array, "*s"], n_in, n_out) -> Float[Array, "*s 4 4"]:
+def reflection(cos_in: Float[Array, "*s"], n_in: Any, n_out: Any) -> Float[Array, "*s 4 4"]:
     """Of flux that a smooth interface mirrors, total reflection included. [Fresnel]"""
     cos_out = refract(cos_in, n_in, n_out)
     p, s = (law(cos_in, cos_out, n_in, n_out)[0] for law in (fresnel_p, fresnel_s))
     turned = coherence(cos_in, cos_out, n_in, n_out).reflected
-    return _of_interface(p, s, jnp.real(turned), jnp.imag(turned))
-
-
-def transmission(cos_in: Float[Array, "*s"], n_in, n_out) -> Float[Array, "*s 4 4"]:
-    """Of flux that passes a smooth interface. [Fresnel]"""
-    cos_out = refract(cos_in, n_in, n_out)
-    p, s = (law(cos_in, cos_out, n_in, n_out)[1] for law in (fresnel_p, fresnel_s))
-    passed = coherence(cos_in, cos_out, n_in, n_out).passed
-    return _of_interface(p, s, passed, jnp.zeros_like(passed))
+    mean, half, zero = 0.5 * (p + s), 0.5 * (p - s), jnp.zeros_like(p)
+    real, imaginary = jnp.real(turned), jnp.imag(turned)
+    return _matrix((mean, half, zero, zero), (half, mean, zero, zero),
+                   (zero, zero, real, -imaginary), (zero, zero, imaginary, real))  # fmt: skip
 
 
 def rotation(angle: Float[Array, "*s"]) -> Float[Array, "*s 4 4"]:
@@ -61,14 +47,6 @@ def stokes(matrix: Float[Array, "*s 4 4"]) -> Float[Array, "*s 4 4"]:
     """A matrix that acts on the intensities along both axes, U and V, as one on I, Q, U, V."""
     to, back = (jnp.asarray(x, matrix.dtype) for x in (_TO_STOKES, _TO_INTENSITIES))
     return to @ matrix @ back
-
-
-def _of_interface(p, s, real, imaginary):
-    mean, half, zero = 0.5 * (p + s), 0.5 * (p - s), jnp.zeros_like(p)
-    return _matrix(
-        (mean, half, zero, zero), (half, mean, zero, zero), (zero, zero, real, -imaginary),
-        (zero, zero, imaginary, real),
-    )  # fmt: skip
 
 
 def _matrix(*rows):

@@ -28,26 +28,25 @@ def scattering_operator(rule: CosineRule) -> Float[Array, "n n"]:
     """
     n, dtype = rule.cosine.shape[0], rule.cosine.dtype
 
-    def one_panel(starts, widths):
+    def one(starts, widths):
         # Always the same: made once, on the host.
         return jnp.asarray(_whole(n), dtype)
 
-    def several(panels, starts, widths):
+    def several(starts, widths, *, panels):
         # A batch computes all cases and chooses: those not chosen must be finite too.
         chosen = rule.panels == panels
         starts = jnp.where(chosen, starts[:panels], jnp.asarray(np.arange(panels) / panels, dtype))
         widths = jnp.where(chosen, widths[:panels], 1 / panels)
         return _product_integrated(starts, widths, n // panels, jnp)
 
-    cases = [one_panel] + [
-        functools.partial(several, panels) for panels in range(2, rule.most_panels + 1)
-    ]
-    if len(cases) == 1:
-        return one_panel(rule.starts, rule.widths)
-    return jax.lax.switch(rule.panels - 1, cases, rule.starts, rule.widths)
+    more = [functools.partial(several, panels=p) for p in range(2, rule.most_panels + 1)]
+    # With one case this is that case, without a branch.
+    return jax.lax.switch(rule.panels - 1, [one, *more], rule.starts, rule.widths)
 
 
-def averaged_kernel(mu, other, sine_square, other_sine_square, difference, xp: Any = jnp):
+def averaged_kernel(
+    mu: Any, other: Any, sine_square: Any, other_sine_square: Any, difference: Any, xp: Any = jnp
+) -> Any:
     """k from μ, μ', 1 − μ², 1 − μ'² and |μ² − μ'²| > 0, each as exact as the caller knows it.
 
     (1 + c²)/√(1−c²) = 2/√(1−c²) − √(1−c²). The first integral is a complete elliptic integral of
@@ -96,15 +95,12 @@ def _product_integrated(starts, widths, m: int, xp: Any):
             lower, upper = (target, source) if b > a else (source, target)
             between = widths[min(a, b) + 1 : max(a, b)].sum()
             difference = between + (lower.to_end + upper.from_start)
-        pairs.append(
-            xp.broadcast_arrays(
-                target.cosine, source.cosine, target.sine_square, source.sine_square, difference
-            )
-        )
+        sines = target.sine_square, source.sine_square
+        pairs.append(xp.broadcast_arrays(target.cosine, source.cosine, *sines, difference))
         measures.append(source.slope * xp.asarray(np.atleast_2d(p.weight), dtype))
     # All pairs in one call: the program holds the kernel once, not for each pair of panels.
     arguments = [xp.concatenate([v.ravel() for v in each]) for each in zip(*pairs, strict=True)]
-    k = averaged_kernel(arguments[0], arguments[1], arguments[2], arguments[3], arguments[4], xp)
+    k = averaged_kernel(*arguments, xp=xp)
     ends = np.cumsum([pair[0].size for pair in pairs])[:-1]
     found = [
         v.reshape(pair[0].shape) * measure
@@ -115,7 +111,9 @@ def _product_integrated(starts, widths, m: int, xp: Any):
     rows = []
     for a in range(panels):
         along = [
-            moments[a] if a == b else found[a * panels + b] @ _at(_points(m, a, b).x, m, dtype, xp)
+            moments[a]
+            if a == b
+            else found[a * panels + b] @ xp.asarray(_legendre(_points(m, a, b).x, m), dtype)
             for b in range(panels)
         ]
         rows.append(xp.stack(along, axis=1) @ xp.asarray(lagrange, dtype))
@@ -140,15 +138,8 @@ def _places(starts, widths, panel: int, x, rest, xp) -> _Places:
     g, slope = graded(x, start, xp)
     from_start = width * g * g
     to_end = width * graded_rise(x, 1.0, rest, start, xp) * (1 + g)
-    cosine = xp.sqrt(start + from_start)
-    return _Places(
-        g,
-        from_start,
-        to_end,
-        cosine,
-        widths[panel + 1 :].sum() + to_end,
-        width * g * slope / cosine,
-    )
+    cosine, sine_square = xp.sqrt(start + from_start), widths[panel + 1 :].sum() + to_end
+    return _Places(g, from_start, to_end, cosine, sine_square, width * g * slope / cosine)
 
 
 class _Points(NamedTuple):
@@ -198,10 +189,6 @@ def _legendre(x, m: int):
     return np.polynomial.legendre.legvander(2 * x - 1, m - 1)
 
 
-def _at(x, m: int, dtype, xp):
-    return xp.asarray(_legendre(x, m), dtype)
-
-
 @functools.lru_cache(maxsize=64)
 def _lagrange(m: int) -> np.ndarray:
     """Lagrange polynomials of the Gauss nodes by Legendre's, shape (degree, node)."""
@@ -212,25 +199,21 @@ def _lagrange(m: int) -> np.ndarray:
 def _moments(values, x, m: int, xp):
     """Σ values P_k(2x − 1) over the last axis for k < `m`, which becomes the last axis.
 
-    By recurrence: the polynomials at all points of all targets would be megabytes of constants.
+    In a program by recurrence: the polynomials at all points of all targets would be megabytes of
+    constants.
     """
-    y = xp.asarray(2 * x - 1, values.dtype)
+    if xp is np:
+        return (values[..., None] * _legendre(x, m)).sum(-2)
+    y = jnp.asarray(2 * x - 1, values.dtype)
 
     def step(state, k):
         before, now = state
         after = ((2 * k + 1) * y * now - k * before) / (k + 1)
         return (now, after), (values * now).sum(-1)
 
-    state = (xp.zeros_like(y), xp.ones_like(y))
-    if xp is jnp:
-        moments = jax.lax.scan(step, state, jnp.arange(m, dtype=values.dtype))[1]
-    else:
-        moments = []
-        for k in range(m):
-            state, moment = step(state, k)
-            moments.append(moment)
-        moments = np.stack(moments)
-    return xp.moveaxis(moments, 0, -1)
+    state = (jnp.zeros_like(y), jnp.ones_like(y))
+    moments = jax.lax.scan(step, state, jnp.arange(m, dtype=values.dtype))[1]
+    return jnp.moveaxis(moments, 0, -1)
 
 
 @functools.lru_cache(maxsize=32)

@@ -5,6 +5,7 @@ alike: the redistribution k(μ, μ') needs cosines in (0, 1] only, with ∫₀¹
 """
 
 import abc
+from typing import Any
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -22,8 +23,7 @@ class Redistribution(eqx.Module):
     densities over the cosine, f summed over the two senses of travel, S for one sense. What is
     written here neither adds nor takes energy; the isotropic part carries it all.
 
-    - `collect`: shape (rank, n) with the rule's weights inside, or `None` for the identity (rank
-        n).
+    - `collect`: shape (rank, n), with the rule's weights; `None` for the identity (rank n).
     - `scatter`: shape (rank, n).
     """
 
@@ -72,15 +72,15 @@ class Rayleigh(AbstractPhase):
     Its azimuth average is ½(1 + ½ P₂(μ) P₂(μ')), which two moments represent exactly.
     """
 
-    def angle_density(self, alpha):
+    def angle_density(self, alpha: Float[Array, "*s"]) -> Float[Array, "*s"]:
         """¾(1 + cos²α)·½ sin α."""
         return 0.5 * rayleigh(jnp.cos(alpha)) * jnp.sin(alpha)
 
-    def sample_cosine(self, u):
+    def sample_cosine(self, u: Float[Array, "*s"]) -> Float[Array, "*s"]:
         """Compute the root of c³ + 3c = 4(2u − 1), to 8e-8."""
         return _odd_rational(u, _RAYLEIGH_INVERSE)
 
-    def redistribution(self, rule):
+    def redistribution(self, rule: CosineRule) -> Redistribution:
         """Rank one beside the isotropic part: P₂ with weight ¼."""
         p2 = (1.5 * rule.cosine**2 - 0.5)[None, :]
         return Redistribution(collect=rule.weight[None, :] * p2, scatter=0.25 * p2)
@@ -93,24 +93,25 @@ class RayleighPerAngle(AbstractPhase):
     ahead and straight back, and the azimuth average has a logarithmic singularity at μ = μ'.
     """
 
-    def angle_density(self, alpha):
+    def angle_density(self, alpha: Float[Array, "*s"]) -> Float[Array, "*s"]:
         """(1 + cos²α)/(3π/2)  [LB06 Section 3.4]."""
         return (1 + jnp.cos(alpha) ** 2) / (1.5 * jnp.pi)
 
-    def sample_cosine(self, u):
+    def sample_cosine(self, u: Float[Array, "*s"]) -> Float[Array, "*s"]:
         """Compute the cosine at which (α + (α + sin α cos α)/2)/(3π/2) = 1 − u, to 4e-7."""
         return _odd_rational(u, _PER_ANGLE_INVERSE)
 
-    def redistribution(self, rule):
-        """Compute the operator by product integration over the singularity.
-
-        It is exact for polynomials in the rule's own variable.
+    def redistribution(self, rule: CosineRule) -> Redistribution:
+        """Compute the operator by product integration over the singularity, exact for polynomials
+        in the rule's own variable.
         """
-        operator = _conserving(scattering_operator(rule), rule.weight)
-        return Redistribution(collect=None, scatter=operator.T - 0.5 * rule.weight[:, None])
+        operator, weight = scattering_operator(rule), rule.weight
+        # Its error in energy, a quadrature error, is distributed evenly over directions.
+        operator = operator + ((0.5 * weight - weight @ operator) / weight.sum())[None, :]
+        return Redistribution(collect=None, scatter=operator.T - 0.5 * weight[:, None])
 
 
-def rayleigh(cosine):
+def rayleigh(cosine: Any) -> Any:
     """Compute Rayleigh's law, ¾(1 + cos²α), whose mean over all directions is 1."""
     return 0.75 * (1 + cosine * cosine)
 
@@ -123,8 +124,3 @@ def _odd_rational(u, coefficients):
     x = 2 * u - 1
     numerator, denominator = coefficients
     return jnp.clip(x * horner(x * x, numerator) / horner(x * x, denominator), -1.0, 1.0)
-
-
-def _conserving(operator, weight):
-    """Distribute the operator's error in energy, a quadrature error, evenly over directions."""
-    return operator + ((0.5 * weight - weight @ operator) / weight.sum())[None, :]
