@@ -122,16 +122,10 @@ def norm(a: Float[Array, "*s n"]) -> Float[Array, "*s"]:
 def refract_vector(
     direction: Vector, normal: Vector, n_in: Any, n_out: Any
 ) -> tuple[Vector, Float[Array, "*s"]]:
-    """Refract rays at an interface.
+    """Refract unit vectors at an interface whose unit normals point to where they come from.
 
     Rays from the wrong side get a share of 0 and the smooth continuation of the direction, so that
     a search may cross grazing incidence.
-
-    Args:
-        direction: Unit vectors along the rays.
-        normal: Unit normals towards the side that the rays come from.
-        n_in: Refractive index in front of the interface.
-        n_out: Refractive index behind it.
 
     Returns:
         The directions behind the interface, and the shares that pass, 1 − F (0 under total
@@ -147,8 +141,5 @@ def refract_vector(
 
 
 def reflect_vector(direction: Vector, normal: Vector) -> Vector:
-    """Reflect unit vectors at unit normals of either sign.
-
-    The reflected share is 1 minus that of `refract_vector`.
-    """
+    """Reflect unit vectors at unit normals of either sign, by a share of 1 − `refract_vector`'s."""
     return along(direction, -2 * dot(direction, normal), normal)

@@ -36,10 +36,8 @@ def under_surface(inner: Any, outside: Any, inside: Any) -> Any:
     """Reflectance of a layer under a smooth surface, without the light that the surface mirrors:
     (1 − k₁)(1 − k₂) R/(1 − k₂ R)  [Saunderson 1942].
 
-    Args:
-        inner: R, of the layer alone.
-        outside: k₁, reflectance of the surface for light from outside (0.04 at index 1.5).
-        inside: k₂, reflectance of the surface for diffuse light from inside (0.6).
+    R is `inner`, that of the layer alone; k₁ and k₂ are reflectances of the surface for light from
+    `outside` (0.04 at index 1.5) and for diffuse light from `inside` (0.6).
     """
     return (1 - outside) * (1 - inside) * inner / (1 - inside * inner)
 

@@ -49,7 +49,7 @@ class Absorbed(eqx.Module):
         return self.abl + self.stroma + self.ipe
 
 
-def dimmed(absorbed: Absorbed, factor) -> Absorbed:
+def dimmed(absorbed: Absorbed, factor: Any) -> Absorbed:
     """The same shares of light of which only `factor` arrived."""
     return Absorbed(factor * absorbed.abl, factor * absorbed.stroma, factor * absorbed.ipe)
 

@@ -25,10 +25,10 @@ from irisjax.transport.light import Light
 from irisjax.transport.process import DEPTH_RESOLVED, RadiativeTransfer, survival
 from irisjax.transport.radiative import resolution
 from irisjax.transport.radiative.directions import (
-    Lighting,
+    BeamsAndExits,
     Ordinates,
+    beams_and_exits,
     gauss_nodes,
-    lighting,
     roof_of,
 )
 from irisjax.transport.radiative.doubling import Lines, Medium, Response, doubled_from
@@ -92,7 +92,7 @@ class AddingDoubling(AbstractSolver):
 
     def solve(self, layers: Layers, light: Light, *, key: PRNGKey | None = None) -> Solution:
         nodes = gauss_nodes(layers, self.n_angles)
-        lit = lighting(layers, light, max(48, self.n_angles))
+        lit = beams_and_exits(layers, light, max(48, self.n_angles))
         doublings = _TRACED if self.n_doublings is None else self.n_doublings
         phase = layers.phase
         if phase is None:
@@ -124,7 +124,7 @@ def doublings_for(layers: Layers) -> int | None:
 
 
 def _one_wavelength(
-    abl, absorption, scattering, phase, nodes: Ordinates, lit: Lighting, *, doublings: int
+    abl, absorption, scattering, phase, nodes: Ordinates, lit: BeamsAndExits, *, doublings: int
 ) -> Flux:
     beams, power, exits = lit.beams, lit.power, lit.exits
     count = nodes.cosine.size

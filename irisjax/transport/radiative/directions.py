@@ -53,7 +53,7 @@ class Ordinates(NamedTuple):
     bottom: Any  # stroma/IPE
 
 
-class Lighting(NamedTuple):
+class BeamsAndExits(NamedTuple):
     """The light on the iris, and the directions that it is observed from.
 
     `outside` and `power` are the cosines of the beams in the aqueous humour and their shares of the
@@ -107,15 +107,15 @@ def from_outside(layers: Layers, outside: jax.Array, law: Callable = fresnel) ->
     return _ordinates(n, law, stroma, jnp.zeros_like(outside), outside, abl, ipe)
 
 
-def lighting(
+def beams_and_exits(
     layers: Layers,
     light: Light,
     n_beams: int,
     interfaces: int = 3,
     ordinates: Callable = from_outside,
-) -> Lighting:
-    """`Lighting` of layers, with `n_beams` beams for diffuse light as in `beams_of`; `ordinates`
-    makes directions of layers and of cosines in the aqueous humour.
+) -> BeamsAndExits:
+    """Beams, for diffuse light `n_beams` as in `beams_of`, and exits; `ordinates` makes directions
+    of layers and of cosines in the aqueous humour.
     """
     n = layers.indices
     outside, power = beams_of(light, n_beams, n, layers.extinction.dtype, interfaces)
@@ -123,7 +123,7 @@ def lighting(
     if light.exits is not None:
         exits, azimuth = ordinates(layers, light.exits.cosine), light.exits.azimuth
     to_brdf = (n.aqueous / n.stroma) ** 2 / (2 * jnp.pi)
-    return Lighting(ordinates(layers, outside), outside, power, exits, azimuth, to_brdf)
+    return BeamsAndExits(ordinates(layers, outside), outside, power, exits, azimuth, to_brdf)
 
 
 def roof_of(depth: jax.Array, d: Ordinates, *, from_stroma: bool = True) -> Roof:

@@ -25,12 +25,12 @@ from irisjax.transport.process import DEPTH_RESOLVED, RadiativeTransfer
 from irisjax.transport.radiative import resolution
 from irisjax.transport.radiative.directions import (
     MODES,
-    Lighting,
+    BeamsAndExits,
     Mode,
     Ordinates,
+    beams_and_exits,
     ends_of,
     joined_sets,
-    lighting,
     parted,
     quadrature_nodes,
     roof_of,
@@ -94,7 +94,7 @@ _steepness = jax.jit(resolution.steepness)
 
 
 def _solve(layers: Layers, light: Light, n_angles: int, how: tuple[int, int]) -> Flux:
-    lit = lighting(layers, light, 2 * n_angles)
+    lit = beams_and_exits(layers, light, 2 * n_angles)
     return laid_out_as(
         layers.extinction,
         Flux._make((1, 1, 1, 1, 1, None if lit.exits is None else 2)),
@@ -104,7 +104,9 @@ def _solve(layers: Layers, light: Light, n_angles: int, how: tuple[int, int]) ->
     )
 
 
-def _one_wavelength(abl, depth, albedo, coalbedo, nodes: Ordinates, lit: Lighting, *, how) -> Flux:
+def _one_wavelength(
+    abl, depth, albedo, coalbedo, nodes: Ordinates, lit: BeamsAndExits, *, how
+) -> Flux:
     depth = resolution.seen_depth(depth, coalbedo)
     slab, beams, exits = Slab(depth, *how), lit.beams, lit.exits
     # All directions together, so that one fused loop serves them.
@@ -134,9 +136,12 @@ def _one_wavelength(abl, depth, albedo, coalbedo, nodes: Ordinates, lit: Lightin
 
     mode = MODES[0]
     strength, system, driving = equations(mode)
-    f, flux = mode.functions(nodes.cosine), nodes.weight * nodes.cosine
-    above = roof.passed + roof.absorbed
-    balance = slab.balance(strength, f, angle, flux, above, nodes.bottom[1], coalbedo)
+    f = mode.functions(nodes.cosine)
+    flux, losses = (
+        (nodes.weight * nodes.cosine)[None] * f,
+        (roof.passed + roof.absorbed, nodes.bottom[1]),
+    )
+    balance = slab.balance(strength, flux, angle, losses, coalbedo)
     right = driving.reshape(-1, 1)
     moments = slab.solve(system, right, balance, lost[None]).reshape(driving.shape)
     up, down = slab.leaving(angle, (strength[:, None] * f).T @ moments, mode.parity)

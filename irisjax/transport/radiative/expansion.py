@@ -1,5 +1,7 @@
 """Phase functions as series of Legendre functions, on directions."""
 
+from typing import Any
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -12,7 +14,7 @@ _KEPT = 4  # moments of a phase function that its values at the nodes have to th
 _FINE = 64  # nodes that hold them exactly, for |g| up to 0.95
 
 
-def legendre(count: int, orders, cosine):
+def legendre(count: int, orders: Any, cosine: jax.Array) -> jax.Array:
     """P_l^m √((l − m)!/(l + m)!) at cosines, shape (orders, l = 0 to count − 1, cosines); 0 where
     l < m.  [Chandrasekhar 1960, Section 48]
     """
@@ -39,7 +41,9 @@ def legendre(count: int, orders, cosine):
     return jnp.swapaxes(found, 0, 1)
 
 
-def phase_matrices(phase: PhaseMixture, moments, peak, orders, lines: Lines):
+def phase_matrices(
+    phase: PhaseMixture, moments: jax.Array, peak: Any, orders: Any, lines: Lines
+) -> tuple[jax.Array, jax.Array]:
     """Azimuthal orders of a phase function without its forward peak, light that keeps its sense of
     travel and light that turns back, each (orders, rows, columns).
 
@@ -125,7 +129,7 @@ def _correction(near, into, weight, missed):
     return 2 * jnp.sqrt(near / weight[None, :, None]) * found
 
 
-def series_value(moments, cosine):
+def series_value(moments: jax.Array, cosine: jax.Array) -> jax.Array:
     """Σ (2l + 1) χ_l P_l at cosines of the scattering angle, shape (cosines,)."""
     count = moments.shape[-1]
     return _weighted(moments) @ legendre(count, [0], cosine)[0]

@@ -37,7 +37,7 @@ def panels_for(layers: Layers, n_depths: int, slant: Any = 1.0) -> int | None:
     return panels
 
 
-def seen_depth(extinction, coalbedo):
+def seen_depth(extinction: jax.Array, coalbedo: jax.Array) -> jax.Array:
     """Return the optical depth of a slab down to where it is dark: all of it, unless it is opaque.
 
     Light deep in a slab decays faster than e^{−τ√(1 − ω)}.
@@ -45,7 +45,7 @@ def seen_depth(extinction, coalbedo):
     return jnp.minimum(extinction, jax.lax.stop_gradient(_DARK / jnp.sqrt(coalbedo)))
 
 
-def steepness(layers: Layers, light: Light):
+def steepness(layers: Layers, light: Light) -> jax.Array:
     """By how much sources change faster in depth than those of light at a cosine of 0.25 in the
     stroma, because of light from or into a single direction nearer to grazing; 1 at least. LB06's
     stroma, denser than the aqueous humour, has no such direction.
@@ -97,15 +97,16 @@ def status_of(layers: Layers, resolved: jax.Array, angles: Any = True) -> RESULT
     )
 
 
-def angles_resolved(layers: Layers, phase: PhaseMixture, n_angles: int, cosine, power):
-    """Whether so many angles follow the light of a slab, which may scatter sharply (traced).
-
-    - `cosine`, `power`: of the beams in the stroma (beams,).
+def angles_resolved(
+    layers: Layers, phase: PhaseMixture, n_angles: int, cosine: jax.Array, power: jax.Array
+) -> jax.Array:
+    """Whether so many angles follow the light of a slab, which may scatter sharply (traced);
+    `cosine` and `power` of the beams in the stroma, (beams,).
     """
     return (_angular_error(layers, phase, n_angles, cosine, power) <= _SHARP).all()
 
 
-def brdf_resolved(layers: Layers, phase: PhaseMixture, n_angles: int):
+def brdf_resolved(layers: Layers, phase: PhaseMixture, n_angles: int) -> jax.Array:
     """Whether so many moments of the phase function follow a BRDF (traced).
 
     Light scattered once is as wrong in a direction as these are. Beside 96 moments the share of the

@@ -75,18 +75,18 @@ class Slab:
         self._signs = jnp.asarray((-1.0) ** order, depth.dtype)
         self._norms = jnp.asarray(2.0 * order + 1, depth.dtype)
 
-    def bounded(self, cosine, ends: Ends) -> Bounded:
+    def bounded(self, cosine: jax.Array, ends: Ends) -> Bounded:
         """What the slab is along directions (angles,)."""
         return self.imaged(cosine, self.images(cosine, ends))
 
-    def images(self, cosine, ends: Ends) -> Images:
+    def images(self, cosine: jax.Array, ends: Ends) -> Images:
         """Mirror images along directions (angles,)."""
         through, lost = survival(self.depth, cosine), attenuation(self.depth, cosine)
         series, _ = reflections(through, lost, ends[:2], ends[2:])
         across = ends.roof * series * (ends.floor * through)
         return Images(series, ends.roof * series, across, ends.floor * series)
 
-    def imaged(self, cosine, images: Images) -> Bounded:
+    def imaged(self, cosine: jax.Array, images: Images) -> Bounded:
         """What the slab is along directions (angles,) with these mirror images."""
         row = cosine[None, :]
         x = self.widths[:, None] / row
@@ -117,7 +117,7 @@ class Slab:
             (start * self._signs * b.from_bottom[:, None]).reshape(-1, b.cosine.size),
         )
 
-    def moments(self, b: Bounded, weight, f, parity):
+    def moments(self, b: Bounded, weight: jax.Array, f: jax.Array, parity: Any) -> jax.Array:
         """Moments ∫ weight f_l φ_i I of the radiance that unit sources f_k φ_j make.
 
         `f` has shape (rank, angles), `parity` is one number or one an angle; returns
@@ -154,7 +154,9 @@ class Slab:
             out = out.at[:, above, :, :, under, :].add(up.reshape(shape))
         return out.reshape(rank * panels * n, rank * panels * n)
 
-    def moments_of_images(self, b: Bounded, weight, f, parity):
+    def moments_of_images(
+        self, b: Bounded, weight: jax.Array, f: jax.Array, parity: Any
+    ) -> jax.Array:
         """The part of `moments` that comes by way of the slab's ends."""
         _, _, downward, upward = self._sources(b, parity)
         entering_top, entering_bottom = self._tests(b)
@@ -162,40 +164,44 @@ class Slab:
         sent = jnp.concatenate([downward, upward], axis=-1)
         return _between(jnp.tile(weight[None, :] * f, 2), entering, jnp.tile(f, 2), sent)
 
-    def driving_each(self, b: Bounded, parity):
+    def driving_each(self, b: Bounded, parity: Any) -> jax.Array:
         """Moments of beams of radiance 1 that enter at the top, (panels·orders, beams)."""
         entering_top, entering_bottom = self._tests(b)
         upward = _signed(parity, b.through) * b.images.bottom
         return b.images.series[None, :] * entering_top + upward[None, :] * entering_bottom
 
-    def leaving_each(self, b: Bounded, parity):
+    def leaving_each(self, b: Bounded, parity: Any) -> tuple[jax.Array, jax.Array]:
         """Radiance of unit sources at the top and at the bottom, (panels·orders, angles)."""
         up, down, downward, upward = self._sources(b, parity)
         through = b.through[None, :]
         return up + through * upward, down + through * downward
 
-    def leaving_of_images_each(self, b: Bounded, parity):
+    def leaving_of_images_each(self, b: Bounded, parity: Any) -> tuple[jax.Array, jax.Array]:
         """The part of `leaving_each` that comes by way of the slab's ends."""
         _, _, downward, upward = self._sources(b, parity)
         return b.through[None, :] * upward, b.through[None, :] * downward
 
-    def leaving(self, b: Bounded, source, parity):
+    def leaving(self, b: Bounded, source: jax.Array, parity: Any) -> tuple[jax.Array, jax.Array]:
         """Radiance of sources (angles, panels·orders) at the top and at the bottom, (angles,)."""
         top, bottom = self.leaving_each(b, parity)
         return (source.T * top).sum(0), (source.T * bottom).sum(0)
 
-    def balance(self, strength, f, b: Bounded, flux, above, below, coalbedo):
+    def balance(
+        self, strength: Any, flux: Any, b: Bounded, losses: Any, coalbedo: Any
+    ) -> jax.Array:
         """What each unknown takes from the light in the slab: absorbed by it, or sent out of it.
 
-        `flux` is the weight of each direction's radiance, `above` and `below` are the shares of it
-        that do not come back from the slab's ends.
+        `flux` is the flux of radiances of each term (rank, angles); `losses` are the shares of it
+        that do not come back from the top and from the bottom.
         """
         top, bottom = self.leaving_each(b, 1)
-        leaving = (flux[None] * f) @ (top * above[None] + bottom * below[None]).T
+        leaving = flux @ (top * losses[0][None] + bottom * losses[1][None]).T
         taken = strength[:, None] * leaving
         return taken.at[0, :: self.n_depths].add(coalbedo * self.widths).ravel()
 
-    def solve(self, system, right, balance, lost_beam):
+    def solve(
+        self, system: jax.Array, right: jax.Array, balance: jax.Array, lost_beam: jax.Array
+    ) -> jax.Array:
         """Solve with the slab's balance of energy, balance·x = lost_beam, in place of one row.
 
         `right` has a column, `lost_beam` a number for each beam. The balance is a sum of the rows,

@@ -34,9 +34,9 @@ from irisjax.transport.light import Light
 from irisjax.transport.process import DEPTH_RESOLVED, RadiativeTransfer
 from irisjax.transport.radiative import orders
 from irisjax.transport.radiative.directions import (
-    Lighting,
+    BeamsAndExits,
+    beams_and_exits,
     from_outside,
-    lighting,
     quadrature_nodes,
 )
 from irisjax.transport.solution import RESULTS, Flux, Solution, outcome
@@ -104,7 +104,7 @@ class RadiativeTabulated(AbstractSolver):
         check_rayleigh(self, layers)
         # More than 16 take XLA at least four times as long.
         beams, interfaces = (60, 3) if self.dense_outside else (16, 0)
-        lit = lighting(layers, light, beams, interfaces)
+        lit = beams_and_exits(layers, light, beams, interfaces)
         flux = laid_out_as(
             layers.extinction,
             Flux._make((1, 1, 1, 1, 1, None if lit.exits is None else 2)),
@@ -120,7 +120,7 @@ class RadiativeTabulated(AbstractSolver):
         rounding = 1 + 8 * jnp.finfo(depth.dtype).eps
         return self.indices.same(layers.indices) & (layers.albedo <= rounding * _most(depth)).all()
 
-    def _flux(self, abl, depth, albedo, coalbedo, lit: Lighting) -> Flux:
+    def _flux(self, abl, depth, albedo, coalbedo, lit: BeamsAndExits) -> Flux:
         """Shares of the light, one value a wavelength."""
         power = lit.power
         beam = jax.vmap(orders.before, (0, 0, None))(abl, depth, lit.beams)
@@ -152,7 +152,7 @@ class RadiativeTabulated(AbstractSolver):
             collisions=collisions * pole[:, None],
         )
 
-    def _brdf(self, abl, depth, albedo, lit: Lighting):
+    def _brdf(self, abl, depth, albedo, lit: BeamsAndExits):
         """BRDF, shape (wavelengths, exits), of light from one direction."""
         at, table, exits = _coordinates(abl, depth, albedo), self.multiple, lit.exits
         core = jnp.einsum(

@@ -17,10 +17,10 @@ from irisjax.optics.mueller import stokes
 from irisjax.tissue.layers import Layers
 from irisjax.transport.light import Light
 from irisjax.transport.radiative.directions import (
-    Lighting,
+    BeamsAndExits,
+    beams_and_exits,
     from_outside,
     joined_sets,
-    lighting,
     parted,
     quadrature_nodes,
     roof_of,
@@ -58,7 +58,7 @@ def solve_polarised(
         how: Polynomials and panels in depth.
         modes: Those of the phase matrix, the first that of the whole intensity.
     """
-    lit = lighting(layers, light, 2 * n_angles, ordinates=partial(polarised, from_outside))
+    lit = beams_and_exits(layers, light, 2 * n_angles, ordinates=partial(polarised, from_outside))
     seen = lit.exits is not None
     wanted = light.matrices or seen
     one = partial(_one_wavelength, how=how, modes=modes, matrices=wanted)
@@ -74,7 +74,7 @@ def solve_polarised(
 
 
 def _one_wavelength(
-    abl, depth, albedo, coalbedo, n, nodes, lit: Lighting, *, how, modes, matrices: bool
+    abl, depth, albedo, coalbedo, n, nodes, lit: BeamsAndExits, *, how, modes, matrices: bool
 ):
     depth = seen_depth(depth, coalbedo)
     slab, beams, exits = Slab(depth, *how), lit.beams, lit.exits
@@ -113,7 +113,9 @@ def _one_wavelength(
     return flux, (stokes(reflected), stokes(mirrored), brdf)
 
 
-def _fluxes(slab, abl, scattering, mode: PolarisedMode, nodes, lit: Lighting, angle, beam, first):
+def _fluxes(
+    slab, abl, scattering, mode: PolarisedMode, nodes, lit: BeamsAndExits, angle, beam, first
+):
     """`Flux`, and the moments of light that is all I_l, and all I_r: (terms, moments, 2)."""
     albedo, coalbedo = scattering
     assert mode.linear is not None
@@ -122,8 +124,11 @@ def _fluxes(slab, abl, scattering, mode: PolarisedMode, nodes, lit: Lighting, an
     right = _driving(slab, mode, beam, lit.beams, _entering(abl, lit), None)
     roof = roof_of(abl, of_nodes)
     f = mode.linear(nodes.p.cosine).reshape(strength.size, -1)
-    flux, above = of_nodes.weight * of_nodes.cosine, roof.passed + roof.absorbed
-    balance = slab.balance(strength, f, angle.linear, flux, above, of_nodes.bottom[1], coalbedo)
+    flux, losses = (
+        of_nodes.weight * of_nodes.cosine,
+        (roof.passed + roof.absorbed, of_nodes.bottom[1]),
+    )
+    balance = slab.balance(strength, flux[None] * f, angle.linear, losses, coalbedo)
     lost = jnp.stack([lit.power @ b.lost for b in first])
     moments = slab.solve(system, right.reshape(system.shape[0], 2), balance, lost)
     moments = moments.reshape(right.shape)
@@ -138,7 +143,7 @@ def _strength(mode: PolarisedMode, albedo):
     return albedo * jnp.asarray(mode.strength, albedo.dtype)
 
 
-def _entering(abl, lit: Lighting):
+def _entering(abl, lit: BeamsAndExits):
     """Flux of I_l and of I_r at the stroma's top, (2, beams)."""
     passed = (roof_of(abl, d, from_stroma=False).passed for d in (lit.beams.p, lit.beams.s))
     return jnp.stack([lit.power * p for p in passed])

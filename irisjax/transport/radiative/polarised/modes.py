@@ -10,6 +10,7 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 import jax.numpy as jnp
+from jax import Array
 
 from irisjax.numerics.roots import safe_sqrt
 
@@ -38,7 +39,7 @@ class PolarisedMode(NamedTuple):
     u: int | None
     v: int | None
 
-    def signs(self, cosine):
+    def signs(self, cosine: Array) -> Array:
         """`parity` of I_l along directions, then of I_r."""
         return jnp.concatenate([jnp.full_like(cosine, sign) for sign in self.parity[:2]])
 

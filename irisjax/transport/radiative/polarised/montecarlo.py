@@ -77,7 +77,9 @@ class PolarisedMonteCarlo(AbstractSolver):
 
         def at(x):
             key, abl, depth, albedo = x
-            return one(key, photon.Tissue(abl, depth, albedo, layers.indices), incidence, exits, ok)
+            return one(
+                key, photon.PhotonLayers(abl, depth, albedo, layers.indices), incidence, exits, ok
+            )
 
         tally = jax.lax.map(at, (keys, *(jnp.where(ok, x, 0.0) for x in depths)))
         n, counts = self.n_photons, tally.fates.astype(dtype)

@@ -20,7 +20,7 @@ from irisjax.transport.lanes import ABL, IPE, MIRRORED, REFLECTED, STROMA
 _OUTSIDE, _IN_ABL, _IN_STROMA = 0, 1, 2
 
 
-class Tissue(NamedTuple):
+class PhotonLayers(NamedTuple):
     """Optical depths of ABL and stroma, the stroma's albedo, and indices, of one wavelength."""
 
     abl: jax.Array
@@ -44,7 +44,7 @@ class PolarisedPhoton(NamedTuple):
     events: jax.Array
 
 
-def follow(key: PRNGKey, medium: Tissue, cosine: jax.Array) -> PolarisedPhoton:
+def follow(key: PRNGKey, medium: PhotonLayers, cosine: jax.Array) -> PolarisedPhoton:
     """A photon of a key to its end, from cosine `cosine` in the aqueous humour (azimuth 0 is where
     it goes).
     """
@@ -91,7 +91,7 @@ def mueller(matrix: jax.Array) -> jax.Array:
     return 0.5 * jnp.real(product).reshape(16)
 
 
-def _event(p: PolarisedPhoton, key, m: Tissue) -> PolarisedPhoton:
+def _event(p: PolarisedPhoton, key, m: PhotonLayers) -> PolarisedPhoton:
     """One flight: to an interface, or to where the photon is absorbed or scattered."""
     u = jax.random.uniform(jax.random.fold_in(key, p.events), (5,), p.depth.dtype)
     up, mu = p.ray[2] > 0, jnp.maximum(jnp.abs(p.ray[2]), 1e-12)
