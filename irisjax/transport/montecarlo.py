@@ -105,10 +105,7 @@ class MonteCarlo(AbstractSolver):
     def summarise(
         self, counts: Counts, layers: Layers, exits: Directions | None = None
     ) -> Solution:
-        """Compute shares and standard errors from counts.
-
-        A count of none still has an error, by Laplace's rule.
-        """
+        """Compute shares and standard errors from counts."""
         dtype = layers.extinction.dtype
         n, fates = counts.photons.astype(dtype), counts.fates.astype(dtype)
         mirrored, reflected, abl, stroma, ipe = (fates / n[:, None]).T

@@ -15,14 +15,7 @@ import jax.numpy as jnp
 from irisjax.numerics import linear
 from irisjax.optics.phase import rayleigh
 from irisjax.transport.process import attenuation, reflections, survival
-from irisjax.transport.radiative.directions import (
-    MODES,
-    Mode,
-    Ordinates,
-    Roof,
-    ends_of,
-    roof_of,
-)
+from irisjax.transport.radiative.directions import MODES, Mode, Ordinates, Roof, ends_of, roof_of
 from irisjax.transport.radiative.slab import Slab, mean_survival
 from irisjax.transport.solution import Flux
 

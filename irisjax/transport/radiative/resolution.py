@@ -27,14 +27,12 @@ def panels_for(layers: Layers, n_depths: int, slant: Any = 1.0) -> int | None:
     """Depth panels needed for concrete layers of such a `steepness`; `None` for traced ones."""
     if any(isinstance(x, Tracer) for x in (layers.extinction, layers.albedo, slant)):
         return None
-    panels, coarseness = 1, np.asarray(_coarseness(layers, n_depths, 1, slant))
-    # Layers that are not numbers are refused by the status; no panels help them.
-    while (
-        panels < _MOST_PANELS and coarseness[np.isfinite(coarseness)].max(initial=0.0) > _RESOLVED
-    ):
-        panels += 1
+    for panels in range(1, _MOST_PANELS):
         coarseness = np.asarray(_coarseness(layers, n_depths, panels, slant))
-    return panels
+        # Layers that are not numbers are refused by the status; no panels help them.
+        if coarseness[np.isfinite(coarseness)].max(initial=0.0) <= _RESOLVED:
+            return panels
+    return _MOST_PANELS
 
 
 def seen_depth(extinction: jax.Array, coalbedo: jax.Array) -> jax.Array:
@@ -59,9 +57,8 @@ def steepness(layers: Layers, light: Light) -> jax.Array:
         inside = refract(jnp.asarray(outside, steep.dtype), n.aqueous, n.stroma)
         # What is mirrored totally does not come in.
         enters = inside > 0
-        steep = jnp.maximum(
-            steep, jnp.where(enters, _STEEP / jnp.where(enters, inside, 1.0), 1.0).max()
-        )
+        slant = jnp.where(enters, _STEEP / jnp.where(enters, inside, 1.0), 1.0)
+        steep = jnp.maximum(steep, slant.max())
     return steep
 
 
@@ -75,9 +72,8 @@ def _coarseness(layers: Layers, n_depths: int, n_panels: int, slant: Any = 1.0):
     depth = seen_depth(layers.extinction, layers.coalbedo)
     outer = depth * (fractions(n_panels)[0] * 8 / n_depths)
     # The second is what it takes to follow the beam itself where next to nothing scatters.
-    coarse = slant * jnp.maximum(
-        jnp.cbrt(layers.albedo) ** 2 * outer * (8 / n_depths) ** (4 / 3), outer**4 / 406
-    )
+    twice = jnp.cbrt(layers.albedo) ** 2 * outer * (8 / n_depths) ** (4 / 3)
+    coarse = slant * jnp.maximum(twice, outer**4 / 406)
     # No light comes to a slab under an opaque ABL. (Depths that are not numbers stay so.)
     return jnp.where(layers.abl_absorption > _OPAQUE, 0.0 * coarse, coarse)
 
