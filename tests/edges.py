@@ -28,11 +28,7 @@ EDGES = {
     "most-melanin": {"eumelanin": 2e3},
     "most-blood": {"oxyhemoglobin": 10.0},
     "most-of-all": {"eumelanin": 2e3, "pheomelanin": 2e3, "lutein": 1e3, "oxyhemoglobin": 10.0},
-    "equal-indices": {
-        "abl_index": 1.4,
-        "stroma_index": 1.4,
-        "ipe_index": 1.4,
-    },
+    "equal-indices": {"abl_index": 1.4, "stroma_index": 1.4, "ipe_index": 1.4},
     "abl-is-stroma": {"abl_index": 1.4727, "stroma_index": 1.4727},
     "guided-stroma": {"stroma_index": 1.6, "abl_index": 1.4},
     "total-at-ipe": {"ipe_index": 1.3},
@@ -57,13 +53,7 @@ def as_vector(name):
 def reflectance_of(vector, solver, cosine=1.0):
     """Everything traced: the iris is built inside the program."""
     iris = ij.Iris(**dict(zip(LIMITS, vector, strict=True)))
-    return ij.reflectance(
-        iris,
-        GRID[::6],
-        solver=solver,
-        cos_incidence=cosine,
-        throw=False,
-    )
+    return ij.reflectance(iris, GRID[::6], solver=solver, cos_incidence=cosine, throw=False)
 
 
 # An empty stroma between mirrors: grazing rays make reflectance go as τ ln τ, whose slope at 0 is

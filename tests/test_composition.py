@@ -218,16 +218,7 @@ def on_four_devices():
     "how", ["shard_map over irides", "shard_map over wavelengths", "explicit mesh of irides"]
 )
 @pytest.mark.parametrize(
-    "solver",
-    [
-        "exact",
-        "rayleigh",
-        "retest",
-        "tabulated",
-        "radiative",
-        "polarised",
-        "monte carlo",
-    ],
+    "solver", ["exact", "rayleigh", "retest", "tabulated", "radiative", "polarised", "monte carlo"]
 )
 def test_solvers_on_a_mesh(on_four_devices, solver, how):
     difference = on_four_devices[f"{solver}: {how}"]

@@ -1,5 +1,7 @@
 """Edges of the physics: nothing, everything, equal indices, grazing light; values, energy, status."""
 
+import dataclasses
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -97,7 +99,7 @@ def test_depth_resolved_shallow(media, chosen, bits):
 
 @quick_jit
 def shallow(made, cosine):
-    return ij.RadiativeExact(n_angles=24, n_panels=3).solve(made, ij.Light(cosine))
+    return ij.RadiativeExact(12, 10, 2).solve(made, ij.Light(cosine))
 
 
 def holds(absorption, scattering, bits):
@@ -157,7 +159,8 @@ def test_monotonic(name):
     run = quick_jit(lambda x: solver.solve(x, ij.Light(1.0)).reflectance)
 
     def reflected(abl, absorption, scattering, media):
-        return np.asarray(run(any_order(layers(abl, absorption, scattering, MEDIA[media]))))
+        made = layers(abl, absorption, scattering, MEDIA[media])
+        return np.asarray(run(dataclasses.replace(made, order=BASE.order)))
 
     assert (np.diff(reflected(steps, 0.1, 0.3, "iris")) <= 1e-14).all()
     if deep:
@@ -170,7 +173,7 @@ def test_monotonic(name):
 @pytest.mark.parametrize("n", [4_000, pytest.param(100_000, marks=SWEEP)])
 def test_number_of_wavelengths(n):
     """The last of many wavelengths, and the same wavelength alone."""
-    for solver, step in ((ij.IlitExact(12), 1), (ij.RadiativeExact(12, 6, 2), 20)):
+    for solver, step in ((ij.IlitExact(12), 1), (ij.RadiativeExact(12, 4, 1), 20)):
         grid = np.linspace(400, 700, n)[::step]
 
         @quick_jit

@@ -7,13 +7,7 @@ from hypothesis import strategies as st
 from mpmath import mp, mpf
 
 from irisjax.numerics.roots import safe_sqrt
-from irisjax.optics.fresnel import (
-    coherence,
-    critical_cosine_squared,
-    fresnel,
-    fresnel_at,
-    refract,
-)
+from irisjax.optics.fresnel import coherence, critical_cosine_squared, fresnel, fresnel_at, refract
 
 indices = st.floats(1.0, 3.0)
 cosines = st.floats(0.0, 1.0)

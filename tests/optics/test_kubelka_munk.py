@@ -6,12 +6,7 @@ import mpmath
 import numpy as np
 import pytest
 
-from irisjax.optics.kubelka_munk import (
-    absorption_of,
-    thick_layer,
-    under_surface,
-    without_surface,
-)
+from irisjax.optics.kubelka_munk import absorption_of, thick_layer, under_surface, without_surface
 
 
 @pytest.mark.parametrize("ratio", [1e-12, 1e-6, 0.01, 0.5, 2.0, 1e3, 1e8])

@@ -33,11 +33,7 @@ def spectra(process, n_angles=40, bits=64):
 
     def spectrum(iris):
         return ij.reflectance(
-            iris,
-            GRID,
-            solver=common.exact(process, n_angles),
-            first_surface=False,
-            throw=False,
+            iris, GRID, solver=common.exact(process, n_angles), first_surface=False, throw=False
         )
 
     # As NumPy: what is kept outlives a change of precision.

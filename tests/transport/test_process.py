@@ -39,8 +39,7 @@ def test_unknown_switch(switch, value, message):
 
 
 @pytest.mark.parametrize(
-    ("solver", "process"),
-    [(ij.IlitExact, ij.DEPTH_RESOLVED), (ij.RadiativeExact, ij.ILIT_2006)],
+    ("solver", "process"), [(ij.IlitExact, ij.DEPTH_RESOLVED), (ij.RadiativeExact, ij.ILIT_2006)]
 )
 def test_a_solver_names_the_processes_it_treats(solver, process):
     # The runtime types of the test suite are stricter than the check itself: look below them.

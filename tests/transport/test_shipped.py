@@ -9,6 +9,7 @@ import irisjax as ij
 from irisjax.transport.defaults import table_for
 
 
+@pytest.mark.slow  # makes a table; the quick form is below
 def test_the_table_that_is_shipped_is_the_one_that_is_built():
     read, built = (
         table_for(ij.Iris().indices(), ij.ILIT_2006),
