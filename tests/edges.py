@@ -34,6 +34,14 @@ EDGES = {
     "total-at-ipe": {"ipe_index": 1.3},
 }
 
+_MEDIA = {"abl_index", "stroma_index", "ipe_index", "collagen_index"}
+SAME_MEDIA = [e for e in EDGES if not _MEDIA & set(EDGES[e])]
+"""Edges that leave the refractive indices as they are."""
+OF_DEPTHS = (
+    "eumelanin", "pheomelanin", "abl_fraction", "oxyhemoglobin", "lutein", "abl_thickness", "stroma_thickness",
+)  # fmt: skip
+"""Fields of an iris that change its layers' depths alone."""
+
 
 def edge(name):
     fields = {"abl_index": BASE.indices().abl, "stroma_index": BASE.indices().stroma, **EDGES[name]}

@@ -10,23 +10,14 @@ import pytest
 
 import irisjax as ij
 from common import GRID, PROCESSES, exact, quick_jit
-from edges import BASE, EDGES, NO_SLOPE, SWEEP, as_vector, edge, reflectance_of
+from edges import BASE, EDGES, NO_SLOPE, OF_DEPTHS, SAME_MEDIA, SWEEP, as_vector, edge
 from irisjax.tissue.iris import LIMITS
 
 # Steps are chosen by field; where a field stands at an edge the difference is one-sided.
-SCALE = {
-    "eumelanin": 0.1,
-    "pheomelanin": 0.1,
-    "abl_fraction": 0.1,
-    "lutein": 0.1,
-    "zeaxanthin": 0.1,
-}
-NEAR_ZERO = ("abl_thickness", "stroma_thickness")
+SCALE = ("eumelanin", "pheomelanin", "abl_fraction", "lutein", "zeaxanthin")
 INDEX_FIELDS = (
-    *tuple(n for n in LIMITS if n.endswith("_index")),
-    "fibroblast_fraction",
-    "collagen_fraction",
-)
+    *(n for n in LIMITS if n.endswith("_index")), "fibroblast_fraction", "collagen_fraction",
+)  # fmt: skip
 # Loads of a million: the derivative is far below the rounding of the value; only finiteness is
 # asked there.
 ONLY_FINITE = ("most-melanin", "most-blood", "most-of-all", "no-intensification")
@@ -122,15 +113,12 @@ def test_gradients(name, traced_order, edges):
                 continue
             # Rounding of the values over the step is all that is forgiven beside 1e-5.
             noise = 2e-15 * np.abs(weights).sum()
-            if not np.allclose(
-                f,
-                r,
-                rtol=1e-9,
-                # Beside a kink what is subtracted cancels to half of its digits.
-                atol=1e-8 if field in KINKED.get(e, ()) else 1e-13 * max(1.0, np.abs(f).max()),
-            ):
+            # Beside a kink what is subtracted cancels to half of its digits.
+            kinked = field in KINKED.get(e, ())
+            atol = 1e-8 if kinked else 1e-13 * max(1.0, np.abs(f).max())
+            if not np.allclose(f, r, rtol=1e-9, atol=atol):
                 problems.append(f"{e} {field}: forward {f}, reverse off by {r - f}")
-            if e in ONLY_FINITE or e in NO_SLOPE or field in KINKED.get(e, ()):
+            if e in ONLY_FINITE or e in NO_SLOPE or kinked:
                 continue
             if not (np.abs(f - d) <= 1e-5 * np.abs(d) + noise).all():
                 problems.append(f"{e} {field}: derivative {f} difference {d}")
@@ -144,9 +132,8 @@ def test_gradients_in_single_precision_are_finite(name, float32):
     vectors = jnp.asarray(np.stack([as_vector(e) for e in names]), jnp.float32)
 
     def values(v):
-        if name == "rayleigh":
-            return reflectance_of(v, exact(PROCESSES[name])).values
-        iris = replaced(TEMPLATE, v)
+        traced = name == "rayleigh"
+        iris = ij.Iris(**dict(zip(LIMITS, v, strict=True))) if traced else replaced(TEMPLATE, v)
         return ij.reflectance(iris, GRID[::6], solver=exact(PROCESSES[name]), throw=False).values
 
     g = quick_jit(jax.vmap(jax.jacfwd(values)))(vectors)
@@ -161,33 +148,21 @@ def test_gradients_in_single_precision_are_finite(name, float32):
 
 @SWEEP
 def test_tabulated_gradients_at_edges(tabulated):
-    names = [
-        e
-        for e in EDGES
-        if not {"abl_index", "stroma_index", "ipe_index", "collagen_index"} & set(EDGES[e])
-    ]
-    fields = (
-        "eumelanin",
-        "pheomelanin",
-        "abl_fraction",
-        "oxyhemoglobin",
-        "lutein",
-        "abl_thickness",
-        "stroma_thickness",
+    vectors = jnp.asarray(
+        [[getattr(BASE.replace(**EDGES[e]), f) for f in OF_DEPTHS] for e in SAME_MEDIA]
     )
-    vectors = jnp.asarray([[getattr(BASE.replace(**EDGES[e]), f) for f in fields] for e in names])
 
     def slopes(solver):
         def f(v):
             return ij.reflectance(
-                BASE.replace(**dict(zip(fields, v, strict=True))), GRID[::6], solver=solver
+                BASE.replace(**dict(zip(OF_DEPTHS, v, strict=True))), GRID[::6], solver=solver
             ).values
 
         return np.asarray(quick_jit(jax.vmap(jax.jacfwd(f)))(vectors))
 
     found, true = slopes(tabulated), slopes(ij.IlitExact(n_angles=64))
     assert np.isfinite(found).all()
-    sloping = [i for i, e in enumerate(names) if e not in NO_SLOPE]
+    sloping = [i for i, e in enumerate(SAME_MEDIA) if e not in NO_SLOPE]
     found, true = found[sloping], true[sloping]
     scale = np.abs(true).max(axis=(0, 1))
     np.testing.assert_allclose(found / scale, true / scale, rtol=0, atol=1e-5)

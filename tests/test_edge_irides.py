@@ -7,7 +7,7 @@ import pytest
 
 import irisjax as ij
 from common import GRID, PROCESSES, exact, quick_jit, stack
-from edges import COSINES, EDGES, SWEEP, TINY, as_vector, reflectance_of
+from edges import COSINES, EDGES, SAME_MEDIA, SWEEP, TINY, as_vector, reflectance_of
 
 SOME = ("plain", "no-layers", "nothing-at-all", "equal-indices", "guided-stroma", "most-of-all")
 
@@ -41,12 +41,7 @@ def test_edge_irides(name, edges, bits):
 
 
 def test_edge_irides_tabulated(tabulated):
-    same = [
-        e
-        for e in EDGES
-        if not {"abl_index", "stroma_index", "ipe_index", "collagen_index"} & set(EDGES[e])
-    ]
-    irides = stack([ij.Iris.of_level("low").replace(**EDGES[e]) for e in same])
+    irides = stack([ij.Iris.of_level("low").replace(**EDGES[e]) for e in SAME_MEDIA])
 
     def run(solver):
         f = jax.vmap(lambda iris: ij.reflectance(iris, GRID, solver=solver, throw=False))

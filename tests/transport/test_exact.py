@@ -12,6 +12,7 @@ from common import GRID, PROCESSES, all_irides, quick_jit, reference
 from multiprecision import ilit_rayleigh
 
 ROWS = reference("ilit_reflectance.csv")
+VARIANTS = sorted({(r["phase"], r["rescatter"], r["perturb_on_reflection"] == "1") for r in ROWS})
 
 
 def mostly_slow(names, fast):
@@ -40,9 +41,7 @@ def spectra(process, n_angles=40, bits=64):
     return jax.tree.map(np.asarray, quick_jit(jax.vmap(spectrum))(irides))
 
 
-@pytest.mark.parametrize("rescatter", ["to-interface", "retest"])
-@pytest.mark.parametrize("phase", ["lb06", "rayleigh"])
-@pytest.mark.parametrize("redrawn", [False, True])
+@pytest.mark.parametrize(("phase", "rescatter", "redrawn"), VARIANTS)
 def test_reference_table(phase, rescatter, redrawn):
     names, _ = all_irides()
     wanted = {
@@ -51,8 +50,6 @@ def test_reference_table(phase, rescatter, redrawn):
         if (r["phase"], r["rescatter"], r["perturb_on_reflection"])
         == (phase, rescatter, "1" if redrawn else "0")
     }
-    if not wanted:
-        pytest.skip("no rows of this variant in the table")
     assert len(wanted) == 279
     found = spectra(ij.Ilit(phase=phase, rescatter=rescatter, perturb_on_reflection=redrawn)).values
     expected = np.array([[wanted[(*name, float(w))] for w in GRID] for name in names])

@@ -9,17 +9,9 @@ from hypothesis import strategies as st
 
 import irisjax as ij
 from common import GRID
+from edges import OF_DEPTHS
 
 FINE = ij.IlitExact(n_angles=64)
-FIELDS = (
-    "eumelanin",
-    "pheomelanin",
-    "abl_fraction",
-    "oxyhemoglobin",
-    "lutein",
-    "abl_thickness",
-    "stroma_thickness",
-)
 
 
 @jax.jit
@@ -43,7 +35,7 @@ positive = st.floats(0, 3)
 def test_matches_exact(tabulated, eumelanin, pheomelanin, fraction, blood, lutein, abl, stroma):
     values = (eumelanin, pheomelanin, fraction, blood, lutein, abl, stroma)
     iris = ij.Iris.of_level("low").replace(
-        **{n: jnp.asarray(v) for n, v in zip(FIELDS, values, strict=True)}
+        **{n: jnp.asarray(v) for n, v in zip(OF_DEPTHS, values, strict=True)}
     )
     (found, absorbed, status), (exact, exact_absorbed, _) = both(iris, tabulated)
     # A reflectance joins four layer functions, each with a partial derivative of at most one here,
@@ -58,9 +50,8 @@ def test_matches_exact(tabulated, eumelanin, pheomelanin, fraction, blood, lutei
 
 
 def test_depth_resolved_cannot_be_tabulated():
-    with pytest.raises(
-        ValueError, match="IlitTabulated treats Ilit processes, not RadiativeTransfer"
-    ):
+    message = "IlitTabulated treats Ilit processes, not RadiativeTransfer"
+    with pytest.raises(ValueError, match=message):
         ij.IlitTabulated.build(process=ij.DEPTH_RESOLVED)
 
 
@@ -71,10 +62,8 @@ def test_too_small_tables_are_refused():
 
 def test_other_indices(tabulated):
     other = ij.Iris(ipe_index=1.51)
-    assert bool(
-        ij.reflectance(other, GRID, solver=tabulated, throw=False).status
-        == ij.RESULTS.outside_table
-    )
+    found = ij.reflectance(other, GRID, solver=tabulated, throw=False)
+    assert bool(found.status == ij.RESULTS.outside_table)
     with pytest.raises(ValueError, match="outside the range the table was built for"):
         ij.reflectance(other, GRID, solver=tabulated)
 
@@ -84,10 +73,10 @@ def test_gradients_match_exact(tabulated):
 
     def slopes(solver):
         def f(x):
-            changed = iris.replace(**dict(zip(FIELDS, x, strict=True)))
+            changed = iris.replace(**dict(zip(OF_DEPTHS, x, strict=True)))
             return ij.reflectance(changed, GRID, solver=solver).values
 
-        return jax.jit(jax.jacfwd(f))(jnp.stack([getattr(iris, n) for n in FIELDS]))
+        return jax.jit(jax.jacfwd(f))(jnp.stack([getattr(iris, n) for n in OF_DEPTHS]))
 
     exact = np.asarray(slopes(FINE))
     scale = np.abs(exact).max(0)
