@@ -83,9 +83,8 @@ def run_lanes(
 ) -> tuple[jax.Array, jax.Array | None]:
     """Run lanes to exhaustion; lane l owns photons start[l], start[l] + stride, ... below last[l].
 
-    `wave_words` are two uint32 arrays with each lane's wavelength key; `cells` lower and upper
-    cosines (exits, 2) in which to count photons leaving the eye. Returns counts of each fate
-    (lanes, 5), int32, and of each cell (lanes, exits) or `None`.
+    `wave_words` hold each lane's wavelength key, `cells` bounds of the cosines (exits, 2) in which
+    to count photons that leave. Returns counts of fates (lanes, 5) and of cells (lanes, exits).
     """
     newborn = jnp.int32(8 | FRESH << 4)
     nothing = jnp.zeros_like(start)

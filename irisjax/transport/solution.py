@@ -63,8 +63,8 @@ class Polarisation(eqx.Module):
     its receiver sees it.
 
     - `reflected`: of the light that `Solution.reflectance` counts, shape (wavelengths, 4, 4), as a
-        lens collects it: Q and U are those in its plane, along the plane of incidence. A row I of
-        it times light's Stokes vector is how much of that light comes back.
+        lens collects it: Q and U are those in its plane, along the plane of incidence. Its first
+        row times light's Stokes vector is how much of that light comes back.
     - `mirrored`: the same of light mirrored by the first surface.
     - `brdf`: 1/sr, at the exits asked for, shape (wavelengths, exits, 4, 4), or `None`.
     - `reflected_covariance`, `brdf_covariance`: where they are sampled, of their 16 numbers, shapes

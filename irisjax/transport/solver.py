@@ -43,9 +43,8 @@ class AbstractSolver(eqx.Module):
 
     @property
     def numbers_per_wavelength(self) -> int:
-        """Size, per wavelength, of the largest array on the way to a solution.
-
-        Many spectra are solved in chunks that stay in the processor's cache.
+        """Size, per wavelength, of the largest array on the way to a solution: many spectra are
+        solved in chunks that stay in the processor's cache.
         """
         return 1
 

@@ -6,7 +6,6 @@ between. Unscattered light is kept apart, so that thin slabs keep all their digi
 & Hovenier 1987, Section 3]
 """
 
-from operator import itemgetter
 from typing import NamedTuple
 
 import jax
@@ -58,7 +57,7 @@ def doubled_from(medium: Medium, lines: Lines, doublings: int) -> Response:
     """
     depth = medium.depth / 2**doublings
     both = jax.vmap(lambda d: thin(medium._replace(depth=d), lines))(jnp.stack([depth, depth / 2]))
-    coarse, fine = (jax.tree.map(itemgetter(k), both) for k in (0, 1))
+    coarse, fine = (jax.tree.map(lambda x, k=k: x[k], both) for k in (0, 1))
 
     def step(carried, first):
         response, depth = carried

@@ -118,10 +118,8 @@ class Slab:
         )
 
     def moments(self, b: Bounded, weight: jax.Array, f: jax.Array, parity: Any) -> jax.Array:
-        """Moments ∫ weight f_l φ_i I of the radiance that unit sources f_k φ_j make.
-
-        `f` has shape (rank, angles), `parity` is one number or one an angle; returns
-        (rank·panels·orders, rank·panels·orders).
+        """Moments ∫ weight f_l φ_i I of the radiance that unit sources f_k φ_j make, a matrix
+        over (rank, panels, orders); `f`: (rank, angles); `parity`: a number, or one an angle.
         """
         rank, panels, n = f.shape[0], self.n_panels, self.n_depths
         weighted = weight[None, :] * f

@@ -64,12 +64,8 @@ class PolarisedMonteCarlo(AbstractSolver):
         exits = None if light.exits is None else _exits(light.exits, self.aperture)
         waves = jnp.arange(layers.extinction.size)
         keys = jax.vmap(partial(jax.random.fold_in, key))(waves)
-        one = partial(
-            _one_wavelength,
-            solver=self,
-            diffuse=light.cosine is None,
-            whole=light.matrices or exits is not None,
-        )
+        diffuse, whole = light.cosine is None, light.matrices or exits is not None
+        one = partial(_one_wavelength, solver=self, diffuse=diffuse, whole=whole)
         incidence = jnp.ones((), dtype) if light.cosine is None else light.cosine
         # Photons in invalid layers would never end: none are sent.
         ok = layers.valid()
@@ -77,9 +73,8 @@ class PolarisedMonteCarlo(AbstractSolver):
 
         def at(x):
             key, abl, depth, albedo = x
-            return one(
-                key, photon.PhotonLayers(abl, depth, albedo, layers.indices), incidence, exits, ok
-            )
+            medium = photon.PhotonLayers(abl, depth, albedo, layers.indices)
+            return one(key, medium, incidence, exits, ok)
 
         tally = jax.lax.map(at, (keys, *(jnp.where(ok, x, 0.0) for x in depths)))
         n, counts = self.n_photons, tally.fates.astype(dtype)
