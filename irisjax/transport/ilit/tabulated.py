@@ -15,8 +15,8 @@ from jaxtyping import Array, Float
 
 from irisjax._types import PRNGKey
 from irisjax.numerics.interpolation import chebyshev_nodes
-from irisjax.numerics.piecewise import piecewise, piecewise_chebyshev
-from irisjax.numerics.sharding import laid_out_as
+from irisjax.numerics.piecewise import piecewise
+from irisjax.numerics.sharding import laid_out
 from irisjax.numerics.tucker import coefficients
 from irisjax.tissue.indices import Order, RefractiveIndices
 from irisjax.tissue.iris import Iris
@@ -94,10 +94,9 @@ class IlitTabulated(AbstractSolver):
 
     def solve(self, layers: Layers, light: Light, *, key: PRNGKey | None = None) -> Solution:
         check_rayleigh(self, layers)
-        fates = laid_out_as(
-            layers.extinction,
-            (LayerFates._make((1, 1, 1)),) * 3,
+        fates = laid_out(
             IlitTabulated._responses,
+            layers.extinction,
             *(self, layers.abl_absorption, layers.extinction, layers.albedo),
         )
         same = (self.indices.same(layers.indices), RESULTS.outside_table)
@@ -106,8 +105,8 @@ class IlitTabulated(AbstractSolver):
     def _responses(self, abl, depth, albedo) -> tuple[LayerFates, LayerFates, LayerFates]:
         """Responses of the ABL to light from above and from below, and of the stroma."""
         interval, x = self._locate(depth)
-        up, down, out, back = piecewise(self.abl, *self._locate(abl))
-        reflected, passed = piecewise_chebyshev(self.stroma, interval, x, 2 * albedo - 1)
+        up, down, out, back = piecewise(self.abl, *self._locate(abl), None)
+        reflected, passed = piecewise(self.stroma, interval, x, 2 * albedo - 1)
         shares = (up, down), (back, out), (reflected, passed)
         above, below, stroma = (LayerFates(a, b, 1 - a - b) for a, b in shares)
         return above, below, stroma

@@ -18,7 +18,7 @@ from jax.core import Tracer
 from irisjax._types import PRNGKey
 from irisjax.numerics import linear
 from irisjax.numerics.checks import check_whole
-from irisjax.numerics.sharding import laid_out_as
+from irisjax.numerics.sharding import laid_out
 from irisjax.optics.mixture import PhaseMixture
 from irisjax.tissue.layers import Layers
 from irisjax.transport.light import Light
@@ -97,10 +97,9 @@ class AddingDoubling(AbstractSolver):
         phase = layers.phase
         if phase is None:
             phase = PhaseMixture(jnp.ones_like(layers.albedo), jnp.zeros_like(layers.albedo))
-        flux = laid_out_as(
-            layers.extinction,
-            Flux._make((1, 1, 1, 1, 1, None if lit.exits is None else 2)),
+        flux = laid_out(
             jax.vmap(partial(_one_wavelength, doublings=doublings), (0, 0, 0, 0, None, None)),
+            layers.extinction,
             *(layers.abl_absorption, layers.stroma_absorption, layers.stroma_scattering, phase),
             *(nodes, lit),
         )

@@ -18,7 +18,7 @@ from jax.core import Tracer
 from irisjax._types import PRNGKey
 from irisjax.numerics import linear
 from irisjax.numerics.checks import check_whole
-from irisjax.numerics.sharding import laid_out_as
+from irisjax.numerics.sharding import laid_out
 from irisjax.tissue.layers import Layers
 from irisjax.transport.light import Light
 from irisjax.transport.process import DEPTH_RESOLVED, RadiativeTransfer
@@ -95,10 +95,9 @@ _steepness = jax.jit(resolution.steepness)
 
 def _solve(layers: Layers, light: Light, n_angles: int, how: tuple[int, int]) -> Flux:
     lit = beams_and_exits(layers, light, 2 * n_angles)
-    return laid_out_as(
-        layers.extinction,
-        Flux._make((1, 1, 1, 1, 1, None if lit.exits is None else 2)),
+    return laid_out(
         jax.vmap(partial(_one_wavelength, how=how), (0, 0, 0, 0, None, None)),
+        layers.extinction,
         *(layers.abl_absorption, layers.extinction, layers.albedo, layers.coalbedo),
         *(quadrature_nodes(layers, n_angles), lit),
     )

@@ -25,8 +25,8 @@ from jaxtyping import Array, Bool, Float
 from irisjax._types import PRNGKey
 from irisjax.numerics.interpolation import chebyshev_nodes, chebyshev_series
 from irisjax.numerics.roots import safe_sqrt
-from irisjax.numerics.sharding import laid_out_as
-from irisjax.numerics.tucker import Tucker, coefficients, grid
+from irisjax.numerics.sharding import laid_out
+from irisjax.numerics.tucker import Tucker, coefficients, grid_points
 from irisjax.tissue.indices import RefractiveIndices
 from irisjax.tissue.iris import Iris
 from irisjax.tissue.layers import Layers
@@ -105,10 +105,9 @@ class RadiativeTabulated(AbstractSolver):
         # More than 16 take XLA at least four times as long.
         beams, interfaces = (60, 3) if self.dense_outside else (16, 0)
         lit = beams_and_exits(layers, light, beams, interfaces)
-        flux = laid_out_as(
-            layers.extinction,
-            Flux._make((1, 1, 1, 1, 1, None if lit.exits is None else 2)),
+        flux = laid_out(
             RadiativeTabulated._flux,
+            layers.extinction,
             *(self, layers.abl_absorption, layers.extinction, layers.albedo, layers.coalbedo, lit),
         )
         held = (self.holds(layers), RESULTS.outside_table)
@@ -272,7 +271,7 @@ def _brdf_table(indices: RefractiveIndices, pole: np.ndarray) -> np.ndarray:
 def _nodes(n_abl: int, n_depth: int, n_albedo: int) -> np.ndarray:
     """Chebyshev nodes as (τ_A, τ, ω), shape (points, 3), the albedo's fastest."""
     albedos = (chebyshev_nodes(n_albedo) + 1) / 2
-    points = grid([_depths(n_abl, _DEEPEST_ABL), _depths(n_depth, _DEEPEST), albedos])
+    points = grid_points([_depths(n_abl, _DEEPEST_ABL), _depths(n_depth, _DEEPEST), albedos])
     points[:, 2] *= _most(points[:, 1])
     return points
 

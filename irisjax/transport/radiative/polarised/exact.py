@@ -12,7 +12,7 @@ import jax
 import jax.numpy as jnp
 
 from irisjax.numerics import linear
-from irisjax.numerics.sharding import laid_out_as
+from irisjax.numerics.sharding import laid_out
 from irisjax.optics.mueller import stokes
 from irisjax.tissue.layers import Layers
 from irisjax.transport.light import Light
@@ -59,14 +59,11 @@ def solve_polarised(
         modes: Those of the phase matrix, the first that of the whole intensity.
     """
     lit = beams_and_exits(layers, light, 2 * n_angles, ordinates=partial(polarised, from_outside))
-    seen = lit.exits is not None
-    wanted = light.matrices or seen
+    wanted = light.matrices or lit.exits is not None
     one = partial(_one_wavelength, how=how, modes=modes, matrices=wanted)
-    ranks = Flux._make((1, 1, 1, 1, 1, 2 if seen else None))
-    flux, matrices = laid_out_as(
-        layers.extinction,
-        (ranks, (3, 3, 4 if seen else None) if wanted else None),
+    flux, matrices = laid_out(
         jax.vmap(one, in_axes=(0, 0, 0, 0, *(None,) * 3)),
+        layers.extinction,
         *(layers.abl_absorption, layers.extinction, layers.albedo, layers.coalbedo),
         *(layers.indices, polarised(quadrature_nodes, layers, n_angles), lit),
     )
