@@ -6,7 +6,6 @@ pupil's edge is the bottom row.
 """
 
 import errno
-from collections.abc import Mapping
 from pathlib import Path
 from typing import NamedTuple
 
@@ -137,25 +136,26 @@ def _contents(scene: Scene, spacing: float) -> tuple[dict[str, bytes], int, Lamb
     data["scene.xml"] = xml.encode()
     error = matt.first(3).error()
     shares = error._asdict().items()
-    values = {name: ", ".join(f"{100 * v:.2g}" for v in share) + " %" for name, share in shares}
-    values |= {
+    values = {
+        **dict.fromkeys(data, ""),
+        **{name: ", ".join(f"{100 * v:.2g}" for v in share) + " %" for name, share in shares},
         "process": str(integrator.process),
         "table": f"{100 * float(matt.response.error):.1g}",
-        "clipped": str(clipped),
+        "clipped": str(clipped) if clipped else None,
+        **_approximations(eye),
     }
-    present = {*data} | ({"clipped"} if clipped else set())
-    data["README.txt"] = _readme(eye, present, values).encode()
+    data["README.txt"] = filled("readme.txt", values).encode()
     return data, clipped, error
 
 
-def _readme(eye: Eye, present: set[str], values: Mapping[str, str]) -> str:
-    """README.txt from its template, whose lines may belong to a file or a feature of the scene."""
-    present = present | (set() if eye.attenuation is None else {"attenuation"})
+def _approximations(eye: Eye) -> dict[str, str | None]:
+    """Numbers of README.txt that the eye decides."""
     aqueous = float(eye.aqueous_index)
     solid = eye.cornea is None or eye.cornea.posterior is None
     cornea = aqueous if eye.cornea is None or solid else float(eye.cornea.index)
     mirrored = [((index - 1) / (index + 1)) ** 2 for index in (cornea, TEAR)]
-    more = {
+    return {
+        "attenuation": None if eye.attenuation is None else "",
         "cone": f"{CONE:g}",
         "limbus": f"{float(eye.limbus_width):.2g}",
         "margin": f"{float(eye.pupil_margin):.2g}",
@@ -167,7 +167,6 @@ def _readme(eye: Eye, present: set[str], values: Mapping[str, str]) -> str:
         "mirrored": f"{100 * (mirrored[0] / mirrored[1] - 1):+.2g}",
         "widest": f"{np.degrees(WIDEST):g}",
     }
-    return filled("readme.txt", present, {**values, **more})
 
 
 def _in_uv(texture) -> np.ndarray:

@@ -38,18 +38,15 @@ def mitsuba_scene(scene: Scene, *, relief: bool, white: _Rgb | None, haze: _Rgb 
     sideways = np.hypot(*(target - origin)[[0, 2]]) < 1e-6 * distance
     solid = eye.cornea is None or eye.cornea.posterior is None
     index = eye.aqueous_index if eye.cornea is None or solid else eye.cornea.index
-    lamps = list(_lamps(scene))
-    present = {
+    parts = {
         "relief": relief,
         "flat": not relief,
         "anterior": eye.cornea is not None,
         "posterior": not solid,
-        "haze": haze is not None,
-        "white": white is not None,
         "environment": scene.environment is not None,
-        "lamps": bool(lamps),
     }
     values = {
+        **{name: "" for name, here in parts.items() if here},
         "origin": ", ".join(_turned(origin)),
         "target": ", ".join(_turned(target)),
         "up": ", ".join(_turned([0, 0, 1] if sideways else [0, 1, 0])),
@@ -60,11 +57,11 @@ def mitsuba_scene(scene: Scene, *, relief: bool, white: _Rgb | None, haze: _Rgb 
         "rows": str(camera.size[1]),
         "cornea": f"{float(index):g}",
         "chamber": f"{float(eye.aqueous_index):g}",
-        "haze": "" if haze is None else _numbers(haze),
-        "white": "" if white is None else _numbers(white),
-        "lamps": "\n".join(lamps),
+        "haze": None if haze is None else _numbers(haze),
+        "white": None if white is None else _numbers(white),
+        "lamps": "\n".join(_lamps(scene)) or None,
     }
-    return filled("scene.xml", [name for name, here in present.items() if here], values)
+    return filled("scene.xml", values)
 
 
 def _lamps(scene: Scene) -> Iterator[str]:

@@ -1,19 +1,19 @@
 """Texts beside this module, with blanks to fill in."""
 
-from collections.abc import Collection, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from string import Template
 
 
-def filled(name: str, present: Collection[str], values: Mapping[str, str]) -> str:
-    """A template with `values` for its `$NAME`; its lines that begin with `?NAME` are left out
-    unless that name is `present`.
+def filled(name: str, values: Mapping[str, str | None]) -> str:
+    """A template with `values` for its `$NAME`, without the lines that begin with the `?NAME` of
+    a value that is absent.
     """
     lines = []
     for line in Path(__file__).with_name(name).read_text(encoding="utf-8").splitlines():
         if line.startswith("?"):
             needed, _, line = line[1:].partition(" ")
-            if needed not in present:
+            if values.get(needed) is None:
                 continue
         lines.append(line)
     return Template("\n".join(lines) + "\n").substitute(values)
