@@ -1,6 +1,4 @@
-"""Files in and out: tables with headers, measured spectra, posteriors, pictures, movies, scenes,
-meshes.
-"""
+"""Files in and out: tables, measured spectra, posteriors, pictures, movies, scenes, meshes."""
 
 import lazy_loader
 

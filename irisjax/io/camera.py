@@ -21,15 +21,15 @@ _DIAGONAL = math.hypot(36, 24)  # mm, of 35 mm film [CIPA DCG-001]
 _PER_MM = {2: 1 / 25.4, 3: 0.1, 4: 1.0, 5: 1000.0}  # Exif's units of the focal plane's resolution
 
 
-def focal_px(exif: Mapping[str, float], shape: tuple[int, int]) -> tuple[float | None, list[str]]:
+def focal_px(exif: Mapping[str, float], shape: tuple[int, int], notes: list[str]) -> float | None:
     """Focal length in pixels of a picture of `shape` (rows, columns, as the file stores it), `None`
-    where Exif has none that can be believed, and notes on how it was found.
+    where Exif has none that can be believed; notes on how it was found are added.
 
     From `FocalLengthIn35mmFilm` by the diagonals of picture and film; else `FocalLength` (mm) and
     `FocalPlaneXResolution`. Both are scaled from `PixelXDimension` to the picture's pixels.
     """
     given = defaultdict(float, {k: v for k, v in exif.items() if math.isfinite(v)})
-    taken, scale, notes = _taken(given, shape)
+    taken, scale = _taken(given, shape, notes)
     by_film = given["FocalLengthIn35mmFilm"] / _DIAGONAL * math.hypot(*taken) * scale
     per_mm = _PER_MM.get(int(given.get("FocalPlaneResolutionUnit", 2)), 0.0)
     by_plane = given["FocalLength"] * given["FocalPlaneXResolution"] * per_mm * scale
@@ -38,29 +38,35 @@ def focal_px(exif: Mapping[str, float], shape: tuple[int, int]) -> tuple[float |
         if value := told.pop(source):
             notes.append(f"A focal length of {value:.3g} pixels from {source} is ignored.")
     if not told:
-        return None, notes
+        return None
     if len(told) == 2 and not 0.9 < by_plane / by_film < 1.1:
         notes.append(
             f"Exif contradicts itself on the focal length: {by_film:.0f} pixels from the 35 mm "
             f"equivalent (taken), {by_plane:.0f} from the focal plane's resolution."
         )
     source, value = next(iter(told.items()))
-    return value, [*notes, f"Focal length: {value:.0f} pixels, from {source} in Exif."]
+    notes.append(f"Focal length: {value:.0f} pixels, from {source} in Exif.")
+    return value
 
 
-def _taken(given: Mapping[str, float], shape: tuple[int, int]):
-    """Sides as the camera took them, pixels, what the picture was resized by since, and notes."""
+def _taken(
+    given: Mapping[str, float], shape: tuple[int, int], notes: list[str]
+) -> tuple[list[int], float]:
+    """Sides as the camera took them, pixels, and what the picture was resized by since."""
     now = sorted(shape)
     then = sorted(int(given.get(f"Pixel{axis}Dimension", 0)) for axis in "XY")
     if then[0] < 1 or then == now:
-        return now, 1.0, []
-    factors = [n / t for n, t in zip(now, then, strict=True)]
+        return now, 1.0
+    small, large = (n / t for n, t in zip(now, then, strict=True))
     sizes = f"{then[1]} × {then[0]} pixels to {now[1]} × {now[0]}"
-    if max(abs(n - t * factors[1]) for n, t in zip(now, then, strict=True)) <= 2:
-        return then, factors[1], [f"Exif states that the picture was resized from {sizes}."]
-    if max(factors) <= 1:
-        return then, 1.0, [f"Exif states {sizes}: the picture is taken as a full-size detail."]
-    return now, 1.0, [f"Exif's size does not fit the picture ({sizes}) and is ignored."]
+    if max(abs(n - t * large) for n, t in zip(now, then, strict=True)) <= 2:
+        notes.append(f"Exif states that the picture was resized from {sizes}.")
+        return then, large
+    if max(small, large) <= 1:
+        notes.append(f"Exif states {sizes}: the picture is taken as a full-size detail.")
+        return then, 1.0
+    notes.append(f"Exif's size does not fit the picture ({sizes}) and is ignored.")
+    return now, 1.0
 
 
 def develop(
@@ -115,6 +121,14 @@ def develop(
     return linear, saturated, exif, notes
 
 
+@contextlib.contextmanager
+def quietly() -> Iterator[None]:
+    """Let failures and warnings of Pillow pass where only a note or a focal length is lost."""
+    with warnings.catch_warnings(), contextlib.suppress(Exception):
+        warnings.simplefilter("ignore")
+        yield
+
+
 def _at_white_level(raw) -> np.ndarray:
     """Pixels whose colours are filled in from a photosite at 0.995 of the way to white, of the nine
     around them.
@@ -140,13 +154,13 @@ def _exif_of(path, raw) -> dict[str, float]:
     from PIL import Image
 
     found: dict[str, float] = {}
-    with _quietly():
+    with quietly():
         exif = Image.Exif()
         with open(path, "rb") as file:
             exif.load_from_fp(file)
             found = _numbers(exif)
     if "FocalLength" not in found:
-        with _quietly():
+        with quietly():
             preview = raw.extract_thumb()
             if preview.format == rawpy.ThumbFormat.JPEG:
                 found = _numbers(Image.open(BytesIO(preview.data)).getexif())
@@ -155,14 +169,6 @@ def _exif_of(path, raw) -> dict[str, float]:
     if raw.other.focal_length:
         found.setdefault("FocalLength", float(raw.other.focal_length))
     return found
-
-
-@contextlib.contextmanager
-def _quietly() -> Iterator[None]:
-    """Let any failure pass: only the focal length is lost."""
-    with warnings.catch_warnings(), contextlib.suppress(Exception):
-        warnings.simplefilter("ignore")
-        yield
 
 
 def _numbers(exif) -> dict[str, float]:

@@ -22,15 +22,8 @@ from irisjax.render.integrators import integrator_name
 UNREFRACTED_PICTURE, VISIBLE_MASK = "unrefracted.png", "visible.png"
 """Names of the texture's picture, and of the mask of texels that show the iris."""
 CLONE_FILES = (
-    "clone.json",
-    UNREFRACTED_PICTURE,
-    VISIBLE_MASK,
-    "freckles.png",
-    "deconvolved.png",
-    "maps.exr",
-    "scene.toml",
-    "environment.exr",
-    "convergence.csv",
+    *("clone.json", UNREFRACTED_PICTURE, VISIBLE_MASK, "freckles.png", "deconvolved.png"),
+    *("maps.exr", "scene.toml", "environment.exr", "convergence.csv"),
 )
 """Names of all files that `files_of` may write."""
 _REMARK = "estimated by irisjax from a photograph"

@@ -34,10 +34,8 @@ _BROKEN = (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile, zipfile.
 
 def tables_of(scene: Scene, folder: str | Path | None = None) -> Illumination | None:
     """Return `scene.tables()`, read from a file in `folder` where there is one, and else written
-    there; nothing is kept where `folder` is `None`.
-
-    A file that is damaged or cannot be written is reported on standard error, and the tables are
-    computed.
+    there; nothing is kept where `folder` is `None`. What is wrong with a file is reported on
+    standard error, and the tables are computed.
     """
     if folder is None or scene.eye.cornea is None:
         return scene.tables()

@@ -1,7 +1,4 @@
-"""Pictures in and out: OpenEXR and Radiance for linear values, PNG and JPEG for encoded ones.
-
-OpenImageIO reads and writes the formats; it is imported when a picture is first read or written.
-"""
+"""Pictures in and out: OpenEXR and Radiance for linear values, PNG and JPEG for encoded ones."""
 
 import itertools
 import re
@@ -21,6 +18,7 @@ READABLE = (".exr", ".hdr", ".png", ".jpg", ".jpeg")
 """Kinds of picture that can be read."""
 
 _PNG, _LAST = b"\x89PNG\r\n\x1a\n", b"IEND"  # signature and last chunk
+_Check = Callable[[Any], None]
 _SPECTRAL = re.compile(r"(S[0-3]|T)\.\d+(,\d+)?nm")
 
 
@@ -48,12 +46,10 @@ def read_image(path: str | Path, *, decode: bool = False) -> Image:
 
     Args:
         path: The file.
-        decode: Whether sRGB's transfer function is inverted for PNG and JPEG (alpha stays as it
-            is).
+        decode: Whether sRGB's transfer function is inverted for PNG and JPEG, not for alpha.
 
     Raises:
         ValueError: for an unknown suffix or a broken file.
-        OSError: for a file that cannot be opened.
     """
     pixels, spec, _ = decode_file(path, READABLE, integers=False)
     linear = Path(path).suffix.lower() in (".exr", ".hdr")
@@ -136,14 +132,9 @@ def encode_png(name: str | Path, encoded: Any, **options: Any) -> tuple[bytes, i
     return _bytes(name, lambda there: write_png(there, encoded, **options))
 
 
-def encode_exr(
-    name: str | Path,
-    image: Any,
-    channels: Sequence[str] = ("R", "G", "B"),
-    metadata: Mapping[str, str] | None = None,
-) -> bytes:
-    """The bytes that `write_exr` writes."""
-    return _bytes(name, lambda there: write_exr(there, image, channels, metadata))[0]
+def encode_exr(name: str | Path, image: Any, *options: Any, **more: Any) -> bytes:
+    """The bytes that `write_exr` writes with these options."""
+    return _bytes(name, lambda there: write_exr(there, image, *options, **more))[0]
 
 
 def _bytes(name: str | Path, write: Callable[[Path], Any]) -> tuple[bytes, Any]:
@@ -180,9 +171,8 @@ def read_environment(path: str | Path) -> Environment:
     rows, columns = image.pixels.shape[:2]
     with naming(path):
         if columns != 2 * rows:
-            raise ValueError(
-                f"a latitude-longitude map is twice as wide as high, this is {columns} × {rows}"
-            )
+            said = f"twice as wide as high, this is {columns} × {rows}"
+            raise ValueError(f"a latitude-longitude map is {said}")
         if not {"R", "G", "B"} <= set(image.channels):
             found = ", ".join(image.channels)
             raise ValueError(f"an environment needs the channels R, G, B, found {found}")
@@ -205,11 +195,7 @@ def to_steps(encoded: Any, bits: int) -> tuple[np.ndarray, int]:
 
 
 def decode_file(
-    path: str | Path,
-    suffixes: tuple[str, ...],
-    *,
-    integers: bool,
-    check: Callable[[Any], None] | None = None,
+    path: str | Path, suffixes: tuple[str, ...], *, integers: bool, check: _Check | None = None
 ) -> tuple[np.ndarray, Any, bool]:
     """Decode the first picture of a file, turned upright.
 

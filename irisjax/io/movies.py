@@ -1,8 +1,5 @@
-"""Pictures that move: GIF, MP4, or numbered PNGs for other programs. Every frame is encoded sRGB in
-[0, 1].
-
-GIF is written by Pillow and MP4 by PyAV, an extra: VP9, which browsers play and which is free of
-royalties, in BT.709 with half the resolution for colours.
+"""Pictures that move, of frames encoded as sRGB in [0, 1]: GIF by Pillow, numbered PNGs, or MP4 by
+PyAV, an extra: VP9, which browsers play, in BT.709 with half the resolution for colours.
 """
 
 import importlib.util
@@ -62,7 +59,6 @@ def write_movie(
 
     Raises:
         ValueError: As `check_movie`, or a frame has another shape or is not finite.
-        OSError: As `check_movie`.
     """
     check_movie(path)
     clipped, shape = 0, None
@@ -107,9 +103,8 @@ def _mp4(path: Path, frames: Iterator[np.ndarray], rate: int, remark: str) -> di
             if stream is None:
                 # Constant quality, far above what is seen: 1 of 255 levels on average where colours
                 # do not jump.
-                stream = container.add_stream(
-                    "libvpx-vp9", rate=rate, options={"crf": "8", "b": "0"}
-                )
+                quality = {"crf": "8", "b": "0"}
+                stream = container.add_stream("libvpx-vp9", rate=rate, options=quality)
                 stream.height, stream.width = steps.shape[:2]
                 stream.pix_fmt, stream.time_base = "yuv420p", Fraction(1, rate)
                 context = stream.codec_context  # BT.709 with sRGB's transfer function, in [16, 235]
@@ -138,9 +133,7 @@ _WRITERS = {".gif": _gif, ".mp4": _mp4, ".png": _pngs}
 
 
 def _numbered(path: Path, number: int) -> Path:
-    name = path.name
-    if len(_NUMBER.findall(name)) != 1 or name.count("%") != 1:
-        raise ValueError(
-            f"{path}: the name of numbered frames holds one number, such as frame_%03d.png"
-        )
-    return path.with_name(name % number)
+    if len(_NUMBER.findall(path.name)) != 1 or path.name.count("%") != 1:
+        said = "the name of numbered frames holds one number, such as frame_%03d.png"
+        raise ValueError(f"{path}: {said}")
+    return path.with_name(path.name % number)

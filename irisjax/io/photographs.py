@@ -1,14 +1,12 @@
 """Photographs of all kinds, cameras' raw files too, as pixels in proportion to light."""
 
-import contextlib
-import warnings
 from functools import reduce
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from irisjax.io.camera import RAW, develop, focal_px
+from irisjax.io.camera import RAW, develop, focal_px, quietly
 from irisjax.io.images import decode_file
 from irisjax.io.profiles import profile_to_linear, srgb_to_linear
 from irisjax.io.tables import naming
@@ -68,8 +66,7 @@ def read_photograph(path: str | Path) -> Photograph:
             grey, saturated = _is_grey(values), np.zeros(pixels.shape[:2], bool)
             if values.dtype.kind == "u":
                 saturated = _any(values >= _SATURATED * np.iinfo(values.dtype).max)
-    focal, added = focal_px(exif, size)
-    notes += added
+    focal = focal_px(exif, size, notes)
     _settle_negatives(pixels, notes)
     return Photograph(pixels, saturated, grey, focal, name, tuple(notes))
 
@@ -130,10 +127,8 @@ def _linear(values: np.ndarray, spec: "OpenImageIO.ImageSpec", notes: list[str])
         pixels, said = srgb_to_linear(values), "Encoded as sRGB: the file has no colour profile"
         encoding = spec.get_string_attribute("oiio:ColorSpace")
         if spec.get_int_attribute("Exif:ColorSpace", 1) != 1:
-            said = (
-                "Read as sRGB, for want of a colour profile; Exif says that the colour space is "
-                "another (Adobe RGB in most cameras), so colours may be too dull"
-            )
+            said = "Read as sRGB, for want of a colour profile; Exif says that the colour space is "
+            said += "another (Adobe RGB in most cameras), so colours may be too dull"
         elif encoding not in _ENCODINGS:
             said = f"Read as sRGB; the file says {encoding}"
     notes.append(f"{said}.")
@@ -193,10 +188,8 @@ def _several(path: str | Path, suffix: str) -> bool:
         return False
     from PIL import Image
 
-    with warnings.catch_warnings(), contextlib.suppress(OSError, SyntaxError, ValueError):
-        warnings.simplefilter("ignore")  # the size is checked already
-        with Image.open(path) as image:
-            return getattr(image, "n_frames", 1) > 1
+    with quietly(), Image.open(path) as image:
+        return getattr(image, "n_frames", 1) > 1
     return False
 
 

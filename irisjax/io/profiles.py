@@ -1,7 +1,5 @@
-"""Embedded ICC profiles: from the values of a file to linear sRGB.
-
-Profiles of three curves and a matrix are applied by OpenColorIO, by way of OpenImageIO, without
-loss; those of other kinds by Little CMS, by way of Pillow, which computes with 8 bits.
+"""Embedded ICC profiles: those of three curves and a matrix are applied by OpenColorIO, by way of
+OpenImageIO, without loss; other kinds by Little CMS, by way of Pillow, with 8 bits.
 """
 
 import tempfile
@@ -38,9 +36,6 @@ def profile_to_linear(values: np.ndarray, profile: bytes) -> tuple[np.ndarray, s
     Returns:
         float32 values (rows, columns, 3), and the profile's name with a remark on a loss of
         precision, if any.
-
-    Raises:
-        ValueError: for a profile that is broken or of another number of channels.
     """
     from PIL import ImageCms
 

@@ -56,10 +56,8 @@ class Recipe(NamedTuple):
         """The mixer of the paints, or `ValueError` for a file of paints that it does not use."""
         if self.mixing == _HSL and self.paints is not None:
             raise ValueError(_NO_USE)
-        if self.paints is not None:
-            mixer = read_paints(self.folder / self.paints)
-        else:
-            mixer = (HslMixer if self.mixing == _HSL else KubelkaMunkMixer).default()
+        own = HslMixer if self.mixing == _HSL else KubelkaMunkMixer
+        mixer = own.default() if self.paints is None else read_paints(self.folder / self.paints)
         return mixer.with_paints(self.palette) if self.palette else mixer
 
     def scans(self) -> dict[str, np.ndarray]:
@@ -94,7 +92,6 @@ def read_recipe(path: str | Path) -> Recipe:
 
     Raises:
         ValueError: naming file, line, what is wrong and what is allowed.
-        OSError: for a file that cannot be opened.
     """
     path = Path(path)
     sections, where = check_sections(read_text(path), str(path), _SECTIONS, "coat")
@@ -102,19 +99,12 @@ def read_recipe(path: str | Path) -> Recipe:
     if not given:
         raise ValueError(f"{path}: no coats; write [[coat]] for each, the bottom one first")
     for nth, table in enumerate(given):
-        for key in ("component", "paints"):
-            if key not in table:
-                raise ValueError(f"{where('coat', None, nth)}: coat needs {key}")
+        if missing := [key for key in ("component", "paints") if key not in table]:
+            raise ValueError(f"{where('coat', None, nth)}: coat needs {missing[0]}")
     head = sections.get("painting", {})
     if "paints" in head and head.setdefault("mixing", _KUBELKA_MUNK) == _HSL:
         raise ValueError(f"{where('painting', 'mixing')}: {_NO_USE}")
-    usual: dict[str, Any] = {
-        "parameters": {},
-        "share": 0.0,
-        "opacity": 1.0,
-        "seed": 0,
-        "height": 0.0,
-    }
+    usual: dict[str, Any] = dict(parameters={}, share=0.0, opacity=1.0, seed=0, height=0.0)
     coats = []
     for table in given:
         first, second = table.pop("paints")

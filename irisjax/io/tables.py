@@ -36,9 +36,8 @@ class Table(NamedTuple):
 
 
 def format_table(header: Mapping[str, str], columns: Mapping[str, np.ndarray]) -> str:
-    """Text of a CSV file: the header as comments, then the columns with 12 significant digits.
-
-    Twelve digits are the solvers' precision; the last bits, in which machines differ, are left out.
+    """Text of a CSV file: the header as comments, then the columns with 12 significant digits, the
+    solvers' precision; the last bits, in which machines differ, are left out.
 
     Raises:
         ValueError: for a header entry that cannot be read again.
