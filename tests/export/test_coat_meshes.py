@@ -74,8 +74,5 @@ def test_files_hold_meshes_and_pictures(form):
 def test_an_eyes_outside_is_written_too():
     files = painting_files(painting(), "ply", around=24, eye=prosthesis())
     assert {"cornea.ply", "white.ply"} < set(files)
-
-
-def test_an_unknown_kind_of_file_is_refused():
     with pytest.raises(ValueError, match="unknown kind of mesh 'stl'; known: obj, ply"):
         painting_files(painting(), "stl")

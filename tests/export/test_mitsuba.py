@@ -40,26 +40,18 @@ def on_the_iris(scene, margin=0.25):
     assert view is not None
     index, point = np.asarray(view.index), np.stack(view.point, -1)
     r = np.hypot(point[:, 0], point[:, 1])
-    inside = (
-        (index >= 0)
-        & (r > float(scene.eye.pupil_radius) + margin)
-        & (r < float(scene.eye.iris_radius) - margin)
-    )
+    low, high = float(scene.eye.pupil_radius) + margin, float(scene.eye.iris_radius) - margin
+    inside = (index >= 0) & (r > low) & (r < high)
     return index[inside], point[inside]
 
 
 def matt(scene, folder, point):
-    """Radiance of a Lambertian iris of the exported albedo at points, by the definition of
-    irradiance.
-    """
+    """Radiance of a Lambertian iris of the exported albedo, by the definition of irradiance."""
     texture = np.flip(rgb(folder / "albedo.exr"), 0).swapaxes(0, 1)  # back to (angles, radii)
     pupil, root = float(scene.eye.pupil_radius), float(scene.eye.iris_radius)
-    radius = (np.hypot(point[:, 0], point[:, 1]) - pupil) / (root - pupil)
-    albedo = polar_bilinear(
-        jnp.moveaxis(jnp.asarray(texture, float), -1, 0),
-        jnp.arctan2(point[:, 1], point[:, 0]),
-        jnp.asarray(radius),
-    )
+    x, y, _ = point.T
+    place = jnp.arctan2(y, x), jnp.asarray((np.hypot(x, y) - pupil) / (root - pupil))
+    albedo = polar_bilinear(jnp.moveaxis(jnp.asarray(texture, float), -1, 0), *place)
     irradiance = np.zeros(len(point))
     for i in range(len(scene.lights)):
         towards, power = (np.asarray(x) for x in scene.lights.seen_from(jnp.asarray(point), i))
@@ -108,9 +100,7 @@ def test_relief_tilts_their_shading_as_ours(tmp_path, mi):
 
 @pytest.mark.peer
 def test_fine_relief_is_as_steep_as_a_mesh_of_it(tmp_path, mi):
-    """Waves of five texels, about as fine as the finest fibres: against true geometry,
-    and by hand.
-    """
+    """Waves of five texels, about as fine as the finest fibres: against a mesh, and by hand."""
     shape, lobes, height = (96, 32), 20, 0.12
 
     def relief(angle, radius):
@@ -133,12 +123,10 @@ def test_fine_relief_is_as_steep_as_a_mesh_of_it(tmp_path, mi):
     (tmp_path / "eye" / "fine.ply").write_bytes(mesh_files({"fine": mesh})["fine.ply"])
     text = made.files["scene.xml"].read_text().replace("iris.ply", "fine.ply")
     text = text.replace('name="max_depth" value="10"', 'name="max_depth" value="2"')
-    text = re.sub(
-        r'<bsdf type="bumpmap">.*?</texture>(.*?</bsdf>)\s*</bsdf>', r"\1", text, flags=re.DOTALL
-    )
-    text = text.replace(
-        '<boolean name="flip', '<boolean name="face_normals" value="true" />\n<boolean name="flip'
-    )
+    bump = r'<bsdf type="bumpmap">.*?</texture>(.*?</bsdf>)\s*</bsdf>'
+    text = re.sub(bump, r"\1", text, flags=re.DOTALL)
+    faces = '<boolean name="face_normals" value="true" />\n<boolean name="flip'
+    text = text.replace('<boolean name="flip', faces)
     (tmp_path / "eye" / "fine.xml").write_text(text)
     true = mi(tmp_path / "eye" / "fine.xml")[index].mean(0) / flat
     # By hand: the mean cosine to a light nearly straight ahead, over the waves and the ring.
@@ -150,9 +138,7 @@ def test_fine_relief_is_as_steep_as_a_mesh_of_it(tmp_path, mi):
 
 
 def test_slopes_of_a_relief():
-    """Exact for a plane up to the edges; of waves of four texels steeper than a polygon through
-    them (0.9), not half.
-    """
+    """Exact for a plane up to the edges; of waves of four texels steeper than a polygon (0.9)."""
     pupil, span = float(EYE.pupil_radius), float(EYE.iris_radius - EYE.pupil_radius)
     place = np.random.default_rng(0).uniform(size=(2, 4000))
     angle, radius = 2 * np.pi * place[0], 0.05 + 0.9 * place[1]
@@ -168,18 +154,14 @@ def test_slopes_of_a_relief():
         phase = lobes * a[:, None] + 2 * np.pi * cycles * r + 0.7
         found = np.stack(at(slopes(jnp.asarray(0.02 * np.cos(phase)))))
         slope = -0.02 * np.sin(lobes * angle + 2 * np.pi * cycles * radius + 0.7)
-        true = slope * np.stack(
-            [0 * angle + 2 * np.pi * cycles / span, lobes / (pupil + span * radius)]
-        )
+        true = slope * [0 * angle + 2 * np.pi * cycles / span, lobes / (pupil + span * radius)]
         steep = [np.sqrt((x**2).sum(0).mean()) for x in (found, true)]
         np.testing.assert_allclose(steep[0], steep[1], rtol=most)
 
 
 @pytest.mark.peer
 def test_eye_behind_its_cornea(tmp_path, mi):
-    """A broad panel with a bright patch: it is mirrored where we mirror it, and the iris is as
-    bright as ours.
-    """
+    """A broad panel with a bright patch, mirrored where we mirror it; the iris as bright as ours."""
     around = np.zeros((16, 32, 3))
     around[4:12, 11:21] = 1.5  # within 80° of the axis: no caustics to tabulate
     around[4:6, 19:21] = 12.0  # up, and to the right as seen from the eye

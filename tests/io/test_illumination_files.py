@@ -27,9 +27,7 @@ SCENE = Scene(Iris())
 
 @pytest.fixture
 def made(monkeypatch):
-    """Small invented tables, a different set each time, in place of true ones; what they were made
-    of.
-    """
+    """Small invented tables, a different set each time; what they were made of."""
     calls = []
 
     def build(eye, *, caustics):
@@ -59,22 +57,16 @@ def test_true_tables_come_back_to_the_bit(tmp_path, monkeypatch, bits):
 
     monkeypatch.setattr(illumination.Illumination, "build", forbidden)
     # Another pupil, camera and iris: the same file.
-    scene = scene.replace(
-        eye=scene.eye.replace(pupil_radius=2.5), camera=Camera(size=(4, 3)), iris=Iris()
-    )
+    eye = scene.eye.replace(pupil_radius=2.5)
+    scene = scene.replace(eye=eye, camera=Camera(size=(4, 3)), iris=Iris())
     equal(tables_of(scene, tmp_path), first)
     assert list(tmp_path.iterdir()) == [file]
 
 
 def test_tables_are_made_of_what_the_key_sees():
     """Two eyes of one key have the same tables: build looks at nothing else."""
-    a = EYE.replace(
-        pupil_radius=3.0,
-        pupil_margin=0.02,
-        limbus_width=0.3,
-        sclera=Sclera(radius=13.0),
-        cornea=Cornea(scatter=85e8),
-    )
+    parts = {"sclera": Sclera(radius=13.0), "cornea": Cornea(scatter=85e8)}
+    a = EYE.replace(pupil_radius=3.0, pupil_margin=0.02, limbus_width=0.3, **parts)
     b = EYE.replace(sclera=None)
     assert key(a, False) == key(b, False) == key(EYE, False)
     assert jax.tree.structure(deciding(a)) == jax.tree.structure(deciding(b))

@@ -11,9 +11,8 @@ from irisjax import io
 def test_table_round_trip(tmp_path):
     path = tmp_path / "spectrum.csv"
     columns = {"wavelength_nm": np.array([400.0, 410.5]), "reflectance": np.array([1 / 3, 2e-13])}
-    text = io.format_table(
-        {"eumelanin": "0.1201 [mg/ml]", "illuminant": "ISO 7589 Photoflood"}, columns
-    )
+    header = {"eumelanin": "0.1201 [mg/ml]", "illuminant": "ISO 7589 Photoflood"}
+    text = io.format_table(header, columns)
     io.write_atomically(path, text.encode())
     table = io.read_table(path)
     assert table.header == {"eumelanin": "0.1201", "illuminant": "ISO 7589 Photoflood"}
@@ -21,9 +20,6 @@ def test_table_round_trip(tmp_path):
     for name, column in columns.items():
         np.testing.assert_allclose(table.columns[name], column, rtol=1e-11)
     assert io.read_header(path) == table.header
-
-
-def test_header_takes_no_new_line():
     with pytest.raises(ValueError, match="new line"):
         io.format_table({"note": "one\ntwo"}, {})
 
@@ -97,12 +93,9 @@ def test_permissions_are_the_umasks(tmp_path):
     assert (tmp_path / "file").stat().st_mode & 0o777 == 0o640
 
 
-def test_devices_are_written_to(tmp_path):
+def test_where_nothing_can_be_written(tmp_path):
     io.write_atomically("/dev/null", b"gone")
     assert not os.path.isfile("/dev/null")
-
-
-def test_where_nothing_can_be_written(tmp_path):
     with pytest.raises(FileNotFoundError):
         io.check_writable(tmp_path / "missing" / "file.csv")
     with pytest.raises(IsADirectoryError):
