@@ -289,14 +289,13 @@ def fit_ellipse(
     def off(p: np.ndarray) -> np.ndarray:
         return ellipse(p).relative_radius(scaled[:, 0], scaled[:, 1]) - 1
 
+    def miss(p: np.ndarray, root: np.ndarray) -> np.ndarray:
+        return np.concatenate([root * off(p), (p[3:] - expected) / spread])
+
     for outlier in (0.04, 0.02, 0.01, 0.01, 0.01):
         # A tenth: the errors of neighbouring rays are correlated.
         root = np.sqrt(0.1 * weights) / _PRECISION / (1 + (off(at) / outlier) ** 2)
-
-        def miss(p: np.ndarray, root: np.ndarray = root) -> np.ndarray:
-            return np.concatenate([root * off(p), (p[3:] - expected) / spread])
-
-        at = optimize.least_squares(miss, at, method="lm", xtol=1e-6).x
+        at = optimize.least_squares(miss, at, method="lm", xtol=1e-6, args=(root,)).x
     e = ellipse(at)
     (x, y), (a, b) = middle + size * np.asarray(e.centre), size * np.asarray(e.semi_axes)
     return Ellipse((x, y), (a, b), e.angle % np.pi)
@@ -305,12 +304,11 @@ def fit_ellipse(
 def _distance(dx, dy, a, b, angle, direction):
     """From the origin to ellipses about (dx, dy) along unit directions, (ellipses, directions)."""
     cos, sin = np.cos(angle), np.sin(angle)
-
-    def turned(x, y):
-        return (x * cos - y * sin) / a, (-x * sin - y * cos) / b
-
-    u, v = turned(direction[:, 0], direction[:, 1])
-    cu, cv = (c[:, None] for c in turned(dx, dy))
+    # No function within: the type checks of tests would decorate it anew at every call.
+    (u, v), (cu, cv) = (
+        ((x * cos - y * sin) / a, (-x * sin - y * cos) / b)
+        for x, y in (direction.T, (dx[:, None], dy[:, None]))
+    )
     square, mixed = u * u + v * v, u * cu + v * cv
     return (mixed + np.sqrt(np.maximum(mixed**2 - square * (cu**2 + cv**2 - 1), 0))) / square
 
