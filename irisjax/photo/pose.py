@@ -140,7 +140,8 @@ def find_pose(
         return Camera(*numbers, size=size)
 
     def residuals(v):
-        open_ = eye.replace(pupil_radius=jnp.asarray(np.clip(v[5], *PUPIL_RADII), float))
+        radius = jnp.asarray(np.clip(v[5], *PUPIL_RADII), float)
+        open_ = eqx.tree_at(lambda e: e.pupil_radius, eye, radius)  # not checked
         # With pixels of one millimetre.
         rim, hole = (np.asarray(p) for p in _outlines(open_, seen_from(v, 2.0, (2, 2))))
         scale = np.exp(v[4]) * pixels_per_mm
