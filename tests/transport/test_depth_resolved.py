@@ -14,7 +14,7 @@ from common import GRID, all_irides, any_order, layers, quick_jit, reference
 from irisjax.optics.fresnel import fresnel_at
 
 IRIS = (1.336, 1.4733333333, 1.4727930095, 1.5)
-SOLVER = ij.RadiativeExact(n_panels=1)  # one program where the default's panels are not the point
+SOLVER = ij.RadiativeExact(n_panels=3)  # one program where the default's panels are not the point
 shares_at = quick_jit(fresnel_at)
 
 
@@ -46,7 +46,7 @@ def test_reference_table():
 FINER = pytest.param(ij.RadiativeExact(n_angles=100, n_depths=12), 1e-9, marks=pytest.mark.slow)
 
 
-@pytest.mark.parametrize(("solver", "tolerance"), [(ij.RadiativeExact(), 1e-7), FINER])
+@pytest.mark.parametrize(("solver", "tolerance"), [(SOLVER, 1e-7), FINER])
 @pytest.mark.parametrize(
     ("index", "normal", "diffuse"),
     [
@@ -69,13 +69,13 @@ HARD = (np.array([0.02, 0.3, 1.0]), np.array([0.05, 0.0, 1.5]), np.array([0.2, 2
 
 @pytest.fixture(scope="module")
 def standard():
-    return solve(layers(*HARD, IRIS), 0.6, ij.RadiativeExact())
+    return solve(layers(*HARD, IRIS), 0.6)
 
 
 @pytest.mark.parametrize(
     "change",
     [
-        {"n_panels": 4},
+        {"n_panels": 5},
         pytest.param({"n_depths": 12}, marks=pytest.mark.slow),
         pytest.param({"n_angles": 144}, marks=pytest.mark.slow),
     ],
@@ -92,9 +92,9 @@ def test_refinement_changes_nothing(standard, change):
 @pytest.mark.parametrize(
     "media", [IRIS, (1.4, 1.4, 1.4, 1.4), (1.336, 1.3, 1.5, 1.4), (1.5, 1.45, 1.4, 1.336)]
 )
-@pytest.mark.parametrize("cosine", [1.0, 0.2, "diffuse"])
+@pytest.mark.parametrize("cosine", [1.0, 0.3, "diffuse"])
 def test_energy(media, cosine):
-    r = solve(layers(*HARD, media), cosine, ij.RadiativeExact())
+    r = solve(layers(*HARD, media), cosine)
     np.testing.assert_allclose(r.energy, 1, rtol=0, atol=1e-12)
     assert bool(r.status == ij.RESULTS.successful)
 
@@ -268,24 +268,23 @@ UNDENSE = {
 
 
 @pytest.mark.parametrize(
-    ("process", "scale", "expected"),
+    ("process", "expected"),
     [
-        (ij.DEPTH_RESOLVED, 1.0, 0.576029249055539),
-        (ij.DEPTH_RESOLVED, 4.0, 0.6807062609772647),
-        (ij.POLARISED, 1.0, 0.5761854571345983),
+        (ij.DEPTH_RESOLVED, 0.576029249055539),
+        (ij.POLARISED, 0.5761854571345983),
     ],
-    ids=["scalar", "more-scattering", "polarised"],
+    ids=["scalar", "polarised"],
 )
-def test_grazing_light_has_the_panels_that_it_takes(process, scale, expected):
+def test_grazing_light_has_the_panels_that_it_takes(process, expected):
     """Grazing light is absorbed near the surface, where one panel was too coarse (5e-4 off).
 
     The expected values are those of twelve panels.
     """
-    iris = ij.Iris(**UNDENSE, scattering_scale=scale)
+    iris = ij.Iris(**UNDENSE)
     solver = ij.RadiativeExact(process=process)
     found = ij.reflectance(iris, [450.0], cos_incidence=0.003, solver=solver).values
     np.testing.assert_allclose(found, expected, rtol=1e-7)
-    if process == ij.DEPTH_RESOLVED and scale == 1.0:
+    if process == ij.DEPTH_RESOLVED:
         # By an adding-doubling of its own from layers of 1e-9.
         np.testing.assert_allclose(found, 0.57602924, rtol=3e-8)
 
@@ -300,9 +299,9 @@ def test_grazing_exits_have_the_panels_that_they_take():
 
 
 def test_grazing_light_is_refused_with_one_panel():
-    iris, one = ij.Iris(**UNDENSE, scattering_scale=4.0), ij.RadiativeExact(n_panels=1)
-    coarse = ij.reflectance(iris, [450.0], cos_incidence=0.003, throw=False, solver=one)
-    assert coarse.status == ij.RESULTS.under_resolved
+    made = ij.Iris(**UNDENSE, scattering_scale=4.0).layers(ij.extinction(np.array([450.0])), 1.336)
+    coarse = solve(made, 0.003, ij.RadiativeExact(n_panels=1))
+    assert bool(coarse.status == ij.RESULTS.under_resolved)
 
 
 OPAQUE = {
