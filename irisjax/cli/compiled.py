@@ -1,11 +1,10 @@
 """Results that commands keep on disk between runs: compiled programs and illumination tables.
 
 Tracing and lowering the program of a spectrum or of a picture takes longer than running it, and
-JAX's compilation cache saves only what comes after (without this module the second run of `fit`
-takes 1.9 times as long, that of `render` 1.4 times). `keep_compiled` replaces the jitted functions
-named in `PROGRAMS` by `Kept` ones, which read the compiler's result from a file. The library knows
-nothing of it. The files are pickles: whoever may write to their folder may run code as its user, as
-with JAX's cache.
+JAX's compilation cache saves only what comes after: without this module the second run of `fit`
+takes 1.9 times as long. `keep_compiled` replaces the package's functions of `equinox.filter_jit` by
+`Kept` ones, which read the compiler's result from a file; the library knows nothing of it. The
+files are pickles: whoever may write to their folder may run code as its user, as with JAX's cache.
 """
 
 import functools
@@ -13,7 +12,6 @@ import hashlib
 import importlib.abc
 import importlib.machinery
 import importlib.metadata
-import itertools
 import os
 import pickle
 import platform
@@ -24,11 +22,12 @@ import tempfile
 import threading
 from collections.abc import Callable, Hashable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext, suppress
 from pathlib import Path
 from types import ModuleType
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+import equinox as eqx
 import jax
 import numpy as np
 from jax.core import Tracer
@@ -38,67 +37,8 @@ if TYPE_CHECKING:
     from irisjax.render.illumination import Illumination
     from irisjax.render.scene import Scene
 
-PROGRAMS: dict[str, tuple[str, ...]] = {
-    "anatomy.eye": ("_least_depth",),
-    "grow.procedural": ("_grow",),
-    "infer.analysis": ("_reported",),
-    "infer.fit": ("_fit",),
-    "infer.identifiability": ("_slopes",),
-    "infer.problem": ("_densities", "predicted"),
-    "measure.colour": ("srgb_encode",),
-    "numerics.portions": ("_joined",),
-    "ocularist.composite": (
-        "ground",
-        "opacity_at",
-        "nothing",
-        "paint_over",
-        "rays",
-        "full_light",
-        "crossed",
-        "light_under",
-    ),
-    "ocularist.matching": ("_residuals", "_jacobian", "_costs", "_best"),
-    "ocularist.mixing": ("_blended",),
-    "ocularist.plan": ("_delta", "_unrolled"),
-    "photo.pigments": ("_searched", "_matched", "_downhill", "_rms"),
-    "photo.pose": ("_outlines", "_seen"),
-    "photo.posterior": ("_totals_and_slope", "_drawn", "_density"),
-    "photo.windows": ("_matrix",),
-    "render.albedo": ("_albedo", "_pairs", "_entering", "_exits_of_all", "_power"),
-    "render.angular": ("light_of", "mixed"),
-    "render.bands": ("_haze",),
-    "render.illumination": ("_build",),
-    "render.integrator": ("_response",),
-    "render.lights": ("_polar",),
-    "render.outside": ("white_colour", "white", "mirrored", "room_at"),
-    "render.picture": ("_bands", "_lamp_of", "_sclera_colours", "_together", "_composed"),
-    "render.project": (
-        "seen_parts",
-        "iris_pixels",
-        "any_pixels",
-        "sclera_pixels",
-        "mirror_pixels",
-        "mirror_points",
-    ),
-    "render.radiative": ("_holds", "_terms", "_shaded"),
-    "render.refraction": ("_searched",),
-    "render.separable": ("_terms", "_shaded"),
-    "render.shading": (
-        "textures_of",
-        "ranges_of",
-        "field_of",
-        "fluxes_of",
-        "slopes_of",
-        "irradiance_at",
-    ),
-    "render.single_scattering": ("local_textures", "_rays", "_marched"),
-    "transport.ilit.tabulated": ("_nodes", "_largest_error"),
-    "transport.radiative.tabulated": ("_fates", "_multiple", "_first", "_looked_up"),
-}
-"""Modules of the package and the jitted functions of their top level whose programs are kept. They
-are pure, and called by these names.
-"""
-_PACKAGE = "irisjax"
+_PACKAGE = "irisjax."
+_JITTED: Any = type(eqx.filter_jit(lambda: None))
 _MOST_VERSIONS = 4  # of the package, whose programs are kept side by side
 _MOST_THREADS = 4  # that read files
 _PACKAGES = ("jax", "jaxlib", "equinox", "optimistix", "lineax", "numpy")
@@ -119,7 +59,10 @@ def folder() -> Path | None:
 
 
 def keep_compiled() -> None:
-    """Trace and compile once a machine: from now on `PROGRAMS` are kept in the cache's folder."""
+    """Trace and compile once a machine: from now on functions that a module of the package has by
+    `equinox.filter_jit` are kept in the cache's folder. They must be pure, and be called with
+    arguments in their order.
+    """
     place = folder()
     # JAX reads both variables of the environment by itself.
     if "JAX_COMPILATION_CACHE_DIR" not in os.environ:
@@ -128,8 +71,8 @@ def keep_compiled() -> None:
         jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
     if place is None or any(isinstance(finder, _Keeper) for finder in sys.meta_path):
         return
-    for name in PROGRAMS:
-        if (module := sys.modules.get(f"{_PACKAGE}.{name}")) is not None:
+    for name, module in list(sys.modules.items()):
+        if name.startswith(_PACKAGE):
             _keep_programs_of(module)
     sys.meta_path.insert(0, _Keeper())
 
@@ -139,11 +82,9 @@ def reading_ahead(command: str) -> Iterator[None]:
     """While this is entered, threads read the programs that the command used last time, while it
     imports modules and reads its input: to read one takes XLA 50 ms, in which Python is free.
     """
-    if (place := _programs()) is None:
+    place = _programs()
+    with nullcontext() if place is None else _files.reading(place / "used" / command):
         yield
-    else:
-        with _files.reading(_version_of(place) / "used" / command):
-            yield
 
 
 def kept_tables(scene: "Scene") -> "Illumination | None":
@@ -155,15 +96,16 @@ def kept_tables(scene: "Scene") -> "Illumination | None":
 
 
 def _programs() -> Path | None:
+    """The folder of the programs of this version of the code."""
     place = folder()
-    return None if place is None else place / "programs"
+    return None if place is None else _version_of(place / "programs")
 
 
 class _Keeper(importlib.abc.MetaPathFinder):
     """Has the programs of a module kept as soon as it is imported, before others take its names."""
 
     def find_spec(self, fullname: str, path: Any, target: ModuleType | None = None) -> Any:
-        if fullname.removeprefix(f"{_PACKAGE}.") not in PROGRAMS:
+        if not fullname.startswith(_PACKAGE):
             return None
         spec = importlib.machinery.PathFinder.find_spec(fullname, path, target)
         if spec is not None and spec.loader is not None:
@@ -178,23 +120,16 @@ class _Keeper(importlib.abc.MetaPathFinder):
 
 
 def _keep_programs_of(module: ModuleType) -> None:
-    for name in PROGRAMS[module.__name__.removeprefix(f"{_PACKAGE}.")]:
-        function = getattr(module, name)
-        if not isinstance(function, Kept):
-            setattr(module, name, kept(function, f"{module.__name__}.{name}"))
-
-
-def kept(function: Callable[..., Any], name: str) -> Callable[..., Any]:
-    """Return the same function with its programs kept under a name.
-
-    Args:
-        function: The result of `equinox.filter_jit` or of `numerics.portions.pixelwise`.
-        name: The name, of its own for each function.
-    """
-    form: Any = type(function)
-    if hasattr(function, "compiled"):
-        return form(function.__wrapped__, lambda part: Kept(part, f"{name} {part.__name__}"))
-    return Kept(function, name)
+    for name, found in list(vars(module).items()):
+        if getattr(found, "__module__", None) != module.__name__:
+            continue  # of another module
+        named = f"{module.__name__}.{name}"
+        if isinstance(found, _JITTED):
+            setattr(module, name, Kept(found, named))
+        elif isinstance(getattr(found, "compiled", None), _JITTED):  # of `numerics.portions`
+            form: Any = type(found)
+            kept = form(found.__wrapped__, lambda part, named=named: Kept(part, named))
+            setattr(module, name, kept)
 
 
 class Kept:
@@ -202,9 +137,9 @@ class Kept:
     their order.
 
     A program is read from its file for the same code (of this package and of those it is made
-    with), the same settings of JAX, the same shapes and types, and equal arguments that are no
-    arrays. Where such an argument cannot be pickled, an array is traced, or there are several
-    devices, this is the function itself.
+    with), settings of JAX, shapes and types, and equal arguments that are no arrays. Where such an
+    argument cannot be pickled, an array is traced, or there are several devices, this is the
+    function itself.
     """
 
     def __init__(self, function: Callable[..., Any], name: str):
@@ -219,8 +154,10 @@ class Kept:
         arrays = [x for x in leaves if _is_array(x)]
         if any(isinstance(x, Tracer) for x in arrays):
             return self.__wrapped__(*args)
-        types = tuple(_type_of(x) for x in arrays)
-        here = structure, _constants(leaves), types, *_settings()
+        types = tuple((x.shape, x.dtype, getattr(x, "weak_type", False)) for x in arrays)
+        # All leaves that are no arrays, with their types, as 1 and 1.0 differ here.
+        constants = tuple(None if _is_array(x) else (type(x), x) for x in leaves)
+        here = structure, constants, types, *_settings()
         if here not in self._known:
             with self._making:
                 if here not in self._known:
@@ -239,17 +176,15 @@ class Kept:
             words = pickle.dumps([self._name, form, seen, _settings(), _machine()], protocol=5)
         except Exception:  # an object without a pickle may raise anything
             return None
-        path = _version_of(place) / hashlib.sha256(words).hexdigest()
+        path = place / hashlib.sha256(words).hexdigest()
         try:
             return _files(path)
         except Exception:  # not there, half a file, a compiler of another kind: compile again
-            compiled, result, linear_algebra = _compiled(self.__wrapped__, form, types)
-        try:
-            executable = serialize_executable.serialize(compiled)
-            _write(path, pickle.dumps((result, linear_algebra, *executable), protocol=5))
-        except Exception:  # results without a pickle, a compiler that cannot serialize
-            pass
-        return _Program(compiled, result)
+            program, linear_algebra = _compiled(self.__wrapped__, form, types)
+        with suppress(Exception):  # results without a pickle, a compiler that cannot serialize
+            executable = serialize_executable.serialize(program.compiled)
+            _write(path, pickle.dumps((program.result, linear_algebra, *executable), protocol=5))
+        return program
 
 
 class _Program(NamedTuple):
@@ -270,8 +205,8 @@ class _Array(NamedTuple):
 
 def _compiled(
     function: Callable[..., Any], form: Any, types: tuple[Any, ...]
-) -> tuple[jax.stages.Compiled, Any, bool]:
-    """Compile; the program, the form of its results, and whether it calls LAPACK."""
+) -> tuple[_Program, bool]:
+    """Compile; the program, and whether it calls LAPACK."""
     plain = getattr(function, "__wrapped__", function)
     results = []
 
@@ -285,7 +220,7 @@ def _compiled(
     flat.__name__ = f"kept_{secrets.token_hex(8)}"
     shapes = [jax.ShapeDtypeStruct(shape, dtype, weak_type=weak) for shape, dtype, weak in types]
     lowered = jax.jit(flat, compiler_options=_compiler_options()).lower(*shapes)
-    return lowered.compile(), results[-1], "lapack" in lowered.as_text()
+    return _Program(lowered.compile(), results[-1]), "lapack" in lowered.as_text()
 
 
 def _read(path: Path) -> _Program:
@@ -309,51 +244,37 @@ def _compiler_options() -> dict[str, Any] | None:
     fast. Other releases of jaxlib stop at this flag.
     """
     known = importlib.metadata.version("jaxlib").startswith("0.10.")
-    return (
-        {"xla_cpu_use_fusion_emitters": False} if known and jax.default_backend() == "cpu" else None
-    )
-
-
-def _constants(leaves: list[Any]) -> tuple[Any, ...]:
-    """Return all leaves that are no arrays, with their types, as 1 and 1.0 differ here."""
-    return tuple(None if _is_array(x) else (type(x), x) for x in leaves)
+    on_cpu = known and jax.default_backend() == "cpu"
+    return {"xla_cpu_use_fusion_emitters": False} if on_cpu else None
 
 
 def _is_array(x: Any) -> bool:
     return isinstance(x, jax.Array | np.ndarray | np.generic)
 
 
-def _type_of(x: Any) -> tuple[Any, ...]:
-    return x.shape, x.dtype, getattr(x, "weak_type", False)
-
-
 def _form_of(tree: Any) -> tuple[list[Any], Any]:
     """The arrays of a tree, and the tree with their places instead."""
-    arrays, count = [], itertools.count()
+    arrays = []
 
     def place(x):
         if not _is_array(x):
             return x
         arrays.append(x)
-        return _Array(next(count))
+        return _Array(len(arrays) - 1)
 
     return arrays, jax.tree.map(place, tree)
 
 
 def _filled(form: Any, arrays: Any) -> Any:
-    return jax.tree.map(
-        lambda x: arrays[x.place] if isinstance(x, _Array) else x,
-        form,
-        is_leaf=lambda x: isinstance(x, _Array),
-    )
+    def fill(x):
+        return arrays[x.place] if isinstance(x, _Array) else x
+
+    return jax.tree.map(fill, form, is_leaf=lambda x: isinstance(x, _Array))
 
 
 def _settings() -> tuple[Any, ...]:
-    return (
-        jax.default_backend(),
-        os.cpu_count(),
-        *(str(getattr(jax.config, name, None)) for name in _SETTINGS),
-    )
+    configured = (str(getattr(jax.config, name, None)) for name in _SETTINGS)
+    return jax.default_backend(), os.cpu_count(), *configured
 
 
 @functools.cache
@@ -386,13 +307,11 @@ def _version_of(place: Path) -> Path:
 
 def _write(path: Path, data: bytes) -> None:
     """Write whole or not at all; a full disk or a read-only folder costs only time."""
-    try:
+    with suppress(OSError):
         path.parent.mkdir(parents=True, exist_ok=True)
         with tempfile.NamedTemporaryFile(dir=path.parent, delete=False) as temporary:
             temporary.write(data)
         os.replace(temporary.name, path)
-    except OSError:
-        pass
 
 
 class Ahead:
