@@ -16,18 +16,19 @@ from irisjax import _interrupt
 from irisjax.cli.compiled import keep_compiled, reading_ahead
 
 _COMMANDS = {
-    "spectrum": "measure",
-    "brdf": "measure",
-    "colour": "measure",
-    "simulate-measurement": "simulate",
-    "fit": "fit",
-    "render": "render",
-    "export": "export",
-    "view": "view",
-    "clone": "clone",
-    "paint": "paint",
+    "spectrum": ("measure",),
+    "brdf": ("measure",),
+    "colour": ("measure",),
+    "simulate-measurement": ("simulate",),
+    "fit": ("fit",),
+    "render": ("render", "OpenImageIO"),
+    "export": ("export", "OpenImageIO", "trimesh"),
+    "view": ("view", "OpenImageIO", "tomlkit", "viser"),
+    "clone": ("clone", "OpenImageIO", "skimage"),
+    "paint": ("paint", "OpenImageIO", "tomlkit"),
 }
-"""Commands in the order of the help, and the modules of this package that have them."""
+"""Commands in the order of the help, the modules of this package that have them, and the modules of
+extras without which they cannot do their work."""
 _EXTRAS = {
     "images": ("OpenImageIO", "PIL", "tomlkit"),
     "photo": ("skimage",),
@@ -37,14 +38,6 @@ _EXTRAS = {
     "raw": ("rawpy",),
 }
 """Extras of the package and the modules that they bring; an extra may bring another's too."""
-_NEEDED = {
-    "render": ("OpenImageIO",),
-    "export": ("OpenImageIO", "trimesh"),
-    "view": ("OpenImageIO", "tomlkit", "viser"),
-    "clone": ("OpenImageIO", "skimage"),
-    "paint": ("OpenImageIO", "tomlkit"),
-}
-"""Modules of extras without which a command cannot do its work."""
 _RUN_AGAIN = ("measure", "simulate")
 """Modules whose commands take each other's files by `--from`: each knows the settings of all."""
 
@@ -86,9 +79,8 @@ def run(arguments: list[str] | None = None) -> int:
         if (format_message := getattr(error, "format_message", None)) is not None:
             return _complain(_of_value(error) or format_message(), 2)
         if isinstance(error, OSError) and error.strerror:
-            return _complain(
-                f"{error.filename}: {error.strerror}" if error.filename else error.strerror, 2
-            )
+            where = f"{error.filename}: " if error.filename else ""
+            return _complain(f"{where}{error.strerror}", 2)
         if isinstance(error, ValueError):
             return _complain(str(error), 2)
         if isinstance(error, ModuleNotFoundError) and (said := _of_extra(error)):
@@ -141,13 +133,12 @@ def parser(arguments: list[str]) -> Any:
         context_settings={"help_option_names": ["-h", "--help"]},
     )
     app.callback(invoke_without_command=True)(_irisjax)
-    asked = _COMMANDS.get(arguments[0])
+    asked, *needed = _COMMANDS.get(arguments[0], (None,))
     wanted = _RUN_AGAIN if asked in _RUN_AGAIN else (asked,)
-    if asked is not None and not {"-h", "--help"} & set(arguments):
-        for package in _NEEDED.get(arguments[0], ()):
-            if not _is_installed(package):
-                raise ModuleNotFoundError(package, name=package)
-    for name, module in _COMMANDS.items():
+    for package in () if {"-h", "--help"} & set(arguments) else needed:
+        if not _is_installed(package):
+            raise ModuleNotFoundError(package, name=package)
+    for name, (module, *_) in _COMMANDS.items():
         if asked is None or module in wanted:
             try:
                 found = importlib.import_module(f"irisjax.cli.{module}")

@@ -5,31 +5,151 @@ import time
 from collections.abc import Callable
 from contextlib import contextmanager, nullcontext
 from pathlib import Path
-from typing import Any
+from typing import ClassVar
 
 import jax
+import numpy as np
 import typer
 from tqdm import tqdm
 
 from irisjax import io
-from irisjax.cli.clone_options import CloneModel, ClonePicture, CloneResults, settings_of
-from irisjax.cli.clone_report import report, tell
+from irisjax.cli import options as opt
 from irisjax.cli.compiled import kept_tables
 from irisjax.cli.files import check_folder
-from irisjax.cli.options import Group, grouped
+from irisjax.cli.scenes import lamps
 from irisjax.io.clone_folders import PHOTOGRAPH, encode_photograph
 from irisjax.io.clones import CLONE_FILES, files_of
 from irisjax.io.photographs import read_photograph
+from irisjax.numerics.checks import Range
 from irisjax.photo import clone as cloning
 from irisjax.photo.clone import PictureDifference, compare_with_photograph
 from irisjax.photo.doubts import doubtful_outlines, doubts_of, per_cent
+from irisjax.photo.photograph import Ellipse
+from irisjax.photo.posterior import PigmentPosterior
 from irisjax.plot.beside import Later, beside, here
+from irisjax.render.environment import Environment
+from irisjax.render.radiative import RadiativeIntegrator
+from irisjax.render.separable import Separable
 
 _NOT_SURE = 3
 _FIGURES = "side_by_side.png", "differences.png", "luminance.png"
 
 
-@grouped
+_PROCESSES = {"ilit-2006": Separable, "depth-resolved": RadiativeIntegrator}
+_DEFAULTS = cloning.CloneSettings()
+
+
+class ClonePicture(opt.Group):
+    """Options: the photograph and what is known about it."""
+
+    PANEL = "Photograph"
+
+    photograph: Path = opt.argument("JPEG, PNG, TIFF, EXR or camera raw", "PHOTO", ...)
+    focal_px: float | None = opt.number(
+        "focal length; default: the file's own", Range(10, 1e6, "pixels")
+    )
+    limbus: str | None = opt.option(
+        "outline of the limbus, in place of the one that is found: centre (column, row), semi-axes "
+        "(pixels), angle of the larger one from the right towards the top",
+        metavar="X,Y,A,B,DEG",
+    )
+    pupil: str | None = opt.option("the same for the pupil as it appears", metavar="X,Y,A,B,DEG")
+    tilt_azimuth: float | None = opt.number(
+        "azimuth of the camera around the eye, from the picture's right to its top; default: "
+        "inferred from the pupil",
+        Range(-360, 360, "degrees"),
+    )
+    light: list[str] | None = opt.option(
+        "as in render, E its irradiance; repeatable; default: inferred from highlights on the "
+        "cornea",
+        metavar="POLAR,AZIMUTH[,E]",
+    )
+    environment: str | None = opt.option(
+        "latitude-longitude panorama, or uniform light", metavar="FILE|uniform"
+    )
+    cross_polarised: bool = opt.flag("the photograph was taken through polarisers")
+    second: Path | None = opt.option(
+        "another photograph of the eye, best through crossed polarisers: it shows the texture "
+        "without highlights; light and pigments are inferred from PHOTO",
+        metavar="FILE",
+    )
+    maps: Path | None = opt.option(
+        "thickness (maps.exr), in place of the estimate from the texture", metavar="FILE.exr"
+    )
+    freckles: Path | None = opt.option(
+        "mask in place of freckles.png, white where a freckle is", metavar="FILE.png"
+    )
+    visible: Path | None = opt.option(
+        "mask in place of visible.png, white where nothing hides the iris", metavar="FILE.png"
+    )
+
+    def given(self) -> cloning.Given:
+        """Return what is given, read from its files."""
+        around = None
+        if self.environment == "uniform":
+            around = Environment.uniform()
+        elif self.environment is not None:
+            around = io.read_environment(self.environment)
+        return cloning.Given(
+            limbus=_outline("--limbus", self.limbus),
+            pupil=_outline("--pupil", self.pupil),
+            lights=lamps(self.light) if self.light else None,
+            environment=around,
+            freckles=_mask(self.freckles),
+            visible=_mask(self.visible),
+            maps=None if self.maps is None else io.read_maps(self.maps),
+            second=None if self.second is None else read_photograph(self.second),
+        )
+
+
+class CloneModel(opt.Group):
+    """Options: the model of the eye."""
+
+    PANEL = "Model"
+    ONLY_WITH: ClassVar = {"deconvolution": ("beta", ())}
+
+    media: str = opt.choice("what light crosses before the iris", cloning.MEDIA, _DEFAULTS.media)
+    iris_depth: float = opt.number(
+        "depth of the iris behind the cornea, {}", Range(2.5, 8, "mm"), _DEFAULTS.iris_depth
+    )
+    beta: float | None = opt.number(
+        "thickness by F09's Eq. 7, where it is 0.35; default: by the model's response",
+        Range(0, 5, "mm"),
+    )
+    deconvolution: float | str = opt.option(
+        "with --beta: width of the blur by scattering, 0 to 2, or fit: nearest picture",
+        _DEFAULTS.sigma,
+        parse=opt.number_or("fit", Range(0, 2)),
+        metavar="mm|fit",
+    )
+    relief: float = opt.number(
+        "share of the stroma's unevenness that stands out towards the cornea, {}; in light eyes "
+        "its shading is removed",
+        Range(0, 1),
+        _DEFAULTS.relief,
+        metavar="share",
+    )
+    method: str = opt.choice(
+        "search for the pigments; simplex is F09's", cloning.METHODS, _DEFAULTS.method
+    )
+    process: str = opt.choice("light in the iris", _PROCESSES, "ilit-2006")
+    max_steps: int = opt.whole(
+        "most steps of the posterior's chain", Range(150, 100_000), _DEFAULTS.steps
+    )
+    seed: int = opt.seeded("files, but for the seconds in clone.json")
+
+
+class CloneResults(opt.Group):
+    """Options: the files."""
+
+    PANEL = "Files"
+
+    output: Path = opt.output("folder for the clone", "DIR", ...)
+    stop_after: str = opt.choice("last stage", cloning.STAGES, "posterior")
+    overwrite: bool = opt.flag("replace a clone in that folder")
+
+
+@opt.grouped
 def clone_command(picture: ClonePicture, model: CloneModel, results: CloneResults) -> None:
     """Clone an iris from a photograph: outlines, the iris laid flat, thickness, pigments.
 
@@ -42,7 +162,7 @@ def clone_command(picture: ClonePicture, model: CloneModel, results: CloneResult
     """
     folder = results.output
     check_folder(folder, "clone.json", "a clone", results.overwrite)
-    given, settings = picture.given(), settings_of(picture, model)
+    stated, settings = picture.given(), _settings(picture, model)
     photograph = read_photograph(picture.photograph)
     timings: dict[str, float] = {}
     wanted = cloning.STAGES[: cloning.STAGES.index(results.stop_after) + 1]
@@ -52,7 +172,7 @@ def clone_command(picture: ClonePicture, model: CloneModel, results: CloneResult
             run = cloning.clone_eye(
                 photograph,
                 settings,
-                given,
+                stated,
                 last=results.stop_after,
                 stage=stage,
                 tables=kept_tables,
@@ -72,8 +192,9 @@ def clone_command(picture: ClonePicture, model: CloneModel, results: CloneResult
                 stage_name = wanted[len(timings)]
                 failed = (f"{stage_name}: {error}; the stages before it are written",)
         for note in photograph.notes:
-            tell(f"{picture.photograph}: {note}")
-        words = {**_words(picture), **_words(model)}
+            opt.tell(f"{picture.photograph}: {note}")
+        given = {n: v for group in (picture, model) for n, v in vars(group).items() if n != "typed"}
+        words = {n: str(v) if isinstance(v, Path) else v for n, v in given.items()}
         doubts = doubts_of(found, None if both is None else both.rms) + failed
         files = files_of(found, words, timings, both, doubts)
         if both is not None and drawn is not None:
@@ -104,10 +225,6 @@ def _progress(stages: int, timings: dict[str, float]):
         yield stage
 
 
-def _words(group: Group) -> dict[str, Any]:
-    return {n: str(v) if isinstance(v, Path) else v for n, v in vars(group).items() if n != "typed"}
-
-
 def _begun(
     found: cloning.Fitted, both: PictureDifference, draw: Callable[..., Later]
 ) -> dict[str, Later]:
@@ -119,3 +236,74 @@ def _begun(
         "differences.png": draw("differences", both.photograph, both.rendered, both.clear),
         "luminance.png": draw("luminance_profile", *both.arc(found, radius), radius),
     }
+
+
+def report(
+    found: cloning.Outlined, cross_polarised: bool, folder: Path, doubts: tuple[str, ...]
+) -> None:
+    """Print what was found, and on standard error what is doubtful."""
+    for doubt in doubts:
+        opt.tell(f"WARNING: {doubt}")
+    if isinstance(found, cloning.Posed):
+        pose = found.pose
+        where = "" if pose.distance is None else f", {pose.distance:.0f} mm away"
+        low, high = np.degrees(pose.tilt_interval)
+        print(
+            f"camera: {np.degrees(pose.tilt):.1f} ({low:.1f} to {high:.1f}) degrees off the "
+            f"eye's axis{where}; pupil {2 * float(pose.eye.pupil_radius):.2f} mm wide, lengths for "
+            f"a limbus of {2 * float(pose.eye.limbus_radius):.1f} mm"
+        )
+        if pose.distance is None:
+            opt.tell("no focal length in the file: the distance is not known; give --focal-px")
+    if isinstance(found, cloning.Fitted):
+        if cross_polarised:
+            opt.tell(
+                "WARNING: the model's iris keeps 98 % and more of the light's polarisation, so "
+                "crossed polarisers would make it black; the pigments are those of an iris that "
+                "depolarises"
+            )
+        if found.lighting.found == 0:
+            opt.tell("no highlight on the cornea shows a lamp: light from all round is assumed")
+    if isinstance(found, cloning.Sampled):
+        print(_table(found.posterior))
+        print("the intervals allow for a thickness and shading unlike the model's")
+    print(f"written: {folder}")
+
+
+def _table(posterior: PigmentPosterior) -> str:
+    rows = [f"{'parameter':<20}{'median':>10}{'95 %':>22}{'contraction':>13}"]
+    for name, e in posterior.estimates.items():
+        span = f"{e.low:.3g} to {e.high:.3g}"
+        rows.append(f"{name:<20}{e.median:>10.3g}{span:>22}{e.contraction:>13.2f}")
+    return "\n".join(rows)
+
+
+def _settings(picture: ClonePicture, model: CloneModel) -> cloning.CloneSettings:
+    return cloning.CloneSettings(
+        model.media,
+        model.iris_depth,
+        picture.focal_px,
+        None if picture.tilt_azimuth is None else float(np.radians(picture.tilt_azimuth)),
+        sigma=None if isinstance(model.deconvolution, str) else model.deconvolution,
+        beta=model.beta,
+        relief=model.relief,
+        method=model.method,
+        integrator=_PROCESSES[model.process](),
+        steps=model.max_steps,
+    )
+
+
+def _mask(path: Path | None) -> np.ndarray | None:
+    return None if path is None else io.read_image(path).pixels[..., 0] > 0.5
+
+
+def _outline(name: str, text: str | None) -> Ellipse | None:
+    if text is None:
+        return None
+    try:
+        x, y, a, b, degrees = (float(part) for part in text.split(","))
+    except ValueError:
+        raise ValueError(f"{name} {text!r}: write X,Y,A,B,DEG, five numbers") from None
+    if not (a >= b > 0 and np.isfinite([x, y, a, b, degrees]).all()):
+        raise ValueError(f"{name} {text!r}: the semi-axes must be A >= B > 0")
+    return Ellipse((x, y), (a, b), float(np.radians(degrees)))

@@ -1,12 +1,13 @@
 """`irisjax fit --compare`: one measurement by several models of light, side by side."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
 import irisjax as ij
 from irisjax import io
-from irisjax.cli.report import console, counting, csv_of, labelled, sampler_key, shape_of
+from irisjax.cli.fit_options import Sampler
+from irisjax.cli.report import console, counting, csv_of, labelled, print_columns, shape_of
 from irisjax.cli.sentences import models_sentence, with_error
 from irisjax.infer.model_comparison import Assessment, compare_models
 from irisjax.infer.other_process import COMPARED
@@ -22,7 +23,7 @@ _FIRST = ("model", "process", "sampler", "ln_evidence", "ln_evidence_error", "sc
 def models(
     problem: Problem,
     folder: Path | None,
-    sampler: Mapping[str, Any],
+    sampler: Sampler,
     bar: Any,
     draw: Callable[..., Later] = here,
 ) -> None:
@@ -33,11 +34,11 @@ def models(
         if rounds:
             count(rounds, f"{name}: evidence")
 
-    found = compare_models(problem, progress=progress, key=sampler_key(sampler))
+    found = compare_models(problem, progress=progress, key=sampler.key)
     sentence = models_sentence(found)
     if folder is not None:
         bar.set_description_str("files")
-        table = _table(found, sentence, sampler["seed"])
+        table = _table(found, sentence, sampler.seed)
         figure = _drawing(found, sentence, draw)
         folder.mkdir(parents=True, exist_ok=True)
         io.write_together({folder / FILES[0]: table.encode(), folder / FILES[1]: figure()})
@@ -74,22 +75,13 @@ def _drawing(found: Sequence[Assessment], sentence: str, draw: Callable[..., Lat
 
 
 def _print(found: Sequence[Assessment], sentence: str) -> None:
-    from rich.table import Table
-
-    out = console()
-    table = Table(box=None, pad_edge=False, padding=(0, 2, 0, 0))
-    rows = {
-        "ln evidence": [with_error(a) for a in found],
-        "predictive score": [f"{a.score:.1f} ± {a.score_error:.1f}" for a in found],
-        **{labelled(name): [_cell(a, name) for a in found] for name in _names(found)},
-    }
-    table.add_column("median (95 %)", no_wrap=True)
+    out, names, first = console(), _names(found), "median (95 %)"
+    columns = {first: ["ln evidence", "predictive score", *map(labelled, names)]}
     for a in found:
-        table.add_column(a.name, justify="right", no_wrap=True)
-    for label, cells in rows.items():
-        table.add_row(label, *cells)
+        score = f"{a.score:.1f} ± {a.score_error:.1f}"
+        columns[a.name] = [with_error(a), score, *(_cell(a, name) for name in names)]
     out.print(sentence, markup=False, soft_wrap=True)
-    out.print(table, crop=False)
+    print_columns(out, columns, (first,))
     out.print(
         "evidences hold for these priors; neighbouring wavelengths are not independent, so that "
         "the score is no evidence of its own",

@@ -1,43 +1,32 @@
 """`irisjax export`: an eye for other renderers."""
 
-import sys
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
 
 import numpy as np
 import typer
 
-from irisjax.cli.options import Group, grouped, named_option, option, range_parser
+from irisjax.cli import options as opt
 from irisjax.cli.scenes import EyeWithPupil, changed
 from irisjax.export.handover import check_new_folder, export_scene
 from irisjax.numerics.checks import Range
 from irisjax.render.albedo import CONE
 
 _MODELS = "separable", "radiative-transfer"
-_SPACING = Range(0.02, 2, "mm")
 
 
-@dataclass(frozen=True, kw_only=True)
-class Handover(Group):
+class Handover(opt.Group):
     """How finely the eye is meshed, and where it is written."""
 
     PANEL = "Files"
 
-    integrator: Annotated[
-        str | None,
-        named_option("whose albedo and BRDF; default: the scene's, separable", *_MODELS),
-    ] = None
-    spacing: Annotated[
-        float,
-        option(parse=range_parser(_SPACING), metavar="MM", help="size of the triangles, 0.02 to 2"),
-    ] = 0.1
-    output: Annotated[
-        Path, option("-o", "--output", metavar="FOLDER", help="a new or empty folder")
-    ] = Path("eye")
+    integrator: str | None = opt.choice(
+        "whose albedo and BRDF; default: the scene's, separable", _MODELS
+    )
+    spacing: float = opt.number("size of the triangles, {}", Range(0.02, 2, "mm"), 0.1)
+    output: Path = opt.output("a new or empty folder", "FOLDER", Path("eye"))
 
 
-@grouped
+@opt.grouped
 def export_command(subject: EyeWithPupil, handover: Handover) -> None:
     """Write an eye for other renderers: meshes, textures, a BRDF table, a scene for Mitsuba 3.
 
@@ -55,7 +44,4 @@ def export_command(subject: EyeWithPupil, handover: Handover) -> None:
         f"{CONE:g}° of its normal"
     )
     if made.clipped:
-        print(
-            f"irisjax: {output}: {made.clipped} texels out of sRGB's range are clipped",
-            file=sys.stderr,
-        )
+        opt.tell(f"{output}: {made.clipped} texels out of sRGB's range are clipped")

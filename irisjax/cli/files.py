@@ -1,19 +1,24 @@
 """Files in and out: `--from` runs a file's header again; results are written together or not."""
 
+import dataclasses
 import errno
 import os
 import sys
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
 import numpy as np
 
+import irisjax as ij
 from irisjax import io, plot
+from irisjax.cli import options as opt
 from irisjax.cli.light import Light
-from irisjax.cli.options import Group, option
+from irisjax.cli.model import RANGES, IrisOptions, ProcessOptions
 from irisjax.io.images import encode_png
+from irisjax.tissue.iris import LIMITS
+from irisjax.transport.process import AbstractProcess, Ilit, is_polarised
+from irisjax.transport.solver import AbstractSolver
 
 FOR_PEOPLE = (
     "irisjax",
@@ -30,13 +35,15 @@ FOR_PEOPLE = (
 """Keys of a header that set nothing."""
 
 
-def check_folder(folder: Path, file: str, what: str, overwrite: bool) -> None:
-    """Find out before the work whether a folder can keep its results; `file` says that it has
-    `what` already.
+def check_folder(
+    folder: Path, file: str, what: str, allowed: bool, ways: str = "--overwrite starts again"
+) -> None:
+    """Find out before the work whether a folder can keep its results; a `file` of `what` may be
+    there already if that is `allowed`.
     """
     check_is_folder(folder)
-    if (folder / file).exists() and not overwrite:
-        raise ValueError(f"{folder}: has {what}; --overwrite starts again")
+    if (folder / file).exists() and not allowed:
+        raise ValueError(f"{folder}: has {what}; {ways}")
 
 
 def check_is_folder(folder: Path) -> None:
@@ -54,7 +61,7 @@ def png_of(path: Path, encoded: Any, remark: str) -> bytes:
     """The bytes of a PNG of encoded values; what is out of range is clipped, and said so."""
     data, clipped = encode_png(path, encoded, remark=remark)
     if clipped:
-        print(f"irisjax: {path}: {clipped} pixels out of sRGB's range are clipped", file=sys.stderr)
+        opt.tell(f"{path}: {clipped} pixels out of sRGB's range are clipped")
     return data
 
 
@@ -71,20 +78,17 @@ def _take_settings(context, param, source: Path | None) -> Path | None:
         raise ValueError(f"{source}: no header of settings (lines like '# eumelanin: 0.1201')")
     for name in entries:
         if name not in known and name not in FOR_PEOPLE:
+            all_known = ", ".join(sorted(known))
             raise ValueError(
-                f"{source}: unknown setting {name!r} in the header; known: "
-                f"{', '.join(sorted(known))}"
+                f"{source}: unknown setting {name!r} in the header; known: {all_known}"
             )
     taken = {n: v for n, v in entries.items() if n in _settings_of(context.command)}
     command = context.command.name
     if entries.get("command", command) != command:
         own = [p.name for p in context.command.params if _panel(p) == Light.PANEL]
         if left := [name for name in taken if name in own]:
-            print(
-                f"irisjax: note: {source} is of another command; not taken from it: "
-                f"{', '.join(left)}",
-                file=sys.stderr,
-            )
+            names = ", ".join(left)
+            opt.tell(f"note: {source} is of another command; not taken from it: {names}")
         taken = {n: v for n, v in taken.items() if n not in left}
     context.default_map = taken
     return source
@@ -105,53 +109,38 @@ def _settings_of(*commands) -> set[str]:
     }
 
 
-@dataclass(frozen=True, kw_only=True)
-class Source(Group):
+class Source(opt.Group):
     """The file that is run again."""
 
     PANEL = "Files"
 
-    source: Annotated[
-        Path | None,
-        option(
-            "--from",
-            metavar="FILE.csv",
-            is_eager=True,
-            callback=_take_settings,
-            help="run this file's header again, with what other options change",
-        ),
-    ] = None
+    source: Path | None = opt.option(
+        "run this file's header again, with what other options change",
+        names="--from",
+        metavar="FILE.csv",
+        is_eager=True,
+        callback=_take_settings,
+    )
 
 
-@dataclass(frozen=True, kw_only=True)
 class TableFile(Source):
     """The file that is made."""
 
-    output: Annotated[
-        Path | None,
-        option(
-            "-o",
-            "--output",
-            metavar="FILE.csv",
-            help="write the CSV here; without it, to standard output",
-        ),
-    ] = None
+    output: Path | None = opt.output(
+        "write the CSV here; without it, to standard output", "FILE.csv"
+    )
 
 
-@dataclass(frozen=True, kw_only=True)
 class TableFiles(TableFile):
     """The files that are made."""
 
-    plot: Annotated[
-        Path | None, option(metavar="FILE.png", help="draw a figure: .png, .pdf or .svg")
-    ] = None
+    plot: Path | None = opt.option("draw a figure: .png, .pdf or .svg", metavar="FILE.png")
 
 
-@dataclass(frozen=True, kw_only=True)
 class SwatchFile(Source):
     """The picture that is made."""
 
-    swatch: Annotated[Path | None, option(metavar="FILE.png", help="paint the colour")] = None
+    swatch: Path | None = opt.option("paint the colour", metavar="FILE.png")
 
 
 _TABLES = (".csv", ".txt", "")
@@ -187,3 +176,81 @@ def write_table(
     io.write_together(files)
     if output is None:
         sys.stdout.write(text)
+
+
+def head(
+    command: str,
+    quantity: str,
+    iris: ij.Iris,
+    process: AbstractProcess,
+    solver: AbstractSolver,
+    groups: tuple[IrisOptions, ProcessOptions, *tuple[opt.Group, ...]],
+    left_out: str | None = None,
+) -> dict[str, str]:
+    """Header of a file of simulated values; `left_out`: what polarisation would change in them."""
+    return {
+        "irisjax": ij.__version__,
+        "simulated": f"{quantity} of a modelled human iris, not a measurement",
+        "command": command,
+        "approximation": _approximation(process, left_out),
+        **settings(iris, process, *groups),
+        "transport": process.transport,
+        "solver settings": ", ".join(
+            f"{field.name} = {value}"
+            for field in dataclasses.fields(solver)
+            # The process has lines of its own.
+            if field.name != "process" and (value := getattr(solver, field.name)) is not None
+        ),
+    }
+
+
+def settings(
+    iris: ij.Iris,
+    process: AbstractProcess,
+    iris_options: IrisOptions,
+    process_options: ProcessOptions,
+    *others: opt.Group,
+) -> dict[str, str]:
+    """Every setting as text, complete enough for `--from`; `iris` and `process` are what the
+    options made.
+    """
+    # float, not text made by numpy: that loses digits once colour-science has been imported.
+    fields = {
+        name: float(getattr(iris if name in LIMITS else iris.power_law, name))
+        for name in iris.parameters()
+    }
+    groups = (
+        dataclasses.replace(iris_options, **fields, melanin_load=float(iris.melanin_load)),
+        dataclasses.replace(process_options, **process.describe()),
+        *others,
+    )
+    lines: dict[str, str] = {}
+    for name, value in (pair for group in groups for pair in group.settings().items()):
+        unit = RANGES[name].unit if name in RANGES else {"wavelengths": "nm"}.get(name)
+        text = {True: "yes", False: "no"}[value] if isinstance(value, bool) else str(value)
+        if name == "melanin_load":  # both melanins say it already
+            lines["melanin load that follows"] = f"{value:.12g} [ug/mm2]"
+        elif name != "level" and not (name == "scattering" and iris.power_law is not None):
+            lines[name] = f"{text}{f' [{unit}]' if unit else ''}"
+    return lines
+
+
+def _approximation(process: AbstractProcess, left_out: str | None) -> str:
+    """What a reader of the numbers must know about the process that made them."""
+    if is_polarised(process):
+        return (
+            "Stokes vectors, Rayleigh's phase matrix: this model depolarises less than photographs "
+            "of irides through crossed polarisers show"
+        )
+    if not isinstance(process, Ilit):
+        return f"scalar theory, no polarisation: {left_out}"
+    ours, theirs = (
+        ("0.0148", "darker than")
+        if process.rescatter == "retest"
+        else ("0.0405", "about twice as bright as")
+    )
+    return (
+        f"ILIT tests whole layers at once: in the blue, light eyes come out {theirs} by "
+        "depth-resolved transport of the same layers "
+        f"({ours} against 0.0202 at 450 nm, low pigmentation, rescatter = {process.rescatter})"
+    )

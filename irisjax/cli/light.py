@@ -1,88 +1,60 @@
 """Groups of options that say how the iris is lit and what looks at it."""
 
 import math
-from dataclasses import dataclass
-from typing import Annotated, Any, ClassVar, get_args
+from typing import Any, ClassVar, get_args
 
 import jax.numpy as jnp
+import numpy as np
 
+import irisjax as ij
 from irisjax.anatomy import media
-from irisjax.cli.options import (
-    SEED_HELP,
-    Group,
-    WavelengthGrid,
-    cosine,
-    exit_angle,
-    grid_parser,
-    named_option,
-    number_parser,
-    option,
-    overrules,
-    range_parser,
-    read_seed,
-    whole_parser,
-)
+from irisjax.cli import options as opt
 from irisjax.measure.colour import OBSERVER
-from irisjax.measure.instrument import GAIN, Crossing
+from irisjax.measure.instrument import GAIN, AbstractInstrument, Crossing
+from irisjax.numerics.checks import Range
 from irisjax.tissue.pigments import check_covered, common_range
 
 POLARIMETERS = ("cross-polarised", "co-polarised", "degree-of-polarisation")
 """Instruments that see polarisation."""
 
-_VISIBLE, _GREEN, _WHOLE = (
-    WavelengthGrid("400:700:10"),
-    WavelengthGrid("550"),
-    WavelengthGrid("380:780:5"),
-)
-_ILLUMINANT = option(metavar="name", help="light source by its name in colour-science")
+
+def _index(default: float, of: str) -> Any:
+    return opt.number(f"refractive index of the {of}, {{}}", media.INDEX, default)
 
 
-def _index(of: str) -> Any:
-    low, high = media.INDEX.low, media.INDEX.high
-    return option(
-        parse=number_parser(low, high),
-        metavar="number",
-        help=f"refractive index of the {of}, {low:g} to {high:g}",
-    )
-
-
-def _wavelengths(*names: str) -> Any:
+def _wavelengths(default: str, names: str = "") -> Any:
     low, high = common_range()
-    return option(
-        *names,
-        parse=grid_parser(check_covered),
-        metavar="nm",
-        help=f"start:stop:step or a list like 450,550; within {low:g} to {high:g}",
-    )
+    words = f"start:stop:step or a list like 450,550; within {low:g} to {high:g}"
+    return opt.option(words, opt.Grid(default), names=names, parse=_covered, metavar="nm")
 
 
-@dataclass(frozen=True, kw_only=True)
-class Light(Group):
+def _covered(text: str) -> opt.Grid:
+    found = opt.read_grid(text)
+    check_covered(found.values)
+    return found
+
+
+def _illuminant() -> Any:
+    return opt.option("light source by its name in colour-science", "D65", metavar="name")
+
+
+class Light(opt.Group):
     """Where the light comes from, and its wavelengths."""
 
     PANEL = "Measurement"
 
-    wavelengths: Annotated[WavelengthGrid, _wavelengths()] = _VISIBLE
-    cos_incidence: Annotated[
-        Any,  # a number or the word
-        option(
-            parse=cosine,
-            metavar="number",
-            help="cosine of incidence, 0 to 1, or diffuse",
-            callback=overrules("incidence_deg"),
-        ),
-    ] = 1.0
-    incidence_deg: Annotated[
-        float | None,
-        option(
-            parse=number_parser(0, 90),
-            metavar="degrees",
-            help="the same as an angle, 0 to 90",
-            callback=overrules("cos_incidence"),
-        ),
-    ] = None
-
-    aqueous_index: Annotated[float, _index("aqueous humour")] = media.AQUEOUS
+    wavelengths: opt.Grid = _wavelengths("400:700:10")
+    cos_incidence: float | str = opt.option(
+        "cosine of incidence, 0 to 1, or diffuse",
+        1.0,
+        parse=opt.cosine,
+        metavar="number",
+        overrules=("incidence_deg",),
+    )
+    incidence_deg: float | None = opt.number(
+        "the same as an angle, {}", Range(0, 90, "degrees"), overrules=("cos_incidence",)
+    )
+    aqueous_index: float = _index(media.AQUEOUS, "aqueous humour")
 
     def __post_init__(self):
         super().__post_init__()
@@ -97,10 +69,12 @@ class Light(Group):
 
     def before_the_iris(self) -> dict[str, Any]:
         """What every instrument is told of light and media."""
-        return {
-            "cos_incidence": self.cosine,
-            "media": media.Media(aqueous=jnp.asarray(self.aqueous_index, float)),
-        }
+        aqueous = media.Media(aqueous=jnp.asarray(self.aqueous_index, float))
+        return {"cos_incidence": self.cosine, "media": aqueous}
+
+    def instrument_at(self, grid: np.ndarray) -> AbstractInstrument:
+        """What measures at these wavelengths."""
+        raise NotImplementedError
 
     def settings(self) -> dict[str, Any]:
         """The angle is written as its cosine."""
@@ -108,28 +82,17 @@ class Light(Group):
         return {n: v for n, v in found.items() if n != "incidence_deg"}
 
 
-@dataclass(frozen=True, kw_only=True)
 class EyeLight(Light):
     """Light on an eye with a cornea and a surface that mirrors."""
 
-    cornea: Annotated[
-        str,
-        named_option(
-            "whether light crosses tear film and cornea; auto is inward for radiance, else none",
-            "auto",
-            *get_args(Crossing),
-        ),
-    ] = "auto"
-    cornea_index: Annotated[float, _index("cornea")] = media.CORNEA
-    tear_index: Annotated[float, _index("tear film")] = media.TEAR
-    first_surface: Annotated[
-        bool,
-        option(
-            "--first-surface/--no-first-surface",
-            metavar="",
-            help="include light reflected by the iris's own surface",
-        ),
-    ] = True
+    cornea: str = opt.choice(
+        "whether light crosses tear film and cornea; auto is inward for radiance, else none",
+        ("auto", *get_args(Crossing)),
+        "auto",
+    )
+    cornea_index: float = _index(media.CORNEA, "cornea")
+    tear_index: float = _index(media.TEAR, "tear film")
+    first_surface: bool = opt.flag("include light reflected by the iris's own surface", True)
 
     def before_the_iris(self) -> dict[str, Any]:
         """What every instrument before an eye is told; `auto` leaves the cornea to it."""
@@ -142,7 +105,6 @@ class EyeLight(Light):
         }
 
 
-@dataclass(frozen=True, kw_only=True)
 class SpectrumLight(EyeLight):
     """What a spectrophotometer or a radiometer measures."""
 
@@ -153,52 +115,47 @@ class SpectrumLight(EyeLight):
         "exit_azimuth_deg": ("instrument", POLARIMETERS),
     }
 
-    instrument: Annotated[
-        str,
-        named_option(
-            "share of the light sent back; radiance under an illuminant; share sent back through "
-            "an analyser, of polarised light; degree of linear polarisation",
-            "reflectance",
-            "radiance",
-            *POLARIMETERS,
-        ),
-    ] = "reflectance"
-    illuminant: Annotated[str, _ILLUMINANT] = "D65"
-    polariser_deg: Annotated[
-        float | None,
-        option(
-            parse=number_parser(-180, 180),
-            metavar="degrees",
-            help="polarisation of the light, from the plane of incidence; default 0, "
-            "unpolarised for degree-of-polarisation",
-        ),
-    ] = None
-    exit_deg: Annotated[
-        Any,  # a number or the word
-        option(
-            parse=exit_angle,
-            metavar="degrees",
-            help="viewing angle from the normal, 0 to 90, or hemisphere; default 0, "
-            "45 for degree-of-polarisation",
-        ),
-    ] = None
-    exit_azimuth_deg: Annotated[
-        float,
-        option(
-            parse=number_parser(-360, 360),
-            metavar="degrees",
-            help="azimuth of the viewing direction, 0 where a mirror would send the light",
-        ),
-    ] = 0.0
+    instrument: str = opt.choice(
+        "share of the light sent back; radiance under an illuminant; share sent back through an "
+        "analyser, of polarised light; degree of linear polarisation",
+        ("reflectance", "radiance", *POLARIMETERS),
+        "reflectance",
+    )
+    illuminant: str = _illuminant()
+    polariser_deg: float | None = opt.number(
+        "polarisation of the light, from the plane of incidence; default 0, unpolarised for "
+        "degree-of-polarisation",
+        Range(-180, 180, "degrees"),
+    )
+    exit_deg: float | str | None = opt.option(
+        "viewing angle from the normal, 0 to 90, or hemisphere; default 0, 45 for "
+        "degree-of-polarisation",
+        parse=opt.number_or(ij.HEMISPHERE, Range(0, 90)),
+        metavar="degrees",
+    )
+    exit_azimuth_deg: float = opt.number(
+        "azimuth of the viewing direction, 0 where a mirror would send the light",
+        Range(-360, 360, "degrees"),
+        0.0,
+    )
 
-    def exit(self) -> dict[str, Any]:
-        """Where a polarimeter looks from, and the light's polarisation."""
+    def instrument_at(self, grid: np.ndarray) -> AbstractInstrument:
+        """See `Light`."""
+        told = self.before_the_iris()
+        if self.instrument == "radiance":
+            return ij.Radiometer(grid, illuminant=self.illuminant, **told)
+        if self.instrument == "reflectance":
+            return ij.Spectrophotometer(grid, **told)
         degrees, angle = self._polarimetry()
-        return {
+        told |= {
             "cos_exit": degrees if isinstance(degrees, str) else math.cos(math.radians(degrees)),
             "azimuth": math.radians(self.exit_azimuth_deg),
             "polariser": None if angle is None else math.radians(angle),
         }
+        if self.instrument == "degree-of-polarisation":
+            return ij.Polarimeter(grid, **told)
+        crossed = self.instrument == "cross-polarised"
+        return ij.Analyser(grid, "crossed" if crossed else "parallel", **told)
 
     def settings(self) -> dict[str, Any]:
         """A polarimeter's defaults are written too."""
@@ -215,59 +172,54 @@ class SpectrumLight(EyeLight):
         return 0.0 if degrees is None else degrees, 0.0 if angle is None else angle
 
 
-@dataclass(frozen=True, kw_only=True)
 class BrdfLight(Light):
     """What a goniophotometer measures."""
 
-    wavelengths: Annotated[WavelengthGrid, _wavelengths("--wavelength", "--wavelengths")] = _GREEN
-    plane: Annotated[str, named_option("exit directions", "principal", "hemisphere")] = "principal"
-    angles: Annotated[
-        int,
-        option(
-            parse=whole_parser(2, 3600),
-            metavar="count",
-            help="exit directions over 180 degrees, 2 to 3600",
-        ),
-    ] = 90
+    wavelengths: opt.Grid = _wavelengths("550", "--wavelength --wavelengths")
+    plane: str = opt.choice("exit directions", ("principal", "hemisphere"), "principal")
+    angles: int = opt.whole("exit directions over 180 degrees, {}", Range(2, 3600), 90)
+
+    def exits(self) -> tuple[np.ndarray, np.ndarray]:
+        """Exit angles from the normal and azimuths, radians, grazing left out."""
+        n = self.angles
+        if self.plane == "principal":
+            signed, _, azimuth = (np.asarray(a) for a in ij.principal_plane(n))
+            return np.abs(signed), azimuth
+        polar = (np.arange(n // 2) + 0.5) / (n // 2) * np.pi / 2
+        polar, azimuth = np.meshgrid(polar, np.arange(n) / n * 2 * np.pi, indexing="ij")
+        return polar.ravel(), azimuth.ravel()
+
+    def instrument_at(self, grid: np.ndarray) -> AbstractInstrument:
+        """See `Light`."""
+        angle, azimuth = self.exits()
+        told = self.before_the_iris()
+        return ij.Goniophotometer(grid, cos_exit=np.cos(angle), azimuth=azimuth, **told)
 
 
-@dataclass(frozen=True, kw_only=True)
 class ColourLight(EyeLight):
     """What a colorimeter measures."""
 
-    wavelengths: Annotated[WavelengthGrid, _wavelengths()] = _WHOLE
-    illuminant: Annotated[str, _ILLUMINANT] = "D65"
-    observer: Annotated[
-        str, option(metavar="name", help="standard observer by its name in colour-science")
-    ] = OBSERVER
+    wavelengths: opt.Grid = _wavelengths("380:780:5")
+    illuminant: str = _illuminant()
+    observer: str = opt.option(
+        "standard observer by its name in colour-science", OBSERVER, metavar="name"
+    )
+
+    def instrument_at(self, grid: np.ndarray) -> AbstractInstrument:
+        """See `Light`."""
+        told = self.before_the_iris()
+        return ij.Colorimeter(grid, illuminant=self.illuminant, observer=self.observer, **told)
 
 
-@dataclass(frozen=True, kw_only=True)
 class NoisyLight(EyeLight):
     """A reflectance measured with errors."""
 
-    gain: Annotated[
-        float,
-        option(parse=range_parser(GAIN), metavar="number", help=GAIN.meaning),
-    ] = 1.0
-    relative_noise: Annotated[
-        float,
-        option(
-            parse=number_parser(0, 10),
-            metavar="share",
-            help="standard deviation as a share of the value",
-        ),
-    ] = 0.02
-    absolute_noise: Annotated[
-        float,
-        option(
-            parse=number_parser(0, 10),
-            metavar="reflectance",
-            help="a constant standard deviation beside it",
-        ),
-    ] = 2e-4
-    scans: Annotated[
-        int,
-        option(parse=whole_parser(1, 1000), metavar="count", help="repeated scans, a column each"),
-    ] = 1
-    seed: Annotated[int, option(parse=read_seed, metavar="number", help=SEED_HELP + "bytes")] = 0
+    gain: float = opt.number(GAIN.meaning, GAIN, 1.0)
+    relative_noise: float = opt.number(
+        "standard deviation as a share of the value", Range(0, 10), 0.02, metavar="share"
+    )
+    absolute_noise: float = opt.number(
+        "a constant standard deviation beside it", Range(0, 10), 2e-4, metavar="reflectance"
+    )
+    scans: int = opt.whole("repeated scans, a column each", Range(1, 1000), 1)
+    seed: int = opt.seeded("bytes")

@@ -3,7 +3,6 @@
 import json
 import os
 import posixpath
-import sys
 from pathlib import Path
 from typing import NamedTuple
 
@@ -11,6 +10,7 @@ import jax
 import numpy as np
 
 from irisjax.cli.files import png_of
+from irisjax.cli.options import tell
 from irisjax.io.recipes import Recipe
 from irisjax.io.targets import Target
 from irisjax.measure.colour import srgb_encode
@@ -29,13 +29,8 @@ _TYPE = "detail"
 
 
 class Matched(NamedTuple):
-    """A matched recipe.
-
-    Attributes:
-        recipe: The recipe.
-        scans: Pictures of its coats that are scans, by their files.
-        files: Contents of the files to write beside it.
-        messages: Lines to print.
+    """A recipe, pictures of its coats that are scans by their files, contents of files to write
+    beside it, and lines to print.
     """
 
     recipe: Recipe
@@ -67,7 +62,7 @@ def matched(
     same = {"scans": scans, "size": size}
     fitted = match(recipe.coats, *given, known, **same, max_steps=_STEPS, key=key)
     if not fitted.converged:
-        print(f"irisjax: the match was stopped after {fitted.steps} steps", file=sys.stderr)
+        tell(f"the match was stopped after {fitted.steps} steps")
     prefix = posixpath.normpath(posixpath.join(Path(there).as_posix(), RETOUCH))
     # Hidden texels have the mean of their radius, and are painted so.
     more = retouch(fitted.recipes, *given, count=count, prefix=prefix, **same)
@@ -76,20 +71,12 @@ def matched(
         texture_of(painted(some, mixer, eye, size=size, scans=more.scans), eye, known.shape)
         for some in (fitted.recipes, whole.coats)
     ]
-    steps = {
-        "before": ("as it was", fitted.before),
-        "matched": ("matched", fitted.after),
-        "retouched": (
-            f"with {len(more.recipes)} coats on top",
-            difference(seen[1], target.texture, known),
-        ),
-    }
+    last = difference(seen[1], target.texture, known)
+    steps = {"before": fitted.before, "matched": fitted.after, "retouched": last}
+    measure = {"measure": "CIE 1976 dE*ab, D65"}
     summary = {
         "target": target.name,
-        "colour_difference": {
-            name: {**d._asdict(), "measure": "CIE 1976 dE*ab, D65"}
-            for name, (_, d) in steps.items()
-        },
+        "colour_difference": {name: d._asdict() | measure for name, d in steps.items()},
         "steps": fitted.steps,
         "converged": fitted.converged,
     }
@@ -103,7 +90,10 @@ def matched(
     pictures[MATCH] = np.concatenate(flat, 1)
     files = {name: png_of(folder / name, pixels, remark) for name, pixels in pictures.items()}
     files[DIFFERENCES] = (json.dumps(summary, indent=1) + "\n").encode()
-    said = "; ".join(f"{words} {d.mean:.1f} ({d.q95:.1f})" for words, d in steps.values())
+    words = "as it was", "matched", f"with {len(more.recipes)} coats on top"
+    said = "; ".join(
+        f"{w} {d.mean:.1f} ({d.q95:.1f})" for w, d in zip(words, steps.values(), strict=True)
+    )
     message = f"mean colour difference (95 % below), CIE 1976, flat and in plain light: {said}"
     return Matched(whole, more.scans, files, [message])
 

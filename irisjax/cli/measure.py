@@ -2,59 +2,40 @@
 
 import re
 import sys
-from collections.abc import Callable
-from functools import partial
 from pathlib import Path
 from typing import Any
 
+import jax
 import numpy as np
 import typer
+from tqdm import tqdm
 
 import irisjax as ij
 from irisjax import io, plot
-from irisjax.cli.files import SwatchFile, TableFiles, check_files, write_table
-from irisjax.cli.header import head
-from irisjax.cli.jobs import few_photons, left_out_by_scalar_theory, measured
+from irisjax.cli import model
+from irisjax.cli import options as opt
+from irisjax.cli.files import SwatchFile, TableFiles, check_files, head, write_table
 from irisjax.cli.light import POLARIMETERS, BrdfLight, ColourLight, Light, SpectrumLight
-from irisjax.cli.model import (
-    IrisOptions,
-    ProcessOptions,
-    SolverOptions,
-    check_scattering,
-    modelled_iris,
-    process_of,
-    sampling_key,
-    solver_of,
-)
-from irisjax.cli.options import grouped
 from irisjax.measure.instrument import AbstractInstrument
-from irisjax.measure.photometers import (
-    Colorimeter,
-    Goniophotometer,
-    Radiometer,
-    Spectrophotometer,
-)
-from irisjax.measure.polarimeter import (
-    Analyser,
-    AnalyserSetting,
-    Polarimeter,
-    PolarisedReading,
-)
-from irisjax.transport.process import DEPTH_RESOLVED
+from irisjax.measure.observe import observe
+from irisjax.measure.polarimeter import PolarisedReading
+from irisjax.transport.montecarlo import MonteCarlo
+from irisjax.transport.process import DEPTH_RESOLVED, POLARISED
+from irisjax.transport.solver import AbstractSolver
 
 _QUANTITIES = {
     "cross-polarised": "cross-polarised reflectance",
     "co-polarised": "co-polarised reflectance",
     "degree-of-polarisation": "degree of linear polarisation",
 }
-_SETTINGS: dict[str, AnalyserSetting] = {"cross-polarised": "crossed", "co-polarised": "parallel"}
+_FEW_WAVELENGTHS, _FEW_PHOTONS = 7, 10
 
 
-@grouped
+@opt.grouped
 def spectrum_command(
-    iris: IrisOptions,
-    process: ProcessOptions,
-    solver: SolverOptions,
+    iris: model.IrisOptions,
+    process: model.ProcessOptions,
+    solver: model.SolverOptions,
     light: SpectrumLight,
     files: TableFiles,
 ) -> None:
@@ -62,11 +43,10 @@ def spectrum_command(
     check_files(files.output, files.plot)
     if light.instrument in POLARIMETERS:
         process = process.seeing_polarisation(light.instrument)
-    grid = light.wavelengths.values
-    make = partial(_instrument, light)
     quantity = _QUANTITIES.get(light.instrument, light.instrument)
-    result, lines = _read(make, quantity, "spectrum", iris, process, solver, light)
-    columns = {"wavelength_nm": grid, re.sub(r"\W", "_", result.quantity): result.values}
+    result, lines = _read("spectrum", quantity, iris, process, solver, light)
+    named = re.sub(r"\W", "_", result.quantity)
+    columns = {"wavelength_nm": light.wavelengths.values, named: result.values}
     if isinstance(result, PolarisedReading):
         columns["angle_deg"] = np.degrees(result.angle)
     if result.standard_error is not None:
@@ -79,21 +59,19 @@ def spectrum_command(
     )
 
 
-@grouped
+@opt.grouped
 def brdf_command(
-    iris: IrisOptions,
-    process: ProcessOptions,
-    solver: SolverOptions,
+    iris: model.IrisOptions,
+    process: model.ProcessOptions,
+    solver: model.SolverOptions,
     light: BrdfLight,
     files: TableFiles,
 ) -> None:
     """Compute the BRDF of an iris in the aqueous humour, without its surface's reflection."""
     check_files(files.output, files.plot)
-    angle, azimuth = _exits(light.plane, light.angles)
-    grid, told = light.wavelengths.values, light.before_the_iris()
-    make = partial(Goniophotometer, cos_exit=np.cos(angle), azimuth=azimuth, **told)
-    result, lines = _read(make, "BRDF", "brdf", iris, process, solver, light)
-    rows = np.broadcast_to(grid[:, None], result.values.shape)
+    result, lines = _read("brdf", "BRDF", iris, process, solver, light)
+    angle, azimuth = light.exits()
+    rows = np.broadcast_to(light.wavelengths.values[:, None], result.values.shape)
     columns = {
         "wavelength_nm": rows.ravel(),
         "angle_deg": np.broadcast_to(np.degrees(angle), rows.shape).ravel(),
@@ -109,23 +87,17 @@ def brdf_command(
     write_table(files.output, lines, columns, files.plot, lambda: plot.brdf_figure(result, title))
 
 
-@grouped
+@opt.grouped
 def colour_command(
-    iris: IrisOptions,
-    process: ProcessOptions,
-    solver: SolverOptions,
+    iris: model.IrisOptions,
+    process: model.ProcessOptions,
+    solver: model.SolverOptions,
     light: ColourLight,
     files: SwatchFile,
 ) -> None:
     """Compute the colour of an iris under an illuminant: XYZ, CIE L*a*b*, sRGB, and a swatch."""
     check_files(None, files.swatch, ".png")
-    make = partial(
-        Colorimeter,
-        illuminant=light.illuminant,
-        observer=light.observer,
-        **light.before_the_iris(),
-    )
-    result, lines = _read(make, "colour", "colour", iris, process, solver, light)
+    result, lines = _read("colour", "colour", iris, process, solver, light)
     red, green, blue = (int(v) for v in np.rint(255 * np.clip(np.asarray(result.srgb), 0, 1)))
     srgb8 = (red, green, blue)
     clipped = "" if result.in_gamut else "outside sRGB's gamut: the 8-bit values are clipped"
@@ -142,56 +114,79 @@ def colour_command(
     typer.echo("\n".join(rows))
 
 
-def _instrument(light: SpectrumLight, grid: np.ndarray) -> AbstractInstrument:
-    """What measures the spectrum."""
-    told = light.before_the_iris()
-    if light.instrument == "radiance":
-        return Radiometer(grid, illuminant=light.illuminant, **told)
-    if light.instrument == "reflectance":
-        return Spectrophotometer(grid, **told)
-    told |= light.exit()
-    if light.instrument == "degree-of-polarisation":
-        return Polarimeter(grid, **told)
-    return Analyser(grid, _SETTINGS[light.instrument], **told)
-
-
 def _read(
-    make: Callable[[np.ndarray], AbstractInstrument],
-    quantity: str,
     command: str,
-    iris: IrisOptions,
-    process: ProcessOptions,
-    solver: SolverOptions,
+    quantity: str,
+    iris: model.IrisOptions,
+    process: model.ProcessOptions,
+    solver: model.SolverOptions,
     light: Light,
 ) -> tuple[Any, dict[str, str]]:
-    """What the instrument that is made for the wavelengths reads, and the header that says how."""
-    modelled, rules = modelled_iris(iris), process_of(process)
-    check_scattering(modelled, rules)
-    grid = light.wavelengths.values
-    instrument = make(grid)
-    method = solver_of(solver, rules, modelled, exits=instrument.exits is not None)
-    result = measured(modelled, instrument, method, sampling_key(solver))
-    if (doubt := few_photons(result)) is not None:
-        print(f"irisjax: WARNING: {doubt}", file=sys.stderr)
-    left_out = None
-    if rules == DEPTH_RESOLVED:
-        left_out = left_out_by_scalar_theory(modelled, make, grid)
+    """What the light's instrument reads, and the header that says how."""
+    eye, rules = model.modelled(iris, process)
+    instrument = light.instrument_at(light.wavelengths.values)
+    method = model.solver_of(solver, rules, eye, exits=instrument.exits is not None)
+    result = _measured(eye, instrument, method, solver.key)
+    _doubt_few_photons(result)
+    left_out = _left_out_by_scalar_theory(eye, light) if rules == DEPTH_RESOLVED else None
     groups = (iris, process, solver, light)
-    return result, head(command, quantity, modelled, rules, method, groups, left_out)
+    return result, head(command, quantity, eye, rules, method, groups, left_out)
 
 
-def _exits(plane: str, n: int) -> tuple[np.ndarray, np.ndarray]:
-    """Exit angles from the normal and azimuths, radians; n over 180 degrees, grazing left out."""
-    if plane == "principal":
-        signed, _, azimuth = (np.asarray(a) for a in ij.principal_plane(n))
-        return np.abs(signed), azimuth
-    polar = (np.arange(n // 2) + 0.5) / (n // 2) * np.pi / 2
-    azimuth = np.arange(n) / n * 2 * np.pi
-    polar, azimuth = np.meshgrid(polar, azimuth, indexing="ij")
-    return polar.ravel(), azimuth.ravel()
+def _measured(
+    iris: ij.Iris, instrument: AbstractInstrument, solver: AbstractSolver, key: jax.Array | None
+) -> Any:
+    """What the instrument reads; photons are followed in blocks, with a progress bar."""
+    if not isinstance(solver, MonteCarlo):
+        return observe(iris, instrument, solver, key=key)
+    # `delay`: runs of less than a second need no bar.
+    how = {"unit": "photon", "unit_scale": True, "delay": 1, "disable": not sys.stderr.isatty()}
+    with tqdm(total=solver.n_photons, **how) as bar:
+        return observe(iris, instrument, solver, key=key, progress=bar.update)
 
 
-def _title(quantity: str, process: ProcessOptions, solver: SolverOptions) -> str:
+def _left_out_by_scalar_theory(iris: ij.Iris, light: Light) -> str:
+    """How far scalar theory is off, at some of the wavelengths, in words."""
+    if iris.power_law is not None:
+        return "how far that is off is not known under a power law of scattering"
+    grid, colour = light.wavelengths.values, isinstance(light, ColourLight)
+    if not colour:  # which is of the whole range
+        few = np.linspace(0, grid.size - 1, _FEW_WAVELENGTHS).round().astype(int)
+        grid = grid[np.unique(few)]
+    instrument = light.instrument_at(grid)
+    readings = (
+        observe(iris, instrument, model.exact_solver(p)) for p in (DEPTH_RESOLVED, POLARISED)
+    )
+    scalar, full = (np.asarray(r.xyz[1:2] if colour else r.values) for r in readings)
+    dark = full <= 0
+    low = 100 * (1 - np.where(dark, 1, scalar) / np.where(dark, 1, full))
+    first, last = float(low.min()), float(low.max())
+    name = "luminance" if colour else "values"
+    if max(abs(first), abs(last)) < 0.05:
+        return f"{name} within 0.05 % of polarised transport of the same layers"
+    said = [f"{abs(off):.1f} % {'low' if off >= 0 else 'high'}" for off in (first, last)]
+    if said[0] == said[1]:
+        said = said[1:]
+    elif first >= 0:
+        said[0] = f"{first:.1f}"
+    return f"{name} {' to '.join(said)} against polarised transport of the same layers"
+
+
+def _doubt_few_photons(reading: Any) -> None:
+    """Warn of standard errors that rest on too few photons."""
+    error = getattr(reading, "standard_error", None)
+    if error is None:
+        return
+    # Of N photons of equal weight the standard error is the Nth part's root of the value.
+    rare = np.asarray(error) > np.abs(np.asarray(reading.values)) / np.sqrt(_FEW_PHOTONS)
+    if rare.any():
+        opt.tell(
+            f"WARNING: {rare.sum()} of {rare.size} values come from fewer than {_FEW_PHOTONS} "
+            "photons' worth: their standard errors may be far too small; give more --photons"
+        )
+
+
+def _title(quantity: str, process: model.ProcessOptions, solver: model.SolverOptions) -> str:
     how = "exact" if solver.solver == "exact" else f"{solver.photons:g} photons"
     rules = f"{process.process}{', polarised' if process.polarised else ''}"
     return f"Simulated {quantity} of an iris ({rules}, {how})"

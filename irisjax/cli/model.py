@@ -1,38 +1,20 @@
 """Groups of options: what the iris is made of, how light goes through it, how that is solved."""
 
 import dataclasses
-import math
-from dataclasses import dataclass
-from typing import Annotated, Any, ClassVar, get_args
+from typing import Any, ClassVar, get_args
 
 import jax
 
 import irisjax as ij
-from irisjax.cli.options import (
-    SEED_HELP,
-    Group,
-    dashed,
-    named_option,
-    number_parser,
-    option,
-    overrules,
-    read_seed,
-    whole_parser,
-)
+from irisjax.cli import options as opt
+from irisjax.numerics.checks import Range
 from irisjax.tissue.indices import Scattering
 from irisjax.tissue.iris import LIMITS
 from irisjax.tissue.scattering import POWER_LAW_LIMITS, PowerLaw
+from irisjax.transport import process as processes
 from irisjax.transport.defaults import exact_solver
 from irisjax.transport.montecarlo import MonteCarlo
-from irisjax.transport.process import (
-    POLARISED,
-    PROCESSES,
-    AbstractProcess,
-    Phase,
-    RadiativeTransfer,
-    Rescatter,
-    is_polarised,
-)
+from irisjax.transport.process import PROCESSES, AbstractProcess
 from irisjax.transport.radiative.polarised.montecarlo import PolarisedMonteCarlo
 from irisjax.transport.solver import AbstractSolver
 
@@ -40,127 +22,95 @@ from irisjax.transport.solver import AbstractSolver
 _DEFAULTS = {
     field.name: field.default for kind in (ij.Iris, PowerLaw) for field in dataclasses.fields(kind)
 }
-_RANGES = LIMITS | POWER_LAW_LIMITS
+RANGES = LIMITS | POWER_LAW_LIMITS
+"""Allowed values of an iris's numbers."""
 _LEVELS = ("low", "moderate", "high")
 _DEEP = "depth-resolved"
+_ILIT = "process", ("ilit-2006", "ilit-corrected")
+_SAMPLED = "solver", ("monte-carlo",)
 
 
 def _field(name: str) -> Any:
     """Option of a field of `Iris`; the iris checks the range and holds the default."""
-    low, high, unit, meaning, above = _RANGES[name]
-    allowed = f"{low:g} to {high:g}" if math.isfinite(high) else f"at least {low:g}"
-    if above:
-        allowed = f"above {low:g}, at most {high:g}" if math.isfinite(high) else f"above {low:g}"
-    default = _DEFAULTS[name]
+    if name not in RANGES:  # `IrisOptions` defines it
+        return opt.option("")
+    words, default = RANGES[name].meaning, _DEFAULTS[name]
     if name in POWER_LAW_LIMITS:
-        meaning = f"{meaning}; makes scattering a power law, for --process {_DEEP} alone"
-    shown = isinstance(default, float) and not name.endswith("melanin")  # those are the level's
-    return option(
-        parse=number_parser(),
-        metavar=unit or "number",
-        help=f"{meaning}, {allowed}{f'; default {default:g}' if shown else ''}",
-    )
+        words += f"; makes scattering a power law, for --process {_DEEP} alone"
+    words += f", {opt.in_words(RANGES[name])}"
+    if isinstance(default, float) and not name.endswith("melanin"):  # those are the level's
+        words += f"; default {default:g}"
+    return opt.number(words, metavar=RANGES[name].unit)
 
 
 # An option for each number of an iris, in the order of its fields; the class below defines three.
-_Numbers: Any = dataclasses.make_dataclass(
+_NAMES = ("level", *LIMITS, "melanin_load", "scattering", *POWER_LAW_LIMITS)
+_Numbers: Any = type(
     "_Numbers",
-    [
-        (name, Annotated[float | None, _field(name) if name in _RANGES else None], None)
-        for name in ("level", *LIMITS, "melanin_load", "scattering", *POWER_LAW_LIMITS)
-    ],
-    bases=(Group,),
-    frozen=True,
-    kw_only=True,
+    (opt.Group,),
+    {
+        "__annotations__": dict.fromkeys(_NAMES, float | None),
+        **{name: _field(name) for name in _NAMES},
+    },
 )
 
 
-@dataclass(frozen=True, kw_only=True)
 class IrisOptions(_Numbers):
     """What the iris is made of; `None` stands for the level's value or LB06's."""
 
     PANEL = "Iris"
 
-    level: Annotated[
-        str,
-        named_option(
-            "pigmentation of the paper; sets both melanins",
-            *_LEVELS,
-            callback=overrules("eumelanin", "pheomelanin"),
-        ),
-    ] = "moderate"
-    melanin_load: Annotated[
-        float | None,
-        option(
-            parse=number_parser(),
-            metavar="ug/mm2",
-            help="melanin mass per iris area, at least 0: rescales both melanins, keeping their "
-            "ratio",
-        ),
-    ] = None
-    scattering: Annotated[
-        str,
-        named_option(
-            "scattering coefficient of the stroma",
-            *get_args(Scattering),
-            callback=overrules(*POWER_LAW_LIMITS),
-        ),
-    ] = "lb06"
+    level: str = opt.choice(
+        "pigmentation of the paper; sets both melanins",
+        _LEVELS,
+        "moderate",
+        overrules=("eumelanin", "pheomelanin"),
+    )
+    melanin_load: float | None = opt.number(
+        "melanin mass per iris area, at least 0: rescales both melanins, keeping their ratio",
+        metavar="ug/mm2",
+    )
+    scattering: str = opt.choice(
+        "scattering coefficient of the stroma",
+        get_args(Scattering),
+        "lb06",
+        overrules=tuple(POWER_LAW_LIMITS),
+    )
 
 
-def _polarising(context, param, value):
-    """Polarised light, typed, is light of the one process that has it, whatever a file's was."""
-    return overrules("process")(context, param, value) if value else value
-
-
-@dataclass(frozen=True, kw_only=True)
-class ProcessOptions(Group):
+class ProcessOptions(opt.Group):
     """Rules of light transport; `None` stands for the named process's own."""
 
     PANEL = "Process"
     ONLY_WITH: ClassVar = {
-        "phase": ("process", ("ilit-2006", "ilit-corrected")),
-        "rescatter": ("process", ("ilit-2006", "ilit-corrected")),
-        "perturb_on_reflection": ("process", ("ilit-2006", "ilit-corrected")),
-        "polarised": ("process", ("depth-resolved",)),
+        **dict.fromkeys(("phase", "rescatter", "perturb_on_reflection"), _ILIT),
+        "polarised": ("process", (_DEEP,)),
     }
 
-    process: Annotated[
-        str,
-        named_option(
-            "rules of light transport; by ilit, light eyes are twice as bright in the blue as "
-            "depth-resolved",
-            *PROCESSES,
-            callback=overrules("phase", "rescatter", "perturb_on_reflection"),
-        ),
-    ] = "ilit-2006"
-    phase: Annotated[
-        str | None,
-        named_option("phase function, the paper's sampling or Rayleigh's law", *get_args(Phase)),
-    ] = None
-    rescatter: Annotated[
-        str | None,
-        named_option(
-            "after a scatter straight out, or tested over the layer again", *get_args(Rescatter)
-        ),
-    ] = None
-    perturb_on_reflection: Annotated[
-        bool | None,
-        option(
-            "--perturb-on-reflection/--no-perturb",
-            metavar="",
-            help="redraw directions when reflected inside a layer",
-        ),
-    ] = None
-    polarised: Annotated[
-        bool | None,
-        option(
-            "--polarised/--scalar",
-            metavar="",
-            help="depth-resolved transport of Stokes vectors, or of intensities alone",
-            callback=_polarising,
-        ),
-    ] = None
+    process: str = opt.choice(
+        "rules of light transport; by ilit, light eyes are twice as bright in the blue as "
+        "depth-resolved",
+        PROCESSES,
+        "ilit-2006",
+        overrules=("phase", "rescatter", "perturb_on_reflection"),
+    )
+    phase: str | None = opt.choice(
+        "phase function, the paper's sampling or Rayleigh's law", get_args(processes.Phase)
+    )
+    rescatter: str | None = opt.choice(
+        "after a scatter straight out, or tested over the layer again",
+        get_args(processes.Rescatter),
+    )
+    perturb_on_reflection: bool | None = opt.option(
+        "redraw directions when reflected inside a layer",
+        names="--perturb-on-reflection/--no-perturb",
+    )
+    # Polarised light, typed, is light of the one process that has it, whatever a file's was.
+    polarised: bool | None = opt.option(
+        "depth-resolved transport of Stokes vectors, or of intensities alone",
+        names="--polarised/--scalar",
+        overrules=("process",),
+    )
 
     def __post_init__(self):
         if self.polarised and "process" not in self.typed:
@@ -174,79 +124,54 @@ class ProcessOptions(Group):
         return dataclasses.replace(self, process=_DEEP, polarised=True)
 
 
-@dataclass(frozen=True, kw_only=True)
-class SolverOptions(Group):
+class SolverOptions(opt.Group):
     """How the process is solved."""
 
     PANEL = "Solver"
-    ONLY_WITH: ClassVar = {
-        "photons": ("solver", ("monte-carlo",)),
-        "seed": ("solver", ("monte-carlo",)),
-    }
+    ONLY_WITH: ClassVar = {"photons": _SAMPLED, "seed": _SAMPLED}
 
-    solver: Annotated[
-        str, named_option("integrate the process, or sample it", "exact", "monte-carlo")
-    ] = "exact"
-    photons: Annotated[
-        int,
-        option(
-            parse=whole_parser(1, 2**31 - 2**20), metavar="count", help="photons at each wavelength"
-        ),
-    ] = 1_000_000
-    seed: Annotated[int, option(parse=read_seed, metavar="number", help=SEED_HELP + "bytes")] = 0
+    solver: str = opt.choice(
+        "integrate the process, or sample it", ("exact", "monte-carlo"), "exact"
+    )
+    photons: int = opt.whole("photons at each wavelength", Range(1, 2**31 - 2**20), 1_000_000)
+    seed: int = opt.seeded("bytes")
+
+    @property
+    def key(self) -> jax.Array | None:
+        """The key of a solver that samples; its kind is fixed, whatever the environment prefers."""
+        if self.solver == "exact":
+            return None
+        return jax.random.key(self.seed, impl="threefry2x32")
 
 
-def modelled_iris(options: IrisOptions) -> ij.Iris:
-    """The iris that the options describe."""
-    names = (*LIMITS, *POWER_LAW_LIMITS, "melanin_load")
-    fields = {n: v for n in names if (v := getattr(options, n)) is not None}
-    law = [n for n in POWER_LAW_LIMITS if n in fields]
+def modelled(options: IrisOptions, rules: ProcessOptions) -> tuple[ij.Iris, AbstractProcess]:
+    """The iris and the process that the options describe."""
+    fields = {n: v for n in (*RANGES, "melanin_load") if (v := getattr(options, n)) is not None}
+    law = [opt.dashed(n) for n in POWER_LAW_LIMITS if n in fields]
     if law and "scattering" in options.typed:
         raise ValueError(
-            f"{dashed(law[0])} replaces the formula that --scattering names; give one of the two"
+            f"{law[0]} replaces the formula that --scattering names; give one of the two"
         )
-    return ij.Iris.of_level(options.level).replace(**fields, scattering=options.scattering)
-
-
-def process_of(options: ProcessOptions) -> AbstractProcess:
-    """The process that the options name."""
-    process = PROCESSES[options.process]
-    if options.polarised:
-        return POLARISED
-    switches = {n: getattr(options, n) for n in process.describe()}
-    return dataclasses.replace(process, **{n: v for n, v in switches.items() if v is not None})
-
-
-def check_scattering(iris: ij.Iris, process: AbstractProcess) -> None:
-    """Refuse a power law of scattering for a process that does not know it."""
-    law = "a power law of scattering (--reduced-scattering, --anisotropy, ...)"
-    if iris.power_law is None:
-        return
-    if not isinstance(process, RadiativeTransfer):
-        raise ValueError(f"{law} needs --process {_DEEP}")
-    if process.polarised:
+    iris = ij.Iris.of_level(options.level).replace(**fields, scattering=options.scattering)
+    process = processes.POLARISED if rules.polarised else PROCESSES[rules.process]
+    switches = {n: getattr(rules, n) for n in process.describe()}
+    process = dataclasses.replace(process, **{n: v for n, v in switches.items() if v is not None})
+    what = "a power law of scattering (--reduced-scattering, --anisotropy, ...)"
+    if iris.power_law is not None and not isinstance(process, processes.RadiativeTransfer):
+        raise ValueError(f"{what} needs --process {_DEEP}")
+    if iris.power_law is not None and rules.polarised:
         raise ValueError(
-            f"{law} cannot be combined with polarised light, which scatters by Rayleigh's law only"
+            f"{what} cannot be combined with polarised light, which scatters by Rayleigh's law only"
         )
+    return iris, process
 
 
 def solver_of(
-    options: SolverOptions,
-    process: AbstractProcess,
-    iris: ij.Iris,
-    *,
-    exits: bool = False,
+    options: SolverOptions, process: AbstractProcess, iris: ij.Iris, *, exits: bool = False
 ) -> AbstractSolver:
     """The solver that the options name, for such a process and iris; `exits`: for a BRDF."""
     if options.solver == "exact":
         return exact_solver(process, iris, exits=exits)
-    if is_polarised(process):
+    if processes.is_polarised(process):
         return PolarisedMonteCarlo(options.photons)
     return MonteCarlo(options.photons, process=process)
-
-
-def sampling_key(options: SolverOptions) -> jax.Array | None:
-    """The key of a solver that samples; its kind is fixed, whatever the environment prefers."""
-    if options.solver == "exact":
-        return None
-    return jax.random.key(options.seed, impl="threefry2x32")

@@ -1,17 +1,24 @@
 """Options: groups of them as dataclasses, and the parsers that turn a text into a value."""
 
-import copy
 import dataclasses
 import functools
 import inspect
 import math
-from collections.abc import Callable, Mapping
+import sys
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, get_args, get_type_hints
+from typing import (
+    Annotated,
+    Any,
+    ClassVar,
+    dataclass_transform,
+    get_args,
+    get_origin,
+    get_type_hints,
+)
 
 import numpy as np
 import typer
-from typer.models import OptionInfo
 
 import irisjax as ij
 from irisjax.numerics.checks import Range
@@ -19,14 +26,78 @@ from irisjax.numerics.checks import Range
 _MOST_WAVELENGTHS = 1_000_000
 
 
+def option(help: str, default: Any = None, *, names: str = "", **shown: Any) -> Any:
+    """An option of the command line: a field of a `Group`.
+
+    Args:
+        help: Its line in the help.
+        default: Its value where it is not typed; `...` where it must be.
+        names: How it is typed, if not by the field's name.
+        **shown: `metavar`; `parse`, a function of the text that raises `ValueError` where it cannot
+            take it (the option, or the file and the key, is put in front of the message);
+            `overrules`, names of what a file cannot set where this is typed; other arguments of
+            `typer.Option`.
+    """
+    value = dataclasses.MISSING if default is ... else default
+    return dataclasses.field(
+        default=value, metadata={"help": help, "names": tuple(names.split()), **shown}
+    )
+
+
+def argument(help: str, metavar: str, default: Any = None) -> Any:
+    """A value of the command line without a name."""
+    return option(help, default, metavar=metavar, positional=True)
+
+
+def output(help: str, metavar: str, default: Any = None) -> Any:
+    """The file or folder for results."""
+    return option(help, default, names="-o --output", metavar=metavar)
+
+
+def flag(help: str, default: bool = False) -> Any:
+    """An option that is typed or not; with `--no-` in its name too where it is the default."""
+    return option(help, default)
+
+
+def number(
+    help: str, allowed: Range | None = None, default: Any = None, metavar: str = "", **more: Any
+) -> Any:
+    """An option that takes a number; `{}` in its help stands for the range."""
+    words, unit = (help.replace("{}", in_words(allowed)), allowed.unit) if allowed else (help, "")
+    metavar = metavar or unit or "number"
+    return option(words, default, parse=number_in(allowed), metavar=metavar, **more)
+
+
+def whole(help: str, allowed: Range, default: int | None = None, metavar: str = "count") -> Any:
+    """An option that takes a whole number; 1e6 is one."""
+    words = help.replace("{}", in_words(allowed))
+    return option(words, default, parse=number_in(allowed, whole=True), metavar=metavar)
+
+
+def seeded(what: str) -> Any:
+    """A seed, 32 bits: larger ones would start other streams in a float32 Python session."""
+    return whole(f"{{}}; equal seeds give equal {what}", Range(0, 2**32 - 1), 0, "number")
+
+
+def choice(help: str, names: Iterable[str], default: str | None = None, **more: Any) -> Any:
+    """An option that takes one of these names, which its help begins with."""
+    words = f"{', '.join(names)}: {help}"
+    return option(words, default, parse=one_of(*names), metavar="name", **more)
+
+
+@dataclass_transform(
+    frozen_default=True,
+    kw_only_default=True,
+    field_specifiers=(option, argument, output, flag, number, whole, seeded, choice),
+)
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Group:
-    """Options that belong together: a frozen dataclass whose fields are `Annotated` for typer.
+    """Options that belong together: a frozen dataclass, as are its subclasses.
 
     Attributes:
         PANEL: Heading of the options in the help.
-        ONLY_WITH: An option that means nothing unless another of the group has one of these values;
-            to type it then is an error.
+        ONLY_WITH: An option that means nothing unless another of the group has one of these values,
+            or with none given any; to type it then is an error.
         typed: The options that stand on the command line, as against defaults and a file's values.
     """
 
@@ -34,19 +105,23 @@ class Group:
     ONLY_WITH: ClassVar[Mapping[str, tuple[str, tuple[str, ...]]]] = {}
     typed: frozenset[str] = frozenset()
 
+    def __init_subclass__(cls):
+        dataclasses.dataclass(frozen=True, kw_only=True)(cls)
+
     def __post_init__(self):
-        for name in self.ONLY_WITH:
+        for name, (other, values) in self.ONLY_WITH.items():
             if name in self.typed and not self.applies(name):
-                other, values = self.ONLY_WITH[name]
+                either = f" {' or '.join(values)}" if values else ""
                 raise ValueError(
-                    f"{dashed(name)} means something only with {dashed(other)} "
-                    f"{' or '.join(values)}"
+                    f"{dashed(name)} means something only with {dashed(other)}{either}"
                 )
 
     def applies(self, name: str) -> bool:
         """Whether an option means something beside the others."""
-        other, values = self.ONLY_WITH.get(name, (name, ()))
-        return other == name or getattr(self, other) in values
+        if name not in self.ONLY_WITH:
+            return True
+        other, values = self.ONLY_WITH[name]
+        return getattr(self, other) in values if values else getattr(self, other) is not None
 
     def settings(self) -> dict[str, Any]:
         """What a file must say of the group to be made again: options that apply and are set."""
@@ -55,27 +130,23 @@ class Group:
 
 
 def grouped(function: Callable[..., None]) -> Callable[..., None]:
-    """A command for typer of a function some of whose parameters are a `Group`.
+    """A command for typer of a function whose parameters are `Group`s.
 
     typer is shown every field of a group as an option under the group's heading; the function gets
-    the groups made of their values. Other parameters pass as they are.
+    the groups made of their values.
     """
-    parameters = inspect.signature(function).parameters.values()
-    groups = {p.name: p.annotation for p in parameters if _is_group(p.annotation)}
+    groups = {n: p.annotation for n, p in inspect.signature(function).parameters.items()}
     shown = [inspect.Parameter("context", _KEYWORD, annotation=typer.Context)]
-    for parameter in parameters:
-        if parameter.name in groups:
-            shown += _options_of(parameter.annotation).values()
-        else:
-            shown.append(parameter.replace(kind=_KEYWORD))
+    shown += [p for group in groups.values() for p in _options_of(group).values()]
 
     @functools.wraps(function)
     def command(context, **given):
-        typed = frozenset(n for n in given if stands_on_command_line(context, n))
+        typed = frozenset(n for n in given if _is_typed(context, n))
+        made = {}
         for name, group in groups.items():
-            fields = {n: given.pop(n) for n in _options_of(group)}
-            given[name] = group(**fields, typed=typed & frozenset(fields))
-        function(**given)
+            fields = {n: given[n] for n in _options_of(group)}
+            made[name] = group(**fields, typed=typed & frozenset(fields))
+        function(**made)
 
     # typer reads a command's options from these two.
     command.__signature__ = inspect.Signature(shown)  # pyright: ignore[reportAttributeAccessIssue]
@@ -83,36 +154,12 @@ def grouped(function: Callable[..., None]) -> Callable[..., None]:
     return command
 
 
-def option(*names: str, parse: Callable[[str], Any] | None = None, **shown: Any) -> Any:
-    """`typer.Option` whose value is what `parse` makes of the text.
-
-    `parse` raises `ValueError` for a text that it cannot take; the command names the option, or the
-    file and the key, in front of what it says.
-    """
-
-    def read(text):
-        assert parse is not None
-        try:
-            return parse(str(text))  # defaults come as values
-        except ValueError as error:
-            raise typer.BadParameter(str(error)) from None
-
-    return typer.Option(*names, parser=None if parse is None else read, **shown)
-
-
-def named_option(help: str, *names: str, **more: Any) -> Any:
-    """An option that takes one of these names."""
-    return option(
-        parse=name_parser(*names), metavar="name", help=f"{', '.join(names)}: {help}", **more
-    )
-
-
-def overrules(*names: str) -> Callable[..., Any]:
+def _overrule(names: tuple[str, ...]) -> Callable[..., Any]:
     """Callback of an option that, typed, sets what a file would set by these names."""
 
     # typer goes through the options that were typed before those that take defaults.
     def callback(context, param, value):
-        if stands_on_command_line(context, param.name):
+        if _is_typed(context, param.name) and value is not False:
             for name in names:
                 (context.default_map or {}).pop(name, None)
         return value
@@ -120,10 +167,15 @@ def overrules(*names: str) -> Callable[..., Any]:
     return callback
 
 
-def stands_on_command_line(context: Any, name: str) -> bool:
+def _is_typed(context: Any, name: str) -> bool:
     """Whether an option was typed."""
     source = context.get_parameter_source(name)
     return source is not None and source.name == "COMMANDLINE"
+
+
+def tell(text: str) -> None:
+    """Print a line on standard error."""
+    print(f"irisjax: {text}", file=sys.stderr)
 
 
 def dashed(name: str) -> str:
@@ -134,24 +186,27 @@ def dashed(name: str) -> str:
 _KEYWORD = inspect.Parameter.KEYWORD_ONLY
 
 
-def _is_group(annotation: Any) -> bool:
-    return isinstance(annotation, type) and issubclass(annotation, Group)
-
-
 @functools.cache
 def _options_of(group: type[Group]) -> dict[str, inspect.Parameter]:
     """Fields that are options, as typer reads them."""
-    hints = get_type_hints(group, include_extras=True)
-    found = {}
+    hints, found = get_type_hints(group), {}
     for field in dataclasses.fields(group):
         if field.name == "typed":
             continue
-        kind, info = get_args(hints[field.name])
-        if isinstance(info, OptionInfo):
-            info = copy.copy(info)
-            info.rich_help_panel = group.PANEL
-            if Path in (kind, *get_args(kind)) and info.parser is None:
-                info.parser = _path
+        kind, shown = hints[field.name], dict(field.metadata)
+        kinds, names = (kind, *get_args(kind)), shown.pop("names")
+        if shown.pop("positional", False):
+            info = typer.Argument(show_default=False, **shown)
+        else:
+            if bool in kinds:
+                off = f"/--no-{dashed(field.name)[2:]}" if field.default else ""
+                names, shown["metavar"] = names or (dashed(field.name) + off,), ""
+            if parse := shown.pop("parse", _path if Path in kinds else None):
+                several = any(get_origin(k) is list for k in kinds)
+                kind, shown["parser"] = list[Any] if several else Any, _parser(parse)
+            if "overrules" in shown:
+                shown["callback"] = _overrule(shown.pop("overrules"))
+            info = typer.Option(*names, rich_help_panel=group.PANEL, **shown)
         must = field.default is dataclasses.MISSING
         default = inspect.Parameter.empty if must else field.default
         found[field.name] = inspect.Parameter(
@@ -160,103 +215,71 @@ def _options_of(group: type[Group]) -> dict[str, inspect.Parameter]:
     return found
 
 
-def _path(text: str | Path) -> Path:
+def _parser(parse: Callable[[str], Any]) -> Callable[[Any], Any]:
+    def read(text):
+        try:
+            return parse(str(text))  # defaults come as values
+        except ValueError as error:
+            raise typer.BadParameter(str(error)) from None
+
+    return read
+
+
+def _path(text: str) -> Path:
     """A file or folder; an empty text, of a shell's variable that is not set, is the working folder
     to `pathlib`.
     """
-    if not str(text):
-        raise typer.BadParameter("no file or folder is named")
+    if not text:
+        raise ValueError("no file or folder is named")
     return Path(text)
 
 
-@dataclasses.dataclass(frozen=True)
-class WavelengthGrid:
-    """Wavelengths as they are written, and their values (nm)."""
-
-    text: str
+class Grid(str):
+    """Wavelengths as they are written."""
 
     @functools.cached_property
     def values(self) -> np.ndarray:
-        """Wavelengths, nm.
-
-        Raises:
-            ValueError: For a text that is no grid.
-        """
-        text = "".join(self.text.split())
-        form = "give start:stop:step or a list 450,550,650, in nm"
+        """Wavelengths, nm; raises `ValueError` for a text that is no grid."""
+        wrong = f"{str(self)!r} is not a grid; give start:stop:step or a list 450,550,650, in nm"
         try:
-            numbers = [float(part) for part in text.replace(":", ",").split(",")]
+            numbers = [float(part) for part in self.replace(":", ",").split(",")]
         except ValueError:
-            raise ValueError(f"{text!r} is not a grid; {form}") from None
-        if ":" not in text:
+            raise ValueError(wrong) from None
+        if ":" not in self:
             return np.array(numbers)
-        if "," in text or len(numbers) != 3:
-            raise ValueError(f"{text!r} is not a grid; {form}")
+        if "," in self or len(numbers) != 3:
+            raise ValueError(wrong)
         start, stop, step = numbers
         if step > 0 and (stop - start) / step >= _MOST_WAVELENGTHS:
-            raise ValueError(f"{text!r} has more than {_MOST_WAVELENGTHS} wavelengths")
+            raise ValueError(f"{str(self)!r} has more than {_MOST_WAVELENGTHS} wavelengths")
         return ij.wavelengths(start, stop, step)
 
-    def __str__(self):
-        return self.text
+
+def read_grid(text: str) -> Grid:
+    """Parse wavelengths, nm."""
+    found = Grid("".join(text.split()))
+    found.values  # noqa: B018 - raises where it is no grid
+    return found
 
 
-def grid_parser(
-    check: Callable[[np.ndarray], None] | None = None,
-) -> Callable[[str], WavelengthGrid]:
-    """Parser of wavelengths, nm; `check` raises `ValueError` where they are not allowed."""
-
-    def parse(text: str) -> WavelengthGrid:
-        found = WavelengthGrid("".join(text.split()))
-        values = found.values  # or the error that it is no grid
-        if check is not None:
-            check(values)
-        return found
-
-    return parse
-
-
-def number_parser(low: float = -math.inf, high: float = math.inf) -> Callable[[str], float]:
-    """Parser of numbers, in [low, high] if either is given."""
-    return range_parser(Range(low, high))
-
-
-def range_parser(allowed: Range) -> Callable[[str], float]:
-    """Parser of numbers in a range."""
-    bounded = allowed.low > -math.inf or allowed.high < math.inf
+def number_in(allowed: Range | None = None, whole: bool = False) -> Callable[[str], Any]:
+    """Parser of numbers in a range, or of any; of whole ones to `int`."""
 
     def parse(text: str) -> float:
         try:
             value = float(text)
         except ValueError:
             raise ValueError(f"{text!r} is not a number") from None
-        if bounded and not allowed.holds(value):
+        if whole and not value.is_integer():
+            raise ValueError(f"{text} is not a whole number")
+        if allowed is not None and not allowed.holds(value):
             raise ValueError(f"{text} is outside {allowed}")
-        return value
+        return int(value) if whole else value
 
     return parse
 
 
-def whole_parser(low: int, high: int) -> Callable[[str], int]:
-    """Parser of whole numbers in [low, high]; 1e6 is one."""
-    allowed = Range(low, high)
-
-    def parse(text: str) -> int:
-        try:
-            value = int(text)
-        except ValueError:
-            real = number_parser()(text)
-            if not real.is_integer():
-                raise ValueError(f"{text} is not a whole number") from None
-            value = int(real)
-        if not allowed.holds(value):
-            raise ValueError(f"{text} is outside {allowed}")
-        return value
-
-    return parse
-
-
-def name_parser(*names: str) -> Callable[[str], str]:
+def one_of(*names: str) -> Callable[[str], str]:
     """Parser of names."""
 
     def parse(text: str) -> str:
@@ -267,29 +290,27 @@ def name_parser(*names: str) -> Callable[[str], str]:
     return parse
 
 
-def number_or(word: str, low: float, high: float) -> Callable[[str], float | str]:
-    """Parser of numbers in [low, high], and of a word in place of one."""
-    parse_number = number_parser(low, high)
+def number_or(word: str, allowed: Range) -> Callable[[str], float | str]:
+    """Parser of numbers in a range, and of a word in place of one."""
 
     def parse(text: str) -> float | str:
         if text == word:
             return word
         try:
-            return parse_number(text)
+            return number_in(allowed)(text)
         except ValueError as error:
             raise ValueError(f"{error}; or write {word}") from None
 
     return parse
 
 
-cosine = number_or(ij.DIFFUSE, 0, 1)
+cosine = number_or(ij.DIFFUSE, Range(0, 1))
 """Parses a cosine of incidence, or the word for light from everywhere."""
-exit_angle = number_or(ij.HEMISPHERE, 0, 90)
-"""Parses an angle from the normal in degrees, or the word for all directions."""
-
-SEED_HELP = "0 to 4294967295; equal seeds give equal "
 
 
-def read_seed(text: str) -> int:
-    """Parse a seed, 32 bits: larger ones would start other streams in a float32 Python session."""
-    return whole_parser(0, 2**32 - 1)(text)
+def in_words(allowed: Range) -> str:
+    """A range in the words of the help."""
+    low, high = (f"{limit:.10g}" for limit in allowed[:2])
+    if allowed.above:
+        return f"above {low}, at most {high}" if math.isfinite(allowed.high) else f"above {low}"
+    return f"{low} to {high}" if math.isfinite(allowed.high) else f"at least {low}"

@@ -4,44 +4,28 @@ import itertools
 import os
 import sys
 from collections.abc import Iterable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
-from typing import Annotated
+from typing import ClassVar
 
 import jax
 import numpy as np
-import typer
 from tqdm import tqdm
 
 from irisjax import io
+from irisjax.cli import matching
+from irisjax.cli import options as opt
 from irisjax.cli.animate import sheet
 from irisjax.cli.compiled import kept_tables
 from irisjax.cli.files import check_folder, check_is_folder, png_of
-from irisjax.cli.matching import (
-    DIFFERENCES,
-    MATCH,
-    RETOUCH,
-    RETOUCHES,
-    Matched,
-    matched,
-    nearest_colour,
-)
-from irisjax.cli.options import (
-    SEED_HELP,
-    Group,
-    grouped,
-    named_option,
-    option,
-    read_seed,
-    whole_parser,
-)
 from irisjax.cli.paints import PaintOptions, check_no_seed, of_file
 from irisjax.cli.scenes import changed, environment_of
 from irisjax.export.mesh import FORMATS, painting_files
 from irisjax.io.recipes import Recipe, recipe_text
 from irisjax.io.targets import TISSUE_MAPS, TISSUE_SCENE, read_target, tissue_files
 from irisjax.measure.colour import srgb_encode
-from irisjax.ocularist.coats import LIMBUS, PUPIL_RADIUS, Coat, Painting, over
+from irisjax.numerics.checks import Range
+from irisjax.ocularist.coats import LIMBUS, PUPIL_RADIUS, Painting, over
 from irisjax.ocularist.components import COMPONENTS
 from irisjax.ocularist.integrator import Painted
 from irisjax.ocularist.painting import OPACITY_SIZE, SCAN, painted, studio
@@ -52,15 +36,14 @@ from irisjax.render.scene import Scene
 
 _STEPS = 12  # pictures of the progression at most
 _SMALL = 320, 240
-_SHADOWS = "tinted", "as-printed"
 _COATS, _MESHES, _TISSUE = "coats", "meshes", "tissue"  # folders of a painted eye
 # Files of a painted eye that only some eyes have, in its folder.
 _NAMES = [f"[0-9]*_{component}" for component in (*COMPONENTS, SCAN)]
 _BODIES = itertools.product((*_NAMES, "cornea", "white"), (*FORMATS, "mtl", "png"))
 _OF_AN_EYE = (
-    MATCH,
-    DIFFERENCES,
-    f"{RETOUCH}[0-9]*.png",
+    matching.MATCH,
+    matching.DIFFERENCES,
+    f"{matching.RETOUCH}[0-9]*.png",
     *(f"{_COATS}/{name}.png" for name in _NAMES),
     f"{_TISSUE}/{TISSUE_MAPS}",
     f"{_TISSUE}/{TISSUE_SCENE}",
@@ -68,34 +51,23 @@ _OF_AN_EYE = (
 )
 
 
-@dataclass(frozen=True, kw_only=True)
 class PaintedEye(PaintOptions):
     """Which eye."""
 
-    recipe: Annotated[
-        Path | None,
-        typer.Argument(metavar="RECIPE", help="coats of paint (TOML)", show_default=False),
-    ] = None
-    seed: Annotated[
-        int, option(parse=read_seed, metavar="number", help=f"{SEED_HELP}coats of a --type")
-    ] = 0
-    match: Annotated[
-        Path | None,
-        option(
-            metavar="TARGET",
-            help="folder of irisjax clone, scene file, or square picture of an iris laid flat: its "
-            "pupil, and shares of paints and opacities fitted to it; with neither recipe nor "
-            "--type: those of the nearest colour",
-        ),
-    ] = None
-    retouch: Annotated[
-        int | None,
-        option(
-            parse=whole_parser(0, 30),
-            metavar="count",
-            help=f"with --match: coats on top that follow its pattern; default {RETOUCHES}",
-        ),
-    ] = None
+    ONLY_WITH: ClassVar = {"retouch": ("match", ())}
+
+    recipe: Path | None = opt.argument("coats of paint (TOML)", "RECIPE")
+    seed: int = opt.seeded("coats of a --type")
+    match: Path | None = opt.option(
+        "folder of irisjax clone, scene file, or square picture of an iris laid flat: its pupil, "
+        "and shares of paints and opacities fitted to it; with neither recipe nor --type: those of "
+        "the nearest colour",
+        metavar="TARGET",
+    )
+    retouch: int | None = opt.whole(
+        f"with --match: coats on top that follow its pattern; default {matching.RETOUCHES}",
+        Range(0, 30),
+    )
 
     def __post_init__(self):
         super().__post_init__()
@@ -103,76 +75,46 @@ class PaintedEye(PaintOptions):
             raise ValueError("give a recipe or --type, one of them")
         if self.recipe is not None and self.match is None:
             check_no_seed(self.typed)
-        if self.retouch is not None and self.match is None:
-            raise ValueError(f"--retouch {self.retouch} is for --match")
 
 
-@dataclass(frozen=True, kw_only=True)
-class PaintedPicture(Group):
+class PaintedPicture(opt.Group):
     """How it is drawn."""
 
     PANEL = "Picture"
 
-    light: Annotated[
-        list[str] | None,
-        option(
-            metavar="POLAR,AZIMUTH[,IRRADIANCE]",
-            help="as of render; repeatable; in place of two lamps",
-        ),
-    ] = None
-    environment: Annotated[
-        str | None,
-        option(
-            metavar="NAME|FILE",
-            help=f"{', '.join(ENVIRONMENTS)}, or a latitude-longitude panorama; in place of lamps, "
-            "or beside those of --light",
-        ),
-    ] = None
-    camera: Annotated[str | None, option(metavar="POLAR,AZIMUTH[,WIDTH]", help="as of render")] = (
-        None
+    light: list[str] | None = opt.option(
+        "as of render; repeatable; in place of two lamps", metavar="POLAR,AZIMUTH[,IRRADIANCE]"
     )
-    size: Annotated[str | None, option(metavar="WIDTHxHEIGHT", help="pixels; default 800x600")] = (
-        None
+    environment: str | None = opt.option(
+        f"{', '.join(ENVIRONMENTS)}, or a latitude-longitude panorama; in place of lamps, or "
+        "beside those of --light",
+        metavar="NAME|FILE",
     )
-    samples: Annotated[
-        int,
-        option(
-            parse=whole_parser(1, 8), metavar="count", help="along each side of a pixel, 1 to 8"
-        ),
-    ] = 1
-    texels: Annotated[
-        int,
-        option(parse=whole_parser(64, 4096), metavar="count", help="along a side of opacity maps"),
-    ] = OPACITY_SIZE
-    shadow: Annotated[
-        str,
-        named_option("shadows; as-printed: by the paper's Eq. 2 as it stands there", *_SHADOWS),
-    ] = "tinted"
+    camera: str | None = opt.option("as of render", metavar="POLAR,AZIMUTH[,WIDTH]")
+    size: str | None = opt.option("pixels; default 800x600", metavar="WIDTHxHEIGHT")
+    samples: int = opt.whole("along each side of a pixel, {}", Range(1, 8), 1)
+    texels: int = opt.whole("along a side of opacity maps", Range(64, 4096), OPACITY_SIZE)
+    shadow: str = opt.choice(
+        "shadows; as-printed: by the paper's Eq. 2 as it stands there",
+        ("tinted", "as-printed"),
+        "tinted",
+    )
 
 
-@dataclass(frozen=True, kw_only=True)
-class PaintedFiles(Group):
+class PaintedFiles(opt.Group):
     """Where it goes."""
 
     PANEL = "Files"
 
-    output: Annotated[Path, option("-o", "--output", metavar="DIR", help="folder for the eye")]
-    meshes: Annotated[
-        str | None,
-        named_option("a mesh of every coat, of cornea and white, in meshes/", *FORMATS),
-    ] = None
-    tissue: Annotated[
-        bool,
-        option(
-            "--tissue", metavar="", help="the nearest tissue, in tissue/: maps and a scene file"
-        ),
-    ] = False
-    overwrite: Annotated[
-        bool, option("--overwrite", metavar="", help="replace a painted eye in that folder")
-    ] = False
+    output: Path = opt.output("folder for the eye", "DIR", ...)
+    meshes: str | None = opt.choice(
+        "a mesh of every coat, of cornea and white, in meshes/", FORMATS
+    )
+    tissue: bool = opt.flag("the nearest tissue, in tissue/: maps and a scene file")
+    overwrite: bool = opt.flag("replace a painted eye in that folder")
 
 
-@grouped
+@opt.grouped
 def paint_command(subject: PaintedEye, picture: PaintedPicture, results: PaintedFiles) -> None:
     """Paint an eye in semi-transparent coats, as ocularists do.
 
@@ -199,7 +141,6 @@ def paint_command(subject: PaintedEye, picture: PaintedPicture, results: Painted
     if picture.environment is not None:
         around = environment_of(picture.environment)
         scene = scene.replace(environment=around, lights=scene.lights if picture.light else None)
-    scene = _with(scene, painting, picture.shadow)
     files = {folder / name: data for name, data in more.items()}
     names = [coat.name for coat in painting.coats]
     pictures = [folder / _COATS / f"{name.replace(' ', '_')}.png" for name in names]
@@ -214,7 +155,8 @@ def paint_command(subject: PaintedEye, picture: PaintedPicture, results: Painted
     for name, linear in zip(("eye.png", "progression.png"), drawn, strict=True):
         files[folder / name] = png_of(folder / name, np.asarray(srgb_encode(linear)), remark)
     for path, coat in zip(pictures, painting.coats, strict=True):
-        files[path] = png_of(path, _on_white(coat), remark)
+        on_white = over(1.0, coat.opacity[..., None], coat.colour, 1.0)
+        files[path] = png_of(path, np.asarray(srgb_encode(on_white)), remark)
     if results.tissue:
         alike = nearest_tissue(painting, eye)
         files |= {folder / _TISSUE / n: data for n, data in tissue_files(alike, eye).items()}
@@ -229,23 +171,24 @@ def paint_command(subject: PaintedEye, picture: PaintedPicture, results: Painted
     print(*messages, f"{len(painting.coats)} coats; written: {folder}", sep="\n")
 
 
-def _prepared(subject: PaintedEye, size: int, folder: Path) -> Matched:
+def _prepared(subject: PaintedEye, size: int, folder: Path) -> matching.Matched:
     """The recipe, matched if that is asked for."""
     given = subject.recipe is not None or subject.type is not None
     recipe = subject.read(subject.recipe, subject.seed) if given else None
     if subject.match is None:
         assert recipe is not None
         with of_file(subject.recipe):
-            return Matched(recipe, recipe.scans(), {}, [])
+            return matching.Matched(recipe, recipe.scans(), {}, [])
     asked = subject.pupil_radius or (PUPIL_RADIUS if recipe is None else recipe.pupil_radius)
     target = read_target(subject.match, asked / LIMBUS)
     if subject.pupil_radius is not None and not np.isclose(target.pupil * LIMBUS, asked):
         raise ValueError(f"--pupil-radius: {subject.match} has a pupil of its own")
     if recipe is None:
-        recipe = subject.changed(nearest_colour(target, subject.seed))
-    count = RETOUCHES if subject.retouch is None else subject.retouch
+        recipe = subject.changed(matching.nearest_colour(target, subject.seed))
+    count = matching.RETOUCHES if subject.retouch is None else subject.retouch
+    how = {"count": count, "size": size, "seed": subject.seed}
     with of_file(subject.recipe):
-        return matched(target, recipe, folder, count=count, size=size, seed=subject.seed)
+        return matching.matched(target, recipe, folder, **how)
 
 
 def _drawn(
@@ -254,34 +197,29 @@ def _drawn(
     """The picture and the sheet of its progress, linear. The cached steps, most of the command's
     memory, are freed on return.
     """
+
+    def of(scene: Scene, part: Painting) -> Scene:
+        as_printed = picture.shadow == "as-printed"
+        return scene.replace(integrator=Painted(painting=part, as_printed=as_printed))
+
     shown = _shown(len(painting.coats))
     with tqdm(total=1 + len(shown), unit="picture", disable=not sys.stderr.isatty()) as bar:
+        scene = of(scene, painting)
         tables = kept_tables(scene)
         parts = draw_bands(scene, tables, samples=picture.samples)
         whole_eye = np.concatenate([band.pixels for band in parts])
         bar.update()
-        steps = []
-        small = scene.replace(camera=replace(scene.camera, size=_SMALL))
+        small, steps = scene.replace(camera=replace(scene.camera, size=_SMALL)), []
         for count in shown:
-            part = Painting(painting.coats[:count], painting.profile)
-            part = _with(small, part, picture.shadow)
+            part = of(small, Painting(painting.coats[:count], painting.profile))
             steps.append(np.asarray(draw(part, tables)))
             bar.update()
     return whole_eye, sheet(steps)
 
 
-def _with(scene: Scene, painting: Painting, shadow: str) -> Scene:
-    return scene.replace(integrator=Painted(painting=painting, as_printed=shadow == "as-printed"))
-
-
 def _shown(count: int) -> list[int]:
     """Numbers of coats, up to `count`, after which the progress is shown."""
     return sorted({round(1 + i * (count - 1) / (_STEPS - 1)) for i in range(_STEPS)})
-
-
-def _on_white(coat: Coat) -> np.ndarray:
-    """A coat as it lies on white paper, encoded."""
-    return np.asarray(srgb_encode(over(1.0, coat.opacity[..., None], coat.colour, 1.0)))
 
 
 def _check_spared(recipe: Recipe, written: Iterable[Path]) -> None:

@@ -2,31 +2,23 @@
 
 import contextlib
 from collections.abc import Iterator
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
 
 from irisjax.anatomy.eye import EYE_LIMITS
-from irisjax.cli.options import Group, named_option, option, range_parser
+from irisjax.cli import options as opt
 from irisjax.io.recipes import MIXING, Recipe, read_recipe
 from irisjax.ocularist.recipes import EYE_COLOURS, EYE_TYPES, coats
 
-_PUPIL = EYE_LIMITS["pupil_radius"]
 
-
-@dataclass(frozen=True, kw_only=True)
-class PaintOptions(Group):
+class PaintOptions(opt.Group):
     """A type of eye in place of a recipe, and options that change either."""
 
     PANEL = "What"
 
-    type: Annotated[str | None, named_option("in place of a recipe", *EYE_TYPES)] = None
-    colour: Annotated[str | None, named_option("with --type", *EYE_COLOURS)] = None
-    mixing: Annotated[str | None, named_option("of the paints", *MIXING)] = None
-    pupil_radius: Annotated[
-        float | None,
-        option(parse=range_parser(_PUPIL), metavar="MM", help=f"{_PUPIL.low:g} to {_PUPIL.high:g}"),
-    ] = None
+    type: str | None = opt.choice("in place of a recipe", EYE_TYPES)
+    colour: str | None = opt.choice("with --type", EYE_COLOURS)
+    mixing: str | None = opt.choice("of the paints", MIXING)
+    pupil_radius: float | None = opt.number("{}", EYE_LIMITS["pupil_radius"])
 
     def painted(self, recipe: Path | None, matched: bool = False) -> bool:
         """Whether a painted eye is asked for: by a recipe's file, by its type or, where it is
@@ -40,9 +32,9 @@ class PaintOptions(Group):
         if (self.type is None) != (self.colour is None):
             raise ValueError("--type and --colour go together")
         found = recipe is not None or self.type is not None or matched
-        for name, value in (("mixing", self.mixing), ("pupil-radius", self.pupil_radius)):
-            if value is not None and not found:
-                raise ValueError(f"--{name} is of a painted eye: give a recipe or --type")
+        for name in ("mixing", "pupil_radius"):
+            if getattr(self, name) is not None and not found:
+                raise ValueError(f"{opt.dashed(name)} is of a painted eye: give a recipe or --type")
         return found
 
     def read(self, recipe: Path | None, seed: int) -> Recipe:

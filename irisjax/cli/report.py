@@ -3,7 +3,7 @@
 import csv
 import io as text_io
 import sys
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +13,8 @@ import numpy as np
 import irisjax as ij
 from irisjax import io
 from irisjax.cli import sentences
+from irisjax.cli.fit_options import Sampler
+from irisjax.cli.options import tell
 from irisjax.infer.analysis import Analysis, analyse, predictive, predictive_score, reported
 from irisjax.infer.fit import words_for
 from irisjax.infer.observation import Observation
@@ -32,26 +34,19 @@ _MOST_NUMBERS = 1 << 24  # of log likelihoods in a file: 128 MB
 
 
 def progress_bar(quiet: bool = False) -> Any:
-    """Return a bar that counts steps on a terminal and says, before the first, what takes so long.
-
-    Open it before the problem is stated.
-    """
+    """A bar that counts steps on a terminal and says, before the first, what takes so long."""
     from tqdm import tqdm
 
     # Wrong input ends in one line: the bar is wiped until there are steps.
-    bar = tqdm(
-        unit="step", bar_format="{desc}", leave=False, disable=quiet or not sys.stderr.isatty()
-    )
+    quiet = quiet or not sys.stderr.isatty()
+    bar = tqdm(unit="step", bar_format="{desc}", leave=False, disable=quiet)
     bar.set_description_str("compiling (quicker from the second run on) ...")
     return bar
 
 
 def counting(bar: Any, leave: bool) -> Callable[[int, str], None]:
-    """Return a function of a number of steps and a word that shows them on a bar.
-
-    Args:
-        bar: As `progress_bar` makes it.
-        leave: Whether it stays on the terminal in the end.
+    """A function of a number of steps and a word that shows them on a `progress_bar`, which may be
+    left on the terminal in the end.
     """
 
     def progress(steps: int, word: str) -> None:
@@ -65,50 +60,35 @@ def counting(bar: Any, leave: bool) -> Callable[[int, str], None]:
     return progress
 
 
-def sampler_key(sampler: Mapping[str, Any]) -> jax.Array:
-    """Return the key of a run."""
-    return jax.random.key(sampler["seed"], impl="threefry2x32")
-
-
 def one(
     problem: Problem,
     folder: Path | None,
-    sampler: Mapping[str, Any],
+    sampler: Sampler,
     bar: Any,
     *,
     resume: bool,
     quiet: bool = False,
     draw: Callable[..., Later] = here,
 ) -> bool:
-    """Analyse one eye, print and write.
-
-    Args:
-        problem: What was measured and what is free.
-        folder: Where files go, if anywhere.
-        sampler: Its walkers, max_steps and seed.
-        bar: Shows the progress, see `progress_bar`.
-        resume: Whether to continue the chain in the folder.
-        quiet: Whether nothing is printed.
-        draw: Draws figures, see `plot.beside`.
-
-    Returns:
-        Whether the chain is long enough.
+    """Analyse one eye, print (unless `quiet`) and write into the folder, if there is one; whether
+    the chain is long enough. `resume` continues that in the folder.
     """
-    key = sampler_key(sampler)
     found = analyse(
-        problem, store=None if folder is None else folder / "chain.h5", resume=resume,
-        walkers=sampler["walkers"], max_steps=sampler["max_steps"],
-        progress=counting(bar, leave=True), key=key,
-    )  # fmt: skip
+        problem,
+        store=None if folder is None else folder / "chain.h5",
+        resume=resume,
+        walkers=sampler.walkers,
+        max_steps=sampler.max_steps,
+        progress=counting(bar, leave=True),
+        key=sampler.key,
+    )
     first = sentences.process_lines(found.other)
     lines = [*sentences.information_lines(found.information), *sentences.cautions(found)]
     if folder is not None:
         bar.set_description_str("files")
-        score, error = _write(found, folder, [*first, *lines], key, draw)
-        lines.append(
-            f"predictive score {score:.1f} ± {error:.1f} (PSIS-LOO): compare it with that of "
-            f"another --process"
-        )
+        score, error = _write(found, folder, [*first, *lines], sampler.key, draw)
+        compared = "compare it with that of another --process"
+        lines.append(f"predictive score {score:.1f} ± {error:.1f} (PSIS-LOO): {compared}")
         if found.chains.converged:
             copy_of(folder / "chain.h5").unlink(missing_ok=True)
     bar.close()
@@ -155,6 +135,20 @@ def console() -> Any:
     return Console(width=None if sys.stdout.isatty() else 1000, highlight=False)
 
 
+def print_columns(
+    out: Any, columns: Mapping[str, list[str]], left: Collection[str], title: str | None = None
+) -> None:
+    """Print a table of texts, `left` the columns that are flush with their left."""
+    from rich.table import Table
+
+    table = Table(title=title, title_justify="left", box=None, pad_edge=False, padding=(0, 2, 0, 0))
+    for name in columns:
+        table.add_column(name, justify="left" if name in left else "right", no_wrap=True)
+    for cells in zip(*columns.values(), strict=True):
+        table.add_row(*cells)
+    out.print(table, crop=False)
+
+
 def _write(
     found: Analysis, folder: Path, lines: list[str], key: jax.Array, draw: Callable[..., Later]
 ) -> tuple[float, float]:
@@ -169,9 +163,8 @@ def _write(
     shown = [n for n in problem.free if kind(n) not in ("gain", "noise")]
     if len(shown) > 1:
         values = reported(problem, chains.flat)
-        pictures["corner.png"] = draw(
-            "corner_figure", {labelled(n, "\n"): values[n] for n in shown}
-        )
+        values = {labelled(n, "\n"): values[n] for n in shown}
+        pictures["corner.png"] = draw("corner_figure", values)
     # Every draw has a log likelihood for every value: of many values fewer draws are kept.
     most = _MOST_NUMBERS // (chains.z.shape[1] * sum(o.values.shape[-1] for o in seen))
     thin = -(-len(chains.z) // max(1, most))
@@ -188,11 +181,10 @@ def _write(
         "posterior_predictive": {n: s[None] for n, s in zip(names, simulated, strict=True)},
         "sample_stats": {"lp": chains.log_probability[::thin].T},
     }
-    observed = {n: np.asarray(o.values) for n, o in zip(names, seen, strict=True)}
-    observed |= {
-        f"wavelength_nm{n.removeprefix(o.quantity)}": np.asarray(o.wavelengths)
-        for n, o in zip(names, seen, strict=True)
-    }
+    observed = {}
+    for n, o in zip(names, seen, strict=True):
+        observed[n] = np.asarray(o.values)
+        observed[f"wavelength_nm{n.removeprefix(o.quantity)}"] = np.asarray(o.wavelengths)
     priors = zip(problem.free, problem.priors, strict=True)
     about = {
         "converged": str(chains.converged),
@@ -215,25 +207,20 @@ def _doubt(found: Analysis) -> None:
     if found.undetermined:
         data = sum(o.values.shape[-1] for o in found.problem.observations)
         fitted = data + found.undetermined
-        print(
-            f"irisjax: {data} value{'s' * (data > 1)} for {fitted} parameters: at least "
-            f"{found.undetermined} of them keep their priors whatever was measured",
-            file=sys.stderr,
+        tell(
+            f"{data} value{'s' * (data > 1)} for {fitted} parameters: at least "
+            f"{found.undetermined} of them keep their priors whatever was measured"
         )
     if not bool(found.fit.converged):
-        words = words_for(found.fit.status)
-        print(f"irisjax: least squares: {words}; the sampler started there", file=sys.stderr)
+        tell(f"least squares: {words_for(found.fit.status)}; the sampler started there")
 
 
 def _print(found: Analysis, first: list[str], lines: list[str]) -> None:
     """Print the table between its first lines and the others."""
-    from rich.table import Table
-
     out, rows, chains = console(), found.rows, found.chains
     seen, by = found.problem.observations, sentences.process_name(found.problem.process)
     names = ", ".join(o.name for o in seen)
     title = f"{names}: posterior{' of one eye' if len(seen) > 1 else ''} by {by}"
-    table = Table(title=title, title_justify="left", box=None, pad_edge=False, padding=(0, 2, 0, 0))
     columns = {
         "parameter": [r.parameter for r in rows],
         "unit": [r.unit for r in rows],
@@ -249,14 +236,9 @@ def _print(found: Analysis, first: list[str], lines: list[str]) -> None:
     for name in ("68 %", "contraction", "unit", "ESS", "R-hat"):
         if sum(widths[n] for n in columns) > out.width:
             del columns[name]
-    for name in columns:
-        justify = "left" if name in ("parameter", "unit") else "right"
-        table.add_column(name, justify=justify, no_wrap=True)
-    for cells in zip(*columns.values(), strict=True):
-        table.add_row(*cells)
     for line in first:
         out.print(line, markup=False, soft_wrap=True)
-    out.print(table, crop=False)
+    print_columns(out, columns, ("parameter", "unit"), title)
     out.print(
         f"{chains.steps} steps, acceptance {chains.acceptance:.2f}, autocorrelation time "
         f"{chains.tau.max():.0f} steps"

@@ -2,14 +2,11 @@
 
 import dataclasses
 import math
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
-
-import typer
+from typing import Any
 
 from irisjax.anatomy import eye
-from irisjax.cli.options import SEED_HELP, Group, option, range_parser, read_seed
+from irisjax.cli import options as opt
 from irisjax.grow.presets import PRESETS
 from irisjax.io.images import read_environment
 from irisjax.io.scenes import SceneFile, parse_scene, read_scene
@@ -17,30 +14,19 @@ from irisjax.render import scene as staging
 from irisjax.render.environment import ENVIRONMENTS, Environment
 from irisjax.render.lights import Lights
 
-_PUPIL = eye.EYE_LIMITS["pupil_radius"]
+_STUDIO = '[iris]\npreset = "{}"\n[maps]\nseed = {}\n[environment]\nkind = "studio"'
 
 
-@dataclass(frozen=True, kw_only=True)
-class Subject(Group):
+class Subject(opt.Group):
     """Which eye."""
 
     PANEL = "What"
 
-    scene: Annotated[
-        Path | None,
-        typer.Argument(
-            metavar="SCENE",
-            help="scene file (TOML); data/scenes/everything.toml explains it",
-            show_default=False,
-        ),
-    ] = None
-    preset: Annotated[
-        str | None, option(metavar="name", help=f"{', '.join(PRESETS)}: an eye in a studio")
-    ] = None
-    seed: Annotated[
-        int,
-        option(parse=read_seed, metavar="number", help=f"{SEED_HELP}maps of a preset"),
-    ] = 0
+    scene: Path | None = opt.argument(
+        "scene file (TOML); data/scenes/everything.toml explains it", "SCENE"
+    )
+    preset: str | None = opt.choice("an eye in a studio", PRESETS)
+    seed: int = opt.seeded("maps of a preset")
 
     def __post_init__(self):
         super().__post_init__()
@@ -49,40 +35,19 @@ class Subject(Group):
 
     def read(self) -> SceneFile:
         """The scene of the file, or of the preset in a studio."""
-        return scene_file(self.scene, self.preset, self.seed)
+        if self.scene is not None:
+            if self.preset is not None:
+                raise ValueError("give a SCENE file or --preset, not both")
+            return read_scene(self.scene)
+        if self.preset is None:
+            raise ValueError("give a SCENE file or --preset")
+        return parse_scene(_STUDIO.format(self.preset, self.seed), f"preset {self.preset}")
 
 
-@dataclass(frozen=True, kw_only=True)
 class EyeWithPupil(Subject):
     """Which eye, its pupil how wide."""
 
-    pupil_radius: Annotated[
-        float | None,
-        option(parse=range_parser(_PUPIL), metavar="MM", help=f"{_PUPIL.low:g} to {_PUPIL.high:g}"),
-    ] = None
-
-
-def scene_file(path: Path | None, name: str | None, seed: int) -> SceneFile:
-    """The scene of a file, or of the preset `name` in a studio."""
-    if path is not None:
-        if name is not None:
-            raise ValueError("give a SCENE file or --preset, not both")
-        return read_scene(path)
-    if name is None:
-        raise ValueError("give a SCENE file or --preset")
-    if name not in PRESETS:
-        raise ValueError(f"--preset: unknown {name!r}; known: {', '.join(PRESETS)}")
-    return parse_scene(
-        f"""
-        [iris]
-        preset = "{name}"
-        [maps]
-        seed = {seed}
-        [environment]
-        kind = "studio"
-        """,
-        f"preset {name}",
-    )
+    pupil_radius: float | None = opt.number("{}", eye.EYE_LIMITS["pupil_radius"])
 
 
 def changed(
@@ -97,24 +62,14 @@ def changed(
         scene = scene.replace(lights=lamps(light, scene.illuminant), environment=None)
     if pupil_radius is not None:
         scene = scene.replace(eye=scene.eye.replace(pupil_radius=pupil_radius))
-    if size is not None:
-        width, cross, height = size.partition("x")
-        if not (cross and width.isdecimal() and height.isdecimal()):
-            raise ValueError(f"--size {size!r}: write WIDTHxHEIGHT, such as 800x600")
-        if not all(1 <= int(side) <= 16384 for side in (width, height)):
-            raise ValueError(f"--size {size}: must be from 1 to 16384 along a side")
-        scene = scene.replace(
-            camera=dataclasses.replace(scene.camera, size=(int(width), int(height)))
-        )
+    changes: dict[str, Any] = {} if size is None else {"size": _size(size)}
     if camera is not None:
-        polar, azimuth, field = _angles("--camera", camera, "WIDTH", float(scene.camera.width))
-        try:
-            scene = scene.replace(
-                camera=dataclasses.replace(scene.camera, polar=polar, azimuth=azimuth, width=field)
-            )
-        except ValueError as error:
-            raise ValueError(f"--camera {camera!r}: {error}") from None
-    return scene
+        angles = _angles("--camera", camera, "WIDTH", float(scene.camera.width))
+        changes |= dict(zip(("polar", "azimuth", "width"), angles, strict=True))
+    try:
+        return scene.replace(camera=dataclasses.replace(scene.camera, **changes))
+    except ValueError as error:
+        raise ValueError(f"--camera {camera!r}: {error}") from None
 
 
 def environment_of(text: str) -> Environment:
@@ -143,10 +98,17 @@ def _lamp(text: str, illuminant: str) -> Lights:
         raise ValueError(f"--light {text!r}: {error}") from None
 
 
+def _size(text: str) -> tuple[int, int]:
+    width, cross, height = text.partition("x")
+    if not (cross and width.isdecimal() and height.isdecimal()):
+        raise ValueError(f"--size {text!r}: write WIDTHxHEIGHT, such as 800x600")
+    if not all(1 <= int(side) <= 16384 for side in (width, height)):
+        raise ValueError(f"--size {text}: must be from 1 to 16384 along a side")
+    return int(width), int(height)
+
+
 def _angles(option: str, text: str, third: str, default: float) -> tuple[float, float, float]:
-    """Polar angle and azimuth, radians, and the third number of an option,
-    which may be left out.
-    """
+    """Polar angle and azimuth, radians, and the third number, which may be left out."""
     try:
         numbers = [float(part) for part in text.split(",")]
     except ValueError:

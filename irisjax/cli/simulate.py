@@ -7,40 +7,31 @@ import jax.numpy as jnp
 import numpy as np
 
 import irisjax as ij
-from irisjax.cli.files import TableFile, check_files, write_table
-from irisjax.cli.header import settings
+from irisjax.cli import model
+from irisjax.cli.files import TableFile, check_files, settings, write_table
 from irisjax.cli.light import NoisyLight
-from irisjax.cli.model import (
-    IrisOptions,
-    ProcessOptions,
-    check_scattering,
-    modelled_iris,
-    process_of,
-)
 from irisjax.cli.options import grouped
 from irisjax.infer.parameters import of_iris
-from irisjax.transport.defaults import exact_solver
 from irisjax.transport.process import AbstractProcess
 
 
 @grouped
 def simulate_measurement_command(
-    iris: IrisOptions, process: ProcessOptions, light: NoisyLight, files: TableFile
+    iris: model.IrisOptions, process: model.ProcessOptions, light: NoisyLight, files: TableFile
 ) -> None:
     """Simulate a noisy spectrum of an iris, with its truth in the header, to try `irisjax fit`."""
     check_files(files.output)
-    modelled, followed = modelled_iris(iris), process_of(process)
-    check_scattering(modelled, followed)
-    truth = {n: float(v) for n, v in of_iris(modelled).items() if n != "noise"}
+    eye, rules = model.modelled(iris, process)
+    truth = {n: float(v) for n, v in of_iris(eye).items() if n != "noise"}
     truth["gain"] = light.gain
     lines = {
         "irisjax": ij.__version__,
         "simulated": "noisy reflectance of a modelled human iris, not a measurement",
         "command": "simulate-measurement",
-        **settings(modelled, followed, iris, process, light),
+        **settings(eye, rules, iris, process, light),
         "truth": ", ".join(f"{name} = {value:.6g}" for name, value in truth.items()),
     }
-    scans = _scans(modelled, followed, light, truth)
+    scans = _scans(eye, rules, light, truth)
     names = ["reflectance"] if len(scans) == 1 else [f"scan_{i + 1}" for i in range(len(scans))]
     columns = {"wavelength_nm": light.wavelengths.values, **dict(zip(names, scans, strict=True))}
     write_table(files.output, lines, columns)
@@ -51,18 +42,14 @@ def _scans(
 ) -> list[np.ndarray]:
     """Scans of the iris's reflectance, each of shape (wavelengths,)."""
     grid = light.wavelengths.values
-    seen = ij.spectrum(
-        grid,
-        np.zeros(grid.size),
-        **light.before_the_iris(),
-    )
+    seen = ij.spectrum(grid, np.zeros(grid.size), **light.before_the_iris())
     noise: dict[str, Any] = {"relative": light.relative_noise, "absolute": light.absolute_noise}
     problem = ij.problem(
         seen,
         free=["noise"],
         fixed={"gain": light.gain},
         base=iris,
-        solver=exact_solver(process, iris),
+        solver=model.exact_solver(process, iris),
         noise=ij.Noise(**noise),
     )
     key = jax.random.key(light.seed, impl="threefry2x32")

@@ -1,77 +1,52 @@
 """`irisjax view`: the interactive viewer."""
 
 import dataclasses
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
 import jax
 import typer
 
 from irisjax import _interrupt
+from irisjax.cli import options as opt
 from irisjax.cli.compiled import kept_tables
-from irisjax.cli.options import SEED_HELP, Group, grouped, option, read_seed, whole_parser
 from irisjax.cli.paints import PaintOptions, check_no_seed, of_file
 from irisjax.cli.scenes import Subject, changed
 from irisjax.io.clone_folders import read_clone
+from irisjax.numerics.checks import Range
 from irisjax.view import Bench, Studio, check_address, serve
 
 
-@dataclass(frozen=True, kw_only=True)
 class Shown(Subject):
     """Which eye, or which clone of one."""
 
-    scene: Annotated[
-        Path | None,
-        typer.Argument(
-            metavar="SCENE|DIR",
-            help="scene file (TOML; data/scenes/everything.toml explains it), or the folder of a "
-            "clone, shown beside its photograph",
-            show_default=False,
-        ),
-    ] = None
-    seed: Annotated[
-        int,
-        option(
-            parse=read_seed,
-            metavar="number",
-            help=f"{SEED_HELP}maps of a preset, and coats of a --type",
-        ),
-    ] = 0
+    scene: Path | None = opt.argument(
+        "scene file (TOML; data/scenes/everything.toml explains it), or the folder of a clone, "
+        "shown beside its photograph",
+        "SCENE|DIR",
+    )
+    seed: int = opt.seeded("maps of a preset, and coats of a --type")
 
 
-@dataclass(frozen=True, kw_only=True)
 class Coats(PaintOptions):
     """A painted eye instead."""
 
     PANEL = "A painted eye"
 
-    recipe: Annotated[
-        Path | None, option(metavar="RECIPE", help="coats of paint (TOML), as paint takes them")
-    ] = None
+    recipe: Path | None = opt.option("coats of paint (TOML), as paint takes them", metavar="RECIPE")
 
 
-@dataclass(frozen=True, kw_only=True)
-class Window(Group):
+class Window(opt.Group):
     """Where it is shown."""
 
     PANEL = "Picture"
 
-    size: Annotated[str | None, option(metavar="WIDTHxHEIGHT", help="of the picture, 800x600")] = (
-        None
-    )
-    host: Annotated[str, option(metavar="name", help="0.0.0.0 shows it to the whole network")] = (
-        "127.0.0.1"
-    )
-    port: Annotated[
-        int,
-        option(
-            parse=whole_parser(0, 65535), metavar="number", help="0 to 65535; 0 takes a free one"
-        ),
-    ] = 8080
+    size: str | None = opt.option("of the picture, 800x600", metavar="WIDTHxHEIGHT")
+    host: str = opt.option("0.0.0.0 shows it to the whole network", "127.0.0.1", metavar="name")
+    port: int = opt.whole("{}; 0 takes a free one", Range(0, 65535), 8080, metavar="number")
 
 
-@grouped
+@opt.grouped
 def view_command(subject: Shown, coats: Coats, window: Window) -> None:
     r"""Show an eye in the browser, with sliders, its spectrum and its colour; or a painted one.
 

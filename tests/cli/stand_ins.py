@@ -1,5 +1,8 @@
 """What stands in for the solver and the sampler where a test looks at files and messages only."""
 
+import importlib
+import sys
+from contextlib import nullcontext
 from types import SimpleNamespace
 from typing import NamedTuple
 
@@ -9,12 +12,13 @@ import jax.numpy as jnp
 import numpy as np
 
 import irisjax as ij
-from irisjax.cli import model, report, simulate
+from irisjax.cli import model, report
 from irisjax.infer.analysis import Analysis, PredictiveCheck, summarise
 from irisjax.infer.identifiability import Direction, Information
 from irisjax.infer.other_process import COMPARED, Interval, Moved, ProcessComparison
 from irisjax.infer.parameters import kind
 from irisjax.infer.posterior import Chains, ChainStatus
+from irisjax.plot.beside import here
 from irisjax.transport.process import AbstractProcess
 from irisjax.transport.solution import RESULTS, Absorbed
 from irisjax.transport.solver import AbstractSolver
@@ -61,8 +65,12 @@ class Quick(AbstractSolver):
 
 def with_quick(monkeypatch):
     true = ij.problem
-    for module in (model, simulate):
-        monkeypatch.setattr(module, "exact_solver", lambda p, iris=None, **how: Quick(process=p))
+    # Figures in this process; corner would load ArviZ, for seconds.
+    if "arviz" not in sys.modules:
+        monkeypatch.setitem(sys.modules, "arviz", None)
+    command = importlib.import_module("irisjax.cli.fit")
+    monkeypatch.setattr(command, "beside", lambda: nullcontext(here))
+    monkeypatch.setattr(model, "exact_solver", lambda p, iris=None, **how: Quick(process=p))
 
     def problem(*given, process=ij.ILIT_2006, solver=None, **stated):
         process = process if solver is None else solver.process

@@ -22,13 +22,17 @@ def searched(quick, monkeypatch):
     def fit_all(problem, values, sds, key):
         count, free = len(values), len(problem.free)
         sizes.append(count)
-        mean = jnp.asarray(values).mean(axis=1)
-        ones = jnp.ones(count, int)
+        mean = jnp.asarray(np.asarray(values).mean(axis=1))
+        ones, good = jnp.asarray(np.ones(count, int)), np.asarray(mean) <= 0.3
+
+        def status(*items):
+            return jax.tree.map(lambda a, b: jnp.asarray(np.where(good, a, b)), *items)
+
         return Fit(
             values={n: mean for n in problem.free},
-            sd={n: mean / 10 for n in problem.free},
-            z=jnp.zeros((count, free)),
-            covariance=jnp.stack([jnp.eye(free)] * count),
+            sd={n: mean for n in problem.free},
+            z=jnp.asarray(np.zeros((count, free))),
+            covariance=jnp.asarray(np.stack([np.eye(free)] * count)),
             predicted=(),
             cost=mean,
             chi_square=mean,
@@ -36,10 +40,8 @@ def searched(quick, monkeypatch):
             starts=ones,
             agreeing=ones,
             steps=ones,
-            status=jax.vmap(
-                lambda bad: FitStatus.where(bad, FitStatus.misfit, FitStatus.successful)
-            )(mean > 0.3),
-            result=jax.vmap(lambda bad: RESULTS.successful)(mean),
+            status=status(FitStatus.successful, FitStatus.misfit),
+            result=status(RESULTS.successful, RESULTS.successful),
         )
 
     monkeypatch.setattr(batch, "_fit_all", fit_all)
@@ -133,7 +135,7 @@ def test_posteriors_of_a_batch(irisjax, eye, searched, monkeypatch, tmp_path):
     sampled = []
 
     def one(problem, folder, sampler, bar, **how):
-        sampled.append((folder.name, sampler["walkers"], how))
+        sampled.append((folder.name, sampler.walkers, how))
         (folder / "chain.h5").write_text("chain")
         return folder.name != "b"
 

@@ -10,10 +10,11 @@ from PIL import Image
 from refusals import one_line
 
 import irisjax as ij
-from irisjax.cli.clone_report import report
+from irisjax.cli.clone import report
 from irisjax.infer.posterior import Chains, ChainStatus
 from irisjax.io.scenes import read_scene
 from irisjax.photo import clone as cloning
+from irisjax.photo import masks
 from irisjax.photo.doubts import doubts_of
 from irisjax.photo.pigments import FREE_NAMES, PRIORS, PigmentFit
 from irisjax.photo.posterior import PigmentPosterior
@@ -27,22 +28,22 @@ POSED = {"tilt_deg", "tilt_sd_deg", "distance_mm", "azimuth_deg", "pupil_radius_
 
 @pytest.fixture(scope="module")
 def truth():
-    """Of the photograph at half its size."""
+    """Of the photograph at a quarter of its size."""
     entries = json.loads((DATA / "truth.json").read_text())["photographs"]
     found = next(entry for entry in entries if entry["file"] == NAME)
     for name in ("limbus", "pupil"):
         e = found[name]
-        centre = [(c + 0.5) / 2 - 0.5 for c in e["centre_px"]]
-        e |= {"centre_px": centre, "semi_axes_px": [a / 2 for a in e["semi_axes_px"]]}
-    found["camera"]["focal_px"] /= 2
+        centre = [(c + 0.5) / 4 - 0.5 for c in e["centre_px"]]
+        e |= {"centre_px": centre, "semi_axes_px": [a / 4 for a in e["semi_axes_px"]]}
+    found["camera"]["focal_px"] /= 4
     return found
 
 
 @pytest.fixture(scope="module")
 def photo(tmp_path_factory):
-    path = tmp_path_factory.mktemp("half") / "half.png"
+    path = tmp_path_factory.mktemp("quarter") / "quarter.png"
     with Image.open(DATA / NAME) as image:
-        image.reduce(2).save(path)
+        image.reduce(4).save(path)
     return path
 
 
@@ -110,9 +111,19 @@ def test_what_is_before_a_failed_stage_is_written(
     def no_light(*_):
         raise ValueError("only 3 windows of the iris are free")
 
+    pose_eye, posed = cloning.pose_eye, []
+
+    def pose_once(*given):
+        if not posed:
+            posed.append(pose_eye(*given))
+        return posed[0]
+
+    monkeypatch.setattr(cloning, "pose_eye", pose_once)
+    for module in (cloning, masks):
+        monkeypatch.setattr(module, "TEXTURE_SIZE", 256)
     monkeypatch.setattr(cloning, "light_eye", no_light)
-    seen = np.zeros((1024, 1024, 3), np.uint8)
-    seen[:512, 512:] = 255
+    seen = np.zeros((256, 256, 3), np.uint8)
+    seen[:128, 128:] = 255
     Image.fromarray(seen).save(tmp_path / "seen.png")
     Image.fromarray(seen[:64, :64]).save(tmp_path / "small.png")
     folder, focal = tmp_path / "clone", truth["camera"]["focal_px"]
@@ -130,7 +141,7 @@ def test_what_is_before_a_failed_stage_is_written(
     assert found["distance_mm"] == pytest.approx(truth["camera"]["distance"], rel=0.03)
     assert found["pupil_radius_mm"] == pytest.approx(truth["eye"]["pupil_radius"], abs=0.02)
     visible = np.asarray(Image.open(folder / "visible.png"))[..., 0] > 127
-    assert visible.any() and not visible[:, :500].any() and not visible[525:].any()
+    assert visible.any() and not visible[:, :125].any() and not visible[132:].any()
     picture = np.asarray(Image.open(folder / "unrefracted.png"))
     assert picture.shape[0] == picture.shape[1]
     # Centred on the pupil, 12 mm wide: black there and beyond the iris, tissue in between.

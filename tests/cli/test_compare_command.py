@@ -4,6 +4,7 @@ import csv
 
 import numpy as np
 import pytest
+from refusals import one_line
 from stand_ins import Quick
 
 import irisjax as ij
@@ -66,9 +67,7 @@ def test_from_file_to_files(irisjax, eye, compared, tmp_path):
     assert (folder / "compare.png").read_bytes().startswith(b"\x89PNG")
     # A second run is refused, or gives the same bytes.
     before = {p.name: p.read_bytes() for p in folder.iterdir()}
-    status, out, err = irisjax("fit", eye, "--compare", "-o", folder)
-    assert (status, out, err.count("\n")) == (2, "", 1)
-    assert "--overwrite starts again" in err
+    one_line(irisjax("fit", eye, "--compare", "-o", folder), "--overwrite starts again")
     assert irisjax("fit", eye, "--compare", "-o", folder, "--overwrite")[0] == 0
     assert {p.name: p.read_bytes() for p in folder.iterdir()} == before
 
@@ -105,9 +104,7 @@ def test_two_spots_and_settings_reach_the_comparison(irisjax, eye, compared, tmp
 )
 def test_wrong_input_is_one_line(irisjax, eye, compared, arguments, message):
     given = (str(eye) if a == "{eye}" else a for a in arguments)
-    status, out, err = irisjax("fit", "--compare", *given)
-    assert (status, out, err.count("\n")) == (2, "", 1)
-    assert message in err
+    one_line(irisjax("fit", "--compare", *given), message)
     assert not compared
 
 

@@ -14,10 +14,12 @@ SAMPLES = {"load": np.random.default_rng(0).normal(size=40_000), "share": np.lin
 
 
 def test_another_process_draws_the_same_picture():
-    """Samples and pictures that fill pipes, one after another."""
+    """Samples and pictures that fill pipes, one after another; what is wrong is said here."""
     with beside() as draw:
         later = [draw("corner_figure", SAMPLES) for _ in range(3)]
         pictures = [picture() for picture in later]
+        with pytest.raises(ValueError, match="same shape"):
+            draw("corner_figure", UNEVEN)()
     assert pictures == [here("corner_figure", SAMPLES)()] * 3
 
 
@@ -31,16 +33,6 @@ def test_a_process_that_died_is_done_without(monkeypatch):
     with beside() as draw:
         os.kill(begun[0].pid, signal.SIGKILL)
         assert draw("corner_figure", SAMPLES)().startswith(b"\x89PNG")
-
-
-def test_a_figure_that_cannot_be_drawn_says_so():
-    with pytest.raises(ValueError, match="same shape"):
-        here("corner_figure", UNEVEN)()
-
-
-def test_a_figure_that_cannot_be_drawn_there_says_so_here():
-    with beside() as draw, pytest.raises(ValueError, match="same shape"):
-        draw("corner_figure", UNEVEN)()
 
 
 def test_one_core_draws_for_itself(monkeypatch):

@@ -8,6 +8,7 @@ import jax
 import numpy as np
 import pytest
 import xarray as xr
+from refusals import one_line
 from stand_ins import FREE
 
 import irisjax as ij
@@ -51,17 +52,14 @@ def test_wavelengths_of_a_file_can_be_left_out(irisjax, eye, sampled):
     (call,) = sampled
     grid = np.asarray(call.problem.observations[0].wavelengths)
     assert 450 <= grid.min() < grid.max() <= 650
-    status, _, err = irisjax("fit", eye, *FREE, "--wavelengths", "650:450")
-    assert (status, len(err.splitlines())) == (2, 1)
-    assert "400:700" in err
+    one_line(irisjax("fit", eye, *FREE, "--wavelengths", "650:450"), "400:700")
 
 
 def test_results_are_neither_lost_nor_mixed(fitted, irisjax, sampled, monkeypatch):
     written = []
     monkeypatch.setattr(report, "_write", lambda *given: written.append(given) or (1.0, 0.1))
-    status, out, err = irisjax(*fitted.arguments)
-    assert (status, out, len(sampled)) == (2, "", 0)
-    assert "--resume continues them, --overwrite starts again" in err
+    one_line(irisjax(*fitted.arguments), "--resume continues them, --overwrite starts again")
+    assert not sampled
     for how in ("--resume", "--overwrite"):
         assert irisjax(*fitted.arguments, how)[0] == 0
         assert (sampled[-1].resume, sampled[-1].went_on) == (how == "--resume",) * 2
@@ -115,9 +113,7 @@ def test_nothing_is_done_for_what_cannot_be_sampled(irisjax, eye, quick, monkeyp
         (("--prior", "abl_fraction=normal(3, 0.1)"), "lies outside the parameter's range, 0 to 1"),
         (("--prior", "abl_fraction=uniform(0, 2)"), "reaches outside"),
     ):
-        status, out, err = irisjax(*said, *wrong)
-        assert (status, out, err.count("\n")) == (2, "", 1)
-        assert message in err
+        one_line(irisjax(*said, *wrong), message)
         assert chain.read_text() == "mine"
 
 
@@ -166,9 +162,9 @@ def test_short_chains_end_with_status_three(irisjax, eye, sampled, monkeypatch):
         (("{eye}", "--separate", "melanin_load"), "--separate needs two or more spectra"),
         (("missing.csv",), "missing.csv: No such file"),
         (("{eye}", "--free", "melanin"), "unknown parameter 'melanin'"),
-        (("{eye}", "--fix", "gain"), "--fix 'gain': write NAME=VALUE"),
-        (("{eye}", "--fix", "gain=-1"), "--fix gain: -1 is outside (0, 1e+06]"),
-        (("{eye}", "--fix", "gain=0"), "--fix gain: 0 is outside (0, 1e+06]"),
+        (("{eye}", "--fix", "gain"), "--fix: 'gain': write NAME=VALUE"),
+        (("{eye}", "--fix", "gain=-1"), "gain = -1 is outside (0, 1e+06]"),
+        (("{eye}", "--fix", "gain=0"), "gain = 0 is outside (0, 1e+06]"),
         (("{eye}", "--fix", "gian=1"), "--fix: unknown 'gian'"),
         (("{eye}", "--prior", "gain=flat"), "'flat' is no prior"),
         (("{eye}", "--walkers", "3"), "--walkers: 3 is outside [4, 4096]"),
@@ -186,10 +182,7 @@ def test_short_chains_end_with_status_three(irisjax, eye, sampled, monkeypatch):
     ],
 )
 def test_wrong_input_is_one_line(irisjax, quick, eye, arguments, message):
-    status, out, err = irisjax("fit", *(str(eye) if a == "{eye}" else a for a in arguments))
-    assert (status, out) == (2, "")
-    assert message in err
-    assert err.count("\n") == 1
+    one_line(irisjax("fit", *(str(eye) if a == "{eye}" else a for a in arguments)), message)
 
 
 def test_help_names_every_parameter_and_its_prior(irisjax, monkeypatch):
@@ -236,9 +229,6 @@ def test_one_eye_by_the_model_itself(irisjax, spectrum, tmp_path):
         assert irisjax(*arguments, how)[0] == 0
         assert (folder / "summary.csv").read_bytes() == before
     assert irisjax(*arguments, "--resume", "--seed", 1)[0] == 2
-    status, out, err = irisjax("fit", spectrum, "--walkers", 8)
-    assert (status, out) == (2, "")
-    assert "8 walkers are too few for 7 free parameters" in err
 
 
 @pytest.mark.slow

@@ -3,6 +3,7 @@
 import os
 import tomllib
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -23,6 +24,13 @@ RECIPE = Path(__file__).parent.parent.parent / "data" / "recipes" / "green.toml"
 SMALL = ("--size", "120x90", "--texels", "64")
 
 
+@pytest.fixture
+def one_coat(tmp_path):
+    path = tmp_path / "one.toml"
+    path.write_text('[[coat]]\ncomponent = "base"\npaints = "burnt sienna"\n')
+    return path
+
+
 def _refused(result, *words):
     for word in words:
         one_line(result, word)
@@ -34,11 +42,20 @@ def _pixels(path):
 
 @pytest.fixture
 def undrawn(monkeypatch):
-    """Pictures of the eye are left grey: they compile for long, and files do not depend on them."""
-    grey = np.full((90, 120, 3), 0.2)
-    monkeypatch.setattr(command, "_drawn", lambda *_: (grey, grey))
+    """Pictures of the eye are left grey: they compile for long; the scenes that would be drawn."""
+    scenes = []
+
+    def grey(scene, *_, **__):
+        scenes.append(scene)
+        return np.full((*scene.camera.size[::-1], 3), 0.2)
+
+    monkeypatch.setattr(command, "draw", grey)
+    monkeypatch.setattr(command, "draw_bands", lambda *a, **_: [SimpleNamespace(pixels=grey(*a))])
+    monkeypatch.setattr(command, "kept_tables", lambda _: None)
+    return scenes
 
 
+@pytest.mark.slow  # the renderer of paint compiles for half a minute
 def test_an_eye_is_drawn(irisjax, tmp_path, monkeypatch):
     """Black on white paper covers; the picture's top is the eye's."""
     monkeypatch.setattr(command, "_SMALL", (120, 90))
@@ -72,7 +89,23 @@ def test_the_progress_has_twelve_pictures_at_most():
     assert len(many) == 12 and (many[0], many[-1]) == (1, 50)
 
 
-def test_a_recipe_becomes_an_eye_its_coats_and_the_recipe_as_used(irisjax, tmp_path, undrawn):
+def test_options_reach_the_scene(irisjax, tmp_path, undrawn, one_coat):
+    """An environment takes the lamps' place, or lights beside those of --light."""
+    said = ("--environment", "uniform", "--camera", "20,0,11", "--shadow", "as-printed")
+    for lights in ((), ("--light", "30,0")):
+        folder = tmp_path / f"eye{len(lights)}"
+        assert irisjax("paint", one_coat, *SMALL, *said, *lights, "-o", folder)[0] == 0
+        whole, step = undrawn
+        assert (whole.camera.size, step.camera.size) == ((120, 90), (320, 240))
+        assert _pixels(folder / "eye.png").shape == (90, 120, 3)
+        assert float(whole.camera.width) == 11 and whole.integrator.as_printed
+        assert whole.environment is not None and (whole.lights is None) == (not lights)
+        undrawn.clear()
+
+
+def test_a_recipe_becomes_an_eye_its_coats_and_the_recipe_as_used(
+    irisjax, tmp_path, undrawn, one_coat
+):
     folder = tmp_path / "new" / "green"
     status, out, err = irisjax("paint", RECIPE, *SMALL, "-o", folder)
     assert status == 0, err
@@ -103,11 +136,9 @@ def test_a_recipe_becomes_an_eye_its_coats_and_the_recipe_as_used(irisjax, tmp_p
     for name in (*made, *kept):
         (folder / name).parent.mkdir(exist_ok=True)
         (folder / name).write_text("of before")
-    fewer = tmp_path / "fewer.toml"
-    fewer.write_text('[[coat]]\ncomponent = "base"\npaints = "ultramarine"\n')
-    assert irisjax("paint", fewer, *SMALL, "-o", folder, "--overwrite")[0] == 0
+    assert irisjax("paint", one_coat, *SMALL, "-o", folder, "--overwrite")[0] == 0
     assert {p.relative_to(folder).as_posix() for p in folder.rglob("*.*")} == {
-        *("eye.png", "progression.png", "recipe.toml", "coats/01_base.png", *kept),
+        *("eye.png", "progression.png", "recipe.toml", "coats/01_base.png", *kept)
     }
     assert not (folder / "tissue").exists() and not (folder / "meshes").exists()
 
@@ -141,7 +172,8 @@ def test_a_former_coat_that_is_a_scan_now_stays(irisjax, tmp_path, undrawn):
         '[[coat]]\ncomponent = "scan"\nparameters = { file = "coats/07_sphincter.png" }\n'
         'paints = "ultramarine"\n'
     )
-    assert irisjax("paint", recipe, *SMALL, "-o", tmp_path, "--overwrite")[0] == 0
+    again = irisjax("paint", recipe, *SMALL, "-o", tmp_path, "--overwrite")
+    assert again[0] == 0
     assert scan.exists() and not stale.exists()
     assert read_recipe(tmp_path / "recipe.toml").scans()
 
@@ -166,20 +198,19 @@ def test_a_type_of_eye_has_the_papers_number_of_coats(irisjax, tmp_path, undrawn
     assert len(meshes) == 14 and {"01_base.obj", "cornea.obj", "white.obj"} < meshes
 
 
-def test_an_environment_lights_and_is_mirrored(irisjax, tmp_path, monkeypatch):
+@pytest.mark.slow
+def test_an_environment_lights_and_is_mirrored(irisjax, tmp_path, monkeypatch, one_coat):
     """Of equal radiance all round: the pupil mirrors 2 to 3 % of it, and a lamp adds to it."""
     monkeypatch.setattr(command, "_SMALL", (120, 90))
     monkeypatch.setattr(painting, "_ENVIRONMENT_LIGHTS", 4)
     monkeypatch.setattr(composite, "SHADOW", 64)  # one coat casts no shadow
-    recipe = tmp_path / "recipe.toml"
-    recipe.write_text('[[coat]]\ncomponent = "base"\npaints = "burnt sienna"\n')
     eyes = {}
     for name, options in {
         "round": ("--environment", "uniform"),
         "both": ("--environment", "uniform", "--light", "30,0"),
     }.items():
         folder = tmp_path / name
-        status, _, err = irisjax("paint", recipe, *SMALL, *options, "-o", folder)
+        status, _, err = irisjax("paint", one_coat, *SMALL, *options, "-o", folder)
         assert status == 0, err
         eyes[name] = read_image(folder / "eye.png", decode=True).pixels
     pupil, iris = (
@@ -190,46 +221,28 @@ def test_an_environment_lights_and_is_mirrored(irisjax, tmp_path, monkeypatch):
     assert (eyes["both"][45, 80:90] > eyes["round"][45, 80:90] + 0.01).all()
 
 
+BASE = '[[coat]]\ncomponent = "base"\npaints = "ultramarine"\n'
+SCAN = '[[coat]]\ncomponent = "scan"\npaints = "ultramarine"\nparameters = '
+
+
 @pytest.mark.parametrize(
     ("text", "words"),
     [
         ("", ["no coats"]),
         ('[[coat]]\ncomponent = "base"\n', ["line 1", "needs paints"]),
-        ('[[coat]]\ncomponent = "blobs"\npaints = "ultramarine"\n', ["line 2", "one of base"]),
-        ('[[coat]]\ncomponent = "base"\npaints = "blue"\n', ["coat 1", "unknown paint 'blue'"]),
-        ('[[coat]]\ncomponent = "base"\npaints = 3\n', ["line 3", "names of paints"]),
-        ('[[coat]]\ncomponent = "scan"\npaints = "ultramarine"\n', ["coat 1", "file"]),
+        (BASE.replace("base", "blobs"), ["line 2", "one of base"]),
+        (BASE.replace("ultramarine", "blue"), ["coat 1", "unknown paint 'blue'"]),
+        (BASE.replace('"ultramarine"', "3"), ["line 3", "names of paints"]),
+        (BASE.replace("base", "scan"), ["coat 1", "file"]),
+        (SCAN + '{ file = ["a.png"] }', ["coat 1 (scan)", 'file = "coat.png"', "['a.png']"]),
+        (SCAN + '{ file = "" }', ["coat 1 (scan)", 'file = "coat.png"']),
+        (SCAN + '{ flie = "a.png" }', ["coat 1 (scan)", "flie", "did you mean 'file'"]),
+        (SCAN + '{ file = "none.png" }', ["none.png", "No such file"]),
+        (BASE + "height = 2\n", ["line 4", "coat.height = 2", "[0, 1] mm"]),
+        (BASE + "sheen = 2\n", ["line 4", "unknown 'sheen'", "opacity"]),
+        (f'[painting]\nmixing = "oil"\n{BASE}', ["line 2", "mixing", "kubelka-munk"]),
         (
-            '[[coat]]\ncomponent = "scan"\nparameters = { file = ["a.png"] }\npaints = "ultramarine"',
-            ["coat 1 (scan)", 'file = "coat.png"', "['a.png']"],
-        ),
-        (
-            '[[coat]]\ncomponent = "scan"\nparameters = { file = "" }\npaints = "ultramarine"',
-            ["coat 1 (scan)", 'file = "coat.png"'],
-        ),
-        (
-            '[[coat]]\ncomponent = "scan"\nparameters = { flie = "a.png" }\npaints = "ultramarine"',
-            ["coat 1 (scan)", "flie", "did you mean 'file'"],
-        ),
-        (
-            '[[coat]]\ncomponent = "scan"\nparameters = { file = "none.png" }\npaints = "ultramarine"',
-            ["none.png", "No such file"],
-        ),
-        (
-            '[[coat]]\ncomponent = "base"\npaints = "ultramarine"\nheight = 2\n',
-            ["line 4", "coat.height = 2", "[0, 1] mm"],
-        ),
-        (
-            '[[coat]]\ncomponent = "base"\npaints = "ultramarine"\nsheen = 2\n',
-            ["line 4", "unknown 'sheen'", "opacity"],
-        ),
-        (
-            '[painting]\nmixing = "oil"\n[[coat]]\ncomponent = "base"\npaints = "ultramarine"\n',
-            ["line 2", "mixing", "kubelka-munk"],
-        ),
-        (
-            '[painting]\npaints = "own.csv"\nmixing = "hsl"\n[[coat]]\ncomponent = "base"\n'
-            'paints = "ultramarine"\n',
+            f'[painting]\npaints = "own.csv"\nmixing = "hsl"\n{BASE}',
             ["line 3", "a file of paints", "kubelka-munk"],
         ),
         ("[coats]\n", ["line 1", "unknown section", "coat"]),
@@ -237,7 +250,7 @@ def test_an_environment_lights_and_is_mirrored(irisjax, tmp_path, monkeypatch):
         ("coat = [\n", ["Invalid value"]),
         ('[palette]\nsky = "blue"\n[[coat]]\ncomponent="base"\npaints="sky"\n', ["sky", "#rrggbb"]),
         (
-            '[[coat]]\ncomponent = "sphincter"\nparameters = { reech = 1 }\npaints = "ultramarine"',
+            BASE.replace("base", "sphincter") + "parameters = { reech = 1 }",
             ["coat 1", "reech", "did you mean 'reach'"],
         ),
     ],
@@ -251,8 +264,7 @@ def test_wrong_recipes_are_one_line(irisjax, tmp_path, text, words):
 
 
 @pytest.mark.parametrize(
-    ("name", "options"),
-    [("coats", ()), ("meshes", ("--meshes", "obj")), ("tissue", ("--tissue",))],
+    ("name", "options"), [("coats", ()), ("meshes", ("--meshes", "obj")), ("tissue", ("--tissue",))]
 )
 def test_a_file_where_a_folder_should_be_is_told_before_the_work(irisjax, tmp_path, name, options):
     folder = tmp_path / "eye"

@@ -1,53 +1,65 @@
 """`irisjax spectrum` of polarised light: its instruments, its header, what it refuses."""
 
+import equinox as eqx
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from refusals import one_line
 
 import irisjax as ij
-from irisjax.cli import model
+from irisjax.cli import measure, model
+from irisjax.measure.polarimeter import PolarisedReading
+from irisjax.transport.solution import RESULTS, Absorbed
 
+WAVELENGTHS = np.array([450.0, 620.0])
 GRID = ("--wavelengths", "450,620", "--level", "low")
 
 
-def solver(process, iris=None, **how):
-    return ij.RadiativeExact(12, 6, 2, process=process)
-
-
 @pytest.fixture
-def coarse(monkeypatch):
+def observed(monkeypatch):
+    """Readings that are known; what is asked for."""
+    half, seen = jnp.full(2, 0.5), []
+    reading = PolarisedReading(
+        *(jnp.asarray(WAVELENGTHS), half, None, RESULTS.successful, Absorbed(half, half, half)),
+        *(half, "degree of linear polarisation", "", half, jnp.ones((2, 4))),
+    )
+    monkeypatch.setattr(measure, "observe", lambda *given, **_: seen.append(given) or reading)
+    return seen
+
+
+@pytest.mark.parametrize(
+    ("arguments", "make", "how"),
+    [
+        (("cross-polarised",), ij.Analyser, {"setting": "crossed"}),
+        (
+            ("co-polarised", "--exit-deg", "hemisphere", "--polariser-deg", "30"),
+            ij.Analyser,
+            {"setting": "parallel", "cos_exit": "hemisphere", "polariser": np.radians(30)},
+        ),
+        (("degree-of-polarisation",), ij.Polarimeter, {"cos_exit": np.sqrt(0.5)}),
+    ],
+    ids=["crossed", "parallel", "degree"],
+)
+def test_instruments_are_the_librarys(irisjax, observed, printed, arguments, make, how):
+    status, out, err = irisjax("spectrum", "--instrument", *arguments, *GRID)
+    assert (status, err) == (0, "")
+    ((iris, found, solver),) = observed
+    assert eqx.tree_equal(iris, ij.Iris.of_level("low"), rtol=1e-12)
+    assert eqx.tree_equal(found, make(WAVELENGTHS, **how), rtol=1e-12)
+    assert solver.process == ij.POLARISED
+    header, columns = printed(out)
+    assert (header["process"], header["polarised"]) == ("depth-resolved", "yes")
+    assert arguments[0].split("-")[0] in header["simulated"]
+    assert "photographs" in header["approximation"]
+    assert columns["degree_of_linear_polarisation"].tolist() == [0.5, 0.5]
+    np.testing.assert_allclose(columns["angle_deg"], np.degrees(0.5))
+
+
+def test_a_file_says_what_scalar_theory_leaves_out(irisjax, monkeypatch, printed, tmp_path):
+    def solver(process, iris=None, **how):
+        return ij.RadiativeExact(12, 6, 2, process=process)
+
     monkeypatch.setattr(model, "exact_solver", solver)
-
-
-def test_instruments_are_the_librarys(irisjax, coarse, printed):
-    iris, grid = ij.Iris.of_level("low"), [450.0, 620.0]
-    for arguments, instrument, column in (
-        (
-            ("--instrument", "cross-polarised"),
-            ij.Analyser(grid, "crossed"),
-            "cross_polarised_reflectance_factor",
-        ),
-        (
-            ("--instrument", "co-polarised", "--exit-deg", "hemisphere", "--polariser-deg", "30"),
-            ij.Analyser(grid, "parallel", cos_exit="hemisphere", polariser=np.radians(30)),
-            "co_polarised_reflectance",
-        ),
-        (
-            ("--instrument", "degree-of-polarisation"),
-            ij.Polarimeter(grid, cos_exit=np.sqrt(0.5)),
-            "degree_of_linear_polarisation",
-        ),
-    ):
-        status, out, err = irisjax("spectrum", *arguments, *GRID)
-        assert (status, err) == (0, "")
-        header, columns = printed(out)
-        assert (header["process"], header["polarised"]) == ("depth-resolved", "yes")
-        assert "photographs" in header["approximation"]
-        expected = ij.observe(iris, instrument, solver(ij.POLARISED)).values
-        np.testing.assert_allclose(columns[column], expected, rtol=1e-9)
-
-
-def test_a_file_says_what_scalar_theory_leaves_out(irisjax, coarse, printed, tmp_path):
     _, out, _ = irisjax("spectrum", "--process", "depth-resolved", *GRID)
     assert "values 0.4 to 0.6 % low" in printed(out).header["approximation"]
     path = tmp_path / "polarised.csv"

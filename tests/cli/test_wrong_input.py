@@ -3,8 +3,9 @@
 import sys
 
 import pytest
+from refusals import one_line
 
-from irisjax.cli import jobs
+from irisjax.cli import measure
 
 WRONG = [
     (("--level", "middling"), "--level: unknown 'middling'; known: low, moderate, high"),
@@ -53,10 +54,7 @@ WRONG = [
     (("--instrument", "radiance", "--illuminant", "moon"), "unknown illuminant 'moon'"),
     (("--instrument", "radiance", "--cos-incidence", "diffuse"), "diffuse"),
     (("--cos-incidence", "1.1"), "--cos-incidence: 1.1 is outside [0, 1]"),
-    (
-        ("--cos-incidence", "difuse"),
-        "--cos-incidence: 'difuse' is not a number; or write diffuse",
-    ),
+    (("--cos-incidence", "difuse"), "--cos-incidence: 'difuse' is not a number; or write diffuse"),
     (("--cos-incidence", "1", "--incidence-deg", "0"), "not both"),
     (("-o", "missing/file.csv"), "missing: no such folder"),
     (("-o", "."), ".: is a folder"),
@@ -75,12 +73,7 @@ WRONG = [
 def test_wrong_input_is_one_line(irisjax, quick, tmp_path, monkeypatch, arguments, message):
     monkeypatch.chdir(tmp_path)
     extra = () if "-o" in arguments else ("-o", "out.csv")
-    status, out, err = irisjax("spectrum", *extra, *arguments)
-    assert (status, out) == (2, "")
-    assert err.startswith("irisjax: ")
-    assert err.count("\n") == 1
-    assert err.endswith("\n")
-    assert message in err
+    one_line(irisjax("spectrum", *extra, *arguments), message)
     assert not list(tmp_path.iterdir())
 
 
@@ -90,8 +83,7 @@ def test_wrong_command_and_wrong_swatch(irisjax, quick, tmp_path):
         ("colour", "--swatch", tmp_path / "swatch.jpg"),
         ("colour", "--observer", "x"),
     ):
-        status, out, err = irisjax(*arguments)
-        assert (status, out, err.count("\n")) == (2, "", 1)
+        one_line(irisjax(*arguments), "")
 
 
 @pytest.mark.parametrize(
@@ -117,7 +109,7 @@ def test_a_fault_of_our_own_is_one_line(irisjax, monkeypatch):
     def broken(*_, **__):
         raise TypeError("two\nlines")
 
-    monkeypatch.setattr(jobs, "observe", broken)
+    monkeypatch.setattr(measure, "observe", broken)
     status, out, err = irisjax("spectrum")
     assert (status, out) == (1, "")
     assert err == "irisjax: internal error: TypeError: two lines (IRISJAX_DEBUG=1 shows where)\n"
@@ -127,6 +119,6 @@ def test_interrupt_is_one_line(irisjax, monkeypatch, tmp_path):
     def interrupted(*_, **__):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(jobs, "observe", interrupted)
+    monkeypatch.setattr(measure, "observe", interrupted)
     assert irisjax("spectrum", "-o", tmp_path / "out.csv") == (130, "", "irisjax: interrupted\n")
     assert not list(tmp_path.iterdir())
