@@ -45,18 +45,8 @@ def many(
     sampler: Sampler,
     results: FitResults,
 ) -> int:
-    """Fit all eyes of a folder or table into `fits.csv` of the folder for results, or print the
-    table.
-
-    Args:
-        source: A folder of spectra, or a CSV with a column for each eye.
-        measured: How its files are read, and what was seen.
-        options: Options of `irisjax.problem`.
-        sampler: How posteriors are sampled; its seed is that of the fits too.
-        results: Where results go, whether every eye is sampled, and what happens to older ones.
-
-    Returns:
-        The exit status: 3 where an eye failed.
+    """Fit all eyes of a folder or table, by these options of `irisjax.problem`, into `fits.csv` of
+    the folder for results, or print the table. The exit status: 3 where an eye failed.
     """
     from tqdm import tqdm
 
@@ -82,9 +72,8 @@ def many(
             columns = named or columns
             for name, row in found.items():
                 if output is not None and results.posteriors and row[1] != FAILED:
-                    problem = ij.problem(
-                        ij.spectrum(chunk[name], name=name, **measured.seen), **options
-                    )
+                    seen = ij.spectrum(chunk[name], name=name, **measured.seen)
+                    problem = ij.problem(seen, **options)
                     row[1:4] = _sampled(row, problem, output / name, sampler, results.resume)
             rows |= found
             if target is not None:  # each chunk whole: a killed run loses the one it was in
@@ -104,10 +93,9 @@ def many(
 def _eyes(source: Path, reading: io.ReadOptions) -> Eyes:
     """Spectra by name, or why one cannot be read."""
     if not source.is_dir():
-        found = io.read_eyes(source, reading).items()
-        return {
-            n: ValueError(f"{source}: {x}") if isinstance(x, ValueError) else x for n, x in found
-        }
+        found = io.read_eyes(source, reading)
+        faults = {n: e for n, e in found.items() if isinstance(e, ValueError)}
+        return found | {n: ValueError(f"{source}: {e}") for n, e in faults.items()}
     eyes: dict[str, Measured | ValueError] = {}
     for path in sorted(p for p in source.iterdir() if p.suffix.lower() in _SUFFIXES):
         try:

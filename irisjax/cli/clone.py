@@ -169,15 +169,9 @@ def clone_command(picture: ClonePicture, model: CloneModel, results: CloneResult
     drawing = beside() if "pigments" in wanted else nullcontext(here)
     with drawing as draw:
         with _progress(len(wanted), timings) as stage:
-            run = cloning.clone_eye(
-                photograph,
-                settings,
-                stated,
-                last=results.stop_after,
-                stage=stage,
-                tables=kept_tables,
-                key=jax.random.key(model.seed),
-            )
+            how = {"last": results.stop_after, "stage": stage, "tables": kept_tables}
+            key = jax.random.key(model.seed)
+            run = cloning.clone_eye(photograph, settings, stated, **how, key=key)
             found, both, drawn, failed = next(run), None, None, ()
             try:
                 # No stage follows a doubtful outline.
@@ -279,17 +273,14 @@ def _table(posterior: PigmentPosterior) -> str:
 
 
 def _settings(picture: ClonePicture, model: CloneModel) -> cloning.CloneSettings:
+    azimuth, sigma = picture.tilt_azimuth, model.deconvolution
     return cloning.CloneSettings(
-        model.media,
-        model.iris_depth,
-        picture.focal_px,
-        None if picture.tilt_azimuth is None else float(np.radians(picture.tilt_azimuth)),
-        sigma=None if isinstance(model.deconvolution, str) else model.deconvolution,
-        beta=model.beta,
-        relief=model.relief,
-        method=model.method,
+        focal_px=picture.focal_px,
+        azimuth=None if azimuth is None else float(np.radians(azimuth)),
+        sigma=None if isinstance(sigma, str) else sigma,
         integrator=_PROCESSES[model.process](),
         steps=model.max_steps,
+        **{n: getattr(model, n) for n in ("media", "iris_depth", "beta", "relief", "method")},
     )
 
 

@@ -107,15 +107,9 @@ class Measurements(opt.Group):
     @property
     def noise(self) -> ij.Noise:
         """How far values may lie from the model's."""
-        rough, length = self.discrepancy or (None, None)
-        stated: dict[str, Any] = {
-            "relative": self.relative_noise,
-            "absolute": self.absolute_noise,
-            "discrepancy": rough,
-            "length": length,
-            "degrees_of_freedom": 4.0 if self.outliers else None,
-        }
-        return ij.Noise(**stated)
+        smooth, degrees = self.discrepancy or (None, None), 4.0 if self.outliers else None
+        stated: Any = (self.relative_noise, self.absolute_noise, *smooth, degrees)
+        return ij.Noise(*stated)
 
     @property
     def seen(self) -> dict[str, Any]:

@@ -156,10 +156,8 @@ def _still(scene: staging.Scene, picture: Picture, exposure: float, output: Path
 
 def _animated(scene: staging.Scene, change: str, count: int, exposure: float, output: Path) -> None:
     remark = f"simulated by irisjax; {change}, {count} frames"
-    quiet = not sys.stderr.isatty()
-    pictures = tqdm(
-        animate.frames(scene, change, count, kept_tables), total=count, unit="frame", disable=quiet
-    )
+    pictures = animate.frames(scene, change, count, kept_tables)
+    shown = tqdm(pictures, total=count, unit="frame", disable=not sys.stderr.isatty())
 
     def write(pixels: Iterable[np.ndarray]) -> int:
         if _is_sheet(output):
@@ -167,12 +165,12 @@ def _animated(scene: staging.Scene, change: str, count: int, exposure: float, ou
             return io.write_png(output, whole, remark=f"{remark} row by row")
         return io.write_movie(output, map(_encoded, pixels), remark=remark)
 
-    _written(scene, pictures, exposure, output, write, count)
+    _written(scene, iter(shown), exposure, output, write, count)
 
 
 def _written(
     scene: staging.Scene,
-    pictures: Iterable[np.ndarray],
+    pictures: Iterator[np.ndarray],
     exposure: float,
     output: Path,
     write: Callable[[Iterator[np.ndarray]], int],

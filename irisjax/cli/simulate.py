@@ -42,15 +42,15 @@ def _scans(
 ) -> list[np.ndarray]:
     """Scans of the iris's reflectance, each of shape (wavelengths,)."""
     grid = light.wavelengths.values
+    levels: Any = light.relative_noise, light.absolute_noise
     seen = ij.spectrum(grid, np.zeros(grid.size), **light.before_the_iris())
-    noise: dict[str, Any] = {"relative": light.relative_noise, "absolute": light.absolute_noise}
     problem = ij.problem(
         seen,
         free=["noise"],
         fixed={"gain": light.gain},
         base=iris,
         solver=model.exact_solver(process, iris),
-        noise=ij.Noise(**noise),
+        noise=ij.Noise(*levels),
     )
     key = jax.random.key(light.seed, impl="threefry2x32")
     draw = jax.jit(lambda k: problem.simulate(jnp.zeros(1), k)[0])

@@ -156,7 +156,8 @@ def test_pictures_that_a_recipe_paints_with_are_spared(irisjax, tmp_path):
             f'[[coat]]\ncomponent = "scan"\nparameters = {{ file = "{name}" }}\n'
             'paints = "ultramarine"\n'
         )
-        options = ("--meshes", "obj", *SMALL, "-o", tmp_path, "--overwrite")
+        meshes = ("--meshes", "obj") if "meshes" in name else ()
+        options = (*meshes, *SMALL, "-o", tmp_path, "--overwrite")
         _refused(irisjax("paint", recipe, *options), name, "another folder")
         assert (tmp_path / name).read_bytes() == before
 
@@ -303,5 +304,5 @@ def test_a_folder_without_permission_is_told_before_the_work(irisjax, tmp_path, 
     ],
 )
 def test_wrong_options_are_one_line(irisjax, tmp_path, options, words):
-    _refused(irisjax("paint", *options, "-o", tmp_path / "eye"), *words)
+    _refused(irisjax("paint", "--texels", "64", *options, "-o", tmp_path / "eye"), *words)
     assert not (tmp_path / "eye").exists()
