@@ -42,11 +42,6 @@ _RUN_AGAIN = ("measure", "simulate")
 """Modules whose commands take each other's files by `--from`: each knows the settings of all."""
 
 
-def main(arguments: list[str] | None = None) -> None:
-    """Run the command and leave with its status; see `run`. Ctrl-C ends it whatever it does."""
-    _interrupt.guarded(lambda: run(arguments))
-
-
 def run(arguments: list[str] | None = None) -> int:
     """Run the command with these arguments (default: the process's own) and return its exit status.
 

@@ -39,10 +39,8 @@ _PROCESSES = {"ilit-2006": Separable, "depth-resolved": RadiativeIntegrator}
 _DEFAULTS = cloning.CloneSettings()
 
 
-class ClonePicture(opt.Group):
+class ClonePicture(opt.Group, panel="Photograph"):
     """Options: the photograph and what is known about it."""
-
-    PANEL = "Photograph"
 
     photograph: Path = opt.argument("JPEG, PNG, TIFF, EXR or camera raw", "PHOTO", ...)
     focal_px: float | None = opt.number(
@@ -102,10 +100,9 @@ class ClonePicture(opt.Group):
         )
 
 
-class CloneModel(opt.Group):
+class CloneModel(opt.Group, panel="Model"):
     """Options: the model of the eye."""
 
-    PANEL = "Model"
     ONLY_WITH: ClassVar = {"deconvolution": ("beta", ())}
 
     media: str = opt.choice("what light crosses before the iris", cloning.MEDIA, _DEFAULTS.media)
@@ -139,10 +136,8 @@ class CloneModel(opt.Group):
     seed: int = opt.seeded("files, but for the seconds in clone.json")
 
 
-class CloneResults(opt.Group):
+class CloneResults(opt.Group, panel="Files"):
     """Options: the files."""
-
-    PANEL = "Files"
 
     output: Path = opt.output("folder for the clone", "DIR", ...)
     stop_after: str = opt.choice("last stage", cloning.STAGES, "posterior")

@@ -14,10 +14,8 @@ from irisjax.render.albedo import CONE
 _MODELS = "separable", "radiative-transfer"
 
 
-class Handover(opt.Group):
+class Handover(opt.Group, panel="Files"):
     """How finely the eye is meshed, and where it is written."""
-
-    PANEL = "Files"
 
     integrator: str | None = opt.choice(
         "whose albedo and BRDF; default: the scene's, separable", _MODELS

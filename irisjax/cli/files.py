@@ -13,7 +13,7 @@ import numpy as np
 import irisjax as ij
 from irisjax import io, plot
 from irisjax.cli import options as opt
-from irisjax.cli.light import Light
+from irisjax.cli.light import LightOptions
 from irisjax.cli.model import RANGES, IrisOptions, ProcessOptions
 from irisjax.io.images import encode_png
 from irisjax.tissue.iris import LIMITS
@@ -85,7 +85,7 @@ def _take_settings(context, param, source: Path | None) -> Path | None:
     taken = {n: v for n, v in entries.items() if n in _settings_of(context.command)}
     command = context.command.name
     if entries.get("command", command) != command:
-        own = [p.name for p in context.command.params if _panel(p) == Light.PANEL]
+        own = [p.name for p in context.command.params if _panel(p) == LightOptions.PANEL]
         if left := [name for name in taken if name in own]:
             names = ", ".join(left)
             opt.tell(f"note: {source} is of another command; not taken from it: {names}")
@@ -109,10 +109,8 @@ def _settings_of(*commands) -> set[str]:
     }
 
 
-class Source(opt.Group):
+class Source(opt.Group, panel="Files"):
     """The file that is run again."""
-
-    PANEL = "Files"
 
     source: Path | None = opt.option(
         "run this file's header again, with what other options change",
@@ -160,15 +158,13 @@ def check_files(output: Path | None = None, picture: Path | None = None, *suffix
 
 
 def write_table(
-    output: Path | None,
+    to: TableFile,
     lines: Mapping[str, str],
     columns: Mapping[str, Any],
-    picture: Path | None = None,
     figure: Callable[[], Any] | None = None,
 ) -> None:
-    """Write CSV (without a file, to standard output) and figure, both made before either is
-    written.
-    """
+    """Write CSV (without a file, to standard output) and figure, once both are made."""
+    output, picture = to.output, getattr(to, "plot", None)
     text = io.format_table(lines, {name: np.asarray(column) for name, column in columns.items()})
     files = {} if output is None else {output: text.encode()}
     if picture is not None and figure is not None:

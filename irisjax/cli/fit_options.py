@@ -55,10 +55,8 @@ def _prior(text: str) -> tuple[str, AbstractPrior]:
     return name, prior_of(value, *PARAMETERS[name].support)
 
 
-class Measurements(opt.Group):
+class Measurements(opt.Group, panel="Measurement"):
     """What was measured, of which eye, and how well."""
-
-    PANEL = "Measurement"
 
     spectra: list[Path] | None = opt.argument(
         "file of wavelengths and reflectances (CSV, an instrument's text, JCAMP-DX); several are "
@@ -124,10 +122,8 @@ class Measurements(opt.Group):
         return ReadOptions(self.quantity, self.unit, self.wavelength_unit, self.wavelengths)
 
 
-class Model(opt.Group):
+class Model(opt.Group, panel="Model"):
     """What is known, what is to be found, and by which rules of light transport."""
-
-    PANEL = "Model"
 
     free: tuple[str, ...] | None = opt.option(
         "parameters to infer, separated by commas; default: those marked * below",
@@ -166,10 +162,8 @@ class Model(opt.Group):
         }
 
 
-class Sampler(opt.Group):
+class Sampler(opt.Group, panel="Sampler"):
     """How the posterior is sampled."""
-
-    PANEL = "Sampler"
 
     walkers: int = opt.whole("number of chains, {}", Range(4, 4096), 64)
     max_steps: int = opt.whole("largest number of steps, {}", Range(1, 10_000_000), 20_000)
@@ -181,10 +175,8 @@ class Sampler(opt.Group):
         return jax.random.key(self.seed, impl="threefry2x32")
 
 
-class FitResults(opt.Group):
+class FitResults(opt.Group, panel="Files"):
     """Where what is found goes; many eyes at once."""
-
-    PANEL = "Files"
 
     output: Path | None = opt.output(
         "for summary.csv, fit.png, corner.png, posterior.nc (arviz), chain.h5; else the table is "

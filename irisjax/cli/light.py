@@ -38,10 +38,8 @@ def _illuminant() -> Any:
     return opt.option("light source by its name in colour-science", "D65", metavar="name")
 
 
-class Light(opt.Group):
+class LightOptions(opt.Group, panel="Measurement"):
     """Where the light comes from, and its wavelengths."""
-
-    PANEL = "Measurement"
 
     wavelengths: opt.Grid = _wavelengths("400:700:10")
     cos_incidence: float | str = opt.option(
@@ -82,7 +80,7 @@ class Light(opt.Group):
         return {n: v for n, v in found.items() if n != "incidence_deg"}
 
 
-class EyeLight(Light):
+class EyeLight(LightOptions):
     """Light on an eye with a cornea and a surface that mirrors."""
 
     cornea: str = opt.choice(
@@ -140,7 +138,7 @@ class SpectrumLight(EyeLight):
     )
 
     def instrument_at(self, grid: np.ndarray) -> AbstractInstrument:
-        """See `Light`."""
+        """See `LightOptions`."""
         told = self.before_the_iris()
         if self.instrument == "radiance":
             return ij.Radiometer(grid, illuminant=self.illuminant, **told)
@@ -172,7 +170,7 @@ class SpectrumLight(EyeLight):
         return 0.0 if degrees is None else degrees, 0.0 if angle is None else angle
 
 
-class BrdfLight(Light):
+class BrdfLight(LightOptions):
     """What a goniophotometer measures."""
 
     wavelengths: opt.Grid = _wavelengths("550", "--wavelength --wavelengths")
@@ -190,7 +188,7 @@ class BrdfLight(Light):
         return polar.ravel(), azimuth.ravel()
 
     def instrument_at(self, grid: np.ndarray) -> AbstractInstrument:
-        """See `Light`."""
+        """See `LightOptions`."""
         angle, azimuth = self.exits()
         told = self.before_the_iris()
         return ij.Goniophotometer(grid, cos_exit=np.cos(angle), azimuth=azimuth, **told)
@@ -206,7 +204,7 @@ class ColourLight(EyeLight):
     )
 
     def instrument_at(self, grid: np.ndarray) -> AbstractInstrument:
-        """See `Light`."""
+        """See `LightOptions`."""
         told = self.before_the_iris()
         return ij.Colorimeter(grid, illuminant=self.illuminant, observer=self.observer, **told)
 

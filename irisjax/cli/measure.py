@@ -2,7 +2,6 @@
 
 import re
 import sys
-from pathlib import Path
 from typing import Any
 
 import jax
@@ -15,7 +14,7 @@ from irisjax import io, plot
 from irisjax.cli import model
 from irisjax.cli import options as opt
 from irisjax.cli.files import SwatchFile, TableFiles, check_files, head, write_table
-from irisjax.cli.light import POLARIMETERS, BrdfLight, ColourLight, Light, SpectrumLight
+from irisjax.cli.light import POLARIMETERS, BrdfLight, ColourLight, LightOptions, SpectrumLight
 from irisjax.measure.instrument import AbstractInstrument
 from irisjax.measure.observe import observe
 from irisjax.measure.polarimeter import PolarisedReading
@@ -54,9 +53,7 @@ def spectrum_command(
     if result.unit:
         lines["unit"] = f"{result.unit} [the illuminant is 1 at 560 nm]"
     title = _title(result.quantity, process, solver)
-    write_table(
-        files.output, lines, columns, files.plot, lambda: plot.spectra_figure({"": result}, title)
-    )
+    write_table(files, lines, columns, lambda: plot.spectra_figure({"": result}, title))
 
 
 @opt.grouped
@@ -84,7 +81,7 @@ def brdf_command(
         "angle from the normal; azimuth 0 is the mirror direction's side, 180 the light's"
     )
     title = _title("BRDF", process, solver)
-    write_table(files.output, lines, columns, files.plot, lambda: plot.brdf_figure(result, title))
+    write_table(files, lines, columns, lambda: plot.brdf_figure(result, title))
 
 
 @opt.grouped
@@ -110,7 +107,8 @@ def colour_command(
         f"{'gamut':<12}{clipped or 'inside sRGB'}",
     ]
     if files.swatch is not None:
-        _paint(files.swatch, srgb8, f"under {light.illuminant}; {clipped}".rstrip("; "))
+        remark = f"simulated colour of an iris under {light.illuminant}; {clipped}".rstrip("; ")
+        io.write_atomically(files.swatch, plot.swatch(srgb8, remark))
     typer.echo("\n".join(rows))
 
 
@@ -120,7 +118,7 @@ def _read(
     iris: model.IrisOptions,
     process: model.ProcessOptions,
     solver: model.SolverOptions,
-    light: Light,
+    light: LightOptions,
 ) -> tuple[Any, dict[str, str]]:
     """What the light's instrument reads, and the header that says how."""
     eye, rules = model.modelled(iris, process)
@@ -145,7 +143,7 @@ def _measured(
         return observe(iris, instrument, solver, key=key, progress=bar.update)
 
 
-def _left_out_by_scalar_theory(iris: ij.Iris, light: Light) -> str:
+def _left_out_by_scalar_theory(iris: ij.Iris, light: LightOptions) -> str:
     """How far scalar theory is off, at some of the wavelengths, in words."""
     if iris.power_law is not None:
         return "how far that is off is not known under a power law of scattering"
@@ -195,7 +193,3 @@ def _title(quantity: str, process: model.ProcessOptions, solver: model.SolverOpt
 def _row(name: str, numbers, form: str, remark: str = "") -> str:
     shown = " ".join(f"{format(v, form):>11}" for v in np.asarray(numbers).tolist())
     return f"{name:<12}{shown}   {remark}".rstrip()
-
-
-def _paint(path: Path, srgb8: tuple[int, int, int], remark: str) -> None:
-    io.write_atomically(path, plot.swatch(srgb8, f"simulated colour of an iris {remark}"))

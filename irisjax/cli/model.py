@@ -45,20 +45,17 @@ def _field(name: str) -> Any:
 
 # An option for each number of an iris, in the order of its fields; the class below defines three.
 _NAMES = ("level", *LIMITS, "melanin_load", "scattering", *POWER_LAW_LIMITS)
+_FIELDS = {name: _field(name) for name in _NAMES}
 _Numbers: Any = type(
     "_Numbers",
     (opt.Group,),
-    {
-        "__annotations__": dict.fromkeys(_NAMES, float | None),
-        **{name: _field(name) for name in _NAMES},
-    },
+    {"__annotations__": dict.fromkeys(_NAMES, float | None), **_FIELDS},
+    panel="Iris",
 )
 
 
 class IrisOptions(_Numbers):
     """What the iris is made of; `None` stands for the level's value or LB06's."""
-
-    PANEL = "Iris"
 
     level: str = opt.choice(
         "pigmentation of the paper; sets both melanins",
@@ -78,10 +75,9 @@ class IrisOptions(_Numbers):
     )
 
 
-class ProcessOptions(opt.Group):
+class ProcessOptions(opt.Group, panel="Process"):
     """Rules of light transport; `None` stands for the named process's own."""
 
-    PANEL = "Process"
     ONLY_WITH: ClassVar = {
         **dict.fromkeys(("phase", "rescatter", "perturb_on_reflection"), _ILIT),
         "polarised": ("process", (_DEEP,)),
@@ -124,10 +120,9 @@ class ProcessOptions(opt.Group):
         return dataclasses.replace(self, process=_DEEP, polarised=True)
 
 
-class SolverOptions(opt.Group):
+class SolverOptions(opt.Group, panel="Solver"):
     """How the process is solved."""
 
-    PANEL = "Solver"
     ONLY_WITH: ClassVar = {"photons": _SAMPLED, "seed": _SAMPLED}
 
     solver: str = opt.choice(

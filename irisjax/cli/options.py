@@ -94,8 +94,9 @@ def choice(help: str, names: Iterable[str], default: str | None = None, **more: 
 class Group:
     """Options that belong together: a frozen dataclass, as are its subclasses.
 
+    A subclass states the heading of its options in the help, `class Iris(Group, panel="Iris")`.
+
     Attributes:
-        PANEL: Heading of the options in the help.
         ONLY_WITH: An option that means nothing unless another of the group has one of these values,
             or with none given any; to type it then is an error.
         typed: The options that stand on the command line, as against defaults and a file's values.
@@ -105,7 +106,8 @@ class Group:
     ONLY_WITH: ClassVar[Mapping[str, tuple[str, tuple[str, ...]]]] = {}
     typed: frozenset[str] = frozenset()
 
-    def __init_subclass__(cls):
+    def __init_subclass__(cls, panel: str | None = None):
+        cls.PANEL = panel or cls.PANEL
         dataclasses.dataclass(frozen=True, kw_only=True)(cls)
 
     def __post_init__(self):

@@ -77,10 +77,8 @@ class PaintedEye(PaintOptions):
             check_no_seed(self.typed)
 
 
-class PaintedPicture(opt.Group):
+class PaintedPicture(opt.Group, panel="Picture"):
     """How it is drawn."""
-
-    PANEL = "Picture"
 
     light: list[str] | None = opt.option(
         "as of render; repeatable; in place of two lamps", metavar="POLAR,AZIMUTH[,IRRADIANCE]"
@@ -101,10 +99,8 @@ class PaintedPicture(opt.Group):
     )
 
 
-class PaintedFiles(opt.Group):
+class PaintedFiles(opt.Group, panel="Files"):
     """Where it goes."""
-
-    PANEL = "Files"
 
     output: Path = opt.output("folder for the eye", "DIR", ...)
     meshes: str | None = opt.choice(

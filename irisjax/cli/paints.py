@@ -10,10 +10,8 @@ from irisjax.io.recipes import MIXING, Recipe, read_recipe
 from irisjax.ocularist.recipes import EYE_COLOURS, EYE_TYPES, coats
 
 
-class PaintOptions(opt.Group):
+class PaintOptions(opt.Group, panel="What"):
     """A type of eye in place of a recipe, and options that change either."""
-
-    PANEL = "What"
 
     type: str | None = opt.choice("in place of a recipe", EYE_TYPES)
     colour: str | None = opt.choice("with --type", EYE_COLOURS)

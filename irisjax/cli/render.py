@@ -22,7 +22,7 @@ from irisjax.render.integrators import INTEGRATORS, integrator_name
 from irisjax.render.picture import draw_bands
 
 
-class View(EyeWithPupil):
+class ViewOptions(EyeWithPupil):
     """Which eye, in which light, seen from where."""
 
     light: list[str] | None = opt.option(
@@ -37,10 +37,9 @@ class View(EyeWithPupil):
     )
 
 
-class Picture(opt.Group):
+class PictureOptions(opt.Group, panel="Picture"):
     """How it is drawn."""
 
-    PANEL = "Picture"
     ONLY_WITH: ClassVar = {"frames": ("animate", ())}
 
     size: str | None = opt.option("pixels, at most 16384 along a side", metavar="WIDTHxHEIGHT")
@@ -79,17 +78,15 @@ class Picture(opt.Group):
         return (".png", ".exr") if self.spectral is None else (".exr",)
 
 
-class PictureFile(opt.Group):
+class PictureFile(opt.Group, panel="Files"):
     """Where it goes."""
-
-    PANEL = "Files"
 
     output: Path = opt.output(".png, .exr (linear); see --animate", "FILE.png", Path("eye.png"))
     overwrite: bool = opt.flag("replace a picture of that name")
 
 
 @opt.grouped
-def render_command(view: View, picture: Picture, files: PictureFile) -> None:
+def render_command(view: ViewOptions, picture: PictureOptions, files: PictureFile) -> None:
     """Draw an eye from its pigments: refraction, caustics, scattering in the iris.
 
     Simulated. PNG is sRGB without any tone adjustment; what is out of its
@@ -125,7 +122,7 @@ def render_command(view: View, picture: Picture, files: PictureFile) -> None:
         _still(scene, picture, exposure, output)
 
 
-def _still(scene: staging.Scene, picture: Picture, exposure: float, output: Path) -> None:
+def _still(scene: staging.Scene, picture: PictureOptions, exposure: float, output: Path) -> None:
     wavelengths = None if picture.spectral is None else tuple(map(float, picture.spectral.values))
     scene = scene.replace(wavelengths=wavelengths)
     height = scene.camera.size[1]

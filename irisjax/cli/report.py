@@ -73,15 +73,10 @@ def one(
     """Analyse one eye, print (unless `quiet`) and write into the folder, if there is one; whether
     the chain is long enough. `resume` continues that in the folder.
     """
-    found = analyse(
-        problem,
-        store=None if folder is None else folder / "chain.h5",
-        resume=resume,
-        walkers=sampler.walkers,
-        max_steps=sampler.max_steps,
-        progress=counting(bar, leave=True),
-        key=sampler.key,
-    )
+    store = None if folder is None else folder / "chain.h5"
+    how = {"resume": resume, "walkers": sampler.walkers, "max_steps": sampler.max_steps}
+    progress = counting(bar, leave=True)
+    found = analyse(problem, store=store, progress=progress, key=sampler.key, **how)
     first = sentences.process_lines(found.other)
     lines = [*sentences.information_lines(found.information), *sentences.cautions(found)]
     if folder is not None:

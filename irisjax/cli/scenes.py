@@ -17,10 +17,8 @@ from irisjax.render.lights import Lights
 _STUDIO = '[iris]\npreset = "{}"\n[maps]\nseed = {}\n[environment]\nkind = "studio"'
 
 
-class Subject(opt.Group):
+class Subject(opt.Group, panel="What"):
     """Which eye."""
-
-    PANEL = "What"
 
     scene: Path | None = opt.argument(
         "scene file (TOML); data/scenes/everything.toml explains it", "SCENE"

@@ -34,7 +34,7 @@ def simulate_measurement_command(
     scans = _scans(eye, rules, light, truth)
     names = ["reflectance"] if len(scans) == 1 else [f"scan_{i + 1}" for i in range(len(scans))]
     columns = {"wavelength_nm": light.wavelengths.values, **dict(zip(names, scans, strict=True))}
-    write_table(files.output, lines, columns)
+    write_table(files, lines, columns)
 
 
 def _scans(

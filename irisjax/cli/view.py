@@ -28,18 +28,14 @@ class Shown(Subject):
     seed: int = opt.seeded("maps of a preset, and coats of a --type")
 
 
-class Coats(PaintOptions):
+class Coats(PaintOptions, panel="A painted eye"):
     """A painted eye instead."""
-
-    PANEL = "A painted eye"
 
     recipe: Path | None = opt.option("coats of paint (TOML), as paint takes them", metavar="RECIPE")
 
 
-class Window(opt.Group):
+class Window(opt.Group, panel="Picture"):
     """Where it is shown."""
-
-    PANEL = "Picture"
 
     size: str | None = opt.option("of the picture, 800x600", metavar="WIDTHxHEIGHT")
     host: str = opt.option("0.0.0.0 shows it to the whole network", "127.0.0.1", metavar="name")

@@ -69,16 +69,16 @@ ON_POSIX = pytest.mark.skipif(
 
 # Says when photons are on their way.
 INTERRUPTIBLE = """
-import importlib, sys, time
+import importlib, time
+from irisjax.__main__ import main
 import jax.numpy as jnp
-from irisjax import cli
 observe = importlib.import_module("irisjax.measure.observe")
 count = observe._count
 def told(*arguments, **options):
     print("block", flush=True)
     return COUNTED
 observe._count = told
-cli.main(sys.argv[1:])
+main()
 """
 
 

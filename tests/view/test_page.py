@@ -113,7 +113,7 @@ def browser():
 @contextlib.contextmanager
 def _viewer(subject):
     """Address of a viewer in a process of its own, which Ctrl-C must end."""
-    code = "import signal; signal.signal(signal.SIGINT, signal.default_int_handler); from irisjax.cli import main; main()"
+    code = "import signal; signal.signal(signal.SIGINT, signal.default_int_handler); from irisjax.__main__ import main; main()"
     command = [sys.executable, "-c", code, "view", str(subject), "--port", "0"]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     try:
