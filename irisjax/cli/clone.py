@@ -218,13 +218,11 @@ def _begun(
     found: cloning.Fitted, both: PictureDifference, draw: Callable[..., Later]
 ) -> dict[str, Later]:
     """Begin to draw the figures."""
-    eye = found.scene().eye
+    eye, pictures = found.scene().eye, (both.photograph, both.rendered)
     radius = float(0.5 * (eye.pupil_radius + eye.iris_radius))
-    return {
-        "side_by_side.png": draw("side_by_side", both.photograph, both.rendered),
-        "differences.png": draw("differences", both.photograph, both.rendered, both.clear),
-        "luminance.png": draw("luminance_profile", *both.arc(found, radius), radius),
-    }
+    side, off = draw("side_by_side", *pictures), draw("differences", *pictures, both.clear)
+    along = draw("luminance_profile", *both.arc(found, radius), radius)
+    return dict(zip(_FIGURES, (side, off, along), strict=True))
 
 
 def report(

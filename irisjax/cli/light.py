@@ -34,10 +34,6 @@ def _covered(text: str) -> opt.Grid:
     return found
 
 
-def _illuminant() -> Any:
-    return opt.option("light source by its name in colour-science", "D65", metavar="name")
-
-
 class LightOptions(opt.Group, panel="Measurement"):
     """Where the light comes from, and its wavelengths."""
 
@@ -119,7 +115,9 @@ class SpectrumLight(EyeLight):
         ("reflectance", "radiance", *POLARIMETERS),
         "reflectance",
     )
-    illuminant: str = _illuminant()
+    illuminant: str = opt.option(
+        "light source by its name in colour-science", "D65", metavar="name"
+    )
     polariser_deg: float | None = opt.number(
         "polarisation of the light, from the plane of incidence; default 0, unpolarised for "
         "degree-of-polarisation",
@@ -198,7 +196,9 @@ class ColourLight(EyeLight):
     """What a colorimeter measures."""
 
     wavelengths: opt.Grid = _wavelengths("380:780:5")
-    illuminant: str = _illuminant()
+    illuminant: str = opt.option(
+        "light source by its name in colour-science", "D65", metavar="name"
+    )
     observer: str = opt.option(
         "standard observer by its name in colour-science", OBSERVER, metavar="name"
     )

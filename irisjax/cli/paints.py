@@ -21,9 +21,6 @@ class PaintOptions(opt.Group, panel="What"):
     def painted(self, recipe: Path | None, matched: bool = False) -> bool:
         """Whether a painted eye is asked for: by a recipe's file, by its type or, where it is
         `matched` to a target, by neither.
-
-        Raises:
-            ValueError: for both, and for options that need a painted eye where there is none.
         """
         if recipe is not None and self.type is not None:
             raise ValueError("give a recipe or --type, one of them")

@@ -13,11 +13,9 @@ from irisjax.infer.parameters import kind, unit_of
 from irisjax.transport.process import AbstractProcess, Ilit
 
 _WORDS = {
-    "melanin_load": "load", "abl_fraction": "fraction", "pheomelanin_share": "pheomelanin share",
-    "hemoglobin": "haemoglobin", "saturation": "saturation", "stroma_thickness": "stroma thickness",
-    "abl_thickness": "ABL thickness", "scattering_scale": "scattering", "gain": "gain",
-    "reduced_scattering": "reduced scattering", "rayleigh_share": "Rayleigh share",
-    "scattering_power": "scattering power", "anisotropy": "anisotropy",
+    "melanin_load": "load", "abl_fraction": "fraction", "hemoglobin": "haemoglobin",
+    "abl_thickness": "ABL thickness", "scattering_scale": "scattering",
+    "rayleigh_share": "Rayleigh share",
 }  # fmt: skip
 _MOVED = ("melanin_load", "abl_fraction")  # parameters whose change with the process is printed
 _QUOTED = {"melanin_load": "melanin load", "abl_fraction": "ABL fraction"}
@@ -174,7 +172,8 @@ def _percent(x: float) -> str:
 
 
 def _word(name: str) -> str:
-    return _WORDS[kind(name)] + (f"@{name.partition('@')[2]}" if "@" in name else "")
+    plain, at, tag = name.partition("@")
+    return _WORDS.get(plain, plain.replace("_", " ")) + at + tag
 
 
 def _power(name: str, exponent: float) -> str:

@@ -11,7 +11,7 @@ import irisjax as ij
 from irisjax.cli import compare
 from irisjax.cli.sentences import models_sentence
 from irisjax.infer.importance import ImportanceSample
-from irisjax.infer.model_comparison import Assessment, Candidate, candidates_of
+from irisjax.infer.model_comparison import Assessment, Candidate
 from irisjax.infer.other_process import Interval
 
 
@@ -134,11 +134,3 @@ def test_the_sentence(apart, said):
         "melanin load, ug/mm2 (95 %): 0.1 (0.05 to 0.2) by A, 0.25 (0.125 to 0.5) by B, "
         "2.5 (1.2 to 5) times that."
     )
-
-
-def test_the_command_compares_three_models(irisjax, eye, compared):
-    """What the stand-in takes the place of."""
-    irisjax("fit", eye, "--compare")
-    (problem,) = compared
-    names = [c.name for c in candidates_of(ij.problem(problem.observations))]
-    assert names == ["ILIT", "radiative transfer", "general radiative transfer"]

@@ -73,7 +73,7 @@ OPTIONS = [
     (("scene.toml", "--light", "30,nan"), "--light '30,nan': write POLAR,AZIMUTH"),
     (
         ("scene.toml", "--light", "30,0,-1"),
-        "--light '30,0,-1': a lamp's irradiance = -1 is outside [0, 1e+06]",
+        "'30,0,-1': a lamp's irradiance = -1 is outside [0, 1e+06]",
     ),
     (("scene.toml", "--pupil-radius", "6"), "--pupil-radius: 6 is outside [0.25, 4.75] mm"),
     (("scene.toml", "--pupil-radius", "0,5"), "--pupil-radius: '0,5' is not a number"),
@@ -81,7 +81,7 @@ OPTIONS = [
     (("scene.toml", "--camera", "30"), "--camera '30': write POLAR,AZIMUTH"),
     (
         ("scene.toml", "--camera", "30,0,200"),
-        "--camera '30,0,200': camera width = 200 mm is outside [0.1, 100] mm",
+        "'30,0,200': camera width = 200 mm is outside [0.1, 100]",
     ),
     (("scene.toml", "--frames", "3"), "--frames means something only with --animate"),
     (("scene.toml", "--exposure", "nan"), "--exposure: nan is outside (0, inf)"),
