@@ -14,7 +14,7 @@ import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Bool, Float
 
-from irisjax._types import Spectrum, as_float
+from irisjax._types import Numbers, Spectrum, as_float
 from irisjax.measure.measurement import check_wavelengths
 from irisjax.numerics.interpolation import piecewise_linear
 from irisjax.transport.solution import RESULTS
@@ -66,10 +66,12 @@ _WIDEST = 25.0  # nm, of a step
 
 
 class Observer(eqx.Module):
-    """An illuminant and a standard observer on a grid: what takes a reflectance to its colour.
+    """An illuminant and a standard observer on a grid, which turn a reflectance into its colour.
 
-    - `weights`: (3, wavelengths) from a reflectance to XYZ, white at Y = 1; `white`: its XYZ.
-    - `to_srgb`: (3, 3) from XYZ to linear sRGB, adapted to D65 (Bradford).
+    Attributes:
+        weights: (3, wavelengths) from a reflectance to XYZ, white at Y = 1.
+        white: XYZ of white.
+        to_srgb: (3, 3) from XYZ to linear sRGB, adapted to D65 (Bradford).
     """
 
     weights: Float[Array, "3 wavelengths"]
@@ -79,11 +81,14 @@ class Observer(eqx.Module):
     observer: str = eqx.field(static=True)
 
     @classmethod
-    def of(cls, wavelengths, illuminant: str = "D65", observer: str = OBSERVER) -> "Observer":
-        """On a grid of `wavelengths` (nm; concrete or traced).
+    def of(
+        cls, wavelengths: Numbers, illuminant: str = "D65", observer: str = OBSERVER
+    ) -> "Observer":
+        """Make the observer of a grid of wavelengths, nm, concrete or traced.
 
-        **Raises:** `ValueError` for an unknown illuminant or observer, and for concrete wavelengths
-        that leave out a part of the visible range or are far apart.
+        Raises:
+            ValueError: For an unknown illuminant or observer, and for concrete wavelengths that
+                leave out a part of the visible range or are far apart.
         """
         check_wavelengths(wavelengths)
         if np.shape(wavelengths)[0] < 2:
@@ -92,10 +97,8 @@ class Observer(eqx.Module):
                 "which jax.vmap over wavelengths would take apart"
             )
         if isinstance(wavelengths, Tracer):
-            x = as_float(wavelengths)
-            weights, white, adaptation = _weighting(x, illuminant, observer, jnp)
-            to_srgb = jnp.asarray(XYZ_TO_SRGB, x.dtype) @ adaptation
-            return cls(weights, white, to_srgb, illuminant, observer)
+            arrays = _weighting(as_float(wavelengths), illuminant, observer, jnp)
+            return cls(*arrays, illuminant, observer)
         grid = np.asarray(wavelengths, np.float64)
         _check_visible(grid)
         return _observer(grid.tobytes(), illuminant, observer, str(jnp.result_type(float)))
@@ -120,7 +123,9 @@ class Observer(eqx.Module):
         )
 
 
-def colour_of(wavelengths, values, *, illuminant: str = "D65", observer: str = OBSERVER) -> Colour:
+def colour_of(
+    wavelengths: Numbers, values: Numbers, *, illuminant: str = "D65", observer: str = OBSERVER
+) -> Colour:
     """Compute the colour of a spectral reflectance; it is differentiable in the values.
 
     Args:
@@ -140,19 +145,16 @@ def colour_of(wavelengths, values, *, illuminant: str = "D65", observer: str = O
 
 
 def tristimulus_matrix(
-    wavelengths, space: str = "XYZ", illuminant: str = "D65", observer: str = OBSERVER
-):
-    """The matrix (3, n) from a reflectance to `"XYZ"` (white at Y = 1) or `"linear sRGB"`, and the
-    white's XYZ.
-    """
-    weights, white, adaptation = _constants(
-        np.asarray(wavelengths, np.float64).tobytes(), illuminant, observer
-    )
-    return (weights if space == "XYZ" else XYZ_TO_SRGB @ adaptation @ weights), white
+    wavelengths: Numbers, space: str = "XYZ", illuminant: str = "D65", observer: str = OBSERVER
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the matrix (3, n) from a reflectance to XYZ or `"linear sRGB"`, and white's XYZ."""
+    grid = np.asarray(wavelengths, np.float64).tobytes()
+    weights, white, to_srgb = _constants(grid, illuminant, observer)
+    return (weights if space == "XYZ" else to_srgb @ weights), white
 
 
 @eqx.filter_jit
-def srgb_encode(linear):
+def srgb_encode(linear: Numbers) -> Array:
     """sRGB transfer function [IEC 61966-2-1]; negative values follow its linear foot."""
     foot = linear <= 0.0031308
     return jnp.where(
@@ -160,7 +162,7 @@ def srgb_encode(linear):
     )
 
 
-def srgb_decode(encoded):
+def srgb_decode(encoded: Numbers) -> Array:
     """Linear values of sRGB-encoded ones; the inverse of `srgb_encode`."""
     foot = encoded <= 12.92 * 0.0031308
     return jnp.where(
@@ -168,7 +170,7 @@ def srgb_decode(encoded):
     )
 
 
-def lab_of(ratio):
+def lab_of(ratio: Numbers) -> Array:
     """CIE 1976 L*a*b* of XYZ relative to white [CIE 15:2018, Eq. 8.3 ff.]."""
     delta = 6 / 29
     dark = ratio <= delta**3
@@ -177,7 +179,7 @@ def lab_of(ratio):
 
 
 def _check_visible(grid: np.ndarray) -> None:
-    """Raise `ValueError` where a grid leaves out what counts or is too coarse.
+    """Raise `ValueError` where a grid leaves out a part of `VISIBLE` or is too coarse.
 
     Without what lies beyond `VISIBLE` the colours of LB06's irides move by up to 0.4 CIEDE2000,
     with steps of 25 nm by up to 1.1.
@@ -195,11 +197,11 @@ def _check_visible(grid: np.ndarray) -> None:
         )
 
 
-def illuminant_power(illuminant: str, wavelengths) -> Any:
+def illuminant_power(illuminant: str, wavelengths: Numbers) -> Any:
     """Relative spectral power of an illuminant (1 at 560 nm) at `wavelengths` (nm).
 
-    **Raises:** `ValueError` for a concrete wavelength outside the illuminant's table; a traced one
-    gets NaN.
+    Raises:
+        ValueError: For a concrete wavelength outside the illuminant's table; a traced one gets NaN.
     """
     grid, values = _spectrum(illuminant)
     values = values / np.interp(560.0, grid, values)
@@ -216,15 +218,9 @@ def illuminant_power(illuminant: str, wavelengths) -> Any:
 
 @lru_cache(maxsize=64)
 def _observer(grid_bytes: bytes, illuminant: str, observer: str, dtype: str) -> Observer:
-    weights, white, adaptation = _constants(grid_bytes, illuminant, observer)
     with jax.ensure_compile_time_eval():
-        return Observer(
-            weights=jnp.asarray(weights, dtype),
-            white=jnp.asarray(white, dtype),
-            to_srgb=jnp.asarray(XYZ_TO_SRGB @ adaptation, dtype),
-            illuminant=illuminant,
-            observer=observer,
-        )
+        arrays = (jnp.asarray(x, dtype) for x in _constants(grid_bytes, illuminant, observer))
+        return Observer(*arrays, illuminant, observer)
 
 
 @lru_cache(maxsize=64)
@@ -233,10 +229,7 @@ def _constants(grid_bytes: bytes, illuminant: str, observer: str):
 
 
 def _weighting(x, illuminant: str, observer: str, xp):
-    """Weights (3, n) from reflectance to XYZ, the white, and the adaptation to D65 (Bradford).
-
-    `xp` is `numpy`, or `jax.numpy` for a traced grid.
-    """
+    """The arrays of an `Observer`; `xp` is `numpy`, or `jax.numpy` for a traced grid."""
     if observer not in OBSERVERS:
         raise ValueError(f"unknown observer {observer!r}; known: {', '.join(OBSERVERS)}")
     grid, *cmfs = _tables()[f"observer {observer}"]
@@ -249,10 +242,11 @@ def _weighting(x, illuminant: str, observer: str, xp):
     weights = xyz_bar * (illuminant_power(illuminant, x) * width)[None]
     weights = weights / weights[1].sum()
     white = weights.sum(axis=1)
-    cones = _BRADFORD
-    d65 = cones @ np.linalg.inv(XYZ_TO_SRGB) @ np.ones(3)
-    to_cones, from_cones, d65 = (xp.asarray(m, x.dtype) for m in (cones, np.linalg.inv(cones), d65))
-    return weights, white, from_cones @ ((d65 / (to_cones @ white))[:, None] * to_cones)
+    d65 = _BRADFORD @ np.linalg.inv(XYZ_TO_SRGB) @ np.ones(3)
+    constants = _BRADFORD, np.linalg.inv(_BRADFORD), d65, XYZ_TO_SRGB
+    to_cones, from_cones, d65, to_srgb = (xp.asarray(m, x.dtype) for m in constants)
+    adaptation = from_cones @ ((d65 / (to_cones @ white))[:, None] * to_cones)
+    return weights, white, to_srgb @ adaptation
 
 
 def _spectrum(illuminant: str) -> np.ndarray:
