@@ -252,20 +252,11 @@ def colour(
     throw: bool = True,
     **settings: Unpack[InstrumentSettings],
 ) -> Colour:
-    """Compute the colour of the iris's reflectance under an illuminant.
+    """Compute the colour of the iris's reflectance under an illuminant; see `Colorimeter`.
 
     Light reflected by the first surface is included by default; it adds a little grey to a dark
-    iris.
-
-    Args:
-        iris: The iris.
-        wavelengths: In nm, by default 380–780 nm in steps of 5 nm.
-        illuminant: Name of the light source in colour-science.
-        observer: Name of the standard observer in colour-science.
-        solver: See `observe`, also for `key` and `throw`.
-        key: Random key.
-        throw: Whether a failed solve raises.
-        **settings: Of the instrument; see `AbstractInstrument`.
+    iris. The arguments are those of `reflectance`, of `observe` and of the instrument; `illuminant`
+    and `observer` are names in colour-science.
     """
     instrument = Colorimeter(wavelengths, illuminant=illuminant, observer=observer, **settings)
     return observe(iris, instrument, solver, key=key, throw=throw)
@@ -282,22 +273,13 @@ def brdf(
     throw: bool = True,
     **settings: Unpack[InstrumentSettings],
 ) -> Brdf:
-    """Compute the BRDF of the iris in the aqueous humour, at given exit directions.
+    """Compute the BRDF of the iris in the aqueous humour; see `Goniophotometer`.
 
     ILIT redraws directions on entry, so its BRDF is independent of the azimuth and depends on the
     incidence only through the first surface's transmittance; radiative transfer depends on all
     three. `MonteCarlo` returns averages over cells of the cosine, bounded half-way between the
-    exits.
-
-    Args:
-        iris: The iris.
-        wavelengths: In nm, increasing, within the pigment tables.
-        cos_exit: Cosines of the exit angles, in [0, 1].
-        azimuth: Azimuths of the exits, radians; it broadcasts with `cos_exit` to shape (exits,).
-        solver: See `observe`.
-        key: See `observe`.
-        throw: See `observe`.
-        **settings: Of the instrument; see `AbstractInstrument`.
+    exits. The arguments are those of `reflectance` and the cosines (in [0, 1]) and azimuths
+    (radians) of the exits, which broadcast to shape (exits,).
     """
     instrument = Goniophotometer(wavelengths, cos_exit=cos_exit, azimuth=azimuth, **settings)
     return observe(iris, instrument, solver, key=key, throw=throw)
