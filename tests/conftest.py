@@ -105,7 +105,7 @@ _PROGRAMS_OF_FILE = {
     "anatomy/test_anatomy.py": 130,
     "infer/test_problem.py": 900,
     "measure/test_measure.py": 140,
-    "measure/test_polarimeter.py": 40,
+    "measure/test_polarimeter.py": 20,
     "measure/test_refusals.py": 180,
     "numerics/test_angle.py": 20,
     "numerics/test_linear.py": 40,
