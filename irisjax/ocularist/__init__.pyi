@@ -4,7 +4,7 @@ from .coats import Coat as Coat
 from .coats import Painting as Painting
 from .coats import prosthesis as prosthesis
 from .components import COMPONENTS as COMPONENTS
-from .components import AbstractComponent as AbstractComponent
+from .components import Component as Component
 from .components import component as component
 from .components import scan as scan
 from .cones import Cones as Cones

@@ -5,10 +5,10 @@ takes a picture. Extents along a radius are in relative radii, from 0, the pupil
 root; those across are in outer radii of the iris.
 """
 
-from collections.abc import Mapping
+import dataclasses
+from collections.abc import Callable, Mapping
 from typing import Any
 
-import equinox as eqx
 import jax
 import numpy as np
 from jaxtyping import Float32
@@ -48,7 +48,7 @@ _GREY = Range(0.0, 1.0)
 _FADE = 0.08  # relative radius: strokes fade in before and out behind what they cover
 
 
-def component(name: str, parameters: Mapping[str, Any] | None = None) -> "AbstractComponent":
+def component(name: str, parameters: Mapping[str, Any] | None = None) -> "Component":
     """The component of a name, with its defaults where `parameters` say nothing else.
 
     Raises:
@@ -57,15 +57,19 @@ def component(name: str, parameters: Mapping[str, Any] | None = None) -> "Abstra
     """
     check_known("component", name, COMPONENTS)
     kind, parameters = COMPONENTS[name], parameters or {}
-    for given in parameters:
-        check_known(f"parameter of {name}", given, kind.__dataclass_fields__)
-    try:
-        # Before the types of fields are checked, where they are: a file may hold anything.
-        for given, value in parameters.items():
-            _check_parameter(given, value)
-        return kind(**parameters)
-    except ValueError as wrong:
-        raise ValueError(f"{name}: {wrong}") from None
+    for given, value in parameters.items():
+        check_known(f"parameter of {name}", given, kind.parameters())
+        where = f"{name}: {given}"
+        if given == "count":
+            check_whole(where, value, 0, MOST_STROKES)
+        elif isinstance(value, bool) or not isinstance(value, int | float | np.number):
+            raise ValueError(f"{where} = {value!r} is not a number")
+        else:
+            check_range(where, value, PARAMETER_RANGES[given])
+    made = dataclasses.replace(kind, **parameters)
+    if made.inner is not None and made.outer is not None and not made.inner < made.outer:
+        raise ValueError(f"{name}: inner = {made.inner:g} is not below outer = {made.outer:g}")
+    return made
 
 
 def scan(picture: np.ndarray, size: int) -> Opacity:
@@ -109,24 +113,33 @@ def scan(picture: np.ndarray, size: int) -> Opacity:
     return np.clip(opacity, 0, 1).astype(np.float32)
 
 
-def _setting(default: float) -> Any:
-    """A parameter with this default."""
-    return eqx.field(static=True, default=default)
+@dataclasses.dataclass(frozen=True)
+class Component:
+    """A component of a coat: how it is drawn, and its parameters, plain numbers.
 
+    Parameters that a component does not have are `None`; `PARAMETER_RANGES` says what they mean.
 
-class AbstractComponent(eqx.Module):
-    """A component of a coat: an immutable value whose fields are its parameters, plain numbers.
-
-    Raises:
-        ValueError: naming a parameter, its value and its range.
+    Attributes:
+        paint: Draws strokes and dots.
+        wash: Draws the smooth opacity at texels of given relative radii, beneath the strokes.
+        count: Number of strokes or dots.
     """
 
-    def __post_init__(self):
-        for name, value in vars(self).items():
-            _check_parameter(name, value)
-        inner, outer = getattr(self, "inner", 0), getattr(self, "outer", 1)
-        if not inner < outer:
-            raise ValueError(f"inner = {inner:g} is not below outer = {outer:g}")
+    paint: Callable[["Component", np.random.Generator, Annulus], Paint] | None = None
+    wash: Callable[["Component", np.random.Generator, Opacity], Opacity] | None = None
+    count: int | None = None
+    width: float | None = None
+    length: float | None = None
+    inner: float | None = None
+    outer: float | None = None
+    reach: float | None = None
+    waviness: float | None = None
+    irregularity: float | None = None
+    softness: float | None = None
+
+    def parameters(self) -> dict[str, float]:
+        """Its parameters by name."""
+        return {n: v for n, v in vars(self).items() if v is not None and not callable(v)}
 
     def opacity(self, size: int, pupil: float, *, key: PRNGKey) -> Opacity:
         """Draw an opacity map, float32 of shape (size, size), 0 (clear) to 1 (opaque).
@@ -143,245 +156,108 @@ class AbstractComponent(eqx.Module):
         check_range("pupil", pupil, _PUPIL)
         rng = np.random.default_rng(np.asarray(jax.random.key_data(key)).ravel())
         ring, radius = Annulus(float(pupil)), np.hypot(*_texels(size))
-        paint = self._paint(rng, ring)
-        drawn = 0.0 if paint is None else paint.opacity(size, vars(self)["softness"])
-        wash = self._wash(rng, ring.relative(radius))
-        if wash is not None:
-            drawn = 1 - (1 - wash) * (1 - drawn)
+        drawn: Any = 0.0
+        if self.paint is not None:
+            drawn = self.paint(self, rng, ring).opacity(size, self.parameters()["softness"])
+        if self.wash is not None:
+            drawn = 1 - (1 - self.wash(self, rng, ring.relative(radius))) * (1 - drawn)
         margin = 4 / size
         on = (radius <= 1 + margin) & (radius >= ring.pupil - margin)
         return np.where(on, np.clip(drawn, 0, 1), 0).astype(np.float32)
 
-    def _paint(self, rng: np.random.Generator, ring: Annulus) -> Paint | None:
-        """Strokes and dots, of the component's `softness`."""
-        return None
 
-    def _wash(self, rng: np.random.Generator, radius: Opacity) -> Opacity | None:
-        """Smooth opacity at texels of these relative radii, beneath the strokes."""
-        return None
-
-
-class Base(AbstractComponent):
-    """Opaque all over the iris."""
-
-    def _wash(self, rng, radius):
-        return np.ones_like(radius)
-
-
-class StromaDots(AbstractComponent):
+def _stroma_dots(of, rng, ring):
     """Well-defined dots, evenly distributed over the area."""
-
-    count: int = _setting(320)
-    width: float = _setting(0.016)
-    inner: float = _setting(0.06)
-    outer: float = _setting(0.97)
-    irregularity: float = _setting(0.7)
-    softness: float = _setting(0.0035)
-
-    def _paint(self, rng, ring):
-        return _scattered(rng, ring, self).paint(rng, ring, self.softness)
+    return _scattered(of, rng, ring).paint(rng, ring, of.softness)
 
 
-class StromaSmearedDots(AbstractComponent):
+def _stroma_smeared_dots(of, rng, ring):
     """Dots drawn out along the radius, each with a tail of its paint."""
-
-    count: int = _setting(220)
-    width: float = _setting(0.016)
-    length: float = _setting(0.16)
-    inner: float = _setting(0.05)
-    outer: float = _setting(0.97)
-    waviness: float = _setting(0.3)
-    irregularity: float = _setting(0.7)
-    softness: float = _setting(0.0045)
-
-    def _paint(self, rng, ring):
-        dots = _scattered(rng, ring, self)
-        return _smeared(rng, ring, self, dots, 0.012 * self.waviness, 0.3)
+    return _smeared(of, rng, ring, _scattered(of, rng, ring), 0.012 * of.waviness, 0.3)
 
 
-class StromaSmears(AbstractComponent):
+def _stroma_smears(of, rng, ring):
     """Radial smears or fibres over nearly all of the iris, in bundles."""
-
-    count: int = _setting(420)
-    width: float = _setting(0.013)
-    length: float = _setting(0.5)
-    inner: float = _setting(0.05)
-    outer: float = _setting(1.0)
-    waviness: float = _setting(0.5)
-    irregularity: float = _setting(0.6)
-    softness: float = _setting(0.004)
-
-    def _paint(self, rng, ring):
-        n, irregularity = self.count, self.irregularity
-        angle = angles_round(rng, n, irregularity)
-        room = self.outer - self.inner + 2 * _FADE
-        length = np.minimum(self.length * log_normal(rng, n, 0.7 * irregularity), room)
-        strokes = Strokes(
-            angle,
-            self.inner - _FADE + (room - length) * rng.uniform(0, 1, n),
-            length,
-            self.width * log_normal(rng, n, 0.9 * irregularity),
-            0.014 * self.waviness * rng.uniform(0.4, 1.6, n),
-            0.6 * log_normal(rng, n, 1.6 * irregularity) * _bundled(rng, angle, irregularity),
-        )
-        return strokes.paint(rng, ring, self.softness, head=0.4)
+    angle = angles_round(rng, of.count, of.irregularity)
+    room = of.outer - of.inner + 2 * _FADE
+    length = np.minimum(of.length * log_normal(rng, of.count, 0.7 * of.irregularity), room)
+    start = of.inner - _FADE + (room - length) * rng.uniform(0, 1, of.count)
+    return _fibres(of, rng, ring, (angle, start, length), 0.9, 0.014, (0.6, 1.6), head=0.4)
 
 
-class CollaretteSpokes(AbstractComponent):
+def _collarette_spokes(of, rng, ring):
     """Spokes from the pupil to a ragged collarette, widest towards it."""
-
-    count: int = _setting(120)
-    width: float = _setting(0.02)
-    inner: float = _setting(0.0)
-    outer: float = _setting(0.4)
-    waviness: float = _setting(0.3)
-    irregularity: float = _setting(0.6)
-    softness: float = _setting(0.004)
-
-    def _paint(self, rng, ring):
-        n, irregularity = self.count, self.irregularity
-        angle = angles_round(rng, n, irregularity)
-        room = self.outer - self.inner
-        start = self.inner - _FADE + 0.45 * room * irregularity * rng.uniform(0, 1, n) ** 2
-        # The collarette is a zigzag: neighbouring spokes end at similar radii.
-        ragged = 0.06 * smooth_noise(rng, 5)(angle) + 0.09 * smooth_noise(rng, 26)(angle)
-        ragged += 0.06 * rng.normal(size=n)
-        end = self.outer - room * np.clip(-irregularity * ragged, -0.25, 0.6)
-        strokes = Strokes(
-            angle,
-            start,
-            end - start,
-            self.width * log_normal(rng, n, 0.8 * irregularity),
-            0.02 * self.waviness * rng.uniform(0.4, 1.6, n),
-            0.8 * log_normal(rng, n, 1.2 * irregularity) * _bundled(rng, angle, irregularity),
-        )
-        return strokes.paint(rng, ring, self.softness, head=0.65)
+    n, irregularity, room = of.count, of.irregularity, of.outer - of.inner
+    angle = angles_round(rng, n, irregularity)
+    start = of.inner - _FADE + 0.45 * room * irregularity * rng.uniform(0, 1, n) ** 2
+    # The collarette is a zigzag: neighbouring spokes end at similar radii.
+    ragged = 0.06 * smooth_noise(rng, 5)(angle) + 0.09 * smooth_noise(rng, 26)(angle)
+    ragged += 0.06 * rng.normal(size=n)
+    end = of.outer - room * np.clip(-irregularity * ragged, -0.25, 0.6)
+    return _fibres(of, rng, ring, (angle, start, end - start), 0.8, 0.02, (0.8, 1.2), head=0.65)
 
 
-class CollaretteDots(AbstractComponent):
+def _collarette_dots(of, rng, ring):
     """Dots on the inner half, crowded towards the collarette; with a `length` they are smeared."""
-
-    count: int = _setting(170)
-    width: float = _setting(0.014)
-    length: float = _setting(0.0)
-    inner: float = _setting(0.05)
-    outer: float = _setting(0.5)
-    irregularity: float = _setting(0.7)
-    softness: float = _setting(0.0035)
-
-    def _paint(self, rng, ring):
-        dots = _scattered(rng, ring, self)
-        ragged = 0.65 + 0.12 * self.irregularity * smooth_noise(rng, 24)(dots.angle)
-        spread = (0.1 + 0.2 * rng.uniform(0, 1, self.count)) * rng.normal(size=self.count)
-        crowded = self.inner + (self.outer - self.inner) * np.clip(ragged + spread, 0, 1)
-        dots = dots._replace(relative=crowded)
-        if self.length == 0:
-            return dots.paint(rng, ring, self.softness)
-        return _smeared(rng, ring, self, dots, 0.004, 0.6)
+    dots = _scattered(of, rng, ring)
+    ragged = 0.65 + 0.12 * of.irregularity * smooth_noise(rng, 24)(dots.angle)
+    spread = (0.1 + 0.2 * rng.uniform(0, 1, of.count)) * rng.normal(size=of.count)
+    crowded = of.inner + (of.outer - of.inner) * np.clip(ragged + spread, 0, 1)
+    dots = dots._replace(relative=crowded)
+    if of.length == 0:
+        return dots.paint(rng, ring, of.softness)
+    return _smeared(of, rng, ring, dots, 0.004, 0.6)
 
 
-class Sphincter(AbstractComponent):
+def _sphincter_dabs(of, rng, ring):
     """A soft ring close to the pupil: fine radial dabs on a thin wash."""
-
-    count: int = _setting(150)
-    reach: float = _setting(0.2)
-    irregularity: float = _setting(0.5)
-    softness: float = _setting(0.008)
-
-    def _paint(self, rng, ring):
-        n, irregularity = self.count, self.irregularity
-        girth = 2 * np.pi * ring.place(self.reach / 2)
-        strokes = Strokes(
-            angles_round(rng, n, irregularity),
-            np.full(n, -0.02),
-            self.reach * log_normal(rng, n, 0.5 * irregularity),
-            girth / max(n, 1) * log_normal(rng, n, 0.5),
-            np.full(n, 0.004),
-            0.7 * log_normal(rng, n, 0.6 * irregularity),
-        )
-        return strokes.paint(rng, ring, self.softness, head=0.35)
-
-    def _wash(self, rng, radius):
-        ragged = _ragged(rng, len(radius), 14, 0.25 * self.irregularity)
-        return 0.55 * (1 - smooth_step(radius / (1.3 * self.reach) + ragged))
+    girth = 2 * np.pi * ring.place(of.reach / 2)
+    return _dabs(of, rng, ring, (of.reach, 0.5), girth, 0.004, 0.7, head=0.35)
 
 
-class Limbus(AbstractComponent):
+def _sphincter_wash(of, rng, radius):
+    ragged = _ragged(rng, len(radius), 14, 0.25 * of.irregularity)
+    return 0.55 * (1 - smooth_step(radius / (1.3 * of.reach) + ragged))
+
+
+def _limbus_dabs(of, rng, ring):
     """A soft border: clear inwards, opaque at the outer edge, frayed between."""
-
-    count: int = _setting(260)
-    reach: float = _setting(0.22)
-    irregularity: float = _setting(0.5)
-    softness: float = _setting(0.012)
-
-    def _paint(self, rng, ring):
-        n, irregularity = self.count, self.irregularity
-        angle = angles_round(rng, n, irregularity)
-        length = 0.8 * self.reach * log_normal(rng, n, 0.4 * irregularity)
-        strokes = Strokes(
-            angle,
-            1.05 - length,
-            length,
-            2 * np.pi / max(n, 1) * log_normal(rng, n, 0.5),
-            np.full(n, 0.006),
-            0.9 * log_normal(rng, n, 0.6 * irregularity),
-        )
-        return strokes.paint(rng, ring, self.softness, head=0.75)
-
-    def _wash(self, rng, radius):
-        inwards = np.maximum(1 - radius, 0) / self.reach
-        ragged = np.exp(_ragged(rng, len(radius), 14, 0.2 * self.irregularity))
-        return 1 - smooth_step(inwards * ragged)
+    return _dabs(of, rng, ring, (0.8 * of.reach, 0.4), 2 * np.pi, 0.006, 0.9, head=0.75, end=1.05)
 
 
-class PupilRing(AbstractComponent):
-    """A soft ring at the pupil's margin; the pupil itself is the hole in the cones."""
-
-    reach: float = _setting(0.06)
-    irregularity: float = _setting(0.3)
-
-    def _wash(self, rng, radius):
-        outwards = np.maximum(radius, 0) / self.reach
-        ragged = np.exp(_ragged(rng, len(radius), 24, 0.4 * self.irregularity))
-        return 1 - smooth_step(outwards * ragged)
+def _edge(of, rng, away, harmonics: int, height: float):
+    """Opaque at an edge of the iris, clear beyond a ragged `reach` from it."""
+    ragged = np.exp(_ragged(rng, len(away), harmonics, height * of.irregularity))
+    return 1 - smooth_step(np.maximum(away, 0) / of.reach * ragged)
 
 
-COMPONENTS: Mapping[str, type[AbstractComponent]] = {
-    "base": Base,
-    "stroma-dots": StromaDots,
-    "stroma-smeared-dots": StromaSmearedDots,
-    "stroma-smears": StromaSmears,
-    "collarette-spokes": CollaretteSpokes,
-    "collarette-dots": CollaretteDots,
-    "sphincter": Sphincter,
-    "limbus": Limbus,
-    "pupil": PupilRing,
-}
-"""Components by the names that recipes have for them."""
+def _fibres(of, rng, ring, where, widths, wave, depth, head: float) -> Paint:
+    """Strokes at angles, starts and lengths, given the spread of their widths, their `wave`, and
+    median and spread of their depth, which is alike for neighbours: fibres come in bundles.
+    """
+    (angle, start, length), n, irregularity = where, of.count, of.irregularity
+    width = of.width * log_normal(rng, n, widths * irregularity)
+    sway = wave * of.waviness * rng.uniform(0.4, 1.6, n)
+    paint = depth[0] * log_normal(rng, n, depth[1] * irregularity)
+    paint *= np.exp(0.5 * irregularity * smooth_noise(rng, 40)(angle))
+    return Strokes(angle, start, length, width, sway, paint).paint(rng, ring, of.softness, head)
 
 
-def _check_parameter(name: str, value: Any) -> None:
-    """Raise `ValueError` unless a component's parameter is a number in its range."""
-    if name == "count":
-        check_whole(name, value, 0, MOST_STROKES)
-    elif isinstance(value, bool) or not isinstance(value, int | float | np.number):
-        raise ValueError(f"{name} = {value!r} is not a number")
-    else:
-        check_range(name, value, PARAMETER_RANGES[name])
+def _dabs(of, rng, ring, length, girth: float, wave: float, depth: float, head, end=None) -> Paint:
+    """Fine radial strokes side by side round a circle of this girth, from the pupil or to `end`;
+    `length` is the median and the spread.
+    """
+    n, irregularity = of.count, of.irregularity
+    angle = angles_round(rng, n, irregularity)
+    long = length[0] * log_normal(rng, n, length[1] * irregularity)
+    start = np.full(n, -0.02) if end is None else end - long
+    width = girth / max(n, 1) * log_normal(rng, n, 0.5)
+    paint = depth * log_normal(rng, n, 0.6 * irregularity)
+    strokes = Strokes(angle, start, long, width, np.full(n, wave), paint)
+    return strokes.paint(rng, ring, of.softness, head)
 
 
-def _texels(size: int) -> tuple[Float32[np.ndarray, "1 size"], Float32[np.ndarray, "size 1"]]:
-    """x and y of texels, in outer radii of the iris."""
-    x = ((2 * np.arange(size) + 1) / size - 1).astype(np.float32)
-    return x[None], -x[:, None]
-
-
-def _bundled(rng, angle, irregularity: float):
-    """Factors on the paint of strokes, alike for neighbours: fibres come in bundles."""
-    return np.exp(0.5 * irregularity * smooth_noise(rng, 40)(angle))
-
-
-def _scattered(rng, ring: Annulus, of) -> Dots:
+def _scattered(of, rng, ring) -> Dots:
     """Dots of even density over the area."""
     n, irregularity = of.count, of.irregularity
     angle = angles_round(rng, n, irregularity)
@@ -389,26 +265,16 @@ def _scattered(rng, ring: Annulus, of) -> Dots:
     even = rng.uniform() + np.arange(n) * (np.sqrt(5) - 1) / 2
     share = (even + irregularity * rng.uniform(-0.5, 0.5, n)) % 1
     inner, outer = ring.place(of.inner), ring.place(of.outer)
-    return Dots(
-        angle,
-        ring.relative(np.sqrt(inner**2 + share * (outer**2 - inner**2))),
-        of.width * log_normal(rng, n, 0.6 * irregularity),
-        2.5 * log_normal(rng, n, 0.8 * irregularity),
-    )
+    relative = ring.relative(np.sqrt(inner**2 + share * (outer**2 - inner**2)))
+    width = of.width * log_normal(rng, n, 0.6 * irregularity)
+    return Dots(angle, relative, width, 2.5 * log_normal(rng, n, 0.8 * irregularity))
 
 
-def _smeared(rng, ring: Annulus, of, dots: Dots, wave: float, head: float) -> Paint:
+def _smeared(of, rng, ring, dots: Dots, wave: float, head: float) -> Paint:
     """Dots with tails, a share `head` of whose length lies within the dot."""
-    n = of.count
-    length = of.length * log_normal(rng, n, 0.7 * of.irregularity)
-    tails = Strokes(
-        dots.angle,
-        dots.relative - head * length,
-        length,
-        0.8 * dots.width,
-        wave * rng.uniform(0.4, 1.6, n),
-        0.7 * dots.depth,
-    )
+    length = of.length * log_normal(rng, of.count, 0.7 * of.irregularity)
+    start, sway = dots.relative - head * length, wave * rng.uniform(0.4, 1.6, of.count)
+    tails = Strokes(dots.angle, start, length, 0.8 * dots.width, sway, 0.7 * dots.depth)
     heads = dots._replace(width=0.7 * dots.width, depth=0.6 * dots.depth)
     return tails.paint(rng, ring, of.softness, head) | heads.paint(rng, ring, of.softness)
 
@@ -431,3 +297,51 @@ def _grey(values: np.ndarray) -> np.ndarray:
     )
     grey = colour @ np.asarray(LUMINANCE, np.float32) if colour.shape[2] == 3 else colour[..., 0]
     return 1 - alpha * (1 - grey)
+
+
+COMPONENTS: Mapping[str, Component] = {
+    "base": Component(wash=lambda of, rng, radius: np.ones_like(radius)),
+    "stroma-dots": Component(
+        _stroma_dots,
+        count=320, width=0.016, inner=0.06, outer=0.97, irregularity=0.7, softness=0.0035,
+    ),
+    "stroma-smeared-dots": Component(
+        _stroma_smeared_dots,
+        count=220, width=0.016, length=0.16, inner=0.05, outer=0.97,
+        waviness=0.3, irregularity=0.7, softness=0.0045,
+    ),
+    "stroma-smears": Component(
+        _stroma_smears,
+        count=420, width=0.013, length=0.5, inner=0.05, outer=1.0,
+        waviness=0.5, irregularity=0.6, softness=0.004,
+    ),
+    "collarette-spokes": Component(
+        _collarette_spokes,
+        count=120, width=0.02, inner=0.0, outer=0.4,
+        waviness=0.3, irregularity=0.6, softness=0.004,
+    ),
+    "collarette-dots": Component(
+        _collarette_dots,
+        count=170, width=0.014, length=0.0, inner=0.05, outer=0.5,
+        irregularity=0.7, softness=0.0035,
+    ),
+    "sphincter": Component(
+        _sphincter_dabs, _sphincter_wash, count=150, reach=0.2, irregularity=0.5, softness=0.008
+    ),
+    "limbus": Component(
+        _limbus_dabs,
+        lambda of, rng, radius: _edge(of, rng, 1 - radius, 14, 0.2),
+        count=260, reach=0.22, irregularity=0.5, softness=0.012,
+    ),
+    # At the pupil's margin; the pupil itself is the hole in the cones.
+    "pupil": Component(
+        wash=lambda of, rng, radius: _edge(of, rng, radius, 24, 0.4), reach=0.06, irregularity=0.3
+    ),
+}  # fmt: skip
+"""Components by the names that recipes have for them, with their default parameters."""
+
+
+def _texels(size: int) -> tuple[Float32[np.ndarray, "1 size"], Float32[np.ndarray, "size 1"]]:
+    """x and y of texels, in outer radii of the iris."""
+    x = ((2 * np.arange(size) + 1) / size - 1).astype(np.float32)
+    return x[None], -x[:, None]

@@ -25,11 +25,7 @@ _REACH = 4.5  # radius of a drop, standard deviations
 
 
 class Annulus(NamedTuple):
-    """The iris, with an outer radius of 1.
-
-    Attributes:
-        pupil: The inner radius.
-    """
+    """The iris, with an outer radius of 1 and the `pupil`'s inner one."""
 
     pupil: float
 
@@ -43,7 +39,7 @@ class Annulus(NamedTuple):
 
 
 class Paint(NamedTuple):
-    """_Drops at (x, y), y up, in outer radii; `amount`: optical depth × area of each."""
+    """Drops at (x, y), y up, in outer radii; `amount`: optical depth × area of each."""
 
     x: _Drops
     y: _Drops
@@ -54,11 +50,8 @@ class Paint(NamedTuple):
         return Paint(*(np.concatenate(pair) for pair in zip(self, other, strict=True)))
 
     def opacity(self, size: int, softness: float) -> Opacity:
-        """Mean opacity of each texel of the square.
-
-        Args:
-            size: Texels along a side.
-            softness: Standard deviation of a drop, outer radii.
+        """Mean opacity of each of size × size texels; `softness` is the standard deviation of a
+        drop in outer radii.
         """
         parts = 1
         while softness * size * parts / 2 < _LEAST:
@@ -83,7 +76,7 @@ class Paint(NamedTuple):
         return np.maximum(np.asarray(fine), np.float32(0))
 
     def _gathered(self, size: int, margin: int) -> Float32[np.ndarray, "all all"]:
-        """_Each drop shared out to the nearest four texels, `margin` of them beyond each side."""
+        """Each drop shared out to the nearest four texels, `margin` of them beyond each side."""
         wide = size + 2 * margin
         # What lies further out ends at the margin's rim, where no drop reaches the square.
         column = np.clip(size / 2 * (1 + self.x) + (margin - 0.5), 0, wide - 1.001)
@@ -104,32 +97,18 @@ class Paint(NamedTuple):
 
 
 class Strokes(NamedTuple):
-    """Radial strokes, each field of shape (strokes,).
+    """Radial strokes, each field of shape (strokes,)."""
 
-    Attributes:
-        angle: Radians.
-        start: Relative radius of the inner end.
-        length: Relative radii.
-        width: Outer radii.
-        wave: How far strokes sway to each side, outer radii.
-        depth: Optical depth of the paint.
-    """
-
-    angle: _Each
-    start: _Each
-    length: _Each
-    width: _Each
-    wave: _Each
-    depth: _Each
+    angle: _Each  # radians
+    start: _Each  # relative radius of the inner end
+    length: _Each  # relative radii
+    width: _Each  # outer radii
+    wave: _Each  # how far strokes sway to each side, outer radii
+    depth: _Each  # optical depth of the paint
 
     def paint(self, rng: np.random.Generator, ring: Annulus, softness: float, head: float) -> Paint:
-        """Draw strokes of several hairs, each hair with its own beginning, end and load.
-
-        Args:
-            rng: Source of the irregularities.
-            ring: The iris.
-            softness: Standard deviation of a drop, outer radii.
-            head: Where along it a stroke is widest, 0 at its inner and 1 at its outer end.
+        """Draw strokes of several hairs, each hair with its own beginning, end and load. A stroke
+        is widest at `head`, from 0 at its inner to 1 at its outer end.
         """
         if len(self.angle) == 0:
             return Paint(*(np.zeros(0, np.float32) for _ in Paint._fields))
@@ -188,19 +167,12 @@ def _hairs(rng, n: int, hairs: int, t, head: float):
 
 
 class Dots(NamedTuple):
-    """Round dots, each field of shape (dots,).
+    """Round dots, each field of shape (dots,)."""
 
-    Attributes:
-        angle: Radians.
-        relative: Relative radius.
-        width: Diameter, outer radii.
-        depth: Optical depth of the paint.
-    """
-
-    angle: _Each
-    relative: _Each
-    width: _Each
-    depth: _Each
+    angle: _Each  # radians
+    relative: _Each  # relative radius
+    width: _Each  # diameter, outer radii
+    depth: _Each  # optical depth of the paint
 
     def paint(self, rng: np.random.Generator, ring: Annulus, softness: float) -> Paint:
         """Draw dots a little out of round, their drops on Vogel's spiral."""
