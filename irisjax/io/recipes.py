@@ -16,7 +16,7 @@ from irisjax.io.text import read_columns, read_text
 from irisjax.numerics.checks import Range
 from irisjax.ocularist.coats import HEIGHT, PUPIL_RADIUS, prosthesis
 from irisjax.ocularist.components import COMPONENTS
-from irisjax.ocularist.kubelka_munk import COEFFICIENT, KubelkaMunkMixer, paired_columns
+from irisjax.ocularist.kubelka_munk import COEFFICIENT, KubelkaMunkMixer
 from irisjax.ocularist.mixing import AbstractMixer, HslMixer, linear_colour
 from irisjax.ocularist.painting import SCAN
 from irisjax.ocularist.recipes import CoatRecipe
@@ -150,7 +150,7 @@ def read_paints(path: str | Path) -> KubelkaMunkMixer:
         table = read_columns(read_text(path))
         if table.names[0] != _WAVELENGTH:
             raise ValueError(f"the first column must be {_WAVELENGTH}, not {table.names[0]!r}")
-        pairs = paired_columns(table.names[1:])
+        pairs = _paired_columns(table.names[1:])
         if not pairs:
             raise ValueError("no paint beside the wavelengths")
         for i, j in np.argwhere(~COEFFICIENT.holds(table.values))[:1]:
@@ -168,6 +168,23 @@ def read_paints(path: str | Path) -> KubelkaMunkMixer:
                 raise ValueError(f"{_SURFACE}: {said!r} is not two numbers") from None
             surface = outside, inside
         return KubelkaMunkMixer(tuple(pairs), tuple(table.values[:, 0].tolist()), k, s, surface)
+
+
+def _paired_columns(columns: Sequence[str]) -> dict[str, tuple[int, int]]:
+    """Indices of the columns `PAINT_K` and `PAINT_S` of each paint, in the order of the K."""
+    places: dict[tuple[str, str], int] = {}
+    for j, column in enumerate(columns):
+        paint, _, letter = column.strip().rpartition("_")
+        if not paint or letter not in ("K", "S"):
+            raise ValueError(f"column {column!r} is neither PAINT_K nor PAINT_S")
+        if (paint, letter) in places:
+            raise ValueError(f"column {column!r} appears twice")
+        places[paint, letter] = j
+    for paint, letter in places:
+        other = "S" if letter == "K" else "K"
+        if (paint, other) not in places:
+            raise ValueError(f"column {paint}_{letter} has no {paint}_{other} beside it")
+    return {p: (j, places[p, "S"]) for (p, letter), j in places.items() if letter == "K"}
 
 
 def _colour(name: str) -> EntryCheck:

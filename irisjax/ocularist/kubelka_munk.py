@@ -6,45 +6,23 @@ K follows. Measured K and S are read by `irisjax.io.recipes.read_paints`.
 """
 
 from collections.abc import Mapping, Sequence
-from functools import lru_cache
 from importlib import resources
 from typing import Any
 
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Float
 from scipy import optimize
 
 from irisjax._types import as_float
 from irisjax.measure.colour import Observer, tristimulus_matrix
 from irisjax.numerics.checks import Range, check_range
-from irisjax.ocularist.mixing import AbstractMixer, linear_colour
-from irisjax.optics.kubelka_munk import (
-    absorption_of,
-    thick_layer,
-    under_surface,
-    without_surface,
-)
+from irisjax.ocularist import mixing
+from irisjax.optics.kubelka_munk import absorption_of, thick_layer, under_surface, without_surface
 
-# Round numbers of the order of artists' oils [Okumura 2005]: earths and blacks scatter little, so
-# that a white takes much of them; a blue with the scattering of a white would swallow any yellow.
-PAINT_SCATTERING = {
-    "ivory black": 0.005,
-    "titanium white": 1.0,
-    "yellow ochre": 0.1,
-    "burnt sienna": 0.06,
-    "burnt umber": 0.03,
-    "ultramarine": 0.03,
-    "phthalo blue": 0.03,
-    "cadmium yellow": 0.2,
-    "cadmium red": 0.1,
-    "raw sienna": 0.08,
-    "raw umber": 0.03,
-}
-"""S of the paints that come with the package, relative to titanium white's."""
 USUAL_SCATTERING = 0.1
-"""S of a paint of which only the colour is given."""
+"""S of a paint of which only the colour is given, relative to titanium white's."""
 COEFFICIENT = Range(0.0, np.inf)
 """Allowed values of K and of S."""
 
@@ -53,7 +31,7 @@ _ENDS = 1e-5  # least reflectance that is constructed, and least of 1 − R: z i
 _EXACT = 1e-10  # residual of the equations for the smoothest reflectance
 
 
-class KubelkaMunkMixer(AbstractMixer):
+class KubelkaMunkMixer(mixing.AbstractMixer):
     """Mixtures whose K and S are the weighted sums of the paints', in opaque coats
     [Kubelka & Munk 1931; Duncan 1940].
 
@@ -85,7 +63,8 @@ class KubelkaMunkMixer(AbstractMixer):
                 f"K and S of shapes {k.shape} and {s.shape}; need {shape}, one row a paint, each "
                 f"paint once: {', '.join(self.paints)}"
             )
-        for name, k, s in zip(self.paints, self.absorption, self.scattering, strict=True):
+        tables = map(mixing.rows, (self.absorption, self.scattering))
+        for name, k, s in zip(self.paints, *tables, strict=True):
             check_range(f"K of paint {name!r}", k, COEFFICIENT)
             check_range(f"S of paint {name!r}", s, COEFFICIENT)
             check_range(f"K + S of paint {name!r}", k + s, COEFFICIENT._replace(above=True))
@@ -94,38 +73,36 @@ class KubelkaMunkMixer(AbstractMixer):
     @classmethod
     def default(cls) -> "KubelkaMunkMixer":
         """The constructed K and S of `PAINTS` and `FURTHER_PAINTS`, 400 to 700 nm by 10 nm."""
-        names, wavelengths, absorption, scattering = _shipped()
-        return cls(names, wavelengths, as_float(absorption), as_float(scattering))
+        file = resources.files("irisjax.ocularist") / "tables" / "paints.csv"
+        with file.open(encoding="utf-8") as opened:
+            # Two lines of remarks and the names; after the wavelengths K and S of each paint.
+            table = np.loadtxt(opened, delimiter=",", skiprows=3).T
+        paints = *mixing.PAINTS, *mixing.FURTHER_PAINTS
+        return cls(paints, tuple(table[0].tolist()), table[1::2], table[2::2])
 
     def with_paints(self, colours: Mapping[str, Any]) -> "KubelkaMunkMixer":
         """See `AbstractMixer`. K of the added paints is constructed (`constructed_absorption`); S
         is that of the paint they replace, or `USUAL_SCATTERING`.
         """
-        k = dict(zip(self.paints, self.absorption, strict=True))
-        s = dict(zip(self.paints, self.scattering, strict=True))
-        usual = jnp.full_like(self.scattering[0], USUAL_SCATTERING)
+        tables = map(mixing.rows, (self.absorption, self.scattering))
+        k, s = (dict(zip(self.paints, table, strict=True)) for table in tables)
+        usual = np.full(len(self.wavelengths), USUAL_SCATTERING, self.scattering.dtype)
         for name, colour in colours.items():
             s.setdefault(name, usual)
-            linear = linear_colour(name, colour)
+            linear = mixing.linear_colour(name, colour)
             found = constructed_absorption(linear, self.wavelengths, s[name], self.surface)
-            k[name] = jnp.asarray(found, usual.dtype)
+            k[name] = np.asarray(found, usual.dtype)
         absorption, scattering = (jnp.stack([table[name] for name in k]) for table in (k, s))
         return KubelkaMunkMixer(tuple(k), self.wavelengths, absorption, scattering, self.surface)
 
     def blend(
-        self,
-        first: Int[Array, "*coats"],
-        second: Int[Array, "*coats"],
-        share: Float[Array, "*coats"],
-    ) -> Float[Array, "*coats 3"]:
+        self, first: mixing.CoatIndices, second: mixing.CoatIndices, share: mixing.CoatShares
+    ) -> mixing.CoatColours:
         """See `AbstractMixer`; colours outside sRGB are clipped to it."""
         to_second = share.astype(self.absorption.dtype)[..., None]
         to_first = 1 - to_second
-        k, s = (
-            to_first * table[first] + to_second * table[second]
-            for table in (self.absorption, self.scattering)
-        )
-        found = thick_layer(k, s)
+        tables = self.absorption, self.scattering
+        found = thick_layer(*(to_first * t[first] + to_second * t[second] for t in tables))
         if self.surface is not None:
             found = under_surface(found, *self.surface)
         observer = Observer.of(self.wavelengths)
@@ -190,35 +167,3 @@ def smoothest_reflectance(
             f"found no smooth reflectance of linear sRGB {np.round(colour, 4).tolist()}"
         )
     return (1 + np.tanh(found.x[:n])) / 2
-
-
-def paired_columns(columns: Sequence[str]) -> dict[str, tuple[int, int]]:
-    """Indices of the columns `PAINT_K` and `PAINT_S` of each paint, in the order of the K.
-
-    Raises:
-        ValueError: naming a column that is neither, appears twice or has no partner.
-    """
-    places: dict[tuple[str, str], int] = {}
-    for j, column in enumerate(columns):
-        paint, _, letter = column.strip().rpartition("_")
-        if not paint or letter not in ("K", "S"):
-            raise ValueError(f"column {column!r} is neither PAINT_K nor PAINT_S")
-        if (paint, letter) in places:
-            raise ValueError(f"column {column!r} appears twice")
-        places[paint, letter] = j
-    for paint, letter in places:
-        other = "S" if letter == "K" else "K"
-        if (paint, other) not in places:
-            raise ValueError(f"column {paint}_{letter} has no {paint}_{other} beside it")
-    return {p: (j, places[p, "S"]) for (p, letter), j in places.items() if letter == "K"}
-
-
-@lru_cache(maxsize=1)
-def _shipped():
-    file = resources.files("irisjax.ocularist") / "tables" / "paints.csv"
-    with file.open(encoding="utf-8") as opened:
-        lines = [line for line in opened if not line.startswith("#")]
-    table = np.loadtxt(lines[1:], delimiter=",").T
-    pairs = paired_columns(lines[0].strip().split(",")[1:])
-    k, s = np.moveaxis(np.stack([table[1:][list(pair)] for pair in pairs.values()]), 1, 0)
-    return tuple(pairs), tuple(table[0].tolist()), k, s

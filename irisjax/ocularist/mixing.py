@@ -13,11 +13,12 @@ Hue, saturation and lightness are those of paint programs, of sRGB's encoded val
 import abc
 import re
 from collections.abc import Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
+from jax.core import Tracer
 from jaxtyping import Array, Float, Int
 
 from irisjax._types import as_float
@@ -26,38 +27,26 @@ from irisjax.numerics.checks import Range, check_known, check_range
 
 PaintNames = str | Sequence[str]
 """The name of a paint, or one name per coat."""
+CoatIndices = Int[Array, "*coats"]
+CoatShares = Float[Array, "*coats"]
+CoatColours = Float[Array, "*coats 3"]
 
 
-class Published(NamedTuple):
-    """A paint's published colour.
-
-    Attributes:
-        srgb: `#rrggbb` in sRGB.
-        source: The maker.
-    """
-
-    srgb: str
-    source: str
-
-
-_REMBRANDT = "Rembrandt (Royal Talens)"
+# By Rembrandt (Royal Talens), but for the black, which is by Winsor & Newton. In HSL the faint tint
+# of a black or a white would count as its hue: (16, 15, 17) and (253, 254, 249) were made neutral.
 PAINTS = {
-    # In HSL the faint tint of a black or a white would count as its hue: both are made neutral.
-    "ivory black": Published("#101010", "Winsor & Newton; (16, 15, 17) made neutral"),
-    "titanium white": Published("#fdfdfd", f"{_REMBRANDT}; (253, 254, 249) made neutral"),
-    "yellow ochre": Published("#ac7726", _REMBRANDT),
-    "burnt sienna": Published("#65382f", _REMBRANDT),
-    "burnt umber": Published("#3c2823", _REMBRANDT),
-    "ultramarine": Published("#1e1da0", f"{_REMBRANDT}, ultramarine deep"),
-    "phthalo blue": Published("#072b73", f"{_REMBRANDT}, phthalo blue red"),
-    "cadmium yellow": Published("#ffc000", f"{_REMBRANDT}, cadmium yellow medium"),
-    "cadmium red": Published("#cd261e", f"{_REMBRANDT}, cadmium red medium"),
+    "ivory black": "#101010",
+    "titanium white": "#fdfdfd",
+    "yellow ochre": "#ac7726",
+    "burnt sienna": "#65382f",
+    "burnt umber": "#3c2823",
+    "ultramarine": "#1e1da0",  # ultramarine deep
+    "phthalo blue": "#072b73",  # phthalo blue red
+    "cadmium yellow": "#ffc000",  # cadmium yellow medium
+    "cadmium red": "#cd261e",  # cadmium red medium
 }
-"""The default paints."""
-FURTHER_PAINTS = {
-    "raw sienna": Published("#8b5f2f", _REMBRANDT),
-    "raw umber": Published("#322b26", _REMBRANDT),
-}
+"""The default paints and their published colours, sRGB."""
+FURTHER_PAINTS = {"raw sienna": "#8b5f2f", "raw umber": "#322b26"}
 """Paints that can be added by name."""
 
 _SHARE = Range(0.0, 1.0, meaning="share of the second paint in a mixture")
@@ -80,12 +69,7 @@ class AbstractMixer(eqx.Module):
         """The mixer with paints added or replaced; colours as for `linear_colour`."""
 
     @abc.abstractmethod
-    def blend(
-        self,
-        first: Int[Array, "*coats"],
-        second: Int[Array, "*coats"],
-        share: Float[Array, "*coats"],
-    ) -> Float[Array, "*coats 3"]:
+    def blend(self, first: CoatIndices, second: CoatIndices, share: CoatShares) -> CoatColours:
         """`mix` of paints by their indices in `paints`; pure, for traced arrays."""
 
     def indices(self, names: PaintNames) -> Int[np.ndarray, "*coats"]:
@@ -94,11 +78,10 @@ class AbstractMixer(eqx.Module):
         Raises:
             ValueError: naming the known paints, and the nearest, for an unknown one.
         """
-        one = isinstance(names, str)
-        for name in [names] if one else names:
+        for name in [names] if isinstance(names, str) else names:
             check_known("paint", name, self.paints)
         where = self.paints.index
-        return np.asarray(where(names) if one else [where(name) for name in names], int)
+        return np.asarray(where(names) if isinstance(names, str) else [*map(where, names)], int)
 
     def mix(
         self, first: PaintNames, second: PaintNames, share: Float[Array, "..."] | np.ndarray | float
@@ -119,14 +102,12 @@ class AbstractMixer(eqx.Module):
         check_range("share", share, _SHARE)
         i, j, share = self.indices(first), self.indices(second), as_float(share)
         try:
-            shape = np.broadcast_shapes(i.shape, j.shape, share.shape)
+            return _blended(self, *jnp.broadcast_arrays(i, j, share))
         except ValueError:
             raise ValueError(
                 f"paints of shapes {i.shape} and {j.shape} and shares of {share.shape} do not go "
                 f"together"
             ) from None
-        i, j = jnp.asarray(np.broadcast_to(i, shape)), jnp.asarray(np.broadcast_to(j, shape))
-        return _blended(self, i, j, jnp.broadcast_to(share, shape))
 
 
 @eqx.filter_jit
@@ -156,13 +137,13 @@ class HslMixer(AbstractMixer):
                 f"a palette needs one name a colour, each once; got {len(self.paints)} names for "
                 f"{self.colours.shape[0]} colours: {', '.join(self.paints)}"
             )
-        for name, colour in zip(self.paints, self.colours, strict=True):
+        for name, colour in zip(self.paints, rows(self.colours), strict=True):
             check_range(f"reflectance of paint {name!r}", colour, _REFLECTANCE)
 
     @classmethod
     def default(cls) -> "HslMixer":
         """A mixer of `PAINTS`."""
-        return cls.of({name: paint.srgb for name, paint in PAINTS.items()})
+        return cls.of(PAINTS)
 
     @classmethod
     def of(cls, colours: Mapping[str, Any]) -> "HslMixer":
@@ -178,20 +159,22 @@ class HslMixer(AbstractMixer):
 
     def with_paints(self, colours: Mapping[str, Any]) -> "HslMixer":
         """See `AbstractMixer`."""
-        paints = dict(zip(self.paints, self.colours, strict=True))
+        paints = dict(zip(self.paints, rows(self.colours), strict=True))
         dtype = self.colours.dtype
         paints |= {n: jnp.asarray(linear_colour(n, c), dtype) for n, c in colours.items()}
         return HslMixer(tuple(paints), jnp.stack(list(paints.values())))
 
-    def blend(
-        self,
-        first: Int[Array, "*coats"],
-        second: Int[Array, "*coats"],
-        share: Float[Array, "*coats"],
-    ) -> Float[Array, "*coats 3"]:
+    def blend(self, first: CoatIndices, second: CoatIndices, share: CoatShares) -> CoatColours:
         """See `AbstractMixer`."""
         share = share.astype(self.colours.dtype)
         return mixed_in_hsl(self.colours[first], self.colours[second], share)
+
+
+def rows(table: Array) -> Array | np.ndarray:
+    """The table to be taken row by row; with NumPy where it can be, as JAX compiles a program for
+    each number of rows.
+    """
+    return table if isinstance(table, Tracer) else np.asarray(table)
 
 
 def linear_colour(name: str, colour: Any) -> np.ndarray:
@@ -200,11 +183,14 @@ def linear_colour(name: str, colour: Any) -> np.ndarray:
     Raises:
         ValueError: naming the paint for anything else.
     """
+    steps: Any = colour
     if isinstance(colour, str) and re.fullmatch("#[0-9a-fA-F]{6}", colour):
         steps = [int(colour[i : i + 2], 16) for i in (1, 3, 5)]
-    elif isinstance(colour, Sequence | np.ndarray) and _three_steps(colour):
-        steps = list(colour)
-    else:
+    numbers = isinstance(steps, Sequence | np.ndarray) and len(steps) == 3
+    if not numbers or not all(
+        isinstance(s, int | float | np.number) and not isinstance(s, bool) and _STEP.holds(s)
+        for s in steps
+    ):
         raise ValueError(
             f"paint {name!r}: {colour!r} is no colour; need '#rrggbb' or three numbers in {_STEP}"
         )
@@ -276,10 +262,3 @@ def srgb_of(
         return lightness - reach * wave
 
     return jnp.stack([channel(0.0), channel(8.0), channel(4.0)], -1)
-
-
-def _three_steps(colour) -> bool:
-    return len(colour) == 3 and all(
-        isinstance(s, int | float | np.number) and not isinstance(s, bool) and _STEP.holds(s)
-        for s in colour
-    )
