@@ -123,8 +123,7 @@ def painting_files(
         meshes[stem] = cone_mesh(Cones(profile.z - float(coat.height), profile.radius), around)
         files[f"{stem}.png"] = _picture(coat)
     if eye is not None:
-        outside = shell(eye)._asdict()
-        meshes |= {name: cone_mesh(cones, around) for name, cones in outside.items()}
+        meshes |= {name: cone_mesh(cones, around) for name, cones in shell(eye).items()}
     meshes = {name: right_handed(mesh) for name, mesh in meshes.items()}
     textures = {stem: f"{stem}.png" for stem in meshes if f"{stem}.png" in files}
     return files | mesh_files(meshes, form, textures)

@@ -83,11 +83,10 @@ class Cones(eqx.Module):
         Origins (mm) and unit directions have shape (…, 3). Cones extend a few roundings beyond
         their seams, so that no ray slips through.
         """
-        distance, inside = self._all(origin, direction)
-        held = inside & (distance > least)
-        ordered = jnp.where(held, distance, jnp.inf)
-        first = jnp.argmin(ordered, 0)
-        met = held.any(0)
+        every, on = self._all(origin, direction)
+        distance, on = every.reshape(-1, *every.shape[2:]), on.reshape(-1, *every.shape[2:])
+        held = on & (distance > least)
+        first, met = jnp.argmin(jnp.where(held, distance, jnp.inf), 0), held.any(0)
         found = jnp.take_along_axis(distance, first[None], 0)[0]
         return Hit(jnp.where(met, found, 0.0), first % (len(self.z) - 1), met)
 
@@ -112,18 +111,16 @@ class Cones(eqx.Module):
         return self.z[i] + slope[i] * (radius - self.radius[i])
 
     def _all(self, origin: Vector, direction: Vector):
-        """Distances to both intersections with every untruncated cone, (2 × cones, …), and whether
-        they lie between its circles.
+        """Distances to both intersections with every untruncated cone, (2, cones, …), and whether
+        they lie on the cone itself and between its circles.
 
         On a cone Δz r = w with w = Δr z + r₀ Δz − Δr z₀, squared a quadratic in the distance. Its
         discriminant is Δz² times a sum of squares less a square; written so, nothing cancels, and
         flat cones lose no precision.
         """
-        (ox, oy, oz), (dx, dy, dz) = (parts(v[None]) for v in (origin, direction))
-        shape = (-1, *(1,) * (ox.ndim - 1))
-        z0, r0 = self.z[:-1].reshape(shape), self.radius[:-1].reshape(shape)
-        rise = jnp.diff(self.z).reshape(shape)
-        out = jnp.diff(self.radius).reshape(shape)
+        (ox, oy, oz), (dx, dy, dz) = (parts(v[None, None]) for v in (origin, direction))
+        ends = self.z[:-1], self.radius[:-1], jnp.diff(self.z), jnp.diff(self.radius)
+        z0, r0, rise, out = (v.reshape(1, -1, *(1,) * (ox.ndim - 2)) for v in ends)
         w0, w1 = r0 * rise + out * (oz - z0), out * dz
         across, away = safe_sqrt(dx * dx + dy * dy), safe_sqrt(ox * ox + oy * oy)
         a = (rise * across - w1) * (rise * across + w1)
@@ -134,59 +131,31 @@ class Cones(eqx.Module):
         opens = rise >= 0
         root = jnp.where(opens, rise, -rise) * jnp.sqrt(jnp.where(inner > 0, inner, 0.0))
         q = -(b + jnp.where(b >= 0, root, -root))
-        first = c / jnp.where(q != 0, q, 1.0)
-        second = q / jnp.where(a != 0, a, 1.0)
-        t = jnp.concatenate([first, second])
-        real = jnp.concatenate([(inner >= 0) & (q != 0), (inner >= 0) & (a != 0)])
+        t = jnp.concatenate([c / jnp.where(q != 0, q, 1.0), q / jnp.where(a != 0, a, 1.0)])
+        real = (inner >= 0) & jnp.concatenate([q != 0, a != 0])
         # Rays steeper than a cone meet it once and its mirror image once; the sign of w decides.
         # On flat cones the two are one point with two derivatives.
         one = (b >= 0) == ((w1 >= 0) != opens)
-        known, right = jnp.concatenate([a < 0, a < 0]), jnp.concatenate([one, ~one])
-        on, inside = self._between(t, (ox, oy, oz), (dx, dy, dz), shape)
-        return t, real & inside & jnp.where(known, right, on)
-
-    def _between(self, t, origin, direction, shape):
-        """Whether points lie on their cone rather than on its mirror image, and between its
-        circles.
-        """
-        x, y, z = (o + t * d for o, d in zip(origin, direction, strict=True))
+        x, y, z = ox + t * dx, oy + t * dy, oz + t * dz
         r = jnp.sqrt(x * x + y * y)
-        ends = [jnp.concatenate([v, v]).reshape(shape) for v in (self.z[:-1], self.radius[:-1])]
-        rise, out = (
-            jnp.concatenate([v, v]).reshape(shape)
-            for v in (jnp.diff(self.z), jnp.diff(self.radius))
+        slack = _ROUNDING * jnp.finfo(t.dtype).eps * (jnp.abs(self.z).max() + self.radius.max())
+        # The radius that the cone has at z, times its rise: below 0 on its mirror image.
+        sheet = (r0 * rise + (z - z0) * out) * rise
+        right = jnp.where(
+            a < 0, jnp.concatenate([one, ~one]), sheet >= -slack * jnp.abs(out * rise)
         )
         square = rise * rise + out * out
-        share = ((z - ends[0]) * rise + (r - ends[1]) * out) / square
-        size = jnp.abs(self.z).max() + self.radius.max()
-        slack = _ROUNDING * jnp.finfo(t.dtype).eps * size
-        # The radius that the cone has at z, times its rise: below 0 on its mirror image.
-        sheet = (ends[1] * rise + (z - ends[0]) * out) * rise
-        on = sheet >= -slack * jnp.abs(out * rise)
-        slack = slack / jnp.sqrt(square)
-        return on, (share >= -slack) & (share <= 1 + slack)
+        share, slack = ((z - z0) * rise + (r - r0) * out) / square, slack / jnp.sqrt(square)
+        return t, real & right & (share >= -slack) & (share <= 1 + slack)
 
 
-class Shell(NamedTuple):
-    """The outside of an eye.
-
-    Between circles the cones lie within the surface, by R (1 − cos(δ/2)) at most for circles that
-    are δ apart as seen from its centre.
-
-    Attributes:
-        cornea: Its front, from the apex to the limbus.
-        white: From the limbus to the back of the eye.
-    """
-
-    cornea: Cones
-    white: Cones
-
-
-def shell(eye: Eye, circles: int = 64) -> Shell:
-    """The cross-section of an eye's outside, as the paper draws it.
+def shell(eye: Eye, circles: int = 64) -> dict[str, Cones]:
+    """The cross-section of an eye's outside, as the paper draws it: its cornea from the apex to the
+    limbus, and its white from there to the back of the eye.
 
     For `prosthesis` these are spheres of 7.8 and 11.5 mm, their centres 4.7 mm apart
-    [L03 Fig. 6].
+    [L03 Fig. 6]. Between circles the cones lie within them, by R (1 − cos(δ/2)) at most for circles
+    that are δ apart as seen from the centre.
 
     Args:
         eye: With a cornea and a white.
@@ -205,4 +174,4 @@ def shell(eye: Eye, circles: int = 64) -> Shell:
     turn = begin + (jnp.pi - begin) * jnp.linspace(0, 1, circles)
     middle = cornea.z[-1] + wide * jnp.cos(begin)
     behind = jnp.maximum(wide * jnp.sin(turn), 0.0)  # rounding may give less at the back pole
-    return Shell(cornea, Cones(middle - wide * jnp.cos(turn), behind))
+    return {"cornea": cornea, "white": Cones(middle - wide * jnp.cos(turn), behind)}
