@@ -10,12 +10,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from irisjax.numerics.checks import check_whole
+from irisjax.numerics.checks import check_known, check_whole
 
 EYE_TYPES = ("smeared", "dit-dot", "detail")
 """Types of eye, from the least to the most detail."""
 HEIGHT_STEP = 0.006
 """From one coat to the next, mm."""
+_SEEDS = 2**31
 
 
 class CoatRecipe(NamedTuple):
@@ -45,20 +46,15 @@ def coats(kind: str, colour: str, *, seed: int) -> tuple[CoatRecipe, ...]:
     one. Equal seeds give equal coats. **Raises:** `ValueError` for an unknown type or colour and
     for a seed that is negative or not whole.
     """
-    for what, given, known in (
-        ("type of eye", kind, EYE_TYPES),
-        ("colour of eye", colour, EYE_COLOURS),
-    ):
-        if given not in known:
-            raise ValueError(f"unknown {what} {given!r}; known: {', '.join(known)}")
+    check_known("type of eye", kind, EYE_TYPES)
+    check_known("colour of eye", colour, EYE_COLOURS)
     check_whole("seed", seed, 0)
     rng = np.random.default_rng([seed, EYE_TYPES.index(kind), EYE_COLOURS.index(colour)])
     paints = _PAINTS[colour]
     rounds = paints.count - 1 - len(_CLOSING)
     parts = [_ROUND[i % len(_ROUND)] for i in range(rounds)] + list(_CLOSING)
     thin = (12 / paints.count) ** 0.35  # the more coats, the thinner each
-    base = paints.base
-    out = [CoatRecipe("base", {}, base.first, base.second, base.share, 1.0, _seed(rng), 0.0)]
+    out = [CoatRecipe("base", {}, *paints.base[:3], 1.0, int(rng.integers(_SEEDS)), 0.0)]
     for i, part in enumerate(parts):
         # Each round from shadows to lights, the later ones lighter: there are shadows at any depth.
         step = 2 if i >= rounds else (i % len(_ROUND)) // 2 % 3
@@ -67,18 +63,8 @@ def coats(kind: str, colour: str, *, seed: int) -> tuple[CoatRecipe, ...]:
         name, parameters, mixtures, opacity = _coat(rng, kind, part, paints, tone)
         mixture = mixtures[(i // len(_ROUND) + i) % len(mixtures)]
         opacity *= mixture.strength * (thin if i < rounds else thin**0.5)
-        out.append(
-            CoatRecipe(
-                name,
-                parameters,
-                mixture.first,
-                mixture.second,
-                mixture.share,
-                round(opacity, 3),
-                _seed(rng),
-                round((i + 1) * HEIGHT_STEP, 6),
-            )
-        )
+        seed, height = int(rng.integers(_SEEDS)), round((i + 1) * HEIGHT_STEP, 6)
+        out.append(CoatRecipe(name, parameters, *mixture[:3], round(opacity, 3), seed, height))
     return tuple(out)
 
 
@@ -153,16 +139,7 @@ _PAINTS = {
 EYE_COLOURS = tuple(_PAINTS)
 """Colours of eye."""
 
-_ROUND = (
-    "cloud",
-    "stroma",
-    "collarette",
-    "stroma",
-    "limbus",
-    "stroma",
-    "sphincter",
-    "dots",
-)
+_ROUND = "cloud", "stroma", "collarette", "stroma", "limbus", "stroma", "sphincter", "dots"
 _CLOSING = ("collarette", "gaps", "stroma", "cloud", "sphincter", "limbus", "pupil")
 
 _SOFT = {"smeared": 4.5, "dit-dot": 1.2, "detail": 0.9}  # brushes, relative to the usual one
@@ -178,66 +155,44 @@ def _coat(rng, kind: str, part: str, paints: _Paints, tone: _Mixtures):
     def about(value: float, spread: float = 0.25) -> float:
         return round(float(value * np.exp(rng.uniform(-spread, spread))), 4)
 
+    def drawn(count: float | None = None, **medians: float) -> dict[str, Any]:
+        number = {} if count is None else {"count": int(about(count))}
+        return number | {name: about(median) for name, median in medians.items()}
+
     soft, (dotted, smeared) = _SOFT[kind], _DOTTED[kind]
     if part == "cloud":
         inner, outer = ((0.0, 0.6), (0.4, 1.0), (0.0, 1.0))[rng.integers(3)]
-        wide = {"width": about(0.07), "length": about(0.4), "softness": about(0.03)}
-        parameters = {"count": int(about(160)), **wide, "inner": inner, "outer": outer}
+        wide = drawn(width=0.07, length=0.4, softness=0.03)
+        parameters = drawn(160) | wide | {"inner": inner, "outer": outer}
         return "stroma-smears", parameters, paints.glaze, about(0.22)
     if part == "limbus":
-        parameters = {"reach": about(0.25, 0.4), "softness": about(0.014 * soft**0.5)}
+        parameters = {"reach": about(0.25, 0.4)} | drawn(softness=0.014 * soft**0.5)
         return part, parameters, paints.border, about(0.7, 0.2)
     if part == "sphincter":
-        parameters = {"reach": about(0.17), "softness": about(0.007 * soft**0.5)}
-        return part, parameters, paints.ring, about(0.5)
+        return part, drawn(reach=0.17, softness=0.007 * soft**0.5), paints.ring, about(0.5)
     if part == "pupil":
-        return part, {"reach": about(0.07)}, (_Mixture(_BLACK, _UMBER, 0.2),), 0.9
+        return part, drawn(reach=0.07), (_Mixture(_BLACK, _UMBER, 0.2),), 0.9
     if part == "gaps":  # between strands, the crypts
-        parameters = {
-            "count": int(about(26)),
-            "width": about(0.03),
-            "length": about(0.16),
-            "inner": 0.3,
-            "outer": about(0.75, 0.1),
-            "softness": about(0.006 * soft**0.7),
-        }
+        parameters = drawn(26, width=0.03, length=0.16) | {"inner": 0.3}
+        parameters |= {"outer": about(0.75, 0.1)} | drawn(softness=0.006 * soft**0.7)
         return "stroma-smeared-dots", parameters, paints.dark, about(0.5)
     if part == "collarette":
         warm = paints.warm if rng.uniform() < 0.6 else tone
         if rng.uniform() < dotted:
-            parameters = {"count": int(about(190)), "width": about(0.012 * soft**0.5)}
-            parameters["softness"] = about(0.0035 * soft**0.5)
-            if rng.uniform() < smeared:
-                parameters["length"] = about(0.1)
+            parameters = drawn(190, width=0.012 * soft**0.5, softness=0.0035 * soft**0.5)
+            parameters |= drawn(length=0.1) if rng.uniform() < smeared else {}
             return "collarette-dots", parameters, warm, about(0.7)
-        parameters = {
-            "count": int(about(120 / soft**0.4)),
-            "width": about(0.016 * (0.6 + 0.4 * soft)),
-            "outer": about(0.38, 0.15),
-            "softness": about(0.0038 * soft),
-        }
+        parameters = drawn(120 / soft**0.4, width=0.016 * (0.6 + 0.4 * soft))
+        parameters |= {"outer": about(0.38, 0.15)} | drawn(softness=0.0038 * soft)
         return "collarette-spokes", parameters, warm, about(0.55)
     if rng.uniform() < dotted + (0.3 if part == "dots" else 0):
-        parameters = {
-            "count": int(about(300 if kind == "dit-dot" else 200)),
-            "width": about(0.011 * (0.8 + 0.25 * soft)),
-            "softness": about(0.003 * soft),
-            "outer": about(0.87, 0.06),
-        }
+        count, width = 300 if kind == "dit-dot" else 200, 0.011 * (0.8 + 0.25 * soft)
+        parameters = drawn(count, width=width, softness=0.003 * soft)
+        parameters["outer"] = about(0.87, 0.06)
         if rng.uniform() < smeared:
-            parameters["length"] = about(0.14)
-            return "stroma-smeared-dots", parameters, tone, about(0.7)
+            return "stroma-smeared-dots", parameters | drawn(length=0.14), tone, about(0.7)
         return "stroma-dots", parameters, tone, about(0.75)
-    parameters = {
-        "count": int(about(420 / soft**0.6)),
-        "width": about(0.011 * (0.5 + 0.5 * soft)),
-        "length": about(0.5),
-        "softness": about(0.0038 * soft),
-        "waviness": about(0.5),
-        "outer": 1.0 if tone is paints.dark else about(0.9, 0.05),
-    }
+    width, softness = 0.011 * (0.5 + 0.5 * soft), 0.0038 * soft
+    parameters = drawn(420 / soft**0.6, width=width, length=0.5, softness=softness, waviness=0.5)
+    parameters["outer"] = 1.0 if tone is paints.dark else about(0.9, 0.05)
     return "stroma-smears", parameters, tone, about(0.6)
-
-
-def _seed(rng) -> int:
-    return int(rng.integers(2**31))

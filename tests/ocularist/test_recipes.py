@@ -70,7 +70,12 @@ def test_equal_seeds_give_equal_coats_and_others_do_not():
     ("kind", "colour", "seed", "line"),
     [
         ("dotted", "blue", 0, "unknown type of eye 'dotted'; known: smeared, dit-dot, detail"),
-        ("detail", "grey", 0, "unknown colour of eye 'grey'; known: brown, blue, green"),
+        (
+            "detail",
+            "grey",
+            0,
+            "unknown colour of eye 'grey'; did you mean 'green'\? known: brown, blue, green",
+        ),
         ("detail", "blue", -1, r"seed = -1 is outside \[0, inf\)"),
     ],
 )
