@@ -193,7 +193,6 @@ _STRICT = {"numerics", "optics", "tissue", "transport", "ocularist"}
 _LAX = {
     "test_montecarlo.py",
     "test_polarised_montecarlo.py",
-    "test_painted_light.py",
     "test_painted_scenes.py",
 }
 

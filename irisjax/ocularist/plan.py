@@ -16,7 +16,7 @@ from irisjax.anatomy.eye import Eye
 from irisjax.measure.colour import XYZ_TO_SRGB, lab_of
 from irisjax.numerics.checks import check_whole
 from irisjax.ocularist.coats import Painting, over, through
-from irisjax.ocularist.composite import look_up
+from irisjax.ocularist.integrator import look_up
 from irisjax.tissue.maps import cell_centres
 
 TEXTURE_SHAPE = (256, 64)

@@ -15,7 +15,7 @@ from irisjax.cli import paint as command
 from irisjax.io.images import read_image
 from irisjax.io.recipes import read_recipe
 from irisjax.io.scenes import read_scene
-from irisjax.ocularist import composite, painting
+from irisjax.ocularist import integrator, painting
 from irisjax.ocularist.plan import Difference
 from irisjax.ocularist.tissue import Tissue
 from irisjax.tissue.maps import IrisMaps
@@ -204,7 +204,7 @@ def test_an_environment_lights_and_is_mirrored(irisjax, tmp_path, monkeypatch, o
     """Of equal radiance all round: the pupil mirrors 2 to 3 % of it, and a lamp adds to it."""
     monkeypatch.setattr(command, "_SMALL", (120, 90))
     monkeypatch.setattr(painting, "_ENVIRONMENT_LIGHTS", 4)
-    monkeypatch.setattr(composite, "SHADOW", 64)  # one coat casts no shadow
+    monkeypatch.setattr(integrator, "SHADOW", 64)  # one coat casts no shadow
     eyes = {}
     for name, options in {
         "round": ("--environment", "uniform"),
