@@ -1,5 +1,6 @@
 """Coats of paint on cones, and their effect on light  [L03 Section 3.3]."""
 
+import itertools
 from typing import Any
 
 import equinox as eqx
@@ -81,34 +82,27 @@ class Painting(eqx.Module):
             return
         if (np.diff(np.asarray(self.profile.radius)) <= 0).any():
             raise ValueError("the radii of an iris's profile must rise from the pupil to the root")
-        heights = [coat.height for coat in self.coats]
-        if any(isinstance(h, Tracer) for h in heights):
+        if any(isinstance(coat.height, Tracer) for coat in self.coats):
             return
-        for before, coat in zip(self.coats, self.coats[1:], strict=False):
+        for before, coat in itertools.pairwise(self.coats):
             if float(coat.height) < float(before.height):
                 raise ValueError(
                     f"coat {coat.name!r} at {float(coat.height):g} mm is painted after "
                     f"{before.name!r} and lies below it, at {float(before.height):g} mm"
                 )
 
-    def coat(self, name: str) -> Coat:
-        """The coat of a name.
+    def replace(self, name: str, **fields: Any) -> "Painting":
+        """The painting with some fields of a coat changed; all else keeps its arrays.
 
         Raises:
             ValueError: naming the coats, where there is none of that name.
         """
-        found = {coat.name: coat for coat in self.coats}
-        if name not in found:
-            raise ValueError(f"no coat {name!r}; there are {', '.join(found)}")
-        return found[name]
-
-    def replace(self, name: str, **fields: Any) -> "Painting":
-        """The painting with some fields of a coat changed; all else keeps its arrays."""
-        self.coat(name)
-        changed = tuple(
-            Coat(**(vars(coat) | fields)) if coat.name == name else coat for coat in self.coats
-        )
-        return Painting(changed, self.profile)
+        names = [coat.name for coat in self.coats]
+        if name not in names:
+            raise ValueError(f"no coat {name!r}; there are {', '.join(names)}")
+        coats, at = list(self.coats), names.index(name)
+        coats[at] = Coat(**(vars(coats[at]) | fields))
+        return Painting(tuple(coats), self.profile)
 
 
 def prosthesis(pupil_radius: float = PUPIL_RADIUS) -> Eye:

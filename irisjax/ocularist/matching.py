@@ -5,8 +5,8 @@ in plan view, and further coats on top.
 cannot follow, is painted on top by `retouch`.
 """
 
+import itertools
 from collections.abc import Mapping, Sequence
-from itertools import combinations
 from typing import NamedTuple
 
 import equinox as eqx
@@ -20,25 +20,12 @@ from scipy.optimize import least_squares
 from irisjax._types import PRNGKey, as_float
 from irisjax.anatomy.eye import Eye
 from irisjax.numerics.checks import Range, check_range, check_whole
+from irisjax.ocularist import plan
 from irisjax.ocularist.coats import over, through
 from irisjax.ocularist.mixing import AbstractMixer
 from irisjax.ocularist.painting import SCAN, painted
-from irisjax.ocularist.plan import (
-    Difference,
-    difference,
-    lab,
-    plan_view,
-    rolled,
-    texture_of,
-    unrolled,
-)
+from irisjax.ocularist.plan import Difference, plan_view
 from irisjax.ocularist.recipes import HEIGHT_STEP, CoatRecipe
-
-TARGET = Range(0.0, 100.0, meaning="linear reflectance; an exposure may take it beyond 1")
-PULL = 0.03
-"""ΔE*ab that a unit of change in the logit of a share or an opacity costs. It fixes the coats that
-no texel shows.
-"""
 
 _Target = Float[Array, "angles radii 3"] | np.ndarray
 _Known = Bool[np.ndarray, "angles radii"]
@@ -47,6 +34,10 @@ _CLOSE = 1e-4  # relative change of cost and parameters at which the search ends
 _SHARES = np.linspace(0.0, 1.0, 7)
 _LEVELS = 33  # trial opacities
 _TEXELS = 1500  # that a mixture is chosen by
+_TARGET = Range(0.0, 100.0, meaning="linear reflectance; an exposure may take it beyond 1")
+# ΔE*ab that a unit of change in the logit of a share or an opacity costs. It fixes the coats that
+# no texel shows.
+_PULL = 0.03
 _BLUR = 0.5  # standard deviation of the retouching brush, texels
 
 
@@ -108,12 +99,17 @@ def match(
     if not recipes:
         raise ValueError("a match needs at least one coat")
     target, known = _checked_target(target, known)
-    shape = known.shape
     ordered = sorted(recipes, key=lambda recipe: recipe.height)
-    before = texture_of(painted(ordered, mixer, eye, size=size, scans=scans), eye, shape)
-    whole = [recipe._replace(opacity=1.0) for recipe in ordered]
-    maps = painted(whole, mixer, eye, size=size, scans=scans).coats
-    opacity = jnp.stack([unrolled(coat.opacity, eye, shape) for coat in maps])
+
+    def painting(coats):
+        return painted(coats, mixer, eye, size=size, scans=scans)
+
+    def left(coats):
+        return plan.difference(plan.texture_of(painting(coats), eye, known.shape), target, known)
+
+    before = left(ordered)
+    maps = painting([recipe._replace(opacity=1.0) for recipe in ordered]).coats
+    opacity = jnp.stack([plan.unrolled(coat.opacity, eye, known.shape) for coat in maps])
     taken = _drawn(known, eye, texels, key)
     values = np.array([[recipe.share, recipe.opacity] for recipe in ordered]).T
     inside = np.clip(values, _EDGE, 1 - _EDGE)
@@ -123,7 +119,7 @@ def match(
         jnp.asarray(mixer.indices([recipe.first for recipe in ordered])),
         jnp.asarray(mixer.indices([recipe.second for recipe in ordered])),
         opacity.reshape(len(ordered), -1)[:, taken],
-        lab(target.reshape(-1, 3)[taken]),
+        plan.lab(target.reshape(-1, 3)[taken]),
         as_float(values[1]),
         jnp.asarray([recipe.component == "base" for recipe in ordered]),
         as_float(start),
@@ -138,19 +134,12 @@ def match(
         xtol=_CLOSE,
         max_nfev=max_steps,
     )
-    shares, strengths = (np.asarray(v, np.float64) for v in _values(as_float(found.x), problem))
+    fitted = np.stack(_values(as_float(found.x), problem), 1).astype(float).tolist()
     new = tuple(
-        recipe._replace(share=float(share), opacity=float(strength))
-        for recipe, share, strength in zip(ordered, shares, strengths, strict=True)
+        recipe._replace(share=share, opacity=opacity)
+        for recipe, (share, opacity) in zip(ordered, fitted, strict=True)
     )
-    after = texture_of(painted(new, mixer, eye, size=size, scans=scans), eye, shape)
-    return Match(
-        new,
-        difference(before, target, known),
-        difference(after, target, known),
-        found.nfev,
-        found.status > 0,
-    )
+    return Match(new, before, left(new), found.nfev, found.status > 0)
 
 
 class Retouch(NamedTuple):
@@ -197,9 +186,9 @@ def retouch(
     """
     check_whole("count", count, 0)
     target, mask = _checked_target(target, known)
-    row, column, on = rolled(target.shape[:2], eye, size)
+    row, column, on = plan.rolled(target.shape[:2], eye, size)
     there = on & mask[row, column]
-    wanted = lab(target[row, column][there])
+    wanted = plan.lab(target[row, column][there])
     coats = painted(recipes, mixer, eye, size=size, scans=scans).coats
     state = plan_view(
         jnp.stack([coat.opacity[there] for coat in coats]),
@@ -210,11 +199,10 @@ def retouch(
     some = np.linspace(0, len(wanted) - 1, min(_TEXELS, len(wanted))).astype(int)
     height = max(recipe.height for recipe in recipes)
     taken = {recipe.parameters.get("file") for recipe in recipes}
-    names = (f"{prefix}{n}.png" for n in range(1, len(recipes) + count + 1))
-    free = [name for name in names if name not in taken]
+    names = (name for n in itertools.count(1) if (name := f"{prefix}{n}.png") not in taken)
     new: list[CoatRecipe] = []
     pictures: dict[str, np.ndarray] = dict(scans or {})
-    for name in free[:count]:
+    for name in itertools.islice(names, count):
         best = int(np.argmin(_costs(state[some], wanted[some], colours, levels)))
         opacity = np.zeros((size, size))
         opacity[there] = _best(state, wanted, colours[best], levels)[1]
@@ -244,7 +232,7 @@ def _checked_target(target, known) -> tuple[Float[Array, "angles radii 3"], _Kno
     if not mask.any():
         raise ValueError("the mask of a target leaves no texel")
     values = np.asarray(target)
-    check_range("target", values[mask], TARGET)
+    check_range("target", values[mask], _TARGET)
     return as_float(np.where(mask[..., None], values, 0.0)), mask
 
 
@@ -278,8 +266,8 @@ def _residuals(x, problem: _Problem):
     shares, strengths = _values(x, problem)
     colours = problem.mixer.blend(problem.first, problem.second, shares)
     seen = plan_view(strengths[:, None] * problem.opacity, colours)
-    off = (lab(seen) - problem.target).ravel() / np.sqrt(len(problem.target))
-    return jnp.concatenate([off, PULL * (x - problem.start)])
+    off = (plan.lab(seen) - problem.target).ravel() / np.sqrt(len(problem.target))
+    return jnp.concatenate([off, _PULL * (x - problem.start)])
 
 
 @eqx.filter_jit
@@ -298,11 +286,9 @@ def _drawn(known: _Known, eye: Eye, most: int, key: PRNGKey) -> np.ndarray:
 
 def _mixtures(mixer: AbstractMixer):
     """Names and shares of mixtures, and their colours (mixtures, 3)."""
-    pairs = [
-        (first, second, float(share))
-        for first, second in combinations(mixer.paints, 2)
-        for share in _SHARES
-    ] or [(mixer.paints[0], mixer.paints[0], 0.0)]
+    two = itertools.combinations(mixer.paints, 2)
+    pairs = [(*names, share) for names in two for share in _SHARES.tolist()]
+    pairs = pairs or [(mixer.paints[0], mixer.paints[0], 0.0)]
     first, second, share = zip(*pairs, strict=True)
     return pairs, mixer.mix(first, second, np.asarray(share))
 
@@ -329,7 +315,7 @@ def _best(state, wanted, colour, levels):
     """Least ΔE² of each texel, and the opacity at which it is reached."""
 
     def at(level):
-        return ((lab(_above(state, level, colour[None])) - wanted) ** 2).sum(-1)
+        return ((plan.lab(_above(state, level, colour[None])) - wanted) ** 2).sum(-1)
 
     left = jax.lax.map(at, levels)
     return left.min(0), levels[left.argmin(0)]

@@ -12,7 +12,6 @@ from irisjax.grow.vessels import veins
 from irisjax.numerics.checks import check_known
 from irisjax.ocularist.coats import Coat, Painting, profile_of
 from irisjax.ocularist.components import component, scan
-from irisjax.ocularist.cones import Cones
 from irisjax.ocularist.integrator import Painted
 from irisjax.ocularist.mixing import AbstractMixer
 from irisjax.ocularist.recipes import CoatRecipe
@@ -38,9 +37,8 @@ def painted(
     *,
     size: int = OPACITY_SIZE,
     scans: Mapping[str, np.ndarray] | None = None,
-    profile: Cones | None = None,
 ) -> Painting:
-    """Paint the coats of a recipe, sorted by height.
+    """Paint the coats of a recipe on an eye's plane or cone, sorted by height.
 
     Args:
         recipes: The coats; those of equal height in their order, the bottom one first.
@@ -48,7 +46,6 @@ def painted(
         eye: Whose iris is painted.
         size: Texels along a side of opacity maps.
         scans: Pictures by the name of their file, for coats of the component `SCAN`.
-        profile: Cross-section of the base; by default the eye's plane or cone.
 
     Raises:
         ValueError: naming the coat, for what cannot be painted.
@@ -64,7 +61,7 @@ def painted(
         except ValueError as error:
             raise ValueError(f"coat {number} ({recipe.component}): {error}") from None
     coats.sort(key=lambda coat: float(coat.height))  # stable: equal heights keep their order
-    return Painting(tuple(coats), profile_of(eye) if profile is None else profile)
+    return Painting(tuple(coats), profile_of(eye))
 
 
 def _opacity(recipe: CoatRecipe, eye: Eye, size: int, scans: Mapping[str, np.ndarray]):
