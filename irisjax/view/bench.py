@@ -3,33 +3,50 @@ painted again with those below it, and no other.
 """
 
 import dataclasses
+import itertools
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array
 
 from irisjax.io.recipes import Recipe, recipe_text
 from irisjax.io.tables import write_atomically
 from irisjax.measure.colour import srgb_encode
-from irisjax.ocularist.coats import Coat, Painting
-from irisjax.ocularist.integrator import PaintBase, Painted, PaintedLayer
+from irisjax.numerics.checks import check_range
+from irisjax.ocularist.coats import OPACITY, Coat, Painting
+from irisjax.ocularist.integrator import Painted
 from irisjax.ocularist.mixing import linear_colour
 from irisjax.ocularist.painting import OPACITY_SIZE, painted, studio
-from irisjax.ocularist.recipes import CoatRecipe
 from irisjax.render.illumination import Illumination
-from irisjax.render.integrator import AbstractResponse
-from irisjax.render.picture import LitView, respond, shade, surroundings, texture
-from irisjax.render.project import IrisPixels
+from irisjax.render.picture import LitView, Texels, surroundings
+from irisjax.render.project import View
 from irisjax.render.scene import Scene
-from irisjax.view.layers import Layer, Layers, place_of
-from irisjax.view.session import KeptValue, Session, Values, encoded
-from irisjax.view.settings import CAMERA, LIGHT, CommonSettings, values_of
+from irisjax.view.session import KeptPicture, KeptValue, Session
+from irisjax.view.settings import CommonSettings
 
-NAME = "recipe"
-"""Of files that keep recipes, before a number and `.toml`."""
+
+class Layer(NamedTuple):
+    """A coat as it is set.
+
+    Attributes:
+        name: Its name in the `Painting`.
+        on: Whether it is painted.
+        colour: Colour picked by hand, `#rrggbb`; `None` for its recipe's mixture of paints.
+        opacity: Factor on the map of its component, 0 to 1.
+        height: Height above the base, mm.
+    """
+
+    name: str
+    on: bool
+    colour: str | None
+    opacity: float
+    height: float
+
+
+LayerStack = tuple[Layer, ...]
+"""The bottom coat first."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -40,24 +57,11 @@ class BenchSettings(CommonSettings):
         layers: Its coats, the bottom one first.
     """
 
-    layers: Layers = ()
-
-
-class _PaintedValues(Values):
-    """Values of pictures of one size, and the layers of paint on one base."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.surroundings = KeptValue[Array]()
-        self.base = KeptValue[tuple[PaintBase, list[PaintedLayer]]]()
+    layers: LayerStack = ()
 
 
 class Bench(Session[BenchSettings]):
-    """A recipe, its settings, and what is already painted of them.
-
-    Attributes:
-        settings: Current settings.
-    """
+    """A recipe, its settings, and what is already painted of them."""
 
     def __init__(
         self,
@@ -82,51 +86,29 @@ class Bench(Session[BenchSettings]):
         eye = recipe.eye()
         whole = [coat._replace(opacity=1.0) for coat in recipe.coats]
         painting = painted(whole, recipe.mixer(), eye, size=texels, scans=recipe.scans())
+        super().__init__(scene(studio(painting, eye)), tables_of)
         self._profile = painting.profile
         self._full = {coat.name: coat for coat in painting.coats}
         # Coats bear their places in the recipe, whose order need not be that of heights.
-        places = {coat.name: int(coat.name.split()[0]) - 1 for coat in painting.coats}
-        self._recipes: dict[str, CoatRecipe] = {n: recipe.coats[i] for n, i in places.items()}
-        self._coats: dict[str, tuple[Layer, Coat]] = {}
+        self._recipes = {n: recipe.coats[int(n.split()[0]) - 1] for n in self._full}
         self._heights = {r.height: self._full[n].height for n, r in self._recipes.items()}
-        super().__init__(scene(studio(painting, eye)), tables_of)
-        self._values = {draft: _PaintedValues() for draft in (False, True)}
-        self._response = KeptValue[AbstractResponse]()
+        self._kept_coats = {n: [KeptValue[Any]() for _ in range(3)] for n in self._full}
         self._file: Path | None = None
-        layers = tuple(
-            Layer(name, True, None, r.opacity, r.height) for name, r in self._recipes.items()
-        )
-        self.settings = BenchSettings(**self._start(), layers=layers)
+        layers = (Layer(n, True, None, r.opacity, r.height) for n, r in self._recipes.items())
+        self.settings = BenchSettings(**self._start(), layers=tuple(layers))
 
-    def update(self, *, draft: bool = False, **changes: Any) -> np.ndarray:
-        """See `Session.update`."""
-        settings, kept = self._changed(changes), self._values[draft]
-        picture = kept.picture.of(settings, lambda: self._drawn(kept, settings, draft))
-        self.settings = settings
-        return picture
-
-    def scene(self) -> Scene:
-        """The scene as it is set; `exposure` is no part of it."""
-        return self._set(self.settings, False)
-
-    def painting(self) -> Painting:
-        """Coats that are on, the bottom one first."""
-        return self._painting(self.settings.layers)
-
-    def colour(self, name: str) -> tuple[int, int, int]:
-        """A coat's colour as it is set, sRGB, 8 bits.
+    def colour(self, name: str, mixed: bool = False) -> tuple[int, int, int]:
+        """A coat's colour as it is set, or that its paints make (`mixed`), sRGB, 8 bits.
 
         Raises:
             ValueError: There is no such coat.
         """
-        layer = self.settings.layers[place_of(self.settings.layers, name)]
-        return _shown(self._coat(layer))
+        layer = self.settings.layers[_place(self.settings.layers, name)]
+        coat = self._full[name] if mixed else self._coat(layer)
+        red, green, blue = np.rint(255 * np.asarray(srgb_encode(coat.colour)))
+        return int(red), int(green), int(blue)
 
-    def mixed(self, name: str) -> tuple[int, int, int]:
-        """The colour that a coat's paints make, whatever is set; as `colour`."""
-        return _shown(self._full[self.settings.layers[place_of(self.settings.layers, name)].name])
-
-    def recipe(self, layers: Layers | None = None) -> Recipe:
+    def recipe(self, layers: LayerStack | None = None) -> Recipe:
         """The recipe of the coats that are on, by default those set, as `irisjax paint` takes it. A
         colour picked by hand becomes a paint of the palette.
 
@@ -139,7 +121,8 @@ class Bench(Session[BenchSettings]):
                 continue
             coat = self._recipes[layer.name]._replace(opacity=layer.opacity, height=layer.height)
             if layer.colour is not None:
-                paint = _free(f"picked {layer.name.split()[0]}", palette)
+                paint = f"picked {layer.name.split()[0]}"
+                paint = _free(palette.__contains__, paint, f"{paint} ({{}})")
                 palette[paint] = layer.colour
                 coat = coat._replace(first=paint, second=paint, share=0.0)
             coats.append(coat)
@@ -147,7 +130,7 @@ class Bench(Session[BenchSettings]):
             raise ValueError("no coat is on: there is nothing to save")
         return self._given._replace(coats=tuple(coats), palette=palette)
 
-    def save(self, layers: Layers | None = None) -> Path:
+    def save(self, layers: LayerStack | None = None) -> Path:
         """Write `recipe` beside the recipe that was given, where the files it names are found:
         first as a new file, then over that file.
 
@@ -155,88 +138,102 @@ class Bench(Session[BenchSettings]):
             ValueError: Every coat is off.
             OSError: The file cannot be written.
         """
-        text = recipe_text(self.recipe(layers))
-        path = self._file or _new(self._given.folder)
+        text, folder = recipe_text(self.recipe(layers)), self._given.folder
+        path = self._file
+        if path is None:
+            path = folder / _free(
+                lambda name: (folder / name).exists(), "recipe.toml", "recipe_{}.toml"
+            )
         write_atomically(path, text.encode())
         self._file = path
         return path
 
-    def _drawn(self, kept: _PaintedValues, s: BenchSettings, draft: bool) -> np.ndarray:
-        scene = self._set(s, draft)
-        view = self._view(kept, s, scene)
-        surfaces = *values_of(s, CAMERA), s.environment, s.strength
-        texels = kept.texels.of(surfaces, lambda: texture(view, scene))
-        tables = self._tables_for(s, scene)
-        lit = surfaces, values_of(s, LIGHT)
-        around = kept.surroundings.of(lit, lambda: surroundings(view, texels, scene))
-        response = self._response.of(None, lambda: respond(scene))
-        radiance = None
-        if view.iris is not None:
-            radiance = self._radiance(kept, lit, view.iris, scene, tables)
-        light = LitView(around, radiance)
-        return encoded(shade(view, texels, light, response), s.exposure)
-
-    def _radiance(
+    def _light(
         self,
-        kept: _PaintedValues,
+        kept: KeptPicture,
         lit: Any,
-        pixels: IrisPixels,
+        view: View,
+        texels: Texels,
         scene: Scene,
         tables: Illumination | None,
-    ) -> Array:
-        """Radiance of the paint: only coats that have changed and those below are painted."""
-        painted = scene.integrator
+    ) -> LitView:
+        """Only coats that have changed and those below are painted."""
+        painted, pixels = scene.integrator, view.iris
         assert isinstance(painted, Painted)
-        parts = pixels, scene.all_lights(), scene.eye, tables
-        base, layers = kept.base.of(lit, lambda: (painted.base(*parts), []))
+
+        def light():
+            parts = scene.all_lights(), scene.eye, tables
+            base = None if pixels is None else painted.base(pixels, *parts)
+            return surroundings(view, texels, scene), base, []
+
+        around, base, layers = kept.light.of(lit, light)
+        if base is None:
+            return LitView(around, None)
         layers[:] = painted.layers(base, tuple(layers))
-        return (layers[-1].state if layers else base.state).radiance
+        return LitView(around, (layers[-1].state if layers else base.state).radiance)
 
-    def _set(self, s: BenchSettings, draft: bool) -> Scene:
-        integrator = Painted(painting=self._painting(s.layers))
-        parts = self._parts(s, self._size(draft))
-        return self._base.replace(integrator=integrator, **parts)
-
-    def _painting(self, layers: Layers) -> Painting:
-        on = tuple(self._coat(layer) for layer in layers if layer.on)
-        return Painting(on, self._profile)
+    def _set(self, s: BenchSettings, size: tuple[int, int]) -> Scene:
+        on = tuple(self._coat(layer) for layer in s.layers if layer.on)
+        integrator = Painted(painting=Painting(on, self._profile))
+        return self._base.replace(integrator=integrator, **self._parts(s, size))
 
     def _coat(self, layer: Layer) -> Coat:
         """A coat, with the same arrays where nothing has changed: by these it is recognised."""
-        last = self._coats.get(layer.name)
-        if last is not None and last[0] == layer:
-            return last[1]
-        full = self._full[layer.name]
-        if last is not None and last[0].opacity == layer.opacity:
-            opacity = last[1].opacity
-        else:
-            opacity = layer.opacity * full.opacity
-        if last is not None and last[0].colour == layer.colour:
-            colour = last[1].colour
-        elif layer.colour is None:
-            colour = full.colour
-        else:
-            colour = jnp.asarray(linear_colour(layer.name, layer.colour), full.colour.dtype)
-        made = Coat(layer.name, opacity, colour, self._heights[layer.height])
-        self._coats[layer.name] = layer, made
-        return made
+        name, full = layer.name, self._full[layer.name]
+        whole, opacity, colour = self._kept_coats[name]
+
+        def picked():
+            if layer.colour is None:
+                return full.colour
+            return jnp.asarray(linear_colour(name, layer.colour), full.colour.dtype)
+
+        def made():
+            covering = opacity.of(layer.opacity, lambda: layer.opacity * full.opacity)
+            paint = colour.of(layer.colour, picked)
+            return Coat(name, covering, paint, self._heights[layer.height])
+
+        return whole.of(layer, made)
 
 
-def _shown(coat: Coat) -> tuple[int, int, int]:
-    red, green, blue = np.rint(255 * np.asarray(srgb_encode(coat.colour)))
-    return int(red), int(green), int(blue)
+def edited(layers: LayerStack, name: str, **fields: Any) -> LayerStack:
+    """Change some fields of a coat.
+
+    Raises:
+        ValueError: There is no such coat, or a colour or an opacity is none.
+    """
+    at = _place(layers, name)
+    if fields.get("colour") is not None:
+        linear_colour(f"of coat {name}", fields["colour"])
+    check_range(f"opacity of coat {name!r}", fields.get("opacity"), OPACITY)
+    return (*layers[:at], layers[at]._replace(**fields), *layers[at + 1 :])
 
 
-def _free(name: str, palette: dict[str, str]) -> str:
-    """A name that no paint of the palette has."""
-    found, number = name, 2
-    while found in palette:
-        found, number = f"{name} ({number})", number + 1
-    return found
+def moved(layers: LayerStack, name: str, up: bool) -> LayerStack:
+    """Exchange a coat with the next above, or below it, in place and height; a coat at the end
+    does not move.
+    """
+    at = _place(layers, name)
+    low, high = (at, at + 1) if up else (at - 1, at)
+    if low < 0 or high == len(layers):
+        return layers
+    below, above = layers[low], layers[high]
+    pair = above._replace(height=below.height), below._replace(height=above.height)
+    return layers[:low] + pair + layers[high + 1 :]
 
 
-def _new(folder: Path) -> Path:
-    path, number = folder / f"{NAME}.toml", 2
-    while path.exists():
-        path, number = folder / f"{NAME}_{number}.toml", number + 1
-    return path
+def _place(layers: LayerStack, name: str) -> int:
+    """Place of a coat, from 0 at the bottom.
+
+    Raises:
+        ValueError: There is no such coat.
+    """
+    names = [layer.name for layer in layers]
+    if name not in names:
+        raise ValueError(f"no coat {name!r}; there are {', '.join(names)}")
+    return names.index(name)
+
+
+def _free(taken: Callable[[str], bool], first: str, further: str) -> str:
+    """The first name, or one with a number from 2, that is not taken."""
+    names = itertools.chain([first], map(further.format, itertools.count(2)))
+    return next(name for name in names if not taken(name))

@@ -8,24 +8,14 @@ import numpy as np
 from irisjax.measure.colour import Colour
 from irisjax.view.settings import CommonSettings
 
+_ABL = "share of the melanin in the anterior border layer"
+_STROMA = "thickness relative to the preset's, at equal concentrations"
 SLIDERS: dict[str, dict[str, tuple[str, float, float, float, str]]] = {
     "Iris": {
         "eumelanin": ("eumelanin", 0, 4, 0.005, "mg/ml over the whole iris"),
         "pheomelanin": ("pheomelanin", 0, 2, 0.005, "mg/ml over the whole iris"),
-        "abl_fraction": (
-            "ABL fraction",
-            0,
-            1,
-            0.005,
-            "share of the melanin in the anterior border layer",
-        ),
-        "stroma": (
-            "stroma",
-            0.3,
-            2,
-            0.01,
-            "thickness relative to the preset's, at equal concentrations",
-        ),
+        "abl_fraction": ("ABL fraction", 0, 1, 0.005, _ABL),
+        "stroma": ("stroma", 0.3, 2, 0.01, _STROMA),
         "hemoglobin": ("blood", 0, 1, 0.002, "haemoglobin in the stroma, mmol/l"),
         "saturation": ("oxygen", 0, 1, 0.01, "saturation of the haemoglobin"),
         "pupil_radius": ("pupil", 0.5, 4.5, 0.05, "radius, mm"),
@@ -39,7 +29,7 @@ SLIDERS: dict[str, dict[str, tuple[str, float, float, float, str]]] = {
     },
 }
 """Sliders by folder and setting: label, lowest and highest value, step, hint."""
-DISTANCE = 2.5  # of viser's camera, in units of its own
+ORBIT = 2.5  # of viser's camera, in units of its own
 BLACK = 16  # round the picture
 
 
@@ -59,12 +49,10 @@ def colour_patch(colour: Colour) -> str:
     lab = ", ".join(f"{v:.1f}" for v in np.asarray(colour.lab))
     clipped = "" if bool(colour.in_gamut) else " (clipped)"
     return (
-        '<div style="display:flex;gap:0.8em;padding:0.4em 0.9em;'
-        'font-size:0.85em;align-items:center">'
-        f'<div style="width:4.5em;height:4.5em;border-radius:4px;'
-        f'background:rgb({red},{green},{blue})"></div>'
-        f"<div>iris under {colour.illuminant}<br>L*a*b* {lab}<br>sRGB {red}, {green}, "
-        f"{blue}{clipped}<br>"
+        '<div style="display:flex;gap:0.8em;padding:0.4em 0.9em;font-size:0.85em;'
+        'align-items:center"><div style="width:4.5em;height:4.5em;border-radius:4px;'
+        f'background:rgb({red},{green},{blue})"></div><div>iris under {colour.illuminant}<br>'
+        f"L*a*b* {lab}<br>sRGB {red}, {green}, {blue}{clipped}<br>"
         f"#{red:02x}{green:02x}{blue:02x}</div></div>"
     )
 
@@ -94,5 +82,5 @@ def orbit(place: np.ndarray, width: float) -> dict[str, float]:
     return {
         "camera_polar": round(min(polar, 85.0), 2),
         "camera_azimuth": round(math.degrees(math.atan2(place[1], place[0])), 2),
-        "width": round(float(np.clip(width * distance / DISTANCE, 2.0, 60.0)), 2),
+        "width": round(float(np.clip(width * distance / ORBIT, 2.0, 60.0)), 2),
     }

@@ -8,10 +8,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from irisjax.render.integrators import INTEGRATORS
-from irisjax.view.bench import Bench
-from irisjax.view.layers import Layer, Layers, covering, moved, recoloured, switched
+from irisjax.view.bench import Bench, Layer, LayerStack, edited, moved
 from irisjax.view.page import colour_patch, plot_scales, sliders
-from irisjax.view.studio import GRID, Studio
+from irisjax.view.studio import SPECTRUM_NM, Studio
 
 if TYPE_CHECKING:
     import viser
@@ -35,43 +34,34 @@ class TissuePanel:
     def widgets(self) -> dict[str, Any]:
         """Widgets by the settings that they show."""
         gui, studio, widgets = self.gui, self.studio, {}
-        if studio.settings.photograph is not None:
+        now = studio.settings
+        if now.photograph is not None:
             with gui.add_folder("Photograph"):
                 widgets["photograph"] = gui.add_slider(
                     "photograph",
                     0.0,
                     1.0,
                     0.005,
-                    studio.settings.photograph,
+                    now.photograph,
                     hint="share of the picture's width",
                 )
                 gui.add_html(f'<div style="padding:0 0.9em 0.5em;font-size:0.8em">{_NOTE}</div>')
         with gui.add_folder("Eye"):
             widgets["preset"] = gui.add_dropdown(
-                "preset", studio.presets(), initial_value=studio.settings.preset
+                "preset", studio.presets(), initial_value=now.preset
             )
             widgets["seed"] = gui.add_number(
-                "seed",
-                studio.settings.seed,
-                min=0,
-                max=2**32 - 1,
-                step=1,
-                hint="of a preset's maps",
+                "seed", now.seed, min=0, max=2**32 - 1, step=1, hint="of a preset's maps"
             )
             widgets["integrator"] = gui.add_dropdown(
                 "light transport",
                 tuple(INTEGRATORS),
-                initial_value=studio.settings.integrator,
+                initial_value=now.integrator,
                 hint="separable: ILIT; presets have pigments of their own under radiative transfer",
             )
         with gui.add_folder("Iris"):
             widgets |= sliders(gui, "Iris", studio.settings)
         return widgets
-
-    def asked(self, name: str, value: Any) -> dict[str, Any]:
-        """Settings that a widget asks for: of the camera too, where it shows the photograph."""
-        camera = self.studio.photographed if name == "photograph" and value > 0 else {}
-        return {name: value, **camera}
 
     def results(self) -> "viser.GuiHtmlHandle":
         """Plot and colour, and where the page tells how it stands."""
@@ -79,7 +69,7 @@ class TissuePanel:
 
         gui, grid = self.gui, uplot.Axis_Grid(stroke="#444444", width=1)
         self.plot = gui.add_uplot(
-            (GRID, np.zeros_like(GRID), np.zeros_like(GRID)),
+            (SPECTRUM_NM, np.zeros_like(SPECTRUM_NM), np.zeros_like(SPECTRUM_NM)),
             (
                 uplot.Series(label="nm"),
                 uplot.Series(label="at first", stroke="#888888", width=1, dash=(4, 4)),
@@ -101,7 +91,7 @@ class TissuePanel:
         """Spectrum and colour after a picture; the `first` stays in the plot."""
         values, colour = self.studio.spectrum()
         before = values if first else self.plot.data[1]
-        self.plot.data = (GRID, before, values)
+        self.plot.data = (SPECTRUM_NM, before, values)
         self.plot.scales = plot_scales(max(before.max(), values.max()))
         self.colour.content = colour_patch(colour)
 
@@ -123,17 +113,13 @@ class CoatsPanel:
 
     def __init__(self, gui: "viser.GuiApi", bench: Bench, put: Callable[..., None]):
         self.gui, self.bench, self.put = gui, bench, put
-        self.layers: Layers = bench.settings.layers  # as asked for, painted or not yet
+        self.layers: LayerStack = bench.settings.layers  # as asked for, painted or not yet
         self._lock = threading.Lock()  # every event comes on a thread of viser's
         self.folders: dict[str, Any] = {}
 
     def widgets(self) -> dict[str, Any]:
         """None that shows a setting by itself."""
         return {}
-
-    def asked(self, name: str, value: Any) -> dict[str, Any]:
-        """Settings that another widget asks for."""
-        return {name: value}
 
     def results(self) -> "viser.GuiHtmlHandle":
         """How it stands, the button that saves, and the coats."""
@@ -166,27 +152,28 @@ class CoatsPanel:
             mixture = gui.add_button(MIXTURE, hint="the colour that its paints make")
             opacity = gui.add_slider("opacity", 0.0, 1.0, 0.005, layer.opacity)
             place = gui.add_button_group("place", (UP, DOWN))
-        on.on_update(lambda event: self._change(switched, name, event.target.value))
+        on.on_update(lambda event: self._change(edited, name, on=event.target.value))
         colour.on_update(lambda event: self._picked(name, event))
         mixture.on_click(lambda event: self._mixed(name, colour))
-        opacity.on_update(lambda event: self._change(covering, name, event.target.value))
-        place.on_click(lambda event: self._change(moved, name, event.target.value == UP))
+        opacity.on_update(lambda event: self._change(edited, name, opacity=event.target.value))
+        place.on_click(lambda event: self._change(moved, name, up=event.target.value == UP))
         return folder
 
-    def _change(self, edit: Callable[..., Layers], *values: Any) -> None:
+    def _change(self, edit: Callable[..., LayerStack], name: str, **values: Any) -> None:
         with self._lock:
-            before, self.layers = self.layers, edit(self.layers, *values)
+            before, self.layers = self.layers, edit(self.layers, name, **values)
             self.put(layers=self.layers)
             if [x.name for x in before] != [x.name for x in self.layers]:
                 self._sort()
 
     def _picked(self, name: str, event: Any) -> None:
         if event.client is not None:  # by somebody, not by `_mixed`
-            self._change(recoloured, name, _hex(event.target.value))
+            red, green, blue = event.target.value
+            self._change(edited, name, colour=f"#{red:02x}{green:02x}{blue:02x}")
 
     def _mixed(self, name: str, colour: "viser.GuiRgbHandle") -> None:
-        self._change(recoloured, name, None)
-        colour.value = self.bench.mixed(name)
+        self._change(edited, name, colour=None)
+        colour.value = self.bench.colour(name, mixed=True)
 
     def _sort(self) -> None:
         """The uppermost first, below what does not move."""
@@ -203,7 +190,3 @@ class CoatsPanel:
         self.saved.content = (
             f'<div style="padding:0.4em 0.9em;font-size:0.8em">{html.escape(said)}</div>'
         )
-
-
-def _hex(colour: tuple[int, int, int]) -> str:
-    return "#" + "".join(f"{step:02x}" for step in colour)

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from irisjax.view.bench import Bench
-from irisjax.view.page import BLACK, DISTANCE, framed, orbit, sliders
+from irisjax.view.page import BLACK, ORBIT, framed, orbit, sliders
 from irisjax.view.panels import CoatsPanel, TissuePanel
 from irisjax.view.settings import QUICK
 from irisjax.view.studio import Studio
@@ -110,25 +110,25 @@ class _Page:
             else TissuePanel(server.gui, studio)
         )
         self.first, self.spent = True, 0.0  # s for the last picture with other pigments
-        self.width = studio.settings.width  # of the field at viser's `DISTANCE`
-        start = server.initial_camera
-        start.position, start.look_at, start.up = (
-            self._place(),
-            np.zeros(3),
-            np.array([0.0, 1.0, 0.0]),
-        )
+        self.width = studio.settings.width  # of the field at viser's `ORBIT`
         gui = server.gui
+        self._look(server.initial_camera)
+        server.initial_camera.up = np.array([0.0, 1.0, 0.0])
         gui.configure_theme(dark_mode=True, show_logo=False, show_share_button=False)
         gui.main_panel.dock_right()
         gui.main_panel.set_width(330)
-        self._results()
+        panel = gui.add_panel()
+        with panel.add_tab(self.panel.TITLE):
+            self.status = self.panel.results()
+        panel.dock_left()
+        panel.set_width(320)
+        self._say("computing the eye's tables …")
         self.widgets = self._settings()
         server.on_client_connect(self._connected)
         self.worker.put()
 
     def _settings(self) -> dict[str, Any]:
-        gui, studio, widgets = self.server.gui, self.studio, {}
-        widgets |= self.panel.widgets()
+        gui, studio, widgets = self.server.gui, self.studio, self.panel.widgets()
         with gui.add_folder("Light"):
             widgets["environment"] = gui.add_dropdown(
                 "environment",
@@ -143,15 +143,11 @@ class _Page:
     def _moved(self, event, name: str) -> None:
         if event.client is None:  # it is the page that follows the settings
             return
-        self.worker.put(**self.panel.asked(name, event.target.value))
-
-    def _results(self) -> None:
-        panel = self.server.gui.add_panel()
-        with panel.add_tab(self.panel.TITLE):
-            self.status = self.panel.results()
-        panel.dock_left()
-        panel.set_width(320)
-        self._say("computing the eye's tables …")
+        # The photograph belongs to its own camera.
+        asked = {name: event.target.value}
+        if name == "photograph" and event.target.value > 0 and isinstance(self.studio, Studio):
+            asked |= self.studio.photographed
+        self.worker.put(**asked)
 
     def _say(self, *lines: str) -> None:
         self.status.content = (
@@ -190,13 +186,11 @@ class _Page:
             wanted = getattr(self.studio.settings, name)
             if "preset" in changes and widget.value != wanted:
                 widget.value = wanted
-        height, width = self.picture.shape[:2]
-        s = self.studio.settings
+        (height, width, _), s = self.picture.shape, self.studio.settings
         self._say(
             f"{'draft' if draft else 'picture'} {width} × {height}: {1e3 * spent:.0f} ms",
             f"camera {s.camera_polar:.0f}° off axis at {s.camera_azimuth:.0f}°, field "
-            f"{s.width:.1f} mm; "
-            "drag to orbit, scroll to zoom",
+            f"{s.width:.1f} mm; drag to orbit, scroll to zoom",
             *self.panel.remarks(),
         )
         return spent
@@ -217,9 +211,8 @@ class _Page:
                 aspect = camera.aspect
                 self._send(client)
             place = np.asarray(camera.position) - np.asarray(camera.look_at)
-            if (
-                np.abs(place - _VISERS).max() < 1e-3
-            ):  # a slow browser may report it after ours, and stay there
+            # A slow browser may report viser's own camera after ours, and stay there.
+            if np.abs(place - _VISERS).max() < 1e-3:
                 self._look(camera)
                 return
             asked = self._asked(camera)
@@ -261,4 +254,4 @@ class _Page:
         polar, azimuth = math.radians(s.camera_polar), math.radians(s.camera_azimuth)
         sin = math.sin(polar)
         towards = np.array([sin * math.cos(azimuth), sin * math.sin(azimuth), math.cos(polar)])
-        return DISTANCE * s.width / self.width * towards
+        return ORBIT * s.width / self.width * towards

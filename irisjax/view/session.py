@@ -14,44 +14,45 @@ from irisjax.measure.colour import srgb_encode
 from irisjax.render.camera import Camera
 from irisjax.render.environment import Environment
 from irisjax.render.illumination import Illumination
+from irisjax.render.integrator import AbstractResponse
 from irisjax.render.lights import Lights
-from irisjax.render.picture import LitView, Texels
+from irisjax.render.picture import LitView, Texels, illuminate, respond, shade, texture
 from irisjax.render.project import View, look
 from irisjax.render.scene import Scene
 from irisjax.view.settings import (
     CAMERA,
-    ENVIRONMENTS,
     GIVEN,
     LIGHT,
+    SURROUNDS,
     CommonSettings,
     values_of,
 )
 
-T = TypeVar("T")
+V = TypeVar("V")
 S = TypeVar("S", bound=CommonSettings)
 
 
-class KeptValue(Generic[T]):
+class KeptValue(Generic[V]):
     """A value that is computed again only where its inputs have changed."""
 
     def __init__(self) -> None:
-        self._found: tuple[Any, T] | None = None
+        self._found: tuple[Any, V] | None = None
 
-    def of(self, inputs: Any, make: Callable[[], T]) -> T:
+    def of(self, inputs: Any, make: Callable[[], V]) -> V:
         """Return the value for these inputs."""
         if self._found is None or self._found[0] != inputs:
             self._found = inputs, make()
         return self._found[1]
 
 
-class Values:
+class KeptPicture:
     """Values of the functions that make pictures of one size."""
 
     def __init__(self) -> None:
         self.view = KeptValue[View]()
         self.texels = KeptValue[Texels]()
-        self.light = KeptValue[LitView]()
-        self.picture = KeptValue[Any]()
+        self.light = KeptValue[Any]()
+        self.picture = KeptValue[tuple[np.ndarray, float | None]]()
 
 
 class Session(abc.ABC, Generic[S]):
@@ -59,16 +60,22 @@ class Session(abc.ABC, Generic[S]):
 
     Attributes:
         settings: Current settings.
+        error: Error of the last picture's response, see `AbstractResponse`.
     """
 
     settings: S
+    error: float | None = None
+    # Settings of the iris that its texels, and its response, depend on.
+    _SURFACES: tuple[str, ...] = ()
+    _MATERIAL: tuple[str, ...] = ()
 
     def __init__(self, scene: Scene, tables_of: Callable[[Scene], Illumination | None]) -> None:
         self._base, self._tables_of = scene, tables_of
         self._tables = {grazing: KeptValue[Illumination | None]() for grazing in (False, True)}
         self._grazing, self._environment = KeptValue[bool](), KeptValue[Environment | None]()
+        self._response = KeptValue[AbstractResponse]()
+        self._kept = {draft: KeptPicture() for draft in (False, True)}
 
-    @abc.abstractmethod
     def update(self, *, draft: bool = False, **changes: Any) -> np.ndarray:
         """Return the picture after some changes: sRGB, 8 bits, (height, width, 3); a `draft` has
         half of either side.
@@ -76,15 +83,49 @@ class Session(abc.ABC, Generic[S]):
         Raises:
             ValueError: A setting is unknown or cannot be drawn; the old settings are kept.
         """
+        settings = self._changed(changes)
+        picture, self.error = self._picture(settings, draft)
+        self.settings = settings
+        return picture
 
-    @abc.abstractmethod
     def scene(self) -> Scene:
         """The scene as it is set; `exposure` is no part of it."""
+        return self._set(self.settings, self._base.camera.size)
+
+    @abc.abstractmethod
+    def _set(self, s: S, size: tuple[int, int]) -> Scene:
+        """The scene under some settings, its picture of this width and height."""
+
+    def _prepared(self, s: S, scene: Scene) -> Scene:
+        """The scene, with what the responses of many pictures have in common computed."""
+        return scene
+
+    def _light(self, kept: KeptPicture, lit: Any, *parts: Any) -> LitView:
+        """`illuminate` of parts; `lit` is what it depends on."""
+        return kept.light.of(lit, lambda: illuminate(*parts))
+
+    def _picture(self, s: S, draft: bool) -> tuple[np.ndarray, float | None]:
+        """Picture, and the error of its response."""
+        kept = self._kept[draft]
+        return kept.picture.of(s, lambda: self._drawn(kept, s, draft))
+
+    def _drawn(self, kept: KeptPicture, s: S, draft: bool) -> tuple[np.ndarray, float | None]:
+        scene = self._prepared(s, self._set(s, self._size(draft)))
+        # What the camera sees depends neither on the pupil nor on light.
+        view = kept.view.of(values_of(s, CAMERA), lambda: look(scene.eye, scene.camera))
+        surfaces = values_of(s, (*CAMERA, "environment", "strength", *self._SURFACES))
+        texels = kept.texels.of(surfaces, lambda: texture(view, scene))
+        grazing = self._grazing.of(values_of(s, LIGHT), scene.grazing)
+        tables = self._tables[grazing].of(None, lambda: self._tables_of(scene))
+        light = self._light(kept, (surfaces, values_of(s, LIGHT)), view, texels, scene, tables)
+        response = self._response.of(values_of(s, self._MATERIAL), lambda: respond(scene))
+        picture = encoded(shade(view, texels, light, response), s.exposure)
+        return picture, None if response.error is None else float(response.error)
 
     def environments(self) -> tuple[str, ...]:
         """Environments to choose from."""
         given = (GIVEN,) if self.settings.environment == GIVEN else ()
-        return given + tuple(ENVIRONMENTS)
+        return given + tuple(SURROUNDS)
 
     def _start(self) -> dict[str, Any]:
         """Settings of the scene as it was given."""
@@ -114,44 +155,30 @@ class Session(abc.ABC, Generic[S]):
         width, height = self._base.camera.size
         return (max(width // 2, 1), max(height // 2, 1)) if draft else (width, height)
 
-    def _view(self, kept: Values, s: S, scene: Scene) -> View:
-        """What the camera sees: it depends neither on the pupil nor on light."""
-        return kept.view.of(values_of(s, CAMERA), lambda: look(scene.eye, scene.camera))
-
-    def _tables_for(self, s: S, scene: Scene) -> Illumination | None:
-        grazing = self._grazing.of(values_of(s, LIGHT), scene.grazing)
-        return self._tables[grazing].of(None, lambda: self._tables_of(scene))
-
     def _parts(self, s: S, size: tuple[int, int]) -> dict[str, Any]:
         """Lights, environment and camera of a scene."""
-        around = self._environment.of((s.environment, s.strength), lambda: self._around(s))
-        return {"lights": self._lamps(s), "environment": around, "camera": self._camera(s, size)}
-
-    def _camera(self, s: S, size: tuple[int, int]) -> Camera:
-        polar, azimuth = (
-            jnp.asarray(math.radians(angle), float) for angle in (s.camera_polar, s.camera_azimuth)
-        )
-        return Camera(polar, azimuth, self._base.camera.distance, jnp.asarray(s.width, float), size)
-
-    def _lamps(self, s: S) -> Lights:
-        base = self._base
-        lamp = Lights.distant(
-            math.radians(s.light_polar), math.radians(s.light_azimuth), illuminant=base.illuminant
-        )
+        angles = s.light_polar, s.light_azimuth, s.camera_polar, s.camera_azimuth
+        light_polar, light_azimuth, *camera = map(math.radians, angles)
+        base, around = self._base, (s.environment, s.strength)
+        lamps = Lights.distant(light_polar, light_azimuth, illuminant=base.illuminant)
         if base.lights is not None:
-            lamp = dataclasses.replace(
-                base.lights, towards=base.lights.towards.at[0].set(lamp.towards[0])
-            )
-        return dataclasses.replace(lamp, irradiance=lamp.irradiance.at[0].set(s.irradiance))
+            towards = base.lights.towards.at[0].set(lamps.towards[0])
+            lamps = dataclasses.replace(base.lights, towards=towards)
+        irradiance = lamps.irradiance.at[0].set(s.irradiance)
+        polar, azimuth, width = (jnp.asarray(v, float) for v in (*camera, s.width))
+        return {
+            "lights": dataclasses.replace(lamps, irradiance=irradiance),
+            "environment": self._environment.of(around, lambda: self._around(s)),
+            "camera": Camera(polar, azimuth, base.camera.distance, width, size),
+        }
 
     def _around(self, s: S) -> Environment | None:
-        if s.environment not in (GIVEN, *ENVIRONMENTS):
+        if s.environment not in (GIVEN, *SURROUNDS):
             raise ValueError(
-                f"unknown environment {s.environment!r}; known: {', '.join(ENVIRONMENTS)}"
+                f"unknown environment {s.environment!r}; known: {', '.join(SURROUNDS)}"
             )
-        make = ENVIRONMENTS.get(s.environment)
-        given = s.environment == GIVEN
-        found = self._base.environment if given else None if make is None else make()
+        make = SURROUNDS.get(s.environment, lambda: self._base.environment)
+        found = None if make is None else make()
         if found is None or s.strength == 0:
             return None
         return Environment(found.radiance * s.strength)

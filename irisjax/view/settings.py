@@ -7,7 +7,7 @@ from typing import Any
 from irisjax.render.environment import Environment
 
 GIVEN = "as given"
-ENVIRONMENTS: dict[str, Callable[[], Environment] | None] = {
+SURROUNDS: dict[str, Callable[[], Environment] | None] = {
     "none": None,
     "studio": Environment.studio,
     "sky": Environment.sky,
@@ -17,14 +17,10 @@ ENVIRONMENTS: dict[str, Callable[[], Environment] | None] = {
 @dataclasses.dataclass(frozen=True)
 class CommonSettings:
     """What can be changed whatever the iris is made of; a scene's own values are where it starts.
+    `page.SLIDERS` says what the other fields are; those of light are the first lamp's.
 
     Attributes:
-        light_polar: Angle of the first lamp from the axis, degrees.
-        light_azimuth: Its azimuth, degrees.
-        irradiance: Its irradiance.
         environment: A name, or `GIVEN` for the scene's own.
-        strength: Factor on the environment.
-        exposure: Factor on the picture.
         camera_polar: Angle of the camera from the axis, degrees.
         camera_azimuth: Its azimuth, degrees.
         width: Width of the field, mm.
@@ -43,19 +39,12 @@ class CommonSettings:
 
 @dataclasses.dataclass(frozen=True)
 class Settings(CommonSettings):
-    """What can be changed of an eye of tissue; concentrations are those of `Iris`.
+    """What can be changed of an eye of tissue; `page.SLIDERS` says what the other fields are.
 
     Attributes:
         preset: A name, or `GIVEN` for the scene's own iris.
         seed: Seed of a preset's maps.
         integrator: A name of `INTEGRATORS`.
-        eumelanin: Concentration, mg/ml.
-        pheomelanin: Concentration, mg/ml.
-        abl_fraction: Share of the melanin in the anterior border layer.
-        stroma: Thickness relative to the iris's own, at equal concentrations.
-        hemoglobin: Both forms together, mmol/l.
-        saturation: Share of oxyhaemoglobin in them.
-        pupil_radius: Radius, mm.
         photograph: Share of the picture's width that shows the photograph, from the left; `None`
             where there is none.
     """
@@ -73,11 +62,10 @@ class Settings(CommonSettings):
     photograph: float | None = None
 
 
-PIGMENTS = ("eumelanin", "pheomelanin", "abl_fraction", "hemoglobin", "saturation")
+SLIDER_PIGMENTS = ("eumelanin", "pheomelanin", "abl_fraction", "hemoglobin", "saturation")
 CAMERA = ("camera_polar", "camera_azimuth", "width")
-LAMP = ("light_polar", "light_azimuth", "irradiance")
-LIGHT = (*LAMP, "environment", "strength")
-QUICK = frozenset({*PIGMENTS, "stroma", "exposure", "layers"})
+LIGHT = ("light_polar", "light_azimuth", "irradiance", "environment", "strength")
+QUICK = frozenset({*SLIDER_PIGMENTS, "stroma", "exposure", "layers"})
 """Settings that change neither the tables nor the view nor anything else that takes long."""
 
 

@@ -4,6 +4,7 @@ touches, and no others.
 
 import dataclasses
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -13,36 +14,34 @@ from irisjax.io.scenes import stream
 from irisjax.measure.colour import Colour, colour_of
 from irisjax.measure.photometers import reflectance
 from irisjax.render.illumination import Illumination
-from irisjax.render.integrator import AbstractIntegrator, AbstractResponse
+from irisjax.render.integrator import AbstractIntegrator
 from irisjax.render.integrators import INTEGRATORS, integrator_name
-from irisjax.render.picture import illuminate, prepared_scene, respond, shade, texture
+from irisjax.render.picture import prepared_scene
 from irisjax.render.scene import Scene
 from irisjax.tissue.iris import Iris
 from irisjax.tissue.maps import IrisMaps
 from irisjax.transport.defaults import exact_solver
 from irisjax.transport.process import AbstractProcess
-from irisjax.view.session import KeptValue, Session, Values, encoded
-from irisjax.view.settings import CAMERA, GIVEN, LIGHT, PIGMENTS, Settings, values_of
-from irisjax.view.wipe import Picture, resized, wiped
+from irisjax.view.session import KeptValue, Session
+from irisjax.view.settings import CAMERA, GIVEN, SLIDER_PIGMENTS, Settings, values_of
+from irisjax.view.wipe import RgbPicture, resized, wiped
 
-GRID = np.arange(400.0, 701.0, 5.0)
+SPECTRUM_NM = np.arange(400.0, 701.0, 5.0)
 """Wavelengths of the spectrum, nm."""
 _GROWN = ("preset", "seed", "integrator")
 
 
 class Studio(Session[Settings]):
-    """A scene of tissue, its settings, and what is already computed for them.
+    """A scene of tissue, its settings, and what is already computed for them."""
 
-    Attributes:
-        settings: Current settings.
-        error: Error of the last picture's response, see `AbstractResponse`.
-    """
+    _SURFACES = (*_GROWN, "pupil_radius")
+    _MATERIAL = (*SLIDER_PIGMENTS, "stroma", *_GROWN)
 
     def __init__(
         self,
         scene: Scene,
         tables_of: Callable[[Scene], Illumination | None] = Scene.tables,
-        photograph: Picture | None = None,
+        photograph: RgbPicture | None = None,
         **given: Any,
     ):
         """Begin with the settings of a scene.
@@ -56,12 +55,9 @@ class Studio(Session[Settings]):
         """
         super().__init__(scene, tables_of)
         self._photograph = None if photograph is None else resized(photograph, scene.camera.size)
-        self._values = {draft: Values() for draft in (False, True)}
-        self._response = KeptValue[AbstractResponse]()
         self._growth = KeptValue[tuple[Iris, IrisMaps | None]]()
         self._made = KeptValue[AbstractIntegrator]()
-        self._ready = KeptValue[AbstractIntegrator]()
-        self.error: float | None = 0.0
+        self._ready = KeptValue[Scene]()
         start = {
             **self._start(),
             "pupil_radius": round(float(scene.eye.pupil_radius), 6),
@@ -82,13 +78,11 @@ class Studio(Session[Settings]):
         """Eye colours to choose from."""
         return ((GIVEN,) if self.settings.preset == GIVEN else ()) + tuple(PRESETS)
 
-    def update(self, *, draft: bool = False, **changes: Any) -> np.ndarray:
-        """See `Session.update`.
-
-        Another preset brings its own pigments, and so does a preset under another integrator. Any
-        camera but the photograph's hides the photograph.
+    def _changed(self, changes: dict[str, Any]) -> Settings:
+        """Another preset brings its own pigments, and so does a preset under another integrator.
+        Any camera but the photograph's hides the photograph.
         """
-        settings = self._changed(changes)
+        settings = super()._changed(changes)
         if self._look(settings) != self._look(self.settings):
             own = _pigments(self._grown(settings)[0]) | {"stroma": 1.0}
             settings = dataclasses.replace(settings, **{**own, **changes})
@@ -96,48 +90,25 @@ class Studio(Session[Settings]):
             raise ValueError("no photograph to show")
         if settings.photograph and values_of(settings, CAMERA) != self._cameras:
             settings = dataclasses.replace(settings, photograph=0.0)
-        drawn = dataclasses.replace(settings, photograph=None)
-        kept = self._values[draft]
-        picture, error = kept.picture.of(drawn, lambda: self._drawn(kept, drawn, draft))
-        if settings.photograph and self._photograph is not None:
-            photograph = resized(self._photograph, self._size(draft))
-            picture = wiped(photograph, picture, settings.photograph)
-        self.settings, self.error = settings, error
-        return picture
+        return settings
 
-    @property
-    def iris(self) -> Iris:
-        """The iris as it is set."""
-        return self._iris(self.settings)
-
-    def scene(self) -> Scene:
-        """The scene as it is set; `exposure` is no part of it."""
-        return self._set(self.settings, self._base.camera.size)
+    def _picture(self, s: Settings, draft: bool) -> tuple[np.ndarray, float | None]:
+        picture, error = super()._picture(dataclasses.replace(s, photograph=None), draft)
+        if s.photograph and self._photograph is not None:
+            picture = wiped(resized(self._photograph, self._size(draft)), picture, s.photograph)
+        return picture, error
 
     def spectrum(self) -> tuple[np.ndarray, Colour]:
-        """Reflectance of the uniform iris, without an eye round it, on `GRID`; and its colour."""
-        found = reflectance(self.iris, GRID, solver=exact_solver(self._process(self.settings)))
-        colour = colour_of(GRID, found.values, illuminant=self._base.illuminant)
+        """Reflectance of the uniform iris on `SPECTRUM_NM`, without an eye, and its colour."""
+        s = self.settings
+        found = reflectance(self._iris(s), SPECTRUM_NM, solver=exact_solver(self._process(s)))
+        colour = colour_of(SPECTRUM_NM, found.values, illuminant=self._base.illuminant)
         return np.asarray(found.values), colour
 
-    def _drawn(self, kept: Values, s: Settings, draft: bool) -> tuple[np.ndarray, float | None]:
-        """Picture, and the error of its response."""
-        scene = self._set(s, self._size(draft))
-        grown = values_of(s, _GROWN)
+    def _prepared(self, s: Settings, scene: Scene) -> Scene:
         # Maps are relative to the iris: pigments and thickness change the response alone.
-        scene = scene.replace(
-            integrator=self._ready.of(grown, lambda: prepared_scene(scene).integrator)
-        )
-        view = self._view(kept, s, scene)
-        surfaces = *values_of(s, CAMERA), grown, s.pupil_radius, s.environment, s.strength
-        texels = kept.texels.of(surfaces, lambda: texture(view, scene))
-        tables = self._tables_for(s, scene)
-        lit = surfaces, values_of(s, LIGHT)
-        light = kept.light.of(lit, lambda: illuminate(view, texels, scene, tables))
-        asked = values_of(s, (*PIGMENTS, "stroma", *_GROWN))
-        response = self._response.of(asked, lambda: respond(scene))
-        picture = encoded(shade(view, texels, light, response), s.exposure)
-        return picture, None if response.error is None else float(response.error)
+        make = partial(prepared_scene, scene)
+        return scene.replace(integrator=self._ready.of(values_of(s, _GROWN), make).integrator)
 
     def _look(self, s: Settings):
         """What the pigments of a preset depend on."""

@@ -1,17 +1,15 @@
 """A photograph beside its rendering: one picture made of both."""
 
-from typing import cast
-
 import numpy as np
 from jaxtyping import UInt8
 
-Picture = UInt8[np.ndarray, "_ _ 3"]
+RgbPicture = UInt8[np.ndarray, "_ _ 3"]
 """sRGB, 8 bits, rows and columns of any number: two pictures need not agree."""
 _LINE = 255
 _PER_LINE = 400  # columns of the picture for each column of the line
 
 
-def wiped(photograph: Picture, rendered: Picture, share: float) -> Picture:
+def wiped(photograph: RgbPicture, rendered: RgbPicture, share: float) -> RgbPicture:
     """Columns of the photograph on the left up to `share` of the width, the rendering on the right,
     a thin white line between them; 0 and 1 show one of them alone.
 
@@ -19,8 +17,9 @@ def wiped(photograph: Picture, rendered: Picture, share: float) -> Picture:
         ValueError: The pictures have different sizes, or the share is not in 0 to 1.
     """
     if photograph.shape != rendered.shape:
+        (rows, columns, _), (height, width, _) = photograph.shape, rendered.shape
         raise ValueError(
-            f"the photograph has {_size(photograph)} pixels, the rendering {_size(rendered)}"
+            f"the photograph has {columns} x {rows} pixels, the rendering {width} x {height}"
         )
     if not 0 <= share <= 1:
         raise ValueError(f"photograph = {share:g}: must be from 0 to 1, the share of the width")
@@ -34,7 +33,7 @@ def wiped(photograph: Picture, rendered: Picture, share: float) -> Picture:
     return both
 
 
-def resized(picture: Picture, size: tuple[int, int]) -> Picture:
+def resized(picture: RgbPicture, size: tuple[int, int]) -> RgbPicture:
     """The picture at another (width, height), each pixel the mean of what it covers, to one
     level; the same picture for its own size.
 
@@ -51,9 +50,4 @@ def resized(picture: Picture, size: tuple[int, int]) -> Picture:
         )
     from PIL import Image
 
-    made = Image.fromarray(picture).resize(size, Image.Resampling.BOX)
-    return cast("np.ndarray", np.asarray(made))
-
-
-def _size(picture: Picture) -> str:
-    return f"{picture.shape[1]} x {picture.shape[0]}"
+    return np.array(Image.fromarray(picture).resize(size, Image.Resampling.BOX), np.uint8)
