@@ -3,21 +3,17 @@
 import dataclasses
 from pathlib import Path
 
-import jax.numpy as jnp
 import numpy as np
 import pytest
 
 from common import counting
 from irisjax.io.recipes import Recipe, read_recipe
-from irisjax.measure.colour import srgb_decode, srgb_encode
-from irisjax.ocularist import composite
+from irisjax.measure.colour import srgb_decode
+from irisjax.ocularist import integrator
 from irisjax.ocularist.coats import over, through
-from irisjax.ocularist.integrator import Painted
-from irisjax.ocularist.painting import painted
 from irisjax.ocularist.recipes import CoatRecipe
-from irisjax.render.picture import draw
 from irisjax.view import Bench
-from irisjax.view.layers import Layer, covering, moved, recoloured, switched
+from irisjax.view.bench import Layer, edited, moved
 
 COATS = (
     CoatRecipe("base", {}, "burnt umber", "burnt sienna", 0.4, 1.0, 0, 0.0),
@@ -31,7 +27,7 @@ TEXELS = 32
 
 def small(scene):
     """A picture of few pixels, of an iris in one lamp's light."""
-    camera = dataclasses.replace(scene.camera, size=(40, 30))
+    camera = dataclasses.replace(scene.camera, size=(16, 12))
     return scene.replace(camera=camera, eye=scene.eye.replace(cornea=None, sclera=None), veins=None)
 
 
@@ -39,18 +35,19 @@ def bench(recipe=RECIPE):
     return Bench(recipe, small, texels=TEXELS)
 
 
+def all_off(layers):
+    for name in (BASE, SMEARS, LIMBUS):
+        layers = edited(layers, name, on=False)
+    return layers
+
+
 def layers(*heights):
     return tuple(Layer(name, True, None, 0.5, h) for name, h in zip("abc", heights, strict=True))
 
 
-def as_painted(found: Bench, coats) -> np.ndarray:
-    """The picture of other recipes in the same scene, painted from the start."""
-    painting = painted(coats, RECIPE.mixer(), RECIPE.eye(), size=TEXELS)
-    return shown(found.scene().replace(integrator=Painted(painting=painting)))
-
-
-def shown(scene) -> np.ndarray:
-    return np.rint(255 * np.clip(np.asarray(srgb_encode(draw(scene))), 0, 1))
+def anew(*coats, **fields) -> np.ndarray:
+    """The picture of other coats, painted from the start."""
+    return bench(RECIPE._replace(coats=coats, **fields)).update()
 
 
 def near(picture, expected, levels=1):
@@ -66,58 +63,41 @@ def test_a_coat_moves_with_its_neighbours_height():
     assert moved(before, "c", True) == moved(before, "a", False) == before
 
 
-@pytest.mark.parametrize(
-    "change",
-    [
-        lambda x: switched(x, "d", False),
-        lambda x: recoloured(x, "d", "#102030"),
-        lambda x: covering(x, "d", 0.5),
-        lambda x: moved(x, "d", True),
-    ],
-)
-def test_an_unknown_coat_is_named_among_those_there_are(change):
-    with pytest.raises(ValueError, match=r"^no coat 'd'; there are a, b, c$"):
-        change(layers(0.0, 0.1, 0.2))
-
-
-def test_refuses_what_is_no_colour_and_no_opacity():
+def test_refuses_unknown_coats_and_what_is_no_colour_and_no_opacity():
+    stack = layers(0.0, 0.1, 0.2)
+    for change in (lambda: edited(stack, "d", on=False), lambda: moved(stack, "d", True)):
+        with pytest.raises(ValueError, match=r"^no coat 'd'; there are a, b, c$"):
+            change()
     with pytest.raises(ValueError, match="#12345"):
-        recoloured(layers(0.0, 0.1, 0.2), "a", "#12345")
+        edited(stack, "a", colour="#12345")
     with pytest.raises(ValueError, match=r"1\.5"):
-        covering(layers(0.0, 0.1, 0.2), "a", 1.5)
+        edited(stack, "a", opacity=1.5)
     with pytest.raises(ValueError, match="no such setting: eumelanin"):
         bench().update(eumelanin=1.0)
 
 
 def test_every_change_is_the_picture_of_a_painting_made_anew():
-    found = bench()
-    near(found.update(), as_painted(found, COATS))
+    found, (base, smears, limbus) = bench(), COATS
     first = found.settings.layers
 
-    off = switched(first, SMEARS, False)
-    without = found.update(layers=off)
-    near(without, as_painted(found, (COATS[0], COATS[2])))
-    assert [coat.name for coat in found.painting().coats] == [BASE, LIMBUS]
+    without = found.update(layers=edited(first, SMEARS, on=False))
+    near(without, anew(base, limbus))
 
-    thin = found.update(layers=covering(first, LIMBUS, 0.25))
-    near(thin, as_painted(found, (*COATS[:2], COATS[2]._replace(opacity=0.25))))
+    thin = found.update(layers=edited(first, LIMBUS, opacity=0.25))
+    near(thin, anew(base, smears, limbus._replace(opacity=0.25)))
 
     up = found.update(layers=moved(first, SMEARS, True))
-    lower, higher = COATS[2]._replace(height=0.1), COATS[1]._replace(height=0.2)
-    near(up, as_painted(found, (COATS[0], lower, higher)))
+    near(up, anew(base, limbus._replace(height=0.1), smears._replace(height=0.2)))
 
-    hand = found.update(layers=recoloured(first, BASE, "#3060c0"))
-    painting = found.painting().replace(BASE, colour=jnp.asarray(linear("#3060c0"), float))
-    near(hand, shown(found.scene().replace(integrator=Painted(painting=painting))))
+    hand = found.update(layers=edited(first, BASE, colour="#3060c0"))
+    blue = base._replace(first="picked", second="picked", share=0.0)
+    near(hand, anew(blue, smears, limbus, palette={"picked": "#3060c0"}))
     assert found.colour(BASE) == (0x30, 0x60, 0xC0)
     pictures = [without, thin, up, hand, found.update(layers=first)]
     for i, a in enumerate(pictures):
         for b in pictures[i + 1 :]:
             assert np.abs(a.astype(int) - b).max() > 5
-
-
-def linear(colour):
-    return srgb_decode(np.array([int(colour[i : i + 2], 16) for i in (1, 3, 5)]) / 255)
+    assert not found.update(layers=all_off(first)).any()
 
 
 def test_coats_that_change_places_follow_the_equation():
@@ -128,31 +108,24 @@ def test_coats_that_change_places_follow_the_equation():
     found = bench(Recipe((white, glaze, other)))
 
     def by_hand(bottom, *above):
-        light = {}
-        tint = np.ones(3)
+        light, tint = {}, np.ones(3)
         for coat in reversed(above):
             light[coat.name] = tint
             tint = through(tint, float(coat.opacity.max()), np.asarray(coat.colour))
-        shown = np.asarray(bottom.colour) * tint
+        seen = np.asarray(bottom.colour) * tint
         for coat in above:
-            shown = over(
-                shown, float(coat.opacity.max()), np.asarray(coat.colour), light[coat.name]
-            )
-        return shown
+            seen = over(seen, float(coat.opacity.max()), np.asarray(coat.colour), light[coat.name])
+        return seen
 
     ratios = []
     for order in (found.settings.layers, moved(found.settings.layers, "02 base", True)):
-        picture = found.update(layers=order, exposure=0.25)
-        lit = linear_of(picture[15, 29])
-        expected = by_hand(*found.painting().coats)
+        pixel = found.update(layers=order, exposure=0.25)[6, 12]
+        lit = np.asarray(srgb_decode(pixel / 255.0))
+        expected = by_hand(*found.scene().integrator.painting.coats)
         ratios.append(lit / expected)
         # One factor in all channels: the lamps', and the exposure.
         np.testing.assert_allclose(lit / lit[0], expected / expected[0], atol=0.03)
     np.testing.assert_allclose(ratios[0], ratios[1], rtol=0.03)
-
-
-def linear_of(pixel):
-    return np.asarray(srgb_decode(pixel / 255.0))
 
 
 @pytest.mark.parametrize("mixing", ["hsl", "kubelka-munk"])
@@ -160,8 +133,8 @@ def test_the_saved_recipe_makes_the_same_picture(tmp_path, mixing):
     taken = {"picked 02": "#5a6b2c"}
     coats = (COATS[0]._replace(first="picked 02"), *COATS[1:])
     found = bench(Recipe(coats, mixing=mixing, palette=taken, folder=tmp_path))
-    change = recoloured(found.settings.layers, SMEARS, "#20a060")
-    change = moved(covering(switched(change, LIMBUS, False), SMEARS, 0.35), SMEARS, True)
+    change = edited(found.settings.layers, SMEARS, colour="#20a060", opacity=0.35)
+    change = moved(edited(change, LIMBUS, on=False), SMEARS, True)
     picture = found.update(layers=change)
     path = found.save()
     assert path == tmp_path / "recipe.toml"
@@ -178,29 +151,18 @@ def test_saves_over_its_own_file_and_no_other(tmp_path):
     assert found.save() == found.save() == tmp_path / "recipe_2.toml"
     assert read_recipe(tmp_path / "recipe_2.toml").coats == COATS
     assert (tmp_path / "recipe.toml").read_text() == "another's"
-    every = found.settings.layers
-    for name in (BASE, SMEARS, LIMBUS):
-        every = switched(every, name, False)
     with pytest.raises(ValueError, match="no coat is on"):
-        found.save(every)
+        found.save(all_off(found.settings.layers))
 
 
 def test_a_coat_that_changes_is_done_with_those_below_it(monkeypatch):
     found = bench()
     found.update()
-    steps = "opacity_at", "crossed", "paint_over"
-    done = counting(monkeypatch, **dict.fromkeys(steps, composite))
-    found.update(layers=recoloured(found.settings.layers, SMEARS, "#20a060"))
+    steps = "_opacity_at", "_crossed", "_paint_over"
+    done = counting(monkeypatch, **dict.fromkeys(steps, integrator))
+    found.update(layers=edited(found.settings.layers, SMEARS, colour="#20a060"))
     # Each of the three coats is a group by itself, the uppermost the first.
     assert tuple(done.values()) == (0, 0, 2)
-
-
-def test_without_coats_there_is_a_picture_still():
-    found = bench()
-    every = found.settings.layers
-    for name in (BASE, SMEARS, LIMBUS):
-        every = switched(every, name, False)
-    assert not found.update(layers=every).any()
 
 
 def test_the_example_recipe_in_the_viewer():

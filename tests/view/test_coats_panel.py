@@ -1,14 +1,10 @@
 """The coats on the viewer's page, by a stand-in for viser; and what the command refuses of them."""
 
 import contextlib
-import io
-import sys
-from types import ModuleType, SimpleNamespace
+from types import SimpleNamespace
 
-import jax
 import pytest
 
-from irisjax import cli
 from irisjax.io.recipes import Recipe
 from irisjax.ocularist.recipes import CoatRecipe
 from irisjax.view import Bench
@@ -125,28 +121,6 @@ def test_saves_what_is_asked_for_and_says_where(page):
     assert "no coat is on" in page.panel.saved.content
 
 
-@pytest.fixture
-def complaint(monkeypatch):
-    """What the command says in one line; viser is a stand-in where it is not installed."""
-    if "viser" not in sys.modules:
-        import importlib.machinery
-
-        module = ModuleType("viser")
-        module.__spec__ = importlib.machinery.ModuleSpec("viser", None)
-        monkeypatch.setitem(sys.modules, "viser", module)
-    before = jax.config.read("jax_enable_x64")
-
-    def run(*arguments):
-        out = io.StringIO()
-        with contextlib.redirect_stderr(out):
-            assert cli.run(["view", "--port", "0", *map(str, arguments)]) == 2
-        assert out.getvalue().count("\n") == 1
-        return out.getvalue()
-
-    yield run
-    jax.config.update("jax_enable_x64", before)
-
-
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
@@ -160,11 +134,11 @@ def complaint(monkeypatch):
         (("--recipe", "nowhere.toml"), "nowhere.toml"),
     ],
 )
-def test_refuses_eyes_that_do_not_go_together(complaint, arguments, words):
+def test_refuses_eyes_that_do_not_go_together(viser, complaint, arguments, words):
     assert words in complaint(*arguments)
 
 
-def test_names_the_recipe_whose_coat_cannot_be_painted(complaint, tmp_path):
+def test_names_the_recipe_whose_coat_cannot_be_painted(viser, complaint, tmp_path):
     path = tmp_path / "wrong.toml"
     path.write_text('[[coat]]\ncomponent = "base"\npaints = ["burnt amber"]\n')
     said = complaint("--recipe", path)
