@@ -74,7 +74,7 @@ def test_equal_seeds_give_equal_coats_and_others_do_not():
             "detail",
             "grey",
             0,
-            "unknown colour of eye 'grey'; did you mean 'green'\? known: brown, blue, green",
+            r"unknown colour of eye 'grey'; did you mean 'green'\? known: brown, blue, green",
         ),
         ("detail", "blue", -1, r"seed = -1 is outside \[0, inf\)"),
     ],

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from irisjax.render.camera import Camera
 from irisjax.view import Studio
 from irisjax.view.wipe import resized, wiped
 
@@ -59,7 +60,8 @@ def still(bare, monkeypatch):
         return flat(200, height, width), 0.0
 
     monkeypatch.setattr(Studio, "_drawn", rendered)
-    return Studio(bare, photograph=flat(10, 12, 16)), drawn
+    scene = bare.replace(camera=Camera(size=(40, 30)))
+    return Studio(scene, photograph=flat(10, 30, 40)), drawn
 
 
 def test_a_wipe_draws_nothing(still):
@@ -69,12 +71,12 @@ def test_a_wipe_draws_nothing(still):
     assert (first[0, 0, 0], first[0, -1, 0]) == (10, 200)
     for share in (0.1, 0.9, 0.0, 1.0):
         shown = found.update(photograph=share)
-        assert (shown[..., 0] == 10).sum() == pytest.approx(192 * share, abs=12)
+        assert (shown[..., 0] == 10).sum() == pytest.approx(1200 * share, abs=30)
     assert len(drawn) == 1
     found.update(eumelanin=2.0)
     assert len(drawn) == 2
     assert (found.update()[..., 0] == 10).all()
-    assert found.update(draft=True).shape == (6, 8, 3)
+    assert found.update(draft=True).shape == (15, 20, 3)
 
 
 def test_another_camera_hides_the_photograph(still):
