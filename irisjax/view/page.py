@@ -11,6 +11,7 @@ from irisjax.view.settings import CommonSettings
 _ABL = "share of the melanin in the anterior border layer"
 _STROMA = "thickness relative to the preset's, at equal concentrations"
 SLIDERS: dict[str, dict[str, tuple[str, float, float, float, str]]] = {
+    "Photograph": {"photograph": ("photograph", 0, 1, 0.005, "share of the picture's width")},
     "Iris": {
         "eumelanin": ("eumelanin", 0, 4, 0.005, "mg/ml over the whole iris"),
         "pheomelanin": ("pheomelanin", 0, 2, 0.005, "mg/ml over the whole iris"),

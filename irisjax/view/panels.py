@@ -33,23 +33,14 @@ class TissuePanel:
 
     def widgets(self) -> dict[str, Any]:
         """Widgets by the settings that they show."""
-        gui, studio, widgets = self.gui, self.studio, {}
-        now = studio.settings
+        gui, now, widgets = self.gui, self.studio.settings, {}
         if now.photograph is not None:
             with gui.add_folder("Photograph"):
-                widgets["photograph"] = gui.add_slider(
-                    "photograph",
-                    0.0,
-                    1.0,
-                    0.005,
-                    now.photograph,
-                    hint="share of the picture's width",
-                )
+                widgets |= sliders(gui, "Photograph", now)
                 gui.add_html(f'<div style="padding:0 0.9em 0.5em;font-size:0.8em">{_NOTE}</div>')
         with gui.add_folder("Eye"):
-            widgets["preset"] = gui.add_dropdown(
-                "preset", studio.presets(), initial_value=now.preset
-            )
+            presets = self.studio.presets()
+            widgets["preset"] = gui.add_dropdown("preset", presets, initial_value=now.preset)
             widgets["seed"] = gui.add_number(
                 "seed", now.seed, min=0, max=2**32 - 1, step=1, hint="of a preset's maps"
             )
@@ -60,7 +51,7 @@ class TissuePanel:
                 hint="separable: ILIT; presets have pigments of their own under radiative transfer",
             )
         with gui.add_folder("Iris"):
-            widgets |= sliders(gui, "Iris", studio.settings)
+            widgets |= sliders(gui, "Iris", now)
         return widgets
 
     def results(self) -> "viser.GuiHtmlHandle":
@@ -97,13 +88,9 @@ class TissuePanel:
 
     def remarks(self) -> tuple[str, ...]:
         """Of the last picture."""
-        error = self.studio.error
-        return (
-            "single scattering" if error is None else f"all orders, within {100 * error:.1g} %",
-            "left: photograph; right: simulated"
-            if self.studio.settings.photograph
-            else "simulated",
-        )
+        error, beside = self.studio.error, self.studio.settings.photograph
+        orders = "single scattering" if error is None else f"all orders, within {100 * error:.1g} %"
+        return orders, "left: photograph; right: simulated" if beside else "simulated"
 
 
 class CoatsPanel:

@@ -130,12 +130,11 @@ class _Page:
     def _settings(self) -> dict[str, Any]:
         gui, studio, widgets = self.server.gui, self.studio, self.panel.widgets()
         with gui.add_folder("Light"):
+            around, now = studio.environments(), studio.settings
             widgets["environment"] = gui.add_dropdown(
-                "environment",
-                studio.environments(),
-                initial_value=studio.settings.environment,
+                "environment", around, initial_value=now.environment
             )
-            widgets |= sliders(gui, "Light", studio.settings)
+            widgets |= sliders(gui, "Light", now)
         for name, widget in widgets.items():
             widget.on_update(lambda event, name=name: self._moved(event, name))
         return widgets
