@@ -170,7 +170,7 @@ class HslMixer(AbstractMixer):
         return mixed_in_hsl(self.colours[first], self.colours[second], share)
 
 
-def rows(table: Array) -> Array | np.ndarray:
+def rows(table: Array | np.ndarray) -> Array | np.ndarray:
     """The table to be taken row by row; with NumPy where it can be, as JAX compiles a program for
     each number of rows.
     """

@@ -7,7 +7,6 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-import irisjax as ij
 from irisjax.measure.colour import lab_of
 from irisjax.ocularist.coats import Coat, Painting, profile_of, prosthesis
 from irisjax.ocularist.matching import match, retouch
@@ -22,11 +21,8 @@ from irisjax.ocularist.tissue import (
     nearest_tissue,
     reflectance_of,
 )
-from irisjax.render.separable import Separable
 
 SHAPE = (48, 16)
-# Fewer nodes than the default, for the same tables.
-FEW = Separable(degrees=(6, 5, 4, 4, 2), solver=ij.IlitExact(8))
 SIZE = 64
 EYE = prosthesis()
 RECIPES = (
@@ -162,13 +158,13 @@ def test_a_painting_as_tissue():
     among tissues.
     """
     painting = painted(RECIPES, HslMixer.default(), EYE, size=SIZE)
-    few = {"shape": (12, 6), "integrator": FEW}
     with promoting():
-        found = nearest_tissue(painting, EYE, **few)
-        tissue = reflectance_of(found.iris, found.maps, EYE, FEW)
-        shown, colour = found.exposure * tissue, 10 * tissue[0, 0]
+        found = nearest_tissue(painting, EYE, shape=(12, 6))
+        shown = found.exposure * reflectance_of(found.iris, found.maps, EYE)
+        iris = found.iris.replace(eumelanin=1.9 * found.iris.eumelanin)
+        colour = 10 * reflectance_of(iris, None, EYE)[0, 0]
         coat = Coat("flat", jnp.ones((4, 4)), colour, jnp.asarray(0.0))
-        flat = nearest_tissue(Painting((coat,), profile_of(EYE)), EYE, exposure=10.0, **few)
+        flat = nearest_tissue(Painting((coat,), profile_of(EYE)), EYE, shape=(12, 6), exposure=10.0)
     assert difference(shown, texture_of(painting, EYE, (12, 6))) == pytest.approx(found.left)
     assert flat.left.q95 < 1
     assert 4 < found.exposure < 16  # tissue is darker than paint

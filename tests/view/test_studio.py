@@ -76,7 +76,7 @@ def test_a_preset_brings_its_pigments(bare, monkeypatch):
         return grown(int(key == stream(3, "maps")), 0.02)
 
     monkeypatch.setitem(PRESETS, "blue", preset)
-    monkeypatch.setattr(Studio, "_drawn", lambda self, *given: (None, None))
+    monkeypatch.setattr(Studio, "_drawn", lambda self, *given: (np.zeros((1, 1, 3)), None))
     found = Studio(bare.replace(eye=bare.eye.replace(cornea=Cornea.f09(), aqueous_index=1.376)))
     assert found.presets()[0] == studio.GIVEN
     own = found.settings
