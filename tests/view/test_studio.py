@@ -31,6 +31,7 @@ def fresh(found: Studio) -> np.ndarray:
     return np.rint(255 * np.clip(srgb_encode(linear), 0, 1))
 
 
+@pytest.mark.slow  # 20 s of compiling
 def test_a_change_costs_what_it_must(bare, counted):
     found = Studio(bare)
     before = found.update()
