@@ -17,7 +17,7 @@ from experiments.common import RESULTS, start, uniform_ranks, write
 from irisjax.infer.fit import fit
 from irisjax.infer.observation import with_values
 from irisjax.infer.posterior import sample
-from irisjax.infer.store import FileStore
+from irisjax.infer.store import Store
 
 DRAWS, LEVELS = 63, (0.5, 0.8, 0.95)
 
@@ -102,7 +102,7 @@ def calibrate(problem, about, end, key, count, out=RESULTS, walkers=64):
 
 def _independent(path, key):
     """Draws far apart: one of each walker, at random steps."""
-    store = FileStore(path)
+    store = Store(path)
     z, _ = store.rows(0, store.steps)
     steps = np.asarray(jax.random.randint(key, (z.shape[1],), z.shape[0] // 4, z.shape[0]))
     every = z[steps, np.arange(z.shape[1])]

@@ -15,7 +15,7 @@ from jaxtyping import Float
 from irisjax._types import PRNGKey
 from irisjax.infer.importance import DRAWS, Approximation, importance_sample
 from irisjax.infer.moves import mixture
-from irisjax.infer.store import ChainStart, FileStore, Store
+from irisjax.infer.store import ChainStart, Store
 
 TAUS, ESS, RHAT = 50, 1000, 1.03
 """A chain is long enough with 50 autocorrelation times, 1,000 effective samples of every parameter,
@@ -112,8 +112,8 @@ def sample(
 ) -> Chains:
     """Sample a posterior until the chain is long enough.
 
-    Long enough means, for every parameter, 50 autocorrelation times (`TAUS`), 1,000 effective
-    samples (`ESS`; 500 of the tails) and an R-hat of at most 1.03 (`RHAT`).
+    Long enough means, for every parameter, `TAUS` autocorrelation times, `ESS` effective samples
+    (half as many of the tails) and an R-hat of at most `RHAT`.
 
     `importance_sample` draws the walkers' first places, and the proposal of their independent jumps
     is adapted to its samples. Where its weights stay uneven, a burn-in does both, at first with
@@ -141,8 +141,8 @@ def sample(
             is not long enough.
     """
     check_run(target, store, walkers=walkers, resume=resume, key=key)
-    kept = Store() if store is None else FileStore(store)
-    tell = (lambda steps, word: None) if progress is None else progress
+    kept = Store(store)
+    tell = progress or (lambda steps, word: None)
     log_density = target.log_density
     if kept.stage is None:
         kept.begin(_first(target, start, walkers, key, tell))
@@ -150,15 +150,12 @@ def sample(
         stage = kept.stage
         assert stage is not None
         run = _Run(kept, stage, log_density, key)
-        burn_in = stage.number < len(_BURN_IN)
-        if burn_in:
+        if stage.number < len(_BURN_IN):
             most = _BURN_IN[stage.number]
-            run.advance(most, lambda n, before=stage.steps_before: tell(before + n, "burn-in"))
-            samples = kept.rows(most // 2, most)[0]
-            kept.begin(run.next_stage(samples))
+            run.advance(most, tell, "burn-in")
+            run.replace(kept.rows(most // 2, most)[0])
             continue
-        most = min(kept.planned or _FIRST_LOOK, max_steps)
-        run.advance(most, lambda n, before=stage.steps_before: tell(before + n, "sampling"))
+        run.advance(min(kept.planned or _FIRST_LOOK, max_steps), tell, "sampling")
         kept.save_copy()
         chains = diagnose(kept)
         if chains.converged or chains.steps >= max_steps:
@@ -170,7 +167,7 @@ def sample(
         patience = _PATIENCE * 2**replaced
         if replaced < _REPLACED and (chains.steps >= patience or needed > patience):
             every = -(-chains.steps * walkers // _ADAPTED_TO)
-            kept.begin(run.next_stage(kept.rows(every - 1, chains.steps, every)[0]))
+            run.replace(kept.rows(every - 1, chains.steps, every)[0])
     if throw and not chains.converged:
         raise ValueError(chains.reason)
     return chains
@@ -195,7 +192,7 @@ def check_run(
         return
     if not resume:
         raise ValueError(f"{store}: exists; resume it or remove it")
-    stage = FileStore(store).stage
+    stage = Store(store).stage
     assert stage is not None
     # A chain belongs to the density that its walkers had where they started.
     if (
@@ -229,20 +226,17 @@ def diagnose(store: Store) -> Chains:
         by_walker = np.moveaxis(z[:: max(1, int(tau.min() / stride / 3))], 0, 1)
         rhat, bulk, tail = np.array([mixing(by_walker[..., k]) for k in range(z.shape[2])]).T
     # Walkers are not independent chains: count no more than their autocorrelation leaves.
-    bulk = np.minimum(bulk, steps * z.shape[1] / tau)
-    tail = np.minimum(tail, steps * z.shape[1] / tau)
+    bulk, tail = (np.minimum(ess, steps * z.shape[1] / tau) for ess in (bulk, tail))
     status, reason = ChainStatus.successful, ""
     if not np.isfinite(tau).all():
         status, reason = ChainStatus.stuck, "a walker never moved"
     elif not tau.max() * TAUS <= steps:
         status = ChainStatus.few_autocorrelation_times
         reason = f"{steps} steps are {steps / np.max(tau):.0f} autocorrelation times, not {TAUS}"
-    elif not bulk.min() >= ESS or not tail.min() >= ESS / 2:
+    elif not (bulk.min() >= ESS and tail.min() >= ESS / 2):
         status = ChainStatus.few_effective_samples
-        reason = (
-            f"effective samples {bulk.min():.0f} ({tail.min():.0f} of the tails), not {ESS} "
-            f"({ESS // 2})"
-        )
+        found = f"{bulk.min():.0f} ({tail.min():.0f} of the tails)"
+        reason = f"effective samples {found}, not {ESS} ({ESS // 2})"
     elif not rhat.max() <= RHAT:
         status, reason = ChainStatus.not_mixed, f"R-hat {rhat.max():.3f}, not {RHAT}"
     thin = max(1, int(tau.min() / 2 / stride)) if np.isfinite(tau).all() else 1
@@ -262,26 +256,15 @@ def diagnose(store: Store) -> Chains:
     )
 
 
-class Mixing(NamedTuple):
-    """Rank-normalised split R-hat, and effective sample sizes of bulk and tails [Vehtari et al.
-    2021].
+def mixing(draws: Float[np.ndarray, "chains draws"]) -> tuple[float, float, float]:
+    """Compute how well the chains of one quantity mix: rank-normalised split R-hat, and effective
+    sample sizes of bulk and tails  [Vehtari et al. 2021].
     """
-
-    rhat: float
-    ess_bulk: float
-    ess_tail: float
-
-
-def mixing(draws: Float[np.ndarray, "chains draws"]) -> Mixing:
-    """Compute how well the chains of one quantity mix."""
     from arviz_stats.base.array import array_stats
 
     stats: Any = array_stats  # it returns scalars where its annotations have tuples too
-    return Mixing(
-        float(stats.rhat(draws)),
-        float(stats.ess(draws, method="bulk")),
-        float(stats.ess(draws, method="tail", prob=(0.05, 0.95))),
-    )
+    bulk, tail = stats.ess(draws, method="bulk"), stats.ess(draws, method="tail", prob=(0.05, 0.95))
+    return float(stats.rhat(draws)), float(bulk), float(tail)
 
 
 def _first(
@@ -332,7 +315,7 @@ class _Run:
         self._seed = [*words_of(key), stage.number]
         self._random = np.random.RandomState(0)
 
-    def advance(self, steps: int, progress: Callable[[int], Any]) -> None:
+    def advance(self, steps: int, progress: Callable[[int, str], Any], word: str) -> None:
         """Continue to so many steps."""
         done = self._store.steps
         if done >= steps:
@@ -347,19 +330,19 @@ class _Run:
                 append(state.coords, np.asarray(state.log_prob))
                 done += 1
                 self._reseed(done)
-                progress(done)
+                progress(self._stage.steps_before + done, word)
 
-    def next_stage(self, samples: Float[np.ndarray, "steps walkers free"]) -> ChainStart:
+    def replace(self, samples: Float[np.ndarray, "steps walkers free"]) -> None:
         """Start again from the walkers' places, with proposals adapted to samples."""
-        stage = self._stage
         places, log_density = self._last()
-        return ChainStart(
-            owner=stage.owner,
-            number=stage.number + 1,
-            steps_before=stage.steps_before + self._store.steps,
-            places=places,
-            log_density=log_density,
-            adapted_to=samples.reshape(-1, samples.shape[-1]),
+        self._store.begin(
+            self._stage._replace(
+                number=self._stage.number + 1,
+                steps_before=self._stage.steps_before + self._store.steps,
+                places=places,
+                log_density=log_density,
+                adapted_to=samples.reshape(-1, samples.shape[-1]),
+            )
         )
 
     def _last(self) -> tuple[np.ndarray, np.ndarray]:

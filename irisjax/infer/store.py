@@ -2,6 +2,7 @@
 
 import contextlib
 import os
+import secrets
 import shutil
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -39,125 +40,77 @@ class ChainStart(NamedTuple):
 
 
 class Store:
-    """One chain in memory; a new `ChainStart` replaces it."""
-
-    def __init__(self):
-        """Start empty."""
-        self._stage: ChainStart | None = None
-        self._planned = 0
-        self._steps: list[tuple[np.ndarray, np.ndarray]] = []
-
-    @property
-    def stage(self) -> ChainStart | None:
-        """What the chain started from, or `None` in an empty store."""
-        return self._stage
-
-    @property
-    def steps(self) -> int:
-        """Number of complete steps."""
-        return len(self._steps)
-
-    @property
-    def planned(self) -> int:
-        """Number of steps at which the chain is judged next; 0 before that is planned."""
-        return self._planned
-
-    def plan(self, steps: int) -> None:
-        """Set `planned`."""
-        self._planned = steps
-
-    def begin(self, stage: ChainStart) -> None:
-        """Replace the chain by one without steps."""
-        self._stage, self._steps, self._planned = stage, [], 0
-
-    @contextlib.contextmanager
-    def writing(self, most: int) -> Iterator[Append]:
-        """Open the store for at most so many further steps."""
-        yield lambda places, log_density: self._steps.append((places.copy(), log_density.copy()))
-
-    def rows(self, first: int, last: int, every: int = 1) -> tuple[np.ndarray, np.ndarray]:
-        """Places (steps, walkers, free) and log densities (steps, walkers) of a range of steps."""
-        places, log_density = zip(*self._steps[first:last:every], strict=True)
-        return np.array(places), np.array(log_density)
-
-    def drop_last(self) -> None:
-        """Remove the last step."""
-        self._steps.pop()
-
-    def save_copy(self) -> None:
-        """Guard against a process that dies while it writes; memory dies with its process."""
-
-
-class FileStore(Store):
-    """A chain in an HDF5 file, to which every step is handed before the next one begins.
+    """One chain in an HDF5 file, to which every step is handed before the next one begins.
 
     A step is complete when its log densities are written: rows without them hold NaN, and the
-    number of steps is counted from these. A new stage replaces the whole file at once.
+    number of steps is counted from these. A new stage replaces the whole file at once. Without a
+    path the file is in memory.
     """
 
-    def __init__(self, path: str | Path):
+    def __init__(self, path: str | Path | None = None):
         """Use the file at this path, if any; a damaged one is repaired from its copy.
 
         Raises:
             ValueError: If the file cannot be read and has no copy.
         """
-        self.path = Path(path)
-        if self.path.exists():
-            self._repair()
+        self.path, self._memory = None if path is None else Path(path), None
+        if self.path is not None and self.path.exists():
+            self._repair(self.path)
 
     @property
     def stage(self) -> ChainStart | None:
-        if not self.path.exists():
+        """What the chain started from, or `None` in an empty store."""
+        if self._memory is None and (self.path is None or not self.path.exists()):
             return None
-        with self._read() as file:
-            attributes: Any = file.attrs
-            adapted_to = np.asarray(file["adapted_to"]) if "adapted_to" in file else None
+        with self._open() as file:
+            about: Any = file.attrs
             return ChainStart(
-                str(attributes["owner"]),
-                int(attributes["stage"]),
-                int(attributes["steps_before"]),
+                str(about["owner"]),
+                int(about["stage"]),
+                int(about["steps_before"]),
                 np.asarray(file["places"]),
                 np.asarray(file["places_log_density"]),
-                adapted_to,
+                np.asarray(file["adapted_to"]) if "adapted_to" in file else None,
             )
 
     @property
     def planned(self) -> int:
-        with self._read() as file:
+        """Number of steps at which the chain is judged next; 0 before that is planned."""
+        with self._open() as file:
             planned: Any = file.attrs["planned"]
             return int(planned)
 
     def plan(self, steps: int) -> None:
-        with h5py.File(self.path, "a") as file:
+        """Set `planned`."""
+        with self._open("a") as file:
             file.attrs["planned"] = steps
 
     @property
     def steps(self) -> int:
-        with self._read() as file:
+        """Number of complete steps."""
+        with self._open() as file:
             return _complete(file)
 
     def begin(self, stage: ChainStart) -> None:
-        with unfinished(self._temporary()) as temporary:
+        """Replace the chain by one without steps."""
+        if self.path is None:
+            name = secrets.token_hex(8)  # HDF5 knows open files by their names, in memory too
+            self._memory = h5py.File(name, "w", driver="core", backing_store=False)
+            _fill(self._memory, stage)
+            return
+        with unfinished(_temporary(self.path)) as temporary:
             try:
                 with h5py.File(temporary, "w") as file:
-                    file.attrs["owner"], file.attrs["stage"] = stage.owner, stage.number
-                    file.attrs["steps_before"], file.attrs["planned"] = stage.steps_before, 0
-                    file["places"], file["places_log_density"] = stage.places, stage.log_density
-                    if stage.adapted_to is not None:
-                        file["adapted_to"] = stage.adapted_to
-                    for name, shape in _shapes(stage):
-                        file.create_dataset(
-                            name, (0, *shape), np.float64, fillvalue=np.nan,
-                            chunks=(_CHUNK, *shape), maxshape=(None, *shape),
-                        )  # fmt: skip
+                    _fill(file, stage)
                 os.replace(temporary, self.path)
             finally:
                 temporary.unlink(missing_ok=True)
 
     @contextlib.contextmanager
     def writing(self, most: int) -> Iterator[Append]:
+        """Open the store for at most so many further steps."""
         # The file stays open meanwhile: a step costs 0.3 ms and not 5.
-        with h5py.File(self.path, "a") as file:
+        with self._open("a") as file:
             done = _complete(file)
             chain, log_densities = _datasets(file)
             for dataset in (chain, log_densities):
@@ -173,25 +126,34 @@ class FileStore(Store):
             yield append
 
     def rows(self, first: int, last: int, every: int = 1) -> tuple[np.ndarray, np.ndarray]:
-        with self._read() as file:
+        """Places (steps, walkers, free) and log densities (steps, walkers) of a range of steps."""
+        with self._open() as file:
             last = min(last, _complete(file))
             chain, log_densities = (np.asarray(d[first:last:every]) for d in _datasets(file))
             return chain, log_densities
 
     def drop_last(self) -> None:
-        with h5py.File(self.path, "a") as file:
+        """Remove the last step."""
+        with self._open("a") as file:
             _, log_densities = _datasets(file)
             log_densities[_complete(file) - 1] = np.nan
 
     def save_copy(self) -> None:
-        with unfinished(self._temporary()) as temporary:
-            shutil.copyfile(self.path, temporary)
-            os.replace(temporary, copy_of(self.path))
+        """Guard against a process that dies while it writes; memory dies with its process."""
+        if self.path is not None:
+            with unfinished(_temporary(self.path)) as temporary:
+                shutil.copyfile(self.path, temporary)
+                os.replace(temporary, copy_of(self.path))
 
-    def _repair(self) -> None:
+    def _open(self, mode: str = "r") -> Any:
+        if self.path is None:
+            return contextlib.nullcontext(self._memory)
+        return h5py.File(self.path, mode)
+
+    def _repair(self, path: Path) -> None:
         """Put the copy in the file's place if the file cannot be read."""
         try:
-            with self._read() as file:
+            with self._open() as file:
                 chain, log_densities = _datasets(file)
                 if len(chain):
                     # Not all at once: chains are longer than memory.
@@ -199,17 +161,11 @@ class FileStore(Store):
                         _ = log_densities[rows]
                     _ = chain[-1]
         except (OSError, KeyError, ValueError, RuntimeError) as error:
-            if not copy_of(self.path).exists():
+            if not copy_of(path).exists():
                 raise ValueError(
-                    f"{self.path}: damaged ({error}) and without a copy; remove it and start again"
+                    f"{path}: damaged ({error}) and without a copy; remove it and start again"
                 ) from None
-            shutil.copyfile(copy_of(self.path), self.path)
-
-    def _read(self) -> h5py.File:
-        return h5py.File(self.path, "r")
-
-    def _temporary(self) -> Path:
-        return self.path.with_name(f".{self.path.name}.{os.getpid()}.tmp")
+            shutil.copyfile(copy_of(path), path)
 
 
 def copy_of(path: Path) -> Path:
@@ -217,8 +173,22 @@ def copy_of(path: Path) -> Path:
     return path.with_name(f"{path.name}.bak")
 
 
-def _shapes(stage: ChainStart) -> tuple[tuple[str, tuple[int, ...]], ...]:
-    return ("chain", stage.places.shape), ("log_density", stage.places.shape[:1])
+def _temporary(path: Path) -> Path:
+    return path.with_name(f".{path.name}.{os.getpid()}.tmp")
+
+
+def _fill(file: h5py.File, stage: ChainStart) -> None:
+    """Write a chain without steps."""
+    file.attrs["owner"], file.attrs["stage"] = stage.owner, stage.number
+    file.attrs["steps_before"], file.attrs["planned"] = stage.steps_before, 0
+    file["places"], file["places_log_density"] = stage.places, stage.log_density
+    if stage.adapted_to is not None:
+        file["adapted_to"] = stage.adapted_to
+    for name, shape in (("chain", stage.places.shape), ("log_density", stage.places.shape[:1])):
+        file.create_dataset(
+            name, (0, *shape), np.float64, fillvalue=np.nan, chunks=(_CHUNK, *shape),
+            maxshape=(None, *shape),
+        )  # fmt: skip
 
 
 def _datasets(file: h5py.File) -> tuple[Any, Any]:
