@@ -14,7 +14,8 @@ from scipy.special import chdtri
 
 from irisjax._types import PRNGKey
 from irisjax.infer.least_squares import Found, least_squares, levenberg_marquardt
-from irisjax.infer.problem import Problem, elements
+from irisjax.infer.parameters import kind
+from irisjax.infer.problem import Problem
 from irisjax.numerics.checks import check_whole
 from irisjax.transport.solution import RESULTS
 
@@ -46,7 +47,9 @@ class Fit(eqx.Module):
 
     Attributes:
         z: The optimum in the priors' normal coordinates.
-        covariance: (JᵀJ)⁻¹ there; zero for the noise, which is not fitted.
+        jacobian: Derivatives of the data's residuals by the values of the free parameters; zero for
+            the noise, which is not fitted.
+        covariance: (JᵀJ)⁻¹, with the priors' part where they count; zero for the noise.
         values: The free parameters by name.
         sd: Their standard deviations by name.
         predicted: What each instrument would read at the optimum, without noise.
@@ -54,14 +57,13 @@ class Fit(eqx.Module):
         degrees: Its degrees of freedom: the number of data, less the free parameters where no
             priors hold them.
         cost: ½ Σ of squares, the priors' included where they count.
-        starts: Number of searches.
         agreeing: How many of them converged within 1e-6 of that cost.
         steps: Number of steps of the best.
         status: A `FitStatus` item.
-        result: optimistix's status of the best search.
     """
 
     z: Float[Array, "*batch free"]
+    jacobian: Float[Array, "*batch all_data free"]
     covariance: Float[Array, "*batch free free"]
     values: dict[str, Any]
     sd: dict[str, Any]
@@ -69,11 +71,9 @@ class Fit(eqx.Module):
     chi_square: Float[Array, "*batch"]
     degrees: int = eqx.field(static=True)
     cost: Float[Array, "*batch"]
-    starts: Int[Array, "*batch"]
     agreeing: Int[Array, "*batch"]
     steps: Int[Array, "*batch"]
     status: FitStatus
-    result: optx.RESULTS
 
     @property
     def ok(self) -> Bool[Array, "*batch"]:
@@ -142,8 +142,13 @@ def fit(
             f"starts=1"
         )
     found = _fit(problem.unnamed(), solver, start, key, use_priors, starts, rounds, max_steps)
-    if throw:
-        _raise_for(found.status)
+    if throw and not isinstance(found.status._value, Tracer):
+        codes = np.asarray(found.status._value)
+        if codes.any():
+            words = (
+                "some of the batch failed; see status" if codes.ndim else words_for(found.status)
+            )
+            raise ValueError(words)
     return found
 
 
@@ -153,39 +158,43 @@ def words_for(status: FitStatus) -> str:
     return FitStatus[jax.tree.map(np.asarray, status)]
 
 
-def _raise_for(status: FitStatus) -> None:
-    """Raise `ValueError` if a concrete status is not success."""
-    if isinstance(status._value, Tracer):
-        return
-    codes = np.asarray(status._value)
-    if codes.any():
-        words = words_for(status) if codes.ndim == 0 else "some of the batch failed; see status"
-        raise ValueError(words)
-
-
 @eqx.filter_jit
 def _fit(problem, solver, start, key, use_priors, starts, rounds, max_steps) -> Fit:
-    moving, dtype = _moving(problem), jnp.result_type(float)
-    free = len(problem.free)
-    first = jnp.zeros(moving.size, dtype)
-    if start is not None:
-        first = jnp.asarray(start, dtype)[moving]
-    last = jnp.asarray(1.0 if use_priors else 0.0, dtype)
-    weights = last[None] if use_priors else jnp.stack([0.1 * _signal_to_noise(problem), last])
+    dtype, free = jnp.result_type(float), len(problem.free)
+    moving = np.flatnonzero([kind(n) != "noise" for n in problem.free])
+
+    def placed(x):
+        """All of z from its fitted part; the rest at the priors' medians."""
+        return jnp.zeros(free, dtype).at[moving].set(x)
+
+    def residuals(x, weight, problem):
+        data, predicted, solved = problem.evaluated(placed(x))
+        return jnp.concatenate([data, weight * x]), (data, predicted, solved)
+
+    weights = jnp.asarray([1.0 if use_priors else 0.0], dtype)
+    if not use_priors:
+        signal = [problem.noise.whiten(o, jnp.zeros_like(o.values)) for o in problem.observations]
+        weights = jnp.append(0.1 * jnp.sqrt(jnp.mean(jnp.concatenate(signal) ** 2)), weights)
+    first = jnp.zeros(free, dtype) if start is None else jnp.asarray(start, dtype)
     best = least_squares(
-        _residuals, problem, first, has_aux=True, weights=weights, solver=solver, starts=starts,
-        rounds=rounds, max_steps=max_steps, elements=elements(problem), key=key,
+        residuals, problem, first[moving], has_aux=True, weights=weights, solver=solver,
+        starts=starts, rounds=rounds, max_steps=max_steps, key=key,
     )  # fmt: skip
     data, predicted, solved = best.aux
     covariance = jnp.zeros((free, free), dtype).at[np.ix_(moving, moving)].set(best.covariance)
-    z = _placed(best.x, problem)
+    jacobian = jnp.zeros((data.size, free), dtype).at[:, moving].set(best.jacobian[: data.size])
+    z = placed(best.x)
     # Each value depends on its own coordinate only.
     natural, slope = jax.jvp(lambda z: problem.natural(z), (z,), (jnp.ones_like(z),))
     sd = jnp.abs(slope) * jnp.sqrt(jnp.diag(covariance))
     chi_square = (data**2).sum()
     degrees = data.size - (0 if use_priors else moving.size)
+    # Chi-square means nothing for Student's t, which has outliers.
+    judged = degrees > 0 and problem.noise.degrees_of_freedom is None
+    limit = float(chdtri(degrees, MISFIT)) if judged else np.inf
     return Fit(
         z=z,
+        jacobian=jacobian / slope,
         covariance=covariance,
         values=dict(zip(problem.free, natural, strict=True)),
         sd=dict(zip(problem.free, sd, strict=True)),
@@ -193,33 +202,10 @@ def _fit(problem, solver, start, key, use_priors, starts, rounds, max_steps) -> 
         chi_square=chi_square,
         degrees=degrees,
         cost=best.cost,
-        starts=best.searches,
         agreeing=best.agreeing,
         steps=best.steps,
-        status=_status(best, chi_square, _most(problem, degrees), solved == RESULTS.successful),
-        result=best.result,
+        status=_status(best, chi_square, limit, solved == RESULTS.successful),
     )
-
-
-def _moving(problem: Problem) -> np.ndarray:
-    """Indices of the parameters that are fitted."""
-    return np.flatnonzero([not n.startswith("noise") for n in problem.free])
-
-
-def _placed(x, problem: Problem):
-    """All of z from its fitted part; the rest at the priors' medians."""
-    return jnp.zeros(len(problem.free), x.dtype).at[_moving(problem)].set(x)
-
-
-def _residuals(x, weight, problem: Problem):
-    data, predicted, solved = problem.evaluated(_placed(x, problem))
-    return jnp.concatenate([data, weight * x]), (data, predicted, solved)
-
-
-def _signal_to_noise(problem: Problem):
-    """Root mean square over all data."""
-    whitened = [problem.noise.whiten(o, jnp.zeros_like(o.values)) for o in problem.observations]
-    return jnp.sqrt(jnp.mean(jnp.concatenate(whitened) ** 2))
 
 
 def _status(best: Found, chi_square, limit: float, solved) -> FitStatus:
@@ -234,11 +220,3 @@ def _status(best: Found, chi_square, limit: float, solved) -> FitStatus:
     ended = exhausted | (best.result == optx.RESULTS.successful)
     answered = ended & jnp.isfinite(best.cost) & solved
     return FitStatus.where(answered, status, FitStatus.solver_failed)
-
-
-def _most(problem: Problem, degrees: int) -> float:
-    """Largest chi-square that is not called a misfit."""
-    # Chi-square means nothing for Student's t, which has outliers.
-    if degrees < 1 or problem.noise.degrees_of_freedom is not None:
-        return np.inf
-    return float(chdtri(degrees, MISFIT))

@@ -2,9 +2,6 @@
 
 from typing import NamedTuple
 
-import equinox as eqx
-import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
@@ -34,7 +31,6 @@ class Information(NamedTuple):
         directions: Its eigenvectors from the best known to the least known.
         alone: Relative standard deviation of each parameter with all others free, without priors;
             infinite where unknown.
-        correlation: Of load and fraction given data and priors, or NaN.
         trades: For each free number of a power law of scattering: the share of its prior's width
             that data and priors leave, the parameter that it is correlated with most, and that
             correlation.
@@ -44,7 +40,6 @@ class Information(NamedTuple):
     fisher: Float[np.ndarray, "names names"]
     directions: list[Direction]
     alone: dict[str, float]
-    correlation: float
     trades: dict[str, tuple[float, str, float]]
 
     def of_product(self, one: str, other: str) -> float:
@@ -57,10 +52,8 @@ class Information(NamedTuple):
 def information(problem: Problem, fit: Fit) -> Information:
     """Compute the Fisher information at a fit."""
     kept = [i for i, n in enumerate(problem.free) if kind(n) != "noise"]
-    names = tuple(problem.free[i] for i in kept)
-    slopes = _slopes(problem.unnamed(), jnp.asarray(fit.z))
-    jacobian, value, slope = (np.asarray(x)[..., kept] for x in slopes)
-    in_logs = jacobian / slope * value
+    names, covariance = tuple(problem.free[i] for i in kept), np.asarray(fit.covariance)
+    in_logs = np.asarray(fit.jacobian)[:, kept] * [float(fit.values[n]) for n in names]
     fisher = in_logs.T @ in_logs
     eigenvalues, vectors = np.linalg.eigh(fisher)
     directions = []
@@ -75,16 +68,11 @@ def information(problem: Problem, fit: Fit) -> Information:
     unknown = eigenvalues < 1e-12 * eigenvalues.max()
     variance = vectors**2 @ np.where(unknown, 0.0, 1 / np.where(unknown, 1.0, eigenvalues))
     variance[(vectors[:, unknown] ** 2).any(axis=1)] = np.inf
-    covariance, correlation = np.asarray(fit.covariance), np.nan
-    if {"melanin_load", "abl_fraction"} <= set(problem.free):
-        a, b = (problem.free.index(n) for n in ("melanin_load", "abl_fraction"))
-        correlation = float(covariance[a, b] / np.sqrt(covariance[a, a] * covariance[b, b]))
     return Information(
         names,
         fisher,
         directions,
         dict(zip(names, np.sqrt(variance).tolist(), strict=True)),
-        correlation,
         _trades(problem, covariance, kept),
     )
 
@@ -96,21 +84,8 @@ def _trades(
     width = np.sqrt(np.diag(covariance))
     # A parameter on which the data do not depend has no width here, and no correlation.
     seen = np.where(width > 0, width, 1.0)
-    correlation = covariance / np.outer(seen, seen)
-    out = {}
-    for i in (i for i in kept if kind(problem.free[i]) in OF_POWER_LAW):
-        others = [k for k in kept if k != i]
-        if others:
-            most = max(others, key=lambda k: abs(correlation[i, k]))
-            partner = problem.free[most], float(correlation[i, most])
-            out[problem.free[i]] = (float(width[i]), *partner)
+    correlation, out = covariance / np.outer(seen, seen), {}
+    for i in (i for i in kept if kind(problem.free[i]) in OF_POWER_LAW and len(kept) > 1):
+        most = max((k for k in kept if k != i), key=lambda k: abs(correlation[i, k]))
+        out[problem.free[i]] = float(width[i]), problem.free[most], float(correlation[i, most])
     return out
-
-
-@eqx.filter_jit
-def _slopes(problem: Problem, z):
-    """Jacobian of the residuals (data, free), the values of the free parameters, and their slopes,
-    each by its own coordinate.
-    """
-    natural = jax.jvp(lambda x: problem.natural(x), (z,), (jnp.ones_like(z),))
-    return jax.jacfwd(lambda x: problem.residuals(x))(z), *natural

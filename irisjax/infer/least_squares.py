@@ -5,16 +5,17 @@ from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
-import jax.flatten_util
 import jax.numpy as jnp
 import lineax as lx
 import optimistix as optx
 from equinox.internal import nondifferentiable
+from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Float, Int
 
 from irisjax._types import PRNGKey, Scalar
 from irisjax.numerics import linear
-from irisjax.numerics.portions import in_pieces
+
+_Count = Int[Array, ""]
 
 
 class Found(NamedTuple):
@@ -36,11 +37,11 @@ class Found(NamedTuple):
     cost: Scalar
     jacobian: Float[Array, "residuals moving"]
     aux: Any
-    steps: Int[Array, ""]
+    steps: _Count
     result: optx.RESULTS
-    searches: Int[Array, ""]
-    agreeing: Int[Array, ""]
-    elsewhere: Int[Array, ""]
+    searches: _Count
+    agreeing: _Count
+    elsewhere: _Count
 
     @property
     def covariance(self) -> Float[Array, "moving moving"]:
@@ -61,11 +62,10 @@ def least_squares(
     starts: int = 1,
     rounds: int = 1,
     max_steps: int = 200,
-    elements: int = 1,
     key: PRNGKey | None = None,
 ) -> Found:
-    """Find the lowest ½ Σ residuals² of `starts` searches, and of as many again, up to `rounds`
-    times, while fewer than two agree. Call it inside a jitted function.
+    """Find the lowest ½ Σ residuals² of `starts` searches, one after another, and of as many again,
+    up to `rounds` times, while fewer than two agree. Call it inside a jitted function.
 
     Args:
         residuals: Pure function `residuals(x, weight, args)`, where `weight` is that of the priors.
@@ -79,16 +79,16 @@ def least_squares(
         starts: Number of searches in a round.
         rounds: Largest number of rounds.
         max_steps: Largest number of steps of a search at each weight.
-        elements: Numbers in the largest array that one evaluation makes.
         key: Source of the draws; not needed for a single start.
     """
     solver = levenberg_marquardt() if solver is None else solver
     weights = jnp.ones(1, start.dtype) if weights is None else weights
     args = nondifferentiable(args, name="the data of least squares")
 
-    def evaluated(x, weight):
+    @eqx.filter_jit  # traced once, however often optimistix evaluates it
+    def evaluated(x, given):
         def twice(x):
-            found = residuals(x, weight, args)
+            found = residuals(x, *given)
             values, aux = found if has_aux else (found, None)
             return values, (values, aux)
 
@@ -96,70 +96,46 @@ def least_squares(
         # program then holds the model once.
         here = jax.lax.stop_gradient(x)
         jacobian, (values, aux) = jax.jacfwd(twice, has_aux=True)(here)
-        return values + jacobian @ (x - here), _End(here, 0.5 * (values**2).sum(), jacobian, aux)
+        return values + jacobian @ (x - here), (here, 0.5 * (values**2).sum(), jacobian, aux)
 
     def at_weight(x, weight):
         ended = optx.least_squares(
-            evaluated, solver, x, weight, has_aux=True, max_steps=max_steps, throw=False
+            evaluated, solver, x, (weight, args), has_aux=True, max_steps=max_steps, throw=False
         )
         return ended.value, (ended.aux, ended.stats["num_steps"], ended.result)
 
     def search(x):
         _, (ends, steps, results) = jax.lax.scan(at_weight, x, weights)
-        end, result = jax.tree.map(lambda stages: stages[-1], (ends, results))
-        cost = jnp.where(jnp.isfinite(end.cost), end.cost, jnp.inf)
-        return _Search(end._replace(cost=cost), steps.sum(), result)
+        (x, cost, jacobian, aux), result = jax.tree.map(lambda stages: stages[-1], (ends, results))
+        cost = jnp.where(jnp.isfinite(cost), cost, jnp.inf)
+        return _Search(x, cost, jacobian, aux, steps.sum(), result)
 
-    def one_round(i):
-        begins = start[None]
-        if key is not None:
-            begins = jax.random.normal(
-                jax.random.fold_in(key, i), (starts, start.size), start.dtype
-            )
-            begins = begins.at[0].set(jnp.where(i == 0, start, begins[0]))
-        # Searches side by side all last as long as the longest: large problems are quicker one
-        # after another.
-        return in_pieces(search, begins, elements * start.size)
+    begins = start[None]
+    if key is not None:
+        keys = jax.vmap(lambda i: jax.random.fold_in(key, i))(jnp.arange(rounds))
+        shape = starts, start.size
+        draws = jax.vmap(lambda key: jax.random.normal(key, shape, start.dtype))(keys)
+        begins = draws.reshape(-1, start.size).at[0].set(start)
 
-    def with_round(state):
-        done, all_searches = state
-        at = done * starts
-        new = jax.tree.map(
-            lambda old, x: jax.lax.dynamic_update_slice_in_dim(old, x, at, 0),
-            all_searches,
-            one_round(done),
-        )
-        return done + 1, new
+    def another(state):
+        done, searches = state
+        new = search(begins[done])
+        return done + 1, jax.tree.map(lambda all_, x: all_.at[done].set(x), searches, new)
 
-    if rounds == 1:
-        done, searches = jnp.ones((), int), one_round(0)
-    else:
-        empty = jax.tree.map(
-            lambda s: jnp.zeros((rounds * starts, *s.shape), s.dtype),
-            eqx.filter_eval_shape(search, start),
-        )
-        failed = jax.tree.map(
-            lambda code, some: jnp.full_like(some, code),
-            optx.RESULTS.nonlinear_max_steps_reached,
-            empty.result,
-        )
-        end = empty.end._replace(cost=jnp.full_like(empty.end.cost, jnp.inf))
-        # Under vmap all problems do as many rounds as the one that takes most.
-        done, searches = jax.lax.while_loop(
-            lambda state: (state[0] == 0) | ((state[0] < rounds) & (_best(state[1])[1] < 2)),
-            with_round,
-            (jnp.zeros((), int), empty._replace(end=end, result=failed)),
-        )
-    best, agreeing, elsewhere = _best(searches)
-    end, steps, result = jax.tree.map(lambda each: each[best], searches)
-    return Found(
-        **end._asdict(),
-        steps=steps,
-        result=result,
-        searches=done * starts,
-        agreeing=agreeing,
-        elsewhere=elsewhere,
+    def wanted(state):
+        done, searches = state
+        agree = _best(searches, done)[1] >= 2
+        return (done == 0) | (done % starts > 0) | ((done < rounds * starts) & ~agree)
+
+    # Under vmap all problems do as many rounds as the one that takes most.
+    none = jax.tree.map(
+        lambda s: jnp.zeros((rounds * starts, *s.shape), s.dtype),
+        eqx.filter_eval_shape(search, start),
     )
+    done, searches = jax.lax.while_loop(wanted, another, (jnp.zeros((), int), none))
+    best, agreeing, elsewhere = _best(searches, done)
+    x, cost, jacobian, aux, steps, result = jax.tree.map(lambda each: each[best], searches)
+    return Found(x, cost, jacobian, aux, steps, result, done, agreeing, elsewhere)
 
 
 def levenberg_marquardt(rtol: float = 1e-8, atol: float = 1e-8) -> optx.LevenbergMarquardt:
@@ -174,55 +150,50 @@ class NormalEquations(lx.AbstractLinearSolver):
     change a step of an iteration, but not where it ends.
     """
 
-    def init(self, operator, options):
+    def init(self, operator: Any, options: Any) -> Any:
         """Return the matrix."""
         return operator.as_matrix(), operator.in_structure()
 
-    def compute(self, state, vector, options):
+    def compute(self, state: Any, vector: Any, options: Any) -> tuple[Any, lx.RESULTS, dict]:
         """Return the least-squares solution."""
         matrix, structure = state
-        flat, _ = jax.flatten_util.ravel_pytree(vector)
+        flat, _ = ravel_pytree(vector)
         gram = matrix.T @ matrix
         # A coordinate on which no residual depends stays as it is.
         unseen = jnp.diag(gram) <= 0
         gram = gram + jnp.diag(jnp.where(unseen, 1.0, 0.0))
         scale = 1 / jnp.sqrt(jnp.diag(gram))
         x = scale * linear.solve(scale[:, None] * gram * scale[None], scale * (matrix.T @ flat))
-        _, unravel = jax.flatten_util.ravel_pytree(
-            jax.tree.map(lambda s: jnp.zeros(s.shape, s.dtype), structure)
-        )
+        _, unravel = ravel_pytree(jax.tree.map(lambda s: jnp.zeros(s.shape, s.dtype), structure))
         return unravel(x), lx.RESULTS.successful, {}
 
-    def transpose(self, state, options):
+    def transpose(self, state: Any, options: Any) -> Any:
         """Refuse: nothing differentiates through this solver."""
         raise NotImplementedError
 
-    def conj(self, state, options):
+    def conj(self, state: Any, options: Any) -> Any:
         """Return the state: real matrices are their own conjugates."""
         return state, options
 
-    def assume_full_rank(self):
+    def assume_full_rank(self) -> bool:
         """Return that it may: the damping term makes the matrix regular."""
         return True
 
 
-class _End(NamedTuple):
+class _Search(NamedTuple):
     x: Any
     cost: Any
     jacobian: Any
     aux: Any
-
-
-class _Search(NamedTuple):
-    end: _End
     steps: Any
     result: Any
 
 
-def _best(searches: _Search) -> tuple[Int[Array, ""], Int[Array, ""], Int[Array, ""]]:
+def _best(searches: _Search, done: _Count) -> tuple[_Count, _Count, _Count]:
     """Place of the lowest cost, how many searches converged there, and how many elsewhere."""
-    costs = searches.end.cost
-    converged = searches.result == optx.RESULTS.successful
+    begun = jnp.arange(searches.cost.size) < done
+    costs = jnp.where(begun, searches.cost, jnp.inf)
+    converged = begun & (searches.result == optx.RESULTS.successful)
     # Among equal costs one that converged.
     best = jnp.argmin(costs + jnp.where(converged, 0.0, 1e-9 * costs + 1e-12))
     level = costs <= costs[best] * (1 + 1e-6) + 1e-9

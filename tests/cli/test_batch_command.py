@@ -6,7 +6,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from optimistix import RESULTS
 from stand_ins import FREE
 
 from irisjax import io
@@ -32,16 +31,15 @@ def searched(quick, monkeypatch):
             values={n: mean for n in problem.free},
             sd={n: mean for n in problem.free},
             z=jnp.asarray(np.zeros((count, free))),
+            jacobian=jnp.asarray(np.zeros((count, 1, free))),
             covariance=jnp.asarray(np.stack([np.eye(free)] * count)),
             predicted=(),
             cost=mean,
             chi_square=mean,
             degrees=29,
-            starts=ones,
             agreeing=ones,
             steps=ones,
             status=status(FitStatus.successful, FitStatus.misfit),
-            result=status(RESULTS.successful, RESULTS.successful),
         )
 
     monkeypatch.setattr(batch, "_fit_all", fit_all)
