@@ -20,7 +20,6 @@ from irisjax.infer.least_squares import levenberg_marquardt
 from irisjax.infer.moves import IndependentMove, Straightening, mixture
 from irisjax.infer.observation import with_values
 from irisjax.infer.posterior import sample
-from irisjax.infer.problem import density
 
 LEVELS = ("low", "moderate", "high")
 
@@ -70,7 +69,7 @@ def _times(problem, key, quick):
     jax.block_until_ready(best.z)
     first = 1e3 * (time.perf_counter() - begin)
     again = median_us(lambda: fit(problem, key=key).z, 10) / 1e3
-    at = density(problem)
+    at = problem.log_density
     z = np.asarray(best.z) + 0.05 * np.random.default_rng(0).normal(size=(64, 7))
     rows = [
         ("least squares, first (compiles)", first, "ms"),
@@ -115,7 +114,7 @@ def _many(problem, key, size: int):
 
 def _moves(problem, best, steps):
     """Autocorrelation time of mixtures of moves."""
-    z, at = np.asarray(best.z), density(problem)
+    z, at = np.asarray(best.z), problem.log_density
     # The noise, which least squares do not fit, is as sharp as the other parameters.
     covariance = np.asarray(best.covariance) + 0.06 * np.diag(np.diag(best.covariance) == 0)
 

@@ -14,9 +14,9 @@ from irisjax._types import Scalar
 from irisjax.infer.observation import Observation
 from irisjax.numerics.linear import cholesky, whitened
 
-Values: TypeAlias = Float[Array, " data"]
-"""One number for each measured value."""
-Factor: TypeAlias = float | Float[Array, ""]
+_Values: TypeAlias = Float[Array, " data"]
+
+_Factor: TypeAlias = float | Scalar
 _LOG_2PI = float(np.log(2 * np.pi))
 
 
@@ -55,7 +55,7 @@ class Noise(eqx.Module):
         if (self.discrepancy is None) != (self.length is None):
             raise ValueError("a discrepancy needs its length (nm), and a length its discrepancy")
 
-    def sd(self, observation: Observation, model: Values, factor: Factor = 1.0) -> Values:
+    def sd(self, observation: Observation, model: _Values, factor: _Factor = 1.0) -> _Values:
         """Return the standard deviation of every value, given what the model predicts and the
         factor `noise`.
         """
@@ -63,63 +63,65 @@ class Noise(eqx.Module):
             return factor * observation.sd
         return factor * jnp.sqrt((self.relative * model) ** 2 + self.absolute**2)
 
-    def pointwise(self, observation: Observation, model: Values, factor: Factor = 1.0) -> Values:
-        """Return the log density of every value, of correlated ones given those before."""
-        residual = observation.values - model
-        if observation.covariance_root is not None:
-            return _normal(*whitened(observation.covariance_root * factor, residual))
-        sd = self.sd(observation, model, factor)
-        if self.discrepancy is not None:
-            return _normal(*whitened(self._root(observation, model, sd), residual))
-        if self.degrees_of_freedom is not None:
-            return _student(residual / sd, jnp.log(sd), self.degrees_of_freedom)
-        return _normal(residual / sd, jnp.log(sd))
+    def stated(self, observation: Observation, model: _Values, factor: _Factor = 1.0) -> _Values:
+        """Return the standard deviation of every value, a discrepancy included."""
+        spread = self._spread(observation, model, factor)
+        # A marginalised discrepancy is part of what the residuals may be.
+        return spread if spread.ndim == 1 else jnp.sqrt((spread**2).sum(axis=1))
 
-    def whiten(self, observation: Observation, model: Values, factor: Factor = 1.0) -> Values:
+    def pointwise(self, observation: Observation, model: _Values, factor: _Factor = 1.0) -> _Values:
+        """Return the log density of every value, of correlated ones given those before."""
+        white, log_sd = _whitened(
+            self._spread(observation, model, factor), observation.values - model
+        )
+        if self.degrees_of_freedom is not None and observation.covariance_root is None:
+            return _student(white, log_sd, self.degrees_of_freedom)
+        return -0.5 * (white * white + _LOG_2PI) - log_sd
+
+    def whiten(self, observation: Observation, model: _Values) -> _Values:
         """Return residuals of unit variance, which least squares minimise.
 
         Their weights come from the data, so that they do not pull on the model.
         """
-        residual = observation.values - model
-        if observation.covariance_root is not None:
-            return whitened(observation.covariance_root * factor, residual)[0]
-        sd = self.sd(observation, observation.values, factor)
-        if self.discrepancy is None:
-            return residual / sd
-        return whitened(self._root(observation, observation.values, sd), residual)[0]
+        values = observation.values
+        return _whitened(self._spread(observation, values), values - model)[0]
 
     def draw(
         self,
         observation: Observation,
-        model: Values,
-        factor: Factor,
-        normal: Values,
-        chi_square: Values | None = None,
-    ) -> Values:
+        model: _Values,
+        factor: _Factor,
+        normal: _Values,
+        chi_square: _Values | None = None,
+    ) -> _Values:
         """Return a measurement of the model, from standard normal numbers (and, for Student's t,
         χ² ones).
         """
-        if observation.covariance_root is not None:
-            return model + factor * observation.covariance_root @ normal
-        sd = self.sd(observation, model, factor)
-        if self.discrepancy is not None:
-            return model + self._root(observation, model, sd) @ normal
+        spread = self._spread(observation, model, factor)
+        if spread.ndim == 2:
+            return model + spread @ normal
         if self.degrees_of_freedom is not None and chi_square is not None:
             normal = normal / jnp.sqrt(chi_square / self.degrees_of_freedom)
-        return model + sd * normal
+        return model + spread * normal
 
-    def _root(self, observation: Observation, model: Values, sd: Values) -> Array:
-        """Cholesky's root of the covariance of independent noise and the smooth error."""
-        assert self.length is not None
-        assert self.discrepancy is not None
+    def _spread(self, observation: Observation, model: _Values, factor: _Factor = 1.0) -> Array:
+        """Standard deviations (data,), or Cholesky's root (data, data) of a covariance."""
+        if observation.covariance_root is not None:
+            return factor * observation.covariance_root
+        sd = self.sd(observation, model, factor)
+        if self.discrepancy is None or self.length is None:
+            return sd
         apart = (observation.wavelengths[:, None] - observation.wavelengths) / self.length
         size = self.discrepancy * model
         smooth = size[:, None] * size * jnp.exp(-0.5 * apart**2)
         return cholesky(jnp.diag(sd * sd) + smooth)
 
 
-def _normal(white, log_sd):
-    return -0.5 * (white * white + _LOG_2PI) - log_sd
+def _whitened(spread: Array, residual: _Values) -> tuple[_Values, _Values]:
+    """Residuals of unit variance, and logarithms of what they were divided by."""
+    if spread.ndim == 2:
+        return whitened(spread, residual)
+    return residual / spread, jnp.log(spread)
 
 
 def _student(white, log_sd, nu):

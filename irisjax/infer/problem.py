@@ -11,7 +11,6 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from irisjax._types import PRNGKey, Scalar
-from irisjax.infer.models import as_arrays, restated, solvers_of, with_law
 from irisjax.infer.noise import Noise
 from irisjax.infer.observation import Observation
 from irisjax.infer.parameters import (
@@ -25,18 +24,23 @@ from irisjax.infer.parameters import (
     seen_by,
 )
 from irisjax.infer.priors import AbstractPrior, check_prior
-from irisjax.measure.observe import observed
+from irisjax.measure.instrument import AbstractInstrument
+from irisjax.measure.observe import observed, prepared
 from irisjax.numerics.checks import check_range
 from irisjax.numerics.portions import in_pieces
 from irisjax.tissue.iris import Iris
 from irisjax.tissue.scattering import PowerLaw
+from irisjax.transport import defaults
+from irisjax.transport.pointwise import Pointwise
 from irisjax.transport.process import DEPTH_RESOLVED, ILIT_2006, AbstractProcess, Ilit
 from irisjax.transport.solution import RESULTS
 from irisjax.transport.solver import AbstractSolver
 
+_Z = Float[Array, " free"]
+"""Free parameters in coordinates in which each prior is the standard normal."""
+_Readings = tuple[Float[Array, " _"], ...]  # one of each observation
 _MOST_CORRELATED = 1000  # hours of sampling as it is
-_ROWS = 64
-"""The sampler's default walkers: a call costs as much as twenty of them beside its rows."""
+_ROWS = 64  # the sampler's default walkers: a call costs as much as twenty beside its rows
 
 
 class Problem(eqx.Module):
@@ -70,125 +74,105 @@ class Problem(eqx.Module):
 
     @property
     def log_density(self) -> Callable[[np.ndarray], np.ndarray]:
-        """Function that maps vectors z, (n, free), to their log posterior densities, (n,)."""
-        return density(self)
+        """Function that maps vectors z, (n, free), to their log posterior densities, (n,); it is
+        compiled once for all problems of the same form.
+        """
+        both = in_rows(_densities, self)
+        return lambda z: both(z)[0]
 
     @property
     def process(self) -> AbstractProcess:
         """The process of the solvers."""
         return self.solvers[0].process
 
-    def values(self, z: Float[Array, " free"]) -> dict[str, Any]:
+    def values(self, z: _Z) -> dict[str, Any]:
         """Return all parameters by name, including fixed ones."""
-        return {
-            **self.fixed,
-            **{
-                n: p.value(z[i])
-                for i, (n, p) in enumerate(zip(self.free, self.priors, strict=True))
-            },
-        }
+        pairs = enumerate(zip(self.free, self.priors, strict=True))
+        return self.fixed | {n: p.value(z[i]) for i, (n, p) in pairs}
 
-    def standard(self, values: Mapping[str, Any]) -> Float[Array, " free"]:
+    def standard(self, values: Mapping[str, Any]) -> _Z:
         """Return the vector z of some values of the free parameters."""
-        return jnp.stack(
-            [
-                p.standard(jnp.asarray(values[n], float))
-                for n, p in zip(self.free, self.priors, strict=True)
-            ]
-        )
+        pairs = zip(self.free, self.priors, strict=True)
+        return jnp.stack([p.standard(jnp.asarray(values[n], float)) for n, p in pairs])
 
-    def natural(self, z: Float[Array, " free"]) -> Float[Array, " free"]:
+    def natural(self, z: _Z) -> _Z:
         """Return the values of the free parameters as a vector."""
-        return jnp.stack([p.value(z[i]) for i, p in enumerate(self.priors)])
+        values = self.values(z)
+        return jnp.stack([values[n] for n in self.free])
 
-    def reported(self, z: Float[Array, " free"]) -> dict[str, Any]:
+    def reported(self, z: _Z) -> dict[str, Any]:
         """Return free and derived parameters by name, for each observation that has its own."""
         values = self.values(z)
         out = {name: values[name] for name in self.free}
         for i in range(len(self.observations)):
             tag = f"@{i + 1}" if any("@" in n for n in self.free) else ""
-            for name, value in derived(seen_by(values, i)).items():
-                out[name + tag] = value
+            out |= {name + tag: value for name, value in derived(seen_by(values, i)).items()}
         return out
 
-    def predict(self, z: Float[Array, " free"]) -> tuple[Float[Array, " _"], ...]:
+    def predict(self, z: _Z) -> _Readings:
         """Compute the reading of each instrument without noise."""
-        return self._models(self._readings(self.values(z)))
+        return self._solved(self.values(z))[0]
 
-    def status(self, z: Float[Array, " free"]):
-        """Return the solver's status at z: a `RESULTS` item, the first that is not success."""
-        return _worst(self._readings(self.values(z)))
+    def status(self, z: _Z) -> RESULTS:
+        """Return the solver's status at z: the first that is not success."""
+        return self._solved(self.values(z))[1]
 
-    def pointwise(self, z: Float[Array, " free"]) -> Float[Array, " all_data"]:
+    def pointwise(self, z: _Z) -> Float[Array, " all_data"]:
         """Compute the log likelihood of every value, observations concatenated."""
         values = self.values(z)
-        return jnp.concatenate(
-            [
-                self.noise.pointwise(o, m, seen_by(values, i)["noise"])
-                for i, (o, m) in enumerate(
-                    zip(self.observations, self._models(self._readings(values)), strict=True)
-                )
-            ]
-        )
+        return jnp.concatenate(self._with_noise(self.noise.pointwise, values, self.predict(z)))
 
-    def log_likelihood(self, z: Float[Array, " free"]) -> Float[Array, ""]:
+    def log_likelihood(self, z: _Z) -> Scalar:
         """Compute the log likelihood."""
         return self.pointwise(z).sum()
 
-    def log_prior(self, z: Float[Array, " free"]) -> Float[Array, ""]:
+    def log_prior(self, z: _Z) -> Scalar:
         """Compute the log prior density of z."""
         return -0.5 * (z * z + np.log(2 * np.pi)).sum()
 
-    def log_posterior(self, z: Float[Array, " free"]) -> Float[Array, ""]:
+    def log_posterior(self, z: _Z) -> Scalar:
         """Compute the log posterior density of z up to a constant; −∞ if the solver fails."""
         return self.with_prior(self.log_likelihood(z), z)
 
-    def with_prior(self, log_likelihood, z: Float[Array, " free"]) -> Float[Array, ""]:
+    def with_prior(self, log_likelihood: Scalar, z: _Z) -> Scalar:
         """Compute `log_posterior` from a known log likelihood."""
         total = log_likelihood + self.log_prior(z)
         return jnp.where(jnp.isfinite(total), total, -jnp.inf)
 
-    def residuals(self, z: Float[Array, " free"], factor=1.0) -> Float[Array, " all_data"]:
-        """Compute residuals in units of the noise, which is `factor` times the stated one."""
-        return self.evaluated(z, factor)[0]
+    def residuals(self, z: _Z) -> Float[Array, " all_data"]:
+        """Compute residuals in units of the stated noise."""
+        return self.evaluated(z)[0]
 
-    def evaluated(
-        self, z: Float[Array, " free"], factor: float | Scalar = 1.0
-    ) -> tuple[Float[Array, " all_data"], tuple[Float[Array, " _"], ...], RESULTS]:
+    def evaluated(self, z: _Z) -> tuple[Float[Array, " all_data"], _Readings, RESULTS]:
         """Return `residuals`, `predict` and `status` at once."""
-        readings = self._readings(self.values(z))
-        models = self._models(readings)
-        whitened = [
-            self.noise.whiten(o, m, factor) for o, m in zip(self.observations, models, strict=True)
-        ]
-        return jnp.concatenate(whitened), models, _worst(readings)
+        models, status = self._solved(self.values(z))
+        pairs = zip(self.observations, models, strict=True)
+        return jnp.concatenate([self.noise.whiten(o, m) for o, m in pairs]), models, status
 
-    def simulate(self, z: Float[Array, " free"], key) -> tuple[Float[Array, " _"], ...]:
+    def simulate(self, z: _Z, key: PRNGKey) -> _Readings:
         """Simulate one noisy measurement for each observation, with z as the truth."""
-        return self.simulated_and_models(z, key)[0]
-
-    def simulated_and_models(self, z: Float[Array, " free"], key):
-        """Return `simulate` and `predict` at once."""
-        values, out = self.values(z), []
-        models, nu = self._models(self._readings(values)), self.noise.degrees_of_freedom
-        for i, (o, m) in enumerate(zip(self.observations, models, strict=True)):
+        draws, nu = [], self.noise.degrees_of_freedom
+        for i, o in enumerate(self.observations):
             one, two = jax.random.split(jax.random.fold_in(key, i))
-            normal = jax.random.normal(one, m.shape)
-            square = None if nu is None else 2 * jax.random.gamma(two, nu / 2, m.shape)
-            out.append(self.noise.draw(o, m, seen_by(values, i)["noise"], normal, square))
-        return tuple(out), models
+            shape = o.values.shape[-1:]
+            square = None if nu is None else 2 * jax.random.gamma(two, nu / 2, shape)
+            draws.append((jax.random.normal(one, shape), square))
+        return self.simulated(z, draws)[0]
 
-    def stated_sds(self, z: Float[Array, " free"], models) -> tuple[Float[Array, " _"], ...]:
-        """Return the standard deviations of the values of each observation."""
-        values, noise, out = self.values(z), self.noise, []
-        for i, (o, m) in enumerate(zip(self.observations, models, strict=True)):
-            if o.covariance_root is not None:
-                out.append(jnp.sqrt((o.covariance_root**2).sum(axis=1)))
-                continue
-            sd = noise.sd(o, m, seen_by(values, i)["noise"])
-            # A marginalised discrepancy is part of what the residuals may be.
-            out.append(sd if noise.discrepancy is None else jnp.hypot(sd, noise.discrepancy * m))
-        return tuple(out)
+    def simulated(self, z: _Z, draws: Sequence[Any]) -> tuple[_Readings, _Readings, _Readings]:
+        """Return `simulate`, `predict`, and the standard deviations stated there, at once.
+
+        Args:
+            z: The truth.
+            draws: For each observation standard normal numbers, and χ² ones for Student's t.
+        """
+        values = self.values(z)
+        models = self._solved(values)[0]
+        measured = [
+            self.noise.draw(o, m, seen_by(values, i)["noise"], *draws[i])
+            for i, (o, m) in enumerate(zip(self.observations, models, strict=True))
+        ]
+        return tuple(measured), models, tuple(self._with_noise(self.noise.stated, values, models))
 
     def unnamed(self) -> "Problem":
         """Return the problem without names of observations, so that files share one program."""
@@ -202,7 +186,7 @@ class Problem(eqx.Module):
     def by(self, process: AbstractProcess) -> "Problem":
         """Return the problem for another process, with the table of that process."""
         base = self.base.replace(power_law=None) if isinstance(process, Ilit) else self.base
-        return restated(self, base, process)
+        return self._restated(base, process)
 
     def under(self, law: PowerLaw | None) -> "Problem":
         """Return the problem by radiative transfer with another scattering of the stroma.
@@ -212,20 +196,47 @@ class Problem(eqx.Module):
                 `scattering_scale`; `None` for the formula of the iris without these parameters.
         """
         base = self.base.replace(power_law=law, scattering_scale=1.0)
-        return restated(self, base, DEPTH_RESOLVED, () if law is None else OF_POWER_LAW)
+        return self._restated(base, DEPTH_RESOLVED, () if law is None else OF_POWER_LAW)
 
-    def _models(self, readings: list[Any]) -> tuple[jax.Array, ...]:
-        return tuple(o.of(r) for o, r in zip(self.observations, readings, strict=True))
+    def _restated(
+        self, base: Iris, process: AbstractProcess, more: tuple[str, ...] = ()
+    ) -> "Problem":
+        """The problem for another iris and process, with `more` of a power law's parameters free.
 
-    def _readings(self, values: Mapping[str, Any]) -> list[Any]:
-        return [self._reading(values, i) for i in range(len(self.observations))]
+        Parameters that the iris has not are gone; what is new and not free stands as in `base`.
+        """
+        gone = () if base.power_law is not None else OF_POWER_LAW
+        gone = (*gone, "scattering_scale") if more else gone
+        old = zip(self.free, self.priors, strict=True)
+        free = {n: p for n, p in old if kind(n) not in gone}
+        free |= {n: PARAMETERS[n].prior for n in more if n not in set(map(kind, free))}
+        stated = {n: v for n, v in of_iris(base).items() if n not in set(map(kind, free))}
+        known = {n: v for n, v in self.fixed.items() if n in stated and n not in gone}
+        fixed = _as_arrays(stated) | known
+        solvers = solvers_of(base, self.observations, process)
+        return dataclasses.replace(
+            self, base=base, fixed=fixed, free=tuple(free), priors=tuple(free.values()),
+            solvers=solvers,
+        )  # fmt: skip
 
-    def _reading(self, values, i: int):
-        """Compute the reading of the i-th instrument."""
-        mine, instrument = seen_by(values, i), self.observations[i].instrument
-        gain = jnp.asarray(mine["gain"], instrument.gain.dtype)
-        instrument = eqx.tree_at(lambda x: x.gain, instrument, gain)
-        return observed(iris_of(mine, self.base), instrument, self.solvers[i])
+    def _with_noise(self, function: Callable[..., Any], values: Any, models: _Readings) -> list:
+        """A function of the noise for each observation."""
+        return [
+            function(o, m, seen_by(values, i)["noise"])
+            for i, (o, m) in enumerate(zip(self.observations, models, strict=True))
+        ]
+
+    def _solved(self, values: Mapping[str, Any]) -> tuple[_Readings, RESULTS]:
+        """The reading of each instrument, and the first status that is not success."""
+        models, status = [], RESULTS.successful
+        for i, (o, solver) in enumerate(zip(self.observations, self.solvers, strict=True)):
+            mine, instrument = seen_by(values, i), o.instrument
+            gain = jnp.asarray(mine["gain"], instrument.gain.dtype)
+            instrument = eqx.tree_at(lambda x: x.gain, instrument, gain)
+            reading = observed(iris_of(mine, self.base), instrument, solver)
+            models.append(o.of(reading))
+            status = RESULTS.where(status == RESULTS.successful, reading.status, status)
+        return tuple(models), status
 
 
 def problem(
@@ -273,11 +284,8 @@ def problem(
         check_range(name, value, PARAMETERS[name].allowed)
         if free is not None and name in free:
             raise ValueError(f"{name} is both free and fixed")
-    names = [
-        n
-        for n in PARAMETERS
-        if n in (DEFAULT_FREE if free is None else tuple(free)) and n not in fixed
-    ]
+    asked = DEFAULT_FREE if free is None else tuple(free)
+    names = [n for n in PARAMETERS if n in asked and n not in fixed]
     if not names:
         raise ValueError(f"nothing is free; choose from {', '.join(PARAMETERS)}")
     for name in (*priors, *separate):
@@ -294,16 +302,15 @@ def problem(
     if noise is not None and noise.discrepancy is not None and most > _MOST_CORRELATED:
         raise ValueError(
             f"a discrepancy takes a matrix of {most} by {most} for every walker; average "
-            f"neighbouring wavelengths, "
-            f"to {_MOST_CORRELATED} values at most"
+            f"neighbouring wavelengths, to {_MOST_CORRELATED} values at most"
         )
     base = Iris() if base is None else base
     if process is not None and solver is not None:
         raise ValueError("a solver has a process: give process or solver, not both")
     by = solver or process or ILIT_2006
-    base = with_law(base, by.process if isinstance(by, AbstractSolver) else by, (*names, *fixed))
+    base = _with_law(base, by.process if isinstance(by, AbstractSolver) else by, (*names, *fixed))
     start = {**of_iris(base), **fixed}
-    known = as_arrays({n: v for n, v in start.items() if n not in names})
+    known = _as_arrays({n: v for n, v in start.items() if n not in names})
     return Problem(
         observations=seen,
         noise=Noise() if noise is None else noise,
@@ -321,22 +328,19 @@ class Form:
     """
 
     def __init__(self, problem: Problem):
-        """Keep the problem with a mark in place of every array."""
         self._marked = jax.tree.map(lambda x: ... if eqx.is_array(x) else x, problem)
         leaves, structure = jax.tree.flatten(self._marked)
         self._parts = structure, *((type(leaf), leaf) for leaf in leaves)
         self._hash = hash(self._parts)
 
     def __hash__(self) -> int:
-        """Return the hash that was computed once."""
         return self._hash
 
     def __eq__(self, other: object) -> bool:
-        """Compare all that is no array."""
         return self is other or (isinstance(other, Form) and self._parts == other._parts)
 
     def __reduce__(self) -> Any:
-        """Pickle the problem alone: structures of trees have no pickle."""
+        # The problem alone: structures of trees have no pickle.
         return Form, (self._marked,)
 
     def filled(self, arrays: list[Array]) -> Problem:
@@ -352,14 +356,6 @@ def elements(problem: Problem) -> int:
     # A correlated error takes a matrix.
     noise = max(sizes) ** 2 if problem.noise.discrepancy is not None else 0
     return max(noise, sum(sizes) * each)
-
-
-def density(problem: Problem) -> Callable[[np.ndarray], np.ndarray]:
-    """Return the function z (n, free) → log posterior densities (n,), which is compiled once for
-    all problems of the same form.
-    """
-    both = in_rows(_densities, problem)
-    return lambda z: both(z)[0]
 
 
 def pointwise(
@@ -395,17 +391,40 @@ def in_rows(
     return each
 
 
-@eqx.filter_jit
-def predicted(problem: Problem, z: Float[Array, "n free"], key: PRNGKey) -> Any:
+def reported(
+    problem: Problem, z: Float[np.ndarray, "*samples free"]
+) -> dict[str, Float[np.ndarray, "*samples"]]:
+    """Return free and derived parameters of samples by name, in the order of `problem.free`."""
+    values = in_rows(_reported, problem, 4096)(z.reshape(-1, z.shape[-1]))
+    names = [*problem.free, *(n for n in values if n not in problem.free)]
+    return {n: np.asarray(values[n]).reshape(z.shape[:-1]) for n in names}
+
+
+def predicted(problem: Problem, z: Float[np.ndarray, "n free"], key: PRNGKey) -> Any:
     """Return noisy measurements, the models without noise and the standard deviations stated there:
     three tuples of arrays (n, data), one an observation.
     """
+    # Drawn on the host: a random generator takes longer to compile than the model.
+    random, nu = np.random.default_rng(np.ravel(jax.random.key_data(key))), None
+    if problem.noise.degrees_of_freedom is not None:
+        nu = float(problem.noise.degrees_of_freedom)
+    shapes = [(len(z), o.values.shape[-1]) for o in problem.observations]
+    draws = [
+        (random.standard_normal(n), None if nu is None else random.chisquare(nu, n)) for n in shapes
+    ]
+    as_arrays = jax.tree.map(lambda x: jnp.asarray(x, float), (z, draws))
+    return jax.tree.map(np.asarray, _predicted(problem.unnamed(), *as_arrays))
 
-    def one(each):
-        simulated, models = problem.simulated_and_models(*each)
-        return simulated, models, problem.stated_sds(each[0], models)
 
-    return in_pieces(one, (z, jax.random.split(key, len(z))), elements(problem))
+@eqx.filter_jit
+def _predicted(problem: Problem, z: Float[Array, "n free"], draws: Any) -> Any:
+    return in_pieces(lambda each: problem.simulated(*each), (z, draws), elements(problem))
+
+
+@eqx.filter_jit
+def _reported(arrays: list[Array], form: Form, z: Float[Array, "n free"]) -> Any:
+    problem = form.filled(arrays)
+    return jax.vmap(lambda x: problem.reported(x))(z)
 
 
 @eqx.filter_jit
@@ -420,8 +439,35 @@ def _densities(arrays: list[Array], form: Form, z: Float[Array, "n free"]) -> An
     return in_pieces(one, z, elements(problem))
 
 
-def _worst(readings: list[Any]) -> RESULTS:
-    out = RESULTS.successful
-    for reading in readings:
-        out = RESULTS.where(out == RESULTS.successful, reading.status, out)
-    return out
+def _with_law(base: Iris, process: AbstractProcess, names: Iterable[str]) -> Iris:
+    """`base`, with a power law where one of its numbers is a parameter."""
+    law = [n for n in names if n in OF_POWER_LAW]
+    if isinstance(process, Ilit) and (law or base.power_law is not None):
+        raise ValueError(
+            f"{law[0] if law else 'power_law'} is of radiative transfer (depth-resolved); ILIT has "
+            "its own formula of scattering"
+        )
+    if "reduced_scattering" in law and "scattering_scale" in names:
+        raise ValueError("reduced_scattering and scattering_scale are one factor: state one")
+    return base.replace(power_law=PowerLaw()) if law and base.power_law is None else base
+
+
+def solvers_of(
+    base: Iris, observations: Sequence[Observation], by: AbstractProcess | AbstractSolver
+) -> tuple[Pointwise, ...]:
+    """For each observation a solver that is prepared for an inversion: the one given, or for a
+    process the quickest one for many spectra of irides such as `base`.
+    """
+
+    def one(instrument: AbstractInstrument):
+        if isinstance(by, AbstractSolver):
+            return Pointwise(prepared(base, instrument, by))
+        quickest = defaults.quickest(base, instrument.media.aqueous, by)
+        return Pointwise(prepared(base, instrument, quickest))
+
+    return tuple(one(o.instrument) for o in observations)
+
+
+def _as_arrays(values: Mapping[str, Any]) -> dict[str, Any]:
+    """Numbers by name as arrays of the precision in use."""
+    return {n: jnp.asarray(v, jnp.result_type(float)) for n, v in values.items()}

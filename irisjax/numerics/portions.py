@@ -14,6 +14,7 @@ from typing import Any
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax.core import Tracer
 
 # On a processor: from 512 on XLA shares small operations among threads, which takes longer.
@@ -95,11 +96,16 @@ def in_pieces(function: Callable[[Any], Any], arguments: Any, elements: int) -> 
     """Apply `jax.vmap(function)`, to as many arguments at a time as make arrays of `_ELEMENTS`
     numbers, where each takes `elements`.
     """
-    size = max(1, _ELEMENTS // elements)
-    if size >= jax.tree.leaves(arguments)[0].shape[0]:
-        # A lambda, because JAX cannot hash bound methods of modules.
-        return jax.vmap(lambda x: function(x))(arguments)
-    return jax.lax.map(function, arguments, batch_size=size)
+    count = jax.tree.leaves(arguments)[0].shape[0]
+    pieces = -(-count // max(1, _ELEMENTS // elements))
+    each = jax.vmap(lambda x: function(x))  # JAX cannot hash bound methods of modules
+    if pieces == 1:
+        return each(arguments)
+    # All of one size, so that one program serves them; the last argument fills the last piece.
+    places = np.arange(pieces * -(-count // pieces)).reshape(pieces, -1)
+    chosen = jax.tree.map(lambda x: x[np.minimum(places, count - 1)], arguments)
+    done = jax.lax.map(each, chosen)
+    return jax.tree.map(lambda x: x.reshape(-1, *x.shape[2:])[:count], done)
 
 
 def _threads(pixels: Any, others: Any) -> int:

@@ -7,11 +7,14 @@ import pytest
 from scipy import stats
 
 import irisjax as ij
-from common import quick_jit
+from common import quick_jit, slowly
 from irisjax.infer.analytic import BeerLambert
+from irisjax.infer.fit import fit
 from irisjax.infer.noise import Noise
 from irisjax.infer.parameters import PARAMETERS
 from irisjax.infer.priors import LogNormal
+from irisjax.infer.problem import pointwise
+from irisjax.numerics import portions
 from irisjax.tissue.scattering import POWER_LAW_LIMITS
 from irisjax.transport.defaults import table_for
 from irisjax.transport.solution import RESULTS
@@ -172,26 +175,27 @@ def test_radiative_transfer_reads_as_its_table_does():
     spots = [
         ij.spectrum(GRID, np.ones(GRID.size)),
         ij.spectrum(GRID[3:], np.ones(GRID.size - 3), cos_incidence=0.6),
-        ij.spectrum(GRID, np.ones(GRID.size), cos_incidence="diffuse"),
     ]
     options = {"free": ("melanin_load", "abl_fraction", "gain"), "base": iris}
     options |= {"fixed": {"hemoglobin": 0.1}}
     quick = ij.problem(spots, process=ij.DEPTH_RESOLVED, **options)
     whole = ij.problem(spots, solver=table, **options)
     z = jnp.linspace(-1.0, 1.5, len(quick.free))
-    assert quick.status(z) == RESULTS.successful
-    for found, expected in zip(quick.predict(z), whole.predict(z), strict=True):
-        np.testing.assert_allclose(found, expected, rtol=2e-5)
+    _, found, status = quick_jit(lambda z: quick.evaluated(z))(z)
+    assert status == RESULTS.successful
+    for mine, expected in zip(found, quick_jit(lambda z: whole.predict(z))(z), strict=True):
+        np.testing.assert_allclose(mine, expected, rtol=2e-5)
 
 
-@pytest.mark.parametrize("scale", [0.01, 30.0])
+@pytest.mark.parametrize("scale", [0.01, slowly(30.0)])
 def test_what_scatters_less_or_more_than_usual_is_read_too(scale):
     iris = ij.Iris.of_level("low").replace(scattering_scale=scale)
     seen = ij.spectrum(GRID[5:], np.ones(GRID.size - 5))
     problem = ij.problem(seen, base=iris, free=["melanin_load"], process=ij.DEPTH_RESOLVED)
     z = problem.standard({"melanin_load": float(iris.melanin_load)})
     expected = ij.reflectance(iris, GRID[5:], solver=ij.RadiativeExact()).values
-    np.testing.assert_allclose(problem.predict(z)[0], expected, rtol=3e-5)
+    found = quick_jit(lambda z: problem.predict(z)[0])(z)
+    np.testing.assert_allclose(found, expected, rtol=3e-5)
 
 
 def test_spots_share_blood_but_not_melanin():
@@ -275,3 +279,23 @@ def test_spectra_of_colour_science_and_read_ones_stand_for_wavelengths_and_value
 def test_half_a_spectrum_is_refused(given):
     with pytest.raises(ValueError, match="wavelengths and values, or one object"):
         ij.spectrum(*given)
+
+
+@pytest.mark.slow  # 10 s of compiling
+def test_densities_and_fits_do_not_depend_on_the_pieces(monkeypatch):
+    """Large problems are evaluated in pieces: the same numbers, in bounded memory."""
+    values = ij.reflectance(ij.Iris(), GRID, solver=BeerLambert()).values
+    # Its name, a static field, keeps programs compiled for other tests away.
+    seen = ij.spectrum(GRID, values, name="in pieces")
+    problem = ij.problem(seen, free=["melanin_load", "hemoglobin"], solver=BeerLambert())
+    monkeypatch.setattr(portions, "_ELEMENTS", 2 * GRID.size)  # of seven walkers one remains
+    z = jnp.asarray(np.random.default_rng(0).normal(size=(7, 2)))
+    np.testing.assert_allclose(
+        problem.log_density(z), [problem.log_posterior(x) for x in z], rtol=1e-12
+    )
+    np.testing.assert_allclose(pointwise(problem, z), [problem.pointwise(x) for x in z], rtol=1e-12)
+    found = fit(problem, use_priors=False, key=jax.random.key(0))
+    truth = ij.infer.of_iris(ij.Iris())
+    assert int(found.agreeing) == 4
+    for name in problem.free:
+        assert float(found.values[name]) == pytest.approx(float(truth[name]), rel=1e-5)
