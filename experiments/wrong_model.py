@@ -3,7 +3,7 @@
 Irides from the priors, 31 wavelengths, noise of 2 % + 2e-4, as stated to the fit. For every pair of
 maker and reader: how far melanin load and ABL fraction move, how often their 95 % intervals hold
 the truth, and how often the fit warns: by its chi-square, or because the other process explains
-the data better (`irisjax.infer.other_process`). All of it without and with a smooth error of 2 %
+the data better (`irisjax.infer.model_comparison`). All of it without and with a smooth error of 2 %
 that the fit allows the model, correlated over 80 nm, as `irisjax fit --discrepancy 0.02:80` does;
 the data are the same. Intervals are least squares', with the noise that the fit leaves, as those of
 a posterior with free noise are. Everything is simulated. Writes wrong_model.csv, an eye a row, and
@@ -23,8 +23,8 @@ import irisjax as ij
 from experiments import common
 from irisjax.infer.fit import MISFIT, fit
 from irisjax.infer.least_squares import levenberg_marquardt
+from irisjax.infer.model_comparison import compare_processes, intervals_of, noise_left
 from irisjax.infer.observation import with_values
-from irisjax.infer.other_process import compare_processes, intervals_of, noise_left
 
 PROCESSES = {"ILIT": ij.ILIT_2006, "radiative transfer": ij.DEPTH_RESOLVED}
 ALLOWED = {"none": ij.Noise(), "0.02:80": ij.Noise(discrepancy=0.02, length=80.0)}

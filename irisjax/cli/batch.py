@@ -19,8 +19,8 @@ from irisjax.cli.options import tell
 from irisjax.cli.sentences import preference
 from irisjax.infer.fit import Fit, FitStatus, fit, words_for
 from irisjax.infer.least_squares import levenberg_marquardt
+from irisjax.infer.model_comparison import COMPARED, compare_processes, other_of
 from irisjax.infer.observation import with_values
-from irisjax.infer.other_process import COMPARED, compare_processes, other_of
 from irisjax.infer.problem import Problem
 from irisjax.io.measured import Measured
 from irisjax.transport.process import option_of

@@ -9,8 +9,7 @@ from irisjax import io
 from irisjax.cli.fit_options import Sampler
 from irisjax.cli.report import console, counting, csv_of, labelled, print_columns, shape_of
 from irisjax.cli.sentences import models_sentence, with_error
-from irisjax.infer.model_comparison import Assessment, compare_models
-from irisjax.infer.other_process import COMPARED
+from irisjax.infer.model_comparison import COMPARED, Assessment, compare_models
 from irisjax.infer.parameters import kind
 from irisjax.infer.problem import Problem
 from irisjax.plot.beside import Later, here
@@ -48,7 +47,7 @@ def models(
 
 def _table(found: Sequence[Assessment], sentence: str, seed: int) -> str:
     """CSV, a model a row, after comments with the sentence and the settings."""
-    problems = [a.candidate.problem for a in found]
+    problems = [a.problem for a in found]
     priors = dict(pair for p in problems for pair in zip(p.free, p.priors, strict=True))
     names, shared = _names(found), list(found[0].ratios)
     columns = [f"{n}{end}" for n in names for end in ("", "_q2.5", "_q97.5")]
@@ -59,7 +58,7 @@ def _table(found: Sequence[Assessment], sentence: str, seed: int) -> str:
         texts = [f"{x:.6g}" for x in numbers]
         for n, of in (*((n, a.values) for n in names), *((n, a.ratios) for n in shared)):
             texts += [f"{x:.6g}" for x in of[n]] if n in of else [""] * 3
-        process = option_of(a.candidate.problem.process)
+        process = option_of(a.problem.process)
         rows.append([a.name, process, "importance sampling", *texts])
     stated = "; ".join(f"{n} ~ {p}" for n, p in priors.items())
     header = f"# {sentence}\n# irisjax {ij.__version__}, seed {seed}; priors: {stated}\n"
@@ -67,7 +66,7 @@ def _table(found: Sequence[Assessment], sentence: str, seed: int) -> str:
 
 
 def _drawing(found: Sequence[Assessment], sentence: str, draw: Callable[..., Later]) -> Later:
-    shapes = [shape_of(o) for o in found[0].candidate.problem.observations]
+    shapes = [shape_of(o) for o in found[0].problem.observations]
     fits = {a.name: (list(a.models), list(a.residuals)) for a in found}
     names = [n for n in found[0].values if kind(n) in COMPARED]
     pigments = {labelled(n): {a.name: tuple(a.values[n]) for a in found} for n in names}

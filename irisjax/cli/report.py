@@ -15,12 +15,13 @@ from irisjax import io
 from irisjax.cli import sentences
 from irisjax.cli.fit_options import Sampler
 from irisjax.cli.options import tell
-from irisjax.infer.analysis import Analysis, analyse, predictive, predictive_score, reported
+from irisjax.infer.analysis import Analysis, analyse, predictive
 from irisjax.infer.fit import words_for
+from irisjax.infer.model_comparison import predictive_score
 from irisjax.infer.observation import Observation
 from irisjax.infer.parameters import kind, unit_of
 from irisjax.infer.posterior import words_of
-from irisjax.infer.problem import Problem, pointwise
+from irisjax.infer.problem import Problem, pointwise, reported
 from irisjax.infer.store import copy_of
 from irisjax.plot.beside import Later, here
 from irisjax.transport.process import option_of

@@ -7,8 +7,7 @@ import numpy as np
 
 from irisjax.infer.analysis import Analysis
 from irisjax.infer.identifiability import Direction, Information
-from irisjax.infer.model_comparison import Assessment
-from irisjax.infer.other_process import PREFERRED, Moved, ProcessComparison
+from irisjax.infer.model_comparison import PREFERRED, Assessment, Moved, ProcessComparison
 from irisjax.infer.parameters import kind, unit_of
 from irisjax.transport.process import AbstractProcess, Ilit
 
@@ -113,7 +112,7 @@ def models_sentence(assessments: Sequence[Assessment]) -> str:
     else:
         said = f"do not decide between {first.name} and {second.name}"
     evidences = ", ".join(f"{with_error(a)} by {a.name}" for a in assessments)
-    data = ", ".join(o.name for o in assessments[0].candidate.problem.observations)
+    data = ", ".join(o.name for o in assessments[0].problem.observations)
     parts = (
         f"The data ({data}) {said} (ln evidence {evidences}; importance sampling, equal priors)",
         *(_by_models(n, assessments) for n in assessments[0].values if kind(n) in _QUOTED),

@@ -10,7 +10,6 @@ from .identifiability import Direction as Direction
 from .identifiability import Information as Information
 from .importance import Start as Start
 from .model_comparison import Assessment as Assessment
-from .model_comparison import Candidate as Candidate
 from .model_comparison import candidates_of as candidates_of
 from .parameters import DEFAULT_FREE as DEFAULT_FREE
 from .parameters import PARAMETERS as PARAMETERS

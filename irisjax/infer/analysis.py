@@ -4,18 +4,16 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import equinox as eqx
 import jax
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
 from scipy.special import ndtri
 from scipy.stats import qmc
 
 from irisjax._types import PRNGKey
 from irisjax.infer.fit import Fit, fit
 from irisjax.infer.identifiability import Information, information
-from irisjax.infer.other_process import (
+from irisjax.infer.model_comparison import (
+    DRAWS,
     Interval,
     ProcessComparison,
     compare_processes,
@@ -23,11 +21,9 @@ from irisjax.infer.other_process import (
 )
 from irisjax.infer.parameters import kind, unit_of
 from irisjax.infer.posterior import Chains, check_run, mixing, sample
-from irisjax.infer.problem import Form, Problem, in_rows, predicted
+from irisjax.infer.problem import Problem, predicted, reported
 
 QUANTILES = (2.5, 16, 50, 84, 97.5)
-DRAWS = 500
-"""Draws of a posterior that stand for all of it where models are computed."""
 UNMOVED = 0.3
 """Contraction below which a posterior is mostly the prior."""
 
@@ -38,15 +34,10 @@ class Row(NamedTuple):
     Attributes:
         parameter: Its name.
         unit: Its unit, or an empty string.
-        median: 50 % quantile.
+        median: 50 % quantile; `q2_5` to `q97_5` are the others.
         sd: Standard deviation.
-        q2_5: 2.5 % quantile.
-        q16: 16 % quantile.
-        q84: 84 % quantile.
-        q97_5: 97.5 % quantile.
         rhat: Split R-hat.
-        ess_bulk: Effective number of samples.
-        ess_tail: The same for the tails.
+        ess_bulk: Effective number of samples; `ess_tail` is that of the tails.
         contraction: 1 − posterior variance / prior variance, in the coordinate in which the prior
             is normal.
     """
@@ -201,19 +192,10 @@ def summarise(problem: Problem, chains: Chains) -> list[Row]:
         rows.append(
             Row(
                 name, unit_of(name), median, values.std(), low, less, more, high, rhat, bulk, tail,
-                float(contraction),
+                float(contraction)
             )
         )  # fmt: skip
     return rows
-
-
-def reported(
-    problem: Problem, z: Float[np.ndarray, "*samples free"]
-) -> dict[str, Float[np.ndarray, "*samples"]]:
-    """Return free and derived parameters of samples by name, in the order of `problem.free`."""
-    values = in_rows(_reported, problem, 4096)(z.reshape(-1, z.shape[-1]))
-    names = [*problem.free, *(n for n in values if n not in problem.free)]
-    return {n: np.asarray(values[n]).reshape(z.shape[:-1]) for n in names}
 
 
 def predictive(
@@ -245,36 +227,8 @@ def predictive_check(problem: Problem, chains: Chains, *, key: PRNGKey) -> Predi
     )
 
 
-def predictive_score(
-    log_likelihood: Float[np.ndarray, "chains draws data"], effective: float = 1.0
-) -> tuple[float, float]:
-    """Return the expected log predictive density of left-out values by PSIS-LOO [Vehtari et al.
-    2017], and its standard error.
-
-    Compare it between processes fitted to the same data; differences of a few standard errors
-    count.
-
-    Args:
-        log_likelihood: Of every draw and value.
-        effective: Effective samples a draw, at most 1.
-    """
-    from arviz_stats.base.array import array_stats
-
-    stats: Any = array_stats  # it returns scalars where its annotations have tuples too
-    each, _, _ = stats.loo(
-        np.moveaxis(log_likelihood, -1, 0), chain_axis=-2, draw_axis=-1, r_eff=min(effective, 1.0)
-    )
-    return float(np.sum(each)), float(np.sqrt(np.size(each)) * np.std(each))
-
-
 def _drawn(problem: Problem, chains: Chains, count: int, key: PRNGKey):
     """As `predictive`, and the standard deviations stated for these models."""
     z = chains.flat
     chosen = z[np.linspace(0, len(z) - 1, min(count, len(z))).astype(int)]
-    return jax.tree.map(np.asarray, predicted(problem.unnamed(), jnp.asarray(chosen), key))
-
-
-@eqx.filter_jit
-def _reported(arrays: list[Array], form: Form, z: Float[Array, "n free"]) -> Any:
-    problem = form.filled(arrays)
-    return jax.vmap(lambda x: problem.reported(x))(z)
+    return predicted(problem, chosen, key)

@@ -15,7 +15,7 @@ import irisjax as ij
 from irisjax.cli import model, report
 from irisjax.infer.analysis import Analysis, PredictiveCheck, summarise
 from irisjax.infer.identifiability import Direction, Information
-from irisjax.infer.other_process import COMPARED, Interval, Moved, ProcessComparison
+from irisjax.infer.model_comparison import COMPARED, Interval, Moved, ProcessComparison
 from irisjax.infer.parameters import kind
 from irisjax.infer.posterior import Chains, ChainStatus
 from irisjax.plot.beside import here
@@ -126,7 +126,7 @@ def without_search(monkeypatch):
             chains=chains,
             rows=rows,
             check=PredictiveCheck(0.5, 0.5, 1.0),
-            information=Information(("melanin_load",), np.eye(1), known, {}, np.nan, {}),
+            information=Information(("melanin_load",), np.eye(1), known, {}, {}),
             other=ProcessComparison(ij.DEPTH_RESOLVED, moved, -1.0),
         )
 

@@ -11,14 +11,13 @@ import irisjax as ij
 from irisjax.cli import compare
 from irisjax.cli.sentences import models_sentence
 from irisjax.infer.importance import ImportanceSample
-from irisjax.infer.model_comparison import Assessment, Candidate
-from irisjax.infer.other_process import Interval
+from irisjax.infer.model_comparison import Assessment, Interval
 
 
 def assessment(name, problem, log_evidence, values, ratios=None, models=()):
     found = ImportanceSample(np.zeros((2, 7)), 25.0, log_evidence, 8)
     ratios = {n: Interval(1.0, 0.5, 2.0) for n in values} if ratios is None else ratios
-    return Assessment(Candidate(name, problem), found, 90.0, 4.0, values, ratios, models, models)
+    return Assessment(name, problem, found, 90.0, 4.0, values, ratios, models, models)
 
 
 @pytest.fixture

@@ -1,54 +1,134 @@
-"""Summaries and checks of a posterior, predictive scores, and all of it at once."""
+"""The whole analysis of an eye: summaries and checks of a posterior, and the other process."""
 
 import jax
 import numpy as np
 import pytest
 
 import irisjax as ij
+from common import quick_jit
 from irisjax.cli import report, sentences
-from irisjax.infer.analysis import PredictiveCheck, analyse, predictive_check, predictive_score
+from irisjax.infer.analysis import PredictiveCheck, analyse, predictive_check
 from irisjax.infer.analytic import BeerLambert
 from irisjax.infer.fit import fit
+from irisjax.infer.model_comparison import (
+    Interval,
+    compare_processes,
+    covariance_at,
+    intervals_of,
+    other_of,
+    predictive_score,
+)
 from irisjax.infer.noise import Noise
+from irisjax.infer.observation import with_values
 from irisjax.infer.posterior import sample
 
-KEY = jax.random.key(3)
-GRID = ij.wavelengths(400, 700, 30)
-TRUTH = {"melanin_load": 0.1, "hemoglobin": 0.08, "pheomelanin_share": 0.4, "abl_fraction": 0.6}
+KEY = jax.random.key(3, impl="threefry2x32")
+GRID = np.arange(400.0, 701.0, 20.0)
+FREE = ("melanin_load", "abl_fraction", "gain", "noise")
+TRUTH = {"melanin_load": 0.1, "abl_fraction": 0.4, "gain": 1.0, "noise": 1.0}
+PROCESSES = (ij.ILIT_2006, ij.DEPTH_RESOLVED)
+SETTINGS = {"walkers": 16, "max_steps": 1000, "key": KEY}
 
 
-def stated(free=("melanin_load", "hemoglobin", "noise"), **options):
-    """A problem that compiles in a moment: the closed formula in place of transport."""
-    problem = ij.problem(
-        ij.spectrum(GRID, np.zeros(GRID.size)), free=free, solver=BeerLambert(), **options
-    )
-    z = problem.standard({**TRUTH, "noise": 1.0})
-    values = problem.simulate(z, jax.random.key(0))[0]
-    return problem.with_observations(ij.spectrum(GRID, np.asarray(values)))
+def stated(process):
+    """The problem of a spectrum yet without values."""
+    blank = ij.spectrum(GRID, np.full(GRID.size, 0.05), sd=np.full(GRID.size, 0.01))
+    return ij.problem(blank, free=FREE, process=process)
 
 
-def test_an_analysis_of_data_of_the_model_and_of_others():
+@pytest.fixture(scope="module")
+def eyes():
+    """Noiseless spectra of one iris by either process."""
+    found = []
+    for process in PROCESSES:
+        problem = stated(process)
+        (values,) = quick_jit(lambda z, p=problem: p.predict(z))(problem.standard(TRUTH))
+        found.append(with_values(problem.observations[0], values, 0.02 * values + 2e-4))
+    return found
+
+
+@pytest.fixture(scope="module")
+def by_ilit(eyes):
+    """The problem of each spectrum by ILIT, and its fit."""
+    problems = [stated(ij.ILIT_2006).with_observations(eye) for eye in eyes]
+    return [(problem, fit(problem, key=KEY)) for problem in problems]
+
+
+@pytest.fixture(scope="module")
+def by_transfer(eyes):
+    """The same by radiative transfer."""
+    problems = [stated(ij.DEPTH_RESOLVED).with_observations(eye) for eye in eyes]
+    return [(problem, fit(problem, key=KEY)) for problem in problems]
+
+
+@pytest.fixture(scope="module")
+def analysed(by_ilit):
+    """The analysis of the spectrum of ILIT with noise."""
+    problem = by_ilit[0][0]
+    (seen,) = problem.observations
+    noisy = seen.values + seen.sd * np.random.default_rng(1).normal(size=GRID.size)
+    return analyse(problem.with_observations(with_values(seen, noisy)), **SETTINGS)
+
+
+def test_noise_widens_what_the_data_say_and_not_the_prior(by_ilit):
+    """As a fit whose noise is stated that much larger."""
+    one, narrow = by_ilit[0]
+    (seen,) = one.observations
+    larger = one.with_observations(with_values(seen, seen.values, 3 * seen.sd))
+    wide = fit(larger, key=KEY)
+    found = covariance_at(np.asarray(narrow.covariance), 3.0)
+    fitted = np.ix_([0, 1, 2], [0, 1, 2])
+    np.testing.assert_allclose(found[fitted], wide.covariance[fitted], atol=0.02)
+    np.testing.assert_allclose(covariance_at(np.eye(3), 7.0), np.eye(3))
+    intervals = intervals_of(one, narrow, 3.0)
+    for name, expected in intervals_of(larger, wide, 1.0).items():
+        if name != "noise":
+            np.testing.assert_allclose(intervals[name], expected, rtol=0.05)
+
+
+@pytest.mark.parametrize("maker", [0, 1], ids=["ILIT", "radiative transfer"])
+def test_the_data_prefer_the_process_that_made_them(by_ilit, by_transfer, maker):
+    read = by_ilit, by_transfer
+    for reader in (0, 1):
+        (problem, own), (other_problem, other) = read[reader][maker], read[1 - reader][maker]
+        found = compare_processes(problem, own, other_problem, other)
+        assert found.process == other_of(problem.process) == PROCESSES[1 - reader]
+        assert found.preferred == (reader != maker)
+        load = found.moved["melanin_load"]
+        right = load.own if reader == maker else load.other
+        assert right.low < 0.1 < right.high
+        # ILIT takes the darkness of radiative transfer for several times as much melanin.
+        ratio = load.other.value / load.own.value
+        assert ratio < 0.6 if reader == 0 else ratio > 1.7
+        lines = sentences.process_lines(found)
+        assert lines[0].startswith("WARNING: the pigments depend on the model")
+        assert ("the data prefer" in lines[-1]) == found.preferred
+        given = {"melanin_load": Interval(0.2, 0.1, 0.3)}
+        moved = compare_processes(problem, own, other_problem, other, intervals=given).moved
+        assert moved["melanin_load"].own == given["melanin_load"]
+        assert moved["abl_fraction"] == found.moved["abl_fraction"]
+
+
+def test_an_analysis_of_data_of_the_model_and_of_others(analysed):
     """A step that no pigment makes: smooth residuals, and noise beyond what was stated."""
-    problem = stated()
-    found = analyse(problem, walkers=16, max_steps=600, key=KEY)
-    assert found.chains.converged
-    assert bool(found.fit.ok)
-    table = {row.parameter: row for row in found.rows}
-    assert list(table)[:3] == ["melanin_load", "hemoglobin", "noise"]
+    assert analysed.chains.converged
+    assert bool(analysed.fit.ok)
+    table = {row.parameter: row for row in analysed.rows}
+    assert tuple(table)[:4] == FREE
     load = table["melanin_load"]
     assert load.q2_5 < load.q16 < load.median < load.q84 < load.q97_5
     assert load.q2_5 < TRUTH["melanin_load"] < load.q97_5
     assert 0.9 < load.contraction < 1
     assert table["eumelanin"].unit == "mg/ml"
-    assert (found.undetermined, found.unmoved, found.check.passed) == (0, (), True)
-    assert found.other.process == ij.DEPTH_RESOLVED
-    assert found.other.moved["melanin_load"].own == (load.median, load.q2_5, load.q97_5)
-    y = np.asarray(problem.observations[0].values) * np.where(GRID < 550, 1.0, 1.6)
-    problem = problem.with_observations(ij.spectrum(GRID, y))
-    chains = sample(problem, found.fit, walkers=16, max_steps=600, key=KEY)
-    check = predictive_check(problem, chains, key=KEY)
+    assert (analysed.undetermined, analysed.check.passed) == (0, True)
+    assert analysed.other.process == ij.DEPTH_RESOLVED
+    assert analysed.other.moved["melanin_load"].own == (load.median, load.q2_5, load.q97_5)
+    (seen,) = analysed.problem.observations
+    stepped = with_values(seen, seen.values * np.where(GRID < 550, 1.0, 1.6))
+    problem = analysed.problem.with_observations(stepped)
+    check = predictive_check(problem, sample(problem, analysed.fit, **SETTINGS), key=KEY)
     assert check.smooth and not check.passed
-    (line,) = sentences.cautions(found._replace(check=check))
+    line = sentences.cautions(analysed._replace(check=check))[-1]
     assert line.startswith("WARNING: the model does not produce these data: ")
 
 
@@ -62,22 +142,15 @@ def test_checks_are_said():
 def test_single_precision_samples_without_a_warning():
     """Rounding leaves the fit's covariance symmetric; as sharp a measurement as any."""
     free = ["melanin_load", "abl_fraction", "pheomelanin_share", "hemoglobin", "noise"]
-    problem = stated(free=free, noise=Noise(1e-3, 1e-5))
+    blank = ij.spectrum(GRID, np.zeros(GRID.size))
+    problem = ij.problem(blank, free=free, noise=Noise(1e-3, 1e-5), solver=BeerLambert())
+    z = problem.standard({**TRUTH, "hemoglobin": 0.08, "pheomelanin_share": 0.4})
+    seen = with_values(problem.observations[0], problem.simulate(z, jax.random.key(0))[0])
+    problem = problem.with_observations(seen)
     best = fit(problem, key=KEY)
     assert best.covariance.dtype == np.float32
     np.testing.assert_array_equal(best.covariance, best.covariance.T)
-    assert sample(problem, best, walkers=16, max_steps=600, key=KEY).converged
-
-
-def test_predictive_score_is_the_mean_log_density():
-    """Where the posterior hardly varies, leaving one value out changes nothing: the sum of the log
-    likelihoods.
-    """
-    rng = np.random.default_rng(2)
-    fixed = rng.normal(size=200)
-    score, error = predictive_score(fixed + 1e-3 * rng.normal(size=(4, 500, 200)))
-    assert score == pytest.approx(fixed.sum(), abs=1e-2)
-    assert error == pytest.approx(np.sqrt(200) * fixed.std(), rel=1e-2)
+    assert sample(problem, best, **SETTINGS).converged
 
 
 def test_predictive_score_is_that_of_a_normal_model():
@@ -89,10 +162,12 @@ def test_predictive_score_is_that_of_a_normal_model():
     left_out = (y.sum() - y) / 29
     variance = 1 + 1 / 29
     exact = -0.5 * (y - left_out) ** 2 / variance - 0.5 * np.log(2 * np.pi * variance)
-    assert predictive_score(each)[0] == pytest.approx(exact.sum(), abs=0.05)
+    score, error = predictive_score(each)
+    assert score == pytest.approx(exact.sum(), abs=0.05)
+    assert error == pytest.approx(np.sqrt(30) * exact.std(), rel=0.02)
 
 
-def test_files_of_many_wavelengths_hold_fewer_draws(tmp_path, monkeypatch):
+def test_files_of_many_wavelengths_hold_fewer_draws(analysed, tmp_path, monkeypatch):
     """Log likelihoods of all draws of 10,000 wavelengths would be gigabytes; every group keeps the
     same draws.
     """
@@ -100,10 +175,9 @@ def test_files_of_many_wavelengths_hold_fewer_draws(tmp_path, monkeypatch):
 
     walkers, most = 16, 100
     monkeypatch.setattr(report, "_MOST_NUMBERS", most * walkers * GRID.size)
-    found = analyse(stated(), walkers=walkers, max_steps=600, key=KEY)
-    z = 0.01 * np.random.default_rng(1).normal(size=(250, walkers, 3))
-    chains = found.chains._replace(z=z, log_probability=z[..., 0], thin=5, steps=1250)
-    report._write(found._replace(chains=chains), tmp_path, [], KEY, lambda *given: lambda: b"")
+    z = 0.01 * np.random.default_rng(1).normal(size=(250, walkers, len(FREE)))
+    chains = analysed.chains._replace(z=z, log_probability=z[..., 0], thin=5, steps=1250)
+    report._write(analysed._replace(chains=chains), tmp_path, [], KEY, lambda *given: lambda: b"")
     loads = {}
     for group in ("posterior", "log_likelihood", "sample_stats"):
         loads[group] = xr.load_dataset(tmp_path / "posterior.nc", group=group, engine="h5netcdf")

@@ -1,16 +1,26 @@
 """Models side by side: who is compared, what is said, and that the maker of the data wins."""
 
+import inspect
+from types import SimpleNamespace
+
 import jax
 import numpy as np
 import pytest
 
 import irisjax as ij
 from common import slowly
+from irisjax.cli.sentences import process_lines
 from irisjax.infer.analysis import reported
 from irisjax.infer.analytic import KubelkaMunk
-from irisjax.infer.model_comparison import Candidate, candidates_of, compare_models
+from irisjax.infer.model_comparison import (
+    Interval,
+    Moved,
+    ProcessComparison,
+    candidates_of,
+    compare_models,
+    noise_left,
+)
 from irisjax.infer.observation import with_values
-from irisjax.infer.other_process import Interval
 from irisjax.infer.parameters import OF_POWER_LAW
 from irisjax.tissue.scattering import PowerLaw
 
@@ -24,28 +34,29 @@ def blank():
         return ij.spectrum(GRID, np.full(GRID.size, 0.05), sd=np.full(GRID.size, 0.01), name="eye")
 
 
-@pytest.mark.parametrize("first", [ij.ILIT_2006, ij.ILIT_CORRECTED, ij.DEPTH_RESOLVED])
+@pytest.mark.parametrize("first", [ij.ILIT_CORRECTED, ij.DEPTH_RESOLVED])
 def test_the_own_process_comes_first(blank, first):
-    own, other, general = candidates_of(ij.problem(blank, free=FREE, process=first))
-    assert own.problem.process == first
-    assert {own.name, other.name} == {"ILIT", "radiative transfer"}
-    assert own.problem.free == other.problem.free
-    assert own.problem.priors == other.problem.priors
-    assert general.name == "general radiative transfer"
-    assert set(general.problem.free) == {*FREE, *OF_POWER_LAW}
+    found = candidates_of(ij.problem(blank, free=FREE, process=first))
+    names, (own, other, general) = list(found), found.values()
+    assert own.process == first
+    assert {*names[:2]} == {"ILIT", "radiative transfer"}
+    assert (own.free, own.priors) == (other.free, other.priors)
+    assert names[2] == "general radiative transfer"
+    assert set(general.free) == {*FREE, *OF_POWER_LAW}
 
 
 def test_a_power_law_comes_first_where_the_problem_has_one(blank):
     problem = ij.problem(blank, free=FREE, process=ij.DEPTH_RESOLVED).under(PowerLaw())
-    general, plain, ilit = candidates_of(problem)
-    assert general.problem.free == problem.free
-    assert (plain.name, ilit.name) == ("radiative transfer", "ILIT")
-    assert plain.problem.free == ilit.problem.free == FREE
+    found = candidates_of(problem)
+    assert list(found)[1:] == ["radiative transfer", "ILIT"]
+    general, plain, ilit = found.values()
+    assert general.free == problem.free
+    assert plain.free == ilit.free == FREE
 
 
 def test_one_model_is_no_comparison(blank):
     problem = ij.problem(blank, free=FREE, solver=KubelkaMunk())
-    for few in ([], [Candidate("A", problem)], [Candidate("A", problem)] * 2):
+    for few in ({}, {"A": problem}):
         with pytest.raises(ValueError, match="two or more models"):
             compare_models(problem, few, key=jax.random.key(0))
 
@@ -62,7 +73,7 @@ def test_the_maker_of_the_data_is_preferred(blank, maker):
     told = []
     own, other = compare_models(
         problem,
-        candidates_of(problem)[:2],
+        dict(list(candidates_of(problem).items())[:2]),
         progress=lambda name, steps: told.append(name),
         key=jax.random.key(2),
     )
@@ -93,12 +104,38 @@ def test_scattering_of_real_tissue_is_told_from_fibrils():
     seen = model + sd * jax.random.normal(jax.random.key(1), model.shape)
     plain = plain.with_observations(with_values(blank, seen, sd))
     by_fibrils, by_law = compare_models(
-        plain,
-        candidates_of(plain)[::2],
-        key=jax.random.key(2),
+        plain, dict(list(candidates_of(plain).items())[::2]), key=jax.random.key(2)
     )
     assert by_law.name == "general radiative transfer"
     assert by_law.evidence.log_integral - by_fibrils.evidence.log_integral > 10
-    draws = reported(by_law.candidate.problem, by_law.evidence.samples)
+    draws = reported(by_law.problem, by_law.evidence.samples)
     for name, value in true.items():
         assert draws[name].min() < value < draws[name].max()
+
+
+@pytest.mark.parametrize(
+    ("other", "differs", "said"),
+    [
+        ((0.2, 0.15, 0.25), True, "2 times less"),
+        ((0.8, 0.7, 0.9), True, "2 times more"),
+        ((0.41, 0.3, 0.5), False, "about the same"),
+        ((0.2, 0.15, 0.45), False, "2 times less"),
+    ],
+)
+def test_what_is_said(other, differs, said):
+    moved = {"melanin_load": Moved(Interval(0.4, 0.35, 0.45), Interval(*other))}
+    assert moved["melanin_load"].differs == differs
+    (line,) = process_lines(ProcessComparison(ij.DEPTH_RESOLVED, moved, -5.0))
+    assert line.startswith("WARNING") == differs
+    assert line.endswith(said)
+
+
+def test_noise_is_no_less_than_stated():
+    def left(*chi_squares):
+        fits = (SimpleNamespace(chi_square=c, degrees=10) for c in chi_squares)
+        # Unchecked: these are no fits.
+        return inspect.unwrap(noise_left)(*fits)
+
+    assert left(5.0, 90.0) == 1
+    assert left(90.0, 40.0) == pytest.approx(2)
+    assert np.isfinite(left(0.0, 0.0))

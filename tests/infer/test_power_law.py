@@ -68,7 +68,7 @@ def test_ridges_are_named():
         "anisotropy": (0.98, "gain", 0.1),
     }
     directions = [Direction({"reduced_scattering": 1.0}, 0.1)]
-    found = Information(("reduced_scattering",), np.eye(1), directions, {}, np.nan, trades)
+    found = Information(("reduced_scattering",), np.eye(1), directions, {}, trades)
     words = information_lines(found)
     assert (
         "reduced scattering: 20 % of its prior's width; trades with stroma thickness " in words[2]
