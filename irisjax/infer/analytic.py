@@ -19,10 +19,7 @@ from irisjax.transport.solver import AbstractSolver, check_rayleigh
 
 
 class AbstractAnalytic(AbstractSolver):
-    """A closed formula for the light that comes back from inside.
-
-    Its `process` is ILIT, whose layers and optical depths it shares.
-    """
+    """A closed formula for the light that comes back from inside."""
 
     process: Ilit = eqx.field(default=ILIT_2006, init=False)
 
@@ -52,8 +49,7 @@ class BeerLambert(AbstractAnalytic):
     path_factor: float = eqx.field(static=True, default=2.0)
     reflector: float = eqx.field(static=True, default=0.05)
 
-    def inner(self, layers: Layers):
-        """See the class."""
+    def inner(self, layers: Layers) -> Spectrum:
         return self.reflector * jnp.exp(
             -self.path_factor * (layers.abl_absorption + layers.stroma_absorption)
         )
@@ -66,8 +62,7 @@ class KubelkaMunk(AbstractAnalytic):
     light.
     """
 
-    def inner(self, layers: Layers):
-        """See the class."""
+    def inner(self, layers: Layers) -> Spectrum:
         k, s = 2 * layers.stroma_absorption, 0.75 * layers.stroma_scattering
         root = jnp.sqrt(k * (k + 2 * s))  # bSh
         # tanh x / x by its own limit, so that nothing is 0/0 without pigment or scatterers.
@@ -84,8 +79,7 @@ class FirstOrder(AbstractAnalytic):
     R = e^{−(1+m)τ_ABL} (ω/2) (1 − e^{−(1+m)τ})/(1+m), τ the stroma's extinction.
     """
 
-    def inner(self, layers: Layers):
-        """See the class."""
+    def inner(self, layers: Layers) -> Spectrum:
         paths = 3.0
         back = -jnp.expm1(-paths * layers.extinction) / paths
         return jnp.exp(-paths * layers.abl_absorption) * 0.5 * layers.albedo * back

@@ -96,7 +96,7 @@ def importance_sample(
         ValueError: If no draw at all has a density above zero.
     """
     mean, covariance = _completed(log_density, start)
-    proposals: list[_Drawn] = [_First(mean, covariance)]
+    proposals: list[_First | Proposal] = [_First(mean, covariance)]
     z, values = np.empty((0, len(mean))), np.empty(0)
     proposed = np.empty(0)  # log of the sum of all proposals' densities
     while True:
@@ -138,15 +138,6 @@ def _completed(log_density, start: Approximation) -> tuple[np.ndarray, np.ndarra
             covariance[i, i] = weights @ (side - mean[i]) ** 2 + (side[1] - side[0]) ** 2
     # Rounding must not make it indefinite.
     return mean, covariance + 1e-10 * np.eye(mean.size)
-
-
-@runtime_checkable
-class _Drawn(Protocol):
-    """A proposal, see `Proposal`."""
-
-    def draw(self, count: int, random: np.random.RandomState) -> np.ndarray: ...
-
-    def log_density(self, z: np.ndarray) -> np.ndarray: ...
 
 
 class _First:

@@ -1,6 +1,5 @@
 """Moves of an ensemble of walkers, in coordinates in which the posterior's ridge is straight."""
 
-import functools
 from typing import Any, NamedTuple
 
 import emcee
@@ -9,8 +8,7 @@ from jaxtyping import Float
 from scipy import stats
 
 DEGREES = 5
-"""Degrees of freedom of proposals. Their tails are heavier than a normal's, so that places far out
-are still proposed now and then."""
+"""Degrees of freedom of proposals, so that places far out are still proposed now and then."""
 _REACH = 4.0  # standard deviations beyond which the quadratic polynomials are constant
 
 
@@ -43,8 +41,7 @@ class Straightening(NamedTuple):
         bends, width = [], np.empty(len(mean))
         for i, own in enumerate(w.T):
             terms = _quadratic(w[:, :i])
-            # Normal equations: a hundredth of the time of a decomposition, and well conditioned:
-            # the coordinates have unit variance.
+            # Normal equations: well conditioned, as the coordinates have unit variance.
             gram = terms.T @ terms + 1e-9 * len(terms) * np.eye(terms.shape[1])
             bends.append(np.linalg.solve(gram, terms.T @ own))
             width[i] = np.std(own - terms @ bends[i])
@@ -72,20 +69,14 @@ class Straightening(NamedTuple):
 def _quadratic(w):
     """Return 1, w and the products of pairs, (n, terms)."""
     w = np.clip(w, -_REACH, _REACH)
-    first, second = _pairs(w.shape[1])
+    first, second = np.triu_indices(w.shape[1])
     return np.concatenate([np.ones((len(w), 1)), w, w[:, first] * w[:, second]], axis=1)
-
-
-@functools.cache
-def _pairs(count: int) -> tuple[np.ndarray, np.ndarray]:
-    return np.triu_indices(count)
 
 
 class Proposal:
     """A multivariate Student t in straightened coordinates, fitted to samples."""
 
     def __init__(self, straight: Straightening, samples: Float[np.ndarray, "n free"]):
-        """Fit the distribution's mean and spread."""
         y = straight.to(samples)
         spread: Any = np.cov(y.T)  # scipy's stub calls a matrix int
         self._straight = straight
@@ -111,7 +102,6 @@ class IndependentMove(emcee.moves.MHMove):
     """
 
     def __init__(self, straight: Straightening, samples: Float[np.ndarray, "n free"]):
-        """Fit the proposal to samples."""
         proposal = Proposal(straight, samples)
 
         def propose(z, random):
@@ -126,20 +116,15 @@ class DifferenceMove(emcee.moves.DEMove):
     """Differential evolution in straightened coordinates."""
 
     def __init__(self, straight: Straightening):
-        """Use these coordinates."""
         super().__init__()
         self._straight = straight
 
     def get_proposal(
-        self,
-        s: Float[np.ndarray, "n free"],
-        c: list[Float[np.ndarray, "_ free"]],
-        random: np.random.RandomState,
-    ) -> tuple[Float[np.ndarray, "n free"], Float[np.ndarray, " n"]]:
+        self, s: np.ndarray, c: list[np.ndarray], random: np.random.RandomState
+    ) -> tuple[np.ndarray, np.ndarray]:
         """Propose places for walkers `s` from the differences of the others, `c`."""
-        new, factors = super().get_proposal(
-            self._straight.to(s), [self._straight.to(z) for z in c], random
-        )
+        to = self._straight.to
+        new, factors = super().get_proposal(to(s), [to(z) for z in c], random)
         return self._straight.back(new), factors
 
 

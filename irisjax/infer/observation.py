@@ -91,9 +91,8 @@ def spectrum(
     Raises:
         ValueError: Naming the first wavelength at which something is wrong.
     """
-    if (hasattr(wavelengths, "wavelengths") and hasattr(wavelengths, "values")) == (
-        values is not None
-    ):
+    whole = hasattr(wavelengths, "wavelengths") and hasattr(wavelengths, "values")
+    if whole == (values is not None):
         raise ValueError(
             f"{name}: give wavelengths and values, or one object that has both; sd by its name"
         )
@@ -130,17 +129,12 @@ def spectrum(
             )
     if quantity not in (REFLECTANCE, RADIANCE):
         raise ValueError(f"quantity must be {REFLECTANCE!r} or {RADIANCE!r}, got {quantity!r}")
-    settings: dict[str, Any] = {
-        "cos_incidence": cos_incidence,
-        "first_surface": first_surface,
-        "media": media,
-    }
-    if cornea is not None:
-        settings["cornea"] = cornea
-    if quantity == RADIANCE:
-        instrument = Radiometer(grid, illuminant=illuminant, **settings)
-    else:
-        instrument = Spectrophotometer(grid, **settings)
+    settings: dict[str, Any] = {} if cornea is None else {"cornea": cornea}
+    settings |= {"illuminant": illuminant} if quantity == RADIANCE else {}
+    read_by = Radiometer if quantity == RADIANCE else Spectrophotometer
+    instrument = read_by(
+        grid, cos_incidence=cos_incidence, first_surface=first_surface, media=media, **settings
+    )
     sd = None if sd is None else _array(sd)
     return Observation(_array(y), sd, instrument, None, quantity, name)
 

@@ -141,10 +141,10 @@ def of_iris(iris: Iris) -> dict[str, Any]:
 
 def iris_of(values: Mapping[str, Any], base: Iris) -> Iris:
     """Return the iris with these parameters, and all else (indices, carotenoids) from `base`."""
-    concentration = values["melanin_load"] / (values["abl_thickness"] + values["stroma_thickness"])
+    melanins = derived(values)
     return base.replace(
-        eumelanin=concentration * (1 - values["pheomelanin_share"]),
-        pheomelanin=concentration * values["pheomelanin_share"],
+        eumelanin=melanins["eumelanin"],
+        pheomelanin=melanins["pheomelanin"],
         abl_fraction=values["abl_fraction"],
         oxyhemoglobin=values["hemoglobin"] * values["saturation"],
         deoxyhemoglobin=values["hemoglobin"] * (1 - values["saturation"]),

@@ -8,7 +8,7 @@ prior, and how far a posterior variance of z is below 1 measures what the data a
 import abc
 import dataclasses
 import re
-from typing import Any, TypeAlias
+from typing import Any, ClassVar, TypeAlias
 
 import equinox as eqx
 import jax
@@ -25,6 +25,9 @@ class AbstractPrior(eqx.Module):
     data.
     """
 
+    low: eqx.AbstractVar[float]
+    high: eqx.AbstractVar[float]
+
     @abc.abstractmethod
     def value(self, z: Real) -> jax.Array:
         """Return the number below which the prior has the probability that the standard normal has
@@ -36,9 +39,9 @@ class AbstractPrior(eqx.Module):
         """Return the inverse of `value`."""
 
     @property
-    @abc.abstractmethod
     def support(self) -> tuple[float, float]:
         """The interval in which the density is above zero."""
+        return self.low, self.high
 
     @property
     @abc.abstractmethod
@@ -65,16 +68,14 @@ class LogNormal(AbstractPrior):
 
     median: float = _number()
     spread: float = _number()
+    low: ClassVar[float] = 0.0
+    high: ClassVar[float] = np.inf
 
     def value(self, z: Real) -> jax.Array:
         return self.median * jnp.exp(self.spread * z)
 
     def standard(self, value: Real) -> jax.Array:
         return jnp.log(value / self.median) / self.spread
-
-    @property
-    def support(self) -> tuple[float, float]:
-        return 0.0, np.inf
 
     @property
     def valid(self) -> bool:
@@ -91,6 +92,8 @@ class LogitNormal(AbstractPrior):
 
     median: float = _number()
     spread: float = _number()
+    low: ClassVar[float] = 0.0
+    high: ClassVar[float] = 1.0
 
     def value(self, z: Real) -> jax.Array:
         odds = self.median / (1 - self.median) * jnp.exp(self.spread * z)
@@ -98,10 +101,6 @@ class LogitNormal(AbstractPrior):
 
     def standard(self, value: Real) -> jax.Array:
         return jnp.log(value / (1 - value) * (1 - self.median) / self.median) / self.spread
-
-    @property
-    def support(self) -> tuple[float, float]:
-        return 0.0, 1.0
 
     @property
     def valid(self) -> bool:
@@ -127,10 +126,6 @@ class Uniform(AbstractPrior):
         return ndtri((value - self.low) / (self.high - self.low))
 
     @property
-    def support(self) -> tuple[float, float]:
-        return self.low, self.high
-
-    @property
     def valid(self) -> bool:
         return self.low < self.high
 
@@ -146,10 +141,6 @@ class LogUniform(AbstractPrior):
 
     def standard(self, value: Real) -> jax.Array:
         return self._logarithm.standard(jnp.log(value))
-
-    @property
-    def support(self) -> tuple[float, float]:
-        return self.low, self.high
 
     @property
     def valid(self) -> bool:
@@ -185,10 +176,6 @@ class Normal(AbstractPrior):
     def standard(self, value: Real) -> jax.Array:
         below, above = self._cut_off()
         return ndtri((ndtr((value - self.mean) / self.sd) - below) / (1 - below - above))
-
-    @property
-    def support(self) -> tuple[float, float]:
-        return self.low, self.high
 
     @property
     def valid(self) -> bool:

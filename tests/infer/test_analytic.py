@@ -14,21 +14,17 @@ ANALYTIC = [BeerLambert(), KubelkaMunk(), FirstOrder()]
 @pytest.mark.parametrize("solver", ANALYTIC, ids=lambda s: type(s).__name__)
 def test_analytic_models_have_their_limits(solver):
     iris = ij.Iris.of_level("low")
-    clear = {
-        "eumelanin": 0.0,
-        "pheomelanin": 0.0,
-        "oxyhemoglobin": 0.0,
-        "deoxyhemoglobin": 0.0,
-        "lutein": 0.0,
-        "zeaxanthin": 0.0,
-    }
-    for fields in (
-        {},
-        clear,
-        {"eumelanin": 1e3},
-        {"stroma_thickness": 0.0},
-        {"collagen_index": 1.5},
-    ):
+    pigments = (
+        "eumelanin",
+        "pheomelanin",
+        "oxyhemoglobin",
+        "deoxyhemoglobin",
+        "lutein",
+        "zeaxanthin",
+    )
+    clear = dict.fromkeys(pigments, 0.0)
+    odd = {"eumelanin": 1e3}, {"stroma_thickness": 0.0}, {"collagen_index": 1.5}
+    for fields in ({}, clear, *odd):
         r = ij.reflectance(iris.replace(**fields), GRID, solver=solver)
         values = np.asarray(r.values - r.mirrored)
         assert np.isfinite(values).all()
@@ -44,19 +40,18 @@ def test_analytic_models_have_their_limits(solver):
     assert float(slope) < 0
 
 
+def one_layer(absorption, scattering):
+    """A stroma of 1 mm."""
+    thick = {"abl_thickness": 0.0, "stroma_thickness": 1.0, "indices": ij.Iris().indices()}
+    return ij.Layers.from_coefficients(0.0, [absorption], [scattering], **thick)
+
+
 def test_kubelka_munk_is_the_two_stream_equations():
     """dI/dx = −(S+K)I + SJ, −dJ/dx = −(S+K)J + SI on black, integrated by scipy."""
     from scipy.integrate import solve_bvp
 
     k, s = 0.7, 0.4
-    layers = ij.Layers.from_coefficients(
-        0.0,
-        [k / 2],
-        [s / 0.75],
-        abl_thickness=0.0,
-        stroma_thickness=1.0,
-        indices=ij.Iris().indices(),
-    )
+    layers = one_layer(k / 2, s / 0.75)
     ode = solve_bvp(
         lambda x, y: np.stack([-(s + k) * y[0] + s * y[1], (s + k) * y[1] - s * y[0]]),
         lambda a, b: np.array([a[0] - 1, b[1]]), np.linspace(0, 1, 21), np.ones((2, 21)), tol=1e-10,
@@ -66,8 +61,6 @@ def test_kubelka_munk_is_the_two_stream_equations():
 
 def test_single_scattering_of_a_thin_layer():
     """Half of what a thin layer scatters goes up."""
-    layers = ij.Layers.from_coefficients(
-        0.0, [0.0], [1e-6], abl_thickness=0.0, stroma_thickness=1.0, indices=ij.Iris().indices()
-    )
+    layers = one_layer(0.0, 1e-6)
     assert float(FirstOrder().inner(layers)[0]) == pytest.approx(0.5e-6, rel=1e-5)
     assert float(KubelkaMunk().inner(layers)[0]) == pytest.approx(0.75e-6, rel=1e-5)

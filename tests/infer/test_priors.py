@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import stats
 
@@ -66,6 +66,7 @@ def test_bad_priors_are_named(text, message):
     assert repr(prior_of("Normal( 0.5 , 0.1 )", 0, 1)) == "normal(0.5, 0.1)"
 
 
+@settings(max_examples=15)
 @given(
     st.floats(1e-3, 5), st.floats(0, 1), st.floats(0, 1), st.floats(1e-3, 1), st.floats(0, 1), st.floats(0.05, 1), st.floats(0.01, 0.2)
 )  # fmt: skip
