@@ -103,7 +103,6 @@ def _mappings():
 _MOST_PROGRAMS = 600
 _PROGRAMS_OF_FILE = {
     "anatomy/test_anatomy.py": 130,
-    "infer/test_problem.py": 900,
     "measure/test_measure.py": 140,
     "measure/test_polarimeter.py": 20,
     "measure/test_refusals.py": 180,
