@@ -211,19 +211,10 @@ def test_misfit_is_no_failed_search(problem, measured):
         fit(stepped, key=KEY, throw=True)
 
 
-def ended(**fields):
-    good = search.Found(
-        x=jnp.zeros(1),
-        cost=jnp.zeros(()),
-        jacobian=jnp.ones((1, 1)),
-        aux=None,
-        steps=jnp.asarray(5),
-        result=optx.RESULTS.successful,
-        searches=jnp.asarray(4),
-        agreeing=jnp.asarray(4),
-        elsewhere=jnp.asarray(0),
-    )
-    return good._replace(**{n: jnp.asarray(v) if n != "result" else v for n, v in fields.items()})
+def ended(result=optx.RESULTS.successful, **numbers):
+    numbers = {"cost": 0.0, "steps": 5, "searches": 4, "agreeing": 4, "elsewhere": 0} | numbers
+    numbers = {name: jnp.asarray(n) for name, n in numbers.items()}
+    return search.Found(jnp.zeros(1), jacobian=jnp.ones((1, 1)), aux=None, result=result, **numbers)
 
 
 LONE = {"agreeing": 1, "elsewhere": 3}
