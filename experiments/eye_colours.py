@@ -10,7 +10,7 @@ from irisjax.anatomy.eye import Eye
 from irisjax.grow.presets import PRESETS
 from irisjax.io import write_png
 from irisjax.measure.colour import OBSERVER, lab_of, srgb_encode, tristimulus_matrix
-from irisjax.render.bands import GRID
+from irisjax.render.bands import BAND_GRID
 from irisjax.render.camera import Camera
 from irisjax.render.environment import Environment
 from irisjax.render.integrators import INTEGRATORS
@@ -33,7 +33,7 @@ def main(key, quick=False, out=RESULTS):
     place = np.asarray(eye.relative_radius(radius))
     zone = (place > CILIARY[0]) & (place < CILIARY[1]) & (np.asarray(seen.share) > 0)
     xyz, rgb = (
-        np.asarray(tristimulus_matrix(GRID, space, "D65", OBSERVER)[0])
+        np.asarray(tristimulus_matrix(BAND_GRID, space, "D65", OBSERVER)[0])
         for space in ("XYZ", "linear sRGB")
     )
     to_xyz = xyz @ np.linalg.pinv(rgb)

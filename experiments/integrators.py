@@ -14,7 +14,8 @@ from experiments.common import RESULTS, start, write
 from irisjax.anatomy.eye import Eye
 from irisjax.measure.colour import OBSERVER, tristimulus_matrix
 from irisjax.render.bands import Bands
-from irisjax.render.single_scattering import Local, Rays, SceneData, SingleScattering
+from irisjax.render.project import IrisPixels
+from irisjax.render.single_scattering import SceneData, SingleScattering
 from irisjax.tissue.maps import Scales, texel_layers
 from irisjax.transport.solution import raise_failure
 
@@ -120,17 +121,16 @@ def _models(iris, thickness, mu, exits):
     response = SingleScattering().response(iris, ij.Eye().aqueous_index, bands, Scales())
     towards = jnp.stack([jnp.sqrt(1 - mu**2), jnp.zeros(()), mu])
     n = exits.size
-    sight = -jnp.stack(
-        [jnp.sqrt(1 - exits**2), jnp.zeros(n), -exits]
-    )  # against light that goes on along x
-    here, up = (jnp.zeros((3, n)).at[i].set(x) for i, x in ((0, 3.0), (2, -1.0)))
-    rays = Rays(here, sight, up, jnp.ones(n))
+    here, zero = jnp.full(n, 3.0), jnp.zeros(n)
+    # Lines of sight against light that goes on along x.
+    sight = -jnp.sqrt(1 - exits**2), zero, exits
+    pixels = IrisPixels(None, (here, zero, zero), sight, exits, jnp.ones(n))
 
     def marched(scale):
-        map_ = Local(stroma_thickness=jnp.full((2, 2), scale))
+        maps = {"stroma_depth": jnp.full((2, 2), scale * iris.stroma_thickness)}
         light = jnp.broadcast_to(towards[:, None, None], (1, 3, 2, 2))
-        data = SceneData(map_, light, None, Eye(cornea=None, sclera=None))
-        return response.radiance(rays, data) / mu
+        data = SceneData(maps, light, None, None, Eye(cornea=None, sclera=None))
+        return response.radiance(pixels, data) / mu
 
     ilit, _ = solved(ij.IlitExact(24))
     deep, status = solved(ij.RadiativeExact(24, n_panels=2))

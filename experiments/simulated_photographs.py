@@ -25,10 +25,10 @@ from irisjax.render.albedo import Matt
 from irisjax.render.bands import all_bands, colour_bands
 from irisjax.render.camera import Camera
 from irisjax.render.lights import Lights
+from irisjax.render.outside import colour_table
 from irisjax.render.points import project_points
 from irisjax.render.refraction import enter
 from irisjax.render.scene import Scene
-from irisjax.render.sclera import colour_table
 from irisjax.render.separable import Separable
 from irisjax.render.surfaces import IrisSurface
 from irisjax.tissue.maps import Scales

@@ -25,9 +25,9 @@ from irisjax.measure.colour import srgb_encode
 from irisjax.render.albedo import CONE, LambertError, Matt
 from irisjax.render.bands import Bands, all_bands, colour_bands
 from irisjax.render.integrator import AbstractIntegrator
+from irisjax.render.outside import Blood, colour_table
 from irisjax.render.radiative import RadiativeIntegrator
 from irisjax.render.scene import Scene
-from irisjax.render.sclera import Blood, colour_table
 from irisjax.render.separable import Separable
 
 REFLECTANCE_WAVELENGTHS = tuple(400.0 + 20.0 * i for i in range(16))

@@ -20,12 +20,10 @@ from irisjax.io.sections import EntryCheck, Where, check_sections, checked, list
 from irisjax.io.text import read_text
 from irisjax.measure.colour import illuminant_power
 from irisjax.numerics.checks import Range
-from irisjax.render.camera import LARGEST, Camera
-from irisjax.render.camera import LIMITS as CAMERA_LIMITS
+from irisjax.render.camera import CAMERA_LIMITS, LARGEST, Camera
 from irisjax.render.environment import ENVIRONMENTS
 from irisjax.render.integrators import INTEGRATORS
-from irisjax.render.lights import LIMITS as LIGHT_LIMITS
-from irisjax.render.lights import Lights
+from irisjax.render.lights import LIGHT_LIMITS, Lights
 from irisjax.render.scene import ENVIRONMENT_LIGHTS, Scene
 from irisjax.tissue.iris import LIMITS, MELANIN_LOAD, Iris
 from irisjax.transport.process import AbstractProcess

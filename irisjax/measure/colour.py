@@ -219,8 +219,10 @@ def illuminant_power(illuminant: str, wavelengths: Numbers) -> Any:
 @lru_cache(maxsize=64)
 def _observer(grid_bytes: bytes, illuminant: str, observer: str, dtype: str) -> Observer:
     with jax.ensure_compile_time_eval():
-        arrays = (jnp.asarray(x, dtype) for x in _constants(grid_bytes, illuminant, observer))
-        return Observer(*arrays, illuminant, observer)
+        white, weights, normal = (
+            jnp.asarray(x, dtype) for x in _constants(grid_bytes, illuminant, observer)
+        )
+        return Observer(white, weights, normal, illuminant, observer)
 
 
 @lru_cache(maxsize=64)

@@ -28,9 +28,9 @@ from irisjax.render.illumination import Illumination
 from irisjax.render.integrator import AbstractIntegrator, AbstractResponse
 from irisjax.render.lights import Lights
 from irisjax.render.project import IrisPixels
-from irisjax.render.shading import Field, fluxes_of
+from irisjax.render.shading import Field, Front, fluxes_of
 from irisjax.tissue.iris import Iris
-from irisjax.tissue.maps import IrisMaps, Scales
+from irisjax.tissue.maps import Scales
 
 NEAR = 0.03
 """Difference in height (mm) up to which coats are lit alike but for what they take from each other:
@@ -53,16 +53,10 @@ class Painted(AbstractIntegrator):
     process: None = None
 
     def illuminate(
-        self,
-        pixels: IrisPixels,
-        lights: Lights,
-        eye: Eye,
-        iris: Iris | None,
-        maps: IrisMaps | None,
-        tables: Illumination | None,
+        self, pixels: IrisPixels, lights: Lights, front: Front, tables: Illumination | None
     ) -> Float[Array, "3 pixels"]:
         """Radiance of each pixel in white light; see `AbstractIntegrator`."""
-        base = self.base(pixels, lights, eye, tables)
+        base = self.base(pixels, lights, front.eye, tables)
         return [base.state, *(layer.state for layer in self.layers(base))][-1].radiance
 
     def base(

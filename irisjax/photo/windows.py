@@ -28,7 +28,7 @@ from irisjax.render.project import IRIS, SCLERA, IrisPixels, View, onto_picture
 from irisjax.render.radiative import RadiativeIntegrator
 from irisjax.render.scene import ENVIRONMENT_LIGHTS
 from irisjax.render.separable import Separable
-from irisjax.render.shading import ranges_of
+from irisjax.render.shading import Front, ranges_of
 from irisjax.tissue.iris import Iris
 from irisjax.tissue.maps import IrisMaps, Scales
 from irisjax.transport.solution import RESULTS
@@ -284,8 +284,9 @@ def _matrix(seen, window, lights, eye, iris, maps, tables, ranges, bands, integr
 
     def placed(log_scale):
         thicker = maps.replace(stroma_depth=maps.stroma_depth * jnp.exp(log_scale))
-        texels = integrator.texels(seen, eye, iris, thicker, ranges)
-        light = integrator.illuminate(seen, lights, eye, iris, thicker, tables)
+        front = Front(eye, iris, thicker)
+        texels = integrator.texels(seen, front, ranges)
+        light = integrator.illuminate(seen, lights, front, tables)
         return eqx.partition((texels, light), eqx.is_inexact_array)
 
     none = jnp.zeros((), one.dtype)

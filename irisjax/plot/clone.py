@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from jaxtyping import Bool, Float
 
-from irisjax.plot.style import PALETTE, figure_of
+from irisjax.plot.pictures import PALETTE, figure_of
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -20,9 +20,8 @@ _STYLES = ("-", "--", ":")
 def side_by_side(photograph: Encoded, rendered: Encoded) -> "Figure":
     """Draw both pictures, sRGB-encoded in [0, 1]."""
     figure = figure_of(9, 4.6)
-    for axes, picture, name in zip(
-        figure.subplots(1, 2), (photograph, rendered), ("photograph", "rendered"), strict=True
-    ):
+    both = ("photograph", photograph), ("rendered", rendered)
+    for axes, (name, picture) in zip(figure.subplots(1, 2), both, strict=True):
         axes.imshow(np.clip(picture, 0, 1), interpolation="bilinear")
         axes.set_title(name)
         axes.set_axis_off()
@@ -42,12 +41,8 @@ def differences(
         share = np.searchsorted(found, steps, side="right") / max(len(found), 1)
         rms = 100 * np.sqrt((off[:, k] ** 2).mean())
         axes.plot(steps, 100 * share, style, color=colour, label=f"{name}, RMS {rms:.1f} %")
-    axes.set(
-        xlabel="difference, of 255 steps",
-        ylabel="pixels, cumulative (%)",
-        xlim=(0, 80),
-        ylim=(0, 101),
-    )
+    axes.set(xlabel="difference, of 255 steps", ylabel="pixels, cumulative (%)")
+    axes.set(xlim=(0, 80), ylim=(0, 101))
     axes.legend(loc="lower right")
     return figure
 
@@ -65,10 +60,7 @@ def luminance_profile(
     axes = figure.subplots()
     axes.plot(angle, photograph, color=PALETTE[1], label="photograph")
     axes.plot(angle, rendered, "--", color=PALETTE[0], label="rendered (simulated)")
-    axes.set(
-        xlabel=f"angle round the eye at {radius:.1f} mm from its axis (degrees)",
-        ylabel="encoded luminance",
-        xlim=(0, 360),
-    )
+    axes.set_xlabel(f"angle round the eye at {radius:.1f} mm from its axis (degrees)")
+    axes.set(ylabel="encoded luminance", xlim=(0, 360))
     axes.legend()
     return figure

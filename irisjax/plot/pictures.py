@@ -1,4 +1,4 @@
-"""Figures and colours as the bytes of picture files."""
+"""What all figures share, and figures and colours as the bytes of picture files."""
 
 import io
 from pathlib import Path
@@ -7,10 +7,27 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
+PALETTE = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000", "#F0E442")
+"""Colours that colour-blind readers tell apart [Okabe & Ito 2008], the palest last."""
 SUFFIXES = (".png", ".pdf", ".svg")
 """Kinds of picture that can be written."""
+
+
+def figure_of(width: float, height: float) -> "Figure":
+    """An empty figure, inches wide and high."""
+    # Figure itself and not pyplot: no window system, nothing global to clean up.
+    from matplotlib.figure import Figure
+
+    return Figure(figsize=(width, height), dpi=150, layout="constrained")
+
+
+def bare_axes(ax: "Axes") -> None:
+    """A faint grid and no frame above and to the right."""
+    ax.grid(alpha=0.25)
+    ax.spines[["top", "right"]].set_visible(False)
 
 
 def picture(figure: "Figure", suffix: str) -> bytes:

@@ -12,16 +12,16 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
 from irisjax.anatomy.eye import Eye
 from irisjax.numerics.portions import in_portions
-from irisjax.optics.fresnel import fresnel_at
+from irisjax.render.angular import AngularFunctions
 from irisjax.render.bands import Bands
 from irisjax.render.integrator import checked_response
-from irisjax.render.radiative import RadiativeIntegrator, RadiativeResponse
-from irisjax.render.separable import Separable, SeparableResponse
+from irisjax.render.radiative import RadiativeIntegrator
+from irisjax.render.separable import Separable
+from irisjax.render.tabulated import TabulatedResponse
 from irisjax.tissue.iris import Iris
 from irisjax.tissue.maps import IrisMaps, Scales, cell_centres
 
@@ -29,8 +29,6 @@ CONE = 50.0
 """Angle (degrees) about the iris's normal that holds nearly all light and lines of sight behind a
 cornea.
 """
-_TEXELS = 2048
-_TURNS = np.pi * (np.arange(6) + 0.5) / 6  # azimuths, each once
 
 
 class LambertError(NamedTuple):
@@ -55,9 +53,8 @@ class Matt(eqx.Module):
     `of`.
     """
 
-    response: SeparableResponse | RadiativeResponse
+    response: TabulatedResponse
     scales: Scales
-    iris: Iris
     eye: Eye
     shape: tuple[int, int] = eqx.field(static=True)
 
@@ -76,17 +73,13 @@ class Matt(eqx.Module):
         scales = Scales.of(maps, iris)
 
         def with_one(span):  # the uniform iris too
-            return (
-                None
-                if span is None
-                else jnp.stack([jnp.minimum(span[0], 1.0), jnp.maximum(span[1], 1.0)])
-            )
+            return jnp.stack([jnp.minimum(span[0], 1.0), jnp.maximum(span[1], 1.0)])
 
-        ranges = Scales(*map(with_one, scales.ranges()))
-        made = integrator.prepare(iris, eye.aqueous_index, bands, ranges)
-        response = checked_response(made, iris, eye.aqueous_index, bands, ranges)
-        assert isinstance(response, SeparableResponse | RadiativeResponse)
-        return cls(response, scales, iris, eye, (2, 2) if maps is None else maps.shape)
+        ranges = jax.tree.map(with_one, scales.ranges())
+        parts = iris, eye.aqueous_index, bands, ranges
+        response = checked_response(integrator.prepare(*parts), *parts)
+        assert isinstance(response, TabulatedResponse)
+        return cls(response, scales, eye, (2, 2) if maps is None else maps.shape)
 
     def first(self, channels: int) -> "Matt":
         """The same in the first so many channels."""
@@ -99,12 +92,9 @@ class Matt(eqx.Module):
 
         It has the shape of the maps; without maps (2, 2), every texel alike.
         """
-        return _albedo(self.response, self.scales, self._given(1.0), self.shape)
-
-    def entering(self, cosine: ArrayLike) -> Array:
-        """Share of light that enters the tissue, 1 − F."""
-        x = jnp.asarray(cosine, self.response.error.dtype)
-        return _entering(self.iris, self.eye.aqueous_index, x)
+        found = _power(self.response, jax.tree.map(jnp.ravel, self.scales)).T
+        shape = self.shape if len(found) > 1 else (1, 1)
+        return jnp.broadcast_to(found.reshape(*shape, -1), (*self.shape, found.shape[1]))
 
     def brdf(
         self,
@@ -113,60 +103,27 @@ class Matt(eqx.Module):
         azimuth: Float[Array, " azimuths"],
     ) -> Float[Array, "incidences exits azimuths channels"]:
         """BRDF of the uniform iris, 1/sr, azimuth 0 straight on."""
-        one = Scales(*(None if s is None else jnp.ones(1, s.dtype) for s in self.scales))
+        one = jax.tree.map(lambda s: jnp.ones(1, s.dtype), self.scales)
         return _pairs(self.response, one, cos_incidence, cos_exit, azimuth)[..., 0]
-
-    def _given(self, cosine):
-        """The argument of the response's `hemispherical` for an incidence."""
-        if isinstance(self.response, SeparableResponse):
-            return self.entering(cosine)
-        return jnp.asarray(cosine, self.response.error.dtype)
 
     def error(self) -> LambertError:
         """How far a Lambertian iris is from this one, from at most 2048 texels, of radiative
         transfer 128.
         """
-        if isinstance(self.response, RadiativeResponse):
-            texels, weight = self._some(128)
-            flat = _power(self.response, texels, self._given(1.0)) / np.pi
-            near, far = (_nodes(lowest, 8) for lowest in (np.cos(np.radians(CONE)), 0.0))
-            within, whole = (
-                np.asarray(_pairs(self.response, texels, *(jnp.asarray(x, flat.dtype) for x in v)))
-                for v in ((near[0], near[0], _TURNS), (far[0], far[0], _TURNS))
-            )
-            return of_pairs(np.asarray(flat), weight, within, near[1], whole, far[1])
-        response = self.response
-        texels, weight = self._some(_TEXELS)
-        power = _power(response, texels, self.entering(1.0))
-        flat = np.asarray(power, np.float64) / np.pi  # (channels, texels)
-        mean = flat @ weight
+        each = isinstance(self.response.directions, AngularFunctions)
+        texels, weight = self._some(128 if each else 2048)
+        turns = np.pi * (np.arange(6) + 0.5) / 6 if each else np.zeros(1)  # azimuths, each once
+        rim = np.cos(np.radians(CONE))
+        near, far = (_nodes(lowest, 8 if each else 24) for lowest in (rim, 0.0))
 
-        def factors(cosine):  # of BRDF over mean Lambertian one: t(μ_i) and s(μ_o), of all texels
-            t = np.asarray(self.entering(cosine), np.float64)
-            x = jnp.asarray(cosine, response.error.dtype)
-            s = np.asarray(_exits_of_all(response, texels, x), np.float64)
-            return t, np.swapaxes(s, 0, 1) / mean[:, None, None]
+        def pairs(cosines):
+            given = (jnp.asarray(x, self.response.error.dtype) for x in (cosines, cosines, turns))
+            return np.asarray(_pairs(self.response, texels, *given), np.float64)
 
-        cosine, w = _nodes(np.cos(np.radians(CONE)), 24)
-        t, all_s = factors(cosine)
-        off = 1 / (t[:, None] * (all_s @ weight)[:, None, :]) - 1
-        seen = flat / mean[:, None]
-        # The mean over texels of (seen − t s)², for each incidence and exit, multiplied out.
-        squares = (t[:, None] ** 2) * ((all_s**2) @ weight)[:, None, :]
-        mixed = t[:, None] * np.einsum("ck,cok,k->co", seen, all_s, weight)[:, None, :]
-        by_texel = ((seen**2) @ weight)[:, None, None] - 2 * mixed + squares
-        by_texel = by_texel / (t[:, None] * (all_s @ weight)[:, None, :]) ** 2
-        t, s = factors(np.cos(np.radians(np.linspace(0, CONE, 26))))
-        most = (1 / (t[:, None] * (s @ weight)[:, None, :]) - 1).reshape(len(mean), -1)
-        most = most[np.arange(len(mean)), np.abs(most).argmax(1)]
-        rms, texel = (np.sqrt(np.einsum("cio,i,o->c", x, w, w)) for x in (off**2, by_texel))
-        cosine, w = _nodes(0.0, 24)
-        t, s = factors(cosine)
-        whole = t[:, None] * (s @ weight)[:, None, :]
-        average = np.einsum("cio,i,o->c", whole, w, w)
-        return LambertError(
-            rms, most, texel, np.sqrt(np.einsum("cio,i,o->c", (whole - 1) ** 2, w, w)) / average
-        )
+        flat = np.asarray(_power(self.response, texels), np.float64) / np.pi
+        within, whole = pairs(near[0]), pairs(far[0])
+        extreme = within if each else pairs(np.cos(np.radians(np.linspace(0, CONE, 26))))
+        return of_pairs(flat, weight, within, near[1], whole, far[1], extreme)
 
     def _some(self, most: int) -> tuple[Scales, np.ndarray]:
         """Scales of some texels, and weights by their area."""
@@ -176,9 +133,8 @@ class Matt(eqx.Module):
         step = max(1, round((rows * columns / most) ** 0.5))
         place = np.asarray(self.eye.from_axis(cell_centres(self.shape)[1]))
         weight = np.broadcast_to(place, self.shape)[::step, ::step].ravel()
-        return Scales(
-            *(None if s is None else s[::step, ::step].ravel() for s in self.scales)
-        ), weight / weight.sum()
+        some = jax.tree.map(lambda s: s[::step, ::step].ravel(), self.scales)
+        return some, weight / weight.sum()
 
 
 def of_pairs(
@@ -188,6 +144,7 @@ def of_pairs(
     within_weight: np.ndarray,
     whole: np.ndarray,
     whole_weight: np.ndarray,
+    extreme: np.ndarray,
 ) -> LambertError:
     """`LambertError` of an iris whose BRDF is known for pairs of directions.
 
@@ -195,26 +152,23 @@ def of_pairs(
         flat: BRDF of the Lambertian texels, (channels, texels); `weight` of each texel.
         within: BRDFs for cosines near the normal, (in, out, azimuths, channels, texels), with
             the cosines' weights; `whole`: the same over the hemisphere.
+        extreme: The same for cosines near the normal, of which the largest error is taken.
     """
     mean = flat @ weight
 
-    def pairs(cosines):
-        return (cosines[:, None] * cosines[None])[..., None, None]
+    def averaged(values, cosines):
+        weights = (cosines[:, None] * cosines)[..., None, None] / values.shape[2]
+        return (weights * values).sum((0, 1, 2))
 
-    seen = within @ weight
-    near = pairs(within_weight) / within.shape[2]
-    off = mean / seen - 1
-    by_texel = (flat - within) / seen[..., None]
-    rows = off.reshape(-1, mean.size)
-    most = rows[np.abs(rows).argmax(0), np.arange(mean.size)]
-    ratio = (whole @ weight) / mean
-    far = pairs(whole_weight) / whole.shape[2]
-    average = (far * ratio).sum((0, 1, 2))
+    seen, ratio = within @ weight, (whole @ weight) / mean
+    by_texel = ((flat - within) / seen[..., None]) ** 2 @ weight
+    off = (mean / (extreme @ weight) - 1).reshape(-1, mean.size)
     return LambertError(
-        rms=np.sqrt((near * off**2).sum((0, 1, 2))),
-        most=most,
-        texels=np.sqrt((near * (by_texel**2 @ weight)).sum((0, 1, 2))),
-        hemisphere=np.sqrt((far * (ratio - 1) ** 2).sum((0, 1, 2))) / average,
+        rms=np.sqrt(averaged((mean / seen - 1) ** 2, within_weight)),
+        most=off[np.abs(off).argmax(0), np.arange(mean.size)],
+        texels=np.sqrt(averaged(by_texel, within_weight)),
+        hemisphere=np.sqrt(averaged((ratio - 1) ** 2, whole_weight))
+        / averaged(ratio, whole_weight),
     )
 
 
@@ -226,19 +180,7 @@ def _nodes(lowest: float, count: int):
 
 
 @eqx.filter_jit
-def _albedo(response, scales: Scales, given, shape: tuple[int, int]):
-    def one(texels):
-        return response.hemispherical(texels, given)
-
-    if all(s is None for s in scales):
-        found = one(scales)[:, 0]
-        return jnp.broadcast_to(found, (*shape, found.size))
-    texels = Scales(*(None if s is None else s.ravel() for s in scales))
-    return in_portions(one, texels).T.reshape(*shape, -1)
-
-
-@eqx.filter_jit
-def _pairs(response, scales: Scales, incidence, exits, azimuth):
+def _pairs(response: TabulatedResponse, scales: Scales, incidence, exits, azimuth):
     """BRDF of each texel for all pairs of directions: (in, out, azimuths, channels, texels)."""
     one = next((jnp.ones_like(s) for s in scales if s is not None), jnp.ones(1, exits.dtype))
     shape = incidence.size, exits.size, azimuth.size
@@ -248,18 +190,10 @@ def _pairs(response, scales: Scales, incidence, exits, azimuth):
 
 
 @eqx.filter_jit
-def _entering(iris: Iris, aqueous_index, cosine):
-    n = iris.indices(aqueous_index)
-    return fresnel_at(cosine, n.aqueous, n.abl)[1]
+def _power(response: TabulatedResponse, scales: Scales):
+    """Albedo of texels, (channels, texels); of one where nothing varies."""
 
+    def one(texels):
+        return response.hemispherical(texels, 1.0)
 
-@eqx.filter_jit
-def _exits_of_all(response: SeparableResponse, scales: Scales, cosines):
-    """Radiance of every texel at each cosine, (cosines, channels, texels)."""
-    one = next((jnp.ones_like(s) for s in scales if s is not None), jnp.ones(1, cosines.dtype))
-    return jax.lax.map(lambda c: response(scales, c * one), cosines)
-
-
-@eqx.filter_jit
-def _power(response, scales: Scales, given):
-    return response.hemispherical(scales, given)
+    return in_portions(one, scales) if jax.tree.leaves(scales) else one(scales)

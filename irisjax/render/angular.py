@@ -1,12 +1,6 @@
-"""Functions of directions in which every BRDF of Rayleigh's law can be written.
+"""Functions of directions in which the BRDFs of tabulated irides are written."""
 
-Such a BRDF has the azimuthal orders m = 0, 1 and 2 and no more:
-f = t(μ_i) t(μ_o) Σ_m cos(mφ) s_m(v_i) s_m(v_o) Σ_ab c_mab T_a(v_i) T_b(v_o), with v the cosines in
-the ABL, t the share that crosses the first surface and s_m = 1, v √(1 − v²), 1 − v². By reciprocity
-c is symmetric in a and b.  [Chandrasekhar 1960, Sections 13, 16]
-"""
-
-from typing import Any
+import abc
 
 import equinox as eqx
 import jax
@@ -14,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from irisjax._types import Scalar
 from irisjax.anatomy.eye import Eye
 from irisjax.numerics.interpolation import chebyshev_nodes
 from irisjax.numerics.linear import leading_subspace
@@ -24,84 +19,123 @@ from irisjax.render.polynomials import along_nodes, polynomials
 from irisjax.render.project import IrisPixels
 from irisjax.render.shading import Field, normals, shares
 from irisjax.tissue.iris import Iris
+from irisjax.transport.light import Directions
 
-AZIMUTHS = 0.0, np.pi / 2, np.pi
-"""Three values tell the orders 0, 1 and 2."""
+_AZIMUTHS = 0.0, np.pi / 2, np.pi  # three values determine the orders 0, 1 and 2
+_OFF = 0.4, 1.9, 2.8
 _FALLS = 0.2  # coefficients, from degree to degree in a cosine
 _MIXTURES = 6
 
+PerPixel = Float[Array, " pixels"]
+Functions = Float[Array, "functions pixels"]
+Nodes = tuple[Float[Array, " incidences"], Directions]
+Solved = Float[Array, "texels incidences exits channels"]
+Coefficients = Float[Array, "texels functions channels"]
 
-class AngularFunctions(eqx.Module):
-    """The functions of directions: products of polynomials in both cosines within the ABL, the same
-    both ways, for each azimuthal order.
+
+class AbstractAngular(eqx.Module):
+    """Functions of the directions of light and sight, at an iris in the aqueous humour.
+
+    Attributes:
+        indices: Refractive indices before and behind the surface of the iris.
+    """
+
+    indices: eqx.AbstractVar[tuple[Scalar, Scalar]]
+
+    @abc.abstractmethod
+    def functions(
+        self, cos_incidence: PerPixel, cos_exit: PerPixel, across: PerPixel | None
+    ) -> Functions:
+        """Values at directions in the aqueous humour. `across` is the scalar product of their
+        parts along the iris; `None` is the mean over azimuths, of functions that have one.
+        """
+
+    @abc.abstractmethod
+    def nodes(self) -> tuple[Nodes, Nodes]:
+        """Incidences and exits at which the BRDF is solved, and as many others at which the table
+        is compared.
+        """
+
+    @abc.abstractmethod
+    def coefficients(self, brdf: Solved) -> Coefficients:
+        """Coefficients from BRDFs at the nodes."""
+
+    def exits(self, cos_exit: PerPixel) -> Functions | None:
+        """Functions that no light changes; `None` if all depend on the light."""
+        del cos_exit
+        return None
+
+    def inside(self, degree: int) -> Float[Array, " nodes"]:
+        """Nodes of polynomials in the cosine within the ABL, from grazing exit to normal."""
+        unit = jnp.asarray((chebyshev_nodes(degree + 1) + 1) / 2, self.indices[0].dtype)
+        lowest = refract(jnp.zeros_like(self.indices[0]), *self.indices)
+        return lowest + (1 - lowest) * unit
+
+    def crossing(self, cosine: PerPixel, degree: int) -> tuple[PerPixel, Functions, PerPixel]:
+        """The cosine within the ABL, polynomials of it (a BRDF is smooth in it, not in the cosine
+        outside), and the share 1 − F that crosses the surface.
+        """
+        inside = refract(cosine, *self.indices)
+        lowest = refract(jnp.zeros_like(inside), *self.indices)
+        rows = polynomials(2 * (inside - lowest) / (1 - lowest) - 1, degree + 1)
+        return inside, rows, fresnel(cosine, inside, *self.indices)[1]
+
+
+class AngularFunctions(AbstractAngular):
+    """Products of polynomials in both cosines within the ABL, the same both ways, for each
+    azimuthal order: every BRDF of Rayleigh's law can be written in them.
+
+    Such a BRDF has the azimuthal orders m = 0, 1 and 2 and no more:
+    f = t(μ_i) t(μ_o) Σ_m cos(mφ) s_m(v_i) s_m(v_o) Σ_ab c_mab T_a(v_i) T_b(v_o), with v the cosines
+    in the ABL, t the share that crosses the first surface and s_m = 1, v √(1 − v²), 1 − v². By
+    reciprocity c is symmetric in a and b.  [Chandrasekhar 1960, Sections 13, 16]
+
+    Attributes:
+        degrees: Degree of the polynomials of each azimuthal order.
     """
 
     degrees: tuple[int, int, int] = eqx.field(static=True)
-
-    def count(self, orders: int = 3) -> int:
-        """How many functions the first azimuthal orders have."""
-        return sum(len(_pairs(degree)) for degree in self.degrees[:orders])
-
-    def nodes(self, indices: tuple[Array, Array], dtype: Any) -> Float[Array, " nodes"]:
-        """Cosines in the ABL at which a BRDF is asked for, those of directions that leave the
-        eye's tissue.
-        """
-        unit = jnp.asarray((chebyshev_nodes(max(self.degrees) + 1) + 1) / 2, dtype)
-        lowest = refract(jnp.zeros((), dtype), *indices)
-        return lowest + (1 - lowest) * unit
+    indices: tuple[Scalar, Scalar]
 
     def functions(
-        self,
-        cos_incidence: Float[Array, " pixels"],
-        cos_exit: Float[Array, " pixels"],
-        across: Float[Array, " pixels"],
-        indices: tuple[Array, Array],
-    ) -> Float[Array, "functions pixels"]:
-        """At directions in the aqueous humour, (functions, pixels); `across`: the scalar product of
-        their parts along the iris.
-        """
-        n, found = max(self.degrees) + 1, []
-        inside = [refract(c, *indices) for c in (cos_incidence, cos_exit)]
-        passed = [
-            fresnel(c, v, *indices)[1]
-            for c, v in zip((cos_incidence, cos_exit), inside, strict=True)
-        ]
-        lowest = refract(jnp.zeros_like(cos_exit), *indices)
-        into, out = (polynomials(2 * (v - lowest) / (1 - lowest) - 1, n) for v in inside)
-        bent = (indices[0] / indices[1]) ** 2
-        along = bent * across
-        sines = [1 - v * v for v in inside]
-        orders = (
-            jnp.ones_like(along),
-            along * inside[0] * inside[1],
-            2 * along * along - sines[0] * sines[1],
+        self, cos_incidence: PerPixel, cos_exit: PerPixel, across: PerPixel | None
+    ) -> Functions:
+        (v, into, passed), (w, out, left) = (
+            self.crossing(c, max(self.degrees)) for c in (cos_incidence, cos_exit)
         )
-        both = passed[0] * passed[1]
-        for order, degree in zip(orders, self.degrees, strict=True):
-            weight = order * both
+        both = passed * left
+        orders = [both]
+        if across is not None:
+            along = (self.indices[0] / self.indices[1]) ** 2 * across
+            sines = (1 - v * v) * (1 - w * w)
+            orders += [along * v * w * both, (2 * along * along - sines) * both]
+        found = []
+        for weight, degree in zip(orders, self.degrees, strict=False):
             for a, b in _pairs(degree):
                 product = into[a] * out[b] if a == b else into[a] * out[b] + into[b] * out[a]
                 found.append(weight * product)
         return jnp.stack(found)
 
-    def coefficients(
-        self,
-        found: Float[Array, "texels in azimuths out channels"],
-        inside: Float[Array, " nodes"],
-    ) -> Float[Array, "texels functions channels"]:
-        """Of values (texels, in, azimuths, out, channels) at the nodes: (texels, functions,
-        channels).
-        """
-        first, half, last = (found[:, :, k] for k in range(3))
+    def nodes(self) -> tuple[Nodes, Nodes]:
+        inside = self.inside(max(self.degrees))
+        others = jnp.asarray(np.linspace(0.2, 0.95, inside.size), inside.dtype)
+        outside = refract(inside, *self.indices[::-1])
+        return _each(outside, _AZIMUTHS), _each(others, _OFF)
+
+    def coefficients(self, brdf: Solved) -> Coefficients:
+        inside = self.inside(max(self.degrees))
+        passed = fresnel(refract(inside, *self.indices[::-1]), inside, *self.indices)[1]
+        brdf = brdf.reshape(*brdf.shape[:2], len(_AZIMUTHS), inside.size, -1)
+        brdf = brdf / (passed[:, None, None, None] * passed[:, None])
+        first, half, last = (brdf[:, :, k] for k in range(3))
         cos_two = (first + last - 2 * half) / 4
         orders = half + cos_two, (first - last) / 2, cos_two
         sine = jnp.sqrt(1 - inside * inside)
+        factors = jnp.ones_like(sine), sine * inside, sine * sine
         rows = []
-        for values, factor, degree in zip(
-            orders, (jnp.ones_like(sine), sine * inside, sine * sine), self.degrees, strict=True
-        ):
-            scaled_values = values / (factor[:, None, None] * factor[:, None])
-            whole = along_nodes(along_nodes(scaled_values, 1), 2)
+        for values, factor, degree in zip(orders, factors, self.degrees, strict=True):
+            scaled = values / (factor[:, None, None] * factor[:, None])
+            whole = along_nodes(along_nodes(scaled, 1), 2)
             # Reciprocal but for rounding and the table's error.
             rows += [(whole[:, a, b] + whole[:, b, a]) / 2 for a, b in _pairs(degree)]
         return jnp.stack(rows, 1)
@@ -116,7 +150,7 @@ class AngularLight(eqx.Module):
 
     Attributes:
         light: Irradiance of all lights together times each function, or mixture, and all shares on
-            the way out.
+            the way out; times no function where the texels hold them.
         mixtures: The share of each function in each mixture; `None` where there are none.
     """
 
@@ -131,36 +165,34 @@ def light_of(
     tint: Float[Array, "lights 3"] | None,
     eye: Eye,
     slopes: Float[Array, "2 angles radii"] | None,
-    iris: Iris,
     angles: AngularFunctions,
 ) -> Float[Array, "tints functions pixels"]:
     """Sum over the lights of irradiance times the functions of directions and the share that
     reaches the camera.
     """
-    n = iris.indices(eye.aqueous_index)
-    indices = n.aqueous, n.abl
     flat = eye.iris_normal(joined(seen.point))
     tilted = joined(normals(seen, eye, slopes))
     view = joined(seen.direction)
 
-    def add(total, light):
-        one, colour = light
+    def values_of(one):
         arriving = joined(tuple(Field(one[None], eye.iris_radius).at(seen.point)[0]))
         irradiance = jnp.maximum(-dot(arriving, tilted), 0.0)
         power = norm(arriving)
         towards = arriving / jnp.where(power > 0, power, 1.0)[..., None]
         cosine = -dot(towards, flat)
         lit = (power > 0) & (cosine > 0)
-        cosine = jnp.where(lit, cosine, 1.0)
         # The line of sight runs into the eye: light comes out against it.
         across = -(dot(towards, view) - dot(towards, flat) * dot(view, flat))
-        values = angles.functions(cosine, seen.cosine, across, indices)
-        values = values * jnp.where(lit, irradiance, 0.0)
-        return total + colour[:, None, None] * values, None
+        values = angles.functions(jnp.where(lit, cosine, 1.0), seen.cosine, across)
+        return values * jnp.where(lit, irradiance, 0.0)
+
+    def add(total, light):
+        one, colour = light
+        return total + colour[:, None, None] * values_of(one), None
 
     tints = jnp.ones((flux.shape[0], 1), flux.dtype) if tint is None else tint
-    zero = jnp.zeros((tints.shape[1], angles.count(), seen.cosine.size), flux.dtype)
-    return jax.lax.scan(add, zero, (flux, tints))[0] * shares(seen, eye)
+    shape = tints.shape[1], len(angles.weights()), seen.cosine.size
+    return jax.lax.scan(add, jnp.zeros(shape, flux.dtype), (flux, tints))[0] * shares(seen, eye)
 
 
 @eqx.filter_jit
@@ -178,5 +210,17 @@ def mixed(
     return jnp.einsum("kr,tkp->trp", most, weighted), most / weights
 
 
+def surface_indices(iris: Iris, aqueous_index: Scalar) -> tuple[Scalar, Scalar]:
+    """Indices before and behind the iris's surface."""
+    n, dtype = iris.indices(aqueous_index), jnp.result_type(float)
+    return jnp.asarray(n.aqueous, dtype), jnp.asarray(n.abl, dtype)
+
+
 def _pairs(degree: int) -> list[tuple[int, int]]:
     return [(a, b) for a in range(degree + 1) for b in range(a, degree + 1)]
+
+
+def _each(cosines, azimuths):
+    """Incidences, and each azimuth with each exit."""
+    turns = jnp.repeat(jnp.asarray(azimuths, cosines.dtype), cosines.size)
+    return cosines, Directions(jnp.tile(cosines, len(azimuths)), turns)

@@ -18,7 +18,7 @@ from jaxtyping import Array, Float
 from irisjax.anatomy.eye import Cornea
 from irisjax.measure.colour import OBSERVER, illuminant_power, tristimulus_matrix
 
-GRID = 380 + 5.0 * np.arange(81)
+BAND_GRID = 380 + 5.0 * np.arange(81)
 """Wavelengths (nm) that the bands stand for."""
 
 
@@ -47,29 +47,27 @@ def colour_bands(
     `cornea`.
     """
     nodes, fill = _table()
-    matrix = np.asarray(tristimulus_matrix(GRID, "linear sRGB", illuminant, observer)[0])
+    matrix = np.asarray(tristimulus_matrix(BAND_GRID, "linear sRGB", illuminant, observer)[0])
     dtype = jnp.result_type(float)
     if cornea is None or cornea.scatter is None:
         weights, white = (jnp.asarray(x, dtype) for x in (matrix @ fill.T, matrix.sum(1)))
     else:
         # Channel by channel and band by band, summed over the wavelengths they stand for.
-        haze = _haze(cornea, GRID)
+        haze = _haze(cornea, BAND_GRID)
         weights = (jnp.asarray(matrix[:, None] * fill[None], dtype) * haze).sum(axis=-1)
         white = (jnp.asarray(matrix, dtype) * haze).sum(axis=-1)
     return Bands(tuple(nodes.tolist()), weights, white, ("R", "G", "B"))
 
 
 def all_bands(illuminant: str = "D65", observer: str = OBSERVER) -> Bands:
-    """All of `GRID` to linear sRGB, adapted to D65, without a cornea."""
-    matrix = tristimulus_matrix(GRID, "linear sRGB", illuminant, observer)[0]
+    """All of `BAND_GRID` to linear sRGB, adapted to D65, without a cornea."""
+    matrix = tristimulus_matrix(BAND_GRID, "linear sRGB", illuminant, observer)[0]
     weights = jnp.asarray(matrix, jnp.result_type(float))
-    return Bands(tuple(GRID.tolist()), weights, weights.sum(1), ("R", "G", "B"))
+    return Bands(tuple(BAND_GRID.tolist()), weights, weights.sum(1), ("R", "G", "B"))
 
 
 def spectral_bands(
-    wavelengths: Sequence[float] | np.ndarray,
-    illuminant: str = "D65",
-    cornea: Cornea | None = None,
+    wavelengths: Sequence[float] | np.ndarray, illuminant: str = "D65", cornea: Cornea | None = None
 ) -> Bands:
     """A channel for each wavelength: radiance (1/sr) relative to the illuminant's irradiance at 560
     nm, times π.
@@ -92,7 +90,6 @@ def _haze(cornea: Cornea | None, wavelengths) -> Array:
 def _table() -> tuple[np.ndarray, np.ndarray]:
     """Nodes (bands,) and the matrix (bands, 81) that fills in the rest."""
     with (resources.files("irisjax.render") / "tables" / "bands.csv").open(encoding="utf-8") as f:
-        rows = np.loadtxt(
-            (line for line in f if not line.startswith("#")), delimiter=",", skiprows=1
-        )
+        lines = [line for line in f if not line.startswith("#")]
+    rows = np.loadtxt(lines, delimiter=",", skiprows=1)
     return rows[:, 0], rows[:, 1:]

@@ -12,9 +12,10 @@ from irisjax._types import Scalar, as_float
 from irisjax.anatomy.eye import Eye
 from irisjax.numerics.checks import Range, check_range
 from irisjax.numerics.roots import safe_sqrt
-from irisjax.optics.conicoid import Vector, dot, norm, parts
+from irisjax.optics.conicoid import Vector, dot, joined, norm, parts
+from irisjax.render.refraction import direction_of
 
-LIMITS = {
+CAMERA_LIMITS = {
     "distance": Range(30, 1e5, "mm"),
     "width": Range(0.1, 100, "mm"),
     "polar": Range(0, 3.15),
@@ -62,7 +63,7 @@ class Camera(eqx.Module):
             raise ValueError(
                 f"camera size {self.size} must be two whole numbers from 1 to {LARGEST}"
             )
-        for name, allowed in LIMITS.items():
+        for name, allowed in CAMERA_LIMITS.items():
             check_range(f"camera {name}", getattr(self, name), allowed)
 
     def taking(self, first: int, rows: int, samples: int = 1) -> "Camera":
@@ -89,23 +90,23 @@ class Camera(eqx.Module):
         """The camera's place and unit directions of its lines of sight, from the top row down."""
         rows, columns = self.shape
         _, direction = self.towards(jnp.arange(rows * columns), eye)
-        back, _, _ = self.axes()
-        return _centre(eye) + self.distance * back, direction.reshape(rows, columns, 3)
+        return self.place(eye), direction.reshape(rows, columns, 3)
 
     def axes(self) -> tuple[Vector, Vector, Vector]:
         """Unit vectors (3,) from the eye to the camera, to the right and up in the picture."""
-        sin, cos = jnp.sin(self.polar), jnp.cos(self.polar)
-        back = jnp.stack([sin * jnp.cos(self.azimuth), sin * jnp.sin(self.azimuth), -cos])
+        back = direction_of(self.polar, self.azimuth)
         # Upright wherever it stands: the eye's y, or its z for a camera straight above or below.
         y = jnp.asarray([0.0, 1.0, 0.0], back.dtype)
         up = y - dot(y, back) * back
         length = norm(up)
-        up = jnp.where(
-            length > 1e-6,
-            up / jnp.where(length > 1e-6, length, 1.0),
-            jnp.asarray([0, 0, 1.0], back.dtype),
-        )
+        upright = length > 1e-6
+        z = jnp.asarray([0.0, 0.0, 1.0], back.dtype)
+        up = jnp.where(upright, up / jnp.where(upright, length, 1.0), z)
         return back, jnp.cross(up, -back), up
+
+    def place(self, eye: Eye, share: Scalar | float = 1.0) -> Vector:
+        """Where it stands, (3,), or at a `share` of its polar angle."""
+        return _centre(eye) + self.distance * direction_of(share * self.polar, self.azimuth)
 
     def towards(self, index: Int[Array, " pixels"], eye: Eye) -> tuple[Vector, Vector]:
         """Points near the eye at which lines of sight begin, (pixels, 3), and their unit
@@ -129,9 +130,7 @@ class Camera(eqx.Module):
         out = aside / length + jnp.minimum(_CLEAR, self.distance * (self.distance / length))
         origin = [c + a - out * d for c, a, d in zip(_centre(eye), aim, direction, strict=True)]
         # Made once: XLA would otherwise work both out again for each of their many uses.
-        return jax.lax.optimization_barrier(
-            (jnp.stack(origin, axis=-1), jnp.stack(direction, axis=-1))
-        )
+        return jax.lax.optimization_barrier((joined(origin), joined(direction)))
 
     def pixel(self, point: Vector, eye: Eye) -> tuple[Float[Array, "*s"], Float[Array, "*s"]]:
         """Column and row in which points (…, 3) in front of the camera appear along straight lines

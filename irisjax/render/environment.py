@@ -14,6 +14,7 @@ from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
 from irisjax._types import as_float
+from irisjax.numerics.interpolation import multilinear
 from irisjax.render.lights import Lights
 from irisjax.render.refraction import LARGEST_POLAR
 
@@ -66,12 +67,8 @@ class Environment(eqx.Module):
         key = 7.2 * _panel(d, (-0.75, 0.65, -1.0), (0.42, 0.42), soft)
         fill = 1.3 * _panel(d, (1.0, 0.2, -0.8), (0.35, 0.6), soft)
         strip = 2.6 * _panel(d, (0.7, 0.9, 0.8), (0.12, 0.7), soft)
-        return cls(
-            room
-            + key[..., None] * np.array([1.0, 0.98, 0.94])
-            + fill[..., None] * np.array([0.94, 0.97, 1.0])
-            + strip[..., None]
-        )
+        warm, cold = np.array([1.0, 0.98, 0.94]), np.array([0.94, 0.97, 1.0])
+        return cls(room + key[..., None] * warm + fill[..., None] * cold + strip[..., None])
 
     @classmethod
     def sky(
@@ -93,16 +90,11 @@ class Environment(eqx.Module):
         """
         d = _directions(rows, 2 * rows)
         up = d[..., 1:2]
-        horizon, zenith, ground = (
-            np.array(c) for c in ([0.75, 0.82, 0.9], [0.16, 0.32, 0.7], [0.1, 0.1, 0.08])
-        )
-        gradient = np.where(
-            up > 0, zenith + (horizon - zenith) * (1 - np.clip(up, 0, 1)) ** 3, ground
-        )
-        sin = np.sin(sun_polar)
-        towards = np.stack(
-            [sin * np.cos(sun_azimuth), sin * np.sin(sun_azimuth), -np.cos(sun_polar)]
-        )
+        horizon, zenith = np.array([0.75, 0.82, 0.9]), np.array([0.16, 0.32, 0.7])
+        above = zenith + (horizon - zenith) * (1 - np.clip(up, 0, 1)) ** 3
+        gradient = np.where(up > 0, above, np.array([0.1, 0.1, 0.08]))
+        sin, cos = np.sin(sun_polar), np.cos(sun_polar)
+        towards = np.array([sin * np.cos(sun_azimuth), sin * np.sin(sun_azimuth), -cos])
         glare = np.exp(-((d - towards) ** 2).sum(-1) / 2 / (np.pi / rows) ** 2)
         glare = glare / (glare * _solid_angles(rows, 2 * rows)).sum()
         warm = np.array([1.05, 0.99, 0.9])
@@ -137,28 +129,15 @@ class Environment(eqx.Module):
         across = jnp.where(aside, jnp.sqrt(jnp.where(aside, square, 1.0)), 0.0)
         v = jnp.arctan2(across, y) * (rows / jnp.pi)
         r = jnp.where(v < 0.5, 2 * v, jnp.where(v > rows - 0.5, 2 * v - rows + 1, v + 0.5))
-        c = azimuth * (columns / (2 * jnp.pi)) + (columns - 1) / 2
-        # One row for each pole, one column more on either side, and every texel's own place as
-        # channels.
+        c = azimuth * (columns / (2 * jnp.pi)) + (columns + 1) / 2
+        # One row for each pole, one column more on either side.
         top, bottom = (jnp.broadcast_to(self.radiance[i].mean(0), (1, columns, 3)) for i in (0, -1))
         table = jnp.concatenate([top, self.radiance, bottom])
         table = jnp.concatenate([table[:, -1:], table, table[:, :1]], axis=1)
-        place = jnp.stack(
-            jnp.meshgrid(jnp.arange(rows + 2), jnp.arange(-1, columns + 1), indexing="ij"), axis=-1
-        )
-        table = jnp.concatenate([table, place.astype(table.dtype)], axis=-1)
-        # The weights come from the places read: XLA may compute an azimuth twice, differently
-        # rounded, and the index and a weight from a second floor(c) would then belong to different
-        # texels.
-        texels = jax.vmap(lambda i, j: jax.lax.dynamic_slice(table, (i, j, 0), (2, 2, 5)))(
-            jnp.clip(jnp.floor(r), 0, rows).astype(int).ravel(),
-            (jnp.floor(c) + 1).astype(int).ravel(),
-        ).reshape(*r.shape, 2, 2, 5)
-        fr, fc = (jnp.clip(q - texels[..., 0, 0, k], 0, 1)[..., None] for q, k in ((r, 3), (c, 4)))
-        above, below = (
-            texels[..., i, 0, :3] * (1 - fc) + texels[..., i, 1, :3] * fc for i in (0, 1)
-        )
-        return above * (1 - fr) + below * fr
+        # Computed once: XLA may round an azimuth differently for an index and for its weight, which
+        # would then belong to different texels.
+        r, c = jax.lax.optimization_barrier((r, c))
+        return multilinear(table, (r, c))
 
     def irradiance(self, normal: Any = (0.0, 0.0, -1.0)) -> Float[Array, "3"]:
         """Irradiance, linear sRGB, on a surface with this unit `normal` at the eye; by default it
@@ -181,10 +160,6 @@ class Environment(eqx.Module):
         lamp's where there is one in the dark. Fewer lights come back when fewer texels are lit.
         Texels whose centre is farther than `largest_polar` (radians) from −z are left out, as no
         light from there reaches the iris; `None` keeps all. Not to be traced by JAX.
-
-        Args:
-            n: Largest number of lights.
-            largest_polar: Largest angle from −z, radians; `None` for all directions.
 
         Raises:
             ValueError: `n` is not positive, or no light reaches the cornea.
@@ -214,10 +189,10 @@ class Environment(eqx.Module):
             colour.append(np.einsum("rck,rc->k", rgb[box], solid_angle[box]) / energy)
             radius.append(np.arccos(1 - effective / (2 * np.pi)))
         dtype = self.radiance.dtype
-        towards, irradiance, colour, radius = (
+        towards, irradiance, tint, radius = (
             np.asarray(x, dtype) for x in (towards, irradiance, colour, radius)
         )
-        return Lights(towards, irradiance, jnp.asarray(colour), radius=radius, illuminant="D65")
+        return Lights(towards, irradiance, jnp.asarray(tint), radius=radius)
 
 
 def _median_cut(power: np.ndarray, n: int) -> list[tuple[slice, slice]]:
@@ -226,15 +201,12 @@ def _median_cut(power: np.ndarray, n: int) -> list[tuple[slice, slice]]:
     # whatever the unit of power.
     power = power / power.sum()
     rows, columns = power.shape
-    heap: list[
-        tuple[float, int, tuple[slice, slice]]
-    ] = []  # the number settles draws, always alike
+    # The number settles draws, always alike.
+    heap: list[tuple[float, int, tuple[slice, slice]]] = []
 
     def sides(r: slice, c: slice) -> tuple[float, float]:
-        middle = (r.start + r.stop) / 2 * np.pi / rows
-        return (r.stop - r.start) * np.pi / rows, (c.stop - c.start) * 2 * np.pi / columns * np.sin(
-            middle
-        )
+        sine = np.sin((r.start + r.stop) / 2 * np.pi / rows)
+        return (r.stop - r.start) * np.pi / rows, (c.stop - c.start) * 2 * np.pi / columns * sine
 
     def push(r: slice, c: slice) -> None:
         lit = power[r, c] > 0
@@ -254,12 +226,9 @@ def _median_cut(power: np.ndarray, n: int) -> list[tuple[slice, slice]]:
         running = power[r, c].sum(1 if across else 0).cumsum()
         # Nearest to one half, with something left on both sides: the box is as tight as it can be.
         cut = 1 + int(np.abs(running[:-1] / running[-1] - 0.5).round(9).argmin())
-        if across:
-            push(slice(r.start, r.start + cut), c)
-            push(slice(r.start + cut, r.stop), c)
-        else:
-            push(r, slice(c.start, c.start + cut))
-            push(r, slice(c.start + cut, c.stop))
+        s = r if across else c
+        for half in (slice(s.start, s.start + cut), slice(s.start + cut, s.stop)):
+            push(*((half, c) if across else (r, half)))
     return [box for _, _, box in sorted(heap, key=lambda entry: entry[1])]
 
 
@@ -289,13 +258,12 @@ def _panel(direction: np.ndarray, centre, half, soft: float) -> np.ndarray:
     right /= np.linalg.norm(right)
     along = direction @ forward
     depth = np.maximum(along, 1e-3)
-    place = [
-        np.abs(direction @ axis / depth) / h
-        for h, axis in zip(half, (right, np.cross(forward, right)), strict=True)
-    ]
-    inside = [np.clip(0.5 + (1 - p) * h / soft, 0, 1) for h, p in zip(half, place, strict=True)]
-    glow = 1 - np.minimum(place[0] ** 2 + place[1] ** 2, 2.0) / 6
-    return np.where(along > 0, glow * np.prod([i * i * (3 - 2 * i) for i in inside], axis=0), 0.0)
+    shown, off = along > 0, 0.0
+    for h, axis in zip(half, (right, np.cross(forward, right)), strict=True):
+        place = np.abs(direction @ axis / depth) / h
+        inside = np.clip(0.5 + (1 - place) * h / soft, 0, 1)
+        shown, off = shown * (inside * inside * (3 - 2 * inside)), off + place**2
+    return shown * (1 - np.minimum(off, 2.0) / 6)
 
 
 ENVIRONMENTS = {

@@ -1,8 +1,14 @@
 """Tables of the light that reaches the iris from any direction: refraction and caustics together,
 ready to be summed over lights.
+
+The caustic is grazing light that the cornea folds onto itself. F09 adds rays reflected inside the
+cornea. With F09's own cornea there are none: a ray goes on at most 46.6° from the normal (total
+reflection's angle), so that it meets the conicoid again 0.3 mm or more behind the limbus, where the
+cornea has ended. The caustic is made by refraction alone.
 """
 
 import dataclasses
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
@@ -13,23 +19,25 @@ from irisjax._types import Scalar
 from irisjax.anatomy.eye import Eye
 from irisjax.numerics.interpolation import bilinear, multilinear
 from irisjax.numerics.roots import safe_sqrt
-from irisjax.optics.conicoid import Vector, norm
-from irisjax.render.caustic import SquareGrid, gathered
+from irisjax.optics.conicoid import Vector, dot, joined, norm, parts
 from irisjax.render.refraction import (
     LARGEST_POLAR,
     UNIQUE_POLAR,
+    Landing,
     RefractionFunction,
     arrive,
+    cross,
+    direction_of,
     enter,
+    into_chamber,
     on_cornea,
     window,
 )
 
-_SPACING, _FINE = (
-    0.05,
-    0.0125,
-)  # radians between tabulated polar angles, up to `UNIQUE_POLAR` and beyond
+# Radians between tabulated polar angles, up to `UNIQUE_POLAR` and beyond.
+_SPACING, _FINE = 0.05, 0.0125
 _UNIQUE = round(UNIQUE_POLAR / _SPACING)
+_CHUNK = 1 << 14  # rays traced together: their intermediates stay in the cache
 
 
 class Illumination(eqx.Module):
@@ -74,9 +82,10 @@ class Illumination(eqx.Module):
         """
         across = norm(towards_light[..., :2])
         polar = jnp.arctan2(across, -towards_light[..., 2])
-        some = across > 0
-        cos = jnp.where(some, towards_light[..., 0] / jnp.where(some, across, 1.0), 1.0)
-        sin = jnp.where(some, towards_light[..., 1] / jnp.where(some, across, 1.0), 0.0)
+        cos, sin = (
+            jnp.where(across > 0, towards_light[..., k] / jnp.where(across > 0, across, 1.0), 1 - k)
+            for k in (0, 1)
+        )
         x = cos * point[..., 0] + sin * point[..., 1]
         y = -sin * point[..., 0] + cos * point[..., 1]
         size = self.flux.shape[1]
@@ -94,10 +103,8 @@ class Illumination(eqx.Module):
         else:
             f = multilinear(self.flux, (index, *position))
         f = f * jnp.clip((self.largest - polar) / _SPACING + 1, 0, 1)[..., None]
-        return jnp.stack(
-            [cos * f[..., 0] - sin * f[..., 1], sin * f[..., 0] + cos * f[..., 1], f[..., 2]],
-            axis=-1,
-        )
+        u, v, w = parts(f)
+        return joined([cos * u - sin * v, sin * u + cos * v, w])
 
 
 def _searched(size: int) -> tuple[int, int, int]:
@@ -160,6 +167,77 @@ def near_light(
     return on_cornea(cornea, jnp.stack([x * inside, y * inside], axis=-1)), spread
 
 
+class SquareGrid(NamedTuple):
+    """A square grid over the iris: `size` points a side from −`extent` to +`extent` mm."""
+
+    size: int
+    extent: Float[Array, ""]
+
+    @property
+    def cell(self) -> Float[Array, ""]:
+        """Area of a cell, mm²."""
+        return (2 * self.extent / (self.size - 1)) ** 2
+
+
+def gathered(eye: Eye, polar: Array, grid: SquareGrid, n_rays: int) -> Float[Array, "size size 3"]:
+    """Flux vectors on the grid (rows y, columns x) of unit light from azimuth 0 and the given polar
+    angle, counted ray by ray  [F09 Eq. 17].
+
+    A quasi-random ray stands for its share of the cornea's area; its power is shared out between
+    the four grid points round the place where it lands, so that the sum over the iris is the power
+    that arrived. `n_rays` over the whole cornea; one half is traced and mirrored.
+    """
+    cornea = eye.cornea
+    assert cornea is not None
+    towards = direction_of(polar)
+    chunks = -(-n_rays // (2 * _CHUNK))
+    area = jnp.pi / 2 * (eye.limbus_radius + 0.15) ** 2 / (chunks * _CHUNK)
+
+    def chunk(total, first):
+        i = first * _CHUNK + jnp.arange(_CHUNK)
+        # The R2 sequence [Roberts 2018]: even cover without a seed. One half of the cornea; the
+        # other mirrors it.
+        u, v = (i * 0.7548776662466927 + 0.5) % 1.0, (i * 0.5698402909980532 + 0.5) % 1.0
+        r, angle = (eye.limbus_radius + 0.15) * jnp.sqrt(u), jnp.pi * v
+        k = jnp.stack([r * jnp.cos(angle), r * jnp.sin(angle)], axis=-1)
+        entry = on_cornea(cornea, k)
+        normal = cornea.anterior.normal(entry)
+        power = window(eye, k) * jnp.maximum(dot(normal, towards), 0) / -normal[..., 2] * area
+        start, inside, share = into_chamber(eye, entry, jnp.broadcast_to(-towards, entry.shape))
+        return _share_out(total, grid, eye, cross(eye, start, inside, power * share)), None
+
+    zero = jnp.zeros((grid.size * grid.size, 3), polar.dtype)
+    half, _ = jax.lax.scan(chunk, zero, jnp.arange(chunks))
+    half = half.reshape(grid.size, grid.size, 3) / grid.cell
+    return half + half[::-1] * jnp.asarray([1.0, -1.0, 1.0], half.dtype)
+
+
+def _share_out(total, grid: SquareGrid, eye: Eye, landing: Landing):
+    """Add the power of landings to their four grid points, as flux vectors (per cell, not yet per
+    area).
+    """
+    x, y = landing.point[..., 0], landing.point[..., 1]
+    on_grid = (jnp.maximum(jnp.abs(x), jnp.abs(y)) < grid.extent) & (landing.share > 0)
+    power = jnp.where(on_grid, landing.share, 0.0)
+    normal = eye.iris_normal(landing.point)
+    cosine = -dot(landing.direction, normal)
+    # Cells are those of the plane; an iris that is a cone has more area in each.
+    vector = (power * -normal[..., 2] / jnp.where(on_grid, cosine, 1.0))[
+        ..., None
+    ] * landing.direction
+    column, row = (
+        (jnp.where(on_grid, c, 0.0) / grid.extent + 1) * ((grid.size - 1) / 2) for c in (x, y)
+    )
+    j, i = (jnp.clip(jnp.floor(c), 0, grid.size - 2) for c in (column, row))
+    u, v = column - j, row - i
+    base = jnp.asarray(i * grid.size + j, jnp.int32)
+    for down, across in ((0, 0), (0, 1), (1, 0), (1, 1)):
+        weight = (u if across else 1 - u) * (v if down else 1 - v)
+        place = base + down * grid.size + across
+        total = total.at[place].add(weight[..., None] * vector, mode="promise_in_bounds")
+    return total
+
+
 @eqx.filter_jit
 def _build(
     eye: Eye, refraction: RefractionFunction, caustics: bool, size: int, n_rays: int
@@ -173,9 +251,7 @@ def _build(
     points = jnp.stack([x, y], axis=-1)
 
     def smooth(angle):
-        found = refraction.at(
-            points, jnp.stack([jnp.sin(angle), jnp.zeros_like(angle), -jnp.cos(angle)])
-        )
+        found = refraction.at(points, direction_of(angle))
         return window(eye, found.entry)[..., None] * found.flux
 
     smoothly = jax.lax.map(smooth, jnp.arange(_UNIQUE + 1) * _SPACING)

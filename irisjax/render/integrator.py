@@ -7,13 +7,13 @@ import equinox as eqx
 from jaxtyping import Array, Float
 
 from irisjax._types import Scalar
-from irisjax.anatomy.eye import Eye
 from irisjax.render.bands import Bands
 from irisjax.render.illumination import Illumination
 from irisjax.render.lights import Lights
 from irisjax.render.project import IrisPixels
+from irisjax.render.shading import Front
 from irisjax.tissue.iris import Iris
-from irisjax.tissue.maps import IrisMaps, Scales
+from irisjax.tissue.maps import Scales
 from irisjax.transport.process import AbstractProcess
 from irisjax.transport.solution import RESULTS, raise_failure
 
@@ -38,13 +38,12 @@ class AbstractResponse(eqx.Module):
 
 
 class AbstractIntegrator(eqx.Module):
-    """An integrator is an immutable value: a method and its settings.
+    """An integrator is an immutable value: a method and its settings."""
 
-    Attributes:
-        process: Process of light in tissue; `None` where there is no tissue, but paint.
-    """
-
-    process: eqx.AbstractVar[AbstractProcess | None]
+    @property
+    @abc.abstractmethod
+    def process(self) -> AbstractProcess | None:
+        """Process of light in tissue; `None` where there is no tissue, but paint."""
 
     def prepare(
         self, iris: Iris | None, aqueous_index: Scalar, bands: Bands, ranges: Scales
@@ -53,28 +52,15 @@ class AbstractIntegrator(eqx.Module):
         del iris, aqueous_index, bands, ranges
         return self
 
-    def texels(
-        self,
-        pixels: IrisPixels,
-        eye: Eye,
-        iris: Iris | None,
-        maps: IrisMaps | None,
-        ranges: Scales,
-    ) -> Any:
+    def texels(self, pixels: IrisPixels, front: Front, ranges: Scales) -> Any:
         """Look up what the iris is made of at each pixel; nothing of it depends on light or on
         pigments. `ranges` are those of the response.
         """
-        del pixels, eye, iris, maps, ranges
+        del pixels, front, ranges
 
     @abc.abstractmethod
     def illuminate(
-        self,
-        pixels: IrisPixels,
-        lights: Lights,
-        eye: Eye,
-        iris: Iris | None,
-        maps: IrisMaps | None,
-        tables: Illumination | None,
+        self, pixels: IrisPixels, lights: Lights, front: Front, tables: Illumination | None
     ) -> Any:
         """Compute the light that the response needs at each pixel; nothing of it depends on
         pigments. `tables` are `None` for a bare iris.
@@ -102,17 +88,9 @@ def checked_response(
         ValueError: The integrator's solver does not hold the layers of a texel.
     """
     found = _response(integrator, iris, aqueous_index, bands, ranges)
-    if found.status is not None:
-        found = raise_failure(found, found.status)
-    return found
+    return found if found.status is None else raise_failure(found, found.status)
 
 
 @eqx.filter_jit
-def _response(
-    integrator: AbstractIntegrator,
-    iris: Iris | None,
-    aqueous_index: Scalar,
-    bands: Bands,
-    ranges: Scales,
-) -> AbstractResponse:
-    return integrator.response(iris, aqueous_index, bands, ranges)
+def _response(integrator: AbstractIntegrator, *parts: Any) -> AbstractResponse:
+    return integrator.response(*parts)

@@ -10,14 +10,15 @@ from jaxtyping import Array, Float
 
 from irisjax._types import Scalar, as_float, as_float_or_none
 from irisjax.numerics.checks import Range, check_range
+from irisjax.render.refraction import direction_of
 
-LIMITS = {
+LIGHT_LIMITS = {
     "irradiance": Range(0, 1e6),
     "tint": Range(0, 1e6),
     "radius": Range(0, np.pi + 1e-6, "radians", above=True),  # of regions of an environment to pi
 }
 """Allowed range of each number of a light."""
-DISTANCE = Range(20, np.inf, "mm")
+LAMP_DISTANCE = Range(20, np.inf, "mm")
 """From the cornea of lamps that are near."""
 _UNIT = 1e-4  # by which the length of a direction may differ from one
 
@@ -64,20 +65,12 @@ class Lights(eqx.Module):
         polar, azimuth, irradiance, radius = jnp.broadcast_arrays(
             *(jnp.atleast_1d(as_float(v)) for v in (polar, azimuth, irradiance, radius))
         )
-        towards = jnp.stack(
-            [jnp.sin(polar) * jnp.cos(azimuth), jnp.sin(polar) * jnp.sin(azimuth), -jnp.cos(polar)],
-            axis=-1,
-        )
+        towards = direction_of(polar, azimuth)
         return cls(towards, irradiance, radius=radius, illuminant=illuminant)
 
     @classmethod
     def points(
-        cls,
-        position: Any,
-        irradiance: Any = jnp.pi,
-        *,
-        radius: Any = 0.03,
-        illuminant: str = "D65",
+        cls, position: Any, irradiance: Any = jnp.pi, *, radius: Any = 0.03, illuminant: str = "D65"
     ) -> "Lights":
         """Lights at places (lights, 3), mm in the eye's frame, 20 or more from the apex, where
         `irradiance` is theirs.
@@ -88,10 +81,7 @@ class Lights(eqx.Module):
         """
         position = jnp.atleast_2d(as_float(position))
         distance = jnp.sqrt((position**2).sum(-1))
-        check_range("a lamp's distance", distance, DISTANCE)
-        irradiance, radius = (
-            jnp.broadcast_to(as_float(v), distance.shape) for v in (irradiance, radius)
-        )
+        check_range("a lamp's distance", distance, LAMP_DISTANCE)
         return cls(position / distance[:, None], irradiance, None, distance, radius, illuminant)
 
     def __post_init__(self):
@@ -101,12 +91,10 @@ class Lights(eqx.Module):
                 f"lights: towards has shape {np.shape(towards)}; it must be (lights, 3)"
             )
         object.__setattr__(self, "towards", towards)
-        lights = np.shape(towards)[0]
-        shapes = {"irradiance": (lights,), "radius": (lights,), "distance": (lights,)}
-        for name, shape in {**shapes, "tint": (lights, 3)}.items():
-            value = getattr(self, name)
-            if value is None:
+        for name in ("irradiance", "radius", "distance", "tint"):
+            if (value := getattr(self, name)) is None:
                 continue
+            shape = towards.shape if name == "tint" else towards.shape[:1]
             try:  # one number for all lights
                 object.__setattr__(self, name, jnp.broadcast_to(as_float(value), shape))
             except ValueError:
@@ -118,11 +106,11 @@ class Lights(eqx.Module):
         if not isinstance(self.towards, Tracer):
             length = np.linalg.norm(np.asarray(self.towards, np.float64), axis=1)
             check_range("length of a lamp's direction", length, Range(1 - _UNIT, 1 + _UNIT))
-        for name, allowed in LIMITS.items():
+        for name, allowed in LIGHT_LIMITS.items():
             check_range(f"a lamp's {name}", getattr(self, name), allowed)
         if self.distance is not None and not isinstance(self.distance, Tracer):
             distance = np.asarray(self.distance)  # infinite beside lamps that are near
-            check_range("a lamp's distance", distance[distance != np.inf], DISTANCE)
+            check_range("a lamp's distance", distance[distance != np.inf], LAMP_DISTANCE)
 
     def __len__(self) -> int:
         return self.towards.shape[0]
@@ -134,20 +122,25 @@ class Lights(eqx.Module):
                 f"{other.illuminant}"
             )
 
-        def join(a, b, default):
-            if a is None and b is None:
+        def joined(name, absent=0.0):
+            both = [(x, getattr(x, name)) for x in (self, other)]
+            some = next((value for _, value in both if value is not None), None)
+            if some is None:
                 return None
-            a, b = (default(x) if y is None else y for x, y in ((self, a), (other, b)))
-            return jnp.concatenate([a, b])
+            shapes = [(len(x), *some.shape[1:]) for x, _ in both]
+            return jnp.concatenate(
+                [
+                    jnp.full(shape, absent, some.dtype) if value is None else value
+                    for shape, (_, value) in zip(shapes, both, strict=True)
+                ]
+            )
 
         return Lights(
-            join(self.towards, other.towards, None),
-            join(self.irradiance, other.irradiance, None),
-            join(self.tint, other.tint, lambda x: jnp.ones((len(x), 3), x.towards.dtype)),
-            join(
-                self.distance, other.distance, lambda x: jnp.full(len(x), jnp.inf, x.towards.dtype)
-            ),
-            join(self.radius, other.radius, None),
+            joined("towards"),
+            joined("irradiance"),
+            joined("tint", 1.0),
+            joined("distance", jnp.inf),
+            joined("radius"),
             self.illuminant,
         )
 

@@ -20,10 +20,10 @@ from irisjax.render import outside
 from irisjax.render.bands import Bands, all_bands, colour_bands, spectral_bands
 from irisjax.render.illumination import Illumination
 from irisjax.render.integrator import AbstractResponse, checked_response
-from irisjax.render.project import MirrorPixels, View, look, mirror_points, project
+from irisjax.render.outside import ColourTable, colour_table
+from irisjax.render.project import View, look, mirror_points, project
 from irisjax.render.scene import Scene
-from irisjax.render.sclera import ColourTable, colour_table
-from irisjax.render.shading import ranges_of
+from irisjax.render.shading import Front, ranges_of
 
 # Bytes for the pixels of a band; the programs and tables beside them take three times that.
 _MEMORY = 1 << 28
@@ -99,7 +99,13 @@ def texture(view: View, scene: Scene) -> Texels:
         view: Result of `project` or `look` for the eye and the camera of the scene.
         scene: The scene; its lamps and pigments make no difference.
     """
-    return Texels(iris_texels(view, scene), _white(view, scene), _room(view, scene))
+    white, room, eye = None, None, scene.eye
+    if view.sclera is not None and eye.sclera is not None:
+        table = _sclera_colours(eye.sclera, *_spectrum(scene))
+        white = outside.white_colour(view.sclera, eye, table, scene.veins)
+    if view.mirror is not None and scene.environment is not None:
+        room = outside.room_at(view.mirror, scene.environment)
+    return Texels(iris_texels(view, scene), white, room)
 
 
 def iris_texels(view: View, scene: Scene) -> Any:
@@ -108,9 +114,8 @@ def iris_texels(view: View, scene: Scene) -> Any:
     """
     if view.iris is None:
         return None
-    iris: Any = scene.iris  # None for an integrator of paint, which needs none
-    ranges = ranges_of(iris, scene.maps)
-    return scene.integrator.texels(view.iris, scene.eye, iris, scene.maps, ranges)
+    front = Front(scene.eye, scene.iris, scene.maps)
+    return scene.integrator.texels(view.iris, front, ranges_of(scene.iris, scene.maps))
 
 
 def illuminate(
@@ -125,28 +130,30 @@ def illuminate(
         tables: `scene.tables()`, which are computed where they are not given.
     """
     tables = scene.tables() if tables is None else tables
-    iris: Any = scene.iris
     light = None
     if view.iris is not None:
-        parts = scene.all_lights(), scene.eye, iris, scene.maps, tables
-        light = scene.integrator.illuminate(view.iris, *parts)
+        front = Front(scene.eye, scene.iris, scene.maps)
+        light = scene.integrator.illuminate(view.iris, scene.all_lights(), front, tables)
     return LitView(surroundings(view, texels, scene), light)
 
 
 def surroundings(view: View, texels: Texels, scene: Scene) -> Float[Array, "channels pixels"]:
     """Radiance of everything but the iris: the sclera and the images in the tear film."""
     white, images, points = None, None, None
-    lamps = scene.lights
+    lamps, lamp = scene.lights, _lamp(scene.illuminant, scene.wavelengths)
     if view.sclera is not None and texels.white is not None:
         all_round = scene.all_lights(largest_polar=None)
         white = outside.white((view.sclera, texels.white), all_round)
     if view.mirror is not None:
         if lamps is not None and lamps.distance is not None:
-            points = mirror_points(_numbers(view.mirror), scene.eye, scene.camera)
-        images = outside.mirrored((view.mirror, points, texels.room), lamps, _lamp(scene))
-    parts = (_index(view.sclera), white), (_index(view.mirror), images)
-    count = view.size[0] * view.size[1]
-    return _together(parts, _lamp(scene), count)
+            index = view.mirror.index
+            every = jnp.arange(view.mirror.reflectance.size, dtype=jnp.int32)
+            seen = every if index is None else jnp.maximum(index, 0)
+            points = mirror_points(seen, scene.eye, scene.camera)
+        images = outside.mirrored((view.mirror, points, texels.room), lamps, lamp)
+    both = (view.sclera, white), (view.mirror, images)
+    parts = [(None if p is None else p.index, colour) for p, colour in both]
+    return _together(parts, lamp, view.size[0] * view.size[1])
 
 
 def respond(scene: Scene) -> AbstractResponse:
@@ -155,17 +162,12 @@ def respond(scene: Scene) -> AbstractResponse:
     Raises:
         ValueError: The integrator's solver does not hold the layers of a texel.
     """
-    eye, iris = scene.eye, scene.iris
-    bands, ranges = bands_of(scene), ranges_of(iris, scene.maps)
-    integrator = scene.integrator.prepare(iris, eye.aqueous_index, bands, ranges)
-    return checked_response(integrator, iris, eye.aqueous_index, bands, ranges)
+    return checked_response(prepared_scene(scene).integrator, *_asked(scene))
 
 
 def prepared_scene(scene: Scene) -> Scene:
     """Fix everything of the integrator that must be known before tracing, for many pictures."""
-    eye, iris = scene.eye, scene.iris
-    parts = iris, eye.aqueous_index, bands_of(scene), ranges_of(iris, scene.maps)
-    return scene.replace(integrator=scene.integrator.prepare(*parts))
+    return scene.replace(integrator=scene.integrator.prepare(*_asked(scene)))
 
 
 def shade(
@@ -179,11 +181,7 @@ def shade(
 
 
 def draw_bands(
-    scene: Scene,
-    tables: Illumination | None = None,
-    *,
-    samples: int = 1,
-    memory: int = _MEMORY,
+    scene: Scene, tables: Illumination | None = None, *, samples: int = 1, memory: int = _MEMORY
 ) -> Iterator[Band]:
     """Draw a scene from the top to the bottom in bands of rows, so that memory is bounded whatever
     the picture's size.
@@ -203,7 +201,7 @@ def draw_bands(
     most = memory // (_PIXEL + _CHANNEL * channels)
     count = min(-(-(width * height * samples**2) // most), height)
     rows = -(-height // count)
-    response = None
+    response = respond(scene)
     for start in range(0, height, rows):
         # The last band begins earlier, so that all have one shape: another would be compiled for.
         first = min(start, height - rows)
@@ -213,16 +211,18 @@ def draw_bands(
         view = look(part.eye, part.camera)
         texels = texture(view, part)
         light = illuminate(view, texels, part, tables)
-        response = respond(scene) if response is None else response
         error = None if response.error is None else float(response.error)
         picture = np.asarray(shade(view, texels, light, response))
         picture = picture.reshape(rows, samples, width, samples, -1).mean((1, 3))
         yield Band(picture[start - first :], error)
 
 
-def bands_of(scene: Scene) -> Bands:
-    """Wavelengths of the iris's response and their weights towards the channels of the picture."""
-    return _bands(scene.eye.cornea, *_spectrum(scene))
+def _asked(scene: Scene) -> tuple[Any, Any, Bands, Any]:
+    """What an integrator's response depends on: the iris, the index before it, the channels of the
+    picture and the ranges of maps.
+    """
+    bands = _bands(scene.eye.cornea, *_spectrum(scene))
+    return scene.iris, scene.eye.aqueous_index, bands, ranges_of(scene.iris, scene.maps)
 
 
 def _spectrum(scene: Scene) -> tuple[str, str, tuple[float, ...] | None]:
@@ -238,55 +238,23 @@ def _bands(
     return spectral_bands(wavelengths, illuminant, cornea)
 
 
-def _bands_outside(illuminant: str, observer: str, wavelengths: tuple[float, ...] | None) -> Bands:
-    """Those of what lies outside the cornea."""
-    if wavelengths is None:
-        return all_bands(illuminant, observer)
-    return spectral_bands(wavelengths, illuminant)
-
-
-def _lamp(scene: Scene) -> Float[Array, " channels"]:
-    """A lamp of radiance 1 in the channels of the picture."""
-    return _lamp_of(*_spectrum(scene))
-
-
 @eqx.filter_jit
-def _lamp_of(
-    illuminant: str, observer: str, wavelengths: tuple[float, ...] | None
-) -> Float[Array, " channels"]:
-    weights = _bands_outside(illuminant, observer, wavelengths).weights
-    return jnp.ones_like(weights[:, 0]) if wavelengths is None else weights.sum(axis=1)
-
-
-def _white(view: View, scene: Scene) -> Float[Array, "channels pixels"] | None:
-    eye = scene.eye
-    if view.sclera is None or eye.sclera is None:
-        return None
-    table = _sclera_colours(eye.sclera, *_spectrum(scene))
-    return outside.white_colour(view.sclera, eye, table, scene.veins)
+def _lamp(illuminant: str, wavelengths: tuple[float, ...] | None) -> Float[Array, " channels"]:
+    """A lamp of radiance 1 in the channels of the picture."""
+    if wavelengths is None:
+        return jnp.ones(3)
+    return spectral_bands(wavelengths, illuminant).white
 
 
 @eqx.filter_jit
 def _sclera_colours(
     sclera: Sclera, illuminant: str, observer: str, wavelengths: tuple[float, ...] | None
 ) -> ColourTable:
-    clear = _bands_outside(illuminant, observer, wavelengths)
-    return colour_table(sclera, np.asarray(clear.wavelengths), clear.weights)
-
-
-def _room(view: View, scene: Scene) -> Float[Array, "channels pixels"] | None:
-    if view.mirror is None or scene.environment is None:
-        return None
-    return outside.room_at(view.mirror, scene.environment)
-
-
-def _index(pixels: Any) -> Any:
-    return None if pixels is None else pixels.index
-
-
-def _numbers(pixels: MirrorPixels) -> Array:
-    every = jnp.arange(pixels.reflectance.size, dtype=jnp.int32)
-    return every if pixels.index is None else jnp.maximum(pixels.index, 0)
+    if wavelengths is None:
+        bands = all_bands(illuminant, observer)
+    else:
+        bands = spectral_bands(wavelengths, illuminant)
+    return colour_table(sclera, np.asarray(bands.wavelengths), bands.weights)
 
 
 @eqx.filter_jit

@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from irisjax.anatomy.eye import Eye
@@ -48,16 +49,7 @@ def project_points(surface: AbstractSurface, camera: Camera, point: Vector) -> P
 
 def _towards(camera: Camera, eye: Eye, point: Vector, share=1.0) -> Vector:
     """Unit vectors from a camera that stands at a `share` of its polar angle to points."""
-    polar = share * camera.polar
-    back = jnp.stack(
-        [
-            jnp.sin(polar) * jnp.cos(camera.azimuth),
-            jnp.sin(polar) * jnp.sin(camera.azimuth),
-            -jnp.cos(polar),
-        ]
-    )
-    place = camera.distance * back
-    way = point - jnp.stack([place[0], place[1], place[2] + eye.iris_depth])
+    way = point - camera.place(eye, share)
     return way / norm(way)[..., None]
 
 
@@ -72,15 +64,10 @@ def _through_cornea(eye: Eye, camera: Camera, target: Float[Array, "3"]):
         return enter(eye, front, _towards(camera, eye, front, share))
 
     def newton(entry, share):
-        def there(k):
-            return landing(k, share).point[:2]
-
-        return nearer(there, entry, target[:2], reach), None
+        return nearer(lambda k: landing(k, share).point[:2], entry, target[:2], reach), None
 
     # From straight ahead, where the entry is near the point, to the side, step by step.
-    shares = jnp.concatenate(
-        [jnp.repeat(jnp.linspace(0.0, 1.0, _STEPS, dtype=target.dtype), 2), jnp.ones(6)]
-    ).astype(target.dtype)
+    shares = jnp.asarray([*np.repeat(np.linspace(0.0, 1.0, _STEPS), 2), *np.ones(6)], target.dtype)
     entry = jax.lax.scan(newton, 0.9 * target[:2], shares)[0]
     found, front = landing(entry, 1.0), on_cornea(cornea, entry)
     edge = eye.limbus_radius + (0.0 if eye.sclera is None else eye.limbus_width / 2)

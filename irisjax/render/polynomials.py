@@ -28,7 +28,7 @@ def degrees_of(ranges: Scales, degrees: tuple[int, ...]) -> tuple[int, ...]:
     return tuple(d for d, r in zip(degrees, ranges, strict=False) if r is not None)
 
 
-def grid(degrees: tuple[int, ...]) -> np.ndarray:
+def scale_nodes(degrees: tuple[int, ...]) -> np.ndarray:
     """Nodes of all scales that vary, on [−1, 1], shape (nodes, scales): as many as there are
     products; one where no scale varies.
     """
@@ -54,29 +54,25 @@ def _fekete(degrees: tuple[int, ...]) -> tuple[np.ndarray, np.ndarray]:
 
 
 def between(degrees: tuple[int, ...]) -> np.ndarray:
-    """Points off the nodes that fill the box evenly, shape (points, scales)."""
+    """Points off the nodes that fill the box evenly, shape (points, scales); one where no scale
+    varies.
+    """
     steps = np.asarray([0.7548, 0.5698, 0.8192, 0.3249])[: len(degrees)]
-    return 2 * ((np.arange(_CHECKS)[:, None] + 0.5) * steps % 1) - 1
+    return 2 * ((np.arange(_CHECKS if degrees else 1)[:, None] + 0.5) * steps % 1) - 1
 
 
 def scales_at_unit(unit: Float[Array, "*s varied"], ranges: Scales) -> Scales:
     """Scales at places in [−1, 1] within their ranges, the last axis of `unit`."""
-    found: list[Any] = [None] * len(ranges)
-    varied = [i for i, r in enumerate(ranges) if r is not None]
-    for k, i in enumerate(varied):
-        found[i] = from_unit(ranges[i], unit[..., k])
-    return Scales(*found)
+    places = iter(jnp.moveaxis(unit, -1, 0))
+    return Scales(*(None if span is None else from_unit(span, next(places)) for span in ranges))
 
 
 def polynomials_of(
     scales: Scales, ranges: Scales, degrees: tuple[int, ...]
 ) -> tuple[Float[Array, "_ pixels"], ...]:
     """Polynomials of each scale that varies, at pixels; `degrees`: one for each that does."""
-    some = [(s, r) for s, r in zip(scales, ranges, strict=True) if r is not None]
-    return tuple(
-        polynomials(to_unit(span, scale), degree + 1)
-        for (scale, span), degree in zip(some, degrees, strict=True)
-    )
+    some = [to_unit(span, s) for s, span in zip(scales, ranges, strict=True) if span is not None]
+    return tuple(polynomials(x, d + 1) for x, d in zip(some, degrees, strict=True))
 
 
 def along_nodes(values: Float[Array, "..."], axis: int) -> Float[Array, "..."]:
@@ -88,11 +84,7 @@ def along_nodes(values: Float[Array, "..."], axis: int) -> Float[Array, "..."]:
 def of_products(
     values: Float[Array, "nodes ..."], degrees: tuple[int, ...]
 ) -> Float[Array, "products ..."]:
-    """Coefficients of `basis` from values at `grid(degrees)`, shape (nodes, …).
-
-    Returns:
-        Coefficients, shape (products, …).
-    """
+    """Coefficients of `basis` from values at `scale_nodes(degrees)`."""
     return jnp.tensordot(jnp.asarray(_fekete(degrees)[1], values.dtype), values, (1, 0))
 
 
@@ -125,8 +117,10 @@ def summed(
     coefficients: Float[Array, "products last channels"],
     scales: Sequence[Float[Array, "_ pixels"]],
     factors: Float[Array, "tints last pixels"],
-) -> Float[Array, "channels pixels"]:
-    """Sum of the coefficients times the products of polynomials of the scales and times factors."""
+) -> Float[Array, "shown pixels"]:
+    """Sum of the coefficients times the products of polynomials of the scales and times factors;
+    either the channels or the tints may be one for all of the others.
+    """
     products, last, channels = coefficients.shape
     # One matrix product: 50 times as fast as polynomial by polynomial.
     whole = coefficients.reshape(products, last * channels).T

@@ -126,11 +126,10 @@ def project(eye: Eye, camera: Camera) -> View:
     """
     rows, columns = camera.shape
     index = jnp.arange(rows * columns, dtype=jnp.int32)
-    mirror = None if eye.cornea is None else mirror_pixels(index, eye, camera)
-    white = eye.cornea is not None and eye.sclera is not None
-    sclera = sclera_pixels(index, eye, camera) if white else None
-    found = any_pixels(index, eye, camera), sclera, mirror
-    every = [None if p is None else dataclasses.replace(p, index=None) for p in found]
+    film, white = eye.cornea is not None, eye.cornea is not None and eye.sclera is not None
+    parts = (iris_pixels, True), (sclera_pixels, white), (mirror_pixels, film)
+    found = (pixels(index, eye, camera) if there else None for pixels, there in parts)
+    every = (None if p is None else dataclasses.replace(p, index=None) for p in found)
     return View(*every, size=(columns, rows))
 
 
@@ -155,13 +154,10 @@ def look(eye: Eye, camera: Camera) -> View:
         # cost less than padding.
         length = count if camera.rows is not None else index.size
         block = max(_PAD, 1 << max(length.bit_length() - 4, 0)) if count >= _PAD else count
-        padded = np.pad(
-            index.astype(np.int32), (0, -(-length // block) * block - index.size), mode="edge"
-        )
-        found = pixels(padded, eye, camera)
-        padded = padded.copy()
-        padded[index.size :] = -1
-        return dataclasses.replace(found, index=jnp.asarray(padded))
+        more = 0, -(-length // block) * block - index.size
+        found = pixels(np.pad(index.astype(np.int32), more, mode="edge"), eye, camera)
+        numbers = np.pad(index.astype(np.int32), more, constant_values=-1)
+        return dataclasses.replace(found, index=jnp.asarray(numbers))
 
     parts = (IRIS, iris_pixels), (SCLERA, sclera_pixels), (MIRROR, mirror_pixels)
     return View(*(of(*part) for part in parts), size=(columns, rows))
@@ -174,29 +170,15 @@ def seen_parts(index: Any, eye: Eye, camera: Camera) -> Int8[Array, " pixels"]:
     if eye.cornea is None:
         return jnp.where(IrisSurface(eye).meet(origin, direction)[1], IRIS, 0).astype(jnp.int8)
     outside = _Outside.met(eye, origin, direction)
-    sees = (outside.iris, outside.hit & (outside.blend > 0), outside.hit)
-    found = jnp.zeros(index.shape, jnp.int8)
-    for part, name in zip(sees, (IRIS, SCLERA, MIRROR), strict=True):
-        found = found + jnp.where(part, name, 0).astype(jnp.int8)
-    return found
+    white = outside.hit & (outside.blend > 0)
+    sees = (outside.iris, IRIS), (white, SCLERA), (outside.hit, MIRROR)
+    iris, sclera, mirror = (jnp.where(part, name, 0).astype(jnp.int8) for part, name in sees)
+    return iris + sclera + mirror
 
 
 @pixelwise
 def iris_pixels(index: Any, eye: Eye, camera: Camera) -> IrisPixels:
-    """Pixels of these numbers, all of which see the iris."""
-    origin, direction = camera.towards(index, eye)
-    if eye.cornea is None:
-        point, _ = IrisSurface(eye).meet(origin, direction)
-        return _landed(index, eye, point, direction, jnp.ones_like(point[..., 0]))
-    outside = _Outside.met(eye, origin, direction)
-    landing = enter(eye, outside.front, direction)
-    share = landing.share * (1 - outside.blend) / eye.aqueous_index**2
-    return _landed(index, eye, landing.point, landing.direction, share)
-
-
-@pixelwise
-def any_pixels(index: Any, eye: Eye, camera: Camera) -> IrisPixels:
-    """As `iris_pixels`, of pixels that may not see the iris: they get a share of 0."""
+    """Pixels of these numbers as those that see the iris; those that do not get a share of 0."""
     origin, direction = camera.towards(index, eye)
     # Any line of sight to a point that is no edge instead: derivatives are finite there.
     aside, zero = 0.5 * eye.iris_radius, jnp.zeros_like(eye.iris_radius)
@@ -206,15 +188,13 @@ def any_pixels(index: Any, eye: Eye, camera: Camera) -> IrisPixels:
         origin = choose(seen, origin, jnp.stack([aside, zero, zero]))
         direction = choose(seen, direction, ahead)
         point, _ = IrisSurface(eye).meet(origin, direction)
-        return _landed(index, eye, point, direction, jnp.where(seen, 1.0, 0.0))
-    outside = _Outside.met(eye, origin, direction)
-    front = choose(outside.iris, outside.front, on_cornea(eye.cornea, jnp.stack([aside, zero])))
-    landing = enter(eye, front, choose(outside.iris, direction, ahead))
-    share = landing.share * jnp.where(outside.iris, 1 - outside.blend, 0.0)
-    return _landed(index, eye, landing.point, landing.direction, share / eye.aqueous_index**2)
-
-
-def _landed(index, eye: Eye, point: Vector, direction: Vector, share) -> IrisPixels:
+        share = jnp.where(seen, 1.0, 0.0)
+    else:
+        outside = _Outside.met(eye, origin, direction)
+        front = choose(outside.iris, outside.front, on_cornea(eye.cornea, jnp.stack([aside, zero])))
+        direction = choose(outside.iris, direction, ahead)
+        point, direction, passed = enter(eye, front, direction)
+        share = passed * jnp.where(outside.iris, 1 - outside.blend, 0.0) / eye.aqueous_index**2
     cosine = -dot(direction, eye.iris_normal(point))
     share = jnp.where(cosine > 0, share, 0.0)
     return IrisPixels(index, parts(point), parts(direction), jnp.maximum(cosine, 0), share)
@@ -223,24 +203,20 @@ def _landed(index, eye: Eye, point: Vector, direction: Vector, share) -> IrisPix
 @pixelwise
 def sclera_pixels(index: Any, eye: Eye, camera: Camera) -> ScleraPixels:
     """Pixels of these numbers as those that see the white."""
-    origin, direction = camera.towards(index, eye)
-    outside = _Outside.met(eye, origin, direction)
-    passed = refract_vector(direction, outside.normal, 1.0, TEAR)[1]
+    outside, _, reflectance = _film(index, eye, camera)
     share = jnp.where(outside.hit, outside.blend, 0.0)
     # Within the limbus white lies under clear cornea and is lit as the globe goes on: by the
     # cornea's normal, some 16° steeper, it would end at a sharp line where light comes from aside.
     normal = GlobeSurface(eye).normal(outside.point)
-    return ScleraPixels(index, parts(outside.point), parts(normal), 1 - passed, share)
+    return ScleraPixels(index, parts(outside.point), parts(normal), reflectance, share)
 
 
 @pixelwise
 def mirror_pixels(index: Any, eye: Eye, camera: Camera) -> MirrorPixels:
     """Pixels of these numbers as those that see the tear film."""
-    origin, direction = camera.towards(index, eye)
-    outside = _Outside.met(eye, origin, direction)
-    passed = refract_vector(direction, outside.normal, 1.0, TEAR)[1]
+    outside, direction, reflectance = _film(index, eye, camera)
     mirror = parts(reflect_vector(direction, outside.normal))
-    return MirrorPixels(index, mirror, jnp.where(outside.hit, 1 - passed, 0.0))
+    return MirrorPixels(index, mirror, jnp.where(outside.hit, reflectance, 0.0))
 
 
 @pixelwise
@@ -249,6 +225,13 @@ def mirror_points(index: Any, eye: Eye, camera: Camera) -> Parts:
     them alone.
     """
     return parts(_Outside.met(eye, *camera.towards(index, eye)).point)
+
+
+def _film(index, eye: Eye, camera: Camera):
+    """Where lines of sight meet the tear film, their directions, and its reflectance."""
+    origin, direction = camera.towards(index, eye)
+    outside = _Outside.met(eye, origin, direction)
+    return outside, direction, 1 - refract_vector(direction, outside.normal, 1.0, TEAR)[1]
 
 
 class _Outside(NamedTuple):
@@ -264,13 +247,12 @@ class _Outside(NamedTuple):
 
     @classmethod
     def met(cls, eye: Eye, origin, direction) -> "_Outside":
-        cornea = CorneaSurface(eye)
+        cornea, globe = CorneaSurface(eye), GlobeSurface(eye)
         front, shown, on_cornea = cornea.split(origin, direction)
         normal = cornea.normal(front)
         if eye.sclera is None:
             none = jnp.zeros_like(front[..., 0])
             return cls(front, front, normal, none, on_cornea, on_cornea)
-        globe = GlobeSurface(eye)
         point, on_globe = globe.meet(origin, direction)
         normal = choose(on_cornea, normal, globe.normal(point))
         point = choose(on_cornea, front, point)

@@ -11,12 +11,13 @@ from typing import NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
 from irisjax.anatomy.eye import Cornea, Eye
 from irisjax.numerics.interpolation import multilinear, smoothstep
 from irisjax.numerics.roots import solve_2x2
-from irisjax.optics.conicoid import Vector, along, dot, norm, refract_vector
+from irisjax.optics.conicoid import Vector, along, dot, joined, norm, parts, refract_vector
 
 LARGEST_POLAR = 2.25
 """Polar angle (radians) beyond which no light worth counting enters a cornea that ends at the
@@ -27,6 +28,13 @@ UNIQUE_POLAR = 1.40
 """Up to this polar angle (radians) one ray lands at each iris point; beyond, the cornea folds the
 light.
 """
+
+
+def direction_of(polar: ArrayLike, azimuth: ArrayLike = 0.0) -> Vector:
+    """Unit vectors at polar angles from straight ahead (−z) and azimuths from +x to +y, radians."""
+    sin, cos = jnp.sin(polar), jnp.cos(polar)
+    found = sin * jnp.cos(azimuth), sin * jnp.sin(azimuth), -cos
+    return jnp.stack(jnp.broadcast_arrays(*found), axis=-1)
 
 
 class Landing(NamedTuple):
@@ -123,9 +131,8 @@ def arrive(
     # No ray lands there: it would have to enter where the cornea, even if it went on, has turned
     # away.
     beyond = reach * towards_light[:2] / jnp.maximum(norm(towards_light[:2]), 1e-9)
-    return Arrival(
-        jnp.where(found, entry, beyond), jnp.where(found, flux(eye, entry, towards_light), 0.0)
-    )
+    lit = jnp.where(found, flux(eye, entry, towards_light), 0.0)
+    return Arrival(jnp.where(found, entry, beyond), lit)
 
 
 def reach_of(cornea: Cornea) -> Float[Array, ""]:
@@ -216,12 +223,10 @@ class RefractionFunction(eqx.Module):
             y = y * side
             return cos * x - sin * y, sin * x + cos * y
 
-        entry = jnp.stack(turned(found[..., 0], found[..., 1]), axis=-1)
-        flux = jnp.stack([*turned(found[..., 2], found[..., 3]), found[..., 4]], axis=-1)
-        lit = (polar < UNIQUE_POLAR + 1e-3)[
-            ..., None
-        ]  # the last angle itself, whatever its rounding
-        return Arrival(entry, jnp.where(lit, flux, 0.0))
+        x, y, u, v, w = parts(found)
+        entry, flux = jnp.stack(turned(x, y), axis=-1), joined([*turned(u, v), w])
+        lit = polar < UNIQUE_POLAR + 1e-3  # the last angle itself, whatever its rounding
+        return Arrival(entry, jnp.where(lit[..., None], flux, 0.0))
 
 
 @eqx.filter_jit
@@ -235,9 +240,8 @@ def _searched(eye: Eye, n_polar: int, n_azimuth: int, n_radius: int):
     search = jax.vmap(jax.vmap(arrive, (None, 0, None, 0, None)), (None, 0, None, 0, None))
 
     def next_polar(start, angle):
-        towards = jnp.stack([jnp.sin(angle), jnp.zeros_like(angle), -jnp.cos(angle)])
         # From the entry of the last angle six steps reach rounding.
-        found = search(eye, targets, towards, start, 6)
+        found = search(eye, targets, direction_of(angle), start, 6)
         return found.entry, found
 
     _, found = jax.lax.scan(next_polar, 0.9 * targets, polar)

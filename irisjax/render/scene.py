@@ -75,18 +75,17 @@ class Scene(eqx.Module):
             check_pictured(self.iris)
             if self.maps is not None:
                 self.maps.check(self.iris)
-        if self.lights is not None and self.lights.illuminant != self.illuminant:
-            raise ValueError(
-                f"the lights are {self.lights.illuminant}, the scene is {self.illuminant}"
-            )
-        tinted = self.lights is not None and self.lights.tint is not None
-        if self.wavelengths is not None and (self.environment is not None or tinted):
+        lights = self.lights
+        if lights is not None and lights.illuminant != self.illuminant:
+            raise ValueError(f"the lights are {lights.illuminant}, the scene is {self.illuminant}")
+        coloured = self.environment is not None or (lights is not None and lights.tint is not None)
+        if self.wavelengths is not None and coloured:
             raise ValueError(
                 "spectral pictures need plain lamps: environments and tints have colours, not "
                 "spectra"
             )
-        if self.lights is not None and not isinstance(self.lights.radius, Tracer):
-            widest = float(np.max(np.asarray(self.lights.radius)))
+        if lights is not None and not isinstance(lights.radius, Tracer):
+            widest = float(np.max(np.asarray(lights.radius)))
             # Wider ones stand for regions of an environment, which is mirrored itself.
             if widest > np.pi / 2 + 1e-6:
                 raise ValueError(
@@ -133,9 +132,8 @@ class Scene(eqx.Module):
         """Lamps, and those that stand for the environment up to a polar angle (radians); `None`
         for all directions.
         """
-        return all_lights(
-            self.lights, self.environment, self.environment_lights, self.illuminant, largest_polar
-        )
+        parts = self.lights, self.environment, self.environment_lights, self.illuminant
+        return all_lights(*parts, largest_polar)
 
 
 def all_lights(
@@ -149,7 +147,6 @@ def all_lights(
     if environment is None:
         assert lights is not None
         return lights
-    around = dataclasses.replace(
-        environment.to_lights(count, largest_polar=largest_polar), illuminant=illuminant
-    )
+    around = environment.to_lights(count, largest_polar=largest_polar)
+    around = dataclasses.replace(around, illuminant=illuminant)
     return around if lights is None else lights + around

@@ -2,6 +2,8 @@
 differ in.
 """
 
+from typing import Any, NamedTuple
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -19,6 +21,18 @@ from irisjax.render.project import IrisPixels
 from irisjax.render.surfaces import IrisSurface, Place
 from irisjax.tissue.iris import Iris
 from irisjax.tissue.maps import IrisMaps, Scales
+
+
+class Front(NamedTuple):
+    """The iris that pixels see: its eye, its tissue (`None` if it is painted) and its maps."""
+
+    eye: Eye
+    iris: Any
+    maps: IrisMaps | None
+
+    def slopes(self) -> Float[Array, "2 angles radii"] | None:
+        """`slopes_of` its relief."""
+        return slopes_of(None if self.maps is None else self.maps.relief, self.eye)
 
 
 class Field(eqx.Module):
@@ -53,12 +67,8 @@ def field_of(
         flux = _flux(lights, i, place, eye, tables)
         length = norm(flux)
         cosine = -dot(flux, normal) / jnp.where(length > 0, length, 1.0)
-        flux = (
-            flux
-            * jnp.where(cosine > 0, fresnel_at(jnp.maximum(cosine, 0.0), n.aqueous, n.abl)[1], 0.0)[
-                ..., None
-            ]
-        )
+        entered = fresnel_at(jnp.maximum(cosine, 0.0), n.aqueous, n.abl)[1]
+        flux = flux * jnp.where(cosine > 0, entered, 0.0)[..., None]
         tint = jnp.ones(1, flux.dtype) if lights.tint is None else lights.tint[i]
         return total + jnp.stack(parts(flux)) * tint[:, None, None, None], None
 
@@ -75,9 +85,11 @@ def fluxes_of(
     `Field`.
     """
     place = _grid(eye, size)
-    return jax.lax.map(
-        lambda i: jnp.stack(parts(_flux(lights, i, place, eye, tables))), jnp.arange(len(lights))
-    )
+
+    def one(i):
+        return jnp.stack(parts(_flux(lights, i, place, eye, tables)))
+
+    return jax.lax.map(one, jnp.arange(len(lights)))
 
 
 def _grid(eye: Eye, size: int):
@@ -85,12 +97,9 @@ def _grid(eye: Eye, size: int):
     x, y = jnp.meshgrid(line, line)
     r = safe_sqrt(x * x + y * y)
     if eye.cornea is None:
-        height = eye.iris_depth + jnp.zeros_like(r)
-    else:
-        height = eye.cornea.anterior.sagitta(
-            jnp.minimum(r, eye.limbus_radius)
-        )  # about where the light enters
-    return jnp.stack([x, y, height], axis=-1)
+        return joined([x, y, eye.iris_depth + jnp.zeros_like(r)])
+    # About where the light enters.
+    return joined([x, y, eye.cornea.anterior.sagitta(jnp.minimum(r, eye.limbus_radius))])
 
 
 def _flux(lights: Lights, i, place, eye: Eye, tables: Illumination | None):
@@ -118,13 +127,13 @@ def ranges_of(iris: Iris | None, maps: IrisMaps | None) -> Scales:
 
 def scales_at(pixels: IrisPixels, eye: Eye, textures: Scales) -> Scales:
     """How the texels that pixels see differ from the uniform iris."""
-    if all(t is None for t in textures):
+    if not jax.tree.leaves(textures):
         return textures
-    place = place_of(pixels, eye)
-    return Scales(*(None if t is None else polar_bilinear(t, *place) for t in textures))
+    place = _place_of(pixels, eye)
+    return jax.tree.map(lambda texture: polar_bilinear(texture, *place), textures)
 
 
-def place_of(pixels: IrisPixels, eye: Eye) -> Place:
+def _place_of(pixels: IrisPixels, eye: Eye) -> Place:
     """Angle (radians) and relative radius at which the pixels see maps that may stand turned."""
     angle, radius = IrisSurface(eye).place(joined(pixels.point))
     angle = angle if pixels.turn is None else angle + pixels.turn
@@ -134,16 +143,13 @@ def place_of(pixels: IrisPixels, eye: Eye) -> Place:
 
 @pixelwise
 def irradiance_at(
-    pixels: IrisPixels,
-    field: Field,
-    eye: Eye,
-    slopes: Float[Array, "2 angles radii"] | None,
-) -> Float[Array, "tints pixels"]:
+    pixels: IrisPixels, field: Field, eye: Eye, slopes: Float[Array, "2 angles radii"] | None
+) -> Float[Array, "tints 1 pixels"]:
     """Irradiance on the iris at pixels times all shares on the way out to the camera."""
     normal = normals(pixels, eye, slopes)
     flux = field.at(pixels.point)
     towards = [-sum(f * n for f, n in zip(tint, normal, strict=True)) for tint in flux]
-    return jnp.maximum(jnp.stack(towards), 0.0) * shares(pixels, eye)
+    return (jnp.maximum(jnp.stack(towards), 0.0) * shares(pixels, eye))[:, None]
 
 
 def normals(pixels: IrisPixels, eye: Eye, slopes: Float[Array, "2 angles radii"] | None) -> Parts:
@@ -153,13 +159,12 @@ def normals(pixels: IrisPixels, eye: Eye, slopes: Float[Array, "2 angles radii"]
     u, v, w = parts(eye.iris_normal(joined(pixels.point)))
     if slopes is None:
         return u, v, w
-    place = place_of(pixels, eye)
+    place = _place_of(pixels, eye)
     x, y, _ = pixels.point
     r = safe_sqrt(x * x + y * y)
     r = jnp.where(r > 0, r, 1.0)  # a pixel that looks straight at the middle of the pupil
-    along, across = (
-        -w * s for s in polar_bilinear(slopes, *place)
-    )  # of a unit normal: a cone's is none along z
+    # Of a unit normal: a cone's is none along z.
+    along, across = (-w * s for s in polar_bilinear(slopes, *place))
     u, v = u - (along * x - across * y) / r, v - (along * y + across * x) / r
     length = jnp.sqrt(u * u + v * v + w * w)
     return u / length, v / length, w / length
@@ -191,9 +196,8 @@ def slopes_of(
     # Straight on beyond both edges: what closes on itself there is cut off again.
     first, last = relief[:, :1], relief[:, -1:]
     ahead, behind = first - relief[:, 1:2], last - relief[:, -2:-1]
-    wide = jnp.concatenate(
-        [first + 2 * ahead, first + ahead, relief, last + behind, last + 2 * behind], 1
-    )
+    before, after = (first + 2 * ahead, first + ahead), (last + behind, last + 2 * behind)
+    wide = jnp.concatenate([*before, relief, *after], 1)
     heights, along = (_quarters(wide, 1, kind)[:, 4:-4] for kind in (_HEIGHT, _SLOPE))
     across = _quarters(heights, 0, _SLOPE) * (rows / (2 * jnp.pi)) / radius
     return jnp.stack([_quarters(along, 0, _HEIGHT) * (columns / span), across])

@@ -11,8 +11,6 @@ its way in is weakened by the column in which it is scattered alone, and relief 
 leaves the irradiance.
 """
 
-from typing import Any, NamedTuple
-
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -30,9 +28,9 @@ from irisjax.render.illumination import Illumination
 from irisjax.render.integrator import AbstractIntegrator, AbstractResponse
 from irisjax.render.lights import Lights
 from irisjax.render.project import IrisPixels
-from irisjax.render.shading import Field, fluxes_of, normals, shares, slopes_of
+from irisjax.render.shading import Field, Front, fluxes_of, normals, shares
 from irisjax.tissue.iris import Iris
-from irisjax.tissue.maps import FRECKLE, IrisMaps, Scales, texel_layers
+from irisjax.tissue.maps import FRECKLE, Scales, Texture, texel_layers
 from irisjax.tissue.pigments import extinction
 from irisjax.transport.process import ILIT_2006, AbstractProcess
 
@@ -57,20 +55,14 @@ class SingleScattering(AbstractIntegrator):
             )
 
     def illuminate(
-        self,
-        pixels: IrisPixels,
-        lights: Lights,
-        eye: Eye,
-        iris: Iris,
-        maps: IrisMaps | None,
-        tables: Illumination | None,
-    ) -> tuple["Rays", "SceneData"]:
-        """See `AbstractIntegrator`. The relief tilts the surface towards the light; its parallax is
+        self, pixels: IrisPixels, lights: Lights, front: Front, tables: Illumination | None
+    ) -> "SceneData":
+        """What all pixels share. The relief tilts the surface towards the light; its parallax is
         left out.
         """
-        slopes = slopes_of(None if maps is None else maps.relief, eye)
-        flux, textures = fluxes_of(lights, eye, tables), local_textures(maps, iris)
-        return _rays(pixels, eye, slopes), SceneData(textures, flux, lights.tint, eye)
+        maps = {} if front.maps is None else front.maps.replace(relief=None).present()
+        flux = fluxes_of(lights, front.eye, tables)
+        return SceneData(maps, flux, lights.tint, front.slopes(), front.eye)
 
     def response(self, iris: Iris, aqueous_index: Scalar, bands: Bands, ranges: Scales) -> "March":
         """The layers' optical depths at the wavelengths of `bands`."""
@@ -80,17 +72,12 @@ class SingleScattering(AbstractIntegrator):
         def depths(eumelanin, pheomelanin):
             scales = Scales(None, None, eumelanin, pheomelanin)
             made = texel_layers(iris, aqueous_index, table, scales)
-            return Depths(made.abl_absorption, made.extinction)
+            return jnp.stack([made.abl_absorption, made.extinction])
 
         # Depths are linear in the melanins, which maps may change from place to place.
         rest = depths(0.0, 0.0)
-        eumelanin, pheomelanin = (
-            jax.tree.map(jnp.subtract, depths(*x), rest) for x in ((1.0, 0.0), (0.0, 1.0))
-        )
         return March(
-            rest=rest,
-            eumelanin=eumelanin,
-            pheomelanin=pheomelanin,
+            depths=(rest, depths(1.0, 0.0) - rest, depths(0.0, 1.0) - rest),
             scattering=iris.layers(table, aqueous_index).stroma_scattering,
             thickness=(iris.abl_thickness, iris.stroma_thickness),
             weights=bands.weights,
@@ -98,84 +85,45 @@ class SingleScattering(AbstractIntegrator):
         )
 
 
-class Rays(eqx.Module):
-    """Lines of sight of pixels.
-
-    Attributes:
-        point: Where each meets the iris, mm.
-        direction: Its direction in the chamber.
-        normal: Normal of the iris there, with the relief's tilt.
-        share: Share of light that reaches the camera.
-    """
-
-    point: Float[Array, "3 pixels"]
-    direction: Float[Array, "3 pixels"]
-    normal: Float[Array, "3 pixels"]
-    share: Float[Array, " pixels"]
-
-
-class Local(NamedTuple):
-    """The subsurface map  [F09 Section 6.1], each relative to the uniform iris; `None`: one
-    everywhere.
-    """
-
-    abl_thickness: Any = None
-    stroma_thickness: Any = None
-    freckles: Any = None
-    eumelanin: Any = None
-    pheomelanin: Any = None
-
-
 class SceneData(eqx.Module):
     """What all pixels share.
 
     Attributes:
-        textures: The subsurface map.
+        maps: The subsurface map  [F09 Section 6.1]: those of the `IrisMaps` that are present.
         flux: Flux vectors of each light on the grid of a `Field`.
         tint: Tint of each light.
+        slopes: Those of the relief, see `slopes_of`.
         eye: The eye.
     """
 
-    textures: Local
+    maps: dict[str, Texture]
     flux: Float[Array, "lights 3 rows columns"]
     tint: Float[Array, "lights 3"] | None
+    slopes: Float[Array, "2 angles radii"] | None
     eye: Eye
 
-    def at(self, point: Float[Array, "3 pixels"]) -> Local:
+    def at(self, point: Float[Array, "3 pixels"]) -> dict[str, Float[Array, " pixels"]]:
         """The map at points of the iris."""
-        present = [t for t in self.textures if t is not None]
-        if not present:
-            return self.textures
+        if not self.maps:
+            return {}
         radius = self.eye.relative_radius(jnp.sqrt(point[0] ** 2 + point[1] ** 2))
-        found = iter(polar_bilinear(jnp.stack(present), jnp.arctan2(point[1], point[0]), radius))
-        return Local(*(None if t is None else next(found) for t in self.textures))
-
-
-@eqx.filter_jit
-def local_textures(maps: IrisMaps | None, iris: Iris) -> Local:
-    """The subsurface map of an iris with maps."""
-    if maps is None:
-        return Local()
-    dark = None if maps.freckles is None else 1 + (FRECKLE - 1) * maps.freckles
-    abl = None if maps.abl_depth is None else maps.abl_depth / iris.abl_thickness
-    return Local(abl, maps.stroma_scale(iris), dark, maps.eumelanin, maps.pheomelanin)
-
-
-class Depths(NamedTuple):
-    """Optical depths of absorption in the ABL and of extinction in the stroma, (bands,)."""
-
-    abl: Any
-    stroma: Any
+        textures = jnp.stack(list(self.maps.values()))
+        found = polar_bilinear(textures, jnp.arctan2(point[1], point[0]), radius)
+        return dict(zip(self.maps, found, strict=True))
 
 
 class March(AbstractResponse):
-    """Optical depths of the uniform iris, by what varies over it, (bands,), and thicknesses of ABL
-    and stroma, mm.
+    """Layers of the uniform iris.
+
+    Attributes:
+        depths: Optical depths of absorption in the ABL and of extinction in the stroma, without
+            melanin, and of eumelanin and pheomelanin.
+        scattering: Optical depth of scattering in the stroma.
+        thickness: Thicknesses of ABL and stroma, mm.
+        weights: Those of the bands towards the channels.
     """
 
-    rest: Depths
-    eumelanin: Depths
-    pheomelanin: Depths
+    depths: tuple[Float[Array, "2 bands"], Float[Array, "2 bands"], Float[Array, "2 bands"]]
     scattering: Float[Array, " bands"]
     thickness: tuple[Float[Array, ""], Float[Array, ""]]
     weights: Float[Array, "channels bands"]
@@ -184,36 +132,34 @@ class March(AbstractResponse):
     status: None = None
 
     def shade(
-        self, pixels: IrisPixels, texels: None, light: tuple[Rays, SceneData]
+        self, pixels: IrisPixels, texels: None, light: SceneData
     ) -> Float[Array, "channels pixels"]:
-        """See `AbstractResponse`."""
-        rays, data = light
-        return _marched(rays, self, data)
+        return _marched(pixels, self, light)
 
-    def radiance(self, rays: Rays, data: SceneData) -> Float[Array, "channels pixels"]:
+    def radiance(self, pixels: IrisPixels, data: SceneData) -> Float[Array, "channels pixels"]:
         """Radiance of pixels: ∫ E p(α) μ_s e^(−τ_light/μ_i − τ_view/μ_o) dz/μ_o, light by
         light.
         """
-        uniform = all(t is None for t in data.textures)
-        n_steps = 1 if uniform else self.n_steps
-        step = self._deepest(data.textures) / n_steps
-        flat = data.eye.iris_normal(rays.point.T).T
-        slant = 1 / jnp.maximum(-(rays.direction * flat).sum(0), 1e-3)
-        along = rays.direction * slant + flat  # the iris, per depth
-        sources = _sources(rays, data)
+        n_steps = self.n_steps if data.maps else 1
+        step = jnp.max(self._ends(data.maps)[1]) / n_steps  # to where the layers are thickest
+        point, direction = jnp.stack(pixels.point), jnp.stack(pixels.direction)
+        flat = data.eye.iris_normal(point.T).T
+        slant = 1 / jnp.maximum(-(direction * flat).sum(0), 1e-3)
+        along = direction * slant + flat  # the iris, per depth
+        sources = _sources(pixels, direction, data)
         tints = jnp.ones((data.flux.shape[0], 1), slant.dtype) if data.tint is None else data.tint
 
         def march(carry, k):
             clear, radiance = carry
-            local = data.at(rays.point + along * ((k + 0.5) * step))
+            local = data.at(point + along * ((k + 0.5) * step))
             abl_end, end = self._ends(local)
             top, bottom = k * step, (k + 1) * step
-            depth, scattering = self._depths(local)
+            abl, stroma, scattering = self._depths(local)
             in_abl = _passed(bottom, 0.0, abl_end) - _passed(top, 0.0, abl_end)
             above = _passed(top, abl_end, end)
             inside = _passed(bottom, abl_end, end) - above
-            clear = clear * jnp.exp(-depth.abl * (in_abl * slant))
-            crossed, light_depth = depth.stroma * inside, depth.abl + depth.stroma * above
+            clear = clear * jnp.exp(-abl * (in_abl * slant))
+            crossed, light_depth = stroma * inside, abl + stroma * above
 
             def lit(total, light):
                 source, light_slant, tint = light
@@ -232,74 +178,48 @@ class March(AbstractResponse):
         clear = jnp.ones((self.scattering.size, slant.size), slant.dtype)
         start = (clear, jnp.zeros((tints.shape[1], *clear.shape), clear.dtype))
         radiance = jax.lax.scan(march, start, jnp.arange(n_steps, dtype=slant.dtype))[0][1]
+        share = shares(pixels, data.eye)
         if data.tint is None:
-            return (self.weights @ radiance[0]) * rays.share
-        return jnp.einsum("cb,cbp->cp", self.weights, radiance) * rays.share
+            return (self.weights @ radiance[0]) * share
+        return jnp.einsum("cb,cbp->cp", self.weights, radiance) * share
 
-    def _deepest(self, textures: Local):
-        """Thickness of both layers where it is largest, mm."""
-        abl, end = self._ends(textures)
-        del abl
-        return jnp.max(end)
-
-    def _ends(self, local: Local):
+    def _ends(self, local: dict[str, Array]):
         """Depths of the ends of ABL and stroma, mm."""
-        abl, stroma = self.thickness
-        abl = abl if local.abl_thickness is None else abl * local.abl_thickness
-        return abl, abl + (
-            stroma if local.stroma_thickness is None else stroma * local.stroma_thickness
-        )
+        abl = local.get("abl_depth", self.thickness[0])
+        return abl, abl + local.get("stroma_depth", self.thickness[1])
 
-    def _depths(self, local: Local) -> tuple[Depths, Any]:
-        """Optical depths of the whole layers and that of scattering, (bands, pixels) or (bands,
+    def _depths(self, local: dict[str, Array]):
+        """Optical depths of ABL and stroma, and that of scattering, (bands, pixels) or (bands,
         1).
         """
         one = jnp.ones(1, self.scattering.dtype)
-        eumelanin, pheomelanin, abl, freckles, stroma = (
-            one if x is None else x
-            for x in (
-                local.eumelanin,
-                local.pheomelanin,
-                local.abl_thickness,
-                local.freckles,
-                local.stroma_thickness,
-            )
+        rest, *melanins = (depth[..., None] for depth in self.depths)
+        eumelanin, pheomelanin = (local.get(n, one) for n in ("eumelanin", "pheomelanin"))
+        abl, stroma = rest + melanins[0] * eumelanin + melanins[1] * pheomelanin
+        thick, deep = (
+            local[f"{layer}_depth"] / whole if f"{layer}_depth" in local else one
+            for layer, whole in zip(("abl", "stroma"), self.thickness, strict=True)
         )
-
-        def mixed(rest, eu, pheo):
-            return rest[:, None] + eu[:, None] * eumelanin + pheo[:, None] * pheomelanin
-
-        found = Depths(
-            *(mixed(*x) for x in zip(self.rest, self.eumelanin, self.pheomelanin, strict=True))
-        )
-        return Depths(found.abl * (abl * freckles), found.stroma * stroma), self.scattering[
-            :, None
-        ] * stroma
+        dark = thick * (1 + (FRECKLE - 1) * local.get("freckles", 0 * one))
+        return abl * dark, stroma * deep, self.scattering[:, None] * deep
 
 
 @pixelwise
-def _rays(pixels: IrisPixels, eye: Eye, slopes: Float[Array, "2 angles radii"] | None) -> Rays:
-    point, direction, normal = map(
-        jnp.stack, (pixels.point, pixels.direction, normals(pixels, eye, slopes))
-    )
-    return Rays(point, direction, normal, shares(pixels, eye))
+def _marched(pixels: IrisPixels, march: March, data: SceneData) -> Float[Array, "channels pixels"]:
+    return march.radiance(pixels, data)
 
 
-@pixelwise
-def _marched(rays: Rays, march: March, data: SceneData) -> Float[Array, "channels pixels"]:
-    return march.radiance(rays, data)
-
-
-def _sources(rays: Rays, data: SceneData):
+def _sources(pixels: IrisPixels, direction: Float[Array, "3 pixels"], data: SceneData):
     """Of each light at each pixel, shapes (lights, pixels): irradiance across the light times the
     phase function (1/sr), and the slant 1/μ_i."""
+    normal = jnp.stack(normals(pixels, data.eye, data.slopes))
 
     def one(flux):
-        found = Field(flux[None], data.eye.iris_radius).at(tuple(rays.point))[0]
+        found = Field(flux[None], data.eye.iris_radius).at(pixels.point)[0]
         power = norm(found.T)
         towards = found / jnp.where(power > 0, power, 1.0)
-        cosine = -(towards * rays.normal).sum(0)
-        bend = (towards * rays.direction).sum(0)
+        cosine = -(towards * normal).sum(0)
+        bend = (towards * direction).sum(0)
         lit = (power > 0) & (cosine > 1e-3)
         phase = rayleigh(bend) / (4 * jnp.pi)
         return jnp.where(lit, power * phase, 0.0), 1 / jnp.where(lit, cosine, 1.0)

@@ -44,7 +44,7 @@ class IrisSurface(AbstractSurface):
     eye: Eye
 
     def meet(self, origin: Vector, direction: Vector) -> tuple[Vector, Bool[Array, "*s"]]:
-        """As for any surface, in the chamber or without a cornea; the pupil is met too."""
+        """The pupil is met too. In the chamber, or without a cornea."""
         t = self.eye.meet_iris(origin, direction)
         point = along(origin, t, direction)
         cosine = -dot(direction, self.normal(point))
@@ -66,7 +66,6 @@ class CorneaSurface(AbstractSurface):
     eye: Eye
 
     def meet(self, origin: Vector, direction: Vector) -> tuple[Vector, Bool[Array, "*s"]]:
-        """As for any surface."""
         point, _, met = self.split(origin, direction)
         return point, met
 
@@ -85,7 +84,6 @@ class CorneaSurface(AbstractSurface):
         return point, shown, shown & (from_axis(point) <= self.eye.limbus_radius * (1 + 1e-4))
 
     def normal(self, point: Vector) -> Vector:
-        """As for any surface."""
         return self._front.normal(point)
 
     def place(self, point: Vector) -> Place:
@@ -104,12 +102,11 @@ class GlobeSurface(AbstractSurface):
     eye: Eye
 
     def meet(self, origin: Vector, direction: Vector) -> tuple[Vector, Bool[Array, "*s"]]:
-        """As for any surface; whether the cornea hides it is the caller's to ask."""
+        """Also where the cornea hides it."""
         distance, met = meet_sclera(self.eye, origin, direction)
         return along(origin, distance, direction), met
 
     def normal(self, point: Vector) -> Vector:
-        """As for any surface."""
         return sphere(self.eye).normal(point)
 
     def place(self, point: Vector) -> Place:

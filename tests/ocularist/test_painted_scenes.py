@@ -22,6 +22,7 @@ from irisjax.render.points import project_points
 from irisjax.render.project import look
 from irisjax.render.scene import Scene
 from irisjax.render.separable import Separable
+from irisjax.render.shading import Front
 from irisjax.render.surfaces import IrisSurface
 
 EYE = prosthesis().replace(sclera=None)
@@ -174,7 +175,8 @@ def test_a_coat_that_changes_is_painted_with_those_below_alone(monkeypatch):
         done.update(dict.fromkeys(STEPS, 0))
         found = list(painted.layers(base, layers))[-1].state.radiance
         steps = tuple(done.values())
-        whole = painted.illuminate(*parts, None, None, tables())
+        front = Front(made.eye, None, None)
+        whole = painted.illuminate(pixels, made.lights, front, tables())
         np.testing.assert_allclose(found, whole, atol=1e-12)
         assert np.abs(np.asarray(found - layers[-1].state.radiance)).max() > 1e-3
         return steps

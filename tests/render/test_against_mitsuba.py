@@ -8,7 +8,7 @@ import pytest
 from irisjax.anatomy.eye import Eye
 from irisjax.export.mesh import eye_meshes, mesh_files
 from irisjax.optics.conicoid import norm
-from irisjax.render.caustic import SquareGrid, gathered
+from irisjax.render.illumination import SquareGrid, gathered
 from irisjax.render.refraction import arrive, enter
 from render.tracing import towards
 

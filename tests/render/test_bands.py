@@ -7,7 +7,7 @@ import pytest
 import irisjax as ij
 from irisjax.anatomy.eye import Cornea
 from irisjax.measure.colour import illuminant_power, lab_of
-from irisjax.render.bands import GRID, colour_bands, spectral_bands
+from irisjax.render.bands import BAND_GRID, colour_bands, spectral_bands
 
 # Not drawn as the bands' own irides were: corners, no pigment, no blood, other collagen, other
 # shares.
@@ -38,9 +38,9 @@ def test_colours_as_of_81_wavelengths(illuminant):
     for name, iris in IRIDES.items():
         at = [
             ij.reflectance(iris, x, solver=ij.IlitExact(16)).values
-            for x in (GRID, np.asarray(bands.wavelengths))
+            for x in (BAND_GRID, np.asarray(bands.wavelengths))
         ]
-        true = ij.colour_of(GRID, at[0], illuminant=illuminant).srgb_linear
+        true = ij.colour_of(BAND_GRID, at[0], illuminant=illuminant).srgb_linear
         difference = delta_E_CIE2000(lab(np.asarray(true)), lab(np.asarray(bands.weights @ at[1])))
         assert difference < 0.5, name
 

@@ -15,8 +15,9 @@ from irisjax.render.lights import Lights
 from irisjax.render.picture import draw
 from irisjax.render.project import look
 from irisjax.render.scene import Scene
-from irisjax.render.separable import Scales, Separable
-from irisjax.tissue.maps import IrisMaps
+from irisjax.render.separable import Separable
+from irisjax.render.shading import Front
+from irisjax.tissue.maps import IrisMaps, Scales
 from render.small_scenes import CLOSE, LIGHT, QUICK, SMALL, ring
 
 
@@ -24,8 +25,9 @@ def brightness(tables, view, bands, ranges):
     """Mean of a picture as a function of all that one may want derivatives in."""
 
     def of(iris, lights, maps):
-        texels = QUICK.texels(view.iris, CLOSE, iris, maps, ranges)
-        light = QUICK.illuminate(view.iris, lights, CLOSE, iris, maps, tables)
+        front = Front(CLOSE, iris, maps)
+        texels = QUICK.texels(view.iris, front, ranges)
+        light = QUICK.illuminate(view.iris, lights, front, tables)
         response = QUICK.response(iris, CLOSE.aqueous_index, bands, ranges)
         found = response.shade(view.iris, texels, light)
         weight = jnp.cos(jnp.arange(found.size)).reshape(

@@ -15,15 +15,15 @@ from irisjax.anatomy.eye import Cornea, Eye
 from irisjax.anatomy.sclera import VeinMap
 from irisjax.measure.colour import tristimulus_matrix
 from irisjax.render import outside, shading
-from irisjax.render.bands import GRID
+from irisjax.render.bands import BAND_GRID
 from irisjax.render.camera import Camera
-from irisjax.render.caustic import SquareGrid, gathered
 from irisjax.render.environment import Environment
+from irisjax.render.illumination import SquareGrid, gathered
 from irisjax.render.lights import Lights
+from irisjax.render.outside import bulk_reflectance
 from irisjax.render.project import ScleraPixels, look, sclera_pixels
 from irisjax.render.refraction import UNIQUE_POLAR, RefractionFunction, window
 from irisjax.render.scene import Scene
-from irisjax.render.sclera import bulk_reflectance
 from irisjax.tissue.maps import IrisMaps
 from render.small_scenes import around
 from render.tracing import disc, soft_edge, trace
@@ -184,9 +184,9 @@ def test_white_in_an_even_room(tables):
     # Reflectance times the room's radiance of 1; with 50 lights for the room 2 %, with 200 0.3,
     # with 800 0.1.
     assert np.ptp(green) / green.mean() < 0.01
-    weights = np.asarray(tristimulus_matrix(GRID, "linear sRGB", "D65")[0])[1]
+    weights = np.asarray(tristimulus_matrix(BAND_GRID, "linear sRGB", "D65")[0])[1]
     np.testing.assert_allclose(
-        green.mean(), weights @ np.asarray(bulk_reflectance(GRID)), rtol=2e-3
+        green.mean(), weights @ np.asarray(bulk_reflectance(BAND_GRID)), rtol=2e-3
     )
 
 
@@ -198,9 +198,9 @@ def test_vessels_have_their_colours_of_81_wavelengths():
     made = made.replace(integrator=ij.Separable(solver=ij.IlitExact(4), degrees=(2, 2, 2, 2, 2)))
     index = np.asarray(look(made.eye, made.camera).sclera.index)
     index = index[index >= 0]
-    spectral = around(made.replace(wavelengths=tuple(map(float, GRID))))[:, index]
-    power = np.asarray(ij.measure.illuminant_power("D65", GRID))
-    weights = np.asarray(tristimulus_matrix(GRID, "linear sRGB", "D65")[0])
+    spectral = around(made.replace(wavelengths=tuple(map(float, BAND_GRID))))[:, index]
+    power = np.asarray(ij.measure.illuminant_power("D65", BAND_GRID))
+    weights = np.asarray(tristimulus_matrix(BAND_GRID, "linear sRGB", "D65")[0])
     np.testing.assert_allclose(around(made)[:, index], weights / power @ spectral, atol=2e-4)
 
 

@@ -2,14 +2,14 @@
 the textbook's pupil.
 """
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
 from irisjax.anatomy.eye import Cornea, Eye
-from irisjax.render.caustic import SquareGrid, gathered
-from irisjax.render.illumination import Illumination
+from irisjax.render.illumination import Illumination, SquareGrid, gathered
 from irisjax.render.refraction import (
     UNIQUE_POLAR,
     RefractionFunction,
@@ -75,9 +75,8 @@ def test_snells_law_at_the_entry_found(eye):
     k = np.asarray(found.entry)
     rays = trace(eye, k, light)
     np.testing.assert_allclose(rays.point[:, :2], targets, atol=1e-9)
-    _, inside, _ = into_chamber(
-        eye, on_cornea(eye.cornea, found.entry), jnp.broadcast_to(-jnp.asarray(light), (40, 3))
-    )
+    rays_in = jnp.broadcast_to(-jnp.asarray(light), (40, 3))
+    _, inside, _ = jax.jit(lambda k: into_chamber(eye, on_cornea(eye.cornea, k), rays_in))(k)
     within, last = rays.met[-1][1], np.asarray(inside)
     normal, *_, n_in, n_out = rays.met[-1]
     sine = [np.linalg.norm(np.cross(normal, v), axis=1) for v in (within, last)]
@@ -87,7 +86,7 @@ def test_snells_law_at_the_entry_found(eye):
 
 
 @EYES
-@pytest.mark.parametrize("polar", [0.0, 0.9, 1.7])
+@pytest.mark.parametrize("polar", [0.0, 1.7])
 def test_rays_and_shares_are_numpys(eye, polar):
     light = towards(polar)
     k, _ = disc(5.5, 500)
@@ -119,6 +118,15 @@ def test_paraxial_magnification_of_the_pupil(depth, textbook):
     np.testing.assert_allclose(entry[:, 0] / targets[:, 0], exact, rtol=1e-6)
 
 
+@jax.jit
+def _irradiance(tables, points, light):
+    found = tables.at(points, light)
+    return window(DEFAULT, found.entry) * found.flux[..., 2]
+
+
+_at = eqx.filter_jit(Illumination.at)
+
+
 def let_in(eye, light):
     """Rays over the cornea and its soft edge, and the power of each, by numpy alone."""
     k, area = disc(5.65, 200_000)
@@ -135,8 +143,7 @@ def test_flux_vectors_keep_the_power(tables, polar):
     light = towards(polar)
     rays, power = let_in(DEFAULT, light)
     beyond = power[np.linalg.norm(rays.point[:, :2], axis=1) > 5.5].sum()
-    found = tables.at(jnp.asarray(_POINTS), jnp.asarray(light))
-    irradiance = np.asarray(window(DEFAULT, found.entry) * found.flux[..., 2])
+    irradiance = np.asarray(_irradiance(tables, _POINTS, light))
     assert (irradiance * _AREAS).sum() + beyond == pytest.approx(power.sum(), rel=1e-3)
 
 
@@ -170,7 +177,7 @@ def test_illumination_keeps_the_power(illumination, polar):
     light = towards(polar)
     rays, power = let_in(DEFAULT, light)
     r = np.linalg.norm(rays.point[:, :2], axis=1)
-    found = np.asarray(illumination.at(jnp.asarray(_POINTS), jnp.asarray(light))[..., 2])
+    found = np.asarray(_at(illumination, _POINTS, light)[..., 2])
     assert (found * _AREAS).sum() + power[r > 5.5].sum() == pytest.approx(power.sum(), rel=1e-3)
 
 
@@ -187,7 +194,7 @@ def test_light_from_behind_fades_out(illumination):
     without = Illumination(illumination.flux[:29], illumination.extent, 28 * 0.05)
     for tables, largest in ((without, 1.40), (illumination, 2.25)):
         at = [
-            float(jnp.abs(tables.at(jnp.zeros(2), jnp.asarray(towards(p)))).max())
+            float(jnp.abs(_at(tables, jnp.zeros(2), jnp.asarray(towards(p)))).max())
             for p in (largest, largest + 0.025, largest + 0.051, 3.1)
         ]
         assert at[0] >= at[1] >= at[2] == at[3] == 0
@@ -222,6 +229,7 @@ def test_no_light_meets_the_cornea_from_inside(eye):
     assert (z + t * d[..., 2]).min() > limbus + 0.3
 
 
+@pytest.mark.slow
 def test_single_precision(float32):
     k, _ = disc(5.4, 40)
     eye = Eye()

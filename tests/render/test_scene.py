@@ -34,40 +34,26 @@ def tables_of(eye, request):
 
 @pytest.mark.parametrize("polar", [0.0, 1.0])
 def test_bare_uniform_iris_is_the_brdf(polar):
-    """Every pixel: the solver's BRDF at 81 wavelengths × the irradiance of the slanting light."""
-    from colour.difference import delta_E_CIE2000
-
+    """Every pixel: the solver's BRDF × the irradiance of the slanting light."""
     made = scene(polar=polar, azimuth=2.0, irradiance=2.0)
     picture = np.asarray(draw(made))
     r = np.hypot(*places(SMALL))
     seen = (r > 0.25 + float(made.eye.pupil_margin)) & (r < 5.5)
     assert not picture[r > 5.5].any()
     exits = 250 / np.hypot(250, r[seen])
-    x = np.arange(380.0, 781, 5)
     bands, irradiance = colour_bands(), 2.0 * np.cos(polar)
-    both = np.concatenate([x, np.asarray(bands.wavelengths)])
-    grid, where = np.unique(both, return_inverse=True)
-    brdf = ij.brdf(LIGHT, grid, cos_incidence=np.cos(polar), cos_exit=exits, solver=QUICK.solver)
-    found, at_bands = np.split(np.asarray(brdf.values)[where], [x.size])
+    directions = {"cos_incidence": np.cos(polar), "cos_exit": exits}
+    brdf = ij.brdf(LIGHT, bands.wavelengths, **directions, solver=QUICK.solver).values
     error = float(respond(made).error)
-    true = np.asarray(irradiance * bands.weights @ at_bands).T
+    true = irradiance * (np.asarray(bands.weights) @ np.asarray(brdf)).T
     np.testing.assert_allclose(picture[seen], true, atol=2 * error * true.max())
-    linear = jax.vmap(lambda s: ij.colour_of(x, s).srgb_linear)(irradiance * found.T)
-    to_xyz = np.array(
-        [[0.4124, 0.3576, 0.1805], [0.2126, 0.7152, 0.0722], [0.0193, 0.1192, 0.9505]]
-    )
-
-    def lab(rgb):
-        return jax.vmap(ij.measure.lab_of)(jnp.asarray(np.asarray(rgb) @ to_xyz.T / to_xyz.sum(1)))
-
-    assert delta_E_CIE2000(np.asarray(lab(picture[seen])), np.asarray(lab(linear))).max() < 0.5
 
 
 def test_through_a_cornea(tables):
     """Light and camera on the axis: numpy's rays say what arrives, what leaves and where."""
-    camera = Camera(size=(24, 18), width=11.0, distance=1e5)
+    camera = Camera(size=(12, 9), width=11.0, distance=1e5)
     picture = np.asarray(draw(scene(CLOSE, irradiance=2.0, camera=camera), tables))
-    row, column = 7, 13  # near the axis, outside the pupil
+    row, column = 3, 6  # near the axis, outside the pupil
     x, y = (float(c[row, column]) for c in places(camera))
     # Rays from far away run parallel to the axis: the same way for light and for sight.
     axis, r = np.array([0.0, 0.0, -1.0]), np.hypot(x, y)
@@ -78,14 +64,11 @@ def test_through_a_cornea(tables):
     after, n = at.met[-1][2][1], 1.336
     cosine = after[2]
     irradiance = 2.0 * at.share[1] * concentration
-    x81 = colour_bands().wavelengths
-    brdf = ij.brdf(LIGHT, x81, cos_incidence=cosine, cos_exit=cosine, solver=QUICK.solver).values[
-        :, 0
-    ]
-    expected = at.share[1] / n**2 * irradiance * np.asarray(colour_bands().weights @ brdf)
-    mirrored = np.asarray(
-        draw(scene(CLOSE, irradiance=2.0, camera=camera, maps=NO_LIGHT_BACK), tables)
-    )
+    bands, directions = colour_bands(), {"cos_incidence": cosine, "cos_exit": cosine}
+    brdf = ij.brdf(LIGHT, bands.wavelengths, **directions, solver=QUICK.solver).values[:, 0]
+    expected = at.share[1] / n**2 * irradiance * np.asarray(bands.weights @ brdf)
+    dark = scene(CLOSE, irradiance=2.0, camera=camera, maps=NO_LIGHT_BACK)
+    mirrored = np.asarray(draw(dark, tables))
     np.testing.assert_allclose((picture - mirrored)[row, column], expected, rtol=5e-3)
 
 
@@ -180,16 +163,11 @@ def test_extremes_are_finite_and_no_darker_than_black(name, request):
 
 
 def test_no_pigment_at_all():
-    clear = {
-        "eumelanin": 0.0,
-        "pheomelanin": 0.0,
-        "oxyhemoglobin": 0.0,
-        "deoxyhemoglobin": 0.0,
-        "lutein": 0.0,
-    }
+    pigments = "eumelanin", "pheomelanin", "oxyhemoglobin", "deoxyhemoglobin", "lutein"
+    clear = LIGHT.replace(**dict.fromkeys((*pigments, "zeaxanthin"), 0.0))
     holes = IrisMaps(abl_depth=np.zeros((4, 4)), stroma_depth=np.zeros((4, 4)))
     for maps in (None, holes):
-        picture = np.asarray(draw(scene(maps=maps, iris=LIGHT.replace(**clear, zeaxanthin=0.0))))
+        picture = np.asarray(draw(scene(maps=maps, iris=clear)))
         assert np.isfinite(picture).all() and (picture > -1e-3).all()
 
 

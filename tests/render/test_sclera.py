@@ -9,7 +9,7 @@ from irisjax.anatomy.eye import Eye, Sclera
 from irisjax.anatomy.sclera import limbus_depth, meet_sclera, sclera_centre, vein_place
 from irisjax.grow.vessels import veins
 from irisjax.measure.colour import tristimulus_matrix
-from irisjax.render.sclera import (
+from irisjax.render.outside import (
     DEEPEST,
     SHALLOW,
     Blood,

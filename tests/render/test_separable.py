@@ -8,8 +8,8 @@ import pytest
 import irisjax as ij
 from common import slowly
 from irisjax.render.bands import spectral_bands
-from irisjax.render.separable import Scales, Separable
-from irisjax.tissue.maps import IrisMaps
+from irisjax.render.separable import Separable
+from irisjax.tissue.maps import IrisMaps, Scales
 
 X = np.array([430.0, 550.0, 650.0])
 LIGHT = ij.Iris.of_level("low")
@@ -25,14 +25,11 @@ def brdf(iris, wavelengths, exits):
     return np.asarray(ij.brdf(iris, wavelengths, cos_exit=exits, solver=ij.IlitExact(12)).values)
 
 
-def entering(found):
-    """BRDFs know the share 1 − F that enters at normal incidence; the response leaves it to the
-    light.
-    """
-    return found / (1 - float(((1.336 - N_ABL) / (1.336 + N_ABL)) ** 2))
-
-
-N_ABL = float(LIGHT.indices().abl)
+@eqx.filter_jit
+def shown(response, *scales):
+    """The BRDF at normal incidence and `EXITS`."""
+    exits, one = jnp.asarray(EXITS), jnp.ones(4)
+    return response.brdf(Scales(*(s if s is None else s * one for s in scales)), one, exits, one)
 
 
 @pytest.mark.parametrize("level", ["low", "high"])
@@ -40,16 +37,10 @@ N_ABL = float(LIGHT.indices().abl)
     "process", [ij.ILIT_2006, slowly(ij.ILIT_CORRECTED)], ids=["2006", "corrected"]
 )
 def test_uniform_iris(level, process):
-    iris = ij.Iris.of_level(level)
-    response = tabulated(
-        Separable(solver=ij.IlitExact(12, process=process)), iris, spectral_bands(X, "E"), Scales()
-    )
-    found = np.asarray(response(Scales(), jnp.asarray(EXITS)))
-    true = entering(
-        np.asarray(
-            ij.brdf(iris, X, cos_exit=EXITS, solver=ij.IlitExact(12, process=process)).values
-        )
-    )
+    iris, solver = ij.Iris.of_level(level), ij.IlitExact(12, process=process)
+    response = tabulated(Separable(solver=solver), iris, spectral_bands(X, "E"), Scales())
+    found = np.asarray(shown(response))
+    true = np.asarray(ij.brdf(iris, X, cos_exit=EXITS, solver=solver).values)
     assert float(response.error) < 1e-3
     # The error is measured at a few exits; these are others.
     np.testing.assert_allclose(found, true, atol=2 * float(response.error) * true.max())
@@ -62,8 +53,7 @@ def test_texels_with_scaled_layers_are_irides_of_their_own():
     response = tabulated(Separable(solver=ij.IlitExact(12)), LIGHT, spectral_bands(X, "E"), ranges)
     assert float(response.error) < 2e-3
     for abl, stroma in ((3.0, 1.0), (0.25, 1.9), (5.5, 0.4), (1.0, 1.0)):
-        exits = jnp.asarray(EXITS)
-        found = response(Scales(jnp.full(4, abl), jnp.full(4, stroma)), exits)
+        found = shown(response, abl, stroma)
         # Concentrations of the layers are kept: m·f/h_A and m·(1 − f)/h_S with m the melanin's
         # mass.
         whole = float(LIGHT.abl_thickness + LIGHT.stroma_thickness)
@@ -77,7 +67,7 @@ def test_texels_with_scaled_layers_are_irides_of_their_own():
             eumelanin=float(LIGHT.eumelanin) * more,
             pheomelanin=float(LIGHT.pheomelanin) * more,
         )
-        true = entering(brdf(iris, X, EXITS))
+        true = brdf(iris, X, EXITS)
         np.testing.assert_allclose(found, true, atol=2e-3 * 0.1, rtol=5e-3)
 
 
@@ -86,11 +76,11 @@ def test_pigment_maps_are_irides_of_their_own():
     ranges = Scales(eumelanin=(0.0, 3.0), pheomelanin=(0.5, 4.0))
     response = tabulated(Separable(solver=ij.IlitExact(12)), LIGHT, spectral_bands(X, "E"), ranges)
     for eu, pheo in ((0.0, 1.0), (2.9, 0.6), (1.0, 3.9)):
-        found = response(Scales(None, None, jnp.full(4, eu), jnp.full(4, pheo)), jnp.asarray(EXITS))
+        found = shown(response, None, None, eu, pheo)
         iris = LIGHT.replace(
             eumelanin=eu * float(LIGHT.eumelanin), pheomelanin=pheo * float(LIGHT.pheomelanin)
         )
-        true = entering(brdf(iris, X, EXITS))
+        true = brdf(iris, X, EXITS)
         np.testing.assert_allclose(found, true, atol=2 * float(response.error) * true.max() + 1e-12)
 
 

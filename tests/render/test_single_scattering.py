@@ -10,7 +10,6 @@ import pytest
 
 import irisjax as ij
 from common import DOUBLE_FIRST, quick_jit, solve
-from irisjax import cli
 from irisjax.anatomy.eye import Eye
 from irisjax.render.bands import Bands
 from irisjax.render.camera import Camera
@@ -280,12 +279,3 @@ def test_nothing_scatters_without_stroma():
 def test_steps_are_checked():
     with pytest.raises(ValueError, match="n_steps=0"):
         SingleScattering(0)
-
-
-def test_command(tmp_path):
-    file, out = tmp_path / "scene.toml", tmp_path / "eye.exr"
-    file.write_text('[iris]\nlevel = "low"\n[maps]\nuniform = true\n[eye]\ncornea = "none"\n')
-    options = ["render", str(file), "--size", "24x24", "-o", str(out), "--integrator"]
-    assert cli.run([*options, "single-scattering"]) == 0
-    assert b"integrator single-scattering" in out.read_bytes()
-    assert cli.run([*options, "f09"]) == 2

@@ -17,12 +17,11 @@ from irisjax.render.bands import colour_bands
 from irisjax.render.environment import Environment
 from irisjax.render.illumination import Illumination
 from irisjax.render.lights import Lights
+from irisjax.render.outside import colour_table
 from irisjax.render.picture import draw, illuminate, respond, shade, texture
 from irisjax.render.project import iris_pixels, look, project
 from irisjax.render.refraction import UNIQUE_POLAR
-from irisjax.render.sclera import colour_table
-from irisjax.render.separable import Scales
-from irisjax.tissue.maps import IrisMaps
+from irisjax.tissue.maps import IrisMaps, Scales
 from render.small_scenes import BARE, CLEAR, CLOSE, LIGHT, QUICK, SMALL, ring, scene
 
 
@@ -54,8 +53,8 @@ def test_absent_parts_cost_nothing(tables):
     counts = [
         operations(
             lambda m=m: (
-                QUICK.texels(pixels, eye, iris, m, Scales.of(m, iris).ranges()),
-                QUICK.illuminate(pixels, lamp, eye, iris, m, tables),
+                QUICK.texels(pixels, shading.Front(eye, iris, m), Scales.of(m, iris).ranges()),
+                QUICK.illuminate(pixels, lamp, shading.Front(eye, iris, m), tables),
             )
         )
         for m in maps.values()
@@ -66,7 +65,7 @@ def test_absent_parts_cost_nothing(tables):
         operations(
             lambda r=r, s=s: eqx.filter_jit(QUICK.response)(
                 iris, eye.aqueous_index, colour_bands(), r
-            )(s, jnp.ones(2))
+            ).brdf(s, jnp.ones(2), jnp.ones(2), jnp.ones(2))
         )
         for r, s in ((Scales(), Scales()), (Scales(abl=(0.5, 2.0)), Scales(abl=jnp.ones(2))))
     ]

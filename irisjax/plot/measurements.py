@@ -1,18 +1,51 @@
-"""Figures of BRDFs: a principal plane, or the hemisphere."""
+"""Figures of spectra and of BRDFs: a principal plane, or the hemisphere."""
 
+from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from irisjax.plot.style import PALETTE, figure_of
+from irisjax.plot.pictures import PALETTE, bare_axes, figure_of
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from matplotlib.projections.polar import PolarAxes
 
+    from irisjax.measure.measurement import Reading
     from irisjax.measure.photometers import Brdf
 
+_LINES = ("-", "--", "-.", ":")
 _MOST_LINES, _MOST_DISCS = 8, 6
+
+
+def spectra_figure(measurements: "Mapping[str, Reading]", title: str = "") -> "Figure":
+    """Draw spectra by name, with a band of one standard error where they are sampled."""
+    figure = figure_of(6.4, 4.0)
+    ax = figure.add_subplot()
+    first = next(iter(measurements.values()))
+    sampled = False
+    for i, (name, m) in enumerate(measurements.items()):
+        x, y = np.asarray(m.wavelengths), np.asarray(m.values)
+        colour = PALETTE[i % len(PALETTE)]
+        line = _LINES[i // len(PALETTE) % len(_LINES)]
+        ax.plot(x, y, line, color=colour, label=name, marker="o" if x.size == 1 else "")
+        if m.standard_error is not None:
+            error = np.asarray(m.standard_error)
+            ax.fill_between(x, y - error, y + error, color=colour, alpha=0.3, linewidth=0)
+            if x.size == 1:
+                ax.errorbar(x, y, error, color=colour, capsize=3)
+            sampled = True
+    ax.set_xlabel("wavelength (nm)")
+    label = f"{first.quantity} ({first.unit})" if first.unit else first.quantity
+    ax.set_ylabel(label + (", band: ± 1 standard error" if sampled else ""))
+    ax.set_ylim(bottom=0)
+    if first.wavelengths.size > 1:
+        ax.margins(x=0)
+    if len(measurements) > 1:
+        ax.legend(frameon=False)
+    ax.set_title(title, fontsize=9)
+    bare_axes(ax)
+    return figure
 
 
 def brdf_figure(result: "Brdf", title: str = "") -> "Figure":
@@ -36,29 +69,18 @@ def _principal_plane(result: "Brdf", title: str) -> "Figure":
     grid = np.asarray(result.wavelengths)
     shown = _spread(grid.size, _MOST_LINES)
     for i, k in enumerate(shown):
-        ax.plot(
-            angle[order],
-            values[k],
-            color=PALETTE[i],
-            label=f"{grid[k]:g} nm",
-            marker="o" if angle.size == 1 else "",
-        )
+        mark, colour = "o" if angle.size == 1 else "", PALETTE[i]
+        ax.plot(angle[order], values[k], color=colour, label=f"{grid[k]:g} nm", marker=mark)
         if result.standard_error is not None:
             error = np.asarray(result.standard_error)[k, order]
-            low = np.maximum(values[k] - error, 0)
-            ax.fill_between(
-                angle[order], low, values[k] + error, color=PALETTE[i], alpha=0.3, linewidth=0
-            )
+            band = np.maximum(values[k] - error, 0), values[k] + error
+            ax.fill_between(angle[order], *band, color=colour, alpha=0.3, linewidth=0)
     top = 1.08 * float(values[shown].max()) or 1.0
     incidence = -np.arccos(np.clip(float(result.cos_incidence), 0, 1))
     # The light comes in on the negative side; its mirror direction is where `values` leave out a
     # delta.
-    ax.annotate(
-        "",
-        (incidence, 0.72 * top),
-        (incidence, top),
-        arrowprops={"arrowstyle": "-|>", "color": "0.35"},
-    )
+    arrow = {"arrowstyle": "-|>", "color": "0.35"}
+    ax.annotate("", (incidence, 0.72 * top), (incidence, top), arrowprops=arrow)
     ax.plot([-incidence] * 2, [0, top], ":", color="0.35", linewidth=1)
     ax.set_thetamin(-90)
     ax.set_thetamax(90)
@@ -107,17 +129,9 @@ def _hemisphere(result: "Brdf", title: str) -> "Figure":
             sectors, rings, field, cmap="cividis", vmin=0, vmax=top, rasterized=True
         )
         ax.grid(alpha=0.3)
-        ax.plot(
-            [np.pi],
-            [np.degrees(incidence)],
-            "v",
-            color=PALETTE[1],
-            markeredgecolor="white",
-            label="light",
-        )
-        ax.plot(
-            [0], [np.degrees(incidence)], "o", mfc="none", color="white", label="mirror direction"
-        )
+        light = [np.degrees(incidence)]
+        ax.plot([np.pi], light, "v", color=PALETTE[1], markeredgecolor="white", label="light")
+        ax.plot([0], light, "o", mfc="none", color="white", label="mirror direction")
         ax.set_rlim(0, 90)
         ax.set_rticks([30, 60], ["30°", "60°"])
         ax.tick_params(axis="y", colors="white")
