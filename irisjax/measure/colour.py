@@ -219,10 +219,9 @@ def illuminant_power(illuminant: str, wavelengths: Numbers) -> Any:
 @lru_cache(maxsize=64)
 def _observer(grid_bytes: bytes, illuminant: str, observer: str, dtype: str) -> Observer:
     with jax.ensure_compile_time_eval():
-        white, weights, normal = (
-            jnp.asarray(x, dtype) for x in _constants(grid_bytes, illuminant, observer)
-        )
-        return Observer(white, weights, normal, illuminant, observer)
+        constants = _constants(grid_bytes, illuminant, observer)
+        weights, white, to_srgb = (jnp.asarray(x, dtype) for x in constants)
+        return Observer(weights, white, to_srgb, illuminant, observer)
 
 
 @lru_cache(maxsize=64)
