@@ -14,9 +14,9 @@ from irisjax.render.angular import (
     AbstractAngular,
     AngularLight,
     Coefficients,
-    Cosine,
     Functions,
     Nodes,
+    PerPixel,
     Solved,
     surface_indices,
 )
@@ -76,11 +76,11 @@ class ExitFunctions(AbstractAngular):
     indices: tuple[Scalar, Scalar]
 
     def functions(
-        self, cos_incidence: Cosine, cos_exit: Cosine, across: Cosine | None
+        self, cos_incidence: PerPixel, cos_exit: PerPixel, across: PerPixel | None
     ) -> Functions:
         return self.exits(cos_exit) * fresnel_at(cos_incidence, *self.indices)[1]
 
-    def exits(self, cos_exit: Cosine) -> Functions:
+    def exits(self, cos_exit: PerPixel) -> Functions:
         _, rows, passed = self.crossing(cos_exit, self.degree)
         return rows * passed
 
