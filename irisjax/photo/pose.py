@@ -55,7 +55,7 @@ USUAL_DISTANCE = 300.0
 _POINTS = 48
 _STEEPEST = 1.0  # of a tilt's components, radians
 _MARGIN = 1.15  # half the side of the part that is cut out, over the limbus's larger semi-axis
-_MOST_STEPS = 60  # of the fit; it takes 5 to 20 of outlines that an eye may have
+_MOST_STEPS = 60  # of the fit; it takes about 5 for outlines that an eye may have
 
 
 class Pose(NamedTuple):
@@ -133,11 +133,14 @@ def find_pose(
     if azimuth is not None:
         sides = [min(sides, key=lambda a: abs(np.angle(np.exp(1j * (a - azimuth)))))]
     pixels_per_mm = limbus.semi_axes[0] / radius_mm  # [F09 Eq. 2]
-    x, y = limbus.centre
 
     def seen_from(v, width, size) -> Camera:
         numbers: Any = np.hypot(*v[:2]), np.arctan2(v[1], v[0]), distance + behind, width
         return Camera(*numbers, size=size)
+
+    def at(v):
+        """Middle of the limbus's flat picture, from its observed one in its radii."""
+        return np.array(limbus.centre) + limbus.semi_axes[0] * v[2:4]
 
     def residuals(v):
         radius = jnp.asarray(np.clip(v[5], *PUPIL_RADII), float)
@@ -145,7 +148,7 @@ def find_pose(
         # With pixels of one millimetre.
         rim, hole = (np.asarray(p) for p in _outlines(open_, seen_from(v, 2.0, (2, 2))))
         scale = np.exp(v[4]) * pixels_per_mm
-        edge, inner = (ellipse_through(v[2:4] + scale * p) for p in (rim, hole))
+        edge, inner = (ellipse_through(at(v) + scale * p) for p in (rim, hole))
         pairs = (edge, limbus, LIMBUS_OVAL), (inner, pupil, PUPIL_OVAL)
         flatter = [(own.flattening - seen.flattening) / sd for own, seen, sd in pairs]
         sizes = [np.prod(own.semi_axes) / np.prod(seen.semi_axes) for own, seen, _ in pairs]
@@ -160,25 +163,32 @@ def find_pose(
     most = np.array([_STEEPEST] * 2 + [np.inf] * 4)
 
     def fit(a):
+        # The numbers searched for are near one: finite differences are taken relative to them.
         return scipy.optimize.least_squares(
-            residuals,
-            [start * np.cos(a), start * np.sin(a), x, y, 0.0, opening],
-            x_scale=[0.1, 0.1, 1.0, 1.0, 0.01, 0.1],
+            lambda near_one: residuals(near_one - 1),
+            1 + np.array([start * np.cos(a), start * np.sin(a), 0.0, 0.0, 0.0, opening]),
+            x_scale=[0.1, 0.1, 0.01, 0.01, 0.01, 0.1],
             diff_step=1e-5,
-            bounds=(-most, most),
+            bounds=(1 - most, 1 + most),
             max_nfev=_MOST_STEPS,
         )
 
     found = min(map(fit, sides), key=lambda f: f.cost)
-    v, tilt = found.x, float(np.hypot(*found.x[:2]))
+    v = found.x - 1
+    (x, y), tilt = at(v), float(np.hypot(*v[:2]))
     tilt_sd, interval = tilts_allowed(tilt)
     scale = float(np.exp(v[4]) * pixels_per_mm)
     half = int(np.ceil(_MARGIN * limbus.semi_axes[0]))
     # Whole pixels: the middle of the camera's picture lies within half of one of the eye's.
-    corner = int(np.round(v[2])) - half, int(np.round(v[3])) - half
+    corner = int(np.round(x)) - half, int(np.round(y)) - half
     size = 2 * half + 1
     camera = seen_from(v, size / scale, (size, size))
-    centre, radius = _pupil_on_iris(eye, camera, pupil.moved(half - v[2], half - v[3]))
+    centre, radius = _pupil_on_iris(eye, camera, pupil.moved(half - x, half - y))
+    if found.status == 0:
+        raise ValueError(
+            f"no camera was found in {_MOST_STEPS} steps that sees an eye with these outlines of "
+            "limbus and pupil; check them"
+        )
     return Pose(
         camera,
         corner,

@@ -1,6 +1,7 @@
 """`irisjax clone`: what it writes, prints and refuses."""
 
 import json
+from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -18,6 +19,7 @@ from irisjax.photo import masks
 from irisjax.photo.doubts import doubts_of
 from irisjax.photo.pigments import FREE_NAMES, PRIORS, PigmentFit
 from irisjax.photo.posterior import PigmentPosterior
+from irisjax.photo.texture import follow_refraction
 from irisjax.photo.windows import Windows
 
 DATA = Path(__file__).parent.parent.parent / "data" / "photographs"
@@ -120,8 +122,8 @@ def test_what_is_before_a_failed_stage_is_written(
         return posed[0]
 
     monkeypatch.setattr(cloning, "pose_eye", pose_once)
-    for module in (cloning, masks):
-        monkeypatch.setattr(module, "TEXTURE_SIZE", 256)
+    monkeypatch.setattr(masks, "TEXTURE_SIZE", 256)
+    monkeypatch.setattr(cloning, "follow_refraction", partial(follow_refraction, size=256))
     monkeypatch.setattr(cloning, "light_eye", no_light)
     seen = np.zeros((256, 256, 3), np.uint8)
     seen[:128, 128:] = 255

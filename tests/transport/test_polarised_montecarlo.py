@@ -57,7 +57,7 @@ def _scores(media, cosine, n, seed=3):
 
 @pytest.mark.parametrize(
     ("media", "cosine"),
-    [("iris", 0.85), ("turning", 0.85), ("turning", 1.0), ("reversed", 0.85)],
+    [("iris", 0.85), ("turning", 0.85), ("reversed", 0.85)],
 )
 def test_against_the_deterministic_solver(media, cosine):
     scores = _scores(MEDIA[media], cosine, 16_384)
@@ -104,8 +104,8 @@ def test_total_reflection_turns_both_ways_alike():
     media = {"abl_index": 1.6, "stroma_index": 1.6, "ipe_index": 1.336, "scattering_scale": 8.9}
     iris = ij.Iris(**colourless, **media)
     seen = ij.Polarimeter([450.0], polariser=0.4, cos_incidence=0.5, cos_exit=0.5, azimuth=2.0)
-    exact = ij.observe(iris, seen, ij.RadiativeExact(process=ij.POLARISED))
-    photons = ij.PolarisedMonteCarlo(40_000, 0.3)
+    exact = ij.observe(iris, seen, ij.RadiativeExact(24, process=ij.POLARISED))
+    photons = ij.PolarisedMonteCarlo(20_000, 0.3)
     sampled = ij.observe(iris, seen, photons, key=jax.random.key(0))
     # Seen within a cone of 0.3, the light is a tenth less than along its axis.
     np.testing.assert_allclose(sampled.stokes[0, 3], exact.stokes[0, 3], rtol=0.25)
