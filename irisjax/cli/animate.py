@@ -15,8 +15,8 @@ from irisjax.render.scene import Scene
 CHANGES = ("pupil", "light", "pigment")
 _NARROW, _WIDE = 1.0, 3.5  # radii of the pupil at the turning points of `pupil`, mm
 _TURN = math.radians(75.0)  # largest angle of the lamp off the axis in `light`
-# By which `pigment` divides both melanins, and multiplies them, or by more where that stays below
-# that of a brown eye, mg/ml.
+# `pigment` divides both melanins by the first number and multiplies them by it, or by more until
+# they reach the second (mg/ml), which a brown eye has.
 _FACTOR, _DARK = 8.0, 3.0
 
 

@@ -232,7 +232,7 @@ def settings(
 
 
 def _approximation(process: AbstractProcess, left_out: str | None) -> str:
-    """What a reader of the numbers must know about the process that made them."""
+    """Return the caveats of the process that made the numbers."""
     if is_polarised(process):
         return (
             "Stokes vectors, Rayleigh's phase matrix: this model depolarises less than photographs "

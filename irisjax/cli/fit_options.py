@@ -176,7 +176,7 @@ class Sampler(opt.Group, panel="Sampler"):
 
 
 class FitResults(opt.Group, panel="Files"):
-    """Where what is found goes; many eyes at once."""
+    """Files of results, and how many eyes are fitted."""
 
     output: Path | None = opt.output(
         "for summary.csv, fit.png, corner.png, posterior.nc (arviz), chain.h5; else the table is "

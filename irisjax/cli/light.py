@@ -67,8 +67,8 @@ class LightOptions(opt.Group, panel="Measurement"):
         return {"cos_incidence": self.cosine, "media": aqueous}
 
     def instrument_at(self, grid: np.ndarray) -> AbstractInstrument:
-        """What measures at these wavelengths."""
-        raise NotImplementedError
+        """Return the instrument that measures at these wavelengths (nm)."""
+        raise NotImplementedError(f"{type(self).__name__} has no instrument")
 
     def settings(self) -> dict[str, Any]:
         """The angle is written as its cosine."""

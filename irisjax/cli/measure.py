@@ -120,7 +120,7 @@ def _read(
     solver: model.SolverOptions,
     light: LightOptions,
 ) -> tuple[Any, dict[str, str]]:
-    """What the light's instrument reads, and the header that says how."""
+    """Return the reading of the light's instrument, and the header of a file that holds it."""
     eye, rules = model.modelled(iris, process)
     instrument = light.instrument_at(light.wavelengths.values)
     method = model.solver_of(solver, rules, eye, exits=instrument.exits is not None)
@@ -134,7 +134,7 @@ def _read(
 def _measured(
     iris: ij.Iris, instrument: AbstractInstrument, solver: AbstractSolver, key: jax.Array | None
 ) -> Any:
-    """What the instrument reads; photons are followed in blocks, with a progress bar."""
+    """Return the reading; photons are followed in blocks, with a progress bar."""
     if not isinstance(solver, MonteCarlo):
         return observe(iris, instrument, solver, key=key)
     # `delay`: runs of less than a second need no bar.
@@ -175,7 +175,7 @@ def _doubt_few_photons(reading: Any) -> None:
     error = getattr(reading, "standard_error", None)
     if error is None:
         return
-    # Of N photons of equal weight the standard error is the Nth part's root of the value.
+    # N photons of equal weight have a relative standard error of 1/√N.
     rare = np.asarray(error) > np.abs(np.asarray(reading.values)) / np.sqrt(_FEW_PHOTONS)
     if rare.any():
         opt.tell(

@@ -260,7 +260,7 @@ class Grid(str):
 def read_grid(text: str) -> Grid:
     """Parse wavelengths, nm."""
     found = Grid("".join(text.split()))
-    found.values  # noqa: B018 - raises where it is no grid
+    _ = found.values  # raises ValueError where the text is no grid
     return found
 
 

@@ -127,7 +127,7 @@ def least_squares(
         agree = _best(searches, done)[1] >= 2
         return (done == 0) | (done % starts > 0) | ((done < rounds * starts) & ~agree)
 
-    # Under vmap all problems do as many rounds as the one that takes most.
+    # Under vmap every problem runs as many rounds as the slowest one.
     none = jax.tree.map(
         lambda s: jnp.zeros((rounds * starts, *s.shape), s.dtype),
         eqx.filter_eval_shape(search, start),
@@ -169,7 +169,7 @@ class NormalEquations(lx.AbstractLinearSolver):
 
     def transpose(self, state: Any, options: Any) -> Any:
         """Refuse: nothing differentiates through this solver."""
-        raise NotImplementedError
+        raise NotImplementedError("the normal equations have no transposed solver")
 
     def conj(self, state: Any, options: Any) -> Any:
         """Return the state: real matrices are their own conjugates."""

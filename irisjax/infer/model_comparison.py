@@ -58,7 +58,7 @@ class Moved(NamedTuple):
 
 
 class ProcessComparison(NamedTuple):
-    """What another process makes of the same data.
+    """The fit of the same data by another process.
 
     Attributes:
         process: The other process.

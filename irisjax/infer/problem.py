@@ -323,8 +323,8 @@ def problem(
 
 
 class Form:
-    """What of a problem is no array, with its hash: an argument of jitted functions that is cheap
-    to compare.
+    """The parts of a problem that are not arrays, with their hash: a static argument of jitted
+    functions that is cheap to compare.
     """
 
     def __init__(self, problem: Problem):

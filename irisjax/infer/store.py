@@ -59,7 +59,7 @@ class Store:
 
     @property
     def stage(self) -> ChainStart | None:
-        """What the chain started from, or `None` in an empty store."""
+        """Return the description of the chain's start, or `None` for an empty store."""
         if self._memory is None and (self.path is None or not self.path.exists()):
             return None
         with self._open() as file:

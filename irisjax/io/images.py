@@ -266,7 +266,7 @@ def _write(
         for name, value in attributes.items():
             spec.attribute(name, value)
         with replacing(path) as temporary:
-            # By kind, which the temporary name does not show.
+            # The format is named, since the temporary file's name does not show it.
             file, done = oiio.ImageOutput.create(suffix[1:]), 0
             if not (file and file.open(str(temporary), spec)):
                 raise ValueError(_first_line(file.geterror() if file else oiio.geterror()))

@@ -4,6 +4,7 @@ Solvers integrate or sample them. Directions are cosines μ to the layer normal,
 [LB06 Section 3]
 """
 
+import abc
 import dataclasses
 from typing import Any, Literal, get_args
 
@@ -26,9 +27,9 @@ class AbstractProcess(eqx.Module):
         return PHASES["rayleigh"]
 
     @property
+    @abc.abstractmethod
     def transport(self) -> str:
         """Name of the kind of transport in outputs."""
-        raise NotImplementedError
 
     def describe(self) -> dict[str, str | bool]:
         """Return the switches by name, for headers."""
