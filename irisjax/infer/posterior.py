@@ -141,33 +141,33 @@ def sample(
             is not long enough.
     """
     check_run(target, store, walkers=walkers, resume=resume, key=key)
-    kept = Store(store)
+    kept, log_density = Store(store), target.log_density
     tell = progress or (lambda steps, word: None)
-    log_density = target.log_density
-    if kept.stage is None:
+    if kept.start is None:
         kept.begin(_first(target, start, walkers, key, tell))
     while True:
-        stage = kept.stage
-        assert stage is not None
-        run = _Run(kept, stage, log_density, key)
-        if stage.number < len(_BURN_IN):
-            most = _BURN_IN[stage.number]
-            run.advance(most, tell, "burn-in")
-            run.replace(kept.rows(most // 2, most)[0])
+        chain = kept.start
+        assert chain is not None
+        _remove_half_written(kept, log_density)
+        if chain.number < len(_BURN_IN):
+            most = _BURN_IN[chain.number]
+            _advance(kept, chain, most, log_density, key, tell, "burn-in")
+            _replace(kept, chain, kept.rows(most // 2, most)[0])
             continue
-        run.advance(min(kept.planned or _FIRST_LOOK, max_steps), tell, "sampling")
+        most = min(kept.planned or _FIRST_LOOK, max_steps)
+        _advance(kept, chain, most, log_density, key, tell, "sampling")
         kept.save_copy()
         chains = diagnose(kept)
         if chains.converged or chains.steps >= max_steps:
             break
         needed = 1.05 * TAUS * chains.tau.max()  # NaN of a walker that never moved, which may yet
         planned = np.nan_to_num(needed, nan=np.inf)
-        kept.plan(int(np.clip(planned, chains.steps + _BETWEEN_LOOKS, 1.5 * chains.steps)))
-        replaced = stage.number - len(_BURN_IN)
+        kept.planned = int(np.clip(planned, chains.steps + _BETWEEN_LOOKS, 1.5 * chains.steps))
+        replaced = chain.number - len(_BURN_IN)
         patience = _PATIENCE * 2**replaced
         if replaced < _REPLACED and (chains.steps >= patience or needed > patience):
             every = -(-chains.steps * walkers // _ADAPTED_TO)
-            run.replace(kept.rows(every - 1, chains.steps, every)[0])
+            _replace(kept, chain, kept.rows(every - 1, chains.steps, every)[0])
     if throw and not chains.converged:
         raise ValueError(chains.reason)
     return chains
@@ -192,14 +192,11 @@ def check_run(
         return
     if not resume:
         raise ValueError(f"{store}: exists; resume it or remove it")
-    stage = Store(store).stage
-    assert stage is not None
+    start = Store(store).start
+    assert start is not None
+    same = start.owner == _owner(target, key) and start.places.shape == (walkers, free)
     # A chain belongs to the density that its walkers had where they started.
-    if (
-        stage.owner != _owner(target, key)
-        or stage.places.shape != (walkers, free)
-        or not _equal(target.log_density(stage.places), stage.log_density)
-    ):
+    if not same or not _equal(target.log_density(start.places), start.log_density):
         raise ValueError(
             f"{store}: made from other data or settings; it cannot be resumed with these"
         )
@@ -211,9 +208,8 @@ def words_of(key: PRNGKey) -> list[int]:
 
 
 def diagnose(store: Store) -> Chains:
-    """Judge a chain by its autocorrelation, effective samples and R-hat.
-
-    It is read with a stride that bounds memory.
+    """Judge a chain by its autocorrelation, effective samples and R-hat, read with a stride that
+    bounds memory.
     """
     steps = store.steps
     stride = -(-steps // _MOST_KEPT)
@@ -241,19 +237,12 @@ def diagnose(store: Store) -> Chains:
         status, reason = ChainStatus.not_mixed, f"R-hat {rhat.max():.3f}, not {RHAT}"
     thin = max(1, int(tau.min() / 2 / stride)) if np.isfinite(tau).all() else 1
     last, _ = store.rows(max(0, steps - _MOST_KEPT), steps)
+    acceptance = float((last[1:] != last[:-1]).any(axis=-1).mean()) if steps > 1 else np.nan
+    kept = slice(thin - 1, None, thin)
     return Chains(
-        z=z[thin - 1 :: thin],
-        log_probability=log_density[thin - 1 :: thin],
-        thin=thin * stride,
-        steps=steps,
-        acceptance=float((last[1:] != last[:-1]).any(axis=-1).mean()) if steps > 1 else np.nan,
-        tau=tau,
-        ess_bulk=bulk,
-        ess_tail=tail,
-        rhat=rhat,
-        status=status,
-        reason=reason,
-    )
+        z[kept], log_density[kept], thin * stride, steps, acceptance, tau, bulk, tail, rhat,
+        status, reason,
+    )  # fmt: skip
 
 
 def mixing(draws: Float[np.ndarray, "chains draws"]) -> tuple[float, float, float]:
@@ -267,13 +256,7 @@ def mixing(draws: Float[np.ndarray, "chains draws"]) -> tuple[float, float, floa
     return float(stats.rhat(draws)), float(bulk), float(tail)
 
 
-def _first(
-    target: Density,
-    start: Approximation,
-    walkers: int,
-    key: PRNGKey,
-    tell: Callable[[int, str], Any],
-) -> ChainStart:
+def _first(target: Density, start: Approximation, walkers: int, key: PRNGKey, tell) -> ChainStart:
     """The walkers' first places, and the samples that their jumps are adapted to."""
     random = np.random.RandomState([*words_of(key), 1 << 31])
     found = importance_sample(
@@ -283,14 +266,9 @@ def _first(
     # Differences of walkers on one spot would be zero.
     apart = random.standard_normal(places.shape)
     places = places + 1e-3 * found.samples.std(axis=0) * apart
-    return ChainStart(
-        owner=_owner(target, key),
-        number=len(_BURN_IN) if found.enough else 0,
-        steps_before=0,
-        places=places,
-        log_density=np.asarray(target.log_density(places), float),
-        adapted_to=found.samples if found.enough else None,
-    )
+    number, adapted_to = (len(_BURN_IN), found.samples) if found.enough else (0, None)
+    log_density = np.asarray(target.log_density(places), float)
+    return ChainStart(_owner(target, key), number, 0, places, log_density, adapted_to)
 
 
 def _owner(target: Density, key: PRNGKey) -> str:
@@ -301,69 +279,55 @@ def _equal(one: np.ndarray, other: np.ndarray) -> bool:
     return np.allclose(one, other, rtol=1e-9, atol=1e-9, equal_nan=True)
 
 
-class _Run:
-    """An ensemble, and the store that its steps go to."""
+def _advance(
+    store: Store,
+    start: ChainStart,
+    steps: int,
+    log_density: Callable[[np.ndarray], np.ndarray],
+    key: PRNGKey,
+    tell: Callable[[int, str], Any],
+    word: str,
+) -> None:
+    """Continue a chain to so many steps."""
+    done, random = store.steps, np.random.RandomState(0)
+    if done >= steps:
+        return
+    places, values = store.last()
+    (walkers, free), moves = places.shape, mixture(start.adapted_to)
+    sampler = emcee.EnsembleSampler(walkers, free, log_density, vectorize=True, moves=moves)
 
-    def __init__(self, store: Store, stage: ChainStart, log_density, key: PRNGKey):
-        self._store, self._stage = store, stage
-        self._remove_half_written(log_density)
-        walkers, free = stage.places.shape
-        moves = mixture(stage.adapted_to)
-        self._sampler = emcee.EnsembleSampler(
-            walkers, free, log_density, vectorize=True, moves=moves
-        )
-        self._seed = [*words_of(key), stage.number]
-        self._random = np.random.RandomState(0)
+    def reseed() -> None:
+        random.seed([*words_of(key), start.number, done])
+        sampler.random_state = random.get_state()
 
-    def advance(self, steps: int, progress: Callable[[int, str], Any], word: str) -> None:
-        """Continue to so many steps."""
-        done = self._store.steps
-        if done >= steps:
+    reseed()
+    with store.writing(steps - done) as append:
+        for state in sampler.sample(
+            emcee.State(places, log_prob=values),
+            iterations=steps - done,
+            store=False,
+            skip_initial_state_check=True,
+        ):
+            append(state.coords, np.asarray(state.log_prob))
+            done += 1
+            reseed()
+            tell(start.steps_before + done, word)
+
+
+def _replace(store: Store, start: ChainStart, samples: np.ndarray) -> None:
+    """Start again from the walkers' places, with proposals adapted to samples."""
+    number, before = start.number + 1, start.steps_before + store.steps
+    adapted_to = samples.reshape(-1, samples.shape[-1])
+    store.begin(ChainStart(start.owner, number, before, *store.last(), adapted_to))
+
+
+def _remove_half_written(store: Store, log_density: Callable[[np.ndarray], np.ndarray]) -> None:
+    """Remove a last step whose log density is not that of its places: the process died while
+    writing it.
+    """
+    for _ in range(3):
+        places, stored = store.last()
+        if _equal(log_density(places), stored):
             return
-        places, log_density = self._last()
-        here = emcee.State(places, log_prob=log_density)
-        self._reseed(done)
-        with self._store.writing(steps - done) as append:
-            for state in self._sampler.sample(
-                here, iterations=steps - done, store=False, skip_initial_state_check=True
-            ):
-                append(state.coords, np.asarray(state.log_prob))
-                done += 1
-                self._reseed(done)
-                progress(self._stage.steps_before + done, word)
-
-    def replace(self, samples: Float[np.ndarray, "steps walkers free"]) -> None:
-        """Start again from the walkers' places, with proposals adapted to samples."""
-        places, log_density = self._last()
-        self._store.begin(
-            self._stage._replace(
-                number=self._stage.number + 1,
-                steps_before=self._stage.steps_before + self._store.steps,
-                places=places,
-                log_density=log_density,
-                adapted_to=samples.reshape(-1, samples.shape[-1]),
-            )
-        )
-
-    def _last(self) -> tuple[np.ndarray, np.ndarray]:
-        """Where the walkers are, and the log density there."""
-        steps = self._store.steps
-        if not steps:
-            return self._stage.places, self._stage.log_density
-        places, log_density = self._store.rows(steps - 1, steps)
-        return places[0], log_density[0]
-
-    def _reseed(self, step: int) -> None:
-        self._random.seed([*self._seed, step])
-        self._sampler.random_state = self._random.get_state()
-
-    def _remove_half_written(self, log_density) -> None:
-        """Remove a last step whose log density is not that of its places: the process died while
-        writing it.
-        """
-        for _ in range(3):
-            places, stored = self._last()
-            if _equal(log_density(places), stored):
-                return
-            self._store.drop_last()
-        raise ValueError("the steps in the file do not belong to this problem; remove it")
+        store.drop_last()
+    raise ValueError("the steps in the file do not belong to this problem; remove it")

@@ -14,8 +14,6 @@ from jaxtyping import Float
 
 from irisjax._interrupt import unfinished
 
-Append = Callable[[np.ndarray, np.ndarray], None]
-"""Adds one step: places (walkers, free) and their log densities (walkers,)."""
 _CHUNK = 16  # steps of a chunk of the file, which is what writing one step rewrites
 
 
@@ -43,7 +41,7 @@ class Store:
     """One chain in an HDF5 file, to which every step is handed before the next one begins.
 
     A step is complete when its log densities are written: rows without them hold NaN, and the
-    number of steps is counted from these. A new stage replaces the whole file at once. Without a
+    number of steps is counted from these. A new chain replaces the whole file at once. Without a
     path the file is in memory.
     """
 
@@ -58,15 +56,15 @@ class Store:
             self._repair(self.path)
 
     @property
-    def stage(self) -> ChainStart | None:
-        """Return the description of the chain's start, or `None` for an empty store."""
+    def start(self) -> ChainStart | None:
+        """What the chain starts from, or `None` for an empty store."""
         if self._memory is None and (self.path is None or not self.path.exists()):
             return None
         with self._open() as file:
-            about: Any = file.attrs
+            about = file.attrs
             return ChainStart(
                 str(about["owner"]),
-                int(about["stage"]),
+                int(about["number"]),
                 int(about["steps_before"]),
                 np.asarray(file["places"]),
                 np.asarray(file["places_log_density"]),
@@ -77,11 +75,10 @@ class Store:
     def planned(self) -> int:
         """Number of steps at which the chain is judged next; 0 before that is planned."""
         with self._open() as file:
-            planned: Any = file.attrs["planned"]
-            return int(planned)
+            return int(file.attrs["planned"])
 
-    def plan(self, steps: int) -> None:
-        """Set `planned`."""
+    @planned.setter
+    def planned(self, steps: int) -> None:
         with self._open("a") as file:
             file.attrs["planned"] = steps
 
@@ -91,35 +88,31 @@ class Store:
         with self._open() as file:
             return _complete(file)
 
-    def begin(self, stage: ChainStart) -> None:
+    def begin(self, start: ChainStart) -> None:
         """Replace the chain by one without steps."""
         if self.path is None:
             name = secrets.token_hex(8)  # HDF5 knows open files by their names, in memory too
             self._memory = h5py.File(name, "w", driver="core", backing_store=False)
-            _fill(self._memory, stage)
+            _fill(self._memory, start)
             return
-        with unfinished(_temporary(self.path)) as temporary:
-            try:
-                with h5py.File(temporary, "w") as file:
-                    _fill(file, stage)
-                os.replace(temporary, self.path)
-            finally:
-                temporary.unlink(missing_ok=True)
+        with _replacing(self.path) as temporary, h5py.File(temporary, "w") as file:
+            _fill(file, start)
 
     @contextlib.contextmanager
-    def writing(self, most: int) -> Iterator[Append]:
-        """Open the store for at most so many further steps."""
+    def writing(self, most: int) -> Iterator[Callable[[np.ndarray, np.ndarray], None]]:
+        """Open the store for at most so many further steps, which the function adds: places
+        (walkers, free) and their log densities (walkers,).
+        """
         # The file stays open meanwhile: a step costs 0.3 ms and not 5.
         with self._open("a") as file:
             done = _complete(file)
-            chain, log_densities = _datasets(file)
+            chain, log_densities = file["chain"], file["log_density"]
             for dataset in (chain, log_densities):
                 dataset.resize(done + most, axis=0)
 
             def append(places: np.ndarray, log_density: np.ndarray) -> None:
                 nonlocal done
-                chain[done] = places
-                log_densities[done] = log_density
+                chain[done], log_densities[done] = places, log_density
                 done += 1
                 file.flush()
 
@@ -128,22 +121,28 @@ class Store:
     def rows(self, first: int, last: int, every: int = 1) -> tuple[np.ndarray, np.ndarray]:
         """Places (steps, walkers, free) and log densities (steps, walkers) of a range of steps."""
         with self._open() as file:
-            last = min(last, _complete(file))
-            chain, log_densities = (np.asarray(d[first:last:every]) for d in _datasets(file))
-            return chain, log_densities
+            part = slice(first, min(last, _complete(file)), every)
+            return np.asarray(file["chain"][part]), np.asarray(file["log_density"][part])
+
+    def last(self) -> tuple[np.ndarray, np.ndarray]:
+        """Where the walkers are, and the log density there."""
+        steps, start = self.steps, self.start
+        if not steps:
+            assert start is not None
+            return start.places, start.log_density
+        places, log_density = self.rows(steps - 1, steps)
+        return places[0], log_density[0]
 
     def drop_last(self) -> None:
         """Remove the last step."""
         with self._open("a") as file:
-            _, log_densities = _datasets(file)
-            log_densities[_complete(file) - 1] = np.nan
+            file["log_density"][_complete(file) - 1] = np.nan
 
     def save_copy(self) -> None:
         """Guard against a process that dies while it writes; memory dies with its process."""
         if self.path is not None:
-            with unfinished(_temporary(self.path)) as temporary:
+            with _replacing(copy_of(self.path)) as temporary:
                 shutil.copyfile(self.path, temporary)
-                os.replace(temporary, copy_of(self.path))
 
     def _open(self, mode: str = "r") -> Any:
         if self.path is None:
@@ -154,12 +153,11 @@ class Store:
         """Put the copy in the file's place if the file cannot be read."""
         try:
             with self._open() as file:
-                chain, log_densities = _datasets(file)
-                if len(chain):
+                if len(file["chain"]):
                     # Not all at once: chains are longer than memory.
-                    for rows in log_densities.iter_chunks():
-                        _ = log_densities[rows]
-                    _ = chain[-1]
+                    for rows in file["log_density"].iter_chunks():
+                        _ = file["log_density"][rows]
+                    _ = file["chain"][-1]
         except (OSError, KeyError, ValueError, RuntimeError) as error:
             if not copy_of(path).exists():
                 raise ValueError(
@@ -173,30 +171,32 @@ def copy_of(path: Path) -> Path:
     return path.with_name(f"{path.name}.bak")
 
 
-def _temporary(path: Path) -> Path:
-    return path.with_name(f".{path.name}.{os.getpid()}.tmp")
+@contextlib.contextmanager
+def _replacing(path: Path) -> Iterator[Path]:
+    """A new file to fill, which then takes the name."""
+    with unfinished(path.with_name(f".{path.name}.{os.getpid()}.tmp")) as temporary:
+        try:
+            yield temporary
+            os.replace(temporary, path)
+        finally:
+            temporary.unlink(missing_ok=True)
 
 
-def _fill(file: h5py.File, stage: ChainStart) -> None:
+def _fill(file: h5py.File, start: ChainStart) -> None:
     """Write a chain without steps."""
-    file.attrs["owner"], file.attrs["stage"] = stage.owner, stage.number
-    file.attrs["steps_before"], file.attrs["planned"] = stage.steps_before, 0
-    file["places"], file["places_log_density"] = stage.places, stage.log_density
-    if stage.adapted_to is not None:
-        file["adapted_to"] = stage.adapted_to
-    for name, shape in (("chain", stage.places.shape), ("log_density", stage.places.shape[:1])):
+    about = {"owner": start.owner, "number": start.number, "steps_before": start.steps_before}
+    file.attrs.update(about | {"planned": 0})
+    file["places"], file["places_log_density"] = start.places, start.log_density
+    if start.adapted_to is not None:
+        file["adapted_to"] = start.adapted_to
+    for name, shape in (("chain", start.places.shape), ("log_density", start.places.shape[:1])):
         file.create_dataset(
             name, (0, *shape), np.float64, fillvalue=np.nan, chunks=(_CHUNK, *shape),
             maxshape=(None, *shape),
         )  # fmt: skip
 
 
-def _datasets(file: h5py.File) -> tuple[Any, Any]:
-    """Places and log densities of all rows."""
-    return file["chain"], file["log_density"]
-
-
-def _complete(file: h5py.File) -> int:
+def _complete(file: Any) -> int:
     """Number of complete steps."""
-    unwritten = np.isnan(_datasets(file)[1][:, 0])
+    unwritten = np.isnan(file["log_density"][:, 0])
     return int(np.argmax(unwritten)) if unwritten.any() else unwritten.size
