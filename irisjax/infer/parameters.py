@@ -29,7 +29,7 @@ class Parameter(NamedTuple):
     def support(self) -> tuple[float, float]:
         """The interval in which priors may lie: a tail may reach beyond what may be stated."""
         allowed = self.allowed
-        return allowed.low, float("inf") if self.prior.support[1] > allowed.high else allowed.high
+        return allowed.low, float("inf") if self.prior.high > allowed.high else allowed.high
 
 
 _INF = float("inf")

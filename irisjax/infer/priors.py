@@ -21,8 +21,8 @@ Real: TypeAlias = float | np.ndarray | jax.Array
 
 
 class AbstractPrior(eqx.Module):
-    """A continuous distribution of one number. Its own numbers are static: they are settings, not
-    data.
+    """A continuous distribution of one number in (`low`, `high`). Its own numbers are static: they
+    are settings, not data.
     """
 
     low: eqx.AbstractVar[float]
@@ -37,11 +37,6 @@ class AbstractPrior(eqx.Module):
     @abc.abstractmethod
     def standard(self, value: Real) -> jax.Array:
         """Return the inverse of `value`."""
-
-    @property
-    def support(self) -> tuple[float, float]:
-        """The interval in which the density is above zero."""
-        return self.low, self.high
 
     @property
     @abc.abstractmethod
@@ -59,12 +54,7 @@ def _number(**options: Any) -> Any:
 
 
 class LogNormal(AbstractPrior):
-    """A positive number whose logarithm is normal.
-
-    Attributes:
-        median: Its median.
-        spread: Standard deviation of the logarithm.
-    """
+    """A positive number whose logarithm is normal, with standard deviation `spread`."""
 
     median: float = _number()
     spread: float = _number()
@@ -83,12 +73,7 @@ class LogNormal(AbstractPrior):
 
 
 class LogitNormal(AbstractPrior):
-    """A share in (0, 1) whose logit is normal.
-
-    Attributes:
-        median: Its median.
-        spread: Standard deviation of the logit.
-    """
+    """A share in (0, 1) whose logit is normal, with standard deviation `spread`."""
 
     median: float = _number()
     spread: float = _number()
@@ -115,12 +100,9 @@ class Uniform(AbstractPrior):
 
     def value(self, z: Real) -> jax.Array:
         # From the nearer end, so that both ends are resolved alike.
+        up, down = ndtr(jnp.minimum(z, 0)), ndtr(-jnp.maximum(z, 0))
         width = self.high - self.low
-        return jnp.where(
-            z < 0,
-            self.low + width * ndtr(jnp.minimum(z, 0)),
-            self.high - width * ndtr(-jnp.maximum(z, 0)),
-        )
+        return jnp.where(z < 0, self.low + width * up, self.high - width * down)
 
     def standard(self, value: Real) -> jax.Array:
         return ndtri((value - self.low) / (self.high - self.low))
@@ -137,29 +119,18 @@ class LogUniform(AbstractPrior):
     high: float = _number()
 
     def value(self, z: Real) -> jax.Array:
-        return jnp.exp(self._logarithm.value(z))
+        return jnp.exp(Uniform(np.log(self.low), np.log(self.high)).value(z))
 
     def standard(self, value: Real) -> jax.Array:
-        return self._logarithm.standard(jnp.log(value))
+        return ndtri(jnp.log(value / self.low) / np.log(self.high / self.low))
 
     @property
     def valid(self) -> bool:
         return 0 < self.low < self.high
 
-    @property
-    def _logarithm(self) -> Uniform:
-        return Uniform(np.log(self.low), np.log(self.high))
-
 
 class Normal(AbstractPrior):
-    """Normal, cut off outside [`low`, `high`].
-
-    Attributes:
-        mean: Mean before it is cut off.
-        sd: Standard deviation before it is cut off.
-        low: Lower bound.
-        high: Upper bound.
-    """
+    """Normal with this mean and standard deviation, cut off outside [`low`, `high`]."""
 
     mean: float = _number()
     sd: float = _number()
@@ -219,7 +190,7 @@ def prior_of(text: str, low: float, high: float) -> AbstractPrior:
 def check_prior(name: str, prior: AbstractPrior, low: float, high: float) -> None:
     """Raise `ValueError` where a prior is not one of a parameter that lies in [low, high]."""
     within = f"the parameter's range, {low:g} to {high:g}"
-    if prior.support[0] < low or prior.support[1] > high:
+    if prior.low < low or prior.high > high:
         raise ValueError(f"{name} reaches outside {within}")
     # Cut off further out, it would be a sliver of its tail.
     if isinstance(prior, Normal) and not low - 5 * prior.sd < prior.mean < high + 5 * prior.sd:
