@@ -10,20 +10,14 @@ from scipy.special import ndtri
 from scipy.stats import qmc
 
 from irisjax._types import PRNGKey
+from irisjax.infer import model_comparison
 from irisjax.infer.fit import Fit, fit
 from irisjax.infer.identifiability import Information, information
-from irisjax.infer.model_comparison import (
-    DRAWS,
-    Interval,
-    ProcessComparison,
-    compare_processes,
-    other_of,
-)
+from irisjax.infer.model_comparison import DRAWS, Interval, ProcessComparison, compare_processes
 from irisjax.infer.parameters import kind, unit_of
 from irisjax.infer.posterior import Chains, check_run, mixing, sample
 from irisjax.infer.problem import Problem, predicted, reported
 
-QUANTILES = (2.5, 16, 50, 84, 97.5)
 UNMOVED = 0.3
 """Contraction below which a posterior is mostly the prior."""
 
@@ -58,12 +52,8 @@ class Row(NamedTuple):
 
 class PredictiveCheck(NamedTuple):
     """Posterior predictive checks: the share of simulated data that lie further from the model than
-    the measured ones.
-
-    Attributes:
-        p_chi_square: By Σ of squared residuals.
-        p_pattern: By the correlation of neighbouring residuals.
-        noise: Median factor on the stated noise, if it was free, else 1.
+    the measured ones, by Σ of squared residuals and by the correlation of neighbouring residuals;
+    and the median factor on the stated noise, if it was free, else 1.
     """
 
     p_chi_square: float
@@ -92,16 +82,9 @@ class PredictiveCheck(NamedTuple):
 
 
 class Analysis(NamedTuple):
-    """Everything that is said of one eye.
-
-    Attributes:
-        problem: What was measured and what is free.
-        fit: The least-squares fit.
-        chains: Samples of the posterior.
-        rows: The posterior of every free and derived parameter.
-        check: Whether the model may have produced the data.
-        information: What the data determine.
-        other: What the other process makes of the same data.
+    """Everything that is said of one eye: its problem, least-squares fit, samples of the posterior,
+    a row for every free and derived parameter, whether the model may have produced the data, what
+    these determine, and what the other process makes of them.
     """
 
     problem: Problem
@@ -141,11 +124,11 @@ def analyse(
 
     Args:
         problem: What was measured and what is free.
-        store: HDF5 file for the chain; by default it stays in memory.
-        resume: Whether to continue the chain in the file.
-        walkers: Number of walkers.
-        max_steps: Largest number of steps after burn-in.
-        progress: Called with a number of steps and a word for what is done.
+        store: See `sample`.
+        resume: See `sample`.
+        walkers: See `sample`.
+        max_steps: See `sample`.
+        progress: See `sample`.
         key: Source of all draws.
 
     Raises:
@@ -153,23 +136,17 @@ def analyse(
     """
     check_run(problem, store, walkers=walkers, resume=resume, key=key)
     best = fit(problem, key=jax.random.fold_in(key, 1))
-    other = problem.by(other_of(problem.process))
+    other = problem.by(model_comparison.other_of(problem.process))
     best_by_other = fit(other, key=jax.random.fold_in(key, 5))
     chains = sample(
         problem, best, store=store, resume=resume, walkers=walkers, max_steps=max_steps,
         progress=progress, key=key,
     )  # fmt: skip
     rows = summarise(problem, chains)
+    check = predictive_check(problem, chains, key=jax.random.fold_in(key, 2))
     intervals = {r.parameter: Interval(r.median, r.q2_5, r.q97_5) for r in rows}
-    return Analysis(
-        problem=problem,
-        fit=best,
-        chains=chains,
-        rows=rows,
-        check=predictive_check(problem, chains, key=jax.random.fold_in(key, 2)),
-        information=information(problem, best),
-        other=compare_processes(problem, best, other, best_by_other, intervals=intervals),
-    )
+    compared = compare_processes(problem, best, other, best_by_other, intervals=intervals)
+    return Analysis(problem, best, chains, rows, check, information(problem, best), compared)
 
 
 def summarise(problem: Problem, chains: Chains) -> list[Row]:
@@ -177,24 +154,21 @@ def summarise(problem: Problem, chains: Chains) -> list[Row]:
     # The prior of derived parameters: an integral over even points, nothing random.
     even = qmc.Sobol(len(problem.free), scramble=False).random_base2(14)
     before, rows = reported(problem, ndtri(even + 2.0**-15)), []
+    # A chain that is too short to be judged has no R-hat.
+    judged = np.isfinite(chains.rhat).all()
     for name, values in reported(problem, chains.z).items():
         if name in problem.free:
             i = problem.free.index(name)
             rhat, bulk, tail = chains.rhat[i], chains.ess_bulk[i], chains.ess_tail[i]
-            contraction = 1 - chains.z[..., i].var()
+            left = chains.z[..., i].var()
         else:
-            # A chain that is too short to be judged has no R-hat.
-            judged = np.isfinite(chains.rhat).all()
             rhat, bulk, tail = mixing(values.T) if judged else (np.nan,) * 3
             # The logarithm of a derived parameter has a nearly normal prior.
-            contraction = 1 - np.log(values).var() / np.log(before[name]).var()
-        low, less, median, more, high = np.percentile(values, QUANTILES)
-        rows.append(
-            Row(
-                name, unit_of(name), median, values.std(), low, less, more, high, rhat, bulk, tail,
-                float(contraction)
-            )
-        )  # fmt: skip
+            left = np.log(values).var() / np.log(before[name]).var()
+        low, less, median, more, high = np.percentile(values, (2.5, 16, 50, 84, 97.5))
+        spread = median, values.std(), low, less, more, high
+        numbers = *spread, rhat, bulk, tail, float(1 - left)
+        rows.append(Row(name, unit_of(name), *numbers))
     return rows
 
 
@@ -208,7 +182,7 @@ def predictive(
 
 
 def predictive_check(problem: Problem, chains: Chains, *, key: PRNGKey) -> PredictiveCheck:
-    """PredictiveCheck residuals by their size and by their pattern."""
+    """Check residuals by their size and by their pattern."""
     simulated, models, sds = _drawn(problem, chains, DRAWS, key)
     size, pattern = [], []
     for values in (tuple(np.asarray(o.values) for o in problem.observations), simulated):
@@ -230,5 +204,4 @@ def predictive_check(problem: Problem, chains: Chains, *, key: PRNGKey) -> Predi
 def _drawn(problem: Problem, chains: Chains, count: int, key: PRNGKey):
     """As `predictive`, and the standard deviations stated for these models."""
     z = chains.flat
-    chosen = z[np.linspace(0, len(z) - 1, min(count, len(z))).astype(int)]
-    return predicted(problem, chosen, key)
+    return predicted(problem, z[np.linspace(0, len(z) - 1, min(count, len(z))).astype(int)], key)

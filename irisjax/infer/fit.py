@@ -54,11 +54,10 @@ class Fit(eqx.Module):
         sd: Their standard deviations by name.
         predicted: What each instrument would read at the optimum, without noise.
         chi_square: Σ of squared residuals of the data alone.
-        degrees: Its degrees of freedom: the number of data, less the free parameters where no
-            priors hold them.
+        degrees: Its degrees of freedom: the data, less the free parameters without priors.
         cost: ½ Σ of squares, the priors' included where they count.
-        agreeing: How many of them converged within 1e-6 of that cost.
-        steps: Number of steps of the best.
+        agreeing: Number of searches that converged within 1e-6 of that cost.
+        steps: Number of steps of the best search.
         status: A `FitStatus` item.
     """
 
@@ -67,7 +66,7 @@ class Fit(eqx.Module):
     covariance: Float[Array, "*batch free free"]
     values: dict[str, Any]
     sd: dict[str, Any]
-    predicted: tuple[Float[Array, "*batch _"], ...]  # each observation has its own length
+    predicted: tuple[Float[Array, "*batch _"], ...]
     chi_square: Float[Array, "*batch"]
     degrees: int = eqx.field(static=True)
     cost: Float[Array, "*batch"]
@@ -142,13 +141,10 @@ def fit(
             f"starts=1"
         )
     found = _fit(problem.unnamed(), solver, start, key, use_priors, starts, rounds, max_steps)
-    if throw and not isinstance(found.status._value, Tracer):
-        codes = np.asarray(found.status._value)
-        if codes.any():
-            words = (
-                "some of the batch failed; see status" if codes.ndim else words_for(found.status)
-            )
-            raise ValueError(words)
+    codes = found.status._value
+    if throw and not isinstance(codes, Tracer) and np.any(codes):
+        several = "some of the batch failed; see status"
+        raise ValueError(several if np.ndim(codes) else words_for(found.status))
     return found
 
 
@@ -184,7 +180,7 @@ def _fit(problem, solver, start, key, use_priors, starts, rounds, max_steps) -> 
     covariance = jnp.zeros((free, free), dtype).at[np.ix_(moving, moving)].set(best.covariance)
     jacobian = jnp.zeros((data.size, free), dtype).at[:, moving].set(best.jacobian[: data.size])
     z = placed(best.x)
-    # Each value depends on its own coordinate only.
+    # A value depends on its own coordinate only.
     natural, slope = jax.jvp(lambda z: problem.natural(z), (z,), (jnp.ones_like(z),))
     sd = jnp.abs(slope) * jnp.sqrt(jnp.diag(covariance))
     chi_square = (data**2).sum()
@@ -192,26 +188,16 @@ def _fit(problem, solver, start, key, use_priors, starts, rounds, max_steps) -> 
     # Chi-square means nothing for Student's t, which has outliers.
     judged = degrees > 0 and problem.noise.degrees_of_freedom is None
     limit = float(chdtri(degrees, MISFIT)) if judged else np.inf
+    values, sds = (dict(zip(problem.free, each, strict=True)) for each in (natural, sd))
+    status = _status(best, chi_square, limit, solved == RESULTS.successful)
     return Fit(
-        z=z,
-        jacobian=jacobian / slope,
-        covariance=covariance,
-        values=dict(zip(problem.free, natural, strict=True)),
-        sd=dict(zip(problem.free, sd, strict=True)),
-        predicted=predicted,
-        chi_square=chi_square,
-        degrees=degrees,
-        cost=best.cost,
-        agreeing=best.agreeing,
-        steps=best.steps,
-        status=_status(best, chi_square, limit, solved == RESULTS.successful),
-    )
+        z, jacobian / slope, covariance, values, sds, predicted, chi_square, degrees, best.cost,
+        best.agreeing, best.steps, status,
+    )  # fmt: skip
 
 
 def _status(best: Found, chi_square, limit: float, solved) -> FitStatus:
-    """The worst that holds: first whether there is an answer, then how the search ended, then
-    whether chi-square is above its limit.
-    """
+    """The worst that holds."""
     status = FitStatus.where(chi_square > limit, FitStatus.misfit, FitStatus.successful)
     lone = (best.agreeing < 2) & (best.elsewhere > 0)
     status = FitStatus.where(lone, FitStatus.disagreement, status)

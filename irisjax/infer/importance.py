@@ -27,12 +27,9 @@ _BENDING = 0.3  # power of tempered weights below which proposals have no bent c
 
 @runtime_checkable
 class Approximation(Protocol):
-    """A normal approximation of a density, such as a least-squares fit.
-
-    Attributes:
-        z: Its mean, (free,).
-        covariance: Its covariance, (free, free). A coordinate whose variance is zero was not
-            fitted; its mean and variance are taken from the density along its axis.
+    """A normal approximation of a density, such as a least-squares fit: mean (free,) and covariance
+    (free, free). A coordinate whose variance is zero was not fitted; its mean and variance are
+    taken from the density along its axis.
     """
 
     @property
@@ -82,9 +79,8 @@ def importance_sample(
     random: np.random.RandomState,
     progress: Callable[[int], Any] = lambda rounds: None,
 ) -> ImportanceSample:
-    """Sample a density of z whose priors are standard normal.
-
-    It can miss a second mode far from `start` and from the priors' middle.
+    """Sample a density of z whose priors are standard normal; it can miss a second mode far from
+    `start` and from the priors' middle.
 
     Args:
         log_density: Function of z (n, free) that returns (n,).

@@ -108,7 +108,7 @@ def least_squares(
         _, (ends, steps, results) = jax.lax.scan(at_weight, x, weights)
         (x, cost, jacobian, aux), result = jax.tree.map(lambda stages: stages[-1], (ends, results))
         cost = jnp.where(jnp.isfinite(cost), cost, jnp.inf)
-        return _Search(x, cost, jacobian, aux, steps.sum(), result)
+        return x, cost, jacobian, aux, steps.sum(), result
 
     begins = start[None]
     if key is not None:
@@ -151,49 +151,35 @@ class NormalEquations(lx.AbstractLinearSolver):
     """
 
     def init(self, operator: Any, options: Any) -> Any:
-        """Return the matrix."""
         return operator.as_matrix(), operator.in_structure()
 
     def compute(self, state: Any, vector: Any, options: Any) -> tuple[Any, lx.RESULTS, dict]:
-        """Return the least-squares solution."""
         matrix, structure = state
-        flat, _ = ravel_pytree(vector)
         gram = matrix.T @ matrix
         # A coordinate on which no residual depends stays as it is.
-        unseen = jnp.diag(gram) <= 0
-        gram = gram + jnp.diag(jnp.where(unseen, 1.0, 0.0))
+        gram = gram + jnp.diag(jnp.where(jnp.diag(gram) <= 0, 1.0, 0.0))
         scale = 1 / jnp.sqrt(jnp.diag(gram))
-        x = scale * linear.solve(scale[:, None] * gram * scale[None], scale * (matrix.T @ flat))
+        right = scale * (matrix.T @ ravel_pytree(vector)[0])
+        x = scale * linear.solve(scale[:, None] * gram * scale[None], right)
         _, unravel = ravel_pytree(jax.tree.map(lambda s: jnp.zeros(s.shape, s.dtype), structure))
         return unravel(x), lx.RESULTS.successful, {}
 
     def transpose(self, state: Any, options: Any) -> Any:
-        """Refuse: nothing differentiates through this solver."""
-        raise NotImplementedError("the normal equations have no transposed solver")
+        raise NotImplementedError("nothing differentiates through the normal equations")
 
     def conj(self, state: Any, options: Any) -> Any:
-        """Return the state: real matrices are their own conjugates."""
         return state, options
 
     def assume_full_rank(self) -> bool:
-        """Return that it may: the damping term makes the matrix regular."""
-        return True
+        return True  # the damping term makes the matrix regular
 
 
-class _Search(NamedTuple):
-    x: Any
-    cost: Any
-    jacobian: Any
-    aux: Any
-    steps: Any
-    result: Any
-
-
-def _best(searches: _Search, done: _Count) -> tuple[_Count, _Count, _Count]:
+def _best(searches: Any, done: _Count) -> tuple[_Count, _Count, _Count]:
     """Place of the lowest cost, how many searches converged there, and how many elsewhere."""
-    begun = jnp.arange(searches.cost.size) < done
-    costs = jnp.where(begun, searches.cost, jnp.inf)
-    converged = begun & (searches.result == optx.RESULTS.successful)
+    _, costs, *_, results = searches
+    begun = jnp.arange(costs.size) < done
+    costs = jnp.where(begun, costs, jnp.inf)
+    converged = begun & (results == optx.RESULTS.successful)
     # Among equal costs one that converged.
     best = jnp.argmin(costs + jnp.where(converged, 0.0, 1e-9 * costs + 1e-12))
     level = costs <= costs[best] * (1 + 1e-6) + 1e-9

@@ -1,8 +1,7 @@
 """One measurement read by several models of light: how far pigments move, and what the data prefer.
 
-ILIT and radiative transfer of the same layers differ by factors in the pigments that they find.
-Therefore no fit stands alone: the other process is fitted beside it by least squares, and several
-models are compared by their evidences and predictive scores on request.
+ILIT and radiative transfer of the same layers differ by factors in the pigments that they find: the
+other process is fitted beside every fit, and models are compared by their evidences on request.
 """
 
 import dataclasses
@@ -12,7 +11,6 @@ from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
@@ -43,6 +41,10 @@ class Interval(NamedTuple):
     low: float
     high: float
 
+    def holds(self, value: float) -> bool:
+        """Whether a value lies within."""
+        return bool(self.low <= value <= self.high)
+
 
 class Moved(NamedTuple):
     """A parameter by the process of a fit and by the other one."""
@@ -53,8 +55,7 @@ class Moved(NamedTuple):
     @property
     def differs(self) -> bool:
         """Whether each value lies outside the other's interval."""
-        (a, low, high), (b, lowest, highest) = self
-        return not (low <= b <= high) and not (lowest <= a <= highest)
+        return not (self.own.holds(self.other.value) or self.other.holds(self.own.value))
 
 
 class ProcessComparison(NamedTuple):
@@ -121,8 +122,7 @@ class Assessment(NamedTuple):
         score_error: Its standard error.
         values: Median and 95 % interval of each of `COMPARED` that is free, of a power law's
             parameters, and of the noise.
-        ratios: Ratios of these to the first model's where it has them, the draws of the two
-            posteriors being independent.
+        ratios: Ratios of these to the first model's where it has them, of independent draws.
         models: Of each observation, the median of the model without noise.
         residuals: The data less that, in standard deviations, the noise's factor included.
     """
@@ -142,24 +142,18 @@ def candidates_of(problem: Problem) -> dict[str, Problem]:
     """Return a measurement's problem by several models of light, by their names, its own first:
     ILIT, radiative transfer, and radiative transfer with a power law of scattering ("general").
     """
-    if problem.base.power_law is not None:
-        plain = problem.under(None)
-        problems = problem, plain, plain.by(other_of(plain.process))
-    else:
-        general = problem.under(PowerLaw())
-        # A relative error of 2e-3 or less for 95 % of the priors' irides: a tenth of the noise of a
-        # good spectrum.
-        solver = AddingDoubling(12, 10)
-        solvers = solvers_of(general.base, general.observations, solver)
-        general = dataclasses.replace(general, solvers=solvers)
-        problems = problem, problem.by(other_of(problem.process)), general
-
-    def name(problem: Problem) -> str:
-        if problem.base.power_law is not None:
-            return "general radiative transfer"
-        return "ILIT" if isinstance(problem.process, Ilit) else "radiative transfer"
-
-    return {name(p): p for p in problems}
+    stated = problem.base.power_law is not None
+    own = problem.under(None) if stated else problem
+    problems = own, own.by(other_of(own.process))
+    both = {"ILIT" if isinstance(p.process, Ilit) else "radiative transfer": p for p in problems}
+    by_law = "general radiative transfer"
+    if stated:
+        return {by_law: problem, **both}
+    general = problem.under(PowerLaw())
+    # A relative error of 2e-3 or less for 95 % of the priors' irides: a tenth of the noise of a
+    # good spectrum.
+    solvers = solvers_of(general.base, general.observations, AddingDoubling(12, 10))
+    return {**both, by_law: dataclasses.replace(general, solvers=solvers)}
 
 
 def compare_models(
@@ -208,10 +202,7 @@ def predictive_score(
     log_likelihood: Float[np.ndarray, "chains draws data"], effective: float = 1.0
 ) -> tuple[float, float]:
     """Return the expected log predictive density of left-out values by PSIS-LOO [Vehtari et al.
-    2017], and its standard error.
-
-    Compare it between processes fitted to the same data; differences of a few standard errors
-    count.
+    2017], and its standard error. Compare it between processes fitted to the same data.
 
     Args:
         log_likelihood: Of every draw and value.
@@ -236,20 +227,17 @@ def intervals_of(problem: Problem, found: Fit, spread: float) -> dict[str, Inter
     """Return the free parameters with 95 % intervals, of a fit whose noise is `spread` times what
     was stated.
     """
-    z = np.asarray(found.z)
     half = 1.96 * np.sqrt(np.diagonal(covariance_at(np.asarray(found.covariance), spread)))
-    values = (np.asarray(problem.natural(jnp.asarray(x))) for x in (z, z - half, z + half))
-    rows = np.stack(list(values), axis=1)
-    return {n: Interval(*row.tolist()) for n, row in zip(problem.free, rows, strict=True)}
+    values = [np.asarray(problem.natural(found.z + sign * half)) for sign in (0, -1, 1)]
+    rows = zip(problem.free, np.stack(values, axis=1).tolist(), strict=True)
+    return {n: Interval(*row) for n, row in rows}
 
 
 def covariance_at(
     covariance: Float[np.ndarray, "free free"], spread: float
 ) -> Float[np.ndarray, "free free"]:
-    """Return (JᵀJ/s² + 1)⁻¹ of noise s times as large, from (JᵀJ + 1)⁻¹.
-
-    The data count for less and the priors, standard normal in these coordinates, for as much as
-    before.
+    """Return (JᵀJ/s² + 1)⁻¹ of noise s times as large, from (JᵀJ + 1)⁻¹: the data count for less,
+    the priors, standard normal in these coordinates, for as much as before.
     """
     square = spread**2
     return square * np.linalg.solve(np.eye(len(covariance)) + (square - 1) * covariance, covariance)

@@ -15,15 +15,11 @@ _REACH = 4.0  # standard deviations beyond which the quadratic polynomials are c
 class Straightening(NamedTuple):
     """Coordinates y = S(z) in which samples that lie along a curved ridge look normal.
 
-    Principal axes, longest first, each less a quadratic polynomial of the longer ones: a triangular
-    transport map [Parno & Marzouk 2018] of shears, so that its Jacobian is constant and densities
-    carry over. Beyond `_REACH` standard deviations the polynomials keep their value there.
-
-    Attributes:
-        mean: Origin of the coordinates.
-        axes: Principal axes as columns, each as long as its standard deviation.
-        bends: Coefficients of each axis's polynomial, see `_quadratic`.
-        width: Standard deviation along each axis that its polynomial leaves.
+    Principal axes from the `mean`, longest first, each as long as its standard deviation, less a
+    quadratic polynomial of the longer ones (coefficients `bends`), over the `width` that this
+    leaves: a triangular transport map [Parno & Marzouk 2018] of shears, so that its Jacobian is
+    constant and densities carry over. Beyond `_REACH` standard deviations the polynomials keep
+    their value there.
     """
 
     mean: Float[np.ndarray, " free"]
@@ -95,10 +91,8 @@ class Proposal:
 
 
 class IndependentMove(emcee.moves.MHMove):
-    """Metropolis–Hastings with proposals that do not depend on a walker's place.
-
-    It is as good as the proposal resembles the posterior: where it does, a place after one accepted
-    jump is independent of the place before.
+    """Metropolis–Hastings with proposals that do not depend on a walker's place: where they
+    resemble the posterior, a place after one accepted jump is independent of the place before.
     """
 
     def __init__(self, straight: Straightening, samples: Float[np.ndarray, "n free"]):
@@ -131,14 +125,12 @@ class DifferenceMove(emcee.moves.DEMove):
 def mixture(
     samples: Float[np.ndarray, "n free"] | None = None,
 ) -> list[tuple[emcee.moves.Move, float]]:
-    """Return moves and their shares, as `emcee.EnsembleSampler` takes them.
+    """Return moves and their shares, as `emcee.EnsembleSampler` takes them: jumps adapted to
+    samples, or without them differences of walkers alone.
 
     Independent jumps carry walkers along the ridge, thirty times faster than emcee's stretches
     (experiments/bench_inversion.py, which also chose the shares). Differences of walkers serve
     places where the t distribution fits badly.
-
-    Args:
-        samples: What the jumps are adapted to; without them there are differences alone.
     """
     if samples is None:
         return [(emcee.moves.DEMove(), 0.7), (emcee.moves.DESnookerMove(), 0.3)]

@@ -49,16 +49,12 @@ class Noise(eqx.Module):
 
     def __check_init__(self):
         if self.discrepancy is not None and self.degrees_of_freedom is not None:
-            raise ValueError(
-                "a correlated discrepancy and Student's t do not go together; choose one"
-            )
+            raise ValueError("a discrepancy and Student's t do not go together; choose one")
         if (self.discrepancy is None) != (self.length is None):
             raise ValueError("a discrepancy needs its length (nm), and a length its discrepancy")
 
     def sd(self, observation: Observation, model: _Values, factor: _Factor = 1.0) -> _Values:
-        """Return the standard deviation of every value, given what the model predicts and the
-        factor `noise`.
-        """
+        """Return the standard deviation of every value, `factor` times what is stated."""
         if observation.sd is not None:
             return factor * observation.sd
         return factor * jnp.sqrt((self.relative * model) ** 2 + self.absolute**2)
@@ -71,17 +67,15 @@ class Noise(eqx.Module):
 
     def pointwise(self, observation: Observation, model: _Values, factor: _Factor = 1.0) -> _Values:
         """Return the log density of every value, of correlated ones given those before."""
-        white, log_sd = _whitened(
-            self._spread(observation, model, factor), observation.values - model
-        )
+        spread = self._spread(observation, model, factor)
+        white, log_sd = _whitened(spread, observation.values - model)
         if self.degrees_of_freedom is not None and observation.covariance_root is None:
             return _student(white, log_sd, self.degrees_of_freedom)
         return -0.5 * (white * white + _LOG_2PI) - log_sd
 
     def whiten(self, observation: Observation, model: _Values) -> _Values:
-        """Return residuals of unit variance, which least squares minimise.
-
-        Their weights come from the data, so that they do not pull on the model.
+        """Return residuals of unit variance, which least squares minimise; their weights come from
+        the data, so that they do not pull on the model.
         """
         values = observation.values
         return _whitened(self._spread(observation, values), values - model)[0]
@@ -94,9 +88,7 @@ class Noise(eqx.Module):
         normal: _Values,
         chi_square: _Values | None = None,
     ) -> _Values:
-        """Return a measurement of the model, from standard normal numbers (and, for Student's t,
-        χ² ones).
-        """
+        """Return a measurement of the model, from standard normal numbers (and χ² ones for t)."""
         spread = self._spread(observation, model, factor)
         if spread.ndim == 2:
             return model + spread @ normal

@@ -96,7 +96,7 @@ def spectrum(
         raise ValueError(
             f"{name}: give wavelengths and values, or one object that has both; sd by its name"
         )
-    if values is None:
+    if whole:
         sd = getattr(wavelengths, "sd", None) if sd is None else sd
         wavelengths, values = wavelengths.wavelengths, wavelengths.values
     grid, y = np.asarray(wavelengths, np.float64), np.asarray(values, np.float64)
@@ -104,9 +104,8 @@ def spectrum(
         y, scatter = mean_of_scans(y)
         sd = scatter if sd is None else sd
     if grid.ndim != 1 or y.shape != grid.shape:
-        raise ValueError(
-            f"{name}: {y.shape} values for {grid.shape} wavelengths; need one for each"
-        )
+        said = f"{y.shape} values for {grid.shape} wavelengths; need one for each"
+        raise ValueError(f"{name}: {said}")
     order = np.argsort(grid, kind="stable")
     grid, y = grid[order], y[order]
     check_wavelengths(grid)
@@ -115,26 +114,21 @@ def spectrum(
         check_covered(grid)
     except ValueError as error:
         raise ValueError(f"{name}: {error}") from None
-    if not np.isfinite(y).all():
-        raise ValueError(
-            f"{name}: the value at {grid[~np.isfinite(y)][0]:g} nm is not a finite number"
-        )
+    for wave in grid[~np.isfinite(y)][:1]:
+        raise ValueError(f"{name}: the value at {wave:g} nm is not a finite number")
     if sd is not None:
         sd = np.broadcast_to(np.asarray(sd, np.float64), order.shape)[order]
-        bad = ~(np.isfinite(sd) & (sd > 0))
-        if bad.any():
-            raise ValueError(
-                f"{name}: the standard deviation at {grid[bad][0]:g} nm is {sd[bad][0]:g}; it must "
-                f"be > 0"
-            )
+        for i in np.flatnonzero(~(np.isfinite(sd) & (sd > 0)))[:1]:
+            said = f"the standard deviation at {grid[i]:g} nm is {sd[i]:g}; it must be > 0"
+            raise ValueError(f"{name}: {said}")
     if quantity not in (REFLECTANCE, RADIANCE):
         raise ValueError(f"quantity must be {REFLECTANCE!r} or {RADIANCE!r}, got {quantity!r}")
     settings: dict[str, Any] = {} if cornea is None else {"cornea": cornea}
-    settings |= {"illuminant": illuminant} if quantity == RADIANCE else {}
-    read_by = Radiometer if quantity == RADIANCE else Spectrophotometer
-    instrument = read_by(
-        grid, cos_incidence=cos_incidence, first_surface=first_surface, media=media, **settings
-    )
+    settings |= dict(cos_incidence=cos_incidence, first_surface=first_surface, media=media)
+    if quantity == RADIANCE:
+        instrument = Radiometer(grid, illuminant=illuminant, **settings)
+    else:
+        instrument = Spectrophotometer(grid, **settings)
     sd = None if sd is None else _array(sd)
     return Observation(_array(y), sd, instrument, None, quantity, name)
 
@@ -142,9 +136,8 @@ def spectrum(
 def mean_of_scans(
     scans: Float[np.ndarray, "wavelengths scans"],
 ) -> tuple[Float[np.ndarray, " wavelengths"], Float[np.ndarray, " wavelengths"] | None]:
-    """Return the mean of repeated scans, and the standard deviations of that mean by their scatter.
-
-    A single scan, and equal ones, say nothing about the noise: `None` in place of these.
+    """Return the mean of repeated scans, and its standard deviations by their scatter; `None` for a
+    single scan and for equal ones, which say nothing about the noise.
     """
     count = scans.shape[1]
     if count < 2:
@@ -181,9 +174,8 @@ def colour_data(
         ValueError: Unless the covariance is symmetric and positive definite.
     """
     if quantity not in COLOUR_QUANTITIES:
-        raise ValueError(
-            f"quantity must be one of {', '.join(COLOUR_QUANTITIES)}, got {quantity!r}"
-        )
+        known = ", ".join(COLOUR_QUANTITIES)
+        raise ValueError(f"quantity must be one of {known}, got {quantity!r}")
     y, c = np.asarray(values, np.float64), np.asarray(covariance, np.float64)
     if y.shape != (3,) or not np.isfinite(y).all():
         raise ValueError(f"{name}: a colour is three finite numbers")
@@ -199,9 +191,7 @@ def with_values(
     values: Float[ArrayLike, "*batch data"],
     sd: Float[ArrayLike, "*batch data"] | None = None,
 ) -> Observation:
-    """Return the same measurement with other values (and standard deviations), which may be
-    traced.
-    """
+    """Return the measurement with other values (and standard deviations), which may be traced."""
     return dataclasses.replace(observation, values=values, sd=observation.sd if sd is None else sd)
 
 

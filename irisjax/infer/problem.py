@@ -24,7 +24,6 @@ from irisjax.infer.parameters import (
     seen_by,
 )
 from irisjax.infer.priors import AbstractPrior, check_prior
-from irisjax.measure.instrument import AbstractInstrument
 from irisjax.measure.observe import observed, prepared
 from irisjax.numerics.checks import check_range
 from irisjax.numerics.portions import in_pieces
@@ -74,8 +73,8 @@ class Problem(eqx.Module):
 
     @property
     def log_density(self) -> Callable[[np.ndarray], np.ndarray]:
-        """Function that maps vectors z, (n, free), to their log posterior densities, (n,); it is
-        compiled once for all problems of the same form.
+        """Function of vectors z (n, free) that returns their log posterior densities (n,), compiled
+        once for all problems of the same form.
         """
         both = in_rows(_densities, self)
         return lambda z: both(z)[0]
@@ -119,8 +118,8 @@ class Problem(eqx.Module):
 
     def pointwise(self, z: _Z) -> Float[Array, " all_data"]:
         """Compute the log likelihood of every value, observations concatenated."""
-        values = self.values(z)
-        return jnp.concatenate(self._with_noise(self.noise.pointwise, values, self.predict(z)))
+        models, values = self.predict(z), self.values(z)
+        return jnp.concatenate(self._with_noise(self.noise.pointwise, values, models))
 
     def log_likelihood(self, z: _Z) -> Scalar:
         """Compute the log likelihood."""
@@ -139,12 +138,8 @@ class Problem(eqx.Module):
         total = log_likelihood + self.log_prior(z)
         return jnp.where(jnp.isfinite(total), total, -jnp.inf)
 
-    def residuals(self, z: _Z) -> Float[Array, " all_data"]:
-        """Compute residuals in units of the stated noise."""
-        return self.evaluated(z)[0]
-
     def evaluated(self, z: _Z) -> tuple[Float[Array, " all_data"], _Readings, RESULTS]:
-        """Return `residuals`, `predict` and `status` at once."""
+        """Return residuals in units of the stated noise, `predict` and `status` at once."""
         models, status = self._solved(self.values(z))
         pairs = zip(self.observations, models, strict=True)
         return jnp.concatenate([self.noise.whiten(o, m) for o, m in pairs]), models, status
@@ -166,13 +161,9 @@ class Problem(eqx.Module):
             z: The truth.
             draws: For each observation standard normal numbers, and χ² ones for Student's t.
         """
-        values = self.values(z)
-        models = self._solved(values)[0]
-        measured = [
-            self.noise.draw(o, m, seen_by(values, i)["noise"], *draws[i])
-            for i, (o, m) in enumerate(zip(self.observations, models, strict=True))
-        ]
-        return tuple(measured), models, tuple(self._with_noise(self.noise.stated, values, models))
+        models, values = self.predict(z), self.values(z)
+        measured = self._with_noise(self.noise.draw, values, models, draws)
+        return measured, models, self._with_noise(self.noise.stated, values, models)
 
     def unnamed(self) -> "Problem":
         """Return the problem without names of observations, so that files share one program."""
@@ -199,11 +190,10 @@ class Problem(eqx.Module):
         return self._restated(base, DEPTH_RESOLVED, () if law is None else OF_POWER_LAW)
 
     def _restated(
-        self, base: Iris, process: AbstractProcess, more: tuple[str, ...] = ()
+        self, base: Iris, process: AbstractProcess, more: Iterable[str] = ()
     ) -> "Problem":
-        """The problem for another iris and process, with `more` of a power law's parameters free.
-
-        Parameters that the iris has not are gone; what is new and not free stands as in `base`.
+        """The problem for another iris and process, with `more` of a power law's parameters free;
+        other new ones are as in `base`, and those that it has not are gone.
         """
         gone = () if base.power_law is not None else OF_POWER_LAW
         gone = (*gone, "scattering_scale") if more else gone
@@ -212,19 +202,19 @@ class Problem(eqx.Module):
         free |= {n: PARAMETERS[n].prior for n in more if n not in set(map(kind, free))}
         stated = {n: v for n, v in of_iris(base).items() if n not in set(map(kind, free))}
         known = {n: v for n, v in self.fixed.items() if n in stated and n not in gone}
-        fixed = _as_arrays(stated) | known
-        solvers = solvers_of(base, self.observations, process)
         return dataclasses.replace(
-            self, base=base, fixed=fixed, free=tuple(free), priors=tuple(free.values()),
-            solvers=solvers,
+            self, base=base, fixed=_as_arrays(stated) | known, free=tuple(free),
+            priors=tuple(free.values()), solvers=solvers_of(base, self.observations, process),
         )  # fmt: skip
 
-    def _with_noise(self, function: Callable[..., Any], values: Any, models: _Readings) -> list:
+    def _with_noise(
+        self, function: Callable[..., Any], values: Any, models: _Readings, draws: Any = None
+    ) -> tuple[Any, ...]:
         """A function of the noise for each observation."""
-        return [
-            function(o, m, seen_by(values, i)["noise"])
-            for i, (o, m) in enumerate(zip(self.observations, models, strict=True))
-        ]
+        each = zip(self.observations, models, draws or [()] * len(models), strict=True)
+        return tuple(
+            function(o, m, seen_by(values, i)["noise"], *d) for i, (o, m, d) in enumerate(each)
+        )
 
     def _solved(self, values: Mapping[str, Any]) -> tuple[_Readings, RESULTS]:
         """The reading of each instrument, and the first status that is not success."""
@@ -264,9 +254,8 @@ def problem(
             not melanin).
         noise: The noise model; default `Noise()`.
         base: The iris, for all that is neither free nor fixed; default LB06's, moderate.
-        process: Default `ILIT_2006`. Its quickest solver is used: `IlitTabulated` for ILIT,
-            `RadiativeTabulated` for radiative transfer and `AddingDoubling` for a power law of
-            scattering.
+        process: Default `ILIT_2006`. Its quickest solver is used: `IlitTabulated`,
+            `RadiativeTabulated`, or `AddingDoubling` for a power law of scattering.
         solver: A solver in place of `process`; it has a process.
 
     Raises:
@@ -293,11 +282,9 @@ def problem(
             raise ValueError(f"{name} has a prior or is separate, but is not free")
     for name, prior in priors.items():
         check_prior(f"{name} ~ {prior}", prior, *PARAMETERS[name].support)
-    expanded = [
-        f"{n}@{i + 1}" if n in separate else n
-        for n in names
-        for i in range(len(seen) if n in separate else 1)
-    ]
+    expanded: list[str] = []
+    for n in names:
+        expanded += [f"{n}@{i + 1}" for i in range(len(seen))] if n in separate else [n]
     most = max(o.values.shape[-1] for o in seen)
     if noise is not None and noise.discrepancy is not None and most > _MOST_CORRELATED:
         raise ValueError(
@@ -309,13 +296,12 @@ def problem(
         raise ValueError("a solver has a process: give process or solver, not both")
     by = solver or process or ILIT_2006
     base = _with_law(base, by.process if isinstance(by, AbstractSolver) else by, (*names, *fixed))
-    start = {**of_iris(base), **fixed}
-    known = _as_arrays({n: v for n, v in start.items() if n not in names})
+    known = {n: v for n, v in {**of_iris(base), **fixed}.items() if n not in names}
     return Problem(
         observations=seen,
         noise=Noise() if noise is None else noise,
         base=base,
-        fixed=known,
+        fixed=_as_arrays(known),
         solvers=solvers_of(base, seen, by),
         free=tuple(expanded),
         priors=tuple(priors.get(kind(n), PARAMETERS[kind(n)].prior) for n in expanded),
@@ -368,14 +354,9 @@ def pointwise(
 def in_rows(
     function: Callable[[list[Array], Form, Any], Any], problem: Problem, rows: int = _ROWS
 ) -> Callable[[Array | np.ndarray], Any]:
-    """Return `function` of any number of vectors z, so many at a time.
-
-    To compile a program for each number would take longer than to run all of them.
-
-    Args:
-        function: Jitted function of a problem's arrays, its `Form`, and vectors (rows, free).
-        problem: The problem, which is taken apart once and not at every call.
-        rows: Number of vectors at a time.
+    """Return a jitted `function` of a problem's arrays, its `Form` and vectors (rows, free) as one
+    of any number of vectors: a program for each number would take longer to compile than all to
+    run. The problem is taken apart once and not at every call.
     """
     problem = problem.unnamed()
     arrays, form = [x for x in jax.tree.leaves(problem) if eqx.is_array(x)], Form(problem)
@@ -423,8 +404,7 @@ def _predicted(problem: Problem, z: Float[Array, "n free"], draws: Any) -> Any:
 
 @eqx.filter_jit
 def _reported(arrays: list[Array], form: Form, z: Float[Array, "n free"]) -> Any:
-    problem = form.filled(arrays)
-    return jax.vmap(lambda x: problem.reported(x))(z)
+    return jax.vmap(form.filled(arrays).reported)(z)
 
 
 @eqx.filter_jit
@@ -458,14 +438,12 @@ def solvers_of(
     """For each observation a solver that is prepared for an inversion: the one given, or for a
     process the quickest one for many spectra of irides such as `base`.
     """
-
-    def one(instrument: AbstractInstrument):
-        if isinstance(by, AbstractSolver):
-            return Pointwise(prepared(base, instrument, by))
-        quickest = defaults.quickest(base, instrument.media.aqueous, by)
-        return Pointwise(prepared(base, instrument, quickest))
-
-    return tuple(one(o.instrument) for o in observations)
+    found = []
+    for instrument in (o.instrument for o in observations):
+        given = isinstance(by, AbstractSolver)
+        solver = by if given else defaults.quickest(base, instrument.media.aqueous, by)
+        found.append(Pointwise(prepared(base, instrument, solver)))
+    return tuple(found)
 
 
 def _as_arrays(values: Mapping[str, Any]) -> dict[str, Any]:
