@@ -43,7 +43,7 @@ class Colour(eqx.Module):
     """A colour under an illuminant for an observer.
 
     Attributes:
-        xyz: Tristimulus values, white at Y = 1, shape (3,).
+        xyz: Tristimulus values, white at Y = 1.
         lab: CIE 1976 `L*a*b*` relative to that white.
         srgb_linear: Linear sRGB, adapted to D65 (Bradford), not clipped.
         srgb: The same with sRGB's transfer function, whose linear part is continued below 0.
@@ -84,21 +84,16 @@ class Observer(eqx.Module):
     def of(
         cls, wavelengths: Numbers, illuminant: str = "D65", observer: str = OBSERVER
     ) -> "Observer":
-        """Make the observer of a grid of wavelengths, nm, concrete or traced.
-
-        Raises:
-            ValueError: For an unknown illuminant or observer, and for concrete wavelengths that
-                leave out a part of the visible range or are far apart.
+        """Make the observer of a grid of wavelengths, nm, concrete or traced; `ValueError` for
+        concrete ones that leave out a part of the visible range or are far apart.
         """
         check_wavelengths(wavelengths)
         if np.shape(wavelengths)[0] < 2:
-            raise ValueError(
-                "a colour needs at least two wavelengths: it integrates over the whole grid, "
-                "which jax.vmap over wavelengths would take apart"
-            )
+            why = "it integrates over the whole grid, which jax.vmap over it would take apart"
+            raise ValueError(f"a colour needs at least two wavelengths: {why}")
         if isinstance(wavelengths, Tracer):
-            arrays = _weighting(as_float(wavelengths), illuminant, observer, jnp)
-            return cls(*arrays, illuminant, observer)
+            made = _weighting(as_float(wavelengths), illuminant, observer, jnp)
+            return cls(*made, illuminant, observer)
         grid = np.asarray(wavelengths, np.float64)
         _check_visible(grid)
         return _observer(grid.tobytes(), illuminant, observer, str(jnp.result_type(float)))
@@ -111,16 +106,9 @@ class Observer(eqx.Module):
         status = RESULTS.where(jnp.isfinite(self.weights).all(), status, RESULTS.invalid_input)
         xyz = self.weights @ values
         linear = self.to_srgb @ xyz
-        return Colour(
-            xyz=xyz,
-            lab=lab_of(xyz / self.white),
-            srgb_linear=linear,
-            srgb=srgb_encode(linear),
-            in_gamut=((linear >= 0) & (linear <= 1)).all(),
-            status=status,
-            illuminant=self.illuminant,
-            observer=self.observer,
-        )
+        lab, srgb = lab_of(xyz / self.white), srgb_encode(linear)
+        inside = ((linear >= 0) & (linear <= 1)).all()
+        return Colour(xyz, lab, linear, srgb, inside, status, self.illuminant, self.observer)
 
 
 def colour_of(
@@ -131,8 +119,8 @@ def colour_of(
     Args:
         wavelengths: In nm; they must include `VISIBLE`.
         values: Reflectances, one a wavelength.
-        illuminant: Name of the light source in colour-science.
-        observer: Name of the standard observer in colour-science.
+        illuminant: Name in colour-science.
+        observer: Name in colour-science.
 
     Raises:
         ValueError: For an unknown illuminant or observer, or a number of values other than that of
@@ -157,17 +145,15 @@ def tristimulus_matrix(
 def srgb_encode(linear: Numbers) -> Array:
     """sRGB transfer function [IEC 61966-2-1]; negative values follow its linear foot."""
     foot = linear <= 0.0031308
-    return jnp.where(
-        foot, 12.92 * linear, 1.055 * jnp.where(foot, 1.0, linear) ** (1 / 2.4) - 0.055
-    )
+    power = jnp.where(foot, 1.0, linear) ** (1 / 2.4)
+    return jnp.where(foot, 12.92 * linear, 1.055 * power - 0.055)
 
 
 def srgb_decode(encoded: Numbers) -> Array:
     """Linear values of sRGB-encoded ones; the inverse of `srgb_encode`."""
     foot = encoded <= 12.92 * 0.0031308
-    return jnp.where(
-        foot, encoded / 12.92, ((jnp.where(foot, 1.0, encoded) + 0.055) / 1.055) ** 2.4
-    )
+    power = ((jnp.where(foot, 1.0, encoded) + 0.055) / 1.055) ** 2.4
+    return jnp.where(foot, encoded / 12.92, power)
 
 
 def lab_of(ratio: Numbers) -> Array:
@@ -185,16 +171,13 @@ def _check_visible(grid: np.ndarray) -> None:
     with steps of 25 nm by up to 1.1.
     """
     if grid[0] > VISIBLE[0] or grid[-1] < VISIBLE[1]:
-        raise ValueError(
-            f"wavelengths from {grid[0]:g} to {grid[-1]:g} nm make no colour: it needs all from "
-            f"{VISIBLE[0]:g} to {VISIBLE[1]:g} nm"
-        )
+        said = f"it needs all from {VISIBLE[0]:g} to {VISIBLE[1]:g} nm"
+        raise ValueError(f"wavelengths from {grid[0]:g} to {grid[-1]:g} nm make no colour: {said}")
     widest = int(np.argmax(np.diff(grid)))
-    if grid[widest + 1] - grid[widest] > _WIDEST:
-        raise ValueError(
-            f"a colour needs steps of at most {_WIDEST:g} nm; {grid[widest]:g} nm is followed by "
-            f"{grid[widest + 1]:g} nm"
-        )
+    one, next_ = grid[widest], grid[widest + 1]
+    if next_ - one > _WIDEST:
+        said = f"{one:g} nm is followed by {next_:g} nm"
+        raise ValueError(f"a colour needs steps of at most {_WIDEST:g} nm; {said}")
 
 
 def illuminant_power(illuminant: str, wavelengths: Numbers) -> Any:
@@ -210,9 +193,8 @@ def illuminant_power(illuminant: str, wavelengths: Numbers) -> Any:
         return piecewise_linear(x, grid, values, outside=jnp.nan)
     x = np.asarray(wavelengths, np.float64)
     if (x < grid[0]).any() or (x > grid[-1]).any():
-        raise ValueError(
-            f"illuminant {illuminant} is tabulated from {grid[0]:g} to {grid[-1]:g} nm only"
-        )
+        span = f"{grid[0]:g} to {grid[-1]:g} nm"
+        raise ValueError(f"illuminant {illuminant} is tabulated from {span} only")
     return np.interp(x, grid, values)
 
 

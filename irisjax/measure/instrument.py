@@ -26,7 +26,7 @@ GAIN = Range(0, 1e6, meaning="factor of the instrument on every value", above=Tr
 
 
 class InstrumentSettings(TypedDict, total=False):
-    """Settings that every instrument has; `AbstractInstrument` says what they mean."""
+    """Settings that every instrument has, see `AbstractInstrument`."""
 
     cos_incidence: Numbers
     first_surface: bool
@@ -79,10 +79,8 @@ class AbstractInstrument(eqx.Module):
             raise ValueError(f"cornea = {cornea!r}; known: {', '.join(get_args(Crossing))}")
         diffuse = isinstance(cos_incidence, str)
         if diffuse and cornea != "none":
-            raise ValueError(
-                'cos_incidence = "diffuse" needs cornea="none": '
-                "through the cornea light comes from one direction"
-            )
+            why = "through the cornea light comes from one direction"
+            raise ValueError(f'cos_incidence = "diffuse" needs cornea="none": {why}')
         self.pigments = extinction(wavelengths)
         if np.shape(gain):
             raise ValueError(f"gain has shape {np.shape(gain)}; it must be one number")
@@ -142,15 +140,8 @@ class AbstractInstrument(eqx.Module):
         **more: Any,
     ) -> R:
         """Return values as a `Reading`, with what the solution says besides."""
-        return kind(
-            wavelengths=self.wavelengths,
-            values=values,
-            standard_error=error,
-            status=light.status,
-            absorbed=dimmed(light.absorbed, factor),
-            mirrored=factor * light.mirrored,
-            **more,
-        )
+        absorbed, mirrored = dimmed(light.absorbed, factor), factor * light.mirrored
+        return kind(self.wavelengths, values, error, light.status, absorbed, mirrored, **more)
 
     @abc.abstractmethod
     def reading(self, light: Solution, factor: Scalar) -> Any:
@@ -158,9 +149,8 @@ class AbstractInstrument(eqx.Module):
 
 
 def _number(value, dtype) -> jax.Array:
-    """Return a setting as a strongly typed array, so that 1, 1.0 and an array share one program.
-
-    Arrays of plain numbers are cached: making one takes as long as a tenth of a spectrum.
+    """A setting as a strongly typed array, so that 1, 1.0 and an array share one program; of plain
+    numbers they are cached, as making one takes as long as a tenth of a spectrum.
     """
     if isinstance(value, (int, float)):
         return _constant(float(value), dtype)

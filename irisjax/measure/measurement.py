@@ -51,14 +51,12 @@ class Reading(eqx.Module):
             return f"{head}, batch of shape {np.shape(self.values)}"
         columns = {self.quantity: self.values, "standard_error": self.standard_error}
         columns = {name: np.asarray(c) for name, c in columns.items() if c is not None}
-        rows = [
-            "  ".join([f"{x:>13g}", *(f"{c[i]:>14.6g}" for c in columns.values())])
-            for i, x in enumerate(grid)
-        ]
-        if len(rows) > 12:
-            rows[6:-6] = ["..."]
-        names = "  ".join(["wavelength_nm", *(f"{name:>14}" for name in columns)])
-        return "\n".join([head, names, *rows])
+        rows = ["  ".join(["wavelength_nm", *(f"{name:>14}" for name in columns)])]
+        for x, *values in zip(grid, *columns.values(), strict=True):
+            rows.append("  ".join([f"{x:>13g}", *(f"{v:>14.6g}" for v in values)]))
+        if len(rows) > 13:
+            rows[7:-6] = ["..."]
+        return "\n".join([head, *rows])
 
     def __array__(self, dtype=None, copy=None):
         return np.asarray(self.values, dtype)
@@ -70,24 +68,18 @@ def wavelengths(start: float, stop: float, step: float) -> np.ndarray:
     Raises:
         ValueError: Unless start ≤ stop and the step is positive and divides the range.
     """
-    if not all(np.isfinite(v) for v in (start, stop, step)) or step <= 0 or stop < start:
-        raise ValueError(
-            f"wavelengths({start:g}, {stop:g}, {step:g}): need start <= stop and step > 0, in nm"
-        )
+    asked = f"wavelengths({start:g}, {stop:g}, {step:g})"
+    if not np.isfinite([start, stop, step]).all() or step <= 0 or stop < start:
+        raise ValueError(f"{asked}: need start <= stop and step > 0, in nm")
     n = round((stop - start) / step)
     if not np.isclose(start + n * step, stop, rtol=0, atol=1e-6 * step):
-        raise ValueError(
-            f"wavelengths({start:g}, {stop:g}, {step:g}): the step does not divide the range"
-        )
+        raise ValueError(f"{asked}: the step does not divide the range")
     return start + step * np.arange(n + 1)
 
 
 def check_wavelengths(grid: Numbers) -> None:
-    """Check a grid of wavelengths.
-
-    Raises:
-        ValueError: Unless it is one-dimensional and not empty and, if concrete, finite and
-            increasing.
+    """Raise `ValueError` unless a grid of wavelengths is one-dimensional and not empty and, if
+    concrete, finite and increasing.
     """
     shape = np.shape(grid)
     if len(shape) != 1 or shape[0] == 0:
@@ -97,25 +89,19 @@ def check_wavelengths(grid: Numbers) -> None:
     grid = np.asarray(grid)
     if not np.isfinite(grid).all():
         raise ValueError("wavelengths must be finite numbers of nm")
-    if (np.diff(grid) <= 0).any():
-        i = int(np.argmax(np.diff(grid) <= 0))
-        raise ValueError(
-            f"wavelengths must increase; {grid[i]:g} nm is followed by {grid[i + 1]:g} nm"
-        )
+    for i in np.flatnonzero(np.diff(grid) <= 0)[:1]:
+        pair = f"{grid[i]:g} nm is followed by {grid[i + 1]:g} nm"
+        raise ValueError(f"wavelengths must increase; {pair}")
 
 
 def check_cosine(name: str, cosine: Numbers) -> None:
-    """Check a cosine; a traced number passes.
-
-    Raises:
-        ValueError: Unless it is one number in [0, 1], or `DIFFUSE`.
-    """
+    """Raise `ValueError` unless a cosine is one number in [0, 1] (or traced), or `DIFFUSE`."""
     if isinstance(cosine, str):
         if cosine != DIFFUSE:
             raise ValueError(f"{name} must be a number in [0, 1] or {DIFFUSE!r}, got {cosine!r}")
         return
-    if np.shape(cosine):
+    if shape := np.shape(cosine):
         raise ValueError(
-            f"{name} has shape {np.shape(cosine)}; it must be one number: use jax.vmap for several"
+            f"{name} has shape {shape}; it must be one number: use jax.vmap for several"
         )
     check_range(name, cosine, COSINE)

@@ -29,7 +29,6 @@ class Spectrophotometer(AbstractInstrument):
         super().__init__(wavelengths, **settings)
 
     def reading(self, light: Solution, factor: Scalar) -> Reading:
-        """See `AbstractInstrument`."""
         return self.spectrum(light, factor, factor * self.gain, "reflectance")
 
 
@@ -64,15 +63,13 @@ class Radiometer(AbstractInstrument):
 
     @property
     def rays(self) -> Spectrum:
-        """Relative number of rays at each wavelength: the illuminant's power, as in LB06."""
-        return self.power
+        return self.power  # as in LB06
 
     def reading(self, light: Solution, factor: Scalar) -> Reading:
-        """See `AbstractInstrument`."""
         known = jnp.isfinite(self.power).all()
         status = RESULTS.where(known, light.status, RESULTS.invalid_input)
-        light = dataclasses.replace(light, status=status)
-        scale = factor * self.gain * self.power / jnp.pi
+        light, scale = dataclasses.replace(light, status=status), factor * self.gain
+        scale = scale * self.power / jnp.pi
         return self.spectrum(light, factor, scale, "radiance", unit="relative/sr")
 
 
@@ -100,7 +97,6 @@ class Colorimeter(AbstractInstrument):
         self.observer = Observer.of(wavelengths, illuminant, observer)
 
     def reading(self, light: Solution, factor: Scalar) -> Colour:
-        """See `AbstractInstrument`."""
         values, _ = self.counted(light)
         return self.observer.colour(jnp.asarray(factor * self.gain * values), light.status)
 
@@ -111,13 +107,13 @@ class Brdf(eqx.Module):
     Attributes:
         wavelengths: In nm.
         cos_incidence: Cosine of the angle of incidence.
-        cos_exit: Cosines of the exit angles, shape (exits,).
-        azimuth: Azimuths of the exits from the plane of incidence, radians, shape (exits,); 0 is
-            where a mirror would send the light.
-        values: The BRDF, shape (wavelengths, exits).
+        cos_exit: Cosines of the exit angles.
+        azimuth: Azimuths of the exits from the plane of incidence, radians; 0 is where a mirror
+            would send the light.
+        values: The BRDF.
         standard_error: Its standard error where it is sampled, otherwise `None`.
-        mirrored: Share of the light that the first surface reflects into the mirror direction,
-            shape (wavelengths,); `values` do not include this delta function.
+        mirrored: Share of the light that the first surface reflects into the mirror direction, a
+            delta function that is not in `values`.
         status: A `RESULTS` item.
     """
 
@@ -135,13 +131,10 @@ class Brdf(eqx.Module):
 
 
 class Goniophotometer(AbstractInstrument):
-    """An instrument that reads the BRDF of the bare iris in the aqueous humour.
+    """An instrument that reads the BRDF of the bare iris in the aqueous humour, at exits with these
+    cosines and azimuths (radians from the plane of incidence).
 
     Light reflected by the first surface is not included, because it is a delta function.
-
-    Attributes:
-        cos_exit: Cosines of the exit angles, shape (exits,).
-        azimuth: Azimuths of the exits from the plane of incidence, radians, shape (exits,).
     """
 
     cos_exit: Float[Array, " exits"]
@@ -156,9 +149,8 @@ class Goniophotometer(AbstractInstrument):
         **settings: Unpack[InstrumentSettings],
     ):
         if isinstance(settings.get("cos_incidence"), str) or isinstance(cos_exit, str):
-            raise ValueError(
-                "a BRDF needs directions: cos_incidence and cos_exit must be numbers in [0, 1]"
-            )
+            said = "cos_incidence and cos_exit must be numbers in [0, 1]"
+            raise ValueError(f"a BRDF needs directions: {said}")
         super().__init__(wavelengths, **settings)
         if self.cornea != "none":
             raise ValueError(f"a BRDF is that of the bare iris: cornea = {self.cornea!r}")
@@ -168,33 +160,24 @@ class Goniophotometer(AbstractInstrument):
             raise ValueError(f"exits must be a list of directions, got shapes {shapes}")
         sizes = {shape[0] for shape in shapes if shape} - {1}
         if len(sizes) > 1:
-            raise ValueError(
-                "cos_exit and azimuth must be one number or one for each exit, "
-                f"got shapes {shapes[0]} and {shapes[1]}"
-            )
+            said = "must be one number or one for each exit, got shapes"
+            raise ValueError(f"cos_exit and azimuth {said} {shapes[0]} and {shapes[1]}")
         exits = (jnp.atleast_1d(jnp.asarray(x, dtype)) for x in (cos_exit, azimuth))
         self.cos_exit, self.azimuth = jnp.broadcast_arrays(*exits)
 
     @property
     def exits(self) -> Directions:
-        """The exit directions."""
         return Directions(self.cos_exit, self.azimuth)
 
     def reading(self, light: Solution, factor: Scalar) -> Brdf:
-        """See `AbstractInstrument`."""
         assert light.brdf is not None
         assert self.cos_incidence is not None
         scale, error = factor * self.gain, light.brdf_error
-        return Brdf(
-            wavelengths=self.wavelengths,
-            cos_incidence=self.cos_incidence,
-            cos_exit=self.cos_exit,
-            azimuth=self.azimuth,
-            values=scale * light.brdf,
-            standard_error=None if error is None else scale * error,
-            mirrored=factor * light.mirrored,
-            status=light.status,
-        )
+        error = None if error is None else scale * error
+        directions = self.cos_incidence, self.cos_exit, self.azimuth
+        mirrored = factor * light.mirrored
+        values = scale * light.brdf
+        return Brdf(self.wavelengths, *directions, values, error, mirrored, light.status)
 
 
 def reflectance(
@@ -286,14 +269,8 @@ def brdf(
 
 
 def principal_plane(n: int = 181) -> tuple[jax.Array, jax.Array, jax.Array]:
-    """Return exit directions across the principal plane, without grazing ones.
-
-    Args:
-        n: Number of directions.
-
-    Returns:
-        Signed exit angles (radians; negative on the light's side), their cosines, and azimuths (π
-        on the light's side).
+    """Return `n` exit directions across the principal plane, without grazing ones: signed angles
+    (radians; negative on the light's side), their cosines, and azimuths (π on the light's side).
     """
     angle = (jnp.arange(n) - (n - 1) / 2) / n * jnp.pi
     return angle, jnp.cos(angle), jnp.where(angle < 0, jnp.pi, 0.0)

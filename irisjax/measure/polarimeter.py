@@ -54,9 +54,8 @@ class PolarisedInstrument(AbstractInstrument):
         **settings: Unpack[InstrumentSettings],
     ):
         if isinstance(settings.get("cos_incidence"), str):
-            raise ValueError(
-                "polarised light comes from one direction: cos_incidence must be a number in [0, 1]"
-            )
+            said = "cos_incidence must be a number in [0, 1]"
+            raise ValueError(f"polarised light comes from one direction: {said}")
         super().__init__(wavelengths, **settings)
         if self.cornea != "none":
             raise ValueError(f"polarised light is that on the bare iris: cornea = {self.cornea!r}")
@@ -76,7 +75,6 @@ class PolarisedInstrument(AbstractInstrument):
 
     @property
     def exits(self) -> Directions | None:
-        """The direction it looks from, `None` for all of them."""
         return None if self.cos_exit is None else Directions(self.cos_exit, self.azimuth)
 
     def light(self) -> Float[Array, "4"]:
@@ -105,11 +103,12 @@ class PolarisedInstrument(AbstractInstrument):
         covariance = None if covariance is None else jnp.pi**2 * covariance[:, 0]
         return jnp.pi * found.brdf[:, 0], covariance
 
-    def error(self, light: Solution, gradient: Float[Array, "n 16"]) -> Float[Array, " n"] | None:
-        """Standard error that follows from `gradient` by the 16 numbers of `matrix`."""
+    def error(self, light: Solution, gradient: Float[Array, "n 4 4"]) -> Float[Array, " n"] | None:
+        """Standard error that follows from `gradient` by the numbers of `matrix`."""
         covariance = self.matrix(light)[1]
         if covariance is None:
             return None
+        gradient = gradient.reshape(-1, 16)
         return safe_sqrt(jnp.einsum("wi,wij,wj->w", gradient, covariance, gradient))
 
 
@@ -134,33 +133,24 @@ class Analyser(PolarisedInstrument):
         polariser: Numbers = 0.0,
         **settings: Any,
     ):
-        if setting not in get_args(AnalyserSetting):
-            raise ValueError(
-                f"setting = {setting!r}; known: {', '.join(get_args(AnalyserSetting))}"
-            )
+        if setting not in (known := get_args(AnalyserSetting)):
+            raise ValueError(f"setting = {setting!r}; known: {', '.join(known)}")
         if polariser is None:
             raise ValueError("an analyser needs a polariser: give its angle")
         super().__init__(wavelengths, polariser=polariser, **settings)
         self.setting = setting
 
     def reading(self, light: Solution, factor: Scalar) -> Reading:
-        """See `AbstractInstrument`."""
         assert self.polariser is not None
         crossed = self.setting == "crossed"
         passed = self.filtered(self.polariser + (jnp.pi / 2 if crossed else 0.0))
-        scale = factor * self.gain
-        weights = scale * passed[:, None] * self.light()[None]
+        weights = factor * self.gain * passed[:, None] * self.light()[None]
         matrix, _ = self.matrix(light)
         weights = jnp.broadcast_to(weights[None], matrix.shape)
+        values, error = (weights * matrix).sum((-2, -1)), self.error(light, weights)
         name = f"{'cross' if crossed else 'co'}-polarised reflectance"
-        return self.result(
-            light,
-            factor,
-            (weights * matrix).sum((-2, -1)),
-            self.error(light, weights.reshape(-1, 16)),
-            quantity=name if self.cos_exit is None else f"{name} factor",
-            unit="",
-        )
+        name = name if self.cos_exit is None else f"{name} factor"
+        return self.result(light, factor, values, error, quantity=name, unit="")
 
 
 class PolarisedReading(Reading):
@@ -186,7 +176,6 @@ class Polarimeter(PolarisedInstrument):
         super().__init__(wavelengths, **settings)
 
     def reading(self, light: Solution, factor: Scalar) -> PolarisedReading:
-        """See `AbstractInstrument`."""
         matrix = self.matrix(light)[0]
         turn = rotation(jnp.zeros_like(self.azimuth) if self.cos_exit is None else -self.azimuth)
         sent = matrix @ self.light()
@@ -198,13 +187,7 @@ class Polarimeter(PolarisedInstrument):
         by_stokes = jnp.concatenate([-degree[:, None], along, 0 * degree[:, None]], -1)
         gradient = (by_stokes @ turn / intensity[:, None])[:, :, None] * self.light()
         return self.result(
-            light,
-            factor,
-            degree,
-            self.error(light, gradient.reshape(-1, 16)),
-            PolarisedReading,
-            quantity="degree of linear polarisation",
-            unit="",
-            angle=0.5 * arctan2(stokes[:, 2], stokes[:, 1]),
-            stokes=factor * self.gain * stokes,
-        )
+            light, factor, degree, self.error(light, gradient), PolarisedReading,
+            quantity="degree of linear polarisation", unit="",
+            angle=0.5 * arctan2(stokes[:, 2], stokes[:, 1]), stokes=factor * self.gain * stokes,
+        )  # fmt: skip
