@@ -10,8 +10,7 @@ from irisjax.cli import options as opt
 from irisjax.infer.observation import RADIANCE, REFLECTANCE
 from irisjax.infer.parameters import PARAMETERS
 from irisjax.infer.priors import AbstractPrior, prior_of
-from irisjax.io.columns import QUANTITIES
-from irisjax.io.measured import REFLECTANCE_UNITS, WAVELENGTH_UNITS, ReadOptions
+from irisjax.io.measured import QUANTITIES, REFLECTANCE_UNITS, WAVELENGTH_UNITS, ReadOptions
 from irisjax.numerics.checks import Range
 from irisjax.transport.process import PROCESSES
 

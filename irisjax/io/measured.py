@@ -1,4 +1,4 @@
-"""Measured spectra from files of instruments: the columns that `irisjax.io.columns` chooses become
+"""Measured spectra from files of instruments: columns that have roles by their headers become
 wavelengths in nm and reflectances as fractions (or radiances).
 """
 
@@ -11,12 +11,14 @@ import numpy as np
 from jaxtyping import Float
 
 from irisjax.infer.observation import RADIANCE, REFLECTANCE, mean_of_scans
-from irisjax.io.columns import ABSORBANCE, KUBELKA_MUNK, QUANTITIES, read_spectral_table, select
 from irisjax.io.tables import naming
-from irisjax.io.text import Columns
+from irisjax.io.text import Columns, read_columns, read_text
 from irisjax.optics.kubelka_munk import thick_layer
 from irisjax.tissue.pigments import common_range
 
+ABSORBANCE, KUBELKA_MUNK = "absorbance", "kubelka-munk"
+QUANTITIES = (REFLECTANCE, RADIANCE, ABSORBANCE, KUBELKA_MUNK)
+"""Roles whose columns can become a spectrum."""
 REFLECTANCE_UNITS = ("fraction", "percent")
 WAVELENGTH_UNITS: dict[str, Callable[[np.ndarray], np.ndarray]] = {
     "nm": lambda x: x,
@@ -25,6 +27,26 @@ WAVELENGTH_UNITS: dict[str, Callable[[np.ndarray], np.ndarray]] = {
 }
 """Units of a first column, and its conversion to nm."""
 
+_STANDARD_DEVIATION = "standard deviation"
+# The first form that a header matches gives its role.
+_FORMS = {
+    _STANDARD_DEVIATION: r"^(sd|std|stdev|sigma|standard[ _](deviation|error)|uncertainty)\b",
+    ABSORBANCE: r"absorb|extinction|optical density|\bOD\b|\bA\.?U\b|log\W*1\s*/\s*[RT]\b",
+    KUBELKA_MUNK: r"kubelka|munk|\bk\s*/\s*s\b|\bf\(r",
+    "transmittance": r"transmi|%\s*T\b|\bT\s*\(?%",
+    "irradiance": r"irradian|[µμu]W",
+    REFLECTANCE: r"reflect|reflex|remission|albedo|^R\b|%\s*R\b",
+    RADIANCE: r"radiance",
+    "counts": r"count|scope|intensity|\braw\b|\badu\b|\bdn\b|\bdark\b|\bwhite\b|^ref(erence)?\b",
+    "arbitrary units": r"arbitrary",
+}
+_WAVELENGTH = re.compile(r"wave|wellenl|λ|lambda|^\W*nm\W*$", re.I)
+_REFUSALS = {
+    RADIANCE: "a radiance; give --quantity radiance",
+    "transmittance": "a transmittance; where it is the light sent back, give "
+    "--quantity reflectance",
+}
+_TO_DO = "divide the light of the eye by that of a white reference, both less the dark signal"
 # Units that headers name, the first that matches.
 _UNITS = {
     "1/cm": re.compile(r"1/cm\b|\bcm\s*\^?\s*[-−–]\s*1|cm⁻¹|wave\s?number", re.I),
@@ -101,7 +123,7 @@ def read_measured(
     """
     how = ReadOptions(quantity, unit, wavelength_unit, wavelengths)
     with naming(path):
-        return _spectrum(read_spectral_table(path), how)
+        return _spectrum(_table(path), how)
 
 
 def read_eyes(path: str | Path, how: ReadOptions | None = None) -> dict[str, Measured | ValueError]:
@@ -114,7 +136,7 @@ def read_eyes(path: str | Path, how: ReadOptions | None = None) -> dict[str, Mea
         ValueError: naming the file and a problem of the whole table.
     """
     with naming(path):
-        table = read_spectral_table(path)
+        table = _table(path)
     found: dict[str, Measured | ValueError] = {}
     for j, name in enumerate(table.names[1:], 1):
         name = name or f"column {j + 1}"
@@ -132,9 +154,9 @@ def _spectrum(table: Columns, how: ReadOptions, among: list[int] | None = None) 
     for name, given, allowed in zip(how._fields, how, known, strict=False):
         if given not in (None, *allowed):
             raise ValueError(f"{name} must be one of {', '.join(allowed)}, got {given!r}")
-    chosen = select(table, how.quantity, among)
+    spectra, stated, role = _chosen(table, how.quantity, among)
     notes: list[str] = []
-    used = [0, *chosen.spectra, *([] if chosen.sd is None else [chosen.sd])]
+    used = [0, *spectra, *stated]
     values, where = table.values[:, used], np.array(table.where)
     for i, j in np.argwhere(np.isinf(values))[:1]:
         raise ValueError(f"{where[i]}: {values[i, j]} is not a finite number")
@@ -150,16 +172,17 @@ def _spectrum(table: Columns, how: ReadOptions, among: list[int] | None = None) 
     x, where = x[order], where[order]
     for i in np.flatnonzero(np.diff(x) == 0)[:1]:
         raise ValueError(f"{where[i + 1]}: {x[i]:g} nm appears twice")
-    count = len(chosen.spectra)
+    count = len(spectra)
     scans, sd = values[order, 1 : count + 1], values[order, count + 1 :]
-    quantity = how.quantity or chosen.role or REFLECTANCE
+    quantity = how.quantity or role or REFLECTANCE
     if quantity in (ABSORBANCE, KUBELKA_MUNK):
         form = "log10(1/R)" if quantity == ABSORBANCE else "(1 - R)²/2R"
         notes.append(f"{quantity} {form} converted to reflectance")
         scans, slope = _reflectance_of(scans, quantity)
         sd = slope[:, :1] * sd
     elif quantity == REFLECTANCE:
-        scale = 100 if _unit(scans, how.unit, chosen.label, table.header, notes) == "percent" else 1
+        label = table.names[spectra[0]]
+        scale = 100 if _unit(scans, how.unit, label, table.header, notes) == "percent" else 1
         scans, sd = scans / scale, sd / scale
     doubts = () if quantity == RADIANCE else _doubts(scans)
     y, scatter = mean_of_scans(scans)
@@ -167,11 +190,69 @@ def _spectrum(table: Columns, how: ReadOptions, among: list[int] | None = None) 
         notes.append(f"mean of {count} scans; their scatter is the noise")
         if scatter is None:
             notes.append("the scans are equal: their scatter says nothing about the noise")
-    noise = scatter if chosen.sd is None else sd[:, 0]
-    if noise is not None:
-        for i in np.flatnonzero(~(noise > 0))[:1]:
-            raise ValueError(f"{where[i]}: standard deviation {noise[i]:g}; it must be > 0")
+    noise = sd[:, 0] if stated else scatter
+    if noise is not None and not (noise > 0).all():
+        i = np.flatnonzero(~(noise > 0))[0]
+        raise ValueError(f"{where[i]}: standard deviation {noise[i]:g}; it must be > 0")
     return Measured(x, y, noise, tuple(notes), table.header, doubts)
+
+
+def _table(path: str | Path) -> Columns:
+    """The table of a text file or of JCAMP-DX, which begins with `##TITLE`; its first column, or
+    the one whose header says so, becomes the first: the wavelength or wavenumber.
+    """
+    text = read_text(path)
+    table = _jcamp(path) if text.lstrip().startswith("##") else read_columns(text)
+    first = next((j for j, name in enumerate(table.names) if _WAVELENGTH.search(name)), 0)
+    order = [first, *(j for j in range(len(table.names)) if j != first)]
+    return table._replace(values=table.values[:, order], names=[table.names[j] for j in order])
+
+
+def _chosen(
+    table: Columns, wanted: str | None, among: list[int] | None
+) -> tuple[list[int], list[int], str]:
+    """Columns of one spectrum, by their index: its scans, all of one role, and its standard
+    deviation if there is one; and the role, empty where no header gives it.
+
+    Columns of reflectance come first, then those of absorbance and of K/S, then those without a
+    role; others, such as counts and references beside a reflectance, are left out.
+    """
+    roles = {j: _role_of(table.names[j]) for j in among or range(1, len(table.names))}
+    stated = [j for j, role in roles.items() if role == _STANDARD_DEVIATION]
+    others = {j: role for j, role in roles.items() if j not in stated}
+    first = (wanted,) if wanted else (REFLECTANCE, ABSORBANCE, KUBELKA_MUNK)
+    role = next((role for role in (*first, "") if role in others.values()), None)
+    spectra = [j for j in others if role is None or others[j] == role]
+    if spectra and role is None and not wanted:
+        refused = others[spectra[0]]
+        said = _REFUSALS.get(refused, f"{refused}, not a reflectance: {_TO_DO}")
+        raise ValueError(f"column {table.names[spectra[0]]!r} holds {said}")
+    if not spectra or len(stated) > 1 or (stated and len(spectra) > 1):
+        names = [table.names[j] for j in roles]
+        raise ValueError(f"columns {names}: need one spectrum (with its sd) or repeated scans")
+    return spectra, stated, role or ""
+
+
+def _role_of(header: str) -> str:
+    """The role that a column's header gives it, or an empty text."""
+    return next((role for role, form in _FORMS.items() if re.search(form, header, re.I)), "")
+
+
+def _jcamp(path: str | Path) -> Columns:
+    import jcamp
+
+    try:
+        found = jcamp.readfile(str(path))
+        x, y = np.asarray(found["x"], float), np.asarray(found["y"], float)
+    except Exception as error:  # of whatever kind its parser meets
+        raise ValueError(f"not readable as JCAMP-DX ({error})") from None
+    if x.size == 0 or x.shape != y.shape:
+        raise ValueError("JCAMP-DX without a spectrum")
+    given = str(found.get("xunits", "")).strip().upper()
+    if not any(form.search(given) for form in _UNITS.values()):
+        raise ValueError(f"XUNITS = {given or 'nothing'}; need nanometers, micrometers or 1/cm")
+    names = [f"wavelength ({given})", str(found.get("yunits", "")).strip()]
+    return Columns(np.stack([x, y], 1), names, [f"point {i + 1}" for i in range(x.size)], {})
 
 
 def _in_nm(

@@ -24,12 +24,7 @@ _REMARK = re.compile(r"\s*\[[^\[\]]*\]$")
 
 
 class Table(NamedTuple):
-    """Contents of a CSV file.
-
-    Attributes:
-        header: Values as text.
-        columns: Arrays by name, each of shape (rows,).
-    """
+    """Contents of a CSV file: the header's values as text, and arrays (rows,) of the columns."""
 
     header: dict[str, str]
     columns: dict[str, np.ndarray]
@@ -83,26 +78,24 @@ def read_table(path: str | Path) -> Table:
     # Comments may be anywhere; messages need the true line numbers.
     lines = enumerate(read_text(path).splitlines(), 1)
     body = {n: line for n, line in lines if line.strip() and not line.startswith("#")}
-    rows = dict(zip(body, csv.reader(body.values()), strict=True))
+    rows = zip(body, csv.reader(body.values()), strict=True)
     with naming(path):
-        if not rows:
+        first, names = next(rows, (0, []))
+        columns: dict[str, list[float]] = {name.strip(): [] for name in names}
+        if not columns:
             raise ValueError("no columns")
-        first, *numbers = rows
-        names = [name.strip() for name in rows[first]]
-        if len(set(names)) != len(names):
+        if len(columns) != len(names):
             raise ValueError(f"line {first}: a column name appears twice")
-        values = np.empty((len(numbers), len(names)))
-        for i, number in enumerate(numbers):
-            row = rows[number]
+        for number, row in rows:
             if len(row) != len(names):
                 raise ValueError(f"line {number}: {len(row)} values for {len(names)} columns")
-            for j, text in enumerate(row):
+            for (name, column), text in zip(columns.items(), row, strict=True):
                 try:
-                    values[i, j] = float(text)
+                    column.append(float(text))
                 except ValueError:
-                    said = f"{names[j]} = {text!r} is not a number"
+                    said = f"{name} = {text!r} is not a number"
                     raise ValueError(f"line {number}: {said}") from None
-    return Table(header, dict(zip(names, values.T, strict=True)))
+    return Table(header, {name: np.array(column) for name, column in columns.items()})
 
 
 @contextlib.contextmanager

@@ -20,6 +20,7 @@ _LAYOUTS = (
 # Ocean Insight: what stands between these lines is the spectrum.
 _BEGIN, _END = re.compile(r"^>+\s*Begin\b", re.I), re.compile(r"^>+\s*End\b", re.I)
 _WAVELENGTH = re.compile(r"^(?P<of>.*?)\s*[\[(]?(?P<nm>\d{3,4}(?:\.\d+)?)\s*(?:nm)?[\])]*$", re.I)
+_HEADER = re.compile(r"^#\s*([^:\n]+?)\s*:[ \t]*(.*?)(?:\s*\[[^\[\]\n]*\])?\s*$", re.M)
 _FEWEST = 5  # wavelengths in a line that names columns by them
 
 _Lines = list[tuple[int, str]]  # with their numbers
@@ -53,9 +54,7 @@ def read_text(path: str | Path) -> str:
 
 def read_columns(text: str) -> Columns:
     """Read the table in a text, or raise `ValueError` that names the line and the problem."""
-    header = dict(
-        re.findall(r"^#\s*([^:\n]+?)\s*:[ \t]*(.*?)(?:\s*\[[^\[\]\n]*\])?\s*$", text, flags=re.M)
-    )
+    header = dict(_HEADER.findall(text))
     lines = [
         (number, line)
         for number, line in enumerate(text.splitlines(), 1)
