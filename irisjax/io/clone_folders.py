@@ -16,11 +16,8 @@ PHOTOGRAPH = "photograph.png"
 
 
 class CloneFolder(NamedTuple):
-    """The result of `irisjax clone`.
-
-    Attributes:
-        scene: The scene file.
-        photograph: The photograph at the size of the scene's picture, sRGB-encoded.
+    """The result of `irisjax clone`: its scene file, and the photograph at the size of the scene's
+    picture, sRGB-encoded.
     """
 
     scene: SceneFile
@@ -54,10 +51,8 @@ def read_clone(folder: str | Path) -> CloneFolder:
     width, height = scene.scene().camera.size
     if pixels.shape != (height, width, 3):
         rows, columns, channels = pixels.shape
-        raise ValueError(
-            f"{path}: is {columns} x {rows} pixels of {channels} channels, must be {width} x "
-            f"{height} of 3, the size in scene.toml"
-        )
+        must = f"must be {width} x {height} of 3, the size in scene.toml"
+        raise ValueError(f"{path}: is {columns} x {rows} pixels of {channels} channels, {must}")
     return CloneFolder(scene, np.rint(255 * pixels).astype(np.uint8))
 
 

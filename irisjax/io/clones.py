@@ -27,6 +27,7 @@ CLONE_FILES = (
 )
 """Names of all files that `files_of` may write."""
 _REMARK = "estimated by irisjax from a photograph"
+_OF_ESTIMATE = "median", "sd", "q2.5", "q97.5", "contraction"  # fields of an `Estimate`
 
 
 def files_of(
@@ -36,14 +37,8 @@ def files_of(
     pictures: PictureDifference | None = None,
     doubts: Sequence[str] = (),
 ) -> dict[str, bytes]:
-    """Return the files of a clone up to the stage that it has reached, by name.
-
-    Args:
-        clone: The last stage that was reached.
-        settings: Options of the command.
-        timings: Seconds by the names of stages.
-        pictures: The clone's picture compared with the photograph.
-        doubts: Sentences on what is doubtful.
+    """Return the files, by name, of a clone up to the last stage that it has reached, with options
+    of the command, seconds by the names of stages, and sentences on what is doubtful.
     """
     summary = _summary(clone, settings, timings) | {"doubts": doubts}
     summary |= {} if pictures is None else {"picture_rms": pictures.rms}
@@ -97,38 +92,31 @@ def _summary(
         texture, shape = clone.texture, clone.morphology
         radius = texture.radius()
         ring = (radius > texture.pupil_radius) & (radius < texture.iris_radius)
-        quantiles = np.quantile(shape.thickness[texture.valid], [0.025, 0.5, 0.975])
-        names = "q2.5", "median", "q97.5"
+        low, middle, high = np.quantile(shape.thickness[texture.valid], [0.025, 0.5, 0.975])
         found |= {
             "visible_share": texture.valid.sum() / ring.sum(),
             "freckles_share": shape.freckles.sum() / ring.sum(),
             "clamped_texels": shape.clamped,
             "deconvolution_mm": shape.sigma_mm,
-            "stroma_thickness_mm": dict(zip(names, quantiles, strict=True)),
+            "stroma_thickness_mm": {"q2.5": low, "median": middle, "q97.5": high},
         }
     if isinstance(clone, Fitted):
+        fit = clone.fit
+        iris = iris_of_concentrations(fit.values, clone.base)
         found |= {
             "lamps_found": clone.lighting.found,
             "thickness_response": clone.response,
-            "estimate": clone.fit.values
-            | concentrations_of(iris_of_concentrations(clone.fit.values, clone.base)),
+            "estimate": fit.values | concentrations_of(iris),
             "units": PIGMENT_UNITS,
-            "windows_rms": clone.fit.rms,
-            "steps": clone.fit.steps,
-            "converged": clone.fit.converged,
+            "windows_rms": fit.rms,
+            "steps": fit.steps,
+            "converged": fit.converged,
         }
     if isinstance(clone, Sampled):
         chains = clone.posterior.chains
         found |= {
             "posterior": {
-                name: {
-                    "median": e.median,
-                    "sd": e.sd,
-                    "q2.5": e.low,
-                    "q97.5": e.high,
-                    "contraction": e.contraction,
-                    "unit": PIGMENT_UNITS[name],
-                }
+                name: dict(zip(_OF_ESTIMATE, e, strict=True)) | {"unit": PIGMENT_UNITS[name]}
                 for name, e in clone.posterior.estimates.items()
             },
             "chain": {
@@ -201,20 +189,15 @@ def scene_text(clone: Fitted) -> str:
     elif around is not None:
         sections["environment"] = {"file": "environment.exr"}
     if lights is not None:
-        sections["light"] = [
-            {
-                "polar_deg": np.degrees(np.arccos(np.clip(-z, -1, 1))),
-                "azimuth_deg": np.degrees(np.arctan2(y, x)),
-                "irradiance": irradiance,
-                "radius_deg": np.degrees(radius),
-            }
-            for (x, y, z), irradiance, radius in zip(
-                np.asarray(lights.towards, np.float64),
-                lights.irradiance,
-                lights.radius,
-                strict=True,
-            )
-        ]
+        x, y, z = np.asarray(lights.towards, np.float64).T
+        columns = {
+            "polar_deg": np.degrees(np.arccos(np.clip(-z, -1, 1))),
+            "azimuth_deg": np.degrees(np.arctan2(y, x)),
+            "irradiance": lights.irradiance,
+            "radius_deg": np.degrees(lights.radius),
+        }
+        rows = zip(*columns.values(), strict=True)
+        sections["light"] = [dict(zip(columns, row, strict=True)) for row in rows]
     return f"# {_REMARK}: {clone.photograph.name}\n{toml_of(plain(sections, 6))}"
 
 

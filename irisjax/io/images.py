@@ -90,8 +90,7 @@ def write_png(
             yield values
 
     attributes = {"Software": "irisjax", "oiio:ColorSpace": "srgb_rec709_scene"}
-    if remark:
-        attributes["ImageDescription"] = remark
+    attributes |= {"ImageDescription": remark} if remark else {}
     _write(path, ".png", steps(), rows, ("R", "G", "B"), attributes)
     return clipped
 
@@ -169,20 +168,18 @@ def read_environment(path: str | Path) -> Environment:
     """
     image = read_image(path, decode=True)
     rows, columns = image.pixels.shape[:2]
+    if columns != 2 * rows:
+        said = f"is twice as wide as high, this is {columns} × {rows}"
+        raise ValueError(f"{path}: a latitude-longitude map {said}")
+    if not {"R", "G", "B"} <= set(image.channels):
+        found = ", ".join(image.channels)
+        raise ValueError(f"{path}: an environment needs the channels R, G, B, found {found}")
     with naming(path):
-        if columns != 2 * rows:
-            said = f"twice as wide as high, this is {columns} × {rows}"
-            raise ValueError(f"a latitude-longitude map is {said}")
-        if not {"R", "G", "B"} <= set(image.channels):
-            found = ", ".join(image.channels)
-            raise ValueError(f"an environment needs the channels R, G, B, found {found}")
         return Environment(image.pixels[..., [image.channels.index(c) for c in "RGB"]])
 
 
 def to_steps(encoded: Any, bits: int) -> tuple[np.ndarray, int]:
-    """Encoded values (rows, columns, 3) as whole numbers of 8 or 16 bits, and the number of clipped
-    pixels.
-    """
+    """Encoded values as whole numbers of 8 or 16 bits, and the number of clipped pixels."""
     values = _pixels(encoded, 3)
     if bits not in (8, 16):
         raise ValueError(f"a PNG has 8 or 16 bits, got {bits}")
@@ -203,8 +200,7 @@ def decode_file(
     numbers scaled to [0, 1]. `check` may refuse a header, OpenImageIO's `ImageSpec`.
 
     Returns:
-        Values (rows, columns, channels), the header (of the picture before it was turned), and
-        whether the file has more pictures.
+        Values, the header of the picture before it was turned, and whether there are more.
     """
     with naming(path):
         check_image_suffix(path, suffixes)

@@ -26,9 +26,7 @@ def read_maps(path: str | Path) -> IrisMaps:
     the stroma (all mm), A freckles (0 to 1).
 
     Raises:
-        OSError: for a file that cannot be opened.
-        ValueError: naming the file, for other channels, for values that no iris has and for a
-            broken file.
+        ValueError: for other channels, for values that no iris has and for a broken file.
     """
     with naming(path):
         if Path(path).suffix.lower() != ".exr":
@@ -37,11 +35,9 @@ def read_maps(path: str | Path) -> IrisMaps:
         channels = dict(zip(image.channels, np.moveaxis(image.pixels, -1, 0), strict=True))
         if set(channels) in ({"R", "G", "B"}, {"R", "G", "B", "A"}):
             channels = {_PACKED[name]: values for name, values in channels.items()}
-        if unknown := [name for name in channels if name not in MAP_NAMES]:
-            raise ValueError(
-                f"unknown channel {', '.join(map(repr, unknown))}; maps have channels among "
-                f"{', '.join(MAP_NAMES)}, or exactly R, G, B or R, G, B, A"
-            )
+        if unknown := ", ".join(repr(name) for name in channels if name not in MAP_NAMES):
+            known = f"{', '.join(MAP_NAMES)}, or exactly R, G, B or R, G, B, A"
+            raise ValueError(f"unknown channel {unknown}; maps have channels among {known}")
         return IrisMaps(**channels)
 
 
@@ -59,7 +55,6 @@ def encode_maps(path: str | Path, maps: IrisMaps) -> bytes:
     present = maps.present()
     if not present:
         raise ValueError(f"{path}: there are no maps to write")
-    remark = "maps of an iris: rows angles, columns radii from the pupil; mm, "
-    remark += "freckles 0 to 1, melanins relative"
+    said = "rows angles, columns radii from the pupil; mm, freckles 0 to 1, melanins relative"
     image = np.stack(list(present.values()), axis=-1)
-    return encode_exr(path, image, tuple(present), {"comments": remark})
+    return encode_exr(path, image, tuple(present), {"comments": f"maps of an iris: {said}"})

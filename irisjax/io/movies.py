@@ -19,12 +19,7 @@ _NUMBER = re.compile(r"%(0\d+)?d")
 
 
 def check_movie(path: str | Path) -> None:
-    """Check before the frames are computed that they can be written.
-
-    Raises:
-        ValueError: The suffix is none of `write_movie`'s, or MP4 lacks the extra `video`.
-        OSError: The place cannot be written.
-    """
+    """Raise before the frames are computed what `write_movie` would raise for the path."""
     suffix = Path(path).suffix.lower()
     with naming(path):
         check_image_suffix(path, tuple(_WRITERS))
@@ -101,8 +96,7 @@ def _mp4(path: Path, frames: Iterator[np.ndarray], rate: int, remark: str) -> di
         stream: Any = None
         for number, steps in enumerate(frames):
             if stream is None:
-                # Constant quality, far above what is seen: 1 of 255 levels on average where colours
-                # do not jump.
+                # Far above what is seen: 1 of 255 levels where colours do not jump.
                 quality = {"crf": "8", "b": "0"}
                 stream = container.add_stream("libvpx-vp9", rate=rate, options=quality)
                 stream.height, stream.width = steps.shape[:2]
@@ -110,10 +104,8 @@ def _mp4(path: Path, frames: Iterator[np.ndarray], rate: int, remark: str) -> di
                 context = stream.codec_context  # BT.709 with sRGB's transfer function, in [16, 235]
                 context.colorspace, context.color_primaries = 1, 1
                 context.color_trc, context.color_range = 13, 1
-            frame = av.VideoFrame.from_ndarray(steps, format="rgb24")
-            frame = frame.reformat(
-                format="yuv420p", dst_colorspace="ITU709", dst_color_range="MPEG"
-            )
+            form: Any = {"format": "yuv420p", "dst_colorspace": "ITU709", "dst_color_range": "MPEG"}
+            frame = av.VideoFrame.from_ndarray(steps, format="rgb24").reformat(**form)
             frame.pts = number
             container.mux(stream.encode(frame))
         container.mux(stream.encode(None))

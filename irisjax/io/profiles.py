@@ -25,17 +25,9 @@ def srgb_to_linear(steps: np.ndarray) -> np.ndarray:
 
 
 def profile_to_linear(values: np.ndarray, profile: bytes) -> tuple[np.ndarray, str]:
-    """Convert values under an ICC profile to linear sRGB.
-
-    Colours outside sRGB have negative components; the profile's white becomes (1, 1, 1).
-
-    Args:
-        values: uint8, uint16 or float, (rows, columns, 1 or 3).
-        profile: The embedded profile.
-
-    Returns:
-        float32 values (rows, columns, 3), and the profile's name with a remark on a loss of
-        precision, if any.
+    """Convert uint8, uint16 or float values (rows, columns, 1 or 3) under an ICC profile to linear
+    sRGB, float32 (rows, columns, 3); also returns the profile's name, with a remark on a loss of
+    precision, if any. Colours outside sRGB have negative components; white becomes (1, 1, 1).
     """
     from PIL import ImageCms
 
@@ -84,9 +76,7 @@ def _matrix_to_linear(values: np.ndarray, profile: bytes) -> np.ndarray | None:
 
 
 def _device_to_xyz(values: np.ndarray, profile: bytes) -> np.ndarray | None:
-    """XYZ, adapted from the profile's D50 to D65 (white at Y = 1); `None` where OpenColorIO refuses
-    the profile.
-    """
+    """XYZ, adapted from D50 to D65 (white at Y = 1); `None` where OpenColorIO refuses."""
     import OpenImageIO as oiio
 
     image = oiio.ImageBuf(np.ascontiguousarray(values, np.float32))

@@ -77,13 +77,14 @@ class Recipe(NamedTuple):
                 return file
             return Path(os.path.relpath(self.folder / file, folder)).as_posix()
 
-        coats = []
-        for coat in self.coats:
-            if coat.component == SCAN and "file" in coat.parameters:
-                file = {"file": seen(coat.parameters["file"])}
-                coat = coat._replace(parameters={**coat.parameters, **file})
-            coats.append(coat)
-        return self._replace(coats=tuple(coats), paints=seen(self.paints), folder=folder)
+        def moved(coat: CoatRecipe) -> CoatRecipe:
+            if coat.component != SCAN or "file" not in coat.parameters:
+                return coat
+            file = {"file": seen(coat.parameters["file"])}
+            return coat._replace(parameters={**coat.parameters, **file})
+
+        coats = tuple(map(moved, self.coats))
+        return self._replace(coats=coats, paints=seen(self.paints), folder=folder)
 
 
 def read_recipe(path: str | Path) -> Recipe:
@@ -172,19 +173,17 @@ def read_paints(path: str | Path) -> KubelkaMunkMixer:
 
 def _paired_columns(columns: Sequence[str]) -> dict[str, tuple[int, int]]:
     """Indices of the columns `PAINT_K` and `PAINT_S` of each paint, in the order of the K."""
-    places: dict[tuple[str, str], int] = {}
-    for j, column in enumerate(columns):
-        paint, _, letter = column.strip().rpartition("_")
-        if not paint or letter not in ("K", "S"):
-            raise ValueError(f"column {column!r} is neither PAINT_K nor PAINT_S")
-        if (paint, letter) in places:
-            raise ValueError(f"column {column!r} appears twice")
-        places[paint, letter] = j
-    for paint, letter in places:
-        other = "S" if letter == "K" else "K"
-        if (paint, other) not in places:
-            raise ValueError(f"column {paint}_{letter} has no {paint}_{other} beside it")
-    return {p: (j, places[p, "S"]) for (p, letter), j in places.items() if letter == "K"}
+    names = [column.strip() for column in columns]
+    for name in names:
+        if not name[:-2] or name[-2:] not in ("_K", "_S"):
+            raise ValueError(f"column {name!r} is neither PAINT_K nor PAINT_S")
+        if names.count(name) > 1:
+            raise ValueError(f"column {name!r} appears twice")
+        other = name[:-1] + ("S" if name.endswith("K") else "K")
+        if other not in names:
+            raise ValueError(f"column {name} has no {other} beside it")
+    paints = [name[:-2] for name in names if name.endswith("_K")]
+    return {p: (names.index(f"{p}_K"), names.index(f"{p}_S")) for p in paints}
 
 
 def _colour(name: str) -> EntryCheck:

@@ -33,8 +33,8 @@ class Target(NamedTuple):
     Attributes:
         name: Of its file or folder.
         texture: Linear reflectance, polar as in `IrisMaps`.
-        known: Texels that show the iris; the others have the mean of the known ones of their
-            radius, or of the nearest radius with known ones.
+        known: Texels that show the iris; the others have the mean of the known ones of the nearest
+            radius that has some.
         pupil: Radius of the pupil over the iris's.
     """
 
@@ -45,14 +45,10 @@ class Target(NamedTuple):
 
 
 def read_target(path: str | Path, pupil: float) -> Target:
-    """Read a target.
-
-    Args:
-        path: The folder of `irisjax clone` (the iris laid flat, as photographed); a scene file (the
-            reflectance of its tissue without the cornea, times the scene's exposure); or a square
-            picture of an iris laid flat whose outer edge touches the four sides, unknown where its
-            alpha is 0.
-        pupil: Radius of a picture's pupil over the iris's; not used for other targets.
+    """Read a target: the folder of `irisjax clone` (the iris laid flat, as photographed); a scene
+    file (the reflectance of its tissue without the cornea, times the scene's exposure); or a square
+    picture of an iris laid flat whose outer edge touches the four sides, unknown where its alpha is
+    0, the radius of whose `pupil` is given over the iris's.
 
     Raises:
         ValueError: for a file of another kind, a clone without its texture, a picture that is not
@@ -113,10 +109,8 @@ def _of_scene(path: Path) -> Target:
     scene = file.scene()
     eye, integrator = scene.eye, scene.integrator
     if not isinstance(integrator, Separable | RadiativeIntegrator):
-        raise ValueError(
-            f"{path}: an iris of the integrator {integrator_name(integrator)} has no reflectance; "
-            "need separable or radiative-transfer"
-        )
+        said = "has no reflectance; need separable or radiative-transfer"
+        raise ValueError(f"{path}: an iris of the integrator {integrator_name(integrator)} {said}")
     # Separable: with degrees for the wide ranges of maps, by default.
     chosen = None if isinstance(integrator, Separable) else integrator
     found = np.asarray(reflectance_of(scene.tissue, scene.maps, eye, chosen))
@@ -130,10 +124,8 @@ def _of_picture(path: Path, pupil: float) -> Target:
     image = read_image(path, decode=True)
     rows, columns, _ = image.pixels.shape
     if rows != columns:
-        raise ValueError(
-            f"{path}: is {columns} x {rows} pixels; it must be square, the outer edge of the iris "
-            "touching its four sides"
-        )
+        said = "it must be square, the outer edge of the iris touching its four sides"
+        raise ValueError(f"{path}: is {columns} x {rows} pixels; {said}")
     colours = [i for i, name in enumerate(image.channels) if name != "A"][:3]
     pixels = image.pixels[..., colours if len(colours) == 3 else colours[:1] * 3]
     shown = np.ones((rows, columns), bool)
