@@ -67,7 +67,7 @@ class Painted(AbstractIntegrator):
         flux = fluxes_of(lights, eye, tables)
         rim = profile, reach, eye.pupil_margin
         seen, state = _ground(pixels, profile, eye, flux)
-        return PaintBase(seen, state, *_above_all(flux, profile, reach), lights.tint, rim)
+        return PaintBase(seen, state, *_above_all(flux, profile, reach, SHADOW), lights.tint, rim)
 
     def layers(
         self, base: "PaintBase", before: Sequence["PaintedLayer"] = ()
@@ -258,12 +258,12 @@ def _ground(pixels: IrisPixels, profile: Cones, eye: Eye, flux: Array) -> tuple[
 
 
 @eqx.filter_jit
-def _above_all(flux: Array, profile: Cones, reach: Scalar) -> tuple[Array, Array]:
+def _above_all(flux: Array, profile: Cones, reach: Scalar, size: int) -> tuple[Array, Array]:
     """Directions of lights at texels of the base, and maps of light above all coats."""
-    x, y = _texels(SHADOW, reach, flux.dtype)
+    x, y = _texels(size, reach, flux.dtype)
     at = jax.lax.map(lambda f: Field(f[None], reach).at((x, y, x))[0], flux)
     rays = jnp.stack(_directed((at[:, 0], at[:, 1], at[:, 2])), 1)
-    return rays, jnp.ones((len(flux), SHADOW, SHADOW, _CHANNELS), flux.dtype)
+    return rays, jnp.ones((len(flux), size, size, _CHANNELS), flux.dtype)
 
 
 @pixelwise

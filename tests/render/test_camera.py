@@ -1,5 +1,7 @@
 """Lines of sight from 30 mm to the camera's limit, in both precisions."""
 
+import itertools
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -12,7 +14,7 @@ from irisjax.render.lights import Lights
 from irisjax.render.project import iris_pixels, mirror_pixels, sclera_pixels, seen_parts
 
 SIZE = (16, 12)
-DISTANCES = (30.0, 250.0, 1e3, 1e4, 3e4, 1e5)
+DISTANCES, POLARS = (30.0, 250.0, 1e3, 1e4, 3e4, 1e5), (0.0, 0.5, 1.05, 1.5)
 SEEN = (seen_parts, iris_pixels, sclera_pixels, mirror_pixels)
 INDEX = np.arange(SIZE[0] * SIZE[1], dtype=np.int32)
 
@@ -21,22 +23,23 @@ INDEX = np.arange(SIZE[0] * SIZE[1], dtype=np.int32)
 def seen():
     """What every pixel sees and where, by precision, distance and polar angle."""
 
+    cameras = list(itertools.product(DISTANCES, POLARS))
+
+    def look(distance, polar):
+        camera = Camera(polar, 0.3, distance, 26.0, SIZE)
+        return tuple(f(INDEX, Eye(), camera) for f in SEEN)
+
     def of(x64):
         with jax.enable_x64(x64):
-            found = {}
-            for distance in DISTANCES:
-                for polar in (0.0, 0.5, 1.05, 1.5):
-                    camera = Camera(polar, 0.3, distance, 26.0, SIZE)
-                    parts = tuple(f(INDEX, Eye(), camera) for f in SEEN)
-                    found[distance, polar] = jax.tree.map(np.asarray, parts)
-        return found
+            every = jax.tree.map(np.asarray, jax.jit(jax.vmap(look))(*np.array(cameras).T))
+        return {at: jax.tree.map(lambda x, k=k: x[k], every) for k, at in enumerate(cameras)}
 
     return {x64: of(x64) for x64 in (True, False)}
 
 
 @pytest.mark.parametrize("distance", DISTANCES)
 def test_single_precision_sees_what_double_does(seen, distance):
-    for polar in (0.0, 0.5, 1.05, 1.5):
+    for polar in POLARS:
         (sees, *fine), (also, *coarse) = (seen[x64][distance, polar] for x64 in (True, False))
         assert sees.any()
         # A pixel whose line grazes an edge may fall to either side of it.

@@ -21,6 +21,11 @@ back = jax.jit(lambda eye, camera, point: project_points(IrisSurface(eye), camer
 on_globe = jax.jit(lambda eye, camera, point: project_points(GlobeSurface(eye), camera, point))
 
 
+def filled(*points):
+    """Points, the last one repeated: as many as a picture has pixels, for the same programs."""
+    return jnp.asarray([*points, *[points[-1]] * (SIZE[0] * SIZE[1] - len(points))])
+
+
 @DOUBLE_FIRST
 @pytest.mark.parametrize(("polar", "distance"), [(0.0, 250.0), (0.6, 60.0), (1.2, 1e4)])
 def test_pixels_return(polar, distance, bits):
@@ -55,10 +60,11 @@ def test_without_a_cornea_and_in_a_part_of_the_picture():
 
 def test_what_is_turned_away_is_not_visible():
     """The far side of the globe, and an iris seen from the side and from behind."""
-    eye, point = Eye(cornea=Cornea()), jnp.asarray([[-4.0, 0.0, 3.6], [4.0, 0.0, 3.6]])
-    assert not on_globe(eye, Camera(1.5, 0.0), jnp.asarray([[-11.0, 0.0, 12.0]])).visible[0]
-    assert back(eye, Camera(0.3, 0.0), point).visible.all()
-    assert not back(eye, Camera(3.0, 0.0), point).visible.any()
+    eye, point = Eye(), filled([-4.0, 0.0, 3.6], [4.0, 0.0, 3.6])
+    aside, ahead, behind = (Camera(polar, size=SIZE) for polar in (1.5, 0.3, 3.0))
+    assert not on_globe(eye, aside, filled([-11.0, 0.0, 12.0])).visible[0]
+    assert back(eye, ahead, point).visible.all()
+    assert not back(eye, behind, point).visible.any()
 
 
 def test_magnified_by_the_cornea():

@@ -24,7 +24,7 @@ from render.tracing import disc, soft_edge, towards, trace
 DEFAULT, F09 = Eye(), Eye(cornea=Cornea.f09(), aqueous_index=1.376)
 ONE_SURFACE = Eye(cornea=Cornea(posterior=None))
 EYES = pytest.mark.parametrize("eye", [DEFAULT, F09], ids=["default", "f09"])
-POLARS = [0.0, 0.35, 0.8, 1.2, UNIQUE_POLAR]
+POLARS = [0.0, 0.8, UNIQUE_POLAR]
 
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(160)
 _R, _ANGLE = 2.75 * (_NODES[:, None] + 1), np.arange(200) * (np.pi / 100)
@@ -38,6 +38,13 @@ def _search(eye, targets, light):
     of eye.
     """
     return jax.vmap(lambda t: arrive(eye, t, light, 0.9 * t, 20))(targets)
+
+
+@jax.jit
+def _entered(eye, k, light):
+    """Rays that enter at points (rays, 2) of the cornea: in the chamber, and where they land."""
+    rays = on_cornea(eye.cornea, k), jnp.broadcast_to(-light, (len(k), 3))
+    return into_chamber(eye, *rays), enter(eye, *rays)
 
 
 @pytest.fixture(scope="module")
@@ -54,7 +61,7 @@ def test_table_finds_the_entry_points(tables):
     k, _ = disc(5.5, 4000)
     worst = []
     look_up = jax.jit(lambda point, light: tables.at(point, light).entry)
-    for polar in [*rng.uniform(0, UNIQUE_POLAR, 30), UNIQUE_POLAR]:
+    for polar in [*rng.uniform(0, UNIQUE_POLAR, 15), UNIQUE_POLAR]:
         light = towards(polar)
         found = trace(DEFAULT, k, light)
         seen = (found.share > 0) & (np.linalg.norm(found.point[:, :2], axis=1) <= 5.5)
@@ -75,8 +82,7 @@ def test_snells_law_at_the_entry_found(eye):
     k = np.asarray(found.entry)
     rays = trace(eye, k, light)
     np.testing.assert_allclose(rays.point[:, :2], targets, atol=1e-9)
-    rays_in = jnp.broadcast_to(-jnp.asarray(light), (40, 3))
-    _, inside, _ = jax.jit(lambda k: into_chamber(eye, on_cornea(eye.cornea, k), rays_in))(k)
+    (_, inside, _), _ = _entered(eye, k, light)
     within, last = rays.met[-1][1], np.asarray(inside)
     normal, *_, n_in, n_out = rays.met[-1]
     sine = [np.linalg.norm(np.cross(normal, v), axis=1) for v in (within, last)]
@@ -89,13 +95,9 @@ def test_snells_law_at_the_entry_found(eye):
 @pytest.mark.parametrize("polar", [0.0, 1.7])
 def test_rays_and_shares_are_numpys(eye, polar):
     light = towards(polar)
-    k, _ = disc(5.5, 500)
+    k, _ = disc(5.5, 40)
     rays = trace(eye, k, light)
-    found = jax.jit(
-        lambda k: enter(
-            eye, on_cornea(eye.cornea, k), jnp.broadcast_to(-jnp.asarray(light), (500, 3))
-        )
-    )(jnp.asarray(k))
+    _, found = _entered(eye, k, light)
     lit = rays.share > 0
     np.testing.assert_allclose(np.asarray(found.point)[lit], rays.point[lit], atol=1e-10)
     np.testing.assert_allclose(np.asarray(found.share), rays.share, atol=1e-12)
@@ -129,7 +131,7 @@ _at = eqx.filter_jit(Illumination.at)
 
 def let_in(eye, light):
     """Rays over the cornea and its soft edge, and the power of each, by numpy alone."""
-    k, area = disc(5.65, 200_000)
+    k, area = disc(5.65, 100_000)
     rays = trace(eye, k, light)
     assert np.isfinite(rays.power).all()
     return rays, rays.power * soft_edge(np.linalg.norm(k, axis=1), 5.5) * area
@@ -172,7 +174,7 @@ def illumination(tables):
         return Illumination.build(DEFAULT, n_rays=60_000)
 
 
-@pytest.mark.parametrize("polar", [0.0, 0.7, 1.2, UNIQUE_POLAR, 1.45, 1.6, 1.7])
+@pytest.mark.parametrize("polar", [0.0, 1.2, UNIQUE_POLAR, 1.45, 1.7])
 def test_illumination_keeps_the_power(illumination, polar):
     light = towards(polar)
     rays, power = let_in(DEFAULT, light)

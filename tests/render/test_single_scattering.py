@@ -15,7 +15,7 @@ from irisjax.render.bands import Bands
 from irisjax.render.camera import Camera
 from irisjax.render.integrator import checked_response
 from irisjax.render.lights import Lights
-from irisjax.render.picture import draw, illuminate, shade, texture
+from irisjax.render.picture import illuminate, shade, texture
 from irisjax.render.project import project
 from irisjax.render.scene import Scene
 from irisjax.render.single_scattering import SingleScattering
@@ -247,11 +247,11 @@ def test_lights_add(tint):
     """Each light keeps its own direction; tints colour what each sends."""
     iris = ij.Iris.of_level("low")
     tint = None if tint is None else jnp.asarray(tint)
-    both = draw(scene(iris, lights=dataclasses.replace(lamps(), tint=tint)))
+    both = shown(scene(iris, lights=dataclasses.replace(lamps(), tint=tint)))
     total = 0.0
     for i in range(2):
         one = dataclasses.replace(lamps(), irradiance=lamps().irradiance * (jnp.arange(2) == i))
-        total = total + draw(scene(iris, lights=one)) * (1.0 if tint is None else tint[i])
+        total = total + shown(scene(iris, lights=one)) * (1.0 if tint is None else tint[i])
     np.testing.assert_allclose(both, total, rtol=1e-10)
 
 
