@@ -2,15 +2,13 @@
 
 Tracing and lowering the program of a spectrum or of a picture takes longer than running it, and
 JAX's compilation cache saves only what comes after: without this module the second run of `fit`
-takes 1.9 times as long. `keep_compiled` replaces the package's functions of `equinox.filter_jit` by
-`Kept` ones, which read the compiler's result from a file; the library knows nothing of it. The
-files are pickles: whoever may write to their folder may run code as its user, as with JAX's cache.
+takes 1.9 times as long. `keep_compiled` has `equinox.filter_jit` make `Kept` functions of the
+package's, which read the compiler's result from a file; the library knows nothing of it. The files
+are pickles: whoever may write to their folder may run code as its user, as with JAX's cache.
 """
 
 import functools
 import hashlib
-import importlib.abc
-import importlib.machinery
 import importlib.metadata
 import os
 import pickle
@@ -20,11 +18,10 @@ import shutil
 import sys
 import tempfile
 import threading
-from collections.abc import Callable, Hashable, Iterator
+from collections.abc import Callable, Hashable, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
-from contextlib import contextmanager, nullcontext, suppress
+from contextlib import contextmanager, suppress
 from pathlib import Path
-from types import ModuleType
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import equinox as eqx
@@ -37,8 +34,6 @@ if TYPE_CHECKING:
     from irisjax.render.illumination import Illumination
     from irisjax.render.scene import Scene
 
-_PACKAGE = "irisjax."
-_JITTED: Any = type(eqx.filter_jit(lambda: None))
 _MOST_VERSIONS = 4  # of the package, whose programs are kept side by side
 _MOST_THREADS = 4  # that read files
 _PACKAGES = ("jax", "jaxlib", "equinox", "optimistix", "lineax", "numpy")
@@ -49,6 +44,8 @@ _SETTINGS = (
     "jax_threefry_partitionable",
 )
 _FOR_DEBUGGING = ("jax_disable_jit", "jax_debug_nans", "jax_debug_infs", "jax_check_tracer_leaks")
+_equinox: Any = eqx
+_filter_jit = _equinox.filter_jit
 
 
 def folder() -> Path | None:
@@ -59,9 +56,9 @@ def folder() -> Path | None:
 
 
 def keep_compiled() -> None:
-    """Trace and compile once a machine: from now on functions that a module of the package has by
-    `equinox.filter_jit` are kept in the cache's folder. They must be pure, and be called with
-    arguments in their order.
+    """Trace and compile once a machine: functions that a module of the package has by
+    `equinox.filter_jit` are kept in the cache's folder, if it is imported from now on. They must be
+    pure, and be called with arguments in their order.
     """
     place = folder()
     # JAX reads both variables of the environment by itself.
@@ -69,22 +66,15 @@ def keep_compiled() -> None:
         jax.config.update("jax_compilation_cache_dir", str(place))
     if "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS" not in os.environ:
         jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
-    if place is None or any(isinstance(finder, _Keeper) for finder in sys.meta_path):
-        return
-    for name, module in list(sys.modules.items()):
-        if name.startswith(_PACKAGE):
-            _keep_programs_of(module)
-    sys.meta_path.insert(0, _Keeper())
+    if place is not None:
+        _equinox.filter_jit = _keeping
 
 
-@contextmanager
-def reading_ahead(command: str) -> Iterator[None]:
-    """While this is entered, threads read the programs that the command used last time, while it
-    imports modules and reads its input: to read one takes XLA 50 ms, in which Python is free.
-    """
-    place = _programs()
-    with nullcontext() if place is None else _files.reading(place / "used" / command):
-        yield
+def _keeping(function: Any, **options: Any) -> Any:
+    """As `equinox.filter_jit`, but `Kept` if the function is one of the package's modules."""
+    made, name = _filter_jit(function, **options), getattr(function, "__qualname__", "")
+    of_module = function.__module__.startswith("irisjax.") and name.isidentifier()
+    return Kept(made, f"{function.__module__}.{name}") if of_module else made
 
 
 def kept_tables(scene: "Scene") -> "Illumination | None":
@@ -93,43 +83,6 @@ def kept_tables(scene: "Scene") -> "Illumination | None":
 
     place = folder()
     return tables_of(scene, None if place is None else place / "illumination")
-
-
-def _programs() -> Path | None:
-    """The folder of the programs of this version of the code."""
-    place = folder()
-    return None if place is None else _version_of(place / "programs")
-
-
-class _Keeper(importlib.abc.MetaPathFinder):
-    """Has the programs of a module kept as soon as it is imported, before others take its names."""
-
-    def find_spec(self, fullname: str, path: Any, target: ModuleType | None = None) -> Any:
-        if not fullname.startswith(_PACKAGE):
-            return None
-        spec = importlib.machinery.PathFinder.find_spec(fullname, path, target)
-        if spec is not None and spec.loader is not None:
-            execute = spec.loader.exec_module
-
-            def then_keep(module: ModuleType) -> None:
-                execute(module)
-                _keep_programs_of(module)
-
-            spec.loader.exec_module = then_keep
-        return spec
-
-
-def _keep_programs_of(module: ModuleType) -> None:
-    for name, found in list(vars(module).items()):
-        if getattr(found, "__module__", None) != module.__name__:
-            continue  # of another module
-        named = f"{module.__name__}.{name}"
-        if isinstance(found, _JITTED):
-            setattr(module, name, Kept(found, named))
-        elif isinstance(getattr(found, "compiled", None), _JITTED):  # of `numerics.portions`
-            form: Any = type(found)
-            kept = form(found.__wrapped__, lambda part, named=named: Kept(part, named))
-            setattr(module, name, kept)
 
 
 class Kept:
@@ -155,22 +108,21 @@ class Kept:
         if any(isinstance(x, Tracer) for x in arrays):
             return self.__wrapped__(*args)
         types = tuple((x.shape, x.dtype, getattr(x, "weak_type", False)) for x in arrays)
-        # All leaves that are no arrays, with their types, as 1 and 1.0 differ here.
-        constants = tuple(None if _is_array(x) else (type(x), x) for x in leaves)
-        here = structure, constants, types, *_settings()
+        constants = [_Array if _is_array(x) else x for x in leaves]
+        # 1 and 1.0 differ here.
+        here = structure, tuple((type(x), x) for x in constants), types, *_settings()
         if here not in self._known:
             with self._making:
                 if here not in self._known:
-                    self._known[here] = self._found(args, types)
+                    self._known[here] = self._found(structure.unflatten(constants), types)
         program = self._known[here]
         return self.__wrapped__(*args) if program is None else program(arrays)
 
-    def _found(self, args: Any, types: tuple[Any, ...]) -> "_Program | None":
+    def _found(self, form: Any, types: tuple[Any, ...]) -> "_Program | None":
         debugging = any(getattr(jax.config, name, False) for name in _FOR_DEBUGGING)
         place = _programs()
         if debugging or jax.device_count() > 1 or place is None:
             return None
-        form = _form_of(args)[1]
         try:
             seen = [(shape, str(dtype), weak) for shape, dtype, weak in types]
             words = pickle.dumps([self._name, form, seen, _settings(), _machine()], protocol=5)
@@ -187,6 +139,10 @@ class Kept:
         return program
 
 
+class _Array:
+    """Stands in a form for an array."""
+
+
 class _Program(NamedTuple):
     """A compiled program of flat arrays and the form of its result."""
 
@@ -197,12 +153,6 @@ class _Program(NamedTuple):
         return _filled(self.result, self.compiled(*arrays))
 
 
-class _Array(NamedTuple):
-    """Stands in a form for an array: its place among them."""
-
-    place: int
-
-
 def _compiled(
     function: Callable[..., Any], form: Any, types: tuple[Any, ...]
 ) -> tuple[_Program, bool]:
@@ -211,9 +161,9 @@ def _compiled(
     results = []
 
     def flat(*arrays):
-        out, result = _form_of(plain(*_filled(form, arrays)))
-        results.append(result)
-        return out
+        out = plain(*_filled(form, arrays))
+        results.append(eqx.filter(out, _is_array, inverse=True, replace=_Array))
+        return jax.tree.leaves(eqx.filter(out, _is_array))
 
     # A unique name keeps the program out of JAX's cache: what comes from there cannot be
     # serialised a second time (jaxlib 0.10).
@@ -252,24 +202,9 @@ def _is_array(x: Any) -> bool:
     return isinstance(x, jax.Array | np.ndarray | np.generic)
 
 
-def _form_of(tree: Any) -> tuple[list[Any], Any]:
-    """The arrays of a tree, and the tree with their places instead."""
-    arrays = []
-
-    def place(x):
-        if not _is_array(x):
-            return x
-        arrays.append(x)
-        return _Array(len(arrays) - 1)
-
-    return arrays, jax.tree.map(place, tree)
-
-
-def _filled(form: Any, arrays: Any) -> Any:
-    def fill(x):
-        return arrays[x.place] if isinstance(x, _Array) else x
-
-    return jax.tree.map(fill, form, is_leaf=lambda x: isinstance(x, _Array))
+def _filled(form: Any, arrays: Iterable[Any]) -> Any:
+    left = iter(arrays)
+    return jax.tree.map(lambda x: next(left) if x is _Array else x, form)
 
 
 def _settings() -> tuple[Any, ...]:
@@ -288,6 +223,12 @@ def _machine() -> tuple[str, ...]:
     except OSError:
         found = [platform.processor()]
     return (*about, *found, os.environ.get("XLA_FLAGS", ""))
+
+
+def _programs() -> Path | None:
+    """The folder of the programs of this version of the code."""
+    place = folder()
+    return None if place is None else _version_of(place / "programs")
 
 
 @functools.lru_cache(maxsize=4)
@@ -330,18 +271,18 @@ class Ahead:
         return self._read(path) if begun is None or begun.cancel() else begun.result()
 
     @contextmanager
-    def reading(self, notes: Path) -> Iterator[None]:
-        """While this is entered, the files that `notes` names, one a line, are read; in the end it
-        names those that were asked for. Does nothing where a file was asked for before: most of
-        what a process does later it has in memory.
+    def reading(self, command: str) -> Iterator[None]:
+        """While this is entered, the files that the command asked for last time are read. Does
+        nothing where a file was asked for before: most of what a process does later it has in
+        memory.
         """
-        if self._used:
+        place = _programs()
+        if place is None or self._used:
             yield
             return
-        try:
-            last = [notes.parent.parent / name for name in notes.read_text("utf-8").split()]
-        except OSError:
-            last = []
+        notes, last = place / "used" / command, []
+        with suppress(OSError):
+            last = [place / name for name in notes.read_text("utf-8").split()]
         threads = ThreadPoolExecutor(max(1, min(_MOST_THREADS, (os.cpu_count() or 1) - 1)))
         try:
             self._begun |= {path: threads.submit(self._read, path) for path in last}
@@ -355,3 +296,6 @@ class Ahead:
 
 
 _files = Ahead(_read)
+reading_ahead = _files.reading
+"""While a command imports modules and reads its input, threads read the programs that it used last
+time: to read one takes XLA 50 ms, in which Python is free."""

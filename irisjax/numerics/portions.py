@@ -57,8 +57,7 @@ class Pixelwise:
         compiled: The program, of pixels, others, the number of a share and the count of shares.
     """
 
-    def __init__(self, f: Callable[..., Any], jit: Callable[..., Any] = eqx.filter_jit):
-        """Compile a function with `jit`."""
+    def __init__(self, f: Callable[..., Any]):
         functools.update_wrapper(self, f)
 
         def chunked(pixels: Any, others: Any, share: Any, shares: int) -> Any:
@@ -69,8 +68,9 @@ class Pixelwise:
                 return in_portions(one, pixels)
             return _share_of(one, pixels, share, shares)
 
-        chunked.__name__ = chunked.__qualname__ = f.__name__
-        self.compiled = jit(chunked)
+        chunked.__module__, chunked.__qualname__ = f.__module__, f.__qualname__
+        chunked.__name__ = f.__name__
+        self.compiled = eqx.filter_jit(chunked)
 
     def __call__(self, pixels: Any, *others: Any) -> Any:
         """Apply the function to all pixels."""

@@ -5,6 +5,7 @@ import pickle
 import subprocess
 import sys
 import threading
+from pathlib import Path
 from typing import NamedTuple
 
 import equinox as eqx
@@ -180,85 +181,67 @@ def test_another_process_finds_programs_and_lapack(folder):
     np.testing.assert_allclose([float(x) for x in second[1:]], [3.0, 6.0])
 
 
-class Files:
-    """Files whose reading is counted and can be held up."""
-
-    def __init__(self, folder, names):
-        self.paths = [folder / name for name in names]
-        self.notes = folder / "used" / "command"
-        self.read, self.free, self.both = [], threading.Event(), threading.Event()
-        for path in self.paths:
-            path.write_text(path.name)
-
-    def __call__(self, path):
-        self.free.wait(30)
-        text = path.read_text()
-        self.read.append(text)
-        if len(self.read) == 2:
-            self.both.set()
-        return text
-
-
 @pytest.fixture
-def some(tmp_path):
-    return Files(tmp_path, "abc")
+def some(folder, monkeypatch):
+    """A folder of files in the place of programs."""
+    monkeypatch.setattr(compiled, "_version_of", lambda place: place)
+    folder.mkdir()
+    for name in "abc":
+        (folder / name).write_text(name)
+    return folder
 
 
-def used(files, names, notes=None):
+def used(folder, names, read=Path.read_text):
     """The texts of these files in a new process."""
-    ahead = Ahead(files)
-    with ahead.reading(files.notes if notes is None else notes):
-        files.free.set()
-        return [ahead(path) for path in files.paths if path.name in names]
+    ahead = Ahead(read)
+    with ahead.reading("command"):
+        return [ahead(folder / name) for name in names]
 
 
 def test_files_used_last_time_are_read_before_they_are_asked_for(some):
     assert used(some, "ab") == ["a", "b"]
-    some.read.clear()
-    some.both.clear()
-    ahead = Ahead(some)
-    with ahead.reading(some.notes):
-        assert some.both.wait(30)
-        assert [ahead(path) for path in some.paths] == ["a", "b", "c"]
-    assert some.read == ["a", "b", "c"]  # each one time
-    assert some.notes.read_text().split() == ["a", "b", "c"]
+    read, both = [], threading.Event()
+
+    def counted(path):
+        read.append(path.name)
+        if len(read) == 2:
+            both.set()
+        return path.name
+
+    ahead = Ahead(counted)
+    with ahead.reading("command"):
+        assert both.wait(30)
+        assert [ahead(some / name) for name in "abc"] == ["a", "b", "c"]
+    assert sorted(read) == ["a", "b", "c"]  # each one time
+    assert (some / "used" / "command").read_text().split() == ["a", "b", "c"]
 
 
 def test_no_file_waits_for_those_before(some):
-    some.notes.parent.mkdir()
-    some.notes.write_text("a\nb\nc")
+    used(some, "abc")
     held = threading.Event()
-
-    def slow(path):
-        if path.name == "a":
-            held.wait(30)
-        return path.name
-
-    ahead = Ahead(slow)
-    with ahead.reading(some.notes):
-        assert ahead(some.paths[2]) == "c"  # while a is being read
+    ahead = Ahead(lambda path: held.wait(30) if path.name == "a" else path.name)
+    with ahead.reading("command"):
+        assert ahead(some / "c") == "c"  # while a is being read
         held.set()
 
 
 def test_a_missing_file_or_broken_notes_raise_only_where_the_file_is_asked_for(some):
     used(some, "abc")
-    some.paths[1].unlink()
+    (some / "b").unlink()
     with pytest.raises(FileNotFoundError):
         used(some, "abc")
-    some.notes.write_bytes(b"\x00../..\n")
+    (some / "used" / "command").write_bytes(b"\x00../..\n")
     assert used(some, "a") == ["a"]
 
 
 def test_an_interrupt_leaves_no_thread_and_the_notes_as_they_were(some):
     used(some, "ab")
-    before, ahead = threading.active_count(), Ahead(some)
+    before = threading.active_count()
 
-    def interrupted():
-        with ahead.reading(some.notes):
-            ahead(some.paths[0])
-            raise KeyboardInterrupt
+    def interrupted(path):
+        raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        interrupted()
+        used(some, "a", interrupted)
     assert threading.active_count() == before
-    assert some.notes.read_text().split() == ["a", "b"]
+    assert (some / "used" / "command").read_text().split() == ["a", "b"]
