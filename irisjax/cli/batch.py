@@ -19,7 +19,7 @@ from irisjax.cli.options import tell
 from irisjax.cli.sentences import preference
 from irisjax.infer.fit import Fit, FitStatus, fit, words_for
 from irisjax.infer.least_squares import levenberg_marquardt
-from irisjax.infer.model_comparison import COMPARED, compare_processes, other_of
+from irisjax.infer.model_comparison import compare_processes, other_of
 from irisjax.infer.observation import with_values
 from irisjax.infer.problem import Problem
 from irisjax.io.measured import Measured
@@ -30,12 +30,12 @@ OK, DOUBTFUL, FAILED = "ok", "doubtful", "failed"
 """An eye is doubtful where the model does not produce its data, searches disagree, or a value lies
 far outside its prior; it failed where there is no valid result."""
 _FIRST = ("eye", "status", "posterior", "warnings")
-_CONVERGED, _SHORT = "converged", "not long enough"
+_CONVERGED = "converged"
 _SUFFIXES = (".csv", ".tsv", ".txt", ".dx", ".jdx")
 _FAR = 4.0  # standard deviations of a prior
 
 Eyes = Mapping[str, Measured | ValueError]
-Rows = dict[str, list[str]]
+Row = dict[str, str]
 
 
 def many(
@@ -56,38 +56,36 @@ def many(
     if results.posteriors and output is None:
         raise ValueError("--posteriors needs -o FOLDER for what it samples")
     target = None if output is None else output / "fits.csv"
-    columns: list[str] = []
-    rows: Rows = {}
+    rows: dict[str, Row] = {}
     if target is not None:
         target.parent.mkdir(parents=True, exist_ok=True)
         if target.exists() and not (results.resume or results.overwrite):
             raise ValueError(f"{target}: exists; --resume continues it, --overwrite starts again")
         if target.exists() and results.resume:
-            columns, rows = _read(target, results.posteriors)
+            rows = _read(target, results.posteriors)
     left = {name: eye for name, eye in eyes.items() if name not in rows}
     how: dict[str, Any] = {"total": len(eyes), "initial": len(rows), "unit": "eye"}
     with tqdm(desc="compiling", disable=not sys.stderr.isatty(), **how) as bar:
         for chunk in _chunks(left):
-            named, found = _fitted(chunk, measured.seen, options, sampler.key)
-            columns = named or columns
+            found = _fitted(chunk, measured.seen, options, sampler.key)
             for name, row in found.items():
-                if output is not None and results.posteriors and row[1] != FAILED:
+                if output is not None and results.posteriors and row["status"] != FAILED:
                     seen = ij.spectrum(chunk[name], name=name, **measured.seen)
                     problem = ij.problem(seen, **options)
-                    row[1:4] = _sampled(row, problem, output / name, sampler, results.resume)
+                    row |= _sampled(problem, output / name, sampler, results.resume)
             rows |= found
             if target is not None:  # each chunk whole: a killed run loses the one it was in
-                io.write_atomically(target, _table(columns, rows, eyes).encode())
+                io.write_atomically(target, _table(rows, eyes).encode())
             bar.set_description("eyes", refresh=False)
             bar.update(len(chunk))
     if target is None:
-        sys.stdout.write(_table(columns, rows, eyes))
+        sys.stdout.write(_table(rows, eyes))
     for status, verb in ((FAILED, "failed"), (DOUBTFUL, "are doubtful")):
-        names = [name for name in eyes if rows[name][1] == status]
+        names = [name for name in eyes if rows[name]["status"] == status]
         if names:
             some = ", ".join(names[:8]) + (", ..." if len(names) > 8 else "")
             tell(f"{len(names)} of {len(eyes)} eyes {verb}: {some}; the column warnings says why")
-    return 3 if any(rows[name][1] == FAILED for name in eyes) else 0
+    return 3 if any(rows[name]["status"] == FAILED for name in eyes) else 0
 
 
 def _eyes(source: Path, reading: io.ReadOptions) -> Eyes:
@@ -117,28 +115,30 @@ def _chunks(eyes: Eyes) -> Iterator[Eyes]:
             yield {name: eyes[name] for name in names[first : first + size]}
 
 
+def _row(*cells: str) -> Row:
+    return dict(zip(_FIRST, cells, strict=True))
+
+
 def _fitted(
     chunk: Eyes, seen: Mapping[str, Any], options: Mapping[str, Any], key: jax.Array
-) -> tuple[list[str], Rows]:
-    """Columns and rows of a chunk."""
+) -> dict[str, Row]:
+    """Rows of a chunk."""
     spectra = [m for m in chunk.values() if isinstance(m, Measured)]
     if not spectra:
-        return [], {name: [name, FAILED, "", str(fault)] for name, fault in chunk.items()}
+        return {name: _row(name, FAILED, "", str(fault)) for name, fault in chunk.items()}
     first = spectra[0]
     try:
         problem = ij.problem(ij.spectrum(first, name="batch", **seen), **options)
     except ValueError as error:
-        return [], {name: [name, FAILED, "", str(error)] for name in chunk}
+        return {name: _row(name, FAILED, "", str(error)) for name in chunk}
     devices = jax.device_count()
     full = _CHUNK * devices
     count = full if len(chunk) >= full else -(-len(chunk) // devices) * devices
     padded = spectra + [spectra[-1]] * (count - len(chunk))
     dtype = jnp.result_type(float)
-    values = jnp.asarray(np.stack([m.values for m in padded]), dtype)
-    sds = (
-        None
-        if first.sd is None
-        else jnp.asarray(np.stack([np.asarray(m.sd) for m in padded]), dtype)
+    values, sds = (
+        None if getattr(first, n) is None else jnp.asarray([getattr(m, n) for m in padded], dtype)
+        for n in ("values", "sd")
     )
     if devices > 1:
         mesh = jax.make_mesh((devices,), ("eyes",))
@@ -149,10 +149,6 @@ def _fitted(
         jax.tree.map(np.asarray, _fit_all(p, values, sds, key)) for p in (problem, other)
     )
     names = [n for n in problem.free if not n.startswith("noise")]
-    columns = [c for n in names for c in (n, f"{n}_sd")]
-    columns += ["chi_square", "degrees", "p_value", "process"]
-    columns += ["other_process", "log_odds_other", "differs"]
-    columns += [*(f"other_{n}" for n in names if n in COMPARED), "notes"]
     rows = {}
     for i, (name, measured) in enumerate(zip(chunk, spectra, strict=True)):
         mine, its = (jax.tree.map(lambda x, i=i: x[i], fits) for fits in (found, beside))
@@ -163,17 +159,21 @@ def _fitted(
             warnings.append(preference(compared))
         if warnings and status == OK:
             status = DOUBTFUL
-        numbers = [float(x) for n in names for x in (mine.values[n], mine.sd[n])]
-        rows[name] = [
-            *(name, status, "", "; ".join(warnings), *(f"{x:.6g}" for x in numbers)),
-            *(f"{mine.chi_square:.6g}", str(mine.degrees), f"{mine.p_value:.3g}"),
-            *(option_of(p) for p in (problem.process, compared.process)),
-            f"{compared.log_odds:.4g}",
-            " ".join(n for n, m in compared.moved.items() if m.differs),
-            *(f"{m.other.value:.6g}" for m in compared.moved.values()),
-            "; ".join(measured.notes),
-        ]
-    return columns, rows
+        numbers = [(c, of[n]) for n in names for c, of in ((n, mine.values), (f"{n}_sd", mine.sd))]
+        rows[name] = {
+            **_row(name, status, "", "; ".join(warnings)),
+            **{column: f"{x:.6g}" for column, x in numbers},
+            "chi_square": f"{mine.chi_square:.6g}",
+            "degrees": str(mine.degrees),
+            "p_value": f"{mine.p_value:.3g}",
+            "process": option_of(problem.process),
+            "other_process": option_of(compared.process),
+            "log_odds_other": f"{compared.log_odds:.4g}",
+            "differs": " ".join(n for n, m in compared.moved.items() if m.differs),
+            **{f"other_{n}": f"{m.other.value:.6g}" for n, m in compared.moved.items()},
+            "notes": "; ".join(measured.notes),
+        }
+    return rows
 
 
 @eqx.filter_jit
@@ -200,32 +200,32 @@ def _judged(problem: Problem, found: Fit) -> tuple[str, list[str]]:
     return (DOUBTFUL if said else OK), said
 
 
-def _sampled(
-    row: list[str], problem: Problem, folder: Path, sampler: Sampler, resume: bool
-) -> list[str]:
-    """Sample the posterior of an eye; its row from the status to the warnings."""
+def _sampled(problem: Problem, folder: Path, sampler: Sampler, resume: bool) -> Row:
+    """Sample the posterior of an eye; what that changes in its row."""
     folder.mkdir(exist_ok=True)
     chain = folder / "chain.h5"
     if chain.exists() and not resume:
         chain.unlink()
     try:
         bar = report.progress_bar(True)
-        good = report.one(problem, folder, sampler, bar, resume=chain.exists(), quiet=True)
+        if report.one(problem, folder, sampler, bar, resume=chain.exists(), quiet=True):
+            return {"posterior": _CONVERGED}
+        posterior, warning = "not long enough", "the chain is not long enough"
     except ValueError as error:
-        return [FAILED, "", f"{folder}: {error}"]
-    if good:
-        return [row[1], _CONVERGED, row[3]]
-    return [FAILED, _SHORT, f"{folder}: the chain is not long enough"]
+        posterior, warning = "", str(error)
+    return {"status": FAILED, "posterior": posterior, "warnings": f"{folder}: {warning}"}
 
 
-def _read(path: Path, posteriors: bool) -> tuple[list[str], Rows]:
-    """Columns of a table, and rows of eyes that are done; those that failed are tried again."""
-    first, *lines = csv.reader(path.read_text(encoding="utf-8").splitlines())
-    if tuple(first[: len(_FIRST)]) != _FIRST:
+def _read(path: Path, posteriors: bool) -> dict[str, Row]:
+    """Rows of eyes that are done; those that failed are tried again."""
+    table = csv.DictReader(path.read_text(encoding="utf-8").splitlines())
+    if tuple(table.fieldnames or ())[: len(_FIRST)] != _FIRST:
         raise ValueError(f"{path}: is no table of --batch; --overwrite starts again")
-    done = (r for r in lines if r[1] != FAILED and (r[2] == _CONVERGED or not posteriors))
-    return first[len(_FIRST) :], {row[0]: row for row in done}
+    done = (r for r in table if r["status"] != FAILED)
+    return {r["eye"]: r for r in done if r["posterior"] == _CONVERGED or not posteriors}
 
 
-def _table(columns: list[str], rows: Rows, eyes: Iterable[str]) -> str:
-    return report.csv_of([[*_FIRST, *columns], *(rows[name] for name in eyes if name in rows)])
+def _table(rows: Mapping[str, Row], eyes: Iterable[str]) -> str:
+    made = [rows[name] for name in eyes if name in rows]
+    columns = list(max(made, key=len))
+    return report.csv_of([columns, *([row.get(n, "") for n in columns] for row in made)])
