@@ -6,9 +6,9 @@ from typing import Any
 
 import irisjax as ij
 from irisjax import io
+from irisjax.cli import sentences
 from irisjax.cli.fit_options import Sampler
-from irisjax.cli.report import console, counting, csv_of, labelled, print_columns, shape_of
-from irisjax.cli.sentences import models_sentence, with_error
+from irisjax.cli.report import counting, csv_of, labelled, print_table, shape_of
 from irisjax.infer.model_comparison import COMPARED, Assessment, compare_models
 from irisjax.infer.parameters import kind
 from irisjax.infer.problem import Problem
@@ -34,7 +34,7 @@ def models(
             count(rounds, f"{name}: evidence")
 
     found = compare_models(problem, progress=progress, key=sampler.key)
-    sentence = models_sentence(found)
+    sentence = sentences.models_sentence(found)
     if folder is not None:
         bar.set_description_str("files")
         table = _table(found, sentence, sampler.seed)
@@ -74,27 +74,19 @@ def _drawing(found: Sequence[Assessment], sentence: str, draw: Callable[..., Lat
 
 
 def _print(found: Sequence[Assessment], sentence: str) -> None:
-    out, names, first = console(), _names(found), "median (95 %)"
-    columns = {first: ["ln evidence", "predictive score", *map(labelled, names)]}
+    names = _names(found)
+    columns = {"median (95 %)": ["ln evidence", "predictive score", *map(labelled, names)]}
     for a in found:
+        cells = [sentences.interval(a.values[n]) if n in a.values else "" for n in names]
         score = f"{a.score:.1f} ± {a.score_error:.1f}"
-        columns[a.name] = [with_error(a), score, *(_cell(a, name) for name in names)]
-    out.print(sentence, markup=False, soft_wrap=True)
-    print_columns(out, columns, (first,))
-    out.print(
+        columns[a.name] = [sentences.with_error(a), score, *cells]
+    remark = (
         "evidences hold for these priors; neighbouring wavelengths are not independent, so that "
-        "the score is no evidence of its own",
-        soft_wrap=True,
+        "the score is no evidence of its own"
     )
+    print_table([sentence], columns, [remark])
 
 
 def _names(found: Sequence[Assessment]) -> list[str]:
     """Parameters that any of the models has."""
     return list(dict.fromkeys(n for a in found for n in a.values))
-
-
-def _cell(a: Assessment, name: str) -> str:
-    if name not in a.values:
-        return ""
-    value, low, high = a.values[name]
-    return f"{value:.3g} ({low:.3g} to {high:.3g})"

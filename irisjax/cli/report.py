@@ -3,7 +3,7 @@
 import csv
 import io as text_io
 import sys
-from collections.abc import Callable, Collection, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -89,12 +89,11 @@ def one(
             copy_of(folder / "chain.h5").unlink(missing_ok=True)
     bar.close()
     if not quiet:
-        _doubt(found)
         _print(found, first, lines)
     return found.chains.converged
 
 
-def summary_csv(found: Analysis) -> str:
+def _summary(found: Analysis) -> str:
     """Return the summary as CSV, with what the other process makes of the pigments."""
     own, other = (option_of(p) for p in (found.problem.process, found.other.process))
     rows = []
@@ -124,25 +123,38 @@ def labelled(name: str, between: str = " ") -> str:
     return f"{name}{between}({unit_of(name)})" if unit_of(name) else name
 
 
-def console() -> Any:
-    """Return where tables are printed; in a pipe a line is as long as it is."""
-    from rich.console import Console
-
-    return Console(width=None if sys.stdout.isatty() else 1000, highlight=False)
-
-
-def print_columns(
-    out: Any, columns: Mapping[str, list[str]], left: Collection[str], title: str | None = None
+def print_table(
+    before: Iterable[str],
+    columns: Mapping[str, list[str]],
+    after: Iterable[str],
+    *,
+    title: str | None = None,
+    dispensable: Iterable[str] = (),
 ) -> None:
-    """Print a table of texts, `left` the columns that are flush with their left."""
+    """Print a table of texts between lines. In a pipe a line is as long as it is; on a terminal
+    that is too narrow the `dispensable` columns are left out, one after the other.
+    """
+    from rich.console import Console
     from rich.table import Table
 
+    out = Console(width=None if sys.stdout.isatty() else 1000, highlight=False)
+    columns, first = dict(columns), next(iter(columns))
+    # A number that is cut short would be worse than none.
+    widths = {n: 2 + max(map(len, (n, *cells))) for n, cells in columns.items()}
+    for name in dispensable:
+        if sum(widths[n] for n in columns) > out.width:
+            del columns[name]
     table = Table(title=title, title_justify="left", box=None, pad_edge=False, padding=(0, 2, 0, 0))
     for name in columns:
-        table.add_column(name, justify="left" if name in left else "right", no_wrap=True)
+        justify = "left" if name in (first, "unit") else "right"
+        table.add_column(name, justify=justify, no_wrap=True)
     for cells in zip(*columns.values(), strict=True):
         table.add_row(*cells)
+    for line in before:
+        out.print(line, markup=False, soft_wrap=True)
     out.print(table, crop=False)
+    for line in after:
+        out.print(line, markup=False, soft_wrap=True)
 
 
 def _write(
@@ -193,30 +205,25 @@ def _write(
         "says": " | ".join(lines),
     }
     io.write_posterior(folder / "posterior.nc", groups, about, observed)
-    files = {folder / "summary.csv": summary_csv(found).encode()}
+    files = {folder / "summary.csv": _summary(found).encode()}
     io.write_together(files | {folder / name: picture() for name, picture in pictures.items()})
     return predictive_score(likelihoods, chains.ess_bulk.mean() / chains.z[..., 0].size)
 
 
-def _doubt(found: Analysis) -> None:
-    """Say on standard error what makes the search doubtful."""
+def _print(found: Analysis, first: list[str], lines: list[str]) -> None:
+    """Print the table between its first lines and the others, and on standard error what makes the
+    search doubtful.
+    """
+    rows, chains, seen = found.rows, found.chains, found.problem.observations
     if found.undetermined:
-        data = sum(o.values.shape[-1] for o in found.problem.observations)
-        fitted = data + found.undetermined
+        data = sum(o.values.shape[-1] for o in seen)
         tell(
-            f"{data} value{'s' * (data > 1)} for {fitted} parameters: at least "
+            f"{data} value{'s' * (data > 1)} for {data + found.undetermined} parameters: at least "
             f"{found.undetermined} of them keep their priors whatever was measured"
         )
     if not bool(found.fit.converged):
         tell(f"least squares: {words_for(found.fit.status)}; the sampler started there")
-
-
-def _print(found: Analysis, first: list[str], lines: list[str]) -> None:
-    """Print the table between its first lines and the others."""
-    out, rows, chains = console(), found.rows, found.chains
-    seen, by = found.problem.observations, sentences.process_name(found.problem.process)
-    names = ", ".join(o.name for o in seen)
-    title = f"{names}: posterior{' of one eye' if len(seen) > 1 else ''} by {by}"
+    of = f"{', '.join(o.name for o in seen)}: posterior{' of one eye' if len(seen) > 1 else ''}"
     columns = {
         "parameter": [r.parameter for r in rows],
         "unit": [r.unit for r in rows],
@@ -227,17 +234,10 @@ def _print(found: Analysis, first: list[str], lines: list[str]) -> None:
         "ESS": [f"{r.ess_bulk:.0f}" for r in rows],
         "contraction": [f"{r.contraction:.2f}" for r in rows],
     }
-    # A number that is cut short would be worse than none.
-    widths = {n: 2 + max(map(len, (n, *cells))) for n, cells in columns.items()}
-    for name in ("68 %", "contraction", "unit", "ESS", "R-hat"):
-        if sum(widths[n] for n in columns) > out.width:
-            del columns[name]
-    for line in first:
-        out.print(line, markup=False, soft_wrap=True)
-    print_columns(out, columns, ("parameter", "unit"), title)
-    out.print(
+    run = (
         f"{chains.steps} steps, acceptance {chains.acceptance:.2f}, autocorrelation time "
         f"{chains.tau.max():.0f} steps"
     )
-    for line in lines:
-        out.print(line, markup=False, soft_wrap=True)
+    title = f"{of} by {sentences.process_name(found.problem.process)}"
+    dispensable = ("68 %", "contraction", "unit", "ESS", "R-hat")
+    print_table(first, columns, [run, *lines], title=title, dispensable=dispensable)

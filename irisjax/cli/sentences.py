@@ -7,7 +7,7 @@ import numpy as np
 
 from irisjax.infer.analysis import Analysis
 from irisjax.infer.identifiability import Direction, Information
-from irisjax.infer.model_comparison import PREFERRED, Assessment, Moved, ProcessComparison
+from irisjax.infer.model_comparison import PREFERRED, Assessment, Interval, Moved, ProcessComparison
 from irisjax.infer.parameters import kind, unit_of
 from irisjax.transport.process import AbstractProcess, Ilit
 
@@ -16,14 +16,14 @@ _WORDS = {
     "abl_thickness": "ABL thickness", "scattering_scale": "scattering",
     "rayleigh_share": "Rayleigh share",
 }  # fmt: skip
-_MOVED = ("melanin_load", "abl_fraction")  # parameters whose change with the process is printed
+# Parameters whose change with the process is printed.
 _QUOTED = {"melanin_load": "melanin load", "abl_fraction": "ABL fraction"}
 _UNKNOWN = 3.0  # relative sd above which a parameter counts as unknown: a factor of twenty
 
 
 def process_lines(found: ProcessComparison) -> list[str]:
     """How far the pigments move, and a warning where the data prefer the other process."""
-    names = [n for n in found.moved if kind(n) in _MOVED] or list(found.moved)[:1]
+    names = [n for n in found.moved if kind(n) in _QUOTED] or list(found.moved)[:1]
     lines = []
     if names:
         parts = ", ".join(_shift(n, found.moved[n]) for n in names)
@@ -113,11 +113,9 @@ def models_sentence(assessments: Sequence[Assessment]) -> str:
         said = f"do not decide between {first.name} and {second.name}"
     evidences = ", ".join(f"{with_error(a)} by {a.name}" for a in assessments)
     data = ", ".join(o.name for o in assessments[0].problem.observations)
-    parts = (
-        f"The data ({data}) {said} (ln evidence {evidences}; importance sampling, equal priors)",
-        *(_by_models(n, assessments) for n in assessments[0].values if kind(n) in _QUOTED),
-    )
-    return f"{'; '.join(parts)}."
+    whole = f"The data ({data}) {said} (ln evidence {evidences}; importance sampling, equal priors)"
+    pigments = (_by_models(n, assessments) for n in assessments[0].values if kind(n) in _QUOTED)
+    return f"{'; '.join([whole, *pigments])}."
 
 
 def with_error(assessment: Assessment) -> str:
@@ -125,6 +123,11 @@ def with_error(assessment: Assessment) -> str:
     found = assessment.evidence
     digits = 1 if found.error >= 0.05 else 2
     return f"{found.log_integral:.{digits}f} ± {found.error:.{digits}f}"
+
+
+def interval(found: Interval) -> str:
+    """A value and its 95 % interval."""
+    return f"{found.value:.3g} ({found.low:.3g} to {found.high:.3g})"
 
 
 def odds(log_odds: float) -> str:
@@ -136,8 +139,7 @@ def _by_models(name: str, assessments: Sequence[Assessment]) -> str:
     """A pigment by every model, and its ratio to the first one's."""
     each = []
     for a in assessments:
-        value, low, high = a.values[name]
-        text = f"{value:.3g} ({low:.3g} to {high:.3g}) by {a.name}"
+        text = f"{interval(a.values[name])} by {a.name}"
         if a is not assessments[0]:
             ratio, least, most = a.ratios[name]
             text += f", {ratio:.2g} ({least:.2g} to {most:.2g}) times that"
@@ -149,7 +151,7 @@ def _by_models(name: str, assessments: Sequence[Assessment]) -> str:
 
 def _shift(name: str, moved: Moved) -> str:
     own, other = moved
-    text = f"{name} is {other.value:.3g} ({other.low:.3g} to {other.high:.3g})"
+    text = f"{name} is {interval(other)}"
     if kind(name) != "melanin_load" or not (own.value > 0 and other.value > 0):
         return f"{text} for {own.value:.3g}"
     ratio = other.value / own.value
