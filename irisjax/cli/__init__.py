@@ -19,7 +19,7 @@ _COMMANDS = {
     "spectrum": ("measure",),
     "brdf": ("measure",),
     "colour": ("measure",),
-    "simulate-measurement": ("simulate",),
+    "simulate-measurement": ("measure",),
     "fit": ("fit",),
     "render": ("render", "OpenImageIO"),
     "export": ("export", "OpenImageIO", "trimesh"),
@@ -38,8 +38,6 @@ _EXTRAS = {
     "raw": ("rawpy",),
 }
 """Extras of the package and the modules that they bring; an extra may bring another's too."""
-_RUN_AGAIN = ("measure", "simulate")
-"""Modules whose commands take each other's files by `--from`: each knows the settings of all."""
 
 
 def run(arguments: list[str] | None = None) -> int:
@@ -108,12 +106,6 @@ def _of_extra(error: ModuleNotFoundError) -> str:
     return ""
 
 
-def _is_installed(package: str) -> bool:
-    if package in sys.modules:
-        return sys.modules[package] is not None
-    return importlib.util.find_spec(package) is not None
-
-
 def _complain(message: str, status: int) -> int:
     print("irisjax:", " ".join(message.split()), file=sys.stderr)
     return status
@@ -129,12 +121,12 @@ def parser(arguments: list[str]) -> Any:
     )
     app.callback(invoke_without_command=True)(_irisjax)
     asked, *needed = _COMMANDS.get(arguments[0], (None,))
-    wanted = _RUN_AGAIN if asked in _RUN_AGAIN else (asked,)
     for package in () if {"-h", "--help"} & set(arguments) else needed:
-        if not _is_installed(package):
+        if importlib.util.find_spec(package) is None:
             raise ModuleNotFoundError(package, name=package)
     for name, (module, *_) in _COMMANDS.items():
-        if asked is None or module in wanted:
+        # Those of one module take each other's files by `--from`: each knows the settings of all.
+        if asked in (None, module):
             try:
                 found = importlib.import_module(f"irisjax.cli.{module}")
             except ModuleNotFoundError as error:

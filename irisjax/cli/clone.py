@@ -2,7 +2,6 @@
 
 import sys
 import time
-from collections.abc import Callable
 from contextlib import contextmanager, nullcontext
 from pathlib import Path
 from typing import ClassVar
@@ -22,11 +21,10 @@ from irisjax.io.clones import CLONE_FILES, files_of
 from irisjax.io.photographs import read_photograph
 from irisjax.numerics.checks import Range
 from irisjax.photo import clone as cloning
-from irisjax.photo.clone import PictureDifference, compare_with_photograph
+from irisjax.photo.clone import compare_with_photograph
 from irisjax.photo.doubts import doubtful_outlines, doubts_of, per_cent
 from irisjax.photo.photograph import Ellipse
-from irisjax.photo.posterior import PigmentPosterior
-from irisjax.plot.beside import Later, beside, here
+from irisjax.plot.beside import beside, here
 from irisjax.render.environment import Environment
 from irisjax.render.radiative import RadiativeIntegrator
 from irisjax.render.separable import Separable
@@ -40,8 +38,6 @@ _DEFAULTS = cloning.CloneSettings()
 
 
 class ClonePicture(opt.Group, panel="Photograph"):
-    """Options: the photograph and what is known about it."""
-
     photograph: Path = opt.argument("JPEG, PNG, TIFF, EXR or camera raw", "PHOTO", ...)
     focal_px: float | None = opt.number(
         "focal length; default: the file's own", Range(10, 1e6, "pixels")
@@ -101,8 +97,6 @@ class ClonePicture(opt.Group, panel="Photograph"):
 
 
 class CloneModel(opt.Group, panel="Model"):
-    """Options: the model of the eye."""
-
     ONLY_WITH: ClassVar = {"deconvolution": ("beta", ())}
 
     media: str = opt.choice("what light crosses before the iris", cloning.MEDIA, _DEFAULTS.media)
@@ -137,8 +131,6 @@ class CloneModel(opt.Group, panel="Model"):
 
 
 class CloneResults(opt.Group, panel="Files"):
-    """Options: the files."""
-
     output: Path = opt.output("folder for the clone", "DIR", ...)
     stop_after: str = opt.choice("last stage", cloning.STAGES, "posterior")
     overwrite: bool = opt.flag("replace a clone in that folder")
@@ -162,46 +154,8 @@ def clone_command(picture: ClonePicture, model: CloneModel, results: CloneResult
     timings: dict[str, float] = {}
     wanted = cloning.STAGES[: cloning.STAGES.index(results.stop_after) + 1]
     drawing = beside() if "pigments" in wanted else nullcontext(here)
-    with drawing as draw:
-        with _progress(len(wanted), timings) as stage:
-            how = {"last": results.stop_after, "stage": stage, "tables": kept_tables}
-            key = jax.random.key(model.seed)
-            run = cloning.clone_eye(photograph, settings, stated, **how, key=key)
-            found, both, drawn, failed = next(run), None, None, ()
-            try:
-                # No stage follows a doubtful outline.
-                for known in () if doubtful_outlines(found) else run:
-                    found = known
-                    if both is None and isinstance(known, cloning.Fitted):  # before the posterior
-                        both = compare_with_photograph(known)
-                        drawn = _begun(known, both, draw)
-            except ValueError as error:
-                if not isinstance(found, cloning.Shaped):
-                    raise
-                stage_name = wanted[len(timings)]
-                failed = (f"{stage_name}: {error}; the stages before it are written",)
-        for note in photograph.notes:
-            opt.tell(f"{picture.photograph}: {note}")
-        given = {n: v for group in (picture, model) for n, v in vars(group).items() if n != "typed"}
-        words = {n: str(v) if isinstance(v, Path) else v for n, v in given.items()}
-        doubts = doubts_of(found, None if both is None else both.rms) + failed
-        files = files_of(found, words, timings, both, doubts)
-        if both is not None and drawn is not None:
-            print(f"difference of the pictures, RMS: {per_cent(both.rms)} % (R, G, B)")
-            files |= {name: later() for name, later in drawn.items()}
-            files[PHOTOGRAPH] = encode_photograph(both.photograph)
-    folder.mkdir(parents=True, exist_ok=True)
-    io.write_together({folder / name: data for name, data in files.items()})
-    for name in {*CLONE_FILES, *_FIGURES, PHOTOGRAPH} - set(files):  # of an earlier, longer run
-        (folder / name).unlink(missing_ok=True)
-    report(found, picture.cross_polarised, folder, doubts)
-    raise typer.Exit(_NOT_SURE if doubts else 0)
-
-
-@contextmanager
-def _progress(stages: int, timings: dict[str, float]):
-    """Show a progress bar, and make a context that records the seconds of a stage."""
-    with tqdm(total=stages, unit="stage", disable=not sys.stderr.isatty()) as bar:
+    quiet = not sys.stderr.isatty()
+    with drawing as draw, tqdm(total=len(wanted), unit="stage", disable=quiet) as bar:
 
         @contextmanager
         def stage(name: str):
@@ -211,18 +165,45 @@ def _progress(stages: int, timings: dict[str, float]):
             timings[name] = time.perf_counter() - begin
             bar.update()
 
-        yield stage
-
-
-def _begun(
-    found: cloning.Fitted, both: PictureDifference, draw: Callable[..., Later]
-) -> dict[str, Later]:
-    """Begin to draw the figures."""
-    eye, pictures = found.scene().eye, (both.photograph, both.rendered)
-    radius = float(0.5 * (eye.pupil_radius + eye.iris_radius))
-    side, off = draw("side_by_side", *pictures), draw("differences", *pictures, both.clear)
-    along = draw("luminance_profile", *both.arc(found, radius), radius)
-    return dict(zip(_FIGURES, (side, off, along), strict=True))
+        how = {"last": results.stop_after, "stage": stage, "tables": kept_tables}
+        key = jax.random.key(model.seed)
+        run = cloning.clone_eye(photograph, settings, stated, **how, key=key)
+        found, both, drawn, failed = next(run), None, {}, ()
+        try:
+            # No stage follows a doubtful outline.
+            for known in () if doubtful_outlines(found) else run:
+                found = known
+                if both is None and isinstance(known, cloning.Fitted):  # before the posterior
+                    both, eye = compare_with_photograph(known), known.scene().eye
+                    pictures = both.photograph, both.rendered
+                    radius = float(0.5 * (eye.pupil_radius + eye.iris_radius))
+                    along = *both.arc(known, radius), radius
+                    drawn = {
+                        "side_by_side.png": draw("side_by_side", *pictures),
+                        "differences.png": draw("differences", *pictures, both.clear),
+                        "luminance.png": draw("luminance_profile", *along),
+                    }
+        except ValueError as error:
+            if not isinstance(found, cloning.Shaped):
+                raise
+            failed = (f"{wanted[len(timings)]}: {error}; the stages before it are written",)
+        bar.close()
+        for note in photograph.notes:
+            opt.tell(f"{picture.photograph}: {note}")
+        given = {n: v for group in (picture, model) for n, v in vars(group).items() if n != "typed"}
+        words = {n: str(v) if isinstance(v, Path) else v for n, v in given.items()}
+        doubts = doubts_of(found, None if both is None else both.rms) + failed
+        files = files_of(found, words, timings, both, doubts)
+        if both is not None:
+            print(f"difference of the pictures, RMS: {per_cent(both.rms)} % (R, G, B)")
+            files |= {name: later() for name, later in drawn.items()}
+            files[PHOTOGRAPH] = encode_photograph(both.photograph)
+    folder.mkdir(parents=True, exist_ok=True)
+    io.write_together({folder / name: data for name, data in files.items()})
+    for name in {*CLONE_FILES, *_FIGURES, PHOTOGRAPH} - set(files):  # of an earlier, longer run
+        (folder / name).unlink(missing_ok=True)
+    report(found, picture.cross_polarised, folder, doubts)
+    raise typer.Exit(_NOT_SURE if doubts else 0)
 
 
 def report(
@@ -252,17 +233,12 @@ def report(
         if found.lighting.found == 0:
             opt.tell("no highlight on the cornea shows a lamp: light from all round is assumed")
     if isinstance(found, cloning.Sampled):
-        print(_table(found.posterior))
+        print(f"{'parameter':<20}{'median':>10}{'95 %':>22}{'contraction':>13}")
+        for name, e in found.posterior.estimates.items():
+            span = f"{e.low:.3g} to {e.high:.3g}"
+            print(f"{name:<20}{e.median:>10.3g}{span:>22}{e.contraction:>13.2f}")
         print("the intervals allow for a thickness and shading unlike the model's")
     print(f"written: {folder}")
-
-
-def _table(posterior: PigmentPosterior) -> str:
-    rows = [f"{'parameter':<20}{'median':>10}{'95 %':>22}{'contraction':>13}"]
-    for name, e in posterior.estimates.items():
-        span = f"{e.low:.3g} to {e.high:.3g}"
-        rows.append(f"{name:<20}{e.median:>10.3g}{span:>22}{e.contraction:>13.2f}")
-    return "\n".join(rows)
 
 
 def _settings(picture: ClonePicture, model: CloneModel) -> cloning.CloneSettings:

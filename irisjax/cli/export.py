@@ -15,8 +15,6 @@ _MODELS = "separable", "radiative-transfer"
 
 
 class Handover(opt.Group, panel="Files"):
-    """How finely the eye is meshed, and where it is written."""
-
     integrator: str | None = opt.choice(
         "whose albedo and BRDF; default: the scene's, separable", _MODELS
     )

@@ -72,25 +72,21 @@ def _take_settings(context, param, source: Path | None) -> Path | None:
     """
     if source is None:
         return None
-    entries = io.read_header(source)
+    entries, command = io.read_header(source), context.command
     known = _settings_of(*context.find_root().command.commands.values())
     if not known & set(entries):
         raise ValueError(f"{source}: no header of settings (lines like '# eumelanin: 0.1201')")
-    for name in entries:
-        if name not in known and name not in FOR_PEOPLE:
-            all_known = ", ".join(sorted(known))
-            raise ValueError(
-                f"{source}: unknown setting {name!r} in the header; known: {all_known}"
-            )
-    taken = {n: v for n, v in entries.items() if n in _settings_of(context.command)}
-    command = context.command.name
-    if entries.get("command", command) != command:
-        own = [p.name for p in context.command.params if _panel(p) == LightOptions.PANEL]
-        if left := [name for name in taken if name in own]:
+    if wrong := [name for name in entries if name not in known and name not in FOR_PEOPLE]:
+        every = ", ".join(sorted(known))
+        raise ValueError(f"{source}: unknown setting {wrong[0]!r} in the header; known: {every}")
+    context.default_map = {n: v for n, v in entries.items() if n in _settings_of(command)}
+    if entries.get("command", command.name) != command.name:
+        own = {p.name for p in command.params if _panel(p) == LightOptions.PANEL}
+        if left := [name for name in context.default_map if name in own]:
             names = ", ".join(left)
             opt.tell(f"note: {source} is of another command; not taken from it: {names}")
-        taken = {n: v for n, v in taken.items() if n not in left}
-    context.default_map = taken
+        for name in left:
+            del context.default_map[name]
     return source
 
 
@@ -100,18 +96,11 @@ def _panel(parameter) -> str | None:
 
 def _settings_of(*commands) -> set[str]:
     """Options that a file's header may set: those of commands with `--from`, files left out."""
-    return {
-        parameter.name
-        for command in commands
-        if any(p.name == "source" for p in command.params)
-        for parameter in command.params
-        if _panel(parameter) not in (None, Source.PANEL)
-    }
+    with_from = [c.params for c in commands if any(p.name == "source" for p in c.params)]
+    return {p.name for params in with_from for p in params if _panel(p) not in (None, Source.PANEL)}
 
 
 class Source(opt.Group, panel="Files"):
-    """The file that is run again."""
-
     source: Path | None = opt.option(
         "run this file's header again, with what other options change",
         names="--from",
@@ -122,26 +111,17 @@ class Source(opt.Group, panel="Files"):
 
 
 class TableFile(Source):
-    """The file that is made."""
-
     output: Path | None = opt.output(
         "write the CSV here; without it, to standard output", "FILE.csv"
     )
 
 
 class TableFiles(TableFile):
-    """The files that are made."""
-
     plot: Path | None = opt.option("draw a figure: .png, .pdf or .svg", metavar="FILE.png")
 
 
 class SwatchFile(Source):
-    """The picture that is made."""
-
     swatch: Path | None = opt.option("paint the colour", metavar="FILE.png")
-
-
-_TABLES = (".csv", ".txt", "")
 
 
 def check_files(output: Path | None = None, picture: Path | None = None, *suffixes: str) -> None:
@@ -151,7 +131,8 @@ def check_files(output: Path | None = None, picture: Path | None = None, *suffix
         io.check_writable(path)
     if len({path.resolve() for path in paths}) < len(paths):
         raise ValueError(f"{paths[0]}: data and figure cannot go to the same file")
-    if output is not None and output.suffix.lower() not in _TABLES and not io.is_device(output):
+    suffix = "" if output is None or io.is_device(output) else output.suffix.lower()
+    if suffix not in (".csv", ".txt", ""):
         raise ValueError(f"{output}: is written as CSV; its name must end in .csv or .txt")
     if picture is not None:
         plot.check_suffix(picture, *([suffixes] if suffixes else []))
@@ -179,37 +160,47 @@ def head(
     quantity: str,
     iris: ij.Iris,
     process: AbstractProcess,
-    solver: AbstractSolver,
     groups: tuple[IrisOptions, ProcessOptions, *tuple[opt.Group, ...]],
+    solver: AbstractSolver | None = None,
     left_out: str | None = None,
 ) -> dict[str, str]:
-    """Header of a file of simulated values; `left_out`: what polarisation would change in them."""
-    return {
+    """Header of a file of simulated values, complete enough for `--from`.
+
+    Args:
+        command: The command that writes it.
+        quantity: What it holds.
+        iris: What the first of the `groups` made.
+        process: What the second of them made.
+        groups: The command's options.
+        solver: The solver, if the values are its results and nothing else.
+        left_out: How polarisation would change the values.
+    """
+    lines = {
         "irisjax": ij.__version__,
         "simulated": f"{quantity} of a modelled human iris, not a measurement",
         "command": command,
+    }
+    if solver is None:
+        return lines | _settings(iris, process, *groups)
+    # The process has lines of its own.
+    fields = {n: v for n, v in vars(solver).items() if n != "process" and v is not None}
+    return {
+        **lines,
         "approximation": _approximation(process, left_out),
-        **settings(iris, process, *groups),
+        **_settings(iris, process, *groups),
         "transport": process.transport,
-        "solver settings": ", ".join(
-            f"{field.name} = {value}"
-            for field in dataclasses.fields(solver)
-            # The process has lines of its own.
-            if field.name != "process" and (value := getattr(solver, field.name)) is not None
-        ),
+        "solver settings": ", ".join(f"{n} = {v}" for n, v in fields.items()),
     }
 
 
-def settings(
+def _settings(
     iris: ij.Iris,
     process: AbstractProcess,
     iris_options: IrisOptions,
     process_options: ProcessOptions,
     *others: opt.Group,
 ) -> dict[str, str]:
-    """Every setting as text, complete enough for `--from`; `iris` and `process` are what the
-    options made.
-    """
+    """Every setting as text."""
     # float, not text made by numpy: that loses digits once colour-science has been imported.
     fields = {
         name: float(getattr(iris if name in LIMITS else iris.power_law, name))
@@ -240,13 +231,10 @@ def _approximation(process: AbstractProcess, left_out: str | None) -> str:
         )
     if not isinstance(process, Ilit):
         return f"scalar theory, no polarisation: {left_out}"
-    ours, theirs = (
-        ("0.0148", "darker than")
-        if process.rescatter == "retest"
-        else ("0.0405", "about twice as bright as")
-    )
+    retest = process.rescatter == "retest"
     return (
-        f"ILIT tests whole layers at once: in the blue, light eyes come out {theirs} by "
-        "depth-resolved transport of the same layers "
-        f"({ours} against 0.0202 at 450 nm, low pigmentation, rescatter = {process.rescatter})"
+        "ILIT tests whole layers at once: in the blue, light eyes come out "
+        f"{'darker than' if retest else 'about twice as bright as'} by depth-resolved transport of "
+        f"the same layers ({0.0148 if retest else 0.0405} against 0.0202 at 450 nm, low "
+        f"pigmentation, rescatter = {process.rescatter})"
     )

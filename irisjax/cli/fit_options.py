@@ -18,12 +18,10 @@ Span = tuple[float, float]
 
 
 def _span(text: str) -> Span:
-    number = opt.number_in(Range(1, 1e5))
-    low, colon, high = text.partition(":")
-    found = number(low), number(high) if colon else 0.0
-    if not found[0] < found[1]:
+    low, *high = map(opt.number_in(Range(1, 1e5)), text.split(":", 1))
+    if not high or low >= high[0]:
         raise ValueError(f"{text!r}: write two wavelengths in nm, such as 400:700")
-    return found
+    return low, high[0]
 
 
 def _discrepancy(text: str) -> Span:
@@ -55,8 +53,6 @@ def _prior(text: str) -> tuple[str, AbstractPrior]:
 
 
 class Measurements(opt.Group, panel="Measurement"):
-    """What was measured, of which eye, and how well."""
-
     spectra: list[Path] | None = opt.argument(
         "file of wavelengths and reflectances (CSV, an instrument's text, JCAMP-DX); several are "
         "of one eye, fitted together",
@@ -103,7 +99,6 @@ class Measurements(opt.Group, panel="Measurement"):
 
     @property
     def noise(self) -> ij.Noise:
-        """How far values may lie from the model's."""
         smooth, degrees = self.discrepancy or (None, None), 4.0 if self.outliers else None
         stated: Any = (self.relative_noise, self.absolute_noise, *smooth, degrees)
         return ij.Noise(*stated)
@@ -122,8 +117,6 @@ class Measurements(opt.Group, panel="Measurement"):
 
 
 class Model(opt.Group, panel="Model"):
-    """What is known, what is to be found, and by which rules of light transport."""
-
     free: tuple[str, ...] | None = opt.option(
         "parameters to infer, separated by commas; default: those marked * below",
         parse=_names,
@@ -162,8 +155,6 @@ class Model(opt.Group, panel="Model"):
 
 
 class Sampler(opt.Group, panel="Sampler"):
-    """How the posterior is sampled."""
-
     walkers: int = opt.whole("number of chains, {}", Range(4, 4096), 64)
     max_steps: int = opt.whole("largest number of steps, {}", Range(1, 10_000_000), 20_000)
     seed: int = opt.seeded("results")
@@ -175,8 +166,6 @@ class Sampler(opt.Group, panel="Sampler"):
 
 
 class FitResults(opt.Group, panel="Files"):
-    """Files of results, and how many eyes are fitted."""
-
     output: Path | None = opt.output(
         "for summary.csv, fit.png, corner.png, posterior.nc (arviz), chain.h5; else the table is "
         "printed only",

@@ -3,7 +3,6 @@
 import math
 from typing import Any, ClassVar, get_args
 
-import jax.numpy as jnp
 import numpy as np
 
 import irisjax as ij
@@ -29,14 +28,12 @@ def _wavelengths(default: str, names: str = "") -> Any:
 
 
 def _covered(text: str) -> opt.Grid:
-    found = opt.read_grid(text)
+    found = opt.Grid(text)
     check_covered(found.values)
     return found
 
 
 class LightOptions(opt.Group, panel="Measurement"):
-    """Where the light comes from, and its wavelengths."""
-
     wavelengths: opt.Grid = _wavelengths("400:700:10")
     cos_incidence: float | str = opt.option(
         "cosine of incidence, 0 to 1, or diffuse",
@@ -63,12 +60,13 @@ class LightOptions(opt.Group, panel="Measurement"):
 
     def before_the_iris(self) -> dict[str, Any]:
         """What every instrument is told of light and media."""
-        aqueous = media.Media(aqueous=jnp.asarray(self.aqueous_index, float))
-        return {"cos_incidence": self.cosine, "media": aqueous}
+        names = (name for name in ("aqueous", "cornea", "tear") if hasattr(self, f"{name}_index"))
+        indices = {name: getattr(self, f"{name}_index") for name in names}
+        return {"cos_incidence": self.cosine, "media": media.Media(**indices)}
 
     def instrument_at(self, grid: np.ndarray) -> AbstractInstrument:
         """Return the instrument that measures at these wavelengths (nm)."""
-        raise NotImplementedError(f"{type(self).__name__} has no instrument")
+        raise NotImplementedError
 
     def settings(self) -> dict[str, Any]:
         """The angle is written as its cosine."""
@@ -77,8 +75,6 @@ class LightOptions(opt.Group, panel="Measurement"):
 
 
 class EyeLight(LightOptions):
-    """Light on an eye with a cornea and a surface that mirrors."""
-
     cornea: str = opt.choice(
         "whether light crosses tear film and cornea; auto is inward for radiance, else none",
         ("auto", *get_args(Crossing)),
@@ -89,19 +85,12 @@ class EyeLight(LightOptions):
     first_surface: bool = opt.flag("include light reflected by the iris's own surface", True)
 
     def before_the_iris(self) -> dict[str, Any]:
-        """What every instrument before an eye is told; `auto` leaves the cornea to it."""
-        indices = (self.aqueous_index, self.cornea_index, self.tear_index)
-        return {
-            "cos_incidence": self.cosine,
-            "media": media.Media(*(jnp.asarray(n, float) for n in indices)),
-            "first_surface": self.first_surface,
-            **({} if self.cornea == "auto" else {"cornea": self.cornea}),
-        }
+        """As of the base class; `auto` leaves the cornea to the instrument."""
+        cornea = {} if self.cornea == "auto" else {"cornea": self.cornea}
+        return {**super().before_the_iris(), "first_surface": self.first_surface, **cornea}
 
 
 class SpectrumLight(EyeLight):
-    """What a spectrophotometer or a radiometer measures."""
-
     ONLY_WITH: ClassVar = {
         "illuminant": ("instrument", ("radiance",)),
         "polariser_deg": ("instrument", POLARIMETERS),
@@ -136,13 +125,12 @@ class SpectrumLight(EyeLight):
     )
 
     def instrument_at(self, grid: np.ndarray) -> AbstractInstrument:
-        """See `LightOptions`."""
         told = self.before_the_iris()
         if self.instrument == "radiance":
             return ij.Radiometer(grid, illuminant=self.illuminant, **told)
         if self.instrument == "reflectance":
             return ij.Spectrophotometer(grid, **told)
-        degrees, angle = self._polarimetry()
+        degrees, angle = self._exit_and_polariser()
         told |= {
             "cos_exit": degrees if isinstance(degrees, str) else math.cos(math.radians(degrees)),
             "azimuth": math.radians(self.exit_azimuth_deg),
@@ -157,11 +145,11 @@ class SpectrumLight(EyeLight):
         """A polarimeter's defaults are written too."""
         found = super().settings()
         if self.instrument in POLARIMETERS:
-            degrees, angle = self._polarimetry()
-            found |= {"exit_deg": degrees} | ({} if angle is None else {"polariser_deg": angle})
+            found["exit_deg"], angle = self._exit_and_polariser()
+            found |= {} if angle is None else {"polariser_deg": angle}
         return found
 
-    def _polarimetry(self) -> tuple[float | str, float | None]:
+    def _exit_and_polariser(self) -> tuple[float | str, float | None]:
         degrees, angle = self.exit_deg, self.polariser_deg
         if self.instrument == "degree-of-polarisation":
             return 45.0 if degrees is None else degrees, angle
@@ -169,8 +157,6 @@ class SpectrumLight(EyeLight):
 
 
 class BrdfLight(LightOptions):
-    """What a goniophotometer measures."""
-
     wavelengths: opt.Grid = _wavelengths("550", "--wavelength --wavelengths")
     plane: str = opt.choice("exit directions", ("principal", "hemisphere"), "principal")
     angles: int = opt.whole("exit directions over 180 degrees, {}", Range(2, 3600), 90)
@@ -186,15 +172,12 @@ class BrdfLight(LightOptions):
         return polar.ravel(), azimuth.ravel()
 
     def instrument_at(self, grid: np.ndarray) -> AbstractInstrument:
-        """See `LightOptions`."""
         angle, azimuth = self.exits()
         told = self.before_the_iris()
         return ij.Goniophotometer(grid, cos_exit=np.cos(angle), azimuth=azimuth, **told)
 
 
 class ColourLight(EyeLight):
-    """What a colorimeter measures."""
-
     wavelengths: opt.Grid = _wavelengths("380:780:5")
     illuminant: str = opt.option(
         "light source by its name in colour-science", "D65", metavar="name"
@@ -204,14 +187,11 @@ class ColourLight(EyeLight):
     )
 
     def instrument_at(self, grid: np.ndarray) -> AbstractInstrument:
-        """See `LightOptions`."""
         told = self.before_the_iris()
         return ij.Colorimeter(grid, illuminant=self.illuminant, observer=self.observer, **told)
 
 
 class NoisyLight(EyeLight):
-    """A reflectance measured with errors."""
-
     gain: float = opt.number(GAIN.meaning, GAIN, 1.0)
     relative_noise: float = opt.number(
         "standard deviation as a share of the value", Range(0, 10), 0.02, metavar="share"

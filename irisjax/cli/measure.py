@@ -1,21 +1,22 @@
-"""`irisjax spectrum`, `brdf` and `colour`: virtual instruments, CSV out."""
+"""`irisjax spectrum`, `brdf`, `colour`, `simulate-measurement`: virtual instruments, CSV out."""
 
 import re
 import sys
 from typing import Any
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import typer
 from tqdm import tqdm
 
 import irisjax as ij
 from irisjax import io, plot
+from irisjax.cli import light as lights
 from irisjax.cli import model
 from irisjax.cli import options as opt
-from irisjax.cli.files import SwatchFile, TableFiles, check_files, head, write_table
-from irisjax.cli.light import POLARIMETERS, BrdfLight, ColourLight, LightOptions, SpectrumLight
-from irisjax.measure.instrument import AbstractInstrument
+from irisjax.cli.files import SwatchFile, TableFile, TableFiles, check_files, head, write_table
+from irisjax.infer.parameters import of_iris
 from irisjax.measure.observe import observe
 from irisjax.measure.polarimeter import PolarisedReading
 from irisjax.transport.montecarlo import MonteCarlo
@@ -35,12 +36,12 @@ def spectrum_command(
     iris: model.IrisOptions,
     process: model.ProcessOptions,
     solver: model.SolverOptions,
-    light: SpectrumLight,
+    light: lights.SpectrumLight,
     files: TableFiles,
 ) -> None:
     """Compute the reflectance of an iris, or its radiance under an illuminant, as CSV."""
     check_files(files.output, files.plot)
-    if light.instrument in POLARIMETERS:
+    if light.instrument in lights.POLARIMETERS:
         process = process.seeing_polarisation(light.instrument)
     quantity = _QUANTITIES.get(light.instrument, light.instrument)
     result, lines = _read("spectrum", quantity, iris, process, solver, light)
@@ -61,7 +62,7 @@ def brdf_command(
     iris: model.IrisOptions,
     process: model.ProcessOptions,
     solver: model.SolverOptions,
-    light: BrdfLight,
+    light: lights.BrdfLight,
     files: TableFiles,
 ) -> None:
     """Compute the BRDF of an iris in the aqueous humour, without its surface's reflection."""
@@ -89,27 +90,58 @@ def colour_command(
     iris: model.IrisOptions,
     process: model.ProcessOptions,
     solver: model.SolverOptions,
-    light: ColourLight,
+    light: lights.ColourLight,
     files: SwatchFile,
 ) -> None:
     """Compute the colour of an iris under an illuminant: XYZ, CIE L*a*b*, sRGB, and a swatch."""
     check_files(None, files.swatch, ".png")
     result, lines = _read("colour", "colour", iris, process, solver, light)
-    red, green, blue = (int(v) for v in np.rint(255 * np.clip(np.asarray(result.srgb), 0, 1)))
-    srgb8 = (red, green, blue)
+    srgb8 = red, green, blue = np.rint(255 * np.clip(result.srgb, 0, 1)).astype(int).tolist()
     clipped = "" if result.in_gamut else "outside sRGB's gamut: the 8-bit values are clipped"
     rows = [
         *(f"# {key}: {value}" for key, value in lines.items()),
         _row("XYZ", result.xyz, ".6f", "(white has Y = 1)"),
         _row("L*a*b*", result.lab, ".4f"),
         _row("sRGB linear", result.srgb_linear, ".6f"),
-        _row("sRGB 8 bit", srgb8, "d", "#" + "".join(f"{v:02x}" for v in srgb8)),
+        _row("sRGB 8 bit", srgb8, "d", f"#{red:02x}{green:02x}{blue:02x}"),
         f"{'gamut':<12}{clipped or 'inside sRGB'}",
     ]
     if files.swatch is not None:
         remark = f"simulated colour of an iris under {light.illuminant}; {clipped}".rstrip("; ")
-        io.write_atomically(files.swatch, plot.swatch(srgb8, remark))
+        io.write_atomically(files.swatch, plot.swatch((red, green, blue), remark))
     typer.echo("\n".join(rows))
+
+
+@opt.grouped
+def simulate_measurement_command(
+    iris: model.IrisOptions,
+    process: model.ProcessOptions,
+    light: lights.NoisyLight,
+    files: TableFile,
+) -> None:
+    """Simulate a noisy spectrum of an iris, with its truth in the header, to try `irisjax fit`."""
+    check_files(files.output)
+    eye, rules = model.modelled(iris, process)
+    truth = {n: float(v) for n, v in of_iris(eye).items() if n != "noise"}
+    truth["gain"] = light.gain
+    groups = (iris, process, light)
+    lines = head("simulate-measurement", "noisy reflectance", eye, rules, groups)
+    lines["truth"] = ", ".join(f"{name} = {value:.6g}" for name, value in truth.items())
+    grid = light.wavelengths.values
+    levels: Any = light.relative_noise, light.absolute_noise
+    problem = ij.problem(
+        ij.spectrum(grid, np.zeros(grid.size), **light.before_the_iris()),
+        free=["noise"],
+        fixed={"gain": light.gain},
+        base=eye,
+        solver=model.exact_solver(rules, eye),
+        noise=ij.Noise(*levels),
+    )
+    key = jax.random.key(light.seed, impl="threefry2x32")
+    draw = jax.jit(lambda k: problem.simulate(jnp.zeros(1), k)[0])
+    names = [f"scan_{i + 1}" for i in range(light.scans)] if light.scans > 1 else ["reflectance"]
+    scans = {n: draw(jax.random.fold_in(key, i)) for i, n in enumerate(names)}
+    write_table(files, lines, {"wavelength_nm": grid, **scans})
 
 
 def _read(
@@ -118,7 +150,7 @@ def _read(
     iris: model.IrisOptions,
     process: model.ProcessOptions,
     solver: model.SolverOptions,
-    light: LightOptions,
+    light: lights.LightOptions,
 ) -> tuple[Any, dict[str, str]]:
     """Return the reading of the light's instrument, and the header of a file that holds it."""
     eye, rules = model.modelled(iris, process)
@@ -128,12 +160,10 @@ def _read(
     _doubt_few_photons(result)
     left_out = _left_out_by_scalar_theory(eye, light) if rules == DEPTH_RESOLVED else None
     groups = (iris, process, solver, light)
-    return result, head(command, quantity, eye, rules, method, groups, left_out)
+    return result, head(command, quantity, eye, rules, groups, method, left_out)
 
 
-def _measured(
-    iris: ij.Iris, instrument: AbstractInstrument, solver: AbstractSolver, key: jax.Array | None
-) -> Any:
+def _measured(iris, instrument, solver: AbstractSolver, key: jax.Array | None) -> Any:
     """Return the reading; photons are followed in blocks, with a progress bar."""
     if not isinstance(solver, MonteCarlo):
         return observe(iris, instrument, solver, key=key)
@@ -143,11 +173,11 @@ def _measured(
         return observe(iris, instrument, solver, key=key, progress=bar.update)
 
 
-def _left_out_by_scalar_theory(iris: ij.Iris, light: LightOptions) -> str:
+def _left_out_by_scalar_theory(iris: ij.Iris, light: lights.LightOptions) -> str:
     """How far scalar theory is off, at some of the wavelengths, in words."""
     if iris.power_law is not None:
         return "how far that is off is not known under a power law of scattering"
-    grid, colour = light.wavelengths.values, isinstance(light, ColourLight)
+    grid, colour = light.wavelengths.values, isinstance(light, lights.ColourLight)
     if not colour:  # which is of the whole range
         few = np.linspace(0, grid.size - 1, _FEW_WAVELENGTHS).round().astype(int)
         grid = grid[np.unique(few)]

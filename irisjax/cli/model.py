@@ -121,8 +121,6 @@ class ProcessOptions(opt.Group, panel="Process"):
 
 
 class SolverOptions(opt.Group, panel="Solver"):
-    """How the process is solved."""
-
     ONLY_WITH: ClassVar = {"photons": _SAMPLED, "seed": _SAMPLED}
 
     solver: str = opt.choice(

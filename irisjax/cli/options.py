@@ -5,17 +5,10 @@ import functools
 import inspect
 import math
 import sys
+import typing
 from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
-from typing import (
-    Annotated,
-    Any,
-    ClassVar,
-    dataclass_transform,
-    get_args,
-    get_origin,
-    get_type_hints,
-)
+from typing import Annotated, Any, ClassVar, dataclass_transform
 
 import numpy as np
 import typer
@@ -60,18 +53,23 @@ def flag(help: str, default: bool = False) -> Any:
 
 
 def number(
-    help: str, allowed: Range | None = None, default: Any = None, metavar: str = "", **more: Any
+    help: str,
+    allowed: Range | None = None,
+    default: Any = None,
+    metavar: str = "",
+    *,
+    whole: bool = False,
+    **more: Any,
 ) -> Any:
     """An option that takes a number; `{}` in its help stands for the range."""
     words, unit = (help.replace("{}", in_words(allowed)), allowed.unit) if allowed else (help, "")
-    metavar = metavar or unit or "number"
-    return option(words, default, parse=number_in(allowed), metavar=metavar, **more)
+    parse = number_in(allowed, whole)
+    return option(words, default, parse=parse, metavar=metavar or unit or "number", **more)
 
 
 def whole(help: str, allowed: Range, default: int | None = None, metavar: str = "count") -> Any:
     """An option that takes a whole number; 1e6 is one."""
-    words = help.replace("{}", in_words(allowed))
-    return option(words, default, parse=number_in(allowed, whole=True), metavar=metavar)
+    return number(help, allowed, default, metavar, whole=True)
 
 
 def seeded(what: str) -> Any:
@@ -191,12 +189,12 @@ _KEYWORD = inspect.Parameter.KEYWORD_ONLY
 @functools.cache
 def _options_of(group: type[Group]) -> dict[str, inspect.Parameter]:
     """Fields that are options, as typer reads them."""
-    hints, found = get_type_hints(group), {}
+    hints, found = typing.get_type_hints(group), {}
     for field in dataclasses.fields(group):
         if field.name == "typed":
             continue
         kind, shown = hints[field.name], dict(field.metadata)
-        kinds, names = (kind, *get_args(kind)), shown.pop("names")
+        kinds, names = (kind, *typing.get_args(kind)), shown.pop("names")
         if shown.pop("positional", False):
             info = typer.Argument(show_default=False, **shown)
         else:
@@ -204,7 +202,7 @@ def _options_of(group: type[Group]) -> dict[str, inspect.Parameter]:
                 off = f"/--no-{dashed(field.name)[2:]}" if field.default else ""
                 names, shown["metavar"] = names or (dashed(field.name) + off,), ""
             if parse := shown.pop("parse", _path if Path in kinds else None):
-                several = any(get_origin(k) is list for k in kinds)
+                several = any(typing.get_origin(k) is list for k in kinds)
                 kind, shown["parser"] = list[Any] if several else Any, _parser(parse)
             if "overrules" in shown:
                 shown["callback"] = _overrule(shown.pop("overrules"))
@@ -237,31 +235,32 @@ def _path(text: str) -> Path:
 
 
 class Grid(str):
-    """Wavelengths as they are written."""
+    """Wavelengths as they are written, without spaces.
 
-    @functools.cached_property
-    def values(self) -> np.ndarray:
-        """Wavelengths, nm; raises `ValueError` for a text that is no grid."""
-        wrong = f"{str(self)!r} is not a grid; give start:stop:step or a list 450,550,650, in nm"
+    Attributes:
+        values: Wavelengths, nm.
+    """
+
+    values: np.ndarray
+
+    def __new__(cls, text: str) -> "Grid":
+        """Raises `ValueError` for a text that is no grid."""
+        grid = super().__new__(cls, "".join(text.split()))
+        wrong = f"{str(grid)!r} is not a grid; give start:stop:step or a list 450,550,650, in nm"
         try:
-            numbers = [float(part) for part in self.replace(":", ",").split(",")]
+            numbers = [float(part) for part in grid.replace(":", ",").split(",")]
         except ValueError:
             raise ValueError(wrong) from None
-        if ":" not in self:
-            return np.array(numbers)
-        if "," in self or len(numbers) != 3:
+        if ":" not in grid:
+            grid.values = np.array(numbers)
+            return grid
+        if "," in grid or len(numbers) != 3:
             raise ValueError(wrong)
         start, stop, step = numbers
         if step > 0 and (stop - start) / step >= _MOST_WAVELENGTHS:
-            raise ValueError(f"{str(self)!r} has more than {_MOST_WAVELENGTHS} wavelengths")
-        return ij.wavelengths(start, stop, step)
-
-
-def read_grid(text: str) -> Grid:
-    """Parse wavelengths, nm."""
-    found = Grid("".join(text.split()))
-    _ = found.values  # raises ValueError where the text is no grid
-    return found
+            raise ValueError(f"{str(grid)!r} has more than {_MOST_WAVELENGTHS} wavelengths")
+        grid.values = ij.wavelengths(start, stop, step)
+        return grid
 
 
 def number_in(allowed: Range | None = None, whole: bool = False) -> Callable[[str], Any]:

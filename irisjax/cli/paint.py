@@ -1,7 +1,9 @@
 """`irisjax paint`: a recipe of coats in, the painted eye and every coat out."""
 
 import itertools
+import json
 import os
+import posixpath
 import sys
 from collections.abc import Iterable
 from dataclasses import replace
@@ -13,37 +15,42 @@ import numpy as np
 from tqdm import tqdm
 
 from irisjax import io
-from irisjax.cli import matching
 from irisjax.cli import options as opt
-from irisjax.cli.animate import sheet
 from irisjax.cli.compiled import kept_tables
 from irisjax.cli.files import check_folder, check_is_folder, png_of
 from irisjax.cli.paints import PaintOptions, check_no_seed, of_file
+from irisjax.cli.render import sheet
 from irisjax.cli.scenes import changed, environment_of
 from irisjax.export.mesh import FORMATS, painting_files
 from irisjax.io.recipes import Recipe, recipe_text
-from irisjax.io.targets import TISSUE_MAPS, TISSUE_SCENE, read_target, tissue_files
+from irisjax.io.targets import TISSUE_MAPS, TISSUE_SCENE, Target, read_target, tissue_files
 from irisjax.measure.colour import srgb_encode
 from irisjax.numerics.checks import Range
 from irisjax.ocularist.coats import LIMBUS, PUPIL_RADIUS, Painting, over
 from irisjax.ocularist.components import COMPONENTS
 from irisjax.ocularist.integrator import Painted
+from irisjax.ocularist.matching import match, retouch
 from irisjax.ocularist.painting import OPACITY_SIZE, SCAN, painted, studio
+from irisjax.ocularist.plan import difference, rolled, texture_of
+from irisjax.ocularist.recipes import EYE_COLOURS
+from irisjax.ocularist.recipes import coats as coats_of
 from irisjax.ocularist.tissue import nearest_tissue
 from irisjax.render.environment import ENVIRONMENTS
 from irisjax.render.picture import draw, draw_bands
 from irisjax.render.scene import Scene
 
-_STEPS = 12  # pictures of the progression at most
+_RETOUCHES = 6  # coats that follow a target's pattern, by default
+_SEARCH = 300  # evaluations of a match at most
+_PICTURES = 12  # pictures of the progression at most
 _SMALL = 320, 240
 _COATS, _MESHES, _TISSUE = "coats", "meshes", "tissue"  # folders of a painted eye
 # Files of a painted eye that only some eyes have, in its folder.
 _NAMES = [f"[0-9]*_{component}" for component in (*COMPONENTS, SCAN)]
 _BODIES = itertools.product((*_NAMES, "cornea", "white"), (*FORMATS, "mtl", "png"))
 _OF_AN_EYE = (
-    matching.MATCH,
-    matching.DIFFERENCES,
-    f"{matching.RETOUCH}[0-9]*.png",
+    "match.png",
+    "match.json",
+    "retouch-[0-9]*.png",
     *(f"{_COATS}/{name}.png" for name in _NAMES),
     f"{_TISSUE}/{TISSUE_MAPS}",
     f"{_TISSUE}/{TISSUE_SCENE}",
@@ -51,9 +58,12 @@ _OF_AN_EYE = (
 )
 
 
-class PaintedEye(PaintOptions):
-    """Which eye."""
+# A recipe, pictures of its coats that are scans by their files, contents of files to write beside
+# it, and lines to print.
+_Prepared = tuple[Recipe, dict[str, np.ndarray], dict[str, bytes], list[str]]
 
+
+class PaintedEye(PaintOptions):
     ONLY_WITH: ClassVar = {"retouch": ("match", ())}
 
     recipe: Path | None = opt.argument("coats of paint (TOML)", "RECIPE")
@@ -65,7 +75,7 @@ class PaintedEye(PaintOptions):
         metavar="TARGET",
     )
     retouch: int | None = opt.whole(
-        f"with --match: coats on top that follow its pattern; default {matching.RETOUCHES}",
+        f"with --match: coats on top that follow its pattern; default {_RETOUCHES}",
         Range(0, 30),
     )
 
@@ -78,8 +88,6 @@ class PaintedEye(PaintOptions):
 
 
 class PaintedPicture(opt.Group, panel="Picture"):
-    """How it is drawn."""
-
     light: list[str] | None = opt.option(
         "as of render; repeatable; in place of two lamps", metavar="POLAR,AZIMUTH[,IRRADIANCE]"
     )
@@ -100,8 +108,6 @@ class PaintedPicture(opt.Group, panel="Picture"):
 
 
 class PaintedFiles(opt.Group, panel="Files"):
-    """Where it goes."""
-
     output: Path = opt.output("folder for the eye", "DIR", ...)
     meshes: str | None = opt.choice(
         "a mesh of every coat, of cornea and white, in meshes/", FORMATS
@@ -126,7 +132,7 @@ def paint_command(subject: PaintedEye, picture: PaintedPicture, results: Painted
     asked = (_COATS, True), (_MESHES, results.meshes is not None), (_TISSUE, results.tissue)
     for name in (name for name, wanted in asked if wanted):
         check_is_folder(folder / name)
-    recipe, scans, more, messages = _prepared(subject, picture.texels, folder)
+    recipe, scans, files, messages = _prepared(subject, picture.texels, folder)
     # Half the memory of double precision, and the same picture to a few levels of 255.
     jax.config.update("jax_enable_x64", False)
     eye = recipe.eye()
@@ -137,54 +143,108 @@ def paint_command(subject: PaintedEye, picture: PaintedPicture, results: Painted
     if picture.environment is not None:
         around = environment_of(picture.environment)
         scene = scene.replace(environment=around, lights=scene.lights if picture.light else None)
-    files = {folder / name: data for name, data in more.items()}
-    names = [coat.name for coat in painting.coats]
-    pictures = [folder / _COATS / f"{name.replace(' ', '_')}.png" for name in names]
+    pictures = [f"{_COATS}/{coat.name.replace(' ', '_')}.png" for coat in painting.coats]
     made = {} if results.meshes is None else painting_files(painting, results.meshes, eye=eye)
-    bodies = {folder / _MESHES / name: data for name, data in made.items()}
-    own = [folder / name for name in ("recipe.toml", "eye.png", "progression.png")]
-    _check_spared(recipe, {*own, *pictures, *bodies})
-    files |= bodies
-    files[folder / "recipe.toml"] = recipe_text(recipe.moved(folder)).encode()
-    drawn = _drawn(scene, painting, picture)
-    remark = "painted and simulated by irisjax"
-    for name, linear in zip(("eye.png", "progression.png"), drawn, strict=True):
-        files[folder / name] = png_of(folder / name, np.asarray(srgb_encode(linear)), remark)
-    for path, coat in zip(pictures, painting.coats, strict=True):
-        on_white = over(1.0, coat.opacity[..., None], coat.colour, 1.0)
-        files[path] = png_of(path, np.asarray(srgb_encode(on_white)), remark)
+    bodies = {f"{_MESHES}/{name}": data for name, data in made.items()}
+    own = ("recipe.toml", "eye.png", "progression.png", *pictures, *bodies)
+    _check_spared(recipe, [folder / name for name in own])
+    files |= {**bodies, "recipe.toml": recipe_text(recipe.moved(folder)).encode()}
+    coats = (over(1.0, c.opacity[..., None], c.colour, 1.0) for c in painting.coats)
+    drawn = (*_drawn(scene, painting, picture), *coats)
+    for name, linear in zip(("eye.png", "progression.png", *pictures), drawn, strict=True):
+        encoded = np.asarray(srgb_encode(linear))
+        files[name] = png_of(folder / name, encoded, "painted and simulated by irisjax")
     if results.tissue:
         alike = nearest_tissue(painting, eye)
-        files |= {folder / _TISSUE / n: data for n, data in tissue_files(alike, eye).items()}
+        files |= {f"{_TISSUE}/{name}": data for name, data in tissue_files(alike, eye).items()}
         messages.append(
             f"mean colour difference (95 % below) of the nearest tissue: {alike.left.mean:.1f} "
             f"({alike.left.q95:.1f})"
         )
-    for path in {path.parent for path in files}:
+    written = {folder / name: data for name, data in files.items()}
+    for path in {path.parent for path in written}:
         path.mkdir(parents=True, exist_ok=True)
-    io.write_together(files)
-    _remove_left_over(folder, recipe, files)
+    io.write_together(written)
+    _remove_left_over(folder, recipe, written)
     print(*messages, f"{len(painting.coats)} coats; written: {folder}", sep="\n")
 
 
-def _prepared(subject: PaintedEye, size: int, folder: Path) -> matching.Matched:
+def _prepared(subject: PaintedEye, size: int, folder: Path) -> _Prepared:
     """The recipe, matched if that is asked for."""
     given = subject.recipe is not None or subject.type is not None
     recipe = subject.read(subject.recipe, subject.seed) if given else None
     if subject.match is None:
         assert recipe is not None
         with of_file(subject.recipe):
-            return matching.Matched(recipe, recipe.scans(), {}, [])
+            return recipe, recipe.scans(), {}, []
     asked = subject.pupil_radius or (PUPIL_RADIUS if recipe is None else recipe.pupil_radius)
     target = read_target(subject.match, asked / LIMBUS)
     if subject.pupil_radius is not None and not np.isclose(target.pupil * LIMBUS, asked):
         raise ValueError(f"--pupil-radius: {subject.match} has a pupil of its own")
     if recipe is None:
-        recipe = subject.changed(matching.nearest_colour(target, subject.seed))
-    count = matching.RETOUCHES if subject.retouch is None else subject.retouch
-    how = {"count": count, "size": size, "seed": subject.seed}
+        recipe = subject.changed(_nearest_colour(target, subject.seed))
+    count = _RETOUCHES if subject.retouch is None else subject.retouch
     with of_file(subject.recipe):
-        return matching.matched(target, recipe, folder, **how)
+        return _matched(target, recipe, folder, count, size, jax.random.key(subject.seed))
+
+
+def _nearest_colour(target: Target, seed: int) -> Recipe:
+    """The default coats of the colour of eye that differs least from the target, unfitted."""
+    left = {}
+    for colour in EYE_COLOURS:
+        recipe = Recipe(coats_of("detail", colour, seed=seed), pupil_radius=target.pupil * LIMBUS)
+        eye = recipe.eye()
+        painting = painted(recipe.coats, recipe.mixer(), eye, size=128)
+        seen = texture_of(painting, eye, target.known.shape)
+        left[difference(seen, target.texture, target.known).mean] = recipe
+    return left[min(left)]
+
+
+def _matched(
+    target: Target, recipe: Recipe, folder: Path, count: int, size: int, key: jax.Array
+) -> _Prepared:
+    """Match a recipe to a target, with `count` coats on top whose scans go to `folder`."""
+    recipe = recipe._replace(pupil_radius=target.pupil * LIMBUS)
+    eye, mixer, scans, known = recipe.eye(), recipe.mixer(), recipe.scans(), target.known
+    given = mixer, eye, target.texture
+    same = {"scans": scans, "size": size}
+    fitted = match(recipe.coats, *given, known, **same, max_steps=_SEARCH, key=key)
+    if not fitted.converged:
+        opt.tell(f"the match was stopped after {fitted.steps} steps")
+    there = Path(os.path.relpath(folder, recipe.folder)).as_posix()
+    prefix = posixpath.normpath(posixpath.join(there, "retouch-"))
+    # Hidden texels have the mean of their radius, and are painted so.
+    more = retouch(fitted.recipes, *given, count=count, prefix=prefix, **same)
+    whole = recipe._replace(coats=(*fitted.recipes, *more.recipes))
+    seen = [
+        texture_of(painted(some, mixer, eye, size=size, scans=more.scans), eye, known.shape)
+        for some in (fitted.recipes, whole.coats)
+    ]
+    last = difference(seen[1], target.texture, known)
+    steps = {"before": fitted.before, "matched": fitted.after, "retouched": last}
+    measure = {"measure": "CIE 1976 dE*ab, D65"}
+    summary = {
+        "target": target.name,
+        "colour_difference": {name: d._asdict() | measure for name, d in steps.items()},
+        "steps": fitted.steps,
+        "converged": fitted.converged,
+    }
+    flat = []  # the textures as the iris laid flat
+    for texture in (target.texture, *seen):
+        row, column, on = rolled(texture.shape[:2], eye, size)
+        flat.append(np.where(on[..., None], np.asarray(srgb_encode(texture))[row, column], 0))
+    pictures = {"match.png": np.concatenate(flat, 1)}
+    for name in more.scans.keys() - scans.keys():
+        pictures[posixpath.basename(name)] = np.repeat(more.scans[name][..., None], 3, 2)
+    remark = "painted by irisjax to match a target"
+    files = {name: png_of(folder / name, pixels, remark) for name, pixels in pictures.items()}
+    files["match.json"] = (json.dumps(summary, indent=1) + "\n").encode()
+    words = "as it was", "matched", f"with {len(more.recipes)} coats on top"
+    said = "; ".join(
+        f"{w} {d.mean:.1f} ({d.q95:.1f})" for w, d in zip(words, steps.values(), strict=True)
+    )
+    message = f"mean colour difference (95 % below), CIE 1976, flat and in plain light: {said}"
+    return whole, more.scans, files, [message]
 
 
 def _drawn(
@@ -215,7 +275,7 @@ def _drawn(
 
 def _shown(count: int) -> list[int]:
     """Numbers of coats, up to `count`, after which the progress is shown."""
-    return sorted({round(1 + i * (count - 1) / (_STEPS - 1)) for i in range(_STEPS)})
+    return sorted({round(1 + i * (count - 1) / (_PICTURES - 1)) for i in range(_PICTURES)})
 
 
 def _check_spared(recipe: Recipe, written: Iterable[Path]) -> None:
@@ -244,5 +304,5 @@ def _remove_left_over(folder: Path, recipe: Recipe, written: Iterable[Path]) -> 
 
 
 def _needed(recipe: Recipe) -> set[str]:
-    names = recipe.scan_files() | ({recipe.paints} if recipe.paints is not None else set())
+    names = recipe.scan_files() | {name for name in (recipe.paints,) if name is not None}
     return {os.path.realpath(recipe.folder / name) for name in names}

@@ -11,8 +11,6 @@ from irisjax.ocularist.recipes import EYE_COLOURS, EYE_TYPES, coats
 
 
 class PaintOptions(opt.Group, panel="What"):
-    """A type of eye in place of a recipe, and options that change either."""
-
     type: str | None = opt.choice("in place of a recipe", EYE_TYPES)
     colour: str | None = opt.choice("with --type", EYE_COLOURS)
     mixing: str | None = opt.choice("of the paints", MIXING)

@@ -1,5 +1,6 @@
 """`irisjax render`: a scene file or a preset in, a picture out."""
 
+import dataclasses
 import itertools
 import math
 import sys
@@ -11,20 +12,27 @@ import numpy as np
 from tqdm import tqdm
 
 from irisjax import io
-from irisjax.cli import animate
 from irisjax.cli import options as opt
 from irisjax.cli.compiled import kept_tables
 from irisjax.cli.scenes import EyeWithPupil, changed
 from irisjax.measure.colour import srgb_encode
 from irisjax.numerics.checks import Range
-from irisjax.render import scene as staging
+from irisjax.render.illumination import Illumination
 from irisjax.render.integrators import INTEGRATORS, integrator_name
-from irisjax.render.picture import draw_bands
+from irisjax.render.lights import Lights
+from irisjax.render.picture import draw_bands, illuminate, prepared_scene, respond, shade, texture
+from irisjax.render.project import look
+from irisjax.render.scene import Scene
+
+_CHANGES = ("pupil", "light", "pigment")
+_NARROW, _WIDE = 1.0, 3.5  # radii of the pupil at the turning points of `pupil`, mm
+_TURN = math.radians(75.0)  # largest angle of the lamp off the axis in `light`
+# `pigment` divides both melanins by the first number and multiplies them by it, or by more until
+# they reach the second (mg/ml), which a brown eye has.
+_FACTOR, _DARK = 8.0, 3.0
 
 
 class ViewOptions(EyeWithPupil):
-    """Which eye, in which light, seen from where."""
-
     light: list[str] | None = opt.option(
         "degrees from the eye's axis (0 to 180) and from the picture's right to its top; "
         "irradiance on what faces it, 3.14 lights a white sheet to white; repeatable; in place "
@@ -38,8 +46,6 @@ class ViewOptions(EyeWithPupil):
 
 
 class PictureOptions(opt.Group, panel="Picture"):
-    """How it is drawn."""
-
     ONLY_WITH: ClassVar = {"frames": ("animate", ())}
 
     size: str | None = opt.option("pixels, at most 16384 along a side", metavar="WIDTHxHEIGHT")
@@ -56,10 +62,10 @@ class PictureOptions(opt.Group, panel="Picture"):
     )
     bits: int = opt.option("8 or 16, of a PNG", 8, metavar="count")
     spectral: opt.Grid | None = opt.option(
-        "nm: a layer each in place of RGB, .exr", parse=opt.read_grid, metavar="START:STOP:STEP"
+        "nm: a layer each in place of RGB, .exr", parse=opt.Grid, metavar="START:STOP:STEP"
     )
     animate: str | None = opt.choice(
-        ".gif, .mp4, numbered frames (frame_%03d.png), or one .png of all", animate.CHANGES
+        ".gif, .mp4, numbered frames (frame_%03d.png), or one .png of all", _CHANGES
     )
     frames: int | None = opt.whole("of --animate, {}; default 24", Range(2, 1000))
 
@@ -79,8 +85,6 @@ class PictureOptions(opt.Group, panel="Picture"):
 
 
 class PictureFile(opt.Group, panel="Files"):
-    """Where it goes."""
-
     output: Path = opt.output(".png, .exr (linear); see --animate", "FILE.png", Path("eye.png"))
     overwrite: bool = opt.flag("replace a picture of that name")
 
@@ -122,7 +126,7 @@ def render_command(view: ViewOptions, picture: PictureOptions, files: PictureFil
         _still(scene, picture, exposure, output)
 
 
-def _still(scene: staging.Scene, picture: PictureOptions, exposure: float, output: Path) -> None:
+def _still(scene: Scene, picture: PictureOptions, exposure: float, output: Path) -> None:
     wavelengths = None if picture.spectral is None else tuple(map(float, picture.spectral.values))
     scene = scene.replace(wavelengths=wavelengths)
     height = scene.camera.size[1]
@@ -151,22 +155,70 @@ def _still(scene: staging.Scene, picture: PictureOptions, exposure: float, outpu
         _written(scene, bands(), exposure, output, write)
 
 
-def _animated(scene: staging.Scene, change: str, count: int, exposure: float, output: Path) -> None:
+def _animated(scene: Scene, change: str, count: int, exposure: float, output: Path) -> None:
     remark = f"simulated by irisjax; {change}, {count} frames"
-    pictures = animate.frames(scene, change, count, kept_tables)
+    pictures = frames(scene, change, count, kept_tables)
     shown = tqdm(pictures, total=count, unit="frame", disable=not sys.stderr.isatty())
 
     def write(pixels: Iterable[np.ndarray]) -> int:
         if _is_sheet(output):
-            whole = animate.sheet(list(map(_encoded, pixels)))
+            whole = sheet(list(map(_encoded, pixels)))
             return io.write_png(output, whole, remark=f"{remark} row by row")
         return io.write_movie(output, map(_encoded, pixels), remark=remark)
 
     _written(scene, iter(shown), exposure, output, write, count)
 
 
+def frames(
+    scene: Scene,
+    change: str,
+    count: int,
+    tables_of: Callable[[Scene], Illumination | None] = Scene.tables,
+) -> Iterator[np.ndarray]:
+    """Linear sRGB pictures of one round: there and back again, the last leads to the first."""
+
+    def lamp(s: float) -> Lights:
+        side = 0.0 if s >= 0 else math.pi
+        return Lights.distant(_TURN * abs(s), side, illuminant=scene.illuminant)
+
+    swing = np.cos(2 * np.pi * np.arange(count) / count)  # 1 to −1 and back
+    if change == "light":
+        scene = scene.replace(lights=lamp(1.0), environment=None)
+    # Neither tables nor view depend on what changes: the lamp stays below grazing.
+    scene, tables, view = prepared_scene(scene), tables_of(scene), look(scene.eye, scene.camera)
+    texels = texture(view, scene)
+    light = illuminate(view, texels, scene, tables)
+    response = respond(scene)
+    melanin = float(scene.tissue.eumelanin + scene.tissue.pheomelanin)
+    darkest = max(_FACTOR, _DARK / melanin) if melanin > 0 else _FACTOR
+    for s in swing:
+        if change == "pigment":
+            iris, factor = scene.tissue, (darkest * _FACTOR) ** ((1 - s) / 2) / _FACTOR
+            melanins = {n: factor * getattr(iris, n) for n in ("eumelanin", "pheomelanin")}
+            response = respond(scene.replace(iris=iris.replace(**melanins)))
+        elif change == "light":
+            light = illuminate(view, texels, scene.replace(lights=lamp(s)), tables)
+        else:
+            radius = (_NARROW + _WIDE) / 2 - (_WIDE - _NARROW) / 2 * s
+            wider = scene.replace(eye=dataclasses.replace(scene.eye, pupil_radius=radius))
+            texels = texture(view, wider)
+            light = illuminate(view, texels, wider, tables)
+        yield np.asarray(shade(view, texels, light, response))
+
+
+def sheet(pictures: list[np.ndarray]) -> np.ndarray:
+    """All pictures side by side, as square as it goes, row by row."""
+    columns = math.ceil(math.sqrt(len(pictures)))
+    rows = math.ceil(len(pictures) / columns)
+    padded = np.zeros((rows * columns, *pictures[0].shape), pictures[0].dtype)
+    padded[: len(pictures)] = pictures
+    height, width = pictures[0].shape[:2]
+    grid = padded.reshape(rows, columns, height, width, -1).swapaxes(1, 2)
+    return grid.reshape(rows * height, columns * width, -1)
+
+
 def _written(
-    scene: staging.Scene,
+    scene: Scene,
     pictures: Iterator[np.ndarray],
     exposure: float,
     output: Path,

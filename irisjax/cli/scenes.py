@@ -18,8 +18,6 @@ _STUDIO = '[iris]\npreset = "{}"\n[maps]\nseed = {}\n[environment]\nkind = "stud
 
 
 class Subject(opt.Group, panel="What"):
-    """Which eye."""
-
     scene: Path | None = opt.argument(
         "scene file (TOML); data/scenes/everything.toml explains it", "SCENE"
     )
@@ -43,8 +41,6 @@ class Subject(opt.Group, panel="What"):
 
 
 class EyeWithPupil(Subject):
-    """Which eye, its pupil how wide."""
-
     pupil_radius: float | None = opt.number("{}", eye.EYE_LIMITS["pupil_radius"])
 
 

@@ -18,8 +18,6 @@ from irisjax.view import Bench, Studio, check_address, serve
 
 
 class Shown(Subject):
-    """Which eye, or which clone of one."""
-
     scene: Path | None = opt.argument(
         "scene file (TOML; data/scenes/everything.toml explains it), or the folder of a clone, "
         "shown beside its photograph",
@@ -29,14 +27,10 @@ class Shown(Subject):
 
 
 class Coats(PaintOptions, panel="A painted eye"):
-    """A painted eye instead."""
-
     recipe: Path | None = opt.option("coats of paint (TOML), as paint takes them", metavar="RECIPE")
 
 
 class Window(opt.Group, panel="Picture"):
-    """Where it is shown."""
-
     size: str | None = opt.option("of the picture, 800x600", metavar="WIDTHxHEIGHT")
     host: str = opt.option("0.0.0.0 shows it to the whole network", "127.0.0.1", metavar="name")
     port: int = opt.whole("{}; 0 takes a free one", Range(0, 65535), 8080, metavar="number")

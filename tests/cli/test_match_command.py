@@ -8,7 +8,6 @@ from PIL import Image
 from refusals import one_line
 
 from common import slowly
-from irisjax.cli import matching
 from irisjax.cli import paint as command
 from irisjax.io.images import read_image
 from irisjax.io.recipes import read_recipe
@@ -49,7 +48,7 @@ def searched(request, monkeypatch):
     if request.param:
         return True
     off = Difference(40.0, 50.0)
-    monkeypatch.setattr(matching, "match", lambda r, *_, **__: Match(r, off, off, 300, False))
+    monkeypatch.setattr(command, "match", lambda r, *_, **__: Match(r, off, off, 300, False))
 
     def retouch(recipes, *_, count, prefix, size, **__):
         above = np.ones((size, size))
@@ -62,7 +61,7 @@ def searched(request, monkeypatch):
         ]
         return Retouch(tuple(new), scans)
 
-    monkeypatch.setattr(matching, "retouch", retouch)
+    monkeypatch.setattr(command, "retouch", retouch)
     return False
 
 

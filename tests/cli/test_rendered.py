@@ -6,7 +6,7 @@ import pytest
 from refusals import one_line
 
 from irisjax import io
-from irisjax.cli.animate import frames
+from irisjax.cli.render import frames
 from irisjax.io.scenes import parse_scene, read_scene
 from irisjax.measure.colour import srgb_encode
 from irisjax.render.camera import Camera

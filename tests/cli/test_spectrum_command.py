@@ -12,6 +12,7 @@ from stand_ins import Quick
 import irisjax as ij
 from irisjax.anatomy.media import Media
 from irisjax.cli import measure
+from irisjax.cli.light import ColourLight
 from irisjax.tissue.iris import LIMITS
 
 observing = importlib.import_module("irisjax.measure.observe")
@@ -112,7 +113,7 @@ def test_the_luminance_of_a_colour_is_compared(monkeypatch, scalar, said):
         return SimpleNamespace(xyz=np.array([1.0, scalar if solver.process == DEEP else 1.0, 1.0]))
 
     monkeypatch.setattr(measure, "observe", observe)
-    told = measure._left_out_by_scalar_theory(ij.Iris(), measure.ColourLight())
+    told = measure._left_out_by_scalar_theory(ij.Iris(), ColourLight())
     assert told == f"{said} polarised transport of the same layers"
 
 
