@@ -35,7 +35,7 @@ _SUFFIXES = (".csv", ".tsv", ".txt", ".dx", ".jdx")
 _FAR = 4.0  # standard deviations of a prior
 
 Eyes = Mapping[str, Measured | ValueError]
-Row = dict[str, str]
+_Row = dict[str, str]
 
 
 def many(
@@ -56,7 +56,7 @@ def many(
     if results.posteriors and output is None:
         raise ValueError("--posteriors needs -o FOLDER for what it samples")
     target = None if output is None else output / "fits.csv"
-    rows: dict[str, Row] = {}
+    rows: dict[str, _Row] = {}
     if target is not None:
         target.parent.mkdir(parents=True, exist_ok=True)
         if target.exists() and not (results.resume or results.overwrite):
@@ -115,13 +115,13 @@ def _chunks(eyes: Eyes) -> Iterator[Eyes]:
             yield {name: eyes[name] for name in names[first : first + size]}
 
 
-def _row(*cells: str) -> Row:
+def _row(*cells: str) -> _Row:
     return dict(zip(_FIRST, cells, strict=True))
 
 
 def _fitted(
     chunk: Eyes, seen: Mapping[str, Any], options: Mapping[str, Any], key: jax.Array
-) -> dict[str, Row]:
+) -> dict[str, _Row]:
     """Rows of a chunk."""
     spectra = [m for m in chunk.values() if isinstance(m, Measured)]
     if not spectra:
@@ -200,7 +200,7 @@ def _judged(problem: Problem, found: Fit) -> tuple[str, list[str]]:
     return (DOUBTFUL if said else OK), said
 
 
-def _sampled(problem: Problem, folder: Path, sampler: Sampler, resume: bool) -> Row:
+def _sampled(problem: Problem, folder: Path, sampler: Sampler, resume: bool) -> _Row:
     """Sample the posterior of an eye; what that changes in its row."""
     folder.mkdir(exist_ok=True)
     chain = folder / "chain.h5"
@@ -216,7 +216,7 @@ def _sampled(problem: Problem, folder: Path, sampler: Sampler, resume: bool) -> 
     return {"status": FAILED, "posterior": posterior, "warnings": f"{folder}: {warning}"}
 
 
-def _read(path: Path, posteriors: bool) -> dict[str, Row]:
+def _read(path: Path, posteriors: bool) -> dict[str, _Row]:
     """Rows of eyes that are done; those that failed are tried again."""
     table = csv.DictReader(path.read_text(encoding="utf-8").splitlines())
     if tuple(table.fieldnames or ())[: len(_FIRST)] != _FIRST:
@@ -225,7 +225,7 @@ def _read(path: Path, posteriors: bool) -> dict[str, Row]:
     return {r["eye"]: r for r in done if r["posterior"] == _CONVERGED or not posteriors}
 
 
-def _table(rows: Mapping[str, Row], eyes: Iterable[str]) -> str:
+def _table(rows: Mapping[str, _Row], eyes: Iterable[str]) -> str:
     made = [rows[name] for name in eyes if name in rows]
     columns = list(max(made, key=len))
     return report.csv_of([columns, *([row.get(n, "") for n in columns] for row in made)])
