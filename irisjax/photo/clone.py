@@ -59,16 +59,12 @@ STAGES = ("outlines", "pose", "texture", "thickness", "pigments", "posterior")
 """Names of the stages in their order; `"pigments"` stands for `Lit` and `Fitted`."""
 MEDIA = ("cornea-aqueous", "f09")
 METHODS = ("least-squares", "simplex")
-SOLVER_ANGLES = 12
-"""Quadrature angles of ILIT's solver during the search for the pigments: its radiances are within
-5e-5 of those of a picture.
-"""
+_SOLVER_ANGLES = 12  # of ILIT during the search: radiances within 5e-5 of those of a picture
 FIBRILS = 57.0
 """Radius of the stroma's fibrils during the search (nm), between those of the presets' blue and
 brown eyes. The strength of their scattering is a free factor.
 """
-BLUR_WIDTHS = Range(0.05, 2.0, "mm")
-"""Widths of the deconvolution among which the best one is searched."""
+_BLUR_WIDTHS = Range(0.05, 2.0, "mm")  # widths of the deconvolution that are compared
 _BLUR_STEPS, _BLUR_TOLERANCE = 7, 0.1  # number of first trials; tolerance of the logarithm
 
 _Arc = Float[np.ndarray, " count"]
@@ -423,7 +419,7 @@ def fit_clone(lit: Lit, settings: CloneSettings, given: Given = NOTHING) -> Fitt
     base = Iris(fibril_radius=jnp.asarray(FIBRILS), stroma_thickness=depth)
     integrator = settings.integrator
     if isinstance(integrator, Separable):
-        integrator = dataclasses.replace(integrator, solver=IlitExact(SOLVER_ANGLES))
+        integrator = dataclasses.replace(integrator, solver=IlitExact(_SOLVER_ANGLES))
 
     def windows_with(maps: IrisMaps, turns: int = 1) -> Windows:
         known = light.lights(), integrator, lit.tables, light.room, turns
@@ -499,10 +495,10 @@ def width_by_rendering(with_width: Callable[[float], Fitted]) -> float:
     """
 
     def difference(logarithm: Any) -> float:
-        width = float(np.clip(np.exp(np.squeeze(logarithm)), BLUR_WIDTHS.low, BLUR_WIDTHS.high))
+        width = float(np.clip(np.exp(np.squeeze(logarithm)), _BLUR_WIDTHS.low, _BLUR_WIDTHS.high))
         return float(np.sqrt((compare_with_photograph(with_width(width)).rms ** 2).mean()))
 
-    low, high = np.log([BLUR_WIDTHS.low, BLUR_WIDTHS.high])
+    low, high = np.log([_BLUR_WIDTHS.low, _BLUR_WIDTHS.high])
     trials = optimize.brute(difference, ((low, high),), Ns=_BLUR_STEPS, finish=None)
     best, step = float(np.squeeze(trials)), (high - low) / (_BLUR_STEPS - 1)
     bounds, options = (max(best - step, low), min(best + step, high)), {"xatol": _BLUR_TOLERANCE}

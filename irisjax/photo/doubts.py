@@ -8,14 +8,9 @@ from irisjax.photo.clone import Fitted, Outlined, Posed, Sampled
 from irisjax.photo.outlines import MIN_CONFIDENCE
 from irisjax.photo.pigments import misfits
 
-DISTANCES = Range(80, 2000, "mm")
-"""Usual distances of cameras that photograph an iris, from macro to long lenses."""
-PICTURES_OFF = 0.05
-"""Root mean square difference of the encoded pictures above which a clone is doubtful: what F09
-reached.
-"""
-LEAST_RESPONSE = 0.1
-"""d ln luminance / d ln thickness below which a photograph says little about the thickness."""
+_DISTANCES = Range(80, 2000, "mm")  # of cameras that photograph an iris, macro to long lenses
+_PICTURES_OFF = 0.05  # RMS difference of the encoded pictures above which a clone is doubtful [F09]
+_LEAST_RESPONSE = 0.1  # below it a photograph says little about the thickness
 
 
 def doubtful_outlines(found: Outlined) -> dict[str, float]:
@@ -36,9 +31,9 @@ def doubts_of(found: Outlined, rms: Float[ndarray, "3"] | None = None) -> tuple[
     if doubts:
         doubts.append("nothing after the outlines was done")
     distance = found.pose.distance if isinstance(found, Posed) else None
-    if distance is not None and not DISTANCES.holds(distance):
+    if distance is not None and not _DISTANCES.holds(distance):
         doubts.append(
-            f"the focal length puts the camera {distance:.0f} mm away, where {DISTANCES} are "
+            f"the focal length puts the camera {distance:.0f} mm away, where {_DISTANCES} are "
             "usual: it may be wrong; give --focal-px in pixels of this file"
         )
     if isinstance(found, Fitted):
@@ -49,12 +44,12 @@ def doubts_of(found: Outlined, rms: Float[ndarray, "3"] | None = None) -> tuple[
             doubts.append(
                 f"the thickness is that of a usual iris, whose response is {found.response:.2f}"
             )
-        elif found.response is not None and found.response < LEAST_RESPONSE:
+        elif found.response is not None and found.response < _LEAST_RESPONSE:
             doubts.append(
                 f"thickness hardly shows in this iris (1 % of it changes the light by "
                 f"{max(found.response, 0):.2f} %): the map is little more than an average iris's"
             )
-    if rms is not None and rms.max() > PICTURES_OFF:
+    if rms is not None and rms.max() > _PICTURES_OFF:
         doubts.append(
             f"the clone's picture differs from the photograph by {per_cent(rms)} % RMS (R, G, B): "
             "a reflection, a shadow or an iris that the model does not have"

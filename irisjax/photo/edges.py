@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from itertools import product
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -24,22 +24,6 @@ _WEAK = 0.05  # change of log brightness per pixel that has half the weight
 _Picture = Float[np.ndarray, "rows columns channels"]
 _Rays = Float[np.ndarray, " rays"]
 _Profiles = Float[np.ndarray, "rays places"]
-
-
-class DarkRing(NamedTuple):
-    """A circle that is darker inside than outside, and its mean vote of `find_rings`, at most 1."""
-
-    circle: Ellipse
-    votes: float
-
-    @property
-    def radius(self) -> float:
-        """Radius of the circle, px."""
-        return self.circle.semi_axes[0]
-
-    def away(self, other: "DarkRing") -> float:
-        """Return the distance between the middles of two circles, px."""
-        return float(np.hypot(*np.subtract(self.circle.centre, other.circle.centre)))
 
 
 class Edges(NamedTuple):
@@ -83,8 +67,9 @@ class Edges(NamedTuple):
 
 def find_rings(
     brightness: Brightness, radii: tuple[float, float], number: int, sideways: float
-) -> list[DarkRing]:
-    """Find circles that are dark inside and bright outside, by voting.
+) -> Float[np.ndarray, "rings 4"]:
+    """Find circles that are dark inside and bright outside, by voting; return column, row, radius
+    (px) and mean vote, at most 1, of each, best first.
 
     Daugman's integro-differential operator searches circles of the strongest radial change of
     brightness. Here each pixel votes by the direction of its gradient alone, so that a highlight or
@@ -94,33 +79,31 @@ def find_rings(
     Args:
         brightness: The picture.
         radii: Smallest and largest radius, px.
-        number: Most rings of an octave; those with the most votes are returned, best first.
+        number: Most rings of an octave; those with the most votes are returned.
         sideways: By how much less top and bottom of a ring count, 0 to 1, because lids hide them.
     """
-    kept: list[DarkRing] = []
+    kept = np.empty((0, 4))
     low, high = radii
     while low < high:
-        found: list[DarkRing] = []
         scale = min(_RINGS[0] / low, 1.0)
         small = reduce_picture(brightness[..., None], scale)[..., 0]
-        shape = small.shape
-        size = tuple(fft.next_fast_len(n + 2 * int(_RINGS[-1] + 10)) for n in shape)
-        transformed = fft.fft2(_directions(small), size)
+        size = tuple(fft.next_fast_len(n + 2 * int(_RINGS[-1] + 10)) for n in small.shape)
+        transformed, found = fft.fft2(_directions(small), size), [kept[:0]]
         for radius in _RINGS * (low * scale / _RINGS[0]):
             if radius / scale < 1.06 * high:
-                votes = _votes(transformed, shape, radius, sideways)
+                votes = _votes(transformed, small.shape, radius, sideways)
                 peak = ndimage.maximum_filter(votes, max(3, int(radius / 3)))
-                for row, column in np.argwhere((votes == peak) & (votes > 0.15)):
-                    at = (column + 0.5) / scale - 0.5, (row + 0.5) / scale - 0.5
-                    circle = Ellipse(at, (radius / scale, radius / scale))
-                    found.append(DarkRing(circle, float(votes[row, column])))
-        fresh: list[DarkRing] = []
-        for ring in sorted(found, key=lambda r: -r.votes):
-            if len(fresh) < number and not any(_alike(ring, other) for other in kept + fresh):
-                fresh.append(ring)
-        kept += fresh
+                at = np.nonzero((votes == peak) & (votes > 0.15))
+                middle = [(c + 0.5) / scale - 0.5 for c in at[::-1]]
+                found.append(np.stack([*middle, 0 * at[0] + radius / scale, votes[at]], -1))
+        most = len(kept) + number
+        for ring in sorted(np.concatenate(found), key=lambda ring: -ring[3]):
+            away, ratio = np.hypot(*(kept[:, :2] - ring[:2]).T), ring[2] / kept[:, 2]
+            alike = (away < 0.3 * kept[:, 2]) & (ratio > 0.75) & (ratio < 1.33)
+            if len(kept) < most and not alike.any():
+                kept = np.vstack([kept, ring])
         low *= 2
-    return sorted(kept, key=lambda r: -r.votes)
+    return kept[np.argsort(-kept[:, 3], kind="stable")]
 
 
 def reduce_picture(
@@ -221,24 +204,23 @@ def best_outline(
     """Return the ellipse about a circle along which the mean score is largest: all centres up to
     0.15 radii off, radii and ratios of the axes are tried in steps of a few per cent.
     """
-    radius = outline.semi_axes[0]
-    score = score[::2]
+    radius, score = outline.semi_axes[0], score[::2]
     direction = (outline.points(RAYS[::2]) - np.asarray(outline.centre)) / radius
     best, found = -np.inf, outline
     dx, dy = (c.ravel() for c in np.meshgrid(*[np.linspace(-0.15, 0.15, 7)] * 2))
-    shapes = [(1.0, 0.0), *product(_RATIOS[1:], np.arange(6) * np.pi / 6)]
+    sizes = np.linspace(0.82, 1.3, 13)
     pitch, rays = place[1] - place[0], np.arange(len(score))
-    for (ratio, angle), size in product(shapes, np.linspace(0.82, 1.3, 13)):
-        a, b = size / np.sqrt(ratio), size * np.sqrt(ratio)
-        index = np.round((_distance(dx, dy, a, b, angle, direction) - place[0]) / pitch)
+    for ratio, angle in [(1.0, 0.0), *product(_RATIOS[1:], np.arange(6) * np.pi / 6)]:
+        axes = sizes / np.sqrt(ratio), sizes * np.sqrt(ratio)
+        index = np.round((_distance(dx, dy, *axes, angle, direction) - place[0]) / pitch)
         within = (index >= 0) & (index < place.size)
         index = np.clip(index, 0, place.size - 1).astype(int)
         mean = np.where(within, score[rays, index], 0.0).mean(-1)
-        k = int(np.argmax(mean))
-        if mean[k] > best:
-            best = mean[k]
+        size, k = np.unravel_index(np.argmax(mean), mean.shape)
+        if mean[size, k] > best:
+            best, (a, b) = mean[size, k], (radius * each[size] for each in axes)
             found = outline.moved(radius * dx[k], radius * dy[k])
-            found = found._replace(semi_axes=(radius * a, radius * b), angle=float(angle))
+            found = found._replace(semi_axes=(a, b), angle=float(angle))
     return found
 
 
@@ -251,59 +233,69 @@ def refine_outline(
 ) -> tuple[Ellipse, float]:
     """Fit an ellipse through the edges of `Edges.strongest`; return it with the share that such
     edges support, in which each ray has a `weight`.
+
+    `flattening` has the two components that are expected of `Ellipse.flattening`, and the standard
+    deviation of both; where the edges lie at the sides alone, it decides.
     """
     middle = np.asarray(outline.centre)
     points = middle + place[:, None] * (outline.points(RAYS) - middle)
     if (value > 0.3).sum() < 12:
         return outline, 0.0
-    better = fit_ellipse(outline, points, value * (value > 0.3), flattening)
+    better = _fitted(outline, points, value * (value > 0.3), flattening)
     off = abs(better.relative_radius(points[:, 0], points[:, 1]) - 1)
     near = off < 0.02 + 0.5 / better.semi_axes[0]
     support = (weight * value * near).sum() / weight.sum()
     return better, float(support)
 
 
-def fit_ellipse(
-    start: Ellipse,
-    points: Float[np.ndarray, "n 2"],
-    weights: Float[np.ndarray, " n"],
-    flattening: tuple[float, float, float] = (0.0, 0.0, 0.1),
-) -> Ellipse:
-    """Fit an ellipse to points (column, row) by robust least squares: points further off than about
-    1 % of the radius have little weight.
-
-    `flattening` has the two components that are expected of `Ellipse.flattening`, and the standard
-    deviation of both; where the points lie at the sides alone, it decides.
+def _fitted(start: Ellipse, points, weights, flattening) -> Ellipse:
+    """An ellipse by robust least squares: points further off than about 1 % of the radius have
+    little weight.
     """
-    size = np.sqrt(start.semi_axes[0] * start.semi_axes[1])
-    middle = np.asarray(start.centre)
-    at = np.array([0, 0, 0, *start.flattening])
-    scaled = (points - middle) / size
-    expected, spread = np.asarray(flattening[:2]), flattening[2]
-
-    def ellipse(p: np.ndarray) -> Ellipse:
-        flat, angle = np.hypot(p[3], p[4]), 0.5 * np.arctan2(p[4], p[3])
-        axes = np.exp(p[2] + 0.5 * flat), np.exp(p[2] - 0.5 * flat)
-        return Ellipse((p[0], p[1]), axes, angle)
-
-    def off(p: np.ndarray) -> np.ndarray:
-        return ellipse(p).relative_radius(scaled[:, 0], scaled[:, 1]) - 1
-
-    def miss(p: np.ndarray, root: np.ndarray) -> np.ndarray:
-        return np.concatenate([root * off(p), (p[3:] - expected) / spread])
-
+    size, middle = np.sqrt(np.prod(start.semi_axes)), np.asarray(start.centre)
+    at, scaled = np.array([0, 0, 0, *start.flattening]), (points - middle) / size
+    solve: Any = optimize.least_squares  # its annotations know no function for the Jacobian
     for outlier in (0.04, 0.02, 0.01, 0.01, 0.01):
         # A tenth: the errors of neighbouring rays are correlated.
-        root = np.sqrt(0.1 * weights) / _PRECISION / (1 + (off(at) / outlier) ** 2)
-        at = optimize.least_squares(miss, at, method="lm", xtol=1e-6, args=(root,)).x
-    e = ellipse(at)
+        off = _ellipse(at).relative_radius(*scaled.T) - 1
+        root = np.sqrt(0.1 * weights) / _PRECISION / (1 + (off / outlier) ** 2)
+        known = scaled, root, *flattening
+        at = solve(_miss, at, jac=_slopes, method="lm", xtol=1e-6, args=known).x
+    e = _ellipse(at)
     (x, y), (a, b) = middle + size * np.asarray(e.centre), size * np.asarray(e.semi_axes)
     return Ellipse((x, y), (a, b), e.angle % np.pi)
 
 
+def _ellipse(p) -> Ellipse:
+    """The ellipse of centre, logarithm of the mean radius, and the components of the flattening."""
+    flat, angle = np.hypot(p[3], p[4]), 0.5 * np.arctan2(p[4], p[3])
+    return Ellipse((p[0], p[1]), (np.exp(p[2] + 0.5 * flat), np.exp(p[2] - 0.5 * flat)), angle)
+
+
+def _miss(p, *known):
+    """Distances of points from an ellipse, and of its flattening from what is expected."""
+    return _misses(p[None], *known)[0]
+
+
+def _slopes(p, *known):
+    """The Jacobian of `_miss` by differences, all in one call."""
+    moved = p + np.diag(np.sqrt(np.finfo(float).eps) * np.copysign(np.maximum(1, abs(p)), p))
+    at, *off = _misses(np.concatenate([p[None], moved]), *known)
+    return np.stack(off - at, -1) / (np.diag(moved) - p)
+
+
+def _misses(every, points, root, first, second, spread):
+    p = every.T[..., None]
+    off = _ellipse(p).relative_radius(*points.T) - 1
+    return np.concatenate([root * off, (p[3] - first) / spread, (p[4] - second) / spread], -1)
+
+
 def _distance(dx, dy, a, b, angle, direction):
-    """From the origin to ellipses about (dx, dy) along unit directions, (ellipses, directions)."""
+    """From the origin to ellipses about (dx, dy) with semi-axes a, b, along unit directions; (axes,
+    centres, directions).
+    """
     cos, sin = np.cos(angle), np.sin(angle)
+    a, b = a[:, None, None], b[:, None, None]
     # No function within: the type checks of tests would decorate it anew at every call.
     (u, v), (cu, cv) = (
         ((x * cos - y * sin) / a, (-x * sin - y * cos) / b)
@@ -311,10 +303,6 @@ def _distance(dx, dy, a, b, angle, direction):
     )
     square, mixed = u * u + v * v, u * cu + v * cv
     return (mixed + np.sqrt(np.maximum(mixed**2 - square * (cu**2 + cv**2 - 1), 0))) / square
-
-
-def _alike(a: DarkRing, b: DarkRing) -> bool:
-    return bool(a.away(b) < 0.3 * b.radius and 0.75 < a.radius / b.radius < 1.33)
 
 
 def _directions(brightness):

@@ -19,8 +19,7 @@ from irisjax.photo.texture import (
 )
 from irisjax.render.project import MirrorPixels, View, onto_picture
 
-MOST_ACROSS = 1100
-"""Most pixels across the iris; larger pictures are averaged."""
+_MOST_ACROSS = 1100  # most pixels across the iris; larger pictures are averaged
 _RESOLUTION = 400  # px along the longer side of the picture in which masks are sought
 _SEEN_AROUND = 1.35  # semi-axes of the limbus within which lashes begin
 # Contrast of lashes: 99 % of the textures of simulated irides stay below 0.29.
@@ -179,10 +178,15 @@ def find_highlights(pixels: Colours, saturated: Mask, iris: Mask) -> Mask:
     if not counted.any():
         return iris.copy()
     size = max(ring.shape)
-    usual = _median(encoded, counted, max(3, round(0.06 * size)))
+    levels = np.round(255 * encoded).astype(np.uint8)
+    disk = morphology.disk(max(3, round(0.06 * size)))
+    usual = filters.rank.median(levels, disk, mask=counted.astype(np.uint8)) / 255
     excess = encoded - usual
     scatter = 1.4826 * np.median(np.abs(excess[counted]))
-    white = _colourless(small - usual[..., None] ** 2.2, small)
+    # An excess of light that is about white, or cut off.
+    more = small - usual[..., None] ** 2.2
+    white = np.ptp(more, axis=-1) < 0.6 * np.maximum(more.max(-1), 1e-6)
+    white |= small.min(-1) > 0.8
     bright = (excess > max(5 * scatter, 0.15)) & white & ring
     glow = (excess > max(2.5 * scatter, 0.06)) & ring
     seeds = bright | cut_off
@@ -201,10 +205,7 @@ def find_lashes(pixels: Colours, limbus: Ellipse, lids: Mask) -> Mask:
     Fibres and furrows of the iris end at the limbus and vessels of the white are faint, so a streak
     that is as clear outside as inside lies in front.
     """
-    found = _around_limbus(pixels, limbus)
-    if found is None:
-        return np.zeros(pixels.shape[:2], bool)
-    part, radius, small = found
+    part, radius, small = _around_limbus(pixels, limbus)
     encoded = _encoded(small @ LUMINANCE_WEIGHTS)
     disk = morphology.disk(max(2, round(0.02 * max(radius.shape))))
     found = np.zeros(radius.shape, bool)
@@ -241,10 +242,7 @@ def find_lids(pixels: Colours, limbus: Ellipse, pupil: Ellipse) -> Mask:
     beside a lid count as shadow, too. Lids are marked with a small margin. A lid of the iris's own
     colour is not found, nor is any if light and shadow divide the eye.
     """
-    found = _around_limbus(pixels, limbus)
-    if found is None:
-        return np.zeros(pixels.shape[:2], bool)
-    part, radius, small = found
+    part, radius, small = _around_limbus(pixels, limbus)
     size = max(radius.shape)
     inside = part.reduced(pupil.mask(pixels.shape[:2])) < 0.5
     smooth = ndimage.gaussian_filter(small, (0.012 * size,) * 2 + (0,))
@@ -267,19 +265,14 @@ def find_lids(pixels: Colours, limbus: Ellipse, pupil: Ellipse) -> Mask:
     strange *= (radius < 1) & ~aside
     covered = filters.apply_hysteresis_threshold(strange, 2.5, 4.0)
     covered = morphology.opening(covered, morphology.disk(max(1, round(0.02 * size))))
-    label = np.asarray(measure.label(covered))
-    keep = np.zeros(label.max() + 1, bool)
+    label, found = np.asarray(measure.label(covered)), np.zeros_like(covered)
     for k in range(1, label.max() + 1):
         at = label == k
-        if not (radius[at] > 0.93).any():
-            continue
         beyond = _grown(at, round(0.05 * size)) & (radius > 1.03) & (radius < 1.2)
-        if beyond.any():
+        if (radius[at] > 0.93).any() and beyond.any():
             step = np.abs(seen[at & (radius > 0.8)] - np.median(seen[beyond], 0)).max(-1)
-            keep[k] = bool((step < 0.5).mean() > _OF_A_LID)
-    found = keep[label]
-    for k in np.flatnonzero(keep):
-        found |= _beyond_edge(label == k, upper=bool(row[label == k].mean() < y))
+            if (step < 0.5).mean() > _OF_A_LID:
+                found |= at | _beyond_edge(at, upper=bool(row[at].mean() < y))
     beside = label[_grown(found, round(0.02 * size))]
     shadow = np.isin(label, np.setdiff1d(beside, 0))
     return part.enlarged(found | shadow) & limbus.mask(pixels.shape[:2])
@@ -326,7 +319,7 @@ def find_freckles(texture: Unrefracted) -> Mask:
 
 def part_of(photograph: Photograph, limbus: Ellipse) -> Part:
     """Cut out the part about a limbus, wide enough for every pixel of the camera's picture."""
-    reduction = max(1, math.ceil(2 * limbus.semi_axes[0] / MOST_ACROSS))
+    reduction = max(1, math.ceil(2 * limbus.semi_axes[0] / _MOST_ACROSS))
     half = math.ceil(1.3 * limbus.semi_axes[0] / reduction + 4) * reduction
     x, y = tuple(int(np.floor(c)) - half for c in limbus.centre)
     side = 2 * half
@@ -386,8 +379,6 @@ def _around_limbus(pixels: np.ndarray, limbus: Ellipse):
     shape, reach = pixels.shape[:2], _SEEN_AROUND * limbus.semi_axes[0]
     ends = zip(limbus.centre[::-1], shape, strict=True)
     box = tuple(slice(max(0, int(c - reach)), min(n, int(c + reach) + 1)) for c, n in ends)
-    if any(b.stop - b.start < 16 for b in box):
-        return None
     part = _Reduced(shape, box)
     row, column = (
         b.start + (np.arange(n) + 0.5) * (size / n) - 0.5
@@ -415,19 +406,6 @@ def _usual(streak: np.ndarray) -> float:
 def _encoded(luminance: np.ndarray) -> np.ndarray:
     """Roughly encoded as for a screen, so that equal steps look equal."""
     return np.clip(luminance, 0, 1) ** np.float32(1 / 2.2)
-
-
-def _median(values: np.ndarray, counted: np.ndarray, radius: int) -> np.ndarray:
-    """Median of the counted pixels within a radius, to 1/255."""
-    levels = np.round(255 * values).astype(np.uint8)
-    disk = morphology.disk(radius)
-    return filters.rank.median(levels, disk, mask=counted.astype(np.uint8)) / 255
-
-
-def _colourless(excess: np.ndarray, pixels: np.ndarray) -> np.ndarray:
-    """Whether the excess over the usual brightness is about white, or cut off."""
-    top = excess.max(-1)
-    return (np.ptp(excess, axis=-1) < 0.6 * np.maximum(top, 1e-6)) | (pixels.min(-1) > 0.8)
 
 
 def _grey(pixels: np.ndarray) -> bool:

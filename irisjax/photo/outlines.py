@@ -6,14 +6,13 @@ import numpy as np
 from scipy import ndimage, optimize, special
 
 from irisjax.photo import edges
-from irisjax.photo.edges import FINE, RAYS, ROUGH, DarkRing, along_rays, cut_around, refine_outline
+from irisjax.photo.edges import FINE, RAYS, ROUGH, along_rays, cut_around, refine_outline
 from irisjax.photo.photograph import Ellipse, Photograph
 from irisjax.photo.pose import FLATTER, PUPIL_OVAL
 
 MIN_CONFIDENCE = 0.4
 """Confidence below which an outline is more likely wrong than right."""
-PUPIL_SHARE = (0.12, 0.85)
-"""Range of pupil radii, relative to the limbus."""
+_PUPIL_SHARE = (0.12, 0.85)  # range of pupil radii, relative to the limbus
 _LIMBUS_WIDTHS = (0.02, 0.05, 0.09)  # half widths of the rise, relative to the radius
 _LIMBUS_SPAN = (0.6, 1.4)  # of profiles across the limbus, relative to it
 _BLUR, _BLUR_SPREAD = 0.8, 0.4  # standard deviation of a photograph's own blur, px; of its log
@@ -94,11 +93,11 @@ def find_boundaries(
         outline, inner = _searched(photo, pupil)
         outline, held = limbus_near(photo, outline, inner, coarse=False)
     if pupil is not None:
-        return _with_widths(photo, _judged(photo, outline, pupil, held, None))
-    inner, support, margin = pupil_within(photo, outline, coarse=False)
-    if limbus is None and support > _TRUSTED:
-        outline, held = limbus_near(photo, outline, inner, coarse=False)
-    return _with_widths(photo, _judged(photo, outline, inner, held, support), margin)
+        return _judged(photo, outline, PupilEdge(pupil, 1.0), held, None)
+    found = pupil_within(photo, outline, coarse=False)
+    if limbus is None and found.support > _TRUSTED:
+        outline, held = limbus_near(photo, outline, found.outline, coarse=False)
+    return _judged(photo, outline, found, held, found.support)
 
 
 def pupil_within(photo: Photograph, limbus: Ellipse, coarse: bool = True) -> PupilEdge:
@@ -107,23 +106,22 @@ def pupil_within(photo: Photograph, limbus: Ellipse, coarse: bool = True) -> Pup
     Unless the search is `coarse`, a sharp edge is placed half-way from black to bright, whatever
     the blur; if the brightness rises slowly, the outline is placed where the rise begins.
     """
-    picture, cut_off, outline, back = _part_about(photo, limbus, 1.1, ROUGH)
-    radius = outline.semi_axes[0]
+    pixels, cut_off, outline, back = _part_about(photo, limbus, 1.1, ROUGH)
+    radius, picture = outline.semi_axes[0], pixels.mean(-1)
     relative, ceiling = _within_limbus(picture, outline)
-    if ceiling is None:
-        return _middle_of(limbus)
-    picture = np.minimum(picture, ceiling)
-
-    def possible(circle: Ellipse) -> bool:
-        share, off = circle.semi_axes[0] / radius, outline.relative_radius(*circle.centre)
-        return bool(PUPIL_SHARE[0] < share < PUPIL_SHARE[1] and off < min(0.3, 1.05 - share))
-
-    rings = edges.find_rings(picture, (0.13 * radius, 0.8 * radius), 6, sideways=0.2)
-    rings = [ring for ring in rings if possible(ring.circle)]
-    if not rings:
-        return _middle_of(limbus)
-    best = max(rings, key=lambda ring: ring.votes * _darkness(picture, relative, ring.circle))
-    circle, span = best.circle, (0.5, 1.65)
+    rings = np.empty((0, 4))
+    if ceiling is not None:
+        picture = np.minimum(picture, ceiling)
+        rings = edges.find_rings(picture, (0.13 * radius, 0.8 * radius), 6, sideways=0.2)
+        off, share = outline.relative_radius(*rings[:, :2].T), rings[:, 2] / radius
+        possible = (_PUPIL_SHARE[0] < share) & (share < _PUPIL_SHARE[1])
+        rings = rings[possible & (off < np.minimum(0.3, 1.05 - share))]
+    circles = [Ellipse((x, y), (r, r)) for x, y, r, _ in rings]
+    worth = [v * _darkness(picture, relative, c) for v, c in zip(rings[:, 3], circles, strict=True)]
+    if not circles:  # in place of a pupil that is not found
+        a, b = limbus.semi_axes
+        return PupilEdge(limbus._replace(semi_axes=(0.4 * a, 0.4 * b)), 0.0)
+    circle, span = circles[int(np.argmax(worth))], (0.5, 1.65)
     profile = _profile(picture, cut_off, circle, span, 93)
     steps = edges.steps_along(profile, span, _PUPIL_WIDTHS[1:], 0.2)
     circle = edges.best_outline(circle, steps.place, steps.score())
@@ -133,19 +131,18 @@ def pupil_within(photo: Photograph, limbus: Ellipse, coarse: bool = True) -> Pup
         steps = edges.steps_along(profile, span, _PUPIL_WIDTHS, 0.15)
         circle, support = refine_outline(circle, *steps.strongest(near), _EVEN)
     sure = support * float(np.sqrt(_darkness(picture, relative, circle)))
-    if coarse or not support:
-        return PupilEdge(back(circle), sure)
-    return beginning_of(photo, limbus, PupilEdge(back(circle), sure))
+    found = PupilEdge(back(circle), sure)
+    return found if coarse or not support else beginning_of(photo, limbus, found)
 
 
 def beginning_of(photo: Photograph, limbus: Ellipse, near: PupilEdge) -> PupilEdge:
     """Move an outline to where the iris begins, and measure the width of its margin, if enough of
     it is seen.
     """
-    picture, _, outline, _ = _part_about(photo, limbus, 1.1, ROUGH)
-    _, ceiling = _within_limbus(picture, outline)
-    picture, cut_off, circle, back = _part_about(photo, near.outline, 1.5, FINE)
-    picture, span = np.clip(picture, 0, ceiling), (0.7, 1.3)
+    pixels, _, outline, _ = _part_about(photo, limbus, 1.1, ROUGH)
+    _, ceiling = _within_limbus(pixels.mean(-1), outline)
+    pixels, cut_off, circle, back = _part_about(photo, near.outline, 1.5, FINE)
+    picture, span = np.clip(pixels.mean(-1), 0, ceiling), (0.7, 1.3)
     smooth = ndimage.gaussian_filter(picture, 0.01 * circle.semi_axes[0])  # against noise
     held = 0 * _EVEN
     for reach in (0.1, 0.08):
@@ -214,13 +211,6 @@ def limbus_width_of(photo: Photograph, limbus: Ellipse) -> float | None:
     return float(np.sqrt(max((high - low) ** 2 - blur**2, 0)) / _QUARTILES_OF_SMOOTHSTEP)
 
 
-def _with_widths(photo: Photograph, found: Boundaries, margin: float | None = None) -> Boundaries:
-    """Add the softness of both edges; `margin` is that of a pupil that was found."""
-    if margin is None:
-        margin = beginning_of(photo, found.limbus, PupilEdge(found.pupil, 1.0)).margin
-    return found._replace(pupil_margin=margin, limbus_width=limbus_width_of(photo, found.limbus))
-
-
 def _searched(photo: Photograph, pupil: Ellipse | None) -> tuple[Ellipse, Ellipse | None]:
     """The best limbus in a reduced copy, and its pupil if that is reliable."""
     scale = min(1.0, _LONG / max(photo.shape))
@@ -230,15 +220,19 @@ def _searched(photo: Photograph, pupil: Ellipse | None) -> tuple[Ellipse, Ellips
         pixels = edges.reduce_picture(photo.pixels, scale)
         small = photo._replace(pixels=pixels, saturated=cut_off[..., 0] > 0.1)
     known = None if pupil is None else pupil.scaled(scale)
-    best, found = -1.0, None
-    seen: list[Ellipse] = []
+    best, found, seen = -1.0, None, list[Ellipse]()
     for start in _starts(small.pixels.mean(-1), known):
         outline, held = limbus_near(small, start, known)
-        # Several starts may lead to one outline.
-        if not _within(outline, small.shape) or any(_same(outline, other) for other in seen):
+        numbers = *outline.centre, *outline.semi_axes
+        off = [np.subtract(numbers, (*e.centre, *e.semi_axes)) for e in seen]
+        # Several starts may lead to one outline: to within a hundredth of the radius.
+        same = [max(np.hypot(*d[:2]), *abs(d[2:])) < 0.01 * numbers[2] for d in off]
+        if any(same) or not _within(outline, small.shape):
             continue
         seen.append(outline)
-        inner, support, _ = pupil_within(small, outline) if known is None else PupilEdge(known, 1.0)
+        inner, support = known, 1.0
+        if inner is None:
+            inner, support, _ = pupil_within(small, outline)
         worth = held * _plausible(outline, inner) * (0.3 + support)
         if worth > best:
             trusted = inner.scaled(1 / scale) if support > _TRUSTED else None
@@ -253,17 +247,20 @@ def _searched(photo: Photograph, pupil: Ellipse | None) -> tuple[Ellipse, Ellips
 
 
 def _judged(
-    photo: Photograph, limbus: Ellipse, pupil: Ellipse, held: float | None, inner: float | None
+    photo: Photograph, limbus: Ellipse, pupil: PupilEdge, held: float | None, inner: float | None
 ) -> Boundaries:
-    """Confidences from the shares of limbus and pupil that edges support; `None` for given ones.
+    """Confidences from the shares of limbus and pupil that edges support, `None` for given ones;
+    and the softness of both edges.
 
     In pictures without an eye, chance edges support up to 0.8 of a dark disc's outline and 0.35 of
     others, most of tiny ones, but hardly 0.3 of a pupil within. Lids and lashes leave 0.4 of the
     limbus and half of the pupil in simulated and real eyes.
     """
-    likely = _plausible(limbus, pupil)
-    for outline in (limbus, pupil):  # half an eye does not count
-        likely *= float(np.clip((_shown(outline, photo.shape) - 0.5) / 0.15, 0, 1))
+    likely = _plausible(limbus, pupil.outline)
+    half = np.array(photo.shape[::-1]) / 2
+    for outline in (limbus, pupil.outline):  # half an eye does not count
+        shown = (abs(outline.points(RAYS) + 0.5 - half) < half).all(1).mean()
+        likely *= float(np.clip((shown - 0.5) / 0.15, 0, 1))
     limbus_sure = pupil_sure = 1.0
     if held is not None:
         limbus_sure = likely * min(held / 0.75, 1.0) * min(1.0, limbus.semi_axes[1] / 30)
@@ -272,32 +269,30 @@ def _judged(
     if inner is not None:
         pupil_sure = likely * float(np.clip((inner - 0.2) / 0.5, 0, 1))
         pupil_sure *= min(1.0, limbus_sure / MIN_CONFIDENCE)
-    return Boundaries(limbus, pupil, float(limbus_sure), float(pupil_sure))
+    margin = pupil.margin
+    if margin is None:
+        margin = beginning_of(photo, limbus, pupil).margin
+    sure = float(limbus_sure), float(pupil_sure)
+    return Boundaries(limbus, pupil.outline, *sure, margin, limbus_width_of(photo, limbus))
 
 
 def _starts(brightness, pupil: Ellipse | None) -> list[Ellipse]:
     """Circles near which a limbus may lie, best first."""
     shape = brightness.shape
     least = max(max(shape) / _SMALLEST, 8.0)
-    found = edges.find_rings(brightness, (0.4 * least, 0.58 * min(shape)), 8, sideways=0.6)
-
-    def worth(ring: DarkRing) -> float:
-        """Its votes, and those of the best pupil within."""
-        low, high = (share * ring.radius for share in PUPIL_SHARE)
-        inside = (r for r in found if low < r.radius < high and r.away(ring) < 0.25 * ring.radius)
-        return ring.votes * (0.5 + max((r.votes for r in inside), default=0.0))
-
-    limbi = sorted((r for r in found if r.radius >= least), key=worth, reverse=True)
-    circles = [ring.circle for ring in limbi if _within(ring.circle, shape)]
+    rings = edges.find_rings(brightness, (0.4 * least, 0.58 * min(shape)), 8, sideways=0.6)
+    away = np.hypot(*(rings[:, None, :2] - rings[None, :, :2]).T)
+    radius, votes = rings[:, 2:3], rings[:, 3]
+    share = rings[:, 2] / radius
+    # The votes of a ring, and those of the best pupil within.
+    inside = (share > _PUPIL_SHARE[0]) & (share < _PUPIL_SHARE[1]) & (away < 0.25 * radius)
+    worth = votes * (0.5 + np.where(inside, votes, 0).max(1, initial=0))
+    best = [k for k in np.argsort(-worth, kind="stable") if rings[k, 2] >= least]
+    circles = [Ellipse((x, y), (r, r)) for x, y, r, _ in rings[best]]
+    circles = [c for c in circles if _within(c, shape)]
     if pupil is not None:
         circles = [c for c in circles if _plausible(c, pupil) > 0.5]
     return circles[:_CANDIDATES]
-
-
-def _same(a: Ellipse, b: Ellipse) -> bool:
-    """Whether two outlines agree within a hundredth of the radius."""
-    off = np.hypot(*np.subtract(a.centre, b.centre))
-    return bool(max(off, *abs(np.subtract(a.semi_axes, b.semi_axes))) < 0.01 * a.semi_axes[0])
 
 
 def _within(outline: Ellipse, shape) -> bool:
@@ -305,17 +300,11 @@ def _within(outline: Ellipse, shape) -> bool:
     return all(-0.5 < v < n - 0.5 for v, n in zip(outline.centre, shape[::-1], strict=True))
 
 
-def _shown(outline: Ellipse, shape) -> float:
-    """The share of an outline that lies in the picture."""
-    half = np.array(shape[1::-1]) / 2
-    return float((abs(outline.points(RAYS) + 0.5 - half) < half).all(1).mean())
-
-
 def _plausible(limbus: Ellipse, pupil: Ellipse) -> float:
     """1 for a pair of outlines that an eye may have, and less for odder ones."""
     size = pupil.semi_axes[0] / limbus.semi_axes[0]
     off = float(limbus.relative_radius(*pupil.centre))
-    low, high = PUPIL_SHARE
+    low, high = _PUPIL_SHARE
     odd = max(low - size, 0) / 0.05 + max(size - high, 0) / 0.05
     # If a pupil leaves a narrow ring, the white's edge is mistaken for the iris's: 3 to 12 % off.
     odd += max(size - _WIDE, 0) / 0.1
@@ -324,19 +313,13 @@ def _plausible(limbus: Ellipse, pupil: Ellipse) -> float:
     return float(np.exp(-odd))
 
 
-def _middle_of(limbus: Ellipse) -> PupilEdge:
-    """A pupil in place of one that is not found."""
-    a, b = limbus.semi_axes
-    return PupilEdge(limbus._replace(semi_axes=(0.4 * a, 0.4 * b)), 0.0)
-
-
 def _part_about(photo: Photograph, outline: Ellipse, margin: float, radius: float):
-    """The brightness around an outline and the share of saturated pixels, reduced; the outline
-    there and the function back to the photograph.
+    """The pixels around an outline and the share of saturated ones, reduced; the outline there and
+    the function back to the photograph.
     """
     pixels, moved, back = cut_around(photo.pixels, outline, margin, radius)
     cut_off = cut_around(photo.saturated[..., None].astype(float), outline, margin, radius)[0]
-    return pixels.mean(-1), cut_off[..., 0], moved, back
+    return pixels, cut_off[..., 0], moved, back
 
 
 def _profile(picture, cut_off, circle: Ellipse, span, steps: int):

@@ -4,7 +4,6 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float
-from numpy.typing import ArrayLike
 
 Colours = Float[np.ndarray, "rows columns 3"]
 """A picture on sRGB's primaries, linear unless stated otherwise."""
@@ -60,7 +59,9 @@ class Ellipse(NamedTuple):
         u, v = a * np.cos(along), b * np.sin(along)
         return np.stack([x + u * cos - v * sin, y - u * sin - v * cos], -1)
 
-    def relative_radius(self, column: ArrayLike, row: ArrayLike) -> Float[np.ndarray, "*s"]:
+    def relative_radius(
+        self, column: float | np.ndarray, row: float | np.ndarray
+    ) -> Float[np.ndarray, "*s"]:
         """Return 0 at the centre, 1 on the ellipse, for points of the picture."""
         (x, y), (a, b) = self.centre, self.semi_axes
         cos, sin = np.cos(self.angle), np.sin(self.angle)

@@ -23,8 +23,7 @@ from irisjax.tissue.iris import Iris
 
 CONCENTRATIONS = ("abl_eumelanin", "abl_pheomelanin", "stroma_eumelanin", "stroma_pheomelanin")
 """The four concentrations that are sought, mg/ml of each layer."""
-PHEOMELANIN_PER_EUMELANIN = 0.226
-"""Pheomelanin over eumelanin with which F09 begins [F09 Section 5.2]."""
+_PHEOMELANIN_PER_EUMELANIN = 0.226  # with which F09 begins [F09 Section 5.2]
 PRIORS: dict[str, AbstractPrior] = {
     "abl_eumelanin": LogNormal(1.0, 1.3),
     "abl_pheomelanin": LogNormal(0.25, 1.3),
@@ -47,15 +46,10 @@ grow with light.
 """
 FREE_NAMES = tuple(PRIORS)
 PIGMENT_UNITS = {name: "mg/ml" if name in CONCENTRATIONS else "" for name in FREE_NAMES}
-WINDOWS_OFF = 0.25
-"""Root mean square of ln photograph over model in the windows above which a fit is doubtful, the
-channels weighted by their brightness; simulated photographs stay below 0.16, with lids and lashes
-or without.
-"""
-UNUSUAL = 3.0
-"""Distance of a parameter from its prior's median above which it is doubtful, in standard
-deviations of the prior.
-"""
+# RMS of ln photograph over model in the windows above which a fit is doubtful, channels weighted by
+# brightness: simulated photographs stay below 0.16, with lids and lashes or without.
+_WINDOWS_OFF = 0.25
+_UNUSUAL = 3.0  # standard deviations of its prior beyond which a parameter is doubtful
 _TURNS = 3  # of least squares under fixed covariances, and of these
 _CLOSE = 1e-3  # tolerance of the search, in standard deviations of the prior
 _FLOOR = 0.01  # of the photograph's mean, below which colours do not count
@@ -145,14 +139,14 @@ def misfits(fit: PigmentFit, windows: Windows) -> list[str]:
     """
     doubts = []
     weights = np.maximum(windows.colour[windows.present].mean(0), 0)
-    if np.sqrt(np.average(fit.rms**2, weights=weights + 1e-9)) > WINDOWS_OFF:
+    if np.sqrt(np.average(fit.rms**2, weights=weights + 1e-9)) > _WINDOWS_OFF:
         doubts.append(
             "the model does not follow the photograph's colours (off by factors of "
             f"{', '.join(f'{f:.2f}' for f in np.exp(fit.rms))} in R, G, B over the iris, RMS): its "
             "pigments may mean little"
         )
     for name, z in zip(FREE_NAMES, fit.z, strict=True):
-        if abs(z) > UNUSUAL:
+        if abs(z) > _UNUSUAL:
             low, high = (float(PRIORS[name].value(s)) for s in (-1.96, 1.96))
             unit = f" {PIGMENT_UNITS[name]}" if PIGMENT_UNITS[name] else ""
             doubts.append(
@@ -175,7 +169,7 @@ def simplex(windows: Windows, base: Iris, steps: int = 50) -> PigmentFit:
     z = np.zeros(len(FREE_NAMES))
     medians = [PRIORS[name].value(0.0) for name in ("abl_eumelanin", "stroma_eumelanin")]
     # Logarithms of the eumelanins, and of the ratios.
-    found = [jnp.log(jnp.asarray(v, float)) for v in (medians, [PHEOMELANIN_PER_EUMELANIN] * 2)]
+    found = [jnp.log(jnp.asarray(v, float)) for v in (medians, [_PHEOMELANIN_PER_EUMELANIN] * 2)]
     taken, ended = 0, True
     for stage in (0, 1):
         parts = found[stage], found[1 - stage]

@@ -1,8 +1,10 @@
 """The camera's pose, from the outlines of limbus and pupil  [F09 Section 4.1, Eqs. 1, 2]."""
 
+import functools
 from typing import Any, NamedTuple, cast
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 import scipy.optimize
@@ -30,10 +32,9 @@ FLATTER = 1.25
 """Flattening of a tilted limbus over that of the pupil, which the cornea shows turned towards the
 camera.
 """
-FLATTENING = float(1 / np.hypot(1 / LIMBUS_OVAL, 1 / (FLATTER * PUPIL_OVAL)))
-"""Standard deviation of either component of the flattening that limbus and pupil determine
-together. The error of measured outlines hardly adds to it: 0.003 if lids hide half of the limbus.
-"""
+# Standard deviation of either component of the flattening that limbus and pupil determine together.
+# The error of measured outlines hardly adds to it: 0.003 if lids hide half of the limbus.
+_FLATTENING = float(1 / np.hypot(1 / LIMBUS_OVAL, 1 / (FLATTER * PUPIL_OVAL)))
 _PEOPLE = [0, 2, 2, 0, 0, 4, 5, 12, 19, 23, 36, 44, 52, 41]
 _PEOPLE += [39, 37, 43, 30, 28, 12, 15, 10, 4, 1, 0, 2, 0]
 _DIAMETERS = np.linspace(10.5, 13.1, len(_PEOPLE)).round(1).tolist()
@@ -46,15 +47,13 @@ DECENTRED = 0.27
 0.09 mm to the nose and 0.20 ± 0.15 mm upwards  [Wyatt 1995]; a photograph need not say where the
 nose is.
 """
-SHARP = 0.002
-"""Standard deviation of an outline's middle and size in a photograph, relative to its radius."""
-PUPIL_RADII = (0.25, 4.75)
-"""Allowed pupil radii, in mm."""
-USUAL_DISTANCE = 300.0
-"""Distance of the camera, mm, if no focal length is known: perspective hardly depends on it."""
+_SHARP = 0.002  # standard deviation of an outline's middle and size, relative to its radius
+_PUPIL_RADII = (0.25, 4.75)  # allowed pupil radii, in mm
+_USUAL_DISTANCE = 300.0  # mm, without a focal length: perspective hardly depends on it
 _POINTS = 48
 _STEEPEST = 1.0  # of a tilt's components, radians
 _MARGIN = 1.15  # half the side of the part that is cut out, over the limbus's larger semi-axis
+_STEP = 1e-5  # of finite differences
 _MOST_STEPS = 60  # of the fit; it takes about 5 for outlines that an eye may have
 
 
@@ -112,13 +111,13 @@ def find_pose(
         limbus: Outline of the cornea, in pixels of the photograph.
         pupil: Outline of the pupil as it appears through the cornea.
         eye: The eye apart from its pupil.
-        focal_px: Focal length in pixels; without one the camera is `USUAL_DISTANCE` away.
+        focal_px: Focal length in pixels; without one the camera is 300 mm away.
         azimuth: Azimuth of the camera as seen from the eye (radians, from the picture's right to
             its top), if the side of the tilt is known.
     """
     ratio = min(limbus.semi_axes[1] / limbus.semi_axes[0], 1.0)
     radius_mm = float(eye.limbus_radius)
-    distance = radius_mm * focal_px / limbus.semi_axes[0] if focal_px else USUAL_DISTANCE
+    distance = radius_mm * focal_px / limbus.semi_axes[0] if focal_px else _USUAL_DISTANCE
     if not 30 <= distance <= 1e5:
         raise ValueError(
             f"the focal length puts the camera {distance:g} mm from the eye; from 30 mm to 100 m "
@@ -142,41 +141,55 @@ def find_pose(
         """Middle of the limbus's flat picture, from its observed one in its radii."""
         return np.array(limbus.centre) + limbus.semi_axes[0] * v[2:4]
 
-    def residuals(v):
-        radius = jnp.asarray(np.clip(v[5], *PUPIL_RADII), float)
-        open_ = eqx.tree_at(lambda e: e.pupil_radius, eye, radius)  # not checked
-        # With pixels of one millimetre.
-        rim, hole = (np.asarray(p) for p in _outlines(open_, seen_from(v, 2.0, (2, 2))))
+    def residuals(v, rim, hole):
         scale = np.exp(v[4]) * pixels_per_mm
         edge, inner = (ellipse_through(at(v) + scale * p) for p in (rim, hole))
         pairs = (edge, limbus, LIMBUS_OVAL), (inner, pupil, PUPIL_OVAL)
         flatter = [(own.flattening - seen.flattening) / sd for own, seen, sd in pairs]
         sizes = [np.prod(own.semi_axes) / np.prod(seen.semi_axes) for own, seen, _ in pairs]
-        middle = (np.array(edge.centre) - limbus.centre) / (SHARP * limbus.semi_axes[0])
+        middle = (np.array(edge.centre) - limbus.centre) / (_SHARP * limbus.semi_axes[0])
         aside = (np.array(inner.centre) - pupil.centre) / (scale * DECENTRED)
-        larger = np.log(sizes) / (2 * SHARP)
+        larger = np.log(sizes) / (2 * _SHARP)
         return np.concatenate([*flatter, middle, larger, aside * (azimuth is None)])
 
+    front = seen_from(np.zeros(2), 2.0, (2, 2))  # with pixels of one millimetre
+
+    @functools.cache
+    def rows(*near_one):
+        """Residuals there and a step aside in each number, all by one call of the renderer."""
+        steps = np.array(near_one) * (1 + _STEP * np.eye(7, 6, -1))
+        shown = map(np.asarray, _outlines(eye, front, jnp.asarray(steps - 1, float)))
+        return [residuals(*row) for row in zip(steps - 1, *shown, strict=True)]
+
+    def slopes(near_one):
+        here, *aside = rows(*near_one)
+        return np.stack([off - here for off in aside], -1) / (_STEP * near_one)
+
     # The cornea magnifies the pupil by about 1.13.
-    opening = np.clip(pupil.semi_axes[0] / pixels_per_mm / 1.13, *PUPIL_RADII)
+    opening = np.clip(pupil.semi_axes[0] / pixels_per_mm / 1.13, *_PUPIL_RADII)
     start = min(max(tilt, 0.05), 0.9 * _STEEPEST)
     most = np.array([_STEEPEST] * 2 + [np.inf] * 4)
+    solve: Any = scipy.optimize.least_squares  # its annotations know no function for the Jacobian
 
     def fit(a):
         # The numbers searched for are near one: finite differences are taken relative to them.
-        return scipy.optimize.least_squares(
-            lambda near_one: residuals(near_one - 1),
+        return solve(
+            lambda near_one: rows(*near_one)[0],
             1 + np.array([start * np.cos(a), start * np.sin(a), 0.0, 0.0, 0.0, opening]),
+            slopes,
             x_scale=[0.1, 0.1, 0.01, 0.01, 0.01, 0.1],
-            diff_step=1e-5,
             bounds=(1 - most, 1 + most),
             max_nfev=_MOST_STEPS,
         )
 
     found = min(map(fit, sides), key=lambda f: f.cost)
+    if found.status == 0:
+        raise ValueError(
+            f"no camera was found in {_MOST_STEPS} steps that sees an eye with these outlines of "
+            "limbus and pupil; check them"
+        )
     v = found.x - 1
     (x, y), tilt = at(v), float(np.hypot(*v[:2]))
-    tilt_sd, interval = tilts_allowed(tilt)
     scale = float(np.exp(v[4]) * pixels_per_mm)
     half = int(np.ceil(_MARGIN * limbus.semi_axes[0]))
     # Whole pixels: the middle of the camera's picture lies within half of one of the eye's.
@@ -184,22 +197,10 @@ def find_pose(
     size = 2 * half + 1
     camera = seen_from(v, size / scale, (size, size))
     centre, radius = _pupil_on_iris(eye, camera, pupil.moved(half - x, half - y))
-    if found.status == 0:
-        raise ValueError(
-            f"no camera was found in {_MOST_STEPS} steps that sees an eye with these outlines of "
-            "limbus and pupil; check them"
-        )
-    return Pose(
-        camera,
-        corner,
-        eye.replace(pupil_radius=radius),
-        centre,
-        tilt,
-        tilt_sd,
-        interval,
-        None if focal_px is None else distance,
-        "pupil" if azimuth is None else "given",
-    )
+    seen_at = None if focal_px is None else distance
+    side = "pupil" if azimuth is None else "given"
+    opened = eye.replace(pupil_radius=radius)
+    return Pose(camera, corner, opened, centre, tilt, *tilts_allowed(tilt), seen_at, side)
 
 
 def iris_points(eye: Eye, x: ArrayLike, y: ArrayLike) -> Float[np.ndarray, "*s 3"]:
@@ -223,7 +224,7 @@ def project_iris_points(
 
 
 def tilts_allowed(
-    tilt: float, flattening_sd: float = FLATTENING
+    tilt: float, flattening_sd: float = _FLATTENING
 ) -> tuple[float, tuple[float, float]]:
     """Return the standard deviation and the 95 % interval (radians) of the tilts that are
     compatible with outlines of one tilt.
@@ -252,21 +253,29 @@ def tilts_allowed(
 
 
 @eqx.filter_jit
-def _outlines(eye: Eye, camera: Camera):
-    """Limbus and pupil in mm at the eye, as columns and rows from the middle of the pupil."""
+def _outlines(eye: Eye, front: Camera, v):
+    """Limbus and pupil in mm at the eye, as columns and rows from the middle of the pupil, for rows
+    v of the numbers that `find_pose` searches for, and a camera straight ahead.
+    """
     turn = jnp.linspace(0.0, 2 * jnp.pi, _POINTS, endpoint=False)
-    circle = jnp.cos(turn), jnp.sin(turn)
-    r = eye.limbus_radius
-    height = jnp.zeros_like(turn) + _limbus_height(eye)
-    rim = camera.pixel(joined((r * circle[0], r * circle[1], height)), eye)
-    some = turn[:: _POINTS // 16]
-    r = eye.pupil_radius
+    circle = jnp.stack([jnp.cos(turn), jnp.sin(turn)])
     slope = 0.0 if eye.iris_slope is None else eye.iris_slope
-    height = jnp.zeros_like(some) + eye.iris_depth + slope * r
-    points = joined((r * jnp.cos(some), r * jnp.sin(some), height))
-    hole = project_points(IrisSurface(eye), camera, points)
-    # The middle of a picture of two pixels lies between them.
-    return jnp.stack(rim, -1) - 0.5, jnp.stack([hole.column, hole.row], -1) - 0.5
+
+    def raised(points, depth):
+        return joined((*points, jnp.full_like(points[0], depth)))
+
+    def one(v):
+        place = jnp.hypot(v[0], v[1]), jnp.arctan2(v[1], v[0])
+        camera = eqx.tree_at(lambda c: (c.polar, c.azimuth), front, place)
+        r = jnp.clip(v[5], *_PUPIL_RADII)
+        open_ = eqx.tree_at(lambda e: e.pupil_radius, eye, r)  # not checked
+        rim = camera.pixel(raised(eye.limbus_radius * circle, _limbus_height(eye)), open_)
+        points = raised(r * circle[:, :: _POINTS // 16], eye.iris_depth + slope * r)
+        hole = project_points(IrisSurface(open_), camera, points)
+        # The middle of a picture of two pixels lies between them.
+        return jnp.stack(rim, -1) - 0.5, jnp.stack([hole.column, hole.row], -1) - 0.5
+
+    return jax.vmap(one)(v)
 
 
 def _limbus_height(eye: Eye):
@@ -297,7 +306,7 @@ def _pupil_on_iris(eye: Eye, camera: Camera, pupil: Ellipse):
         solved = np.linalg.lstsq(system, (edge**2).sum(1), rcond=None)[0]
         centre = solved[:2]
     found = float(np.sqrt(solved[2] + centre @ centre))
-    low, high = PUPIL_RADII[0], min(PUPIL_RADII[1], float(eye.iris_radius) - 0.3)
+    low, high = _PUPIL_RADII[0], min(_PUPIL_RADII[1], float(eye.iris_radius) - 0.3)
     if not low < found < high:
         raise ValueError(
             f"the outlines make the pupil's radius {found:.2f} mm; it must be within "

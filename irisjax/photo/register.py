@@ -15,7 +15,7 @@ from irisjax.photo.outlines import find_boundaries
 from irisjax.photo.photograph import Colours, Ellipse, Mask, Photograph
 from irisjax.photo.texture import LUMINANCE_WEIGHTS
 
-MOST_SECOND_OFF = 0.015
+MOST_OFF = 0.015
 """Greatest distance between the textures of two photographs, of the limbus's radius: those of other
 eyes, which the registration forces onto the first, are off by 0.02 to 0.03.
 """
@@ -84,10 +84,10 @@ def lay_on_first(
     """
     found = register_photographs(second, first, limbus, find_boundaries(second).limbus)
     off = found.residual / limbus.semi_axes[0]
-    if not off < MOST_SECOND_OFF:
+    if not off < MOST_OFF:
         raise ValueError(
             f"{second.name}: its iris does not come to lie on the one of {first.name}: they are "
-            f"off by {100 * off:.1f} % of the limbus's radius, {100 * MOST_SECOND_OFF:g} % is the "
+            f"off by {100 * off:.1f} % of the limbus's radius, {100 * MOST_OFF:g} % is the "
             "most"
         )
     laid = Photograph(found.pixels.astype(np.float32), ~found.valid, second.grey)

@@ -7,6 +7,7 @@ import scipy.fft
 from jaxtyping import Float, Shaped
 from scipy import ndimage
 from scipy.interpolate import RectBivariateSpline
+from skimage.transform import downscale_local_mean
 
 from irisjax.photo.photograph import Brightness, Colours, Mask
 from irisjax.photo.pose import Pose, iris_points, project_iris_points
@@ -16,15 +17,13 @@ HALF_WIDTH = 6.0
 """Half the width of a texture, which is centred on the eye's axis, mm."""
 LUMINANCE_WEIGHTS = np.array(environment.LUMINANCE, np.float32)
 """Luminance of linear sRGB's components [IEC 61966-2-1]."""
-_LEAST_WEIGHT = 1e-3
-"""Share of a mean's weight that must lie on valid texels; below it rounding would show."""
+_LEAST_WEIGHT = 1e-3  # share of a mean's weight on valid texels below which rounding would show
 MAP_SHAPE = (768, 256)
 """Angles and radii of maps, as in `procedural`."""
 _MOST_SAMPLES = 16  # of a cell along each side: coarse maps of fine textures
 TEXTURE_SIZE = 1024
 """Texels along a side of the texture."""
-REFRACTION_GRID = 64, 33
-"""Angles and radii at which refraction is followed."""
+_REFRACTION_GRID = 64, 33  # angles and radii at which refraction is followed
 
 
 class Unrefracted(NamedTuple):
@@ -128,7 +127,7 @@ def follow_refraction(pose: Pose, size: int = TEXTURE_SIZE) -> Refraction:
     by cubic splines.
     """
     eye = pose.eye
-    angles, radii = REFRACTION_GRID
+    angles, radii = _REFRACTION_GRID
     reach = float(eye.iris_radius)
     turn = np.linspace(0, 2 * np.pi, angles, endpoint=False)
     # Closer together towards the root, where the cornea is steepest.
@@ -258,7 +257,7 @@ def _filled(total: np.ndarray, known: np.ndarray) -> np.ndarray:
     rows, columns = known.shape[:2]
     if known.all() or rows == columns == 1:
         return total / known
-    coarse = [_halved(x) for x in (total, known)]
+    coarse = [downscale_local_mean(x, (2, 2, 1)) for x in (total, known)]
     # A quarter known is enough for a square to count in full at the next level.
     share = np.maximum(coarse[1], 1e-30)
     weight = np.minimum(4 * coarse[1], 1.0)
@@ -271,9 +270,3 @@ def _doubled(x: np.ndarray) -> np.ndarray:
     """Twice as many rows, linear between the middles of the old ones and constant at the ends."""
     above, below = np.concatenate([x[:1], x[:-1]]), np.concatenate([x[1:], x[-1:]])
     return np.stack([0.75 * x + 0.25 * above, 0.75 * x + 0.25 * below], 1).reshape(-1, *x.shape[1:])
-
-
-def _halved(x: np.ndarray) -> np.ndarray:
-    """Means over squares of 2 × 2, the picture continued by zeros to even sizes."""
-    x = np.pad(x, [(0, n % 2) for n in x.shape[:2]] + [(0, 0)])
-    return (x[::2, ::2] + x[1::2, ::2] + x[::2, 1::2] + x[1::2, 1::2]) / 4

@@ -23,40 +23,31 @@ SIGMA = 0.5
 """Width of the blur by scattering within the tissue, mm  [F09 Section 4.2.1]."""
 BETA = 0.350
 """Thickness per encoded pixel value from 0 to 1, mm  [F09 Section 4.2.1]."""
-WIDTH = 0.8
-"""Standard deviation of the neighbourhood whose mean Eq. 5 subtracts, mm."""
+_WIDTH = 0.8  # standard deviation of the neighbourhood whose mean Eq. 5 subtracts, mm
 THINNEST = 0.03
 """Least thickness of the map, mm: the bottom of a deep crypt."""
-THICKEST = 1.5
-"""Greatest thickness of the map that luminance and a response give, mm."""
+_THICKEST = 1.5  # greatest thickness of the map that luminance and a response give, mm
 SHADE_WIDTH, SHADE_SHARE = 0.4, 0.5
 """Width of the neighbourhood in the shade, mm, and share of the contrast there that is attributed
 to thickness. Light that falls off within less than a millimetre makes contrast as thickness does;
 in simulated photographs the two correlate by 0.3 to 0.5 in the shade, and by 0.8 to 0.9 elsewhere.
 """
-TYPICAL = 0.4
-"""Mean thickness of a stroma, mm, which sets the share of shading in the contrast."""
-OTHER = 0.25
-"""Other sources of contrast: standard deviation of ln luminance by pigment, vessels and folds
-(about 0.05) over that of ln thickness (about 0.2), both assumed.
-"""
-MID_GREY = 0.18
-"""Linear luminance to which the surroundings of each texel are exposed."""
-ITERATIONS = 10
-"""Iterations of Richardson's and Lucy's method; more sharpen noise."""
+_TYPICAL = 0.4  # mean thickness of a stroma, mm, which sets the share of shading in the contrast
+# Other sources of contrast: standard deviation of ln luminance by pigment, vessels and folds (about
+# 0.05) over that of ln thickness (about 0.2), both assumed.
+_OTHER = 0.25
+_MID_GREY = 0.18  # linear luminance to which the surroundings of each texel are exposed
+_ITERATIONS = 10  # iterations of Richardson's and Lucy's method; more sharpen noise
 _RESPONSES = Range(-5, 5)  # next to 0 where the stroma is opaque
 _LEAST_RESPONSE = 1e-3  # below it the Fourier factor of shading would be 0 / 0
-NOISE_WIDTH = 0.05
-"""Standard deviation of the Gaussian along the radius that removes the sensor's noise, mm."""
-ARC_LENGTH, ARC_WIDTH = 0.7, 0.05
-"""Standard deviations of the neighbourhood along an arc and across it, mm."""
+_NOISE_WIDTH = 0.05  # mm, of the Gaussian along the radius that removes the sensor's noise
+_ARC_LENGTH, _ARC_WIDTH = 0.7, 0.05  # mm, of the neighbourhood along an arc and across it
 ARC_LIGHT = 0.75
 """Standard deviation of the light's variation in ln luminance along arcs over that of ln thickness
 along them. Assumed, and like the lengths above chosen on the simulated photographs of the package.
 """
 _LEAST_ARC_WEIGHT = 1e-3
-BLUR = 0.02
-"""Standard deviation of the Gaussian that smooths freckles against noise, mm."""
+_BLUR = 0.02  # standard deviation of the Gaussian that smooths freckles against noise, mm
 
 
 class Darkness(NamedTuple):
@@ -64,17 +55,6 @@ class Darkness(NamedTuple):
 
     shares: Float[np.ndarray, " shares"]
     ratios: Float[np.ndarray, " shares"]
-
-    def share(
-        self, seen: Brightness, around: Brightness, freckles: Mask, texel: float
-    ) -> Brightness:
-        """Return the share of a freckle that makes luminance `around` as dark as the luminance
-        `seen`, at most the greatest one.
-        """
-        ratio = np.where(freckles, seen / np.maximum(around, 1e-6), 1).astype(np.float32)
-        ratio = ndimage.gaussian_filter(ratio, BLUR / texel)
-        falling = np.minimum.accumulate(self.ratios)
-        return np.interp(ratio, falling[::-1], self.shares[::-1]).astype(np.float32)
 
 
 class Morphology(NamedTuple):
@@ -140,8 +120,8 @@ def shape_maps(
     shown = valid | freckles
     luminance = texture._replace(pixels=filled).luminance()
     if response is None:
-        relative = relative_luminance(luminance, shown, WIDTH, texel)
-        normalised = local_normalisation(encoded_intensity(relative), shown, WIDTH, texel)
+        relative = relative_luminance(luminance, shown, _WIDTH, texel)
+        normalised = local_normalisation(encoded_intensity(relative), shown, _WIDTH, texel)
     else:
         normalised = local_contrast(luminance, shown, shade, texel)
         normalised = along_fibres(normalised, shown, texture, response)
@@ -155,7 +135,12 @@ def shape_maps(
         found, clamped = relative_thickness(radius, smooth, response)
     spots = freckles.astype(np.float32)
     if darkness is not None:
-        spots *= darkness.share(texture.luminance(), luminance, freckles, texel)
+        # The share that makes the filled luminance as dark as the one seen, at most the greatest.
+        ratio = texture.luminance() / np.maximum(luminance, 1e-6)
+        ratio = np.where(freckles, ratio, 1).astype(np.float32)
+        ratio = ndimage.gaussian_filter(ratio, _BLUR / texel)
+        falling = np.minimum.accumulate(darkness.ratios)
+        spots *= np.interp(ratio, falling[::-1], darkness.shares[::-1]).astype(np.float32)
     maps = IrisMaps(stroma_depth=jnp.asarray(texture.to_polar(found, shape)))
     if freckles.any():  # limited against the rounding of means
         maps = maps.replace(freckles=jnp.asarray(np.clip(texture.to_polar(spots, shape), 0, 1)))
@@ -184,12 +169,12 @@ def along_fibres(
     def along_radius(width):
         return [ndimage.gaussian_filter1d(c, width / size, mode="constant") for c in cells]
 
-    smooth = _ratio(*along_radius(NOISE_WIDTH))
-    values, weights = along_radius(ARC_WIDTH)
+    smooth = _ratio(*along_radius(_NOISE_WIDTH))
+    values, weights = along_radius(_ARC_WIDTH)
     ring = _ratio(values.sum(0), weights.sum(0))
     radius = inner + size * (np.arange(radii) + 0.5)
     frequency = np.arange(angles // 2 + 1, dtype=np.float32)[:, None]
-    transfer = np.exp(-0.5 * (frequency * (ARC_LENGTH / radius).astype(np.float32)) ** 2)
+    transfer = np.exp(-0.5 * (frequency * (_ARC_LENGTH / radius).astype(np.float32)) ** 2)
 
     def over_arcs(c):
         spectrum = np.asarray(scipy.fft.rfft(c, axis=0))
@@ -222,16 +207,15 @@ def encoded_intensity(relative: Brightness) -> Brightness:
     β of Eq. 7 refers to encoded values in [0, 1]. They pass 1 where a texel is over 5.5 times as
     bright as its surroundings.
     """
-    linear = MID_GREY * np.maximum(relative, np.float32(0))
+    linear = _MID_GREY * np.maximum(relative, np.float32(0))
     return np.asarray(srgb_encode(linear), np.float32)
 
 
 def relative_luminance(
     luminance: Brightness, valid: Mask, width_mm: float, texel: float
 ) -> Brightness:
-    """Return linear luminance over its mean around each texel; 1 where not valid or black.
-
-    So the thickness depends neither on the exposure nor on a shadow that falls across the eye.
+    """Return linear luminance over its mean around each texel; 1 where not valid or black: neither
+    the exposure nor a shadow that falls across the eye shows.
     """
     around = masked_mean(luminance, valid, width_mm / texel)
     known = valid & (around > 1e-6)
@@ -248,7 +232,7 @@ def local_contrast(
     """
     shade = np.zeros_like(valid) if shade is None else shade & valid
     whole = np.zeros(valid.shape, np.float32)
-    kinds = (valid & ~shade, WIDTH, 1.0), (shade, SHADE_WIDTH, SHADE_SHARE)
+    kinds = (valid & ~shade, _WIDTH, 1.0), (shade, SHADE_WIDTH, SHADE_SHARE)
     for kind, width, share in kinds:
         if kind.any():
             relative = relative_luminance(luminance, kind, width, texel)
@@ -270,7 +254,11 @@ def local_normalisation(
 
 
 def deconvolve(
-    normalised: Brightness, valid: Mask, sigma_mm: float, texel: float, iterations: int = ITERATIONS
+    normalised: Brightness,
+    valid: Mask,
+    sigma_mm: float,
+    texel: float,
+    iterations: int = _ITERATIONS,
 ) -> Brightness:
     """Sharpen a texture by Richardson's and Lucy's method with a Gaussian of `sigma_mm`  [F09 Eq.
     6].
@@ -321,7 +309,7 @@ def relative_thickness(
     radius: Brightness, contrast: Brightness, response: float
 ) -> tuple[Brightness, Mask]:
     """Return, in place of Eq. 7, the generic thickness times (1 + contrast)^g, g = response /
-    (response² + `OTHER`²), and the texels that were clamped.
+    (response² + 0.25²), and the texels that were clamped.
 
     If all contrast came from thickness, g would be 1 / response. This is the linear estimate of
     least mean square error, which gives little where thickness hardly shows. The response is d ln
@@ -329,11 +317,11 @@ def relative_thickness(
     0.3 for a brown one); F09's β corresponds to about 5.
     """
     check_range("response", response, _RESPONSES)
-    power = response / (response**2 + OTHER**2)
+    power = response / (response**2 + _OTHER**2)
     grown = np.maximum(1 + contrast, np.float32(1e-3)) ** np.float32(power)
     found = generic_thickness(radius) * grown
-    clamped = (found < THINNEST) | (found > THICKEST)
-    return np.clip(found, THINNEST, THICKEST), clamped
+    clamped = (found < THINNEST) | (found > _THICKEST)
+    return np.clip(found, THINNEST, _THICKEST), clamped
 
 
 def unshade(
@@ -358,7 +346,7 @@ def unshade(
     shape = [scipy.fft.next_fast_len(n + n // 8, real=True) for n in valid.shape]
     up = -scipy.fft.fftfreq(shape[0], texel).astype(np.float32)[:, None]
     right = scipy.fft.rfftfreq(shape[1], texel).astype(np.float32)
-    of_height = np.float32(response / TYPICAL)
+    of_height = np.float32(response / _TYPICAL)
     along = np.float32(2 * np.pi) * (np.float32(slopes[0]) * right + np.float32(slopes[1]) * up)
     factor = of_height + np.complex64(1j) * along
     spectrum = np.asarray(scipy.fft.rfft2(known, shape)) * (of_height / factor)

@@ -20,13 +20,20 @@ def outlines(eye: Eye, camera: Camera) -> tuple[Ellipse, Ellipse]:
     """Limbus and pupil as a camera sees them."""
     assert eye.cornea is not None
     limbus = _circle(eye.limbus_radius, eye.cornea.anterior.sagitta(eye.limbus_radius))
-    pupil = _circle(eye.pupil_radius, eye.iris_depth)
-    return _fitted(*camera.pixel(jnp.asarray(limbus), eye)), _fitted(*seen(eye, camera, pupil)[:2])
+    rim = _pixel(eye, camera, jnp.asarray(limbus))
+    hole = seen(eye, camera, _circle(eye.pupil_radius, eye.iris_depth))
+    limbus, pupil = (ellipse_through(np.stack([*map(np.asarray, p)], -1)) for p in (rim, hole[:2]))
+    return limbus, pupil
 
 
 def _circle(radius, depth):
     r, z = float(radius), float(depth)
     return np.stack([r * np.cos(_AROUND), r * np.sin(_AROUND), np.full_like(_AROUND, z)], -1)
+
+
+@eqx.filter_jit
+def _pixel(eye, camera, points):
+    return camera.pixel(points, eye)
 
 
 @eqx.filter_jit
@@ -37,10 +44,6 @@ def _seen(eye, camera, points):
 def seen(eye: Eye, camera: Camera, points):
     """`project_points` of the iris, compiled."""
     return _seen(eye, camera, jnp.asarray(points))
-
-
-def _fitted(column, row) -> Ellipse:
-    return ellipse_through(np.stack([np.asarray(column), np.asarray(row)], -1))
 
 
 def painted(eye: Eye, camera: Camera, paint: Callable) -> np.ndarray:

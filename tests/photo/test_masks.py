@@ -92,10 +92,6 @@ def test_an_open_eye_has_neither_lids_nor_lashes_over_it(grey):
     pixels = _eye(grey)
     assert not find_lashes(pixels, LIMBUS, NONE).any()
     assert not find_lids(pixels, LIMBUS, PUPIL).any()
-    beyond = Ellipse((-900.0, 20.0), (50.0, 50.0))
-    assert (
-        not find_lashes(pixels, beyond, NONE).any() and not find_lids(pixels, beyond, beyond).any()
-    )
 
 
 SIDE, RADIUS = 400, 180.0

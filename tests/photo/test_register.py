@@ -1,11 +1,14 @@
 """A second photograph comes to lie on the first, though light and highlights differ."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter, map_coordinates
 
+from irisjax.photo import register
 from irisjax.photo.photograph import Ellipse, Photograph
-from irisjax.photo.register import register_photographs
+from irisjax.photo.register import MOST_OFF, Registration, lay_on_first, register_photographs
 
 SHAPE, LIMBUS = (300, 360), Ellipse((175.0, 150.0), (110.0, 108.0), 0.3)
 
@@ -103,6 +106,19 @@ def test_another_eye_has_no_texture_in_common():
     mirrored = first._replace(pixels=first.pixels[::-1].copy())
     found = register_photographs(mirrored, first, LIMBUS, LIMBUS._replace(angle=-LIMBUS.angle))
     assert found.correlation < 0.3
+    assert found.residual > MOST_OFF * LIMBUS.semi_axes[0]
+
+
+def test_a_second_photograph_of_another_eye_is_refused(monkeypatch):
+    def found(second, first, limbus, _):
+        off = np.zeros((*first.shape, 3)), np.ones(first.shape, bool), IDENTITY
+        return Registration(*off, 1.01 * MOST_OFF * limbus.semi_axes[0], 0.1)
+
+    first = photograph(IDENTITY, SHAPE)
+    monkeypatch.setattr(register, "register_photographs", found)
+    monkeypatch.setattr(register, "find_boundaries", lambda _: SimpleNamespace(limbus=LIMBUS))
+    with pytest.raises(ValueError, match=r"brown\.jpg: its iris does not come to lie on .* 1\.5 %"):
+        lay_on_first(first._replace(name="brown.jpg"), first, LIMBUS, LIMBUS, (slice(9), slice(9)))
 
 
 def test_outlines_out_of_the_picture():

@@ -38,30 +38,53 @@ def chosen(picture, clear=True, **known):
     return choose_pixels(colours, ALONE & clear, VIEW, EYE, **known)
 
 
-def _means_are_the_renderers(integrator, around, lamps, rtol, eye=EYE, view=VIEW, clear=ALONE):
+def _means_are_the_renderers(found, rtol):
     """No window has more pixels than are taken of it, so every one of the picture counts."""
-    room = lamps is not None
-    scene = Scene(OTHER, maps(), eye, lamps, around, CAMERA, integrator=integrator)
-    tables = scene.tables()
-    picture = np.asarray(draw(scene, tables))
-    pixels = choose_pixels(picture, clear, view, eye, None if room else around)
-    lights = Lighting(lamps, None if room else around).lights()
-    found = windows_of(pixels, eye, BASE, maps(), lights, integrator, tables, room)
     assert found.present.all()
     radiance = eqx.filter_jit(lambda windows, iris: windows.radiance(iris, 0.4))(found, OTHER)
     np.testing.assert_allclose(radiance, found.colour, rtol=rtol)
     assert np.ptp(found.colour, axis=0).min() > 0.01 * found.colour.mean()
-    return found
 
 
-def test_a_windows_radiance_is_the_mean_of_the_rendered_pixels():
-    """Of lamps in a room, on an iris without a cornea, whose tables take seconds."""
-    bare = EYE.replace(cornea=None)
-    seen = look(bare, CAMERA), iris_alone(POSE._replace(eye=bare))
-    # As many lamps as stand for a room, so that one program serves both.
+@pytest.fixture(scope="module")
+def bare():
+    """An eye without a cornea, whose tables take seconds; what the camera sees of it."""
+    eye = EYE.replace(cornea=None)
+    return eye, look(eye, CAMERA), iris_alone(POSE._replace(eye=eye))
+
+
+def test_the_iris_alone_is_a_disc_within_the_limbus(bare):
+    row, column = np.indices(SHAPE)
+    away = np.hypot(row - 44.5, column - 44.5) * 13 / 90
+    for alone in (ALONE, bare[2]):
+        assert alone[(away > 2.6) & (away < 4)].all()
+        assert not alone[away > 6].any()
+
+
+@pytest.fixture(scope="module")
+def drawn(bare):
+    """Lamps in a room, and a picture by their light; as many lamps as stand for a room, so that one
+    program serves both.
+    """
     lamps = Environment.studio(32).to_lights(ENVIRONMENT_LIGHTS)
-    found = _means_are_the_renderers(QUICK, Environment.uniform(0.4), lamps, 1e-6, bare, *seen)
-    assert len(found.colour) == ANGLES * RINGS
+    room = Environment.uniform(0.4)
+    return lamps, draw(Scene(OTHER, maps(), bare[0], lamps, room, CAMERA, integrator=QUICK))
+
+
+@pytest.fixture(scope="module")
+def lit(bare, drawn):
+    eye, view, clear = bare
+    pixels = choose_pixels(np.asarray(drawn[1]), clear, view, eye)
+    return windows_of(pixels, eye, BASE, maps(), Lighting(drawn[0]).lights(), QUICK, None, True)
+
+
+def test_a_windows_radiance_is_the_mean_of_the_rendered_pixels(lit):
+    _means_are_the_renderers(lit, 1e-6)
+    assert len(lit.colour) == ANGLES * RINGS
+
+
+def test_thickness_brightens_and_freckles_darken(lit):
+    found = lit
     assert found.thickness_response(BASE) > 0
     darkness = found.freckle_response(BASE, np.array([0.0, 0.1, 0.5, 1.0]))
     assert darkness[0] == 1
@@ -73,7 +96,13 @@ def test_a_windows_radiance_is_the_mean_of_the_rendered_pixels():
 def test_the_same_by_radiative_transfer(room):
     # Its nodes are placed for the iris that it begins with: less than half of a ring's noise.
     around = Environment.uniform(0.4) if room else Environment.studio(32)
-    _means_are_the_renderers(RadiativeIntegrator(), around, LIGHTS if room else None, 0.002)
+    (lamps, beside), integrator = (LIGHTS, None) if room else (None, around), RadiativeIntegrator()
+    scene = Scene(OTHER, maps(), EYE, lamps, around, CAMERA, integrator=integrator)
+    tables = scene.tables()
+    pixels = choose_pixels(np.asarray(draw(scene, tables)), ALONE, VIEW, EYE, beside)
+    lights = Lighting(lamps, beside).lights()
+    found = windows_of(pixels, EYE, BASE, maps(), lights, integrator, tables, room)
+    _means_are_the_renderers(found, 0.002)
 
 
 def test_what_the_tears_mirror_of_a_uniform_room_is_their_veil():
@@ -132,10 +161,3 @@ def test_features_of_an_average_iris_have_no_place():
     still = np.abs(radiance(turned, 1) / radiance(usual, 1) - 1)
     assert np.median(still) > 0.01
     assert float(usual.relief.max()) > 0.02
-
-
-def test_the_iris_alone_is_a_disc_within_the_limbus():
-    row, column = np.indices(SHAPE)
-    away = np.hypot(row - 44.5, column - 44.5) * 13 / 90
-    assert ALONE[(away > 2.6) & (away < 4)].all()
-    assert not ALONE[away > 6].any()
