@@ -34,7 +34,7 @@ from irisjax.photo.texture import (
     follow_refraction,
     unrefract,
 )
-from irisjax.photo.thickness import BETA, SIGMA, Darkness, Morphology, generic_thickness, shape_maps
+from irisjax.photo.thickness import BETA, SIGMA, Morphology, generic_thickness, shape_maps
 from irisjax.photo.windows import (
     TURNS,
     Windows,
@@ -546,7 +546,7 @@ def _thickness_by_model(
         slopes = -relief * x, -relief * y
     if freckles.any():
         shares = np.linspace(0, 1, 21) ** 2
-        darkness = Darkness(shares, windows.freckle_response(iris, shares))
+        darkness = shares, windows.freckle_response(iris, shares)
     known: dict[str, Any] = {"response": response, "slopes": slopes}
     shape = shape_maps(texture, freckles, sigma_mm=0.0, shade=shade, darkness=darkness, **known)
     if relief > 0:

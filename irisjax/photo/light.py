@@ -12,7 +12,7 @@ from irisjax.photo.texture import Unrefracted, sampled
 from irisjax.render.environment import Environment
 from irisjax.render.illumination import Illumination
 from irisjax.render.lights import Lights
-from irisjax.render.project import MirrorPixels, View, onto_picture
+from irisjax.render.project import View, onto_picture
 from irisjax.render.scene import ENVIRONMENT_LIGHTS, all_lights
 from irisjax.render.shading import fluxes_of
 
@@ -51,18 +51,30 @@ def find_lighting(part: Colours, pose: Pose, view: View) -> Lighting:
     The lamps share an irradiance of π in proportion to the areas of their highlights, whose
     brightness is cut off. Without a highlight, uniform light from all round is assumed.
     """
-    towards, area = _mirrored(part, view.mirror, pose.camera.shape)
-    if not len(towards):
+    seen, shape, found = view.mirror, pose.camera.shape, list[tuple[Any, float]]()
+    if seen is not None:
+        directions = onto_picture(seen, np.stack([np.asarray(c) for c in seen.mirror], -1), shape)
+        brightness = part.max(-1)
+        row, column = np.ogrid[: shape[0], : shape[1]]
+        middle = np.hypot(row - shape[0] / 2, column - shape[1] / 2) < 0.37 * min(shape)
+        bright = middle & (brightness > max(0.97, 4 * np.median(brightness[middle])))
+        spots = [s for s in measure.regionprops(measure.label(bright)) if s.area >= _LEAST]
+        for spot in sorted(spots, key=lambda s: -s.area)[:_MOST]:
+            at = directions[tuple(spot.coords.T)]
+            on_cornea = at.any(-1)
+            if on_cornea.mean() >= 0.5:
+                found.append((at[on_cornea].mean(0), spot.area))
+    if not found:
         return Lighting(None, Environment.uniform(), found=0)
-    polar = np.arccos(np.clip(-towards[:, 2], -1, 1))
-    azimuth = np.arctan2(towards[:, 1], towards[:, 0])
+    (x, y, z), area = np.transpose([t for t, _ in found]), np.array([a for _, a in found], float)
+    polar, azimuth = np.arctan2(np.hypot(x, y), -z), np.arctan2(y, x)
     # The image of a lamp appears at a distance of half the cornea's radius.
     size = np.sqrt(area / np.pi) * float(pose.camera.width) / pose.camera.size[0]
     assert pose.eye.cornea is not None
     radius = np.clip(2 * size / float(pose.eye.cornea.anterior.radius), 0.005, 0.5)
-    found: list[Any] = [polar, azimuth, np.pi * area / area.sum()]
-    lamps = Lights.distant(*found, radius=cast(Any, radius))
-    return Lighting(lamps, room=True, found=len(towards))
+    numbers: list[Any] = [polar, azimuth, np.pi * area / area.sum()]
+    lamps = Lights.distant(*numbers, radius=cast(Any, radius))
+    return Lighting(lamps, room=True, found=len(found))
 
 
 def light_tangent(lights: Lights, eye: Eye, tables: Illumination | None) -> tuple[float, float]:
@@ -99,24 +111,3 @@ def shade_on(
     lit += np.float32(np.pi * _GATHERED * room)
     usual = np.median(lit[texture.valid]) if texture.valid.any() else 0.0
     return lit < SHADED * usual
-
-
-def _mirrored(part, seen: MirrorPixels | None, shape: tuple[int, int]):
-    """Unit directions that the largest highlights of the cornea mirror; their areas, pixels."""
-    towards, area = [], []
-    if seen is not None:
-        directions = onto_picture(seen, np.stack([np.asarray(c) for c in seen.mirror], -1), shape)
-        brightness = part.max(-1)
-        row, column = np.ogrid[: shape[0], : shape[1]]
-        middle = np.hypot(row - shape[0] / 2, column - shape[1] / 2) < 0.37 * min(shape)
-        bright = middle & (brightness > max(0.97, 4 * np.median(brightness[middle])))
-        spots = measure.regionprops(measure.label(bright))
-        large = sorted((s for s in spots if s.area >= _LEAST), key=lambda s: -s.area)
-        for spot in large[:_MOST]:
-            at = directions[tuple(spot.coords.T)]
-            on_cornea = at.any(-1)
-            if on_cornea.mean() >= 0.5:
-                mean = at[on_cornea].mean(0)
-                towards.append(mean / np.linalg.norm(mean))
-                area.append(spot.area)
-    return np.array(towards), np.array(area, float)

@@ -206,7 +206,9 @@ def limbus_width_of(photo: Photograph, limbus: Ellipse) -> float | None:
     dark = np.median(moved[:, (aside > -0.18) & (aside < -0.05)], 1)
     bright = np.median(moved[:, (aside > 0.06) & (aside < 0.13)], 1)
     rise = np.nanmedian((moved - dark[:, None]) / (bright - dark)[:, None], 0)
-    low, high = (_crossed(aside, rise, share) for share in (0.25, 0.75))
+    # The places nearest to the middle at which the rise is through a quarter and three quarters.
+    low = aside[:200][rise[:200] <= 0.25].max(initial=aside[0])
+    high = aside[200:][rise[200:] >= 0.75].min(initial=aside[-1])
     blur = _BLUR * _QUARTILES_OF_GAUSSIAN / outline.semi_axes[0]
     return float(np.sqrt(max((high - low) ** 2 - blur**2, 0)) / _QUARTILES_OF_SMOOTHSTEP)
 
@@ -401,16 +403,6 @@ def _darkness(picture, relative, circle: Ellipse) -> float:
         return 0.0
     inside, outside = np.median(picture[within]), np.median(picture[beside])
     return float(np.clip(1 - inside / (outside + 1e-9), 0, 1))
-
-
-def _crossed(x, rising, level: float) -> float:
-    """The place nearest to the middle at which a curve that rises through it crosses a level."""
-    middle = len(x) // 2
-    if level < 0.5:
-        at = np.flatnonzero(rising[:middle] <= level)
-        return float(x[at[-1] if len(at) else 0])
-    at = np.flatnonzero(rising[middle:] >= level)
-    return float(x[middle + at[0] if len(at) else -1])
 
 
 def _redness(red, blue):

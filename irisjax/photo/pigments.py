@@ -50,6 +50,7 @@ PIGMENT_UNITS = {name: "mg/ml" if name in CONCENTRATIONS else "" for name in FRE
 # brightness: simulated photographs stay below 0.16, with lids and lashes or without.
 _WINDOWS_OFF = 0.25
 _UNUSUAL = 3.0  # standard deviations of its prior beyond which a parameter is doubtful
+_STEPS = 60, 50  # most of a turn of least squares, and of a stage of the simplex
 _TURNS = 3  # of least squares under fixed covariances, and of these
 _CLOSE = 1e-3  # tolerance of the search, in standard deviations of the prior
 _FLOOR = 0.01  # of the photograph's mean, below which colours do not count
@@ -102,7 +103,7 @@ def log_posterior(z: Float[Array, " free"], windows: Windows, base: Iris) -> Sca
     return jnp.where(jnp.isfinite(found), found, -jnp.inf)
 
 
-def fit_pigments(windows: Windows, base: Iris, steps: int = 60) -> PigmentFit:
+def fit_pigments(windows: Windows, base: Iris) -> PigmentFit:
     """Fit the pigments by least squares through the differentiable renderer, from a few starts.
 
     Steps of Levenberg and Marquardt alternate with estimates of the covariances of the errors.
@@ -110,7 +111,7 @@ def fit_pigments(windows: Windows, base: Iris, steps: int = 60) -> PigmentFit:
     free = [i for i, n in enumerate(FREE_NAMES) if n != "room" or windows.room is not None]
     starts = np.zeros((len(_STARTS), len(free)))
     starts[:, : len(CONCENTRATIONS)] = _STARTS
-    made = _searched(jnp.asarray(starts), windows, base, tuple(free), steps)
+    made = _searched(jnp.asarray(starts), windows, base, tuple(free))
     (found, log_density), (taken, ended), covariance = made
     best = int(np.nanargmax(np.asarray(log_density[:, -1])))
     z = np.zeros((len(starts), _TURNS, len(FREE_NAMES)))
@@ -130,7 +131,7 @@ def exposures_for(fit: PigmentFit, windows: Windows, base: Iris) -> Float[np.nda
     """Return the exposures of the channels with which windows, of other maps than those of the fit,
     are on average as bright as the photograph's.
     """
-    return np.asarray(_matched(jnp.asarray(fit.z), windows, base))
+    return np.asarray(_compared(jnp.asarray(fit.z), windows, base)[1])
 
 
 def misfits(fit: PigmentFit, windows: Windows) -> list[str]:
@@ -158,7 +159,7 @@ def misfits(fit: PigmentFit, windows: Windows) -> list[str]:
     return doubts
 
 
-def simplex(windows: Windows, base: Iris, steps: int = 50) -> PigmentFit:
+def simplex(windows: Windows, base: Iris) -> PigmentFit:
     """Fit the pigments by F09's search  [F09 Section 5.2].
 
     Nelder and Mead's simplex finds the eumelanins with pheomelanin tied to them, then the two
@@ -173,12 +174,12 @@ def simplex(windows: Windows, base: Iris, steps: int = 50) -> PigmentFit:
     taken, ended = 0, True
     for stage in (0, 1):
         parts = found[stage], found[1 - stage]
-        found[stage], count, result = _downhill(*parts, windows, base, stage == 0, steps)
+        found[stage], count, result = _downhill(*parts, windows, base, stage == 0)
         taken, ended = taken + int(count), ended and bool(result)
         values = _four(*found)
         for i, name in enumerate(CONCENTRATIONS):
             z[i] = float(PRIORS[name].standard(values[name]))
-        rms = _rms(jnp.asarray(z), windows, base).mean()
+        rms = _compared(jnp.asarray(z), windows, base)[0].mean()
         log.append(_numbers(values | {"steps": count, "rms": rms}))
     return _fit(z, np.eye(len(FREE_NAMES)), windows, base, taken, ended, log)
 
@@ -219,17 +220,14 @@ def concentrations_of(iris: Iris) -> dict[str, float]:
 def _taken(values, radiance):
     """Values that the camera records for radiances."""
     # Negative values, out of sRGB's range, have no power: the curve continues in a straight line.
-    least = 1e-4
-    held = jnp.maximum(radiance, least)
-    powered = held ** values["contrast"] + (radiance - held)
-    return _exposures(values) * powered
+    held = jnp.maximum(radiance, 1e-4)
+    return _exposures(values) * (held ** values["contrast"] + (radiance - held))
 
 
 def _exposures(values):
     """Exposures of the three channels."""
-    return values["exposure"] * jnp.stack(
-        [values["red_gain"], jnp.ones_like(values["red_gain"]), values["blue_gain"]]
-    )
+    red, blue = values["red_gain"], values["blue_gain"]
+    return values["exposure"] * jnp.stack([red, jnp.ones_like(red), blue])
 
 
 def _off(values, windows: Windows, base: Iris):
@@ -257,7 +255,7 @@ def _off(values, windows: Windows, base: Iris):
 
 
 @eqx.filter_jit
-def _searched(starts, windows, base, free: tuple[int, ...], steps: int):
+def _searched(starts, windows, base, free: tuple[int, ...]):
     def every(some):
         return jnp.zeros(len(FREE_NAMES)).at[jnp.asarray(free)].set(some)
 
@@ -269,7 +267,7 @@ def _searched(starts, windows, base, free: tuple[int, ...], steps: int):
     def turn(some, _):
         held = covariances(*_off(parameter_values(every(some)), windows, base), windows.present)
         solver = levenberg_marquardt(_CLOSE, _CLOSE)
-        found = least_squares(residuals, held, some, solver=solver, max_steps=steps)
+        found = least_squares(residuals, held, some, solver=solver, max_steps=_STEPS[0])
         ended = found.result == optx.RESULTS.successful
         density = log_posterior(every(found.x), windows, base)
         return found.x, ((found.x, density), (found.steps, ended), held)
@@ -283,13 +281,6 @@ def _searched(starts, windows, base, free: tuple[int, ...], steps: int):
     return jax.lax.map(one, starts)
 
 
-@eqx.filter_jit
-def _matched(z, windows, base):
-    values = parameter_values(z)
-    off, _ = _off(values, windows, base)
-    return _exposures(values) * jnp.exp(off.mean(0, where=windows.present[:, None]))
-
-
 def _four(eumelanin, ratios):
     abl, stroma = jnp.exp(eumelanin)
     first, second = jnp.exp(ratios)
@@ -297,7 +288,7 @@ def _four(eumelanin, ratios):
 
 
 @eqx.filter_jit
-def _downhill(start, held, windows, base, eumelanin: bool, steps: int):
+def _downhill(start, held, windows, base, eumelanin: bool):
     rest = {n: p.value(jnp.zeros(())) for n, p in PRIORS.items() if n not in CONCENTRATIONS}
 
     def cost(x, _):
@@ -305,13 +296,16 @@ def _downhill(start, held, windows, base, eumelanin: bool, steps: int):
         off, _ = _off({**four, **rest}, windows, base)
         return (off**2).mean(where=windows.present[:, None])
 
-    found = optx.minimise(cost, optx.NelderMead(1e-4, 1e-6), start, max_steps=steps, throw=False)
+    found = optx.minimise(
+        cost, optx.NelderMead(1e-4, 1e-6), start, max_steps=_STEPS[1], throw=False
+    )
     return found.value, found.stats["num_steps"], found.result == optx.RESULTS.successful
 
 
 def _fit(z, covariance, windows, base, steps: int, ended: bool, log) -> PigmentFit:
-    values, rms = _numbers(parameter_values(jnp.asarray(z))), _rms(jnp.asarray(z), windows, base)
-    return PigmentFit(values, z, covariance, np.asarray(rms), steps, ended, tuple(log))
+    values = _numbers(parameter_values(jnp.asarray(z)))
+    rms = np.asarray(_compared(jnp.asarray(z), windows, base)[0])
+    return PigmentFit(values, z, covariance, rms, steps, ended, tuple(log))
 
 
 def _numbers(row: dict[str, Any]) -> dict[str, float]:
@@ -319,7 +313,9 @@ def _numbers(row: dict[str, Any]) -> dict[str, float]:
 
 
 @eqx.filter_jit
-def _rms(z, windows, base):
-    """Relative differences per channel."""
-    off, _ = _off(parameter_values(z), windows, base)
-    return jnp.sqrt((off**2).mean(0, where=windows.present[:, None]))
+def _compared(z, windows, base):
+    """Relative differences per channel, and the exposures that make up for their means."""
+    values, present = parameter_values(z), windows.present[:, None]
+    off, _ = _off(values, windows, base)
+    exposures = _exposures(values) * jnp.exp(off.mean(0, where=present))
+    return jnp.sqrt((off**2).mean(0, where=present)), exposures

@@ -1,9 +1,8 @@
 """A posterior of the pigments of a photographed iris."""
 
 import math
-from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from types import SimpleNamespace
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -74,7 +73,8 @@ def sample_pigments(
             found = pool.map(lambda row: np.asarray(_density(held, row)), rows)
             return np.concatenate(list(found))[: len(x)]
 
-        target, start = _Target(FREE_NAMES, density), Start(middle, covariance)
+        target: Any = SimpleNamespace(names=FREE_NAMES, log_density=density)
+        start = Start(middle, covariance)
         chains = posterior.sample(target, start, walkers=WALKERS, max_steps=max_steps, key=key)
     x = chains.flat
     drawn = {k: np.asarray(v)[: len(x)] for k, v in _drawn(jnp.asarray(_padded(x, 4096))).items()}
@@ -85,14 +85,6 @@ def sample_pigments(
         sd, contraction = float(drawn[name].std()), float(1 - z[:, i].var())
         estimates[name] = Estimate(median, sd, low, high, contraction)
     return PigmentPosterior({name: drawn[name] for name in FREE_NAMES}, estimates, z, chains)
-
-
-@dataclass(frozen=True)
-class _Target:
-    """A density that `infer.sample` samples."""
-
-    names: tuple[str, ...]
-    log_density: Callable[[np.ndarray], np.ndarray]
 
 
 def _padded(x: np.ndarray, rows: int) -> np.ndarray:

@@ -139,20 +139,6 @@ class _Texture(NamedTuple):
     usable: np.ndarray
 
 
-def _check(photograph: Photograph, limbus: Ellipse) -> None:
-    (x, y), (rows, columns) = limbus.centre, photograph.shape
-    if not (0 <= x < columns and 0 <= y < rows):
-        raise ValueError(
-            f"{photograph.name}: the limbus is centred at column {x:.0f}, row {y:.0f}, out of the "
-            f"{columns} × {rows} pixels"
-        )
-    if not min(limbus.semi_axes) >= _LEAST_RADIUS:
-        raise ValueError(
-            f"{photograph.name}: the limbus has a radius of {min(limbus.semi_axes):.1f} pixels; "
-            f"photographs are registered by irides of at least {_LEAST_RADIUS:.0f}"
-        )
-
-
 def _radius(limbus: Ellipse) -> float:
     return float(np.sqrt(np.prod(limbus.semi_axes)))
 
@@ -167,7 +153,17 @@ def _sampled(picture: np.ndarray, column: np.ndarray, row: np.ndarray) -> np.nda
 
 def _texture(photograph: Photograph, limbus: Ellipse) -> tuple[_Texture, Ellipse, int]:
     """Texture at the comparison's resolution, the limbus in it, and the reduction of a side."""
-    _check(photograph, limbus)
+    (x, y), (rows, columns) = limbus.centre, photograph.shape
+    if not (0 <= x < columns and 0 <= y < rows):
+        raise ValueError(
+            f"{photograph.name}: the limbus is centred at column {x:.0f}, row {y:.0f}, out of the "
+            f"{columns} × {rows} pixels"
+        )
+    if not min(limbus.semi_axes) >= _LEAST_RADIUS:
+        raise ValueError(
+            f"{photograph.name}: the limbus has a radius of {min(limbus.semi_axes):.1f} pixels; "
+            f"photographs are registered by irides of at least {_LEAST_RADIUS:.0f}"
+        )
     fine = max(1, round(_radius(limbus) / _WORKING))
     limbus, radius = limbus.scaled(1 / fine), _radius(limbus) / fine
     luminance = photograph.pixels @ LUMINANCE_WEIGHTS
@@ -191,20 +187,16 @@ def _texture(photograph: Photograph, limbus: Ellipse) -> tuple[_Texture, Ellipse
 
 def _turn(one: _Texture, first: Ellipse, other: _Texture, second: Ellipse) -> float:
     """Radians by which the second shows the eye turned, from right towards the top."""
-    unrolled = [_unrolled(t, limbus) for t, limbus in ((one, first), (other, second))]
+    unrolled = []
+    for texture, limbus in ((one, first), (other, second)):
+        (x, y), radius = limbus.centre, _radius(limbus)
+        blurred = gaussian_filter(texture.values, max(radius / 100, 0.5))
+        angle = np.linspace(0, 2 * np.pi, _POLAR[1], endpoint=False)
+        reach = radius * np.linspace(*_ANNULUS, _POLAR[0])[:, None]
+        unrolled.append(_sampled(blurred, x + reach * np.cos(angle), y - reach * np.sin(angle)))
     settings: dict[str, Any] = {"upsample_factor": 10, "normalization": None}
     shift, *_ = phase_cross_correlation(*unrolled, **settings)
     return float(-shift[1] * 2 * np.pi / _POLAR[1])
-
-
-def _unrolled(texture: _Texture, limbus: Ellipse) -> np.ndarray:
-    """Texture along ellipses of the limbus's shape, by the angle in the picture."""
-    radius = _radius(limbus)
-    blurred = gaussian_filter(texture.values, max(radius / 100, 0.5))
-    angle = np.linspace(0, 2 * np.pi, _POLAR[1], endpoint=False)
-    share = np.linspace(*_ANNULUS, _POLAR[0])[:, None]
-    (x, y), reach = limbus.centre, radius * share
-    return _sampled(blurred, x + reach * np.cos(angle), y - reach * np.sin(angle))
 
 
 def _points(limbus: Ellipse, usable: np.ndarray, name: str) -> np.ndarray:

@@ -47,14 +47,8 @@ ARC_LIGHT = 0.75
 along them. Assumed, and like the lengths above chosen on the simulated photographs of the package.
 """
 _LEAST_ARC_WEIGHT = 1e-3
+_Shares = Float[np.ndarray, " shares"]
 _BLUR = 0.02  # standard deviation of the Gaussian that smooths freckles against noise, mm
-
-
-class Darkness(NamedTuple):
-    """Luminance of an iris with a share of a freckle over its own, falling with the share."""
-
-    shares: Float[np.ndarray, " shares"]
-    ratios: Float[np.ndarray, " shares"]
 
 
 class Morphology(NamedTuple):
@@ -87,7 +81,7 @@ def shape_maps(
     response: float | None = None,
     slopes: tuple[float, float] = (0.0, 0.0),
     shade: Mask | None = None,
-    darkness: Darkness | None = None,
+    darkness: tuple[_Shares, _Shares] | None = None,
     shape: tuple[int, int] = MAP_SHAPE,
 ) -> Morphology:
     """Find and fill freckles, and estimate the thickness from what is left  [F09 Section 4.2].
@@ -101,7 +95,8 @@ def shape_maps(
             the photograph is then taken as linear luminance.
         slopes: Shading by relief to be removed, see `unshade`; needs `response`.
         shade: Texels that lamps hardly reach; used with `response`.
-        darkness: Luminance of freckles, which gives their share; without it freckles are whole.
+        darkness: Shares of a freckle and the luminance of each over the iris's own, which falls
+            with the share; without it freckles are whole.
         shape: Angles and radii of the maps.
     """
     valid, texel = texture.valid, texture.millimetres_per_texel
@@ -139,8 +134,8 @@ def shape_maps(
         ratio = texture.luminance() / np.maximum(luminance, 1e-6)
         ratio = np.where(freckles, ratio, 1).astype(np.float32)
         ratio = ndimage.gaussian_filter(ratio, _BLUR / texel)
-        falling = np.minimum.accumulate(darkness.ratios)
-        spots *= np.interp(ratio, falling[::-1], darkness.shares[::-1]).astype(np.float32)
+        falling = np.minimum.accumulate(darkness[1])
+        spots *= np.interp(ratio, falling[::-1], darkness[0][::-1]).astype(np.float32)
     maps = IrisMaps(stroma_depth=jnp.asarray(texture.to_polar(found, shape)))
     if freckles.any():  # limited against the rounding of means
         maps = maps.replace(freckles=jnp.asarray(np.clip(texture.to_polar(spots, shape), 0, 1)))

@@ -43,12 +43,9 @@ def test_brown_spots_are_found_and_neither_crypts_nor_the_collarette(ring):
 
 
 def test_nothing_is_found_where_nothing_is():
-    assert not find_freckles(_iris()).any()
-    assert not find_freckles(_iris(ring=True)).any()
-
-
-def test_what_is_too_large_is_no_freckle():
-    assert not find_freckles(_iris([(3.6, 0.0, 2.2, BROWN)])).any()
+    """Nor is what is too large a freckle."""
+    for iris in (_iris(), _iris(ring=True), _iris([(3.6, 0.0, 2.2, BROWN)])):
+        assert not find_freckles(iris).any()
 
 
 def test_none_without_colours_and_without_texels():

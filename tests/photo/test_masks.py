@@ -49,12 +49,6 @@ def test_highlights_are_marked_with_their_glow_and_little_else(grey):
     assert not found[~RING].any()
 
 
-def test_fibres_are_no_highlights():
-    pixels = _eye()
-    assert not find_highlights(pixels, NONE, RING).any()
-    assert not find_highlights(pixels, NONE, NONE).any()
-
-
 def _lashes():
     """Curved streaks from above that end in the iris."""
     drawn = np.zeros(SHAPE, bool)
@@ -88,8 +82,10 @@ def test_a_lid_over_the_iris_is_found(grey):
 
 
 @pytest.mark.parametrize("grey", [False, True])
-def test_an_open_eye_has_neither_lids_nor_lashes_over_it(grey):
+def test_nothing_hides_an_open_eye(grey):
     pixels = _eye(grey)
+    assert not find_highlights(pixels, NONE, RING).any()
+    assert not find_highlights(pixels, NONE, NONE).any()
     assert not find_lashes(pixels, LIMBUS, NONE).any()
     assert not find_lids(pixels, LIMBUS, PUPIL).any()
 
@@ -112,16 +108,12 @@ def _shaded_eye():
     return np.repeat(light[..., None], 3, -1).astype(np.float32), below, far, crypt
 
 
-def test_a_faint_streak_below_a_lid_is_found_and_nothing_else():
+def test_a_faint_streak_below_a_lid_is_found_and_nothing_without_one():
     pixels, below, far, crypt = _shaded_eye()
     found = find_lash_shadows(pixels, ROUND_LIMBUS, LID, IRIS & ~LID)
     assert found[below].mean() > 0.9
     assert not found[far | crypt].any()
     assert found.sum() < 4 * below.sum()
-
-
-def test_without_a_lid_nothing_is_taken():
-    pixels, *_ = _shaded_eye()
     assert not find_lash_shadows(pixels, ROUND_LIMBUS, np.zeros_like(LID), IRIS).any()
 
 

@@ -38,9 +38,8 @@ def test_known_pixels_stay_to_the_bit_and_holes_lie_between_them(shape):
 def test_a_hole_in_a_ramp_is_bridged():
     ramp = np.broadcast_to(np.linspace(0, 1, 128), (128, 128))
     holes = _disc(128, 12)
-    assert (
-        np.abs(fill_holes(ramp, holes) - ramp).max() < 0.06
-    )  # the ramp rises by 0.19 across the hole
+    # The ramp rises by 0.19 across the hole.
+    assert np.abs(fill_holes(ramp, holes) - ramp).max() < 0.06
 
 
 def test_nothing_to_fill_from():
@@ -158,11 +157,15 @@ def test_a_painted_iris_lies_flat_where_it_was_painted(pose, dots):
     assert np.sqrt(((plain - places) ** 2).sum(1).mean()) > 0.03
 
 
-def test_what_a_mask_hides_is_not_valid(pose, dots):
+@pytest.fixture(scope="module")
+def where(pose):
+    return follow_refraction(pose, 256)
+
+
+def test_what_a_mask_hides_is_not_valid(pose, dots, where):
     _, picture = dots
     clear = np.ones(picture.shape[:2], bool)
     clear[:, picture.shape[1] // 2 :] = False
-    where = follow_refraction(pose, 256)
     flat = unrefract(picture, clear, pose, where)
     radius, x, _ = _places(256)
     assert not flat.valid[where.column > picture.shape[1] / 2].any()
@@ -173,22 +176,20 @@ def test_what_a_mask_hides_is_not_valid(pose, dots):
     assert (flat.pixels[radius > 5.51] == 0).all()
 
 
-def test_a_picture_that_ends_within_the_iris(pose, dots):
+def test_a_picture_that_ends_within_the_iris(pose, dots, where):
     """Texels beyond the photograph's edge are neither filled nor valid."""
     _, picture = dots
     columns = picture.shape[1]
     cut = picture[:, : columns // 3]
-    where = follow_refraction(pose, 256)
     flat = unrefract(cut, np.ones(cut.shape[:2], bool), pose, where)
     beyond = where.column > columns // 3 - 1
     assert not flat.valid[beyond].any() and (flat.pixels[beyond] == 0).all()
     assert flat.valid.any()
 
 
-def test_the_pupil_off_the_middle_is_left_out(pose, dots):
+def test_the_pupil_off_the_middle_is_left_out(pose, dots, where):
     _, picture = dots
     clear = np.ones(picture.shape[:2], bool)
-    where = follow_refraction(pose, 256)
     flat = unrefract(picture, clear, pose._replace(pupil_centre=(0.4, 0.0)), where)
     _, x, y = _places(256)
     inside = np.hypot(x - 0.4, y) < float(pose.eye.pupil_radius) - 0.01

@@ -9,7 +9,6 @@ from irisjax.photo.thickness import (
     ARC_LIGHT,
     SHADE_SHARE,
     THINNEST,
-    Darkness,
     along_fibres,
     deconvolve,
     encoded_intensity,
@@ -47,12 +46,11 @@ def test_generic_iris_has_the_measured_thicknesses_and_is_constant_beyond():
 def test_exposure_and_slow_shadows_do_not_tell():
     light = 0.1 * (1 + 0.2 * _pattern(1.5)).clip(0.1)
     shadow = np.exp(-X / 12).astype(np.float32)
-    plain, shaded = (
-        local_normalisation(
-            encoded_intensity(relative_luminance(picture, RING, 0.5, TEXEL)), RING, 0.5, TEXEL
-        )
-        for picture in (light, 7 * shadow * light)
+    both = (
+        encoded_intensity(relative_luminance(p, RING, 0.5, TEXEL))
+        for p in (light, 7 * shadow * light)
     )
+    plain, shaded = (local_normalisation(p, RING, 0.5, TEXEL) for p in both)
     assert (plain - shaded)[RING].std() < 0.1 * plain[RING].std()
 
 
@@ -222,7 +220,7 @@ def test_a_freckle_is_as_dark_as_in_the_photograph():
     texture = _texture()
     radius, angle = texture.radius(), texture.angle()
     middle = np.hypot(radius * np.cos(angle) - 3.5, radius * np.sin(angle))
-    spot, darkness = middle < 0.5, Darkness(np.array([0, 0.5, 1.0]), np.array([1, 0.5, 0.4]))
+    spot, darkness = middle < 0.5, (np.array([0, 0.5, 1.0]), np.array([1, 0.5, 0.4]))
     for seen, share in ((0.75, 0.25), (0.45, 0.75), (0.2, 1.0)):
         dark = np.where(spot, seen, 1.0)[..., None] * texture.pixels
         known = {"response": 0.5, "darkness": darkness, "shape": (192, 32)}
