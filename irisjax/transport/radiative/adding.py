@@ -29,7 +29,6 @@ from irisjax.transport.radiative.directions import (
     Ordinates,
     beams_and_exits,
     gauss_nodes,
-    roof_of,
 )
 from irisjax.transport.radiative.doubling import Lines, Medium, Response, doubled_from
 from irisjax.transport.radiative.expansion import phase_matrices, series_value
@@ -137,7 +136,8 @@ def _one_wavelength(
 
     way, seen = course(abl, depth, beams), course(abl, depth, nodes)
     # Of all mirror images of the beams: radiance downwards at the top, upwards at the bottom.
-    falling = power * roof_of(abl, beams, from_stroma=False).passed * way.series / beams.cosine
+    unscattered = before(abl, depth, beams)
+    falling = power * unscattered.entered * way.series / beams.cosine
     beamed = jnp.concatenate([falling, falling * way.back])
     lines = Lines(
         nodes.cosine if exits is None else jnp.concatenate([nodes.cosine, exits.cosine]),
@@ -171,7 +171,6 @@ def _one_wavelength(
         brdf = total * leave.roof.passed * lit.to_brdf
     of_beams = jnp.tile(absorbed[count:], 2) @ beamed
     stroma = of_beams + jnp.tile(absorbed[:count], 2) @ again
-    unscattered = before(abl, depth, beams)
     return with_scattered(unscattered, power, nodes, seen.roof, up, down, stroma, brdf)
 
 

@@ -169,12 +169,17 @@ def _critical(layers: Layers):
 
 
 def _ordinates(n: RefractiveIndices, law, stroma, weight, aqueous, abl, ipe) -> Ordinates:
+    # One call for the three interfaces: a third of the program.
+    here, beyond = jnp.stack([stroma, abl, stroma]), jnp.stack([abl, aqueous, ipe])
+    indices = jnp.stack([n.stroma, n.abl, n.stroma]), jnp.stack([n.abl, n.aqueous, n.ipe])
+    met = law(here, beyond, *(x[:, None] for x in indices))
+    top, surface, bottom = (jax.tree.map(lambda x, k=k: x[k], met) for k in range(3))
     return Ordinates(
         # A beam that cannot enter has cosine 0 and no power; keep the exponentials finite.
         cosine=jnp.where(stroma > 0, stroma, 1.0),
         weight=weight,
         abl_cosine=jnp.where(abl > 0, abl, 1.0),
-        top=law(stroma, abl, n.stroma, n.abl),
-        surface=law(abl, aqueous, n.abl, n.aqueous),
-        bottom=law(stroma, ipe, n.stroma, n.ipe),
+        top=top,
+        surface=surface,
+        bottom=bottom,
     )

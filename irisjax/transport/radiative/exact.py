@@ -115,7 +115,7 @@ def _one_wavelength(
     angle, beam, *exit_ = parted(bounded, nodes, beams, exits)
     roof, _, *roof_exit = parted(roof, nodes, beams, exits)
     unscattered = before(abl, depth, beams)
-    entering = lit.power * roof_of(abl, beams, from_stroma=False).passed / beams.cosine
+    entering = lit.power * unscattered.entered / beams.cosine
     lost = lit.power @ unscattered.lost
 
     def equations(mode: Mode):

@@ -25,7 +25,7 @@ class Beam(NamedTuple):
 
     `mirrored` at the first surface; `reflected` by the inner interfaces and out again; `abl`,
     absorbed there; `lost` to the stroma, absorbed or scattered in it; `passed` into the IPE. They
-    sum to one.
+    sum to one. `entered`: the share that comes to the stroma's top for the first time.
     """
 
     mirrored: jax.Array
@@ -33,6 +33,7 @@ class Beam(NamedTuple):
     abl: jax.Array
     lost: jax.Array
     passed: jax.Array
+    entered: jax.Array
 
 
 class Course(NamedTuple):
@@ -73,6 +74,7 @@ def before(abl: jax.Array, depth: jax.Array, beams: Ordinates) -> Beam:
         abl=roof_in.absorbed + up * way.roof.absorbed,
         lost=roof_in.passed * way.lost,
         passed=down * through * beams.bottom[1],
+        entered=roof_in.passed,
     )
 
 

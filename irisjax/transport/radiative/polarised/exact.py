@@ -21,17 +21,14 @@ from irisjax.transport.radiative.directions import (
     beams_and_exits,
     from_outside,
     joined_sets,
-    parted,
     quadrature_nodes,
-    roof_of,
 )
-from irisjax.transport.radiative.orders import before, with_scattered
+from irisjax.transport.radiative.orders import Beam, before, with_scattered
 from irisjax.transport.radiative.polarised.interfaces import (
     Met,
     PolarisedOrdinates,
     meet,
     polarised,
-    turning_roof,
     unscattered,
 )
 from irisjax.transport.radiative.polarised.modes import RAYLEIGH, PolarisedMode
@@ -75,35 +72,36 @@ def _one_wavelength(
 ):
     depth = seen_depth(depth, coalbedo)
     slab, beams, exits = Slab(depth, *how), lit.beams, lit.exits
-    sets = [None if d is None else d.p for d in (nodes, beams, exits)]
-    parts = parted(meet(slab, abl, joined_sets(nodes, beams, exits)), *sets)
-    angle, beam, *exit_ = (Met(joined_sets(*x[:2]), *x[2:]) for x in parts)
-    first = [before(abl, depth, d) for d in (beams.p, beams.s)]
-    entering = _entering(abl, lit)
-    flux, moments = _fluxes(slab, abl, (albedo, coalbedo), modes[0], nodes, lit, angle, beam, first)
+    angle, beam, *exit_ = meet(slab, abl, nodes, beams, exits)
+    # Of I_l and of I_r, (2, beams).
+    first = before(abl, depth, joined_sets(beams.p, beams.s))
+    first = jax.tree.map(lambda x: x.reshape(2, -1), first)
+    entering = lit.power[None] * first.entered
+    flux, moments = _fluxes(
+        slab, (albedo, coalbedo), modes[0], nodes, lit, angle, beam, first, entering
+    )
     if not matrices:
         return flux, None
 
     found = [(modes[0], jnp.pad(moments, ((0, 0), (0, 0), (0, 2))))]
-    turned = turning_roof(abl, beams.w).passed
     for mode in modes[1:]:
         system = _system(slab, mode, _strength(mode, albedo), angle, nodes)
-        right = _driving(slab, mode, beam, beams, entering, turned)
+        right = _driving(slab, mode, beam, beams, entering, beam.turned)
         solution = linear.solve(system, right.reshape(system.shape[0], 4))
         found.append((mode, solution.reshape(right.shape)))
 
-    at_surface, back = unscattered(abl, depth, beams.w, lit.outside, n)
-    reflected = _mirror([b.reflected[0] for b in first], back[0])
+    at_surface, back = unscattered(abl, depth, beams.w, beam, lit.outside, n)
+    reflected = _mirror(first.reflected[:, 0], back[0])
     for mode, x in found:
         if mode.order != 1:
-            leaving = _leaving(slab, mode, _strength(mode, albedo), abl, angle, nodes, x)
+            leaving = _leaving(slab, mode, _strength(mode, albedo), angle, nodes, x)
             reflected += _collected(mode, nodes.p.weight * nodes.p.cosine, leaving)
-    mirrored = _mirror([b.mirrored[0] for b in first], at_surface[0])
+    mirrored = _mirror(first.mirrored[:, 0], at_surface[0])
     brdf = None
     if exits is not None:
         total = jnp.zeros((lit.azimuth.size, 4, 4), depth.dtype)
         for mode, x in found:
-            leaving = _leaving(slab, mode, _strength(mode, albedo), abl, exit_[0], exits, x)
+            leaving = _leaving(slab, mode, _strength(mode, albedo), exit_[0], exits, x)
             total += leaving * _azimuthal(mode.order, lit.azimuth)
         brdf = stokes(total) * lit.to_brdf
         flux = flux._replace(brdf=brdf[:, 0, 0])
@@ -111,26 +109,26 @@ def _one_wavelength(
 
 
 def _fluxes(
-    slab, abl, scattering, mode: PolarisedMode, nodes, lit: BeamsAndExits, angle, beam, first
+    slab, scattering, mode: PolarisedMode, nodes, lit, angle: Met, beam, first: Beam, entering
 ):
     """`Flux`, and the moments of light that is all I_l, and all I_r: (terms, moments, 2)."""
     albedo, coalbedo = scattering
     assert mode.linear is not None
     of_nodes, strength = joined_sets(nodes.p, nodes.s), _strength(mode, albedo)
     system = _system(slab, mode, strength, angle, nodes)
-    right = _driving(slab, mode, beam, lit.beams, _entering(abl, lit), None)
-    roof = roof_of(abl, of_nodes)
+    right = _driving(slab, mode, beam, lit.beams, entering, None)
+    roof = angle.roof
     f = mode.linear(nodes.p.cosine).reshape(strength.size, -1)
     flux, losses = (
         of_nodes.weight * of_nodes.cosine,
         (roof.passed + roof.absorbed, of_nodes.bottom[1]),
     )
     balance = slab.balance(strength, flux[None] * f, angle.linear, losses, coalbedo)
-    lost = jnp.stack([lit.power @ b.lost for b in first])
-    moments = slab.solve(system, right.reshape(system.shape[0], 2), balance, lost)
+    right_side = right.reshape(system.shape[0], 2)
+    moments = slab.solve(system, right_side, balance, first.lost @ lit.power)
     moments = moments.reshape(right.shape)
     # Of unpolarised light either is one half.
-    mean, straight = moments.mean(-1), jax.tree.map(lambda *x: 0.5 * sum(x), *first)
+    mean, straight = moments.mean(-1), jax.tree.map(lambda x: x.mean(0), first)
     up, down = slab.leaving(angle.linear, (strength[:, None] * f).T @ mean, 1)
     stroma = coalbedo * (slab.widths @ mean[0].reshape(slab.n_panels, slab.n_depths)[:, 0])
     return with_scattered(straight, lit.power, of_nodes, roof, up, down, stroma), moments
@@ -138,12 +136,6 @@ def _fluxes(
 
 def _strength(mode: PolarisedMode, albedo):
     return albedo * jnp.asarray(mode.strength, albedo.dtype)
-
-
-def _entering(abl, lit: BeamsAndExits):
-    """Flux of I_l and of I_r at the stroma's top, (2, beams)."""
-    passed = (roof_of(abl, d, from_stroma=False).passed for d in (lit.beams.p, lit.beams.s))
-    return jnp.stack([lit.power * p for p in passed])
 
 
 def _system(slab, mode: PolarisedMode, strength, angle: Met, nodes: PolarisedOrdinates):
@@ -195,7 +187,7 @@ def _driving(slab, mode: PolarisedMode, beam: Met, beams: PolarisedOrdinates, en
     return right
 
 
-def _leaving(slab, mode: PolarisedMode, strength, abl, met: Met, d: PolarisedOrdinates, x):
+def _leaving(slab, mode: PolarisedMode, strength, met: Met, d: PolarisedOrdinates, x):
     """I_l, I_r, U and V of radiance at the stroma's top, less what the ABL keeps of it, of light as
     in `_driving`, (directions, 4, 4).
     """
@@ -204,18 +196,18 @@ def _leaving(slab, mode: PolarisedMode, strength, abl, met: Met, d: PolarisedOrd
     if mode.linear is not None:
         f = mode.linear(mu)
         top = slab.leaving_each(met.linear, mode.signs(mu))[0].reshape(-1, 2, mu.size)
-        passed = jnp.stack([roof_of(abl, y).passed for y in (d.p, d.s)])
-        radiance = jnp.einsum("rca,nca,rni->aci", f * passed[None], top, source[: f.shape[0]])
+        passed = met.roof.passed.reshape(1, 2, -1)
+        radiance = jnp.einsum("rca,nca,rni->aci", f * passed, top, source[: f.shape[0]])
         out = out.at[:, :2].add(radiance)
     if mode.turning is not None:
-        sign, passed = mode.parity[2], turning_roof(abl, d.w).passed
+        sign = mode.parity[2]
         re = slab.leaving_each(met.real, sign)[0]
         im = slab.leaving_of_images_each(met.imaginary, sign)[0]
         nothing = jnp.zeros_like(source[0])
         u, v = (nothing if k is None else source[k] for k in (mode.u, mode.v))
         f = 2 * _ROOT_HALF * mode.turning(mu)[:, None]
         u, v = f * (re.T @ u - im.T @ v), f * (re.T @ v + im.T @ u)
-        a, b = jnp.real(passed)[:, None], jnp.imag(passed)[:, None]
+        a, b = jnp.real(met.turned)[:, None], jnp.imag(met.turned)[:, None]
         out = out.at[:, 2].add(a * u - b * v).at[:, 3].add(a * v + b * u)
     return out
 

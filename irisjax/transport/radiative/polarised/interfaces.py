@@ -13,7 +13,14 @@ from jax import lax
 from irisjax.optics.fresnel import coherence, fresnel_p, fresnel_s, refract
 from irisjax.tissue.indices import RefractiveIndices
 from irisjax.transport.process import attenuation, survival
-from irisjax.transport.radiative.directions import Ordinates, ends_of, roof_of
+from irisjax.transport.radiative.directions import (
+    Ordinates,
+    Roof,
+    ends_of,
+    joined_sets,
+    parted,
+    roof_of,
+)
 from irisjax.transport.radiative.slab import Bounded, Images, Slab
 
 
@@ -28,31 +35,49 @@ class PolarisedOrdinates(NamedTuple):
 
 
 class Met(NamedTuple):
-    """The slab's depth polynomials along directions: of I_l and I_r, one after the other, and of W
-    with the real and the imaginary parts of its images.
+    """What light along directions meets in and above the slab.
+
+    - `linear`: the slab's depth polynomials for I_l and I_r, one after the other.
+    - `real`, `imaginary`: the same for W, with the real and the imaginary parts of its images.
+    - `roof`: the ABL for I_l and I_r, one after the other.
+    - `turned`: what of W passes the ABL, complex.
     """
 
     linear: Bounded
     real: Bounded
     imaginary: Bounded
+    roof: Roof
+    turned: jax.Array
 
 
 def polarised(make: Callable, *where: Any) -> PolarisedOrdinates:
     """`PolarisedOrdinates` of `quadrature_nodes` or `from_outside`."""
-    return PolarisedOrdinates(*(make(*where, law) for law in (fresnel_p, fresnel_s, coherence)))
-
-
-def meet(slab: Slab, abl: jax.Array, d: PolarisedOrdinates) -> tuple[Bounded, ...]:
-    """The slab along directions as I_l, I_r and W (real part, imaginary part) meet it."""
-    of_l, of_r = (slab.images(x.cosine, ends_of(roof_of(abl, x), x)) for x in (d.p, d.s))
-    of_w = _turning_images(slab.depth, abl, d.w)
-    along = slab.imaged(d.p.cosine, of_l)
-    return (
-        along,
-        along._replace(images=of_r),
-        along._replace(images=jax.tree.map(jnp.real, of_w)),
-        along._replace(images=jax.tree.map(jnp.imag, of_w)),
+    d = make(*where, lambda *x: (fresnel_p(*x), fresnel_s(*x), coherence(*x)))
+    return PolarisedOrdinates(
+        *(Ordinates(*d[:3], *(interface[k] for interface in d[3:])) for k in range(3))
     )
+
+
+def meet(slab: Slab, abl: jax.Array, *sets: PolarisedOrdinates | None) -> list[Met]:
+    """`Met` of each of some sets of directions; sets may be `None`."""
+    d = joined_sets(*sets)
+    both = joined_sets(d.p, d.s)
+    roof, turning = roof_of(abl, both), turning_roof(abl, d.w)
+    of_w = _turning_images(slab.depth, d.w, turning)
+    along = slab.imaged(d.p.cosine, of_w)
+    linear = slab.images(both.cosine, ends_of(roof, both))
+    apart = jax.tree.map(lambda x: x.reshape(2, -1), (linear, roof))
+    found = []
+    for x in parted((along, apart, turning.passed), *(s and s.p for s in sets)):
+        along, of_both, turned = x
+        linear, roof = jax.tree.map(jnp.ravel, of_both)
+        real, imaginary = (
+            along._replace(images=jax.tree.map(part, along.images)) for part in (jnp.real, jnp.imag)
+        )
+        found.append(
+            Met(joined_sets(real, real)._replace(images=linear), real, imaginary, roof, turned)
+        )
+    return found
 
 
 class TurningRoof(NamedTuple):
@@ -82,8 +107,7 @@ def turning_roof(abl: jax.Array, d: Ordinates) -> TurningRoof:
     )
 
 
-def _turning_images(depth, abl, d: Ordinates) -> Images:
-    roof = turning_roof(abl, d)
+def _turning_images(depth, d: Ordinates, roof: TurningRoof) -> Images:
     through, twice = survival(depth, d.cosine), survival(2 * depth, d.cosine)
     series = _series(attenuation(2 * depth, d.cosine), _complex(twice), roof, d.bottom)
     floor = d.bottom.reflected
@@ -92,10 +116,15 @@ def _turning_images(depth, abl, d: Ordinates) -> Images:
 
 
 def unscattered(
-    abl: jax.Array, depth: jax.Array, d: Ordinates, outside: jax.Array, n: RefractiveIndices
+    abl: jax.Array,
+    depth: jax.Array,
+    d: Ordinates,
+    met: Met,
+    outside: jax.Array,
+    n: RefractiveIndices,
 ) -> tuple[jax.Array, jax.Array]:
-    """Of W of beams with cosines `outside` in the aqueous humour: what the first surface reflects,
-    and what the inner interfaces do.
+    """Of W of beams with cosines `outside` in the aqueous humour, which `met` what is below: what
+    the first surface reflects, and what the inner interfaces do.
     """
     inside = refract(outside, n.aqueous, n.abl)
     first = coherence(outside, inside, n.aqueous, n.abl)
@@ -104,9 +133,8 @@ def unscattered(
     series = _series(attenuation(2 * abl, d.abl_cosine), twice, d.surface, under)
     entered = _complex(first.passed)
     back = entered * entered * twice * under.reflected * series
-    passed = turning_roof(abl, d).passed
-    below = _turning_images(depth, abl, d)
-    again = passed * passed * _complex(survival(2 * depth, d.cosine)) * below.bottom
+    below = lax.complex(met.real.images.bottom, met.imaginary.images.bottom)
+    again = met.turned * met.turned * _complex(survival(2 * depth, d.cosine)) * below
     return first.reflected, back + again
 
 
