@@ -120,6 +120,9 @@ def solve(solver, made, cosine=1.0, exits=None, azimuth=None):
     found = jax.tree.map(lambda x: x[:n] if jnp.ndim(x) else x, found)
     if exits is None:
         return found
+    if found.polarisation is not None:
+        brdf = found.polarisation.brdf[:, :n_exits]
+        found = eqx.tree_at(lambda r: r.polarisation.brdf, found, brdf)
     return eqx.tree_at(lambda r: r.brdf, found, found.brdf[:, :n_exits])
 
 

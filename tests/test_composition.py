@@ -18,8 +18,7 @@ from common import quick_jit, slowly
 GRID = (430.0, 500.0, 570.0, 640.0)
 KEY = jax.random.key(0)
 LOW = ij.Iris.of_level("low")
-FEW = ij.IlitExact(12)  # where the number of angles is not the point
-CORRECTED = ij.IlitExact(process=ij.ILIT_CORRECTED)
+FEW = ij.IlitExact(12, process=ij.ILIT_CORRECTED)  # where the number of angles is not the point
 
 
 def spectrum(iris, grid=GRID, **settings):
@@ -158,13 +157,14 @@ def test_traced_or_known_radiative_transfer_is_the_same():
 
 def test_traced_or_known_ilit_is_the_same():
     """An iris all of whose fields are traced gets a rule for every order of media."""
+    solver = ij.IlitExact(process=ij.ILIT_CORRECTED)
 
     @quick_jit
     def traced(fields):
-        return spectrum(ij.Iris(**fields), solver=CORRECTED)
+        return spectrum(ij.Iris(**fields), solver=solver)
 
     fields = {name: jnp.asarray(value) for name, value in LOW.parameters().items()}
-    known = spectrum(LOW, solver=CORRECTED)
+    known = spectrum(LOW, solver=solver)
     np.testing.assert_allclose(traced(fields), known, rtol=1e-9)
 
 

@@ -1,5 +1,6 @@
 """Gradients of irides at the edges of the physics: forward, reverse, and by differences."""
 
+import functools
 import itertools
 
 import equinox as eqx
@@ -53,7 +54,7 @@ def replaced(iris, vector):
     return eqx.tree_at(lambda i: [getattr(i, n) for n in LIMITS], iris, list(vector))
 
 
-@pytest.mark.parametrize(
+CASES = pytest.mark.parametrize(
     ("name", "traced_order", "edges"),
     [
         ("rayleigh", False, ("plain", "no-stroma", "nothing-at-all")),
@@ -66,63 +67,81 @@ def replaced(iris, vector):
         ),
     ],
 )  # fmt: skip
-def test_gradients(name, traced_order, edges):
-    """Forward mode, reverse mode and finite differences agree for every field, in one vmapped
-    program each.
+
+
+def values(name, traced_order):
+    """Spectra as a function of an iris's numbers.
 
     Either the iris is built outside and all its leaves are batched (its order of media is known),
     or it is built inside the program from traced numbers (any order is possible).
     """
     solver = exact(PROCESSES[name], 12)
-    asked, edges = edges, [e for e in edges if not (name == "depth-resolved" and e in ONLY_FINITE)]
-    if not traced_order:
-        edges = [e for e in edges if ORDERS[e] == TEMPLATE.order]
-    assert len(edges) >= min(9, len(asked) - 1)
-    vectors = np.stack([as_vector(e) for e in edges])
 
-    def values(v):
+    def of(v):
         iris = (
             ij.Iris(**dict(zip(LIMITS, v, strict=True))) if traced_order else replaced(TEMPLATE, v)
         )
         return ij.reflectance(iris, GRID[::6], solver=solver, throw=False).values
 
-    forward = np.asarray(quick_jit(jax.vmap(jax.jacfwd(values)))(jnp.asarray(vectors)))
-    reverse = np.asarray(quick_jit(jax.vmap(jax.jacrev(values)))(jnp.asarray(vectors)))
-    run = quick_jit(jax.vmap(values))
+    return of
+
+
+def kept(name, traced_order, edges):
+    """The edges of a case, and their irides' numbers."""
+    asked, edges = edges, [e for e in edges if not (name == "depth-resolved" and e in ONLY_FINITE)]
+    if not traced_order:
+        edges = [e for e in edges if ORDERS[e] == TEMPLATE.order]
+    assert len(edges) >= min(9, len(asked) - 1)
+    return edges, np.stack([as_vector(e) for e in edges])
+
+
+@functools.cache
+def forward_mode(name, traced_order, edges):
+    run = quick_jit(jax.vmap(jax.jacfwd(values(name, traced_order))))
+    return np.asarray(run(kept(name, traced_order, edges)[1]))
+
+
+def fields_of(edges):
+    """Edges and fields, their places, and whether there is a kink."""
+    for (i, e), (j, field) in itertools.product(enumerate(edges), enumerate(LIMITS)):
+        yield i, j, e, field, field in KINKED.get(e, ())
+
+
+@CASES
+def test_gradients_are_those_of_differences(name, traced_order, edges):
+    forward = forward_mode(name, traced_order, edges)
+    edges, vectors = kept(name, traced_order, edges)
     batch, index = [], []
-    for i in range(len(edges)):
-        for j, field in enumerate(LIMITS):
-            offsets, weights = stencil(field, vectors[i, j])
-            for o, w in itertools.zip_longest(offsets, weights):
-                moved = vectors[i].copy()
-                moved[j] += o
-                batch.append(moved)
-                index.append((i, j, w))
-    outcome = np.asarray(run(jnp.asarray(np.stack(batch))))
+    for i, j, _, field, _ in fields_of(edges):
+        for o, w in zip(*stencil(field, vectors[i, j]), strict=True):
+            moved = vectors[i].copy()
+            moved[j] += o
+            batch.append(moved)
+            index.append((i, j, w))
+    outcome = np.asarray(quick_jit(jax.vmap(values(name, traced_order)))(np.stack(batch)))
     difference = np.zeros_like(forward)
     for (i, j, w), v in zip(index, outcome, strict=True):
         difference[i, :, j] += w * v
+    for i, j, e, field, kinked in fields_of(edges):
+        f, d = forward[i, :, j], difference[i, :, j]
+        assert np.isfinite(f).all(), (e, field)
+        if e in ONLY_FINITE or e in NO_SLOPE or kinked:
+            continue
+        # Rounding of the values over the step is all that is forgiven beside 1e-5.
+        noise = 2e-15 * np.abs(stencil(field, vectors[i, j])[1]).sum()
+        assert (np.abs(f - d) <= 1e-5 * np.abs(d) + noise).all(), (e, field, f, d)
 
-    problems = []
-    for i, e in enumerate(edges):
-        for j, field in enumerate(LIMITS):
-            f, r, d = forward[i, :, j], reverse[i, :, j], difference[i, :, j]
-            _, weights = stencil(field, vectors[i, j])
-            if not (np.isfinite(f).all() and np.isfinite(r).all()):
-                problems.append(f"{e} {field}: not finite, forward {f}, reverse {r}")
-                continue
-            # Rounding of the values over the step is all that is forgiven beside 1e-5.
-            noise = 2e-15 * np.abs(weights).sum()
-            # Beside a kink what is subtracted cancels to half of its digits.
-            kinked = field in KINKED.get(e, ())
-            atol = 1e-8 if kinked else 1e-13 * max(1.0, np.abs(f).max())
-            if not np.allclose(f, r, rtol=1e-9, atol=atol):
-                problems.append(f"{e} {field}: forward {f}, reverse off by {r - f}")
-            if e in ONLY_FINITE or e in NO_SLOPE or kinked:
-                continue
-            if not (np.abs(f - d) <= 1e-5 * np.abs(d) + noise).all():
-                problems.append(f"{e} {field}: derivative {f} difference {d}")
-    assert not problems, "\n".join(problems)
+
+@CASES
+def test_gradients_in_reverse_are_those_forward(name, traced_order, edges):
+    forward = forward_mode(name, traced_order, edges)
+    edges, vectors = kept(name, traced_order, edges)
+    reverse = np.asarray(quick_jit(jax.vmap(jax.jacrev(values(name, traced_order))))(vectors))
+    for i, j, e, field, kinked in fields_of(edges):
+        f, r = forward[i, :, j], reverse[i, :, j]
+        # Beside a kink what is subtracted cancels to half of its digits.
+        atol = 1e-8 if kinked else 1e-13 * max(1.0, np.abs(f).max())
+        np.testing.assert_allclose(r, f, rtol=1e-9, atol=atol, err_msg=f"{e} {field}")
 
 
 @SWEEP
@@ -130,13 +149,7 @@ def test_gradients(name, traced_order, edges):
 def test_gradients_in_single_precision_are_finite(name, float32):
     names = [e for e in EDGES if name == "rayleigh" or ORDERS[e] == TEMPLATE.order]
     vectors = jnp.asarray(np.stack([as_vector(e) for e in names]), jnp.float32)
-
-    def values(v):
-        traced = name == "rayleigh"
-        iris = ij.Iris(**dict(zip(LIMITS, v, strict=True))) if traced else replaced(TEMPLATE, v)
-        return ij.reflectance(iris, GRID[::6], solver=exact(PROCESSES[name]), throw=False).values
-
-    g = quick_jit(jax.vmap(jax.jacfwd(values)))(vectors)
+    g = quick_jit(jax.vmap(jax.jacfwd(values(name, name == "rayleigh"))))(vectors)
     bad = [
         (e, f)
         for i, e in enumerate(names)

@@ -7,18 +7,26 @@ import jax.numpy as jnp
 import irisjax as ij
 from common import layers, quick_jit
 from irisjax.optics.mixture import PhaseMixture
+from irisjax.tissue.indices import Order
 
 MATCHED = (1.4, 1.4, 1.4, 1.4)
 LB06 = (1.336, 1.4733, 1.4728, 1.5)
 REVERSED = (1.5, 1.4, 1.35, 1.3)
 
 
+RISING = Order(True, False, False)
+"""Order of media in which the stroma is no denser than what lies above and below it in the eye."""
+
+
 def mixed(abl, absorption, scattering, rayleigh, g, indices):
-    """Layers whose phase function is a mixture, eight wavelengths or as many as are given."""
+    """Layers whose phase function is a mixture, one wavelength or as many as are given."""
     made = layers(abl, absorption, scattering, indices)
     size = made.extinction.shape
     spread = (jnp.broadcast_to(jnp.asarray(x, float), size) for x in (rayleigh, g))
-    return dataclasses.replace(made, phase=PhaseMixture(*spread))
+    order = (
+        Order() if indices == REVERSED else RISING
+    )  # one program for LB06's media and equal ones
+    return dataclasses.replace(made, phase=PhaseMixture(*spread), order=order)
 
 
 def _solve(seen, cosine, solver, exits=None):

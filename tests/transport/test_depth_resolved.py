@@ -3,19 +3,17 @@ refined.
 """
 
 import jax
-import jax.numpy as jnp
 import next_event
 import numpy as np
 import pytest
 
 import common
 import irisjax as ij
-from common import GRID, all_irides, any_order, layers, quick_jit, reference
-from irisjax.optics.fresnel import fresnel_at
+from common import GRID, all_irides, any_order, layers, quick_jit, reference, slowly
 
 IRIS = (1.336, 1.4733333333, 1.4727930095, 1.5)
 SOLVER = ij.RadiativeExact(n_panels=3)  # one program where the default's panels are not the point
-shares_at = quick_jit(fresnel_at)
+FIVE = ij.RadiativeExact(n_panels=5)
 
 
 def solve(made, cosine=1.0, solver=SOLVER, **exits):
@@ -23,23 +21,25 @@ def solve(made, cosine=1.0, solver=SOLVER, **exits):
     return common.solve(solver, any_order(made), cosine, **exits)
 
 
-def test_reference_table():
+def test_reference_table(bits):
+    """Of traced irides, for which one panel is enough, in both precisions."""
     names, irides = all_irides()
     rows = reference("depth_resolved_reflectance.csv")
     assert len(rows) == 558
-    run = quick_jit(
-        jax.vmap(
-            lambda iris, mu: ij.reflectance(iris, GRID, cos_incidence=mu, solver=SOLVER).values,
-            in_axes=(0, None),
-        )
-    )
+    solver = ij.RadiativeExact()
+
+    def spectrum(iris, mu):
+        return ij.reflectance(iris, GRID, cos_incidence=mu, solver=solver, throw=False).values
+
+    run = quick_jit(jax.vmap(spectrum, in_axes=(0, None)))
     for cosine in (1.0, 0.5):
         wanted = {
             (r["level"], float(r["abl_fraction"]), float(r["wavelength_nm"])): float(r["reflectance"])
             for r in rows if float(r["mu_i"]) == cosine
         }  # fmt: skip
         expected = np.array([[wanted[(*name, float(w))] for w in GRID] for name in names])
-        np.testing.assert_allclose(run(irides, cosine), expected, rtol=1e-6)
+        found = run(irides, cosine)
+        np.testing.assert_allclose(found, expected, rtol=1e-6 if bits == 64 else 2e-5)
 
 
 # 1e-7 is what the issue asks of the default size; refined, all nine printed digits come out.
@@ -67,24 +67,19 @@ def test_check_slab(index, normal, diffuse, solver, tolerance):
 HARD = (np.array([0.02, 0.3, 1.0]), np.array([0.05, 0.0, 1.5]), np.array([0.2, 2.5, 0.3]))
 
 
-@pytest.fixture(scope="module")
-def standard():
-    return solve(layers(*HARD, IRIS), 0.6)
-
-
 @pytest.mark.parametrize(
-    "change",
+    "finer",
     [
-        {"n_panels": 5},
-        pytest.param({"n_depths": 12}, marks=pytest.mark.slow),
-        pytest.param({"n_angles": 144}, marks=pytest.mark.slow),
+        FIVE,
+        pytest.param(ij.RadiativeExact(n_depths=12), marks=pytest.mark.slow),
+        pytest.param(ij.RadiativeExact(n_angles=144), marks=pytest.mark.slow),
     ],
 )
-def test_refinement_changes_nothing(standard, change):
+def test_refinement_changes_nothing(finer):
     """Cutting the stroma into panels, more polynomials, more angles: the answer stays (to 1e-7, as
     promised).
     """
-    finer = solve(layers(*HARD, IRIS), 0.6, ij.RadiativeExact(**change))
+    standard, finer = (solve(layers(*HARD, IRIS), 0.6, s) for s in (SOLVER, finer))
     np.testing.assert_allclose(finer.reflectance, standard.reflectance, rtol=1e-7)
     np.testing.assert_allclose(finer.absorbed.ipe, standard.absorbed.ipe, rtol=1e-7)
 
@@ -115,7 +110,9 @@ def test_single_scattering(index):
             return np.sqrt(1 - (1 - mu**2) / index**2)
 
         def passed(mu):
-            return np.asarray(shares_at(jnp.asarray(mu), jnp.asarray(1.0), jnp.asarray(index))[1])
+            a, b = mu * index, inside(mu) * index
+            across, along = (mu - b) / (mu + b), (a - inside(mu)) / (a + inside(mu))
+            return 1 - 0.5 * (across**2 + along**2)
 
         i, o = inside(cosine), inside(exits)
         cos_theta = -i * o + np.sqrt((1 - i * i) * (1 - o * o)) * np.cos(azimuth)
@@ -169,13 +166,17 @@ def test_brdf_integrates_to_reflectance():
     """
     x, w = np.polynomial.legendre.leggauss(40)
     x, w = (x + 1) / 2, w / 2
-    azimuth = np.arange(6) * np.pi / 3  # exact for three orders
+    azimuth = np.tile(np.arange(3) * 2 * np.pi / 3, 2)  # exact for three orders
     made = layers(*HARD, IRIS)
     for cosine in (1.0, 0.4):
-        brdf = [solve(made, cosine, exits=np.full(6, mu), azimuth=azimuth).brdf.mean(1) for mu in x]
+        pairs = [
+            solve(made, cosine, exits=np.repeat(two, 3), azimuth=azimuth).brdf
+            for two in x.reshape(-1, 2)
+        ]
+        brdf = np.concatenate([np.reshape(p, (-1, 2, 3)).mean(2).T for p in pairs])
         whole = solve(made, cosine).reflectance
         black = solve(layers(HARD[0], HARD[1] + HARD[2], 0.0, IRIS), cosine).reflectance
-        np.testing.assert_allclose(2 * np.pi * (w * x) @ np.array(brdf), whole - black, rtol=1e-7)
+        np.testing.assert_allclose(2 * np.pi * (w * x) @ brdf, whole - black, rtol=1e-7)
 
 
 @pytest.mark.parametrize(
@@ -267,6 +268,12 @@ UNDENSE = {
 """Fields of an iris without absorption, whose stroma is not denser than the aqueous humour."""
 
 
+def undense(scale=1.0):
+    """Layers of such an iris at 450 nm."""
+    iris = ij.Iris(**UNDENSE, scattering_scale=scale)
+    return iris.layers(ij.extinction(np.array([450.0])), 1.336)
+
+
 @pytest.mark.parametrize(
     ("process", "expected"),
     [
@@ -280,27 +287,33 @@ def test_grazing_light_has_the_panels_that_it_takes(process, expected):
 
     The expected values are those of twelve panels.
     """
-    iris = ij.Iris(**UNDENSE)
     solver = ij.RadiativeExact(process=process)
-    found = ij.reflectance(iris, [450.0], cos_incidence=0.003, solver=solver).values
+    found = solve(undense(), 0.003, solver)
+    assert bool(found.status == ij.RESULTS.successful)
+    found = found.reflectance
     np.testing.assert_allclose(found, expected, rtol=1e-7)
     if process == ij.DEPTH_RESOLVED:
         # By an adding-doubling of its own from layers of 1e-9.
         np.testing.assert_allclose(found, 0.57602924, rtol=3e-8)
 
 
-def test_grazing_exits_have_the_panels_that_they_take():
-    """With one panel the BRDF is off by two fifths; the expected values are those of twelve."""
-    iris = ij.Iris(**UNDENSE, scattering_scale=4.0)
-    found = ij.brdf(
-        iris, [450.0], cos_incidence=0.03, cos_exit=[1.0, 0.003], solver=ij.RadiativeExact()
-    ).values[0]
-    np.testing.assert_allclose(found, [0.09766017478370932, 3.8490169320577405], rtol=1e-6)
+@pytest.mark.parametrize(
+    ("scale", "exits", "expected", "tolerance"),
+    [
+        (1.0, [1.0, 0.01], [0.07100689718821734, 3.1961879929511334], 1e-7),
+        # One panel is off by two fifths here.
+        slowly(4.0, [1.0, 0.003], [0.09766017478370932, 3.8490169320577405], 1e-6),
+    ],
+)
+def test_grazing_exits_have_the_panels_that_they_take(scale, exits, expected, tolerance):
+    """The expected values are those of twelve panels."""
+    found = solve(undense(scale), 0.03, ij.RadiativeExact(), exits=exits, azimuth=[0.0, 0.0])
+    np.testing.assert_allclose(found.brdf[0], expected, rtol=tolerance)
+    assert bool(found.status == ij.RESULTS.successful)
 
 
 def test_grazing_light_is_refused_with_one_panel():
-    made = ij.Iris(**UNDENSE, scattering_scale=4.0).layers(ij.extinction(np.array([450.0])), 1.336)
-    coarse = solve(made, 0.003, ij.RadiativeExact(n_panels=1))
+    coarse = solve(undense(4.0), 0.003, ij.RadiativeExact(n_panels=1))
     assert bool(coarse.status == ij.RESULTS.under_resolved)
 
 

@@ -8,7 +8,7 @@ import pytest
 
 import common
 import irisjax as ij
-from common import GRID, PROCESSES, all_irides, quick_jit, reference
+from common import GRID, ILIT, all_irides, quick_jit, reference
 from multiprecision import ilit_rayleigh
 
 ROWS = reference("ilit_reflectance.csv")
@@ -20,10 +20,8 @@ def mostly_slow(names, fast):
     return [n if n in fast else pytest.param(n, marks=pytest.mark.slow) for n in names]
 
 
-SINGLE = ("lb06", "rayleigh-retest", "depth-resolved")
-
+SINGLE = ("lb06", "rayleigh-retest")
 STANDARD = ij.IlitExact()
-CORRECTED = ij.IlitExact(process=ij.ILIT_CORRECTED)
 
 
 @functools.cache
@@ -72,7 +70,8 @@ def test_multiprecision(level, fraction, wavelength):
         float(depths.stroma_absorption[0]),
         float(depths.stroma_scattering[0]),
     )
-    found = ij.reflectance(iris, grid, solver=CORRECTED, first_surface=False).values[0]
+    row = all_irides()[0].index((level, fraction))
+    found = spectra(ij.ILIT_CORRECTED).values[row, list(GRID).index(wavelength)]
     assert found == pytest.approx(expected, rel=1e-10)
     if (level, fraction, wavelength) == ("low", 0.2, 690.0):
         row = next(
@@ -87,24 +86,24 @@ def test_multiprecision(level, fraction, wavelength):
 @pytest.mark.parametrize(
     ("name", "bits"),
     [
-        *((n, 64) for n in PROCESSES),
-        *(pytest.param(n, 32, marks=[] if n in SINGLE else pytest.mark.slow) for n in PROCESSES),
+        *((n, 64) for n in ILIT),
+        *(pytest.param(n, 32, marks=[] if n in SINGLE else pytest.mark.slow) for n in ILIT),
     ],
 )
 def test_energy(name, bits):
-    result = spectra(PROCESSES[name], bits=bits)
+    result = spectra(ILIT[name], bits=bits)
     parts = jax.tree.leaves((result.values, result.mirrored, result.absorbed))
     assert all(part.dtype == (np.float64 if bits == 64 else np.float32) for part in parts)
     total = sum(np.asarray(part).astype(np.float64) for part in parts)
     np.testing.assert_allclose(total, 1, rtol=0, atol=1e-12 if bits == 64 else 1e-6)
 
 
-@pytest.mark.parametrize("name", mostly_slow(PROCESSES, SINGLE))
+@pytest.mark.parametrize("name", mostly_slow(ILIT, SINGLE))
 def test_single_precision(name):
-    double = spectra(PROCESSES[name])
+    double = spectra(ILIT[name])
     jax.config.update("jax_enable_x64", False)
     try:
-        single = spectra(PROCESSES[name], bits=32)
+        single = spectra(ILIT[name], bits=32)
     finally:
         jax.config.update("jax_enable_x64", True)
     for mirrored in (0, 1):
@@ -124,7 +123,7 @@ def test_single_precision(name):
 def test_default_size_against_eight_times_the_nodes(name):
     fine = 8 * STANDARD.n_angles
     np.testing.assert_allclose(
-        spectra(PROCESSES[name]).values, spectra(PROCESSES[name], fine).values, rtol=1e-10
+        spectra(ILIT[name]).values, spectra(ILIT[name], fine).values, rtol=1e-10
     )
 
 
@@ -133,7 +132,7 @@ def test_printed_phase_function_converges(name):
     """Its kernel is singular, which product integration takes in its stride."""
     fine = STANDARD.n_angles + 24
     np.testing.assert_allclose(
-        spectra(PROCESSES[name]).values, spectra(PROCESSES[name], fine).values, rtol=1e-10
+        spectra(ILIT[name]).values, spectra(ILIT[name], fine).values, rtol=1e-10
     )
 
 

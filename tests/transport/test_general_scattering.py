@@ -11,39 +11,40 @@ from mixed_layers import LB06, MATCHED, REVERSED, _solve, mixed
 from mixed_layers import solve as solve_alone
 
 import irisjax as ij
-from common import DOUBLE_FIRST, any_order, layers, quick_jit, slowly
+from common import DOUBLE_FIRST, layers, quick_jit, slowly
 from irisjax.optics.mixture import PhaseMixture
+from irisjax.transport.radiative import resolution
 
-DEPTHS = (1e-12, 1e-3, 1.0, 30.0, 1e6, 0.0)
+DEPTHS = (0.0, 1e-12, 1.0, 1e6)
 SOLVER = ij.AddingDoubling(16, 23)  # one program for nearly all
-COUNT = 18
+COUNT = 12
 
 
 def slabs(abl, absorption, scattering, rayleigh, g, indices):
-    """Slabs with media of any order, the last one repeated until there are 18."""
+    """Slabs, the last one repeated until there are 12."""
     columns = np.broadcast_arrays(*np.atleast_1d(abl, absorption, scattering, rayleigh, g))
     missing = COUNT - columns[0].size
-    return any_order(mixed(*(np.pad(x, (0, missing), "edge") for x in columns), indices))
+    return mixed(*(np.pad(x, (0, missing), "edge") for x in columns), indices)
 
 
 def solve(seen, cosine, solver=SOLVER):
     return solve_alone(seen, jnp.asarray(cosine, float), solver)
 
 
-@pytest.mark.parametrize("albedo", [0.5, 0.9, 0.999])
-def test_deep_isotropic_medium_is_chandrasekhars(albedo):
+def test_deep_isotropic_medium_is_chandrasekhars():
     """R(μ₀) = 1 − H(μ₀) √(1 − ω)  [Chandrasekhar 1960, Section 37], H by iteration."""
     x, w = np.polynomial.legendre.leggauss(200)
     x, w = (x + 1) / 2, w / 2
-    h = np.ones_like(x)
-    for _ in range(400):
-        h = 1 / (np.sqrt(1 - albedo) + albedo / 2 * (w * x * h / (x[:, None] + x)).sum(1))
-    at = np.array([1.0, 0.6])
-    h_at = 1 / (np.sqrt(1 - albedo) + albedo / 2 * (w * x * h / (at[:, None] + x)).sum(1))
-    seen = slabs(0.0, 2.0e4 * (1 - albedo), 2.0e4 * albedo, 0.0, 0.0, MATCHED)
-    for mu, value in zip(at, h_at, strict=True):
+    albedos = np.array([0.5, 0.9, 0.999])
+    seen = slabs(0.0, 2.0e4 * (1 - albedos), 2.0e4 * albedos, 0.0, 0.0, MATCHED)
+    for mu in (1.0, 0.6):
         found = solve(seen, mu).reflectance
-        np.testing.assert_allclose(found, 1 - value * np.sqrt(1 - albedo), rtol=2e-5)
+        for albedo, value in zip(albedos, found, strict=False):
+            h = np.ones_like(x)
+            for _ in range(400):
+                h = 1 / (np.sqrt(1 - albedo) + albedo / 2 * (w * x * h / (x[:, None] + x)).sum(1))
+            h_at = 1 / (np.sqrt(1 - albedo) + albedo / 2 * (w * x * h / (mu + x)).sum())
+            np.testing.assert_allclose(value, 1 - h_at * np.sqrt(1 - albedo), rtol=2e-5)
 
 
 def test_slab_of_a_table():
@@ -67,33 +68,35 @@ def test_rayleighs_law_alone_is_the_exact_solver():
 
 @DOUBLE_FIRST
 @pytest.mark.parametrize("indices", [LB06, slowly(REVERSED), slowly(MATCHED)])
-@pytest.mark.parametrize("g", [0.95, -0.9, slowly(0.0)])
-def test_no_wrong_number_at_any_depth(indices, g, bits):
+@pytest.mark.parametrize(
+    ("g", "rayleigh"),
+    [(0.95, 0.0), (-0.9, 0.4), slowly(0.95, 0.4), slowly(-0.9, 0.0), slowly(0.0, 0.0)],
+)
+def test_no_wrong_number_at_any_depth(indices, g, rayleigh, bits):
     """Every share is in [0, 1] and they sum to one, whatever the depth, albedo and angle."""
     small = 1e-12 if bits == 64 else 2e-5
     depth, albedo = np.repeat(DEPTHS, 3), np.tile([0.0, 0.7, 1.0], len(DEPTHS))
     if bits == 32:  # refused by name: see below
         kept = (depth < 1e6) | (albedo < 1)
         depth, albedo = depth[kept], albedo[kept]
-    for rayleigh in (0.0, 0.4):
-        seen = slabs(0.1, depth * (1 - albedo), depth * albedo, rayleigh, g, indices)
-        for cosine in (1.0, 1e-3):
-            light = solve(seen, cosine)
-            shares = light.reflectance, *jax.tree.leaves(light.absorbed)
-            assert all(np.isfinite(x).all() for x in shares)
-            assert min(np.min(x) for x in shares) >= -small
-            np.testing.assert_allclose(light.energy, 1.0, atol=max(small, 1e-9))
-            # Only where light grazes a peaked slab are 16 angles too few: see below.
-            grazes = cosine < 1 and g == 0.95
-            assert bool(light.status == ij.RESULTS.successful) or (
-                grazes and bool(light.status == ij.RESULTS.too_few_angles)
-            )
+    seen = slabs(0.1, depth * (1 - albedo), depth * albedo, rayleigh, g, indices)
+    for cosine in (1.0, 1e-3):
+        light = solve(seen, cosine)
+        shares = light.reflectance, *jax.tree.leaves(light.absorbed)
+        assert all(np.isfinite(x).all() for x in shares)
+        assert min(np.min(x) for x in shares) >= -small
+        np.testing.assert_allclose(light.energy, 1.0, atol=max(small, 1e-9))
+        # Only where light grazes a peaked slab are 16 angles too few: see below.
+        grazes = cosine < 1 and g == 0.95
+        assert bool(light.status == ij.RESULTS.successful) or (
+            grazes and bool(light.status == ij.RESULTS.too_few_angles)
+        )
 
 
 def test_single_precision_says_where_it_loses_count():
     """Scattered 10¹² times before it is absorbed, light would leave with up to 0.3 % too little."""
     with jax.enable_x64(False):
-        status = solve(slabs(0.1, 0.0, 1e6, 0.0, 0.9, LB06), 1.0).status
+        status = resolution.status_of(slabs(0.1, 0.0, 1e6, 0.0, 0.9, LB06), jnp.asarray(True))
     assert bool(status == ij.RESULTS.ill_conditioned)
 
 
@@ -106,18 +109,18 @@ def test_too_few_doublings_are_said():
 
 
 def test_photons_agree():
-    """Of 50,000 photons, within four standard errors, with mismatched indices."""
+    """Of 20,000 photons, within four standard errors, with mismatched indices."""
     absorption, scattering = np.array([0.05, 0.5, 0.02]), np.array([3.0, 5.0, 0.4])
     mixture = np.array([0.1, 0.0, 0.5]), np.array([0.85, 0.7, -0.4])
     seen = mixed(0.1, absorption, scattering, *mixture, LB06)
-    solver = ij.MonteCarlo(50_000, process=ij.DEPTH_RESOLVED)
+    solver = ij.MonteCarlo(20_000, process=ij.DEPTH_RESOLVED)
     photons = jax.jit(lambda s: solver.solve(s, ij.Light(1.0), key=jax.random.key(3)))(seen)
     found = solve(slabs(0.1, absorption, scattering, *mixture, LB06), 1.0)
     found = jax.tree.map(lambda x: x[:3] if jnp.ndim(x) else x, found)
     apart = np.asarray((photons.reflectance - found.reflectance) / photons.standard_error)
     assert np.abs(apart).max() < 4
     p, q = (np.asarray(x.absorbed.stroma) for x in (photons, found))
-    assert np.abs((p - q) / np.sqrt(q * (1 - q) / 50_000)).max() < 4
+    assert np.abs((p - q) / np.sqrt(q * (1 - q) / 20_000)).max() < 4
 
 
 @pytest.mark.slow
@@ -142,19 +145,41 @@ def test_thick_tissue_obeys_the_similarity_relation():
     np.testing.assert_allclose(found, found[0], rtol=0.02)
 
 
-def test_brdf_is_reciprocal_and_rayleighs_is_the_exact_solvers():
-    def brdf(seen, mu_in, mu_out, solver):
-        return solver.solve(seen, ij.Light(mu_in, ij.Directions(mu_out, 0.7))).brdf[:, 0]
+def angular(seen, cosine, exits, solver=None):
+    """BRDF of two slabs at azimuth 0.7, and the status."""
+    solver = ij.AddingDoubling(12, 8) if solver is None else solver
+    exits = ij.Directions(np.pad(exits, (0, 4 - len(exits)), "edge"), 0.7)
+    found = solve_alone(seen, jnp.asarray(cosine), solver, exits)
+    return found.brdf, found.status
 
-    run, doubling = quick_jit(brdf), ij.AddingDoubling(16, 8)
-    a, b = jnp.asarray(0.9), jnp.asarray(0.4)
-    seen = mixed(0.1, 0.1, np.array([0.5, 4.0]), 0.3, 0.8, LB06)
-    there, back = (run(seen, *x, doubling) for x in ((a, b), (b, a)))
+
+def test_brdf_is_reciprocal():
+    seen = mixed(0.1, 0.1, np.array([0.5, 4.0]), 0.3, 0.6, LB06)
+    there, back = (angular(seen, *x)[0][:, 0] for x in ((0.9, [0.4]), (0.4, [0.9])))
     np.testing.assert_allclose(there, back, rtol=2e-3)
-    plain = layers(0.1, 0.1, np.array([0.5, 4.0]), LB06)
-    found = run(dataclasses.replace(plain, phase=PhaseMixture(jnp.ones(2), jnp.zeros(2))),
-                a, b, doubling)  # fmt: skip
-    np.testing.assert_allclose(found, run(plain, a, b, ij.RadiativeExact(40, 10, 2)), rtol=2e-4)
+
+
+def test_brdf_of_rayleighs_law_is_the_exact_solvers():
+    depths = 0.1, 0.1, np.array([0.5, 2.0])
+    found = angular(mixed(*depths, 1.0, 0.0, LB06), 0.9, [0.4])[0]
+    exact = angular(layers(*depths, LB06), 0.9, [0.4], ij.RadiativeExact(24, 8, 1))[0]
+    np.testing.assert_allclose(found, exact, rtol=2e-4)
+
+
+def test_a_brdf_whose_moments_are_missing_says_so():
+    """Light scattered once in the thin limit is τ p(Θ)/(4π μ μ₀) in every direction; a BRDF is that
+    to 5e-3, or has the status. Reflectance takes fewer moments.
+    """
+    depth, cosine, g = 1e-6, np.array([0.1, 0.3, 0.7, 1.0]), 0.6
+    for peak, said in ((g, False), (0.9, True), (-0.9, True)):
+        seen = slabs(0.0, 0.0, depth, 0.0, peak, MATCHED)
+        assert bool(resolution.brdf_resolved(seen, seen.phase, 12)) != said
+        assert bool(solve(seen, 0.9).status == ij.RESULTS.successful)
+    found, status = angular(mixed(0.0, 0.0, depth * np.ones(2), 0.0, g, MATCHED), 0.9, cosine)
+    turned = -0.9 * cosine + np.sqrt(1 - 0.9**2) * np.sqrt(1 - cosine**2) * np.cos(0.7)
+    phase = (1 - g * g) / (1 + g * g - 2 * g * turned) ** 1.5
+    np.testing.assert_allclose(found[0], depth * phase / (4 * np.pi * cosine * 0.9), rtol=5e-3)
+    assert bool(status == ij.RESULTS.successful)
 
 
 @pytest.mark.parametrize(

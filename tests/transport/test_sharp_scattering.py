@@ -1,6 +1,6 @@
 """Slabs that scatter sharply, grazing light, and what is said where angles do not follow them.
 
-Most cases share one compiled program: 16 angles, nine doublings, 16 slabs, media in any order.
+Most cases share one compiled program: 16 angles, nine doublings, eight slabs.
 """
 
 import jax
@@ -10,20 +10,19 @@ import pytest
 from mixed_layers import LB06, MATCHED, mixed, solve
 
 import irisjax as ij
-from common import any_order
-from irisjax.transport.radiative.directions import from_outside
-from irisjax.transport.radiative.resolution import angles_resolved, brdf_resolved
+from irisjax.transport.radiative import resolution
+from irisjax.transport.radiative.directions import beams_and_exits, from_outside
 
 SOLVER = ij.AddingDoubling(16, 9)
 FIRST = ij.AddingDoubling(32, 0)  # no doubling: the first layer alone
-COUNT = 16  # slabs
+COUNT = 8  # slabs
 
 
 def slabs(absorption, scattering, g, indices=MATCHED, rayleigh=0.0):
-    """Slabs, the last one repeated until there are 16."""
+    """Slabs, the last one repeated until there are eight."""
     columns = np.broadcast_arrays(*np.atleast_1d(absorption, scattering, rayleigh, g))
     missing = COUNT - columns[0].size
-    return any_order(mixed(0.0, *(np.pad(x, (0, missing), "edge") for x in columns), indices))
+    return mixed(0.0, *(np.pad(x, (0, missing), "edge") for x in columns), indices)
 
 
 def lit(seen, incidence, solver=SOLVER):
@@ -40,10 +39,10 @@ THIN = {
 @pytest.mark.parametrize("bits", [64, 32])
 def test_thin_forward_slabs_keep_their_digits(bits):
     """0.08 wrong with the series, 6e-3 in single precision by normal equations."""
-    for g, expected in THIN.items():
-        found = lit(slabs(0.0, np.array([1e-3, 1e-2, 0.1, 1.0]), g), 1.0)
-        np.testing.assert_allclose(found.reflectance[:4], expected, rtol=3e-4)
-        assert bool(found.status == ij.RESULTS.successful)
+    depth, g = np.tile([1e-3, 1e-2, 0.1, 1.0], 2), np.repeat(list(THIN), 4)
+    found = lit(slabs(0.0, depth, g), 1.0)
+    np.testing.assert_allclose(found.reflectance, np.ravel(list(THIN.values())), rtol=3e-4)
+    assert bool(found.status == ij.RESULTS.successful)
 
 
 def test_light_scattered_once_and_back():
@@ -62,7 +61,7 @@ def test_light_scattered_once(cosine):
     """Where it is absorbed at its second collision, at any depth of the first layer: the integral
     over directions. 1.3e-5 is what the documentation states for so many angles.
     """
-    depth, g = (x.ravel() for x in np.meshgrid([1e-6, 1e-4, 1e-2, 1.0], [0.5, 0.95]))
+    depth, g = (x.ravel() for x in np.meshgrid([1e-6, 1e-4, 1e-2, 1.0], [0.0, 0.95]))
     x, w = np.polynomial.legendre.leggauss(200)
     mu, w = ((x + 1) / 2) ** 3, 1.5 * ((x + 1) / 2) ** 2 * w  # the exponential is steep near 0
     azimuth = (np.arange(4000) + 0.5) * np.pi / 4000
@@ -90,7 +89,9 @@ def test_too_few_angles_are_said(cosine, angles, g, indices, said):
 
 
 _resolved = jax.jit(
-    lambda seen, angles, beam, power: angles_resolved(seen, seen.phase, angles, beam, power),
+    lambda seen, angles, beam, power: resolution.angles_resolved(
+        seen, seen.phase, angles, beam, power
+    ),
     static_argnums=1,
 )
 
@@ -139,39 +140,6 @@ def test_grazing_light_is_cdisorts(cosine):
     np.testing.assert_allclose(found.reflectance[:8], wanted, rtol=2e-4)
 
 
-def test_a_thin_layers_first_scattering_is_exact():
-    """At any depth of the layer: all that comes back where light is absorbed at its second
-    collision, isotropic, ½ ω ∫ μ/(μ + μ₀) (1 − e^{−τ(1/μ + 1/μ₀)}) dμ.
-    """
-    depth, cosine = np.array([0.01, 0.12]), 0.02
-    x, w = np.polynomial.legendre.leggauss(300)
-    mu, w = ((x + 1) / 2) ** 3, 1.5 * ((x + 1) / 2) ** 2 * w
-    once = 0.5 * -np.expm1(-depth[:, None] * (1 / mu + 1 / cosine)) @ (w * mu / (mu + cosine))
-    seen = slabs(depth * (1 - 1e-9), depth * 1e-9, 0.0)
-    found = lit(seen, cosine, FIRST).reflectance[:2]
-    np.testing.assert_allclose(found / 1e-9, once, rtol=1e-5)
-
-
-_followed = jax.jit(lambda seen: brdf_resolved(seen, seen.phase, 16))
-
-
-def test_a_brdf_whose_moments_are_missing_says_so():
-    """Light scattered once in the thin limit is τ p(Θ)/(4π μ μ₀) in every direction; a BRDF is that
-    to 5e-3, or has the status. Reflectance takes fewer moments.
-    """
-    depth, cosine, g = 1e-6, np.array([0.1, 0.3, 0.7, 1.0]), 0.7
-    for peak, said in ((g, False), (0.9, True), (-0.9, True)):
-        seen = slabs(0.0, depth, peak)
-        assert bool(_followed(seen)) != said
-        assert bool(lit(seen, 0.9).status == ij.RESULTS.successful)
-    one = any_order(mixed(0.0, 0.0, depth, 0.0, g, MATCHED))
-    found = solve(one, jnp.asarray(0.9), ij.AddingDoubling(16, 0), ij.Directions(cosine))
-    turned = -0.9 * cosine + np.sqrt(1 - 0.9**2) * np.sqrt(1 - cosine**2)
-    phase = (1 - g * g) / (1 + g * g - 2 * g * turned) ** 1.5
-    np.testing.assert_allclose(found.brdf[0], depth * phase / (4 * np.pi * cosine * 0.9), rtol=5e-3)
-    assert bool(found.status == ij.RESULTS.successful)
-
-
 # Reflectances at depths of 0.01, 0.03 and 0.1, by 96 angles and nine doublings.
 WITH_MANY_ANGLES = {
     (0.1, "matched"): (0.01439818, 0.04272542, 0.1303723),
@@ -188,9 +156,13 @@ def test_nothing_sharp_is_wrong_unsaid(incidence, media):
     """Light from all round on thin slabs, and oblique light on a stroma that is denser than what
     lies before it, were 8e-3 and 3e-2 off without a word. 5e-3 is what is promised.
     """
-    said = []
-    for depth, expected in zip((0.01, 0.03, 0.1), WITH_MANY_ANGLES[incidence, media], strict=True):
-        found = lit(slabs(0.0, depth, 0.95, {"matched": MATCHED, "lb06": LB06}[media]), incidence)
-        said.append(bool(found.status == ij.RESULTS.too_few_angles))
-        assert said[-1] or abs(float(found.reflectance[0]) / expected - 1) <= 5e-3
-    assert all(said) != ((incidence, media) == ("diffuse", "lb06"))
+    depths = np.array([0.01, 0.03, 0.1])
+    seen = slabs(0.0, depths, 0.95, {"matched": MATCHED, "lb06": LB06}[media])
+    found = lit(seen, incidence)
+    beams = beams_and_exits(seen, ij.Light(None if incidence == "diffuse" else incidence), 48)
+    error = resolution._angular_error(seen, seen.phase, 16, beams.beams.cosine, beams.power)
+    said = np.asarray(error)[:3] > resolution._SHARP
+    assert bool(found.status == ij.RESULTS.too_few_angles) == said.any()
+    off = np.abs(found.reflectance[:3] / np.array(WITH_MANY_ANGLES[incidence, media]) - 1)
+    assert (said | (off <= 5e-3)).all()
+    assert said.all() != ((incidence, media) == ("diffuse", "lb06"))

@@ -1,4 +1,8 @@
-"""The tables: their certified error, and what happens outside of what they were made for."""
+"""The tables: their certified error, and what happens outside of what they were made for; the one that
+comes with the package.
+"""
+
+import functools
 
 import jax
 import jax.numpy as jnp
@@ -10,6 +14,7 @@ from hypothesis import strategies as st
 import irisjax as ij
 from common import GRID
 from edges import OF_DEPTHS
+from irisjax.transport.defaults import table_for
 
 FINE = ij.IlitExact(n_angles=64)
 
@@ -57,7 +62,7 @@ def test_depth_resolved_cannot_be_tabulated():
 
 def test_too_small_tables_are_refused():
     with pytest.raises(ValueError, match=r"are tabulated to .* only, not to 1.0e-11"):
-        ij.IlitTabulated.build(process=ij.ILIT_CORRECTED, n_intervals=8)
+        ij.IlitTabulated.build(n_intervals=8)
 
 
 def test_other_indices(tabulated):
@@ -93,6 +98,34 @@ def test_incidence_and_brdf(tabulated):
         found = ij.brdf(iris, GRID, cos_incidence=cosine, cos_exit=exits, solver=tabulated).values
         exact = ij.brdf(iris, GRID, cos_incidence=cosine, cos_exit=exits, solver=FINE).values
         np.testing.assert_allclose(found, exact, rtol=0, atol=8 * tabulated.error)
+
+
+@pytest.mark.slow  # makes a table; the quick form is below
+def test_the_table_that_is_shipped_is_the_one_that_is_built():
+    read, built = (
+        table_for(ij.Iris().indices(), ij.ILIT_2006),
+        ij.IlitTabulated.build(ij.Iris().indices()),
+    )
+    np.testing.assert_allclose(read.abl, built.abl, rtol=1e-12, atol=1e-14)
+    np.testing.assert_allclose(read.stroma, built.stroma, rtol=1e-12, atol=1e-14)
+    assert read.error == pytest.approx(built.error, rel=0.1)
+    assert jax.tree.structure(read.process) == jax.tree.structure(built.process)
+
+
+def test_the_table_that_is_shipped_agrees_with_the_exact_solver():
+    iris = ij.Iris.of_level("low")
+    grid = np.array([400.0, 550.0, 700.0])
+    by_table = ij.reflectance(iris, grid, solver=table_for(iris.indices(), ij.ILIT_2006))
+    exact = ij.reflectance(iris, grid, solver=ij.IlitExact(40))
+    np.testing.assert_allclose(by_table.values, exact.values, rtol=1e-9)
+
+
+def test_another_iris_gets_its_own_table(monkeypatch):
+    build = ij.IlitTabulated.build
+    small = functools.partial(build, n_intervals=8, tolerance=1.0)
+    monkeypatch.setattr(ij.IlitTabulated, "build", small)
+    indices = ij.Iris().indices(jnp.asarray(1.34))
+    assert float(table_for(indices, ij.ILIT_2006).indices.aqueous) == 1.34
 
 
 @pytest.mark.slow  # tables of single precision are made for this test alone
