@@ -77,13 +77,10 @@ def _means(phase: PhaseMixture, moments, peak, lines: Lines):
     n, dtype = lines.nodes, moments.dtype
     mu, weight, columns = lines.rows[:n], lines.weight[:n], lines.columns
     across, beside = safe_sqrt(1 - mu**2)[:, None], safe_sqrt(1 - columns**2)[None]
-    along, reach = mu[:, None] * columns[None], across * beside
-
-    def either(of):
-        """Of light that keeps its sense of travel, and of light that turns back."""
-        return jnp.stack([of(along), of(-along)])
-
-    means = either(lambda centre: phase.mean_over_azimuth(centre, reach)) / (1 - peak)
+    # Of light that keeps its sense of travel, and of light that turns back.
+    sense = jnp.asarray([1.0, -1.0], dtype)[:, None, None]
+    along, reach = sense * (mu[:, None] * columns[None])[None], (across * beside)[None]
+    means = phase.mean_over_azimuth(along, reach) / (1 - peak)
 
     into, out = legendre(_KEPT, [0], mu)[0], legendre(_KEPT, [0], columns)[0]
     x, w = np.polynomial.legendre.leggauss(_FINE)
@@ -98,7 +95,7 @@ def _means(phase: PhaseMixture, moments, peak, lines: Lines):
     # Corrections go where the peak is, but never to a single node alone.
     narrowest = 1 - 1 / n
     g = jnp.clip(phase.anisotropy, -narrowest, narrowest)
-    near = either(lambda centre: mean_henyey_greenstein(centre, reach, g))
+    near = mean_henyey_greenstein(along, reach, g)
     near = (near / jax.lax.stop_gradient(near.max(1, keepdims=True))) ** 3
     collect = 0.5 * into * weight[None]
     missed = wanted - jnp.einsum("li,sij->slj", collect, means)
