@@ -170,16 +170,12 @@ def _approximations(eye: Eye) -> dict[str, str | None]:
 
 
 def _in_uv(texture) -> np.ndarray:
-    """A texture (angles, radii, channels) as a picture (rows, columns, channels) in the uv of the
-    iris's mesh.
-    """
+    """A texture (angles, radii, channels) as a picture (rows, columns, channels) in uv."""
     return np.flip(np.swapaxes(np.asarray(texture), 0, 1), 0)
 
 
 def _joined(bands: Bands, hazy: Bands) -> Bands:
-    """The channels of `bands`, those of `hazy`, and the reflectance at each of
-    `REFLECTANCE_WAVELENGTHS`, so that one table serves all.
-    """
+    """Channels of `bands` and `hazy`, and reflectances: one table serves all."""
     colours = np.concatenate([np.asarray(bands.weights), np.asarray(hazy.weights)])
     weights = block_diag(colours, np.eye(len(_LAYERS)))
     ones = jnp.ones_like(bands.white, shape=len(_LAYERS))

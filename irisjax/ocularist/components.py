@@ -232,9 +232,7 @@ def _edge(of, rng, away, harmonics: int, height: float):
 
 
 def _fibres(of, rng, ring, where, widths, wave, depth, head: float) -> Paint:
-    """Strokes at angles, starts and lengths, given the spread of their widths, their `wave`, and
-    median and spread of their depth, which is alike for neighbours: fibres come in bundles.
-    """
+    """Strokes of `widths`' spread, median and spread of `depth`; neighbours' depths are alike."""
     (angle, start, length), n, irregularity = where, of.count, of.irregularity
     width = of.width * log_normal(rng, n, widths * irregularity)
     sway = wave * of.waviness * rng.uniform(0.4, 1.6, n)
@@ -244,9 +242,7 @@ def _fibres(of, rng, ring, where, widths, wave, depth, head: float) -> Paint:
 
 
 def _dabs(of, rng, ring, length, girth: float, wave: float, depth: float, head, end=None) -> Paint:
-    """Fine radial strokes side by side round a circle of this girth, from the pupil or to `end`;
-    `length` is the median and the spread.
-    """
+    """Fine radial strokes side by side round a circle; `length` is the median and the spread."""
     n, irregularity = of.count, of.irregularity
     angle = angles_round(rng, n, irregularity)
     long = length[0] * log_normal(rng, n, length[1] * irregularity)

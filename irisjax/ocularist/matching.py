@@ -260,9 +260,7 @@ def _values(x, problem: _Problem):
 
 @eqx.filter_jit
 def _residuals(x, problem: _Problem):
-    """Residuals of L*a*b* and of the pull to the start; the sum of squares is mean ΔE² and the cost
-    of the changes.
-    """
+    """Residuals: the sum of squares is mean ΔE² and the cost of changes from the start."""
     shares, strengths = _values(x, problem)
     colours = problem.mixer.blend(problem.first, problem.second, shares)
     seen = plan_view(strengths[:, None] * problem.opacity, colours)

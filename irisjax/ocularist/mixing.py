@@ -171,9 +171,7 @@ class HslMixer(AbstractMixer):
 
 
 def rows(table: Array | np.ndarray) -> Array | np.ndarray:
-    """The table to be taken row by row; with NumPy where it can be, as JAX compiles a program for
-    each number of rows.
-    """
+    """The rows of a table, by NumPy where it can be: JAX compiles for each number of rows."""
     return table if isinstance(table, Tracer) else np.asarray(table)
 
 

@@ -5,7 +5,9 @@ A rule and a seed, no eye's copy: back and forth between stroma, collarette, lim
 crisp coats between cloudy ones, each round from shadows to lights.
 """
 
+import tomllib
 from collections.abc import Mapping
+from importlib import resources
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -54,7 +56,7 @@ def coats(kind: str, colour: str, *, seed: int) -> tuple[CoatRecipe, ...]:
     rounds = paints.count - 1 - len(_CLOSING)
     parts = [_ROUND[i % len(_ROUND)] for i in range(rounds)] + list(_CLOSING)
     thin = (12 / paints.count) ** 0.35  # the more coats, the thinner each
-    out = [CoatRecipe("base", {}, *paints.base[:3], 1.0, int(rng.integers(_SEEDS)), 0.0)]
+    out = [CoatRecipe("base", {}, *paints.base[0][:3], 1.0, int(rng.integers(_SEEDS)), 0.0)]
     for i, part in enumerate(parts):
         # Each round from shadows to lights, the later ones lighter: there are shadows at any depth.
         step = 2 if i >= rounds else (i % len(_ROUND)) // 2 % 3
@@ -84,7 +86,7 @@ class _Paints(NamedTuple):
     """What an eye of a colour is painted with; `count`: of coats."""
 
     count: int
-    base: _Mixture
+    base: _Mixtures
     dark: _Mixtures
     middle: _Mixtures
     light: _Mixtures
@@ -94,48 +96,18 @@ class _Paints(NamedTuple):
     border: _Mixtures
 
 
-_BLACK, _WHITE, _OCHRE = "ivory black", "titanium white", "yellow ochre"
-_SIENNA, _UMBER = "burnt sienna", "burnt umber"
-_YELLOW, _RED, _ULTRAMARINE = "cadmium yellow", "cadmium red", "ultramarine"
-# The only paint with more green than red. Mixed in HSL, ultramarine makes violet eyes, and pink
-# ones with yellow.
-_BLUE = "phthalo blue"
+def _read_palettes() -> dict[str, _Paints]:
+    file = resources.files("irisjax.ocularist") / "tables" / "palettes.toml"
+    palettes = tomllib.loads(file.read_text(encoding="utf-8"))
+    found = {}
+    for colour, kinds in palettes.items():
+        count = kinds.pop("count")
+        mixtures = {name: tuple(_Mixture(*m) for m in some) for name, some in kinds.items()}
+        found[colour] = _Paints(count, **mixtures)
+    return found
 
-_PAINTS = {
-    "brown": _Paints(
-        12,
-        base=_Mixture(_UMBER, _SIENNA, 0.45),
-        dark=(_Mixture(_UMBER, _BLACK, 0.4), _Mixture(_BLACK, _SIENNA, 0.4)),
-        middle=(_Mixture(_SIENNA, _OCHRE, 0.25), _Mixture(_UMBER, _SIENNA, 0.7)),
-        light=(_Mixture(_SIENNA, _OCHRE, 0.6), _Mixture(_OCHRE, _SIENNA, 0.2)),
-        glaze=(_Mixture(_SIENNA, _UMBER, 0.4), _Mixture(_SIENNA, _OCHRE, 0.3)),
-        warm=(_Mixture(_OCHRE, _SIENNA, 0.35), _Mixture(_SIENNA, _RED, 0.15)),
-        ring=(_Mixture(_OCHRE, _UMBER, 0.45),),
-        border=(_Mixture(_BLACK, _UMBER, 0.35),),
-    ),
-    "blue": _Paints(
-        50,
-        base=_Mixture(_BLUE, _WHITE, 0.3),
-        dark=(_Mixture(_BLUE, _BLACK, 0.7), _Mixture(_BLACK, _BLUE, 0.15)),
-        middle=(_Mixture(_BLUE, _WHITE, 0.45), _Mixture(_BLACK, _WHITE, 0.45)),
-        light=(_Mixture(_WHITE, _BLUE, 0.2), _Mixture(_WHITE, _BLUE, 0.45)),
-        glaze=(_Mixture(_BLUE, _BLACK, 0.3), _Mixture(_BLACK, _WHITE, 0.35)),
-        warm=(_Mixture(_OCHRE, _WHITE, 0.5), _Mixture(_WHITE, _UMBER, 0.4)),
-        ring=(_Mixture(_OCHRE, _UMBER, 0.5), _Mixture(_OCHRE, _WHITE, 0.4)),
-        border=(_Mixture(_BLACK, _BLUE, 0.35), _Mixture(_BLACK, _ULTRAMARINE, 0.25)),
-    ),
-    "green": _Paints(
-        30,
-        base=_Mixture(_BLACK, _YELLOW, 0.35),
-        dark=(_Mixture(_BLACK, _YELLOW, 0.15), _Mixture(_BLACK, _BLUE, 0.4)),
-        middle=(_Mixture(_BLACK, _WHITE, 0.45), _Mixture(_BLUE, _YELLOW, 0.42, 0.5)),
-        light=(_Mixture(_YELLOW, _WHITE, 0.65, 0.85), _Mixture(_YELLOW, _BLACK, 0.5)),
-        glaze=(_Mixture(_BLACK, _YELLOW, 0.5), _Mixture(_BLUE, _YELLOW, 0.45, 0.8)),
-        warm=(_Mixture(_OCHRE, _SIENNA, 0.3), _Mixture(_OCHRE, _YELLOW, 0.2)),
-        ring=(_Mixture(_OCHRE, _SIENNA, 0.5),),
-        border=(_Mixture(_BLACK, _UMBER, 0.4), _Mixture(_BLACK, _BLUE, 0.25)),
-    ),
-}
+
+_PAINTS = _read_palettes()
 EYE_COLOURS = tuple(_PAINTS)
 """Colours of eye."""
 
@@ -171,7 +143,7 @@ def _coat(rng, kind: str, part: str, paints: _Paints, tone: _Mixtures):
     if part == "sphincter":
         return part, drawn(reach=0.17, softness=0.007 * soft**0.5), paints.ring, about(0.5)
     if part == "pupil":
-        return part, drawn(reach=0.07), (_Mixture(_BLACK, _UMBER, 0.2),), 0.9
+        return part, drawn(reach=0.07), (_Mixture("ivory black", "burnt umber", 0.2),), 0.9
     if part == "gaps":  # between strands, the crypts
         parameters = drawn(26, width=0.03, length=0.16) | {"inner": 0.3}
         parameters |= {"outer": about(0.75, 0.1)} | drawn(softness=0.006 * soft**0.7)

@@ -132,9 +132,7 @@ class Strokes(NamedTuple):
         return Paint(x.ravel(), y.ravel(), load.ravel())
 
     def _sway(self, rng, t, r):
-        """Displacement to the side, outer radii, shape (strokes, drops): an independent part and
-        one shared with the neighbours.
-        """
+        """Displacement aside (strokes, drops), outer radii: one part alone, one with neighbours."""
         harmonics = np.arange(1, 4)
         own = rng.normal(size=(len(self.angle), 3)) / harmonics**1.5
         phases = rng.uniform(0, 2 * np.pi, (3, 1))

@@ -20,19 +20,8 @@ from irisjax.anatomy.eye import Eye
 from irisjax.numerics.interpolation import bilinear, multilinear
 from irisjax.numerics.roots import safe_sqrt
 from irisjax.optics.conicoid import Vector, dot, joined, norm, parts
-from irisjax.render.refraction import (
-    LARGEST_POLAR,
-    UNIQUE_POLAR,
-    Landing,
-    RefractionFunction,
-    arrive,
-    cross,
-    direction_of,
-    enter,
-    into_chamber,
-    on_cornea,
-    window,
-)
+from irisjax.render import refraction
+from irisjax.render.refraction import LARGEST_POLAR, UNIQUE_POLAR, RefractionFunction, on_cornea
 
 # Radians between tabulated polar angles, up to `UNIQUE_POLAR` and beyond.
 _SPACING, _FINE = 0.05, 0.0125
@@ -70,8 +59,8 @@ class Illumination(eqx.Module):
         # From what decides them and nothing else: a file kept for one eye then serves all that
         # share it.
         eye = deciding(eye)
-        refraction = RefractionFunction.build(eye, *_searched(size))
-        return _build(eye, refraction, caustics, size, n_rays)
+        arrivals = RefractionFunction.build(eye, *_searched(size))
+        return _build(eye, arrivals, caustics, size, n_rays)
 
     def at(self, point: Float[Array, "*#s 2"], towards_light: Float[Array, "*#s 3"]) -> Vector:
         """Flux vectors at iris points (x, y) of light from unit directions (that broadcast with
@@ -150,9 +139,9 @@ def near_light(
     def found(target):
         def landing(entry, place):  # of a ray that enters at `entry` as the lamp's does at `place`
             light = towards - on_cornea(cornea, place) * near
-            return enter(eye, on_cornea(cornea, entry), -light / norm(light)).point[:2]
+            return refraction.enter(eye, on_cornea(cornea, entry), -light / norm(light)).point[:2]
 
-        arrival = arrive(eye, target, towards, 0.9 * target)
+        arrival = refraction.arrive(eye, target, towards, 0.9 * target)
         fixed, turned = jax.jacfwd(landing, (0, 1))(arrival.entry, arrival.entry)
         area, wider = (m[0, 0] * m[1, 1] - m[0, 1] * m[1, 0] for m in (fixed, fixed + turned))
         lit = (norm(arrival.flux) > 0) & (area * wider > 0) & (-towards[2] >= jnp.cos(UNIQUE_POLAR))
@@ -189,7 +178,7 @@ def gathered(eye: Eye, polar: Array, grid: SquareGrid, n_rays: int) -> Float[Arr
     """
     cornea = eye.cornea
     assert cornea is not None
-    towards = direction_of(polar)
+    towards = refraction.direction_of(polar)
     chunks = -(-n_rays // (2 * _CHUNK))
     area = jnp.pi / 2 * (eye.limbus_radius + 0.15) ** 2 / (chunks * _CHUNK)
 
@@ -202,9 +191,14 @@ def gathered(eye: Eye, polar: Array, grid: SquareGrid, n_rays: int) -> Float[Arr
         k = jnp.stack([r * jnp.cos(angle), r * jnp.sin(angle)], axis=-1)
         entry = on_cornea(cornea, k)
         normal = cornea.anterior.normal(entry)
-        power = window(eye, k) * jnp.maximum(dot(normal, towards), 0) / -normal[..., 2] * area
-        start, inside, share = into_chamber(eye, entry, jnp.broadcast_to(-towards, entry.shape))
-        return _share_out(total, grid, eye, cross(eye, start, inside, power * share)), None
+        power = (
+            refraction.window(eye, k)
+            * jnp.maximum(dot(normal, towards), 0)
+            / -normal[..., 2]
+            * area
+        )
+        landing = refraction.enter(eye, entry, jnp.broadcast_to(-towards, entry.shape))
+        return _share_out(total, grid, eye, landing, power * landing.share), None
 
     zero = jnp.zeros((grid.size * grid.size, 3), polar.dtype)
     half, _ = jax.lax.scan(chunk, zero, jnp.arange(chunks))
@@ -212,22 +206,17 @@ def gathered(eye: Eye, polar: Array, grid: SquareGrid, n_rays: int) -> Float[Arr
     return half + half[::-1] * jnp.asarray([1.0, -1.0, 1.0], half.dtype)
 
 
-def _share_out(total, grid: SquareGrid, eye: Eye, landing: Landing):
-    """Add the power of landings to their four grid points, as flux vectors (per cell, not yet per
-    area).
-    """
-    x, y = landing.point[..., 0], landing.point[..., 1]
-    on_grid = (jnp.maximum(jnp.abs(x), jnp.abs(y)) < grid.extent) & (landing.share > 0)
-    power = jnp.where(on_grid, landing.share, 0.0)
+def _share_out(total, grid: SquareGrid, eye: Eye, landing: refraction.Landing, power):
+    """Add the power of landings to their four grid points, as flux vectors per cell."""
+    xy = landing.point[..., :2]
+    on_grid = (jnp.abs(xy).max(-1) < grid.extent) & (power > 0)
     normal = eye.iris_normal(landing.point)
-    cosine = -dot(landing.direction, normal)
+    cosine = jnp.where(on_grid, -dot(landing.direction, normal), 1.0)
     # Cells are those of the plane; an iris that is a cone has more area in each.
-    vector = (power * -normal[..., 2] / jnp.where(on_grid, cosine, 1.0))[
-        ..., None
-    ] * landing.direction
-    column, row = (
-        (jnp.where(on_grid, c, 0.0) / grid.extent + 1) * ((grid.size - 1) / 2) for c in (x, y)
-    )
+    weight = jnp.where(on_grid, power, 0.0) * -normal[..., 2] / cosine
+    vector = weight[..., None] * landing.direction
+    inside = jnp.where(on_grid[..., None], xy, 0.0)
+    column, row = parts((inside / grid.extent + 1) * ((grid.size - 1) / 2))
     j, i = (jnp.clip(jnp.floor(c), 0, grid.size - 2) for c in (column, row))
     u, v = column - j, row - i
     base = jnp.asarray(i * grid.size + j, jnp.int32)
@@ -240,7 +229,7 @@ def _share_out(total, grid: SquareGrid, eye: Eye, landing: Landing):
 
 @eqx.filter_jit
 def _build(
-    eye: Eye, refraction: RefractionFunction, caustics: bool, size: int, n_rays: int
+    eye: Eye, arrivals: RefractionFunction, caustics: bool, size: int, n_rays: int
 ) -> Illumination:
     # One cell beyond the iris: cells that its edge cuts would lose the power landing outside and
     # darken the rim.
@@ -251,8 +240,8 @@ def _build(
     points = jnp.stack([x, y], axis=-1)
 
     def smooth(angle):
-        found = refraction.at(points, direction_of(angle))
-        return window(eye, found.entry)[..., None] * found.flux
+        found = arrivals.at(points, refraction.direction_of(angle))
+        return refraction.window(eye, found.entry)[..., None] * found.flux
 
     smoothly = jax.lax.map(smooth, jnp.arange(_UNIQUE + 1) * _SPACING)
     if not caustics:
@@ -262,8 +251,3 @@ def _build(
         lambda a: gathered(eye, a, grid, n_rays), UNIQUE_POLAR + _FINE * jnp.arange(1, steps + 1)
     )
     return Illumination(jnp.concatenate([smoothly, counted]), extent, UNIQUE_POLAR + steps * _FINE)
-
-
-def bare(point: Vector, towards_light: Vector) -> Vector:
-    """Flux vectors of unit light on an iris in air: no cornea, nothing to tabulate."""
-    return jnp.broadcast_to(-towards_light, jnp.broadcast_shapes(point.shape, towards_light.shape))

@@ -86,10 +86,8 @@ class Lights(eqx.Module):
 
     def __post_init__(self):
         towards = as_float(self.towards)
-        if np.ndim(towards) != 2 or np.shape(towards)[1] != 3:
-            raise ValueError(
-                f"lights: towards has shape {np.shape(towards)}; it must be (lights, 3)"
-            )
+        if towards.ndim != 2 or towards.shape[1] != 3:
+            raise ValueError(f"lights: towards has shape {towards.shape}; it must be (lights, 3)")
         object.__setattr__(self, "towards", towards)
         for name in ("irradiance", "radius", "distance", "tint"):
             if (value := getattr(self, name)) is None:
@@ -98,9 +96,8 @@ class Lights(eqx.Module):
             try:  # one number for all lights
                 object.__setattr__(self, name, jnp.broadcast_to(as_float(value), shape))
             except ValueError:
-                raise ValueError(
-                    f"lights: {name} has shape {np.shape(value)}; it must be {shape}"
-                ) from None
+                got = f"lights: {name} has shape {np.shape(value)}; it must be {shape}"
+                raise ValueError(got) from None
 
     def __check_init__(self):
         if not isinstance(self.towards, Tracer):
@@ -123,26 +120,18 @@ class Lights(eqx.Module):
             )
 
         def joined(name, absent=0.0):
-            both = [(x, getattr(x, name)) for x in (self, other)]
-            some = next((value for _, value in both if value is not None), None)
+            values = [getattr(self, name), getattr(other, name)]
+            some = next((v for v in values if v is not None), None)
             if some is None:
                 return None
-            shapes = [(len(x), *some.shape[1:]) for x, _ in both]
-            return jnp.concatenate(
-                [
-                    jnp.full(shape, absent, some.dtype) if value is None else value
-                    for shape, (_, value) in zip(shapes, both, strict=True)
-                ]
-            )
+            for k, lights in enumerate((self, other)):
+                if values[k] is None:
+                    values[k] = jnp.full((len(lights), *some.shape[1:]), absent, some.dtype)
+            return jnp.concatenate(values)
 
-        return Lights(
-            joined("towards"),
-            joined("irradiance"),
-            joined("tint", 1.0),
-            joined("distance", jnp.inf),
-            joined("radius"),
-            self.illuminant,
-        )
+        towards, irradiance, radius = (joined(n) for n in ("towards", "irradiance", "radius"))
+        tint, distance = joined("tint", 1.0), joined("distance", jnp.inf)
+        return Lights(towards, irradiance, tint, distance, radius, self.illuminant)
 
     def polar(self) -> Float[Array, " lights"]:
         """Angle of each light from the axis of the eye, radians."""

@@ -127,9 +127,7 @@ class ColourTable(eqx.Module):
     values: Float[Array, "nodes 2 channels"]
 
     def __call__(self, blood: Blood | ArrayLike) -> Float[Array, "... channels"]:
-        """Channels, shape (…, channels), of `blood` or of its depth alone (mm,
-        held at `DEEPEST`).
-        """
+        """Channels, shape (…, channels), of `blood` or of its depth alone (mm)."""
         return jnp.stack(self.channels(_fields(blood)), axis=-1)
 
     def channels(self, blood: Blood) -> list[Float[Array, "..."]]:

@@ -140,7 +140,7 @@ def illuminate(
 def surroundings(view: View, texels: Texels, scene: Scene) -> Float[Array, "channels pixels"]:
     """Radiance of everything but the iris: the sclera and the images in the tear film."""
     white, images, points = None, None, None
-    lamps, lamp = scene.lights, _lamp(scene.illuminant, scene.wavelengths)
+    lamps, lamp = scene.lights, _lamp(scene)
     if view.sclera is not None and texels.white is not None:
         all_round = scene.all_lights(largest_polar=None)
         white = outside.white((view.sclera, texels.white), all_round)
@@ -218,9 +218,7 @@ def draw_bands(
 
 
 def _asked(scene: Scene) -> tuple[Any, Any, Bands, Any]:
-    """What an integrator's response depends on: the iris, the index before it, the channels of the
-    picture and the ranges of maps.
-    """
+    """Iris, index before it, channels and ranges of maps: what a response depends on."""
     bands = _bands(scene.eye.cornea, *_spectrum(scene))
     return scene.iris, scene.eye.aqueous_index, bands, ranges_of(scene.iris, scene.maps)
 
@@ -238,12 +236,9 @@ def _bands(
     return spectral_bands(wavelengths, illuminant, cornea)
 
 
-@eqx.filter_jit
-def _lamp(illuminant: str, wavelengths: tuple[float, ...] | None) -> Float[Array, " channels"]:
+def _lamp(scene: Scene) -> Float[Array, " channels"]:
     """A lamp of radiance 1 in the channels of the picture."""
-    if wavelengths is None:
-        return jnp.ones(3)
-    return spectral_bands(wavelengths, illuminant).white
+    return jnp.ones(3) if scene.wavelengths is None else _bands(None, *_spectrum(scene)).white
 
 
 @eqx.filter_jit

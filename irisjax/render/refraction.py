@@ -53,7 +53,11 @@ def enter(eye: Eye, entry: Vector, direction: Vector) -> Landing:
     Snell and Fresnel at each surface; the cornea's wavelength-dependent haze is left to
     `Cornea.transmittance`.
     """
-    return cross(eye, *into_chamber(eye, entry, direction))
+    start, inside, share = into_chamber(eye, entry, direction)
+    path = eye.meet_iris(start, inside)
+    if eye.attenuation is not None:
+        share = share * jnp.exp(-eye.attenuation * path)
+    return Landing(along(start, path, inside), inside, share)
 
 
 def into_chamber(
@@ -64,25 +68,13 @@ def into_chamber(
     """
     cornea = eye.cornea
     assert cornea is not None
-    if cornea.posterior is None:
-        return entry, *refract_vector(
-            direction, cornea.anterior.normal(entry), 1.0, eye.aqueous_index
-        )
-    within, first = refract_vector(direction, cornea.anterior.normal(entry), 1.0, cornea.index)
-    distance, _ = cornea.posterior.intersect(entry, within)
-    start = along(entry, distance, within)
-    inside, second = refract_vector(
-        within, cornea.posterior.normal(start), cornea.index, eye.aqueous_index
-    )
+    outer, back, aqueous = cornea.anterior.normal(entry), cornea.posterior, eye.aqueous_index
+    if back is None:
+        return entry, *refract_vector(direction, outer, 1.0, aqueous)
+    within, first = refract_vector(direction, outer, 1.0, cornea.index)
+    start = along(entry, back.intersect(entry, within)[0], within)
+    inside, second = refract_vector(within, back.normal(start), cornea.index, aqueous)
     return start, inside, first * second
-
-
-def cross(eye: Eye, start: Vector, direction: Vector, share: Array) -> Landing:
-    """Straight on through the chamber to the iris."""
-    path = eye.meet_iris(start, direction)
-    if eye.attenuation is not None:
-        share = share * jnp.exp(-eye.attenuation * path)
-    return Landing(along(start, path, direction), direction, share)
 
 
 def on_cornea(cornea: Cornea, xy: Float[Array, "*s 2"]) -> Vector:

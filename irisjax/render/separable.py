@@ -10,16 +10,7 @@ import numpy as np
 
 from irisjax._types import Scalar
 from irisjax.optics.fresnel import fresnel, fresnel_at, refract
-from irisjax.render.angular import (
-    AbstractAngular,
-    AngularLight,
-    Coefficients,
-    Functions,
-    Nodes,
-    PerPixel,
-    Solved,
-    surface_indices,
-)
+from irisjax.render import angular
 from irisjax.render.illumination import Illumination
 from irisjax.render.lights import Lights
 from irisjax.render.polynomials import along_nodes
@@ -56,16 +47,18 @@ class Separable(AbstractTabulated):
         return self.solver.process
 
     def directions(self, iris: Iris, aqueous_index: Scalar) -> "ExitFunctions":
-        return ExitFunctions(indices=surface_indices(iris, aqueous_index), degree=self.degrees[4])
+        return ExitFunctions(
+            indices=angular.surface_indices(iris, aqueous_index), degree=self.degrees[4]
+        )
 
     def illuminate(
         self, pixels: IrisPixels, lights: Lights, front: Front, tables: Illumination | None
-    ) -> AngularLight:
+    ) -> angular.AngularLight:
         field = field_of(lights, front.eye, front.iris, tables)
-        return AngularLight(irradiance_at(pixels, field, front.eye, front.slopes()))
+        return angular.AngularLight(irradiance_at(pixels, field, front.eye, front.slopes()))
 
 
-class ExitFunctions(AbstractAngular):
+class ExitFunctions(angular.AbstractAngular):
     """Polynomials in the exit cosine within the ABL, times both shares that cross its surface.
 
     Attributes:
@@ -76,21 +69,24 @@ class ExitFunctions(AbstractAngular):
     indices: tuple[Scalar, Scalar]
 
     def functions(
-        self, cos_incidence: PerPixel, cos_exit: PerPixel, across: PerPixel | None
-    ) -> Functions:
+        self,
+        cos_incidence: angular.PerPixel,
+        cos_exit: angular.PerPixel,
+        across: angular.PerPixel | None,
+    ) -> angular.Functions:
         return self.exits(cos_exit) * fresnel_at(cos_incidence, *self.indices)[1]
 
-    def exits(self, cos_exit: PerPixel) -> Functions:
+    def exits(self, cos_exit: angular.PerPixel) -> angular.Functions:
         _, rows, passed = self.crossing(cos_exit, self.degree)
         return rows * passed
 
-    def nodes(self) -> tuple[Nodes, Nodes]:
+    def nodes(self) -> tuple[angular.Nodes, angular.Nodes]:
         exits = refract(self.inside(self.degree), *self.indices[::-1])
         others = _OFF[np.minimum(np.arange(exits.size), len(_OFF) - 1)]
         into = jnp.ones_like(exits[:1])
         return (into, Directions(exits)), (into, Directions(others))
 
-    def coefficients(self, brdf: Solved) -> Coefficients:
+    def coefficients(self, brdf: angular.Solved) -> angular.Coefficients:
         inside = self.inside(self.degree)
         passed = fresnel(refract(inside, *self.indices[::-1]), inside, *self.indices)[1]
         entered = fresnel_at(jnp.ones_like(self.indices[0]), *self.indices)[1]

@@ -15,7 +15,7 @@ from irisjax.numerics.portions import pixelwise
 from irisjax.numerics.roots import safe_sqrt
 from irisjax.optics.conicoid import Parts, dot, from_axis, joined, norm, parts
 from irisjax.optics.fresnel import fresnel_at
-from irisjax.render.illumination import Illumination, bare, near_light
+from irisjax.render.illumination import Illumination, near_light
 from irisjax.render.lights import Lights
 from irisjax.render.project import IrisPixels
 from irisjax.render.surfaces import IrisSurface, Place
@@ -109,7 +109,7 @@ def _flux(lights: Lights, i, place, eye: Eye, tables: Illumination | None):
     if tables is not None and lights.distance is None:
         return tables.at(point, lights.towards[i]) * lights.irradiance[i]
     towards, power = lights.seen_from(place, i)
-    flux = bare(place, towards) if tables is None else tables.at(point, towards)
+    flux = -towards if tables is None else tables.at(point, towards)
     return flux * jnp.broadcast_to(power * spread, place.shape[:-1])[..., None]
 
 

@@ -136,62 +136,13 @@ class March(AbstractResponse):
     ) -> Float[Array, "channels pixels"]:
         return _marched(pixels, self, light)
 
-    def radiance(self, pixels: IrisPixels, data: SceneData) -> Float[Array, "channels pixels"]:
-        """Radiance of pixels: ∫ E p(α) μ_s e^(−τ_light/μ_i − τ_view/μ_o) dz/μ_o, light by
-        light.
-        """
-        n_steps = self.n_steps if data.maps else 1
-        step = jnp.max(self._ends(data.maps)[1]) / n_steps  # to where the layers are thickest
-        point, direction = jnp.stack(pixels.point), jnp.stack(pixels.direction)
-        flat = data.eye.iris_normal(point.T).T
-        slant = 1 / jnp.maximum(-(direction * flat).sum(0), 1e-3)
-        along = direction * slant + flat  # the iris, per depth
-        sources = _sources(pixels, direction, data)
-        tints = jnp.ones((data.flux.shape[0], 1), slant.dtype) if data.tint is None else data.tint
-
-        def march(carry, k):
-            clear, radiance = carry
-            local = data.at(point + along * ((k + 0.5) * step))
-            abl_end, end = self._ends(local)
-            top, bottom = k * step, (k + 1) * step
-            abl, stroma, scattering = self._depths(local)
-            in_abl = _passed(bottom, 0.0, abl_end) - _passed(top, 0.0, abl_end)
-            above = _passed(top, abl_end, end)
-            inside = _passed(bottom, abl_end, end) - above
-            clear = clear * jnp.exp(-abl * (in_abl * slant))
-            crossed, light_depth = stroma * inside, abl + stroma * above
-
-            def lit(total, light):
-                source, light_slant, tint = light
-                arrives = jnp.exp(-light_depth * light_slant) * _mean_survival(
-                    crossed * (light_slant + slant)
-                )
-                return total + tint[:, None, None] * (source * arrives), None
-
-            zero = jnp.zeros((tints.shape[1], *clear.shape), clear.dtype)
-            arriving = jax.lax.scan(lit, zero, (*sources, tints))[0]
-            radiance = radiance + (clear * scattering) * (inside * slant) * arriving
-            # The IPE absorbs a ray that reaches it, be the stroma thicker again further on.
-            clear = jnp.where(bottom < end, clear * jnp.exp(-crossed * slant), 0.0)
-            return (clear, radiance), None
-
-        clear = jnp.ones((self.scattering.size, slant.size), slant.dtype)
-        start = (clear, jnp.zeros((tints.shape[1], *clear.shape), clear.dtype))
-        radiance = jax.lax.scan(march, start, jnp.arange(n_steps, dtype=slant.dtype))[0][1]
-        share = shares(pixels, data.eye)
-        if data.tint is None:
-            return (self.weights @ radiance[0]) * share
-        return jnp.einsum("cb,cbp->cp", self.weights, radiance) * share
-
-    def _ends(self, local: dict[str, Array]):
+    def ends(self, local: dict[str, Array]) -> tuple[Array, Array]:
         """Depths of the ends of ABL and stroma, mm."""
         abl = local.get("abl_depth", self.thickness[0])
         return abl, abl + local.get("stroma_depth", self.thickness[1])
 
-    def _depths(self, local: dict[str, Array]):
-        """Optical depths of ABL and stroma, and that of scattering, (bands, pixels) or (bands,
-        1).
-        """
+    def scaled(self, local: dict[str, Array]) -> tuple[Array, Array, Array]:
+        """Depths of ABL and stroma, and that of scattering, (bands, pixels) or (bands, 1)."""
         one = jnp.ones(1, self.scattering.dtype)
         rest, *melanins = (depth[..., None] for depth in self.depths)
         eumelanin, pheomelanin = (local.get(n, one) for n in ("eumelanin", "pheomelanin"))
@@ -205,8 +156,50 @@ class March(AbstractResponse):
 
 
 @pixelwise
-def _marched(pixels: IrisPixels, march: March, data: SceneData) -> Float[Array, "channels pixels"]:
-    return march.radiance(pixels, data)
+def _marched(pixels: IrisPixels, iris: March, data: SceneData) -> Float[Array, "channels pixels"]:
+    """Radiance of pixels: ∫ E p(α) μ_s e^(−τ_light/μ_i − τ_view/μ_o) dz/μ_o, light by light."""
+    n_steps = iris.n_steps if data.maps else 1
+    step = jnp.max(iris.ends(data.maps)[1]) / n_steps  # to where the layers are thickest
+    point, direction = jnp.stack(pixels.point), jnp.stack(pixels.direction)
+    flat = data.eye.iris_normal(point.T).T
+    slant = 1 / jnp.maximum(-(direction * flat).sum(0), 1e-3)
+    along = direction * slant + flat  # the iris, per depth
+    sources = _sources(pixels, direction, data)
+    tints = jnp.ones((data.flux.shape[0], 1), slant.dtype) if data.tint is None else data.tint
+
+    def march(carry, k):
+        clear, radiance = carry
+        local = data.at(point + along * ((k + 0.5) * step))
+        abl_end, end = iris.ends(local)
+        top, bottom = k * step, (k + 1) * step
+        abl, stroma, scattering = iris.scaled(local)
+        in_abl = _passed(bottom, 0.0, abl_end) - _passed(top, 0.0, abl_end)
+        above = _passed(top, abl_end, end)
+        inside = _passed(bottom, abl_end, end) - above
+        clear = clear * jnp.exp(-abl * (in_abl * slant))
+        crossed, light_depth = stroma * inside, abl + stroma * above
+
+        def lit(total, light):
+            source, light_slant, tint = light
+            arrives = jnp.exp(-light_depth * light_slant) * _mean_survival(
+                crossed * (light_slant + slant)
+            )
+            return total + tint[:, None, None] * (source * arrives), None
+
+        zero = jnp.zeros((tints.shape[1], *clear.shape), clear.dtype)
+        arriving = jax.lax.scan(lit, zero, (*sources, tints))[0]
+        radiance = radiance + (clear * scattering) * (inside * slant) * arriving
+        # The IPE absorbs a ray that reaches it, be the stroma thicker again further on.
+        clear = jnp.where(bottom < end, clear * jnp.exp(-crossed * slant), 0.0)
+        return (clear, radiance), None
+
+    clear = jnp.ones((iris.scattering.size, slant.size), slant.dtype)
+    start = (clear, jnp.zeros((tints.shape[1], *clear.shape), clear.dtype))
+    radiance = jax.lax.scan(march, start, jnp.arange(n_steps, dtype=slant.dtype))[0][1]
+    share = shares(pixels, data.eye)
+    if data.tint is None:
+        return (iris.weights @ radiance[0]) * share
+    return jnp.einsum("cb,cbp->cp", iris.weights, radiance) * share
 
 
 def _sources(pixels: IrisPixels, direction: Float[Array, "3 pixels"], data: SceneData):
@@ -228,9 +221,7 @@ def _sources(pixels: IrisPixels, direction: Float[Array, "3 pixels"], data: Scen
 
 
 def _passed(depth, start, end):
-    """Share of the layer from `start` to `end` that lies above `depth`; all of a layer without
-    thickness.
-    """
+    """Share of the layer that lies above `depth`; all of a layer without thickness."""
     thick = end - start
     empty = thick <= 0
     share = jnp.clip((depth - start) / jnp.where(empty, 1.0, thick), 0, 1)

@@ -23,8 +23,7 @@ from irisjax.render.illumination import Illumination
 from irisjax.render.picture import LitView, Texels, surroundings
 from irisjax.render.project import View
 from irisjax.render.scene import Scene
-from irisjax.view.session import KeptPicture, KeptValue, Session
-from irisjax.view.settings import CommonSettings
+from irisjax.view.session import CommonSettings, KeptPicture, KeptValue, Session
 
 
 class Layer(NamedTuple):
@@ -222,11 +221,7 @@ def moved(layers: LayerStack, name: str, up: bool) -> LayerStack:
 
 
 def _place(layers: LayerStack, name: str) -> int:
-    """Place of a coat, from 0 at the bottom.
-
-    Raises:
-        ValueError: There is no such coat.
-    """
+    """Place of a coat, from 0 at the bottom; a `ValueError` where there is none."""
     names = [layer.name for layer in layers]
     if name not in names:
         raise ValueError(f"no coat {name!r}; there are {', '.join(names)}")

@@ -16,11 +16,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from irisjax.view.bench import Bench
-from irisjax.view.page import BLACK, ORBIT, framed, orbit, sliders
-from irisjax.view.panels import CoatsPanel, TissuePanel
-from irisjax.view.settings import QUICK
+from irisjax.view.panels import BLACK, ORBIT, CoatsPanel, TissuePanel, framed, orbit, sliders
+from irisjax.view.session import QUICK
 from irisjax.view.studio import Studio
-from irisjax.view.worker import Newest
 
 if TYPE_CHECKING:
     import viser
@@ -254,3 +252,43 @@ class _Page:
         sin = math.sin(polar)
         towards = np.array([sin * math.cos(azimuth), sin * math.sin(azimuth), math.cos(polar)])
         return ORBIT * s.width / self.width * towards
+
+
+class Newest(threading.Thread):
+    """One thread that works on whatever changed; values that were overtaken while it was busy are
+    never computed.
+    """
+
+    def __init__(self, work: Callable[[dict[str, Any]], None]):
+        super().__init__(daemon=True)
+        self._work, self._waiting, self._stopped = work, None, False
+        self._news = threading.Condition()
+
+    def put(self, **changes: Any) -> None:
+        """Ask for some changes, on top of those that still wait."""
+        with self._news:
+            self._waiting = {**(self._waiting or {}), **changes}
+            self._news.notify_all()
+
+    def quiet(self, seconds: float) -> bool:
+        """Whether nothing comes for so long; for the work itself to ask."""
+        with self._news:
+            return not self._news.wait_for(
+                lambda: self._waiting is not None or self._stopped, seconds
+            )
+
+    def stop(self) -> None:
+        """Leave after the work in hand."""
+        with self._news:
+            self._stopped = True
+            self._news.notify_all()
+
+    def run(self) -> None:
+        """Work until `stop`."""
+        while True:
+            with self._news:
+                self._news.wait_for(lambda: self._waiting is not None or self._stopped)
+                if self._stopped:
+                    return
+                changes, self._waiting = self._waiting or {}, None
+            self._work(changes)

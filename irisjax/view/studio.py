@@ -8,6 +8,7 @@ from functools import partial
 from typing import Any
 
 import numpy as np
+from jaxtyping import UInt8
 
 from irisjax.grow.presets import PRESETS
 from irisjax.io.scenes import stream
@@ -22,12 +23,22 @@ from irisjax.tissue.iris import Iris
 from irisjax.tissue.maps import IrisMaps
 from irisjax.transport.defaults import exact_solver
 from irisjax.transport.process import AbstractProcess
-from irisjax.view.session import KeptValue, Session
-from irisjax.view.settings import CAMERA, GIVEN, SLIDER_PIGMENTS, Settings, values_of
-from irisjax.view.wipe import RgbPicture, resized, wiped
+from irisjax.view.session import (
+    CAMERA,
+    GIVEN,
+    SLIDER_PIGMENTS,
+    KeptValue,
+    Session,
+    Settings,
+    values_of,
+)
 
 SPECTRUM_NM = np.arange(400.0, 701.0, 5.0)
 """Wavelengths of the spectrum, nm."""
+RgbPicture = UInt8[np.ndarray, "_ _ 3"]
+"""sRGB, 8 bits, rows and columns of any number: two pictures need not agree."""
+_LINE = 255
+_PER_LINE = 400  # columns of the picture for each column of the line
 _GROWN = ("preset", "seed", "integrator")
 
 
@@ -79,9 +90,7 @@ class Studio(Session[Settings]):
         return ((GIVEN,) if self.settings.preset == GIVEN else ()) + tuple(PRESETS)
 
     def _changed(self, changes: dict[str, Any]) -> Settings:
-        """Another preset brings its own pigments, and so does a preset under another integrator.
-        Any camera but the photograph's hides the photograph.
-        """
+        """Other presets bring their pigments; another camera hides the photograph."""
         settings = super()._changed(changes)
         if self._look(settings) != self._look(self.settings):
             own = _pigments(self._grown(settings)[0]) | {"stroma": 1.0}
@@ -174,3 +183,47 @@ def _pigments(iris: Iris) -> dict[str, float]:
         "hemoglobin": round(total, 6),
         "saturation": round(float(iris.oxyhemoglobin) / total, 6) if total else 0.5,
     }
+
+
+def wiped(photograph: RgbPicture, rendered: RgbPicture, share: float) -> RgbPicture:
+    """Columns of the photograph on the left up to `share` of the width, the rendering on the right,
+    a thin white line between them; 0 and 1 show one of them alone.
+
+    Raises:
+        ValueError: The pictures have different sizes, or the share is not in 0 to 1.
+    """
+    if photograph.shape != rendered.shape:
+        (rows, columns, _), (height, width, _) = photograph.shape, rendered.shape
+        raise ValueError(
+            f"the photograph has {columns} x {rows} pixels, the rendering {width} x {height}"
+        )
+    if not 0 <= share <= 1:
+        raise ValueError(f"photograph = {share:g}: must be from 0 to 1, the share of the width")
+    columns = rendered.shape[1]
+    edge = round(share * columns)
+    both = np.concatenate([photograph[:, :edge], rendered[:, edge:]], axis=1)
+    if 0 < edge < columns:
+        thick = max(1, round(columns / _PER_LINE))
+        start = max(edge - (thick + 1) // 2, 0)
+        both[:, start : start + thick] = _LINE
+    return both
+
+
+def resized(picture: RgbPicture, size: tuple[int, int]) -> RgbPicture:
+    """The picture at another (width, height), each pixel the mean of what it covers, to one
+    level; the same picture for its own size.
+
+    Raises:
+        ValueError: The sides are in another proportion, by more than rounding.
+    """
+    height, width = picture.shape[:2]
+    if size == (width, height):
+        return picture
+    if abs(size[0] * height - size[1] * width) > max(width, height):
+        raise ValueError(
+            f"{size[0]}x{size[1]}: the photograph has {width}x{height} pixels, sides must be in "
+            "that proportion"
+        )
+    from PIL import Image
+
+    return np.array(Image.fromarray(picture).resize(size, Image.Resampling.BOX), np.uint8)

@@ -15,7 +15,7 @@ from irisjax.io.scenes import parse_scene, stream
 from irisjax.measure.colour import colour_of, srgb_encode
 from irisjax.render.picture import draw
 from irisjax.view import Studio, session, studio
-from irisjax.view.worker import Newest
+from irisjax.view.server import Newest
 
 
 @pytest.fixture

@@ -5,7 +5,7 @@ import pytest
 
 from irisjax.render.camera import Camera
 from irisjax.view import Studio
-from irisjax.view.wipe import resized, wiped
+from irisjax.view.studio import resized, wiped
 
 
 def flat(value, rows=6, columns=10):
