@@ -9,18 +9,17 @@ import pytest
 from irisjax.plot import beside as beside_module
 from irisjax.plot.beside import beside, here
 
-UNEVEN = {"load": np.zeros(3), "share": np.zeros(4)}
-SAMPLES = {"load": np.random.default_rng(0).normal(size=40_000), "share": np.linspace(0, 1, 40_000)}
+NOISE = np.random.default_rng(0).uniform(size=(2, 100, 100, 3))  # of half a megabyte
 
 
 def test_another_process_draws_the_same_picture():
-    """Samples and pictures that fill pipes, one after another; what is wrong is said here."""
+    """Numbers and pictures that fill pipes, one after another; what is wrong is said here."""
     with beside() as draw:
-        later = [draw("corner_figure", SAMPLES) for _ in range(3)]
+        later = [draw("side_by_side", *NOISE) for _ in range(2)]
         pictures = [picture() for picture in later]
-        with pytest.raises(ValueError, match="same shape"):
-            draw("corner_figure", UNEVEN)()
-    assert pictures == [here("corner_figure", SAMPLES)()] * 3
+        with pytest.raises(AttributeError, match="no_figure"):
+            draw("no_figure")()
+    assert pictures == [here("side_by_side", *NOISE)()] * 2
 
 
 @pytest.mark.skipif(os.name == "nt", reason="signals of POSIX")
@@ -32,7 +31,7 @@ def test_a_process_that_died_is_done_without(monkeypatch):
     )
     with beside() as draw:
         os.kill(begun[0].pid, signal.SIGKILL)
-        assert draw("corner_figure", SAMPLES)().startswith(b"\x89PNG")
+        assert draw("side_by_side", *NOISE)().startswith(b"\x89PNG")
 
 
 def test_one_core_draws_for_itself(monkeypatch):

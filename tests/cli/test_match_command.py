@@ -11,6 +11,7 @@ from common import slowly
 from irisjax.cli import paint as command
 from irisjax.io.images import read_image
 from irisjax.io.recipes import read_recipe
+from irisjax.ocularist import painting
 from irisjax.ocularist.matching import Match, Retouch
 from irisjax.ocularist.plan import Difference
 from irisjax.ocularist.recipes import CoatRecipe
@@ -45,6 +46,7 @@ def searched(request, monkeypatch):
     """No renderer, which compiles for long, and no search: coats as they are, and two scans."""
     grey = np.full((90, 120, 3), 0.2)
     monkeypatch.setattr(command, "_drawn", lambda *_: (grey, grey))
+    monkeypatch.setattr(painting, "veins", lambda *_, **__: None)
     if request.param:
         return True
     off = Difference(40.0, 50.0)

@@ -1,7 +1,6 @@
 """`irisjax paint`: what it writes and refuses."""
 
 import os
-import tomllib
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -22,6 +21,8 @@ from irisjax.tissue.maps import IrisMaps
 
 RECIPE = Path(__file__).parent.parent.parent / "data" / "recipes" / "green.toml"
 SMALL = ("--size", "120x90", "--texels", "64")
+BASE = '[[coat]]\ncomponent = "base"\npaints = "ultramarine"\n'
+SCAN = '[[coat]]\ncomponent = "scan"\npaints = "ultramarine"\nparameters = '
 
 
 @pytest.fixture
@@ -41,7 +42,13 @@ def _pixels(path):
 
 
 @pytest.fixture
-def undrawn(monkeypatch):
+def bloodless(monkeypatch):
+    """The white of the eye has no veins, which take a quarter of a second to grow."""
+    monkeypatch.setattr(painting, "veins", lambda *_, **__: None)
+
+
+@pytest.fixture
+def undrawn(monkeypatch, bloodless):
     """Pictures of the eye are left grey: they compile for long; the scenes that would be drawn."""
     scenes = []
 
@@ -110,9 +117,8 @@ def test_a_recipe_becomes_an_eye_its_coats_and_the_recipe_as_used(
     status, out, err = irisjax("paint", RECIPE, *SMALL, "-o", folder)
     assert status == 0, err
     assert out.startswith("6 coats")
-    assert {p.name for p in folder.iterdir()} == {
-        "eye.png", "progression.png", "recipe.toml", "coats",
-    }  # fmt: skip
+    made = {"eye.png", "progression.png", "recipe.toml", "coats"}
+    assert {p.name for p in folder.iterdir()} == made
     coats = sorted((folder / "coats").iterdir())
     assert len(coats) == 6
     used = read_recipe(folder / "recipe.toml")
@@ -120,14 +126,10 @@ def test_a_recipe_becomes_an_eye_its_coats_and_the_recipe_as_used(
     _refused(irisjax("paint", RECIPE, "-o", folder), str(folder), "--overwrite")
     # Other paints, another eye; a file in the folder is replaced when asked.
     before = _pixels(coats[0])
-    mixed = irisjax(
-        "paint", RECIPE, *SMALL, "--mixing", "kubelka-munk", "-o", folder, "--overwrite"
-    )
-    assert mixed[0] == 0
+    again = (*SMALL, "-o", folder, "--overwrite")
+    assert irisjax("paint", RECIPE, "--mixing", "kubelka-munk", *again)[0] == 0
     assert np.abs(_pixels(coats[0]) - before).max() > 5
-    assert tomllib.loads((folder / "recipe.toml").read_text())["painting"]["mixing"] == (
-        "kubelka-munk"
-    )
+    assert read_recipe(folder / "recipe.toml").mixing == "kubelka-munk"
     # Of fewer coats none of the former are left, and nothing of a match, of tissue and meshes; what
     # the command would not write stays.
     made = ("match.png", "match.json", "retouch-1.png", "tissue/maps.exr", "tissue/scene.toml")
@@ -136,26 +138,23 @@ def test_a_recipe_becomes_an_eye_its_coats_and_the_recipe_as_used(
     for name in (*made, *kept):
         (folder / name).parent.mkdir(exist_ok=True)
         (folder / name).write_text("of before")
-    assert irisjax("paint", one_coat, *SMALL, "-o", folder, "--overwrite")[0] == 0
+    assert irisjax("paint", one_coat, *again)[0] == 0
     assert {p.relative_to(folder).as_posix() for p in folder.rglob("*.*")} == {
         *("eye.png", "progression.png", "recipe.toml", "coats/01_base.png", *kept)
     }
     assert not (folder / "tissue").exists() and not (folder / "meshes").exists()
 
 
-def test_pictures_that_a_recipe_paints_with_are_spared(irisjax, tmp_path):
+def test_pictures_that_a_recipe_paints_with_are_spared(irisjax, tmp_path, bloodless, monkeypatch):
     """An artist goes on with a coat that the command wrote; it must be there the next time."""
-    (tmp_path / "coats").mkdir()
+    monkeypatch.setattr(command, "painting_files", lambda *_, **__: {"01_scan.png": b""})
     (tmp_path / "recipe.toml").touch()  # a painted eye
     recipe = tmp_path / "new.toml"
     for name in ("coats/01_scan.png", "eye.png", "meshes/01_scan.png"):
         (tmp_path / name).parent.mkdir(exist_ok=True)
         Image.fromarray(np.zeros((16, 16), np.uint8)).save(tmp_path / name)
         before = (tmp_path / name).read_bytes()
-        recipe.write_text(
-            f'[[coat]]\ncomponent = "scan"\nparameters = {{ file = "{name}" }}\n'
-            'paints = "ultramarine"\n'
-        )
+        recipe.write_text(f'{SCAN}{{ file = "{name}" }}\n')
         meshes = ("--meshes", "obj") if "meshes" in name else ()
         options = (*meshes, *SMALL, "-o", tmp_path, "--overwrite")
         _refused(irisjax("paint", recipe, *options), name, "another folder")
@@ -169,12 +168,8 @@ def test_a_former_coat_that_is_a_scan_now_stays(irisjax, tmp_path, undrawn):
     for path in (scan, stale):
         Image.fromarray(np.zeros((16, 16), np.uint8)).save(path)
     recipe = tmp_path / "new.toml"
-    recipe.write_text(
-        '[[coat]]\ncomponent = "scan"\nparameters = { file = "coats/07_sphincter.png" }\n'
-        'paints = "ultramarine"\n'
-    )
-    again = irisjax("paint", recipe, *SMALL, "-o", tmp_path, "--overwrite")
-    assert again[0] == 0
+    recipe.write_text(SCAN + '{ file = "coats/07_sphincter.png" }\n')
+    assert irisjax("paint", recipe, *SMALL, "-o", tmp_path, "--overwrite")[0] == 0
     assert scan.exists() and not stale.exists()
     assert read_recipe(tmp_path / "recipe.toml").scans()
 
@@ -185,7 +180,7 @@ def test_a_type_of_eye_has_the_papers_number_of_coats(irisjax, tmp_path, undrawn
     found = Tissue(ij.Iris(), IrisMaps(**maps), 8.0, Difference(9.0, 20.0))
     monkeypatch.setattr(command, "nearest_tissue", lambda *_: found)
     options = ("--type", "smeared", "--colour", "brown", *SMALL, "-o", tmp_path / "eye")
-    status, out, err = irisjax("paint", *options, "--tissue", "--meshes", "obj")
+    status, out, err = irisjax("paint", *options, "--tissue", "--meshes", "ply")
     assert status == 0, err
     assert "12 coats" in out and "of the nearest tissue: 9.0 (20.0)" in out
     # As tissue it is a scene like any other, with the painted eye's pupil.
@@ -195,8 +190,8 @@ def test_a_type_of_eye_has_the_papers_number_of_coats(irisjax, tmp_path, undrawn
     assert float(scene.eye.pupil_radius) == pytest.approx(1.9)
     assert float(scene.eye.iris_radius) == pytest.approx(5.77)
     assert set(scene.maps.present()) == {"eumelanin", "pheomelanin", "stroma_depth"}
-    meshes = {p.name for p in (tmp_path / "eye" / "meshes").glob("*.obj")}
-    assert len(meshes) == 14 and {"01_base.obj", "cornea.obj", "white.obj"} < meshes
+    meshes = {p.name for p in (tmp_path / "eye" / "meshes").glob("*.ply")}
+    assert len(meshes) == 14 and {"01_base.ply", "cornea.ply", "white.ply"} < meshes
 
 
 @pytest.mark.slow
@@ -220,10 +215,6 @@ def test_an_environment_lights_and_is_mirrored(irisjax, tmp_path, monkeypatch, o
     assert 0.02 < pupil < 0.03
     assert iris > 2 * pupil
     assert (eyes["both"][45, 80:90] > eyes["round"][45, 80:90] + 0.01).all()
-
-
-BASE = '[[coat]]\ncomponent = "base"\npaints = "ultramarine"\n'
-SCAN = '[[coat]]\ncomponent = "scan"\npaints = "ultramarine"\nparameters = '
 
 
 @pytest.mark.parametrize(

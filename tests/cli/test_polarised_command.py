@@ -55,18 +55,22 @@ def test_instruments_are_the_librarys(irisjax, observed, printed, arguments, mak
     np.testing.assert_allclose(columns["angle_deg"], np.degrees(0.5))
 
 
-def test_a_file_says_what_scalar_theory_leaves_out(irisjax, monkeypatch, printed, tmp_path):
+def test_a_polarised_file_runs_again_to_the_same_bytes(irisjax, quick, tmp_path):
+    path = tmp_path / "polarised.csv"
+    assert irisjax("spectrum", "--polarised", *GRID, "-o", path)[0] == 0
+    again = irisjax("spectrum", "--from", path)[1]
+    assert again == path.read_text()
+    assert "polarised: yes" in again
+
+
+@pytest.mark.slow
+def test_a_file_says_what_scalar_theory_leaves_out(irisjax, monkeypatch, printed):
     def solver(process, iris=None, **how):
         return ij.RadiativeExact(12, 6, 2, process=process)
 
     monkeypatch.setattr(model, "exact_solver", solver)
     _, out, _ = irisjax("spectrum", "--process", "depth-resolved", *GRID)
     assert "values 0.4 to 0.6 % low" in printed(out).header["approximation"]
-    path = tmp_path / "polarised.csv"
-    assert irisjax("spectrum", "--polarised", *GRID, "-o", path)[0] == 0
-    again = irisjax("spectrum", "--from", path)[1]
-    assert again == path.read_text()
-    assert "polarised: yes" in again
 
 
 @pytest.mark.parametrize(

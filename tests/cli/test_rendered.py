@@ -37,14 +37,14 @@ def test_command_makes_the_librarys_picture(irisjax, tmp_path):
 
 def test_options_go_before_the_file(irisjax, tmp_path):
     (tmp_path / "scene.toml").write_text(BARE)
-    said = ("--light", "0,0,3.14159265", "--pupil-radius", "4", "--size", "9x7")
+    said = ("--light", "0,0,3.14159265", "--pupil-radius", "4", "--size", "16x12")
     status, _, err = irisjax("render", "scene.toml", *said, "--exposure", "1e4", "-o", "a.exr")
     assert (status, err) == (0, "")
     picture = io.read_image(tmp_path / "a.exr").pixels
-    assert picture.shape == (7, 9, 3)
+    assert picture.shape == (12, 16, 3)
     # Light along the axis, a pupil of 8 mm: nothing within 4 mm, left and right alike.
-    x = (np.arange(9) - 4) * 15 / 9
-    assert not picture[3][abs(x) < 4].any() and picture[3][(abs(x) > 4.2) & (abs(x) < 5.4)].all()
+    x = (np.arange(16) - 7.5) * 15 / 16
+    assert not picture[6][abs(x) < 3.9].any() and picture[6][(abs(x) > 4.2) & (abs(x) < 5.4)].all()
     np.testing.assert_allclose(picture, picture[:, ::-1], rtol=1e-4)
 
 

@@ -12,7 +12,7 @@ from stand_ins import Quick
 import irisjax as ij
 from irisjax.anatomy.media import Media
 from irisjax.cli import measure
-from irisjax.cli.light import ColourLight
+from irisjax.cli.light import ColourLight, SpectrumLight
 from irisjax.tissue.iris import LIMITS
 
 observing = importlib.import_module("irisjax.measure.observe")
@@ -73,13 +73,6 @@ def test_values_are_the_librarys(irisjax, quick, printed, name):
         assert float(header["cos_incidence"]) == pytest.approx(0.5)
 
 
-@pytest.mark.slow  # the exact solver compiles for some seconds
-def test_spectrum_is_the_librarys(irisjax, printed):
-    _, columns = printed(irisjax("spectrum", *SAID)[1])
-    expected = ij.reflectance(IRIS, ij.wavelengths(400, 700, 100))
-    np.testing.assert_allclose(columns["reflectance"], expected.values, rtol=1e-11)
-
-
 POWER_LAW = ("--process", "depth-resolved", "--reduced-scattering", "1.2")
 
 
@@ -101,19 +94,22 @@ def test_a_brdf_has_the_angles_that_its_anisotropy_takes(irisjax, g):
 
 
 @pytest.mark.parametrize(
-    ("scalar", "said"),
+    ("light", "scalar", "said"),
     [
-        (0.99, "luminance 1.0 % low against"),
-        (1.02, "luminance 2.0 % high against"),
-        (1.0001, "luminance within 0.05 % of"),
+        (ColourLight(), [1, 0.99, 1], "luminance 1.0 % low against"),
+        (ColourLight(), [1, 1.02, 1], "luminance 2.0 % high against"),
+        (ColourLight(), [1, 1.0001, 1], "luminance within 0.05 % of"),
+        (SpectrumLight(), [0.996, 0.994], "values 0.4 to 0.6 % low against"),
+        (SpectrumLight(), [0.996, 1.01], "values 1.0 % high to 0.4 % low against"),
     ],
 )
-def test_the_luminance_of_a_colour_is_compared(monkeypatch, scalar, said):
+def test_how_far_scalar_theory_is_off_is_said(monkeypatch, light, scalar, said):
     def observe(iris, instrument, solver):
-        return SimpleNamespace(xyz=np.array([1.0, scalar if solver.process == DEEP else 1.0, 1.0]))
+        found = np.asarray(scalar if solver.process == DEEP else np.ones(len(scalar)))
+        return SimpleNamespace(xyz=found, values=found)
 
     monkeypatch.setattr(measure, "observe", observe)
-    told = measure._left_out_by_scalar_theory(ij.Iris(), ColourLight())
+    told = measure._left_out_by_scalar_theory(ij.Iris(), light)
     assert told == f"{said} polarised transport of the same layers"
 
 
@@ -144,9 +140,9 @@ def test_brdf_by_photons(irisjax, printed):
 
 
 def test_equal_seeds_give_equal_bytes_whatever_the_block(irisjax, monkeypatch):
-    arguments = ("spectrum", "--solver", "monte-carlo", "--photons", "3000", *GRID)
+    arguments = ("spectrum", "--solver", "monte-carlo", "--photons", "300", *GRID)
     first = irisjax(*arguments, "--seed", "5")[1]
-    monkeypatch.setattr(observing, "_BLOCK", 4 * 700)
+    monkeypatch.setattr(observing, "_BLOCK", 4 * 100)
     assert irisjax(*arguments, "--seed", "5")[1] == first
     other = irisjax(*arguments, "--seed", "6")[1]
     assert other != first.replace("seed: 5", "seed: 6")
@@ -235,5 +231,6 @@ def test_plots(irisjax, quick, tmp_path, monkeypatch, arguments, magic):
     (path,) = tmp_path.iterdir()
     first = path.read_bytes()
     assert first.startswith(magic)
-    assert irisjax(*arguments)[0] == 0
-    assert path.read_bytes() == first
+    if magic != b"\x89PNG":  # the others have dates and names of their own
+        assert irisjax(*arguments)[0] == 0
+        assert path.read_bytes() == first
