@@ -59,14 +59,6 @@ def test_modules_do_not_import_each_other_in_circles():
     graphlib.TopologicalSorter(needs).prepare()  # raises CycleError
 
 
-# To be renamed; the set may only shrink.
-_TWICE = {
-    "COLOURS", "ENVIRONMENT_LIGHTS", "Eye", "Field", "LIMITS", "Light", "Normal", "PUPIL", "Paints",
-    "Results", "SCATTERING", "SURFACE", "Shown", "Stage", "Subject", "Texels", "View",
-    "check_folder", "check_suffix", "main", "name_of", "reflectance", "swatch",
-}  # fmt: skip
-
-
 def test_no_public_name_stands_for_two_things():
     homes = {}
     for module, tree in _parsed().items():
@@ -79,7 +71,7 @@ def test_no_public_name_stands_for_two_things():
                     if isinstance(target, ast.Name):
                         homes.setdefault(target.id, []).append(module)
     twice = {n: m for n, m in homes.items() if len(m) > 1 and not n.startswith("_")}
-    assert {n: m for n, m in twice.items() if n not in _TWICE and n != "EPILOG"} == {}
+    assert twice == {}
 
 
 def test_public_functions_are_annotated():

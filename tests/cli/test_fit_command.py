@@ -1,8 +1,10 @@
 """`irisjax fit`: what is asked of the sampler, from a file to files, resumed; wrong input."""
 
 import csv
+import importlib
 import re
 import sys
+from contextlib import nullcontext
 
 import jax
 import numpy as np
@@ -16,6 +18,7 @@ from irisjax import cli
 from irisjax.cli import report
 from irisjax.infer.parameters import DEFAULT_FREE, PARAMETERS
 
+command = importlib.import_module("irisjax.cli.fit")  # the package holds the command by this name
 FILES = {"chain.h5", "posterior.nc", "summary.csv", "corner.png", "fit.png"}
 
 
@@ -88,18 +91,23 @@ def test_what_the_sampler_is_asked(irisjax, eye, sampled):
     assert float(problem.noise.degrees_of_freedom) == 4
 
 
-def test_two_spots_of_one_eye(irisjax, eye, sampled, tmp_path):
+def test_two_spots_of_one_eye(irisjax, eye, sampled, tmp_path, monkeypatch):
     """They share the blood; each has its own melanin where it is separate."""
     other = tmp_path / "spot.csv"
     lines = eye.read_text().splitlines()
     other.write_text("\n".join(lines[:-3]))  # another grid
-    both = ("fit", eye, other, "--separate", "melanin_load", *FREE)
+    monkeypatch.setattr(command, "beside", lambda: nullcontext(lambda *_: lambda: b"figure"))
+    both = ("fit", eye, other, "--separate", "melanin_load", *FREE, "-o", tmp_path)
     status, out, err = irisjax(*both)
     assert (status, err) == (0, "")
     assert out.splitlines()[1].startswith("eye.csv, spot.csv: posterior of one eye")
     assert {"melanin_load@1", "melanin_load@2", "hemoglobin", "eumelanin@2"} <= set(out.split())
     sizes = [o.values.size for o in sampled[0].problem.observations]
     assert sizes == [31, 28]
+    file = tmp_path / "posterior.nc"
+    with xr.open_dataset(file, group="observed_data", engine="h5netcdf") as seen:
+        assert [seen[f"wavelength_nm_{i}"].size for i in (1, 2)] == sizes
+        assert [seen[f"reflectance_{i}"].size for i in (1, 2)] == sizes
 
 
 def test_nothing_is_done_for_what_cannot_be_sampled(irisjax, eye, quick, monkeypatch, tmp_path):
@@ -164,14 +172,11 @@ def test_short_chains_end_with_status_three(irisjax, eye, sampled, monkeypatch):
         (("{eye}", "--free", "melanin"), "unknown parameter 'melanin'"),
         (("{eye}", "--fix", "gain"), "--fix: 'gain': write NAME=VALUE"),
         (("{eye}", "--fix", "gain=-1"), "gain = -1 is outside (0, 1e+06]"),
-        (("{eye}", "--fix", "gain=0"), "gain = 0 is outside (0, 1e+06]"),
         (("{eye}", "--fix", "gian=1"), "--fix: unknown 'gian'"),
         (("{eye}", "--prior", "gain=flat"), "'flat' is no prior"),
         (("{eye}", "--walkers", "3"), "--walkers: 3 is outside [4, 4096]"),
-        (("{eye}", "--max-steps", "0"), "--max-steps: 0 is outside [1, 10000000]"),
         (("{eye}", "--seed", "-1"), "--seed: -1 is outside [0, 4294967295]"),
         (("{eye}", "--process", "ilit"), "--process: unknown 'ilit'"),
-        (("{eye}", "--relative-noise", "much"), "--relative-noise: 'much' is not a number"),
         (("{eye}", "--cos-incidence", "2"), "--cos-incidence: 2 is outside [0, 1]"),
         (("{eye}", "--discrepancy", "0.02"), "write its size and its length"),
         (("{eye}", "--discrepancy", "0.02:50", "--outliers"), "do not go together"),
@@ -229,19 +234,3 @@ def test_one_eye_by_the_model_itself(irisjax, spectrum, tmp_path):
         assert irisjax(*arguments, how)[0] == 0
         assert (folder / "summary.csv").read_bytes() == before
     assert irisjax(*arguments, "--resume", "--seed", 1)[0] == 2
-
-
-@pytest.mark.slow
-def test_two_spots_by_the_model_itself(irisjax, spectrum, tmp_path):
-    other, folder = tmp_path / "spot.csv", tmp_path / "out"
-    changed = ("--melanin-load", 0.1, "--wavelengths", "420:680:10", "--seed", 3)
-    assert irisjax("simulate-measurement", "--level", "low", *changed, "-o", other)[0] == 0
-    both = ("fit", spectrum, other, "--separate", "melanin_load", *FREE)
-    # Too short a chain to be called converged; long enough to be near.
-    assert irisjax(*both, "-o", folder, "--max-steps", 60)[0] == 3
-    with xr.open_dataset(folder / "posterior.nc", group="observed_data", engine="h5netcdf") as seen:
-        assert seen["wavelength_nm_1"].size == seen["reflectance_1"].size == 31
-        assert seen["wavelength_nm_2"].size == seen["reflectance_2"].size == 27
-    rows = summary(folder)
-    for name, truth in (("melanin_load@1", 0.0477), ("melanin_load@2", 0.1), ("hemoglobin", 0.084)):
-        assert abs(float(rows[name]["median"]) - truth) < 5 * float(rows[name]["sd"])

@@ -1,9 +1,19 @@
-"""`irisjax render`: what is refused before anything is drawn, what is handed to the renderer."""
+"""`irisjax render`: what it refuses, what it hands to the renderer, its pictures and animations."""
 
 import importlib
 
+import jax
+import numpy as np
 import pytest
+from PIL import Image
 from refusals import one_line
+
+from irisjax import io
+from irisjax.io.scenes import parse_scene, read_scene
+from irisjax.measure.colour import srgb_encode
+from irisjax.render.camera import Camera
+from irisjax.render.picture import draw
+from scene_files import BARE
 
 render = importlib.import_module("irisjax.cli.render")  # the package holds the command by this name
 
@@ -23,10 +33,15 @@ STUDIO = '[environment]\nkind = "studio"\n'
 SPECTRAL = ("--spectral", "400:700:100", "-o", "layers.exr")
 
 
-@pytest.fixture
-def drawn(tmp_path, monkeypatch):
-    """Nothing is drawn; what would have been."""
+@pytest.fixture(autouse=True)
+def _with_a_scene_in_its_folder(monkeypatch, tmp_path):
     monkeypatch.chdir(tmp_path)
+    (tmp_path / "scene.toml").write_text(BARE)
+
+
+@pytest.fixture
+def drawn(monkeypatch):
+    """Nothing is drawn; what would have been."""
     calls = []
     monkeypatch.setattr(render, "_still", lambda *given: calls.append(given))
     return calls
@@ -35,13 +50,6 @@ def drawn(tmp_path, monkeypatch):
 def scene(tmp_path, *parts):
     (tmp_path / "scene.toml").write_text("".join([SCENE, *parts]))
     return "scene.toml"
-
-
-def test_bits_are_of_a_png(irisjax, drawn, tmp_path):
-    path = scene(tmp_path, LAMP)
-    one_line(irisjax("render", path, "--bits", "16", "-o", "eye.exr"), "--bits is for PNG")
-    assert not drawn
-    assert irisjax("render", path, "-o", "eye.exr")[0] == 0
 
 
 def test_pictures_are_not_lost(irisjax, drawn, tmp_path):
@@ -91,18 +99,248 @@ def test_options_reach_the_scene(irisjax, drawn, tmp_path):
     assert (picture.samples, picture.bits, exposure, str(output)) == (3, 16, 2, "eye.png")
 
 
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        (("--samples", "9"), "--samples: 9 is outside [1, 8]"),
-        (("--frames", "1", "--animate", "light"), "--frames: 1 is outside [2, 1000]"),
-        (("--spectral", "red"), "--spectral: 'red' is not a grid"),
-        (("--animate", "light", *SPECTRAL), "--animate: not with --spectral"),
-        (("--integrator", "f09"), "--integrator: unknown 'f09'; known: separable"),
-        (("--bits", "many"), "--bits"),
-    ],
-    ids=lambda x: " ".join(x) if isinstance(x, tuple) else "",
-)
-def test_wrong_input_is_one_line(irisjax, drawn, tmp_path, arguments, message):
-    one_line(irisjax("render", scene(tmp_path, LAMP), *arguments), message)
-    assert not drawn
+WRONG = {
+    "[irs]\nlevel = 1": "scene.toml, line 1: unknown section [irs]; known: iris, maps",
+    "\n[iris]\nlevel = 'low'\ncolour = 'red'": "scene.toml, line 4: unknown 'colour' in iris; known: preset, level",
+    "[iris]\nlevel = 'middling'": "scene.toml, line 2: iris.level = 'middling' must be one of low, moderate, high",
+    "[iris]\neumelanin = -1": "scene.toml, line 2: iris.eumelanin = -1 must be a number in [0, 2000] mg/ml",
+    "[iris]\neumelanin = nan": "scene.toml, line 2: iris.eumelanin = nan must be a number",
+    "[iris]\neumelanin = 'lots'": "scene.toml, line 2: iris.eumelanin = 'lots' must be a number",
+    "[iris]\neumelanin = true": "scene.toml, line 2: iris.eumelanin = True must be a number",
+    "[iris]\npreset = 'blue'\nlevel = 'low'": "scene.toml, line 1: iris: give preset or level, not both",
+    "[maps]\n\nseed = 1.5": "scene.toml, line 3: maps.seed = 1.5 must be a whole number in [0, 4294967295]",
+    "[maps]\nuniform = 1": "scene.toml, line 2: maps.uniform = 1 must be true or false",
+    "[eye]\ncornea = 'thick'": "scene.toml, line 2: eye.cornea = 'thick' must be one of two-surfaces, f09, none",
+    "[iris]\npupil_radius = 2": "scene.toml, line 2: unknown 'pupil_radius' in iris; known: preset",
+    '[picture]\nilluminant = "D56"': "scene.toml, line 2: picture.illuminant = 'D56' unknown illuminant 'D56'; known: A",
+    "[eye]\npupil_radius = 7": "scene.toml, line 2: eye.pupil_radius = 7 must be a number in [0.25, 4.75] mm",
+    "[camera]\nsize = [0, 5]": "scene.toml, line 2: camera.size = [0, 5] must be a whole number in [1, 16384]",
+    "[camera]\nsize = '8x6'": "scene.toml, line 2: camera.size = '8x6' must be [width, height]",
+    "[light]\npolar_deg = 3": "scene.toml, line 1: light must be written [[light]]",
+    "[[camera]]\nwidth = 3": "scene.toml, line 1: camera must be written [camera]",
+    "[[light]]\n[[light]]\npolar_deg = 200": "scene.toml, line 3: light.polar_deg = 200 must be a number in [0, 180]",
+    "[[light]]\nposition = [1, 2]": "scene.toml, line 2: light.position = [1, 2] must be [x, y, z] in mm",
+    "[[light]]\ncolour = [1, 2, -1]": "scene.toml, line 2: light.colour = [1, 2, -1] must be a number in [0, 1e+06]",
+    "[iris]\nabl_thickness = 40": "scene.toml, line 2: iris.abl_thickness = 40 must be a number in [0, 3] mm",
+    "[[light]]\nposition = [1, 2, 3]": "scene.toml, line 1: light: a lamp's distance = 3.74166 mm is outside [20, inf) mm",
+    "[[light]]\nposition = [1, 2, -300]\npolar_deg = 1": "give a light a position or angles, not both",
+    "[environment]\nkind = 'sea'": "scene.toml, line 2: environment.kind = 'sea' must be one of studio, sky",
+    "[environment]\nlights = 3": "scene.toml, line 1: environment: needs file or kind",
+    "[environment]\nfile = 'missing.exr'": "scene.toml, line 2: missing.exr: No such file",
+    "[picture]\nilluminant = 'moon'": "unknown illuminant 'moon'",
+    "[picture]\nexposure = 0": "scene.toml, line 2: picture.exposure = 0 must be a number in [1e-06, 1e+06]",
+    "[iris\nlevel = 1": "scene.toml: ",
+    "iris = 3": "iris must be written [iris]",
+    "iris = " + 2000 * "[": "scene.toml: nested too deeply",
+}
+
+
+@pytest.mark.parametrize("text", WRONG, ids=[repr(t)[:80] for t in WRONG])
+def test_wrong_entries_are_one_line(irisjax, tmp_path, text):
+    # Maps that vary would be grown first.
+    plain = "" if "maps" in text else "\n[maps]\nuniform = true"
+    (tmp_path / "scene.toml").write_text(text + plain)
+    one_line(irisjax("render", "scene.toml", "--size", "4x3"), WRONG[text])
+    assert [p.name for p in tmp_path.iterdir()] == ["scene.toml"]
+
+
+OPTIONS = [
+    ((), "give a SCENE file or --preset"),
+    (("scene.toml", "--preset", "blue"), "give a SCENE file or --preset"),
+    (("--preset", "pink"), "--preset: unknown 'pink'; known: brown, hazel, green, blue, grey"),
+    (("missing.toml",), "missing.toml: No such file"),
+    ((".",), ".: Is a directory"),
+    (("scene.toml", "-o", "eye.jpg"), "eye.jpg: must end in .png or .exr"),
+    (("scene.toml", "-o", "missing/eye.png"), "missing: no such folder"),
+    (("scene.toml", "--bits", "12"), "--bits 12 must be 8 or 16"),
+    (("scene.toml", "--size", "8"), "--size '8': write WIDTHxHEIGHT"),
+    (("scene.toml", "--size", "²x8"), "--size '²x8': write WIDTHxHEIGHT"),
+    (("scene.toml", "--size", "0x8"), "--size 0x8: must be from 1 to 16384 along a side"),
+    (("scene.toml", "--size", "16385x8"), "--size 16385x8: must be from 1 to 16384 along a side"),
+    (("scene.toml", "--light", "30"), "--light '30': write POLAR,AZIMUTH"),
+    (("scene.toml", "--light", "30,nan"), "--light '30,nan': write POLAR,AZIMUTH"),
+    (
+        ("scene.toml", "--light", "30,0,-1"),
+        "'30,0,-1': a lamp's irradiance = -1 is outside [0, 1e+06]",
+    ),
+    (("scene.toml", "--pupil-radius", "6"), "--pupil-radius: 6 is outside [0.25, 4.75] mm"),
+    (("scene.toml", "--pupil-radius", "0,5"), "--pupil-radius: '0,5' is not a number"),
+    (("scene.toml", "--light", "30,0,1e7"), "a lamp's irradiance = 1e+07 is outside [0, 1e+06]"),
+    (("scene.toml", "--camera", "30"), "--camera '30': write POLAR,AZIMUTH"),
+    (
+        ("scene.toml", "--camera", "30,0,200"),
+        "'30,0,200': camera width = 200 mm is outside [0.1, 100]",
+    ),
+    (("scene.toml", "--frames", "3"), "--frames means something only with --animate"),
+    (("scene.toml", "--exposure", "nan"), "--exposure: nan is outside (0, inf)"),
+    (("scene.toml", "--exposure", "-1"), "--exposure: -1 is outside (0, inf)"),
+    (("scene.toml", "--samples", "9"), "--samples: 9 is outside [1, 8]"),
+    (("scene.toml", "--seed", "-1"), "--seed"),
+    (("scene.toml", "--frames", "1", "--animate", "light"), "--frames: 1 is outside [2, 1000]"),
+    (("scene.toml", "--spectral", "red"), "--spectral: 'red' is not a grid"),
+    (("scene.toml", "--animate", "light", *SPECTRAL), "--animate: not with --spectral"),
+    (("scene.toml", "--integrator", "f09"), "--integrator: unknown 'f09'; known: separable"),
+    (("scene.toml", "--bits", "many"), "--bits"),
+    (("scene.toml", "--bits", "16", "-o", "eye.exr"), "--bits is for PNG"),
+    (("scene.toml", "--animate", "iris", "-o", "a.gif"), "unknown 'iris'"),
+    (
+        ("scene.toml", "--animate", "light", "-o", "f_%x.png"),
+        "f_%x.png: the name of numbered frames",
+    ),
+]
+
+
+@pytest.mark.parametrize(("arguments", "message"), OPTIONS, ids=[" ".join(a) for a, _ in OPTIONS])
+def test_wrong_options_are_one_line(irisjax, tmp_path, arguments, message):
+    one_line(irisjax("render", *arguments), message)
+    assert [p.name for p in tmp_path.iterdir()] == ["scene.toml"]
+
+
+def test_command_makes_the_librarys_picture(irisjax, tmp_path):
+    (tmp_path / "scene.toml").write_text(BARE + "[picture]\nexposure = 3")
+    assert irisjax("render", "scene.toml", "-o", "eye.exr") == (0, "", "")
+    jax.config.update("jax_enable_x64", True)
+    expected = 3 * np.asarray(draw(read_scene(tmp_path / "scene.toml").scene()))
+    found = io.read_image(tmp_path / "eye.exr")
+    np.testing.assert_allclose(found.pixels, expected, atol=1e-6)
+    assert "simulated" in str(found.metadata)
+    # PNG: sRGB to the nearest step; equal runs, equal bytes.
+    for name in ("one.png", "two.png"):
+        assert irisjax("render", "scene.toml", "--bits", "16", "-o", name) == (0, "", "")
+    assert (tmp_path / "one.png").read_bytes() == (tmp_path / "two.png").read_bytes()
+    steps = np.asarray(srgb_encode(np.clip(expected, 0, 1)))
+    np.testing.assert_allclose(io.read_image(tmp_path / "one.png").pixels, steps, atol=1 / 65535)
+
+
+def test_options_go_before_the_file(irisjax, tmp_path):
+    said = ("--light", "0,0,3.14159265", "--pupil-radius", "4", "--size", "16x12")
+    status, _, err = irisjax("render", "scene.toml", *said, "--exposure", "1e4", "-o", "a.exr")
+    assert (status, err) == (0, "")
+    picture = io.read_image(tmp_path / "a.exr").pixels
+    assert picture.shape == (12, 16, 3)
+    # Light along the axis, a pupil of 8 mm: nothing within 4 mm, left and right alike.
+    x = (np.arange(16) - 7.5) * 15 / 16
+    assert not picture[6][abs(x) < 3.9].any() and picture[6][(abs(x) > 4.2) & (abs(x) < 5.4)].all()
+    np.testing.assert_allclose(picture, picture[:, ::-1], rtol=1e-4)
+
+
+def test_camera_of_the_options(irisjax, tmp_path):
+    """From the picture's right by 60 degrees a flat round iris is half as wide as high, but for
+    perspective.
+    """
+    said = ("--camera", "60,0,12", "--size", "48x48", "-o", "a.exr")
+    assert irisjax("render", "scene.toml", *said) == (0, "", "")
+    seen = io.read_image(tmp_path / "a.exr").pixels.sum(-1) > 0
+    width, height = (np.ptp(np.flatnonzero(seen.any(axis))) + 1 for axis in (0, 1))
+    assert abs(width - 48 * 11 / 12 / 2) <= 1.5 and abs(height - 48 * 11 / 12) <= 1.5
+
+
+def test_samples_average_and_clipping_is_said(irisjax, tmp_path):
+    irisjax("render", "scene.toml", "--size", "16x12", "-o", "fine.exr")
+    irisjax("render", "scene.toml", "--samples", "2", "-o", "mean.exr")
+    fine, mean = (io.read_image(tmp_path / f"{n}.exr").pixels for n in ("fine", "mean"))
+    np.testing.assert_allclose(mean, fine.reshape(6, 2, 8, 2, 3).mean((1, 3)), atol=1e-6)
+    status, out, err = irisjax("render", "scene.toml", "--exposure", "1e4", "-o", "bright.png")
+    assert (status, out) == (0, "")
+    assert err.startswith("irisjax: bright.png: ") and "out of sRGB's range are clipped" in err
+
+
+def test_nothing_half_written(irisjax, tmp_path, monkeypatch):
+    def broken(*_, **__):
+        raise KeyboardInterrupt
+
+    (tmp_path / "eye.png").write_bytes(b"older")
+    monkeypatch.setattr("irisjax.render.picture.illuminate", broken)
+    one_line(irisjax("render", "scene.toml"), "eye.png: exists; --overwrite replaces it")
+    status = irisjax("render", "scene.toml", "--overwrite")
+    assert status == (130, "", "irisjax: interrupted\n")
+    assert (tmp_path / "eye.png").read_bytes() == b"older"
+    assert len(list(tmp_path.iterdir())) == 2
+
+
+@pytest.mark.slow
+def test_presets_render(irisjax, tmp_path):
+    assert irisjax("render", "--preset", "hazel", "--size", "40x30", "-o", "eye.png")[0] == 0
+    picture = io.read_image(tmp_path / "eye.png").pixels
+    assert picture.shape == (30, 40, 3) and picture.max() > 0.3
+    # It has no lamp, only a studio.
+    said = ("--animate", "light", "--size", "8x6", "--frames", 2, "-o", "a.gif")
+    assert irisjax("render", "--preset", "hazel", *said)[0] == 0
+
+
+@pytest.mark.slow  # 6 s of compiling
+def test_spectral_layers_add_up_to_the_picture(irisjax, tmp_path):
+    """81 layers under the colour-matching functions give the RGB picture, to the ten bands' own
+    error.
+    """
+    from irisjax.measure.colour import OBSERVER, illuminant_power, tristimulus_matrix
+
+    assert irisjax("render", "scene.toml", "-o", "rgb.exr") == (0, "", "")
+    assert irisjax("render", "scene.toml", "--spectral", "380:780:5", "-o", "layers.exr") == (
+        0,
+        "",
+        "",
+    )
+    image = io.read_image("layers.exr")
+    grid = 380 + 5.0 * np.arange(81)
+    order = [image.channels.index(name) for name in io.spectral_channels(grid)]
+    reflected = image.pixels[..., order] / illuminant_power("D65", grid)
+    rgb = reflected @ np.asarray(tristimulus_matrix(grid, "linear sRGB", "D65", OBSERVER)[0]).T
+    expected = io.read_image("rgb.exr")
+    expected = expected.pixels[..., [expected.channels.index(c) for c in "RGB"]]
+    np.testing.assert_allclose(rgb, expected, atol=0.01 * expected.max())
+    one_line(
+        irisjax("render", "scene.toml", "--spectral", "400:700:10", "-o", "x.png"),
+        "must end in .exr",
+    )
+
+
+def test_pigment_reaches_brown_from_any_eye():
+    scene = parse_scene(
+        '[iris]\npreset = "blue"\n[maps]\nuniform = true\n[eye]\ncornea = "none"'
+    ).scene()
+    light, dark = render.frames(scene.replace(camera=Camera(size=(8, 6))), "pigment", 2)
+    assert dark.max(axis=(0, 1))[2] < 0.3 * light.max(axis=(0, 1))[2]
+
+
+def test_an_animation_without_light_is_said_to_be_black(irisjax, tmp_path):
+    given = ("--light", "170,0", "--animate", "pupil", "--frames", 2, "-o", "dark.gif")
+    status, _, err = irisjax("render", "scene.toml", *given)
+    assert status == 0
+    assert "dark.gif: the picture is black: no light falls on what the camera sees" in err
+
+
+def test_animations_return_to_their_first_frame(irisjax, tmp_path):
+    options = ("--frames", 4, "--exposure", 8)
+    assert irisjax("render", "scene.toml", "--animate", "pigment", *options, "-o", "a.gif")[:2] == (
+        0,
+        "",
+    )
+    with Image.open("a.gif") as gif:
+        assert (gif.n_frames, gif.size, gif.info["loop"]) == (4, (8, 6), 0)
+        assert b"simulated" in gif.info["comment"]
+    bright = (*options[:2], "--exposure", 1e3, "-o", "f_%d.png")
+    status, out, err = irisjax("render", "scene.toml", "--animate", "pigment", *bright)
+    assert (status, out) == (0, "") and "out of sRGB's range are clipped" in err
+    assert sorted(p.name for p in tmp_path.glob("f_*")) == [f"f_{i}.png" for i in range(4)]
+    assert irisjax("render", "scene.toml", "--animate", "pupil", *options, "-o", "sheet.png")[
+        :2
+    ] == (0, "")
+    sheet = io.read_image("sheet.png").pixels
+    assert sheet.shape == (12, 16, 3)
+    narrow, half, wide, again = sheet[:6, :8], sheet[:6, 8:], sheet[6:, :8], sheet[6:, 8:]
+    np.testing.assert_array_equal(half, again)  # on the way out and on the way back
+    assert narrow.sum() > half.sum() > wide.sum()  # a wide pupil leaves less iris
+
+
+@pytest.mark.peer  # needs the extra irisjax[video]
+def test_animations_as_mp4(irisjax, tmp_path):
+    import av
+
+    options = ("--frames", 4, "--exposure", 8, "--size", "9x7")
+    assert irisjax("render", "scene.toml", "--animate", "pigment", *options, "-o", "a.mp4")[:2] == (
+        0,
+        "",
+    )
+    with av.open("a.mp4") as movie:
+        assert [(f.width, f.height) for f in movie.decode(video=0)] == [(9, 7)] * 4
