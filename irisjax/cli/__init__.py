@@ -68,21 +68,24 @@ def run(arguments: list[str] | None = None) -> int:
     except Exception as error:
         if os.environ.get("IRISJAX_DEBUG"):
             raise
-        # typer's own errors: their base class has moved between versions, the method has not.
-        if (format_message := getattr(error, "format_message", None)) is not None:
-            return _complain(_of_value(error) or format_message(), 2)
-        if isinstance(error, OSError) and error.strerror:
-            where = f"{error.filename}: " if error.filename else ""
-            return _complain(f"{where}{error.strerror}", 2)
-        if isinstance(error, ValueError):
-            return _complain(str(error), 2)
-        if isinstance(error, ModuleNotFoundError) and (said := _of_extra(error)):
-            return _complain(said, 2)
-        if isinstance(error, MemoryError):
-            return _complain("not enough memory for so many wavelengths, directions or photons", 2)
-        return _complain(
-            f"internal error: {type(error).__name__}: {error} (IRISJAX_DEBUG=1 shows where)", 1
-        )
+        said = _said(error)
+        fault = f"internal error: {type(error).__name__}: {error} (IRISJAX_DEBUG=1 shows where)"
+        print("irisjax:", " ".join((said or fault).split()), file=sys.stderr)
+        return 2 if said else 1
+
+
+def _said(error: Exception) -> str:
+    """What is wrong with the input; empty for a fault of our own."""
+    # typer's own errors: their base class has moved between versions, the method has not.
+    if (format_message := getattr(error, "format_message", None)) is not None:
+        return _of_value(error) or format_message()
+    if isinstance(error, OSError) and error.strerror:
+        return f"{error.filename}: {error.strerror}" if error.filename else error.strerror
+    if isinstance(error, ModuleNotFoundError):
+        return _of_extra(error)
+    if isinstance(error, MemoryError):
+        return "not enough memory for so many wavelengths, directions or photons"
+    return str(error) if isinstance(error, ValueError) else ""
 
 
 def _of_value(error: Exception) -> str:
@@ -104,11 +107,6 @@ def _of_extra(error: ModuleNotFoundError) -> str:
         if package in packages:
             return f"this needs {package}, which is not installed: pip install 'irisjax[{extra}]'"
     return ""
-
-
-def _complain(message: str, status: int) -> int:
-    print("irisjax:", " ".join(message.split()), file=sys.stderr)
-    return status
 
 
 def parser(arguments: list[str]) -> Any:

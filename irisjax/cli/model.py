@@ -142,20 +142,19 @@ def modelled(options: IrisOptions, rules: ProcessOptions) -> tuple[ij.Iris, Abst
     fields = {n: v for n in (*RANGES, "melanin_load") if (v := getattr(options, n)) is not None}
     law = [opt.dashed(n) for n in POWER_LAW_LIMITS if n in fields]
     if law and "scattering" in options.typed:
-        raise ValueError(
-            f"{law[0]} replaces the formula that --scattering names; give one of the two"
-        )
+        said = "replaces the formula that --scattering names; give one of the two"
+        raise ValueError(f"{law[0]} {said}")
     iris = ij.Iris.of_level(options.level).replace(**fields, scattering=options.scattering)
     process = processes.POLARISED if rules.polarised else PROCESSES[rules.process]
     switches = {n: getattr(rules, n) for n in process.describe()}
     process = dataclasses.replace(process, **{n: v for n, v in switches.items() if v is not None})
-    what = "a power law of scattering (--reduced-scattering, --anisotropy, ...)"
-    if iris.power_law is not None and not isinstance(process, processes.RadiativeTransfer):
-        raise ValueError(f"{what} needs --process {_DEEP}")
-    if iris.power_law is not None and rules.polarised:
-        raise ValueError(
-            f"{what} cannot be combined with polarised light, which scatters by Rayleigh's law only"
-        )
+    if iris.power_law is not None:
+        what = "a power law of scattering (--reduced-scattering, --anisotropy, ...)"
+        if not isinstance(process, processes.RadiativeTransfer):
+            raise ValueError(f"{what} needs --process {_DEEP}")
+        if rules.polarised:
+            why = "cannot be combined with polarised light, which scatters by Rayleigh's law only"
+            raise ValueError(f"{what} {why}")
     return iris, process
 
 

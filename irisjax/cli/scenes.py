@@ -1,7 +1,9 @@
 """The scene that a command takes: a file or a preset, and what the options change of it."""
 
 import dataclasses
+import functools
 import math
+import operator
 from pathlib import Path
 from typing import Any
 
@@ -78,18 +80,14 @@ def environment_of(text: str) -> Environment:
 
 def lamps(texts: list[str], illuminant: str = "D65") -> Lights:
     """Lamps as `--light` writes them."""
-    joined, *others = (_lamp(text, illuminant) for text in texts)
-    for lamp in others:
-        joined = joined + lamp
-    return joined
-
-
-def _lamp(text: str, illuminant: str) -> Lights:
-    polar, azimuth, irradiance = _angles("--light", text, "IRRADIANCE", math.pi)
-    try:
-        return Lights.distant(polar, azimuth, irradiance, illuminant=illuminant)
-    except ValueError as error:
-        raise ValueError(f"--light {text!r}: {error}") from None
+    made = []
+    for text in texts:
+        angles = _angles("--light", text, "IRRADIANCE", math.pi)
+        try:
+            made.append(Lights.distant(*angles, illuminant=illuminant))
+        except ValueError as error:
+            raise ValueError(f"--light {text!r}: {error}") from None
+    return functools.reduce(operator.add, made)
 
 
 def _size(text: str) -> tuple[int, int]:

@@ -54,7 +54,12 @@ def view_command(subject: Shown, coats: Coats, window: Window) -> None:
     # Half the time of double precision, and the same picture to one level of 255 but for some
     # pixels.
     jax.config.update("jax_enable_x64", False)
-    shown = _bench(coats, subject.seed, window.size) if painted else _studio(subject, window.size)
+    if painted:
+        recipe = coats.read(coats.recipe, subject.seed)
+        with of_file(coats.recipe):
+            shown = Bench(recipe, lambda scene: changed(scene, size=window.size), kept_tables)
+    else:
+        shown = _studio(subject, window.size)
 
     def ready(address: str) -> None:
         _interrupt.expect()
@@ -71,14 +76,7 @@ def _studio(subject: Shown, size: str | None) -> Studio:
         file, photograph = read_clone(subject.scene)
     else:
         file = subject.read()
-    given: dict[str, Any] = {"exposure": file.exposure}
+    given: dict[str, Any] = {"exposure": file.exposure, "photograph": photograph}
     if subject.preset is not None:
         given |= {"preset": subject.preset, "seed": subject.seed, "environment": "studio"}
-    scene = changed(file.scene(), size=size)
-    return Studio(scene, kept_tables, photograph=photograph, **given)
-
-
-def _bench(coats: Coats, seed: int, size: str | None) -> Bench:
-    recipe = coats.read(coats.recipe, seed)
-    with of_file(coats.recipe):
-        return Bench(recipe, lambda scene: changed(scene, size=size), kept_tables)
+    return Studio(changed(file.scene(), size=size), kept_tables, **given)
