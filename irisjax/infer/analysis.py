@@ -175,9 +175,7 @@ def summarise(problem: Problem, chains: Chains) -> list[Row]:
 def predictive(
     problem: Problem, chains: Chains, count: int = DRAWS, *, key: PRNGKey
 ) -> tuple[tuple[np.ndarray, ...], tuple[np.ndarray, ...]]:
-    """Return draws of the posterior predictive, and of the model without noise: an array (count,
-    data) for each observation.
-    """
+    """Return draws (count, data) of the posterior predictive, and of the model, per observation."""
     return _drawn(problem, chains, count, key)[:2]
 
 

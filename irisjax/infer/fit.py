@@ -86,9 +86,7 @@ class Fit(eqx.Module):
 
     @property
     def p_value(self) -> Float[Array, "*batch"]:
-        """Probability of a chi-square as large if the noise is normal and as stated; NaN without
-        degrees of freedom.
-        """
+        """Probability of a chi-square as large for normal noise; NaN without degrees of freedom."""
         half = jnp.asarray(0.5 * self.degrees if self.degrees > 0 else jnp.nan, self.cost.dtype)
         return gammaincc(half, 0.5 * self.chi_square)
 

@@ -137,9 +137,7 @@ def _completed(log_density, start: Approximation) -> tuple[np.ndarray, np.ndarra
 
 
 class _First:
-    """Half the normal approximation, made wider, and half the priors: where the model cannot follow
-    the data they are far apart, and the posterior is elsewhere.
-    """
+    """Wide t distributions about the approximation and the priors, which may be far apart."""
 
     def __init__(self, mean: np.ndarray, covariance: np.ndarray):
         two: Any = (mean, 4 * covariance), (np.zeros(len(mean)), 2 * np.eye(len(mean)))

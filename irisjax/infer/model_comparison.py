@@ -224,9 +224,7 @@ def noise_left(own: Fit, other: Fit) -> float:
 
 
 def intervals_of(problem: Problem, found: Fit, spread: float) -> dict[str, Interval]:
-    """Return the free parameters with 95 % intervals, of a fit whose noise is `spread` times what
-    was stated.
-    """
+    """Return 95 % intervals of a fit's parameters for noise `spread` times what was stated."""
     half = 1.96 * np.sqrt(np.diagonal(covariance_at(np.asarray(found.covariance), spread)))
     values = [np.asarray(problem.natural(found.z + sign * half)) for sign in (0, -1, 1)]
     rows = zip(problem.free, np.stack(values, axis=1).tolist(), strict=True)
@@ -236,9 +234,7 @@ def intervals_of(problem: Problem, found: Fit, spread: float) -> dict[str, Inter
 def covariance_at(
     covariance: Float[np.ndarray, "free free"], spread: float
 ) -> Float[np.ndarray, "free free"]:
-    """Return (JᵀJ/s² + 1)⁻¹ of noise s times as large, from (JᵀJ + 1)⁻¹: the data count for less,
-    the priors, standard normal in these coordinates, for as much as before.
-    """
+    """Return (JᵀJ/s² + 1)⁻¹, for noise s times as large, from (JᵀJ + 1)⁻¹."""
     square = spread**2
     return square * np.linalg.solve(np.eye(len(covariance)) + (square - 1) * covariance, covariance)
 

@@ -91,9 +91,7 @@ class Proposal:
 
 
 class IndependentMove(emcee.moves.MHMove):
-    """Metropolis–Hastings with proposals that do not depend on a walker's place: where they
-    resemble the posterior, a place after one accepted jump is independent of the place before.
-    """
+    """Metropolis–Hastings with proposals that do not depend on a walker's place."""
 
     def __init__(self, straight: Straightening, samples: Float[np.ndarray, "n free"]):
         proposal = Proposal(straight, samples)

@@ -74,9 +74,7 @@ class Noise(eqx.Module):
         return -0.5 * (white * white + _LOG_2PI) - log_sd
 
     def whiten(self, observation: Observation, model: _Values) -> _Values:
-        """Return residuals of unit variance, which least squares minimise; their weights come from
-        the data, so that they do not pull on the model.
-        """
+        """Return residuals of unit variance; weights from the data do not pull on the model."""
         values = observation.values
         return _whitened(self._spread(observation, values), values - model)[0]
 

@@ -208,9 +208,7 @@ def words_of(key: PRNGKey) -> list[int]:
 
 
 def diagnose(store: Store) -> Chains:
-    """Judge a chain by its autocorrelation, effective samples and R-hat, read with a stride that
-    bounds memory.
-    """
+    """Judge a chain, read with a stride that bounds memory, by its autocorrelation and R-hat."""
     steps = store.steps
     stride = -(-steps // _MOST_KEPT)
     z, log_density = store.rows(stride - 1, steps, stride)
@@ -246,9 +244,7 @@ def diagnose(store: Store) -> Chains:
 
 
 def mixing(draws: Float[np.ndarray, "chains draws"]) -> tuple[float, float, float]:
-    """Compute how well the chains of one quantity mix: rank-normalised split R-hat, and effective
-    sample sizes of bulk and tails  [Vehtari et al. 2021].
-    """
+    """Compute rank-normalised split R-hat and ESS of bulk and tails  [Vehtari et al. 2021]."""
     from arviz_stats.base.array import array_stats
 
     stats: Any = array_stats  # it returns scalars where its annotations have tuples too
@@ -322,9 +318,7 @@ def _replace(store: Store, start: ChainStart, samples: np.ndarray) -> None:
 
 
 def _remove_half_written(store: Store, log_density: Callable[[np.ndarray], np.ndarray]) -> None:
-    """Remove a last step whose log density is not that of its places: the process died while
-    writing it.
-    """
+    """Remove a last step that a process died writing: its log density is not that of its places."""
     for _ in range(3):
         places, stored = store.last()
         if _equal(log_density(places), stored):

@@ -21,18 +21,14 @@ Real: TypeAlias = float | np.ndarray | jax.Array
 
 
 class AbstractPrior(eqx.Module):
-    """A continuous distribution of one number in (`low`, `high`). Its own numbers are static: they
-    are settings, not data.
-    """
+    """A continuous distribution of a number in (`low`, `high`), whose settings are static."""
 
     low: eqx.AbstractVar[float]
     high: eqx.AbstractVar[float]
 
     @abc.abstractmethod
     def value(self, z: Real) -> jax.Array:
-        """Return the number below which the prior has the probability that the standard normal has
-        below z.
-        """
+        """Return the prior's quantile at the standard normal's probability below z."""
 
     @abc.abstractmethod
     def standard(self, value: Real) -> jax.Array:

@@ -11,18 +11,10 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from irisjax._types import PRNGKey, Scalar
+from irisjax.infer import parameters
 from irisjax.infer.noise import Noise
 from irisjax.infer.observation import Observation
-from irisjax.infer.parameters import (
-    DEFAULT_FREE,
-    OF_POWER_LAW,
-    PARAMETERS,
-    derived,
-    iris_of,
-    kind,
-    of_iris,
-    seen_by,
-)
+from irisjax.infer.parameters import DEFAULT_FREE, OF_POWER_LAW, PARAMETERS, kind
 from irisjax.infer.priors import AbstractPrior, check_prior
 from irisjax.measure.observe import observed, prepared
 from irisjax.numerics.checks import check_range
@@ -73,9 +65,7 @@ class Problem(eqx.Module):
 
     @property
     def log_density(self) -> Callable[[np.ndarray], np.ndarray]:
-        """Function of vectors z (n, free) that returns their log posterior densities (n,), compiled
-        once for all problems of the same form.
-        """
+        """Jitted function of vectors z (n, free), which returns log posterior densities (n,)."""
         both = in_rows(_densities, self)
         return lambda z: both(z)[0]
 
@@ -105,7 +95,10 @@ class Problem(eqx.Module):
         out = {name: values[name] for name in self.free}
         for i in range(len(self.observations)):
             tag = f"@{i + 1}" if any("@" in n for n in self.free) else ""
-            out |= {name + tag: value for name, value in derived(seen_by(values, i)).items()}
+            out |= {
+                name + tag: value
+                for name, value in parameters.derived(parameters.seen_by(values, i)).items()
+            }
         return out
 
     def predict(self, z: _Z) -> _Readings:
@@ -192,15 +185,15 @@ class Problem(eqx.Module):
     def _restated(
         self, base: Iris, process: AbstractProcess, more: Iterable[str] = ()
     ) -> "Problem":
-        """The problem for another iris and process, with `more` of a power law's parameters free;
-        other new ones are as in `base`, and those that it has not are gone.
-        """
+        """The problem for another iris and process, with `more` parameters free."""
         gone = () if base.power_law is not None else OF_POWER_LAW
         gone = (*gone, "scattering_scale") if more else gone
         old = zip(self.free, self.priors, strict=True)
         free = {n: p for n, p in old if kind(n) not in gone}
         free |= {n: PARAMETERS[n].prior for n in more if n not in set(map(kind, free))}
-        stated = {n: v for n, v in of_iris(base).items() if n not in set(map(kind, free))}
+        stated = {
+            n: v for n, v in parameters.of_iris(base).items() if n not in set(map(kind, free))
+        }
         known = {n: v for n, v in self.fixed.items() if n in stated and n not in gone}
         return dataclasses.replace(
             self, base=base, fixed=_as_arrays(stated) | known, free=tuple(free),
@@ -213,17 +206,18 @@ class Problem(eqx.Module):
         """A function of the noise for each observation."""
         each = zip(self.observations, models, draws or [()] * len(models), strict=True)
         return tuple(
-            function(o, m, seen_by(values, i)["noise"], *d) for i, (o, m, d) in enumerate(each)
+            function(o, m, parameters.seen_by(values, i)["noise"], *d)
+            for i, (o, m, d) in enumerate(each)
         )
 
     def _solved(self, values: Mapping[str, Any]) -> tuple[_Readings, RESULTS]:
         """The reading of each instrument, and the first status that is not success."""
         models, status = [], RESULTS.successful
         for i, (o, solver) in enumerate(zip(self.observations, self.solvers, strict=True)):
-            mine, instrument = seen_by(values, i), o.instrument
+            mine, instrument = parameters.seen_by(values, i), o.instrument
             gain = jnp.asarray(mine["gain"], instrument.gain.dtype)
             instrument = eqx.tree_at(lambda x: x.gain, instrument, gain)
-            reading = observed(iris_of(mine, self.base), instrument, solver)
+            reading = observed(parameters.iris_of(mine, self.base), instrument, solver)
             models.append(o.of(reading))
             status = RESULTS.where(status == RESULTS.successful, reading.status, status)
         return tuple(models), status
@@ -296,7 +290,7 @@ def problem(
         raise ValueError("a solver has a process: give process or solver, not both")
     by = solver or process or ILIT_2006
     base = _with_law(base, by.process if isinstance(by, AbstractSolver) else by, (*names, *fixed))
-    known = {n: v for n, v in {**of_iris(base), **fixed}.items() if n not in names}
+    known = {n: v for n, v in {**parameters.of_iris(base), **fixed}.items() if n not in names}
     return Problem(
         observations=seen,
         noise=Noise() if noise is None else noise,
@@ -309,9 +303,7 @@ def problem(
 
 
 class Form:
-    """The parts of a problem that are not arrays, with their hash: a static argument of jitted
-    functions that is cheap to compare.
-    """
+    """The parts of a problem that are no arrays, a static argument that is cheap to compare."""
 
     def __init__(self, problem: Problem):
         self._marked = jax.tree.map(lambda x: ... if eqx.is_array(x) else x, problem)
@@ -382,9 +374,7 @@ def reported(
 
 
 def predicted(problem: Problem, z: Float[np.ndarray, "n free"], key: PRNGKey) -> Any:
-    """Return noisy measurements, the models without noise and the standard deviations stated there:
-    three tuples of arrays (n, data), one an observation.
-    """
+    """Return noisy measurements (n, data), models without noise, and stated standard deviations."""
     # Drawn on the host: a random generator takes longer to compile than the model.
     random, nu = np.random.default_rng(np.ravel(jax.random.key_data(key))), None
     if problem.noise.degrees_of_freedom is not None:

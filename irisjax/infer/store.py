@@ -100,9 +100,7 @@ class Store:
 
     @contextlib.contextmanager
     def writing(self, most: int) -> Iterator[Callable[[np.ndarray, np.ndarray], None]]:
-        """Open the store for at most so many further steps, which the function adds: places
-        (walkers, free) and their log densities (walkers,).
-        """
+        """Open the store for at most so many steps, added as places and their log densities."""
         # The file stays open meanwhile: a step costs 0.3 ms and not 5.
         with self._open("a") as file:
             done = _complete(file)

@@ -130,9 +130,7 @@ def quietly() -> Iterator[None]:
 
 
 def _at_white_level(raw) -> np.ndarray:
-    """Pixels whose colours are filled in from a photosite at 0.995 of the way to white, of the nine
-    around them.
-    """
+    """Pixels whose colours are filled in from a photosite, of the nine around, nearly at white."""
     from scipy.ndimage import maximum_filter
 
     values = raw.raw_image_visible

@@ -16,9 +16,7 @@ PHOTOGRAPH = "photograph.png"
 
 
 class CloneFolder(NamedTuple):
-    """The result of `irisjax clone`: its scene file, and the photograph at the size of the scene's
-    picture, sRGB-encoded.
-    """
+    """A clone's scene file, and the photograph at the size of its picture, sRGB-encoded."""
 
     scene: SceneFile
     photograph: UInt8[np.ndarray, "rows columns 3"]

@@ -289,10 +289,7 @@ def _pixels(image: Any, channels: int) -> np.ndarray:
 
 
 def _check_png(file: BinaryIO) -> None:
-    """Raise `ValueError` for a fault in the chunks of a PNG; any other file passes.
-
-    libpng would find it too, but prints a line of its own.
-    """
+    """Raise `ValueError` for a fault in a PNG's chunks, of which libpng would print a line."""
     kind = b"" if file.read(len(_PNG)) == _PNG else _LAST
     while kind != _LAST:
         head = file.read(8)

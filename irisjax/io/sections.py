@@ -114,9 +114,7 @@ def toml_of(sections: Mapping[str, Any]) -> str:
 
 
 def plain(value: Any, digits: int) -> Any:
-    """Dictionaries, lists and arrays as Python's own, their numbers with so many digits, `None` for
-    infinite and undefined ones.
-    """
+    """A value in Python's own types with so many digits; `None` for what is not finite."""
     if isinstance(value, Mapping):
         return {str(k): plain(v, digits) for k, v in value.items()}
     if isinstance(value, list | tuple):

@@ -146,9 +146,7 @@ def write_together(files: Mapping[Path, bytes]) -> None:
 
 @contextlib.contextmanager
 def replacing(path: str | Path) -> Iterator[Path]:
-    """Give the name of a new file to fill. It replaces `path` if nothing is raised, and is removed
-    otherwise; pipes and devices get a copy.
-    """
+    """Give the name of a new file, which replaces `path` (or is copied to a pipe) in the end."""
     path = Path(path)
     check_writable(path)
     if is_device(path):

@@ -149,9 +149,7 @@ class AbstractInstrument(eqx.Module):
 
 
 def _number(value, dtype) -> jax.Array:
-    """A setting as a strongly typed array, so that 1, 1.0 and an array share one program; of plain
-    numbers they are cached, as making one takes as long as a tenth of a spectrum.
-    """
+    """A setting as a strongly typed array, so that 1, 1.0 and an array share one program."""
     if isinstance(value, (int, float)):
         return _constant(float(value), dtype)
     return jnp.asarray(value, dtype)

@@ -108,15 +108,16 @@ def test_a_chain_that_is_too_slow_is_replaced(whole, tmp_path, monkeypatch):
     """The next one has the same distribution, and is the same if the work is interrupted, at the
     last step before the first chain is replaced or later.
     """
-    monkeypatch.setattr(posterior, "TAUS", 300)
+    monkeypatch.setattr(posterior, "TAUS", 150)
+    monkeypatch.setattr(posterior, "_PATIENCE", 250)
     settings, reported = SETTINGS | {"max_steps": 20_000}, []
     chains = sample(
         RIDGE, START, store=tmp_path / "a.h5", progress=lambda n, _: reported.append(n), **settings
     )
     assert chains.converged
-    assert max(reported) > chains.steps > 500
+    assert max(reported) > chains.steps > 250
     assert_same_distribution(whole[1], chains)
-    for when in (250, 700):
+    for when in (250, 400):
         interrupted(tmp_path / f"{when}.h5", when, **settings)
         assert_same(tmp_path / "a.h5", tmp_path / f"{when}.h5")
 

@@ -31,25 +31,17 @@ def stated(noise=None, sd=None, solver=None, **options):
 
 @pytest.mark.slow  # 15 s of compiling
 def test_prediction_is_the_spectrophotometer():
-    """At the values of an iris the model is `reflectance` times the gain;
-    a radiance is `radiance`.
-    """
-    iris = ij.Iris.of_level("high")
-    problem = stated(
-        free=["melanin_load", "gain"],
-        fixed={"abl_fraction": 0.3},
-        base=iris,
-        solver=ij.IlitExact(16),
-    )
+    """At the values of an iris it is `reflectance` times the gain; a radiance is `radiance`."""
+    iris, how = ij.Iris.of_level("high"), {"solver": ij.IlitExact(16)}
+    known = {"fixed": {"abl_fraction": 0.3}, "base": iris}
+    problem = stated(free=["melanin_load", "gain"], **known, **how)
     z = problem.standard({"melanin_load": 0.2, "gain": 1.02})
-    wanted = ij.reflectance(
-        iris.replace(melanin_load=0.2, abl_fraction=0.3), GRID, solver=ij.IlitExact(16)
-    )
+    wanted = ij.reflectance(iris.replace(melanin_load=0.2, abl_fraction=0.3), GRID, **how)
     np.testing.assert_allclose(problem.predict(z)[0], 1.02 * wanted.values, rtol=1e-12)
     options = {"illuminant": "A", "cos_incidence": 0.8}
     seen = ij.spectrum(GRID, np.ones(GRID.size), quantity="radiance", **options)
-    problem = ij.problem(seen, free=["gain"], base=iris, solver=ij.IlitExact(16))
-    wanted = ij.radiance(iris, GRID, solver=ij.IlitExact(16), **options)
+    problem = ij.problem(seen, free=["gain"], base=iris, **how)
+    wanted = ij.radiance(iris, GRID, **how, **options)
     np.testing.assert_allclose(problem.predict(jnp.zeros(1))[0], wanted.values, rtol=1e-12)
 
 
@@ -81,23 +73,26 @@ def test_colours_are_those_of_the_colorimeter(quantity):
     ids=["normal", "student", "correlated"],
 )
 def test_likelihood_is_scipys(noise, distribution):
-    problem = stated(noise)
-    z = jnp.asarray(np.random.default_rng(1).normal(size=7) * 0.3)
-    m = np.asarray(problem.predict(z)[0])
-    factor = float(problem.values(z)["noise"])
-    sd = factor * np.hypot(0.03 * m, 1e-3)
+    problem, z = stated(noise), np.random.default_rng(1).normal(size=7) * 0.3
+    (m,), factor, likelihood, prior = quick_jit(
+        lambda z: (
+            *(problem.predict(z), problem.values(z)["noise"]),
+            *(problem.log_likelihood(z), problem.log_prior(z)),
+        )
+    )(z)
+    sd = float(factor) * np.hypot(0.03 * np.asarray(m), 1e-3)
     smooth = 0.05**2 * np.outer(m, m) * np.exp(-0.5 * ((GRID[:, None] - GRID) / 60) ** 2)
-    wanted = distribution(np.asarray(problem.observations[0].values), m, sd, smooth)
-    assert float(problem.log_likelihood(z)) == pytest.approx(wanted, rel=1e-10)
-    assert float(problem.log_prior(z)) == pytest.approx(stats.norm.logpdf(np.asarray(z)).sum())
+    wanted = distribution(np.asarray(problem.observations[0].values), np.asarray(m), sd, smooth)
+    assert float(likelihood) == pytest.approx(wanted, rel=1e-10)
+    assert float(prior) == pytest.approx(stats.norm.logpdf(z).sum())
 
 
-@pytest.mark.parametrize("count", [16, 81])
-def test_correlated_residuals_are_whitened(count):
+def test_correlated_residuals_are_whitened():
     """More wavelengths than a block of the matrix's root: densities and squares are those of
     scipy.
     """
-    grid, rng = np.linspace(400, 700, count), np.random.default_rng(0)
+    count, rng = 41, np.random.default_rng(0)
+    grid = np.linspace(400, 700, count)
     model, noise = 0.02 + 0.01 * rng.random(count), Noise(0.03, 1e-3, 0.05, 60.0)
     seen = ij.spectrum(grid, model * (1 + 0.03 * rng.normal(size=count)))
 
@@ -106,40 +101,33 @@ def test_correlated_residuals_are_whitened(count):
         return np.diag((0.03 * m) ** 2 + 1e-6) + smooth
 
     values = np.asarray(seen.values)
+    density, white = quick_jit(lambda m: (noise.pointwise(seen, m).sum(), noise.whiten(seen, m)))(
+        model
+    )
     wanted = stats.multivariate_normal(model, covariance(model)).logpdf(values)
-    assert float(noise.pointwise(seen, jnp.asarray(model)).sum()) == pytest.approx(
-        wanted, rel=1e-10
-    )
+    assert float(density) == pytest.approx(wanted, rel=1e-10)
     square = (values - model) @ np.linalg.solve(covariance(values), values - model)
-    assert float((noise.whiten(seen, jnp.asarray(model)) ** 2).sum()) == pytest.approx(
-        square, rel=1e-10
-    )
+    assert (np.asarray(white) ** 2).sum() == pytest.approx(square, rel=1e-10)
 
 
 def test_colour_likelihood_is_scipys():
     c = np.array([[2.0, 0.5, 0.1], [0.5, 1.0, -0.2], [0.1, -0.2, 0.5]]) * 1e-4
-    problem = ij.problem(
-        ij.colour_data([0.02, 0.02, 0.03], c), free=["melanin_load"], solver=BeerLambert()
+    seen = ij.colour_data([0.02, 0.02, 0.03], c)
+    problem = ij.problem(seen, free=["melanin_load"], solver=BeerLambert())
+    (model,), found = quick_jit(lambda z: (problem.predict(z), problem.log_likelihood(z)))(
+        np.zeros(1)
     )
-    z = jnp.zeros(1)
-    wanted = stats.multivariate_normal(np.asarray(problem.predict(z)[0]), c).logpdf(
-        [0.02, 0.02, 0.03]
-    )
-    assert float(problem.log_likelihood(z)) == pytest.approx(wanted, rel=1e-10)
+    wanted = stats.multivariate_normal(np.asarray(model), c).logpdf([0.02, 0.02, 0.03])
+    assert float(found) == pytest.approx(wanted, rel=1e-10)
 
 
 @pytest.mark.slow  # statistics
 def test_draws_have_the_stated_moments():
-    for noise in (
-        Noise(0.03, 1e-3, 0.05, 60.0),
-        Noise(0.03, 1e-3),
-        Noise(0.03, 1e-3, degrees_of_freedom=6.0),
-    ):
+    keys, z = jax.random.split(jax.random.key(0), 20_000), jnp.zeros(1)
+    for more in ({"discrepancy": 0.05, "length": 60.0}, {}, {"degrees_of_freedom": 6.0}):
+        noise = Noise(0.03, 1e-3, **more)
         problem = stated(noise, free=["gain"])
-        z = jnp.zeros(1)
-        draws = quick_jit(jax.vmap(lambda k, p=problem, z=z: p.simulate(z, k)[0]))(
-            jax.random.split(jax.random.key(0), 20_000)
-        )
+        draws = quick_jit(jax.vmap(lambda k, p=problem: p.simulate(z, k)[0]))(keys)
         m = np.asarray(problem.predict(z)[0])
         variance = (0.03 * m) ** 2 + 1e-6
         if noise.discrepancy is not None:
@@ -152,9 +140,7 @@ def test_draws_have_the_stated_moments():
 
 
 def test_slopes_agree_with_differences():
-    """The rule that wavelengths do not mix: forward, reverse,
-    and a difference of the whole model.
-    """
+    """The rule that wavelengths do not mix: forward, reverse, and a difference of the model."""
     y = np.asarray(ij.reflectance(ij.Iris.of_level("low"), GRID).values)
     free = [name for name in PARAMETERS if name not in POWER_LAW_LIMITS]
     problem = ij.problem(ij.spectrum(GRID, y), free=free)
@@ -205,12 +191,11 @@ def test_what_scatters_less_or_more_than_usual_is_read_too(scale):
 def test_spots_share_blood_but_not_melanin():
     y = np.asarray(ij.reflectance(ij.Iris.of_level("low"), GRID).values)
     two = [ij.spectrum(GRID, y, name="a"), ij.spectrum(GRID, 0.5 * y, name="b")]
-    problem = ij.problem(
-        two, free=["melanin_load", "hemoglobin"], separate=["melanin_load"], solver=BeerLambert()
-    )
+    how = {"free": ["melanin_load", "hemoglobin"], "solver": BeerLambert()}
+    problem = ij.problem(two, separate=["melanin_load"], **how)
     assert problem.free == ("melanin_load@1", "melanin_load@2", "hemoglobin")
     z = jnp.asarray([0.5, -0.5, 0.2])
-    single = ij.problem(two[1], free=["melanin_load", "hemoglobin"], solver=BeerLambert())
+    single = ij.problem(two[1], **how)
     np.testing.assert_allclose(problem.predict(z)[1], single.predict(z[1:])[0], rtol=1e-12)
     assert set(problem.reported(z)) >= {"melanin_load@1", "eumelanin@2"}
 
@@ -260,10 +245,8 @@ def test_noise_that_cannot_be_is_named():
 def test_spectra_of_colour_science_and_read_ones_stand_for_wavelengths_and_values(tmp_path):
     import colour as cs
 
-    grid, scans = (
-        np.array([400.0, 500.0, 600.0]),
-        np.array([[0.03, 0.032], [0.01, 0.012], [0.02, 0.019]]),
-    )
+    grid = np.array([400.0, 500.0, 600.0])
+    scans = np.array([[0.03, 0.032], [0.01, 0.012], [0.02, 0.019]])
     one = cs.SpectralDistribution(scans[:, 0], grid)
     np.testing.assert_array_equal(ij.spectrum(one).wavelengths, grid)
     np.testing.assert_array_equal(ij.spectrum(one).values, scans[:, 0])

@@ -1,5 +1,6 @@
 """Scene files: what they say is the scene."""
 
+import functools
 import math
 import re
 import tomllib
@@ -9,6 +10,7 @@ import numpy as np
 import pytest
 
 from irisjax import io
+from irisjax.io import scenes
 from irisjax.io.scenes import SECTIONS, parse_scene, read_scene
 from irisjax.io.sections import checked
 from irisjax.render.environment import Environment
@@ -37,6 +39,15 @@ def test_file_becomes_the_scene_it_says():
     np.testing.assert_allclose(scene.lights.distance, [np.inf, away])
 
 
+@pytest.fixture
+def small(monkeypatch):
+    """Scenes with maps of few texels."""
+    for name, shape in (("procedural", (96, 32)), ("veins", (128, 64))):
+        grow = functools.partial(getattr(scenes, name), shape=shape)
+        monkeypatch.setattr(scenes, name, grow)
+
+
+@pytest.mark.usefixtures("small")
 def test_empty_file_is_the_default_eye():
     scene = parse_scene("").scene()
     assert scene.lights is not None and len(scene.lights) == 1 and scene.environment is None
@@ -64,6 +75,7 @@ def test_the_file_that_explains_everything_names_every_entry():
     assert found == {name: set(checks) for name, checks in SECTIONS.items()}
 
 
+@pytest.mark.usefixtures("small")
 def test_seeds_grow_other_maps():
     def relief(seed):
         scene = parse_scene(f"[maps]\nseed = {seed}\n[eye]\nsclera = false").scene()

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import irisjax as ij
-from common import quick_jit, slowly
+from common import quick_jit
 
 GRID = [450.0, 620.0]
 IRIS = ij.Iris.of_level("low")
@@ -16,27 +16,37 @@ COARSE = ij.RadiativeExact(12, 4, 1, process=ij.POLARISED)  # where resolution i
 
 
 @quick_jit
-def _solved(analyser):
-    factor, light = analyser.incident()
-    return factor, COARSE.solve(IRIS.layers(analyser.pigments), light)
+def _solved(meter):
+    """One program for all that is read, into one direction or a hemisphere."""
+    factor, light = meter.incident()
+    return COARSE.solve(IRIS.layers(meter.pigments), light), factor
+
+
+@pytest.fixture(scope="module")
+def far():
+    """A polarimeter that looks from the side, and what it reads."""
+    meter = ij.Polarimeter(GRID, cos_exit=0.5)
+    return meter, *_solved(meter)
 
 
 @quick_jit
-def _read(analyser, solution, factor):
-    return analyser.reading(solution, factor).values
+def _read(instrument, solution, factor):
+    return instrument.reading(solution, factor)
 
 
-@pytest.mark.parametrize("where", [slowly(1.0), slowly(0.6), "hemisphere"])
+@pytest.mark.usefixtures("far")  # compiles the program
+@pytest.mark.parametrize("where", [1.0, 0.6, "hemisphere"])
 def test_both_analysers_make_the_whole(where):
     """Of unpolarised light: the mean over two polarisers of the sum over both analysers."""
-    total, solution = 0.0, None
+    towards = {"cos_incidence": 0.8, "azimuth": 0.7}
+    cosine = 0.6 if where == "hemisphere" else where
+    solution, factor = _solved(ij.Polarimeter(GRID, cos_exit=cosine, **towards))
+    total = 0.0
     for setting in ("crossed", "parallel"):
         for polariser in (0.3, 0.3 + np.pi / 2):
-            settings = {"polariser": polariser, "cos_exit": where, "azimuth": 0.7}
-            analyser = ij.Analyser(GRID, setting, cos_incidence=0.8, **settings)
-            if solution is None:
-                factor, solution = _solved(analyser)
-            values = np.asarray(_read(analyser, solution, factor))
+            settings = {"polariser": polariser, "cos_exit": where, **towards}
+            analyser = ij.Analyser(GRID, setting, **settings)
+            values = np.asarray(_read(analyser, solution, factor).values)
             assert (values > 0).all()
             total = total + 0.5 * values
     if where == "hemisphere":
@@ -49,7 +59,7 @@ def test_both_analysers_make_the_whole(where):
 @pytest.mark.slow
 def test_along_the_normal():
     """The spec's figures, alike for every polariser; unpolarised light stays so, by symmetry."""
-    read = partial(ij.observe, IRIS, solver=ij.RadiativeExact(24, 8, 1, process=ij.POLARISED))
+    read = partial(ij.observe, IRIS, solver=SOLVER)
     crossed, parallel = (
         [read(ij.Analyser(GRID, s, polariser=a)).values for a in (0.0, 0.9)]
         for s in ("crossed", "parallel")
@@ -64,8 +74,8 @@ def test_along_the_normal():
     np.testing.assert_allclose(lit.angle, 0.4, atol=1e-9)
 
 
-def test_far_from_the_normal_light_is_polarised_across_the_plane():
-    seen = ij.observe(IRIS, ij.Polarimeter(GRID, cos_exit=np.cos(np.radians(60))), SOLVER)
+def test_far_from_the_normal_light_is_polarised_across_the_plane(far):
+    seen = _read(*far)
     assert (np.asarray(seen.values) > 0.3).all()
     np.testing.assert_allclose(np.abs(seen.angle), np.pi / 2, atol=1e-6)
     assert seen.stokes.shape == (2, 4)
