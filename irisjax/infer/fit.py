@@ -171,7 +171,7 @@ def _fit(problem, solver, start, key, use_priors, starts, rounds, max_steps) -> 
         weights = jnp.append(0.1 * jnp.sqrt(jnp.mean(jnp.concatenate(signal) ** 2)), weights)
     first = jnp.zeros(free, dtype) if start is None else jnp.asarray(start, dtype)
     best = least_squares(
-        residuals, problem, first[moving], has_aux=True, weights=weights, solver=solver,
+        residuals, problem, first[moving], weights=weights, solver=solver,
         starts=starts, rounds=rounds, max_steps=max_steps, key=key,
     )  # fmt: skip
     data, predicted, solved = best.aux

@@ -56,7 +56,6 @@ def least_squares(
     args: Any,
     start: Float[Array, " moving"],
     *,
-    has_aux: bool = False,
     weights: Float[Array, " stages"] | None = None,
     solver: optx.AbstractLeastSquaresSolver | None = None,
     starts: int = 1,
@@ -68,10 +67,10 @@ def least_squares(
     up to `rounds` times, while fewer than two agree. Call it inside a jitted function.
 
     Args:
-        residuals: Pure function `residuals(x, weight, args)`, where `weight` is that of the priors.
+        residuals: Pure function `residuals(x, weight, args)` that returns residuals and whatever
+            else is of use; `weight` is that of the priors.
         args: Whatever else the residuals depend on; not differentiable.
         start: Where the first search starts; the others start from standard normal draws.
-        has_aux: Whether the function returns its residuals and something else.
         weights: Weights of the priors, one search after another; the last one counts. By default
             there is one, 1. A search that shall end with priors of little weight should begin with
             more: far outside nothing depends on some parameters any more.
@@ -88,8 +87,7 @@ def least_squares(
     @eqx.filter_jit  # traced once, however often optimistix evaluates it
     def evaluated(x, given):
         def twice(x):
-            found = residuals(x, *given)
-            values, aux = found if has_aux else (found, None)
+            values, aux = residuals(x, *given)
             return values, (values, aux)
 
         # The Jacobian is computed here, and the solver gets it as the function's derivative: its

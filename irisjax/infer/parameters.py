@@ -33,66 +33,49 @@ class Parameter(NamedTuple):
 
 
 _INF = float("inf")
-_BLOOD = LIMITS["oxyhemoglobin"]._replace(meaning="haemoglobin of both kinds in the stroma")
-
-PARAMETERS: dict[str, Parameter] = {
-    "melanin_load": Parameter(
-        MELANIN_LOAD,
+_ALLOWED = {
+    **LIMITS,
+    **POWER_LAW_LIMITS,
+    "melanin_load": MELANIN_LOAD,
+    "abl_fraction": Range(0, 1, "", "share of the melanin in the anterior border layer"),
+    "pheomelanin_share": Range(0, 1, "", "share of pheomelanin in the melanin"),
+    "hemoglobin": LIMITS["oxyhemoglobin"]._replace(
+        meaning="haemoglobin of both kinds in the stroma"
+    ),
+    "saturation": Range(0, 1, "", "oxygen saturation, the share of oxyhaemoglobin"),
+    "gain": GAIN,
+    "noise": Range(0, _INF, "", "factor on the stated standard deviations", above=True),
+}
+_PRIORS: dict[str, tuple[AbstractPrior, str]] = {
+    "melanin_load": (
         LogNormal(0.15, 1.2),
         "two thirds between 0.045 and 0.5: LB06 Table 2 has 0.048 (low), 0.35, 0.44 (high)",
     ),
-    "abl_fraction": Parameter(
-        Range(0, 1, "", "share of the melanin in the anterior border layer"),
-        Uniform(0.0, 1.0),
-        "no preference; LB06 Figs. 7 and 9 use 0.2 to 0.8",
-    ),
-    "pheomelanin_share": Parameter(
-        Range(0, 1, "", "share of pheomelanin in the melanin"),
+    "abl_fraction": (Uniform(0.0, 1.0), "no preference; LB06 Figs. 7 and 9 use 0.2 to 0.8"),
+    "pheomelanin_share": (
         LogitNormal(0.2, 0.8),
         "LB06 Table 2 has 0.14 (low), 0.20, 0.21 (high); two thirds between 0.1 and 0.36",
     ),
-    "hemoglobin": Parameter(
-        _BLOOD, LogNormal(0.084, 0.5), "LB06 Table 2: 0.084; a factor 1.6 either way"
-    ),
-    "saturation": Parameter(
-        Range(0, 1, "", "oxygen saturation, the share of oxyhaemoglobin"),
+    "hemoglobin": (LogNormal(0.084, 0.5), "LB06 Table 2: 0.084; a factor 1.6 either way"),
+    "saturation": (
         LogitNormal(0.6, 1.0),
         "LB06 Table 2 has 0.5; arterial blood 0.97, venous 0.7: two thirds between 0.36 and 0.8",
     ),
-    "stroma_thickness": Parameter(
-        LIMITS["stroma_thickness"], LogNormal(0.2855, 0.2), "LB06 Section 3.1, 20 % either way"
-    ),
-    "abl_thickness": Parameter(
-        LIMITS["abl_thickness"], LogNormal(0.05675, 0.2), "LB06 Section 3.1, 20 % either way"
-    ),
-    "scattering_scale": Parameter(
-        LIMITS["scattering_scale"], LogNormal(1.0, 0.3), "the formula's own value, 30 %"
-    ),
-    "reduced_scattering": Parameter(
-        POWER_LAW_LIMITS["reduced_scattering"],
+    "stroma_thickness": (LogNormal(0.2855, 0.2), "LB06 Section 3.1, 20 % either way"),
+    "abl_thickness": (LogNormal(0.05675, 0.2), "LB06 Section 3.1, 20 % either way"),
+    "scattering_scale": (LogNormal(1.0, 0.3), "the formula's own value, 30 %"),
+    "reduced_scattering": (
         LogNormal(1.0, 0.8),
         "soft tissues 0.2 to 5, Jacques 2013; that is 95 % of the prior",
     ),
-    "rayleigh_share": Parameter(
-        POWER_LAW_LIMITS["rayleigh_share"], Uniform(0.0, 1.0), "no preference"
-    ),
-    "scattering_power": Parameter(
-        POWER_LAW_LIMITS["scattering_power"],
-        Uniform(0.2, 3.0),
-        "soft tissues 0.2 to 3, Jacques 2013",
-    ),
-    "anisotropy": Parameter(
-        POWER_LAW_LIMITS["anisotropy"],
-        Uniform(0.7, 0.95),
-        "0.7 to 0.95 in soft tissues, Jacques 2013",
-    ),
-    "gain": Parameter(GAIN, LogNormal(1.0, 0.03), "calibration of a reflectance standard, 3 %"),
-    "noise": Parameter(
-        Range(0, _INF, "", "factor on the stated standard deviations", above=True),
-        LogNormal(1.0, 0.5),
-        "statements of noise hold to a factor of 1.6",
-    ),
+    "rayleigh_share": (Uniform(0.0, 1.0), "no preference"),
+    "scattering_power": (Uniform(0.2, 3.0), "soft tissues 0.2 to 3, Jacques 2013"),
+    "anisotropy": (Uniform(0.7, 0.95), "0.7 to 0.95 in soft tissues, Jacques 2013"),
+    "gain": (LogNormal(1.0, 0.03), "calibration of a reflectance standard, 3 %"),
+    "noise": (LogNormal(1.0, 0.5), "statements of noise hold to a factor of 1.6"),
 }
+
+PARAMETERS = {name: Parameter(_ALLOWED[name], *prior) for name, prior in _PRIORS.items()}
 """Every parameter by name."""
 
 DEFAULT_FREE = (

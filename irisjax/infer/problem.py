@@ -17,7 +17,7 @@ from irisjax.infer.observation import Observation
 from irisjax.infer.parameters import DEFAULT_FREE, OF_POWER_LAW, PARAMETERS, kind
 from irisjax.infer.priors import AbstractPrior, check_prior
 from irisjax.measure.observe import observed, prepared
-from irisjax.numerics.checks import check_range
+from irisjax.numerics.checks import check_known, check_range
 from irisjax.numerics.portions import in_pieces
 from irisjax.tissue.iris import Iris
 from irisjax.tissue.scattering import PowerLaw
@@ -261,8 +261,7 @@ def problem(
     if not seen:
         raise ValueError("no observations")
     for name in (*(free or ()), *fixed, *priors, *separate):
-        if name not in PARAMETERS:
-            raise ValueError(f"unknown parameter {name!r}; known: {', '.join(PARAMETERS)}")
+        check_known("parameter", name, PARAMETERS)
     for name, value in fixed.items():
         check_range(name, value, PARAMETERS[name].allowed)
         if free is not None and name in free:
@@ -281,25 +280,17 @@ def problem(
         expanded += [f"{n}@{i + 1}" for i in range(len(seen))] if n in separate else [n]
     most = max(o.values.shape[-1] for o in seen)
     if noise is not None and noise.discrepancy is not None and most > _MOST_CORRELATED:
-        raise ValueError(
-            f"a discrepancy takes a matrix of {most} by {most} for every walker; average "
-            f"neighbouring wavelengths, to {_MOST_CORRELATED} values at most"
-        )
+        to_do = f"average neighbouring wavelengths, to {_MOST_CORRELATED} values at most"
+        raise ValueError(f"a discrepancy takes a matrix of {most} by {most} a walker; {to_do}")
     base = Iris() if base is None else base
     if process is not None and solver is not None:
         raise ValueError("a solver has a process: give process or solver, not both")
     by = solver or process or ILIT_2006
     base = _with_law(base, by.process if isinstance(by, AbstractSolver) else by, (*names, *fixed))
     known = {n: v for n, v in {**parameters.of_iris(base), **fixed}.items() if n not in names}
-    return Problem(
-        observations=seen,
-        noise=Noise() if noise is None else noise,
-        base=base,
-        fixed=_as_arrays(known),
-        solvers=solvers_of(base, seen, by),
-        free=tuple(expanded),
-        priors=tuple(priors.get(kind(n), PARAMETERS[kind(n)].prior) for n in expanded),
-    )
+    noise, solvers = Noise() if noise is None else noise, solvers_of(base, seen, by)
+    every = tuple(priors.get(kind(n), PARAMETERS[kind(n)].prior) for n in expanded)
+    return Problem(seen, noise, base, _as_arrays(known), solvers, tuple(expanded), every)
 
 
 class Form:
@@ -413,10 +404,8 @@ def _with_law(base: Iris, process: AbstractProcess, names: Iterable[str]) -> Iri
     """`base`, with a power law where one of its numbers is a parameter."""
     law = [n for n in names if n in OF_POWER_LAW]
     if isinstance(process, Ilit) and (law or base.power_law is not None):
-        raise ValueError(
-            f"{law[0] if law else 'power_law'} is of radiative transfer (depth-resolved); ILIT has "
-            "its own formula of scattering"
-        )
+        said = "is of radiative transfer (depth-resolved); ILIT has its own formula of scattering"
+        raise ValueError(f"{law[0] if law else 'power_law'} {said}")
     if "reduced_scattering" in law and "scattering_scale" in names:
         raise ValueError("reduced_scattering and scattering_scale are one factor: state one")
     return base.replace(power_law=PowerLaw()) if law and base.power_law is None else base

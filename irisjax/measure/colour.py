@@ -16,6 +16,7 @@ from jaxtyping import Array, Bool, Float
 
 from irisjax._types import Numbers, Spectrum, as_float
 from irisjax.measure.measurement import check_wavelengths
+from irisjax.numerics.checks import check_known
 from irisjax.numerics.interpolation import piecewise_linear
 from irisjax.transport.solution import RESULTS
 
@@ -213,8 +214,7 @@ def _constants(grid_bytes: bytes, illuminant: str, observer: str):
 
 def _weighting(x, illuminant: str, observer: str, xp):
     """The arrays of an `Observer`; `xp` is `numpy`, or `jax.numpy` for a traced grid."""
-    if observer not in OBSERVERS:
-        raise ValueError(f"unknown observer {observer!r}; known: {', '.join(OBSERVERS)}")
+    check_known("observer", observer, OBSERVERS)
     grid, *cmfs = _tables()[f"observer {observer}"]
     at = partial(np.interp, x, left=0.0, right=0.0)
     if xp is jnp:

@@ -262,7 +262,7 @@ def _searched(starts, windows, base, free: tuple[int, ...]):
     def residuals(some, weight, held):
         del weight  # the priors count in full
         off, _ = _off(parameter_values(every(some)), windows, base)
-        return jnp.concatenate([whitened_errors(off, windows.present, held), some])
+        return jnp.concatenate([whitened_errors(off, windows.present, held), some]), None
 
     def turn(some, _):
         held = covariances(*_off(parameter_values(every(some)), windows, base), windows.present)

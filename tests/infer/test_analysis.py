@@ -1,6 +1,7 @@
 """The whole analysis of an eye: summaries and checks of a posterior, and the other process."""
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
@@ -147,7 +148,7 @@ def test_single_precision_samples_without_a_warning():
     z = np.asarray([-0.3, 0.2, 1.2, -0.1, 0.0], np.float32)
     (y,) = quick_jit(lambda z: problem.predict(z))(z)
     noisy = np.asarray(y) * (1 + 1e-3 * np.random.default_rng(0).normal(size=GRID.size))
-    seen = with_values(problem.observations[0], np.asarray(noisy, np.float32))
+    seen = with_values(problem.observations[0], jnp.asarray(noisy, jnp.float32))
     problem = problem.with_observations(seen)
     best = fit(problem, key=KEY)
     assert best.covariance.dtype == np.float32

@@ -245,7 +245,7 @@ def test_rounds_follow_while_starts_disagree():
 
     def residuals(x, weight, width):
         pit = jnp.exp(-0.5 * ((x - 1.5) / width) ** 2)
-        return jnp.concatenate([0.3 * (x + 4), 3 * (1 - pit), weight * x])
+        return jnp.concatenate([0.3 * (x + 4), 3 * (1 - pit), weight * x]), None
 
     @jax.jit
     def run(width):
