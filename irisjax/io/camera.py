@@ -23,10 +23,9 @@ _PER_MM = {2: 1 / 25.4, 3: 0.1, 4: 1.0, 5: 1000.0}  # Exif's units of the focal 
 
 def focal_px(exif: Mapping[str, float], shape: tuple[int, int], notes: list[str]) -> float | None:
     """Focal length in pixels of a picture of `shape` (rows, columns, as the file stores it), `None`
-    where Exif has none that can be believed; notes on how it was found are added.
-
-    From `FocalLengthIn35mmFilm` by the diagonals of picture and film; else `FocalLength` (mm) and
-    `FocalPlaneXResolution`. Both are scaled from `PixelXDimension` to the picture's pixels.
+    where Exif has none that can be believed, with notes on how it was found: from
+    `FocalLengthIn35mmFilm` by the diagonals of picture and film, else from `FocalLength` (mm) and
+    `FocalPlaneXResolution`, both scaled from `PixelXDimension` to the picture's pixels.
     """
     given = defaultdict(float, {k: v for k, v in exif.items() if math.isfinite(v)})
     taken, scale = _taken(given, shape, notes)
@@ -72,17 +71,12 @@ def _taken(
 def develop(
     path: str | Path, check: Callable[[int, int], None]
 ) -> tuple[np.ndarray, np.ndarray, dict[str, float], list[str]]:
-    """Read a raw file by LibRaw: camera's white balance, 16 bits, no brightening, held upright.
-
+    """Read a raw file by LibRaw: camera's white balance, 16 bits, no brightening, held upright;
     `check(rows, columns)` may refuse the size before colours are filled in.
 
     Returns:
         Linear values on sRGB's primaries, 1 being the sensor's white level; the pixels that a
         photosite at its white level takes part in; numbers by their names in Exif; notes.
-
-    Raises:
-        ValueError: Without `rawpy` and for a file that LibRaw cannot read.
-        OSError: For one that cannot be opened.
     """
     with open(path, "rb"):  # the system's word on files that are missing or forbidden
         pass

@@ -29,11 +29,8 @@ def encode_photograph(encoded: Float[np.ndarray, "rows columns 3"]) -> bytes:
 
 
 def read_clone(folder: str | Path) -> CloneFolder:
-    """Read the folder of a clone.
-
-    Raises:
-        ValueError: If there is no readable `clone.json` or `scene.toml`, the clone ended before its
-            pigments, or the photograph has another size than the scene's picture.
+    """Read the folder of a clone; `ValueError` where a file is missing or cannot be read, or the
+    photograph has another size than the scene's picture.
     """
     folder = Path(folder)
     check_summary(folder)

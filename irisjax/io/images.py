@@ -42,14 +42,9 @@ class Image(NamedTuple):
 def read_image(path: str | Path, *, decode: bool = False) -> Image:
     """Read a picture, the first one of a file of several.
 
-    The orientation that a camera recorded is applied; embedded colour profiles are not.
-
-    Args:
-        path: The file.
-        decode: Whether sRGB's transfer function is inverted for PNG and JPEG, not for alpha.
-
-    Raises:
-        ValueError: for an unknown suffix or a broken file.
+    The orientation that a camera recorded is applied; embedded colour profiles are not. With
+    `decode` sRGB's transfer function is inverted for PNG and JPEG, not for alpha. `ValueError` for
+    an unknown suffix or a broken file.
     """
     pixels, spec, _ = decode_file(path, READABLE, integers=False)
     linear = Path(path).suffix.lower() in (".exr", ".hdr")
@@ -147,11 +142,9 @@ def _bytes(name: str | Path, write: Callable[[Path], Any]) -> tuple[bytes, Any]:
 
 
 def spectral_channels(wavelengths: Iterable[float], layer: str = "S0") -> tuple[str, ...]:
-    """Channel names of a spectral image, such as S0.550,0nm [Fichet, Pacanowski & Wilkie 2021].
-
-    Args:
-        wavelengths: nm.
-        layer: `"S0"` (to `"S3"`, Stokes components) for radiance, `"T"` for reflectance.
+    """Channel names of a spectral image, such as S0.550,0nm [Fichet, Pacanowski & Wilkie 2021], of
+    wavelengths in nm and the layers `"S0"` (to `"S3"`, Stokes components) for radiance, `"T"` for
+    reflectance.
     """
     if layer not in ("S0", "S1", "S2", "S3", "T"):
         raise ValueError(f"unknown layer {layer!r}; known: S0, S1, S2, S3, T")
@@ -160,12 +153,7 @@ def spectral_channels(wavelengths: Iterable[float], layer: str = "S0") -> tuple[
 
 
 def read_environment(path: str | Path) -> Environment:
-    """Read a latitude-longitude panorama, twice as wide as high, of linear sRGB; PNG and JPEG are
-    decoded.
-
-    Raises:
-        ValueError: as `read_image`, and for other pictures.
-    """
+    """Read a latitude-longitude panorama, twice as wide as high, of linear or encoded sRGB."""
     image = read_image(path, decode=True)
     rows, columns = image.pixels.shape[:2]
     if columns != 2 * rows:
@@ -194,13 +182,11 @@ def to_steps(encoded: Any, bits: int) -> tuple[np.ndarray, int]:
 def decode_file(
     path: str | Path, suffixes: tuple[str, ...], *, integers: bool, check: _Check | None = None
 ) -> tuple[np.ndarray, Any, bool]:
-    """Decode the first picture of a file, turned upright.
+    """Decode the first picture of a file, turned upright: values, the header of the picture before
+    it was turned, and whether there are more.
 
     With `integers`, files of 8 and 16 bits give uint8 and uint16; all others give float32, whole
     numbers scaled to [0, 1]. `check` may refuse a header, OpenImageIO's `ImageSpec`.
-
-    Returns:
-        Values, the header of the picture before it was turned, and whether there are more.
     """
     with naming(path):
         check_image_suffix(path, suffixes)

@@ -42,11 +42,7 @@ def read_maps(path: str | Path) -> IrisMaps:
 
 
 def write_maps(path: str | Path, maps: IrisMaps) -> None:
-    """Write the maps that are present as an EXR of 32-bit floats.
-
-    Raises:
-        ValueError: for another suffix, and where there is no map.
-    """
+    """Write the maps that are present as an EXR of 32-bit floats."""
     write_atomically(path, encode_maps(path, maps))
 
 

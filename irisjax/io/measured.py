@@ -80,13 +80,8 @@ class Measured(NamedTuple):
 
 
 class ReadOptions(NamedTuple):
-    """How to read a file; `None` means as the file says, or by its numbers.
-
-    Attributes:
-        quantity: One of `QUANTITIES`.
-        unit: Of reflectances, one of `REFLECTANCE_UNITS`.
-        wavelength_unit: One of `WAVELENGTH_UNITS`.
-        wavelengths: The least and the largest wavelength to keep, nm.
+    """How to read a file; `None` means as the file says, or by its numbers: one of `QUANTITIES`,
+    `REFLECTANCE_UNITS` and `WAVELENGTH_UNITS`, and the wavelengths (nm) to keep, from and to.
     """
 
     quantity: str | None = None
@@ -127,13 +122,8 @@ def read_measured(
 
 
 def read_eyes(path: str | Path, how: ReadOptions | None = None) -> dict[str, Measured | ValueError]:
-    """Read the spectra of many eyes in one text table, a column each.
-
-    Returns:
-        The spectra by name, or the error of a column that is none.
-
-    Raises:
-        ValueError: naming the file and a problem of the whole table.
+    """Read the spectra of many eyes in one text table, a column each, or the error of a column that
+    is none; `ValueError` for a problem of the whole table.
     """
     with naming(path):
         table = _table(path)
@@ -211,11 +201,11 @@ def _table(path: str | Path) -> Columns:
 def _chosen(
     table: Columns, wanted: str | None, among: list[int] | None
 ) -> tuple[list[int], list[int], str]:
-    """Columns of one spectrum, by their index: its scans, all of one role, and its standard
-    deviation if there is one; and the role, empty where no header gives it.
+    """Indices of the columns of scans, all of one role, and of their standard deviation if there is
+    one; and the role, empty where no header gives it.
 
-    Columns of reflectance come first, then those of absorbance and of K/S, then those without a
-    role; others, such as counts and references beside a reflectance, are left out.
+    Reflectances come first, then absorbances and K/S, then columns without a role; others, such as
+    counts and references beside a reflectance, are left out.
     """
     roles = {j: _role_of(table.names[j]) for j in among or range(1, len(table.names))}
     stated = [j for j, role in roles.items() if role == _STANDARD_DEVIATION]

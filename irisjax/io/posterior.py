@@ -16,11 +16,8 @@ def write_posterior(
 ) -> None:
     """Write a posterior whole or not at all, in groups of plain datasets, as xarray writes them.
 
-    Args:
-        path: The file.
-        groups: Arrays (chain, draw, …) by name in groups such as `posterior` and `prior`.
-        attributes: Attributes of every group.
-        observed: Arrays of the group `observed_data`.
+    `groups` such as `posterior` and `prior` hold arrays (chain, draw, …) by name, `observed` those
+    of the group `observed_data`; all groups get the attributes.
     """
     import h5netcdf
 

@@ -88,11 +88,8 @@ class Recipe(NamedTuple):
 
 
 def read_recipe(path: str | Path) -> Recipe:
-    """Read and check a recipe. A coat without a height has that of the coat before it, 0 mm the
-    first one.
-
-    Raises:
-        ValueError: naming file, line, what is wrong and what is allowed.
+    """Read and check a recipe; a `ValueError` names file, line, what is wrong and what is allowed.
+    A coat without a height has that of the coat before it, 0 mm the first one.
     """
     path = Path(path)
     sections, where = check_sections(read_text(path), str(path), _SECTIONS, "coat")
@@ -142,10 +139,7 @@ def read_paints(path: str | Path) -> KubelkaMunkMixer:
     The first column is `wavelength_nm`, increasing. Each paint has a column `PAINT_K` and one
     `PAINT_S`, absorption and scattering, in one unit for all paints. Separators and encodings are
     those of `irisjax.io.text`. A line `# saunderson: 0.04 0.6` gives k₁ and k₂ of the paints'
-    surface where K and S exclude it.
-
-    Raises:
-        ValueError: naming the file, the line where there is one, and the problem.
+    surface where K and S exclude it. A `ValueError` names the file, the line and the problem.
     """
     with naming(path):
         table = read_columns(read_text(path))

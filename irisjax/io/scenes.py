@@ -31,12 +31,8 @@ from irisjax.transport.process import AbstractProcess
 
 @dataclasses.dataclass(frozen=True)
 class SceneFile:
-    """A checked scene file.
-
-    Attributes:
-        sections: Its entries, by the names of sections.
-        where: File and line of an entry.
-        folder: That files are named relative to.
+    """A checked scene file: its entries by the names of sections, where they are written, and the
+    folder that files are named relative to.
     """
 
     sections: Mapping[str, Any]
@@ -51,10 +47,8 @@ class SceneFile:
     def scene(self, integrator: str | None = None) -> Scene:
         """Build it, with an integrator of `INTEGRATORS` other than its own if one is named.
 
-        A preset has pigments of its own under radiative transfer.
-
-        Raises:
-            ValueError: For parts that do not go together; it names file and line.
+        A preset has pigments of its own under radiative transfer. A `ValueError` names file and
+        line of parts that do not go together.
         """
         chosen = INTEGRATORS[integrator or self._of("picture").get("integrator", "separable")]()
         parts: dict[str, Any] = {"integrator": chosen}
@@ -180,11 +174,7 @@ def stream(seed: int, name: str) -> PRNGKey:
 
 
 def read_scene(path: str | Path) -> SceneFile:
-    """Read and check a scene file.
-
-    Raises:
-        ValueError: For a wrong entry; it names the file, the line and what is allowed.
-    """
+    """Read a scene file; a `ValueError` names the wrong entry, its line and what is allowed."""
     return parse_scene(read_text(path), str(path), Path(path).parent)
 
 

@@ -27,14 +27,9 @@ _TYPES = {bool: "true or false", str: "text", dict: "a table, { name = value }"}
 def check_sections(
     written: str, name: str, keys: Mapping[str, Keys], repeated: str
 ) -> tuple[dict[str, Any], Where]:
-    """Sections of a TOML text with their entries as their checks give them, and where they are
-    written; `ValueError` names file, line, what is wrong and what is allowed.
-
-    Args:
-        written: The text.
-        name: Of the file, for what is said of it.
-        keys: Checks of each section's entries.
-        repeated: The section that is written `[[section]]`, once for each of its tables.
+    """Sections of a TOML text as the checks of their entries give them, and where they are written;
+    `ValueError` names file, line, what is wrong and what is allowed. The section `repeated` is
+    written `[[section]]`, once for each of its tables.
     """
     try:
         sections = tomllib.loads(written)

@@ -32,10 +32,7 @@ class Table(NamedTuple):
 
 def format_table(header: Mapping[str, str], columns: Mapping[str, np.ndarray]) -> str:
     """Text of a CSV file: the header as comments, then the columns with 12 significant digits, the
-    solvers' precision; the last bits, in which machines differ, are left out.
-
-    Raises:
-        ValueError: for a header entry that cannot be read again.
+    solvers' precision; `ValueError` for a header entry that cannot be read again.
     """
     out = io.StringIO()
     for key, value in header.items():
@@ -51,11 +48,7 @@ def format_table(header: Mapping[str, str], columns: Mapping[str, np.ndarray]) -
 
 
 def read_header(path: str | Path) -> dict[str, str]:
-    """Read the header of a CSV file, without remarks.
-
-    Raises:
-        ValueError: naming the file, and the line where there is one.
-    """
+    """Read the header of a CSV file, without remarks; a `ValueError` names file and line."""
     header: dict[str, str] = {}
     for number, line in enumerate(read_text(path).splitlines(), 1):
         key, colon, value = line[1:].partition(":")
@@ -69,11 +62,7 @@ def read_header(path: str | Path) -> dict[str, str]:
 
 
 def read_table(path: str | Path) -> Table:
-    """Read the header and columns of a CSV file as `format_table` writes it.
-
-    Raises:
-        ValueError: naming file and line, for a file of another form.
-    """
+    """Read a CSV file as `format_table` writes it; a `ValueError` names file and line."""
     header = read_header(path)
     # Comments may be anywhere; messages need the true line numbers.
     lines = enumerate(read_text(path).splitlines(), 1)
@@ -130,12 +119,8 @@ def write_atomically(path: str | Path, data: bytes) -> None:
 
 
 def write_together(files: Mapping[Path, bytes]) -> None:
-    """Write several files: all or none, and none in part.
-
-    The bytes go to new files in the same folders, which take the names once all are written.
-
-    Raises:
-        OSError: naming the file; files of these names are then unchanged.
+    """Write several files, all or none: new files of the same folders take the names once all are
+    written. An `OSError` names a file; those of these names are then unchanged.
     """
     for path in files:
         check_writable(path)
