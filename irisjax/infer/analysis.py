@@ -23,17 +23,8 @@ UNMOVED = 0.3
 
 
 class Row(NamedTuple):
-    """One parameter's posterior.
-
-    Attributes:
-        parameter: Its name.
-        unit: Its unit, or an empty string.
-        median: 50 % quantile; `q2_5` to `q97_5` are the others.
-        sd: Standard deviation.
-        rhat: Split R-hat.
-        ess_bulk: Effective number of samples; `ess_tail` is that of the tails.
-        contraction: 1 − posterior variance / prior variance, in the coordinate in which the prior
-            is normal.
+    """One parameter's posterior: quantiles, R-hat, effective samples of bulk and tails, and the
+    contraction, 1 − posterior variance / prior variance where the prior is normal.
     """
 
     parameter: str
@@ -120,19 +111,8 @@ def analyse(
     progress: Callable[[int, str], Any] | None = None,
     key: PRNGKey,
 ) -> Analysis:
-    """Fit a problem, sample its posterior, and judge both.
-
-    Args:
-        problem: What was measured and what is free.
-        store: See `sample`.
-        resume: See `sample`.
-        walkers: See `sample`.
-        max_steps: See `sample`.
-        progress: See `sample`.
-        key: Source of all draws.
-
-    Raises:
-        ValueError: As `sample` does, before any work.
+    """Fit a problem, sample its posterior, and judge both; `ValueError` as by `sample`, whose
+    arguments these are, before any work.
     """
     check_run(problem, store, walkers=walkers, resume=resume, key=key)
     best = fit(problem, key=jax.random.fold_in(key, 1))

@@ -58,8 +58,8 @@ class BeerLambert(AbstractAnalytic):
 class KubelkaMunk(AbstractAnalytic):
     """An absorbing layer over a Kubelka–Munk stroma, K = 2 μ_a, S = ¾ μ_s, on black [Kubelka 1948].
 
-    R = e^{−2·2τ_ABL} sinh(bSh) / (a sinh(bSh) + b cosh(bSh)), a = (S + K)/S, b = √(a² − 1); diffuse
-    light.
+    For diffuse light R = e^{−2·2τ_ABL} sinh(bSh) / (a sinh(bSh) + b cosh(bSh)), a = (S + K)/S,
+    b = √(a² − 1).
     """
 
     def inner(self, layers: Layers) -> Spectrum:

@@ -11,11 +11,8 @@ from irisjax.infer.problem import Problem
 
 
 class Direction(NamedTuple):
-    """A combination of parameters, Π value^exponent.
-
-    Attributes:
-        exponents: Exponents by name, the largest of size 1; small ones are left out.
-        relative: Relative standard deviation that the data alone leave it.
+    """A combination of parameters, Π value^exponent, the largest exponent of size 1 and small ones
+    left out, and the relative standard deviation that the data alone leave it.
     """
 
     exponents: dict[str, float]
@@ -23,11 +20,9 @@ class Direction(NamedTuple):
 
 
 class Information(NamedTuple):
-    """Fisher information of the data alone in the logarithms of the parameters.
+    """Fisher information of the data alone in the logarithms of the parameters, noise left out.
 
     Attributes:
-        names: The parameters, noise left out.
-        fisher: The matrix.
         directions: Its eigenvectors from the best known to the least known.
         alone: Relative standard deviation of each parameter with all others free, without priors;
             infinite where unknown.

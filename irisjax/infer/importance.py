@@ -47,14 +47,13 @@ class Start(NamedTuple):
 
 
 class ImportanceSample(NamedTuple):
-    """What all rounds found.
+    """What all rounds of `DRAWS` each found.
 
     Attributes:
-        samples: Draws of equal weight, (`DRAWS`, free).
+        samples: Draws of equal weight.
         effective: Number of effective draws [Kong 1992].
         log_integral: Logarithm of the density's integral, which is the mean weight. Of a likelihood
             times a prior it is the evidence.
-        rounds: Number of rounds of `DRAWS` each.
     """
 
     samples: Float[np.ndarray, "draws free"]

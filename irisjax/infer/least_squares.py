@@ -28,9 +28,8 @@ class Found(NamedTuple):
         aux: What the function returned there beside its residuals.
         steps: Number of its steps.
         result: optimistix's status of it.
-        searches: Number of searches.
-        agreeing: How many of them converged to this cost.
-        elsewhere: How many converged to a higher one.
+        searches: Number of searches, of which `agreeing` converged to this cost and `elsewhere` to
+            a higher one.
     """
 
     x: Float[Array, " moving"]

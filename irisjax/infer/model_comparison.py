@@ -62,7 +62,6 @@ class ProcessComparison(NamedTuple):
     """The fit of the same data by another process.
 
     Attributes:
-        process: The other process.
         moved: Each of `COMPARED` that is free, by both.
         log_odds: Logarithm of how much more probable the data are by the other process [Laplace's
             approximation of both evidences; noise as stated, or as the better fit leaves it].
@@ -86,14 +85,9 @@ def compare_processes(
     *,
     intervals: Mapping[str, Interval] | None = None,
 ) -> ProcessComparison:
-    """Compare two least-squares fits of the same data, with priors, by different processes.
-
-    Args:
-        problem: The problem.
-        own: Its fit.
-        other_problem: The same problem by the other process, see `Problem.by` and `other_of`.
-        other: Its fit.
-        intervals: Of a posterior of the problem, in place of those of `own`.
+    """Compare two least-squares fits of the same data, with priors, by a problem's process and by
+    the other one (`Problem.by`, `other_of`); `intervals` of the problem's posterior take the place
+    of those of its fit.
     """
     spread = noise_left(own, other)
     mine = intervals_of(problem, own, spread) | dict(intervals or {})
@@ -113,13 +107,10 @@ class Assessment(NamedTuple):
     """What one model makes of the data.
 
     Attributes:
-        name: Name of the model.
-        problem: The problem of the data by it.
         evidence: Samples of its posterior, and its evidence: the probability of the data averaged
             over the priors. A model that could have made many other data has less of it.
-        score: Predictive score (PSIS-LOO). Neighbouring wavelengths are not independent, so it is
-            no evidence of its own.
-        score_error: Its standard error.
+        score: Predictive score (PSIS-LOO), with its standard error. Neighbouring wavelengths are
+            not independent, so it is no evidence of its own.
         values: Median and 95 % interval of each of `COMPARED` that is free, of a power law's
             parameters, and of the noise.
         ratios: Ratios of these to the first model's where it has them, of independent draws.
@@ -202,11 +193,8 @@ def predictive_score(
     log_likelihood: Float[np.ndarray, "chains draws data"], effective: float = 1.0
 ) -> tuple[float, float]:
     """Return the expected log predictive density of left-out values by PSIS-LOO [Vehtari et al.
-    2017], and its standard error. Compare it between processes fitted to the same data.
-
-    Args:
-        log_likelihood: Of every draw and value.
-        effective: Effective samples a draw, at most 1.
+    2017], to be compared between processes fitted to the same data, and its standard error;
+    `effective` is the number of effective samples a draw, at most 1.
     """
     from arviz_stats.base.array import array_stats
 

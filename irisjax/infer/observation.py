@@ -163,15 +163,12 @@ def colour_data(
 
     Args:
         values: Three numbers.
-        covariance: Their covariance, (3, 3).
+        covariance: Their covariance, (3, 3), symmetric and positive definite.
         quantity: `"XYZ"` (white at Y = 1), `"Lab"` or `"linear sRGB"`.
         illuminant: By its name in colour-science.
         observer: The colour-matching functions, by their name in colour-science.
         first_surface: Whether the iris's own mirror reflection is in the data.
         name: What messages and figures call it.
-
-    Raises:
-        ValueError: Unless the covariance is symmetric and positive definite.
     """
     if quantity not in COLOUR_QUANTITIES:
         known = ", ".join(COLOUR_QUANTITIES)

@@ -13,12 +13,8 @@ from irisjax.tissue.scattering import POWER_LAW_LIMITS
 
 
 class Parameter(NamedTuple):
-    """A quantity that may be free.
-
-    Attributes:
-        allowed: Values that may be stated, with unit and meaning.
-        prior: Its default prior.
-        source: Where the prior comes from.
+    """A quantity that may be free: values that may be stated, its default prior, and where that
+    comes from.
     """
 
     allowed: Range
@@ -92,11 +88,8 @@ DERIVED = {"eumelanin": "mg/ml", "pheomelanin": "mg/ml", "abl_melanin": "ug/mm2"
 
 
 def of_iris(iris: Iris) -> dict[str, Any]:
-    """Return the parameters of an iris, with gain and noise as stated.
-
-    Raises:
-        ValueError: For an iris whose two melanins have different ABL fractions: the parameters have
-            one for both.
+    """Return the parameters of an iris, with gain and noise as stated; `ValueError` for one whose
+    melanins have different ABL fractions: the parameters have one for both.
     """
     if iris.pheomelanin_abl_fraction is not None:
         raise ValueError("pheomelanin_abl_fraction: an inversion has one abl_fraction for both")

@@ -31,14 +31,9 @@ _MOST_KEPT = 1000  # steps that a diagnosis reads
 
 @runtime_checkable
 class Density(Protocol):
-    """What can be sampled: the unnormalised log density of a vector z (free,).
-
-    Coordinates should be such that the priors are standard normal: importance sampling draws from
-    that too.
-
-    Attributes:
-        names: Names of the coordinates.
-        log_density: Function of many vectors, (n, free) → (n,); −∞ where there is no density.
+    """What can be sampled: the unnormalised log density of many vectors, (n, free) → (n,), −∞ where
+    there is none, and the names of its coordinates. Their priors should be standard normal:
+    importance sampling draws from that too.
     """
 
     @property

@@ -164,11 +164,8 @@ _FORMS = (
 
 
 def prior_of(text: str, low: float, high: float) -> AbstractPrior:
-    """Read a prior written as `kind(a, b)`, for a parameter that lies in [low, high].
-
-    Raises:
-        ValueError: For an unknown kind, numbers that make no distribution, or a support that
-            reaches outside.
+    """Read a prior written as `kind(a, b)`, for a parameter that lies in [low, high]; `ValueError`
+    for an unknown kind, numbers that make no distribution, or a support that reaches outside.
     """
     try:
         name, *numbers = _FORM.fullmatch(text).groups()  # pyright: ignore[reportOptionalMemberAccess]

@@ -148,11 +148,8 @@ class Problem(eqx.Module):
         return self.simulated(z, draws)[0]
 
     def simulated(self, z: _Z, draws: Sequence[Any]) -> tuple[_Readings, _Readings, _Readings]:
-        """Return `simulate`, `predict`, and the standard deviations stated there, at once.
-
-        Args:
-            z: The truth.
-            draws: For each observation standard normal numbers, and χ² ones for Student's t.
+        """Return `simulate`, `predict`, and the standard deviations stated there, at once, from
+        standard normal numbers (and χ² ones for Student's t) of each observation.
         """
         models, values = self.predict(z), self.values(z)
         measured = self._with_noise(self.noise.draw, values, models, draws)
@@ -173,11 +170,10 @@ class Problem(eqx.Module):
         return self._restated(base, process)
 
     def under(self, law: PowerLaw | None) -> "Problem":
-        """Return the problem by radiative transfer with another scattering of the stroma.
+        """Return the problem by radiative transfer with a power law of scattering.
 
-        Args:
-            law: Power law, whose four numbers become free with their default priors in place of
-                `scattering_scale`; `None` for the formula of the iris without these parameters.
+        Its four numbers become free with their default priors in place of `scattering_scale`;
+        `None` is the formula of the iris without these parameters.
         """
         base = self.base.replace(power_law=law, scattering_scale=1.0)
         return self._restated(base, DEPTH_RESOLVED, () if law is None else OF_POWER_LAW)

@@ -22,10 +22,9 @@ class ChainStart(NamedTuple):
 
     Attributes:
         owner: What the chain belongs to, in words that two different runs do not share.
-        number: How many chains came before it in this run; each was replaced by the next.
-        steps_before: Steps of these chains together.
-        places: Where the walkers start.
-        log_density: The log density there.
+        number: How many chains came before it in this run, of `steps_before` steps together; each
+            was replaced by the next.
+        places: Where the walkers start, and the log density there.
         adapted_to: Samples to which the proposals are adapted; `None` before there are any.
     """
 
@@ -46,11 +45,7 @@ class Store:
     """
 
     def __init__(self, path: str | Path | None = None):
-        """Use the file at this path, if any; a damaged one is repaired from its copy.
-
-        Raises:
-            ValueError: If the file cannot be read and has no copy.
-        """
+        """Use the file at this path, if any; one that is damaged is repaired from its copy."""
         self.path, self._memory = None if path is None else Path(path), None
         if self.path is not None and self.path.exists():
             self._repair(self.path)

@@ -122,10 +122,6 @@ def colour_of(
         values: Reflectances, one a wavelength.
         illuminant: Name in colour-science.
         observer: Name in colour-science.
-
-    Raises:
-        ValueError: For an unknown illuminant or observer, or a number of values other than that of
-            the wavelengths.
     """
     if np.shape(values) != np.shape(wavelengths):
         raise ValueError(f"{np.shape(values)} values for {np.shape(wavelengths)} wavelengths")
@@ -182,10 +178,8 @@ def _check_visible(grid: np.ndarray) -> None:
 
 
 def illuminant_power(illuminant: str, wavelengths: Numbers) -> Any:
-    """Relative spectral power of an illuminant (1 at 560 nm) at `wavelengths` (nm).
-
-    Raises:
-        ValueError: For a concrete wavelength outside the illuminant's table; a traced one gets NaN.
+    """Relative spectral power of an illuminant (1 at 560 nm) at `wavelengths` (nm); outside its
+    table concrete ones raise `ValueError`, traced ones get NaN.
     """
     grid, values = _spectrum(illuminant)
     values = values / np.interp(560.0, grid, values)

@@ -20,17 +20,14 @@ COSINE = Range(0, 1)
 
 
 class Reading(eqx.Module):
-    """The reading of an instrument, one value a wavelength.
+    """The reading of an instrument, one value a wavelength (nm).
 
     Attributes:
-        wavelengths: In nm, shape (wavelengths,).
-        values: The values, shape (wavelengths,).
-        standard_error: Their standard errors where they are sampled, otherwise `None`.
+        standard_error: Standard errors of the values where they are sampled, otherwise `None`.
         status: A `RESULTS` item; compare it with `RESULTS.successful`.
         absorbed: Shares of the incident light absorbed in `.abl`, `.stroma` and `.ipe`.
         mirrored: Share reflected by the iris's first surface, whether or not `values` include it.
-        quantity: Name of the quantity.
-        unit: Its unit.
+        quantity: Name of the quantity, which has this `unit`.
     """
 
     wavelengths: Spectrum
@@ -63,10 +60,8 @@ class Reading(eqx.Module):
 
 
 def wavelengths(start: float, stop: float, step: float) -> np.ndarray:
-    """Return a grid from `start` to `stop` inclusive, in equal steps, nm.
-
-    Raises:
-        ValueError: Unless start ≤ stop and the step is positive and divides the range.
+    """Return a grid from `start` to `stop` inclusive, in equal steps, nm; `ValueError` unless the
+    step is positive and divides the range.
     """
     asked = f"wavelengths({start:g}, {stop:g}, {step:g})"
     if not np.isfinite([start, stop, step]).all() or step <= 0 or stop < start:

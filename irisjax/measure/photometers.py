@@ -39,10 +39,6 @@ class Radiometer(AbstractInstrument):
     its way through tear film and cornea (by default inward only; light reflected by the tear film
     is not included) and returns evenly over the hemisphere, L = R·E/π. The reading of a perfect
     white diffuser in place of the eye is E/π.
-
-    Attributes:
-        power: E at the wavelengths.
-        illuminant: Name of the light source in colour-science.
     """
 
     power: Spectrum
@@ -74,12 +70,8 @@ class Radiometer(AbstractInstrument):
 
 
 class Colorimeter(AbstractInstrument):
-    """An instrument that reads the colour of the iris's reflectance under an illuminant.
-
-    Its wavelengths are 380–780 nm in steps of 5 nm by default.
-
-    Attributes:
-        observer: The illuminant and the standard observer on the wavelengths.
+    """An instrument that reads the colour of the iris's reflectance for an observer under an
+    illuminant, by default on 380–780 nm in steps of 5 nm.
     """
 
     observer: Observer

@@ -124,9 +124,9 @@ def test_a_colour_needs_its_whole_grid():
 
 
 HOW = {
-    "jit": jax.jit,
+    "jit": quick_jit,
     "vmap": lambda f: lambda x: jax.vmap(f)(jnp.stack([x, x])),
-    "jitted gradient": lambda f: jax.jit(jax.grad(f)),
+    "jitted gradient": lambda f: quick_jit(jax.grad(f)),
 }
 WRONG = {
     "pigment": (-1.0, lambda iris, x: (iris.replace(eumelanin=x), SHORT)),
