@@ -95,10 +95,8 @@ class Analysis(NamedTuple):
     @property
     def unmoved(self) -> tuple[str, ...]:
         """Free parameters of which the posterior is mostly the prior."""
-        free = self.problem.free
-        return tuple(
-            r.parameter for r in self.rows if r.parameter in free and r.contraction < UNMOVED
-        )
+        names = (row.parameter for row in self.rows if row.contraction < UNMOVED)
+        return tuple(name for name in names if name in self.problem.free)
 
 
 def analyse(
@@ -162,21 +160,15 @@ def predictive(
 def predictive_check(problem: Problem, chains: Chains, *, key: PRNGKey) -> PredictiveCheck:
     """Check residuals by their size and by their pattern."""
     simulated, models, sds = _drawn(problem, chains, DRAWS, key)
-    size, pattern = [], []
+    found = []
     for values in (tuple(np.asarray(o.values) for o in problem.observations), simulated):
-        total, alike = 0.0, 0.0
-        for y, m, sd in zip(values, models, sds, strict=True):
-            r = (y - m) / sd
-            total = total + (r**2).sum(axis=1)
-            alike = alike + (r[:, 1:] * r[:, :-1]).sum(axis=1) / (r**2).sum(axis=1)
-        size.append(total)
-        pattern.append(alike)
+        each = [(y - m) / sd for y, m, sd in zip(values, models, sds, strict=True)]
+        size = [(r**2).sum(axis=1) for r in each]
+        alike = [(r[:, 1:] * r[:, :-1]).sum(axis=1) for r in each]
+        found.append((sum(size), sum(a / s for a, s in zip(alike, size, strict=True))))
+    larger, smoother = (float((b >= a).mean()) for a, b in zip(*found, strict=True))
     noise = reported(problem, chains.z).get("noise")
-    return PredictiveCheck(
-        float((size[1] >= size[0]).mean()),
-        float((pattern[1] >= pattern[0]).mean()),
-        1.0 if noise is None else float(np.median(noise)),
-    )
+    return PredictiveCheck(larger, smoother, 1.0 if noise is None else float(np.median(noise)))
 
 
 def _drawn(problem: Problem, chains: Chains, count: int, key: PRNGKey):

@@ -63,13 +63,8 @@ def information(problem: Problem, fit: Fit) -> Information:
     unknown = eigenvalues < 1e-12 * eigenvalues.max()
     variance = vectors**2 @ np.where(unknown, 0.0, 1 / np.where(unknown, 1.0, eigenvalues))
     variance[(vectors[:, unknown] ** 2).any(axis=1)] = np.inf
-    return Information(
-        names,
-        fisher,
-        directions,
-        dict(zip(names, np.sqrt(variance).tolist(), strict=True)),
-        _trades(problem, covariance, kept),
-    )
+    alone = dict(zip(names, np.sqrt(variance).tolist(), strict=True))
+    return Information(names, fisher, directions, alone, _trades(problem, covariance, kept))
 
 
 def _trades(

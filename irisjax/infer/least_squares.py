@@ -1,6 +1,7 @@
 """Least squares: several searches from different starts, and more of them while they disagree."""
 
 from collections.abc import Callable
+from functools import partial
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -70,9 +71,9 @@ def least_squares(
             else is of use; `weight` is that of the priors.
         args: Whatever else the residuals depend on; not differentiable.
         start: Where the first search starts; the others start from standard normal draws.
-        weights: Weights of the priors, one search after another; the last one counts. By default
-            there is one, 1. A search that shall end with priors of little weight should begin with
-            more: far outside nothing depends on some parameters any more.
+        weights: Weights of the priors, by default 1, one search after another; the last one counts.
+            A search that shall end with priors of little weight should begin with more: far outside
+            nothing depends on some parameters any more.
         solver: Rule of the steps; default `levenberg_marquardt()`.
         starts: Number of searches in a round.
         rounds: Largest number of rounds.
@@ -109,9 +110,8 @@ def least_squares(
 
     begins = start[None]
     if key is not None:
-        keys = jax.vmap(lambda i: jax.random.fold_in(key, i))(jnp.arange(rounds))
-        shape = starts, start.size
-        draws = jax.vmap(lambda key: jax.random.normal(key, shape, start.dtype))(keys)
+        keys = jax.vmap(partial(jax.random.fold_in, key))(jnp.arange(rounds))
+        draws = jax.vmap(lambda k: jax.random.normal(k, (starts, start.size), start.dtype))(keys)
         begins = draws.reshape(-1, start.size).at[0].set(start)
 
     def another(state):

@@ -179,10 +179,8 @@ def compare_models(
         random = np.random.RandomState(words_of(two))
         found = importance_sample(mine.log_density, fit(mine, key=one), random, tell)
         if not found.enough:
-            raise ValueError(
-                f"{name}: importance weights stay uneven ({found.effective:.0f} "
-                f"effective draws of {EFFECTIVE} asked): no evidence"
-            )
+            draws = f"{found.effective:.0f} effective draws of {EFFECTIVE} asked"
+            raise ValueError(f"{name}: importance weights stay uneven ({draws}): no evidence")
         # Resampling leaves them in the order of the rounds.
         found = found._replace(samples=random.permutation(found.samples))
         out.append(_assessed(name, mine, found, out[0] if out else None, three))
@@ -199,9 +197,8 @@ def predictive_score(
     from arviz_stats.base.array import array_stats
 
     stats: Any = array_stats  # it returns scalars where its annotations have tuples too
-    each, _, _ = stats.loo(
-        np.moveaxis(log_likelihood, -1, 0), chain_axis=-2, draw_axis=-1, r_eff=min(effective, 1.0)
-    )
+    by_value, r_eff = np.moveaxis(log_likelihood, -1, 0), min(effective, 1.0)
+    each, _, _ = stats.loo(by_value, chain_axis=-2, draw_axis=-1, r_eff=r_eff)
     return float(np.sum(each)), float(np.sqrt(np.size(each)) * np.std(each))
 
 

@@ -178,11 +178,9 @@ def check_run(
 ) -> None:
     """Raise, before any work, the `ValueError` that `sample` would raise for its arguments."""
     free = len(target.names)
-    if walkers < 2 * free + 2:
-        raise ValueError(
-            f"{walkers} walkers are too few for {free} free parameters; give at least "
-            f"{2 * free + 2}"
-        )
+    if walkers < (least := 2 * free + 2):
+        said = f"{walkers} walkers are too few for {free} free parameters"
+        raise ValueError(f"{said}; give at least {least}")
     if store is None or not Path(store).exists():
         return
     if not resume:
@@ -192,9 +190,8 @@ def check_run(
     same = start.owner == _owner(target, key) and start.places.shape == (walkers, free)
     # A chain belongs to the density that its walkers had where they started.
     if not same or not _equal(target.log_density(start.places), start.log_density):
-        raise ValueError(
-            f"{store}: made from other data or settings; it cannot be resumed with these"
-        )
+        said = "made from other data or settings; it cannot be resumed with these"
+        raise ValueError(f"{store}: {said}")
 
 
 def words_of(key: PRNGKey) -> list[int]:
@@ -250,9 +247,11 @@ def mixing(draws: Float[np.ndarray, "chains draws"]) -> tuple[float, float, floa
 def _first(target: Density, start: Approximation, walkers: int, key: PRNGKey, tell) -> ChainStart:
     """The walkers' first places, and the samples that their jumps are adapted to."""
     random = np.random.RandomState([*words_of(key), 1 << 31])
-    found = importance_sample(
-        target.log_density, start, random, lambda rounds: tell(0, "importance sampling")
-    )
+
+    def report(rounds: int) -> None:
+        tell(0, "importance sampling")
+
+    found = importance_sample(target.log_density, start, random, report)
     places = found.samples[random.choice(len(found.samples), walkers, walkers > DRAWS)]
     # Differences of walkers on one spot would be zero.
     apart = random.standard_normal(places.shape)

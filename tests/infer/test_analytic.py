@@ -14,22 +14,13 @@ ANALYTIC = [BeerLambert(), KubelkaMunk(), FirstOrder()]
 @pytest.mark.parametrize("solver", ANALYTIC, ids=lambda s: type(s).__name__)
 def test_analytic_models_have_their_limits(solver):
     iris = ij.Iris.of_level("low")
-    pigments = (
-        "eumelanin",
-        "pheomelanin",
-        "oxyhemoglobin",
-        "deoxyhemoglobin",
-        "lutein",
-        "zeaxanthin",
-    )
-    clear = dict.fromkeys(pigments, 0.0)
+    pigments = "eumelanin pheomelanin oxyhemoglobin deoxyhemoglobin lutein zeaxanthin"
+    clear = dict.fromkeys(pigments.split(), 0.0)
     odd = {"eumelanin": 1e3}, {"stroma_thickness": 0.0}, {"collagen_index": 1.5}
     for fields in ({}, clear, *odd):
         r = ij.reflectance(iris.replace(**fields), GRID, solver=solver)
-        values = np.asarray(r.values - r.mirrored)
-        assert np.isfinite(values).all()
-        assert (values >= 0).all()
-        assert (values <= 1).all()
+        values = np.asarray(r.values) - np.asarray(r.mirrored)
+        assert ((values >= 0) & (values <= 1)).all()
         if fields.get("eumelanin") == 1e3:
             assert values.max() < 1e-6
         if "collagen_index" in fields and not isinstance(solver, BeerLambert):

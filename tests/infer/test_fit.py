@@ -44,9 +44,9 @@ def measured(problem, predict):
     def of(iris):
         iris = ij.Iris.of_level(iris) if isinstance(iris, str) else iris
         # Just inside the open intervals that the coordinates cover.
-        values = {n: jnp.clip(v, 1e-12, None) for n, v in of_iris(iris).items()}
+        values = {n: np.clip(v, 1e-12, None) for n, v in of_iris(iris).items()}
         for name in ("abl_fraction", "pheomelanin_share"):
-            values[name] = jnp.clip(values[name], 1e-9, 1 - 1e-9)
+            values[name] = np.clip(values[name], 1e-9, 1 - 1e-9)
         return seen(problem, predict(problem.standard(values)[None])[0])
 
     return of
@@ -125,12 +125,11 @@ def test_batches_are_single_fits(problem, measured):
     noise = np.random.default_rng(1).normal(size=(5, 31))
     many = clean * (1 + 0.02 * jnp.asarray(noise))
     solver = levenberg_marquardt(1e-5, 1e-5)
-    run = eqx.filter_jit(
-        eqx.filter_vmap(
-            lambda p, v: fit(seen(p, v), solver=solver, starts=2, key=KEY), in_axes=(None, 0)
-        )
-    )
-    together = run(problem, many)
+
+    def one(problem, values):
+        return fit(seen(problem, values), solver=solver, starts=2, key=KEY)
+
+    together = eqx.filter_jit(eqx.filter_vmap(one, in_axes=(None, 0)))(problem, many)
     assert bool(together.ok.all())
     assert together.p_value.shape == (5,)
     for i in (0, 4):
@@ -161,27 +160,20 @@ def test_ridge_is_found_and_said(measured):
     assert any("load × fraction" in line for line in information_lines(found))
 
 
-@pytest.mark.parametrize(
-    ("values", "noise"),
-    [
-        (np.zeros(31), Noise()),
-        (np.full(31, 0.03), Noise()),
-        (np.full(31, -0.01), Noise()),
-        (np.full(31, 3.0), Noise()),
-        (np.linspace(0.05, 0.01, 31), Noise(0.0, 1e-8)),
-        (np.linspace(0.05, 0.01, 31), Noise(0.0, 10.0)),
-    ],
-    ids=["zeros", "constant", "negative", "above one", "noise 1e-8", "noise 10"],
-)
-def test_odd_data_end_in_numbers_or_a_status(problem, values, noise):
-    found = fit(seen(problem, values, noise), key=KEY)
+@pytest.mark.parametrize("values", [0.0, 0.03, -0.01, 3.0, (1e-8,), (10.0,)], ids=str)
+def test_odd_data_end_in_numbers_or_a_status(problem, values):
+    """Constants, and a slope with noise that is far too small or too large."""
+    noise, useless = Noise(), values == (10.0,)
+    if isinstance(values, tuple):
+        noise, values = Noise(0.0, *values), np.linspace(0.05, 0.01, 31)
+    found = fit(seen(problem, np.broadcast_to(values, 31), noise), key=KEY)
     assert np.isfinite(found.z).all()
     # What no iris makes is said, whatever the search came to.
-    assert bool(found.ok) == (noise.absolute == 10.0)
+    assert bool(found.ok) == useless
     if bool(found.converged):
         assert np.isfinite(found.covariance).all()
         assert all(np.isfinite(v) for v in found.values.values())
-    if noise.absolute == 10.0:
+    if useless:
         # Nothing learnt: the priors' medians and widths.
         np.testing.assert_allclose(found.z, 0, atol=1e-3)
         np.testing.assert_allclose(np.diag(found.covariance)[:-1], 1, atol=1e-3)

@@ -7,6 +7,11 @@ from scipy import stats
 from irisjax.infer.importance import DRAWS, Start, importance_sample
 
 
+def sampled(log_p, mean, variance):
+    start = Start(np.array(mean), variance * np.eye(2))
+    return importance_sample(log_p, start, np.random.RandomState(0))
+
+
 def _ridge(z):
     """A thin, curved ridge; its mean and variances are known."""
     first, second = z[:, 0], z[:, 1] - 0.3 * z[:, 0] ** 2
@@ -27,9 +32,7 @@ def _far(z):
 )
 def test_samples_have_the_moments_of_the_posterior(log_p, mean, variance):
     """From a normal approximation that is tilted, too narrow, or elsewhere."""
-    found = importance_sample(
-        log_p, Start(np.array([1.0, 1.3]), 0.01 * np.eye(2)), np.random.RandomState(0)
-    )
+    found = sampled(log_p, [1.0, 1.3], 0.01)
     assert found.enough
     assert abs(found.log_integral) < 4 * found.error  # the integral of a density is one
     z, count = found.samples, found.effective
@@ -45,7 +48,7 @@ def test_the_integral_of_a_density_that_the_first_round_resembles():
     def wide(z):
         return stats.norm.logpdf(z, 0.0, 1.4).sum(axis=1)
 
-    found = importance_sample(wide, Start(np.zeros(2), 0.5 * np.eye(2)), np.random.RandomState(0))
+    found = sampled(wide, [0.0, 0.0], 0.5)
     assert found.rounds == 1
     assert abs(found.log_integral) < 4 * found.error
 
@@ -56,9 +59,7 @@ def test_what_no_proposal_resembles_is_said():
     def ring(z):
         return -0.5 * ((np.hypot(*z.T) - 2) / 0.01) ** 2
 
-    found = importance_sample(
-        ring, Start(np.array([2.0, 0.0]), 1e-4 * np.eye(2)), np.random.RandomState(0)
-    )
+    found = sampled(ring, [2.0, 0.0], 1e-4)
     assert not found.enough
     assert np.isfinite(found.samples).all()
 
@@ -69,12 +70,8 @@ def test_places_without_probability_are_left_out():
     def half(z):
         return np.where(z[:, 0] > 0, -0.5 * (z**2).sum(axis=1), -np.inf)
 
-    z = importance_sample(half, Start(np.ones(2), np.eye(2)), np.random.RandomState(0)).samples
+    z = sampled(half, [1.0, 1.0], 1.0).samples
     assert (z[:, 0] > 0).all()
     assert z[:, 0].mean() == pytest.approx(np.sqrt(2 / np.pi), abs=0.1)
     with pytest.raises(ValueError, match="no draw"):
-        importance_sample(
-            lambda z: np.full(len(z), -np.inf),
-            Start(np.ones(2), np.zeros((2, 2))),
-            np.random.RandomState(0),
-        )
+        sampled(lambda z: np.full(len(z), -np.inf), [1.0, 1.0], 0.0)

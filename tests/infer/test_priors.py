@@ -66,25 +66,23 @@ def test_bad_priors_are_named(text, message):
     assert repr(prior_of("Normal( 0.5 , 0.1 )", 0, 1)) == "normal(0.5, 0.1)"
 
 
+RANGES = {
+    "melanin_load": (1e-3, 5), "abl_fraction": (0, 1), "pheomelanin_share": (0, 1),
+    "hemoglobin": (1e-3, 1), "saturation": (0, 1), "stroma_thickness": (0.05, 1),
+    "abl_thickness": (0.01, 0.2), "scattering_scale": (1.3, 1.3),
+}  # fmt: skip
+
+
 @settings(max_examples=15)
-@given(
-    st.floats(1e-3, 5), st.floats(0, 1), st.floats(0, 1), st.floats(1e-3, 1), st.floats(0, 1), st.floats(0.05, 1), st.floats(0.01, 0.2)
-)  # fmt: skip
-def test_parameters_make_the_iris_they_describe(
-    load, fraction, share, blood, saturation, stroma, abl
-):
-    values = {
-        "melanin_load": load, "abl_fraction": fraction, "pheomelanin_share": share, "hemoglobin": blood,
-        "saturation": saturation, "stroma_thickness": stroma, "abl_thickness": abl, "scattering_scale": 1.3,
-    }  # fmt: skip
+@given(st.fixed_dictionaries({name: st.floats(*ends) for name, ends in RANGES.items()}))
+def test_parameters_make_the_iris_they_describe(values):
     iris = iris_of(values, ij.Iris())
     back = of_iris(iris)
     for name, value in values.items():
         assert float(back[name]) == pytest.approx(value, rel=1e-12, abs=1e-12)
-    assert float(iris.melanin_load * iris.abl_fraction) == pytest.approx(
-        float(derived(values)["abl_melanin"])
-    )
-    assert float(iris.eumelanin) == pytest.approx(float(derived(values)["eumelanin"]), abs=1e-12)
+    made = {n: pytest.approx(float(v), abs=1e-12) for n, v in derived(values).items()}
+    assert float(iris.melanin_load * iris.abl_fraction) == made["abl_melanin"]
+    assert float(iris.eumelanin) == made["eumelanin"]
 
 
 @pytest.mark.parametrize("name", ["melanin_load", "hemoglobin", "stroma_thickness", "gain"])

@@ -116,6 +116,8 @@ def test_grazing_light_asks_for_caustics(tmp_path, made):
     for scene in (SCENE, low, SCENE, low):
         tables_of(scene, tmp_path)
     assert [caustics for _, caustics in made] == [False, True]
+    assert tables_of(SCENE.replace(eye=Eye(cornea=None, sclera=None)), tmp_path) is None
+    assert len(list(tmp_path.iterdir())) == 2  # without a cornea there is no file
 
 
 @pytest.mark.parametrize("damage", ["cut", "flipped", "foreign", "empty", "text"])
@@ -125,15 +127,14 @@ def test_damaged_files_are_made_again_and_said(tmp_path, made, capsys, damage):
     data = file.read_bytes()
     middle = len(data) // 2
     np.savez(foreign := BytesIO(), flux=np.zeros(3))
-    file.write_bytes(
-        {
-            "cut": data[:middle],
-            "flipped": data[:middle] + bytes([data[middle] ^ 1]) + data[middle + 1 :],
-            "foreign": foreign.getvalue(),
-            "empty": b"",
-            "text": b"not a table",
-        }[damage]
-    )
+    contents = {
+        "cut": data[:middle],
+        "flipped": data[:middle] + bytes([data[middle] ^ 1]) + data[middle + 1 :],
+        "foreign": foreign.getvalue(),
+        "empty": b"",
+        "text": b"not a table",
+    }
+    file.write_bytes(contents[damage])
     again = tables_of(SCENE, tmp_path)
     (err,) = capsys.readouterr().err.splitlines()
     assert err.startswith(f"irisjax: {file}: not usable (") and err.endswith("made again")
@@ -179,11 +180,6 @@ def test_many_at_once_get_the_same_file(tmp_path, made):
         thread.join()
     (file,) = tmp_path.iterdir()
     assert illumination._read(file, file.stem).flux.shape == (2, 5, 5, 3)
-
-
-def test_no_cornea_no_file(tmp_path):
-    assert tables_of(SCENE.replace(eye=Eye(cornea=None, sclera=None)), tmp_path) is None
-    assert not list(tmp_path.iterdir())
 
 
 def test_where_the_command_keeps_them(monkeypatch, tmp_path, made):

@@ -50,9 +50,9 @@ Wavelength\tiris00000.asd
 """
 SPECTRA_MAGIC = """Instrument Name,CM-700d
 Measurement Area,SAV
-No.,Name,Illuminant,{waves}
-1,left eye,D65,{first}
-2,left eye,D65,{second}
+No.,Name,Illuminant,{}
+1,left eye,D65,{}
+2,left eye,D65,{}
 """
 AVANTES = rows(";", X, COUNTS, 0 * X + 1000, 0 * X + 31000, 100 * Y, decimal=",")
 LAYOUTS = {
@@ -62,9 +62,7 @@ LAYOUTS = {
     "AvaSoft": AVASOFT.format(rows=AVANTES),
     "ViewSpec": VIEW_SPEC.format(rows=rows("\t", X, Y)),
     "SpectraMagic": SPECTRA_MAGIC.format(
-        waves=",".join(f"{x:.0f}nm" for x in X),
-        first=",".join(f"{v:.6g}" for v in 99 * Y),
-        second=",".join(f"{v:.6g}" for v in 101 * Y),
+        ",".join(f"{x:.0f}nm" for x in X), rows(",", *zip(99 * Y)), rows(",", *zip(101 * Y))
     ),
     "a number first": "no,wavelength (nm),reflectance (%)\n" + rows(",", np.arange(6), X, 100 * Y),
 }
@@ -146,8 +144,7 @@ def test_jcamp(tmp_path, unit, x, y, scale):
 
 def test_absorbance_and_kubelka_munk_are_converted(tmp_path):
     r = Y[:3]
-    absorbance = -np.log10(r)
-    ks = (1 - r) ** 2 / (2 * r)
+    absorbance, ks = -np.log10(r), (1 - r) ** 2 / (2 * r)
     for text, said in (
         (jcamp("ABSORBANCE", absorbance), "absorbance"),
         ("nm,Absorbance\n" + rows(",", X[:3], absorbance), "absorbance"),
@@ -157,8 +154,7 @@ def test_absorbance_and_kubelka_munk_are_converted(tmp_path):
     ):
         found = io.read_measured(written(tmp_path, text))
         np.testing.assert_allclose(found.values, r, rtol=1e-4)
-        assert said in found.notes[0]
-        assert "converted" in found.notes[0]
+        assert said in found.notes[0] and "converted" in found.notes[0]
     bare = written(tmp_path, rows(",", X[:3], absorbance))
     np.testing.assert_allclose(io.read_measured(bare, quantity="absorbance").values, r, rtol=1e-4)
 

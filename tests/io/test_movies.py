@@ -21,12 +21,10 @@ def decoded(path):
 
         # The quick way back to RGB is a level or two too dark.
         careful = Interpolation.BILINEAR | Interpolation.ACCURATE_RND | Interpolation.FULL_CHR_H_INT
+        how = {"format": "rgb24", "interpolation": careful}
         with av.open(str(path)) as file:
             assert float(file.streams.video[0].average_rate) == 12
-            found = [
-                f.reformat(format="rgb24", interpolation=careful) for f in file.decode(video=0)
-            ]
-            return [frame.to_ndarray() / 255 for frame in found]
+            return [f.reformat(**how).to_ndarray() / 255 for f in file.decode(video=0)]
     from PIL import Image, ImageSequence
 
     with Image.open(path) as file:
