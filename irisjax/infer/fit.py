@@ -134,10 +134,8 @@ def fit(
     if starts == 1:
         key, rounds = None, 1
     elif key is None:
-        raise ValueError(
-            f"starts={starts} draws all but the first at random: give key=jax.random.key(...), or "
-            f"starts=1"
-        )
+        to_do = "give key=jax.random.key(...), or starts=1"
+        raise ValueError(f"starts={starts} draws all but the first at random: {to_do}")
     found = _fit(problem.unnamed(), solver, start, key, use_priors, starts, rounds, max_steps)
     codes = found.status._value
     if throw and not isinstance(codes, Tracer) and np.any(codes):

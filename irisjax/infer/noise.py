@@ -10,7 +10,7 @@ import numpy as np
 from jax.scipy.special import gammaln
 from jaxtyping import Array, Float
 
-from irisjax._types import Scalar
+from irisjax._types import Scalar, as_float_or_none
 from irisjax.infer.observation import Observation
 from irisjax.numerics.linear import cholesky, whitened
 
@@ -20,12 +20,8 @@ _Factor: TypeAlias = float | Scalar
 _LOG_2PI = float(np.log(2 * np.pi))
 
 
-def _number(value) -> Any:
-    return None if value is None else jnp.asarray(value, jnp.result_type(float))
-
-
-def _setting(default) -> Any:
-    return eqx.field(converter=_number, default=default)
+def _setting(default: float | None) -> Any:
+    return eqx.field(converter=as_float_or_none, default=default)
 
 
 class Noise(eqx.Module):
@@ -52,12 +48,6 @@ class Noise(eqx.Module):
             raise ValueError("a discrepancy and Student's t do not go together; choose one")
         if (self.discrepancy is None) != (self.length is None):
             raise ValueError("a discrepancy needs its length (nm), and a length its discrepancy")
-
-    def sd(self, observation: Observation, model: _Values, factor: _Factor = 1.0) -> _Values:
-        """Return the standard deviation of every value, `factor` times what is stated."""
-        if observation.sd is not None:
-            return factor * observation.sd
-        return factor * jnp.sqrt((self.relative * model) ** 2 + self.absolute**2)
 
     def stated(self, observation: Observation, model: _Values, factor: _Factor = 1.0) -> _Values:
         """Return the standard deviation of every value, a discrepancy included."""
@@ -98,7 +88,10 @@ class Noise(eqx.Module):
         """Standard deviations (data,), or Cholesky's root (data, data) of a covariance."""
         if observation.covariance_root is not None:
             return factor * observation.covariance_root
-        sd = self.sd(observation, model, factor)
+        stated = observation.sd
+        if stated is None:
+            stated = jnp.sqrt((self.relative * model) ** 2 + self.absolute**2)
+        sd = factor * stated
         if self.discrepancy is None or self.length is None:
             return sd
         apart = (observation.wavelengths[:, None] - observation.wavelengths) / self.length

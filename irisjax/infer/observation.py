@@ -4,11 +4,10 @@ import dataclasses
 from typing import Any
 
 import equinox as eqx
-import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Float
 
+from irisjax._types import as_float, as_float_or_none
 from irisjax.anatomy.media import Media
 from irisjax.measure.colour import OBSERVER
 from irisjax.measure.instrument import AbstractInstrument, Crossing
@@ -93,9 +92,8 @@ def spectrum(
     """
     whole = hasattr(wavelengths, "wavelengths") and hasattr(wavelengths, "values")
     if whole == (values is not None):
-        raise ValueError(
-            f"{name}: give wavelengths and values, or one object that has both; sd by its name"
-        )
+        said = "give wavelengths and values, or one object that has both; sd by its name"
+        raise ValueError(f"{name}: {said}")
     if whole:
         sd = getattr(wavelengths, "sd", None) if sd is None else sd
         wavelengths, values = wavelengths.wavelengths, wavelengths.values
@@ -129,8 +127,8 @@ def spectrum(
         instrument = Radiometer(grid, illuminant=illuminant, **settings)
     else:
         instrument = Spectrophotometer(grid, **settings)
-    sd = None if sd is None else _array(sd)
-    return Observation(_array(y), sd, instrument, None, quantity, name)
+    sd = as_float_or_none(sd)
+    return Observation(as_float(y), sd, instrument, None, quantity, name)
 
 
 def mean_of_scans(
@@ -179,8 +177,8 @@ def colour_data(
     if c.shape != (3, 3) or not np.allclose(c, c.T) or np.linalg.eigvalsh(c).min() <= 0:
         raise ValueError(f"{name}: the covariance must be 3 by 3, symmetric and positive definite")
     instrument = Colorimeter(illuminant=illuminant, observer=observer, first_surface=first_surface)
-    root = _array(np.linalg.cholesky(c))
-    return Observation(_array(y), None, instrument, root, quantity, name)
+    root = as_float(np.linalg.cholesky(c))
+    return Observation(as_float(y), None, instrument, root, quantity, name)
 
 
 def with_values(
@@ -190,7 +188,3 @@ def with_values(
 ) -> Observation:
     """Return the measurement with other values (and standard deviations), which may be traced."""
     return dataclasses.replace(observation, values=values, sd=observation.sd if sd is None else sd)
-
-
-def _array(x: ArrayLike) -> jax.Array:
-    return jnp.asarray(x, jnp.result_type(float))

@@ -422,5 +422,4 @@ def solvers_of(
 
 
 def _as_arrays(values: Mapping[str, Any]) -> dict[str, Any]:
-    """Numbers by name as arrays of the precision in use."""
     return {n: jnp.asarray(v, jnp.result_type(float)) for n, v in values.items()}

@@ -153,9 +153,8 @@ class Store:
                     _ = file["chain"][-1]
         except (OSError, KeyError, ValueError, RuntimeError) as error:
             if not copy_of(path).exists():
-                raise ValueError(
-                    f"{path}: damaged ({error}) and without a copy; remove it and start again"
-                ) from None
+                said = f"damaged ({error}) and without a copy; remove it and start again"
+                raise ValueError(f"{path}: {said}") from None
             shutil.copyfile(copy_of(path), path)
 
 

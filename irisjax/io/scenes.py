@@ -97,15 +97,10 @@ class SceneFile:
         elif "level" in given:
             raise ValueError("give preset or level, not both")
         else:
-            iris, drawn = preset(
-                given.pop("preset"),
-                eye,
-                process=process,
-                shape=(768, 256) if grown else (16, 8),  # small where nobody asked for maps
-                pigments=given,
-                features=features,
-                key=self._key("maps"),
-            )
+            named = given.pop("preset")
+            how: dict[str, Any] = {"process": process, "pigments": given, "features": features}
+            how["shape"] = (768, 256) if grown else (16, 8)  # small where nobody asked for maps
+            iris, drawn = preset(named, eye, **how, key=self._key("maps"))
         return {"iris": iris, "maps": drawn if grown else None}
 
     def _eye(self) -> dict[str, Any]:
@@ -132,11 +127,8 @@ class SceneFile:
         illuminant = self._of("picture").get("illuminant", "D65")
         lights = None
         for lamp in self.sections.get("light", []):
-            options = {
-                "irradiance": lamp.get("irradiance", math.pi),
-                "illuminant": illuminant,
-                "radius": math.radians(lamp.get("radius_deg", 1.7)),
-            }
+            radius, power = lamp.get("radius_deg", 1.7), lamp.get("irradiance", math.pi)
+            options = dict(irradiance=power, illuminant=illuminant, radius=math.radians(radius))
             if "position" not in lamp:
                 angles = lamp.get("polar_deg", 35), lamp.get("azimuth_deg", 120)
                 one = Lights.distant(*map(math.radians, angles), **options)
@@ -183,10 +175,9 @@ def parse_scene(text: str, name: str = "scene", folder: Path = Path()) -> SceneF
     sections, where = check_sections(text, name, SECTIONS, "light")
     maps = sections.get("maps", {})
     if "file" in maps and (grown := [key for key in maps if key not in ("file", "seed")]):
-        raise ValueError(
-            f"{where('maps', grown[0])}: maps.{grown[0]} is for grown maps, and maps.file gives "
-            "all of them; give one or the other (seed still draws the veins)"
-        )
+        said = f"maps.{grown[0]} is for grown maps, and maps.file gives all of them"
+        to_do = "give one or the other (seed still draws the veins)"
+        raise ValueError(f"{where('maps', grown[0])}: {said}; {to_do}")
     return SceneFile(sections, where, folder)
 
 

@@ -61,10 +61,9 @@ def read_target(path: str | Path, pupil: float) -> Target:
         return _of_scene(path)
     if path.suffix.lower() in READABLE:
         return _of_picture(path, pupil)
-    raise ValueError(
-        f"{path}: neither the folder of a clone, nor a scene file (.toml), nor a picture "
-        f"({', '.join(READABLE)})"
-    )
+    pictures = ", ".join(READABLE)
+    said = "neither the folder of a clone, nor a scene file (.toml), nor a picture"
+    raise ValueError(f"{path}: {said} ({pictures})")
 
 
 def tissue_files(tissue: Tissue, eye: Eye) -> dict[str, bytes]:
@@ -94,10 +93,8 @@ def _of_clone(folder: Path) -> Target:
     summary = check_summary(folder)
     names = "pupil_radius_mm", "iris_radius_mm"
     if not {*names} <= summary.keys() or not (folder / VISIBLE_MASK).exists():
-        raise ValueError(
-            f"{folder}: the clone has no {VISIBLE_MASK}, it was stopped before its texture or is "
-            "an older one; run irisjax clone again"
-        )
+        said = "it was stopped before its texture or is an older one; run irisjax clone again"
+        raise ValueError(f"{folder}: the clone has no {VISIBLE_MASK}, {said}")
     pixels = read_image(folder / UNREFRACTED_PICTURE, decode=True).pixels
     shown = read_image(folder / VISIBLE_MASK).pixels[..., 0]
     inner, outer = (float(summary[name]) for name in names)

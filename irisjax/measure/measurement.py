@@ -15,7 +15,6 @@ DIFFUSE = "diffuse"
 HEMISPHERE = "hemisphere"
 """Exits into the whole hemisphere, collected by a lens."""
 
-
 COSINE = Range(0, 1)
 
 
@@ -96,7 +95,6 @@ def check_cosine(name: str, cosine: Numbers) -> None:
             raise ValueError(f"{name} must be a number in [0, 1] or {DIFFUSE!r}, got {cosine!r}")
         return
     if shape := np.shape(cosine):
-        raise ValueError(
-            f"{name} has shape {shape}; it must be one number: use jax.vmap for several"
-        )
+        said = "it must be one number: use jax.vmap for several"
+        raise ValueError(f"{name} has shape {shape}; {said}")
     check_range(name, cosine, COSINE)

@@ -74,10 +74,8 @@ def _traced(iris, instrument, solver, key):
 def prepared(iris: Iris, instrument: AbstractInstrument, solver: AbstractSolver) -> AbstractSolver:
     """Return the solver prepared for the problem, while its values are known."""
     if instrument.polarised and not is_polarised(solver.process):
-        raise ValueError(
-            f"{type(instrument).__name__} sees polarisation; "
-            "give solver=RadiativeExact(process=POLARISED)"
-        )
+        to_do = "give solver=RadiativeExact(process=POLARISED)"
+        raise ValueError(f"{type(instrument).__name__} sees polarisation; {to_do}")
     if type(solver).prepare is AbstractSolver.prepare:
         return solver  # Layers take as long as a tenth of a spectrum.
     return solver.prepare(_layers(iris, instrument), instrument.incident()[1])

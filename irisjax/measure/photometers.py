@@ -167,9 +167,8 @@ class Goniophotometer(AbstractInstrument):
         scale, error = factor * self.gain, light.brdf_error
         error = None if error is None else scale * error
         directions = self.cos_incidence, self.cos_exit, self.azimuth
-        mirrored = factor * light.mirrored
-        values = scale * light.brdf
-        return Brdf(self.wavelengths, *directions, values, error, mirrored, light.status)
+        read = scale * light.brdf, error, factor * light.mirrored
+        return Brdf(self.wavelengths, *directions, *read, light.status)
 
 
 def reflectance(
