@@ -93,14 +93,11 @@ def importance_sample(
     mean, covariance = _completed(log_density, start)
     proposals: list[_First | Proposal] = [_First(mean, covariance)]
     z, values = np.empty((0, len(mean))), np.empty(0)
-    proposed = np.empty(0)  # log of the sum of all proposals' densities
     while True:
-        proposed = np.logaddexp(proposed, proposals[-1].log_density(z)) if len(z) else proposed
         new = proposals[-1].draw(DRAWS, random)
-        proposed_new = np.logaddexp.reduce([p.log_density(new) for p in proposals])
-        z, proposed = np.concatenate([z, new]), np.concatenate([proposed, proposed_new])
-        values = np.concatenate([values, log_density(new)])
+        z, values = np.concatenate([z, new]), np.concatenate([values, log_density(new)])
         progress(len(proposals))
+        proposed = np.logaddexp.reduce([p.log_density(z) for p in proposals])
         log_weight = values - proposed + math.log(len(proposals))
         if not np.isfinite(log_weight).any():
             raise ValueError("no draw round the least-squares fit has a probability above zero")

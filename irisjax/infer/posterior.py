@@ -143,7 +143,6 @@ def sample(
     while True:
         chain = kept.start
         assert chain is not None
-        _remove_half_written(kept, log_density)
         if chain.number < len(_BURN_IN):
             most = _BURN_IN[chain.number]
             _advance(kept, chain, most, log_density, key, tell, "burn-in")
@@ -279,10 +278,10 @@ def _advance(
     word: str,
 ) -> None:
     """Continue a chain to so many steps."""
+    places, values = _last_whole(store, log_density)
     done, random = store.steps, np.random.RandomState(0)
     if done >= steps:
         return
-    places, values = store.last()
     (walkers, free), moves = places.shape, mixture(start.adapted_to)
     sampler = emcee.EnsembleSampler(walkers, free, log_density, vectorize=True, moves=moves)
 
@@ -311,11 +310,13 @@ def _replace(store: Store, start: ChainStart, samples: np.ndarray) -> None:
     store.begin(ChainStart(start.owner, number, before, *store.last(), adapted_to))
 
 
-def _remove_half_written(store: Store, log_density: Callable[[np.ndarray], np.ndarray]) -> None:
-    """Remove a last step that a process died writing: its log density is not that of its places."""
+def _last_whole(store: Store, log_density: Callable[[np.ndarray], np.ndarray]) -> tuple[Any, Any]:
+    """The last step that is whole: a process died while writing others, whose log density is not
+    that of their places.
+    """
     for _ in range(3):
         places, stored = store.last()
         if _equal(log_density(places), stored):
-            return
+            return places, stored
         store.drop_last()
     raise ValueError("the steps in the file do not belong to this problem; remove it")

@@ -64,8 +64,8 @@ class Radiometer(AbstractInstrument):
     def reading(self, light: Solution, factor: Scalar) -> Reading:
         known = jnp.isfinite(self.power).all()
         status = RESULTS.where(known, light.status, RESULTS.invalid_input)
-        light, scale = dataclasses.replace(light, status=status), factor * self.gain
-        scale = scale * self.power / jnp.pi
+        light = dataclasses.replace(light, status=status)
+        scale = factor * self.gain * self.power / jnp.pi
         return self.spectrum(light, factor, scale, "radiance", unit="relative/sr")
 
 
