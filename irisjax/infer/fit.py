@@ -122,8 +122,7 @@ def fit(
         key: Source of the draws; needed unless `starts=1`.
 
     Raises:
-        ValueError: If there are several starts and no key, if the solver or a number is not valid,
-            and, with `throw`, for any status but success.
+        ValueError: For a missing key, a wrong number, and, with `throw`, any status but success.
     """
     if solver is None:
         solver = levenberg_marquardt()

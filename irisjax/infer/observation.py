@@ -24,9 +24,7 @@ class Observation(eqx.Module):
     """Measured values and the instrument that read them. Make one with `spectrum` or `colour_data`.
 
     Attributes:
-        values: The values.
-        sd: Their standard deviations, or `None` where the noise model states them.
-        instrument: What reads the model.
+        sd: Standard deviations, or `None` where the noise model states them.
         covariance_root: For colours, R with R Rᵀ the covariance; `sd` is then `None`.
         quantity: `"reflectance"`, `"radiance"`, `"XYZ"`, `"Lab"` or `"linear sRGB"`.
         name: What messages and figures call it.
@@ -74,16 +72,13 @@ def spectrum(
         wavelengths: In nm, in any order; or one object that has wavelengths and values, such as
             `read_measured` returns (its `sd` is used), or colour-science's `SpectralDistribution`
             and `MultiSpectralDistributions` (repeated scans).
-        values: Fractions, one for each wavelength; or repeated scans (wavelengths, scans), see
-            `mean_of_scans`.
-        sd: Standard deviations of the values; by default the scatter of repeated scans, or else
-            what the noise model states.
+        values: Fractions, one for each wavelength; or repeated scans (wavelengths, scans).
+        sd: Standard deviations; by default the scatter of scans, or what the noise model states.
         quantity: `"reflectance"` or `"radiance"`.
         illuminant: Of a radiance, by its name in colour-science.
         cos_incidence: Cosine of the light's angle from the normal, or `"diffuse"`.
         first_surface: Whether the iris's own mirror reflection is in the data.
-        cornea: What dims the light before and behind the iris; by default a radiance is dimmed by
-            the cornea, a reflectance is not.
+        cornea: As of instruments; by default a radiance is dimmed by it, a reflectance is not.
         media: Media before the iris.
         name: What messages and figures call it.
 

@@ -63,8 +63,7 @@ class Chains(NamedTuple):
         steps: Number of steps after burn-in.
         acceptance: Share of accepted proposals in the last 1,000 steps.
         tau: Autocorrelation time of each parameter, in steps.
-        ess_bulk: Effective number of samples of each parameter.
-        ess_tail: The same for the tails.
+        ess_bulk: Effective number of samples of each parameter; `ess_tail` that of the tails.
         rhat: Split R-hat of each parameter.
         status: A `ChainStatus` item.
         reason: The figures behind the status, empty for success.
@@ -131,9 +130,8 @@ def sample(
         key: Source of all draws.
 
     Raises:
-        ValueError: If the file exists and `resume` is false, or holds a chain of another target,
-            key or number of walkers; if there are too few walkers; with `throw`, for a chain that
-            is not long enough.
+        ValueError: For a file of another target, key or number of walkers, or without `resume`; for
+            too few walkers; with `throw`, for a chain that is not long enough.
     """
     check_run(target, store, walkers=walkers, resume=resume, key=key)
     kept, log_density = Store(store), target.log_density

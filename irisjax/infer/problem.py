@@ -41,13 +41,10 @@ class Problem(eqx.Module):
     the standard normal. A parameter that differs between observations is `name@1`, `name@2`, …
 
     Attributes:
-        observations: The data and their instruments.
-        noise: The noise model.
         base: The iris, for all that is neither free nor fixed.
         fixed: Values of parameters that are known.
         solvers: A solver for each observation.
-        free: Names of the free parameters.
-        priors: Their priors.
+        free: Names of the free parameters, which have these `priors`.
     """
 
     observations: tuple[Observation, ...]
@@ -249,8 +246,7 @@ def problem(
         solver: A solver in place of `process`; it has a process.
 
     Raises:
-        ValueError: For unknown names, values out of range, nothing free, a process beside a solver,
-            or more than 1,000 values with a correlated discrepancy.
+        ValueError: For wrong names or values, and more than 1,000 of these with a discrepancy.
     """
     seen = (observations,) if isinstance(observations, Observation) else tuple(observations)
     fixed, priors, separate = dict(fixed or {}), dict(priors or {}), tuple(separate)
