@@ -42,9 +42,8 @@ class Row(NamedTuple):
 
 
 class PredictiveCheck(NamedTuple):
-    """Posterior predictive checks: the share of simulated data that lie further from the model than
-    the measured ones, by Σ of squared residuals and by the correlation of neighbouring residuals;
-    and the median factor on the stated noise, if it was free, else 1.
+    """Share of simulated data that lie further from the model than the measured ones, by Σ of
+    squared residuals and by their pattern, and the median factor on the stated noise (1 if fixed).
     """
 
     p_chi_square: float
@@ -73,9 +72,8 @@ class PredictiveCheck(NamedTuple):
 
 
 class Analysis(NamedTuple):
-    """Everything that is said of one eye: its problem, least-squares fit, samples of the posterior,
-    a row for every free and derived parameter, whether the model may have produced the data, what
-    these determine, and what the other process makes of them.
+    """All that is said of one eye: least-squares fit, posterior, a row for every parameter, whether
+    the model may have produced the data, what they determine, and the other process's fit.
     """
 
     problem: Problem

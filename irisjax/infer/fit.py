@@ -50,15 +50,13 @@ class Fit(eqx.Module):
         jacobian: Derivatives of the data's residuals by the values of the free parameters; zero for
             the noise, which is not fitted.
         covariance: (JᵀJ)⁻¹, with the priors' part where they count; zero for the noise.
-        values: The free parameters by name.
-        sd: Their standard deviations by name.
+        values: The free parameters by name, which have the standard deviations `sd`.
         predicted: What each instrument would read at the optimum, without noise.
         chi_square: Σ of squared residuals of the data alone.
         degrees: Its degrees of freedom: the data, less the free parameters without priors.
         cost: ½ Σ of squares, the priors' included where they count.
         agreeing: Number of searches that converged within 1e-6 of that cost.
         steps: Number of steps of the best search.
-        status: A `FitStatus` item.
     """
 
     z: Float[Array, "*batch free"]

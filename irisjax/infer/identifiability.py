@@ -24,11 +24,9 @@ class Information(NamedTuple):
 
     Attributes:
         directions: Its eigenvectors from the best known to the least known.
-        alone: Relative standard deviation of each parameter with all others free, without priors;
-            infinite where unknown.
-        trades: For each free number of a power law of scattering: the share of its prior's width
-            that data and priors leave, the parameter that it is correlated with most, and that
-            correlation.
+        alone: Relative standard deviation of each parameter with all others free; may be infinite.
+        trades: For each free number of a power law: the share of its prior's width that is left,
+            the parameter that it is correlated with most, and that correlation.
     """
 
     names: tuple[str, ...]

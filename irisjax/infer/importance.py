@@ -50,10 +50,8 @@ class ImportanceSample(NamedTuple):
     """What all rounds of `DRAWS` each found.
 
     Attributes:
-        samples: Draws of equal weight.
-        effective: Number of effective draws [Kong 1992].
-        log_integral: Logarithm of the density's integral, which is the mean weight. Of a likelihood
-            times a prior it is the evidence.
+        effective: Number of effective draws [Kong 1992]; the `samples` have equal weights.
+        log_integral: Logarithm of the mean weight: of a likelihood times a prior, the evidence.
     """
 
     samples: Float[np.ndarray, "draws free"]
@@ -78,8 +76,7 @@ def importance_sample(
     random: np.random.RandomState,
     progress: Callable[[int], Any] = lambda rounds: None,
 ) -> ImportanceSample:
-    """Sample a density of z whose priors are standard normal; it can miss a second mode far from
-    `start` and from the priors' middle.
+    """Sample a density of z whose priors are standard normal; it can miss a second, far mode.
 
     Args:
         log_density: Function of z (n, free) that returns (n,).

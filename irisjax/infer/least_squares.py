@@ -23,12 +23,8 @@ class Found(NamedTuple):
     """The best of several searches.
 
     Attributes:
-        x: Where it ended.
-        cost: ½ Σ residuals² there.
-        jacobian: Derivatives of the residuals there.
+        x: Where it ended, with this `cost`, ½ Σ residuals², and these derivatives of the residuals.
         aux: What the function returned there beside its residuals.
-        steps: Number of its steps.
-        result: optimistix's status of it.
         searches: Number of searches, of which `agreeing` converged to this cost and `elsewhere` to
             a higher one.
     """

@@ -130,9 +130,7 @@ class Assessment(NamedTuple):
 
 
 def candidates_of(problem: Problem) -> dict[str, Problem]:
-    """Return a measurement's problem by several models of light, by their names, its own first:
-    ILIT, radiative transfer, and radiative transfer with a power law of scattering ("general").
-    """
+    """Return a problem by ILIT, radiative transfer and one with a power law, its own first."""
     stated = problem.base.power_law is not None
     own = problem.under(None) if stated else problem
     problems = own, own.by(other_of(own.process))
@@ -141,8 +139,7 @@ def candidates_of(problem: Problem) -> dict[str, Problem]:
     if stated:
         return {by_law: problem, **both}
     general = problem.under(PowerLaw())
-    # A relative error of 2e-3 or less for 95 % of the priors' irides: a tenth of the noise of a
-    # good spectrum.
+    # A relative error of 2e-3 for 95 % of the priors' irides: a tenth of a good spectrum's noise.
     solvers = solvers_of(general.base, general.observations, AddingDoubling(12, 10))
     return {**both, by_law: dataclasses.replace(general, solvers=solvers)}
 

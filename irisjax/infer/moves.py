@@ -123,8 +123,7 @@ class DifferenceMove(emcee.moves.DEMove):
 def mixture(
     samples: Float[np.ndarray, "n free"] | None = None,
 ) -> list[tuple[emcee.moves.Move, float]]:
-    """Return moves and their shares, as `emcee.EnsembleSampler` takes them: jumps adapted to
-    samples, or without them differences of walkers alone.
+    """Return moves and their shares: jumps adapted to samples, or differences of walkers alone.
 
     Independent jumps carry walkers along the ridge, thirty times faster than emcee's stretches
     (experiments/bench_inversion.py, which also chose the shares). Differences of walkers serve

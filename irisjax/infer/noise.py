@@ -28,8 +28,6 @@ class Noise(eqx.Module):
     """Standard deviation √((relative·model)² + absolute²) where the data state none, and additions.
 
     Attributes:
-        relative: Part that is proportional to the model.
-        absolute: Part that does not depend on it.
         discrepancy: Relative size of a smooth error of the model itself; `None` for none. It is
             marginalised, not fitted.
         length: Its correlation length, nm.

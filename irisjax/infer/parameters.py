@@ -13,9 +13,7 @@ from irisjax.tissue.scattering import POWER_LAW_LIMITS
 
 
 class Parameter(NamedTuple):
-    """A quantity that may be free: values that may be stated, its default prior, and where that
-    comes from.
-    """
+    """A quantity that may be free: values that may be stated, default prior, and its source."""
 
     allowed: Range
     prior: AbstractPrior

@@ -65,7 +65,6 @@ class Chains(NamedTuple):
         tau: Autocorrelation time of each parameter, in steps.
         ess_bulk: Effective number of samples of each parameter; `ess_tail` that of the tails.
         rhat: Split R-hat of each parameter.
-        status: A `ChainStatus` item.
         reason: The figures behind the status, empty for success.
     """
 

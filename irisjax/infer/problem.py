@@ -167,10 +167,8 @@ class Problem(eqx.Module):
         return self._restated(base, process)
 
     def under(self, law: PowerLaw | None) -> "Problem":
-        """Return the problem by radiative transfer with a power law of scattering.
-
-        Its four numbers become free with their default priors in place of `scattering_scale`;
-        `None` is the formula of the iris without these parameters.
+        """Return the problem by radiative transfer with a power law of scattering (`None`: none),
+        whose four numbers become free with their default priors in place of `scattering_scale`.
         """
         base = self.base.replace(power_law=law, scattering_scale=1.0)
         return self._restated(base, DEPTH_RESOLVED, () if law is None else OF_POWER_LAW)
@@ -406,9 +404,7 @@ def _with_law(base: Iris, process: AbstractProcess, names: Iterable[str]) -> Iri
 def solvers_of(
     base: Iris, observations: Sequence[Observation], by: AbstractProcess | AbstractSolver
 ) -> tuple[Pointwise, ...]:
-    """For each observation a solver that is prepared for an inversion: the one given, or for a
-    process the quickest one for many spectra of irides such as `base`.
-    """
+    """For each observation the solver given, or a process's quickest one for irides like `base`."""
     found = []
     for instrument in (o.instrument for o in observations):
         given = isinstance(by, AbstractSolver)

@@ -22,8 +22,7 @@ class ChainStart(NamedTuple):
 
     Attributes:
         owner: What the chain belongs to, in words that two different runs do not share.
-        number: How many chains came before it in this run, of `steps_before` steps together; each
-            was replaced by the next.
+        number: How many chains it replaces in this run, of `steps_before` steps together.
         places: Where the walkers start, and the log density there.
         adapted_to: Samples to which the proposals are adapted; `None` before there are any.
     """

@@ -23,13 +23,11 @@ _SPECTRAL = re.compile(r"(S[0-3]|T)\.\d+(,\d+)?nm")
 
 
 class Image(NamedTuple):
-    """A picture from a file.
+    """A picture from a file, float32 (rows, columns, channels), its top row first.
 
     Attributes:
-        pixels: Top row first, float32 (rows, columns, channels).
-        linear: Whether they are proportional to light, or encoded with sRGB's transfer function and
-            in [0, 1].
-        channels: Their names.
+        linear: Whether pixels are proportional to light, or encoded with sRGB's transfer function
+            and in [0, 1].
         metadata: Texts of the file's header.
     """
 
@@ -108,8 +106,7 @@ def write_exr(
         rows: As for `write_png`.
 
     Raises:
-        ValueError: for another shape or suffix, and unless there is one name per channel, each
-            once.
+        ValueError: for another shape or suffix, and unless each channel has one name.
     """
     if len(set(channels)) != len(channels):
         raise ValueError(f"{path}: a channel name appears twice")

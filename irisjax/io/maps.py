@@ -23,10 +23,8 @@ def read_maps(path: str | Path) -> IrisMaps:
     """Read maps from an EXR whose channels are named as fields of `IrisMaps` (see `write_maps`).
 
     An RGB or RGBA file is read in F09's packing [F09 Section 6]: R relief, G depth of the ABL, B of
-    the stroma (all mm), A freckles (0 to 1).
-
-    Raises:
-        ValueError: for other channels, for values that no iris has and for a broken file.
+    the stroma (all mm), A freckles (0 to 1). `ValueError` for other channels, for values that no
+    iris has and for a broken file.
     """
     with naming(path):
         if Path(path).suffix.lower() != ".exr":

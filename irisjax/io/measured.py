@@ -60,10 +60,9 @@ _BRIGHT, _DARK = 0.4, 0.002
 
 
 class Measured(NamedTuple):
-    """A spectrum from a file.
+    """A spectrum from a file, its wavelengths in nm and increasing.
 
     Attributes:
-        wavelengths: nm, increasing.
         values: Reflectances as fractions; radiances in the file's unit.
         sd: Their standard deviations, or `None`.
         notes: What was detected, assumed and done (units, repeated scans, values left out).

@@ -30,14 +30,12 @@ _SURFACE = "saunderson"  # key of the header's line that gives k₁ and k₂
 
 
 class Recipe(NamedTuple):
-    """A painted eye as its file describes it.
+    """A painted eye as its file describes it: coats, the bottom one first, and the pupil (mm).
 
     Attributes:
-        coats: The bottom one first.
         mixing: One of `MIXING`.
         paints: File of absorption and scattering, for Kubelka and Munk's mixing only.
         palette: Paints added or replaced, `#rrggbb` by name.
-        pupil_radius: mm.
         folder: That files are named relative to.
     """
 

@@ -31,9 +31,7 @@ class Table(NamedTuple):
 
 
 def format_table(header: Mapping[str, str], columns: Mapping[str, np.ndarray]) -> str:
-    """Text of a CSV file: the header as comments, then the columns with 12 significant digits, the
-    solvers' precision; `ValueError` for a header entry that cannot be read again.
-    """
+    """Text of a CSV file: the header as comments, then columns with the solvers' 12 digits."""
     out = io.StringIO()
     for key, value in header.items():
         if "\n" in f"{key}{value}" or ":" in key:

@@ -28,10 +28,9 @@ _WHOLE = 0.999  # least share of a cell that has to be visible
 
 
 class Target(NamedTuple):
-    """What paint is matched to.
+    """What paint is matched to, with the name of its file or folder.
 
     Attributes:
-        name: Of its file or folder.
         texture: Linear reflectance, polar as in `IrisMaps`.
         known: Texels that show the iris; the others have the mean of the known ones of the nearest
             radius that has some.

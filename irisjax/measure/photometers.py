@@ -97,13 +97,9 @@ class Brdf(eqx.Module):
     """Bidirectional reflectance distribution function, 1/sr, without the mirrored part.
 
     Attributes:
-        wavelengths: In nm.
-        cos_incidence: Cosine of the angle of incidence.
-        cos_exit: Cosines of the exit angles.
         azimuth: Azimuths of the exits from the plane of incidence, radians; 0 is where a mirror
             would send the light.
-        values: The BRDF.
-        standard_error: Its standard error where it is sampled, otherwise `None`.
+        standard_error: Of the values (in 1/sr) where they are sampled, otherwise `None`.
         mirrored: Share of the light that the first surface reflects into the mirror direction, a
             delta function that is not in `values`.
         status: A `RESULTS` item.
