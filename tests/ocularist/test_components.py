@@ -7,13 +7,7 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from irisjax.ocularist.components import (
-    COMPONENTS,
-    PARAMETER_RANGES,
-    Component,
-    component,
-    scan,
-)
+from irisjax.ocularist.components import COMPONENTS, PARAMETER_RANGES, component, scan
 
 PUPIL, SIZE = 0.3, 256
 DRAWN = [name for name in COMPONENTS if name != "base"]
@@ -41,7 +35,7 @@ def along(opacity, relative, pupil=PUPIL, count=1024):
 
 
 @pytest.mark.parametrize("name", COMPONENTS)
-@pytest.mark.parametrize("pupil", [0.05, 0.3, 0.9])
+@pytest.mark.parametrize("pupil", [0.05, 0.9])
 def test_maps_are_opacities_of_the_iris_alone(name, pupil):
     opacity = drawn(name, pupil=pupil)
     assert opacity.dtype == np.float32
@@ -62,9 +56,8 @@ def test_equal_keys_give_equal_bytes_and_others_do_not(name):
 
 
 @pytest.mark.parametrize("name", DRAWN)
-@pytest.mark.parametrize(("fine", "coarse"), [(768, 256), (512, 128)])
-def test_another_size_samples_the_same_painting(name, fine, coarse):
-    times = fine // coarse
+def test_another_size_samples_the_same_painting(name):
+    fine, coarse, times = 512, 128, 4
     mean = drawn(name, fine).reshape(coarse, times, coarse, times).mean((1, 3))
     relative, _ = places(coarse)
     # Texels that the iris's edges cut are all clear or painted to their rims.
@@ -223,13 +216,6 @@ def test_what_is_wrong_is_said_in_one_line(name, parameters, line):
 def test_sizes_and_pupils_that_no_map_has(size, pupil, line):
     with pytest.raises(ValueError, match=line):
         drawn("limbus", size, pupil)
-
-
-def test_a_component_is_a_value():
-    assert component("limbus", {"reach": 0.1}) == component("limbus", {"reach": 0.1})
-    assert isinstance(component("limbus"), Component)
-    with pytest.raises(AttributeError):
-        component("limbus").reach = 0.2  # pyright: ignore
 
 
 def test_scans_are_one_less_their_grey_value():

@@ -1,4 +1,4 @@
-"""A picture is a function: `jit`, `vmap` and `grad` through the public call."""
+"""A picture is a function: `jit`, `vmap` and `grad` through the public call; single precision."""
 
 import jax
 import jax.numpy as jnp
@@ -9,7 +9,7 @@ import irisjax as ij
 from common import quick_jit
 from irisjax.render.picture import draw
 from irisjax.tissue.maps import IrisMaps
-from render.small_scenes import QUICK
+from render.small_scenes import CLOSE, QUICK, ring, scene
 
 EYE = ij.Eye(cornea=None, sclera=None)
 MAPS = IrisMaps(
@@ -61,3 +61,19 @@ def test_derivatives_are_finite_differences():
 def test_derivatives_through_a_cornea(tables):
     scene = SCENE.replace(eye=ij.Eye(cornea=ij.Cornea(scatter=None)))
     np.testing.assert_allclose(*slopes(scene, tables), rtol=1e-4)
+
+
+@pytest.mark.slow  # half a minute of compiling
+def test_single_precision(tables):
+    maps = IrisMaps(stroma_depth=ring(lambda x, y: 0.28 + 0.1 * jnp.sin(3 * x)))
+
+    def picture(x64):
+        with jax.enable_x64(x64):
+            cast = jax.tree.map(lambda x: jnp.asarray(np.asarray(x), float), (CLOSE, maps, tables))
+            iris, camera = ij.Iris.of_level("low"), ij.Camera(size=(24, 18))
+            made = scene(cast[0], 0.6, 2.0, iris=iris, maps=cast[1], camera=camera)
+            return np.asarray(draw(made, cast[2]))
+
+    coarse, fine = picture(False), picture(True)
+    assert (fine.dtype, coarse.dtype) == (np.float64, np.float32)
+    np.testing.assert_allclose(coarse, fine, rtol=1e-5, atol=1e-4)  # rtol: a highlight is 23
