@@ -128,10 +128,8 @@ def cut_around(
     picture: _Picture, outline: Ellipse, margin: float, radius: float
 ) -> tuple[Float[np.ndarray, "rows_1 columns_1 channels"], Ellipse, Callable[[Ellipse], Ellipse]]:
     """Cut out the part of a picture around an outline, `margin` radii to each side, and reduce it
-    until the outline's radius is at most `radius` (px).
-
-    Returns:
-        The part, the outline in it, and a function from ellipses in it to those in the picture.
+    until the outline's radius is at most `radius` (px); return it with the outline in it, and a
+    function from ellipses in it to those in the picture.
     """
     reach = margin * outline.semi_axes[0]
     (x, y), shape = outline.centre, picture.shape

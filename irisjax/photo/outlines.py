@@ -360,18 +360,15 @@ def _beginning(x, brightness, pixel: float) -> tuple[float, float]:
     node = (node + 1) / 2
     weight = 3 * weight * node * (1 - node)  # a smoothstep is as many steps as its slope says
 
-    def blurred(away, blur):
-        return 0.5 + 0.5 * special.erf(away / (np.sqrt(2) * blur))
-
     def parts(v, sharp, soft):
         """Constant, line up or down, and what rises; and how much of each there is."""
         start, width, factor = v
         blur = _BLUR * np.exp(_BLUR_SPREAD * factor) * pixel
-        step = blurred(x - start, blur)
+        step = special.ndtr((x - start) / blur)
         line = step * (x - start)
         basis = [np.ones_like(x), line, -line]
         basis += [step] * sharp
-        basis += [blurred(x[:, None] - start - width * node, blur) @ weight] * soft
+        basis += [special.ndtr((x[:, None] - start - width * node) / blur) @ weight] * soft
         basis = np.stack(basis, -1)
         return basis, optimize.nnls(basis, brightness)[0]
 

@@ -77,28 +77,20 @@ def texels_of(size: int) -> tuple[Brightness, Brightness]:
     return np.hypot(x, y), np.arctan2(y, x)
 
 
-class Gaussian:
-    """Convolution of pictures of one shape with a Gaussian, by Fourier transforms in float32.
+def gaussian_mean(
+    values: Shaped[np.ndarray, "rows columns"], sigma: float, periodic: bool = False
+) -> Brightness:
+    """Return a picture convolved with a Gaussian of `sigma` texels, by Fourier transforms.
 
     For wide Gaussians this is far quicker than `scipy.ndimage.gaussian_filter`. The picture is
-    continued by zeros, or `periodic`ally. `sigma` is in texels; 0 changes nothing.
+    continued by zeros, or `periodic`ally.
     """
-
-    def __init__(self, shape: tuple[int, ...], sigma: float, periodic: bool = False):
-        self.shape = shape
-        margin = 0 if periodic else int(np.ceil(4 * sigma))
-        self.padded = [scipy.fft.next_fast_len(n + margin, real=True) for n in shape]
-        rows, columns = (
-            np.exp(-2 * (np.pi * sigma * frequency) ** 2).astype(np.float32)
-            for frequency in (scipy.fft.fftfreq(self.padded[0]), scipy.fft.rfftfreq(self.padded[1]))
-        )
-        self.transfer = rows[:, None] * columns
-
-    def __call__(self, values: Shaped[np.ndarray, "rows columns"]) -> np.ndarray:
-        """Return the picture convolved."""
-        spectrum = np.asarray(scipy.fft.rfft2(values.astype(np.float32), self.padded))
-        whole = np.asarray(scipy.fft.irfft2(spectrum * self.transfer, self.padded))
-        return whole[: self.shape[0], : self.shape[1]]
+    margin = 0 if periodic else int(np.ceil(4 * sigma))
+    padded: list[Any] = [scipy.fft.next_fast_len(n + margin, real=True) for n in values.shape]
+    spectrum = np.asarray(scipy.fft.rfft2(values.astype(np.float32), padded))
+    spectrum = ndimage.fourier_gaussian(spectrum, sigma, padded[1])
+    whole = np.asarray(scipy.fft.irfft2(spectrum, padded))
+    return whole[: values.shape[0], : values.shape[1]]
 
 
 class Refraction(NamedTuple):
@@ -235,10 +227,9 @@ def masked_mean(values: Brightness, valid: Mask, sigma: float) -> Brightness:
     """
     if not valid.any():
         raise ValueError("no texel is valid: there is nothing to take a mean of")
-    mean_of = Gaussian(valid.shape, sigma)
-    weight = mean_of(valid)
+    weight = gaussian_mean(valid, sigma)
     far = weight < _LEAST_WEIGHT
-    mean = mean_of(np.where(valid, values, 0)) / np.where(far, 1, weight)
+    mean = gaussian_mean(np.where(valid, values, 0), sigma) / np.where(far, 1, weight)
     return np.where(far, values[valid].mean(dtype=np.float32), mean)
 
 

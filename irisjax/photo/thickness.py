@@ -1,6 +1,7 @@
 """Freckles, and thickness of the stroma: what is brighter is thicker  [F09 Section 4.2]."""
 
 import math
+from functools import partial
 from typing import NamedTuple
 
 import jax.numpy as jnp
@@ -14,7 +15,7 @@ from irisjax.measure.colour import srgb_encode
 from irisjax.numerics.checks import Range, check_range, check_whole
 from irisjax.photo.masks import find_freckles
 from irisjax.photo.photograph import Brightness, Mask
-from irisjax.photo.texture import MAP_SHAPE, Gaussian, Unrefracted, fill_holes, masked_mean
+from irisjax.photo.texture import MAP_SHAPE, Unrefracted, fill_holes, gaussian_mean, masked_mean
 from irisjax.tissue.maps import IrisMaps
 
 MEASURED = Range(2.25, 5.0, "mm")
@@ -276,7 +277,7 @@ def deconvolve(
     around = np.pad(shown, wide)
     # The tissue continues beyond the visible part: without it the edges would seem dark.
     light = np.pad(fill_holes(1 + normalised[box].astype(np.float32), ~shown), wide, mode="edge")
-    spread = Gaussian(around.shape, sigma, periodic=True)
+    spread = partial(gaussian_mean, sigma=sigma, periodic=True)
     weight = spread(around)
     known = weight > 1e-3
     estimate = light

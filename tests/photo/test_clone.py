@@ -33,23 +33,34 @@ SETTINGS = CloneSettings()
 
 @pytest.fixture(scope="module")
 def first():
-    """A photograph at 0.3 of its size."""
+    """A photograph at a quarter of its size."""
     found = read_photograph(PHOTOGRAPHS / "blue.jpg")
-    cut_off = reduce_picture(found.saturated[..., None].astype(float), 0.3)[..., 0] > 0
-    return found._replace(pixels=reduce_picture(found.pixels, 0.3), saturated=cut_off)
-
-
-def flat(photograph, **given):
-    """Laid flat on fewer texels than a clone has."""
-    given = Given(**given)
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(cloning, "follow_refraction", partial(follow_refraction, size=512))
-        return flatten_iris(pose_eye(outline_eye(photograph, given), SETTINGS, given), given)
+    cut_off = reduce_picture(found.saturated[..., None].astype(float), 0.25)[..., 0] > 0
+    return found._replace(pixels=reduce_picture(found.pixels, 0.25), saturated=cut_off)
 
 
 @pytest.fixture(scope="module")
-def alone(first):
-    return flat(first)
+def posed(first):
+    return pose_eye(outline_eye(first), SETTINGS)
+
+
+def flat(posed):
+    """Laid flat on fewer texels than a clone has."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(cloning, "follow_refraction", partial(follow_refraction, size=512))
+        return flatten_iris(posed)
+
+
+@pytest.fixture(scope="module")
+def alone(posed):
+    return flat(posed)
+
+
+def test_a_frontal_eye_mirrors_no_face(first, posed):
+    x, y = posed.pose.corner
+    limbus = part_of(first, posed.boundaries.limbus).limbus.moved(-x, -y)
+    outside = np.zeros(posed.clear.shape, bool)
+    assert not find_mirrored_face(posed.part, outside, limbus, posed.view.mirror).any()
 
 
 def test_thickness_of_a_photographed_iris_comes_back(alone):
@@ -67,13 +78,6 @@ def test_thickness_of_a_photographed_iris_comes_back(alone):
     assert ours > 0.8
 
 
-def test_a_frontal_eye_mirrors_no_face(first, alone):
-    x, y = alone.pose.corner
-    limbus = part_of(first, alone.boundaries.limbus).limbus.moved(-x, -y)
-    outside = np.zeros(alone.clear.shape, bool)
-    assert not find_mirrored_face(alone.part, outside, limbus, alone.view.mirror).any()
-
-
 def test_texture_under_a_highlight_is_the_seconds(first, alone):
     limbus, pupil = alone.boundaries.limbus, alone.boundaries.pupil
     (x, y), radius = limbus.centre, limbus.semi_axes[0]
@@ -88,7 +92,8 @@ def test_texture_under_a_highlight_is_the_seconds(first, alone):
     turned = zoom(turned, (0.9, 0.9, 1), order=1)
     second = Photograph(0.8 * turned, (turned > 0.99).any(-1), name="second")
     outlines = {"limbus": limbus, "pupil": pupil}
-    found = flat(burnt, **outlines, second=second)
+    given = Given(**outlines, second=second)
+    found = flat(pose_eye(outline_eye(burnt, given), SETTINGS, given))
     without = unrefract(found.part, found.clear, found.pose, found.refraction)
     hidden = alone.texture.valid & ~without.valid
     assert hidden.sum() > 1000

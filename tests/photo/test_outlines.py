@@ -70,7 +70,7 @@ def check(eye: Simulated, within: float):
 @pytest.fixture(scope="module")
 def green():
     """A simulated eye that looks aside."""
-    return exposed(photographed("green_tilted.jpg", 1 / 3))
+    return exposed(photographed("green_tilted.jpg", 1 / 4))
 
 
 def test_outlines_of_a_simulated_eye_behind_lids_lashes_and_a_highlight(green):

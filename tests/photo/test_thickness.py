@@ -156,9 +156,12 @@ def test_a_thickness_that_does_not_show_is_the_average():
         (lambda p: f09_thickness(R, p, np.nan), "beta = nan mm"),
         (lambda p: relative_thickness(R, p, 9.0), "response = 9"),
         (lambda p: unshade(p, RING, (9.0, 0.0), 0.6, TEXEL), "slopes = 9"),
+        (lambda p: shape_maps(_texture(), _texture().valid), "no texel that shows the iris"),
+        (lambda p: shape_maps(_texture(), np.zeros((2, 2), bool)), "the freckle mask is"),
+        (lambda p: shape_maps(_texture(), slopes=(0.1, 0.0)), "need a response"),
     ],
 )
-def test_numbers_out_of_range(call, message):
+def test_what_cannot_be(call, message):
     with pytest.raises(ValueError, match=message):
         call(np.zeros(R.shape, np.float32))
 
@@ -241,16 +244,6 @@ def test_hidden_texels_do_not_tell():
     np.testing.assert_array_equal(found.thickness, again.thickness)
 
 
-def test_what_cannot_be():
-    texture = _texture()
-    with pytest.raises(ValueError, match="no texel that shows the iris"):
-        shape_maps(texture._replace(valid=np.zeros_like(texture.valid)))
-    with pytest.raises(ValueError, match="the freckle mask is"):
-        shape_maps(texture, np.zeros((2, 2), bool))
-    with pytest.raises(ValueError, match="need a response"):
-        shape_maps(texture, slopes=(0.1, 0.0))
-
-
 RING_SIZE = 600
 
 
@@ -267,8 +260,7 @@ def away_from_edges(texture: Unrefracted):
     return texture.valid & (radius > 2.3) & (radius < 5.2) & (y < 0)
 
 
-@pytest.mark.parametrize("hidden", [False, True])
-@pytest.mark.parametrize("response", [0.2, 0.6])
+@pytest.mark.parametrize(("response", "hidden"), [(0.2, False), (0.6, True)])
 def test_fibres_and_rings_stay(response, hidden):
     """What varies with the angle alone, or with the distance alone, is tissue."""
     texture = ring(hidden)
