@@ -14,18 +14,14 @@ LB06 = (1.336, 1.4733, 1.4728, 1.5)
 REVERSED = (1.5, 1.4, 1.35, 1.3)
 
 
-RISING = Order(True, False, False)
-"""Order of media in which the stroma is no denser than what lies above and below it in the eye."""
-
-
 def mixed(abl, absorption, scattering, rayleigh, g, indices):
     """Layers whose phase function is a mixture, one wavelength or as many as are given."""
     made = layers(abl, absorption, scattering, indices)
     size = made.extinction.shape
     spread = (jnp.broadcast_to(jnp.asarray(x, float), size) for x in (rayleigh, g))
-    order = (
-        Order() if indices == REVERSED else RISING
-    )  # one program for LB06's media and equal ones
+    order = made.order
+    if not (order.stroma_over_abl or order.stroma_over_ipe):
+        order = Order(True, False, False)  # one program for LB06's media and equal ones
     return dataclasses.replace(made, phase=PhaseMixture(*spread), order=order)
 
 
