@@ -230,9 +230,7 @@ def _groups(painting: Painting) -> list[list[Coat]]:
 
 @pixelwise
 def _ground(pixels: IrisPixels, profile: Cones, eye: Eye, flux: Array) -> tuple[_Ground, _State]:
-    """Where pixels see the base, and their state above all coats. The cones are extended straight
-    to the axis and to twice the root's radius.
-    """
+    """Where pixels see the base, extended to the axis and past the root, and the first state."""
     ends = jnp.stack([jnp.zeros_like(profile.radius[0]), 2 * profile.radius[-1]])
     z = profile.height(ends)
     whole = Cones(
@@ -336,9 +334,7 @@ def _light_under(
 
 
 def _aside(direction: Parts, normal: Parts) -> Array:
-    """Displacement (2, …) along lines through points of the base, up to the parallel plane at unit
-    height in front of it.
-    """
+    """Displacement (2, …) along lines through the base, to the plane at unit height before it."""
     along = sum(d * n for d, n in zip(direction, normal, strict=True))
     path = -normal[2] / along
     return jnp.stack([direction[0] * path, direction[1] * path])

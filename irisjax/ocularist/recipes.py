@@ -120,9 +120,7 @@ _DOTTED = {"smeared": (0.1, 1.0), "dit-dot": (0.75, 0.45), "detail": (0.15, 1.0)
 
 
 def _coat(rng, kind: str, part: str, paints: _Paints, tone: _Mixtures):
-    """Name and parameters of a component for a part of the iris, mixtures to choose from, and
-    opacity.
-    """
+    """Name and parameters of a component for a part of the iris, mixtures to choose, opacity."""
 
     def about(value: float, spread: float = 0.25) -> float:
         return round(float(value * np.exp(rng.uniform(-spread, spread))), 4)

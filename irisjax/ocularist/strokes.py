@@ -146,9 +146,7 @@ class Strokes(NamedTuple):
 
 
 def _hairs(rng, n: int, hairs: int, t, head: float):
-    """Positions across the brush, about −1 to 1, and loads of hairs, about 1; both of shape
-    (strokes, hairs, drops).
-    """
+    """Positions across the brush, about ±1, and loads, about 1: (strokes, hairs, drops)."""
 
     def uniform(low=0.0, high=1.0):
         return rng.uniform(low, high, (n, hairs, 1)).astype(np.float32)

@@ -249,10 +249,7 @@ def _solid_angles(rows: int, columns: int) -> np.ndarray:
 
 
 def _panel(direction: np.ndarray, centre, half, soft: float) -> np.ndarray:
-    """A softbox that faces the eye, upright: 1 in its middle, two thirds in its corners; 0 outside.
-
-    `half` sides and `soft` edge as tangents.
-    """
+    """A softbox that faces the eye, 1 in its middle; `half` sides and `soft` edge as tangents."""
     forward = np.asarray(centre) / np.linalg.norm(centre)
     right = np.cross((0.0, 1.0, 0.0), forward)
     right /= np.linalg.norm(right)

@@ -109,9 +109,7 @@ class AbstractTabulated(AbstractIntegrator):
         return products.of_products(directions.coefficients(values), degrees), self._status(status)
 
     def _solving(self, iris: Iris, aqueous_index, bands: Bands, ranges: Scales):
-        """Function of places of texels within `ranges`, incidences and exits: BRDFs (texels, in,
-        out, channels), and status.
-        """
+        """From places in `ranges` and directions to BRDFs (texels, in, out, channels), status."""
         table = extinction(np.asarray(bands.wavelengths))
         made: Any = self.prepare(iris, aqueous_index, bands, ranges)
 

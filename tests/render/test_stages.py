@@ -102,7 +102,7 @@ def test_absent_parts_cost_nothing(tables):
     ("change", "kept"),
     [
         ({"iris": LIGHT.replace(eumelanin=1.5)}, {"view", "texels", "light"}),
-        ({"lights": Lights.distant([0.4, 0.9], [2.0, 0.1])}, {"view", "texels", "response"}),
+        ({"lights": Lights.distant(0.4, 2.0)}, {"view", "texels", "response"}),
         ({"camera": dataclasses.replace(SMALL, polar=jnp.asarray(0.2))}, {"response"}),
         ({"maps": IrisMaps(stroma_depth=np.full((48, 24), 0.25))}, {"view"}),
     ],
