@@ -122,7 +122,6 @@ def _row(*cells: str) -> _Row:
 def _fitted(
     chunk: Eyes, seen: Mapping[str, Any], options: Mapping[str, Any], key: jax.Array
 ) -> dict[str, _Row]:
-    """Rows of a chunk."""
     spectra = [m for m in chunk.values() if isinstance(m, Measured)]
     if not spectra:
         return {name: _row(name, FAILED, "", str(fault)) for name, fault in chunk.items()}

@@ -102,7 +102,6 @@ class Kept:
         self._making = threading.Lock()
 
     def __call__(self, *args: Any) -> Any:
-        """Return the function's result."""
         leaves, structure = jax.tree.flatten(args)
         arrays = [x for x in leaves if _is_array(x)]
         if any(isinstance(x, Tracer) for x in arrays):
@@ -116,15 +115,17 @@ class Kept:
                 if here not in self._known:
                     self._known[here] = self._found(structure.unflatten(constants), types)
         program = self._known[here]
-        return self.__wrapped__(*args) if program is None else program(arrays)
+        if program is None:
+            return self.__wrapped__(*args)
+        return _filled(program.result, program.compiled(*arrays))
 
     def _found(self, form: Any, types: tuple[Any, ...]) -> "_Program | None":
         debugging = any(getattr(jax.config, name, False) for name in _FOR_DEBUGGING)
         place = _programs()
         if debugging or jax.device_count() > 1 or place is None:
             return None
+        seen = [(shape, str(dtype), weak) for shape, dtype, weak in types]
         try:
-            seen = [(shape, str(dtype), weak) for shape, dtype, weak in types]
             words = pickle.dumps([self._name, form, seen, _settings(), _machine()], protocol=5)
         except Exception:  # an object without a pickle may raise anything
             return None
@@ -149,9 +150,6 @@ class _Program(NamedTuple):
     compiled: jax.stages.Compiled
     result: Any
 
-    def __call__(self, arrays: list[Any]) -> Any:
-        return _filled(self.result, self.compiled(*arrays))
-
 
 def _compiled(
     function: Callable[..., Any], form: Any, types: tuple[Any, ...]
@@ -174,7 +172,6 @@ def _compiled(
 
 
 def _read(path: Path) -> _Program:
-    """Read a program from its file."""
     result, linear_algebra, *executable = pickle.loads(path.read_bytes())
     if linear_algebra:
         _load_lapack()
@@ -226,7 +223,6 @@ def _machine() -> tuple[str, ...]:
 
 
 def _programs() -> Path | None:
-    """The folder of the programs of this version of the code."""
     place = folder()
     return None if place is None else _version_of(place / "programs")
 

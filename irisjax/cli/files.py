@@ -200,7 +200,6 @@ def _settings(
     process_options: ProcessOptions,
     *others: opt.Group,
 ) -> dict[str, str]:
-    """Every setting as text."""
     # float, not text made by numpy: that loses digits once colour-science has been imported.
     fields = {
         name: float(getattr(iris if name in LIMITS else iris.power_law, name))

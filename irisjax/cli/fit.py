@@ -16,7 +16,6 @@ _NOT_CONVERGED = 3
 
 
 def _described(name: str) -> str:
-    """A parameter's line of the help."""
     known, mark = PARAMETERS[name], "*" if name in DEFAULT_FREE else "·"
     unit = f" ({known.allowed.unit})" if known.allowed.unit else ""
     return f"{mark} {name}{unit}: {known.allowed.meaning}; {known.prior!r}"

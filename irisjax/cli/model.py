@@ -46,12 +46,8 @@ def _field(name: str) -> Any:
 # An option for each number of an iris, in the order of its fields; the class below defines three.
 _NAMES = ("level", *LIMITS, "melanin_load", "scattering", *POWER_LAW_LIMITS)
 _FIELDS = {name: _field(name) for name in _NAMES}
-_Numbers: Any = type(
-    "_Numbers",
-    (opt.Group,),
-    {"__annotations__": dict.fromkeys(_NAMES, float | None), **_FIELDS},
-    panel="Iris",
-)
+_FIELDS["__annotations__"] = dict.fromkeys(_NAMES, float | None)
+_Numbers: Any = type("_Numbers", (opt.Group,), _FIELDS, panel="Iris")
 
 
 class IrisOptions(_Numbers):

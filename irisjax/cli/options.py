@@ -168,7 +168,6 @@ def _overrule(names: tuple[str, ...]) -> Callable[..., Any]:
 
 
 def _is_typed(context: Any, name: str) -> bool:
-    """Whether an option was typed."""
     source = context.get_parameter_source(name)
     return source is not None and source.name == "COMMANDLINE"
 

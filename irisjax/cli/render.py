@@ -6,7 +6,7 @@ import math
 import sys
 from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 from tqdm import tqdm
@@ -152,7 +152,7 @@ def _still(scene: Scene, picture: PictureOptions, exposure: float, output: Path)
             encoded = map(_encoded, pixels)
             return io.write_png(output, encoded, bits=picture.bits, remark=remark, rows=height)
 
-        _written(scene, bands(), exposure, output, write)
+        _written(bands(), exposure, output, write)
 
 
 def _animated(scene: Scene, change: str, count: int, exposure: float, output: Path) -> None:
@@ -166,7 +166,7 @@ def _animated(scene: Scene, change: str, count: int, exposure: float, output: Pa
             return io.write_png(output, whole, remark=f"{remark} row by row")
         return io.write_movie(output, map(_encoded, pixels), remark=remark)
 
-    _written(scene, iter(shown), exposure, output, write, count)
+    _written(shown, exposure, output, write)
 
 
 def frames(
@@ -217,26 +217,20 @@ def sheet(pictures: list[np.ndarray]) -> np.ndarray:
     return grid.reshape(rows * height, columns * width, -1)
 
 
-def _written(
-    scene: Scene,
-    pictures: Iterator[np.ndarray],
-    exposure: float,
-    output: Path,
-    write: Callable[[Iterator[np.ndarray]], int],
-    count: int = 1,
-) -> None:
+def _written(pictures, exposure: float, output: Path, write: Callable[[Any], int]) -> None:
     """Write pictures; say on standard error how many pixels are clipped, or that all are black."""
-    lightest = 0.0
+    lightest, count = 0.0, 0
 
     def exposed():
-        nonlocal lightest
+        nonlocal lightest, count
         for pixels in pictures:
             lightest = max(lightest, exposure * float(np.max(pixels)))
+            count += math.prod(pixels.shape[:2])
             yield exposure * pixels
 
     if clipped := write(exposed()):
-        share = 100 * clipped / (count * math.prod(scene.camera.size))
-        opt.tell(f"{output}: {clipped} pixels ({share:.2g} %) out of sRGB's range are clipped")
+        share = f"{100 * clipped / count:.2g} %"
+        opt.tell(f"{output}: {clipped} pixels ({share}) out of sRGB's range are clipped")
     if lightest <= 0:
         opt.tell(f"{output}: the picture is black: no light falls on what the camera sees")
 
