@@ -11,6 +11,7 @@ from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
@@ -208,7 +209,8 @@ def noise_left(own: Fit, other: Fit) -> float:
 def intervals_of(problem: Problem, found: Fit, spread: float) -> dict[str, Interval]:
     """Return 95 % intervals of a fit's parameters for noise `spread` times what was stated."""
     half = 1.96 * np.sqrt(np.diagonal(covariance_at(np.asarray(found.covariance), spread)))
-    values = [np.asarray(problem.natural(found.z + sign * half)) for sign in (0, -1, 1)]
+    ends = (jnp.asarray(found.z + sign * half) for sign in (0, -1, 1))
+    values = [np.asarray(problem.natural(z)) for z in ends]
     rows = zip(problem.free, np.stack(values, axis=1).tolist(), strict=True)
     return {n: Interval(*row) for n, row in rows}
 
