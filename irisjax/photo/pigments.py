@@ -275,7 +275,7 @@ def _searched(starts, windows, base, free: tuple[int, ...]):
     def one(start):
         found, (reached, counted, held) = jax.lax.scan(turn, start, None, _TURNS)
         last = jax.tree.map(lambda c: c[-1], held)
-        jacobian = jax.jacfwd(lambda x: residuals(x, 1.0, last))(found)
+        jacobian = jax.jacfwd(lambda x: residuals(x, 1.0, last)[0])(found)
         return reached, counted, jnp.linalg.inv(jacobian.T @ jacobian)
 
     return jax.lax.map(one, starts)
