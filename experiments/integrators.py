@@ -130,7 +130,7 @@ def _models(iris, thickness, mu, exits):
         maps = {"stroma_depth": jnp.full((2, 2), scale * iris.stroma_thickness)}
         light = jnp.broadcast_to(towards[:, None, None], (1, 3, 2, 2))
         data = SceneData(maps, light, None, None, Eye(cornea=None, sclera=None))
-        return response.radiance(pixels, data) / mu
+        return response.shade(pixels, None, data) / mu
 
     ilit, _ = solved(ij.IlitExact(24))
     deep, status = solved(ij.RadiativeExact(24, n_panels=2))

@@ -178,7 +178,8 @@ def outline(scene: Scene, radius: float, pupil: bool) -> tuple[Ellipse, float]:
         assert bool(visible.all())
     else:
         column, row = scene.camera.pixel(ring, eye)
-    points = np.stack([np.asarray(column), np.asarray(row)], -1)
+    column, row = np.asarray(column), np.asarray(row)
+    points = np.stack([column, row], -1)
     found = ellipse_through(points)
     off = np.abs(found.relative_radius(column, row) - 1).max() * found.semi_axes[0]
     return found, float(off)

@@ -7,7 +7,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import optimistix as optx
-from jax.core import Tracer
 from jax.scipy.special import gammaincc
 from jaxtyping import Array, Bool, Float, Int
 from scipy.special import chdtri
@@ -17,7 +16,7 @@ from irisjax.infer.least_squares import Found, least_squares, levenberg_marquard
 from irisjax.infer.parameters import kind
 from irisjax.infer.problem import Problem
 from irisjax.numerics.checks import check_whole
-from irisjax.transport.solution import RESULTS
+from irisjax.transport.solution import RESULTS, raise_failure
 
 MISFIT = 1e-6
 """Probability of a chi-square as large below which a fit is called a misfit."""
@@ -134,11 +133,7 @@ def fit(
         to_do = "give key=jax.random.key(...), or starts=1"
         raise ValueError(f"starts={starts} draws all but the first at random: {to_do}")
     found = _fit(problem.unnamed(), solver, start, key, use_priors, starts, rounds, max_steps)
-    codes = found.status._value
-    if throw and not isinstance(codes, Tracer) and np.any(codes):
-        several = "some of the batch failed; see status"
-        raise ValueError(several if np.ndim(codes) else words_for(found.status))
-    return found
+    return raise_failure(found, found.status) if throw else found
 
 
 def words_for(status: FitStatus) -> str:

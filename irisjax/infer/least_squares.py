@@ -75,7 +75,14 @@ def least_squares(
         rounds: Largest number of rounds.
         max_steps: Largest number of steps of a search at each weight.
         key: Source of the draws; not needed for a single start.
+
+    Raises:
+        ValueError: If there are several starts and no key.
     """
+    if key is None and starts * rounds > 1:
+        raise ValueError(
+            f"starts={starts}, rounds={rounds} draw all but the first at random: give a key"
+        )
     solver = levenberg_marquardt() if solver is None else solver
     weights = jnp.ones(1, start.dtype) if weights is None else weights
     args = nondifferentiable(args, name="the data of least squares")

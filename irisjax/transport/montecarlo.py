@@ -22,7 +22,13 @@ from irisjax.tissue.layers import Layers
 from irisjax.transport import lanes
 from irisjax.transport.ilit.analog import ilit_event
 from irisjax.transport.light import Directions, Light, first_surface
-from irisjax.transport.process import ILIT_2006, AbstractProcess, Ilit, is_polarised
+from irisjax.transport.process import (
+    ILIT_2006,
+    AbstractProcess,
+    Ilit,
+    RadiativeTransfer,
+    is_polarised,
+)
 from irisjax.transport.radiative.analog import radiative_event
 from irisjax.transport.solution import Flux, Solution, binomial_error, outcome
 from irisjax.transport.solver import AbstractSolver, check_rayleigh
@@ -52,7 +58,8 @@ class MonteCarlo(AbstractSolver):
         lanes: Photons followed at once; affects speed and memory only (about 100 bytes each).
         mesh: Devices to deal the photons to, or `None` for where the program runs; see
             `photon_mesh`.
-        process: `ILIT_2006`, `ILIT_CORRECTED`, `DEPTH_RESOLVED` or one of your own.
+        process: `ILIT_2006`, `ILIT_CORRECTED`, `DEPTH_RESOLVED`, or another `Ilit` or
+            `RadiativeTransfer`.
     """
 
     n_photons: int = eqx.field(static=True)
@@ -63,6 +70,9 @@ class MonteCarlo(AbstractSolver):
     def __check_init__(self):
         check_whole("n_photons", self.n_photons, 1, _LIMIT)
         check_whole("lanes", self.lanes, 16)
+        if not isinstance(self.process, (Ilit, RadiativeTransfer)):
+            said = f"MonteCarlo has no events of {self.process!r}"
+            raise ValueError(f"{said}; known: Ilit, RadiativeTransfer")
         if is_polarised(self.process):
             raise ValueError(
                 "MonteCarlo does not treat polarised light; use RadiativeExact, or "

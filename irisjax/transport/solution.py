@@ -150,8 +150,9 @@ def worst(status: RESULTS) -> RESULTS:
 _T = TypeVar("_T")
 
 
-def raise_failure(result: _T, status: RESULTS) -> _T:
-    """Return the result, or raise with the reason if `status` is not successful.
+def raise_failure(result: _T, status: Any) -> _T:
+    """Return the result, or raise with the reason if `status`, an item of an enumeration such as
+    `RESULTS`, is not its `successful`.
 
     A concrete status raises `ValueError` at once. A traced one raises an error of Equinox when the
     program runs (`equinox.error_if`), which takes no time otherwise, provided that the program uses
@@ -162,20 +163,20 @@ def raise_failure(result: _T, status: RESULTS) -> _T:
     # Read the code itself: comparing enumerations would dispatch a computation for every call.
     codes = np.asarray(status._value)
     if codes.any():
-        failure = RESULTS[status] if codes.ndim == 0 else "some of the batch failed; see status"
-        raise ValueError(failure)
+        several = "some of the batch failed; see status"
+        raise ValueError(several if codes.ndim else status._enumeration[status])
     return result
 
 
 @eqx.filter_custom_jvp
-def _guarded(result, *, status: RESULTS):
-    return status.error_if(result, status != RESULTS.successful)
+def _guarded(result, *, status: Any):
+    return status.error_if(result, status != status._enumeration.successful)
 
 
 @_guarded.def_jvp
-def _guarded_jvp(primals, tangents, *, status: RESULTS):
+def _guarded_jvp(primals, tangents, *, status: Any):
     # A gradient does not use the value: the factor 1 brings the check into the derivative.
     (result,), (slopes,) = primals, tangents
-    one = status.error_if(jnp.ones(()), status != RESULTS.successful)
+    one = status.error_if(jnp.ones(()), status != status._enumeration.successful)
     slopes = jax.tree.map(lambda t: one.astype(t.dtype) * t, slopes)
     return _guarded(result, status=status), slopes

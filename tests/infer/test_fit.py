@@ -201,6 +201,13 @@ def test_misfit_is_no_failed_search(problem, measured):
     assert float(found.p_value) < 1e-6
     with pytest.raises(ValueError, match="does not produce these data"):
         fit(stepped, key=KEY, throw=True)
+    with pytest.raises(RuntimeError, match="does not produce these data"):
+        eqx.filter_jit(fit)(stepped, key=KEY, throw=True)
+
+
+def test_several_searches_need_a_key():
+    with pytest.raises(ValueError, match="starts=4, rounds=1 draw all but the first at random"):
+        search.least_squares(lambda x, weight, args: (x, None), None, jnp.zeros(2), starts=4)
 
 
 def ended(result=optx.RESULTS.successful, **numbers):

@@ -14,6 +14,7 @@ import pytest
 import common
 import irisjax as ij
 from common import quick_jit
+from irisjax.transport.process import AbstractProcess
 
 GRID = (420.0, 450.0, 550.0, 700.0)
 ANALOG = {
@@ -165,6 +166,12 @@ def test_what_is_not_offered_is_said():
     deep = ij.MonteCarlo(10, process=ij.DEPTH_RESOLVED)
     with pytest.raises(ValueError, match="use RadiativeExact"):
         ij.brdf(iris, GRID, cos_exit=0.5, solver=deep, key=key)
+
+    class Unknown(AbstractProcess):
+        transport = "of its own"
+
+    with pytest.raises(ValueError, match=r"no events of .*known: Ilit, RadiativeTransfer"):
+        ij.MonteCarlo(10, process=Unknown())
 
 
 _PROGRAM = """
