@@ -16,7 +16,6 @@ import platform
 import secrets
 import shutil
 import sys
-import tempfile
 import threading
 from collections.abc import Callable, Hashable, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -30,10 +29,15 @@ import numpy as np
 from jax.core import Tracer
 from jax.experimental import serialize_executable
 
+from irisjax.io.tables import write_atomically
+
 if TYPE_CHECKING:
+    from irisjax.anatomy.eye import Eye
     from irisjax.render.illumination import Illumination
     from irisjax.render.scene import Scene
 
+MOST_TABLES = 8
+"""Illumination tables that are kept (up to 39 MB each); those not used for longest go first."""
 _MOST_VERSIONS = 4  # of the package, whose programs are kept side by side
 _MOST_THREADS = 4  # that read files
 _PACKAGES = ("jax", "jaxlib", "equinox", "optimistix", "lineax", "numpy")
@@ -78,11 +82,55 @@ def _keeping(function: Any, **options: Any) -> Any:
 
 
 def kept_tables(scene: "Scene") -> "Illumination | None":
-    """Return `scene.tables()`, made once a machine."""
-    from irisjax.io.illumination import tables_of
+    """Return `scene.tables()`, made once a machine; a broken file is made again, and that said."""
+    from irisjax.cli.options import tell
 
     place = folder()
-    return tables_of(scene, None if place is None else place / "illumination")
+    if place is None or scene.eye.cornea is None:
+        return scene.tables()
+    caustics, code = scene.grazing(), _version_of(place / "programs").name
+    path = place / "illumination" / tables_key(scene.eye, caustics, code)
+    try:
+        found = _read_tables(path)
+        with suppress(OSError):  # a folder may be for reading only
+            os.utime(path)  # when it was last of use
+        return found
+    except Exception as error:  # half a file, or another kind of file
+        if path.exists():
+            said = (str(error).strip() or type(error).__name__).split("\n")[0]
+            tell(f"{path}: not usable ({said}); made again")
+    made = scene.tables(caustics)
+    data = pickle.dumps(made, protocol=5)
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        write_atomically(path, _digest(path, data) + data)
+    except OSError as error:
+        tell(f"{path}: the tables could not be kept ({error.strerror})")
+    with suppress(OSError):  # another run may remove them too
+        for old in _beyond_newest(path.parent, MOST_TABLES):
+            old.unlink()
+    return made
+
+
+def tables_key(eye: "Eye", caustics: bool, code: str) -> str:
+    """Name of an eye's tables: SHA-256 of all that they depend on, precision and code included."""
+    from irisjax.render.illumination import deciding
+
+    leaves, structure = jax.tree.flatten(deciding(eye))
+    values = [(str(x.dtype), x.shape, x.tobytes()) for x in map(np.asarray, leaves)]
+    about = code, caustics, str(jax.numpy.result_type(float)), str(structure), values
+    return hashlib.sha256(repr(about).encode()).hexdigest()
+
+
+def _read_tables(path: Path) -> "Illumination":
+    digest, data = (contents := path.read_bytes())[:32], contents[32:]
+    if _digest(path, data) != digest:
+        raise ValueError("damaged, or tables of another eye")
+    return pickle.loads(data)
+
+
+def _digest(path: Path, data: bytes) -> bytes:
+    return hashlib.sha256(path.name.encode() + data).digest()
 
 
 class Kept:
@@ -133,10 +181,11 @@ class Kept:
         try:
             return _files(path)
         except Exception:  # not there, half a file, a compiler of another kind: compile again
-            program, linear_algebra = _compiled(self.__wrapped__, form, types)
+            program = _compiled(self.__wrapped__, form, types)
         with suppress(Exception):  # results without a pickle, a compiler that cannot serialize
-            executable = serialize_executable.serialize(program.compiled)
-            _write(path, pickle.dumps((program.result, linear_algebra, *executable), protocol=5))
+            compiled, *about = program
+            executable = serialize_executable.serialize(compiled)
+            _write(path, pickle.dumps((*about, *executable), protocol=5))
         return program
 
 
@@ -145,16 +194,14 @@ class _Array:
 
 
 class _Program(NamedTuple):
-    """A compiled program of flat arrays and the form of its result."""
+    """A compiled program of flat arrays, the form of its result, and whether it calls LAPACK."""
 
     compiled: jax.stages.Compiled
     result: Any
+    linear_algebra: bool
 
 
-def _compiled(
-    function: Callable[..., Any], form: Any, types: tuple[Any, ...]
-) -> tuple[_Program, bool]:
-    """Compile; the program, and whether it calls LAPACK."""
+def _compiled(function: Callable[..., Any], form: Any, types: tuple[Any, ...]) -> _Program:
     plain = getattr(function, "__wrapped__", function)
     results = []
 
@@ -168,21 +215,19 @@ def _compiled(
     flat.__name__ = f"kept_{secrets.token_hex(8)}"
     shapes = [jax.ShapeDtypeStruct(shape, dtype, weak_type=weak) for shape, dtype, weak in types]
     lowered = jax.jit(flat, compiler_options=_compiler_options()).lower(*shapes)
-    return _Program(lowered.compile(), results[-1]), "lapack" in lowered.as_text()
+    return _Program(lowered.compile(), results[-1], "lapack" in lowered.as_text())
 
 
 def _read(path: Path) -> _Program:
     result, linear_algebra, *executable = pickle.loads(path.read_bytes())
     if linear_algebra:
         _load_lapack()
-    return _Program(serialize_executable.deserialize_and_load(*executable), result)
+    return _Program(serialize_executable.deserialize_and_load(*executable), result, linear_algebra)
 
 
 @functools.cache
 def _load_lapack() -> None:
-    """Have JAX load LAPACK, which it does where it lowers a function of it; a program from a file
-    would call what is not there.
-    """
+    """Have JAX load LAPACK, which it does where it lowers a function of it, but not for a file."""
     jax.jit(jax.numpy.linalg.cholesky).lower(jax.ShapeDtypeStruct((1, 1), np.float32))
 
 
@@ -236,19 +281,21 @@ def _version_of(place: Path) -> Path:
     about = sizes, sys.version, [importlib.metadata.version(name) for name in _PACKAGES]
     mine = place / hashlib.sha256(repr(about).encode()).hexdigest()[:16]
     if not mine.exists():
-        others = sorted(place.glob("*"), key=lambda p: p.stat().st_mtime) if place.exists() else []
-        for old in others[: max(0, len(others) - _MOST_VERSIONS + 1)]:
+        for old in _beyond_newest(place, _MOST_VERSIONS - 1):
             shutil.rmtree(old, ignore_errors=True)
     return mine
+
+
+def _beyond_newest(place: Path, count: int) -> list[Path]:
+    """All but the newest files and folders in a folder."""
+    return sorted(place.glob("*"), key=lambda p: -p.stat().st_mtime)[count:]
 
 
 def _write(path: Path, data: bytes) -> None:
     """Write whole or not at all; a full disk or a read-only folder costs only time."""
     with suppress(OSError):
         path.parent.mkdir(parents=True, exist_ok=True)
-        with tempfile.NamedTemporaryFile(dir=path.parent, delete=False) as temporary:
-            temporary.write(data)
-        os.replace(temporary.name, path)
+        write_atomically(path, data)
 
 
 class Ahead:

@@ -2,7 +2,6 @@
 
 from .clone_folders import CloneFolder as CloneFolder
 from .clone_folders import read_clone as read_clone
-from .illumination import tables_of as tables_of
 from .images import Image as Image
 from .images import read_environment as read_environment
 from .images import read_image as read_image

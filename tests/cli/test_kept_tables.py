@@ -12,8 +12,7 @@ import pytest
 
 from irisjax.anatomy.eye import Cornea, Eye, Sclera
 from irisjax.cli import compiled
-from irisjax.io import illumination
-from irisjax.io.illumination import key, tables_of
+from irisjax.cli.compiled import MOST_TABLES, kept_tables, tables_key
 from irisjax.optics.conicoid import Conicoid
 from irisjax.render.camera import Camera
 from irisjax.render.illumination import Illumination, deciding
@@ -23,6 +22,18 @@ from irisjax.tissue.iris import Iris
 
 EYE = Eye()
 SCENE = Scene(Iris())
+
+
+def key(eye, caustics, code="code"):
+    return tables_key(eye, caustics, code)
+
+
+@pytest.fixture
+def folder(monkeypatch, tmp_path):
+    """Where tables are kept."""
+    monkeypatch.setenv("JAX_COMPILATION_CACHE_DIR", str(tmp_path))
+    monkeypatch.setattr(compiled, "_version_of", lambda place: place / "code")
+    return tmp_path / "illumination"
 
 
 @pytest.fixture
@@ -35,7 +46,7 @@ def made(monkeypatch):
         flux = np.random.default_rng(len(calls)).normal(size=(4 if caustics else 2, 5, 5, 3))
         return Illumination(jnp.asarray(flux, float), jnp.asarray(5.6, float), 2.25)
 
-    monkeypatch.setattr(illumination.Illumination, "build", staticmethod(build))
+    monkeypatch.setattr(Illumination, "build", staticmethod(build))
     return calls
 
 
@@ -46,21 +57,21 @@ def equal(a, b):
 
 
 @pytest.mark.slow  # 12 s of tables
-def test_true_tables_come_back_to_the_bit(tmp_path, monkeypatch, bits):
+def test_true_tables_come_back_to_the_bit(folder, monkeypatch, bits):
     scene = Scene(Iris(), eye=Eye(iris_depth=3.7))  # of this precision
-    first = tables_of(scene, tmp_path)
-    (file,) = tmp_path.iterdir()
+    first = kept_tables(scene)
+    (file,) = folder.iterdir()
     assert first.flux.dtype == f"float{bits}"
 
     def forbidden(*_, **__):
         raise AssertionError("made twice")
 
-    monkeypatch.setattr(illumination.Illumination, "build", forbidden)
+    monkeypatch.setattr(Illumination, "build", forbidden)
     # Another pupil, camera and iris: the same file.
     eye = scene.eye.replace(pupil_radius=2.5)
     scene = scene.replace(eye=eye, camera=Camera(size=(4, 3)), iris=Iris())
-    equal(tables_of(scene, tmp_path), first)
-    assert list(tmp_path.iterdir()) == [file]
+    equal(kept_tables(scene), first)
+    assert list(folder.iterdir()) == [file]
 
 
 def test_tables_are_made_of_what_the_key_sees():
@@ -101,29 +112,26 @@ def test_every_field_of_the_eye_is_in_the_key_or_said_not_to_matter():
     assert fields - said <= OTHERS.keys()
 
 
-def test_precision_format_and_code_are_in_the_key(monkeypatch):
+def test_precision_and_code_are_in_the_key():
     before = key(EYE, True)
     single = jax.tree.map(lambda x: x.astype(jnp.float32), EYE)
     assert key(single, True) != before
-    monkeypatch.setattr(illumination, "_FORMAT", illumination._FORMAT + 1)
-    changed = key(EYE, True)
-    monkeypatch.setattr(illumination, "_code", lambda: "other")
-    assert len({before, changed, key(EYE, True)}) == 3
+    assert key(EYE, True, "other") != before
 
 
-def test_grazing_light_asks_for_caustics(tmp_path, made):
+def test_grazing_light_asks_for_caustics(folder, made):
     low = SCENE.replace(lights=Lights.distant(1.6, 0.0))
     for scene in (SCENE, low, SCENE, low):
-        tables_of(scene, tmp_path)
+        kept_tables(scene)
     assert [caustics for _, caustics in made] == [False, True]
-    assert tables_of(SCENE.replace(eye=Eye(cornea=None, sclera=None)), tmp_path) is None
-    assert len(list(tmp_path.iterdir())) == 2  # without a cornea there is no file
+    assert kept_tables(SCENE.replace(eye=Eye(cornea=None, sclera=None))) is None
+    assert len(list(folder.iterdir())) == 2  # without a cornea there is no file
 
 
 @pytest.mark.parametrize("damage", ["cut", "flipped", "foreign", "empty", "text"])
-def test_damaged_files_are_made_again_and_said(tmp_path, made, capsys, damage):
-    tables_of(SCENE, tmp_path)
-    (file,) = tmp_path.iterdir()
+def test_damaged_files_are_made_again_and_said(folder, made, capsys, damage):
+    kept_tables(SCENE)
+    (file,) = folder.iterdir()
     data = file.read_bytes()
     middle = len(data) // 2
     np.savez(foreign := BytesIO(), flux=np.zeros(3))
@@ -135,59 +143,60 @@ def test_damaged_files_are_made_again_and_said(tmp_path, made, capsys, damage):
         "text": b"not a table",
     }
     file.write_bytes(contents[damage])
-    again = tables_of(SCENE, tmp_path)
+    again = kept_tables(SCENE)
     (err,) = capsys.readouterr().err.splitlines()
     assert err.startswith(f"irisjax: {file}: not usable (") and err.endswith("made again")
-    equal(tables_of(SCENE, tmp_path), again)
+    equal(kept_tables(SCENE), again)
     assert len(made) == 2 and capsys.readouterr().err == ""
 
 
-def test_files_under_anothers_name_are_not_used(tmp_path, made, capsys):
-    tables_of(SCENE, tmp_path)
-    (file,) = tmp_path.iterdir()
+def test_files_under_anothers_name_are_not_used(folder, made, capsys):
+    kept_tables(SCENE)
+    (file,) = folder.iterdir()
     other = SCENE.replace(eye=EYE.replace(iris_depth=3.8))
-    file.rename(tmp_path / f"{key(other.eye, False)}.npz")
-    tables_of(other, tmp_path)
+    file.rename(folder / key(other.eye, False))
+    kept_tables(other)
     assert "tables of another eye" in capsys.readouterr().err and len(made) == 2
 
 
-def test_a_folder_that_cannot_be_written_costs_a_line(tmp_path, made, capsys):
-    (tmp_path / "file").write_text("")
-    found = tables_of(SCENE, tmp_path / "file")
+def test_a_folder_that_cannot_be_written_costs_a_line(folder, made, capsys):
+    folder.write_text("")
+    found = kept_tables(SCENE)
     assert found.flux.shape == (2, 5, 5, 3)
     err = capsys.readouterr().err
     assert "could not be kept" in err and err.count("\n") == 1
 
 
-def test_the_folder_stays_small(tmp_path, made):
-    (tmp_path / ".x.npz.123.tmp").write_bytes(b"")
-    os.utime(tmp_path / ".x.npz.123.tmp", (0, 0))
-    eyes = [EYE.replace(iris_depth=3.6 + 0.01 * i) for i in range(illumination.MOST + 3)]
+def test_the_folder_stays_small(folder, made):
+    folder.mkdir()
+    (folder / ".x.123.tmp").write_bytes(b"")
+    os.utime(folder / ".x.123.tmp", (0, 0))
+    eyes = [EYE.replace(iris_depth=3.6 + 0.01 * i) for i in range(MOST_TABLES + 3)]
     for i, eye in enumerate(eyes):
-        tables_of(SCENE.replace(eye=eye), tmp_path)
-        os.utime(tmp_path / f"{key(eye, False)}.npz", (i, i))
-        tables_of(SCENE.replace(eye=eyes[0]), tmp_path)  # in use all the time, so that it stays
-    kept = {key(eye, False) + ".npz" for eye in (eyes[0], *eyes[4:])}
-    assert {p.name for p in tmp_path.iterdir()} == kept and len(kept) == illumination.MOST
+        kept_tables(SCENE.replace(eye=eye))
+        os.utime(folder / key(eye, False), (i, i))
+        kept_tables(SCENE.replace(eye=eyes[0]))  # in use all the time, so that it stays
+    kept = {key(eye, False) for eye in (eyes[0], *eyes[4:])}
+    assert {p.name for p in folder.iterdir()} == kept and len(kept) == MOST_TABLES
     assert len(made) == len(eyes)
 
 
-def test_many_at_once_get_the_same_file(tmp_path, made):
-    threads = [threading.Thread(target=tables_of, args=(SCENE, tmp_path)) for _ in range(4)]
+def test_many_at_once_get_the_same_file(folder, made):
+    threads = [threading.Thread(target=kept_tables, args=(SCENE,)) for _ in range(4)]
     for thread in threads:
         thread.start()
     for thread in threads:
         thread.join()
-    (file,) = tmp_path.iterdir()
-    assert illumination._read(file, file.stem).flux.shape == (2, 5, 5, 3)
+    (file,) = folder.iterdir()
+    assert compiled._read_tables(file).flux.shape == (2, 5, 5, 3)
 
 
 def test_where_the_command_keeps_them(monkeypatch, tmp_path, made):
     monkeypatch.setenv("JAX_COMPILATION_CACHE_DIR", "")
     assert compiled.folder() is None
-    assert compiled.kept_tables(SCENE) is not None
+    assert kept_tables(SCENE) is not None
     monkeypatch.setenv("JAX_COMPILATION_CACHE_DIR", str(tmp_path / "named"))
-    compiled.kept_tables(SCENE)
+    kept_tables(SCENE)
     assert len(list((tmp_path / "named" / "illumination").iterdir())) == 1
     monkeypatch.delenv("JAX_COMPILATION_CACHE_DIR")
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
