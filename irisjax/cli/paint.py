@@ -4,9 +4,9 @@ import itertools
 import json
 import os
 import posixpath
-import sys
 from collections.abc import Iterable
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import ClassVar
 
@@ -18,7 +18,7 @@ from irisjax import io
 from irisjax.cli import options as opt
 from irisjax.cli.compiled import kept_tables
 from irisjax.cli.files import check_folder, check_is_folder, png_of
-from irisjax.cli.paints import PaintOptions, check_no_seed, of_file
+from irisjax.cli.paints import PaintOptions, check_no_seed
 from irisjax.cli.render import sheet
 from irisjax.cli.scenes import changed, environment_of
 from irisjax.export.mesh import FORMATS, painting_files
@@ -66,7 +66,6 @@ _Prepared = tuple[Recipe, dict[str, np.ndarray], dict[str, bytes], list[str]]
 class PaintedEye(PaintOptions):
     ONLY_WITH: ClassVar = {"retouch": ("match", ())}
 
-    recipe: Path | None = opt.argument("coats of paint (TOML)", "RECIPE")
     seed: int = opt.seeded("coats of a --type")
     match: Path | None = opt.option(
         "folder of irisjax clone, scene file, or square picture of an iris laid flat: its pupil, "
@@ -81,7 +80,7 @@ class PaintedEye(PaintOptions):
 
     def __post_init__(self):
         super().__post_init__()
-        if not self.painted(self.recipe, self.match is not None):
+        if not self.painted(self.match is not None):
             raise ValueError("give a recipe or --type, one of them")
         if self.recipe is not None and self.match is None:
             check_no_seed(self.typed)
@@ -136,7 +135,7 @@ def paint_command(subject: PaintedEye, picture: PaintedPicture, results: Painted
     # Half the memory of double precision, and the same picture to a few levels of 255.
     jax.config.update("jax_enable_x64", False)
     eye = recipe.eye()
-    with of_file(subject.recipe):
+    with subject.in_file():
         painting = painted(recipe.coats, recipe.mixer(), eye, size=picture.texels, scans=scans)
     scene = studio(painting, eye)
     scene = changed(scene, picture.light, None, picture.size, picture.camera)
@@ -172,10 +171,10 @@ def paint_command(subject: PaintedEye, picture: PaintedPicture, results: Painted
 def _prepared(subject: PaintedEye, size: int, folder: Path) -> _Prepared:
     """The recipe, matched if that is asked for."""
     given = subject.recipe is not None or subject.type is not None
-    recipe = subject.read(subject.recipe, subject.seed) if given else None
+    recipe = subject.read(subject.seed) if given else None
     if subject.match is None:
         assert recipe is not None
-        with of_file(subject.recipe):
+        with subject.in_file():
             return recipe, recipe.scans(), {}, []
     asked = subject.pupil_radius or (PUPIL_RADIUS if recipe is None else recipe.pupil_radius)
     target = read_target(subject.match, asked / LIMBUS)
@@ -184,7 +183,7 @@ def _prepared(subject: PaintedEye, size: int, folder: Path) -> _Prepared:
     if recipe is None:
         recipe = subject.changed(_nearest_colour(target, subject.seed))
     count = _RETOUCHES if subject.retouch is None else subject.retouch
-    with of_file(subject.recipe):
+    with subject.in_file():
         return _matched(target, recipe, folder, count, size, jax.random.key(subject.seed))
 
 
@@ -250,25 +249,19 @@ def _matched(
 def _drawn(
     scene: Scene, painting: Painting, picture: PaintedPicture
 ) -> tuple[np.ndarray, np.ndarray]:
-    """The picture and the sheet of its progress, linear. The cached steps, most of the command's
-    memory, are freed on return.
-    """
-
-    def of(scene: Scene, part: Painting) -> Scene:
-        as_printed = picture.shadow == "as-printed"
-        return scene.replace(integrator=Painted(painting=part, as_printed=as_printed))
-
+    """The picture and the sheet of its progress, linear; most of the memory is freed on return."""
+    painted_by = partial(Painted, as_printed=picture.shadow == "as-printed")
     shown = _shown(len(painting.coats))
-    with tqdm(total=1 + len(shown), unit="picture", disable=not sys.stderr.isatty()) as bar:
-        scene = of(scene, painting)
+    with tqdm(total=1 + len(shown), unit="picture", disable=None) as bar:
+        scene = scene.replace(integrator=painted_by(painting=painting))
         tables = kept_tables(scene)
         parts = draw_bands(scene, tables, samples=picture.samples)
         whole_eye = np.concatenate([band.pixels for band in parts])
         bar.update()
         small, steps = scene.replace(camera=replace(scene.camera, size=_SMALL)), []
         for count in shown:
-            part = of(small, Painting(painting.coats[:count], painting.profile))
-            steps.append(np.asarray(draw(part, tables)))
+            part = painted_by(painting=Painting(painting.coats[:count], painting.profile))
+            steps.append(np.asarray(draw(small.replace(integrator=part), tables)))
             bar.update()
     return whole_eye, sheet(steps)
 
@@ -279,9 +272,7 @@ def _shown(count: int) -> list[int]:
 
 
 def _check_spared(recipe: Recipe, written: Iterable[Path]) -> None:
-    """Raise `ValueError` where files to be `written` are pictures or paints that the recipe uses:
-    the recipe as used could not be painted again, and an artist's scan would be lost.
-    """
+    """Raise `ValueError` where an artist's scan or paints of the recipe would be overwritten."""
     places = {os.path.realpath(path): path for path in written}
     for path in _needed(recipe) & places.keys():
         raise ValueError(
@@ -291,9 +282,7 @@ def _check_spared(recipe: Recipe, written: Iterable[Path]) -> None:
 
 
 def _remove_left_over(folder: Path, recipe: Recipe, written: Iterable[Path]) -> None:
-    """Remove the files of a replaced eye, recognised by their names, that are neither `written` now
-    nor used by the recipe.
-    """
+    """Remove files of a replaced eye that are neither `written` now nor used by the recipe."""
     kept = {os.path.realpath(path) for path in written} | _needed(recipe)
     for path in itertools.chain(*(folder.glob(pattern) for pattern in _OF_AN_EYE)):
         if os.path.realpath(path) not in kept:

@@ -1,12 +1,12 @@
 """Options of a painted eye, for the commands that paint one."""
 
-import contextlib
-from collections.abc import Iterator
+from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 
 from irisjax.anatomy.eye import EYE_LIMITS
 from irisjax.cli import options as opt
 from irisjax.io.recipes import MIXING, Recipe, read_recipe
+from irisjax.io.tables import naming
 from irisjax.ocularist.recipes import EYE_COLOURS, EYE_TYPES, coats
 
 
@@ -15,25 +15,24 @@ class PaintOptions(opt.Group, panel="What"):
     colour: str | None = opt.choice("with --type", EYE_COLOURS)
     mixing: str | None = opt.choice("of the paints", MIXING)
     pupil_radius: float | None = opt.number("{}", EYE_LIMITS["pupil_radius"])
+    recipe: Path | None = opt.argument("coats of paint (TOML)", "RECIPE")
 
-    def painted(self, recipe: Path | None, matched: bool = False) -> bool:
-        """Whether a painted eye is asked for: by a recipe's file, by its type or, where it is
-        `matched` to a target, by neither.
-        """
-        if recipe is not None and self.type is not None:
+    def painted(self, matched: bool = False) -> bool:
+        """Whether a painted eye is asked for: by recipe, by type or, if `matched`, by neither."""
+        if self.recipe is not None and self.type is not None:
             raise ValueError("give a recipe or --type, one of them")
         if (self.type is None) != (self.colour is None):
             raise ValueError("--type and --colour go together")
-        found = recipe is not None or self.type is not None or matched
+        found = self.recipe is not None or self.type is not None or matched
         for name in ("mixing", "pupil_radius"):
             if getattr(self, name) is not None and not found:
                 raise ValueError(f"{opt.dashed(name)} is of a painted eye: give a recipe or --type")
         return found
 
-    def read(self, recipe: Path | None, seed: int) -> Recipe:
+    def read(self, seed: int) -> Recipe:
         """The recipe of a file, or of the type by `seed`, with the options' changes."""
-        if recipe is not None:
-            return self.changed(read_recipe(recipe))
+        if self.recipe is not None:
+            return self.changed(read_recipe(self.recipe))
         assert self.type is not None
         assert self.colour is not None
         return self.changed(Recipe(coats(self.type, self.colour, seed=seed)))
@@ -47,18 +46,12 @@ class PaintOptions(opt.Group, panel="What"):
             recipe = recipe._replace(pupil_radius=self.pupil_radius)
         return recipe
 
+    def in_file(self) -> AbstractContextManager[None]:
+        """Put the name of the recipe's file in front of the message of a `ValueError`."""
+        return nullcontext() if self.recipe is None else naming(self.recipe)
+
 
 def check_no_seed(typed: frozenset[str]) -> None:
     """Raise `ValueError` for a seed that was typed beside a recipe."""
     if "seed" in typed:
         raise ValueError("--seed is for --type: a recipe has a seed for each of its coats")
-
-
-@contextlib.contextmanager
-def of_file(recipe: Path | None) -> Iterator[None]:
-    """Put the name of a recipe's file in front of the message of a `ValueError`."""
-    try:
-        yield
-    except ValueError as error:
-        where = "" if recipe is None else f"{recipe}: "
-        raise ValueError(f"{where}{error}") from None

@@ -3,7 +3,6 @@
 import dataclasses
 import itertools
 import math
-import sys
 from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import Any, ClassVar
@@ -132,8 +131,7 @@ def _still(scene: Scene, picture: PictureOptions, exposure: float, output: Path)
     height = scene.camera.size[1]
     remark = f"simulated by irisjax; integrator {integrator_name(scene.integrator)}"
     names = ("R", "G", "B") if wavelengths is None else io.spectral_channels(wavelengths)
-    quiet = not sys.stderr.isatty()
-    with tqdm(desc="preparing", total=height, unit="row", disable=quiet) as progress:
+    with tqdm(desc="preparing", total=height, unit="row", disable=None) as progress:
         parts = draw_bands(scene, kept_tables(scene), samples=picture.samples)
         first = next(parts)
         if first.error is not None:
@@ -158,7 +156,7 @@ def _still(scene: Scene, picture: PictureOptions, exposure: float, output: Path)
 def _animated(scene: Scene, change: str, count: int, exposure: float, output: Path) -> None:
     remark = f"simulated by irisjax; {change}, {count} frames"
     pictures = frames(scene, change, count, kept_tables)
-    shown = tqdm(pictures, total=count, unit="frame", disable=not sys.stderr.isatty())
+    shown = tqdm(pictures, total=count, unit="frame", disable=None)
 
     def write(pixels: Iterable[np.ndarray]) -> int:
         if _is_sheet(output):

@@ -39,16 +39,13 @@ def progress_bar(quiet: bool = False) -> Any:
     from tqdm import tqdm
 
     # Wrong input ends in one line: the bar is wiped until there are steps.
-    quiet = quiet or not sys.stderr.isatty()
-    bar = tqdm(unit="step", bar_format="{desc}", leave=False, disable=quiet)
+    bar = tqdm(unit="step", bar_format="{desc}", leave=False, disable=quiet or None)
     bar.set_description_str("compiling (quicker from the second run on) ...")
     return bar
 
 
 def counting(bar: Any, leave: bool) -> Callable[[int, str], None]:
-    """A function of a number of steps and a word that shows them on a `progress_bar`, which may be
-    left on the terminal in the end.
-    """
+    """A function that shows a number of steps and a word on a `progress_bar`; `leave` it after."""
 
     def progress(steps: int, word: str) -> None:
         first = not bar.disable and bar.bar_format is not None
@@ -211,9 +208,7 @@ def _write(
 
 
 def _print(found: Analysis, first: list[str], lines: list[str]) -> None:
-    """Print the table between its first lines and the others, and on standard error what makes the
-    search doubtful.
-    """
+    """Print the table between its lines, and on standard error what makes the search doubtful."""
     rows, chains, seen = found.rows, found.chains, found.problem.observations
     if found.undetermined:
         data = sum(o.values.shape[-1] for o in seen)

@@ -10,7 +10,7 @@ import typer
 from irisjax import _interrupt
 from irisjax.cli import options as opt
 from irisjax.cli.compiled import kept_tables
-from irisjax.cli.paints import PaintOptions, check_no_seed, of_file
+from irisjax.cli.paints import PaintOptions, check_no_seed
 from irisjax.cli.scenes import Subject, changed
 from irisjax.io.clone_folders import read_clone
 from irisjax.numerics.checks import Range
@@ -46,7 +46,7 @@ def view_command(subject: Shown, coats: Coats, window: Window) -> None:
     Needs the extra: pip install 'irisjax\[view]'. Simulated.
     """
     check_address(window.host, window.port)
-    painted = coats.painted(coats.recipe)
+    painted = coats.painted()
     if painted and (subject.scene is not None or subject.preset is not None):
         raise ValueError("give one eye: SCENE, --preset, --recipe or --type")
     if coats.recipe is not None:
@@ -55,8 +55,8 @@ def view_command(subject: Shown, coats: Coats, window: Window) -> None:
     # pixels.
     jax.config.update("jax_enable_x64", False)
     if painted:
-        recipe = coats.read(coats.recipe, subject.seed)
-        with of_file(coats.recipe):
+        recipe = coats.read(subject.seed)
+        with coats.in_file():
             shown = Bench(recipe, lambda scene: changed(scene, size=window.size), kept_tables)
     else:
         shown = _studio(subject, window.size)
