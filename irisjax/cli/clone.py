@@ -1,6 +1,5 @@
 """`irisjax clone`: a photograph of an eye in, an iris with error bars out."""
 
-import sys
 import time
 from contextlib import contextmanager, nullcontext
 from pathlib import Path
@@ -31,8 +30,6 @@ from irisjax.render.separable import Separable
 
 _NOT_SURE = 3
 _FIGURES = "side_by_side.png", "differences.png", "luminance.png"
-
-
 _PROCESSES = {"ilit-2006": Separable, "depth-resolved": RadiativeIntegrator}
 _DEFAULTS = cloning.CloneSettings()
 
@@ -154,8 +151,7 @@ def clone_command(picture: ClonePicture, model: CloneModel, results: CloneResult
     timings: dict[str, float] = {}
     wanted = cloning.STAGES[: cloning.STAGES.index(results.stop_after) + 1]
     drawing = beside() if "pigments" in wanted else nullcontext(here)
-    quiet = not sys.stderr.isatty()
-    with drawing as draw, tqdm(total=len(wanted), unit="stage", disable=quiet) as bar:
+    with drawing as draw, tqdm(total=len(wanted), unit="stage", disable=None) as bar:
 
         @contextmanager
         def stage(name: str):
@@ -260,10 +256,9 @@ def _mask(path: Path | None) -> np.ndarray | None:
 def _outline(name: str, text: str | None) -> Ellipse | None:
     if text is None:
         return None
-    try:
-        x, y, a, b, degrees = (float(part) for part in text.split(","))
-    except ValueError:
-        raise ValueError(f"{name} {text!r}: write X,Y,A,B,DEG, five numbers") from None
-    if not (a >= b > 0 and np.isfinite([x, y, a, b, degrees]).all()):
+    if len(numbers := opt.numbers(text)) != 5:
+        raise ValueError(f"{name} {text!r}: write X,Y,A,B,DEG, five numbers")
+    x, y, a, b, degrees = numbers
+    if not (a >= b > 0 and np.isfinite(numbers).all()):
         raise ValueError(f"{name} {text!r}: the semi-axes must be A >= B > 0")
     return Ellipse((x, y), (a, b), float(np.radians(degrees)))

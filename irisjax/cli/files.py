@@ -38,18 +38,14 @@ FOR_PEOPLE = (
 def check_folder(
     folder: Path, file: str, what: str, allowed: bool, ways: str = "--overwrite starts again"
 ) -> None:
-    """Find out before the work whether a folder can keep its results; a `file` of `what` may be
-    there already if that is `allowed`.
-    """
+    """Find out before the work whether a folder can keep its results, or has a `file` already."""
     check_is_folder(folder)
     if (folder / file).exists() and not allowed:
         raise ValueError(f"{folder}: has {what}; {ways}")
 
 
 def check_is_folder(folder: Path) -> None:
-    """Raise `ValueError` where a folder, or one that it would lie in, is a file, and `OSError`
-    where nothing may be written there.
-    """
+    """Raise `ValueError` where a folder or one above is a file, `OSError` where it is forbidden."""
     first = next(f for f in (folder, *folder.absolute().parents) if f.exists())
     if not first.is_dir():
         raise ValueError(f"{first}: is a file, not a folder")
@@ -180,44 +176,30 @@ def head(
         "simulated": f"{quantity} of a modelled human iris, not a measurement",
         "command": command,
     }
-    if solver is None:
-        return lines | _settings(iris, process, *groups)
-    # The process has lines of its own.
-    fields = {n: v for n, v in vars(solver).items() if n != "process" and v is not None}
-    return {
-        **lines,
-        "approximation": _approximation(process, left_out),
-        **_settings(iris, process, *groups),
-        "transport": process.transport,
-        "solver settings": ", ".join(f"{n} = {v}" for n, v in fields.items()),
-    }
-
-
-def _settings(
-    iris: ij.Iris,
-    process: AbstractProcess,
-    iris_options: IrisOptions,
-    process_options: ProcessOptions,
-    *others: opt.Group,
-) -> dict[str, str]:
+    if solver is not None:
+        lines["approximation"] = _approximation(process, left_out)
     # float, not text made by numpy: that loses digits once colour-science has been imported.
-    fields = {
+    numbers = {
         name: float(getattr(iris if name in LIMITS else iris.power_law, name))
         for name in iris.parameters()
     }
-    groups = (
-        dataclasses.replace(iris_options, **fields, melanin_load=float(iris.melanin_load)),
-        dataclasses.replace(process_options, **process.describe()),
-        *others,
+    made = (
+        dataclasses.replace(groups[0], **numbers, melanin_load=float(iris.melanin_load)),
+        dataclasses.replace(groups[1], **process.describe()),
+        *groups[2:],
     )
-    lines: dict[str, str] = {}
-    for name, value in (pair for group in groups for pair in group.settings().items()):
+    for name, value in (pair for group in made for pair in group.settings().items()):
         unit = RANGES[name].unit if name in RANGES else {"wavelengths": "nm"}.get(name)
         text = {True: "yes", False: "no"}[value] if isinstance(value, bool) else str(value)
         if name == "melanin_load":  # both melanins say it already
             lines["melanin load that follows"] = f"{value:.12g} [ug/mm2]"
         elif name != "level" and not (name == "scattering" and iris.power_law is not None):
             lines[name] = f"{text}{f' [{unit}]' if unit else ''}"
+    if solver is not None:
+        # The process has lines of its own.
+        fields = {n: v for n, v in vars(solver).items() if n != "process" and v is not None}
+        lines["transport"] = process.transport
+        lines["solver settings"] = ", ".join(f"{n} = {v}" for n, v in fields.items())
     return lines
 
 

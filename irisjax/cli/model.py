@@ -24,7 +24,6 @@ _DEFAULTS = {
 }
 RANGES = LIMITS | POWER_LAW_LIMITS
 """Allowed values of an iris's numbers."""
-_LEVELS = ("low", "moderate", "high")
 _DEEP = "depth-resolved"
 _ILIT = "process", ("ilit-2006", "ilit-corrected")
 _SAMPLED = "solver", ("monte-carlo",)
@@ -55,7 +54,7 @@ class IrisOptions(_Numbers):
 
     level: str = opt.choice(
         "pigmentation of the paper; sets both melanins",
-        _LEVELS,
+        ("low", "moderate", "high"),
         "moderate",
         overrules=("eumelanin", "pheomelanin"),
     )
@@ -128,9 +127,8 @@ class SolverOptions(opt.Group, panel="Solver"):
     @property
     def key(self) -> jax.Array | None:
         """The key of a solver that samples; its kind is fixed, whatever the environment prefers."""
-        if self.solver == "exact":
-            return None
-        return jax.random.key(self.seed, impl="threefry2x32")
+        exact = self.solver == "exact"
+        return None if exact else jax.random.key(self.seed, impl="threefry2x32")
 
 
 def modelled(options: IrisOptions, rules: ProcessOptions) -> tuple[ij.Iris, AbstractProcess]:

@@ -225,9 +225,7 @@ def _parser(parse: Callable[[str], Any]) -> Callable[[Any], Any]:
 
 
 def _path(text: str) -> Path:
-    """A file or folder; an empty text, of a shell's variable that is not set, is the working folder
-    to `pathlib`.
-    """
+    """A file or folder; `pathlib` would take an empty text for the working folder."""
     if not text:
         raise ValueError("no file or folder is named")
     return Path(text)
@@ -246,20 +244,25 @@ class Grid(str):
         """Raises `ValueError` for a text that is no grid."""
         grid = super().__new__(cls, "".join(text.split()))
         wrong = f"{str(grid)!r} is not a grid; give start:stop:step or a list 450,550,650, in nm"
-        try:
-            numbers = [float(part) for part in grid.replace(":", ",").split(",")]
-        except ValueError:
-            raise ValueError(wrong) from None
-        if ":" not in grid:
-            grid.values = np.array(numbers)
-            return grid
-        if "," in grid or len(numbers) != 3:
+        found, ranged = numbers(grid.replace(":", ",")), ":" in grid
+        if not found or (ranged and ("," in grid or len(found) != 3)):
             raise ValueError(wrong)
-        start, stop, step = numbers
+        if not ranged:
+            grid.values = np.array(found)
+            return grid
+        start, stop, step = found
         if step > 0 and (stop - start) / step >= _MOST_WAVELENGTHS:
             raise ValueError(f"{str(grid)!r} has more than {_MOST_WAVELENGTHS} wavelengths")
         grid.values = ij.wavelengths(start, stop, step)
         return grid
+
+
+def numbers(text: str) -> list[float]:
+    """Numbers separated by commas; none where a part is not a number."""
+    try:
+        return [float(part) for part in text.split(",")]
+    except ValueError:
+        return []
 
 
 def number_in(allowed: Range | None = None, whole: bool = False) -> Callable[[str], Any]:

@@ -101,10 +101,7 @@ def _size(text: str) -> tuple[int, int]:
 
 def _angles(option: str, text: str, third: str, default: float) -> tuple[float, float, float]:
     """Polar angle and azimuth, radians, and the third number, which may be left out."""
-    try:
-        numbers = [float(part) for part in text.split(",")]
-    except ValueError:
-        numbers = []
+    numbers = opt.numbers(text)
     if len(numbers) not in (2, 3) or not all(map(math.isfinite, numbers)):
         raise ValueError(f"{option} {text!r}: write POLAR,AZIMUTH or POLAR,AZIMUTH,{third}")
     if not 0 <= numbers[0] <= 180:

@@ -75,14 +75,11 @@ class Recipe(NamedTuple):
                 return file
             return Path(os.path.relpath(self.folder / file, folder)).as_posix()
 
-        def moved(coat: CoatRecipe) -> CoatRecipe:
-            if coat.component != SCAN or "file" not in coat.parameters:
-                return coat
-            file = {"file": seen(coat.parameters["file"])}
-            return coat._replace(parameters={**coat.parameters, **file})
-
-        coats = tuple(map(moved, self.coats))
-        return self._replace(coats=coats, paints=seen(self.paints), folder=folder)
+        coats = list(self.coats)
+        for i, (coat, given) in enumerate((coat, coat.parameters) for coat in self.coats):
+            if coat.component == SCAN and "file" in given:
+                coats[i] = coat._replace(parameters={**given, "file": seen(given["file"])})
+        return self._replace(coats=tuple(coats), paints=seen(self.paints), folder=folder)
 
 
 def read_recipe(path: str | Path) -> Recipe:
