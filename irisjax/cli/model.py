@@ -31,8 +31,6 @@ _SAMPLED = "solver", ("monte-carlo",)
 
 def _field(name: str) -> Any:
     """Option of a field of `Iris`; the iris checks the range and holds the default."""
-    if name not in RANGES:  # `IrisOptions` defines it
-        return opt.option("")
     words, default = RANGES[name].meaning, _DEFAULTS[name]
     if name in POWER_LAW_LIMITS:
         words += f"; makes scattering a power law, for --process {_DEEP} alone"
@@ -44,7 +42,7 @@ def _field(name: str) -> Any:
 
 # An option for each number of an iris, in the order of its fields; the class below defines three.
 _NAMES = ("level", *LIMITS, "melanin_load", "scattering", *POWER_LAW_LIMITS)
-_FIELDS = {name: _field(name) for name in _NAMES}
+_FIELDS: dict[str, Any] = {n: _field(n) if n in RANGES else None for n in _NAMES}
 _FIELDS["__annotations__"] = dict.fromkeys(_NAMES, float | None)
 _Numbers: Any = type("_Numbers", (opt.Group,), _FIELDS, panel="Iris")
 
