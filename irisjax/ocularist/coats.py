@@ -1,6 +1,7 @@
 """Coats of paint on cones, and their effect on light  [L03 Section 3.3]."""
 
 import itertools
+from collections.abc import Sequence
 from typing import Any
 
 import equinox as eqx
@@ -85,11 +86,10 @@ class Painting(eqx.Module):
         if any(isinstance(coat.height, Tracer) for coat in self.coats):
             return
         for before, coat in itertools.pairwise(self.coats):
-            if float(coat.height) < float(before.height):
-                raise ValueError(
-                    f"coat {coat.name!r} at {float(coat.height):g} mm is painted after "
-                    f"{before.name!r} and lies below it, at {float(before.height):g} mm"
-                )
+            low, high = float(coat.height), float(before.height)
+            if low < high:
+                late = f"coat {coat.name!r} at {low:g} mm is painted after {before.name!r}"
+                raise ValueError(f"{late} and lies below it, at {high:g} mm")
 
     def replace(self, name: str, **fields: Any) -> "Painting":
         """The painting with some fields of a coat changed; all else keeps its arrays.
@@ -109,14 +109,14 @@ def prosthesis(pupil_radius: float = PUPIL_RADIUS) -> Eye:
     """The paper's eye: two spheres, a cornea of index 1.376 that fills the chamber, and a conical
     iris up to the limbus  [L03 Section 3.1, Fig. 6].
     """
-    cornea = Cornea(Conicoid(7.8, 1.0), posterior=None, index=jnp.asarray(1.376), scatter=None)
+    index, limbus = jnp.asarray(1.376), jnp.asarray(LIMBUS)
     return Eye(
-        cornea=cornea,
-        aqueous_index=jnp.asarray(1.376),
+        cornea=Cornea(Conicoid(7.8, 1.0), posterior=None, index=index, scatter=None),
+        aqueous_index=index,
         iris_depth=jnp.asarray(DEPTH),
         iris_slope=jnp.asarray(SLOPE),
-        limbus_radius=jnp.asarray(LIMBUS),
-        iris_radius=jnp.asarray(LIMBUS),
+        limbus_radius=limbus,
+        iris_radius=limbus,
         pupil_radius=jnp.asarray(pupil_radius),
     )
 
@@ -126,6 +126,12 @@ def profile_of(eye: Eye) -> Cones:
     radius = jnp.stack([eye.pupil_radius, eye.iris_radius])
     slope = 0.0 if eye.iris_slope is None else eye.iris_slope
     return Cones(eye.iris_depth + slope * radius, radius)
+
+
+def texels(size: int, dtype: Any = float) -> Sequence[np.ndarray]:
+    """x and y, in outer radii of the iris, of the columns and rows of a square picture of it."""
+    line = ((2 * np.arange(size) + 1) / size - 1).astype(dtype)
+    return np.meshgrid(line, -line, sparse=True)
 
 
 def over(behind: _Values, opacity: _Values, paint: _Values, light: _Values) -> Any:

@@ -6,20 +6,21 @@ root; those across are in outer radii of the iris.
 """
 
 import dataclasses
+import functools
+import operator
 from collections.abc import Callable, Mapping
 from typing import Any
 
 import jax
 import numpy as np
-from jaxtyping import Float32
 
 from irisjax._types import PRNGKey
 from irisjax.numerics.checks import Range, check_known, check_range, check_whole
+from irisjax.ocularist.coats import texels
 from irisjax.ocularist.strokes import (
     Annulus,
     Dots,
     Opacity,
-    Paint,
     Strokes,
     angles_round,
     log_normal,
@@ -42,6 +43,7 @@ PARAMETER_RANGES = {
 MOST_STROKES = 1500
 """Largest number of strokes or dots of a component."""
 
+_Shapes = tuple[Strokes | Dots, ...]
 _PUPIL = Range(0.02, 0.95, meaning="radius of the pupil over the outer one of the iris")
 _SIZES = (2, 8192)  # texels along a map's side
 _GREY = Range(0.0, 1.0)
@@ -91,7 +93,7 @@ def scan(picture: np.ndarray, size: int) -> Opacity:
 
     check_whole("size", size, *_SIZES)
     given = np.asarray(picture)
-    if given.ndim not in (2, 3) or (given.ndim == 3 and given.shape[2] not in (1, 2, 3, 4)):
+    if given.ndim not in (2, 3) or given.shape[2:] not in [(), (1,), (2,), (3,), (4,)]:
         raise ValueError(f"a scan has shape {given.shape}; need (n, n), or (n, n, 1 to 4 channels)")
     rows, columns = given.shape[:2]
     if rows != columns or rows < 2:
@@ -106,7 +108,12 @@ def scan(picture: np.ndarray, size: int) -> Opacity:
         values = given.astype(np.float32)
     else:
         raise ValueError(f"a scan of {given.dtype} values; need 8 or 16 bits, or floats in {_GREY}")
-    opacity = 1 - _grey(values)
+    colour = np.atleast_3d(values)
+    alpha = 1.0
+    if colour.shape[2] in (2, 4):
+        colour, alpha = colour[..., :-1], colour[..., -1]
+    weights = LUMINANCE if colour.shape[2] == 3 else [1]
+    opacity = alpha * (1 - colour @ np.asarray(weights, np.float32))
     if rows != size:
         resized = Image.fromarray(opacity).resize((size, size), Image.Resampling.BICUBIC)
         opacity = np.asarray(resized)
@@ -125,7 +132,7 @@ class Component:
         count: Number of strokes or dots.
     """
 
-    paint: Callable[["Component", np.random.Generator, Annulus], Paint] | None = None
+    paint: Callable[["Component", np.random.Generator, Annulus], _Shapes] | None = None
     wash: Callable[["Component", np.random.Generator, Opacity], Opacity] | None = None
     count: int | None = None
     width: float | None = None
@@ -155,10 +162,13 @@ class Component:
         check_whole("size", size, *_SIZES)
         check_range("pupil", pupil, _PUPIL)
         rng = np.random.default_rng(np.asarray(jax.random.key_data(key)).ravel())
-        ring, radius = Annulus(float(pupil)), np.hypot(*_texels(size))
+        ring, radius = Annulus(float(pupil)), np.hypot(*texels(size, np.float32))
         drawn: Any = 0.0
         if self.paint is not None:
-            drawn = self.paint(self, rng, ring).opacity(size, self.parameters()["softness"])
+            soft = self.parameters()["softness"]
+            shapes = self.paint(self, rng, ring)
+            paint = functools.reduce(operator.or_, (s.paint(rng, ring, soft) for s in shapes))
+            drawn = paint.opacity(size, soft)
         if self.wash is not None:
             drawn = 1 - (1 - self.wash(self, rng, ring.relative(radius))) * (1 - drawn)
         margin = 4 / size
@@ -166,26 +176,21 @@ class Component:
         return np.where(on, np.clip(drawn, 0, 1), 0).astype(np.float32)
 
 
-def _stroma_dots(of, rng, ring):
-    """Well-defined dots, evenly distributed over the area."""
-    return _scattered(of, rng, ring).paint(rng, ring, of.softness)
-
-
 def _stroma_smeared_dots(of, rng, ring):
     """Dots drawn out along the radius, each with a tail of its paint."""
-    return _smeared(of, rng, ring, _scattered(of, rng, ring), 0.012 * of.waviness, 0.3)
+    return _smeared(of, rng, _scattered(of, rng, ring), 0.012 * of.waviness, 0.3)
 
 
-def _stroma_smears(of, rng, ring):
+def _stroma_smears(of, rng, _):
     """Radial smears or fibres over nearly all of the iris, in bundles."""
     angle = angles_round(rng, of.count, of.irregularity)
     room = of.outer - of.inner + 2 * _FADE
     length = np.minimum(of.length * log_normal(rng, of.count, 0.7 * of.irregularity), room)
     start = of.inner - _FADE + (room - length) * rng.uniform(0, 1, of.count)
-    return _fibres(of, rng, ring, (angle, start, length), 0.9, 0.014, (0.6, 1.6), head=0.4)
+    return _fibres(of, rng, (angle, start, length), 0.9, 0.014, (0.6, 1.6), head=0.4)
 
 
-def _collarette_spokes(of, rng, ring):
+def _collarette_spokes(of, rng, _):
     """Spokes from the pupil to a ragged collarette, widest towards it."""
     n, irregularity, room = of.count, of.irregularity, of.outer - of.inner
     angle = angles_round(rng, n, irregularity)
@@ -194,7 +199,7 @@ def _collarette_spokes(of, rng, ring):
     ragged = 0.06 * smooth_noise(rng, 5)(angle) + 0.09 * smooth_noise(rng, 26)(angle)
     ragged += 0.06 * rng.normal(size=n)
     end = of.outer - room * np.clip(-irregularity * ragged, -0.25, 0.6)
-    return _fibres(of, rng, ring, (angle, start, end - start), 0.8, 0.02, (0.8, 1.2), head=0.65)
+    return _fibres(of, rng, (angle, start, end - start), 0.8, 0.02, (0.8, 1.2), head=0.65)
 
 
 def _collarette_dots(of, rng, ring):
@@ -204,15 +209,13 @@ def _collarette_dots(of, rng, ring):
     spread = (0.1 + 0.2 * rng.uniform(0, 1, of.count)) * rng.normal(size=of.count)
     crowded = of.inner + (of.outer - of.inner) * np.clip(ragged + spread, 0, 1)
     dots = dots._replace(relative=crowded)
-    if of.length == 0:
-        return dots.paint(rng, ring, of.softness)
-    return _smeared(of, rng, ring, dots, 0.004, 0.6)
+    return (dots,) if of.length == 0 else _smeared(of, rng, dots, 0.004, 0.6)
 
 
 def _sphincter_dabs(of, rng, ring):
     """A soft ring close to the pupil: fine radial dabs on a thin wash."""
     girth = 2 * np.pi * ring.place(of.reach / 2)
-    return _dabs(of, rng, ring, (of.reach, 0.5), girth, 0.004, 0.7, head=0.35)
+    return _dabs(of, rng, (of.reach, 0.5), girth, 0.004, 0.7, head=0.35)
 
 
 def _sphincter_wash(of, rng, radius):
@@ -220,9 +223,9 @@ def _sphincter_wash(of, rng, radius):
     return 0.55 * (1 - smooth_step(radius / (1.3 * of.reach) + ragged))
 
 
-def _limbus_dabs(of, rng, ring):
+def _limbus_dabs(of, rng, _):
     """A soft border: clear inwards, opaque at the outer edge, frayed between."""
-    return _dabs(of, rng, ring, (0.8 * of.reach, 0.4), 2 * np.pi, 0.006, 0.9, head=0.75, end=1.05)
+    return _dabs(of, rng, (0.8 * of.reach, 0.4), 2 * np.pi, 0.006, 0.9, head=0.75, end=1.05)
 
 
 def _edge(of, rng, away, harmonics: int, height: float):
@@ -231,17 +234,17 @@ def _edge(of, rng, away, harmonics: int, height: float):
     return 1 - smooth_step(np.maximum(away, 0) / of.reach * ragged)
 
 
-def _fibres(of, rng, ring, where, widths, wave, depth, head: float) -> Paint:
+def _fibres(of, rng, where, widths, wave, depth, head: float) -> _Shapes:
     """Strokes of `widths`' spread, median and spread of `depth`; neighbours' depths are alike."""
     (angle, start, length), n, irregularity = where, of.count, of.irregularity
     width = of.width * log_normal(rng, n, widths * irregularity)
     sway = wave * of.waviness * rng.uniform(0.4, 1.6, n)
     paint = depth[0] * log_normal(rng, n, depth[1] * irregularity)
     paint *= np.exp(0.5 * irregularity * smooth_noise(rng, 40)(angle))
-    return Strokes(angle, start, length, width, sway, paint).paint(rng, ring, of.softness, head)
+    return (Strokes(angle, start, length, width, sway, paint, head),)
 
 
-def _dabs(of, rng, ring, length, girth: float, wave: float, depth: float, head, end=None) -> Paint:
+def _dabs(of, rng, length, girth: float, wave: float, depth: float, head, end=None) -> _Shapes:
     """Fine radial strokes side by side round a circle; `length` is the median and the spread."""
     n, irregularity = of.count, of.irregularity
     angle = angles_round(rng, n, irregularity)
@@ -249,8 +252,7 @@ def _dabs(of, rng, ring, length, girth: float, wave: float, depth: float, head, 
     start = np.full(n, -0.02) if end is None else end - long
     width = girth / max(n, 1) * log_normal(rng, n, 0.5)
     paint = depth * log_normal(rng, n, 0.6 * irregularity)
-    strokes = Strokes(angle, start, long, width, np.full(n, wave), paint)
-    return strokes.paint(rng, ring, of.softness, head)
+    return (Strokes(angle, start, long, width, np.full(n, wave), paint, head),)
 
 
 def _scattered(of, rng, ring) -> Dots:
@@ -266,39 +268,27 @@ def _scattered(of, rng, ring) -> Dots:
     return Dots(angle, relative, width, 2.5 * log_normal(rng, n, 0.8 * irregularity))
 
 
-def _smeared(of, rng, ring, dots: Dots, wave: float, head: float) -> Paint:
+def _smeared(of, rng, dots: Dots, wave: float, head: float) -> _Shapes:
     """Dots with tails, a share `head` of whose length lies within the dot."""
     length = of.length * log_normal(rng, of.count, 0.7 * of.irregularity)
     start, sway = dots.relative - head * length, wave * rng.uniform(0.4, 1.6, of.count)
-    tails = Strokes(dots.angle, start, length, 0.8 * dots.width, sway, 0.7 * dots.depth)
-    heads = dots._replace(width=0.7 * dots.width, depth=0.6 * dots.depth)
-    return tails.paint(rng, ring, of.softness, head) | heads.paint(rng, ring, of.softness)
+    tails = Strokes(dots.angle, start, length, 0.8 * dots.width, sway, 0.7 * dots.depth, head)
+    return tails, dots._replace(width=0.7 * dots.width, depth=0.6 * dots.depth)
 
 
 def _ragged(rng, size: int, harmonics: int, height: float) -> Opacity:
     """A smooth random function of the angle at each texel, of standard deviation `height`."""
     steps = 8192
     table = height * smooth_noise(rng, harmonics)(2 * np.pi * np.arange(steps) / steps)
-    x, y = _texels(size)
+    x, y = texels(size, np.float32)
     step = np.rint(np.arctan2(y, x) * (steps / (2 * np.pi))).astype(np.int32)
     return table.astype(np.float32)[step % steps]
-
-
-def _grey(values: np.ndarray) -> np.ndarray:
-    """Grey values over white paper, which shows where alpha is 0."""
-    if values.ndim == 2:
-        return values
-    colour, alpha = (
-        (values[..., :-1], values[..., -1]) if values.shape[2] in (2, 4) else (values, 1)
-    )
-    grey = colour @ np.asarray(LUMINANCE, np.float32) if colour.shape[2] == 3 else colour[..., 0]
-    return 1 - alpha * (1 - grey)
 
 
 COMPONENTS: Mapping[str, Component] = {
     "base": Component(wash=lambda of, rng, radius: np.ones_like(radius)),
     "stroma-dots": Component(
-        _stroma_dots,
+        lambda *given: (_scattered(*given),),
         count=320, width=0.016, inner=0.06, outer=0.97, irregularity=0.7, softness=0.0035,
     ),
     "stroma-smeared-dots": Component(
@@ -335,9 +325,3 @@ COMPONENTS: Mapping[str, Component] = {
     ),
 }  # fmt: skip
 """Components by the names that recipes have for them, with their default parameters."""
-
-
-def _texels(size: int) -> tuple[Float32[np.ndarray, "1 size"], Float32[np.ndarray, "size 1"]]:
-    """x and y of texels, in outer radii of the iris."""
-    x = ((2 * np.arange(size) + 1) / size - 1).astype(np.float32)
-    return x[None], -x[:, None]

@@ -15,12 +15,15 @@ from jaxtyping import Array, Bool, Float, Int
 from irisjax.anatomy.eye import Eye
 from irisjax.measure.colour import XYZ_TO_SRGB, lab_of
 from irisjax.numerics.checks import check_whole
-from irisjax.ocularist.coats import Painting, over, through
+from irisjax.ocularist.coats import Painting, over, texels, through
 from irisjax.ocularist.integrator import look_up
 from irisjax.tissue.maps import cell_centres
 
 TEXTURE_SHAPE = (256, 64)
 """Angles and radii of textures by default."""
+
+
+_Places = Int[np.ndarray, "size size"]
 
 
 class Difference(NamedTuple):
@@ -41,18 +44,13 @@ def plan_view(
     """Linear reflectance of coats, the bottom one first, each lit through those above it; black
     where all are clear. Differentiable.
     """
-    flat = opacity.reshape(len(opacity), -1, 1)
-    paint = colour[:, None, :]
-    light = jnp.ones((flat.shape[1], 3), jnp.result_type(opacity, colour))
-
-    def down(light, coat):
-        return through(light, *coat), light
-
-    def up(behind, coat):
-        return over(behind, *coat), None
-
-    _, lights = jax.lax.scan(down, light, (flat, paint), reverse=True)
-    seen, _ = jax.lax.scan(up, jnp.zeros_like(light), (flat, paint, lights))
+    coats = opacity.reshape(len(opacity), -1, 1), colour[:, None, :]
+    light = jnp.ones((coats[0].shape[1], 3), jnp.result_type(opacity, colour))
+    _, lights = jax.lax.scan(
+        lambda lit, coat: (through(lit, *coat), lit), light, coats, reverse=True
+    )
+    behind = jnp.zeros_like(light)
+    seen, _ = jax.lax.scan(lambda seen, coat: (over(seen, *coat), None), behind, (*coats, lights))
     return seen.reshape(*opacity.shape[1:], 3)
 
 
@@ -88,15 +86,12 @@ def unrolled(
 
 def rolled(
     shape: tuple[int, ...], eye: Eye, size: int
-) -> tuple[
-    Int[np.ndarray, "size size"], Int[np.ndarray, "size size"], Bool[np.ndarray, "size size"]
-]:
+) -> tuple[_Places, _Places, Bool[np.ndarray, "size size"]]:
     """The inverse of `unrolled`: for each texel of a square picture the row and column of the
     nearest texel of a polar texture of this shape, and whether it lies on the iris.
     """
     rows, columns = shape
-    along = ((2 * np.arange(size) + 1) / size - 1) * float(eye.iris_radius)
-    x, y = along[None, :], -along[:, None]
+    x, y = (v * float(eye.iris_radius) for v in texels(size))
     place = np.asarray(eye.relative_radius(np.hypot(x, y)))
     row = np.floor(np.arctan2(y, x) * (rows / (2 * np.pi))).astype(int) % rows
     column = np.clip(np.floor(place * columns), 0, columns - 1).astype(int)
@@ -129,6 +124,6 @@ def _delta(one, other):
 @eqx.filter_jit
 def _unrolled(picture, eye: Eye, shape: tuple[int, int]):
     angle, radius = (c.astype(picture.dtype) for c in cell_centres(shape))
-    away = eye.from_axis(radius).astype(picture.dtype)[None, :]
-    x, y = jnp.cos(angle)[:, None] * away, jnp.sin(angle)[:, None] * away
+    away = eye.from_axis(radius).astype(picture.dtype)
+    x, y = jnp.outer(jnp.cos(angle), away), jnp.outer(jnp.sin(angle), away)
     return look_up(picture, x, y, eye.iris_radius)

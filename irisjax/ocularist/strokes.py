@@ -79,25 +79,22 @@ class Paint(NamedTuple):
         """Each drop shared out to the nearest four texels, `margin` of them beyond each side."""
         wide = size + 2 * margin
         # What lies further out ends at the margin's rim, where no drop reaches the square.
-        column = np.clip(size / 2 * (1 + self.x) + (margin - 0.5), 0, wide - 1.001)
-        row = np.clip(size / 2 * (1 - self.y) + (margin - 0.5), 0, wide - 1.001)
+        column, row = (
+            np.clip(size / 2 * (1 + v) + (margin - 0.5), 0, wide - 1.001) for v in (self.x, -self.y)
+        )
         left, top = column.astype(np.int64), row.astype(np.int64)
-        right, down = column - left, row - top
-        amount = self.amount * np.float32(size**2 / 4)
-        below, corner = amount * down, top * wide + left
+        right, below = column - left, self.amount * np.float32(size**2 / 4) * (row - top)
         depth = np.zeros(wide * wide)
-        for offset, share in (
-            (0, (amount - below) * (1 - right)),
-            (1, (amount - below) * right),
-            (wide, below * (1 - right)),
-            (wide + 1, below * right),
-        ):
-            depth += np.bincount(corner + offset, share, wide * wide)
+        for down, amount in enumerate((self.amount * np.float32(size**2 / 4) - below, below)):
+            for aside, share in enumerate((1 - right, right)):
+                depth += np.bincount((top + down) * wide + left + aside, amount * share, wide**2)
         return depth.reshape(wide, wide).astype(np.float32)
 
 
 class Strokes(NamedTuple):
-    """Radial strokes, each field of shape (strokes,)."""
+    """Radial strokes of several hairs, each hair with its own beginning, end and load; every field
+    but the last has shape (strokes,).
+    """
 
     angle: _Each  # radians
     start: _Each  # relative radius of the inner end
@@ -105,11 +102,10 @@ class Strokes(NamedTuple):
     width: _Each  # outer radii
     wave: _Each  # how far strokes sway to each side, outer radii
     depth: _Each  # optical depth of the paint
+    head: float  # where they are widest, from 0 at their inner to 1 at their outer end
 
-    def paint(self, rng: np.random.Generator, ring: Annulus, softness: float, head: float) -> Paint:
-        """Draw strokes of several hairs, each hair with its own beginning, end and load. A stroke
-        is widest at `head`, from 0 at its inner to 1 at its outer end.
-        """
+    def paint(self, rng: np.random.Generator, ring: Annulus, softness: float) -> Paint:
+        """Draw the strokes."""
         if len(self.angle) == 0:
             return Paint(*(np.zeros(0, np.float32) for _ in Paint._fields))
         hairs = int(np.clip(np.ceil(self.width.mean() / (_SPACING * softness)), 2, _MOST_HAIRS))
@@ -122,7 +118,7 @@ class Strokes(NamedTuple):
         turn = self._sway(rng, t, r) / np.maximum(r, 0.15)
         angle = (self.angle[:, None] + turn).astype(np.float32)
         cos, sin = np.cos(angle), np.sin(angle)
-        across, load = _hairs(rng, len(self.angle), hairs, t.astype(np.float32), head)
+        across, load = _hairs(rng, len(self.angle), hairs, t.astype(np.float32), self.head)
         across *= self.width[:, None, None].astype(np.float32) / 2
         area = self.width * self.length * (1 - ring.pupil) / (hairs * count)
         load *= (self.depth * area).astype(np.float32)[:, None, None]
@@ -185,8 +181,7 @@ class Dots(NamedTuple):
         middle = ring.place(self.relative)
         x = (middle * np.cos(self.angle))[:, None] + r * np.cos(turn)
         y = (middle * np.sin(self.angle))[:, None] + r * np.sin(turn)
-        amount = (self.depth * np.pi / 4 * self.width**2 / drops)[:, None]
-        amount = np.broadcast_to(amount, x.shape)
+        amount = np.repeat(self.depth * np.pi / 4 * self.width**2 / drops, drops)
         return Paint(*(v.astype(np.float32).ravel() for v in (x, y, amount)))
 
 

@@ -60,9 +60,8 @@ def test_light_below_a_coat(light, opacity, paint, expected, printed):
 
 
 def test_no_light_is_made():
-    opacity, paint, behind = (jnp.asarray(v) for v in np.random.default_rng(0).random((3, 1000)))
-    assert float(through(1.0, opacity, paint).max()) <= 1
-    assert float(over(behind, opacity, paint, 1.0).max()) <= 1
+    opacity, paint, behind = np.random.default_rng(0).random((3, 1000))
+    assert max(through(1.0, opacity, paint).max(), over(behind, opacity, paint, 1.0).max()) <= 1
 
 
 @pytest.mark.parametrize(
@@ -71,8 +70,6 @@ def test_no_light_is_made():
         ({"opacity": 1.2}, r"coat 'haze': opacity = 1.2 is outside \[0, 1\]"),
         ({"opacity": float("nan")}, r"coat 'haze': opacity = nan is outside"),
         ({"colour": (0.1, -0.2, 0.3)}, r"coat 'haze': colour = -0.2 is outside \[0, 1\]"),
-        ({"colour": (0.1, 1.5, 0.3)}, r"coat 'haze': colour = 1.5 is outside \[0, 1\]"),
-        ({"height": -0.1}, r"coat 'haze': height = -0.1 mm is outside \[0, 1\] mm"),
         ({"height": 2.0}, r"coat 'haze': height = 2 mm is outside \[0, 1\] mm"),
     ],
 )
@@ -82,12 +79,9 @@ def test_coats_out_of_range_are_one_clear_line(fields, words):
     assert "\n" not in str(error.value)
 
 
-def test_names_are_given_once():
+def test_coats_have_their_names_and_are_painted_from_the_bottom_up():
     with pytest.raises(ValueError, match=r"more than once: \['haze'\]"):
         painting(coat("haze"), coat("dots"), coat("haze", 0.1))
-
-
-def test_coats_are_painted_from_the_bottom_up():
     painting(coat("base"), coat("dots", 0.1), coat("haze", 0.1), coat("top", 0.2))
     with pytest.raises(ValueError) as error:
         painting(coat("base"), coat("dots", 0.2), coat("haze", 0.15))

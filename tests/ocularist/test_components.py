@@ -42,9 +42,10 @@ def test_maps_are_opacities_of_the_iris_alone(name, pupil):
     assert opacity.shape == (SIZE, SIZE)
     assert 0 <= opacity.min() < 0.05
     assert 0.5 < opacity.max() <= 1
-    x = (2 * np.arange(SIZE) + 1) / SIZE - 1
-    radius = np.hypot(x[None], x[:, None])
-    assert not opacity[(radius > 1 + 4.01 / SIZE) | (radius < pupil - 4.01 / SIZE)].any()
+    relative, _ = places(pupil=pupil)
+    margin = 4.01 / SIZE / (1 - pupil)
+    assert not opacity[(relative > 1 + margin) | (relative < -margin)].any()
+    assert name != "base" or opacity[(relative >= 0) & (relative <= 1)].min() == 1
 
 
 @pytest.mark.parametrize("name", COMPONENTS)
@@ -64,11 +65,6 @@ def test_another_size_samples_the_same_painting(name):
     within = (relative > 3 / coarse) & (relative < 1 - 3 / coarse)
     own = drawn(name, coarse)[within]
     assert np.sqrt(((own - mean[within]) ** 2).mean()) < 0.05 * own.std()
-
-
-def test_the_base_is_opaque_all_over_the_iris():
-    relative, _ = places()
-    assert drawn("base")[(relative >= 0) & (relative <= 1)].min() == 1
 
 
 @pytest.mark.parametrize("name", ["collarette-spokes", "collarette-dots"])
@@ -119,6 +115,11 @@ def test_pupil_is_a_soft_ring_at_its_margin():
     assert rings[-1] == 0
 
 
+def test_softer_brushes_leave_softer_edges():
+    crisp, soft = (np.diff(drawn("stroma-smears", softness=s), axis=0) for s in (0.004, 0.03))
+    assert np.abs(soft).max() < 0.3 * np.abs(crisp).max()
+
+
 @pytest.mark.parametrize("name", ["stroma-smears", "stroma-smeared-dots", "collarette-spokes"])
 def test_smears_run_radially(name):
     opacity = drawn(name, 512)
@@ -167,11 +168,6 @@ def test_more_strokes_cover_more_and_none_are_bare(name):
         assert 0 < drawn(name, count=0).mean() < min(few, many)
 
 
-def test_softer_brushes_leave_softer_edges():
-    crisp, soft = (drawn("stroma-smears", softness=s) for s in (0.004, 0.03))
-    assert np.abs(np.diff(soft, axis=0)).max() < 0.3 * np.abs(np.diff(crisp, axis=0)).max()
-
-
 @pytest.mark.parametrize("name", COMPONENTS)
 def test_every_limit_can_be_drawn(name):
     for end in ("low", "high"):
@@ -187,11 +183,9 @@ def test_every_limit_can_be_drawn(name):
     ("name", "parameters", "line"),
     [
         ("stroma", {}, "unknown component 'stroma'; did you mean 'stroma-dots'? known: base, stro"),
-        ("crypts", {}, "unknown component 'crypts'"),
         ("limbus", {"widht": 1}, "unknown parameter of limbus 'widht'"),
         ("base", {"width": 0.1}, "unknown parameter of base 'width'; known: none"),
         ("limbus", {"reach": 2.0}, "limbus: reach = 2 is outside [0.01, 1]"),
-        ("limbus", {"reach": float("nan")}, "limbus: reach = nan is outside"),
         ("limbus", {"reach": True}, "limbus: reach = True is not a number"),
         ("limbus", {"reach": "wide"}, "limbus: reach = 'wide' is not a number"),
         ("stroma-dots", {"count": 2.5}, "stroma-dots: count = 2.5 is not a whole number"),
@@ -205,28 +199,20 @@ def test_what_is_wrong_is_said_in_one_line(name, parameters, line):
     assert "\n" not in str(raised.value)
 
 
-@pytest.mark.parametrize(
-    ("size", "pupil", "line"),
-    [
-        (1, 0.3, r"size = 1 is outside \[2, 8192\]"),
-        (64, 1.0, r"pupil = 1 is outside \[0.02, 0.95\]"),
-        (64, float("nan"), "pupil = nan is outside"),
-    ],
-)
-def test_sizes_and_pupils_that_no_map_has(size, pupil, line):
-    with pytest.raises(ValueError, match=line):
-        drawn("limbus", size, pupil)
+def test_sizes_and_pupils_that_no_map_has():
+    with pytest.raises(ValueError, match=r"size = 1 is outside \[2, 8192\]"):
+        drawn("limbus", 1)
+    with pytest.raises(ValueError, match=r"pupil = nan is outside \[0.02, 0.95\]"):
+        drawn("limbus", 64, float("nan"))
 
 
 def test_scans_are_one_less_their_grey_value():
     grey = np.array([[0, 51], [204, 255]], np.uint8)
     opaque = np.array([[1, 0.8], [0.2, 0]], np.float32)
-    same = {"atol": 1e-6}
-    np.testing.assert_allclose(scan(grey, 2), opaque, **same)
-    np.testing.assert_allclose(scan(grey.astype(np.uint16) * 257, 2), opaque, **same)
-    np.testing.assert_allclose(scan(1 - opaque, 2), opaque, **same)
-    np.testing.assert_allclose(scan(np.repeat(grey[..., None], 3, 2), 2), opaque, **same)
-    assert scan(grey, 2).dtype == np.float32
+    same = grey.astype(np.uint16) * 257, 1 - opaque, np.repeat(grey[..., None], 3, 2)
+    for picture in (grey, *same):
+        np.testing.assert_allclose(scan(picture, 2), opaque, atol=1e-6)
+        assert scan(picture, 2).dtype == np.float32
 
 
 def test_scans_in_colour_and_with_alpha():
@@ -257,9 +243,7 @@ def test_scans_of_another_size():
     [
         (np.zeros((4, 6)), "a scan is 6 × 4 pixels; it must be square"),
         (np.zeros((0, 0)), "a scan is 0 × 0 pixels"),
-        (np.zeros(4), r"a scan has shape \(4,\)"),
         (np.zeros((4, 4, 5)), r"a scan has shape \(4, 4, 5\)"),
-        (np.full((4, 4), np.nan), "grey value of a scan = nan is outside"),
         (np.full((4, 4), 1.5), r"grey value of a scan = 1.5 is outside \[0, 1\]"),
         (np.zeros((4, 4), int), "a scan of int64 values"),
     ],

@@ -67,10 +67,9 @@ def test_a_dot_is_as_wide_and_as_thick_as_it_says():
 
 def test_strokes_run_where_they_are_put():
     ring, n = Annulus(0.3), 60
-    path = Strokes(
-        *(np.full(n, v) for v in (np.pi / 2, 0.2, 0.5, 0.02)), np.zeros(n), np.full(n, 0.01)
-    )
-    opacity = path.paint(RNG, ring, 0.005, 0.5).opacity(512, 0.005)
+    values = np.pi / 2, 0.2, 0.5, 0.02, 0.0, 0.01
+    path = Strokes(*(np.full(n, v) for v in values), 0.5)
+    opacity = path.paint(RNG, ring, 0.005).opacity(512, 0.005)
     rows, columns = np.nonzero(opacity > 0.05 * opacity.max())
     y, x = 1 - (2 * rows + 1) / 512, (2 * columns + 1) / 512 - 1
     assert np.abs(x).max() < 0.04
@@ -80,7 +79,7 @@ def test_strokes_run_where_they_are_put():
 
 def test_no_strokes_are_no_paint():
     none = np.zeros(0)
-    assert len(Strokes(*[none] * 6).paint(RNG, Annulus(0.3), 0.01, 0.5).x) == 0
+    assert len(Strokes(*[none] * 6, 0.5).paint(RNG, Annulus(0.3), 0.01).x) == 0
     assert Dots(*[none] * 4).paint(RNG, Annulus(0.3), 0.01).opacity(16, 0.01).max() == 0
 
 
