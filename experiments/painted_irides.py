@@ -122,15 +122,15 @@ def _environments(blue: Painting, eye, out) -> None:
     )
 
 
-def _timed(painted, parts, known, base=None, before=()):
+def _timed(painted, parts, known, base=None, before=None):
     """Seconds of a picture, and what is kept of its paint."""
     view, texels, around, response = known
     begin = time.perf_counter()
     base = painted.base(*parts) if base is None else base
-    layers = tuple(painted.layers(base, before))
-    light = LitView(around, layers[-1].state.radiance)
+    steps = dict(before or {})
+    light = LitView(around, painted.paint(base, steps))
     shade(view, texels, light, response).block_until_ready()
-    return time.perf_counter() - begin, base, layers
+    return time.perf_counter() - begin, base, steps
 
 
 def _times(blue: Painting, eye, tables, out) -> None:
@@ -151,8 +151,8 @@ def _times(blue: Painting, eye, tables, out) -> None:
         others = [Painted(painting=painting.replace(name, colour=other)) for name in changed]
         found = []
         for _ in range(4):
-            whole, base, layers = _timed(scene.integrator, parts, known)
-            again = (_timed(painted, parts, known, base, layers)[0] for painted in others)
+            whole, base, steps = _timed(scene.integrator, parts, known)
+            again = (_timed(painted, parts, known, base, steps)[0] for painted in others)
             found.append((whole, *again))
         rows.append((count, *(float(v) for v in np.median(found[1:], axis=0))))
     write(

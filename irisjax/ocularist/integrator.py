@@ -6,8 +6,8 @@ parallel to the base at that point: for a coat 0.4 mm high, seen and lit at 45°
 4 μm at most.
 """
 
-from collections.abc import Iterator, Sequence
-from typing import NamedTuple
+from collections.abc import Callable
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -20,7 +20,7 @@ from irisjax.anatomy.eye import Eye
 from irisjax.numerics.interpolation import bilinear, multilinear, smoothstep
 from irisjax.numerics.portions import pixelwise
 from irisjax.numerics.roots import safe_sqrt
-from irisjax.ocularist.coats import Coat, Painting, over, through
+from irisjax.ocularist.coats import Coat, Painting, over, texels, through
 from irisjax.ocularist.cones import Cones
 from irisjax.optics.conicoid import Parts, joined, parts
 from irisjax.render.bands import Bands
@@ -40,6 +40,8 @@ SHADOW = 384
 """Texels along each side of the maps of light below coats."""
 _CHANNELS = 4  # of these maps; the last one is not used, since rows of four are read at once
 _BEHIND = 2.0  # mm in front of the iris at which lines of sight begin
+# Radiance that the coats so far send back, and the transmittance of all of them.
+_State = tuple[Float[Array, "3 pixels"], Float[Array, " pixels"]]
 
 
 class Painted(AbstractIntegrator):
@@ -56,51 +58,40 @@ class Painted(AbstractIntegrator):
         self, pixels: IrisPixels, lights: Lights, front: Front, tables: Illumination | None
     ) -> Float[Array, "3 pixels"]:
         """Radiance of each pixel in white light; see `AbstractIntegrator`."""
-        base = self.base(pixels, lights, front.eye, tables)
-        return [base.state, *(layer.state for layer in self.layers(base))][-1].radiance
+        return self.paint(self.base(pixels, lights, front.eye, tables))
 
     def base(
         self, pixels: IrisPixels, lights: Lights, eye: Eye, tables: Illumination | None
     ) -> "PaintBase":
         """Compute everything that does not depend on the coats."""
-        profile, reach = self.painting.profile, eye.iris_radius
+        extent = _Extent(self.painting.profile, eye.iris_radius, eye.pupil_margin)
         flux = fluxes_of(lights, eye, tables)
-        rim = profile, reach, eye.pupil_margin
-        seen, state = _ground(pixels, profile, eye, flux)
-        return PaintBase(seen, state, *_above_all(flux, profile, reach, SHADOW), lights.tint, rim)
+        seen, state = _ground(pixels, extent, eye, flux)
+        return PaintBase(seen, state, *_above_all(flux, extent.reach, SHADOW), lights.tint, extent)
 
-    def layers(
-        self, base: "PaintBase", before: Sequence["PaintedLayer"] = ()
-    ) -> Iterator["PaintedLayer"]:
-        """Paint the groups of coats, from the uppermost down.
+    def paint(
+        self, base: "PaintBase", steps: dict[Any, Any] | None = None
+    ) -> Float[Array, "3 pixels"]:
+        """Paint the groups of coats, from the uppermost down, and return the radiance of pixels.
 
         Args:
             base: Result of `base`.
-            before: Layers of a painting on the same base. A layer whose coats, and those above it,
-                are the same objects is not painted again; a coat's opacity is looked up again only
-                where it has changed.
+            steps: Steps of the latest painting on the same base, at first empty; replaced by those
+                of this one. A step whose arrays are the same objects is not done again.
         """
-        known = {part.coat.name: part for layer in before for part in layer.parts}
-        groups, state, light, same = _groups(self.painting), base.state, base.light, True
-        for nth, group in enumerate(groups):
-            last = nth == len(groups) - 1
-            same = same and nth < len(before) and before[nth].paints(group)
-            if same and (last or before[nth].light is not None):
-                layer = before[nth]
-            else:
-                layer = self._painted(base, state, light, group, known, last)
-            yield layer
-            state, light = layer.state, layer.light
-
-    def _painted(self, base, state, light, group: list[Coat], known, last: bool) -> "PaintedLayer":
-        coats = tuple(_looked_up(coat, base, known.get(coat.name), last) for coat in group)
-        colours, height = tuple(coat.colour for coat in group), group[0].height
-        seen = state, tuple(part.covered for part in coats), base.seen
-        reach = base.rim[1]
-        state = _paint_over(seen, light, colours, height, base.tint, reach, self.as_printed)
-        crossed = tuple(part.crossed for part in coats)
-        below = None if last else _light_under(light, crossed, colours, self.as_printed)
-        return PaintedLayer(coats, state, below)
+        step = (lambda f, *given: f(*given)) if steps is None else _kept(steps)
+        state, light, groups = base.state, base.light, _groups(self.painting)
+        for group in groups:
+            colours, height = tuple(coat.colour for coat in group), group[0].height
+            shapes = [(coat.opacity, coat.height, base.extent) for coat in group]
+            covered = tuple(step(_opacity_at, base.seen, *shape) for shape in shapes)
+            seen, reach = (state, covered, base.seen), base.extent.reach
+            given = light, colours, height, base.tint, reach, self.as_printed
+            state = step(_paint_over, seen, *given)
+            if group is not groups[-1]:
+                crossed = tuple(step(_crossed, base.rays, *shape) for shape in shapes)
+                light = step(_light_under, light, crossed, colours, self.as_printed)
+        return state[0]
 
     def response(
         self, iris: Iris | None, aqueous_index: Scalar, bands: Bands, ranges: Scales
@@ -115,69 +106,39 @@ class Painted(AbstractIntegrator):
 
 
 class _Ground(NamedTuple):
-    """The geometry of pixels, which all coats share.
+    """The geometry of pixels, which all coats share; displacements in mm per mm of their height."""
 
-    Attributes:
-        place: Where a pixel sees the base, (x, y) in mm.
-        view: Displacement of the point where it sees a coat, mm per mm of the coat's height.
-        light: Displacement on the base of a ray of each lamp that meets the coat at that point, mm
-            per mm.
-        white: Radiance of a white sheet there in the light of each lamp, times the transmittance to
-            the camera.
-    """
-
-    place: Float[Array, "2 pixels"]
-    view: Float[Array, "2 pixels"]
-    light: Float[Array, "lights 2 pixels"]
+    place: Float[Array, "2 pixels"]  # where a pixel sees the base, mm
+    view: Float[Array, "2 pixels"]  # displacement of the point where it sees a coat
+    light: Float[Array, "lights 2 pixels"]  # on the base, of a lamp's ray that meets that point
+    # Radiance of a white sheet there in the light of each lamp, times the transmittance to the eye.
     white: Float[Array, "lights pixels"]
 
 
-class _State(NamedTuple):
-    """Radiance that the coats so far send back, and the transmittance of all of them."""
+class _Extent(NamedTuple):
+    """The base's profile, its radius and the width (mm) over which coats fade into the pupil."""
 
-    radiance: Float[Array, "3 pixels"]
-    clear: Float[Array, " pixels"]
+    profile: Cones
+    reach: Scalar
+    margin: Scalar
+
+    def covered(self, opacity: Array, x: Array, y: Array) -> Array:
+        """Opacity at places; it fades into the pupil and is 0 beyond the root."""
+        r = safe_sqrt(x * x + y * y)
+        edge = smoothstep((r - self.profile.radius[0]) / self.margin)
+        here = edge * look_up(opacity, x, y, self.reach)
+        return jnp.where(r <= self.profile.radius[-1], here, 0.0)
 
 
 class PaintBase(NamedTuple):
-    """What all coats are painted on.
-
-    Attributes:
-        seen: Where pixels see the base.
-        state: State before any coat.
-        rays: Directions of the lights at the base's texels.
-        light: Maps of light above all coats, relative to the lamps'.
-        tint: Tint of each light.
-        rim: Profile of the base, its radius and the width over which coats fade into the pupil, mm.
-    """
+    """What all coats are painted on."""
 
     seen: _Ground
     state: _State
-    rays: Float[Array, "lights 3 rows columns"]
-    light: Float[Array, "lights rows columns channels"]
-    tint: Array | None
-    rim: tuple[Cones, Array, Array]
-
-
-class PaintedCoat(NamedTuple):
-    """A coat, its opacity at the pixels and where rays cross it (`None` of the lowest group)."""
-
-    coat: Coat
-    covered: Array
-    crossed: Array | None
-
-
-class PaintedLayer(NamedTuple):
-    """A group of coats, what they and those above send back, and the light below them."""
-
-    parts: tuple[PaintedCoat, ...]
-    state: _State
-    light: Array | None
-
-    def paints(self, group: list[Coat]) -> bool:
-        """Whether these are the layer's coats, by the identity of their arrays."""
-        leaves = [jax.tree.leaves(c) for c in (group, [part.coat for part in self.parts])]
-        return len(group) == len(self.parts) and all(a is b for a, b in zip(*leaves, strict=True))
+    rays: Float[Array, "lights 3 rows columns"]  # directions of the lights at the base's texels
+    light: Float[Array, "lights rows columns channels"]  # above all coats, relative to the lamps'
+    tint: Array | None  # of each light
+    extent: _Extent
 
 
 class PaintedResponse(AbstractResponse):
@@ -201,18 +162,20 @@ def look_up(texture: Array, x: Array, y: Array, reach: Scalar) -> Array:
     return bilinear(texture, *_texel(x, y, reach, texture.shape[-2:]))
 
 
-def _looked_up(coat: Coat, base: PaintBase, before: PaintedCoat | None, last: bool) -> PaintedCoat:
-    """A coat where pixels and rays meet it; what was looked up of the same opacity is kept."""
-    where = coat.opacity, coat.height, *base.rim
-    covered, crossed = None, None
-    same = before is not None and before.coat.opacity is coat.opacity
-    if before is not None and same and before.coat.height is coat.height:
-        covered, crossed = before.covered, before.crossed
-    if covered is None:
-        covered = _opacity_at(base.seen, *where)
-    if crossed is None and not last:
-        crossed = _crossed(base.rays, *where)
-    return PaintedCoat(coat, covered, crossed)
+def _kept(steps: dict[Any, Any]) -> Callable[..., Any]:
+    """Calls a function, or takes its result for the same arrays from the steps before, by their
+    identity; the steps keep them alive.
+    """
+    before = dict(steps)
+    steps.clear()
+
+    def step(f, *given):
+        leaves = jax.tree.leaves(given)
+        key = f, *map(id, leaves)
+        steps[key] = before[key] if key in before else (leaves, f(*given))
+        return steps[key][1]
+
+    return step
 
 
 def _groups(painting: Painting) -> list[list[Coat]]:
@@ -229,8 +192,9 @@ def _groups(painting: Painting) -> list[list[Coat]]:
 
 
 @pixelwise
-def _ground(pixels: IrisPixels, profile: Cones, eye: Eye, flux: Array) -> tuple[_Ground, _State]:
+def _ground(pixels: IrisPixels, extent: _Extent, eye: Eye, flux: Array) -> tuple[_Ground, _State]:
     """Where pixels see the base, extended to the axis and past the root, and the first state."""
+    profile = extent.profile
     ends = jnp.stack([jnp.zeros_like(profile.radius[0]), 2 * profile.radius[-1]])
     z = profile.height(ends)
     whole = Cones(
@@ -245,47 +209,46 @@ def _ground(pixels: IrisPixels, profile: Cones, eye: Eye, flux: Array) -> tuple[
     if pixels.index is not None:
         share = jnp.where(pixels.index < 0, 0.0, share)
     n = parts(whole.normal(point, hit.cone))
-    at = Field(flux, eye.iris_radius).at(parts(point))
-    light, view = (at[:, 0], at[:, 1], at[:, 2]), _aside(pixels.direction, n)
+    light = tuple(jnp.moveaxis(Field(flux, extent.reach).at(parts(point)), 1, 0))
     irradiance = jnp.maximum(-sum(f * c for f, c in zip(light, n, strict=True)), 0.0)
+    view = _aside(pixels.direction, n)
     falls = view - jax.vmap(lambda direction: _aside(direction, n))(_directed(light))
-    place = jnp.stack([point[..., 0], point[..., 1]])
-    one = jnp.ones_like(place[0])
-    above = _State(jnp.zeros((3, one.size), one.dtype), one)
+    place, one = point[..., :2].T, jnp.ones_like(share)
+    above = jnp.zeros((3, one.size), one.dtype), one
     return _Ground(place, view, falls, irradiance * share / jnp.pi), above
 
 
 @eqx.filter_jit
-def _above_all(flux: Array, profile: Cones, reach: Scalar, size: int) -> tuple[Array, Array]:
+def _above_all(flux: Array, reach: Scalar, size: int) -> tuple[Array, Array]:
     """Directions of lights at texels of the base, and maps of light above all coats."""
     x, y = _texels(size, reach, flux.dtype)
     at = jax.lax.map(lambda f: Field(f[None], reach).at((x, y, x))[0], flux)
-    rays = jnp.stack(_directed((at[:, 0], at[:, 1], at[:, 2])), 1)
+    rays = jnp.stack(_directed(tuple(jnp.moveaxis(at, 1, 0))), 1)
     return rays, jnp.ones((len(flux), size, size, _CHANNELS), flux.dtype)
 
 
 @pixelwise
 def _opacity_at(
-    seen: _Ground, opacity: Array, height: Scalar, profile: Cones, reach: Scalar, margin: Scalar
+    seen: _Ground, opacity: Array, height: Scalar, extent: _Extent
 ) -> Float[Array, " pixels"]:
-    """Opacity of a coat at the pixels; it fades into the pupil over `margin` (mm)."""
-    x, y = seen.place + height * seen.view
-    return _covering(opacity, x, y, profile, reach, margin)
+    """Opacity of a coat at the pixels."""
+    return extent.covered(opacity, *(seen.place + height * seen.view))
 
 
 @eqx.filter_jit
 def _crossed(
-    rays: Array, opacity: Array, height: Scalar, profile: Cones, reach: Scalar, margin: Scalar
+    rays: Array, opacity: Array, height: Scalar, extent: _Extent
 ) -> Float[Array, "lights rows columns"]:
-    """Opacity of a coat where rays to texels of the base cross it; arguments of `_opacity_at`."""
-    x, y = _texels(rays.shape[-1], reach, rays.dtype)
+    """Opacity of a coat where rays to texels of the base cross it."""
+    profile = extent.profile
+    x, y = _texels(rays.shape[-1], extent.reach, rays.dtype)
     r = safe_sqrt(x * x + y * y)
     cone = jnp.clip(jnp.searchsorted(profile.radius, r) - 1, 0, len(profile.z) - 2)
     normal = parts(profile.normal(jnp.stack([x, y, profile.height(r)], -1), cone))
 
     def one(direction):
         u, v = _aside(tuple(direction), normal)
-        return _covering(opacity, x + height * u, y + height * v, profile, reach, margin)
+        return extent.covered(opacity, x + height * u, y + height * v)
 
     return jax.lax.map(one, rays)
 
@@ -319,7 +282,7 @@ def _paint_over(
         radiance = radiance + clear * over(0.0, alpha, colour[:, None], lit)
         clear = clear * (1 - alpha)
         lit = through(lit, alpha, colour[:, None], as_printed)
-    return _State(radiance, clear)
+    return radiance, clear
 
 
 @eqx.filter_jit
@@ -337,7 +300,7 @@ def _aside(direction: Parts, normal: Parts) -> Array:
     """Displacement (2, …) along lines through the base, to the plane at unit height before it."""
     along = sum(d * n for d, n in zip(direction, normal, strict=True))
     path = -normal[2] / along
-    return jnp.stack([direction[0] * path, direction[1] * path])
+    return jnp.stack([d * path for d in direction[:2]])
 
 
 def _directed(flux: Parts) -> Parts:
@@ -348,13 +311,6 @@ def _directed(flux: Parts) -> Parts:
     return jnp.where(lit, x, 0.0), jnp.where(lit, y, 0.0), jnp.where(lit, z, 1.0)
 
 
-def _covering(opacity, x, y, profile: Cones, reach, margin):
-    """Opacity at places; it fades into the pupil and is 0 beyond the root."""
-    r = safe_sqrt(x * x + y * y)
-    edge = smoothstep((r - profile.radius[0]) / margin)
-    return jnp.where(r <= profile.radius[-1], edge * look_up(opacity, x, y, reach), 0.0)
-
-
 def _texel(x, y, reach, shape: tuple[int, ...]):
     """Row and column of places in mm."""
     rows, columns = shape
@@ -362,5 +318,4 @@ def _texel(x, y, reach, shape: tuple[int, ...]):
 
 
 def _texels(size: int, reach, dtype):
-    line = ((2 * jnp.arange(size) + 1) / size - 1).astype(dtype) * reach
-    return jnp.meshgrid(line, -line)
+    return jnp.broadcast_arrays(*(v * reach for v in texels(size, dtype)))

@@ -163,13 +163,10 @@ class Bench(Session[BenchSettings]):
         def light():
             parts = scene.all_lights(), scene.eye, tables
             base = None if pixels is None else painted.base(pixels, *parts)
-            return surroundings(view, texels, scene), base, []
+            return surroundings(view, texels, scene), base, {}
 
-        around, base, layers = kept.light.of(lit, light)
-        if base is None:
-            return LitView(around, None)
-        layers[:] = painted.layers(base, tuple(layers))
-        return LitView(around, (layers[-1].state if layers else base.state).radiance)
+        around, base, steps = kept.light.of(lit, light)
+        return LitView(around, None if base is None else painted.paint(base, steps))
 
     def _set(self, s: BenchSettings, size: tuple[int, int]) -> Scene:
         on = tuple(self._coat(layer) for layer in s.layers if layer.on)

@@ -182,26 +182,26 @@ def test_a_coat_that_changes_is_painted_with_those_below_alone(monkeypatch):
     made = scene(*(coat(n, 0.1 * i, spots(i), RED) for i, n in enumerate(names)))
     painting, parts = made.integrator.painting, (few(), made.lights, made.eye)
     base = made.integrator.base(*parts, tables())
-    layers = tuple(made.integrator.layers(base))
-    done = counting(monkeypatch, **dict.fromkeys(STEPS, integrator))
+    done, steps = counting(monkeypatch, **dict.fromkeys(STEPS, integrator)), {}
+    first = made.integrator.paint(base, steps)
 
     def again(**changes):
         """Steps that a change of the middle coat takes."""
         painted = Painted(painting.replace("middle", **changes))
         done.update(dict.fromkeys(STEPS, 0))
-        found = list(painted.layers(base, layers))[-1].state.radiance
-        steps = tuple(done.values())
+        found = painted.paint(base, dict(steps))
+        counts = tuple(done.values())
         front = Front(made.eye, None, None)
         whole = painted.illuminate(few(), made.lights, front, tables())
         np.testing.assert_allclose(found, whole, atol=1e-12)
-        assert np.abs(np.asarray(found - layers[-1].state.radiance)).max() > 1e-3
-        return steps
+        assert np.abs(np.asarray(found - first)).max() > 1e-3
+        return counts
 
     # The light on the middle coat has not changed; what lies above is not painted again.
     assert again(colour=jnp.asarray(BLUE)) == (0, 0, 3, 2)
     assert again(opacity=coat("other", 0.0, spots(9)).opacity) == (1, 1, 3, 2)
     done.update(dict.fromkeys(STEPS, 0))
-    assert list(made.integrator.layers(base, layers))[-1] is layers[-1]
+    assert made.integrator.paint(base, steps) is first
     assert not any(done.values())
 
 
@@ -230,7 +230,7 @@ def test_derivatives_by_colour_and_opacity_are_those_of_finite_differences():
     def mean(given):
         colour, thickness, height = given
         changed = painting.replace("spots", colour=colour, opacity=thickness * shape, height=height)
-        return list(Painted(changed).layers(base))[-1].state.radiance.mean()
+        return Painted(changed).paint(base).mean()
 
     at = jnp.asarray(GREEN), jnp.asarray(0.7), jnp.asarray(0.1)
     slopes, step = mean(at)[1], 1e-5

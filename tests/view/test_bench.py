@@ -157,9 +157,10 @@ def test_saves_over_its_own_file_and_no_other(tmp_path):
 
 def test_a_coat_that_changes_is_done_with_those_below_it(monkeypatch):
     found = bench()
-    found.update()
     steps = "_opacity_at", "_crossed", "_paint_over"
     done = counting(monkeypatch, **dict.fromkeys(steps, integrator))
+    found.update()
+    done.update(dict.fromkeys(steps, 0))
     found.update(layers=edited(found.settings.layers, SMEARS, colour="#20a060"))
     # Each of the three coats is a group by itself, the uppermost the first.
     assert tuple(done.values()) == (0, 0, 2)
