@@ -53,61 +53,30 @@ def coats(kind: str, colour: str, *, seed: int) -> tuple[CoatRecipe, ...]:
     check_whole("seed", seed, 0)
     rng = np.random.default_rng([seed, EYE_TYPES.index(kind), EYE_COLOURS.index(colour)])
     paints = _PAINTS[colour]
-    rounds = paints.count - 1 - len(_CLOSING)
+    rounds = paints["count"] - 1 - len(_CLOSING)
     parts = [_ROUND[i % len(_ROUND)] for i in range(rounds)] + list(_CLOSING)
-    thin = (12 / paints.count) ** 0.35  # the more coats, the thinner each
-    out = [CoatRecipe("base", {}, *paints.base[0][:3], 1.0, int(rng.integers(_SEEDS)), 0.0)]
+    thin = (12 / paints["count"]) ** 0.35  # the more coats, the thinner each
+    one, other, share = paints["base"][0]
+    out = [CoatRecipe("base", {}, one, other, share, 1.0, int(rng.integers(_SEEDS)), 0.0)]
     for i, part in enumerate(parts):
         # Each round from shadows to lights, the later ones lighter: there are shadows at any depth.
         step = 2 if i >= rounds else (i % len(_ROUND)) // 2 % 3
         lit = 0.5 * i / len(parts) + 0.25 * step + rng.uniform(-0.1, 0.1)
-        tone = paints.dark if lit < 0.35 else paints.middle if lit < 0.65 else paints.light
-        name, parameters, mixtures, opacity = _coat(rng, kind, part, paints, tone)
-        mixture = mixtures[(i // len(_ROUND) + i) % len(mixtures)]
-        opacity *= mixture.strength * (thin if i < rounds else thin**0.5)
+        tone = "dark" if lit < 0.35 else "middle" if lit < 0.65 else "light"
+        name, parameters, use, opacity = _coat(rng, kind, part, tone)
+        mixtures = paints[use]
+        one, other, share, strength = [*mixtures[(i // len(_ROUND) + i) % len(mixtures)], 1.0][:4]
+        opacity *= strength * (thin if i < rounds else thin**0.5)
         seed, height = int(rng.integers(_SEEDS)), round((i + 1) * HEIGHT_STEP, 6)
-        out.append(CoatRecipe(name, parameters, *mixture[:3], round(opacity, 3), seed, height))
+        out.append(CoatRecipe(name, parameters, one, other, share, round(opacity, 3), seed, height))
     return tuple(out)
 
 
-class _Mixture(NamedTuple):
-    """`strength`: factor on the opacity of coats of it."""
-
-    first: str
-    second: str
-    share: float
-    strength: float = 1.0
-
-
-_Mixtures = tuple[_Mixture, ...]
-
-
-class _Paints(NamedTuple):
-    """What an eye of a colour is painted with; `count`: of coats."""
-
-    count: int
-    base: _Mixtures
-    dark: _Mixtures
-    middle: _Mixtures
-    light: _Mixtures
-    glaze: _Mixtures
-    warm: _Mixtures
-    ring: _Mixtures
-    border: _Mixtures
-
-
-def _read_palettes() -> dict[str, _Paints]:
-    file = resources.files("irisjax.ocularist") / "tables" / "palettes.toml"
-    palettes = tomllib.loads(file.read_text(encoding="utf-8"))
-    found = {}
-    for colour, kinds in palettes.items():
-        count = kinds.pop("count")
-        mixtures = {name: tuple(_Mixture(*m) for m in some) for name, some in kinds.items()}
-        found[colour] = _Paints(count, **mixtures)
-    return found
-
-
-_PAINTS = _read_palettes()
+# By colour: the number of coats, and by their use mixtures of two paints (first, second, share of
+# the second and, unless it is 1, a factor on the opacity of coats of it).
+_PAINTS: dict[str, dict[str, Any]] = tomllib.loads(
+    (resources.files("irisjax.ocularist") / "tables" / "palettes.toml").read_text("utf-8")
+)
 EYE_COLOURS = tuple(_PAINTS)
 """Colours of eye."""
 
@@ -119,8 +88,8 @@ _SOFT = {"smeared": 4.5, "dit-dot": 1.2, "detail": 0.9}  # brushes, relative to 
 _DOTTED = {"smeared": (0.1, 1.0), "dit-dot": (0.75, 0.45), "detail": (0.15, 1.0)}
 
 
-def _coat(rng, kind: str, part: str, paints: _Paints, tone: _Mixtures):
-    """Name and parameters of a component for a part of the iris, mixtures to choose, opacity."""
+def _coat(rng, kind: str, part: str, tone: str):
+    """Name and parameters of a component for a part of the iris, its mixtures' use, its opacity."""
 
     def about(value: float, spread: float = 0.25) -> float:
         return round(float(value * np.exp(rng.uniform(-spread, spread))), 4)
@@ -134,20 +103,20 @@ def _coat(rng, kind: str, part: str, paints: _Paints, tone: _Mixtures):
         inner, outer = ((0.0, 0.6), (0.4, 1.0), (0.0, 1.0))[rng.integers(3)]
         wide = drawn(width=0.07, length=0.4, softness=0.03)
         parameters = drawn(160) | wide | {"inner": inner, "outer": outer}
-        return "stroma-smears", parameters, paints.glaze, about(0.22)
+        return "stroma-smears", parameters, "glaze", about(0.22)
     if part == "limbus":
         parameters = {"reach": about(0.25, 0.4)} | drawn(softness=0.014 * soft**0.5)
-        return part, parameters, paints.border, about(0.7, 0.2)
+        return part, parameters, "border", about(0.7, 0.2)
     if part == "sphincter":
-        return part, drawn(reach=0.17, softness=0.007 * soft**0.5), paints.ring, about(0.5)
+        return part, drawn(reach=0.17, softness=0.007 * soft**0.5), "ring", about(0.5)
     if part == "pupil":
-        return part, drawn(reach=0.07), (_Mixture("ivory black", "burnt umber", 0.2),), 0.9
+        return part, drawn(reach=0.07), "hole", 0.9
     if part == "gaps":  # between strands, the crypts
         parameters = drawn(26, width=0.03, length=0.16) | {"inner": 0.3}
         parameters |= {"outer": about(0.75, 0.1)} | drawn(softness=0.006 * soft**0.7)
-        return "stroma-smeared-dots", parameters, paints.dark, about(0.5)
+        return "stroma-smeared-dots", parameters, "dark", about(0.5)
     if part == "collarette":
-        warm = paints.warm if rng.uniform() < 0.6 else tone
+        warm = "warm" if rng.uniform() < 0.6 else tone
         if rng.uniform() < dotted:
             parameters = drawn(190, width=0.012 * soft**0.5, softness=0.0035 * soft**0.5)
             parameters |= drawn(length=0.1) if rng.uniform() < smeared else {}
@@ -164,5 +133,5 @@ def _coat(rng, kind: str, part: str, paints: _Paints, tone: _Mixtures):
         return "stroma-dots", parameters, tone, about(0.75)
     width, softness = 0.011 * (0.5 + 0.5 * soft), 0.0038 * soft
     parameters = drawn(420 / soft**0.6, width=width, length=0.5, softness=softness, waviness=0.5)
-    parameters["outer"] = 1.0 if tone is paints.dark else about(0.9, 0.05)
+    parameters["outer"] = 1.0 if tone == "dark" else about(0.9, 0.05)
     return "stroma-smears", parameters, tone, about(0.6)

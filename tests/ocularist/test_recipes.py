@@ -14,11 +14,6 @@ COUNTS = {"brown": 12, "blue": 50, "green": 30}  # [L03 Fig. 10] and our own for
 EYES = [(kind, colour) for kind in EYE_TYPES for colour in EYE_COLOURS]
 
 
-def test_types_and_colours_are_the_papers():
-    assert EYE_TYPES == ("smeared", "dit-dot", "detail")
-    assert set(EYE_COLOURS) == set(COUNTS)
-
-
 @pytest.mark.parametrize(("kind", "colour"), EYES)
 def test_coats_are_as_a_recipe_needs_them(kind, colour):
     painted = coats(kind, colour, seed=0)
@@ -37,7 +32,9 @@ def test_coats_are_as_a_recipe_needs_them(kind, colour):
 
 
 def test_fewer_than_ten_paints():
-    """[L03 Section 3.2]."""
+    """[L03 Section 3.2], of the paper's types of eye."""
+    assert EYE_TYPES == ("smeared", "dit-dot", "detail")
+    assert set(EYE_COLOURS) == set(COUNTS)
     used = {p for eye in EYES for c in coats(*eye, seed=0) for p in (c.first, c.second)}
     assert len(used) < 10
 
@@ -71,12 +68,7 @@ def test_equal_seeds_give_equal_coats_and_others_do_not():
     ("kind", "colour", "seed", "line"),
     [
         ("dotted", "blue", 0, "unknown type of eye 'dotted'; known: smeared, dit-dot, detail"),
-        (
-            "detail",
-            "grey",
-            0,
-            r"colour of eye 'grey'; did you mean 'green'\? known: brown, blue, gr",
-        ),
+        ("detail", "grey", 0, r"colour of eye 'grey'; did you mean 'green'\? known: brown, blue"),
         ("detail", "blue", -1, r"seed = -1 is outside \[0, inf\)"),
     ],
 )
