@@ -63,8 +63,7 @@ class KubelkaMunkMixer(mixing.AbstractMixer):
                 f"K and S of shapes {k.shape} and {s.shape}; need {shape}, one row a paint, each "
                 f"paint once: {', '.join(self.paints)}"
             )
-        tables = map(mixing.rows, (self.absorption, self.scattering))
-        for name, k, s in zip(self.paints, *tables, strict=True):
+        for name, k, s in zip(self.paints, *self._tables(), strict=True):
             check_range(f"K of paint {name!r}", k, COEFFICIENT)
             check_range(f"S of paint {name!r}", s, COEFFICIENT)
             check_range(f"K + S of paint {name!r}", k + s, COEFFICIENT._replace(above=True))
@@ -84,30 +83,30 @@ class KubelkaMunkMixer(mixing.AbstractMixer):
         """See `AbstractMixer`. K of the added paints is constructed (`constructed_absorption`); S
         is that of the paint they replace, or `USUAL_SCATTERING`.
         """
-        tables = map(mixing.rows, (self.absorption, self.scattering))
-        k, s = (dict(zip(self.paints, table, strict=True)) for table in tables)
+        k, s = (dict(zip(self.paints, table, strict=True)) for table in self._tables())
         usual = np.full(len(self.wavelengths), USUAL_SCATTERING, self.scattering.dtype)
         for name, colour in colours.items():
             s.setdefault(name, usual)
             linear = mixing.linear_colour(name, colour)
             found = constructed_absorption(linear, self.wavelengths, s[name], self.surface)
             k[name] = np.asarray(found, usual.dtype)
-        absorption, scattering = (jnp.stack([table[name] for name in k]) for table in (k, s))
-        return KubelkaMunkMixer(tuple(k), self.wavelengths, absorption, scattering, self.surface)
+        tables = (jnp.stack([table[name] for name in k]) for table in (k, s))
+        return KubelkaMunkMixer(tuple(k), self.wavelengths, *tables, surface=self.surface)
+
+    def _tables(self):
+        return map(mixing.rows, (self.absorption, self.scattering))
 
     def blend(
         self, first: mixing.CoatIndices, second: mixing.CoatIndices, share: mixing.CoatShares
     ) -> mixing.CoatColours:
         """See `AbstractMixer`; colours outside sRGB are clipped to it."""
-        to_second = share.astype(self.absorption.dtype)[..., None]
-        to_first = 1 - to_second
+        share = share.astype(self.absorption.dtype)[..., None]
         tables = self.absorption, self.scattering
-        found = thick_layer(*(to_first * t[first] + to_second * t[second] for t in tables))
+        found = thick_layer(*((1 - share) * t[first] + share * t[second] for t in tables))
         if self.surface is not None:
             found = under_surface(found, *self.surface)
-        observer = Observer.of(self.wavelengths)
-        to_linear = (observer.to_srgb @ observer.weights).astype(found.dtype)
-        return jnp.clip(found @ to_linear.T, 0.0, 1.0)
+        to_linear, _ = tristimulus_matrix(self.wavelengths, "linear sRGB")
+        return jnp.clip(found @ jnp.asarray(to_linear.T, found.dtype), 0.0, 1.0)
 
 
 def constructed_absorption(
@@ -148,9 +147,8 @@ def smoothest_reflectance(
     to_colour, _ = tristimulus_matrix(wavelengths, "linear sRGB")
     wanted = np.clip(np.asarray(colour, np.float64), _ENDS, 1 - _ENDS)
     n = to_colour.shape[1]
-    widths = np.diff(np.asarray(wavelengths, np.float64))
-    slopes = np.diff(np.eye(n), axis=0) * np.sqrt(widths.mean() / widths)[:, None]
-    roughness = 2 * slopes.T @ slopes
+    widths, steps = np.diff(np.asarray(wavelengths, np.float64)), np.diff(np.eye(n), axis=0)
+    roughness = 2 * steps.T @ (steps * (widths.mean() / widths)[:, None])
 
     def stationarity(x):
         """Derivatives of roughness + multipliers · (colour − wanted), and their Jacobian."""
@@ -163,7 +161,6 @@ def smoothest_reflectance(
 
     found = optimize.root(stationarity, np.zeros(n + 3), jac=True, method="lm", tol=1e-12)
     if not np.abs(found.fun).max() < _EXACT:
-        raise ValueError(
-            f"found no smooth reflectance of linear sRGB {np.round(colour, 4).tolist()}"
-        )
+        what = np.round(colour, 4).tolist()
+        raise ValueError(f"found no smooth reflectance of linear sRGB {what}")
     return (1 + np.tanh(found.x[:n])) / 2

@@ -31,7 +31,6 @@ CoatIndices = Int[Array, "*coats"]
 CoatShares = Float[Array, "*coats"]
 CoatColours = Float[Array, "*coats 3"]
 
-
 # By Rembrandt (Royal Talens), but for the black, which is by Winsor & Newton. In HSL the faint tint
 # of a black or a white would count as its hue: (16, 15, 17) and (253, 254, 249) were made neutral.
 PAINTS = {
@@ -104,10 +103,8 @@ class AbstractMixer(eqx.Module):
         try:
             return _blended(self, *jnp.broadcast_arrays(i, j, share))
         except ValueError:
-            raise ValueError(
-                f"paints of shapes {i.shape} and {j.shape} and shares of {share.shape} do not go "
-                f"together"
-            ) from None
+            shapes = f"paints of shapes {i.shape} and {j.shape} and shares of {share.shape}"
+            raise ValueError(f"{shapes} do not go together") from None
 
 
 @eqx.filter_jit
@@ -154,8 +151,8 @@ class HslMixer(AbstractMixer):
         """
         if not colours:
             raise ValueError("a palette needs at least one paint")
-        linear = [linear_colour(name, colour) for name, colour in colours.items()]
-        return cls(tuple(colours), jnp.asarray(np.stack(linear), jnp.result_type(float)))
+        linear = np.stack([linear_colour(*paint) for paint in colours.items()])
+        return cls(tuple(colours), jnp.asarray(linear, jnp.result_type(float)))
 
     def with_paints(self, colours: Mapping[str, Any]) -> "HslMixer":
         """See `AbstractMixer`."""
@@ -183,12 +180,10 @@ def linear_colour(name: str, colour: Any) -> np.ndarray:
     """
     steps: Any = colour
     if isinstance(colour, str) and re.fullmatch("#[0-9a-fA-F]{6}", colour):
-        steps = [int(colour[i : i + 2], 16) for i in (1, 3, 5)]
-    numbers = isinstance(steps, Sequence | np.ndarray) and len(steps) == 3
-    if not numbers or not all(
-        isinstance(s, int | float | np.number) and not isinstance(s, bool) and _STEP.holds(s)
-        for s in steps
-    ):
+        steps = [*bytes.fromhex(colour[1:])]
+    three = isinstance(steps, Sequence | np.ndarray) and len(steps) == 3
+    numbers = three and all(isinstance(s, int | float | np.number) for s in steps)
+    if not numbers or any(isinstance(s, bool) or not _STEP.holds(s) for s in steps):
         raise ValueError(
             f"paint {name!r}: {colour!r} is no colour; need '#rrggbb' or three numbers in {_STEP}"
         )
@@ -203,23 +198,14 @@ def mixed_in_hsl(
     Hue goes the short way round; between opposite hues it goes the way that does not pass red
     (hue 0), whichever is first. A grey has no hue and takes the other's; two greys make a grey.
     """
-    hue, saturation, lightness = hsl_of(srgb_encode(first))
-    other_hue, other_saturation, other_lightness = hsl_of(srgb_encode(second))
-    hue, other_hue = (
-        jnp.where(saturation > 0, hue, other_hue),
-        jnp.where(other_saturation > 0, other_hue, hue),
-    )
-    gap = other_hue - hue
+    one, other = hsl_of(srgb_encode(first)), hsl_of(srgb_encode(second))
+    hue = jnp.where(one[1] > 0, one[0], other[0])
+    gap = jnp.where(other[1] > 0, other[0], hue) - hue
     # Rounding may put opposite hues more than half a turn apart.
     half = 0.5 + _ROUNDING
     gap = gap - jnp.where(gap > half, 1.0, 0.0) + jnp.where(gap < -half, 1.0, 0.0)
-    return srgb_decode(
-        srgb_of(
-            hue + share * gap,
-            saturation + share * (other_saturation - saturation),
-            lightness + share * (other_lightness - lightness),
-        )
-    )
+    rest = (a + share * (b - a) for a, b in zip(one[1:], other[1:], strict=True))
+    return srgb_decode(srgb_of(hue + share * gap, *rest))
 
 
 def hsl_of(
@@ -236,11 +222,8 @@ def hsl_of(
     by = jnp.where(grey, 1.0, chroma)
     # Not by equality with `high`: XLA may round a value differently each time it recomputes it.
     largest = jnp.argmax(encoded, -1)
-    sextant = jnp.where(
-        largest == 0,
-        (green - blue) / by,
-        jnp.where(largest == 1, 2 + (blue - red) / by, 4 + (red - green) / by),
-    )
+    sextants = (green - blue) / by, 2 + (blue - red) / by, 4 + (red - green) / by
+    sextant = jnp.select([largest == 0, largest == 1], sextants[:2], sextants[2])
     hue = jnp.where(grey, 0.0, sextant / 6)
     room = jnp.where(grey, 1.0, 1 - jnp.abs(high + low - 1))
     return hue - jnp.floor(hue), jnp.where(grey, 0.0, chroma / room), (high + low) / 2

