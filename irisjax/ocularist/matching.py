@@ -7,15 +7,15 @@ cannot follow, is painted on top by `retouch`.
 
 import itertools
 from collections.abc import Mapping, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
+from scipy import optimize, special
 from scipy.ndimage import gaussian_filter
-from scipy.optimize import least_squares
 
 from irisjax._types import PRNGKey, as_float
 from irisjax.anatomy.eye import Eye
@@ -111,30 +111,26 @@ def match(
     maps = painting([recipe._replace(opacity=1.0) for recipe in ordered]).coats
     opacity = jnp.stack([plan.unrolled(coat.opacity, eye, known.shape) for coat in maps])
     taken = _drawn(known, eye, texels, key)
-    values = np.array([[recipe.share, recipe.opacity] for recipe in ordered]).T
-    inside = np.clip(values, _EDGE, 1 - _EDGE)
-    start = np.log(inside / (1 - inside)).ravel()
+    components, _, first, second, *numbers = zip(*ordered, strict=True)
+    values = np.array(numbers[:2])  # shares and opacities
+    start = special.logit(np.clip(values, _EDGE, 1 - _EDGE)).ravel()
     problem = _Problem(
         mixer,
-        jnp.asarray(mixer.indices([recipe.first for recipe in ordered])),
-        jnp.asarray(mixer.indices([recipe.second for recipe in ordered])),
+        jnp.asarray(mixer.indices(first)),
+        jnp.asarray(mixer.indices(second)),
         opacity.reshape(len(ordered), -1)[:, taken],
         plan.lab(target.reshape(-1, 3)[taken]),
         as_float(values[1]),
-        jnp.asarray([recipe.component == "base" for recipe in ordered]),
+        jnp.asarray(np.array(components) == "base"),
         as_float(start),
     )
-    found = least_squares(
-        lambda x: np.asarray(_residuals(as_float(x), problem), np.float64),
-        start,
-        # SciPy has no annotations; pyright infers a type from the default.
-        lambda x: np.asarray(_jacobian(as_float(x), problem), np.float64),  # pyright: ignore[reportArgumentType]
-        method="lm",
-        ftol=_CLOSE,
-        xtol=_CLOSE,
-        max_nfev=max_steps,
-    )
-    fitted = np.stack(_values(as_float(found.x), problem), 1).astype(float).tolist()
+
+    def of(function):
+        return lambda x: np.asarray(function(as_float(x), problem), np.float64)
+
+    kinds: Any = {"jac": of(_jacobian), "method": "lm", "ftol": _CLOSE, "xtol": _CLOSE}
+    found = optimize.least_squares(of(_residuals), start, **kinds, max_nfev=max_steps)
+    fitted = of(_values)(found.x).T.tolist()
     new = tuple(
         recipe._replace(share=share, opacity=opacity)
         for recipe, (share, opacity) in zip(ordered, fitted, strict=True)
@@ -190,10 +186,8 @@ def retouch(
     there = on & mask[row, column]
     wanted = plan.lab(target[row, column][there])
     coats = painted(recipes, mixer, eye, size=size, scans=scans).coats
-    state = plan_view(
-        jnp.stack([coat.opacity[there] for coat in coats]),
-        jnp.stack([coat.colour for coat in coats]),
-    )
+    opacities = jnp.stack([coat.opacity[there] for coat in coats])
+    state = plan_view(opacities, jnp.stack([coat.colour for coat in coats]))
     mixtures, colours = _mixtures(mixer)
     levels = jnp.linspace(0.0, 1.0, _LEVELS).astype(state.dtype)
     some = np.linspace(0, len(wanted) - 1, min(_TEXELS, len(wanted))).astype(int)
@@ -218,20 +212,17 @@ def retouch(
 
 def _checked_target(target, known) -> tuple[Float[Array, "angles radii 3"], _Known]:
     """A target, 0 where it is unknown, and its mask."""
-    shape = np.shape(target)
-    if len(shape) != 3 or shape[2] != 3 or min(shape[:2]) < 2:
-        raise ValueError(
-            f"a target has shape {shape}; need (angles, radii, 3), at least 2 angles and radii"
-        )
-    mask = np.ones(shape[:2], bool) if known is None else np.asarray(known)
-    if mask.shape != shape[:2] or mask.dtype != bool:
-        raise ValueError(
-            f"the mask of a target of {shape[0]} angles and {shape[1]} radii has shape "
-            f"{mask.shape} of {mask.dtype}; need {shape[:2]} of bool"
-        )
+    values = np.asarray(target)
+    texels = values.shape[:2]
+    if values.shape[2:] != (3,) or min(texels) < 2:
+        need = "need (angles, radii, 3), at least 2 angles and radii"
+        raise ValueError(f"a target has shape {values.shape}; {need}")
+    mask = np.ones(texels, bool) if known is None else np.asarray(known)
+    if mask.shape != texels or mask.dtype != bool:
+        of = f"the mask of a target of {texels[0]} angles and {texels[1]} radii"
+        raise ValueError(f"{of} has shape {mask.shape} of {mask.dtype}; need {texels} of bool")
     if not mask.any():
         raise ValueError("the mask of a target leaves no texel")
-    values = np.asarray(target)
     check_range("target", values[mask], _TARGET)
     return as_float(np.where(mask[..., None], values, 0.0)), mask
 
@@ -287,15 +278,14 @@ def _mixtures(mixer: AbstractMixer):
     two = itertools.combinations(mixer.paints, 2)
     pairs = [(*names, share) for names in two for share in _SHARES.tolist()]
     pairs = pairs or [(mixer.paints[0], mixer.paints[0], 0.0)]
-    first, second, share = zip(*pairs, strict=True)
-    return pairs, mixer.mix(first, second, np.asarray(share))
+    *names, share = zip(*pairs, strict=True)
+    return pairs, mixer.mix(*names, np.asarray(share))
 
 
 def _brushed(opacity: np.ndarray, there: np.ndarray) -> np.ndarray:
     """Opacity blurred by the brush, with none where the target is unknown."""
-    paint = gaussian_filter(opacity, _BLUR)
-    cover = np.maximum(gaussian_filter(there.astype(float), _BLUR), 1e-6)
-    return np.where(there, paint / cover, 0)
+    paint, cover = (gaussian_filter(v, _BLUR) for v in (opacity, there.astype(float)))
+    return np.where(there, paint / np.maximum(cover, 1e-6), 0)
 
 
 def _above(state, opacity, paint):

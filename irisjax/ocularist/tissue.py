@@ -114,16 +114,13 @@ def nearest_tissue(
     chosen = _nearest(wanted, colours, scales, exposure)[1]
     maps = _maps(scales[chosen].reshape(*shape, 3), iris)
     again = reflectance_of(iris, maps, eye, integrator) * as_float(exposure)
-    left = difference(again, paint.astype(again.dtype))
-    return Tissue(iris, maps, float(exposure), left)
+    return Tissue(iris, maps, float(exposure), difference(again, paint.astype(again.dtype)))
 
 
 def _maps(scales: np.ndarray, iris: Iris) -> IrisMaps:
-    return IrisMaps(
-        eumelanin=as_float(scales[..., 0]),
-        pheomelanin=as_float(scales[..., 1]),
-        stroma_depth=as_float(scales[..., 2]) * iris.stroma_thickness,
-    )
+    eumelanin, pheomelanin, stroma = as_float(np.moveaxis(scales, -1, 0))
+    depth = stroma * iris.stroma_thickness
+    return IrisMaps(eumelanin=eumelanin, pheomelanin=pheomelanin, stroma_depth=depth)
 
 
 def _nearest(wanted: np.ndarray, colours, scales: np.ndarray, exposure: float):

@@ -111,23 +111,6 @@ def test_what_is_not_known_has_no_say(target):
     assert found.after.mean < 0.5
 
 
-def test_derivatives_are_differences():
-    opacity = jnp.asarray([[1.0, 1.0], [0.5, 0.0], [0.3, 1.0]])
-    colour = jnp.asarray([[0.8, 0.5, 0.1], [0.4, 0.0, 1.0], [0.2, 0.3, 0.4]])
-    weight = jnp.arange(6.0).reshape(2, 3)
-
-    @jax.jit
-    @jax.value_and_grad
-    def f(opacity):
-        return (weight * plan_view(opacity, colour)).sum()
-
-    step = 1e-6
-    for i, j in np.ndindex(opacity.shape):
-        change = jnp.zeros_like(opacity).at[i, j].set(step)
-        numeric = (f(opacity + change)[0] - f(opacity - change)[0]) / (2 * step)
-        np.testing.assert_allclose(f(opacity)[1][i, j], numeric, atol=1e-8)
-
-
 def test_retouching_paints_what_strokes_cannot():
     few = ("burnt umber", "burnt sienna", "titanium white")
     mixer = HslMixer.of({name: PAINTS[name] for name in few})
@@ -189,7 +172,7 @@ def test_targets_that_there_are_none_of(target, known, line):
         matched(target, known)
 
 
-def test_nothing_to_match_with():
+def test_nothing_to_match_with_and_nothing_to_show():
     with pytest.raises(ValueError, match="a match needs at least one coat"):
         matched(np.zeros((8, 4, 3)), recipes=())
     with pytest.raises(ValueError, match=r"has shape \(4, 8\); it must be square"):
