@@ -11,6 +11,7 @@ import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Bool, Float, Int
 
+from irisjax._types import as_float
 from irisjax.anatomy.eye import Eye
 from irisjax.numerics.checks import check_whole
 from irisjax.numerics.roots import safe_sqrt
@@ -20,17 +21,11 @@ _ROUNDING = 16  # units in the last place by which cones reach beyond their seam
 
 
 class Hit(NamedTuple):
-    """Where rays meet a stack of cones.
+    """Where rays meet a stack of cones."""
 
-    Attributes:
-        distance: Along the ray, mm; 0 where it misses.
-        cone: Index of the cone.
-        met: Whether the ray meets any cone.
-    """
-
-    distance: Float[Array, "*s"]
-    cone: Int[Array, "*s"]
-    met: Bool[Array, "*s"]
+    distance: Float[Array, "*s"]  # along the ray, mm; 0 where it misses
+    cone: Int[Array, "*s"]  # index of the cone
+    met: Bool[Array, "*s"]  # whether the ray meets any cone
 
 
 class Cones(eqx.Module):
@@ -50,21 +45,18 @@ class Cones(eqx.Module):
     radius: Float[Array, " circles"]
 
     def __check_init__(self):
-        if len(self.z) < 2 or len(self.z) != len(self.radius):
-            raise ValueError(
-                f"a stack of cones needs two circles or more, a z and a radius each; got "
-                f"{len(self.z)} and {len(self.radius)}"
-            )
+        circles, radii = len(self.z), len(self.radius)
+        if circles < 2 or circles != radii:
+            need = "a stack of cones needs two circles or more, a z and a radius each"
+            raise ValueError(f"{need}; got {circles} and {radii}")
         if isinstance(self.z, Tracer) or isinstance(self.radius, Tracer):
             return
-        z, radius = np.asarray(self.z), np.asarray(self.radius)
-        for i, pair in enumerate(zip(z, radius, strict=True)):
-            if not (np.isfinite(pair).all() and pair[1] >= 0):
-                raise ValueError(
-                    f"circle {i} of the cones has z = {pair[0]:g} mm and radius = {pair[1]:g} mm; "
-                    f"both must be finite, the radius not below 0"
-                )
-        same = np.flatnonzero((np.diff(z) == 0) & (np.diff(radius) == 0))
+        every = np.stack([self.z, self.radius], 1)
+        for i, (z, radius) in enumerate(every):
+            if not (np.isfinite([z, radius]).all() and radius >= 0):
+                circle = f"circle {i} of the cones has z = {z:g} mm and radius = {radius:g} mm"
+                raise ValueError(f"{circle}; both must be finite, the radius not below 0")
+        same = np.flatnonzero((np.diff(every, axis=0) == 0).all(1))
         if same.size:
             raise ValueError(f"circles {same[0]} and {same[0] + 1} of the cones are the same")
 
@@ -74,8 +66,7 @@ class Cones(eqx.Module):
         points = np.asarray(profile, float)
         if points.ndim != 2 or points.shape[1] != 2:
             raise ValueError(f"a profile is pairs (z, radius), got shape {points.shape}")
-        dtype = jnp.result_type(float)
-        return cls(jnp.asarray(points[:, 0], dtype), jnp.asarray(points[:, 1], dtype))
+        return cls(*map(as_float, points.T))
 
     def meet(self, origin: Vector, direction: Vector, least: float = 0.0) -> Hit:
         """First intersection of rays from either side, at a distance above `least` (mm).
@@ -83,8 +74,7 @@ class Cones(eqx.Module):
         Origins (mm) and unit directions have shape (…, 3). Cones extend a few roundings beyond
         their seams, so that no ray slips through.
         """
-        every, on = self._all(origin, direction)
-        distance, on = every.reshape(-1, *every.shape[2:]), on.reshape(-1, *every.shape[2:])
+        distance, on = (v.reshape(-1, *v.shape[2:]) for v in self._all(origin, direction))
         held = on & (distance > least)
         first, met = jnp.argmin(jnp.where(held, distance, jnp.inf), 0), held.any(0)
         found = jnp.take_along_axis(distance, first[None], 0)[0]
@@ -98,17 +88,14 @@ class Cones(eqx.Module):
         r = from_axis(point)
         r = jnp.where(r > 0, r, 1.0)
         rise, out = jnp.diff(self.z)[cone], jnp.diff(self.radius)[cone]
-        length = jnp.hypot(rise, out)
-        side = jnp.where(out > 0, 1.0, jnp.where(out < 0, -1.0, jnp.sign(rise))) / length
+        side = jnp.sign(jnp.where(out == 0, rise, out)) / jnp.hypot(rise, out)
         return jnp.stack([side * rise * x / r, side * rise * y / r, -side * out], -1)
 
     def height(self, radius: Float[Array, "*s"]) -> Float[Array, "*s"]:
         """z (mm) at distances from the axis, for a stack whose radii rise; extrapolated linearly
         beyond its ends.
         """
-        slope = jnp.diff(self.z) / jnp.diff(self.radius)
-        i = jnp.clip(jnp.searchsorted(self.radius, radius) - 1, 0, len(self.z) - 2)
-        return self.z[i] + slope[i] * (radius - self.radius[i])
+        return jnp.interp(radius, self.radius, self.z, left="extrapolate", right="extrapolate")
 
     def _all(self, origin: Vector, direction: Vector):
         """Distances to both intersections with every untruncated cone, (2, cones, …), and whether
@@ -141,9 +128,8 @@ class Cones(eqx.Module):
         slack = _ROUNDING * jnp.finfo(t.dtype).eps * (jnp.abs(self.z).max() + self.radius.max())
         # The radius that the cone has at z, times its rise: below 0 on its mirror image.
         sheet = (r0 * rise + (z - z0) * out) * rise
-        right = jnp.where(
-            a < 0, jnp.concatenate([one, ~one]), sheet >= -slack * jnp.abs(out * rise)
-        )
+        steep = jnp.concatenate([one, ~one])
+        right = jnp.where(a < 0, steep, sheet >= -slack * jnp.abs(out * rise))
         square = rise * rise + out * out
         share, slack = ((z - z0) * rise + (r - r0) * out) / square, slack / jnp.sqrt(square)
         return t, real & right & (share >= -slack) & (share <= 1 + slack)
@@ -167,11 +153,10 @@ def shell(eye: Eye, circles: int = 64) -> dict[str, Cones]:
     if eye.cornea is None or eye.sclera is None:
         raise ValueError("an eye without cornea or white has no shell")
     check_whole("circles", circles, 2)
-    rim, wide = eye.limbus_radius, eye.sclera.radius
-    front = rim * jnp.linspace(0, 1, circles)
-    cornea = Cones(eye.cornea.anterior.sagitta(front), front)
+    rim, wide, share = eye.limbus_radius, eye.sclera.radius, jnp.linspace(0, 1, circles)
+    cornea = Cones(eye.cornea.anterior.sagitta(rim * share), rim * share)
     begin = jnp.arcsin(rim / wide)
-    turn = begin + (jnp.pi - begin) * jnp.linspace(0, 1, circles)
+    turn = begin + (jnp.pi - begin) * share
     middle = cornea.z[-1] + wide * jnp.cos(begin)
     behind = jnp.maximum(wide * jnp.sin(turn), 0.0)  # rounding may give less at the back pole
     return {"cornea": cornea, "white": Cones(middle - wide * jnp.cos(turn), behind)}
