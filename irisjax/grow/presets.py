@@ -7,31 +7,23 @@ from typing import Any
 from irisjax._types import PRNGKey
 from irisjax.anatomy.eye import Eye
 from irisjax.grow.procedural import procedural
+from irisjax.numerics.checks import check_known
 from irisjax.tissue.iris import Iris
 from irisjax.tissue.maps import IrisMaps
 from irisjax.transport.process import ILIT_2006, AbstractProcess, Ilit
 
 _FIELDS = "eumelanin", "pheomelanin", "abl_fraction", "fibril_radius"
-_ILIT = {
-    "brown": (2.4, 0.5, 0.72, 72.0),
-    "hazel": (0.4, 0.9, 0.5, 57.0),
-    "green": (0.1, 0.8, 0.6, 51.5),
-    "blue": (0.015, 0.01, 0.5, 45.0),
-    "grey": (0.4, 0.05, 0.3, 65.0),
-}
-_RADIATIVE = {
-    "brown": (1.5, 0.6, 0.7, 71.0),
-    "hazel": (0.12, 1.7, 0.5, 71.0),
-    "green": (0.05, 0.95, 0.85, 69.0),
-    "blue": (0.025, 0.012, 0.5, 58.0),
-    "grey": (0.4, 0.05, 0.2, 71.0),
+_IRIDES = {  # for ILIT, and for radiative transfer
+    "brown": ((2.4, 0.5, 0.72, 72.0), (1.5, 0.6, 0.7, 71.0)),
+    "hazel": ((0.4, 0.9, 0.5, 57.0), (0.12, 1.7, 0.5, 71.0)),
+    "green": ((0.1, 0.8, 0.6, 51.5), (0.05, 0.95, 0.85, 69.0)),
+    "blue": ((0.015, 0.01, 0.5, 45.0), (0.025, 0.012, 0.5, 58.0)),
+    "grey": ((0.4, 0.05, 0.3, 65.0), (0.4, 0.05, 0.2, 71.0)),
 }
 _FEATURES: dict[str, dict[str, Any]] = {
     "brown": {"abl": 1.0, "crypts": 10, "furrows": 6},
     "hazel": {"heterochromia": 2.5, "abl": 0.5, "freckles": 4},
     "green": {"heterochromia": 2.0, "freckles": 6},
-    "blue": {},
-    "grey": {},
 }
 
 
@@ -70,14 +62,13 @@ def preset(
     Raises:
         ValueError: The colour is unknown.
     """
-    if colour not in _FEATURES:
-        raise ValueError(f"unknown eye colour {colour!r}; known: {', '.join(sorted(_FEATURES))}")
-    made_for = _ILIT if isinstance(process, Ilit) else _RADIATIVE
-    chosen = dict(zip(_FIELDS, made_for[colour], strict=True))
-    iris = Iris().replace(**{**chosen, **(pigments or {})})
-    wanted = {**_FEATURES[colour], **(features or {})}
+    check_known("eye colour", colour, sorted(_IRIDES))
+    ilit, radiative = _IRIDES[colour]
+    chosen = dict(zip(_FIELDS, ilit if isinstance(process, Ilit) else radiative, strict=True))
+    iris = Iris().replace(**(chosen | dict(pigments or {})))
+    wanted = _FEATURES.get(colour, {}) | dict(features or {})
     return iris, procedural(iris, eye, shape=shape, **wanted, key=key)
 
 
-PRESETS = {colour: partial(preset, colour) for colour in _FEATURES}
+PRESETS = {colour: partial(preset, colour) for colour in _IRIDES}
 """Eye colours: functions of `process`, `shape` and `key` that make an iris and its maps."""

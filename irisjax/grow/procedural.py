@@ -22,14 +22,9 @@ from irisjax.tissue.maps import IrisMaps, cell_centres
 
 IPE_THICKNESS = 0.07
 """Iris pigment epithelium, mm, part of what ultrasound measures  [F09 Section 3]."""
-COLLARETTE = 0.32
-"""Mean place of the collarette between the pupil's edge (0) and the root (1)."""
-RANGE = (0.38, 2.0)
-"""Thinnest and thickest place of a layer relative to its mean."""
-RELIEF = 0.3
-"""Share of a stroma's unevenness that stands out towards the cornea."""
-FOLD = 0.03
-"""Height of a contraction furrow's crest, mm."""
+COLLARETTE = 0.32  # mean place of the collarette between the pupil's edge (0) and the root (1)
+RANGE = (0.38, 2.0)  # thinnest and thickest place of a layer relative to its mean
+FOLD = 0.03  # height of a contraction furrow's crest, mm
 
 
 def procedural(
@@ -45,7 +40,7 @@ def procedural(
     freckles: int = 0,
     abl: float = 0.0,
     heterochromia: float = 0.0,
-    relief: float = RELIEF,
+    relief: float = 0.3,
     key: PRNGKey,
 ) -> IrisMaps:
     """Grow the maps of an invented iris; a map that no feature needs is absent.
@@ -80,7 +75,7 @@ def procedural(
     for name, value in wanted.items():
         check_range(name, value, Range(0, math.inf))
     # Absent features are not computed; how much there is of the others is no new program.
-    has = {name: jnp.asarray(value) if value else None for name, value in wanted.items()}
+    has = {name: jnp.asarray(value) for name, value in wanted.items() if value}
     if shape[0] < 16 or shape[1] < 8:
         raise ValueError(f"shape {shape} is below (16, 8)")
     return IrisMaps(**_grow(iris, Eye() if eye is None else eye, shape, profile, has, key))
@@ -95,37 +90,33 @@ def _grow(iris: Iris, eye: Eye, shape, profile: bool, has, key) -> dict[str, Noi
     fibres, zigzag, crypts, furrows, freckles, mottles = seeds
     ring = COLLARETTE + _zigzag(zigzag, turns)
     holes = crest = jnp.zeros_like(radius)
-    parted = turns
-    if has["crypts"] is not None:
+    parted, uneven, maps = turns, 1.0, {}
+    if "crypts" in has:
         holes, parted = _crypts(crypts, turns, radius, has["crypts"])
-    if has["furrows"] is not None:
+    if "furrows" in has:
         crest = _furrows(furrows, turns, radius, has["furrows"])
-    maps = {}
-
-    uneven = 1.0
-    if has["fibres"] is not None:
+    if "fibres" in has:
         uneven += has["fibres"] * _fibres(fibres, parted, radius, ring, shape[0] // 4)
-    if has["collarette"] is not None:
+    if "collarette" in has:
         uneven += has["collarette"] * _ring(zigzag, turns, radius, ring)
     uneven *= 1 - 0.7 * holes
     stroma = stroma_profile(radius) if profile else jnp.ones_like(radius)
     smooth = _scaled(stroma, place, iris.stroma_thickness)
     stroma = _bounded(stroma * uneven, place, iris.stroma_thickness)
-    rough = any(has[n] is not None for n in ("fibres", "collarette", "crypts"))
+    rough = has.keys() & {"fibres", "collarette", "crypts"}
     if profile or rough:
         maps["stroma_depth"] = stroma
-    share = 0.0 if has["relief"] is None else has["relief"]
+    share = has.get("relief", 0.0)
     height = share * (stroma - smooth)
-    if has["abl"] is not None:
+    if "abl" in has:
         mottled = 0.3 * noise(mottles, parted, radius, (30, 4), 4) + 0.2 * crest - 0.3 * holes
         maps["abl_depth"] = _bounded(1 + has["abl"] * mottled, place, iris.abl_thickness)
         height += share * (maps["abl_depth"] - iris.abl_thickness)
-    uneven_front = rough or has["furrows"] is not None or has["abl"] is not None
-    if has["relief"] is not None and uneven_front:
+    if "relief" in has and (rough or has.keys() & {"furrows", "abl"}):
         maps["relief"] = height + FOLD * crest
-    if has["freckles"] is not None:
+    if "freckles" in has:
         maps["freckles"] = _freckles(freckles, turns, place, eye, has["freckles"])
-    if has["heterochromia"] is not None:
+    if "heterochromia" in has:
         maps["eumelanin"] = 1 + has["heterochromia"] * _rays(zigzag, parted, radius, ring)
     return maps
 

@@ -67,7 +67,7 @@ def veins(eye: Eye, *, shape: tuple[int, int] = (1024, 512), key: PRNGKey) -> Ve
     if density == 0:
         return None
     rng = np.random.default_rng(np.asarray(jax.random.key_data(key)).ravel())
-    depth, cover, deep = np.zeros(shape), np.zeros(shape), np.zeros(shape)
+    maps = depth, cover, deep = np.zeros((3, *shape))
     levels = [_trunks(rng, globe, round(40 * density), (0.02, 0.05), 0.5)]
     for forks, reach in ((5, 4.0), (3, 2.2), (1, 1.2)):
         levels.append(_branches(rng, globe, levels[-1], forks, reach))
@@ -75,8 +75,7 @@ def veins(eye: Eye, *, shape: tuple[int, int] = (1024, 512), key: PRNGKey) -> Ve
         _stamp([(depth, _chord), (cover, _cover)], globe, curves, 0.03)
     episcleral = _trunks(rng, globe, round(14 * density), (0.04, 0.09), 0.25)
     _stamp([(deep, _shade)], globe, episcleral, 3 * _SPREAD)
-    dtype = jnp.result_type(float)
-    return VeinMap(*(jnp.asarray(texture, dtype) for texture in (depth, cover, deep)))
+    return VeinMap(*jnp.asarray(maps, jnp.result_type(float)))
 
 
 def _trunks(rng, globe: _Globe, count: int, radii, wander: float) -> _Curves:
@@ -111,32 +110,27 @@ def _branches(rng, globe: _Globe, parents: _Curves, forks: int, reach: float) ->
 def _walk(rng, globe: _Globe, azimuth, arc, heading, radius, reach, wander: float) -> _Curves:
     """Curves of length `reach` (mm) that set out at `heading` from the inward direction.
 
-    They turn to the limbus; the heading wanders at two scales. Radius 0 marks points past the end.
+    They turn to the limbus. Radius 0 marks points past the end.
     """
     count = azimuth.size
     steps = max(int(np.ceil(reach.max(initial=_STEP) / _STEP)), 4)
     out = np.zeros((4, steps + 1, count))
     side = np.where(heading < 0, -1.0, 1.0)
-    bend, curl = rng.normal(0, wander, count), rng.normal(0, 0.6 * wander, count)
+    # The heading wanders as the sum of two stationary processes with memories of 0.9 and 0.2 mm.
+    spread, keep = wander * np.array([[1], [0.6]]), np.exp(-_STEP / np.array([[0.9], [0.2]]))
+    wandered = spread * rng.normal(size=(2, count))
     for k in range(steps + 1):
         shown = (k * _STEP <= reach) & (arc > 0.05)
         # Near the limbus vessels turn along it and join arcades.
         free = np.clip(arc / 1.0, 0, 1)
-        way = free * (heading + bend + curl) + side * (1 - free) * 1.5
+        way = free * (heading + wandered.sum(0)) + side * (1 - free) * 1.5
         kept = np.cbrt(np.maximum(1 - _LOST * k * _STEP / reach, 0))
         out[:, k] = azimuth, arc, way, np.where(shown, radius * kept, 0)
         azimuth = azimuth + _STEP * np.sin(way) / globe.girth(arc)
         arc = arc - _STEP * np.cos(way)
         heading = heading * (1 - _STEP / 6.0)
-        bend = _wandered(rng, bend, wander, 0.9)
-        curl = _wandered(rng, curl, 0.6 * wander, 0.2)
+        wandered = keep * wandered + spread * np.sqrt(1 - keep**2) * rng.normal(size=(2, count))
     return _Curves(*out.swapaxes(1, 2))
-
-
-def _wandered(rng, angle, spread, length):
-    """One step of a stationary process with memory over `length` mm."""
-    keep = np.exp(-_STEP / length)
-    return keep * angle + spread * np.sqrt(1 - keep * keep) * rng.normal(size=angle.size)
 
 
 def _loops(rng, globe: _Globe, count: int) -> _Curves:
@@ -173,15 +167,12 @@ def _stamp(layers, globe: _Globe, curves: _Curves, margin: float) -> None:
     rows, columns = layers[0][0].shape
     along = globe.end / columns
     there = (curves.radius[:, :-1] > 0) & (curves.radius[:, 1:] > 0)
-    ends = slice(None, -1), slice(1, None)
-    segments = [f[:, end][there] for end in ends for f in (curves.azimuth, curves.arc)]
-    radius = 0.5 * (curves.radius[:, :-1] + curves.radius[:, 1:])[there]
-    order = np.argsort(radius, kind="stable")
-    for block in np.array_split(order, max(1, -(-order.size // _CHUNK))):
-        if not block.size:
-            continue
-        a0, s0, a1, s1 = (field[block] for field in segments)
-        r = radius[block][:, None, None]
+    starts, ends = ([f[:, k:][:, : there.shape[1]][there] for f in curves] for k in (0, 1))
+    order = np.argsort(starts[3] + ends[3], kind="stable")
+    for first in range(0, order.size, _CHUNK):
+        block = order[first : first + _CHUNK]
+        (a0, s0, _, r0), (a1, s1, _, r1) = ([f[block] for f in end] for end in (starts, ends))
+        r = 0.5 * (r0 + r1)[:, None, None]
         girth = globe.girth(0.5 * (s0 + s1))
         cell = (2 * np.pi / rows) * girth  # mm
         out = 0.5 * _STEP + float(r.max()) + margin
