@@ -2,6 +2,7 @@
 
 from typing import Any, TypeAlias
 
+import equinox as eqx
 import jax.numpy as jnp
 from jax import Array
 from jaxtyping import Float, Key
@@ -32,3 +33,13 @@ def as_float(x: Any) -> Array:
 def as_float_or_none(x: Any) -> Array | None:
     """`as_float`, with `None` for what is absent."""
     return None if x is None else as_float(x)
+
+
+def float_field(default: float) -> Any:
+    """A field with a number, `as_float`."""
+    return eqx.field(default=default, converter=as_float)
+
+
+def optional_field(default: float | None = None) -> Any:
+    """A field with a number, `as_float_or_none`."""
+    return eqx.field(default=default, converter=as_float_or_none)

@@ -14,7 +14,7 @@ import numpy as np
 from jax import Array
 from jax.core import Tracer
 
-from irisjax._types import Numbers, Scalar, Spectrum, as_float, as_float_or_none
+from irisjax._types import Numbers, Scalar, Spectrum, float_field, optional_field
 from irisjax.anatomy.media import AQUEOUS, CORNEA, INDEX, Media
 from irisjax.numerics.checks import Range, check_fields
 from irisjax.numerics.roots import safe_sqrt
@@ -39,14 +39,6 @@ EYE_LIMITS = {
 """Allowed range of each number of an eye and its parts."""
 
 
-def _number(default: float) -> Any:
-    return eqx.field(default=default, converter=as_float)
-
-
-def _optional(default: float | None = None) -> Any:
-    return eqx.field(default=default, converter=as_float_or_none)
-
-
 class Cornea(eqx.Module):
     """A cornea of two refracting surfaces, or one.
 
@@ -64,8 +56,8 @@ class Cornea(eqx.Module):
 
     anterior: Conicoid = eqx.field(default_factory=lambda: Conicoid(7.8, 0.75))
     posterior: Conicoid | None = eqx.field(default_factory=lambda: Conicoid(6.5, 0.75, 0.52))
-    index: Scalar = _number(CORNEA)
-    scatter: Scalar | None = _optional(21e8)
+    index: Scalar = float_field(CORNEA)
+    scatter: Scalar | None = optional_field(21e8)
 
     @classmethod
     def f09(cls) -> "Cornea":
@@ -90,10 +82,10 @@ class Sclera(eqx.Module):
         saturation: Oxygen saturation in the vessels.
     """
 
-    radius: Scalar = _number(11.5)
-    veins: Scalar = _number(1.0)
-    hemoglobin: Scalar = _number(2.3)
-    saturation: Scalar = _number(0.9)
+    radius: Scalar = float_field(11.5)
+    veins: Scalar = float_field(1.0)
+    hemoglobin: Scalar = float_field(2.3)
+    saturation: Scalar = float_field(0.9)
 
     def __check_init__(self):
         check_fields(self, EYE_LIMITS)
@@ -125,15 +117,15 @@ class Eye(eqx.Module):
 
     cornea: Cornea | None = eqx.field(default_factory=Cornea)
     sclera: Sclera | None = eqx.field(default_factory=Sclera)
-    aqueous_index: Scalar = _number(AQUEOUS)
-    iris_depth: Scalar = _number(3.6)
-    iris_slope: Scalar | None = _optional()
-    limbus_radius: Scalar = _number(5.5)
-    limbus_width: Scalar = _number(1.0)
-    iris_radius: Scalar = _number(5.5)
-    pupil_radius: Scalar = _number(1.9)
-    pupil_margin: Scalar = _number(0.12)
-    attenuation: Scalar | None = _optional()
+    aqueous_index: Scalar = float_field(AQUEOUS)
+    iris_depth: Scalar = float_field(3.6)
+    iris_slope: Scalar | None = optional_field()
+    limbus_radius: Scalar = float_field(5.5)
+    limbus_width: Scalar = float_field(1.0)
+    iris_radius: Scalar = float_field(5.5)
+    pupil_radius: Scalar = float_field(1.9)
+    pupil_margin: Scalar = float_field(0.12)
+    attenuation: Scalar | None = optional_field()
 
     def __check_init__(self):
         check_fields(self, EYE_LIMITS)
@@ -157,7 +149,7 @@ class Eye(eqx.Module):
     @property
     def media(self) -> Media:
         """Refractive indices in front of the iris, for instruments that measure it in vivo."""
-        cornea = CORNEA if self.cornea is None else self.cornea.index
+        cornea: Any = CORNEA if self.cornea is None else self.cornea.index
         return Media(aqueous=self.aqueous_index, cornea=cornea)
 
     def replace(self, **fields: Any) -> "Eye":

@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
-from irisjax._types import Numbers, Scalar, as_float
+from irisjax._types import Numbers, Scalar, float_field
 from irisjax.numerics.checks import Range, check_fields
 from irisjax.optics.fresnel import fresnel, refract
 
@@ -24,9 +24,9 @@ class Media(eqx.Module):
         ValueError: For an index out of range, with its field, value and range.
     """
 
-    aqueous: Scalar = eqx.field(default=AQUEOUS, converter=as_float)
-    cornea: Scalar = eqx.field(default=CORNEA, converter=as_float)
-    tear: Scalar = eqx.field(default=TEAR, converter=as_float)
+    aqueous: Scalar = float_field(AQUEOUS)
+    cornea: Scalar = float_field(CORNEA)
+    tear: Scalar = float_field(TEAR)
 
     def __check_init__(self):
         check_fields(self, dict.fromkeys(("aqueous", "cornea", "tear"), INDEX))

@@ -1,14 +1,13 @@
 """A pinhole camera that looks at the eye: its lines of sight, and where it puts points."""
 
 import dataclasses
-from typing import Any
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
-from irisjax._types import Scalar, as_float
+from irisjax._types import Scalar, float_field
 from irisjax.anatomy.eye import Eye
 from irisjax.numerics.checks import Range, check_range
 from irisjax.numerics.roots import safe_sqrt
@@ -24,10 +23,6 @@ CAMERA_LIMITS = {
 LARGEST = 16384
 """Most pixels along a side."""
 _CLEAR = 40.0  # mm from the middle of the pupil: all of any eye is nearer
-
-
-def _number(default: float) -> Any:
-    return eqx.field(default=default, converter=as_float)
 
 
 class Camera(eqx.Module):
@@ -47,10 +42,10 @@ class Camera(eqx.Module):
         ValueError: A number is out of range.
     """
 
-    polar: Scalar = _number(0.0)
-    azimuth: Scalar = _number(0.0)
-    distance: Scalar = _number(250.0)
-    width: Scalar = _number(15.0)
+    polar: Scalar = float_field(0.0)
+    azimuth: Scalar = float_field(0.0)
+    distance: Scalar = float_field(250.0)
+    width: Scalar = float_field(15.0)
     size: tuple[int, int] = eqx.field(static=True, default=(800, 600))
     first: Int[Array, ""] | None = None
     rows: int | None = eqx.field(static=True, default=None)
