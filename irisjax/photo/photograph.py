@@ -83,6 +83,11 @@ class Ellipse(NamedTuple):
         (a, b), twice = self.semi_axes, 2 * self.angle
         return np.log(a / b) * np.array([np.cos(twice), np.sin(twice)])
 
+    @property
+    def mean_radius(self) -> float:
+        """Geometric mean of the semi-axes."""
+        return float(np.sqrt(np.prod(self.semi_axes)))
+
     def moved(self, right: float, down: float) -> "Ellipse":
         """Return the ellipse shifted by some pixels."""
         x, y = self.centre

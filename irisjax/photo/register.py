@@ -13,7 +13,7 @@ from skimage.transform import AffineTransform, downscale_local_mean, warp
 from irisjax.photo.masks import part_of
 from irisjax.photo.outlines import find_boundaries
 from irisjax.photo.photograph import Colours, Ellipse, Mask, Photograph
-from irisjax.photo.texture import LUMINANCE_WEIGHTS
+from irisjax.photo.texture import LUMINANCE_WEIGHTS, sampled
 
 MOST_OFF = 0.015
 """Greatest distance between the textures of two photographs, of the limbus's radius: those of other
@@ -87,8 +87,7 @@ def lay_on_first(
     if not off < MOST_OFF:
         raise ValueError(
             f"{second.name}: its iris does not come to lie on the one of {first.name}: they are "
-            f"off by {100 * off:.1f} % of the limbus's radius, {100 * MOST_OFF:g} % is the "
-            "most"
+            f"off by {100 * off:.1f} % of the limbus's radius, {100 * MOST_OFF:g} % is the most"
         )
     laid = Photograph(found.pixels.astype(np.float32), ~found.valid, second.grey)
     part = part_of(laid, limbus)
@@ -109,50 +108,40 @@ def register_photographs(
     Raises:
         ValueError: If a limbus has its centre outside its photograph or a radius below 20 pixels.
     """
-    (one, near, fine), (other, far, fine_other) = (
-        _texture(p, limbus) for p, limbus in ((first, first_limbus), (second, second_limbus))
-    )
-    radius = _radius(near)
-    scale = _radius(far) / radius
-    turn = _turn(one, near, other, far)
+    one, other = _texture(first, first_limbus), _texture(second, second_limbus)
+    turn, scale = _turn(one, other), other.limbus.mean_radius / one.limbus.mean_radius
     cos, sin = scale * np.cos(turn), scale * np.sin(turn)
     # About the limbus, so that all six numbers have one magnitude.
-    centre = np.array(near.centre)
-    affine = np.array([[cos, sin, far.centre[0]], [-sin, cos, far.centre[1]]])
-    points = _points(near, one.usable, first.name)
+    middle, centre = other.limbus.centre, np.array(one.limbus.centre)
+    affine = np.array([[cos, sin, middle[0]], [-sin, cos, middle[1]]])
+    points = _points(one, first.name)
     for blur in _SCALES:
-        affine = _refined(affine, one, other, points, centre, radius, max(blur * radius, 1.0))
+        affine = _refined(affine, one, other, points, max(blur * one.limbus.mean_radius, 1.0))
     reduced = np.column_stack([affine[:, :2], affine[:, 2] - affine[:, :2] @ centre])
-    residual, correlation = _disagreement(one, other, reduced, near)
+    residual, correlation = _disagreement(one, other, reduced)
     # Whole numbers are the middles of pixels, reduced ones too.
-    matrix = reduced[:, :2] * fine_other / fine
-    offset = fine_other * (reduced[:, 2] + 0.5) - 0.5 + matrix @ np.full(2, (1 - fine) / 2)
+    matrix = reduced[:, :2] * other.reduction / one.reduction
+    offset = matrix @ np.full(2, (1 - one.reduction) / 2)
+    offset += other.reduction * (reduced[:, 2] + 0.5) - 0.5
     transform = np.column_stack([matrix, offset])
     pixels, valid = _resampled(second, transform, first.shape)
-    return Registration(pixels, valid, transform, residual * fine, correlation)
+    return Registration(pixels, valid, transform, residual * one.reduction, correlation)
 
 
 class _Texture(NamedTuple):
-    """Luminance less the brightness around it, and where it is reliable."""
+    """Luminance less the brightness around it, where it is reliable, and the limbus there."""
 
     values: np.ndarray
     usable: np.ndarray
-
-
-def _radius(limbus: Ellipse) -> float:
-    return float(np.sqrt(np.prod(limbus.semi_axes)))
+    limbus: Ellipse
+    reduction: int
 
 
 def _scale(transform: np.ndarray) -> float:
     return float(np.sqrt(abs(np.linalg.det(transform[:, :2]))))
 
 
-def _sampled(picture: np.ndarray, column: np.ndarray, row: np.ndarray) -> np.ndarray:
-    return map_coordinates(picture, [row, column], order=1, mode="nearest")
-
-
-def _texture(photograph: Photograph, limbus: Ellipse) -> tuple[_Texture, Ellipse, int]:
-    """Texture at the comparison's resolution, the limbus in it, and the reduction of a side."""
+def _texture(photograph: Photograph, limbus: Ellipse) -> _Texture:
     (x, y), (rows, columns) = limbus.centre, photograph.shape
     if not (0 <= x < columns and 0 <= y < rows):
         raise ValueError(
@@ -164,8 +153,9 @@ def _texture(photograph: Photograph, limbus: Ellipse) -> tuple[_Texture, Ellipse
             f"{photograph.name}: the limbus has a radius of {min(limbus.semi_axes):.1f} pixels; "
             f"photographs are registered by irides of at least {_LEAST_RADIUS:.0f}"
         )
-    fine = max(1, round(_radius(limbus) / _WORKING))
-    limbus, radius = limbus.scaled(1 / fine), _radius(limbus) / fine
+    fine = max(1, round(limbus.mean_radius / _WORKING))
+    limbus = limbus.scaled(1 / fine)
+    radius = limbus.mean_radius
     luminance = photograph.pixels @ LUMINANCE_WEIGHTS
     cut = photograph.saturated
     if fine > 1:
@@ -182,56 +172,57 @@ def _texture(photograph: Photograph, limbus: Ellipse) -> tuple[_Texture, Ellipse
     share = np.maximum(blur(weight), 1e-6)
     values = np.where(usable, values - blur(weight * values) / share, 0)
     spread = np.sqrt(np.maximum(blur(values**2) / share, 1e-8))
-    return _Texture(np.clip(values / spread, -3, 3), usable), limbus, fine
+    return _Texture(np.clip(values / spread, -3, 3), usable, limbus, fine)
 
 
-def _turn(one: _Texture, first: Ellipse, other: _Texture, second: Ellipse) -> float:
+def _turn(one: _Texture, other: _Texture) -> float:
     """Radians by which the second shows the eye turned, from right towards the top."""
     unrolled = []
-    for texture, limbus in ((one, first), (other, second)):
-        (x, y), radius = limbus.centre, _radius(limbus)
+    for texture in (one, other):
+        (x, y), radius = texture.limbus.centre, texture.limbus.mean_radius
         blurred = gaussian_filter(texture.values, max(radius / 100, 0.5))
         angle = np.linspace(0, 2 * np.pi, _POLAR[1], endpoint=False)
         reach = radius * np.linspace(*_ANNULUS, _POLAR[0])[:, None]
-        unrolled.append(_sampled(blurred, x + reach * np.cos(angle), y - reach * np.sin(angle)))
+        unrolled.append(sampled(blurred, y - reach * np.sin(angle), x + reach * np.cos(angle)))
     settings: dict[str, Any] = {"upsample_factor": 10, "normalization": None}
     shift, *_ = phase_cross_correlation(*unrolled, **settings)
     return float(-shift[1] * 2 * np.pi / _POLAR[1])
 
 
-def _points(limbus: Ellipse, usable: np.ndarray, name: str) -> np.ndarray:
+def _points(one: _Texture, name: str) -> np.ndarray:
     """Pixels of the annulus, (n, 2), evenly thinned out."""
-    share = limbus.radii(usable.shape)
-    rows, columns = np.nonzero((share > _ANNULUS[0]) & (share < _ANNULUS[1]) & usable)
+    share = one.limbus.radii(one.usable.shape)
+    rows, columns = np.nonzero((share > _ANNULUS[0]) & (share < _ANNULUS[1]) & one.usable)
     if not len(rows):
         raise ValueError(f"{name}: all pixels of the iris are burnt out")
     chosen = np.random.default_rng(0).permutation(len(rows))[:_MOST]
     return np.stack([columns[chosen], rows[chosen]], -1).astype(np.float64)
 
 
-def _refined(affine, one, other, points, centre, radius, blur) -> np.ndarray:
-    """The affine map (2, 3) about `centre` after robust least squares at one scale."""
+def _refined(affine, one: _Texture, other: _Texture, points, blur: float) -> np.ndarray:
+    """The affine map (2, 3) about the limbus after robust least squares at one scale."""
     target = gaussian_filter(one.values, blur)[points[:, 1].astype(int), points[:, 0].astype(int)]
     image = gaussian_filter(other.values, blur * _scale(affine))
     slopes = np.gradient(image)[::-1]  # along columns, along rows
     image, slopes = image / target.std(), [s / target.std() for s in slopes]
     target = target / target.std()
-    about = np.column_stack([(points - centre) / radius, np.ones(len(points))])
+    radius = one.limbus.mean_radius
+    about = np.column_stack([(points - one.limbus.centre) / radius, np.ones(len(points))])
     sizes = np.array([radius, radius, 1.0])
 
-    def sampled(picture, parameters):
-        return _sampled(picture, *(parameters.reshape(2, 3) @ about.T).astype(np.float64))
+    def there(picture, parameters):
+        return sampled(picture, *(parameters.reshape(2, 3) @ about.T)[::-1])
 
     start = (affine * sizes).ravel()
-    keep = sampled(other.usable.astype(np.float32), start) > 0.99
+    keep = there(other.usable.astype(np.float32), start) > 0.99
     if keep.sum() < 100:
         return affine
 
     def residuals(parameters: np.ndarray) -> np.ndarray:
-        return np.where(keep, sampled(image, parameters) - target, 0)
+        return np.where(keep, there(image, parameters) - target, 0)
 
     def jacobian(parameters: np.ndarray) -> np.ndarray:
-        along, down = (sampled(s, parameters)[:, None] for s in slopes)
+        along, down = (there(s, parameters)[:, None] for s in slopes)
         return keep[:, None] * np.concatenate([along * about, down * about], 1)
 
     solve: Any = optimize.least_squares  # its annotations know no function for the Jacobian
@@ -255,11 +246,9 @@ def _resampled(second: Photograph, transform: np.ndarray, shape: tuple[int, int]
     return np.stack(pixels, -1).astype(np.float32), valid
 
 
-def _disagreement(
-    one: _Texture, other: _Texture, transform: np.ndarray, limbus: Ellipse
-) -> tuple[float, float]:
+def _disagreement(one: _Texture, other: _Texture, transform: np.ndarray) -> tuple[float, float]:
     """RMS of the remaining flow between the textures (px), and their correlation."""
-    (x, y), (a, _) = limbus.centre, limbus.semi_axes
+    (x, y), (a, _), _ = one.limbus
     step = max(1.0, a / 200)
     column, row = np.meshgrid(np.arange(x - a, x + a, step), np.arange(y - a, y + a, step))
     there = np.tensordot(transform, np.stack([column, row, np.ones_like(row)]), 1)
@@ -267,10 +256,10 @@ def _disagreement(
     pictures, usable = [], []
     for texture, at, size in ((one, (column, row), 1), (other, there, _scale(transform))):
         values = gaussian_filter(texture.values, blur * size)
-        pictures.append(_sampled(values, *at).astype(np.float32))
+        pictures.append(sampled(values, *at[::-1]).astype(np.float32))
         known = texture.usable.astype(np.float32)
         usable.append(map_coordinates(known, at[::-1], order=1, cval=0.0) > 0.99)
-    share = limbus.relative_radius(column, row)
+    share = one.limbus.relative_radius(column, row)
     inside = usable[0] & usable[1] & (share > _ANNULUS[0]) & (share < _ANNULUS[1])
     if inside.sum() < 100:
         return float("inf"), 0.0
