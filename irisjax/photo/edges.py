@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from itertools import product
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -13,8 +13,7 @@ from irisjax.photo.photograph import Brightness, Ellipse
 
 FINE, ROUGH = 250.0, 100.0
 """Radii in pixels at which outlines are measured, and at which candidates are compared."""
-RAYS = np.arange(180) * (2 * np.pi / 180)
-"""Parameters (radians) of the points at which the rays cross their ellipse."""
+RAYS = np.arange(180) * (2 * np.pi / 180)  # parameters of the points at which rays cross ellipses
 _FLANK = 0.04  # distance from the best score within which the best fit is sought
 _PRECISION = 0.005  # of an edge, relative to the radius
 _RATIOS = (1.0, 0.93, 0.86)  # trial ratios of the semi-axes, for tilts up to about 30 degrees
@@ -136,12 +135,9 @@ def cut_around(
     left, right = (int(np.clip(v, 0, shape[1])) for v in (x - reach, x + reach + 1))
     top, bottom = (int(np.clip(v, 0, shape[0])) for v in (y - reach, y + reach + 1))
     scale = min(1.0, radius / outline.semi_axes[0])
-    part, moved = picture[top:bottom, left:right], outline.moved(-left, -top)
-    return (
-        reduce_picture(part, scale),
-        moved.scaled(scale),
-        lambda e: e.scaled(1 / scale).moved(left, top),
-    )
+    part = reduce_picture(picture[top:bottom, left:right], scale)
+    moved = outline.moved(-left, -top).scaled(scale)
+    return part, moved, lambda e: e.scaled(1 / scale).moved(left, top)
 
 
 def along_rays(
@@ -247,18 +243,15 @@ def refine_outline(
 
 
 def _fitted(start: Ellipse, points, weights, flattening) -> Ellipse:
-    """An ellipse by robust least squares: points further off than about 1 % of the radius have
-    little weight.
-    """
-    size, middle = np.sqrt(np.prod(start.semi_axes)), np.asarray(start.centre)
+    """An ellipse by robust least squares: points off by more than about 1 % count little."""
+    size, middle = start.mean_radius, np.asarray(start.centre)
     at, scaled = np.array([0, 0, 0, *start.flattening]), (points - middle) / size
-    solve: Any = optimize.least_squares  # its annotations know no function for the Jacobian
     for outlier in (0.04, 0.02, 0.01, 0.01, 0.01):
         # A tenth: the errors of neighbouring rays are correlated.
         off = _ellipse(at).relative_radius(*scaled.T) - 1
         root = np.sqrt(0.1 * weights) / _PRECISION / (1 + (off / outlier) ** 2)
         known = scaled, root, *flattening
-        at = solve(_miss, at, jac=_slopes, method="lm", xtol=1e-6, args=known).x
+        at = optimize.least_squares(_misses, at, method="lm", xtol=1e-6, args=known).x
     e = _ellipse(at)
     (x, y), (a, b) = middle + size * np.asarray(e.centre), size * np.asarray(e.semi_axes)
     return Ellipse((x, y), (a, b), e.angle % np.pi)
@@ -270,28 +263,14 @@ def _ellipse(p) -> Ellipse:
     return Ellipse((p[0], p[1]), (np.exp(p[2] + 0.5 * flat), np.exp(p[2] - 0.5 * flat)), angle)
 
 
-def _miss(p, *known):
+def _misses(p, points, root, first, second, spread):
     """Distances of points from an ellipse, and of its flattening from what is expected."""
-    return _misses(p[None], *known)[0]
-
-
-def _slopes(p, *known):
-    """The Jacobian of `_miss` by differences, all in one call."""
-    moved = p + np.diag(np.sqrt(np.finfo(float).eps) * np.copysign(np.maximum(1, abs(p)), p))
-    at, *off = _misses(np.concatenate([p[None], moved]), *known)
-    return np.stack(off - at, -1) / (np.diag(moved) - p)
-
-
-def _misses(every, points, root, first, second, spread):
-    p = every.T[..., None]
     off = _ellipse(p).relative_radius(*points.T) - 1
-    return np.concatenate([root * off, (p[3] - first) / spread, (p[4] - second) / spread], -1)
+    return np.concatenate([root * off, (p[3:] - [first, second]) / spread])
 
 
 def _distance(dx, dy, a, b, angle, direction):
-    """From the origin to ellipses about (dx, dy) with semi-axes a, b, along unit directions; (axes,
-    centres, directions).
-    """
+    """From the origin to ellipses about (dx, dy): (semi-axes a and b, centres, unit directions)."""
     cos, sin = np.cos(angle), np.sin(angle)
     a, b = a[:, None, None], b[:, None, None]
     # No function within: the type checks of tests would decorate it anew at every call.
@@ -312,9 +291,7 @@ def _directions(brightness):
 
 
 def _votes(transformed, shape, radius: float, sideways: float):
-    """Votes for rings of one radius about each pixel: the mean over the ring of the cosine between
-    its normal and the gradient, whose directions are given as their Fourier transform.
-    """
+    """About each pixel the mean over a ring of the cosine between its normal and the gradient."""
     n = int(np.ceil(radius + 5))
     y, x = np.mgrid[-n : n + 1, -n : n + 1]
     away = np.hypot(x, y) + 1e-9

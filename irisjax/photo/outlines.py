@@ -10,8 +10,7 @@ from irisjax.photo.edges import FINE, RAYS, ROUGH, along_rays, cut_around, refin
 from irisjax.photo.photograph import Ellipse, Photograph
 from irisjax.photo.pose import FLATTER, PUPIL_OVAL
 
-MIN_CONFIDENCE = 0.4
-"""Confidence below which an outline is more likely wrong than right."""
+MIN_CONFIDENCE = 0.4  # below which an outline is more likely wrong than right
 _PUPIL_SHARE = (0.12, 0.85)  # range of pupil radii, relative to the limbus
 _LIMBUS_WIDTHS = (0.02, 0.05, 0.09)  # half widths of the rise, relative to the radius
 _LIMBUS_SPAN = (0.6, 1.4)  # of profiles across the limbus, relative to it
@@ -216,11 +215,8 @@ def limbus_width_of(photo: Photograph, limbus: Ellipse) -> float | None:
 def _searched(photo: Photograph, pupil: Ellipse | None) -> tuple[Ellipse, Ellipse | None]:
     """The best limbus in a reduced copy, and its pupil if that is reliable."""
     scale = min(1.0, _LONG / max(photo.shape))
-    small = photo
-    if scale < 1:
-        cut_off = edges.reduce_picture(photo.saturated[..., None].astype(float), scale)
-        pixels = edges.reduce_picture(photo.pixels, scale)
-        small = photo._replace(pixels=pixels, saturated=cut_off[..., 0] > 0.1)
+    layers = edges.reduce_picture(np.dstack([photo.pixels, photo.saturated]), scale)
+    small = photo._replace(pixels=layers[..., :3], saturated=layers[..., 3] > 0.1)
     known = None if pupil is None else pupil.scaled(scale)
     best, found, seen = -1.0, None, list[Ellipse]()
     for start in _starts(small.pixels.mean(-1), known):
@@ -251,13 +247,10 @@ def _searched(photo: Photograph, pupil: Ellipse | None) -> tuple[Ellipse, Ellips
 def _judged(
     photo: Photograph, limbus: Ellipse, pupil: PupilEdge, held: float | None, inner: float | None
 ) -> Boundaries:
-    """Confidences from the shares of limbus and pupil that edges support, `None` for given ones;
-    and the softness of both edges.
-
-    In pictures without an eye, chance edges support up to 0.8 of a dark disc's outline and 0.35 of
-    others, most of tiny ones, but hardly 0.3 of a pupil within. Lids and lashes leave 0.4 of the
-    limbus and half of the pupil in simulated and real eyes.
-    """
+    """Confidences from the shares that edges support, `None` for given outlines, and softness."""
+    # In pictures without an eye, chance edges support up to 0.8 of a dark disc's outline and 0.35
+    # of others, most of tiny ones, but hardly 0.3 of a pupil within. Lids and lashes leave 0.4 of
+    # the limbus and half of the pupil in simulated and real eyes.
     likely = _plausible(limbus, pupil.outline)
     half = np.array(photo.shape[::-1]) / 2
     for outline in (limbus, pupil.outline):  # half an eye does not count
@@ -316,12 +309,10 @@ def _plausible(limbus: Ellipse, pupil: Ellipse) -> float:
 
 
 def _part_about(photo: Photograph, outline: Ellipse, margin: float, radius: float):
-    """The pixels around an outline and the share of saturated ones, reduced; the outline there and
-    the function back to the photograph.
-    """
-    pixels, moved, back = cut_around(photo.pixels, outline, margin, radius)
-    cut_off = cut_around(photo.saturated[..., None].astype(float), outline, margin, radius)[0]
-    return pixels, cut_off[..., 0], moved, back
+    """`cut_around` of the pixels, with the share of saturated ones as second."""
+    layers = np.dstack([photo.pixels, photo.saturated])
+    layers, moved, back = cut_around(layers, outline, margin, radius)
+    return layers[..., :3], layers[..., 3], moved, back
 
 
 def _profile(picture, cut_off, circle: Ellipse, span, steps: int):
@@ -331,56 +322,51 @@ def _profile(picture, cut_off, circle: Ellipse, span, steps: int):
 
 
 def _within_limbus(picture, limbus: Ellipse) -> tuple[np.ndarray, float | None]:
-    """Relative radii, and the brightness within a limbus that only highlights exceed; `None` for a
-    limbus beside the picture.
-    """
+    """Relative radii, and the brightness that only highlights exceed; `None` out of the picture."""
     relative = limbus.radii(picture.shape)
     within = picture[relative < 0.9]
     return relative, float(1.5 * np.quantile(within, 0.75) + 1e-9) if within.size else None
 
 
 def _limbus_part(photo: Photograph, outline: Ellipse, radius: float):
-    """Brightness and redness around a limbus (`None` without colours), the outline there, and the
-    function back to the photograph.
-    """
+    """`cut_around` of brightness and redness (`None` without colours)."""
     pixels, moved, back = cut_around(photo.pixels, outline, 2.0, radius)
-    colour = None if photo.grey else _redness(pixels[..., 0], pixels[..., 2])
-    return (pixels.mean(-1), colour), moved, back
+    redness = None
+    if not photo.grey:  # far larger for skin than for the white of an eye
+        floor = 0.02 * float(np.quantile(pixels[..., 0], 0.98)) + 1e-6
+        red, _, blue = np.moveaxis(np.maximum(pixels, 0) + floor, -1, 0)
+        redness = np.log(red / blue)
+    return (pixels.mean(-1), redness), moved, back
 
 
 def _beginning(x, brightness, pixel: float) -> tuple[float, float]:
     """Where the brightness rises from a constant, before it was blurred, and the width of the rise.
 
-    Fitted are a step, the beginning of a smoothstep, or both at one place, and a line behind; the
-    width of the Gaussian is known to a factor. Both at once are accepted only if they are better by
-    one log likelihood, for they have one parameter more (Akaike). `pixel` is the width of a pixel
-    in the unit of x.
+    Fitted are a step, the beginning of a smoothstep, or both at one place if that is better by one
+    log likelihood (Akaike), and a line behind; the width of the Gaussian is known to a factor.
     """
     node, weight = np.polynomial.legendre.leggauss(32)
     node = (node + 1) / 2
     weight = 3 * weight * node * (1 - node)  # a smoothstep is as many steps as its slope says
 
-    def parts(v, sharp, soft):
-        """Constant, line up or down, and what rises; and how much of each there is."""
+    def parts(v, sharp, soft):  # constant, line up or down, what rises; how much of each there is
         start, width, factor = v
         blur = _BLUR * np.exp(_BLUR_SPREAD * factor) * pixel
         step = special.ndtr((x - start) / blur)
         line = step * (x - start)
-        basis = [np.ones_like(x), line, -line]
-        basis += [step] * sharp
+        basis = [np.ones_like(x), line, -line, *[step] * sharp]
         basis += [special.ndtr((x[:, None] - start - width * node) / blur) @ weight] * soft
         basis = np.stack(basis, -1)
         return basis, optimize.nnls(basis, brightness)[0]
 
-    def misfit(v, sharp, soft):
-        basis, much = parts(v, sharp, soft)
+    def misfit(v, *kinds):
+        basis, much = parts(v, *kinds)
         # A tenth: neighbouring samples err alike.
         return np.append(np.sqrt(0.1) * (basis @ much - brightness) / noise, v[2])
 
     def fit(start, sharp, soft):
-        found = optimize.least_squares(
-            misfit, start, bounds=bounds, x_scale=[0.01, 0.01, 1.0], args=(sharp, soft)
-        )
+        scale, kinds = [0.01, 0.01, 1.0], (sharp, soft)
+        found = optimize.least_squares(misfit, start, bounds=bounds, x_scale=scale, args=kinds)
         rises = parts(found.x, sharp, soft)[1][3:]
         share = rises[-1] / (rises.sum() + 1e-30) if soft else 0.0
         return found.cost + (sharp and soft), float(found.x[0]), float(share * found.x[1])
@@ -402,16 +388,8 @@ def _darkness(picture, relative, circle: Ellipse) -> float:
     return float(np.clip(1 - inside / (outside + 1e-9), 0, 1))
 
 
-def _redness(red, blue):
-    """Log ratio of red to blue: it is far larger for skin than for the white of an eye."""
-    floor = 0.02 * float(np.quantile(red, 0.98)) + 1e-6
-    return np.log((np.maximum(red, 0) + floor) / (np.maximum(blue, 0) + floor))
-
-
 def _half_way(profile, steps: edges.Edges, white, near: float):
-    """For each ray, the score and the place at which the brightness is half-way from iris to white,
-    nearest to the outline so far.
-    """
+    """Score and place (nearest to the outline) where rays are half-way from iris to white."""
     x = np.linspace(*_LIMBUS_SPAN, profile.shape[1])
     # Beyond the picture's edge there is no edge.
     smooth = ndimage.gaussian_filter1d(np.nan_to_num(profile), 1.0, axis=1)
@@ -421,8 +399,7 @@ def _half_way(profile, steps: edges.Edges, white, near: float):
     rising = (level[:, :-1] < 0) & (level[:, 1:] >= 0)
     crossing = x[:-1] + (x[1] - x[0]) * level[:, :-1] / (level[:, :-1] - level[:, 1:] - 1e-12)
     away = np.where(rising, abs(crossing - 1), np.inf)
-    at = away.argmin(1)
-    rays = np.arange(at.size)
+    at, rays = away.argmin(1), np.arange(len(away))
     place = np.where(rising[rays, at], crossing[rays, at], 1.0)
     column = np.searchsorted(steps.place, place).clip(0, steps.place.size - 1)
     good = (away[rays, at] < near) & (bright > dark)
