@@ -20,8 +20,7 @@ from irisjax.io.clones import CLONE_FILES, files_of
 from irisjax.io.photographs import read_photograph
 from irisjax.numerics.checks import Range
 from irisjax.photo import clone as cloning
-from irisjax.photo.clone import compare_with_photograph
-from irisjax.photo.doubts import doubtful_outlines, doubts_of, per_cent
+from irisjax.photo.clone import compare_with_photograph, doubtful_outlines, doubts_of, per_cent
 from irisjax.photo.photograph import Ellipse
 from irisjax.plot.beside import beside, here
 from irisjax.render.environment import Environment

@@ -24,6 +24,6 @@ from .light import Lighting as Lighting
 from .outlines import Boundaries as Boundaries
 from .photograph import Ellipse as Ellipse
 from .photograph import Photograph as Photograph
+from .pigments import Estimate as Estimate
+from .pigments import PigmentPosterior as PigmentPosterior
 from .pose import Pose as Pose
-from .posterior import Estimate as Estimate
-from .posterior import PigmentPosterior as PigmentPosterior

@@ -8,6 +8,7 @@ import dataclasses
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, NamedTuple, cast
 
 import jax.numpy as jnp
@@ -18,32 +19,24 @@ from scipy import optimize
 from irisjax._types import PRNGKey
 from irisjax.anatomy.eye import Cornea, Eye
 from irisjax.measure.colour import srgb_encode
-from irisjax.numerics.checks import Range
+from irisjax.numerics.checks import Range, check_known
 from irisjax.photo import pigments
 from irisjax.photo.light import Lighting, find_lighting, light_at, light_tangent, shade_on
-from irisjax.photo.masks import find_mirrored_face, part_of, pixels_shown
-from irisjax.photo.outlines import Boundaries, find_boundaries
+from irisjax.photo.masks import find_mirrored_face, part_of
+from irisjax.photo.outlines import MIN_CONFIDENCE, Boundaries, find_boundaries
 from irisjax.photo.photograph import Colours, Ellipse, Mask, Photograph
 from irisjax.photo.pose import Pose, find_pose
-from irisjax.photo.posterior import PigmentPosterior, sample_pigments
 from irisjax.photo.register import SecondPhotograph, lay_on_first
 from irisjax.photo.texture import (
-    LUMINANCE_WEIGHTS,
     Refraction,
     Unrefracted,
     follow_refraction,
+    pixels_shown,
     unrefract,
 )
 from irisjax.photo.thickness import BETA, SIGMA, Morphology, generic_thickness, shape_maps
-from irisjax.photo.windows import (
-    TURNS,
-    Windows,
-    average_maps,
-    choose_pixels,
-    iris_alone,
-    windows_of,
-)
-from irisjax.render.environment import Environment
+from irisjax.photo.windows import Windows, average_maps, choose_pixels, iris_alone, windows_of
+from irisjax.render.environment import LUMINANCE, Environment
 from irisjax.render.illumination import Illumination
 from irisjax.render.lights import Lights
 from irisjax.render.picture import illuminate, respond, shade, texture
@@ -60,13 +53,13 @@ STAGES = ("outlines", "pose", "texture", "thickness", "pigments", "posterior")
 MEDIA = ("cornea-aqueous", "f09")
 METHODS = ("least-squares", "simplex")
 _SOLVER_ANGLES = 12  # of ILIT during the search: radiances within 5e-5 of those of a picture
-FIBRILS = 57.0
-"""Radius of the stroma's fibrils during the search (nm), between those of the presets' blue and
-brown eyes. The strength of their scattering is a free factor.
-"""
+FIBRILS = 57.0  # radius during the search, nm; the strength of their scattering is a free factor
 _BLUR_WIDTHS = Range(0.05, 2.0, "mm")  # widths of the deconvolution that are compared
 _BLUR_STEPS, _BLUR_TOLERANCE = 7, 0.1  # number of first trials; tolerance of the logarithm
 
+_DISTANCES = Range(80, 2000, "mm")  # of cameras that photograph an iris, macro to long lenses
+_PICTURES_OFF = 0.05  # RMS difference of the encoded pictures above which a clone is doubtful [F09]
+_LEAST_RESPONSE = 0.1  # below it a photograph says little about the thickness
 _Arc = Float[np.ndarray, " count"]
 
 
@@ -126,8 +119,7 @@ class Given(NamedTuple):
     second: Photograph | None = None
 
 
-NOTHING = Given()
-"""Nothing is given: every stage finds its own result."""
+NOTHING = Given()  # every stage finds its own result
 
 
 @dataclass(frozen=True)
@@ -210,14 +202,13 @@ class Fitted(Lit):
 
     def scene(self) -> Scene:
         """Return the eye as it was photographed: the same camera, light and pigments."""
-        around = self.lighting.environment
-        if self.lighting.room:
-            around = Environment.uniform(self.fit.values["room"])
+        light, room = self.lighting, self.fit.values["room"]
+        around = Environment.uniform(room) if light.room else light.environment
         return Scene(
             self.iris(),
             self.morphology.maps,
             eye=self.pose.eye,
-            lights=self.lighting.lamps,
+            lights=light.lamps,
             environment=around,
             camera=self.pose.camera,
             integrator=self.integrator,
@@ -228,7 +219,7 @@ class Fitted(Lit):
 class Sampled(Fitted):
     """Stage 7: the posterior of the pigments."""
 
-    posterior: PigmentPosterior
+    posterior: pigments.PigmentPosterior
 
 
 class PictureDifference(NamedTuple):
@@ -258,7 +249,7 @@ class PictureDifference(NamedTuple):
         row = np.rint(middle - radius * np.sin(angle) / texel).astype(int)
         there = clone.refraction.pixels((row, column), self.clear.shape)
         photograph, rendered = (
-            np.where(self.clear[there], picture[there] @ LUMINANCE_WEIGHTS, np.nan)
+            np.where(self.clear[there], picture[there] @ np.array(LUMINANCE), np.nan)
             for picture in (self.photograph, self.rendered)
         )
         return np.degrees(angle), photograph, rendered
@@ -272,7 +263,7 @@ def clone_eye(
     last: str = STAGES[-1],
     stage: Callable[[str], AbstractContextManager[Any]] = lambda name: nullcontext(),
     tables: Callable[[Scene], Illumination | None] = Scene.tables,
-    key: PRNGKey,
+    key: PRNGKey | None = None,
 ) -> Iterator[Outlined]:
     """Run the stages up to `last` and yield the result of each.
 
@@ -283,19 +274,21 @@ def clone_eye(
         last: Name of the last stage, one of `STAGES`.
         stage: Makes a context that is entered with a stage's name while that stage runs.
         tables: Makes the tables of light on the iris, or reads them from a file.
-        key: Key of the posterior's random numbers.
+        key: Key of the posterior's random numbers; `None` if no posterior is sampled.
 
     Raises:
         ValueError: If a stage finds nothing, with a message of one line, and for unknown names.
     """
-    check_names(settings, last)
+    check_known("media", settings.media, MEDIA)
+    check_known("method", settings.method, METHODS)
+    check_known("stage", last, STAGES)
     made: dict[str, Callable[[Any], Outlined]] = {
         "outlines": lambda found: outline_eye(found, given),
         "pose": lambda found: pose_eye(found, settings, given),
         "texture": lambda found: flatten_iris(found, given),
         "thickness": lambda found: shape_iris(found, settings, given),
         "pigments": lambda found: fit_clone(light_eye(found, given, tables), settings, given),
-        "posterior": lambda found: sample_clone(found, settings, key=key),
+        "posterior": lambda found: sample_clone(found, settings, key=cast(PRNGKey, key)),
     }
     found = photograph
     for name in STAGES[: STAGES.index(last) + 1]:
@@ -311,21 +304,8 @@ def clone_to_pigments(
     tables: Callable[[Scene], Illumination | None] = Scene.tables,
 ) -> Fitted:
     """Clone a photograph up to its pigments; arguments and errors as of `clone_eye`."""
-    check_names(settings)
-    posed = pose_eye(outline_eye(photograph, given), settings, given)
-    shaped = shape_iris(flatten_iris(posed, given), settings, given)
-    return fit_clone(light_eye(shaped, given, tables), settings, given)
-
-
-def check_names(settings: CloneSettings, last: str = STAGES[-1]) -> None:
-    """Raise `ValueError` for media, methods and stages that do not exist."""
-    for value, known, what in (
-        (settings.media, MEDIA, "media"),
-        (settings.method, METHODS, "method"),
-        (last, STAGES, "stage"),
-    ):
-        if value not in known:
-            raise ValueError(f"unknown {what} {value!r}; known: {', '.join(known)}")
+    run = clone_eye(photograph, settings, given, last="pigments", tables=tables)
+    return cast(Fitted, list(run)[-1])
 
 
 def outline_eye(photograph: Photograph, given: Given = NOTHING) -> Outlined:
@@ -341,7 +321,8 @@ def pose_eye(outlined: Outlined, settings: CloneSettings, given: Given = NOTHING
     pupil = part.moved(boundaries.pupil)
     clear, lids = part.clear(pupil)
     focal = None if focal is None else focal / part.reduction
-    eye = eye_model(settings)
+    media = {"cornea": Cornea.f09(), "aqueous_index": 1.376} if settings.media == "f09" else {}
+    eye = Eye().replace(**media, iris_depth=settings.iris_depth)
     pose = find_pose(part.limbus, pupil, eye, focal_px=focal, azimuth=settings.azimuth)
     pose = pose._replace(eye=_with_soft_edges(pose, boundaries))
     x, y = pose.corner
@@ -414,44 +395,37 @@ def fit_clone(lit: Lit, settings: CloneSettings, given: Given = NOTHING) -> Fitt
     clear = lit.clear & iris_alone(lit.pose)
     clear[lit.refraction.pixels(shape.freckles, clear.shape)] = False
     chosen = choose_pixels(lit.part, clear, lit.view, eye, light.environment, _light_on_part(lit))
-    maps, turns = (average_maps(eye), TURNS) if given.maps is None else (given.maps, 1)
+    maps = average_maps(eye) if given.maps is None else given.maps
     depth = jnp.mean(jnp.asarray(maps.stroma_depth))
     base = Iris(fibril_radius=jnp.asarray(FIBRILS), stroma_thickness=depth)
     integrator = settings.integrator
     if isinstance(integrator, Separable):
         integrator = dataclasses.replace(integrator, solver=IlitExact(_SOLVER_ANGLES))
 
-    def windows_with(maps: IrisMaps, turns: int = 1) -> Windows:
-        known = light.lights(), integrator, lit.tables, light.room, turns
+    def windows_with(maps: IrisMaps, turned: bool = False) -> Windows:
+        known = light.lights(), integrator, lit.tables, light.room, turned
         return windows_of(chosen, eye, base, maps.replace(freckles=None), *known)
 
-    windows = windows_with(maps, turns)
+    windows = windows_with(maps, turned=given.maps is None)
     search = pigments.simplex if settings.method == "simplex" else pigments.fit_pigments
     fit = search(windows, base)
 
-    def fitted(shape: Morphology, shown: Windows | None = None, response=None) -> Fitted:
-        shown = windows_with(shape.maps) if shown is None else shown
-        return Fitted(
-            **vars(dataclasses.replace(lit, morphology=shape)),
-            windows=windows,
-            base=base,
-            fit=fit,
-            integrator=settings.integrator,
-            response=response,
-            exposure=pigments.exposures_for(fit, shown, base),
-        )
+    known: dict[str, Any] = {"windows": windows, "base": base, "fit": fit}
 
-    if given.maps is not None:
-        return fitted(shape, windows)
-    if settings.beta is None:
-        shape, response = _thickness_by_model(lit, windows, base, fit, settings.relief)
-        return fitted(shape, response=response)
-    if settings.sigma is not None:
+    def fitted(shape: Morphology, response: float | None = None) -> Fitted:
+        shown = windows if given.maps is not None else windows_with(shape.maps)
+        exposure = pigments.exposures_for(fit, shown, base)
+        known.update(integrator=settings.integrator, response=response, exposure=exposure)
+        return Fitted(**vars(dataclasses.replace(lit, morphology=shape)), **known)
+
+    if given.maps is not None or (settings.beta is not None and settings.sigma is not None):
         return fitted(shape)
-    freckles, beta = shape.freckles, settings.beta
+    if settings.beta is None:
+        return fitted(*_thickness_by_model(lit, windows, base, fit, settings.relief))
+    deconvolve = partial(shape_maps, lit.texture, shape.freckles, beta=settings.beta)
 
     def deconvolved(width: float) -> Fitted:
-        return fitted(shape_maps(lit.texture, freckles, sigma_mm=width, beta=beta))
+        return fitted(deconvolve(sigma_mm=width))
 
     return deconvolved(width_by_rendering(deconvolved))
 
@@ -459,16 +433,8 @@ def fit_clone(lit: Lit, settings: CloneSettings, given: Given = NOTHING) -> Fitt
 def sample_clone(fitted: Fitted, settings: CloneSettings, *, key: PRNGKey) -> Sampled:
     """Sample the posterior of the pigments."""
     known = fitted.windows, fitted.base, fitted.fit
-    posterior = sample_pigments(*known, max_steps=settings.steps, key=key)
+    posterior = pigments.sample_pigments(*known, max_steps=settings.steps, key=key)
     return Sampled(**vars(fitted), posterior=posterior)
-
-
-def eye_model(settings: CloneSettings) -> Eye:
-    """Return the eye with the media and the depth of the settings, its pupil not yet known."""
-    depth = cast(Any, settings.iris_depth)
-    if settings.media == "f09":
-        return Eye(cornea=Cornea.f09(), aqueous_index=cast(Any, 1.376), iris_depth=depth)
-    return Eye(iris_depth=depth)
 
 
 def compare_with_photograph(clone: Fitted) -> PictureDifference:
@@ -484,6 +450,57 @@ def compare_with_photograph(clone: Fitted) -> PictureDifference:
     clear = clone.clear & iris_alone(clone.pose)
     off = (both[0] - both[1])[clear]
     return PictureDifference(both[0], both[1], clear, np.sqrt((off**2).mean(0)))
+
+
+def doubtful_outlines(found: Outlined) -> dict[str, float]:
+    """Return the outlines that a clone must not be built on, and the confidence in each."""
+    sure = found.boundaries.limbus_confidence, found.boundaries.pupil_confidence
+    both = zip(("limbus", "pupil"), sure, strict=True)
+    return {name: confidence for name, confidence in both if confidence < MIN_CONFIDENCE}
+
+
+def doubts_of(found: Outlined, rms: Float[np.ndarray, "3"] | None = None) -> tuple[str, ...]:
+    """Return a sentence for each doubt about the last stage that was reached; `rms` has the
+    differences of its picture from the photograph by channel, of the full range.
+    """
+    doubts = [
+        f"the {name} is doubtful (confidence {confidence:.2f}); give --{name}"
+        for name, confidence in doubtful_outlines(found).items()
+    ]
+    if doubts:
+        doubts.append("nothing after the outlines was done")
+    distance = found.pose.distance if isinstance(found, Posed) else None
+    if distance is not None and not _DISTANCES.holds(distance):
+        doubts.append(
+            f"the focal length puts the camera {distance:.0f} mm away, where {_DISTANCES} are "
+            "usual: it may be wrong; give --focal-px in pixels of this file"
+        )
+    if isinstance(found, Fitted):
+        if found.photograph.grey:
+            doubts.append("the photograph has no colours: the pigments are meaningless")
+        doubts += (odd := pigments.misfits(found.fit, found.windows))
+        if odd and found.response is not None:
+            doubts.append(
+                f"the thickness is that of a usual iris, whose response is {found.response:.2f}"
+            )
+        elif found.response is not None and found.response < _LEAST_RESPONSE:
+            doubts.append(
+                f"thickness hardly shows in this iris (1 % of it changes the light by "
+                f"{max(found.response, 0):.2f} %): the map is little more than an average iris's"
+            )
+    if rms is not None and rms.max() > _PICTURES_OFF:
+        doubts.append(
+            f"the clone's picture differs from the photograph by {per_cent(rms)} % RMS (R, G, B): "
+            "a reflection, a shadow or an iris that the model does not have"
+        )
+    if isinstance(found, Sampled) and not found.posterior.chains.converged:
+        doubts.append(f"{found.posterior.chains.reason}; raise --max-steps")
+    return tuple(doubts)
+
+
+def per_cent(shares: Float[np.ndarray, " channels"]) -> str:
+    """Return shares of the channels as text, in per cent."""
+    return ", ".join(f"{100 * share:.1f}" for share in shares)
 
 
 def width_by_rendering(with_width: Callable[[float], Fitted]) -> float:
@@ -509,11 +526,11 @@ def width_by_rendering(with_width: Callable[[float], Fitted]) -> float:
 def _with_soft_edges(pose: Pose, outlines: Boundaries) -> Eye:
     """The eye with edges as soft as the outlines, at least a pixel wide: it samples one point."""
     eye, pixel = pose.eye, float(pose.camera.width) / pose.camera.size[0]
-    for name, radius in (("pupil_margin", eye.pupil_radius), ("limbus_width", eye.limbus_radius)):
-        relative = getattr(outlines, name)
-        if relative is not None:
-            width = max(relative * float(radius), pixel)
-            eye = eye.replace(**{name: jnp.asarray(width, float)})
+    pupil, limbus = float(eye.pupil_radius), float(eye.limbus_radius)
+    if outlines.pupil_margin is not None:
+        eye = eye.replace(pupil_margin=max(outlines.pupil_margin * pupil, pixel))
+    if outlines.limbus_width is not None:
+        eye = eye.replace(limbus_width=max(outlines.limbus_width * limbus, pixel))
     return eye
 
 
@@ -522,7 +539,7 @@ def _light_on_part(lit: Lit) -> np.ndarray | None:
     seen = lit.view.iris
     if lit.lids or seen is None:
         return None
-    x, y = (np.asarray(c) for c in seen.point[:2])
+    x, y = map(np.asarray, seen.point[:2])
     irradiance = light_at(x, y, lit.lighting.lights(), lit.pose.eye, lit.tables)
     return onto_picture(seen, irradiance, lit.pose.camera.shape)
 
@@ -546,9 +563,9 @@ def _thickness_by_model(
         slopes = -relief * x, -relief * y
     if freckles.any():
         shares = np.linspace(0, 1, 21) ** 2
-        darkness = shares, windows.freckle_response(iris, shares)
-    known: dict[str, Any] = {"response": response, "slopes": slopes}
-    shape = shape_maps(texture, freckles, sigma_mm=0.0, shade=shade, darkness=darkness, **known)
+        darkness = np.stack([shares, windows.freckle_response(iris, shares)])
+    known: dict[str, Any] = {"response": response, "slopes": slopes, "sigma_mm": 0.0}
+    shape = shape_maps(texture, freckles, shade=shade, darkness=darkness, **known)
     if relief > 0:
         height = relief * (shape.thickness - generic_thickness(texture.radius()))
         limited = jnp.clip(jnp.asarray(texture.to_polar(height)), -1, 1)

@@ -19,8 +19,7 @@ from irisjax.render.shading import fluxes_of
 _LEAST = 5  # pixels of a highlight
 _MOST = 6  # lamps
 _GATHERED = 1.131**2  # gain of light from all round by the cornea: the pupil's magnification²
-SHADED = 0.7
-"""Light below which a place of the iris counts as shade, relative to the usual light."""
+SHADED = 0.7  # light below which a place of the iris counts as shade, relative to the usual light
 
 
 class Lighting(NamedTuple):

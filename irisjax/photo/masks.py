@@ -5,22 +5,17 @@ from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy import ndimage
+from scipy import ndimage, stats
 from skimage import filters, measure, morphology, transform
 
 from irisjax.photo.edges import by_channel
 from irisjax.photo.photograph import Colours, Ellipse, Mask, Photograph
-from irisjax.photo.texture import (
-    HALF_WIDTH,
-    LUMINANCE_WEIGHTS,
-    TEXTURE_SIZE,
-    Unrefracted,
-    masked_mean,
-)
-from irisjax.render.project import MirrorPixels, View, onto_picture
+from irisjax.photo.texture import LUMINANCE_WEIGHTS, Unrefracted, masked_mean
+from irisjax.render.project import MirrorPixels, onto_picture
 
 _MOST_ACROSS = 1100  # most pixels across the iris; larger pictures are averaged
 _RESOLUTION = 400  # px along the longer side of the picture in which masks are sought
+_NORMAL = 1 / 1.4826  # median absolute deviation over standard deviation of a normal distribution
 _SEEN_AROUND = 1.35  # semi-axes of the limbus within which lashes begin
 # Contrast of lashes: 99 % of the textures of simulated irides stay below 0.29.
 _LASH_CLEAR = 0.15, 0.35
@@ -81,20 +76,6 @@ class Part(NamedTuple):
         return without_islands(clear), lids
 
 
-def pixels_shown(view: View, visible: Mask, shape: tuple[int, int]) -> np.ndarray:
-    """Return the pixels of the part that show what a mask of the flat iris marks as visible."""
-    size = TEXTURE_SIZE
-    if visible.shape != (size, size):
-        raise ValueError(f"the mask of what is visible is {visible.shape}, not {(size, size)}")
-    seen = view.iris
-    if seen is None:
-        return np.zeros(shape, bool)
-    x, y = (np.asarray(c) for c in seen.point[:2])
-    texel = 2 * HALF_WIDTH / size
-    column, row = (np.clip(((c + HALF_WIDTH) / texel).astype(int), 0, size - 1) for c in (x, -y))
-    return onto_picture(seen, visible[row, column].astype(np.float32), shape) > 0.5
-
-
 def find_mirrored_face(
     pixels: Colours, outside: Mask, limbus: Ellipse, mirror: MirrorPixels | None
 ) -> Mask:
@@ -103,17 +84,15 @@ def find_mirrored_face(
     The tear film mirrors more the more grazing it is seen, up to a sixth of the light at the rim of
     an eye that is turned by 30 degrees. An eye that looks into the camera has no such pixel.
     """
-    shape = pixels.shape[:2]
     if mirror is None:
-        return np.zeros(shape, bool)
-    radius = limbus.radii(shape)
+        return np.zeros_like(outside)
+    radius, luminance = limbus.radii(outside.shape), pixels @ LUMINANCE_WEIGHTS
     inside, around = radius < 1, (radius > _AROUND[0]) & (radius < _AROUND[1]) & ~outside
-    back = onto_picture(mirror, np.asarray(mirror.mirror[2]), shape)
-    reflectance = onto_picture(mirror, np.asarray(mirror.reflectance), shape)
+    parts = np.asarray(mirror.mirror[2]), np.asarray(mirror.reflectance)
+    back, reflectance = (onto_picture(mirror, part, outside.shape) for part in parts)
     face = inside & (back > -np.cos(np.radians(_FACE_ANGLE))) & (reflectance > 0)
     if not (face.any() and around.any()):
-        return np.zeros(shape, bool)
-    luminance = pixels @ LUMINANCE_WEIGHTS
+        return np.zeros_like(outside)
     seen = masked_mean(luminance, inside, _SMOOTH * limbus.semi_axes[0])
     return face & (reflectance * np.median(luminance[around]) > _FACE_SHARE * seen)
 
@@ -177,12 +156,11 @@ def find_highlights(pixels: Colours, saturated: Mask, iris: Mask) -> Mask:
     counted = ring & ~cut_off
     if not counted.any():
         return iris.copy()
-    size = max(ring.shape)
-    levels = np.round(255 * encoded).astype(np.uint8)
+    size, levels = max(ring.shape), np.round(255 * encoded).astype(np.uint8)
     disk = morphology.disk(max(3, round(0.06 * size)))
     usual = filters.rank.median(levels, disk, mask=counted.astype(np.uint8)) / 255
     excess = encoded - usual
-    scatter = 1.4826 * np.median(np.abs(excess[counted]))
+    scatter = np.median(np.abs(excess[counted])) / _NORMAL
     # An excess of light that is about white, or cut off.
     more = small - usual[..., None] ** 2.2
     white = np.ptp(more, axis=-1) < 0.6 * np.maximum(more.max(-1), 1e-6)
@@ -256,20 +234,18 @@ def find_lids(pixels: Colours, limbus: Ellipse, pupil: Ellipse) -> Mask:
     strange = np.zeros(radius.shape)
     for k in range(20):
         at = (ring == k) & inside
-        known = seen[at & aside]
-        if len(known) < 8:
-            continue
-        middle = np.median(known, 0)
-        scatter = np.maximum(1.4826 * np.median(np.abs(known - middle), 0), 0.12)
-        strange[at] = np.sqrt((((seen[at] - middle) / scatter) ** 2).sum(-1))
+        if (at & aside).sum() >= 8:
+            known = seen[at & aside]
+            scatter = np.maximum(stats.median_abs_deviation(known, scale=_NORMAL), 0.12)
+            strange[at] = np.linalg.norm((seen[at] - np.median(known, 0)) / scatter, axis=-1)
     strange *= (radius < 1) & ~aside
     covered = filters.apply_hysteresis_threshold(strange, 2.5, 4.0)
     covered = morphology.opening(covered, morphology.disk(max(1, round(0.02 * size))))
     label, found = np.asarray(measure.label(covered)), np.zeros_like(covered)
-    for k in range(1, label.max() + 1):
+    for k in np.unique(label[covered & (radius > 0.93)]):
         at = label == k
         beyond = _grown(at, round(0.05 * size)) & (radius > 1.03) & (radius < 1.2)
-        if (radius[at] > 0.93).any() and beyond.any():
+        if beyond.any():
             step = np.abs(seen[at & (radius > 0.8)] - np.median(seen[beyond], 0)).max(-1)
             if (step < 0.5).mean() > _OF_A_LID:
                 found |= at | _beyond_edge(at, upper=bool(row[at].mean() < y))
@@ -288,16 +264,15 @@ def find_freckles(texture: Unrefracted) -> Mask:
     crypts: none are found.
     """
     valid = texture.valid
-    none = np.zeros_like(valid)
     pixels = texture.pixels.astype(np.float32)
     if not valid.any() or _grey(pixels[valid]):
-        return none
+        return np.zeros_like(valid)
     texel = texture.millimetres_per_texel
     smooth = ndimage.gaussian_filter(pixels, (0.3 * _SMALLEST / texel,) * 2 + (0,))
     luminance = texture._replace(pixels=smooth).luminance()
     dim = 0.02 * np.median(luminance[valid])
     if not dim > 0:
-        return none
+        return np.zeros_like(valid)
     red, _, blue = np.moveaxis(np.log(np.maximum(smooth, 0) + dim), -1, 0)
     dark = -np.log(np.maximum(luminance, 0) + dim)
     browner, usual_brown = _deviation(red - blue, texture)
@@ -308,8 +283,7 @@ def find_freckles(texture: Unrefracted) -> Mask:
     spots = np.asarray(filters.apply_hysteresis_threshold(steps, 0.5, 1.5))
 
     def freckle(region, _):
-        width = region.equivalent_diameter_area * texel
-        long = region.axis_major_length * texel
+        width, long = region.equivalent_diameter_area * texel, region.axis_major_length * texel
         fits = width >= _SMALLEST and max(width, long) <= _LARGEST
         return fits and region.solidity >= _COMPACT
 
@@ -370,8 +344,8 @@ def _grown(mask: np.ndarray, radius: int) -> np.ndarray:
 
 def _long(region) -> bool:
     """Whether a region is a streak or several that branch."""
-    slender = region.axis_major_length > 4 * max(region.axis_minor_length, 1.0)
-    return bool(slender or region.solidity < 0.4)
+    long, wide = region.axis_major_length, region.axis_minor_length
+    return bool(long > 4 * max(wide, 1.0) or region.solidity < 0.4)
 
 
 def _around_limbus(pixels: np.ndarray, limbus: Ellipse):
@@ -431,5 +405,4 @@ def _deviation(values: np.ndarray, texture: Unrefracted) -> tuple[np.ndarray, fl
 
 
 def _scatter(values: np.ndarray) -> float:
-    """Standard deviation of the middle of a distribution, from its median absolute deviation."""
-    return float(1.4826 * np.median(np.abs(values - np.median(values))))
+    return float(stats.median_abs_deviation(values, scale=_NORMAL))

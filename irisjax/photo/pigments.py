@@ -1,10 +1,21 @@
-"""Pigments from the colours of windows: least squares, F09's simplex  [F09 Eqs. 13, 14].
+"""Pigments from the colours of windows: least squares, F09's simplex [F09 Eqs. 13, 14], posterior.
 
 A photograph is light times an unknown exposure, through a camera of unknown white balance and
-contrast. These are free beside the four concentrations, which they make less certain. Other errors
-of the model are integrated out, see `window_noise`.
+contrast. These are free beside the four concentrations, which they make less certain.
+
+Other errors of the model are integrated out of the likelihood. An iris is not as thick as the
+average one and its relief shades otherwise. Both differ from iris to iris, from ring to ring of
+one, and from window to window of a ring: normal errors of three levels, as in an analysis of
+variance with random effects. In the logarithms of the channels, an error of the thickness of the
+whole or of a ring is proportional to the model's own response to it, and one of light is equal in
+all channels. The scatter of the windows of a ring and the spread of the rings are estimated from
+the photograph itself: irides contain more than pigments and thickness, may have another colour
+around the pupil, and light may fall off as that of no lamp of the model does.
 """
 
+import math
+from concurrent.futures import ThreadPoolExecutor
+from types import SimpleNamespace
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -12,13 +23,15 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import optimistix as optx
-from jaxtyping import Array, Float
+from jaxtyping import Array, ArrayLike, Bool, Float
 
-from irisjax._types import Scalar
+from irisjax._types import PRNGKey, Scalar
+from irisjax.infer import posterior
+from irisjax.infer.importance import Start
 from irisjax.infer.least_squares import least_squares, levenberg_marquardt
+from irisjax.infer.posterior import Chains
 from irisjax.infer.priors import AbstractPrior, LogNormal
-from irisjax.photo.window_noise import covariances, log_likelihood, whitened_errors
-from irisjax.photo.windows import Windows
+from irisjax.photo.windows import ANGLES, RINGS, Windows
 from irisjax.tissue.iris import Iris
 
 CONCENTRATIONS = ("abl_eumelanin", "abl_pheomelanin", "stroma_eumelanin", "stroma_pheomelanin")
@@ -54,9 +67,37 @@ _STEPS = 60, 50  # most of a turn of least squares, and of a stage of the simple
 _TURNS = 3  # of least squares under fixed covariances, and of these
 _CLOSE = 1e-3  # tolerance of the search, in standard deviations of the prior
 _FLOOR = 0.01  # of the photograph's mean, below which colours do not count
-_STARTS = np.array(
-    [[0.0] * 4, [-1.5, -1.5, -1.0, -1.0], [1.0, 0.0, 1.0, 0.0], [-1.0, 1.0, -1.0, 1]]
-)
+_STARTS = np.array([[0, 0, 0, 0], [-1.5, -1.5, -1, -1], [1, 0, 1, 0], [-1, 1, -1, 1]])
+WALKERS = 48
+_ROWS = WALKERS // 4  # densities computed at a time: half of those that a step of emcee needs
+_EUMELANIN, _PHEOMELANIN = slice(0, 4, 2), slice(1, 4, 2)  # of the concentrations, which are first
+_OF_CONCENTRATIONS: list[Any] = [PRIORS[name] for name in CONCENTRATIONS]
+_CENTRES = np.log([prior.median for prior in _OF_CONCENTRATIONS]).reshape(2, 2).T
+_SCALES = np.reshape([prior.spread for prior in _OF_CONCENTRATIONS], (2, 2)).T
+WindowColours = Float[Array, "windows 3"]
+_Present = Bool[ArrayLike, " windows"]
+_Covariances = tuple[Float[Array, "rings 3 3"], Float[Array, "means means"]]
+
+
+class Spreads(NamedTuple):
+    """Standard deviations of the logarithms of thickness, light, and each channel by itself."""
+
+    thickness: float
+    light: float
+    channel: float
+
+
+WHOLE = Spreads(0.15, 0.1, 0.0)
+"""Errors of a whole iris: assumed. Errors of single channels are the camera's white balance."""
+RING = Spreads(0.12, 0.08, 0.02)
+"""Errors of the rings of one iris, by its collarette, folds and colours: assumed; the light of
+those of `procedural` differs by 0.01.
+"""
+SPREAD_FACTORS = 2.0 ** np.arange(4)  # on `RING`, with a 1/x prior: the photograph decides
+_GREEN = np.array([0.55, 0.33, 0.15])  # response of a green iris to thickness
+PRIOR_COVARIANCE = 0.04**2 + 0.06**2 * np.outer(_GREEN, _GREEN) + 0.007**2 * np.eye(3)
+"""Prior covariance of a window's channels about its ring: light, thickness, each by itself."""
+PRIOR_WINDOWS = 5.0  # number of windows that the prior counts for
 
 
 class PigmentFit(NamedTuple):
@@ -84,6 +125,39 @@ class PigmentFit(NamedTuple):
         """Return the iris of these pigments."""
         values = {name: jnp.asarray(value) for name, value in self.values.items()}
         return iris_of_concentrations(values, base)
+
+
+class Estimate(NamedTuple):
+    """A parameter as estimated from its samples.
+
+    Attributes:
+        low: The 2.5 % quantile.
+        high: The 97.5 % quantile.
+        contraction: One minus the variance over the prior's, in the coordinate in which the prior
+            is a standard normal; 0 if the photograph does not constrain the parameter.
+    """
+
+    median: float
+    sd: float
+    low: float
+    high: float
+    contraction: float
+
+
+class PigmentPosterior(NamedTuple):
+    """Samples of the posterior.
+
+    Attributes:
+        samples: Values of each parameter, by name.
+        estimates: The same in numbers.
+        z: The samples as standard normal numbers of their priors.
+        chains: The chains, in coordinates of their own.
+    """
+
+    samples: dict[str, Float[np.ndarray, " samples"]]
+    estimates: dict[str, Estimate]
+    z: Float[np.ndarray, "samples free"]
+    chains: Chains
 
 
 def parameter_values(z: Float[Array | np.ndarray, " free"]) -> dict[str, Any]:
@@ -119,10 +193,10 @@ def fit_pigments(windows: Windows, base: Iris) -> PigmentFit:
     spread = np.eye(len(FREE_NAMES))
     spread[np.ix_(free, free)] = np.asarray(covariance[best])
     log = []
-    for start, turn in np.ndindex(len(starts), _TURNS):
-        row = {"start": start + 1, "turn": turn + 1, "steps": taken[start, turn]}
-        row |= {"log_density": log_density[start, turn]}
-        log.append(_numbers(row | parameter_values(jnp.asarray(z[start, turn]))))
+    for at in np.ndindex(len(starts), _TURNS):
+        row = {"start": at[0] + 1, "turn": at[1] + 1, "steps": taken[at]}
+        row |= {"log_density": log_density[at]}
+        log.append(_numbers(row | parameter_values(jnp.asarray(z[at]))))
     steps, ended = int(np.sum(taken)), bool(ended[best, -1])
     return _fit(z[best, -1], spread, windows, base, steps, ended, log)
 
@@ -177,11 +251,40 @@ def simplex(windows: Windows, base: Iris) -> PigmentFit:
         found[stage], count, result = _downhill(*parts, windows, base, stage == 0)
         taken, ended = taken + int(count), ended and bool(result)
         values = _four(*found)
-        for i, name in enumerate(CONCENTRATIONS):
-            z[i] = float(PRIORS[name].standard(values[name]))
+        z[:4] = [PRIORS[name].standard(values[name]) for name in CONCENTRATIONS]
         rms = _compared(jnp.asarray(z), windows, base)[0].mean()
         log.append(_numbers(values | {"steps": count, "rms": rms}))
     return _fit(z, np.eye(len(FREE_NAMES)), windows, base, taken, ended, log)
+
+
+def sample_pigments(
+    windows: Windows, base: Iris, best: PigmentFit, *, max_steps: int = 8000, key: PRNGKey
+) -> PigmentPosterior:
+    """Sample the posterior of concentrations, light and camera by `infer.sample`, from the best fit
+    on; the base fixes everything but melanins and scattering.
+    """
+    held = windows, base
+    middle, slope = map(np.asarray, _totals_and_slope(jnp.asarray(best.z)))
+    covariance = slope @ best.covariance @ slope.T + 1e-9 * np.eye(len(best.z))
+    with ThreadPoolExecutor(2) as pool:  # one program is too small for two cores
+
+        def density(x: np.ndarray) -> np.ndarray:
+            rows = _padded(x, _ROWS).reshape(-1, _ROWS, x.shape[1])
+            found = pool.map(lambda row: np.asarray(_density(held, row)), rows)
+            return np.concatenate(list(found))[: len(x)]
+
+        target: Any = SimpleNamespace(names=FREE_NAMES, log_density=density)
+        start = Start(middle, covariance)
+        chains = posterior.sample(target, start, walkers=WALKERS, max_steps=max_steps, key=key)
+    x = chains.flat
+    drawn = {k: np.asarray(v)[: len(x)] for k, v in _drawn(jnp.asarray(_padded(x, 4096))).items()}
+    z = drawn.pop("z")
+    estimates = {}
+    for i, name in enumerate(FREE_NAMES):
+        low, median, high = (float(v) for v in np.quantile(drawn[name], [0.025, 0.5, 0.975]))
+        sd, contraction = float(drawn[name].std()), float(1 - z[:, i].var())
+        estimates[name] = Estimate(median, sd, low, high, contraction)
+    return PigmentPosterior({name: drawn[name] for name in FREE_NAMES}, estimates, z, chains)
 
 
 def iris_of_concentrations(values: dict[str, Any], base: Iris) -> Iris:
@@ -215,6 +318,45 @@ def concentrations_of(iris: Iris) -> dict[str, float]:
         found[f"abl_{kind}"] = float(mass * share / iris.abl_thickness)
         found[f"stroma_{kind}"] = float(mass * (1 - share) / iris.stroma_thickness)
     return {name: found[name] for name in CONCENTRATIONS}
+
+
+def log_likelihood(off: WindowColours, response: WindowColours, present: _Present) -> Scalar:
+    """Return the logarithm of the density of errors, without constants.
+
+    That of the rings' means is a mixture of normal densities over `SPREAD_FACTORS`. That of windows
+    about them is a matrix t: the normal density with the inverse Wishart prior of its covariance
+    integrated out [Gelman et al. 2013, Section 3.6].
+
+    Args:
+        off: Logarithms of photograph over model, ring after ring.
+        response: Derivatives of the model's by that of thickness; their means in rings count.
+        present: Windows that count.
+    """
+    within, free, _, densities = _levels(off, response, present)
+    return jax.nn.logsumexp(densities) - 0.5 * (free * jnp.linalg.slogdet(within)[1]).sum()
+
+
+def whitened_errors(
+    off: WindowColours, present: _Present, held: _Covariances
+) -> Float[Array, " values"]:
+    """Return errors as numbers of unit variance, under fixed covariances."""
+    _, means, apart = _in_rings(off, present)
+    within, between = (jnp.linalg.cholesky(c) for c in held)
+    rows = jax.scipy.linalg.solve_triangular(within, apart.mT, lower=True)
+    row = jax.scipy.linalg.solve_triangular(between, means.ravel(), lower=True)
+    return jnp.concatenate([rows.ravel(), row])
+
+
+def covariances(off: WindowColours, response: WindowColours, present: _Present) -> _Covariances:
+    """Return the most likely covariance of a window's channels about its ring's mean, and that of
+    the rings' means weighted by the probability of each factor.
+
+    With it a step of least squares is one of expectation and maximisation over `SPREAD_FACTORS`.
+    """
+    within, _, between, densities = _levels(off, response, present)
+    share = jax.nn.softmax(densities)
+    inverse = (share[:, None, None] * jnp.linalg.inv(between)).sum(0)
+    return within, jnp.linalg.inv(0.5 * (inverse + inverse.T))
 
 
 def _taken(values, radiance):
@@ -319,3 +461,89 @@ def _compared(z, windows, base):
     off, _ = _off(values, windows, base)
     exposures = _exposures(values) * jnp.exp(off.mean(0, where=present))
     return jnp.sqrt((off**2).mean(0, where=present)), exposures
+
+
+def _levels(off, response, present):
+    """The most likely covariance within rings, the windows that count for each, and the covariances
+    of their means for each factor with the logarithms of their densities.
+    """
+    number, means, apart = _in_rings(off, present)
+    along = _in_rings(response, present)[1]
+    scatter = PRIOR_WINDOWS * jnp.asarray(PRIOR_COVARIANCE)
+    scatter = scatter + jnp.einsum("rni,rnj->rij", apart, apart)
+    free = PRIOR_WINDOWS + jnp.maximum(number - 1, 0)
+    within = scatter / free[:, None, None]
+
+    def of(level: Spreads):
+        squares = level.thickness**2 * along[:, None, :, None] * along[None, :, None, :]
+        return squares + level.light**2 + level.channel**2 * jnp.eye(3)
+
+    every = jnp.arange(RINGS)
+    alone = within / jnp.maximum(number, 1)[:, None, None]
+    alone = jnp.asarray(SPREAD_FACTORS**2)[:, None, None, None] * of(RING)[every, every] + alone
+    seen = (number > 0)[:, None, None]
+    between = of(WHOLE) * (seen[:, None] & seen[None])
+    between = jnp.broadcast_to(between, (len(SPREAD_FACTORS), *between.shape))
+    # Rings without windows are independent with a variance of 1.
+    between = between.at[:, every, every].add(jnp.where(seen, alone, jnp.eye(3)))
+    between = between.transpose(0, 1, 3, 2, 4).reshape(-1, 3 * RINGS, 3 * RINGS)
+    factor = jnp.linalg.cholesky(between)
+    row = jnp.broadcast_to(means.ravel(), factor.shape[:-1])[..., None]
+    row = jax.scipy.linalg.solve_triangular(factor, row, lower=True)
+    density = -0.5 * (row**2).sum((1, 2)) - jnp.log(jnp.diagonal(factor, 0, 1, 2)).sum(-1)
+    return within, free, between, density - jnp.log(jnp.asarray(SPREAD_FACTORS))
+
+
+def _in_rings(values, present):
+    """Number of windows of each ring, their mean values, and the differences from it."""
+    count = jnp.asarray(present).reshape(RINGS, ANGLES, 1)
+    by_ring = values.reshape(RINGS, ANGLES, 3)
+    number = count.sum(1)[:, 0]
+    means = jnp.where(count, by_ring, 0).sum(1) / jnp.maximum(number, 1)[:, None]
+    return number, means, jnp.where(count, by_ring - means[:, None], 0)
+
+
+def _padded(x: np.ndarray, rows: int) -> np.ndarray:
+    """The last row repeated up to a multiple of `rows`: every shape compiles a program."""
+    return np.pad(np.asarray(x, np.float64), ((0, -len(x) % rows), (0, 0)), mode="edge")
+
+
+@eqx.filter_jit
+def _totals_and_slope(z):
+    return _totals(z), jax.jacfwd(_totals)(z)
+
+
+@eqx.filter_jit
+def _drawn(x):
+    z = jax.vmap(_parts)(x)
+    return {"z": z, **jax.vmap(parameter_values)(z)}
+
+
+@eqx.filter_jit
+def _density(held, x):
+    windows, base = held
+    return jax.vmap(lambda row: log_posterior(_parts(row), windows, base))(x)
+
+
+def _totals(z):
+    """Coordinates (free,) of the chain: for each layer the logarithms of its melanin and of
+    eumelanin over pheomelanin, scaled about the priors' medians, in place of the two.
+
+    Colours constrain the total, which bends the posterior of either alone: chains of these have 10
+    to 30 times the autocorrelation time. The Jacobian's determinant is constant.
+    """
+    eumelanin = _CENTRES[0] + _SCALES[0] * z[_EUMELANIN]
+    pheomelanin = _CENTRES[1] + _SCALES[1] * z[_PHEOMELANIN]
+    total = jnp.logaddexp(eumelanin, pheomelanin) - jnp.logaddexp(*_CENTRES)
+    share = (eumelanin - pheomelanin) - (_CENTRES[0] - _CENTRES[1])
+    z = z.at[_EUMELANIN].set(total / _SCALES[0])
+    return z.at[_PHEOMELANIN].set(share / (_SCALES[0] * math.sqrt(2)))
+
+
+def _parts(x):
+    """The inverse of `_totals`."""
+    total = _SCALES[0] * x[_EUMELANIN] + jnp.logaddexp(*_CENTRES)
+    share = _SCALES[0] * math.sqrt(2) * x[_PHEOMELANIN] + (_CENTRES[0] - _CENTRES[1])
+    logs = total + jax.nn.log_sigmoid(share), total + jax.nn.log_sigmoid(-share)
+    x = x.at[_EUMELANIN].set((logs[0] - _CENTRES[0]) / _SCALES[0])
+    return x.at[_PHEOMELANIN].set((logs[1] - _CENTRES[1]) / _SCALES[1])

@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike
 from scipy import special
 
 from irisjax.anatomy.eye import Eye
+from irisjax.anatomy.sclera import limbus_depth
 from irisjax.optics.conicoid import joined
 from irisjax.photo.photograph import Ellipse, ellipse_through
 from irisjax.render.camera import Camera
@@ -88,8 +89,8 @@ def limbus_spread() -> tuple[float, float]:
     has this relative spread.
     """
     radius, count = np.asarray(LIMBUS_RADII).T
-    mean = (radius * count).sum() / count.sum()
-    return float(mean), float(np.sqrt(((radius - mean) ** 2 * count).sum() / count.sum()))
+    every = np.repeat(radius, count.astype(int))
+    return float(every.mean()), float(every.std())
 
 
 def find_pose(
@@ -125,7 +126,7 @@ def find_pose(
         )
     tilt = np.arccos(ratio)  # [F09 Eq. 1]
     # A camera's distance is measured from the pupil, the paper's from the limbus in front of it.
-    behind = (float(eye.iris_depth) - float(_limbus_height(eye))) * ratio
+    behind = (float(eye.iris_depth) - float(limbus_depth(eye))) * ratio
     # The camera's azimuth is that of the smaller axis, to one side or the other.
     across = limbus.angle + np.pi / 2
     sides = [across, across + np.pi]
@@ -199,8 +200,8 @@ def find_pose(
     centre, radius = _pupil_on_iris(eye, camera, pupil.moved(half - x, half - y))
     seen_at = None if focal_px is None else distance
     side = "pupil" if azimuth is None else "given"
-    opened = eye.replace(pupil_radius=radius)
-    return Pose(camera, corner, opened, centre, tilt, *tilts_allowed(tilt), seen_at, side)
+    eye = eye.replace(pupil_radius=radius)
+    return Pose(camera, corner, eye, centre, tilt, *tilts_allowed(tilt), seen_at, side)
 
 
 def iris_points(eye: Eye, x: ArrayLike, y: ArrayLike) -> Float[np.ndarray, "*s 3"]:
@@ -243,7 +244,7 @@ def tilts_allowed(
     share = np.concatenate([[0.0], np.cumsum(rice[1:] + rice[:-1])])
     share /= share[-1]
     begin = q[share < 0.05]
-    end = np.interp(share[share < 0.05] + 0.95, share, q)
+    end = np.interp(share[: begin.size] + 0.95, share, q)
     k = int(np.argmin(end - begin))
     tilts = np.arccos(np.exp(-q))
     mean = (rice * tilts).sum() / rice.sum()
@@ -254,9 +255,7 @@ def tilts_allowed(
 
 @eqx.filter_jit
 def _outlines(eye: Eye, front: Camera, v):
-    """Limbus and pupil in mm at the eye, as columns and rows from the middle of the pupil, for rows
-    v of the numbers that `find_pose` searches for, and a camera straight ahead.
-    """
+    """Columns and rows (mm) of limbus and pupil for rows v of what `find_pose` searches for."""
     turn = jnp.linspace(0.0, 2 * jnp.pi, _POINTS, endpoint=False)
     circle = jnp.stack([jnp.cos(turn), jnp.sin(turn)])
     slope = 0.0 if eye.iris_slope is None else eye.iris_slope
@@ -269,20 +268,13 @@ def _outlines(eye: Eye, front: Camera, v):
         camera = eqx.tree_at(lambda c: (c.polar, c.azimuth), front, place)
         r = jnp.clip(v[5], *_PUPIL_RADII)
         open_ = eqx.tree_at(lambda e: e.pupil_radius, eye, r)  # not checked
-        rim = camera.pixel(raised(eye.limbus_radius * circle, _limbus_height(eye)), open_)
+        rim = camera.pixel(raised(eye.limbus_radius * circle, limbus_depth(eye)), open_)
         points = raised(r * circle[:, :: _POINTS // 16], eye.iris_depth + slope * r)
         hole = project_points(IrisSurface(open_), camera, points)
         # The middle of a picture of two pixels lies between them.
         return jnp.stack(rim, -1) - 0.5, jnp.stack([hole.column, hole.row], -1) - 0.5
 
     return jax.vmap(one)(v)
-
-
-def _limbus_height(eye: Eye):
-    """Depth of the limbus behind the corneal apex, mm."""
-    if eye.cornea is None:
-        return eye.iris_depth
-    return eye.cornea.anterior.sagitta(eye.limbus_radius)
 
 
 def _pupil_on_iris(eye: Eye, camera: Camera, pupil: Ellipse):

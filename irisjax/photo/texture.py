@@ -6,23 +6,21 @@ import numpy as np
 import scipy.fft
 from jaxtyping import Float, Shaped
 from scipy import ndimage
-from scipy.interpolate import RectBivariateSpline
+from scipy.interpolate import RectBivariateSpline, make_interp_spline
 from skimage.transform import downscale_local_mean
 
 from irisjax.photo.photograph import Brightness, Colours, Mask
 from irisjax.photo.pose import Pose, iris_points, project_iris_points
 from irisjax.render import environment
+from irisjax.render.project import View, onto_picture
 
-HALF_WIDTH = 6.0
-"""Half the width of a texture, which is centred on the eye's axis, mm."""
+HALF_WIDTH = 6.0  # of a texture, which is centred on the eye's axis, mm
 LUMINANCE_WEIGHTS = np.array(environment.LUMINANCE, np.float32)
 """Luminance of linear sRGB's components [IEC 61966-2-1]."""
 _LEAST_WEIGHT = 1e-3  # share of a mean's weight on valid texels below which rounding would show
-MAP_SHAPE = (768, 256)
-"""Angles and radii of maps, as in `procedural`."""
+MAP_SHAPE = (768, 256)  # angles and radii of maps, as in `procedural`
 _MOST_SAMPLES = 16  # of a cell along each side: coarse maps of fine textures
-TEXTURE_SIZE = 1024
-"""Texels along a side of the texture."""
+TEXTURE_SIZE = 1024  # texels along a side of the texture
 _REFRACTION_GRID = 64, 33  # angles and radii at which refraction is followed
 
 
@@ -126,17 +124,19 @@ def follow_refraction(pose: Pose, size: int = TEXTURE_SIZE) -> Refraction:
     radius = reach * np.sin(np.pi / 2 * np.linspace(0, 1, radii))
     points = iris_points(eye, np.outer(np.cos(turn), radius), np.outer(np.sin(turn), radius))
     column, row, visible = project_iris_points(eye, pose.camera, points)
+    where = []
     # Each line from the middle ends where the iris is no longer seen.
     last = np.where(visible, radius, 0).max(1)
     out, around = texels_of(size)
     around = around % (2 * np.pi)
     more = np.arange(-4, angles + 4)  # some lines twice: the splines are periodic
     wide = turn[more % angles] + 2 * np.pi * (more // angles)
-    where = []
     for values in (column, row):
-        lines = zip(values, visible, strict=True)
-        held = np.stack([_continued(line, radius, shown) for line, shown in lines])
-        spline = RectBivariateSpline(wide, radius, held[more % angles], kx=3, ky=3)
+        # Lines go on straight where they are out of sight.
+        for line, shown in zip(values, visible, strict=True):
+            n = radii if shown.all() else int(np.argmin(shown))
+            line[n:] = make_interp_spline(radius[:n], line[:n], k=1)(radius[n:])
+        spline = RectBivariateSpline(wide, radius, values[more % angles], kx=3, ky=3)
         where.append(spline.ev(around, np.minimum(out, reach)))
     edge = np.interp(around, wide, last[more % angles])
     return Refraction(where[0], where[1], out < np.minimum(edge, reach))
@@ -154,14 +154,27 @@ def unrefract(pixels: Colours, clear: Mask, pose: Pose, where: Refraction) -> Un
     within = (where.row >= 0) & (where.row <= rows - 1)
     within &= (where.column >= 0) & (where.column <= columns - 1)
     sure = sampled(clear.astype(np.float32), where.row, where.column)
-    eye = pose.eye
-    texture = Unrefracted(found, within, float(eye.pupil_radius), float(eye.iris_radius))
-    radius, angle = texture.radius(), texture.angle()
+    pupil, root = float(pose.eye.pupil_radius), float(pose.eye.iris_radius)
+    radius, angle = texels_of(len(sure))
     x, y = radius * np.cos(angle), radius * np.sin(angle)
-    off_pupil = np.hypot(x - pose.pupil_centre[0], y - pose.pupil_centre[1]) > texture.pupil_radius
-    valid = where.visible & within & off_pupil & (sure > 0.999)
-    shown = (where.visible & within)[..., None]
-    return texture._replace(pixels=np.where(shown, found, np.float32(0)), valid=valid)
+    off_pupil = np.hypot(x - pose.pupil_centre[0], y - pose.pupil_centre[1]) > pupil
+    shown = where.visible & within
+    found = np.where(shown[..., None], found, np.float32(0))
+    return Unrefracted(found, shown & off_pupil & (sure > 0.999), pupil, root)
+
+
+def pixels_shown(view: View, visible: Mask, shape: tuple[int, int]) -> np.ndarray:
+    """Return the pixels of the part that show what a mask of the flat iris marks as visible."""
+    size = TEXTURE_SIZE
+    if visible.shape != (size, size):
+        raise ValueError(f"the mask of what is visible is {visible.shape}, not {(size, size)}")
+    seen = view.iris
+    if seen is None:
+        return np.zeros(shape, bool)
+    x, y = map(np.asarray, seen.point[:2])
+    texel = 2 * HALF_WIDTH / size
+    column, row = (np.clip(((c + HALF_WIDTH) / texel).astype(int), 0, size - 1) for c in (x, -y))
+    return onto_picture(seen, visible[row, column].astype(np.float32), shape) > 0.5
 
 
 def sampled(picture: Shaped[np.ndarray, "rows columns"], row: Any, column: Any) -> np.ndarray:
@@ -178,15 +191,13 @@ def to_polar(
     from +x towards +y, columns from the pupil's edge to the root; radii are in mm.
 
     Raises:
-        ValueError: If radii or shape are not those of an iris within the texture.
+        ValueError: If the radii are not those of an iris within the texture.
     """
     if not 0 < pupil_radius < iris_radius <= HALF_WIDTH:
         raise ValueError(
             f"pupil_radius = {pupil_radius:g} mm and iris_radius = {iris_radius:g} mm must rise "
             f"within (0, {HALF_WIDTH:g}] mm"
         )
-    if min(shape) < 2:
-        raise ValueError(f"shape {shape} of polar maps is below (2, 2)")
     angles, radii = shape
     texel = 2 * HALF_WIDTH / len(values)
     widest = 2 * np.pi * iris_radius / angles, (iris_radius - pupil_radius) / radii
@@ -214,8 +225,6 @@ def fill_holes(
     """
     if holes.all():
         raise ValueError(f"all {holes.size} pixels are holes; there is nothing to fill them from")
-    if not holes.any():
-        return pixels.copy()
     hole, layers = holes[..., None], pixels.reshape(*holes.shape, -1)
     filled = _filled(np.where(hole, 0, layers).astype(np.float32), (~hole).astype(np.float32))
     return np.where(hole, filled, layers).astype(pixels.dtype).reshape(pixels.shape)
@@ -233,16 +242,6 @@ def masked_mean(values: Brightness, valid: Mask, sigma: float) -> Brightness:
     return np.where(far, values[valid].mean(dtype=np.float32), mean)
 
 
-def _continued(values, radius, visible):
-    """Values along a line from the middle, extrapolated linearly where they are out of sight."""
-    if visible.all():
-        return values
-    n = int(np.argmin(visible))
-    slope = (values[n - 1] - values[n - 2]) / (radius[n - 1] - radius[n - 2])
-    beyond = np.arange(len(radius)) >= n
-    return np.where(beyond, values[n - 1] + slope * (radius - radius[n - 1]), values)
-
-
 def _filled(total: np.ndarray, known: np.ndarray) -> np.ndarray:
     """Values whose sums over the known parts are `total`, filled where less than all is known."""
     rows, columns = known.shape[:2]
@@ -253,11 +252,5 @@ def _filled(total: np.ndarray, known: np.ndarray) -> np.ndarray:
     share = np.maximum(coarse[1], 1e-30)
     weight = np.minimum(4 * coarse[1], 1.0)
     below = _filled(coarse[0] / share * weight, weight)
-    above = _doubled(_doubled(below).swapaxes(0, 1)).swapaxes(0, 1)[:rows, :columns]
-    return total + (1 - known) * above
-
-
-def _doubled(x: np.ndarray) -> np.ndarray:
-    """Twice as many rows, linear between the middles of the old ones and constant at the ends."""
-    above, below = np.concatenate([x[:1], x[:-1]]), np.concatenate([x[1:], x[-1:]])
-    return np.stack([0.75 * x + 0.25 * above, 0.75 * x + 0.25 * below], 1).reshape(-1, *x.shape[1:])
+    above = ndimage.zoom(below, (2, 2, 1), order=1, mode="nearest", grid_mode=True)
+    return total + (1 - known) * above[:rows, :columns]

@@ -12,7 +12,7 @@ from scipy import ndimage
 
 from irisjax.grow.procedural import stroma_profile
 from irisjax.measure.colour import srgb_encode
-from irisjax.numerics.checks import Range, check_range, check_whole
+from irisjax.numerics.checks import Range, check_range
 from irisjax.photo.masks import find_freckles
 from irisjax.photo.photograph import Brightness, Mask
 from irisjax.photo.texture import MAP_SHAPE, Unrefracted, fill_holes, gaussian_mean, masked_mean
@@ -25,8 +25,7 @@ SIGMA = 0.5
 BETA = 0.350
 """Thickness per encoded pixel value from 0 to 1, mm  [F09 Section 4.2.1]."""
 _WIDTH = 0.8  # standard deviation of the neighbourhood whose mean Eq. 5 subtracts, mm
-THINNEST = 0.03
-"""Least thickness of the map, mm: the bottom of a deep crypt."""
+THINNEST = 0.03  # least thickness of the map, mm: the bottom of a deep crypt
 _THICKEST = 1.5  # greatest thickness of the map that luminance and a response give, mm
 SHADE_WIDTH, SHADE_SHARE = 0.4, 0.5
 """Width of the neighbourhood in the shade, mm, and share of the contrast there that is attributed
@@ -38,7 +37,6 @@ _TYPICAL = 0.4  # mean thickness of a stroma, mm, which sets the share of shadin
 # 0.05) over that of ln thickness (about 0.2), both assumed.
 _OTHER = 0.25
 _MID_GREY = 0.18  # linear luminance to which the surroundings of each texel are exposed
-_ITERATIONS = 10  # iterations of Richardson's and Lucy's method; more sharpen noise
 _RESPONSES = Range(-5, 5)  # next to 0 where the stroma is opaque
 _LEAST_RESPONSE = 1e-3  # below it the Fourier factor of shading would be 0 / 0
 _NOISE_WIDTH = 0.05  # mm, of the Gaussian along the radius that removes the sensor's noise
@@ -48,7 +46,6 @@ ARC_LIGHT = 0.75
 along them. Assumed, and like the lengths above chosen on the simulated photographs of the package.
 """
 _LEAST_ARC_WEIGHT = 1e-3
-_Shares = Float[np.ndarray, " shares"]
 _BLUR = 0.02  # standard deviation of the Gaussian that smooths freckles against noise, mm
 
 
@@ -82,7 +79,7 @@ def shape_maps(
     response: float | None = None,
     slopes: tuple[float, float] = (0.0, 0.0),
     shade: Mask | None = None,
-    darkness: tuple[_Shares, _Shares] | None = None,
+    darkness: Float[np.ndarray, "2 shares"] | None = None,
     shape: tuple[int, int] = MAP_SHAPE,
 ) -> Morphology:
     """Find and fill freckles, and estimate the thickness from what is left  [F09 Section 4.2].
@@ -112,23 +109,20 @@ def shape_maps(
         raise ValueError("the texture has no texel that shows the iris beside freckles")
     filled = fill_holes(texture.pixels, ~known)
     # Filled freckles and small holes take part; texels outside the iris do not.
-    radius = texture.radius()
     shown = valid | freckles
     luminance = texture._replace(pixels=filled).luminance()
     if response is None:
         relative = relative_luminance(luminance, shown, _WIDTH, texel)
         normalised = local_normalisation(encoded_intensity(relative), shown, _WIDTH, texel)
+        estimate = partial(f09_thickness, beta=beta)
     else:
         normalised = local_contrast(luminance, shown, shade, texel)
         normalised = along_fibres(normalised, shown, texture, response)
         normalised = unshade(normalised, shown, slopes, response, texel)
+        estimate = partial(relative_thickness, response=response)
     normalised = np.maximum(normalised, np.float32(-0.99))
     deconvolved = deconvolve(normalised, shown, sigma_mm, texel)
-    smooth = fill_holes(deconvolved, ~shown)
-    if response is None:
-        found, clamped = f09_thickness(radius, smooth, beta)
-    else:
-        found, clamped = relative_thickness(radius, smooth, response)
+    found, clamped = estimate(texture.radius(), fill_holes(deconvolved, ~shown))
     spots = freckles.astype(np.float32)
     if darkness is not None:
         # The share that makes the filled luminance as dark as the one seen, at most the greatest.
@@ -203,8 +197,7 @@ def encoded_intensity(relative: Brightness) -> Brightness:
     β of Eq. 7 refers to encoded values in [0, 1]. They pass 1 where a texel is over 5.5 times as
     bright as its surroundings.
     """
-    linear = _MID_GREY * np.maximum(relative, np.float32(0))
-    return np.asarray(srgb_encode(linear), np.float32)
+    return np.asarray(srgb_encode(_MID_GREY * np.maximum(relative, np.float32(0))), np.float32)
 
 
 def relative_luminance(
@@ -244,32 +237,26 @@ def local_normalisation(
 
     The neighbourhood is a Gaussian of standard deviation `width_mm`; only valid texels count.
     """
-    check_range("width_mm", width_mm, Range(0, np.inf, "mm", above=True))
     mean = masked_mean(values, valid, width_mm / texel)
     return np.where(valid, values - mean, np.float32(0)).astype(np.float32)
 
 
 def deconvolve(
-    normalised: Brightness,
-    valid: Mask,
-    sigma_mm: float,
-    texel: float,
-    iterations: int = _ITERATIONS,
+    normalised: Brightness, valid: Mask, sigma_mm: float, texel: float, iterations: int = 10
 ) -> Brightness:
     """Sharpen a texture by Richardson's and Lucy's method with a Gaussian of `sigma_mm`  [F09 Eq.
     6].
 
     The method needs positive values: an offset of 1 is added and removed again. It starts from the
-    texture itself, so details finer than the Gaussian are kept. Texels that are not valid are
-    filled first and then left out of the comparison. The mean over the valid ones is kept; the
-    result is 0 elsewhere. scikit-image's version has neither a mask nor a start.
+    texture itself, so details finer than the Gaussian are kept; more iterations sharpen noise.
+    Texels that are not valid are filled first and then left out of the comparison. The mean over
+    the valid ones is kept; the result is 0 elsewhere. scikit-image has neither a mask nor a start.
     """
     check_range("sigma_mm", sigma_mm, Range(0, 2, "mm"))
-    check_whole("iterations", iterations, 0, 1000)
     check_range("values to deconvolve", normalised[valid], Range(-1, np.inf, above=True))
     if not valid.any():
         raise ValueError("no texel is valid: there is nothing to deconvolve")
-    if sigma_mm == 0 or iterations == 0:
+    if sigma_mm == 0:
         return np.where(valid, normalised, np.float32(0))
     sigma = sigma_mm / texel
     (box,) = ndimage.find_objects(valid.astype(np.uint8))

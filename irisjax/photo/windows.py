@@ -33,23 +33,14 @@ from irisjax.tissue.iris import Iris
 from irisjax.tissue.maps import IrisMaps, Scales
 from irisjax.transport.solution import RESULTS
 
-TURNS = 16
-"""Places around the eye to which its maps are turned one after another, so that no feature has a
-place.
-"""
+TURNS = 16  # places around the eye to which its maps are turned, so that no feature has a place
 _SEED = 5
-ANGLES = 16
-"""Windows around the iris."""
-RINGS = 4
-"""Windows across the iris."""
-MARGIN = 0.35
-"""Distance of the windows from the pupil's edge, mm."""
+ANGLES, RINGS = 16, 4
+"""Windows around the iris, and across it."""
+MARGIN = 0.35  # distance of the windows from the pupil's edge, mm
+# From root and limbus, mm: the white's soft edge, modelled only as a blend, shades the iris below.
 OUTER_MARGIN = 0.7
-"""Distance of the windows from root and limbus, mm: the soft edge of the white, which is modelled
-only as a blend, shades the iris below it.
-"""
 COUNT = ANGLES * RINGS
-"""Number of windows."""
 _MOST, _LEAST = 96, 24  # most pixels taken of a window; least pixels of one that counts
 _COPIES = 4  # turns of the maps that one pixel sees
 _Integrator = Separable | RadiativeIntegrator
@@ -66,16 +57,16 @@ class WindowPixels(NamedTuple):
     Attributes:
         seen: Some pixels of the windows.
         window: The number of each pixel's window.
-        present: Windows with enough pixels, and not in the shade.
         colour: Mean linear values of all of a window's pixels in the photograph.
+        present: Windows with enough pixels, and not in the shade.
         veil: Share of a uniform room's radiance that the tear film mirrors.
         mirrored: Radiance that it mirrors of the environment.
     """
 
     seen: IrisPixels
     window: Int[np.ndarray, " pixels"]
-    present: Bool[np.ndarray, " windows"]
     colour: _WindowColours
+    present: Bool[np.ndarray, " windows"]
     veil: Float[np.ndarray, " windows"]
     mirrored: _WindowColours
 
@@ -100,10 +91,10 @@ class Windows(eqx.Module):
 
     colour: _WindowColours
     present: Bool[np.ndarray, " windows"]
-    matrix: Float[Array, "2 windows tints terms"]
-    room: Float[Array, "2 windows shades terms"] | None
     veil: Float[np.ndarray, " windows"]
     mirrored: _WindowColours
+    matrix: Float[Array, "2 windows tints terms"]
+    room: Float[Array, "2 windows shades terms"] | None
     bands: Bands
     ranges: Scales
     integrator: _Integrator
@@ -165,43 +156,32 @@ def windows_of(
     integrator: _Integrator,
     tables: Illumination | None,
     room: bool = False,
-    turns: int = 1,
+    turned: bool = False,
 ) -> Windows:
     """Compute the matrix of the windows.
 
     The iris fixes everything but the melanins. Beside the lights there may be a room, whose tables
-    need caustics. For the pixels of each window the maps are turned to some places around the eye:
-    the window then shows what is usual at its distance from the pupil.
+    need caustics. For the pixels of each window the maps may be turned to `TURNS` places around the
+    eye: the window then shows what is usual at its distance from the pupil.
     """
     ranges = ranges_of(iris, maps)
     bands = colour_bands(lights.illuminant, cornea=eye.cornea)
     made: Any = integrator.prepare(iris, eye.aqueous_index, bands, ranges)
     known = eye, iris, maps, tables, ranges, bands, made
-
     # Each pixel sees the maps at several turns: features of a window by chance would look like an
     # error of the contrast.
-    copies = min(turns, _COPIES)
+    turns, copies = (TURNS, _COPIES) if turned else (1, 1)
     seen = jax.tree.map(lambda leaf: jnp.repeat(leaf, copies, -1), chosen.seen)
     window = jnp.repeat(jnp.asarray(chosen.window), copies)
     # Neighbours in a window have different turns.
     turn = 2 * np.pi / turns * (np.arange(len(window)) % turns)
     seen = dataclasses.replace(seen, turn=jnp.asarray(turn))
-    lamps = [lights]
+    matrix, around = _matrix(seen, window, lights, *known), None
     if room:
-        lamps.append(Environment.uniform().to_lights(ENVIRONMENT_LIGHTS))
-    matrices = [_matrix(seen, window, each, *known) for each in lamps]
-    return Windows(
-        chosen.colour,
-        chosen.present,
-        matrices[0],
-        matrices[1] if room else None,
-        chosen.veil,
-        chosen.mirrored,
-        bands,
-        ranges,
-        made,
-        jnp.asarray(eye.aqueous_index),
-    )
+        uniform = Environment.uniform().to_lights(ENVIRONMENT_LIGHTS)
+        around = _matrix(seen, window, uniform, *known)
+    index = jnp.asarray(eye.aqueous_index)
+    return Windows(*chosen[2:], matrix, around, bands, ranges, made, index)
 
 
 def choose_pixels(
@@ -232,8 +212,8 @@ def choose_pixels(
 
     def mean(values, channels: int):
         """Mean of the values of a picture in each window."""
-        values = np.asarray(values.reshape(-1, channels)[at], float)
-        sums = [np.bincount(every, v, COUNT) for v in values.T]
+        values = values.reshape(-1, channels)[at].T
+        sums = [np.bincount(every, v, COUNT) for v in values]
         return np.stack(sums, -1) / np.maximum(number, 1)[:, None]
 
     colour = mean(pixels, 3)
@@ -245,8 +225,7 @@ def choose_pixels(
             "their shadows; at least 6 are needed for the pigments"
         )
     veil, mirrored = _tear_film(view, clear.shape, environment)
-    means = mean(veil, 1)[:, 0], mean(mirrored, 3)
-    return WindowPixels(some, window, present, colour, *means)
+    return WindowPixels(some, window, colour, present, mean(veil, 1)[:, 0], mean(mirrored, 3))
 
 
 def iris_alone(pose: Pose) -> np.ndarray:
@@ -310,13 +289,9 @@ def _matrix(seen, window, lights, eye, iris, maps, tables, ranges, bands, integr
 
 
 def _shaded(light, present) -> Bool[np.ndarray, " windows"]:
-    """Windows that are much darker than most at their distance from the pupil: the shadow of the
-    limbus or of a lid falls on them, whose edge is not modelled well.
-    """
-    rings = np.where(present, light, np.nan).reshape(RINGS, ANGLES)
-    seen = [ring[~np.isnan(ring)] for ring in rings]
-    usual = [np.median(ring) if len(ring) else np.nan for ring in seen]
-    return (rings < SHADED * np.array(usual)[:, None]).ravel()
+    """Windows much darker than most of their ring: in a shadow, whose edge is not modelled well."""
+    rings = np.ma.masked_array(light, ~present).reshape(RINGS, ANGLES)
+    return (rings < SHADED * np.ma.median(rings, axis=1)[:, None]).filled(False).ravel()
 
 
 def _tear_film(view: View, shape: tuple[int, int], environment: Environment | None):
@@ -334,7 +309,7 @@ def _tear_film(view: View, shape: tuple[int, int], environment: Environment | No
 def _windows_of_pixels(seen: IrisPixels, clear, eye: Eye):
     """The number of each pixel's window, `COUNT` for none."""
     number = project.pixel_numbers(seen)
-    x, y = (np.asarray(c) for c in seen.point[:2])
+    x, y = map(np.asarray, seen.point[:2])
     r, around = np.hypot(x, y), np.arctan2(y, x) % (2 * np.pi)
     inner = float(eye.pupil_radius) + MARGIN
     outer = min(float(eye.iris_radius), float(eye.limbus_radius)) - OUTER_MARGIN

@@ -15,10 +15,9 @@ from irisjax.cli.clone import report
 from irisjax.infer.posterior import Chains, ChainStatus
 from irisjax.io.scenes import read_scene
 from irisjax.photo import clone as cloning
-from irisjax.photo import masks
-from irisjax.photo.doubts import doubts_of
-from irisjax.photo.pigments import FREE_NAMES, PRIORS, PigmentFit
-from irisjax.photo.posterior import PigmentPosterior
+from irisjax.photo import texture
+from irisjax.photo.clone import doubts_of
+from irisjax.photo.pigments import FREE_NAMES, PRIORS, PigmentFit, PigmentPosterior
 from irisjax.photo.texture import follow_refraction
 from irisjax.photo.windows import Windows
 
@@ -122,7 +121,7 @@ def test_what_is_before_a_failed_stage_is_written(
         return posed[0]
 
     monkeypatch.setattr(cloning, "pose_eye", pose_once)
-    monkeypatch.setattr(masks, "TEXTURE_SIZE", 256)
+    monkeypatch.setattr(texture, "TEXTURE_SIZE", 256)
     monkeypatch.setattr(cloning, "follow_refraction", partial(follow_refraction, size=256))
     monkeypatch.setattr(cloning, "light_eye", no_light)
     seen = np.zeros((256, 256, 3), np.uint8)

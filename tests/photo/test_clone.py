@@ -14,7 +14,7 @@ from irisjax.photo import clone as cloning
 from irisjax.photo.clone import (
     CloneSettings,
     Given,
-    check_names,
+    clone_eye,
     flatten_iris,
     outline_eye,
     pose_eye,
@@ -128,4 +128,6 @@ def test_the_width_with_the_nearest_rendering_is_found(monkeypatch, best):
 )
 def test_unknown_names_are_refused(settings, last, message):
     with pytest.raises(ValueError, match=message):
-        check_names(settings, last)
+        next(
+            clone_eye(Photograph(np.zeros((8, 8, 3)), np.zeros((8, 8), bool)), settings, last=last)
+        )

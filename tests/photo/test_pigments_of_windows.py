@@ -12,17 +12,18 @@ from formula import BASE, formula_windows
 from irisjax.photo.pigments import (
     CONCENTRATIONS,
     FREE_NAMES,
+    RING,
     concentrations_of,
     exposures_for,
     fit_pigments,
     iris_of_concentrations,
+    log_likelihood,
     log_posterior,
     parameter_values,
     predicted_colours,
+    sample_pigments,
     simplex,
 )
-from irisjax.photo.posterior import sample_pigments
-from irisjax.photo.window_noise import RING, log_likelihood
 from irisjax.tissue.iris import Iris
 
 # Standard normal numbers; what is not named, the room, is at the prior's median.

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from irisjax.photo.window_noise import (
+from irisjax.photo.pigments import (
     PRIOR_COVARIANCE,
     PRIOR_WINDOWS,
     RING,
@@ -86,7 +86,7 @@ def test_the_likelihood_is_the_one_with_covariances_drawn():
         off = _errors(seed)
         found = log_likelihood(jnp.asarray(off), jnp.asarray(RESPONSE), jnp.asarray(PRESENT))
         held = covariances(jnp.asarray(off), jnp.asarray(RESPONSE), jnp.asarray(PRESENT))
-        means = np.logaddexp.reduce(_means(off, np.asarray(held.within)))
+        means = np.logaddexp.reduce(_means(off, np.asarray(held[0])))
         own.append(float(found))
         other.append(_drawn(off, inverse) + means)
     assert np.ptp(own) > 5
@@ -97,7 +97,7 @@ def test_whitened_errors_have_the_density_of_their_covariances():
     off, response, present = (jnp.asarray(v) for v in (_errors(1), RESPONSE, PRESENT))
     held = covariances(off, response, present)
     direct = 0.0
-    within = np.asarray(held.within)
+    within = np.asarray(held[0])
     for k, ring in enumerate(_rings(np.asarray(off))):
         apart = ring - ring.mean(0)
         direct += np.einsum("ni,ij,nj->", apart, np.linalg.inv(within[k]), apart)

@@ -148,16 +148,16 @@ def test_features_of_an_average_iris_have_no_place():
     seen = jax.tree.map(lambda x: jnp.repeat(x, TURNS, -1), pixels.seen)
     every = pixels._replace(seen=seen, window=np.repeat(pixels.window, TURNS))
     usual = average_maps(EYE)
-    turned = jax.tree.map(lambda m: jnp.roll(m, 5 * m.shape[0] // TURNS, 0), usual)
+    moved = jax.tree.map(lambda m: jnp.roll(m, 5 * m.shape[0] // TURNS, 0), usual)
     tables = Scene(BASE, eye=EYE, lights=LIGHTS).tables()
 
-    def radiance(maps, turns, seen=every):
-        made = windows_of(seen, EYE, BASE, maps, LIGHTS, QUICK, tables, turns=turns)
+    def radiance(maps, turned, seen=every):
+        made = windows_of(seen, EYE, BASE, maps, LIGHTS, QUICK, tables, turned=turned)
         return np.asarray(made.radiance(OTHER))
 
-    np.testing.assert_allclose(radiance(turned, TURNS), radiance(usual, TURNS), rtol=1e-5)
-    chance = np.log(radiance(usual, TURNS, pixels) / radiance(usual, TURNS))
+    np.testing.assert_allclose(radiance(moved, True), radiance(usual, True), rtol=1e-5)
+    chance = np.log(radiance(usual, True, pixels) / radiance(usual, True))
     assert np.sqrt(np.mean(chance**2)) < 0.015  # a third of what irides differ by, 0.05
-    still = np.abs(radiance(turned, 1) / radiance(usual, 1) - 1)
+    still = np.abs(radiance(moved, False) / radiance(usual, False) - 1)
     assert np.median(still) > 0.01
     assert float(usual.relief.max()) > 0.02
