@@ -278,12 +278,8 @@ def pixel(x, y, height, camera):
     assert bool(visible.all())
     _, right, up = camera.axes()
     scale = camera.size[0] / float(camera.width)
-    return np.array(
-        [
-            float(column[0]) - height * float(right[2]) * scale,
-            float(row[0]) + height * float(up[2]) * scale,
-        ]
-    )
+    aside = height * scale * np.array([-float(right[2]), float(up[2])])
+    return np.array([float(column[0]), float(row[0])]) + aside
 
 
 @pytest.mark.parametrize(("polar", "azimuth"), [(0.0, 0.0), (0.5, 1.0)])
@@ -291,9 +287,8 @@ def test_dots_on_high_coats_move_against_the_base(polar, azimuth):
     camera = Camera(size=CAMERA.size, width=9.0, distance=1e4, polar=polar, azimuth=azimuth)
     x, y, height = 2.8, -0.7, 0.3
     shape = dot(x, y)
-    low, high = (
-        centroid(picture(coat("dot", h, shape), camera=camera)[..., 0]) for h in (0.0, height)
-    )
+    dots = [picture(coat("dot", h, shape), camera=camera) for h in (0.0, height)]
+    low, high = (centroid(seen[..., 0]) for seen in dots)
     expected = pixel(x, y, height, camera) - pixel(x, y, 0.0, camera)
     if polar:
         assert np.linalg.norm(expected) > 1.5
@@ -344,10 +339,8 @@ def test_shadows_fall_aside_from_the_lamp():
 
 def test_coats_near_each_other_are_lit_together(monkeypatch):
     shapes = [spots(seed) for seed in (5, 6, 7)]
-    coats = [
-        coat(str(i), 0.1 + 0.01 * i, shape, colour)
-        for i, (shape, colour) in enumerate(zip(shapes, (RED, GREEN, BLUE), strict=True))
-    ]
+    kinds = zip((0.1, 0.11, 0.12), shapes, (RED, GREEN, BLUE), strict=True)
+    coats = [coat(str(i), *kind) for i, kind in enumerate(kinds)]
     together = picture(*coats)
     monkeypatch.setattr(integrator, "NEAR", -1.0)
     apart = picture(*coats)
