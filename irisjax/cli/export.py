@@ -11,12 +11,11 @@ from irisjax.export.handover import check_new_folder, export_scene
 from irisjax.numerics.checks import Range
 from irisjax.render.albedo import CONE
 
-_MODELS = "separable", "radiative-transfer"
-
 
 class Handover(opt.Group, panel="Files"):
     integrator: str | None = opt.choice(
-        "whose albedo and BRDF; default: the scene's, separable", _MODELS
+        "whose albedo and BRDF; default: the scene's, separable",
+        ("separable", "radiative-transfer"),
     )
     spacing: float = opt.number("size of the triangles, {}", Range(0.02, 2, "mm"), 0.1)
     output: Path = opt.output("a new or empty folder", "FOLDER", Path("eye"))

@@ -3,7 +3,7 @@
 import dataclasses
 import itertools
 import math
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -143,28 +143,25 @@ def _still(scene: Scene, picture: PictureOptions, exposure: float, output: Path)
                 yield band.pixels
                 progress.update(len(band.pixels))
 
-        def write(pixels: Iterable[np.ndarray]) -> int:
-            if output.suffix == ".exr":
-                io.write_exr(output, pixels, names, {"comments": remark}, rows=height)
-                return 0
+        pixels = _exposed(bands(), exposure, output)
+        if output.suffix == ".exr":
+            io.write_exr(output, pixels, names, {"comments": remark}, rows=height)
+        else:
             encoded = map(_encoded, pixels)
-            return io.write_png(output, encoded, bits=picture.bits, remark=remark, rows=height)
-
-        _written(bands(), exposure, output, write)
+            clipped = io.write_png(output, encoded, bits=picture.bits, remark=remark, rows=height)
+            _tell_clipped(output, clipped, math.prod(scene.camera.size))
 
 
 def _animated(scene: Scene, change: str, count: int, exposure: float, output: Path) -> None:
     remark = f"simulated by irisjax; {change}, {count} frames"
     pictures = frames(scene, change, count, kept_tables)
     shown = tqdm(pictures, total=count, unit="frame", disable=None)
-
-    def write(pixels: Iterable[np.ndarray]) -> int:
-        if _is_sheet(output):
-            whole = sheet(list(map(_encoded, pixels)))
-            return io.write_png(output, whole, remark=f"{remark} row by row")
-        return io.write_movie(output, map(_encoded, pixels), remark=remark)
-
-    _written(shown, exposure, output, write)
+    encoded = map(_encoded, _exposed(shown, exposure, output))
+    if _is_sheet(output):
+        clipped = io.write_png(output, sheet(list(encoded)), remark=f"{remark} row by row")
+    else:
+        clipped = io.write_movie(output, encoded, remark=remark)
+    _tell_clipped(output, clipped, count * math.prod(scene.camera.size))
 
 
 def frames(
@@ -207,30 +204,25 @@ def frames(
 def sheet(pictures: list[np.ndarray]) -> np.ndarray:
     """All pictures side by side, as square as it goes, row by row."""
     columns = math.ceil(math.sqrt(len(pictures)))
-    rows = math.ceil(len(pictures) / columns)
-    padded = np.zeros((rows * columns, *pictures[0].shape), pictures[0].dtype)
-    padded[: len(pictures)] = pictures
-    height, width = pictures[0].shape[:2]
-    grid = padded.reshape(rows, columns, height, width, -1).swapaxes(1, 2)
-    return grid.reshape(rows * height, columns * width, -1)
+    cells = [*pictures, *[np.zeros_like(pictures[0])] * (-len(pictures) % columns)]
+    rows = (cells[i : i + columns] for i in range(0, len(cells), columns))
+    return np.concatenate([np.concatenate(row, 1) for row in rows])
 
 
-def _written(pictures, exposure: float, output: Path, write: Callable[[Any], int]) -> None:
-    """Write pictures; say on standard error how many pixels are clipped, or that all are black."""
-    lightest, count = 0.0, 0
-
-    def exposed():
-        nonlocal lightest, count
-        for pixels in pictures:
-            lightest = max(lightest, exposure * float(np.max(pixels)))
-            count += math.prod(pixels.shape[:2])
-            yield exposure * pixels
-
-    if clipped := write(exposed()):
-        share = f"{100 * clipped / count:.2g} %"
-        opt.tell(f"{output}: {clipped} pixels ({share}) out of sRGB's range are clipped")
+def _exposed(pictures: Any, exposure: float, output: Path) -> Iterator[np.ndarray]:
+    """Pictures at an exposure; in the end it is said on standard error if all are black."""
+    lightest = 0.0
+    for pixels in pictures:
+        lightest = max(lightest, exposure * float(np.max(pixels)))
+        yield exposure * pixels
     if lightest <= 0:
         opt.tell(f"{output}: the picture is black: no light falls on what the camera sees")
+
+
+def _tell_clipped(output: Path, clipped: int, count: int) -> None:
+    if clipped:
+        share = f"{100 * clipped / count:.2g} %"
+        opt.tell(f"{output}: {clipped} pixels ({share}) out of sRGB's range are clipped")
 
 
 def _encoded(picture: np.ndarray) -> np.ndarray:
