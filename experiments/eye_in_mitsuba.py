@@ -170,7 +170,7 @@ def _texture(scene: Scene, albedo: np.ndarray, light: np.ndarray) -> dict[str, A
 
 def _camera(scene: Scene) -> dict[str, Any]:
     camera = scene.camera
-    origin = np.asarray(camera.rays(scene.eye)[0], float) * [1, 1, -1]
+    origin = np.asarray(camera.place(scene.eye), float) * [1, 1, -1]
     target = [0.0, 0.0, -float(scene.eye.iris_depth)]
     half = math.atan(float(camera.width) / 2 / float(camera.distance))
     return {

@@ -22,10 +22,10 @@ from irisjax.io import write_exr, write_maps
 from irisjax.measure.colour import srgb_encode
 from irisjax.photo.photograph import Ellipse, ellipse_through
 from irisjax.render.albedo import Matt
-from irisjax.render.bands import all_bands, colour_bands
+from irisjax.render.bands import colour_bands
 from irisjax.render.camera import Camera
 from irisjax.render.lights import Lights
-from irisjax.render.outside import colour_table
+from irisjax.render.outside import Blood, colour_table
 from irisjax.render.points import project_points
 from irisjax.render.refraction import enter
 from irisjax.render.scene import Scene
@@ -156,9 +156,9 @@ def _towards(camera: Camera, matt: Matt) -> np.ndarray:
 def _white(eye: Eye) -> np.ndarray:
     """Albedo of the sclera, linear sRGB."""
     assert eye.sclera is not None
-    bands = all_bands()
+    bands = colour_bands(every=True)
     table = colour_table(eye.sclera, np.asarray(bands.wavelengths), bands.weights)
-    return np.asarray(table(jnp.zeros(1)))[0]
+    return np.asarray(table(Blood(jnp.zeros(1))))[0]
 
 
 def outline(scene: Scene, radius: float, pupil: bool) -> tuple[Ellipse, float]:

@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
-from scipy.linalg import block_diag
+from jax.scipy.linalg import block_diag
 
 from irisjax.anatomy.eye import Eye
 from irisjax.anatomy.media import TEAR
@@ -23,7 +23,7 @@ from irisjax.io.maps import encode_maps
 from irisjax.io.tables import format_table, write_together
 from irisjax.measure.colour import srgb_encode
 from irisjax.render.albedo import CONE, LambertError, Matt
-from irisjax.render.bands import Bands, all_bands, colour_bands
+from irisjax.render.bands import Bands, colour_bands
 from irisjax.render.integrator import AbstractIntegrator
 from irisjax.render.outside import Blood, colour_table
 from irisjax.render.radiative import RadiativeIntegrator
@@ -109,10 +109,7 @@ def _contents(scene: Scene, spacing: float) -> tuple[dict[str, bytes], int, Lamb
 
     said = f"simulated by irisjax; {integrator.process}; a texel's albedo at normal incidence"
     remark = {"comments": said}
-    bands = colour_bands(scene.illuminant, scene.observer)
-    hazy = bands
-    if eye.cornea is not None:
-        hazy = colour_bands(scene.illuminant, scene.observer, eye.cornea)
+    bands, hazy = (colour_bands(scene.illuminant, scene.observer, c) for c in (None, eye.cornea))
     matt = Matt.of(scene.tissue, maps, eye, _joined(bands, hazy), integrator)
     colour, through, spectral = np.split(_in_uv(matt.albedo()), [3, 6], axis=-1)
     clear = eye.cornea is None or eye.cornea.scatter is None
@@ -176,12 +173,11 @@ def _in_uv(texture) -> np.ndarray:
 
 def _joined(bands: Bands, hazy: Bands) -> Bands:
     """Channels of `bands` and `hazy`, and reflectances: one table serves all."""
-    colours = np.concatenate([np.asarray(bands.weights), np.asarray(hazy.weights)])
-    weights = block_diag(colours, np.eye(len(_LAYERS)))
+    colours = jnp.concatenate([bands.weights, hazy.weights])
     ones = jnp.ones_like(bands.white, shape=len(_LAYERS))
     return Bands(
         bands.wavelengths + REFLECTANCE_WAVELENGTHS,
-        jnp.asarray(weights, bands.weights.dtype),
+        block_diag(colours, jnp.diag(ones)),
         jnp.concatenate([bands.white, hazy.white, ones]),
         (*bands.channels, *hazy.channels, *_LAYERS),
     )
@@ -203,12 +199,11 @@ def _haze(colour: np.ndarray, through: np.ndarray, bands: Bands, hazy: Bands) ->
 def _white(scene: Scene) -> np.ndarray | None:
     if scene.eye.sclera is None:
         return None
-    bands = all_bands(scene.illuminant, scene.observer)
+    bands = colour_bands(scene.illuminant, scene.observer, every=True)
     table = colour_table(scene.eye.sclera, np.asarray(bands.wavelengths), bands.weights)
-    if scene.veins is None:
-        return np.asarray(table(jnp.zeros(1)))[0]
-    veins = scene.veins
-    return np.asarray(table(Blood(veins.depth, veins.cover, veins.deep))).mean((0, 1))
+    v = scene.veins
+    blood = Blood(jnp.zeros((1, 1))) if v is None else Blood(v.depth, v.cover, v.deep)
+    return np.asarray(table(blood)).mean((0, 1))
 
 
 def _brdf(matt: Matt, illuminant: str, integrator: AbstractIntegrator) -> str:

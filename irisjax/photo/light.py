@@ -13,7 +13,7 @@ from irisjax.render.environment import Environment
 from irisjax.render.illumination import Illumination
 from irisjax.render.lights import Lights
 from irisjax.render.project import View, onto_picture
-from irisjax.render.scene import ENVIRONMENT_LIGHTS, all_lights
+from irisjax.render.scene import ENVIRONMENT_LIGHTS
 from irisjax.render.shading import fluxes_of
 
 _LEAST = 5  # pixels of a highlight
@@ -40,7 +40,11 @@ class Lighting(NamedTuple):
 
     def lights(self) -> Lights:
         """Return all of it but the room, as the lights of a scene."""
-        return all_lights(self.lamps, self.environment, ENVIRONMENT_LIGHTS, "D65")
+        if self.environment is None:
+            assert self.lamps is not None
+            return self.lamps
+        around = self.environment.to_lights(ENVIRONMENT_LIGHTS)
+        return around if self.lamps is None else self.lamps + around
 
 
 def find_lighting(part: Colours, pose: Pose, view: View) -> Lighting:

@@ -3,7 +3,7 @@
 Ten wavelengths stand for 81 (380 to 780 nm in steps of 5): spectra of irides are smooth and alike.
 Their colours differ by less than 0.5 ΔE2000 from those of all 81 (`experiments/rendering_bands.py`:
 0.32 under D65, 0.29 under A, 0.46 under FL11, on a thousand irides drawn widely). What is no iris,
-vessels above all, has `all_bands`.
+vessels above all, has every wavelength.
 """
 
 from collections.abc import Sequence
@@ -41,29 +41,22 @@ class Bands(eqx.Module):
 
 
 def colour_bands(
-    illuminant: str = "D65", observer: str = OBSERVER, cornea: Cornea | None = None
+    illuminant: str = "D65",
+    observer: str = OBSERVER,
+    cornea: Cornea | None = None,
+    *,
+    every: bool = False,
 ) -> Bands:
     """Bands to linear sRGB under an illuminant, adapted to D65, and twice through the haze of
-    `cornea`.
+    `cornea`; with `every` all of `BAND_GRID`.
     """
-    nodes, fill = _table()
+    nodes, fill = (BAND_GRID, np.eye(BAND_GRID.size)) if every else _table()
     matrix = np.asarray(tristimulus_matrix(BAND_GRID, "linear sRGB", illuminant, observer)[0])
-    dtype = jnp.result_type(float)
-    if cornea is None or cornea.scatter is None:
-        weights, white = (jnp.asarray(x, dtype) for x in (matrix @ fill.T, matrix.sum(1)))
-    else:
-        # Channel by channel and band by band, summed over the wavelengths they stand for.
-        haze = _haze(cornea, BAND_GRID)
-        weights = (jnp.asarray(matrix[:, None] * fill[None], dtype) * haze).sum(axis=-1)
-        white = (jnp.asarray(matrix, dtype) * haze).sum(axis=-1)
+    haze = _haze(cornea, BAND_GRID)
+    # Channel by channel and band by band, summed over the wavelengths they stand for.
+    weights = (jnp.asarray(matrix[:, None] * fill, haze.dtype) * haze).sum(axis=-1)
+    white = (jnp.asarray(matrix, haze.dtype) * haze).sum(axis=-1)
     return Bands(tuple(nodes.tolist()), weights, white, ("R", "G", "B"))
-
-
-def all_bands(illuminant: str = "D65", observer: str = OBSERVER) -> Bands:
-    """All of `BAND_GRID` to linear sRGB, adapted to D65, without a cornea."""
-    matrix = tristimulus_matrix(BAND_GRID, "linear sRGB", illuminant, observer)[0]
-    weights = jnp.asarray(matrix, jnp.result_type(float))
-    return Bands(tuple(BAND_GRID.tolist()), weights, weights.sum(1), ("R", "G", "B"))
 
 
 def spectral_bands(

@@ -81,12 +81,6 @@ class Camera(eqx.Module):
         """Numbers of rows and columns that it takes."""
         return (self.size[1] if self.rows is None else self.rows), self.size[0]
 
-    def rays(self, eye: Eye) -> tuple[Float[Array, "3"], Float[Array, "height width 3"]]:
-        """The camera's place and unit directions of its lines of sight, from the top row down."""
-        rows, columns = self.shape
-        _, direction = self.towards(jnp.arange(rows * columns), eye)
-        return self.place(eye), direction.reshape(rows, columns, 3)
-
     def axes(self) -> tuple[Vector, Vector, Vector]:
         """Unit vectors (3,) from the eye to the camera, to the right and up in the picture."""
         back = direction_of(self.polar, self.azimuth)

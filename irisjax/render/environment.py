@@ -3,7 +3,6 @@ for it.
 """
 
 import heapq
-from typing import Any
 
 import equinox as eqx
 import jax
@@ -105,15 +104,6 @@ class Environment(eqx.Module):
         """The same white light from everywhere, which a white sheet in it returns."""
         return cls(jnp.full((rows, 2 * rows, 3), radiance, jnp.result_type(float)))
 
-    def turned(self, angle: float) -> "Environment":
-        """The environment turned about the vertical: what was straight ahead moves towards −x by
-        `angle`, radians.
-
-        Whole columns are moved, so the angle is rounded to them.
-        """
-        columns = self.radiance.shape[1]
-        return Environment(jnp.roll(self.radiance, round(angle / (2 * np.pi) * columns), axis=1))
-
     def lookup(self, direction: ArrayLike) -> Float[Array, "*s 3"]:
         """Radiance (..., 3) from directions (..., 3) out of the eye, of any length; linear between
         texels.
@@ -139,19 +129,14 @@ class Environment(eqx.Module):
         r, c = jax.lax.optimization_barrier((r, c))
         return multilinear(table, (r, c))
 
-    def irradiance(self, normal: Any = (0.0, 0.0, -1.0)) -> Float[Array, "3"]:
-        """Irradiance, linear sRGB, on a surface with this unit `normal` at the eye; by default it
-        faces straight out.
-
-        Each texel counts as if all its light came from its centre.
-        """
-        rows, columns = self.radiance.shape[:2]
-        cos = _directions(rows, columns) @ jnp.asarray(normal, self.radiance.dtype)
-        weight = jnp.maximum(cos, 0) * _solid_angles(rows, columns)
-        return jnp.einsum("rc,rck->k", weight.astype(self.radiance.dtype), self.radiance)
-
-    def to_lights(self, n: int = 64, *, largest_polar: float | None = LARGEST_POLAR) -> Lights:
-        """At most `n` distant lights of D65 that stand for the map, by median cut [Debevec 2005].
+    def to_lights(
+        self,
+        n: int = 64,
+        *,
+        largest_polar: float | None = LARGEST_POLAR,
+        illuminant: str = "D65",
+    ) -> Lights:
+        """At most `n` distant lights that stand for the map, by median cut [Debevec 2005].
 
         The region with most luminous power × extent is cut next, across its longer side, where its
         power halves. Each region gives one light, with its whole power (`irradiance` × `tint` in
@@ -177,22 +162,20 @@ class Environment(eqx.Module):
         power = luminance * solid_angle
         if not power.any():
             raise ValueError("no light of this environment reaches the cornea")
-        towards, irradiance, colour, radius = [], [], [], []
+        lights = []
         for box in _median_cut(power, n):
             energy = power[box].sum()
             centre = np.einsum("rc,rck->k", power[box], direction[box])
             if np.linalg.norm(centre) < 1e-6 * energy:  # all round the eye: no side is the middle
                 centre = direction[box].reshape(-1, 3)[power[box].argmax()]
             effective = min(energy**2 / (power[box] * luminance[box]).sum(), 4 * np.pi)
-            towards.append(centre / np.linalg.norm(centre))
-            irradiance.append(energy)
-            colour.append(np.einsum("rck,rc->k", rgb[box], solid_angle[box]) / energy)
-            radius.append(np.arccos(1 - effective / (2 * np.pi)))
-        dtype = self.radiance.dtype
+            tint = np.einsum("rck,rc->k", rgb[box], solid_angle[box]) / energy
+            radius = np.arccos(1 - effective / (2 * np.pi))
+            lights.append((centre / np.linalg.norm(centre), energy, tint, radius))
         towards, irradiance, tint, radius = (
-            np.asarray(x, dtype) for x in (towards, irradiance, colour, radius)
+            np.asarray(x, self.radiance.dtype) for x in zip(*lights, strict=True)
         )
-        return Lights(towards, irradiance, jnp.asarray(tint), radius=radius)
+        return Lights(towards, irradiance, tint, radius=radius, illuminant=illuminant)
 
 
 def _median_cut(power: np.ndarray, n: int) -> list[tuple[slice, slice]]:

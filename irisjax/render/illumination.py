@@ -8,7 +8,6 @@ cornea has ended. The caustic is made by refraction alone.
 """
 
 import dataclasses
-from typing import NamedTuple
 
 import equinox as eqx
 import jax
@@ -145,9 +144,8 @@ def near_light(
         fixed, turned = jax.jacfwd(landing, (0, 1))(arrival.entry, arrival.entry)
         area, wider = (m[0, 0] * m[1, 1] - m[0, 1] * m[1, 0] for m in (fixed, fixed + turned))
         lit = (norm(arrival.flux) > 0) & (area * wider > 0) & (-towards[2] >= jnp.cos(UNIQUE_POLAR))
-        return *jnp.where(lit, arrival.entry, target), jnp.where(
-            lit, area / jnp.where(lit, wider, 1.0), 1.0
-        )
+        spread = jnp.where(lit, area / jnp.where(lit, wider, 1.0), 1.0)
+        return *jnp.where(lit, arrival.entry, target), spread
 
     row, column = ((point[..., k] / eye.iris_radius + 1) * ((size - 1) / 2) for k in (1, 0))
     x, y, spread = (bilinear(v.reshape(size, size), row, column) for v in jax.vmap(found)(targets))
@@ -156,21 +154,11 @@ def near_light(
     return on_cornea(cornea, jnp.stack([x * inside, y * inside], axis=-1)), spread
 
 
-class SquareGrid(NamedTuple):
-    """A square grid over the iris: `size` points a side from −`extent` to +`extent` mm."""
-
-    size: int
-    extent: Float[Array, ""]
-
-    @property
-    def cell(self) -> Float[Array, ""]:
-        """Area of a cell, mm²."""
-        return (2 * self.extent / (self.size - 1)) ** 2
-
-
-def gathered(eye: Eye, polar: Array, grid: SquareGrid, n_rays: int) -> Float[Array, "size size 3"]:
-    """Flux vectors on the grid (rows y, columns x) of unit light from azimuth 0 and the given polar
-    angle, counted ray by ray  [F09 Eq. 17].
+def gathered(
+    eye: Eye, polar: Array, size: int, extent: Scalar, n_rays: int
+) -> Float[Array, "size size 3"]:
+    """Flux vectors on a square grid (rows y, columns x) of ± `extent` mm of unit light from azimuth
+    0 and the given polar angle, counted ray by ray  [F09 Eq. 17].
 
     A quasi-random ray stands for its share of the cornea's area; its power is shared out between
     the four grid points round the place where it lands, so that the sum over the iris is the power
@@ -191,38 +179,33 @@ def gathered(eye: Eye, polar: Array, grid: SquareGrid, n_rays: int) -> Float[Arr
         k = jnp.stack([r * jnp.cos(angle), r * jnp.sin(angle)], axis=-1)
         entry = on_cornea(cornea, k)
         normal = cornea.anterior.normal(entry)
-        power = (
-            refraction.window(eye, k)
-            * jnp.maximum(dot(normal, towards), 0)
-            / -normal[..., 2]
-            * area
-        )
+        shown = jnp.maximum(dot(normal, towards), 0) / -normal[..., 2] * area
+        power = refraction.window(eye, k) * shown
         landing = refraction.enter(eye, entry, jnp.broadcast_to(-towards, entry.shape))
-        return _share_out(total, grid, eye, landing, power * landing.share), None
+        return _share_out(total, size, extent, eye, landing, power * landing.share), None
 
-    zero = jnp.zeros((grid.size * grid.size, 3), polar.dtype)
-    half, _ = jax.lax.scan(chunk, zero, jnp.arange(chunks))
-    half = half.reshape(grid.size, grid.size, 3) / grid.cell
+    half = jax.lax.scan(chunk, jnp.zeros((size * size, 3), polar.dtype), jnp.arange(chunks))[0]
+    half = half.reshape(size, size, 3) / (2 * extent / (size - 1)) ** 2
     return half + half[::-1] * jnp.asarray([1.0, -1.0, 1.0], half.dtype)
 
 
-def _share_out(total, grid: SquareGrid, eye: Eye, landing: refraction.Landing, power):
+def _share_out(total, size: int, extent, eye: Eye, landing: refraction.Landing, power):
     """Add the power of landings to their four grid points, as flux vectors per cell."""
     xy = landing.point[..., :2]
-    on_grid = (jnp.abs(xy).max(-1) < grid.extent) & (power > 0)
+    on_grid = (jnp.abs(xy).max(-1) < extent) & (power > 0)
     normal = eye.iris_normal(landing.point)
     cosine = jnp.where(on_grid, -dot(landing.direction, normal), 1.0)
     # Cells are those of the plane; an iris that is a cone has more area in each.
     weight = jnp.where(on_grid, power, 0.0) * -normal[..., 2] / cosine
     vector = weight[..., None] * landing.direction
     inside = jnp.where(on_grid[..., None], xy, 0.0)
-    column, row = parts((inside / grid.extent + 1) * ((grid.size - 1) / 2))
-    j, i = (jnp.clip(jnp.floor(c), 0, grid.size - 2) for c in (column, row))
+    column, row = parts((inside / extent + 1) * ((size - 1) / 2))
+    j, i = (jnp.clip(jnp.floor(c), 0, size - 2) for c in (column, row))
     u, v = column - j, row - i
-    base = jnp.asarray(i * grid.size + j, jnp.int32)
+    base = jnp.asarray(i * size + j, jnp.int32)
     for down, across in ((0, 0), (0, 1), (1, 0), (1, 1)):
         weight = (u if across else 1 - u) * (v if down else 1 - v)
-        place = base + down * grid.size + across
+        place = base + down * size + across
         total = total.at[place].add(weight[..., None] * vector, mode="promise_in_bounds")
     return total
 
@@ -234,7 +217,6 @@ def _build(
     # One cell beyond the iris: cells that its edge cuts would lose the power landing outside and
     # darken the rim.
     extent = eye.iris_radius * (size - 1) / (size - 3)
-    grid = SquareGrid(size, extent)
     line = jnp.linspace(-1, 1, size) * extent
     x, y = jnp.meshgrid(line, line)
     points = jnp.stack([x, y], axis=-1)
@@ -248,6 +230,7 @@ def _build(
         return Illumination(smoothly, extent, UNIQUE_POLAR)
     steps = round((LARGEST_POLAR - UNIQUE_POLAR) / _FINE)
     counted = jax.lax.map(
-        lambda a: gathered(eye, a, grid, n_rays), UNIQUE_POLAR + _FINE * jnp.arange(1, steps + 1)
+        lambda a: gathered(eye, a, size, extent, n_rays),
+        UNIQUE_POLAR + _FINE * jnp.arange(1, steps + 1),
     )
     return Illumination(jnp.concatenate([smoothly, counted]), extent, UNIQUE_POLAR + steps * _FINE)

@@ -8,8 +8,9 @@ import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Float
 
-from irisjax._types import Scalar, as_float, as_float_or_none
+from irisjax._types import as_float, as_float_or_none
 from irisjax.numerics.checks import Range, check_range
+from irisjax.optics.conicoid import Parts, parts
 from irisjax.render.refraction import direction_of
 
 LIGHT_LIMITS = {
@@ -137,31 +138,20 @@ class Lights(eqx.Module):
         """Angle of each light from the axis of the eye, radians."""
         return _polar(self.towards)
 
-    def around(
-        self, point: tuple[Float[Array, " pixels"], ...]
-    ) -> tuple[tuple[Float[Array, "lights #pixels"], ...], Float[Array, "lights #pixels"]]:
-        """As `seen_from`, of all lights at once: components (lights, pixels) and irradiances."""
+    def seen_from(
+        self, point: Parts, i: Any = np.s_[:, None]
+    ) -> tuple[tuple[Float[Array, "..."], ...], Float[Array, "..."]]:
+        """Unit vectors from points (components, mm) to light `i`, and its irradiance there on a
+        surface that faces it; to all lights by default, (lights, points).
+        """
+        towards, power = parts(self.towards[i]), self.irradiance[i]
         if self.distance is None:
-            return tuple(t[:, None] for t in self.towards.T), self.irradiance[:, None]
-        near = 1.0 / self.distance[:, None]
-        offset = [t[:, None] - p * near for t, p in zip(self.towards.T, point, strict=True)]
+            return towards, power
+        near = 1.0 / self.distance[i]  # 0 for a light at infinity
+        offset = [t - p * near for t, p in zip(towards, point, strict=True)]
         square = sum(o * o for o in offset)
         length = jnp.sqrt(square)
-        return tuple(o / length for o in offset), self.irradiance[:, None] / square
-
-    def seen_from(
-        self, point: Float[Array, "*s 3"], i: int | Array
-    ) -> tuple[Float[Array, "*s 3"], Scalar | Float[Array, "*s"]]:
-        """Unit vectors from points (mm) to light `i`, and its irradiance there on a surface that
-        faces it.
-        """
-        towards, power = self.towards[i], self.irradiance[i]
-        if self.distance is None:
-            return jnp.broadcast_to(towards, point.shape), power
-        near = 1.0 / self.distance[i]  # 0 for a light at infinity
-        offset = towards - point * near
-        square = (offset * offset).sum(-1)
-        return offset / jnp.sqrt(square)[..., None], power / square
+        return tuple(o / length for o in offset), power / square
 
 
 @eqx.filter_jit

@@ -20,7 +20,7 @@ from irisjax.anatomy.sclera import VeinMap
 from irisjax.numerics.interpolation import polar_bilinear
 from irisjax.numerics.portions import pixelwise
 from irisjax.numerics.roots import safe_sqrt
-from irisjax.optics.conicoid import Parts, joined
+from irisjax.optics.conicoid import joined
 from irisjax.render.environment import Environment
 from irisjax.render.lights import Lights
 from irisjax.render.project import MirrorPixels, ScleraPixels
@@ -86,10 +86,9 @@ def absorption(sclera: Sclera, wavelengths: ArrayLike) -> Spectrum:
 
 
 def sclera_reflectance(
-    sclera: Sclera, wavelengths: ArrayLike, blood: Blood | ArrayLike
+    sclera: Sclera, wavelengths: ArrayLike, blood: Blood
 ) -> Float[Array, "... wavelengths"]:
-    """Diffuse reflectance of the white under vessels, shape (…, wavelengths); `blood` or its depth
-    alone, mm.
+    """Diffuse reflectance of the white under vessels, shape (…, wavelengths).
 
     ρ (1 − c (1 − v₁)(1 − e^(−2μd))) (1 − e (1 − v₂)(1 − e^(−2μD))): bulk reflectance ρ, cover c and
     e, veils v, and light that passes the blood twice (Beer–Lambert). Wavelengths in nm.
@@ -100,7 +99,7 @@ def sclera_reflectance(
     Raises:
         ValueError: A wavelength lies outside the tables of haemoglobin.
     """
-    depth, cover, deep = _fields(blood)
+    depth, cover, deep = blood
     mu = absorption(sclera, wavelengths)
     dark = (1 - veil(wavelengths, SHALLOW)) * -jnp.expm1(-2 * mu * depth[..., None])
     dark = dark if cover is None else cover[..., None] * dark
@@ -113,10 +112,6 @@ def _dimming(mu: Spectrum, wavelengths) -> Spectrum:
     return (1 - veil(wavelengths, DEEP)) * -jnp.expm1(-2 * mu * DEEP_CHORD)
 
 
-def _fields(blood: Blood | ArrayLike) -> Blood:
-    return blood if isinstance(blood, Blood) else Blood(jnp.asarray(blood, jnp.result_type(float)))
-
-
 class ColourTable(eqx.Module):
     """Colour of the white as a function of the blood before it, for look-up.
 
@@ -126,9 +121,9 @@ class ColourTable(eqx.Module):
 
     values: Float[Array, "nodes 2 channels"]
 
-    def __call__(self, blood: Blood | ArrayLike) -> Float[Array, "... channels"]:
-        """Channels, shape (…, channels), of `blood` or of its depth alone (mm)."""
-        return jnp.stack(self.channels(_fields(blood)), axis=-1)
+    def __call__(self, blood: Blood) -> Float[Array, "... channels"]:
+        """Channels, shape (…, channels)."""
+        return jnp.stack(self.channels(blood), axis=-1)
 
     def channels(self, blood: Blood) -> list[Float[Array, "..."]]:
         """As a call, each channel by itself."""
@@ -159,7 +154,7 @@ def colour_table(
     With 64 nodes linear interpolation errs by 1.2e-4 of white at most in XYZ and in linear sRGB.
     """
     depth = _KNEE * jnp.expm1(jnp.linspace(0.0, np.log1p(DEEPEST / _KNEE), nodes))
-    light = sclera_reflectance(sclera, wavelengths, depth)
+    light = sclera_reflectance(sclera, wavelengths, Blood(depth))
     taken = light * _dimming(absorption(sclera, wavelengths), wavelengths)
     return ColourTable(jnp.stack([light, taken], axis=1) @ jnp.asarray(weights, light.dtype).T)
 
@@ -195,7 +190,7 @@ def white(
     Approximation: the tear film takes its share on the way out and not on the way in.
     """
     sclera, colour = pixels
-    towards, irradiance = lights.around(sclera.point)
+    towards, irradiance = lights.seen_from(sclera.point)
     cosine = sum(n * t for n, t in zip(sclera.normal, towards, strict=True))
     # The sclera is translucent: light bleeds 17° past the terminator. A round white sends back what
     # a matt one does.
@@ -206,19 +201,17 @@ def white(
 
 @pixelwise
 def mirrored(
-    pixels: tuple[MirrorPixels, Parts | None, Float[Array, "channels pixels"] | None],
+    pixels: tuple[MirrorPixels, Float[Array, "channels pixels"] | None],
     lights: Lights | None,
     lamp: Float[Array, " channels"],
 ) -> Float[Array, "channels pixels"]:
     """Channels of images in the tear film: lamps as soft discs of their angular radius, the room of
-    `room_at` (or `None`) as it is. Lamps that are near ask for the points of `mirror_points`.
-    `lamp` is a lamp of radiance 1 in the picture's channels."""
-    film, point, room = pixels
+    `room_at` (or `None`) as it is. `lamp` is a lamp of radiance 1 in the picture's channels."""
+    film, room = pixels
     total = jnp.zeros((lamp.size, film.reflectance.size), film.reflectance.dtype)
     if lights is not None:
         # Chords in place of angles: an arc cosine a pixel and light costs more than all the rest.
-        far = [t[:, None] for t in lights.towards.T]
-        towards = far if point is None else lights.around(point)[0]
+        towards, _ = lights.seen_from(film.point)
         x, y, z = (m - t for m, t in zip(film.mirror, towards, strict=True))
         chord = safe_sqrt(x * x + y * y + z * z)
         outer, inner = (2 * jnp.sin(share * lights.radius / 2)[:, None] for share in (1.1, 0.9))

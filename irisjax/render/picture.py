@@ -17,11 +17,11 @@ from jaxtyping import Array, Float
 
 from irisjax.anatomy.eye import Cornea, Sclera
 from irisjax.render import outside
-from irisjax.render.bands import Bands, all_bands, colour_bands, spectral_bands
+from irisjax.render.bands import Bands, colour_bands, spectral_bands
 from irisjax.render.illumination import Illumination
 from irisjax.render.integrator import AbstractResponse, checked_response
 from irisjax.render.outside import ColourTable, colour_table
-from irisjax.render.project import View, look, mirror_points, project
+from irisjax.render.project import View, look, project
 from irisjax.render.scene import Scene
 from irisjax.render.shading import Front, ranges_of
 
@@ -139,21 +139,15 @@ def illuminate(
 
 def surroundings(view: View, texels: Texels, scene: Scene) -> Float[Array, "channels pixels"]:
     """Radiance of everything but the iris: the sclera and the images in the tear film."""
-    white, images, points = None, None, None
-    lamps, lamp = scene.lights, _lamp(scene)
+    lamp, parts = _lamp(scene), []
     if view.sclera is not None and texels.white is not None:
         all_round = scene.all_lights(largest_polar=None)
-        white = outside.white((view.sclera, texels.white), all_round)
+        parts += [(view.sclera.index, outside.white((view.sclera, texels.white), all_round))]
     if view.mirror is not None:
-        if lamps is not None and lamps.distance is not None:
-            index = view.mirror.index
-            every = jnp.arange(view.mirror.reflectance.size, dtype=jnp.int32)
-            seen = every if index is None else jnp.maximum(index, 0)
-            points = mirror_points(seen, scene.eye, scene.camera)
-        images = outside.mirrored((view.mirror, points, texels.room), lamps, lamp)
-    both = (view.sclera, white), (view.mirror, images)
-    parts = [(None if p is None else p.index, colour) for p, colour in both]
-    return _together(parts, lamp, view.size[0] * view.size[1])
+        images = outside.mirrored((view.mirror, texels.room), scene.lights, lamp)
+        parts += [(view.mirror.index, images)]
+    dark = jnp.zeros((lamp.size, view.size[0] * view.size[1]), lamp.dtype)
+    return _added(dark, parts)
 
 
 def respond(scene: Scene) -> AbstractResponse:
@@ -174,10 +168,10 @@ def shade(
     view: View, texels: Texels, light: LitView, response: AbstractResponse
 ) -> Float[Array, "height width channels"]:
     """Make the picture from the results of the other functions."""
-    if view.iris is None:
-        return _composed(light.surroundings, None, None, view.size)
-    colour = response.shade(view.iris, texels.iris, light.iris)
-    return _composed(light.surroundings, view.iris.index, colour, view.size)
+    iris = []
+    if view.iris is not None:
+        iris = [(view.iris.index, response.shade(view.iris, texels.iris, light.iris))]
+    return _added(light.surroundings, iris, view.size)
 
 
 def draw_bands(
@@ -229,10 +223,14 @@ def _spectrum(scene: Scene) -> tuple[str, str, tuple[float, ...] | None]:
 
 @eqx.filter_jit
 def _bands(
-    cornea: Cornea | None, illuminant: str, observer: str, wavelengths: tuple[float, ...] | None
+    cornea: Cornea | None,
+    illuminant: str,
+    observer: str,
+    wavelengths: tuple[float, ...] | None,
+    every: bool = False,
 ) -> Bands:
     if wavelengths is None:
-        return colour_bands(illuminant, observer, cornea)
+        return colour_bands(illuminant, observer, cornea, every=every)
     return spectral_bands(wavelengths, illuminant, cornea)
 
 
@@ -242,32 +240,17 @@ def _lamp(scene: Scene) -> Float[Array, " channels"]:
 
 
 @eqx.filter_jit
-def _sclera_colours(
-    sclera: Sclera, illuminant: str, observer: str, wavelengths: tuple[float, ...] | None
-) -> ColourTable:
-    if wavelengths is None:
-        bands = all_bands(illuminant, observer)
-    else:
-        bands = spectral_bands(wavelengths, illuminant)
+def _sclera_colours(sclera: Sclera, *spectrum: Any) -> ColourTable:
+    bands = _bands(None, *spectrum, every=True)
     return colour_table(sclera, np.asarray(bands.wavelengths), bands.weights)
 
 
 @eqx.filter_jit
-def _together(parts: Any, lamp: Float[Array, " channels"], count: int) -> Array:
-    base = jnp.zeros((lamp.size, count), lamp.dtype)
+def _added(whole: Array, parts: Any, size: tuple[int, int] | None = None) -> Array:
+    """Channels of all pixels with those of some parts; as a picture where its `size` is given."""
     for index, colour in parts:
-        base = base if colour is None else _added(base, index, colour)
-    return base
-
-
-@eqx.filter_jit
-def _composed(base: Array, index: Array | None, colour: Array | None, size: tuple[int, int]):
-    whole = base if colour is None else _added(base, index, colour)
-    return whole.T.reshape(size[1], size[0], -1)
-
-
-def _added(base: Array, index: Array | None, colour: Array) -> Array:
-    if index is None:
-        return base + colour
-    # Channel by channel: twice as fast as pixels of three numbers.
-    return base.at[:, index].add(colour, mode="drop", wrap_negative_indices=False)
+        if index is None:
+            whole = whole + colour
+        else:  # channel by channel: twice as fast as pixels of three numbers
+            whole = whole.at[:, index].add(colour, mode="drop", wrap_negative_indices=False)
+    return whole if size is None else whole.T.reshape(size[1], size[0], -1)

@@ -80,11 +80,13 @@ class MirrorPixels(eqx.Module):
 
     Attributes:
         index: As of `IrisPixels`.
+        point: Point of the tear film, mm.
         mirror: Direction of the mirrored line of sight.
         reflectance: Reflectance of the film; 0 beside it.
     """
 
     index: Int[Array, " pixels"] | None
+    point: Parts
     mirror: Parts
     reflectance: Float[Array, " pixels"]
 
@@ -171,9 +173,7 @@ def seen_parts(index: Any, eye: Eye, camera: Camera) -> Int8[Array, " pixels"]:
         return jnp.where(IrisSurface(eye).meet(origin, direction)[1], IRIS, 0).astype(jnp.int8)
     outside = _Outside.met(eye, origin, direction)
     white = outside.hit & (outside.blend > 0)
-    sees = (outside.iris, IRIS), (white, SCLERA), (outside.hit, MIRROR)
-    iris, sclera, mirror = (jnp.where(part, name, 0).astype(jnp.int8) for part, name in sees)
-    return iris + sclera + mirror
+    return (IRIS * outside.iris + SCLERA * white + MIRROR * outside.hit).astype(jnp.int8)
 
 
 @pixelwise
@@ -216,15 +216,8 @@ def mirror_pixels(index: Any, eye: Eye, camera: Camera) -> MirrorPixels:
     """Pixels of these numbers as those that see the tear film."""
     outside, direction, reflectance = _film(index, eye, camera)
     mirror = parts(reflect_vector(direction, outside.normal))
-    return MirrorPixels(index, mirror, jnp.where(outside.hit, reflectance, 0.0))
-
-
-@pixelwise
-def mirror_points(index: Any, eye: Eye, camera: Camera) -> Parts:
-    """Where pixels of these numbers meet the tear film, mm: needed for lamps that are near, and for
-    them alone.
-    """
-    return parts(_Outside.met(eye, *camera.towards(index, eye)).point)
+    share = jnp.where(outside.hit, reflectance, 0.0)
+    return MirrorPixels(index, parts(outside.point), mirror, share)
 
 
 def _film(index, eye: Eye, camera: Camera):

@@ -132,21 +132,9 @@ class Scene(eqx.Module):
         """Lamps, and those that stand for the environment up to a polar angle (radians); `None`
         for all directions.
         """
-        parts = self.lights, self.environment, self.environment_lights, self.illuminant
-        return all_lights(*parts, largest_polar)
-
-
-def all_lights(
-    lights: Lights | None,
-    environment: Environment | None,
-    count: int,
-    illuminant: str,
-    largest_polar: float | None = LARGEST_POLAR,
-) -> Lights:
-    """Lamps and at most `count` that stand for an environment."""
-    if environment is None:
-        assert lights is not None
-        return lights
-    around = environment.to_lights(count, largest_polar=largest_polar)
-    around = dataclasses.replace(around, illuminant=illuminant)
-    return around if lights is None else lights + around
+        if self.environment is None:
+            assert self.lights is not None
+            return self.lights
+        how = {"largest_polar": largest_polar, "illuminant": self.illuminant}
+        around = self.environment.to_lights(self.environment_lights, **how)
+        return around if self.lights is None else self.lights + around

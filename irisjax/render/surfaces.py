@@ -1,4 +1,5 @@
-"""Surfaces of the eye: where a ray meets them, their normal there, and its place in their maps.
+"""Surfaces of the eye: where a ray meets them, their normal there, and the place in their maps
+where they have any.
 
 How a surface sends light back is a property of its material (`outside`, `integrator`).
 """
@@ -30,10 +31,6 @@ class AbstractSurface(eqx.Module):
     @abc.abstractmethod
     def normal(self, point: Vector) -> Vector:
         """Unit normal at points, out of the eye."""
-
-    @abc.abstractmethod
-    def place(self, point: Vector) -> Place:
-        """Where points lie in the maps of the surface."""
 
 
 class IrisSurface(AbstractSurface):
@@ -85,10 +82,6 @@ class CorneaSurface(AbstractSurface):
 
     def normal(self, point: Vector) -> Vector:
         return self._front.normal(point)
-
-    def place(self, point: Vector) -> Place:
-        """Angle, and distance from the axis over that of the limbus."""
-        return arctan2(point[..., 1], point[..., 0]), from_axis(point) / self.eye.limbus_radius
 
     @property
     def _front(self):

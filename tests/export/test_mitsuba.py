@@ -54,8 +54,8 @@ def matt(scene, folder, point):
     albedo = polar_bilinear(jnp.moveaxis(jnp.asarray(texture, float), -1, 0), *place)
     irradiance = np.zeros(len(point))
     for i in range(len(scene.lights)):
-        towards, power = (np.asarray(x) for x in scene.lights.seen_from(jnp.asarray(point), i))
-        irradiance += power * np.maximum(-towards[:, 2], 0)
+        towards, power = scene.lights.seen_from(tuple(jnp.asarray(point).T), i)
+        irradiance += np.asarray(power) * np.maximum(-np.asarray(towards[2]), 0)
     return np.asarray(albedo).T * irradiance[:, None] / np.pi
 
 

@@ -34,6 +34,13 @@ def scene(eye=BARE, polar=0.0, azimuth=0.0, irradiance=np.pi, **parts):
     )
 
 
+def rays_of(camera, eye):
+    """A camera's place and unit directions of its lines of sight, (height, width, 3)."""
+    rows, columns = camera.shape
+    _, direction = camera.towards(jnp.arange(rows * columns), eye)
+    return camera.place(eye), direction.reshape(rows, columns, 3)
+
+
 def ring(height, radii=24, angles=48):
     """A map of (x, y) functions: values at texels of a 0.25 to 5.5 mm iris."""
     angle, radius = cell_centres((angles, radii))

@@ -8,7 +8,7 @@ import pytest
 from irisjax.anatomy.eye import Eye
 from irisjax.export.mesh import eye_meshes, mesh_files
 from irisjax.optics.conicoid import norm
-from irisjax.render.illumination import SquareGrid, gathered
+from irisjax.render.illumination import gathered
 from irisjax.render.refraction import arrive, enter
 from render.tracing import towards
 
@@ -200,9 +200,7 @@ def test_caustic(cornea, degrees, request):
     # Our grid's points are the centres of their cells.
     extent = jnp.asarray(ROOT - cell / 2)
     ours = np.asarray(
-        jax.jit(lambda a: gathered(EYE, a, SquareGrid(size, extent), 400_000))(
-            jnp.radians(float(degrees))
-        )
+        jax.jit(lambda a: gathered(EYE, a, size, extent, 400_000))(jnp.radians(float(degrees)))
     )[..., 2]
     power = [x.sum() * cell**2 for x in (theirs, ours)]
     # Along the axis of symmetry, over a band 1.4 mm wide; between cells by the parabola through the

@@ -28,8 +28,12 @@ def total(environment):
     return np.einsum("rck,r->k", np.asarray(environment.radiance, np.float64), solid)
 
 
+def power_of(lights):
+    return np.asarray(lights.irradiance[:, None] * lights.tint, np.float64)
+
+
 def power(lights):
-    return np.asarray(lights.irradiance[:, None] * lights.tint, np.float64).sum(0)
+    return power_of(lights).sum(0)
 
 
 def direction(polar, azimuth):
@@ -63,9 +67,7 @@ def test_power_is_conserved(n, shape):
 def test_single_precision(float32):
     environment = noisy(40)
     lights = environment.to_lights(50)
-    for leaf in jax.tree.leaves(
-        (lights, lookup(environment, lights.towards), environment.irradiance())
-    ):
+    for leaf in jax.tree.leaves((lights, lookup(environment, lights.towards))):
         assert leaf.dtype == jnp.float32
     whole = environment.to_lights(50, largest_polar=None)
     np.testing.assert_allclose(power(whole), total(environment), rtol=3e-6)
@@ -93,7 +95,7 @@ def test_sides():
     radiance[1, 5] = 1.0  # up, and right of the middle
     x, y, z = Environment(radiance).to_lights(1).towards[0]
     assert x < 0 and y > 0 and z < 0
-    turned = Environment(radiance).turned(-np.pi / 2).to_lights(1).towards[0]
+    turned = Environment(np.roll(radiance, -2, axis=1)).to_lights(1).towards[0]
     np.testing.assert_allclose(turned, [-z, y, x], atol=1e-12)
 
 
@@ -102,7 +104,6 @@ def test_even_hemisphere_lights_a_facing_surface_with_pi():
     radiance = np.full((64, 128, 3), 2.0)
     radiance[:, :32] = radiance[:, 96:] = 0  # behind the eye
     environment = Environment(radiance)
-    np.testing.assert_allclose(environment.irradiance(), 2 * np.pi, rtol=1e-3)
     errors = []
     for n in (16, 64, 256, 1024):
         lights = environment.to_lights(n)
@@ -199,7 +200,8 @@ def test_studio_and_sky():
     studio = Environment.studio(32)
     lights = studio.to_lights(32)
     key = lights.towards[jnp.argmax(lights.irradiance / lights.radius**2)]
-    np.testing.assert_allclose(studio.irradiance(), np.pi, rtol=0.05)
+    facing = (power_of(lights) * np.maximum(-lights.towards[:, 2:], 0)).sum(0)
+    np.testing.assert_allclose(facing, np.pi, rtol=0.05)
     assert key[0] < 0 and key[1] > 0 and key[2] < 0
     for polar, azimuth in [(0.9, 2.0), (1.5, 0.3)]:
         bare, sunny = (

@@ -18,14 +18,14 @@ from irisjax.render import outside, shading
 from irisjax.render.bands import BAND_GRID
 from irisjax.render.camera import Camera
 from irisjax.render.environment import Environment
-from irisjax.render.illumination import SquareGrid, gathered
+from irisjax.render.illumination import gathered
 from irisjax.render.lights import Lights
 from irisjax.render.outside import bulk_reflectance
 from irisjax.render.project import ScleraPixels, look, sclera_pixels
 from irisjax.render.refraction import UNIQUE_POLAR, RefractionFunction, window
 from irisjax.render.scene import Scene
 from irisjax.tissue.maps import IrisMaps
-from render.small_scenes import around
+from render.small_scenes import around, rays_of
 from render.tracing import disc, soft_edge, trace
 
 CLEAR = Cornea(scatter=None)
@@ -133,7 +133,7 @@ def test_near_lamp_is_mirrored_where_it_stands(tables):
     points at the lamp itself.
     """
     lamp, camera = np.array([15.0, 10.0, -40.0]), Camera(size=(240, 180), width=11.0)
-    origin, d = (np.asarray(v) for v in camera.rays(WHITE))
+    origin, d = (np.asarray(v) for v in rays_of(camera, WHITE))
     radius, p = float(CLEAR.anterior.radius), float(CLEAR.anterior.shape)
     w = np.array([1, 1, p])
     a, b, c = (
@@ -211,9 +211,7 @@ def test_cone_is_lit_alike_by_both_tables():
     """
     eye = EYE.replace(iris_slope=0.3, iris_depth=3.8)
     size, extent = 65, 5.5
-    counted = gathered(
-        eye, jnp.asarray(UNIQUE_POLAR), SquareGrid(size, jnp.asarray(extent)), 100_000
-    )
+    counted = gathered(eye, jnp.asarray(UNIQUE_POLAR), size, jnp.asarray(extent), 100_000)
     line = jnp.linspace(-1, 1, size) * extent
     points = jnp.stack(jnp.meshgrid(line, line), axis=-1)
     towards = jnp.array([np.sin(UNIQUE_POLAR), 0.0, -np.cos(UNIQUE_POLAR)])

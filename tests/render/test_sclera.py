@@ -23,6 +23,10 @@ from irisjax.render.outside import (
 GRID = np.arange(380.0, 781.0, 5.0)
 
 
+def bloody(depth):
+    return Blood(jnp.asarray(depth))
+
+
 @pytest.fixture(scope="module")
 def drawn():
     return veins(Eye(), key=jax.random.key(3))
@@ -30,20 +34,21 @@ def drawn():
 
 def test_without_blood_the_bulk():
     bulk = bulk_reflectance(GRID)
-    np.testing.assert_allclose(sclera_reflectance(Sclera(), GRID, 0.0), bulk)
+    np.testing.assert_allclose(sclera_reflectance(Sclera(), GRID, bloody(0.0)), bulk)
     none = Blood(jnp.asarray(0.1), jnp.asarray(0.0), jnp.asarray(0.0))
     np.testing.assert_allclose(sclera_reflectance(Sclera(), GRID, none), bulk)
     assert ((bulk > 0.4) & (bulk < 0.8)).all()
 
 
 def test_thick_vein_is_dark_red():
-    r = sclera_reflectance(Sclera(), np.array([450.0, 550.0, 650.0]), 0.25)
+    r = sclera_reflectance(Sclera(), np.array([450.0, 550.0, 650.0]), bloody(0.25))
     bulk = bulk_reflectance(np.array([450.0, 550.0, 650.0]))
     assert r[0] < 0.15 * bulk[0] and r[1] < 0.15 * bulk[1] and r[2] > 0.7 * bulk[2]
     everything = Blood(jnp.asarray(50.0), jnp.asarray(1.0), jnp.asarray(1.0))
     assert (sclera_reflectance(Sclera(), GRID, everything) >= 0).all()
     assert (
-        sclera_reflectance(Sclera(), GRID, 0.1) <= sclera_reflectance(Sclera(), GRID, 0.01)
+        sclera_reflectance(Sclera(), GRID, bloody(0.1))
+        <= sclera_reflectance(Sclera(), GRID, bloody(0.01))
     ).all()
 
 
@@ -53,12 +58,14 @@ def test_beer_lambert_by_hand():
     v = 1.4 * SHALLOW * (560 / 550) ** -1.5
     v = v / (1 + v)
     by_hand = (0.54 + 0.12 * 160 / 300) * (v + (1 - v) * np.exp(-2 * mu * 0.03))
-    got = sclera_reflectance(Sclera(hemoglobin=2.0, saturation=0.8), np.array([560.0]), 0.03)
+    got = sclera_reflectance(
+        Sclera(hemoglobin=2.0, saturation=0.8), np.array([560.0]), bloody(0.03)
+    )
     np.testing.assert_allclose(got[0], by_hand, rtol=1e-10)
 
 
 def test_deep_vessels_are_fainter_and_bluer():
-    shallow = sclera_reflectance(Sclera(), GRID, 0.08)
+    shallow = sclera_reflectance(Sclera(), GRID, bloody(0.08))
     deep = sclera_reflectance(Sclera(), GRID, Blood(jnp.asarray(0.0), None, jnp.asarray(1.0)))
     assert (deep >= shallow - 1e-12).all()
     lost = 1 - deep / bulk_reflectance(GRID)
@@ -76,10 +83,10 @@ def test_table_errs_by_1e_4(space):
     @jax.jit
     def errors(blood):
         table = colour_table(Sclera(), GRID, weights)
-        beyond = table(jnp.asarray(9.0)) - table(jnp.asarray(DEEPEST))
+        beyond = table(bloody(9.0)) - table(bloody(DEEPEST))
         return [
             abs(table(b) - sclera_reflectance(Sclera(), GRID, b) @ weights.T).max()
-            for b in (blood.depth, blood)
+            for b in (Blood(blood.depth), blood)
         ], beyond
 
     found, beyond = errors(blood)

@@ -18,7 +18,7 @@ from irisjax.render.picture import draw, draw_bands
 from irisjax.render.scene import Scene
 from irisjax.render.single_scattering import SingleScattering
 from irisjax.tissue.maps import IrisMaps
-from render.small_scenes import QUICK
+from render.small_scenes import QUICK, rays_of
 
 UNEVEN = np.random.default_rng(0).uniform(0.5, 1.5, (16, 8))
 
@@ -126,7 +126,7 @@ def test_rows_outside_the_picture_are_refused(first, rows):
 def test_a_part_has_the_rays_of_the_whole():
     part = Camera(0.3, 0.7, width=3.0, size=(1, 32)).taking(30, 2, samples=8)
     assert part.shape == (16, 8)
-    rays = jax.jit(lambda camera: camera.rays(bare())[1])
+    rays = jax.jit(lambda camera: rays_of(camera, bare())[1])
     whole = rays(Camera(0.3, 0.7, width=3.0, size=(8, 256)))
     np.testing.assert_allclose(rays(part), whole[-16:], atol=1e-15, rtol=0)
     assert Camera(size=(16384, 16384)).taking(5, 1, 8).shape == (8, 131072)
