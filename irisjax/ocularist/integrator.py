@@ -28,7 +28,7 @@ from irisjax.render.illumination import Illumination
 from irisjax.render.integrator import AbstractIntegrator, AbstractResponse
 from irisjax.render.lights import Lights
 from irisjax.render.project import IrisPixels
-from irisjax.render.shading import Field, Front, fluxes_of
+from irisjax.render.shading import Front, flux_at, fluxes_of
 from irisjax.tissue.iris import Iris
 from irisjax.tissue.maps import Scales
 
@@ -209,7 +209,7 @@ def _ground(pixels: IrisPixels, extent: _Extent, eye: Eye, flux: Array) -> tuple
     if pixels.index is not None:
         share = jnp.where(pixels.index < 0, 0.0, share)
     n = parts(whole.normal(point, hit.cone))
-    light = tuple(jnp.moveaxis(Field(flux, extent.reach).at(parts(point)), 1, 0))
+    light = tuple(jnp.moveaxis(flux_at(flux, extent.reach, parts(point)), 1, 0))
     irradiance = jnp.maximum(-sum(f * c for f, c in zip(light, n, strict=True)), 0.0)
     view = _aside(pixels.direction, n)
     falls = view - jax.vmap(lambda direction: _aside(direction, n))(_directed(light))
@@ -222,7 +222,7 @@ def _ground(pixels: IrisPixels, extent: _Extent, eye: Eye, flux: Array) -> tuple
 def _above_all(flux: Array, reach: Scalar, size: int) -> tuple[Array, Array]:
     """Directions of lights at texels of the base, and maps of light above all coats."""
     x, y = _texels(size, reach, flux.dtype)
-    at = jax.lax.map(lambda f: Field(f[None], reach).at((x, y, x))[0], flux)
+    at = jax.lax.map(lambda f: flux_at(f, reach, (x, y, x)), flux)
     rays = jnp.stack(_directed(tuple(jnp.moveaxis(at, 1, 0))), 1)
     return rays, jnp.ones((len(flux), size, size, _CHANNELS), flux.dtype)
 

@@ -16,6 +16,7 @@ from jaxtyping import Array, Float
 
 from irisjax.anatomy.eye import Eye
 from irisjax.numerics.portions import in_portions
+from irisjax.numerics.quadrature import gauss_legendre
 from irisjax.render.angular import AngularFunctions
 from irisjax.render.bands import Bands
 from irisjax.render.integrator import checked_response
@@ -174,8 +175,8 @@ def of_pairs(
 
 def _nodes(lowest: float, count: int):
     """Cosines between a lowest one and 1, weights in proportion to them."""
-    x, w = np.polynomial.legendre.leggauss(count)
-    cosine = lowest + (1 - lowest) * (x + 1) / 2
+    x, w = gauss_legendre(count)
+    cosine = lowest + (1 - lowest) * x
     return cosine, w * cosine / (w * cosine).sum()
 
 

@@ -17,7 +17,7 @@ from irisjax.optics.conicoid import dot, joined, norm
 from irisjax.optics.fresnel import fresnel, refract
 from irisjax.render.polynomials import along_nodes, polynomials
 from irisjax.render.project import IrisPixels
-from irisjax.render.shading import Field, normals, shares
+from irisjax.render.shading import flux_at, normals, shares
 from irisjax.tissue.iris import Iris
 from irisjax.transport.light import Directions
 
@@ -145,17 +145,11 @@ class AngularFunctions(AbstractAngular):
         return np.array([_FALLS ** (a + b) for degree in self.degrees for a, b in _pairs(degree)])
 
 
-class AngularLight(eqx.Module):
-    """Light of all lamps at the pixels, in functions of directions or in mixtures of these.
-
-    Attributes:
-        light: Irradiance of all lights together times each function, or mixture, and all shares on
-            the way out; times no function where the texels hold them.
-        mixtures: The share of each function in each mixture; `None` where there are none.
-    """
-
-    light: Float[Array, "tints parts pixels"]
-    mixtures: Float[Array, "functions mixtures"] | None = None
+AngularLight = tuple[Float[Array, "tints parts pixels"], Float[Array, "functions mixtures"] | None]
+"""Irradiance of all lights at the pixels times each function of directions (none where the texels
+hold them), or mixture of these, and all shares on the way out; and the share of each function in
+each mixture, `None` where there are none.
+"""
 
 
 @pixelwise
@@ -174,8 +168,9 @@ def light_of(
     tilted = joined(normals(seen, eye, slopes))
     view = joined(seen.direction)
 
-    def values_of(one):
-        arriving = joined(tuple(Field(one[None], eye.iris_radius).at(seen.point)[0]))
+    def add(total, light):
+        one, colour = light
+        arriving = joined(tuple(flux_at(one, eye.iris_radius, seen.point)))
         irradiance = jnp.maximum(-dot(arriving, tilted), 0.0)
         power = norm(arriving)
         towards = arriving / jnp.where(power > 0, power, 1.0)[..., None]
@@ -184,11 +179,7 @@ def light_of(
         # The line of sight runs into the eye: light comes out against it.
         across = -(dot(towards, view) - dot(towards, flat) * dot(view, flat))
         values = angles.functions(jnp.where(lit, cosine, 1.0), seen.cosine, across)
-        return values * jnp.where(lit, irradiance, 0.0)
-
-    def add(total, light):
-        one, colour = light
-        return total + colour[:, None, None] * values_of(one), None
+        return total + colour[:, None, None] * (values * jnp.where(lit, irradiance, 0.0)), None
 
     tints = jnp.ones((flux.shape[0], 1), flux.dtype) if tint is None else tint
     shape = tints.shape[1], len(angles.weights()), seen.cosine.size
@@ -196,9 +187,7 @@ def light_of(
 
 
 @eqx.filter_jit
-def mixed(
-    light: Float[Array, "tints functions pixels"], angles: AngularFunctions
-) -> tuple[Float[Array, "tints mixtures pixels"], Float[Array, "functions mixtures"]]:
+def mixed(light: Float[Array, "tints functions pixels"], angles: AngularFunctions) -> AngularLight:
     """Light in the mixtures of functions that it has most of, as coefficients weigh them, and what
     of each function is in a mixture.
     """

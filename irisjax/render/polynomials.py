@@ -28,16 +28,11 @@ def degrees_of(ranges: Scales, degrees: tuple[int, ...]) -> tuple[int, ...]:
     return tuple(d for d, r in zip(degrees, ranges, strict=False) if r is not None)
 
 
-def scale_nodes(degrees: tuple[int, ...]) -> np.ndarray:
-    """Nodes of all scales that vary, on [−1, 1], shape (nodes, scales): as many as there are
-    products; one where no scale varies.
-    """
-    return _fekete(degrees)[0]
-
-
 @functools.lru_cache(maxsize=16)
-def _fekete(degrees: tuple[int, ...]) -> tuple[np.ndarray, np.ndarray]:
-    """Nodes, and the matrix that turns values at them into coefficients of the products.
+def scale_nodes(degrees: tuple[int, ...]) -> tuple[np.ndarray, np.ndarray]:
+    """Nodes of all scales that vary, on [−1, 1], shape (nodes, scales), as many as there are
+    products (one where no scale varies); and the matrix from values at them to coefficients of the
+    products.
 
     Of all combinations of Chebyshev nodes those that pivoted QR finds most independent,
     approximate Fekete points [Sommariva & Vianello 2009]: a table of few products is made by few
@@ -85,7 +80,7 @@ def of_products(
     values: Float[Array, "nodes ..."], degrees: tuple[int, ...]
 ) -> Float[Array, "products ..."]:
     """Coefficients of `basis` from values at `scale_nodes(degrees)`."""
-    return jnp.tensordot(jnp.asarray(_fekete(degrees)[1], values.dtype), values, (1, 0))
+    return jnp.tensordot(jnp.asarray(scale_nodes(degrees)[1], values.dtype), values, (1, 0))
 
 
 def basis(

@@ -86,7 +86,7 @@ class RadiativeIntegrator(AbstractTabulated):
         angles = self.directions(front.iris, front.eye.aqueous_index)
         flux = fluxes_of(lights, front.eye, tables)
         light = light_of(pixels, flux, lights.tint, front.eye, front.slopes(), angles)
-        return AngularLight(*((light,) if isinstance(light, Tracer) else mixed(light, angles)))
+        return (light, None) if isinstance(light, Tracer) else mixed(light, angles)
 
 
 def _deepest(iris: Iris, aqueous_index, bands: Bands, ranges: Scales) -> Layers:

@@ -55,7 +55,7 @@ class Separable(AbstractTabulated):
         self, pixels: IrisPixels, lights: Lights, front: Front, tables: Illumination | None
     ) -> angular.AngularLight:
         field = field_of(lights, front.eye, front.iris, tables)
-        return angular.AngularLight(irradiance_at(pixels, field, front.eye, front.slopes()))
+        return irradiance_at(pixels, field, front.eye, front.slopes()), None
 
 
 class ExitFunctions(angular.AbstractAngular):

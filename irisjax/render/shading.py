@@ -9,6 +9,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from irisjax._types import Scalar
 from irisjax.anatomy.eye import Eye
 from irisjax.numerics.interpolation import bilinear, polar_bilinear, smoothstep
 from irisjax.numerics.portions import pixelwise
@@ -35,29 +36,23 @@ class Front(NamedTuple):
         return slopes_of(None if self.maps is None else self.maps.relief, self.eye)
 
 
-class Field(eqx.Module):
-    """Light on the iris, all lamps together: flux vectors on a square grid of ± `extent` mm.
-
-    Shape (tints, 3, rows y, columns x), the share 1 − F that enters the tissue included; one tint
-    where no light has a colour of its own.
+def flux_at(
+    flux: Float[Array, "... rows columns"], extent: Scalar, point: Parts
+) -> Float[Array, "..."]:
+    """Flux vectors at points of the iris (mm), from those on a square grid (rows y, columns x) of ±
+    `extent` mm.
     """
-
-    flux: Float[Array, "tints 3 rows columns"]
-    extent: Float[Array, ""]
-
-    def at(self, point: Parts) -> Float[Array, "tints 3 *points"]:
-        """Bilinear look-up at points of the iris (mm)."""
-        middle = (self.flux.shape[-1] - 1) / 2
-        column, row = ((c / self.extent + 1) * middle for c in (point[0], point[1]))
-        return bilinear(self.flux, row, column)
+    middle = (flux.shape[-1] - 1) / 2
+    column, row = ((c / extent + 1) * middle for c in (point[0], point[1]))
+    return bilinear(flux, row, column)
 
 
 @eqx.filter_jit
 def field_of(
     lights: Lights, eye: Eye, iris: Iris, tables: Illumination | None, size: int = 161
-) -> Field:
-    """Sum the lights on a grid over the iris, one after the other. `tables` are `None` for a bare
-    iris.
+) -> Float[Array, "tints 3 rows columns"]:
+    """Sum the flux vectors of the lights on a grid over the iris, with the share 1 − F that enters
+    the tissue; one tint where no light has a colour of its own. `tables`: `None` for a bare iris.
     """
     place = _grid(eye, size)
     normal = eye.iris_normal(place)
@@ -74,16 +69,14 @@ def field_of(
 
     tints = 1 if lights.tint is None else 3
     zero = jnp.zeros((tints, 3, size, size), lights.irradiance.dtype)
-    return Field(jax.lax.scan(add, zero, jnp.arange(len(lights)))[0], eye.iris_radius)
+    return jax.lax.scan(add, zero, jnp.arange(len(lights)))[0]
 
 
 @eqx.filter_jit
 def fluxes_of(
     lights: Lights, eye: Eye, tables: Illumination | None, size: int = 161
 ) -> Float[Array, "lights 3 rows columns"]:
-    """Flux vectors of each light by itself, in the chamber just before the iris, on the grid of a
-    `Field`.
-    """
+    """Flux vectors of each light by itself, just before the iris, on a grid over it."""
     place = _grid(eye, size)
 
     def one(i):
@@ -108,7 +101,8 @@ def _flux(lights: Lights, i, place, eye: Eye, tables: Illumination | None):
         place, spread = near_light(eye, lights.towards[i], 1.0 / lights.distance[i], point)
     if tables is not None and lights.distance is None:
         return tables.at(point, lights.towards[i]) * lights.irradiance[i]
-    towards, power = lights.seen_from(place, i)
+    towards, power = lights.seen_from(parts(place), i)
+    towards = joined(towards)
     flux = -towards if tables is None else tables.at(point, towards)
     return flux * jnp.broadcast_to(power * spread, place.shape[:-1])[..., None]
 
@@ -143,11 +137,14 @@ def _place_of(pixels: IrisPixels, eye: Eye) -> Place:
 
 @pixelwise
 def irradiance_at(
-    pixels: IrisPixels, field: Field, eye: Eye, slopes: Float[Array, "2 angles radii"] | None
+    pixels: IrisPixels,
+    field: Float[Array, "tints 3 rows columns"],
+    eye: Eye,
+    slopes: Float[Array, "2 angles radii"] | None,
 ) -> Float[Array, "tints 1 pixels"]:
     """Irradiance on the iris at pixels times all shares on the way out to the camera."""
     normal = normals(pixels, eye, slopes)
-    flux = field.at(pixels.point)
+    flux = flux_at(field, eye.iris_radius, pixels.point)
     towards = [-sum(f * n for f, n in zip(tint, normal, strict=True)) for tint in flux]
     return (jnp.maximum(jnp.stack(towards), 0.0) * shares(pixels, eye))[:, None]
 

@@ -19,6 +19,7 @@ from jaxtyping import Array, Float
 
 from irisjax._types import Scalar
 from irisjax.anatomy.eye import Eye
+from irisjax.numerics.checks import check_whole
 from irisjax.numerics.interpolation import polar_bilinear
 from irisjax.numerics.portions import pixelwise
 from irisjax.optics.conicoid import norm
@@ -28,11 +29,13 @@ from irisjax.render.illumination import Illumination
 from irisjax.render.integrator import AbstractIntegrator, AbstractResponse
 from irisjax.render.lights import Lights
 from irisjax.render.project import IrisPixels
-from irisjax.render.shading import Field, Front, fluxes_of, normals, shares
+from irisjax.render.shading import Front, flux_at, fluxes_of, normals, shares
+from irisjax.render.surfaces import IrisSurface
 from irisjax.tissue.iris import Iris
 from irisjax.tissue.maps import FRECKLE, Scales, Texture, texel_layers
 from irisjax.tissue.pigments import extinction
 from irisjax.transport.process import ILIT_2006, AbstractProcess
+from irisjax.transport.radiative.slab import mean_survival
 
 
 class SingleScattering(AbstractIntegrator):
@@ -49,10 +52,7 @@ class SingleScattering(AbstractIntegrator):
     process: AbstractProcess = eqx.field(static=True, default=ILIT_2006)
 
     def __check_init__(self):
-        if not isinstance(self.n_steps, int) or self.n_steps < 1:
-            raise ValueError(
-                f"SingleScattering(n_steps={self.n_steps!r}): must be a whole number of at least 1"
-            )
+        check_whole("SingleScattering: n_steps", self.n_steps, 1)
 
     def illuminate(
         self, pixels: IrisPixels, lights: Lights, front: Front, tables: Illumination | None
@@ -90,7 +90,7 @@ class SceneData(eqx.Module):
 
     Attributes:
         maps: The subsurface map  [F09 Section 6.1]: those of the `IrisMaps` that are present.
-        flux: Flux vectors of each light on the grid of a `Field`.
+        flux: Flux vectors of each light on a grid, see `fluxes_of`.
         tint: Tint of each light.
         slopes: Those of the relief, see `slopes_of`.
         eye: The eye.
@@ -106,9 +106,8 @@ class SceneData(eqx.Module):
         """The map at points of the iris."""
         if not self.maps:
             return {}
-        radius = self.eye.relative_radius(jnp.sqrt(point[0] ** 2 + point[1] ** 2))
-        textures = jnp.stack(list(self.maps.values()))
-        found = polar_bilinear(textures, jnp.arctan2(point[1], point[0]), radius)
+        place = IrisSurface(self.eye).place(point.T)
+        found = polar_bilinear(jnp.stack(list(self.maps.values())), *place)
         return dict(zip(self.maps, found, strict=True))
 
 
@@ -181,7 +180,7 @@ def _marched(pixels: IrisPixels, iris: March, data: SceneData) -> Float[Array, "
 
         def lit(total, light):
             source, light_slant, tint = light
-            arrives = jnp.exp(-light_depth * light_slant) * _mean_survival(
+            arrives = jnp.exp(-light_depth * light_slant) * mean_survival(
                 crossed * (light_slant + slant)
             )
             return total + tint[:, None, None] * (source * arrives), None
@@ -208,7 +207,7 @@ def _sources(pixels: IrisPixels, direction: Float[Array, "3 pixels"], data: Scen
     normal = jnp.stack(normals(pixels, data.eye, data.slopes))
 
     def one(flux):
-        found = Field(flux[None], data.eye.iris_radius).at(pixels.point)[0]
+        found = flux_at(flux, data.eye.iris_radius, pixels.point)
         power = norm(found.T)
         towards = found / jnp.where(power > 0, power, 1.0)
         cosine = -(towards * normal).sum(0)
@@ -226,11 +225,3 @@ def _passed(depth, start, end):
     empty = thick <= 0
     share = jnp.clip((depth - start) / jnp.where(empty, 1.0, thick), 0, 1)
     return jnp.where(empty, jnp.where(depth > start, 1.0, 0.0), share)
-
-
-def _mean_survival(x):
-    """(1 − e⁻ˣ)/x, the mean of e⁻ᵗ over [0, x]."""
-    small = x < 1e-3  # the division's own gradient is 0/0 at 0
-    series = 1 - x / 2 * (1 - x / 3 * (1 - x / 4))
-    safe = jnp.where(small, 1.0, x)
-    return jnp.where(small, series, -jnp.expm1(-safe) / safe)

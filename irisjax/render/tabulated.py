@@ -20,6 +20,7 @@ from jaxtyping import Array, Float
 from irisjax._types import Scalar
 from irisjax.anatomy.eye import Eye
 from irisjax.numerics.portions import pixelwise
+from irisjax.numerics.quadrature import gauss_legendre
 from irisjax.render import polynomials as products
 from irisjax.render.angular import AbstractAngular, AngularLight
 from irisjax.render.bands import Bands
@@ -38,16 +39,10 @@ _COSINES = 48
 _PORTION = 24  # texels solved at a time
 
 
-class Terms(eqx.Module):
-    """What a table needs of each pixel.
-
-    Attributes:
-        scales: Polynomials of the scales that vary.
-        exits: Functions of the line of sight; `None` where they come with the light.
-    """
-
-    scales: tuple[Float[Array, "_ pixels"], ...]
-    exits: Float[Array, "functions pixels"] | None
+Terms = tuple[tuple[Float[Array, "_ pixels"], ...], Float[Array, "functions pixels"] | None]
+"""Polynomials of the scales that vary, at pixels, and functions of the line of sight, `None` where
+they come with the light.
+"""
 
 
 class AbstractTabulated(AbstractIntegrator):
@@ -77,7 +72,7 @@ class AbstractTabulated(AbstractIntegrator):
     ) -> "TabulatedResponse":
         directions = self.directions(iris, aqueous_index)
         degrees = products.degrees_of(ranges, self.degrees)
-        nodes, checks = products.scale_nodes(degrees), products.between(degrees)
+        nodes, checks = products.scale_nodes(degrees)[0], products.between(degrees)
         # One loop over both: the solver is compiled once.
         portions = [
             (jnp.asarray(points, bands.weights.dtype), *at)
@@ -104,7 +99,7 @@ class AbstractTabulated(AbstractIntegrator):
         directions = self.directions(iris, aqueous_index)
         degrees = products.degrees_of(ranges, self.degrees)
         solve = self._solving(iris, aqueous_index, bands, ranges)
-        unit = jnp.asarray(products.scale_nodes(degrees), bands.weights.dtype)
+        unit = jnp.asarray(products.scale_nodes(degrees)[0], bands.weights.dtype)
         values, status = solve((unit, *directions.nodes()[0]))
         return products.of_products(directions.coefficients(values), degrees), self._status(status)
 
@@ -173,11 +168,10 @@ class TabulatedResponse(AbstractResponse):
         surface's mirror and without light that is never scattered. Where nothing varies there is
         one pixel.
         """
-        x, w = (jnp.asarray(v, self.error.dtype) for v in np.polynomial.legendre.leggauss(_COSINES))
-        cosine = (x + 1) / 2
+        cosine, w = (jnp.asarray(v, self.error.dtype) for v in gauss_legendre(_COSINES))
         functions = self.directions.functions(jnp.full_like(cosine, cos_incidence), cosine, None)
         # Integrals of the functions once, not a sum over directions a pixel.
-        moments = functions @ (jnp.pi * w * cosine)
+        moments = functions @ (2 * jnp.pi * w * cosine)
         whole = jnp.tensordot(self.coefficients[:, : len(moments)], moments, (1, 0))
         terms = self._polynomials(scales)
         one = terms[0][0] if terms else jnp.ones(1, self.error.dtype)
@@ -186,7 +180,7 @@ class TabulatedResponse(AbstractResponse):
     def shade(
         self, pixels: IrisPixels, texels: Terms, light: AngularLight
     ) -> Float[Array, "channels pixels"]:
-        return _shaded((texels, light.light), self.coefficients, light.mixtures)
+        return _shaded((texels, light[0]), self.coefficients, light[1])
 
     def _polynomials(self, scales: Scales):
         return products.polynomials_of(scales, self.ranges, self.degrees)
@@ -202,7 +196,7 @@ def _terms(
     directions: AbstractAngular,
 ) -> Terms:
     scales = products.polynomials_of(scales_at(pixels, eye, textures), ranges, degrees)
-    return Terms(scales, directions.exits(pixels.cosine))
+    return scales, directions.exits(pixels.cosine)
 
 
 @pixelwise
@@ -211,12 +205,10 @@ def _shaded(
     coefficients: Float[Array, "products functions channels"],
     mixtures: Float[Array, "functions mixtures"] | None,
 ) -> Float[Array, "shown pixels"]:
-    terms, light = pixels
+    (scales, exits), light = pixels
     if mixtures is not None:
         coefficients = jnp.einsum("pkc,kr->prc", coefficients, mixtures)
-    return products.summed(
-        coefficients, terms.scales, light if terms.exits is None else light * terms.exits
-    )
+    return products.summed(coefficients, scales, light if exits is None else light * exits)
 
 
 def _portions(points: np.ndarray, size: int) -> list[np.ndarray]:

@@ -20,6 +20,7 @@ from irisjax.render.project import project
 from irisjax.render.scene import Scene
 from irisjax.render.single_scattering import SingleScattering
 from irisjax.tissue.maps import IrisMaps, Scales
+from render.small_scenes import rays_of
 
 WAVES = (450.0, 550.0, 650.0)
 
@@ -65,7 +66,7 @@ def spectral(made):
 
 def rays():
     """Points on the iris plane, unit directions, and pixels well inside the iris, in NumPy."""
-    origin, direction = (np.asarray(x, np.float64) for x in camera().rays(bare()))
+    origin, direction = (np.asarray(x, np.float64) for x in rays_of(camera(), bare()))
     direction = direction.reshape(-1, 3)
     point = origin + ((3.6 - origin[2]) / direction[:, 2])[:, None] * direction
     r = np.hypot(point[:, 0], point[:, 1])
@@ -277,5 +278,5 @@ def test_nothing_scatters_without_stroma():
 
 
 def test_steps_are_checked():
-    with pytest.raises(ValueError, match="n_steps=0"):
+    with pytest.raises(ValueError, match="n_steps = 0"):
         SingleScattering(0)

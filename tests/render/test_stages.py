@@ -75,8 +75,8 @@ def test_absent_parts_cost_nothing(tables):
         return operations(lambda: shading.field_of(lights, eye, iris, tables))
 
     assert light(lamp, BARE, None) < light(lamp, eye, tables)
-    assert shading.field_of(lamp, eye, iris, tables).flux.shape[0] == 1
-    assert shading.field_of(tinted, eye, iris, tables).flux.shape[0] == 3
+    assert shading.field_of(lamp, eye, iris, tables).shape[0] == 1
+    assert shading.field_of(tinted, eye, iris, tables).shape[0] == 3
     sight = [
         operations(lambda e=e: iris_pixels(jnp.arange(9), e, SMALL))
         for e in (BARE, CLOSE, Eye(cornea=CLEAR))
@@ -85,7 +85,7 @@ def test_absent_parts_cost_nothing(tables):
     view = look(Eye(), SMALL)
     room = outside.room_at(view.mirror, Environment(jnp.ones((4, 8, 3))))
     mirrors = [
-        operations(lambda r=r: outside.mirrored((view.mirror, None, r), lamp, jnp.ones(3)))
+        operations(lambda r=r: outside.mirrored((view.mirror, r), lamp, jnp.ones(3)))
         for r in (None, room)
     ]
     table = colour_table(Eye().sclera, np.array([450.0, 600.0]), np.ones((3, 2)))
