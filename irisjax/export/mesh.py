@@ -97,7 +97,7 @@ def cone_mesh(cones: Cones, around: int = AROUND) -> "Trimesh":
         cone = _revolved(radius[i : i + 2], z[i : i + 2], rise, -out, around)
         every.append((*cone[:2], cone[2] + count))
         count += len(cone[0])
-    points, normals, faces = (np.concatenate(arrays) for arrays in zip(*every, strict=True))
+    points, normals, faces = map(np.concatenate, zip(*every, strict=True))
     return _mesh(points, normals, faces, (points[:, :2] / radius.max() + 1) / 2)
 
 

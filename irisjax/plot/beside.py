@@ -9,7 +9,7 @@ import pickle
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import numpy as np
@@ -46,8 +46,13 @@ def beside() -> Iterator[Callable[..., Later]]:
         yield here
         return
     waiting = ThreadPoolExecutor(1)
+
+    def draw(name: str, *args: Any) -> Later:
+        picture = waiting.submit(_exchange, process, name, args)
+        return lambda: picture.result() or here(name, *args)()
+
     try:
-        yield lambda name, *args: _drawn(waiting.submit(_exchange, process, name, args), name, args)
+        yield draw
     finally:
         process.kill()
         waiting.shutdown(cancel_futures=True)
@@ -64,10 +69,6 @@ def _exchange(process: subprocess.Popen[bytes], name: str, args: Any) -> bytes:
         return pickle.load(process.stdout)
     except (EOFError, OSError, pickle.UnpicklingError):
         return b""
-
-
-def _drawn(picture: Future[bytes], name: str, args: Any) -> Later:
-    return lambda: picture.result() or here(name, *args)()
 
 
 def _draw_from_input() -> None:

@@ -41,8 +41,8 @@ def differences(
         share = np.searchsorted(found, steps, side="right") / max(len(found), 1)
         rms = 100 * np.sqrt((off[:, k] ** 2).mean())
         axes.plot(steps, 100 * share, style, color=colour, label=f"{name}, RMS {rms:.1f} %")
-    axes.set(xlabel="difference, of 255 steps", ylabel="pixels, cumulative (%)")
-    axes.set(xlim=(0, 80), ylim=(0, 101))
+    labels = {"xlabel": "difference, of 255 steps", "ylabel": "pixels, cumulative (%)"}
+    axes.set(**labels, xlim=(0, 80), ylim=(0, 101))
     axes.legend(loc="lower right")
     return figure
 
@@ -60,7 +60,7 @@ def luminance_profile(
     axes = figure.subplots()
     axes.plot(angle, photograph, color=PALETTE[1], label="photograph")
     axes.plot(angle, rendered, "--", color=PALETTE[0], label="rendered (simulated)")
-    axes.set_xlabel(f"angle round the eye at {radius:.1f} mm from its axis (degrees)")
-    axes.set(ylabel="encoded luminance", xlim=(0, 360))
+    around = f"angle round the eye at {radius:.1f} mm from its axis (degrees)"
+    axes.set(xlabel=around, ylabel="encoded luminance", xlim=(0, 360))
     axes.legend()
     return figure

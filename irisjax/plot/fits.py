@@ -60,8 +60,6 @@ def fit_figure(
             below.set_xticks(x, axis_of.get(quantity, ("R", "G", "B")))
         else:
             top.legend(frameon=False, fontsize=8)
-        bare_axes(top)
-        bare_axes(below)
     return figure
 
 
@@ -125,16 +123,14 @@ def models_figure(
     axes[0, 0].legend(frameon=False, fontsize=8)
     panels = right.subplots(len(pigments), 1, squeeze=False)[:, 0]
     for ax, (label, by_model) in zip(panels, pigments.items(), strict=True):
-        names = list(by_model)
         for i, (value, low, high) in enumerate(by_model.values()):
             drawn = {"fmt": marks[i % len(marks)], "color": PALETTE[i], "capsize": 3}
             ax.errorbar(value, -i, xerr=[[value - low], [high - value]], **drawn)
-        labels = [textwrap.fill(n, 18) for n in names]
-        ax.set_yticks([-i for i in range(len(names))], labels, fontsize=7)
-        ax.set_ylim(-len(names) + 0.5, 0.5)
+        labels = [textwrap.fill(name, 18) for name in by_model]
+        ax.set_yticks(-np.arange(len(labels)), labels, fontsize=7)
+        ax.set_ylim(-len(labels) + 0.5, 0.5)
         ax.set_xlim(left=0)
         ax.set_xlabel(label, fontsize=8)
-    for ax in (*axes.flat, *panels):
         bare_axes(ax)
     return figure
 
@@ -142,7 +138,7 @@ def models_figure(
 def _panels(axes: Any, k: int, observation: _Observation):
     """Panels of a measurement and of its residuals, and the places of its values."""
     name, quantity, is_colour, grid, values = observation
-    top, below = axes[0, k], axes[1, k]
+    top, below = axes[:, k]
     below.axhspan(-2, 2, color="0.9", linewidth=0)
     below.axhline(0, color="0.5", linewidth=0.8)
     top.set_ylabel(quantity)
@@ -150,4 +146,6 @@ def _panels(axes: Any, k: int, observation: _Observation):
     below.set_ylabel("residual (sd)")
     if not is_colour:
         below.set_xlabel("wavelength (nm)")
+    bare_axes(top)
+    bare_axes(below)
     return top, below, np.arange(values.size) if is_colour else grid

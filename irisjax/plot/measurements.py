@@ -1,7 +1,7 @@
 """Figures of spectra and of BRDFs: a principal plane, or the hemisphere."""
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -9,7 +9,6 @@ from irisjax.plot.pictures import PALETTE, bare_axes, figure_of
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-    from matplotlib.projections.polar import PolarAxes
 
     from irisjax.measure.measurement import Reading
     from irisjax.measure.photometers import Brdf
@@ -23,7 +22,6 @@ def spectra_figure(measurements: "Mapping[str, Reading]", title: str = "") -> "F
     figure = figure_of(6.4, 4.0)
     ax = figure.add_subplot()
     first = next(iter(measurements.values()))
-    sampled = False
     for i, (name, m) in enumerate(measurements.items()):
         x, y = np.asarray(m.wavelengths), np.asarray(m.values)
         colour = PALETTE[i % len(PALETTE)]
@@ -34,10 +32,10 @@ def spectra_figure(measurements: "Mapping[str, Reading]", title: str = "") -> "F
             ax.fill_between(x, y - error, y + error, color=colour, alpha=0.3, linewidth=0)
             if x.size == 1:
                 ax.errorbar(x, y, error, color=colour, capsize=3)
-            sampled = True
-    ax.set_xlabel("wavelength (nm)")
     label = f"{first.quantity} ({first.unit})" if first.unit else first.quantity
-    ax.set_ylabel(label + (", band: ± 1 standard error" if sampled else ""))
+    if any(m.standard_error is not None for m in measurements.values()):
+        label += ", band: ± 1 standard error"
+    ax.set(xlabel="wavelength (nm)", ylabel=label)
     ax.set_ylim(bottom=0)
     if first.wavelengths.size > 1:
         ax.margins(x=0)
@@ -61,7 +59,9 @@ def _principal_plane(result: "Brdf", title: str) -> "Figure":
     from matplotlib.ticker import MaxNLocator
 
     figure = figure_of(6.4, 3.8)
-    ax = _polar(figure, 1, 1, 1)
+    ax: Any = figure.add_subplot(projection="polar")
+    ax.set_theta_zero_location("N")
+    ax.set_theta_direction(-1)
     forward = np.cos(np.asarray(result.azimuth)) > 0
     angle = np.arccos(np.clip(np.asarray(result.cos_exit), 0, 1)) * np.where(forward, 1, -1)
     order = np.argsort(angle)
@@ -114,9 +114,7 @@ def _hemisphere(result: "Brdf", title: str) -> "Figure":
     axes, shade = [], None
     top = float(values[shown].max())
     for i, k in enumerate(shown):
-        ax = _polar(figure, rows, columns, i + 1)
-        ax.set_theta_zero_location("E")
-        ax.set_theta_direction(1)
+        ax: Any = figure.add_subplot(rows, columns, i + 1, projection="polar")
         # One cell round each direction, no smoothing over what was not computed.
         a, column = np.unique(np.round(azimuth, 6), return_inverse=True)
         r, row = np.unique(np.round(np.degrees(polar), 6), return_inverse=True)
@@ -141,13 +139,6 @@ def _hemisphere(result: "Brdf", title: str) -> "Figure":
     figure.colorbar(shade, ax=axes, label="BRDF (1/sr)", shrink=0.8)
     figure.suptitle(f"{title}\nradius: exit angle; ▼ light, ○ mirror direction".strip(), fontsize=9)
     return figure
-
-
-def _polar(figure: "Figure", rows: int, columns: int, index: int) -> "PolarAxes":
-    ax = figure.add_subplot(rows, columns, index, projection="polar")
-    ax.set_theta_zero_location("N")  # pyright: ignore[reportAttributeAccessIssue]  (Axes by its stub)
-    ax.set_theta_direction(-1)  # pyright: ignore[reportAttributeAccessIssue]
-    return ax  # pyright: ignore[reportReturnType]
 
 
 def _spread(n: int, most: int) -> list[int]:

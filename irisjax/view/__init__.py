@@ -2,9 +2,6 @@
 eye), and the page that shows it (`serve`).
 """
 
-from irisjax.view.bench import Bench
-from irisjax.view.server import check_address, serve
-from irisjax.view.session import Settings
-from irisjax.view.studio import Studio
+import lazy_loader
 
-__all__ = ["Bench", "Settings", "Studio", "check_address", "serve"]
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

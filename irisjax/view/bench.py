@@ -20,8 +20,7 @@ from irisjax.ocularist.integrator import Painted
 from irisjax.ocularist.mixing import linear_colour
 from irisjax.ocularist.painting import OPACITY_SIZE, painted, studio
 from irisjax.render.illumination import Illumination
-from irisjax.render.picture import LitView, Texels, surroundings
-from irisjax.render.project import View
+from irisjax.render.picture import LitView, surroundings
 from irisjax.render.scene import Scene
 from irisjax.view.session import CommonSettings, KeptPicture, KeptValue, Session
 
@@ -147,15 +146,7 @@ class Bench(Session[BenchSettings]):
         self._file = path
         return path
 
-    def _light(
-        self,
-        kept: KeptPicture,
-        lit: Any,
-        view: View,
-        texels: Texels,
-        scene: Scene,
-        tables: Illumination | None,
-    ) -> LitView:
+    def _light(self, kept: KeptPicture, lit: Any, view, texels, scene, tables) -> LitView:
         """Only coats that have changed and those below are painted."""
         painted, pixels = scene.integrator, view.iris
         assert isinstance(painted, Painted)

@@ -242,16 +242,12 @@ class _Page:
 
     def _look(self, camera) -> None:
         """Put viser's camera where the settings look from."""
-        camera.position = self._place()
-        camera.look_at = np.zeros(3)  # which viser carries along with the position
-
-    def _place(self) -> np.ndarray:
-        """Of viser's camera, by the settings; its z is the eye's −z."""
         s = self.studio.settings
         polar, azimuth = math.radians(s.camera_polar), math.radians(s.camera_azimuth)
         sin = math.sin(polar)
         towards = np.array([sin * math.cos(azimuth), sin * math.sin(azimuth), math.cos(polar)])
-        return ORBIT * s.width / self.width * towards
+        camera.position = ORBIT * s.width / self.width * towards  # viser's z is the eye's −z
+        camera.look_at = np.zeros(3)  # which viser carries along with the position
 
 
 class Newest(threading.Thread):

@@ -13,6 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from irisjax.measure.colour import srgb_encode
+from irisjax.numerics.checks import check_known
 from irisjax.render.camera import Camera
 from irisjax.render.environment import Environment
 from irisjax.render.illumination import Illumination
@@ -158,13 +159,9 @@ class Session(abc.ABC, Generic[S]):
     def _set(self, s: S, size: tuple[int, int]) -> Scene:
         """The scene under some settings, its picture of this width and height."""
 
-    def _prepared(self, s: S, scene: Scene) -> Scene:
-        """The scene, with what the responses of many pictures have in common computed."""
-        return scene
-
-    def _light(self, kept: KeptPicture, lit: Any, *parts: Any) -> LitView:
-        """`illuminate` of parts; `lit` is what it depends on."""
-        return kept.light.of(lit, lambda: illuminate(*parts))
+    def _light(self, kept: KeptPicture, lit: Any, view, texels, scene, tables) -> LitView:
+        """`illuminate`; `lit` is what it depends on."""
+        return kept.light.of(lit, lambda: illuminate(view, texels, scene, tables))
 
     def _picture(self, s: S, draft: bool) -> tuple[np.ndarray, float | None]:
         """Picture, and the error of its response."""
@@ -172,7 +169,7 @@ class Session(abc.ABC, Generic[S]):
         return kept.picture.of(s, lambda: self._drawn(kept, s, draft))
 
     def _drawn(self, kept: KeptPicture, s: S, draft: bool) -> tuple[np.ndarray, float | None]:
-        scene = self._prepared(s, self._set(s, self._size(draft)))
+        scene = self._set(s, self._size(draft))
         # What the camera sees depends neither on the pupil nor on light.
         view = kept.view.of(values_of(s, CAMERA), lambda: look(scene.eye, scene.camera))
         surfaces = values_of(s, (*CAMERA, "environment", "strength", *self._SURFACES))
@@ -235,10 +232,8 @@ class Session(abc.ABC, Generic[S]):
         }
 
     def _around(self, s: S) -> Environment | None:
-        if s.environment not in (GIVEN, *SURROUNDS):
-            raise ValueError(
-                f"unknown environment {s.environment!r}; known: {', '.join(SURROUNDS)}"
-            )
+        if s.environment != GIVEN:
+            check_known("environment", s.environment, SURROUNDS)
         make = SURROUNDS.get(s.environment, lambda: self._base.environment)
         found = None if make is None else make()
         if found is None or s.strength == 0:

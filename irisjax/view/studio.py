@@ -4,7 +4,6 @@ touches, and no others.
 
 import dataclasses
 from collections.abc import Callable
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -14,6 +13,7 @@ from irisjax.grow.presets import PRESETS
 from irisjax.io.scenes import stream
 from irisjax.measure.colour import Colour, colour_of
 from irisjax.measure.photometers import reflectance
+from irisjax.numerics.checks import Range, check_known, check_range
 from irisjax.render.illumination import Illumination
 from irisjax.render.integrator import AbstractIntegrator
 from irisjax.render.integrators import INTEGRATORS, integrator_name
@@ -37,6 +37,7 @@ SPECTRUM_NM = np.arange(400.0, 701.0, 5.0)
 """Wavelengths of the spectrum, nm."""
 RgbPicture = UInt8[np.ndarray, "_ _ 3"]
 """sRGB, 8 bits, rows and columns of any number: two pictures need not agree."""
+_SHARE = Range(0, 1, "of the width")
 _LINE = 255
 _PER_LINE = 400  # columns of the picture for each column of the line
 _GROWN = ("preset", "seed", "integrator")
@@ -74,10 +75,9 @@ class Studio(Session[Settings]):
             "pupil_radius": round(float(scene.eye.pupil_radius), 6),
             "integrator": integrator_name(scene.integrator),
             **_pigments(scene.tissue),
+            "photograph": None if photograph is None else 0.5,
         }
-        if photograph is not None:
-            start["photograph"] = 0.5
-        self.settings = Settings(**{**start, **given})
+        self.settings = Settings(**start | given)
         self._cameras = values_of(self.settings, CAMERA)
 
     @property
@@ -114,21 +114,13 @@ class Studio(Session[Settings]):
         colour = colour_of(SPECTRUM_NM, found.values, illuminant=self._base.illuminant)
         return np.asarray(found.values), colour
 
-    def _prepared(self, s: Settings, scene: Scene) -> Scene:
-        # Maps are relative to the iris: pigments and thickness change the response alone.
-        make = partial(prepared_scene, scene)
-        return scene.replace(integrator=self._ready.of(values_of(s, _GROWN), make).integrator)
-
     def _look(self, s: Settings):
         """What the pigments of a preset depend on."""
         return s.preset, s.preset != GIVEN and type(self._integrator(s).process)
 
     def _integrator(self, s: Settings) -> AbstractIntegrator:
         """The scene's own where its name is asked for."""
-        if s.integrator not in INTEGRATORS:
-            raise ValueError(
-                f"unknown integrator {s.integrator!r}; known: {', '.join(INTEGRATORS)}"
-            )
+        check_known("integrator", s.integrator, INTEGRATORS)
         if integrator_name(self._base.integrator) == s.integrator:
             return self._base.integrator
         return self._made.of(s.integrator, INTEGRATORS[s.integrator])
@@ -142,8 +134,7 @@ class Studio(Session[Settings]):
         """Iris and maps before any slider is moved."""
         if s.preset == GIVEN:
             return self._base.tissue, self._base.maps
-        if s.preset not in PRESETS:
-            raise ValueError(f"unknown eye colour {s.preset!r}; known: {', '.join(PRESETS)}")
+        check_known("eye colour", s.preset, PRESETS)
 
         def grow():
             process = self._process(s)
@@ -166,13 +157,16 @@ class Studio(Session[Settings]):
         maps = self._grown(s)[1]
         if maps is not None and maps.stroma_depth is not None:
             maps = maps.replace(stroma_depth=maps.stroma_depth * s.stroma)
-        return self._base.replace(
+        scene = self._base.replace(
             iris=self._iris(s),
             maps=maps,
             integrator=self._integrator(s),
             eye=self._base.eye.replace(pupil_radius=s.pupil_radius),
             **self._parts(s, size),
         )
+        # Maps are relative to the iris: pigments and thickness change the response alone.
+        ready = self._ready.of(values_of(s, _GROWN), lambda: prepared_scene(scene))
+        return scene.replace(integrator=ready.integrator)
 
 
 def _pigments(iris: Iris) -> dict[str, float]:
@@ -197,8 +191,7 @@ def wiped(photograph: RgbPicture, rendered: RgbPicture, share: float) -> RgbPict
         raise ValueError(
             f"the photograph has {columns} x {rows} pixels, the rendering {width} x {height}"
         )
-    if not 0 <= share <= 1:
-        raise ValueError(f"photograph = {share:g}: must be from 0 to 1, the share of the width")
+    check_range("photograph", share, _SHARE)
     columns = rendered.shape[1]
     edge = round(share * columns)
     both = np.concatenate([photograph[:, :edge], rendered[:, edge:]], axis=1)
