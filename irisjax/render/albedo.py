@@ -124,7 +124,7 @@ class Matt(eqx.Module):
         flat = np.asarray(_power(self.response, texels), np.float64) / np.pi
         within, whole = pairs(near[0]), pairs(far[0])
         extreme = within if each else pairs(np.cos(np.radians(np.linspace(0, CONE, 26))))
-        return of_pairs(flat, weight, within, near[1], whole, far[1], extreme)
+        return of_pairs(flat, weight, (within, near[1]), (whole, far[1]), extreme)
 
     def _some(self, most: int) -> tuple[Scales, np.ndarray]:
         """Scales of some texels, and weights by their area."""
@@ -141,10 +141,8 @@ class Matt(eqx.Module):
 def of_pairs(
     flat: np.ndarray,
     weight: np.ndarray,
-    within: np.ndarray,
-    within_weight: np.ndarray,
-    whole: np.ndarray,
-    whole_weight: np.ndarray,
+    within: tuple[np.ndarray, np.ndarray],
+    whole: tuple[np.ndarray, np.ndarray],
     extreme: np.ndarray,
 ) -> LambertError:
     """`LambertError` of an iris whose BRDF is known for pairs of directions.
@@ -155,21 +153,20 @@ def of_pairs(
             the cosines' weights; `whole`: the same over the hemisphere.
         extreme: The same for cosines near the normal, of which the largest error is taken.
     """
-    mean = flat @ weight
+    mean, near, far = flat @ weight, within[1], whole[1]
 
     def averaged(values, cosines):
         weights = (cosines[:, None] * cosines)[..., None, None] / values.shape[2]
         return (weights * values).sum((0, 1, 2))
 
-    seen, ratio = within @ weight, (whole @ weight) / mean
-    by_texel = ((flat - within) / seen[..., None]) ** 2 @ weight
+    seen, ratio = within[0] @ weight, (whole[0] @ weight) / mean
+    by_texel = ((flat - within[0]) / seen[..., None]) ** 2 @ weight
     off = (mean / (extreme @ weight) - 1).reshape(-1, mean.size)
     return LambertError(
-        rms=np.sqrt(averaged((mean / seen - 1) ** 2, within_weight)),
+        rms=np.sqrt(averaged((mean / seen - 1) ** 2, near)),
         most=off[np.abs(off).argmax(0), np.arange(mean.size)],
-        texels=np.sqrt(averaged(by_texel, within_weight)),
-        hemisphere=np.sqrt(averaged((ratio - 1) ** 2, whole_weight))
-        / averaged(ratio, whole_weight),
+        texels=np.sqrt(averaged(by_texel, near)),
+        hemisphere=np.sqrt(averaged((ratio - 1) ** 2, far)) / averaged(ratio, far),
     )
 
 

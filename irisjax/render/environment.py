@@ -130,11 +130,7 @@ class Environment(eqx.Module):
         return multilinear(table, (r, c))
 
     def to_lights(
-        self,
-        n: int = 64,
-        *,
-        largest_polar: float | None = LARGEST_POLAR,
-        illuminant: str = "D65",
+        self, n: int = 64, *, largest_polar: float | None = LARGEST_POLAR, illuminant: str = "D65"
     ) -> Lights:
         """At most `n` distant lights that stand for the map, by median cut [Debevec 2005].
 

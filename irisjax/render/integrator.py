@@ -75,19 +75,13 @@ class AbstractIntegrator(eqx.Module):
         """
 
 
-def checked_response(
-    integrator: AbstractIntegrator,
-    iris: Iris | None,
-    aqueous_index: Scalar,
-    bands: Bands,
-    ranges: Scales,
-) -> AbstractResponse:
-    """Compute the response of an integrator in one compiled program.
+def checked_response(integrator: AbstractIntegrator, *parts: Any) -> AbstractResponse:
+    """Compute `AbstractIntegrator.response` of its arguments in one compiled program.
 
     Raises:
         ValueError: The integrator's solver does not hold the layers of a texel.
     """
-    found = _response(integrator, iris, aqueous_index, bands, ranges)
+    found = _response(integrator, *parts)
     return found if found.status is None else raise_failure(found, found.status)
 
 

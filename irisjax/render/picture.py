@@ -28,6 +28,7 @@ from irisjax.render.shading import Front, ranges_of
 # Bytes for the pixels of a band; the programs and tables beside them take three times that.
 _MEMORY = 1 << 28
 _PIXEL, _CHANNEL = 1200, 24  # bytes for each of a band's, measured
+_Spectrum = tuple[str, str, tuple[float, ...] | None]
 
 
 class Texels(eqx.Module):
@@ -101,7 +102,7 @@ def texture(view: View, scene: Scene) -> Texels:
     """
     white, room, eye = None, None, scene.eye
     if view.sclera is not None and eye.sclera is not None:
-        table = _sclera_colours(eye.sclera, *_spectrum(scene))
+        table = _sclera_colours(eye.sclera, _spectrum(scene))
         white = outside.white_colour(view.sclera, eye, table, scene.veins)
     if view.mirror is not None and scene.environment is not None:
         room = outside.room_at(view.mirror, scene.environment)
@@ -213,22 +214,17 @@ def draw_bands(
 
 def _asked(scene: Scene) -> tuple[Any, Any, Bands, Any]:
     """Iris, index before it, channels and ranges of maps: what a response depends on."""
-    bands = _bands(scene.eye.cornea, *_spectrum(scene))
+    bands = _bands(scene.eye.cornea, _spectrum(scene))
     return scene.iris, scene.eye.aqueous_index, bands, ranges_of(scene.iris, scene.maps)
 
 
-def _spectrum(scene: Scene) -> tuple[str, str, tuple[float, ...] | None]:
+def _spectrum(scene: Scene) -> _Spectrum:
     return scene.illuminant, scene.observer, scene.wavelengths
 
 
 @eqx.filter_jit
-def _bands(
-    cornea: Cornea | None,
-    illuminant: str,
-    observer: str,
-    wavelengths: tuple[float, ...] | None,
-    every: bool = False,
-) -> Bands:
+def _bands(cornea: Cornea | None, spectrum: _Spectrum, every: bool = False) -> Bands:
+    illuminant, observer, wavelengths = spectrum
     if wavelengths is None:
         return colour_bands(illuminant, observer, cornea, every=every)
     return spectral_bands(wavelengths, illuminant, cornea)
@@ -236,12 +232,12 @@ def _bands(
 
 def _lamp(scene: Scene) -> Float[Array, " channels"]:
     """A lamp of radiance 1 in the channels of the picture."""
-    return jnp.ones(3) if scene.wavelengths is None else _bands(None, *_spectrum(scene)).white
+    return jnp.ones(3) if scene.wavelengths is None else _bands(None, _spectrum(scene)).white
 
 
 @eqx.filter_jit
-def _sclera_colours(sclera: Sclera, *spectrum: Any) -> ColourTable:
-    bands = _bands(None, *spectrum, every=True)
+def _sclera_colours(sclera: Sclera, spectrum: _Spectrum) -> ColourTable:
+    bands = _bands(None, spectrum, every=True)
     return colour_table(sclera, np.asarray(bands.wavelengths), bands.weights)
 
 

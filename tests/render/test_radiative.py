@@ -209,14 +209,14 @@ def test_distance_from_lamberts_law():
     flat, weight = np.full((3, 2), 0.01), np.array([0.25, 0.75])
     share = np.array([0.4, 0.6])
     brighter = np.full((2, 2, 3, 3, 2), 0.011)
-    found = of_pairs(flat, weight, brighter, share, brighter, share, brighter)
+    found = of_pairs(flat, weight, (brighter, share), (brighter, share), brighter)
     np.testing.assert_allclose(found.rms, 1 - 1 / 1.1)
     np.testing.assert_allclose(found.most, 1 / 1.1 - 1)
     np.testing.assert_allclose(found.texels, 1 - 1 / 1.1)
     np.testing.assert_allclose(found.hemisphere, 0.1 / 1.1)
     turns = brighter.copy()
     turns[0] = 0.009
-    found = of_pairs(flat, weight, brighter, share, turns, share, brighter)
+    found = of_pairs(flat, weight, (brighter, share), (turns, share), brighter)
     np.testing.assert_allclose(found.hemisphere, 0.1 / (0.4 * 0.9 + 0.6 * 1.1))
 
 
