@@ -94,28 +94,19 @@ def bilinear(
 ) -> Reals:
     """Linear interpolation at fractional indices, held at the ends; rows may run round instead."""
     rows, columns = texture.shape[-2:]
-    at_column, v = _cell(column, columns)
     if round_rows:
         i = jnp.floor(row)
-        u = row - i
         below = jnp.asarray(i, jnp.int32) % rows
-        above = jnp.where(below + 1 == rows, 0, below + 1)
+        cell = below, jnp.where(below + 1 == rows, 0, below + 1), row - i
     else:
-        below, u = _cell(row, rows)
-        above = below + 1
-    places = [r * columns + at_column for r in (below, above)]
-
-    def one(flat):
-        def at(place):
-            return flat.at[place].get(mode="promise_in_bounds")
-
-        low, high = (at(place) * (1 - v) + at(place + 1) * v for place in places)
-        return low * (1 - u) + high * u
-
-    layers = texture.reshape(-1, rows * columns)
+        cell = _cell(row, rows)
+    cells = cell, _cell(column, columns)
+    found = [
+        _between(layer, (rows, columns), cells) for layer in texture.reshape(-1, rows * columns)
+    ]
     if texture.ndim == 2:
-        return one(layers[0])
-    return jnp.stack([one(layer) for layer in layers]).reshape(*texture.shape[:-2], *row.shape)
+        return found[0]
+    return jnp.stack(found).reshape(*texture.shape[:-2], *row.shape)
 
 
 def polar_bilinear(texture: Float[Array, "*c angles radii"], angle: Reals, radius: Reals) -> Reals:
@@ -136,21 +127,25 @@ def multilinear(
     of three textures.
     """
     *counts, channels = table.shape
-    flat = table.reshape(-1, channels)
     cells = [_cell(x, count) for x, count in zip(position, counts, strict=True)]
+    cells = [(below, above, weight[..., None]) for below, above, weight in cells]
+    return _between(table.reshape(-1, channels), counts, cells)
 
-    def along(axis, place):
-        if axis == len(cells):
-            return flat.at[place].get(mode="promise_in_bounds")
-        below, weight = cells[axis]
-        place, weight = place * counts[axis] + below, weight[..., None]
-        return along(axis + 1, place) * (1 - weight) + along(axis + 1, place + 1) * weight
 
-    return along(0, 0)
+def _between(flat, counts, cells, place=0):
+    """Read a table of `counts` along its axes, flattened, between both ends of each cell."""
+    if not cells:
+        return flat.at[place].get(mode="promise_in_bounds")
+    (below, above, weight), *cells = cells
+    low, high = (
+        _between(flat, counts[1:], cells, place * counts[0] + end) for end in (below, above)
+    )
+    return low * (1 - weight) + high * weight
 
 
 def _cell(x, count: int):
-    """Index below a fractional one, held at the ends, and the weight of the next one."""
+    """Indices below and above a fractional one, held at the ends, and the weight of the latter."""
     x = jnp.clip(x, 0, count - 1)
     below = jnp.minimum(jnp.floor(x), count - 2)
-    return jnp.asarray(below, jnp.int32), x - below
+    index = jnp.asarray(below, jnp.int32)
+    return index, index + 1, x - below

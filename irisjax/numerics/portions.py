@@ -87,9 +87,8 @@ class Pixelwise:
         return self.compiled(pixels, others, None, 1)
 
 
-def pixelwise(f: Callable[..., Any]) -> Pixelwise:
-    """Make a `Pixelwise` of a function; use as a decorator."""
-    return Pixelwise(f)
+pixelwise = Pixelwise
+"""`Pixelwise` as a decorator."""
 
 
 def in_pieces(function: Callable[[Any], Any], arguments: Any, elements: int) -> Any:
