@@ -4,7 +4,7 @@ import math
 
 import equinox as eqx
 import jax.numpy as jnp
-from jaxtyping import Array, Bool
+from jaxtyping import Array, Bool, Float
 
 from irisjax._types import Numbers, Spectrum
 from irisjax.numerics.checks import Range, check_range
@@ -77,16 +77,12 @@ class Layers(eqx.Module):
     @property
     def albedo(self) -> Spectrum:
         """Single-scattering albedo of the stroma, μ_s/(μ_a + μ_s), or 0  [LB06 Eq. 7]."""
-        total = self.extinction
-        empty = total <= 0
-        return jnp.where(empty, 0.0, self.stroma_scattering / jnp.where(empty, 1.0, total))
+        return share_of(self.stroma_scattering, self.extinction, 0.0)
 
     @property
     def coalbedo(self) -> Spectrum:
         """1 − albedo without cancellation, μ_a/(μ_a + μ_s); 1 without either."""
-        total = self.extinction
-        empty = total <= 0
-        return jnp.where(empty, 1.0, self.stroma_absorption / jnp.where(empty, 1.0, total))
+        return share_of(self.stroma_absorption, self.extinction, 1.0)
 
     def valid(self) -> Bool[Array, ""]:
         """Check, traced too, that depths are finite and not negative and indices obey `order`."""
@@ -94,3 +90,11 @@ class Layers(eqx.Module):
         for depth in (self.abl_absorption, self.stroma_absorption, self.stroma_scattering):
             ok = ok & (jnp.isfinite(depth) & (depth >= 0)).all()
         return ok if self.phase is None else ok & self.phase.valid()
+
+
+def share_of(
+    part: Float[Array, "*s"], whole: Float[Array, "*s"], of_nothing: float
+) -> Float[Array, "*s"]:
+    """Share of a depth in the `whole`; `of_nothing` where that is empty."""
+    empty = whole <= 0
+    return jnp.where(empty, of_nothing, part / jnp.where(empty, 1.0, whole))

@@ -20,7 +20,7 @@ from irisjax.numerics import linear
 from irisjax.numerics.checks import check_whole
 from irisjax.numerics.sharding import laid_out
 from irisjax.optics.mixture import PhaseMixture
-from irisjax.tissue.layers import Layers
+from irisjax.tissue.layers import Layers, share_of
 from irisjax.transport.light import Light
 from irisjax.transport.process import DEPTH_RESOLVED, RadiativeTransfer, survival
 from irisjax.transport.radiative import resolution
@@ -129,11 +129,7 @@ def _one_wavelength(
     moments, peak = phase.truncated(count)
     scattering = scattering * (1 - peak)
     depth = absorption + scattering
-    empty = depth <= 0
-    whole = jnp.where(empty, 1.0, depth)
-    albedo = jnp.where(empty, 0.0, scattering / whole)
-    coalbedo = jnp.where(empty, 1.0, absorption / whole)
-
+    albedo, coalbedo = share_of(scattering, depth, 0.0), share_of(absorption, depth, 1.0)
     way, seen = course(abl, depth, beams), course(abl, depth, nodes)
     # Of all mirror images of the beams: radiance downwards at the top, upwards at the bottom.
     unscattered = before(abl, depth, beams)
@@ -171,7 +167,8 @@ def _one_wavelength(
         brdf = total * leave.roof.passed * lit.to_brdf
     of_beams = jnp.tile(absorbed[count:], 2) @ beamed
     stroma = of_beams + jnp.tile(absorbed[:count], 2) @ again
-    return with_scattered(unscattered, power, nodes, seen.roof, up, down, stroma, brdf)
+    flux = with_scattered(unscattered, power, nodes, seen.roof, up, down, stroma)
+    return flux._replace(brdf=brdf)
 
 
 def _between(slab: Response, beamed, seen: Course, nodes: Ordinates, depth):

@@ -35,7 +35,7 @@ from irisjax.transport.radiative.directions import (
     quadrature_nodes,
     roof_of,
 )
-from irisjax.transport.radiative.orders import before, with_scattered
+from irisjax.transport.radiative.orders import before, conserving_order
 from irisjax.transport.radiative.polarised.exact import solve_polarised
 from irisjax.transport.radiative.slab import Slab
 from irisjax.transport.solution import Flux, Solution
@@ -85,7 +85,7 @@ class RadiativeExact(AbstractSolver):
             flux, polarisation = solve_polarised(layers, light, self.n_angles, how)
         else:
             flux = _solve(layers, light, self.n_angles, how)
-        resolved = resolution.depths_resolved(layers, *how, resolution.steepness(layers, light))
+        resolved = resolution.depths_resolved(layers, light, *how)
         return flux.solution(resolution.status_of(layers, resolved), polarisation=polarisation)
 
 
@@ -114,15 +114,14 @@ def _one_wavelength(
     bounded = slab.bounded(everywhere.cosine, ends_of(roof, everywhere))
     angle, beam, *exit_ = parted(bounded, nodes, beams, exits)
     roof, _, *roof_exit = parted(roof, nodes, beams, exits)
-    unscattered = before(abl, depth, beams)
-    entering = lit.power * unscattered.entered / beams.cosine
-    lost = lit.power @ unscattered.lost
+    first = jax.tree.map(lambda x: x[None], before(abl, depth, beams))
+    entering = lit.power[None] * first.entered / beams.cosine[None]
 
     def equations(mode: Mode):
         """Strengths of a mode, the system of its moments, and its right-hand side."""
         strength = albedo * jnp.asarray(mode.strength, depth.dtype)
         operator = slab.moments(angle, nodes.weight, mode.functions(nodes.cosine), mode.parity)
-        driving = mode.functions(beams.cosine) * entering[None, :]
+        driving = mode.functions(beams.cosine) * entering
         size = operator.shape[0]
         each = jnp.repeat(strength, size // strength.size)
         system = jnp.eye(size, dtype=depth.dtype) - operator * each[None, :]
@@ -133,24 +132,15 @@ def _one_wavelength(
         up, _ = slab.leaving(exit_[0], source, mode.parity)
         return up * jnp.cos(mode.order * lit.azimuth) * (1 if mode.order == 0 else 2)
 
-    mode = MODES[0]
-    strength, system, driving = equations(mode)
-    f = mode.functions(nodes.cosine)
-    flux, losses = (
-        (nodes.weight * nodes.cosine)[None] * f,
-        (roof.passed + roof.absorbed, nodes.bottom[1]),
-    )
-    balance = slab.balance(strength, flux, angle, losses, coalbedo)
-    right = driving.reshape(-1, 1)
-    moments = slab.solve(system, right, balance, lost[None]).reshape(driving.shape)
-    up, down = slab.leaving(angle, (strength[:, None] * f).T @ moments, mode.parity)
-    stroma = coalbedo * (slab.widths @ moments[0].reshape(slab.n_panels, slab.n_depths)[:, 0])
-    brdf = None
-    if exits is not None:
-        total = leaving(mode, strength, moments)
-        for mode in MODES[1:]:
-            strength, system, driving = equations(mode)
-            moments = linear.solve(system, driving.reshape(-1)).reshape(driving.shape)
-            total += leaving(mode, strength, moments)
-        brdf = total * roof_exit[0].passed * lit.to_brdf
-    return with_scattered(unscattered, lit.power, nodes, roof, up, down, stroma, brdf)
+    strength, system, driving = equations(MODES[0])
+    source = strength[:, None] * MODES[0].functions(nodes.cosine)
+    equation, along = (source, system, driving[..., None]), (angle, nodes, roof)
+    moments, flux = conserving_order(slab, coalbedo, *equation, *along, first, lit.power)
+    if exits is None:
+        return flux
+    total = leaving(MODES[0], strength, moments[..., 0])
+    for mode in MODES[1:]:
+        strength, system, driving = equations(mode)
+        moments = linear.solve(system, driving.reshape(-1)).reshape(driving.shape)
+        total += leaving(mode, strength, moments)
+    return flux._replace(brdf=total * roof_exit[0].passed * lit.to_brdf)

@@ -16,7 +16,7 @@ from irisjax.numerics import linear
 from irisjax.optics.phase import rayleigh
 from irisjax.transport.process import attenuation, reflections, survival
 from irisjax.transport.radiative.directions import MODES, Mode, Ordinates, Roof, ends_of, roof_of
-from irisjax.transport.radiative.slab import Slab, mean_survival
+from irisjax.transport.radiative.slab import Bounded, Slab, mean_survival
 from irisjax.transport.solution import Flux
 
 
@@ -96,7 +96,6 @@ def with_scattered(
     up: jax.Array,
     down: jax.Array,
     stroma: jax.Array,
-    brdf: jax.Array | None = None,
 ) -> Flux:
     """Where light goes: unscattered light of beams with these shares of its `power`, and scattered
     light with radiances `up` at the stroma's top and `down` at its bottom along the nodes.
@@ -108,8 +107,39 @@ def with_scattered(
         abl=power @ beam.abl + flux @ (up * roof.absorbed),
         stroma=stroma,
         ipe=power @ beam.passed + flux @ (down * nodes.bottom[1]),
-        brdf=brdf,
     )
+
+
+def conserving_order(
+    slab: Slab,
+    coalbedo: jax.Array,
+    source: jax.Array,
+    system: jax.Array,
+    right: jax.Array,
+    angle: Bounded,
+    nodes: Ordinates,
+    roof: Roof,
+    beam: Beam,
+    power: jax.Array,
+) -> tuple[jax.Array, Flux]:
+    """The moments of the one order in azimuth that carries energy, of shape `right`: (terms,
+    moments, beams); and where the mean of the beams goes, `beam` with these shares of its `power`.
+
+    `source`: strength times function of each term (terms, angles).
+    """
+    top, bottom = slab.leaving_each(angle, 1)
+    flux = nodes.weight * nodes.cosine
+    # What each unknown takes from the light in the slab: absorbed by it, or sent out of it.
+    lost = top * (roof.passed + roof.absorbed)[None] + bottom * nodes.bottom[1][None]
+    taken = (source * flux[None]) @ lost.T
+    balance = taken.at[0, :: slab.n_depths].add(coalbedo * slab.widths).ravel()
+    columns = right.reshape(balance.size, -1)
+    moments = slab.solve(system, columns, balance, beam.lost @ power).reshape(right.shape)
+    mean = moments.mean(-1)
+    up, down = slab.leaving(angle, source.T @ mean, 1)
+    stroma = coalbedo * slab.total(mean[0])
+    beam = jax.tree.map(lambda x: x.mean(0), beam)
+    return moments, with_scattered(beam, power, nodes, roof, up, down, stroma)
 
 
 def after(
@@ -127,20 +157,19 @@ def after(
     """
     slab, mode = Slab(depth, *how), MODES[0]
     first, again = _scattered(slab, mode, abl, albedo, nodes, beams, mode.functions(beams.cosine))
-    roof = roof_of(abl, nodes)
-    top, bottom = slab.leaving_each(slab.bounded(nodes.cosine, ends_of(roof, nodes)), mode.parity)
+    roof, angle = _bounded(slab, abl, nodes)
+    top, bottom = slab.leaving_each(angle, mode.parity)
     strength = jnp.asarray(mode.strength, depth.dtype)[:, None]
     flux = strength * mode.functions(nodes.cosine) * (nodes.weight * nodes.cosine)[None, :]
 
     def share(leaving, taken):
         return ((flux * taken[None, :]) @ leaving.T).ravel() @ first
 
-    again = again.reshape(len(mode.strength), slab.n_panels, slab.n_depths, -1)
     return ScatteredFates(
         out=share(top, roof.passed),
         abl=share(top, roof.absorbed),
         ipe=share(bottom, nodes.bottom[1]),
-        collisions=slab.widths @ again[0, :, 0],
+        collisions=slab.total(again[0]),
     )
 
 
@@ -192,8 +221,7 @@ def multiple_scattering(
     for mode in MODES:
         f = mode.functions(d.cosine) if mode.order == 0 else jnp.ones_like(d.cosine)[None]
         _, again = _scattered(slab, mode, abl, albedo, nodes, d, f)
-        again = again.reshape(len(mode.strength), -1, d.cosine.size)
-        top, _ = slab.leaving_each(slab.bounded(d.cosine, ends_of(roof_of(abl, d), d)), mode.parity)
+        top, _ = slab.leaving_each(_bounded(slab, abl, d)[1], mode.parity)
         strength = jnp.asarray(mode.strength, depth.dtype)[:, None]
         sent = (strength * f)[:, None] * (top / taken[None])[None]
         found.append(jnp.einsum("lko,lki->io", sent, again))
@@ -220,9 +248,9 @@ def taken_of(abl: jax.Array, depth: jax.Array, d: Ordinates) -> jax.Array:
 
 def _scattered(slab: Slab, mode: Mode, abl, albedo, nodes: Ordinates, beams: Ordinates, f_beams):
     """Moments of light scattered once and oftener, over the albedo and what of each beam is lost to
-    the slab, and the same of what scatters again: shape (moments, beams).
+    the slab, (terms·moments, beams), and the same of what scatters again, (terms, moments, beams).
     """
-    angle, beam = (slab.bounded(d.cosine, ends_of(roof_of(abl, d), d)) for d in (nodes, beams))
+    angle, beam = (_bounded(slab, abl, d)[1] for d in (nodes, beams))
     strength = jnp.asarray(mode.strength, slab.depth.dtype)
     operator = slab.moments(angle, nodes.weight, mode.functions(nodes.cosine), mode.parity)
     operator = operator * jnp.repeat(strength, operator.shape[0] // strength.size)[None, :]
@@ -231,4 +259,10 @@ def _scattered(slab: Slab, mode: Mode, abl, albedo, nodes: Ordinates, beams: Ord
     driving = (f_beams[:, None] * each[None]).reshape(-1, beams.cosine.size)
     one = jnp.eye(driving.shape[0], dtype=slab.depth.dtype)
     first = linear.solve(one - albedo * operator, driving)
-    return first, operator @ first
+    return first, (operator @ first).reshape(strength.size, -1, beams.cosine.size)
+
+
+def _bounded(slab: Slab, abl, d: Ordinates) -> tuple[Roof, Bounded]:
+    """The ABL and the slab under it along directions."""
+    roof = roof_of(abl, d)
+    return roof, slab.bounded(d.cosine, ends_of(roof, d))

@@ -78,9 +78,9 @@ def _coarseness(layers: Layers, n_depths: int, n_panels: int, slant: Any = 1.0):
     return jnp.where(layers.abl_absorption > _OPAQUE, 0.0 * coarse, coarse)
 
 
-def depths_resolved(layers: Layers, n_depths: int, n_panels: int, slant: Any) -> jax.Array:
-    """Whether so many polynomials in so many panels follow light of such a `steepness` (traced)."""
-    return (_coarseness(layers, n_depths, n_panels, slant) <= _RESOLVED).all()
+def depths_resolved(layers: Layers, light: Light, n_depths: int, n_panels: int) -> jax.Array:
+    """Whether so many polynomials in so many panels follow the light (traced)."""
+    return (_coarseness(layers, n_depths, n_panels, steepness(layers, light)) <= _RESOLVED).all()
 
 
 def status_of(layers: Layers, resolved: jax.Array, angles: Any = True) -> RESULTS:

@@ -184,18 +184,9 @@ class Slab:
         top, bottom = self.leaving_each(b, parity)
         return (source.T * top).sum(0), (source.T * bottom).sum(0)
 
-    def balance(
-        self, strength: Any, flux: Any, b: Bounded, losses: Any, coalbedo: Any
-    ) -> jax.Array:
-        """What each unknown takes from the light in the slab: absorbed by it, or sent out of it.
-
-        `flux` is the flux of radiances of each term (rank, angles); `losses` are the shares of it
-        that do not come back from the top and from the bottom.
-        """
-        top, bottom = self.leaving_each(b, 1)
-        leaving = flux @ (top * losses[0][None] + bottom * losses[1][None]).T
-        taken = strength[:, None] * leaving
-        return taken.at[0, :: self.n_depths].add(coalbedo * self.widths).ravel()
+    def total(self, moments: jax.Array) -> jax.Array:
+        """Integral over the slab's depth of moments (panels·orders, …)."""
+        return self.widths @ moments[:: self.n_depths]
 
     def solve(
         self, system: jax.Array, right: jax.Array, balance: jax.Array, lost_beam: jax.Array

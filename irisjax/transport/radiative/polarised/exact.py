@@ -23,7 +23,7 @@ from irisjax.transport.radiative.directions import (
     joined_sets,
     quadrature_nodes,
 )
-from irisjax.transport.radiative.orders import Beam, before, with_scattered
+from irisjax.transport.radiative.orders import before, conserving_order
 from irisjax.transport.radiative.polarised.interfaces import (
     Met,
     PolarisedOrdinates,
@@ -77,65 +77,44 @@ def _one_wavelength(
     first = before(abl, depth, joined_sets(beams.p, beams.s))
     first = jax.tree.map(lambda x: x.reshape(2, -1), first)
     entering = lit.power[None] * first.entered
-    flux, moments = _fluxes(
-        slab, (albedo, coalbedo), modes[0], nodes, lit, angle, beam, first, entering
+    strengths = [albedo * jnp.asarray(mode.strength, albedo.dtype) for mode in modes]
+    assert modes[0].linear is not None
+    # Moments of light that is all I_l, and all I_r: of unpolarised light either is one half.
+    moments, flux = conserving_order(
+        slab,
+        coalbedo,
+        strengths[0][:, None] * modes[0].linear(nodes.p.cosine).reshape(strengths[0].size, -1),
+        _system(slab, modes[0], strengths[0], angle, nodes),
+        _driving(slab, modes[0], beam, beams, entering, None),
+        *(angle.linear, joined_sets(nodes.p, nodes.s), angle.roof, first, lit.power),
     )
     if not matrices:
         return flux, None
 
-    found = [(modes[0], jnp.pad(moments, ((0, 0), (0, 0), (0, 2))))]
-    for mode in modes[1:]:
-        system = _system(slab, mode, _strength(mode, albedo), angle, nodes)
+    found = [jnp.pad(moments, ((0, 0), (0, 0), (0, 2)))]
+    for mode, strength in zip(modes[1:], strengths[1:], strict=True):
+        system = _system(slab, mode, strength, angle, nodes)
         right = _driving(slab, mode, beam, beams, entering, beam.turned)
         solution = linear.solve(system, right.reshape(system.shape[0], 4))
-        found.append((mode, solution.reshape(right.shape)))
+        found.append(solution.reshape(right.shape))
+    sources = [s[:, None, None] * x for s, x in zip(strengths, found, strict=True)]
 
     at_surface, back = unscattered(abl, depth, beams.w, beam, lit.outside, n)
     reflected = _mirror(first.reflected[:, 0], back[0])
-    for mode, x in found:
+    for mode, source in zip(modes, sources, strict=True):
         if mode.order != 1:
-            leaving = _leaving(slab, mode, _strength(mode, albedo), angle, nodes, x)
+            leaving = _leaving(slab, mode, angle, nodes, source)
             reflected += _collected(mode, nodes.p.weight * nodes.p.cosine, leaving)
     mirrored = _mirror(first.mirrored[:, 0], at_surface[0])
     brdf = None
     if exits is not None:
         total = jnp.zeros((lit.azimuth.size, 4, 4), depth.dtype)
-        for mode, x in found:
-            leaving = _leaving(slab, mode, _strength(mode, albedo), exit_[0], exits, x)
+        for mode, source in zip(modes, sources, strict=True):
+            leaving = _leaving(slab, mode, exit_[0], exits, source)
             total += leaving * _azimuthal(mode.order, lit.azimuth)
         brdf = stokes(total) * lit.to_brdf
         flux = flux._replace(brdf=brdf[:, 0, 0])
     return flux, (stokes(reflected), stokes(mirrored), brdf)
-
-
-def _fluxes(
-    slab, scattering, mode: PolarisedMode, nodes, lit, angle: Met, beam, first: Beam, entering
-):
-    """`Flux`, and the moments of light that is all I_l, and all I_r: (terms, moments, 2)."""
-    albedo, coalbedo = scattering
-    assert mode.linear is not None
-    of_nodes, strength = joined_sets(nodes.p, nodes.s), _strength(mode, albedo)
-    system = _system(slab, mode, strength, angle, nodes)
-    right = _driving(slab, mode, beam, lit.beams, entering, None)
-    roof = angle.roof
-    f = mode.linear(nodes.p.cosine).reshape(strength.size, -1)
-    flux, losses = (
-        of_nodes.weight * of_nodes.cosine,
-        (roof.passed + roof.absorbed, of_nodes.bottom[1]),
-    )
-    balance = slab.balance(strength, flux[None] * f, angle.linear, losses, coalbedo)
-    right_side = right.reshape(system.shape[0], 2)
-    moments = slab.solve(system, right_side, balance, first.lost @ lit.power)
-    moments = moments.reshape(right.shape)
-    # Of unpolarised light either is one half.
-    mean, straight = moments.mean(-1), jax.tree.map(lambda x: x.mean(0), first)
-    up, down = slab.leaving(angle.linear, (strength[:, None] * f).T @ mean, 1)
-    stroma = coalbedo * (slab.widths @ mean[0].reshape(slab.n_panels, slab.n_depths)[:, 0])
-    return with_scattered(straight, lit.power, of_nodes, roof, up, down, stroma), moments
-
-
-def _strength(mode: PolarisedMode, albedo):
-    return albedo * jnp.asarray(mode.strength, albedo.dtype)
 
 
 def _system(slab, mode: PolarisedMode, strength, angle: Met, nodes: PolarisedOrdinates):
@@ -187,11 +166,11 @@ def _driving(slab, mode: PolarisedMode, beam: Met, beams: PolarisedOrdinates, en
     return right
 
 
-def _leaving(slab, mode: PolarisedMode, strength, met: Met, d: PolarisedOrdinates, x):
+def _leaving(slab, mode: PolarisedMode, met: Met, d: PolarisedOrdinates, source):
     """I_l, I_r, U and V of radiance at the stroma's top, less what the ABL keeps of it, of light as
     in `_driving`, (directions, 4, 4).
     """
-    mu, source = d.p.cosine, strength[:, None, None] * x
+    mu = d.p.cosine
     out = jnp.zeros((mu.size, 4, 4), mu.dtype)
     if mode.linear is not None:
         f = mode.linear(mu)
