@@ -261,7 +261,7 @@ def _brdf_table(indices: RefractiveIndices, pole: np.ndarray) -> np.ndarray:
     `pole`: polynomials of λ.
     """
     points, outside = _nodes(*_BRDF_NODES[:3]), _outside_nodes(_BRDF_NODES[3], indices)
-    found = _in_double(_multiple, points, outside, indices)
+    found = _in_double(partial(_exactly, orders.multiple_scattering), points, outside, indices)
     depth = np.asarray(_coordinates(*points.T).depth, np.float64)
     eigenvalue = np.polynomial.chebyshev.chebval(depth, pole)
     found[..., 0] *= (1 - points[:, 2] * eigenvalue)[:, None, None]
@@ -312,21 +312,16 @@ def _layers_at(points, indices: RefractiveIndices) -> Layers:
 
 
 @eqx.filter_jit
-def _fates(points, outside, indices: RefractiveIndices) -> orders.ScatteredFates:
-    """At points (τ_A, τ, ω), for beams of cosines in the aqueous humour: shape (points, beams)."""
+def _exactly(function, points, outside, indices: RefractiveIndices):
+    """`after` or `multiple_scattering` of `orders` at points (τ_A, τ, ω), the first axis, for beams
+    of cosines in the aqueous humour.
+    """
     layers = _layers_at(points, indices)
     angles, beams = quadrature_nodes(layers, _ANGLES), from_outside(layers, outside)
-    one = partial(orders.after, nodes=angles, beams=beams, how=_HOW)
-    return jax.lax.map(lambda p: one(p[0], p[1], p[2]), points, batch_size=32)
+    return jax.lax.map(lambda p: function(*p, angles, beams, _HOW), points, batch_size=32)
 
 
-@eqx.filter_jit
-def _multiple(points, outside, indices: RefractiveIndices):
-    """At points (τ_A, τ, ω), between cosines in the aqueous humour: (points, beams, exits, 3)."""
-    layers = _layers_at(points, indices)
-    angles, between = quadrature_nodes(layers, _ANGLES), from_outside(layers, outside)
-    one = partial(orders.multiple_scattering, nodes=angles, d=between, how=_HOW)
-    return jax.lax.map(lambda p: one(p[0], p[1], p[2]), points, batch_size=32)
+_fates = partial(_exactly, orders.after)
 
 
 @eqx.filter_jit
