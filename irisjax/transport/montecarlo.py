@@ -30,7 +30,7 @@ from irisjax.transport.process import (
     is_polarised,
 )
 from irisjax.transport.radiative.analog import radiative_event
-from irisjax.transport.solution import Flux, Solution, binomial_error, outcome
+from irisjax.transport.solution import Solution, binomial_error, outcome, sampled
 from irisjax.transport.solver import AbstractSolver, check_rayleigh
 
 _LIMIT = 2**31 - 2**20  # counts are int32; lanes look a stride ahead
@@ -118,19 +118,13 @@ class MonteCarlo(AbstractSolver):
         """Compute shares and standard errors from counts."""
         dtype = layers.extinction.dtype
         n, fates = counts.photons.astype(dtype), counts.fates.astype(dtype)
-        mirrored, reflected, abl, stroma, ipe = (fates / n[:, None]).T
         brdf = brdf_error = None
         if counts.exits is not None and exits is not None:
             cells, counted = _cells(exits).astype(dtype), counts.exits.astype(dtype)
             scale = jnp.pi * (cells[:, 1] ** 2 - cells[:, 0] ** 2)
             brdf = counted / n[:, None] / scale[None]
             brdf_error = binomial_error(counted, n[:, None]) / scale[None]
-        return Flux(reflected, mirrored, abl, stroma, ipe, brdf).solution(
-            outcome(layers.valid()),
-            standard_error=binomial_error(fates[:, 1], n),
-            total_error=binomial_error(fates[:, 0] + fates[:, 1], n),
-            brdf_error=brdf_error,
-        )
+        return sampled(fates, n, outcome(layers.valid()), brdf, brdf_error=brdf_error)
 
 
 @eqx.filter_custom_jvp

@@ -136,6 +136,22 @@ def outcome(valid: Bool[Array, ""], *checks: tuple[Bool[Array, ""], RESULTS]) ->
     return RESULTS.where(valid, status, RESULTS.invalid_input)
 
 
+def sampled(
+    fates: Array, photons: Any, status: RESULTS, brdf: Array | None = None, **more: Any
+) -> Solution:
+    """The `Solution` of photons (wavelengths, 5) by fate, in the order of `lanes.FATES`, of so many
+    `photons` sent, a number or one a wavelength.
+    """
+    mirrored, reflected, *_ = fates.T
+    shares = (fates / jnp.asarray(photons, fates.dtype).reshape(-1, 1)).T
+    return Flux(shares[1], shares[0], shares[2], shares[3], shares[4], brdf).solution(
+        status,
+        standard_error=binomial_error(reflected, photons),
+        total_error=binomial_error(mirrored + reflected, photons),
+        **more,
+    )
+
+
 def binomial_error(count: Array, n: Any) -> Array:
     """Standard error of a share of `n` photons; by Laplace's rule, so that a count of 0 has one."""
     p = (count + 1) / (n + 2)

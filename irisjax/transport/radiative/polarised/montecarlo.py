@@ -18,7 +18,7 @@ from irisjax.tissue.layers import Layers
 from irisjax.transport.light import Directions, Light
 from irisjax.transport.process import POLARISED, RadiativeTransfer, sample_entry
 from irisjax.transport.radiative.polarised import photon
-from irisjax.transport.solution import Flux, Polarisation, Solution, binomial_error, outcome
+from irisjax.transport.solution import Polarisation, Solution, outcome, sampled
 from irisjax.transport.solver import AbstractSolver, check_rayleigh
 
 _BATCH = 4096  # photons under way at once; results depend on it by rounding
@@ -77,21 +77,14 @@ class PolarisedMonteCarlo(AbstractSolver):
             return one(key, medium, incidence, exits, ok)
 
         tally = jax.lax.map(at, (keys, *(jnp.where(ok, x, 0.0) for x in depths)))
-        n, counts = self.n_photons, tally.fates.astype(dtype)
-        mirrored, reflected, abl, stroma, ipe = (counts / n).T
         polarisation = brdf = brdf_error = None
         if tally.whole is not None:
             polarisation = self._matrices(tally, layers, light, exits)
             if polarisation.brdf is not None and polarisation.brdf_covariance is not None:
                 brdf = polarisation.brdf[..., 0, 0]
                 brdf_error = jnp.sqrt(polarisation.brdf_covariance[..., 0, 0])
-        return Flux(reflected, mirrored, abl, stroma, ipe, brdf).solution(
-            outcome(ok),
-            standard_error=binomial_error(counts[:, 1], n),
-            total_error=binomial_error(counts[:, 0] + counts[:, 1], n),
-            brdf_error=brdf_error,
-            polarisation=polarisation,
-        )
+        errors = {"brdf_error": brdf_error, "polarisation": polarisation}
+        return sampled(tally.fates.astype(dtype), self.n_photons, outcome(ok), brdf, **errors)
 
     def _matrices(self, tally: Tally, layers: Layers, light: Light, exits) -> Polarisation:
         n, indices = self.n_photons, layers.indices
