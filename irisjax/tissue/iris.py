@@ -11,7 +11,7 @@ from jax.core import Tracer
 
 from irisjax._types import Scalar
 from irisjax.anatomy.media import AQUEOUS
-from irisjax.numerics.checks import Range, check_fields, check_range, check_scalars
+from irisjax.numerics.checks import Range, check_fields, check_known, check_range, check_scalars
 from irisjax.tissue.indices import (
     COLLAGEN_FRACTION,
     FIBROBLAST_FRACTION,
@@ -162,10 +162,7 @@ class Iris(eqx.Module):
     @classmethod
     def of_level(cls, level: str) -> "Iris":
         """Make the iris of a level of LB06 Table 2: `"low"`, `"moderate"` or `"high"`."""
-        if level not in _LEVELS:
-            raise ValueError(
-                f"unknown pigmentation level {level!r}; known: {', '.join(sorted(_LEVELS))}"
-            )
+        check_known("pigmentation level", level, sorted(_LEVELS))
         eumelanin, pheomelanin = _LEVELS[level]
         return cls(eumelanin=jnp.asarray(eumelanin), pheomelanin=jnp.asarray(pheomelanin))
 
@@ -185,9 +182,8 @@ class Iris(eqx.Module):
         """
         load = fields.pop("melanin_load", None)
         for name in fields:
-            if name not in LIMITS and name not in POWER_LAW_LIMITS and name not in _CHOICES:
-                known = ", ".join(("melanin_load", *LIMITS, *_CHOICES, *POWER_LAW_LIMITS))
-                raise ValueError(f"unknown parameter {name!r}; known: {known}")
+            known = ("melanin_load", *LIMITS, *_CHOICES, *POWER_LAW_LIMITS)
+            check_known("parameter", name, known)
         law = {name: fields.pop(name) for name in POWER_LAW_LIMITS if name in fields}
         if law:
             old = fields.get("power_law", self.power_law)
