@@ -30,7 +30,7 @@ from irisjax.transport.process import (
     is_polarised,
 )
 from irisjax.transport.radiative.analog import radiative_event
-from irisjax.transport.solution import Solution, binomial_error, outcome, sampled
+from irisjax.transport.solution import Solution, binomial_error, outcome
 from irisjax.transport.solver import AbstractSolver, check_rayleigh
 
 _LIMIT = 2**31 - 2**20  # counts are int32; lanes look a stride ahead
@@ -124,7 +124,7 @@ class MonteCarlo(AbstractSolver):
             scale = jnp.pi * (cells[:, 1] ** 2 - cells[:, 0] ** 2)
             brdf = counted / n[:, None] / scale[None]
             brdf_error = binomial_error(counted, n[:, None]) / scale[None]
-        return sampled(fates, n, outcome(layers.valid()), brdf, brdf_error=brdf_error)
+        return counted(fates, n, outcome(layers.valid()), brdf, brdf_error=brdf_error)
 
 
 @eqx.filter_custom_jvp

@@ -136,7 +136,7 @@ def outcome(valid: Bool[Array, ""], *checks: tuple[Bool[Array, ""], RESULTS]) ->
     return RESULTS.where(valid, status, RESULTS.invalid_input)
 
 
-def sampled(
+def counted(
     fates: Array, photons: Any, status: RESULTS, brdf: Array | None = None, **more: Any
 ) -> Solution:
     """The `Solution` of photons (wavelengths, 5) by fate, in the order of `lanes.FATES`, of so many

@@ -18,7 +18,7 @@ from irisjax.tissue.layers import Layers
 from irisjax.transport.light import Directions, Light
 from irisjax.transport.process import POLARISED, RadiativeTransfer, sample_entry
 from irisjax.transport.radiative.polarised import photon
-from irisjax.transport.solution import Polarisation, Solution, outcome, sampled
+from irisjax.transport.solution import Polarisation, Solution, counted, outcome
 from irisjax.transport.solver import AbstractSolver, check_rayleigh
 
 _BATCH = 4096  # photons under way at once; results depend on it by rounding
@@ -84,7 +84,7 @@ class PolarisedMonteCarlo(AbstractSolver):
                 brdf = polarisation.brdf[..., 0, 0]
                 brdf_error = jnp.sqrt(polarisation.brdf_covariance[..., 0, 0])
         errors = {"brdf_error": brdf_error, "polarisation": polarisation}
-        return sampled(tally.fates.astype(dtype), self.n_photons, outcome(ok), brdf, **errors)
+        return counted(tally.fates.astype(dtype), self.n_photons, outcome(ok), brdf, **errors)
 
     def _matrices(self, tally: Tally, layers: Layers, light: Light, exits) -> Polarisation:
         n, indices = self.n_photons, layers.indices
