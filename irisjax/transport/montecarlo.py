@@ -120,10 +120,10 @@ class MonteCarlo(AbstractSolver):
         n, fates = counts.photons.astype(dtype), counts.fates.astype(dtype)
         brdf = brdf_error = None
         if counts.exits is not None and exits is not None:
-            cells, counted = _cells(exits).astype(dtype), counts.exits.astype(dtype)
+            cells, seen = _cells(exits).astype(dtype), counts.exits.astype(dtype)
             scale = jnp.pi * (cells[:, 1] ** 2 - cells[:, 0] ** 2)
-            brdf = counted / n[:, None] / scale[None]
-            brdf_error = binomial_error(counted, n[:, None]) / scale[None]
+            brdf = seen / n[:, None] / scale[None]
+            brdf_error = binomial_error(seen, n[:, None]) / scale[None]
         return counted(fates, n, outcome(layers.valid()), brdf, brdf_error=brdf_error)
 
 
