@@ -30,7 +30,7 @@ from irisjax.transport.process import (
     is_polarised,
 )
 from irisjax.transport.radiative.analog import radiative_event
-from irisjax.transport.solution import Solution, binomial_error, outcome
+from irisjax.transport.solution import Solution, binomial_error, counted, outcome
 from irisjax.transport.solver import AbstractSolver, check_rayleigh
 
 _LIMIT = 2**31 - 2**20  # counts are int32; lanes look a stride ahead
