@@ -11,6 +11,7 @@ import numpy as np
 
 from irisjax._types import Numbers, Scalar, Spectrum
 from irisjax.anatomy.media import Media
+from irisjax.measure.bands import Bands, bands_of
 from irisjax.measure.measurement import Reading, check_cosine, check_wavelengths
 from irisjax.numerics.checks import Range, check_range, check_scalars
 from irisjax.tissue.pigments import Extinction, extinction
@@ -33,6 +34,7 @@ class InstrumentSettings(TypedDict, total=False):
     cornea: Crossing
     media: Media | None
     gain: Numbers
+    bands: Bands | float | None
 
 
 class AbstractInstrument(eqx.Module):
@@ -44,6 +46,9 @@ class AbstractInstrument(eqx.Module):
             air if the light crosses the cornea); `None` for diffuse light, given as `"diffuse"`.
         media: Refractive indices in front of the iris (those of an eye are `Eye.media`).
         gain: Factor of the instrument on every value.
+        bands: What each value is the mean of, such as a slit's or filters' `Bands`; given as a
+            number, the full width at half maximum of a Gaussian slit, nm. `None` for light of one
+            wavelength each.
         cornea: Whether light crosses tear film and cornea on its way in (`"inward"`), both ways
             (`"round-trip"`, out along the normal, as to a camera in front of the eye), or not
             (`"none"`).
@@ -55,11 +60,14 @@ class AbstractInstrument(eqx.Module):
 
     polarised: ClassVar[bool] = False
     """Whether the instrument needs a polarised process."""
+    has_bands: ClassVar[bool] = False
+    """Whether its values can be means over bands."""
 
     pigments: Extinction
     cos_incidence: Scalar | None
     media: Media
     gain: Scalar
+    bands: Bands | None
     cornea: Crossing = eqx.field(static=True)
     first_surface: bool = eqx.field(static=True)
 
@@ -72,8 +80,13 @@ class AbstractInstrument(eqx.Module):
         cornea: Crossing = "none",
         media: Media | None = None,
         gain: Numbers = 1.0,
+        bands: Bands | float | None = None,
     ):
         check_wavelengths(wavelengths)
+        if bands is not None and not self.has_bands:
+            raise ValueError(f"a {type(self).__name__} has no bands, got bands = {bands!r}")
+        self.bands = bands_of(wavelengths, bands)
+        wavelengths = wavelengths if self.bands is None else self.bands.wavelengths
         check_cosine("cos_incidence", cos_incidence)
         if cornea not in get_args(Crossing):
             raise ValueError(f"cornea = {cornea!r}; known: {', '.join(get_args(Crossing))}")
@@ -94,8 +107,13 @@ class AbstractInstrument(eqx.Module):
 
     @property
     def wavelengths(self) -> Spectrum:
-        """Wavelengths of the reading, nm."""
+        """Wavelengths at which the model is evaluated, nm."""
         return self.pigments.wavelengths
+
+    @property
+    def centres(self) -> Spectrum:
+        """Wavelengths of the reading, nm: those of the model, or the bands' mean wavelengths."""
+        return self.wavelengths if self.bands is None else self.bands.centres
 
     def incident(self) -> tuple[Scalar, Light]:
         """Compute the factor on light on its way to the iris and back, and the light there."""
@@ -141,7 +159,11 @@ class AbstractInstrument(eqx.Module):
     ) -> R:
         """Return values as a `Reading`, with what the solution says besides."""
         absorbed, mirrored = dimmed(light.absorbed, factor), factor * light.mirrored
-        return kind(self.wavelengths, values, error, light.status, absorbed, mirrored, **more)
+        if self.bands is not None:
+            mean = self.bands.mean
+            values, mirrored, absorbed = mean(values), mean(mirrored), jax.tree.map(mean, absorbed)
+            error = None if error is None else self.bands.error(error)
+        return kind(self.centres, values, error, light.status, absorbed, mirrored, **more)
 
     @abc.abstractmethod
     def reading(self, light: Solution, factor: Scalar) -> Any:

@@ -25,6 +25,8 @@ from irisjax.transport.solver import AbstractSolver
 class Spectrophotometer(AbstractInstrument):
     """An instrument that reads the share of the incident light that the iris sends back."""
 
+    has_bands = True
+
     def __init__(self, wavelengths: Numbers, **settings: Unpack[InstrumentSettings]):
         super().__init__(wavelengths, **settings)
 
@@ -41,6 +43,8 @@ class Radiometer(AbstractInstrument):
     white diffuser in place of the eye is E/π.
     """
 
+    has_bands = True
+
     power: Spectrum
     illuminant: str = eqx.field(static=True)
 
@@ -53,7 +57,7 @@ class Radiometer(AbstractInstrument):
     ):
         settings.setdefault("cornea", "inward")
         super().__init__(wavelengths, **settings)
-        power = illuminant_power(illuminant, wavelengths)
+        power = illuminant_power(illuminant, self.wavelengths)
         self.power = jnp.asarray(power, self.wavelengths.dtype)
         self.illuminant = illuminant
 

@@ -1,0 +1,66 @@
+"""Instruments in files: bands of a camera or of filters, and covariances of what was measured."""
+
+import re
+from pathlib import Path
+
+import numpy as np
+
+from irisjax.io.formats import read_spectral_table
+from irisjax.io.tables import naming
+from irisjax.io.text import read_columns, read_text
+from irisjax.measure.bands import Bands
+from irisjax.tissue.pigments import common_range
+
+_CENTRE = re.compile(r"cent(re|er)|peak|middle|mitte", re.I)
+_WIDTH = re.compile(r"fwhm|width|breite|largeur|hbw", re.I)
+_MOST_OUTSIDE = 0.02  # share of a band's light that the pigment tables do not cover
+
+
+def read_bands(path: str | Path, illuminant: str | None = None) -> Bands:
+    """Read the bands of an instrument.
+
+    Either a row a band, in columns named `centre` and `fwhm` (nm; Gaussian), or the sensitivity of
+    each band in a column of its own beside the wavelengths (nm); any unit, as `read_measured` takes
+    tables.
+
+    Args:
+        path: The table.
+        illuminant: See `Bands.of`; not for centres and widths.
+
+    Raises:
+        ValueError: Naming the file and the problem, such as a band beyond the pigment tables.
+    """
+    with naming(path):
+        table = read_spectral_table(path)
+        named = [
+            [j for j, n in enumerate(table.names) if form.search(n)] for form in (_CENTRE, _WIDTH)
+        ]
+        if all(named):
+            centre, width = (table.values[:, columns[0]] for columns in named)
+            if illuminant is not None:
+                raise ValueError("centres and widths take no illuminant; give sensitivities")
+            order = np.argsort(centre)
+            return Bands.slit(centre[order], width[order])
+        grid, each = table.values[:, 0], np.nan_to_num(table.values[:, 1:])
+        order = np.argsort(grid)
+        grid, each = grid[order], each[order]
+        low, high = common_range()
+        inside = (grid >= low) & (grid <= high)
+        for name, column in zip(table.names[1:], each.T, strict=True):
+            lost = column[~inside].sum() / max(column.sum(), 1e-300)
+            if lost > _MOST_OUTSIDE:
+                span = f"{low:g} to {high:g} nm, which the pigment tables cover"
+                raise ValueError(f"{100 * lost:.0f} % of the band {name!r} is outside {span}")
+        return Bands.of(grid[inside], each[inside], illuminant)
+
+
+def read_square(path: str | Path) -> np.ndarray:
+    """Read a covariance, a square table of numbers (text) or an array (`.npy`)."""
+    with naming(path):
+        if Path(path).suffix.lower() == ".npy":
+            found = np.load(path, allow_pickle=False)
+        else:
+            found = read_columns(read_text(path)).values
+        if found.ndim != 2 or found.shape[0] != found.shape[1] or not np.isfinite(found).all():
+            raise ValueError(f"need a square table of finite numbers, found shape {found.shape}")
+    return found

@@ -1,0 +1,164 @@
+"""Bands of wavelengths: slits, filters and pixels, which average a spectrum before it is read."""
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jax.core import Tracer
+from jaxtyping import Array, ArrayLike, Float
+from scipy.special import ndtr
+
+from irisjax._types import Numbers, Spectrum
+from irisjax.measure.colour import illuminant_power
+from irisjax.measure.measurement import check_wavelengths
+from irisjax.numerics.checks import Range, check_range
+from irisjax.tissue.pigments import common_range
+
+BANDWIDTH = Range(0, 300, "nm", above=True)
+"""Allowed full widths at half maximum."""
+
+_NODES = 6  # at least, a full width at half maximum
+_TABLES = 2.0  # nm between the values of the pigment tables, which are the kinks of a spectrum
+_LEAST = 1e-7  # share of a band's light below which a wavelength is left out
+_SIGMA = 1 / np.sqrt(8 * np.log(2))  # of a Gaussian, in full widths at half maximum
+
+
+def _above(x: np.ndarray, power: int) -> np.ndarray:
+    return np.maximum(x, 0.0) ** power
+
+
+# Second antiderivatives of a band's shape, both in full widths from its centre.
+_TWICE_INTEGRATED = {
+    "gaussian": lambda x: (
+        x * ndtr(x / _SIGMA) + _SIGMA * np.exp(-0.5 * (x / _SIGMA) ** 2) / np.sqrt(2 * np.pi)
+    ),
+    "triangle": lambda x: (_above(x + 1, 3) - 2 * _above(x, 3) + _above(x - 1, 3)) / 6,
+    "boxcar": lambda x: (_above(x + 0.5, 2) - _above(x - 0.5, 2)) / 2,
+}
+
+
+class Bands(eqx.Module):
+    """The light that each value of an instrument is the mean of.
+
+    Attributes:
+        centres: Mean wavelength of each band, nm, increasing.
+        wavelengths: Where the model is evaluated, nm.
+        weights: Share of each of these in each band; rows add to one.
+    """
+
+    centres: Float[Array, " bands"]
+    wavelengths: Spectrum
+    weights: Float[Array, "bands wavelengths"]
+
+    @classmethod
+    def slit(cls, wavelengths: Numbers, width: Numbers, shape: str = "gaussian") -> "Bands":
+        """Return bands about the wavelengths at which an instrument is read.
+
+        The mean over a band is exact for a spectrum that is linear between points 2 nm apart, or a
+        sixth of the width. Bands are cut where the pigment tables end.
+
+        Args:
+            wavelengths: Centres, nm, increasing.
+            width: Full width at half maximum, nm, of all bands or of each.
+            shape: Of the slit: `"gaussian"`; `"triangle"`, two equal slits; `"boxcar"`, the moving
+                average of some instruments' programs.
+
+        Raises:
+            ValueError: For a width or shape out of range.
+        """
+        if shape not in _TWICE_INTEGRATED:
+            raise ValueError(f"shape = {shape!r}; known: {', '.join(_TWICE_INTEGRATED)}")
+        check_wavelengths(wavelengths)
+        check_range("bandwidth", width, BANDWIDTH)
+        centres = np.asarray(wavelengths, float)
+        widths = np.broadcast_to(np.asarray(width, float), centres.shape)[:, None]
+        step = _TABLES / np.ceil(_TABLES * _NODES / widths.min())
+        low, high = common_range()
+        # Points of one lattice, so that bands that overlap share them.
+        grid = np.arange(np.ceil(low / step), np.floor(high / step) + 1) * step
+        around = np.concatenate([[grid[0] - step], grid, [grid[-1] + step]])
+        apart = (around - centres[:, None]) / widths
+        # The integral of a shape times the hat function of a point.
+        each = np.diff(_TWICE_INTEGRATED[shape](apart), n=2)
+        lost = each.sum(1) < _LEAST
+        if lost.any():
+            span = f"the pigment tables have {low:g} to {high:g} nm"
+            raise ValueError(f"no band about {centres[lost][0]:g} nm: {span}")
+        each = np.maximum(each, 0) / each.sum(1, keepdims=True)
+        near = (each > _LEAST).any(0)
+        grid, each = grid[near], each[:, near]
+        return cls._of(centres, grid, each)
+
+    @classmethod
+    def of(
+        cls, wavelengths: Numbers, sensitivities: Numbers, illuminant: str | None = None
+    ) -> "Bands":
+        """Return the bands of filters or of a camera's channels.
+
+        Args:
+            wavelengths: In nm, increasing.
+            sensitivities: Of each band at each wavelength, shape (wavelengths, bands), in any unit.
+            illuminant: Name in colour-science of the light, if the sensitivities are those of the
+                sensor and filter alone; a reflectance is relative to a white in the same light.
+
+        Raises:
+            ValueError: For sensitivities that are negative or zero throughout.
+        """
+        check_wavelengths(wavelengths)
+        grid, each = np.asarray(wavelengths, float), np.asarray(sensitivities, float).T
+        if each.ndim != 2 or each.shape[1] != grid.size:
+            raise ValueError(f"sensitivities of shape {each.T.shape} for {grid.size} wavelengths")
+        if not (np.isfinite(each).all() and (each >= 0).all() and each.any(1).all()):
+            raise ValueError(
+                "sensitivities must be zero or more, and each band somewhere above zero"
+            )
+        if illuminant is not None:
+            each = each * illuminant_power(illuminant, grid)
+        each = each * np.gradient(grid) if grid.size > 1 else each
+        order = np.argsort((each @ grid) / each.sum(1), kind="stable")
+        each = each[order]
+        seen = each.any(0)
+        return cls._of((each @ grid) / each.sum(1), grid[seen], each[:, seen])
+
+    @classmethod
+    def _of(cls, centres: np.ndarray, grid: np.ndarray, each: np.ndarray) -> "Bands":
+        dtype = jnp.result_type(float)
+        shares = each / each.sum(1, keepdims=True)
+        return cls(*(jnp.asarray(x, dtype) for x in (centres, grid, shares)))
+
+    def mean(self, values: Float[ArrayLike, "*batch wavelengths"]) -> Float[Array, "*batch bands"]:
+        """Return the mean of each band."""
+        return jnp.asarray(values) @ self.weights.T
+
+    def error(self, errors: Float[Array, "*batch wavelengths"]) -> Float[Array, "*batch bands"]:
+        """Return the standard errors of the means, from those of independent values."""
+        return jnp.sqrt((errors * errors) @ (self.weights * self.weights).T)
+
+    def matched(self, wavelengths: Numbers) -> "Bands":
+        """Return the bands in the order of the wavelengths at which data name them, one each.
+
+        Raises:
+            ValueError: Unless each wavelength lies within the half of its band's light that is
+                nearest to the centre, and each band has one.
+        """
+        data, centres = np.asarray(wavelengths, float), np.asarray(self.centres)
+        if data.shape != centres.shape:
+            raise ValueError(f"{data.size} values for {centres.size} bands; need one for each")
+        grid, weights = np.asarray(self.wavelengths), np.asarray(self.weights)
+        spread = np.sqrt((weights * (grid - centres[:, None]) ** 2).sum(1))
+        for x, centre, width in zip(np.sort(data), centres, spread, strict=True):
+            if abs(x - centre) > max(width, 1.0):
+                raise ValueError(
+                    f"no band is centred near {x:g} nm: the next is at {centre:.4g} nm"
+                )
+        return self
+
+
+def bands_of(wavelengths: Numbers, bands: "Bands | float | None") -> "Bands | None":
+    """Return the bands of an instrument that is read at these wavelengths, a number being the full
+    width at half maximum of a Gaussian slit, nm.
+    """
+    if bands is None or isinstance(bands, Bands):
+        return bands if bands is None else bands.matched(wavelengths)
+    if isinstance(wavelengths, Tracer):
+        raise ValueError("a bandwidth needs concrete wavelengths; make its Bands outside of jit")
+    return Bands.slit(wavelengths, bands)
