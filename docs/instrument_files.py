@@ -86,7 +86,11 @@ JCAMP = """##TITLE=eye, left
 def magic(*kinds):
     """A table of SpectraMagic: two measurements of an eye, a row each."""
     waves = ",".join(f"{kind}{x:.0f}nm" for kind in kinds for x in X)
-    first, second = (",".join(f"{v:.4g}" for _ in kinds for v in 100 * s) for s in SCANS[:2])
+    share = {"SCE ": 0.9}  # of the light, without its specular component
+    first, second = (
+        ",".join(f"{v:.4g}" for kind in kinds for v in 100 * share.get(kind, 1) * s)
+        for s in SCANS[:2]
+    )
     return (
         "Instrument Name,CM-700d\nMeasurement Area,SAV\n"
         f"No.,Name,Illuminant,{waves}\n1,left eye,D65,{first}\n2,left eye,D65,{second}"
@@ -101,7 +105,6 @@ FILES = {
     "excel_german.csv": "Wellenlänge;Remission (%)\r\n" + rows(";", X, 100 * R, decimal=","),
     "excel_unicode.txt": "Wavelength\tReflectance %\r\n" + rows("\t", X, 100 * R),
     "oceanview.txt": PREAMBLE + rows("\t", X, 100 * R),
-    "oceanview_moderate.txt": PREAMBLE + rows("\t", X, 100 * MODERATE),
     "spectrasuite.txt": SUITE + rows("\t", X, 100 * R) + "\n>>>>>End Processed Spectral Data<<<<<",
     "avasoft.txt": AVASOFT + rows(";", X, SAMPLE, DARK, WHITE, 100 * R, decimal=","),
     "viewspec.txt": VIEW_SPEC + rows("\t", X, R),
@@ -115,9 +118,10 @@ FILES = {
     # What is refused, or needs a word more.
     "counts.csv": "nm,counts\n" + rows(",", X, SAMPLE),
     "unnamed_counts.csv": rows(",", X, SAMPLE),
-    "either.csv": "nm,R\n" + rows(",", X, 100 * MODERATE),
+    "either.csv": "nm,R\n" + rows(",", X, 50 * MODERATE),
     "bright.csv": "nm,R %\n" + rows(",", X, 1000 * R),
     "dark.csv": "nm,R %\n" + rows(",", X, R),
+    "wild.csv": "nm,R %\n" + rows(",", X, np.where(X == 500, 260, 100 * R)),
     "negative.csv": "nm,R\n" + rows(",", X, -R),
     "transmittance.csv": "nm,Transmittance\n" + rows(",", X, R),
     "radiance.csv": "nm,radiance\n" + rows(",", X, R),

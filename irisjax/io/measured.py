@@ -1,4 +1,4 @@
-"""Measured spectra from files of instruments: columns that have roles by their headers become
+"""Measured spectra from files of instruments: the columns that `irisjax.io.columns` chooses become
 wavelengths in nm and reflectances as fractions (or radiances).
 """
 
@@ -8,17 +8,27 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+import scipy.ndimage
 from jaxtyping import Float
 
 from irisjax.infer.observation import RADIANCE, REFLECTANCE, mean_of_scans
+from irisjax.io.columns import (
+    ABSORBANCE,
+    KUBELKA_MUNK,
+    QUANTITIES,
+    Selection,
+    eyes_of,
+    select,
+    select_eye,
+)
+from irisjax.io.formats import BOXCAR, UNITS, read_spectral_table
 from irisjax.io.tables import naming
-from irisjax.io.text import Columns, read_columns, read_text
+from irisjax.io.text import Columns
+from irisjax.measure.bands import BANDWIDTH
+from irisjax.numerics.checks import check_range
 from irisjax.optics.kubelka_munk import thick_layer
 from irisjax.tissue.pigments import common_range
 
-ABSORBANCE, KUBELKA_MUNK = "absorbance", "kubelka-munk"
-QUANTITIES = (REFLECTANCE, RADIANCE, ABSORBANCE, KUBELKA_MUNK)
-"""Roles whose columns can become a spectrum."""
 REFLECTANCE_UNITS = ("fraction", "percent")
 WAVELENGTH_UNITS: dict[str, Callable[[np.ndarray], np.ndarray]] = {
     "nm": lambda x: x,
@@ -27,36 +37,14 @@ WAVELENGTH_UNITS: dict[str, Callable[[np.ndarray], np.ndarray]] = {
 }
 """Units of a first column, and its conversion to nm."""
 
-_STANDARD_DEVIATION = "standard deviation"
-# The first form that a header matches gives its role.
-_FORMS = {
-    _STANDARD_DEVIATION: r"^(sd|std|stdev|sigma|standard[ _](deviation|error)|uncertainty)\b",
-    ABSORBANCE: r"absorb|extinction|optical density|\bOD\b|\bA\.?U\b|log\W*1\s*/\s*[RT]\b",
-    KUBELKA_MUNK: r"kubelka|munk|\bk\s*/\s*s\b|\bf\(r",
-    "transmittance": r"transmi|%\s*T\b|\bT\s*\(?%",
-    "irradiance": r"irradian|[µμu]W",
-    REFLECTANCE: r"reflect|reflex|remission|albedo|^R\b|%\s*R\b",
-    RADIANCE: r"radiance",
-    "counts": r"count|scope|intensity|\braw\b|\badu\b|\bdn\b|\bdark\b|\bwhite\b|^ref(erence)?\b",
-    "arbitrary units": r"arbitrary",
-}
-_WAVELENGTH = re.compile(r"wave|wellenl|λ|lambda|^\W*nm\W*$", re.I)
-_REFUSALS = {
-    RADIANCE: "a radiance; give --quantity radiance",
-    "transmittance": "a transmittance; where it is the light sent back, give "
-    "--quantity reflectance",
-}
-_TO_DO = "divide the light of the eye by that of a white reference, both less the dark signal"
-# Units that headers name, the first that matches.
-_UNITS = {
-    "1/cm": re.compile(r"1/cm\b|\bcm\s*\^?\s*[-−–]\s*1|cm⁻¹|wave\s?number", re.I),
-    "um": re.compile(r"µm|μm|\bum\b|micro|_um\b", re.I),
-    "nm": re.compile(r"nm\b|nano", re.I),
-}
-_PERCENT = re.compile(r"%|per\s?cent", re.I)
+_PERCENT = re.compile(r"%|per\s?cent|prozent|pour\s?cent", re.I)
+_FRACTION = re.compile(r"fraction|^1$|\[1(\.0)?\]|0\s*(-|–|to)\s*1\b", re.I)
 # The largest reflectance of any iris lies between these: ILIT gives 0.12 without any pigment, and
 # 0.0024, the first surface's alone, under 8 µg/mm² of melanin.
 _BRIGHT, _DARK = 0.4, 0.002
+_IMPOSSIBLE = 1.2  # as a fraction, calibration aside
+_NEIGHBOURS = 5  # wavelengths whose median tells a wild value
+_WILD = 10.0  # times the median distance of values from their neighbours
 
 
 class Measured(NamedTuple):
@@ -76,17 +64,28 @@ class Measured(NamedTuple):
     notes: tuple[str, ...]
     header: dict[str, str]
     doubts: tuple[str, ...] = ()
+    correlated: float | None = None
+    bandwidth: float | None = None
 
 
 class ReadOptions(NamedTuple):
-    """How to read a file; `None` means as the file says, or by its numbers: one of `QUANTITIES`,
-    `REFLECTANCE_UNITS` and `WAVELENGTH_UNITS`, and the wavelengths (nm) to keep, from and to.
+    """How to read a file; `None` means as the file says, or by its numbers.
+
+    Attributes:
+        quantity: One of `QUANTITIES`.
+        unit: Of reflectances, one of `REFLECTANCE_UNITS`.
+        wavelength_unit: One of `WAVELENGTH_UNITS`.
+        wavelengths: The least and the largest wavelength to keep, nm.
+        column: Name of the column that holds the spectrum, or a part of it that no other has.
+        sd: The same of its standard deviation.
     """
 
     quantity: str | None = None
     unit: str | None = None
     wavelength_unit: str | None = None
     wavelengths: tuple[float, float] | None = None
+    column: str | None = None
+    sd: str | None = None
 
 
 def read_measured(
@@ -96,56 +95,71 @@ def read_measured(
     unit: str | None = None,
     wavelength_unit: str | None = None,
     wavelengths: tuple[float, float] | None = None,
+    column: str | None = None,
+    sd: str | None = None,
 ) -> Measured:
     """Read a measured spectrum; see `ReadOptions` for the arguments.
 
-    Text tables in UTF-8, UTF-16 or cp1252, separated by tabs, semicolons, commas or blanks, with
-    decimal points or commas, below any preamble: as written by hand, by Excel, OceanView and
-    SpectraSuite, AvaSoft, or ViewSpec (ASD); with a spectrum a row as by SpectraMagic; and
-    JCAMP-DX, recognised by its first line `##TITLE`. The first column is the wavelength unless
-    another's name says so. One further column is the spectrum, a column named sd (or sigma,
-    uncertainty, ...) its standard deviation. Several further columns are repeated scans: their mean
-    is used, and their scatter gives its standard deviation.
+    Text tables in UTF-8, UTF-16, cp1252 or Shift-JIS, separated by tabs, semicolons, commas or
+    blanks, with decimal points or commas, below any preamble; a spectrum a row or a column; Excel,
+    JCAMP-DX, CGATS and SVC. The documentation lists the instruments. The first column is the
+    wavelength unless another's name says so. The names of the others give them their roles: a
+    reflectance, an absorbance log₁₀(1/R) or Kubelka–Munk's K/S is the spectrum, and a standard
+    deviation belongs to the spectrum that its name names. Several spectra are repeated scans where
+    their names differ in a number only, or their values by no more than noise: their mean is used,
+    and their scatter gives its standard deviation.
 
-    Absorbances log₁₀(1/R) and Kubelka–Munk's K/S become reflectances where the file says so or
-    `quantity` does. Wavelengths that the pigment tables do not cover, or outside `wavelengths`, are
-    left out, and so are those without a value.
+    Wavelengths that the pigment tables do not cover, or outside `wavelengths`, are left out, and so
+    are those without a value.
 
     Raises:
         ValueError: naming the file, the row and the problem, such as numbers that are no
             reflectances, or could be fractions as well as per cent.
     """
-    how = ReadOptions(quantity, unit, wavelength_unit, wavelengths)
+    how = ReadOptions(quantity, unit, wavelength_unit, wavelengths, column, sd)
     with naming(path):
-        return _spectrum(_table(path), how)
+        _check(how)
+        table = read_spectral_table(path)
+        return _spectrum(table, how, select(table, how.quantity, how.column, how.sd))
 
 
 def read_eyes(path: str | Path, how: ReadOptions | None = None) -> dict[str, Measured | ValueError]:
-    """Read the spectra of many eyes in one text table, a column each, or the error of a column that
-    is none; `ValueError` for a problem of the whole table.
+    """Read the spectra of many eyes in one table, a column or a row each.
+
+    A standard deviation belongs to the eye that its name names, and columns or rows of one name are
+    scans of one eye.
+
+    Returns:
+        The spectra by name, or the error of a column that is none.
+
+    Raises:
+        ValueError: naming the file and a problem of the whole table.
     """
-    with naming(path):
-        table = _table(path)
+    how = how or ReadOptions()
     found: dict[str, Measured | ValueError] = {}
-    for j, name in enumerate(table.names[1:], 1):
-        name = name or f"column {j + 1}"
-        if name in found:
-            raise ValueError(f"{path}: column {name!r} appears twice")
+    with naming(path):
+        _check(how)
+        if how.column or how.sd:
+            raise ValueError("each column is an eye: no column can be chosen")
+        table = read_spectral_table(path)
+    for name, columns in eyes_of(table).items():
         try:
-            found[name] = _spectrum(table, how or ReadOptions(), [j])
+            found[name] = _spectrum(table, how, select_eye(table, columns, how.quantity))
         except ValueError as error:
             found[name] = error
     return found
 
 
-def _spectrum(table: Columns, how: ReadOptions, among: list[int] | None = None) -> Measured:
+def _check(how: ReadOptions) -> None:
     known = QUANTITIES, REFLECTANCE_UNITS, tuple(WAVELENGTH_UNITS)
     for name, given, allowed in zip(how._fields, how, known, strict=False):
         if given not in (None, *allowed):
             raise ValueError(f"{name} must be one of {', '.join(allowed)}, got {given!r}")
-    spectra, stated, role = _chosen(table, how.quantity, among)
-    notes: list[str] = []
-    used = [0, *spectra, *stated]
+
+
+def _spectrum(table: Columns, how: ReadOptions, chosen: Selection) -> Measured:
+    notes = [*table.notes, *chosen.notes]
+    used = [0, *chosen.spectra, *([] if chosen.sd is None else [chosen.sd])]
     values, where = table.values[:, used], np.array(table.where)
     for i, j in np.argwhere(np.isinf(values))[:1]:
         raise ValueError(f"{where[i]}: {values[i, j]} is not a finite number")
@@ -161,95 +175,61 @@ def _spectrum(table: Columns, how: ReadOptions, among: list[int] | None = None) 
     x, where = x[order], where[order]
     for i in np.flatnonzero(np.diff(x) == 0)[:1]:
         raise ValueError(f"{where[i + 1]}: {x[i]:g} nm appears twice")
-    count = len(spectra)
+    count = len(chosen.spectra)
     scans, sd = values[order, 1 : count + 1], values[order, count + 1 :]
-    quantity = how.quantity or role or REFLECTANCE
+    quantity = how.quantity or chosen.role or REFLECTANCE
     if quantity in (ABSORBANCE, KUBELKA_MUNK):
         form = "log10(1/R)" if quantity == ABSORBANCE else "(1 - R)²/2R"
         notes.append(f"{quantity} {form} converted to reflectance")
         scans, slope = _reflectance_of(scans, quantity)
         sd = slope[:, :1] * sd
     elif quantity == REFLECTANCE:
-        label = table.names[spectra[0]]
-        scale = 100 if _unit(scans, how.unit, label, table.header, notes) == "percent" else 1
+        scale = 100 if _unit(scans, how.unit, chosen.label, table.header, notes) == "percent" else 1
         scans, sd = scans / scale, sd / scale
-    doubts = () if quantity == RADIANCE else _doubts(scans)
+    doubts = () if quantity == RADIANCE else _doubts(x, scans)
     y, scatter = mean_of_scans(scans)
     if count > 1:
         notes.append(f"mean of {count} scans; their scatter is the noise")
         if scatter is None:
             notes.append("the scans are equal: their scatter says nothing about the noise")
-    noise = sd[:, 0] if stated else scatter
-    if noise is not None and not (noise > 0).all():
-        i = np.flatnonzero(~(noise > 0))[0]
-        raise ValueError(f"{where[i]}: standard deviation {noise[i]:g}; it must be > 0")
-    return Measured(x, y, noise, tuple(notes), table.header, doubts)
+    noise = scatter if chosen.sd is None else sd[:, 0]
+    if noise is not None:
+        for i in np.flatnonzero(~(noise > 0))[:1]:
+            raise ValueError(f"{where[i]}: standard deviation {noise[i]:g}; it must be > 0")
+    correlated, bandwidth = _resolution(table, x, notes)
+    return Measured(x, y, noise, tuple(notes), table.header, doubts, correlated, bandwidth)
 
 
-def _table(path: str | Path) -> Columns:
-    """The table of a text file or of JCAMP-DX, which begins with `##TITLE`; its first column, or
-    the one whose header says so, becomes the first: the wavelength or wavenumber.
-    """
-    text = read_text(path)
-    table = _jcamp(path) if text.lstrip().startswith("##") else read_columns(text)
-    first = next((j for j, name in enumerate(table.names) if _WAVELENGTH.search(name)), 0)
-    order = [first, *(j for j in range(len(table.names)) if j != first)]
-    return table._replace(values=table.values[:, order], names=[table.names[j] for j in order])
-
-
-def _chosen(
-    table: Columns, wanted: str | None, among: list[int] | None
-) -> tuple[list[int], list[int], str]:
-    """Indices of the columns of scans, all of one role, and of their standard deviation if there is
-    one; and the role, empty where no header gives it.
-
-    Reflectances come first, then absorbances and K/S, then columns without a role; others, such as
-    counts and references beside a reflectance, are left out.
-    """
-    roles = {j: _role_of(table.names[j]) for j in among or range(1, len(table.names))}
-    stated = [j for j, role in roles.items() if role == _STANDARD_DEVIATION]
-    others = {j: role for j, role in roles.items() if j not in stated}
-    first = (wanted,) if wanted else (REFLECTANCE, ABSORBANCE, KUBELKA_MUNK)
-    role = next((role for role in (*first, "") if role in others.values()), None)
-    spectra = [j for j in others if role is None or others[j] == role]
-    if spectra and role is None and not wanted:
-        refused = others[spectra[0]]
-        said = _REFUSALS.get(refused, f"{refused}, not a reflectance: {_TO_DO}")
-        raise ValueError(f"column {table.names[spectra[0]]!r} holds {said}")
-    if not spectra or len(stated) > 1 or (stated and len(spectra) > 1):
-        names = [table.names[j] for j in roles]
-        raise ValueError(f"columns {names}: need one spectrum (with its sd) or repeated scans")
-    return spectra, stated, role or ""
-
-
-def _role_of(header: str) -> str:
-    """The role that a column's header gives it, or an empty text."""
-    return next((role for role, form in _FORMS.items() if re.search(form, header, re.I)), "")
-
-
-def _jcamp(path: str | Path) -> Columns:
-    import jcamp
-
-    try:
-        found = jcamp.readfile(str(path))
-        x, y = np.asarray(found["x"], float), np.asarray(found["y"], float)
-    except Exception as error:  # of whatever kind its parser meets
-        raise ValueError(f"not readable as JCAMP-DX ({error})") from None
-    if x.size == 0 or x.shape != y.shape:
-        raise ValueError("JCAMP-DX without a spectrum")
-    given = str(found.get("xunits", "")).strip().upper()
-    if not any(form.search(given) for form in _UNITS.values()):
-        raise ValueError(f"XUNITS = {given or 'nothing'}; need nanometers, micrometers or 1/cm")
-    names = [f"wavelength ({given})", str(found.get("yunits", "")).strip()]
-    return Columns(np.stack([x, y], 1), names, [f"point {i + 1}" for i in range(x.size)], {})
+def _resolution(
+    table: Columns, x: np.ndarray, notes: list[str]
+) -> tuple[float | None, float | None]:
+    """Widths of a moving average and of a slit, nm, that the file states."""
+    correlated, bandwidth = None, None
+    aside = int(table.header.get(BOXCAR, 0))
+    if aside and x.size > 1:
+        pixels = 2 * aside + 1
+        correlated = round(pixels * float(np.median(np.diff(x))), 3)
+        notes.append(
+            f"noise correlated over {correlated:g} nm ({pixels} pixels), as the file's boxcar of "
+            f"{aside} says; --boxcar {correlated:g} if the spectrum itself is smoothed so much"
+        )
+    if "bandwidth" in table.header:
+        try:
+            bandwidth = float(table.header["bandwidth"].split()[0])
+            check_range("bandwidth", bandwidth, BANDWIDTH)
+        except (ValueError, IndexError):
+            said = table.header["bandwidth"]
+            raise ValueError(f"bandwidth: {said!r} is no width in nm") from None
+        notes.append(f"bandwidth of {bandwidth:g} nm, as the file says; --bandwidth otherwise")
+    return correlated, bandwidth
 
 
 def _in_nm(
     x: np.ndarray, where: np.ndarray, name: str, unit: str | None, notes: list[str]
 ) -> np.ndarray:
-    for unit_named, form in _UNITS.items():
+    for unit_named, form in UNITS.items():
         unit = unit or (unit_named if form.search(name) else None)
-    if unit is None and x.min() > 0.1 and x.max() < 10:
+    if unit is None and x.min() > 0.1 and np.median(x) < 20:
         unit = "um"
         notes.append("wavelengths read as µm (the file does not say; --wavelength-unit otherwise)")
     if unit == "1/cm" and not (x > 0).all():
@@ -286,22 +266,29 @@ def _unit(
     said = "fraction" if "irisjax" in header else header.get("unit", "")
     if _PERCENT.search(f"{label} {said}"):
         return "percent"
-    if re.search("fraction|^1$", said):
+    if _FRACTION.search(said) or _FRACTION.search(label):
         return "fraction"
-    top = float(np.max(scans))
-    if top > 100:
+    # One wild pixel must not decide, so the largest value is that of medians.
+    middle, top = float(np.median(scans)), float(np.max(_smooth(scans)))
+    if middle > 100:
         said = "are no reflectances, neither fractions nor per cent; are they counts?"
-        raise ValueError(f"values up to {top:,.6g} {said}")
-    if top > 2:
+        raise ValueError(f"values up to {np.max(scans):,.6g} {said}")
+    if top > _IMPOSSIBLE and middle > _BRIGHT / 2:
         notes.append("values read as per cent (the file does not say; --unit fraction otherwise)")
         return "percent"
-    if top > _BRIGHT:
+    if top > _BRIGHT and middle > _BRIGHT / 4:
         raise ValueError(
             f"values up to {top:.3g} may be fractions (brighter than any iris) or per cent (a dark "
             "iris): give --unit percent or --unit fraction"
         )
     notes.append("values read as fractions (the file does not say; --unit percent otherwise)")
     return "fraction"
+
+
+def _smooth(scans: np.ndarray) -> np.ndarray:
+    """Each value's median with its neighbours in wavelength."""
+    size = min(_NEIGHBOURS, len(scans) - (len(scans) + 1) % 2)
+    return scipy.ndimage.median_filter(scans, size=(max(size, 1), 1), mode="mirror")
 
 
 def _reflectance_of(values: np.ndarray, quantity: str) -> tuple[np.ndarray, np.ndarray]:
@@ -315,10 +302,37 @@ def _reflectance_of(values: np.ndarray, quantity: str) -> tuple[np.ndarray, np.n
     return found, found / np.where(root > 0, root, np.inf)
 
 
-def _doubts(reflectance: np.ndarray) -> tuple[str, ...]:
-    """A doubt where the largest reflectance is not that of an iris."""
+def _doubts(x: np.ndarray, reflectance: np.ndarray) -> tuple[str, ...]:
+    """Doubts where a value is far from its neighbours, or the largest is not that of an iris."""
+    wild = _wild(reflectance)
+    doubts = []
+    if 0 < wild.size <= max(1, x.size // 10):
+        some = ", ".join(f"{v:g}" for v in x[wild][:5]) + (", ..." if wild.size > 5 else "")
+        doubts.append(
+            f"at {some} nm far from the neighbouring values: a wild pixel? --outliers keeps it "
+            "from moving the fit, --wavelengths LOW:HIGH leaves it out"
+        )
+        reflectance = np.delete(reflectance, wild, axis=0)
+    if reflectance.size == 0:
+        return tuple(doubts)
     top = float(np.max(reflectance))
     if top > _BRIGHT:
-        return (f"reflectances up to {100 * top:.3g} %: brighter than any iris",)
-    darker = f"reflectances of at most {100 * top:.2g} %: darker than any iris"
-    return (darker,) if top < _DARK else ()
+        doubts.append(f"reflectances up to {100 * top:.3g} %: brighter than any iris")
+    elif top < _DARK:
+        doubts.append(f"reflectances of at most {100 * top:.2g} %: darker than any iris")
+    return tuple(doubts)
+
+
+def _wild(values: np.ndarray) -> np.ndarray:
+    """Rows where a scan is twice the largest or half the smallest of its four neighbours, and much
+    further from them than its other values are.
+    """
+    n = len(values)
+    if n < _NEIGHBOURS:
+        return np.zeros(0, int)
+    at = np.arange(n)[:, None] + np.array([-2, -1, 1, 2])
+    near = np.where(((at >= 0) & (at < n))[..., None], values[at.clip(0, n - 1)], np.nan)
+    low, middle, high = (f(near, axis=1) for f in (np.nanmin, np.nanmedian, np.nanmax))
+    off = np.abs(values - middle)
+    lone = (values > 2 * high) | (values < 0.5 * low)
+    return np.flatnonzero((lone & (off > _WILD * np.median(off, axis=0))).any(axis=1))

@@ -22,50 +22,75 @@ _BEGIN, _END = re.compile(r"^>+\s*Begin\b", re.I), re.compile(r"^>+\s*End\b", re
 _WAVELENGTH = re.compile(r"^(?P<of>.*?)\s*[\[(]?(?P<nm>\d{3,4}(?:\.\d+)?)\s*(?:nm)?[\])]*$", re.I)
 _HEADER = re.compile(r"^#\s*([^:\n]+?)\s*:[ \t]*(.*?)(?:\s*\[[^\[\]\n]*\])?\s*$", re.M)
 _FEWEST = 5  # wavelengths in a line that names columns by them
+_LABEL = re.compile(r"name|sample|title|label|\bid\b|eye|probe|muestra|échantillon", re.I)
+# Preambles that state the units of two unnamed columns, as JASCO and spectral libraries do.
+_UNITS = re.compile(r"^\W*([XY])\s*[- _]?\s*units?\s*[:=\t;, ]\s*(.+?)\s*$", re.I | re.M)
+# PerkinElmer: a line of the preamble that is nothing but the unit of the second column.
+_LONE_UNIT = re.compile(r"^(%\s*[RT]|A|ABS|Abs)$")
 
 _Lines = list[tuple[int, str]]  # with their numbers
+_Rows = tuple[np.ndarray, list[str], list[str], tuple[str, ...]]  # as in `Columns`
 
 
 class Columns(NamedTuple):
-    """Numbers of a text table: `values` (rows, columns), NaN where a cell is empty; `names` of the
-    columns, empty where the file has none; `where` each row stands; `header`, its lines
-    `# key: value`.
+    """Numbers of a text table.
+
+    Attributes:
+        values: Shape (rows, columns), NaN where a cell is empty.
+        names: Of the columns, empty where the file has none.
+        where: Where each row stands, for messages.
+        header: Lines `# key: value`.
+        notes: What was left out.
     """
 
     values: np.ndarray
     names: list[str]
     where: list[str]
     header: dict[str, str]
+    notes: tuple[str, ...] = ()
 
 
-def read_text(path: str | Path) -> str:
-    """Text in UTF-8, UTF-16 (with its mark) or Windows' western code page."""
-    data = Path(path).read_bytes()
+def decoded(data: bytes) -> str | None:
+    """Text in UTF-8, UTF-16 (with its mark), Windows' western code page or Shift-JIS, without the
+    NULs that pad some instruments' lines; `None` if it is no text.
+    """
     wide = data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))
-    for encoding in ("utf-16",) if wide else ("utf-8-sig", "cp1252"):
+    for encoding in ("utf-16",) if wide else ("utf-8-sig", "cp1252", "cp932"):
         try:
             text = data.decode(encoding)
         except UnicodeDecodeError:
             continue
-        if "\0" not in text:
+        text = re.sub(r"\0+(?=[\r\n]|$)", "", text)
+        if not re.search(r"[\0-\x08\x0e-\x19\x1b-\x1f]", text):
             return text
-    raise ValueError(f"{path}: not a text file")
+    return None
+
+
+def read_text(path: str | Path) -> str:
+    """Return a file's text; see `decoded` for its encodings."""
+    text = decoded(Path(path).read_bytes())
+    if text is None:
+        raise ValueError(f"{path}: not a text file")
+    return text
 
 
 def read_columns(text: str) -> Columns:
-    """Read the table in a text, or raise `ValueError` that names the line and the problem."""
+    """Read the table in a text, or raise `ValueError` that names the line and the problem.
+
+    Lines below the table that hold no row of numbers are left out and counted in `notes`.
+    """
     header = dict(_HEADER.findall(text))
-    lines = [
-        (number, line)
-        for number, line in enumerate(text.splitlines(), 1)
-        if line.strip() and not line.lstrip().startswith("#")
-    ]
-    lines = lines[next((i + 1 for i, (_, line) in enumerate(lines) if _BEGIN.match(line)), 0) :]
-    lines = lines[: next((i for i, (_, line) in enumerate(lines) if _END.match(line)), None)]
-    return Columns(*(_rows_of_spectra(lines) or _rows_of_numbers(lines)), header)
+    every = [(number, line) for number, line in enumerate(text.splitlines(), 1) if line.strip()]
+    every = every[next((i + 1 for i, (_, line) in enumerate(every) if _BEGIN.match(line)), 0) :]
+    every = every[: next((i for i, (_, line) in enumerate(every) if _END.match(line)), None)]
+    lines = [(number, line) for number, line in every if not line.lstrip().startswith("#")]
+    values, names, where, notes = _rows_of_spectra(lines) or _rows_of_numbers(lines)
+    if not any(names):
+        names = _names_said(text, every, where, len(names)) or names
+    return Columns(values, names, where, header, notes)
 
 
-def _rows_of_numbers(lines: _Lines) -> tuple[np.ndarray, list[str], list[str]]:
+def _rows_of_numbers(lines: _Lines) -> _Rows:
     def widths(separator: str | None, comma: bool) -> dict[int, int]:
         rows = (_numbers(_cells(line, separator), comma) for _, line in lines)
         return {i: len(row) for i, row in enumerate(rows) if row is not None and len(row) > 1}
@@ -74,9 +99,12 @@ def _rows_of_numbers(lines: _Lines) -> tuple[np.ndarray, list[str], list[str]]:
     found = widths(separator, comma)
     if not found:
         raise ValueError(_without_numbers(lines))
-    first, width = next(iter(found.items()))
+    # The table is the rows of the commonest width; numbers of a preamble have another.
+    width = max(found.values(), key=list(found.values()).count)
+    first = next(i for i, n in found.items() if n == width)
+    last = max(found)
     values, where = [], []
-    for number, line in lines[first:]:
+    for number, line in lines[first : last + 1]:
         cells = _cells(line, separator)
         row = _numbers(cells, comma)
         if row is None:
@@ -86,10 +114,26 @@ def _rows_of_numbers(lines: _Lines) -> tuple[np.ndarray, list[str], list[str]]:
             raise ValueError(f"line {number}: {len(row)} values, {width} in the lines before")
         values.append(row)
         where.append(f"line {number}")
+    below = lines[last + 1 :]
+    for number, line in below:  # a row that begins with a number is a faulty one
+        cells = _cells(line, separator)
+        if _number(cells[0], comma) is not None:
+            if len(cells) != width:
+                raise ValueError(f"line {number}: {len(cells)} values, {width} in the lines before")
+            wrong = next((c for c in cells if _number(c, comma) is None), cells[0])
+            raise ValueError(f"line {number}: {wrong!r} is not a number")
     names = _names([_cells(line, separator) for _, line in lines[:first]], width)
     table = np.array(values)
     kept = [j for j in range(width) if names[j] or np.isfinite(table[:, j]).any()]
-    return table[:, kept], [names[j] for j in kept], where
+    return table[:, kept], [names[j] for j in kept], where, _left_out(below)
+
+
+def _left_out(below: _Lines) -> tuple[str, ...]:
+    if not below:
+        return ()
+    number = len(below)
+    what = "one line" if number == 1 else f"{number} lines"
+    return (f"{what} below the table left out, from line {below[0][0]}",)
 
 
 def _without_numbers(lines: _Lines) -> str:
@@ -103,41 +147,107 @@ def _without_numbers(lines: _Lines) -> str:
 
 
 def _names(above: list[list[str]], width: int) -> list[str]:
-    """Of the line above the numbers, or of two: names, and their units below."""
-    rows = []
+    """Of the line above the numbers, or of two: names, and their units or quantities below."""
+    rows: list[list[str]] = []
     for cells in reversed(above[-2:]):
+        if not any(cells[width:]):  # separators at the end of a line say nothing
+            cells = cells[:width]
+        if rows and _pairs(rows[0]):
+            # A name over each pair of wavelengths and values stands over the wavelengths.
+            cells = cells + [""] * (width - len(cells))
+            cells = [cells[j] or cells[j - 1] if j % 2 else "" for j in range(len(cells))]
         if len(cells) != width or not any(cells):
             break
         rows.insert(0, cells)
-    # Of a preamble that is as wide as the table the nearer line is the names.
-    if len(rows) == 2 and not any(c.startswith(("[", "(")) for c in rows[1]):
-        rows = rows[1:]
+    if (
+        len(rows) == 2
+        and not _pairs(rows[1])
+        and not any(c.startswith(("[", "(")) for c in rows[1])
+    ):
+        rows = rows[1:]  # of a preamble that is as wide as the table the nearer line is the names
     rows = rows or [[""] * width]
     return [" ".join(part for part in column if part) for column in zip(*rows, strict=True)]
 
 
-def _rows_of_spectra(lines: _Lines) -> tuple[np.ndarray, list[str], list[str]] | None:
-    """A spectrum a row, its columns named by wavelengths; `None` if no line names such columns."""
-    for i, separator in itertools.product(range(min(len(lines), 60)), ("\t", ";", ",")):
-        groups = _by_wavelength(_cells(lines[i][1], separator))
-        if len(groups) > 1:
-            kinds = ", ".join(repr(name) for name in groups)
-            raise ValueError(f"spectra of several kinds ({kinds}); keep one of them")
-        for name, places in groups.items():
-            rows = []
-            for number, later in lines[i + 1 :]:
-                cells = _cells(later, separator)
-                row = _numbers([cells[j] for j in places.values() if j < len(cells)], True)
-                if row is None or len(row) != len(places):
-                    if not rows:
-                        break
-                    raise ValueError(f"line {number}: not a number for each wavelength")
-                rows.append(row)
-            if rows:
-                values = np.column_stack([list(places), np.array(rows).T])
-                where = [f"column {w:g} nm" for w in places]
-                return values, ["wavelength_nm", *[name] * len(rows)], where
+def _pairs(names: list[str]) -> bool:
+    """Whether every second column has the same name, as wavelengths beside each sample have."""
+    while names and not names[-1]:
+        names = names[:-1]
+    return len(names) > 3 and len(names) % 2 == 0 and len(set(names[::2])) == 1
+
+
+def _names_said(text: str, every: _Lines, where: list[str], width: int) -> list[str] | None:
+    """Names of unnamed columns: those of a comment right above the numbers, or units stated in the
+    preamble.
+    """
+    at = next((i for i, (number, _) in enumerate(every) if where[0] == f"line {number}"), 0)
+    above = every[at - 1][1].strip() if at else ""
+    if above.startswith("#"):
+        for separator in ("\t", ";", ",", None):
+            names = _cells(above.lstrip("# "), separator)
+            if len(names) == width:
+                return names
+    said = {axis.upper(): unit for axis, unit in _UNITS.findall(text)}
+    lone = [line.strip() for _, line in every[:at] if _LONE_UNIT.match(line.strip())]
+    if width == 2 and ("Y" in said or lone):
+        return [f"wavelength ({said['X']})" if "X" in said else "", said.get("Y", *lone[-1:])]
     return None
+
+
+def _rows_of_spectra(lines: _Lines) -> _Rows | None:
+    """A spectrum a row, its columns named by wavelengths; `None` if no line names such columns.
+
+    The spectra are named by the cell of their row that holds a name, and by what stands before the
+    wavelengths where the line names several kinds (specular in- and excluded, for one).
+    """
+    for i, separator in itertools.product(range(min(len(lines), 60)), ("\t", ";", ",")):
+        titles = _cells(lines[i][1], separator)
+        groups = _by_wavelength(titles)
+        if not groups:
+            continue
+        rows = [(number, _cells(line, separator)) for number, line in lines[i + 1 :]]
+        until = next((k for k, row in enumerate(rows) if not _has_spectra(row[1], groups)), None)
+        rows, below = rows[:until], [] if until is None else lines[i + 1 + until :]
+        if not rows:
+            continue
+        for number, cells in [(n, _cells(line, separator)) for n, line in below]:
+            if len(cells) >= len(titles):
+                raise ValueError(f"line {number}: not a number for each wavelength")
+        return (*_spectra_of(titles, groups, rows), _left_out(below))
+    return None
+
+
+def _spectra_of(
+    titles: list[str], groups: dict[str, dict[float, int]], rows: list[tuple[int, list[str]]]
+) -> tuple[np.ndarray, list[str], list[str]]:
+    """Columns and their names of the spectra in these rows."""
+    every = sorted(set().union(*groups.values()))
+    first = min(min(places.values()) for places in groups.values())
+    columns, names = [np.array(every)], ["wavelength (nm)"]
+    labels = [_label(titles[:first], cells[:first]) for _, cells in rows]
+    for name, places in groups.items():
+        for label, (_, cells) in zip(labels, rows, strict=True):
+            found = _numbers([cells[j] for j in places.values()], True) or []
+            values = dict(zip(places, found, strict=True))
+            columns.append(np.array([values.get(x, np.nan) for x in every]))
+            kind = name if len(groups) > 1 or not label else ""
+            names.append(" ".join(part for part in (label, kind) if part))
+    return np.stack(columns, 1), names, [f"column {x:g} nm" for x in every]
+
+
+def _has_spectra(cells: list[str], groups: dict[str, dict[float, int]]) -> bool:
+    """Whether a row has a number for each wavelength."""
+    places = [j for group in groups.values() for j in group.values()]
+    if max(places) >= len(cells):
+        return False
+    return _numbers([cells[j] for j in places], True) is not None
+
+
+def _label(titles: list[str], cells: list[str]) -> str:
+    """The name that a row's first cells give its spectrum, empty if there is none."""
+    text = [(t, c) for t, c in zip(titles, cells, strict=False) if c and _number(c, True) is None]
+    named = [c for t, c in text if _LABEL.search(t)]
+    return named[-1] if named else text[0][1] if text else ""
 
 
 def _by_wavelength(cells: list[str]) -> dict[str, dict[float, int]]:

@@ -1,0 +1,244 @@
+"""What the columns of a table hold, by their headers, and which of them are a spectrum."""
+
+import re
+from collections.abc import Iterable
+from typing import NamedTuple
+
+import numpy as np
+
+from irisjax.infer.observation import RADIANCE, REFLECTANCE
+from irisjax.io.text import Columns
+
+ABSORBANCE, KUBELKA_MUNK = "absorbance", "kubelka-munk"
+QUANTITIES = (REFLECTANCE, RADIANCE, ABSORBANCE, KUBELKA_MUNK)
+"""Roles whose columns can become a spectrum."""
+
+_SD, _MEAN, _STATISTIC = "standard deviation", "mean", "statistic"
+_TRANSMITTANCE = "transmittance"
+_WITHOUT_ASKING = (REFLECTANCE, ABSORBANCE, KUBELKA_MUNK, "", _MEAN)  # the first that there is
+# Words between what is no letter. In "left_sd" and "SD (R)" they are what is left of the name.
+_SD_WORDS = (
+    r"sd|std|stds?dev|stdev|std\W?dev(iation)?|se|sem|stderr|err|errors?|sigma|σ|u|unc|uncert|"
+    r"uncertainty|noise|δr|dr|(?<=[+±])/-|±|"
+    r"standard[\W_]?(deviation|error|uncertainty)|standardabweichung|stabw|standardfehler|"
+    r"[ée]cart[\W_]?type|incertitude|desviaci[oó]n|deviazione|scarto|標準偏差"
+)
+_BEFORE, _AFTER = r"(?<![^\W\d_])", r"(?![^\W\d_])"
+# The first form that a header matches gives its role.
+_FORMS = {
+    "dark signal": rf"{_BEFORE}(dark|dunkel|oscuro|baseline){_AFTER}",
+    "arbitrary units": r"arbitrary|\ba\.\s?u\.",
+    _STATISTIC: rf"{_BEFORE}(min|max|minimum|maximum|median|variance|covariance|range|n|snr|"
+    rf"skew|flags?|quality){_AFTER}",
+    _SD: rf"{_BEFORE}({_SD_WORDS}){_AFTER}",
+    ABSORBANCE: r"absorb|absorpti|extin[ck]tion|optical density|吸光度|"
+    r"\bA\.?U\b|\bAbs\b|(?-i:^A$)|log\W*1\s*/\s*[RT]\b",
+    KUBELKA_MUNK: r"kubelka|munk|\bk\s*/\s*s\b|\bf\(r",
+    _TRANSMITTANCE: rf"transmi|trasmit|透過率|%\s*T\b|\bT\s*\(?%|{_BEFORE}M_T\b|(?-i:^T$)",
+    "irradiance": r"irradian|[µμu]W",
+    REFLECTANCE: r"refle[ck]|r[ée]flect|reflex|riflett|remission|albedo|反射率|"
+    rf"^R\b|^R_|%\s*R\b|{_BEFORE}R\s*\(?%|{_BEFORE}M_R\b|\bSC[IE]\b",
+    RADIANCE: rf"radian[cz]|luminancia|{_BEFORE}rad{_AFTER}",
+    "counts": r"count|scope|intensity|\braw\b|\badu\b|\bdn\b|\bwhite\b|^ref(erence)?\b|"
+    r"z[äa]hler|cuentas",
+    _MEAN: rf"{_BEFORE}(mean|average|avg|mittel(wert)?|moyenne|media|promedio|平均){_AFTER}",
+}
+_REFUSALS = {
+    RADIANCE: "a radiance; give --quantity radiance",
+    _TRANSMITTANCE: "a transmittance; where it is the light sent back, give --quantity reflectance",
+}
+_TO_DO = "divide the light of the eye by that of a white reference, both less the dark signal"
+# Names that differ in a number only are scans of one thing, unless the number is that of an eye.
+_NOT_SCANS = re.compile(r"sample|eye|subject|patient|person|probe|muestra|auge|œil|\bid\b|^\W*$")
+_SPECULAR = re.compile(r"\bSC[IE]\b")  # specular component included, excluded
+_LEAST_ROWS = 8  # by which the noise of columns can be told from what differs
+
+
+class Selection(NamedTuple):
+    """Columns of one spectrum, by their index.
+
+    Attributes:
+        spectra: Scans of it, all of one role.
+        sd: Its standard deviation, or `None`.
+        role: Of the scans; empty where no header gives it.
+        label: Header of the first scan.
+        notes: Which columns are used and which are left out.
+    """
+
+    spectra: list[int]
+    sd: int | None
+    role: str
+    label: str
+    notes: tuple[str, ...] = ()
+
+
+def select(
+    table: Columns, wanted: str | None, column: str | None = None, sd: str | None = None
+) -> Selection:
+    """Choose the columns of one spectrum.
+
+    Columns of reflectance come first, then those of absorbance and of K/S, then those without a
+    role; others, such as counts and references beside a reflectance, are left out. Several columns
+    are scans of one spectrum if their names differ in a number only, or if their values differ by
+    no more than noise.
+
+    Args:
+        table: The table; its first column is the wavelength.
+        wanted: The role to take; by default the first one there is.
+        column: Name of the column to take, or a part of it that no other has.
+        sd: The same of its standard deviation.
+
+    Raises:
+        ValueError: Listing the columns with their roles where they leave a choice.
+    """
+    roles = {j: _role_of(table.names[j]) for j in range(1, len(table.names))}
+    if column is not None:
+        spectra = _named(table, column, roles)
+    else:
+        spectra = _spectra(table, roles, wanted)
+    role = roles[spectra[0]]
+    if sd is not None:
+        deviation: int | None = _named(table, sd, roles)[0]
+    else:
+        deviation = _deviation_of(spectra, table, roles)
+    used = [*spectra, *([] if deviation is None else [deviation])]
+    left = [j for j in roles if j not in used]
+    notes: tuple[str, ...] = ()
+    if left:
+        notes = (f"of the columns {_quoted(table, used)} used, {_quoted(table, left)} left out",)
+    role = role if role in QUANTITIES else ""
+    return Selection(spectra, deviation, role, table.names[spectra[0]], notes)
+
+
+def eyes_of(table: Columns) -> dict[str, list[int]]:
+    """Columns of each eye by its name: those of one name, without standard deviations that belong
+    to another column, and without statistics.
+    """
+    found: dict[str, list[int]] = {}
+    names = {j: name or f"column {j + 1}" for j, name in enumerate(table.names) if j}
+    roles = {j: _role_of(name) for j, name in names.items()}
+    spectra = {j for j in names if roles[j] not in (_SD, _STATISTIC)}
+    owned = {_owner(j, spectra, table) for j in names if roles[j] == _SD}
+    for j, name in names.items():
+        if j in spectra or (roles[j] == _SD and _owner(j, spectra, table) not in owned - {None}):
+            found.setdefault(name, []).append(j)
+    return found
+
+
+def select_eye(table: Columns, among: list[int], wanted: str | None) -> Selection:
+    """Choose the columns of an eye of many, its standard deviation among all columns."""
+    roles = {j: _role_of(table.names[j]) for j in range(1, len(table.names))}
+    role = roles[among[0]]
+    if not wanted and role not in _WITHOUT_ASKING:
+        raise ValueError(_refusal(table, among[0], role))
+    spectra = {j for j in roles if roles[j] not in (_SD, _STATISTIC)}
+    stated = [j for j in roles if roles[j] == _SD and _owner(j, spectra, table) in among]
+    deviation = stated[0] if len(stated) == 1 and len(among) == 1 else None
+    role = role if role in QUANTITIES else ""
+    return Selection(among, deviation, role, table.names[among[0]])
+
+
+def _spectra(table: Columns, roles: dict[int, str], wanted: str | None) -> list[int]:
+    """Scans of the one spectrum in a table."""
+    others = {j: role for j, role in roles.items() if role not in (_SD, _STATISTIC)}
+    first = (wanted, "", _MEAN) if wanted else _WITHOUT_ASKING
+    role = next((role for role in first if role in others.values()), None)
+    if role is None and not wanted and others:
+        # The columns that can be used after all are named rather than those that cannot.
+        j = min(others, key=lambda j: [*_REFUSALS, others[j]].index(others[j]))
+        raise ValueError(_refusal(table, j, others[j]))
+    spectra = [j for j in others if role is None or others[j] == role]
+    if not spectra:
+        raise ValueError(f"{_listed(table, roles)}; need one spectrum, such as a reflectance")
+    if len(spectra) > 1 and not _one_thing(table, spectra):
+        raise ValueError(
+            f"{_listed(table, roles)}: these are no scans of one spectrum, whose names would "
+            "differ in a number only, or whose values by noise; choose with --column NAME"
+        )
+    return spectra
+
+
+def _deviation_of(spectra: list[int], table: Columns, roles: dict[int, str]) -> int | None:
+    """The standard deviation that belongs to a spectrum."""
+    stated = [j for j, role in roles.items() if role == _SD]
+    if len(spectra) > 1 or not stated:
+        return None
+    everything = {j for j, role in roles.items() if role not in (_SD, _STATISTIC)}
+    own = [j for j in stated if _owner(j, everything, table) in spectra]
+    if len(own) > 1:
+        raise ValueError(f"{_listed(table, roles)}: two standard deviations; choose with --sd NAME")
+    return own[0] if own else None
+
+
+def _owner(j: int, spectra: Iterable[int], table: Columns) -> int | None:
+    """The spectrum to which a standard deviation belongs: that of the rest of its name, or else the
+    only one, or else the one just before it.
+    """
+    rest = _plain(re.sub(_FORMS[_SD], " ", table.names[j], flags=re.I))
+    spectra = list(spectra)
+    named = [k for k in spectra if rest and _plain(table.names[k]) == rest]
+    if len(named) == 1:
+        return named[0]
+    usable = [k for k in spectra if _role_of(table.names[k]) in _WITHOUT_ASKING]
+    if len(usable) == 1:
+        return usable[0]
+    return j - 1 if j - 1 in spectra and not rest else None
+
+
+def _one_thing(table: Columns, columns: list[int]) -> bool:
+    """Whether columns are scans of one spectrum, by their names or by their values."""
+    names = {table.names[j] for j in columns}
+    stems = {re.sub(r"[\W\d_]+", " ", name).strip().lower() for name in names}
+    if len(names) == 1 and names != {""}:
+        return True
+    if len({kind for name in names for kind in _SPECULAR.findall(name.upper())}) > 1:
+        return False
+    if len(stems) == 1 and not _NOT_SCANS.search(stems.pop()):
+        return True
+    values = table.values[:, columns]
+    values = values[np.isfinite(values).all(1)]
+    off = values - np.median(values, axis=1, keepdims=True)
+    size = np.abs(np.median(values)) or 1.0
+    if names == {""}:
+        return bool((np.median(np.abs(off), axis=0) <= 0.1 * size).all())
+    if len(values) < _LEAST_ROWS:
+        return False
+    # Noise differs from one wavelength to the next: its second difference has √6 times its size.
+    rough = np.diff(values - values.mean(1, keepdims=True), n=2, axis=0).std(axis=0) / np.sqrt(6)
+    apart = np.sqrt((off**2).mean(axis=0))
+    return bool((apart <= np.maximum(2 * rough.max(), 1e-9 * size)).all())
+
+
+def _named(table: Columns, wanted: str, roles: dict[int, str]) -> list[int]:
+    """The columns of this name, or of the only one that contains it."""
+    names = {j: table.names[j] or f"column {j + 1}" for j in roles}
+    for same in (lambda n: n == wanted, lambda n: wanted.lower() in n.lower()):
+        found = [j for j, name in names.items() if same(name)]
+        if len({names[j] for j in found}) == 1:
+            return found
+    number = "no column" if not found else "more than one column"
+    raise ValueError(f"{number} is called {wanted!r}: {_listed(table, roles)}")
+
+
+def _refusal(table: Columns, j: int, role: str) -> str:
+    said = _REFUSALS.get(role, f"{role}, not a reflectance: {_TO_DO}")
+    return f"column {table.names[j]!r} holds {said}"
+
+
+def _listed(table: Columns, roles: dict[int, str]) -> str:
+    each = (f"{table.names[j] or f'column {j + 1}'!r} ({roles[j] or 'no role'})" for j in roles)
+    return f"columns {', '.join(each)}"
+
+
+def _quoted(table: Columns, columns: list[int]) -> str:
+    some = [repr(table.names[j] or f"column {j + 1}") for j in columns]
+    return ", ".join(some[:8] + ["..."] * (len(some) > 8))
+
+
+def _plain(name: str) -> str:
+    return re.sub(r"[\W_]+", " ", re.sub(r"[\[(].*?[\])]", "", name)).strip().lower()
+
+
+def _role_of(header: str) -> str:
+    """The role that a column's header gives it, or an empty text."""
+    return next((role for role, form in _FORMS.items() if re.search(form, header, re.I)), "")

@@ -1,0 +1,221 @@
+"""Formats of spectrometers' files, each read into a table whose first column is the wavelength and
+whose other columns are named by what they hold.
+"""
+
+import contextlib
+import io
+import re
+import zipfile
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from irisjax.io.text import Columns, decoded, read_columns
+
+WAVELENGTH = re.compile(
+    r"wave|wvl|wellenl|longueurs? d.onde|longitud|lunghezza d.onda|波長|λ|lambda|^\W*nm\W*$", re.I
+)
+"""What headers call wavelengths and wavenumbers."""
+
+UNITS = {
+    "1/cm": re.compile(r"1/cm\b|\bcm\s*\^?\s*[-−–]\s*1|cm⁻¹|wave\s?number", re.I),
+    "um": re.compile(r"µm|μm|\bum\b|micro|mikro|_um\b", re.I),
+    "nm": re.compile(r"nm\b|nano", re.I),
+}
+"""Units of wavelengths and wavenumbers that headers name, the first that matches."""
+
+# Binary formats: what a file begins with, or the end of its name, and how to come to a text.
+_BINARY = (
+    (rb"ASD|as[5-9]", ".asd", "ASD's binary format", "ViewSpec Pro: Process > ASCII Export"),
+    (rb".[\x4b\x4c\x4d\xcf]", ".spc", "the binary format SPC", "export as ASCII or JCAMP-DX"),
+    (rb"PEPE", ".sp", "PerkinElmer's binary format", "save as ASCII (.asc) or JCAMP-DX"),
+    (rb"\xd0\xcf\x11\xe0", ".jws", "JASCO's binary format", "Spectra Manager: export as text"),
+    (rb"\xd0\xcf\x11\xe0", ".xls", "Excel's old format", "save it as .xlsx or .csv"),
+    (rb"PK", ".procspec", "Ocean Insight's ProcSpec", "SpectraSuite: save as tab-delimited text"),
+    (None, ".dsw", "Cary's binary format", "Cary WinUV: save as ASCII (.csv)"),
+    (None, ".roh", "AvaSoft's binary format", "AvaSoft: File > Convert > to ASCII"),
+)
+_JCAMP_LABELS = {"DATATYPE": "DATA TYPE", "JCAMPDX": "JCAMP-DX", "PEAKTABLE": "PEAK TABLE"}
+BOXCAR = "boxcar"
+"""Key under which a header has the number of pixels on each side of a moving average."""
+_BOXCAR = re.compile(r"^\W*boxcar(?: width| smoothing)?\W*[:=\t ]\s*(\d+)\s*$", re.I | re.M)
+_SVC = ("wavelength (nm)", "radiance of the reference", "radiance", "reflectance (%)")
+
+
+def read_spectral_table(path: str | Path) -> Columns:
+    """Read the table of an instrument's file: text, Excel, JCAMP-DX, CGATS or SVC.
+
+    Where the columns or blocks of a file have wavelengths of their own, the table has all of them
+    and NaN where a column has no value.
+
+    Raises:
+        ValueError: Naming the line and the problem, or a binary format and its way out.
+    """
+    path = Path(path)
+    data = path.read_bytes()
+    if data.startswith(b"PK") and path.suffix.lower() != ".procspec":
+        return _with_wavelengths_first(_excel(path))
+    text = decoded(data)
+    if text is None:
+        raise ValueError(_binary(path, data))
+    if re.match(r"\s*##\s*TITLE", text, re.I):
+        return _jcamp(text)
+    if re.match(r"/\*+ Spectra Vista", text):
+        return _with_wavelengths_first(_svc(text))
+    if re.search(r"^BEGIN_DATA_FORMAT", text, re.M):
+        text = _cgats(text)
+    table = read_columns(text)
+    if smoothed := _BOXCAR.search(text):
+        table.header[BOXCAR] = smoothed[1]
+    return _with_wavelengths_first(table)
+
+
+def _binary(path: Path, data: bytes) -> str:
+    for first, suffix, what, way in _BINARY:
+        if path.suffix.lower() == suffix and (first is None or re.match(first, data, re.S)):
+            return f"{what} is not read; export a text from the instrument's program ({way})"
+    return "not a text file; export the spectrum as text, CSV, JCAMP-DX or Excel (.xlsx)"
+
+
+def _with_wavelengths_first(table: Columns) -> Columns:
+    """The column of wavelengths, named so or else the first, in front of the others. Several such
+    columns are those of the columns that follow each.
+    """
+    named = [j for j, name in enumerate(table.names) if WAVELENGTH.search(name)] or [0]
+    others = [j for j in range(len(table.names)) if j not in named]
+    if len(named) == 1:
+        order = [*named, *others]
+        return table._replace(values=table.values[:, order], names=[table.names[j] for j in order])
+    own = {j: max((k for k in named if k < j), default=named[0]) for j in others}
+    spectra = [(table.names[j], table.values[:, own[j]], table.values[:, j]) for j in others]
+    return _joined(table.names[named[0]], spectra)._replace(header=table.header, notes=table.notes)
+
+
+def _joined(name: str, spectra: list[tuple[str, np.ndarray, np.ndarray]]) -> Columns:
+    """One table of spectra that each have their wavelengths."""
+    present = [np.isfinite(x) for _, x, _ in spectra]
+    every = np.unique(np.concatenate([x[k] for (_, x, _), k in zip(spectra, present, strict=True)]))
+    values = np.full((every.size, 1 + len(spectra)), np.nan)
+    values[:, 0] = every
+    for j, ((_, x, y), kept) in enumerate(zip(spectra, present, strict=True), 1):
+        if np.unique(x[kept]).size < kept.sum():
+            raise ValueError(f"a wavelength of {spectra[j - 1][0]!r} appears twice")
+        values[np.searchsorted(every, x[kept]), j] = y[kept]
+    where = [f"at {x:g}" for x in every]
+    return Columns(values, [name, *(name for name, _, _ in spectra)], where, {})
+
+
+def _excel(path: Path) -> Columns:
+    """The one sheet of a workbook that holds a table."""
+    try:
+        import openpyxl
+    except ImportError:
+        raise ValueError(
+            "an Excel file needs openpyxl: pip install 'irisjax[instruments]', or save it as CSV"
+        ) from None
+    try:
+        book = openpyxl.load_workbook(path, read_only=True, data_only=True)
+        sheets = {sheet.title: list(sheet.iter_rows(values_only=True)) for sheet in book}
+    except (KeyError, OSError, zipfile.BadZipFile) as error:
+        raise ValueError(f"not readable as an Excel file ({error})") from None
+    found: dict[str, Columns] = {}
+    faults: list[str] = []
+    for title, rows in sheets.items():
+        lines = ["\t".join("" if v is None else str(v).strip() for v in row) for row in rows]
+        try:
+            found[title] = read_columns("\n".join(lines))
+        except ValueError as error:
+            faults.append(f"sheet {title!r}, {error}")
+    if len(found) > 1:
+        raise ValueError(f"tables in {len(found)} sheets ({', '.join(found)}); keep one of them")
+    if not found:
+        raise ValueError("; ".join(faults) or "no sheet in it")
+    return next(iter(found.values()))
+
+
+def _svc(text: str) -> Columns:
+    """Spectra Vista: wavelength, radiance of reference and target, and reflectance in per cent."""
+    table = read_columns(text.partition("data=")[2])
+    if len(table.names) != len(_SVC):
+        raise ValueError(f"{len(table.names)} columns below data=; an SVC file has four")
+    return table._replace(names=list(_SVC))
+
+
+def _cgats(text: str) -> str:
+    """The table of a CGATS or IT8 file as text, a line of names above the rows."""
+    parts = [
+        re.search(rf"^BEGIN_{part}\s*$(.*?)^END_{part}", text, re.M | re.S)
+        for part in ("DATA_FORMAT", "DATA")
+    ]
+    if None in parts:
+        raise ValueError("a CGATS file without BEGIN_DATA ... END_DATA")
+    names, rows = (part[1].strip() for part in parts if part)
+    lines = [" ".join(names.split()), *rows.splitlines()]
+    quoted = r'"[^"]*"|\S+'
+    return "\n".join("\t".join(c.strip('"') for c in re.findall(quoted, x)) for x in lines)
+
+
+def _jcamp(text: str) -> Columns:
+    """The blocks of a JCAMP-DX file that hold a spectrum."""
+    spectra: list[tuple[str, np.ndarray, np.ndarray]] = []
+    units, notes = set(), []
+    for lines in _blocks(text):
+        found, printed = _jcamp_block(lines)
+        x, y = np.asarray(found.get("x", ()), float), np.asarray(found.get("y", ()), float)
+        if not x.size or x.shape != y.shape:
+            if re.search(r"^##(XYDATA|XYPOINTS)", "\n".join(lines), re.M):
+                raise ValueError(f"JCAMP-DX: {x.size} wavelengths for {y.size} values")
+            continue  # the block that links the others
+        said = str(found.get("xunits", "")).strip()
+        unit = next((unit for unit, form in UNITS.items() if form.search(said)), None)
+        if unit is None:
+            raise ValueError(f"XUNITS = {said or 'nothing'}; need nanometers, micrometers or 1/cm")
+        units.add(unit)
+        title, quantity = (str(found.get(key, "")).strip() for key in ("title", "yunits"))
+        spectra.append((f"{title}: {quantity}", x, y))
+        notes += [f"JCAMP-DX, {title}: {printed}"] if printed else []
+    if not spectra:
+        raise ValueError("JCAMP-DX without a spectrum")
+    if len(units) > 1:
+        raise ValueError(f"JCAMP-DX: blocks in {' and '.join(sorted(units))}; keep one of them")
+    titles = {name.partition(": ")[0] for name, _, _ in spectra}
+    if len(titles) == 1:  # which says nothing, and might be mistaken for a quantity
+        spectra = [(name.partition(": ")[2], x, y) for name, x, y in spectra]
+    table = _joined(f"wavelength ({units.pop()})", spectra)
+    return table._replace(notes=tuple(notes))
+
+
+def _blocks(text: str) -> list[list[str]]:
+    """Lines of each block, from one title to the next, with the labels and numbers that the parser
+    knows: blanks, hyphens, slashes and underscores of a label do not count [JCAMP-DX 4.24].
+    """
+    blocks: list[list[str]] = []
+    for line in text.splitlines():
+        label, equals, value = line.strip().partition("=")
+        if label.startswith("##") and equals:
+            name = re.sub(r"[\s/_-]", "", label[2:]).upper()
+            name, line = _JCAMP_LABELS.get(name, name), value.partition("$$")[0].strip()
+            if name == "TITLE":
+                blocks.append([])
+            line = f"##{name}={line}"
+        if blocks and not line.startswith(("##END=", "$$")):
+            blocks[-1].append(line.strip())
+    for k, block in enumerate(blocks):
+        joined = "\n".join(block)
+        if re.search(r"^##(FIRSTX|LASTX|XFACTOR|YFACTOR)=-?\d*,\d", joined, re.M):
+            blocks[k] = re.sub(r"(?<=\d),(?=\d)", ".", joined).split("\n")
+    return blocks
+
+
+def _jcamp_block(lines: list[str]) -> tuple[dict[str, Any], str]:
+    """What the parser finds in a block, and the first line that it prints on the way."""
+    import jcamp
+
+    printed = io.StringIO()
+    try:
+        with contextlib.redirect_stdout(printed):
+            found = jcamp.read(lines)
+    except Exception as error:  # of whatever kind its parser meets
+        raise ValueError(f"not readable as JCAMP-DX ({error})") from None
+    return found, printed.getvalue().partition("\n")[0]
