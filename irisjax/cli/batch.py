@@ -14,9 +14,9 @@ import numpy as np
 import irisjax as ij
 from irisjax import io
 from irisjax.cli import report
-from irisjax.cli.fit_options import FitResults, Measurements, Sampler
+from irisjax.cli.fit_options import FitResults, Measurements, Model, Sampler, process_of
 from irisjax.cli.options import tell
-from irisjax.cli.sentences import preference
+from irisjax.cli.sentences import of_the_data, preference
 from irisjax.infer.fit import Fit, FitStatus, fit, words_for
 from irisjax.infer.least_squares import levenberg_marquardt
 from irisjax.infer.model_comparison import compare_processes, other_of
@@ -31,7 +31,9 @@ OK, DOUBTFUL, FAILED = "ok", "doubtful", "failed"
 far outside its prior; it failed where there is no valid result."""
 _FIRST = ("eye", "status", "posterior", "warnings")
 _CONVERGED = "converged"
-_SUFFIXES = (".csv", ".tsv", ".txt", ".dx", ".jdx")
+_SUFFIXES = {f".{end}" for end in ("csv", "tsv", "txt", "asc", "dx", "jdx", "jcm", "rxt")} | {
+    f".{end}" for end in ("sed", "sig", "trt", "ttt", "xlsx")
+}
 _FAR = 4.0  # standard deviations of a prior
 
 Eyes = Mapping[str, Measured | ValueError]
@@ -41,7 +43,7 @@ _Row = dict[str, str]
 def many(
     source: Path,
     measured: Measurements,
-    options: Mapping[str, Any],
+    model: Model,
     sampler: Sampler,
     results: FitResults,
 ) -> int:
@@ -63,15 +65,18 @@ def many(
             raise ValueError(f"{target}: exists; --resume continues it, --overwrite starts again")
         if target.exists() and results.resume:
             rows = _read(target, results.posteriors)
+    seen = measured.seen
     left = {name: eye for name, eye in eyes.items() if name not in rows}
     how: dict[str, Any] = {"total": len(eyes), "initial": len(rows), "unit": "eye"}
     with tqdm(desc="compiling", disable=not sys.stderr.isatty(), **how) as bar:
         for chunk in _chunks(left):
-            found = _fitted(chunk, measured.seen, options, sampler.key)
+            headers = [m.header for m in chunk.values() if isinstance(m, Measured)]
+            options = {"noise": measured.noise, **model.stated(headers)}
+            found = _fitted(chunk, seen, options, sampler.key)
             for name, row in found.items():
                 if output is not None and results.posteriors and row["status"] != FAILED:
-                    seen = ij.spectrum(chunk[name], name=name, **measured.seen)
-                    problem = ij.problem(seen, **options)
+                    one = ij.spectrum(chunk[name], name=name, **seen)
+                    problem = ij.problem(one, **options)
                     row |= _sampled(problem, output / name, sampler, results.resume)
             rows |= found
             if target is not None:  # each chunk whole: a killed run loses the one it was in
@@ -107,7 +112,10 @@ def _chunks(eyes: Eyes) -> Iterator[Eyes]:
     """Eyes on one grid together, so that they share one program."""
     groups: dict[Any, list[str]] = {}
     for name, m in eyes.items():
-        of = None if isinstance(m, ValueError) else (m.wavelengths.tobytes(), m.sd is None)
+        of = None if isinstance(m, ValueError) else (
+            m.wavelengths.tobytes(), m.sd is None, m.correlated, m.bandwidth,
+            process_of([m.header]),
+        )  # fmt: skip
         groups.setdefault(of, []).append(name)
     size = _CHUNK * jax.device_count()
     for names in groups.values():
@@ -152,16 +160,17 @@ def _fitted(
     for i, (name, measured) in enumerate(zip(chunk, spectra, strict=True)):
         mine, its = (jax.tree.map(lambda x, i=i: x[i], fits) for fits in (found, beside))
         status, said = _judged(problem, mine)
-        warnings = [*measured.doubts, *said]
+        warnings = [*measured.doubts, *of_the_data(problem), *said]
         compared = compare_processes(problem, mine, other, its)
         if compared.preferred:
             warnings.append(preference(compared))
         if warnings and status == OK:
             status = DOUBTFUL
         numbers = [(c, of[n]) for n in names for c, of in ((n, mine.values), (f"{n}_sd", mine.sd))]
+        abl = _abl_melanin(problem, mine)
         rows[name] = {
             **_row(name, status, "", "; ".join(warnings)),
-            **{column: f"{x:.6g}" for column, x in numbers},
+            **{column: f"{x:.6g}" for column, x in [*numbers, *abl]},
             "chi_square": f"{mine.chi_square:.6g}",
             "degrees": str(mine.degrees),
             "p_value": f"{mine.p_value:.3g}",
@@ -185,6 +194,23 @@ def _fit_all(problem: Problem, values, sds, key):
         return fit(mine, solver=levenberg_marquardt(1e-5, 1e-5), starts=2, key=key)
 
     return eqx.filter_vmap(one, in_axes=(0, None if sds is None else 0))(values, sds)
+
+
+def _abl_melanin(problem: Problem, found: Fit) -> list[tuple[str, float]]:
+    """Load × fraction and its standard deviation, to first order, where both are free."""
+    names = ["melanin_load", "abl_fraction"]
+    if not set(names) <= set(problem.free):
+        return []
+    places = [problem.free.index(n) for n in names]
+    covariance = found.covariance[np.ix_(places, places)]
+    load, fraction = (float(found.values[n]) for n in names)
+    # Derivatives by z: a value rises with its own coordinate.
+    slopes = np.array([found.sd[n] for n in names]) / np.sqrt(np.diag(covariance))
+    slopes = slopes * np.array([fraction, load])
+    return [
+        ("abl_melanin", load * fraction),
+        ("abl_melanin_sd", float(np.sqrt(slopes @ covariance @ slopes))),
+    ]
 
 
 def _judged(problem: Problem, found: Fit) -> tuple[str, list[str]]:

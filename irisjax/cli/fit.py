@@ -11,6 +11,7 @@ from irisjax.cli.fit_options import FitResults, Measurements, Model, Sampler
 from irisjax.cli.options import dashed, grouped, tell
 from irisjax.infer.parameters import DEFAULT_FREE, PARAMETERS
 from irisjax.plot.beside import beside, here
+from irisjax.transport.process import DEPTH_RESOLVED, option_of
 
 _NOT_CONVERGED = 3
 
@@ -67,15 +68,17 @@ def fit_command(
             check_folder(folder, compare.FILES[0], "a comparison", results.overwrite)
     if model.separate is not None and len(spectra) < 2:
         raise ValueError("--separate needs two or more spectra of one eye")
-    options = {"noise": measured.noise, **model.stated}
     if results.batch is not None:
-        raise typer.Exit(batch.many(results.batch, measured, options, sampler, results))
-    observations = []
+        raise typer.Exit(batch.many(results.batch, measured, model, sampler, results))
+    seen = measured.seen
+    observations, headers = [], []
     for path in spectra:
         table = io.read_measured(path, **measured.reading._asdict())
         for said in (*table.notes, *(f"WARNING: {doubt}" for doubt in table.doubts)):
             tell(f"{path}: {said}")
-        observations.append(ij.spectrum(table, name=path.name, **measured.seen))
+        observations.append(ij.spectrum(table, name=path.name, **seen))
+        headers.append(table.header)
+    options = {"noise": measured.noise, **model.stated(headers)}
     with report.progress_bar() as bar, nullcontext(here) if folder is None else beside() as draw:
         problem = ij.problem(observations, **options)
         if results.compare:
@@ -88,6 +91,8 @@ def fit_command(
             folder.mkdir(parents=True, exist_ok=True)
             for name in () if results.resume else ("chain.h5", "chain.h5.bak"):
                 (folder / name).unlink(missing_ok=True)
+        if model.process is None and problem.process != DEPTH_RESOLVED:
+            tell(f"read by {option_of(problem.process)}, by which irisjax simulated the file")
         resume = results.resume
         converged = report.one(problem, folder, sampler, bar, resume=resume, draw=draw)
     raise typer.Exit(0 if converged else _NOT_CONVERGED)

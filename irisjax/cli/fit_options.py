@@ -1,18 +1,22 @@
 """Groups of options of `irisjax fit`."""
 
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
 import jax
 
 import irisjax as ij
+from irisjax import io
 from irisjax.cli import options as opt
+from irisjax.cli.light import bands_file, bands_told, bandwidth
 from irisjax.infer.observation import RADIANCE, REFLECTANCE
 from irisjax.infer.parameters import PARAMETERS
 from irisjax.infer.priors import AbstractPrior, prior_of
 from irisjax.io.measured import QUANTITIES, REFLECTANCE_UNITS, WAVELENGTH_UNITS, ReadOptions
+from irisjax.measure.bands import BANDWIDTH
 from irisjax.numerics.checks import Range
-from irisjax.transport.process import PROCESSES
+from irisjax.transport.process import DEPTH_RESOLVED, PROCESSES, option_of
 
 Span = tuple[float, float]
 
@@ -82,9 +86,28 @@ class Measurements(opt.Group, panel="Measurement"):
         QUANTITIES,
     )
     unit: str | None = opt.choice("of reflectances, where the file does not say", REFLECTANCE_UNITS)
+    column: str | None = opt.option(
+        "the column or block that holds the spectrum, where there are several", metavar="NAME"
+    )
+    sd: str | None = opt.option("the column of its standard deviation", metavar="NAME")
     wavelength_unit: str | None = opt.choice("where the file does not say", WAVELENGTH_UNITS)
     wavelengths: Span | None = opt.option(
         "leave out wavelengths outside this range, nm", parse=_span, metavar="LOW:HIGH"
+    )
+    bandwidth: float | None = bandwidth()
+    bands: Path | None = bands_file()
+    boxcar: float | None = opt.number(
+        "width of a moving average (boxcar) that made the values; {}", BANDWIDTH, metavar="NM"
+    )
+    correlated_noise: float | None = opt.number(
+        "the same of the noise alone, where the spectrum itself is not smoothed; {}",
+        BANDWIDTH,
+        metavar="NM",
+    )
+    covariance: Path | None = opt.option(
+        "of the values' errors: a square table (.csv) or array (.npy), in the file's order",
+        parse=Path,
+        metavar="FILE",
     )
     illuminant: str = opt.option(
         "of a radiance, by its name in colour-science", "D65", metavar="NAME"
@@ -108,12 +131,20 @@ class Measurements(opt.Group, panel="Measurement"):
         """What `irisjax.spectrum` is told beside the numbers."""
         names = ("illuminant", "cos_incidence", "first_surface")
         quantity = RADIANCE if self.quantity == RADIANCE else REFLECTANCE
-        return {"quantity": quantity, **{name: getattr(self, name) for name in names}}
+        lamp = self.illuminant if "illuminant" in self.typed else None
+        return {
+            "quantity": quantity,
+            **{name: getattr(self, name) for name in names},
+            "bands": bands_told(self.bandwidth, self.bands, lamp),
+            "boxcar": self.boxcar,
+            "correlated": self.correlated_noise,
+            "covariance": None if self.covariance is None else io.read_square(self.covariance),
+        }
 
     @property
     def reading(self) -> ReadOptions:
         """What `irisjax.io.read_measured` is told."""
-        return ReadOptions(self.quantity, self.unit, self.wavelength_unit, self.wavelengths)
+        return ReadOptions(**{name: getattr(self, name) for name in ReadOptions._fields})
 
 
 class Model(opt.Group, panel="Model"):
@@ -135,23 +166,31 @@ class Model(opt.Group, panel="Model"):
         parse=_names,
         metavar="NAMES",
     )
-    process: str = opt.option(
-        f"rules of light transport: {', '.join(PROCESSES)}",
-        "ilit-2006",
+    process: str | None = opt.option(
+        f"rules of light transport: {', '.join(PROCESSES)}; default depth-resolved (radiative "
+        "transfer), or those by which irisjax simulated the file",
         parse=opt.one_of(*PROCESSES),
         metavar="NAME",
     )
 
-    @property
-    def stated(self) -> dict[str, Any]:
-        """What `irisjax.problem` is told of the parameters."""
+    def stated(self, headers: Iterable[Mapping[str, str]]) -> dict[str, Any]:
+        """Return what `irisjax.problem` is told of the parameters, for files with these headers."""
         return {
             "free": self.free,
             "separate": self.separate or (),
             "fixed": dict(self.fix or ()),
             "priors": dict(self.prior or ()),
-            "process": PROCESSES[self.process],
+            "process": PROCESSES[self.process or process_of(headers)],
         }
+
+
+def process_of(headers: Iterable[Mapping[str, str]]) -> str:
+    """Return the process by which irisjax simulated all of some files, or else radiative transfer,
+    which measured irides follow.
+    """
+    named = {h.get("process", "") if "simulated" in h else "" for h in headers}
+    (name,) = named if len(named) == 1 else ("",)
+    return name if name in PROCESSES else option_of(DEPTH_RESOLVED)
 
 
 class Sampler(opt.Group, panel="Sampler"):

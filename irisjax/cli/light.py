@@ -1,13 +1,17 @@
 """Groups of options that say how the iris is lit and what looks at it."""
 
+import dataclasses
 import math
+from pathlib import Path
 from typing import Any, ClassVar, get_args
 
 import numpy as np
 
 import irisjax as ij
+from irisjax import io
 from irisjax.anatomy import media
 from irisjax.cli import options as opt
+from irisjax.measure.bands import BANDWIDTH, Bands
 from irisjax.measure.colour import OBSERVER
 from irisjax.measure.instrument import GAIN, AbstractInstrument, Crossing
 from irisjax.numerics.checks import Range
@@ -19,6 +23,30 @@ POLARIMETERS = ("cross-polarised", "co-polarised", "degree-of-polarisation")
 
 def _index(default: float, of: str) -> Any:
     return opt.number(f"refractive index of the {of}, {{}}", media.INDEX, default)
+
+
+def bandwidth() -> Any:
+    """The width of an instrument's slit."""
+    words = "full width at half maximum of the instrument's slit, a Gaussian; {}"
+    return opt.number(words, BANDWIDTH, metavar="NM", overrules=("bands",))
+
+
+def bands_file() -> Any:
+    """The bands of a camera or of filters."""
+    words = (
+        "table of the bands of a camera or of filters: columns centre and fwhm (nm), or each "
+        "band's sensitivity beside the wavelengths"
+    )
+    return opt.option(words, metavar="FILE", parse=Path, overrules=("bandwidth",))
+
+
+def bands_told(
+    bandwidth: float | None, bands: Path | None, illuminant: str | None = None
+) -> Bands | float | None:
+    """Return what an instrument is told of its bands."""
+    if bandwidth is not None and bands is not None:
+        raise ValueError("give --bandwidth or --bands, not both")
+    return bandwidth if bands is None else io.read_bands(bands, illuminant)
 
 
 def _wavelengths(default: str, names: str = "") -> Any:
@@ -90,9 +118,43 @@ class EyeLight(LightOptions):
         return {**super().before_the_iris(), "first_surface": self.first_surface, **cornea}
 
 
-class SpectrumLight(EyeLight):
+class BandedLight(EyeLight):
+    """Light that is read through a slit, filters or a camera's channels."""
+
+    bandwidth: float | None = bandwidth()
+    bands: Path | None = bands_file()
+
+    def __post_init__(self):
+        super().__post_init__()
+        if self.bands is not None and "wavelengths" in self.typed:
+            raise ValueError("--bands has its own wavelengths: give it without --wavelengths")
+
+    def before_the_iris(self) -> dict[str, Any]:
+        """The bands too."""
+        found = super().before_the_iris()
+        told = bands_told(self.bandwidth, self.bands)
+        return found if told is None else {**found, "bands": told}
+
+    def settings(self) -> dict[str, Any]:
+        """What is not given is not written, and bands say their wavelengths."""
+        gone = () if self.bands is None else ("wavelengths",)
+        return {n: v for n, v in super().settings().items() if v is not None and n not in gone}
+
+
+def centred(light: Any) -> Any:
+    """Return a group of options with the wavelengths of its bands, if it has any."""
+    if light.bands is None:
+        return light
+    centres = np.asarray(io.read_bands(light.bands).centres)
+    grid = opt.Grid(",".join(f"{x:.6g}" for x in centres))
+    return dataclasses.replace(light, wavelengths=grid)
+
+
+class SpectrumLight(BandedLight):
     ONLY_WITH: ClassVar = {
         "illuminant": ("instrument", ("radiance",)),
+        "bandwidth": ("instrument", ("reflectance", "radiance")),
+        "bands": ("instrument", ("reflectance", "radiance")),
         "polariser_deg": ("instrument", POLARIMETERS),
         "exit_deg": ("instrument", POLARIMETERS),
         "exit_azimuth_deg": ("instrument", POLARIMETERS),
@@ -191,7 +253,7 @@ class ColourLight(EyeLight):
         return ij.Colorimeter(grid, illuminant=self.illuminant, observer=self.observer, **told)
 
 
-class NoisyLight(EyeLight):
+class NoisyLight(BandedLight):
     gain: float = opt.number(GAIN.meaning, GAIN, 1.0)
     relative_noise: float = opt.number(
         "standard deviation as a share of the value", Range(0, 10), 0.02, metavar="share"

@@ -44,9 +44,10 @@ def spectrum_command(
     if light.instrument in lights.POLARIMETERS:
         process = process.seeing_polarisation(light.instrument)
     quantity = _QUANTITIES.get(light.instrument, light.instrument)
+    light = lights.centred(light)
     result, lines = _read("spectrum", quantity, iris, process, solver, light)
     named = re.sub(r"\W", "_", result.quantity)
-    columns = {"wavelength_nm": light.wavelengths.values, named: result.values}
+    columns = {"wavelength_nm": result.wavelengths, named: result.values}
     if isinstance(result, PolarisedReading):
         columns["angle_deg"] = np.degrees(result.angle)
     if result.standard_error is not None:
@@ -121,6 +122,7 @@ def simulate_measurement_command(
 ) -> None:
     """Simulate a noisy spectrum of an iris, with its truth in the header, to try `irisjax fit`."""
     check_files(files.output)
+    light = lights.centred(light)
     eye, rules = model.modelled(iris, process)
     truth = {n: float(v) for n, v in of_iris(eye).items() if n != "noise"}
     truth["gain"] = light.gain

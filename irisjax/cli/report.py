@@ -210,12 +210,8 @@ def _write(
 def _print(found: Analysis, first: list[str], lines: list[str]) -> None:
     """Print the table between its lines, and on standard error what makes the search doubtful."""
     rows, chains, seen = found.rows, found.chains, found.problem.observations
-    if found.undetermined:
-        data = sum(o.values.shape[-1] for o in seen)
-        tell(
-            f"{data} value{'s' * (data > 1)} for {data + found.undetermined} parameters: at least "
-            f"{found.undetermined} of them keep their priors whatever was measured"
-        )
+    for doubt in sentences.of_the_data(found.problem):
+        tell(doubt)
     if not bool(found.fit.converged):
         tell(f"least squares: {words_for(found.fit.status)}; the sampler started there")
     of = f"{', '.join(o.name for o in seen)}: posterior{' of one eye' if len(seen) > 1 else ''}"

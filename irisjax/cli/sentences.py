@@ -9,6 +9,7 @@ from irisjax.infer.analysis import Analysis
 from irisjax.infer.identifiability import Direction, Information
 from irisjax.infer.model_comparison import PREFERRED, Assessment, Interval, Moved, ProcessComparison
 from irisjax.infer.parameters import kind, unit_of
+from irisjax.infer.problem import Problem
 from irisjax.transport.process import AbstractProcess, Ilit
 
 _WORDS = {
@@ -18,6 +19,8 @@ _WORDS = {
 }  # fmt: skip
 # Parameters whose change with the process is printed.
 _QUOTED = {"melanin_load": "melanin load", "abl_fraction": "ABL fraction"}
+_FEW, _WIDE = 12, 15.0  # values, nm apart: those of filters rather than of a spectrometer
+_DENSE = 3.0  # nm apart, so that neighbouring values may share pixels
 _UNKNOWN = 3.0  # relative sd above which a parameter counts as unknown: a factor of twenty
 
 
@@ -79,6 +82,27 @@ def product(direction: Direction) -> str:
     return (" × ".join(above) or "1") + (f" / {divisor}" if below else "")
 
 
+def of_the_data(problem: Problem) -> list[str]:
+    """Return what the data of a problem cannot tell, whatever their values."""
+    lines = []
+    if problem.undetermined:
+        data = sum(o.values.shape[-1] for o in problem.observations)
+        lines.append(
+            f"{data} value{'s' * (data > 1)} for {data + problem.undetermined} parameters: at "
+            f"least {problem.undetermined} of them keep their priors whatever was measured"
+        )
+    for o in problem.observations:
+        apart = np.diff(np.asarray(o.wavelengths))
+        few = not o.is_colour and 1 < o.values.shape[-1] <= _FEW and np.median(apart) >= _WIDE
+        if few and o.instrument.bands is None:
+            lines.append(
+                f"WARNING: {o.values.shape[-1]} values {np.median(apart):.0f} nm apart are read as "
+                "light of single wavelengths; a camera's or filters' bands give other pigments: "
+                "state them by --bands FILE or --bandwidth NM"
+            )
+    return lines
+
+
 def cautions(found: Analysis) -> list[str]:
     """Return warnings about the result."""
     lines = []
@@ -91,6 +115,12 @@ def cautions(found: Analysis) -> list[str]:
         faults.append(f"residuals are larger than the noise (p = {check.p_chi_square:.3g})")
     if check.smooth:
         faults.append(f"residuals are correlated over wavelength (p = {check.p_pattern:.3g})")
+        over = _correlated_over(found)
+        if over is not None and not check.large:
+            faults.append(
+                f"if the instrument averages its pixels, neighbouring values share their noise "
+                f"over about {over:.0f} nm: state it by --boxcar NM"
+            )
     if check.noisy:
         faults.append(f"it takes {check.noise:.1f} times the stated noise")
     if faults:
@@ -98,6 +128,21 @@ def cautions(found: Analysis) -> list[str]:
     if not found.chains.converged:
         lines.append(f"NOT CONVERGED: {found.chains.reason}")
     return lines
+
+
+def _correlated_over(found: Analysis) -> float | None:
+    """Width of a moving average that would correlate residuals as they are, nm; `None` where
+    wavelengths are too far apart to share pixels, or where errors are said to be correlated.
+    """
+    seen, predicted = found.problem.observations[0], np.asarray(found.fit.predicted[0])
+    step = float(np.median(np.diff(np.asarray(seen.wavelengths)))) if predicted.size > _FEW else 0
+    if not 0 < step <= _DENSE or seen.correlation_root is not None or seen.is_colour:
+        return None
+    residual = np.asarray(seen.values) - predicted
+    residual = residual / np.abs(predicted)
+    alike = np.correlate(residual, residual, "full")[residual.size - 1 :]
+    # A moving average correlates values half its width apart by a half.
+    return 2 * step * int(np.argmax(alike < 0.5 * alike[0]))
 
 
 def models_sentence(assessments: Sequence[Assessment]) -> str:

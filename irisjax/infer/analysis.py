@@ -14,7 +14,7 @@ from irisjax.infer import model_comparison
 from irisjax.infer.fit import Fit, fit
 from irisjax.infer.identifiability import Information, information
 from irisjax.infer.model_comparison import DRAWS, Interval, ProcessComparison, compare_processes
-from irisjax.infer.parameters import kind, unit_of
+from irisjax.infer.parameters import unit_of
 from irisjax.infer.posterior import Chains, check_run, mixing, sample
 from irisjax.infer.problem import Problem, predicted, reported
 
@@ -83,12 +83,6 @@ class Analysis(NamedTuple):
     check: PredictiveCheck
     information: Information
     other: ProcessComparison
-
-    @property
-    def undetermined(self) -> int:
-        """Number of parameters that keep their priors because there are fewer data than these."""
-        fitted = sum(kind(n) != "noise" for n in self.problem.free)
-        return max(0, fitted - sum(o.values.shape[-1] for o in self.problem.observations))
 
     @property
     def unmoved(self) -> tuple[str, ...]:

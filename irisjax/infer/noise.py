@@ -57,7 +57,7 @@ class Noise(eqx.Module):
         """Return the log density of every value, of correlated ones given those before."""
         spread = self._spread(observation, model, factor)
         white, log_sd = _whitened(spread, observation.values - model)
-        if self.degrees_of_freedom is not None and observation.covariance_root is None:
+        if self.degrees_of_freedom is not None and observation.correlation_root is None:
             return _student(white, log_sd, self.degrees_of_freedom)
         return -0.5 * (white * white + _LOG_2PI) - log_sd
 
@@ -84,18 +84,18 @@ class Noise(eqx.Module):
 
     def _spread(self, observation: Observation, model: _Values, factor: _Factor = 1.0) -> Array:
         """Standard deviations (data,), or Cholesky's root (data, data) of a covariance."""
-        if observation.covariance_root is not None:
-            return factor * observation.covariance_root
         stated = observation.sd
         if stated is None:
             stated = jnp.sqrt((self.relative * model) ** 2 + self.absolute**2)
         sd = factor * stated
-        if self.discrepancy is None or self.length is None:
-            return sd
+        root = observation.correlation_root
+        if self.discrepancy is None or self.length is None or observation.is_colour:
+            return sd if root is None else sd[:, None] * root
+        independent = jnp.diag(sd * sd) if root is None else (sd[:, None] * root) @ (root.T * sd)
         apart = (observation.wavelengths[:, None] - observation.wavelengths) / self.length
         size = self.discrepancy * model
         smooth = size[:, None] * size * jnp.exp(-0.5 * apart**2)
-        return cholesky(jnp.diag(sd * sd) + smooth)
+        return cholesky(independent + smooth)
 
 
 def _whitened(spread: Array, residual: _Values) -> tuple[_Values, _Values]:

@@ -9,15 +9,19 @@ from jaxtyping import Array, ArrayLike, Float
 
 from irisjax._types import as_float, as_float_or_none
 from irisjax.anatomy.media import Media
+from irisjax.measure.bands import BANDWIDTH, Bands
 from irisjax.measure.colour import OBSERVER
 from irisjax.measure.instrument import AbstractInstrument, Crossing
 from irisjax.measure.measurement import check_cosine, check_wavelengths
 from irisjax.measure.photometers import Colorimeter, Radiometer, Spectrophotometer
+from irisjax.numerics.checks import check_range
 from irisjax.tissue.pigments import check_covered
 
 REFLECTANCE, RADIANCE = "reflectance", "radiance"
 COLOUR_QUANTITIES = {"XYZ": "xyz", "Lab": "lab", "linear sRGB": "srgb_linear"}
 """Quantities of colours, and the fields of `Colour` that hold them."""
+
+_JITTER = 1e-9  # of the variance, so that values that share nearly all still have a root
 
 
 class Observation(eqx.Module):
@@ -25,7 +29,8 @@ class Observation(eqx.Module):
 
     Attributes:
         sd: Standard deviations, or `None` where the noise model states them.
-        covariance_root: For colours, R with R Rᵀ the covariance; `sd` is then `None`.
+        correlation_root: Lower triangular L with L Lᵀ the correlation of the values' errors; `None`
+            where they are independent.
         quantity: `"reflectance"`, `"radiance"`, `"XYZ"`, `"Lab"` or `"linear sRGB"`.
         name: What messages and figures call it.
     """
@@ -33,14 +38,14 @@ class Observation(eqx.Module):
     values: Float[Array, "*batch data"]
     sd: Float[Array, "*batch data"] | None
     instrument: AbstractInstrument
-    covariance_root: Float[Array, "data data"] | None
+    correlation_root: Float[Array, "data data"] | None
     quantity: str = eqx.field(static=True)
     name: str = eqx.field(static=True)
 
     @property
     def wavelengths(self) -> Float[Array, " wavelengths"]:
-        """Where the model is evaluated, nm."""
-        return self.instrument.wavelengths
+        """Wavelengths of the values, nm (of a colour, those of the model)."""
+        return self.instrument.centres
 
     @property
     def is_colour(self) -> bool:
@@ -63,6 +68,10 @@ def spectrum(
     first_surface: bool = True,
     cornea: Crossing | None = None,
     media: Media | None = None,
+    bands: Bands | float | None = None,
+    covariance: Any = None,
+    boxcar: float | None = None,
+    correlated: float | None = None,
     name: str = "spectrum",
 ) -> Observation:
     """State a measured reflectance factor, or a radiance under an illuminant (relative to the
@@ -70,8 +79,8 @@ def spectrum(
 
     Args:
         wavelengths: In nm, in any order; or one object that has wavelengths and values, such as
-            `read_measured` returns (its `sd` is used), or colour-science's `SpectralDistribution`
-            and `MultiSpectralDistributions` (repeated scans).
+            `read_measured` returns (with `sd`, `correlated` and `bandwidth`), or colour-science's
+            `SpectralDistribution` and `MultiSpectralDistributions` (repeated scans).
         values: Fractions, one for each wavelength; or repeated scans (wavelengths, scans).
         sd: Standard deviations; by default the scatter of scans, or what the noise model states.
         quantity: `"reflectance"` or `"radiance"`.
@@ -80,6 +89,12 @@ def spectrum(
         first_surface: Whether the iris's own mirror reflection is in the data.
         cornea: As of instruments; by default a radiance is dimmed by it, a reflectance is not.
         media: Media before the iris.
+        bands: What each value is the mean of: `Bands`, or the full width at half maximum of a
+            Gaussian slit, nm.
+        covariance: Of the values' errors, (wavelengths, wavelengths), in place of `sd`.
+        boxcar: Width, nm, of a moving average that made the values: each is the mean over that
+            width, and their errors are correlated so far.
+        correlated: The same of the errors alone, where the spectrum itself is not smoothed.
         name: What messages and figures call it.
 
     Raises:
@@ -90,7 +105,12 @@ def spectrum(
         said = "give wavelengths and values, or one object that has both; sd by its name"
         raise ValueError(f"{name}: {said}")
     if whole:
-        sd = getattr(wavelengths, "sd", None) if sd is None else sd
+        if covariance is None:
+            sd = getattr(wavelengths, "sd", None) if sd is None else sd
+            known = getattr(wavelengths, "correlated", None)
+            correlated = known if correlated is None and boxcar is None else correlated
+        if bands is None and boxcar is None:
+            bands = getattr(wavelengths, "bandwidth", None)
         wavelengths, values = wavelengths.wavelengths, wavelengths.values
     grid, y = np.asarray(wavelengths, np.float64), np.asarray(values, np.float64)
     if y.ndim == 2 and y.shape[1]:
@@ -109,6 +129,21 @@ def spectrum(
         raise ValueError(f"{name}: {error}") from None
     for wave in grid[~np.isfinite(y)][:1]:
         raise ValueError(f"{name}: the value at {wave:g} nm is not a finite number")
+    root = None
+    if covariance is not None:
+        if not (sd is None and boxcar is None and correlated is None):
+            raise ValueError(f"{name}: give the covariance alone; it has sd and correlation in it")
+        sd, root = _sd_and_root(covariance, order, name)
+        order = np.arange(order.size)
+    if boxcar is not None:
+        if bands is not None or correlated is not None:
+            raise ValueError(f"{name}: a boxcar has its own band and correlation; give it alone")
+        bands, correlated = Bands.slit(grid, boxcar, "boxcar"), boxcar
+    if correlated is not None:
+        check_range("correlated", correlated, BANDWIDTH)
+        # What two means have in common is the overlap of their intervals.
+        shared = np.maximum(1 - np.abs(grid[:, None] - grid) / correlated, 0)
+        root = np.linalg.cholesky(shared + _JITTER * np.eye(grid.size))
     if sd is not None:
         sd = np.broadcast_to(np.asarray(sd, np.float64), order.shape)[order]
         for i in np.flatnonzero(~(np.isfinite(sd) & (sd > 0)))[:1]:
@@ -118,12 +153,31 @@ def spectrum(
         raise ValueError(f"quantity must be {REFLECTANCE!r} or {RADIANCE!r}, got {quantity!r}")
     settings: dict[str, Any] = {} if cornea is None else {"cornea": cornea}
     settings |= dict(cos_incidence=cos_incidence, first_surface=first_surface, media=media)
+    settings["bands"] = bands
     if quantity == RADIANCE:
         instrument = Radiometer(grid, illuminant=illuminant, **settings)
     else:
         instrument = Spectrophotometer(grid, **settings)
-    sd = as_float_or_none(sd)
-    return Observation(as_float(y), sd, instrument, None, quantity, name)
+    sd, root = as_float_or_none(sd), as_float_or_none(root)
+    return Observation(as_float(y), sd, instrument, root, quantity, name)
+
+
+def _sd_and_root(
+    covariance: Any, order: np.ndarray, name: str
+) -> tuple[Float[np.ndarray, " data"], Float[np.ndarray, "data data"]]:
+    """Standard deviations, and the root of the correlations, of values in this order."""
+    c = np.asarray(covariance, np.float64)
+    n = order.size
+    said = f"{name}: the covariance must be {n} by {n}, symmetric and positive definite"
+    if c.shape != (n, n) or not np.allclose(c, c.T, rtol=1e-6, atol=1e-12 * np.abs(c).max()):
+        raise ValueError(said)
+    sd = np.sqrt(np.maximum(np.diag(c), 0))[order]
+    if not (sd > 0).all():
+        raise ValueError(said)
+    try:
+        return sd, np.linalg.cholesky(c[np.ix_(order, order)] / np.outer(sd, sd))
+    except np.linalg.LinAlgError:
+        raise ValueError(said) from None
 
 
 def mean_of_scans(
@@ -166,14 +220,12 @@ def colour_data(
     if quantity not in COLOUR_QUANTITIES:
         known = ", ".join(COLOUR_QUANTITIES)
         raise ValueError(f"quantity must be one of {known}, got {quantity!r}")
-    y, c = np.asarray(values, np.float64), np.asarray(covariance, np.float64)
+    y = np.asarray(values, np.float64)
     if y.shape != (3,) or not np.isfinite(y).all():
         raise ValueError(f"{name}: a colour is three finite numbers")
-    if c.shape != (3, 3) or not np.allclose(c, c.T) or np.linalg.eigvalsh(c).min() <= 0:
-        raise ValueError(f"{name}: the covariance must be 3 by 3, symmetric and positive definite")
+    sd, root = _sd_and_root(covariance, np.arange(3), name)
     instrument = Colorimeter(illuminant=illuminant, observer=observer, first_surface=first_surface)
-    root = as_float(np.linalg.cholesky(c))
-    return Observation(as_float(y), None, instrument, root, quantity, name)
+    return Observation(as_float(y), as_float(sd), instrument, as_float(root), quantity, name)
 
 
 def with_values(

@@ -67,6 +67,12 @@ class Problem(eqx.Module):
         return lambda z: both(z)[0]
 
     @property
+    def undetermined(self) -> int:
+        """Number of parameters that keep their priors because there are fewer data than these."""
+        fitted = sum(kind(n) != "noise" for n in self.free)
+        return max(0, fitted - sum(o.values.shape[-1] for o in self.observations))
+
+    @property
     def process(self) -> AbstractProcess:
         """The process of the solvers."""
         return self.solvers[0].process
@@ -269,9 +275,14 @@ def problem(
     for n in names:
         expanded += [f"{n}@{i + 1}" for i in range(len(seen))] if n in separate else [n]
     most = max(o.values.shape[-1] for o in seen)
-    if noise is not None and noise.discrepancy is not None and most > _MOST_CORRELATED:
+    noise = Noise() if noise is None else noise
+    correlated = any(o.correlation_root is not None and not o.is_colour for o in seen)
+    if correlated and noise.degrees_of_freedom is not None:
+        raise ValueError("correlated errors and Student's t do not go together; choose one")
+    if (correlated or noise.discrepancy is not None) and most > _MOST_CORRELATED:
         to_do = f"average neighbouring wavelengths, to {_MOST_CORRELATED} values at most"
-        raise ValueError(f"a discrepancy takes a matrix of {most} by {most} a walker; {to_do}")
+        what = "correlation" if correlated else "discrepancy"
+        raise ValueError(f"a {what} takes a matrix of {most} by {most} a walker; {to_do}")
     base = Iris() if base is None else base
     if process is not None and solver is not None:
         raise ValueError("a solver has a process: give process or solver, not both")
@@ -310,10 +321,11 @@ class Form:
 
 def elements(problem: Problem) -> int:
     """Return the size of the largest array that one evaluation makes."""
-    sizes = [max(o.wavelengths.size, o.values.shape[-1]) for o in problem.observations]
+    sizes = [max(o.instrument.wavelengths.size, o.values.shape[-1]) for o in problem.observations]
     each = max(solver.numbers_per_wavelength for solver in problem.solvers)
     # A correlated error takes a matrix.
-    noise = max(sizes) ** 2 if problem.noise.discrepancy is not None else 0
+    correlated = any(o.correlation_root is not None for o in problem.observations)
+    noise = max(sizes) ** 2 if correlated or problem.noise.discrepancy is not None else 0
     return max(noise, sum(sizes) * each)
 
 

@@ -172,3 +172,19 @@ def test_simulated_measurements_say_so_and_repeat(irisjax, quick, tmp_path):
     assert irisjax("simulate-measurement", "--from", path)[1] == one[1]
     other = irisjax("simulate-measurement", "--from", path, "--seed", 6)[1]
     assert other != one[1].replace("seed: 5", "seed: 6")
+
+
+def test_melanin_of_the_abl_is_their_product(irisjax, eye, searched, tmp_path):
+    """The stand-in finds the same value and deviation for both, which are independent."""
+    path, out = tmp_path / "eyes.csv", tmp_path / "out"
+    path.write_text("nm,left,left_sd\n400,0.04,0.001\n450,0.02,0.001\n")
+    said = ("--free", "melanin_load,abl_fraction", "-o", out)
+    assert irisjax("fit", "--batch", path, *said)[0] == 0
+    rows = rows_of(out / "fits.csv")
+    assert list(rows) == ["left"]
+    row = {name: float(rows["left"][name]) for name in ("melanin_load", "abl_melanin")}
+    assert row["abl_melanin"] == pytest.approx(row["melanin_load"] ** 2, rel=1e-5)
+    spread = float(rows["left"]["abl_melanin_sd"])
+    assert spread == pytest.approx(np.sqrt(2) * row["abl_melanin"], rel=1e-5)
+    assert rows["left"]["status"] == "doubtful"
+    assert "are read as light of single wavelengths" in rows["left"]["warnings"]

@@ -19,6 +19,7 @@ from irisjax.cli import report
 from irisjax.infer.parameters import DEFAULT_FREE, PARAMETERS
 
 command = importlib.import_module("irisjax.cli.fit")  # the package holds the command by this name
+BY_ILIT = "irisjax: read by ilit-2006, by which irisjax simulated the file\n"
 FILES = {"chain.h5", "posterior.nc", "summary.csv", "corner.png", "fit.png"}
 
 
@@ -91,6 +92,61 @@ def test_what_the_sampler_is_asked(irisjax, eye, sampled):
     assert float(problem.noise.degrees_of_freedom) == 4
 
 
+def test_a_measurement_is_read_by_radiative_transfer(irisjax, eye, sampled, tmp_path):
+    """Unless it says that irisjax simulated it by another process, or an option does."""
+    bare = tmp_path / "bare.csv"
+    bare.write_text("\n".join(x for x in eye.read_text().splitlines() if not x.startswith("#")))
+    for path, said, process, word in (
+        (bare, (), ij.DEPTH_RESOLVED, ""),
+        (bare, ("--process", "ilit-2006"), ij.ILIT_2006, ""),
+        (eye, (), ij.ILIT_2006, BY_ILIT),
+        (eye, ("--process", "depth-resolved"), ij.DEPTH_RESOLVED, ""),
+    ):
+        status, _, err = irisjax("fit", path, *FREE, *said)
+        assert (status, sampled[-1].problem.process) == (0, process)
+        assert (BY_ILIT in err) == bool(word)
+
+
+def test_what_the_instrument_averages_is_stated(irisjax, eye, sampled, tmp_path):
+    seen = lambda: sampled[-1].problem.observations[0]  # noqa: E731
+    bare = [x for x in eye.read_text().splitlines() if not x.startswith("#")]
+    path = tmp_path / "eye.csv"
+    path.write_text("# bandwidth: 20 [nm]\n" + "\n".join(bare))
+    slit = ij.Bands.slit(ij.wavelengths(400, 700, 10), 20.0)
+    for file, said in ((eye, ("--bandwidth", "20")), (path, ())):
+        status, _, err = irisjax("fit", file, *FREE, *said)
+        assert status == 0
+        np.testing.assert_allclose(seen().instrument.bands.weights, slit.weights, atol=1e-12)
+        assert ("bandwidth of 20 nm, as the file says" in err) == (not said)
+    grid, values = np.arange(500.0, 520), np.linspace(3, 4, 20)
+    rows = "\n".join(f"{x}\t{y}" for x, y in zip(grid, values, strict=True))
+    path.write_text(f"Boxcar width: 3\n>>>>>Begin Spectral Data<<<<<\n{rows}\n")
+    status, _, err = irisjax("fit", path, *FREE)
+    assert status == 0
+    assert "noise correlated over 7 nm (7 pixels), as the file's boxcar of 3 says" in err
+    for said, smoothed in (((), False), (("--boxcar", "7"), True)):
+        assert irisjax("fit", path, *FREE, *said)[0] == 0
+        shared = np.asarray(seen().correlation_root)[1, 0]
+        assert shared == pytest.approx(6 / 7, rel=1e-6)
+        assert (seen().instrument.bands is not None) == smoothed
+    matrix = np.diag(np.full(20, 1e-6)) + 1e-7
+    np.save(tmp_path / "c.npy", matrix)
+    path.write_text(rows)
+    assert irisjax("fit", path, *FREE, "--covariance", tmp_path / "c.npy")[0] == 0
+    np.testing.assert_allclose(seen().sd, np.sqrt(1.1e-6), rtol=1e-6)
+    bands = tmp_path / "bands.csv"
+    bands.write_text("centre,fwhm\n450,20\n550,20\n650,30\n")
+    path.write_text("nm,R (fraction)\n450,0.03\n550,0.02\n650,0.02\n")
+    status, _, err = irisjax("fit", path, *FREE, "--bands", bands)
+    assert (status, "are read as light of single wavelengths" in err) == (0, False)
+    np.testing.assert_allclose(seen().wavelengths, [450, 550, 650])
+    assert "are read as light of single wavelengths" in irisjax("fit", path, *FREE)[2]
+    both = irisjax("fit", path, "--bands", bands, "--bandwidth", "20")
+    one_line(both, "--bandwidth or --bands, not both")
+    bands.write_text("centre,fwhm\n450,20\n550,20\n")
+    one_line(irisjax("fit", path, "--bands", bands), "3 values for 2 bands")
+
+
 def test_two_spots_of_one_eye(irisjax, eye, sampled, tmp_path, monkeypatch):
     """They share the blood; each has its own melanin where it is separate."""
     other = tmp_path / "spot.csv"
@@ -99,7 +155,7 @@ def test_two_spots_of_one_eye(irisjax, eye, sampled, tmp_path, monkeypatch):
     monkeypatch.setattr(command, "beside", lambda: nullcontext(lambda *_: lambda: b"figure"))
     both = ("fit", eye, other, "--separate", "melanin_load", *FREE, "-o", tmp_path)
     status, out, err = irisjax(*both)
-    assert (status, err) == (0, "")
+    assert (status, err) == (0, BY_ILIT)
     assert out.splitlines()[1].startswith("eye.csv, spot.csv: posterior of one eye")
     assert {"melanin_load@1", "melanin_load@2", "hemoglobin", "eumelanin@2"} <= set(out.split())
     sizes = [o.values.size for o in sampled[0].problem.observations]

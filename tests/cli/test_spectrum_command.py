@@ -234,3 +234,21 @@ def test_plots(irisjax, quick, tmp_path, monkeypatch, arguments, magic):
     if magic != b"\x89PNG":  # the others have dates and names of their own
         assert irisjax(*arguments)[0] == 0
         assert path.read_bytes() == first
+
+
+def test_bands_are_read_and_written(irisjax, printed, quick, tmp_path):
+    bands = tmp_path / "bands.csv"
+    bands.write_text("centre,fwhm\n600,30\n450,20\n")
+    status, out, _ = irisjax("spectrum", "--bands", bands)
+    assert status == 0
+    found = printed(out)
+    np.testing.assert_allclose(found.columns["wavelength_nm"], [450, 600])
+    assert found.header["bands"] == str(bands)
+    again = tmp_path / "again.csv"
+    again.write_text(out)
+    assert irisjax("spectrum", "--from", again)[1] == out
+    status, out, _ = irisjax("spectrum", "--bandwidth", "20", "--wavelengths", "450,600")
+    assert (status, printed(out).header["bandwidth"]) == (0, "20.0")
+    one_line(irisjax("spectrum", "--bands", bands, "--wavelengths", "450"), "without --wavelengths")
+    wrong = ("--bandwidth", "5", "--instrument", "cross-polarised")
+    one_line(irisjax("spectrum", *wrong), "--bandwidth")

@@ -121,7 +121,7 @@ def test_an_analysis_of_data_of_the_model_and_of_others(analysed):
     assert load.q2_5 < TRUTH["melanin_load"] < load.q97_5
     assert 0.9 < load.contraction < 1
     assert table["eumelanin"].unit == "mg/ml"
-    assert (analysed.undetermined, analysed.check.passed) == (0, True)
+    assert (analysed.problem.undetermined, analysed.check.passed) == (0, True)
     assert analysed.other.process == ij.DEPTH_RESOLVED
     assert analysed.other.moved["melanin_load"].own == (load.median, load.q2_5, load.q97_5)
     (seen,) = analysed.problem.observations

@@ -205,6 +205,21 @@ def test_misfit_is_no_failed_search(problem, measured):
         eqx.filter_jit(fit)(stepped, key=KEY, throw=True)
 
 
+def test_blood_behind_a_slit():
+    """Data by quadrature over a slit of 20 nm, by which light of single wavelengths would have
+    23 % too little haemoglobin.
+    """
+    fine, grid = np.arange(350.0, 801, 1), ij.wavelengths(400, 700, 10)
+    spectrum = np.asarray(ij.reflectance(ij.Iris.of_level("low"), fine).values)
+    passed = np.exp(-4 * np.log(2) * ((fine - grid[:, None]) / 20) ** 2)
+    values = (passed @ spectrum) / passed.sum(1)
+    seen = ij.spectrum(grid, values, sd=0.005 * values, bands=20.0)
+    stated = ij.problem(seen, fixed={"gain": 1.0, "noise": 1.0})
+    found = fit(stated, use_priors=False, starts=1).values
+    assert float(found["hemoglobin"]) == pytest.approx(0.084, rel=0.01)
+    assert float(found["saturation"]) == pytest.approx(0.5, abs=0.01)
+
+
 def test_several_searches_need_a_key():
     with pytest.raises(ValueError, match="starts=4, rounds=1 draw all but the first at random"):
         search.least_squares(lambda x, weight, args: (x, None), None, jnp.zeros(2), starts=4)

@@ -121,6 +121,33 @@ def test_colour_likelihood_is_scipys():
     assert float(found) == pytest.approx(wanted, rel=1e-10)
 
 
+def test_a_stated_covariance_is_the_likelihoods():
+    """In the file's order of wavelengths, and times the free factor of the noise."""
+    rng = np.random.default_rng(2)
+    order, root = rng.permutation(GRID.size), rng.normal(size=(GRID.size, 2 * GRID.size))
+    c = 1e-8 * root @ root.T
+    y = 0.02 + 1e-3 * rng.normal(size=GRID.size)
+    seen = ij.spectrum(GRID[order], y[order], covariance=c[np.ix_(order, order)])
+    problem = ij.problem(seen, free=["gain", "noise"], solver=BeerLambert())
+    z = problem.standard({"gain": 1.01, "noise": 1.3})
+    (model,), found = quick_jit(lambda z: (problem.predict(z), problem.log_likelihood(z)))(z)
+    wanted = stats.multivariate_normal(np.asarray(model), 1.3**2 * c).logpdf(y)
+    assert float(found) == pytest.approx(wanted, rel=1e-9)
+    np.testing.assert_allclose(seen.sd, np.sqrt(np.diag(c)))
+
+
+def test_a_moving_average_correlates_what_it_averages():
+    grid = np.arange(500.0, 520, 1)
+    seen = ij.spectrum(grid, np.full(20, 0.02), boxcar=5.0)
+    white = np.random.default_rng(0).normal(size=(20_000, 24))
+    means = np.stack([white[:, i : i + 5].mean(1) for i in range(20)], 1)
+    root = np.asarray(seen.correlation_root)
+    np.testing.assert_allclose(root @ root.T, np.corrcoef(means.T), atol=0.04)
+    assert seen.instrument.bands is not None
+    with pytest.raises(ValueError, match="correlated errors and Student's t"):
+        ij.problem(seen, noise=Noise(degrees_of_freedom=4.0), solver=BeerLambert())
+
+
 @pytest.mark.slow  # statistics
 def test_draws_have_the_stated_moments():
     keys, z = jax.random.split(jax.random.key(0), 20_000), jnp.zeros(1)
