@@ -28,15 +28,25 @@ EYES = {
 }
 """Processes and numbers of eyes, by the end of their files' names."""
 
+GRID = ij.wavelengths(400, 700, 10)
+CENTRES = np.array([420.0, 450, 480, 520, 550, 580, 620, 670])  # nm
+FWHM = np.array([20.0, 20, 20, 30, 20, 20, 30, 40])
+INSTRUMENTS = {
+    "_bands": ("eight bands of 20 to 40 nm", CENTRES, {"bands": FWHM}),
+    "_slit": ("a slit of 20 nm", GRID, {"bands": 20.0}),
+    "_correlated": ("noise correlated over 30 nm", GRID, {"correlated": 30.0}),
+    "_without_surface": ("the first surface's reflection excluded", GRID, {"first_surface": False}),
+}
+"""Instruments by the end of their files' names, with 160 eyes each by ILIT."""
+
 
 def main(key, quick=False, out=RESULTS, eyes=None, walkers=64):
-    """Write ranks of every eye and, by parameter, p-values and coverage, for either process (quick:
-    3 eyes, a closed formula).
+    """Write ranks of every eye and, by parameter, p-values and coverage, for either process and for
+    other instruments (quick: 3 eyes, a closed formula).
     """
     from irisjax.infer.analytic import KubelkaMunk
 
-    grid = ij.wavelengths(400, 700, 10)
-    blank = ij.spectrum(grid, np.ones(grid.size))
+    blank = ij.spectrum(GRID, np.ones(GRID.size))
     if quick:
         of_formula = ij.problem(blank, solver=KubelkaMunk())
         calibrate(of_formula, "transport: Kubelka-Munk (quick)", "", key, eyes or 3, out, walkers)
@@ -44,6 +54,17 @@ def main(key, quick=False, out=RESULTS, eyes=None, walkers=64):
     for end, (name, process, count) in EYES.items():
         of_process = ij.problem(blank, process=process)
         calibrate(of_process, f"process {name}", end, key, eyes or count, out, walkers)
+    for end in INSTRUMENTS:
+        of_instrument(end, key, eyes or 160, out, walkers)
+
+
+def of_instrument(end, key, count, out=RESULTS, walkers=64):
+    """Write the two tables of one of `INSTRUMENTS`."""
+    name, grid, settings = INSTRUMENTS[end]
+    if "bands" in settings:
+        settings = {"bands": ij.Bands.slit(grid, settings["bands"])}
+    problem = ij.problem(ij.spectrum(grid, np.ones(grid.size), **settings), process=ij.ILIT_2006)
+    calibrate(problem, f"process ilit-2006, {name}", end, key, count, out, walkers)
 
 
 def calibrate(problem, about, end, key, count, out=RESULTS, walkers=64):
@@ -78,7 +99,8 @@ def calibrate(problem, about, end, key, count, out=RESULTS, walkers=64):
         tests = uniform_ranks(ranks[:, i], DRAWS)
         summary.append((name, count, *tests, *(float(c) for c in covered[:, i])))
     header = (
-        f"{count} simulated eyes from the default priors, 31 wavelengths, noise 2 % + 2e-4, "
+        f"{count} simulated eyes from the default priors, "
+        f"{problem.observations[0].values.size} wavelengths, noise 2 % + 2e-4, "
         f"seed {jax.random.key_data(key)[-1]}",
         about,
         f"binomial standard errors of the coverage: "
