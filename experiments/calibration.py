@@ -62,7 +62,7 @@ def of_instrument(end, key, count, out=RESULTS, walkers=64):
     """Write the two tables of one of `INSTRUMENTS`."""
     name, grid, settings = INSTRUMENTS[end]
     if "bands" in settings:
-        settings = {"bands": ij.Bands.slit(grid, settings["bands"])}
+        settings = {"bands": ij.Passbands.slit(grid, settings["bands"])}
     problem = ij.problem(ij.spectrum(grid, np.ones(grid.size), **settings), process=ij.ILIT_2006)
     calibrate(problem, f"process ilit-2006, {name}", end, key, count, out, walkers)
 

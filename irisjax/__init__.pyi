@@ -37,7 +37,7 @@ from .infer.problem import problem as problem
 from .io.measured import Measured as Measured
 from .io.measured import read_measured as read_measured
 from .io.scenes import read_scene as read_scene
-from .measure.bands import Bands as Bands
+from .measure.bands import Passbands as Passbands
 from .measure.colour import Colour as Colour
 from .measure.colour import colour_of as colour_of
 from .measure.instrument import AbstractInstrument as AbstractInstrument

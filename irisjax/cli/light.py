@@ -11,7 +11,7 @@ import irisjax as ij
 from irisjax import io
 from irisjax.anatomy import media
 from irisjax.cli import options as opt
-from irisjax.measure.bands import BANDWIDTH, Bands
+from irisjax.measure.bands import BANDWIDTH, Passbands
 from irisjax.measure.colour import OBSERVER
 from irisjax.measure.instrument import GAIN, AbstractInstrument, Crossing
 from irisjax.numerics.checks import Range
@@ -42,11 +42,11 @@ def bands_file() -> Any:
 
 def bands_told(
     bandwidth: float | None, bands: Path | None, illuminant: str | None = None
-) -> Bands | float | None:
+) -> Passbands | float | None:
     """Return what an instrument is told of its bands."""
     if bandwidth is not None and bands is not None:
         raise ValueError("give --bandwidth or --bands, not both")
-    return bandwidth if bands is None else io.read_bands(bands, illuminant)
+    return bandwidth if bands is None else io.read_passbands(bands, illuminant)
 
 
 def _wavelengths(default: str, names: str = "") -> Any:
@@ -145,7 +145,7 @@ def centred(light: Any) -> Any:
     """Return a group of options with the wavelengths of its bands, if it has any."""
     if light.bands is None:
         return light
-    centres = np.asarray(io.read_bands(light.bands).centres)
+    centres = np.asarray(io.read_passbands(light.bands).centres)
     grid = opt.Grid(",".join(f"{x:.6g}" for x in centres))
     return dataclasses.replace(light, wavelengths=grid)
 

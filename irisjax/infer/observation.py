@@ -9,7 +9,7 @@ from jaxtyping import Array, ArrayLike, Float
 
 from irisjax._types import as_float, as_float_or_none
 from irisjax.anatomy.media import Media
-from irisjax.measure.bands import BANDWIDTH, Bands
+from irisjax.measure.bands import BANDWIDTH, Passbands
 from irisjax.measure.colour import OBSERVER
 from irisjax.measure.instrument import AbstractInstrument, Crossing
 from irisjax.measure.measurement import check_cosine, check_wavelengths
@@ -68,7 +68,7 @@ def spectrum(
     first_surface: bool = True,
     cornea: Crossing | None = None,
     media: Media | None = None,
-    bands: Bands | float | None = None,
+    bands: Passbands | float | None = None,
     covariance: Any = None,
     boxcar: float | None = None,
     correlated: float | None = None,
@@ -89,7 +89,7 @@ def spectrum(
         first_surface: Whether the iris's own mirror reflection is in the data.
         cornea: As of instruments; by default a radiance is dimmed by it, a reflectance is not.
         media: Media before the iris.
-        bands: What each value is the mean of: `Bands`, or the full width at half maximum of a
+        bands: What each value is the mean of: `Passbands`, or the full width at half maximum of a
             Gaussian slit, nm.
         covariance: Of the values' errors, (wavelengths, wavelengths), in place of `sd`.
         boxcar: Width, nm, of a moving average that made the values: each is the mean over that
@@ -138,7 +138,7 @@ def spectrum(
     if boxcar is not None:
         if bands is not None or correlated is not None:
             raise ValueError(f"{name}: a boxcar has its own band and correlation; give it alone")
-        bands, correlated = Bands.slit(grid, boxcar, "boxcar"), boxcar
+        bands, correlated = Passbands.slit(grid, boxcar, "boxcar"), boxcar
     if correlated is not None:
         check_range("correlated", correlated, BANDWIDTH)
         # What two means have in common is the overlap of their intervals.

@@ -1,6 +1,6 @@
 """Public names of `irisjax.io`; each loads from its module when it is first used."""
 
-from .bands import read_bands as read_bands
+from .bands import read_passbands as read_passbands
 from .bands import read_square as read_square
 from .clone_folders import CloneFolder as CloneFolder
 from .clone_folders import read_clone as read_clone

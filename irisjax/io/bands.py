@@ -8,7 +8,7 @@ import numpy as np
 from irisjax.io.formats import read_spectral_table
 from irisjax.io.tables import naming
 from irisjax.io.text import read_columns, read_text
-from irisjax.measure.bands import Bands
+from irisjax.measure.bands import Passbands
 from irisjax.tissue.pigments import common_range
 
 _CENTRE = re.compile(r"cent(re|er)|peak|middle|mitte", re.I)
@@ -16,7 +16,7 @@ _WIDTH = re.compile(r"fwhm|width|breite|largeur|hbw", re.I)
 _MOST_OUTSIDE = 0.02  # share of a band's light that the pigment tables do not cover
 
 
-def read_bands(path: str | Path, illuminant: str | None = None) -> Bands:
+def read_passbands(path: str | Path, illuminant: str | None = None) -> Passbands:
     """Read the bands of an instrument.
 
     Either a row a band, in columns named `centre` and `fwhm` (nm; Gaussian), or the sensitivity of
@@ -25,7 +25,7 @@ def read_bands(path: str | Path, illuminant: str | None = None) -> Bands:
 
     Args:
         path: The table.
-        illuminant: See `Bands.of`; not for centres and widths.
+        illuminant: See `Passbands.of`; not for centres and widths.
 
     Raises:
         ValueError: Naming the file and the problem, such as a band beyond the pigment tables.
@@ -40,7 +40,7 @@ def read_bands(path: str | Path, illuminant: str | None = None) -> Bands:
             if illuminant is not None:
                 raise ValueError("centres and widths take no illuminant; give sensitivities")
             order = np.argsort(centre)
-            return Bands.slit(centre[order], width[order])
+            return Passbands.slit(centre[order], width[order])
         grid, each = table.values[:, 0], np.nan_to_num(table.values[:, 1:])
         order = np.argsort(grid)
         grid, each = grid[order], each[order]
@@ -51,7 +51,7 @@ def read_bands(path: str | Path, illuminant: str | None = None) -> Bands:
             if lost > _MOST_OUTSIDE:
                 span = f"{low:g} to {high:g} nm, which the pigment tables cover"
                 raise ValueError(f"{100 * lost:.0f} % of the band {name!r} is outside {span}")
-        return Bands.of(grid[inside], each[inside], illuminant)
+        return Passbands.of(grid[inside], each[inside], illuminant)
 
 
 def read_square(path: str | Path) -> np.ndarray:

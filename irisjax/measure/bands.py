@@ -1,4 +1,4 @@
-"""Bands of wavelengths: slits, filters and pixels, which average a spectrum before it is read."""
+"""Passbands: what slits, filters and pixels average before a spectrum is read."""
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -36,7 +36,7 @@ _TWICE_INTEGRATED = {
 }
 
 
-class Bands(eqx.Module):
+class Passbands(eqx.Module):
     """The light that each value of an instrument is the mean of.
 
     Attributes:
@@ -50,11 +50,11 @@ class Bands(eqx.Module):
     weights: Float[Array, "bands wavelengths"]
 
     @classmethod
-    def slit(cls, wavelengths: Numbers, width: Numbers, shape: str = "gaussian") -> "Bands":
+    def slit(cls, wavelengths: Numbers, width: Numbers, shape: str = "gaussian") -> "Passbands":
         """Return bands about the wavelengths at which an instrument is read.
 
         The mean over a band is exact for a spectrum that is linear between points 2 nm apart, or a
-        sixth of the width. Bands are cut where the pigment tables end.
+        sixth of the width. Passbands are cut where the pigment tables end.
 
         Args:
             wavelengths: Centres, nm, increasing.
@@ -91,7 +91,7 @@ class Bands(eqx.Module):
     @classmethod
     def of(
         cls, wavelengths: Numbers, sensitivities: Numbers, illuminant: str | None = None
-    ) -> "Bands":
+    ) -> "Passbands":
         """Return the bands of filters or of a camera's channels.
 
         Args:
@@ -120,7 +120,7 @@ class Bands(eqx.Module):
         return cls._of((each @ grid) / each.sum(1), grid[seen], each[:, seen])
 
     @classmethod
-    def _of(cls, centres: np.ndarray, grid: np.ndarray, each: np.ndarray) -> "Bands":
+    def _of(cls, centres: np.ndarray, grid: np.ndarray, each: np.ndarray) -> "Passbands":
         dtype = jnp.result_type(float)
         shares = each / each.sum(1, keepdims=True)
         return cls(*(jnp.asarray(x, dtype) for x in (centres, grid, shares)))
@@ -133,7 +133,7 @@ class Bands(eqx.Module):
         """Return the standard errors of the means, from those of independent values."""
         return jnp.sqrt((errors * errors) @ (self.weights * self.weights).T)
 
-    def matched(self, wavelengths: Numbers) -> "Bands":
+    def matched(self, wavelengths: Numbers) -> "Passbands":
         """Return the bands in the order of the wavelengths at which data name them, one each.
 
         Raises:
@@ -153,12 +153,14 @@ class Bands(eqx.Module):
         return self
 
 
-def bands_of(wavelengths: Numbers, bands: "Bands | float | None") -> "Bands | None":
+def bands_of(wavelengths: Numbers, bands: "Passbands | float | None") -> "Passbands | None":
     """Return the bands of an instrument that is read at these wavelengths, a number being the full
     width at half maximum of a Gaussian slit, nm.
     """
-    if bands is None or isinstance(bands, Bands):
+    if bands is None or isinstance(bands, Passbands):
         return bands if bands is None else bands.matched(wavelengths)
     if isinstance(wavelengths, Tracer):
-        raise ValueError("a bandwidth needs concrete wavelengths; make its Bands outside of jit")
-    return Bands.slit(wavelengths, bands)
+        raise ValueError(
+            "a bandwidth needs concrete wavelengths; make its Passbands outside of jit"
+        )
+    return Passbands.slit(wavelengths, bands)

@@ -11,7 +11,7 @@ import numpy as np
 
 from irisjax._types import Numbers, Scalar, Spectrum
 from irisjax.anatomy.media import Media
-from irisjax.measure.bands import Bands, bands_of
+from irisjax.measure.bands import Passbands, bands_of
 from irisjax.measure.measurement import Reading, check_cosine, check_wavelengths
 from irisjax.numerics.checks import Range, check_range, check_scalars
 from irisjax.tissue.pigments import Extinction, extinction
@@ -34,7 +34,7 @@ class InstrumentSettings(TypedDict, total=False):
     cornea: Crossing
     media: Media | None
     gain: Numbers
-    bands: Bands | float | None
+    bands: Passbands | float | None
 
 
 class AbstractInstrument(eqx.Module):
@@ -46,7 +46,7 @@ class AbstractInstrument(eqx.Module):
             air if the light crosses the cornea); `None` for diffuse light, given as `"diffuse"`.
         media: Refractive indices in front of the iris (those of an eye are `Eye.media`).
         gain: Factor of the instrument on every value.
-        bands: What each value is the mean of, such as a slit's or filters' `Bands`; given as a
+        bands: What each value is the mean of, such as a slit's or filters' `Passbands`; given as a
             number, the full width at half maximum of a Gaussian slit, nm. `None` for light of one
             wavelength each.
         cornea: Whether light crosses tear film and cornea on its way in (`"inward"`), both ways
@@ -67,7 +67,7 @@ class AbstractInstrument(eqx.Module):
     cos_incidence: Scalar | None
     media: Media
     gain: Scalar
-    bands: Bands | None
+    bands: Passbands | None
     cornea: Crossing = eqx.field(static=True)
     first_surface: bool = eqx.field(static=True)
 
@@ -80,7 +80,7 @@ class AbstractInstrument(eqx.Module):
         cornea: Crossing = "none",
         media: Media | None = None,
         gain: Numbers = 1.0,
-        bands: Bands | float | None = None,
+        bands: Passbands | float | None = None,
     ):
         check_wavelengths(wavelengths)
         if bands is not None and not self.has_bands:

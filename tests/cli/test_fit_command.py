@@ -112,7 +112,7 @@ def test_what_the_instrument_averages_is_stated(irisjax, eye, sampled, tmp_path)
     bare = [x for x in eye.read_text().splitlines() if not x.startswith("#")]
     path = tmp_path / "eye.csv"
     path.write_text("# bandwidth: 20 [nm]\n" + "\n".join(bare))
-    slit = ij.Bands.slit(ij.wavelengths(400, 700, 10), 20.0)
+    slit = ij.Passbands.slit(ij.wavelengths(400, 700, 10), 20.0)
     for file, said in ((eye, ("--bandwidth", "20")), (path, ())):
         status, _, err = irisjax("fit", file, *FREE, *said)
         assert status == 0

@@ -23,7 +23,7 @@ def test_means_are_those_of_quadrature(shape, width):
     """For a spectrum that is linear between the values of the pigment tables."""
     nodes = np.arange(350.0, 801, 2)
     values = np.random.default_rng(0).uniform(0.01, 0.1, nodes.size)
-    bands = ij.Bands.slit(GRID[:2], width, shape)
+    bands = ij.Passbands.slit(GRID[:2], width, shape)
     found = bands.mean(np.interp(bands.wavelengths, nodes, values))
     np.testing.assert_allclose(bands.weights.sum(1), 1, rtol=1e-12)
     for centre, mean in zip(GRID[:2], found, strict=True):
@@ -61,7 +61,7 @@ def test_a_reading_is_the_mean_of_a_fine_reading():
 def test_a_radiance_is_the_mean_of_radiances():
     iris, filters = ij.Iris.of_level("low"), np.stack([[0, 1, 2, 1, 0, 0], [0, 0, 0, 1, 3, 1.0]], 1)
     grid = np.array([480.0, 500, 520, 540, 560, 580])
-    bands = ij.Bands.of(grid, filters)
+    bands = ij.Passbands.of(grid, filters)
     fine = ij.radiance(iris, np.asarray(bands.wavelengths), solver=FEW, illuminant="A")
     found = ij.radiance(iris, bands.centres, solver=FEW, illuminant="A", bands=bands)
     np.testing.assert_allclose(bands.centres, [520, 560])
@@ -71,15 +71,15 @@ def test_a_radiance_is_the_mean_of_radiances():
 def test_an_illuminant_weighs_what_filters_pass():
     grid = ij.wavelengths(400, 700, 10)
     flat = np.ones((grid.size, 1))
-    reddish = ij.Bands.of(grid, flat, illuminant="A")
-    assert float(ij.Bands.of(grid, flat).centres[0]) == pytest.approx(550)
+    reddish = ij.Passbands.of(grid, flat, illuminant="A")
+    assert float(ij.Passbands.of(grid, flat).centres[0]) == pytest.approx(550)
     power = np.asarray(ij.measure.illuminant_power("A", grid))
     assert float(reddish.centres[0]) == pytest.approx((power * grid).sum() / power.sum())
 
 
 def test_errors_of_photons_average():
     solver, key = ij.MonteCarlo(4000), jax.random.key(0)
-    bands = ij.Bands.slit(np.array([550.0]), 12.0)
+    bands = ij.Passbands.slit(np.array([550.0]), 12.0)
     iris = ij.Iris.of_level("low")
     each = ij.reflectance(iris, np.asarray(bands.wavelengths), solver=solver, key=key)
     mean = ij.reflectance(iris, bands.centres, solver=solver, key=key, bands=bands)
@@ -93,14 +93,17 @@ def test_errors_of_photons_average():
         (lambda: ij.Colorimeter(bands=10.0), "a Colorimeter has no bands"),
         (lambda: ij.Goniophotometer(GRID, cos_exit=1.0, bands=10.0), "has no bands"),
         (lambda: ij.Spectrophotometer(GRID, bands=0.0), "bandwidth = 0"),
-        (lambda: ij.Spectrophotometer(GRID[:2], bands=ij.Bands.slit(GRID, 5.0)), "2 values for 7"),
         (
-            lambda: ij.Spectrophotometer(GRID + 30, bands=ij.Bands.slit(GRID, 5.0)),
+            lambda: ij.Spectrophotometer(GRID[:2], bands=ij.Passbands.slit(GRID, 5.0)),
+            "2 values for 7",
+        ),
+        (
+            lambda: ij.Spectrophotometer(GRID + 30, bands=ij.Passbands.slit(GRID, 5.0)),
             "no band is centred near 470 nm: the next is at 440 nm",
         ),
-        (lambda: ij.Bands.slit(GRID, 5.0, "square"), "shape = 'square'; known: gaussian"),
-        (lambda: ij.Bands.of(GRID, -np.ones((7, 1))), "must be zero or more"),
-        (lambda: ij.Bands.of(GRID, np.ones((6, 1))), "sensitivities of shape"),
+        (lambda: ij.Passbands.slit(GRID, 5.0, "square"), "shape = 'square'; known: gaussian"),
+        (lambda: ij.Passbands.of(GRID, -np.ones((7, 1))), "must be zero or more"),
+        (lambda: ij.Passbands.of(GRID, np.ones((6, 1))), "sensitivities of shape"),
     ],
 )
 def test_wrong_bands_are_refused(call, message):
@@ -111,12 +114,12 @@ def test_wrong_bands_are_refused(call, message):
 def test_bands_from_files(tmp_path):
     path = tmp_path / "bands.csv"
     path.write_text("centre (nm),FWHM (nm)\n600,40\n450,20\n")
-    found = io.read_bands(path)
-    wanted = ij.Bands.slit(np.array([450.0, 600]), np.array([20.0, 40]))
+    found = io.read_passbands(path)
+    wanted = ij.Passbands.slit(np.array([450.0, 600]), np.array([20.0, 40]))
     np.testing.assert_allclose(found.weights, wanted.weights)
     path.write_text("nm,red,green\n500,0,1\n550,0,3\n600,2,1\n650,1,0\n")
-    found = io.read_bands(path)
+    found = io.read_passbands(path)
     np.testing.assert_allclose(found.centres, [550, 616 + 2 / 3])
     path.write_text("nm,infrared\n700,1\n900,1\n")
     with pytest.raises(ValueError, match=r"50 % of the band 'infrared' is outside 350 to 800 nm"):
-        io.read_bands(path)
+        io.read_passbands(path)
