@@ -37,7 +37,6 @@ from .infer.problem import problem as problem
 from .io.measured import Measured as Measured
 from .io.measured import read_measured as read_measured
 from .io.scenes import read_scene as read_scene
-from .measure.bands import Passbands as Passbands
 from .measure.colour import Colour as Colour
 from .measure.colour import colour_of as colour_of
 from .measure.instrument import AbstractInstrument as AbstractInstrument
@@ -46,6 +45,7 @@ from .measure.measurement import HEMISPHERE as HEMISPHERE
 from .measure.measurement import Reading as Reading
 from .measure.measurement import wavelengths as wavelengths
 from .measure.observe import observe as observe
+from .measure.passbands import Passbands as Passbands
 from .measure.photometers import Brdf as Brdf
 from .measure.photometers import Colorimeter as Colorimeter
 from .measure.photometers import Goniophotometer as Goniophotometer

@@ -16,7 +16,7 @@ from irisjax.cli import options as opt
 from irisjax.cli.light import LightOptions
 from irisjax.cli.model import RANGES, IrisOptions, ProcessOptions
 from irisjax.io.images import encode_png
-from irisjax.tissue.iris import LIMITS
+from irisjax.tissue.iris import BLOOD, LIMITS
 from irisjax.transport.process import AbstractProcess, Ilit, is_polarised
 from irisjax.transport.solver import AbstractSolver
 
@@ -183,8 +183,9 @@ def head(
         name: float(getattr(iris if name in LIMITS else iris.power_law, name))
         for name in iris.parameters()
     }
+    numbers |= {"melanin_load": float(iris.melanin_load), **dict.fromkeys(BLOOD)}
     made = (
-        dataclasses.replace(groups[0], **numbers, melanin_load=float(iris.melanin_load)),
+        dataclasses.replace(groups[0], **numbers),
         dataclasses.replace(groups[1], **process.describe()),
         *groups[2:],
     )

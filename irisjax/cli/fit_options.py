@@ -9,12 +9,12 @@ import jax
 import irisjax as ij
 from irisjax import io
 from irisjax.cli import options as opt
-from irisjax.cli.light import bands_file, bands_told, bandwidth
+from irisjax.cli.light import bands_file, bands_told, bandwidth, crossing
 from irisjax.infer.observation import RADIANCE, REFLECTANCE
 from irisjax.infer.parameters import PARAMETERS
 from irisjax.infer.priors import AbstractPrior, prior_of
 from irisjax.io.measured import QUANTITIES, REFLECTANCE_UNITS, WAVELENGTH_UNITS, ReadOptions
-from irisjax.measure.bands import BANDWIDTH
+from irisjax.measure.passbands import BANDWIDTH
 from irisjax.numerics.checks import Range
 from irisjax.transport.process import DEPTH_RESOLVED, PROCESSES, option_of
 
@@ -118,6 +118,7 @@ class Measurements(opt.Group, panel="Measurement"):
         parse=opt.cosine,
         metavar="COSINE",
     )
+    cornea: str = crossing()
     first_surface: bool = opt.flag("the iris's own mirror reflection is in the data", True)
 
     @property
@@ -136,6 +137,7 @@ class Measurements(opt.Group, panel="Measurement"):
             "quantity": quantity,
             **{name: getattr(self, name) for name in names},
             "bands": bands_told(self.bandwidth, self.bands, lamp),
+            "cornea": None if self.cornea == "auto" else self.cornea,
             "boxcar": self.boxcar,
             "correlated": self.correlated_noise,
             "covariance": None if self.covariance is None else io.read_square(self.covariance),

@@ -11,9 +11,9 @@ import irisjax as ij
 from irisjax import io
 from irisjax.anatomy import media
 from irisjax.cli import options as opt
-from irisjax.measure.bands import BANDWIDTH, Passbands
 from irisjax.measure.colour import OBSERVER
 from irisjax.measure.instrument import GAIN, AbstractInstrument, Crossing
+from irisjax.measure.passbands import BANDWIDTH, Passbands
 from irisjax.numerics.checks import Range
 from irisjax.tissue.pigments import check_covered, common_range
 
@@ -23,6 +23,12 @@ POLARIMETERS = ("cross-polarised", "co-polarised", "degree-of-polarisation")
 
 def _index(default: float, of: str) -> Any:
     return opt.number(f"refractive index of the {of}, {{}}", media.INDEX, default)
+
+
+def crossing() -> Any:
+    """Whether light crosses the cornea."""
+    words = "whether light crosses tear film and cornea; auto is inward for radiance, else none"
+    return opt.choice(words, ("auto", *get_args(Crossing)), "auto")
 
 
 def bandwidth() -> Any:
@@ -103,11 +109,7 @@ class LightOptions(opt.Group, panel="Measurement"):
 
 
 class EyeLight(LightOptions):
-    cornea: str = opt.choice(
-        "whether light crosses tear film and cornea; auto is inward for radiance, else none",
-        ("auto", *get_args(Crossing)),
-        "auto",
-    )
+    cornea: str = crossing()
     cornea_index: float = _index(media.CORNEA, "cornea")
     tear_index: float = _index(media.TEAR, "tear film")
     first_surface: bool = opt.flag("include light reflected by the iris's own surface", True)

@@ -9,7 +9,7 @@ import irisjax as ij
 from irisjax.cli import options as opt
 from irisjax.numerics.checks import Range
 from irisjax.tissue.indices import Scattering
-from irisjax.tissue.iris import LIMITS
+from irisjax.tissue.iris import BLOOD, LIMITS
 from irisjax.tissue.scattering import POWER_LAW_LIMITS, PowerLaw
 from irisjax.transport import process as processes
 from irisjax.transport.defaults import exact_solver
@@ -40,8 +40,14 @@ def _field(name: str) -> Any:
     return opt.number(words, metavar=RANGES[name].unit)
 
 
-# An option for each number of an iris, in the order of its fields; the class below defines three.
-_NAMES = ("level", *LIMITS, "melanin_load", "scattering", *POWER_LAW_LIMITS)
+def _blood(name: str) -> Any:
+    """Option of the blood by its amount or its oxygen, in place of the two haemoglobins."""
+    words = f"{BLOOD[name].meaning}, {opt.in_words(BLOOD[name])}; sets both haemoglobins"
+    return opt.number(words, metavar=BLOOD[name].unit or "number")
+
+
+# An option for each number of an iris, in the order of its fields; the class defines the others.
+_NAMES = ("level", *LIMITS, "melanin_load", *BLOOD, "scattering", *POWER_LAW_LIMITS)
 _FIELDS: dict[str, Any] = {n: _field(n) if n in RANGES else None for n in _NAMES}
 _FIELDS["__annotations__"] = dict.fromkeys(_NAMES, float | None)
 _Numbers: Any = type("_Numbers", (opt.Group,), _FIELDS, panel="Iris")
@@ -60,6 +66,8 @@ class IrisOptions(_Numbers):
         "melanin mass per iris area, at least 0: rescales both melanins, keeping their ratio",
         metavar="ug/mm2",
     )
+    hemoglobin: float | None = _blood("hemoglobin")
+    saturation: float | None = _blood("saturation")
     scattering: str = opt.choice(
         "scattering coefficient of the stroma",
         get_args(Scattering),
@@ -131,12 +139,18 @@ class SolverOptions(opt.Group, panel="Solver"):
 
 def modelled(options: IrisOptions, rules: ProcessOptions) -> tuple[ij.Iris, AbstractProcess]:
     """The iris and the process that the options describe."""
-    fields = {n: v for n in (*RANGES, "melanin_load") if (v := getattr(options, n)) is not None}
+    names = (*RANGES, "melanin_load", *BLOOD)
+    fields = {n: v for n in names if (v := getattr(options, n)) is not None}
+    blood = {n: fields.pop(n) for n in BLOOD if n in fields}
+    each = [opt.dashed(n) for n in ("oxyhemoglobin", "deoxyhemoglobin") if n in options.typed]
+    if blood and each:
+        raise ValueError(f"{opt.dashed(next(iter(blood)))} sets both haemoglobins: omit {each[0]}")
     law = [opt.dashed(n) for n in POWER_LAW_LIMITS if n in fields]
     if law and "scattering" in options.typed:
         said = "replaces the formula that --scattering names; give one of the two"
         raise ValueError(f"{law[0]} {said}")
     iris = ij.Iris.of_level(options.level).replace(**fields, scattering=options.scattering)
+    iris = iris.replace(**blood) if blood else iris
     process = processes.POLARISED if rules.polarised else PROCESSES[rules.process]
     switches = {n: getattr(rules, n) for n in process.describe()}
     process = dataclasses.replace(process, **{n: v for n, v in switches.items() if v is not None})

@@ -9,10 +9,10 @@ from jaxtyping import Array, ArrayLike, Float
 
 from irisjax._types import as_float, as_float_or_none
 from irisjax.anatomy.media import Media
-from irisjax.measure.bands import BANDWIDTH, Passbands
 from irisjax.measure.colour import OBSERVER
 from irisjax.measure.instrument import AbstractInstrument, Crossing
 from irisjax.measure.measurement import check_cosine, check_wavelengths
+from irisjax.measure.passbands import BANDWIDTH, Passbands
 from irisjax.measure.photometers import Colorimeter, Radiometer, Spectrophotometer
 from irisjax.numerics.checks import check_range
 from irisjax.tissue.pigments import check_covered

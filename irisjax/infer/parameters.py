@@ -8,7 +8,7 @@ import jax.numpy as jnp
 from irisjax.infer.priors import AbstractPrior, LogitNormal, LogNormal, Uniform
 from irisjax.measure.instrument import GAIN
 from irisjax.numerics.checks import Range
-from irisjax.tissue.iris import LIMITS, MELANIN_LOAD, Iris
+from irisjax.tissue.iris import BLOOD, LIMITS, MELANIN_LOAD, Iris
 from irisjax.tissue.scattering import POWER_LAW_LIMITS
 
 
@@ -33,10 +33,7 @@ _ALLOWED = {
     "melanin_load": MELANIN_LOAD,
     "abl_fraction": Range(0, 1, "", "share of the melanin in the anterior border layer"),
     "pheomelanin_share": Range(0, 1, "", "share of pheomelanin in the melanin"),
-    "hemoglobin": LIMITS["oxyhemoglobin"]._replace(
-        meaning="haemoglobin of both kinds in the stroma"
-    ),
-    "saturation": Range(0, 1, "", "oxygen saturation, the share of oxyhaemoglobin"),
+    **BLOOD,
     "gain": GAIN,
     "noise": Range(0, _INF, "", "factor on the stated standard deviations", above=True),
 }
@@ -91,19 +88,16 @@ def of_iris(iris: Iris) -> dict[str, Any]:
     """
     if iris.pheomelanin_abl_fraction is not None:
         raise ValueError("pheomelanin_abl_fraction: an inversion has one abl_fraction for both")
-    melanin, blood = iris.eumelanin + iris.pheomelanin, iris.oxyhemoglobin + iris.deoxyhemoglobin
-
-    def share(part, whole, otherwise):
-        # Without any melanin or blood every share gives the same iris; LB06's is returned.
-        none = whole <= 0
-        return jnp.where(none, otherwise, part / jnp.where(none, 1.0, whole))
-
+    melanin = iris.eumelanin + iris.pheomelanin
+    # Without any melanin every share gives the same iris; LB06's is returned.
+    none = melanin <= 0
+    share = jnp.where(none, 0.2, iris.pheomelanin / jnp.where(none, 1.0, melanin))
     return {
         "melanin_load": iris.melanin_load,
         "abl_fraction": iris.abl_fraction,
-        "pheomelanin_share": share(iris.pheomelanin, melanin, 0.2),
-        "hemoglobin": blood,
-        "saturation": share(iris.oxyhemoglobin, blood, 0.5),
+        "pheomelanin_share": share,
+        "hemoglobin": iris.hemoglobin,
+        "saturation": iris.saturation,
         "stroma_thickness": iris.stroma_thickness,
         "abl_thickness": iris.abl_thickness,
         "scattering_scale": iris.scattering_scale,
@@ -120,8 +114,8 @@ def iris_of(values: Mapping[str, Any], base: Iris) -> Iris:
         eumelanin=melanins["eumelanin"],
         pheomelanin=melanins["pheomelanin"],
         abl_fraction=values["abl_fraction"],
-        oxyhemoglobin=values["hemoglobin"] * values["saturation"],
-        deoxyhemoglobin=values["hemoglobin"] * (1 - values["saturation"]),
+        hemoglobin=values["hemoglobin"],
+        saturation=values["saturation"],
         stroma_thickness=values["stroma_thickness"],
         abl_thickness=values["abl_thickness"],
         scattering_scale=values["scattering_scale"],

@@ -1,7 +1,5 @@
 """Public names of `irisjax.io`; each loads from its module when it is first used."""
 
-from .bands import read_passbands as read_passbands
-from .bands import read_square as read_square
 from .clone_folders import CloneFolder as CloneFolder
 from .clone_folders import read_clone as read_clone
 from .images import Image as Image
@@ -19,6 +17,8 @@ from .measured import read_measured as read_measured
 from .movies import check_movie as check_movie
 from .movies import first_file as first_file
 from .movies import write_movie as write_movie
+from .passbands import read_passbands as read_passbands
+from .passbands import read_square as read_square
 from .photographs import read_photograph as read_photograph
 from .posterior import write_posterior as write_posterior
 from .recipes import Recipe as Recipe

@@ -24,7 +24,7 @@ from irisjax.io.columns import (
 from irisjax.io.formats import BOXCAR, UNITS, read_spectral_table
 from irisjax.io.tables import naming
 from irisjax.io.text import Columns
-from irisjax.measure.bands import BANDWIDTH
+from irisjax.measure.passbands import BANDWIDTH
 from irisjax.numerics.checks import check_range
 from irisjax.optics.kubelka_munk import thick_layer
 from irisjax.tissue.pigments import common_range

@@ -11,8 +11,8 @@ import numpy as np
 
 from irisjax._types import Numbers, Scalar, Spectrum
 from irisjax.anatomy.media import Media
-from irisjax.measure.bands import Passbands, bands_of
 from irisjax.measure.measurement import Reading, check_cosine, check_wavelengths
+from irisjax.measure.passbands import Passbands, bands_of
 from irisjax.numerics.checks import Range, check_range, check_scalars
 from irisjax.tissue.pigments import Extinction, extinction
 from irisjax.transport.light import Directions, Light

@@ -57,6 +57,13 @@ LIMITS: dict[str, Range] = {
 """Every settable number of `Iris` with its allowed range and unit."""
 MELANIN_LOAD = Range(0, 12000, "ug/mm2", "melanin mass per iris area")
 """Allowed melanin loads: the most is what layers of the largest thicknesses could hold."""
+BLOOD = {
+    "hemoglobin": LIMITS["oxyhemoglobin"]._replace(
+        meaning="haemoglobin of both kinds in the stroma"
+    ),
+    "saturation": Range(0, 1, "", "oxygen saturation, the share of oxyhaemoglobin"),
+}
+"""Allowed values of what `Iris.replace` takes in place of the two haemoglobins."""
 
 # Fields that decide the order of media.
 _OPTICAL = {
@@ -175,15 +182,25 @@ class Iris(eqx.Module):
         Args:
             **fields: New values of fields. Besides the fields, `melanin_load` (µg/mm²) rescales
                 both melanins after the other changes and keeps their ratio (all eumelanin if there
-                was none), and the numbers of a `PowerLaw` change the iris's or make one.
+                was none), `hemoglobin` (mmol/l) and `saturation` set both haemoglobins, and the
+                numbers of a `PowerLaw` change the iris's or make one.
 
         Raises:
             ValueError: For an unknown name and for a value out of range.
         """
         load = fields.pop("melanin_load", None)
         for name in fields:
-            known = ("melanin_load", *LIMITS, *_CHOICES, *POWER_LAW_LIMITS)
+            known = ("melanin_load", *BLOOD, *LIMITS, *_CHOICES, *POWER_LAW_LIMITS)
             check_known("parameter", name, known)
+        if blood := {name: fields.pop(name) for name in BLOOD if name in fields}:
+            if set(fields) & {"oxyhemoglobin", "deoxyhemoglobin"}:
+                said = f"{' and '.join(blood)}: both haemoglobins are set by it"
+                raise ValueError(f"{said}; give no oxyhemoglobin and deoxyhemoglobin")
+            for name, value in blood.items():
+                check_range(name, value, BLOOD[name])
+            blood = {name: getattr(self, name) for name in BLOOD} | blood
+            fields["oxyhemoglobin"] = blood["hemoglobin"] * blood["saturation"]
+            fields["deoxyhemoglobin"] = blood["hemoglobin"] * (1 - blood["saturation"])
         law = {name: fields.pop(name) for name in POWER_LAW_LIMITS if name in fields}
         if law:
             old = fields.get("power_law", self.power_law)
@@ -208,6 +225,17 @@ class Iris(eqx.Module):
     def melanin_load(self) -> Scalar:
         """Melanin mass per iris area, (c_eu + c_pheo)(h_A + h_S), in µg/mm²."""
         return (self.eumelanin + self.pheomelanin) * (self.abl_thickness + self.stroma_thickness)
+
+    @property
+    def hemoglobin(self) -> Scalar:
+        """Haemoglobin of both kinds in the stroma, mmol/l."""
+        return self.oxyhemoglobin + self.deoxyhemoglobin
+
+    @property
+    def saturation(self) -> Scalar:
+        """Oxygen saturation; LB06's 0.5 where there is no blood."""
+        none = self.hemoglobin <= 0
+        return jnp.where(none, 0.5, self.oxyhemoglobin / jnp.where(none, 1.0, self.hemoglobin))
 
     @property
     def abl_melanin(self) -> Scalar:

@@ -141,6 +141,8 @@ def test_what_the_instrument_averages_is_stated(irisjax, eye, sampled, tmp_path)
     assert (status, "are read as light of single wavelengths" in err) == (0, False)
     np.testing.assert_allclose(seen().wavelengths, [450, 550, 650])
     assert "are read as light of single wavelengths" in irisjax("fit", path, *FREE)[2]
+    assert irisjax("fit", path, *FREE, "--cornea", "round-trip", "--no-first-surface")[0] == 0
+    assert (seen().instrument.cornea, seen().instrument.first_surface) == ("round-trip", False)
     both = irisjax("fit", path, "--bands", bands, "--bandwidth", "20")
     one_line(both, "--bandwidth or --bands, not both")
     bands.write_text("centre,fwhm\n450,20\n550,20\n")

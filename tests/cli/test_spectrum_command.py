@@ -252,3 +252,17 @@ def test_bands_are_read_and_written(irisjax, printed, quick, tmp_path):
     one_line(irisjax("spectrum", "--bands", bands, "--wavelengths", "450"), "without --wavelengths")
     wrong = ("--bandwidth", "5", "--instrument", "cross-polarised")
     one_line(irisjax("spectrum", *wrong), "--bandwidth")
+
+
+def test_blood_by_its_amount_and_its_oxygen(irisjax, printed, quick, tmp_path):
+    status, out, _ = irisjax("spectrum", "--hemoglobin", "0.1", "--saturation", "0.7")
+    header = printed(out).header
+    assert (status, float(header["oxyhemoglobin"])) == (0, pytest.approx(0.07))
+    assert "hemoglobin" not in header
+    again = tmp_path / "again.csv"
+    again.write_text(out)
+    header = printed(irisjax("spectrum", "--from", again, "--saturation", "0.2")[1]).header
+    assert float(header["deoxyhemoglobin"]) == pytest.approx(0.08)
+    both = ("--saturation", "0.5", "--oxyhemoglobin", "0.1")
+    one_line(irisjax("spectrum", *both), "--saturation sets both haemoglobins")
+    one_line(irisjax("spectrum", "--saturation", "2"), "saturation = 2 is outside")

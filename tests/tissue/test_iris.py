@@ -110,7 +110,7 @@ def test_melanin_load_and_fraction_inside_jit_and_grad():
         ("collagen_fraction", 0.0, r"^collagen_fraction = 0 is outside \(0, 1\]$"),
         ("fibril_radius", 0.0, r"^fibril_radius = 0 nm is outside \(0, 200\] nm$"),
         ("melanin_load", -1.0, r"^melanin_load = -1 ug/mm2 is outside \[0, 12000\] ug/mm2$"),
-        ("melanin", 1.0, r"^unknown parameter 'melanin'.* known: melanin_load, eumelanin, "),
+        ("melanin", 1.0, r"^unknown parameter 'melanin'.* known: melanin_load, hemoglobin, saturation, eumelanin, "),
         ("eumelanin", "much", r"^eumelanin must be a number, got 'much'$"),
         ("eumelanin", True, r"^eumelanin must be a number, got True$"),
         ("eumelanin", 1j, r"^eumelanin must be a real number"),
@@ -208,3 +208,20 @@ def test_pheomelanin_may_be_shared_out_for_itself():
     assert float(apart.abl_melanin) == pytest.approx((0.3 * 0.7 + 0.2 * 0.1) * (0.05675 + 0.2855))
     with pytest.raises(ValueError, match="abl_fraction"):
         of_iris(apart)
+
+
+def test_blood_by_its_amount_and_its_oxygen():
+    iris = ij.Iris().replace(hemoglobin=0.1, saturation=0.7)
+    assert float(iris.oxyhemoglobin) == pytest.approx(0.07)
+    assert float(iris.deoxyhemoglobin) == pytest.approx(0.03)
+    assert float(iris.replace(hemoglobin=0.2).saturation) == pytest.approx(0.7)
+    assert float(iris.replace(saturation=0.2).hemoglobin) == pytest.approx(0.1)
+    without = iris.replace(hemoglobin=0.0)
+    assert (float(without.hemoglobin), float(without.saturation)) == (0, 0.5)
+    for wrong, message in (
+        ({"saturation": 1.2}, "saturation = 1.2 is outside"),
+        ({"hemoglobin": -0.1}, "hemoglobin = -0.1 mmol/l is outside"),
+        ({"hemoglobin": 0.1, "oxyhemoglobin": 0.1}, "both haemoglobins are set by it"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            iris.replace(**wrong)

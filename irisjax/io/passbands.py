@@ -8,7 +8,7 @@ import numpy as np
 from irisjax.io.formats import read_spectral_table
 from irisjax.io.tables import naming
 from irisjax.io.text import read_columns, read_text
-from irisjax.measure.bands import Passbands
+from irisjax.measure.passbands import Passbands
 from irisjax.tissue.pigments import common_range
 
 _CENTRE = re.compile(r"cent(re|er)|peak|middle|mitte", re.I)
