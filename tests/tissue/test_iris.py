@@ -110,7 +110,7 @@ def test_melanin_load_and_fraction_inside_jit_and_grad():
         ("collagen_fraction", 0.0, r"^collagen_fraction = 0 is outside \(0, 1\]$"),
         ("fibril_radius", 0.0, r"^fibril_radius = 0 nm is outside \(0, 200\] nm$"),
         ("melanin_load", -1.0, r"^melanin_load = -1 ug/mm2 is outside \[0, 12000\] ug/mm2$"),
-        ("melanin", 1.0, r"^unknown parameter 'melanin'.* known: melanin_load, hemoglobin, saturation, eumelanin, "),
+        ("melanin", 1.0, r"^unknown parameter 'melanin'.* known: melanin_load, hemoglobin, "),
         ("eumelanin", "much", r"^eumelanin must be a number, got 'much'$"),
         ("eumelanin", True, r"^eumelanin must be a number, got True$"),
         ("eumelanin", 1j, r"^eumelanin must be a real number"),
