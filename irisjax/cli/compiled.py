@@ -134,8 +134,7 @@ def _digest(path: Path, data: bytes) -> bytes:
 
 
 class Kept:
-    """A function made by `equinox.filter_jit` whose programs are kept; called with arguments in
-    their order.
+    """A function made by `equinox.filter_jit` whose programs are kept.
 
     A program is read from its file for the same code (of this package and of those it is made
     with), settings of JAX, shapes and types, and equal arguments that are no arrays. Where such an
@@ -149,11 +148,11 @@ class Kept:
         self._known: dict[Hashable, _Program | None] = {}
         self._making = threading.Lock()
 
-    def __call__(self, *args: Any) -> Any:
-        leaves, structure = jax.tree.flatten(args)
+    def __call__(self, *args: Any, **named: Any) -> Any:
+        leaves, structure = jax.tree.flatten((args, named))
         arrays = [x for x in leaves if _is_array(x)]
         if any(isinstance(x, Tracer) for x in arrays):
-            return self.__wrapped__(*args)
+            return self.__wrapped__(*args, **named)
         types = tuple((x.shape, x.dtype, getattr(x, "weak_type", False)) for x in arrays)
         constants = [_Array if _is_array(x) else x for x in leaves]
         # 1 and 1.0 differ here.
@@ -164,7 +163,7 @@ class Kept:
                     self._known[here] = self._found(structure.unflatten(constants), types)
         program = self._known[here]
         if program is None:
-            return self.__wrapped__(*args)
+            return self.__wrapped__(*args, **named)
         return _filled(program.result, program.compiled(*arrays))
 
     def _found(self, form: Any, types: tuple[Any, ...]) -> "_Program | None":
@@ -206,7 +205,8 @@ def _compiled(function: Callable[..., Any], form: Any, types: tuple[Any, ...]) -
     results = []
 
     def flat(*arrays):
-        out = plain(*_filled(form, arrays))
+        args, named = _filled(form, arrays)
+        out = plain(*args, **named)
         results.append(eqx.filter(out, _is_array, inverse=True, replace=_Array))
         return jax.tree.leaves(eqx.filter(out, _is_array))
 

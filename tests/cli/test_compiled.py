@@ -69,6 +69,30 @@ def forget():
     compiled._version_of.cache_clear()
 
 
+def test_arguments_by_name_have_programs_of_their_own(folder):
+    layer, values = Layer(jnp.asarray(2.0), "abl"), np.linspace(0, 1, 5)
+    for _ in range(2):
+        for power in (2, 3):
+            found = seen(layer, values, power=power)
+            np.testing.assert_allclose(found.values, np.exp(-2 * values) ** power)
+        forget()
+    assert (TRACED, len(files(folder))) == ([2, 3], 2)
+
+
+@pytest.mark.peer  # the real command, compiled: half a minute
+def test_a_picture_is_drawn_with_the_programs_that_were_kept(tmp_path):
+    environment = {**os.environ, "JAX_COMPILATION_CACHE_DIR": str(tmp_path / "kept")}
+    environment.pop("XLA_FLAGS", None)
+    pictures = []
+    for name in ("first.png", "second.png"):
+        said = ("render", "--preset", "blue", "--size", "48x36", "-o", str(tmp_path / name))
+        call = [sys.executable, "-m", "irisjax", *said]
+        done = subprocess.run(call, capture_output=True, text=True, env=environment)
+        assert (done.returncode, "error" in done.stderr) == (0, False), done.stderr
+        pictures.append((tmp_path / name).read_bytes())
+    assert pictures[0] == pictures[1]
+
+
 def test_a_kept_program_gives_what_it_gave_without_tracing(folder):
     layer, values = Layer(jnp.asarray(2.0), "abl"), np.linspace(0, 1, 5)
     first = seen(layer, values, 2)
