@@ -75,7 +75,7 @@ def run(arguments: list[str] | None = None) -> int:
 
 
 def _said(error: Exception) -> str:
-    """What is wrong with the input; empty for a fault of our own."""
+    """State what is wrong with the input; an empty text is a fault of the program."""
     # typer's own errors: their base class has moved between versions, the method has not.
     if (format_message := getattr(error, "format_message", None)) is not None:
         return _of_value(error) or format_message()
@@ -123,7 +123,7 @@ def parser(arguments: list[str]) -> Any:
         if importlib.util.find_spec(package) is None:
             raise ModuleNotFoundError(package, name=package)
     for name, (module, *_) in _COMMANDS.items():
-        # Those of one module take each other's files by `--from`: each knows the settings of all.
+        # Commands of one module take each other's files by `--from`, so all of them are needed.
         if asked in (None, module):
             try:
                 found = importlib.import_module(f"irisjax.cli.{module}")

@@ -75,7 +75,7 @@ def keep_compiled() -> None:
 
 
 def _keeping(function: Any, **options: Any) -> Any:
-    """As `equinox.filter_jit`, but `Kept` if the function is one of the package's modules."""
+    """Jit a function by `equinox.filter_jit`; one of the package's modules becomes `Kept`."""
     made, name = _filter_jit(function, **options), getattr(function, "__qualname__", "")
     of_module = function.__module__.startswith("irisjax.") and name.isidentifier()
     return Kept(made, f"{function.__module__}.{name}") if of_module else made
@@ -95,7 +95,7 @@ def kept_tables(scene: "Scene") -> "Illumination | None":
         with suppress(OSError):  # a folder may be for reading only
             os.utime(path)  # when it was last of use
         return found
-    except Exception as error:  # half a file, or another kind of file
+    except Exception as error:  # reading a pickle that is damaged may raise anything
         if path.exists():
             said = (str(error).strip() or type(error).__name__).split("\n")[0]
             tell(f"{path}: not usable ({said}); made again")

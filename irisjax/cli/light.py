@@ -115,7 +115,7 @@ class EyeLight(LightOptions):
     first_surface: bool = opt.flag("include light reflected by the iris's own surface", True)
 
     def before_the_iris(self) -> dict[str, Any]:
-        """As of the base class; `auto` leaves the cornea to the instrument."""
+        """Return what every instrument is told; `auto` leaves the cornea to the instrument."""
         cornea = {} if self.cornea == "auto" else {"cornea": self.cornea}
         return {**super().before_the_iris(), "first_surface": self.first_surface, **cornea}
 
@@ -132,13 +132,13 @@ class BandedLight(EyeLight):
             raise ValueError("--bands has its own wavelengths: give it without --wavelengths")
 
     def before_the_iris(self) -> dict[str, Any]:
-        """The bands too."""
+        """Return what every instrument is told, the bands included."""
         found = super().before_the_iris()
         told = bands_told(self.bandwidth, self.bands)
         return found if told is None else {**found, "bands": told}
 
     def settings(self) -> dict[str, Any]:
-        """What is not given is not written, and bands say their wavelengths."""
+        """Return the options to write: those given, without wavelengths where bands have theirs."""
         gone = () if self.bands is None else ("wavelengths",)
         return {n: v for n, v in super().settings().items() if v is not None and n not in gone}
 

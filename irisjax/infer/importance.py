@@ -47,7 +47,7 @@ class Start(NamedTuple):
 
 
 class ImportanceSample(NamedTuple):
-    """What all rounds of `DRAWS` each found.
+    """Weighted draws of all rounds, `DRAWS` in each.
 
     Attributes:
         effective: Number of effective draws [Kong 1992]; the `samples` have equal weights.

@@ -127,7 +127,7 @@ def least_squares(
         agree = _best(searches, done)[1] >= 2
         return (done == 0) | (done % starts > 0) | ((done < rounds * starts) & ~agree)
 
-    # Under vmap every problem runs as many rounds as the slowest one.
+    # A loop that is mapped runs as many rounds for every problem as the slowest one needs.
     none = jax.tree.map(
         lambda s: jnp.zeros((rounds * starts, *s.shape), s.dtype),
         eqx.filter_eval_shape(search, start),
@@ -165,7 +165,8 @@ class NormalEquations(lx.AbstractLinearSolver):
         return unravel(x), lx.RESULTS.successful, {}
 
     def transpose(self, state: Any, options: Any) -> Any:
-        raise NotImplementedError("nothing differentiates through the normal equations")
+        # lineax asks for this method only where a solution is differentiated.
+        raise NotImplementedError("a solution by the normal equations has no derivatives")
 
     def conj(self, state: Any, options: Any) -> Any:
         return state, options

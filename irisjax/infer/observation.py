@@ -141,7 +141,7 @@ def spectrum(
         bands, correlated = Passbands.slit(grid, boxcar, "boxcar"), boxcar
     if correlated is not None:
         check_range("correlated", correlated, BANDWIDTH)
-        # What two means have in common is the overlap of their intervals.
+        # Two means share the values in the overlap of their intervals.
         shared = np.maximum(1 - np.abs(grid[:, None] - grid) / correlated, 0)
         root = np.linalg.cholesky(shared + _JITTER * np.eye(grid.size))
     if sd is not None:

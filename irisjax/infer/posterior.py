@@ -31,8 +31,8 @@ _MOST_KEPT = 1000  # steps that a diagnosis reads
 
 @runtime_checkable
 class Density(Protocol):
-    """What can be sampled: the unnormalised log density of many vectors, (n, free) → (n,), −∞ where
-    there is none, and the names of its coordinates. Their priors should be standard normal:
+    """A density that can be sampled: its unnormalised logarithm for many vectors, (n, free) → (n,),
+    −∞ where it is zero, and the names of its coordinates. Their priors should be standard normal:
     importance sampling draws from that too.
     """
 

@@ -51,7 +51,7 @@ class Store:
 
     @property
     def start(self) -> ChainStart | None:
-        """What the chain starts from, or `None` for an empty store."""
+        """Start of the chain, or `None` for an empty store."""
         if self._memory is None and (self.path is None or not self.path.exists()):
             return None
         with self._open() as file:
@@ -117,7 +117,7 @@ class Store:
             return np.asarray(file["chain"][part]), np.asarray(file["log_density"][part])
 
     def last(self) -> tuple[np.ndarray, np.ndarray]:
-        """Where the walkers are, and the log density there."""
+        """Return the walkers' last places, and the log densities there."""
         steps, start = self.steps, self.start
         if not steps:
             assert start is not None

@@ -1,4 +1,4 @@
-"""What the columns of a table hold, by their headers, and which of them are a spectrum."""
+"""Roles of a table's columns by their headers, and the choice of those that are a spectrum."""
 
 import re
 from collections.abc import Iterable
@@ -16,7 +16,7 @@ QUANTITIES = (REFLECTANCE, RADIANCE, ABSORBANCE, KUBELKA_MUNK)
 _SD, _MEAN, _STATISTIC = "standard deviation", "mean", "statistic"
 _TRANSMITTANCE = "transmittance"
 _WITHOUT_ASKING = (REFLECTANCE, ABSORBANCE, KUBELKA_MUNK, "", _MEAN)  # the first that there is
-# Words between what is no letter. In "left_sd" and "SD (R)" they are what is left of the name.
+# These words count between characters that are no letters, as in "left_sd" and "SD (R)".
 _SD_WORDS = (
     r"sd|std|stds?dev|stdev|std\W?dev(iation)?|se|sem|stderr|err|errors?|sigma|σ|u|unc|uncert|"
     r"uncertainty|noise|δr|dr|(?<=[+±])/-|±|"
@@ -97,6 +97,8 @@ def select(
     else:
         spectra = _spectra(table, roles, wanted)
     role = roles[spectra[0]]
+    if column is not None and not wanted and role not in _WITHOUT_ASKING:
+        raise ValueError(_refusal(table, spectra[0], role))
     if sd is not None:
         deviation: int | None = _named(table, sd, roles)[0]
     else:
@@ -118,9 +120,8 @@ def eyes_of(table: Columns) -> dict[str, list[int]]:
     names = {j: name or f"column {j + 1}" for j, name in enumerate(table.names) if j}
     roles = {j: _role_of(name) for j, name in names.items()}
     spectra = {j for j in names if roles[j] not in (_SD, _STATISTIC)}
-    owned = {_owner(j, spectra, table) for j in names if roles[j] == _SD}
     for j, name in names.items():
-        if j in spectra or (roles[j] == _SD and _owner(j, spectra, table) not in owned - {None}):
+        if j in spectra or (roles[j] == _SD and _owner(j, spectra, table) is None):
             found.setdefault(name, []).append(j)
     return found
 

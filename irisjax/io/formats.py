@@ -216,6 +216,6 @@ def _jcamp_block(lines: list[str]) -> tuple[dict[str, Any], str]:
     try:
         with contextlib.redirect_stdout(printed):
             found = jcamp.read(lines)
-    except Exception as error:  # of whatever kind its parser meets
+    except Exception as error:  # the parser checks nothing: a damaged file may raise anything
         raise ValueError(f"not readable as JCAMP-DX ({error})") from None
     return found, printed.getvalue().partition("\n")[0]

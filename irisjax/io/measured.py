@@ -56,6 +56,10 @@ class Measured(NamedTuple):
         notes: What was detected, assumed and done (units, repeated scans, values left out).
         header: Lines `# key: value` of the file.
         doubts: Values that no iris has.
+        correlated: Width of the moving average over which errors are correlated, nm, where the file
+            states a boxcar.
+        bandwidth: Full width at half maximum of the instrument's slit, nm, where the file states
+            it.
     """
 
     wavelengths: Float[np.ndarray, " wavelengths"]

@@ -19,9 +19,9 @@ _MOST_OUTSIDE = 0.02  # share of a band's light that the pigment tables do not c
 def read_passbands(path: str | Path, illuminant: str | None = None) -> Passbands:
     """Read the bands of an instrument.
 
-    Either a row a band, in columns named `centre` and `fwhm` (nm; Gaussian), or the sensitivity of
-    each band in a column of its own beside the wavelengths (nm); any unit, as `read_measured` takes
-    tables.
+    The table has either a row for each band, in columns named `centre` and `fwhm` (nm; Gaussian),
+    or the wavelengths (nm) and a column with the sensitivity of each band, in any unit. Its layout
+    may be any that `read_measured` reads.
 
     Args:
         path: The table.
@@ -41,9 +41,11 @@ def read_passbands(path: str | Path, illuminant: str | None = None) -> Passbands
                 raise ValueError("centres and widths take no illuminant; give sensitivities")
             order = np.argsort(centre)
             return Passbands.slit(centre[order], width[order])
-        grid, each = table.values[:, 0], np.nan_to_num(table.values[:, 1:])
+        grid, each = table.values[:, 0], table.values[:, 1:]
         order = np.argsort(grid)
         grid, each = grid[order], each[order]
+        for i, j in np.argwhere(~np.isfinite(table.values))[:1]:
+            raise ValueError(f"{table.where[i]}: no finite number for {table.names[j]!r}")
         low, high = common_range()
         inside = (grid >= low) & (grid <= high)
         for name, column in zip(table.names[1:], each.T, strict=True):

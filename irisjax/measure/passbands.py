@@ -54,7 +54,7 @@ class Passbands(eqx.Module):
         """Return bands about the wavelengths at which an instrument is read.
 
         The mean over a band is exact for a spectrum that is linear between points 2 nm apart, or a
-        sixth of the width. Passbands are cut where the pigment tables end.
+        sixth of the width. Bands are cut where the pigment tables end.
 
         Args:
             wavelengths: Centres, nm, increasing.
@@ -134,11 +134,11 @@ class Passbands(eqx.Module):
         return jnp.sqrt((errors * errors) @ (self.weights * self.weights).T)
 
     def matched(self, wavelengths: Numbers) -> "Passbands":
-        """Return the bands in the order of the wavelengths at which data name them, one each.
+        """Return these bands, checked against the wavelengths that data state for them.
 
         Raises:
-            ValueError: Unless each wavelength lies within the half of its band's light that is
-                nearest to the centre, and each band has one.
+            ValueError: Unless there is one wavelength for each band, no further from its centre
+                than the standard deviation of its light, or 1 nm.
         """
         data, centres = np.asarray(wavelengths, float), np.asarray(self.centres)
         if data.shape != centres.shape:

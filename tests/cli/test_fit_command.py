@@ -108,7 +108,9 @@ def test_a_measurement_is_read_by_radiative_transfer(irisjax, eye, sampled, tmp_
 
 
 def test_what_the_instrument_averages_is_stated(irisjax, eye, sampled, tmp_path):
-    seen = lambda: sampled[-1].problem.observations[0]  # noqa: E731
+    def seen():
+        return sampled[-1].problem.observations[0]
+
     bare = [x for x in eye.read_text().splitlines() if not x.startswith("#")]
     path = tmp_path / "eye.csv"
     path.write_text("# bandwidth: 20 [nm]\n" + "\n".join(bare))

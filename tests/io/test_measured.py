@@ -324,6 +324,23 @@ def test_columns_have_roles(tmp_path, kind):
         np.testing.assert_allclose(found.sd, SD, rtol=1e-4)
 
 
+@pytest.mark.parametrize(
+    ("column", "message"),
+    [
+        ("Dark", "holds dark signal, not a reflectance"),
+        ("Transm", "a transmittance; where it is the light sent back, give --quantity reflectance"),
+        ("radiance", "holds a radiance; give --quantity radiance"),
+    ],
+)
+def test_a_column_that_is_chosen_is_not_taken_for_a_reflectance(tmp_path, column, message):
+    names = "nm,Dark [counts],Transmittance [%],radiance\n"
+    path = written(tmp_path, names + rows(",", GRID, 3 + R, 100 * R, R))
+    with pytest.raises(ValueError, match=message):
+        io.read_measured(path, column=column)
+    found = io.read_measured(path, column="Transm", quantity="reflectance")
+    np.testing.assert_allclose(found.values, R, rtol=1e-4)
+
+
 def test_rows_of_one_name_are_scans(tmp_path):
     titles = ",".join(f"{kind} {x:.0f}nm" for kind in ("SCI", "SCE") for x in GRID)
     lines = [

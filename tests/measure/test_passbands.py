@@ -120,6 +120,9 @@ def test_bands_from_files(tmp_path):
     path.write_text("nm,red,green\n500,0,1\n550,0,3\n600,2,1\n650,1,0\n")
     found = io.read_passbands(path)
     np.testing.assert_allclose(found.centres, [550, 616 + 2 / 3])
+    path.write_text("nm,red,green\n500,0,1\n550,,3\n600,2,1\n")
+    with pytest.raises(ValueError, match="line 3: no finite number for 'red'"):
+        io.read_passbands(path)
     path.write_text("nm,infrared\n700,1\n900,1\n")
     with pytest.raises(ValueError, match=r"50 % of the band 'infrared' is outside 350 to 800 nm"):
         io.read_passbands(path)
