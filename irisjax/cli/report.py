@@ -16,12 +16,12 @@ from irisjax.cli import sentences
 from irisjax.cli.fit_options import Sampler
 from irisjax.cli.options import tell
 from irisjax.infer.analysis import Analysis, analyse, predictive
+from irisjax.infer.draws import arviz_groups
 from irisjax.infer.fit import words_for
 from irisjax.infer.model_comparison import predictive_score
 from irisjax.infer.observation import Observation
 from irisjax.infer.parameters import kind, unit_of
-from irisjax.infer.posterior import words_of
-from irisjax.infer.problem import Problem, pointwise, reported
+from irisjax.infer.problem import Problem, reported
 from irisjax.infer.store import copy_of
 from irisjax.plot.beside import Later, here
 from irisjax.transport.process import option_of
@@ -31,7 +31,6 @@ COLUMNS = (
     "ess_tail", "contraction", "process", "other_process", "other_value", "other_q2.5",
     "other_q97.5", "differs",
 )  # fmt: skip
-_MOST_NUMBERS = 1 << 24  # of log likelihoods in a file: 128 MB
 
 
 def progress_bar(quiet: bool = False) -> Any:
@@ -170,40 +169,23 @@ def _write(
         values = reported(problem, chains.flat)
         values = {labelled(n, "\n"): values[n] for n in shown}
         pictures["corner.png"] = draw("corner_figure", values)
-    # Every draw has a log likelihood for every value: of many values fewer draws are kept.
-    most = _MOST_NUMBERS // (chains.z.shape[1] * sum(o.values.shape[-1] for o in seen))
-    thin = -(-len(chains.z) // max(1, most))
-    by_chain = np.moveaxis(chains.z[::thin], 0, 1)
-    likelihoods = pointwise(problem, by_chain.reshape(-1, by_chain.shape[-1]))
-    likelihoods = likelihoods.reshape(*by_chain.shape[:2], -1)
-    random = np.random.default_rng([*words_of(key), 4])
-    prior = random.standard_normal((1, 4000, len(problem.free)))
-    names = [f"{o.quantity}_{i + 1}" if len(seen) > 1 else o.quantity for i, o in enumerate(seen)]
-    groups = {
-        "posterior": reported(problem, by_chain),
-        "prior": reported(problem, prior),
-        "log_likelihood": {"data": likelihoods},
-        "posterior_predictive": {n: s[None] for n, s in zip(names, simulated, strict=True)},
-        "sample_stats": {"lp": chains.log_probability[::thin].T},
-    }
-    observed = {}
-    for n, o in zip(names, seen, strict=True):
-        observed[n] = np.asarray(o.values)
-        observed[f"wavelength_nm{n.removeprefix(o.quantity)}"] = np.asarray(o.wavelengths)
+    groups = arviz_groups(problem, chains, key=key)
     priors = zip(problem.free, problem.priors, strict=True)
     about = {
         "converged": str(chains.converged),
         "steps": str(chains.steps),
-        "every": str(thin * chains.thin),
+        "every": str(groups.every),
         "process": str(problem.process),
         "priors": "; ".join(f"{n} ~ {p}" for n, p in priors),
         "fixed": "; ".join(f"{n} = {float(v):g}" for n, v in problem.fixed.items()),
         "irisjax": ij.__version__,
         "says": " | ".join(lines),
     }
-    io.write_posterior(folder / "posterior.nc", groups, about, observed)
+    io.write_posterior(folder / "posterior.nc", groups.arrays, groups.coordinates, about)
     files = {folder / "summary.csv": _summary(found).encode()}
     io.write_together(files | {folder / name: picture() for name, picture in pictures.items()})
+    each = [array for _, array in groups.arrays["log_likelihood"].values()]
+    likelihoods = np.concatenate(each, axis=-1)
     return predictive_score(likelihoods, chains.ess_bulk.mean() / chains.z[..., 0].size)
 
 

@@ -4,6 +4,9 @@ from .analysis import PredictiveCheck as PredictiveCheck
 from .analysis import Row as Row
 from .analysis import predictive as predictive
 from .analysis import predictive_check as predictive_check
+from .draws import ArvizGroups as ArvizGroups
+from .draws import arviz_groups as arviz_groups
+from .draws import to_arviz as to_arviz
 from .fit import Fit as Fit
 from .fit import FitStatus as FitStatus
 from .identifiability import Direction as Direction

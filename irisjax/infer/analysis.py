@@ -151,7 +151,7 @@ def predictive(
 
 def predictive_check(problem: Problem, chains: Chains, *, key: PRNGKey) -> PredictiveCheck:
     """Check residuals by their size and by their pattern."""
-    simulated, models, sds = _drawn(problem, chains, DRAWS, key)
+    simulated, models, sds, *_ = _drawn(problem, chains, DRAWS, key)
     found = []
     for values in (tuple(np.asarray(o.values) for o in problem.observations), simulated):
         each = [(y - m) / sd for y, m, sd in zip(values, models, sds, strict=True)]
@@ -164,6 +164,6 @@ def predictive_check(problem: Problem, chains: Chains, *, key: PRNGKey) -> Predi
 
 
 def _drawn(problem: Problem, chains: Chains, count: int, key: PRNGKey):
-    """As `predictive`, and the standard deviations stated for these models."""
+    """Return all of `predicted` for draws of the chains."""
     z = chains.flat
     return predicted(problem, z[np.linspace(0, len(z) - 1, min(count, len(z))).astype(int)], key)

@@ -240,7 +240,7 @@ def _assessed(
     names = [n for n in problem.free if kind(n) in (*COMPARED, *OF_POWER_LAW, "noise")]
     beside = draws if first is None else reported(first.problem, first.evidence.samples)
     score, error = predictive_score(pointwise(problem, z)[None], found.effective / len(z))
-    _, models, sds = predicted(problem, z[:DRAWS], key)
+    _, models, sds, *_ = predicted(problem, z[:DRAWS], key)
     medians = tuple(np.median(m, axis=0) for m in models)
     spread = (np.median(sd, axis=0) for sd in sds)
     data = (np.asarray(o.values) for o in problem.observations)

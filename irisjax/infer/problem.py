@@ -31,6 +31,7 @@ _Z = Float[Array, " free"]
 """Free parameters in coordinates in which each prior is the standard normal."""
 _Readings = tuple[Float[Array, " _"], ...]  # one of each observation
 _MOST_CORRELATED = 1000  # hours of sampling as it is
+_PREDICTED = 500  # draws that one call predicts
 _ROWS = 64  # the sampler's default walkers: a call costs as much as twenty beside its rows
 
 
@@ -150,13 +151,21 @@ class Problem(eqx.Module):
             draws.append((jax.random.normal(one, shape), square))
         return self.simulated(z, draws)[0]
 
-    def simulated(self, z: _Z, draws: Sequence[Any]) -> tuple[_Readings, _Readings, _Readings]:
-        """Return `simulate`, `predict`, and the standard deviations stated there, at once, from
-        standard normal numbers (and χ² ones for Student's t) of each observation.
+    def simulated(self, z: _Z, draws: Sequence[Any]) -> tuple[_Readings, ...]:
+        """Return `simulate`, `predict`, the standard deviations stated there, and the log
+        likelihoods of the data, at once, from standard normal numbers (and χ² ones for Student's t)
+        of each observation.
         """
         models, values = self.predict(z), self.values(z)
         measured = self._with_noise(self.noise.draw, values, models, draws)
-        return measured, models, self._with_noise(self.noise.stated, values, models)
+        beside = (self.noise.stated, self.noise.pointwise)
+        return measured, models, *(self._with_noise(f, values, models) for f in beside)
+
+    def log_priors(self, z: _Z) -> _Z:
+        """Compute the log prior density of the value of each free parameter."""
+        # A value depends on its own coordinate only.
+        _, slope = jax.jvp(self.natural, (z,), (jnp.ones_like(z),))
+        return -0.5 * (z * z + np.log(2 * np.pi)) - jnp.log(jnp.abs(slope))
 
     def unnamed(self) -> "Problem":
         """Return the problem without names of observations, so that files share one program."""
@@ -367,7 +376,11 @@ def reported(
 
 
 def predicted(problem: Problem, z: Float[np.ndarray, "n free"], key: PRNGKey) -> Any:
-    """Return noisy measurements (n, data), models without noise, and stated standard deviations."""
+    """Return noisy measurements (n, data), models without noise, stated standard deviations, and
+    log likelihoods of the data, of each observation; and log prior densities (n, free).
+    """
+    count, rows = len(z), min(len(z), _PREDICTED)
+    z = np.pad(z, [(0, -count % rows), (0, 0)], mode="edge")
     # Drawn on the host: a random generator takes longer to compile than the model.
     random, nu = np.random.default_rng(np.ravel(jax.random.key_data(key))), None
     if problem.noise.degrees_of_freedom is not None:
@@ -376,13 +389,19 @@ def predicted(problem: Problem, z: Float[np.ndarray, "n free"], key: PRNGKey) ->
     draws = [
         (random.standard_normal(n), None if nu is None else random.chisquare(nu, n)) for n in shapes
     ]
-    as_arrays = jax.tree.map(lambda x: jnp.asarray(x, float), (z, draws))
-    return jax.tree.map(np.asarray, _predicted(problem.unnamed(), *as_arrays))
+    problem, done = problem.unnamed(), []
+    for i in range(0, len(z), rows):
+        part = jax.tree.map(lambda x, i=i: jnp.asarray(x[i : i + rows], float), (z, draws))
+        done.append(jax.tree.map(np.asarray, _predicted(problem, *part)))
+    return jax.tree.map(lambda *x: np.concatenate(x)[:count], *done)
 
 
 @eqx.filter_jit
 def _predicted(problem: Problem, z: Float[Array, "n free"], draws: Any) -> Any:
-    return in_pieces(lambda each: problem.simulated(*each), (z, draws), elements(problem))
+    def one(each):
+        return *problem.simulated(*each), problem.log_priors(each[0])
+
+    return in_pieces(one, (z, draws), elements(problem))
 
 
 @eqx.filter_jit

@@ -13,6 +13,7 @@ import numpy as np
 
 import irisjax as ij
 from irisjax.cli import model, report
+from irisjax.infer import draws
 from irisjax.infer.analysis import Analysis, PredictiveCheck, summarise
 from irisjax.infer.identifiability import Direction, Information
 from irisjax.infer.model_comparison import COMPARED, Interval, Moved, ProcessComparison
@@ -134,12 +135,14 @@ def without_search(monkeypatch):
         values = tuple(np.tile(np.asarray(o.values), (count, 1)) for o in problem.observations)
         return values, values
 
-    def pointwise(problem, z):
+    def predicted(problem, z, key):
+        random = np.random.default_rng(0)
+        sizes = [o.values.size for o in problem.observations]
         # arviz asks for tails that vary.
-        shape = len(z), sum(o.values.size for o in problem.observations)
-        return np.random.default_rng(0).normal(size=shape)
+        drawn = tuple(random.normal(size=(len(z), size)) for size in sizes)
+        return drawn, drawn, drawn, drawn, np.asarray(z)
 
     monkeypatch.setattr(report, "analyse", analyse)
     monkeypatch.setattr(report, "predictive", predictive)
-    monkeypatch.setattr(report, "pointwise", pointwise)
+    monkeypatch.setattr(draws, "predicted", predicted)
     return calls

@@ -8,6 +8,7 @@ import pytest
 import irisjax as ij
 from common import quick_jit
 from irisjax.cli import report, sentences
+from irisjax.infer import draws
 from irisjax.infer.analysis import PredictiveCheck, analyse, predictive_check
 from irisjax.infer.analytic import BeerLambert
 from irisjax.infer.fit import fit
@@ -177,7 +178,7 @@ def test_files_of_many_wavelengths_hold_fewer_draws(analysed, tmp_path, monkeypa
     import xarray as xr
 
     walkers, most = 16, 100
-    monkeypatch.setattr(report, "_MOST_NUMBERS", most * walkers * GRID.size)
+    monkeypatch.setattr(draws, "_MOST_NUMBERS", most * walkers * GRID.size)
     z = 0.01 * np.random.default_rng(1).normal(size=(250, walkers, len(FREE)))
     chains = analysed.chains._replace(z=z, log_probability=z[..., 0], thin=5, steps=1250)
     report._write(analysed._replace(chains=chains), tmp_path, [], KEY, lambda *given: lambda: b"")
@@ -188,3 +189,34 @@ def test_files_of_many_wavelengths_hold_fewer_draws(analysed, tmp_path, monkeypa
         assert most / 2 < loads[group].sizes["draw"] <= most
     kept = loads["sample_stats"].lp.values
     np.testing.assert_array_equal(kept, z[:: int(loads["posterior"].attrs["every"]) // 5, :, 0].T)
+
+
+@pytest.mark.filterwarnings("ignore")  # ArviZ's own
+def test_arviz_plots_scores_and_reweights_a_posterior_as_it_is(analysed, tmp_path):
+    import arviz as az
+    import matplotlib.pyplot as plt
+    from scipy.stats import lognorm, norm
+
+    chains = analysed.chains._replace(z=analysed.chains.z[:40])
+    chains = chains._replace(log_probability=analysed.chains.log_probability[:40])
+    report._write(analysed._replace(chains=chains), tmp_path, [], KEY, lambda *given: lambda: b"")
+    direct = ij.infer.to_arviz(analysed.problem, chains, key=KEY)
+    for found in (direct, az.from_netcdf(tmp_path / "posterior.nc")):
+        np.testing.assert_array_equal(found.log_likelihood.wavelength_nm, GRID)
+        loo = az.loo(found, pointwise=True)
+        assert loo.loo_i.dims == ("wavelength_nm",)
+        table = az.compare({"one": found, "same": found})
+        assert table["elpd_loo"].iloc[0] == pytest.approx(loo.elpd_loo)
+        az.plot_ppc(found, num_pp_samples=10)
+        az.plot_loo_pit(found, y="reflectance")
+        plt.close("all")
+        for component in ("prior", "likelihood"):
+            assert np.isfinite(az.psens(found, component=component)["melanin_load"])
+        # The prior is in the values' own units, so that another one is a ratio of densities.
+        prior = lognorm(1.2, scale=0.15).logpdf(found.posterior.melanin_load)
+        np.testing.assert_allclose(found.log_prior.melanin_load, prior, rtol=1e-6)
+        np.testing.assert_allclose(found.log_prior.abl_fraction, 0, atol=1e-9)
+    for name in direct.groups():
+        np.testing.assert_allclose(direct[name].to_array(), found[name].to_array())
+    y, drawn = found.observed_data.reflectance, found.posterior_predictive.reflectance
+    assert 0.5 < norm.cdf(((drawn - y) / (0.02 * y + 2e-4)).std()) < 0.98

@@ -564,13 +564,15 @@ def test_posterior_file_opens_in_arviz(tmp_path):
 
     path = tmp_path / "p.nc"
     draws = np.random.default_rng(0).normal(size=(4, 50))
+    grid = {"wavelength_nm": np.linspace(400, 700, 7)}
     groups = {
-        "posterior": {"load": draws},
-        "log_likelihood": {"data": np.random.default_rng(1).normal(size=(4, 50, 7))},
+        "posterior": {"load": (("chain", "draw"), draws)},
+        "observed_data": {"reflectance": (("wavelength_nm",), np.arange(7.0))},
     }
-    io.write_posterior(path, groups, {"note": "simulated"}, {"reflectance": np.arange(7.0)})
+    io.write_posterior(path, groups, grid, {"note": "simulated"})
     found = az.from_netcdf(path)
     np.testing.assert_array_equal(found["posterior"]["load"], draws)
-    assert found["observed_data"]["reflectance"].shape == (7,)
+    np.testing.assert_array_equal(found["observed_data"].wavelength_nm, grid["wavelength_nm"])
+    np.testing.assert_array_equal(found["posterior"].draw, np.arange(50))
     assert found["posterior"].attrs["note"] == "simulated"
     assert list(tmp_path.iterdir()) == [path]
