@@ -154,7 +154,8 @@ def test_every_import_is_declared():
     def undeclared(imports, *extras):
         return {n: f for n, f in imports.items() if n not in _declared(project, *extras)}
 
-    assert undeclared(package, "photo", "mesh", "view", "video", "raw", "instruments") == {}
+    extras = "photo", "mesh", "view", "video", "raw", "instruments", "arviz"
+    assert undeclared(package, *extras) == {}
     assert undeclared(tests, "dev") == {}
     assert undeclared(everything, "dev", "bench") == {}
     assert _declared(project) - set(package) == set(), "declared, but not imported"
