@@ -17,7 +17,7 @@ from experiments.bench_job import median_us
 from experiments.common import RESULTS, start, write
 from irisjax.infer.fit import fit
 from irisjax.infer.least_squares import levenberg_marquardt
-from irisjax.infer.moves import IndependentMove, Straightening, mixture
+from irisjax.infer.moves import Straightening, independent_move, mixture
 from irisjax.infer.observation import with_values
 from irisjax.infer.posterior import sample
 
@@ -142,8 +142,8 @@ def _moves(problem, best, steps):
         "stretch (emcee's default)": [(emcee.moves.StretchMove(), 1.0)],
         "differences + snooker": mixture(None),
         "kernel density of the other half": [(emcee.moves.KDEMove(), 1.0)],
-        "independent t": [(IndependentMove(straight.level(), taught), 1.0)],
-        "independent t, straightened": [(IndependentMove(straight, taught), 1.0)],
+        "independent t": [(independent_move(straight.level(), taught), 1.0)],
+        "independent t, straightened": [(independent_move(straight, taught), 1.0)],
         "independent t 0.8 + differences, straightened (used)": mixture(taught),
     }.items():
         sampler, seconds = run(moves, last, steps, 3)

@@ -87,7 +87,7 @@ class Sclera(eqx.Module):
     hemoglobin: Scalar = float_field(2.3)
     saturation: Scalar = float_field(0.9)
 
-    def __check_init__(self):
+    def __check_init__(self) -> None:
         check_fields(self, EYE_LIMITS)
 
 
@@ -127,7 +127,7 @@ class Eye(eqx.Module):
     pupil_margin: Scalar = float_field(0.12)
     attenuation: Scalar | None = optional_field()
 
-    def __check_init__(self):
+    def __check_init__(self) -> None:
         check_fields(self, EYE_LIMITS)
         radii = self.pupil_radius, self.iris_radius
         if _known(radii) and float(radii[0]) >= float(radii[1]):

@@ -28,7 +28,7 @@ class Media(eqx.Module):
     cornea: Scalar = float_field(CORNEA)
     tear: Scalar = float_field(TEAR)
 
-    def __check_init__(self):
+    def __check_init__(self) -> None:
         check_fields(self, dict.fromkeys(("aqueous", "cornea", "tear"), INDEX))
 
     @classmethod

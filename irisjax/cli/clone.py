@@ -93,7 +93,7 @@ class ClonePicture(opt.Group, panel="Photograph"):
 
 
 class CloneModel(opt.Group, panel="Model"):
-    ONLY_WITH: ClassVar = {"deconvolution": ("beta", ())}
+    ONLY_WITH: ClassVar[opt.OnlyWith] = {"deconvolution": ("beta", ())}
 
     media: str = opt.choice("what light crosses before the iris", cloning.MEDIA, _DEFAULTS.media)
     iris_depth: float = opt.number(

@@ -19,7 +19,7 @@ import sys
 import threading
 from collections.abc import Callable, Hashable, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
-from contextlib import contextmanager, suppress
+from contextlib import AbstractContextManager, contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -339,6 +339,6 @@ class Ahead:
 
 
 _files = Ahead(_read)
-reading_ahead = _files.reading
+reading_ahead: Callable[[str], AbstractContextManager[None]] = _files.reading
 """While a command imports modules and reads its input, threads read the programs that it used last
 time: to read one takes XLA 50 ms, in which Python is free."""

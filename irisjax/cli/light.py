@@ -81,7 +81,7 @@ class LightOptions(opt.Group, panel="Measurement"):
     )
     aqueous_index: float = _index(media.AQUEOUS, "aqueous humour")
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         super().__post_init__()
         if {"cos_incidence", "incidence_deg"} <= self.typed:
             raise ValueError("give --cos-incidence or --incidence-deg, not both")
@@ -126,7 +126,7 @@ class BandedLight(EyeLight):
     bandwidth: float | None = bandwidth()
     bands: Path | None = bands_file()
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         super().__post_init__()
         if self.bands is not None and "wavelengths" in self.typed:
             raise ValueError("--bands has its own wavelengths: give it without --wavelengths")
@@ -153,7 +153,7 @@ def centred(light: Any) -> Any:
 
 
 class SpectrumLight(BandedLight):
-    ONLY_WITH: ClassVar = {
+    ONLY_WITH: ClassVar[opt.OnlyWith] = {
         "illuminant": ("instrument", ("radiance",)),
         "bandwidth": ("instrument", ("reflectance", "radiance")),
         "bands": ("instrument", ("reflectance", "radiance")),

@@ -50,7 +50,7 @@ def _blood(name: str) -> Any:
 _NAMES = ("level", *LIMITS, "melanin_load", *BLOOD, "scattering", *POWER_LAW_LIMITS)
 _FIELDS: dict[str, Any] = {n: _field(n) if n in RANGES else None for n in _NAMES}
 _FIELDS["__annotations__"] = dict.fromkeys(_NAMES, float | None)
-_Numbers: Any = type("_Numbers", (opt.Group,), _FIELDS, panel="Iris")
+_Numbers: type[opt.Group] = type("_Numbers", (opt.Group,), _FIELDS, panel="Iris")
 
 
 class IrisOptions(_Numbers):
@@ -79,7 +79,7 @@ class IrisOptions(_Numbers):
 class ProcessOptions(opt.Group, panel="Process"):
     """Rules of light transport; `None` stands for the named process's own."""
 
-    ONLY_WITH: ClassVar = {
+    ONLY_WITH: ClassVar[opt.OnlyWith] = {
         **dict.fromkeys(("phase", "rescatter", "perturb_on_reflection"), _ILIT),
         "polarised": ("process", (_DEEP,)),
     }
@@ -109,7 +109,7 @@ class ProcessOptions(opt.Group, panel="Process"):
         overrules=("process",),
     )
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         if self.polarised and "process" not in self.typed:
             object.__setattr__(self, "process", _DEEP)
         super().__post_init__()
@@ -122,7 +122,7 @@ class ProcessOptions(opt.Group, panel="Process"):
 
 
 class SolverOptions(opt.Group, panel="Solver"):
-    ONLY_WITH: ClassVar = {"photons": _SAMPLED, "seed": _SAMPLED}
+    ONLY_WITH: ClassVar[opt.OnlyWith] = {"photons": _SAMPLED, "seed": _SAMPLED}
 
     solver: str = opt.choice(
         "integrate the process, or sample it", ("exact", "monte-carlo"), "exact"

@@ -8,7 +8,7 @@ import sys
 import typing
 from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, dataclass_transform
+from typing import Annotated, Any, ClassVar, TypeAlias, dataclass_transform
 
 import numpy as np
 import typer
@@ -17,6 +17,7 @@ import irisjax as ij
 from irisjax.numerics.checks import Range
 
 _MOST_WAVELENGTHS = 1_000_000
+OnlyWith: TypeAlias = Mapping[str, tuple[str, tuple[str, ...]]]
 
 
 def option(help: str, default: Any = None, *, names: str = "", **shown: Any) -> Any:
@@ -101,14 +102,14 @@ class Group:
     """
 
     PANEL: ClassVar[str] = ""
-    ONLY_WITH: ClassVar[Mapping[str, tuple[str, tuple[str, ...]]]] = {}
+    ONLY_WITH: ClassVar[OnlyWith] = {}
     typed: frozenset[str] = frozenset()
 
-    def __init_subclass__(cls, panel: str | None = None):
+    def __init_subclass__(cls, panel: str | None = None) -> None:
         cls.PANEL = panel or cls.PANEL
         dataclasses.dataclass(frozen=True, kw_only=True)(cls)
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         for name, (other, values) in self.ONLY_WITH.items():
             if name in self.typed and not self.applies(name):
                 either = f" {' or '.join(values)}" if values else ""
@@ -307,7 +308,7 @@ def number_or(word: str, allowed: Range) -> Callable[[str], float | str]:
     return parse
 
 
-cosine = number_or(ij.DIFFUSE, Range(0, 1))
+cosine: Callable[[str], float | str] = number_or(ij.DIFFUSE, Range(0, 1))
 """Parses a cosine of incidence, or the word for light from everywhere."""
 
 

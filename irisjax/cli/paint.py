@@ -64,7 +64,7 @@ _Prepared = tuple[Recipe, dict[str, np.ndarray], dict[str, bytes], list[str]]
 
 
 class PaintedEye(PaintOptions):
-    ONLY_WITH: ClassVar = {"retouch": ("match", ())}
+    ONLY_WITH: ClassVar[opt.OnlyWith] = {"retouch": ("match", ())}
 
     seed: int = opt.seeded("coats of a --type")
     match: Path | None = opt.option(
@@ -78,7 +78,7 @@ class PaintedEye(PaintOptions):
         Range(0, 30),
     )
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         super().__post_init__()
         if not self.painted(self.match is not None):
             raise ValueError("give a recipe or --type, one of them")

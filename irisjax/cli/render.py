@@ -45,7 +45,7 @@ class ViewOptions(EyeWithPupil):
 
 
 class PictureOptions(opt.Group, panel="Picture"):
-    ONLY_WITH: ClassVar = {"frames": ("animate", ())}
+    ONLY_WITH: ClassVar[opt.OnlyWith] = {"frames": ("animate", ())}
 
     size: str | None = opt.option("pixels, at most 16384 along a side", metavar="WIDTHxHEIGHT")
     exposure: float | None = opt.number(
@@ -68,7 +68,7 @@ class PictureOptions(opt.Group, panel="Picture"):
     )
     frames: int | None = opt.whole("of --animate, {}; default 24", Range(2, 1000))
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         super().__post_init__()
         if self.animate is not None and self.spectral is not None:
             raise ValueError("--animate: not with --spectral")

@@ -26,7 +26,7 @@ class Subject(opt.Group, panel="What"):
     preset: str | None = opt.choice("an eye in a studio", PRESETS)
     seed: int = opt.seeded("maps of a preset")
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         super().__post_init__()
         if "seed" in self.typed and self.scene is not None:
             raise ValueError("--seed is for what has no file: a scene file says its own")

@@ -91,7 +91,7 @@ class Fit(eqx.Module):
 def fit(
     problem: Problem,
     *,
-    solver: optx.AbstractLeastSquaresSolver | None = None,
+    solver: optx.AbstractLeastSquaresSolver[Array, Array, Any, Any] | None = None,
     use_priors: bool = True,
     start: Float[Array, " free"] | None = None,
     starts: int = 4,

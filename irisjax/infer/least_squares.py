@@ -53,7 +53,7 @@ def least_squares(
     start: Float[Array, " moving"],
     *,
     weights: Float[Array, " stages"] | None = None,
-    solver: optx.AbstractLeastSquaresSolver | None = None,
+    solver: optx.AbstractLeastSquaresSolver[Array, Array, Any, Any] | None = None,
     starts: int = 1,
     rounds: int = 1,
     max_steps: int = 200,
@@ -138,12 +138,14 @@ def least_squares(
     return Found(x, cost, jacobian, aux, steps, result, done, agreeing, elsewhere)
 
 
-def levenberg_marquardt(rtol: float = 1e-8, atol: float = 1e-8) -> optx.LevenbergMarquardt:
-    """Return optimistix's Levenberg–Marquardt with the linear solver `NormalEquations`."""
-    return optx.LevenbergMarquardt(rtol, atol, linear_solver=NormalEquations())
+def levenberg_marquardt(
+    rtol: float = 1e-8, atol: float = 1e-8
+) -> optx.LevenbergMarquardt[Array, Array, Any]:
+    """Return optimistix's Levenberg–Marquardt with the linear solver `NORMAL_EQUATIONS`."""
+    return optx.LevenbergMarquardt(rtol, atol, linear_solver=NORMAL_EQUATIONS)
 
 
-class NormalEquations(lx.AbstractLinearSolver):
+class _NormalEquations(lx.AbstractLinearSolver[Any]):
     """Linear least squares by the normal equations, for batches (see `numerics.linear`).
 
     With priors among the residuals the equations are well conditioned; without them rounding may
@@ -153,7 +155,9 @@ class NormalEquations(lx.AbstractLinearSolver):
     def init(self, operator: Any, options: Any) -> Any:
         return operator.as_matrix(), operator.in_structure()
 
-    def compute(self, state: Any, vector: Any, options: Any) -> tuple[Any, lx.RESULTS, dict]:
+    def compute(
+        self, state: Any, vector: Any, options: Any
+    ) -> tuple[Any, lx.RESULTS, dict[str, Any]]:
         matrix, structure = state
         gram = matrix.T @ matrix
         # A coordinate on which no residual depends stays as it is.
@@ -173,6 +177,10 @@ class NormalEquations(lx.AbstractLinearSolver):
 
     def assume_full_rank(self) -> bool:
         return True  # the damping term makes the matrix regular
+
+
+NORMAL_EQUATIONS: lx.AbstractLinearSolver[Any] = _NormalEquations()
+"""Linear least squares by the normal equations, for batches."""
 
 
 def _best(searches: Any, done: _Count) -> tuple[_Count, _Count, _Count]:

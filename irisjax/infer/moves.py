@@ -90,21 +90,21 @@ class Proposal:
         return self._t.logpdf(self._straight.to(z)) - self._volume
 
 
-class IndependentMove(emcee.moves.MHMove):
-    """Metropolis–Hastings with proposals that do not depend on a walker's place."""
+def independent_move(
+    straight: Straightening, samples: Float[np.ndarray, "n free"]
+) -> emcee.moves.Move:
+    """Return Metropolis–Hastings with proposals that do not depend on a walker's place."""
+    proposal = Proposal(straight, samples)
 
-    def __init__(self, straight: Straightening, samples: Float[np.ndarray, "n free"]):
-        proposal = Proposal(straight, samples)
+    def propose(z, random):
+        new = proposal.draw(len(z), random)
+        here, there = np.split(proposal.log_density(np.concatenate([z, new])), 2)
+        return new, here - there
 
-        def propose(z, random):
-            new = proposal.draw(len(z), random)
-            here, there = np.split(proposal.log_density(np.concatenate([z, new])), 2)
-            return new, here - there
-
-        super().__init__(propose)
+    return emcee.moves.MHMove(propose)
 
 
-class DifferenceMove(emcee.moves.DEMove):
+class _DifferenceMove(emcee.moves.DEMove):
     """Differential evolution in straightened coordinates."""
 
     def __init__(self, straight: Straightening):
@@ -132,4 +132,4 @@ def mixture(
     if samples is None:
         return [(emcee.moves.DEMove(), 0.7), (emcee.moves.DESnookerMove(), 0.3)]
     straight = Straightening.of_samples(samples)
-    return [(IndependentMove(straight, samples), 0.8), (DifferenceMove(straight), 0.2)]
+    return [(independent_move(straight, samples), 0.8), (_DifferenceMove(straight), 0.2)]

@@ -41,7 +41,7 @@ class Noise(eqx.Module):
     length: Scalar | None = _setting(None)
     degrees_of_freedom: Scalar | None = _setting(None)
 
-    def __check_init__(self):
+    def __check_init__(self) -> None:
         if self.discrepancy is not None and self.degrees_of_freedom is not None:
             raise ValueError("a discrepancy and Student's t do not go together; choose one")
         if (self.discrepancy is None) != (self.length is None):

@@ -45,7 +45,8 @@ class Store:
 
     def __init__(self, path: str | Path | None = None):
         """Use the file at this path, if any; one that is damaged is repaired from its copy."""
-        self.path, self._memory = None if path is None else Path(path), None
+        self.path: Path | None = None if path is None else Path(path)
+        self._memory = None
         if self.path is not None and self.path.exists():
             self._repair(self.path)
 

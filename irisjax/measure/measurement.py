@@ -4,6 +4,7 @@ import equinox as eqx
 import jax
 import numpy as np
 from jax.core import Tracer
+from numpy.typing import DTypeLike
 
 from irisjax._types import Numbers, Spectrum
 from irisjax.numerics.checks import Range, check_range
@@ -38,7 +39,7 @@ class Reading(eqx.Module):
     quantity: str = eqx.field(static=True)
     unit: str = eqx.field(static=True)
 
-    def __repr__(self):
+    def __repr__(self) -> str:
         if any(isinstance(x, Tracer) for x in jax.tree.leaves(self)):
             return f"{type(self).__name__}(traced)"
         head = f"{self.quantity} ({self.unit})" if self.unit else self.quantity
@@ -54,7 +55,7 @@ class Reading(eqx.Module):
             rows[7:-6] = ["..."]
         return "\n".join([head, *rows])
 
-    def __array__(self, dtype=None, copy=None):
+    def __array__(self, dtype: DTypeLike | None = None, copy: bool | None = None) -> np.ndarray:
         return np.asarray(self.values, dtype)
 
 

@@ -118,7 +118,7 @@ class Brdf(eqx.Module):
     mirrored: Spectrum
     status: RESULTS
 
-    def __repr__(self):
+    def __repr__(self) -> str:
         return f"Brdf of shape {self.values.shape} (wavelengths, exits), 1/sr"
 
 

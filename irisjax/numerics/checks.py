@@ -17,7 +17,7 @@ class Range(NamedTuple):
     meaning: str = ""
     above: bool = False  # `low` itself is not allowed
 
-    def __str__(self):
+    def __str__(self) -> str:
         low = f"{'(' if self.above else '['}{_shown(self.low)}"
         high = "inf)" if np.isinf(self.high) else f"{_shown(self.high)}]"
         return f"{low}, {high}{' ' + self.unit if self.unit else ''}"

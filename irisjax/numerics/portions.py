@@ -9,13 +9,18 @@ import functools
 import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from typing import Any
+from typing import Generic, TypeVar, TypeVarTuple, Unpack
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax import Array
 from jax.core import Tracer
+
+P = TypeVar("P")
+Rest = TypeVarTuple("Rest")
+T = TypeVar("T")
 
 # On a processor: from 512 on XLA shares small operations among threads, which takes longer.
 _SIZE = 256
@@ -34,7 +39,7 @@ _SETTINGS = (
 )
 
 
-def in_portions(f: Callable[[Any], Any], pixels: Any) -> Any:
+def in_portions(f: Callable[[P], T], pixels: P) -> T:
     """Apply `f` to a tree of arrays, one chunk of their last axis after the other.
 
     The last axis of the results is that of the pixels too. An accelerator gets all pixels at once:
@@ -47,7 +52,7 @@ def in_portions(f: Callable[[Any], Any], pixels: Any) -> Any:
     )
 
 
-class Pixelwise:
+class Pixelwise(Generic[P, *Rest, T]):
     """A compiled function `f(pixels, *others)` that is applied in chunks, each with all `others`.
 
     The last axis of all arrays in `pixels` and in the results is that of the pixels. The chunks of
@@ -57,11 +62,11 @@ class Pixelwise:
         compiled: The program, of pixels, others, the number of a share and the count of shares.
     """
 
-    def __init__(self, f: Callable[..., Any]):
+    def __init__(self, f: Callable[[P, Unpack[Rest]], T]):
         functools.update_wrapper(self, f)
 
-        def chunked(pixels: Any, others: Any, share: Any, shares: int) -> Any:
-            def one(some: Any) -> Any:
+        def chunked(pixels: P, others: tuple[*Rest], share: Array | None, shares: int) -> T:
+            def one(some: P) -> T:
                 return f(some, *others)
 
             if shares == 1:
@@ -70,16 +75,16 @@ class Pixelwise:
 
         chunked.__module__, chunked.__qualname__ = f.__module__, f.__qualname__
         chunked.__name__ = f.__name__
-        self.compiled = eqx.filter_jit(chunked)
+        self.compiled: Callable[..., T] = eqx.filter_jit(chunked)
 
-    def __call__(self, pixels: Any, *others: Any) -> Any:
+    def __call__(self, pixels: P, *others: *Rest) -> T:
         """Apply the function to all pixels."""
         if (shares := _threads(pixels, others)) > 1:
             with ThreadPoolExecutor(shares) as pool:
                 # A thread lacks the settings, float64 say, that a `with` made for its caller.
                 if pool.submit(_settings).result() == _settings():
 
-                    def part(i: int) -> Any:
+                    def part(i: int) -> T:
                         done = self.compiled(pixels, others, jnp.asarray(i), shares)
                         return jax.block_until_ready(done)
 
@@ -91,7 +96,7 @@ pixelwise = Pixelwise
 """`Pixelwise` as a decorator."""
 
 
-def in_pieces(function: Callable[[Any], Any], arguments: Any, elements: int) -> Any:
+def in_pieces(function: Callable[[P], T], arguments: P, elements: int) -> T:
     """Apply `jax.vmap(function)`, to as many arguments at a time as make arrays of `_ELEMENTS`
     numbers, where each takes `elements`.
     """
@@ -107,7 +112,7 @@ def in_pieces(function: Callable[[Any], Any], arguments: Any, elements: int) -> 
     return jax.tree.map(lambda x: x.reshape(-1, *x.shape[2:])[:count], done)
 
 
-def _threads(pixels: Any, others: Any) -> int:
+def _threads(pixels: object, others: object) -> int:
     """Number of threads: a power of two, so that no share is padded; one in a trace."""
     if _count(pixels) < _FEW or jax.default_backend() != "cpu":
         return 1
@@ -118,26 +123,26 @@ def _threads(pixels: Any, others: Any) -> int:
     return 1 << (min(cores, 8).bit_length() - 1)
 
 
-def _share_of(f: Callable[[Any], Any], pixels: Any, share: Any, shares: int) -> Any:
+def _share_of(f: Callable[[P], T], pixels: P, share: Array | int | None, shares: int) -> T:
     """Apply `f` to the chunks that belong to number `share` of several."""
     count = _count(pixels)
     size = min(_SIZE, count)
     pad = -count % (size * shares)
 
-    def cut(x: Any) -> Any:
+    def cut(x: Array) -> Array:
         # Copies of the last pixel: what is finite there has finite derivatives.
         x = jnp.pad(x, [(0, 0)] * (x.ndim - 1) + [(0, pad)], mode="edge") if pad else x
         return x.reshape(*x.shape[:-1], -1, size)
 
     chunks = jax.tree.map(cut, pixels)
 
-    def part(k: Any) -> Any:
+    def part(k: Array) -> T:
         return f(jax.tree.map(lambda x: x[..., k, :], chunks))
 
     each = (count + pad) // size // shares
     done = jax.lax.map(part, share * each + jnp.arange(each))
 
-    def joined(x: Any) -> Any:
+    def joined(x: Array) -> Array:
         x = jnp.moveaxis(x, 0, -2)
         x = x.reshape(*x.shape[:-2], -1)
         return x[..., :count] if shares == 1 else x
@@ -145,14 +150,14 @@ def _share_of(f: Callable[[Any], Any], pixels: Any, share: Any, shares: int) -> 
     return jax.tree.map(joined, done)
 
 
-def _count(pixels: Any) -> int:
+def _count(pixels: object) -> int:
     return jax.tree.leaves(pixels)[0].shape[-1]
 
 
 @eqx.filter_jit
-def _joined(done: list[Any], count: int) -> Any:
+def _joined(done: list[T], count: int) -> T:
     return jax.tree.map(lambda *x: jnp.concatenate(x, axis=-1)[..., :count], *done)
 
 
-def _settings() -> list[Any]:
+def _settings() -> list[object]:
     return [getattr(jax.config, name) for name in _SETTINGS]

@@ -51,7 +51,7 @@ class Coat(eqx.Module):
     colour: Float[Array, "3"]
     height: Scalar
 
-    def __check_init__(self):
+    def __check_init__(self) -> None:
         where = f"coat {self.name!r}: "
         check_range(f"{where}opacity", self.opacity, OPACITY)
         check_range(f"{where}colour", self.colour, _COLOUR)
@@ -74,7 +74,7 @@ class Painting(eqx.Module):
     coats: tuple[Coat, ...]
     profile: Cones
 
-    def __check_init__(self):
+    def __check_init__(self) -> None:
         names = [coat.name for coat in self.coats]
         twice = {n for n in names if names.count(n) > 1}
         if twice:

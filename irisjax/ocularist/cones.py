@@ -44,7 +44,7 @@ class Cones(eqx.Module):
     z: Float[Array, " circles"]
     radius: Float[Array, " circles"]
 
-    def __check_init__(self):
+    def __check_init__(self) -> None:
         circles, radii = len(self.z), len(self.radius)
         if circles < 2 or circles != radii:
             need = "a stack of cones needs two circles or more, a z and a radius each"

@@ -55,7 +55,7 @@ class KubelkaMunkMixer(mixing.AbstractMixer):
     scattering: Float[Array, "paints bands"] = eqx.field(converter=as_float)
     surface: tuple[float, float] | None = eqx.field(static=True, default=None)
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         Observer.of(self.wavelengths)
         shape, k, s = (len(self.paints), len(self.wavelengths)), self.absorption, self.scattering
         if len(set(self.paints)) != len(self.paints) or not shape == k.shape == s.shape:

@@ -128,7 +128,7 @@ class HslMixer(AbstractMixer):
     paints: tuple[str, ...] = eqx.field(static=True)
     colours: Float[Array, "paints 3"]
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         if len(set(self.paints)) != len(self.paints) or len(self.paints) != self.colours.shape[0]:
             raise ValueError(
                 f"a palette needs one name a colour, each once; got {len(self.paints)} names for "

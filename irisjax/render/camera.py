@@ -50,7 +50,7 @@ class Camera(eqx.Module):
     first: Int[Array, ""] | None = None
     rows: int | None = eqx.field(static=True, default=None)
 
-    def __check_init__(self):
+    def __check_init__(self) -> None:
         whole = self.rows is None  # the parts of a picture may be finer
         if not all(
             isinstance(n, int) and n >= 1 and (n <= LARGEST or not whole) for n in self.size

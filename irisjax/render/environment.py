@@ -3,6 +3,7 @@ for it.
 """
 
 import heapq
+from collections.abc import Callable
 
 import equinox as eqx
 import jax
@@ -40,7 +41,7 @@ class Environment(eqx.Module):
 
     radiance: Float[Array, "rows columns 3"] = eqx.field(converter=as_float)
 
-    def __check_init__(self):
+    def __check_init__(self) -> None:
         if self.radiance.ndim != 3 or self.radiance.shape[2] != 3 or 0 in self.radiance.shape:
             raise ValueError(
                 f"an environment has the shape (rows, columns, 3), got {self.radiance.shape}"
@@ -242,7 +243,7 @@ def _panel(direction: np.ndarray, centre, half, soft: float) -> np.ndarray:
     return shown * (1 - np.minimum(off, 2.0) / 6)
 
 
-ENVIRONMENTS = {
+ENVIRONMENTS: dict[str, Callable[..., Environment]] = {
     "studio": Environment.studio,
     "sky": Environment.sky,
     "uniform": Environment.uniform,

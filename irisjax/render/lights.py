@@ -85,7 +85,7 @@ class Lights(eqx.Module):
         check_range("a lamp's distance", distance, LAMP_DISTANCE)
         return cls(position / distance[:, None], irradiance, None, distance, radius, illuminant)
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         towards = as_float(self.towards)
         if towards.ndim != 2 or towards.shape[1] != 3:
             raise ValueError(f"lights: towards has shape {towards.shape}; it must be (lights, 3)")
@@ -100,7 +100,7 @@ class Lights(eqx.Module):
                 got = f"lights: {name} has shape {np.shape(value)}; it must be {shape}"
                 raise ValueError(got) from None
 
-    def __check_init__(self):
+    def __check_init__(self) -> None:
         if not isinstance(self.towards, Tracer):
             length = np.linalg.norm(np.asarray(self.towards, np.float64), axis=1)
             check_range("length of a lamp's direction", length, Range(1 - _UNIT, 1 + _UNIT))

@@ -49,7 +49,7 @@ class RadiativeIntegrator(AbstractTabulated):
     angular: tuple[int, int, int] = eqx.field(static=True, default=(4, 3, 2))
     solver: AbstractSolver | None = None
 
-    def __check_init__(self):
+    def __check_init__(self) -> None:
         if not isinstance(self.process, RadiativeTransfer):
             raise ValueError("the radiative integrator needs radiative transfer, not ILIT")
 

@@ -65,7 +65,7 @@ class Scene(eqx.Module):
     observer: str = eqx.field(static=True, default=OBSERVER)
     wavelengths: tuple[float, ...] | None = eqx.field(static=True, default=None)
 
-    def __check_init__(self):
+    def __check_init__(self) -> None:
         if self.lights is None and self.environment is None:
             raise ValueError("a scene needs lights or an environment")
         if self.iris is None:

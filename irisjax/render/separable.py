@@ -38,7 +38,7 @@ class Separable(AbstractTabulated):
     degrees: tuple[int, int, int, int, int] = eqx.field(static=True, default=(8, 5, 4, 4, 3))
     solver: AbstractSolver = eqx.field(default_factory=lambda: IlitExact(20))
 
-    def __check_init__(self):
+    def __check_init__(self) -> None:
         if not isinstance(self.process, Ilit):
             raise ValueError("the separable integrator needs ILIT: no other process is separable")
 

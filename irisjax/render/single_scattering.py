@@ -51,7 +51,7 @@ class SingleScattering(AbstractIntegrator):
     n_steps: int = eqx.field(static=True, default=12)
     process: AbstractProcess = eqx.field(static=True, default=ILIT_2006)
 
-    def __check_init__(self):
+    def __check_init__(self) -> None:
         check_whole("SingleScattering: n_steps", self.n_steps, 1)
 
     def illuminate(

@@ -150,7 +150,7 @@ class Iris(eqx.Module):
     power_law: PowerLaw | None = None
     order: Order = eqx.field(init=False)
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         # Plain numbers stay known inside a program: the order of media must be.
         with jax.ensure_compile_time_eval():
             # Equinox's converters run after this method, and the checks want arrays.
@@ -307,7 +307,7 @@ class Iris(eqx.Module):
                 out[name] = value if isinstance(value, Tracer) or value.ndim else _short(value)
         return out
 
-    def __repr__(self):
+    def __repr__(self) -> str:
         ranges = LIMITS | POWER_LAW_LIMITS
         units = {n: f" {limits.unit}" if limits.unit else "" for n, limits in ranges.items()}
         lines = [f"  {n} = {v}{units[n]}" for n, v in self.parameters().items()]

@@ -56,7 +56,7 @@ class IrisMaps(eqx.Module):
     eumelanin: Texture | None = _texture()
     pheomelanin: Texture | None = _texture()
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         shapes = {n: np.shape(m) for n, m in self.present().items()}
         if len(set(shapes.values())) > 1:
             raise ValueError(

@@ -56,7 +56,7 @@ class PowerLaw(eqx.Module):
     scattering_power: Scalar = _number(1.0)
     anisotropy: Scalar = _number(0.85)
 
-    def __check_init__(self):
+    def __check_init__(self) -> None:
         check_fields(self, POWER_LAW_LIMITS)
 
     def parameters(self) -> dict[str, Scalar]:

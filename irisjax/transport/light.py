@@ -50,7 +50,7 @@ class Light(eqx.Module):
     power: Spectrum | None = eqx.field(default=None, converter=as_float_or_none)
     matrices: bool = eqx.field(static=True, default=False)
 
-    def __check_init__(self):
+    def __check_init__(self) -> None:
         if self.cosine is None and (self.exits is not None or self.matrices):
             message = (
                 "a BRDF or Mueller matrix is of light from one direction, not of diffuse light"

@@ -67,7 +67,7 @@ class MonteCarlo(AbstractSolver):
     mesh: Mesh | None = eqx.field(static=True, default=None)
     process: AbstractProcess = eqx.field(default=ILIT_2006, kw_only=True)
 
-    def __check_init__(self):
+    def __check_init__(self) -> None:
         check_whole("n_photons", self.n_photons, 1, _LIMIT)
         check_whole("lanes", self.lanes, 16)
         if not isinstance(self.process, (Ilit, RadiativeTransfer)):

@@ -51,7 +51,7 @@ class Ilit(AbstractProcess):
     rescatter: Rescatter = eqx.field(static=True, default="to-interface")
     perturb_on_reflection: bool = eqx.field(static=True, default=False)
 
-    def __check_init__(self):
+    def __check_init__(self) -> None:
         for name, kind in (("phase", Phase), ("rescatter", Rescatter)):
             if getattr(self, name) not in get_args(kind):
                 known = ", ".join(get_args(kind))

@@ -93,7 +93,7 @@ class Bench(Session[BenchSettings]):
         self._kept_coats = {n: [KeptValue[Any]() for _ in range(3)] for n in self._full}
         self._file: Path | None = None
         layers = (Layer(n, True, None, r.opacity, r.height) for n, r in self._recipes.items())
-        self.settings = BenchSettings(**self._start(), layers=tuple(layers))
+        self.settings: BenchSettings = BenchSettings(**self._start(), layers=tuple(layers))
 
     def colour(self, name: str, mixed: bool = False) -> tuple[int, int, int]:
         """A coat's colour as it is set, or that its paints make (`mixed`), sRGB, 8 bits.

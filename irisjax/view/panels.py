@@ -57,7 +57,8 @@ class TissuePanel:
     TITLE = "Spectrum and colour"
 
     def __init__(self, gui: "viser.GuiApi", studio: Studio):
-        self.gui, self.studio = gui, studio
+        self.gui: viser.GuiApi = gui
+        self.studio: Studio = studio
 
     def widgets(self) -> dict[str, Any]:
         """Widgets by the settings that they show."""
@@ -87,7 +88,7 @@ class TissuePanel:
         from viser import uplot
 
         gui, grid = self.gui, uplot.Axis_Grid(stroke="#444444", width=1)
-        self.plot = gui.add_uplot(
+        self.plot: viser.GuiUplotHandle = gui.add_uplot(
             (SPECTRUM_NM, np.zeros_like(SPECTRUM_NM), np.zeros_like(SPECTRUM_NM)),
             (
                 uplot.Series(label="nm"),
@@ -103,7 +104,7 @@ class TissuePanel:
             height=260,
             padding=(12, 16, 0, 0),
         )
-        self.colour = gui.add_html("")
+        self.colour: viser.GuiHtmlHandle = gui.add_html("")
         return gui.add_html("")
 
     def tell(self, first: bool) -> None:
@@ -127,7 +128,9 @@ class CoatsPanel:
     TITLE = "Coats"
 
     def __init__(self, gui: "viser.GuiApi", bench: Bench, put: Callable[..., None]):
-        self.gui, self.bench, self.put = gui, bench, put
+        self.gui: viser.GuiApi = gui
+        self.bench: Bench = bench
+        self.put: Callable[..., None] = put
         self.layers: LayerStack = bench.settings.layers  # as asked for, painted or not yet
         self._lock = threading.Lock()  # every event comes on a thread of viser's
         self.folders: dict[str, Any] = {}
@@ -143,7 +146,7 @@ class CoatsPanel:
         save = gui.add_button(
             "save the recipe", hint="of the coats that are on, beside the recipe", order=1
         )
-        self.saved = gui.add_html("", order=2)
+        self.saved: viser.GuiHtmlHandle = gui.add_html("", order=2)
         save.on_click(lambda event: self._save())
         for layer in self.layers:
             self.folders[layer.name] = self._coat(layer)

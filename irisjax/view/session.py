@@ -112,10 +112,10 @@ class KeptPicture:
     """Values of the functions that make pictures of one size."""
 
     def __init__(self) -> None:
-        self.view = KeptValue[View]()
-        self.texels = KeptValue[Texels]()
-        self.light = KeptValue[Any]()
-        self.picture = KeptValue[tuple[np.ndarray, float | None]]()
+        self.view: KeptValue[View] = KeptValue()
+        self.texels: KeptValue[Texels] = KeptValue()
+        self.light: KeptValue[Any] = KeptValue()
+        self.picture: KeptValue[tuple[np.ndarray, float | None]] = KeptValue()
 
 
 class Session(abc.ABC, Generic[S]):

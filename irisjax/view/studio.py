@@ -77,7 +77,7 @@ class Studio(Session[Settings]):
             **_pigments(scene.tissue),
             "photograph": None if photograph is None else 0.5,
         }
-        self.settings = Settings(**start | given)
+        self.settings: Settings = Settings(**start | given)
         self._cameras = values_of(self.settings, CAMERA)
 
     @property

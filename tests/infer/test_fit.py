@@ -16,7 +16,7 @@ from irisjax.cli.sentences import information_lines
 from irisjax.infer import least_squares as search
 from irisjax.infer.fit import FitStatus, _status, fit, words_for
 from irisjax.infer.identifiability import information
-from irisjax.infer.least_squares import NormalEquations, levenberg_marquardt
+from irisjax.infer.least_squares import NORMAL_EQUATIONS, levenberg_marquardt
 from irisjax.infer.noise import Noise
 from irisjax.infer.observation import with_values
 from irisjax.infer.parameters import of_iris
@@ -112,7 +112,7 @@ def test_most_probable_point_is_scipys(problem, measured):
     assert found.degrees == 31
     assert float(found.p_value) == pytest.approx(stats.chi2(31).sf(float(found.chi_square)))
     # Another solver, and with it another search.
-    gauss_newton = optx.GaussNewton(1e-8, 1e-8, linear_solver=NormalEquations())
+    gauss_newton = optx.GaussNewton(1e-8, 1e-8, linear_solver=NORMAL_EQUATIONS)
     again = fit(problem, solver=gauss_newton, starts=1)
     assert bool(again.ok)
     np.testing.assert_allclose(again.z, found.z, atol=1e-5)
@@ -142,7 +142,7 @@ def test_normal_equations_solve_least_squares():
     rng = np.random.default_rng(2)
     a, b = rng.normal(size=(9, 4)), rng.normal(size=9)
     found = lx.linear_solve(
-        lx.MatrixLinearOperator(jnp.asarray(a)), jnp.asarray(b), NormalEquations()
+        lx.MatrixLinearOperator(jnp.asarray(a)), jnp.asarray(b), NORMAL_EQUATIONS
     ).value
     np.testing.assert_allclose(found, np.linalg.lstsq(a, b, rcond=None)[0], rtol=1e-10)
 

@@ -4,7 +4,7 @@ import emcee
 import numpy as np
 from scipy import stats
 
-from irisjax.infer.moves import IndependentMove, Straightening, mixture
+from irisjax.infer.moves import Straightening, independent_move, mixture
 
 
 def test_moves_leave_a_distribution_as_it_is():
@@ -44,7 +44,7 @@ def test_a_curved_ridge_is_straightened():
         thin = (z[:, 1] - 0.1 * z[:, 0] ** 2 + 0.4 * z[:, 0]) / 0.03
         return -0.5 * (z[:, 0] ** 2 + thin**2 + (z[:, 2] / 0.5) ** 2)
 
-    move = IndependentMove(straight, z)
+    move = independent_move(straight, z)
     sampler = emcee.EnsembleSampler(32, 3, log_p, vectorize=True, moves=move)
     sampler.random_state = np.random.RandomState(1).get_state()
     sampler.run_mcmc(z[:32], 500)

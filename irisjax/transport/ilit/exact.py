@@ -31,7 +31,7 @@ class IlitExact(AbstractSolver):
     n_angles: int = eqx.field(static=True, default=40)
     process: Ilit = eqx.field(default=ILIT_2006, kw_only=True)
 
-    def __check_init__(self):
+    def __check_init__(self) -> None:
         check_whole("n_angles", self.n_angles, 4)
         check_process(self, Ilit)
 

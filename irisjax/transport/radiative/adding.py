@@ -66,7 +66,7 @@ class AddingDoubling(AbstractSolver):
     n_angles: int = eqx.field(static=True, default=32)
     n_doublings: int | None = eqx.field(static=True, default=None)
 
-    def __check_init__(self):
+    def __check_init__(self) -> None:
         check_whole("n_angles", self.n_angles, 4)
         if self.n_doublings is not None:
             check_whole("n_doublings", self.n_doublings, 0, 60)

@@ -63,7 +63,7 @@ class RadiativeExact(AbstractSolver):
     n_panels: int | None = eqx.field(static=True, default=None)
     process: RadiativeTransfer = eqx.field(default=DEPTH_RESOLVED, kw_only=True)
 
-    def __check_init__(self):
+    def __check_init__(self) -> None:
         check_process(self, RadiativeTransfer)
         for name, low in (("n_angles", 4), ("n_depths", 2), ("n_panels", 1)):
             value = getattr(self, name)

@@ -62,7 +62,14 @@ class Bounded(NamedTuple):
 class Slab:
     """A layer cut into panels in depth, each with Legendre polynomials φ_i on [0, 1]."""
 
-    def __init__(self, depth, n_depths: int, n_panels: int):
+    depth: jax.Array
+    n_depths: int
+    n_panels: int
+    widths: jax.Array
+    tops: jax.Array
+    below: jax.Array
+
+    def __init__(self, depth: jax.Array, n_depths: int, n_panels: int):
         width = fractions(n_panels)
         edges = np.concatenate([[0.0], np.cumsum(width)])
         self.depth, self.n_depths, self.n_panels = depth, n_depths, n_panels

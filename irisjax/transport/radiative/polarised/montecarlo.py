@@ -53,7 +53,7 @@ class PolarisedMonteCarlo(AbstractSolver):
     n_photons: int = eqx.field(static=True)
     aperture: float = eqx.field(static=True, default=0.1)
 
-    def __check_init__(self):
+    def __check_init__(self) -> None:
         check_whole("n_photons", self.n_photons, 1, 2**31 - 2**20)
         check_range("aperture", self.aperture, APERTURE)
 
