@@ -3,11 +3,14 @@ budget of compiled programs for each file.
 """
 
 import collections
+import gc
 import hashlib
 import importlib.metadata
 import os
 import platform
 from pathlib import Path
+
+gc.disable()  # until all is imported, of which next to nothing is garbage
 
 # The command would otherwise use the user's own cache.
 os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", "")
@@ -34,6 +37,7 @@ def pytest_configure(config):
     them, unless the environment names another folder.
     """
     _compile_in_half_the_time(config.option.markexpr)
+    config.option.loadscopereorder = False  # or workers begin with the files of most tests
     folder = os.environ.get("IRISJAX_TEST_PROGRAMS")
     if folder:
         kept = Path(folder) / f"jaxlib-{importlib.metadata.version('jaxlib')}-{_processor()}"
@@ -71,10 +75,55 @@ def _wants_float32(item):
     return "float32" in item.fixturenames or (call is not None and call.params.get("bits") == 32)
 
 
+# CPU seconds of the files that take longest. Workers take files in the order of collection: these
+# first, or one of them is left to one worker when the other has done.
+_LONGEST = {
+    "transport/test_depth_resolved.py": 30,
+    "transport/test_exact_limits.py": 26,
+    "ocularist/test_painted_scenes.py": 26,
+    "render/test_radiative.py": 25,
+    "transport/test_exact.py": 23,
+    "transport/test_polarised.py": 22,
+    "infer/test_analysis.py": 21,
+    "photo/test_clone.py": 21,
+    "render/test_refraction.py": 20,
+    "photo/test_outlines.py": 20,
+    "photo/test_pose.py": 19,
+    "photo/test_pigments_of_windows.py": 18,
+    "transport/test_polarised_montecarlo.py": 17,
+    "ocularist/test_matching.py": 17,
+    "render/test_scene.py": 17,
+    "io/test_measured.py": 17,
+    "test_stress.py": 17,
+    "test_composition.py": 14,
+    "photo/test_windows.py": 14,
+    "transport/test_sharp_scattering.py": 14,
+    "photo/test_simulated_photographs.py": 14,
+    "render/test_single_scattering.py": 14,
+    "export/test_export.py": 12,
+    "measure/test_polarimeter.py": 10,
+    "test_edge_irides.py": 10,
+    "test_edge_gradients.py": 9,
+    "photo/test_register.py": 9,
+}
+
+
+@pytest.hookimpl(trylast=True)
 def pytest_collection_modifyitems(items):
-    """Within a file, tests of single precision run last, after all those of double precision."""
+    """The longest files first; within a file, tests of single precision after all others."""
     files = {path: k for k, path in enumerate(dict.fromkeys(item.path for item in items))}
-    items.sort(key=lambda item: (files[item.path], _wants_float32(item)))
+    weights = {path: _LONGEST.get(_name(path), 0) for path in files}
+    items.sort(key=lambda x: (-weights[x.path], files[x.path], _wants_float32(x)))
+    # What is imported and collected stays: no collection of garbage needs to look through it again,
+    # and traces leave so little that seldom is enough.
+    gc.freeze()
+    gc.set_threshold(50_000, 20, 50)
+    gc.enable()
+
+
+def _name(path):
+    """A file's path below `tests`."""
+    return path.relative_to(Path(__file__).parent).as_posix()
 
 
 @pytest.fixture(autouse=True)
@@ -146,7 +195,7 @@ def _few_programs(request):
     event = "/jax/core/compile/backend_compile_duration"
     before = _compiled[event]
     yield
-    name = request.path.relative_to(Path(__file__).parent).as_posix()
+    name = _name(request.path)
     n = _compiled[event] - before
     _counts[name] += n
     budget = _PROGRAMS_OF_FILE.get(name, _MOST_PROGRAMS)
