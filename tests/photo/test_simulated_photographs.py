@@ -95,14 +95,15 @@ def test_edges_lie_on_the_outlines(truth, name):
 
 @by_file([t for t in TRUTH if t["file"] == "blue_tilted_dirty.jpg"])
 def test_outlines_are_found_to_a_hundredth_of_their_radius_and_the_tilt_to_2_degrees(truth):
-    found = find_boundaries(read_photograph(FOLDER / truth["file"]))
+    photo = reduced(truth["file"])
+    found = find_boundaries(photo)
     along = np.linspace(0, 2 * math.pi, 90)
     for seen, name in zip(found[:2], ("limbus", "pupil"), strict=True):
-        off = outline(truth, name).relative_radius(*seen.points(along).T) - 1
+        off = outline(truth, name).scaled(SCALE).relative_radius(*seen.points(along).T) - 1
         assert abs(off).max() < 0.01
     assert min(found[2:4]) > MIN_CONFIDENCE
     camera = truth["camera"]
-    pose = find_pose(found.limbus, found.pupil, Eye(), focal_px=camera["focal_px"])
+    pose = find_pose(found.limbus, found.pupil, Eye(), focal_px=photo.focal_px)
     off = pose.tilt * np.exp(1j * float(pose.camera.azimuth))
     off -= camera["polar"] * np.exp(1j * camera["azimuth"])
     assert math.degrees(abs(off)) < 2

@@ -1,11 +1,13 @@
 """Windows of the iris: their means, and the renderer as a matrix."""
 
+import functools
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from window_scenes import BASE, CAMERA, EYE, LIGHTS, POSE, QUICK, SHAPE, VIEW, maps
+from window_scenes import BASE, CAMERA, EYE, LIGHTS, POSE, QUICK, SHAPE, maps, view
 
 from irisjax.photo.light import Lighting
 from irisjax.photo.windows import (
@@ -28,14 +30,14 @@ from irisjax.render.scene import ENVIRONMENT_LIGHTS, Scene
 OTHER = BASE.replace(
     eumelanin=jnp.asarray(1.0), pheomelanin=jnp.asarray(0.3), abl_fraction=jnp.asarray(0.7)
 )
-ALONE = iris_alone(POSE)
+alone = functools.cache(lambda: iris_alone(POSE))
 
 
 def chosen(picture, clear=True, **known):
     """Windows' pixels of a picture (rows, columns) or (rows, columns, 3)."""
     picture = np.asarray(picture, float)
     colours = np.repeat(picture[..., None], 3, -1) if picture.ndim == 2 else picture
-    return choose_pixels(colours, ALONE & clear, VIEW, EYE, **known)
+    return choose_pixels(colours, alone() & clear, view(), EYE, **known)
 
 
 def _means_are_the_renderers(found, rtol):
@@ -56,9 +58,9 @@ def bare():
 def test_the_iris_alone_is_a_disc_within_the_limbus(bare):
     row, column = np.indices(SHAPE)
     away = np.hypot(row - 44.5, column - 44.5) * 13 / 90
-    for alone in (ALONE, bare[2]):
-        assert alone[(away > 2.6) & (away < 4)].all()
-        assert not alone[away > 6].any()
+    for seen in (alone(), bare[2]):
+        assert seen[(away > 2.6) & (away < 4)].all()
+        assert not seen[away > 6].any()
 
 
 @pytest.fixture(scope="module")
@@ -99,7 +101,7 @@ def test_the_same_by_radiative_transfer(room):
     (lamps, beside), integrator = (LIGHTS, None) if room else (None, around), RadiativeIntegrator()
     scene = Scene(OTHER, maps(), EYE, lamps, around, CAMERA, integrator=integrator)
     tables = scene.tables()
-    pixels = choose_pixels(np.asarray(draw(scene, tables)), ALONE, VIEW, EYE, beside)
+    pixels = choose_pixels(np.asarray(draw(scene, tables)), alone(), view(), EYE, beside)
     lights = Lighting(lamps, beside).lights()
     found = windows_of(pixels, EYE, BASE, maps(), lights, integrator, tables, room)
     _means_are_the_renderers(found, 0.002)

@@ -1,5 +1,7 @@
 """A small eye of uneven thickness, as a camera sees it."""
 
+import functools
+
 import jax.numpy as jnp
 import numpy as np
 
@@ -21,7 +23,12 @@ LIGHTS = Lights.distant(0.6, 2.0) + Lights.distant(0.3, -1.0, 1.0)
 # A cheaper solver: the error of its quadrature is no matter of the windows'.
 QUICK = Separable(degrees=(3, 3, 2, 2, 2), solver=ij.IlitExact(8))
 SHAPE = CAMERA.shape
-VIEW = look(EYE, CAMERA)
+
+
+@functools.cache
+def view():
+    """What the camera sees."""
+    return look(EYE, CAMERA)
 
 
 def maps() -> IrisMaps:
