@@ -78,6 +78,13 @@ def _wants_float32(item):
 # CPU seconds of the files that take longest. Workers take files in the order of collection: these
 # first, or one of them is left to one worker when the other has done.
 _LONGEST = {
+    "test_experiments.py": 90,  # the tier `peer`, and the six below
+    "export/test_mitsuba.py": 75,
+    "infer/test_model_comparison.py": 45,
+    "transport/test_general_scattering_peer.py": 40,
+    "infer/test_other_samplers.py": 23,
+    "transport/test_polarised_peer.py": 13,
+    "test_notebooks.py": 10,
     "transport/test_depth_resolved.py": 30,
     "transport/test_exact_limits.py": 26,
     "ocularist/test_painted_scenes.py": 26,
@@ -92,8 +99,8 @@ _LONGEST = {
     "photo/test_pigments_of_windows.py": 18,
     "transport/test_polarised_montecarlo.py": 17,
     "ocularist/test_matching.py": 17,
+    "transport/test_montecarlo.py": 17,
     "render/test_scene.py": 17,
-    "io/test_measured.py": 17,
     "test_stress.py": 17,
     "test_composition.py": 14,
     "photo/test_windows.py": 14,
