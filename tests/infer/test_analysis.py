@@ -151,7 +151,7 @@ def test_single_precision_samples_without_a_warning():
     noisy = np.asarray(y) * (1 + 1e-3 * np.random.default_rng(0).normal(size=GRID.size))
     seen = with_values(problem.observations[0], jnp.asarray(noisy, jnp.float32))
     problem = problem.with_observations(seen)
-    best = fit(problem, key=KEY)
+    best = fit(problem, starts=1)
     assert best.covariance.dtype == np.float32
     np.testing.assert_array_equal(best.covariance, best.covariance.T)
     assert sample(problem, best, **SETTINGS).converged
