@@ -33,8 +33,8 @@ def test_ensemble_and_nuts_agree(model):
     assert chains.converged
     nuts = MCMC(
         NUTS(potential_fn=lambda z: -problem.log_posterior(z)),
-        num_warmup=500,
-        num_samples=4000,
+        num_warmup=300,
+        num_samples=2000,
         progress_bar=False,
     )
     nuts.run(jax.random.key(2), init_params=jnp.asarray(best.z))
